@@ -1,0 +1,1 @@
+"""dasim: physical simulation of dual-aperture cameras."""

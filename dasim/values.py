@@ -1,0 +1,370 @@
+"""The values that flow between simulator, reconstruction and scores, and their files on disk.
+
+Images are [y, x] or [y, x, channel]; channels are in the order of ``spectra.CHANNELS`` (R, G, B, IR).
+Pixel centres are at +0.5, x to the right, y down, z forward, lengths in metres.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from dasim.camera import Camera, depth_of_blur_m, intrinsic_matrix, level_blur_px, parse
+from dasim.errors import InputError
+from dasim.spectra import CHANNELS
+
+CAPTURE_SCHEMA = 1
+BANK_SCHEMA = 1
+Float32Array = NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class Capture:
+    """One raw picture and what the camera knows of it."""
+
+    raw_dn: NDArray[np.uint16]  # [h, w], black level included
+    camera: Camera
+    exposure_s: float
+    gain: float
+    seed: int
+    illuminant: str | None = None  # name of the scene's main light; for scores only, never for estimates
+    provenance: dict[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Truth:
+    """What is exactly known of a simulated capture, per pixel; NaN in ``depth_m`` where nothing is hit."""
+
+    depth_m: Float32Array  # [h, w] z from the lens plane at the pixel's centre, never range
+    valid: NDArray[np.bool_]  # [h, w] a surface was hit
+    normal: Float32Array  # [h, w, 3] unit, camera axes, towards the camera
+    object_id: NDArray[np.uint32]  # [h, w] 0 is nothing, then objects in the scene's order
+    blur_px: Float32Array  # [h, w] signed visible blur diameter, positive nearer than the focus
+    level: Float32Array  # [h, w] signed blur level, (1 - alpha) of the blur
+    boundary: NDArray[np.bool_]  # [h, w] the blur disc crosses a depth discontinuity
+    mean_e: Float32Array  # [h, w, 4] mean electrons of every channel as the lens sees the scene
+    sharp_e: Float32Array  # [h, w, 4] the same through a pinhole of the same light
+
+
+@dataclass(frozen=True)
+class PointPicture:
+    """Frames of a point source for calibration: one light, level and position.
+
+    The source was moved by ``shift_px`` (y, x) whole pixels between pictures; the rest of its position
+    is unknown and has to be measured.
+    """
+
+    frames_dn: NDArray[np.uint16]  # [frame, h, w]
+    light: str
+    level: int
+    depth_m: float
+    blur_px: float  # visible blur diameter that the depth stands for
+    shift_px: tuple[int, int]
+    exposure_s: float
+
+
+@dataclass(frozen=True)
+class PsfBank:
+    """Measured point-spread functions of a camera at one focus."""
+
+    kernel: Float32Array  # [light, level, channel, y, x], odd size, each of unit sum, centred
+    lights: tuple[str, ...]
+    signature: Float32Array  # [light, channel] electrons of a white source, relative to green
+    depth_m: Float32Array  # [level]
+    blur_px: Float32Array  # [level] visible blur diameter
+    camera: Camera
+    diffraction: str  # how the pictures were made: wave, airy, off, or measured
+
+
+@dataclass(frozen=True)
+class Reconstruction:
+    """What the reconstruction makes of a capture. NaN marks pixels without an estimate."""
+
+    rgb: Float32Array  # [h, w, 3] sRGB 0..1, the picture as taken
+    sharp_rgb: Float32Array  # [h, w, 3] sRGB 0..1, all in focus
+    linear_e: Float32Array  # [h, w, 3] linear camera colours, infrared removed, electrons
+    sharp_e: Float32Array  # [h, w, 3] the same, all in focus
+    ir_e: Float32Array  # [h, w] infrared, electrons
+    level_raw: Float32Array  # [h, w] eq. (12), NaN where there is no edge
+    level: Float32Array  # [h, w] eq. (13), everywhere
+    depth_m: Float32Array  # [h, w] from ``level``
+    confidence: Float32Array  # [h, w] 0..1
+    light: str  # the bank's light, chosen by white balance
+    settings: dict[str, Any]
+    timings_s: dict[str, float]
+
+
+def level_table(camera: Camera) -> list[dict[str, float]]:
+    """Level, visible blur and depth of the camera's blur levels, for ``meta.json``."""
+    blurs = level_blur_px(camera)
+    depths = depth_of_blur_m(camera, blurs)
+    return [
+        {"level": k, "blur_px": float(b), "depth_m": float(d)}
+        for k, (b, d) in enumerate(zip(blurs, depths, strict=True))
+    ]
+
+
+def software_versions() -> dict[str, str]:
+    """Versions of what decides the pixels of a capture."""
+    found = {}
+    for name in ("dasim", "mitsuba", "drjit", "numpy", "scipy"):
+        try:
+            found[name] = version(name)
+        except PackageNotFoundError:
+            found[name] = "unknown"
+    return found
+
+
+# --- folders -------------------------------------------------------------------------------------
+
+_OWN_FILES = ("meta.json", "results.json", "recon.json")
+
+
+@contextmanager
+def new_folder(path: Path) -> Iterator[Path]:
+    """A temporary folder that becomes ``path`` when the block ends well, and vanishes when it does not.
+
+    An earlier result of dasim at ``path`` is replaced as a whole; a folder that holds anything else is
+    refused with InputError.
+    """
+    path = Path(path)
+    check_output(path)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    temporary = Path(tempfile.mkdtemp(prefix=f".{path.name}.partial-", dir=path.parent))
+    try:
+        yield temporary
+        temporary.chmod(0o755)
+        if path.exists():
+            retired = temporary.with_name(temporary.name.replace("partial", "old"))
+            os.rename(path, retired)
+            os.rename(temporary, path)
+            shutil.rmtree(retired)
+        else:
+            os.rename(temporary, path)
+    finally:
+        shutil.rmtree(temporary, ignore_errors=True)
+
+
+def check_output(path: Path) -> None:
+    """Refuse an output path that is a file, or a folder that dasim did not write; before any work starts."""
+    path = Path(path)
+    if path.exists() and not path.is_dir():
+        raise InputError(f"output {path}: is a file, a folder is needed")
+    if path.is_dir() and any(path.iterdir()) and not any((path / name).is_file() for name in _OWN_FILES):
+        raise InputError(f"output {path}: exists and holds files that dasim did not write; choose another folder")
+    parent = path.parent
+    while not parent.exists():
+        parent = parent.parent
+    if not parent.is_dir() or not os.access(parent, os.W_OK):
+        raise InputError(f"output {path}: {parent} is not a folder that can be written to")
+
+
+# --- captures ------------------------------------------------------------------------------------
+
+
+def save_capture(path: Path, capture: Capture, truth: Truth | None) -> None:
+    """Write a capture folder: ``raw.png`` (16 bits), ``truth.exr`` (multi-part) and ``meta.json``."""
+    with new_folder(path) as folder:
+        write_png16(folder / "raw.png", capture.raw_dn)
+        if truth is not None:
+            write_truth(folder / "truth.exr", truth)
+        meta = {
+            "schema": CAPTURE_SCHEMA,
+            "camera": capture.camera.model_dump(mode="json"),
+            "intrinsic_matrix_px": intrinsic_matrix(capture.camera).tolist(),
+            "levels": level_table(capture.camera),
+            "exposure_s": capture.exposure_s,
+            "gain": capture.gain,
+            "seed": capture.seed,
+            "illuminant": capture.illuminant,
+            "provenance": capture.provenance,
+            "software": software_versions(),
+        }
+        (folder / "meta.json").write_text(json.dumps(meta, indent=1) + "\n", encoding="utf-8")
+
+
+def load_capture(path: Path) -> Capture:
+    """Read a capture folder; InputError where a file is missing, cut short or does not fit the others."""
+    path = Path(path)
+    meta = _read_meta(path)
+    raw = read_png16(path / "raw.png")
+    try:
+        camera = parse(Camera, meta["camera"], f"{path / 'meta.json'}: camera")
+        capture = Capture(
+            raw_dn=raw,
+            camera=camera,
+            exposure_s=float(meta["exposure_s"]),
+            gain=float(meta["gain"]),
+            seed=int(meta["seed"]),
+            illuminant=meta["illuminant"],
+            provenance=dict(meta["provenance"]),
+        )
+    except (KeyError, TypeError) as error:
+        raise InputError(f"{path / 'meta.json'}: key {error} is missing or of the wrong type") from None
+    sensor = camera.sensor
+    if raw.shape != (sensor.height_px, sensor.width_px):
+        raise InputError(
+            f"{path / 'raw.png'}: is {raw.shape[1]} x {raw.shape[0]} pixels, "
+            f"meta.json says {sensor.width_px} x {sensor.height_px}"
+        )
+    return capture
+
+
+def load_truth(path: Path) -> Truth:
+    """Read the ground truth of a capture folder; InputError where it is missing or cut short."""
+    return read_truth(Path(path) / "truth.exr")
+
+
+def _read_meta(path: Path) -> dict[str, Any]:
+    if not path.is_dir():
+        raise InputError(f"capture {path}: no such folder (a capture holds raw.png, truth.exr and meta.json)")
+    file = path / "meta.json"
+    try:
+        meta = json.loads(file.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise InputError(f"{file}: is missing; a capture holds raw.png, truth.exr and meta.json") from None
+    except (OSError, ValueError) as error:
+        raise InputError(f"{file}: cannot be read ({error})") from None
+    if not isinstance(meta, dict) or meta.get("schema") != CAPTURE_SCHEMA:
+        raise InputError(f"{file}: is no capture of schema {CAPTURE_SCHEMA}")
+    return meta
+
+
+def write_png16(path: Path, image: NDArray[np.uint16]) -> None:
+    """Write a 16-bit grey PNG."""
+    done, data = cv2.imencode(".png", np.ascontiguousarray(image, dtype=np.uint16))
+    if not done:
+        raise OSError(f"{path}: the PNG encoder failed")
+    path.write_bytes(data.tobytes())
+
+
+def read_png16(path: Path) -> NDArray[np.uint16]:
+    """Read a 16-bit grey PNG whole; InputError where it is missing, cut short or of another kind."""
+    if not path.is_file():
+        raise InputError(f"{path}: is missing")
+    data = path.read_bytes()
+    # The decoder fills what a cut file lacks with zeros, so the end of the file is checked first.
+    if b"IEND" not in data[-16:]:
+        raise InputError(f"{path}: is no PNG, or is cut short")
+    image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+    if image is None or image.ndim != 2 or image.dtype != np.uint16:
+        raise InputError(f"{path}: is no 16-bit grey PNG")
+    return image
+
+
+# --- ground truth as multi-part EXR --------------------------------------------------------------
+
+_XYZ = ("X", "Y", "Z")
+
+
+def write_truth(path: Path, truth: Truth) -> None:
+    """Write the ground truth as a multi-part EXR; ``Z`` of the first part is the depth in metres."""
+    import OpenEXR
+
+    def part(name: str, channels: dict[str, np.ndarray]) -> Any:
+        header = {"name": name, "type": OpenEXR.scanlineimage, "compression": OpenEXR.ZIP_COMPRESSION}
+        return OpenEXR.Part(header, {key: np.ascontiguousarray(value) for key, value in channels.items()})
+
+    parts = [
+        part("depth", {"Z": truth.depth_m}),
+        part("normal", {axis: truth.normal[..., i] for i, axis in enumerate(_XYZ)}),
+        part("blur", {"blur_px": truth.blur_px, "level": truth.level}),
+        part(
+            "labels",
+            {
+                "object_id": truth.object_id,
+                "valid": truth.valid.astype(np.uint32),
+                "boundary": truth.boundary.astype(np.uint32),
+            },
+        ),
+        part("mean_e", {name: truth.mean_e[..., i] for i, name in enumerate(CHANNELS)}),
+        part("sharp_e", {name: truth.sharp_e[..., i] for i, name in enumerate(CHANNELS)}),
+    ]
+    OpenEXR.File(parts).write(str(path))
+
+
+def read_truth(path: Path) -> Truth:
+    """Read a ground-truth EXR; InputError where it is missing, cut short or lacks a part."""
+    import OpenEXR
+
+    if not path.is_file():
+        raise InputError(f"{path}: is missing")
+    try:
+        with OpenEXR.File(str(path), separate_channels=True) as file:
+            parts = {p.name(): {k: c.pixels for k, c in p.channels.items()} for p in file.parts}
+        labels = parts["labels"]
+        return Truth(
+            depth_m=parts["depth"]["Z"],
+            valid=labels["valid"].astype(bool),
+            normal=np.stack([parts["normal"][axis] for axis in _XYZ], axis=-1),
+            object_id=labels["object_id"],
+            blur_px=parts["blur"]["blur_px"],
+            level=parts["blur"]["level"],
+            boundary=labels["boundary"].astype(bool),
+            mean_e=np.stack([parts["mean_e"][name] for name in CHANNELS], axis=-1),
+            sharp_e=np.stack([parts["sharp_e"][name] for name in CHANNELS], axis=-1),
+        )
+    except KeyError as error:
+        raise InputError(f"{path}: lacks {error}; a truth file of dasim is needed") from None
+    except Exception as error:  # the library raises bare RuntimeError and others for damaged files
+        raise InputError(f"{path}: cannot be read, or is cut short ({error})") from None
+
+
+# --- PSF banks -----------------------------------------------------------------------------------
+
+
+def save_bank(path: Path, bank: PsfBank) -> None:
+    """Write a PSF bank as one compressed ``.npz``, under a temporary name first."""
+    path = Path(path)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    about = {
+        "schema": BANK_SCHEMA,
+        "lights": bank.lights,
+        "diffraction": bank.diffraction,
+        "camera": bank.camera.model_dump(mode="json"),
+    }
+    handle, name = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
+    try:
+        with os.fdopen(handle, "wb") as file:
+            np.savez_compressed(
+                file,
+                about=np.array(json.dumps(about)),
+                kernel=bank.kernel,
+                signature=bank.signature,
+                depth_m=bank.depth_m,
+                blur_px=bank.blur_px,
+            )
+        os.chmod(name, 0o644)
+        os.replace(name, path)
+    except BaseException:
+        Path(name).unlink(missing_ok=True)
+        raise
+
+
+def load_bank(path: Path) -> PsfBank:
+    """Read a PSF bank; InputError where the file is missing, damaged or no bank."""
+    path = Path(path)
+    if not path.is_file():
+        raise InputError(f"bank {path}: no such file; make one with 'dasim calibrate'")
+    try:
+        with np.load(path, allow_pickle=False) as data:
+            about = json.loads(str(data["about"]))
+            arrays = {key: data[key] for key in ("kernel", "signature", "depth_m", "blur_px")}
+    except Exception as error:  # zip, npy and json errors of a damaged file are of many types
+        raise InputError(f"bank {path}: cannot be read ({error})") from None
+    if about.get("schema") != BANK_SCHEMA:
+        raise InputError(f"bank {path}: is no bank of schema {BANK_SCHEMA}; make a new one with 'dasim calibrate'")
+    camera = parse(Camera, about["camera"], f"bank {path}: camera")
+    return PsfBank(lights=tuple(about["lights"]), diffraction=about["diffraction"], camera=camera, **arrays)
