@@ -1,0 +1,64 @@
+"""Calibration pictures: a point source in front of the camera, as sec. 5.1 of the paper takes them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from dasim import camera as cameras
+from dasim import pointspread, sensor, spectra
+from dasim.camera import Camera
+from dasim.values import PointPicture
+
+FRAMES = 8
+CALIBRATION_LIGHTS = ("D65", "D55", "A", "incandescent-2800K")
+# Four positions a whole pixel apart, so that every channel of a 2x2 mosaic sees every part of the kernel.
+_BACKGROUND_SHARE = 1e-3  # of the peak: a little stray light, which calibration has to remove
+
+
+def calibration_captures(
+    camera: Camera,
+    lights: Sequence[str] = CALIBRATION_LIGHTS,
+    *,
+    frames: int = FRAMES,
+    seed: int = 0,
+    diffraction: str = "wave",
+) -> Iterator[PointPicture]:
+    """Pictures of a point source for each light, blur level and mosaic position.
+
+    The kernels are the camera's own (a path-traced point source converges too slowly to calibrate with),
+    at an unknown sub-pixel position for each light and level, and go through the sensor model with
+    automatic exposure to 85 % of full scale. ``shift_px`` covers one period of the mosaic.
+    """
+    blurs = cameras.level_blur_px(camera)
+    depths = cameras.depth_of_blur_m(camera, blurs)
+    rows, columns = len(camera.sensor.mosaic), len(camera.sensor.mosaic[0])
+    kernel_size = pointspread.kernel_size_px(camera, float(blurs[-1]))
+    side = (kernel_size + 2 * max(rows, columns) + 6) // (2 * rows * columns) * (2 * rows * columns)
+    side += 2 * rows * columns
+    local = camera.sensor.model_copy(update={"width_px": side, "height_px": side})
+    frame_camera = camera.model_copy(update={"sensor": local})
+    radius = np.arange(0, side * 0.75 + 2, pointspread.RADIAL_STEP_PX)
+    for light_index, light in enumerate(lights):
+        spectrum = spectra.illuminant(light)
+        profiles, signal = pointspread.radial_profiles(camera, blurs, spectrum, radius, diffraction)
+        for level, (blur, depth) in enumerate(zip(blurs, depths, strict=True)):
+            key = np.random.SeedSequence((seed, light_index, level))
+            offset = np.random.Generator(np.random.Philox(key)).uniform(-0.5, 0.5, 2)
+            kernels = pointspread.pixel_kernels(profiles[level], radius, side - 1, (offset[0], offset[1]))
+            flux = np.zeros((side, side, len(spectra.CHANNELS)))
+            flux[: side - 1, : side - 1] = np.moveaxis(kernels * signal[:, None, None], 0, -1)
+            flux += _BACKGROUND_SHARE * flux.max() * signal / signal.max()
+            for dy in range(rows):
+                for dx in range(columns):
+                    moved = np.roll(flux, (dy, dx), axis=(0, 1))
+                    # The strongest channel of any position sets the exposure, the same for all positions.
+                    scale = sensor.Exposure().auto_level * local.full_well_e / flux.max()
+                    mean_e = scale * sensor.mosaic(moved, frame_camera)
+                    noise_seed = int(key.generate_state(1)[0])
+                    shots = [
+                        sensor.expose(mean_e, local, 0.01, noise_seed, frame=frame + frames * (dy * columns + dx))[0]
+                        for frame in range(frames)
+                    ]
+                    yield PointPicture(np.stack(shots), light, level, float(depth), float(blur), (dy, dx), 0.01)
