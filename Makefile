@@ -1,0 +1,67 @@
+# make demo | make test | make lint: each first makes what it needs, an environment in .venv.
+# PYTHON=/path/to/python chooses the interpreter (3.11 or newer).
+
+SHELL := /bin/sh
+VENV := .venv
+BIN := $(VENV)/bin
+PYTHONS := $(if $(PYTHON),$(PYTHON),python3.13 python3.12 python3.11 python3)
+IS_NEW := import sys; sys.exit(sys.version_info < (3, 11))
+PIP := $(BIN)/python -m pip --disable-pip-version-check --quiet
+APT := env DEBIAN_FRONTEND=noninteractive apt-get -q -y -o Acquire::Retries=0 -o Acquire::http::Timeout=20
+
+.PHONY: help demo test lint environment
+
+help:
+	@echo "make demo   the whole chain on a bundled scene; report in out/demo/report.html"
+	@echo "make test   the tests, without the slow ones"
+	@echo "make lint   style, formatting, import contracts, types"
+
+demo: environment
+	$(BIN)/dasim demo --out out/demo
+
+test: environment
+	$(BIN)/python -m pytest
+
+lint: environment
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/lint-imports --no-logo
+	$(BIN)/mypy
+
+environment: $(VENV)/.llvm
+
+# The environment anew where a dependency changed.
+$(VENV)/.installed: pyproject.toml constraints.txt
+	@if $(BIN)/python -c '$(IS_NEW)' 2>/dev/null && $(BIN)/python -m pip --version >/dev/null 2>&1; then exit 0; fi; \
+	new=; \
+	for python in $(PYTHONS); do \
+	    "$$python" -c '$(IS_NEW)' >/dev/null 2>&1 || continue; \
+	    new="$$python"; \
+	    "$$python" -c 'import ensurepip, venv' >/dev/null 2>&1 || continue; \
+	    echo "Making $(VENV) with $$("$$python" --version)"; \
+	    exec "$$python" -m venv --clear $(VENV); \
+	done; \
+	if [ -n "$$new" ]; then \
+	    echo "$$new has no venv or ensurepip; on Debian and Ubuntu 'apt-get install python3-venv' brings both" >&2; \
+	else \
+	    echo "Python 3.11 or newer is needed, none was found as: $(PYTHONS)" >&2; \
+	fi; \
+	exit 1
+	@echo "Installing the packages of constraints.txt (some minutes the first time)"
+	@$(PIP) install -c constraints.txt -e '.[test]'
+	@touch $@
+
+# Rendering is about four times faster with LLVM 17 or newer. Without it everything works all the same,
+# so nothing here ends the run.
+$(VENV)/.llvm: $(VENV)/.installed
+	@if $(BIN)/python -m dasim.render.backend; then :; \
+	elif [ "$$(uname -s)" = Linux ] && [ "$$(id -u)" = 0 ] && command -v apt-get >/dev/null 2>&1; then \
+	    echo "Installing LLVM for faster rendering: apt-get install libllvm19"; \
+	    if $(APT) install libllvm19 >$(VENV)/apt.log 2>&1 \
+	        || { $(APT) update >>$(VENV)/apt.log 2>&1 && $(APT) install libllvm19 >>$(VENV)/apt.log 2>&1; }; \
+	    then $(BIN)/python -m dasim.render.backend || :; \
+	    else echo "That failed (see $(VENV)/apt.log); going on with the slower variant"; fi; \
+	else \
+	    echo "Going on with the slower variant"; \
+	fi
+	@touch $@

@@ -1,0 +1,332 @@
+"""Choose the Mitsuba variant, once: the fastest that really works on this computer.
+
+Every variant is tried out in a process of its own, because a faulty one does not raise: Dr.Jit 1.5 with LLVM 16
+or older aborts ("LLVM ERROR: Cannot select ... fminimum"), and a graphics driver may crash or hang. The answer is
+kept in the cache folder, so later starts cost nothing. ``python -m dasim.render.backend`` prints it.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import glob
+import hashlib
+import json
+import os
+import platform
+import re
+import subprocess
+import sys
+import tempfile
+import time
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+from dasim.cache import cache_dir
+from dasim.errors import InputError
+
+VARIANTS = ("cuda_ad_spectral", "llvm_ad_spectral", "scalar_spectral")  # fastest first
+OLDEST_LLVM = 17  # of 15, 16, 19 and 22 the first two abort Dr.Jit 1.5, the others work
+PROBE_TIMEOUT_S = 60.0  # a healthy probe takes below 1 s, a cold graphics driver some seconds
+FAILURE_KEPT_S = 24 * 3600.0  # what failed is tried again a day later: a driver may have come, or a load gone
+CACHE_SCHEMA = 1
+
+LLVM_FOLDERS = (
+    str(Path(sys.prefix) / "lib"),  # conda
+    "/usr/lib",
+    "/usr/lib/*-linux-gnu",
+    "/usr/lib64",
+    "/usr/lib/llvm-*/lib",
+    "/usr/lib64/llvm*/lib*",
+    "/usr/local/lib",
+    "/opt/homebrew/opt/llvm*/lib",
+    "/usr/local/opt/llvm*/lib",
+)
+_LLVM_NAME = re.compile(r"libLLVM(-\d[\w.]*)?\.(so[\d.]*|dylib)")
+# What shows that a graphics card or its driver has come or gone.
+_GPU_FILES = ("/dev/nvidia0", "/dev/dxg", "/proc/driver/nvidia/version", "/usr/lib/*-linux-gnu/libcuda.so*")
+
+_VERSION_PROGRAM = """
+import ctypes, sys
+parts = [ctypes.c_uint() for _ in range(3)]
+ctypes.CDLL(sys.argv[1]).LLVMGetVersion(*[ctypes.byref(part) for part in parts])
+print(*[part.value for part in parts])
+"""
+
+# A small render with a lens, a loop of bounces, a reflectance curve, and minima and maxima of floats.
+_PROBE_PROGRAM = """
+import sys
+try:
+    import resource
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))  # an abort is an answer here, no core file is wanted
+except (ImportError, ValueError, OSError):
+    pass
+import drjit as dr
+import mitsuba as mi
+mi.set_variant(sys.argv[1])
+scene = mi.load_dict({
+    "type": "scene",
+    "integrator": {"type": "path", "max_depth": 4},
+    "sensor": {
+        "type": "thinlens", "aperture_radius": 0.01, "focus_distance": 2.0, "fov": 60,
+        "film": {"type": "hdrfilm", "width": 8, "height": 8, "rfilter": {"type": "box"}},
+        "sampler": {"type": "independent", "sample_count": 4},
+    },
+    "ball": {
+        "type": "sphere", "center": [0, 0, 3],
+        "bsdf": {"type": "diffuse", "reflectance": {"type": "spectrum", "value": [(400, 0.2), (800, 0.8)]}},
+    },
+    "light": {
+        "type": "constant",
+        "radiance": {"type": "regular", "wavelength_min": 380, "wavelength_max": 830, "values": "1, 2"},
+    },
+})
+image = mi.render(scene, seed=1)
+total = dr.sum(dr.maximum(dr.minimum(image.array, 1e6), 0.0))
+total = total if isinstance(total, float) else total[0]
+print("OK" if 0.0 < total < 1e6 else f"the test picture is wrong, its sum is {total}")
+"""
+
+_active: Choice | None = None
+
+
+@dataclass(frozen=True)
+class Choice:
+    """A variant that works here, and why it was chosen, in one line for people."""
+
+    variant: str
+    reason: str
+    llvm_path: str | None = None
+
+
+def choose(variant: str | None = None) -> Choice:
+    """The named variant, or for "auto" the fastest that works; ``None`` asks the variable ``DASIM_VARIANT`` first.
+
+    Raises InputError where the name is unknown or the variant does not work here.
+    """
+    where = "variant" if variant is not None else "DASIM_VARIANT"
+    wanted = variant if variant is not None else os.environ.get("DASIM_VARIANT") or "auto"
+    if wanted not in ("auto", *VARIANTS):
+        raise InputError(f"{where} '{wanted}' is unknown, allowed are auto, {', '.join(VARIANTS)}")
+    if _active is not None and wanted in ("auto", _active.variant):
+        return _active
+    names = VARIANTS if wanted == "auto" else (wanted,)
+    results = _results(names)
+    name = names[-1] if wanted != "auto" else next((n for n in names if results.get(n, {}).get("works")), None)
+    if name is None:
+        why = "; ".join(f"{n}: {results[n]['why']}" for n in names)
+        raise InputError(f"no variant of Mitsuba works here ({why}); try to install the package mitsuba again")
+    if not results[name]["works"]:
+        raise InputError(
+            f"{where} '{name}' does not work here ({results[name]['why']}); {_advice(name)}, or use 'auto'"
+        )
+    return Choice(name, _reason(name, results[name], asked_for=wanted != "auto"), results[name].get("llvm_path"))
+
+
+def activate(choice: Choice) -> None:
+    """Make ``choice`` the variant of this process, once; InputError where another one is active already."""
+    global _active
+    if _active is not None and _active.variant != choice.variant:
+        raise InputError(
+            f"variant '{choice.variant}' comes too late, '{_active.variant}' is in use; a process keeps its variant, "
+            f"start a new one"
+        )
+    if choice.llvm_path is not None and _active is None:
+        os.environ["DRJIT_LIBLLVM_PATH"] = choice.llvm_path  # read by Dr.Jit in the first set_variant
+    import drjit as dr
+    import mitsuba as mi
+
+    dr.set_log_level(dr.LogLevel.Error)
+    if mi.variant() != choice.variant:
+        mi.set_variant(choice.variant)
+    mi.set_log_level(mi.LogLevel.Error)
+    _active = choice
+
+
+def _results(names: tuple[str, ...]) -> dict[str, dict[str, Any]]:
+    """Results of the variants up to the first that works, from the cache where it has them."""
+    libraries = llvm_libraries()
+    file = cache_dir() / f"backend-{_cache_key(libraries)}.json"
+    results = _read_cache(file)
+    news = False
+    for name in names:
+        if name not in results:
+            results[name] = _try_llvm(libraries) if name == "llvm_ad_spectral" else _try(name)
+            news = True
+        if results[name]["works"]:
+            break
+    if news:
+        _write_cache(file, results)
+    return results
+
+
+# --- trying out ----------------------------------------------------------------------------------
+
+
+def _try(variant: str, llvm_path: str | None = None) -> dict[str, Any]:
+    """Render a little in a process of its own: ``works``, and ``why`` not."""
+    problem = _run((_PROBE_PROGRAM, variant), llvm_path=llvm_path)[1]
+    return {"works": problem is None, "why": problem}
+
+
+def _try_llvm(libraries: list[str]) -> dict[str, Any]:
+    """Try the user's LLVM library first, then the others, newest first; too old ones are never loaded by Dr.Jit."""
+    given = os.environ.get("DRJIT_LIBLLVM_PATH")
+    versions = {path: _llvm_version(path) for path in libraries}
+    usable = [path for path in libraries if versions[path] >= (OLDEST_LLVM,)]
+    problems = []
+    for path in sorted(usable, key=lambda path: (path == given, versions[path]), reverse=True):
+        result = _try("llvm_ad_spectral", path)
+        if result["works"]:
+            passed_over = given if given and path != given else None
+            major, minor = versions[path][:2]
+            return {"works": True, "llvm_path": path, "llvm": f"{major}.{minor}", "passed_over": passed_over}
+        problems.append(f"{path}: {result['why']}")
+    return {"works": False, "why": "; ".join(problems) or f"no LLVM of version {OLDEST_LLVM} or newer was found"}
+
+
+def llvm_libraries() -> list[str]:
+    """Paths of LLVM libraries, each once: what ``DRJIT_LIBLLVM_PATH`` says, then the usual folders."""
+    found: dict[str, str] = {}
+    given = os.environ.get("DRJIT_LIBLLVM_PATH")
+    if given:
+        found[os.path.realpath(given)] = given
+    for folder in LLVM_FOLDERS:
+        for path in sorted(glob.glob(f"{folder}/libLLVM*")):
+            if _LLVM_NAME.fullmatch(os.path.basename(path)):
+                found.setdefault(os.path.realpath(path), os.path.realpath(path))
+    return list(found.values())
+
+
+def _llvm_version(path: str) -> tuple[int, ...]:
+    """Version of an LLVM library; empty where it is none, or older than 16, which does not tell."""
+    output, problem = _run((_VERSION_PROGRAM, path))
+    try:
+        return tuple(int(part) for part in output.split()) if problem is None else ()
+    except ValueError:
+        return ()
+
+
+def _run(program: tuple[str, ...], llvm_path: str | None = None) -> tuple[str, str | None]:
+    """Output of a Python program with its arguments, run apart, and in one line what went wrong, or None."""
+    environment = dict(os.environ)
+    if llvm_path is not None:
+        environment["DRJIT_LIBLLVM_PATH"] = llvm_path
+    try:
+        done = subprocess.run(
+            [sys.executable, "-P", "-c", *program],
+            env=environment,
+            stdin=subprocess.DEVNULL,
+            capture_output=True,
+            text=True,
+            errors="replace",
+            timeout=PROBE_TIMEOUT_S,
+        )
+    except subprocess.TimeoutExpired:
+        return "", f"it took longer than {PROBE_TIMEOUT_S:g} s"
+    except OSError as error:
+        return "", str(error)
+    if done.returncode < 0:
+        return "", f"the process crashed with signal {-done.returncode}"
+    if done.returncode > 0:
+        lines = done.stderr.strip().splitlines()
+        return "", lines[-1][:200] if lines else f"the process ended with status {done.returncode}"
+    if program[0] is _PROBE_PROGRAM and done.stdout.split()[-1:] != ["OK"]:
+        return "", done.stdout.strip()[-200:] or "no answer"
+    return done.stdout, None
+
+
+# --- words for people ----------------------------------------------------------------------------
+
+
+def _reason(variant: str, result: dict[str, Any], asked_for: bool) -> str:
+    """Why this variant, in one line."""
+    if variant == "cuda_ad_spectral":
+        return f"{variant} (NVIDIA graphics card)"
+    if variant == "llvm_ad_spectral":
+        ignored = result.get("passed_over")
+        note = f"; DRJIT_LIBLLVM_PATH={ignored} does not work and is not used" if ignored else ""
+        return f"{variant} (LLVM {result['llvm']}){note}"
+    if asked_for:
+        return f"{variant}, as asked for"
+    return f"{variant}, about four times slower: no working LLVM was found; {_advice('llvm_ad_spectral')}"
+
+
+def _advice(variant: str) -> str:
+    """What a user can try to make a variant work."""
+    if variant == "cuda_ad_spectral":
+        return "it needs an NVIDIA graphics card with a recent driver"
+    if variant == "scalar_spectral":
+        return "install the package mitsuba again"
+    if sys.platform == "darwin":
+        return "'brew install llvm' brings one"
+    if Path("/etc/debian_version").exists():
+        return "'apt-get install libllvm19' brings one"
+    return f"install LLVM {OLDEST_LLVM} or newer, or name its library in DRJIT_LIBLLVM_PATH"
+
+
+# --- cache ---------------------------------------------------------------------------------------
+
+
+def _cache_key(libraries: list[str]) -> str:
+    """Hash of everything that the answer depends on."""
+    facts: list[Any] = [CACHE_SCHEMA, version("mitsuba"), version("drjit"), sys.executable, platform.platform()]
+    facts += [platform.machine(), platform.node()]
+    facts += [os.environ.get("DRJIT_LIBLLVM_PATH"), os.environ.get("CUDA_VISIBLE_DEVICES")]
+    facts += [_stamp(path) for path in libraries]
+    facts += [_stamp(path) for pattern in _GPU_FILES for path in sorted(glob.glob(pattern))]
+    return hashlib.sha256(json.dumps(facts).encode()).hexdigest()[:16]
+
+
+def _stamp(path: str) -> list[Any]:
+    """What tells a file from its replacement; times of devices mean nothing, so only of plain files."""
+    if not os.path.isfile(path) or path.startswith("/proc/"):
+        return [path, os.path.exists(path)]
+    status = os.stat(path)
+    return [path, status.st_size, status.st_mtime_ns]
+
+
+def _read_cache(file: Path) -> dict[str, dict[str, Any]]:
+    """Earlier results; none where the file is missing, damaged or of another shape. Old failures are left out."""
+    try:
+        cached = json.loads(file.read_text(encoding="utf-8"))
+        fresh = time.time() - file.stat().st_mtime < FAILURE_KEPT_S
+        results = {name: cached[name] for name in VARIANTS if name in cached}
+        for name, result in results.items():
+            whole = name != "llvm_ad_spectral" or {"llvm_path", "llvm"} <= result.keys()
+            if not ((result["works"] is True and whole) or (result["works"] is False and "why" in result)):
+                return {}
+    except (OSError, ValueError, TypeError, KeyError, AttributeError):
+        return {}
+    return {name: result for name, result in results.items() if result["works"] or fresh}
+
+
+def _write_cache(file: Path, results: dict[str, dict[str, Any]]) -> None:
+    """Write the results under a temporary name first; a folder that cannot be written to is no error."""
+    name = None
+    try:
+        file.parent.mkdir(parents=True, exist_ok=True)
+        handle, name = tempfile.mkstemp(prefix=f".{file.name}.", dir=file.parent)
+        with os.fdopen(handle, "w", encoding="utf-8") as stream:
+            json.dump(results, stream, indent=1)
+        os.replace(name, file)
+    except OSError:
+        if name is not None:
+            with contextlib.suppress(OSError):
+                os.unlink(name)
+
+
+def main() -> int:
+    """Print the fastest variant and why; status 0 where it is a fast one, 3 where only the scalar one works."""
+    try:
+        choice = choose("auto")
+    except InputError as error:
+        print(error, file=sys.stderr)
+        return 3
+    print(choice.reason)
+    return 0 if choice.variant != "scalar_spectral" else 3
+
+
+if __name__ == "__main__":
+    sys.exit(main())

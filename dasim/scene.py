@@ -1,0 +1,297 @@
+"""The scene: objects, materials and lights as data, read from TOML.
+
+Scene coordinates are x right, y down, z forward, in centimetres; angles in degrees. The camera stands at
+the origin and looks along z unless ``view`` says otherwise.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from pathlib import Path
+from typing import Annotated, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, field_validator, model_validator
+
+from dasim import spectra
+from dasim.camera import Camera, Specification, bundled_or_file, parse_toml, refocused
+from dasim.errors import InputError
+from dasim.materials import Texture, material_names, surface
+
+FloatArray = NDArray[np.float64]
+Vector = tuple[float, float, float]
+Positive = Annotated[float, Field(gt=0)]
+
+_HERE = Path(__file__).parent
+SCENE_DIR = _HERE / "scenes" if (_HERE / "scenes").is_dir() else _HERE.parent / "scenes"
+
+
+class View(Specification):
+    """Where the camera stands and what it looks at; the picture's down is as near to y as possible."""
+
+    position_cm: Vector = (0.0, 0.0, 0.0)
+    look_at_cm: Vector = (0.0, 0.0, 1.0)
+
+    @model_validator(mode="after")
+    def _looks_somewhere(self) -> View:
+        forward = np.subtract(self.look_at_cm, self.position_cm)
+        if np.linalg.norm(np.cross(forward, (0.0, 1.0, 0.0))) < 1e-9 * max(1.0, float(np.linalg.norm(forward))):
+            raise ValueError("look_at_cm must differ from position_cm and not lie straight above or below it")
+        return self
+
+
+class Dome(Specification):
+    """Even light from everywhere; ``lux`` is what an unshadowed surface receives."""
+
+    kind: Literal["dome"]
+    illuminant: str
+    lux: Positive
+
+
+class Lamp(Specification):
+    """A round, flat lamp that faces its target; ``lux`` is what a surface there facing the lamp receives."""
+
+    kind: Literal["lamp"]
+    illuminant: str
+    lux: Positive
+    position_cm: Vector
+    target_cm: Vector
+    radius_cm: Positive
+
+    @model_validator(mode="after")
+    def _not_at_target(self) -> Lamp:
+        if np.allclose(self.position_cm, self.target_cm):
+            raise ValueError("position_cm and target_cm must differ")
+        return self
+
+
+Light = Annotated[Dome | Lamp, Field(discriminator="kind")]
+
+
+class _Placed(Specification):
+    name: str = Field(min_length=1)
+    material: str
+    position_cm: Vector = (0.0, 0.0, 0.0)
+    rotation_deg: Vector = Field(default=(0.0, 0.0, 0.0), description="about x, then y, then z")
+
+
+class Plane(_Placed):
+    """A rectangle that faces the camera (-z) when not rotated."""
+
+    shape: Literal["plane"]
+    size_cm: tuple[Positive, Positive]
+
+
+class Disc(_Placed):
+    """A disc that faces the camera (-z) when not rotated."""
+
+    shape: Literal["disc"]
+    radius_cm: Positive
+
+
+class Box(_Placed):
+    """A box, ``size_cm`` along x, y, z."""
+
+    shape: Literal["box"]
+    size_cm: tuple[Positive, Positive, Positive]
+
+
+class Sphere(_Placed):
+    """A sphere; its texture's poles are above and below."""
+
+    shape: Literal["sphere"]
+    radius_cm: Positive
+
+
+class Cylinder(_Placed):
+    """An open cylinder standing along y."""
+
+    shape: Literal["cylinder"]
+    radius_cm: Positive
+    height_cm: Positive
+
+
+class Mesh(_Placed):
+    """A mesh file (OBJ, PLY, GLB, STL, OFF), ``unit_cm`` the length of its unit."""
+
+    shape: Literal["mesh"]
+    file: str
+    unit_cm: Positive = 1.0
+
+
+Object = Annotated[Plane | Disc | Box | Sphere | Cylinder | Mesh, Field(discriminator="shape")]
+
+
+class Scene(Specification):
+    """Objects and lights; ``folder`` is where its images and meshes lie."""
+
+    name: str
+    description: str = ""
+    focus_cm: Positive | None = Field(default=None, description="proposed focus; the camera owns the focus")
+    view: View = View()
+    materials: dict[str, Texture] = {}
+    lights: tuple[Light, ...] = Field(min_length=1)
+    objects: tuple[Object, ...] = Field(min_length=1)
+    folder: Path = Path(".")
+
+    @field_validator("objects")
+    @classmethod
+    def _unique_names(cls, objects: tuple[Object, ...]) -> tuple[Object, ...]:
+        names = [item.name for item in objects]
+        twice = sorted({name for name in names if names.count(name) > 1})
+        if twice:
+            raise ValueError(f"object names must be unique; used twice: {', '.join(twice)}")
+        return objects
+
+
+def scene_names() -> list[str]:
+    """Names of the bundled scenes."""
+    return sorted(path.stem for path in SCENE_DIR.glob("*.toml"))
+
+
+def load_scene(name_or_path: str | Path) -> Scene:
+    """The scene of a bundled name or a TOML file; InputError names everything that is wrong with it."""
+    path = bundled_or_file(name_or_path, SCENE_DIR, "scene")
+    scene = parse_toml(Scene, path).model_copy(update={"folder": path.parent.resolve()})
+    _check(scene, str(path))
+    return scene
+
+
+def focused(camera: Camera, scene: Scene) -> Camera:
+    """The camera focused where the scene proposes, or unchanged where it proposes nothing."""
+    return camera if scene.focus_cm is None else refocused(camera, scene.focus_cm * 1e-2)
+
+
+def main_illuminant(scene: Scene) -> str:
+    """Name of the illuminant that gives the most lux."""
+    return max(scene.lights, key=lambda light: light.lux).illuminant
+
+
+# --- geometry ------------------------------------------------------------------------------------
+
+
+def object_to_camera(item: Object, scene: Scene) -> FloatArray:
+    """Transform of an object's unscaled local axes into camera axes, metres, [4, 4].
+
+    Local lengths are metres; a mesh's own units are scaled where it is read.
+    """
+    placed = np.eye(4)
+    placed[:3, :3] = _rotation(item.rotation_deg)
+    placed[:3, 3] = np.multiply(item.position_cm, 1e-2)
+    return world_to_camera(scene) @ placed
+
+
+def world_to_camera(scene: Scene) -> FloatArray:
+    """Transform of scene coordinates (metres) into camera axes, [4, 4]."""
+    position, target = np.multiply(scene.view.position_cm, 1e-2), np.multiply(scene.view.look_at_cm, 1e-2)
+    forward = (target - position) / np.linalg.norm(target - position)
+    right = np.cross((0.0, 1.0, 0.0), forward)
+    right /= np.linalg.norm(right)
+    matrix = np.eye(4)
+    matrix[:3, :3] = np.stack([right, np.cross(forward, right), forward])
+    matrix[:3, 3] = -matrix[:3, :3] @ position
+    return matrix
+
+
+def _rotation(degrees: Vector) -> FloatArray:
+    x, y, z = np.radians(degrees)
+    about_x = np.array([[1, 0, 0], [0, np.cos(x), -np.sin(x)], [0, np.sin(x), np.cos(x)]])
+    about_y = np.array([[np.cos(y), 0, np.sin(y)], [0, 1, 0], [-np.sin(y), 0, np.cos(y)]])
+    about_z = np.array([[np.cos(z), -np.sin(z), 0], [np.sin(z), np.cos(z), 0], [0, 0, 1]])
+    return about_z @ about_y @ about_x
+
+
+def half_extent_m(item: Object, scene: Scene) -> tuple[FloatArray, FloatArray]:
+    """Centre and half size of an object's box in its local axes, metres."""
+    if isinstance(item, Mesh):
+        vertices = load_mesh(item, scene).vertices
+        low, high = vertices.min(axis=0), vertices.max(axis=0)
+        return (low + high) / 2, (high - low) / 2
+    if isinstance(item, Plane):
+        half = (item.size_cm[0] / 2, item.size_cm[1] / 2, 0.0)
+    elif isinstance(item, Box):
+        half = tuple(size / 2 for size in item.size_cm)
+    elif isinstance(item, Cylinder):
+        half = (item.radius_cm, item.height_cm / 2, item.radius_cm)
+    else:
+        half = (item.radius_cm, item.radius_cm, item.radius_cm if isinstance(item, Sphere) else 0.0)
+    return np.zeros(3), np.multiply(half, 1e-2)
+
+
+# --- meshes --------------------------------------------------------------------------------------
+
+
+class MeshData:
+    """Triangles of a mesh file: ``vertices`` [n, 3] metres, ``faces`` [m, 3], ``uv`` [n, 2] or None."""
+
+    def __init__(self, vertices: FloatArray, faces: NDArray[np.uint32], uv: FloatArray | None) -> None:
+        self.vertices, self.faces, self.uv = vertices, faces, uv
+
+
+def load_mesh(item: Mesh, scene: Scene) -> MeshData:
+    """Read a mesh file through trimesh; InputError where it is missing, broken or has no faces."""
+    return _load_mesh_file(scene.folder / item.file, item.unit_cm * 1e-2, item.name)
+
+
+@lru_cache(maxsize=16)
+def _load_mesh_file(path: Path, unit_m: float, name: str) -> MeshData:
+    import trimesh
+
+    where = f"object '{name}': mesh {path}"
+    if not path.is_file():
+        raise InputError(f"{where}: no such file")
+    try:
+        mesh = trimesh.load(path, force="mesh", process=False)
+        vertices = np.array(mesh.vertices, dtype=np.float64) * unit_m
+        faces = np.array(mesh.faces, dtype=np.uint32)
+    except Exception as error:  # trimesh raises whatever its parsers stumble over
+        raise InputError(f"{where}: does not load ({error}); allowed are OBJ, PLY, GLB, STL, OFF") from None
+    if len(faces) == 0 or len(vertices) == 0:
+        raise InputError(f"{where}: has no faces")
+    if not np.isfinite(vertices).all() or faces.max() >= len(vertices):
+        raise InputError(f"{where}: has vertices that are not finite, or faces without their vertices")
+    uv = getattr(mesh.visual, "uv", None)
+    return MeshData(vertices, faces, None if uv is None else np.array(uv, dtype=np.float64))
+
+
+# --- checks that need more than one key ----------------------------------------------------------
+
+LENS_CLEARANCE_M = 1e-3
+
+
+def _check(scene: Scene, where: str) -> None:
+    """Materials, illuminants, images and meshes exist, and no object is behind or on the lens."""
+    problems: list[str] = []
+    for light in scene.lights:
+        if light.illuminant not in spectra.ILLUMINANTS:
+            problems.append(f"illuminant '{light.illuminant}' is unknown ({', '.join(spectra.ILLUMINANTS)})")
+    for name, texture in scene.materials.items():
+        try:
+            surface(texture, scene.folder)
+        except InputError as error:
+            problems.append(f"material '{name}': {error}")
+    known = set(material_names()) | set(scene.materials)
+    for item in scene.objects:
+        if item.material not in known:
+            names = ", ".join(sorted(known))
+            problems.append(f"object '{item.name}': material '{item.material}' is unknown ({names})")
+        try:
+            problems += _placement_problems(item, scene)
+        except InputError as error:
+            problems.append(str(error))
+    if problems:
+        raise InputError(f"{where}: " + "; ".join(problems))
+
+
+def _placement_problems(item: Object, scene: Scene) -> list[str]:
+    centre, half = half_extent_m(item, scene)
+    to_camera = object_to_camera(item, scene)
+    nearest_corner = centre + np.array(np.meshgrid(*[(-1, 1)] * 3)).reshape(3, -1).T * half
+    depths = nearest_corner @ to_camera[2, :3] + to_camera[2, 3]
+    if depths.max() <= 0:
+        return [f"object '{item.name}': lies behind the lens (z up to {depths.max() * 100:.3g} cm, must be above 0)"]
+    lens_local = np.linalg.inv(to_camera)[:3, 3]
+    if np.all(np.abs(lens_local - centre) <= half + LENS_CLEARANCE_M):
+        return [f"object '{item.name}': lies on the lens or around it; move it to z above 0"]
+    return []
