@@ -1,1 +1,63 @@
-"""dasim: physical simulation of dual-aperture cameras."""
+"""dasim: physical simulation of dual-aperture cameras.
+
+>>> import dasim
+>>> scene = dasim.load_scene("desk")
+>>> camera = dasim.focused(dasim.load_camera("da-mobile"), scene)
+>>> shot = dasim.simulate(scene, camera, seed=0)
+
+Names are loaded when first used: ``import dasim`` alone loads no Mitsuba.
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from dasim.calibration import calibration_captures
+    from dasim.camera import Camera, cropped, load_camera, refocused
+    from dasim.errors import InputError
+    from dasim.pointspread import psf
+    from dasim.scene import Scene, focused, load_scene
+    from dasim.sensor import Exposure
+    from dasim.simulation import Shot, simulate
+    from dasim.values import Capture, Truth, load_capture, load_truth, save_capture
+
+__all__ = [
+    "Camera",
+    "Capture",
+    "Exposure",
+    "InputError",
+    "Scene",
+    "Shot",
+    "Truth",
+    "calibration_captures",
+    "cropped",
+    "focused",
+    "load_camera",
+    "load_capture",
+    "load_scene",
+    "load_truth",
+    "psf",
+    "refocused",
+    "save_capture",
+    "simulate",
+]
+
+_HOME = {
+    "calibration": ("calibration_captures",),
+    "camera": ("Camera", "cropped", "load_camera", "refocused"),
+    "errors": ("InputError",),
+    "pointspread": ("psf",),
+    "scene": ("Scene", "focused", "load_scene"),
+    "sensor": ("Exposure",),
+    "simulation": ("Shot", "simulate"),
+    "values": ("Capture", "Truth", "load_capture", "load_truth", "save_capture"),
+}
+
+
+def __getattr__(name: str) -> Any:
+    for module, names in _HOME.items():
+        if name in names:
+            return getattr(importlib.import_module(f"dasim.{module}"), name)
+    raise AttributeError(f"module 'dasim' has no attribute '{name}'")

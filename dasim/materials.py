@@ -87,20 +87,26 @@ def reflectance(name: str) -> FloatArray:
 # --- how a scene describes a texture -------------------------------------------------------------
 
 
-class Blend(Specification):
+Repeat = Annotated[float, Field(gt=0, le=1000)]
+
+
+class _Photograph(Specification):
+    image: str = Field(description="a file beside the scene, or skimage:NAME")
+    repeat: tuple[Repeat, Repeat] = Field(default=(1.0, 1.0), description="copies across and down, every other mirrored")
+
+
+class Blend(_Photograph):
     """Two materials mixed by the luminance of a photograph: the achromatic near-infrared rule."""
 
     kind: Literal["blend"]
-    image: str
     dark: str
     bright: str
 
 
-class Print(Specification):
+class Print(_Photograph):
     """A photograph printed with process inks: its near-infrared is that of paper and black ink alone."""
 
     kind: Literal["print"]
-    image: str
     paper: str = "white-paper"
     black_generation: float = Field(default=0.6, ge=0, le=1, description="share of the grey printed with black ink")
 
@@ -125,6 +131,7 @@ class Mixture:
     weight: NDArray[np.float32]
     first: Surface
     second: Surface
+    repeat: tuple[float, float] = (1.0, 1.0)  # copies along u and v, every other one mirrored
 
 
 Surface = Diffuse | Mixture
@@ -137,11 +144,14 @@ def surface(texture: Blend | Print | str, folder: Path) -> Surface:
     image = _linear_rgb(texture.image, folder)
     if isinstance(texture, Blend):
         luminance = image @ np.array([0.2126, 0.7152, 0.0722], np.float32)
-        return Mixture(luminance, Diffuse(reflectance(texture.dark)), Diffuse(reflectance(texture.bright)))
-    return _printed(image, reflectance(texture.paper), texture.black_generation)
+        dark, bright = Diffuse(reflectance(texture.dark)), Diffuse(reflectance(texture.bright))
+        return Mixture(luminance, dark, bright, texture.repeat)
+    return _printed(image, reflectance(texture.paper), texture.black_generation, texture.repeat)
 
 
-def _printed(image: NDArray[np.float32], paper: FloatArray, black_generation: float) -> Surface:
+def _printed(
+    image: NDArray[np.float32], paper: FloatArray, black_generation: float, repeat: tuple[float, float]
+) -> Surface:
     """Halftone print by the Neugebauer model with Demichel's coverages.
 
     Ink coverages are 1 - R, 1 - G, 1 - B (Murray-Davies), their common part partly replaced by black.
@@ -155,9 +165,9 @@ def _printed(image: NDArray[np.float32], paper: FloatArray, black_generation: fl
     def overprint(base: FloatArray, ink: int) -> Surface:
         if ink == len(inks):
             return Diffuse(base)
-        return Mixture(coverage[..., ink], overprint(base, ink + 1), overprint(base * inks[ink], ink + 1))
+        return Mixture(coverage[..., ink], overprint(base, ink + 1), overprint(base * inks[ink], ink + 1), repeat)
 
-    return Mixture(black, overprint(paper, 0), Diffuse(reflectance(BLACK_INK)))
+    return Mixture(black, overprint(paper, 0), Diffuse(reflectance(BLACK_INK)), repeat)
 
 
 def _linear_rgb(image: str, folder: Path) -> NDArray[np.float32]:

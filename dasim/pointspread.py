@@ -105,7 +105,7 @@ def radial_profiles(
             total += spectra.integrate(weights)[None, :, None] * _disc_profile(radius_px, own_blur)[:, None, :]
             continue
         f_number = working_f_number(camera, stop.radius_ratio)
-        for wavelength_nm, weight in _bands(weights):
+        for wavelength_nm, weight in bands(weights):
             scale_px = wavelength_nm * 1e-9 * f_number / pitch_m
             if diffraction == "wave":
                 profile = wave_profile(radius_px / scale_px, own_blur / (8 * scale_px)) / scale_px**2
@@ -115,7 +115,7 @@ def radial_profiles(
     return total / signal[None, :, None], signal
 
 
-def _bands(weights: FloatArray) -> list[tuple[float, FloatArray]]:
+def bands(weights: FloatArray) -> list[tuple[float, FloatArray]]:
     """Integrals of [channel, wavelength] weights over bands of ``BAND_NM``, each with its mean wavelength."""
     step = spectra.WAVELENGTH_STEP_NM * np.ones_like(spectra.WAVELENGTH_NM)
     step[[0, -1]] /= 2  # the trapezoid rule, so that the bands add up to spectra.integrate

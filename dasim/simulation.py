@@ -1,0 +1,132 @@
+"""simulate(scene, camera, seed): from a scene to a capture and its exact ground truth."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from dasim import camera as cameras
+from dasim import scene as scenes
+from dasim import sensor
+from dasim.camera import Camera
+from dasim.errors import InputError
+from dasim.pointspread import DIFFRACTION_MODELS
+from dasim.render import backend
+from dasim.scene import Scene
+from dasim.sensor import Exposure
+from dasim.values import Capture, Truth
+
+DEFAULT_SPP = 64
+SHARP_SPP = 36  # the pinhole pass has no lens to sample
+BLUR_MARGIN = 1.1  # something nearer than all that is seen may lie just outside the frame
+
+Progress = Callable[[str, float], None]
+
+
+@dataclass(frozen=True)
+class Shot:
+    """A simulated capture and what is exactly known of it."""
+
+    capture: Capture
+    truth: Truth
+
+
+def simulate(
+    scene: Scene,
+    camera: Camera,
+    seed: int = 0,
+    *,
+    spp: int = DEFAULT_SPP,
+    exposure: Exposure | None = None,
+    diffraction: str | None = None,
+    variant: str | None = None,
+    progress: Progress = lambda stage, share: None,
+) -> Shot:
+    """Photograph a scene: render each stop, expose, add noise, and keep the ground truth.
+
+    The camera's own focus is used (see ``dasim.focused``). ``diffraction`` is ``wave`` (JIT variants only, their
+    default), ``airy`` (the default of ``scalar_spectral``) or ``off``. The same seed and variant give the same
+    bytes. ``progress`` gets the stage's name and the share of it that is done.
+    """
+    exposure = exposure or Exposure()
+    if spp < 1:
+        raise InputError(f"spp is {spp}; at least 1 sample a pixel is needed")
+    if seed < 0:
+        raise InputError(f"seed is {seed}; 0 or a positive whole number is needed")
+    choice = backend.choose(variant)
+    diffraction = diffraction_model(diffraction, choice.variant)
+    backend.activate(choice)
+    from dasim.render import passes, translate, truth  # after the variant is chosen
+
+    import mitsuba as mi
+
+    progress("geometry", 0.0)
+    mitsuba_scene = mi.load_dict(translate.scene_dict(scene), optimize=False)
+    geometry = truth.geometry(mitsuba_scene, camera)
+    blur_px = truth.signed_blur_px(geometry.depth_m, camera)
+    progress("geometry", 1.0)
+
+    illuminant = scenes.main_illuminant(scene)
+    shape = (*geometry.depth_m.shape, 4)
+    lens_rate = np.zeros((*geometry.depth_m.shape, 4))
+    for stop in camera.stops:
+        stage = f"rendering through stop '{stop.name}'"
+        lens_rate += passes.stop_pass(
+            mitsuba_scene,
+            camera,
+            stop,
+            passes.Sampling(spp, seed, lambda share, stage=stage: progress(stage, share)),
+            diffraction=diffraction,
+            max_blur_px=float(np.abs(blur_px).max()) * BLUR_MARGIN,
+            illuminant=illuminant,
+        )
+    sampling = passes.Sampling(SHARP_SPP, seed, lambda share: progress("rendering the pinhole picture", share))
+    pinhole_rate = passes.pinhole_pass(mitsuba_scene, camera, sampling)
+
+    time_s = exposure.time_s or sensor.auto_exposure_s(lens_rate, camera, exposure)
+    mean_e = lens_rate * time_s
+    raw_dn, saturated = sensor.expose(
+        sensor.mosaic(mean_e, camera), camera.sensor, time_s, seed, gain=exposure.gain
+    )
+    capture = Capture(
+        raw_dn=raw_dn,
+        camera=camera,
+        exposure_s=time_s,
+        gain=exposure.gain,
+        seed=seed,
+        illuminant=illuminant,
+        provenance={
+            "scene": scene.model_dump(mode="json", exclude={"folder"}),
+            "renderer": choice.variant,
+            "diffraction": diffraction,
+            "spp": spp,
+            "exposure": exposure.model_dump(mode="json"),
+            "saturated_pixels": saturated,
+        },
+    )
+    exact = Truth(
+        depth_m=geometry.depth_m.astype(np.float32),
+        valid=~np.isnan(geometry.depth_m),
+        normal=geometry.normal.astype(np.float32),
+        object_id=geometry.object_id,
+        blur_px=blur_px.astype(np.float32),
+        level=(blur_px / cameras.level_blur_px(camera)[1]).astype(np.float32),
+        boundary=truth.boundary(blur_px),
+        mean_e=mean_e.astype(np.float32),
+        sharp_e=(pinhole_rate * time_s).astype(np.float32),
+    )
+    return Shot(capture, exact)
+
+
+def diffraction_model(name: str | None, variant: str) -> str:
+    """The diffraction model for a variant; InputError where it is unknown or the variant cannot do it."""
+    scalar = variant.startswith("scalar")
+    if name is None:
+        return "airy" if scalar else "wave"
+    allowed = ("airy", "off") if scalar else ("wave", "off")
+    if name not in allowed:
+        known = "is unknown" if name not in DIFFRACTION_MODELS else f"is not what {variant} can do"
+        raise InputError(f"diffraction '{name}' {known}; allowed are {', '.join(allowed)}")
+    return name
