@@ -101,6 +101,7 @@ class Reconstruction:
     level: Float32Array  # [h, w] eq. (13), everywhere
     depth_m: Float32Array  # [h, w] from ``level``
     confidence: Float32Array  # [h, w] 0..1
+    camera: Camera
     light: str  # the bank's light, chosen by white balance
     settings: dict[str, Any]
     timings_s: dict[str, float]

@@ -112,7 +112,8 @@ def _mesh(item: scenes.Mesh, scene: Scene, to_camera: np.ndarray, bsdf: dict[str
 def _light(light: Dome | Lamp, scene: Scene) -> dict[str, Any]:
     power = light.lux * spectra.illuminant(light.illuminant)
     if isinstance(light, Dome):
-        return {"type": "constant", "radiance": spectrum_dict(power / np.pi)}
+        # Reflected rays find a dome that is everywhere; aiming at it as well would only add noise (tenfold).
+        return {"type": "constant", "radiance": spectrum_dict(power / np.pi), "sampling_weight": 0.0}
     position, target = (np.multiply(p, 1e-2) for p in (light.position_cm, light.target_cm))
     radius, distance = light.radius_cm * 1e-2, float(np.linalg.norm(target - position))
     # On its axis a disc of radiance L gives E = pi L r^2 / (r^2 + d^2).

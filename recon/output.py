@@ -1,0 +1,95 @@
+"""A reconstruction on disk: pictures for people, one EXR with every number, and its settings."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from dasim.camera import Camera, parse
+from dasim.errors import InputError
+from dasim.values import Reconstruction, new_folder, software_versions
+
+RECON_SCHEMA = 1
+_RGB = ("R", "G", "B")
+_COLOURS = ("rgb", "sharp_rgb", "linear_e", "sharp_e")
+_PLANES = ("ir_e", "level_raw", "level", "confidence")
+
+
+def save_reconstruction(path: Path, result: Reconstruction) -> None:
+    """Write ``rgb.png``, ``sharp.png``, ``ir.png``, ``recon.exr`` (``Z`` is the depth in metres) and ``recon.json``."""
+    import OpenEXR
+
+    parts = [_part("depth", {"Z": result.depth_m})]
+    parts += [_part(name, {name: getattr(result, name)}) for name in _PLANES]
+    parts += [
+        _part(name, {c: getattr(result, name)[..., i] for i, c in enumerate(_RGB)}) for name in _COLOURS
+    ]
+    about = {
+        "schema": RECON_SCHEMA,
+        "camera": result.camera.model_dump(mode="json"),
+        "light": result.light,
+        "settings": result.settings,
+        "timings_s": result.timings_s,
+        "software": software_versions(),
+    }
+    with new_folder(path) as folder:
+        write_picture(folder / "rgb.png", result.rgb)
+        write_picture(folder / "sharp.png", result.sharp_rgb)
+        write_picture(folder / "ir.png", grey(result.ir_e))
+        OpenEXR.File(parts).write(str(folder / "recon.exr"))
+        (folder / "recon.json").write_text(json.dumps(about, indent=1) + "\n", encoding="utf-8")
+
+
+def load_reconstruction(path: Path) -> Reconstruction:
+    """Read a reconstruction folder; InputError where it is missing, damaged or of another kind."""
+    import OpenEXR
+
+    path = Path(path)
+    try:
+        about: dict[str, Any] = json.loads((path / "recon.json").read_text(encoding="utf-8"))
+        with OpenEXR.File(str(path / "recon.exr"), separate_channels=True) as file:
+            parts = {p.name(): {k: c.pixels for k, c in p.channels.items()} for p in file.parts}
+        arrays = {name: parts[name][name] for name in _PLANES}
+        arrays |= {name: np.stack([parts[name][c] for c in _RGB], axis=-1) for name in _COLOURS}
+        return Reconstruction(
+            **arrays,
+            depth_m=parts["depth"]["Z"],
+            camera=parse(Camera, about["camera"], f"{path / 'recon.json'}: camera"),
+            light=about["light"],
+            settings=about["settings"],
+            timings_s=about["timings_s"],
+        )
+    except InputError:
+        raise
+    except Exception as error:  # missing keys, JSON errors and the EXR library's own
+        raise InputError(
+            f"reconstruction {path}: cannot be read ({type(error).__name__}: {error}); "
+            "make one with 'dasim recon CAPTURE --out DIR'"
+        ) from None
+
+
+def grey(image: NDArray[Any]) -> NDArray[np.float64]:
+    """A linear picture as display grey 0..1: 99.5th percentile to white, gamma 2.2."""
+    white = float(np.percentile(image, 99.5))
+    return np.clip(image / white, 0, 1) ** (1 / 2.2) if white > 0 else np.zeros(image.shape)
+
+
+def write_picture(path: Path, image: NDArray[Any]) -> None:
+    """Write an 8-bit PNG of display values 0..1, [h, w] or [h, w, 3]."""
+    encoded = np.rint(np.clip(np.nan_to_num(image), 0, 1) * 255).astype(np.uint8)
+    done, data = cv2.imencode(".png", encoded[..., ::-1] if encoded.ndim == 3 else encoded)
+    if not done:
+        raise OSError(f"{path}: the PNG encoder failed")
+    path.write_bytes(data.tobytes())
+
+
+def _part(name: str, channels: dict[str, NDArray[Any]]) -> Any:
+    import OpenEXR
+
+    header = {"name": name, "type": OpenEXR.scanlineimage, "compression": OpenEXR.ZIP_COMPRESSION}
+    return OpenEXR.Part(header, {k: np.ascontiguousarray(v, dtype=np.float32) for k, v in channels.items()})

@@ -1,0 +1,74 @@
+"""PSF banks from simulated calibration pictures, kept in the user's cache folder."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import dasim.calibration
+import dasim.camera
+import dasim.pointspread
+import dasim.sensor
+import dasim.spectra
+import recon.psf_bank
+from dasim.cache import cache_dir
+from dasim.camera import Camera
+from dasim.values import BANK_SCHEMA, PsfBank, load_bank, save_bank
+
+Progress = Callable[[str, float], None]
+
+# The code that decides what a bank holds: a change there makes a new bank.
+_DECIDING = (dasim.calibration, dasim.camera, dasim.pointspread, dasim.sensor, dasim.spectra, recon.psf_bank)
+
+
+def simulated_bank(
+    camera: Camera,
+    *,
+    lights: Sequence[str] = dasim.calibration.CALIBRATION_LIGHTS,
+    diffraction: str = "wave",
+    progress: Progress = lambda stage, share: None,
+) -> PsfBank:
+    """Photograph a point source and measure the camera's kernels, or find them in the cache.
+
+    The bank does not depend on the frame's size. The cache is keyed by the content of everything that
+    decides the bank: the camera, the lights, the diffraction model and the code.
+    """
+    path = cache_dir() / "banks" / f"{_key(camera, lights, diffraction)}.npz"
+    if path.is_file():
+        try:
+            return load_bank(path)
+        except dasim.camera.InputError:
+            path.unlink(missing_ok=True)  # damaged: make it anew
+    bank = measured_bank(camera, lights=lights, diffraction=diffraction, progress=progress)
+    save_bank(path, bank)
+    return bank
+
+
+def measured_bank(
+    camera: Camera, *, lights: Sequence[str], diffraction: str, progress: Progress = lambda stage, share: None
+) -> PsfBank:
+    """The same without the cache."""
+    pictures = dasim.calibration.calibration_captures(camera, lights, diffraction=diffraction)
+    positions = len(camera.sensor.mosaic) * len(camera.sensor.mosaic[0])
+    count = len(lights) * dasim.camera.BLUR_LEVELS * positions
+
+    def counted():  # type: ignore[no-untyped-def]
+        for index, picture in enumerate(pictures):
+            progress("photographing a point source", index / count)
+            yield picture
+
+    bank = recon.psf_bank.calibrate(counted(), camera, diffraction=diffraction)
+    progress("photographing a point source", 1.0)
+    return bank
+
+
+def _key(camera: Camera, lights: Sequence[str], diffraction: str) -> str:
+    description = camera.model_dump(mode="json")
+    for size in ("width_px", "height_px"):
+        del description["sensor"][size]
+    for module in _DECIDING:
+        description[module.__name__] = hashlib.sha256(Path(str(module.__file__)).read_bytes()).hexdigest()
+    text = json.dumps([BANK_SCHEMA, description, list(lights), diffraction], sort_keys=True)
+    return hashlib.sha256(text.encode()).hexdigest()[:24]
