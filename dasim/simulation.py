@@ -104,6 +104,7 @@ def simulate(
             "spp": spp,
             "exposure": exposure.model_dump(mode="json"),
             "saturated_pixels": saturated,
+            "notes": notes(lens_rate, geometry.depth_m, saturated, diffraction),
         },
     )
     exact = Truth(
@@ -118,6 +119,20 @@ def simulate(
         sharp_e=(pinhole_rate * time_s).astype(np.float32),
     )
     return Shot(capture, exact)
+
+
+def notes(rate_e_s: np.ndarray, depth_m: np.ndarray, saturated: int, diffraction: str) -> list[str]:
+    """What a user should know of a capture that is legal but odd, or approximate."""
+    found = []
+    if np.isnan(depth_m).all():
+        found.append("no object is in view")
+    if rate_e_s.max() <= 0:
+        found.append("no light reaches the sensor")
+    if saturated > 0.05 * depth_m.size:
+        found.append(f"{saturated / depth_m.size:.0%} of the pixels are saturated")
+    if diffraction == "airy":
+        found.append("diffraction 'airy' is approximate away from focus; a JIT variant renders 'wave'")
+    return found
 
 
 def diffraction_model(name: str | None, variant: str) -> str:

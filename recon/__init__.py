@@ -1,1 +1,20 @@
+"""Reconstruction: from a raw picture of a dual-aperture camera to colour, depth and an all-in-focus picture.
 
+``calibrate`` measures point-spread functions, ``reconstruct`` applies them. Only values and their files are
+shared with the simulator, never its formulas.
+"""
+
+from dasim.values import load_bank, load_capture, save_bank
+from recon.pipeline import reconstruct
+from recon.psf_bank import calibrate
+from recon.settings import PAPER, Settings
+
+__all__ = [
+    "PAPER",
+    "Settings",
+    "calibrate",
+    "load_bank",
+    "load_capture",
+    "reconstruct",
+    "save_bank",
+]

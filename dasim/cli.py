@@ -1,0 +1,302 @@
+"""The command ``dasim``: parses and prints; the work is done elsewhere."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Annotated, Any
+
+import cyclopts
+from cyclopts import Parameter
+
+from dasim.errors import InputError
+
+app = cyclopts.App(
+    name="dasim",
+    help="Simulate dual-aperture photography, reconstruct depth and an all-in-focus picture, and score both.",
+    version_flags=["--version"],
+)
+
+Progress = Callable[[str, float], None]
+
+
+def main() -> None:
+    """Entry point: exit status 0 done, 1 a gate failed, 2 the user's input is wrong, 130 interrupted."""
+    sys.exit(run(sys.argv[1:]))
+
+
+def run(arguments: list[str]) -> int:
+    """Run one command; the exit status."""
+    try:
+        return app(arguments, exit_on_error=False, print_error=False, result_action="return_value") or 0
+    except InputError as error:
+        return _refuse(str(error))
+    except cyclopts.CycloptsError as error:
+        return _refuse(" ".join(str(error).split()) + " (see 'dasim --help')")
+    except OSError as error:
+        return _refuse(f"{error.filename or 'file'}: {error.strerror or error}")
+    except KeyboardInterrupt:
+        print("dasim: stopped; nothing half-written is left behind", file=sys.stderr)
+        return 130
+
+
+def _refuse(message: str) -> int:
+    print(f"dasim: {message}", file=sys.stderr)
+    return 2
+
+
+@contextmanager
+def _progress() -> Iterator[Progress]:
+    """A progress bar with the time left on a terminal; elsewhere one line a stage."""
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
+
+    console = Console(stderr=True)
+    columns = (TextColumn("{task.description:<36}"), BarColumn(), TextColumn("{task.percentage:3.0f} %"))
+    tasks: dict[str, TaskID] = {}
+    with Progress(*columns, TimeRemainingColumn(), console=console, disable=not console.is_terminal) as bar:
+
+        def update(stage: str, share: float) -> None:
+            if stage not in tasks:
+                tasks[stage] = bar.add_task(stage, total=1.0)
+                if not console.is_terminal:
+                    print(stage, file=sys.stderr, flush=True)
+            bar.update(tasks[stage], completed=share)
+
+        yield update
+
+
+Out = Annotated[Path, Parameter(name="--out")]
+
+
+@app.command
+def demo(*, out: Out = Path("out/demo"), variant: str | None = None, spp: int | None = None) -> int:
+    """Run the whole chain on a bundled scene; writes report.html and results.json.
+
+    Parameters
+    ----------
+    out: folder to write; an earlier result there is replaced as a whole
+    variant: Mitsuba variant, auto by default
+    spp: samples a pixel and stop
+    """
+    from dasim.values import check_output
+    from validation.demo import run_demo
+
+    check_output(out)
+    _say_variant(variant)
+    with _progress() as progress:
+        entries = run_demo(out, variant=variant, spp=spp, progress=progress)
+    for entry in entries:
+        mark = {None: "", True: "passed", False: "FAILED"}[entry.passed]
+        print(f"{entry.id:<34}{entry.value:>9.3f} {entry.unit:<6}{entry.limit or '':<8}{mark}")
+    print(f"report: {out / 'report.html'}")
+    return 1 if any(entry.passed is False for entry in entries) else 0
+
+
+@app.command
+def render(
+    scene: str,
+    *,
+    out: Out,
+    camera: str = "da-mobile",
+    focus: float | None = None,
+    seed: int = 0,
+    size: str | None = None,
+    spp: int | None = None,
+    exposure: float | None = None,
+    diffraction: str | None = None,
+    variant: str | None = None,
+) -> int:
+    """Photograph a scene: a capture folder with raw.png, truth.exr and meta.json.
+
+    Parameters
+    ----------
+    scene: a bundled name (see 'dasim list scenes') or a TOML file
+    out: the capture folder
+    camera: a bundled name (see 'dasim list cameras') or a TOML file
+    focus: focus distance in metres; by default what the scene proposes, else the camera's own
+    seed: of all random numbers
+    size: WxH pixels, a central crop of the sensor at unchanged pixel pitch
+    spp: samples a pixel and stop
+    exposure: exposure time in seconds; automatic by default
+    diffraction: wave, airy or off
+    variant: Mitsuba variant: auto, cuda_ad_spectral, llvm_ad_spectral or scalar_spectral
+    """
+    import dasim
+    from dasim.camera import parse
+    from dasim.values import check_output
+
+    check_output(out)
+    described = dasim.load_scene(scene)
+    chosen = dasim.load_camera(camera)
+    if size is not None:
+        chosen = dasim.cropped(chosen, *_size(size))
+    chosen = dasim.focused(chosen, described) if focus is None else dasim.refocused(chosen, focus)
+    options: dict[str, Any] = {} if spp is None else {"spp": spp}
+    times = parse(dasim.Exposure, {"time_s": exposure}, "--exposure")
+    _say_variant(variant)
+    with _progress() as progress:
+        shot = dasim.simulate(
+            described,
+            chosen,
+            seed,
+            exposure=times,
+            diffraction=diffraction,
+            variant=variant,
+            progress=progress,
+            **options,
+        )
+    dasim.save_capture(out, shot.capture, shot.truth)
+    for note in shot.capture.provenance["notes"]:
+        print(f"note: {note}")
+    print(f"capture: {out} ({shot.capture.exposure_s * 1e3:.3g} ms)")
+    return 0
+
+
+@app.command
+def calibrate(
+    *,
+    out: Out,
+    camera: str = "da-mobile",
+    focus: float | None = None,
+    illuminant: list[str] | None = None,
+    diffraction: str = "wave",
+) -> int:
+    """Measure a PSF bank from simulated pictures of a point source.
+
+    Parameters
+    ----------
+    out: the bank, one .npz file
+    camera: a bundled name or a TOML file
+    focus: focus distance in metres; the camera's own by default
+    illuminant: lights of the bank; all by default
+    diffraction: wave, airy or off; the same as that of the captures
+    """
+    import dasim
+    from dasim.calibration import CALIBRATION_LIGHTS
+    from dasim.values import save_bank
+    from validation.banks import simulated_bank
+
+    if out.is_dir():
+        raise InputError(f"output {out}: is a folder; a bank is one .npz file")
+    chosen = dasim.load_camera(camera)
+    if focus is not None:
+        chosen = dasim.refocused(chosen, focus)
+    with _progress() as progress:
+        bank = simulated_bank(
+            chosen, lights=tuple(illuminant or CALIBRATION_LIGHTS), diffraction=diffraction, progress=progress
+        )
+    save_bank(out, bank)
+    print(f"bank: {out} ({', '.join(bank.lights)}; {len(bank.depth_m)} levels, {bank.depth_m[-1]:.3g} to "
+          f"{bank.depth_m[0]:.3g} m)")  # fmt: skip
+    return 0
+
+
+@app.command
+def recon(capture: Path, *, out: Out, bank: Path | None = None, settings: Path | None = None) -> int:
+    """Reconstruct a capture: picture, depth, all-in-focus picture.
+
+    Parameters
+    ----------
+    capture: a capture folder
+    out: the reconstruction folder
+    bank: a PSF bank; by default one is calibrated for the capture's camera and focus, and kept in the cache
+    settings: a TOML file with settings that differ from the paper's preset
+    """
+    import recon as reconstruction
+    from dasim.camera import parse_toml
+    from dasim.values import check_output, load_bank, load_capture
+    from recon.output import save_reconstruction
+    from validation.banks import simulated_bank
+
+    check_output(out)
+    shot = load_capture(capture)
+    chosen = reconstruction.PAPER if settings is None else parse_toml(reconstruction.Settings, settings)
+    with _progress() as progress:
+        if bank is not None:
+            kernels = load_bank(bank)
+        else:
+            model = shot.provenance.get("diffraction", "wave")
+            kernels = simulated_bank(shot.camera, diffraction=model, progress=progress)
+        result = reconstruction.reconstruct(shot, kernels, chosen, progress=lambda s, x: progress("reconstructing", x))
+    save_reconstruction(out, result)
+    print(f"reconstruction: {out} (light by white balance: {result.light})")
+    return 0
+
+
+@app.command
+def score(
+    reconstruction: Path, capture: Path, *, json_file: Annotated[Path | None, Parameter(name="--json")] = None
+) -> int:
+    """Score a reconstruction against the ground truth of its capture.
+
+    Parameters
+    ----------
+    reconstruction: a reconstruction folder
+    capture: the capture folder with truth.exr
+    json_file: also write the figures to this file
+    """
+    from dasim.values import load_truth
+    from recon.output import load_reconstruction
+    from validation.metrics import score as score_of
+
+    figures = score_of(load_reconstruction(reconstruction), load_truth(capture))
+    for figure in figures:
+        print(f"{figure.id:<28}{figure.value:>9.3f} {figure.unit:<6}{figure.meaning}")
+    if json_file is not None:
+        content = {f.id: {"value": None if f.value != f.value else f.value, "unit": f.unit} for f in figures}
+        json_file.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+    return 0
+
+
+@app.command(name="list")
+def list_(kind: str, *, verbose: bool = False) -> int:
+    """List what is bundled.
+
+    Parameters
+    ----------
+    kind: scenes, cameras, materials or illuminants
+    verbose: with more detail
+    """
+    from dasim import camera, materials, scene, spectra
+
+    if kind == "scenes":
+        for name in scene.scene_names():
+            print(f"{name:<16}{scene.load_scene(name).description}")
+    elif kind == "cameras":
+        for name in camera.camera_names():
+            loaded = camera.load_camera(name)
+            print(f"{name:<16}{loaded.description}")
+            if verbose:
+                print(loaded.model_dump_json(indent=1, exclude={"name", "description"}))
+    elif kind == "materials":
+        for name in materials.material_names():
+            curve = materials.reflectance(name)
+            shown = " ".join(f"{curve[spectra.WAVELENGTH_NM == nm][0]:.2f}" for nm in (450, 550, 650, 750))
+            print(f"{name:<18}reflectance at 450, 550, 650, 750 nm: {shown}" if verbose else name)
+    elif kind == "illuminants":
+        print("\n".join(spectra.ILLUMINANTS))
+    else:
+        raise InputError(f"list '{kind}' is unknown; allowed are scenes, cameras, materials, illuminants")
+    return 0
+
+
+def _size(text: str) -> tuple[int, int]:
+    width, cross, height = text.partition("x")
+    try:
+        return int(width), int(height)
+    except ValueError:
+        raise InputError(f"--size '{text}' is not of the form WxH, such as 768x576") from None
+
+
+def _say_variant(variant: str | None) -> None:
+    from dasim.render import backend
+
+    print(f"renderer: {backend.choose(variant).reason}", file=sys.stderr, flush=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,70 @@
+"""Frames without borders for the Fourier domain, and kernels as transfer functions."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import fft
+
+Float32Array = NDArray[np.float32]
+Complex64Array = NDArray[np.complex64]
+
+WORKERS = 2
+
+
+def fast_shape(shape: tuple[int, ...], margin: int) -> tuple[int, int]:
+    """Frame [h, w] enlarged by at least ``margin`` pixels to sizes of fast transforms."""
+    return tuple(fft.next_fast_len(n + margin, real=True) for n in shape[:2])
+
+
+def pad_blended(image: Float32Array, shape: tuple[int, int]) -> Float32Array:
+    """Enlarge an image [h, w] at the bottom and right to ``shape`` so that opposite edges meet smoothly.
+
+    The strip blends linearly from the mirror image at one edge to the mirror image at the opposite edge.
+    The frame's periodic continuation, which the Fourier domain assumes, then has no step.
+    """
+    for axis in (0, 1):
+        size, strip = image.shape[axis], shape[axis] - image.shape[axis]
+        if strip <= 0:
+            continue
+        index = np.arange(strip)
+        ending = np.take(image, _mirror(size + index, size), axis=axis)
+        starting = np.take(image, _mirror(index - strip, size), axis=axis)
+        share = ((index + 1) / (strip + 1)).astype(np.float32)
+        share = share[:, None] if axis == 0 else share[None, :]
+        image = np.concatenate([image, (1 - share) * ending + share * starting], axis=axis)
+    return image.astype(np.float32, copy=False)
+
+
+def _mirror(index: NDArray, size: int) -> NDArray:
+    """Index of the sample that position ``index`` mirrors, half-sample symmetric."""
+    folded = np.mod(index, 2 * size)
+    return np.where(folded < size, folded, 2 * size - 1 - folded)
+
+
+def forward(image: Float32Array) -> Complex64Array:
+    """Real two-dimensional transform."""
+    return fft.rfft2(image, workers=WORKERS)
+
+
+def inverse(spectrum: Complex64Array, shape: tuple[int, int]) -> Float32Array:
+    """Real two-dimensional inverse transform to [h, w]."""
+    return fft.irfft2(spectrum, shape, workers=WORKERS)
+
+
+def frequencies(shape: tuple[int, int], spacing_px: float = 1.0) -> tuple[NDArray, NDArray]:
+    """Frequencies (fy [h, 1], fx [1, w/2 + 1]) in cycles a pixel of a grid whose samples lie ``spacing_px`` apart."""
+    return fft.fftfreq(shape[0], spacing_px)[:, None], fft.rfftfreq(shape[1], spacing_px)[None, :]
+
+
+def transfer(kernel: NDArray, shape: tuple[int, int], spacing_px: float = 1.0) -> Complex64Array:
+    """Transfer function [h, w/2 + 1] of a kernel [..., size, size] centred on its middle pixel.
+
+    Evaluated at the frequencies of a grid of ``spacing_px``, as sum h(y, x) exp(-2 pi i (fy y + fx x)).
+    """
+    size = kernel.shape[-1]
+    place = np.arange(size) - size // 2
+    fy, fx = frequencies(shape, spacing_px)
+    rows = np.exp(-2j * np.pi * fy * place[None, :]).astype(np.complex64)
+    columns = np.exp(-2j * np.pi * place[:, None] * fx).astype(np.complex64)
+    return rows @ (kernel.astype(np.complex64) @ columns)

@@ -1,0 +1,214 @@
+"""From a raw picture to colour, depth and an all-in-focus picture: Fig. 4 and section 5, one line a stage."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from dasim.camera import Camera
+from dasim.errors import InputError
+from dasim.spectra import CHANNELS
+from dasim.values import Capture, PsfBank, Reconstruction
+from recon import colour, denoise, depth, infrared, mosaic, sharpen
+from recon.regularise import regularise
+from recon.settings import PAPER, Settings
+
+Float32Array = NDArray[np.float32]
+Progress = Callable[[str, float], None]
+
+STAGES = ("linearise", "light", "denoise", "infrared", "demosaic", "depth", "regularise", "sharpen", "colour")
+NOISE_BLUR_PX = 1.5  # plane pixels: the signal that decides the noise is a local mean
+FALLBACK_TRUST = 0.25  # of red or blue in place of infrared: their blur differs little (sec. 5.3)
+DENOISED_NOISE_SHARE = 0.5  # of the sensor's noise that nonlocal means leave, standard deviation
+MIN_FRAME_PX = 32
+FOCUS_TOLERANCE = 0.01  # relative, in dioptres, between bank and capture
+
+
+def reconstruct(
+    capture: Capture, bank: PsfBank, settings: Settings = PAPER, *, progress: Progress | None = None
+) -> Reconstruction:
+    """Everything the paper makes of one capture: picture, depth, all-in-focus picture.
+
+    ``progress`` is called with a stage's name and the share of stages done before it. Raises InputError where
+    capture and bank do not belong together, or where the mosaic is not the paper's.
+    """
+    _check(capture, bank)
+    camera = capture.camera
+    timings: dict[str, float] = {}
+
+    @contextmanager
+    def stage(name: str) -> Iterator[None]:
+        if progress:
+            progress(name, STAGES.index(name) / len(STAGES))
+        start = time.perf_counter()
+        yield
+        timings[name] = time.perf_counter() - start
+
+    with stage("linearise"):
+        raw_e, saturated = mosaic.linearise(capture)
+    with stage("light"):
+        light = colour.choose_light(mosaic.planes(raw_e, camera), _blocks_any(saturated), bank)
+        white = bank.signature[light]
+        variances = _variances(raw_e, capture)
+    with stage("denoise"):
+        clean_e = _denoised(raw_e, capture, settings)
+    with stage("infrared"):
+        ir_e = infrared.interpolate(mosaic.planes(clean_e, camera)["IR"], mosaic.phases(camera)["IR"])
+    with stage("demosaic"):
+        bayer = mosaic.replace_green(clean_e, ir_e, camera)
+        full_e = mosaic.demosaic(bayer, camera, white)
+    with stage("depth"):
+        source = clean_e if settings.denoised_infrared else raw_e
+        raw_level, trust = _raw_levels(
+            raw_e, source, variances, saturated, camera, bank.kernel[light], settings
+        )
+    with stage("regularise"):
+        guide = _infrared_guide(ir_e, capture)
+        smooth, evidence = regularise(raw_level, trust, guide, settings.regularise_bandwidth)
+        level = _upsampled(smooth, camera.sensor.height_px, camera.sensor.width_px)
+    with stage("sharpen"):
+        four = np.dstack([full_e, ir_e])
+        confidence = _upsampled(evidence, *level.shape)
+        sharp = sharpen.sharpen(four, level, bank.kernel[light], _noise_e(variances, settings), settings)
+        sharp = four + confidence[..., None] * (sharp - four)  # where the level is a guess, as captured
+    with stage("colour"):
+        alpha = infrared.crosstalk(camera)
+        keep = _grown(saturated)
+        linear_e = infrared.remove(full_e, np.maximum(ir_e, 0), alpha, keep)
+        sharp_e = infrared.remove(sharp[..., :3], sharp[..., 3], alpha, keep)
+        matrix = colour.colour_matrix(camera, bank.lights[light])
+        scale = colour.exposure_scale(linear_e, matrix)
+        rgb, sharp_rgb = colour.to_srgb(linear_e, matrix, scale), colour.to_srgb(sharp_e, matrix, scale)
+    if progress:
+        progress("done", 1.0)
+    size = level.shape
+    return Reconstruction(
+        rgb=rgb,
+        sharp_rgb=sharp_rgb,
+        linear_e=linear_e,
+        sharp_e=sharp_e,
+        ir_e=np.maximum(ir_e, 0),
+        level_raw=cv2.resize(raw_level, size[::-1], interpolation=cv2.INTER_NEAREST),
+        level=level,
+        depth_m=_depth_m(level, bank),
+        confidence=confidence,
+        camera=camera,
+        light=bank.lights[light],
+        settings=settings.model_dump(),
+        timings_s=timings,
+    )
+
+
+def _check(capture: Capture, bank: PsfBank) -> None:
+    """Refuse a bank of another camera or focus; the frame's size may differ."""
+    mosaic.phases(capture.camera)
+    if min(capture.raw_dn.shape) < MIN_FRAME_PX:
+        height, width = capture.raw_dn.shape
+        raise InputError(f"capture: {width} x {height} pixels; at least {MIN_FRAME_PX} x {MIN_FRAME_PX} are needed")
+    mine, banks = capture.camera, bank.camera
+    same_stops = [s.model_dump() for s in mine.stops] == [s.model_dump() for s in banks.stops]
+    if not same_stops or mine.sensor.pixel_pitch_um != banks.sensor.pixel_pitch_um:
+        raise InputError(f"bank of camera '{banks.name}' does not fit a capture of camera '{mine.name}'")
+    focus, bank_focus = mine.lens.focus_distance_m, banks.lens.focus_distance_m
+    if abs(1 / focus - 1 / bank_focus) > FOCUS_TOLERANCE / bank_focus or (
+        mine.lens.focal_length_mm, mine.lens.f_number
+    ) != (banks.lens.focal_length_mm, banks.lens.f_number):  # fmt: skip
+        raise InputError(
+            f"bank is for a lens of {banks.lens.focal_length_mm:g} mm f/{banks.lens.f_number:g} focused at "
+            f"{bank_focus:g} m, the capture has {mine.lens.focal_length_mm:g} mm f/{mine.lens.f_number:g} at "
+            f"{focus:g} m; make a bank with 'dasim calibrate --focus {focus:g}'"
+        )
+
+
+def _denoised(raw_e: Float32Array, capture: Capture, settings: Settings) -> Float32Array:
+    """Sec. 4.1 on each colour plane of the mosaic."""
+    if not settings.denoise:
+        return raw_e
+    clean = np.empty_like(raw_e)
+    coefficients = mosaic.noise_coefficients(capture)
+    for name, plane in mosaic.planes(raw_e, capture.camera).items():
+        guide = denoise.stabilise(plane, coefficients)
+        result = denoise.nonlocal_means(
+            np.ascontiguousarray(plane), guide, settings.denoise_bandwidth, settings.denoise_patch_sigma_px
+        )
+        y, x = mosaic.phases(capture.camera)[name]
+        clean[y::2, x::2] = result
+    return clean
+
+
+def _variances(raw_e: Float32Array, capture: Capture) -> dict[str, Float32Array]:
+    """Noise variance of every colour plane's pixels: the data sheet's, raised where the picture shows more."""
+    found = {}
+    for name, plane in mosaic.planes(raw_e, capture.camera).items():
+        smooth = cv2.GaussianBlur(plane, (0, 0), NOISE_BLUR_PX)
+        variance = mosaic.noise_variance(smooth, capture).astype(np.float32)
+        found[name] = variance * mosaic.noise_excess(plane, variance)
+    return found
+
+
+def _raw_levels(
+    raw_e: Float32Array,
+    source: Float32Array,
+    variances: dict[str, Float32Array],
+    saturated: NDArray,
+    camera: Camera,
+    kernels: NDArray,
+    settings: Settings,
+) -> tuple[Float32Array, Float32Array]:
+    """Eq. (12) for every block of the mosaic, NaN where neither infrared nor red nor blue has an edge; confidence."""
+    places, planes = mosaic.phases(camera), mosaic.planes(raw_e, camera)
+
+    def channel(name: str, plane: NDArray) -> depth.Channel:
+        return np.ascontiguousarray(plane), places[name], variances[name], kernels[:, CHANNELS.index(name)]
+
+    usable = depth.window_mean(_blocks_any(saturated).astype(np.float32), settings) < settings.saturated_share
+    green = channel("G", planes["G"])
+    level = np.full(planes["G"].shape, np.nan, np.float32)
+    confidence = np.zeros_like(level)
+    sharper = {"IR": mosaic.planes(source, camera)["IR"]} | ({n: planes[n] for n in "RB"} if settings.fallback else {})
+    for name, plane in sharper.items():
+        score, plain, offset, snr, green_snr = depth.match(channel(name, plane), green, settings)
+        found, trust = depth.best_level(score, plain, offset, settings)
+        trust = trust * (plain > 0)
+        new = usable & np.isnan(level) & (snr > settings.edge_snr) & (green_snr > settings.edge_snr) & (trust > 0)
+        level[new] = found[new]
+        confidence[new] = (trust if name == "IR" else FALLBACK_TRUST * trust)[new]
+    return level, confidence
+
+
+def _infrared_guide(ir_e: Float32Array, capture: Capture) -> Float32Array:
+    """Infrared at the blocks' centres in units of its noise, the guide of eq. (14)."""
+    size = (ir_e.shape[1] // 2, ir_e.shape[0] // 2)
+    blocks = cv2.resize(ir_e, size, interpolation=cv2.INTER_AREA)
+    return denoise.stabilise(blocks, mosaic.noise_coefficients(capture))
+
+
+def _noise_e(variances: dict[str, Float32Array], settings: Settings) -> NDArray:
+    """Standard deviation of the noise of R, G, B and IR in the full picture, its mean over the frame."""
+    sigma = np.sqrt([variances[name].mean() for name in CHANNELS])
+    return sigma * (DENOISED_NOISE_SHARE if settings.denoise else 1.0)
+
+
+def _blocks_any(mask: NDArray) -> NDArray:
+    """2x2 blocks [h/2, w/2] with any pixel of a mask [h, w]."""
+    return mask[::2, ::2] | mask[1::2, ::2] | mask[::2, 1::2] | mask[1::2, 1::2]
+
+
+def _grown(mask: NDArray) -> NDArray:
+    """A mask and its direct neighbours, which interpolation took values from."""
+    return cv2.dilate(mask.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
+
+
+def _depth_m(level: Float32Array, bank: PsfBank) -> Float32Array:
+    """Depth of fractional levels: the bank's depths, interpolated in dioptres, in which blur is linear."""
+    return (1 / np.interp(level, np.arange(len(bank.depth_m)), 1 / bank.depth_m)).astype(np.float32)
+
+
+def _upsampled(blocks: Float32Array, height: int, width: int) -> Float32Array:
+    """From blocks to pixels, linear between the blocks' centres."""
+    return cv2.resize(blocks, (width, height), interpolation=cv2.INTER_LINEAR)

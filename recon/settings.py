@@ -1,0 +1,42 @@
+"""Every number of the reconstruction that a user may change."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from pydantic import Field
+
+from dasim.camera import Specification
+
+
+class Settings(Specification):
+    """Settings of :func:`recon.reconstruct`; the defaults are the preset ``PAPER``."""
+
+    side: Literal["near"] = Field(default="near", description="side of the focal plane that depths are on")
+
+    # sec. 4.1
+    denoise: bool = Field(default=True, description="nonlocal means before sec. 4's pictures")
+    denoise_bandwidth: float = Field(default=3.0, gt=0, le=100, description="tau of eq. (4), noise variances")
+    denoise_patch_sigma_px: float = Field(default=1.0, gt=0, le=10, description="rho of eq. (5), plane pixels")
+
+    # sec. 5.2
+    window_px: int = Field(default=31, ge=5, le=201, description="delta of eq. (11), side of the patch")
+    window: Literal["gaussian", "box"] = "gaussian"
+    gradient: Literal["sum", "both"] = Field(
+        default="both", description="eq. (11): NCC of the sum of the derivatives, or of both taken together"
+    )
+    cutoff_cycles_px: float = Field(default=0.16, gt=0, le=0.25, description="edge of the band that is compared")
+    noise_corrected: bool = Field(default=True, description="take the expected noise out of the NCC's energies")
+    prior_factor: float = Field(default=0.03, gt=0, le=1e4, description="factor on the measured beta of eq. (9)")
+    edge_snr: float = Field(default=0.5, ge=0, le=1000, description="gradient energy over noise that makes an edge")
+    fallback: bool = Field(default=True, description="red, then blue, where infrared shows no edge (sec. 5.3)")
+    saturated_share: float = Field(default=0.05, ge=0, le=1, description="of a window: above it, no estimate")
+    denoised_infrared: bool = Field(default=False, description="depth from the denoised infrared")
+    regularise_bandwidth: float = Field(default=60.0, gt=0, description="tau of eq. (14), noise variances")
+
+    # sec. 5.4
+    sharpen_steps: int = Field(default=4, ge=1, le=50, description="iterations of half-quadratic splitting")
+    sharpen_strength: float = Field(default=1.5, gt=0, le=100, description="data weight of eq. (15), 1: the noise's")
+
+
+PAPER = Settings()

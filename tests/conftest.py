@@ -1,0 +1,121 @@
+"""What the tests share: one thread for linear algebra, a small camera, scenes from plain data, the renderer."""
+
+from __future__ import annotations
+
+import os
+
+# Small products gain nothing from several threads, and idle ones spin: on a busy computer that is ten times slower.
+# Set before numpy is loaded.
+for _name in ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+    os.environ.setdefault(_name, "1")
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dasim import camera as cameras
+from dasim.camera import Camera, parse
+from dasim.errors import InputError
+from dasim.render import backend
+from dasim.scene import Scene
+
+REFERENCE = Path(__file__).parents[2] / "shared" / "reference"
+
+
+@pytest.fixture(scope="session")
+def reference():
+    """Columns of a measured curve by name, as {column: values}; the test is skipped where the file is missing."""
+
+    def read(name: str) -> dict[str, np.ndarray]:
+        path = REFERENCE / f"{name}.csv"
+        if not path.is_file():
+            pytest.skip(f"measured data {path.name} is not here")
+        lines = [line for line in path.read_text().splitlines() if line and not line.startswith("#")]
+        values = np.array([[float(item) for item in line.split(",")] for line in lines[1:]])
+        return dict(zip(lines[0].split(","), values.T, strict=True))
+
+    return read
+
+
+@pytest.fixture(scope="session")
+def da_mobile() -> Camera:
+    return cameras.load_camera("da-mobile")
+
+
+@pytest.fixture(scope="session")
+def wide(da_mobile):
+    """The lens of da-mobile before a coarse sensor: a wide view in few pixels."""
+
+    def make(width: int = 48, height: int = 36, pitch_um: float = 60.0, focus_m: float = 0.4) -> Camera:
+        data = da_mobile.model_dump()
+        data["sensor"] |= {"width_px": width, "height_px": height, "pixel_pitch_um": pitch_um}
+        data["lens"] |= {"focus_distance_m": focus_m}
+        return parse(Camera, data, "wide camera")
+
+    return make
+
+
+DOME = {"kind": "dome", "illuminant": "A", "lux": 500.0}
+# Beside the lens and behind it: lights what faces the camera and is never in view, so that empty space stays dark.
+LAMP = {
+    "kind": "lamp",
+    "illuminant": "D65",
+    "lux": 1000.0,
+    "position_cm": [0, -30, -60],
+    "target_cm": [0, 0, 20],
+    "radius_cm": 5,
+}
+
+
+@pytest.fixture(scope="session")
+def make_scene():
+    """A scene from its objects (plain data), lit by a dome unless said otherwise."""
+
+    def make(*objects: dict, lights=(DOME,), folder: Path = Path("."), **others) -> Scene:
+        data = {"name": "test", "lights": list(lights), "objects": list(objects), "folder": folder, **others}
+        return parse(Scene, data, "test scene")
+
+    return make
+
+
+@pytest.fixture(scope="session")
+def lamp() -> dict:
+    return LAMP
+
+
+@pytest.fixture(scope="session")
+def renderer() -> str:
+    """The variant of this process, the one that works best here."""
+    choice = backend.choose()
+    backend.activate(choice)
+    return choice.variant
+
+
+@pytest.fixture(scope="session")
+def loaded(renderer):
+    """Mitsuba's scene of a scene."""
+    import mitsuba as mi
+
+    from dasim.render import translate
+
+    return lambda scene: mi.load_dict(translate.scene_dict(scene), optimize=False)
+
+
+@pytest.fixture(scope="session")
+def jit(renderer) -> str:
+    """The variant of this process, where it is one that renders wave-true; else the test is skipped."""
+    if renderer.startswith("scalar"):
+        pytest.skip("only scalar_spectral works here, and it renders no wave-true blur")
+    return renderer
+
+
+@pytest.fixture(scope="session")
+def jit_variant() -> str:
+    """The name of a JIT variant that works here, for a process of its own."""
+    for name in ("llvm_ad_spectral", "cuda_ad_spectral"):
+        try:
+            return backend.choose(name).variant
+        except InputError:
+            continue
+    pytest.skip("no JIT variant works here")

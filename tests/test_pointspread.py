@@ -1,0 +1,219 @@
+"""Point-spread functions against closed forms, a Fourier transform of a sampled pupil, and geometry."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.special import j0, j1
+
+from dasim import pointspread
+from dasim.errors import InputError
+from dasim.pointspread import pixel_kernels, psf, radial_profiles, wave_profile
+from dasim.spectra import CHANNELS, illuminant
+
+STEP = 0.02  # in lambda N, of the tests' own integrals over radius
+QUADRATURE = 1e-4  # of those integrals by trapezoids
+SAMPLED_PUPIL = 0.01  # a disc of 128 samples across has a ragged edge
+ENERGY = 2e-3  # kernels are sampled ten times a pixel and axis
+SIDES = 1e-9  # both halves of a symmetric kernel come from the same numbers
+
+
+@pytest.fixture(scope="module")
+def hole_only(da_mobile):
+    """da-mobile behind its hole alone, all wavelengths: one stop of f / 6.1."""
+    hole = da_mobile.stops[1].model_copy(update={"passes": "all"})
+    return da_mobile.model_copy(update={"stops": (hole,)})
+
+
+def encircled(profile: np.ndarray, radius: np.ndarray) -> np.ndarray:
+    ring = 2 * np.pi * radius * profile
+    return np.concatenate([[0.0], np.cumsum((ring[1:] + ring[:-1]) / 2 * np.diff(radius))])
+
+
+def moments(kernel: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Centroid from the middle pixel and variance, each (y, x)."""
+    kernel = kernel / kernel.sum()
+    place = np.arange(len(kernel)) - len(kernel) // 2
+    sums = [kernel.sum(axis=1), kernel.sum(axis=0)]
+    mean = np.array([line @ place for line in sums])
+    return mean, np.array([line @ place**2 for line in sums]) - mean**2
+
+
+def test_in_focus_energy_is_that_of_airy():
+    """Expectation: encircled energy 1 - J0^2 - J1^2 (Rayleigh), 83.8 % within the first dark ring."""
+    radius = np.arange(0, 10, STEP)
+    energy = encircled(wave_profile(radius, np.array([0.0]))[0], radius)
+    np.testing.assert_allclose(energy, 1 - j0(np.pi * radius) ** 2 - j1(np.pi * radius) ** 2, atol=QUADRATURE)
+    assert np.interp(1.2197, radius, energy) == pytest.approx(0.838, abs=1e-3)
+
+
+def test_in_focus_transfer_is_the_overlap_of_two_discs():
+    """Set-up: Hankel transform of the in-focus profile up to 300 lambda N, where 7e-4 of the light is left.
+
+    Expectation: the area two unit discs share, counted on a grid.
+    """
+    radius = np.arange(0, 300, STEP)
+    profile = wave_profile(radius, np.array([0.0]))[0]
+    grid = np.linspace(-1, 1, 1201)
+    y, x = np.meshgrid(grid, grid, indexing="ij")
+    for v in (0.05, 0.3, 0.5, 0.8, 0.95):
+        transfer = np.trapezoid(2 * np.pi * radius * profile * j0(2 * np.pi * v * radius), radius)
+        shared = np.count_nonzero(np.hypot(x - v, y) <= 1) if v == 0 else np.count_nonzero(
+            (np.hypot(x - v, y) <= 1) & (np.hypot(x + v, y) <= 1)
+        )
+        overlap = shared / np.count_nonzero(np.hypot(x, y) <= 1)
+        assert transfer == pytest.approx(overlap, abs=3e-3)
+        assert pointspread.disc_mtf(np.array([v]))[0] == pytest.approx(overlap, abs=2e-3)
+
+
+def test_defocus_on_the_axis_is_a_sinc():
+    """Expectation: on the axis intensity falls as sinc^2(W20), dark at whole waves (Born and Wolf, sec. 8.8)."""
+    waves = np.array([0.0, 0.25, 0.5, 1.0, 1.5, 2.0, 7.0])
+    axis = wave_profile(np.array([0.0]), waves)[:, 0]
+    np.testing.assert_allclose(axis / axis[0], np.sinc(waves) ** 2, atol=1e-12)
+
+
+@pytest.mark.parametrize("waves", [0.0, 0.5, 1.2, 3.0])
+def test_defocus_is_the_fourier_transform_of_a_sampled_pupil(waves):
+    """Rationale: an independent method: no Bessel functions, no radial symmetry.
+
+    Set-up: 1,024 x 1,024 grid, pupil 128 samples across with the quadratic phase, FFT, squared; one sample of the
+    picture is 128 / 1,024 lambda N. Expectation: encircled energies agree within 0.01 at all radii.
+    """
+    size, across = 1024, 128
+    axis = (np.arange(size) - size // 2) / (across / 2)
+    rho2 = axis[:, None] ** 2 + axis**2
+    pupil = np.where(rho2 <= 1, np.exp(2j * np.pi * waves * rho2), 0)
+    picture = np.abs(np.fft.fftshift(np.fft.fft2(np.fft.ifftshift(pupil)))) ** 2
+    distance = np.hypot(*np.meshgrid(*[np.arange(size) - size // 2] * 2)) * across / size
+    edges = np.arange(0.5, 20, 0.5)
+    sampled = np.array([picture[distance <= edge].sum() for edge in edges]) / picture.sum()
+    radius = np.arange(0, 20, STEP)
+    ours = np.interp(edges, radius, encircled(wave_profile(radius, np.array([waves]))[0], radius))
+    # A grid's disc of r samples has its area to a few samples: compare between neighbouring edges.
+    assert np.abs(ours - sampled)[2:].max() < SAMPLED_PUPIL
+
+
+def test_many_waves_of_defocus_approach_the_geometric_disc():
+    """Rationale: rays are the limit of short waves. A disc of diameter c has encircled energy (2 r / c)^2, and c is
+    8 W20 in units of lambda N. Expectation: the largest difference falls with W20, below 0.05 at 20 waves."""
+    errors = []
+    for waves in (1.5, 5.0, 20.0):
+        radius = np.arange(0, 8 * waves + 8, STEP)
+        energy = encircled(wave_profile(radius, np.array([waves]))[0], radius)
+        errors.append(np.abs(energy - np.minimum(radius / (4 * waves), 1) ** 2).max())
+    assert errors[0] > 1.5 * errors[1] > 1.5**2 * errors[2]
+    assert errors[2] < 0.05
+
+
+@pytest.mark.parametrize(("blur_px", "scale_px"), [(8.0, 2.6), (4.0, 0.9), (0.0, 2.6)])
+def test_airy_and_disc_in_the_middle(blur_px, scale_px):
+    """Expectation: the middle of disc * Airy is the Airy energy within the disc's radius over the disc's area; with no
+    disc, Airy's peak pi / 4 over the unit's area. The rest of the plane brings the integral to 1."""
+    radius = np.arange(0, 60 * scale_px, 0.05)
+    profile = pointspread.airy_disc_profile(radius, np.array([blur_px]), scale_px)[0]
+    x = np.pi * blur_px / 2 / scale_px
+    inside = 1 - j0(x) ** 2 - j1(x) ** 2
+    expected = inside / (np.pi * blur_px**2 / 4) if blur_px else np.pi / 4 / scale_px**2
+    assert profile[0] == pytest.approx(expected, rel=1e-3)
+    left = 2 / np.pi**2 * scale_px / radius[-1]  # of Airy's energy, beyond
+    assert encircled(profile, radius)[-1] == pytest.approx(1 - left, abs=left / 2)
+
+
+@pytest.mark.parametrize("blur_px", [0.0, 0.7, 3.0, 11.0, -11.0, 40.0])
+def test_geometric_kernel_has_the_moments_of_a_disc_and_a_pixel(da_mobile, hole_only, blur_px):
+    """Expectation: variance c^2 / 16 + 1 / 12 along each axis, c the stop's own blur, on either side of the focus;
+    sum 1; centred; the same on all four sides."""
+    radius = np.arange(0, 60, pointspread.RADIAL_STEP_PX)
+    for camera, ratio in ((da_mobile.model_copy(update={"stops": da_mobile.stops[:1]}), 1.0), (hole_only, 0.46)):
+        profiles, _ = radial_profiles(camera, np.array([blur_px]), illuminant("D65"), radius, "off")
+        kernel = pixel_kernels(profiles[0, 1], radius, 51)
+        mean, variance = moments(kernel)
+        assert kernel.sum() == pytest.approx(1.0, abs=ENERGY if abs(blur_px) * ratio > 1 else 0.02)
+        expected = (ratio * blur_px) ** 2 / 16 + 1 / 12
+        np.testing.assert_allclose(variance, expected, rtol=0.01, atol=0.006)  # blurs are at least 0.3 px: 0.3^2 / 16
+        np.testing.assert_allclose(mean, 0, atol=1e-9)
+        for turned in (kernel[::-1], kernel[:, ::-1], kernel.T):
+            np.testing.assert_allclose(turned, kernel, atol=SIDES)
+
+
+@pytest.fixture(scope="module")
+def wave_kernels(da_mobile):
+    """Profiles and kernels of all channels at 0, 8 and 20 px of visible blur, and the relative electrons."""
+    size, radius = 65, np.arange(0, 50, pointspread.RADIAL_STEP_PX)
+    profiles, signal = radial_profiles(da_mobile, np.array([0.0, 8.0, 20.0]), illuminant("D65"), radius)
+    return profiles, radius, pixel_kernels(profiles, radius, size), signal
+
+
+def test_wave_kernels_lose_only_what_falls_outside_the_frame(wave_kernels):
+    """Rationale: light is conserved. Airy's energy beyond r lambda N is 2 / (pi^2 r): the frame's half width and its
+    half diagonal bound what is missing. Set-up: 65 x 65 px; lambda N is 0.8 to 0.95 px in green's main band, 2.3 to
+    2.9 px in the near-infrared, and a blur of 20 px shrinks the room by 10 (green) and 5 px (infrared) at most.
+    """
+    kernels = wave_kernels[2]
+    for level, blur in enumerate((0.0, 8.0, 20.0)):
+        for channel, low, high, ratio in (("G", 0.8, 2.9, 1.0), ("IR", 2.3, 2.9, 0.46)):
+            missing = 1 - kernels[level, CHANNELS.index(channel)].sum()
+            nearest, farthest = 32.5 - ratio * blur / 2, 32.5 * np.sqrt(2) + ratio * blur / 2
+            assert 2 / np.pi**2 * low / farthest < missing + ENERGY, (channel, blur)
+            assert missing - ENERGY < 2 / np.pi**2 * high / nearest, (channel, blur)
+
+
+def test_kernel_in_focus_is_wider_in_the_near_infrared(wave_kernels):
+    """Expectation: half maxima of 0.9 px in green and 2.7 px in infrared before the pixel; at 20 px of blur green is
+    the wider one. This order decides which channel is sharp where."""
+    profiles, radius, kernels, _ = wave_kernels
+    widths = [2 * np.interp(-0.5, -p / p[0], radius) for p in profiles[0]]
+    assert widths[CHANNELS.index("G")] == pytest.approx(0.9, abs=0.1)
+    assert widths[CHANNELS.index("IR")] == pytest.approx(2.7, abs=0.15)
+    green, infrared = (moments(kernels[2, CHANNELS.index(name), 20:45, 20:45])[1][0] for name in ("G", "IR"))
+    assert green > 1.5 * infrared
+
+
+def test_relative_electrons_are_those_of_the_camera(da_mobile, wave_kernels):
+    """Expectation: the sum over bands of 10 nm equals an integral on a grid of 1 nm."""
+    from dasim import camera as cameras
+
+    nm = np.arange(400, 831)
+    light = np.interp(nm, pointspread.spectra.WAVELENGTH_NM, illuminant("D65"))
+    for channel, row in enumerate(cameras.response(da_mobile)):
+        fine = np.interp(nm, pointspread.spectra.WAVELENGTH_NM, row) * light
+        assert wave_kernels[3][channel] == pytest.approx(fine.sum(), rel=2e-3)
+
+
+def test_offset_moves_the_kernel_down_and_right(hole_only):
+    """The proof of the axes: offset_px is (y, x), y down. Expectation: the centroid follows, also past half a pixel."""
+    profiles, radius = wave_profile(np.arange(0, 30, 0.05) / 2.0, np.array([0.8])) / 4, np.arange(0, 30, 0.05)
+    for offset in ((0.3, 0.0), (0.0, 0.4), (-0.25, 0.6)):
+        mean, _ = moments(pixel_kernels(profiles, radius, 41, offset)[0])
+        np.testing.assert_allclose(mean, offset, atol=0.02)  # the frame cuts a little more of one side's tail
+    kernel = psf(hole_only, 0.15, "IR", "D65", offset_px=(0.4, 0.0), size=15, diffraction="off")
+    assert kernel[8:].sum() > 1.2 * kernel[:7].sum(), "down is a higher row"
+
+
+def test_psf_is_the_kernel_of_its_depth(da_mobile):
+    """Set-up: 15 cm, focus 40 cm: 11.43 px of visible blur (traced: A s |1/d - 1/d_f| / p). Expectation: green as wide
+    as that disc, infrared 0.46 of it; the automatic frame is odd and holds all but the tail."""
+    blur = 3.6e-3 / 2.8 * (3.6e-3 * 0.4 / 0.3964) * (1 / 0.15 - 1 / 0.4) / 1.7e-6
+    green = psf(da_mobile, 0.15, "G", "D65", diffraction="off", size=31)
+    infrared = psf(da_mobile, 0.15, "IR", "D65", diffraction="off", size=31)
+    assert moments(infrared)[1][0] == pytest.approx((0.46 * blur) ** 2 / 16 + 1 / 12, rel=0.15), "with 3 % of full blur"
+    assert moments(green)[1][0] == pytest.approx(blur**2 / 16, rel=0.1)
+    whole = psf(da_mobile, 0.15, "IR", "D65")
+    assert whole.shape[0] == whole.shape[1] and whole.shape[0] % 2 == 1
+    assert whole.sum() > 0.95
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"channel": "W"}, "channel 'W' is unknown; allowed are R, G, B, IR"),
+        ({"depth_m": 0.0}, "depth_m is 0.0"),
+        ({"depth_m": float("nan")}, "depth_m is nan"),
+        ({"illuminant": "F2"}, "illuminant 'F2' is unknown"),
+        ({"diffraction": "fourier"}, "diffraction 'fourier' is unknown; allowed are wave, airy, off"),
+    ],
+)
+def test_mistakes_are_named(da_mobile, change, said):
+    with pytest.raises(InputError, match=said):
+        psf(da_mobile, **({"depth_m": 0.1, "channel": "G", "illuminant": "D65"} | change))

@@ -1,0 +1,101 @@
+"""The whole reconstruction of one capture: figures on a textured scene, and frames that hold nothing."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+import recon_scenes
+
+import recon
+from dasim import camera as cameras
+from dasim.errors import InputError
+from dasim.values import Capture
+from recon import infrared
+
+MIN_GAIN_DB = 1.0  # of the all-in-focus picture, with the estimated levels, mosaic and photon noise
+MAX_LOSS_DB = 0.5  # near focus, where nothing is to gain
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return recon_scenes.make(recon_scenes.slanted(256, 384, 0, 20), white_e=4000)
+
+
+@pytest.fixture(scope="module")
+def result(scene):
+    return recon.reconstruct(scene.capture, recon_scenes.bank())
+
+
+def decibel(image, truth, mask):
+    return -10 * np.log10(np.mean((image - truth)[mask] ** 2))
+
+
+def test_all_in_focus_gains_and_never_loses(scene, result):
+    alpha = infrared.crosstalk(scene.capture.camera)
+    truth = np.maximum(scene.sharp_e[..., :3] - alpha * scene.sharp_e[..., 3:], 0)
+    inner = np.zeros(scene.level.shape, bool)
+    inner[16:-16, 16:-16] = True
+    per_level = cameras.level_blur_px(scene.capture.camera)[1]
+    for low, high, gain in ((0, 3, -MAX_LOSS_DB), (3, 10, MIN_GAIN_DB), (10, 20, MIN_GAIN_DB), (20, 40, 0)):
+        mask = inner & (scene.level * per_level >= low) & (scene.level * per_level < high)
+        before = decibel(result.linear_e, truth, mask)
+        assert decibel(result.sharp_e, truth, mask) > before + gain, (low, high)
+
+
+def test_levels_and_depths(scene, result):
+    sure = np.isfinite(result.level_raw)
+    assert np.median(np.abs(result.level_raw - scene.level)[sure]) < 0.8
+    assert np.median(np.abs(result.level - scene.level)) < 1.5
+    depths = cameras.depth_of_blur_m(
+        scene.capture.camera, result.level * cameras.level_blur_px(scene.capture.camera)[1]
+    )
+    # the bank's depths interpolated linearly between levels, against the lens equation
+    np.testing.assert_allclose(result.depth_m, depths, rtol=0.01)
+
+
+def test_everything_is_finite_and_in_range(result):
+    for name in ("rgb", "sharp_rgb", "linear_e", "sharp_e", "ir_e", "level", "depth_m", "confidence"):
+        image = getattr(result, name)
+        assert image.dtype == np.float32 and np.isfinite(image).all() and image.min() >= 0, name
+    assert result.rgb.max() <= 1 and result.sharp_rgb.max() <= 1 and result.confidence.max() <= 1
+    assert result.settings == recon.PAPER.model_dump()
+
+
+def test_the_simulator_cannot_leak_into_the_estimate(scene, result):
+    """Another name of the light, seed and provenance: the same result, bit for bit (also: deterministic)."""
+    other = dataclasses.replace(scene.capture, illuminant="A", seed=99, provenance={"scene": "x"})
+    seen = []
+    again = recon.reconstruct(other, recon_scenes.bank(), progress=lambda name, share: seen.append((name, share)))
+    np.testing.assert_array_equal(again.sharp_rgb, result.sharp_rgb)
+    np.testing.assert_array_equal(again.level, result.level)
+    assert [name for name, _ in seen] == [*result.timings_s, "done"]
+    assert [share for _, share in seen] == sorted(share for _, share in seen)
+
+
+@pytest.mark.parametrize("value", [0, 64, 300, 1023])
+def test_frames_without_any_texture(value):
+    """Black, constant and saturated frames: finite pictures, no confidence, no estimate."""
+    camera = recon_scenes.da_mobile(96, 64)
+    capture = Capture(np.full((64, 96), value, np.uint16), camera, 0.01, 1.0, 0)
+    result = recon.reconstruct(capture, recon_scenes.bank())
+    assert np.isnan(result.level_raw).all()
+    assert not result.confidence.any()
+    for name in ("rgb", "sharp_rgb", "linear_e", "sharp_e", "ir_e", "level", "depth_m"):
+        assert np.isfinite(getattr(result, name)).all(), name
+
+
+def test_a_bank_of_another_focus_or_camera_is_refused(scene):
+    bank = recon_scenes.bank()
+    moved = dataclasses.replace(scene.capture, camera=cameras.refocused(scene.capture.camera, 0.12))
+    with pytest.raises(InputError, match="focused at 0.4 m"):
+        recon.reconstruct(moved, bank)
+    sensor = scene.capture.camera.sensor.model_copy(update={"pixel_pitch_um": 3.0})
+    other = dataclasses.replace(scene.capture, camera=scene.capture.camera.model_copy(update={"sensor": sensor}))
+    with pytest.raises(InputError, match="does not fit"):
+        recon.reconstruct(other, bank)
+
+
+def test_tiny_frames_are_refused():
+    camera = recon_scenes.da_mobile(8, 8)
+    with pytest.raises(InputError, match="at least"):
+        recon.reconstruct(Capture(np.full((8, 8), 100, np.uint16), camera, 0.01, 1.0, 0), recon_scenes.bank())

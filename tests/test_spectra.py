@@ -1,0 +1,135 @@
+"""Spectral curves against colour-science's tables, measured data and closed forms."""
+
+from __future__ import annotations
+
+import colour
+import numpy as np
+import pytest
+from scipy import constants
+
+from dasim import spectra
+from dasim.errors import InputError
+
+GRID_NM = spectra.WAVELENGTH_NM
+RESAMPLING = 1e-3  # trapezoids of 2 nm against 1 nm, and V(lambda) below 400 nm (4e-4 of its peak)
+PLANCK_TABLE = 1e-3  # the table's rounding, and its second radiation constant of 1948
+DAYLIGHT_TABLE = 5e-3  # D65's table rounds the chromaticity and the weights of S1, S2 to three digits
+NM_AT_HALF = 0.05  # a logistic edge 8 nm wide between two samples 2 nm apart, read by a straight line
+
+
+@pytest.mark.parametrize("name", spectra.ILLUMINANTS)
+def test_illuminants_give_one_lux(name):
+    """Rationale: scenes are lit in lux. Expectation: colour-science's own photometry of the curve says 1 lm/m^2."""
+    curve = colour.SpectralDistribution(spectra.illuminant(name), GRID_NM)
+    lux = colour.luminous_flux(curve.interpolate(colour.SpectralShape(400, 830, 1)))
+    assert lux == pytest.approx(1.0, abs=RESAMPLING)
+    assert (spectra.illuminant(name) > 0).all(), "all five carry near-infrared to the end of the grid"
+
+
+def test_illuminant_a_is_the_cie_table_and_planck_beyond_it():
+    """Expectation: the CIE's table up to its end at 780 nm, and Planck's law with CODATA constants beyond."""
+    table = colour.SDS_ILLUMINANTS["A"]
+    ours = spectra.illuminant("A") / np.interp(560, GRID_NM, spectra.illuminant("A"))
+    at = GRID_NM <= 780
+    expected = np.interp(GRID_NM[at], table.wavelengths, table.values) / 100.0
+    assert np.abs(ours[at] / expected - 1).max() < PLANCK_TABLE
+    # Beyond: the ratio of two blackbody radiances by the CIE's definition, T = 2848 K with c2 = 0.01435 m K.
+    metres = np.array([830e-9, 780e-9])
+    law = metres**-5 / np.expm1(0.01435 / (metres * 2848))
+    assert ours[-1] / np.interp(780, GRID_NM, ours) == pytest.approx(law[0] / law[1], rel=PLANCK_TABLE)
+
+
+def test_blackbody_obeys_wien():
+    """Expectation: the peak of a 5,000 K blackbody lies at b / T = 579.6 nm, to within a step of the grid."""
+    peak = GRID_NM[np.argmax(spectra.planckian(5000.0))]
+    assert abs(peak - constants.value("Wien wavelength displacement law constant") / 5000 * 1e9) <= 2.0
+
+
+@pytest.mark.parametrize("name", ["D65", "D55", "D50"])
+def test_daylight_is_the_cie_table(name):
+    table = colour.SDS_ILLUMINANTS[name]
+    ours = spectra.illuminant(name) / np.interp(560, GRID_NM, spectra.illuminant(name))
+    at = GRID_NM <= 780
+    expected = np.interp(GRID_NM[at], table.wavelengths, table.values) / table[560]
+    assert np.abs(ours[at] / expected - 1).max() < DAYLIGHT_TABLE
+
+
+def test_illuminant_a_resembles_a_measured_one(reference):
+    """Rationale: the CIE's A is a formula. Set-up: a light booth's A, measured to 1,068 nm.
+
+    Expectation: the same rise from blue to near-infrared; a booth's lamp ages and its glass absorbs, so only the
+    coarse shape counts: ratios over decades of the spectrum within 25 %.
+    """
+    measured = reference("illuminant_A")
+    ours = spectra.illuminant("A")
+    theirs = np.interp(GRID_NM, measured["wavelength_nm"], measured["energy"])
+    assert np.corrcoef(ours, theirs)[0, 1] > 0.98
+    for low, high in ((450, 500), (600, 650), (700, 750), (780, 830)):
+        band, green = (GRID_NM >= low) & (GRID_NM <= high), (GRID_NM >= 540) & (GRID_NM <= 580)
+        assert ours[band].mean() / ours[green].mean() == pytest.approx(
+            theirs[band].mean() / theirs[green].mean(), rel=0.25
+        ), f"{low}-{high} nm"
+
+
+def test_unknown_illuminant_is_the_users_mistake():
+    with pytest.raises(InputError, match=r"illuminant 'F2' is unknown; known are D65, .*A"):
+        spectra.illuminant("F2")
+
+
+@pytest.mark.parametrize(("edge_nm", "width_nm"), [(650, 8), (810, 8), (600, 60)])
+def test_edges_have_their_half_and_their_width(edge_nm, width_nm):
+    """Expectation: half maximum at the edge, 10 % to 90 % in the width, and two complementary sides."""
+    up = spectra.long_pass(edge_nm, width_nm)
+    assert (np.diff(up) >= 0).all()
+    below, half, above = (np.interp(level, up, GRID_NM) for level in (0.1, 0.5, 0.9))
+    assert half == pytest.approx(edge_nm, abs=NM_AT_HALF)
+    if edge_nm + width_nm < GRID_NM[-1]:
+        assert above - below == pytest.approx(width_nm, abs=4 * NM_AT_HALF)
+    np.testing.assert_allclose(up + spectra.short_pass(edge_nm, width_nm), 1.0, atol=1e-15)
+
+
+def test_photons_per_joule():
+    """Expectation: a photon of 619.92 nm holds 2 eV."""
+    joules = 2 * constants.e
+    count = np.interp(1239.841984 / 2, GRID_NM, spectra.photons_per_joule())
+    assert count * joules == pytest.approx(1.0, rel=1e-6)
+
+
+def test_near_infrared_crosstalk_is_as_sec_4_4_states():
+    """Rationale: eq. (8) decides what infrared subtraction can do.
+
+    Expectation: red close to 1; green and blue clearly less, in this order. Silicon sensors were measured against
+    their clear pixel (red 0.55-0.59, green 0.19-0.20, blue 0.10 of it); dyes and the loss in the infrared pixel's own
+    dye differ between makers, so the fractions may be half to twice those.
+    """
+    red, green, blue = spectra.ir_crosstalk(spectra.rgb_ir_quantum_efficiency())
+    assert 0.9 < red < 1.05
+    assert 0.05 <= blue <= 0.20
+    assert 0.10 <= green <= 0.40
+    # A sensor whose red and infrared pixels are alike has exactly 1, and one that is blind there exactly 0.
+    made_up = np.stack([np.full(len(GRID_NM), level) for level in (0.3, 0.15, 0.0, 0.3)])
+    np.testing.assert_allclose(spectra.ir_crosstalk(made_up), [1.0, 0.5, 0.0], atol=1e-12)
+
+
+def test_quantum_efficiency_is_one_of_silicon(reference):
+    """Set-up: the red, green and blue pixels of a MT9V024, digitised from its data sheet.
+
+    Expectation: the synthetic curves have the shape of measured ones over the whole band, each most like its own
+    colour, peak within 40 nm of them (red dyes differ most), and let in the near-infrared in the same order (red, green, blue).
+    """
+    measured = reference("sensor_mt9v024_rgbw")
+    ours = spectra.rgb_ir_quantum_efficiency()
+    assert (ours >= 0).all() and ours.max() < 0.7, "quantum efficiencies of silicon behind dyes"
+    assert ours[1].max() == pytest.approx(0.55, abs=0.01), "0.55 in green"
+    names = ("red", "green", "blue")
+    theirs = np.stack([np.interp(GRID_NM, measured["wavelength_nm"], measured[name]) for name in names])
+    correlation = np.corrcoef(np.concatenate([ours[:3], theirs]))[:3, 3:]
+    assert (np.argmax(correlation, axis=1) == [0, 1, 2]).all()
+    assert (np.diag(correlation) > 0.85).all(), correlation
+    visible = GRID_NM < 700
+    peak = GRID_NM[np.argmax(ours[:3] * visible, axis=1)] - GRID_NM[np.argmax(theirs * visible, axis=1)]
+    assert (np.abs(peak) <= 40).all(), peak
+    tail = (GRID_NM >= 650) & (GRID_NM <= 810)
+    for curves in (ours[:3], theirs):
+        sums = curves[:, tail].sum(axis=1)
+        assert sums[0] > sums[1] > sums[2]

@@ -1,0 +1,121 @@
+"""Self-contained HTML pages: pictures and figures in one file, no outside request."""
+
+from __future__ import annotations
+
+import base64
+import io
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import cv2
+import jinja2
+import numpy as np
+from numpy.typing import NDArray
+
+from dasim.simulation import Shot
+from dasim.values import Reconstruction
+from recon import colour
+from recon.output import grey
+from validation.metrics import infrared_free, level_error
+
+if TYPE_CHECKING:
+    from validation.demo import Claim
+
+TEMPLATE_DIR = Path(__file__).parent / "templates"
+ERROR_SPAN_LEVELS = 4.0  # the error map's colours end here
+MAP = "viridis"  # colour-blind-safe
+ERROR_MAP = "PuOr"
+NO_ESTIMATE = "#7f7f7f"
+
+
+def demo_page(shot: Shot, result: Reconstruction, claims: list[Claim], timings_s: dict[str, float]) -> str:
+    """The demo's report."""
+    truth, camera = shot.truth, shot.capture.camera
+    matrix = colour.colour_matrix(camera, result.light)
+    scale = colour.exposure_scale(result.linear_e, matrix)
+    sharp_truth = colour.to_srgb(infrared_free(truth.sharp_e, camera).astype(np.float32), matrix, scale)
+    near, far = float(np.nanmin(truth.depth_m)) * 100, float(np.nanmax(truth.depth_m)) * 100
+    true_cm, raw_cm, found_cm = (
+        x * 100 for x in (truth.depth_m, _raw_depth(result), result.depth_m)
+    )
+    span = {"low": near, "high": far, "cmap": MAP, "label": "depth z in cm"}
+    error = level_error(result.level, truth)
+    groups = [
+        (
+            "The capture",
+            [
+                ("Raw mosaic", _png(grey(shot.capture.raw_dn.astype(float) - camera.sensor.black_level_dn))),
+                ("Colour, infrared removed", _png(result.rgb)),
+                ("Near-infrared", _png(grey(result.ir_e))),
+            ],
+        ),
+        (
+            "Depth",
+            [
+                ("True depth", _map(true_cm, **span)),
+                ("Estimated depth, regularised", _map(found_cm, **span)),
+                ("Estimated depth, raw (grey: no edge, no estimate)", _map(raw_cm, **span)),
+                (
+                    "Error in blur levels, regularised (grey: nothing there)",
+                    _map(error, low=-ERROR_SPAN_LEVELS, high=ERROR_SPAN_LEVELS, cmap=ERROR_MAP, label="levels"),
+                ),
+            ],
+        ),
+        (
+            "All in focus",
+            [
+                ("Captured", _png(result.rgb)),
+                ("All in focus", _png(result.sharp_rgb)),
+                ("Truth, through a pinhole", _png(sharp_truth)),
+            ],
+        ),
+    ]
+    lens, sensor = camera.lens, camera.sensor
+    facts = {
+        "Scene": shot.capture.provenance["scene"]["name"],
+        "Camera": f"{camera.name}: {lens.focal_length_mm:g} mm f/{lens.f_number:g}, focus {lens.focus_distance_m:g} m",
+        "Frame": f"{sensor.width_px} x {sensor.height_px} pixels of {sensor.pixel_pitch_um:g} um",
+        "Exposure": f"{shot.capture.exposure_s * 1e3:.1f} ms, "
+        f"{shot.capture.provenance['saturated_pixels']} saturated pixels",
+        "Renderer": f"{shot.capture.provenance['renderer']}, {shot.capture.provenance['spp']} samples a pixel and stop, "
+        f"diffraction '{shot.capture.provenance['diffraction']}'",
+        "Light": f"{shot.capture.illuminant}; chosen by white balance: {result.light}",
+        "Seed": shot.capture.seed,
+    }
+    environment = jinja2.Environment(loader=jinja2.FileSystemLoader(TEMPLATE_DIR), autoescape=True)
+    return environment.get_template("demo.html").render(
+        facts=facts, groups=groups, claims=claims, timings=timings_s
+    )
+
+
+def _raw_depth(result: Reconstruction) -> NDArray[Any]:
+    """Raw levels as depth, by the relation of level and depth that the regularised map shows."""
+    order = np.argsort(result.level, axis=None)
+    levels, depths = result.level.ravel()[order], result.depth_m.ravel()[order]
+    return np.interp(result.level_raw, levels, depths, left=depths[0], right=depths[-1])
+
+
+def _png(image: NDArray[Any]) -> str:
+    """A display picture 0..1 as a data address."""
+    encoded = np.rint(np.clip(np.nan_to_num(image), 0, 1) * 255).astype(np.uint8)
+    _, data = cv2.imencode(".png", encoded[..., ::-1] if encoded.ndim == 3 else encoded)
+    return "data:image/png;base64," + base64.b64encode(data.tobytes()).decode()
+
+
+def _map(values: NDArray[Any], *, low: float, high: float, cmap: str, label: str) -> str:
+    """A false-colour picture with its colour bar, as a data address."""
+    import matplotlib
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    colours = matplotlib.colormaps[cmap].with_extremes(bad=NO_ESTIMATE)
+    height, width = values.shape
+    figure = Figure(figsize=(6.4, 6.4 * 0.86 * height / width), dpi=120, layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.add_subplot()
+    image = axes.imshow(np.ma.masked_invalid(values), cmap=colours, vmin=low, vmax=high, interpolation="nearest")
+    axes.set_axis_off()
+    figure.colorbar(image, ax=axes, label=label, shrink=0.9)
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", facecolor="white")
+    return "data:image/png;base64," + base64.b64encode(buffer.getvalue()).decode()
