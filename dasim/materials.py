@@ -92,7 +92,9 @@ Repeat = Annotated[float, Field(gt=0, le=1000)]
 
 class _Photograph(Specification):
     image: str = Field(description="a file beside the scene, or skimage:NAME")
-    repeat: tuple[Repeat, Repeat] = Field(default=(1.0, 1.0), description="copies across and down, every other mirrored")
+    repeat: tuple[Repeat, Repeat] = Field(
+        default=(1.0, 1.0), description="copies across and down, every other mirrored"
+    )
 
 
 class Blend(_Photograph):

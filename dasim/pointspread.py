@@ -10,6 +10,7 @@ the spectrum that the channel sees through the stop, and integrated over square 
 
 from __future__ import annotations
 
+from functools import cache
 from typing import Literal, get_args
 
 import numpy as np
@@ -38,8 +39,7 @@ def wave_profile(radius: FloatArray, waves: FloatArray) -> FloatArray:
     ``radius`` is in units of lambda N (N the working f-number), ``waves`` the defocus W20 at the pupil's
     edge. h = pi/4 |U|^2 with U = 2 int_0^1 exp(2 pi i W20 rho^2) J0(pi radius rho) rho d rho.
     """
-    nodes, weights = np.polynomial.legendre.leggauss(PUPIL_NODES)
-    rho, weight = (nodes + 1) / 2, weights / 2
+    rho, weight = _unit_nodes()
     pupil = np.exp(2j * np.pi * np.outer(waves, rho**2)) * (2 * rho * weight)
     bessel = j0(np.pi * np.outer(rho, radius))
     # two real products instead of a complex one with a real matrix
@@ -52,11 +52,17 @@ def airy_disc_profile(radius_px: FloatArray, blur_px: FloatArray, scale_px: floa
     ``scale_px`` is lambda N in pixels. Computed from the product of the two transfer functions, which
     ends at the diffraction limit of 1 / scale_px cycles a pixel.
     """
-    nodes, weights = np.polynomial.legendre.leggauss(PUPIL_NODES)
-    v = (nodes + 1) / 2
-    frequency, weight = v / scale_px, weights / 2 / scale_px
+    v, weight = _unit_nodes()
+    frequency, weight = v / scale_px, weight / scale_px
     transfer = disc_mtf(v) * _jinc(np.outer(blur_px, frequency))
     return (transfer * (2 * np.pi * frequency * weight)) @ j0(2 * np.pi * np.outer(frequency, radius_px))
+
+
+@cache
+def _unit_nodes() -> tuple[FloatArray, FloatArray]:
+    """Gauss-Legendre nodes and weights on 0..1."""
+    nodes, weights = np.polynomial.legendre.leggauss(PUPIL_NODES)
+    return (nodes + 1) / 2, weights / 2
 
 
 def disc_mtf(v: FloatArray) -> FloatArray:

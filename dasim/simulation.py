@@ -60,10 +60,8 @@ def simulate(
     backend.activate(choice)
     from dasim.render import passes, translate, truth  # after the variant is chosen
 
-    import mitsuba as mi
-
     progress("geometry", 0.0)
-    mitsuba_scene = mi.load_dict(translate.scene_dict(scene), optimize=False)
+    mitsuba_scene = translate.load(scene)
     geometry = truth.geometry(mitsuba_scene, camera)
     blur_px = truth.signed_blur_px(geometry.depth_m, camera)
     progress("geometry", 1.0)
@@ -87,9 +85,7 @@ def simulate(
 
     time_s = exposure.time_s or sensor.auto_exposure_s(lens_rate, camera, exposure)
     mean_e = lens_rate * time_s
-    raw_dn, saturated = sensor.expose(
-        sensor.mosaic(mean_e, camera), camera.sensor, time_s, seed, gain=exposure.gain
-    )
+    raw_dn, saturated = sensor.expose(sensor.mosaic(mean_e, camera), camera.sensor, time_s, seed, gain=exposure.gain)
     capture = Capture(
         raw_dn=raw_dn,
         camera=camera,

@@ -114,7 +114,7 @@ def exposure_scale(linear_e: Float32Array, matrix: FloatArray) -> float:
 
 
 def to_srgb(linear_e: Float32Array, matrix: FloatArray, scale: float) -> Float32Array:
-    """sRGB 0..1 of linear camera colours [h, w, 3]: colour matrix, exposure, clip, sRGB curve (IEC 61966-2-1)."""
+    """Display values 0..1 of linear camera colours [h, w, 3]: matrix, exposure, clip, sRGB curve (IEC 61966-2-1)."""
     linear = np.clip(linear_e @ (scale * matrix.T).astype(np.float32), 0, 1)
     curved = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** np.float32(1 / 2.4) - 0.055)
     return curved.astype(np.float32)

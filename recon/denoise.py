@@ -46,15 +46,21 @@ def nonlocal_means(
     """
     reach = SEARCH_PX // 2
     border = reach + PATCH_PX // 2
-    mode = "symmetric"
-    wide, wide_guide = np.pad(plane, border, mode), np.pad(guide, border, mode)
+    wide, wide_guide = np.pad(plane, border, "symmetric"), np.pad(guide, border, "symmetric")
     out = np.empty_like(plane, dtype=np.float32)
     _nonlocal_means(wide, wide_guide, patch_weights(patch_sigma_px), np.float32(1 / bandwidth), reach, out)
     return out
 
 
 @njit(cache=True, parallel=True, fastmath=False)
-def _nonlocal_means(plane, guide, patch, inverse_bandwidth, reach, out):  # pragma: no cover - compiled
+def _nonlocal_means(  # pragma: no cover - compiled
+    plane: Float32Array,
+    guide: Float32Array,
+    patch: Float32Array,
+    inverse_bandwidth: np.float32,
+    reach: int,
+    out: Float32Array,
+) -> None:
     half = patch.shape[0] // 2
     border = reach + half
     for y in prange(out.shape[0]):

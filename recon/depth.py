@@ -24,6 +24,7 @@ PLANE_SPACING_PX = 2.0
 BLOCK_CENTRE_PX = 0.5  # of a 2x2 block, from the centre of its first pixel
 ROLL_OFF = 0.4  # of the cutoff: width of the band's smooth edge
 MIN_ENERGY_SHARE = 0.1  # of the measured energy: what is left at least when the noise's share is taken away
+SMALLEST = float(np.finfo(np.float32).tiny)
 OFFSET_GRID = 96
 REFERENCE_ERROR = 1.0  # levels: an estimate with this standard error has a confidence of one half
 INDEPENDENT_SHARE = 0.5  # of a window's samples, after the band-pass
@@ -64,8 +65,8 @@ def noise_gain(response: Complex64Array, width: int) -> float:
 
 
 def prior_weight(energy: float, noise: float, gain: float) -> float:
-    """beta of eq. (9): noise variance over the power of the gradients, both measured in the picture."""
-    return noise / max(energy - gain * noise, MIN_ENERGY_SHARE * energy, np.finfo(np.float32).tiny)
+    """Weight beta of eq. (9): noise variance over the power of the gradients, both measured in the picture."""
+    return noise / max(energy - gain * noise, MIN_ENERGY_SHARE * energy, SMALLEST)
 
 
 def reblur(infrared: Complex64Array, green: Complex64Array, beta: float, shape: tuple[int, int]) -> Complex64Array:
@@ -84,9 +85,9 @@ def window_mean(image: Float32Array, settings: Settings) -> Float32Array:
     border = cv2.BORDER_REFLECT
     if settings.window == "box":
         odd = 2 * int(side / 2) + 1
-        return cv2.boxFilter(image, -1, (odd, odd), borderType=border)
+        return np.asarray(cv2.boxFilter(image, -1, (odd, odd), borderType=border), np.float32)
     sigma = side / np.sqrt(12)
-    return cv2.GaussianBlur(image, (0, 0), sigma, borderType=border)
+    return np.asarray(cv2.GaussianBlur(image, (0, 0), sigma, borderType=border), np.float32)
 
 
 def match(
@@ -111,7 +112,7 @@ def match(
         return [fourier.inverse(spectrum * f, shape)[:height, :width] for f in filters]
 
     def energy(images: list[Float32Array]) -> Float32Array:
-        return window_mean(sum(image * image for image in images), settings)
+        return window_mean(np.sum([image * image for image in images], axis=0), settings)
 
     gain = sum(noise_gain(f, shape[1]) for f in filters)
     spectrum = transform(plane, phase, shape)
@@ -134,11 +135,11 @@ def match(
         if settings.noise_corrected:
             level_gain = sum(noise_gain(f * blur, shape[1]) for f in filters)
             power = np.maximum(power - level_gain * noise, MIN_ENERGY_SHARE * power)
-        product = window_mean(sum(p * o for p, o in zip(predicted, observed, strict=True)), settings)
-        score[level] = product / np.sqrt(np.maximum(power * green_energy, np.finfo(np.float32).tiny))
+        product = window_mean(np.sum([p * o for p, o in zip(predicted, observed, strict=True)], axis=0), settings)
+        score[level] = product / np.sqrt(np.maximum(power * green_energy, SMALLEST))
         better = score[level] > best
         best[better] = score[level][better]
-        scale = np.sqrt(np.maximum(raw_power * raw_green_energy, np.finfo(np.float32).tiny))
+        scale = np.sqrt(np.maximum(raw_power * raw_green_energy, SMALLEST))
         plain[better] = (product / scale)[better]
     return score, plain, peak_offset(kernels, green[3], beta, settings), snr, green_snr
 

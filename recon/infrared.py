@@ -25,7 +25,8 @@ def interpolate(plane: Float32Array, phase: Phase) -> Float32Array:
     """
     sparse = np.zeros((2 * plane.shape[0], 2 * plane.shape[1]), np.float32)
     sparse[phase[0] :: 2, phase[1] :: 2] = plane
-    return cv2.sepFilter2D(sparse, -1, BICUBIC, BICUBIC, borderType=cv2.BORDER_REFLECT_101)
+    full = cv2.sepFilter2D(sparse, -1, BICUBIC, BICUBIC, borderType=cv2.BORDER_REFLECT_101)
+    return np.asarray(full, np.float32)
 
 
 def crosstalk(camera: Camera) -> Float32Array:

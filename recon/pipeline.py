@@ -64,9 +64,7 @@ def reconstruct(
         full_e = mosaic.demosaic(bayer, camera, white)
     with stage("depth"):
         source = clean_e if settings.denoised_infrared else raw_e
-        raw_level, trust = _raw_levels(
-            raw_e, source, variances, saturated, camera, bank.kernel[light], settings
-        )
+        raw_level, trust = _raw_levels(raw_e, source, variances, saturated, camera, bank.kernel[light], settings)
     with stage("regularise"):
         guide = _infrared_guide(ir_e, capture)
         smooth, evidence = regularise(raw_level, trust, guide, settings.regularise_bandwidth)
@@ -86,14 +84,13 @@ def reconstruct(
         rgb, sharp_rgb = colour.to_srgb(linear_e, matrix, scale), colour.to_srgb(sharp_e, matrix, scale)
     if progress:
         progress("done", 1.0)
-    size = level.shape
     return Reconstruction(
         rgb=rgb,
         sharp_rgb=sharp_rgb,
         linear_e=linear_e,
         sharp_e=sharp_e,
         ir_e=np.maximum(ir_e, 0),
-        level_raw=cv2.resize(raw_level, size[::-1], interpolation=cv2.INTER_NEAREST),
+        level_raw=raw_level.repeat(2, axis=0).repeat(2, axis=1),
         level=level,
         depth_m=_depth_m(level, bank),
         confidence=confidence,
@@ -184,7 +181,7 @@ def _raw_levels(
 def _infrared_guide(ir_e: Float32Array, capture: Capture) -> Float32Array:
     """Infrared at the blocks' centres in units of its noise, the guide of eq. (14)."""
     size = (ir_e.shape[1] // 2, ir_e.shape[0] // 2)
-    blocks = cv2.resize(ir_e, size, interpolation=cv2.INTER_AREA)
+    blocks = np.asarray(cv2.resize(ir_e, size, interpolation=cv2.INTER_AREA), np.float32)
     return denoise.stabilise(blocks, mosaic.noise_coefficients(capture))
 
 
@@ -211,4 +208,4 @@ def _depth_m(level: Float32Array, bank: PsfBank) -> Float32Array:
 
 def _upsampled(blocks: Float32Array, height: int, width: int) -> Float32Array:
     """From blocks to pixels, linear between the blocks' centres."""
-    return cv2.resize(blocks, (width, height), interpolation=cv2.INTER_LINEAR)
+    return np.asarray(cv2.resize(blocks, (width, height), interpolation=cv2.INTER_LINEAR), np.float32)

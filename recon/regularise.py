@@ -39,12 +39,12 @@ def regularise(
     evidence: Float32Array | None = None
     reach = SEARCH_PX // 2
     for stride in STRIDES:
-        border = min(reach * stride, min(level.shape) - 1)
-        if border < reach * stride:
+        border = reach * stride
+        if border + 1 >= min(level.shape):
             break
-        arrays = [np.pad(a, border + 1, "reflect") for a in (guide, value, weight)]
+        wide = [np.pad(a, border + 1, "reflect") for a in (guide, value, weight)]
         value, weight, norm = np.empty((3, *level.shape), np.float32)
-        _spread(*arrays, patch, np.float32(1 / bandwidth), stride, reach, value, weight, norm)
+        _spread(wide[0], wide[1], wide[2], patch, np.float32(1 / bandwidth), stride, reach, value, weight, norm)
         sums.append((value, weight))
         evidence = weight / norm if evidence is None else evidence
     everywhere = np.float32(np.average(level[known], weights=np.maximum(confidence[known], 1e-6)))
@@ -56,7 +56,18 @@ def regularise(
 
 
 @njit(cache=True, parallel=True)
-def _spread(guide, value, weight, patch, inverse_bandwidth, stride, reach, value_out, weight_out, norm_out):  # pragma: no cover
+def _spread(  # pragma: no cover - compiled
+    guide: Float32Array,
+    value: Float32Array,
+    weight: Float32Array,
+    patch: Float32Array,
+    inverse_bandwidth: np.float32,
+    stride: int,
+    reach: int,
+    value_out: Float32Array,
+    weight_out: Float32Array,
+    norm_out: Float32Array,
+) -> None:
     half = patch.shape[0] // 2
     border = reach * stride + 1
     for y in prange(value_out.shape[0]):

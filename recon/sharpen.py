@@ -15,7 +15,7 @@ Float32Array = NDArray[np.float32]
 Complex64Array = NDArray[np.complex64]
 
 PRIOR_POWER = 0.8  # eq. (16)
-BETA_FIRST, BETA_GROWTH = 0.05, 2.0 * np.sqrt(2.0)  # of half-quadratic splitting (Krishnan and Fergus 2009, sec. 3)
+BETA_FIRST, BETA_GROWTH = 0.02, 2.0 * np.sqrt(2.0)  # of half-quadratic splitting (Krishnan and Fergus 2009, sec. 3)
 TABLE_LIMIT, TABLE_SIZE = 64.0, 8193
 DENSE_LEVELS, SPARSE_STEP = 8, 2  # every level up to here is deconvolved, then each second one
 FEATHER_LEVELS = 1.0  # beyond the levels a layer serves: there the picture itself fades into its replacement
@@ -39,7 +39,7 @@ def sharpen(
     """
     nodes = _nodes(len(kernels))
     share = _shares(level, nodes)
-    draft = _draft(image, share, nodes, kernels, noise_e, settings)
+    draft = _draft(image, share, nodes, kernels, noise_e)
     result = share[0][..., None] * image
     for index in range(1, len(nodes)):
         if not share[index].any():
@@ -84,8 +84,7 @@ def _bounds(mask: NDArray, margin: int) -> tuple[slice, slice]:
 
 
 def _draft(
-    image: Float32Array, share: list[Float32Array], nodes: list[int], kernels: NDArray, noise_e: NDArray,
-    settings: Settings,
+    image: Float32Array, share: list[Float32Array], nodes: list[int], kernels: NDArray, noise_e: NDArray
 ) -> Float32Array:  # fmt: skip
     """First all-in-focus estimate with the quadratic prior of eq. (10), in closed form over the whole frame."""
     shape = fourier.fast_shape(image.shape, kernels.shape[-1])
@@ -106,7 +105,7 @@ def _draft(
 
 
 def _variance_ratio(image: Float32Array, noise_e: float) -> float:
-    """beta of the quadratic prior: noise variance over the mean square of the picture's differences."""
+    """Weight beta of the quadratic prior: noise variance over the mean square of the picture's differences."""
     steps = 0.5 * (np.mean(np.diff(image, axis=0) ** 2) + np.mean(np.diff(image, axis=1) ** 2))
     return noise_e**2 / max(float(steps), 1e-3 * noise_e**2, 1e-12)
 
@@ -137,7 +136,7 @@ def _layer(
 
 
 def half_quadratic(image: Float32Array, transfer: Complex64Array, kappa: float, steps: int) -> Float32Array:
-    """argmin over f of |h * f - I|^2 / 2 + kappa sum(|f_x|^0.8 + |f_y|^0.8), eq. (15)-(16), periodic frame.
+    """Minimise over f |h * f - I|^2 / 2 + kappa sum(|f_x|^0.8 + |f_y|^0.8), eq. (15)-(16), periodic frame.
 
     ``image`` has noise of standard deviation 1. Half-quadratic splitting: in turns, gradients w shrunk
     towards sparsity and f from the quadratic problem with them, their coupling beta growing each step.
@@ -162,7 +161,7 @@ def half_quadratic(image: Float32Array, transfer: Complex64Array, kappa: float, 
 
 @lru_cache(maxsize=1)
 def shrink_table() -> Float32Array:
-    """argmin over u of |u|^0.8 + (u - v)^2 / 2 for v from 0 to ``TABLE_LIMIT``, [TABLE_SIZE].
+    """Minimise over u |u|^0.8 + (u - v)^2 / 2 for v from 0 to ``TABLE_LIMIT``, [TABLE_SIZE].
 
     The positive minimum from Newton's iteration started at v, kept where it beats u = 0.
     """
@@ -177,7 +176,9 @@ def shrink_table() -> Float32Array:
 
 
 @njit(cache=True, parallel=True)
-def _shrunk_divergence(image, table, scale, limit, out):  # pragma: no cover - compiled
+def _shrunk_divergence(
+    image: Float32Array, table: Float32Array, scale: np.float32, limit: np.float32, out: Float32Array
+) -> None:  # pragma: no cover - compiled
     """D_x^T w_x + D_y^T w_y of the shrunk forward differences, periodic."""
     height, width = image.shape
     per_step = (table.shape[0] - 1) / limit

@@ -47,7 +47,7 @@ def da_mobile() -> Camera:
 def wide(da_mobile):
     """The lens of da-mobile before a coarse sensor: a wide view in few pixels."""
 
-    def make(width: int = 48, height: int = 36, pitch_um: float = 60.0, focus_m: float = 0.4) -> Camera:
+    def make(width: int = 48, height: int = 36, pitch_um: float = 50.0, focus_m: float = 0.4) -> Camera:
         data = da_mobile.model_dump()
         data["sensor"] |= {"width_px": width, "height_px": height, "pixel_pitch_um": pitch_um}
         data["lens"] |= {"focus_distance_m": focus_m}

@@ -63,7 +63,8 @@ def test_charge_of_the_channels_is_that_of_the_light(da_mobile, pictures):
 
 def test_the_source_moves_by_whole_pixels(da_mobile, pictures):
     """Expectation: each channel's centroid moves down by shift y and right by shift x; the same unknown rest within
-    half a pixel of the frame's centre for all positions."""
+    half a pixel of the frame's centre for all positions.
+    """
     places = {}
     for shift in ((0, 0), (0, 1), (1, 0), (1, 1)):
         values = signal(pictures[LEVEL, shift], da_mobile)
@@ -80,16 +81,15 @@ def test_the_source_moves_by_whole_pixels(da_mobile, pictures):
 def test_exposure_is_at_85_percent_of_full_scale(da_mobile, pictures):
     """Expectation: over all positions the brightest pixel has 85 % of full scale, to 1 % of PRNU and the noise."""
     for level in (0, LEVEL, 28):
-        brightest = max(
-            signal(pictures[level, shift], da_mobile).max() for shift in ((0, 0), (0, 1), (1, 0), (1, 1))
-        )
+        brightest = max(signal(pictures[level, shift], da_mobile).max() for shift in ((0, 0), (0, 1), (1, 0), (1, 1)))
         full_scale = 2**da_mobile.sensor.adc_bits - 1 - da_mobile.sensor.black_level_dn
         assert brightest / full_scale == pytest.approx(sensor.Exposure().auto_level, rel=0.05)
 
 
 def test_frames_differ_and_seeds_repeat(da_mobile, pictures):
     """Expectation: the same seed gives the same bytes; frames have their own shot noise; another seed moves the
-    source."""
+    source.
+    """
     small = cameras.cropped(da_mobile, 64, 48)
     again = next(calibration_captures(small, ("A",), seed=4, diffraction="off"))
     np.testing.assert_array_equal(again.frames_dn, pictures[0, (0, 0)].frames_dn)

@@ -16,7 +16,11 @@ SOURCE = (cameras.CAMERA_DIR / "da-mobile.toml").read_text()
     ("old", "new", "said"),
     [
         ("focal_length_mm = 3.6", "focal_length_mm = 0", ["lens.focal_length_mm"]),
-        ("focal_length_mm = 3.6", "focal_length = 3.6", ["lens.focal_length: unknown", "lens.focal_length_mm: is missing"]),
+        (
+            "focal_length_mm = 3.6",
+            "focal_length = 3.6",
+            ["lens.focal_length: unknown", "lens.focal_length_mm: is missing"],
+        ),
         ("focal_length_mm = 3.6", "focal_length_mm = nan", ["lens.focal_length_mm"]),
         ("focal_length_mm = 3.6", "focal_length_mm = '3.6 mm'", ["lens.focal_length_mm", "3.6 mm"]),
         ("f_number = 2.8", "f_number = -2.8", ["lens.f_number", "-2.8"]),
@@ -110,7 +114,8 @@ def test_intrinsic_matrix_is_similar_triangles(da_mobile):
 
 def test_sensitivity_follows_area_distance_and_pixel(da_mobile):
     """Expectation: electrons go with the stop's area, the pixel's area and the lens's transmittance, and fall with the
-    square of the image distance; nothing beyond the sensor's filter is seen."""
+    square of the image distance; nothing beyond the sensor's filter is seen.
+    """
     hole = da_mobile.stops[1]
     whole = hole.model_copy(update={"radius_ratio": 1.0})
     ours, open_ = cameras.stop_response(da_mobile, hole), cameras.stop_response(da_mobile, whole)

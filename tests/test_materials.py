@@ -62,7 +62,12 @@ def test_leaf_is_that_of_prospect(wavelength_nm, expected):
 
 
 def test_dyed_textiles_are_bright_in_the_near_infrared_and_carbon_is_not():
-    assert at(materials.reflectance("polyester-black"), 550) < 0.1 < 0.4 < at(materials.reflectance("polyester-black"), 800)
+    assert (
+        at(materials.reflectance("polyester-black"), 550)
+        < 0.1
+        < 0.4
+        < at(materials.reflectance("polyester-black"), 800)
+    )
     assert materials.reflectance("carbon-black").max() < 0.05
 
 
@@ -129,7 +134,8 @@ def test_print_vanishes_in_the_near_infrared_except_its_black(photograph):
 
 def test_demichel_shares_are_products_and_sum_to_one(photograph):
     """Expectation: nine areas (eight overprints and black) that cover the paper, each overprint the product of its
-    inks' coverages (Demichel), written out here for coverages of 1 - 0.2159, 1 - 0.5029 and 1 - 0.8796."""
+    inks' coverages (Demichel), written out here for coverages of 1 - 0.2159, 1 - 0.5029 and 1 - 0.8796.
+    """
     folder = photograph((128, 188, 241))
     surface = materials.surface(Print(kind="print", image="colours.png", black_generation=0.0), folder)
     shares = [share for share, _ in weighted(surface, 0, 0)]

@@ -11,7 +11,7 @@ from dasim.errors import InputError
 from dasim.pointspread import pixel_kernels, psf, radial_profiles, wave_profile
 from dasim.spectra import CHANNELS, illuminant
 
-STEP = 0.02  # in lambda N, of the tests' own integrals over radius
+STEP = 0.01  # in lambda N, of the tests' own integrals over radius
 QUADRATURE = 1e-4  # of those integrals by trapezoids
 SAMPLED_PUPIL = 0.01  # a disc of 128 samples across has a ragged edge
 ENERGY = 2e-3  # kernels are sampled ten times a pixel and axis
@@ -58,9 +58,7 @@ def test_in_focus_transfer_is_the_overlap_of_two_discs():
     y, x = np.meshgrid(grid, grid, indexing="ij")
     for v in (0.05, 0.3, 0.5, 0.8, 0.95):
         transfer = np.trapezoid(2 * np.pi * radius * profile * j0(2 * np.pi * v * radius), radius)
-        shared = np.count_nonzero(np.hypot(x - v, y) <= 1) if v == 0 else np.count_nonzero(
-            (np.hypot(x - v, y) <= 1) & (np.hypot(x + v, y) <= 1)
-        )
+        shared = np.count_nonzero((np.hypot(x - v, y) <= 1) & (np.hypot(x + v, y) <= 1))
         overlap = shared / np.count_nonzero(np.hypot(x, y) <= 1)
         assert transfer == pytest.approx(overlap, abs=3e-3)
         assert pointspread.disc_mtf(np.array([v]))[0] == pytest.approx(overlap, abs=2e-3)
@@ -96,7 +94,8 @@ def test_defocus_is_the_fourier_transform_of_a_sampled_pupil(waves):
 
 def test_many_waves_of_defocus_approach_the_geometric_disc():
     """Rationale: rays are the limit of short waves. A disc of diameter c has encircled energy (2 r / c)^2, and c is
-    8 W20 in units of lambda N. Expectation: the largest difference falls with W20, below 0.05 at 20 waves."""
+    8 W20 in units of lambda N. Expectation: the largest difference falls with W20, below 0.05 at 20 waves.
+    """
     errors = []
     for waves in (1.5, 5.0, 20.0):
         radius = np.arange(0, 8 * waves + 8, STEP)
@@ -109,7 +108,8 @@ def test_many_waves_of_defocus_approach_the_geometric_disc():
 @pytest.mark.parametrize(("blur_px", "scale_px"), [(8.0, 2.6), (4.0, 0.9), (0.0, 2.6)])
 def test_airy_and_disc_in_the_middle(blur_px, scale_px):
     """Expectation: the middle of disc * Airy is the Airy energy within the disc's radius over the disc's area; with no
-    disc, Airy's peak pi / 4 over the unit's area. The rest of the plane brings the integral to 1."""
+    disc, Airy's peak pi / 4 over the unit's area. The rest of the plane brings the integral to 1.
+    """
     radius = np.arange(0, 60 * scale_px, 0.05)
     profile = pointspread.airy_disc_profile(radius, np.array([blur_px]), scale_px)[0]
     x = np.pi * blur_px / 2 / scale_px
@@ -122,19 +122,26 @@ def test_airy_and_disc_in_the_middle(blur_px, scale_px):
 
 @pytest.mark.parametrize("blur_px", [0.0, 0.7, 3.0, 11.0, -11.0, 40.0])
 def test_geometric_kernel_has_the_moments_of_a_disc_and_a_pixel(da_mobile, hole_only, blur_px):
-    """Expectation: variance c^2 / 16 + 1 / 12 along each axis, c the stop's own blur, on either side of the focus;
-    sum 1; centred; the same on all four sides."""
+    """Set-up: each stop's own blur c, on either side of the focus, at 16 sub-pixel places (one place alone has the
+    moments of its own binning). Expectation: variance c^2 / 16 + 1 / 12 along each axis on average, sum 1, and at the
+    middle of a pixel the same on all four sides. A blur below 0.3 px is drawn as 0.3 px and an edge
+    of a tenth: 0.4^2 / 16 = 0.010 px^2.
+    """
     radius = np.arange(0, 60, pointspread.RADIAL_STEP_PX)
     for camera, ratio in ((da_mobile.model_copy(update={"stops": da_mobile.stops[:1]}), 1.0), (hole_only, 0.46)):
         profiles, _ = radial_profiles(camera, np.array([blur_px]), illuminant("D65"), radius, "off")
-        kernel = pixel_kernels(profiles[0, 1], radius, 51)
-        mean, variance = moments(kernel)
-        assert kernel.sum() == pytest.approx(1.0, abs=ENERGY if abs(blur_px) * ratio > 1 else 0.02)
+        seconds = []
+        for offset in np.stack(np.meshgrid(*[np.arange(4) / 4] * 2), axis=-1).reshape(-1, 2):
+            kernel = pixel_kernels(profiles[0, 1], radius, 47, tuple(offset))
+            mean, variance = moments(kernel)
+            # A disc is sampled at ten points a pixel: its sampled area is off by about a tenth of its outline's samples.
+            assert kernel.sum() == pytest.approx(1.0, abs=ENERGY + 0.01 / max(abs(blur_px) * ratio, 0.3))
+            seconds.append(variance + (mean - offset) ** 2)
         expected = (ratio * blur_px) ** 2 / 16 + 1 / 12
-        np.testing.assert_allclose(variance, expected, rtol=0.01, atol=0.006)  # blurs are at least 0.3 px: 0.3^2 / 16
-        np.testing.assert_allclose(mean, 0, atol=1e-9)
-        for turned in (kernel[::-1], kernel[:, ::-1], kernel.T):
-            np.testing.assert_allclose(turned, kernel, atol=SIDES)
+        np.testing.assert_allclose(np.mean(seconds, axis=0), expected, rtol=0.01, atol=0.011)
+        middle = pixel_kernels(profiles[0, 1], radius, 47)
+        for turned in (middle[::-1], middle[:, ::-1], middle.T):
+            np.testing.assert_allclose(turned, middle, atol=SIDES)
 
 
 @pytest.fixture(scope="module")
@@ -160,12 +167,14 @@ def test_wave_kernels_lose_only_what_falls_outside_the_frame(wave_kernels):
 
 
 def test_kernel_in_focus_is_wider_in_the_near_infrared(wave_kernels):
-    """Expectation: half maxima of 0.9 px in green and 2.7 px in infrared before the pixel; at 20 px of blur green is
-    the wider one. This order decides which channel is sharp where."""
+    """Expectation: half maxima of 1.029 lambda N before the pixel: 0.9 px in green; in infrared 2.7 px for 730 nm
+    through the hole, less for the whole band, whose share near 650 nm comes through the open lens in a peak 4.7 times
+    narrower in area. At 20 px of blur green is the wider one. This order decides which channel is sharp where.
+    """
     profiles, radius, kernels, _ = wave_kernels
     widths = [2 * np.interp(-0.5, -p / p[0], radius) for p in profiles[0]]
     assert widths[CHANNELS.index("G")] == pytest.approx(0.9, abs=0.1)
-    assert widths[CHANNELS.index("IR")] == pytest.approx(2.7, abs=0.15)
+    assert widths[CHANNELS.index("IR")] == pytest.approx(2.5, abs=0.2)
     green, infrared = (moments(kernels[2, CHANNELS.index(name), 20:45, 20:45])[1][0] for name in ("G", "IR"))
     assert green > 1.5 * infrared
 
@@ -193,7 +202,8 @@ def test_offset_moves_the_kernel_down_and_right(hole_only):
 
 def test_psf_is_the_kernel_of_its_depth(da_mobile):
     """Set-up: 15 cm, focus 40 cm: 11.43 px of visible blur (traced: A s |1/d - 1/d_f| / p). Expectation: green as wide
-    as that disc, infrared 0.46 of it; the automatic frame is odd and holds all but the tail."""
+    as that disc, infrared 0.46 of it; the automatic frame is odd and holds all but the tail.
+    """
     blur = 3.6e-3 / 2.8 * (3.6e-3 * 0.4 / 0.3964) * (1 / 0.15 - 1 / 0.4) / 1.7e-6
     green = psf(da_mobile, 0.15, "G", "D65", diffraction="off", size=31)
     infrared = psf(da_mobile, 0.15, "IR", "D65", diffraction="off", size=31)

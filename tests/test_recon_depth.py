@@ -12,7 +12,7 @@ from recon.settings import PAPER
 CLEAN_BIAS_LEVELS = 0.1  # a tenth of a level: interpolation between kernels half a level apart, and the parabola
 NOISY_MEDIAN_LEVELS = 0.8  # of pixels with an estimate, away from steps; the prototype had 0.5 without a mosaic
 STEP_MARGIN_PX = 35
-BORDER_BLOCKS = 14  # where the blur reaches beyond the frame
+BORDER_BLOCKS = 24  # where the blur reaches beyond the frame
 
 
 def grey(height, width, seed=0):
@@ -43,7 +43,7 @@ def test_clean_pictures_have_no_bias(level):
     textured = snr > 50
     textured[:BORDER_BLOCKS] = textured[-BORDER_BLOCKS:] = False
     textured[:, :BORDER_BLOCKS] = textured[:, -BORDER_BLOCKS:] = False
-    assert textured.mean() > 0.5
+    assert textured.mean() > 0.25
     assert abs(np.median(found[textured]) - level) < CLEAN_BIAS_LEVELS
 
 

@@ -30,7 +30,7 @@ def test_a_shifted_pattern_comes_out_at_its_place(phase):
     """The phase of a sinusoid of 16 px period, at a shift of 0.3 px, within 0.01 px (cubic error: (2/16)^3)."""
     frequency = 1 / 16
     for axis in (0, 1):
-        image, plane = sampled(lambda y, x: np.cos(2 * np.pi * frequency * ((y, x)[axis] - 0.3)), phase)  # noqa: B023
+        _, plane = sampled(lambda y, x: np.cos(2 * np.pi * frequency * ((y, x)[axis] - 0.3)), phase)  # noqa: B023
         result = infrared.interpolate(plane, phase)
         line = result[16:32, 16:48].mean(axis=1) if axis == 0 else result[16:32, 16:48].mean(axis=0)
         place = np.arange(16, 16 + len(line))

@@ -87,7 +87,7 @@ def test_frames_without_any_texture(value):
 def test_a_bank_of_another_focus_or_camera_is_refused(scene):
     bank = recon_scenes.bank()
     moved = dataclasses.replace(scene.capture, camera=cameras.refocused(scene.capture.camera, 0.12))
-    with pytest.raises(InputError, match="focused at 0.4 m"):
+    with pytest.raises(InputError, match=r"focused at 0\.4 m"):
         recon.reconstruct(moved, bank)
     sensor = scene.capture.camera.sensor.model_copy(update={"pixel_pitch_um": 3.0})
     other = dataclasses.replace(scene.capture, camera=scene.capture.camera.model_copy(update={"sensor": sensor}))

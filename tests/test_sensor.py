@@ -152,7 +152,9 @@ def test_overexposed_pixels_are_all_counted(da_mobile, gain):
     """
     model = da_mobile.sensor
     assert sensor.expose(flat(2 * 6000, 50), model, 0.01, 0, gain=gain)[1] == 50 * 50
-    assert sensor.expose(flat(3000 / gain if gain > 1 else 3000, 50), model, 0.01, 0, gain=gain)[1] == 0, "half the full well saturates nothing"
+    assert sensor.expose(flat(3000 / gain if gain > 1 else 3000, 50), model, 0.01, 0, gain=gain)[1] == 0, (
+        "half the full well saturates nothing"
+    )
 
 
 @pytest.mark.parametrize("gain", [1.0, 4.0])

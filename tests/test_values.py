@@ -74,7 +74,8 @@ def test_capture_and_truth_come_back_as_they_were(folder, capture, truth):
 
 def test_meta_states_what_a_reader_needs(folder, capture):
     """Expectation: schema, K (the principal point in the centre), a table of 29 levels, versions; other tools read the
-    raw picture as 16 bits and the depth as Z."""
+    raw picture as 16 bits and the depth as Z.
+    """
     meta = json.loads((folder / "meta.json").read_text())
     assert meta["schema"] == 1
     assert [row[2] for row in meta["intrinsic_matrix_px"]] == [W / 2, H / 2, 1]
@@ -213,8 +214,6 @@ def test_damaged_banks_are_refused(tmp_path, bank):
     np.savez(tmp_path / "b.npz", kernel=bank.kernel)
     with pytest.raises(InputError, match=r"b\.npz"):
         values.load_bank(tmp_path / "b.npz")
-    np.savez(
-        tmp_path / "b.npz", about="[]", kernel=bank.kernel, signature=bank.signature, depth_m=[1], blur_px=[1]
-    )
+    np.savez(tmp_path / "b.npz", about="[]", kernel=bank.kernel, signature=bank.signature, depth_m=[1], blur_px=[1])
     with pytest.raises(InputError, match=r"b\.npz"):
         values.load_bank(tmp_path / "b.npz")

@@ -9,6 +9,8 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+import cv2
+
 import dasim
 import recon
 from dasim.values import new_folder, software_versions
@@ -61,7 +63,7 @@ def run_demo(
     size_px: tuple[int, int] = DEMO_SIZE_PX,
     progress: Progress = lambda stage, share: None,
 ) -> list[Claim]:
-    """Run the chain and write ``capture``, ``recon``, ``report.html`` and ``results.json`` into ``out``."""
+    """Run the chain and write ``capture``, ``recon``, ``report.html``, ``results.json``, ``overview.jpg`` into ``out``."""
     with new_folder(out) as folder:
         start = time.perf_counter()
         timings: dict[str, float] = {}
@@ -84,6 +86,7 @@ def run_demo(
         lap("score")
         progress("writing the report", 0.0)
         (folder / "report.html").write_text(report.demo_page(shot, result, entries, timings), encoding="utf-8")
+        cv2.imwrite(str(folder / "overview.jpg"), report.overview(shot, result), [cv2.IMWRITE_JPEG_QUALITY, 88])
         lap("report")
         write_results(folder / "results.json", entries, timings)
         progress("writing the report", 1.0)

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 
 TEMPLATE_DIR = Path(__file__).parent / "templates"
 ERROR_SPAN_LEVELS = 4.0  # the error map's colours end here
+OVERVIEW_PX = 1600  # width
 MAP = "viridis"  # colour-blind-safe
 ERROR_MAP = "PuOr"
 NO_ESTIMATE = "#7f7f7f"
@@ -35,10 +36,10 @@ def demo_page(shot: Shot, result: Reconstruction, claims: list[Claim], timings_s
     scale = colour.exposure_scale(result.linear_e, matrix)
     sharp_truth = colour.to_srgb(infrared_free(truth.sharp_e, camera).astype(np.float32), matrix, scale)
     near, far = float(np.nanmin(truth.depth_m)) * 100, float(np.nanmax(truth.depth_m)) * 100
-    true_cm, raw_cm, found_cm = (
-        x * 100 for x in (truth.depth_m, _raw_depth(result), result.depth_m)
-    )
-    span = {"low": near, "high": far, "cmap": MAP, "label": "depth z in cm"}
+
+    def depth(depth_m: NDArray[Any]) -> str:
+        return _map(depth_m * 100, low=near, high=far, cmap=MAP, label="depth z in cm")
+
     error = level_error(result.level, truth)
     groups = [
         (
@@ -52,9 +53,9 @@ def demo_page(shot: Shot, result: Reconstruction, claims: list[Claim], timings_s
         (
             "Depth",
             [
-                ("True depth", _map(true_cm, **span)),
-                ("Estimated depth, regularised", _map(found_cm, **span)),
-                ("Estimated depth, raw (grey: no edge, no estimate)", _map(raw_cm, **span)),
+                ("True depth", depth(truth.depth_m)),
+                ("Estimated depth, regularised", depth(result.depth_m)),
+                ("Estimated depth, raw (grey: no edge, no estimate)", depth(_raw_depth(result))),
                 (
                     "Error in blur levels, regularised (grey: nothing there)",
                     _map(error, low=-ERROR_SPAN_LEVELS, high=ERROR_SPAN_LEVELS, cmap=ERROR_MAP, label="levels"),
@@ -83,9 +84,22 @@ def demo_page(shot: Shot, result: Reconstruction, claims: list[Claim], timings_s
         "Seed": shot.capture.seed,
     }
     environment = jinja2.Environment(loader=jinja2.FileSystemLoader(TEMPLATE_DIR), autoescape=True)
-    return environment.get_template("demo.html").render(
-        facts=facts, groups=groups, claims=claims, timings=timings_s
-    )
+    return environment.get_template("demo.html").render(facts=facts, groups=groups, claims=claims, timings=timings_s)
+
+
+def overview(shot: Shot, result: Reconstruction) -> NDArray[np.uint8]:
+    """Capture, true depth, estimated depth and all-in-focus picture side by side, small, [h, w, 3] BGR."""
+    import matplotlib
+
+    low, high = float(np.nanmin(shot.truth.depth_m)), float(np.nanmax(shot.truth.depth_m))
+
+    def coloured(depth_m: NDArray[Any]) -> NDArray[Any]:
+        return matplotlib.colormaps[MAP]((depth_m - low) / max(high - low, 1e-9))[..., :3]
+
+    pictures = (result.rgb, coloured(shot.truth.depth_m), coloured(result.depth_m), result.sharp_rgb)
+    row = np.hstack([np.clip(picture, 0, 1) for picture in pictures])
+    small = cv2.resize(row, (OVERVIEW_PX, OVERVIEW_PX * row.shape[0] // row.shape[1]), interpolation=cv2.INTER_AREA)
+    return np.rint(small[..., ::-1] * 255).astype(np.uint8)
 
 
 def _raw_depth(result: Reconstruction) -> NDArray[Any]:

@@ -227,9 +227,7 @@ def _block_seed(seed: int, radius_m: float, block: int) -> int:
 # --- the stock plugins of scalar_spectral --------------------------------------------------------
 
 
-def _stock_pass(
-    scene: Any, camera: Camera, radius_m: float, response: FloatArray, sampling: Sampling
-) -> FloatArray:
+def _stock_pass(scene: Any, camera: Camera, radius_m: float, response: FloatArray, sampling: Sampling) -> FloatArray:
     import mitsuba as mi
 
     width, height = camera.sensor.width_px, camera.sensor.height_px

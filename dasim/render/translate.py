@@ -19,6 +19,13 @@ MAX_PATH_DEPTH = 6  # lens to light: four bounces after the first surface
 _UP = np.diag([1.0, -1.0, -1.0, 1.0])  # Mitsuba's flat shapes face +z with v up; ours face -z with v down
 
 
+def load(scene: Scene) -> Any:
+    """The scene in Mitsuba, in the variant that is active."""
+    import mitsuba as mi
+
+    return mi.load_dict(scene_dict(scene), optimize=False)  # merged shapes would lose their numbers
+
+
 def scene_dict(scene: Scene) -> dict[str, Any]:
     """Mitsuba's description of a scene's objects, lights and integrator; objects first and in order."""
     result: dict[str, Any] = {"type": "scene"}

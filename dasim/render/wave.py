@@ -36,9 +36,7 @@ class WaveTables(NamedTuple):
     max_scale_radius: float
 
 
-def wave_tables(
-    draw: FloatArray, f_number: float, pitch_um: float, max_blur_px: float, min_nm: float
-) -> WaveTables:
+def wave_tables(draw: FloatArray, f_number: float, pitch_um: float, max_blur_px: float, min_nm: float) -> WaveTables:
     """Tables for a stop whose wavelengths are drawn with density ``draw`` (on the grid, relative).
 
     ``f_number`` is the stop's working f-number, ``max_blur_px`` its largest own blur, ``min_nm`` its shortest

@@ -1,0 +1,177 @@
+"""Wave-true blur by weighted rays, against the camera's own kernels (no rays) and against its tables' statistics."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy import ndimage
+
+from dasim import camera as cameras
+from dasim import pointspread, spectra
+from dasim.spectra import CHANNELS
+
+DEPTH_CM = 18  # 7.9 px of visible blur, 3.6 px of the hole's: neither geometric nor in focus
+MEAN_WEIGHT = 0.006  # straight lines between the tables' nodes (0.004), 400,000 weights of spread 0.8 (0.0013)
+ENERGY = 0.03  # encircled energy; 10,000 weighted hits are known to 0.01
+EDGE = 0.02  # of the step's height
+FLAT = 0.004
+
+
+@pytest.fixture(scope="module")
+def camera(da_mobile):
+    return cameras.cropped(da_mobile, 48, 48)
+
+
+@pytest.fixture(scope="module")
+def render(jit, loaded):
+    """The picture of a scene through all stops, wave-true or geometric; a stop's tables are made once."""
+    from dasim.render import passes, wave
+
+    tables, make = {}, wave.wave_tables
+
+    def made_once(draw, f_number, *others):
+        key = (round(f_number, 6), *others)
+        if key not in tables:
+            tables[key] = make(draw, f_number, *others)
+        return tables[key]
+
+    def picture(scene, camera, spp, diffraction="wave"):
+        mitsuba_scene = loaded(scene)
+        return sum(
+            passes.stop_pass(
+                mitsuba_scene, camera, stop, passes.Sampling(spp, 6), diffraction=diffraction, max_blur_px=9.0
+            )
+            for stop in camera.stops
+        )
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(wave, "wave_tables", made_once)
+        yield picture
+
+
+@pytest.fixture(scope="module")
+def profiles(camera):
+    """Radial kernels of the camera at the depth, under the light of the lamp on white paper."""
+    radius = np.arange(0, 72, pointspread.RADIAL_STEP_PX)
+    from dasim import materials
+
+    light = spectra.illuminant("D65") * materials.reflectance("white-paper")
+    blur = np.array([float(cameras.blur_px(camera, DEPTH_CM / 100))])
+    return pointspread.radial_profiles(camera, blur, light, radius)[0][0], radius
+
+
+def within(picture: np.ndarray, radii) -> np.ndarray:
+    """Share of the light within circles around the frame's centre."""
+    y, x = np.indices(picture.shape)
+    centre = (len(picture) - 1) / 2
+    distance = np.hypot(y - centre, x - centre)
+    return np.array([picture[distance <= r].sum() for r in radii]) / picture.sum()
+
+
+@pytest.mark.parametrize("stop", [0, 1])
+@pytest.mark.parametrize("blur_px", [1.0, 6.0])
+def test_weights_average_to_one(da_mobile, stop, blur_px):
+    """Rationale: weights move light about and must not make any.
+
+    Set-up: 400,000 samples of wavelength, place on the stop and offset, weighted here by linear interpolation in
+    the tables. Expectation: the mean weight is 1, less what diffraction throws beyond 12 lambda N, which is never
+    drawn: 2 / (12 pi^2) = 1.7 % of the sampled pattern; samples spread over the rest, so between 1 - 1.7 % and 1.
+    The drawn distances have the density that the table says: their share within the blur's radius agrees.
+    """
+    from dasim.render import passes, wave
+
+    used = da_mobile.stops[stop]
+    own = used.radius_ratio * blur_px
+    draw = passes.draw_density(da_mobile, cameras.stop_response(da_mobile, used))
+    f_number = pointspread.working_f_number(da_mobile, used.radius_ratio)
+    shortest = wave.shortest_wavelength_nm(draw)
+    info = wave.wave_tables(draw, f_number, 1.7, own + 0.5, shortest)
+    rng = np.random.default_rng(10)
+    count = 400_000
+    cdf = np.cumsum(draw) / np.sum(draw)
+    wavelength = np.interp(rng.random(count), cdf, spectra.WAVELENGTH_NM)
+    offset = info.offset_px[rng.integers(0, len(info.offset_px), count)]
+    offset = offset * np.exp(2j * np.pi * rng.random(count))
+    pupil = np.sqrt(rng.random(count)) * np.exp(2j * np.pi * rng.random(count))
+    u = np.abs(offset + pupil * own / 2)
+    scale = wavelength * 1e-3 * f_number / 1.7
+
+    def look(table, first, first_max, second, second_max):
+        rows, columns = table.shape
+        place = [first / first_max * (rows - 1), second / second_max * (columns - 1)]
+        return ndimage.map_coordinates(table, place, order=1, mode="nearest")
+
+    g = look(info.density, np.full(count, own), info.max_blur_px, u, info.max_radius_px)
+    h = look(info.wave, own / (8 * scale), info.max_waves, u / scale, info.max_scale_radius) / scale**2
+    beyond = 2 / np.pi**2 / wave.TAIL_RINGS
+    weight = h / g
+    assert 1 - beyond - MEAN_WEIGHT < weight.mean() < 1 + MEAN_WEIGHT
+    assert (weight**2).mean() < 1.8, "the price in noise is small"
+    radius = np.linspace(0, info.max_radius_px, info.density.shape[1])
+    row = own / info.max_blur_px * (len(info.density) - 1)
+    table = ndimage.map_coordinates(info.density, [np.full(len(radius), row), np.arange(len(radius))], order=1)
+    half = max(own / 2, 1.0)
+    inside = np.trapezoid(np.where(radius <= half, 2 * np.pi * radius * table, 0), radius)
+    assert (u <= half).mean() == pytest.approx(inside / (1 - beyond), abs=0.015)
+
+
+def test_even_areas_stay_as_they_are(render, make_scene, camera, lamp):
+    """Expectation: on a wall without any pattern, diffraction changes nothing beyond noise."""
+    wall = {"name": "wall", "shape": "plane", "size_cm": (40, 40), "position_cm": (0, 0, DEPTH_CM)}
+    scene = make_scene(wall | {"material": "grey-card"}, lights=[lamp])
+    small = cameras.cropped(camera, 16, 16)
+    waves, rays = render(scene, small, 64), render(scene, small, 64, "off")
+    np.testing.assert_allclose(waves.mean(axis=(0, 1)), rays.mean(axis=(0, 1)), rtol=FLAT)
+
+
+@pytest.fixture(scope="module")
+def spot(render, make_scene, camera, lamp):
+    """A bright disc of 2 px radius before nothing."""
+    radius_cm = 2 * 1.7e-3 * DEPTH_CM / (3.6 * 400 / 396.4)
+    disc = {"name": "spot", "shape": "disc", "radius_cm": radius_cm, "position_cm": (0, 0, DEPTH_CM)}
+    scene = make_scene(disc | {"material": "white-paper"}, lights=[lamp])
+    return render(scene, camera, 900)
+
+
+@pytest.mark.parametrize("channel", ["G", "IR"])
+def test_small_source_has_the_energy_of_the_kernel(spot, profiles, channel):
+    """Set-up: the kernel of wave optics at 64 places of the source, summed. Expectation: encircled energies within
+    0.03; the geometric kernel differs by more, so the test can tell them apart.
+    """
+    picture, radii = spot[..., CHANNELS.index(channel)], np.arange(1.5, 16, 1.0)
+    profile, radius = profiles
+    turns = np.arange(64)
+    places = 2 * np.sqrt((turns + 0.5) / 64) * np.exp(2j * np.pi * turns * 0.381966)
+    expected = np.zeros((49, 49))
+    for place in places:
+        # The frame has 48 pixels, its centre between two: half a pixel off the middle of 49.
+        offset = (place.imag - 0.5, place.real - 0.5)
+        expected += pointspread.pixel_kernels(profile[CHANNELS.index(channel)], radius, 49, offset)
+    theory = within(expected[:48, :48], radii)
+    assert np.abs(within(picture, radii) - theory).max() < ENERGY
+
+
+@pytest.mark.parametrize("channel", ["G", "IR"])
+def test_edge_is_the_step_spread_by_the_kernel(render, make_scene, camera, lamp, profiles, channel):
+    """Set-up: white paper left of the frame's middle, nothing right of it.
+
+    Expectation: the mean row is the running sum of the kernel's columns, within 0.02 of the step; that of rays alone
+    is farther off for the near-infrared, where diffraction decides.
+    """
+    sheet = {"name": "sheet", "shape": "plane", "size_cm": (40, 40), "position_cm": (-20, 0, DEPTH_CM)}
+    scene = make_scene(sheet | {"material": "white-paper"}, lights=[lamp])
+    index = CHANNELS.index(channel)
+    row = render(scene, camera, 64)[..., index].mean(axis=0)
+    geometric = render(scene, camera, 64, "off")[..., index].mean(axis=0)
+    profile, radius = profiles
+    # Sources at eight places a pixel, in all pixels left of the edge: pixel k gets what the kernel of a source in
+    # pixel q throws k - q to the right, summed over q <= 23.
+    offsets = (np.arange(8) + 0.5) / 8 - 0.5
+    lines = np.mean(
+        [pointspread.pixel_kernels(profile[index], radius, 97, (0.0, o)).sum(axis=0) for o in offsets], axis=0
+    )
+    step = np.array([lines[48 + k - 23 :].sum() for k in range(48)]) / lines.sum()
+    level = row[:4].mean() / step[:4].mean()
+    assert np.abs(row / level - step).max() < EDGE
+    if channel == "IR":
+        assert np.abs(geometric / level - step).max() > EDGE
