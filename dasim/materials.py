@@ -151,6 +151,19 @@ def surface(texture: Blend | Print | str, folder: Path) -> Surface:
     return _printed(image, reflectance(texture.paper), texture.black_generation, texture.repeat)
 
 
+def flipped(surface: Surface) -> Surface:
+    """The surface with its images upside down."""
+    images: dict[int, NDArray[np.float32]] = {}  # an image that a tree shares stays shared
+
+    def turn(part: Surface) -> Surface:
+        if isinstance(part, Diffuse):
+            return part
+        image = images.setdefault(id(part.weight), np.ascontiguousarray(part.weight[::-1]))
+        return Mixture(image, turn(part.first), turn(part.second), part.repeat)
+
+    return turn(surface)
+
+
 def _printed(
     image: NDArray[np.float32], paper: FloatArray, black_generation: float, repeat: tuple[float, float]
 ) -> Surface:
@@ -162,12 +175,13 @@ def _printed(
     coverage = 1.0 - image
     black = black_generation * coverage.min(axis=-1)
     coverage = (coverage - black[..., None]) / np.maximum(1.0 - black[..., None], 1e-6)
+    coverages = [np.ascontiguousarray(coverage[..., ink]) for ink in range(3)]
     inks = list(_ink_transmittances().values())
 
     def overprint(base: FloatArray, ink: int) -> Surface:
         if ink == len(inks):
             return Diffuse(base)
-        return Mixture(coverage[..., ink], overprint(base, ink + 1), overprint(base * inks[ink], ink + 1), repeat)
+        return Mixture(coverages[ink], overprint(base, ink + 1), overprint(base * inks[ink], ink + 1), repeat)
 
     return Mixture(black, overprint(paper, 0), Diffuse(reflectance(BLACK_INK)), repeat)
 

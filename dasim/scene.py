@@ -130,7 +130,7 @@ class Scene(Specification):
     description: str = ""
     focus_cm: Positive | None = Field(default=None, description="proposed focus; the camera owns the focus")
     view: View = View()
-    materials: dict[str, Texture] = {}
+    materials: dict[str, Texture] = Field(default_factory=dict)
     lights: tuple[Light, ...] = Field(min_length=1)
     objects: tuple[Object, ...] = Field(min_length=1)
     folder: Path = Path(".")
@@ -231,16 +231,18 @@ class MeshData:
 
 def load_mesh(item: Mesh, scene: Scene) -> MeshData:
     """Read a mesh file through trimesh; InputError where it is missing, broken or has no faces."""
-    return _load_mesh_file(scene.folder / item.file, item.unit_cm * 1e-2, item.name)
+    path = scene.folder / item.file
+    if not path.is_file():
+        raise InputError(f"object '{item.name}': mesh {path}: no such file")
+    stamp = path.stat()
+    return _load_mesh_file(path, item.unit_cm * 1e-2, item.name, (stamp.st_mtime_ns, stamp.st_size))
 
 
 @lru_cache(maxsize=16)
-def _load_mesh_file(path: Path, unit_m: float, name: str) -> MeshData:
+def _load_mesh_file(path: Path, unit_m: float, name: str, stamp: tuple[int, int]) -> MeshData:
     import trimesh
 
     where = f"object '{name}': mesh {path}"
-    if not path.is_file():
-        raise InputError(f"{where}: no such file")
     try:
         mesh = trimesh.load(path, force="mesh", process=False)
         vertices = np.array(mesh.vertices, dtype=np.float64) * unit_m

@@ -38,7 +38,8 @@ def auto_exposure_s(rate_e_s: FloatArray, camera: Camera, exposure: Exposure) ->
     )
     if brightest <= 0:
         return 1.0
-    return exposure.auto_level * camera.sensor.full_well_e / exposure.gain / brightest
+    full_scale_e = camera.sensor.full_well_e * min(1.0, 1.0 / exposure.gain)
+    return exposure.auto_level * full_scale_e / brightest
 
 
 def electrons_per_dn(sensor: Sensor, gain: float = 1.0) -> float:
@@ -68,7 +69,8 @@ def expose(
     every ``frame``. With noise off the result is the rounded, clipped mean, without dark signal.
     """
     if noise == "off":
-        return _convert(mean_e, sensor, gain)
+        well = np.minimum(mean_e, sensor.full_well_e)
+        return _convert(well, sensor, gain, mean_e >= sensor.full_well_e)
     height_width = mean_e.shape
     prnu = 1.0 + sensor.prnu * _generator(seed, "prnu").standard_normal(height_width)
     dsnu = sensor.dsnu_e * _generator(seed, "dsnu").standard_normal(height_width)
@@ -76,15 +78,19 @@ def expose(
     dark = np.full(height_width, sensor.dark_current_e_s * heat * time_s)
     electrons = _generator(seed, "shot", frame).poisson(np.maximum(mean_e * prnu, 0.0)).astype(np.float64)
     electrons += _generator(seed, "dark", frame).poisson(dark)
+    full = electrons >= sensor.full_well_e
     electrons = np.minimum(electrons, sensor.full_well_e)
     electrons += dsnu + sensor.read_noise_e * _generator(seed, "read", frame).standard_normal(height_width)
-    return _convert(electrons, sensor, gain)
+    return _convert(electrons, sensor, gain, full)
 
 
-def _convert(electrons: FloatArray, sensor: Sensor, gain: float) -> tuple[NDArray[np.uint16], int]:
+def _convert(
+    electrons: FloatArray, sensor: Sensor, gain: float, full: NDArray[np.bool_]
+) -> tuple[NDArray[np.uint16], int]:
+    """Raw numbers, and how many pixels are saturated: their well is full or their number at its top."""
     top = 2**sensor.adc_bits - 1
     numbers = np.rint(electrons / electrons_per_dn(sensor, gain)) + sensor.black_level_dn
-    return np.clip(numbers, 0, top).astype(np.uint16), int(np.count_nonzero(numbers >= top))
+    return np.clip(numbers, 0, top).astype(np.uint16), int(np.count_nonzero((numbers >= top) | full))
 
 
 def _generator(seed: int, stage: str, frame: int = 0) -> np.random.Generator:

@@ -212,8 +212,12 @@ def load_capture(path: Path) -> Capture:
             illuminant=meta["illuminant"],
             provenance=dict(meta["provenance"]),
         )
-    except (KeyError, TypeError) as error:
-        raise InputError(f"{path / 'meta.json'}: key {error} is missing or of the wrong type") from None
+    except KeyError as error:
+        raise InputError(f"{path / 'meta.json'}: key {error} is missing") from None
+    except (TypeError, ValueError) as error:
+        if isinstance(error, InputError):
+            raise
+        raise InputError(f"{path / 'meta.json'}: a value is of the wrong type ({error})") from None
     sensor = camera.sensor
     if raw.shape != (sensor.height_px, sensor.width_px):
         raise InputError(
@@ -360,12 +364,15 @@ def load_bank(path: Path) -> PsfBank:
     if not path.is_file():
         raise InputError(f"bank {path}: no such file; make one with 'dasim calibrate'")
     try:
-        with np.load(path, allow_pickle=False) as data:
-            about = json.loads(str(data["about"]))
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as data:
+            about = dict(json.loads(str(data["about"])))
             arrays = {key: data[key] for key in ("kernel", "signature", "depth_m", "blur_px")}
     except Exception as error:  # zip, npy and json errors of a damaged file are of many types
         raise InputError(f"bank {path}: cannot be read ({error})") from None
     if about.get("schema") != BANK_SCHEMA:
         raise InputError(f"bank {path}: is no bank of schema {BANK_SCHEMA}; make a new one with 'dasim calibrate'")
-    camera = parse(Camera, about["camera"], f"bank {path}: camera")
-    return PsfBank(lights=tuple(about["lights"]), diffraction=about["diffraction"], camera=camera, **arrays)
+    camera = parse(Camera, about.get("camera"), f"bank {path}: camera")
+    lights, diffraction = tuple(about.get("lights", ())), str(about.get("diffraction", "measured"))
+    if arrays["kernel"].ndim != 5 or arrays["kernel"].shape[:2] != (len(lights), len(arrays["depth_m"])):
+        raise InputError(f"bank {path}: its kernels do not fit its lights and levels")
+    return PsfBank(lights=lights, diffraction=diffraction, camera=camera, **arrays)

@@ -1,5 +1,7 @@
 """What the tests share: one thread for linear algebra, a small camera, scenes from plain data, the renderer."""
 
+# ruff: noqa: E402  (the number of threads is set before numpy is loaded)
+
 from __future__ import annotations
 
 import os

@@ -65,7 +65,7 @@ def test_all_mistakes_are_named_at_once(tmp_path):
 
 def test_names_and_files(tmp_path):
     assert "da-mobile" in cameras.camera_names()
-    with pytest.raises(InputError, match="camera 'nokia' is neither a bundled name .*da-mobile.* nor a file"):
+    with pytest.raises(InputError, match=r"camera 'nokia' is neither a bundled name .*da-mobile.* nor a file"):
         cameras.load_camera("nokia")
     (tmp_path / "mine.toml").write_bytes(b"\xff\xfe\x00")
     with pytest.raises(InputError, match=r"mine\.toml: cannot be read"):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 import subprocess
 import sys
@@ -65,15 +66,19 @@ def expected_electrons(camera, channel: int, column_px: float, row_px: float, ra
         efficiency = np.interp(nm, spectra.WAVELENGTH_NM, spectra.rgb_ir_quantum_efficiency()[channel])
         return on_pixel * glass * (1 - edge(nm, 810, 8)) * efficiency / photon_j * (sensor.pixel_pitch_um * 1e-6) ** 2
 
-    return integrate.quad(rate, 400, 830, limit=400, points=[650, 810], epsrel=1e-5)[0]
+    # Gauss-Legendre between the edges' corners: adaptive quadrature stumbles over tabulated curves.
+    corners = [400, 640, 660, 800, 820, 830]
+    return sum(integrate.fixed_quad(np.vectorize(rate), a, b, n=60)[0] for a, b in itertools.pairwise(corners))
 
 
 @pytest.mark.parametrize("stop", [0, 1])
 def test_electrons_from_first_principles(passes, grey_wall, wide, stop):
     """Rationale: exposure and gain mean what they mean on a camera only if the electrons are right.
 
-    Set-up: E = pi L (r/s)^2 cos^4, L = rho E_wall / pi, integrated over wavelength by adaptive quadrature with CODATA
-    constants and Planck's law; cos^4 reaches 0.77 in this view's corner. Expectation: 1 % in the middle and the corner.
+    Set-up: E = pi L (r/s)^2 cos^4, L = rho E_wall / pi, integrated over wavelength by quadrature with CODATA
+    constants and Planck's law; cos^4 reaches 0.77 in this view's corner. Expectation: 1 % in the middle and
+    the corner, and 0.1 % of the channel's light through both stops (the other stop's share is all in the coating's
+    edge, which the wavelength grid of 2 nm knows to some per cent).
     """
     camera = wide()
     rate = passes.stop_pass(grey_wall, camera, camera.stops[stop], passes.Sampling(64, 1))
@@ -82,7 +87,10 @@ def test_electrons_from_first_principles(passes, grey_wall, wide, stop):
         for rows, columns in ((slice(15, 21), slice(21, 27)), (slice(0, 6), slice(0, 6))):
             y, x = np.mean([rows.start, rows.stop]) - 18, np.mean([columns.start, columns.stop]) - 24
             expected = expected_electrons(camera, channel, x, y, ratio, side)
-            assert rate[rows, columns, channel].mean() == pytest.approx(expected, rel=RADIOMETRY), (channel, y, x)
+            other = camera.stops[1 - stop]
+            whole = expected + expected_electrons(camera, channel, x, y, other.radius_ratio, other.passes)
+            limit = RADIOMETRY * expected + 1e-3 * whole
+            assert rate[rows, columns, channel].mean() == pytest.approx(expected, abs=limit), (channel, y, x)
 
 
 def test_hole_collects_the_square_of_its_radius(passes, grey_wall, wide):

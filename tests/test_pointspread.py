@@ -134,7 +134,7 @@ def test_geometric_kernel_has_the_moments_of_a_disc_and_a_pixel(da_mobile, hole_
         for offset in np.stack(np.meshgrid(*[np.arange(4) / 4] * 2), axis=-1).reshape(-1, 2):
             kernel = pixel_kernels(profiles[0, 1], radius, 47, tuple(offset))
             mean, variance = moments(kernel)
-            # A disc is sampled at ten points a pixel: its sampled area is off by about a tenth of its outline's samples.
+            # Sampled at ten points a pixel, a disc's area is off by a tenth of its outline's samples.
             assert kernel.sum() == pytest.approx(1.0, abs=ENERGY + 0.01 / max(abs(blur_px) * ratio, 0.3))
             seconds.append(variance + (mean - offset) ** 2)
         expected = (ratio * blur_px) ** 2 / 16 + 1 / 12

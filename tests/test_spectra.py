@@ -115,7 +115,8 @@ def test_quantum_efficiency_is_one_of_silicon(reference):
     """Set-up: the red, green and blue pixels of a MT9V024, digitised from its data sheet.
 
     Expectation: the synthetic curves have the shape of measured ones over the whole band, each most like its own
-    colour, peak within 40 nm of them (red dyes differ most), and let in the near-infrared in the same order (red, green, blue).
+    colour, peak within 40 nm of them (red dyes differ most), and let in the near-infrared in the same
+    order (red, green, blue).
     """
     measured = reference("sensor_mt9v024_rgbw")
     ours = spectra.rgb_ir_quantum_efficiency()

@@ -86,7 +86,7 @@ def test_meta_states_what_a_reader_needs(folder, capture):
     import OpenEXR
 
     with OpenEXR.File(str(folder / "truth.exr"), separate_channels=True) as file:
-        assert [part.name() for part in file.parts][0] == "depth"
+        assert file.parts[0].name() == "depth"
         assert list(file.parts[0].channels) == ["Z"]
 
 

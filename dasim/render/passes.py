@@ -24,6 +24,7 @@ from dasim.spectra import FloatArray
 Progress = Callable[[float], None]
 
 LANES = 1 << 22  # rays in flight: bounds the memory, and is fixed, since it decides the random numbers
+SAME_BLUR_PX, SAME_BLUR_SHARE = 0.25, 0.02  # spread of the blur on one surface, slanted ones included
 DRAW_NODES = 4096  # of the table that turns a uniform number into a wavelength
 SCALAR_ROWS = 64  # rows a block in scalar_spectral, between two steps of the progress bar
 PINHOLE_RATIO = 1e-4  # of the lens radius: the stock plugin needs a lens that is not a point
@@ -203,20 +204,33 @@ def _ray_loop(
                 weight[k] = ratio
         radiance, _, _ = integrator.sample(scene, sampler, ray)
 
-        sums = []
+        sums = [blur, blur * blur] if wave_blur_px is not None else []
+        spread = len(sums)
         for channel in range(len(spectra.CHANNELS)):
             signal = sum(response_at[k][channel] * weight[k] * radiance[k] for k in range(4))
             control = sum(response_at[k][channel] * weight[k] for k in range(4))
             sums += [signal, control]
         dr.eval(*sums)  # one kernel for all: summing first would trace the rays once a sum
         sums = [dr.block_sum(value, spp) for value in sums]
-        # The control variate: the known mean of response * weight takes out the noise of drawing both.
+        totals = [np.array(value, dtype=np.float64) for value in sums]
+        one_depth = _one_depth(totals[0] / spp, totals[1] / spp) if spread else np.True_
+        # The control variate: response * weight has a known mean where one depth is seen, and dividing by what
+        # was drawn of it takes the noise of drawing wavelengths and weights out. Near a depth step the weights'
+        # mean is not 1, so there the plain mean stays.
         for channel in range(len(spectra.CHANNELS)):
-            signal, control = (np.array(sums[2 * channel + i], dtype=np.float64) for i in (0, 1))
-            share = np.divide(signal, control, out=np.zeros_like(signal), where=control > 0)
+            signal, control = totals[spread + 2 * channel : spread + 2 * channel + 2]
+            expected = 4 * spp * mean_response[channel]
+            divisor = np.where(one_depth, control, expected)
+            share = np.divide(signal, divisor, out=np.zeros_like(signal), where=divisor > 0)
             rate[top : top + rows, :, channel] = mean_response[channel] * share.reshape(rows, width)
         sampling.progress((top + rows) / height)
     return rate
+
+
+def _one_depth(blur: FloatArray, blur_squared: FloatArray) -> np.ndarray:
+    """Pixels whose rays all meet about the same blur, from the mean and mean square of the blur in pixels."""
+    deviation = np.sqrt(np.maximum(blur_squared - blur**2, 0.0))
+    return deviation <= SAME_BLUR_PX + SAME_BLUR_SHARE * blur
 
 
 def _block_seed(seed: int, radius_m: float, block: int) -> int:

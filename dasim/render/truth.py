@@ -68,8 +68,26 @@ def geometry(mitsuba_scene: Any, camera: Camera) -> Geometry:
     return Geometry(
         depth_m=np.where(hit, position[..., 2], np.nan),
         normal=np.where(hit[..., None], towards, 0.0),
-        object_id=np.where(hit, values[..., 6] + 1, 0).astype(np.uint32),
+        object_id=_object_ids(mitsuba_scene, np.where(hit, values[..., 6], 0).astype(np.uint32)),
     )
+
+
+def _object_ids(mitsuba_scene: Any, shape_index: NDArray[np.uint32]) -> NDArray[np.uint32]:
+    """Numbers of the scene's objects, from 1, for Mitsuba's shape numbers; 0 for lamps and nothing.
+
+    Mitsuba counts shapes from 1 in the scalar variants, and by its registry of all that was ever made in the others.
+    """
+    import drjit as dr
+    import mitsuba as mi
+
+    known = np.zeros(int(shape_index.max()) + 1, np.uint32)
+    for place, shape in enumerate(mitsuba_scene.shapes()):
+        scalar = mi.variant().startswith("scalar")
+        number = place + 1 if scalar else int(dr.reinterpret_array(mi.UInt32, mi.ShapePtr(shape))[0])
+        kind, _, index = shape.id().partition("_")
+        if kind == "object" and number < len(known):
+            known[number] = int(index) + 1
+    return known[shape_index]
 
 
 def signed_blur_px(depth_m: FloatArray, camera: Camera) -> FloatArray:

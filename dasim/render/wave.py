@@ -18,8 +18,8 @@ from dasim.spectra import FloatArray
 
 OFFSET_NODES = 1 << 15  # inverse CDF of delta
 TAIL_RINGS = 12.0  # delta is drawn up to this many lambda N (3 % of an Airy pattern's light lies beyond 7)
-RADIUS_STEP = 0.1  # of the wave table, in lambda N
-WAVES_STEP = 0.04  # of the wave table
+RADIUS_STEP = 0.05  # of the wave table, in lambda N
+WAVES_STEP = 0.02  # of the wave table
 DENSITY_STEP_PX = 0.06  # of the density table, along u
 DENSITY_BLUR_STEP_PX = 0.25  # of the density table, along c
 
@@ -78,7 +78,7 @@ def shortest_wavelength_nm(draw: FloatArray) -> float:
 
 
 def weights(tables: dict[str, Any], info: WaveTables, u_px: Any, blur_px: Any, scales_px: list[Any]) -> list[Any]:
-    """h / g for each wavelength (``scales_px``: lambda N in pixels); 1 beyond the tables (geometric blur)."""
+    """Ratios h / g for each wavelength (``scales_px``: lambda N in pixels); 1 beyond the tables (geometric blur)."""
     import drjit as dr
     import mitsuba as mi
 

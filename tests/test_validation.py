@@ -1,0 +1,548 @@
+"""Scores, cached banks, the report and results.json: against answers worked out by hand."""
+
+from __future__ import annotations
+
+import base64
+import json
+import math
+import re
+import shutil
+import subprocess
+from dataclasses import replace
+from html.parser import HTMLParser
+
+import cv2
+import numpy as np
+import pytest
+
+import recon
+from dasim import camera as cameras
+from dasim import spectra
+from dasim.camera import parse
+from dasim.errors import InputError
+from dasim.scene import Scene
+from dasim.simulation import simulate
+from dasim.values import Reconstruction, Truth
+from validation import banks, demo, metrics, report
+
+SIZE = (8, 12)
+CHECKER = (np.indices(SIZE).sum(axis=0) % 2).astype(np.float32)
+ROUNDING = 1e-5  # single precision, a few operations
+BROWSER_DEADLINE_S = 60.0
+TEXTURE_E = 1000.0
+
+
+@pytest.fixture(scope="module")
+def camera(da_mobile):
+    return cameras.refocused(da_mobile, 0.4)
+
+
+def truth(camera, level, **changes) -> Truth:
+    """Ground truth of a fronto-parallel patch of given levels, its picture a checkerboard of 0 and 1000 electrons."""
+    level = np.broadcast_to(np.asarray(level, np.float32), SIZE).copy()
+    blur = level * cameras.level_blur_px(camera)[1]
+    image = np.repeat((CHECKER * TEXTURE_E)[..., None], 4, axis=-1)
+    image[..., 3] = 0
+    made = Truth(
+        depth_m=cameras.depth_of_blur_m(camera, blur).astype(np.float32),
+        valid=np.ones(SIZE, bool),
+        normal=np.broadcast_to(np.float32([0, 0, -1]), (*SIZE, 3)),
+        object_id=np.ones(SIZE, np.uint32),
+        blur_px=blur.astype(np.float32),
+        level=level,
+        boundary=np.zeros(SIZE, bool),
+        mean_e=image,
+        sharp_e=image,
+    )
+    return replace(made, **changes)
+
+
+def reconstruction(camera, exact: Truth, **changes) -> Reconstruction:
+    """A reconstruction that is right in everything."""
+    colours = exact.sharp_e[..., :3]
+    made = Reconstruction(
+        rgb=colours / TEXTURE_E,
+        sharp_rgb=colours / TEXTURE_E,
+        linear_e=colours,
+        sharp_e=colours,
+        ir_e=exact.sharp_e[..., 3],
+        level_raw=exact.level,
+        level=exact.level,
+        depth_m=exact.depth_m,
+        confidence=np.ones(SIZE, np.float32),
+        camera=camera,
+        light="D55",
+        settings={},
+        timings_s={},
+    )
+    return replace(made, **changes)
+
+
+def figures(result: Reconstruction, exact: Truth) -> dict[str, float]:
+    return {figure.id: figure.value for figure in metrics.score(result, exact)}
+
+
+# --- metrics -------------------------------------------------------------------------------------
+
+
+def test_perfect_reconstruction_has_no_error(camera):
+    exact = truth(camera, np.linspace(2, 8, SIZE[1]))
+    found = figures(reconstruction(camera, exact), exact)
+    assert found["pixels-textured"] == 1 and found["pixels-far-side"] == 0
+    for name in ("raw", "raw-inner", "regularised"):
+        assert [found[f"level-{name}-{key}"] for key in ("median", "bias", "bad2", "ratio")] == [0, 0, 0, 0]
+    assert found["depth-rmse-dioptre"] == found["depth-abs-rel"] == 0
+    assert found["psnr-sharp-blurred"] == math.inf
+
+
+def test_constant_offset_is_bias_and_median(camera):
+    """Expectation: levels 3 too high give median and bias 3 and all pixels off by over 2; 3 too low, bias -3."""
+    exact = truth(camera, np.linspace(5, 15, SIZE[1]))
+    for offset in (3.0, -3.0):
+        found = figures(reconstruction(camera, exact, level_raw=exact.level + np.float32(offset)), exact)
+        assert found["level-raw-median"] == pytest.approx(3.0, abs=ROUNDING)
+        assert found["level-raw-bias"] == pytest.approx(offset, abs=ROUNDING)
+        assert found["level-raw-bad2"] == 1
+        assert found["level-regularised-median"] == 0
+
+
+@pytest.mark.parametrize("span", [1.0, 4.0, 10.0])
+def test_best_constant_map_of_a_ramp(span):
+    """Expectation: a ramp's median absolute error about its middle, the best constant, is a quarter of its span.
+
+    |x - middle| is even over 0..span/2, its median span/4. The constants tried are CONSTANT_STEP apart; a shift
+    by half a step leaves the median, which is flat around the middle, as it is to first order.
+    """
+    ramp = np.linspace(0, span, 4001)
+    assert metrics.best_constant_error(ramp) == pytest.approx(span / 4, abs=metrics.CONSTANT_STEP)
+
+
+def test_best_constant_map_may_be_any_of_two_values():
+    """Expectation: where over half of the pixels share a level, that constant has median error 0."""
+    assert metrics.best_constant_error(np.array([4.0] * 6 + [9.0] * 5)) == pytest.approx(0, abs=1e-9)
+    assert metrics.best_constant_error(np.array([7.0])) == 0
+
+
+def test_ratio_is_against_the_best_constant(camera):
+    """A ramp over 8 levels has a best constant of 2; an error of 1 everywhere is half of that."""
+    exact = truth(camera, np.broadcast_to(np.linspace(4, 12, 12), SIZE))
+    found = figures(reconstruction(camera, exact, level_raw=exact.level + 1), exact)
+    assert found["level-raw-constant"] == pytest.approx(metrics.best_constant_error(exact.level.astype(float)))
+    assert found["level-raw-ratio"] == pytest.approx(1 / found["level-raw-constant"], rel=1e-4)
+
+
+@pytest.mark.parametrize("level", [0.0, 5.0, 5.3, 1 / 3])
+@pytest.mark.parametrize("error", [0.0, 1.0])
+def test_ratio_of_a_flat_scene_is_never_a_huge_number(camera, level, error):
+    """Rationale: the best constant map of a flat scene is perfect, so nothing can be half as bad.
+
+    Expectation: the ratio says so (inf, NaN or, without error, 0), and is no rounding error's reciprocal.
+    """
+    exact = truth(camera, np.float32(level) + np.float32(1e-6) * CHECKER)
+    ratio = figures(reconstruction(camera, exact, level_raw=exact.level + np.float32(error)), exact)["level-raw-ratio"]
+    assert not math.isfinite(ratio) or ratio <= 1.0, ratio
+
+
+def test_pixels_without_estimate_are_not_textured(camera):
+    """Expectation: NaN in the raw map is left out of its figures, not counted as an error; it lowers the share."""
+    exact = truth(camera, np.linspace(5, 15, SIZE[1]))
+    raw = exact.level.copy()
+    raw[:, :3] = np.nan
+    raw[:, 3:] += 1
+    found = figures(reconstruction(camera, exact, level_raw=raw), exact)
+    assert found["pixels-textured"] == pytest.approx(9 / 12)
+    assert found["level-raw-median"] == pytest.approx(1, abs=ROUNDING)
+
+
+def test_capture_without_any_estimate(camera):
+    exact = truth(camera, np.linspace(5, 15, SIZE[1]))
+    found = figures(reconstruction(camera, exact, level_raw=np.full(SIZE, np.nan, np.float32)), exact)
+    assert found["pixels-textured"] == 0
+    assert math.isnan(found["level-raw-median"])
+    assert found["level-regularised-median"] == 0
+
+
+def test_pixels_where_nothing_is_hit_do_not_count(camera):
+    exact = truth(camera, np.linspace(5, 15, SIZE[1]))
+    holes = np.zeros(SIZE, bool)
+    holes[0] = True
+    depth, level = np.where(holes, np.nan, exact.depth_m), np.where(holes, np.nan, exact.level)
+    holed = replace(exact, valid=~holes, depth_m=depth, level=level, blur_px=np.where(holes, np.nan, exact.blur_px))
+    found = figures(reconstruction(camera, exact), holed)
+    assert all(math.isfinite(v) or v == math.inf or "gain" in k for k, v in found.items()), found
+    assert found["level-raw-median"] == 0 and found["pixels-textured"] == 1
+
+
+def test_empty_view_is_scored_without_failing(camera):
+    nothing = np.full(SIZE, np.nan, np.float32)
+    empty = replace(truth(camera, 5.0), valid=np.zeros(SIZE, bool), depth_m=nothing, level=nothing, blur_px=nothing)
+    found = figures(reconstruction(camera, truth(camera, 5.0)), empty)
+    assert found["pixels-textured"] == 0 and math.isnan(found["level-raw-median"])
+
+
+def test_wrong_side_of_the_focus_is_counted_but_not_judged(camera):
+    """Expectation: three of twelve columns lie behind the focal plane; only their share is reported."""
+    level = np.linspace(5, 15, SIZE[1])
+    level[:3] = -4
+    exact = truth(camera, level)
+    raw = exact.level.copy()
+    raw[:, :3] = 4  # what a method that cannot tell the sides finds
+    found = figures(reconstruction(camera, exact, level_raw=raw, level=raw), exact)
+    assert found["pixels-far-side"] == pytest.approx(3 / 12)
+    assert found["level-raw-median"] == found["level-regularised-median"] == 0
+    assert found["level-raw-bad2"] == 0
+
+
+def test_boundaries_are_left_out_of_the_inner_figures(camera):
+    edge = np.zeros(SIZE, bool)
+    edge[:, 4:7] = True
+    exact = truth(camera, np.linspace(5, 15, SIZE[1]), boundary=edge)
+    found = figures(reconstruction(camera, exact, level_raw=np.where(edge, 20, exact.level)), exact)
+    assert found["level-raw-bad2"] == pytest.approx(3 / 12)
+    assert found["level-raw-inner-bad2"] == 0
+
+
+def test_depth_figures_by_hand(camera):
+    """Expectation: a map 10 % too far has AbsRel 0.1 and, at constant z, an RMSE of 1/z of (1 - 1/1.1) / z."""
+    exact = truth(camera, 5.0)
+    found = figures(reconstruction(camera, exact, depth_m=exact.depth_m * np.float32(1.1)), exact)
+    assert found["depth-abs-rel"] == pytest.approx(0.1, rel=1e-5)
+    depth = float(exact.depth_m[0, 0])
+    assert found["depth-rmse-dioptre"] == pytest.approx((1 - 1 / 1.1) / depth, rel=1e-4)
+
+
+@pytest.mark.parametrize(("error_e", "decibel"), [(100.0, 20.0), (10.0, 40.0), (1000.0, 0.0)])
+def test_psnr_by_hand(error_e, decibel):
+    """Expectation: peak 1000, an error of 1000, 100, 10 everywhere: 0, 20, 40 dB; NaN where nothing is asked for."""
+    exact = np.repeat((CHECKER * TEXTURE_E)[..., None], 3, axis=-1).astype(np.float64)
+    everywhere = np.ones(SIZE, bool)
+    assert metrics.psnr(exact + error_e, exact, everywhere) == pytest.approx(decibel)
+    assert metrics.psnr(exact, exact, everywhere) == math.inf
+    assert math.isnan(metrics.psnr(exact, exact, ~everywhere))
+
+
+def test_psnr_looks_only_where_it_is_asked():
+    exact = np.full((*SIZE, 3), 1000.0)
+    image = exact + 100
+    image[0] = 1e6
+    where = np.ones(SIZE, bool)
+    where[0] = False
+    assert metrics.psnr(image, exact, where) == pytest.approx(20)
+
+
+def test_sharpness_is_judged_at_3_to_15_pixels_of_blur(camera):
+    """Expectation: an error where the blur is too small or too large, or near a boundary, does not count.
+
+    Levels are (1 - alpha) times the blur; the middle columns have 3 to 15 pixels.
+    """
+    blur = np.array([0, 1, 2.9, 3.1, 5, 7, 9, 11, 14.9, 15.1, 20, 30])
+    edge = np.zeros(SIZE, bool)
+    edge[:, 5] = True
+    exact = truth(camera, blur / cameras.level_blur_px(camera)[1], boundary=edge)
+    unjudged = (blur < 3) | (blur > 15)
+    unjudged[5] = True
+    worse = exact.sharp_e[..., :3] + 100.0 * unjudged[None, :, None].astype(np.float32)
+    found = figures(reconstruction(camera, exact, sharp_e=worse), exact)
+    assert found["psnr-sharp-blurred"] == math.inf
+    better = exact.sharp_e[..., :3] + np.float32(100)
+    found = figures(reconstruction(camera, exact, linear_e=better, sharp_e=better / 2 + worse / 2), exact)
+    assert found["psnr-capture-blurred"] == pytest.approx(20, abs=ROUNDING)
+    assert found["psnr-gain-blurred"] == pytest.approx(20 * math.log10(2), abs=1e-4)
+
+
+def test_sizes_that_differ_are_refused(camera):
+    exact = truth(camera, 5.0)
+    result = reconstruction(camera, exact)
+    smaller = replace(result, level=result.level[:4], level_raw=result.level_raw[:4])
+    with pytest.raises(InputError, match=r"12 x 4 .*12 x 8"):
+        metrics.score(smaller, exact)
+
+
+def test_infrared_free_undoes_the_crosstalk(camera):
+    """Expectation: near-infrared light of even photon flux leaves nothing in R, G and B; eqs. (7) and (8).
+
+    Signals are photon counts over 650 to 810 nm through the sensor's own curves. Without infrared nothing changes.
+    """
+    band = (spectra.WAVELENGTH_NM >= 650) & (spectra.WAVELENGTH_NM <= 810)
+    sensor = camera.sensor
+    curves = spectra.rgb_ir_quantum_efficiency() * spectra.short_pass(sensor.cutoff_nm, sensor.cutoff_width_nm)
+    seen = np.trapezoid(curves[:, band], spectra.WAVELENGTH_NM[band], axis=-1)
+    assert (seen[:3] > 0.05 * seen[3]).all(), "the colour pixels see infrared, or this test shows nothing"
+    left = metrics.infrared_free(seen[None, None], camera)[0, 0]
+    np.testing.assert_allclose(left, 0, atol=ROUNDING * seen[3])
+    visible = np.array([[[10.0, 20.0, 30.0, 0.0]]])
+    np.testing.assert_array_equal(metrics.infrared_free(visible, camera)[0, 0], [10, 20, 30])
+
+
+# --- claims and results.json ---------------------------------------------------------------------
+
+
+def claim_of(name: str, value: float) -> demo.Claim:
+    return next(c for c in demo.claims([metrics.Figure(name, value, "1", "a figure")]) if c.id == f"demo.{name}")
+
+
+def test_claims_hold_their_limits():
+    assert claim_of("level-raw-median", 2.0).passed is True
+    assert claim_of("level-raw-median", 2.01).passed is False
+    assert claim_of("level-raw-ratio", 0.5).passed is True
+    assert claim_of("psnr-gain-blurred", 0.0).passed is False
+    assert claim_of("pixels-textured", 0.1).passed is None
+    for name in demo.LIMITS:
+        assert claim_of(name, math.nan).passed is False, "what was not measured has not passed"
+
+
+def test_a_limit_without_its_figure_is_not_passed_over(camera):
+    """Expectation: where a figure with a limit could not be measured, a failed claim says so; it is not left out."""
+    exact = truth(camera, np.linspace(5, 15, SIZE[1]))
+    blank = reconstruction(camera, exact, level_raw=np.full(SIZE, np.nan, np.float32))
+    entries = {claim.id: claim for claim in demo.claims(metrics.score(blank, exact))}
+    for name in demo.LIMITS:
+        assert f"demo.{name}" in entries, f"{name} is missing"
+    assert entries["demo.level-raw-ratio"].passed is False
+
+
+def test_results_follow_their_schema(tmp_path, camera):
+    """Expectation: the contract's keys, plain JSON (no NaN or Infinity, which other parsers refuse)."""
+    exact = truth(camera, 5.0)
+    entries = demo.claims(metrics.score(reconstruction(camera, exact), exact))
+    assert any(math.isinf(claim.value) for claim in entries) and any(math.isnan(claim.value) for claim in entries)
+    demo.write_results(tmp_path / "results.json", entries, {"render": 1.234})
+
+    def refuse(constant: str) -> None:
+        raise AssertionError(f"{constant} is no JSON")
+
+    content = json.loads((tmp_path / "results.json").read_text(), parse_constant=refuse)
+    assert content["schema"] == 1
+    assert len({claim["id"] for claim in content["claims"]}) == len(content["claims"]) == len(entries)
+    for claim in content["claims"]:
+        assert set(claim) == {"id", "value", "limit", "unit", "passed", "source"}
+        assert isinstance(claim["id"], str) and isinstance(claim["unit"], str) and isinstance(claim["source"], str)
+        assert claim["value"] is None or isinstance(claim["value"], float)
+        assert (claim["limit"] is None) == (claim["passed"] is None)
+    assert content["timings_s"] == {"render": 1.23}
+    assert {"dasim", "mitsuba", "numpy"} <= set(content["software"])
+
+
+# --- banks ---------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def cache(tmp_path, monkeypatch):
+    monkeypatch.setenv("DASIM_CACHE_DIR", str(tmp_path / "cache"))
+    return tmp_path / "cache"
+
+
+@pytest.fixture(scope="module")
+def bank(camera):
+    return banks.measured_bank(camera, lights=("D55",), diffraction="off")
+
+
+@pytest.fixture
+def measured(bank, monkeypatch):
+    """Count the banks that are measured; the measurement itself is done once for all tests."""
+    calls = []
+
+    def measure(camera, **options):
+        calls.append(camera)
+        return replace(bank, camera=camera)
+
+    monkeypatch.setattr(banks, "measured_bank", measure)
+    return calls
+
+
+def test_measured_bank_is_of_the_camera(bank, camera):
+    assert bank.lights == ("D55",) and bank.camera == camera and bank.diffraction == "off"
+    assert bank.kernel.shape[:3] == (1, cameras.BLUR_LEVELS, 4)
+    np.testing.assert_allclose(bank.kernel.sum(axis=(-1, -2)), 1, atol=ROUNDING)
+    np.testing.assert_allclose(bank.blur_px, cameras.level_blur_px(camera), rtol=1e-6)
+
+
+def test_cached_bank_is_the_same_without_photographing_again(cache, camera, bank, measured):
+    options = {"lights": ("D55",), "diffraction": "off"}
+    first = banks.simulated_bank(camera, **options)
+    assert len(measured) == 1
+
+    second = banks.simulated_bank(camera, **options)
+    assert len(measured) == 1
+    for name in ("kernel", "signature", "depth_m", "blur_px"):
+        np.testing.assert_array_equal(getattr(first, name), getattr(second, name))
+    assert (second.lights, second.camera, second.diffraction) == (bank.lights, camera, "off")
+
+
+@pytest.mark.parametrize("content", [b"", b"rubbish", None])
+def test_damaged_cached_bank_is_made_anew(cache, camera, measured, content):
+    banks.simulated_bank(camera, lights=("D55",), diffraction="off")
+    (file,) = (cache / "banks").iterdir()
+    file.write_bytes(file.read_bytes()[:5000] if content is None else content)
+    made = banks.simulated_bank(camera, lights=("D55",), diffraction="off")
+    assert len(measured) == 2 and made.kernel.shape[1] == cameras.BLUR_LEVELS
+    banks.simulated_bank(camera, lights=("D55",), diffraction="off")
+    assert len(measured) == 2, "the new one is kept"
+
+
+def test_cached_file_that_is_a_bank_of_something_else_is_made_anew(cache, camera, measured):
+    """Rationale: the cache is the user's folder, anything may stand there; its metadata alone may be damaged."""
+    banks.simulated_bank(camera, lights=("D55",), diffraction="off")
+    (file,) = (cache / "banks").iterdir()
+    with np.load(file) as data:
+        arrays = dict(data)
+    about = json.loads(str(arrays["about"]))
+    np.savez(file, **(arrays | {"about": np.array(json.dumps({"schema": about["schema"]}))}))
+    banks.simulated_bank(camera, lights=("D55",), diffraction="off")
+    assert len(measured) == 2
+
+
+def changed(camera, **changes):
+    """The camera with changed values, ``part__name``."""
+    data = camera.model_dump()
+    for key, value in changes.items():
+        part, name = key.split("__")
+        if part == "stops":
+            data["stops"] = [s | {name: value} if s["radius_ratio"] < 1 else s for s in data["stops"]]
+        else:
+            data[part][name] = value
+    return parse(cameras.Camera, data, "changed camera")
+
+
+def test_key_ignores_the_frame_and_nothing_that_decides_the_kernels(cache, camera, measured):
+    """Expectation: another frame size finds the bank; another focus, hole, pixel, light or diffraction does not."""
+    options = {"lights": ("D55",), "diffraction": "off"}
+    banks.simulated_bank(camera, **options)
+    banks.simulated_bank(cameras.cropped(camera, 64, 48), **options)
+    assert len(measured) == 1
+    others = [
+        changed(camera, lens__focus_distance_m=0.41),
+        changed(camera, lens__f_number=2.0),
+        changed(camera, stops__radius_ratio=0.5),
+        changed(camera, sensor__pixel_pitch_um=1.6),
+        changed(camera, sensor__cutoff_nm=800.0),
+    ]
+    for count, other in enumerate(others, start=2):
+        banks.simulated_bank(other, **options)
+        assert len(measured) == count, other
+    banks.simulated_bank(camera, lights=("D65",), diffraction="off")
+    banks.simulated_bank(camera, lights=("D55",), diffraction="wave")
+    assert len(measured) == len(others) + 3
+
+
+def test_bank_from_the_cache_carries_the_asked_frame(cache, camera, measured):
+    """Expectation: the camera that a bank names is the one asked for, or all that reads it must ignore its frame."""
+    options = {"lights": ("D55",), "diffraction": "off"}
+    banks.simulated_bank(cameras.cropped(camera, 64, 48), **options)
+    found = banks.simulated_bank(camera, **options)
+    assert found.camera.lens == camera.lens and found.camera.stops == camera.stops
+
+
+# --- the report ----------------------------------------------------------------------------------
+
+
+class Page(HTMLParser):
+    """What a page asks for from outside itself, its pictures, and whether its elements nest."""
+
+    VOID = frozenset({"meta", "link", "img", "br", "hr", "input"})
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.addresses: list[str] = []
+        self.pictures: list[dict] = []
+        self.open: list[str] = []
+        self.tags: set[str] = set()
+        self.text = ""
+
+    def handle_starttag(self, tag, attrs):
+        self.tags.add(tag)
+        found = dict(attrs)
+        self.addresses += [found[k] for k in ("src", "href", "srcset", "data", "action", "poster") if found.get(k)]
+        if tag == "img":
+            self.pictures.append(found)
+        if tag not in self.VOID:
+            self.open.append(tag)
+
+    def handle_endtag(self, tag):
+        assert self.open and self.open[-1] == tag, f"</{tag}> closes {self.open[-1:]}"
+        self.open.pop()
+
+    def handle_data(self, data):
+        self.text += data
+
+
+@pytest.fixture(scope="module")
+def small_demo(renderer, bank, lamp):
+    """A tiny photograph of a photograph 25 cm away, what is made of it, and the claims."""
+    data = {
+        "name": "<tiny> & small",
+        "focus_cm": 40,
+        "lights": [lamp | {"illuminant": "D55"}],
+        "materials": {"photo": {"kind": "print", "image": "skimage:astronaut"}},
+        "objects": [
+            {"name": "photo", "shape": "plane", "size_cm": (2, 2), "position_cm": (0, 0, 25), "material": "photo"}
+        ],
+    }
+    scene = parse(Scene, data, "tiny scene")
+    shot = simulate(scene, cameras.cropped(bank.camera, 96, 64), spp=4, diffraction="off")
+    result = recon.reconstruct(shot.capture, bank)
+    return shot, result, demo.claims(metrics.score(result, shot.truth))
+
+
+@pytest.fixture(scope="module")
+def page_text(small_demo):
+    return report.demo_page(*small_demo, {"render": 1.0, "reconstruct": 2.0})
+
+
+@pytest.fixture
+def page(page_text):
+    parser = Page()
+    parser.feed(page_text)
+    parser.close()
+    assert not parser.open, f"{parser.open} are not closed"
+    return parser
+
+
+def test_report_asks_for_nothing_from_outside(page, page_text):
+    assert page.addresses and all(address.startswith("data:") for address in page.addresses)
+    without_data = re.sub(r"data:image/png;base64,[A-Za-z0-9+/=]*", "", page_text)
+    assert not re.search(r"https?://|//[a-z]+\.|@import|url\(", without_data)
+    assert not {"script", "iframe", "object", "embed", "base"} & page.tags
+
+
+def test_report_shows_the_pictures_it_promises(page, small_demo):
+    """Expectation: ten whole PNG pictures with a text for those who do not see them; capture and truth side by side."""
+    assert len(page.pictures) == 10
+    for picture in page.pictures:
+        assert picture["alt"]
+        data = base64.b64decode(picture["src"].removeprefix("data:image/png;base64,"), validate=True)
+        assert cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR) is not None
+    captions = " ".join(picture["alt"].lower() for picture in page.pictures)
+    for part in ("raw mosaic", "colour", "infrared", "true depth", "estimated depth", "error", "all in focus", "truth"):
+        assert part in captions, part
+    for claim in small_demo[2]:
+        assert claim.id in page.text
+    assert "<tiny> & small" in page.text, "names are escaped"
+
+
+def test_report_of_a_capture_without_an_estimate(small_demo):
+    """Rationale: a page is most needed where the reconstruction failed."""
+    shot, result, _ = small_demo
+    blank = replace(result, level_raw=np.full_like(result.level_raw, np.nan))
+    entries = demo.claims(metrics.score(blank, shot.truth))
+    assert "nan" in report.demo_page(shot, blank, entries, {})
+
+
+def test_report_opens_in_a_browser_without_complaint(page_text, tmp_path):
+    """Expectation: a headless browser draws the page, not all of one colour, and has nothing to say of it."""
+    names = ("chromium", "chromium-browser", "google-chrome")
+    browser = next((found for name in names if (found := shutil.which(name))), None)
+    if browser is None:
+        pytest.skip(f"no browser here, looked for {', '.join(names)}")
+    (tmp_path / "report.html").write_text(page_text, encoding="utf-8")
+    flags = "--headless --no-sandbox --disable-gpu --disable-background-networking --no-first-run --disable-sync"
+    command = [browser, *flags.split(), f"--user-data-dir={tmp_path / 'profile'}", "--enable-logging=stderr"]
+    command += ["--window-size=1200,2400", "--virtual-time-budget=5000", f"--screenshot={tmp_path / 'shot.png'}"]
+    url = (tmp_path / "report.html").as_uri()
+    done = subprocess.run([*command, url], capture_output=True, text=True, timeout=BROWSER_DEADLINE_S, check=False)
+    assert done.returncode == 0, done.stderr
+    complaints = [line for line in done.stderr.splitlines() if "CONSOLE" in line]
+    assert not complaints, complaints
+    picture = cv2.imread(str(tmp_path / "shot.png"))
+    assert picture is not None and picture.shape == (2400, 1200, 3)
+    assert picture.std() > 10, "the page is blank"
