@@ -93,22 +93,25 @@ def working_f_number(camera: Camera, radius_ratio: float) -> float:
 def radial_profiles(
     camera: Camera, blur_px: FloatArray, spectrum: FloatArray, radius_px: FloatArray, diffraction: str = "wave"
 ) -> tuple[FloatArray, FloatArray]:
-    """Radial density of the kernels, [blur, channel, radius] per square pixel, before the pixel.
+    """Radial density of the kernels, [..., blur, channel, radius] per square pixel, before the pixel.
 
-    ``blur_px`` are visible blur diameters, ``spectrum`` the light's spectral power on the wavelength grid.
-    Each integrates to 1 over the plane. Also returns the electrons of each channel, relative, [channel].
+    ``blur_px`` are visible blur diameters, ``spectrum`` the spectral power of one light or several on the
+    wavelength grid, [..., wavelength]. Each density integrates to 1 over the plane. Also returns the electrons
+    of each channel, relative, [..., channel].
     """
     if diffraction not in DIFFRACTION_MODELS:
         raise InputError(f"diffraction '{diffraction}' is unknown; allowed are {', '.join(DIFFRACTION_MODELS)}")
     pitch_m = camera.sensor.pixel_pitch_um * 1e-6
-    total = np.zeros((len(blur_px), len(spectra.CHANNELS), len(radius_px)))
-    signal = np.zeros(len(spectra.CHANNELS))
+    lead = spectrum.shape[:-1]
+    total = np.zeros((*lead, len(blur_px), len(spectra.CHANNELS), len(radius_px)))
+    signal = np.zeros((*lead, len(spectra.CHANNELS)))
     for stop in camera.stops:
-        weights = cameras.stop_response(camera, stop) * spectrum
+        weights = cameras.stop_response(camera, stop) * spectrum[..., None, :]
         own_blur = stop.radius_ratio * np.asarray(blur_px)
         signal += spectra.integrate(weights)
         if diffraction == "off":
-            total += spectra.integrate(weights)[None, :, None] * _disc_profile(radius_px, own_blur)[:, None, :]
+            disc = _disc_profile(radius_px, own_blur)
+            total += spectra.integrate(weights)[..., None, :, None] * disc[:, None, :]
             continue
         f_number = working_f_number(camera, stop.radius_ratio)
         for wavelength_nm, weight in bands(weights):
@@ -117,19 +120,19 @@ def radial_profiles(
                 profile = wave_profile(radius_px / scale_px, own_blur / (8 * scale_px)) / scale_px**2
             else:
                 profile = airy_disc_profile(radius_px, own_blur, scale_px)
-            total += weight[None, :, None] * profile[:, None, :]
-    return total / signal[None, :, None], signal
+            total += weight[..., None, :, None] * profile[:, None, :]
+    return total / signal[..., None, :, None], signal
 
 
 def bands(weights: FloatArray) -> list[tuple[float, FloatArray]]:
-    """Integrals of [channel, wavelength] weights over bands of ``BAND_NM``, each with its mean wavelength."""
+    """Integrals of [..., wavelength] weights over bands of ``BAND_NM``, each with its mean wavelength."""
     step = spectra.WAVELENGTH_STEP_NM * np.ones_like(spectra.WAVELENGTH_NM)
     step[[0, -1]] /= 2  # the trapezoid rule, so that the bands add up to spectra.integrate
     index = np.minimum((spectra.WAVELENGTH_NM - 400.0) // BAND_NM, (830.0 - 400.0) // BAND_NM - 1).astype(int)
     bands = []
     for band in range(index[-1] + 1):
         inside = index == band
-        weight = (weights[:, inside] * step[inside]).sum(axis=1)
+        weight = (weights[..., inside] * step[inside]).sum(axis=-1)
         if weight.max() > 1e-6 * spectra.integrate(weights).max():
             bands.append((float(spectra.WAVELENGTH_NM[inside].mean()), weight))
     return bands

@@ -18,7 +18,7 @@ from dasim.scene import Scene
 from dasim.sensor import Exposure
 from dasim.values import Capture, Truth
 
-DEFAULT_SPP = 64
+DEFAULT_SPP = 144
 SHARP_SPP = 36  # the pinhole pass has no lens to sample
 BLUR_MARGIN = 1.1  # something nearer than all that is seen may lie just outside the frame
 

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import fft
+from scipy import fft, sparse
 from scipy.optimize import nnls
 
 from dasim.camera import Camera, mosaic_channels
@@ -128,9 +128,9 @@ def _round_kernels(image: FloatArray, noise_e: FloatArray, half: int) -> FloatAr
         start = _tail_start(picture, sigma, np.floor(measured.mean(axis=-1)).astype(int))
         knots = np.concatenate([np.arange(0, min(FINE_PX, start), FINE_PX / 8), np.arange(FINE_PX, start, RING_PX / 2)])
         knots = np.append(knots, start)
-        basis = np.concatenate([_basis(measured, knots), np.ones((measured.shape[0], 1))], axis=1)
-        weighted = basis / sigma.ravel()[:, None]
-        normal = weighted.T @ weighted
+        basis = sparse.hstack([_basis(measured, knots), np.ones((measured.shape[0], 1))], format="csr")
+        weighted = sparse.diags_array(1 / sigma.ravel()) @ basis
+        normal = (weighted.T @ weighted).toarray()
         normal[np.diag_indices_from(normal)] *= 1 + NORMAL_REGULARISATION
         profile = _non_negative(normal, weighted.T @ (picture.ravel() / sigma.ravel()))
         unexplained = np.sum((basis @ profile - picture.ravel()) ** 2) - np.sum(sigma**2)
@@ -147,17 +147,16 @@ def _subpixel_radius(shape: tuple[int, ...], centre: FloatArray) -> FloatArray:
     return blocks.reshape(shape[0] * shape[1], SUBPIXELS**2)
 
 
-def _basis(radius: FloatArray, knots: FloatArray) -> FloatArray:
+def _basis(radius: FloatArray, knots: FloatArray) -> sparse.csr_array:
     """Integral over each pixel of every knot's hat function, [pixel, knot]; the last goes on as r^-3."""
     inside = np.minimum(radius, knots[-1])
     upper = np.clip(np.searchsorted(knots, inside, side="right"), 1, len(knots) - 1)
     share = (inside - knots[upper - 1]) / (knots[upper] - knots[upper - 1])
     falloff = np.maximum(radius / knots[-1], 1.0) ** -3
     pixel = np.repeat(np.arange(len(radius)), radius.shape[1])
-    basis = np.zeros((len(radius), len(knots)))
-    np.add.at(basis, (pixel, upper.ravel() - 1), ((1 - share) * falloff).ravel())
-    np.add.at(basis, (pixel, upper.ravel()), (share * falloff).ravel())
-    return basis / radius.shape[1]
+    parts = np.concatenate([((1 - share) * falloff).ravel(), (share * falloff).ravel()]) / radius.shape[1]
+    place = (np.tile(pixel, 2), np.concatenate([upper.ravel() - 1, upper.ravel()]))
+    return sparse.coo_array((parts, place), shape=(len(radius), len(knots))).tocsr()
 
 
 def _tail_start(picture: FloatArray, sigma: FloatArray, ring: NDArray[np.int_]) -> float:

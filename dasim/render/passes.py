@@ -198,9 +198,9 @@ def _ray_loop(
             # The film position where the chief ray images the point, relative to where this sample counts.
             seen = mi.Point2f(point.x, point.y) / point.z * (image_m / pitch_m)
             u = dr.norm(seen - film)
-            blur = 2 * radius_m / pitch_m * image_m * dr.abs(1 / point.z - 1 / focus_m)
+            blur = 2 * radius_m / pitch_m * image_m * (1 / point.z - 1 / focus_m)
             scales = [wavelengths[k] * scale_per_nm for k in range(4)]
-            for k, ratio in enumerate(wave.weights(tables, info, u, blur, scales)):
+            for k, ratio in enumerate(wave.weights(tables, info, u, dr.abs(blur), scales)):
                 weight[k] = ratio
         radiance, _, _ = integrator.sample(scene, sampler, ray)
 
@@ -228,9 +228,9 @@ def _ray_loop(
 
 
 def _one_depth(blur: FloatArray, blur_squared: FloatArray) -> np.ndarray:
-    """Pixels whose rays all meet about the same blur, from the mean and mean square of the blur in pixels."""
+    """Pixels whose rays all meet about the same blur, from the mean and mean square of the signed blur in pixels."""
     deviation = np.sqrt(np.maximum(blur_squared - blur**2, 0.0))
-    return deviation <= SAME_BLUR_PX + SAME_BLUR_SHARE * blur
+    return deviation <= SAME_BLUR_PX + SAME_BLUR_SHARE * np.abs(blur)
 
 
 def _block_seed(seed: int, radius_m: float, block: int) -> int:
