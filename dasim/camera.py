@@ -14,6 +14,8 @@ from dasim.errors import InputError
 
 CAMERA_DIR = Path(__file__).parent / "cameras"
 BLUR_LEVELS = 29  # sec. 6.1
+NEAREST_FOCUS = 1.1  # in focal lengths: ten times life size
+SMALLEST_FRAME_PX = 8
 
 Model = TypeVar("Model", bound=BaseModel)
 
@@ -34,10 +36,11 @@ class Lens(Specification):
 
     @model_validator(mode="after")
     def _focus_beyond_focal_length(self) -> Lens:
-        if self.focus_distance_m <= self.focal_length_mm * 1e-3:
+        nearest_m = NEAREST_FOCUS * self.focal_length_mm * 1e-3
+        if self.focus_distance_m < nearest_m:
             raise ValueError(
-                f"focus_distance_m is {self.focus_distance_m:g} m, "
-                f"must be larger than the focal length of {self.focal_length_mm * 1e-3:g} m"
+                f"focus_distance_m is {self.focus_distance_m:g} m, must be at least {nearest_m:g} m, "
+                f"{NEAREST_FOCUS:g} times the focal length"
             )
         return self
 
@@ -45,8 +48,8 @@ class Lens(Specification):
 class Sensor(Specification):
     """An RGB-IR sensor: geometry, mosaic, spectral limits and electrical values (EMVA 1288 terms)."""
 
-    width_px: int = Field(ge=8, le=20_000)
-    height_px: int = Field(ge=8, le=20_000)
+    width_px: int = Field(ge=SMALLEST_FRAME_PX, le=20_000)
+    height_px: int = Field(ge=SMALLEST_FRAME_PX, le=20_000)
     pixel_pitch_um: float = Field(gt=0.2, le=50)
     mosaic: tuple[tuple[str, ...], ...] = Field(description="rows of channel names, top left of the frame first")
     cutoff_nm: float = Field(default=810.0, ge=500, le=830, description="short-pass filter on the sensor")
@@ -131,14 +134,16 @@ def parse(model: type[Model], data: Any, where: str) -> Model:
 
 
 def _problem(item: Any) -> str:
-    key = ".".join(str(part) for part in item["loc"]) or "the file"
+    key = ".".join(str(part) for part in item["loc"])
     message = item["msg"].removeprefix("Value error, ")
     if item["type"] == "extra_forbidden":
         return f"{key}: unknown key"
     if item["type"] == "missing":
         return f"{key}: is missing"
     shown = item.get("input")
-    return f"{key}: {message}" + (f" (is {shown!r})" if isinstance(shown, (str, int, float)) else "")
+    return (f"{key}: {message}" if key else message) + (
+        f" (is {shown!r})" if isinstance(shown, (str, int, float)) else ""
+    )
 
 
 def cropped(camera: Camera, width_px: int, height_px: int) -> Camera:
@@ -147,9 +152,10 @@ def cropped(camera: Camera, width_px: int, height_px: int) -> Camera:
     Raises InputError where the crop is larger than the sensor or no multiple of its mosaic.
     """
     sensor = camera.sensor
-    if not (0 < width_px <= sensor.width_px and 0 < height_px <= sensor.height_px):
+    low = SMALLEST_FRAME_PX
+    if not (low <= width_px <= sensor.width_px and low <= height_px <= sensor.height_px):
         raise InputError(
-            f"size {width_px}x{height_px} is not within 1x1 to {sensor.width_px}x{sensor.height_px}, "
+            f"size {width_px}x{height_px} is not within {low}x{low} to {sensor.width_px}x{sensor.height_px}, "
             f"the sensor of camera '{camera.name}'"
         )
     changed = sensor.model_dump() | {"width_px": width_px, "height_px": height_px}
@@ -198,7 +204,7 @@ def level_blur_px(camera: Camera) -> spectra.FloatArray:
     5 cm to 2 m in 29 levels with its 3.6 mm lens. A camera with one aperture takes steps of 2 pixels.
     """
     relative = 1.0 - hole_ratio(camera)
-    return np.arange(BLUR_LEVELS) * (1.0 / relative if relative > 0 else 2.0)
+    return np.arange(BLUR_LEVELS, dtype=np.float64) * (1.0 / relative if relative > 0 else 2.0)
 
 
 def intrinsic_matrix(camera: Camera) -> spectra.FloatArray:

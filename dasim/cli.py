@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import signal
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -21,11 +22,27 @@ app = cyclopts.App(
 )
 
 Progress = Callable[[str, float], None]
+_STOPPED = 130
 
 
 def main() -> None:
-    """Entry point: exit status 0 done, 1 a gate failed, 2 the user's input is wrong, 130 interrupted."""
-    sys.exit(run(sys.argv[1:]))
+    """Entry point: exit status 0 done, 1 a gate failed, 2 the user's input is wrong, 128 + signal when stopped."""
+    stopped: list[int] = []
+
+    def stop(number: int, frame: Any) -> None:
+        stopped.append(number)
+        raise KeyboardInterrupt
+
+    for name in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(name, stop)
+    try:
+        status = run(sys.argv[1:])
+    except Exception:
+        # A library that was stopped while it was loading may raise anything.
+        if not stopped:
+            raise
+        status = _STOPPED
+    sys.exit(128 + stopped[0] if stopped else status)
 
 
 def run(arguments: list[str]) -> int:
@@ -40,7 +57,7 @@ def run(arguments: list[str]) -> int:
         return _refuse(f"{error.filename or 'file'}: {error.strerror or error}")
     except KeyboardInterrupt:
         print("dasim: stopped; nothing half-written is left behind", file=sys.stderr)
-        return 130
+        return _STOPPED
 
 
 def _refuse(message: str) -> int:
@@ -69,23 +86,33 @@ def _progress() -> Iterator[Progress]:
         yield update
 
 
+def _whole(kind: Any, tokens: Any) -> int:
+    """A whole number, as written: 1.5 is none."""
+    try:
+        return int(tokens[0].value)
+    except ValueError:
+        raise InputError(f"--{tokens[0].keyword.lstrip('-')} '{tokens[0].value}' is not a whole number") from None
+
+
+Whole = Annotated[int, Parameter(converter=_whole)]
 Out = Annotated[Path, Parameter(name="--out")]
 
 
 @app.command
-def demo(*, out: Out = Path("out/demo"), variant: str | None = None, spp: int | None = None) -> int:
+def demo(*, out: Out = Path("out/demo"), variant: str | None = None, spp: Whole | None = None) -> int:
     """Run the whole chain on a bundled scene; writes report.html and results.json.
 
-    Parameters
-    ----------
-    out: folder to write; an earlier result there is replaced as a whole
-    variant: Mitsuba variant, auto by default
-    spp: samples a pixel and stop
+    Args:
+        out: folder to write; an earlier result there is replaced as a whole
+        variant: Mitsuba variant, auto by default
+        spp: samples a pixel and stop
     """
+    from dasim.simulation import check_options
     from dasim.values import check_output
     from validation.demo import run_demo
 
-    check_output(out)
+    check_output(out, "demo")
+    check_options(spp, 0, None)
     _say_variant(variant)
     with _progress() as progress:
         entries = run_demo(out, variant=variant, spp=spp, progress=progress)
@@ -103,33 +130,34 @@ def render(
     out: Out,
     camera: str = "da-mobile",
     focus: float | None = None,
-    seed: int = 0,
+    seed: Whole = 0,
     size: str | None = None,
-    spp: int | None = None,
+    spp: Whole | None = None,
     exposure: float | None = None,
     diffraction: str | None = None,
     variant: str | None = None,
 ) -> int:
     """Photograph a scene: a capture folder with raw.png, truth.exr and meta.json.
 
-    Parameters
-    ----------
-    scene: a bundled name (see 'dasim list scenes') or a TOML file
-    out: the capture folder
-    camera: a bundled name (see 'dasim list cameras') or a TOML file
-    focus: focus distance in metres; by default what the scene proposes, else the camera's own
-    seed: of all random numbers
-    size: WxH pixels, a central crop of the sensor at unchanged pixel pitch
-    spp: samples a pixel and stop
-    exposure: exposure time in seconds; automatic by default
-    diffraction: wave, airy or off
-    variant: Mitsuba variant: auto, cuda_ad_spectral, llvm_ad_spectral or scalar_spectral
+    Args:
+        scene: a bundled name (see 'dasim list scenes') or a TOML file
+        out: the capture folder
+        camera: a bundled name (see 'dasim list cameras') or a TOML file
+        focus: focus distance in metres; by default what the scene proposes, else the camera's own
+        seed: of all random numbers
+        size: WxH pixels, a central crop of the sensor at unchanged pixel pitch
+        spp: samples a pixel and stop
+        exposure: exposure time in seconds; automatic by default
+        diffraction: wave, airy or off
+        variant: Mitsuba variant: auto, cuda_ad_spectral, llvm_ad_spectral or scalar_spectral
     """
     import dasim
     from dasim.camera import parse
+    from dasim.simulation import check_options
     from dasim.values import check_output
 
-    check_output(out)
+    check_output(out, "capture")
+    check_options(spp, seed, diffraction)
     described = dasim.load_scene(scene)
     chosen = dasim.load_camera(camera)
     if size is not None:
@@ -162,33 +190,35 @@ def calibrate(
     out: Out,
     camera: str = "da-mobile",
     focus: float | None = None,
-    illuminant: list[str] | None = None,
+    illuminant: Annotated[list[str] | None, Parameter(negative="")] = None,
     diffraction: str = "wave",
 ) -> int:
     """Measure a PSF bank from simulated pictures of a point source.
 
-    Parameters
-    ----------
-    out: the bank, one .npz file
-    camera: a bundled name or a TOML file
-    focus: focus distance in metres; the camera's own by default
-    illuminant: lights of the bank; all by default
-    diffraction: wave, airy or off; the same as that of the captures
+    Args:
+        out: the bank, one .npz file
+        camera: a bundled name or a TOML file
+        focus: focus distance in metres; the camera's own by default
+        illuminant: lights of the bank; all by default
+        diffraction: wave, airy or off; the same as that of the captures
     """
     import dasim
+    from dasim import spectra
     from dasim.calibration import CALIBRATION_LIGHTS
+    from dasim.simulation import check_options
     from dasim.values import save_bank
     from validation.banks import simulated_bank
 
-    if out.is_dir():
-        raise InputError(f"output {out}: is a folder; a bank is one .npz file")
+    _check_bank_output(out)
+    lights = tuple(dict.fromkeys(illuminant or CALIBRATION_LIGHTS))
+    for light in lights:
+        spectra.illuminant(light)
+    check_options(None, 0, diffraction)
     chosen = dasim.load_camera(camera)
     if focus is not None:
         chosen = dasim.refocused(chosen, focus)
     with _progress() as progress:
-        bank = simulated_bank(
-            chosen, lights=tuple(illuminant or CALIBRATION_LIGHTS), diffraction=diffraction, progress=progress
-        )
+        bank = simulated_bank(chosen, lights=lights, diffraction=diffraction, progress=progress)
     save_bank(out, bank)
     print(f"bank: {out} ({', '.join(bank.lights)}; {len(bank.depth_m)} levels, {bank.depth_m[-1]:.3g} to "
           f"{bank.depth_m[0]:.3g} m)")  # fmt: skip
@@ -199,12 +229,11 @@ def calibrate(
 def recon(capture: Path, *, out: Out, bank: Path | None = None, settings: Path | None = None) -> int:
     """Reconstruct a capture: picture, depth, all-in-focus picture.
 
-    Parameters
-    ----------
-    capture: a capture folder
-    out: the reconstruction folder
-    bank: a PSF bank; by default one is calibrated for the capture's camera and focus, and kept in the cache
-    settings: a TOML file with settings that differ from the paper's preset
+    Args:
+        capture: a capture folder
+        out: the reconstruction folder
+        bank: a PSF bank; by default one is calibrated for the capture's camera and focus, and kept in the cache
+        settings: a TOML file with settings that differ from the paper's preset
     """
     import recon as reconstruction
     from dasim.camera import parse_toml
@@ -212,7 +241,7 @@ def recon(capture: Path, *, out: Out, bank: Path | None = None, settings: Path |
     from recon.output import save_reconstruction
     from validation.banks import simulated_bank
 
-    check_output(out)
+    check_output(out, "reconstruction")
     shot = load_capture(capture)
     chosen = reconstruction.PAPER if settings is None else parse_toml(reconstruction.Settings, settings)
     with _progress() as progress:
@@ -233,33 +262,33 @@ def score(
 ) -> int:
     """Score a reconstruction against the ground truth of its capture.
 
-    Parameters
-    ----------
-    reconstruction: a reconstruction folder
-    capture: the capture folder with truth.exr
-    json_file: also write the figures to this file
+    Args:
+        reconstruction: a reconstruction folder
+        capture: the capture folder with truth.exr
+        json_file: also write the figures to this file
     """
-    from dasim.values import load_truth
+    from dasim.values import load_capture, load_truth
     from recon.output import load_reconstruction
+    from validation.demo import plain_value
     from validation.metrics import score as score_of
 
+    load_capture(capture)  # a capture that is not whole is not scored
     figures = score_of(load_reconstruction(reconstruction), load_truth(capture))
     for figure in figures:
         print(f"{figure.id:<28}{figure.value:>9.3f} {figure.unit:<6}{figure.meaning}")
     if json_file is not None:
-        content = {f.id: {"value": None if f.value != f.value else f.value, "unit": f.unit} for f in figures}
+        content = {f.id: {"value": plain_value(f.value), "unit": f.unit} for f in figures}
         json_file.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
     return 0
 
 
 @app.command(name="list")
-def list_(kind: str, *, verbose: bool = False) -> int:
+def list_(kind: str, *, verbose: Annotated[bool, Parameter(negative="")] = False) -> int:
     """List what is bundled.
 
-    Parameters
-    ----------
-    kind: scenes, cameras, materials or illuminants
-    verbose: with more detail
+    Args:
+        kind: scenes, cameras, materials or illuminants
+        verbose: with more detail
     """
     from dasim import camera, materials, scene, spectra
 
@@ -284,8 +313,26 @@ def list_(kind: str, *, verbose: bool = False) -> int:
     return 0
 
 
+def _check_bank_output(out: Path) -> None:
+    """Refuse to overwrite anything but a bank."""
+    from dasim.values import load_bank
+
+    if out.is_dir():
+        raise InputError(f"output {out}: is a folder; a bank is one .npz file")
+    if out.exists():
+        try:
+            load_bank(out)
+        except InputError:
+            raise InputError(f"output {out}: exists and is no PSF bank; choose another name") from None
+    for parent in out.resolve().parents:
+        if parent.exists():
+            if not parent.is_dir():
+                raise InputError(f"output {out}: {parent} is a file, not a folder")
+            break
+
+
 def _size(text: str) -> tuple[int, int]:
-    width, cross, height = text.partition("x")
+    width, _, height = text.partition("x")
     try:
         return int(width), int(height)
     except ValueError:

@@ -22,6 +22,7 @@ from dasim.materials import Texture, material_names, surface
 FloatArray = NDArray[np.float64]
 Vector = tuple[float, float, float]
 Positive = Annotated[float, Field(gt=0)]
+Lux = Annotated[float, Field(ge=1e-6, le=1e7)]  # from less than starlight to many suns
 
 _HERE = Path(__file__).parent
 SCENE_DIR = _HERE / "scenes" if (_HERE / "scenes").is_dir() else _HERE.parent / "scenes"
@@ -46,7 +47,7 @@ class Dome(Specification):
 
     kind: Literal["dome"]
     illuminant: str
-    lux: Positive
+    lux: Lux
 
 
 class Lamp(Specification):
@@ -54,7 +55,7 @@ class Lamp(Specification):
 
     kind: Literal["lamp"]
     illuminant: str
-    lux: Positive
+    lux: Lux
     position_cm: Vector
     target_cm: Vector
     radius_cm: Positive
@@ -211,7 +212,7 @@ def half_extent_m(item: Object, scene: Scene) -> tuple[FloatArray, FloatArray]:
     if isinstance(item, Plane):
         half = (item.size_cm[0] / 2, item.size_cm[1] / 2, 0.0)
     elif isinstance(item, Box):
-        half = tuple(size / 2 for size in item.size_cm)
+        half = (item.size_cm[0] / 2, item.size_cm[1] / 2, item.size_cm[2] / 2)
     elif isinstance(item, Cylinder):
         half = (item.radius_cm, item.height_cm / 2, item.radius_cm)
     else:

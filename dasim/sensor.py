@@ -12,6 +12,8 @@ from dasim.camera import Camera, Sensor, Specification, mosaic_channels
 
 FloatArray = NDArray[np.float64]
 
+LONGEST_EXPOSURE_S = 3600.0
+
 # Randomness is keyed by (seed, stage), so that no stage depends on how much another has drawn.
 _STAGES = {"shot": 1, "dark": 2, "read": 3, "dsnu": 4, "prnu": 5}
 
@@ -19,7 +21,7 @@ _STAGES = {"shot": 1, "dark": 2, "read": 3, "dsnu": 4, "prnu": 5}
 class Exposure(Specification):
     """Exposure time and analogue gain; a time of None means automatic exposure."""
 
-    time_s: float | None = Field(default=None, gt=0, le=3600)
+    time_s: float | None = Field(default=None, gt=0, le=LONGEST_EXPOSURE_S)
     gain: float = Field(default=1.0, ge=1.0 / 16, le=1024, description="analogue gain, 1: full well at full scale")
     auto_percentile: float = Field(default=99.5, gt=0, le=100)
     auto_level: float = Field(default=0.85, gt=0, le=1, description="share of full scale that the percentile reaches")
@@ -39,7 +41,7 @@ def auto_exposure_s(rate_e_s: FloatArray, camera: Camera, exposure: Exposure) ->
     if brightest <= 0:
         return 1.0
     full_scale_e = camera.sensor.full_well_e * min(1.0, 1.0 / exposure.gain)
-    return exposure.auto_level * full_scale_e / brightest
+    return min(exposure.auto_level * full_scale_e / brightest, LONGEST_EXPOSURE_S)
 
 
 def electrons_per_dn(sensor: Sensor, gain: float = 1.0) -> float:

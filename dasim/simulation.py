@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -19,6 +20,7 @@ from dasim.sensor import Exposure
 from dasim.values import Capture, Truth
 
 DEFAULT_SPP = 144
+MOST_SPP = 65_536
 SHARP_SPP = 36  # the pinhole pass has no lens to sample
 BLUR_MARGIN = 1.1  # something nearer than all that is seen may lie just outside the frame
 
@@ -51,10 +53,7 @@ def simulate(
     bytes. ``progress`` gets the stage's name and the share of it that is done.
     """
     exposure = exposure or Exposure()
-    if spp < 1:
-        raise InputError(f"spp is {spp}; at least 1 sample a pixel is needed")
-    if seed < 0:
-        raise InputError(f"seed is {seed}; 0 or a positive whole number is needed")
+    check_options(spp, seed, diffraction)
     choice = backend.choose(variant)
     diffraction = diffraction_model(diffraction, choice.variant)
     backend.activate(choice)
@@ -67,20 +66,19 @@ def simulate(
     progress("geometry", 1.0)
 
     illuminant = scenes.main_illuminant(scene)
-    shape = (*geometry.depth_m.shape, 4)
     lens_rate = np.zeros((*geometry.depth_m.shape, 4))
     for stop in camera.stops:
-        stage = f"rendering through stop '{stop.name}'"
+        stage = partial(progress, f"rendering through stop '{stop.name}'")
         lens_rate += passes.stop_pass(
             mitsuba_scene,
             camera,
             stop,
-            passes.Sampling(spp, seed, lambda share, stage=stage: progress(stage, share)),
+            passes.Sampling(spp, seed, stage),
             diffraction=diffraction,
             max_blur_px=float(np.abs(blur_px).max()) * BLUR_MARGIN,
             illuminant=illuminant,
         )
-    sampling = passes.Sampling(SHARP_SPP, seed, lambda share: progress("rendering the pinhole picture", share))
+    sampling = passes.Sampling(SHARP_SPP, seed, partial(progress, "rendering the pinhole picture"))
     pinhole_rate = passes.pinhole_pass(mitsuba_scene, camera, sampling)
 
     time_s = exposure.time_s or sensor.auto_exposure_s(lens_rate, camera, exposure)
@@ -117,6 +115,16 @@ def simulate(
     return Shot(capture, exact)
 
 
+def check_options(spp: int | None, seed: int, diffraction: str | None) -> None:
+    """InputError for samples, seed or diffraction model that no variant takes."""
+    if spp is not None and not 1 <= spp <= MOST_SPP:
+        raise InputError(f"spp is {spp}; 1 to {MOST_SPP} samples a pixel are allowed")
+    if seed < 0:
+        raise InputError(f"seed is {seed}; 0 or a positive whole number is needed")
+    if diffraction is not None and diffraction not in DIFFRACTION_MODELS:
+        raise InputError(f"diffraction '{diffraction}' is unknown; allowed are {', '.join(DIFFRACTION_MODELS)}")
+
+
 def notes(rate_e_s: np.ndarray, depth_m: np.ndarray, saturated: int, diffraction: str) -> list[str]:
     """What a user should know of a capture that is legal but odd, or approximate."""
     found = []
@@ -138,6 +146,5 @@ def diffraction_model(name: str | None, variant: str) -> str:
         return "airy" if scalar else "wave"
     allowed = ("airy", "off") if scalar else ("wave", "off")
     if name not in allowed:
-        known = "is unknown" if name not in DIFFRACTION_MODELS else f"is not what {variant} can do"
-        raise InputError(f"diffraction '{name}' {known}; allowed are {', '.join(allowed)}")
+        raise InputError(f"diffraction '{name}' is not what {variant} can do; allowed are {', '.join(allowed)}")
     return name

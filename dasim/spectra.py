@@ -6,7 +6,8 @@ linear in between. The grid ends at 830 nm, the upper limit of Mitsuba's spectra
 
 from __future__ import annotations
 
-from functools import lru_cache
+from functools import cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,7 +35,7 @@ _D_SERIES_CCT_K = {"D65": 6504.0, "D55": 5503.0, "D50": 5003.0}
 _PLANCKIAN_K = {"A": 2855.5, "incandescent-2800K": 2800.0}
 
 
-def integrate(values: FloatArray, axis: int = -1) -> FloatArray:
+def integrate(values: FloatArray, axis: int = -1) -> Any:
     """Integral over wavelength of ``values`` (sampled on ``WAVELENGTH_NM``) by trapezoids, in units * nm."""
     return np.trapezoid(values, WAVELENGTH_NM, axis=axis)
 
@@ -86,10 +87,10 @@ def ir_crosstalk(response: FloatArray) -> FloatArray:
     low, high = NEAR_INFRARED_NM
     band = (WAVELENGTH_NM >= low) & (WAVELENGTH_NM <= high)
     areas = np.trapezoid(response[:, band], WAVELENGTH_NM[band], axis=-1)
-    return areas[:3] / areas[3]
+    return np.asarray(areas)[:3] / np.asarray(areas)[3]
 
 
-@lru_cache(maxsize=None)
+@cache
 def luminous_efficiency() -> FloatArray:
     """CIE 1924 photopic luminous efficiency V(lambda), 0..1, from colour-science."""
     import colour
@@ -109,7 +110,7 @@ def planckian(temperature_k: float) -> FloatArray:
     return law(WAVELENGTH_NM) / law(560.0)
 
 
-@lru_cache(maxsize=None)
+@cache
 def illuminant(name: str) -> FloatArray:
     """Relative spectral power of a named illuminant (``ILLUMINANTS``), scaled to 1 lux.
 

@@ -20,13 +20,15 @@ from typing import Any
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import ConfigDict, Field
 
-from dasim.camera import Camera, depth_of_blur_m, intrinsic_matrix, level_blur_px, parse
+from dasim.camera import Camera, Specification, depth_of_blur_m, intrinsic_matrix, level_blur_px, parse
 from dasim.errors import InputError
 from dasim.spectra import CHANNELS
 
 CAPTURE_SCHEMA = 1
 BANK_SCHEMA = 1
+KERNEL_SUM_TOLERANCE = 1e-3
 Float32Array = NDArray[np.float32]
 
 
@@ -130,18 +132,23 @@ def software_versions() -> dict[str, str]:
 
 # --- folders -------------------------------------------------------------------------------------
 
-_OWN_FILES = ("meta.json", "results.json", "recon.json")
+# What each kind of result folder holds; the first is the file that marks it.
+RESULT_FILES = {
+    "capture": ("meta.json", "raw.png", "truth.exr"),
+    "reconstruction": ("recon.json", "recon.exr", "rgb.png", "sharp.png", "ir.png"),
+    "demo": ("results.json", "report.html", "overview.jpg", "capture", "recon"),
+}
 
 
 @contextmanager
-def new_folder(path: Path) -> Iterator[Path]:
+def new_folder(path: Path, kind: str) -> Iterator[Path]:
     """A temporary folder that becomes ``path`` when the block ends well, and vanishes when it does not.
 
-    An earlier result of dasim at ``path`` is replaced as a whole; a folder that holds anything else is
-    refused with InputError.
+    An earlier result of the same ``kind`` (of ``RESULT_FILES``) at ``path`` is replaced as a whole; a folder
+    that holds anything else is refused with InputError.
     """
-    path = Path(path)
-    check_output(path)
+    check_output(path, kind)
+    path = Path(path).resolve()
     path.parent.mkdir(parents=True, exist_ok=True)
     temporary = Path(tempfile.mkdtemp(prefix=f".{path.name}.partial-", dir=path.parent))
     try:
@@ -158,18 +165,24 @@ def new_folder(path: Path) -> Iterator[Path]:
         shutil.rmtree(temporary, ignore_errors=True)
 
 
-def check_output(path: Path) -> None:
-    """Refuse an output path that is a file, or a folder that dasim did not write; before any work starts."""
-    path = Path(path)
+def check_output(path: Path, kind: str) -> None:
+    """Refuse an output folder that holds anything but an earlier result of this kind; before any work starts."""
+    shown, path = path, Path(path).resolve()
+    if path == Path.cwd() or path in Path.cwd().parents:
+        raise InputError(f"output '{shown}': is the working folder or above it; name a new folder")
     if path.exists() and not path.is_dir():
-        raise InputError(f"output {path}: is a file, a folder is needed")
-    if path.is_dir() and any(path.iterdir()) and not any((path / name).is_file() for name in _OWN_FILES):
-        raise InputError(f"output {path}: exists and holds files that dasim did not write; choose another folder")
-    parent = path.parent
+        raise InputError(f"output {shown}: is a file, a folder is needed")
+    if path.is_dir():
+        entries = {entry.name for entry in path.iterdir()}
+        files = RESULT_FILES[kind]
+        if entries and not (files[0] in entries and entries <= set(files)):
+            strange = ", ".join(sorted(entries - set(files))[:3]) or f"no {files[0]}"
+            raise InputError(f"output {shown}: exists and is no earlier {kind} ({strange}); choose another folder")
+    parent = path if path.is_dir() else path.parent
     while not parent.exists():
         parent = parent.parent
     if not parent.is_dir() or not os.access(parent, os.W_OK):
-        raise InputError(f"output {path}: {parent} is not a folder that can be written to")
+        raise InputError(f"output {shown}: {parent} is not a folder that can be written to")
 
 
 # --- captures ------------------------------------------------------------------------------------
@@ -177,7 +190,7 @@ def check_output(path: Path) -> None:
 
 def save_capture(path: Path, capture: Capture, truth: Truth | None) -> None:
     """Write a capture folder: ``raw.png`` (16 bits), ``truth.exr`` (multi-part) and ``meta.json``."""
-    with new_folder(path) as folder:
+    with new_folder(path, "capture") as folder:
         write_png16(folder / "raw.png", capture.raw_dn)
         if truth is not None:
             write_truth(folder / "truth.exr", truth)
@@ -192,6 +205,7 @@ def save_capture(path: Path, capture: Capture, truth: Truth | None) -> None:
             "illuminant": capture.illuminant,
             "provenance": capture.provenance,
             "software": software_versions(),
+            "file_bytes": {file.name: file.stat().st_size for file in sorted(folder.iterdir())},
         }
         (folder / "meta.json").write_text(json.dumps(meta, indent=1) + "\n", encoding="utf-8")
 
@@ -200,24 +214,19 @@ def load_capture(path: Path) -> Capture:
     """Read a capture folder; InputError where a file is missing, cut short or does not fit the others."""
     path = Path(path)
     meta = _read_meta(path)
+    about = parse(_CaptureMeta, meta, str(path / "meta.json"))
+    _check_whole(path / "raw.png", meta)
     raw = read_png16(path / "raw.png")
-    try:
-        camera = parse(Camera, meta["camera"], f"{path / 'meta.json'}: camera")
-        capture = Capture(
-            raw_dn=raw,
-            camera=camera,
-            exposure_s=float(meta["exposure_s"]),
-            gain=float(meta["gain"]),
-            seed=int(meta["seed"]),
-            illuminant=meta["illuminant"],
-            provenance=dict(meta["provenance"]),
-        )
-    except KeyError as error:
-        raise InputError(f"{path / 'meta.json'}: key {error} is missing") from None
-    except (TypeError, ValueError) as error:
-        if isinstance(error, InputError):
-            raise
-        raise InputError(f"{path / 'meta.json'}: a value is of the wrong type ({error})") from None
+    camera = about.camera
+    capture = Capture(
+        raw_dn=raw,
+        camera=camera,
+        exposure_s=about.exposure_s,
+        gain=about.gain,
+        seed=about.seed,
+        illuminant=about.illuminant,
+        provenance=about.provenance,
+    )
     sensor = camera.sensor
     if raw.shape != (sensor.height_px, sensor.width_px):
         raise InputError(
@@ -229,10 +238,37 @@ def load_capture(path: Path) -> Capture:
 
 def load_truth(path: Path) -> Truth:
     """Read the ground truth of a capture folder; InputError where it is missing or cut short."""
-    return read_truth(Path(path) / "truth.exr")
+    path = Path(path)
+    _check_whole(path / "truth.exr", _read_meta(path))
+    return read_truth(path / "truth.exr")
+
+
+class _CaptureMeta(Specification):
+    """The keys of ``meta.json`` that a capture is made of; the others are for people."""
+
+    model_config = ConfigDict(frozen=True, extra="ignore", allow_inf_nan=False)
+
+    camera: Camera
+    exposure_s: float = Field(gt=0)
+    gain: float = Field(gt=0)
+    seed: int = Field(ge=0)
+    illuminant: str | None
+    provenance: dict[str, Any]
+
+
+def _check_whole(file: Path, meta: dict[str, Any]) -> None:
+    """InputError where a file of a capture is missing, or shorter or longer than it was written."""
+    if not file.is_file():
+        raise InputError(f"{file}: is missing; a capture holds raw.png, truth.exr and meta.json")
+    sizes = meta.get("file_bytes")
+    written = sizes.get(file.name) if isinstance(sizes, dict) else None
+    if written is not None and file.stat().st_size != written:
+        raise InputError(f"{file}: has {file.stat().st_size} bytes of {written}; it is cut short or was changed")
 
 
 def _read_meta(path: Path) -> dict[str, Any]:
+    if path.is_file():
+        raise InputError(f"capture {path}: is a file; give the folder that holds raw.png, truth.exr and meta.json")
     if not path.is_dir():
         raise InputError(f"capture {path}: no such folder (a capture holds raw.png, truth.exr and meta.json)")
     file = path / "meta.json"
@@ -266,7 +302,7 @@ def read_png16(path: Path) -> NDArray[np.uint16]:
     image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
     if image is None or image.ndim != 2 or image.dtype != np.uint16:
         raise InputError(f"{path}: is no 16-bit grey PNG")
-    return image
+    return image.astype(np.uint16, copy=False)
 
 
 # --- ground truth as multi-part EXR --------------------------------------------------------------
@@ -362,17 +398,29 @@ def load_bank(path: Path) -> PsfBank:
     """Read a PSF bank; InputError where the file is missing, damaged or no bank."""
     path = Path(path)
     if not path.is_file():
-        raise InputError(f"bank {path}: no such file; make one with 'dasim calibrate'")
+        what = "is a folder, a bank is one .npz file" if path.is_dir() else "no such file"
+        raise InputError(f"bank {path}: {what}; make one with 'dasim calibrate'")
     try:
         with path.open("rb") as file, np.load(file, allow_pickle=False) as data:
             about = dict(json.loads(str(data["about"])))
             arrays = {key: data[key] for key in ("kernel", "signature", "depth_m", "blur_px")}
     except Exception as error:  # zip, npy and json errors of a damaged file are of many types
-        raise InputError(f"bank {path}: cannot be read ({error})") from None
+        raise InputError(
+            f"bank {path}: is no bank, or is damaged ({type(error).__name__}); make one with 'dasim calibrate'"
+        ) from None
     if about.get("schema") != BANK_SCHEMA:
         raise InputError(f"bank {path}: is no bank of schema {BANK_SCHEMA}; make a new one with 'dasim calibrate'")
     camera = parse(Camera, about.get("camera"), f"bank {path}: camera")
     lights, diffraction = tuple(about.get("lights", ())), str(about.get("diffraction", "measured"))
-    if arrays["kernel"].ndim != 5 or arrays["kernel"].shape[:2] != (len(lights), len(arrays["depth_m"])):
-        raise InputError(f"bank {path}: its kernels do not fit its lights and levels")
+    kernel, levels = arrays["kernel"], len(np.atleast_1d(arrays["depth_m"]))
+    shapes = {"signature": (len(lights), len(CHANNELS)), "depth_m": (levels,), "blur_px": (levels,)}
+    square = kernel.ndim == 5 and kernel.shape[3] == kernel.shape[4] and kernel.shape[3] % 2 == 1
+    if not square or kernel.shape[:3] != (len(lights), levels, len(CHANNELS)) or 0 in kernel.shape:
+        raise InputError(f"bank {path}: its kernels do not fit its lights, levels and channels")
+    if any(arrays[name].shape != shape for name, shape in shapes.items()):
+        raise InputError(f"bank {path}: its tables do not fit its lights and levels")
+    if not all(np.isfinite(array).all() for array in arrays.values()):
+        raise InputError(f"bank {path}: has values that are not finite")
+    if np.abs(kernel.sum(axis=(3, 4)) - 1).max() > KERNEL_SUM_TOLERANCE or (arrays["depth_m"] <= 0).any():
+        raise InputError(f"bank {path}: its kernels are not of unit sum, or its depths not above 0")
     return PsfBank(lights=lights, diffraction=diffraction, camera=camera, **arrays)

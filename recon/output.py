@@ -26,9 +26,7 @@ def save_reconstruction(path: Path, result: Reconstruction) -> None:
 
     parts = [_part("depth", {"Z": result.depth_m})]
     parts += [_part(name, {name: getattr(result, name)}) for name in _PLANES]
-    parts += [
-        _part(name, {c: getattr(result, name)[..., i] for i, c in enumerate(_RGB)}) for name in _COLOURS
-    ]
+    parts += [_part(name, {c: getattr(result, name)[..., i] for i, c in enumerate(_RGB)}) for name in _COLOURS]
     about = {
         "schema": RECON_SCHEMA,
         "camera": result.camera.model_dump(mode="json"),
@@ -37,7 +35,7 @@ def save_reconstruction(path: Path, result: Reconstruction) -> None:
         "timings_s": result.timings_s,
         "software": software_versions(),
     }
-    with new_folder(path) as folder:
+    with new_folder(path, "reconstruction") as folder:
         write_picture(folder / "rgb.png", result.rgb)
         write_picture(folder / "sharp.png", result.sharp_rgb)
         write_picture(folder / "ir.png", grey(result.ir_e))
@@ -50,6 +48,8 @@ def load_reconstruction(path: Path) -> Reconstruction:
     import OpenEXR
 
     path = Path(path)
+    if not (path / "recon.json").is_file():
+        raise InputError(f"reconstruction {path}: holds no recon.json; make one with 'dasim recon CAPTURE --out DIR'")
     try:
         about: dict[str, Any] = json.loads((path / "recon.json").read_text(encoding="utf-8"))
         with OpenEXR.File(str(path / "recon.exr"), separate_channels=True) as file:
@@ -68,7 +68,7 @@ def load_reconstruction(path: Path) -> Reconstruction:
         raise
     except Exception as error:  # missing keys, JSON errors and the EXR library's own
         raise InputError(
-            f"reconstruction {path}: cannot be read ({type(error).__name__}: {error}); "
+            f"reconstruction {path}: is damaged ({type(error).__name__}: {error}); "
             "make one with 'dasim recon CAPTURE --out DIR'"
         ) from None
 

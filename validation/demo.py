@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
@@ -63,8 +64,8 @@ def run_demo(
     size_px: tuple[int, int] = DEMO_SIZE_PX,
     progress: Progress = lambda stage, share: None,
 ) -> list[Claim]:
-    """Run the chain and write ``capture``, ``recon``, ``report.html``, ``results.json``, ``overview.jpg`` into ``out``."""
-    with new_folder(out) as folder:
+    """Run the chain; ``out`` gets ``capture``, ``recon``, ``report.html``, ``results.json`` and ``overview.jpg``."""
+    with new_folder(out, "demo") as folder:
         start = time.perf_counter()
         timings: dict[str, float] = {}
 
@@ -93,9 +94,14 @@ def run_demo(
     return entries
 
 
+def plain_value(value: Any) -> Any:
+    """The value for JSON, which has no NaN and no infinity: those become null."""
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
 def write_results(path: Path, entries: list[Claim], timings_s: dict[str, float]) -> None:
-    """Write ``results.json``; NaN becomes null."""
-    plain = [{k: None if v != v else v for k, v in asdict(entry).items()} for entry in entries]
+    """Write ``results.json``; NaN and infinity become null."""
+    plain = [{k: plain_value(v) for k, v in asdict(entry).items()} for entry in entries]
     content = {
         "schema": RESULTS_SCHEMA,
         "claims": plain,

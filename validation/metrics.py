@@ -17,6 +17,7 @@ FloatArray = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 VISIBLE_BLUR_PX = (3.0, 15.0)  # where sharpening is judged
+FLAT_LEVELS = 1e-3  # a scene with less depth than this has no best constant to compare with
 CONSTANT_STEP = 0.05  # levels between the constant maps that are tried
 
 
@@ -68,17 +69,19 @@ def best_constant_error(level: FloatArray) -> float:
 
 
 def _level_figures(name: str, what: str, level: NDArray[Any], truth: Truth, where: Mask) -> list[Figure]:
-    if not where.any():
-        return [Figure(f"level-{name}-median", float("nan"), "level", f"{what}: no such pixels")]
-    error = level_error(level, truth)[where]
-    median = float(np.median(np.abs(error)))
-    constant = best_constant_error(truth.level[where].astype(np.float64))
+    median = bias = bad = constant = ratio = float("nan")
+    if where.any():
+        error = level_error(level, truth)[where]
+        median, bias = float(np.median(np.abs(error))), float(np.median(error))
+        bad = float(np.mean(np.abs(error) > 2))
+        constant = best_constant_error(truth.level[where].astype(np.float64))
+        ratio = median / constant if constant > FLAT_LEVELS else float("nan")
     return [
         Figure(f"level-{name}-median", median, "level", f"{what}: median absolute error"),
-        Figure(f"level-{name}-bias", float(np.median(error)), "level", f"{what}: median error"),
-        Figure(f"level-{name}-bad2", float(np.mean(np.abs(error) > 2)), "1", f"{what}: share off by over 2 levels"),
+        Figure(f"level-{name}-bias", bias, "level", f"{what}: median error"),
+        Figure(f"level-{name}-bad2", bad, "1", f"{what}: share off by over 2 levels"),
         Figure(f"level-{name}-constant", constant, "level", f"{what}: the same for the best constant map"),
-        Figure(f"level-{name}-ratio", median / constant if constant else float("inf"), "1", f"{what}: ratio of both"),
+        Figure(f"level-{name}-ratio", ratio, "1", f"{what}: ratio of both"),
     ]
 
 
@@ -134,7 +137,7 @@ def psnr(image: NDArray[Any], exact: FloatArray, where: Mask) -> float:
 
 
 def _share(part: Mask, whole: Mask) -> float:
-    return float(np.count_nonzero(part) / max(np.count_nonzero(whole), 1))
+    return float(part.sum()) / max(float(whole.sum()), 1.0)
 
 
 def _size(image: NDArray[Any]) -> str:

@@ -78,7 +78,8 @@ def demo_page(shot: Shot, result: Reconstruction, claims: list[Claim], timings_s
         "Frame": f"{sensor.width_px} x {sensor.height_px} pixels of {sensor.pixel_pitch_um:g} um",
         "Exposure": f"{shot.capture.exposure_s * 1e3:.1f} ms, "
         f"{shot.capture.provenance['saturated_pixels']} saturated pixels",
-        "Renderer": f"{shot.capture.provenance['renderer']}, {shot.capture.provenance['spp']} samples a pixel and stop, "
+        "Renderer": f"{shot.capture.provenance['renderer']}, "
+        f"{shot.capture.provenance['spp']} samples a pixel and stop, "
         f"diffraction '{shot.capture.provenance['diffraction']}'",
         "Light": f"{shot.capture.illuminant}; chosen by white balance: {result.light}",
         "Seed": shot.capture.seed,

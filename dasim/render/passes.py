@@ -24,6 +24,7 @@ from dasim.spectra import FloatArray
 Progress = Callable[[float], None]
 
 LANES = 1 << 22  # rays in flight: bounds the memory, and is fixed, since it decides the random numbers
+WAVE_BLUR_PX = 150.0  # visible blur up to which weights are tabulated; beyond, blur is that of the drawn rays
 SAME_BLUR_PX, SAME_BLUR_SHARE = 0.25, 0.02  # spread of the blur on one surface, slanted ones included
 DRAW_NODES = 4096  # of the table that turns a uniform number into a wavelength
 SCALAR_ROWS = 64  # rows a block in scalar_spectral, between two steps of the progress bar
@@ -63,7 +64,7 @@ def stop_pass(
         if diffraction == "airy":
             rate = _in_focus_diffraction(rate, camera, stop, response * spectra.illuminant(illuminant))
     else:
-        wave_blur_px = stop.radius_ratio * max_blur_px if diffraction == "wave" else None
+        wave_blur_px = stop.radius_ratio * min(max_blur_px, WAVE_BLUR_PX) if diffraction == "wave" else None
         rate = _ray_loop(mitsuba_scene, camera, radius_m, response, sampling, wave_blur_px)
     return rate * _cos4(camera)[..., None]
 

@@ -115,7 +115,8 @@ def _shape(item: Any, scene: Scene, bsdf: Any, key: str) -> Any:
 def _box(half: np.ndarray) -> scenes.MeshData:
     """A box whose every side shows the whole texture upright, seen from outside; the lids as seen with z up."""
     corners = np.array([[-1, 1], [1, 1], [1, -1], [-1, -1]])  # bottom left first, right, y down
-    vertices, faces = [], []
+    vertices: list[np.ndarray] = []
+    faces: list[tuple[int, int, int]] = []
     # right and down of each side as seen from outside; the side itself lies at right x down, turned outward
     for right, down in (
         ((1, 0, 0), (0, 1, 0)),
