@@ -141,9 +141,8 @@ def _problem(item: Any) -> str:
     if item["type"] == "missing":
         return f"{key}: is missing"
     shown = item.get("input")
-    return (f"{key}: {message}" if key else message) + (
-        f" (is {shown!r})" if isinstance(shown, (str, int, float)) else ""
-    )
+    is_now = f" (is {shown!r})" if isinstance(shown, (str, int, float)) else ""
+    return (f"{key}: {message}" if key else message) + is_now
 
 
 def cropped(camera: Camera, width_px: int, height_px: int) -> Camera:

@@ -272,8 +272,9 @@ def score(
     from validation.demo import plain_value
     from validation.metrics import score as score_of
 
+    found = load_reconstruction(reconstruction)
     load_capture(capture)  # a capture that is not whole is not scored
-    figures = score_of(load_reconstruction(reconstruction), load_truth(capture))
+    figures = score_of(found, load_truth(capture))
     for figure in figures:
         print(f"{figure.id:<28}{figure.value:>9.3f} {figure.unit:<6}{figure.meaning}")
     if json_file is not None:

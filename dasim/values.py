@@ -175,14 +175,25 @@ def check_output(path: Path, kind: str) -> None:
     if path.is_dir():
         entries = {entry.name for entry in path.iterdir()}
         files = RESULT_FILES[kind]
-        if entries and not (files[0] in entries and entries <= set(files)):
-            strange = ", ".join(sorted(entries - set(files))[:3]) or f"no {files[0]}"
-            raise InputError(f"output {shown}: exists and is no earlier {kind} ({strange}); choose another folder")
+        if entries and not (entries <= set(files) and _marked(path / files[0])):
+            strange = ", ".join(sorted(entries - set(files))[:3]) or files[0]
+            raise InputError(
+                f"output {shown}: exists and holds what dasim did not write for a {kind} ({strange}); "
+                "choose another folder"
+            )
     parent = path if path.is_dir() else path.parent
     while not parent.exists():
         parent = parent.parent
     if not parent.is_dir() or not os.access(parent, os.W_OK):
         raise InputError(f"output {shown}: {parent} is not a folder that can be written to")
+
+
+def _marked(file: Path) -> bool:
+    """Whether a result's JSON file is dasim's own: it names the version that wrote it."""
+    try:
+        return "dasim" in json.loads(file.read_text(encoding="utf-8"))["software"]
+    except (OSError, ValueError, KeyError, TypeError):
+        return False
 
 
 # --- captures ------------------------------------------------------------------------------------

@@ -459,6 +459,8 @@ def test_reconstruction_and_truth_of_other_sizes_are_refused(refused, here):
     smaller = replace(exact, **{field.name: getattr(exact, field.name)[:32, :32] for field in fields(exact)})
     (here / "shot" / "truth.exr").unlink()
     write_truth(here / "shot" / "truth.exr", smaller)
+    meta = json.loads((here / "shot" / "meta.json").read_text())
+    (here / "shot" / "meta.json").write_text(json.dumps(meta | {"file_bytes": {}}))
     refused("score", "result", "shot", said=("64 x 48", "32 x 32"))
 
 

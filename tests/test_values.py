@@ -119,7 +119,7 @@ def test_missing_files_are_named(folder, name):
         (lambda meta: meta.update(exposure_s=[1]), "meta.json"),
         (lambda meta: meta.update(exposure_s="long"), "meta.json"),
         (lambda meta: meta.update(provenance=3), "meta.json"),
-        (lambda meta: meta["camera"]["lens"].pop("f_number"), "camera: lens.f_number: is missing"),
+        (lambda meta: meta["camera"]["lens"].pop("f_number"), "camera.lens.f_number: is missing"),
         (lambda meta: meta["camera"]["sensor"].update(width_px=32), "16 x 12 pixels, meta.json says 32 x 12"),
     ],
 )
@@ -133,33 +133,46 @@ def test_wrong_meta_is_refused(folder, change, said):
 
 def test_other_pictures_are_no_raw_pictures(folder):
     assert cv2.imwrite(str(folder / "raw.png"), np.zeros((H, W), np.uint8))
-    with pytest.raises(InputError, match="no 16-bit grey PNG"):
+    with pytest.raises(InputError, match=r"raw\.png: has \d+ bytes of \d+"):
         values.load_capture(folder)
+    with pytest.raises(InputError, match="no 16-bit grey PNG"):
+        values.read_png16(folder / "raw.png")
     (folder / "truth.exr").write_bytes((folder / "raw.png").read_bytes())
     with pytest.raises(InputError, match=r"truth\.exr"):
         values.load_truth(folder)
 
 
+OWN = '{"software": {"dasim": "0"}}'
+
+
 def test_failure_leaves_nothing_behind(tmp_path):
     """Expectation: an exception in the block leaves neither the folder nor a temporary one, and keeps an old result."""
-    with pytest.raises(ZeroDivisionError), values.new_folder(tmp_path / "out") as folder:
+    with pytest.raises(ZeroDivisionError), values.new_folder(tmp_path / "out", "capture") as folder:
         (folder / "half.txt").write_text("half")
         raise ZeroDivisionError
     assert list(tmp_path.iterdir()) == []
-    with values.new_folder(tmp_path / "out") as folder:
-        (folder / "meta.json").write_text("{}")
-    with pytest.raises(KeyboardInterrupt), values.new_folder(tmp_path / "out"):
+    with values.new_folder(tmp_path / "out", "capture") as folder:
+        (folder / "meta.json").write_text(OWN)
+    with pytest.raises(KeyboardInterrupt), values.new_folder(tmp_path / "out", "capture"):
         raise KeyboardInterrupt
     assert [path.name for path in tmp_path.iterdir()] == ["out"]
-    assert (tmp_path / "out" / "meta.json").read_text() == "{}"
+    assert (tmp_path / "out" / "meta.json").read_text() == OWN
 
 
 def test_own_results_are_replaced_and_foreign_files_kept(tmp_path, capture):
     """Expectation: an earlier capture is replaced as a whole; a folder with anything else, and a file, are refused."""
     values.save_capture(tmp_path / "a" / "shot", capture, None)
-    (tmp_path / "a" / "shot" / "extra.txt").write_text("old")
+    before = (tmp_path / "a" / "shot").stat().st_ino
     values.save_capture(tmp_path / "a" / "shot", capture, None)
+    assert (tmp_path / "a" / "shot").stat().st_ino != before
     assert sorted(path.name for path in (tmp_path / "a" / "shot").iterdir()) == ["meta.json", "raw.png"]
+    (tmp_path / "a" / "shot" / "notes.txt").write_text("mine")
+    with pytest.raises(InputError, match=r"notes\.txt"):
+        values.save_capture(tmp_path / "a" / "shot", capture, None)
+    (tmp_path / "foreign").mkdir()
+    (tmp_path / "foreign" / "meta.json").write_text('{"mine": 1}')
+    with pytest.raises(InputError, match=r"foreign: .*did not write"):
+        values.save_capture(tmp_path / "foreign", capture, None)
     (tmp_path / "holiday").mkdir()
     (tmp_path / "holiday" / "beach.jpg").write_text("mine")
     with pytest.raises(InputError, match=r"holiday: .*did not write"):
@@ -168,7 +181,7 @@ def test_own_results_are_replaced_and_foreign_files_kept(tmp_path, capture):
     with pytest.raises(InputError, match="is a file"):
         values.save_capture(tmp_path / "holiday" / "beach.jpg", capture, None)
     with pytest.raises(InputError, match="not a folder that can be written to"):
-        values.check_output(tmp_path / "holiday" / "beach.jpg" / "below")
+        values.check_output(tmp_path / "holiday" / "beach.jpg" / "below", "capture")
     (tmp_path / "empty").mkdir()
     values.save_capture(tmp_path / "empty", capture, None)
     assert (tmp_path / "empty" / "raw.png").is_file()
