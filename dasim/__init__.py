@@ -17,11 +17,12 @@ if TYPE_CHECKING:
     from dasim.calibration import calibration_captures
     from dasim.camera import Camera, cropped, load_camera, refocused
     from dasim.errors import InputError
+    from dasim.files import load_capture, load_truth, save_capture
     from dasim.pointspread import psf
     from dasim.scene import Scene, focused, load_scene
     from dasim.sensor import Exposure
     from dasim.simulation import Shot, simulate
-    from dasim.values import Capture, Truth, load_capture, load_truth, save_capture
+    from dasim.values import Capture, Truth
 
 __all__ = [
     "Camera",
@@ -52,7 +53,8 @@ _HOME = {
     "scene": ("Scene", "focused", "load_scene"),
     "sensor": ("Exposure",),
     "simulation": ("Shot", "simulate"),
-    "values": ("Capture", "Truth", "load_capture", "load_truth", "save_capture"),
+    "files": ("load_capture", "load_truth", "save_capture"),
+    "values": ("Capture", "Truth"),
 }
 
 

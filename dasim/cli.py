@@ -107,8 +107,8 @@ def demo(*, out: Out = Path("out/demo"), variant: str | None = None, spp: Whole 
         variant: Mitsuba variant, auto by default
         spp: samples a pixel and stop
     """
+    from dasim.files import check_output
     from dasim.simulation import check_options
-    from dasim.values import check_output
     from validation.demo import run_demo
 
     check_output(out, "demo")
@@ -153,8 +153,8 @@ def render(
     """
     import dasim
     from dasim.camera import parse
+    from dasim.files import check_output
     from dasim.simulation import check_options
-    from dasim.values import check_output
 
     check_output(out, "capture")
     check_options(spp, seed, diffraction)
@@ -205,8 +205,8 @@ def calibrate(
     import dasim
     from dasim import spectra
     from dasim.calibration import CALIBRATION_LIGHTS
+    from dasim.files import save_bank
     from dasim.simulation import check_options
-    from dasim.values import save_bank
     from validation.banks import simulated_bank
 
     _check_bank_output(out)
@@ -237,7 +237,7 @@ def recon(capture: Path, *, out: Out, bank: Path | None = None, settings: Path |
     """
     import recon as reconstruction
     from dasim.camera import parse_toml
-    from dasim.values import check_output, load_bank, load_capture
+    from dasim.files import check_output, load_bank, load_capture
     from recon.output import save_reconstruction
     from validation.banks import simulated_bank
 
@@ -267,7 +267,7 @@ def score(
         capture: the capture folder with truth.exr
         json_file: also write the figures to this file
     """
-    from dasim.values import load_capture, load_truth
+    from dasim.files import load_capture, load_truth
     from recon.output import load_reconstruction
     from validation.demo import plain_value
     from validation.metrics import score as score_of
@@ -316,7 +316,7 @@ def list_(kind: str, *, verbose: Annotated[bool, Parameter(negative="")] = False
 
 def _check_bank_output(out: Path) -> None:
     """Refuse to overwrite anything but a bank."""
-    from dasim.values import load_bank
+    from dasim.files import load_bank
 
     if out.is_dir():
         raise InputError(f"output {out}: is a folder; a bank is one .npz file")

@@ -4,7 +4,7 @@
 shared with the simulator, never its formulas.
 """
 
-from dasim.values import load_bank, load_capture, save_bank
+from dasim.files import load_bank, load_capture, save_bank
 from recon.pipeline import reconstruct
 from recon.psf_bank import calibrate
 from recon.settings import PAPER, Settings

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from dasim.camera import Camera, parse
 from dasim.errors import InputError
-from dasim.values import Reconstruction, new_folder, software_versions
+from dasim.files import new_folder, software_versions
+from dasim.values import Reconstruction
 
 RECON_SCHEMA = 1
 _RGB = ("R", "G", "B")

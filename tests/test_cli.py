@@ -19,7 +19,7 @@ import trimesh
 
 from dasim.cache import cache_dir
 from dasim.cli import run
-from dasim.values import load_bank, load_capture, load_truth, write_truth
+from dasim.files import load_bank, load_capture, load_truth, write_truth
 from recon.output import load_reconstruction
 
 TINY = ("--size", "64x48", "--spp", "4")

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from dasim import camera as cameras
-from dasim import values
+from dasim import files
 from dasim.errors import InputError
 from dasim.values import Capture, PsfBank, Truth
 
@@ -51,19 +51,19 @@ def truth():
 
 @pytest.fixture
 def folder(tmp_path, capture, truth):
-    values.save_capture(tmp_path / "shot", capture, truth)
+    files.save_capture(tmp_path / "shot", capture, truth)
     return tmp_path / "shot"
 
 
 def test_capture_and_truth_come_back_as_they_were(folder, capture, truth):
     """Expectation: every field exactly, types and NaN included."""
-    back = values.load_capture(folder)
+    back = files.load_capture(folder)
     for field in dataclasses.fields(Capture):
         if field.name != "raw_dn":
             assert getattr(back, field.name) == getattr(capture, field.name), field.name
     np.testing.assert_array_equal(back.raw_dn, capture.raw_dn)
     assert back.raw_dn.dtype == np.uint16
-    truth_back = values.load_truth(folder)
+    truth_back = files.load_truth(folder)
     for field in dataclasses.fields(Truth):
         ours, theirs = getattr(truth, field.name), getattr(truth_back, field.name)
         assert ours.dtype == theirs.dtype, field.name
@@ -95,7 +95,7 @@ def test_meta_states_what_a_reader_needs(folder, capture):
 def test_cut_files_are_refused(folder, name, kept):
     data = (folder / name).read_bytes()
     (folder / name).write_bytes(data[: min(int(len(data) * kept), len(data) - 3)])
-    load = values.load_truth if name == "truth.exr" else values.load_capture
+    load = files.load_truth if name == "truth.exr" else files.load_capture
     with pytest.raises(InputError, match=name):
         load(folder)
 
@@ -103,11 +103,11 @@ def test_cut_files_are_refused(folder, name, kept):
 @pytest.mark.parametrize("name", ["raw.png", "truth.exr", "meta.json"])
 def test_missing_files_are_named(folder, name):
     (folder / name).unlink()
-    load = values.load_truth if name == "truth.exr" else values.load_capture
+    load = files.load_truth if name == "truth.exr" else files.load_capture
     with pytest.raises(InputError, match=rf"{name}: is missing"):
         load(folder)
     with pytest.raises(InputError, match="no such folder"):
-        values.load_capture(folder / "nothing")
+        files.load_capture(folder / "nothing")
 
 
 @pytest.mark.parametrize(
@@ -128,18 +128,18 @@ def test_wrong_meta_is_refused(folder, change, said):
     change(meta)
     (folder / "meta.json").write_text(json.dumps(meta))
     with pytest.raises(InputError, match=said):
-        values.load_capture(folder)
+        files.load_capture(folder)
 
 
 def test_other_pictures_are_no_raw_pictures(folder):
     assert cv2.imwrite(str(folder / "raw.png"), np.zeros((H, W), np.uint8))
     with pytest.raises(InputError, match=r"raw\.png: has \d+ bytes of \d+"):
-        values.load_capture(folder)
+        files.load_capture(folder)
     with pytest.raises(InputError, match="no 16-bit grey PNG"):
-        values.read_png16(folder / "raw.png")
+        files.read_png16(folder / "raw.png")
     (folder / "truth.exr").write_bytes((folder / "raw.png").read_bytes())
     with pytest.raises(InputError, match=r"truth\.exr"):
-        values.load_truth(folder)
+        files.load_truth(folder)
 
 
 OWN = '{"software": {"dasim": "0"}}'
@@ -147,13 +147,13 @@ OWN = '{"software": {"dasim": "0"}}'
 
 def test_failure_leaves_nothing_behind(tmp_path):
     """Expectation: an exception in the block leaves neither the folder nor a temporary one, and keeps an old result."""
-    with pytest.raises(ZeroDivisionError), values.new_folder(tmp_path / "out", "capture") as folder:
+    with pytest.raises(ZeroDivisionError), files.new_folder(tmp_path / "out", "capture") as folder:
         (folder / "half.txt").write_text("half")
         raise ZeroDivisionError
     assert list(tmp_path.iterdir()) == []
-    with values.new_folder(tmp_path / "out", "capture") as folder:
+    with files.new_folder(tmp_path / "out", "capture") as folder:
         (folder / "meta.json").write_text(OWN)
-    with pytest.raises(KeyboardInterrupt), values.new_folder(tmp_path / "out", "capture"):
+    with pytest.raises(KeyboardInterrupt), files.new_folder(tmp_path / "out", "capture"):
         raise KeyboardInterrupt
     assert [path.name for path in tmp_path.iterdir()] == ["out"]
     assert (tmp_path / "out" / "meta.json").read_text() == OWN
@@ -161,29 +161,29 @@ def test_failure_leaves_nothing_behind(tmp_path):
 
 def test_own_results_are_replaced_and_foreign_files_kept(tmp_path, capture):
     """Expectation: an earlier capture is replaced as a whole; a folder with anything else, and a file, are refused."""
-    values.save_capture(tmp_path / "a" / "shot", capture, None)
+    files.save_capture(tmp_path / "a" / "shot", capture, None)
     before = (tmp_path / "a" / "shot").stat().st_ino
-    values.save_capture(tmp_path / "a" / "shot", capture, None)
+    files.save_capture(tmp_path / "a" / "shot", capture, None)
     assert (tmp_path / "a" / "shot").stat().st_ino != before
     assert sorted(path.name for path in (tmp_path / "a" / "shot").iterdir()) == ["meta.json", "raw.png"]
     (tmp_path / "a" / "shot" / "notes.txt").write_text("mine")
     with pytest.raises(InputError, match=r"notes\.txt"):
-        values.save_capture(tmp_path / "a" / "shot", capture, None)
+        files.save_capture(tmp_path / "a" / "shot", capture, None)
     (tmp_path / "foreign").mkdir()
     (tmp_path / "foreign" / "meta.json").write_text('{"mine": 1}')
     with pytest.raises(InputError, match=r"foreign: .*did not write"):
-        values.save_capture(tmp_path / "foreign", capture, None)
+        files.save_capture(tmp_path / "foreign", capture, None)
     (tmp_path / "holiday").mkdir()
     (tmp_path / "holiday" / "beach.jpg").write_text("mine")
     with pytest.raises(InputError, match=r"holiday: .*did not write"):
-        values.save_capture(tmp_path / "holiday", capture, None)
+        files.save_capture(tmp_path / "holiday", capture, None)
     assert [path.name for path in (tmp_path / "holiday").iterdir()] == ["beach.jpg"]
     with pytest.raises(InputError, match="is a file"):
-        values.save_capture(tmp_path / "holiday" / "beach.jpg", capture, None)
+        files.save_capture(tmp_path / "holiday" / "beach.jpg", capture, None)
     with pytest.raises(InputError, match="not a folder that can be written to"):
-        values.check_output(tmp_path / "holiday" / "beach.jpg" / "below", "capture")
+        files.check_output(tmp_path / "holiday" / "beach.jpg" / "below", "capture")
     (tmp_path / "empty").mkdir()
-    values.save_capture(tmp_path / "empty", capture, None)
+    files.save_capture(tmp_path / "empty", capture, None)
     assert (tmp_path / "empty" / "raw.png").is_file()
 
 
@@ -203,8 +203,8 @@ def bank(da_mobile):
 
 
 def test_bank_comes_back_as_it_was(tmp_path, bank):
-    values.save_bank(tmp_path / "banks" / "b.npz", bank)
-    back = values.load_bank(tmp_path / "banks" / "b.npz")
+    files.save_bank(tmp_path / "banks" / "b.npz", bank)
+    back = files.load_bank(tmp_path / "banks" / "b.npz")
     for field in dataclasses.fields(PsfBank):
         ours, theirs = getattr(bank, field.name), getattr(back, field.name)
         if isinstance(ours, np.ndarray):
@@ -217,16 +217,16 @@ def test_bank_comes_back_as_it_was(tmp_path, bank):
 
 def test_damaged_banks_are_refused(tmp_path, bank):
     with pytest.raises(InputError, match=r"b\.npz: no such file; make one with 'dasim calibrate'"):
-        values.load_bank(tmp_path / "b.npz")
-    values.save_bank(tmp_path / "b.npz", bank)
+        files.load_bank(tmp_path / "b.npz")
+    files.save_bank(tmp_path / "b.npz", bank)
     data = (tmp_path / "b.npz").read_bytes()
     for part in (b"", b"text", data[: len(data) // 2], data[:-10]):
         (tmp_path / "b.npz").write_bytes(part)
         with pytest.raises(InputError, match=r"b\.npz"):
-            values.load_bank(tmp_path / "b.npz")
+            files.load_bank(tmp_path / "b.npz")
     np.savez(tmp_path / "b.npz", kernel=bank.kernel)
     with pytest.raises(InputError, match=r"b\.npz"):
-        values.load_bank(tmp_path / "b.npz")
+        files.load_bank(tmp_path / "b.npz")
     np.savez(tmp_path / "b.npz", about="[]", kernel=bank.kernel, signature=bank.signature, depth_m=[1], blur_px=[1])
     with pytest.raises(InputError, match=r"b\.npz"):
-        values.load_bank(tmp_path / "b.npz")
+        files.load_bank(tmp_path / "b.npz")

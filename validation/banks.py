@@ -15,7 +15,8 @@ import dasim.spectra
 import recon.psf_bank
 from dasim.cache import cache_dir
 from dasim.camera import Camera
-from dasim.values import BANK_SCHEMA, PsfBank, load_bank, save_bank
+from dasim.files import BANK_SCHEMA, load_bank, save_bank
+from dasim.values import PsfBank
 
 Progress = Callable[[str, float], None]
 

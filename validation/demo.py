@@ -14,7 +14,7 @@ import cv2
 
 import dasim
 import recon
-from dasim.values import new_folder, software_versions
+from dasim.files import new_folder, software_versions
 from recon.output import save_reconstruction
 from validation import metrics, report
 from validation.banks import simulated_bank
