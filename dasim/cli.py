@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import signal
 import sys
 from collections.abc import Callable, Iterator
@@ -53,6 +54,9 @@ def run(arguments: list[str]) -> int:
         return _refuse(str(error))
     except cyclopts.CycloptsError as error:
         return _refuse(" ".join(str(error).split()) + " (see 'dasim --help')")
+    except BrokenPipeError:  # who reads the output has read enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 128 + signal.SIGPIPE
     except OSError as error:
         return _refuse(f"{error.filename or 'file'}: {error.strerror or error}")
     except KeyboardInterrupt:
