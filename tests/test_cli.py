@@ -528,8 +528,7 @@ def test_link_as_output_leaves_no_litter(here, target):
 
 def interrupted(arguments: list[str], folder: Path, environment: dict[str, str], after: str) -> tuple[int, str]:
     """Start a command, send SIGINT once ``after`` stands on stderr, and return exit status and stderr."""
-    code = f"import sys; from dasim.cli import run; sys.exit(run({arguments!r}))"
-    command = [sys.executable, "-c", code]
+    command = [sys.executable, "-m", "dasim.cli", *arguments]
     started = subprocess.Popen(command, cwd=folder, env=environment, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL)
     watchdog = threading.Timer(SIGINT_DEADLINE_S, started.kill)
     watchdog.start()
