@@ -276,6 +276,7 @@ def score(
     from validation.demo import plain_value
     from validation.metrics import score as score_of
 
+    _check_score_output(json_file)
     found = load_reconstruction(reconstruction)
     load_capture(capture)  # a capture that is not whole is not scored
     figures = score_of(found, load_truth(capture))
@@ -283,7 +284,9 @@ def score(
         print(f"{figure.id:<28}{figure.value:>9.3f} {figure.unit:<6}{figure.meaning}")
     if json_file is not None:
         content = {f.id: {"value": plain_value(f.value), "unit": f.unit} for f in figures}
-        json_file.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+        partial = json_file.with_name(f".{json_file.name}.partial")
+        partial.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+        partial.replace(json_file)
     return 0
 
 
@@ -316,6 +319,19 @@ def list_(kind: str, *, verbose: Annotated[bool, Parameter(negative="")] = False
     else:
         raise InputError(f"list '{kind}' is unknown; allowed are scenes, cameras, materials, illuminants")
     return 0
+
+
+def _check_score_output(out: Path | None) -> None:
+    """Refuse to overwrite anything but an earlier score."""
+    if out is None or not out.exists():
+        return
+    try:
+        earlier = json.loads(out.read_text(encoding="utf-8"))
+        if all(set(figure) == {"value", "unit"} for figure in earlier.values()):
+            return
+    except (OSError, ValueError, AttributeError, TypeError):
+        pass
+    raise InputError(f"--json {out}: exists and is no earlier score; choose another name")
 
 
 def _check_bank_output(out: Path) -> None:

@@ -81,6 +81,9 @@ def new_folder(path: Path, kind: str) -> Iterator[Path]:
             os.rename(temporary, path)
     finally:
         shutil.rmtree(temporary, ignore_errors=True)
+        retired = temporary.with_name(temporary.name.replace("partial", "old"))
+        if retired.exists() and not path.exists():  # stopped between the two renames
+            os.rename(retired, path)
 
 
 def check_output(path: Path, kind: str) -> None:
@@ -144,7 +147,8 @@ def load_capture(path: Path) -> Capture:
     path = Path(path)
     meta = _read_meta(path)
     about = parse(_CaptureMeta, meta, str(path / "meta.json"))
-    _check_whole(path / "raw.png", meta)
+    for name in {"raw.png", *meta.get("file_bytes", {})}:
+        _check_whole(path / name, meta)
     raw = read_png16(path / "raw.png")
     camera = about.camera
     capture = Capture(

@@ -261,6 +261,7 @@ def _load_mesh_file(path: Path, unit_m: float, name: str, stamp: tuple[int, int]
 # --- checks that need more than one key ----------------------------------------------------------
 
 LENS_CLEARANCE_M = 1e-3
+PUPIL_POINTS = 24
 
 
 def _check(scene: Scene, where: str) -> None:
@@ -279,6 +280,8 @@ def _check(scene: Scene, where: str) -> None:
         if item.material not in known:
             names = ", ".join(sorted(known))
             problems.append(f"object '{item.name}': material '{item.material}' is unknown ({names})")
+        if isinstance(item, Mesh) and item.material in scene.materials:
+            problems += _texture_problems(item, scene)
         try:
             problems += _placement_problems(item, scene)
         except InputError as error:
@@ -287,14 +290,38 @@ def _check(scene: Scene, where: str) -> None:
         raise InputError(f"{where}: " + "; ".join(problems))
 
 
-def _placement_problems(item: Object, scene: Scene) -> list[str]:
+def _texture_problems(item: Mesh, scene: Scene) -> list[str]:
+    try:
+        if load_mesh(item, scene).uv is None:
+            return [
+                f"object '{item.name}': mesh {item.file} has no texture coordinates "
+                f"for the material '{item.material}'; give it some, or one of the plain materials"
+            ]
+    except InputError:
+        pass  # reported with the placement
+    return []
+
+
+def check_clear(scene: Scene, pupil_radius_m: float) -> None:
+    """InputError where an object reaches into the lens of the camera that is going to be used."""
+    problems = [p for item in scene.objects for p in _placement_problems(item, scene, pupil_radius_m)]
+    if problems:
+        raise InputError(f"scene '{scene.name}': " + "; ".join(problems))
+
+
+def _placement_problems(item: Object, scene: Scene, pupil_radius_m: float = 0.0) -> list[str]:
     centre, half = half_extent_m(item, scene)
     to_camera = object_to_camera(item, scene)
     nearest_corner = centre + np.array(np.meshgrid(*[(-1, 1)] * 3)).reshape(3, -1).T * half
     depths = nearest_corner @ to_camera[2, :3] + to_camera[2, 3]
     if depths.max() <= 0:
         return [f"object '{item.name}': lies behind the lens (z up to {depths.max() * 100:.3g} cm, must be above 0)"]
-    lens_local = np.linalg.inv(to_camera)[:3, 3]
-    if np.all(np.abs(lens_local - centre) <= half + LENS_CLEARANCE_M):
+    # The pupil's centre and rim, seen from the object; its box is widened by the clearance.
+    turns = np.linspace(0.0, 2 * np.pi, PUPIL_POINTS, endpoint=False)
+    rim = np.stack([np.cos(turns), np.sin(turns), np.zeros(PUPIL_POINTS)], axis=-1) * pupil_radius_m
+    pupil = np.vstack([np.zeros(3), rim / 2, rim])
+    to_local = np.linalg.inv(to_camera)
+    inside = np.abs(pupil @ to_local[:3, :3].T + to_local[:3, 3] - centre) <= half + LENS_CLEARANCE_M
+    if inside.all(axis=-1).any():
         return [f"object '{item.name}': lies on the lens or around it; move it to z above 0"]
     return []

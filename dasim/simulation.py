@@ -21,7 +21,7 @@ from dasim.values import Capture, Truth
 
 DEFAULT_SPP = 144
 MOST_SPP = 65_536
-SHARP_SPP = 36  # the pinhole pass has no lens to sample
+SHARP_SPP = 64  # the pinhole pass has no lens to sample
 BLUR_MARGIN = 1.1  # something nearer than all that is seen may lie just outside the frame
 
 Progress = Callable[[str, float], None]
@@ -60,6 +60,7 @@ def simulate(
     from dasim.render import passes, translate, truth  # after the variant is chosen
 
     progress("geometry", 0.0)
+    scenes.check_clear(scene, cameras.aperture_m(camera) / 2)
     mitsuba_scene = translate.load(scene)
     geometry = truth.geometry(mitsuba_scene, camera)
     blur_px = truth.signed_blur_px(geometry.depth_m, camera)
@@ -95,7 +96,7 @@ def simulate(
             "scene": scene.model_dump(mode="json", exclude={"folder"}),
             "renderer": choice.variant,
             "diffraction": diffraction,
-            "spp": spp,
+            "spp": passes.sample_count(spp),
             "exposure": exposure.model_dump(mode="json"),
             "saturated_pixels": saturated,
             "notes": notes(lens_rate, geometry.depth_m, saturated, diffraction),

@@ -54,8 +54,10 @@ def linearise(capture: Capture) -> tuple[Float32Array, BoolArray]:
         )
     heat = 2.0 ** ((sensor.temperature_c - 25.0) / sensor.dark_doubling_k)
     dark_e = sensor.dark_current_e_s * heat * capture.exposure_s
-    electrons = (raw.astype(np.float32) - sensor.black_level_dn) * electrons_per_dn(sensor, capture.gain) - dark_e
-    top = sensor.black_level_dn + SATURATION_SHARE * (2**sensor.adc_bits - 1 - sensor.black_level_dn)
+    scale = electrons_per_dn(sensor, capture.gain)
+    electrons = (raw.astype(np.float32) - sensor.black_level_dn) * scale - dark_e
+    full = min(2**sensor.adc_bits - 1 - sensor.black_level_dn, sensor.full_well_e / scale)
+    top = sensor.black_level_dn + SATURATION_SHARE * full
     return electrons.astype(np.float32), raw >= top
 
 

@@ -63,8 +63,7 @@ def reconstruct(
         bayer = mosaic.replace_green(clean_e, ir_e, camera)
         full_e = mosaic.demosaic(bayer, camera, white)
     with stage("depth"):
-        source = clean_e if settings.denoised_infrared else raw_e
-        raw_level, trust = _raw_levels(raw_e, source, variances, saturated, camera, bank.kernel[light], settings)
+        raw_level, trust = _raw_levels(raw_e, variances, saturated, camera, bank.kernel[light], settings)
     with stage("regularise"):
         guide = _infrared_guide(ir_e, capture)
         smooth, evidence = regularise(raw_level, trust, guide, settings.regularise_bandwidth)
@@ -150,7 +149,6 @@ def _variances(raw_e: Float32Array, capture: Capture) -> dict[str, Float32Array]
 
 def _raw_levels(
     raw_e: Float32Array,
-    source: Float32Array,
     variances: dict[str, Float32Array],
     saturated: NDArray,
     camera: Camera,
@@ -167,7 +165,7 @@ def _raw_levels(
     green = channel("G", planes["G"])
     level = np.full(planes["G"].shape, np.nan, np.float32)
     confidence = np.zeros_like(level)
-    sharper = {"IR": mosaic.planes(source, camera)["IR"]} | ({n: planes[n] for n in "RB"} if settings.fallback else {})
+    sharper = {"IR": planes["IR"]} | ({n: planes[n] for n in "RB"} if settings.fallback else {})
     for name, plane in sharper.items():
         score, plain, offset, snr, green_snr = depth.match(channel(name, plane), green, settings)
         found, trust = depth.best_level(score, plain, offset, settings)

@@ -31,7 +31,6 @@ class Settings(Specification):
     edge_snr: float = Field(default=0.5, ge=0, le=1000, description="gradient energy over noise that makes an edge")
     fallback: bool = Field(default=True, description="red, then blue, where infrared shows no edge (sec. 5.3)")
     saturated_share: float = Field(default=0.05, ge=0, le=1, description="of a window: above it, no estimate")
-    denoised_infrared: bool = Field(default=False, description="depth from the denoised infrared")
     regularise_bandwidth: float = Field(default=60.0, gt=0, description="tau of eq. (14), noise variances")
 
     # sec. 5.4

@@ -5,10 +5,13 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Callable, Sequence
+from importlib.metadata import version
 from pathlib import Path
 
+import dasim.aperture
 import dasim.calibration
 import dasim.camera
+import dasim.optics
 import dasim.pointspread
 import dasim.sensor
 import dasim.spectra
@@ -21,7 +24,17 @@ from dasim.values import PsfBank
 Progress = Callable[[str, float], None]
 
 # The code that decides what a bank holds: a change there makes a new bank.
-_DECIDING = (dasim.calibration, dasim.camera, dasim.pointspread, dasim.sensor, dasim.spectra, recon.psf_bank)
+_DECIDING = (
+    dasim.aperture,
+    dasim.calibration,
+    dasim.camera,
+    dasim.optics,
+    dasim.pointspread,
+    dasim.sensor,
+    dasim.spectra,
+    recon.psf_bank,
+)
+_LIBRARIES = ("numpy", "scipy", "colour-science")
 
 
 def simulated_bank(
@@ -71,5 +84,6 @@ def _key(camera: Camera, lights: Sequence[str], diffraction: str) -> str:
         del description["sensor"][size]
     for module in _DECIDING:
         description[module.__name__] = hashlib.sha256(Path(str(module.__file__)).read_bytes()).hexdigest()
+    description["libraries"] = {name: version(name) for name in _LIBRARIES}
     text = json.dumps([BANK_SCHEMA, description, list(lights), diffraction], sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()[:24]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 from typing import Any
 
@@ -17,6 +18,7 @@ FloatArray = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 VISIBLE_BLUR_PX = (3.0, 15.0)  # where sharpening is judged
+LEVEL_BINS = (-0.5, 0.5, 2.0, 6.0, 12.0, 29.0)
 FLAT_LEVELS = 1e-3  # a scene with less depth than this has no best constant to compare with
 CONSTANT_STEP = 0.05  # levels between the constant maps that are tried
 
@@ -51,6 +53,7 @@ def score(result: Reconstruction, truth: Truth) -> list[Figure]:
         *_level_figures("raw", "raw depth, textured pixels", result.level_raw, truth, textured),
         *_level_figures("raw-inner", "raw depth, textured, away from boundaries", result.level_raw, truth, inner),
         *_level_figures("regularised", "regularised depth, all pixels", result.level, truth, near),
+        *_bin_figures(result, truth, inner),
         *_depth_figures(result, truth, near),
         *_sharpness_figures(result, truth),
     ]
@@ -83,6 +86,23 @@ def _level_figures(name: str, what: str, level: NDArray[Any], truth: Truth, wher
         Figure(f"level-{name}-constant", constant, "level", f"{what}: the same for the best constant map"),
         Figure(f"level-{name}-ratio", ratio, "1", f"{what}: ratio of both"),
     ]
+
+
+def _bin_figures(result: Reconstruction, truth: Truth, where: Mask) -> list[Figure]:
+    """Raw depth by true level, since a median over all hides where it fails."""
+    figures = []
+    for low, high in itertools.pairwise(LEVEL_BINS):
+        inside = where & (truth.level >= low) & (truth.level < high)
+        error = level_error(result.level_raw, truth)[inside]
+        median = float(np.median(np.abs(error))) if error.size else float("nan")
+        bias = float(np.median(error)) if error.size else float("nan")
+        what = f"raw depth, inner textured pixels at true levels {low:g} to {high:g}"
+        name = f"level-raw-at-{max(low, 0):g}"
+        figures += [
+            Figure(f"{name}-median", median, "level", f"{what}: median absolute error"),
+            Figure(f"{name}-bias", bias, "level", f"{what}: median error"),
+        ]
+    return figures
 
 
 def _depth_figures(result: Reconstruction, truth: Truth, where: Mask) -> list[Figure]:

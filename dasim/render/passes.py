@@ -27,7 +27,7 @@ LANES = 1 << 22  # rays in flight: bounds the memory, and is fixed, since it dec
 WAVE_BLUR_PX = 150.0  # visible blur up to which weights are tabulated; beyond, blur is that of the drawn rays
 SAME_BLUR_PX, SAME_BLUR_SHARE = 0.25, 0.02  # spread of the blur on one surface, slanted ones included
 DRAW_NODES = 4096  # of the table that turns a uniform number into a wavelength
-SCALAR_ROWS = 64  # rows a block in scalar_spectral, between two steps of the progress bar
+SCALAR_RAYS = 1 << 22  # a block in scalar_spectral: some seconds between two steps of the progress bar, or a Ctrl-C
 PINHOLE_RATIO = 1e-4  # of the lens radius: the stock plugin needs a lens that is not a point
 
 
@@ -67,6 +67,13 @@ def stop_pass(
         wave_blur_px = stop.radius_ratio * min(max_blur_px, WAVE_BLUR_PX) if diffraction == "wave" else None
         rate = _ray_loop(mitsuba_scene, camera, radius_m, response, sampling, wave_blur_px)
     return rate * _cos4(camera)[..., None]
+
+
+def sample_count(spp: int) -> int:
+    """Samples a pixel that a pass really takes: the sampler rounds up to a grid."""
+    import mitsuba as mi
+
+    return int(mi.load_dict({"type": "multijitter", "sample_count": spp}).sample_count())
 
 
 def pinhole_pass(mitsuba_scene: Any, camera: Camera, sampling: Sampling) -> FloatArray:
@@ -249,8 +256,9 @@ def _stock_pass(scene: Any, camera: Camera, radius_m: float, response: FloatArra
     peaks = response.max(axis=1)
     names = [f"c{index}" for index in range(len(spectra.CHANNELS))]
     rate = np.zeros((height, width, len(names)))
-    for block, top in enumerate(range(0, height, SCALAR_ROWS)):
-        rows = min(SCALAR_ROWS, height - top)
+    rows_at_once = max(1, SCALAR_RAYS // (sampling.spp * width))
+    for block, top in enumerate(range(0, height, rows_at_once)):
+        rows = min(rows_at_once, height - top)
         film: dict[str, Any] = {
             "type": "specfilm",
             "width": width,
