@@ -323,7 +323,11 @@ def list_(kind: str, *, verbose: Annotated[bool, Parameter(negative="")] = False
 
 def _check_score_output(out: Path | None) -> None:
     """Refuse to overwrite anything but an earlier score."""
-    if out is None or not out.exists():
+    if out is None:
+        return
+    if not out.parent.is_dir():
+        raise InputError(f"--json {out}: {out.parent} is no folder")
+    if not out.exists():
         return
     try:
         earlier = json.loads(out.read_text(encoding="utf-8"))

@@ -198,8 +198,12 @@ def test_recon_takes_settings(here):
 
 
 def test_recon_needs_no_truth(here):
-    """Rationale: real photographs have none."""
+    """Rationale: real photographs have none. A truth that was written and is gone is another matter."""
     (here / "shot" / "truth.exr").unlink()
+    assert run(["recon", "shot", "--bank", "bank.npz", "--out", "plain"]) == 2
+    meta = json.loads((here / "shot" / "meta.json").read_text())
+    del meta["file_bytes"]["truth.exr"]
+    (here / "shot" / "meta.json").write_text(json.dumps(meta))
     assert run(["recon", "shot", "--bank", "bank.npz", "--out", "plain"]) == 0
 
 

@@ -60,7 +60,7 @@ def noisy():
         raw, saturated = mosaic.linearise(scene.capture)
         kernels = bank.kernel[bank.lights.index(light)]
         found, confidence = pipeline._raw_levels(
-            raw, raw, pipeline._variances(raw, scene.capture), saturated, scene.capture.camera, kernels, PAPER
+            raw, pipeline._variances(raw, scene.capture), saturated, scene.capture.camera, kernels, PAPER
         )
         true = cv2.resize(level.astype(np.float32), found.shape[::-1], interpolation=cv2.INTER_AREA)
         results.append((true, found, confidence))
