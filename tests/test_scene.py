@@ -199,3 +199,15 @@ def test_scene_proposes_a_focus_and_its_main_light(make_scene, da_mobile):
         scenes.focused(da_mobile, make_scene(wall, focus_cm=0.3))
     lights = [{"kind": "dome", "illuminant": "A", "lux": 10.0}, {"kind": "dome", "illuminant": "D55", "lux": 20.0}]
     assert scenes.main_illuminant(make_scene(wall, lights=lights)) == "D55"
+
+
+def test_mesh_without_texture_coordinates_takes_no_texture(tmp_path):
+    """Rationale: a renderer would make up coordinates, a triangle at a time. Expectation: refused, by name."""
+    trimesh.creation.box((1, 1, 1)).export(tmp_path / "bare.ply")
+    (tmp_path / "bare.toml").write_text(
+        'name = "bare"\n[[lights]]\nkind = "dome"\nilluminant = "D65"\nlux = 100\n'
+        '[materials.photo]\nkind = "print"\nimage = "skimage:coffee"\n'
+        '[[objects]]\nname = "cube"\nshape = "mesh"\nfile = "bare.ply"\nposition_cm = [0, 0, 20]\nmaterial = "photo"\n'
+    )
+    with pytest.raises(InputError, match=r"object 'cube': mesh bare\.ply has no texture coordinates"):
+        scenes.load_scene(tmp_path / "bare.toml")
