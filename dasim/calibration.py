@@ -28,7 +28,7 @@ def calibration_captures(
     """Pictures of a point source for each light, blur level and mosaic position.
 
     The kernels are the camera's own (a path-traced point source converges too slowly to calibrate with),
-    at an unknown sub-pixel position for each light and level, and go through the sensor model with
+    at an unknown sub-pixel position for each level, and go through the sensor model with
     automatic exposure to 85 % of full scale. ``shift_px`` covers one period of the mosaic.
     """
     blurs = cameras.level_blur_px(camera)
@@ -39,16 +39,15 @@ def calibration_captures(
     side += 2 * rows * columns
     local = camera.sensor.model_copy(update={"width_px": side, "height_px": side})
     frame_camera = camera.model_copy(update={"sensor": local})
-    radius = np.arange(0, side * 0.75 + 2, pointspread.RADIAL_STEP_PX)
     powers = np.stack([spectra.illuminant(light) for light in lights])
-    all_profiles, all_signals = pointspread.radial_profiles(camera, blurs, powers, radius, diffraction)
-    for light_index, (light, profiles, signal) in enumerate(zip(lights, all_profiles, all_signals, strict=True)):
-        for level, (blur, depth) in enumerate(zip(blurs, depths, strict=True)):
+    kernels_at = pointspread.kernels(camera, blurs, powers, side - 1, diffraction)
+    for level, (blur, depth) in enumerate(zip(blurs, depths, strict=True)):
+        place = np.random.Generator(np.random.Philox(np.random.SeedSequence((seed, level)))).uniform(-0.5, 0.5, 2)
+        kernels, signals = kernels_at(level, (place[0], place[1]))
+        for light_index, (light, kernel, signal) in enumerate(zip(lights, kernels, signals, strict=True)):
             key = np.random.SeedSequence((seed, light_index, level))
-            offset = np.random.Generator(np.random.Philox(key)).uniform(-0.5, 0.5, 2)
-            kernels = pointspread.pixel_kernels(profiles[level], radius, side - 1, (offset[0], offset[1]))
-            flux = np.zeros((side, side, len(spectra.CHANNELS)))
-            flux[: side - 1, : side - 1] = np.moveaxis(kernels * signal[:, None, None], 0, -1)
+            flux = np.zeros((side, side, len(signal)))
+            flux[: side - 1, : side - 1] = np.moveaxis(kernel * signal[:, None, None], 0, -1)
             flux += _BACKGROUND_SHARE * flux.max() * signal / signal.max()
             for dy in range(rows):
                 for dx in range(columns):

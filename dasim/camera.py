@@ -2,28 +2,25 @@
 
 from __future__ import annotations
 
-import tomllib
+import csv
+import itertools
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from dasim import aperture, optics, spectra
 from dasim.errors import InputError
+from dasim.specification import Specification, bundled_or_file, named_file, parse, parse_toml
+from dasim.spectra import FloatArray
 
 CAMERA_DIR = Path(__file__).parent / "cameras"
 BLUR_LEVELS = 29  # sec. 6.1
 NEAREST_FOCUS = 1.1  # in focal lengths: ten times life size
 SMALLEST_FRAME_PX = 8
-
-Model = TypeVar("Model", bound=BaseModel)
-
-
-class Specification(BaseModel):
-    """A frozen value that refuses unknown keys, NaN and infinity."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+LARGEST_FOCAL_SHIFT = 0.1  # of the focal length: a lens, no prism
+WIDEST_STEP_NM = 20.0  # between two entries of a response curve; more is a gap
 
 
 class Lens(Specification):
@@ -33,6 +30,28 @@ class Lens(Specification):
     f_number: float = Field(gt=0.5, le=64)
     focus_distance_m: float = Field(gt=0, le=1e6)
     transmittance: float = Field(default=1.0, gt=0, le=1)
+    shading_per_mm: tuple[float, ...] = Field(
+        default=(), max_length=6, description="a_k of 1 + sum a_k r^(2k), r mm on the sensor, beside cos^4"
+    )
+    focal_shift_um: tuple[tuple[float, float], ...] = Field(
+        default=(), description="axial colour: [nm, um added to the focal length], straight between, level beyond"
+    )
+
+    @field_validator("focal_shift_um")
+    @classmethod
+    def _rising(cls, curve: tuple[tuple[float, float], ...]) -> tuple[tuple[float, float], ...]:
+        low, high = aperture.WHOLE_GRID_NM
+        if any(not low <= nm <= high for nm, _ in curve):
+            raise ValueError(f"wavelengths must lie within {low:g} to {high:g} nm")
+        if any(b <= a for (a, _), (b, _) in itertools.pairwise(curve)):
+            raise ValueError("wavelengths must rise")
+        return curve
+
+    @model_validator(mode="after")
+    def _shift_is_small(self) -> Lens:
+        if any(abs(shift) > LARGEST_FOCAL_SHIFT * 1e3 * self.focal_length_mm for _, shift in self.focal_shift_um):
+            raise ValueError(f"focal_shift_um must stay within {LARGEST_FOCAL_SHIFT:.0%} of the focal length")
+        return self
 
     @model_validator(mode="after")
     def _focus_beyond_focal_length(self) -> Lens:
@@ -45,13 +64,64 @@ class Lens(Specification):
         return self
 
 
+class Curves(Specification):
+    """Quantum efficiency of every channel, electrons a photon, tabulated; straight lines in between.
+
+    In TOML, ``file`` names a CSV file: a first column ``wavelength_nm``, then one a channel, headed by its name.
+    """
+
+    wavelength_nm: tuple[float, ...] = Field(min_length=2)
+    channels: dict[str, tuple[float, ...]] = Field(min_length=1)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _read(cls, data: Any, info: ValidationInfo) -> Any:
+        if not isinstance(data, dict) or "file" not in data:
+            return data
+        if len(data) > 1:
+            raise ValueError("file and curves both say the response; give one")
+        path = named_file(data, info)
+        lines = [line for line in path.read_text(encoding="utf-8-sig").splitlines() if line.strip()]
+        rows = list(csv.reader(line for line in lines if not line.startswith("#")))
+        names = [name.strip() for name in rows[0]] if rows else []
+        if len(names) < 2 or names[0] != "wavelength_nm" or len(set(names)) != len(names) or "" in names:
+            raise ValueError(f"file {path}: the first line must be 'wavelength_nm' and one name a channel")
+        for number, row in enumerate(rows[1:], 2):
+            if len(row) != len(names) or any(not item.strip() for item in row):
+                raise ValueError(f"file {path}, line {number} of the table: {len(names)} numbers are needed")
+        columns = list(zip(*rows[1:], strict=True)) or [()] * len(names)
+        return {"wavelength_nm": columns[0], "channels": dict(zip(names[1:], columns[1:], strict=True))}
+
+    @model_validator(mode="after")
+    def _whole(self) -> Curves:
+        low, high = aperture.WHOLE_GRID_NM
+        wavelength = self.wavelength_nm
+        if any(b <= a for a, b in itertools.pairwise(wavelength)):
+            raise ValueError("wavelength_nm must rise")
+        if wavelength[0] < low or wavelength[-1] > high:
+            raise ValueError(f"wavelength_nm must lie within {low:g} to {high:g} nm, the band that is simulated")
+        for a, b in itertools.pairwise(wavelength):
+            if b - a > WIDEST_STEP_NM:
+                raise ValueError(f"wavelength_nm has a gap from {a:g} to {b:g} nm; steps of {WIDEST_STEP_NM:g} at most")
+        for name, values in self.channels.items():
+            if len(values) != len(wavelength):
+                raise ValueError(f"channels.{name} must have as many values as wavelength_nm")
+            if min(values) < 0 or max(values) > 1:
+                raise ValueError(f"channels.{name} must be quantum efficiencies from 0 to 1")
+        return self
+
+
 class Sensor(Specification):
-    """An RGB-IR sensor: geometry, mosaic, spectral limits and electrical values (EMVA 1288 terms)."""
+    """A sensor: geometry, mosaic, spectral limits and electrical values (EMVA 1288 terms).
+
+    Without ``quantum_efficiency`` the curves are those of ``spectra.rgb_ir_quantum_efficiency``.
+    """
 
     width_px: int = Field(ge=SMALLEST_FRAME_PX, le=20_000)
     height_px: int = Field(ge=SMALLEST_FRAME_PX, le=20_000)
     pixel_pitch_um: float = Field(gt=0.2, le=50)
     mosaic: tuple[tuple[str, ...], ...] = Field(description="rows of channel names, top left of the frame first")
+    quantum_efficiency: Curves | None = None
     cutoff_nm: float = Field(default=810.0, ge=500, le=830, description="short-pass filter on the sensor")
     cutoff_width_nm: float = Field(default=8.0, gt=0, le=100)
     full_well_e: float = Field(default=6000.0, gt=0)
@@ -69,9 +139,17 @@ class Sensor(Specification):
         rows = self.mosaic
         if not 1 <= len(rows) <= 8 or any(len(row) != len(rows[0]) for row in rows) or not 1 <= len(rows[0]) <= 8:
             raise ValueError("mosaic must be 1 to 8 rows of equal length, 1 to 8 channels each")
-        for name in {name for row in rows for name in row}:
-            if name not in spectra.CHANNELS:
-                raise ValueError(f"mosaic channel '{name}' is unknown, allowed are {', '.join(spectra.CHANNELS)}")
+        curves = self.quantum_efficiency
+        known = spectra.CHANNELS if curves is None else tuple(curves.channels)
+        for name in sorted({name for row in rows for name in row}):
+            if name not in known:
+                raise ValueError(f"mosaic channel '{name}' is unknown, allowed are {', '.join(known)}")
+        last_nm = min(aperture.WHOLE_GRID_NM[1], self.cutoff_nm + 2 * self.cutoff_width_nm)
+        first_nm = aperture.WHOLE_GRID_NM[0]
+        if curves is not None and (curves.wavelength_nm[0] > first_nm or curves.wavelength_nm[-1] < last_nm):
+            raise ValueError(
+                f"quantum_efficiency.wavelength_nm must reach from {first_nm:g} to {last_nm:g} nm, beyond the cut-off"
+            )
         if self.height_px % len(rows) or self.width_px % len(rows[0]):
             raise ValueError(
                 f"width_px x height_px = {self.width_px} x {self.height_px} "
@@ -91,6 +169,27 @@ class Camera(Specification):
     stops: tuple[aperture.Stop, ...] = Field(min_length=1)
     sensor: Sensor
 
+    @field_validator("stops", mode="before")
+    @classmethod
+    def _discs_by_default(cls, stops: Any) -> Any:
+        if not isinstance(stops, (list, tuple)):
+            return stops
+        return [{"shape": "disc"} | stop if isinstance(stop, dict) else stop for stop in stops]
+
+    @field_validator("stops")
+    @classmethod
+    def _unique_names(cls, stops: tuple[aperture.Stop, ...]) -> tuple[aperture.Stop, ...]:
+        names = [stop.name for stop in stops]
+        if len(set(names)) != len(names):
+            raise ValueError(f"names must be unique, they are {', '.join(names)}")
+        return stops
+
+    @model_validator(mode="after")
+    def _light_everywhere(self) -> Camera:
+        if self.lens.shading_per_mm and relative_illumination(self).min() <= 0:
+            raise ValueError("lens.shading_per_mm: falls to zero or below within the frame")
+        return self
+
 
 def camera_names() -> list[str]:
     """Names of the bundled cameras."""
@@ -100,49 +199,6 @@ def camera_names() -> list[str]:
 def load_camera(name_or_path: str | Path) -> Camera:
     """The camera of a bundled name or a TOML file; InputError names every key that is wrong."""
     return parse_toml(Camera, bundled_or_file(name_or_path, CAMERA_DIR, "camera"))
-
-
-def bundled_or_file(name_or_path: str | Path, folder: Path, kind: str) -> Path:
-    """Path of a bundled TOML file by its name, or of the user's own; InputError where there is neither."""
-    path = Path(name_or_path)
-    bundled = folder / f"{name_or_path}.toml"
-    if path.parent == Path(".") and bundled.is_file():
-        return bundled
-    if path.is_file():
-        return path
-    names = ", ".join(sorted(p.stem for p in folder.glob("*.toml")))
-    raise InputError(f"{kind} '{name_or_path}' is neither a bundled name ({names}) nor a file")
-
-
-def parse_toml(model: type[Model], path: Path) -> Model:
-    """Read a TOML file into a specification; every problem in one InputError, each with its key."""
-    try:
-        data = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: cannot be read ({error})") from None
-    except tomllib.TOMLDecodeError as error:
-        raise InputError(f"{path}: not valid TOML ({error})") from None
-    return parse(model, data, str(path))
-
-
-def parse(model: type[Model], data: Any, where: str) -> Model:
-    """Validate plain data into a specification; every problem in one InputError, each with its key."""
-    try:
-        return model.model_validate(data)
-    except ValidationError as error:
-        raise InputError(f"{where}: " + "; ".join(_problem(item) for item in error.errors())) from None
-
-
-def _problem(item: Any) -> str:
-    key = ".".join(str(part) for part in item["loc"])
-    message = item["msg"].removeprefix("Value error, ")
-    if item["type"] == "extra_forbidden":
-        return f"{key}: unknown key"
-    if item["type"] == "missing":
-        return f"{key}: is missing"
-    shown = item.get("input")
-    is_now = f" (is {shown!r})" if isinstance(shown, (str, int, float)) else ""
-    return (f"{key}: {message}" if key else message) + is_now
 
 
 def cropped(camera: Camera, width_px: int, height_px: int) -> Camera:
@@ -191,12 +247,47 @@ def depth_of_blur_m(camera: Camera, blur_px: Any) -> Any:
     return optics.depth_of_blur_m(blur_m, aperture_m(camera), image_distance_m(camera), focus)
 
 
+def focus_vergence(camera: Camera) -> FloatArray:
+    """Inverse of the distance that is in focus, 1/m, on ``spectra.WAVELENGTH_NM``; below 0 beyond infinity.
+
+    The sensor stays where the focal length without shift puts it: 1/d_f(lambda) = 1/f(lambda) - 1/s.
+    """
+    lens = camera.lens
+    focal_m = lens.focal_length_mm * 1e-3
+    shift_m = np.zeros_like(spectra.WAVELENGTH_NM)
+    if lens.focal_shift_um:
+        nm, um = np.array(lens.focal_shift_um).T
+        shift_m = np.interp(spectra.WAVELENGTH_NM, nm, um) * 1e-6
+    return 1.0 / lens.focus_distance_m + 1.0 / (focal_m + shift_m) - 1.0 / focal_m
+
+
+def chromatic_blur_px(camera: Camera) -> FloatArray:
+    """What axial colour adds to the signed visible blur, pixels, on ``spectra.WAVELENGTH_NM``."""
+    vergence = 1.0 / camera.lens.focus_distance_m - focus_vergence(camera)
+    return aperture_m(camera) * image_distance_m(camera) * vergence / (camera.sensor.pixel_pitch_um * 1e-6)
+
+
+def relative_illumination(camera: Camera) -> FloatArray:
+    """Light of each pixel relative to the axis, [h, w]: cos^4 of the chief ray's angle times the shading."""
+    sensor = camera.sensor
+    pitch_m = sensor.pixel_pitch_um * 1e-6
+    x = (np.arange(sensor.width_px) + 0.5 - sensor.width_px / 2) * pitch_m
+    y = (np.arange(sensor.height_px) + 0.5 - sensor.height_px / 2) * pitch_m
+    r2 = x[None, :] ** 2 + y[:, None] ** 2
+    s2 = image_distance_m(camera) ** 2
+    return (s2 / (s2 + r2)) ** 2 * np.polynomial.Polynomial((1.0, *camera.lens.shading_per_mm))(r2 * 1e6)
+
+
 def hole_ratio(camera: Camera) -> float:
-    """Radius ratio of the smallest stop, the paper's alpha."""
-    return min(stop.radius_ratio for stop in camera.stops)
+    """Radius ratio of the smallest stop, the paper's alpha; of a stop that is no ring, that of a disc of its area."""
+    rings = [aperture.ring(stop) for stop in camera.stops]
+    return min(
+        float(np.sqrt(aperture.open_area(stop))) if ring is None else ring.outer
+        for stop, ring in zip(camera.stops, rings, strict=True)
+    )
 
 
-def level_blur_px(camera: Camera) -> spectra.FloatArray:
+def level_blur_px(camera: Camera) -> FloatArray:
     """Visible blur diameters in pixels of the blur levels, shape [BLUR_LEVELS], from 0.
 
     Level k is the relative diameter (1 - alpha) c = k pixels, which spans the paper's working range of
@@ -206,34 +297,55 @@ def level_blur_px(camera: Camera) -> spectra.FloatArray:
     return np.arange(BLUR_LEVELS, dtype=np.float64) * (1.0 / relative if relative > 0 else 2.0)
 
 
-def intrinsic_matrix(camera: Camera) -> spectra.FloatArray:
+def intrinsic_matrix(camera: Camera) -> FloatArray:
     """Pinhole intrinsics K in pixels, [3, 3]; pixel centres at +0.5, the principal point in the frame's centre."""
     focal_px = image_distance_m(camera) / (camera.sensor.pixel_pitch_um * 1e-6)
     centre = (camera.sensor.width_px / 2, camera.sensor.height_px / 2)
     return np.array([[focal_px, 0, centre[0]], [0, focal_px, centre[1]], [0, 0, 1.0]])
 
 
-def stop_response(camera: Camera, stop: aperture.Stop) -> spectra.FloatArray:
+def channels(sensor: Sensor) -> tuple[str, ...]:
+    """Names of the mosaic's channels: R, G, B, IR as far as it has them, then others in the order of their curves."""
+    used = {name for row in sensor.mosaic for name in row}
+    others = () if sensor.quantum_efficiency is None else tuple(sensor.quantum_efficiency.channels)
+    return tuple(name for name in dict.fromkeys((*spectra.CHANNELS, *others)) if name in used)
+
+
+def quantum_efficiency(sensor: Sensor) -> FloatArray:
+    """Electrons a photon of each of :func:`channels`, [channel, wavelength], without the cut-off filter."""
+    curves = sensor.quantum_efficiency
+    if curves is None:
+        ours = dict(zip(spectra.CHANNELS, spectra.rgb_ir_quantum_efficiency(), strict=True))
+        return np.stack([ours[name] for name in channels(sensor)])
+    wavelength = spectra.WAVELENGTH_NM
+    return np.stack(
+        [np.interp(wavelength, curves.wavelength_nm, curves.channels[name], right=0.0) for name in channels(sensor)]
+    )
+
+
+def stop_response(camera: Camera, stop: aperture.Stop) -> FloatArray:
     """Electrons a second and pixel, per W m^-2 sr^-1 nm^-1 of scene radiance, through one stop.
 
-    Shape [4 (R, G, B, IR), wavelength], on the axis: p^2 pi (r/s)^2 T_lens T_stop T_cutoff QE lambda / (h c),
-    the Abbe lens's E = pi L (r/s)^2 with r the stop's radius. Off the axis it falls by cos^4.
+    Shape [channel, wavelength], on the axis: p^2 pi (r/s)^2 T_lens T_stop T_cutoff QE lambda / (h c),
+    the Abbe lens's E = pi L (r/s)^2 with pi r^2 the stop's open area. Off the axis it falls as
+    :func:`relative_illumination`.
     """
     sensor = camera.sensor
-    radius_m = stop.radius_ratio * aperture_m(camera) / 2
-    etendue = (sensor.pixel_pitch_um * 1e-6) ** 2 * np.pi * (radius_m / image_distance_m(camera)) ** 2
+    square_of_radius = aperture.open_area(stop) * (aperture_m(camera) / 2) ** 2
+    etendue = (sensor.pixel_pitch_um * 1e-6) ** 2 * np.pi * square_of_radius / image_distance_m(camera) ** 2
     passed = camera.lens.transmittance * aperture.transmittance(stop)
     passed = passed * spectra.short_pass(sensor.cutoff_nm, sensor.cutoff_width_nm)
-    return etendue * passed * spectra.rgb_ir_quantum_efficiency() * spectra.photons_per_joule()
+    return etendue * passed * quantum_efficiency(sensor) * spectra.photons_per_joule()
 
 
-def response(camera: Camera) -> spectra.FloatArray:
-    """Spectral response of the whole camera, the sum of :func:`stop_response` over its stops, [4, wavelength]."""
+def response(camera: Camera) -> FloatArray:
+    """Spectral response of the whole camera, the sum of :func:`stop_response` over its stops, [channel, wavelength]."""
     return np.sum([stop_response(camera, stop) for stop in camera.stops], axis=0)
 
 
 def mosaic_channels(camera: Camera) -> np.ndarray:
-    """Channel index (into ``spectra.CHANNELS``) of every pixel, int [height, width]."""
+    """Channel index (into :func:`channels`) of every pixel, int [height, width]."""
     sensor = camera.sensor
-    block = np.array([[spectra.CHANNELS.index(name) for name in row] for row in sensor.mosaic])
+    names = channels(sensor)
+    block = np.array([[names.index(name) for name in row] for row in sensor.mosaic])
     return np.tile(block, (sensor.height_px // block.shape[0], sensor.width_px // block.shape[1]))

@@ -156,9 +156,9 @@ def render(
         variant: Mitsuba variant: auto, cuda_ad_spectral, llvm_ad_spectral or scalar_spectral
     """
     import dasim
-    from dasim.camera import parse
     from dasim.files import check_output
     from dasim.simulation import check_options
+    from dasim.specification import parse
 
     check_output(out, "capture")
     check_options(spp, seed, diffraction)
@@ -240,8 +240,8 @@ def recon(capture: Path, *, out: Out, bank: Path | None = None, settings: Path |
         settings: a TOML file with settings that differ from the paper's preset
     """
     import recon as reconstruction
-    from dasim.camera import parse_toml
     from dasim.files import check_output, load_bank, load_capture
+    from dasim.specification import parse_toml
     from recon.output import save_reconstruction
     from validation.banks import simulated_bank
 

@@ -17,13 +17,13 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import ConfigDict, Field
 
-from dasim.camera import Camera, Specification, depth_of_blur_m, intrinsic_matrix, level_blur_px, parse
+from dasim.camera import Camera, channels, depth_of_blur_m, intrinsic_matrix, level_blur_px
 from dasim.errors import InputError
-from dasim.spectra import CHANNELS
+from dasim.specification import Specification, parse
 from dasim.values import Capture, PsfBank, Truth
 
-CAPTURE_SCHEMA = 1
-BANK_SCHEMA = 1
+CAPTURE_SCHEMA = 2
+BANK_SCHEMA = 2
 KERNEL_SUM_TOLERANCE = 1e-3
 
 
@@ -241,6 +241,7 @@ def read_png16(path: Path) -> NDArray[np.uint16]:
 # --- ground truth as multi-part EXR --------------------------------------------------------------
 
 _XYZ = ("X", "Y", "Z")
+CHANNEL_ORDER = "channelOrder"  # header of the first part: EXR itself keeps channels in alphabetical order
 
 
 def write_truth(path: Path, truth: Truth) -> None:
@@ -251,8 +252,10 @@ def write_truth(path: Path, truth: Truth) -> None:
         header = {"name": name, "type": OpenEXR.scanlineimage, "compression": OpenEXR.ZIP_COMPRESSION}
         return OpenEXR.Part(header, {key: np.ascontiguousarray(value) for key, value in channels.items()})
 
+    depth = part("depth", {"Z": truth.depth_m})
+    depth.header[CHANNEL_ORDER] = ",".join(truth.channels)
     parts = [
-        part("depth", {"Z": truth.depth_m}),
+        depth,
         part("normal", {axis: truth.normal[..., i] for i, axis in enumerate(_XYZ)}),
         part("blur", {"blur_px": truth.blur_px, "level": truth.level}),
         part(
@@ -263,8 +266,8 @@ def write_truth(path: Path, truth: Truth) -> None:
                 "boundary": truth.boundary.astype(np.uint32),
             },
         ),
-        part("mean_e", {name: truth.mean_e[..., i] for i, name in enumerate(CHANNELS)}),
-        part("sharp_e", {name: truth.sharp_e[..., i] for i, name in enumerate(CHANNELS)}),
+        part("mean_e", {name: truth.mean_e[..., i] for i, name in enumerate(truth.channels)}),
+        part("sharp_e", {name: truth.sharp_e[..., i] for i, name in enumerate(truth.channels)}),
     ]
     OpenEXR.File(parts).write(str(path))
 
@@ -278,6 +281,7 @@ def read_truth(path: Path) -> Truth:
     try:
         with OpenEXR.File(str(path), separate_channels=True) as file:
             parts = {p.name(): {k: c.pixels for k, c in p.channels.items()} for p in file.parts}
+            names = tuple(file.parts[0].header[CHANNEL_ORDER].split(","))
         labels = parts["labels"]
         return Truth(
             depth_m=parts["depth"]["Z"],
@@ -287,8 +291,9 @@ def read_truth(path: Path) -> Truth:
             blur_px=parts["blur"]["blur_px"],
             level=parts["blur"]["level"],
             boundary=labels["boundary"].astype(bool),
-            mean_e=np.stack([parts["mean_e"][name] for name in CHANNELS], axis=-1),
-            sharp_e=np.stack([parts["sharp_e"][name] for name in CHANNELS], axis=-1),
+            channels=names,
+            mean_e=np.stack([parts["mean_e"][name] for name in names], axis=-1),
+            sharp_e=np.stack([parts["sharp_e"][name] for name in names], axis=-1),
         )
     except KeyError as error:
         raise InputError(f"{path}: lacks {error}; a truth file of dasim is needed") from None
@@ -346,9 +351,10 @@ def load_bank(path: Path) -> PsfBank:
     camera = parse(Camera, about.get("camera"), f"bank {path}: camera")
     lights, diffraction = tuple(about.get("lights", ())), str(about.get("diffraction", "measured"))
     kernel, levels = arrays["kernel"], len(np.atleast_1d(arrays["depth_m"]))
-    shapes = {"signature": (len(lights), len(CHANNELS)), "depth_m": (levels,), "blur_px": (levels,)}
+    count = len(channels(camera.sensor))
+    shapes = {"signature": (len(lights), count), "depth_m": (levels,), "blur_px": (levels,)}
     square = kernel.ndim == 5 and kernel.shape[3] == kernel.shape[4] and kernel.shape[3] % 2 == 1
-    if not square or kernel.shape[:3] != (len(lights), levels, len(CHANNELS)) or 0 in kernel.shape:
+    if not square or kernel.shape[:3] != (len(lights), levels, count) or 0 in kernel.shape:
         raise InputError(f"bank {path}: its kernels do not fit its lights, levels and channels")
     if any(arrays[name].shape != shape for name, shape in shapes.items()):
         raise InputError(f"bank {path}: its tables do not fit its lights and levels")

@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from dasim.camera import Specification
 from dasim.errors import InputError
+from dasim.specification import Specification
 from dasim.spectra import WAVELENGTH_NM, FloatArray, long_pass, short_pass
 
 

@@ -15,9 +15,10 @@ from numpy.typing import NDArray
 from pydantic import Field, field_validator, model_validator
 
 from dasim import spectra
-from dasim.camera import Camera, Specification, bundled_or_file, parse_toml, refocused
+from dasim.camera import Camera, refocused
 from dasim.errors import InputError
 from dasim.materials import Texture, material_names, surface
+from dasim.specification import Specification, bundled_or_file, parse_toml
 
 FloatArray = NDArray[np.float64]
 Vector = tuple[float, float, float]

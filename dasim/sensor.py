@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from dasim.camera import Camera, Sensor, Specification, mosaic_channels
+from dasim.camera import Camera, Sensor, mosaic_channels
+from dasim.specification import Specification
 
 FloatArray = NDArray[np.float64]
 

@@ -67,7 +67,8 @@ def simulate(
     progress("geometry", 1.0)
 
     illuminant = scenes.main_illuminant(scene)
-    lens_rate = np.zeros((*geometry.depth_m.shape, 4))
+    names = cameras.channels(camera.sensor)
+    lens_rate = np.zeros((*geometry.depth_m.shape, len(names)))
     for stop in camera.stops:
         stage = partial(progress, f"rendering through stop '{stop.name}'")
         lens_rate += passes.stop_pass(
@@ -110,6 +111,7 @@ def simulate(
         blur_px=blur_px.astype(np.float32),
         level=(blur_px / cameras.level_blur_px(camera)[1]).astype(np.float32),
         boundary=truth.boundary(blur_px),
+        channels=names,
         mean_e=mean_e.astype(np.float32),
         sharp_e=(pinhole_rate * time_s).astype(np.float32),
     )

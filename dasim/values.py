@@ -1,6 +1,6 @@
 """The values that flow between simulator, reconstruction and scores.
 
-Images are [y, x] or [y, x, channel]; channels are in the order of ``spectra.CHANNELS`` (R, G, B, IR).
+Images are [y, x] or [y, x, channel]; channels are in the order of ``camera.channels`` (R, G, B, IR).
 Pixel centres are at +0.5, x to the right, y down, z forward, lengths in metres.
 """
 
@@ -41,8 +41,9 @@ class Truth:
     blur_px: Float32Array  # [h, w] signed visible blur diameter, positive nearer than the focus
     level: Float32Array  # [h, w] signed blur level, (1 - alpha) of the blur
     boundary: NDArray[np.bool_]  # [h, w] the blur disc crosses a depth discontinuity
-    mean_e: Float32Array  # [h, w, 4] mean electrons of every channel as the lens sees the scene
-    sharp_e: Float32Array  # [h, w, 4] the same through a pinhole of the same light
+    channels: tuple[str, ...]  # names of the last axis below
+    mean_e: Float32Array  # [h, w, channel] mean electrons of every channel as the lens sees the scene
+    sharp_e: Float32Array  # [h, w, channel] the same through a pinhole of the same light
 
 
 @dataclass(frozen=True)

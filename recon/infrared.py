@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dasim import spectra
-from dasim.camera import Camera
+from dasim.camera import Camera, quantum_efficiency
 from recon.mosaic import Phase
 
 Float32Array = NDArray[np.float32]
@@ -37,7 +37,7 @@ def crosstalk(camera: Camera) -> Float32Array:
     """
     sensor = camera.sensor
     cutoff = spectra.short_pass(sensor.cutoff_nm, sensor.cutoff_width_nm)
-    return spectra.ir_crosstalk(spectra.rgb_ir_quantum_efficiency() * cutoff).astype(np.float32)
+    return spectra.ir_crosstalk(quantum_efficiency(sensor) * cutoff).astype(np.float32)
 
 
 def remove(rgb: Float32Array, infrared: Float32Array, alpha: Float32Array, keep: NDArray | None = None) -> Float32Array:

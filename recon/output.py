@@ -10,9 +10,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from dasim.camera import Camera, parse
+from dasim.camera import Camera
 from dasim.errors import InputError
 from dasim.files import new_folder, software_versions
+from dasim.specification import parse
 from dasim.values import Reconstruction
 
 RECON_SCHEMA = 1

@@ -6,7 +6,7 @@ from typing import Literal
 
 from pydantic import Field
 
-from dasim.camera import Specification
+from dasim.specification import Specification
 
 
 class Settings(Specification):

@@ -17,10 +17,11 @@ import numpy as np
 import pytest
 
 from dasim import camera as cameras
-from dasim.camera import Camera, parse
+from dasim.camera import Camera
 from dasim.errors import InputError
 from dasim.render import backend
 from dasim.scene import Scene
+from dasim.specification import parse
 
 REFERENCE = Path(__file__).parents[2] / "shared" / "reference"
 

@@ -27,7 +27,12 @@ SOURCE = (cameras.CAMERA_DIR / "da-mobile.toml").read_text()
         ("focus_distance_m = 0.4", "focus_distance_m = 0.0036", ["lens", "focus_distance_m", "focal length"]),
         ("focus_distance_m = 0.4", "focus_distance_m = inf", ["lens.focus_distance_m"]),
         ("radius_ratio = 0.46", "radius_ratio = 1.46", ["stops.1.radius_ratio"]),
-        ('passes = "above"', 'passes = "red"', ["stops.1.passes"]),
+        (
+            "radius_ratio = 0.46",
+            "radius_ratio = 0.46\ncentre_ratio = [0.5, 0.3]",
+            ["stops.1", "outside the lens", "1.043"],
+        ),
+        ("[[650, 830]]", "[[650, 840]]", ["stops.1.passes_nm", "400 to 830"]),
         ("edge_width_nm = 8", "edge_width_nm = 0", ["stops.0.edge_width_nm"]),
         ("width_px = 2048", "width_px = 2047", ["sensor", "2047 x 1536", "2 x 2 mosaic"]),
         ("width_px = 2048", "width_px = 2", ["sensor.width_px"]),

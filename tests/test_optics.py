@@ -113,9 +113,9 @@ def test_light_loss_is_that_of_equation_1(radii, expected):
 
 def test_two_sides_of_a_coating_add_up_to_clear_glass():
     """Rationale: a disc with a hole is the open lens below the edge plus the hole above it: nothing is lost."""
-    below = aperture.Stop(name="open", radius_ratio=1.0, passes="below", edge_nm=640, edge_width_nm=12)
-    above = aperture.Stop(name="hole", radius_ratio=0.46, passes="above", edge_nm=640, edge_width_nm=12)
-    clear = aperture.Stop(name="clear", radius_ratio=1.0)
+    below = aperture.Disc(name="open", radius_ratio=1.0, passes_nm=((400, 640),), edge_width_nm=12)
+    above = aperture.Disc(name="hole", radius_ratio=0.46, passes_nm=((640, 830),), edge_width_nm=12)
+    clear = aperture.Disc(name="clear", radius_ratio=1.0)
     np.testing.assert_allclose(
         aperture.transmittance(below) + aperture.transmittance(above), aperture.transmittance(clear), atol=1e-12
     )

@@ -61,7 +61,7 @@ def test_in_focus_transfer_is_the_overlap_of_two_discs():
         shared = np.count_nonzero((np.hypot(x - v, y) <= 1) & (np.hypot(x + v, y) <= 1))
         overlap = shared / np.count_nonzero(np.hypot(x, y) <= 1)
         assert transfer == pytest.approx(overlap, abs=3e-3)
-        assert pointspread.disc_mtf(np.array([v]))[0] == pytest.approx(overlap, abs=2e-3)
+        assert pointspread.ring_mtf(np.array([v]))[0] == pytest.approx(overlap, abs=2e-3)
 
 
 def test_defocus_on_the_axis_is_a_sinc():
@@ -111,7 +111,7 @@ def test_airy_and_disc_in_the_middle(blur_px, scale_px):
     disc, Airy's peak pi / 4 over the unit's area. The rest of the plane brings the integral to 1.
     """
     radius = np.arange(0, 60 * scale_px, 0.05)
-    profile = pointspread.airy_disc_profile(radius, np.array([blur_px]), scale_px)[0]
+    profile = pointspread.airy_profile(radius, np.array([blur_px]), scale_px)[0]
     x = np.pi * blur_px / 2 / scale_px
     inside = 1 - j0(x) ** 2 - j1(x) ** 2
     expected = inside / (np.pi * blur_px**2 / 4) if blur_px else np.pi / 4 / scale_px**2

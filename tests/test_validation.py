@@ -18,10 +18,10 @@ import pytest
 import recon
 from dasim import camera as cameras
 from dasim import spectra
-from dasim.camera import parse
 from dasim.errors import InputError
 from dasim.scene import Scene
 from dasim.simulation import simulate
+from dasim.specification import parse
 from dasim.values import Reconstruction, Truth
 from validation import banks, demo, metrics, report
 
@@ -51,6 +51,7 @@ def truth(camera, level, **changes) -> Truth:
         blur_px=blur.astype(np.float32),
         level=level,
         boundary=np.zeros(SIZE, bool),
+        channels=("R", "G", "B", "IR"),
         mean_e=image,
         sharp_e=image,
     )

@@ -44,6 +44,7 @@ def truth():
         blur_px=rng.normal(size=(H, W)).astype(np.float32),
         level=rng.normal(size=(H, W)).astype(np.float32),
         boundary=rng.random((H, W)) > 0.5,
+        channels=("R", "G", "B", "IR"),
         mean_e=rng.uniform(0, 6000, (H, W, 4)).astype(np.float32),
         sharp_e=rng.uniform(0, 6000, (H, W, 4)).astype(np.float32),
     )
@@ -65,7 +66,7 @@ def test_capture_and_truth_come_back_as_they_were(folder, capture, truth):
     assert back.raw_dn.dtype == np.uint16
     truth_back = files.load_truth(folder)
     for field in dataclasses.fields(Truth):
-        ours, theirs = getattr(truth, field.name), getattr(truth_back, field.name)
+        ours, theirs = np.array(getattr(truth, field.name)), np.array(getattr(truth_back, field.name))
         assert ours.dtype == theirs.dtype, field.name
         np.testing.assert_array_equal(ours, theirs, err_msg=field.name)
     assert sorted(path.name for path in folder.iterdir()) == ["meta.json", "raw.png", "truth.exr"]
@@ -77,7 +78,7 @@ def test_meta_states_what_a_reader_needs(folder, capture):
     raw picture as 16 bits and the depth as Z.
     """
     meta = json.loads((folder / "meta.json").read_text())
-    assert meta["schema"] == 1
+    assert meta["schema"] == 2
     assert [row[2] for row in meta["intrinsic_matrix_px"]] == [W / 2, H / 2, 1]
     assert [row["level"] for row in meta["levels"]] == list(range(29))
     assert meta["levels"][0]["depth_m"] == pytest.approx(capture.camera.lens.focus_distance_m)
@@ -113,8 +114,8 @@ def test_missing_files_are_named(folder, name):
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        (lambda meta: meta.pop("schema"), "schema 1"),
-        (lambda meta: meta.update(schema=99), "schema 1"),
+        (lambda meta: meta.pop("schema"), "schema 2"),
+        (lambda meta: meta.update(schema=99), "schema 2"),
         (lambda meta: meta.pop("gain"), "gain"),
         (lambda meta: meta.update(exposure_s=[1]), "meta.json"),
         (lambda meta: meta.update(exposure_s="long"), "meta.json"),

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dasim import spectra
-from dasim.camera import Camera
+from dasim.camera import Camera, quantum_efficiency
 from dasim.errors import InputError
 from dasim.values import Reconstruction, Truth
 
@@ -140,7 +140,7 @@ def _sharpness_figures(result: Reconstruction, truth: Truth) -> list[Figure]:
 def infrared_free(image_e: NDArray[Any], camera: Camera) -> FloatArray:
     """Linear colours without infrared, eq. (7) on exact signals: [h, w, 4] -> [h, w, 3] electrons."""
     sensor = camera.sensor
-    response = spectra.rgb_ir_quantum_efficiency() * spectra.short_pass(sensor.cutoff_nm, sensor.cutoff_width_nm)
+    response = quantum_efficiency(sensor) * spectra.short_pass(sensor.cutoff_nm, sensor.cutoff_width_nm)
     return image_e[..., :3].astype(np.float64) - spectra.ir_crosstalk(response) * image_e[..., 3:]
 
 

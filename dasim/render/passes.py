@@ -1,12 +1,13 @@
 """Rendering passes: one per stop, each with a plain pupil and the wavelengths that its stop passes.
 
 The camera is linear, so its picture is the sum of its stops' pictures. In the JIT variants a pass is a loop of
-our own over rays; in ``scalar_spectral`` it is a stock ``thinlens`` with a ``specfilm``. Both return mean
+our own over rays, for every shape of stop; ``scalar_spectral`` has the stock plugins (``stock``). Both return mean
 electrons a second for every channel, E = pi L (r/s)^2 cos^4 summed over the spectrum.
 """
 
 from __future__ import annotations
 
+import zlib
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -14,21 +15,20 @@ from typing import Any
 import numpy as np
 
 from dasim import camera as cameras
-from dasim import pointspread, spectra
+from dasim import spectra
 from dasim.aperture import Stop
 from dasim.camera import Camera
-from dasim.render import truth, wave
-from dasim.render.translate import MAX_PATH_DEPTH, spectrum_dict
+from dasim.render import pupil, stock, transport, wave
+from dasim.render.sobol import Sobol
 from dasim.spectra import FloatArray
 
 Progress = Callable[[float], None]
 
-LANES = 1 << 22  # rays in flight: bounds the memory, and is fixed, since it decides the random numbers
+LANES = 1 << 21  # rays in flight: bounds the memory, and is fixed, since it decides the random numbers
 WAVE_BLUR_PX = 150.0  # visible blur up to which weights are tabulated; beyond, blur is that of the drawn rays
 SAME_BLUR_PX, SAME_BLUR_SHARE = 0.25, 0.02  # spread of the blur on one surface, slanted ones included
 DRAW_NODES = 4096  # of the table that turns a uniform number into a wavelength
-SCALAR_RAYS = 1 << 22  # a block in scalar_spectral: some seconds between two steps of the progress bar, or a Ctrl-C
-PINHOLE_RATIO = 1e-4  # of the lens radius: the stock plugin needs a lens that is not a point
+HERO = 4  # wavelengths a ray
 
 
 @dataclass(frozen=True)
@@ -50,23 +50,21 @@ def stop_pass(
     max_blur_px: float = 0.0,
     illuminant: str = "D65",
 ) -> FloatArray:
-    """Mean electrons a second through one stop, [h, w, 4 (R, G, B, IR)].
+    """Mean electrons a second through one stop, [h, w, channel].
 
     ``max_blur_px`` is the largest visible blur in the scene, for the wave tables; ``illuminant`` weights the
     in-focus kernel of ``airy``.
     """
     import mitsuba as mi
 
-    response = cameras.stop_response(camera, stop)
-    radius_m = stop.radius_ratio * cameras.aperture_m(camera) / 2
     if mi.variant().startswith("scalar"):
-        rate = _stock_pass(mitsuba_scene, camera, radius_m, response, sampling)
+        stock.check(camera)
+        rate = stock.stop_pass(mitsuba_scene, camera, stop, sampling.spp, _seeds(sampling, stop), sampling.progress)
         if diffraction == "airy":
-            rate = _in_focus_diffraction(rate, camera, stop, response * spectra.illuminant(illuminant))
+            rate = stock.in_focus_diffraction(rate, camera, stop, illuminant)
     else:
-        wave_blur_px = stop.radius_ratio * min(max_blur_px, WAVE_BLUR_PX) if diffraction == "wave" else None
-        rate = _ray_loop(mitsuba_scene, camera, radius_m, response, sampling, wave_blur_px)
-    return rate * _cos4(camera)[..., None]
+        rate = _ray_loop(mitsuba_scene, camera, stop, sampling, max_blur_px if diffraction == "wave" else None)
+    return rate * cameras.relative_illumination(camera)[..., None]
 
 
 def sample_count(spp: int) -> int:
@@ -77,32 +75,17 @@ def sample_count(spp: int) -> int:
 
 
 def pinhole_pass(mitsuba_scene: Any, camera: Camera, sampling: Sampling) -> FloatArray:
-    """Mean electrons a second with every stop shrunk to a point at unchanged light, [h, w, 4].
+    """Mean electrons a second with every stop shrunk to a point at unchanged light, [h, w, channel].
 
     Through a point all stops see the same rays, so one pass serves them all.
     """
     import mitsuba as mi
 
-    response = cameras.response(camera)
     if mi.variant().startswith("scalar"):
-        point_m = PINHOLE_RATIO * cameras.aperture_m(camera) / 2
-        rate = _stock_pass(mitsuba_scene, camera, point_m, response, sampling)
+        rate = stock.pinhole_pass(mitsuba_scene, camera, sampling.spp, _seeds(sampling, None), sampling.progress)
     else:
-        rate = _ray_loop(mitsuba_scene, camera, 0.0, response, sampling, None)
-    return rate * _cos4(camera)[..., None]
-
-
-def _cos4(camera: Camera) -> FloatArray:
-    """Natural vignetting, cos^4 of the chief ray's angle at the pixel's centre, [h, w]."""
-    sensor = camera.sensor
-    pitch_m = sensor.pixel_pitch_um * 1e-6
-    x = (np.arange(sensor.width_px) + 0.5 - sensor.width_px / 2) * pitch_m
-    y = (np.arange(sensor.height_px) + 0.5 - sensor.height_px / 2) * pitch_m
-    s2 = cameras.image_distance_m(camera) ** 2
-    return (s2 / (s2 + x[None, :] ** 2 + y[:, None] ** 2)) ** 2
-
-
-# --- the ray loop of the JIT variants ------------------------------------------------------------
+        rate = _ray_loop(mitsuba_scene, camera, None, sampling, None)
+    return rate * cameras.relative_illumination(camera)[..., None]
 
 
 def draw_density(camera: Camera, response: FloatArray) -> FloatArray:
@@ -116,8 +99,8 @@ def draw_density(camera: Camera, response: FloatArray) -> FloatArray:
     return density
 
 
-def _draw_table(response: FloatArray, density: FloatArray) -> FloatArray:
-    """Wavelength and response / density per channel at equal steps of probability, [DRAW_NODES, 5].
+def _draw_table(camera: Camera, response: FloatArray, density: FloatArray) -> FloatArray:
+    """Wavelength, focus vergence and response / density per channel at equal steps of probability, [DRAW_NODES, ...].
 
     The mean of the response columns is the integral of the response, so that a flat light is exact.
     """
@@ -129,7 +112,7 @@ def _draw_table(response: FloatArray, density: FloatArray) -> FloatArray:
     nodes = (np.arange(DRAW_NODES) + 0.5) / DRAW_NODES
     wavelength = np.interp(nodes, cdf / total, fine)
     at = np.interp(wavelength, spectra.WAVELENGTH_NM, density)
-    columns = [wavelength]
+    columns = [wavelength, np.interp(wavelength, spectra.WAVELENGTH_NM, cameras.focus_vergence(camera))]
     for row in response:
         ratio = np.interp(wavelength, spectra.WAVELENGTH_NM, row) * total / at
         mean = ratio.mean()
@@ -138,101 +121,116 @@ def _draw_table(response: FloatArray, density: FloatArray) -> FloatArray:
 
 
 def _ray_loop(
-    scene: Any,
-    camera: Camera,
-    radius_m: float,
-    response: FloatArray,
-    sampling: Sampling,
-    wave_blur_px: float | None,
+    scene: Any, camera: Camera, stop: Stop | None, sampling: Sampling, max_blur_px: float | None
 ) -> FloatArray:
-    """A pass of our own: ``wave_blur_px`` is the largest blur of this stop, None for geometric optics."""
+    """A pass of our own through a stop, or through a point; ``max_blur_px`` is None for geometric optics."""
     import drjit as dr
     import mitsuba as mi
 
     width, height = camera.sensor.width_px, camera.sensor.height_px
-    pitch_m = camera.sensor.pixel_pitch_um * 1e-6
-    image_m, focus_m = cameras.image_distance_m(camera), camera.lens.focus_distance_m
-    density = draw_density(camera, response)
-    table = mi.Texture1f(mi.TensorXf(_draw_table(response, density).astype(np.float32)))
+    px_per_m = cameras.image_distance_m(camera) / (camera.sensor.pixel_pitch_um * 1e-6)  # at unit distance
+    radius_m = cameras.aperture_m(camera) / 2
+    per_vergence = 2 * radius_m * px_per_m  # pixels of visible blur
+    vergence = 1.0 / camera.lens.focus_distance_m
+    response = cameras.response(camera) if stop is None else cameras.stop_response(camera, stop)
     mean_response = spectra.integrate(response)
-    if wave_blur_px is not None:
-        f_number = image_m / (2 * radius_m)
-        info = wave.wave_tables(density, f_number, pitch_m * 1e6, wave_blur_px, wave.shortest_wavelength_nm(density))
-        tables = {
-            "density": mi.Texture2f(mi.TensorXf(info.density[..., None].astype(np.float32))),
-            "wave": mi.Texture2f(mi.TensorXf(info.wave[..., None].astype(np.float32))),
-            "offset": mi.Texture1f(mi.TensorXf(info.offset_px[:, None].astype(np.float32))),
-        }
-        scale_per_nm = f_number * 1e-9 / pitch_m
+    rate = np.zeros((height, width, len(response)))
+    if mean_response.max() <= 0:
+        return rate
+    density = draw_density(camera, response)
+    table = mi.Texture1f(mi.TensorXf(_draw_table(camera, response, density).astype(np.float32)))
+    # With axial colour every wavelength has rays of its own; without, four share one.
+    spacing = 0.0 if camera.lens.focal_shift_um else 1 / HERO
+    draw_pupil = None if stop is None else pupil.drawer(stop)
+    blur_range = 0.0 if max_blur_px is None else wave.blur_range_px(camera, max_blur_px, WAVE_BLUR_PX)
+    blur = None if stop is None or max_blur_px is None else wave.weigher(camera, stop, density, blur_range)
 
-    integrator = mi.load_dict({"type": "path", "max_depth": MAX_PATH_DEPTH})
-    sampler = mi.load_dict({"type": "multijitter", "sample_count": sampling.spp})
+    integrator = transport.path_integrator()
+    sampler = mi.load_dict({"type": "multijitter", "sample_count": sampling.spp})  # deeper in the paths
     spp = sampler.sample_count()  # rounded up to a grid
     sampler.set_samples_per_wavefront(spp)
     rows_at_once = max(1, LANES // (spp * width))
-    rate = np.empty((height, width, len(spectra.CHANNELS)))
+    seeds = _seeds(sampling, stop)
     for block, top in enumerate(range(0, height, rows_at_once)):
         rows = min(rows_at_once, height - top)
         lanes = rows * width * spp
-        key = _block_seed(sampling.seed, radius_m, block)
-        sampler.seed(dr.opaque(mi.UInt32, key), lanes)
+        sampler.seed(dr.opaque(mi.UInt32, seeds(block)), lanes)
         pixel = dr.arange(mi.UInt32, lanes) // spp
         row = pixel // width
         corner = mi.Point2f(mi.Float(pixel - row * width), mi.Float(row + dr.opaque(mi.UInt32, top)))
-        film = corner + sampler.next_2d() - mi.Point2f(width / 2, height / 2)  # pixels from the axis
-        pupil = radius_m * mi.warp.square_to_uniform_disk_concentric(sampler.next_2d())
-        aim = film
-        if wave_blur_px is not None:
-            draw = sampler.next_2d()
-            length = tables["offset"].eval(mi.Point1f((draw.x * (wave.OFFSET_NODES - 1) + 0.5) / wave.OFFSET_NODES))[0]
-            aim = film + length * mi.Point2f(dr.cos(2 * dr.pi * draw.y), dr.sin(2 * dr.pi * draw.y))
-        origin = mi.Point3f(pupil.x, pupil.y, 0.0)
-        in_focus = mi.Point3f(aim.x * (pitch_m / image_m), aim.y * (pitch_m / image_m), 1.0) * focus_m
-        ray = mi.RayDifferential3f(mi.Ray3f(origin, dr.normalize(in_focus - origin)))
+        numbers = Sobol(spp, dr.arange(mi.UInt32, lanes) % spp, pixel + dr.opaque(mi.UInt32, seeds(block)))
+        # The first dimensions are the most even: to what decides most.
+        lens, film, light, direction = (numbers.next_2d() for _ in range(4))
+        first, pattern, lobe = numbers.next_1d(), numbers.next_2d(), numbers.next_1d()
+        film += corner - mi.Point2f(width / 2, height / 2)  # pixels from the axis
+        entries, wavelengths = [], mi.Spectrum(0.0)
+        for k in range(HERO):
+            shifted = first + k * spacing
+            entries.append(table.eval(mi.Point1f(shifted - dr.floor(shifted))))
+            wavelengths[k] = entries[k][0]
+        focus = entries[0][1] if spacing == 0 else mi.Float(vergence)
 
-        first = sampler.next_1d()
-        response_at, wavelengths = [], mi.Spectrum(0.0)
-        for k in range(4):
-            shifted = first + k / 4
-            entry = table.eval(mi.Point1f(shifted - dr.floor(shifted)))
-            wavelengths[k] = entry[0]
-            response_at.append(entry[1:])
+        on_lens, delta, drawn = mi.Point2f(0.0), mi.Point2f(0.0), mi.Float(1.0)
+        if blur is not None:
+            expected = dr.gather(mi.Float, _middle_vergence(scene, corner, spp, width, height, px_per_m), pixel)
+            defocus = per_vergence * (expected - focus)
+            on_lens, delta, drawn = blur.draw(lens, pattern, defocus, dr.opaque(mi.UInt32, seeds(block)))
+        elif draw_pupil is not None:
+            on_lens = draw_pupil(lens)
+        on_lens *= radius_m
+        aim = film + delta
+        origin = mi.Point3f(on_lens.x, on_lens.y, 0.0)
+        # Through the film position and what lies in focus there; beyond infinity that is behind the camera.
+        slope = aim / px_per_m - on_lens * focus
+        ray = mi.RayDifferential3f(mi.Ray3f(origin, dr.normalize(mi.Vector3f(slope.x, slope.y, 1.0))))
         ray.wavelengths = wavelengths
 
-        weight = mi.Spectrum(1.0)
-        if wave_blur_px is not None:
-            hit = scene.ray_intersect_preliminary(ray, coherent=True)
-            point = ray(dr.select(hit.is_valid(), hit.t, 1e4))
-            # The film position where the chief ray images the point, relative to where this sample counts.
-            seen = mi.Point2f(point.x, point.y) / point.z * (image_m / pitch_m)
-            u = dr.norm(seen - film)
-            blur = 2 * radius_m / pitch_m * image_m * (1 / point.z - 1 / focus_m)
-            scales = [wavelengths[k] * scale_per_nm for k in range(4)]
-            for k, ratio in enumerate(wave.weights(tables, info, u, dr.abs(blur), scales)):
-                weight[k] = ratio
-        radiance, _, _ = integrator.sample(scene, sampler, ray)
+        si = scene.ray_intersect(ray, ray_flags=mi.RayFlags.All, coherent=True)
+        weight, spread = [mi.Float(1.0)] * HERO, []
+        if blur is not None:
+            point = dr.select(si.is_valid(), si.p, ray(1e4))
+            u = film - mi.Point2f(point.x, point.y) / point.z * px_per_m
+            ratios = blur.weights(u, per_vergence * (1 / point.z - focus), [entry[0] for entry in entries])
+            weight = [drawn * ratio for ratio in ratios]
+            seen = per_vergence * (1 / point.z - vergence)
+            spread = [seen, seen * seen]
+        radiance = transport.radiance(scene, integrator, sampler, ray, si, (light, direction, lobe))
 
-        sums = [blur, blur * blur] if wave_blur_px is not None else []
-        spread = len(sums)
-        for channel in range(len(spectra.CHANNELS)):
-            signal = sum(response_at[k][channel] * weight[k] * radiance[k] for k in range(4))
-            control = sum(response_at[k][channel] * weight[k] for k in range(4))
-            sums += [signal, control]
+        sums = list(spread)
+        for channel in range(len(response)):
+            share = [entries[k][2 + channel] * weight[k] for k in range(HERO)]
+            sums += [sum(share[k] * radiance[k] for k in range(HERO)), sum(share)]
         dr.eval(*sums)  # one kernel for all: summing first would trace the rays once a sum
-        sums = [dr.block_sum(value, spp) for value in sums]
-        totals = [np.array(value, dtype=np.float64) for value in sums]
+        totals = [np.array(dr.block_sum(value, spp), dtype=np.float64) for value in sums]
         one_depth = _one_depth(totals[0] / spp, totals[1] / spp) if spread else np.True_
         # The control variate: response * weight has a known mean where one depth is seen, and dividing by what
         # was drawn of it takes the noise of drawing wavelengths and weights out. Near a depth step the weights'
         # mean is not 1, so there the plain mean stays.
-        for channel in range(len(spectra.CHANNELS)):
-            signal, control = totals[spread + 2 * channel : spread + 2 * channel + 2]
-            expected = 4 * spp * mean_response[channel]
+        for channel in range(len(response)):
+            signal, control = totals[len(spread) + 2 * channel : len(spread) + 2 * channel + 2]
+            expected = HERO * spp * mean_response[channel]
             divisor = np.where(one_depth, control, expected)
-            share = np.divide(signal, divisor, out=np.zeros_like(signal), where=divisor > 0)
-            rate[top : top + rows, :, channel] = mean_response[channel] * share.reshape(rows, width)
+            part = np.divide(signal, divisor, out=np.zeros_like(signal), where=divisor > 0)
+            rate[top : top + rows, :, channel] = mean_response[channel] * part.reshape(rows, width)
         sampling.progress((top + rows) / height)
     return rate
+
+
+def _middle_vergence(scene: Any, corner: Any, spp: int, width: int, height: int, px_per_m: float) -> Any:
+    """Inverse depth of what the ray through the middle of each pixel and of the lens meets first, 1/m; 0 for nothing.
+
+    ``corner`` are the pixels' corners, ``spp`` times each.
+    """
+    import drjit as dr
+    import mitsuba as mi
+
+    first = dr.arange(mi.UInt32, dr.width(corner) // spp) * spp
+    at = dr.gather(mi.Point2f, corner, first) + 0.5 - mi.Point2f(width / 2, height / 2)
+    towards = mi.Vector3f(at.x / px_per_m, at.y / px_per_m, 1.0)
+    hit = scene.ray_intersect_preliminary(mi.Ray3f(mi.Point3f(0.0), towards), coherent=True)
+    vergence = dr.select(hit.is_valid(), dr.rcp(hit.t), 0.0)  # the direction's z is 1, so t is depth
+    dr.eval(vergence)
+    return vergence
 
 
 def _one_depth(blur: FloatArray, blur_squared: FloatArray) -> np.ndarray:
@@ -241,80 +239,7 @@ def _one_depth(blur: FloatArray, blur_squared: FloatArray) -> np.ndarray:
     return deviation <= SAME_BLUR_PX + SAME_BLUR_SHARE * np.abs(blur)
 
 
-def _block_seed(seed: int, radius_m: float, block: int) -> int:
-    """Seed of a block of rows, of its own for each stop (told apart by its radius)."""
-    return int(np.random.SeedSequence((seed, round(radius_m * 1e9), block)).generate_state(1)[0])
-
-
-# --- the stock plugins of scalar_spectral --------------------------------------------------------
-
-
-def _stock_pass(scene: Any, camera: Camera, radius_m: float, response: FloatArray, sampling: Sampling) -> FloatArray:
-    import mitsuba as mi
-
-    width, height = camera.sensor.width_px, camera.sensor.height_px
-    peaks = response.max(axis=1)
-    names = [f"c{index}" for index in range(len(spectra.CHANNELS))]
-    rate = np.zeros((height, width, len(names)))
-    rows_at_once = max(1, SCALAR_RAYS // (sampling.spp * width))
-    for block, top in enumerate(range(0, height, rows_at_once)):
-        rows = min(rows_at_once, height - top)
-        film: dict[str, Any] = {
-            "type": "specfilm",
-            "width": width,
-            "height": height,
-            "crop_offset_x": 0,
-            "crop_offset_y": top,
-            "crop_width": width,
-            "crop_height": rows,
-            "rfilter": {"type": "box"},
-            "component_format": "float32",
-        }
-        for name, row, peak in zip(names, response, peaks, strict=True):
-            film[name] = spectrum_dict(row / peak if peak > 0 else row)
-        sensor = mi.load_dict(
-            {
-                "type": "thinlens",
-                "aperture_radius": radius_m,
-                "focus_distance": camera.lens.focus_distance_m,
-                "fov": truth.field_of_view_deg(camera),
-                "fov_axis": "x",
-                "near_clip": 1e-4,
-                "far_clip": 1e5,
-                "to_world": truth.camera_axes(),
-                "film": film,
-                "sampler": {"type": "multijitter", "sample_count": sampling.spp},
-            }
-        )
-        integrator = mi.load_dict({"type": "path", "max_depth": MAX_PATH_DEPTH})
-        key = _block_seed(sampling.seed, radius_m, block)
-        image = mi.render(scene, sensor=sensor, integrator=integrator, spp=0, seed=key)
-        rate[top : top + rows] = np.array(image, dtype=np.float64) * peaks
-        sampling.progress((top + rows) / height)
-    return rate
-
-
-def _in_focus_diffraction(rate: FloatArray, camera: Camera, stop: Stop, weights: FloatArray) -> FloatArray:
-    """Convolve with the stop's in-focus Airy patterns, by their transfer function; the frame's edges are mirrored.
-
-    The product of blur disc and Airy pattern is not the true defocused kernel: an approximation.
-    """
-    from scipy import fft
-
-    f_number = pointspread.working_f_number(camera, stop.radius_ratio)
-    height, width = rate.shape[:2]
-    # The cosine transform of a frame that is mirrored at its edges has frequencies k / (2 n) cycles a pixel.
-    frequency = np.hypot(np.arange(height)[:, None] / (2 * height), np.arange(width)[None, :] / (2 * width))
-    result = np.empty_like(rate)
-    for channel in range(rate.shape[-1]):
-        transfer, total = np.zeros_like(frequency), 0.0
-        for wavelength_nm, weight in pointspread.bands(weights[channel : channel + 1]):
-            scale_px = wavelength_nm * 1e-3 * f_number / camera.sensor.pixel_pitch_um
-            transfer += weight[0] * pointspread.disc_mtf(frequency * scale_px)
-            total += weight[0]
-        if total > 0:
-            blurred = fft.idctn(fft.dctn(rate[..., channel], type=2) * (transfer / total), type=2)
-            result[..., channel] = np.maximum(blurred, 0.0)
-        else:
-            result[..., channel] = rate[..., channel]
-    return result
+def _seeds(sampling: Sampling, stop: Stop | None) -> Callable[[int], int]:
+    """Seed of a block of rows, of its own for each stop (told apart by its name)."""
+    name = zlib.crc32(stop.name.encode()) if stop is not None else 0
+    return lambda block: int(np.random.SeedSequence((sampling.seed, name, block)).generate_state(1)[0])

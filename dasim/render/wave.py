@@ -1,96 +1,400 @@
-"""Tables for wave-true defocus: rays drawn from the blur of geometric optics, weighted to that of wave optics.
+"""Wave-true defocus: rays drawn from the blur of geometric optics, weighted to that of wave optics.
 
-A ray starts at rho on the stop and leaves through film position x + delta, with delta drawn from the in-focus
-diffraction pattern. Where it meets a surface of visible blur c, that point's own image lies at distance u from
-x with density g(u; c) = (Airy * disc of c). Wave optics has h(u; c, lambda) there, so the ray's contribution
-is weighted by h / g. Exact for surfaces that face the camera; occlusion follows from the real rays.
+A ray starts at rho on the stop, drawn evenly, and leaves through film position x + delta, with delta drawn from the
+in-focus diffraction pattern D. Where it meets a surface of blur c, that point's own image lies at u from
+x with density g(u; c) = (D * geometric blur). Wave optics has h(u; c, lambda) there, so the ray's
+contribution is weighted by h / g. Exact for surfaces that face the camera; occlusion follows from the real rays.
+
+Drawn apart, rho and delta would leave u to chance even where each is stratified, and u decides what a pixel sees.
+So for discs and rings u is drawn first, stratified, for the blur c0 that the pixel's middle sees, with a density q
+near that of h; then rho by rejection from what D leaves possible, and delta follows. That is the same joint density
+but for the factor g(u; c0) / q(u; c0), which joins the weight: no approximation, wherever the ray ends up.
+
+Discs and rings are radial: tables of two dimensions. Polygons and masks take two of three dimensions, and rho and
+delta are drawn apart.
+Lengths are pixels; c is signed and that of the open lens, positive nearer than the focus.
 """
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from dataclasses import dataclass
+from typing import Any, Protocol
 
 import numpy as np
-from scipy.special import j0, j1
+from scipy import ndimage, signal
+from scipy.special import j1
 
-from dasim import pointspread, spectra
+from dasim import aperture, pointspread, spectra
+from dasim import camera as cameras
+from dasim.aperture import Stop
+from dasim.camera import Camera
+from dasim.render import pupil
 from dasim.spectra import FloatArray
 
 OFFSET_NODES = 1 << 15  # inverse CDF of delta
-TAIL_RINGS = 12.0  # delta is drawn up to this many lambda N (3 % of an Airy pattern's light lies beyond 7)
-RADIUS_STEP = 0.05  # of the wave table, in lambda N
-WAVES_STEP = 0.02  # of the wave table
-DENSITY_STEP_PX = 0.06  # of the density table, along u
-DENSITY_BLUR_STEP_PX = 0.25  # of the density table, along c
+TAIL_RINGS = 40.0  # delta is drawn up to this many lambda N; 0.5 % of an Airy pattern lies beyond
+KERNEL_RINGS = 16.0  # h ends so many lambda N beyond the geometric blur; the 1 % of light farther out is put inside
+RADIUS_STEP = 0.05  # of the table of h, in lambda N
+WAVES_STEP = 0.02
+DENSITY_STEP_PX = 0.04  # of the table of g, along u
+DENSITY_BLUR_STEP_PX = 0.1  # of the table of g, along c
+GUIDE_NODES = 512  # equal steps of probability of q along |u|
+GUIDE_SHARE = 0.75  # of h in q; the rest is g, so that no weight is large where another depth is met
+GUIDE_BANDS = 8  # wavelengths that stand for h in q
+
+PATTERN_TAIL = 12.0  # in lambda N of a disc of the same area
+PATTERN_STEP = 0.1  # of the table of h, in lambda N of the whole lens
+PATTERN_WAVES_STEP = 0.05
+PATTERN_DENSITY_STEP_PX = 0.15
+PATTERN_BLUR_STEP_PX = 0.5
+MOST_NODES = 48e6  # of a table of three dimensions; its steps grow where that does not do
+FLOOR = 1e-12
 
 
-class WaveTables(NamedTuple):
-    """Tables of one stop; u and c in pixels, c the stop's own geometric blur diameter."""
+class Blur(Protocol):
+    """The weights of one stop."""
 
-    offset_px: FloatArray  # [OFFSET_NODES] radius of delta at equal steps of probability
-    density: FloatArray  # [c, u] g(u; c) per square pixel
-    max_blur_px: float
-    max_radius_px: float
-    wave: FloatArray  # [waves, radius] h in units of lambda N
-    max_waves: float
-    max_scale_radius: float
+    def draw(self, first: Any, second: Any, blur_px: Any, key: Any) -> tuple[Any, Any, Any]:
+        """Place rho on the stop (of the lens's radius), offset delta (pixels), and the weight of having drawn them.
+
+        ``first`` and ``second`` are two uniform numbers each, ``blur_px`` is the blur to expect, ``key`` decides what
+        is drawn by rejection.
+        """
+
+    def weights(self, u_px: Any, blur_px: Any, wavelengths_nm: list[Any]) -> list[Any]:
+        """Ratios h / g for each wavelength; 1 beyond the tables, where the blur is that of the drawn rays."""
 
 
-def wave_tables(draw: FloatArray, f_number: float, pitch_um: float, max_blur_px: float, min_nm: float) -> WaveTables:
-    """Tables for a stop whose wavelengths are drawn with density ``draw`` (on the grid, relative).
-
-    ``f_number`` is the stop's working f-number, ``max_blur_px`` its largest own blur, ``min_nm`` its shortest
-    wavelength.
-    """
-    bands = [(nm, float(weight[0])) for nm, weight in pointspread.bands(draw[None, :])]
+def weigher(camera: Camera, stop: Stop, density: FloatArray, max_blur_px: float) -> Blur:
+    """Tables for a stop whose wavelengths are drawn with ``density`` (on the grid, relative)."""
+    bands = [(nm, float(weight[0])) for nm, weight in pointspread.bands(density[None, :])]
     total = sum(weight for _, weight in bands)
-    bands = [(nm * 1e-3 * f_number / pitch_um, weight / total) for nm, weight in bands]  # lambda N in pixels
-    tail = TAIL_RINGS * max(scale for scale, _ in bands)
-    max_radius = max_blur_px / 2 + tail
-    radius = np.arange(0.0, max_radius + DENSITY_STEP_PX, DENSITY_STEP_PX)
-    blurs = np.arange(0.0, max_blur_px + DENSITY_BLUR_STEP_PX, DENSITY_BLUR_STEP_PX)
-    density = sum(weight * pointspread.airy_disc_profile(radius, blurs, scale) for scale, weight in bands)
-    min_scale = min_nm * 1e-3 * f_number / pitch_um
-    scaled = np.arange(0.0, max_radius / min_scale + RADIUS_STEP, RADIUS_STEP)
-    waves = np.arange(0.0, max_blur_px / (8 * min_scale) + WAVES_STEP, WAVES_STEP)
-    return WaveTables(
-        offset_px=_offsets(bands, tail),
-        density=np.maximum(density, 1e-12),
-        max_blur_px=float(blurs[-1]),
-        max_radius_px=float(radius[-1]),
-        wave=pointspread.wave_profile(scaled, waves),
-        max_waves=float(waves[-1]),
-        max_scale_radius=float(scaled[-1]),
-    )
+    bands = [(nm, weight / total) for nm, weight in bands]
+    shortest_nm = float(spectra.WAVELENGTH_NM[np.argmax(density > 0)])
+    if aperture.ring(stop) is not None:
+        return radial_blur(camera, stop, bands, shortest_nm, max_blur_px)
+    return pattern_blur(camera, stop, bands, shortest_nm, max_blur_px)
 
 
-def _offsets(bands: list[tuple[float, float]], tail_px: float) -> FloatArray:
-    """Inverse of the encircled energy 1 - J0^2 - J1^2 of the mixed Airy patterns, up to ``tail_px``."""
-    radius = np.linspace(0.0, tail_px, 20_000)
-    inside = sum(weight * (1 - j0(np.pi * radius / s) ** 2 - j1(np.pi * radius / s) ** 2) for s, weight in bands)
-    inside = np.maximum.accumulate(inside / inside[-1])
-    return np.interp(np.linspace(0.0, 1.0, OFFSET_NODES), inside, radius)
+def _texture(values: Any) -> Any:
+    import mitsuba as mi
+
+    kinds = {1: mi.Texture1f, 2: mi.Texture2f, 3: mi.Texture3f}
+    return kinds[values.ndim](mi.TensorXf(values[..., None].astype(np.float32)))
 
 
-def shortest_wavelength_nm(draw: FloatArray) -> float:
-    """Shortest wavelength that is drawn at all, nm."""
-    return float(spectra.WAVELENGTH_NM[np.argmax(draw > 0)])
-
-
-def weights(tables: dict[str, Any], info: WaveTables, u_px: Any, blur_px: Any, scales_px: list[Any]) -> list[Any]:
-    """Ratios h / g for each wavelength (``scales_px``: lambda N in pixels); 1 beyond the tables (geometric blur)."""
+def _direction(turn: Any) -> Any:
+    """Unit vector at a share of a full turn."""
     import drjit as dr
     import mitsuba as mi
 
-    def lookup(name: str, x: Any, y: Any) -> Any:
-        # Texture coordinates put the first node at half a texel.
-        rows, columns = tables[name].shape[0], tables[name].shape[1]
-        return tables[name].eval(mi.Point2f((x * (columns - 1) + 0.5) / columns, (y * (rows - 1) + 0.5) / rows))[0]
+    sine, cosine = dr.sincos(2 * dr.pi * turn)
+    return mi.Point2f(cosine, sine)
 
-    g = lookup("density", u_px / info.max_radius_px, blur_px / info.max_blur_px)
-    inside = (blur_px <= info.max_blur_px) & (u_px <= info.max_radius_px) & (g > 0)
-    ratios = []
-    for scale in scales_px:
-        h = lookup("wave", u_px / scale / info.max_scale_radius, blur_px / (8 * scale) / info.max_waves)
-        ratios.append(dr.select(inside, h / (scale * scale * g), 1.0))
-    return ratios
+
+def _place(value: Any, step: float, nodes: int) -> Any:
+    """Texture coordinate of ``value`` on nodes 0, step, ...: the first node lies at half a texel."""
+    return (value / step + 0.5) / nodes
+
+
+# --- discs and rings -----------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class RadialBlur:
+    """Tables over distance; blur and distances are taken about the ring's own centre."""
+
+    outer: float
+    centre: aperture.Point
+    px_per_nm: float  # lambda N in pixels, a nanometre of lambda
+    max_blur_px: float
+    max_radius_px: float
+    inner: float  # of the ring, over its outer radius
+    tail_px: float
+    core_px: float  # about the width of D
+    offsets: Any  # [OFFSET_NODES] radius of delta at equal steps of probability
+    density: Any  # [c, u] g per square pixel; its first row is D
+    envelope: Any  # [u] the largest value of D from u on
+    guide: Any  # [c, GUIDE_NODES + 1] flat: radius u at equal steps of probability of q
+    wave: Any  # [waves, radius] h in units of lambda N
+
+    def draw(self, first: Any, second: Any, blur_px: Any, key: Any) -> tuple[Any, Any, Any]:
+        """See :class:`Blur`."""
+        import drjit as dr
+        import mitsuba as mi
+
+        rows = self.density.shape[0]
+        expected = dr.abs(blur_px) * (self.outer / DENSITY_BLUR_STEP_PX)
+        row = dr.minimum(mi.UInt32(dr.round(dr.minimum(expected, 1e6))), rows - 1)
+        own = mi.Float(row) * DENSITY_BLUR_STEP_PX
+        place = first.x * GUIDE_NODES
+        index = dr.minimum(mi.UInt32(place), GUIDE_NODES - 1)
+        start = row * (GUIDE_NODES + 1) + index
+        low, high = dr.gather(mi.Float, self.guide, start), dr.gather(mi.Float, self.guide, start + 1)
+        length = dr.fma(place - mi.Float(index), high - low, low)
+        drawn_density = dr.rcp(GUIDE_NODES * (high - low) * 2 * dr.pi * dr.maximum(length, 1e-6))
+        g = self._density(length, own)
+        u = length * _direction(first.y)
+        side = dr.select(blur_px < 0, -own, own) / 2  # rho = 1 moves the image by -side
+        rho = self._on_stop(u, side, length, own, key)
+        delta = -u - rho * side
+        return mi.Point2f(*self.centre) + self.outer * rho, delta, g / drawn_density
+
+    def _on_stop(self, u: Any, side: Any, length: Any, own: Any, key: Any) -> Any:
+        """Place rho with density D(-u - rho side), by rejection: from D where that is narrow, else from the ring."""
+        import drjit as dr
+        import mitsuba as mi
+
+        narrow = (own > self.core_px) & (length < own / 2 + self.core_px)
+        columns = self.density.shape[1]
+        highest = self.envelope.eval(mi.Point1f(_place(dr.maximum(length - own / 2, 0), DENSITY_STEP_PX, columns)))[0]
+        random = mi.PCG32(initstate=mi.UInt64(key), initseq=mi.UInt64(dr.arange(mi.UInt32, dr.width(u))))
+
+        def again(random: Any, missing: Any, rho: Any) -> tuple[Any, Any, Any]:
+            first, second, third = random.next_float32(), random.next_float32(), random.next_float32()
+            turn = _direction(second)
+            node = mi.UInt32(first * OFFSET_NODES)
+            from_pattern = -(u + dr.gather(mi.Float, self.offsets, node) * turn) / side
+            from_ring = dr.sqrt(dr.lerp(self.inner**2, 1.0, first)) * turn
+            proposed = dr.select(narrow, from_pattern, from_ring)
+            radius = dr.norm(proposed)
+            away = dr.norm(u + proposed * side)
+            chance = self._density(away, mi.Float(0.0)) / highest
+            taken = dr.select(narrow, (radius <= 1) & (radius >= self.inner), (third < chance) & (away <= self.tail_px))
+            return random, missing & ~taken, dr.select(missing & taken, proposed, rho)
+
+        _, _, rho = dr.while_loop(
+            state=(random, mi.Bool(dr.full(mi.Bool, True, dr.width(u))), mi.Point2f(0.0)),
+            cond=lambda random, missing, rho: missing,
+            body=again,
+            labels=("random", "missing", "rho"),
+        )
+        return rho
+
+    def _density(self, length: Any, own: Any) -> Any:
+        import mitsuba as mi
+
+        rows, columns = self.density.shape[:2]
+        place = mi.Point2f(_place(length, DENSITY_STEP_PX, columns), _place(own, DENSITY_BLUR_STEP_PX, rows))
+        return self.density.eval(place)[0]
+
+    def weights(self, u_px: Any, blur_px: Any, wavelengths_nm: list[Any]) -> list[Any]:
+        """See :class:`Blur`."""
+        import drjit as dr
+        import mitsuba as mi
+
+        u = dr.norm(u_px + mi.Point2f(*self.centre) * (blur_px / 2))
+        own = self.outer * dr.abs(blur_px)
+        g = self._density(u, own)
+        inside = (own <= self.max_blur_px) & (u <= self.max_radius_px)
+        rows, columns = self.wave.shape[:2]
+        ratios = []
+        for wavelength in wavelengths_nm:
+            scale = wavelength * self.px_per_nm
+            place = mi.Point2f(_place(u / scale, RADIUS_STEP, columns), _place(own / (8 * scale), WAVES_STEP, rows))
+            ratios.append(dr.select(inside, self.wave.eval(place)[0] / (scale * scale * g), 1.0))
+        return ratios
+
+
+def radial_blur(
+    camera: Camera, stop: Stop, bands: list[tuple[float, float]], shortest_nm: float, max_blur_px: float
+) -> RadialBlur:
+    """Tables of a disc or ring; ``bands`` are wavelengths (nm) with their shares of what is drawn."""
+    import mitsuba as mi
+
+    ring = aperture.ring(stop)
+    assert ring is not None
+    inner = ring.inner / ring.outer
+    px_per_nm = pointspread.working_f_number(camera, ring.outer) * 1e-3 / camera.sensor.pixel_pitch_um
+    scales = [(nm * px_per_nm, weight) for nm, weight in bands]
+    own_px = ring.outer * max_blur_px
+    tail = TAIL_RINGS * max(scale for scale, _ in scales)
+    reach = 0.9 * tail
+    radius = np.arange(0.0, own_px / 2 + tail + DENSITY_STEP_PX, DENSITY_STEP_PX)
+    blurs = np.arange(0.0, own_px + 2 * DENSITY_BLUR_STEP_PX, DENSITY_BLUR_STEP_PX)
+    density = sum(weight * pointspread.airy_profile(radius, blurs, scale, inner) for scale, weight in scales)
+    shortest_px = shortest_nm * px_per_nm
+    scaled = np.arange(0.0, radius[-1] / shortest_px + 2 * RADIUS_STEP, RADIUS_STEP)
+    waves = np.arange(0.0, own_px / (8 * shortest_px) + 2 * WAVES_STEP, WAVES_STEP)
+    density = np.maximum(density, FLOOR)
+    wave = _ended(pointspread.wave_profile(scaled, waves, inner), scaled, waves)
+    return RadialBlur(
+        outer=ring.outer,
+        centre=ring.centre,
+        px_per_nm=px_per_nm,
+        max_blur_px=own_px,
+        max_radius_px=float(radius[-1]),
+        inner=inner,
+        tail_px=tail,
+        core_px=2 * float(np.average([scale for scale, _ in scales], weights=[weight for _, weight in scales])),
+        offsets=mi.Float(_offsets(scales, tail, inner).astype(np.float32)),
+        density=_texture(density),
+        envelope=_texture(np.maximum.accumulate(density[0, ::-1])[::-1]),
+        guide=mi.Float(_guide(radius, blurs, density, wave, scales, reach).astype(np.float32).ravel()),
+        wave=_texture(wave),
+    )
+
+
+def _ended(profiles: FloatArray, radius: FloatArray, waves: FloatArray) -> FloatArray:
+    """Profiles [waves, radius] that end, and whose integral over the plane, straight between nodes, is 1."""
+    profiles = np.where(radius <= 4 * waves[:, None] + KERNEL_RINGS, profiles, 0.0)
+    low, high = radius[:-1], radius[1:]
+    rings = profiles[:, :-1] * (2 * low + high) + profiles[:, 1:] * (low + 2 * high)
+    return profiles / (np.pi / 3 * rings * (high - low)).sum(axis=1, keepdims=True)
+
+
+def _guide(
+    radius: FloatArray,
+    blurs: FloatArray,
+    density: FloatArray,
+    wave: FloatArray,
+    scales: list[tuple[float, float]],
+    reach_px: float,
+) -> FloatArray:
+    """Radii at equal steps of probability of q, a mixture of g and of h over some wavelengths, [c, GUIDE_NODES + 1]."""
+    chosen = scales[:: max(1, len(scales) // GUIDE_BANDS)]
+    total = sum(weight for _, weight in chosen)
+    pattern = np.zeros_like(density)
+    for scale, weight in chosen:
+        rows = blurs / (8 * scale) / WAVES_STEP
+        columns = radius / scale / RADIUS_STEP
+        grid = np.meshgrid(rows, columns, indexing="ij")
+        pattern += weight / total * ndimage.map_coordinates(wave, grid, order=1, mode="nearest") / scale**2
+    # Not to the end of D, where there is hardly a rho left that leads there.
+    near = radius[None, :] <= blurs[:, None] / 2 + reach_px
+    q = np.where(near, GUIDE_SHARE * pattern + (1 - GUIDE_SHARE) * density, 0.0)
+    ring = np.pi * np.diff(radius**2)
+    inside = np.concatenate([np.zeros((len(blurs), 1)), np.cumsum((q[:, 1:] + q[:, :-1]) / 2 * ring, axis=1)], axis=1)
+    steps = np.linspace(0.0, 1.0, GUIDE_NODES + 1)
+    found = np.stack([np.interp(steps, row / row[-1], radius) for row in inside])
+    return np.minimum(found, blurs[:, None] / 2 + reach_px)
+
+
+def _offsets(scales: list[tuple[float, float]], tail_px: float, inner: float) -> FloatArray:
+    """Radii in the middle of equal steps of the mixed in-focus patterns' light, up to ``tail_px``, [OFFSET_NODES]."""
+    radius = np.linspace(0.0, tail_px, 1 << 16)
+    middle = (radius[1:] + radius[:-1]) / 2
+
+    def lobe(x: FloatArray) -> FloatArray:
+        return np.where(x < 1e-9, 0.5, j1(x) / np.maximum(x, 1e-9))
+
+    light = np.zeros_like(middle)
+    for scale, weight in scales:
+        x = np.pi * middle / scale
+        light += weight * (lobe(x) - inner**2 * lobe(inner * x)) ** 2 / (scale**2 * (1 - inner**2)) * middle
+    inside = np.concatenate([[0.0], np.cumsum(light)])
+    return np.interp((np.arange(OFFSET_NODES) + 0.5) / OFFSET_NODES, inside / inside[-1], radius)
+
+
+# --- polygons and masks --------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class PatternBlur:
+    """Tables over two directions, about the image through the middle of the lens."""
+
+    px_per_nm: float  # lambda N of the whole lens in pixels, a nanometre of lambda
+    max_blur_px: float
+    max_radius_px: float  # half a side of the tables
+    on_stop: pupil.Draw
+    offset_cells: Any
+    offset_step_px: float
+    offset_half_px: float
+    density: Any  # [c, y, x] g per square pixel
+    density_blur_step_px: float
+    wave: Any  # [waves, y, x] h in units of lambda N
+    wave_half: float
+    waves_step: float
+
+    def draw(self, first: Any, second: Any, blur_px: Any, key: Any) -> tuple[Any, Any, Any]:
+        """See :class:`Blur`; here rho and delta are drawn apart."""
+        import mitsuba as mi
+
+        rho = self.on_stop(first)
+        cell, _, inside = self.offset_cells.sample(second)
+        return rho, (mi.Point2f(cell) + inside) * self.offset_step_px - self.offset_half_px, mi.Float(1.0)
+
+    def weights(self, u_px: Any, blur_px: Any, wavelengths_nm: list[Any]) -> list[Any]:
+        """See :class:`Blur`."""
+        import drjit as dr
+        import mitsuba as mi
+
+        # Behind the focus the pattern is turned by half.
+        u, blur = dr.select(blur_px < 0, -u_px, u_px), dr.abs(blur_px)
+        half = self.max_radius_px
+        inside = (blur <= self.max_blur_px) & (dr.abs(u.x) < half) & (dr.abs(u.y) < half)
+        depth = self.density.shape[0]
+        across = mi.Point2f(u / (2 * half) + 0.5)
+        g = self.density.eval(mi.Point3f(across.x, across.y, _place(blur, self.density_blur_step_px, depth)))[0]
+        depth = self.wave.shape[0]
+        ratios = []
+        for wavelength in wavelengths_nm:
+            scale = wavelength * self.px_per_nm
+            across = mi.Point2f(u / (2 * self.wave_half * scale) + 0.5)
+            place = mi.Point3f(across.x, across.y, _place(blur / (8 * scale), self.waves_step, depth))
+            ratios.append(dr.select(inside & (g > FLOOR), self.wave.eval(place)[0] / (scale * scale * g), 1.0))
+        return ratios
+
+
+def pattern_blur(
+    camera: Camera, stop: Stop, bands: list[tuple[float, float]], shortest_nm: float, max_blur_px: float
+) -> PatternBlur:
+    """Tables of a polygon or mask; ``bands`` are wavelengths (nm) with their shares of what is drawn."""
+    import mitsuba as mi
+
+    px_per_nm = pointspread.working_f_number(camera, 1.0) * 1e-3 / camera.sensor.pixel_pitch_um
+    longest_px, shortest_px = max(nm for nm, _ in bands) * px_per_nm, shortest_nm * px_per_nm
+    tail = PATTERN_TAIL * longest_px / np.sqrt(aperture.open_area(stop))
+    half = aperture.reach(stop) * max_blur_px / 2 + tail
+
+    blurs = np.arange(0.0, max_blur_px + 2 * PATTERN_BLUR_STEP_PX, PATTERN_BLUR_STEP_PX)
+    step = max(PATTERN_DENSITY_STEP_PX, 2 * half * np.sqrt(len(blurs) / MOST_NODES))
+    count = int(np.ceil(2 * half / step))
+    step = 2 * half / count
+    place = (np.arange(count) + 0.5) * step - half
+    focus = np.zeros((count, count))
+    for nm, weight in bands:
+        scale = nm * px_per_nm
+        focus += weight * pointspread.pupil_pattern(stop, 0.0, place / scale, place / scale) / scale**2
+    density = np.stack([_spread(focus, stop, blur, step) for blur in blurs])
+
+    waves = np.arange(0.0, max_blur_px / (8 * shortest_px) + 2 * PATTERN_WAVES_STEP, PATTERN_WAVES_STEP)
+    wave_half = half / shortest_px
+    wave_step = max(PATTERN_STEP, 2 * wave_half * np.sqrt(len(waves) / MOST_NODES))
+    wave_count = int(np.ceil(2 * wave_half / wave_step))
+    scaled = (np.arange(wave_count) + 0.5) * (2 * wave_half / wave_count) - wave_half
+    wave = np.stack([pointspread.pupil_pattern(stop, w, scaled, scaled).astype(np.float32) for w in waves])
+    return PatternBlur(
+        px_per_nm=px_per_nm,
+        max_blur_px=max_blur_px,
+        max_radius_px=half,
+        on_stop=pupil.drawer(stop),
+        offset_cells=mi.DiscreteDistribution2D(focus.astype(np.float32)),
+        offset_step_px=step,
+        offset_half_px=half,
+        density=_texture(np.maximum(density, FLOOR)),
+        density_blur_step_px=PATTERN_BLUR_STEP_PX,
+        wave=_texture(wave),
+        wave_half=wave_half,
+        waves_step=PATTERN_WAVES_STEP,
+    )
+
+
+def _spread(focus: FloatArray, stop: Stop, blur_px: float, step_px: float) -> FloatArray:
+    """The in-focus pattern convolved with the geometric blur, on the same grid, of unit integral as a density."""
+    transmitted, place = aperture.pupil(stop)
+    reach = int(np.ceil(blur_px / 2 / step_px)) + 2
+    at = -place * blur_px / 2 / step_px + reach  # in cells of a small grid around the middle
+    low = np.floor(at).astype(int)
+    part = at - low
+    deposit = np.zeros((2 * reach + 1, 2 * reach + 1))
+    for dy, wy in ((0, 1 - part), (1, part)):
+        for dx, wx in ((0, 1 - part), (1, part)):
+            np.add.at(deposit, (low[:, None] + dy, low[None, :] + dx), transmitted * wy[:, None] * wx[None, :])
+    spread = np.asarray(signal.fftconvolve(focus, deposit / deposit.sum(), mode="same"))
+    return spread / (spread.sum() * step_px**2)
+
+
+def blur_range_px(camera: Camera, seen_px: float, limit_px: float) -> float:
+    """Largest visible blur that the tables have to hold, axial colour included."""
+    return min(seen_px, limit_px) + float(np.abs(cameras.chromatic_blur_px(camera)).max())

@@ -1,0 +1,67 @@
+"""Points on a stop, drawn evenly over its open area, in the JIT variants."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from dasim import aperture
+from dasim.aperture import Mask, Polygon, Stop
+
+Draw = Callable[[Any], Any]  # two uniform numbers -> a place, in ratios of the lens's radius
+
+
+def drawer(stop: Stop) -> Draw:
+    """How to turn two uniform numbers into a place on the stop, evenly over what it lets through."""
+    ring = aperture.ring(stop)
+    if ring is not None:
+        return _on_ring(ring)
+    return _on_triangles(stop) if isinstance(stop, Polygon) else _on_cells(stop)
+
+
+def _on_ring(ring: aperture.Ring) -> Draw:
+    import drjit as dr
+    import mitsuba as mi
+
+    centre = mi.Point2f(*ring.centre)
+    if ring.inner == 0:
+        return lambda sample: centre + ring.outer * mi.warp.square_to_uniform_disk_concentric(sample)
+
+    def draw(sample: Any) -> Any:
+        radius = dr.sqrt(dr.lerp(ring.inner**2, ring.outer**2, sample.x))
+        angle = 2 * dr.pi * sample.y
+        return centre + radius * mi.Point2f(dr.cos(angle), dr.sin(angle))
+
+    return draw
+
+
+def _on_triangles(stop: Polygon) -> Draw:
+    import drjit as dr
+    import mitsuba as mi
+
+    corners = aperture.triangles(stop.corners_ratio)
+    choice = mi.DiscreteDistribution(aperture.triangle_areas(corners).astype(np.float32))
+    table = mi.Float(corners.astype(np.float32).ravel())
+
+    def draw(sample: Any) -> Any:
+        index, again = choice.sample_reuse(sample.x)
+        a, b, c = (dr.gather(mi.Point2f, table, 3 * index + k) for k in range(3))
+        place = mi.warp.square_to_uniform_triangle(mi.Point2f(again, sample.y))
+        return a + (b - a) * place.x + (c - a) * place.y
+
+    return draw
+
+
+def _on_cells(stop: Mask) -> Draw:
+    import mitsuba as mi
+
+    cells = np.array(stop.mask, dtype=np.float32)
+    choice = mi.DiscreteDistribution2D(cells)
+
+    def draw(sample: Any) -> Any:
+        cell, _, inside = choice.sample(sample)
+        return (mi.Point2f(cell) + inside) * (2 / len(cells)) - 1
+
+    return draw

@@ -1,0 +1,131 @@
+"""The stock plugins of ``scalar_spectral``: a centred disc is a ``thinlens`` before a ``specfilm``.
+
+Other shapes and axial colour need the ray loop of a JIT variant.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from dasim import aperture, pointspread, spectra
+from dasim import camera as cameras
+from dasim.aperture import Stop
+from dasim.camera import Camera
+from dasim.errors import InputError
+from dasim.render import truth
+from dasim.render.translate import MAX_PATH_DEPTH, spectrum_dict
+from dasim.spectra import FloatArray
+
+RAYS = 1 << 22  # a block: some seconds between two steps of the progress bar, or a Ctrl-C
+PINHOLE_RATIO = 1e-4  # of the lens radius: the plugin needs a lens that is not a point
+
+
+def check(camera: Camera) -> None:
+    """InputError where the camera is more than centred discs before a lens without axial colour."""
+    found = [f"stop '{stop.name}' is no centred disc" for stop in camera.stops if not aperture.is_plain_disc(stop)]
+    if camera.lens.focal_shift_um:
+        found.append("lens.focal_shift_um is set")
+    if found:
+        raise InputError(
+            f"camera '{camera.name}': {'; '.join(found)}; scalar_spectral cannot render that, a JIT variant can: "
+            "install LLVM 17 or newer ('apt-get install libllvm19') for llvm_ad_spectral"
+        )
+
+
+def stop_pass(
+    scene: Any, camera: Camera, stop: Stop, spp: int, seeds: Callable[[int], int], progress: Callable[[float], None]
+) -> FloatArray:
+    """Mean electrons a second through a centred disc on the axis of every pixel, [h, w, channel]."""
+    assert isinstance(stop, aperture.Disc)
+    radius_m = stop.radius_ratio * cameras.aperture_m(camera) / 2
+    return _render(scene, camera, radius_m, cameras.stop_response(camera, stop), spp, seeds, progress)
+
+
+def pinhole_pass(
+    scene: Any, camera: Camera, spp: int, seeds: Callable[[int], int], progress: Callable[[float], None]
+) -> FloatArray:
+    """The same through a point, with the light of all stops."""
+    point_m = PINHOLE_RATIO * cameras.aperture_m(camera) / 2
+    return _render(scene, camera, point_m, cameras.response(camera), spp, seeds, progress)
+
+
+def _render(
+    scene: Any,
+    camera: Camera,
+    radius_m: float,
+    response: FloatArray,
+    spp: int,
+    seeds: Callable[[int], int],
+    progress: Callable[[float], None],
+) -> FloatArray:
+    import mitsuba as mi
+
+    width, height = camera.sensor.width_px, camera.sensor.height_px
+    peaks = response.max(axis=1)
+    names = [f"c{index:04d}" for index in range(len(response))]
+    rate = np.zeros((height, width, len(names)))
+    rows_at_once = max(1, RAYS // (spp * width))
+    for block, top in enumerate(range(0, height, rows_at_once)):
+        rows = min(rows_at_once, height - top)
+        film: dict[str, Any] = {
+            "type": "specfilm",
+            "width": width,
+            "height": height,
+            "crop_offset_x": 0,
+            "crop_offset_y": top,
+            "crop_width": width,
+            "crop_height": rows,
+            "rfilter": {"type": "box"},
+            "component_format": "float32",
+        }
+        for name, row, peak in zip(names, response, peaks, strict=True):
+            film[name] = spectrum_dict(row / peak if peak > 0 else row)
+        sensor = mi.load_dict(
+            {
+                "type": "thinlens",
+                "aperture_radius": radius_m,
+                "focus_distance": camera.lens.focus_distance_m,
+                "fov": truth.field_of_view_deg(camera),
+                "fov_axis": "x",
+                "near_clip": 1e-4,
+                "far_clip": 1e5,
+                "to_world": truth.camera_axes(),
+                "film": film,
+                "sampler": {"type": "multijitter", "sample_count": spp},
+            }
+        )
+        integrator = mi.load_dict({"type": "path", "max_depth": MAX_PATH_DEPTH})
+        image = mi.render(scene, sensor=sensor, integrator=integrator, spp=0, seed=seeds(block))
+        rate[top : top + rows] = np.array(image, dtype=np.float64) * peaks
+        progress((top + rows) / height)
+    return rate
+
+
+def in_focus_diffraction(rate: FloatArray, camera: Camera, stop: Stop, illuminant: str) -> FloatArray:
+    """Convolve with the disc's in-focus patterns, by their transfer function; the frame's edges are mirrored.
+
+    The product of blur disc and Airy pattern is not the true defocused kernel: an approximation.
+    """
+    from scipy import fft
+
+    weights = cameras.stop_response(camera, stop) * spectra.illuminant(illuminant)
+    f_number = pointspread.working_f_number(camera, aperture.reach(stop))
+    height, width = rate.shape[:2]
+    # The cosine transform of a frame that is mirrored at its edges has frequencies k / (2 n) cycles a pixel.
+    frequency = np.hypot(np.arange(height)[:, None] / (2 * height), np.arange(width)[None, :] / (2 * width))
+    result = np.empty_like(rate)
+    for channel in range(rate.shape[-1]):
+        transfer, total = np.zeros_like(frequency), 0.0
+        for wavelength_nm, weight in pointspread.bands(weights[channel : channel + 1]):
+            scale_px = wavelength_nm * 1e-3 * f_number / camera.sensor.pixel_pitch_um
+            transfer += weight[0] * pointspread.ring_mtf(frequency * scale_px)
+            total += weight[0]
+        if total > 0:
+            blurred = fft.idctn(fft.dctn(rate[..., channel], type=2) * (transfer / total), type=2)
+            result[..., channel] = np.maximum(blurred, 0.0)
+        else:
+            result[..., channel] = rate[..., channel]
+    return result

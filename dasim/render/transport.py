@@ -1,0 +1,75 @@
+"""Light along a ray: Mitsuba's path tracer, with more directions tried where the ray first meets a surface.
+
+A pixel's rays differ in where they leave the lens and in their weights, so that their directions of light, however
+evenly spread, do not cancel: light from wide sources and from other surfaces is most of the noise. So each ray looks
+in several directions.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from dasim.render.translate import MAX_PATH_DEPTH
+
+DIRECTIONS = 2  # from the first surface
+
+
+def path_integrator() -> Any:
+    """What continues a path beyond its first surface."""
+    import mitsuba as mi
+
+    return mi.load_dict({"type": "path", "max_depth": MAX_PATH_DEPTH - 1})
+
+
+def radiance(scene: Any, integrator: Any, sampler: Any, ray: Any, si: Any, numbers: tuple[Any, Any, Any]) -> Any:
+    """Spectral radiance along ``ray``, whose first intersection is ``si``.
+
+    ``numbers`` are uniform: two to aim at a lamp, two for a direction, one for a lobe of the surface.
+
+    Lamps are aimed at once, and met by chance in ``DIRECTIONS`` directions; the power heuristic weighs both (Veach,
+    1997, sec. 9.2), as if there were one direction: aiming is the quieter way, and more chances are no reason to
+    trust it less.
+    """
+    import drjit as dr
+    import mitsuba as mi
+
+    aim_at, place, lobe = numbers
+    context, hit = mi.BSDFContext(), si.is_valid()
+    bsdf = si.bsdf(ray)
+    result = si.emitter(scene).eval(si)
+
+    aimed, light = scene.sample_emitter_direction(si, aim_at, True, hit)
+    seen = hit & (aimed.pdf > 0)
+    value, density = bsdf.eval_pdf(context, si, si.to_local(aimed.d), seen)
+    share = dr.select(aimed.delta, 1.0, _power_heuristic(aimed.pdf, density))
+    result += dr.select(seen, value * light * share, 0.0)
+
+    for k in range(DIRECTIONS):
+        # A lattice of directions that fills the gaps between the sampler's own.
+        shifted = place + mi.Point2f(k / DIRECTIONS, _reversed_bits(k))
+        shifted -= dr.floor(shifted)
+        turned = lobe + k / DIRECTIONS
+        drawn, weight = bsdf.sample(context, si, turned - dr.floor(turned), shifted, hit)
+        onward = si.spawn_ray(si.to_world(drawn.wo))
+        met = scene.ray_intersect(onward, hit)
+        emitted = dr.select(hit, met.emitter(scene).eval(met), 0.0)
+        aim = scene.pdf_emitter_direction(si, mi.DirectionSample3f(scene, met, si), hit)
+        smooth = ~mi.has_flag(drawn.sampled_type, mi.BSDFFlags.Delta)
+        share = dr.select(smooth & (aim > 0), _power_heuristic(drawn.pdf, aim), 1.0)
+        beyond, _, _ = integrator.sample(scene, sampler, mi.RayDifferential3f(onward), active=hit)
+        result += dr.select(hit, weight * (beyond - emitted * (1 - share)) / DIRECTIONS, 0.0)
+    return result
+
+
+def _power_heuristic(own: Any, other: Any) -> Any:
+    return own * own / (own * own + other * other)
+
+
+def _reversed_bits(index: int) -> float:
+    """The radical inverse of ``index`` in base 2 (van der Corput)."""
+    value, scale = 0.0, 0.5
+    while index:
+        value += scale * (index & 1)
+        index >>= 1
+        scale /= 2
+    return value
