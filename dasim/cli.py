@@ -273,7 +273,7 @@ def score(
     """
     from dasim.files import load_capture, load_truth
     from recon.output import load_reconstruction
-    from validation.demo import plain_value
+    from validation.claim import plain_value
     from validation.metrics import score as score_of
 
     _check_score_output(json_file)
