@@ -26,6 +26,8 @@ GATES = Path(__file__).parent / "gates.toml"
 
 Progress = Callable[[float], None]
 
+Table = tuple[str, list[str], list[list[str]]]  # caption, head, rows
+
 _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 _ONE_SIDED = re.compile(rf"(<=|>=|<|>)\s*({_NUMBER})")
 _RANGE = re.compile(rf"({_NUMBER})\s*\.\.\s*({_NUMBER})")
@@ -46,10 +48,11 @@ class Claim:
 
 @dataclass(frozen=True)
 class Evidence:
-    """What a claim measured: figures, and pictures for the report (caption and data address)."""
+    """What a claim measured: figures; for the report also pictures (caption and data address) and tables."""
 
     figures: list[Figure]
     pictures: list[tuple[str, str]] = field(default_factory=list)
+    tables: list[Table] = field(default_factory=list)
 
 
 class NotRun(Exception):
