@@ -327,8 +327,9 @@ def validate(
         outcomes = run_claims(out, names, CLAIMS, limits, progress=progress)
     for outcome in outcomes:
         for entry in outcome.claims:
-            mark = {None: "not run" if outcome.not_run else "", True: "passed", False: "FAILED"}[entry.passed]
-            print(f"{entry.id:<44}{entry.value:>10.4g} {entry.unit:<6}{entry.limit or '':<14}{mark}")
+            mark = {None: "", True: "passed", False: "FAILED"}[entry.passed]
+            line = f"{entry.id:<44}{entry.value:>10.4g} {entry.unit:<6}{entry.limit or '':<14}{mark}"
+            print(f"{entry.id:<44}{entry.source}" if outcome.not_run or outcome.error else line)
     print(f"report: {out / 'report.html'}")
     return 1 if failed(outcomes) else 0
 
@@ -373,9 +374,8 @@ def _list_claims(names: list[str], *, verbose: bool) -> None:
     from validation.validate import title
 
     for name in names:
-        print(f"{name:<20}{'quick' if CLAIMS[name].quick else '':<7}{title(CLAIMS[name])}")
-        if verbose:
-            print(f"\n{inspect.getdoc(CLAIMS[name].run)}\n")
+        text = f"\n{inspect.getdoc(CLAIMS[name].run)}\n" if verbose else title(CLAIMS[name])
+        print(f"{name:<20}{'quick' if CLAIMS[name].quick else '':<7}{text}")
 
 
 def _check_score_output(out: Path | None) -> None:

@@ -22,6 +22,7 @@ from dasim.files import software_versions
 from validation.metrics import Figure
 
 RESULTS_SCHEMA = 1
+LIMIT_FROM = ". Limit: "  # between what a figure means and where its limit comes from
 GATES = Path(__file__).parent / "gates.toml"
 
 Progress = Callable[[float], None]
@@ -75,7 +76,7 @@ def within(value: float, limit: str) -> bool:
 def judged(figure: Figure, limit: str | None, *, claim: str, why: str = "") -> Claim:
     """A figure of a claim, compared with its limit."""
     passed = None if limit is None else within(figure.value, limit)
-    source = figure.meaning if not why else f"{figure.meaning}. Limit: {why}"
+    source = figure.meaning if not why else f"{figure.meaning}{LIMIT_FROM}{why}"
     return Claim(f"{claim}.{figure.id}", figure.value, limit, figure.unit, passed, source)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from validation.claims_diffraction import airy_table, wave_energy, wave_sfr
 from validation.claims_lens import blur_off
 from validation.claims_occlusion import occluding_edge
-from validation.claims_sampling import noise_slope, render_cost
+from validation.claims_sampling import noise_slope_off, noise_slope_wave, render_cost
 from validation.validate import Measurement
 
 # Quick: less than about 20 s on two cores.
@@ -15,6 +15,7 @@ CLAIMS = {
     "wave-energy": Measurement(wave_energy, quick=True),
     "occluding-edge": Measurement(occluding_edge, quick=True),
     "airy-table": Measurement(airy_table, quick=True),
-    "noise-slope": Measurement(noise_slope, quick=False),
+    "noise-slope-off": Measurement(noise_slope_off, quick=False),
+    "noise-slope-wave": Measurement(noise_slope_wave, quick=False),
     "render-cost": Measurement(render_cost, quick=False),
 }

@@ -9,7 +9,9 @@ from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
 import jinja2
+from markupsafe import Markup, escape
 
+from validation.claim import LIMIT_FROM
 from validation.report import TEMPLATE_DIR
 
 if TYPE_CHECKING:
@@ -24,6 +26,7 @@ def claims_page(outcomes: Sequence[Outcome]) -> str:
     """Summary table, then each claim's text, figures and pictures; one file, no outside request."""
     environment = jinja2.Environment(loader=jinja2.FileSystemLoader(TEMPLATE_DIR), autoescape=True)
     entries = [(outcome, entry) for outcome in outcomes for entry in outcome.claims]
+    environment.filters["code"] = code
     judged = [entry for _, entry in entries if entry.passed is not None]
     counts = {
         "passed": sum(entry.passed is True for entry in judged),
@@ -32,8 +35,29 @@ def claims_page(outcomes: Sequence[Outcome]) -> str:
         "not_run": sum(bool(outcome.not_run) for outcome in outcomes),
     }
     return environment.get_template("claims.html").render(
-        outcomes=outcomes, counts=counts, paragraphs=paragraphs, number=number, verdict=verdict
+        outcomes=outcomes,
+        counts=counts,
+        sentence=sentence,
+        paragraphs=paragraphs,
+        number=number,
+        verdict=verdict,
+        meaning=meaning,
     )
+
+
+def sentence(text: str) -> str:
+    """A docstring's first paragraph, in one line."""
+    return " ".join(text.split("\n\n")[0].split())
+
+
+def code(text: str) -> Markup:
+    """Escaped text with ``names`` set as code."""
+    return Markup(re.sub(r"``([^`]+)``", r"<code>\1</code>", str(escape(text))))
+
+
+def meaning(claim: Claim) -> str:
+    """What a figure is, without where its limit comes from: that stands beside the gate, once."""
+    return claim.source.partition(LIMIT_FROM)[0]
 
 
 def paragraphs(text: str) -> list[tuple[str, str]]:

@@ -37,6 +37,7 @@ class Outcome:
     claims: list[Claim]
     seconds: float
     evidence: Evidence = field(default_factory=lambda: Evidence([]))
+    gates: list[Gate] = field(default_factory=list)
     not_run: str | None = None
     error: str | None = None
 
@@ -102,7 +103,8 @@ def measured(name: str, measurement: Measurement, gates: list[Gate], progress: P
         entry = Claim(name, math.nan, None, "", False, f"stopped by {type(error).__name__}: {error}")
         return Outcome(name, text, [entry], time.perf_counter() - start, error=report)
     entries = judged_all(name, evidence.figures, gates)
-    return Outcome(name, text, entries, time.perf_counter() - start, evidence=evidence)
+    own = [gate for gate in gates if gate.claim == name]
+    return Outcome(name, text, entries, time.perf_counter() - start, evidence=evidence, gates=own)
 
 
 def failed(outcomes: list[Outcome]) -> bool:
