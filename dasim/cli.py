@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import json
 import os
 import signal
@@ -20,6 +21,7 @@ app = cyclopts.App(
     name="dasim",
     help="Simulate dual-aperture photography, reconstruct depth and an all-in-focus picture, and score both.",
     version_flags=["--version"],
+    suppress_keyboard_interrupt=False,  # run() says it, and main() knows which signal it was
 )
 
 Progress = Callable[[str, float], None]
@@ -273,7 +275,7 @@ def score(
     """
     from dasim.files import load_capture, load_truth
     from recon.output import load_reconstruction
-    from validation.demo import plain_value
+    from validation.claim import plain_value
     from validation.metrics import score as score_of
 
     _check_score_output(json_file)
@@ -290,12 +292,54 @@ def score(
     return 0
 
 
+@app.command
+def validate(
+    *,
+    out: Annotated[Path | None, Parameter(name="--out")] = None,
+    list_: Annotated[bool, Parameter(name="--list", negative="")] = False,
+    only: Annotated[list[str] | None, Parameter(negative="", consume_multiple=True)] = None,
+    quick: Annotated[bool, Parameter(negative="")] = False,
+    gates: Path | None = None,
+) -> int:
+    """Hold the simulator against closed forms and independent methods; writes results, a report and junit.xml.
+
+    Args:
+        out: folder to write; an earlier result there is replaced as a whole
+        list_: list the claims and end
+        only: ids of the claims to measure; all by default
+        quick: only claims that take less than about 20 s each
+        gates: a TOML file with limits that are added to the bundled ones, or replace them
+    """
+    from dasim.files import check_output
+    from validation.claims import CLAIMS
+    from validation.validate import all_gates, chosen, failed, run_claims
+
+    names = chosen(CLAIMS, only or (), quick=quick)
+    limits = all_gates(CLAIMS, gates)
+    if list_:
+        _list_claims(names, verbose=False)
+        return 0
+    if out is None:
+        raise InputError("--out is missing; name a folder for the results")
+    check_output(out, "validation")
+    _say_variant(None)
+    with _progress() as progress:
+        outcomes = run_claims(out, names, CLAIMS, limits, progress=progress)
+    for outcome in outcomes:
+        for entry in outcome.claims:
+            mark = {None: "", True: "passed", False: "FAILED"}[entry.passed]
+            line = f"{entry.id:<44}{entry.value:>10.4g} {entry.unit:<6}{entry.limit or '':<14}{mark}"
+            print(f"{entry.id:<44}{entry.source}" if outcome.not_run or outcome.error else line)
+    print(f"report: {out / 'report.html'}")
+    return 1 if failed(outcomes) else 0
+
+
 @app.command(name="list")
 def list_(kind: str, *, verbose: Annotated[bool, Parameter(negative="")] = False) -> int:
     """List what is bundled.
 
     Args:
-        kind: scenes, cameras, materials or illuminants
+        kind: scenes, cameras, materials, illuminants or claims
         verbose: with more detail
     """
     from dasim import camera, materials, scene, spectra
@@ -316,9 +360,22 @@ def list_(kind: str, *, verbose: Annotated[bool, Parameter(negative="")] = False
             print(f"{name:<18}reflectance at 450, 550, 650, 750 nm: {shown}" if verbose else name)
     elif kind == "illuminants":
         print("\n".join(spectra.ILLUMINANTS))
+    elif kind == "claims":
+        from validation.claims import CLAIMS
+
+        _list_claims(list(CLAIMS), verbose=verbose)
     else:
-        raise InputError(f"list '{kind}' is unknown; allowed are scenes, cameras, materials, illuminants")
+        raise InputError(f"list '{kind}' is unknown; allowed are scenes, cameras, materials, illuminants, claims")
     return 0
+
+
+def _list_claims(names: list[str], *, verbose: bool) -> None:
+    from validation.claims import CLAIMS
+    from validation.validate import title
+
+    for name in names:
+        text = f"\n{inspect.getdoc(CLAIMS[name].run)}\n" if verbose else title(CLAIMS[name])
+        print(f"{name:<20}{'quick' if CLAIMS[name].quick else '':<7}{text}")
 
 
 def _check_score_output(out: Path | None) -> None:

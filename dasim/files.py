@@ -55,6 +55,7 @@ RESULT_FILES = {
     "capture": ("meta.json", "raw.png", "truth.exr"),
     "reconstruction": ("recon.json", "recon.exr", "rgb.png", "sharp.png", "ir.png"),
     "demo": ("results.json", "report.html", "overview.jpg", "capture", "recon"),
+    "validation": ("results.json", "report.html", "junit.xml"),
 }
 
 

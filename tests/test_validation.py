@@ -24,6 +24,7 @@ from dasim.simulation import simulate
 from dasim.specification import parse
 from dasim.values import Reconstruction, Truth
 from validation import banks, demo, metrics, report
+from validation.claim import Claim, write_results
 
 SIZE = (8, 12)
 CHECKER = (np.indices(SIZE).sum(axis=0) % 2).astype(np.float32)
@@ -281,7 +282,7 @@ def test_infrared_free_undoes_the_crosstalk(camera):
 # --- claims and results.json ---------------------------------------------------------------------
 
 
-def claim_of(name: str, value: float) -> demo.Claim:
+def claim_of(name: str, value: float) -> Claim:
     return next(c for c in demo.claims([metrics.Figure(name, value, "1", "a figure")]) if c.id == f"demo.{name}")
 
 
@@ -311,7 +312,7 @@ def test_results_follow_their_schema(tmp_path, camera):
     exact = truth(camera, 5.0)
     entries = demo.claims(metrics.score(reconstruction(camera, exact), exact))
     assert any(math.isinf(claim.value) for claim in entries) and any(math.isnan(claim.value) for claim in entries)
-    demo.write_results(tmp_path / "results.json", entries, {"render": 1.234})
+    write_results(tmp_path / "results.json", entries, {"render": 1.234})
 
     def refuse(constant: str) -> None:
         raise AssertionError(f"{constant} is no JSON")

@@ -19,7 +19,7 @@ from recon.output import grey
 from validation.metrics import infrared_free, level_error
 
 if TYPE_CHECKING:
-    from validation.demo import Claim
+    from validation.claim import Claim
 
 TEMPLATE_DIR = Path(__file__).parent / "templates"
 ERROR_SPAN_LEVELS = 4.0  # the error map's colours end here

@@ -1,0 +1,339 @@
+"""`dasim validate`: limits, gates, files and exit statuses with claims made up here; claims that must fail do."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+
+from dasim.cli import run
+from dasim.errors import InputError
+from validation import claims, claims_diffraction, claims_lens, rendering
+from validation.claim import GATES, Evidence, NotRun, gate_of, judged_all, load_gates, within
+from validation.metrics import Figure
+from validation.validate import Measurement, all_gates, chosen, run_claims
+
+
+def good(progress) -> Evidence:
+    """A claim that keeps its limit.
+
+    Rationale: something <must> & should be shown.
+
+    Limit: half.
+    """
+    progress(0.5)
+    return Evidence([Figure("size", 0.25, "px", "a size"), Figure("other", 3.0, "1", "reported")])
+
+
+def bad(progress) -> Evidence:
+    """A claim that does not."""
+    return Evidence([Figure("size", 0.75, "px", "a size")], tables=[("Sizes", ["a", "b"], [["1", "2"]])])
+
+
+def free(progress) -> Evidence:
+    """A claim without any limit."""
+    return Evidence([Figure("size", math.nan, "px", "a size")])
+
+
+def absent(progress) -> Evidence:
+    """A claim that cannot be run here."""
+    raise NotRun("there is no renderer")
+
+
+def broken(progress) -> Evidence:
+    """A claim with a defect."""
+    raise ZeroDivisionError("by nothing")
+
+
+def stopped(progress) -> Evidence:
+    """A claim during which the user presses Ctrl-C."""
+    raise KeyboardInterrupt
+
+
+FAKES = {f.__name__: Measurement(f, quick=f is not bad) for f in (good, bad, free, absent, broken, stopped)}
+LIMITS = '["good.size"]\nlimit = "<= 0.5"\nwhy = "half"\n["bad.*"]\nlimit = "<= 0.5"\n["absent.size"]\nlimit = "> 0"\n'
+
+
+@pytest.fixture
+def fakes(monkeypatch, tmp_path):
+    """The command with made-up claims and limits."""
+    file = tmp_path / "bundled.toml"
+    file.write_text(LIMITS)
+    monkeypatch.setattr(claims, "CLAIMS", FAKES)
+    monkeypatch.setattr("validation.validate.all_gates", lambda table, users: all_gates(table, users, file))
+    monkeypatch.setattr("dasim.cli._say_variant", lambda variant: None)
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def results(folder) -> dict:
+    content = json.loads((folder / "results.json").read_text())
+    assert content["schema"] == 1
+    return {entry["id"]: entry for entry in content["claims"]}
+
+
+# --- limits and gates ----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("limit", "inside", "outside"),
+    [
+        ("<= 0.02", (0.02, -1), (0.0201, math.nan, math.inf)),
+        ("< -0.6", (-0.7,), (-0.6, 0, math.nan)),
+        (">= 50", (50, math.inf), (49.9, math.nan)),
+        ("> 0", (1e-9,), (0, -1, math.nan)),
+        ("0.195..0.199", (0.195, 0.197, 0.199), (0.1949, 0.2, math.nan)),
+        ("-1e-3 .. 1e-3", (0,), (0.002,)),
+    ],
+)
+def test_limits(limit, inside, outside):
+    """Expectation: what was not measured (NaN) keeps no limit."""
+    assert all(within(value, limit) for value in inside)
+    assert not any(within(value, limit) for value in outside)
+
+
+@pytest.mark.parametrize("limit", ["", "0.5", "= 0.5", "<= x", "<= nan", "1..", "<= 1 px"])
+def test_unreadable_limits_are_refused(limit, tmp_path):
+    (tmp_path / "gates.toml").write_text(f'["good.size"]\nlimit = "{limit}"\n')
+    with pytest.raises(InputError, match=r"gates.toml.*good.size.limit"):
+        load_gates(tmp_path / "gates.toml", FAKES)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ('["nothing.size"]\nlimit = "> 0"\n', r"nothing.size.*good, stopped"),
+        ('["good"]\nlimit = "> 0"\n', r"'good'.*CLAIM.FIGURE"),
+        ('["good.size"]\nwhy = "so"\n', r"good.size.limit: is missing"),
+        ('["good.size"]\nlimit = "> 0"\ncolour = 1\n', r"good.size.colour: unknown key"),
+        ('good = "> 0"\n', r"gates.toml.*good"),
+        ("[[[", "not valid TOML"),
+    ],
+)
+def test_wrong_gates_are_refused(text, said, tmp_path):
+    (tmp_path / "gates.toml").write_text(text)
+    with pytest.raises(InputError, match=said):
+        load_gates(tmp_path / "gates.toml", FAKES)
+
+
+def test_users_gate_wins_and_a_figures_own_before_a_pattern(tmp_path):
+    (tmp_path / "bundled.toml").write_text('["good.*"]\nlimit = "<= 1"\n["good.size"]\nlimit = "<= 2"\n')
+    (tmp_path / "users.toml").write_text('["good.*"]\nlimit = "<= 3"\n')
+    bundled = all_gates(FAKES, None, tmp_path / "bundled.toml")
+    assert gate_of("good.size", bundled).limit == "<= 2" and gate_of("good.other", bundled).limit == "<= 1"
+    both = all_gates(FAKES, tmp_path / "users.toml", tmp_path / "bundled.toml")
+    assert gate_of("good.size", both).limit == gate_of("good.other", both).limit == "<= 3"
+    assert gate_of("bad.size", both) is None
+
+
+def test_a_limit_that_finds_no_figure_fails(tmp_path):
+    (tmp_path / "gates.toml").write_text('["good.length"]\nlimit = "> 0"\n')
+    entries = judged_all("good", [Figure("size", 1.0, "px", "a size")], load_gates(tmp_path / "gates.toml", FAKES))
+    assert [(entry.id, entry.passed) for entry in entries] == [("good.size", None), ("good.length", False)]
+
+
+def test_bundled_limits_are_readable_and_say_where_they_come_from():
+    gates = load_gates(GATES, claims.CLAIMS)
+    assert gates and all(len(gate.why) > 20 for gate in gates)
+
+
+def test_every_claim_has_a_report_for_its_docstring():
+    for name, measurement in claims.CLAIMS.items():
+        for part in ("Rationale: ", "Set-up: ", "Expectation: ", "Source: "):
+            assert f"\n    {part}" in (measurement.run.__doc__ or ""), f"{name} lacks {part}"
+
+
+# --- the command ---------------------------------------------------------------------------------
+
+
+def test_kept_limits_end_with_status_0(fakes, capsys):
+    assert run(["validate", "--only", "good", "--out", "new"]) == 0
+    assert {p.name for p in (fakes / "new").iterdir()} == {"results.json", "report.html", "junit.xml"}
+    entries = results(fakes / "new")
+    assert entries["good.size"] == {
+        "id": "good.size",
+        "value": 0.25,
+        "limit": "<= 0.5",
+        "unit": "px",
+        "passed": True,
+        "source": "a size. Limit: half",
+    }
+    assert entries["good.other"]["passed"] is None and entries["good.other"]["limit"] is None
+    assert "good.size" in capsys.readouterr().out
+
+
+def test_a_failed_limit_ends_with_status_1_after_all_claims(fakes):
+    assert run(["validate", "--only", "bad", "good", "--out", "new"]) == 1
+    assert [entry["passed"] for entry in results(fakes / "new").values()] == [True, None, False]
+
+
+def test_figures_without_a_limit_neither_pass_nor_fail(fakes):
+    assert run(["validate", "--only", "free", "--out", "new"]) == 0
+    entry = results(fakes / "new")["free.size"]
+    assert entry["passed"] is None and entry["value"] is None
+
+
+def test_what_cannot_be_run_is_not_passed(fakes, capsys):
+    """Expectation: its reason is named, no limit of it counts, and it is no failure."""
+    assert run(["validate", "--only", "absent", "--out", "new"]) == 0
+    assert results(fakes / "new") == {
+        "absent": {
+            "id": "absent",
+            "value": None,
+            "limit": None,
+            "unit": "",
+            "passed": None,
+            "source": "not run: there is no renderer",
+        }
+    }
+    assert "not run" in capsys.readouterr().out
+
+
+def test_a_defect_fails_its_claim_and_not_the_others(fakes, capsys):
+    assert run(["validate", "--only", "broken", "--only", "good", "--out", "new"]) == 1
+    entries = results(fakes / "new")
+    assert entries["broken"]["passed"] is False and "by nothing" in entries["broken"]["source"]
+    assert entries["good.size"]["passed"] is True
+    assert "ZeroDivisionError" in capsys.readouterr().err
+
+
+def test_interrupt_leaves_nothing(fakes):
+    before = sorted(fakes.rglob("*"))
+    assert run(["validate", "--only", "good", "stopped", "--out", "new"]) == 130
+    assert sorted(fakes.rglob("*")) == before
+
+
+def test_users_gates_decide(fakes):
+    (fakes / "mine.toml").write_text('["good.size"]\nlimit = "<= 0.1"\n["good.other"]\nlimit = "2..4"\n')
+    assert run(["validate", "--only", "good", "--gates", "mine.toml", "--out", "new"]) == 1
+    entries = results(fakes / "new")
+    assert entries["good.size"]["passed"] is False and entries["good.other"]["passed"] is True
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (("--only", "nothing", "--out", "new"), ("claim 'nothing'", "good", "absent")),
+        (("--only", "bad", "--quick", "--out", "new"), ("bad", "--quick")),
+        (("--gates", "none.toml", "--out", "new"), ("none.toml",)),
+        (("--only", "good"), ("--out",)),
+        (("--only", "good", "--out", "."), ("output",)),
+        (("--only", "good", "--out", "foreign"), ("foreign", "dasim did not write")),
+    ],
+)
+def test_wrong_input_is_refused_in_one_line(fakes, capsys, arguments, said):
+    (fakes / "foreign").mkdir()
+    (fakes / "foreign" / "results.json").write_text("{}")
+    assert run(["validate", *arguments]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith("dasim: ") and all(part in line for part in said), line
+    assert not (fakes / "new").exists()
+
+
+def test_an_earlier_result_is_replaced(fakes):
+    for name in ("good", "free"):
+        assert run(["validate", "--only", name, "--out", "new"]) == 0
+    assert set(results(fakes / "new")) == {"free.size"}
+
+
+def test_lists(fakes, capsys):
+    """Expectation: both list commands name all claims with their first sentence; --quick those that are quick."""
+    assert run(["validate", "--list"]) == 0
+    shown = capsys.readouterr().out
+    assert run(["list", "claims"]) == 0
+    assert capsys.readouterr().out == shown
+    assert [line.split()[0] for line in shown.splitlines()] == list(FAKES)
+    assert re.search(r"^good +quick +A claim that keeps its limit\.$", shown, re.MULTILINE)
+    assert run(["validate", "--list", "--quick"]) == 0
+    assert "bad" not in capsys.readouterr().out
+    assert run(["list", "claims", "--verbose"]) == 0
+    assert "Rationale: something" in capsys.readouterr().out
+
+
+def test_order_is_that_of_the_table():
+    assert chosen(FAKES, ("bad", "good"), quick=False) == ["good", "bad"]
+    assert "bad" not in chosen(FAKES, (), quick=True)
+
+
+def test_junit_parses_and_counts(fakes):
+    """Expectation: one suite a claim, one case a figure; failures, errors and skipped ones as their figures say."""
+    run(["validate", "--only", "good", "bad", "absent", "broken", "--out", "new"])
+    root = ElementTree.parse(fakes / "new" / "junit.xml").getroot()
+    suites = {suite.get("name"): suite for suite in root}
+    counts = {
+        name: [int(suite.get(k)) for k in ("tests", "failures", "errors", "skipped")] for name, suite in suites.items()
+    }
+    assert counts == {"good": [2, 0, 0, 1], "bad": [1, 1, 0, 0], "absent": [1, 0, 0, 1], "broken": [1, 0, 1, 0]}
+    for name, suite in suites.items():
+        for column, tag in enumerate(("failure", "error", "skipped"), start=1):
+            assert len(suite.findall(f"testcase/{tag}")) == counts[name][column]
+
+
+def test_report_is_self_contained_and_shows_all(fakes):
+    run(["validate", "--only", "good", "bad", "absent", "broken", "--out", "new"])
+    page = (fakes / "new" / "report.html").read_text()
+    for part in ("good.size", "bad.size", "A claim that keeps its limit.", "there is no renderer", "ZeroDivisionError"):
+        assert part in page, part
+    assert "something &lt;must&gt; &amp; should" in page, "texts are escaped"
+    assert not re.search(r"https?://|<script|@import", page)
+    assert re.findall(r'(?:src|href)="(?!data:|#)[^"]*"', page) == []
+
+
+# --- claims see what they are for ----------------------------------------------------------------
+
+
+def verdicts(name: str, run_claim) -> list[bool]:
+    entries = judged_all(name, run_claim(lambda share: None).figures, load_gates(GATES, claims.CLAIMS))
+    return [entry.passed for entry in entries if entry.passed is not None]
+
+
+@pytest.mark.parametrize("factor", [1.0, 1.05])
+def test_blur_off_by_5_percent_fails(renderer, monkeypatch, factor):
+    """Set-up: two blurs, one lens, fewer samples; a lens whose diameter is 5 % too large, or is not."""
+    from dasim import camera as cameras
+
+    true = cameras.aperture_m
+    monkeypatch.setattr(cameras, "aperture_m", lambda camera: factor * true(camera))
+    monkeypatch.setattr(claims_lens, "LENSES_MM", (3.6,))
+    monkeypatch.setattr(claims_lens, "BLUR_OFF_PX", (-5.0, 10.0))
+    monkeypatch.setattr(claims_lens, "BLUR_OFF_SPP", 1024 if renderer != "scalar_spectral" else 256)
+    found = verdicts("blur-off", claims_lens.blur_off)
+    assert len(found) == 4
+    assert found == [True] * 4 if factor == 1 else not any(found)
+
+
+@pytest.mark.parametrize("model", ["wave", "off"])
+def test_edges_of_geometry_fail_the_wave_claim(jit, monkeypatch, model):
+    """Set-up: one blur, 8 px of the near-infrared's own, fewer samples; rays of wave optics, or of geometry.
+
+    Expectation: infrared is told apart: geometry is off by 0.2 there. Up to 0.2 cycles a pixel, where noise is low.
+    """
+    true = rendering.stop_pictures
+
+    def pictures(*arguments, diffraction, **options):
+        return true(*arguments, diffraction=model, **options)
+
+    monkeypatch.setattr(rendering, "stop_pictures", pictures)
+    monkeypatch.setattr(claims_diffraction, "SFR_BLUR_PX", (17.4, 17.4))
+    monkeypatch.setattr(claims_diffraction, "SFR_CYCLES_PX", np.linspace(0.05, 0.2, 7))
+    monkeypatch.setattr(claims_diffraction, "EDGE_SPP", 256)
+    monkeypatch.setattr(claims_diffraction, "EDGE_SEEDS", 2)
+    found = verdicts("wave-sfr", claims_diffraction.wave_sfr)
+    assert found[3] is (model == "wave")
+
+
+def test_moments_of_a_known_picture():
+    """Expectation: two lines of 3 and 1 at distance 4 have a second moment of 16 * 3/4 * 1/4 = 3 along one axis."""
+    picture = np.zeros((9, 9, 4))
+    picture[4, 2], picture[4, 6] = 3.0, 1.0
+    np.testing.assert_allclose(claims_lens.second_moments(picture), [[0.0, 3.0]] * 4, atol=1e-12)
+
+
+def test_folder_is_written_as_a_whole(fakes):
+    with pytest.raises(KeyboardInterrupt):
+        run_claims(fakes / "new", ["good", "stopped"], FAKES, [])
+    assert not (fakes / "new").exists()

@@ -1,0 +1,21 @@
+"""The table of claims: everything ``dasim validate`` can measure, in the order of its report."""
+
+from __future__ import annotations
+
+from validation.claims_diffraction import airy_table, wave_energy, wave_sfr
+from validation.claims_lens import blur_off
+from validation.claims_occlusion import occluding_edge
+from validation.claims_sampling import noise_slope_off, noise_slope_wave, render_cost
+from validation.validate import Measurement
+
+# Quick: less than about 20 s on two cores.
+CLAIMS = {
+    "blur-off": Measurement(blur_off, quick=True),
+    "wave-sfr": Measurement(wave_sfr, quick=False),
+    "wave-energy": Measurement(wave_energy, quick=True),
+    "occluding-edge": Measurement(occluding_edge, quick=True),
+    "airy-table": Measurement(airy_table, quick=True),
+    "noise-slope-off": Measurement(noise_slope_off, quick=False),
+    "noise-slope-wave": Measurement(noise_slope_wave, quick=False),
+    "render-cost": Measurement(render_cost, quick=False),
+}

@@ -1,0 +1,96 @@
+"""The report page of ``dasim validate``, and the plots that claims put into it."""
+
+from __future__ import annotations
+
+import base64
+import io
+import re
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Any
+
+import jinja2
+from markupsafe import Markup, escape
+
+from validation.claim import LIMIT_FROM
+from validation.report import TEMPLATE_DIR
+
+if TYPE_CHECKING:
+    from validation.claim import Claim
+    from validation.validate import Outcome
+
+_LABEL = re.compile(r"(Rationale|Set-up|Expectation|Limit|Deviation|Source): ")
+CHANNEL_COLOURS = {"R": "#d55e00", "G": "#009e73", "B": "#0072b2", "IR": "#444444"}  # Okabe and Ito, colour-blind-safe
+
+
+def claims_page(outcomes: Sequence[Outcome]) -> str:
+    """Summary table, then each claim's text, figures and pictures; one file, no outside request."""
+    environment = jinja2.Environment(loader=jinja2.FileSystemLoader(TEMPLATE_DIR), autoescape=True)
+    entries = [(outcome, entry) for outcome in outcomes for entry in outcome.claims]
+    environment.filters["code"] = code
+    judged = [entry for _, entry in entries if entry.passed is not None]
+    counts = {
+        "passed": sum(entry.passed is True for entry in judged),
+        "failed": sum(entry.passed is False for entry in judged),
+        "reported": sum(entry.passed is None and not outcome.not_run for outcome, entry in entries),
+        "not_run": sum(bool(outcome.not_run) for outcome in outcomes),
+    }
+    return environment.get_template("claims.html").render(
+        outcomes=outcomes,
+        counts=counts,
+        sentence=sentence,
+        paragraphs=paragraphs,
+        number=number,
+        verdict=verdict,
+        meaning=meaning,
+    )
+
+
+def sentence(text: str) -> str:
+    """A docstring's first paragraph, in one line."""
+    return " ".join(text.split("\n\n")[0].split())
+
+
+def code(text: str) -> Markup:
+    """Escaped text with ``names`` set as code."""
+    return Markup(re.sub(r"``([^`]+)``", r"<code>\1</code>", str(escape(text))))
+
+
+def meaning(claim: Claim) -> str:
+    """What a figure is, without where its limit comes from: that stands beside the gate, once."""
+    return claim.source.partition(LIMIT_FROM)[0]
+
+
+def paragraphs(text: str) -> list[tuple[str, str]]:
+    """A docstring's paragraphs after the first, each with the label it begins with (or none)."""
+    found = []
+    for paragraph in text.split("\n\n")[1:]:
+        line = " ".join(paragraph.split())
+        label = _LABEL.match(line)
+        found.append((label[1], line[label.end() :]) if label else ("", line))
+    return found
+
+
+def number(value: float) -> str:
+    """Four significant digits."""
+    return f"{value:.4g}"
+
+
+def verdict(claims: Sequence[Claim]) -> bool | None:
+    """False where one failed, True where some were judged and none failed, None where none was judged."""
+    judged = [claim.passed for claim in claims if claim.passed is not None]
+    return all(judged) if judged else None
+
+
+def plot(draw: Callable[[Any], None], *, columns: int = 1, size: tuple[float, float] = (6.4, 3.6)) -> str:
+    """An SVG picture as a data address; ``draw`` gets the axes (an array of them for several columns)."""
+    import matplotlib
+    from matplotlib.backends.backend_svg import FigureCanvasSVG
+    from matplotlib.figure import Figure
+
+    with matplotlib.rc_context({"svg.hashsalt": "dasim", "font.size": 9}):
+        figure = Figure(figsize=(size[0] * columns, size[1]), layout="constrained")
+        FigureCanvasSVG(figure)
+        draw(figure.subplots(1, columns))
+        buffer = io.BytesIO()
+        figure.savefig(buffer, format="svg", facecolor="white", metadata={"Date": None})
+    return "data:image/svg+xml;base64," + base64.b64encode(buffer.getvalue()).decode()
