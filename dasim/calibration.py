@@ -54,8 +54,8 @@ def calibration_captures(
                 for dx in range(columns):
                     moved = np.roll(flux, (dy, dx), axis=(0, 1))
                     # The strongest channel of any position sets the exposure, the same for all positions.
-                    scale = sensor.Exposure().auto_level * local.full_well_e / flux.max()
-                    mean_e = scale * sensor.mosaic(moved, frame_camera)
+                    scale = sensor.Exposure().auto_level * sensor.saturation_e(local) / flux.max()
+                    mean_e = sensor.electronic_crosstalk(scale * sensor.mosaic(moved, frame_camera), local)
                     noise_seed = int(key.generate_state(1)[0])
                     shots = [
                         sensor.expose(mean_e, local, 0.01, noise_seed, frame=frame + frames * (dy * columns + dx))[0]

@@ -9,7 +9,7 @@ from typing import Any, TypeVar
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-from dasim import aperture, optics, spectra
+from dasim import aperture, datasheet, optics, spectra
 from dasim.errors import InputError
 
 CAMERA_DIR = Path(__file__).parent / "cameras"
@@ -46,7 +46,10 @@ class Lens(Specification):
 
 
 class Sensor(Specification):
-    """An RGB-IR sensor: geometry, mosaic, spectral limits and electrical values (EMVA 1288 terms)."""
+    """An RGB-IR sensor: geometry, mosaic, spectral limits and electrical values (EMVA 1288 terms).
+
+    A table ``emva1288`` gives electrical values as a maker's data sheet does, see :class:`dasim.datasheet.DataSheet`.
+    """
 
     width_px: int = Field(ge=SMALLEST_FRAME_PX, le=20_000)
     height_px: int = Field(ge=SMALLEST_FRAME_PX, le=20_000)
@@ -54,15 +57,27 @@ class Sensor(Specification):
     mosaic: tuple[tuple[str, ...], ...] = Field(description="rows of channel names, top left of the frame first")
     cutoff_nm: float = Field(default=810.0, ge=500, le=830, description="short-pass filter on the sensor")
     cutoff_width_nm: float = Field(default=8.0, gt=0, le=100)
-    full_well_e: float = Field(default=6000.0, gt=0)
+    full_well_e: float = Field(default=6000.0, gt=0, le=1e9)
     read_noise_e: float = Field(default=3.0, ge=0)
     dark_current_e_s: float = Field(default=10.0, ge=0, description="at 25 C")
-    dark_doubling_k: float = Field(default=7.0, gt=0)
+    dark_doubling_k: float = Field(default=datasheet.DEFAULT_DARK_DOUBLING_K, ge=1, le=100)
     temperature_c: float = Field(default=25.0, ge=-100, le=150)
     dsnu_e: float = Field(default=2.0, ge=0)
-    prnu: float = Field(default=0.01, ge=0, le=0.5)
+    prnu: float = Field(default=datasheet.DEFAULT_PRNU, ge=0, le=0.5)
     adc_bits: int = Field(default=10, ge=6, le=16)
     black_level_dn: int = Field(default=64, ge=0)
+    dn_per_e: float | None = Field(
+        default=None, ge=1e-6, le=1e6, description="EMVA 1288's K at gain 1; by default the full well is at full scale"
+    )
+    quantum_efficiency_scale: float = Field(default=1.0, gt=0, description="factor on the response curves")
+    electronic_crosstalk: float = Field(
+        default=0.0, ge=0, le=0.2, description="share of a pixel's electrons that each of its four edge neighbours gets"
+    )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _from_data_sheet(cls, data: Any) -> Any:
+        return datasheet.translated(data) if isinstance(data, dict) and "emva1288" in data else data
 
     @model_validator(mode="after")
     def _consistent(self) -> Sensor:
@@ -79,6 +94,12 @@ class Sensor(Specification):
             )
         if self.black_level_dn >= 2**self.adc_bits - 1:
             raise ValueError(f"black_level_dn must be below {2**self.adc_bits - 1}")
+        peak = self.quantum_efficiency_scale * float(spectra.rgb_ir_quantum_efficiency().max())
+        if peak > 1:
+            raise ValueError(
+                f"the response curves times quantum_efficiency_scale = {self.quantum_efficiency_scale:.4g} "
+                f"peak at a quantum efficiency of {peak:.4g}, must be at most 1"
+            )
         return self
 
 
@@ -224,7 +245,8 @@ def stop_response(camera: Camera, stop: aperture.Stop) -> spectra.FloatArray:
     etendue = (sensor.pixel_pitch_um * 1e-6) ** 2 * np.pi * (radius_m / image_distance_m(camera)) ** 2
     passed = camera.lens.transmittance * aperture.transmittance(stop)
     passed = passed * spectra.short_pass(sensor.cutoff_nm, sensor.cutoff_width_nm)
-    return etendue * passed * spectra.rgb_ir_quantum_efficiency() * spectra.photons_per_joule()
+    efficiency = sensor.quantum_efficiency_scale * spectra.rgb_ir_quantum_efficiency()
+    return etendue * passed * efficiency * spectra.photons_per_joule()
 
 
 def response(camera: Camera) -> spectra.FloatArray:
