@@ -28,7 +28,7 @@ def calibration_captures(
     """Pictures of a point source for each light, blur level and mosaic position.
 
     The kernels are the camera's own (a path-traced point source converges too slowly to calibrate with),
-    at an unknown sub-pixel position for each level, and go through the sensor model with
+    at an unknown sub-pixel position for each light and level, and go through the sensor model with
     automatic exposure to 85 % of full scale. ``shift_px`` covers one period of the mosaic.
     """
     blurs = cameras.level_blur_px(camera)
@@ -42,10 +42,10 @@ def calibration_captures(
     powers = np.stack([spectra.illuminant(light) for light in lights])
     kernels_at = pointspread.kernels(camera, blurs, powers, side - 1, diffraction)
     for level, (blur, depth) in enumerate(zip(blurs, depths, strict=True)):
-        place = np.random.Generator(np.random.Philox(np.random.SeedSequence((seed, level)))).uniform(-0.5, 0.5, 2)
-        kernels, signals = kernels_at(level, (place[0], place[1]))
-        for light_index, (light, kernel, signal) in enumerate(zip(lights, kernels, signals, strict=True)):
+        for light_index, light in enumerate(lights):
             key = np.random.SeedSequence((seed, light_index, level))
+            place = np.random.Generator(np.random.Philox(key)).uniform(-0.5, 0.5, 2)
+            kernel, signal = kernels_at(level, (place[0], place[1]), light_index)
             flux = np.zeros((side, side, len(signal)))
             flux[: side - 1, : side - 1] = np.moveaxis(kernel * signal[:, None, None], 0, -1)
             flux += _BACKGROUND_SHARE * flux.max() * signal / signal.max()
@@ -53,8 +53,8 @@ def calibration_captures(
                 for dx in range(columns):
                     moved = np.roll(flux, (dy, dx), axis=(0, 1))
                     # The strongest channel of any position sets the exposure, the same for all positions.
-                    scale = sensor.Exposure().auto_level * local.full_well_e / flux.max()
-                    mean_e = scale * sensor.mosaic(moved, frame_camera)
+                    scale = sensor.Exposure().auto_level * sensor.saturation_e(local) / flux.max()
+                    mean_e = sensor.electronic_crosstalk(scale * sensor.mosaic(moved, frame_camera), local)
                     noise_seed = int(key.generate_state(1)[0])
                     shots = [
                         sensor.expose(mean_e, local, 0.01, noise_seed, frame=frame + frames * (dy * columns + dx))[0]

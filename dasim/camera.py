@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
-from dasim import aperture, optics, spectra
+from dasim import aperture, datasheet, optics, spectra
 from dasim.errors import InputError
 from dasim.specification import Specification, bundled_or_file, named_file, parse, parse_toml
 from dasim.spectra import FloatArray
@@ -115,6 +115,7 @@ class Sensor(Specification):
     """A sensor: geometry, mosaic, spectral limits and electrical values (EMVA 1288 terms).
 
     Without ``quantum_efficiency`` the curves are those of ``spectra.rgb_ir_quantum_efficiency``.
+    A table ``emva1288`` gives electrical values as a maker's data sheet does, see :class:`dasim.datasheet.DataSheet`.
     """
 
     width_px: int = Field(ge=SMALLEST_FRAME_PX, le=20_000)
@@ -124,15 +125,27 @@ class Sensor(Specification):
     quantum_efficiency: Curves | None = None
     cutoff_nm: float = Field(default=810.0, ge=500, le=830, description="short-pass filter on the sensor")
     cutoff_width_nm: float = Field(default=8.0, gt=0, le=100)
-    full_well_e: float = Field(default=6000.0, gt=0)
+    full_well_e: float = Field(default=6000.0, gt=0, le=1e9)
     read_noise_e: float = Field(default=3.0, ge=0)
     dark_current_e_s: float = Field(default=10.0, ge=0, description="at 25 C")
-    dark_doubling_k: float = Field(default=7.0, gt=0)
+    dark_doubling_k: float = Field(default=datasheet.DEFAULT_DARK_DOUBLING_K, ge=1, le=100)
     temperature_c: float = Field(default=25.0, ge=-100, le=150)
     dsnu_e: float = Field(default=2.0, ge=0)
-    prnu: float = Field(default=0.01, ge=0, le=0.5)
+    prnu: float = Field(default=datasheet.DEFAULT_PRNU, ge=0, le=0.5)
     adc_bits: int = Field(default=10, ge=6, le=16)
     black_level_dn: int = Field(default=64, ge=0)
+    dn_per_e: float | None = Field(
+        default=None, ge=1e-6, le=1e6, description="EMVA 1288's K at gain 1; by default the full well is at full scale"
+    )
+    quantum_efficiency_scale: float = Field(default=1.0, gt=0, description="factor on the response curves")
+    electronic_crosstalk: float = Field(
+        default=0.0, ge=0, le=0.2, description="share of a pixel's electrons that each of its four edge neighbours gets"
+    )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _from_data_sheet(cls, data: Any) -> Any:
+        return datasheet.translated(data) if isinstance(data, dict) and "emva1288" in data else data
 
     @model_validator(mode="after")
     def _consistent(self) -> Sensor:
@@ -157,6 +170,12 @@ class Sensor(Specification):
             )
         if self.black_level_dn >= 2**self.adc_bits - 1:
             raise ValueError(f"black_level_dn must be below {2**self.adc_bits - 1}")
+        peak = float(quantum_efficiency(self).max())
+        if peak > 1:
+            raise ValueError(
+                f"the response curves times quantum_efficiency_scale = {self.quantum_efficiency_scale:.4g} "
+                f"peak at a quantum efficiency of {peak:.4g}, must be at most 1"
+            )
         return self
 
 
@@ -312,15 +331,15 @@ def channels(sensor: Sensor) -> tuple[str, ...]:
 
 
 def quantum_efficiency(sensor: Sensor) -> FloatArray:
-    """Electrons a photon of each of :func:`channels`, [channel, wavelength], without the cut-off filter."""
+    """Electrons a photon of each of :func:`channels`, [channel, wavelength], before the cut-off filter."""
     curves = sensor.quantum_efficiency
     if curves is None:
         ours = dict(zip(spectra.CHANNELS, spectra.rgb_ir_quantum_efficiency(), strict=True))
-        return np.stack([ours[name] for name in channels(sensor)])
-    wavelength = spectra.WAVELENGTH_NM
-    return np.stack(
-        [np.interp(wavelength, curves.wavelength_nm, curves.channels[name], right=0.0) for name in channels(sensor)]
-    )
+        found = [ours[name] for name in channels(sensor)]
+    else:
+        nm = curves.wavelength_nm
+        found = [np.interp(spectra.WAVELENGTH_NM, nm, curves.channels[n], right=0.0) for n in channels(sensor)]
+    return sensor.quantum_efficiency_scale * np.stack(found)
 
 
 def stop_response(camera: Camera, stop: aperture.Stop) -> FloatArray:

@@ -334,6 +334,46 @@ def validate(
     return 1 if failed(outcomes) else 0
 
 
+@app.command
+def emva(
+    *,
+    out: Out,
+    camera: str = "da-mobile",
+    channel: str = "G",
+    gain: float = 1.0,
+    seed: Whole = 0,
+    size: str = "256x256",
+) -> int:
+    """Photograph an even light as EMVA 1288 measures a sensor: frames and the descriptor for its reference analyser.
+
+    Args:
+        out: folder to write; an earlier measurement there is replaced as a whole
+        camera: a bundled name or a TOML file; its lens is not used
+        channel: whose pixels are measured: R, G, B or IR
+        gain: analogue gain; a higher one shows a read noise that rounding hides, but not the full well
+        seed: of all random numbers
+        size: WxH pixels of the frames
+    """
+    import dasim
+    from dasim.emva import KIND, write_measurement
+    from dasim.files import check_output
+    from dasim.simulation import check_options
+    from dasim.specification import parse
+
+    check_output(out, KIND)
+    check_options(None, seed, None)
+    chosen = dasim.load_camera(camera)
+    gain = parse(dasim.Exposure, {"gain": gain}, "--gain").gain
+    with _progress() as progress:
+        notes = write_measurement(
+            out, chosen, channel=channel, gain=gain, seed=seed, size_px=_size(size), progress=progress
+        )
+    for note in notes:
+        print(f"note: {note}")
+    print(f"EMVA 1288 measurement: {out / 'descriptor.txt'}")
+    return 0
+
+
 @app.command(name="list")
 def list_(kind: str, *, verbose: Annotated[bool, Parameter(negative="")] = False) -> int:
     """List what is bundled.

@@ -54,6 +54,7 @@ def software_versions() -> dict[str, str]:
 RESULT_FILES = {
     "capture": ("meta.json", "raw.png", "truth.exr"),
     "reconstruction": ("recon.json", "recon.exr", "rgb.png", "sharp.png", "ir.png"),
+    "EMVA 1288 measurement": ("meta.json", "descriptor.txt", "frames"),
     "demo": ("results.json", "report.html", "overview.jpg", "capture", "recon"),
     "validation": ("results.json", "report.html", "junit.xml"),
 }

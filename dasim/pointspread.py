@@ -16,7 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import cache
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -223,10 +223,10 @@ def _pattern_kernel(
             kernel = density.reshape(size, SUBPIXELS, size, SUBPIXELS).mean(axis=(1, 3))
         else:
             transmitted, place = aperture.pupil(stop)
-            rows, columns = (at - place * blur / 2 for at in offset_px)
+            rows, columns = np.meshgrid(*(at - place * blur / 2 for at in offset_px), indexing="ij")
             edges = np.arange(size + 1) - size / 2
-            grid = np.meshgrid(rows, columns, indexing="ij")
-            kernel = np.histogram2d(*(g.ravel() for g in grid), bins=[edges, edges], weights=transmitted.ravel())[0]
+            drawn = np.histogram2d(rows.ravel(), columns.ravel(), bins=[edges, edges], weights=transmitted.ravel())
+            kernel = drawn[0]
             kernel /= transmitted.sum()
         total += weight[..., None, None] * kernel
     return total, spectra.integrate(weights)
@@ -234,11 +234,12 @@ def _pattern_kernel(
 
 def kernels(
     camera: Camera, blur_px: Sequence[float] | FloatArray, spectrum: FloatArray, size: int, diffraction: str = "wave"
-) -> Callable[[int, tuple[float, float]], tuple[FloatArray, FloatArray]]:
-    """The camera's kernels for visible blurs, as a function of (index of the blur, offset (y, x) in pixels).
+) -> Callable[[int, tuple[float, float], Any], tuple[FloatArray, FloatArray]]:
+    """The camera's kernels for visible blurs, as a function of (index of the blur, offset (y, x) in pixels, light).
 
     The function gives kernels [..., channel, size, size] (see :func:`psf`), for ``spectrum`` [..., wavelength],
-    and the electrons of each channel, relative, [..., channel]. What all blurs share is computed once.
+    and the electrons of each channel, relative, [..., channel]; ``light`` is an index into the leading axes of the
+    spectrum, ``...`` for all. What all blurs share is computed once.
     """
     check_model(diffraction)
     blurs = np.asarray(blur_px, dtype=np.float64)
@@ -257,15 +258,18 @@ def kernels(
         for centre, stops in about.items()
     ]
 
-    def at(index: int, offset_px: tuple[float, float] = (0.0, 0.0)) -> tuple[FloatArray, FloatArray]:
+    def at(index: int, offset_px: tuple[float, float], light: Any) -> tuple[FloatArray, FloatArray]:
         total: FloatArray = np.zeros(())
         signal: FloatArray = np.zeros(())
         for centre, profiles, electrons in groups:
             y, x = np.array(offset_px) - centre * blurs[index] / 2
-            part = pixel_kernels(profiles[..., index, :, :], radius, size, (float(y), float(x)))
-            total, signal = total + part * electrons[..., None, None], signal + electrons
+            shares = electrons[light]
+            part = pixel_kernels(profiles[..., index, :, :][light], radius, size, (float(y), float(x)))
+            total, signal = total + part * shares[..., None, None], signal + shares
         for stop in others:
-            part, electrons = _pattern_kernel(camera, stop, float(blurs[index]), spectrum, size, offset_px, diffraction)
+            part, electrons = _pattern_kernel(
+                camera, stop, float(blurs[index]), spectrum[light], size, offset_px, diffraction
+            )
             total, signal = total + part, signal + electrons
         return total / np.where(signal > 0, signal, 1.0)[..., None, None], signal
 
@@ -320,6 +324,6 @@ def psf(
         raise InputError(f"depth_m is {depth_m!r}; a distance above 0 is needed")
     blur = float(cameras.blur_px(camera, depth_m))
     size = size or kernel_size_px(camera, blur)
-    return kernels(camera, [blur], spectra.illuminant(illuminant), size, diffraction)(0, offset_px)[0][
+    return kernels(camera, [blur], spectra.illuminant(illuminant), size, diffraction)(0, offset_px, ...)[0][
         names.index(channel)
     ]

@@ -50,7 +50,8 @@ def simulate(
 
     The camera's own focus is used (see ``dasim.focused``). ``diffraction`` is ``wave`` (JIT variants only, their
     default), ``airy`` (the default of ``scalar_spectral``) or ``off``. The same seed and variant give the same
-    bytes. ``progress`` gets the stage's name and the share of it that is done.
+    bytes. The truth's ``mean_e`` is as the lens sees it, before electronic crosstalk. ``progress`` gets the stage's
+    name and the share of it that is done.
     """
     exposure = exposure or Exposure()
     check_options(spp, seed, diffraction)
@@ -85,7 +86,8 @@ def simulate(
 
     time_s = exposure.time_s or sensor.auto_exposure_s(lens_rate, camera, exposure)
     mean_e = lens_rate * time_s
-    raw_dn, saturated = sensor.expose(sensor.mosaic(mean_e, camera), camera.sensor, time_s, seed, gain=exposure.gain)
+    collected_e = sensor.electronic_crosstalk(sensor.mosaic(mean_e, camera), camera.sensor)
+    raw_dn, saturated = sensor.expose(collected_e, camera.sensor, time_s, seed, gain=exposure.gain)
     capture = Capture(
         raw_dn=raw_dn,
         camera=camera,

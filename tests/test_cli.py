@@ -224,6 +224,7 @@ def test_list_names_what_is_bundled(kind, name, capsys):
         ("calibrate", ["--illuminant", "--focus", "metres"]),
         ("recon", ["--bank", "cache", "--settings", "preset"]),
         ("score", ["--json", "figures"]),
+        ("emva", ["--camera", "--channel", "R, G, B or IR", "--gain", "--size", "WxH", "--seed"]),
         ("list", ["cameras", "illuminants"]),
     ],
 )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.ndimage import convolve
 
 from dasim import camera as cameras
 from dasim import sensor
@@ -178,3 +179,23 @@ def test_each_variant_has_its_models_of_diffraction():
     for name, variant in (("airy", "llvm_ad_spectral"), ("wave", "scalar_spectral")):
         with pytest.raises(InputError, match=f"diffraction '{name}' is not what {variant} can do"):
             diffraction_model(name, variant)
+
+
+def test_crosstalk_reaches_the_raw_numbers_and_not_the_truth(shot, scene):
+    """Set-up: the same photograph with 8 % to each neighbour, without noise of its own and with many bits.
+
+    Expectation: the truth is what the lens sees, as before; the raw numbers scatter about the mean blurred by
+    0, c, 0 / c, 1 - 4 c, c / 0, c, 0 with the nearest pixel beyond the border, as shot noise does.
+    """
+    changes = {"electronic_crosstalk": 0.08, "read_noise_e": 0, "dsnu_e": 0, "prnu": 0, "dark_current_e_s": 0}
+    camera = shot.capture.camera
+    leaky = camera.model_copy(update={"sensor": camera.sensor.model_copy(update={**changes, "adc_bits": 16})})
+    time = Exposure(time_s=shot.capture.exposure_s)
+    seen = simulate(scene, leaky, seed=3, spp=36, diffraction="off", exposure=time)
+    np.testing.assert_array_equal(seen.truth.mean_e, shot.truth.mean_e)
+    kernel = [[0, 0.08, 0], [0.08, 1 - 4 * 0.08, 0.08], [0, 0.08, 0]]
+    mean = convolve(sensor.mosaic(seen.truth.mean_e.astype(float), camera), kernel, mode="nearest")
+    electrons = (seen.capture.raw_dn.astype(float) - 64) * 6000 / (65535 - 64)
+    z = ((electrons - mean) / np.sqrt(mean))[mean < 5500]
+    assert abs(z.mean()) < 5 / np.sqrt(z.size)
+    assert z.var() == pytest.approx(1.0, abs=RAW_LIMIT)

@@ -16,9 +16,9 @@ from typing import Any
 
 from pydantic import RootModel, field_validator
 
-from dasim.camera import Specification, parse_toml
 from dasim.errors import InputError
 from dasim.files import software_versions
+from dasim.specification import Specification, parse_toml
 from validation.metrics import Figure
 
 RESULTS_SCHEMA = 1

@@ -9,9 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dasim import camera as cameras
-from dasim.camera import Camera, parse
+from dasim.camera import Camera
 from dasim.render import backend
 from dasim.scene import Scene
+from dasim.specification import parse
 from validation.claim import NotRun
 
 FloatArray = NDArray[np.float64]

@@ -18,7 +18,10 @@ def drawer(stop: Stop) -> Draw:
     ring = aperture.ring(stop)
     if ring is not None:
         return _on_ring(ring)
-    return _on_triangles(stop) if isinstance(stop, Polygon) else _on_cells(stop)
+    if isinstance(stop, Polygon):
+        return _on_triangles(stop)
+    assert isinstance(stop, Mask)
+    return _on_cells(stop)
 
 
 def _on_ring(ring: aperture.Ring) -> Draw:
