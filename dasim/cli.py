@@ -100,6 +100,11 @@ def _whole(kind: Any, tokens: Any) -> int:
         raise InputError(f"--{tokens[0].keyword.lstrip('-')} '{tokens[0].value}' is not a whole number") from None
 
 
+def _samples(kind: Any, tokens: Any) -> int | str:
+    """A whole number of samples, or auto."""
+    return "auto" if tokens[0].value == "auto" else _whole(kind, tokens)
+
+
 Whole = Annotated[int, Parameter(converter=_whole)]
 Out = Annotated[Path, Parameter(name="--out")]
 
@@ -138,7 +143,8 @@ def render(
     focus: float | None = None,
     seed: Whole = 0,
     size: str | None = None,
-    spp: Whole | None = None,
+    spp: Annotated[int | str | None, Parameter(converter=_samples)] = None,
+    noise_share: float = 0.2,
     exposure: float | None = None,
     diffraction: str | None = None,
     variant: str | None = None,
@@ -152,7 +158,8 @@ def render(
         focus: focus distance in metres; by default what the scene proposes, else the camera's own
         seed: of all random numbers
         size: WxH pixels, a central crop of the sensor at unchanged pixel pitch
-        spp: samples a pixel and stop
+        spp: samples a pixel and stop, or auto: until rendering noise is below --noise-share
+        noise_share: rendering noise over the sensor's own that auto aims at, at the median pixel of every channel
         exposure: exposure time in seconds; automatic by default
         diffraction: wave, airy or off
         variant: Mitsuba variant: auto, cuda_ad_spectral, llvm_ad_spectral or scalar_spectral
@@ -163,7 +170,7 @@ def render(
     from dasim.specification import parse
 
     check_output(out, "capture")
-    check_options(spp, seed, diffraction)
+    check_options(spp, seed, diffraction, noise_share)
     described = dasim.load_scene(scene)
     chosen = dasim.load_camera(camera)
     if size is not None:
@@ -180,12 +187,17 @@ def render(
             exposure=times,
             diffraction=diffraction,
             variant=variant,
+            noise_share=noise_share,
             progress=progress,
             **options,
         )
     dasim.save_capture(out, shot.capture, shot.truth)
     for note in shot.capture.provenance["notes"]:
         print(f"note: {note}")
+    shares = shot.capture.provenance.get("rendering_noise_share", {})
+    if shares:
+        listed = ", ".join(f"{name} {share:.2f}" for name, share in shares.items())
+        print(f"rendering noise over the sensor's own: {listed} ({shot.capture.provenance['spp']} samples)")
     print(f"capture: {out} ({shot.capture.exposure_s * 1e3:.3g} ms)")
     return 0
 

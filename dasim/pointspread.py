@@ -327,3 +327,18 @@ def psf(
     return kernels(camera, [blur], spectra.illuminant(illuminant), size, diffraction)(0, offset_px, ...)[0][
         names.index(channel)
     ]
+
+
+def airy_errors(camera: Camera, illuminant: str) -> tuple[FloatArray, FloatArray]:
+    """Largest errors of ``airy`` against ``wave``, of encircled energy and of MTF, each [level, channel]."""
+    blurs = cameras.level_blur_px(camera)
+    step = RADIAL_STEP_PX
+    radius = np.arange(0.0, blurs[-1] / 2 + 40, step)
+    wave, airy = (
+        radial_profiles(camera, blurs, spectra.illuminant(illuminant), radius, model)[0] for model in ("wave", "airy")
+    )
+    ring = 2 * np.pi * radius * step
+    energy = np.abs(np.cumsum((airy - wave) * ring, axis=-1)).max(axis=-1)
+    frequency = np.linspace(0.02, 0.5, 49)
+    hankel = ring[:, None] * j0(2 * np.pi * np.outer(radius, frequency)) * np.sinc(frequency)
+    return energy, np.abs(np.abs(airy @ hankel) - np.abs(wave @ hankel)).max(axis=-1)

@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
+from typing import Any, Literal
 
 import numpy as np
 
 from dasim import camera as cameras
+from dasim import pointspread, quiet, sensor
 from dasim import scene as scenes
-from dasim import sensor
 from dasim.camera import Camera
 from dasim.errors import InputError
 from dasim.pointspread import DIFFRACTION_MODELS
@@ -19,7 +20,7 @@ from dasim.scene import Scene
 from dasim.sensor import Exposure
 from dasim.values import Capture, Truth
 
-DEFAULT_SPP = 144
+DEFAULT_SPP = 128  # a power of two, in which the samples are most even
 MOST_SPP = 65_536
 SHARP_SPP = 64  # the pinhole pass has no lens to sample
 BLUR_MARGIN = 1.1  # something nearer than all that is seen may lie just outside the frame
@@ -40,7 +41,8 @@ def simulate(
     camera: Camera,
     seed: int = 0,
     *,
-    spp: int = DEFAULT_SPP,
+    spp: int | Literal["auto"] = DEFAULT_SPP,
+    noise_share: float = quiet.NOISE_SHARE,
     exposure: Exposure | None = None,
     diffraction: str | None = None,
     variant: str | None = None,
@@ -50,11 +52,12 @@ def simulate(
 
     The camera's own focus is used (see ``dasim.focused``). ``diffraction`` is ``wave`` (JIT variants only, their
     default), ``airy`` (the default of ``scalar_spectral``) or ``off``. The same seed and variant give the same
-    bytes. The truth's ``mean_e`` is as the lens sees it, before electronic crosstalk. ``progress`` gets the stage's
-    name and the share of it that is done.
+    bytes. ``spp`` is the samples a pixel and stop, or ``auto``: as many as it takes for rendering noise below
+    ``noise_share`` of the sensor's own at the median pixel of every channel. The truth's ``mean_e`` is as the lens
+    sees it, before electronic crosstalk. ``progress`` gets the stage's name and the share of it that is done.
     """
     exposure = exposure or Exposure()
-    check_options(spp, seed, diffraction)
+    check_options(spp, seed, diffraction, noise_share)
     choice = backend.choose(variant)
     diffraction = diffraction_model(diffraction, choice.variant)
     backend.activate(choice)
@@ -69,22 +72,53 @@ def simulate(
 
     illuminant = scenes.main_illuminant(scene)
     names = cameras.channels(camera.sensor)
-    lens_rate = np.zeros((*geometry.depth_m.shape, len(names)))
-    for stop in camera.stops:
-        stage = partial(progress, f"rendering through stop '{stop.name}'")
-        lens_rate += passes.stop_pass(
-            mitsuba_scene,
-            camera,
-            stop,
-            passes.Sampling(spp, seed, stage),
-            diffraction=diffraction,
-            max_blur_px=float(np.abs(blur_px).max()) * BLUR_MARGIN,
-            illuminant=illuminant,
-        )
+
+    def lens_picture(key: int, samples: int, label: str = "") -> np.ndarray:
+        rate = np.zeros((*geometry.depth_m.shape, len(names)))
+        for stop in camera.stops:
+            stage = partial(progress, f"rendering through stop '{stop.name}'{label}")
+            rate += passes.stop_pass(
+                mitsuba_scene,
+                camera,
+                stop,
+                passes.Sampling(samples, key, stage),
+                diffraction=diffraction,
+                max_blur_px=float(np.abs(blur_px).max()) * BLUR_MARGIN,
+                illuminant=illuminant,
+            )
+        return rate
+
+    def exposure_time_s(rate: np.ndarray) -> float:
+        return exposure.time_s or sensor.auto_exposure_s(rate, camera, exposure)
+
+    def sensor_noise(rate: np.ndarray) -> np.ndarray:
+        time_s = exposure_time_s(rate)
+        return quiet.temporal_noise_e(rate * time_s, camera.sensor, time_s, exposure.gain) / time_s
+
+    sampled: dict[str, Any] = {}
+    if spp == "auto":
+
+        def numbered(index: int, samples: int) -> np.ndarray:
+            key = int(np.random.SeedSequence((seed, index)).generate_state(1)[0])
+            samples = passes.sample_count(samples)
+            return lens_picture(key, samples, f", picture {index + 1} ({samples} samples)")
+
+        found = quiet.quiet_picture(numbered, sensor_noise, wanted=noise_share)
+        lens_rate = found.rate
+        sampled = {
+            "spp": found.spp,
+            "rendering_noise_share": dict(zip(names, found.share, strict=True)),
+            "rendering_noise_share_wanted": noise_share,
+        }
+    else:
+        lens_rate = lens_picture(seed, spp)
+        sampled = {"spp": passes.sample_count(spp)}
     sampling = passes.Sampling(SHARP_SPP, seed, partial(progress, "rendering the pinhole picture"))
     pinhole_rate = passes.pinhole_pass(mitsuba_scene, camera, sampling)
 
-    time_s = exposure.time_s or sensor.auto_exposure_s(lens_rate, camera, exposure)
+    if diffraction == "airy":
+        sampled["airy_errors"] = airy_errors(camera, illuminant)
+    time_s = exposure_time_s(lens_rate)
     mean_e = lens_rate * time_s
     collected_e = sensor.electronic_crosstalk(sensor.mosaic(mean_e, camera), camera.sensor)
     raw_dn, saturated = sensor.expose(collected_e, camera.sensor, time_s, seed, gain=exposure.gain)
@@ -99,10 +133,10 @@ def simulate(
             "scene": scene.model_dump(mode="json", exclude={"folder"}),
             "renderer": choice.variant,
             "diffraction": diffraction,
-            "spp": passes.sample_count(spp),
+            **sampled,
             "exposure": exposure.model_dump(mode="json"),
             "saturated_pixels": saturated,
-            "notes": notes(lens_rate, geometry.depth_m, saturated, diffraction),
+            "notes": notes(lens_rate, geometry.depth_m, saturated) + sampling_notes(sampled),
         },
     )
     exact = Truth(
@@ -120,18 +154,24 @@ def simulate(
     return Shot(capture, exact)
 
 
-def check_options(spp: int | None, seed: int, diffraction: str | None) -> None:
-    """InputError for samples, seed or diffraction model that no variant takes."""
-    if spp is not None and not 1 <= spp <= MOST_SPP:
+def check_options(
+    spp: int | str | None, seed: int, diffraction: str | None, noise_share: float = quiet.NOISE_SHARE
+) -> None:
+    """InputError for samples, seed, diffraction model or share of noise that no variant takes."""
+    if isinstance(spp, str) and spp != "auto":
+        raise InputError(f"spp is '{spp}'; a whole number or 'auto' is needed")
+    if isinstance(spp, int) and not 1 <= spp <= MOST_SPP:
         raise InputError(f"spp is {spp}; 1 to {MOST_SPP} samples a pixel are allowed")
+    if not 0.01 <= noise_share <= 10:
+        raise InputError(f"noise_share is {noise_share:g}; 0.01 to 10 of the sensor's own noise is allowed")
     if seed < 0:
         raise InputError(f"seed is {seed}; 0 or a positive whole number is needed")
     if diffraction is not None and diffraction not in DIFFRACTION_MODELS:
         raise InputError(f"diffraction '{diffraction}' is unknown; allowed are {', '.join(DIFFRACTION_MODELS)}")
 
 
-def notes(rate_e_s: np.ndarray, depth_m: np.ndarray, saturated: int, diffraction: str) -> list[str]:
-    """What a user should know of a capture that is legal but odd, or approximate."""
+def notes(rate_e_s: np.ndarray, depth_m: np.ndarray, saturated: int) -> list[str]:
+    """What a user should know of a capture that is legal but odd."""
     found = []
     if np.isnan(depth_m).all():
         found.append("no object is in view")
@@ -139,8 +179,31 @@ def notes(rate_e_s: np.ndarray, depth_m: np.ndarray, saturated: int, diffraction
         found.append("no light reaches the sensor")
     if saturated > 0.05 * depth_m.size:
         found.append(f"{saturated / depth_m.size:.0%} of the pixels are saturated")
-    if diffraction == "airy":
-        found.append("diffraction 'airy' is approximate away from focus; a JIT variant renders 'wave'")
+    return found
+
+
+def airy_errors(camera: Camera, illuminant: str) -> dict[str, Any]:
+    """Largest errors of ``airy`` for ``meta.json``: encircled energy and MTF, each {channel: [level]}."""
+    names = cameras.channels(camera.sensor)
+    tables = zip(("encircled_energy", "mtf"), pointspread.airy_errors(camera, illuminant), strict=True)
+    return {what: {n: errors[:, i].round(3).tolist() for i, n in enumerate(names)} for what, errors in tables}
+
+
+def sampling_notes(sampled: dict[str, Any]) -> list[str]:
+    """What to say of an approximation, and where the wanted rendering noise was not reached."""
+    found = []
+    if "airy_errors" in sampled:
+        worst = {name: max(row) for name, row in sampled["airy_errors"]["encircled_energy"].items()}
+        listed = ", ".join(f"{name} {value:.2f}" for name, value in worst.items())
+        found.append(
+            f"diffraction 'airy' is approximate: encircled energy is off by up to {listed} (by level in meta.json); "
+            "a JIT variant renders 'wave'"
+        )
+    shares = sampled.get("rendering_noise_share", {})
+    missed = {name: share for name, share in shares.items() if share > sampled["rendering_noise_share_wanted"]}
+    if missed:
+        listed = ", ".join(f"{name} {share:.2f}" for name, share in missed.items())
+        found.append(f"{sampled['spp']} samples were not enough: rendering noise over the sensor's own is {listed}")
     return found
 
 

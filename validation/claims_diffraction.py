@@ -275,7 +275,7 @@ def airy_table(progress: Progress) -> Evidence:
     Source: both models as in ``dasim.pointspread``; the defocused pupil of Goodman, ch. 6.
     """
     camera = cameras.load_camera("da-mobile")
-    energy, mtf = airy_errors(camera, "D65")
+    energy, mtf = pointspread.airy_errors(camera, "D65")
     progress(1.0)
     figures = []
     for name, errors in (("energy", energy), ("mtf", mtf)):
@@ -291,21 +291,3 @@ def airy_table(progress: Progress) -> Evidence:
         for level in range(len(blurs))
     ]
     return Evidence(figures, tables=[("Largest error of 'airy' by level and channel", head, rows)])
-
-
-def airy_errors(camera: Camera, illuminant: str) -> tuple[FloatArray, FloatArray]:
-    """Largest errors of ``airy`` against ``wave``, of encircled energy and of MTF, each [level, channel]."""
-    from scipy.special import j0
-
-    blurs = cameras.level_blur_px(camera)
-    step = pointspread.RADIAL_STEP_PX
-    radius = np.arange(0.0, blurs[-1] / 2 + 40, step)
-    wave, airy = (
-        pointspread.radial_profiles(camera, blurs, spectra.illuminant(illuminant), radius, model)[0]
-        for model in ("wave", "airy")
-    )
-    ring = 2 * np.pi * radius * step
-    energy = np.abs(np.cumsum((airy - wave) * ring, axis=-1)).max(axis=-1)
-    frequency = np.linspace(0.02, 0.5, 49)
-    hankel = ring[:, None] * j0(2 * np.pi * np.outer(radius, frequency)) * np.sinc(frequency)
-    return energy, np.abs(np.abs(airy @ hankel) - np.abs(wave @ hankel)).max(axis=-1)

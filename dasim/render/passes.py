@@ -33,7 +33,7 @@ HERO = 4  # wavelengths a ray
 
 @dataclass(frozen=True)
 class Sampling:
-    """How a pass is sampled: samples a pixel (rounded up to a grid), seed, and what is told of the progress."""
+    """How a pass is sampled: samples a pixel, seed, and what is told of the progress."""
 
     spp: int
     seed: int
@@ -68,9 +68,11 @@ def stop_pass(
 
 
 def sample_count(spp: int) -> int:
-    """Samples a pixel that a pass really takes: the sampler rounds up to a grid."""
+    """Samples a pixel that a pass really takes: the sampler of ``scalar_spectral`` rounds up to a grid."""
     import mitsuba as mi
 
+    if not mi.variant().startswith("scalar"):
+        return spp
     return int(mi.load_dict({"type": "multijitter", "sample_count": spp}).sample_count())
 
 
@@ -146,8 +148,8 @@ def _ray_loop(
     blur = None if stop is None or max_blur_px is None else wave.weigher(camera, stop, density, blur_range)
 
     integrator = transport.path_integrator()
-    sampler = mi.load_dict({"type": "multijitter", "sample_count": sampling.spp})  # deeper in the paths
-    spp = sampler.sample_count()  # rounded up to a grid
+    spp = sampling.spp
+    sampler = mi.load_dict({"type": "independent", "sample_count": spp})  # deeper in the paths
     sampler.set_samples_per_wavefront(spp)
     rows_at_once = max(1, LANES // (spp * width))
     seeds = _seeds(sampling, stop)
