@@ -20,7 +20,7 @@ from dasim.scene import Scene
 from dasim.sensor import Exposure
 from dasim.values import Capture, Truth
 
-DEFAULT_SPP = 128  # a power of two, in which the samples are most even
+DEFAULT_SPP = 64  # a power of two, in which the samples are most even
 MOST_SPP = 65_536
 SHARP_SPP = 64  # the pinhole pass has no lens to sample
 BLUR_MARGIN = 1.1  # something nearer than all that is seen may lie just outside the frame

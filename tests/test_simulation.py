@@ -199,3 +199,18 @@ def test_crosstalk_reaches_the_raw_numbers_and_not_the_truth(shot, scene):
     z = ((electrons - mean) / np.sqrt(mean))[mean < 5500]
     assert abs(z.mean()) < 5 / np.sqrt(z.size)
     assert z.var() == pytest.approx(1.0, abs=RAW_LIMIT)
+
+
+def test_auto_takes_as_many_samples_as_the_sensor_needs(renderer, scene, da_mobile):
+    """Expectation: the share of noise reached is stated for every channel, and is below what was asked."""
+    camera = cameras.cropped(da_mobile, 32, 24)
+    auto = simulate(scene, camera, seed=1, spp="auto", noise_share=0.5, diffraction="off")
+    about = auto.capture.provenance
+    assert set(about["rendering_noise_share"]) == set(CHANNELS) and about["spp"] >= 32
+    assert max(about["rendering_noise_share"].values()) <= about["rendering_noise_share_wanted"] == 0.5
+    again = simulate(scene, camera, seed=1, spp="auto", noise_share=0.5, diffraction="off")
+    np.testing.assert_array_equal(auto.capture.raw_dn, again.capture.raw_dn)
+    with pytest.raises(InputError, match="'auto'"):
+        simulate(scene, camera, spp="many")
+    with pytest.raises(InputError, match="noise_share"):
+        simulate(scene, camera, spp="auto", noise_share=0.0)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from validation.claims_diffraction import airy_table, wave_energy, wave_sfr
 from validation.claims_lens import blur_off
 from validation.claims_occlusion import occluding_edge
-from validation.claims_sampling import noise_slope_off, noise_slope_wave, render_cost
+from validation.claims_sampling import desk_noise, noise_slope_off, noise_slope_wave, render_cost
 from validation.validate import Measurement
 
 # Quick: less than about 20 s on two cores.
@@ -17,5 +17,6 @@ CLAIMS = {
     "airy-table": Measurement(airy_table, quick=True),
     "noise-slope-off": Measurement(noise_slope_off, quick=False),
     "noise-slope-wave": Measurement(noise_slope_wave, quick=False),
+    "desk-noise": Measurement(desk_noise, quick=False),
     "render-cost": Measurement(render_cost, quick=False),
 }
