@@ -461,7 +461,8 @@ def test_wrong_settings_are_refused(refused, here, text, said):
 
 def test_reconstruction_and_truth_of_other_sizes_are_refused(refused, here):
     exact = load_truth(here / "shot")
-    smaller = replace(exact, **{field.name: getattr(exact, field.name)[:32, :32] for field in fields(exact)})
+    pictures = {field.name: getattr(exact, field.name) for field in fields(exact) if field.name != "channels"}
+    smaller = replace(exact, **{name: picture[:32, :32] for name, picture in pictures.items()})
     (here / "shot" / "truth.exr").unlink()
     write_truth(here / "shot" / "truth.exr", smaller)
     meta = json.loads((here / "shot" / "meta.json").read_text())
