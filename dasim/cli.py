@@ -390,7 +390,7 @@ def list_(kind: str, *, verbose: Annotated[bool, Parameter(negative="")] = False
     elif kind == "cameras":
         for name in camera.camera_names():
             loaded = camera.load_camera(name)
-            print(f"{name:<16}{loaded.description}")
+            print(f"{name:<20}{loaded.description}")
             if verbose:
                 print(loaded.model_dump_json(indent=1, exclude={"name", "description"}))
     elif kind == "materials":
