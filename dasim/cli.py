@@ -382,7 +382,7 @@ def list_(kind: str, *, verbose: Annotated[bool, Parameter(negative="")] = False
         kind: scenes, cameras, materials, illuminants or claims
         verbose: with more detail
     """
-    from dasim import camera, materials, scene, spectra
+    from dasim import camera, describe, materials, scene, spectra
 
     if kind == "scenes":
         for name in scene.scene_names():
@@ -392,7 +392,7 @@ def list_(kind: str, *, verbose: Annotated[bool, Parameter(negative="")] = False
             loaded = camera.load_camera(name)
             print(f"{name:<20}{loaded.description}")
             if verbose:
-                print(loaded.model_dump_json(indent=1, exclude={"name", "description"}))
+                print("\n".join(f"    {line}" for line in describe.described(loaded)) + "\n")
     elif kind == "materials":
         for name in materials.material_names():
             curve = materials.reflectance(name)

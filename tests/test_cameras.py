@@ -11,9 +11,11 @@ import numpy as np
 import pytest
 
 import dasim
-from dasim import aperture
+from dasim import aperture, describe
 from dasim import camera as cameras
+from dasim.cli import run
 from dasim.render import stock
+from recon import infrared
 
 ROOT = Path(__file__).parents[1]
 
@@ -83,9 +85,7 @@ def test_bando_centres_are_120_degrees_apart_at_half_the_radius():
 
 @pytest.mark.parametrize("name", COMPARED)
 def test_each_photographs_the_desk(renderer, name, tmp_path):
-    """Expectation: a picture neither dark nor saturated, in every channel, with its truth on disk; without a JIT variant
-    displaced discs are refused with what to install.
-    """
+    """Expectation: a picture that is neither dark nor saturated, in every channel, and comes back from its folder."""
     scene = dasim.load_scene("desk")
     camera = dasim.focused(dasim.cropped(dasim.load_camera(name), 32, 24), scene)
     if name == "bando" and renderer.startswith("scalar"):
@@ -130,3 +130,21 @@ def test_displaced_discs_are_refused_without_a_jit_variant(tmp_path):
     for name in NAMES:
         if name != "bando":
             stock.check(cameras.load_camera(name))
+
+
+def test_list_describes_every_camera(capsys):
+    """Expectation: a block a camera with its stops' shares; eq. (8) exactly where there are R, G, B and IR."""
+    assert run(["list", "cameras", "--verbose"]) == 0
+    shown = capsys.readouterr().out
+    assert "{" not in shown and max(map(len, shown.splitlines())) < 140
+    blocks = dict(zip(NAMES, shown.strip().split("\n\n"), strict=True))
+    for name, block in blocks.items():
+        assert block.startswith(f"{name} ")
+        assert block.count("    stop ") == len(cameras.load_camera(name).stops)
+        assert ("eq. (8)" in block) == name.startswith("da-")
+    assert "hole: disc of 0.46, 21.2% of the open area, passes 650-830 nm" in blocks["da-mobile"]
+    assert "centred at (-0.433, 0.25)" in blocks["bando"] and "400-496 and 590-830" in blocks["chakrabarti-zickler"]
+
+
+def test_printed_coefficients_are_those_that_the_reconstruction_takes_off(da_mobile):
+    np.testing.assert_allclose(describe.crosstalk(da_mobile), infrared.crosstalk(da_mobile), rtol=1e-6)
