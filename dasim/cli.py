@@ -328,7 +328,7 @@ def validate(
     for outcome in outcomes:
         for entry in outcome.claims:
             mark = {None: "", True: "passed", False: "FAILED"}[entry.passed]
-            line = f"{entry.id:<44}{entry.value:>10.4g} {entry.unit:<6}{entry.limit or '':<14}{mark}"
+            line = f"{entry.id:<44}{entry.value:>10.4g} {entry.unit:<6}{entry.limit or '':<16}{mark}"
             print(f"{entry.id:<44}{entry.source}" if outcome.not_run or outcome.error else line)
     print(f"report: {out / 'report.html'}")
     return 1 if failed(outcomes) else 0
