@@ -13,12 +13,11 @@ from dasim import camera as cameras
 from dasim import describe, materials, sensor, spectra
 from dasim.camera import Camera
 from dasim.spectra import CHANNELS
-from validation import radiometry, rendering
+from validation import radiometry, rendering, walls
 from validation.claim import Evidence, NotRun, Progress
 from validation.metrics import Figure
 from validation.rendering import FloatArray
 
-WALL = {"name": "wall", "shape": "plane", "size_cm": (400, 400), "position_cm": (0, 0, 40)}
 FRAME = {"width_px": 16, "height_px": 12}
 SPP = 256
 
@@ -37,7 +36,6 @@ LOSS_LIGHTS = ("D65", "A")
 EQ8_GLASS_NM = 630.0  # below the band, so that all near-infrared passes the hole, which eq. (8) takes for granted
 HOLE_LIGHT_NM = (680.0, 790.0)  # inside the coating's and the sensor's edges
 REAL_LIGHTS = ("D65", "D55", "A")
-STEP_NM = 1e-3  # over which a sharp light rises
 
 RADIOMETRY_FRAME = {"width_px": 48, "height_px": 36, "pixel_pitch_um": 50.0}  # wide: cos^4 is 0.77 in the corner
 PLACES = {"middle": (slice(15, 21), slice(21, 27)), "corner": (slice(0, 6), slice(0, 6))}
@@ -65,16 +63,16 @@ def light_loss(progress: Progress) -> Evidence:
     """
     if rendering.activate().startswith("scalar"):
         raise NotRun("only scalar_spectral works here, which has no displaced discs; install LLVM 17 or newer")
-    walls = {light: _wall(light) for light in LOSS_LIGHTS}
+    lit = {light: walls.wall(light) for light in LOSS_LIGHTS}
     figures = []
     for number, (name, (bundled, reductions)) in enumerate(REDUCTIONS.items()):
         camera = rendering.changed(cameras.load_camera(bundled), sensor=FRAME)
         expected = sum(count * (1 - alpha**2) for count, alpha in reductions) / 4
-        loss, uneven = _loss(walls["D65"], _ideal(camera))
+        loss, uneven = _loss(lit["D65"], _ideal(camera))
         figures.append(Figure(name, loss, "1", f"light lost, ideal responses; eq. (1) says {expected:.4f}"))
         figures.append(Figure(f"{name}.uneven", uneven, "1", "largest difference of the channels without stops"))
         for light in LOSS_LIGHTS:
-            real, _ = _loss(walls[light], camera)
+            real, _ = _loss(lit[light], camera)
             figures.append(Figure(f"{name}.real-{light}", real, "1", f"light lost under {light}, bundled responses"))
         progress((number + 1) / len(REDUCTIONS))
     return Evidence(figures)
@@ -135,17 +133,17 @@ def eq8_flat_field(progress: Progress) -> Evidence:
         as_built, stops=[stop.model_dump() | {"passes_nm": below[stop.name]} for stop in as_built.stops]
     )
     expected = describe.crosstalk(as_built)
-    equal = _sharp_light(spectra.NEAR_INFRARED_NM, 1 / spectra.photons_per_joule())
+    equal = walls.sharp_light(spectra.NEAR_INFRARED_NM, 1 / spectra.photons_per_joule())
     runs: list[tuple[str, Camera, dict[str, Any], str]] = [
         ("", moved, equal, "equal photons, all through the hole"),
         ("as-built.", as_built, equal, "da-mobile as built, equal photons"),
     ]
     for light in REAL_LIGHTS:
-        curve = _sharp_light(spectra.NEAR_INFRARED_NM, spectra.illuminant(light))
+        curve = walls.sharp_light(spectra.NEAR_INFRARED_NM, spectra.illuminant(light))
         runs.append((f"{light}.", as_built, curve, f"da-mobile as built, {light} cut to 650-810 nm"))
     figures = []
     for number, (prefix, camera, spectrum, what) in enumerate(runs):
-        signal = _rates(_wall(spectrum), camera).mean(axis=(0, 1))
+        signal = _rates(walls.wall(spectrum), camera).mean(axis=(0, 1))
         for name, ratio, coefficient in zip("RGB", signal[:3] / signal[3], expected, strict=True):
             meaning = f"{what}: {name} over IR is {ratio:.4f}, off eq. (8)'s {coefficient:.4f} by this share"
             figures.append(Figure(f"{prefix}{name}", float(ratio / coefficient - 1), "1", meaning))
@@ -169,7 +167,7 @@ def hole_alpha_squared(progress: Progress) -> Evidence:
     """
     rendering.activate()
     camera = rendering.changed(cameras.load_camera("da-mobile"), sensor=FRAME)
-    wall = _wall(_sharp_light(HOLE_LIGHT_NM, 1 / spectra.photons_per_joule()))
+    wall = walls.wall(walls.sharp_light(HOLE_LIGHT_NM, 1 / spectra.photons_per_joule()))
     whole = _rates(wall, rendering.changed(camera, stops=[{"name": "whole", "radius_ratio": 1.0}]))
     progress(0.5)
     ratio = _rates(wall, camera).mean(axis=(0, 1)) / whole.mean(axis=(0, 1))
@@ -202,7 +200,7 @@ def absolute_electrons(progress: Progress) -> Evidence:
     """
     rendering.activate()
     camera = rendering.changed(cameras.load_camera("da-mobile"), sensor=RADIOMETRY_FRAME)
-    rate = _rates(_wall("A", material="grey-card", lux=radiometry.WALL_LUX), camera)
+    rate = _rates(walls.wall("A", material="grey-card", lux=radiometry.WALL_LUX), camera)
     progress(0.5)
     figures = []
     for place, (rows, columns) in PLACES.items():
@@ -217,42 +215,6 @@ def absolute_electrons(progress: Progress) -> Evidence:
             meaning = f"{name}, {place} of the picture: relative error; {expected:.4g} e-/s are right"
             figures.append(Figure(f"{place}.{name}", error, "1", meaning))
     return Evidence(figures)
-
-
-# --- shared --------------------------------------------------------------------------------------
-
-
-def _wall(light: str | dict[str, Any], *, material: str = "white-paper", lux: float = 500.0) -> Any:
-    """Mitsuba's scene of an even wall under an illuminant, or under a spectrum in Mitsuba's words.
-
-    White paper, because its reflectance does not change beyond 480 nm.
-    """
-    import mitsuba as mi
-
-    from dasim.render import translate
-
-    dome, lamp = rendering.EVEN_LIGHT
-    if isinstance(light, str):
-        dome = dome | {"illuminant": light, "lux": lux}
-    described = translate.scene_dict(rendering.make_scene([WALL | {"material": material}], [dome, lamp]))
-    if not isinstance(light, str):
-        described["light_0000"]["radiance"] = light  # scenes know named illuminants alone
-    return mi.load_dict(described, optimize=False)
-
-
-def _sharp_light(band_nm: tuple[float, float], power: FloatArray) -> dict[str, Any]:
-    """A light of a spectral power within a band and none outside, mean 1 W m^-2 sr^-1 nm^-1, for Mitsuba."""
-    low, high = band_nm
-    nm = spectra.WAVELENGTH_NM
-    inside = nm[(nm > low) & (nm < high)]
-    places = np.array([nm[0], low - STEP_NM, low, *inside, high, high + STEP_NM, nm[-1]])
-    values = np.interp(places, nm, power) * ((places >= low) & (places <= high))
-    values /= values[values > 0].mean()
-    return {
-        "type": "irregular",
-        "wavelengths": ",".join(f"{place:.9g}" for place in places),
-        "values": ",".join(f"{value:.9g}" for value in values),
-    }
 
 
 def _rates(wall: Any, camera: Camera) -> FloatArray:
