@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import itertools
+import re
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +21,7 @@ BLUR_LEVELS = 29  # sec. 6.1
 NEAREST_FOCUS = 1.1  # in focal lengths: ten times life size
 SMALLEST_FRAME_PX = 8
 LARGEST_FOCAL_SHIFT = 0.1  # of the focal length: a lens, no prism
+CHANNEL_NAME = re.compile(r"\w{1,16}", re.ASCII)  # they name the channels of the truth's EXR file too
 WIDEST_STEP_NM = 20.0  # between two entries of a response curve; more is a gap
 
 
@@ -80,16 +82,7 @@ class Curves(Specification):
             return data
         if len(data) > 1:
             raise ValueError("file and curves both say the response; give one")
-        path = named_file(data, info)
-        lines = [line for line in path.read_text(encoding="utf-8-sig").splitlines() if line.strip()]
-        rows = list(csv.reader(line for line in lines if not line.startswith("#")))
-        names = [name.strip() for name in rows[0]] if rows else []
-        if len(names) < 2 or names[0] != "wavelength_nm" or len(set(names)) != len(names) or "" in names:
-            raise ValueError(f"file {path}: the first line must be 'wavelength_nm' and one name a channel")
-        for number, row in enumerate(rows[1:], 2):
-            if len(row) != len(names) or any(not item.strip() for item in row):
-                raise ValueError(f"file {path}, line {number} of the table: {len(names)} numbers are needed")
-        columns = list(zip(*rows[1:], strict=True)) or [()] * len(names)
+        names, columns = _csv_columns(named_file(data, info))
         return {"wavelength_nm": columns[0], "channels": dict(zip(names[1:], columns[1:], strict=True))}
 
     @model_validator(mode="after")
@@ -104,11 +97,43 @@ class Curves(Specification):
             if b - a > WIDEST_STEP_NM:
                 raise ValueError(f"wavelength_nm has a gap from {a:g} to {b:g} nm; steps of {WIDEST_STEP_NM:g} at most")
         for name, values in self.channels.items():
+            if not CHANNEL_NAME.fullmatch(name):
+                raise ValueError(f"channels.{name}: names must be 1 to 16 letters, digits or underscores")
             if len(values) != len(wavelength):
                 raise ValueError(f"channels.{name} must have as many values as wavelength_nm")
             if min(values) < 0 or max(values) > 1:
                 raise ValueError(f"channels.{name} must be quantum efficiencies from 0 to 1")
         return self
+
+
+def _csv_columns(path: Path) -> tuple[list[str], list[tuple[float, ...]]]:
+    """Names and columns of a table of response curves; ValueError says where it is wrong."""
+    try:
+        lines = [line for line in path.read_text(encoding="utf-8-sig").splitlines() if line.strip()]
+        rows = list(csv.reader(line for line in lines if not line.startswith("#")))
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise ValueError(f"file {path}: cannot be read as a table ({error})") from None
+    names = [name.strip() for name in rows[0]] if rows else []
+    if len(names) < 2 or names[0] != "wavelength_nm" or len(set(names)) != len(names) or "" in names:
+        raise ValueError(f"file {path}: the first line must be 'wavelength_nm' and one name a channel")
+    table = []
+    for number, row in enumerate(rows[1:], 2):
+        if len(row) != len(names) or any(not item.strip() for item in row):
+            raise ValueError(f"file {path}, line {number} of the table: {len(names)} numbers are needed")
+        table.append([_number(item, f"file {path}, line {number} of the table") for item in row])
+    if len(table) < 2:
+        raise ValueError(f"file {path}: two or more lines of numbers are needed")
+    return names, list(zip(*table, strict=True))
+
+
+def _number(text: str, where: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = np.nan
+    if not np.isfinite(value):
+        raise ValueError(f"{where}: '{text.strip()}' is no number")
+    return value
 
 
 class Sensor(Specification):

@@ -340,7 +340,7 @@ def validate(
     for outcome in outcomes:
         for entry in outcome.claims:
             mark = {None: "", True: "passed", False: "FAILED"}[entry.passed]
-            line = f"{entry.id:<44}{entry.value:>10.4g} {entry.unit:<6}{entry.limit or '':<14}{mark}"
+            line = f"{entry.id:<44}{entry.value:>10.4g} {entry.unit:<6}{entry.limit or '':<16}{mark}"
             print(f"{entry.id:<44}{entry.source}" if outcome.not_run or outcome.error else line)
     print(f"report: {out / 'report.html'}")
     return 1 if failed(outcomes) else 0
@@ -394,7 +394,7 @@ def list_(kind: str, *, verbose: Annotated[bool, Parameter(negative="")] = False
         kind: scenes, cameras, materials, illuminants or claims
         verbose: with more detail
     """
-    from dasim import camera, materials, scene, spectra
+    from dasim import camera, describe, materials, scene, spectra
 
     if kind == "scenes":
         for name in scene.scene_names():
@@ -402,9 +402,9 @@ def list_(kind: str, *, verbose: Annotated[bool, Parameter(negative="")] = False
     elif kind == "cameras":
         for name in camera.camera_names():
             loaded = camera.load_camera(name)
-            print(f"{name:<16}{loaded.description}")
+            print(f"{name:<20}{loaded.description}")
             if verbose:
-                print(loaded.model_dump_json(indent=1, exclude={"name", "description"}))
+                print("\n".join(f"    {line}" for line in describe.described(loaded)) + "\n")
     elif kind == "materials":
         for name in materials.material_names():
             curve = materials.reflectance(name)

@@ -66,7 +66,10 @@ def named_file(data: dict[str, Any], info: ValidationInfo) -> Path:
 
 
 def _problem(item: Any, data: Any) -> str:
-    key = _key(item["loc"], data)
+    location = item["loc"]
+    if item["type"] == "value_error" and isinstance(item.get("input"), dict):
+        location = (*location, "")  # of a whole: a kind at the end is no key
+    key = _key(location, data)
     message = item["msg"].removeprefix("Value error, ")
     if item["type"] == "extra_forbidden":
         return f"{key}: unknown key"
@@ -79,12 +82,20 @@ def _problem(item: Any, data: Any) -> str:
 
 def _key(location: tuple[int | str, ...], data: Any) -> str:
     """Path of a problem as the user wrote it: without the kinds that pydantic puts in (stops.1.disc.radius_ratio)."""
-    parts = []
+    parts: list[str] = []
+    kind_seen = False
     for place, part in enumerate(location):
         inside = isinstance(data, dict)
+        # The kind of a shape or light follows its place once, and may be called as one of its keys (mask).
+        if inside and not kind_seen and part in (data.get("shape"), data.get("kind")):
+            kind_seen = True
+            continue
         if inside and part not in data and place < len(location) - 1:
             continue
+        if part == "":
+            break
         parts.append(str(part))
+        kind_seen = False
         try:
             data = data[part] if inside or isinstance(data, (list, tuple)) else None
         except (KeyError, IndexError, TypeError):

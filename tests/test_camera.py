@@ -5,11 +5,23 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+import dasim
 from dasim import camera as cameras
 from dasim import spectra
 from dasim.errors import InputError
 
 SOURCE = (cameras.CAMERA_DIR / "da-mobile.toml").read_text()
+
+
+def refusal(folder, text: str) -> str:
+    """What is said of a camera file that must be refused: one line."""
+    path = folder / "mine.toml"
+    path.write_text(text)
+    with pytest.raises(InputError) as caught:
+        cameras.load_camera(path)
+    message = str(caught.value)
+    assert "\n" not in message and message.startswith(f"{path}: ")
+    return message
 
 
 @pytest.mark.parametrize(
@@ -27,12 +39,11 @@ SOURCE = (cameras.CAMERA_DIR / "da-mobile.toml").read_text()
         ("focus_distance_m = 0.4", "focus_distance_m = 0.0036", ["lens", "focus_distance_m", "focal length"]),
         ("focus_distance_m = 0.4", "focus_distance_m = inf", ["lens.focus_distance_m"]),
         ("radius_ratio = 0.46", "radius_ratio = 1.46", ["stops.1.radius_ratio"]),
-        (
-            "radius_ratio = 0.46",
-            "radius_ratio = 0.46\ncentre_ratio = [0.5, 0.3]",
-            ["stops.1", "outside the lens", "1.043"],
-        ),
         ("[[650, 830]]", "[[650, 840]]", ["stops.1.passes_nm", "400 to 830"]),
+        ("[[650, 830]]", "[[650, 700], [690, 830]]", ["stops.1.passes_nm", "without overlap"]),
+        ('name = "hole"', 'name = "open"', ["stops: names must be unique", "open, open"]),
+        ("cutoff_nm = 810", "cutoff_nm = 840", ["sensor.cutoff_nm", "840"]),
+        ("focus_distance_m = 0.4", "focus_distance_m = 0.4\nfocal_shift_um = [[900, 1]]", ["lens.focal_shift_um"]),
         ("edge_width_nm = 8", "edge_width_nm = 0", ["stops.0.edge_width_nm"]),
         ("width_px = 2048", "width_px = 2047", ["sensor", "2047 x 1536", "2 x 2 mosaic"]),
         ("width_px = 2048", "width_px = 2", ["sensor.width_px"]),
@@ -51,14 +62,141 @@ SOURCE = (cameras.CAMERA_DIR / "da-mobile.toml").read_text()
 def test_what_is_wrong_is_named_in_one_line(tmp_path, old, new, said):
     """Expectation: InputError with the file and the key, and the value or what is allowed."""
     assert old in SOURCE
-    path = tmp_path / "mine.toml"
-    path.write_text(SOURCE.replace(old, new, 1))
-    with pytest.raises(InputError) as caught:
-        cameras.load_camera(path)
-    message = str(caught.value)
-    assert "\n" not in message
+    message = refusal(tmp_path, SOURCE.replace(old, new, 1))
     for part in ("mine.toml", *said):
         assert part in message, message
+
+
+@pytest.mark.parametrize(
+    ("stop", "said"),
+    [
+        ("radius_ratio = 0.46\ncentre_ratio = [0.5, 0.3]", "stops.1: the stop reaches outside the lens, to 1.043"),
+        (
+            'shape = "annulus"\ninner_ratio = 0.2\nouter_ratio = 0.5\ncentre_ratio = [0.6, 0]',
+            "stops.1: the stop reaches outside the lens, to 1.1",
+        ),
+        ('shape = "annulus"\ninner_ratio = 0.6\nouter_ratio = 0.5', "stops.1: inner_ratio must be below outer_ratio"),
+        (
+            'shape = "polygon"\ncorners_ratio = [[0, 0], [0.9, 0.9], [0, 0.5]]',
+            "stops.1.corners_ratio: the stop reaches outside the lens, to 1.273",
+        ),
+        (
+            'shape = "polygon"\ncorners_ratio = [[0, 0], [0.5, 0.5], [0.6, 0], [0, 0.5]]',
+            "stops.1.corners_ratio: is no simple polygon: its sides cross",
+        ),
+        (
+            'shape = "polygon"\ncorners_ratio = [[0, -0.9], [0.5, 0.7], [-0.8, -0.3], [0.8, -0.3], [-0.5, 0.7]]',
+            "stops.1.corners_ratio: is no simple polygon: its sides cross",
+        ),
+        ('shape = "polygon"\ncorners_ratio = [[0, 0], [0.5, 0.5], [0.2, 0.2]]', "stops.1.corners_ratio: is no simple"),
+        (
+            'shape = "mask"\nmask = [[1, 0, 0, 0], [0, 1, 1, 0], [0, 1, 1, 0], [0, 0, 0, 0]]',
+            "stops.1.mask: is open outside the lens",
+        ),
+        ('shape = "mask"\nmask = [[0, 0], [0, 0]]', "stops.1.mask: is closed everywhere"),
+        ('shape = "mask"\nmask = [[0, 2], [0, 0]]', "stops.1.mask: must be transmittances from 0 to 1"),
+        ('shape = "mask"\nfile = "none.png"', "none.png: no such file"),
+        ('shape = "mask"\nfile = "mine.toml"', "mine.toml: is no picture"),
+        ('shape = "star"', "stops.1: "),
+    ],
+)
+def test_impossible_stops_are_refused(tmp_path, stop, said):
+    """Expectation: one line with the stop's key as the file has it, for each shape."""
+    message = refusal(tmp_path, SOURCE.replace("radius_ratio = 0.46", stop))
+    assert said in message and "stops.1" in message, message
+
+
+NM = tuple(range(400, 831, 10))
+FLAT = (0.3,) * len(NM)
+
+
+def inline(nm=NM, **channels) -> str:
+    curves = ", ".join(f'"{name}" = {list(values)}' for name, values in channels.items())
+    return f"wavelength_nm = {list(nm)}, channels = {{{curves}}}"
+
+
+@pytest.mark.parametrize(
+    ("curves", "said"),
+    [
+        (inline(R=(-0.1, *FLAT[1:]), G=FLAT, B=FLAT, IR=FLAT), "channels.R must be quantum efficiencies from 0 to 1"),
+        (inline(R=FLAT, G=(1.1, *FLAT[1:]), B=FLAT, IR=FLAT), "channels.G must be quantum efficiencies from 0 to 1"),
+        (inline(R=FLAT[1:], G=FLAT, B=FLAT, IR=FLAT), "channels.R must have as many values as wavelength_nm"),
+        (
+            inline(NM[:11] + NM[15:], **dict.fromkeys(("R", "G", "B", "IR"), FLAT[4:])),
+            "wavelength_nm has a gap from 500 to 550 nm",
+        ),
+        (inline((*NM, 840), **dict.fromkeys(("R", "G", "B", "IR"), (*FLAT, 0.3))), "must lie within 400 to 830 nm"),
+        (
+            inline(NM[:-4], **dict.fromkeys(("R", "G", "B", "IR"), FLAT[4:])),
+            "wavelength_nm must reach from 400 to 826 nm",
+        ),
+        (inline(NM[::-1], **dict.fromkeys(("R", "G", "B", "IR"), FLAT)), "wavelength_nm must rise"),
+        (inline(R=FLAT, G=FLAT, B=FLAT), "mosaic channel 'IR' is unknown, allowed are R, G, B"),
+        (inline(**dict.fromkeys(("R", "G", "B", "IR", "a,b"), FLAT)), "channels.a,b: names must be"),
+        ('file = "none.csv"', "none.csv: no such file"),
+        ('file = "c.csv", ' + inline(R=FLAT), "file and curves both say the response"),
+    ],
+)
+def test_impossible_curves_are_refused(tmp_path, curves, said):
+    text = SOURCE.replace("[sensor]", f"[sensor]\nquantum_efficiency = {{{curves}}}")
+    message = refusal(tmp_path, text)
+    assert ": sensor" in message and said in message, message
+
+
+@pytest.mark.parametrize(
+    ("table", "said"),
+    [
+        ("", "the first line must be 'wavelength_nm' and one name a channel"),
+        ("nm,R,G,B,IR\n400,0,0,0,0\n", "the first line must be 'wavelength_nm' and one name a channel"),
+        ("wavelength_nm,R,G,R,IR\n400,0,0,0,0\n", "the first line must be 'wavelength_nm' and one name a channel"),
+        ("wavelength_nm,R,G,B,IR\n400,0.1,0.1,0.1,0.1\n410,0.1,,0.1,0.1\n", "line 3 of the table: 5 numbers"),
+        ("wavelength_nm,R,G,B,IR\n400,0.1,0.1,0.1\n", "line 2 of the table: 5 numbers"),
+        ("wavelength_nm,R,G,B,IR\n400,0.1,0.1,x,0.1\n", "line 2 of the table: 'x' is no number"),
+        ("wavelength_nm,R,G,B,IR\n400,0.1,0.1,nan,0.1\n", "line 2 of the table: 'nan' is no number"),
+        ("wavelength_nm,R,G,B,IR\n", "two or more lines of numbers are needed"),
+        (b"\xff\xfe\x00", "cannot be read as a table"),
+    ],
+)
+def test_broken_tables_of_curves_are_refused(tmp_path, table, said):
+    """Expectation: one line with the key, the file and what is wrong in it."""
+    (tmp_path / "c.csv").write_bytes(table if isinstance(table, bytes) else table.encode())
+    message = refusal(tmp_path, SOURCE.replace("[sensor]", '[sensor]\nquantum_efficiency = { file = "c.csv" }'))
+    assert "sensor.quantum_efficiency: file " in message and "c.csv" in message and said in message, message
+
+
+@pytest.mark.parametrize("mosaic", [[["R", "G", "W"], ["B", "IR", "G"]], [["W", "G"] * 4, ["R", "IR"] * 4] * 4])
+def test_curves_of_ones_own_travel_to_the_truth(renderer, tmp_path, mosaic):
+    """Set-up: a 3x2 and an 8x8 mosaic with a clear channel W, of our own curves in a CSV file with a comment.
+
+    Expectation: the curves come back exactly, channels in the order R, G, B, IR, then others; a picture renders,
+    in which W has more electrons than any colour, and capture and truth come back from their folder.
+    """
+    names = ("W", "IR", "G", "R", "B")
+    ours = dict(zip(spectra.CHANNELS, spectra.rgb_ir_quantum_efficiency(), strict=True))
+    ours["W"] = np.maximum.reduce(list(ours.values()))
+    rows = [",".join((f"{nm:g}", *(f"{ours[n][k]:.9f}" for n in names))) for k, nm in enumerate(spectra.WAVELENGTH_NM)]
+    (tmp_path / "c.csv").write_text("\n".join(["# source: made up", "wavelength_nm," + ",".join(names), *rows]) + "\n")
+    text = SOURCE.replace("[sensor]", '[sensor]\nquantum_efficiency = { file = "c.csv" }')
+    text = text.replace('[["G", "R"], ["B", "IR"]]', str(mosaic)).replace("width_px = 2048", "width_px = 24")
+    (tmp_path / "mine.toml").write_text(text.replace("height_px = 1536", "height_px = 16"))
+    camera = cameras.load_camera(tmp_path / "mine.toml")
+    used = tuple(name for name in ("R", "G", "B", "IR", "W") if any(name in row for row in mosaic))
+    assert cameras.channels(camera.sensor) == used
+    np.testing.assert_allclose(
+        cameras.quantum_efficiency(camera.sensor), np.stack([ours[name] for name in used]), atol=1e-9
+    )
+    letters = np.array(used)[cameras.mosaic_channels(camera)]
+    assert letters[: len(mosaic), : len(mosaic[0])].tolist() == mosaic
+    assert (letters[len(mosaic) :, len(mosaic[0]) :] == letters[: -len(mosaic), : -len(mosaic[0])]).all()
+
+    scene = dasim.load_scene("desk")
+    shot = dasim.simulate(scene, dasim.focused(camera, scene), seed=1, spp=16, diffraction="off")
+    dasim.save_capture(tmp_path / "shot", shot.capture, shot.truth)
+    assert dasim.load_capture(tmp_path / "shot").camera.sensor == camera.sensor
+    truth = dasim.load_truth(tmp_path / "shot")
+    assert truth.channels == used
+    np.testing.assert_array_equal(truth.mean_e, shot.truth.mean_e)
+    assert truth.mean_e.mean(axis=(0, 1)).argmax() == used.index("W")
 
 
 def test_all_mistakes_are_named_at_once(tmp_path):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import os
 import subprocess
 import sys
@@ -10,10 +9,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy import constants, integrate
 
 from dasim import camera as cameras
-from dasim import spectra
+from validation.radiometry import wall_electrons
 
 ROOT = Path(__file__).parents[1]
 RADIOMETRY = 0.01  # spectra on different grids 0.2 %, sampling noise, and a patch of pixels at the corner
@@ -37,39 +35,6 @@ def grey_wall(make_scene, loaded):
     return loaded(make_scene(wall))
 
 
-def expected_electrons(camera, channel: int, column_px: float, row_px: float, ratio: float, name: str) -> float:
-    """Electrons a second at a place of the picture, written out from the camera's data sheet by quadrature."""
-    lens, sensor = camera.lens, camera.sensor
-    image_mm = 1 / (1 / lens.focal_length_mm - 1 / (1e3 * lens.focus_distance_m))
-    radius_mm = ratio * lens.focal_length_mm / lens.f_number / 2
-    off_axis_mm = np.hypot(column_px, row_px) * sensor.pixel_pitch_um / 1e3
-    cosine = image_mm / np.hypot(image_mm, off_axis_mm)
-
-    def planck(nm):
-        return nm**-5.0 / np.expm1(0.01435 / (2848 * nm * 1e-9))  # illuminant A, CIE 015
-
-    import colour
-
-    v = colour.SDS_LEFS["CIE 1924 Photopic Standard Observer"]
-    lumens = 683.002 * np.trapezoid(v.values * planck(v.wavelengths), v.wavelengths)
-
-    def edge(nm, at, width):
-        return (1 + np.tanh(np.log(9) * (nm - at) / width)) / 2  # 10 % to 90 % over the width
-
-    def rate(nm):
-        irradiance = 500 * planck(nm) / lumens  # W m^-2 nm^-1 on the wall
-        reflectance = np.interp(nm, [400, 830], [0.18, 0.185])
-        on_pixel = np.pi * (radius_mm / image_mm) ** 2 * cosine**4 * irradiance * reflectance / np.pi
-        glass = edge(nm, 650, 8) if name == "hole" else 1 - edge(nm, 650, 8)
-        photon_j = constants.h * constants.c / (nm * 1e-9)
-        efficiency = np.interp(nm, spectra.WAVELENGTH_NM, spectra.rgb_ir_quantum_efficiency()[channel])
-        return on_pixel * glass * (1 - edge(nm, 810, 8)) * efficiency / photon_j * (sensor.pixel_pitch_um * 1e-6) ** 2
-
-    # Gauss-Legendre between the edges' corners: adaptive quadrature stumbles over tabulated curves.
-    corners = [400, 640, 660, 800, 820, 830]
-    return sum(integrate.fixed_quad(np.vectorize(rate), a, b, n=60)[0] for a, b in itertools.pairwise(corners))
-
-
 @pytest.mark.parametrize("stop", [0, 1])
 def test_electrons_from_first_principles(passes, grey_wall, wide, stop):
     """Rationale: exposure and gain mean what they mean on a camera only if the electrons are right.
@@ -85,9 +50,9 @@ def test_electrons_from_first_principles(passes, grey_wall, wide, stop):
     for channel in range(4):
         for rows, columns in ((slice(15, 21), slice(21, 27)), (slice(0, 6), slice(0, 6))):
             y, x = np.mean([rows.start, rows.stop]) - 18, np.mean([columns.start, columns.stop]) - 24
-            expected = expected_electrons(camera, channel, x, y, ratio, side)
+            expected = wall_electrons(camera, channel, x, y, ratio, side)
             other = camera.stops[1 - stop]
-            whole = expected + expected_electrons(camera, channel, x, y, other.radius_ratio, other.name)
+            whole = expected + wall_electrons(camera, channel, x, y, other.radius_ratio, other.name)
             limit = RADIOMETRY * expected + 1e-3 * whole
             assert rate[rows, columns, channel].mean() == pytest.approx(expected, abs=limit), (channel, y, x)
 

@@ -10,9 +10,10 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
+from dasim import aperture
 from dasim.cli import run
 from dasim.errors import InputError
-from validation import claims, claims_diffraction, claims_lens, rendering
+from validation import claims, claims_diffraction, claims_lens, claims_light, rendering
 from validation.claim import GATES, Evidence, NotRun, gate_of, judged_all, load_gates, within
 from validation.metrics import Figure
 from validation.validate import Measurement, all_gates, chosen, run_claims
@@ -324,6 +325,67 @@ def test_edges_of_geometry_fail_the_wave_claim(jit, monkeypatch, model):
     monkeypatch.setattr(claims_diffraction, "EDGE_SEEDS", 2)
     found = verdicts("wave-sfr", claims_diffraction.wave_sfr)
     assert found[3] is (model == "wave")
+
+
+@pytest.mark.parametrize(("ratio", "good"), [(0.46, True), (0.462, False)])
+def test_a_hole_too_large_fails(renderer, monkeypatch, da_mobile, ratio, good):
+    """Set-up: da-mobile, and with a hole 0.4 % too wide, so 0.9 % too large."""
+    from dasim import camera as cameras
+
+    visible, hole = da_mobile.stops
+    camera = da_mobile.model_copy(update={"stops": (visible, hole.model_copy(update={"radius_ratio": ratio}))})
+    monkeypatch.setattr(cameras, "load_camera", lambda name: camera)
+    assert verdicts("hole-alpha-squared", claims_light.hole_alpha_squared) == [good] * 4
+
+
+@pytest.mark.parametrize("good", [True, False])
+def test_a_lens_without_natural_vignetting_fails_in_the_corner(renderer, monkeypatch, good):
+    from dasim import camera as cameras
+
+    if not good:
+        monkeypatch.setattr(cameras, "relative_illumination", lambda camera: np.ones((36, 48)))
+    assert verdicts("radiometry", claims_light.absolute_electrons) == [True] * 4 + [good] * 4
+
+
+def test_a_stop_of_another_size_changes_the_light_loss(jit, monkeypatch):
+    """Set-up: Chakrabarti and Zickler's stop of 0.6 instead of 0.59 loses 0.6 percentage points less."""
+    from dasim import camera as cameras
+
+    true = cameras.load_camera
+
+    def wrong(name):
+        camera = true(name)
+        stops = [
+            stop.model_copy(update={"radius_ratio": 0.6 if stop.name == "green" else 1.0}) for stop in camera.stops
+        ]
+        return camera.model_copy(update={"stops": tuple(stops)})
+
+    monkeypatch.setattr(claims_light, "REDUCTIONS", {"chakrabarti-zickler": ("chakrabarti-zickler", [(2, 0.59)])})
+    monkeypatch.setattr(claims_light, "LOSS_LIGHTS", ("D65",))
+    for load, good in ((true, True), (wrong, False)):
+        monkeypatch.setattr(cameras, "load_camera", load)
+        found = claims_light.light_loss(lambda share: None).figures[0]
+        gate = gate_of(f"light-loss.{found.id}", load_gates(GATES, claims.CLAIMS))
+        assert within(found.value, gate.limit) is good
+
+
+def test_limits_of_light_loss_lie_around_eq_1():
+    """Expectation: half a percentage point either way, to the limits' rounding."""
+    gates = load_gates(GATES, claims.CLAIMS)
+    for name, (_, reductions) in claims_light.REDUCTIONS.items():
+        low, high = map(float, gate_of(f"light-loss.{name}", gates).limit.split(".."))
+        expected = aperture.light_loss(reductions, 4)
+        assert low == pytest.approx(expected - 0.005, abs=1e-4) and high == pytest.approx(expected + 0.005, abs=1e-4)
+
+
+def test_crosstalk_of_other_curves_fails(renderer, monkeypatch):
+    """Set-up: coefficients of curves whose green passes 2 % more of the near-infrared than the rendered ones."""
+    from dasim import describe
+
+    true = describe.crosstalk
+    monkeypatch.setattr(describe, "crosstalk", lambda camera: true(camera) * (1.0, 1.02, 1.0))
+    monkeypatch.setattr(claims_light, "REAL_LIGHTS", ())
+    assert verdicts("eq8-flat-field", claims_light.eq8_flat_field) == [True, False, True]
 
 
 def test_moments_of_a_known_picture():

@@ -4,12 +4,17 @@ from __future__ import annotations
 
 from validation.claims_diffraction import airy_table, wave_energy, wave_sfr
 from validation.claims_lens import blur_off
+from validation.claims_light import absolute_electrons, eq8_flat_field, hole_alpha_squared, light_loss
 from validation.claims_occlusion import occluding_edge
 from validation.claims_sampling import desk_noise, noise_slope_off, noise_slope_wave, render_cost
 from validation.validate import Measurement
 
 # Quick: less than about 20 s on two cores.
 CLAIMS = {
+    "radiometry": Measurement(absolute_electrons, quick=True),
+    "light-loss": Measurement(light_loss, quick=True),
+    "hole-alpha-squared": Measurement(hole_alpha_squared, quick=True),
+    "eq8-flat-field": Measurement(eq8_flat_field, quick=True),
     "blur-off": Measurement(blur_off, quick=True),
     "wave-sfr": Measurement(wave_sfr, quick=False),
     "wave-energy": Measurement(wave_energy, quick=True),

@@ -64,11 +64,19 @@ def make_scene(objects: Sequence[dict[str, Any]], lights: Sequence[dict[str, Any
     return parse(Scene, {"name": "claim", "lights": list(lights), "objects": list(objects)}, "scene of a claim")
 
 
-def changed(camera: Camera, *, lens: dict[str, Any] | None = None, sensor: dict[str, Any] | None = None) -> Camera:
-    """The camera with other values of its lens or sensor."""
+def changed(
+    camera: Camera,
+    *,
+    lens: dict[str, Any] | None = None,
+    sensor: dict[str, Any] | None = None,
+    stops: Sequence[dict[str, Any]] | None = None,
+) -> Camera:
+    """The camera with other values of its lens or sensor, or with other stops."""
     data = camera.model_dump()
     data["lens"] |= lens or {}
     data["sensor"] |= sensor or {}
+    if stops is not None:
+        data["stops"] = list(stops)
     return parse(Camera, data, "camera of a claim")
 
 
