@@ -42,7 +42,8 @@ def integrate(values: FloatArray, axis: int = -1) -> Any:
 
 def long_pass(edge_nm: float, width_nm: float) -> FloatArray:
     """Transmittance 0..1 of a long-pass edge: logistic, half-maximum at ``edge_nm``, 10-90 % in ``width_nm``."""
-    return 1.0 / (1.0 + np.exp(-_LOGISTIC_10_90 * (WAVELENGTH_NM - edge_nm) / width_nm))
+    steps = _LOGISTIC_10_90 * (edge_nm - WAVELENGTH_NM) / width_nm
+    return 1.0 / (1.0 + np.exp(np.minimum(steps, 700.0)))  # beyond, exp overflows
 
 
 def short_pass(edge_nm: float, width_nm: float) -> FloatArray:
