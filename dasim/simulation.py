@@ -14,7 +14,7 @@ from dasim import sensor
 from dasim.camera import Camera
 from dasim.errors import InputError
 from dasim.pointspread import DIFFRACTION_MODELS
-from dasim.render import backend
+from dasim.render import backend, stock
 from dasim.scene import Scene
 from dasim.sensor import Exposure
 from dasim.values import Capture, Truth
@@ -57,6 +57,8 @@ def simulate(
     check_options(spp, seed, diffraction)
     choice = backend.choose(variant)
     diffraction = diffraction_model(diffraction, choice.variant)
+    if choice.variant.startswith("scalar"):
+        stock.check(camera)
     backend.activate(choice)
     from dasim.render import passes, translate, truth  # after the variant is chosen
 
