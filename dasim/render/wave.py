@@ -348,11 +348,11 @@ def pattern_blur(
 
     px_per_nm = pointspread.working_f_number(camera, 1.0) * 1e-3 / camera.sensor.pixel_pitch_um
     longest_px, shortest_px = max(nm for nm, _ in bands) * px_per_nm, shortest_nm * px_per_nm
-    tail = PATTERN_TAIL * longest_px / np.sqrt(aperture.open_area(stop))
-    half = aperture.reach(stop) * max_blur_px / 2 + tail
+    rings = PATTERN_TAIL / aperture.open_area(stop) ** 0.5  # in lambda N of the whole lens
+    half = aperture.reach(stop) * max_blur_px / 2 + rings * longest_px
 
     blurs = np.arange(0.0, max_blur_px + 2 * PATTERN_BLUR_STEP_PX, PATTERN_BLUR_STEP_PX)
-    step = max(PATTERN_DENSITY_STEP_PX, 2 * half * np.sqrt(len(blurs) / MOST_NODES))
+    step = max(PATTERN_DENSITY_STEP_PX, 2 * half * (len(blurs) / MOST_NODES) ** 0.5)
     count = int(np.ceil(2 * half / step))
     step = 2 * half / count
     place = (np.arange(count) + 0.5) * step - half
@@ -364,10 +364,16 @@ def pattern_blur(
 
     waves = np.arange(0.0, max_blur_px / (8 * shortest_px) + 2 * PATTERN_WAVES_STEP, PATTERN_WAVES_STEP)
     wave_half = half / shortest_px
-    wave_step = max(PATTERN_STEP, 2 * wave_half * np.sqrt(len(waves) / MOST_NODES))
+    wave_step = max(PATTERN_STEP, 2 * wave_half * (len(waves) / MOST_NODES) ** 0.5)
     wave_count = int(np.ceil(2 * wave_half / wave_step))
     scaled = (np.arange(wave_count) + 0.5) * (2 * wave_half / wave_count) - wave_half
-    wave = np.stack([pointspread.pupil_pattern(stop, w, scaled, scaled).astype(np.float32) for w in waves])
+    wave_step = 2 * wave_half / wave_count
+    wave = np.empty((len(waves), wave_count, wave_count), np.float32)
+    for row, w in zip(wave, waves, strict=True):
+        # As in the tables of rings, what lies farther out is put inside.
+        inside = np.abs(scaled) <= 4 * w * aperture.reach(stop) + rings
+        pattern = pointspread.pupil_pattern(stop, w, scaled, scaled) * (inside[:, None] & inside)
+        row[:] = pattern / (pattern.sum() * wave_step**2)
     return PatternBlur(
         px_per_nm=px_per_nm,
         max_blur_px=max_blur_px,
