@@ -24,7 +24,7 @@ CELLS = 256  # across the lens: pictures repeat after 256 lambda N
 FINE = 4  # sub-cells a side, for the share of a cell that is open
 PER_PIXEL = 7  # samples of the picture; its finest detail is 0.8 px
 SIZE = 65
-STEP_NM = 8
+STEP_NM = 10
 ENERGY = 0.01  # reached: 0.002
 SHAPE = 0.01  # sum of all pixels' differences; an annulus in focus, with its wide rings, has half of that
 NARROW = {"passes_nm": [[550, 558]], "edge_width_nm": 1}
@@ -83,7 +83,7 @@ def with_stops(camera: Camera, *stops: dict, **lens) -> Camera:
 def test_channels_of_da_mobile(da_mobile, blur_px):
     """Rationale: every wave-true picture and every calibrated kernel rests on these.
 
-    Set-up: monochromatic pictures of both stops every 8 nm, weighted with what the channel sees under D65. At 24 px
+    Set-up: monochromatic pictures of both stops every 10 nm, weighted with what the channel sees under D65. At 24 px
     green has 3.4 waves of defocus and the hole's near-infrared 0.5. Expectation: encircled energies within 0.01.
     """
     light = spectra.illuminant("D65")
