@@ -195,6 +195,23 @@ def reach(stop: Stop) -> float:
     return 1.0
 
 
+def breadth(stop: Stop) -> float:
+    """Twice the open area over the length of the rim, of the lens's radius: the radius of a disc, the width of a ring.
+
+    The light that diffraction throws far from a kernel's middle is in proportion to its inverse.
+    """
+    disc = ring(stop)
+    if disc is not None:
+        return disc.outer - disc.inner
+    if isinstance(stop, Polygon):
+        corners = np.array(stop.corners_ratio)
+        return 2 * np.pi * open_area(stop) / float(np.hypot(*(np.roll(corners, -1, axis=0) - corners).T).sum())
+    assert isinstance(stop, Mask)
+    amplitude = np.pad(np.sqrt(stop.mask), 1)
+    steps = sum(float((np.diff(amplitude, axis=axis) ** 2).sum()) for axis in (0, 1))
+    return 2 * float(np.sum(stop.mask)) / steps * (2.0 / len(stop.mask))
+
+
 def cell_centres(count: int) -> FloatArray:
     """Places of ``count`` cells across the lens, -1..1."""
     return (np.arange(count) + 0.5) * 2 / count - 1

@@ -318,7 +318,7 @@ def pixel_kernels(
 
 def kernel_size_px(camera: Camera, blur_px: float) -> int:
     """Odd frame size that holds a kernel of a visible blur with its diffraction tail."""
-    widest = max(working_f_number(camera, np.sqrt(aperture.open_area(stop))) for stop in camera.stops)
+    widest = max(working_f_number(camera, aperture.breadth(stop)) for stop in camera.stops)
     tail_px = 3 * 0.7e-6 * widest / (camera.sensor.pixel_pitch_um * 1e-6)  # three rings at 700 nm
     colour_px = float(np.abs(cameras.chromatic_blur_px(camera)).max())
     return 2 * int(np.ceil((abs(blur_px) + colour_px) / 2 + tail_px)) + 1

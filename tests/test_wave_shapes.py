@@ -61,7 +61,7 @@ def test_weights_average_one(jit, camera_of, shape):
 
     camera = camera_of(shape)
     density = passes.draw_density(camera, cameras.stop_response(camera, camera.stops[0]))
-    blur = wave.weigher(camera, camera.stops[0], density, 12.0)
+    blur = wave.weigher(camera, camera.stops[0], density, 12.5)
     rng = np.random.default_rng(20)
     wavelength = np.interp(rng.random(COUNT), np.cumsum(density) / np.sum(density), spectra.WAVELENGTH_NM)
     first, second = (mi.Point2f(rng.random((2, COUNT), dtype=np.float32)) for _ in range(2))
@@ -78,7 +78,8 @@ def test_weights_average_one(jit, camera_of, shape):
 
 def test_thin_ring_far_out_of_focus_is_drawn(jit, camera_of):
     """Rationale: rho is drawn by rejection; where the blur's hole is wider than the in-focus pattern no rho leads to
-    its middle, and drawing would never end. Expectation: it does, with weights of 1 on average and rho on the ring.
+    its middle, and drawing would never end. Expectation: it does, with rho on the ring; up to 1 % of the light, which
+    diffraction throws into the middle of the hole, is not drawn.
     """
     import drjit as dr
     import mitsuba as mi
@@ -94,7 +95,7 @@ def test_thin_ring_far_out_of_focus_is_drawn(jit, camera_of):
     weight = drawn * blur.weights(-delta - rho * (blur_px / 2), mi.Float(blur_px), [mi.Float(550.0)])[0]
     radius = np.array(dr.norm(rho))
     assert 0.9 - 1e-5 < radius.min() and radius.max() < 1 + 1e-5
-    assert np.array(weight, dtype=np.float64).mean() == pytest.approx(1, abs=2 * RINGS)  # of fewer weights
+    assert np.array(weight, dtype=np.float64).mean() == pytest.approx(0.995, abs=0.006)
 
 
 def lines(picture: np.ndarray) -> np.ndarray:
