@@ -71,9 +71,7 @@ def test_blur_follows_the_wavelength(passes, changed, disc, nm, centre):
 @pytest.mark.parametrize("diffraction", ["off", "wave"])
 def test_a_curve_of_zeros_changes_nothing(passes, changed, disc, diffraction):
     """Expectation: the same picture within noise (other random numbers), and without a curve the blur of one focus."""
-    plain, zero = (
-        cameras.cropped(changed(focal_shift_um=curve), 32, 32) for curve in ([], [[400, 0], [830, 0]])
-    )
+    plain, zero = (cameras.cropped(changed(focal_shift_um=curve), 32, 32) for curve in ([], [[400, 0], [830, 0]]))
     first, second = (
         passes.stop_pass(
             disc, camera, camera.stops[0], passes.Sampling(400, 5), diffraction=diffraction, max_blur_px=8.0
