@@ -57,8 +57,7 @@ def simulate(
     check_options(spp, seed, diffraction)
     choice = backend.choose(variant)
     diffraction = diffraction_model(diffraction, choice.variant)
-    if choice.variant.startswith("scalar"):
-        stock.check(camera)
+    check_camera(camera, choice.variant)
     backend.activate(choice)
     from dasim.render import passes, translate, truth  # after the variant is chosen
 
@@ -130,6 +129,12 @@ def check_options(spp: int | None, seed: int, diffraction: str | None) -> None:
         raise InputError(f"seed is {seed}; 0 or a positive whole number is needed")
     if diffraction is not None and diffraction not in DIFFRACTION_MODELS:
         raise InputError(f"diffraction '{diffraction}' is unknown; allowed are {', '.join(DIFFRACTION_MODELS)}")
+
+
+def check_camera(camera: Camera, variant: str) -> None:
+    """InputError where the variant cannot render through the camera's stops and lens."""
+    if variant.startswith("scalar"):
+        stock.check(camera)
 
 
 def notes(rate_e_s: np.ndarray, depth_m: np.ndarray, saturated: int, diffraction: str) -> list[str]:
