@@ -166,7 +166,8 @@ def render(
     """
     import dasim
     from dasim.files import check_output
-    from dasim.simulation import check_options
+    from dasim.render import backend
+    from dasim.simulation import check_camera, check_options
     from dasim.specification import parse
 
     check_output(out, "capture")
@@ -178,6 +179,7 @@ def render(
     chosen = dasim.focused(chosen, described) if focus is None else dasim.refocused(chosen, focus)
     options: dict[str, Any] = {} if spp is None else {"spp": spp}
     times = parse(dasim.Exposure, {"time_s": exposure}, "--exposure")
+    check_camera(chosen, backend.choose(variant).variant)
     _say_variant(variant)
     with _progress() as progress:
         shot = dasim.simulate(

@@ -14,7 +14,7 @@ A point nearer than the focus throws the pupil upside down: the part of the lens
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from functools import cache
 from typing import Any, Literal, get_args
 
@@ -173,7 +173,7 @@ def bands(weights: FloatArray) -> list[tuple[float, FloatArray]]:
     """Integrals of [..., wavelength] weights over bands of ``BAND_NM``, each with its mean wavelength."""
     step = spectra.WAVELENGTH_STEP_NM * np.ones_like(spectra.WAVELENGTH_NM)
     step[[0, -1]] /= 2  # the trapezoid rule, so that the bands add up to spectra.integrate
-    index = np.minimum((spectra.WAVELENGTH_NM - 400.0) // BAND_NM, (830.0 - 400.0) // BAND_NM - 1).astype(int)
+    index = _band_index()
     bands = []
     for band in range(index[-1] + 1):
         inside = index == band
@@ -181,6 +181,11 @@ def bands(weights: FloatArray) -> list[tuple[float, FloatArray]]:
         if weight.max() > 1e-6 * spectra.integrate(weights).max():
             bands.append((float(spectra.WAVELENGTH_NM[inside].mean()), weight))
     return bands
+
+
+def _band_index() -> NDArray[np.int_]:
+    """The band of every wavelength of the grid."""
+    return np.minimum((spectra.WAVELENGTH_NM - 400.0) // BAND_NM, (830.0 - 400.0) // BAND_NM - 1).astype(int)
 
 
 def pupil_pattern(stop: Stop, waves: float, y: FloatArray, x: FloatArray) -> FloatArray:
@@ -193,7 +198,9 @@ def pupil_pattern(stop: Stop, waves: float, y: FloatArray, x: FloatArray) -> Flo
     transmitted, place = aperture.pupil(stop)
     cell = place[1] - place[0]
     phase = np.exp(2j * np.pi * waves * place**2)
-    amplitude = np.sqrt(transmitted) * phase[:, None] * phase[None, :]
+    # A cell that a polygon covers by half passes half the amplitude; one of half the transmittance passes more.
+    drawn = np.sqrt(transmitted) if isinstance(stop, aperture.Mask) else transmitted
+    amplitude = drawn * phase[:, None] * phase[None, :]
     field = np.exp(1j * np.pi * np.outer(y, place)) @ amplitude @ np.exp(1j * np.pi * np.outer(place, x)) * cell**2
     return np.abs(field) ** 2 / (4 * transmitted.sum() * cell**2)
 
@@ -251,18 +258,20 @@ def kernels(
             others.append(stop)
         else:
             about.setdefault(ring.centre, []).append(stop)
-    farthest = max((float(np.hypot(*centre)) for centre in about), default=0.0) * float(np.abs(blurs).max()) / 2
+    largest = float(np.abs(blurs).max() + np.abs(cameras.chromatic_blur_px(camera)).max())
+    farthest = max((float(np.hypot(*centre)) for centre in about), default=0.0) * largest / 2
     radius = np.arange(0, size * 0.75 + 2 + farthest, RADIAL_STEP_PX)
     groups = [
-        (np.array(centre[::-1]), *radial_profiles(camera, blurs, spectrum, radius, diffraction, stops))
+        (np.array(centre[::-1]), colour_px, *radial_profiles(camera, blurs, part, radius, diffraction, stops))
         for centre, stops in about.items()
+        for colour_px, part in _moved_alike(camera, centre, spectrum)
     ]
 
     def at(index: int, offset_px: tuple[float, float], light: Any) -> tuple[FloatArray, FloatArray]:
         total: FloatArray = np.zeros(())
         signal: FloatArray = np.zeros(())
-        for centre, profiles, electrons in groups:
-            y, x = np.array(offset_px) - centre * blurs[index] / 2
+        for centre, colour_px, profiles, electrons in groups:
+            y, x = np.array(offset_px) - centre * (blurs[index] + colour_px) / 2
             shares = electrons[light]
             part = pixel_kernels(profiles[..., index, :, :][light], radius, size, (float(y), float(x)))
             total, signal = total + part * shares[..., None, None], signal + shares
@@ -274,6 +283,20 @@ def kernels(
         return total / np.where(signal > 0, signal, 1.0)[..., None, None], signal
 
     return at
+
+
+def _moved_alike(camera: Camera, centre: aperture.Point, spectrum: FloatArray) -> Iterator[tuple[float, FloatArray]]:
+    """Parts of a spectrum whose blur through a stop about ``centre`` has one place, with what axial colour adds to it.
+
+    Through a displaced stop axial colour moves the wavelengths apart: one part each 10 nm.
+    """
+    if centre == (0.0, 0.0) or not camera.lens.focal_shift_um:
+        yield 0.0, spectrum
+        return
+    colour_px, index = cameras.chromatic_blur_px(camera), _band_index()
+    for band in range(index[-1] + 1):
+        inside = index == band
+        yield float(colour_px[inside].mean()), np.where(inside, spectrum, 0.0)
 
 
 def pixel_kernels(
@@ -295,7 +318,7 @@ def pixel_kernels(
 
 def kernel_size_px(camera: Camera, blur_px: float) -> int:
     """Odd frame size that holds a kernel of a visible blur with its diffraction tail."""
-    widest = max(working_f_number(camera, np.sqrt(aperture.open_area(stop))) for stop in camera.stops)
+    widest = max(working_f_number(camera, aperture.breadth(stop)) for stop in camera.stops)
     tail_px = 3 * 0.7e-6 * widest / (camera.sensor.pixel_pitch_um * 1e-6)  # three rings at 700 nm
     colour_px = float(np.abs(cameras.chromatic_blur_px(camera)).max())
     return 2 * int(np.ceil((abs(blur_px) + colour_px) / 2 + tail_px)) + 1

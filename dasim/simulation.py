@@ -15,7 +15,7 @@ from dasim import scene as scenes
 from dasim.camera import Camera
 from dasim.errors import InputError
 from dasim.pointspread import DIFFRACTION_MODELS
-from dasim.render import backend
+from dasim.render import backend, stock
 from dasim.scene import Scene
 from dasim.sensor import Exposure
 from dasim.values import Capture, Truth
@@ -60,6 +60,7 @@ def simulate(
     check_options(spp, seed, diffraction, noise_share)
     choice = backend.choose(variant)
     diffraction = diffraction_model(diffraction, choice.variant)
+    check_camera(camera, choice.variant)
     backend.activate(choice)
     from dasim.render import passes, translate, truth  # after the variant is chosen
 
@@ -168,6 +169,12 @@ def check_options(
         raise InputError(f"seed is {seed}; 0 or a positive whole number is needed")
     if diffraction is not None and diffraction not in DIFFRACTION_MODELS:
         raise InputError(f"diffraction '{diffraction}' is unknown; allowed are {', '.join(DIFFRACTION_MODELS)}")
+
+
+def check_camera(camera: Camera, variant: str) -> None:
+    """InputError where the variant cannot render through the camera's stops and lens."""
+    if variant.startswith("scalar"):
+        stock.check(camera)
 
 
 def notes(rate_e_s: np.ndarray, depth_m: np.ndarray, saturated: int) -> list[str]:

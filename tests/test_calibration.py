@@ -96,3 +96,34 @@ def test_frames_differ_and_seeds_repeat(da_mobile, pictures):
     assert (again.frames_dn[0] != again.frames_dn[1]).mean() > 0.3
     other = next(calibration_captures(small, ("A",), seed=5, diffraction="off"))
     assert (other.frames_dn != again.frames_dn).mean() > 0.3
+
+
+@pytest.mark.parametrize("centre", [(0.54, 0.0), (-0.3, -0.4)])
+def test_frames_hold_the_pictures_of_displaced_stops(da_mobile, centre):
+    """Set-up: the hole moved to the rim of the lens, one light, geometric kernels. Expectation: infrared's centroid
+    lies at -rho c / 2 from the frame's middle, to the point's own place of half a pixel, and what lies on the frame's
+    outermost pixels is the stray background and noise: the picture is inside.
+    """
+    hole = da_mobile.stops[1].model_copy(update={"centre_ratio": centre})
+    camera = cameras.cropped(da_mobile.model_copy(update={"stops": (da_mobile.stops[0], hole)}), 64, 48)
+    pictures = {}
+    for picture in calibration_captures(camera, ("A",), frames=2, seed=4, diffraction="off"):
+        pictures[picture.level, picture.shift_px] = picture
+    infrared = spectra.CHANNELS.index("IR")
+    for level in (0, 14, 28):
+        place, total, rim = np.zeros(2), 0.0, []
+        brightest = max(signal(pictures[level, shift], camera).max() for shift in ((0, 0), (0, 1), (1, 0), (1, 1)))
+        for dy, dx in ((0, 0), (0, 1), (1, 0), (1, 1)):
+            values = signal(pictures[level, (dy, dx)], camera)
+            here = channel_at(values.shape, camera) == infrared
+            background = np.median(values[here])
+            light = np.where(here, values - background, 0.0)
+            light[light < 0.03 * brightest] = 0.0
+            y, x = np.indices(values.shape)
+            middle = (len(values) - 2) / 2  # kernels fill all but the last row and column
+            place += [(light * (y - dy - middle)).sum(), (light * (x - dx - middle)).sum()]
+            total += light.sum()
+            rim += [light[:2].max(), light[-2:].max(), light[:, :2].max(), light[:, -2:].max()]
+        blur = pictures[level, (0, 0)].blur_px
+        np.testing.assert_allclose((place / total)[::-1], -np.array(centre) * blur / 2, atol=0.5 + PLACE_LIMIT_PX)
+        assert max(rim) == 0

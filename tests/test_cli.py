@@ -18,6 +18,7 @@ import pytest
 import trimesh
 
 from dasim.cache import cache_dir
+from dasim.camera import CAMERA_DIR
 from dasim.cli import run
 from dasim.files import load_bank, load_capture, load_truth, write_truth
 from recon.output import load_reconstruction
@@ -290,6 +291,18 @@ RENDER = ("render", "desk", *TINY, "--out", "new")
 )
 def test_wrong_arguments_are_refused_in_one_line(refused, arguments, said):
     refused(*arguments, said=said)
+
+
+def test_stock_plugins_refuse_other_stops(refused):
+    """Expectation: in one line, with what to install."""
+    from dasim.render import backend
+
+    backend.choose("scalar_spectral")  # what works here is kept in the cache folder
+    source = (CAMERA_DIR / "da-mobile.toml").read_text()
+    Path("ring.toml").write_text(
+        source.replace("radius_ratio = 1.0", 'shape = "annulus"\ninner_ratio = 0.5\nouter_ratio = 1.0')
+    )
+    refused(*RENDER, "--camera", "ring.toml", "--variant", "scalar_spectral", said=("stop 'open'", "install LLVM 17"))
 
 
 @pytest.mark.parametrize("spp", ["0", "-1", "1.5", "nan", "many"])

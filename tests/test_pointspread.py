@@ -6,9 +6,12 @@ import numpy as np
 import pytest
 from scipy.special import j0, j1
 
-from dasim import pointspread
+from dasim import camera as cameras
+from dasim import pointspread, spectra
+from dasim.camera import Camera
 from dasim.errors import InputError
 from dasim.pointspread import pixel_kernels, psf, radial_profiles, wave_profile
+from dasim.specification import parse
 from dasim.spectra import CHANNELS, illuminant
 
 STEP = 0.01  # in lambda N, of the tests' own integrals over radius
@@ -227,3 +230,101 @@ def test_psf_is_the_kernel_of_its_depth(da_mobile):
 def test_mistakes_are_named(da_mobile, change, said):
     with pytest.raises(InputError, match=said):
         psf(da_mobile, **({"depth_m": 0.1, "channel": "G", "illuminant": "D65"} | change))
+
+
+@pytest.mark.parametrize("inner", [0.3, 0.6, 0.9])
+def test_ring_transfer_is_the_overlap_of_two_rings(inner):
+    """Expectation: the area that two rings share, counted on a grid; none beyond the diffraction limit."""
+    grid = np.linspace(-2, 2, 1001)
+    y, x = np.meshgrid(grid, grid, indexing="ij")
+
+    def ring(centre):
+        return (np.hypot(x - centre, y) <= 1) & (np.hypot(x - centre, y) >= inner)
+
+    for v in (0.0, 0.02, 0.3, 0.5, 0.8, 0.95, 1.1):
+        overlap = np.count_nonzero(ring(-v) & ring(v)) / np.count_nonzero(ring(0))
+        assert pointspread.ring_mtf(np.array([v]), inner)[0] == pytest.approx(overlap, abs=0.01), v
+
+
+@pytest.mark.parametrize("inner", [0.3, 0.6, 0.9])
+@pytest.mark.parametrize("waves", [0.0, 0.7, 4.0])
+def test_ring_profile_integrates_to_one(inner, waves):
+    """Expectation: light beyond r lambda N is 2 / (pi^2 r) of a disc's, times the ring's rim over its area relative to
+    the disc's, 1 / (1 - inner); the rest is inside. The pupil's nodes serve 100 rings.
+    """
+    radius = np.arange(0, 100, STEP)
+    energy = encircled(wave_profile(radius, np.array([waves]), inner)[0], radius)
+    for edge in (50.0, 95.0):
+        missing = 1 - np.interp(edge, radius, energy)
+        assert missing == pytest.approx(2 / (np.pi**2 * edge * (1 - inner)), rel=0.4)
+
+
+def many_stops(da_mobile, *stops: dict, **lens):
+    data = da_mobile.model_dump()
+    named = [{"name": f"stop {index}"} | stop for index, stop in enumerate(stops)]
+    return parse(Camera, data | {"stops": named, "lens": data["lens"] | lens}, "camera")
+
+
+COLOURED = (
+    {"radius_ratio": 0.4, "centre_ratio": [0.6, 0.0], "passes_nm": [[590, 830]]},
+    {"radius_ratio": 0.4, "centre_ratio": [-0.3, 0.5], "passes_nm": [[500, 590]]},
+    {"radius_ratio": 0.4, "centre_ratio": [-0.3, -0.5], "passes_nm": [[400, 500]]},
+)
+
+
+@pytest.mark.parametrize("depth_m", [0.18, 1.5])
+def test_three_coloured_discs_part_the_channels(da_mobile, depth_m):
+    """Set-up: a lens of three displaced discs of one colour each (Bando et al., 2008). Expectation: by geometry
+    the centroid of each channel is -c / 2 times the mean centre, weighted with its electrons through each disc;
+    kernels of all three are the sum of those of each alone, weighted alike.
+    """
+    camera = many_stops(da_mobile, *COLOURED)
+    light = illuminant("D65")
+    electrons = np.stack([spectra.integrate(cameras.stop_response(camera, stop) * light) for stop in camera.stops])
+    centres = np.array([stop.centre_ratio for stop in camera.stops])
+    blur = float(cameras.blur_px(camera, depth_m))
+    alone = [many_stops(da_mobile, stop) for stop in COLOURED]
+    for index, channel in enumerate(CHANNELS):
+        share = electrons[:, index] / electrons[:, index].sum()
+        mean, _ = moments(psf(camera, depth_m, channel, "D65", size=31, diffraction="off"))
+        np.testing.assert_allclose(mean[::-1], -blur / 2 * (share @ centres), atol=0.02)
+        parts = [psf(one, depth_m, channel, "D65", size=31) for one in alone]
+        whole = psf(camera, depth_m, channel, "D65", size=31)
+        np.testing.assert_allclose(whole, np.tensordot(share, parts, 1), atol=1e-6)
+
+
+def test_axial_colour_in_geometric_kernels(da_mobile):
+    """Set-up: a disc at (0.5, -0.3) passes one narrow band; the lens is 30 um longer there. Expectation: centroid
+    and variance of the blur from 1/f(lambda) - 1/s, written out; a curve of zeros changes nothing.
+    """
+    stop = {"radius_ratio": 0.3, "centre_ratio": [0.5, -0.3], "passes_nm": [[550, 558]], "edge_width_nm": 1}
+    camera = many_stops(da_mobile, stop, focal_shift_um=[[500, 30], [600, 30]])
+    image_mm = 1 / (1 / 3.6 - 1 / 400)
+    blur = 3.6 / 2.8 * image_mm * (1 / 120 - (1 / 3.63 - 1 / image_mm)) / 1.7e-3
+    mean, variance = moments(psf(camera, 0.12, "G", "D65", size=47, diffraction="off"))
+    np.testing.assert_allclose(mean[::-1], np.array([0.5, -0.3]) * -blur / 2, atol=0.02)
+    np.testing.assert_allclose(variance, (0.3 * blur) ** 2 / 16 + 1 / 12, rtol=0.02)
+    plain, zero = (many_stops(da_mobile, stop, focal_shift_um=curve) for curve in ((), [[400, 0], [830, 0]]))
+    first, second = (psf(camera, 0.12, "G", "D65", size=47) for camera in (plain, zero))
+    np.testing.assert_allclose(first, second, atol=1e-12)
+
+
+LETTER_L = ((-0.6, -0.7), (-0.2, -0.7), (-0.2, 0.3), (0.5, 0.3), (0.5, 0.7), (-0.6, 0.7))
+
+
+@pytest.mark.parametrize(
+    "stop",
+    [
+        {"radius_ratio": 0.3, "centre_ratio": [0.7, 0.0]},
+        {"shape": "annulus", "inner_ratio": 0.8, "outer_ratio": 1.0},
+        {"shape": "polygon", "corners_ratio": LETTER_L},
+        {"shape": "mask", "mask": [[0, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 0]]},
+    ],
+)
+@pytest.mark.parametrize("blur_px", [-6.0, 12.0])
+def test_automatic_frame_holds_the_kernel(da_mobile, stop, blur_px):
+    """Expectation: of light beyond three rings of a disc as broad as the stop, 2 / (3 pi^2) = 7 % at most."""
+    camera = many_stops(da_mobile, stop)
+    depth_m = float(cameras.depth_of_blur_m(camera, blur_px))
+    for channel in ("G", "IR"):
+        assert psf(camera, depth_m, channel, "D65").sum() > 0.92

@@ -145,9 +145,11 @@ class RadialBlur:
         import drjit as dr
         import mitsuba as mi
 
-        narrow = (own > self.core_px) & (length < own / 2 + self.core_px)
+        # From the ring's image, outside it or in its hole.
+        nearest = dr.maximum(dr.maximum(length - own / 2, self.inner * own / 2 - length), 0)
+        narrow = (own > self.core_px) & (nearest < self.core_px)
         columns = self.density.shape[1]
-        highest = self.envelope.eval(mi.Point1f(_place(dr.maximum(length - own / 2, 0), DENSITY_STEP_PX, columns)))[0]
+        highest = self.envelope.eval(mi.Point1f(_place(nearest, DENSITY_STEP_PX, columns)))[0]
         random = mi.PCG32(initstate=mi.UInt64(key), initseq=mi.UInt64(dr.arange(mi.UInt32, dr.width(u))))
 
         def again(random: Any, missing: Any, rho: Any) -> tuple[Any, Any, Any]:
@@ -230,7 +232,7 @@ def radial_blur(
         offsets=mi.Float(_offsets(scales, tail, inner).astype(np.float32)),
         density=_texture(density),
         envelope=_texture(np.maximum.accumulate(density[0, ::-1])[::-1]),
-        guide=mi.Float(_guide(radius, blurs, density, wave, scales, reach).astype(np.float32).ravel()),
+        guide=mi.Float(_guide(radius, blurs, density, wave, scales, reach, inner).astype(np.float32).ravel()),
         wave=_texture(wave),
     )
 
@@ -250,6 +252,7 @@ def _guide(
     wave: FloatArray,
     scales: list[tuple[float, float]],
     reach_px: float,
+    inner: float,
 ) -> FloatArray:
     """Radii at equal steps of probability of q, a mixture of g and of h over some wavelengths, [c, GUIDE_NODES + 1]."""
     chosen = scales[:: max(1, len(scales) // GUIDE_BANDS)]
@@ -261,13 +264,14 @@ def _guide(
         grid = np.meshgrid(rows, columns, indexing="ij")
         pattern += weight / total * ndimage.map_coordinates(wave, grid, order=1, mode="nearest") / scale**2
     # Not to the end of D, where there is hardly a rho left that leads there.
-    near = radius[None, :] <= blurs[:, None] / 2 + reach_px
+    nearest, farthest = inner * blurs[:, None] / 2 - reach_px, blurs[:, None] / 2 + reach_px
+    near = (radius[None, :] >= nearest) & (radius[None, :] <= farthest)
     q = np.where(near, GUIDE_SHARE * pattern + (1 - GUIDE_SHARE) * density, 0.0)
     ring = np.pi * np.diff(radius**2)
     inside = np.concatenate([np.zeros((len(blurs), 1)), np.cumsum((q[:, 1:] + q[:, :-1]) / 2 * ring, axis=1)], axis=1)
     steps = np.linspace(0.0, 1.0, GUIDE_NODES + 1)
     found = np.stack([np.interp(steps, row / row[-1], radius) for row in inside])
-    return np.minimum(found, blurs[:, None] / 2 + reach_px)
+    return np.clip(found, np.maximum(nearest, 0.0), farthest)
 
 
 def _offsets(scales: list[tuple[float, float]], tail_px: float, inner: float) -> FloatArray:
@@ -344,11 +348,11 @@ def pattern_blur(
 
     px_per_nm = pointspread.working_f_number(camera, 1.0) * 1e-3 / camera.sensor.pixel_pitch_um
     longest_px, shortest_px = max(nm for nm, _ in bands) * px_per_nm, shortest_nm * px_per_nm
-    tail = PATTERN_TAIL * longest_px / np.sqrt(aperture.open_area(stop))
-    half = aperture.reach(stop) * max_blur_px / 2 + tail
+    rings = PATTERN_TAIL / aperture.open_area(stop) ** 0.5  # in lambda N of the whole lens
+    half = aperture.reach(stop) * max_blur_px / 2 + rings * longest_px
 
     blurs = np.arange(0.0, max_blur_px + 2 * PATTERN_BLUR_STEP_PX, PATTERN_BLUR_STEP_PX)
-    step = max(PATTERN_DENSITY_STEP_PX, 2 * half * np.sqrt(len(blurs) / MOST_NODES))
+    step = max(PATTERN_DENSITY_STEP_PX, 2 * half * (len(blurs) / MOST_NODES) ** 0.5)
     count = int(np.ceil(2 * half / step))
     step = 2 * half / count
     place = (np.arange(count) + 0.5) * step - half
@@ -360,10 +364,16 @@ def pattern_blur(
 
     waves = np.arange(0.0, max_blur_px / (8 * shortest_px) + 2 * PATTERN_WAVES_STEP, PATTERN_WAVES_STEP)
     wave_half = half / shortest_px
-    wave_step = max(PATTERN_STEP, 2 * wave_half * np.sqrt(len(waves) / MOST_NODES))
+    wave_step = max(PATTERN_STEP, 2 * wave_half * (len(waves) / MOST_NODES) ** 0.5)
     wave_count = int(np.ceil(2 * wave_half / wave_step))
     scaled = (np.arange(wave_count) + 0.5) * (2 * wave_half / wave_count) - wave_half
-    wave = np.stack([pointspread.pupil_pattern(stop, w, scaled, scaled).astype(np.float32) for w in waves])
+    wave_step = 2 * wave_half / wave_count
+    wave = np.empty((len(waves), wave_count, wave_count), np.float32)
+    for row, w in zip(wave, waves, strict=True):
+        # As in the tables of rings, what lies farther out is put inside.
+        inside = np.abs(scaled) <= 4 * w * aperture.reach(stop) + rings
+        pattern = pointspread.pupil_pattern(stop, w, scaled, scaled) * (inside[:, None] & inside)
+        row[:] = pattern / (pattern.sum() * wave_step**2)
     return PatternBlur(
         px_per_nm=px_per_nm,
         max_blur_px=max_blur_px,
