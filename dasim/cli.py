@@ -258,11 +258,13 @@ def recon(capture: Path, *, out: Out, bank: Path | None = None, settings: Path |
     import recon as reconstruction
     from dasim.files import check_output, load_bank, load_capture
     from dasim.specification import parse_toml
+    from recon.mosaic import phases
     from recon.output import save_reconstruction
     from validation.banks import simulated_bank
 
     check_output(out, "reconstruction")
     shot = load_capture(capture)
+    phases(shot.camera)  # a mosaic that cannot be reconstructed is refused before a bank is made
     chosen = reconstruction.PAPER if settings is None else parse_toml(reconstruction.Settings, settings)
     with _progress() as progress:
         if bank is not None:

@@ -9,10 +9,9 @@ from numpy.typing import NDArray
 from scipy import fft, sparse
 from scipy.optimize import nnls
 
-from dasim.camera import Camera, mosaic_channels
+from dasim.camera import Camera, channels, mosaic_channels
 from dasim.errors import InputError
 from dasim.sensor import electrons_per_dn
-from dasim.spectra import CHANNELS
 from dasim.values import PointPicture, PsfBank
 
 FloatArray = NDArray[np.float64]
@@ -29,7 +28,6 @@ FINE_PX = 4.0  # the profile's knots are closer within this radius, where in-foc
 SUBPIXELS = 5  # per pixel and axis, for integrals over the pixel
 NORMAL_REGULARISATION = 1e-6  # keeps knots that no pixel resolves from breaking the factorisation
 ROUND_MISFIT = 0.15  # relative residual of the round model; above it the picture itself is moved
-GREEN = CHANNELS.index("G")
 
 
 def calibrate(
@@ -70,7 +68,9 @@ def calibrate(
     total = electrons.sum(axis=(-1, -2), keepdims=True)
     if not np.all(total > 0):
         raise InputError("calibration: a channel of a picture shows no point source above its background")
-    ratio = (total / total[:, :, GREEN : GREEN + 1])[..., 0, 0].mean(axis=1)
+    names = channels(camera.sensor)
+    reference = names.index("G") if "G" in names else 0
+    ratio = (total / total[:, :, reference : reference + 1])[..., 0, 0].mean(axis=1)
     first = [groups[lights[0], level][0] for level in levels]
     return PsfBank(
         kernel=(electrons / total).astype(np.float32),
@@ -90,7 +90,7 @@ def _interleave(group: list[PointPicture], camera: Camera) -> tuple[FloatArray, 
     local = camera.model_copy(update={"sensor": sensor.model_copy(update={"height_px": height, "width_px": width})})
     channel = mosaic_channels(local)
     scale = electrons_per_dn(sensor)
-    image = np.full((len(CHANNELS), height, width), np.nan)
+    image = np.full((len(channels(sensor)), height, width), np.nan)
     noise = np.zeros_like(image)
     for picture in group:
         frames = picture.frames_dn.astype(np.float64)
