@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from dasim import camera as cameras
-from dasim import pointspread, sensor, spectra
+from dasim import illuminants, pointspread, sensor
 from dasim.camera import Camera
 from dasim.values import PointPicture
 
@@ -39,7 +39,7 @@ def calibration_captures(
     side += 2 * rows * columns
     local = camera.sensor.model_copy(update={"width_px": side, "height_px": side})
     frame_camera = camera.model_copy(update={"sensor": local})
-    powers = np.stack([spectra.illuminant(light) for light in lights])
+    powers = np.stack([illuminants.illuminant(light) for light in lights])
     kernels_at = pointspread.kernels(camera, blurs, powers, side - 1, diffraction)
     for level, (blur, depth) in enumerate(zip(blurs, depths, strict=True)):
         for light_index, light in enumerate(lights):

@@ -223,7 +223,7 @@ def calibrate(
         diffraction: wave, airy or off; the same as that of the captures
     """
     import dasim
-    from dasim import spectra
+    from dasim import illuminants
     from dasim.calibration import CALIBRATION_LIGHTS
     from dasim.files import save_bank
     from dasim.simulation import check_options
@@ -232,7 +232,7 @@ def calibrate(
     _check_bank_output(out)
     lights = tuple(dict.fromkeys(illuminant or CALIBRATION_LIGHTS))
     for light in lights:
-        spectra.illuminant(light)
+        illuminants.illuminant(light)
     check_options(None, 0, diffraction)
     chosen = dasim.load_camera(camera)
     if focus is not None:
@@ -398,7 +398,7 @@ def list_(kind: str, *, verbose: Annotated[bool, Parameter(negative="")] = False
         kind: scenes, cameras, materials, illuminants or claims
         verbose: with more detail
     """
-    from dasim import camera, describe, materials, scene, spectra
+    from dasim import camera, describe, illuminants, materials, scene, spectra
 
     if kind == "scenes":
         for name in scene.scene_names():
@@ -415,7 +415,7 @@ def list_(kind: str, *, verbose: Annotated[bool, Parameter(negative="")] = False
             shown = " ".join(f"{curve[spectra.WAVELENGTH_NM == nm][0]:.2f}" for nm in (450, 550, 650, 750))
             print(f"{name:<18}reflectance at 450, 550, 650, 750 nm: {shown}" if verbose else name)
     elif kind == "illuminants":
-        print("\n".join(spectra.ILLUMINANTS))
+        print("\n".join(illuminants.ILLUMINANTS))
     elif kind == "claims":
         from validation.claims import CLAIMS
 

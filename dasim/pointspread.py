@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import j0, j1
 
-from dasim import aperture, spectra
+from dasim import aperture, illuminants, spectra
 from dasim import camera as cameras
 from dasim.aperture import Stop
 from dasim.camera import Camera
@@ -347,7 +347,7 @@ def psf(
         raise InputError(f"depth_m is {depth_m!r}; a distance above 0 is needed")
     blur = float(cameras.blur_px(camera, depth_m))
     size = size or kernel_size_px(camera, blur)
-    return kernels(camera, [blur], spectra.illuminant(illuminant), size, diffraction)(0, offset_px, ...)[0][
+    return kernels(camera, [blur], illuminants.illuminant(illuminant), size, diffraction)(0, offset_px, ...)[0][
         names.index(channel)
     ]
 
@@ -358,7 +358,8 @@ def airy_errors(camera: Camera, illuminant: str) -> tuple[FloatArray, FloatArray
     step = RADIAL_STEP_PX
     radius = np.arange(0.0, blurs[-1] / 2 + 40, step)
     wave, airy = (
-        radial_profiles(camera, blurs, spectra.illuminant(illuminant), radius, model)[0] for model in ("wave", "airy")
+        radial_profiles(camera, blurs, illuminants.illuminant(illuminant), radius, model)[0]
+        for model in ("wave", "airy")
     )
     ring = 2 * np.pi * radius * step
     energy = np.abs(np.cumsum((airy - wave) * ring, axis=-1)).max(axis=-1)

@@ -6,24 +6,21 @@ the origin and looks along z unless ``view`` says otherwise.
 
 from __future__ import annotations
 
-from functools import lru_cache
 from pathlib import Path
-from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, field_validator, model_validator
 
-from dasim import spectra
+from dasim import illuminants
 from dasim.camera import Camera, refocused
 from dasim.errors import InputError
+from dasim.lights import Light, Positive, Vector
 from dasim.materials import Texture, material_names, surface
+from dasim.shapes import Mesh, Object, half_extent_m, load_mesh, placement
 from dasim.specification import Specification, bundled_or_file, parse_toml
 
 FloatArray = NDArray[np.float64]
-Vector = tuple[float, float, float]
-Positive = Annotated[float, Field(gt=0)]
-Lux = Annotated[float, Field(ge=1e-6, le=1e7)]  # from less than starlight to many suns
 
 _HERE = Path(__file__).parent
 SCENE_DIR = _HERE / "scenes" if (_HERE / "scenes").is_dir() else _HERE.parent / "scenes"
@@ -41,88 +38,6 @@ class View(Specification):
         if np.linalg.norm(np.cross(forward, (0.0, 1.0, 0.0))) < 1e-9 * max(1.0, float(np.linalg.norm(forward))):
             raise ValueError("look_at_cm must differ from position_cm and not lie straight above or below it")
         return self
-
-
-class Dome(Specification):
-    """Even light from everywhere; ``lux`` is what an unshadowed surface receives."""
-
-    kind: Literal["dome"]
-    illuminant: str
-    lux: Lux
-
-
-class Lamp(Specification):
-    """A round, flat lamp that faces its target; ``lux`` is what a surface there facing the lamp receives."""
-
-    kind: Literal["lamp"]
-    illuminant: str
-    lux: Lux
-    position_cm: Vector
-    target_cm: Vector
-    radius_cm: Positive
-
-    @model_validator(mode="after")
-    def _not_at_target(self) -> Lamp:
-        if np.allclose(self.position_cm, self.target_cm):
-            raise ValueError("position_cm and target_cm must differ")
-        return self
-
-
-Light = Annotated[Dome | Lamp, Field(discriminator="kind")]
-
-
-class _Placed(Specification):
-    name: str = Field(min_length=1)
-    material: str
-    position_cm: Vector = (0.0, 0.0, 0.0)
-    rotation_deg: Vector = Field(default=(0.0, 0.0, 0.0), description="about x, then y, then z")
-
-
-class Plane(_Placed):
-    """A rectangle that faces the camera (-z) when not rotated."""
-
-    shape: Literal["plane"]
-    size_cm: tuple[Positive, Positive]
-
-
-class Disc(_Placed):
-    """A disc that faces the camera (-z) when not rotated."""
-
-    shape: Literal["disc"]
-    radius_cm: Positive
-
-
-class Box(_Placed):
-    """A box, ``size_cm`` along x, y, z."""
-
-    shape: Literal["box"]
-    size_cm: tuple[Positive, Positive, Positive]
-
-
-class Sphere(_Placed):
-    """A sphere; its texture's poles are above and below."""
-
-    shape: Literal["sphere"]
-    radius_cm: Positive
-
-
-class Cylinder(_Placed):
-    """An open cylinder standing along y."""
-
-    shape: Literal["cylinder"]
-    radius_cm: Positive
-    height_cm: Positive
-
-
-class Mesh(_Placed):
-    """A mesh file (OBJ, PLY, GLB, STL, OFF), ``unit_cm`` the length of its unit."""
-
-    shape: Literal["mesh"]
-    file: str
-    unit_cm: Positive = 1.0
-
-
-Object = Annotated[Plane | Disc | Box | Sphere | Cylinder | Mesh, Field(discriminator="shape")]
 
 
 class Scene(Specification):
@@ -178,10 +93,7 @@ def object_to_camera(item: Object, scene: Scene) -> FloatArray:
 
     Local lengths are metres; a mesh's own units are scaled where it is read.
     """
-    placed = np.eye(4)
-    placed[:3, :3] = _rotation(item.rotation_deg)
-    placed[:3, 3] = np.multiply(item.position_cm, 1e-2)
-    return world_to_camera(scene) @ placed
+    return world_to_camera(scene) @ placement(item)
 
 
 def world_to_camera(scene: Scene) -> FloatArray:
@@ -196,69 +108,6 @@ def world_to_camera(scene: Scene) -> FloatArray:
     return matrix
 
 
-def _rotation(degrees: Vector) -> FloatArray:
-    x, y, z = np.radians(degrees)
-    about_x = np.array([[1, 0, 0], [0, np.cos(x), -np.sin(x)], [0, np.sin(x), np.cos(x)]])
-    about_y = np.array([[np.cos(y), 0, np.sin(y)], [0, 1, 0], [-np.sin(y), 0, np.cos(y)]])
-    about_z = np.array([[np.cos(z), -np.sin(z), 0], [np.sin(z), np.cos(z), 0], [0, 0, 1]])
-    return about_z @ about_y @ about_x
-
-
-def half_extent_m(item: Object, scene: Scene) -> tuple[FloatArray, FloatArray]:
-    """Centre and half size of an object's box in its local axes, metres."""
-    if isinstance(item, Mesh):
-        vertices = load_mesh(item, scene).vertices
-        low, high = vertices.min(axis=0), vertices.max(axis=0)
-        return (low + high) / 2, (high - low) / 2
-    if isinstance(item, Plane):
-        half = (item.size_cm[0] / 2, item.size_cm[1] / 2, 0.0)
-    elif isinstance(item, Box):
-        half = (item.size_cm[0] / 2, item.size_cm[1] / 2, item.size_cm[2] / 2)
-    elif isinstance(item, Cylinder):
-        half = (item.radius_cm, item.height_cm / 2, item.radius_cm)
-    else:
-        half = (item.radius_cm, item.radius_cm, item.radius_cm if isinstance(item, Sphere) else 0.0)
-    return np.zeros(3), np.multiply(half, 1e-2)
-
-
-# --- meshes --------------------------------------------------------------------------------------
-
-
-class MeshData:
-    """Triangles of a mesh file: ``vertices`` [n, 3] metres, ``faces`` [m, 3], ``uv`` [n, 2] or None."""
-
-    def __init__(self, vertices: FloatArray, faces: NDArray[np.uint32], uv: FloatArray | None) -> None:
-        self.vertices, self.faces, self.uv = vertices, faces, uv
-
-
-def load_mesh(item: Mesh, scene: Scene) -> MeshData:
-    """Read a mesh file through trimesh; InputError where it is missing, broken or has no faces."""
-    path = scene.folder / item.file
-    if not path.is_file():
-        raise InputError(f"object '{item.name}': mesh {path}: no such file")
-    stamp = path.stat()
-    return _load_mesh_file(path, item.unit_cm * 1e-2, item.name, (stamp.st_mtime_ns, stamp.st_size))
-
-
-@lru_cache(maxsize=16)
-def _load_mesh_file(path: Path, unit_m: float, name: str, stamp: tuple[int, int]) -> MeshData:
-    import trimesh
-
-    where = f"object '{name}': mesh {path}"
-    try:
-        mesh = trimesh.load(path, force="mesh", process=False)
-        vertices = np.array(mesh.vertices, dtype=np.float64) * unit_m
-        faces = np.array(mesh.faces, dtype=np.uint32)
-    except Exception as error:  # trimesh raises whatever its parsers stumble over
-        raise InputError(f"{where}: does not load ({error}); allowed are OBJ, PLY, GLB, STL, OFF") from None
-    if len(faces) == 0 or len(vertices) == 0:
-        raise InputError(f"{where}: has no faces")
-    if not np.isfinite(vertices).all() or faces.max() >= len(vertices):
-        raise InputError(f"{where}: has vertices that are not finite, or faces without their vertices")
-    uv = getattr(mesh.visual, "uv", None)
-    return MeshData(vertices, faces, None if uv is None else np.array(uv, dtype=np.float64))
-
-
 # --- checks that need more than one key ----------------------------------------------------------
 
 LENS_CLEARANCE_M = 1e-3
@@ -269,8 +118,8 @@ def _check(scene: Scene, where: str) -> None:
     """Materials, illuminants, images and meshes exist, and no object is behind or on the lens."""
     problems: list[str] = []
     for light in scene.lights:
-        if light.illuminant not in spectra.ILLUMINANTS:
-            problems.append(f"illuminant '{light.illuminant}' is unknown ({', '.join(spectra.ILLUMINANTS)})")
+        if light.illuminant not in illuminants.ILLUMINANTS:
+            problems.append(f"illuminant '{light.illuminant}' is unknown ({', '.join(illuminants.ILLUMINANTS)})")
     for name, texture in scene.materials.items():
         try:
             surface(texture, scene.folder)
@@ -293,7 +142,7 @@ def _check(scene: Scene, where: str) -> None:
 
 def _texture_problems(item: Mesh, scene: Scene) -> list[str]:
     try:
-        if load_mesh(item, scene).uv is None:
+        if load_mesh(item, scene.folder).uv is None:
             return [
                 f"object '{item.name}': mesh {item.file} has no texture coordinates "
                 f"for the material '{item.material}'; give it some, or one of the plain materials"
@@ -311,7 +160,7 @@ def check_clear(scene: Scene, pupil_radius_m: float) -> None:
 
 
 def _placement_problems(item: Object, scene: Scene, pupil_radius_m: float = 0.0) -> list[str]:
-    centre, half = half_extent_m(item, scene)
+    centre, half = half_extent_m(item, scene.folder)
     to_camera = object_to_camera(item, scene)
     nearest_corner = centre + np.array(np.meshgrid(*[(-1, 1)] * 3)).reshape(3, -1).T * half
     depths = nearest_corner @ to_camera[2, :3] + to_camera[2, 3]

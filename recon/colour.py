@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from dasim import spectra
+from dasim import illuminants, spectra
 from dasim.camera import Camera, response
 from dasim.errors import InputError
 from dasim.values import PsfBank
@@ -59,7 +59,7 @@ def colour_matrix(camera: Camera, light: str) -> FloatArray:
     Least squares over the 24 reflectances of the ColorChecker, each weighted by 1 / its luminance: responses
     of the camera under the light after eq. (7), against CIE 1931 colours adapted to D65 (Bradford). White
     is kept exactly: a perfect diffuser that gives n green electrons maps to (n, n, n). A light that is not
-    in ``dasim.spectra.ILLUMINANTS`` is treated as D65.
+    in ``dasim.illuminants.ILLUMINANTS`` is treated as D65.
     """
     return _colour_matrix(camera.model_dump_json(), light)
 
@@ -68,9 +68,9 @@ def colour_matrix(camera: Camera, light: str) -> FloatArray:
 def _colour_matrix(camera_json: str, light: str) -> FloatArray:
     camera = Camera.model_validate_json(camera_json)
     try:
-        power = spectra.illuminant(light)
+        power = illuminants.illuminant(light)
     except InputError:
-        power = spectra.illuminant("D65")
+        power = illuminants.illuminant("D65")
     patches = np.vstack([_colour_checker(), np.ones_like(spectra.WAVELENGTH_NM)])
     electrons = spectra.integrate(patches[:, None, :] * response(camera) * power)
     seen = electrons[:, :3] - crosstalk(camera) * electrons[:, 3:]

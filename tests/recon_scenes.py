@@ -14,7 +14,7 @@ import skimage.data
 from scipy import fft, ndimage
 
 import recon
-from dasim import calibration, camera, pointspread, sensor, spectra
+from dasim import calibration, camera, illuminants, pointspread, sensor
 from dasim.values import Capture, PsfBank
 
 MARGIN_PX = 48
@@ -50,7 +50,7 @@ def stop_kernels(light: str, step: float = 0.5) -> tuple[np.ndarray, np.ndarray,
     radius = np.arange(0, 60, pointspread.RADIAL_STEP_PX)
     for stop in cam.stops:
         one = cam.model_copy(update={"stops": (stop,)})
-        profile, signal = pointspread.radial_profiles(one, levels * per_level, spectra.illuminant(light), radius)
+        profile, signal = pointspread.radial_profiles(one, levels * per_level, illuminants.illuminant(light), radius)
         kernels.append(pointspread.pixel_kernels(profile, radius, 75).astype(np.float32))
         signals.append(signal)
     signals = np.array(signals)

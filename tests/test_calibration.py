@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from dasim import camera as cameras
-from dasim import sensor, spectra
+from dasim import illuminants, sensor, spectra
 from dasim.calibration import FRAMES, calibration_captures
 
 LEVEL = 10  # a disc 18.5 px across in the visible: 270 pixels, of which every channel sees a quarter
@@ -56,7 +56,7 @@ def test_charge_of_the_channels_is_that_of_the_light(da_mobile, pictures):
         channels = channel_at(values.shape, da_mobile)
         total += [values[channels == index].sum() for index in range(4)]
     nm = np.arange(400.0, 830.5, 1.0)
-    light = np.interp(nm, spectra.WAVELENGTH_NM, spectra.illuminant("A"))
+    light = np.interp(nm, spectra.WAVELENGTH_NM, illuminants.illuminant("A"))
     electrons = np.array([np.interp(nm, spectra.WAVELENGTH_NM, row) @ light for row in cameras.response(da_mobile)])
     np.testing.assert_allclose(total / total[1], electrons / electrons[1], rtol=CHARGE_LIMIT)
 

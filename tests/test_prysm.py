@@ -13,7 +13,7 @@ import pytest
 from prysm.propagation import Wavefront
 
 from dasim import camera as cameras
-from dasim import psf, spectra
+from dasim import illuminants, psf, spectra
 from dasim.camera import Camera
 from dasim.specification import parse
 
@@ -86,7 +86,7 @@ def test_channels_of_da_mobile(da_mobile, blur_px):
     Set-up: monochromatic pictures of both stops every 10 nm, weighted with what the channel sees under D65. At 24 px
     green has 3.4 waves of defocus and the hole's near-infrared 0.5. Expectation: encircled energies within 0.01.
     """
-    light = spectra.illuminant("D65")
+    light = illuminants.illuminant("D65")
     expected = np.zeros((2, SIZE, SIZE))
     total = np.zeros(2)
     grid = spectra.WAVELENGTH_NM
@@ -154,7 +154,7 @@ def test_axial_colour_moves_the_focus_of_each_wavelength(da_mobile, stop):
         da_mobile, stop | {"passes_nm": bands, "edge_width_nm": 1}, focal_shift_um=[[500, -20], [600, 20]]
     )
     depth_mm = 300.0
-    seen = (cameras.stop_response(camera, camera.stops[0]) * spectra.illuminant("D65"))[1]
+    seen = (cameras.stop_response(camera, camera.stops[0]) * illuminants.illuminant("D65"))[1]
     pupil = ring(stop["radius_ratio"], 0, tuple(stop.get("centre_ratio", (0, 0))))
     expected, total = np.zeros((SIZE, SIZE)), 0.0
     for low, high in bands:

@@ -5,7 +5,7 @@ import pytest
 import recon_scenes
 
 from dasim import camera as cameras
-from dasim import sensor, spectra
+from dasim import illuminants, sensor, spectra
 from dasim.values import Capture
 from recon import colour, infrared, mosaic
 
@@ -16,7 +16,7 @@ MEAN_COLOUR_DIFFERENCE = 3.5
 def white_capture(light):
     """A grey ramp with noise under a light, exposed to 80 % of the full well in its brightest channel."""
     camera = recon_scenes.da_mobile(256, 192)
-    signal = spectra.integrate(cameras.response(camera) * spectra.illuminant(light))
+    signal = spectra.integrate(cameras.response(camera) * illuminants.illuminant(light))
     ramp = np.linspace(0.1, 0.8, 256)[None, :, None] * np.ones((192, 1, 1))
     raw, _ = sensor.expose(sensor.mosaic(6000 * ramp * signal / signal.max(), camera), camera.sensor, 0.01, 0)
     return Capture(raw, camera, 0.01, 1.0, 0)
@@ -33,7 +33,7 @@ def test_the_light_of_a_grey_scene_is_found(light):
 @pytest.mark.parametrize("light", ["D65", "A"])
 def test_white_is_kept(light):
     camera = recon_scenes.da_mobile(256, 192)
-    electrons = spectra.integrate(cameras.response(camera) * spectra.illuminant(light))
+    electrons = spectra.integrate(cameras.response(camera) * illuminants.illuminant(light))
     visible = electrons[:3] - infrared.crosstalk(camera) * electrons[3]
     linear = colour.colour_matrix(camera, light) @ visible
     np.testing.assert_allclose(linear / linear[1], 1, atol=1e-3)
@@ -48,7 +48,7 @@ def test_colour_checker(light):
     grid = spectra.WAVELENGTH_NM
     patches = science.SDS_COLOURCHECKERS["ISO 17321-1"].values()
     reflectance = np.stack([np.interp(grid, sd.wavelengths, sd.values) for sd in patches])
-    power = spectra.illuminant(light)
+    power = illuminants.illuminant(light)
     electrons = spectra.integrate(reflectance[:, None, :] * cameras.response(camera) * power)
     white = spectra.integrate(cameras.response(camera) * power)
     visible = (electrons[:, :3] - infrared.crosstalk(camera) * electrons[:, 3:]).astype(np.float32)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import recon_scenes
 
-from dasim import spectra
+from dasim import illuminants, spectra
 from recon import infrared
 
 PHASES = [(0, 0), (0, 1), (1, 0), (1, 1)]
@@ -52,7 +52,7 @@ def test_removal_leaves_the_visible_light_of_each_light():
     from dasim.camera import response
 
     for light in ("D65", "A"):
-        power = response(camera) * spectra.illuminant(light)
+        power = response(camera) * illuminants.illuminant(light)
         electrons, visible = spectra.integrate(power), spectra.integrate(power * low)[:3]
         rgb = np.tile(electrons[:3] / electrons[1] * 1000, (4, 4, 1)).astype(np.float32)
         clean = infrared.remove(rgb, np.full((4, 4), electrons[3] / electrons[1] * 1000, np.float32), alpha)

@@ -7,6 +7,7 @@ import pytest
 import trimesh
 
 from dasim import scene as scenes
+from dasim import shapes
 from dasim.errors import InputError
 
 GOOD = """
@@ -147,12 +148,12 @@ def test_mesh_on_disk_may_change_between_two_loads(tmp_path):
     """
     trimesh.creation.box((2, 2, 2)).export(tmp_path / "thing.obj")
     scene = load(tmp_path, GOOD + MESH)
-    np.testing.assert_allclose(scenes.half_extent_m(scene.objects[2], scene)[1], 0.01)
+    np.testing.assert_allclose(shapes.half_extent_m(scene.objects[2], scene.folder)[1], 0.01)
     scene = load(tmp_path, GOOD + MESH + "unit_cm = 0.25\n")
-    np.testing.assert_allclose(scenes.half_extent_m(scene.objects[2], scene)[1], 0.0025)
+    np.testing.assert_allclose(shapes.half_extent_m(scene.objects[2], scene.folder)[1], 0.0025)
     trimesh.creation.box((6, 2, 2)).export(tmp_path / "thing.obj")
     scene = load(tmp_path, GOOD + MESH)
-    np.testing.assert_allclose(scenes.half_extent_m(scene.objects[2], scene)[1], (0.03, 0.01, 0.01))
+    np.testing.assert_allclose(shapes.half_extent_m(scene.objects[2], scene.folder)[1], (0.03, 0.01, 0.01))
 
 
 @pytest.mark.parametrize(

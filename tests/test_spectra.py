@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy import constants
 
-from dasim import spectra
+from dasim import illuminants, spectra
 from dasim.errors import InputError
 
 GRID_NM = spectra.WAVELENGTH_NM
@@ -17,19 +17,19 @@ DAYLIGHT_TABLE = 5e-3  # D65's table rounds the chromaticity and the weights of 
 NM_AT_HALF = 0.05  # a logistic edge 8 nm wide between two samples 2 nm apart, read by a straight line
 
 
-@pytest.mark.parametrize("name", spectra.ILLUMINANTS)
+@pytest.mark.parametrize("name", illuminants.ILLUMINANTS)
 def test_illuminants_give_one_lux(name):
     """Rationale: scenes are lit in lux. Expectation: colour-science's own photometry of the curve says 1 lm/m^2."""
-    curve = colour.SpectralDistribution(spectra.illuminant(name), GRID_NM)
+    curve = colour.SpectralDistribution(illuminants.illuminant(name), GRID_NM)
     lux = colour.luminous_flux(curve.interpolate(colour.SpectralShape(400, 830, 1)))
     assert lux == pytest.approx(1.0, abs=RESAMPLING)
-    assert (spectra.illuminant(name) > 0).all(), "all five carry near-infrared to the end of the grid"
+    assert (illuminants.illuminant(name) > 0).all(), "all five carry near-infrared to the end of the grid"
 
 
 def test_illuminant_a_is_the_cie_table_and_planck_beyond_it():
     """Expectation: the CIE's table up to its end at 780 nm, and Planck's law with CODATA constants beyond."""
     table = colour.SDS_ILLUMINANTS["A"]
-    ours = spectra.illuminant("A") / np.interp(560, GRID_NM, spectra.illuminant("A"))
+    ours = illuminants.illuminant("A") / np.interp(560, GRID_NM, illuminants.illuminant("A"))
     at = GRID_NM <= 780
     expected = np.interp(GRID_NM[at], table.wavelengths, table.values) / 100.0
     assert np.abs(ours[at] / expected - 1).max() < PLANCK_TABLE
@@ -41,14 +41,14 @@ def test_illuminant_a_is_the_cie_table_and_planck_beyond_it():
 
 def test_blackbody_obeys_wien():
     """Expectation: the peak of a 5,000 K blackbody lies at b / T = 579.6 nm, to within a step of the grid."""
-    peak = GRID_NM[np.argmax(spectra.planckian(5000.0))]
+    peak = GRID_NM[np.argmax(illuminants.planckian(5000.0))]
     assert abs(peak - constants.value("Wien wavelength displacement law constant") / 5000 * 1e9) <= 2.0
 
 
 @pytest.mark.parametrize("name", ["D65", "D55", "D50"])
 def test_daylight_is_the_cie_table(name):
     table = colour.SDS_ILLUMINANTS[name]
-    ours = spectra.illuminant(name) / np.interp(560, GRID_NM, spectra.illuminant(name))
+    ours = illuminants.illuminant(name) / np.interp(560, GRID_NM, illuminants.illuminant(name))
     at = GRID_NM <= 780
     expected = np.interp(GRID_NM[at], table.wavelengths, table.values) / table[560]
     assert np.abs(ours[at] / expected - 1).max() < DAYLIGHT_TABLE
@@ -61,7 +61,7 @@ def test_illuminant_a_resembles_a_measured_one(reference):
     coarse shape counts: ratios over decades of the spectrum within 25 %.
     """
     measured = reference("illuminant_A")
-    ours = spectra.illuminant("A")
+    ours = illuminants.illuminant("A")
     theirs = np.interp(GRID_NM, measured["wavelength_nm"], measured["energy"])
     assert np.corrcoef(ours, theirs)[0, 1] > 0.98
     for low, high in ((450, 500), (600, 650), (700, 750), (780, 830)):
@@ -73,7 +73,7 @@ def test_illuminant_a_resembles_a_measured_one(reference):
 
 def test_unknown_illuminant_is_the_users_mistake():
     with pytest.raises(InputError, match=r"illuminant 'F2' is unknown; known are D65, .*A"):
-        spectra.illuminant("F2")
+        illuminants.illuminant("F2")
 
 
 @pytest.mark.parametrize(("edge_nm", "width_nm"), [(650, 8), (810, 8), (600, 60)])

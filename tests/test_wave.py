@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from dasim import camera as cameras
-from dasim import pointspread, spectra
+from dasim import illuminants, pointspread, spectra
 from dasim.spectra import CHANNELS
 
 DEPTH_CM = 18  # 7.9 px of visible blur, 3.6 px of the hole's: neither geometric nor in focus
@@ -44,7 +44,7 @@ def profiles(camera):
     radius = np.arange(0, 72, pointspread.RADIAL_STEP_PX)
     from dasim import materials
 
-    light = spectra.illuminant("D65") * materials.reflectance("white-paper")
+    light = illuminants.illuminant("D65") * materials.reflectance("white-paper")
     blur = np.array([float(cameras.blur_px(camera, DEPTH_CM / 100))])
     return pointspread.radial_profiles(camera, blur, light, radius)[0][0], radius
 

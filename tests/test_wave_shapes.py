@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from dasim import camera as cameras
-from dasim import materials, pointspread, spectra
+from dasim import illuminants, materials, pointspread, spectra
 from dasim.camera import Camera
 from dasim.specification import parse
 
@@ -140,7 +140,7 @@ def test_small_source_is_spread_by_the_kernel(spot, shape, side):
     turned by half, all but the annulus differ by more.
     """
     rendered, camera, blur_px = spot(shape, side, "wave", 400)
-    light = spectra.illuminant("D65") * materials.reflectance("white-paper")
+    light = illuminants.illuminant("D65") * materials.reflectance("white-paper")
     kernel_at = pointspread.kernels(camera, [blur_px], light, 49)
     turns = np.arange(32)
     places = SOURCE_PX * np.sqrt((turns + 0.5) / 32) * np.exp(2j * np.pi * turns * 0.381966)

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 import dasim
 from dasim import camera as cameras
-from dasim import materials, pointspread, spectra
+from dasim import illuminants, materials, pointspread, spectra
 from dasim.camera import Camera
 from dasim.spectra import CHANNELS
 from validation import rendering, transfer
@@ -112,7 +112,7 @@ def edge_scene(camera: Camera, blur_px: float) -> dasim.Scene:
 def edge_contrast() -> FloatArray:
     """Spectrum of the edge's step: the light on white paper less that on black ink."""
     step = materials.reflectance("white-paper") - materials.reflectance("carbon-black")
-    return spectra.illuminant("D65") * step
+    return illuminants.illuminant("D65") * step
 
 
 def cos4(camera: Camera) -> FloatArray:

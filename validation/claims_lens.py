@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from dasim import camera as cameras
-from dasim import materials, spectra
+from dasim import illuminants, materials
 from dasim.camera import Camera
 from dasim.spectra import CHANNELS
 from validation import rendering
@@ -62,7 +62,7 @@ def blur_off(progress: Progress) -> Evidence:
 
 def expected_moments(camera: Camera, blur_px: float) -> FloatArray:
     """Second moment per axis in square pixels, [channel], from the lens's data and the stops' shares of electrons."""
-    share = rendering.stop_electrons(camera, spectra.illuminant("D65") * materials.reflectance("white-paper"))
+    share = rendering.stop_electrons(camera, illuminants.illuminant("D65") * materials.reflectance("white-paper"))
     own = np.array(rendering.STOP_RATIOS) * blur_px
     return (share * (own**2)[:, None]).sum(axis=0) / 16 + SOURCE_RADIUS_PX**2 / 4 + 1 / 12
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from dasim import camera as cameras
-from dasim import describe, materials, sensor, spectra
+from dasim import describe, illuminants, materials, sensor, spectra
 from dasim.camera import Camera
 from dasim.spectra import CHANNELS
 from validation import radiometry, rendering, walls
@@ -90,7 +90,7 @@ def _loss(wall: Any, camera: Camera) -> tuple[float, float]:
 def _ideal(camera: Camera) -> Camera:
     """The camera with disjoint box responses that give equal electrons from the wall under D65, and sharp edges."""
     nm = spectra.WAVELENGTH_NM
-    light = spectra.illuminant("D65") * materials.reflectance("white-paper") * spectra.photons_per_joule()
+    light = illuminants.illuminant("D65") * materials.reflectance("white-paper") * spectra.photons_per_joule()
     boxes = {}
     for name in cameras.channels(camera.sensor):
         low, high = BANDS_NM[name]
@@ -139,7 +139,7 @@ def eq8_flat_field(progress: Progress) -> Evidence:
         ("as-built.", as_built, equal, "da-mobile as built, equal photons"),
     ]
     for light in REAL_LIGHTS:
-        curve = walls.sharp_light(spectra.NEAR_INFRARED_NM, spectra.illuminant(light))
+        curve = walls.sharp_light(spectra.NEAR_INFRARED_NM, illuminants.illuminant(light))
         runs.append((f"{light}.", as_built, curve, f"da-mobile as built, {light} cut to 650-810 nm"))
     figures = []
     for number, (prefix, camera, spectrum, what) in enumerate(runs):

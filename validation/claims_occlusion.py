@@ -8,7 +8,7 @@ from scipy.stats import t as student
 
 import dasim
 from dasim import camera as cameras
-from dasim import materials
+from dasim import illuminants, materials
 from dasim.camera import Camera
 from dasim.spectra import CHANNELS
 from validation import rendering, transfer
@@ -156,7 +156,7 @@ def reference_picture(camera: Camera) -> tuple[FloatArray, FloatArray, NDArray[n
     """The brute-force picture (white far paper is 1), one by blurred layers, pixels that see both, quadrature error."""
     from dasim import spectra
 
-    light = spectra.illuminant("D65") * cameras.stop_response(camera, camera.stops[STOP])[CHANNELS.index(CHANNEL)]
+    light = illuminants.illuminant("D65") * cameras.stop_response(camera, camera.stops[STOP])[CHANNELS.index(CHANNEL)]
     bright, dark, near = (spectra.integrate(light * materials.reflectance(m)) for m in (BRIGHT, DARK, NEAR))
     image_m = 1 / (1 / (FOCAL_MM * 1e-3) - 1 / FOCUS_M)
     pixel = PITCH_UM * 1e-6 / image_m  # of the picture at 1 m

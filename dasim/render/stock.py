@@ -10,13 +10,14 @@ from typing import Any
 
 import numpy as np
 
-from dasim import aperture, pointspread, spectra
+from dasim import aperture, illuminants, pointspread
 from dasim import camera as cameras
 from dasim.aperture import Stop
 from dasim.camera import Camera
 from dasim.errors import InputError
 from dasim.render import truth
-from dasim.render.translate import MAX_PATH_DEPTH, spectrum_dict
+from dasim.render.plugin import spectrum_dict
+from dasim.render.translate import MAX_PATH_DEPTH
 from dasim.spectra import FloatArray
 
 RAYS = 1 << 22  # a block: some seconds between two steps of the progress bar, or a Ctrl-C
@@ -111,7 +112,7 @@ def in_focus_diffraction(rate: FloatArray, camera: Camera, stop: Stop, illuminan
     """
     from scipy import fft
 
-    weights = cameras.stop_response(camera, stop) * spectra.illuminant(illuminant)
+    weights = cameras.stop_response(camera, stop) * illuminants.illuminant(illuminant)
     f_number = pointspread.working_f_number(camera, aperture.reach(stop))
     height, width = rate.shape[:2]
     # The cosine transform of a frame that is mirrored at its edges has frequencies k / (2 n) cycles a pixel.

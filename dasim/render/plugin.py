@@ -1,0 +1,26 @@
+"""Small parts of Mitsuba's descriptions."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from dasim import spectra
+
+
+def spectrum_dict(values: spectra.FloatArray) -> dict[str, Any]:
+    """A spectral curve on the wavelength grid."""
+    return {
+        "type": "regular",
+        "wavelength_min": float(spectra.WAVELENGTH_NM[0]),
+        "wavelength_max": float(spectra.WAVELENGTH_NM[-1]),
+        "values": ",".join(f"{value:.9g}" for value in values),
+    }
+
+
+def transform(matrix: np.ndarray) -> Any:
+    """A Mitsuba transform of a [4, 4] matrix."""
+    import mitsuba as mi
+
+    return mi.ScalarTransform4f(matrix)
