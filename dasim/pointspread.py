@@ -20,7 +20,7 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import j0, j1
+from scipy.special import j0, j1, roots_legendre
 
 from dasim import aperture, illuminants, spectra
 from dasim import camera as cameras
@@ -36,6 +36,7 @@ BAND_NM = 10.0  # profiles change slowly with wavelength: one each 10 nm
 RADIAL_STEP_PX = 0.05
 SUBPIXELS = 10  # per pixel and axis, for the integral over the pixel
 PUPIL_NODES = 400  # Gauss-Legendre nodes over the pupil's radius: enough for 100 rings and 20 waves
+AIRY_NODES = 800  # more, for mixtures whose transfer functions end one after the other
 MIN_DISC_PX = 0.3  # a geometric disc smaller than this has no effect on a pixel's integral
 
 
@@ -46,7 +47,7 @@ def wave_profile(radius: FloatArray, waves: FloatArray, inner: float = 0.0) -> F
     ``inner`` the ring's inner radius over its outer, e.
     h = pi/4 |U|^2 / (1 - e^2) with U = 2 int_e^1 exp(2 pi i W20 rho^2) J0(pi radius rho) rho d rho.
     """
-    rho, weight = _unit_nodes()
+    rho, weight = _unit_nodes(PUPIL_NODES)
     rho, weight = inner + (1 - inner) * rho, (1 - inner) * weight
     pupil = np.exp(2j * np.pi * np.outer(waves, rho**2)) * (2 * rho * weight)
     bessel = j0(np.pi * np.outer(rho, radius))
@@ -57,20 +58,32 @@ def wave_profile(radius: FloatArray, waves: FloatArray, inner: float = 0.0) -> F
 def airy_profile(radius_px: FloatArray, blur_px: FloatArray, scale_px: float, inner: float = 0.0) -> FloatArray:
     """Geometric blur of a disc or ring convolved with its in-focus pattern, [blur, radius], of unit integral.
 
-    ``blur_px`` are diameters of the outer rim, ``scale_px`` is lambda N in pixels. Computed from the product of
-    the two transfer functions, which ends at the diffraction limit of 1 / scale_px cycles a pixel.
+    ``blur_px`` are diameters of the outer rim, ``scale_px`` is lambda N in pixels.
     """
-    v, weight = _unit_nodes()
-    frequency, weight = v / scale_px, weight / scale_px
+    return mixed_airy_profile(radius_px, blur_px, [(scale_px, 1.0)], inner)
+
+
+def mixed_airy_profile(
+    radius_px: FloatArray, blur_px: FloatArray, scales: Sequence[tuple[float, float]], inner: float = 0.0
+) -> FloatArray:
+    """The same for light of several wavelengths: ``scales`` are pairs of lambda N in pixels and a share, of sum 1.
+
+    Computed from the product of the two transfer functions, which ends at the diffraction limit of 1 / lambda N
+    cycles a pixel.
+    """
+    nodes, weight = _unit_nodes(AIRY_NODES)
+    end = 1 / min(scale for scale, _ in scales)
+    frequency, weight = nodes * end, weight * end
+    focus = sum(share * ring_mtf(frequency * scale, inner) for scale, share in scales)
     geometric = _jinc(np.outer(blur_px, frequency)) - inner**2 * _jinc(inner * np.outer(blur_px, frequency))
-    transfer = ring_mtf(v, inner) * geometric / (1 - inner**2)
+    transfer = focus * geometric / (1 - inner**2)
     return (transfer * (2 * np.pi * frequency * weight)) @ j0(2 * np.pi * np.outer(frequency, radius_px))
 
 
 @cache
-def _unit_nodes() -> tuple[FloatArray, FloatArray]:
+def _unit_nodes(count: int) -> tuple[FloatArray, FloatArray]:
     """Gauss-Legendre nodes and weights on 0..1."""
-    nodes, weights = np.polynomial.legendre.leggauss(PUPIL_NODES)
+    nodes, weights = roots_legendre(count)
     return (nodes + 1) / 2, weights / 2
 
 

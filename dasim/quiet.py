@@ -13,7 +13,7 @@ from dasim.spectra import FloatArray
 
 NOISE_SHARE = 0.2  # of the sensor's noise: adds 2 % to it
 PILOT_SPP = 16  # of each of the first two pictures
-MOST_SPP = 8192  # altogether
+MOST_SPP = 8192  # of a stop
 SLOPE = 0.6  # noise falls at least as samples ** -0.6 (claims noise-slope-*)
 MARGIN = 1.1
 MOST_ROUNDS = 4
@@ -26,8 +26,11 @@ class Quiet:
     """A picture as the mean of several, and what is left of their noise."""
 
     rate: FloatArray  # [h, w, channel] mean electrons a second
-    spp: int  # of all pictures together
+    spp: tuple[int, ...]  # of all pictures together, a stop
     share: tuple[float, ...]  # rendering noise over the sensor's at the median pixel, a channel
+
+
+Pair = tuple[tuple[int, ...], FloatArray, FloatArray]  # samples of each stop in one picture, and two, [stop, h, w, ch]
 
 
 def temporal_noise_e(mean_e: FloatArray, sensor: Sensor, time_s: float, gain: float = 1.0) -> FloatArray:
@@ -41,41 +44,65 @@ def temporal_noise_e(mean_e: FloatArray, sensor: Sensor, time_s: float, gain: fl
 
 
 def quiet_picture(
-    picture: Callable[[int, int], FloatArray],
+    picture: Callable[[int, tuple[int, ...]], FloatArray],
     sensor_noise: Callable[[FloatArray], FloatArray],
     *,
+    stops: int,
     wanted: float = NOISE_SHARE,
     most_spp: int = MOST_SPP,
 ) -> Quiet:
     """Render pairs of pictures until their noise is below the share ``wanted`` of the sensor's.
 
-    ``picture(index, spp)`` renders one, electrons a second, its randomness keyed by ``index``; ``sensor_noise`` gives
-    the sensor's noise in the same unit for a picture. The first pair is small and tells how large the next must be;
-    all count in the result, by their samples. The noise of a pair's mean is half the difference of its pictures.
+    ``picture(index, spp)`` renders one through each stop with so many samples, electrons a second, [stop, h, w,
+    channel], its randomness keyed by ``index``; ``sensor_noise`` gives the sensor's noise in the same unit for their
+    sum. The first pair is small and tells how large the next must be; all count in the result, by their samples. The
+    noise of a pair's mean is half the difference of its pictures.
     """
-    pairs: list[tuple[int, FloatArray, FloatArray]] = []
-    spp = PILOT_SPP
+    pairs: list[Pair] = []
+    spp = (PILOT_SPP,) * stops
     for number in range(MOST_ROUNDS):
-        pairs.append((2 * spp, picture(2 * number, spp), picture(2 * number + 1, spp)))
-        found = _joined(pairs, sensor_noise)
-        worst = max(found.share)
-        left = most_spp - found.spp
-        if worst <= wanted or left < 2 * PILOT_SPP:
+        pairs.append((spp, picture(2 * number, spp), picture(2 * number + 1, spp)))
+        rate, taken, shares = _joined(pairs, sensor_noise)
+        whole = np.sqrt((shares**2).sum(axis=0))
+        if whole.max() <= wanted or max(taken) >= most_spp:
             break
-        total = found.spp * (MARGIN * worst / wanted) ** (1 / SLOPE)
-        # Sobol' points are most even in powers of two.
-        spp = min(1 << int(np.ceil(np.log2(max((total - found.spp) / 2, PILOT_SPP)))), left // 2)
-    return found
+        spp = _next_spp(taken, shares, wanted / MARGIN, most_spp)
+    return Quiet(rate, taken, tuple(float(share) for share in whole))
 
 
-def _joined(pairs: list[tuple[int, FloatArray, FloatArray]], sensor_noise: Callable[[FloatArray], FloatArray]) -> Quiet:
-    total = sum(spp for spp, _, _ in pairs)
-    rate = sum(spp / total * (first + second) / 2 for spp, first, second in pairs)
-    assert isinstance(rate, np.ndarray)
+def _next_spp(taken: tuple[int, ...], shares: FloatArray, wanted: float, most_spp: int) -> tuple[int, ...]:
+    """Samples of each stop in the next two pictures: doubled where that helps the worst channel most, till it does.
+
+    Powers of two, in which Sobol' points are most even.
+    """
+    spp = [PILOT_SPP for _ in taken]
+
+    def expected(counts: list[int]) -> FloatArray:
+        grown = np.array([(have + 2 * more) / have for have, more in zip(taken, counts, strict=True)])
+        return (shares * grown[:, None] ** -SLOPE) ** 2
+
+    while (expected(spp).sum(axis=0) > wanted**2).any():
+        worst = int(expected(spp).sum(axis=0).argmax())
+        free = [i for i, have in enumerate(taken) if have + 4 * spp[i] <= most_spp]
+        if not free:
+            break
+        stop = max(free, key=lambda i: float(expected(spp)[i, worst]) / spp[i])
+        spp[stop] *= 2
+    return tuple(spp)
+
+
+def _joined(
+    pairs: list[Pair], sensor_noise: Callable[[FloatArray], FloatArray]
+) -> tuple[FloatArray, tuple[int, ...], FloatArray]:
+    """Mean picture, samples of each stop in it, and the noise over the sensor's at the median pixel, [stop, channel]."""
+    spp = np.array([pair[0] for pair in pairs], dtype=float)
+    part = spp / spp.sum(axis=0)
+    means = [(first + second) / 2 for _, first, second in pairs]
+    rate = np.sum([weight[:, None, None, None] * mean for weight, mean in zip(part, means, strict=True)], axis=(0, 1))
     limit = sensor_noise(rate)
-    squares = np.zeros(rate.shape[-1])
-    for spp, first, second in pairs:
-        ratio = np.divide(np.abs(first - second) / 2, limit, out=np.zeros_like(limit), where=limit > 0)
-        median = np.median(ratio.reshape(-1, rate.shape[-1]), axis=0) / _MEDIAN_OF_ABSOLUTE
-        squares += (spp / total * median) ** 2
-    return Quiet(rate, total, tuple(float(share) for share in np.sqrt(squares)))
+    squares = np.zeros((spp.shape[1], rate.shape[-1]))
+    for weight, (_, first, second) in zip(part, pairs, strict=True):
+        ratio = np.divide(np.abs(first - second) / 2, limit, out=np.zeros_like(first), where=limit > 0)
+        median = np.median(ratio.reshape(len(first), -1, rate.shape[-1]), axis=1) / _MEDIAN_OF_ABSOLUTE
+        squares += (weight[:, None] * median) ** 2
+    return rate, tuple(int(2 * total) for total in spp.sum(axis=0)), np.sqrt(squares)

@@ -85,6 +85,12 @@ def main_illuminant(scene: Scene) -> str:
     return max(scene.lights, key=lambda light: light.lux).illuminant
 
 
+def light_spectrum(scene: Scene) -> FloatArray:
+    """Spectral power of all lights together, weighted by their lux, on the wavelength grid."""
+    parts = [light.lux * illuminants.illuminant(light.illuminant) for light in scene.lights]
+    return np.asarray(np.sum(parts, axis=0))
+
+
 # --- geometry ------------------------------------------------------------------------------------
 
 

@@ -72,22 +72,31 @@ def simulate(
     progress("geometry", 1.0)
 
     illuminant = scenes.main_illuminant(scene)
+    spectrum = scenes.light_spectrum(scene)
     names = cameras.channels(camera.sensor)
 
-    def lens_picture(key: int, samples: int, label: str = "") -> np.ndarray:
-        rate = np.zeros((*geometry.depth_m.shape, len(names)))
-        for stop in camera.stops:
+    reach_px = float(np.abs(blur_px).max()) * BLUR_MARGIN
+    fields: dict[int, Any] = {}
+
+    def stop_pictures(key: int, samples: tuple[int, ...], label: str = "") -> np.ndarray:
+        fields.clear()
+        fields[key] = passes.irradiance_field(mitsuba_scene, camera, spectrum, reach_px, max(samples), key)
+        pictures = []
+        for stop, spp in zip(camera.stops, samples, strict=True):
             stage = partial(progress, f"rendering through stop '{stop.name}'{label}")
-            rate += passes.stop_pass(
-                mitsuba_scene,
-                camera,
-                stop,
-                passes.Sampling(samples, key, stage),
-                diffraction=diffraction,
-                max_blur_px=float(np.abs(blur_px).max()) * BLUR_MARGIN,
-                illuminant=illuminant,
+            pictures.append(
+                passes.stop_pass(
+                    mitsuba_scene,
+                    camera,
+                    stop,
+                    passes.Sampling(spp, key, stage),
+                    diffraction=diffraction,
+                    max_blur_px=reach_px,
+                    illuminant=illuminant,
+                    field=fields[key],
+                )
             )
-        return rate
+        return np.stack(pictures)
 
     def exposure_time_s(rate: np.ndarray) -> float:
         return exposure.time_s or sensor.auto_exposure_s(rate, camera, exposure)
@@ -99,23 +108,24 @@ def simulate(
     sampled: dict[str, Any] = {}
     if spp == "auto":
 
-        def numbered(index: int, samples: int) -> np.ndarray:
+        def numbered(index: int, samples: tuple[int, ...]) -> np.ndarray:
             key = int(np.random.SeedSequence((seed, index)).generate_state(1)[0])
-            samples = passes.sample_count(samples)
-            return lens_picture(key, samples, f", picture {index + 1} ({samples} samples)")
+            samples = tuple(passes.sample_count(count) for count in samples)
+            return stop_pictures(key, samples, f", picture {index + 1} of {max(samples)} samples")
 
-        found = quiet.quiet_picture(numbered, sensor_noise, wanted=noise_share)
+        found = quiet.quiet_picture(numbered, sensor_noise, stops=len(camera.stops), wanted=noise_share)
         lens_rate = found.rate
         sampled = {
-            "spp": found.spp,
+            "spp": dict(zip((stop.name for stop in camera.stops), found.spp, strict=True)),
             "rendering_noise_share": dict(zip(names, found.share, strict=True)),
             "rendering_noise_share_wanted": noise_share,
         }
     else:
-        lens_rate = lens_picture(seed, spp)
-        sampled = {"spp": passes.sample_count(spp)}
+        samples = passes.sample_count(spp)
+        lens_rate = stop_pictures(seed, (samples,) * len(camera.stops)).sum(axis=0)
+        sampled = {"spp": samples}
     sampling = passes.Sampling(SHARP_SPP, seed, partial(progress, "rendering the pinhole picture"))
-    pinhole_rate = passes.pinhole_pass(mitsuba_scene, camera, sampling)
+    pinhole_rate = passes.pinhole_pass(mitsuba_scene, camera, sampling, *fields.values())
 
     if diffraction == "airy":
         sampled["airy_errors"] = airy_errors(camera, illuminant)
@@ -210,7 +220,9 @@ def sampling_notes(sampled: dict[str, Any]) -> list[str]:
     missed = {name: share for name, share in shares.items() if share > sampled["rendering_noise_share_wanted"]}
     if missed:
         listed = ", ".join(f"{name} {share:.2f}" for name, share in missed.items())
-        found.append(f"{sampled['spp']} samples were not enough: rendering noise over the sensor's own is {listed}")
+        found.append(
+            f"{max(sampled['spp'].values())} samples were not enough: rendering noise over the sensor's own is {listed}"
+        )
     return found
 
 

@@ -18,7 +18,8 @@ from dasim import camera as cameras
 from dasim import spectra
 from dasim.aperture import Stop
 from dasim.camera import Camera
-from dasim.render import pupil, stock, transport, wave
+from dasim.render import irradiance, pupil, stock, transport, wave
+from dasim.render.irradiance import Field
 from dasim.render.sobol import Sobol
 from dasim.spectra import FloatArray
 
@@ -29,6 +30,7 @@ WAVE_BLUR_PX = 150.0  # visible blur up to which weights are tabulated; beyond, 
 SAME_BLUR_PX, SAME_BLUR_SHARE = 0.25, 0.02  # spread of the blur on one surface, slanted ones included
 DRAW_NODES = 4096  # of the table that turns a uniform number into a wavelength
 HERO = 4  # wavelengths a ray
+MOST_MARGIN_PX = 300.0
 
 
 @dataclass(frozen=True)
@@ -49,11 +51,12 @@ def stop_pass(
     diffraction: str = "off",
     max_blur_px: float = 0.0,
     illuminant: str = "D65",
+    field: Field | None = None,
 ) -> FloatArray:
     """Mean electrons a second through one stop, [h, w, channel].
 
     ``max_blur_px`` is the largest visible blur in the scene, for the wave tables; ``illuminant`` weights the
-    in-focus kernel of ``airy``.
+    in-focus kernel of ``airy``; ``field`` is the irradiance where it is known (see :func:`irradiance_field`).
     """
     import mitsuba as mi
 
@@ -63,7 +66,8 @@ def stop_pass(
         if diffraction == "airy":
             rate = stock.in_focus_diffraction(rate, camera, stop, illuminant)
     else:
-        rate = _ray_loop(mitsuba_scene, camera, stop, sampling, max_blur_px if diffraction == "wave" else None)
+        waves = max_blur_px if diffraction == "wave" else None
+        rate = _ray_loop(mitsuba_scene, camera, stop, sampling, waves, field)
     return rate * cameras.relative_illumination(camera)[..., None]
 
 
@@ -76,7 +80,30 @@ def sample_count(spp: int) -> int:
     return int(mi.load_dict({"type": "multijitter", "sample_count": spp}).sample_count())
 
 
-def pinhole_pass(mitsuba_scene: Any, camera: Camera, sampling: Sampling) -> FloatArray:
+def irradiance_field(
+    mitsuba_scene: Any, camera: Camera, spectrum: FloatArray, max_blur_px: float, spp: int, seed: int
+) -> Field | None:
+    """The irradiance that all passes of a picture share; None in ``scalar_spectral``.
+
+    ``spectrum`` is that of all lights together; blurred rays reach ``max_blur_px`` / 2 beyond the frame.
+    """
+    import mitsuba as mi
+
+    if mi.variant().startswith("scalar"):
+        return None
+    return irradiance.field(
+        mitsuba_scene,
+        transport.path_integrator(),
+        size_px=(camera.sensor.width_px, camera.sensor.height_px),
+        px_per_m=_px_per_m(camera),
+        margin_px=min(max_blur_px, MOST_MARGIN_PX) / 2 + irradiance.STRIDE_PX,
+        spectrum=spectrum,
+        spp=spp,
+        seed=seed,
+    )
+
+
+def pinhole_pass(mitsuba_scene: Any, camera: Camera, sampling: Sampling, field: Field | None = None) -> FloatArray:
     """Mean electrons a second with every stop shrunk to a point at unchanged light, [h, w, channel].
 
     Through a point all stops see the same rays, so one pass serves them all.
@@ -86,7 +113,7 @@ def pinhole_pass(mitsuba_scene: Any, camera: Camera, sampling: Sampling) -> Floa
     if mi.variant().startswith("scalar"):
         rate = stock.pinhole_pass(mitsuba_scene, camera, sampling.spp, _seeds(sampling, None), sampling.progress)
     else:
-        rate = _ray_loop(mitsuba_scene, camera, None, sampling, None)
+        rate = _ray_loop(mitsuba_scene, camera, None, sampling, None, field)
     return rate * cameras.relative_illumination(camera)[..., None]
 
 
@@ -123,14 +150,19 @@ def _draw_table(camera: Camera, response: FloatArray, density: FloatArray) -> Fl
 
 
 def _ray_loop(
-    scene: Any, camera: Camera, stop: Stop | None, sampling: Sampling, max_blur_px: float | None
+    scene: Any,
+    camera: Camera,
+    stop: Stop | None,
+    sampling: Sampling,
+    max_blur_px: float | None,
+    field: Field | None,
 ) -> FloatArray:
     """A pass of our own through a stop, or through a point; ``max_blur_px`` is None for geometric optics."""
     import drjit as dr
     import mitsuba as mi
 
     width, height = camera.sensor.width_px, camera.sensor.height_px
-    px_per_m = cameras.image_distance_m(camera) / (camera.sensor.pixel_pitch_um * 1e-6)  # at unit distance
+    px_per_m = _px_per_m(camera)
     radius_m = cameras.aperture_m(camera) / 2
     per_vergence = 2 * radius_m * px_per_m  # pixels of visible blur
     vergence = 1.0 / camera.lens.focus_distance_m
@@ -196,7 +228,7 @@ def _ray_loop(
             weight = [drawn * ratio for ratio in ratios]
             seen = per_vergence * (1 / point.z - vergence)
             spread = [seen, seen * seen]
-        radiance = transport.radiance(scene, integrator, sampler, ray, si, (light, direction, lobe))
+        radiance = transport.radiance(scene, integrator, sampler, ray, si, (light, direction, lobe), field)
 
         sums = list(spread)
         for channel in range(len(response)):
@@ -216,6 +248,11 @@ def _ray_loop(
             rate[top : top + rows, :, channel] = mean_response[channel] * part.reshape(rows, width)
         sampling.progress((top + rows) / height)
     return rate
+
+
+def _px_per_m(camera: Camera) -> float:
+    """Pixels on the sensor of a metre at a distance of one metre."""
+    return cameras.image_distance_m(camera) / (camera.sensor.pixel_pitch_um * 1e-6)
 
 
 def _middle_vergence(scene: Any, corner: Any, spp: int, width: int, height: int, px_per_m: float) -> Any:

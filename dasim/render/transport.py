@@ -1,14 +1,15 @@
-"""Light along a ray: Mitsuba's path tracer, with more directions tried where the ray first meets a surface.
+"""Light along a ray: a path tracer that looks in several directions where a ray first meets a surface.
 
 A pixel's rays differ in where they leave the lens and in their weights, so that their directions of light, however
-evenly spread, do not cancel: light from wide sources and from other surfaces is most of the noise. So each ray looks
-in several directions.
+evenly spread, do not cancel: light from wide sources and from other surfaces is most of the noise. It is taken from
+an irradiance field where that knows it, and else each ray looks in several directions.
 """
 
 from __future__ import annotations
 
 from typing import Any
 
+from dasim.render.irradiance import Field, from_all_around, lambertian, power_heuristic
 from dasim.render.translate import MAX_PATH_DEPTH
 
 DIRECTIONS = 2  # from the first surface
@@ -21,12 +22,15 @@ def path_integrator() -> Any:
     return mi.load_dict({"type": "path", "max_depth": MAX_PATH_DEPTH - 1})
 
 
-def radiance(scene: Any, integrator: Any, sampler: Any, ray: Any, si: Any, numbers: tuple[Any, Any, Any]) -> Any:
+def radiance(
+    scene: Any, integrator: Any, sampler: Any, ray: Any, si: Any, numbers: tuple[Any, Any, Any], field: Field | None
+) -> Any:
     """Spectral radiance along ``ray``, whose first intersection is ``si``.
 
     ``numbers`` are uniform: two to aim at a lamp, two for a direction, one for a lobe of the surface.
 
-    Lamps are aimed at once, and met by chance in ``DIRECTIONS`` directions; the power heuristic weighs both (Veach,
+    Where ``field`` knows the irradiance from all around and from other surfaces, only lamps are aimed at. Elsewhere
+    lights are aimed at once, and met by chance in ``DIRECTIONS`` directions; the power heuristic weighs both (Veach,
     1997, sec. 9.2), as if there were one direction: aiming is the quieter way, and more chances are no reason to
     trust it less.
     """
@@ -37,11 +41,17 @@ def radiance(scene: Any, integrator: Any, sampler: Any, ray: Any, si: Any, numbe
     context, hit = mi.BSDFContext(), si.is_valid()
     bsdf = si.bsdf(ray)
     result = si.emitter(scene).eval(si)
+    traced, known = hit, mi.Bool(False)
+    if field is not None:
+        irradiance, known = field.at(si, hit & lambertian(bsdf))
+        traced = hit & ~known
+        upright = mi.Vector3f(0.0, 0.0, dr.select(si.wi.z < 0, -1.0, 1.0))
+        result += dr.select(known, bsdf.eval(context, si, upright, known) * irradiance, 0.0)
 
     aimed, light = scene.sample_emitter_direction(si, aim_at, True, hit)
-    seen = hit & (aimed.pdf > 0)
+    seen = hit & (aimed.pdf > 0) & ~(known & from_all_around(aimed.emitter))
     value, density = bsdf.eval_pdf(context, si, si.to_local(aimed.d), seen)
-    share = dr.select(aimed.delta, 1.0, _power_heuristic(aimed.pdf, density))
+    share = dr.select(aimed.delta | known, 1.0, power_heuristic(aimed.pdf, density))
     result += dr.select(seen, value * light * share, 0.0)
 
     for k in range(DIRECTIONS):
@@ -49,20 +59,16 @@ def radiance(scene: Any, integrator: Any, sampler: Any, ray: Any, si: Any, numbe
         shifted = place + mi.Point2f(k / DIRECTIONS, _reversed_bits(k))
         shifted -= dr.floor(shifted)
         turned = lobe + k / DIRECTIONS
-        drawn, weight = bsdf.sample(context, si, turned - dr.floor(turned), shifted, hit)
+        drawn, weight = bsdf.sample(context, si, turned - dr.floor(turned), shifted, traced)
         onward = si.spawn_ray(si.to_world(drawn.wo))
-        met = scene.ray_intersect(onward, hit)
-        emitted = dr.select(hit, met.emitter(scene).eval(met), 0.0)
-        aim = scene.pdf_emitter_direction(si, mi.DirectionSample3f(scene, met, si), hit)
+        met = scene.ray_intersect(onward, traced)
+        emitted = dr.select(traced, met.emitter(scene).eval(met), 0.0)
+        aim = scene.pdf_emitter_direction(si, mi.DirectionSample3f(scene, met, si), traced)
         smooth = ~mi.has_flag(drawn.sampled_type, mi.BSDFFlags.Delta)
-        share = dr.select(smooth & (aim > 0), _power_heuristic(drawn.pdf, aim), 1.0)
-        beyond, _, _ = integrator.sample(scene, sampler, mi.RayDifferential3f(onward), active=hit)
-        result += dr.select(hit, weight * (beyond - emitted * (1 - share)) / DIRECTIONS, 0.0)
+        share = dr.select(smooth & (aim > 0), power_heuristic(drawn.pdf, aim), 1.0)
+        beyond, _, _ = integrator.sample(scene, sampler, mi.RayDifferential3f(onward), active=traced)
+        result += dr.select(traced, weight * (beyond - emitted * (1 - share)) / DIRECTIONS, 0.0)
     return result
-
-
-def _power_heuristic(own: Any, other: Any) -> Any:
-    return own * own / (own * own + other * other)
 
 
 def _reversed_bits(index: int) -> float:

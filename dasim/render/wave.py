@@ -214,7 +214,7 @@ def radial_blur(
     reach = 0.9 * tail
     radius = np.arange(0.0, own_px / 2 + tail + DENSITY_STEP_PX, DENSITY_STEP_PX)
     blurs = np.arange(0.0, own_px + 2 * DENSITY_BLUR_STEP_PX, DENSITY_BLUR_STEP_PX)
-    density = sum(weight * pointspread.airy_profile(radius, blurs, scale, inner) for scale, weight in scales)
+    density = pointspread.mixed_airy_profile(radius, blurs, scales, inner)
     shortest_px = shortest_nm * px_per_nm
     scaled = np.arange(0.0, radius[-1] / shortest_px + 2 * RADIUS_STEP, RADIUS_STEP)
     waves = np.arange(0.0, own_px / (8 * shortest_px) + 2 * WAVES_STEP, WAVES_STEP)

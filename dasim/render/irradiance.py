@@ -1,0 +1,233 @@
+"""Irradiance from wide sources and from other surfaces, interpolated where it is smooth (JIT variants).
+
+What a Lambertian surface receives from the sky and from its surroundings changes little from pixel to pixel, and it
+is most of what a picture costs and of its noise. So it is traced once on a grid of points that the lens sees, with
+many directions each, and interpolated between them: Ward, Rubinstein and Clear, "A ray tracing solution for diffuse
+interreflection", SIGGRAPH 1988. Lamps are not part of it: rays aim at them where they land, so that shadows are sharp.
+
+A cell of the grid is used only where its four corners lie on one surface and agree to ``AGREEMENT``, so that straight
+lines between them are good to a fraction of that; elsewhere, and on all that is not Lambertian, rays go on as a path
+tracer's. The claim ``interreflection`` holds pictures against those that are traced throughout.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from dasim import spectra
+from dasim.render.sobol import Sobol
+from dasim.spectra import FloatArray
+
+STRIDE_PX = 6.0
+AGREEMENT = 0.06  # of the irradiance at a cell's corners
+SAME_NORMAL = 0.97  # cosine
+SAME_DEPTH = 0.01
+NODES = 32  # wavelengths at which irradiance over the lights' spectrum is kept
+DIRECTIONS_PER_SAMPLE = 8  # of a pixel
+FEWEST_DIRECTIONS, MOST_DIRECTIONS = 128, 4096
+LANES = 1 << 21
+
+
+@dataclass(frozen=True)
+class Field:
+    """Irradiance over the lights' spectrum on a grid of film positions, seen from the middle of the lens."""
+
+    start_px: tuple[float, float]  # of the first node, from the axis
+    px_per_m: float
+    shape: tuple[int, int]  # nodes, [y, x]
+    ratio: Any  # [wavelength, y, x] irradiance over the lights' spectrum
+    surface: Any  # [y, x, (1/z, normal)]
+    usable: Any  # flat cells, 1 where corners agree
+    spectrum: Any  # of all lights together, on the wavelength grid
+    share: float  # of the cells that are usable
+
+    def at(self, si: Any, active: Any) -> tuple[Any, Any]:
+        """Spectral irradiance at a surface point, W m^-2 nm^-1, and where it is known."""
+        import drjit as dr
+        import mitsuba as mi
+
+        rows, columns = self.shape
+        x = (si.p.x / si.p.z * self.px_per_m - self.start_px[0]) / STRIDE_PX
+        y = (si.p.y / si.p.z * self.px_per_m - self.start_px[1]) / STRIDE_PX
+        inside = active & (x >= 0) & (y >= 0) & (x < columns - 1) & (y < rows - 1)
+        cell = dr.select(inside, mi.UInt32(y) * (columns - 1) + mi.UInt32(x), 0)
+        known = inside & (dr.gather(mi.UInt32, self.usable, cell, inside) > 0)
+        place = mi.Point2f((x + 0.5) / columns, (y + 0.5) / rows)
+        vergence, *normal = self.surface.eval(place, known)
+        facing = _towards_camera(si)
+        known &= (dr.abs(vergence * si.p.z - 1) < SAME_DEPTH) & (dr.dot(facing, mi.Vector3f(*normal)) > SAME_NORMAL)
+        result = mi.Spectrum(0.0)
+        for k in range(4):
+            at = (si.wavelengths[k] - float(spectra.WAVELENGTH_NM[0])) / _SPAN_NM
+            ratio = self.ratio.eval(mi.Point3f(place.x, place.y, (at * (NODES - 1) + 0.5) / NODES), known)[0]
+            lit = self.spectrum.eval(mi.Point1f((at * (_GRID - 1) + 0.5) / _GRID), known)[0]
+            result[k] = ratio * lit
+        return result, known
+
+
+_GRID = len(spectra.WAVELENGTH_NM)
+_SPAN_NM = float(spectra.WAVELENGTH_NM[-1] - spectra.WAVELENGTH_NM[0])
+
+
+def lambertian(bsdf: Any) -> Any:
+    """Where a surface scatters evenly and passes nothing."""
+    import mitsuba as mi
+
+    flags, kinds = bsdf.flags(), mi.BSDFFlags
+    other = kinds.Glossy | kinds.Delta | kinds.Delta1D | kinds.DiffuseTransmission | kinds.Null
+    return mi.has_flag(flags, kinds.DiffuseReflection) & ((flags & int(other)) == 0)
+
+
+def from_all_around(emitter: Any) -> Any:
+    """Where an emitter surrounds the scene: a sky, not a lamp or the sun."""
+    import mitsuba as mi
+
+    flags = emitter.flags()
+    return mi.has_flag(flags, mi.EmitterFlags.Infinite) & ~mi.has_flag(flags, mi.EmitterFlags.Delta)
+
+
+def field(
+    scene: Any,
+    integrator: Any,
+    *,
+    size_px: tuple[int, int],
+    px_per_m: float,
+    margin_px: float,
+    spectrum: FloatArray,
+    spp: int,
+    seed: int,
+) -> Field:
+    """Trace the irradiance on a grid over the frame of ``size_px`` (width, height) and ``margin_px`` around it.
+
+    ``spectrum`` is that of all lights together, on the wavelength grid; it carries the lines of lamps, which the
+    wavelengths of the field are too few for. ``spp`` are the samples a pixel that the directions go with.
+    """
+    import drjit as dr
+    import mitsuba as mi
+
+    width, height = size_px
+    start = tuple(-(extent / 2 + margin_px) for extent in (width, height))
+    columns, rows = (int(np.ceil((extent + 2 * margin_px) / STRIDE_PX)) + 1 for extent in (width, height))
+    directions = int(np.clip(DIRECTIONS_PER_SAMPLE * spp, FEWEST_DIRECTIONS, MOST_DIRECTIONS))
+    directions = 1 << int(np.log2(directions))
+    floor = np.maximum(spectrum, 1e-3 * spectrum.mean())
+    lit = np.interp(_nodes_nm(), spectra.WAVELENGTH_NM, floor)
+    count = rows * columns
+    ratio = np.zeros((count, NODES))
+    surface = np.zeros((count, 5))
+    at_once = max(1, LANES // directions)
+    for first in range(0, count, at_once):
+        part = slice(first, min(first + at_once, count))
+        points = part.stop - part.start
+        index = dr.arange(mi.UInt32, points * directions) // directions + dr.opaque(mi.UInt32, first)
+        row = index // columns
+        film = mi.Point2f(mi.Float(index - row * columns), mi.Float(row)) * STRIDE_PX + mi.Point2f(*start)
+        key = mi.UInt32(np.random.SeedSequence((seed, first)).generate_state(1))
+        values, geometry = _traced(scene, integrator, film / px_per_m, directions, index, dr.opaque(mi.UInt32, key[0]))
+        ratio[part] = values / lit
+        surface[part] = geometry
+    ratio, surface = ratio.reshape(rows, columns, NODES), surface.reshape(rows, columns, 5)
+    usable = _agree(ratio, surface)
+    return Field(
+        start_px=(start[0], start[1]),
+        px_per_m=px_per_m,
+        shape=(rows, columns),
+        ratio=mi.Texture3f(mi.TensorXf(np.moveaxis(ratio, -1, 0)[..., None].astype(np.float32))),
+        surface=mi.Texture2f(mi.TensorXf(surface[..., :4].astype(np.float32))),
+        usable=mi.UInt32(usable.ravel().astype(np.uint32)),
+        spectrum=mi.Texture1f(mi.TensorXf(floor[:, None].astype(np.float32))),
+        share=float(usable.mean()),
+    )
+
+
+def _nodes_nm() -> FloatArray:
+    return np.linspace(spectra.WAVELENGTH_NM[0], spectra.WAVELENGTH_NM[-1], NODES)
+
+
+def _towards_camera(si: Any) -> Any:
+    import drjit as dr
+
+    normal = si.sh_frame.n
+    return dr.select(dr.dot(normal, si.p) > 0, -normal, normal)
+
+
+def _traced(
+    scene: Any, integrator: Any, slope: Any, directions: int, index: Any, key: Any
+) -> tuple[FloatArray, FloatArray]:
+    """Irradiance at what rays through the middle of the lens meet, [point, node], and (1/z, normal, known), [point, 5].
+
+    Each direction has four of the wavelengths.
+    """
+    import drjit as dr
+    import mitsuba as mi
+
+    lanes = dr.width(slope)
+    groups = NODES // 4
+    sample = dr.arange(mi.UInt32, lanes) % directions
+    group = sample // (directions // groups)  # blocks of a group are summed together
+    wavelengths = mi.Spectrum(0.0)
+    step = _SPAN_NM / (NODES - 1)
+    for k in range(4):
+        wavelengths[k] = float(spectra.WAVELENGTH_NM[0]) + mi.Float(group + k * groups) * step
+    ray = mi.RayDifferential3f(mi.Ray3f(mi.Point3f(0.0), dr.normalize(mi.Vector3f(slope.x, slope.y, 1.0))))
+    ray.wavelengths = wavelengths
+    si = scene.ray_intersect(ray, ray_flags=mi.RayFlags.All, coherent=True)
+    known = si.is_valid() & lambertian(si.bsdf(ray)) & (dr.dot(si.n, si.sh_frame.n) > 0)
+    normal = _towards_camera(si)
+    frame = mi.Frame3f(normal)
+
+    numbers = Sobol(directions, sample, index + key)
+    place, aim_at = numbers.next_2d(), numbers.next_2d()
+    sampler = mi.load_dict({"type": "independent"})
+    sampler.seed(key, lanes)
+    local = mi.warp.square_to_cosine_hemisphere(place)
+    onward = si.spawn_ray(frame.to_world(local))
+    onward.wavelengths = wavelengths
+    met = scene.ray_intersect(onward, known)
+    emitter = met.emitter(scene)
+    emitted = dr.select(known, emitter.eval(met), 0.0)
+    aim = scene.pdf_emitter_direction(si, mi.DirectionSample3f(scene, met, si), known)
+    density = local.z / dr.pi
+    around = dr.select(aim > 0, power_heuristic(density, aim), 1.0)
+    kept = dr.select(from_all_around(emitter), around, 0.0)
+    beyond, _, _ = integrator.sample(scene, sampler, mi.RayDifferential3f(onward), active=known)
+    received = dr.pi * (beyond - emitted * (1 - kept))
+
+    aimed, light = scene.sample_emitter_direction(si, aim_at, True, known)
+    cosine = dr.maximum(dr.dot(normal, aimed.d), 0.0)
+    seen = known & (aimed.pdf > 0) & from_all_around(aimed.emitter)
+    received += dr.select(seen, light * cosine * power_heuristic(aimed.pdf, cosine / dr.pi), 0.0)
+
+    valid = dr.select(known, 1.0, 0.0)
+    values = [dr.select(known, received[k], 0.0) for k in range(4)]
+    first = dr.arange(mi.UInt32, lanes // directions) * directions
+    about = [dr.select(known, dr.rcp(si.p.z), 0.0), normal.x, normal.y, normal.z, valid]
+    dr.eval(values, about)
+    block = directions // groups
+    sums = [np.array(dr.block_sum(value, block)).reshape(-1, groups) / block for value in values]
+    geometry = np.stack([np.array(dr.gather(mi.Float, value, first)) for value in about], axis=-1)
+    return np.concatenate(sums, axis=1).astype(float), geometry.astype(float)
+
+
+def power_heuristic(own: Any, other: Any) -> Any:
+    """Weight of a way of sampling with density ``own`` beside another (Veach 1997, sec. 9.2)."""
+    return own * own / (own * own + other * other)
+
+
+def _agree(ratio: FloatArray, surface: FloatArray) -> np.ndarray:
+    """Cells [y, x] whose four corners are known, face one way and receive nearly the same, in all wavelengths."""
+
+    def corners(values: np.ndarray) -> np.ndarray:
+        return np.stack([values[:-1, :-1], values[:-1, 1:], values[1:, :-1], values[1:, 1:]])
+
+    known = corners(surface[..., 4]).min(axis=0) > 0
+    normal = corners(surface[..., 1:4])
+    turned = np.min([np.sum(normal[i] * normal[j], axis=-1) for i in range(4) for j in range(i)], axis=0)
+    # Eight wavelengths together: single ones are noisier.
+    light = corners(ratio.reshape(*ratio.shape[:2], 4, -1).mean(axis=-1))
+    middle = light.mean(axis=0)
+    spread = (light.max(axis=0) - light.min(axis=0)) / np.where(middle > 0, middle, 1.0)
+    return known & (turned > SAME_NORMAL) & (spread.max(axis=-1) < AGREEMENT)
