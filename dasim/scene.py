@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, field_validator, model_validator
 
-from dasim import illuminants
+from dasim import illuminants, panorama
 from dasim.camera import Camera, refocused
 from dasim.errors import InputError
 from dasim.lights import Light, Positive, Vector
@@ -117,9 +117,12 @@ PUPIL_POINTS = 24
 def _check(scene: Scene, where: str) -> None:
     """Materials, illuminants, images and meshes exist, and no object is behind or on the lens."""
     problems: list[str] = []
-    for light in scene.lights:
-        if light.illuminant not in illuminants.ILLUMINANTS:
-            problems.append(f"illuminant '{light.illuminant}' is unknown ({', '.join(illuminants.ILLUMINANTS)})")
+    for index, light in enumerate(scene.lights):
+        try:
+            illuminants.illuminant(light.illuminant)
+            panorama.check(light, scene.folder)
+        except InputError as error:
+            problems.append(f"lights.{index} ({light.kind}): {error}")
     for name, texture in scene.materials.items():
         try:
             surface(texture, scene.folder)
