@@ -15,9 +15,9 @@ from pydantic import Field, field_validator, model_validator
 from dasim import illuminants, panorama
 from dasim.camera import Camera, refocused
 from dasim.errors import InputError
-from dasim.lights import Light, Positive, Vector
+from dasim.lights import Light, Near, Positive, Vector
 from dasim.materials import Texture, material_names, surface
-from dasim.shapes import Mesh, Object, half_extent_m, load_mesh, placement
+from dasim.shapes import Box, Mesh, Object, Sphere, half_extent_m, load_mesh, placement
 from dasim.specification import Specification, bundled_or_file, parse_toml
 
 FloatArray = NDArray[np.float64]
@@ -123,6 +123,7 @@ def _check(scene: Scene, where: str) -> None:
             panorama.check(light, scene.folder)
         except InputError as error:
             problems.append(f"lights.{index} ({light.kind}): {error}")
+        problems += [f"lights.{index} ({light.kind}): {problem}" for problem in _swallowed(light, scene)]
     for name, texture in scene.materials.items():
         try:
             surface(texture, scene.folder)
@@ -141,6 +142,21 @@ def _check(scene: Scene, where: str) -> None:
             problems.append(str(error))
     if problems:
         raise InputError(f"{where}: " + "; ".join(problems))
+
+
+def _swallowed(light: Light, scene: Scene) -> list[str]:
+    """Whether a lamp stands inside a solid object, where nobody sees its light."""
+    if not isinstance(light, Near):
+        return []
+    found = []
+    for item in scene.objects:
+        if isinstance(item, (Box, Sphere)):
+            _, half = half_extent_m(item, scene.folder)
+            place = np.linalg.inv(placement(item)) @ [*np.multiply(light.position_cm, 1e-2), 1.0]
+            share = np.abs(place[:3]) / half
+            if (np.linalg.norm(share) if isinstance(item, Sphere) else share.max()) < 1:
+                found.append(f"position_cm lies inside object '{item.name}'; move one of them")
+    return found
 
 
 def _texture_problems(item: Mesh, scene: Scene) -> list[str]:
