@@ -104,7 +104,10 @@ def load(image: str, folder: Path) -> FloatArray:
 
 
 def _picture(path: Path, image: str) -> FloatArray:
-    data = cv2.imread(str(path), cv2.IMREAD_ANYDEPTH | cv2.IMREAD_COLOR)
+    try:
+        data = cv2.imread(str(path), cv2.IMREAD_ANYDEPTH | cv2.IMREAD_COLOR)
+    except cv2.error:  # more pixels than it takes
+        data = None
     if data is None:
         raise InputError(f"image '{image}': {path} cannot be read as a picture (EXR, HDR, PNG or JPEG)")
     colours = data[..., ::-1].astype(np.float64)

@@ -305,6 +305,25 @@ def test_lights_from_all_around_add_up(tmp_path, renderer):
     np.testing.assert_allclose(together, alone, rtol=LEVEL)
 
 
+def test_a_camera_sees_an_even_panorama_as_a_dome(make_scene, wide, tmp_path, renderer):
+    """Rationale: the whole camera, not one ray. Set-up: a brick wall before an even panorama and before a dome of as
+    many lux, under a lamp of lines. Expectation: the same electrons a second in every channel, on the wall and in the
+    empty space beside it, to within the noise of 64 samples in half a frame.
+    """
+    from dasim.render import passes
+
+    cv2.imwrite(str(tmp_path / "even.png"), np.full((4, 8, 3), 90, np.uint8))
+    common = {"illuminant": "F11", "lux": 800.0}
+    wall = {"name": "wall", "shape": "plane", "material": "brick", "size_cm": [60, 60], "position_cm": [30, 0, 40]}
+    camera, seen = wide(24, 18), []
+    for light in ({"kind": "dome"}, {"kind": "environment", "image": "even.png"}):
+        scene = make_scene(wall, lights=[light | common], folder=tmp_path)
+        seen.append(passes.stop_pass(mi_scene(scene), camera, camera.stops[0], passes.Sampling(64, 3)))
+    for half in (slice(None, 10), slice(14, None)):
+        dome, even = (rate[:, half].mean(axis=(0, 1)) for rate in seen)
+        np.testing.assert_allclose(even[dome > 0], dome[dome > 0], rtol=LEVEL)
+
+
 # --- the user's mistakes ---------------------------------------------------------------------------
 
 HEAD = 'name = "mine"\n[[objects]]\nname = "ball"\nshape = "sphere"\nradius_cm = 5\nposition_cm = [0, 0, 40]\n'
