@@ -270,12 +270,21 @@ def test_daylight_has_the_suns_and_the_skys_own_ratio():
     scene's main light has the name of both.
     """
     light = lights.Daylight(kind="daylight", lux=6e4, elevation_deg=25)
-    sun, sky = lights.parts(light)
+    sun, sky = lights.parts(light)  # of black ground
     height = np.sin(np.radians(25))
     assert sun.lux * height + sky.lux == pytest.approx(6e4)
     model = [illuminants.lux(curve) for curve in daylight.sun_and_sky(25)]
     assert sun.lux / sky.lux == pytest.approx(model[0] / model[1])
     assert (sun.illuminant, sky.illuminant, light.illuminant) == ("sun-25deg", "sky-25deg", "daylight-25deg")
+
+
+def test_the_main_light_names_the_captures_illuminant(tmp_path):
+    """Expectation: the light of most lux, whatever its kind; daylight by its own name."""
+    lamp = source("lamp", tmp_path, 900.0)
+    for level, name in ((5e4, "daylight-40deg"), (100.0, "D65")):
+        scene = lit(tmp_path, UP, lamp, source("daylight", tmp_path, level))
+        assert scenes.main_illuminant(scene) == name
+        assert illuminants.illuminant(name).min() > 0
 
 
 def test_a_picture_is_its_luminance_in_every_format(tmp_path):
@@ -295,6 +304,19 @@ def test_a_picture_is_its_luminance_in_every_format(tmp_path):
     for name, tolerance in (("a.png", 1e-9), ("a.exr", 1e-6), ("a.hdr", 0.01)):  # shared exponent of 8 bits
         found = panorama.load(name, tmp_path)
         assert np.abs(found - expected_luminance).max() < tolerance * expected_luminance.max()
+
+
+@pytest.mark.parametrize("kind", ["sky", "daylight"])
+def test_ground_outside_the_picture(kind, tmp_path, renderer):
+    """Expectation: level ground of reflectance 0.4 under E lux gives 0.4 E to what faces down, the level above it is
+    as before, and what stands upright gets half the ground's more.
+    """
+    light = source(kind, tmp_path) | {"ground_reflectance": 0.4}
+    scene = lit(tmp_path, DOWN, light)
+    np.testing.assert_allclose(radiance(scene, DOWN), 0.4 * expected(light, scene), rtol=LEVEL)
+    np.testing.assert_allclose(radiance(lit(tmp_path, UP, light), UP), expected(light, scene), rtol=LEVEL)
+    if kind == "sky":  # even: half of it each
+        np.testing.assert_allclose(radiance(lit(tmp_path, LEFT, light), LEFT), 0.7 * expected(light, scene), rtol=LEVEL)
 
 
 def test_lights_from_all_around_add_up(tmp_path, renderer):

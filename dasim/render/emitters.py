@@ -9,7 +9,7 @@ import numpy as np
 from dasim import illuminants, panorama
 from dasim import lights as lighting
 from dasim import scene as scenes
-from dasim.lights import SUN_DIAMETER_DEG, Bulb, Dome, Near, Panel, Sky, Sun, Surrounding
+from dasim.lights import SUN_DIAMETER_DEG, Bulb, Dome, Environment, Near, Panel, Sky, Sun, Surrounding
 from dasim.render.plugin import spectrum_dict, transform
 from dasim.render.surrounding import Layer, surrounding_dict
 from dasim.scene import Scene
@@ -43,7 +43,7 @@ def _is_uneven(light: Surrounding, sun: bool) -> bool:
     """
     if isinstance(light, Sky):
         return light.distribution == "clear" and not sun
-    return not isinstance(light, Dome)
+    return isinstance(light, Environment)
 
 
 def _surrounding(around: list[Surrounding], scene: Scene) -> dict[str, Any]:
