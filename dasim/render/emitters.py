@@ -22,16 +22,17 @@ def emitters(scene: Scene) -> dict[str, Any]:
     """Mitsuba's emitters of a scene's lights by name; those from all around are one, which is all Mitsuba takes."""
     found: dict[str, Any] = {}
     parts = [(index, part) for index, light in enumerate(scene.lights) for part in lighting.parts(light)]
-    around = [part for _, part in parts if isinstance(part, Surrounding)]
+    around = [(index, part) for index, part in parts if isinstance(part, Surrounding)]
     aimed = [(index, part) for index, part in parts if not isinstance(part, Surrounding)]
     for index, part in aimed:
         found[f"light_{index:04d}"] = _sun(part, scene) if isinstance(part, Sun) else _near(part, scene)
     if around:
         sun = any(isinstance(part, Sun) for _, part in aimed)
-        uneven = sum(light.lux for light in around if _is_uneven(light, sun))
+        uneven = sum(part.lux for _, part in around if _is_uneven(part, sun))
         # Mitsuba needs one light to aim at. Beside others, what is uneven is aimed at as often as it matters.
         weight = {"sampling_weight": float(uneven / np.mean([part.lux for _, part in aimed]))} if aimed else {}
-        found["light_around"] = _surrounding(around, scene) | weight
+        name = f"light_{around[0][0]:04d}"
+        found[f"{name}_sky" if name in found else name] = _surrounding([part for _, part in around], scene) | weight
     return found
 
 
