@@ -353,6 +353,13 @@ HEAD += 'material = "brick"\n[[lights]]\n'
 NEAR = "position_cm = [0, -30, 20]\ntarget_cm = [0, 0, 40]\n"
 
 
+def test_all_that_is_wrong_with_a_light_is_said(tmp_path):
+    light = 'kind = "environment"\nilluminant = "F77"\nlux = 1\nimage = "no.png"\n'
+    (tmp_path / "mine.toml").write_text(HEAD + light)
+    with pytest.raises(InputError, match=r"lights.0 \(environment\): illuminant 'F77'.*; lights.0 .*'no.png'"):
+        scenes.load_scene(tmp_path / "mine.toml")
+
+
 @pytest.mark.parametrize(
     ("light", "said"),
     [
