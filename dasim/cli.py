@@ -398,7 +398,7 @@ def list_(kind: str, *, verbose: Annotated[bool, Parameter(negative="")] = False
         kind: scenes, cameras, materials, illuminants or claims
         verbose: with more detail
     """
-    from dasim import camera, describe, illuminants, materials, scene, spectra
+    from dasim import camera, describe, materials, scene, spectra
 
     if kind == "scenes":
         for name in scene.scene_names():
@@ -415,7 +415,7 @@ def list_(kind: str, *, verbose: Annotated[bool, Parameter(negative="")] = False
             shown = " ".join(f"{curve[spectra.WAVELENGTH_NM == nm][0]:.2f}" for nm in (450, 550, 650, 750))
             print(f"{name:<18}reflectance at 450, 550, 650, 750 nm: {shown}" if verbose else name)
     elif kind == "illuminants":
-        print("\n".join(illuminants.ILLUMINANTS))
+        _list_illuminants(verbose=verbose)
     elif kind == "claims":
         from validation.claims import CLAIMS
 
@@ -423,6 +423,24 @@ def list_(kind: str, *, verbose: Annotated[bool, Parameter(negative="")] = False
     else:
         raise InputError(f"list '{kind}' is unknown; allowed are scenes, cameras, materials, illuminants, claims")
     return 0
+
+
+def _list_illuminants(*, verbose: bool) -> None:
+    from dasim import illuminants
+
+    if verbose:
+        print("name                  CCT K  near-IR  beyond the end of the table")
+    for name in (*illuminants.ILLUMINANTS, *(illuminants.EXAMPLES if verbose else illuminants.PATTERNS)):
+        if not verbose:
+            print(name)
+            continue
+        about = illuminants.described(name)
+        print(f"{about.name:<20}{about.cct_k:>7.0f}{about.near_infrared:>9.2f}  {about.beyond}")
+    if verbose:
+        print(
+            "CCT: without what lies below 400 nm; near-IR: photons over 650-810 nm, over those of D65 at as many lux\n"
+        )
+        print("\n".join(f"also: {pattern}" for pattern in illuminants.PATTERNS))
 
 
 def _list_claims(names: list[str], *, verbose: bool) -> None:

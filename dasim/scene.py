@@ -12,12 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, field_validator, model_validator
 
-from dasim import illuminants
+from dasim import illuminants, panorama
 from dasim.camera import Camera, refocused
 from dasim.errors import InputError
-from dasim.lights import Light, Positive, Vector
+from dasim.lights import Light, Near, Positive, Vector
 from dasim.materials import Texture, material_names, surface
-from dasim.shapes import Mesh, Object, half_extent_m, load_mesh, placement
+from dasim.shapes import Box, Mesh, Object, Sphere, half_extent_m, load_mesh, placement
 from dasim.specification import Specification, bundled_or_file, parse_toml
 
 FloatArray = NDArray[np.float64]
@@ -123,9 +123,8 @@ PUPIL_POINTS = 24
 def _check(scene: Scene, where: str) -> None:
     """Materials, illuminants, images and meshes exist, and no object is behind or on the lens."""
     problems: list[str] = []
-    for light in scene.lights:
-        if light.illuminant not in illuminants.ILLUMINANTS:
-            problems.append(f"illuminant '{light.illuminant}' is unknown ({', '.join(illuminants.ILLUMINANTS)})")
+    for index, light in enumerate(scene.lights):
+        problems += [f"lights.{index} ({light.kind}): {problem}" for problem in _light_problems(light, scene)]
     for name, texture in scene.materials.items():
         try:
             surface(texture, scene.folder)
@@ -144,6 +143,26 @@ def _check(scene: Scene, where: str) -> None:
             problems.append(str(error))
     if problems:
         raise InputError(f"{where}: " + "; ".join(problems))
+
+
+def _light_problems(light: Light, scene: Scene) -> list[str]:
+    """An unknown illuminant, a bad image, or a lamp inside a solid object, where nobody sees its light."""
+    found = []
+    for check in (lambda: illuminants.illuminant(light.illuminant), lambda: panorama.check(light, scene.folder)):
+        try:
+            check()
+        except InputError as error:
+            found.append(str(error))
+    if not isinstance(light, Near):
+        return found
+    for item in scene.objects:
+        if isinstance(item, (Box, Sphere)):
+            _, half = half_extent_m(item, scene.folder)
+            place = np.linalg.inv(placement(item)) @ [*np.multiply(light.position_cm, 1e-2), 1.0]
+            share = np.abs(place[:3]) / half
+            if (np.linalg.norm(share) if isinstance(item, Sphere) else share.max()) < 1:
+                found.append(f"position_cm lies inside object '{item.name}'; move one of them")
+    return found
 
 
 def _texture_problems(item: Mesh, scene: Scene) -> list[str]:
