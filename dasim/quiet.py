@@ -14,7 +14,7 @@ from dasim.spectra import FloatArray
 NOISE_SHARE = 0.2  # of the sensor's noise: adds 2 % to it
 PILOT_SPP = 16  # of each of the first two pictures
 MOST_SPP = 8192  # of a stop
-SLOPE = 0.6  # noise falls at least as samples ** -0.6 (claims noise-slope-*)
+SLOPE = 0.7  # noise falls about as samples ** -0.6 to -0.7 (claims noise-slope-*); too few are added to
 MARGIN = 1.1
 MOST_ROUNDS = 4
 # Median of |x| for a normal x of spread 1: turns the median difference of two pictures into a standard deviation.
@@ -94,7 +94,7 @@ def _next_spp(taken: tuple[int, ...], shares: FloatArray, wanted: float, most_sp
 def _joined(
     pairs: list[Pair], sensor_noise: Callable[[FloatArray], FloatArray]
 ) -> tuple[FloatArray, tuple[int, ...], FloatArray]:
-    """Mean picture, samples of each stop in it, and the noise over the sensor's at the median pixel, [stop, channel]."""
+    """Mean picture, samples of each stop in it, and noise over the sensor's at the median pixel, [stop, channel]."""
     spp = np.array([pair[0] for pair in pairs], dtype=float)
     part = spp / spp.sum(axis=0)
     means = [(first + second) / 2 for _, first, second in pairs]

@@ -10,9 +10,10 @@ from dasim import camera as cameras
 from dasim import pointspread, spectra
 from dasim.camera import Camera
 from dasim.errors import InputError
+from dasim.illuminants import illuminant
 from dasim.pointspread import pixel_kernels, psf, radial_profiles, wave_profile
 from dasim.specification import parse
-from dasim.spectra import CHANNELS, illuminant
+from dasim.spectra import CHANNELS
 
 STEP = 0.01  # in lambda N, of the tests' own integrals over radius
 QUADRATURE = 1e-4  # of those integrals by trapezoids
@@ -223,7 +224,7 @@ def test_psf_is_the_kernel_of_its_depth(da_mobile):
         ({"channel": "W"}, "channel 'W' is unknown; allowed are R, G, B, IR"),
         ({"depth_m": 0.0}, "depth_m is 0.0"),
         ({"depth_m": float("nan")}, "depth_m is nan"),
-        ({"illuminant": "F2"}, "illuminant 'F2' is unknown"),
+        ({"illuminant": "F99"}, "illuminant 'F99' is unknown"),
         ({"diffraction": "fourier"}, "diffraction 'fourier' is unknown; allowed are wave, airy, off"),
     ],
 )

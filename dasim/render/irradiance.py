@@ -41,7 +41,8 @@ class Field:
     ratio: Any  # [wavelength, y, x] irradiance over the lights' spectrum
     surface: Any  # [y, x, (1/z, normal)]
     usable: Any  # flat cells, 1 where corners agree
-    spectrum: Any  # of all lights together, on the wavelength grid
+    light: FloatArray  # spectrum of all lights together, on the wavelength grid
+    spectrum: Any  # the same as a texture
     share: float  # of the cells that are usable
 
     def at(self, si: Any, active: Any) -> tuple[Any, Any]:
@@ -116,8 +117,8 @@ def field(
     floor = np.maximum(spectrum, 1e-3 * spectrum.mean())
     lit = np.interp(_nodes_nm(), spectra.WAVELENGTH_NM, floor)
     count = rows * columns
-    ratio = np.zeros((count, NODES))
-    surface = np.zeros((count, 5))
+    received = np.zeros((count, NODES))
+    met = np.zeros((count, 5))
     at_once = max(1, LANES // directions)
     for first in range(0, count, at_once):
         part = slice(first, min(first + at_once, count))
@@ -127,9 +128,9 @@ def field(
         film = mi.Point2f(mi.Float(index - row * columns), mi.Float(row)) * STRIDE_PX + mi.Point2f(*start)
         key = mi.UInt32(np.random.SeedSequence((seed, first)).generate_state(1))
         values, geometry = _traced(scene, integrator, film / px_per_m, directions, index, dr.opaque(mi.UInt32, key[0]))
-        ratio[part] = values / lit
-        surface[part] = geometry
-    ratio, surface = ratio.reshape(rows, columns, NODES), surface.reshape(rows, columns, 5)
+        received[part] = values / lit
+        met[part] = geometry
+    ratio, surface = received.reshape(rows, columns, NODES), met.reshape(rows, columns, 5)
     usable = _agree(ratio, surface)
     return Field(
         start_px=(start[0], start[1]),
@@ -138,6 +139,7 @@ def field(
         ratio=mi.Texture3f(mi.TensorXf(np.moveaxis(ratio, -1, 0)[..., None].astype(np.float32))),
         surface=mi.Texture2f(mi.TensorXf(surface[..., :4].astype(np.float32))),
         usable=mi.UInt32(usable.ravel().astype(np.uint32)),
+        light=floor,
         spectrum=mi.Texture1f(mi.TensorXf(floor[:, None].astype(np.float32))),
         share=float(usable.mean()),
     )

@@ -30,6 +30,7 @@ WAVE_BLUR_PX = 150.0  # visible blur up to which weights are tabulated; beyond, 
 SAME_BLUR_PX, SAME_BLUR_SHARE = 0.25, 0.02  # spread of the blur on one surface, slanted ones included
 DRAW_NODES = 4096  # of the table that turns a uniform number into a wavelength
 HERO = 4  # wavelengths a ray
+EVEN_SHARE = 0.1  # of the wavelengths are drawn as for an even light
 MOST_MARGIN_PX = 300.0
 
 
@@ -117,21 +118,27 @@ def pinhole_pass(mitsuba_scene: Any, camera: Camera, sampling: Sampling, field: 
     return rate * cameras.relative_illumination(camera)[..., None]
 
 
-def draw_density(camera: Camera, response: FloatArray) -> FloatArray:
-    """Density of drawn wavelengths: the stop's responses, each channel relative to its whole signal.
+def draw_density(camera: Camera, response: FloatArray, light: FloatArray | None = None) -> FloatArray:
+    """Density of drawn wavelengths: the stop's signals under a light, each channel relative to its whole signal.
 
-    A channel that a stop barely reaches gets few samples there, because it needs few.
+    A channel that a stop barely reaches gets few samples there, because it needs few. ``light`` is a spectrum on the
+    grid, an even one if None.
     """
-    whole = spectra.integrate(cameras.response(camera))
-    density = np.sum(response / np.where(whole > 0, whole, 1.0)[:, None], axis=0)
+    light = np.ones_like(spectra.WAVELENGTH_NM) if light is None else light
+    whole = spectra.integrate(cameras.response(camera) * light)
+    density = np.sum(response * light / np.where(whole > 0, whole, 1.0)[:, None], axis=0)
+    # What the lights' own spectrum hardly has may still come from another source.
+    even = np.sum(response / np.where(whole > 0, whole, 1.0)[:, None], axis=0) * light.mean()
+    density = (1 - EVEN_SHARE) * density + EVEN_SHARE * even
     density[density < 1e-4 * density.max()] = 0.0
     return density
 
 
-def _draw_table(camera: Camera, response: FloatArray, density: FloatArray) -> FloatArray:
-    """Wavelength, focus vergence and response / density per channel at equal steps of probability, [DRAW_NODES, ...].
+def _draw_table(camera: Camera, response: FloatArray, light: FloatArray, density: FloatArray) -> FloatArray:
+    """What belongs to a drawn wavelength, at equal steps of probability, [DRAW_NODES, ...].
 
-    The mean of the response columns is the integral of the response, so that a flat light is exact.
+    Columns are the wavelength, its focus vergence, response / density of each channel, and the light's spectrum. The
+    mean of response x light is its integral, so that an even surface is exact.
     """
     fine = np.linspace(spectra.WAVELENGTH_NM[0], spectra.WAVELENGTH_NM[-1], 20_001)
     step = fine[1] - fine[0]
@@ -141,12 +148,13 @@ def _draw_table(camera: Camera, response: FloatArray, density: FloatArray) -> Fl
     nodes = (np.arange(DRAW_NODES) + 0.5) / DRAW_NODES
     wavelength = np.interp(nodes, cdf / total, fine)
     at = np.interp(wavelength, spectra.WAVELENGTH_NM, density)
+    lit = np.interp(wavelength, spectra.WAVELENGTH_NM, light)
     columns = [wavelength, np.interp(wavelength, spectra.WAVELENGTH_NM, cameras.focus_vergence(camera))]
     for row in response:
         ratio = np.interp(wavelength, spectra.WAVELENGTH_NM, row) * total / at
-        mean = ratio.mean()
-        columns.append(ratio * (spectra.integrate(row) / mean if mean > 0 else 0.0))
-    return np.stack(columns, axis=-1)
+        mean = (ratio * lit).mean()
+        columns.append(ratio * (spectra.integrate(row * light) / mean if mean > 0 else 0.0))
+    return np.stack([*columns, lit], axis=-1)
 
 
 def _ray_loop(
@@ -167,18 +175,19 @@ def _ray_loop(
     per_vergence = 2 * radius_m * px_per_m  # pixels of visible blur
     vergence = 1.0 / camera.lens.focus_distance_m
     response = cameras.response(camera) if stop is None else cameras.stop_response(camera, stop)
-    mean_response = spectra.integrate(response)
+    light = np.ones_like(spectra.WAVELENGTH_NM) if field is None else field.light
+    mean_signal = spectra.integrate(response * light)
     rate = np.zeros((height, width, len(response)))
-    if mean_response.max() <= 0:
+    if mean_signal.max() <= 0:
         return rate
-    density = draw_density(camera, response)
-    table = mi.Texture1f(mi.TensorXf(_draw_table(camera, response, density).astype(np.float32)))
-    # With axial colour every wavelength has rays of its own; without, four share one.
-    spacing = 0.0 if camera.lens.focal_shift_um else 1 / HERO
+    density = draw_density(camera, response, light)
+    table = mi.Texture1f(mi.TensorXf(_draw_table(camera, response, light, density).astype(np.float32)))
     draw_pupil = None if stop is None else pupil.drawer(stop)
     blur_range = 0.0 if max_blur_px is None else wave.blur_range_px(camera, max_blur_px, WAVE_BLUR_PX)
     blur = None if stop is None or max_blur_px is None else wave.weigher(camera, stop, density, blur_range)
 
+    # With axial colour every wavelength has rays of its own; without, four share one.
+    spacing = 0.0 if camera.lens.focal_shift_um else 1 / HERO
     integrator = transport.path_integrator()
     spp = sampling.spp
     sampler = mi.load_dict({"type": "independent", "sample_count": spp})  # deeper in the paths
@@ -230,22 +239,22 @@ def _ray_loop(
             spread = [seen, seen * seen]
         radiance = transport.radiance(scene, integrator, sampler, ray, si, (light, direction, lobe), field)
 
-        sums = list(spread)
+        sums, lit = list(spread), [entry[-1] for entry in entries]
         for channel in range(len(response)):
             share = [entries[k][2 + channel] * weight[k] for k in range(HERO)]
-            sums += [sum(share[k] * radiance[k] for k in range(HERO)), sum(share)]
+            sums += [sum(share[k] * radiance[k] for k in range(HERO)), sum(share[k] * lit[k] for k in range(HERO))]
         dr.eval(*sums)  # one kernel for all: summing first would trace the rays once a sum
         totals = [np.array(dr.block_sum(value, spp), dtype=np.float64) for value in sums]
         one_depth = _one_depth(totals[0] / spp, totals[1] / spp) if spread else np.True_
-        # The control variate: response * weight has a known mean where one depth is seen, and dividing by what
-        # was drawn of it takes the noise of drawing wavelengths and weights out. Near a depth step the weights'
-        # mean is not 1, so there the plain mean stays.
+        # The control variate: response x light x weight has a known mean where one depth is seen, and dividing by
+        # what was drawn of it takes the noise of drawing wavelengths and weights out. Near a depth step the
+        # weights' mean is not 1, so there the plain mean stays.
         for channel in range(len(response)):
             signal, control = totals[len(spread) + 2 * channel : len(spread) + 2 * channel + 2]
-            expected = HERO * spp * mean_response[channel]
+            expected = HERO * spp * mean_signal[channel]
             divisor = np.where(one_depth, control, expected)
             part = np.divide(signal, divisor, out=np.zeros_like(signal), where=divisor > 0)
-            rate[top : top + rows, :, channel] = mean_response[channel] * part.reshape(rows, width)
+            rate[top : top + rows, :, channel] = mean_signal[channel] * part.reshape(rows, width)
         sampling.progress((top + rows) / height)
     return rate
 

@@ -40,6 +40,7 @@ DENSITY_STEP_PX = 0.04  # of the table of g, along u
 DENSITY_BLUR_STEP_PX = 0.1  # of the table of g, along c
 GUIDE_NODES = 512  # equal steps of probability of q along |u|
 GUIDE_SHARE = 0.75  # of h in q; the rest is g, so that no weight is large where another depth is met
+TAIL_BOOST = 0.25  # more of q, each width of D farther out: little light, but from places unlike the pixel
 GUIDE_BANDS = 8  # wavelengths that stand for h in q
 
 PATTERN_TAIL = 12.0  # in lambda N of a disc of the same area
@@ -266,7 +267,10 @@ def _guide(
     # Not to the end of D, where there is hardly a rho left that leads there.
     nearest, farthest = inner * blurs[:, None] / 2 - reach_px, blurs[:, None] / 2 + reach_px
     near = (radius[None, :] >= nearest) & (radius[None, :] <= farthest)
-    q = np.where(near, GUIDE_SHARE * pattern + (1 - GUIDE_SHARE) * density, 0.0)
+    core = float(np.average([scale for scale, _ in chosen], weights=[weight for _, weight in chosen]))
+    outside = np.maximum(radius[None, :] - blurs[:, None] / 2, 0.0) / core
+    q = (GUIDE_SHARE * pattern + (1 - GUIDE_SHARE) * density) * (1 + TAIL_BOOST * outside)
+    q = np.where(near, q, 0.0)
     ring = np.pi * np.diff(radius**2)
     inside = np.concatenate([np.zeros((len(blurs), 1)), np.cumsum((q[:, 1:] + q[:, :-1]) / 2 * ring, axis=1)], axis=1)
     steps = np.linspace(0.0, 1.0, GUIDE_NODES + 1)
