@@ -188,19 +188,24 @@ def _printed(
 
 def _linear_rgb(image: str, folder: Path) -> NDArray[np.float32]:
     """A photograph in linear light, [h, w, 3] 0..1; ``skimage:NAME`` is one that ships with scikit-image."""
-    if image.startswith("skimage:"):
-        import skimage
-
-        path = _bundled_photograph(Path(skimage.__file__).parent / "data", image.removeprefix("skimage:"))
-    else:
-        path = folder / image
-        if not path.is_file():
-            raise InputError(f"image '{image}': no such file in {folder} (or 'skimage:NAME')")
+    path = photograph_path(image, folder)
     data = cv2.imread(str(path), cv2.IMREAD_COLOR)
     if data is None:
         raise InputError(f"image '{image}': {path} cannot be read as a picture")
     encoded = data[..., ::-1].astype(np.float32) / 255.0
     return np.where(encoded <= 0.04045, encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4).astype(np.float32)
+
+
+def photograph_path(image: str, folder: Path) -> Path:
+    """Where a photograph lies: a file in ``folder``, or ``skimage:NAME``; InputError where it is missing."""
+    if image.startswith("skimage:"):
+        import skimage
+
+        return _bundled_photograph(Path(skimage.__file__).parent / "data", image.removeprefix("skimage:"))
+    path = folder / image
+    if not path.is_file():
+        raise InputError(f"image '{image}': no such file in {folder} (or 'skimage:NAME')")
+    return path
 
 
 def _bundled_photograph(folder: Path, name: str) -> Path:

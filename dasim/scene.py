@@ -12,12 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, field_validator, model_validator
 
-from dasim import illuminants
+from dasim import illuminants, meshes
 from dasim.camera import Camera, refocused
 from dasim.errors import InputError
 from dasim.lights import Light, Positive, Vector
-from dasim.materials import Texture, material_names, surface
-from dasim.shapes import Mesh, Object, half_extent_m, load_mesh, placement
+from dasim.materials import Surface, Texture, material_names, surface
+from dasim.photographs import NEAR_INFRARED_RULES, grey_picture, photograph_surface
+from dasim.shapes import HeightField, Mesh, Object, Sphere, half_extent_m, mesh_parts, mesh_place, placement
 from dasim.specification import Specification, bundled_or_file, parse_toml
 
 FloatArray = NDArray[np.float64]
@@ -85,6 +86,53 @@ def main_illuminant(scene: Scene) -> str:
     return max(scene.lights, key=lambda light: light.lux).illuminant
 
 
+# --- surfaces ------------------------------------------------------------------------------------
+
+
+def material_of(item: Object) -> str:
+    """Name of an object's material; a mesh with colours of its own is a material of its own."""
+    return item.material or f"colours of {item.name}"
+
+
+def surface_of(item: Object, scene: Scene) -> Surface:
+    """The surface of an object: its material's, or its mesh's own colours by the near-infrared rule it names."""
+    if item.material is not None:
+        return surface(scene.materials.get(item.material, item.material), scene.folder)
+    assert isinstance(item, Mesh) and item.near_infrared is not None  # checked where the scene was loaded
+    picture = triangles(item, scene.folder).paint
+    assert picture is not None
+    return photograph_surface(picture, item.near_infrared)
+
+
+def triangles(item: Mesh, folder: Path) -> meshes.Part:
+    """A mesh's triangles; without a material also the picture of its colours, and where it lies on them."""
+    parts = mesh_parts(item, folder)
+    if item.material is not None:
+        return meshes.joined(parts)
+    return meshes.joined_with_colours(parts, mesh_place(item, folder))
+
+
+def material_names_of(scene: Scene) -> list[str]:
+    """Names of the materials that a scene's objects have, in order of first use; number 1 is the first."""
+    return list(dict.fromkeys(material_of(item) for item in scene.objects))
+
+
+def material_number_of_object(scene: Scene) -> NDArray[np.uint32]:
+    """Number of each object's material (from 1, in ``material_names_of``) by ``object_id``; 0 is nothing."""
+    names = material_names_of(scene)
+    return np.array([0, *(names.index(material_of(item)) + 1 for item in scene.objects)], np.uint32)
+
+
+def colour_notes(scene: Scene) -> list[str]:
+    """What was made of RGB colours: one line for each mesh that has its own."""
+    return [
+        f"object '{item.name}': RGB of {item.file} ({', '.join(meshes.colour_kinds(mesh_parts(item, scene.folder)))}) "
+        f"became a matt material by the near-infrared rule '{item.near_infrared}'"
+        for item in scene.objects
+        if isinstance(item, Mesh) and item.material is None
+    ]
+
+
 # --- geometry ------------------------------------------------------------------------------------
 
 
@@ -125,31 +173,66 @@ def _check(scene: Scene, where: str) -> None:
             surface(texture, scene.folder)
         except InputError as error:
             problems.append(f"material '{name}': {error}")
-    known = set(material_names()) | set(scene.materials)
     for item in scene.objects:
-        if item.material not in known:
-            names = ", ".join(sorted(known))
-            problems.append(f"object '{item.name}': material '{item.material}' is unknown ({names})")
-        if isinstance(item, Mesh) and item.material in scene.materials:
-            problems += _texture_problems(item, scene)
-        try:
-            problems += _placement_problems(item, scene)
-        except InputError as error:
-            problems.append(str(error))
+        for check in (_material_problems, _size_problems, _placement_problems):
+            try:
+                problems += check(item, scene)
+            except InputError as error:
+                if str(error) not in problems:
+                    problems.append(str(error))
     if problems:
         raise InputError(f"{where}: " + "; ".join(problems))
 
 
-def _texture_problems(item: Mesh, scene: Scene) -> list[str]:
-    try:
-        if load_mesh(item, scene.folder).uv is None:
+def _material_problems(item: Object, scene: Scene) -> list[str]:
+    if isinstance(item, HeightField):
+        try:
+            grey_picture(item.image, scene.folder)
+        except InputError as error:
+            return [f"object '{item.name}': {error}"]
+    known = set(material_names()) | set(scene.materials)
+    if item.material is None:
+        return _colour_problems(item, scene) if isinstance(item, Mesh) else []
+    if item.material not in known:
+        return [f"object '{item.name}': material '{item.material}' is unknown ({', '.join(sorted(known))})"]
+    if isinstance(item, Mesh) and item.material in scene.materials:
+        if any(part.uv is None for part in mesh_parts(item, scene.folder)):
             return [
                 f"object '{item.name}': mesh {item.file} has no texture coordinates "
                 f"for the material '{item.material}'; give it some, or one of the plain materials"
             ]
-    except InputError:
-        pass  # reported with the placement
     return []
+
+
+def _colour_problems(item: Mesh, scene: Scene) -> list[str]:
+    """What stands against using a mesh's own colours."""
+    kinds = meshes.colour_kinds(mesh_parts(item, scene.folder))
+    rules = ", ".join(NEAR_INFRARED_RULES)
+    if not kinds:
+        return [f"object '{item.name}': mesh {item.file} has no colours of its own; give the object a material"]
+    if item.near_infrared is None:
+        return [
+            f"object '{item.name}': mesh {item.file} has RGB colours ({', '.join(kinds)}), which say nothing of the "
+            f"near-infrared; choose a rule, near_infrared = {rules}, or give the object a material"
+        ]
+    if item.near_infrared not in NEAR_INFRARED_RULES:
+        return [f"object '{item.name}': near_infrared '{item.near_infrared}' is unknown; allowed are {rules}"]
+    triangles(item, scene.folder)  # raises where the colours are too many
+    return []
+
+
+SMALLEST_M, LARGEST_M = 1e-5, 100.0
+
+
+def _size_problems(item: Object, scene: Scene) -> list[str]:
+    size_m = 2 * float(half_extent_m(item, scene.folder)[1].max())
+    if SMALLEST_M <= size_m <= LARGEST_M:
+        return []
+    unit = f"unit_cm is {item.unit_cm:g}" if isinstance(item, Mesh) else "lengths are in centimetres"
+    return [
+        f"object '{item.name}': is {size_m:.3g} m large; {SMALLEST_M * 1e6:g} um to {LARGEST_M:g} m are allowed "
+        f"(a mistake of units? {unit})"
+    ]
 
 
 def check_clear(scene: Scene, pupil_radius_m: float) -> None:
@@ -171,7 +254,28 @@ def _placement_problems(item: Object, scene: Scene, pupil_radius_m: float = 0.0)
     rim = np.stack([np.cos(turns), np.sin(turns), np.zeros(PUPIL_POINTS)], axis=-1) * pupil_radius_m
     pupil = np.vstack([np.zeros(3), rim / 2, rim])
     to_local = np.linalg.inv(to_camera)
-    inside = np.abs(pupil @ to_local[:3, :3].T + to_local[:3, 3] - centre) <= half + LENS_CLEARANCE_M
-    if inside.all(axis=-1).any():
+    offset = pupil @ to_local[:3, :3].T + to_local[:3, 3] - centre
+    if not (np.abs(offset) <= half + LENS_CLEARANCE_M).all(axis=-1).any():
+        return []
+    if isinstance(item, Sphere) and np.linalg.norm(offset, axis=-1).min() > half[0] + LENS_CLEARANCE_M:
+        return []
+    if isinstance(item, Mesh):
+        return _mesh_clearance_problems(item, scene, to_camera, pupil_radius_m + LENS_CLEARANCE_M)
+    return [f"object '{item.name}': lies on the lens or around it; move it to z above 0"]
+
+
+def _mesh_clearance_problems(item: Mesh, scene: Scene, to_camera: FloatArray, clearance_m: float) -> list[str]:
+    """A camera may stand in a mesh's box (a room, a canyon), but not in its surface or within a solid body.
+
+    A room is a mesh whose faces point inwards; one with openings as wide as half of all directions is no body.
+    """
+    mesh = meshes.joined(mesh_parts(item, scene.folder))
+    corners = (mesh.vertices @ to_camera[:3, :3].T + to_camera[:3, 3])[mesh.faces]
+    if meshes.distance_from_origin(corners) <= clearance_m:
         return [f"object '{item.name}': lies on the lens or around it; move it to z above 0"]
+    if meshes.turns_around_origin(corners) > 0.5:
+        return [
+            f"object '{item.name}': the camera is inside it; move one of them, or, where it is a room, "
+            f"turn the faces of {item.file} inwards"
+        ]
     return []

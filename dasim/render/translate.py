@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from dasim import materials
+from dasim import scene as scenes
 from dasim.lights import Lamp
 from dasim.render.emitters import emitter
 from dasim.render.geometry import shape
@@ -32,10 +32,9 @@ def scene_dict(scene: Scene) -> dict[str, Any]:
     surfaces: dict[tuple[str, bool], Any] = {}
     for index, item in enumerate(scene.objects):
         # Mitsuba's sphere counts v from its upper pole, everything else from the bottom.
-        key = (item.material, item.shape == "sphere")
+        key = (scenes.material_of(item), item.shape == "sphere")
         if key not in surfaces:
-            texture = scene.materials.get(item.material, item.material)
-            surfaces[key] = surface_bsdf(materials.surface(texture, scene.folder), flip=key[1])
+            surfaces[key] = surface_bsdf(scenes.surface_of(item, scene), flip=key[1])
         result[object_key(index)] = shape(item, scene, surfaces[key], object_key(index))
     lamps = any(isinstance(light, Lamp) for light in scene.lights)
     for index, light in enumerate(scene.lights):
