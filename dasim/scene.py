@@ -16,7 +16,7 @@ from dasim import illuminants
 from dasim.camera import Camera, refocused
 from dasim.errors import InputError
 from dasim.lights import Light, Positive, Vector
-from dasim.materials import Texture, material_names, surface
+from dasim.materials import Glass, Surface, Texture, is_textured, material_names, surface, unknown
 from dasim.shapes import Mesh, Object, half_extent_m, load_mesh, placement
 from dasim.specification import Specification, bundled_or_file, parse_toml
 
@@ -120,17 +120,18 @@ def _check(scene: Scene, where: str) -> None:
     for light in scene.lights:
         if light.illuminant not in illuminants.ILLUMINANTS:
             problems.append(f"illuminant '{light.illuminant}' is unknown ({', '.join(illuminants.ILLUMINANTS)})")
+    own: dict[str, Surface] = {}
     for name, texture in scene.materials.items():
         try:
-            surface(texture, scene.folder)
+            own[name] = surface(texture, scene.folder)
         except InputError as error:
             problems.append(f"material '{name}': {error}")
     known = set(material_names()) | set(scene.materials)
     for item in scene.objects:
         if item.material not in known:
-            names = ", ".join(sorted(known))
-            problems.append(f"object '{item.name}': material '{item.material}' is unknown ({names})")
-        if isinstance(item, Mesh) and item.material in scene.materials:
+            problems.append(f"object '{item.name}': {unknown(item.material, scene.materials)}")
+        problems += _glass_problems(item, scene, own)
+        if isinstance(item, Mesh) and item.material in own and is_textured(own[item.material]):
             problems += _texture_problems(item, scene)
         try:
             problems += _placement_problems(item, scene)
@@ -138,6 +139,18 @@ def _check(scene: Scene, where: str) -> None:
             problems.append(str(error))
     if problems:
         raise InputError(f"{where}: " + "; ".join(problems))
+
+
+def _glass_problems(item: Object, scene: Scene, own: dict[str, Surface]) -> list[str]:
+    """Light that enters glass has to come out again: solid glass on an open shape would fill the world."""
+    found = own.get(item.material)
+    solid = isinstance(found, Glass) and not found.thin if found else item.material == "glass"
+    if not solid or item.shape not in ("plane", "disc", "cylinder"):
+        return []
+    return [
+        f"object '{item.name}': a {item.shape} is open and cannot be of solid glass (material '{item.material}'); "
+        "take 'glass-pane' (or thin = true), or a box, sphere or closed mesh"
+    ]
 
 
 def _texture_problems(item: Mesh, scene: Scene) -> list[str]:

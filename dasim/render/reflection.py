@@ -6,32 +6,80 @@ from typing import Any
 
 import numpy as np
 
-from dasim import materials
-from dasim.materials import Diffuse, Surface
 from dasim.render.mixture import mixture_dict
 from dasim.render.plugin import spectrum_dict
+from dasim.surfaces import Coated, Diffuse, Glass, Metal, Mixture, Surface, flipped, is_diffuse
 
 
 def surface_bsdf(surface: Surface, *, flip: bool) -> Any:
-    """A two-sided surface, one instance for all objects that have it."""
+    """A surface that is the same from both sides, one instance for all objects that have it; glass lets light through.
+
+    ``flip`` turns its images upside down.
+    """
     import mitsuba as mi
 
-    return mi.load_dict({"type": "twosided", "bsdf": _bsdf(materials.flipped(surface) if flip else surface)})
+    inner = _bsdf(flipped(surface) if flip else surface)
+    return mi.load_dict(inner if isinstance(surface, Glass) else {"type": "twosided", "bsdf": inner})
 
 
 def _bsdf(surface: Surface) -> dict[str, Any]:
+    match surface:
+        case Diffuse():
+            return {"type": "diffuse", "reflectance": spectrum_dict(surface.reflectance)}
+        case Mixture() if _is_jit() and is_diffuse(surface):
+            return {"type": "diffuse", "reflectance": mixture_dict(surface)}
+        case Mixture():
+            return _blend(surface, _bsdf(surface.first), _bsdf(surface.second))
+        case Metal():
+            return {"material": surface.conductor, **_rough("conductor", surface.roughness)}
+        case Glass():
+            plugin = "thindielectric" if surface.thin else "dielectric"
+            return {"type": plugin, "int_ior": surface.refractive_index, "ext_ior": 1.0}
+        case Coated():
+            return _coated(surface.base, surface)
+
+
+def _coated(base: Surface, coat: Coated) -> dict[str, Any]:
+    """A part of a base under its coat. The plugin is linear in the base's reflectance (``nonlinear`` is off), so
+    coated parts mixed are the coated mixture.
+    """
+    if isinstance(base, Mixture) and not _is_jit():
+        return _blend(base, _coated(base.first, coat), _coated(base.second, coat))
+    if isinstance(base, Mixture):
+        reflectance = mixture_dict(base)
+    else:
+        assert isinstance(base, Diffuse)
+        reflectance = spectrum_dict(base.reflectance)
+    return {
+        "diffuse_reflectance": reflectance,
+        "nonlinear": False,
+        "int_ior": coat.refractive_index,
+        "ext_ior": 1.0,
+        **_rough("plastic", coat.roughness),
+    }
+
+
+def _rough(plugin: str, roughness: float) -> dict[str, Any]:
+    if roughness == 0:
+        return {"type": plugin}
+    return {"type": f"rough{plugin}", "distribution": "ggx", "alpha": roughness}
+
+
+def _blend(surface: Mixture, first: dict[str, Any], second: dict[str, Any]) -> dict[str, Any]:
     import mitsuba as mi
 
-    if isinstance(surface, Diffuse):
-        return {"type": "diffuse", "reflectance": spectrum_dict(surface.reflectance)}
-    if not mi.variant().startswith("scalar"):
-        return {"type": "diffuse", "reflectance": mixture_dict(surface)}
     # Mitsuba's v runs down from the bitmap's top row; shapes and mesh files have v = 0 at the bottom.
     weight = np.ascontiguousarray(surface.weight[::-1, :, None], dtype=np.float32)
     uv = mi.ScalarTransform4f().scale([*surface.repeat, 1.0])
     return {
         "type": "blendbsdf",
         "weight": {"type": "bitmap", "bitmap": mi.Bitmap(weight), "raw": True, "wrap_mode": "mirror", "to_uv": uv},
-        "first": _bsdf(surface.first),
-        "second": _bsdf(surface.second),
+        "first": first,
+        "second": second,
     }
+
+
+def _is_jit() -> bool:
+    import mitsuba as mi
+
+    return not mi.variant().startswith("scalar")
