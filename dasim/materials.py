@@ -202,7 +202,7 @@ class Coating(Specification):
 
     kind: Literal["coated"]
     base: Part
-    roughness: Roughness = 0.1
+    roughness: float = Field(default=0.1, ge=0, le=0.5, description="GGX alpha; rougher is matt: no coat")
     refractive_index: float = Field(default=CLEAR_COAT_INDEX, ge=1.01, le=2.5)
 
 

@@ -16,14 +16,16 @@ from dasim.spectra import WAVELENGTH_NM
 from dasim.surfaces import Diffuse, Image, Mixture, Surface, leaves
 
 _numbers = itertools.count()
-_surfaces: dict[int, Mixture] = {}  # what a plugin's properties cannot carry, until the plugin has read it
+_surfaces: dict[
+    int, tuple[Mixture, float]
+] = {}  # what a plugin's properties cannot carry, until the plugin has read it
 
 
-def mixture_dict(surface: Mixture) -> dict[str, Any]:
-    """Mitsuba's description of a mixture of diffuse parts as a texture."""
+def mixture_dict(surface: Mixture, gain: float = 1.0) -> dict[str, Any]:
+    """Mitsuba's description of a mixture of diffuse parts as a texture, its reflectance multiplied by ``gain``."""
     _register()
     number = next(_numbers)
-    _surfaces[number] = surface
+    _surfaces[number] = surface, gain
     return {"type": "dasim_mixture", "number": number}
 
 
@@ -58,8 +60,8 @@ def _register() -> None:
 
         def __init__(self, props: Any) -> None:
             super().__init__(props)
-            self.surface = _surfaces.pop(props["number"])  # each description is read once
-            self.average = _mean(self.surface)
+            self.surface, gain = _surfaces.pop(props["number"])  # each description is read once
+            self.average = gain * _mean(self.surface)
             self.places = _places(self.surface)
             # Images of one size and repeat are looked up together.
             groups: dict[Any, list[int]] = {}
@@ -69,7 +71,7 @@ def _register() -> None:
             spectra = np.stack(
                 [leaf.reflectance for leaf in leaves(self.surface) if isinstance(leaf, Diffuse)], axis=-1
             )
-            self.spectra = mi.Texture1f(mi.TensorXf(spectra.astype(np.float32)))
+            self.spectra = mi.Texture1f(mi.TensorXf((gain * spectra).astype(np.float32)))
 
         def _weights(self, numbers: list[int]) -> Any:
             # v = 0 is the bottom row, as in translate

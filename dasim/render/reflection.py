@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -9,6 +10,8 @@ import numpy as np
 from dasim.render.mixture import mixture_dict
 from dasim.render.plugin import spectrum_dict
 from dasim.surfaces import Coated, Diffuse, Glass, Metal, Mixture, Surface, flipped, is_diffuse
+
+GAUSS_NODES = 24  # the coat's transmittance is smooth: the integral is good to 1e-4
 
 
 def surface_bsdf(surface: Surface, *, flip: bool) -> Any:
@@ -45,11 +48,12 @@ def _coated(base: Surface, coat: Coated) -> dict[str, Any]:
     """
     if isinstance(base, Mixture) and not _is_jit():
         return _blend(base, _coated(base.first, coat), _coated(base.second, coat))
+    gain = _coat_gain(coat.roughness, coat.refractive_index, _variant())
     if isinstance(base, Mixture):
-        reflectance = mixture_dict(base)
+        reflectance = mixture_dict(base, gain)
     else:
         assert isinstance(base, Diffuse)
-        reflectance = spectrum_dict(base.reflectance)
+        reflectance = spectrum_dict(gain * base.reflectance)
     return {
         "diffuse_reflectance": reflectance,
         "nonlinear": False,
@@ -57,6 +61,33 @@ def _coated(base: Surface, coat: Coated) -> dict[str, Any]:
         "ext_ior": 1.0,
         **_rough("plastic", coat.roughness),
     }
+
+
+@cache
+def _coat_gain(roughness: float, refractive_index: float, variant: str) -> float:
+    """What the base's reflectance is multiplied by under a rough coat.
+
+    ``roughplastic`` loses what its microfacets reflect twice (a white base under alpha 0.2 reflects 0.80). The gain
+    makes a white base reflect all but the gloss at normal incidence; at other angles it then reflects at most
+    everything, and 0.9 at 80 degrees from alpha 0.3. The integral over the hemisphere is by Gauss's rule.
+    """
+    import mitsuba as mi
+
+    if roughness == 0:
+        return 1.0
+    bare = {"diffuse_reflectance": {"type": "uniform", "value": 1.0}, "nonlinear": False, "specular_reflectance": 0.0}
+    plugin = mi.load_dict({**bare, "int_ior": refractive_index, "ext_ior": 1.0, **_rough("plastic", roughness)})
+    cosines, weights = np.polynomial.legendre.leggauss(GAUSS_NODES)
+    cosines, weights = (cosines + 1) / 2, weights / 2
+    albedo = 0.0
+    for cosine, weight in zip(cosines, weights, strict=True):
+        si = mi.SurfaceInteraction3f()
+        si.wi, si.wavelengths = mi.Vector3f(0.0, 0.0, 1.0), mi.Spectrum(550.0)
+        outward = mi.Vector3f(float(np.sqrt(1 - cosine**2)), 0.0, float(cosine))
+        value = np.ravel(plugin.eval(mi.BSDFContext(), si, outward))[0]  # with the cosine
+        albedo += 2 * np.pi * weight * float(value)
+    gloss = ((refractive_index - 1) / (refractive_index + 1)) ** 2
+    return float((1 - gloss) / albedo)
 
 
 def _rough(plugin: str, roughness: float) -> dict[str, Any]:
@@ -79,7 +110,11 @@ def _blend(surface: Mixture, first: dict[str, Any], second: dict[str, Any]) -> d
     }
 
 
-def _is_jit() -> bool:
+def _variant() -> str:
     import mitsuba as mi
 
-    return not mi.variant().startswith("scalar")
+    return str(mi.variant())
+
+
+def _is_jit() -> bool:
+    return not _variant().startswith("scalar")
