@@ -53,7 +53,7 @@ __all__ = [
 # --- names ---------------------------------------------------------------------------------------
 
 CONDUCTORS = {"aluminium": "Al", "chromium": "Cr", "copper": "Cu", "gold": "Au", "silver": "Ag", "tungsten": "W"}
-_METAL_SOURCE = "complex index measured to 885 nm, as Mitsuba has it (SOPRA and Palik tables); GGX alpha 0.1"
+_METAL_SOURCE = "complex index measured to 885 nm, as Mitsuba has it; GGX alpha 0.1"
 _GLASS_SOURCE = "clear crown glass, index 1.52 at all wavelengths"
 _GLOSSY = {  # base, roughness of the coat
     "porcelain": ("ceramic-white", 0.0),

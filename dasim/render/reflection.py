@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from functools import cache
+from importlib.util import find_spec
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from dasim.render.mixture import mixture_dict
 from dasim.render.plugin import spectrum_dict
+from dasim.spectra import WAVELENGTH_NM, FloatArray
 from dasim.surfaces import Coated, Diffuse, Glass, Metal, Mixture, Surface, flipped, is_diffuse
 
 GAUSS_NODES = 24  # the coat's transmittance is smooth: the integral is good to 1e-4
@@ -23,6 +26,41 @@ def surface_bsdf(surface: Surface, *, flip: bool) -> Any:
 
     inner = _bsdf(flipped(surface) if flip else surface)
     return mi.load_dict(inner if isinstance(surface, Glass) else {"type": "twosided", "bsdf": inner})
+
+
+def normal_reflectance(surface: Surface) -> FloatArray:
+    """Reflectance 0..1 at normal incidence on ``WAVELENGTH_NM`` of a surface that is the same everywhere.
+
+    Fresnel's equations for the air side of metals and glass (both sides of a thin pane), the gloss and the base of a
+    coat. Roughness is left out.
+    """
+    match surface:
+        case Diffuse():
+            return surface.reflectance
+        case Metal():
+            eta, k = (_measured_index(surface.conductor, part) for part in ("eta", "k"))
+            return ((eta - 1) ** 2 + k**2) / ((eta + 1) ** 2 + k**2)
+        case Glass():
+            gloss = _gloss(surface.refractive_index)
+            return np.full(len(WAVELENGTH_NM), 2 * gloss / (1 + gloss) if surface.thin else gloss)
+        case Coated():
+            gloss = _gloss(surface.refractive_index)
+            return gloss + (1 - gloss) * normal_reflectance(surface.base)
+    raise TypeError("a textured surface has no one reflectance")
+
+
+def _gloss(refractive_index: float) -> float:
+    """Fresnel's reflectance of a clear surface at normal incidence."""
+    return float(((refractive_index - 1) / (refractive_index + 1)) ** 2)
+
+
+def _measured_index(conductor: str, part: str) -> FloatArray:
+    """Real (``eta``) or imaginary (``k``) index of refraction, from the table that Mitsuba reads too."""
+    found = find_spec("mitsuba")
+    assert found is not None and found.origin is not None
+    table = np.loadtxt(Path(found.origin).parent / "data" / "ior" / f"{conductor}.{part}.spd")
+    assert table[0, 0] <= WAVELENGTH_NM[0] and table[-1, 0] >= WAVELENGTH_NM[-1], "outside, Mitsuba reads zeros"
+    return np.interp(WAVELENGTH_NM, table[:, 0], table[:, 1])
 
 
 def _bsdf(surface: Surface) -> dict[str, Any]:
@@ -86,8 +124,7 @@ def _coat_gain(roughness: float, refractive_index: float, variant: str) -> float
         outward = mi.Vector3f(float(np.sqrt(1 - cosine**2)), 0.0, float(cosine))
         value = np.ravel(plugin.eval(mi.BSDFContext(), si, outward))[0]  # with the cosine
         albedo += 2 * np.pi * weight * float(value)
-    gloss = ((refractive_index - 1) / (refractive_index + 1)) ** 2
-    return float((1 - gloss) / albedo)
+    return (1 - _gloss(refractive_index)) / albedo
 
 
 def _rough(plugin: str, roughness: float) -> dict[str, Any]:
