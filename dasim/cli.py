@@ -398,7 +398,7 @@ def list_(kind: str, *, verbose: Annotated[bool, Parameter(negative="")] = False
         kind: scenes, cameras, materials, illuminants or claims
         verbose: with more detail
     """
-    from dasim import camera, describe, illuminants, materials, scene, spectra
+    from dasim import camera, describe, illuminants, scene
 
     if kind == "scenes":
         for name in scene.scene_names():
@@ -410,10 +410,7 @@ def list_(kind: str, *, verbose: Annotated[bool, Parameter(negative="")] = False
             if verbose:
                 print("\n".join(f"    {line}" for line in describe.described(loaded)) + "\n")
     elif kind == "materials":
-        for name in materials.material_names():
-            curve = materials.reflectance(name)
-            shown = " ".join(f"{curve[spectra.WAVELENGTH_NM == nm][0]:.2f}" for nm in (450, 550, 650, 750))
-            print(f"{name:<18}reflectance at 450, 550, 650, 750 nm: {shown}" if verbose else name)
+        _list_materials(verbose=verbose)
     elif kind == "illuminants":
         print("\n".join(illuminants.ILLUMINANTS))
     elif kind == "claims":
@@ -423,6 +420,24 @@ def list_(kind: str, *, verbose: Annotated[bool, Parameter(negative="")] = False
     else:
         raise InputError(f"list '{kind}' is unknown; allowed are scenes, cameras, materials, illuminants, claims")
     return 0
+
+
+def _list_materials(*, verbose: bool) -> None:
+    from dasim import materials
+    from dasim.render.reflection import normal_reflectance
+    from dasim.spectra import WAVELENGTH_NM
+
+    shown_nm = (450, 550, 650, 750, 800)
+    if verbose:
+        print(f"reflectance (metals, glass and coats: at normal incidence) at {', '.join(map(str, shown_nm))} nm")
+    for name in materials.material_names():
+        kind, source = materials.kind_and_source(name)
+        if not verbose:
+            print(f"{name:<24}{kind}")
+            continue
+        curve = normal_reflectance(materials.surface(name, Path(".")))
+        values = " ".join(f"{curve[WAVELENGTH_NM == nm][0]:.2f}" for nm in shown_nm)
+        print(f"{name:<24}{kind:<9}{values}  {source}")
 
 
 def _list_claims(names: list[str], *, verbose: bool) -> None:

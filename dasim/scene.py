@@ -16,8 +16,8 @@ from dasim import illuminants, meshes
 from dasim.camera import Camera, refocused
 from dasim.errors import InputError
 from dasim.lights import Light, Positive, Vector
-from dasim.materials import Surface, Texture, material_names, surface
-from dasim.photographs import NEAR_INFRARED_RULES, grey_picture, photograph_surface
+from dasim.materials import Glass, Surface, Texture, is_textured, material_names, surface, unknown
+from dasim.photographs import NEAR_INFRARED_RULES, mask, photograph_surface
 from dasim.shapes import HeightField, Mesh, Object, Sphere, half_extent_m, mesh_parts, mesh_place, placement
 from dasim.specification import Specification, bundled_or_file, parse_toml
 
@@ -168,9 +168,10 @@ def _check(scene: Scene, where: str) -> None:
     for light in scene.lights:
         if light.illuminant not in illuminants.ILLUMINANTS:
             problems.append(f"illuminant '{light.illuminant}' is unknown ({', '.join(illuminants.ILLUMINANTS)})")
+    own: dict[str, Surface] = {}
     for name, texture in scene.materials.items():
         try:
-            surface(texture, scene.folder)
+            own[name] = surface(texture, scene.folder)
         except InputError as error:
             problems.append(f"material '{name}': {error}")
     for item in scene.objects:
@@ -180,6 +181,9 @@ def _check(scene: Scene, where: str) -> None:
             except InputError as error:
                 if str(error) not in problems:
                     problems.append(str(error))
+        problems += _glass_problems(item, scene, own)
+        if isinstance(item, Mesh) and item.material in own and is_textured(own[item.material]):
+            problems += _texture_problems(item, scene)
     if problems:
         raise InputError(f"{where}: " + "; ".join(problems))
 
@@ -187,20 +191,37 @@ def _check(scene: Scene, where: str) -> None:
 def _material_problems(item: Object, scene: Scene) -> list[str]:
     if isinstance(item, HeightField):
         try:
-            grey_picture(item.image, scene.folder)
+            mask(item.image, scene.folder)
         except InputError as error:
             return [f"object '{item.name}': {error}"]
-    known = set(material_names()) | set(scene.materials)
     if item.material is None:
         return _colour_problems(item, scene) if isinstance(item, Mesh) else []
-    if item.material not in known:
-        return [f"object '{item.name}': material '{item.material}' is unknown ({', '.join(sorted(known))})"]
-    if isinstance(item, Mesh) and item.material in scene.materials:
+    if item.material not in set(material_names()) | set(scene.materials):
+        return [f"object '{item.name}': {unknown(item.material, scene.materials)}"]
+    return []
+
+
+def _glass_problems(item: Object, scene: Scene, own: dict[str, Surface]) -> list[str]:
+    """Light that enters glass has to come out again: solid glass on an open shape would fill the world."""
+    found = own.get(item.material or "")
+    solid = isinstance(found, Glass) and not found.thin if found else item.material == "glass"
+    if not solid or item.shape not in ("plane", "disc", "cylinder", "heightfield"):
+        return []
+    return [
+        f"object '{item.name}': a {item.shape} is open and cannot be of solid glass (material '{item.material}'); "
+        "take 'glass-pane' (or thin = true), or a box, sphere or closed mesh"
+    ]
+
+
+def _texture_problems(item: Mesh, scene: Scene) -> list[str]:
+    try:
         if any(part.uv is None for part in mesh_parts(item, scene.folder)):
             return [
                 f"object '{item.name}': mesh {item.file} has no texture coordinates "
                 f"for the material '{item.material}'; give it some, or one of the plain materials"
             ]
+    except InputError:
+        pass  # reported with the placement
     return []
 
 

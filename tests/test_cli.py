@@ -343,7 +343,7 @@ def test_sizes_that_do_not_fit_the_sensor_are_refused(refused, size):
         ("size_cm = [50, 40]", "size_cm = [0, 40]", ("objects.0", "size_cm")),
         ("size_cm = [50, 40]", "size_cm = [50, -40]", ("objects.0", "size_cm")),
         ("position_cm = [0, 0, 20]", "position_cm = [0, 0, -20]", ("object 'thing'", "behind the lens")),
-        ("position_cm = [0, 0, 20]", "position_cm = [0, 0, 0]", ("object 'thing'", "on the lens")),
+        ("position_cm = [0, 0, 20]", "position_cm = [0, 0, 0]", ("object 'thing'", "the camera is inside it")),
         ("position_cm = [0, 0, 40]", "position_cm = [0, 0, 0]", ("object 'wall'", "the lens")),
         ("thing.obj", "nothing.obj", ("object 'thing'", "nothing.obj", "no such file")),
         ("thing.obj", "camera.toml", ("object 'thing'", "camera.toml", "OBJ, PLY, GLB")),

@@ -10,7 +10,7 @@ import numpy as np
 from dasim import scene as scenes
 from dasim import shapes
 from dasim.meshes import Part
-from dasim.photographs import grey_picture
+from dasim.photographs import mask
 from dasim.render.plugin import transform
 from dasim.scene import Scene
 
@@ -24,7 +24,7 @@ def shape(item: shapes.Object, scene: Scene, bsdf: Any, key: str) -> Any:
     if item.shape == "mesh":
         return mesh(scenes.triangles(item, scene.folder), to_camera, bsdf, key)
     if item.shape == "heightfield":
-        return mesh(shapes.relief(item, _heights(grey_picture(item.image, scene.folder))), to_camera, bsdf, key)
+        return mesh(shapes.relief(item, _heights(mask(item.image, scene.folder))), to_camera, bsdf, key)
     if item.shape in ("plane", "disc"):
         local = _UP @ np.diag([half[0], half[1], 1.0, 1.0])
         plugin = {"plane": "rectangle", "disc": "disk"}[item.shape]
