@@ -398,7 +398,7 @@ def list_(kind: str, *, verbose: Annotated[bool, Parameter(negative="")] = False
         kind: scenes, cameras, materials, illuminants or claims
         verbose: with more detail
     """
-    from dasim import camera, describe, illuminants, scene
+    from dasim import camera, describe, scene
 
     if kind == "scenes":
         for name in scene.scene_names():
@@ -412,7 +412,7 @@ def list_(kind: str, *, verbose: Annotated[bool, Parameter(negative="")] = False
     elif kind == "materials":
         _list_materials(verbose=verbose)
     elif kind == "illuminants":
-        print("\n".join(illuminants.ILLUMINANTS))
+        _list_illuminants(verbose=verbose)
     elif kind == "claims":
         from validation.claims import CLAIMS
 
@@ -438,6 +438,24 @@ def _list_materials(*, verbose: bool) -> None:
         curve = normal_reflectance(materials.surface(name, Path(".")))
         values = " ".join(f"{curve[WAVELENGTH_NM == nm][0]:.2f}" for nm in shown_nm)
         print(f"{name:<24}{kind:<9}{values}  {source}")
+
+
+def _list_illuminants(*, verbose: bool) -> None:
+    from dasim import illuminants
+
+    if verbose:
+        print("name                  CCT K  near-IR  beyond the end of the table")
+    for name in (*illuminants.ILLUMINANTS, *(illuminants.EXAMPLES if verbose else illuminants.PATTERNS)):
+        if not verbose:
+            print(name)
+            continue
+        about = illuminants.described(name)
+        print(f"{about.name:<20}{about.cct_k:>7.0f}{about.near_infrared:>9.2f}  {about.beyond}")
+    if verbose:
+        print(
+            "CCT: without what lies below 400 nm; near-IR: photons over 650-810 nm, over those of D65 at as many lux\n"
+        )
+        print("\n".join(f"also: {pattern}" for pattern in illuminants.PATTERNS))
 
 
 def _list_claims(names: list[str], *, verbose: bool) -> None:

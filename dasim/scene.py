@@ -12,13 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, field_validator, model_validator
 
-from dasim import illuminants, meshes
+from dasim import illuminants, meshes, panorama
 from dasim.camera import Camera, refocused
 from dasim.errors import InputError
-from dasim.lights import Light, Positive, Vector
+from dasim.lights import Light, Near, Positive, Vector
 from dasim.materials import Glass, Surface, Texture, is_textured, material_names, surface, unknown
 from dasim.photographs import NEAR_INFRARED_RULES, mask, photograph_surface
-from dasim.shapes import HeightField, Mesh, Object, Sphere, half_extent_m, mesh_parts, mesh_place, placement
+from dasim.shapes import Box, HeightField, Mesh, Object, Sphere, half_extent_m, mesh_parts, mesh_place, placement
 from dasim.specification import Specification, bundled_or_file, parse_toml
 
 FloatArray = NDArray[np.float64]
@@ -165,9 +165,13 @@ PUPIL_POINTS = 24
 def _check(scene: Scene, where: str) -> None:
     """Materials, illuminants, images and meshes exist, and no object is behind or on the lens."""
     problems: list[str] = []
-    for light in scene.lights:
-        if light.illuminant not in illuminants.ILLUMINANTS:
-            problems.append(f"illuminant '{light.illuminant}' is unknown ({', '.join(illuminants.ILLUMINANTS)})")
+    for index, light in enumerate(scene.lights):
+        try:
+            illuminants.illuminant(light.illuminant)
+            panorama.check(light, scene.folder)
+        except InputError as error:
+            problems.append(f"lights.{index} ({light.kind}): {error}")
+        problems += [f"lights.{index} ({light.kind}): {problem}" for problem in _swallowed(light, scene)]
     own: dict[str, Surface] = {}
     for name, texture in scene.materials.items():
         try:
@@ -211,6 +215,21 @@ def _glass_problems(item: Object, scene: Scene, own: dict[str, Surface]) -> list
         f"object '{item.name}': a {item.shape} is open and cannot be of solid glass (material '{item.material}'); "
         "take 'glass-pane' (or thin = true), or a box, sphere or closed mesh"
     ]
+
+
+def _swallowed(light: Light, scene: Scene) -> list[str]:
+    """Whether a lamp stands inside a solid object, where nobody sees its light."""
+    if not isinstance(light, Near):
+        return []
+    found = []
+    for item in scene.objects:
+        if isinstance(item, (Box, Sphere)):
+            _, half = half_extent_m(item, scene.folder)
+            place = np.linalg.inv(placement(item)) @ [*np.multiply(light.position_cm, 1e-2), 1.0]
+            share = np.abs(place[:3]) / half
+            if (np.linalg.norm(share) if isinstance(item, Sphere) else share.max()) < 1:
+                found.append(f"position_cm lies inside object '{item.name}'; move one of them")
+    return found
 
 
 def _texture_problems(item: Mesh, scene: Scene) -> list[str]:

@@ -2,78 +2,14 @@
 
 from __future__ import annotations
 
-import colour
 import numpy as np
 import pytest
 from scipy import constants
 
-from dasim import illuminants, spectra
-from dasim.errors import InputError
+from dasim import spectra
 
 GRID_NM = spectra.WAVELENGTH_NM
-RESAMPLING = 1e-3  # trapezoids of 2 nm against 1 nm, and V(lambda) below 400 nm (4e-4 of its peak)
-PLANCK_TABLE = 1e-3  # the table's rounding, and its second radiation constant of 1948
-DAYLIGHT_TABLE = 5e-3  # D65's table rounds the chromaticity and the weights of S1, S2 to three digits
 NM_AT_HALF = 0.05  # a logistic edge 8 nm wide between two samples 2 nm apart, read by a straight line
-
-
-@pytest.mark.parametrize("name", illuminants.ILLUMINANTS)
-def test_illuminants_give_one_lux(name):
-    """Rationale: scenes are lit in lux. Expectation: colour-science's own photometry of the curve says 1 lm/m^2."""
-    curve = colour.SpectralDistribution(illuminants.illuminant(name), GRID_NM)
-    lux = colour.luminous_flux(curve.interpolate(colour.SpectralShape(400, 830, 1)))
-    assert lux == pytest.approx(1.0, abs=RESAMPLING)
-    assert (illuminants.illuminant(name) > 0).all(), "all five carry near-infrared to the end of the grid"
-
-
-def test_illuminant_a_is_the_cie_table_and_planck_beyond_it():
-    """Expectation: the CIE's table up to its end at 780 nm, and Planck's law with CODATA constants beyond."""
-    table = colour.SDS_ILLUMINANTS["A"]
-    ours = illuminants.illuminant("A") / np.interp(560, GRID_NM, illuminants.illuminant("A"))
-    at = GRID_NM <= 780
-    expected = np.interp(GRID_NM[at], table.wavelengths, table.values) / 100.0
-    assert np.abs(ours[at] / expected - 1).max() < PLANCK_TABLE
-    # Beyond: the ratio of two blackbody radiances by the CIE's definition, T = 2848 K with c2 = 0.01435 m K.
-    metres = np.array([830e-9, 780e-9])
-    law = metres**-5 / np.expm1(0.01435 / (metres * 2848))
-    assert ours[-1] / np.interp(780, GRID_NM, ours) == pytest.approx(law[0] / law[1], rel=PLANCK_TABLE)
-
-
-def test_blackbody_obeys_wien():
-    """Expectation: the peak of a 5,000 K blackbody lies at b / T = 579.6 nm, to within a step of the grid."""
-    peak = GRID_NM[np.argmax(illuminants.planckian(5000.0))]
-    assert abs(peak - constants.value("Wien wavelength displacement law constant") / 5000 * 1e9) <= 2.0
-
-
-@pytest.mark.parametrize("name", ["D65", "D55", "D50"])
-def test_daylight_is_the_cie_table(name):
-    table = colour.SDS_ILLUMINANTS[name]
-    ours = illuminants.illuminant(name) / np.interp(560, GRID_NM, illuminants.illuminant(name))
-    at = GRID_NM <= 780
-    expected = np.interp(GRID_NM[at], table.wavelengths, table.values) / table[560]
-    assert np.abs(ours[at] / expected - 1).max() < DAYLIGHT_TABLE
-
-
-def test_illuminant_a_resembles_a_measured_one(reference):
-    """Rationale: the CIE's A is a formula. Set-up: a light booth's A, measured to 1,068 nm.
-
-    Expectation: the same rise from blue to near-infrared; a booth's lamp ages and its glass absorbs, so only the
-    coarse shape counts: ratios over decades of the spectrum within 25 %.
-    """
-    measured = reference("illuminant_A")
-    ours = illuminants.illuminant("A")
-    theirs = np.interp(GRID_NM, measured["wavelength_nm"], measured["energy"])
-    assert np.corrcoef(ours, theirs)[0, 1] > 0.98
-    for low, high in ((450, 500), (600, 650), (700, 750), (780, 830)):
-        band, green = (GRID_NM >= low) & (GRID_NM <= high), (GRID_NM >= 540) & (GRID_NM <= 580)
-        assert ours[band].mean() / ours[green].mean() == pytest.approx(
-            theirs[band].mean() / theirs[green].mean(), rel=0.25
-        ), f"{low}-{high} nm"
-
-
-def test_unknown_illuminant_is_the_users_mistake():
-    with pytest.raises(InputError, match=r"illuminant 'F2' is unknown; known are D65, .*A"):
-        illuminants.illuminant("F2")
 
 
 @pytest.mark.parametrize(("edge_nm", "width_nm"), [(650, 8), (810, 8), (600, 60)])

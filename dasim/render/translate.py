@@ -9,8 +9,7 @@ from __future__ import annotations
 from typing import Any
 
 from dasim import scene as scenes
-from dasim.lights import Lamp
-from dasim.render.emitters import emitter
+from dasim.render.emitters import emitters
 from dasim.render.geometry import shape
 from dasim.render.reflection import surface_bsdf
 from dasim.scene import Scene
@@ -36,10 +35,7 @@ def scene_dict(scene: Scene) -> dict[str, Any]:
         if key not in surfaces:
             surfaces[key] = surface_bsdf(scenes.surface_of(item, scene), flip=key[1])
         result[object_key(index)] = shape(item, scene, surfaces[key], object_key(index))
-    lamps = any(isinstance(light, Lamp) for light in scene.lights)
-    for index, light in enumerate(scene.lights):
-        result[f"light_{index:04d}"] = emitter(light, scene, lamps)
-    return result
+    return result | emitters(scene)
 
 
 def object_key(index: int) -> str:
