@@ -148,11 +148,14 @@ def render(
     exposure: float | None = None,
     diffraction: str | None = None,
     variant: str | None = None,
+    unit_cm: float | None = None,
+    near_infrared: str | None = None,
+    illuminant: str | None = None,
 ) -> int:
     """Photograph a scene: a capture folder with raw.png, truth.exr and meta.json.
 
     Args:
-        scene: a bundled name (see 'dasim list scenes') or a TOML file
+        scene: a bundled name (see 'dasim list scenes'), a TOML file, or a Mitsuba XML file
         out: the capture folder
         camera: a bundled name (see 'dasim list cameras') or a TOML file
         focus: focus distance in metres; by default what the scene proposes, else the camera's own
@@ -163,6 +166,9 @@ def render(
         exposure: exposure time in seconds; automatic by default
         diffraction: wave, airy or off
         variant: Mitsuba variant: auto, cuda_ad_spectral, llvm_ad_spectral or scalar_spectral
+        unit_cm: of a Mitsuba XML file, the length of its unit; 100 by default
+        near_infrared: of a Mitsuba XML file, the rule for its RGB surfaces: print, dyed, or achromatic by default
+        illuminant: of a Mitsuba XML file, the spectrum of its RGB lights; D65 by default
     """
     import dasim
     from dasim.files import check_output
@@ -172,7 +178,8 @@ def render(
 
     check_output(out, "capture")
     check_options(spp, seed, diffraction, noise_share)
-    described = dasim.load_scene(scene)
+    choices = {"unit_cm": unit_cm, "near_infrared": near_infrared, "illuminant": illuminant}
+    described = dasim.load_scene(scene, **{name: value for name, value in choices.items() if value is not None})
     chosen = dasim.load_camera(camera)
     if size is not None:
         chosen = dasim.cropped(chosen, *_size(size))

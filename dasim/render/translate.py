@@ -8,8 +8,15 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
+
+from dasim import camera as cameras
 from dasim import scene as scenes
+from dasim.camera import Camera
+from dasim.foreign import MitsubaScene
+from dasim.render import foreign
 from dasim.render.emitters import emitters
+from dasim.render.foreign import World
 from dasim.render.geometry import shape
 from dasim.render.reflection import surface_bsdf
 from dasim.scene import Scene
@@ -22,6 +29,23 @@ def load(scene: Scene) -> Any:
     import mitsuba as mi
 
     return mi.load_dict(scene_dict(scene), optimize=False)  # merged shapes would lose their numbers
+
+
+def world(scene: Scene | MitsubaScene, camera: Camera) -> World:
+    """A scene of either kind in Mitsuba, clear of the lens, with what is to be told of it."""
+    pupil_radius_m = cameras.aperture_m(camera) / 2
+    if isinstance(scene, MitsubaScene):
+        found = foreign.load(scene, _field_of_view_deg(camera))
+        foreign.check_clear(found, scene, pupil_radius_m)
+        return found
+    scenes.check_clear(scene, pupil_radius_m)
+    return World(
+        load(scene),
+        scenes.colour_notes(scene),
+        [item.name for item in scene.objects],
+        scenes.material_names_of(scene),
+        scenes.material_number_of_object(scene),
+    )
 
 
 def scene_dict(scene: Scene) -> dict[str, Any]:
@@ -41,3 +65,8 @@ def scene_dict(scene: Scene) -> dict[str, Any]:
 def object_key(index: int) -> str:
     """Name of the scene's object ``index`` (from 0) in Mitsuba's scene."""
     return f"object_{index:04d}"
+
+
+def _field_of_view_deg(camera: Camera) -> float:
+    half_m = camera.sensor.width_px * camera.sensor.pixel_pitch_um * 1e-6 / 2
+    return float(2 * np.degrees(np.arctan(half_m / cameras.image_distance_m(camera))))

@@ -39,7 +39,7 @@ def radiance(scene: Any, integrator: Any, sampler: Any, ray: Any, si: Any, numbe
     result = si.emitter(scene).eval(si)
 
     aimed, light = scene.sample_emitter_direction(si, aim_at, True, hit)
-    seen = hit & (aimed.pdf > 0)
+    seen = hit & (aimed.pdf > 0) & dr.isfinite(aimed.pdf)  # a lamp that aims at itself finds infinities
     value, density = bsdf.eval_pdf(context, si, si.to_local(aimed.d), seen)
     share = dr.select(aimed.delta, 1.0, _power_heuristic(aimed.pdf, density))
     result += dr.select(seen, value * light * share, 0.0)
@@ -62,7 +62,8 @@ def radiance(scene: Any, integrator: Any, sampler: Any, ray: Any, si: Any, numbe
 
 
 def _power_heuristic(own: Any, other: Any) -> Any:
-    return own * own / (own * own + other * other)
+    ratio = other / own  # squares of large densities would not be finite
+    return 1 / (1 + ratio * ratio)
 
 
 def _reversed_bits(index: int) -> float:
