@@ -265,12 +265,20 @@ def check_clear(world: World, scene: MitsubaScene, pupil_radius_m: float) -> Non
         low, high = np.ravel(box.min), np.ravel(box.max)
         if not shape.is_mesh() or (low > pupil_radius_m).any() or (high < -pupil_radius_m).any():
             continue
-        params = mi.traverse(shape)
-        vertices = np.array(params["vertex_positions"], dtype=np.float64).reshape(-1, 3)
-        corners = vertices[np.array(params["faces"]).reshape(-1, 3)]
+        corners = _triangles(mi.traverse(shape))
         if distance_from_origin(corners) <= pupil_radius_m:
             name = world.objects[int(shape.id().removeprefix("object_"))]
             raise InputError(
                 f"{scene.file}: object '{name}' reaches into the lens, {2e3 * pupil_radius_m:.2g} mm wide; "
                 f"a mistake of units? unit_cm is {scene.unit_cm:g}"
             )
+
+
+def _triangles(params: Any) -> FloatArray:
+    """Corners [m, 3, xyz] of a mesh, or of a rectangle, which Mitsuba knows by its transform alone."""
+    if "vertex_positions" in params:
+        vertices = np.array(params["vertex_positions"], dtype=np.float64).reshape(-1, 3)
+        return vertices[np.array(params["faces"]).reshape(-1, 3)]
+    matrix = np.array(params["to_world"].matrix, dtype=np.float64).reshape(4, 4)
+    square = np.array([[-1, -1, 0, 1], [1, -1, 0, 1], [1, 1, 0, 1], [-1, 1, 0, 1]]) @ matrix.T
+    return square[:, :3][np.array([[0, 1, 2], [0, 2, 3]])]

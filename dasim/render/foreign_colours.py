@@ -106,14 +106,17 @@ def _texture(nodes: Any, index: int, key: str, scene: MitsubaScene, notes: Notes
         notes.add("colours of mesh attributes: not honoured, taken as grey 0.5")
     if plugin != "bitmap" or (texture.get("raw")):
         return
-    picture = _picture(texture, scene.file.parent)
+    picture = _picture(texture, scene.file)
     if picture.max() > 1:
         notes.add("pictures with values above 1: surfaces reflect at most everything")
-    surface = photograph_surface(np.clip(picture[::-1], 0.0, 1.0), scene.near_infrared)  # Mitsuba's v runs down
+    jit = not str(mi.variant()).startswith("scalar")
+    shown = np.clip(picture[::-1], 0.0, 1.0)  # Mitsuba's v runs down
+    repeats = jit and _wrap(texture) == "repeat"
+    surface = photograph_surface(np.pad(shown, _RIM, mode="wrap") if repeats else shown, scene.near_infrared)
     notes.add(f"RGB pictures on surfaces: spectra by the near-infrared rule '{scene.near_infrared}'")
     assert isinstance(surface, Mixture)
-    if not str(mi.variant()).startswith("scalar"):
-        parent[key] = mi.load_dict(_placed(texture, mixture_dict(surface)))
+    if jit:
+        parent[key] = mi.load_dict(_placed(texture, mixture_dict(surface), picture.shape))
     elif parent.plugin_name() == "diffuse" and "to_uv" not in texture:
         _refer(nodes, index, mi.load_dict(reflection._bsdf(surface)))
     else:
@@ -132,25 +135,33 @@ def _refer(nodes: Any, index: int, found: Any) -> None:
                 node.props[key] = found
 
 
-def _picture(texture: Any, folder: Path) -> Any:
+def _picture(texture: Any, file: Path) -> Any:
     """A bitmap texture's picture in linear RGB, [h, w, 3], as Mitsuba reads it."""
     import mitsuba as mi
 
     if "filename" not in texture:
-        raise InputError("a bitmap texture of the scene names no file")
-    path = folder / texture["filename"]
+        raise InputError(f"{file}: a picture in it names no file")
+    path = file.parent / texture["filename"]
     try:
         bitmap = mi.Bitmap(str(path)).convert(mi.Bitmap.PixelFormat.RGB, mi.Struct.Type.Float32, srgb_gamma=False)
     except Exception as error:
-        raise InputError(f"{folder}: picture '{path}' does not load ({str(error).splitlines()[0]})") from None
+        text = " ".join(str(error).split())
+        raise InputError(f"{file}: picture {path} does not load ({text})") from None
     return np.array(bitmap)
 
 
-def _placed(texture: Any, inner: dict[str, Any]) -> dict[str, Any]:
+_RIM = ((1, 1), (1, 1), (0, 0))  # of a picture that repeats: its other side, for values between texels
+
+
+def _wrap(texture: Any) -> str:
+    return texture["wrap_mode"] if "wrap_mode" in texture else "repeat"
+
+
+def _placed(texture: Any, inner: dict[str, Any], size: tuple[int, ...]) -> dict[str, Any]:
     """A texture laid out as a bitmap of Mitsuba's is: its own transform of uv, repeated, mirrored or clamped."""
     _register()
-    placed: dict[str, Any] = {"type": "dasim_placed", "inner": inner}
-    placed["wrap"] = texture["wrap_mode"] if "wrap_mode" in texture else "repeat"
+    placed: dict[str, Any] = {"type": "dasim_placed", "inner": inner, "wrap": _wrap(texture)}
+    placed |= {"height": size[0], "width": size[1]}
     if "to_uv" in texture:
         placed["to_uv"] = texture["to_uv"]
     return placed
@@ -173,6 +184,7 @@ def _register() -> None:
         def __init__(self, props: Any) -> None:
             super().__init__(props)
             self.inner, self.wrap = props["inner"], props["wrap"]
+            self.size = props["width"], props["height"]
             matrix = np.array(props["to_uv"].matrix) if "to_uv" in props else np.eye(4)
             self.rows = matrix[:2][:, [0, 1, -1]].tolist()
 
@@ -180,7 +192,8 @@ def _register() -> None:
             moved = mi.SurfaceInteraction3f(si)
             uv = [row[0] * si.uv.x + row[1] * si.uv.y + row[2] for row in self.rows]
             if self.wrap == "repeat":
-                uv = [value - dr.floor(value) for value in uv]
+                inside = [value - dr.floor(value) for value in uv]
+                uv = [(value * size + 1) / (size + 2) for value, size in zip(inside, self.size, strict=True)]
             elif self.wrap == "clamp":
                 uv = [dr.clip(value, 0.0, 1.0) for value in uv]
             moved.uv = mi.Point2f(*uv)
@@ -250,7 +263,7 @@ def _light(nodes: Any, props: Any, key: str, factor: float, scene: MitsubaScene,
     if kind == kinds.ResolvedReference:
         inner = nodes[value.index()].props
         if inner.plugin_name() == "bitmap":
-            picture = _picture(inner, scene.file.parent)
+            picture = _picture(inner, scene.file)
             notes.add("pictures on lights: their mean luminance")
             _give(props, key, float(picture.mean(axis=(0, 1)) @ LUMINANCE) * factor, scene, notes)
         elif "color" in inner and inner.type("color") == kinds.Color:
@@ -291,7 +304,7 @@ def _give(props: Any, key: str, luminance: float, scene: MitsubaScene, notes: No
 
 def _surrounding(props: Any, scene: MitsubaScene, to_camera: FloatArray, notes: Notes) -> dict[str, Any]:
     """An environment map with the illuminant's spectrum; its colours are dropped."""
-    luminance = np.asarray(_picture(props, scene.file.parent) @ np.array(LUMINANCE), np.float64)
+    luminance = np.asarray(_picture(props, scene.file) @ np.array(LUMINANCE), np.float64)
     luminance *= float(props["scale"]) if "scale" in props else 1.0
     own = np.array(props["to_world"].matrix) if "to_world" in props else np.eye(4)
     turn = np.eye(4)
