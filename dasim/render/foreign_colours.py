@@ -268,8 +268,8 @@ def _light(nodes: Any, props: Any, key: str, factor: float, scene: MitsubaScene,
             _give(props, key, float(picture.mean(axis=(0, 1)) @ LUMINANCE) * factor, scene, notes)
         elif "color" in inner and inner.type("color") == kinds.Color:
             _give(props, key, float(np.dot(list(inner["color"]), LUMINANCE)) * factor, scene, notes)
-        else:
-            _scaled(inner, factor, key, notes)
+        elif factor != 1:
+            props[key] = _scaled(inner, factor)
     elif kind == kinds.Color:
         _give(props, key, float(np.dot(list(value), LUMINANCE)) * factor, scene, notes)
     elif kind == kinds.Spectrum:
@@ -284,15 +284,18 @@ def _light(nodes: Any, props: Any, key: str, factor: float, scene: MitsubaScene,
         props[key] = mi.load_dict({"type": "uniform", "value": float(value) * factor})
 
 
-def _scaled(inner: Any, factor: float, key: str, notes: Notes) -> None:
-    """Scale a nested spectrum of an author's, which Mitsuba knows to 830 nm."""
-    if factor == 1:
-        return
-    for name in ("scale", "value"):
-        if name in inner or inner.plugin_name() in ("blackbody", "d65"):
-            inner["scale" if name not in inner else name] = factor * (float(inner[name]) if name in inner else 1.0)
-            return
-    notes.add(f"spectrum '{inner.plugin_name()}' of {key}: not scaled with the scene's unit")
+def _scaled(inner: Any, factor: float) -> Any:
+    """A nested spectrum of an author's (a blackbody, a table), multiplied by a factor, on our wavelengths."""
+    import drjit as dr
+    import mitsuba as mi
+
+    spectrum = mi.load_dict({"type": inner.plugin_name(), **{key: inner[key] for key in inner.keys()}})
+    values = []
+    for wavelength_nm in WAVELENGTH_NM:
+        si = dr.zeros(mi.SurfaceInteraction3f)
+        si.wavelengths = mi.Spectrum(float(wavelength_nm))
+        values.append(float(np.ravel(spectrum.eval(si))[0]))
+    return mi.load_dict(spectrum_dict(factor * np.array(values)))
 
 
 def _give(props: Any, key: str, luminance: float, scene: MitsubaScene, notes: Notes) -> None:
