@@ -377,7 +377,8 @@ def pose_of_theirs(text: str):
         "VALUE</emitter>",
         '<emitter type="point"><point name="position" x="1" y="2" z="3"/>VALUE</emitter>',
         '<emitter type="point"><transform name="to_world"><translate x="1" y="2"/></transform>VALUE</emitter>',
-        '<emitter type="spot"><transform name="to_world"><lookat origin="1,2,3" target="0,0,1" up="0,1,0"/></transform>'
+        '<emitter type="spot"><float name="cutoff_angle" value="85"/>'
+        '<transform name="to_world"><lookat origin="1,2,3" target="0,0,1" up="0,1,0"/></transform>'
         "VALUE</emitter>",
     ],
 )
