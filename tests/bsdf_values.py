@@ -13,7 +13,7 @@ import numpy as np
 
 SIZE = 8  # pixels a side of the pictures
 UV = [(0.5 / SIZE, 0.5 / SIZE), (3.5 / SIZE, 5.5 / SIZE), (0.41, 0.77), (1.3, 0.2), (0.0, 0.6)]
-WAVELENGTHS_NM = (431.0, 552.0, 655.0, 790.5)
+WAVELENGTHS_NM = (431.0, 552.0, 655.0, 790.5)  # nodes of the JIT texture, which looks up the nearest
 TOWARDS = ((0.3, -0.2), (-0.5, 0.4))  # x, y of the directions of light and view
 
 

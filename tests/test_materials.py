@@ -149,7 +149,7 @@ def test_print_looks_like_its_photograph(photograph):
 
 # --- near-infrared rules -------------------------------------------------------------------------
 
-COLOUR_LIMIT = 3.0  # CIEDE2000 of the achromatic rule: red loses what it would reflect beyond 650 nm
+COLOUR_LIMIT = 2.0  # CIEDE2000 of the achromatic rule: red loses what it would reflect beyond 650 nm
 GREY_COLOUR_LIMIT = 0.2  # of greys: the basis sums to one, so only the table's own white is left
 CORNERS = np.array(list(itertools.product((0.0, 1.0), repeat=3)), np.float32)[None]
 NEAR = WAVELENGTH_NM >= 720
