@@ -315,7 +315,8 @@ def _own_curve(texture: Spectrum, folder: Path) -> FloatArray:
             f"{where}: reaches from {low:g} to {high:g} nm, must cover {first:g} to {last:g} nm; "
             "measure or choose what lies beyond, nothing is extrapolated"
         )
-    used = points[(points[:, 0] >= first) & (points[:, 0] <= last)]
+    ends = np.array([(nm, np.interp(nm, points[:, 0], points[:, 1])) for nm in (first, last)])
+    used = np.vstack([ends, points[(points[:, 0] >= first) & (points[:, 0] <= last)]])
     if used[:, 1].max(initial=0.0) > 1:
         peak = used[used[:, 1].argmax()]
         hint = "; is it in percent?" if peak[1] > 1.5 else ""

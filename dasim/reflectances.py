@@ -52,8 +52,8 @@ def ink_transmittances() -> dict[str, FloatArray]:
     return {
         "cyan": (1.0 - 0.94 * long_pass(530.0, 72.0) * short_pass(704.0, 40.0))
         * (1.0 - 0.35 * short_pass(440.0, 60.0)),
-        "magenta": (1.0 - 0.94 * long_pass(480.0, 50.0) * short_pass(606.0, 36.0))
-        * (1.0 - 0.70 * short_pass(485.0, 60.0)),
+        "magenta": (1.0 - 0.95 * long_pass(460.0, 50.0) * short_pass(599.0, 36.0))
+        * (1.0 - 0.59 * short_pass(482.0, 60.0)),
         "yellow": 1.0 - 0.94 * short_pass(507.0, 44.0),
     }
 
@@ -152,8 +152,8 @@ def _skin(melanin: float, blood: float = 1.0) -> Reflectance:
     (Jacques 2013). The bands of oxyhaemoglobin at 415, 542 and 577 nm make the W of blushing skin; it is
     nearly transparent beyond 600 nm. The surface reflects 0.035 of its own (Fresnel, roughened).
     """
-    haemoglobin = 1.0 * bell(417.0, 24.0) + 0.26 * bell(542.0, 13.0) + 0.27 * bell(577.0, 9.0)
-    haemoglobin = haemoglobin + 0.34 * short_pass(592.0, 26.0)
+    haemoglobin = 1.0 * bell(417.0, 24.0) + 0.30 * bell(542.0, 11.0) + 0.36 * bell(577.0, 8.0)
+    haemoglobin = haemoglobin + 0.30 * short_pass(592.0, 26.0)
     dermis = line((400, 0.52), (500, 0.60), (650, 0.66), (830, 0.66))
     epidermis = np.exp(-melanin * (550.0 / WAVELENGTH_NM) ** 3.33)
     return Reflectance(0.035 + dermis * np.exp(-blood * haemoglobin) * epidermis, SKIN)

@@ -15,6 +15,11 @@ import numpy as np
 from dasim.spectra import WAVELENGTH_NM
 from dasim.surfaces import Diffuse, Image, Mixture, Surface, leaves
 
+# The nearest node is looked up, which is twice as fast as a line between two: off by at most an eighth of a nanometre,
+# to either side alike, so that a drawn wavelength's error is none on the mean.
+FINE_STEP_NM = 0.25
+_FINE_NM = np.arange(WAVELENGTH_NM[0], WAVELENGTH_NM[-1] + FINE_STEP_NM / 2, FINE_STEP_NM)
+
 _numbers = itertools.count()
 _surfaces: dict[
     int, tuple[Mixture, float]
@@ -55,6 +60,10 @@ def _register() -> None:
     import drjit as dr
     import mitsuba as mi
 
+    def mirrored(place: Any) -> Any:
+        """A texture coordinate folded into 0..1, as ``WrapMode.Mirror`` would for each of its four pixels in turn."""
+        return dr.abs(place - 2 * dr.round(0.5 * place))
+
     class MixtureTexture(mi.Texture):
         """Reflectance spectrum of a tree of mixtures at a surface point."""
 
@@ -68,29 +77,26 @@ def _register() -> None:
             for number, (image, repeat) in enumerate(self.places):
                 groups.setdefault((image.shape, repeat), []).append(number)
             self.groups = [(repeat, numbers, self._weights(numbers)) for (_, repeat), numbers in groups.items()]
-            spectra = np.stack(
-                [leaf.reflectance for leaf in leaves(self.surface) if isinstance(leaf, Diffuse)], axis=-1
-            )
-            self.spectra = mi.Texture1f(mi.TensorXf((gain * spectra).astype(np.float32)))
+            spectra = [leaf.reflectance for leaf in leaves(self.surface) if isinstance(leaf, Diffuse)]
+            table = np.stack([gain * np.interp(_FINE_NM, WAVELENGTH_NM, curve) for curve in spectra], axis=-1)
+            self.spectra = mi.Texture1f(mi.TensorXf(table.astype(np.float32)), filter_mode=dr.FilterMode.Nearest)
 
         def _weights(self, numbers: list[int]) -> Any:
             # v = 0 is the bottom row, as in translate
             stack = np.stack([self.places[number][0][::-1] for number in numbers], axis=-1)
-            return mi.Texture2f(mi.TensorXf(stack.astype(np.float32)), wrap_mode=dr.WrapMode.Mirror)
+            return mi.Texture2f(mi.TensorXf(stack.astype(np.float32)), wrap_mode=dr.WrapMode.Clamp)
 
         def eval(self, si: Any, active: Any = True) -> Any:
             weights: list[Any] = [None] * len(self.places)
             for repeat, numbers, texture in self.groups:
-                found = texture.eval(mi.Point2f(si.uv.x * repeat[0], si.uv.y * repeat[1]), active)
+                found = texture.eval(mi.Point2f(mirrored(si.uv.x * repeat[0]), mirrored(si.uv.y * repeat[1])), active)
                 for number, value in zip(numbers, found, strict=True):
                     weights[number] = value
             shares = self._shares(self.surface, mi.Float(1.0), weights)
-            nodes = len(WAVELENGTH_NM)
-            span = float(WAVELENGTH_NM[-1] - WAVELENGTH_NM[0])
             result = mi.Spectrum(0.0)
             for k in range(len(result)):
-                place = (si.wavelengths[k] - float(WAVELENGTH_NM[0])) / span * (nodes - 1)
-                spectra = self.spectra.eval(mi.Point1f((place + 0.5) / nodes), active)
+                place = (si.wavelengths[k] - float(_FINE_NM[0])) / FINE_STEP_NM + 0.5
+                spectra = self.spectra.eval(mi.Point1f(place / len(_FINE_NM)), active)
                 total = shares[0] * spectra[0]
                 for share, value in zip(shares[1:], spectra[1:], strict=True):
                     total = dr.fma(share, value, total)

@@ -66,7 +66,7 @@ def _measured_index(conductor: str, part: str) -> FloatArray:
 def _bsdf(surface: Surface) -> dict[str, Any]:
     match surface:
         case Diffuse():
-            return {"type": "diffuse", "reflectance": spectrum_dict(surface.reflectance)}
+            return {"type": "diffuse", "reflectance": _spectrum(surface.reflectance)}
         case Mixture() if _is_jit() and is_diffuse(surface):
             return {"type": "diffuse", "reflectance": mixture_dict(surface)}
         case Mixture():
@@ -91,7 +91,7 @@ def _coated(base: Surface, coat: Coated) -> dict[str, Any]:
         reflectance = mixture_dict(base, gain)
     else:
         assert isinstance(base, Diffuse)
-        reflectance = spectrum_dict(gain * base.reflectance)
+        reflectance = _spectrum(gain * base.reflectance)
     return {
         "diffuse_reflectance": reflectance,
         "nonlinear": False,
@@ -145,6 +145,11 @@ def _blend(surface: Mixture, first: dict[str, Any], second: dict[str, Any]) -> d
         "first": first,
         "second": second,
     }
+
+
+def _spectrum(values: FloatArray) -> dict[str, Any]:
+    """A curve for Mitsuba, whose sampled spectra must not be zero everywhere."""
+    return spectrum_dict(values) if values.any() else {"type": "uniform", "value": 0.0}
 
 
 def _variant() -> str:
