@@ -18,6 +18,7 @@ from dasim.spectra import FloatArray
 Vector = tuple[float, float, float]
 Positive = Annotated[float, Field(gt=0)]
 Lux = Annotated[float, Field(ge=1e-6, le=1e7)]  # from less than starlight to many suns
+Share = Annotated[float, Field(ge=0, le=1)]
 Azimuth = Annotated[float, Field(ge=-360, le=360, description="from straight ahead towards the right")]
 
 SUN_DIAMETER_DEG = 0.53
@@ -90,7 +91,8 @@ class Sky(Specification):
     """The upper half of a dome; ``lux`` is what level ground receives. Without a sun, it is outdoor shade.
 
     ``overcast`` is three times as bright above as at the horizon, ``clear`` is brightest around the sun, which
-    stands at ``sun_elevation_deg`` and ``sun_azimuth_deg`` and is not part of it.
+    stands at ``sun_elevation_deg`` and ``sun_azimuth_deg`` and is not part of it. Below the horizon it is black, or a
+    grey ground of ``ground_reflectance`` far below that the sky lights.
     """
 
     kind: Literal["sky"]
@@ -99,20 +101,33 @@ class Sky(Specification):
     distribution: Literal["uniform", "overcast", "clear"] = "uniform"
     sun_elevation_deg: float = Field(default=45.0, gt=0, le=90)
     sun_azimuth_deg: Azimuth = 0.0
+    ground_reflectance: Share = 0.0
 
 
 class Daylight(Specification):
-    """Sun and clear sky in their physical ratio for the sun's elevation; ``lux`` is what level ground receives."""
+    """Sun and clear sky in their physical ratio for the sun's elevation; ``lux`` is what level ground receives.
+
+    Both light the ground below the horizon, which is black unless it has a ``ground_reflectance``.
+    """
 
     kind: Literal["daylight"]
     lux: Lux
     elevation_deg: int = Field(ge=5, le=90, description="of the sun, whole degrees")
     azimuth_deg: Azimuth = 0.0
+    ground_reflectance: Share = 0.0
 
     @property
     def illuminant(self) -> str:
         """Name of the illuminant of sun and sky together."""
         return f"daylight-{self.elevation_deg}deg"
+
+
+class Ground(Specification):
+    """The lower half of a dome, a part of outdoor lights; ``lux`` is what a level surface facing down receives."""
+
+    kind: Literal["ground"]
+    illuminant: str
+    lux: float
 
 
 class Environment(Specification):
@@ -132,7 +147,7 @@ class Environment(Specification):
 
 Light = Annotated[Dome | Lamp | Panel | Bulb | Sun | Sky | Daylight | Environment, Field(discriminator="kind")]
 Near = Lamp | Panel | Bulb
-Surrounding = Dome | Sky | Environment  # light from all around, of one spectrum
+Surrounding = Dome | Sky | Ground | Environment  # light from all around, of one spectrum
 Part = Near | Sun | Surrounding
 
 
@@ -144,31 +159,38 @@ def direction(elevation_deg: float, azimuth_deg: float) -> FloatArray:
 
 
 def parts(light: Light) -> tuple[Part, ...]:
-    """What a light is made of: daylight is a sun and a clear sky, every other light itself."""
-    if not isinstance(light, Daylight):
+    """What a light is made of: daylight is a sun, a clear sky and the ground that they light."""
+    if not isinstance(light, (Sky, Daylight)):
         return (light,)
+    ground: tuple[Part, ...] = ()
+    if light.ground_reflectance > 0:
+        # Even ground of radiance rho E / pi fills the lower half: what faces down receives rho E.
+        lux = light.lux * light.ground_reflectance
+        ground = (Ground(kind="ground", illuminant=light.illuminant, lux=lux),)
+    if isinstance(light, Sky):
+        return (light, *ground)
     sun, sky = daylight.sun_and_sky(light.elevation_deg)
     height = float(np.sin(np.radians(light.elevation_deg)))
     facing, level = illuminants.lux(sun), illuminants.lux(sky)
     scale = light.lux / (facing * height + level)
     degrees = light.elevation_deg
-    return (
-        Sun.model_construct(
-            kind="sun",
-            illuminant=f"sun-{degrees}deg",
-            lux=facing * scale,
-            elevation_deg=float(degrees),
-            azimuth_deg=light.azimuth_deg,
-        ),
-        Sky.model_construct(
-            kind="sky",
-            illuminant=f"sky-{degrees}deg",
-            lux=level * scale,
-            distribution="clear",
-            sun_elevation_deg=float(degrees),
-            sun_azimuth_deg=light.azimuth_deg,
-        ),
+    # Not checked again: what is left of little light may be less than the least that a user may ask for.
+    disc = Sun.model_construct(
+        kind="sun",
+        illuminant=f"sun-{degrees}deg",
+        lux=facing * scale,
+        elevation_deg=float(degrees),
+        azimuth_deg=light.azimuth_deg,
     )
+    clear = Sky.model_construct(
+        kind="sky",
+        illuminant=f"sky-{degrees}deg",
+        lux=level * scale,
+        distribution="clear",
+        sun_elevation_deg=float(degrees),
+        sun_azimuth_deg=light.azimuth_deg,
+    )
+    return (disc, clear, *ground)
 
 
 def radiance_per_lux(light: Near) -> float:

@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 
 from dasim.errors import InputError
-from dasim.lights import Dome, Environment, Light, Sky, Surrounding, direction
+from dasim.lights import Dome, Environment, Ground, Light, Sky, Surrounding, direction
 from dasim.spectra import FloatArray
 
 SKY_ROWS = 256
@@ -27,6 +27,9 @@ def radiance_per_lux(light: Surrounding, folder: Path) -> FloatArray:
     """Radiance over the irradiance that is the light's level, [h, w] in 1/sr; InputError where an image is bad."""
     if isinstance(light, Dome):
         return np.full((2, 4), 1 / np.pi)
+    if isinstance(light, Ground):
+        above = (-directions(SKY_ROWS)[..., 1] > 0).astype(np.float64)
+        return above[::-1] / irradiance_from_above(above)
     luminance = sky(light) if isinstance(light, Sky) else load(light.image, folder)
     level = irradiance_from_above(luminance)
     if isinstance(light, Environment) and level <= 0:
@@ -104,7 +107,10 @@ def load(image: str, folder: Path) -> FloatArray:
 
 
 def _picture(path: Path, image: str) -> FloatArray:
-    data = cv2.imread(str(path), cv2.IMREAD_ANYDEPTH | cv2.IMREAD_COLOR)
+    try:
+        data = cv2.imread(str(path), cv2.IMREAD_ANYDEPTH | cv2.IMREAD_COLOR)
+    except cv2.error:  # more pixels than it takes
+        data = None
     if data is None:
         raise InputError(f"image '{image}': {path} cannot be read as a picture (EXR, HDR, PNG or JPEG)")
     colours = data[..., ::-1].astype(np.float64)

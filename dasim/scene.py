@@ -166,12 +166,7 @@ def _check(scene: Scene, where: str) -> None:
     """Materials, illuminants, images and meshes exist, and no object is behind or on the lens."""
     problems: list[str] = []
     for index, light in enumerate(scene.lights):
-        try:
-            illuminants.illuminant(light.illuminant)
-            panorama.check(light, scene.folder)
-        except InputError as error:
-            problems.append(f"lights.{index} ({light.kind}): {error}")
-        problems += [f"lights.{index} ({light.kind}): {problem}" for problem in _swallowed(light, scene)]
+        problems += [f"lights.{index} ({light.kind}): {problem}" for problem in _light_problems(light, scene)]
     own: dict[str, Surface] = {}
     for name, texture in scene.materials.items():
         try:
@@ -217,11 +212,16 @@ def _glass_problems(item: Object, scene: Scene, own: dict[str, Surface]) -> list
     ]
 
 
-def _swallowed(light: Light, scene: Scene) -> list[str]:
-    """Whether a lamp stands inside a solid object, where nobody sees its light."""
-    if not isinstance(light, Near):
-        return []
+def _light_problems(light: Light, scene: Scene) -> list[str]:
+    """An unknown illuminant, a bad image, or a lamp inside a solid object, where nobody sees its light."""
     found = []
+    for check in (lambda: illuminants.illuminant(light.illuminant), lambda: panorama.check(light, scene.folder)):
+        try:
+            check()
+        except InputError as error:
+            found.append(str(error))
+    if not isinstance(light, Near):
+        return found
     for item in scene.objects:
         if isinstance(item, (Box, Sphere)):
             _, half = half_extent_m(item, scene.folder)

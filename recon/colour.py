@@ -58,8 +58,8 @@ def colour_matrix(camera: Camera, light: str) -> FloatArray:
 
     Least squares over the 24 reflectances of the ColorChecker, each weighted by 1 / its luminance: responses
     of the camera under the light after eq. (7), against CIE 1931 colours adapted to D65 (Bradford). White
-    is kept exactly: a perfect diffuser that gives n green electrons maps to (n, n, n). A light that is not
-    in ``dasim.illuminants.ILLUMINANTS`` is treated as D65.
+    is kept exactly: a perfect diffuser that gives n green electrons maps to (n, n, n). A light that
+    ``dasim.illuminants`` does not know is treated as D65.
     """
     return _colour_matrix(camera.model_dump_json(), light)
 

@@ -183,6 +183,29 @@ def test_camera_that_looks_at_nothing_is_refused(here, capsys):
     assert not (here / "photo").exists()
 
 
+def test_mitsuba_scene_through_our_camera(here, capsys):
+    """Expectation: `dasim render scene.xml` with a unit and a rule of one's own; what was done is printed and kept."""
+    (here / "wall.xml").write_text(
+        '<scene version="3.0.0"><sensor type="perspective"/><shape type="rectangle" id="wall">'
+        '<transform name="to_world"><scale value="50"/><rotate y="1" angle="180"/><translate z="4"/></transform>'
+        '<bsdf type="diffuse"><rgb name="reflectance" value="0.1, 0.2, 0.6"/></bsdf></shape>'
+        '<emitter type="constant"><rgb name="radiance" value="1"/></emitter></scene>'
+    )
+    options = ["--unit-cm", "5", "--near-infrared", "print", "--illuminant", "A"]
+    assert run(["render", "wall.xml", *options, *TINY, "--out", "photo"]) == 0
+    said = capsys.readouterr().out
+    assert "note: RGB surface colours: spectra by the near-infrared rule 'print'" in said
+    assert "the spectrum of A" in said
+    truth = load_truth(here / "photo")
+    np.testing.assert_allclose(truth.depth_m, 0.2, rtol=1e-4)
+    notes = json.loads((here / "photo" / "meta.json").read_text())["provenance"]["notes"]
+    assert any("rule 'print'" in note for note in notes)
+    assert run(["render", "desk", "--unit-cm", "5", *TINY, "--out", "other"]) == 2
+    assert "is for Mitsuba scenes" in capsys.readouterr().err
+    assert run(["render", "none.xml", *TINY, "--out", "other"]) == 2
+    assert "none.xml" in capsys.readouterr().err
+
+
 def test_scene_is_found_from_another_folder(here, monkeypatch):
     """Expectation: a mesh beside its TOML is found though the command runs elsewhere."""
     (here / "elsewhere").mkdir()
@@ -276,8 +299,11 @@ RENDER = ("render", "desk", *TINY, "--out", "new")
         ((*RENDER, "--focus", "nan"), ("focus", "nan")),
         ((*RENDER, "--focus", "0.0036"), ("focus", "0.0036 m", "focal length")),
         ((*RENDER, "--focus", "0.0036001"), ("focus", "0.0036001")),
-        (("calibrate", "--illuminant", "F2", "--out", "new"), ("illuminant 'F2'", "D65")),
-        (("calibrate", "--illuminant", "D55", "--illuminant", "F2", "--out", "new"), ("illuminant 'F2'", "D65")),
+        (("calibrate", "--illuminant", "F99", "--out", "new"), ("illuminant 'F99'", "nearest are")),
+        (
+            ("calibrate", "--illuminant", "D55", "--illuminant", "F99", "--out", "new"),
+            ("illuminant 'F99'", "nearest are"),
+        ),
         (("calibrate", "--illuminant", "D55", "--diffraction", "x", "--out", "new"), ("diffraction 'x'", "wave")),
         (("calibrate", "--focus", "nan", "--out", "new"), ("focus", "nan")),
         (("calibrate", "--camera", "leica", "--out", "new"), ("camera 'leica'", "da-mobile")),
@@ -338,8 +364,8 @@ def test_sizes_that_do_not_fit_the_sensor_are_refused(refused, size):
         ("lux = 500", "lux = nan", ("lights.0", "lux")),
         ("lux = 500", "lux = 500\ncolour = 1", ("colour: unknown key",)),
         ("lux = 500", "lux = ", ("not valid TOML",)),
-        ('"sand"', '"golden"', ("object 'thing'", "material 'gold'", "nearest are gold")),
-        ('"D65"', '"F2"', ("illuminant 'F2'", "D65")),
+        ('"sand"', '"golden"', ("object 'thing'", "material 'golden'", "nearest are gold")),
+        ('"D65"', '"F99"', ("illuminant 'F99'", "nearest are")),
         ("size_cm = [50, 40]", "size_cm = [0, 40]", ("objects.0", "size_cm")),
         ("size_cm = [50, 40]", "size_cm = [50, -40]", ("objects.0", "size_cm")),
         ("position_cm = [0, 0, 20]", "position_cm = [0, 0, -20]", ("object 'thing'", "behind the lens")),

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy import constants
 
-from dasim import daylight, illuminants, spectra
+from dasim import cli, daylight, illuminants, spectra
 from dasim.errors import InputError
 
 GRID_NM = spectra.WAVELENGTH_NM
@@ -182,6 +182,21 @@ def test_near_infrared_of_lamps_is_little():
     assert 0.08 < share["F11"] < 0.2
     assert 0.1 < share["energy-saving-3500K"] < 0.2
     assert 2.5 < share["A"] < 3.5
+
+
+def test_the_list_says_what_each_illuminant_is(capsys):
+    """Expectation: every name once with its figures and what it is beyond its table; the patterns too."""
+    assert cli.run(["list", "illuminants", "--verbose"]) == 0
+    text = capsys.readouterr().out
+    for name in illuminants.ILLUMINANTS:
+        about = illuminants.described(name)
+        rows = [line for line in text.splitlines() if line.split(" ")[0] == name]
+        assert len(rows) == 1
+        assert rows[0].split()[1:3] == [f"{about.cct_k:.0f}", f"{about.near_infrared:.2f}"]
+        assert rows[0].endswith(about.beyond)
+    assert all(pattern in text for pattern in illuminants.PATTERNS)
+    assert cli.run(["list", "illuminants"]) == 0
+    assert capsys.readouterr().out.splitlines() == [*illuminants.ILLUMINANTS, *illuminants.PATTERNS]
 
 
 # --- the sun and the sky ---------------------------------------------------------------------------

@@ -270,12 +270,21 @@ def test_daylight_has_the_suns_and_the_skys_own_ratio():
     scene's main light has the name of both.
     """
     light = lights.Daylight(kind="daylight", lux=6e4, elevation_deg=25)
-    sun, sky = lights.parts(light)
+    sun, sky = lights.parts(light)  # of black ground
     height = np.sin(np.radians(25))
     assert sun.lux * height + sky.lux == pytest.approx(6e4)
     model = [illuminants.lux(curve) for curve in daylight.sun_and_sky(25)]
     assert sun.lux / sky.lux == pytest.approx(model[0] / model[1])
     assert (sun.illuminant, sky.illuminant, light.illuminant) == ("sun-25deg", "sky-25deg", "daylight-25deg")
+
+
+def test_the_main_light_names_the_captures_illuminant(tmp_path):
+    """Expectation: the light of most lux, whatever its kind; daylight by its own name."""
+    lamp = source("lamp", tmp_path, 900.0)
+    for level, name in ((5e4, "daylight-40deg"), (100.0, "D65")):
+        scene = lit(tmp_path, UP, lamp, source("daylight", tmp_path, level))
+        assert scenes.main_illuminant(scene) == name
+        assert illuminants.illuminant(name).min() > 0
 
 
 def test_a_picture_is_its_luminance_in_every_format(tmp_path):
@@ -297,6 +306,19 @@ def test_a_picture_is_its_luminance_in_every_format(tmp_path):
         assert np.abs(found - expected_luminance).max() < tolerance * expected_luminance.max()
 
 
+@pytest.mark.parametrize("kind", ["sky", "daylight"])
+def test_ground_outside_the_picture(kind, tmp_path, renderer):
+    """Expectation: level ground of reflectance 0.4 under E lux gives 0.4 E to what faces down, the level above it is
+    as before, and what stands upright gets half the ground's more.
+    """
+    light = source(kind, tmp_path) | {"ground_reflectance": 0.4}
+    scene = lit(tmp_path, DOWN, light)
+    np.testing.assert_allclose(radiance(scene, DOWN), 0.4 * expected(light, scene), rtol=LEVEL)
+    np.testing.assert_allclose(radiance(lit(tmp_path, UP, light), UP), expected(light, scene), rtol=LEVEL)
+    if kind == "sky":  # even: half of it each
+        np.testing.assert_allclose(radiance(lit(tmp_path, LEFT, light), LEFT), 0.7 * expected(light, scene), rtol=LEVEL)
+
+
 def test_lights_from_all_around_add_up(tmp_path, renderer):
     """Rationale: Mitsuba takes one environment, so ours are summed. Expectation: the sum of each alone."""
     sources = [source("sky", tmp_path, 300.0), source("dome", tmp_path, 200.0), source("environment", tmp_path, 100.0)]
@@ -305,11 +327,37 @@ def test_lights_from_all_around_add_up(tmp_path, renderer):
     np.testing.assert_allclose(together, alone, rtol=LEVEL)
 
 
+def test_a_camera_sees_an_even_panorama_as_a_dome(make_scene, wide, tmp_path, renderer):
+    """Rationale: the whole camera, not one ray. Set-up: a brick wall before an even panorama and before a dome of as
+    many lux, under a lamp of lines. Expectation: the same electrons a second in every channel, on the wall and in the
+    empty space beside it, to within the noise of 64 samples in half a frame.
+    """
+    from dasim.render import passes
+
+    cv2.imwrite(str(tmp_path / "even.png"), np.full((4, 8, 3), 90, np.uint8))
+    common = {"illuminant": "F11", "lux": 800.0}
+    wall = {"name": "wall", "shape": "plane", "material": "brick", "size_cm": [60, 60], "position_cm": [30, 0, 40]}
+    camera, seen = wide(24, 18), []
+    for light in ({"kind": "dome"}, {"kind": "environment", "image": "even.png"}):
+        scene = make_scene(wall, lights=[light | common], folder=tmp_path)
+        seen.append(passes.stop_pass(mi_scene(scene), camera, camera.stops[0], passes.Sampling(64, 3)))
+    for half in (slice(None, 10), slice(14, None)):
+        dome, even = (rate[:, half].mean(axis=(0, 1)) for rate in seen)
+        np.testing.assert_allclose(even[dome > 0], dome[dome > 0], rtol=LEVEL)
+
+
 # --- the user's mistakes ---------------------------------------------------------------------------
 
 HEAD = 'name = "mine"\n[[objects]]\nname = "ball"\nshape = "sphere"\nradius_cm = 5\nposition_cm = [0, 0, 40]\n'
 HEAD += 'material = "brick"\n[[lights]]\n'
 NEAR = "position_cm = [0, -30, 20]\ntarget_cm = [0, 0, 40]\n"
+
+
+def test_all_that_is_wrong_with_a_light_is_said(tmp_path):
+    light = 'kind = "environment"\nilluminant = "F77"\nlux = 1\nimage = "no.png"\n'
+    (tmp_path / "mine.toml").write_text(HEAD + light)
+    with pytest.raises(InputError, match=r"lights.0 \(environment\): illuminant 'F77'.*; lights.0 .*'no.png'"):
+        scenes.load_scene(tmp_path / "mine.toml")
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,7 @@ import numpy as np
 from dasim import illuminants, panorama
 from dasim import lights as lighting
 from dasim import scene as scenes
-from dasim.lights import SUN_DIAMETER_DEG, Bulb, Dome, Light, Near, Panel, Sky, Sun, Surrounding
+from dasim.lights import SUN_DIAMETER_DEG, Bulb, Dome, Environment, Near, Panel, Sky, Sun, Surrounding
 from dasim.render.plugin import spectrum_dict, transform
 from dasim.render.surrounding import Layer, surrounding_dict
 from dasim.scene import Scene
@@ -21,27 +21,30 @@ SUN_DISTANCE_M = 1e4  # across 10 m of scene its direction changes by a tenth of
 def emitters(scene: Scene) -> dict[str, Any]:
     """Mitsuba's emitters of a scene's lights by name; those from all around are one, which is all Mitsuba takes."""
     found: dict[str, Any] = {}
-    around: list[Surrounding] = []
-    for index, light in enumerate(scene.lights):
-        for part in lighting.parts(light):
-            if isinstance(part, Surrounding):
-                around.append(part)
-            elif isinstance(part, Sun):
-                found[f"light_{index:04d}"] = _sun(part, scene)
-            else:
-                found[f"light_{index:04d}"] = _near(part, scene)
+    parts = [(index, part) for index, light in enumerate(scene.lights) for part in lighting.parts(light)]
+    around = [(index, part) for index, part in parts if isinstance(part, Surrounding)]
+    aimed = [(index, part) for index, part in parts if not isinstance(part, Surrounding)]
+    for index, part in aimed:
+        found[f"light_{index:04d}"] = _sun(part, scene) if isinstance(part, Sun) else _near(part, scene)
     if around:
-        aimed = any(_worth_aiming_at(light) for light in around)
-        # Reflected rays find a dome that is everywhere; aiming at it as well would only add noise (tenfold).
-        # Mitsuba needs one light to aim at, though.
-        weight = {} if aimed or not found else {"sampling_weight": 0.0}
-        found["light_around"] = _surrounding(around, scene) | weight
+        sun = any(isinstance(part, Sun) for _, part in aimed)
+        uneven = sum(part.lux for _, part in around if _is_uneven(part, sun))
+        # Mitsuba needs one light to aim at. Beside others, what is uneven is aimed at as often as it matters.
+        weight = {"sampling_weight": float(uneven / np.mean([part.lux for _, part in aimed]))} if aimed else {}
+        name = f"light_{around[0][0]:04d}"
+        found[f"{name}_sky" if name in found else name] = _surrounding([part for _, part in around], scene) | weight
     return found
 
 
-def _worth_aiming_at(light: Light) -> bool:
-    """Whether a light from all around has bright places that reflected rays would seldom find."""
-    return not (isinstance(light, Dome) or (isinstance(light, Sky) and light.distribution != "clear"))
+def _is_uneven(light: Surrounding, sun: bool) -> bool:
+    """Whether a light from all around has bright places that reflected rays would seldom find.
+
+    Those find a dome or an even sky everywhere: aiming at it as well would only add noise (tenfold). A clear sky
+    beside the sun is a small part of the light, and choosing between both would add more noise than it saves.
+    """
+    if isinstance(light, Sky):
+        return light.distribution == "clear" and not sun
+    return isinstance(light, Environment)
 
 
 def _surrounding(around: list[Surrounding], scene: Scene) -> dict[str, Any]:

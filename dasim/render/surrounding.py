@@ -2,7 +2,8 @@
 
 Mitsuba's ``envmap`` colours its light through RGB and D65, and a scene may hold only one environment. So its map is
 kept for what it does well, directions in proportion to luminance and values between pixels, and the spectrum is put
-in its place: the illuminant's over that of D65. It works in every variant; the scalar ones call Python for every ray
+in its place: the illuminant's over that of D65, exact on the wavelength grid (between its points, where lines are
+steep, off by up to 1 %; 2e-5 of the whole). It works in every variant; the scalar ones call Python for every ray
 that meets it, and are slow there.
 """
 
