@@ -29,7 +29,6 @@ COLOURS = (
     "transmittance",
     "base_color",
 )
-MATT = ("diffuse", "twosided")
 NO_INFRARED = ("sunsky", "sun", "sky", "timed_sunsky")  # Mitsuba's tables end at 720 nm
 
 

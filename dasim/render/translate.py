@@ -8,13 +8,11 @@ from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
-
 from dasim import camera as cameras
 from dasim import scene as scenes
 from dasim.camera import Camera
 from dasim.foreign import MitsubaScene
-from dasim.render import foreign
+from dasim.render import foreign, truth
 from dasim.render.emitters import emitters
 from dasim.render.foreign import World
 from dasim.render.geometry import shape
@@ -35,7 +33,7 @@ def world(scene: Scene | MitsubaScene, camera: Camera) -> World:
     """A scene of either kind in Mitsuba, clear of the lens, with what is to be told of it."""
     pupil_radius_m = cameras.aperture_m(camera) / 2
     if isinstance(scene, MitsubaScene):
-        found = foreign.load(scene, _field_of_view_deg(camera))
+        found = foreign.load(scene, truth.field_of_view_deg(camera))
         foreign.check_clear(found, scene, pupil_radius_m)
         return found
     scenes.check_clear(scene, pupil_radius_m)
@@ -65,8 +63,3 @@ def scene_dict(scene: Scene) -> dict[str, Any]:
 def object_key(index: int) -> str:
     """Name of the scene's object ``index`` (from 0) in Mitsuba's scene."""
     return f"object_{index:04d}"
-
-
-def _field_of_view_deg(camera: Camera) -> float:
-    half_m = camera.sensor.width_px * camera.sensor.pixel_pitch_um * 1e-6 / 2
-    return float(2 * np.degrees(np.arctan(half_m / cameras.image_distance_m(camera))))
