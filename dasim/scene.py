@@ -14,6 +14,7 @@ from pydantic import Field, field_validator, model_validator
 
 from dasim import illuminants, meshes, panorama
 from dasim.camera import Camera, refocused
+from dasim.clearance import placement_problems, size_problems
 from dasim.errors import InputError
 from dasim.lights import Light, Near, Positive, Vector
 from dasim.materials import Glass, Surface, Texture, is_textured, material_names, surface, unknown
@@ -158,9 +159,6 @@ def world_to_camera(scene: Scene) -> FloatArray:
 
 # --- checks that need more than one key ----------------------------------------------------------
 
-LENS_CLEARANCE_M = 1e-3
-PUPIL_POINTS = 24
-
 
 def _check(scene: Scene, where: str) -> None:
     """Materials, illuminants, images and meshes exist, and no object is behind or on the lens."""
@@ -174,7 +172,7 @@ def _check(scene: Scene, where: str) -> None:
         except InputError as error:
             problems.append(f"material '{name}': {error}")
     for item in scene.objects:
-        for check in (_material_problems, _size_problems, _placement_problems):
+        for check in (_material_problems, _place_problems):
             try:
                 problems += check(item, scene)
             except InputError as error:
@@ -261,61 +259,17 @@ def _colour_problems(item: Mesh, scene: Scene) -> list[str]:
     return []
 
 
-SMALLEST_M, LARGEST_M = 1e-5, 100.0
-
-
-def _size_problems(item: Object, scene: Scene) -> list[str]:
-    size_m = 2 * float(half_extent_m(item, scene.folder)[1].max())
-    if SMALLEST_M <= size_m <= LARGEST_M:
-        return []
-    unit = f"unit_cm is {item.unit_cm:g}" if isinstance(item, Mesh) else "lengths are in centimetres"
-    return [
-        f"object '{item.name}': is {size_m:.3g} m large; {SMALLEST_M * 1e6:g} um to {LARGEST_M:g} m are allowed "
-        f"(a mistake of units? {unit})"
-    ]
+def _place_problems(item: Object, scene: Scene) -> list[str]:
+    to_camera = object_to_camera(item, scene)
+    return size_problems(item, scene.folder) + placement_problems(item, scene.folder, to_camera)
 
 
 def check_clear(scene: Scene, pupil_radius_m: float) -> None:
     """InputError where an object reaches into the lens of the camera that is going to be used."""
-    problems = [p for item in scene.objects for p in _placement_problems(item, scene, pupil_radius_m)]
+    problems = [
+        problem
+        for item in scene.objects
+        for problem in placement_problems(item, scene.folder, object_to_camera(item, scene), pupil_radius_m)
+    ]
     if problems:
         raise InputError(f"scene '{scene.name}': " + "; ".join(problems))
-
-
-def _placement_problems(item: Object, scene: Scene, pupil_radius_m: float = 0.0) -> list[str]:
-    centre, half = half_extent_m(item, scene.folder)
-    to_camera = object_to_camera(item, scene)
-    nearest_corner = centre + np.array(np.meshgrid(*[(-1, 1)] * 3)).reshape(3, -1).T * half
-    depths = nearest_corner @ to_camera[2, :3] + to_camera[2, 3]
-    if depths.max() <= 0:
-        return [f"object '{item.name}': lies behind the lens (z up to {depths.max() * 100:.3g} cm, must be above 0)"]
-    # The pupil's centre and rim, seen from the object; its box is widened by the clearance.
-    turns = np.linspace(0.0, 2 * np.pi, PUPIL_POINTS, endpoint=False)
-    rim = np.stack([np.cos(turns), np.sin(turns), np.zeros(PUPIL_POINTS)], axis=-1) * pupil_radius_m
-    pupil = np.vstack([np.zeros(3), rim / 2, rim])
-    to_local = np.linalg.inv(to_camera)
-    offset = pupil @ to_local[:3, :3].T + to_local[:3, 3] - centre
-    if not (np.abs(offset) <= half + LENS_CLEARANCE_M).all(axis=-1).any():
-        return []
-    if isinstance(item, Sphere) and np.linalg.norm(offset, axis=-1).min() > half[0] + LENS_CLEARANCE_M:
-        return []
-    if isinstance(item, Mesh):
-        return _mesh_clearance_problems(item, scene, to_camera, pupil_radius_m + LENS_CLEARANCE_M)
-    return [f"object '{item.name}': lies on the lens or around it; move it to z above 0"]
-
-
-def _mesh_clearance_problems(item: Mesh, scene: Scene, to_camera: FloatArray, clearance_m: float) -> list[str]:
-    """A camera may stand in a mesh's box (a room, a canyon), but not in its surface or within a solid body.
-
-    A room is a mesh whose faces point inwards; one with openings as wide as half of all directions is no body.
-    """
-    mesh = meshes.joined(mesh_parts(item, scene.folder))
-    corners = (mesh.vertices @ to_camera[:3, :3].T + to_camera[:3, 3])[mesh.faces]
-    if meshes.distance_from_origin(corners) <= clearance_m:
-        return [f"object '{item.name}': lies on the lens or around it; move it to z above 0"]
-    if meshes.turns_around_origin(corners) > 0.5:
-        return [
-            f"object '{item.name}': the camera is inside it; move one of them, or, where it is a room, "
-            f"turn the faces of {item.file} inwards"
-        ]
-    return []
