@@ -131,13 +131,16 @@ def _paint(visual: Any, has_uv: bool, *, linear: bool) -> tuple[str | None, Pict
     image = getattr(material, "baseColorTexture", None) if linear else getattr(material, "image", None)
     factor = getattr(material, "baseColorFactor", None)
     share = np.ones(3, np.float32) if factor is None else np.asarray(np.divide(factor[:3], 255), np.float32)
+    made_up = not linear and not getattr(material, "kwargs", None)  # no line of a material library stands behind it
+    if made_up and image is not None and image.size == (2, 2):
+        return None, None  # trimesh's grey stand-in where a file has texture coordinates and no picture
     if image is not None and has_uv:
         return "texture image", decoded(np.asarray(image.convert("RGB"))) * (share if linear else np.float32(1.0))
     if linear:
         return "one colour", share
     diffuse = getattr(material, "diffuse", None)
     # An OBJ without a material library gets trimesh's grey, which is nobody's colour.
-    if diffuse is None or (image is None and not getattr(material, "kwargs", None) and not material.name):
+    if diffuse is None or made_up:
         return None, None
     return "one colour", decoded(np.asarray(diffuse, np.uint8)[:3])
 
