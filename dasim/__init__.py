@@ -18,8 +18,9 @@ if TYPE_CHECKING:
     from dasim.camera import Camera, cropped, load_camera, refocused
     from dasim.errors import InputError
     from dasim.files import load_capture, load_truth, save_capture
+    from dasim.foreign import MitsubaScene, focused, load_scene
     from dasim.pointspread import psf
-    from dasim.scene import Scene, focused, load_scene
+    from dasim.scene import Scene
     from dasim.sensor import Exposure
     from dasim.simulation import Shot, simulate
     from dasim.values import Capture, Truth
@@ -29,6 +30,7 @@ __all__ = [
     "Capture",
     "Exposure",
     "InputError",
+    "MitsubaScene",
     "Scene",
     "Shot",
     "Truth",
@@ -50,7 +52,8 @@ _HOME = {
     "camera": ("Camera", "cropped", "load_camera", "refocused"),
     "errors": ("InputError",),
     "pointspread": ("psf",),
-    "scene": ("Scene", "focused", "load_scene"),
+    "foreign": ("MitsubaScene", "focused", "load_scene"),
+    "scene": ("Scene",),
     "sensor": ("Exposure",),
     "simulation": ("Shot", "simulate"),
     "files": ("load_capture", "load_truth", "save_capture"),

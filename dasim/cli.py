@@ -148,11 +148,14 @@ def render(
     exposure: float | None = None,
     diffraction: str | None = None,
     variant: str | None = None,
+    unit_cm: float | None = None,
+    near_infrared: str | None = None,
+    illuminant: str | None = None,
 ) -> int:
     """Photograph a scene: a capture folder with raw.png, truth.exr and meta.json.
 
     Args:
-        scene: a bundled name (see 'dasim list scenes') or a TOML file
+        scene: a bundled name (see 'dasim list scenes'), a TOML file, or a Mitsuba XML file
         out: the capture folder
         camera: a bundled name (see 'dasim list cameras') or a TOML file
         focus: focus distance in metres; by default what the scene proposes, else the camera's own
@@ -163,6 +166,9 @@ def render(
         exposure: exposure time in seconds; automatic by default
         diffraction: wave, airy or off
         variant: Mitsuba variant: auto, cuda_ad_spectral, llvm_ad_spectral or scalar_spectral
+        unit_cm: of a Mitsuba XML file, the length of its unit; 100 by default
+        near_infrared: of a Mitsuba XML file, the rule for its RGB surfaces: print, dyed, or achromatic by default
+        illuminant: of a Mitsuba XML file, the spectrum of its RGB lights; D65 by default
     """
     import dasim
     from dasim.files import check_output
@@ -172,7 +178,8 @@ def render(
 
     check_output(out, "capture")
     check_options(spp, seed, diffraction, noise_share)
-    described = dasim.load_scene(scene)
+    choices = {"unit_cm": unit_cm, "near_infrared": near_infrared, "illuminant": illuminant}
+    described = dasim.load_scene(scene, **{name: value for name, value in choices.items() if value is not None})
     chosen = dasim.load_camera(camera)
     if size is not None:
         chosen = dasim.cropped(chosen, *_size(size))
@@ -398,7 +405,7 @@ def list_(kind: str, *, verbose: Annotated[bool, Parameter(negative="")] = False
         kind: scenes, cameras, materials, illuminants or claims
         verbose: with more detail
     """
-    from dasim import camera, describe, materials, scene, spectra
+    from dasim import camera, describe, scene
 
     if kind == "scenes":
         for name in scene.scene_names():
@@ -410,10 +417,7 @@ def list_(kind: str, *, verbose: Annotated[bool, Parameter(negative="")] = False
             if verbose:
                 print("\n".join(f"    {line}" for line in describe.described(loaded)) + "\n")
     elif kind == "materials":
-        for name in materials.material_names():
-            curve = materials.reflectance(name)
-            shown = " ".join(f"{curve[spectra.WAVELENGTH_NM == nm][0]:.2f}" for nm in (450, 550, 650, 750))
-            print(f"{name:<18}reflectance at 450, 550, 650, 750 nm: {shown}" if verbose else name)
+        _list_materials(verbose=verbose)
     elif kind == "illuminants":
         _list_illuminants(verbose=verbose)
     elif kind == "claims":
@@ -423,6 +427,24 @@ def list_(kind: str, *, verbose: Annotated[bool, Parameter(negative="")] = False
     else:
         raise InputError(f"list '{kind}' is unknown; allowed are scenes, cameras, materials, illuminants, claims")
     return 0
+
+
+def _list_materials(*, verbose: bool) -> None:
+    from dasim import materials
+    from dasim.render.reflection import normal_reflectance
+    from dasim.spectra import WAVELENGTH_NM
+
+    shown_nm = (450, 550, 650, 750, 800)
+    if verbose:
+        print(f"reflectance (metals, glass and coats: at normal incidence) at {', '.join(map(str, shown_nm))} nm")
+    for name in materials.material_names():
+        kind, source = materials.kind_and_source(name)
+        if not verbose:
+            print(f"{name:<24}{kind}")
+            continue
+        curve = normal_reflectance(materials.surface(name, Path(".")))
+        values = " ".join(f"{curve[WAVELENGTH_NM == nm][0]:.2f}" for nm in shown_nm)
+        print(f"{name:<24}{kind:<9}{values}  {source}")
 
 
 def _list_illuminants(*, verbose: bool) -> None:

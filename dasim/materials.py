@@ -1,211 +1,349 @@
-"""Named materials from 400 to 830 nm, and textures that mix them.
+"""Materials by name and from TOML, 400 to 830 nm, as surfaces for the renderer.
 
-Reflectances are parametric: smooth curves through published values, each with its source. Nothing is
-extrapolated from RGB: a photograph becomes a material through what its surface would be made of
-(two materials, or printing inks), so that its near-infrared is physical too.
+Nothing is extrapolated from RGB: a photograph becomes a material through what its surface would be made of, by a rule
+that the scene names (``photographs``), so that its near-infrared is physical too.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterable
+from difflib import get_close_matches
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
-import cv2
 import numpy as np
-from numpy.typing import NDArray
-from pydantic import Field
+from pydantic import Discriminator, Field, Tag, model_validator
 
+from dasim import colour_checker, photographs, reflectances
 from dasim.errors import InputError
+from dasim.photographs import NEAR_INFRARED_RULES, photograph_surface
 from dasim.specification import Specification
-from dasim.spectra import WAVELENGTH_NM, FloatArray, long_pass, short_pass
+from dasim.spectra import WAVELENGTH_NM, FloatArray
+from dasim.surfaces import (
+    CLEAR_COAT_INDEX,
+    CROWN_GLASS_INDEX,
+    Coated,
+    Diffuse,
+    Glass,
+    Metal,
+    Mixture,
+    Surface,
+    flipped,
+    is_diffuse,
+    is_textured,
+)
+
+__all__ = [
+    "NEAR_INFRARED_RULES",
+    "Coated",
+    "Diffuse",
+    "Glass",
+    "Metal",
+    "Mixture",
+    "Surface",
+    "Texture",
+    "flipped",
+    "is_textured",
+    "material_names",
+    "photograph_surface",
+    "reflectance",
+    "surface",
+]
+
+# --- names ---------------------------------------------------------------------------------------
+
+CONDUCTORS = {"aluminium": "Al", "chromium": "Cr", "copper": "Cu", "gold": "Au", "silver": "Ag", "tungsten": "W"}
+_METAL_SOURCE = "complex index measured to 885 nm, as Mitsuba has it; GGX alpha 0.1"
+_GLASS_SOURCE = "clear crown glass, index 1.52 at all wavelengths"
+_GLOSSY = {  # base, roughness of the coat
+    "porcelain": ("ceramic-white", 0.0),
+    "varnished-wood": ("wood-light", 0.08),
+    "glossy-plastic-black": ("plastic-black", 0.05),
+    "glossy-plastic-blue": ("plastic-blue", 0.05),
+    "glossy-plastic-green": ("plastic-green", 0.05),
+    "glossy-plastic-red": ("plastic-red", 0.05),
+    "glossy-plastic-white": ("plastic-white", 0.05),
+    "glossy-plastic-yellow": ("plastic-yellow", 0.05),
+}
 
 
-def _line(*points: tuple[float, float]) -> FloatArray:
-    """Straight lines through (wavelength, reflectance) points."""
-    return np.interp(WAVELENGTH_NM, *np.transpose(points))
-
-
-def _bell(centre_nm: float, sigma_nm: float) -> FloatArray:
-    return np.exp(-0.5 * ((WAVELENGTH_NM - centre_nm) / sigma_nm) ** 2)
-
-
-def _reflectances() -> dict[str, FloatArray]:
-    """Reflectance curves by name.
-
-    Green leaf: PROSPECT (Jacquemoud and Baret 1990): 0.15 at 550, 0.04 at 680, 0.31 at 720, 0.45 at 780 nm.
-    Minerals, soils, woods, brick and dry vegetation: featureless rises as in the ECOSTRESS spectral library
-    (Meerdink et al. 2019). Textile dyes open towards 700 nm while carbon black stays dark.
-    """
-    return {
-        "white-paper": 0.86 - 0.10 * short_pass(425.0, 30.0),
-        "grey-card": _line((400, 0.18), (830, 0.185)),
-        "concrete-light": _line((400, 0.38), (600, 0.48), (830, 0.52)),
-        "concrete-dark": _line((400, 0.10), (600, 0.13), (830, 0.15)),
-        "brick": _line((400, 0.07), (530, 0.10), (600, 0.24), (700, 0.32), (830, 0.36)),
-        "mortar": _line((400, 0.40), (600, 0.52), (830, 0.58)),
-        "soil": _line((400, 0.05), (600, 0.12), (830, 0.22)),
-        "sand": _line((400, 0.18), (600, 0.38), (830, 0.48)),
-        "leaf-green": 0.03 + 0.11 * _bell(552.0, 28.0) + 0.42 * long_pass(714.0, 45.0),
-        "leaf-dry": _line((400, 0.08), (550, 0.18), (650, 0.30), (720, 0.42), (830, 0.52)),
-        "wood-light": _line((400, 0.20), (550, 0.42), (650, 0.56), (830, 0.68)),
-        "wood-dark": _line((400, 0.05), (550, 0.09), (650, 0.15), (830, 0.34)),
-        "cotton-white": 0.82 - 0.12 * short_pass(430.0, 40.0),
-        "cotton-red": 0.05 + 0.60 * long_pass(605.0, 50.0),
-        "cotton-blue": 0.05 + 0.28 * _bell(455.0, 38.0) + 0.55 * long_pass(710.0, 70.0),
-        "polyester-black": 0.04 + 0.50 * long_pass(715.0, 70.0),
-        "ceramic-white": _line((400, 0.74), (500, 0.82), (830, 0.84)),
-        "carbon-black": _line((400, 0.035), (830, 0.04)),
-    }
-
-
-def _ink_transmittances() -> dict[str, FloatArray]:
-    """Two-way transmittance of solid process inks on paper: transparent beyond 700 nm, except carbon black."""
-    return {
-        "cyan": 1.0 - 0.90 * _bell(630.0, 48.0),
-        "magenta": 1.0 - 0.92 * _bell(540.0, 36.0),
-        "yellow": 1.0 - 0.93 * short_pass(495.0, 45.0),
-    }
-
-
-BLACK_INK = "carbon-black"
+def diffuse_names() -> list[str]:
+    """Names of the Lambertian materials, those that have a reflectance."""
+    return sorted([*reflectances.names(), *colour_checker.PATCHES])
 
 
 def material_names() -> list[str]:
     """Names of the materials of the library."""
-    return sorted(_reflectances())
+    return sorted([*diffuse_names(), *CONDUCTORS, "glass", "glass-pane", *_GLOSSY])
 
 
 def reflectance(name: str) -> FloatArray:
-    """Reflectance 0..1 of a named material on ``WAVELENGTH_NM``; InputError where it is unknown."""
-    curves = _reflectances()
-    if name not in curves:
-        raise InputError(f"material '{name}' is unknown; known are {', '.join(sorted(curves))}")
-    return curves[name]
+    """Reflectance 0..1 of a named Lambertian material on ``WAVELENGTH_NM``; InputError where there is none."""
+    if name in colour_checker.PATCHES:
+        return colour_checker.curve(name)
+    if name in reflectances.names():
+        return reflectances.curve(name)
+    if name in material_names():
+        raise InputError(f"material '{name}' is not diffuse, so that it has no reflectance of its own; take another")
+    raise InputError(unknown(name))
 
 
-# --- how a scene describes a texture -------------------------------------------------------------
+def unknown(name: str, own: Iterable[str] = ()) -> str:
+    """What to tell who named a material that is neither in the library nor among a scene's ``own``."""
+    known = [*own, *material_names()]
+    near = get_close_matches(name, known, n=4, cutoff=0.5)
+    near += [item for item in own if item not in near]  # a scene has few
+    nearest = f"nearest are {', '.join(near)}; " if near else ""
+    return f"material '{name}' is unknown; {nearest}all are in 'dasim list materials'"
+
+
+def kind_and_source(name: str) -> tuple[str, str]:
+    """What a named material is (diffuse, metal, glass, coated), and where its numbers are from."""
+    if name in CONDUCTORS:
+        return "metal", _METAL_SOURCE
+    if name in ("glass", "glass-pane"):
+        return "glass", _GLASS_SOURCE + ("; a thin pane" if name == "glass-pane" else "; for closed shapes")
+    if name in _GLOSSY:
+        base, roughness = _GLOSSY[name]
+        return "coated", f"{base} under a clear coat of index {CLEAR_COAT_INDEX}, GGX alpha {roughness}"
+    return "diffuse", colour_checker.SOURCE if name in colour_checker.PATCHES else reflectances.source(name)
+
+
+def _named(name: str) -> Surface:
+    if name in CONDUCTORS:
+        return Metal(CONDUCTORS[name])
+    if name in ("glass", "glass-pane"):
+        return Glass(thin=name == "glass-pane")
+    if name in _GLOSSY:
+        base, roughness = _GLOSSY[name]
+        return Coated(Diffuse(reflectance(base)), roughness)
+    return Diffuse(reflectance(name))
+
+
+# --- how a scene describes a material ------------------------------------------------------------
 
 
 Repeat = Annotated[float, Field(gt=0, le=1000)]
+Roughness = Annotated[float, Field(ge=0, le=1, description="GGX alpha; 0 is a mirror")]
 
 
-class _Photograph(Specification):
-    image: str = Field(description="a file beside the scene, or skimage:NAME")
+class _Textured(Specification):
+    image: str = Field(description="a file beside the scene, skimage:NAME or pattern:NAME")
     repeat: tuple[Repeat, Repeat] = Field(
         default=(1.0, 1.0), description="copies across and down, every other mirrored"
     )
 
 
-class Blend(_Photograph):
-    """Two materials mixed by the luminance of a photograph: the achromatic near-infrared rule."""
+class Blend(_Textured):
+    """Two materials mixed by the luminance of a picture: no colour of the picture's own."""
 
     kind: Literal["blend"]
     dark: str
     bright: str
 
 
-class Print(_Photograph):
+class Print(_Textured):
     """A photograph printed with process inks: its near-infrared is that of paper and black ink alone."""
 
     kind: Literal["print"]
-    paper: str = "white-paper"
-    black_generation: float = Field(default=0.6, ge=0, le=1, description="share of the grey printed with black ink")
+    paper: str = photographs.PRINT_PAPER
+    black_generation: float = Field(
+        default=photographs.BLACK_GENERATION, ge=0, le=1, description="share of the grey printed with black ink"
+    )
 
 
-Texture = Annotated[Blend | Print, Field(discriminator="kind")]
+class Photo(_Textured):
+    """A photograph whose near-infrared follows one of ``NEAR_INFRARED_RULES``."""
+
+    kind: Literal["photo"]
+    rule: Literal["print", "dyed", "achromatic"]
+
+    @model_validator(mode="before")
+    @classmethod
+    def _has_a_rule(cls, data: Any) -> Any:
+        if isinstance(data, dict) and "rule" not in data:
+            rules = ", ".join(f"'{name}'" for name in NEAR_INFRARED_RULES)
+            raise ValueError(f"a 'photo' says nothing about the near-infrared: add rule = one of {rules}")
+        return data
+
+
+class Spectrum(Specification):
+    """A Lambertian material of the user's own: a CSV file (wavelength_nm, reflectance) or points, 400 to 830 nm."""
+
+    kind: Literal["spectrum"]
+    file: str | None = None
+    points: tuple[tuple[float, float], ...] | None = Field(default=None, description="[wavelength_nm, reflectance]")
+
+    @model_validator(mode="after")
+    def _one_of_both(self) -> Spectrum:
+        if (self.file is None) == (self.points is None):
+            raise ValueError("give either file (a CSV of wavelength_nm, reflectance) or points")
+        return self
+
+
+class MetalFinish(Specification):
+    """A bare metal with a roughness."""
+
+    kind: Literal["metal"]
+    metal: Literal["aluminium", "chromium", "copper", "gold", "silver", "tungsten"]
+    roughness: Roughness = 0.1
+
+
+class GlassBody(Specification):
+    """Clear glass: a closed body, or a thin pane (a plane or disc) that does not refract."""
+
+    kind: Literal["glass"]
+    refractive_index: float = Field(default=CROWN_GLASS_INDEX, ge=1.01, le=2.5)
+    thin: bool = False
+
+
+class Coating(Specification):
+    """A clear coat over a diffuse material or texture: plastic, glaze, varnish, a laminated print."""
+
+    kind: Literal["coated"]
+    base: Part
+    roughness: float = Field(default=0.1, ge=0, le=0.5, description="GGX alpha; rougher is matt: no coat")
+    refractive_index: float = Field(default=CLEAR_COAT_INDEX, ge=1.01, le=2.5)
+
+
+class Layer(Specification):
+    """A material that covers what is below where its mask is white."""
+
+    material: Part
+    mask: str = Field(description="an image whose values are shares as they stand, or pattern:NAME")
+    repeat: tuple[Repeat, Repeat] = (1.0, 1.0)
+
+
+class Mix(Specification):
+    """A base and layers over it, the last one on top."""
+
+    kind: Literal["mix"]
+    base: Part
+    layers: tuple[Layer, ...] = Field(min_length=1, max_length=16)
+
+
+def _name_or_kind(value: Any) -> str | None:
+    if isinstance(value, str):
+        return "name"
+    return value.get("kind") if isinstance(value, dict) else getattr(value, "kind", None)
+
+
+Texture = Annotated[
+    Blend | Print | Photo | Spectrum | MetalFinish | GlassBody | Coating | Mix, Field(discriminator="kind")
+]
+Part = Annotated[
+    Annotated[str, Tag("name")]
+    | Annotated[Blend, Tag("blend")]
+    | Annotated[Print, Tag("print")]
+    | Annotated[Photo, Tag("photo")]
+    | Annotated[Spectrum, Tag("spectrum")]
+    | Annotated[MetalFinish, Tag("metal")]
+    | Annotated[Coating, Tag("coated")]
+    | Annotated[Mix, Tag("mix")],
+    Discriminator(
+        _name_or_kind,
+        custom_error_type="part",
+        custom_error_message="must be a material's name or a table with kind = 'blend', 'print', 'photo', 'spectrum', "
+        "'metal', 'coated' or 'mix'",
+    ),
+]
+Coating.model_rebuild()
+Layer.model_rebuild()
+Mix.model_rebuild()
 
 
 # --- what the renderer gets ----------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class Diffuse:
-    """A Lambertian surface of one reflectance spectrum."""
-
-    reflectance: FloatArray
-
-
-@dataclass(frozen=True)
-class Mixture:
-    """``first`` and ``second`` mixed by an image of the second's share, [h, w] 0..1, top row first."""
-
-    weight: NDArray[np.float32]
-    first: Surface
-    second: Surface
-    repeat: tuple[float, float] = (1.0, 1.0)  # copies along u and v, every other one mirrored
-
-
-Surface = Diffuse | Mixture
-
-
-def surface(texture: Blend | Print | str, folder: Path) -> Surface:
-    """Resolve a material's name or texture; images are looked up in ``folder`` or scikit-image's package."""
-    if isinstance(texture, str):
-        return Diffuse(reflectance(texture))
-    image = _linear_rgb(texture.image, folder)
-    if isinstance(texture, Blend):
-        luminance = image @ np.array([0.2126, 0.7152, 0.0722], np.float32)
-        dark, bright = Diffuse(reflectance(texture.dark)), Diffuse(reflectance(texture.bright))
-        return Mixture(luminance, dark, bright, texture.repeat)
-    return _printed(image, reflectance(texture.paper), texture.black_generation, texture.repeat)
-
-
-def flipped(surface: Surface) -> Surface:
-    """The surface with its images upside down."""
-    images: dict[int, NDArray[np.float32]] = {}  # an image that a tree shares stays shared
-
-    def turn(part: Surface) -> Surface:
-        if isinstance(part, Diffuse):
-            return part
-        image = images.setdefault(id(part.weight), np.ascontiguousarray(part.weight[::-1]))
-        return Mixture(image, turn(part.first), turn(part.second), part.repeat)
-
-    return turn(surface)
+def surface(texture: Any, folder: Path) -> Surface:
+    """Resolve a material's name or ``Texture``; its files are looked up in ``folder``."""
+    match texture:
+        case str():
+            return _named(texture)
+        case Blend():
+            share = photographs.luminance(photographs.linear_rgb(texture.image, folder))
+            dark, bright = (_opaque(name, folder) for name in (texture.dark, texture.bright))
+            return Mixture(np.clip(share, 0.0, 1.0), dark, bright, texture.repeat)
+        case Print():
+            image = photographs.linear_rgb(texture.image, folder)
+            return photographs.printed(image, reflectance(texture.paper), texture.black_generation, texture.repeat)
+        case Photo():
+            return photograph_surface(photographs.linear_rgb(texture.image, folder), texture.rule, texture.repeat)
+        case Spectrum():
+            return Diffuse(_own_curve(texture, folder))
+        case MetalFinish():
+            return Metal(CONDUCTORS[texture.metal], texture.roughness)
+        case GlassBody():
+            return Glass(texture.refractive_index, texture.thin)
+        case Coating():
+            return _coated(texture, folder)
+        case Mix():
+            result = _opaque(texture.base, folder)
+            for layer in texture.layers:
+                share = photographs.mask(layer.mask, folder)
+                result = Mixture(share, result, _opaque(layer.material, folder), layer.repeat)
+            return result
+    raise TypeError(f"no material: {texture!r}")
 
 
-def _printed(
-    image: NDArray[np.float32], paper: FloatArray, black_generation: float, repeat: tuple[float, float]
-) -> Surface:
-    """Halftone print by the Neugebauer model with Demichel's coverages.
-
-    Ink coverages are 1 - R, 1 - G, 1 - B (Murray-Davies), their common part partly replaced by black.
-    The eight overprints of cyan, magenta and yellow are a tree of mixtures, one level an ink.
-    """
-    coverage = 1.0 - image
-    black = black_generation * coverage.min(axis=-1)
-    coverage = (coverage - black[..., None]) / np.maximum(1.0 - black[..., None], 1e-6)
-    coverages = [np.ascontiguousarray(coverage[..., ink]) for ink in range(3)]
-    inks = list(_ink_transmittances().values())
-
-    def overprint(base: FloatArray, ink: int) -> Surface:
-        if ink == len(inks):
-            return Diffuse(base)
-        return Mixture(coverages[ink], overprint(base, ink + 1), overprint(base * inks[ink], ink + 1), repeat)
-
-    return Mixture(black, overprint(paper, 0), Diffuse(reflectance(BLACK_INK)), repeat)
+def _opaque(part: Any, folder: Path) -> Surface:
+    found = surface(part, folder)
+    if isinstance(found, Glass):
+        raise InputError(f"material '{part}' is clear and cannot be mixed; mix opaque ones")
+    return found
 
 
-def _linear_rgb(image: str, folder: Path) -> NDArray[np.float32]:
-    """A photograph in linear light, [h, w, 3] 0..1; ``skimage:NAME`` is one that ships with scikit-image."""
-    if image.startswith("skimage:"):
-        import skimage
-
-        path = _bundled_photograph(Path(skimage.__file__).parent / "data", image.removeprefix("skimage:"))
-    else:
-        path = folder / image
-        if not path.is_file():
-            raise InputError(f"image '{image}': no such file in {folder} (or 'skimage:NAME')")
-    data = cv2.imread(str(path), cv2.IMREAD_COLOR)
-    if data is None:
-        raise InputError(f"image '{image}': {path} cannot be read as a picture")
-    encoded = data[..., ::-1].astype(np.float32) / 255.0
-    return np.where(encoded <= 0.04045, encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4).astype(np.float32)
+def _coated(texture: Coating, folder: Path) -> Coated:
+    base = surface(texture.base, folder)
+    if not isinstance(base, Diffuse | Mixture) or not is_diffuse(base):
+        raise InputError(
+            "base: a clear coat goes over diffuse materials and mixtures of them, not metal, glass or gloss"
+        )
+    return Coated(base, texture.roughness, texture.refractive_index)
 
 
-def _bundled_photograph(folder: Path, name: str) -> Path:
-    for suffix in (".png", ".jpg"):
-        if (folder / f"{name}{suffix}").is_file():
-            return folder / f"{name}{suffix}"
-    known = sorted(p.stem for p in folder.iterdir() if p.suffix in (".png", ".jpg"))
-    raise InputError(f"image 'skimage:{name}': does not ship with scikit-image; there are {', '.join(known)}")
+def _own_curve(texture: Spectrum, folder: Path) -> FloatArray:
+    """A user's spectrum on the wavelength grid, checked; InputError says what is wrong with it."""
+    where = f"file '{texture.file}'" if texture.file else "points"
+    points = np.array(texture.points, float) if texture.file is None else _read_curve(folder / texture.file, where)
+    first, last = WAVELENGTH_NM[0], WAVELENGTH_NM[-1]
+    if len(points) < 2 or (np.diff(points[:, 0]) <= 0).any():
+        raise InputError(f"{where}: needs two or more wavelengths, each longer than the one before")
+    low, high = points[0, 0], points[-1, 0]
+    if low > first or high < last:
+        raise InputError(
+            f"{where}: reaches from {low:g} to {high:g} nm, must cover {first:g} to {last:g} nm; "
+            "measure or choose what lies beyond, nothing is extrapolated"
+        )
+    ends = np.array([(nm, np.interp(nm, points[:, 0], points[:, 1])) for nm in (first, last)])
+    used = np.vstack([ends, points[(points[:, 0] >= first) & (points[:, 0] <= last)]])
+    if used[:, 1].max(initial=0.0) > 1:
+        peak = used[used[:, 1].argmax()]
+        hint = "; is it in percent?" if peak[1] > 1.5 else ""
+        raise InputError(f"{where}: reflects more than it receives ({peak[1]:g} at {peak[0]:g} nm, at most 1{hint})")
+    if used[:, 1].min(initial=0.0) < 0:
+        low = used[used[:, 1].argmin()]
+        raise InputError(f"{where}: reflects less than nothing ({low[1]:g} at {low[0]:g} nm, at least 0)")
+    return np.clip(np.interp(WAVELENGTH_NM, points[:, 0], points[:, 1]), 0.0, 1.0)
+
+
+def _read_curve(path: Path, where: str) -> FloatArray:
+    try:
+        lines = [line for line in path.read_text(encoding="utf-8-sig").splitlines() if line.strip()]
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"{where}: cannot be read from {path.parent} ({type(error).__name__})") from None
+    rows = [line for line in lines if not line.lstrip().startswith("#")]
+    try:
+        values = np.array([[float(cell) for cell in row.split(",")] for row in rows[1:]], float)
+    except ValueError:
+        values = np.empty((0, 0))
+    if (
+        not rows
+        or rows[0].replace(" ", "") != "wavelength_nm,reflectance"
+        or values.ndim != 2
+        or values.shape[1:] != (2,)
+    ):
+        raise InputError(f"{where}: must be a CSV with the header wavelength_nm,reflectance and two numbers a line")
+    if not np.isfinite(values).all():
+        raise InputError(f"{where}: has values that are not finite")
+    return values

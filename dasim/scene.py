@@ -12,12 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, field_validator, model_validator
 
-from dasim import illuminants, panorama
+from dasim import illuminants, meshes, panorama
 from dasim.camera import Camera, refocused
+from dasim.clearance import placement_problems, size_problems
 from dasim.errors import InputError
 from dasim.lights import Light, Near, Positive, Vector
-from dasim.materials import Texture, material_names, surface
-from dasim.shapes import Box, Mesh, Object, Sphere, half_extent_m, load_mesh, placement
+from dasim.materials import Glass, Surface, Texture, is_textured, material_names, surface, unknown
+from dasim.photographs import NEAR_INFRARED_RULES, mask, photograph_surface
+from dasim.shapes import Box, HeightField, Mesh, Object, Sphere, half_extent_m, mesh_parts, mesh_place, placement
 from dasim.specification import Specification, bundled_or_file, parse_toml
 
 FloatArray = NDArray[np.float64]
@@ -91,6 +93,53 @@ def light_spectrum(scene: Scene) -> FloatArray:
     return np.asarray(np.sum(parts, axis=0))
 
 
+# --- surfaces ------------------------------------------------------------------------------------
+
+
+def material_of(item: Object) -> str:
+    """Name of an object's material; a mesh with colours of its own is a material of its own."""
+    return item.material or f"colours of {item.name}"
+
+
+def surface_of(item: Object, scene: Scene) -> Surface:
+    """The surface of an object: its material's, or its mesh's own colours by the near-infrared rule it names."""
+    if item.material is not None:
+        return surface(scene.materials.get(item.material, item.material), scene.folder)
+    assert isinstance(item, Mesh) and item.near_infrared is not None  # checked where the scene was loaded
+    picture = triangles(item, scene.folder).paint
+    assert picture is not None
+    return photograph_surface(picture, item.near_infrared)
+
+
+def triangles(item: Mesh, folder: Path) -> meshes.Part:
+    """A mesh's triangles; without a material also the picture of its colours, and where it lies on them."""
+    parts = mesh_parts(item, folder)
+    if item.material is not None:
+        return meshes.joined(parts)
+    return meshes.joined_with_colours(parts, mesh_place(item, folder))
+
+
+def material_names_of(scene: Scene) -> list[str]:
+    """Names of the materials that a scene's objects have, in order of first use; number 1 is the first."""
+    return list(dict.fromkeys(material_of(item) for item in scene.objects))
+
+
+def material_number_of_object(scene: Scene) -> NDArray[np.uint32]:
+    """Number of each object's material (from 1, in ``material_names_of``) by ``object_id``; 0 is nothing."""
+    names = material_names_of(scene)
+    return np.array([0, *(names.index(material_of(item)) + 1 for item in scene.objects)], np.uint32)
+
+
+def colour_notes(scene: Scene) -> list[str]:
+    """What was made of RGB colours: one line for each mesh that has its own."""
+    return [
+        f"object '{item.name}': RGB of {item.file} ({', '.join(meshes.colour_kinds(mesh_parts(item, scene.folder)))}) "
+        f"became a matt material by the near-infrared rule '{item.near_infrared}'"
+        for item in scene.objects
+        if isinstance(item, Mesh) and item.material is None
+    ]
+
+
 # --- geometry ------------------------------------------------------------------------------------
 
 
@@ -116,33 +165,55 @@ def world_to_camera(scene: Scene) -> FloatArray:
 
 # --- checks that need more than one key ----------------------------------------------------------
 
-LENS_CLEARANCE_M = 1e-3
-PUPIL_POINTS = 24
-
 
 def _check(scene: Scene, where: str) -> None:
     """Materials, illuminants, images and meshes exist, and no object is behind or on the lens."""
     problems: list[str] = []
     for index, light in enumerate(scene.lights):
         problems += [f"lights.{index} ({light.kind}): {problem}" for problem in _light_problems(light, scene)]
+    own: dict[str, Surface] = {}
     for name, texture in scene.materials.items():
         try:
-            surface(texture, scene.folder)
+            own[name] = surface(texture, scene.folder)
         except InputError as error:
             problems.append(f"material '{name}': {error}")
-    known = set(material_names()) | set(scene.materials)
     for item in scene.objects:
-        if item.material not in known:
-            names = ", ".join(sorted(known))
-            problems.append(f"object '{item.name}': material '{item.material}' is unknown ({names})")
-        if isinstance(item, Mesh) and item.material in scene.materials:
+        for check in (_material_problems, _place_problems):
+            try:
+                problems += check(item, scene)
+            except InputError as error:
+                if str(error) not in problems:
+                    problems.append(str(error))
+        problems += _glass_problems(item, scene, own)
+        if isinstance(item, Mesh) and item.material in own and is_textured(own[item.material]):
             problems += _texture_problems(item, scene)
-        try:
-            problems += _placement_problems(item, scene)
-        except InputError as error:
-            problems.append(str(error))
     if problems:
         raise InputError(f"{where}: " + "; ".join(problems))
+
+
+def _material_problems(item: Object, scene: Scene) -> list[str]:
+    if isinstance(item, HeightField):
+        try:
+            mask(item.image, scene.folder)
+        except InputError as error:
+            return [f"object '{item.name}': {error}"]
+    if item.material is None:
+        return _colour_problems(item, scene) if isinstance(item, Mesh) else []
+    if item.material not in set(material_names()) | set(scene.materials):
+        return [f"object '{item.name}': {unknown(item.material, scene.materials)}"]
+    return []
+
+
+def _glass_problems(item: Object, scene: Scene, own: dict[str, Surface]) -> list[str]:
+    """Light that enters glass has to come out again: solid glass on an open shape would fill the world."""
+    found = own.get(item.material or "")
+    solid = isinstance(found, Glass) and not found.thin if found else item.material == "glass"
+    if not solid or item.shape not in ("plane", "disc", "cylinder", "heightfield"):
+        return []
+    return [
+        f"object '{item.name}': a {item.shape} is open and cannot be of solid glass (material '{item.material}'); "
+        "take 'glass-pane' (or thin = true), or a box, sphere or closed mesh"
+    ]
 
 
 def _light_problems(light: Light, scene: Scene) -> list[str]:
@@ -167,7 +238,7 @@ def _light_problems(light: Light, scene: Scene) -> list[str]:
 
 def _texture_problems(item: Mesh, scene: Scene) -> list[str]:
     try:
-        if load_mesh(item, scene.folder).uv is None:
+        if any(part.uv is None for part in mesh_parts(item, scene.folder)):
             return [
                 f"object '{item.name}': mesh {item.file} has no texture coordinates "
                 f"for the material '{item.material}'; give it some, or one of the plain materials"
@@ -177,26 +248,34 @@ def _texture_problems(item: Mesh, scene: Scene) -> list[str]:
     return []
 
 
+def _colour_problems(item: Mesh, scene: Scene) -> list[str]:
+    """What stands against using a mesh's own colours."""
+    kinds = meshes.colour_kinds(mesh_parts(item, scene.folder))
+    rules = ", ".join(NEAR_INFRARED_RULES)
+    if not kinds:
+        return [f"object '{item.name}': mesh {item.file} has no colours of its own; give the object a material"]
+    if item.near_infrared is None:
+        return [
+            f"object '{item.name}': mesh {item.file} has RGB colours ({', '.join(kinds)}), which say nothing of the "
+            f"near-infrared; choose a rule, near_infrared = {rules}, or give the object a material"
+        ]
+    if item.near_infrared not in NEAR_INFRARED_RULES:
+        return [f"object '{item.name}': near_infrared '{item.near_infrared}' is unknown; allowed are {rules}"]
+    triangles(item, scene.folder)  # raises where the colours are too many
+    return []
+
+
+def _place_problems(item: Object, scene: Scene) -> list[str]:
+    to_camera = object_to_camera(item, scene)
+    return size_problems(item, scene.folder) + placement_problems(item, scene.folder, to_camera)
+
+
 def check_clear(scene: Scene, pupil_radius_m: float) -> None:
     """InputError where an object reaches into the lens of the camera that is going to be used."""
-    problems = [p for item in scene.objects for p in _placement_problems(item, scene, pupil_radius_m)]
+    problems = [
+        problem
+        for item in scene.objects
+        for problem in placement_problems(item, scene.folder, object_to_camera(item, scene), pupil_radius_m)
+    ]
     if problems:
         raise InputError(f"scene '{scene.name}': " + "; ".join(problems))
-
-
-def _placement_problems(item: Object, scene: Scene, pupil_radius_m: float = 0.0) -> list[str]:
-    centre, half = half_extent_m(item, scene.folder)
-    to_camera = object_to_camera(item, scene)
-    nearest_corner = centre + np.array(np.meshgrid(*[(-1, 1)] * 3)).reshape(3, -1).T * half
-    depths = nearest_corner @ to_camera[2, :3] + to_camera[2, 3]
-    if depths.max() <= 0:
-        return [f"object '{item.name}': lies behind the lens (z up to {depths.max() * 100:.3g} cm, must be above 0)"]
-    # The pupil's centre and rim, seen from the object; its box is widened by the clearance.
-    turns = np.linspace(0.0, 2 * np.pi, PUPIL_POINTS, endpoint=False)
-    rim = np.stack([np.cos(turns), np.sin(turns), np.zeros(PUPIL_POINTS)], axis=-1) * pupil_radius_m
-    pupil = np.vstack([np.zeros(3), rim / 2, rim])
-    to_local = np.linalg.inv(to_camera)
-    inside = np.abs(pupil @ to_local[:3, :3].T + to_local[:3, 3] - centre) <= half + LENS_CLEARANCE_M
-    if inside.all(axis=-1).any():
-        return [f"object '{item.name}': lies on the lens or around it; move it to z above 0"]
-    return []

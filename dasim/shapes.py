@@ -1,19 +1,18 @@
-"""The objects of a scene as data, where they stand, and the triangles of mesh files.
+"""The objects of a scene as data, and where they stand.
 
 Lengths of a specification are centimetres and angles degrees; everything computed from it is in metres.
 """
 
 from __future__ import annotations
 
-from functools import lru_cache
 from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
+from pydantic import Field, model_validator
 
-from dasim.errors import InputError
+from dasim import meshes
 from dasim.specification import Specification
 
 FloatArray = NDArray[np.float64]
@@ -64,15 +63,40 @@ class Cylinder(_Placed):
     height_cm: Positive
 
 
+class HeightField(_Placed):
+    """A relief that faces the camera (-z) when not rotated, seen and textured as a plane.
+
+    ``image`` is a grey picture; where it is white (its largest value, as written in the file) the surface lies
+    ``height_cm`` nearer than where it is black.
+    """
+
+    shape: Literal["heightfield"]
+    image: str = Field(description="a file beside the scene, or skimage:NAME")
+    size_cm: tuple[Positive, Positive]
+    height_cm: Positive
+
+
 class Mesh(_Placed):
-    """A mesh file (OBJ, PLY, GLB, STL, OFF), ``unit_cm`` the length of its unit."""
+    """A mesh file (OBJ, PLY, GLB, STL, OFF), ``unit_cm`` the length of its unit.
+
+    Without a material the file's own RGB colours are used, and ``near_infrared`` says what they are in the
+    near-infrared (``dasim.photographs.NEAR_INFRARED_RULES``), which RGB leaves open.
+    """
 
     shape: Literal["mesh"]
     file: str
     unit_cm: Positive = 1.0
+    material: str | None = None  # type: ignore[assignment]  # the only object that may have colours of its own
+    near_infrared: str | None = None
+
+    @model_validator(mode="after")
+    def _one_surface(self) -> Mesh:
+        if self.material is not None and self.near_infrared is not None:
+            raise ValueError("near_infrared is for a mesh with colours of its own; this one has a material")
+        return self
 
 
-Object = Annotated[Plane | Disc | Box | Sphere | Cylinder | Mesh, Field(discriminator="shape")]
+Object = Annotated[Plane | Disc | Box | Sphere | Cylinder | HeightField | Mesh, Field(discriminator="shape")]
 
 
 # --- geometry ------------------------------------------------------------------------------------
@@ -97,53 +121,51 @@ def _rotation(degrees: Vector) -> FloatArray:
 def half_extent_m(item: Object, folder: Path) -> tuple[FloatArray, FloatArray]:
     """Centre and half size of an object's box in its local axes, metres."""
     if isinstance(item, Mesh):
-        vertices = load_mesh(item, folder).vertices
-        low, high = vertices.min(axis=0), vertices.max(axis=0)
+        parts = mesh_parts(item, folder)
+        low = np.min([part.vertices.min(axis=0) for part in parts], axis=0)
+        high = np.max([part.vertices.max(axis=0) for part in parts], axis=0)
         return (low + high) / 2, (high - low) / 2
+    if isinstance(item, HeightField):
+        half = np.multiply((*item.size_cm, item.height_cm), 0.5e-2)
+        return np.array([0.0, 0.0, -half[2]]), half
     if isinstance(item, Plane):
-        half = (item.size_cm[0] / 2, item.size_cm[1] / 2, 0.0)
+        half = np.array([item.size_cm[0] / 2, item.size_cm[1] / 2, 0.0])
     elif isinstance(item, Box):
-        half = (item.size_cm[0] / 2, item.size_cm[1] / 2, item.size_cm[2] / 2)
+        half = np.array(item.size_cm) / 2
     elif isinstance(item, Cylinder):
-        half = (item.radius_cm, item.height_cm / 2, item.radius_cm)
+        half = np.array([item.radius_cm, item.height_cm / 2, item.radius_cm])
     else:
-        half = (item.radius_cm, item.radius_cm, item.radius_cm if isinstance(item, Sphere) else 0.0)
-    return np.zeros(3), np.multiply(half, 1e-2)
+        half = np.array([item.radius_cm, item.radius_cm, item.radius_cm if isinstance(item, Sphere) else 0.0])
+    return np.zeros(3), half * 1e-2
 
 
-# --- meshes --------------------------------------------------------------------------------------
+# --- triangles -----------------------------------------------------------------------------------
 
 
-class MeshData:
-    """Triangles of a mesh file: ``vertices`` [n, 3] metres, ``faces`` [m, 3], ``uv`` [n, 2] or None."""
-
-    def __init__(self, vertices: FloatArray, faces: NDArray[np.uint32], uv: FloatArray | None) -> None:
-        self.vertices, self.faces, self.uv = vertices, faces, uv
+def mesh_parts(item: Mesh, folder: Path) -> tuple[meshes.Part, ...]:
+    """What a mesh's file holds; InputError where it is missing, broken or has no faces."""
+    return meshes.read(folder / item.file, item.unit_cm * 1e-2, mesh_place(item, folder))
 
 
-def load_mesh(item: Mesh, folder: Path) -> MeshData:
-    """Read a mesh file through trimesh; InputError where it is missing, broken or has no faces."""
-    path = folder / item.file
-    if not path.is_file():
-        raise InputError(f"object '{item.name}': mesh {path}: no such file")
-    stamp = path.stat()
-    return _load_mesh_file(path, item.unit_cm * 1e-2, item.name, (stamp.st_mtime_ns, stamp.st_size))
+def mesh_place(item: Mesh, folder: Path) -> str:
+    """How an error names a mesh and its file."""
+    return f"object '{item.name}': mesh {folder / item.file}"
 
 
-@lru_cache(maxsize=16)
-def _load_mesh_file(path: Path, unit_m: float, name: str, stamp: tuple[int, int]) -> MeshData:
-    import trimesh
+def relief(item: HeightField, heights: NDArray[np.float32]) -> meshes.Part:
+    """Triangles of a height field, from the values [rows, columns] 0..1 of its picture's pixels, top row first.
 
-    where = f"object '{name}': mesh {path}"
-    try:
-        mesh = trimesh.load(path, force="mesh", process=False)
-        vertices = np.array(mesh.vertices, dtype=np.float64) * unit_m
-        faces = np.array(mesh.faces, dtype=np.uint32)
-    except Exception as error:  # trimesh raises whatever its parsers stumble over
-        raise InputError(f"{where}: does not load ({error}); allowed are OBJ, PLY, GLB, STL, OFF") from None
-    if len(faces) == 0 or len(vertices) == 0:
-        raise InputError(f"{where}: has no faces")
-    if not np.isfinite(vertices).all() or faces.max() >= len(vertices):
-        raise InputError(f"{where}: has vertices that are not finite, or faces without their vertices")
-    uv = getattr(mesh.visual, "uv", None)
-    return MeshData(vertices, faces, None if uv is None else np.array(uv, dtype=np.float64))
+    A value stands at its pixel's centre; between, the surface is that of two triangles a cell, and beyond the
+    outermost centres it goes on level. Texture coordinates are a plane's.
+    """
+    u, down = np.meshgrid(*(np.array([0, *(np.arange(n) + 0.5) / n, 1]) for n in heights.shape[::-1]))
+    rows, columns = u.shape
+    width, height, depth = np.multiply((*item.size_cm, item.height_cm), 1e-2)
+    z = -depth * np.pad(heights.astype(np.float64), 1, mode="edge")
+    vertices = np.stack([(u - 0.5) * width, (down - 0.5) * height, z], axis=-1)
+    first = (np.arange(rows - 1)[:, None] * columns + np.arange(columns - 1)).ravel()
+    # Corners run counter-clockwise as seen from the camera: normals towards -z.
+    right, below, across = first + 1, first + columns, first + columns + 1
+    faces = np.concatenate([np.stack([first, across, right], -1), np.stack([first, below, across], -1)])
+    uv = np.stack([u, 1 - down], axis=-1)
+    return meshes.Part(vertices.reshape(-1, 3), faces.astype(np.uint32), uv.reshape(-1, 2))

@@ -10,10 +10,10 @@ from typing import Any, Literal
 import numpy as np
 
 from dasim import camera as cameras
-from dasim import pointspread, quiet, sensor
-from dasim import scene as scenes
+from dasim import foreign, pointspread, quiet, sensor
 from dasim.camera import Camera
 from dasim.errors import InputError
+from dasim.foreign import MitsubaScene
 from dasim.pointspread import DIFFRACTION_MODELS
 from dasim.render import backend, stock
 from dasim.scene import Scene
@@ -37,7 +37,7 @@ class Shot:
 
 
 def simulate(
-    scene: Scene,
+    scene: Scene | MitsubaScene,
     camera: Camera,
     seed: int = 0,
     *,
@@ -65,14 +65,15 @@ def simulate(
     from dasim.render import passes, translate, truth  # after the variant is chosen
 
     progress("geometry", 0.0)
-    scenes.check_clear(scene, cameras.aperture_m(camera) / 2)
-    mitsuba_scene = translate.load(scene)
+    world = translate.world(scene, camera)
+    mitsuba_scene = world.scene
     geometry = truth.geometry(mitsuba_scene, camera)
+    check_in_view(scene, geometry.depth_m)
     blur_px = truth.signed_blur_px(geometry.depth_m, camera)
     progress("geometry", 1.0)
 
-    illuminant = scenes.main_illuminant(scene)
-    spectrum = scenes.light_spectrum(scene)
+    illuminant = foreign.main_illuminant(scene)
+    spectrum = foreign.light_spectrum(scene)
     names = cameras.channels(camera.sensor)
 
     reach_px = float(np.abs(blur_px).max()) * BLUR_MARGIN
@@ -141,13 +142,13 @@ def simulate(
         seed=seed,
         illuminant=illuminant,
         provenance={
-            "scene": scene.model_dump(mode="json", exclude={"folder"}),
+            "scene": scene.model_dump(mode="json", exclude={"folder", "file"}),
             "renderer": choice.variant,
             "diffraction": diffraction,
             **sampled,
             "exposure": exposure.model_dump(mode="json"),
             "saturated_pixels": saturated,
-            "notes": notes(lens_rate, geometry.depth_m, saturated) + sampling_notes(sampled),
+            "notes": world.notes + notes(lens_rate, saturated) + sampling_notes(sampled),
         },
     )
     exact = Truth(
@@ -181,21 +182,27 @@ def check_options(
         raise InputError(f"diffraction '{diffraction}' is unknown; allowed are {', '.join(DIFFRACTION_MODELS)}")
 
 
+def check_in_view(scene: Scene | MitsubaScene, depth_m: np.ndarray) -> None:
+    """InputError where no pixel's ray meets anything."""
+    if np.isnan(depth_m).all():
+        raise InputError(
+            f"scene '{scene.name}': the camera looks at nothing; turn its view towards an object, or move one into it"
+        )
+
+
 def check_camera(camera: Camera, variant: str) -> None:
     """InputError where the variant cannot render through the camera's stops and lens."""
     if variant.startswith("scalar"):
         stock.check(camera)
 
 
-def notes(rate_e_s: np.ndarray, depth_m: np.ndarray, saturated: int) -> list[str]:
+def notes(rate_e_s: np.ndarray, saturated: int) -> list[str]:
     """What a user should know of a capture that is legal but odd."""
     found = []
-    if np.isnan(depth_m).all():
-        found.append("no object is in view")
     if rate_e_s.max() <= 0:
         found.append("no light reaches the sensor")
-    if saturated > 0.05 * depth_m.size:
-        found.append(f"{saturated / depth_m.size:.0%} of the pixels are saturated")
+    if saturated > 0.05 * rate_e_s[..., 0].size:
+        found.append(f"{saturated / rate_e_s[..., 0].size:.0%} of the pixels are saturated")
     return found
 
 

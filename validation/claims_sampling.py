@@ -8,6 +8,7 @@ import numpy as np
 from scipy.stats import chi2
 
 import dasim
+from dasim import scene as scenes
 from dasim.camera import Camera
 from dasim.spectra import CHANNELS
 from validation import rendering
@@ -46,7 +47,7 @@ def relative_noise(pictures: FloatArray) -> FloatArray:
 
 def desk(size_px: tuple[int, int]) -> tuple[dasim.Scene, Camera]:
     """The bundled scene ``desk`` and a central crop of da-mobile, focused on it."""
-    scene = dasim.load_scene(SCENE)
+    scene = scenes.load_scene(SCENE)
     return scene, dasim.focused(dasim.cropped(dasim.load_camera("da-mobile"), *size_px), scene)
 
 

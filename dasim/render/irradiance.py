@@ -200,7 +200,7 @@ def _traced(
 
     aimed, light = scene.sample_emitter_direction(si, aim_at, True, known)
     cosine = dr.maximum(dr.dot(normal, aimed.d), 0.0)
-    seen = known & (aimed.pdf > 0) & from_all_around(aimed.emitter)
+    seen = known & (aimed.pdf > 0) & dr.isfinite(aimed.pdf) & from_all_around(aimed.emitter)
     received += dr.select(seen, light * cosine * power_heuristic(aimed.pdf, cosine / dr.pi), 0.0)
 
     valid = dr.select(known, 1.0, 0.0)
@@ -216,7 +216,8 @@ def _traced(
 
 def power_heuristic(own: Any, other: Any) -> Any:
     """Weight of a way of sampling with density ``own`` beside another (Veach 1997, sec. 9.2)."""
-    return own * own / (own * own + other * other)
+    ratio = other / own  # squares of large densities would not be finite
+    return 1 / (1 + ratio * ratio)
 
 
 def _agree(ratio: FloatArray, surface: FloatArray) -> np.ndarray:

@@ -11,6 +11,8 @@ from dasim import spectra
 
 def spectrum_dict(values: spectra.FloatArray) -> dict[str, Any]:
     """A spectral curve on the wavelength grid."""
+    if not np.any(values):  # a table without any light in it is refused
+        return {"type": "uniform", "value": 0.0}
     return {
         "type": "regular",
         "wavelength_min": float(spectra.WAVELENGTH_NM[0]),

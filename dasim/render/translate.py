@@ -8,8 +8,13 @@ from __future__ import annotations
 
 from typing import Any
 
-from dasim import materials
+from dasim import camera as cameras
+from dasim import scene as scenes
+from dasim.camera import Camera
+from dasim.foreign import MitsubaScene
+from dasim.render import foreign, truth
 from dasim.render.emitters import emitters
+from dasim.render.foreign import World
 from dasim.render.geometry import shape
 from dasim.render.reflection import surface_bsdf
 from dasim.scene import Scene
@@ -24,6 +29,23 @@ def load(scene: Scene) -> Any:
     return mi.load_dict(scene_dict(scene), optimize=False)  # merged shapes would lose their numbers
 
 
+def world(scene: Scene | MitsubaScene, camera: Camera) -> World:
+    """A scene of either kind in Mitsuba, clear of the lens, with what is to be told of it."""
+    pupil_radius_m = cameras.aperture_m(camera) / 2
+    if isinstance(scene, MitsubaScene):
+        found = foreign.load(scene, truth.field_of_view_deg(camera))
+        foreign.check_clear(found, scene, pupil_radius_m)
+        return found
+    scenes.check_clear(scene, pupil_radius_m)
+    return World(
+        load(scene),
+        scenes.colour_notes(scene),
+        [item.name for item in scene.objects],
+        scenes.material_names_of(scene),
+        scenes.material_number_of_object(scene),
+    )
+
+
 def scene_dict(scene: Scene) -> dict[str, Any]:
     """Mitsuba's description of a scene's objects, lights and integrator; objects first and in order."""
     result: dict[str, Any] = {"type": "scene"}
@@ -31,10 +53,9 @@ def scene_dict(scene: Scene) -> dict[str, Any]:
     surfaces: dict[tuple[str, bool], Any] = {}
     for index, item in enumerate(scene.objects):
         # Mitsuba's sphere counts v from its upper pole, everything else from the bottom.
-        key = (item.material, item.shape == "sphere")
+        key = (scenes.material_of(item), item.shape == "sphere")
         if key not in surfaces:
-            texture = scene.materials.get(item.material, item.material)
-            surfaces[key] = surface_bsdf(materials.surface(texture, scene.folder), flip=key[1])
+            surfaces[key] = surface_bsdf(scenes.surface_of(item, scene), flip=key[1])
         result[object_key(index)] = shape(item, scene, surfaces[key], object_key(index))
     return result | emitters(scene)
 

@@ -49,7 +49,8 @@ def radiance(
         result += dr.select(known, bsdf.eval(context, si, upright, known) * irradiance, 0.0)
 
     aimed, light = scene.sample_emitter_direction(si, aim_at, True, hit)
-    seen = hit & (aimed.pdf > 0) & ~(known & from_all_around(aimed.emitter))
+    # A lamp that aims at itself finds infinities.
+    seen = hit & (aimed.pdf > 0) & dr.isfinite(aimed.pdf) & ~(known & from_all_around(aimed.emitter))
     value, density = bsdf.eval_pdf(context, si, si.to_local(aimed.d), seen)
     share = dr.select(aimed.delta | known, 1.0, power_heuristic(aimed.pdf, density))
     result += dr.select(seen, value * light * share, 0.0)
