@@ -331,7 +331,7 @@ def test_sizes_that_do_not_fit_the_sensor_are_refused(refused, size):
         ("lux = 500", "lux = nan", ("lights.0", "lux")),
         ("lux = 500", "lux = 500\ncolour = 1", ("colour: unknown key",)),
         ("lux = 500", "lux = ", ("not valid TOML",)),
-        ('"sand"', '"golden"', ("object 'thing'", "material 'gold'", "nearest are gold")),
+        ('"sand"', '"golden"', ("object 'thing'", "material 'golden'", "nearest are gold")),
         ('"D65"', '"F2"', ("illuminant 'F2'", "D65")),
         ("size_cm = [50, 40]", "size_cm = [0, 40]", ("objects.0", "size_cm")),
         ("size_cm = [50, 40]", "size_cm = [50, -40]", ("objects.0", "size_cm")),
