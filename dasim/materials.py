@@ -14,11 +14,11 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import Discriminator, Field, Tag, model_validator
 
-from dasim import colour_checker, photographs, reflectances
+from dasim import colour_checker, measured, photographs, reflectances
 from dasim.errors import InputError
 from dasim.photographs import NEAR_INFRARED_RULES, photograph_surface
 from dasim.specification import Specification
-from dasim.spectra import WAVELENGTH_NM, FloatArray
+from dasim.spectra import FloatArray
 from dasim.surfaces import (
     CLEAR_COAT_INDEX,
     CROWN_GLASS_INDEX,
@@ -171,7 +171,7 @@ class Spectrum(Specification):
     """A Lambertian material of the user's own: a CSV file (wavelength_nm, reflectance) or points, 400 to 830 nm."""
 
     kind: Literal["spectrum"]
-    file: str | None = None
+    file: str | None = Field(default=None, min_length=1)
     points: tuple[tuple[float, float], ...] | None = Field(default=None, description="[wavelength_nm, reflectance]")
 
     @model_validator(mode="after")
@@ -270,7 +270,9 @@ def surface(texture: Any, folder: Path) -> Surface:
         case Photo():
             return photograph_surface(photographs.linear_rgb(texture.image, folder), texture.rule, texture.repeat)
         case Spectrum():
-            return Diffuse(_own_curve(texture, folder))
+            where = "points" if texture.file is None else f"file '{texture.file}'"
+            points = measured.read(folder / texture.file, where) if texture.file else np.array(texture.points, float)
+            return Diffuse(measured.checked(points, where))
         case MetalFinish():
             return Metal(CONDUCTORS[texture.metal], texture.roughness)
         case GlassBody():
@@ -300,50 +302,3 @@ def _coated(texture: Coating, folder: Path) -> Coated:
             "base: a clear coat goes over diffuse materials and mixtures of them, not metal, glass or gloss"
         )
     return Coated(base, texture.roughness, texture.refractive_index)
-
-
-def _own_curve(texture: Spectrum, folder: Path) -> FloatArray:
-    """A user's spectrum on the wavelength grid, checked; InputError says what is wrong with it."""
-    where = f"file '{texture.file}'" if texture.file else "points"
-    points = np.array(texture.points, float) if texture.file is None else _read_curve(folder / texture.file, where)
-    first, last = WAVELENGTH_NM[0], WAVELENGTH_NM[-1]
-    if len(points) < 2 or (np.diff(points[:, 0]) <= 0).any():
-        raise InputError(f"{where}: needs two or more wavelengths, each longer than the one before")
-    low, high = points[0, 0], points[-1, 0]
-    if low > first or high < last:
-        raise InputError(
-            f"{where}: reaches from {low:g} to {high:g} nm, must cover {first:g} to {last:g} nm; "
-            "measure or choose what lies beyond, nothing is extrapolated"
-        )
-    ends = np.array([(nm, np.interp(nm, points[:, 0], points[:, 1])) for nm in (first, last)])
-    used = np.vstack([ends, points[(points[:, 0] >= first) & (points[:, 0] <= last)]])
-    if used[:, 1].max(initial=0.0) > 1:
-        peak = used[used[:, 1].argmax()]
-        hint = "; is it in percent?" if peak[1] > 1.5 else ""
-        raise InputError(f"{where}: reflects more than it receives ({peak[1]:g} at {peak[0]:g} nm, at most 1{hint})")
-    if used[:, 1].min(initial=0.0) < 0:
-        low = used[used[:, 1].argmin()]
-        raise InputError(f"{where}: reflects less than nothing ({low[1]:g} at {low[0]:g} nm, at least 0)")
-    return np.clip(np.interp(WAVELENGTH_NM, points[:, 0], points[:, 1]), 0.0, 1.0)
-
-
-def _read_curve(path: Path, where: str) -> FloatArray:
-    try:
-        lines = [line for line in path.read_text(encoding="utf-8-sig").splitlines() if line.strip()]
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{where}: cannot be read from {path.parent} ({type(error).__name__})") from None
-    rows = [line for line in lines if not line.lstrip().startswith("#")]
-    try:
-        values = np.array([[float(cell) for cell in row.split(",")] for row in rows[1:]], float)
-    except ValueError:
-        values = np.empty((0, 0))
-    if (
-        not rows
-        or rows[0].replace(" ", "") != "wavelength_nm,reflectance"
-        or values.ndim != 2
-        or values.shape[1:] != (2,)
-    ):
-        raise InputError(f"{where}: must be a CSV with the header wavelength_nm,reflectance and two numbers a line")
-    if not np.isfinite(values).all():
-        raise InputError(f"{where}: has values that are not finite")
-    return values

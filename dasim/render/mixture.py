@@ -72,6 +72,7 @@ def _register() -> None:
             self.surface, gain = _surfaces.pop(props["number"])  # each description is read once
             self.average = gain * _mean(self.surface)
             self.places = _places(self.surface)
+            # Without a graphics card's own textures, whose interpolation has eight bits.
             # Images of one size and repeat are looked up together.
             groups: dict[Any, list[int]] = {}
             for number, (image, repeat) in enumerate(self.places):
@@ -79,12 +80,14 @@ def _register() -> None:
             self.groups = [(repeat, numbers, self._weights(numbers)) for (_, repeat), numbers in groups.items()]
             spectra = [leaf.reflectance for leaf in leaves(self.surface) if isinstance(leaf, Diffuse)]
             table = np.stack([gain * np.interp(_FINE_NM, WAVELENGTH_NM, curve) for curve in spectra], axis=-1)
-            self.spectra = mi.Texture1f(mi.TensorXf(table.astype(np.float32)), filter_mode=dr.FilterMode.Nearest)
+            self.spectra = mi.Texture1f(
+                mi.TensorXf(table.astype(np.float32)), use_accel=False, filter_mode=dr.FilterMode.Nearest
+            )
 
         def _weights(self, numbers: list[int]) -> Any:
             # v = 0 is the bottom row, as in translate
             stack = np.stack([self.places[number][0][::-1] for number in numbers], axis=-1)
-            return mi.Texture2f(mi.TensorXf(stack.astype(np.float32)), wrap_mode=dr.WrapMode.Clamp)
+            return mi.Texture2f(mi.TensorXf(stack.astype(np.float32)), use_accel=False, wrap_mode=dr.WrapMode.Clamp)
 
         def eval(self, si: Any, active: Any = True) -> Any:
             weights: list[Any] = [None] * len(self.places)
