@@ -22,7 +22,7 @@ from dasim.errors import InputError
 from dasim.specification import Specification, parse
 from dasim.values import Capture, PsfBank, Truth
 
-CAPTURE_SCHEMA = 2
+CAPTURE_SCHEMA = 3
 BANK_SCHEMA = 2
 KERNEL_SUM_TOLERANCE = 1e-3
 
@@ -243,6 +243,7 @@ def read_png16(path: Path) -> NDArray[np.uint16]:
 # --- ground truth as multi-part EXR --------------------------------------------------------------
 
 _XYZ = ("X", "Y", "Z")
+NAMES = "objectAndMaterialNames"  # header of the first part, JSON: numbers 1, 2, ... of the part ``labels``
 CHANNEL_ORDER = "channelOrder"  # header of the first part: EXR itself keeps channels in alphabetical order
 
 
@@ -256,6 +257,7 @@ def write_truth(path: Path, truth: Truth) -> None:
 
     depth = part("depth", {"Z": truth.depth_m})
     depth.header[CHANNEL_ORDER] = ",".join(truth.channels)
+    depth.header[NAMES] = json.dumps({"objects": truth.objects, "materials": truth.materials})
     parts = [
         depth,
         part("normal", {axis: truth.normal[..., i] for i, axis in enumerate(_XYZ)}),
@@ -264,12 +266,14 @@ def write_truth(path: Path, truth: Truth) -> None:
             "labels",
             {
                 "object_id": truth.object_id,
+                "material_id": truth.material_id,
                 "valid": truth.valid.astype(np.uint32),
                 "boundary": truth.boundary.astype(np.uint32),
             },
         ),
         part("mean_e", {name: truth.mean_e[..., i] for i, name in enumerate(truth.channels)}),
         part("sharp_e", {name: truth.sharp_e[..., i] for i, name in enumerate(truth.channels)}),
+        part("sharp_srgb", {name: truth.sharp_srgb[..., i] for i, name in enumerate("RGB")}),
     ]
     OpenEXR.File(parts).write(str(path))
 
@@ -284,18 +288,23 @@ def read_truth(path: Path) -> Truth:
         with OpenEXR.File(str(path), separate_channels=True) as file:
             parts = {p.name(): {k: c.pixels for k, c in p.channels.items()} for p in file.parts}
             names = tuple(file.parts[0].header[CHANNEL_ORDER].split(","))
+            labelled = json.loads(file.parts[0].header[NAMES])
         labels = parts["labels"]
         return Truth(
             depth_m=parts["depth"]["Z"],
             valid=labels["valid"].astype(bool),
             normal=np.stack([parts["normal"][axis] for axis in _XYZ], axis=-1),
             object_id=labels["object_id"],
+            material_id=labels["material_id"],
             blur_px=parts["blur"]["blur_px"],
             level=parts["blur"]["level"],
             boundary=labels["boundary"].astype(bool),
             channels=names,
             mean_e=np.stack([parts["mean_e"][name] for name in names], axis=-1),
             sharp_e=np.stack([parts["sharp_e"][name] for name in names], axis=-1),
+            sharp_srgb=np.stack([parts["sharp_srgb"][name] for name in "RGB"], axis=-1),
+            objects=tuple(labelled["objects"]),
+            materials=tuple(labelled["materials"]),
         )
     except KeyError as error:
         raise InputError(f"{path}: lacks {error}; a truth file of dasim is needed") from None

@@ -14,11 +14,10 @@ import numpy as np
 
 from dasim.errors import InputError
 from dasim.lights import Dome, Environment, Ground, Light, Sky, Surrounding, direction
-from dasim.spectra import FloatArray
+from dasim.spectra import LUMINANCE, FloatArray
 
 SKY_ROWS = 256
 MOST_ROWS = 1024  # larger images are averaged down to this
-_LUMINANCE = np.array([0.2126, 0.7152, 0.0722])  # of linear sRGB, IEC 61966-2-1
 _ASPECT = 0.02  # how far from 2:1, over 2
 _QUADRATURE_ROWS = 1024  # directions at which a map is integrated
 
@@ -96,7 +95,7 @@ def load(image: str, folder: Path) -> FloatArray:
     height, width = values.shape[:2]
     if abs(width / height - 2) > 2 * _ASPECT or height < 2:
         raise InputError(f"image '{image}': is {width} x {height}; a panorama is twice as wide as high")
-    luminance = values @ _LUMINANCE if values.ndim == 3 else values
+    luminance = values @ np.array(LUMINANCE) if values.ndim == 3 else values
     if not np.isfinite(luminance).all() or luminance.min() < 0:
         raise InputError(f"image '{image}': has pixels that are negative or not finite")
     if luminance.max() <= 0:

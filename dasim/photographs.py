@@ -20,11 +20,10 @@ import numpy as np
 
 from dasim import patterns, reflectances
 from dasim.errors import InputError
-from dasim.spectra import WAVELENGTH_NM, FloatArray, long_pass
+from dasim.spectra import LUMINANCE, WAVELENGTH_NM, FloatArray, long_pass
 from dasim.surfaces import Diffuse, Image, Mixture, Surface
 
 NEAR_INFRARED_RULES = ("print", "dyed", "achromatic")
-LUMINANCE = (0.2126, 0.7152, 0.0722)  # of linear sRGB, IEC 61966-2-1
 BLACK_INK = "carbon-black"
 PRINT_PAPER = "white-paper"
 BLACK_GENERATION = 0.6

@@ -71,10 +71,7 @@ def quiet_picture(
 
 
 def _next_spp(taken: tuple[int, ...], shares: FloatArray, wanted: float, most_spp: int) -> tuple[int, ...]:
-    """Samples of each stop in the next two pictures: doubled where that helps the worst channel most, till it does.
-
-    Powers of two, in which Sobol' points are most even.
-    """
+    """Samples of each stop in the next two pictures: more where that helps the worst channel most, until it does."""
     spp = [PILOT_SPP for _ in taken]
 
     def expected(counts: list[int]) -> FloatArray:
@@ -83,12 +80,17 @@ def _next_spp(taken: tuple[int, ...], shares: FloatArray, wanted: float, most_sp
 
     while (expected(spp).sum(axis=0) > wanted**2).any():
         worst = int(expected(spp).sum(axis=0).argmax())
-        free = [i for i, have in enumerate(taken) if have + 4 * spp[i] <= most_spp]
+        free = [i for i, have in enumerate(taken) if have + 2 * _more(spp[i]) <= most_spp]
         if not free:
             break
         stop = max(free, key=lambda i: float(expected(spp)[i, worst]) / spp[i])
-        spp[stop] *= 2
+        spp[stop] = _more(spp[stop])
     return tuple(spp)
+
+
+def _more(spp: int) -> int:
+    """The next of 16, 24, 32, 48, ...: Sobol' points are most even in powers of two, and nearly so half-way."""
+    return spp // 2 * 3 if spp & (spp - 1) == 0 else spp // 3 * 4
 
 
 def _joined(

@@ -10,7 +10,7 @@ from typing import Any, Literal
 import numpy as np
 
 from dasim import camera as cameras
-from dasim import foreign, pointspread, quiet, sensor
+from dasim import colour, foreign, illuminants, pointspread, quiet, sensor
 from dasim.camera import Camera
 from dasim.errors import InputError
 from dasim.foreign import MitsubaScene
@@ -22,6 +22,7 @@ from dasim.values import Capture, Truth
 
 DEFAULT_SPP = 64  # a power of two, in which the samples are most even
 MOST_SPP = 65_536
+TWIN = "bayer-mobile"  # whose colours the truth's picture has
 SHARP_SPP = 64  # the pinhole pass has no lens to sample
 BLUR_MARGIN = 1.1  # something nearer than all that is seen may lie just outside the frame
 
@@ -126,7 +127,11 @@ def simulate(
         lens_rate = stop_pictures(seed, (samples,) * len(camera.stops)).sum(axis=0)
         sampled = {"spp": samples}
     sampling = passes.Sampling(SHARP_SPP, seed, partial(progress, "rendering the pinhole picture"))
-    pinhole_rate = passes.pinhole_pass(mitsuba_scene, camera, sampling, *fields.values())
+    twin = cameras.load_camera(TWIN)
+    response = np.concatenate([cameras.response(camera), cameras.response(twin)])
+    (field,) = fields.values()
+    pinhole_rate = passes.pinhole_pass(mitsuba_scene, camera, sampling, field, response)
+    pinhole_rate, twin_rate = np.split(pinhole_rate, [len(names)], axis=-1)
 
     if diffraction == "airy":
         sampled["airy_errors"] = airy_errors(camera, illuminant)
@@ -156,12 +161,16 @@ def simulate(
         valid=~np.isnan(geometry.depth_m),
         normal=geometry.normal.astype(np.float32),
         object_id=geometry.object_id,
+        material_id=world.material_number[geometry.object_id],
         blur_px=blur_px.astype(np.float32),
         level=(blur_px / cameras.level_blur_px(camera)[1]).astype(np.float32),
         boundary=truth.boundary(blur_px),
         channels=names,
         mean_e=mean_e.astype(np.float32),
         sharp_e=(pinhole_rate * time_s).astype(np.float32),
+        sharp_srgb=srgb(twin_rate, twin, illuminant),
+        objects=tuple(world.objects),
+        materials=tuple(world.materials),
     )
     return Shot(capture, exact)
 
@@ -194,6 +203,13 @@ def check_camera(camera: Camera, variant: str) -> None:
     """InputError where the variant cannot render through the camera's stops and lens."""
     if variant.startswith("scalar"):
         stock.check(camera)
+
+
+def srgb(rate: np.ndarray, twin: Camera, illuminant: str) -> np.ndarray:
+    """Picture 0..1 of electrons [h, w, 3] of a camera without near-infrared, its white balanced for the illuminant."""
+    matrix = colour.fitted_matrix(cameras.response(twin), illuminants.illuminant(illuminant))
+    linear = rate.astype(np.float32)
+    return colour.to_srgb(linear, matrix, colour.exposure_scale(linear, matrix))
 
 
 def notes(rate_e_s: np.ndarray, saturated: int) -> list[str]:

@@ -21,6 +21,7 @@ PLANCK_J_S = 6.62607015e-34
 LIGHT_SPEED_M_S = 299_792_458.0
 
 CHANNELS = ("R", "G", "B", "IR")
+LUMINANCE = (0.2126, 0.7152, 0.0722)  # of linear sRGB, IEC 61966-2-1
 NEAR_INFRARED_NM = (650.0, 810.0)  # the paper's band, sec. 3.2
 
 # ln(81): a logistic 1 / (1 + exp(-x)) rises from 10 % to 90 % over 2 ln 9 = ln 81 units of x.

@@ -37,13 +37,17 @@ class Truth:
     depth_m: Float32Array  # [h, w] z from the lens plane at the pixel's centre, never range
     valid: NDArray[np.bool_]  # [h, w] a surface was hit
     normal: Float32Array  # [h, w, 3] unit, camera axes, towards the camera
-    object_id: NDArray[np.uint32]  # [h, w] 0 is nothing, then objects in the scene's order
+    object_id: NDArray[np.uint32]  # [h, w] 0 is nothing, then ``objects`` in order
+    material_id: NDArray[np.uint32]  # [h, w] 0 is nothing, then ``materials`` in order
     blur_px: Float32Array  # [h, w] signed visible blur diameter, positive nearer than the focus
     level: Float32Array  # [h, w] signed blur level, (1 - alpha) of the blur
     boundary: NDArray[np.bool_]  # [h, w] the blur disc crosses a depth discontinuity
     channels: tuple[str, ...]  # names of the last axis below
     mean_e: Float32Array  # [h, w, channel] mean electrons of every channel as the lens sees the scene
     sharp_e: Float32Array  # [h, w, channel] the same through a pinhole of the same light
+    sharp_srgb: Float32Array  # [h, w, 3] 0..1, the pinhole's picture as the Bayer twin without near-infrared has it
+    objects: tuple[str, ...] = ()  # names
+    materials: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dasim.camera import Camera
+from dasim.colour import exposure_scale, to_srgb
 from dasim.errors import InputError
 from dasim.spectra import CHANNELS
 from dasim.values import Capture, PsfBank, Reconstruction
@@ -79,8 +80,8 @@ def reconstruct(
         linear_e = infrared.remove(full_e, np.maximum(ir_e, 0), alpha, keep)
         sharp_e = infrared.remove(sharp[..., :3], sharp[..., 3], alpha, keep)
         matrix = colour.colour_matrix(camera, bank.lights[light])
-        scale = colour.exposure_scale(linear_e, matrix)
-        rgb, sharp_rgb = colour.to_srgb(linear_e, matrix, scale), colour.to_srgb(sharp_e, matrix, scale)
+        scale = exposure_scale(linear_e, matrix)
+        rgb, sharp_rgb = to_srgb(linear_e, matrix, scale), to_srgb(sharp_e, matrix, scale)
     if progress:
         progress("done", 1.0)
     return Reconstruction(

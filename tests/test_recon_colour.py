@@ -6,6 +6,7 @@ import recon_scenes
 
 from dasim import camera as cameras
 from dasim import illuminants, sensor, spectra
+from dasim.colour import exposure_scale, to_srgb
 from dasim.values import Capture
 from recon import colour, infrared, mosaic
 
@@ -53,7 +54,7 @@ def test_colour_checker(light):
     white = spectra.integrate(cameras.response(camera) * power)
     visible = (electrons[:, :3] - infrared.crosstalk(camera) * electrons[:, 3:]).astype(np.float32)
     scale = 1 / (white[1] - infrared.crosstalk(camera)[1] * white[3])
-    srgb = colour.to_srgb(visible[None], colour.colour_matrix(camera, light), scale)[0]
+    srgb = to_srgb(visible[None], colour.colour_matrix(camera, light), scale)[0]
 
     observer = science.MSDS_CMFS["CIE 1931 2 Degree Standard Observer"]
     curves = np.stack([np.interp(grid, observer.wavelengths, c, right=0) for c in observer.values.T])
@@ -72,8 +73,8 @@ def test_exposure_puts_the_99th_percentile_at_its_place():
     matrix = colour.colour_matrix(camera, "D65")
     white = np.linalg.solve(matrix, np.ones(3))
     linear = (np.linspace(0, 5000, 10_001)[None, :, None] * white).astype(np.float32)
-    scale = colour.exposure_scale(linear, matrix)
-    srgb = colour.to_srgb(linear, matrix, scale)
+    scale = exposure_scale(linear, matrix)
+    srgb = to_srgb(linear, matrix, scale)
     np.testing.assert_allclose(srgb[0, 9900], 1.055 * 0.9 ** (1 / 2.4) - 0.055, atol=2e-3)
     assert srgb.min() >= 0 and srgb.max() <= 1
 
@@ -81,5 +82,5 @@ def test_exposure_puts_the_99th_percentile_at_its_place():
 def test_no_light_gives_no_scale():
     black = np.zeros((4, 4, 3), np.float32)
     matrix = np.eye(3)
-    assert colour.exposure_scale(black, matrix) == 0
-    assert not colour.to_srgb(black, matrix, 0.0).any()
+    assert exposure_scale(black, matrix) == 0
+    assert not to_srgb(black, matrix, 0.0).any()

@@ -49,12 +49,14 @@ def truth(camera, level, **changes) -> Truth:
         valid=np.ones(SIZE, bool),
         normal=np.broadcast_to(np.float32([0, 0, -1]), (*SIZE, 3)),
         object_id=np.ones(SIZE, np.uint32),
+        material_id=np.ones(SIZE, np.uint32),
         blur_px=blur.astype(np.float32),
         level=level,
         boundary=np.zeros(SIZE, bool),
         channels=("R", "G", "B", "IR"),
         mean_e=image,
         sharp_e=image,
+        sharp_srgb=image[..., :3] / image.max(),
     )
     return replace(made, **changes)
 

@@ -41,12 +41,16 @@ def truth():
         valid=~np.isnan(depth),
         normal=rng.normal(size=(H, W, 3)).astype(np.float32),
         object_id=rng.integers(0, 70_000, (H, W)).astype(np.uint32),
+        material_id=rng.integers(0, 300, (H, W)).astype(np.uint32),
         blur_px=rng.normal(size=(H, W)).astype(np.float32),
         level=rng.normal(size=(H, W)).astype(np.float32),
         boundary=rng.random((H, W)) > 0.5,
         channels=("R", "G", "B", "IR"),
         mean_e=rng.uniform(0, 6000, (H, W, 4)).astype(np.float32),
         sharp_e=rng.uniform(0, 6000, (H, W, 4)).astype(np.float32),
+        sharp_srgb=rng.uniform(0, 1, (H, W, 3)).astype(np.float32),
+        objects=("wall, far", "cup"),
+        materials=("white-paper",),
     )
 
 
@@ -78,7 +82,7 @@ def test_meta_states_what_a_reader_needs(folder, capture):
     raw picture as 16 bits and the depth as Z.
     """
     meta = json.loads((folder / "meta.json").read_text())
-    assert meta["schema"] == 2
+    assert meta["schema"] == 3
     assert [row[2] for row in meta["intrinsic_matrix_px"]] == [W / 2, H / 2, 1]
     assert [row["level"] for row in meta["levels"]] == list(range(29))
     assert meta["levels"][0]["depth_m"] == pytest.approx(capture.camera.lens.focus_distance_m)
@@ -114,8 +118,8 @@ def test_missing_files_are_named(folder, name):
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        (lambda meta: meta.pop("schema"), "schema 2"),
-        (lambda meta: meta.update(schema=99), "schema 2"),
+        (lambda meta: meta.pop("schema"), "schema 3"),
+        (lambda meta: meta.update(schema=99), "schema 3"),
         (lambda meta: meta.pop("gain"), "gain"),
         (lambda meta: meta.update(exposure_s=[1]), "meta.json"),
         (lambda meta: meta.update(exposure_s="long"), "meta.json"),

@@ -64,7 +64,7 @@ def blurs(jit, da_mobile):
 
     found = []
     for stop in da_mobile.stops:
-        density = passes.draw_density(da_mobile, cameras.stop_response(da_mobile, stop))
+        density = passes.draw_density(cameras.response(da_mobile), cameras.stop_response(da_mobile, stop))
         found.append((wave.weigher(da_mobile, stop, density, 25.0), density))
     return found
 

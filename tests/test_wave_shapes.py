@@ -60,7 +60,7 @@ def test_weights_average_one(jit, camera_of, shape):
     from dasim.render import passes, wave
 
     camera = camera_of(shape)
-    density = passes.draw_density(camera, cameras.stop_response(camera, camera.stops[0]))
+    density = passes.draw_density(cameras.response(camera), cameras.stop_response(camera, camera.stops[0]))
     blur = wave.weigher(camera, camera.stops[0], density, 12.5)
     rng = np.random.default_rng(20)
     wavelength = np.interp(rng.random(COUNT), np.cumsum(density) / np.sum(density), spectra.WAVELENGTH_NM)

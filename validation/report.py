@@ -12,6 +12,7 @@ import jinja2
 import numpy as np
 from numpy.typing import NDArray
 
+from dasim.colour import exposure_scale, to_srgb
 from dasim.simulation import Shot
 from dasim.values import Reconstruction
 from recon import colour
@@ -33,8 +34,8 @@ def demo_page(shot: Shot, result: Reconstruction, claims: list[Claim], timings_s
     """The demo's report."""
     truth, camera = shot.truth, shot.capture.camera
     matrix = colour.colour_matrix(camera, result.light)
-    scale = colour.exposure_scale(result.linear_e, matrix)
-    sharp_truth = colour.to_srgb(infrared_free(truth.sharp_e, camera).astype(np.float32), matrix, scale)
+    scale = exposure_scale(result.linear_e, matrix)
+    sharp_truth = to_srgb(infrared_free(truth.sharp_e, camera).astype(np.float32), matrix, scale)
     near, far = float(np.nanmin(truth.depth_m)) * 100, float(np.nanmax(truth.depth_m)) * 100
 
     def depth(depth_m: NDArray[Any]) -> str:

@@ -11,12 +11,12 @@ import numpy as np
 from dasim import illuminants
 from dasim.errors import InputError
 from dasim.foreign import MitsubaScene
-from dasim.photographs import LUMINANCE, photograph_surface
+from dasim.photographs import photograph_surface
 from dasim.render import reflection
 from dasim.render.mixture import mixture_dict
 from dasim.render.plugin import spectrum_dict
 from dasim.render.surrounding import Layer, surrounding_dict
-from dasim.spectra import WAVELENGTH_NM, FloatArray, integrate
+from dasim.spectra import LUMINANCE, WAVELENGTH_NM, FloatArray, integrate
 from dasim.surfaces import Diffuse, Mixture, Surface
 
 # Where a texture is a colour. Elsewhere (roughness, weights, opacity, bumps) it is data, and stays.

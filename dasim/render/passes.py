@@ -68,7 +68,8 @@ def stop_pass(
             rate = stock.in_focus_diffraction(rate, camera, stop, illuminant)
     else:
         waves = max_blur_px if diffraction == "wave" else None
-        rate = _ray_loop(mitsuba_scene, camera, stop, sampling, waves, field)
+        response = cameras.stop_response(camera, stop)
+        rate = _ray_loop(mitsuba_scene, camera, stop, sampling, waves, field, response)
     return rate * cameras.relative_illumination(camera)[..., None]
 
 
@@ -104,31 +105,41 @@ def irradiance_field(
     )
 
 
-def pinhole_pass(mitsuba_scene: Any, camera: Camera, sampling: Sampling, field: Field | None = None) -> FloatArray:
+def pinhole_pass(
+    mitsuba_scene: Any,
+    camera: Camera,
+    sampling: Sampling,
+    field: Field | None = None,
+    response: FloatArray | None = None,
+) -> FloatArray:
     """Mean electrons a second with every stop shrunk to a point at unchanged light, [h, w, channel].
 
-    Through a point all stops see the same rays, so one pass serves them all.
+    Through a point all stops see the same rays, so one pass serves them all. ``response`` [channel, wavelength] is the
+    camera's own if None.
     """
     import mitsuba as mi
 
+    response = cameras.response(camera) if response is None else response
     if mi.variant().startswith("scalar"):
-        rate = stock.pinhole_pass(mitsuba_scene, camera, sampling.spp, _seeds(sampling, None), sampling.progress)
+        seeds = _seeds(sampling, None)
+        rate = stock.pinhole_pass(mitsuba_scene, camera, response, sampling.spp, seeds, sampling.progress)
     else:
-        rate = _ray_loop(mitsuba_scene, camera, None, sampling, None, field)
+        rate = _ray_loop(mitsuba_scene, camera, None, sampling, None, field, response)
     return rate * cameras.relative_illumination(camera)[..., None]
 
 
-def draw_density(camera: Camera, response: FloatArray, light: FloatArray | None = None) -> FloatArray:
-    """Density of drawn wavelengths: the stop's signals under a light, each channel relative to its whole signal.
+def draw_density(whole: FloatArray, response: FloatArray, light: FloatArray | None = None) -> FloatArray:
+    """Density of drawn wavelengths: a stop's signals under a light, each channel relative to its ``whole`` signal.
 
     A channel that a stop barely reaches gets few samples there, because it needs few. ``light`` is a spectrum on the
     grid, an even one if None.
     """
     light = np.ones_like(spectra.WAVELENGTH_NM) if light is None else light
-    whole = spectra.integrate(cameras.response(camera) * light)
-    density = np.sum(response * light / np.where(whole > 0, whole, 1.0)[:, None], axis=0)
+    total = spectra.integrate(whole * light)
+    share = response / np.where(total > 0, total, 1.0)[:, None]
+    density = np.sum(share * light, axis=0)
     # What the lights' own spectrum hardly has may still come from another source.
-    even = np.sum(response / np.where(whole > 0, whole, 1.0)[:, None], axis=0) * light.mean()
+    even = np.sum(share, axis=0) * light.mean()
     density = (1 - EVEN_SHARE) * density + EVEN_SHARE * even
     density[density < 1e-4 * density.max()] = 0.0
     return density
@@ -164,6 +175,7 @@ def _ray_loop(
     sampling: Sampling,
     max_blur_px: float | None,
     field: Field | None,
+    response: FloatArray,
 ) -> FloatArray:
     """A pass of our own through a stop, or through a point; ``max_blur_px`` is None for geometric optics."""
     import drjit as dr
@@ -174,13 +186,12 @@ def _ray_loop(
     radius_m = cameras.aperture_m(camera) / 2
     per_vergence = 2 * radius_m * px_per_m  # pixels of visible blur
     vergence = 1.0 / camera.lens.focus_distance_m
-    response = cameras.response(camera) if stop is None else cameras.stop_response(camera, stop)
     light = np.ones_like(spectra.WAVELENGTH_NM) if field is None else field.light
     mean_signal = spectra.integrate(response * light)
     rate = np.zeros((height, width, len(response)))
     if mean_signal.max() <= 0:
         return rate
-    density = draw_density(camera, response, light)
+    density = draw_density(cameras.response(camera) if stop is not None else response, response, light)
     table = mi.Texture1f(mi.TensorXf(_draw_table(camera, response, light, density).astype(np.float32)))
     draw_pupil = None if stop is None else pupil.drawer(stop)
     blur_range = 0.0 if max_blur_px is None else wave.blur_range_px(camera, max_blur_px, WAVE_BLUR_PX)

@@ -46,11 +46,16 @@ def stop_pass(
 
 
 def pinhole_pass(
-    scene: Any, camera: Camera, spp: int, seeds: Callable[[int], int], progress: Callable[[float], None]
+    scene: Any,
+    camera: Camera,
+    response: FloatArray,
+    spp: int,
+    seeds: Callable[[int], int],
+    progress: Callable[[float], None],
 ) -> FloatArray:
-    """The same through a point, with the light of all stops."""
+    """The same through a point, for channels of ``response``."""
     point_m = PINHOLE_RATIO * cameras.aperture_m(camera) / 2
-    return _render(scene, camera, point_m, cameras.response(camera), spp, seeds, progress)
+    return _render(scene, camera, point_m, response, spp, seeds, progress)
 
 
 def _render(

@@ -1,8 +1,7 @@
-"""Light along a ray: a path tracer that looks in several directions where a ray first meets a surface.
+"""Light along a ray: a path tracer that takes what it can from an irradiance field.
 
 A pixel's rays differ in where they leave the lens and in their weights, so that their directions of light, however
-evenly spread, do not cancel: light from wide sources and from other surfaces is most of the noise. It is taken from
-an irradiance field where that knows it, and else each ray looks in several directions.
+evenly spread, do not cancel: light from wide sources and from other surfaces is most of the noise, and of the time.
 """
 
 from __future__ import annotations
@@ -11,8 +10,6 @@ from typing import Any
 
 from dasim.render.irradiance import Field, from_all_around, lambertian, power_heuristic
 from dasim.render.translate import MAX_PATH_DEPTH
-
-DIRECTIONS = 2  # from the first surface
 
 
 def path_integrator() -> Any:
@@ -30,9 +27,7 @@ def radiance(
     ``numbers`` are uniform: two to aim at a lamp, two for a direction, one for a lobe of the surface.
 
     Where ``field`` knows the irradiance from all around and from other surfaces, only lamps are aimed at. Elsewhere
-    lights are aimed at once, and met by chance in ``DIRECTIONS`` directions; the power heuristic weighs both (Veach,
-    1997, sec. 9.2), as if there were one direction: aiming is the quieter way, and more chances are no reason to
-    trust it less.
+    lights are aimed at once and met by chance once, weighed by the power heuristic.
     """
     import drjit as dr
     import mitsuba as mi
@@ -55,28 +50,13 @@ def radiance(
     share = dr.select(aimed.delta | known, 1.0, power_heuristic(aimed.pdf, density))
     result += dr.select(seen, value * light * share, 0.0)
 
-    for k in range(DIRECTIONS):
-        # A lattice of directions that fills the gaps between the sampler's own.
-        shifted = place + mi.Point2f(k / DIRECTIONS, _reversed_bits(k))
-        shifted -= dr.floor(shifted)
-        turned = lobe + k / DIRECTIONS
-        drawn, weight = bsdf.sample(context, si, turned - dr.floor(turned), shifted, traced)
-        onward = si.spawn_ray(si.to_world(drawn.wo))
-        met = scene.ray_intersect(onward, traced)
-        emitted = dr.select(traced, met.emitter(scene).eval(met), 0.0)
-        aim = scene.pdf_emitter_direction(si, mi.DirectionSample3f(scene, met, si), traced)
-        smooth = ~mi.has_flag(drawn.sampled_type, mi.BSDFFlags.Delta)
-        share = dr.select(smooth & (aim > 0), power_heuristic(drawn.pdf, aim), 1.0)
-        beyond, _, _ = integrator.sample(scene, sampler, mi.RayDifferential3f(onward), active=traced)
-        result += dr.select(traced, weight * (beyond - emitted * (1 - share)) / DIRECTIONS, 0.0)
+    drawn, weight = bsdf.sample(context, si, lobe, place, traced)
+    onward = si.spawn_ray(si.to_world(drawn.wo))
+    met = scene.ray_intersect(onward, traced)
+    emitted = dr.select(traced, met.emitter(scene).eval(met), 0.0)
+    aim = scene.pdf_emitter_direction(si, mi.DirectionSample3f(scene, met, si), traced)
+    smooth = ~mi.has_flag(drawn.sampled_type, mi.BSDFFlags.Delta)
+    share = dr.select(smooth & (aim > 0), power_heuristic(drawn.pdf, aim), 1.0)
+    beyond, _, _ = integrator.sample(scene, sampler, mi.RayDifferential3f(onward), active=traced)
+    result += dr.select(traced, weight * (beyond - emitted * (1 - share)), 0.0)
     return result
-
-
-def _reversed_bits(index: int) -> float:
-    """The radical inverse of ``index`` in base 2 (van der Corput)."""
-    value, scale = 0.0, 0.5
-    while index:
-        value += scale * (index & 1)
-        index >>= 1
-        scale /= 2
-    return value
