@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from dasim import spectra
+from dasim.render.plugin import tensor
 from dasim.render.sobol import Sobol
 from dasim.spectra import FloatArray
 
@@ -136,11 +137,11 @@ def field(
         start_px=(start[0], start[1]),
         px_per_m=px_per_m,
         shape=(rows, columns),
-        ratio=mi.Texture3f(mi.TensorXf(np.moveaxis(ratio, -1, 0)[..., None].astype(np.float32))),
-        surface=mi.Texture2f(mi.TensorXf(surface[..., :4].astype(np.float32))),
+        ratio=mi.Texture3f(tensor(np.moveaxis(ratio, -1, 0)[..., None])),
+        surface=mi.Texture2f(tensor(surface[..., :4])),
         usable=mi.UInt32(usable.ravel().astype(np.uint32)),
         light=floor,
-        spectrum=mi.Texture1f(mi.TensorXf(floor[:, None].astype(np.float32))),
+        spectrum=mi.Texture1f(tensor(floor[:, None])),
         share=float(usable.mean()),
     )
 

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from dasim.render.plugin import tensor
 from dasim.spectra import WAVELENGTH_NM
 from dasim.surfaces import Diffuse, Image, Mixture, Surface, leaves
 
@@ -77,17 +78,19 @@ def _register() -> None:
             groups: dict[Any, list[int]] = {}
             for number, (image, repeat) in enumerate(self.places):
                 groups.setdefault((image.shape, repeat), []).append(number)
-            self.groups = [(repeat, numbers, self._weights(numbers)) for (_, repeat), numbers in groups.items()]
+            # Opaque numbers, and everything else as arrays: surfaces with as many images share one compiled function.
+            self.groups = [
+                ([dr.opaque(mi.Float, often) for often in repeat], numbers, self._weights(numbers))
+                for (_, repeat), numbers in groups.items()
+            ]
             spectra = [leaf.reflectance for leaf in leaves(self.surface) if isinstance(leaf, Diffuse)]
             table = np.stack([gain * np.interp(_FINE_NM, WAVELENGTH_NM, curve) for curve in spectra], axis=-1)
-            self.spectra = mi.Texture1f(
-                mi.TensorXf(table.astype(np.float32)), use_accel=False, filter_mode=dr.FilterMode.Nearest
-            )
+            self.spectra = mi.Texture1f(tensor(table), use_accel=False, filter_mode=dr.FilterMode.Nearest)
 
         def _weights(self, numbers: list[int]) -> Any:
             # v = 0 is the bottom row, as in translate
             stack = np.stack([self.places[number][0][::-1] for number in numbers], axis=-1)
-            return mi.Texture2f(mi.TensorXf(stack.astype(np.float32)), use_accel=False, wrap_mode=dr.WrapMode.Clamp)
+            return mi.Texture2f(tensor(stack), use_accel=False, wrap_mode=dr.WrapMode.Clamp)
 
         def eval(self, si: Any, active: Any = True) -> Any:
             weights: list[Any] = [None] * len(self.places)

@@ -20,6 +20,7 @@ from dasim.aperture import Stop
 from dasim.camera import Camera
 from dasim.render import irradiance, pupil, stock, transport, wave
 from dasim.render.irradiance import Field
+from dasim.render.plugin import tensor
 from dasim.render.sobol import Sobol
 from dasim.spectra import FloatArray
 
@@ -192,7 +193,7 @@ def _ray_loop(
     if mean_signal.max() <= 0:
         return rate
     density = draw_density(cameras.response(camera) if stop is not None else response, response, light)
-    table = mi.Texture1f(mi.TensorXf(_draw_table(camera, response, light, density).astype(np.float32)))
+    table = mi.Texture1f(tensor(_draw_table(camera, response, light, density)))
     draw_pupil = None if stop is None else pupil.drawer(stop)
     blur_range = 0.0 if max_blur_px is None else wave.blur_range_px(camera, max_blur_px, WAVE_BLUR_PX)
     blur = None if stop is None or max_blur_px is None else wave.weigher(camera, stop, density, blur_range)
@@ -209,10 +210,11 @@ def _ray_loop(
         rows = min(rows_at_once, height - top)
         lanes = rows * width * spp
         sampler.seed(dr.opaque(mi.UInt32, seeds(block)), lanes)
-        pixel = dr.arange(mi.UInt32, lanes) // spp
+        each = dr.opaque(mi.UInt32, spp)  # as all numbers that change: a kernel is compiled once, and kept
+        pixel = dr.arange(mi.UInt32, lanes) // each
         row = pixel // width
         corner = mi.Point2f(mi.Float(pixel - row * width), mi.Float(row + dr.opaque(mi.UInt32, top)))
-        numbers = Sobol(spp, dr.arange(mi.UInt32, lanes) % spp, pixel + dr.opaque(mi.UInt32, seeds(block)))
+        numbers = Sobol(spp, dr.arange(mi.UInt32, lanes) % each, pixel + dr.opaque(mi.UInt32, seeds(block)))
         # The first dimensions are the most even: to what decides most.
         lens, film, light, direction = (numbers.next_2d() for _ in range(4))
         first, pattern, lobe = numbers.next_1d(), numbers.next_2d(), numbers.next_1d()

@@ -26,3 +26,20 @@ def transform(matrix: np.ndarray) -> Any:
     import mitsuba as mi
 
     return mi.ScalarTransform4f(matrix)
+
+
+def tensor(values: np.ndarray) -> Any:
+    """A Mitsuba tensor of an array, in memory of Dr.Jit's own.
+
+    Borrowed memory is aligned by chance, which decides the code that reads it, and with that whether a kernel that
+    was compiled for an earlier picture fits this one.
+    """
+    import drjit as dr
+    import mitsuba as mi
+
+    flat = mi.Float(np.ascontiguousarray(values, dtype=np.float32).ravel())
+    own = dr.zeros(mi.Float, values.size)
+    dr.make_opaque(own)
+    dr.scatter(own, flat, dr.arange(mi.UInt32, values.size))
+    dr.eval(own)
+    return mi.TensorXf(own, values.shape)

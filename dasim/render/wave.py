@@ -18,6 +18,7 @@ Lengths are pixels; c is signed and that of the open lens, positive nearer than 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any, Protocol
 
 import numpy as np
@@ -29,6 +30,7 @@ from dasim import camera as cameras
 from dasim.aperture import Stop
 from dasim.camera import Camera
 from dasim.render import pupil
+from dasim.render.plugin import tensor
 from dasim.spectra import FloatArray
 
 OFFSET_NODES = 1 << 15  # inverse CDF of delta
@@ -68,6 +70,13 @@ class Blur(Protocol):
 
 def weigher(camera: Camera, stop: Stop, density: FloatArray, max_blur_px: float) -> Blur:
     """Tables for a stop whose wavelengths are drawn with ``density`` (on the grid, relative)."""
+    return _weigher(camera.model_dump_json(), stop, density.tobytes(), max_blur_px)
+
+
+@lru_cache(maxsize=8)
+def _weigher(camera_json: str, stop: Stop, density_bytes: bytes, max_blur_px: float) -> Blur:
+    """The same by plain values: the pictures of one capture share their tables."""
+    camera, density = Camera.model_validate_json(camera_json), np.frombuffer(density_bytes)
     bands = [(nm, float(weight[0])) for nm, weight in pointspread.bands(density[None, :])]
     total = sum(weight for _, weight in bands)
     bands = [(nm, weight / total) for nm, weight in bands]
@@ -81,7 +90,7 @@ def _texture(values: Any) -> Any:
     import mitsuba as mi
 
     kinds = {1: mi.Texture1f, 2: mi.Texture2f, 3: mi.Texture3f}
-    return kinds[values.ndim](mi.TensorXf(values[..., None].astype(np.float32)))
+    return kinds[values.ndim](tensor(values[..., None]))
 
 
 def _direction(turn: Any) -> Any:
