@@ -64,7 +64,7 @@ def quiet_picture(
         pairs.append((spp, picture(2 * number, spp), picture(2 * number + 1, spp)))
         rate, taken, shares = _joined(pairs, sensor_noise)
         whole = np.sqrt((shares**2).sum(axis=0))
-        if whole.max() <= wanted or max(taken) >= most_spp:
+        if whole.max() <= wanted or max(taken) + 2 * PILOT_SPP > most_spp:
             break
         spp = _next_spp(taken, shares, wanted / MARGIN, most_spp)
     return Quiet(rate, taken, tuple(float(share) for share in whole))

@@ -143,7 +143,7 @@ things = [
 scene = parse(Scene, {"name": "compared", "lights": [lamp, dome], "objects": things}, "scene")
 loaded = mi.load_dict(translate.scene_dict(scene), optimize=False)
 pictures = [
-    np.stack([passes.stop_pass(loaded, camera, stop, passes.Sampling(16, seed)) for stop in camera.stops])
+    np.stack([passes.stop_pass(loaded, camera, stop, passes.Sampling(36, seed)) for stop in camera.stops])
     for seed in range(int(sys.argv[3]))
 ]
 np.save(sys.argv[2], np.stack(pictures))

@@ -7,6 +7,7 @@ from validation.claims_lens import blur_off
 from validation.claims_light import absolute_electrons, eq8_flat_field, hole_alpha_squared, light_loss
 from validation.claims_occlusion import occluding_edge
 from validation.claims_sampling import desk_noise, noise_slope_off, noise_slope_wave, render_cost
+from validation.claims_scenes import interreflection, registration, scenes_speed
 from validation.validate import Measurement
 
 # Quick: less than about 20 s on two cores.
@@ -24,4 +25,7 @@ CLAIMS = {
     "noise-slope-wave": Measurement(noise_slope_wave, quick=False),
     "desk-noise": Measurement(desk_noise, quick=False),
     "render-cost": Measurement(render_cost, quick=False),
+    "registration": Measurement(registration, quick=True),
+    "interreflection": Measurement(interreflection, quick=False),
+    "scenes-speed": Measurement(scenes_speed, quick=False),
 }
