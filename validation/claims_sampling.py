@@ -91,12 +91,14 @@ def _noise_slope(model: str, progress: Progress) -> Evidence:
     from dasim.render import passes, translate
 
     scene, camera = desk(SLOPE_SIZE_PX)
-    loaded = translate.load(scene)
+    loaded, spectrum = translate.load(scene), scenes.light_spectrum(scene)
     count = np.array([passes.sample_count(spp) for spp in SLOPE_SPP])
     noise = np.empty((len(SLOPE_SPP), 4))
     for index, spp in enumerate(SLOPE_SPP):
         pictures = [
-            rendering.stop_pictures(loaded, camera, spp, seed, diffraction=model, max_blur_px=MAX_BLUR_PX).sum(axis=0)
+            rendering.stop_pictures(
+                loaded, camera, spp, seed, diffraction=model, max_blur_px=MAX_BLUR_PX, spectrum=spectrum
+            ).sum(axis=0)
             for seed in range(SLOPE_SEEDS)
         ]
         noise[index] = relative_noise(np.stack(pictures))
@@ -141,12 +143,14 @@ def desk_noise(progress: Progress) -> Evidence:
 
     rendering.needs_wave()
     scene, camera = desk(NOISE_SIZE_PX)
-    loaded = translate.load(scene)
+    loaded, spectrum = translate.load(scene), scenes.light_spectrum(scene)
     noise = {}
     for part, model in enumerate(("off", "wave")):
         pictures = []
         for seed in range(NOISE_SEEDS):
-            found = rendering.stop_pictures(loaded, camera, NOISE_SPP, seed, diffraction=model, max_blur_px=MAX_BLUR_PX)
+            found = rendering.stop_pictures(
+                loaded, camera, NOISE_SPP, seed, diffraction=model, max_blur_px=MAX_BLUR_PX, spectrum=spectrum
+            )
             pictures.append(found.sum(axis=0))
             progress((part * NOISE_SEEDS + seed + 1) / (2 * NOISE_SEEDS))
         noise[model] = relative_noise(np.stack(pictures))
@@ -186,10 +190,12 @@ def render_cost(progress: Progress) -> Evidence:
     if rendering.activate().startswith("scalar"):
         raise NotRun("the naive render is a ray loop of the JIT variants, and only scalar_spectral works here")
     scene, camera = desk(COST_SIZE_PX)
-    loaded = translate.load(scene)
+    loaded, spectrum = translate.load(scene), scenes.light_spectrum(scene)
 
     def ours(spp: int, seed: int) -> FloatArray:
-        return rendering.stop_pictures(loaded, camera, spp, seed, diffraction="off", max_blur_px=0.0).sum(axis=0)
+        return rendering.stop_pictures(
+            loaded, camera, spp, seed, diffraction="off", max_blur_px=MAX_BLUR_PX, spectrum=spectrum
+        ).sum(axis=0)
 
     def naive(spp: int, seed: int) -> FloatArray:
         return naive_picture(loaded, camera, rendering.STOP_RATIOS, spp, seed)

@@ -88,17 +88,28 @@ def stop_pictures(
     *,
     diffraction: str,
     max_blur_px: float,
+    spectrum: FloatArray | None = None,
     progress: Callable[[float], None] = lambda share: None,
 ) -> FloatArray:
-    """Electrons a second through each stop, [stop, h, w, channel], of a scene or of one that is loaded already."""
+    """Electrons a second through each stop, [stop, h, w, channel], of a scene or of one that is loaded already.
+
+    With the ``spectrum`` of its lights, as captures are rendered, and else traced throughout.
+    """
     from dasim.render import passes, translate
 
     loaded = translate.load(scene) if isinstance(scene, Scene) else scene
+    field = None if spectrum is None else passes.irradiance_field(loaded, camera, spectrum, max_blur_px, spp, seed)
     pictures = []
     for index, stop in enumerate(camera.stops):
         pictures.append(
             passes.stop_pass(
-                loaded, camera, stop, passes.Sampling(spp, seed), diffraction=diffraction, max_blur_px=max_blur_px
+                loaded,
+                camera,
+                stop,
+                passes.Sampling(spp, seed),
+                diffraction=diffraction,
+                max_blur_px=max_blur_px,
+                field=field,
             )
         )
         progress((index + 1) / len(camera.stops))
