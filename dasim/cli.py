@@ -155,7 +155,7 @@ def render(
     """Photograph a scene: a capture folder with raw.png, truth.exr and meta.json.
 
     Args:
-        scene: a bundled name (see 'dasim list scenes'), a TOML file, or a Mitsuba XML file
+        scene: a bundled name (see 'dasim list scenes', staircase:14 for one of a family), a TOML or Mitsuba XML file
         out: the capture folder
         camera: a bundled name (see 'dasim list cameras') or a TOML file
         focus: focus distance in metres; by default what the scene proposes, else the camera's own
@@ -179,8 +179,10 @@ def render(
     check_output(out, "capture")
     check_options(spp, seed, diffraction, noise_share)
     choices = {"unit_cm": unit_cm, "near_infrared": near_infrared, "illuminant": illuminant}
-    described = dasim.load_scene(scene, **{name: value for name, value in choices.items() if value is not None})
     chosen = dasim.load_camera(camera)
+    described = dasim.load_scene(
+        scene, camera=chosen, **{name: value for name, value in choices.items() if value is not None}
+    )
     if size is not None:
         chosen = dasim.cropped(chosen, *_size(size))
     chosen = dasim.focused(chosen, described) if focus is None else dasim.refocused(chosen, focus)

@@ -7,7 +7,7 @@ from typing import Any, Literal
 
 from pydantic import Field
 
-from dasim import illuminants, scene
+from dasim import illuminants, scene, targets
 from dasim.camera import Camera
 from dasim.errors import InputError
 from dasim.scene import Scene
@@ -34,15 +34,18 @@ class MitsubaScene(Specification):
     focus_cm: None = None  # what the file's own sensor is focused on means nothing to another lens
 
 
-def load_scene(name_or_path: str | Path, **choices: Any) -> Scene | MitsubaScene:
+def load_scene(name_or_path: str | Path, *, camera: Camera | None = None, **choices: Any) -> Scene | MitsubaScene:
     """A bundled scene, a TOML file, or a Mitsuba XML file with its ``choices`` (see ``MitsubaScene``).
 
-    InputError names everything that is wrong.
+    Of a family of scenes (``targets``), ``camera`` says whose blur levels count; da-mobile's by default. InputError
+    names everything that is wrong.
     """
     path = Path(name_or_path)
     if path.suffix.lower() != SUFFIX:
         if choices:
             raise InputError(f"scene '{name_or_path}': {', '.join(choices)} is for Mitsuba scenes (.xml) only")
+        if targets.is_target(name_or_path):
+            return targets.target(name_or_path, camera)
         return scene.load_scene(name_or_path)
     if not path.is_file():
         raise InputError(f"scene '{name_or_path}': no such file")
