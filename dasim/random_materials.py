@@ -11,7 +11,7 @@ from dasim.materials import Blend, Coating, GlassBody, Layer, MetalFinish, Mix, 
 Random = np.random.Generator
 
 PHOTOGRAPHS = (
-    *("skimage:astronaut", "skimage:camera", "skimage:chelsea", "skimage:coffee", "skimage:coins", "skimage:page"),
+    *("skimage:astronaut", "skimage:camera", "skimage:chelsea", "skimage:coffee", "skimage:coins"),
     *("skimage:motorcycle_left", "skimage:motorcycle_right", "skimage:hubble_deep_field", "skimage:rocket"),
     "skimage:text",
 )
@@ -48,6 +48,53 @@ class Palette(NamedTuple):
     structures: tuple[str, ...]
 
 
+class Surface(NamedTuple):
+    """A material by its name in the scene, or in the library where ``texture`` is None."""
+
+    name: str
+    texture: Texture | None
+
+    @property
+    def is_glass(self) -> bool:
+        """Whether only closed bodies may be made of it."""
+        return isinstance(self.texture, GlassBody)
+
+    @property
+    def textured(self) -> bool:
+        """Whether it needs texture coordinates."""
+        base = self.texture.base if isinstance(self.texture, Coating) else self.texture
+        return isinstance(base, Blend | Print | Photo | Mix)
+
+
+class Stock(NamedTuple):
+    """The surfaces that a scene's objects have; the first is plain and matt, so that there is one for every shape."""
+
+    surfaces: tuple[Surface, ...]
+    pictures: tuple[Surface, ...]
+
+    def special(self) -> set[str]:
+        """Names of metals and glass."""
+        return {item.name for item in self.surfaces if isinstance(item.texture, MetalFinish | GlassBody)}
+
+
+def stock(generators: list[Random], images: Palette, shares: Shares) -> Stock:
+    """As many surfaces as generators, and a picture of each of the scene's photographs.
+
+    A scene has fewer surfaces than objects, as a room has: each one takes about 0.3 s of the renderer's preparation.
+    """
+    drawn = [_thing(random, images, shares) for random in generators]
+    drawn[0] = str(generators[0].choice(diffuse_names()))
+    surfaces = [
+        Surface(found, None) if isinstance(found, str) else Surface(f"surface {number + 1}", found)
+        for number, found in enumerate(drawn)
+    ]
+    pictures = [
+        Surface(f"picture {number + 1}", _picture(generators[0], image))
+        for number, image in enumerate(images.photographs)
+    ]
+    return Stock(tuple(surfaces), tuple(pictures))
+
+
 def palette(random: Random, own: tuple[str, ...]) -> Palette:
     """Photographs (``own``, where there are some) and structures, drawn without putting back."""
     photographs = own or PHOTOGRAPHS
@@ -78,18 +125,16 @@ def background(
     return Blend(kind="blend", image=image, repeat=repeat, dark=first, bright=second)
 
 
-def picture(random: Random, images: Palette) -> Texture | str:
+def _picture(random: Random, image: str) -> Texture:
     """A poster or card: a print, sometimes laminated; the lamination is matt enough to show no lamp."""
-    printed = Print(
-        kind="print", image=str(random.choice(images.photographs)), black_generation=_rounded(random.uniform(0.3, 0.9))
-    )
+    printed = Print(kind="print", image=image, black_generation=_rounded(random.uniform(0.3, 0.9)))
     rough = _rounded(random.uniform(0.2, 0.4))
     return Coating(kind="coated", base=printed, roughness=rough) if random.random() < 0.15 else printed
 
 
-def thing(random: Random, images: Palette, shares: Shares, *, has_uv: bool, closed: bool) -> Texture | str:
-    """The surface of an object. Only closed bodies are of glass; without texture coordinates nothing is textured."""
-    kind, second = random.random(2)
+def _thing(random: Random, images: Palette, shares: Shares) -> Texture | str:
+    """The surface of an object."""
+    kind, texture, which = random.random(3)
     first, other = (str(name) for name in random.choice(diffuse_names(), 2, replace=False))
     repeat = _rounded(float(np.exp(random.uniform(np.log(0.5), np.log(3.0)))))
     structure, photograph = (str(random.choice(kind)) for kind in (images.structures, images.photographs))
@@ -97,25 +142,21 @@ def thing(random: Random, images: Palette, shares: Shares, *, has_uv: bool, clos
     rule = ("dyed", "achromatic")[int(random.integers(2))]
     if kind < shares.metal:
         return MetalFinish(kind="metal", metal=metal, roughness=rough)  # type: ignore[arg-type]
-    kind -= shares.metal
-    if kind < shares.glass:
-        return GlassBody(kind="glass") if closed else first
-    kind -= shares.glass
+    if kind < shares.metal + shares.glass:
+        return GlassBody(kind="glass")
     base: Blend | Print | Photo | Mix | str = first
-    textured = (kind - shares.glossy) / max(1 - shares.metal - shares.glass - shares.glossy, 1e-9)
-    if kind < shares.glossy:
-        textured = kind / shares.glossy
-    if has_uv and textured < shares.textured:
-        if second < 0.55:
+    if texture < shares.textured:
+        if which < 0.55:
             base = Blend(kind="blend", image=structure, repeat=(repeat, repeat), dark=first, bright=other)
-        elif second < 0.75:
+        elif which < 0.75:
             base = Print(kind="print", image=photograph)
-        elif second < 0.9:
+        elif which < 0.9:
             base = Photo(kind="photo", image=photograph, rule=rule)  # type: ignore[arg-type]
         else:
             layer = Layer(material=other, mask=structure, repeat=(repeat, repeat))
             base = Mix(kind="mix", base=first, layers=(layer,))
-    return Coating(kind="coated", base=base, roughness=rough) if kind < shares.glossy else base
+    glossy = kind < shares.metal + shares.glass + shares.glossy
+    return Coating(kind="coated", base=base, roughness=rough) if glossy else base
 
 
 def _rounded(value: float) -> float:

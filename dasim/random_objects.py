@@ -9,11 +9,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from dasim import meshes, photographs, random_layout, random_materials, shapes, solids
+from dasim import meshes, photographs, random_layout, shapes, solids
 from dasim.errors import InputError
-from dasim.materials import GlassBody, MetalFinish, Texture
 from dasim.random_layout import Outline, Room, Taken
-from dasim.random_materials import Palette, Shares
+from dasim.random_materials import Stock
 
 FloatArray = NDArray[np.float64]
 Random = np.random.Generator
@@ -57,8 +56,7 @@ class Setting(NamedTuple):
     is_room: bool
     size: tuple[float, float]
     number: int
-    shares: Shares
-    images: Palette
+    stock: Stock
     meshes: OwnMeshes | None
 
 
@@ -80,25 +78,22 @@ class Thing(NamedTuple):
     coloured: bool = False
 
 
-def objects(generators: list[Random], setting: Setting, materials: dict[str, Texture]) -> list[dict[str, Any]]:
-    """The scene's objects, each from its own generator; their materials are added to ``materials``."""
+def objects(generators: list[Random], setting: Setting) -> list[dict[str, Any]]:
+    """The scene's objects, each from its own generator."""
     taken: list[Taken] = []
-    return [_object(random, number, setting, materials, taken) for number, random in enumerate(generators)]
+    return [_object(random, number, setting, taken) for number, random in enumerate(generators)]
 
 
-def _object(
-    random: Random, number: int, setting: Setting, materials: dict[str, Texture], taken: list[Taken]
-) -> dict[str, Any]:
+def _object(random: Random, number: int, setting: Setting, taken: list[Taken]) -> dict[str, Any]:
     space = setting.space
     low, high = np.log(setting.size)
     share = float(np.exp(random.uniform(low, high))) * min(1.0, (CROWD / setting.number) ** 0.5)
     band = BANDS[number] if number < len(BANDS) else (0.0, 1.0)
     if number >= len(BANDS) and random.random() < POSTER_SHARE[setting.is_room]:
-        return _poster(random, number, setting, materials, share)
+        return _poster(random, number, setting, share)
     thing = _thing(random, setting)
-    name = f"{thing.kind} {number + 1}"
-    surface = _surface(random, thing, name, setting, materials)
-    if isinstance(materials.get(name), (MetalFinish, GlassBody)):
+    surface = _surface(random, thing, setting)
+    if surface.get("material") in setting.stock.special():
         share *= SPECIAL
     hangs = setting.is_room and thing.kind in ("solid", "box", "sphere", "mesh") and random.random() < HANGING_SHARE
     if hangs:
@@ -114,7 +109,7 @@ def _object(
     position = middle - shapes.rotation(turned) @ thing.middle * place.size
     lengths = {key: _rounded(np.multiply(value, place.size)) for key, value in thing.lengths.items()}
     placed = {"position_cm": _rounded(position), "rotation_deg": _rounded(turned)}
-    return {"name": name, **thing.others, **lengths, **placed, **surface}
+    return {"name": f"{thing.kind} {number + 1}", **thing.others, **lengths, **placed, **surface}
 
 
 def _rounded(values: Any) -> Any:
@@ -123,37 +118,31 @@ def _rounded(values: Any) -> Any:
     return [round(float(value), 4) for value in values]
 
 
-def _surface(
-    random: Random, thing: Thing, name: str, setting: Setting, materials: dict[str, Texture]
-) -> dict[str, str]:
+def _surface(random: Random, thing: Thing, setting: Setting) -> dict[str, str]:
     """The key ``material`` of an object, or ``near_infrared`` of a mesh with colours of its own."""
     rule = str(random.choice(photographs.NEAR_INFRARED_RULES))
+    drawn = float(random.random())
     if thing.coloured and setting.meshes is not None:
         wanted = setting.meshes.near_infrared
         return {"near_infrared": rule if wanted == "drawn" else wanted}
-    if thing.kind == "card":
-        found = random_materials.picture(random, setting.images)
-    else:
-        found = random_materials.thing(random, setting.images, setting.shares, has_uv=thing.has_uv, closed=thing.closed)
-    if isinstance(found, str):
-        return {"material": found}
-    materials[name] = found
-    return {"material": name}
+    surfaces = setting.stock.pictures if thing.kind == "card" else setting.stock.surfaces
+    fitting = [
+        surface
+        for surface in surfaces
+        if (thing.has_uv or not surface.textured) and (thing.closed or not surface.is_glass)
+    ]
+    return {"material": fitting[int(drawn * len(fitting))].name}
 
 
-def _poster(
-    random: Random, number: int, setting: Setting, materials: dict[str, Texture], share: float
-) -> dict[str, Any]:
+def _poster(random: Random, number: int, setting: Setting, share: float) -> dict[str, Any]:
     """A picture on a wall, each a little farther before it than the last, so that none lies in another."""
     width, height = _sides(random)
     off = (2e-3 + 3e-4 * number) * setting.space.far
     place, wall = random_layout.on_wall(random, setting.space, width, height, 1.5 * share, off)
-    name = f"poster {number + 1}"
-    found = random_materials.picture(random, setting.images)
-    if not isinstance(found, str):
-        materials[name] = found
+    pictures = setting.stock.pictures
+    material = pictures[int(random.integers(len(pictures)))].name
     return {
-        **{"name": name, "shape": "plane", "material": found if isinstance(found, str) else name},
+        **{"name": f"poster {number + 1}", "shape": "plane", "material": material},
         "size_cm": [float(f"{place.size * side:.6g}") for side in (width, height)],
         **{"position_cm": _rounded(place.position), "rotation_deg": _rounded((0.0, np.degrees(wall.turn), 0.0))},
     }

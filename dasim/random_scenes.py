@@ -35,7 +35,17 @@ Positive = Annotated[float, Field(gt=0)]
 PREFIX = "random:"
 PICTURE_PX = (512, 384)  # of the default camera, da-mobile: what is seen decides where things are put
 LEAST_RATIO = 1.5  # of the ends of the depth range
-_STAGES = {"room": 1, "palette": 2, "background": 3, "count": 4, "object": 5, "light": 6, "focus": 7, "exposure": 8}
+_STAGES = {
+    "room": 1,
+    "palette": 2,
+    "background": 3,
+    "count": 4,
+    "object": 5,
+    "light": 6,
+    "focus": 7,
+    "exposure": 8,
+    "surface": 9,
+}
 
 # Weights of the default. Daylight and incandescent light are rich in near-infrared; LEDs and tubes are the hard case.
 ILLUMINANTS = {
@@ -57,6 +67,7 @@ class RandomScenes(Specification):
     size: tuple[Positive, Positive] = Field(
         default=(0.07, 0.32), description="of an object over the picture's width, log-uniform; less among many"
     )
+    surfaces: int = Field(default=10, ge=1, le=100, description="different ones of the objects, beside pictures")
     textured_share: Share = 0.65
     background_textured_share: Share = 0.95
     glossy_share: Share = 0.10
@@ -152,11 +163,18 @@ def random_scene(seed: int, index: int, spec: RandomScenes | None = None, camera
     images = random_materials.palette(_generator(seed, index, "palette"), pictures)
     materials: dict[str, Texture] = {}
     objects = _background(_generator(seed, index, "background"), spec, space, images, materials)
-    count = int(_generator(seed, index, "count").integers(spec.objects[0], spec.objects[1] + 1))
     shares = Shares(spec.textured_share, spec.glossy_share, spec.metal_share, spec.glass_share)
-    setting = random_objects.Setting(space, kind == "room", spec.size, count, shares, images, meshes)
-    generators = [_generator(seed, index, "object", number) for number in range(count)]
-    objects += random_objects.objects(generators, setting, materials)
+    surfaces = [_generator(seed, index, "surface", number) for number in range(spec.surfaces)]
+    stock = random_materials.stock(surfaces, images, shares)
+    count = int(_generator(seed, index, "count").integers(spec.objects[0], spec.objects[1] + 1))
+    setting = random_objects.Setting(space, kind == "room", spec.size, count, stock, meshes)
+    objects += random_objects.objects([_generator(seed, index, "object", number) for number in range(count)], setting)
+    used = {item.get("material") for item in objects}
+    materials |= {
+        item.name: item.texture
+        for item in (*stock.surfaces, *stock.pictures)
+        if item.texture is not None and item.name in used
+    }
     data = {
         "name": f"{PREFIX}{seed}:{index}",
         "description": f"{kind}, {count} objects from {spec.depth_cm[0]:g} to {spec.depth_cm[1]:g} cm",
