@@ -8,6 +8,7 @@ limit (within the depth range, before the walls, above the floor) is a linear in
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -179,7 +180,8 @@ def standing(
         x, where = random.uniform(-EDGE, EDGE) * space.frame.half_width, random.uniform(*band)
         place = _standing_at(space, outline, 2 * space.frame.half_width * share, x, where)
         radius = outline.radius * place.size
-        gaps = [float(np.hypot(*(place.position - other.middle)[[0, 2]])) - radius - other.radius for other in taken]
+        level = place.position[::2].tolist()
+        gaps = [math.dist(level, other.middle[::2]) - radius - other.radius for other in taken]
         found.append((min(gaps, default=np.inf) / radius, place))
     gap, best = max(found, key=lambda item: item[0])
     return best._replace(size=best.size * float(np.clip(1 + gap, 1 / 3, 1.0)))
@@ -229,7 +231,7 @@ def hanging(
         where = random.uniform(*band)
         depth = 1 / ((1 - where) / high + where / low)
         place = Place(ray * depth, rho * depth / outline.reach(), depth)
-        gaps = [float(np.linalg.norm(place.position - other.middle)) - rho * depth - other.reach for other in taken]
+        gaps = [math.dist(place.position, other.middle) - rho * depth - other.reach for other in taken]
         found.append((min(gaps, default=np.inf) / (rho * depth), place))
     gap, best = max(found, key=lambda item: item[0])
     return best._replace(size=best.size * float(np.clip(1 + gap, 1 / 3, 1.0)))

@@ -190,8 +190,7 @@ def _thing(random: Random, setting: Setting) -> Thing:
 
 
 def _solid(name: str, turn: float) -> Thing:
-    part = solids.solid(name, 1.0, name)
-    across, height = float(np.hypot(*part.vertices[:, [0, 2]].T).max()), float(np.ptp(part.vertices[:, 1]))
+    across, height = solids.outline(name)
     file = {"shape": "mesh", "file": f"{shapes.PROCEDURAL}{name}"}
     return Thing("solid", {"unit_cm": 1.0}, file, Outline(across, height), (0.0, turn, 0.0))
 

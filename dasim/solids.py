@@ -38,11 +38,24 @@ def solid(name: str, unit_m: float, where: str) -> Part:
     return Part(part.vertices * unit_m, part.faces, part.uv, part.normals)
 
 
-@lru_cache(maxsize=128)
+def outline(name: str) -> tuple[float, float]:
+    """Radius about the upright axis, and height, of ``NAME:SEED`` of unit length 1."""
+    kind, _, text = name.partition(":")
+    points = _points(kind, int(text))
+    return float(np.sqrt((points[..., 0] ** 2 + points[..., 2] ** 2).max())), float(np.ptp(points[..., 1]))
+
+
+@lru_cache(maxsize=64)
 def _made(kind: str, seed: int) -> Part:
+    return _skin(_points(kind, seed))
+
+
+@lru_cache(maxsize=64)
+def _points(kind: str, seed: int) -> FloatArray:
+    """The grid of a solid, centred, its longest side 1."""
     points = SOLIDS[kind](np.random.default_rng(seed))
-    low, high = points.reshape(-1, 3).min(axis=0), points.reshape(-1, 3).max(axis=0)
-    return _skin((points - (low + high) / 2) / (high - low).max())
+    low, high = points.min(axis=(0, 1)), points.max(axis=(0, 1))
+    return np.asarray((points - (low + high) / 2) / (high - low).max())
 
 
 def _skin(points: FloatArray) -> Part:
