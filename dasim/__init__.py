@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from dasim.files import load_capture, load_truth, save_capture
     from dasim.foreign import MitsubaScene, focused, load_scene
     from dasim.pointspread import psf
+    from dasim.random_scenes import RandomScenes, load_random_scenes, random_exposure, random_scene
     from dasim.scene import Scene
     from dasim.sensor import Exposure
     from dasim.simulation import Shot, simulate
@@ -31,6 +32,7 @@ __all__ = [
     "Exposure",
     "InputError",
     "MitsubaScene",
+    "RandomScenes",
     "Scene",
     "Shot",
     "Truth",
@@ -39,9 +41,12 @@ __all__ = [
     "focused",
     "load_camera",
     "load_capture",
+    "load_random_scenes",
     "load_scene",
     "load_truth",
     "psf",
+    "random_exposure",
+    "random_scene",
     "refocused",
     "save_capture",
     "simulate",
@@ -52,6 +57,7 @@ _HOME = {
     "camera": ("Camera", "cropped", "load_camera", "refocused"),
     "errors": ("InputError",),
     "pointspread": ("psf",),
+    "random_scenes": ("RandomScenes", "load_random_scenes", "random_exposure", "random_scene"),
     "foreign": ("MitsubaScene", "focused", "load_scene"),
     "scene": ("Scene",),
     "sensor": ("Exposure",),

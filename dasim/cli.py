@@ -155,7 +155,9 @@ def render(
     """Photograph a scene: a capture folder with raw.png, truth.exr and meta.json.
 
     Args:
-        scene: a bundled name (see 'dasim list scenes', staircase:14 for one of a family), a TOML or Mitsuba XML file
+        scene: a bundled name (see 'dasim list scenes', staircase:14 for one of a family), a TOML file, a Mitsuba XML
+            file, or a random scene: random:SEED:INDEX, or random:FILE.toml:SEED:INDEX with what it is drawn from; it
+            fits the picture's size
         out: the capture folder
         camera: a bundled name (see 'dasim list cameras') or a TOML file
         focus: focus distance in metres; by default what the scene proposes, else the camera's own
@@ -171,6 +173,7 @@ def render(
         illuminant: of a Mitsuba XML file, the spectrum of its RGB lights; D65 by default
     """
     import dasim
+    from dasim import random_scenes
     from dasim.files import check_output
     from dasim.render import backend
     from dasim.simulation import check_camera, check_options
@@ -179,15 +182,18 @@ def render(
     check_output(out, "capture")
     check_options(spp, seed, diffraction, noise_share)
     choices = {"unit_cm": unit_cm, "near_infrared": near_infrared, "illuminant": illuminant}
-    chosen = dasim.load_camera(camera)
-    described = dasim.load_scene(
-        scene, camera=chosen, **{name: value for name, value in choices.items() if value is not None}
-    )
+    given = {name: value for name, value in choices.items() if value is not None}
+    whole = chosen = dasim.load_camera(camera)
     if size is not None:
-        chosen = dasim.cropped(chosen, *_size(size))
+        chosen = dasim.cropped(whole, *_size(size))
+    described: dasim.Scene | dasim.MitsubaScene
+    if random_scenes.is_random(scene) and not given:
+        described, drawn = random_scenes.named(scene, chosen)
+    else:
+        described, drawn = dasim.load_scene(scene, camera=whole, **given), dasim.Exposure()
     chosen = dasim.focused(chosen, described) if focus is None else dasim.refocused(chosen, focus)
     options: dict[str, Any] = {} if spp is None else {"spp": spp}
-    times = parse(dasim.Exposure, {"time_s": exposure}, "--exposure")
+    times = drawn if exposure is None else parse(dasim.Exposure, {"time_s": exposure}, "--exposure")
     check_camera(chosen, backend.choose(variant).variant)
     _say_variant(variant)
     with _progress() as progress:

@@ -12,12 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from dasim import meshes
+from dasim import meshes, solids
 from dasim.specification import Specification
 
 FloatArray = NDArray[np.float64]
 Vector = tuple[float, float, float]
 Positive = Annotated[float, Field(gt=0)]
+
+PROCEDURAL = "procedural:"
 
 
 class _Placed(Specification):
@@ -77,7 +79,7 @@ class HeightField(_Placed):
 
 
 class Mesh(_Placed):
-    """A mesh file (OBJ, PLY, GLB, STL, OFF), ``unit_cm`` the length of its unit.
+    """A mesh file (OBJ, PLY, GLB, STL, OFF) or ``procedural:NAME:NUMBER``, ``unit_cm`` the length of its unit.
 
     Without a material the file's own RGB colours are used, and ``near_infrared`` says what they are in the
     near-infrared (``dasim.photographs.NEAR_INFRARED_RULES``), which RGB leaves open.
@@ -105,12 +107,13 @@ Object = Annotated[Plane | Disc | Box | Sphere | Cylinder | HeightField | Mesh, 
 def placement(item: Object) -> FloatArray:
     """Transform of an object's unscaled local axes into scene coordinates, metres, [4, 4]."""
     placed = np.eye(4)
-    placed[:3, :3] = _rotation(item.rotation_deg)
+    placed[:3, :3] = rotation(item.rotation_deg)
     placed[:3, 3] = np.multiply(item.position_cm, 1e-2)
     return placed
 
 
-def _rotation(degrees: Vector) -> FloatArray:
+def rotation(degrees: Vector) -> FloatArray:
+    """Rotation about x, then y, then z, [3, 3]."""
     x, y, z = np.radians(degrees)
     about_x = np.array([[1, 0, 0], [0, np.cos(x), -np.sin(x)], [0, np.sin(x), np.cos(x)]])
     about_y = np.array([[np.cos(y), 0, np.sin(y)], [0, 1, 0], [-np.sin(y), 0, np.cos(y)]])
@@ -144,6 +147,9 @@ def half_extent_m(item: Object, folder: Path) -> tuple[FloatArray, FloatArray]:
 
 def mesh_parts(item: Mesh, folder: Path) -> tuple[meshes.Part, ...]:
     """What a mesh's file holds; InputError where it is missing, broken or has no faces."""
+    if item.file.startswith(PROCEDURAL):
+        named = f"object '{item.name}': mesh {item.file}"
+        return (solids.solid(item.file.removeprefix(PROCEDURAL), item.unit_cm * 1e-2, named),)
     return meshes.read(folder / item.file, item.unit_cm * 1e-2, mesh_place(item, folder))
 
 
