@@ -168,12 +168,14 @@ def capture(camera, seed, exposure_s=0.01, blur_px=0.0):
         valid=values > 0.1,
         normal=per_channel[..., :3],
         object_id=(values * 100).astype(np.uint32),
+        material_id=(values * 10).astype(np.uint32),
         blur_px=np.full(shape, blur_px, np.float32),
         level=np.full(shape, seed, np.float32),
         boundary=values > 0.9,
         channels=("R", "G", "B", "IR"),
         mean_e=per_channel,
         sharp_e=per_channel * 2,
+        sharp_srgb=per_channel[..., :3],
     )
     return Capture(random.integers(0, 1023, shape, np.uint16), camera, exposure_s, 1.0, seed), truth
 
