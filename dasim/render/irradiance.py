@@ -51,10 +51,11 @@ class Field:
         import drjit as dr
         import mitsuba as mi
 
-        rows, columns = self.shape
-        x = (si.p.x / si.p.z * self.px_per_m - self.start_px[0]) / STRIDE_PX
-        y = (si.p.y / si.p.z * self.px_per_m - self.start_px[1]) / STRIDE_PX
-        inside = active & (x >= 0) & (y >= 0) & (x < columns - 1) & (y < rows - 1)
+        rows, columns = (dr.opaque(mi.UInt32, extent) for extent in self.shape)
+        start, scale = (dr.opaque(mi.Float, value / STRIDE_PX) for value in self.start_px), self.px_per_m / STRIDE_PX
+        scale = dr.opaque(mi.Float, scale)
+        x, y = (at / si.p.z * scale - first for at, first in zip((si.p.x, si.p.y), start, strict=True))
+        inside = active & (x >= 0) & (y >= 0) & (x < mi.Float(columns - 1)) & (y < mi.Float(rows - 1))
         cell = dr.select(inside, mi.UInt32(y) * (columns - 1) + mi.UInt32(x), 0)
         known = inside & (dr.gather(mi.UInt32, self.usable, cell, inside) > 0)
         place = mi.Point2f((x + 0.5) / columns, (y + 0.5) / rows)
@@ -121,14 +122,17 @@ def field(
     received = np.zeros((count, NODES))
     met = np.zeros((count, 5))
     at_once = max(1, LANES // directions)
+    across, each = dr.opaque(mi.UInt32, columns), dr.opaque(mi.UInt32, directions)
+    corner = mi.Point2f(*(dr.opaque(mi.Float, value) for value in start))
+    scale = dr.opaque(mi.Float, px_per_m)
     for first in range(0, count, at_once):
         part = slice(first, min(first + at_once, count))
         points = part.stop - part.start
-        index = dr.arange(mi.UInt32, points * directions) // directions + dr.opaque(mi.UInt32, first)
-        row = index // columns
-        film = mi.Point2f(mi.Float(index - row * columns), mi.Float(row)) * STRIDE_PX + mi.Point2f(*start)
+        index = dr.arange(mi.UInt32, points * directions) // each + dr.opaque(mi.UInt32, first)
+        row = index // across
+        film = mi.Point2f(mi.Float(index - row * across), mi.Float(row)) * STRIDE_PX + corner
         key = mi.UInt32(np.random.SeedSequence((seed, first)).generate_state(1))
-        values, geometry = _traced(scene, integrator, film / px_per_m, directions, index, dr.opaque(mi.UInt32, key[0]))
+        values, geometry = _traced(scene, integrator, film / scale, directions, index, dr.opaque(mi.UInt32, key[0]))
         received[part] = values / lit
         met[part] = geometry
     ratio, surface = received.reshape(rows, columns, NODES), met.reshape(rows, columns, 5)
@@ -169,8 +173,9 @@ def _traced(
 
     lanes = dr.width(slope)
     groups = NODES // 4
-    sample = dr.arange(mi.UInt32, lanes) % directions
-    group = sample // (directions // groups)  # blocks of a group are summed together
+    block = directions // groups  # directions of a group, which are summed together
+    sample = dr.arange(mi.UInt32, lanes) % dr.opaque(mi.UInt32, directions)
+    group = sample // dr.opaque(mi.UInt32, block)
     wavelengths = mi.Spectrum(0.0)
     step = _SPAN_NM / (NODES - 1)
     for k in range(4):
@@ -209,7 +214,6 @@ def _traced(
     first = dr.arange(mi.UInt32, lanes // directions) * directions
     about = [dr.select(known, dr.rcp(si.p.z), 0.0), normal.x, normal.y, normal.z, valid]
     dr.eval(values, about)
-    block = directions // groups
     sums = [np.array(dr.block_sum(value, block)).reshape(-1, groups) / block for value in values]
     geometry = np.stack([np.array(dr.gather(mi.Float, value, first)) for value in about], axis=-1)
     return np.concatenate(sums, axis=1).astype(float), geometry.astype(float)

@@ -183,10 +183,14 @@ def _ray_loop(
     import mitsuba as mi
 
     width, height = camera.sensor.width_px, camera.sensor.height_px
-    px_per_m = _px_per_m(camera)
-    radius_m = cameras.aperture_m(camera) / 2
+    rows_at_once = max(1, LANES // (sampling.spp * width))
+    # Numbers that change from picture to picture are opaque: a kernel is compiled once, and found again.
+    each, columns = dr.opaque(mi.UInt32, sampling.spp), dr.opaque(mi.UInt32, width)
+    middle = mi.Point2f(dr.opaque(mi.Float, width / 2), dr.opaque(mi.Float, height / 2))
+    px_per_m = dr.opaque(mi.Float, _px_per_m(camera))
+    radius_m = dr.opaque(mi.Float, cameras.aperture_m(camera) / 2)
     per_vergence = 2 * radius_m * px_per_m  # pixels of visible blur
-    vergence = 1.0 / camera.lens.focus_distance_m
+    vergence = dr.opaque(mi.Float, 1.0 / camera.lens.focus_distance_m)
     light = np.ones_like(spectra.WAVELENGTH_NM) if field is None else field.light
     mean_signal = spectra.integrate(response * light)
     rate = np.zeros((height, width, len(response)))
@@ -204,21 +208,19 @@ def _ray_loop(
     spp = sampling.spp
     sampler = mi.load_dict({"type": "independent", "sample_count": spp})  # deeper in the paths
     sampler.set_samples_per_wavefront(spp)
-    rows_at_once = max(1, LANES // (spp * width))
     seeds = _seeds(sampling, stop)
     for block, top in enumerate(range(0, height, rows_at_once)):
         rows = min(rows_at_once, height - top)
         lanes = rows * width * spp
         sampler.seed(dr.opaque(mi.UInt32, seeds(block)), lanes)
-        each = dr.opaque(mi.UInt32, spp)  # as all numbers that change: a kernel is compiled once, and kept
         pixel = dr.arange(mi.UInt32, lanes) // each
-        row = pixel // width
-        corner = mi.Point2f(mi.Float(pixel - row * width), mi.Float(row + dr.opaque(mi.UInt32, top)))
+        row = pixel // columns
+        corner = mi.Point2f(mi.Float(pixel - row * columns), mi.Float(row + dr.opaque(mi.UInt32, top)))
         numbers = Sobol(spp, dr.arange(mi.UInt32, lanes) % each, pixel + dr.opaque(mi.UInt32, seeds(block)))
         # The first dimensions are the most even: to what decides most.
         lens, film, light, direction = (numbers.next_2d() for _ in range(4))
         first, pattern, lobe = numbers.next_1d(), numbers.next_2d(), numbers.next_1d()
-        film += corner - mi.Point2f(width / 2, height / 2)  # pixels from the axis
+        film += corner - middle  # pixels from the axis
         entries, wavelengths = [], mi.Spectrum(0.0)
         for k in range(HERO):
             shifted = first + k * spacing
@@ -228,7 +230,7 @@ def _ray_loop(
 
         on_lens, delta, drawn = mi.Point2f(0.0), mi.Point2f(0.0), mi.Float(1.0)
         if blur is not None:
-            expected = dr.gather(mi.Float, _middle_vergence(scene, corner, spp, width, height, px_per_m), pixel)
+            expected = dr.gather(mi.Float, _middle_vergence(scene, corner, spp, middle, px_per_m), pixel)
             defocus = per_vergence * (expected - focus)
             on_lens, delta, drawn = blur.draw(lens, pattern, defocus, dr.opaque(mi.UInt32, seeds(block)))
         elif draw_pupil is not None:
@@ -277,16 +279,16 @@ def _px_per_m(camera: Camera) -> float:
     return cameras.image_distance_m(camera) / (camera.sensor.pixel_pitch_um * 1e-6)
 
 
-def _middle_vergence(scene: Any, corner: Any, spp: int, width: int, height: int, px_per_m: float) -> Any:
+def _middle_vergence(scene: Any, corner: Any, spp: int, middle: Any, px_per_m: Any) -> Any:
     """Inverse depth of what the ray through the middle of each pixel and of the lens meets first, 1/m; 0 for nothing.
 
-    ``corner`` are the pixels' corners, ``spp`` times each.
+    ``corner`` are the pixels' corners, ``spp`` times each; ``middle`` is the frame's.
     """
     import drjit as dr
     import mitsuba as mi
 
     first = dr.arange(mi.UInt32, dr.width(corner) // spp) * spp
-    at = dr.gather(mi.Point2f, corner, first) + 0.5 - mi.Point2f(width / 2, height / 2)
+    at = dr.gather(mi.Point2f, corner, first) + 0.5 - middle
     towards = mi.Vector3f(at.x / px_per_m, at.y / px_per_m, 1.0)
     hit = scene.ray_intersect_preliminary(mi.Ray3f(mi.Point3f(0.0), towards), coherent=True)
     vergence = dr.select(hit.is_valid(), dr.rcp(hit.t), 0.0)  # the direction's z is 1, so t is depth

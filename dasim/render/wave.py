@@ -102,7 +102,7 @@ def _direction(turn: Any) -> Any:
     return mi.Point2f(cosine, sine)
 
 
-def _place(value: Any, step: float, nodes: int) -> Any:
+def _place(value: Any, step: float, nodes: Any) -> Any:
     """Texture coordinate of ``value`` on nodes 0, step, ...: the first node lies at half a texel."""
     return (value / step + 0.5) / nodes
 
@@ -114,14 +114,18 @@ def _place(value: Any, step: float, nodes: int) -> Any:
 class RadialBlur:
     """Tables over distance; blur and distances are taken about the ring's own centre."""
 
-    outer: float
-    centre: aperture.Point
-    px_per_nm: float  # lambda N in pixels, a nanometre of lambda
-    max_blur_px: float
-    max_radius_px: float
-    inner: float  # of the ring, over its outer radius
-    tail_px: float
-    core_px: float  # about the width of D
+    outer: Any  # the numbers are opaque: stops and cameras share a compiled kernel
+    centre: Any
+    px_per_nm: Any  # lambda N in pixels, a nanometre of lambda
+    max_blur_px: Any
+    max_radius_px: Any
+    inner: Any  # of the ring, over its outer radius
+    tail_px: Any
+    core_px: Any  # about the width of D
+    rows: Any  # of the table of g
+    columns: Any
+    wave_rows: Any
+    wave_columns: Any
     offsets: Any  # [OFFSET_NODES] radius of delta at equal steps of probability
     density: Any  # [c, u] g per square pixel; its first row is D
     envelope: Any  # [u] the largest value of D from u on
@@ -133,7 +137,7 @@ class RadialBlur:
         import drjit as dr
         import mitsuba as mi
 
-        rows = self.density.shape[0]
+        rows = self.rows
         expected = dr.abs(blur_px) * (self.outer / DENSITY_BLUR_STEP_PX)
         row = dr.minimum(mi.UInt32(dr.round(dr.minimum(expected, 1e6))), rows - 1)
         own = mi.Float(row) * DENSITY_BLUR_STEP_PX
@@ -148,7 +152,7 @@ class RadialBlur:
         side = dr.select(blur_px < 0, -own, own) / 2  # rho = 1 moves the image by -side
         rho = self._on_stop(u, side, length, own, key)
         delta = -u - rho * side
-        return mi.Point2f(*self.centre) + self.outer * rho, delta, g / drawn_density
+        return self.centre + self.outer * rho, delta, g / drawn_density
 
     def _on_stop(self, u: Any, side: Any, length: Any, own: Any, key: Any) -> Any:
         """Place rho with density D(-u - rho side), by rejection: from D where that is narrow, else from the ring."""
@@ -158,7 +162,7 @@ class RadialBlur:
         # From the ring's image, outside it or in its hole.
         nearest = dr.maximum(dr.maximum(length - own / 2, self.inner * own / 2 - length), 0)
         narrow = (own > self.core_px) & (nearest < self.core_px)
-        columns = self.density.shape[1]
+        columns = self.columns
         highest = self.envelope.eval(mi.Point1f(_place(nearest, DENSITY_STEP_PX, columns)))[0]
         random = mi.PCG32(initstate=mi.UInt64(key), initseq=mi.UInt64(dr.arange(mi.UInt32, dr.width(u))))
 
@@ -167,7 +171,7 @@ class RadialBlur:
             turn = _direction(second)
             node = mi.UInt32(first * OFFSET_NODES)
             from_pattern = -(u + dr.gather(mi.Float, self.offsets, node) * turn) / side
-            from_ring = dr.sqrt(dr.lerp(self.inner**2, 1.0, first)) * turn
+            from_ring = dr.sqrt(dr.lerp(self.inner * self.inner, 1.0, first)) * turn
             proposed = dr.select(narrow, from_pattern, from_ring)
             radius = dr.norm(proposed)
             away = dr.norm(u + proposed * side)
@@ -186,7 +190,7 @@ class RadialBlur:
     def _density(self, length: Any, own: Any) -> Any:
         import mitsuba as mi
 
-        rows, columns = self.density.shape[:2]
+        rows, columns = self.rows, self.columns
         place = mi.Point2f(_place(length, DENSITY_STEP_PX, columns), _place(own, DENSITY_BLUR_STEP_PX, rows))
         return self.density.eval(place)[0]
 
@@ -195,11 +199,11 @@ class RadialBlur:
         import drjit as dr
         import mitsuba as mi
 
-        u = dr.norm(u_px + mi.Point2f(*self.centre) * (blur_px / 2))
+        u = dr.norm(u_px + self.centre * (blur_px / 2))
         own = self.outer * dr.abs(blur_px)
         g = self._density(u, own)
         inside = (own <= self.max_blur_px) & (u <= self.max_radius_px)
-        rows, columns = self.wave.shape[:2]
+        rows, columns = self.wave_rows, self.wave_columns
         ratios = []
         for wavelength in wavelengths_nm:
             scale = wavelength * self.px_per_nm
@@ -212,6 +216,7 @@ def radial_blur(
     camera: Camera, stop: Stop, bands: list[tuple[float, float]], shortest_nm: float, max_blur_px: float
 ) -> RadialBlur:
     """Tables of a disc or ring; ``bands`` are wavelengths (nm) with their shares of what is drawn."""
+    import drjit as dr
     import mitsuba as mi
 
     ring = aperture.ring(stop)
@@ -230,15 +235,24 @@ def radial_blur(
     waves = np.arange(0.0, own_px / (8 * shortest_px) + 2 * WAVES_STEP, WAVES_STEP)
     density = np.maximum(density, FLOOR)
     wave = _ended(pointspread.wave_profile(scaled, waves, inner), scaled, waves)
+
+    def number(value: float) -> Any:
+        return dr.opaque(mi.Float, float(value))
+
+    core = 2 * float(np.average([scale for scale, _ in scales], weights=[weight for _, weight in scales]))
     return RadialBlur(
-        outer=ring.outer,
-        centre=ring.centre,
-        px_per_nm=px_per_nm,
-        max_blur_px=own_px,
-        max_radius_px=float(radius[-1]),
-        inner=inner,
-        tail_px=tail,
-        core_px=2 * float(np.average([scale for scale, _ in scales], weights=[weight for _, weight in scales])),
+        outer=number(ring.outer),
+        centre=mi.Point2f(number(ring.centre[0]), number(ring.centre[1])),
+        px_per_nm=number(px_per_nm),
+        max_blur_px=number(own_px),
+        max_radius_px=number(radius[-1]),
+        inner=number(inner),
+        tail_px=number(tail),
+        core_px=number(core),
+        rows=dr.opaque(mi.UInt32, len(blurs)),
+        columns=dr.opaque(mi.UInt32, len(radius)),
+        wave_rows=dr.opaque(mi.UInt32, len(waves)),
+        wave_columns=dr.opaque(mi.UInt32, len(scaled)),
         offsets=mi.Float(_offsets(scales, tail, inner).astype(np.float32)),
         density=_texture(density),
         envelope=_texture(np.maximum.accumulate(density[0, ::-1])[::-1]),
