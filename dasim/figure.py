@@ -103,12 +103,12 @@ def _raised(p: FloatArray, height: float, share: FloatArray) -> FloatArray:
 def _lips(p: FloatArray) -> FloatArray:
     """Two lips that meet in a line, the upper one with a bow."""
     x = p[..., 0] / 0.105
-    middle = 0.258 + 0.006 * np.cos(3 * np.pi * x) * (np.abs(x) < 1)
+    middle = 0.258 + 0.005 * np.cos(2 * np.pi * np.clip(x, -1, 1))
     full = np.maximum(1 - x**2, 0.0)
     upper = (middle - p[..., 1]) / (0.026 * full**0.7 * (1 - 0.2 * np.exp(-((x / 0.12) ** 2))) + 1e-3)
     lower = (p[..., 1] - middle) / (0.034 * full**0.6 + 1e-3)
     away = np.where(p[..., 1] < middle, upper, lower)
-    return _raised(p, 0.016, 4 * np.minimum(away + 0.02, 1 - away) * (1 - x**4))
+    return _raised(p, 0.016, 4 * np.minimum(np.minimum(away + 0.02, 1 - away), 1 - x**2))
 
 
 def _shirt(p: FloatArray) -> FloatArray:

@@ -58,7 +58,7 @@ def _whorl(count: int, seed: int, *, start: float = 0.0, jitter: float = 1.0, **
             "curl": shape["curl"] + 8 * jitter * random.normal(),
         }
         angle = start + 360 * number / count + 60 / count * jitter * random.normal() / 3
-        foot = 0.06 * np.array([np.sin(np.radians(angle)), -np.cos(np.radians(angle)), 0.0])
+        foot = 0.06 * shape["length"] * np.array([np.sin(np.radians(angle)), -np.cos(np.radians(angle)), 0.0])
         # Every second petal lies a little lower, so that neighbours do not cut through each other.
         foot[2] = 0.03 * (number % 2)
         petals.append(placed(blade(**drawn), turned(random.normal() * 2, 6 * random.normal(), angle), foot))
