@@ -1,6 +1,6 @@
 """Meshes by formula, named ``NAME`` or ``NAME:SEED``: bodies for scenes, the same in every run.
 
-The bodies below fit into a cube of side 1 around the origin, and their seed draws their proportions; what plants and
+``BODIES`` fit into a cube of side 1 around the origin, and their seed draws their proportions; what plants and
 the figure of a head are measured in stands in ``dasim.plants`` and ``dasim.figure``.
 """
 
@@ -14,7 +14,7 @@ import numpy as np
 
 from dasim import figure, plants
 from dasim.errors import InputError
-from dasim.triangles import FloatArray, Triangles, ball, fitted, sheet, tube
+from dasim.triangles import FloatArray, Triangles, ball, fitted, sheet, together, tube
 
 PREFIX = "procedural:"
 LARGEST_SEED = 2**31 - 1
@@ -106,12 +106,26 @@ def _rock(seed: int) -> Triangles:
     return fitted(sheet(points, round_about=True))
 
 
+def _chain_link(_: int) -> Triangles:
+    """A fence of zigzag wires 0.1 thick that hook into their neighbours, meshes of 1 x 1, 26 wide and 20 high."""
+    down = np.linspace(-10, 10, 20 * 24 + 1)
+    zigzag = np.arcsin(np.sin(np.pi * down) * 0.97) / np.pi  # rounded where it hooks
+    wires = []
+    for number, x in enumerate(np.arange(-13, 13.5, 1.0)):
+        side = (-1) ** number
+        # A wire passes before one neighbour and behind the other.
+        path = np.stack([x + side * 1.08 * zigzag, down, 0.06 * np.sin(np.pi * down) * side], axis=-1)
+        wires.append(tube(path, 0.05, 8))
+    return together(wires)
+
+
 MESHES: dict[str, Callable[[int], Triangles]] = {
     "superellipsoid": _superellipsoid,
     "vase": _vase,
     "twisted-box": _twisted_box,
     "knot": _knot,
     "rock": _rock,
+    "chain-link": _chain_link,
     **plants.MESHES,
     **figure.MESHES,
 }
