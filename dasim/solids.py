@@ -11,7 +11,7 @@ import numpy as np
 
 from dasim.triangles import FloatArray, Triangles, fitted, sheet
 
-AROUND, ALONG = 96, 64  # cells of a grid
+AROUND, ALONG = 96, 40  # cells of a grid
 
 
 def _flat(points: FloatArray) -> Triangles:

@@ -28,8 +28,15 @@ SIGMAS = 5.0  # a share over n draws: misses one in two million right generators
 
 
 @pytest.fixture(scope="module")
-def drawn() -> list[dasim.Scene]:
-    return [dasim.random_scene(SEED, index) for index in range(DRAWS)]
+def samples() -> list[tuple[dasim.Scene, list[Measured]]]:
+    """Scenes and all their objects, each measured while its meshes are at hand."""
+    scenes_drawn = (dasim.random_scene(SEED, index) for index in range(DRAWS))
+    return [(scene, [measure(item, scene) for item in things(scene)]) for scene in scenes_drawn]
+
+
+@pytest.fixture(scope="module")
+def drawn(samples) -> list[dasim.Scene]:
+    return [scene for scene, _ in samples]
 
 
 class Measured(NamedTuple):
@@ -44,9 +51,8 @@ class Measured(NamedTuple):
 
 
 @pytest.fixture(scope="module")
-def measured(drawn) -> list[list[Measured]]:
-    """All objects of each drawn scene, measured once."""
-    return [[measure(item, scene) for item in things(scene)] for scene in drawn]
+def measured(samples) -> list[list[Measured]]:
+    return [found for _, found in samples]
 
 
 def measure(item, scene: dasim.Scene) -> Measured:
@@ -92,6 +98,9 @@ def points_m(item, scene: dasim.Scene) -> np.ndarray:
     if isinstance(item, shapes.Sphere):
         return matrix[:3, 3] + np.array([[0, 0, -1], [0, 0, 1]]) * item.radius_cm * 1e-2
     if isinstance(item, shapes.Mesh):
+        if item.file.startswith(procedural.PREFIX):
+            made = procedural.procedural(item.file.removeprefix(procedural.PREFIX)).vertices * item.unit_cm * 1e-2
+            return made @ matrix[:3, :3].T + matrix[:3, 3]
         return scenes.triangles(item, scene.folder).vertices @ matrix[:3, :3].T + matrix[:3, 3]
     if isinstance(item, (shapes.Cylinder, shapes.Disc)):
         turn = np.linspace(0, 2 * np.pi, 48)
