@@ -174,7 +174,7 @@ def test_objects_are_in_view_and_their_blur_spans_the_range(drawn, measured):
     """Middles of three or more within the picture; together they take up a good part of the range of blur.
 
     The first two objects are drawn from its outer 15 % each; the range that is left to them begins where the floor is
-    seen (1.8 times the near end at most, where 40 % of the blur is left) and ends before the wall.
+    seen (1.4 times the near end at most, where 60 % of the blur is left) and ends before the wall.
     """
     near, far = (value * 1e-2 for value in RandomScenes().depth_cm)
     spans = []
