@@ -73,12 +73,12 @@ class Room(NamedTuple):
 def room(random: Random, half_width: float, half_height: float, near: float, far: float, *, corner: bool) -> Room:
     """A floor and a wall, or two that meet in a ``corner``; all that is seen lies between ``near`` and ``far``.
 
-    The floor enters the picture at a depth of 1.05 to 1.8 ``near`` (log-uniform) and would reach the farthest depth,
+    The floor enters the picture at a depth of 1.05 to 1.4 ``near`` (log-uniform) and would reach the farthest depth,
     0.85 to 0.95 ``far``, at a row between the picture's top and a little below its middle: both fix the camera's height
     and pitch. Walls are then moved so that none of what is seen above that row is deeper.
     """
     deepest = far * random.uniform(0.85, 0.95)
-    high = min(1.8 * near, 0.6 * deepest)
+    high = min(1.4 * near, 0.6 * deepest)
     floor_near = float(np.exp(random.uniform(np.log(1.05 * near), np.log(max(high, 1.06 * near)))))
     ratio = deepest / floor_near
     horizon = random.uniform(-0.9, 0.5 / ratio) * half_height

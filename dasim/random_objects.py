@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from dasim import meshes, photographs, random_layout, shapes, solids
+from dasim import meshes, photographs, procedural, random_layout, shapes
 from dasim.errors import InputError
 from dasim.random_layout import Outline, Room, Taken
 from dasim.random_materials import Stock
@@ -163,7 +163,7 @@ def _thing(random: Random, setting: Setting) -> Thing:
     kind = str(random.choice(list(KINDS), p=np.array(list(KINDS.values())) / sum(KINDS.values())))
     turn = float(random.uniform(-180.0, 180.0))
     if kind == "solid":
-        name = str(random.choice(list(solids.SOLIDS)))
+        name = str(random.choice(procedural.BODIES))
         return _solid(f"{name}:{int(random.integers(SOLID_SEEDS))}", turn)
     if kind == "box":
         sides = random.uniform(0.25, 1.0, 3)
@@ -190,8 +190,9 @@ def _thing(random: Random, setting: Setting) -> Thing:
 
 
 def _solid(name: str, turn: float) -> Thing:
-    across, height = solids.outline(name)
-    file = {"shape": "mesh", "file": f"{shapes.PROCEDURAL}{name}"}
+    x, y, z = procedural.procedural(name).vertices.T
+    across, height = float(np.sqrt((x**2 + z**2).max())), float(np.ptp(y))
+    file = {"shape": "mesh", "file": f"{procedural.PREFIX}{name}"}
     return Thing("solid", {"unit_cm": 1.0}, file, Outline(across, height), (0.0, turn, 0.0))
 
 

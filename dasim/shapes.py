@@ -5,6 +5,7 @@ Lengths of a specification are centimetres and angles degrees; everything comput
 
 from __future__ import annotations
 
+from functools import lru_cache
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -12,14 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from dasim import meshes, solids
+from dasim import meshes
+from dasim.errors import InputError
+from dasim.procedural import PREFIX, procedural
 from dasim.specification import Specification
 
 FloatArray = NDArray[np.float64]
 Vector = tuple[float, float, float]
 Positive = Annotated[float, Field(gt=0)]
-
-PROCEDURAL = "procedural:"
 
 
 class _Placed(Specification):
@@ -79,14 +80,14 @@ class HeightField(_Placed):
 
 
 class Mesh(_Placed):
-    """A mesh file (OBJ, PLY, GLB, STL, OFF) or ``procedural:NAME:NUMBER``, ``unit_cm`` the length of its unit.
+    """A mesh file (OBJ, PLY, GLB, STL, OFF) or ``procedural:NAME``, ``unit_cm`` the length of its unit.
 
     Without a material the file's own RGB colours are used, and ``near_infrared`` says what they are in the
     near-infrared (``dasim.photographs.NEAR_INFRARED_RULES``), which RGB leaves open.
     """
 
     shape: Literal["mesh"]
-    file: str
+    file: str = Field(description="a file beside the scene, procedural:NAME or procedural:NAME:SEED")
     unit_cm: Positive = 1.0
     material: str | None = None  # type: ignore[assignment]  # the only object that may have colours of its own
     near_infrared: str | None = None
@@ -147,15 +148,24 @@ def half_extent_m(item: Object, folder: Path) -> tuple[FloatArray, FloatArray]:
 
 def mesh_parts(item: Mesh, folder: Path) -> tuple[meshes.Part, ...]:
     """What a mesh's file holds; InputError where it is missing, broken or has no faces."""
-    if item.file.startswith(PROCEDURAL):
-        named = f"object '{item.name}': mesh {item.file}"
-        return (solids.solid(item.file.removeprefix(PROCEDURAL), item.unit_cm * 1e-2, named),)
+    if item.file.startswith(PREFIX):
+        return _procedural_parts(item.file, item.unit_cm, item.name)
     return meshes.read(folder / item.file, item.unit_cm * 1e-2, mesh_place(item, folder))
+
+
+@lru_cache(maxsize=32)
+def _procedural_parts(file: str, unit_cm: float, name: str) -> tuple[meshes.Part, ...]:
+    try:
+        made = procedural(file.removeprefix(PREFIX))
+    except InputError as error:
+        raise InputError(f"object '{name}': {error}") from None
+    return (meshes.Part(made.vertices * (unit_cm * 1e-2), made.faces, made.uv, made.normals),)
 
 
 def mesh_place(item: Mesh, folder: Path) -> str:
     """How an error names a mesh and its file."""
-    return f"object '{item.name}': mesh {folder / item.file}"
+    where = item.file if item.file.startswith(PREFIX) else folder / item.file
+    return f"object '{item.name}': mesh {where}"
 
 
 def relief(item: HeightField, heights: NDArray[np.float32]) -> meshes.Part:
