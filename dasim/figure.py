@@ -14,6 +14,7 @@ import numpy as np
 from dasim.triangles import FloatArray, Triangles, ball, sheet, smooth, together
 
 Field = Callable[[FloatArray], FloatArray]
+COARSE = 0.04  # step of the grid that finds where a surface may be
 EYE_AT, EYE_RADIUS = (0.128, -0.03, -0.268), 0.068
 
 
@@ -79,8 +80,7 @@ def _skin(p: FloatArray) -> FloatArray:
 
 
 def _hair(p: FloatArray) -> FloatArray:
-    """A cap over the skull that leaves face and ears free, with locks; and the brows."""
-    s = _sides(p)
+    """A cap over the skull that leaves face and ears free, with locks."""
     angle = np.arctan2(p[..., 0], -p[..., 1] + 0.15)
     locks = 0.010 * np.sin(26 * angle + 5 * np.sin(9 * p[..., 2])) + 0.006 * np.sin(61 * angle - 23 * p[..., 2])
     cap = _ellipsoid(p, (0, -0.155, 0.075), (0.385, 0.40, 0.455)) + locks
@@ -89,8 +89,13 @@ def _hair(p: FloatArray) -> FloatArray:
     behind = p[..., 2] - (0.02 + 0.10 * np.tanh(6 * (p[..., 1] + 0.12)))
     cap = np.maximum(cap, -np.maximum(hairline - p[..., 1], behind))
     cap = np.maximum(cap, p[..., 1] - 0.27)  # ends at the nape
+    return cap
+
+
+def _brows(p: FloatArray) -> FloatArray:
+    s = _sides(p)
     arch = (p[..., 1] + 0.150 - 0.4 * (s[..., 0] - 0.15) ** 2 / 0.15) / 0.022
-    return np.minimum(cap, _raised(p, 0.012, 1 - arch**2 - ((s[..., 0] - 0.135) / 0.085) ** 4))
+    return _raised(p, 0.012, 1 - arch**2 - ((s[..., 0] - 0.135) / 0.085) ** 4)
 
 
 def _raised(p: FloatArray, height: float, share: FloatArray) -> FloatArray:
@@ -127,11 +132,27 @@ def _meshed(field: Field, low: tuple[float, ...], high: tuple[float, ...], step:
     from skimage.measure import marching_cubes
 
     axes = [np.arange(a, b + step, step) for a, b in zip(low, high, strict=True)]
-    values = field(np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1))
+    values = field(np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)) if step < COARSE / 8 else _near(field, axes)
     # marching_cubes' "ascent" says that the inside is the larger one; ours is the smaller.
     corners, faces, _, _ = marching_cubes(-values, 0.0, gradient_direction="ascent", allow_degenerate=False)
     vertices = corners.astype(np.float64) * step + [axis[0] for axis in axes]
     return _wrapped(vertices, faces.astype(np.uint32))
+
+
+def _near(field: Field, axes: list[FloatArray]) -> FloatArray:
+    """A field on a grid, computed where it is within twice ``COARSE`` of zero, and interpolated elsewhere.
+
+    It is about a distance, so that no point of a coarse grid is further from a surface in its cell than that.
+    """
+    from scipy.interpolate import RegularGridInterpolator
+
+    rough = [np.arange(axis[0], axis[-1] + 2 * COARSE, COARSE) for axis in axes]
+    values = field(np.stack(np.meshgrid(*rough, indexing="ij"), axis=-1))
+    points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
+    result = RegularGridInterpolator(rough, values)(points)
+    close = np.abs(result) < 2 * COARSE
+    result[close] = field(points[close])
+    return np.asarray(result)
 
 
 def _wrapped(vertices: FloatArray, faces: np.ndarray) -> Triangles:
@@ -149,6 +170,11 @@ def _wrapped(vertices: FloatArray, faces: np.ndarray) -> Triangles:
         np.concatenate([whole.uv, whole.uv[old] + [1.0, 0.0]]),
         np.concatenate([whole.normals, whole.normals[old]]),
     )
+
+
+def _hair_and_brows(_: int) -> Triangles:
+    brows = _meshed(_brows, (-0.26, -0.22, -0.45), (0.26, -0.08, -0.12), 0.0048)
+    return together([_meshed(_hair, (-0.44, -0.60, -0.44), (0.44, 0.32, 0.58), 0.0105), brows])
 
 
 def _eyes(_: int) -> Triangles:
@@ -173,7 +199,7 @@ def _eye(side: int, radius: float, opening: float) -> Triangles:
 
 MESHES: dict[str, Callable[[int], Triangles]] = {
     "figure-skin": lambda _: _meshed(_skin, (-0.42, -0.56, -0.54), (0.42, 0.86, 0.54), 0.0125),
-    "figure-hair": lambda _: _meshed(_hair, (-0.44, -0.60, -0.44), (0.44, 0.32, 0.58), 0.0105),
+    "figure-hair": _hair_and_brows,
     "figure-lips": lambda _: _meshed(_lips, (-0.12, 0.21, -0.42), (0.12, 0.31, -0.22), 0.003),
     "figure-eyes": _eyes,
     "figure-irises": _irises,
