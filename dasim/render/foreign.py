@@ -55,14 +55,26 @@ def load(scene: MitsubaScene, fov_deg: float) -> World:
     for place, (_, members) in enumerate(objects):
         for member in members:
             nodes[member].props.set_id(f"object_{place:04d}")
-    try:
-        made = mi.parser.instantiate(config, state)
-    except Exception as error:
-        raise _broken(scene, error) from None
-    world = made[0] if isinstance(made, list) else made
+    world = _made(config, state, scene)
     if not world.emitters():
         raise InputError(f"{scene.file}: has no lights that can be honoured; nothing would be seen")
     return World(world, notes.lines(), [name for name, _ in objects], materials, numbers)
+
+
+def _made(config: Any, state: Any, scene: MitsubaScene) -> Any:
+    """Mitsuba's scene of a parser's nodes."""
+    import mitsuba as mi
+
+    try:
+        made = mi.parser.instantiate(config, state)
+    except Exception as error:
+        broken = _broken(scene, error)
+        # What was made so far must go: a light that outlives its shape is called by the next scene's kernels, and
+        # a traceback that is kept would keep it.
+        state.nodes.clear()
+        error.__traceback__ = None
+        raise broken from None
+    return made[0] if isinstance(made, list) else made
 
 
 def _broken(scene: MitsubaScene, error: Exception) -> InputError:
