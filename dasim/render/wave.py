@@ -126,7 +126,9 @@ class RadialBlur:
     columns: Any
     wave_rows: Any
     wave_columns: Any
-    offsets: Any  # [OFFSET_NODES] radius of delta at equal steps of probability
+    offsets: Any  # [OFFSET_NODES] radius of delta at equal steps of probability, 0 to 1
+    light_inside: Any  # [u] the reverse: share of D's light within u
+    light_columns: Any
     density: Any  # [c, u] g per square pixel; its first row is D
     envelope: Any  # [u] the largest value of D from u on
     guide: Any  # [c, GUIDE_NODES + 1] flat: radius u at equal steps of probability of q
@@ -155,28 +157,44 @@ class RadialBlur:
         return self.centre + self.outer * rho, delta, g / drawn_density
 
     def _on_stop(self, u: Any, side: Any, length: Any, own: Any, key: Any) -> Any:
-        """Place rho with density D(-u - rho side), by rejection: from D where that is narrow, else from the ring."""
+        """Place rho with density D(-u - rho side), by rejection.
+
+        Where the blur is narrower than D, from the ring, taken as D says. Where it is wider, rho side + u is drawn
+        from D: its length r among those that lead onto the lens, taken as the part of the circle that does, and its
+        direction from that part. Few are refused, which is what counts where many rays wait for the last one.
+        """
         import drjit as dr
         import mitsuba as mi
 
-        # From the ring's image, outside it or in its hole.
-        nearest = dr.maximum(dr.maximum(length - own / 2, self.inner * own / 2 - length), 0)
-        narrow = (own > self.core_px) & (nearest < self.core_px)
+        reach = own / 2
+        wide = own > self.core_px / 2
+        nearest = dr.maximum(dr.maximum(length - reach, self.inner * reach - length), 0)
         columns = self.columns
         highest = self.envelope.eval(mi.Point1f(_place(nearest, DENSITY_STEP_PX, columns)))[0]
+        # A step of the table more on both sides: what it lets in is refused.
+        low = self._inside(nearest - DENSITY_STEP_PX)
+        span = self._inside(length + reach + DENSITY_STEP_PX) - low
+        towards = -u / dr.maximum(length, 1e-6)
+        largest = dr.select(length > reach, dr.safe_asin(reach / length), dr.pi)  # half of the widest part of a circle
         random = mi.PCG32(initstate=mi.UInt64(key), initseq=mi.UInt64(dr.arange(mi.UInt32, dr.width(u))))
 
         def again(random: Any, missing: Any, rho: Any) -> tuple[Any, Any, Any]:
             first, second, third = random.next_float32(), random.next_float32(), random.next_float32()
-            turn = _direction(second)
-            node = mi.UInt32(first * OFFSET_NODES)
-            from_pattern = -(u + dr.gather(mi.Float, self.offsets, node) * turn) / side
-            from_ring = dr.sqrt(dr.lerp(self.inner * self.inner, 1.0, first)) * turn
-            proposed = dr.select(narrow, from_pattern, from_ring)
-            radius = dr.norm(proposed)
+            place = dr.fma(first, span, low) * (OFFSET_NODES - 1)
+            node = dr.minimum(mi.UInt32(place), OFFSET_NODES - 2)
+            before, after = dr.gather(mi.Float, self.offsets, node), dr.gather(mi.Float, self.offsets, node + 1)
+            r = dr.fma(place - mi.Float(node), after - before, before)
+            cosine = (length * length + r * r - reach * reach) / dr.maximum(2 * length * r, 1e-12)
+            half = dr.safe_acos(cosine)
+            sine, cosine = dr.sincos(half * (2 * second - 1))
+            turned = mi.Point2f(towards.x * cosine - towards.y * sine, towards.x * sine + towards.y * cosine)
+            from_ring = dr.sqrt(dr.lerp(self.inner * self.inner, 1.0, first)) * _direction(second)
+            proposed = dr.select(wide, (r * turned + u) / -side, from_ring)
             away = dr.norm(u + proposed * side)
-            chance = self._density(away, mi.Float(0.0)) / highest
-            taken = dr.select(narrow, (radius <= 1) & (radius >= self.inner), (third < chance) & (away <= self.tail_px))
+            chance = self._density(away, mi.Float(0.0), ~wide) / highest
+            taken = dr.select(wide, third * largest < half, (third < chance) & (away <= self.tail_px))
+            radius = dr.norm(proposed)
+            taken &= (radius >= self.inner) & (radius <= 1)
             return random, missing & ~taken, dr.select(missing & taken, proposed, rho)
 
         _, _, rho = dr.while_loop(
@@ -187,12 +205,18 @@ class RadialBlur:
         )
         return rho
 
-    def _density(self, length: Any, own: Any) -> Any:
+    def _inside(self, length: Any) -> Any:
+        """Share of D's light within a radius."""
+        import mitsuba as mi
+
+        return self.light_inside.eval(mi.Point1f(_place(length, DENSITY_STEP_PX, self.light_columns)))[0]
+
+    def _density(self, length: Any, own: Any, active: Any = True) -> Any:
         import mitsuba as mi
 
         rows, columns = self.rows, self.columns
         place = mi.Point2f(_place(length, DENSITY_STEP_PX, columns), _place(own, DENSITY_BLUR_STEP_PX, rows))
-        return self.density.eval(place)[0]
+        return self.density.eval(place, active)[0]
 
     def weights(self, u_px: Any, blur_px: Any, wavelengths_nm: list[Any]) -> list[Any]:
         """See :class:`Blur`."""
@@ -239,6 +263,8 @@ def radial_blur(
     def number(value: float) -> Any:
         return dr.opaque(mi.Float, float(value))
 
+    lengths = np.arange(0.0, tail + 2 * DENSITY_STEP_PX, DENSITY_STEP_PX)
+    offsets, light_inside = _offsets(scales, tail, inner, lengths)
     core = 2 * float(np.average([scale for scale, _ in scales], weights=[weight for _, weight in scales]))
     return RadialBlur(
         outer=number(ring.outer),
@@ -253,7 +279,9 @@ def radial_blur(
         columns=dr.opaque(mi.UInt32, len(radius)),
         wave_rows=dr.opaque(mi.UInt32, len(waves)),
         wave_columns=dr.opaque(mi.UInt32, len(scaled)),
-        offsets=mi.Float(_offsets(scales, tail, inner).astype(np.float32)),
+        offsets=mi.Float(offsets.astype(np.float32)),
+        light_inside=_texture(light_inside),
+        light_columns=dr.opaque(mi.UInt32, len(lengths)),
         density=_texture(density),
         envelope=_texture(np.maximum.accumulate(density[0, ::-1])[::-1]),
         guide=mi.Float(_guide(radius, blurs, density, wave, scales, reach, inner).astype(np.float32).ravel()),
@@ -301,8 +329,13 @@ def _guide(
     return np.clip(found, np.maximum(nearest, 0.0), farthest)
 
 
-def _offsets(scales: list[tuple[float, float]], tail_px: float, inner: float) -> FloatArray:
-    """Radii in the middle of equal steps of the mixed in-focus patterns' light, up to ``tail_px``, [OFFSET_NODES]."""
+def _offsets(
+    scales: list[tuple[float, float]], tail_px: float, inner: float, lengths: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Radii at equal steps of the mixed in-focus patterns' light, up to ``tail_px``, [OFFSET_NODES], and the reverse.
+
+    The reverse is the share of light within each of ``lengths``.
+    """
     radius = np.linspace(0.0, tail_px, 1 << 16)
     middle = (radius[1:] + radius[:-1]) / 2
 
@@ -314,7 +347,8 @@ def _offsets(scales: list[tuple[float, float]], tail_px: float, inner: float) ->
         x = np.pi * middle / scale
         light += weight * (lobe(x) - inner**2 * lobe(inner * x)) ** 2 / (scale**2 * (1 - inner**2)) * middle
     inside = np.concatenate([[0.0], np.cumsum(light)])
-    return np.interp((np.arange(OFFSET_NODES) + 0.5) / OFFSET_NODES, inside / inside[-1], radius)
+    inside /= inside[-1]
+    return np.interp(np.linspace(0.0, 1.0, OFFSET_NODES), inside, radius), np.interp(lengths, radius, inside)
 
 
 # --- polygons and masks --------------------------------------------------------------------------
