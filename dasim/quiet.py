@@ -14,8 +14,7 @@ from dasim.spectra import FloatArray
 NOISE_SHARE = 0.2  # of the sensor's noise: adds 2 % to it
 PILOT_SPP = 16  # of each of the first two pictures
 MOST_SPP = 8192  # of a stop
-SLOPE = 0.7  # noise falls about as samples ** -0.6 to -0.7 (claims noise-slope-*); too few are added to
-MARGIN = 1.1
+SLOPE = 0.6  # noise falls about as samples ** -0.6 to -0.7 (claims noise-slope-*); too few are added to
 MOST_ROUNDS = 4
 # Median of |x| for a normal x of spread 1: turns the median difference of two pictures into a standard deviation.
 _MEDIAN_OF_ABSOLUTE = 0.6745
@@ -66,7 +65,7 @@ def quiet_picture(
         whole = np.sqrt((shares**2).sum(axis=0))
         if whole.max() <= wanted or max(taken) + 2 * PILOT_SPP > most_spp:
             break
-        spp = _next_spp(taken, shares, wanted / MARGIN, most_spp)
+        spp = _next_spp(taken, shares, wanted, most_spp)
     return Quiet(rate, taken, tuple(float(share) for share in whole))
 
 
@@ -89,8 +88,8 @@ def _next_spp(taken: tuple[int, ...], shares: FloatArray, wanted: float, most_sp
 
 
 def _more(spp: int) -> int:
-    """The next of 16, 24, 32, 48, ...: Sobol' points are most even in powers of two, and nearly so half-way."""
-    return spp // 2 * 3 if spp & (spp - 1) == 0 else spp // 3 * 4
+    """The next of 16, 20, 24, 28, 32, 40, ...: quarters of powers of two, over which Sobol' points are even."""
+    return spp + (1 << (spp.bit_length() - 3))
 
 
 def _joined(

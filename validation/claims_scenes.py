@@ -100,7 +100,7 @@ def _centroid(picture: FloatArray, about: FloatArray) -> FloatArray:
 
 # --- light from all around and between surfaces --------------------------------------------------
 
-LIGHT_SCENES = ("desk", "fence")
+LIGHT_SCENES = ("desk", "adam")
 LIGHT_SIZE_PX = (256, 192)
 LIGHT_SPP = 256
 LIGHT_TRACED_SPP = 1024

@@ -22,13 +22,13 @@ from dasim.render.plugin import tensor
 from dasim.render.sobol import Sobol
 from dasim.spectra import FloatArray
 
-STRIDE_PX = 6.0
-AGREEMENT = 0.06  # of the irradiance at a cell's corners
-SAME_NORMAL = 0.97  # cosine
-SAME_DEPTH = 0.01
+STRIDE_PX = 3.0
+AGREEMENT = 0.15  # of the irradiance at a cell's corners
+SAME_NORMAL = 0.9  # cosine
+SAME_DEPTH = 0.02
 NODES = 32  # wavelengths at which irradiance over the lights' spectrum is kept
-DIRECTIONS_PER_SAMPLE = 8  # of a pixel
-FEWEST_DIRECTIONS, MOST_DIRECTIONS = 128, 4096
+DIRECTIONS_PER_SAMPLE = 2  # of a pixel
+FEWEST_DIRECTIONS, MOST_DIRECTIONS = 64, 1024
 LANES = 1 << 21
 
 
@@ -136,6 +136,7 @@ def field(
         received[part] = values / lit
         met[part] = geometry
     ratio, surface = received.reshape(rows, columns, NODES), met.reshape(rows, columns, 5)
+    ratio = _smoothed(ratio, surface)
     usable = _agree(ratio, surface)
     return Field(
         start_px=(start[0], start[1]),
@@ -223,6 +224,29 @@ def power_heuristic(own: Any, other: Any) -> Any:
     """Weight of a way of sampling with density ``own`` beside another (Veach 1997, sec. 9.2)."""
     ratio = other / own  # squares of large densities would not be finite
     return 1 / (1 + ratio * ratio)
+
+
+def _smoothed(ratio: FloatArray, surface: FloatArray) -> FloatArray:
+    """Each node's irradiance as a mean with its neighbours on the same surface that receive nearly the same.
+
+    Nodes near to each other share their directions' noise, which no number of a pixel's samples takes away.
+    """
+    from scipy import ndimage
+
+    level = ndimage.uniform_filter(ratio.mean(axis=-1), 3)
+    total, weight = 4 * ratio, np.full(level.shape, 4.0)
+    for dy, dx in [(dy, dx) for dy in (-1, 0, 1) for dx in (-1, 0, 1) if dy or dx]:
+        here = tuple(slice(max(-d, 0), n - max(d, 0)) for d, n in zip((dy, dx), level.shape, strict=True))
+        there = tuple(slice(max(d, 0), n - max(-d, 0)) for d, n in zip((dy, dx), level.shape, strict=True))
+        own, other = surface[here], surface[there]
+        same = (own[..., 4] > 0) & (other[..., 4] > 0)
+        same &= np.sum(own[..., 1:4] * other[..., 1:4], axis=-1) > SAME_NORMAL
+        same &= np.abs(own[..., 0] - other[..., 0]) < SAME_DEPTH * own[..., 0]
+        same &= np.abs(level[here] - level[there]) < AGREEMENT * level[here]
+        share = same * (2.0 - abs(dy)) * (2.0 - abs(dx))
+        total[here] += share[..., None] * ratio[there]
+        weight[here] += share
+    return total / weight[..., None]
 
 
 def _agree(ratio: FloatArray, surface: FloatArray) -> np.ndarray:

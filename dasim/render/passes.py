@@ -28,7 +28,8 @@ Progress = Callable[[float], None]
 
 LANES = 1 << 21  # rays in flight: bounds the memory, and is fixed, since it decides the random numbers
 WAVE_BLUR_PX = 150.0  # visible blur up to which weights are tabulated; beyond, blur is that of the drawn rays
-SAME_BLUR_PX, SAME_BLUR_SHARE = 0.25, 0.02  # spread of the blur on one surface, slanted ones included
+SAME_BLUR_PX, SAME_BLUR_SHARE = 0.5, 0.05  # how far the blur on one surface goes, slanted ones included
+ONE_DEPTH_SHARE = 0.97  # of the weights of a pixel that sees one depth: diffraction's tails reach others everywhere
 DRAW_NODES = 4096  # of the table that turns a uniform number into a wavelength
 HERO = 4  # wavelengths a ray
 EVEN_SHARE = 0.1  # of the wavelengths are drawn as for an even light
@@ -250,8 +251,10 @@ def _ray_loop(
             u = film - mi.Point2f(point.x, point.y) / point.z * px_per_m
             ratios = blur.weights(u, per_vergence * (1 / point.z - focus), [entry[0] for entry in entries])
             weight = [drawn * ratio for ratio in ratios]
-            seen = per_vergence * (1 / point.z - vergence)
-            spread = [seen, seen * seen]
+            seen, middle_blur = (per_vergence * (at - vergence) for at in (1 / point.z, expected))
+            near = dr.abs(seen - middle_blur) <= SAME_BLUR_PX + SAME_BLUR_SHARE * dr.abs(middle_blur)
+            counted = sum(weight)
+            spread = [counted, dr.select(near, counted, 0.0)]
         radiance = transport.radiance(scene, integrator, sampler, ray, si, (light, direction, lobe), field)
 
         sums, lit = list(spread), [entry[-1] for entry in entries]
@@ -260,7 +263,7 @@ def _ray_loop(
             sums += [sum(share[k] * radiance[k] for k in range(HERO)), sum(share[k] * lit[k] for k in range(HERO))]
         dr.eval(*sums)  # one kernel for all: summing first would trace the rays once a sum
         totals = [np.array(dr.block_sum(value, spp), dtype=np.float64) for value in sums]
-        one_depth = _one_depth(totals[0] / spp, totals[1] / spp) if spread else np.True_
+        one_depth = totals[1] >= ONE_DEPTH_SHARE * totals[0] if spread else np.True_
         # The control variate: response x light x weight has a known mean where one depth is seen, and dividing by
         # what was drawn of it takes the noise of drawing wavelengths and weights out. Near a depth step the
         # weights' mean is not 1, so there the plain mean stays.
@@ -294,12 +297,6 @@ def _middle_vergence(scene: Any, corner: Any, spp: int, middle: Any, px_per_m: A
     vergence = dr.select(hit.is_valid(), dr.rcp(hit.t), 0.0)  # the direction's z is 1, so t is depth
     dr.eval(vergence)
     return vergence
-
-
-def _one_depth(blur: FloatArray, blur_squared: FloatArray) -> np.ndarray:
-    """Pixels whose rays all meet about the same blur, from the mean and mean square of the signed blur in pixels."""
-    deviation = np.sqrt(np.maximum(blur_squared - blur**2, 0.0))
-    return deviation <= SAME_BLUR_PX + SAME_BLUR_SHARE * np.abs(blur)
 
 
 def _seeds(sampling: Sampling, stop: Stop | None) -> Callable[[int], int]:
