@@ -25,7 +25,7 @@ BORDER_PX = 8  # even, so that mirroring keeps the mosaic's phase; more than the
 EXCESS_PATCH, EXCESS_PERCENTILE = 16, 10.0
 DIAGONAL = np.array([[1, 0, 1], [0, 0, 0], [1, 0, 1]], np.float32) / 4
 CROSS = np.array([[0, 1, 0], [1, 0, 1], [0, 1, 0]], np.float32) / 4
-FAR_CROSS: Float32Array = np.zeros((5, 5), np.float32)
+FAR_CROSS = np.zeros((5, 5), np.float32)
 FAR_CROSS[[0, 2, 2, 4], [2, 0, 4, 2]] = 1 / 4
 WIDE = np.full((7, 7), 1 / 49, np.float32)
 SMALLEST = np.float32(1e-6)
@@ -127,19 +127,19 @@ def sites(own: tuple[Grid, ...], shape: tuple[int, ...]) -> BoolArray:
     return mask
 
 
-def _filled(plane: Float32Array, known: BoolArray) -> Float32Array:
+def _filled(plane: NDArray, known: BoolArray) -> Float32Array:
     """A plane whose unknown samples are the mean of their known neighbours in row and column."""
     return np.where(known, plane, _mean_of_known(plane, known, CROSS))
 
 
-def _mean_of_known(image: Float32Array, known: BoolArray, kernel: Float32Array) -> Float32Array:
+def _mean_of_known(image: NDArray, known: BoolArray, kernel: NDArray) -> Float32Array:
     """Mean under a kernel of what is known; mirrored at the borders, which keeps the grid.
 
     In a corner of the frame the mirror may show nothing that is known: there, the mean of a wider square.
     """
     share = known.astype(np.float32)
 
-    def mean(weights: Float32Array) -> tuple[Float32Array, Float32Array]:
+    def mean(weights: NDArray) -> tuple[NDArray, NDArray]:
         total, weight = (
             cv2.filter2D(a, -1, weights, borderType=cv2.BORDER_REFLECT_101) for a in (image * share, share)
         )
@@ -225,7 +225,7 @@ def replace_sparse(mosaic: Float32Array, camera: Camera, white: NDArray) -> Floa
     return np.maximum(bayer, 0, out=bayer)
 
 
-def _green(mosaic: Float32Array, green: BoolArray) -> Float32Array:
+def _green(mosaic: NDArray, green: BoolArray) -> Float32Array:
     """Green at every pixel [h, w] from its quincunx: along the row or the column, whichever changes less."""
     wide = np.pad(mosaic, 1, mode="reflect")
     up, down, left, right = wide[:-2, 1:-1], wide[2:, 1:-1], wide[1:-1, :-2], wide[1:-1, 2:]
