@@ -19,6 +19,14 @@ class Settings(Specification):
     denoise_bandwidth: float = Field(default=3.0, gt=0, le=100, description="tau of eq. (4), noise variances")
     denoise_patch_sigma_px: float = Field(default=1.0, gt=0, le=10, description="rho of eq. (5), plane pixels")
 
+    # sec. 4.4
+    infrared_removal: Literal["coefficients", "matrix"] = Field(
+        default="coefficients", description="eq. (7), or a full 4x4 crosstalk matrix"
+    )
+    crosstalk: tuple[float, float, float] | None = Field(
+        default=None, description="alpha of eq. (8) for R, G, B as measured; by default from the response curves"
+    )
+
     # sec. 5.2
     window_px: int = Field(default=31, ge=5, le=201, description="delta of eq. (11), side of the patch")
     window: Literal["gaussian", "box"] = "gaussian"
