@@ -24,7 +24,7 @@ Progress = Callable[[str, float], None]
 
 PICTURE_STAGES = ("linearise", "light", "denoise", "infrared", "demosaic", "colour")
 STAGES = (*PICTURE_STAGES[:-1], "depth", "regularise", "sharpen", "colour")
-LIGHTS = ("D65", "D55", "A")  # that white balance chooses from where there is no bank
+LIGHTS = ("D65", "D55", "A", "energy-saving-3500K")  # sec. 5.1, that white balance chooses from without a bank
 NOISE_BLUR_PX = 1.5  # plane pixels: the signal that decides the noise is a local mean
 FALLBACK_TRUST = 0.25  # of red or blue in place of infrared: their blur differs little (sec. 5.3)
 DENOISED_NOISE_SHARE = 0.5  # of the sensor's noise that nonlocal means leave, standard deviation
