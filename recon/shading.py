@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.polynomial.legendre import legvander
 from numpy.typing import NDArray
 
 from dasim.camera import Camera
@@ -12,18 +13,20 @@ from recon import mosaic
 
 Float32Array = NDArray[np.float32]
 
-DEGREE = 6  # of the polynomial in row and column: cos^4 over 45 degrees of half diagonal is met to 0.1 %
+DEGREE = 4  # of the polynomial in row and column that is the gain: cos^-4 = (1 + r^2 / s^2)^2 is one, exactly
 SAMPLES = 64  # blocks along the longer side that the polynomial is fitted to
 MOST_SATURATED = 0.001  # of the pixels
 DIMMEST_SHARE = 0.02  # of full scale that the flat must have on average
-DARKEST_CORNER = 0.02  # of the brightest place: below, a gain would be guesswork
+LEAST_BLOCK_PX = 8
+DARKEST_BLOCK = 0.02  # of the brightest: below, a gain would be guesswork
 
 
 def gain(flat: Capture, camera: Camera) -> Float32Array:
     """Factor on each pixel's electrons [h, w] that makes a capture of an even surface even, 1 at the brightest place.
 
     ``flat`` is a capture of an even, evenly lit surface out of focus, by the same sensor at the same focus, with its
-    black level. A smooth polynomial is fitted to each channel, so that noise, dust and PRNU are not taken for shading.
+    black level. A polynomial is fitted to the inverse of each channel, so that noise, dust and PRNU
+    are not taken for shading.
     """
     _check(flat, camera)
     electrons, saturated = mosaic.linearise(flat)
@@ -34,10 +37,8 @@ def gain(flat: Capture, camera: Camera) -> Float32Array:
     found = np.empty_like(electrons)
     for name, own in mosaic.grids(camera).items():
         where = mosaic.sites(own, electrons.shape)
-        smooth = _smooth(electrons, where)
-        if smooth.min() < DARKEST_CORNER * smooth.max():
-            raise InputError(f"flat: channel {name} is not lit everywhere; take an even surface that fills the frame")
-        found[where] = (smooth.max() / smooth)[where]
+        inverse = _inverse(electrons, where, name)
+        found[where] = (inverse / inverse.min())[where]
     return found
 
 
@@ -52,29 +53,31 @@ def _check(flat: Capture, camera: Camera) -> None:
         )
 
 
-def _smooth(electrons: Float32Array, where: NDArray) -> NDArray[np.float64]:
-    """Least-squares polynomial of row and column, of total degree ``DEGREE``, of a channel's pixels, [h, w]."""
+def _inverse(electrons: Float32Array, where: NDArray, name: str) -> NDArray[np.float64]:
+    """Polynomial of row and column, of total degree ``DEGREE``, for 1 / electrons of a channel's pixels, [h, w].
+
+    Least squares over the means of square blocks, each weighted as its inverse is known.
+    """
     height, width = electrons.shape
-    block = max(8, -(-max(height, width) // SAMPLES))
+    block = max(LEAST_BLOCK_PX, -(-max(height, width) // SAMPLES))
     rows, columns = (np.arange(0, n, block) for n in (height, width))
-    total, count = (
-        np.add.reduceat(np.add.reduceat(a.astype(np.float64), rows, axis=0), columns, axis=1)
-        for a in (electrons * where, where)
-    )
-    middle = [(np.append(at, n)[1:] + at - 1) / 2 for at, n in ((rows, height), (columns, width))]
+    y, x = (2 * (np.arange(n) + 0.5) / n - 1 for n in (height, width))
+
+    def total(image: NDArray) -> NDArray[np.float64]:
+        per_row = np.add.reduceat(image.astype(np.float64), rows, axis=0)
+        return np.asarray(np.add.reduceat(per_row, columns, axis=1))
+
+    count = total(where)
+    mean = total(electrons * where) / count
+    if mean.min() < DARKEST_BLOCK * mean.max():
+        raise InputError(f"flat: channel {name} is not lit everywhere; take an even surface that fills the frame")
+    # where a channel's pixels are on average in each block: their grid does not lie in its middle
+    at_y, at_x = (legvander((total(where * at) / count).ravel(), DEGREE) for at in (y[:, None], x[None, :]))
     powers = [(i, j) for i in range(DEGREE + 1) for j in range(DEGREE + 1 - i)]
-
-    def basis(y: NDArray, x: NDArray) -> tuple[NDArray, NDArray]:
-        scaled = [2 * (at + 0.5) / n - 1 for at, n in ((y, height), (x, width))]
-        return tuple(np.polynomial.legendre.legvander(at, DEGREE) for at in scaled)  # type: ignore[return-value]
-
-    in_y, in_x = basis(*middle)
-    design = np.stack([np.outer(in_y[:, i], in_x[:, j]).ravel() for i, j in powers], axis=1)
-    weight = np.sqrt(count.ravel())
-    values = total.ravel() / np.maximum(count.ravel(), 1)
-    found, *_ = np.linalg.lstsq(design * weight[:, None], values * weight, rcond=None)
+    design = np.stack([at_y[:, i] * at_x[:, j] for i, j in powers], axis=1)
+    weight = (mean * np.sqrt(mean * count)).ravel()  # 1 over the standard error of 1 / mean, for photon noise
+    fitted, *_ = np.linalg.lstsq(design * weight[:, None], weight / mean.ravel(), rcond=None)
     table = np.zeros((DEGREE + 1, DEGREE + 1))
-    for (i, j), value in zip(powers, found, strict=True):
+    for (i, j), value in zip(powers, fitted, strict=True):
         table[i, j] = value
-    full_y, full_x = basis(np.arange(height), np.arange(width))
-    return np.asarray(full_y @ table @ full_x.T)
+    return np.asarray(legvander(y, DEGREE) @ table @ legvander(x, DEGREE).T)
