@@ -28,7 +28,7 @@ def gain(flat: Capture, camera: Camera) -> Float32Array:
     black level. A polynomial is fitted to the inverse of each channel, so that noise, dust and PRNU
     are not taken for shading.
     """
-    _check(flat, camera)
+    check(flat, camera)
     electrons, saturated = mosaic.linearise(flat)
     if saturated.mean() > MOST_SATURATED:
         raise InputError(f"flat: {saturated.mean():.1%} of its pixels are saturated; take it with a shorter exposure")
@@ -42,7 +42,8 @@ def gain(flat: Capture, camera: Camera) -> Float32Array:
     return found
 
 
-def _check(flat: Capture, camera: Camera) -> None:
+def check(flat: Capture, camera: Camera) -> None:
+    """InputError where a flat is of another sensor or size."""
     mine, theirs = camera.sensor, flat.camera.sensor
     same = ("width_px", "height_px", "pixel_pitch_um", "mosaic")
     wrong = [name for name in same if getattr(mine, name) != getattr(theirs, name)]

@@ -17,8 +17,8 @@ SIZE_PX = (128, 96)
 TIME_S = 0.01
 # A ramp of 10 % over the frame and photon noise of 1,500 electrons and more; the frame's mean is far better known.
 FLAT_COLOUR = 0.01
-# A digital number is 6 electrons of about 450 in the dimmest corner of the dimmest channel. Without noise neighbours are
-# rounded alike: 1.7 electrons rms, 0.4 %, of a block.
+# A digital number is 6 electrons of about 450 in the dimmest corner of the dimmest channel. Without noise neighbours
+# are rounded alike: 1.7 electrons rms, 0.4 %, of a block.
 SHADING_TOLERANCE = 0.006
 # With noise in both: 16 pixels of 300 electrons in a corner of the dimmest channel, 1.5 %, as much again in the fit of
 # the flat's own corner; two and a half standard errors. Not undone, a corner is at 0.45.
