@@ -6,6 +6,7 @@ shared with the simulator, never its formulas.
 """
 
 from dasim.files import load_bank, load_capture, save_bank
+from recon.infrared import measured_crosstalk
 from recon.pipeline import develop, reconstruct
 from recon.psf_bank import calibrate
 from recon.settings import PAPER, Settings
@@ -17,6 +18,7 @@ __all__ = [
     "develop",
     "load_bank",
     "load_capture",
+    "measured_crosstalk",
     "reconstruct",
     "save_bank",
 ]

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import itertools
+import os
 import warnings
+from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
 
 import cv2
@@ -21,6 +23,7 @@ BoolArray = NDArray[np.bool_]
 Phase = tuple[int, int]
 
 SATURATION_SHARE = 0.98  # of full scale above black: noise and rounding can lower a full pixel by that much
+STRIP_PX = 256  # even, rows that are demosaiced at a time
 BORDER_PX = 8  # even, so that mirroring keeps the mosaic's phase; more than the demosaic's filters reach
 EXCESS_PATCH, EXCESS_PERCENTILE = 16, 10.0
 DIAGONAL = np.array([[1, 0, 1], [0, 0, 0], [1, 0, 1]], np.float32) / 4
@@ -253,9 +256,19 @@ def demosaic(bayer: Float32Array, camera: Camera, signature: NDArray) -> Float32
     for (y, x), letter in letters.items():
         balanced[y::2, x::2] /= white["RGB".index(letter)]
     padded = np.pad(balanced, BORDER_PX, mode="reflect")
-    image = demosaicing_CFA_Bayer_Menon2007(padded, "".join(letters[y, x] for y in (0, 1) for x in (0, 1))) * white
-    inner = slice(BORDER_PX, -BORDER_PX)
-    return np.ascontiguousarray(image[inner, inner], np.float32)
+    pattern = "".join(letters[y, x] for y in (0, 1) for x in (0, 1))
+    image = np.empty((*bayer.shape, 3), np.float32)
+
+    def strip(top: int) -> None:
+        rows = slice(top, min(top + STRIP_PX, bayer.shape[0]))
+        own = padded[rows.start : rows.stop + 2 * BORDER_PX]
+        colours = demosaicing_CFA_Bayer_Menon2007(own, pattern)[BORDER_PX:-BORDER_PX, BORDER_PX:-BORDER_PX]
+        image[rows] = colours * white
+
+    # in strips: a whole frame of 50 Mpx would take 10 GB, and the library works on one core
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        list(pool.map(strip, range(0, bayer.shape[0], STRIP_PX)))
+    return image
 
 
 def bayer_letters(camera: Camera) -> dict[Phase, str]:

@@ -136,6 +136,15 @@ def test_a_flat_colour_is_flat_after_demosaicing(rows):
     np.testing.assert_allclose(rgb, four[..., :3], rtol=1e-5)
 
 
+def test_strips_leave_no_seams(monkeypatch):
+    """White noise, the hardest texture: demosaiced in strips and in one piece, to the last bit but float32's."""
+    camera = with_mosaic(BAYER[0])
+    raw = np.random.default_rng(2).uniform(0, 1000, (48, 64)).astype(np.float32)
+    whole = mosaic.demosaic(raw, camera, np.ones(3))
+    monkeypatch.setattr(mosaic, "STRIP_PX", 10)
+    np.testing.assert_allclose(mosaic.demosaic(raw, camera, np.ones(3)), whole, rtol=1e-6, atol=1e-3)
+
+
 def blob(y, x):
     """A smooth point, 3 px wide, at a place between the pixels."""
     return np.exp(-((y - POINT[0]) ** 2 + (x - POINT[1]) ** 2) / (2 * 3.0**2))
