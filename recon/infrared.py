@@ -111,17 +111,11 @@ def light_power(light: str) -> FloatArray:
         return illuminants.illuminant("D65")
 
 
-def separate(rgb: Float32Array, infrared: Float32Array, matrix: NDArray, keep: NDArray | None = None) -> Float32Array:
-    """Visible light alone, ``matrix`` [3, 4] times (R, G, B, IR), [h, w, 3], not below 0.
-
-    ``keep`` marks saturated pixels: their sum is unknown, so they stay as they are (deviation: the paper
-    does not treat them).
-    """
-    rows = matrix.astype(np.float32)
-    clean = np.maximum(rgb @ rows[:, :3].T + infrared[..., None] * rows[:, 3], 0)
-    return np.asarray(clean if keep is None else np.where(keep[..., None], rgb, clean), np.float32)
+def separate(image: Float32Array, matrix: NDArray) -> Float32Array:
+    """Visible light alone: ``matrix`` [3, channel] times an image [h, w, channel], not below 0, [h, w, 3]."""
+    return np.asarray(np.maximum(image @ matrix.astype(np.float32).T, 0), np.float32)
 
 
-def remove(rgb: Float32Array, infrared: Float32Array, alpha: Float32Array, keep: NDArray | None = None) -> Float32Array:
+def remove(rgb: Float32Array, infrared: Float32Array, alpha: Float32Array) -> Float32Array:
     """Visible light alone, I_out = I_f - alpha I_IR, eq. (7): :func:`separate` with one coefficient a channel."""
-    return separate(rgb, infrared, np.hstack([np.eye(3), -np.asarray(alpha)[:, None]]), keep)
+    return separate(np.dstack([rgb, infrared]), np.hstack([np.eye(3), -np.asarray(alpha)[:, None]]))

@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from dasim.camera import Camera
 from dasim.colour import exposure_scale, to_srgb
 from dasim.errors import InputError
 from dasim.values import Capture
@@ -21,6 +22,7 @@ FloatArray = NDArray[np.float64]
 Stage = Callable[[str], AbstractContextManager[None]]
 
 MIN_FRAME_PX = 32
+CLIPPED_NEAR_PX = 5  # interpolation takes most of a value from pixels within two
 
 
 @dataclass(frozen=True)
@@ -81,13 +83,28 @@ def denoised(raw_e: Float32Array, capture: Capture, settings: Settings) -> Float
 
 
 def without_infrared(
-    full_e: Float32Array, ir_e: Float32Array | None, separation: FloatArray, saturated: NDArray
+    full_e: Float32Array, ir_e: Float32Array | None, separation: FloatArray, clipped: NDArray, white: NDArray
 ) -> Float32Array:
-    """Sec. 4.4 at full resolution, [h, w, 3]; pixels that touch a ``saturated`` one stay as they are."""
-    if ir_e is None:
-        return np.maximum(full_e, 0)
-    touched = cv2.dilate(saturated.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
-    return infrared.separate(full_e, np.maximum(ir_e, 0), separation, touched)
+    """Sec. 4.4 at full resolution, [h, w, 3]; what is ``clipped`` [h, w, 3] is taken for a lower bound.
+
+    A saturated channel has lost more than infrared: it is raised to the brightest channel's level, all measured
+    against ``white`` [channel], so that a highlight is white and no pink (deviation: the paper does not treat them).
+    """
+    with_ir = full_e if ir_e is None else np.dstack([full_e, np.maximum(ir_e, 0)])
+    clean = infrared.separate(with_ir, separation)
+    if not clipped.any():
+        return clean
+    neutral = (separation @ white[: separation.shape[1]]).astype(np.float32)
+    level = (clean / neutral).max(axis=-1, keepdims=True)
+    return np.asarray(np.where(clipped, np.maximum(clean, level * neutral), clean), np.float32)
+
+
+def clipped(saturated: NDArray, camera: Camera) -> NDArray[np.bool_]:
+    """Where R, G and B took their value from a saturated pixel, [h, w, 3]."""
+    own = mosaic.grids(camera)
+    near = np.ones((CLIPPED_NEAR_PX, CLIPPED_NEAR_PX), np.uint8)
+    masks = [(saturated & mosaic.sites(own[name], saturated.shape)).astype(np.uint8) for name in "RGB"]
+    return np.dstack([cv2.dilate(mask, near) > 0 for mask in masks])
 
 
 def displayed(linear_e: Float32Array, matrix: FloatArray) -> Float32Array:

@@ -67,8 +67,9 @@ def reconstruct(
         sharp = four + confidence[..., None] * (sharp - four)  # where the level is a guess, as captured
     with stage("colour"):
         separation = infrared.separation(camera, bank.lights[light], settings)
-        linear_e = picture.without_infrared(full_e, ir_e, separation, saturated)
-        sharp_e = picture.without_infrared(sharp[..., :3], sharp[..., 3], separation, saturated)
+        clipped, white = picture.clipped(saturated, camera), bank.signature[light]
+        linear_e = picture.without_infrared(full_e, ir_e, separation, clipped, white)
+        sharp_e = picture.without_infrared(sharp[..., :3], sharp[..., 3], separation, clipped, white)
         matrix = colour.colour_matrix(camera, bank.lights[light], separation)
         scale = exposure_scale(linear_e, matrix)
         rgb, sharp_rgb = to_srgb(linear_e, matrix, scale), to_srgb(sharp_e, matrix, scale)
@@ -106,11 +107,13 @@ def develop(
     camera = capture.camera
     timings: dict[str, float] = {}
     stage = _stages(PICTURE_STAGES, timings, progress)
-    image = picture.demosaiced(capture, colour.signatures(camera, lights), settings, flat, stage)
+    signature = colour.signatures(camera, lights)
+    image = picture.demosaiced(capture, signature, settings, flat, stage)
     light = lights[image.light]
     with stage("colour"):
         separation = infrared.separation(camera, light, settings)
-        linear_e = picture.without_infrared(image.full_e, image.ir_e, separation, image.saturated)
+        clipped = picture.clipped(image.saturated, camera)
+        linear_e = picture.without_infrared(image.full_e, image.ir_e, separation, clipped, signature[image.light])
         matrix = colour.colour_matrix(camera, light, separation)
         rgb = picture.displayed(linear_e, matrix)
     if progress:

@@ -23,6 +23,9 @@ SHADING_TOLERANCE = 0.006
 # With noise in both: 16 pixels of 300 electrons in a corner of the dimmest channel, 1.5 %, as much again in the fit of
 # the flat's own corner; two and a half standard errors. Not undone, a corner is at 0.45.
 EVEN_TOLERANCE = 0.05
+# Largest spread of the balanced channels over their largest, of a grey. Half a column of the ramp at the clipping edge,
+# and noise: a few per cent. Subtracting from clipped values, or keeping them, gives 40 to 60 %.
+HIGHLIGHT_CAST = 0.15
 
 
 def small(name, **changed):
@@ -99,18 +102,27 @@ def test_noise_reduction_is_that_of_each_grid(name):
 # --- saturation ----------------------------------------------------------------------------------
 
 
-def test_saturated_pixels_are_kept_out_of_the_removal():
-    """A clipped red in strong infrared: taking infrared off it would leave a colour that is none of the light's."""
-    full = np.full((4, 4, 3), 6000, np.float32)
-    ir = np.full((4, 4), 4000, np.float32)
-    camera = small("da-mobile")
-    clipped = np.zeros((4, 4), bool)
-    clipped[:2, :2] = True
-    rows = infrared.separation(camera, "A", recon.PAPER)
-    clean = picture.without_infrared(full, ir, rows, clipped)
-    np.testing.assert_array_equal(clean[0, 0], full[0, 0])
-    np.testing.assert_array_equal(clean[2, 2], full[2, 2])  # touches one, and took its value from it
-    np.testing.assert_allclose(clean[3, 3], 6000 - 4000 * infrared.crosstalk(camera), rtol=1e-5)
+@pytest.mark.parametrize("light", ["D65", "A"])
+@pytest.mark.parametrize("name", CAMERAS)
+def test_highlights_of_grey_are_grey(name, light):
+    """A grey ramp to three times the full well: no pink where red is full and the others are not, nor where all are."""
+    reflectance = np.linspace(0.2, 3.0, SIZE_PX[0])[None, :].repeat(SIZE_PX[1], 0)
+    found = recon.develop(capture(small(name), reflectance, light))
+    linear = np.maximum(found.linear_e @ found.matrix.T, 0)
+    columns = linear[16:-16].mean(axis=0)  # over the rows: noise of the darkest electrons does not count
+    assert (np.ptp(columns, axis=1) / columns.max(axis=1))[8:].max() < HIGHLIGHT_CAST
+    brightness = columns.mean(axis=1)
+    assert brightness[-1] > 0.9 * brightness.max(), "what is overexposed stays bright"
+
+
+def test_a_saturated_colour_keeps_its_hue():
+    """A red that fills its wells beside weak green and blue: taken as the lower bound that it is, and no white."""
+    full = np.array([[[6000.0, 900, 500]]], np.float32)
+    clipped = np.array([[[True, False, False]]])
+    rows = infrared.separation(small("da-mobile"), "A", recon.PAPER)
+    ir, white = np.full((1, 1), 1500, np.float32), np.array([2.0, 1.0, 0.5, 1.4])
+    clean = picture.without_infrared(full, ir, rows, clipped, white)
+    np.testing.assert_allclose(clean, full - 1500 * infrared.crosstalk(small("da-mobile")), rtol=1e-5)
 
 
 # --- infrared ------------------------------------------------------------------------------------
