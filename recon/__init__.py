@@ -9,10 +9,11 @@ from dasim.files import load_bank, load_capture, save_bank
 from recon.infrared import measured_crosstalk
 from recon.pipeline import develop, reconstruct
 from recon.psf_bank import calibrate
-from recon.settings import PAPER, Settings
+from recon.settings import PAPER, PRESETS, Settings
 
 __all__ = [
     "PAPER",
+    "PRESETS",
     "Settings",
     "calibrate",
     "develop",
