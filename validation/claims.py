@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from validation.claims_depth import staircase, staircase_camera
 from validation.claims_diffraction import airy_table, wave_energy, wave_sfr
 from validation.claims_lens import blur_off
 from validation.claims_light import absolute_electrons, eq8_flat_field, hole_alpha_squared, light_loss
@@ -30,4 +31,6 @@ CLAIMS = {
     "interreflection": Measurement(interreflection, quick=False),
     "colour": Measurement(colour, quick=False),
     "scenes-speed": Measurement(scenes_speed, quick=False),
+    "staircase": Measurement(staircase, quick=False),
+    "staircase-camera": Measurement(staircase_camera, quick=False),
 }
