@@ -70,15 +70,14 @@ def reconstruct(
         smooth, evidence = regularise(raw_level, trust, guide, settings.regularise_bandwidth)
         level = _upsampled(smooth, camera.sensor.height_px, camera.sensor.width_px)
     with stage("sharpen"):
-        four = np.dstack([full_e, ir_e])
-        confidence = _upsampled(evidence, *level.shape)
-        sharp = sharpen.sharpen(four, level, bank.kernel[light], _noise_e(variances, settings), settings)
-        sharp = four + confidence[..., None] * (sharp - four)  # where the level is a guess, as captured
-    with stage("colour"):
-        alpha = infrared.crosstalk(camera)
-        keep = _grown(saturated)
+        alpha, keep = infrared.crosstalk(camera), _grown(saturated)
         linear_e = infrared.remove(full_e, np.maximum(ir_e, 0), alpha, keep)
-        sharp_e = infrared.remove(sharp[..., :3], sharp[..., 3], alpha, keep)
+        kernels = sharpen.visible_kernels(bank.kernel[light], white, alpha)
+        noise_e = sharpen.visible_noise(_noise_e(variances, settings), alpha)
+        found, _ = sharpen.sharpen(linear_e, ir_e, level, kernels, noise_e, settings)
+        confidence = _upsampled(evidence, *level.shape)
+        sharp_e = linear_e + confidence[..., None] * (found - linear_e)  # where the level is a guess, as captured
+    with stage("colour"):
         matrix = colour.colour_matrix(camera, bank.lights[light])
         scale = exposure_scale(linear_e, matrix)
         rgb, sharp_rgb = to_srgb(linear_e, matrix, scale), to_srgb(sharp_e, matrix, scale)

@@ -49,7 +49,8 @@ def surface(
     height, width = depth_m.shape
     if image.shape[:2] != (height, width):
         raise InputError(
-            f"surface: a picture of {image.shape[1]} x {image.shape[0]} pixels does not fit depths of {width} x {height}"
+            f"surface: a picture of {image.shape[1]} x {image.shape[0]} pixels does not fit depths of "
+            f"{width} x {height}"
         )
     rows, columns = np.arange(0, height, stride_px), np.arange(0, width, stride_px)
     depth = depth_m[np.ix_(rows, columns)].astype(np.float64)
