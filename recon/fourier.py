@@ -42,14 +42,14 @@ def _mirror(index: NDArray, size: int) -> NDArray:
     return np.where(folded < size, folded, 2 * size - 1 - folded)
 
 
-def forward(image: Float32Array) -> Complex64Array:
-    """Real two-dimensional transform."""
-    return fft.rfft2(image, workers=WORKERS)
+def forward(image: Float32Array, workers: int = WORKERS) -> Complex64Array:
+    """Real two-dimensional transform of the last two axes."""
+    return fft.rfft2(image, workers=workers)
 
 
-def inverse(spectrum: Complex64Array, shape: tuple[int, int]) -> Float32Array:
-    """Real two-dimensional inverse transform to [h, w]."""
-    return fft.irfft2(spectrum, shape, workers=WORKERS)
+def inverse(spectrum: Complex64Array, shape: tuple[int, int], workers: int = WORKERS) -> Float32Array:
+    """Real two-dimensional inverse transform to [..., h, w]."""
+    return fft.irfft2(spectrum, shape, workers=workers)
 
 
 def frequencies(shape: tuple[int, int], spacing_px: float = 1.0) -> tuple[NDArray, NDArray]:

@@ -61,15 +61,16 @@ def reconstruct(
         smooth, evidence = regularise(raw_level, trust, guide, settings.regularise_bandwidth)
         level = _upsampled(smooth, camera.sensor.height_px, camera.sensor.width_px)
     with stage("sharpen"):
-        four = np.dstack([full_e, ir_e])
-        confidence = _upsampled(evidence, *level.shape)
-        sharp = sharpen.sharpen(four, level, bank.kernel[light], _noise_e(variances, settings), settings)
-        sharp = four + confidence[..., None] * (sharp - four)  # where the level is a guess, as captured
-    with stage("colour"):
         separation = infrared.separation(camera, bank.lights[light], settings)
         clipped, white = picture.clipped(saturated, camera), bank.signature[light]
         linear_e = picture.without_infrared(full_e, ir_e, separation, clipped, white)
-        sharp_e = picture.without_infrared(sharp[..., :3], sharp[..., 3], separation, clipped, white)
+        alpha = -separation[:, 3] / separation[:, :3].diagonal()  # a full matrix mixes colours too: their blur is alike
+        kernels = sharpen.visible_kernels(bank.kernel[light], white, alpha)
+        noise_e = sharpen.visible_noise(_noise_e(variances, settings), alpha)
+        found, _ = sharpen.sharpen(linear_e, ir_e, level, kernels, noise_e, settings)
+        confidence = _upsampled(evidence, *level.shape)
+        sharp_e = linear_e + confidence[..., None] * (found - linear_e)  # where the level is a guess, as captured
+    with stage("colour"):
         matrix = colour.colour_matrix(camera, bank.lights[light], separation)
         scale = exposure_scale(linear_e, matrix)
         rgb, sharp_rgb = to_srgb(linear_e, matrix, scale), to_srgb(sharp_e, matrix, scale)

@@ -1,58 +1,101 @@
-"""The all-in-focus picture (sec. 5.4): each blur level deconvolved with a sparse-gradient prior, eq. (15)-(17)."""
+"""The all-in-focus picture (sec. 5.4): each blur level deconvolved with a sparse-gradient prior, eq. (15)-(17).
+
+All works in tiles of a fixed grid, each with a margin that the level's kernel asks for, so that a level costs only
+where it occurs.
+"""
 
 from __future__ import annotations
 
-from functools import lru_cache
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import partial
 
+import cv2
 import numpy as np
-from numba import njit, prange
 from numpy.typing import NDArray
 
-from recon import fourier
+from recon import deconvolution, fourier
 from recon.settings import Settings
 
 Float32Array = NDArray[np.float32]
 Complex64Array = NDArray[np.complex64]
 
-PRIOR_POWER = 0.8  # eq. (16)
-BETA_FIRST, BETA_GROWTH = 0.02, 2.0 * np.sqrt(2.0)  # of half-quadratic splitting (Krishnan and Fergus 2009, sec. 3)
-TABLE_LIMIT, TABLE_SIZE = 64.0, 8193
-DENSE_LEVELS, SPARSE_STEP = 8, 2  # every level up to here is deconvolved, then each second one
+TILE_PX = 128
+MARGIN_PX = 32  # beyond the kernel's reach: deconvolution rings out over some pixels more
+KERNEL_SHARE = 0.999  # of a kernel's energy within its reach
+DENSE_LEVELS, SPARSE_STEP = 12, 2  # every level up to here is deconvolved, then each second one
 FEATHER_LEVELS = 1.0  # beyond the levels a layer serves: there the picture itself fades into its replacement
-MARGIN_PX = 8
+GUIDE_WINDOW_PX = 5.0  # sigma, of the window in which infrared's gradients are fitted to a colour's
+GUIDE_FLOOR = 1e-3  # of the mean gradient energy: below it infrared tells nothing
+ENOUGH_PX = 2000.0  # pixels of a level that tell its own prior's weight
+BORDER_SHARE = 1.0  # of the kernel's reach: width of the frame's rim that fades into the draft
+DRAFT_PRIOR = 4.0  # factor on the draft's measured beta
+
+
+@dataclass(frozen=True)
+class Layer:
+    """A level in a tile: which pixels it serves, and what is deconvolved for them."""
+
+    node: int  # place in the list of deconvolved levels
+    core: tuple[slice, slice]  # the tile in the frame
+    box: tuple[slice, slice]  # the tile with its margin
+    inner: tuple[slice, slice]  # the tile within the box
+    kernels: NDArray  # [channel, size, size], cut to their reach
 
 
 def sharpen(
     image: Float32Array,
+    infrared: Float32Array,
     level: Float32Array,
     kernels: NDArray,
     noise_e: NDArray,
     settings: Settings,
-) -> Float32Array:
-    """All-in-focus picture [h, w, channel] from a linear one, its level map [h, w] and the bank's kernels.
+) -> tuple[Float32Array, Float32Array]:
+    """All-in-focus colours [h, w, 3] and infrared [h, w] from linear ones without infrared and their level map.
 
-    ``kernels`` is [level, channel, size, size], ``noise_e`` [channel] the noise's standard deviation. Each
-    level that occurs is deconvolved; a pixel takes its value between the two nearest levels, eq. (17).
-    Deviations from the paper: the regularised level map with fractions, not the raw one (no seams); what lies
-    at other levels is replaced beforehand by a first estimate blurred to this level, because each
-    layer's deconvolution assumes one blur everywhere; level 0, in focus, stays as captured.
+    ``kernels`` [level, channel, size, size] blur R, G, B without infrared (:func:`visible_kernels`) and IR,
+    ``noise_e`` [channel] is the noise's standard deviation. A pixel takes its value between the two nearest
+    levels, eq. (17).
+
+    Deviations from the paper: infrared is taken out first, since a mixed kernel is right for one reflectance
+    only; the regularised level map with fractions, not the raw one (no seams); what lies at other levels is
+    replaced beforehand by a first estimate blurred to this level, because each layer's deconvolution
+    assumes one blur everywhere; the prior of the colours expects the gradients of the sharp infrared
+    picture, scaled to each colour, where ``sharpen_guide`` says so.
     """
     nodes = _nodes(len(kernels))
-    share = _shares(level, nodes)
-    draft = _draft(image, share, nodes, kernels, noise_e)
-    result = share[0][..., None] * image
-    for index in range(1, len(nodes)):
-        if not share[index].any():
-            continue
-        near = _near(level, nodes, index)
-        rows, columns = _bounds(near > 0, kernels.shape[-1] // 2 + MARGIN_PX)
-        box = (rows, columns)
-        for channel in range(image.shape[-1]):
-            kernel = kernels[nodes[index], channel]
-            sharp = _layer(image[box][..., channel], draft[box][..., channel], near[box], kernel,
-                           float(noise_e[channel]), settings)  # fmt: skip
-            result[box][..., channel] += share[index][box] * sharp
-    return np.maximum(result, 0)
+    cut = [_cut(kernels[node]) for node in nodes]
+    position = np.interp(level, nodes, np.arange(len(nodes))).astype(np.float32)
+    stack = np.ascontiguousarray(np.concatenate([np.moveaxis(image, -1, 0), infrared[None]]), np.float32)
+    layers = list(_layers(position, cut))
+    noise = np.maximum(np.asarray(noise_e, np.float32), np.float32(1e-3))
+    draft = _draft(stack, position, layers, noise)
+    sharp = np.zeros_like(stack)
+    for part in (slice(3, 4), slice(0, 3)):  # infrared first: it guides the colours
+        guide = sharp[3] if settings.sharpen_guide and part.start == 0 else None
+        kappa = _prior_scale(draft[part], noise[part], position, len(nodes)) / settings.sharpen_strength
+        work = partial(_deconvolved, stack, draft, guide, position, part, noise, kappa, settings)
+        _collect(sharp[part], position, layers, work)
+    sharp = np.maximum(sharp, 0)
+    return np.ascontiguousarray(np.moveaxis(sharp[:3], 0, -1)), sharp[3]
+
+
+def visible_kernels(kernels: NDArray, signature: NDArray, alpha: NDArray) -> Float32Array:
+    """Kernels [level, 4, size, size] of R, G, B after eq. (7) and of IR, from measured ones [level, 4, size, size].
+
+    A white point gives channel i ``signature[i]`` h_i; without infrared it gives signature_i h_i - alpha_i
+    signature_IR h_IR, and so does any other colour: the kernel no longer depends on what is photographed.
+    """
+    red_green_blue = signature[:3, None, None] * kernels[:, :3]
+    clean = np.maximum(red_green_blue - (alpha * signature[3])[:, None, None] * kernels[:, 3:], 0)
+    clean = clean / clean.sum(axis=(-1, -2), keepdims=True)
+    return np.concatenate([clean, kernels[:, 3:]], axis=1).astype(np.float32)
+
+
+def visible_noise(noise_e: NDArray, alpha: NDArray) -> NDArray:
+    """Standard deviation of the noise of R, G, B after eq. (7) and of IR, from that before it, [4]."""
+    return np.append(np.hypot(noise_e[:3], alpha * noise_e[3]), noise_e[3])
 
 
 def _nodes(levels: int) -> list[int]:
@@ -61,150 +104,158 @@ def _nodes(levels: int) -> list[int]:
     return dense + list(range(DENSE_LEVELS, levels, SPARSE_STEP))
 
 
-def _shares(level: Float32Array, nodes: list[int]) -> list[Float32Array]:
-    """Weight of each node at each pixel: linear between neighbouring nodes, summing to 1."""
-    position = np.interp(level, nodes, np.arange(len(nodes))).astype(np.float32)
-    return [np.maximum(1 - np.abs(position - index), 0).astype(np.float32) for index in range(len(nodes))]
+def _share(position: Float32Array, node: int) -> Float32Array:
+    """Weight of a node at each pixel: linear between neighbouring nodes, summing to 1."""
+    return np.maximum(1 - np.abs(position - node), 0).astype(np.float32)
 
 
-def _near(level: Float32Array, nodes: list[int], index: int) -> Float32Array:
-    """1 where a node serves, falling to 0 over ``FEATHER_LEVELS`` beyond its neighbours."""
-    below, above = nodes[index - 1], nodes[min(index + 1, len(nodes) - 1)]
-    distance = np.maximum(below - level, level - above)
-    return np.clip(1 - distance / FEATHER_LEVELS, 0, 1).astype(np.float32)
+def _layers(position: Float32Array, kernels: list[NDArray]) -> Iterator[Layer]:
+    """Every node in every tile of the grid where it has a share; ``kernels`` of each node."""
+    height, width = position.shape
+    for top in range(0, height, TILE_PX):
+        for left in range(0, width, TILE_PX):
+            core = (slice(top, min(top + TILE_PX, height)), slice(left, min(left + TILE_PX, width)))
+            inside = position[core]
+            for node in range(int(inside.min()), int(np.ceil(inside.max())) + 1):
+                if not _share(inside, node).any():
+                    continue
+                margin = kernels[node].shape[-1] // 2 + MARGIN_PX
+                box = tuple(slice(max(s.start - margin, 0), min(s.stop + margin, n))
+                            for s, n in zip(core, position.shape, strict=True))  # fmt: skip
+                inner = tuple(slice(c.start - b.start, c.stop - b.start) for c, b in zip(core, box, strict=True))
+                yield Layer(node, core, (box[0], box[1]), (inner[0], inner[1]), kernels[node])
 
 
-def _bounds(mask: NDArray, margin: int) -> tuple[slice, slice]:
-    """Smallest box around a mask with a margin, within the frame."""
-    found = []
-    for axis, size in enumerate(mask.shape):
-        index = np.flatnonzero(mask.any(axis=1 - axis))
-        found.append(slice(max(int(index[0]) - margin, 0), min(int(index[-1]) + 1 + margin, size)))
-    return found[0], found[1]
+def _cut(kernels: NDArray) -> NDArray:
+    """Kernels [channel, size, size] cut to the square that holds ``KERNEL_SHARE`` of each, again of unit sum."""
+    middle = reach = kernels.shape[-1] // 2
+    for reach in range(1, middle + 1):
+        square = kernels[:, middle - reach : middle + reach + 1, middle - reach : middle + reach + 1]
+        if square.sum(axis=(1, 2)).min() >= KERNEL_SHARE:
+            break
+    return square / square.sum(axis=(1, 2), keepdims=True)
 
 
-def _draft(
-    image: Float32Array, share: list[Float32Array], nodes: list[int], kernels: NDArray, noise_e: NDArray
-) -> Float32Array:  # fmt: skip
-    """First all-in-focus estimate with the quadratic prior of eq. (10), in closed form over the whole frame."""
-    shape = fourier.fast_shape(image.shape, kernels.shape[-1])
-    height, width = image.shape[:2]
-    gradient = _gradient_power(shape)
-    draft = share[0][..., None] * image
-    for channel in range(image.shape[-1]):
-        padded = fourier.pad_blended(image[..., channel], shape)
-        spectrum = fourier.forward(padded)
-        beta = np.float32(_variance_ratio(image[..., channel], float(noise_e[channel])))
-        for index in range(1, len(nodes)):
-            if share[index].any():
-                transfer = fourier.transfer(kernels[nodes[index], channel], shape)
-                quotient = np.conj(transfer) / (np.abs(transfer) ** 2 + beta * gradient + np.float32(1e-9))
-                sharp = fourier.inverse(spectrum * quotient, shape)[:height, :width]
-                draft[..., channel] += share[index] * sharp
+def _transfer(kernels: NDArray, shape: tuple[int, int]) -> Complex64Array:
+    """From the scene as pixels see it to the picture, [channel, h, w/2 + 1].
+
+    Measured kernels hold the pixel's area, and so does the sharp picture: it is taken out once.
+    """
+    fy, fx = fourier.frequencies(shape)
+    return (fourier.transfer(kernels, shape) / (np.sinc(fy) * np.sinc(fx))).astype(np.complex64)
+
+
+def _padded(stack: Float32Array, kernels: NDArray) -> tuple[Float32Array, tuple[int, int]]:
+    """A stack [channel, h, w] in a frame for the Fourier domain, without steps at its borders; and that frame."""
+    shape = fourier.fast_shape(stack.shape[1:], kernels.shape[-1] // 2 + MARGIN_PX)
+    return np.stack([fourier.pad_blended(plane, shape) for plane in stack]), shape
+
+
+def _draft(stack: Float32Array, position: Float32Array, layers: list[Layer], noise: Float32Array) -> Float32Array:
+    """First all-in-focus estimate with the quadratic prior of eq. (10), in closed form."""
+    steps = 0.5 * (np.mean(np.diff(stack, axis=1) ** 2, (1, 2)) + np.mean(np.diff(stack, axis=2) ** 2, (1, 2)))
+    beta = DRAFT_PRIOR * noise**2 / np.maximum(steps, 1e-3 * noise**2)
+    draft = np.zeros_like(stack)
+
+    def work(layer: Layer) -> Float32Array:
+        padded, shape = _padded(stack[:, *layer.box], layer.kernels)
+        return deconvolution.quadratic(padded, _transfer(layer.kernels, shape), beta)
+
+    _collect(draft, position, layers, work)
     return np.maximum(draft, 0)
 
 
-def _variance_ratio(image: Float32Array, noise_e: float) -> float:
-    """Weight beta of the quadratic prior: noise variance over the mean square of the picture's differences."""
-    steps = 0.5 * (np.mean(np.diff(image, axis=0) ** 2) + np.mean(np.diff(image, axis=1) ** 2))
-    return noise_e**2 / max(float(steps), 1e-3 * noise_e**2, 1e-12)
+def _collect(
+    result: Float32Array, position: Float32Array, layers: list[Layer], work: Callable[[Layer], Float32Array]
+) -> None:
+    """Add every layer's [channel, h, w] to the picture, each with its share; two layers at a time."""
+    with ThreadPoolExecutor(fourier.WORKERS) as pool:
+        for layer, found in zip(layers, pool.map(work, layers), strict=True):  # in order: sums do not depend on timing
+            result[:, *layer.core] += _share(position[layer.core], layer.node) * found[:, *layer.inner]
 
 
-def _gradient_power(shape: tuple[int, int]) -> Float32Array:
-    """|D_x|^2 + |D_y|^2 of differences on the half-plane of frequencies."""
-    fy, fx = fourier.frequencies(shape)
-    return (4 * np.sin(np.pi * fy) ** 2 + 4 * np.sin(np.pi * fx) ** 2).astype(np.float32)
+def _prior_scale(draft: Float32Array, noise: Float32Array, position: Float32Array, nodes: int) -> Float32Array:
+    """Prior's weight kappa [node, channel], from E |g|^a = 1 / (a kappa) of exp(-kappa |g|^a).
+
+    g are the draft's gradients in units of the noise, over the pixels that a node serves; a node with few of them
+    takes from the whole frame's mean what it lacks.
+    """
+    power = deconvolution.PRIOR_POWER
+    unit = noise[:, None, None]
+    steps = np.zeros_like(draft)
+    for axis in (1, 2):
+        steps += np.abs(np.diff(draft, axis=axis, append=np.take(draft, [-1], axis)) / unit) ** power / 2
+    nearest = np.rint(position).astype(int).ravel()
+    count = np.bincount(nearest, minlength=nodes)
+    sums = np.stack([np.bincount(nearest, plane.ravel(), minlength=nodes) for plane in steps], axis=1)
+    spread = (sums + ENOUGH_PX * steps.mean(axis=(1, 2))) / (count[:, None] + ENOUGH_PX)
+    return (1 / (power * np.maximum(spread, 1e-6))).astype(np.float32)
 
 
-def _layer(
-    image: Float32Array, draft: Float32Array, near: Float32Array, kernel: NDArray, noise_e: float, settings: Settings
+def _deconvolved(
+    stack: Float32Array,
+    draft: Float32Array,
+    guide: Float32Array | None,
+    position: Float32Array,
+    part: slice,
+    noise: Float32Array,
+    kappa: Float32Array,
+    settings: Settings,
+    layer: Layer,
 ) -> Float32Array:
-    """One level and channel deconvolved, [h, w]: outside ``near`` the draft blurred to this level stands in."""
-    shape = fourier.fast_shape(image.shape, kernel.shape[-1])
-    transfer = fourier.transfer(kernel, shape)
-    inner = (slice(0, image.shape[0]), slice(0, image.shape[1]))
+    """One level in one box, [channel, h, w]: what lies at other levels is the draft blurred to this one."""
+    kernel, box = layer.kernels[part], layer.box
+    picture = stack[part, *box]
+    shape = fourier.fast_shape(picture.shape[1:], kernel.shape[-1] // 2 + MARGIN_PX)
+    transfer = _transfer(kernel, shape)
+    inner = (slice(None), slice(0, picture.shape[1]), slice(0, picture.shape[2]))
+    near = np.clip(1 - (np.abs(position[box] - layer.node) - 1) / FEATHER_LEVELS, 0, 1).astype(np.float32)
+    near *= _inside_frame(box, position.shape, BORDER_SHARE * (kernel.shape[-1] // 2))
     if near.min() < 1:
-        blurred = fourier.inverse(fourier.forward(fourier.pad_blended(draft, shape)) * transfer, shape)[inner]
-        image = near * image + (1 - near) * blurred
-    noise = max(noise_e, 1e-3)
-    steps = np.concatenate([np.abs(np.diff(draft, axis=0)).ravel(), np.abs(np.diff(draft, axis=1)).ravel()])
-    spread = max(float(np.mean((steps / noise) ** PRIOR_POWER)), 1e-6)
-    # exp(-kappa |g|^a) has E |g|^a = 1 / (a kappa): the prior's scale as the draft itself shows it
-    kappa = 1 / (PRIOR_POWER * spread) / settings.sharpen_strength
-    padded = fourier.pad_blended(image, shape) / np.float32(noise)
-    return half_quadratic(padded, transfer, kappa, settings.sharpen_steps)[inner] * np.float32(noise)
+        spectrum = fourier.forward(_padded(draft[part, *box], kernel)[0], 1)
+        picture = near * picture + (1 - near) * fourier.inverse(spectrum * transfer, shape, 1)[inner]
+    unit = noise[part, None, None]
+    padded = _padded(picture, kernel)[0] / unit
+    expected = None
+    if guide is not None:
+        expected = _expected(padded, _padded(guide[None, *box], kernel)[0], transfer, shape)
+    weight, steps = kappa[layer.node], settings.sharpen_steps
+    return deconvolution.half_quadratic(padded, transfer, weight, steps, expected)[inner] * unit
 
 
-def half_quadratic(image: Float32Array, transfer: Complex64Array, kappa: float, steps: int) -> Float32Array:
-    """Minimise over f |h * f - I|^2 / 2 + kappa sum(|f_x|^0.8 + |f_y|^0.8), eq. (15)-(16), periodic frame.
+def _inside_frame(box: tuple[slice, slice], frame: tuple[int, ...], ramp_px: float) -> Float32Array:
+    """1 in a box [h, w], falling to 0 over ``ramp_px`` towards the frame's border.
 
-    ``image`` has noise of standard deviation 1. Half-quadratic splitting: in turns, gradients w shrunk
-    towards sparsity and f from the quadratic problem with them, their coupling beta growing each step.
+    What lies beyond it has mixed into the picture there, and no periodic continuation tells it.
     """
-    shape = image.shape
-    gradient = _gradient_power(shape)
-    data, power = np.conj(transfer) * fourier.forward(image), np.abs(transfer) ** 2
-    table = shrink_table()
-    beta = BETA_FIRST * kappa
-    result = image
-    for _ in range(steps):
-        scale = (kappa / beta) ** (1 / (2 - PRIOR_POWER))
-        pull = np.empty_like(result)
-        _shrunk_divergence(result, table, np.float32(scale), np.float32(TABLE_LIMIT), pull)
-        spectrum = (data + np.float32(beta) * fourier.forward(pull)) / (
-            power + np.float32(beta) * gradient + np.float32(1e-9)
-        )
-        result = fourier.inverse(spectrum, shape)
-        beta *= BETA_GROWTH
-    return result
+    sides = []
+    for part, size in zip(box, frame, strict=True):
+        place = np.arange(part.start, part.stop)
+        sides.append(np.clip((np.minimum(place, size - 1 - place) + 0.5) / max(ramp_px, 0.5), 0, 1))
+    return np.outer(*sides).astype(np.float32)
 
 
-@lru_cache(maxsize=1)
-def shrink_table() -> Float32Array:
-    """Minimise over u |u|^0.8 + (u - v)^2 / 2 for v from 0 to ``TABLE_LIMIT``, [TABLE_SIZE].
+def _expected(
+    picture: Float32Array, guide: Float32Array, transfer: Complex64Array, shape: tuple[int, int]
+) -> tuple[Float32Array, Float32Array]:
+    """Gradients (x, y) [channel, h, w] of the sharp guide [1, h, w], scaled to each channel of the blurred picture.
 
-    The positive minimum from Newton's iteration started at v, kept where it beats u = 0.
+    The factor is fitted by least squares in a window around each pixel, between the picture's gradients and
+    those of the guide blurred as the picture is: there both hold the same frequencies.
     """
-    v = np.linspace(0, TABLE_LIMIT, TABLE_SIZE)
-    a = PRIOR_POWER
-    u = v.copy()
-    for _ in range(30):
-        safe = np.maximum(u, 1e-6)
-        u = np.clip(safe - (a * safe ** (a - 1) + safe - v) / (a * (a - 1) * safe ** (a - 2) + 1), 1e-6, v + 1e-6)
-    cost = u**a + (u - v) ** 2 / 2
-    return np.where((cost < v**2 / 2) & (v > 0), u, 0).astype(np.float32)
+    blurred = fourier.inverse(fourier.forward(guide, 1) * transfer, shape, 1)
+    (gx, gy), (bx, by), (px, py) = _gradients(guide), _gradients(blurred), _gradients(picture)
+    energy = _window(bx * bx + by * by)
+    factor = _window(bx * px + by * py) / (energy + GUIDE_FLOOR * energy.mean(axis=(1, 2), keepdims=True) + 1e-12)
+    return factor * gx, factor * gy
 
 
-@njit(cache=True, parallel=True)
-def _shrunk_divergence(
-    image: Float32Array, table: Float32Array, scale: np.float32, limit: np.float32, out: Float32Array
-) -> None:  # pragma: no cover - compiled
-    """D_x^T w_x + D_y^T w_y of the shrunk forward differences, periodic."""
-    height, width = image.shape
-    per_step = (table.shape[0] - 1) / limit
+def _gradients(stack: Float32Array) -> tuple[Float32Array, Float32Array]:
+    """Forward differences along x and y, periodic."""
+    return np.roll(stack, -1, 2) - stack, np.roll(stack, -1, 1) - stack
 
-    for y in prange(height):
-        down = (y + 1) % height
-        up = (y - 1) % height
-        for x in range(width):
-            right = (x + 1) % width
-            left = (x - 1) % width
-            here = image[y, x]
-            total = np.float32(0)
-            for step, sign in (
-                (here - image[y, left], 1.0),
-                (image[y, right] - here, -1.0),
-                (here - image[up, x], 1.0),
-                (image[down, x] - here, -1.0),
-            ):
-                size = abs(step) / scale
-                if size >= limit:
-                    shrunk = size
-                else:
-                    place = size * per_step
-                    low = int(place)
-                    part = place - low
-                    high = min(low + 1, table.shape[0] - 1)
-                    shrunk = (1 - part) * table[low] + part * table[high]
-                total += np.float32(sign * shrunk * scale * (1.0 if step >= 0 else -1.0))
-            out[y, x] = total
+
+def _window(stack: Float32Array) -> Float32Array:
+    """Weighted mean around each pixel of every channel."""
+    size = (0, 0)
+    return np.stack([cv2.GaussianBlur(p, size, GUIDE_WINDOW_PX, borderType=cv2.BORDER_REFLECT) for p in stack])
