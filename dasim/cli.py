@@ -10,12 +10,16 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import cyclopts
 from cyclopts import Parameter
 
 from dasim.errors import InputError
+
+if TYPE_CHECKING:
+    from dasim.values import Capture, PsfBank
+    from recon.settings import Settings
 
 app = cyclopts.App(
     name="dasim",
@@ -262,53 +266,105 @@ def calibrate(
 
 @app.command
 def recon(
-    capture: Path, *, out: Out, bank: Path | None = None, settings: Path | None = None, flat: Path | None = None
+    capture: Path | None = None,
+    *,
+    out: Path | None = None,
+    camera: str | None = None,
+    format_: Annotated[str | None, Parameter(name="--format")] = None,
+    exposure: float | None = None,
+    gain: float | None = None,
+    focus: float | None = None,
+    bank: Path | None = None,
+    preset: str | None = None,
+    settings: Path | None = None,
+    print_settings: Annotated[bool, Parameter(negative="")] = False,
+    flat: Path | None = None,
 ) -> int:
     """Reconstruct a capture: picture, depth, all-in-focus picture. Of a camera without infrared, the picture alone.
 
     Args:
-        capture: a capture folder
+        capture: a capture folder, or with --camera a raw mosaic: a 16-bit PNG, TIFF or NPY file, or packed pixels
         out: the reconstruction folder
+        camera: of a raw file: a bundled name or a TOML file with mosaic, bit depth, black level and noise; the
+            picture's own size counts
+        format_: of a raw file: raw10 or raw12 (MIPI packing), raw16 (two bytes, low first), all without header and of
+            the camera's size; left-aligned for PNG, TIFF or NPY values shifted up to 16 bits
+        exposure: of a raw file, in seconds, for the dark signal; 0.01 by default
+        gain: of a raw file, analogue, a factor on the camera's own; 1 by default
+        focus: of a raw file, focus distance in metres; the camera's own by default
         bank: a PSF bank; by default one is calibrated for the capture's camera and focus, and kept in the cache
-        settings: a TOML file with settings that differ from the paper's preset
-        flat: a capture of an even surface that fills the frame, to undo the lens shading in the pictures
+        preset: paper (the default), likelihood or chakrabarti-zickler
+        settings: a TOML file with settings that differ from the paper's preset, as --print-settings writes it
+        print_settings: print the settings as TOML, with what each means, and end
+        flat: a capture of an even surface that fills the frame, to undo the lens shading in the pictures; of the same
+            kind as the capture
     """
+    import dasim
     import recon as reconstruction
-    from dasim.files import check_output, load_bank, load_capture
-    from dasim.specification import parse_toml
-    from recon import shading
+    from dasim.files import check_output
+    from recon import settings as known
     from recon.mosaic import grids
-    from recon.output import save_picture, save_reconstruction
-    from validation.banks import simulated_bank
+    from recon.output import save_reconstruction
+    from recon.raw_files import load_input
 
-    check_output(out, "reconstruction")
-    shot = load_capture(capture)
-    infrared = "IR" in grids(shot.camera)  # a mosaic that cannot be reconstructed is refused before a bank is made
-    chosen = reconstruction.PAPER if settings is None else parse_toml(reconstruction.Settings, settings)
-    even = None if flat is None else load_capture(flat)
-    if even is not None:
-        shading.check(even, shot.camera)
-    if not infrared:
-        if bank is not None:
-            raise InputError(
-                f"--bank: camera '{shot.camera.name}' has no infrared pixels and so no depth; leave it out"
-            )
-        picture = reconstruction.develop(shot, chosen, flat=even)
-        save_picture(out, picture)
-        print(f"note: camera '{shot.camera.name}' has no infrared pixels: the picture alone, no depth")
-        print(f"picture: {out} (light by white balance: {picture.light})")
+    chosen = known.chosen(preset, settings)
+    if print_settings:
+        print(known.to_toml(chosen), end="")
         return 0
+    if capture is None or out is None:
+        raise InputError("recon: needs a capture and --out FOLDER (see 'dasim recon --help')")
+    check_output(out, "reconstruction")
+    model = None if camera is None else dasim.load_camera(camera)
+    if focus is not None:
+        if model is None:
+            raise InputError("--focus: is for raw files with --camera; a capture folder says it itself")
+        model = dasim.refocused(model, focus)
+    shot, even = (
+        None if path is None else load_input(path, model, kind=format_, exposure_s=exposure, gain=gain)
+        for path in (capture, flat)
+    )
+    assert shot is not None
+    if even is not None:
+        reconstruction.check_flat(even, shot.camera)
+    if "IR" not in grids(shot.camera):  # a mosaic that cannot be reconstructed is refused before a bank is made
+        return _picture_alone(shot, even, chosen, bank, out)
     with _progress() as progress:
-        if bank is not None:
-            kernels = load_bank(bank)
-        else:
-            model = shot.provenance.get("diffraction", "wave")
-            kernels = simulated_bank(shot.camera, diffraction=model, progress=progress)
+        kernels = _bank(bank, shot, progress)
         result = reconstruction.reconstruct(
             shot, kernels, chosen, flat=even, progress=lambda s, x: progress("reconstructing", x)
         )
-    save_reconstruction(out, result)
+        save_reconstruction(out, result)
+    for note in result.notes:
+        print(f"note: {note}")
     print(f"reconstruction: {out} (light by white balance: {result.light})")
+    return 0
+
+
+def _bank(path: Path | None, shot: Capture, progress: Progress) -> PsfBank:
+    """The bank of a file, or the one that the camera's own description gives."""
+    from dasim.files import load_bank
+    from validation.banks import simulated_bank
+
+    if path is not None:
+        return load_bank(path)
+    if "raw_file" in shot.provenance:
+        print(
+            f"note: without --bank the kernels are those that the description of camera '{shot.camera.name}' predicts; "
+            "of a real camera, measure them (recon.calibrate)"
+        )
+    return simulated_bank(shot.camera, diffraction=shot.provenance.get("diffraction", "wave"), progress=progress)
+
+
+def _picture_alone(shot: Capture, even: Capture | None, chosen: Settings, bank: Path | None, out: Path) -> int:
+    from recon import develop
+    from recon.output import save_picture
+
+    if bank is not None:
+        raise InputError(f"--bank: camera '{shot.camera.name}' has no infrared pixels and so no depth; leave it out")
+    picture = develop(shot, chosen, flat=even)
+    save_picture(out, picture)
+    print(f"note: camera '{shot.camera.name}' has no infrared pixels: the picture alone, no depth")
+    print(f"picture: {out} (light by white balance: {picture.light})")
     return 0
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 import shutil
@@ -53,7 +54,7 @@ def software_versions() -> dict[str, str]:
 # What each kind of result folder holds; the first is the file that marks it.
 RESULT_FILES = {
     "capture": ("meta.json", "raw.png", "truth.exr"),
-    "reconstruction": ("recon.json", "recon.exr", "rgb.png", "sharp.png", "ir.png"),
+    "reconstruction": ("meta.json", "recon.exr", "rgb.png", "sharp.png", "ir.png"),
     "EMVA 1288 measurement": ("meta.json", "descriptor.txt", "frames"),
     "demo": ("results.json", "report.html", "overview.jpg", "capture", "recon"),
     "validation": ("results.json", "report.html", "junit.xml"),
@@ -313,6 +314,22 @@ def read_truth(path: Path) -> Truth:
 
 
 # --- PSF banks -----------------------------------------------------------------------------------
+
+
+def bank_identity(bank: PsfBank) -> dict[str, Any]:
+    """Which bank it is, as plain data: SHA-256 of its arrays, camera, focus, lights, levels."""
+    digest = hashlib.sha256()
+    for array in (bank.kernel, bank.signature, bank.depth_m, bank.blur_px):
+        digest.update(np.ascontiguousarray(array, np.float32).tobytes())
+    return {
+        "sha256": digest.hexdigest(),
+        "camera": bank.camera.name,
+        "focus_distance_m": bank.camera.lens.focus_distance_m,
+        "lights": list(bank.lights),
+        "levels": len(bank.depth_m),
+        "depths_m": [float(bank.depth_m.min()), float(bank.depth_m.max())],
+        "diffraction": bank.diffraction,
+    }
 
 
 def save_bank(path: Path, bank: PsfBank) -> None:

@@ -97,6 +97,8 @@ class Reconstruction:
     light: str  # the bank's light, chosen by white balance
     settings: dict[str, Any]
     timings_s: dict[str, float]
+    bank: dict[str, Any] = field(default_factory=dict)  # which bank it was, see dasim.files.bank_identity
+    notes: tuple[str, ...] = ()  # what a user should know of this result
 
 
 @dataclass(frozen=True)

@@ -9,16 +9,20 @@ from dasim.files import load_bank, load_capture, save_bank
 from recon.infrared import measured_crosstalk
 from recon.pipeline import develop, reconstruct
 from recon.psf_bank import calibrate
+from recon.raw_files import load_raw
 from recon.settings import PAPER, PRESETS, Settings
+from recon.shading import check as check_flat
 
 __all__ = [
     "PAPER",
     "PRESETS",
     "Settings",
     "calibrate",
+    "check_flat",
     "develop",
     "load_bank",
     "load_capture",
+    "load_raw",
     "measured_crosstalk",
     "reconstruct",
     "save_bank",

@@ -15,6 +15,7 @@ from dasim.errors import InputError
 from dasim.files import new_folder, software_versions
 from dasim.specification import parse
 from dasim.values import Developed, Reconstruction
+from recon.settings import Settings, preset_name
 
 RECON_SCHEMA = 1
 _RGB = ("R", "G", "B")
@@ -23,7 +24,7 @@ _PLANES = ("ir_e", "level_raw", "level", "confidence")
 
 
 def save_reconstruction(path: Path, result: Reconstruction) -> None:
-    """Write ``rgb.png``, ``sharp.png``, ``ir.png``, ``recon.exr`` (``Z`` is the depth in metres) and ``recon.json``."""
+    """Write ``rgb.png``, ``sharp.png``, ``ir.png``, ``recon.exr`` (``Z`` is the depth in metres) and ``meta.json``."""
     import OpenEXR
 
     parts = [_part("depth", {"Z": result.depth_m})]
@@ -33,6 +34,9 @@ def save_reconstruction(path: Path, result: Reconstruction) -> None:
         "schema": RECON_SCHEMA,
         "camera": result.camera.model_dump(mode="json"),
         "light": result.light,
+        "bank": result.bank,
+        "notes": list(result.notes),
+        "preset": _preset(result.settings),
         "settings": result.settings,
         "timings_s": result.timings_s,
         "software": software_versions(),
@@ -42,11 +46,11 @@ def save_reconstruction(path: Path, result: Reconstruction) -> None:
         write_picture(folder / "sharp.png", result.sharp_rgb)
         write_picture(folder / "ir.png", grey(result.ir_e))
         OpenEXR.File(parts).write(str(folder / "recon.exr"))
-        (folder / "recon.json").write_text(json.dumps(about, indent=1) + "\n", encoding="utf-8")
+        (folder / "meta.json").write_text(json.dumps(about, indent=1) + "\n", encoding="utf-8")
 
 
 def save_picture(path: Path, picture: Developed) -> None:
-    """Write the colour picture of a camera without depth: ``rgb.png``, ``recon.exr`` and ``recon.json``."""
+    """Write the colour picture of a camera without depth: ``rgb.png``, ``recon.exr`` and ``meta.json``."""
     import OpenEXR
 
     colours = {"rgb": picture.rgb, "linear_e": picture.linear_e}
@@ -58,6 +62,7 @@ def save_picture(path: Path, picture: Developed) -> None:
         "picture_only": True,
         "camera": picture.camera.model_dump(mode="json"),
         "light": picture.light,
+        "preset": _preset(picture.settings),
         "settings": picture.settings,
         "timings_s": picture.timings_s,
         "software": software_versions(),
@@ -67,7 +72,7 @@ def save_picture(path: Path, picture: Developed) -> None:
         if picture.ir_e is not None:
             write_picture(folder / "ir.png", grey(picture.ir_e))
         OpenEXR.File(parts).write(str(folder / "recon.exr"))
-        (folder / "recon.json").write_text(json.dumps(about, indent=1) + "\n", encoding="utf-8")
+        (folder / "meta.json").write_text(json.dumps(about, indent=1) + "\n", encoding="utf-8")
 
 
 def load_reconstruction(path: Path) -> Reconstruction:
@@ -75,10 +80,11 @@ def load_reconstruction(path: Path) -> Reconstruction:
     import OpenEXR
 
     path = Path(path)
-    if not (path / "recon.json").is_file():
-        raise InputError(f"reconstruction {path}: holds no recon.json; make one with 'dasim recon CAPTURE --out DIR'")
+    for name in ("meta.json", "recon.exr"):
+        if not (path / name).is_file():
+            raise InputError(f"reconstruction {path}: holds no {name}; make one with 'dasim recon CAPTURE --out DIR'")
     try:
-        about: dict[str, Any] = json.loads((path / "recon.json").read_text(encoding="utf-8"))
+        about: dict[str, Any] = json.loads((path / "meta.json").read_text(encoding="utf-8"))
         if about.get("picture_only"):
             raise InputError(f"reconstruction {path}: holds a picture alone, its camera has no depth")
         with OpenEXR.File(str(path / "recon.exr"), separate_channels=True) as file:
@@ -88,10 +94,12 @@ def load_reconstruction(path: Path) -> Reconstruction:
         return Reconstruction(
             **arrays,
             depth_m=parts["depth"]["Z"],
-            camera=parse(Camera, about["camera"], f"{path / 'recon.json'}: camera"),
+            camera=parse(Camera, about["camera"], f"{path / 'meta.json'}: camera"),
             light=about["light"],
             settings=about["settings"],
             timings_s=about["timings_s"],
+            bank=about.get("bank", {}),
+            notes=tuple(about.get("notes", ())),
         )
     except InputError:
         raise
@@ -100,6 +108,10 @@ def load_reconstruction(path: Path) -> Reconstruction:
             f"reconstruction {path}: is damaged ({type(error).__name__}: {error}); "
             "make one with 'dasim recon CAPTURE --out DIR'"
         ) from None
+
+
+def _preset(settings: dict[str, Any]) -> str | None:
+    return preset_name(Settings.model_validate(settings))
 
 
 def grey(image: NDArray[Any]) -> NDArray[np.float64]:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from dasim.camera import Camera
 from dasim.colour import exposure_scale, to_srgb
 from dasim.errors import InputError
+from dasim.files import bank_identity
 from dasim.spectra import CHANNELS
 from dasim.values import Capture, Developed, PsfBank, Reconstruction
 from recon import colour, denoise, depth, infrared, mosaic, picture, sharpen
@@ -90,6 +91,7 @@ def reconstruct(
         light=bank.lights[light],
         settings=settings.model_dump(),
         timings_s=timings,
+        bank=bank_identity(bank),
     )
 
 

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Literal
+import json
+from pathlib import Path
+from typing import Any, Literal
 
 from pydantic import Field
 
-from dasim.specification import Specification
+from dasim.errors import InputError
+from dasim.specification import Specification, parse_toml
 
 
 class Settings(Specification):
@@ -58,3 +61,41 @@ PRESETS = {
     "likelihood": Settings(score="likelihood"),  # the paper's with levels scored by likelihood instead of NCC
     "chakrabarti-zickler": Settings(score="colour-line"),  # the closest prior work on the same bank and windows
 }
+
+
+def preset(name: str) -> Settings:
+    """The settings of a preset; InputError for an unknown name."""
+    if name not in PRESETS:
+        raise InputError(f"preset '{name}' is unknown; allowed are {', '.join(PRESETS)}")
+    return PRESETS[name]
+
+
+def chosen(name: str | None, file: Path | None) -> Settings:
+    """The settings of a preset or of a TOML file; the paper's where neither is given."""
+    if name is not None and file is not None:
+        raise InputError("--preset and --settings both say the settings; give one")
+    return parse_toml(Settings, file) if file is not None else preset(name or "paper")
+
+
+def preset_name(settings: Settings) -> str | None:
+    """Name of the preset that has these settings, None where there is none."""
+    return next((name for name, known in PRESETS.items() if known == settings), None)
+
+
+def to_toml(settings: Settings) -> str:
+    """The settings as TOML that :func:`dasim.specification.parse_toml` reads back, each with what it means.
+
+    A setting without value stands there as a comment.
+    """
+    lines = [f"# Settings of 'dasim recon --settings FILE'; preset: {preset_name(settings) or 'none'}"]
+    for name, field in Settings.model_fields.items():
+        value = getattr(settings, name)
+        line = f"{name} = {_toml_value(value)}" if value is not None else f"# {name} = (by default)"
+        lines.append(f"{line}  # {field.description}" if field.description else line)
+    return "\n".join(lines) + "\n"
+
+
+def _toml_value(value: Any) -> str:
+    if isinstance(value, tuple):
+        return f"[{', '.join(_toml_value(item) for item in value)}]"
+    return json.dumps(value)  # text, numbers and truth values are written alike in both

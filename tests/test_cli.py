@@ -20,9 +20,10 @@ import trimesh
 from dasim.cache import cache_dir
 from dasim.camera import CAMERA_DIR, cropped, load_camera
 from dasim.cli import run
-from dasim.files import load_bank, load_capture, load_truth, save_capture, write_truth
+from dasim.files import bank_identity, load_bank, load_capture, load_truth, save_capture, write_truth
 from dasim.values import Capture
 from recon.output import load_reconstruction
+from recon.settings import PRESETS, Settings
 
 TINY = ("--size", "64x48", "--spp", "4")
 SIGINT_DEADLINE_S = 60.0  # for start, import and stop together, on a busy computer
@@ -235,13 +236,54 @@ def even(name: str, level_dn: int) -> Capture:
     return Capture(np.full((48, 64), level_dn, np.uint16), camera, 0.01, 1.0, 0)
 
 
+def test_recon_of_a_raw_file_equals_that_of_its_capture(here, capfd):
+    """Expectation: the same from raw.png with a camera file as from the folder; meta.json says what was used."""
+    focus = str(load_capture(here / "shot").camera.lens.focus_distance_m)
+    raw = ["recon", "shot/raw.png", "--camera", "camera.toml", "--focus", focus, "--bank", "bank.npz"]
+    exposure = str(load_capture(here / "shot").exposure_s)
+    assert run([*raw, "--exposure", exposure, "--out", "plain"]) == 0
+    np.testing.assert_array_equal(load_reconstruction(here / "plain").level, load_reconstruction(here / "result").level)
+    about = json.loads((here / "plain" / "meta.json").read_text())
+    assert (about["preset"], about["light"]) == ("paper", "D55")
+    assert about["bank"] == bank_identity(load_bank(here / "bank.npz"))
+    assert set(about["timings_s"]) >= {"denoise", "depth", "sharpen"}
+    assert Settings.model_validate(about["settings"]) == PRESETS["paper"]
+
+
+def test_settings_are_printed_changed_and_found_again(here, capfd):
+    assert run(["recon", "--preset", "likelihood", "--print-settings"]) == 0
+    printed = capfd.readouterr().out
+    (here / "mine.toml").write_text(printed.replace("window_px = 31", "window_px = 21"))
+    assert run(["recon", "shot", "--bank", "bank.npz", "--settings", "mine.toml", "--out", "plain"]) == 0
+    about = json.loads((here / "plain" / "meta.json").read_text())
+    assert about["preset"] is None
+    assert about["settings"] == {**PRESETS["likelihood"].model_dump(mode="json"), "window_px": 21}
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (("shot/raw.png", "--camera", "none"), ("camera 'none'",)),
+        (("shot/raw.png", "--camera", "camera.toml", "--format", "raw7"), ("--format 'raw7'", "raw10, raw12")),
+        (("shot/raw.png", "--camera", "camera.toml", "--format", "raw10"), ("raw.png", "bytes", "2048 x 1536")),
+        (("shot", "--camera", "camera.toml"), ("--camera", "leave it out")),
+        (("shot", "--focus", "0.3"), ("--focus", "raw files")),
+        (("shot", "--preset", "best"), ("'best'", "chakrabarti-zickler")),
+        (("shot", "--preset", "paper", "--settings", "mine.toml"), ("--preset and --settings",)),
+        (("--preset", "paper"), ("capture",)),
+    ],
+)
+def test_raw_files_and_settings_that_are_wrong(refused, arguments, said):
+    refused("recon", *arguments, "--out", "new", said=said)
+
+
 def test_recon_of_a_camera_without_infrared_is_a_picture(here, refused, capfd):
     """Rationale: the Bayer twin is there to compare pictures with. It has no depth, and no bank is made for it."""
     save_capture(here / "twin", even("bayer-mobile", 400), None)
     save_capture(here / "even", even("bayer-mobile", 500), None)
     assert run(["recon", "twin", "--flat", "even", "--out", "picture"]) == 0
     assert "no depth" in capfd.readouterr().out
-    assert sorted(p.name for p in (here / "picture").iterdir()) == ["recon.exr", "recon.json", "rgb.png"]
+    assert sorted(p.name for p in (here / "picture").iterdir()) == ["meta.json", "recon.exr", "rgb.png"]
     refused("recon", "twin", "--bank", "bank.npz", "--out", "new", said=("--bank", "no infrared pixels"))
     refused("score", "picture", "shot", said=("picture", "no depth"))
     refused("recon", "shot", "--bank", "bank.npz", "--flat", "even", "--out", "new", said=("flat", "mosaic"))
@@ -331,7 +373,7 @@ RENDER = ("render", "desk", *TINY, "--out", "new")
         (("calibrate", "--out", "mine.toml/bank.npz"), ("mine.toml",)),
         (("calibrate", "--out", "camera.toml"), ("camera.toml",)),
         (("recon", "nowhere", "--out", "new"), ("nowhere", "raw.png", "meta.json")),
-        (("recon", "shot/raw.png", "--out", "new"), ("shot/raw.png", "folder")),
+        (("recon", "shot/raw.png", "--out", "new"), ("shot/raw.png", "--camera", "folder")),
         (("recon", "shot", "--bank", "none.npz", "--out", "new"), ("none.npz", "dasim calibrate")),
         (("recon", "shot", "--bank", "mine.toml", "--out", "new"), ("mine.toml",)),
         (("recon", "shot", "--bank", "bank.npz", "--settings", "no.toml", "--out", "new"), ("no.toml",)),
@@ -550,7 +592,7 @@ def test_output_that_is_a_file_is_refused(refused, command):
 
 
 @each_writer
-@pytest.mark.parametrize("extra", [None, "meta.json", "results.json", "recon.json"])
+@pytest.mark.parametrize("extra", [None, "meta.json", "results.json"])
 def test_folder_with_foreign_files_is_never_touched(refused, here, command, extra):
     """Rationale: results.json and meta.json are common names; a folder that has one is not therefore ours to delete."""
     (here / "thesis").mkdir()
