@@ -33,6 +33,21 @@ SMALLEST_SIGNAL = 1e-3  # of the brightest sample: darker means count as this
 STRENGTHS = (1.0, 6.0, 36.0, 216.0)
 
 
+class Signals(NamedTuple):
+    """What the picture tells of its own gradients and noise at every sample, [h, w]."""
+
+    snr: Float32Array  # signal over noise of the sharper channel's gradients, energies
+    green_snr: Float32Array
+    quieter: Float32Array  # noise variance over squared signal of green, relative to the sharper channel's
+
+
+class Typical(NamedTuple):
+    """What is measured once for the whole frame, so that its tiles are scored alike."""
+
+    classes: list[tuple[Weights, NDArray]]  # weights of eq. (9), and the samples [h, w] that each holds for
+    offset: NDArray[np.float64]  # of the refined peak at each level
+
+
 class Match(NamedTuple):
     """What :func:`match` finds: scores [level, h, w], and what :func:`best_level` needs of them."""
 
@@ -63,36 +78,88 @@ def match(sharper: Channel, green: Channel, settings: Settings, spacing_px: floa
     Each channel comes as (plane [h, w], phase, noise variance map, kernels [level, size, size]), samples
     ``spacing_px`` apart, kernels in pixels.
     """
-    plane, phase, variance, kernels = sharper
-    shape = fourier.fast_shape(plane.shape, int(np.ceil(kernels.shape[-1] / spacing_px)))
-    grid = comparison.make_grid(shape, (plane.shape[0], plane.shape[1]), spacing_px, settings)
-    spectra = transform(plane, phase, shape, spacing_px), transform(green[0], green[1], shape, spacing_px)
-    gain = comparison.noise_gain(grid.filters, shape[1])
+    found = signals(sharper, green, settings, spacing_px)
+    told = typical(found, sharper[3], green[3], settings, spacing_px)
+    score, plain = scores(sharper, green, told.classes, settings, spacing_px)
+    return Match(score, plain, told.offset, found.snr, found.green_snr)
+
+
+def signals(
+    sharper: Channel,
+    green: Channel,
+    settings: Settings,
+    spacing_px: float = PLANE_SPACING_PX,
+    brightest: tuple[float, float] | None = None,
+) -> Signals:
+    """Signal over noise of two channels.
+
+    Of tiles, ``brightest`` are the largest values of their frames, and the planes are larger than the variances: beyond
+    these (below and to the right, periodic) they go on as the frame does.
+    """
+    grid, spectra = _spectra(sharper, green, settings, spacing_px)
+    gain = comparison.noise_gain(grid.filters, grid.shape[1])
 
     def signal_over_noise(spectrum: Complex64Array, noise: Float32Array) -> Float32Array:
         images = comparison.filtered(spectrum, grid.filters, grid)
         energy = window_mean(np.sum([image * image for image in images], axis=0), settings, spacing_px)
         return energy / (gain * window_mean(noise, settings, spacing_px)) - 1
 
-    snr, green_snr = signal_over_noise(spectra[0], variance), signal_over_noise(spectra[1], green[2])
+    snr, green_snr = signal_over_noise(spectra[0], sharper[2]), signal_over_noise(spectra[1], green[2])
+    tops = brightest or (float(sharper[0].max()), float(green[0].max()))
+    return Signals(snr, green_snr, _quieter(sharper, green, tops, settings, spacing_px))
+
+
+def typical(
+    found: Signals, kernels: NDArray, green_kernels: NDArray, settings: Settings, spacing_px: float = PLANE_SPACING_PX
+) -> Typical:
+    """The weights of eq. (9) and where a peak lies, from the signals of a whole frame."""
     unit = _unit_weight(kernels, settings, spacing_px)
-    quieter = _quieter((plane, variance), (green[0], green[2]), settings, spacing_px)
-    classes = _classes(snr, (snr > settings.edge_snr) & (green_snr > settings.edge_snr), quieter, unit, settings)
+    edges = (found.snr > settings.edge_snr) & (found.green_snr > settings.edge_snr)
+    classes = _classes(found.snr, edges, found.quieter, unit, settings)
+    if settings.score == "colour-line":  # published without refinement: its parabola is left as it is
+        return Typical(classes, np.zeros(len(kernels)))
+    most = max(classes, key=lambda item: int(item[1].sum()))[0]
+    return Typical(classes, peak_offset(kernels, green_kernels, most, settings, spacing_px))
+
+
+def scores(
+    sharper: Channel,
+    green: Channel,
+    classes: list[tuple[Weights, NDArray]],
+    settings: Settings,
+    spacing_px: float = PLANE_SPACING_PX,
+) -> tuple[Float32Array, Float32Array]:
+    """Score of every level [level, h, w] with the weights of ``classes``, and the plain NCC at the best, [h, w]."""
+    grid, spectra = _spectra(sharper, green, settings, spacing_px)
+    kernels = sharper[3]
     score, ncc = np.empty((2, len(kernels), *grid.frame), np.float32)
     for level, (kernel, green_kernel) in enumerate(zip(kernels, green[3], strict=True)):
-        own = fourier.transfer(kernel, shape, spacing_px)
-        other = fourier.transfer(green_kernel, shape, spacing_px)
+        own = fourier.transfer(kernel, grid.shape, spacing_px)
+        other = fourier.transfer(green_kernel, grid.shape, spacing_px)
         if settings.score == "colour-line":
             score[level], ncc[level] = comparison.colour_line(own, other, settings, spectra, grid)
             continue
         for weights, where in classes:
-            found = comparison.level_score(own, other, weights, settings, spectra, grid)
-            score[level][where], ncc[level][where] = (f[where] for f in found)
-    plain = np.take_along_axis(ncc, score.argmax(axis=0)[None], 0)[0]
-    if settings.score == "colour-line":  # published without refinement: its parabola is left as it is
-        return Match(score, plain, np.zeros(len(kernels)), snr, green_snr)
-    typical = max(classes, key=lambda item: int(item[1].sum()))[0]
-    return Match(score, plain, peak_offset(kernels, green[3], typical, settings, spacing_px), snr, green_snr)
+            if where.any():
+                found = comparison.level_score(own, other, weights, settings, spectra, grid)
+                score[level][where], ncc[level][where] = (f[where] for f in found)
+    return score, np.take_along_axis(ncc, score.argmax(axis=0)[None], 0)[0]
+
+
+def _spectra(
+    sharper: Channel, green: Channel, settings: Settings, spacing_px: float
+) -> tuple[comparison.Grid, tuple[Complex64Array, Complex64Array]]:
+    height, width = sharper[2].shape
+    whole = sharper[0].shape == (height, width)
+    shape = padded_shape(sharper, spacing_px) if whole else (sharper[0].shape[0], sharper[0].shape[1])
+    grid = comparison.make_grid(shape, (height, width), spacing_px, settings)
+    first, second = (transform(plane, phase, shape, spacing_px) for plane, phase, _, _ in (sharper, green))
+    return grid, (first, second)
+
+
+def padded_shape(channel: Channel, spacing_px: float = PLANE_SPACING_PX) -> tuple[int, int]:
+    """Size in which a channel's plane is taken for periodic."""
+    return fourier.fast_shape(channel[2].shape, int(np.ceil(channel[3].shape[-1] / spacing_px)))
 
 
 def _unit_weight(kernels: NDArray, settings: Settings, spacing_px: float) -> float:
@@ -103,18 +170,16 @@ def _unit_weight(kernels: NDArray, settings: Settings, spacing_px: float) -> flo
 
 
 def _quieter(
-    sharper: tuple[Float32Array, Float32Array],
-    green: tuple[Float32Array, Float32Array],
-    settings: Settings,
-    spacing_px: float,
+    sharper: Channel, green: Channel, brightest: tuple[float, float], settings: Settings, spacing_px: float
 ) -> Float32Array:
-    """Noise variance over squared signal of green, relative to the sharper channel's, [h, w]; (plane, variance) each.
+    """Noise variance over squared signal of green, relative to the sharper channel's, [h, w].
 
     The signal is the patch's mean: a texture has about the same contrast in both channels, whatever their blur.
     """
     relative = []
-    for plane, variance in (green, sharper):
-        mean = np.maximum(window_mean(plane, settings, spacing_px), SMALLEST_SIGNAL * max(float(plane.max()), 1e-6))
+    for (plane, _, variance, _), top in ((green, brightest[1]), (sharper, brightest[0])):
+        own = np.ascontiguousarray(plane[: variance.shape[0], : variance.shape[1]])
+        mean = np.maximum(window_mean(own, settings, spacing_px), SMALLEST_SIGNAL * max(top, 1e-6))
         relative.append(window_mean(variance, settings, spacing_px) / mean**2)
     return relative[0] / relative[1]
 

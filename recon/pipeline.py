@@ -16,7 +16,7 @@ from dasim.errors import InputError
 from dasim.files import bank_identity
 from dasim.spectra import CHANNELS
 from dasim.values import Capture, Developed, PsfBank, Reconstruction
-from recon import colour, denoise, depth, infrared, mosaic, picture, sharpen
+from recon import colour, denoise, depth, infrared, mosaic, picture, sharpen, tiles
 from recon.regularise import regularise
 from recon.settings import PAPER, Settings
 
@@ -191,9 +191,7 @@ def _raw_levels(
     confidence = np.zeros_like(level)
     sharper = {"IR": planes["IR"]} | ({n: planes[n] for n in _fallbacks(camera)} if settings.fallback else {})
     for name, plane in sharper.items():
-        score, plain, offset, snr, green_snr = depth.match(channel(name, plane), green, settings)
-        found, trust = depth.best_level(score, plain, offset, settings)
-        trust = trust * (plain > 0)
+        found, trust, snr, green_snr = tiles.best_levels(channel(name, plane), green, settings)
         new = usable & np.isnan(level) & (snr > settings.edge_snr) & (green_snr > settings.edge_snr) & (trust > 0)
         level[new] = found[new]
         confidence[new] = (trust if name == "IR" else FALLBACK_TRUST * trust)[new]
