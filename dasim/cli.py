@@ -261,33 +261,52 @@ def calibrate(
 
 
 @app.command
-def recon(capture: Path, *, out: Out, bank: Path | None = None, settings: Path | None = None) -> int:
-    """Reconstruct a capture: picture, depth, all-in-focus picture.
+def recon(
+    capture: Path, *, out: Out, bank: Path | None = None, settings: Path | None = None, flat: Path | None = None
+) -> int:
+    """Reconstruct a capture: picture, depth, all-in-focus picture. Of a camera without infrared, the picture alone.
 
     Args:
         capture: a capture folder
         out: the reconstruction folder
         bank: a PSF bank; by default one is calibrated for the capture's camera and focus, and kept in the cache
         settings: a TOML file with settings that differ from the paper's preset
+        flat: a capture of an even surface that fills the frame, to undo the lens shading in the pictures
     """
     import recon as reconstruction
     from dasim.files import check_output, load_bank, load_capture
     from dasim.specification import parse_toml
-    from recon.mosaic import phases
-    from recon.output import save_reconstruction
+    from recon import shading
+    from recon.mosaic import grids
+    from recon.output import save_picture, save_reconstruction
     from validation.banks import simulated_bank
 
     check_output(out, "reconstruction")
     shot = load_capture(capture)
-    phases(shot.camera)  # a mosaic that cannot be reconstructed is refused before a bank is made
+    infrared = "IR" in grids(shot.camera)  # a mosaic that cannot be reconstructed is refused before a bank is made
     chosen = reconstruction.PAPER if settings is None else parse_toml(reconstruction.Settings, settings)
+    even = None if flat is None else load_capture(flat)
+    if even is not None:
+        shading.check(even, shot.camera)
+    if not infrared:
+        if bank is not None:
+            raise InputError(
+                f"--bank: camera '{shot.camera.name}' has no infrared pixels and so no depth; leave it out"
+            )
+        picture = reconstruction.develop(shot, chosen, flat=even)
+        save_picture(out, picture)
+        print(f"note: camera '{shot.camera.name}' has no infrared pixels: the picture alone, no depth")
+        print(f"picture: {out} (light by white balance: {picture.light})")
+        return 0
     with _progress() as progress:
         if bank is not None:
             kernels = load_bank(bank)
         else:
             model = shot.provenance.get("diffraction", "wave")
             kernels = simulated_bank(shot.camera, diffraction=model, progress=progress)
-        result = reconstruction.reconstruct(shot, kernels, chosen, progress=lambda s, x: progress("reconstructing", x))
+        result = reconstruction.reconstruct(
+            shot, kernels, chosen, flat=even, progress=lambda s, x: progress("reconstructing", x)
+        )
     save_reconstruction(out, result)
     print(f"reconstruction: {out} (light by white balance: {result.light})")
     return 0

@@ -97,3 +97,17 @@ class Reconstruction:
     light: str  # the bank's light, chosen by white balance
     settings: dict[str, Any]
     timings_s: dict[str, float]
+
+
+@dataclass(frozen=True)
+class Developed:
+    """The colour picture of a capture alone, without depth."""
+
+    rgb: Float32Array  # [h, w, 3] sRGB 0..1
+    linear_e: Float32Array  # [h, w, 3] linear camera colours, infrared removed, electrons
+    ir_e: Float32Array | None  # [h, w] infrared, electrons; None for a mosaic without
+    matrix: NDArray[np.float64]  # [3, 3] from ``linear_e`` to linear sRGB, white-balanced
+    camera: Camera
+    light: str  # chosen by white balance
+    settings: dict[str, Any]
+    timings_s: dict[str, float]

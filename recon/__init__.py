@@ -1,20 +1,25 @@
 """Reconstruction: from a raw picture of a dual-aperture camera to colour, depth and an all-in-focus picture.
 
-``calibrate`` measures point-spread functions, ``reconstruct`` applies them. Only values and their files are
+``calibrate`` measures point-spread functions, ``reconstruct`` applies them; ``develop`` makes the
+colour picture alone. Only values and their files are
 shared with the simulator, never its formulas.
 """
 
 from dasim.files import load_bank, load_capture, save_bank
-from recon.pipeline import reconstruct
+from recon.infrared import measured_crosstalk
+from recon.pipeline import develop, reconstruct
 from recon.psf_bank import calibrate
-from recon.settings import PAPER, Settings
+from recon.settings import PAPER, PRESETS, Settings
 
 __all__ = [
     "PAPER",
+    "PRESETS",
     "Settings",
     "calibrate",
+    "develop",
     "load_bank",
     "load_capture",
+    "measured_crosstalk",
     "reconstruct",
     "save_bank",
 ]

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import lru_cache
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from dasim import illuminants, spectra
-from dasim.camera import Camera, response
+from dasim import spectra
+from dasim.camera import Camera, channels, response
 from dasim.colour import fitted_matrix
-from dasim.errors import InputError
-from dasim.values import PsfBank
-from recon.infrared import crosstalk
+from recon import infrared
+from recon.infrared import light_power
+from recon.settings import PAPER
 
 Float32Array = NDArray[np.float32]
 FloatArray = NDArray[np.float64]
@@ -23,18 +24,19 @@ MINKOWSKI = 4.0  # between grey world (1) and white patch (infinity): "shades of
 BLOCK_PX = 8  # of the planes: averaging takes noise and clipped points out of the high power
 
 
-def choose_light(planes: dict[str, NDArray], saturated: NDArray, bank: PsfBank) -> int:
-    """Index of the bank's light that fits the raw picture, by automatic white balance (sec. 5.1).
+def choose_light(planes: dict[str, NDArray], saturated: NDArray, signature: NDArray) -> int:
+    """Index of the light that fits the raw picture, by automatic white balance (sec. 5.1).
 
-    Minkowski means of the four colour planes [h/2, w/2] over unsaturated blocks, compared with
-    ``bank.signature`` in log-chromaticity (R, B and IR against G): infrared tells lamps from daylight.
+    Minkowski means of the colour planes [h/2, w/2], in the channels' order, over unsaturated blocks, compared with
+    ``signature`` [light, channel], a bank's or :func:`signatures`, in log-chromaticity (R, B and IR against G):
+    infrared tells lamps from daylight.
     """
-    mean = np.array([_minkowski(planes[name], saturated) for name in spectra.CHANNELS])
+    mean = np.array([_minkowski(plane, saturated) for plane in planes.values()])
     if not np.all(mean > 0):
         return 0
-    green = spectra.CHANNELS.index("G")
+    green = list(planes).index("G")
     measured = np.log(mean / mean[green])
-    known = np.log(np.maximum(bank.signature, np.finfo(np.float32).tiny))
+    known = np.log(np.maximum(signature, np.finfo(np.float32).tiny))
     return int(np.argmin(((known - measured) ** 2).sum(axis=1)))
 
 
@@ -51,21 +53,26 @@ def _minkowski(plane: NDArray, saturated: NDArray) -> float:
     return float(np.mean(bright**MINKOWSKI) ** (1 / MINKOWSKI)) if bright.size else 0.0
 
 
-def colour_matrix(camera: Camera, light: str) -> FloatArray:
+def signatures(camera: Camera, lights: Sequence[str]) -> Float32Array:
+    """Electrons of white relative to green under each light, [light, channel], from the response curves."""
+    power = np.stack([light_power(light) for light in lights])
+    electrons = spectra.integrate(response(camera) * power[:, None, :])
+    green = channels(camera.sensor).index("G")
+    return np.asarray(electrons / electrons[:, green : green + 1], np.float32)
+
+
+def colour_matrix(camera: Camera, light: str, separation: FloatArray | None = None) -> FloatArray:
     """Matrix [3, 3] from camera electrons without infrared (R, G, B) to linear sRGB under D65.
 
-    Fitted to the ColorChecker under the light, after eq. (7): see ``dasim.colour.fitted_matrix``. A light that
-    ``dasim.illuminants`` does not know is treated as D65.
+    Fitted to the ColorChecker under the light, after the removal of infrared by ``separation`` [3, channel] (by
+    default that of eq. (7)): see ``dasim.colour.fitted_matrix``. A light that ``dasim.illuminants`` does not know
+    is treated as D65.
     """
-    return _colour_matrix(camera.model_dump_json(), light)
+    rows = infrared.separation(camera, light, PAPER) if separation is None else separation
+    return _colour_matrix(camera.model_dump_json(), light, tuple(map(tuple, rows.tolist())))
 
 
 @lru_cache(maxsize=64)
-def _colour_matrix(camera_json: str, light: str) -> FloatArray:
+def _colour_matrix(camera_json: str, light: str, separation: tuple[tuple[float, ...], ...]) -> FloatArray:
     camera = Camera.model_validate_json(camera_json)
-    try:
-        power = illuminants.illuminant(light)
-    except InputError:
-        power = illuminants.illuminant("D65")
-    curves = response(camera)
-    return fitted_matrix(curves[:3] - crosstalk(camera)[:, None] * curves[3:], power)
+    return fitted_matrix(np.array(separation) @ response(camera), light_power(light))

@@ -2,16 +2,19 @@
 
 All is done on the colour planes' own grid of half the resolution: a plane holds no frequency above
 0.25 cycles a pixel, so nothing is lost against interpolated images, whose interpolation would differ
-between channels. Each plane is moved to the middle of the 2x2 blocks by the shift theorem.
+between channels. Each plane is moved to the middle of the 2x2 blocks by the shift theorem. Whole pictures are the
+case of samples one pixel apart.
 """
 
 from __future__ import annotations
 
-import cv2
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
-from recon import fourier
+from recon import comparison, fourier
+from recon.comparison import Weights, window_mean
 from recon.mosaic import Phase
 from recon.settings import Settings
 
@@ -21,152 +24,171 @@ Complex64Array = NDArray[np.complex64]
 Channel = tuple[Float32Array, Phase, Float32Array, NDArray]  # plane, phase, noise variance, kernels [level, y, x]
 
 PLANE_SPACING_PX = 2.0
-BLOCK_CENTRE_PX = 0.5  # of a 2x2 block, from the centre of its first pixel
-ROLL_OFF = 0.4  # of the cutoff: width of the band's smooth edge
-MIN_ENERGY_SHARE = 0.1  # of the measured energy: what is left at least when the noise's share is taken away
-SMALLEST = float(np.finfo(np.float32).tiny)
 OFFSET_GRID = 96
 REFERENCE_ERROR = 1.0  # levels: an estimate with this standard error has a confidence of one half
 INDEPENDENT_SHARE = 0.5  # of a window's samples, after the band-pass
+# Signal over noise of infrared's gradients for which the likelihood is computed; each sample takes the nearest.
+# Too weak an assumption draws to small levels, too strong a one to large: a factor of three either way is harmless.
+SMALLEST_SIGNAL = 1e-3  # of the brightest sample: darker means count as this
+STRENGTHS = (1.0, 6.0, 36.0, 216.0)
 
 
-def transform(plane: Float32Array, phase: Phase, shape: tuple[int, int]) -> Complex64Array:
-    """Spectrum of a colour plane [h/2, w/2] in a frame of ``shape``, moved to the middle of the blocks."""
-    fy, fx = fourier.frequencies(shape, PLANE_SPACING_PX)
-    shift = fy * (BLOCK_CENTRE_PX - phase[0]) + fx * (BLOCK_CENTRE_PX - phase[1])
+class Match(NamedTuple):
+    """What :func:`match` finds: scores [level, h, w], and what :func:`best_level` needs of them."""
+
+    score: Float32Array
+    plain: Float32Array  # NCC at the best level, [h, w]
+    offset: NDArray[np.float64]  # of the refined peak at each level
+    snr: Float32Array  # signal over noise of the sharper channel's gradients, energies, [h, w]
+    green_snr: Float32Array
+
+
+def transform(
+    plane: Float32Array, phase: Phase, shape: tuple[int, int], spacing_px: float = PLANE_SPACING_PX
+) -> Complex64Array:
+    """Spectrum of a plane [h, w], padded to ``shape``, moved to the middle of the blocks of ``spacing_px``.
+
+    ``phase`` is the place of its first sample in the block, in pixels.
+    """
+    fy, fx = fourier.frequencies(shape, spacing_px)
+    middle = (spacing_px - 1) / 2
+    shift = fy * (middle - phase[0]) + fx * (middle - phase[1])
     moved = np.exp(2j * np.pi * shift).astype(np.complex64)
     return fourier.forward(fourier.pad_blended(plane, shape)) * moved
 
 
-def derivatives(shape: tuple[int, int], settings: Settings) -> list[Complex64Array]:
-    """Filters of eq. (11)'s gradients, limited to the common band: nabla_x + nabla_y, or both one by one.
+def match(sharper: Channel, green: Channel, settings: Settings, spacing_px: float = PLANE_SPACING_PX) -> Match:
+    """Score of every level at every sample, by ``settings.score``.
 
-    The band ends smoothly at ``cutoff_cycles_px`` (deviation: the paper does not limit it): towards the planes'
-    own limit of 0.25 cycles a pixel, aliasing of green near focus grows.
-    """
-    fy, fx = fourier.frequencies(shape, PLANE_SPACING_PX)
-    radius = np.hypot(fy, fx)
-    edge = settings.cutoff_cycles_px
-    rise = np.clip((edge - radius) / (ROLL_OFF * edge) + 0.5, 0, 1)
-    band = 0.5 - 0.5 * np.cos(np.pi * rise)
-    dx, dy = (2j * np.pi * PLANE_SPACING_PX * f * band for f in (fx, fy))
-    filters = [dx + dy] if settings.gradient == "sum" else [dx + 0 * fy, dy + 0 * fx]
-    return [f.astype(np.complex64) for f in filters]
-
-
-def noise_gain(response: Complex64Array, width: int) -> float:
-    """Variance of white noise of variance 1 after a filter given on the half-plane of frequencies."""
-    power = np.abs(response) ** 2
-    twice = np.full(power.shape[1], 2.0)
-    twice[0] = 1.0
-    if width % 2 == 0:
-        twice[-1] = 1.0
-    return float((power * twice).sum() / (power.shape[0] * width))
-
-
-def prior_weight(energy: float, noise: float, gain: float) -> float:
-    """Weight beta of eq. (9): noise variance over the power of the gradients, both measured in the picture."""
-    return noise / max(energy - gain * noise, MIN_ENERGY_SHARE * energy, SMALLEST)
-
-
-def reblur(infrared: Complex64Array, green: Complex64Array, beta: float, shape: tuple[int, int]) -> Complex64Array:
-    """Filter that deblurs infrared and blurs it like green, eq. (9)-(10) in closed form.
-
-    H_G conj(H_IR) / (|H_IR|^2 + beta (|D_x|^2 + |D_y|^2)), from the two transfer functions [h, w/2 + 1].
-    """
-    fy, fx = fourier.frequencies(shape)
-    gradient = 4 * np.sin(np.pi * fy) ** 2 + 4 * np.sin(np.pi * fx) ** 2
-    return green * np.conj(infrared) / (np.abs(infrared) ** 2 + np.float32(max(beta, 1e-9)) * gradient + 1e-12)
-
-
-def window_mean(image: Float32Array, settings: Settings) -> Float32Array:
-    """Mean over the patch of eq. (11) around each block: a box, or a Gaussian of the box's variance."""
-    side = settings.window_px / PLANE_SPACING_PX
-    border = cv2.BORDER_REFLECT
-    if settings.window == "box":
-        odd = 2 * int(side / 2) + 1
-        return np.asarray(cv2.boxFilter(image, -1, (odd, odd), borderType=border), np.float32)
-    sigma = side / np.sqrt(12)
-    return np.asarray(cv2.GaussianBlur(image, (0, 0), sigma, borderType=border), np.float32)
-
-
-def match(
-    sharper: Channel, green: Channel, settings: Settings
-) -> tuple[Float32Array, Float32Array, NDArray, Float32Array, Float32Array]:
-    """NCC of every level and block, eq. (11), [level, h/2, w/2], and what :func:`best_level` needs of it.
-
-    Then the plain NCC at each block's best level, the peak's offset at each level, and the gradients' signal
-    over noise of both channels.
-
-    Each channel comes as (plane, phase, noise variance map, kernels [level, size, size]). With
-    ``noise_corrected`` the energies in the NCC's denominator lose what noise adds to them (deviation):
-    deblurring amplifies noise least at large levels, which would draw weak texture there.
+    Each channel comes as (plane [h, w], phase, noise variance map, kernels [level, size, size]), samples
+    ``spacing_px`` apart, kernels in pixels.
     """
     plane, phase, variance, kernels = sharper
-    height, width = plane.shape
-    margin = int(np.ceil(kernels.shape[-1] / PLANE_SPACING_PX))
-    shape = fourier.fast_shape(plane.shape, margin)
-    filters = derivatives(shape, settings)
+    shape = fourier.fast_shape(plane.shape, int(np.ceil(kernels.shape[-1] / spacing_px)))
+    grid = comparison.make_grid(shape, (plane.shape[0], plane.shape[1]), spacing_px, settings)
+    spectra = transform(plane, phase, shape, spacing_px), transform(green[0], green[1], shape, spacing_px)
+    gain = comparison.noise_gain(grid.filters, shape[1])
 
-    def filtered(spectrum: Complex64Array) -> list[Float32Array]:
-        return [fourier.inverse(spectrum * f, shape)[:height, :width] for f in filters]
+    def signal_over_noise(spectrum: Complex64Array, noise: Float32Array) -> Float32Array:
+        images = comparison.filtered(spectrum, grid.filters, grid)
+        energy = window_mean(np.sum([image * image for image in images], axis=0), settings, spacing_px)
+        return energy / (gain * window_mean(noise, settings, spacing_px)) - 1
 
-    def energy(images: list[Float32Array]) -> Float32Array:
-        return window_mean(np.sum([image * image for image in images], axis=0), settings)
-
-    gain = sum(noise_gain(f, shape[1]) for f in filters)
-    spectrum = transform(plane, phase, shape)
-    noise, green_noise = window_mean(variance, settings), window_mean(green[2], settings)
-    observed = filtered(transform(green[0], green[1], shape))
-    green_energy, own_energy = energy(observed), energy(filtered(spectrum))
-    raw_green_energy = green_energy
-    snr = own_energy / (gain * noise) - 1
-    green_snr = green_energy / (gain * green_noise) - 1
-    if settings.noise_corrected:
-        green_energy = np.maximum(green_energy - gain * green_noise, MIN_ENERGY_SHARE * green_energy)
-    beta = settings.prior_factor * prior_weight(float(own_energy.mean()), float(variance.mean()), gain)
-    score = np.empty((len(kernels), height, width), np.float32)
-    best, plain = np.full((2, height, width), -1, np.float32)
+    snr, green_snr = signal_over_noise(spectra[0], variance), signal_over_noise(spectra[1], green[2])
+    unit = _unit_weight(kernels, settings, spacing_px)
+    quieter = _quieter((plane, variance), (green[0], green[2]), settings, spacing_px)
+    classes = _classes(snr, (snr > settings.edge_snr) & (green_snr > settings.edge_snr), quieter, unit, settings)
+    score, ncc = np.empty((2, len(kernels), *grid.frame), np.float32)
     for level, (kernel, green_kernel) in enumerate(zip(kernels, green[3], strict=True)):
-        own = fourier.transfer(kernel, shape, PLANE_SPACING_PX)
-        blur = reblur(own, fourier.transfer(green_kernel, shape, PLANE_SPACING_PX), beta, shape)
-        predicted = filtered(spectrum * blur)
-        power = raw_power = energy(predicted)
-        if settings.noise_corrected:
-            level_gain = sum(noise_gain(f * blur, shape[1]) for f in filters)
-            power = np.maximum(power - level_gain * noise, MIN_ENERGY_SHARE * power)
-        product = window_mean(np.sum([p * o for p, o in zip(predicted, observed, strict=True)], axis=0), settings)
-        score[level] = product / np.sqrt(np.maximum(power * green_energy, SMALLEST))
-        better = score[level] > best
-        best[better] = score[level][better]
-        scale = np.sqrt(np.maximum(raw_power * raw_green_energy, SMALLEST))
-        plain[better] = (product / scale)[better]
-    return score, plain, peak_offset(kernels, green[3], beta, settings), snr, green_snr
+        own = fourier.transfer(kernel, shape, spacing_px)
+        other = fourier.transfer(green_kernel, shape, spacing_px)
+        if settings.score == "colour-line":
+            score[level], ncc[level] = comparison.colour_line(own, other, settings, spectra, grid)
+            continue
+        for weights, where in classes:
+            found = comparison.level_score(own, other, weights, settings, spectra, grid)
+            score[level][where], ncc[level][where] = (f[where] for f in found)
+    plain = np.take_along_axis(ncc, score.argmax(axis=0)[None], 0)[0]
+    if settings.score == "colour-line":  # published without refinement: its parabola is left as it is
+        return Match(score, plain, np.zeros(len(kernels)), snr, green_snr)
+    typical = max(classes, key=lambda item: int(item[1].sum()))[0]
+    return Match(score, plain, peak_offset(kernels, green[3], typical, settings, spacing_px), snr, green_snr)
 
 
-def peak_offset(kernels: NDArray, green_kernels: NDArray, beta: float, settings: Settings) -> NDArray[np.float64]:
-    """How far the refined peak lies from each true level for a clean picture, [level], from the kernels alone.
+def _unit_weight(kernels: NDArray, settings: Settings, spacing_px: float) -> float:
+    """Weight beta of eq. (9) for gradients as strong as their noise: divide by the signal over noise."""
+    shape = (OFFSET_GRID, OFFSET_GRID)
+    grid = comparison.make_grid(shape, shape, spacing_px, settings)
+    return comparison.weight_of(fourier.transfer(kernels, shape, spacing_px), 1.0, grid, settings)
 
-    The NCC falls faster towards less blur than towards more, so the vertex of a parabola misses its maximum,
-    and eq. (10) adds a little blur of its own: up to 0.3 levels together. Expected NCC of neighbouring levels for
-    a texture of natural spectrum (power 1/f^2), on a small grid; deviation: the paper names no refinement.
+
+def _quieter(
+    sharper: tuple[Float32Array, Float32Array],
+    green: tuple[Float32Array, Float32Array],
+    settings: Settings,
+    spacing_px: float,
+) -> Float32Array:
+    """Noise variance over squared signal of green, relative to the sharper channel's, [h, w]; (plane, variance) each.
+
+    The signal is the patch's mean: a texture has about the same contrast in both channels, whatever their blur.
+    """
+    relative = []
+    for plane, variance in (green, sharper):
+        mean = np.maximum(window_mean(plane, settings, spacing_px), SMALLEST_SIGNAL * max(float(plane.max()), 1e-6))
+        relative.append(window_mean(variance, settings, spacing_px) / mean**2)
+    return relative[0] / relative[1]
+
+
+def _classes(
+    snr: Float32Array, edges: NDArray, quieter: Float32Array, unit: float, settings: Settings
+) -> list[tuple[Weights, NDArray]]:
+    """Weights of eq. (9) and the samples [h, w] that each holds for; ``unit`` is that of signals as strong as noise.
+
+    Eq. (9) has one weight for the frame, so the NCC has one class, of the median over the edges.
+    """
+
+    def weights(strength: float, where: NDArray) -> Weights:
+        ratio = float(np.median(quieter[where])) if where.any() else 1.0
+        return Weights(unit / strength, unit / strength * ratio)
+
+    if settings.score != "likelihood":
+        strength = float(np.median(snr[edges])) if edges.any() else 1.0
+        return [(weights(strength, edges), np.ones(snr.shape, bool))]
+    middle = np.sqrt(np.array(STRENGTHS[1:]) * np.array(STRENGTHS[:-1]))
+    index = np.searchsorted(middle, snr)
+    return [
+        (weights(strength, edges & (index == number)), index == number)
+        for number, strength in enumerate(STRENGTHS)
+        if (index == number).any()
+    ]
+
+
+def peak_offset(
+    kernels: NDArray, green_kernels: NDArray, weights: Weights, settings: Settings, spacing_px: float
+) -> NDArray[np.float64]:
+    """How far the refined peak lies from each true level, [level], from the kernels alone.
+
+    The score falls faster towards less blur than towards more, so the vertex of a parabola misses its maximum, up to
+    0.3 levels. Expected score of neighbouring levels for a texture of natural spectrum (power 1/f^2) and the
+    weights of eq. (9) given, on a small grid; deviation: the paper names no refinement.
     """
     shape = (OFFSET_GRID, OFFSET_GRID)
-    fy, fx = fourier.frequencies(shape, PLANE_SPACING_PX)
-    power = sum(np.abs(f) ** 2 for f in derivatives(shape, settings)) / np.maximum(fy**2 + fx**2, OFFSET_GRID**-2)
-    power[:, 1:] *= 2  # the half-plane stands for both
-    small = fourier.transfer(kernels, shape, PLANE_SPACING_PX)
-    large = fourier.transfer(green_kernels, shape, PLANE_SPACING_PX)
-    filters = [reblur(s, g, beta, shape) for s, g in zip(small, large, strict=True)]
+    grid = comparison.make_grid(shape, shape, spacing_px, settings)
+    small = fourier.transfer(kernels, shape, spacing_px)
+    large = fourier.transfer(green_kernels, shape, spacing_px)
+    texture = 1 / np.maximum(grid.gradient, OFFSET_GRID**-2)
+    steps = [comparison.level_filters(s, g, weights, settings, grid) for s, g in zip(small, large, strict=True)]
     offset = np.zeros(len(kernels))
     for true in range(1, len(kernels) - 1):
-        before, at, after = (
-            (power * np.conj(large[true]) * predicted).sum().real / np.sqrt((power * np.abs(predicted) ** 2).sum())
-            for predicted in (small[true] * filters[true + step] for step in (-1, 0, 1))
+        powers = (
+            texture * np.abs(small[true]) ** 2 + weights.sharper,
+            texture * np.abs(large[true]) ** 2 + weights.green,
+            texture * np.conj(large[true]) * small[true],
         )
+        before, at, after = (_expected(steps[true + step], powers, shape, settings) for step in (-1, 0, 1))
         curvature = 2 * at - before - after
         offset[true] = np.clip(0.5 * (after - before) / curvature, -0.5, 0.5) if curvature > 0 else 0.0
     return offset
+
+
+def _expected(
+    step: tuple[list[Complex64Array], list[Complex64Array], float],
+    powers: tuple[NDArray, NDArray, NDArray],
+    shape: tuple[int, int],
+    settings: Settings,
+) -> float:
+    """Score of a level for power spectra of the sharper channel, of green, and across, [h, w/2 + 1]."""
+    mine, other, constant = step
+    own, green, across = (
+        sum(comparison.plane_mean(part, shape[1]) for part in parts)
+        for parts in (
+            [powers[0] * np.abs(m) ** 2 for m in mine],
+            [powers[1] * np.abs(o) ** 2 for o in other],
+            [(powers[2] * m * np.conj(o)).real for m, o in zip(mine, other, strict=True)],
+        )
+    )
+    ncc = np.array(across / np.sqrt(own * green))
+    return float(ncc if settings.score == "ncc" else comparison.log_likelihood(ncc, np.array(green), constant))
 
 
 def best_level(

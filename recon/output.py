@@ -14,7 +14,7 @@ from dasim.camera import Camera
 from dasim.errors import InputError
 from dasim.files import new_folder, software_versions
 from dasim.specification import parse
-from dasim.values import Reconstruction
+from dasim.values import Developed, Reconstruction
 
 RECON_SCHEMA = 1
 _RGB = ("R", "G", "B")
@@ -45,6 +45,31 @@ def save_reconstruction(path: Path, result: Reconstruction) -> None:
         (folder / "recon.json").write_text(json.dumps(about, indent=1) + "\n", encoding="utf-8")
 
 
+def save_picture(path: Path, picture: Developed) -> None:
+    """Write the colour picture of a camera without depth: ``rgb.png``, ``recon.exr`` and ``recon.json``."""
+    import OpenEXR
+
+    colours = {"rgb": picture.rgb, "linear_e": picture.linear_e}
+    parts = [_part(name, {c: image[..., i] for i, c in enumerate(_RGB)}) for name, image in colours.items()]
+    if picture.ir_e is not None:
+        parts.append(_part("ir_e", {"ir_e": picture.ir_e}))
+    about = {
+        "schema": RECON_SCHEMA,
+        "picture_only": True,
+        "camera": picture.camera.model_dump(mode="json"),
+        "light": picture.light,
+        "settings": picture.settings,
+        "timings_s": picture.timings_s,
+        "software": software_versions(),
+    }
+    with new_folder(path, "reconstruction") as folder:
+        write_picture(folder / "rgb.png", picture.rgb)
+        if picture.ir_e is not None:
+            write_picture(folder / "ir.png", grey(picture.ir_e))
+        OpenEXR.File(parts).write(str(folder / "recon.exr"))
+        (folder / "recon.json").write_text(json.dumps(about, indent=1) + "\n", encoding="utf-8")
+
+
 def load_reconstruction(path: Path) -> Reconstruction:
     """Read a reconstruction folder; InputError where it is missing, damaged or of another kind."""
     import OpenEXR
@@ -54,6 +79,8 @@ def load_reconstruction(path: Path) -> Reconstruction:
         raise InputError(f"reconstruction {path}: holds no recon.json; make one with 'dasim recon CAPTURE --out DIR'")
     try:
         about: dict[str, Any] = json.loads((path / "recon.json").read_text(encoding="utf-8"))
+        if about.get("picture_only"):
+            raise InputError(f"reconstruction {path}: holds a picture alone, its camera has no depth")
         with OpenEXR.File(str(path / "recon.exr"), separate_channels=True) as file:
             parts = {p.name(): {k: c.pixels for k, c in p.channels.items()} for p in file.parts}
         arrays = {name: parts[name][name] for name in _PLANES}

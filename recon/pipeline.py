@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 
 import cv2
@@ -14,55 +14,46 @@ from dasim.camera import Camera
 from dasim.colour import exposure_scale, to_srgb
 from dasim.errors import InputError
 from dasim.spectra import CHANNELS
-from dasim.values import Capture, PsfBank, Reconstruction
-from recon import colour, denoise, depth, infrared, mosaic, sharpen
+from dasim.values import Capture, Developed, PsfBank, Reconstruction
+from recon import colour, denoise, depth, infrared, mosaic, picture, sharpen
 from recon.regularise import regularise
 from recon.settings import PAPER, Settings
 
 Float32Array = NDArray[np.float32]
 Progress = Callable[[str, float], None]
 
-STAGES = ("linearise", "light", "denoise", "infrared", "demosaic", "depth", "regularise", "sharpen", "colour")
+PICTURE_STAGES = ("linearise", "light", "denoise", "infrared", "demosaic", "colour")
+STAGES = (*PICTURE_STAGES[:-1], "depth", "regularise", "sharpen", "colour")
+LIGHTS = ("D65", "D55", "A", "energy-saving-3500K")  # sec. 5.1, that white balance chooses from without a bank
 NOISE_BLUR_PX = 1.5  # plane pixels: the signal that decides the noise is a local mean
 FALLBACK_TRUST = 0.25  # of red or blue in place of infrared: their blur differs little (sec. 5.3)
 DENOISED_NOISE_SHARE = 0.5  # of the sensor's noise that nonlocal means leave, standard deviation
-MIN_FRAME_PX = 32
 FOCUS_TOLERANCE = 0.01  # relative, in dioptres, between bank and capture
 
 
 def reconstruct(
-    capture: Capture, bank: PsfBank, settings: Settings = PAPER, *, progress: Progress | None = None
+    capture: Capture,
+    bank: PsfBank,
+    settings: Settings = PAPER,
+    *,
+    flat: Capture | None = None,
+    progress: Progress | None = None,
 ) -> Reconstruction:
     """Everything the paper makes of one capture: picture, depth, all-in-focus picture.
 
+    ``flat`` is a capture of an even surface, from which the lens shading is undone in the pictures.
     ``progress`` is called with a stage's name and the share of stages done before it. Raises InputError where
-    capture and bank do not belong together, or where the mosaic is not the paper's.
+    capture and bank do not belong together, or where the mosaic has no infrared.
     """
     _check(capture, bank)
     camera = capture.camera
     timings: dict[str, float] = {}
 
-    @contextmanager
-    def stage(name: str) -> Iterator[None]:
-        if progress:
-            progress(name, STAGES.index(name) / len(STAGES))
-        start = time.perf_counter()
-        yield
-        timings[name] = time.perf_counter() - start
-
-    with stage("linearise"):
-        raw_e, saturated = mosaic.linearise(capture)
-    with stage("light"):
-        light = colour.choose_light(mosaic.planes(raw_e, camera), _blocks_any(saturated), bank)
-        white = bank.signature[light]
-        variances = _variances(raw_e, capture)
-    with stage("denoise"):
-        clean_e = _denoised(raw_e, capture, settings)
-    with stage("infrared"):
-        ir_e = infrared.interpolate(mosaic.planes(clean_e, camera)["IR"], mosaic.phases(camera)["IR"])
-    with stage("demosaic"):
-        bayer = mosaic.replace_green(clean_e, ir_e, camera)
-        full_e = mosaic.demosaic(bayer, camera, white)
+    stage = _stages(STAGES, timings, progress)
+    image = picture.demosaiced(capture, bank.signature, settings, flat, stage)
+    raw_e, saturated, light, full_e, ir_e = image.raw_e, image.saturated, image.light, image.full_e, image.ir_e
+    assert ir_e is not None  # checked above
+    variances = _variances(raw_e, capture)
     with stage("depth"):
         raw_level, trust = _raw_levels(raw_e, variances, saturated, camera, bank.kernel[light], settings)
     with stage("regularise"):
@@ -70,15 +61,16 @@ def reconstruct(
         smooth, evidence = regularise(raw_level, trust, guide, settings.regularise_bandwidth)
         level = _upsampled(smooth, camera.sensor.height_px, camera.sensor.width_px)
     with stage("sharpen"):
-        alpha, keep = infrared.crosstalk(camera), _grown(saturated)
-        linear_e = infrared.remove(full_e, np.maximum(ir_e, 0), alpha, keep)
-        kernels = sharpen.visible_kernels(bank.kernel[light], white, alpha)
-        noise_e = sharpen.visible_noise(_noise_e(variances, settings), alpha)
+        separation = infrared.separation(camera, bank.lights[light], settings)
+        clipped, white = picture.clipped(saturated, camera), bank.signature[light]
+        linear_e = picture.without_infrared(full_e, ir_e, separation, clipped, white)
+        kernels = sharpen.visible_kernels(bank.kernel[light], white, separation)
+        noise_e = sharpen.visible_noise(_noise_e(variances, settings), separation)
         found, _ = sharpen.sharpen(linear_e, ir_e, level, kernels, noise_e, settings)
         confidence = _upsampled(evidence, *level.shape)
         sharp_e = linear_e + confidence[..., None] * (found - linear_e)  # where the level is a guess, as captured
     with stage("colour"):
-        matrix = colour.colour_matrix(camera, bank.lights[light])
+        matrix = colour.colour_matrix(camera, bank.lights[light], separation)
         scale = exposure_scale(linear_e, matrix)
         rgb, sharp_rgb = to_srgb(linear_e, matrix, scale), to_srgb(sharp_e, matrix, scale)
     if progress:
@@ -100,12 +92,57 @@ def reconstruct(
     )
 
 
+def develop(
+    capture: Capture,
+    settings: Settings = PAPER,
+    *,
+    lights: Sequence[str] = LIGHTS,
+    flat: Capture | None = None,
+    progress: Progress | None = None,
+) -> Developed:
+    """The colour picture alone (sec. 4), of any mosaic that is known, without a PSF bank.
+
+    White balance chooses among ``lights`` by the camera's response curves.
+    """
+    camera = capture.camera
+    timings: dict[str, float] = {}
+    stage = _stages(PICTURE_STAGES, timings, progress)
+    signature = colour.signatures(camera, lights)
+    image = picture.demosaiced(capture, signature, settings, flat, stage)
+    light = lights[image.light]
+    with stage("colour"):
+        separation = infrared.separation(camera, light, settings)
+        clipped = picture.clipped(image.saturated, camera)
+        linear_e = picture.without_infrared(image.full_e, image.ir_e, separation, clipped, signature[image.light])
+        matrix = colour.colour_matrix(camera, light, separation)
+        rgb = picture.displayed(linear_e, matrix)
+    if progress:
+        progress("done", 1.0)
+    ir_e = None if image.ir_e is None else np.maximum(image.ir_e, 0)
+    return Developed(rgb, linear_e, ir_e, matrix, camera, light, settings.model_dump(), timings)
+
+
+def _stages(names: Sequence[str], timings: dict[str, float], progress: Progress | None) -> picture.Stage:
+    """Blocks that say their name and take their time."""
+
+    @contextmanager
+    def stage(name: str) -> Iterator[None]:
+        if progress:
+            progress(name, names.index(name) / len(names))
+        start = time.perf_counter()
+        yield
+        timings[name] = time.perf_counter() - start
+
+    return stage
+
+
 def _check(capture: Capture, bank: PsfBank) -> None:
     """Refuse a bank of another camera or focus; the frame's size may differ."""
-    mosaic.phases(capture.camera)
-    if min(capture.raw_dn.shape) < MIN_FRAME_PX:
-        height, width = capture.raw_dn.shape
-        raise InputError(f"capture: {width} x {height} pixels; at least {MIN_FRAME_PX} x {MIN_FRAME_PX} are needed")
+    if "IR" not in mosaic.grids(capture.camera):
+        raise InputError(
+            f"camera '{capture.camera.name}' has no infrared pixels, so that its captures show no depth; "
+            "recon.develop makes the picture alone"
+        )
     mine, banks = capture.camera, bank.camera
     same_stops = [s.model_dump() for s in mine.stops] == [s.model_dump() for s in banks.stops]
     if not same_stops or mine.sensor.pixel_pitch_um != banks.sensor.pixel_pitch_um:
@@ -119,22 +156,6 @@ def _check(capture: Capture, bank: PsfBank) -> None:
             f"{bank_focus:g} m, the capture has {mine.lens.focal_length_mm:g} mm f/{mine.lens.f_number:g} at "
             f"{focus:g} m; make a bank with 'dasim calibrate --focus {focus:g}'"
         )
-
-
-def _denoised(raw_e: Float32Array, capture: Capture, settings: Settings) -> Float32Array:
-    """Sec. 4.1 on each colour plane of the mosaic."""
-    if not settings.denoise:
-        return raw_e
-    clean = np.empty_like(raw_e)
-    coefficients = mosaic.noise_coefficients(capture)
-    for name, plane in mosaic.planes(raw_e, capture.camera).items():
-        guide = denoise.stabilise(plane, coefficients)
-        result = denoise.nonlocal_means(
-            np.ascontiguousarray(plane), guide, settings.denoise_bandwidth, settings.denoise_patch_sigma_px
-        )
-        y, x = mosaic.phases(capture.camera)[name]
-        clean[y::2, x::2] = result
-    return clean
 
 
 def _variances(raw_e: Float32Array, capture: Capture) -> dict[str, Float32Array]:
@@ -161,11 +182,11 @@ def _raw_levels(
     def channel(name: str, plane: NDArray) -> depth.Channel:
         return np.ascontiguousarray(plane), places[name], variances[name], kernels[:, CHANNELS.index(name)]
 
-    usable = depth.window_mean(_blocks_any(saturated).astype(np.float32), settings) < settings.saturated_share
+    usable = depth.window_mean(picture.blocks_any(saturated).astype(np.float32), settings) < settings.saturated_share
     green = channel("G", planes["G"])
     level = np.full(planes["G"].shape, np.nan, np.float32)
     confidence = np.zeros_like(level)
-    sharper = {"IR": planes["IR"]} | ({n: planes[n] for n in "RB"} if settings.fallback else {})
+    sharper = {"IR": planes["IR"]} | ({n: planes[n] for n in _fallbacks(camera)} if settings.fallback else {})
     for name, plane in sharper.items():
         score, plain, offset, snr, green_snr = depth.match(channel(name, plane), green, settings)
         found, trust = depth.best_level(score, plain, offset, settings)
@@ -174,6 +195,11 @@ def _raw_levels(
         level[new] = found[new]
         confidence[new] = (trust if name == "IR" else FALLBACK_TRUST * trust)[new]
     return level, confidence
+
+
+def _fallbacks(camera: Camera) -> list[str]:
+    """Channels that stand in for infrared: those whose planes are sampled, not filled in between."""
+    return [name for name in "RB" if mosaic.grids(camera)[name][0].step == 2]
 
 
 def _infrared_guide(ir_e: Float32Array, capture: Capture) -> Float32Array:
@@ -187,16 +213,6 @@ def _noise_e(variances: dict[str, Float32Array], settings: Settings) -> NDArray:
     """Standard deviation of the noise of R, G, B and IR in the full picture, its mean over the frame."""
     sigma = np.sqrt([variances[name].mean() for name in CHANNELS])
     return sigma * (DENOISED_NOISE_SHARE if settings.denoise else 1.0)
-
-
-def _blocks_any(mask: NDArray) -> NDArray:
-    """2x2 blocks [h/2, w/2] with any pixel of a mask [h, w]."""
-    return mask[::2, ::2] | mask[1::2, ::2] | mask[::2, 1::2] | mask[1::2, 1::2]
-
-
-def _grown(mask: NDArray) -> NDArray:
-    """A mask and its direct neighbours, which interpolation took values from."""
-    return cv2.dilate(mask.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
 
 
 def _depth_m(level: Float32Array, bank: PsfBank) -> Float32Array:

@@ -19,6 +19,14 @@ class Settings(Specification):
     denoise_bandwidth: float = Field(default=3.0, gt=0, le=100, description="tau of eq. (4), noise variances")
     denoise_patch_sigma_px: float = Field(default=1.0, gt=0, le=10, description="rho of eq. (5), plane pixels")
 
+    # sec. 4.4
+    infrared_removal: Literal["coefficients", "matrix"] = Field(
+        default="coefficients", description="eq. (7), or a full 4x4 crosstalk matrix"
+    )
+    crosstalk: tuple[float, float, float] | None = Field(
+        default=None, description="alpha of eq. (8) for R, G, B as measured; by default from the response curves"
+    )
+
     # sec. 5.2
     window_px: int = Field(default=31, ge=5, le=201, description="delta of eq. (11), side of the patch")
     window: Literal["gaussian", "box"] = "gaussian"
@@ -26,8 +34,13 @@ class Settings(Specification):
         default="both", description="eq. (11): NCC of the sum of the derivatives, or of both taken together"
     )
     cutoff_cycles_px: float = Field(default=0.16, gt=0, le=0.25, description="edge of the band that is compared")
-    noise_corrected: bool = Field(default=True, description="take the expected noise out of the NCC's energies")
-    prior_factor: float = Field(default=0.03, gt=0, le=1e4, description="factor on the measured beta of eq. (9)")
+    score: Literal["ncc", "likelihood", "colour-line"] = Field(
+        default="ncc", description="how a level is scored: eq. (11), its likelihood, or Chakrabarti and Zickler's"
+    )
+    prior_factor: float = Field(default=1.0, gt=0, le=1e4, description="factor on the measured beta of eq. (9)")
+    diagonals: Literal["right", "published"] = Field(
+        default="right", description="diagonal gradients of the colour line: as meant, or as in the published code"
+    )
     edge_snr: float = Field(default=0.5, ge=0, le=1000, description="gradient energy over noise that makes an edge")
     fallback: bool = Field(default=True, description="red, then blue, where infrared shows no edge (sec. 5.3)")
     saturated_share: float = Field(default=0.05, ge=0, le=1, description="of a window: above it, no estimate")
@@ -40,3 +53,8 @@ class Settings(Specification):
 
 
 PAPER = Settings()
+PRESETS = {
+    "paper": PAPER,
+    "likelihood": Settings(score="likelihood"),  # the paper's with levels scored by likelihood instead of NCC
+    "chakrabarti-zickler": Settings(score="colour-line"),  # the closest prior work on the same bank and windows
+}

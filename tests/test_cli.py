@@ -18,9 +18,10 @@ import pytest
 import trimesh
 
 from dasim.cache import cache_dir
-from dasim.camera import CAMERA_DIR
+from dasim.camera import CAMERA_DIR, cropped, load_camera
 from dasim.cli import run
-from dasim.files import load_bank, load_capture, load_truth, write_truth
+from dasim.files import load_bank, load_capture, load_truth, save_capture, write_truth
+from dasim.values import Capture
 from recon.output import load_reconstruction
 
 TINY = ("--size", "64x48", "--spp", "4")
@@ -226,6 +227,25 @@ def test_recon_takes_settings(here):
     arguments = ["--bank", "bank.npz", "--settings", "settings.toml", "--out", "plain"]
     assert run(["recon", "shot", *arguments]) == 0
     assert load_reconstruction(here / "plain").settings["window_px"] == 21
+
+
+def even(name: str, level_dn: int) -> Capture:
+    """A capture of an even grey by a bundled camera."""
+    camera = cropped(load_camera(name), 64, 48)
+    return Capture(np.full((48, 64), level_dn, np.uint16), camera, 0.01, 1.0, 0)
+
+
+def test_recon_of_a_camera_without_infrared_is_a_picture(here, refused, capfd):
+    """Rationale: the Bayer twin is there to compare pictures with. It has no depth, and no bank is made for it."""
+    save_capture(here / "twin", even("bayer-mobile", 400), None)
+    save_capture(here / "even", even("bayer-mobile", 500), None)
+    assert run(["recon", "twin", "--flat", "even", "--out", "picture"]) == 0
+    assert "no depth" in capfd.readouterr().out
+    assert sorted(p.name for p in (here / "picture").iterdir()) == ["recon.exr", "recon.json", "rgb.png"]
+    refused("recon", "twin", "--bank", "bank.npz", "--out", "new", said=("--bank", "no infrared pixels"))
+    refused("score", "picture", "shot", said=("picture", "no depth"))
+    refused("recon", "shot", "--bank", "bank.npz", "--flat", "even", "--out", "new", said=("flat", "mosaic"))
+    assert run(["recon", "twin", "--out", "picture"]) == 0, "an earlier picture is replaced"
 
 
 def test_recon_needs_no_truth(here):

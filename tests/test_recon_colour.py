@@ -27,7 +27,7 @@ def white_capture(light):
 def test_the_light_of_a_grey_scene_is_found(light):
     capture, bank = white_capture(light), recon_scenes.bank()
     electrons, saturated = mosaic.linearise(capture)
-    chosen = colour.choose_light(mosaic.planes(electrons, capture.camera), saturated[::2, ::2], bank)
+    chosen = colour.choose_light(mosaic.planes(electrons, capture.camera), saturated[::2, ::2], bank.signature)
     assert bank.lights[chosen] == light
 
 

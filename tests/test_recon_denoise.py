@@ -5,7 +5,7 @@ import recon_scenes
 
 from dasim import sensor
 from dasim.values import Capture
-from recon import denoise, mosaic
+from recon import PAPER, denoise, mosaic, picture
 
 
 def transcription(plane, guide, bandwidth, sigma):
@@ -37,6 +37,21 @@ def test_equals_the_transcription():
     guide = (plane / 20).astype(np.float32)
     result = denoise.nonlocal_means(plane, guide, 2.0, 1.3)
     np.testing.assert_allclose(result, transcription(plane, guide, 2.0, 1.3), rtol=1e-5)
+
+
+def test_equals_the_transcription_at_the_pipelines_strength():
+    """A noisy edge in electrons, the guide and the numbers of the preset: what `reconstruct` really computes."""
+    camera = recon_scenes.da_mobile(32, 24)
+    mean_e = np.where(np.arange(32) < 13, 300.0, 2500.0)[None, :].repeat(24, 0)
+    raw, _ = sensor.expose(mean_e, camera.sensor, 0.01, 4)
+    capture = Capture(raw, camera, 0.01, 1.0, 4)
+    electrons, _ = mosaic.linearise(capture)
+    clean = picture.denoised(electrons, capture, PAPER)
+    for row, column in ((0, 0), (0, 1), (1, 0), (1, 1)):
+        plane = electrons[row::2, column::2]
+        guide = denoise.stabilise(plane, mosaic.noise_coefficients(capture))
+        wanted = transcription(plane, guide, PAPER.denoise_bandwidth, PAPER.denoise_patch_sigma_px)
+        np.testing.assert_allclose(clean[row::2, column::2], wanted, rtol=1e-5)
 
 
 def flat_capture(level_e, seed=0):

@@ -57,11 +57,3 @@ def test_removal_leaves_the_visible_light_of_each_light():
         rgb = np.tile(electrons[:3] / electrons[1] * 1000, (4, 4, 1)).astype(np.float32)
         clean = infrared.remove(rgb, np.full((4, 4), electrons[3] / electrons[1] * 1000, np.float32), alpha)
         np.testing.assert_allclose(clean[0, 0], visible / electrons[1] * 1000, rtol=0.09)
-
-
-def test_saturated_pixels_are_kept():
-    rgb, ir = np.full((2, 2, 3), 500, np.float32), np.full((2, 2), 400, np.float32)
-    keep = np.array([[True, False], [False, False]])
-    clean = infrared.remove(rgb, ir, np.array([1.0, 0.2, 0.1], np.float32), keep)
-    np.testing.assert_array_equal(clean[0, 0], [500, 500, 500])
-    np.testing.assert_allclose(clean[1, 1], [100, 420, 460])

@@ -8,11 +8,13 @@ import recon_scenes
 
 import recon
 from dasim import camera as cameras
+from dasim import sensor
 from dasim.errors import InputError
 from dasim.values import Capture
 from recon import infrared
 
 MIN_GAIN_DB = 1.0  # of the all-in-focus picture, with the estimated levels, mosaic and photon noise
+MIN_PICTURE_DB = 35.0  # captured against exact colours, white as peak; a picture off by one pixel has some 25
 MAX_LOSS_DB = 0.5  # near focus, where nothing is to gain
 
 
@@ -51,6 +53,23 @@ def test_levels_and_depths(scene, result):
     )
     # the bank's depths interpolated linearly between levels, against the lens equation
     np.testing.assert_allclose(result.depth_m, depths, rtol=0.01)
+
+
+def test_the_4x4_mosaic_shows_the_same_levels():
+    """The same light through the 4x4 mosaic, the same bank (kernels do not know of mosaics): level and picture."""
+    scene = recon_scenes.make(recon_scenes.slanted(128, 256, 2, 16), white_e=4000)
+    four = cameras.cropped(cameras.load_camera("da-4x4"), 256, 128)
+    raw, _ = sensor.expose(sensor.mosaic(scene.mean_e.astype(float), four), four.sensor, 0.02, 1)
+    result = recon.reconstruct(Capture(raw, four, 0.02, 1.0, 1), recon_scenes.bank())
+    sure = np.isfinite(result.level_raw)
+    assert sure.mean() > 0.25
+    assert np.median(np.abs(result.level_raw - scene.level)[sure]) < 0.8
+    alpha = infrared.crosstalk(four)
+    exact = scene.mean_e[..., :3] - alpha * scene.mean_e[..., 3:]
+    inner = np.zeros(scene.level.shape, bool)
+    inner[16:-16, 16:-16] = True
+    peak = 20 * np.log10(4000)
+    assert peak + decibel(result.linear_e, exact, inner) > MIN_PICTURE_DB
 
 
 def test_everything_is_finite_and_in_range(result):

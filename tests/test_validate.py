@@ -13,7 +13,7 @@ import pytest
 from dasim import aperture
 from dasim.cli import run
 from dasim.errors import InputError
-from validation import claims, claims_diffraction, claims_lens, claims_light, rendering
+from validation import claims, claims_diffraction, claims_lens, claims_light, claims_recon, rendering
 from validation.claim import GATES, Evidence, NotRun, gate_of, judged_all, load_gates, within
 from validation.metrics import Figure
 from validation.validate import Measurement, all_gates, chosen, run_claims
@@ -399,3 +399,22 @@ def test_folder_is_written_as_a_whole(fakes):
     with pytest.raises(KeyboardInterrupt):
         run_claims(fakes / "new", ["good", "stopped"], FAKES, [])
     assert not (fakes / "new").exists()
+
+
+def test_a_picture_balanced_for_another_light_fails(renderer, monkeypatch):
+    """Set-up: the ColorChecker under A as da-mobile has it; white balance that is right, or always finds daylight."""
+    from recon import colour
+
+    monkeypatch.setattr(claims_recon, "CHECKER_LIGHTS", ("A",))
+    monkeypatch.setattr(claims_recon, "CHECKER_CAMERAS", ("da-mobile",))
+    shot = claims_recon.checker("da-mobile", "A")
+    monkeypatch.setattr(claims_recon, "checker", lambda camera, light: shot)
+
+    def under_a() -> bool:
+        figure = claims_recon.colour(lambda share: None).figures[0]
+        assert figure.id == "A"
+        return within(figure.value, gate_of("colour.A", load_gates(GATES, claims.CLAIMS)).limit)
+
+    assert under_a()
+    monkeypatch.setattr(colour, "choose_light", lambda planes, saturated, signature: 0)
+    assert not under_a()

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from validation.claims_depth import staircase, staircase_camera
 from validation.claims_diffraction import airy_table, wave_energy, wave_sfr
 from validation.claims_lens import blur_off
 from validation.claims_light import absolute_electrons, eq8_flat_field, hole_alpha_squared, light_loss
 from validation.claims_occlusion import occluding_edge
+from validation.claims_recon import colour
 from validation.claims_sampling import desk_noise, noise_slope_off, noise_slope_wave, render_cost
 from validation.claims_scenes import interreflection, registration, scenes_speed
 from validation.validate import Measurement
@@ -27,5 +29,8 @@ CLAIMS = {
     "render-cost": Measurement(render_cost, quick=False),
     "registration": Measurement(registration, quick=True),
     "interreflection": Measurement(interreflection, quick=False),
+    "colour": Measurement(colour, quick=False),
     "scenes-speed": Measurement(scenes_speed, quick=False),
+    "staircase": Measurement(staircase, quick=False),
+    "staircase-camera": Measurement(staircase_camera, quick=False),
 }

@@ -46,9 +46,9 @@ def demo_page(shot: Shot, result: Reconstruction, claims: list[Claim], timings_s
         (
             "The capture",
             [
-                ("Raw mosaic", _png(grey(shot.capture.raw_dn.astype(float) - camera.sensor.black_level_dn))),
-                ("Colour, infrared removed", _png(result.rgb)),
-                ("Near-infrared", _png(grey(result.ir_e))),
+                ("Raw mosaic", png_address(grey(shot.capture.raw_dn.astype(float) - camera.sensor.black_level_dn))),
+                ("Colour, infrared removed", png_address(result.rgb)),
+                ("Near-infrared", png_address(grey(result.ir_e))),
             ],
         ),
         (
@@ -66,9 +66,9 @@ def demo_page(shot: Shot, result: Reconstruction, claims: list[Claim], timings_s
         (
             "All in focus",
             [
-                ("Captured", _png(result.rgb)),
-                ("All in focus", _png(result.sharp_rgb)),
-                ("Truth, through a pinhole", _png(sharp_truth)),
+                ("Captured", png_address(result.rgb)),
+                ("All in focus", png_address(result.sharp_rgb)),
+                ("Truth, through a pinhole", png_address(sharp_truth)),
             ],
         ),
     ]
@@ -111,7 +111,7 @@ def _raw_depth(result: Reconstruction) -> NDArray[Any]:
     return np.interp(result.level_raw, levels, depths, left=depths[0], right=depths[-1])
 
 
-def _png(image: NDArray[Any]) -> str:
+def png_address(image: NDArray[Any]) -> str:
     """A display picture 0..1 as a data address."""
     encoded = np.rint(np.clip(np.nan_to_num(image), 0, 1) * 255).astype(np.uint8)
     _, data = cv2.imencode(".png", encoded[..., ::-1] if encoded.ndim == 3 else encoded)
