@@ -31,13 +31,19 @@ def choose_light(planes: dict[str, NDArray], saturated: NDArray, signature: NDAr
     ``signature`` [light, channel], a bank's or :func:`signatures`, in log-chromaticity (R, B and IR against G):
     infrared tells lamps from daylight.
     """
+    distance = light_distances(planes, saturated, signature)
+    return 0 if distance is None else int(distance.argmin())
+
+
+def light_distances(planes: dict[str, NDArray], saturated: NDArray, signature: NDArray) -> FloatArray | None:
+    """Distances in log-chromaticity of a picture's white from every light's, [light]; None where it has no light."""
     mean = np.array([_minkowski(plane, saturated) for plane in planes.values()])
     if not np.all(mean > 0):
-        return 0
+        return None
     green = list(planes).index("G")
     measured = np.log(mean / mean[green])
     known = np.log(np.maximum(signature, np.finfo(np.float32).tiny))
-    return int(np.argmin(((known - measured) ** 2).sum(axis=1)))
+    return np.asarray(np.sqrt(((known - measured) ** 2).sum(axis=1)))
 
 
 def _minkowski(plane: NDArray, saturated: NDArray) -> float:

@@ -5,12 +5,13 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from dasim.camera import Camera
+from dasim.camera import Camera, channels
 from dasim.colour import exposure_scale, to_srgb
 from dasim.errors import InputError
 from dasim.files import bank_identity
@@ -29,6 +30,7 @@ LIGHTS = ("D65", "D55", "A", "energy-saving-3500K")  # sec. 5.1, that white bala
 NOISE_BLUR_PX = 1.5  # plane pixels: the signal that decides the noise is a local mean
 FALLBACK_TRUST = 0.25  # of red or blue in place of infrared: their blur differs little (sec. 5.3)
 DENOISED_NOISE_SHARE = 0.5  # of the sensor's noise that nonlocal means leave, standard deviation
+FAR_LIGHT = 1.0  # in log-chromaticity: D65 and A are 1.46 apart, photographs within 0.5 of their own light
 FOCUS_TOLERANCE = 0.01  # relative, in dioptres, between bank and capture
 
 
@@ -65,9 +67,8 @@ def reconstruct(
         separation = infrared.separation(camera, bank.lights[light], settings)
         clipped, white = picture.clipped(saturated, camera), bank.signature[light]
         linear_e = picture.without_infrared(full_e, ir_e, separation, clipped, white)
-        alpha = -separation[:, 3] / separation[:, :3].diagonal()  # a full matrix mixes colours too: their blur is alike
-        kernels = sharpen.visible_kernels(bank.kernel[light], white, alpha)
-        noise_e = sharpen.visible_noise(_noise_e(variances, settings), alpha)
+        kernels = sharpen.visible_kernels(bank.kernel[light], white, separation)
+        noise_e = sharpen.visible_noise(_noise_e(variances, settings), separation)
         found, _ = sharpen.sharpen(linear_e, ir_e, level, kernels, noise_e, settings)
         confidence = _upsampled(evidence, *level.shape)
         sharp_e = linear_e + confidence[..., None] * (found - linear_e)  # where the level is a guess, as captured
@@ -92,6 +93,7 @@ def reconstruct(
         settings=settings.model_dump(),
         timings_s=timings,
         bank=bank_identity(bank),
+        notes=_notes(image.raw_e, image.saturated, camera, bank),
     )
 
 
@@ -147,9 +149,12 @@ def _check(capture: Capture, bank: PsfBank) -> None:
             "recon.develop makes the picture alone"
         )
     mine, banks = capture.camera, bank.camera
-    same_stops = [s.model_dump() for s in mine.stops] == [s.model_dump() for s in banks.stops]
-    if not same_stops or mine.sensor.pixel_pitch_um != banks.sensor.pixel_pitch_um:
-        raise InputError(f"bank of camera '{banks.name}' does not fit a capture of camera '{mine.name}'")
+    wrong = [what for what, one, other in _optics(mine, banks) if one != other]
+    if wrong:
+        raise InputError(
+            f"bank of camera '{banks.name}' does not fit a capture of camera '{mine.name}': they differ in "
+            f"{', '.join(wrong)}; make one with 'dasim calibrate --camera'"
+        )
     focus, bank_focus = mine.lens.focus_distance_m, banks.lens.focus_distance_m
     if abs(1 / focus - 1 / bank_focus) > FOCUS_TOLERANCE / bank_focus or (
         mine.lens.focal_length_mm, mine.lens.f_number
@@ -159,6 +164,33 @@ def _check(capture: Capture, bank: PsfBank) -> None:
             f"{bank_focus:g} m, the capture has {mine.lens.focal_length_mm:g} mm f/{mine.lens.f_number:g} at "
             f"{focus:g} m; make a bank with 'dasim calibrate --focus {focus:g}'"
         )
+
+
+def _notes(raw_e: Float32Array, saturated: NDArray, camera: Camera, bank: PsfBank) -> tuple[str, ...]:
+    """What speaks against the bank's lights: the picture's white lies far from all of them, or cannot be told."""
+    distance = colour.light_distances(mosaic.planes(raw_e, camera), picture.blocks_any(saturated), bank.signature)
+    if distance is None:
+        return (f"the picture is too dark or too bright to tell its light; {bank.lights[0]} is taken",)
+    nearest = int(distance.argmin())
+    if distance[nearest] < FAR_LIGHT:
+        return ()
+    return (
+        f"the picture's white lies far from every light of the bank ({', '.join(bank.lights)}), the nearest is "
+        f"{bank.lights[nearest]}; if it was taken under another light, add that with 'dasim calibrate --illuminant'",
+    )
+
+
+def _optics(mine: Camera, banks: Camera) -> list[tuple[str, Any, Any]]:
+    """What decides kernels beside the lens, of two cameras."""
+    one, other = ([stop.model_dump() for stop in camera.stops] for camera in (mine, banks))
+    first, second = mine.sensor, banks.sensor
+    return [
+        ("stops", one, other),
+        ("pixel_pitch_um", first.pixel_pitch_um, second.pixel_pitch_um),
+        ("channels", channels(first), channels(second)),
+        ("quantum_efficiency", first.quantum_efficiency, second.quantum_efficiency),
+        ("cutoff_nm", first.cutoff_nm, second.cutoff_nm),
+    ]
 
 
 def _variances(raw_e: Float32Array, capture: Capture) -> dict[str, Float32Array]:

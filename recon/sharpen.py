@@ -81,21 +81,21 @@ def sharpen(
     return np.ascontiguousarray(np.moveaxis(sharp[:3], 0, -1)), sharp[3]
 
 
-def visible_kernels(kernels: NDArray, signature: NDArray, alpha: NDArray) -> Float32Array:
+def visible_kernels(kernels: NDArray, signature: NDArray, separation: NDArray) -> Float32Array:
     """Kernels [level, 4, size, size] of R, G, B after eq. (7) and of IR, from measured ones [level, 4, size, size].
 
-    A white point gives channel i ``signature[i]`` h_i; without infrared it gives signature_i h_i - alpha_i
-    signature_IR h_IR, and so does any other colour: the kernel no longer depends on what is photographed.
+    A white point gives channel j ``signature[j]`` h_j, and after ``separation`` [3, 4] the sum of these over j. With
+    eq. (7), signature_i h_i - alpha_i signature_IR h_IR, any other colour gives the same kernel: it no longer depends
+    on what is photographed.
     """
-    red_green_blue = signature[:3, None, None] * kernels[:, :3]
-    clean = np.maximum(red_green_blue - (alpha * signature[3])[:, None, None] * kernels[:, 3:], 0)
+    clean = np.maximum(np.einsum("ij,ljyx->liyx", separation * signature, kernels), 0)
     clean = clean / clean.sum(axis=(-1, -2), keepdims=True)
     return np.concatenate([clean, kernels[:, 3:]], axis=1).astype(np.float32)
 
 
-def visible_noise(noise_e: NDArray, alpha: NDArray) -> NDArray:
+def visible_noise(noise_e: NDArray, separation: NDArray) -> NDArray:
     """Standard deviation of the noise of R, G, B after eq. (7) and of IR, from that before it, [4]."""
-    return np.append(np.hypot(noise_e[:3], alpha * noise_e[3]), noise_e[3])
+    return np.append(np.sqrt(separation**2 @ noise_e**2), noise_e[3])
 
 
 def _nodes(levels: int) -> list[int]:

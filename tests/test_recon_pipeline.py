@@ -114,6 +114,43 @@ def test_a_bank_of_another_focus_or_camera_is_refused(scene):
         recon.reconstruct(other, bank)
 
 
+def test_a_bank_of_another_kind_of_sensor_is_refused(scene):
+    """Expectation: what differs is named: response curves, pixels, or the channels of a mosaic."""
+    bank, mine = recon_scenes.bank(), scene.capture.camera
+    sensor = bank.camera.sensor.model_copy(update={"cutoff_nm": 700.0})
+    other = dataclasses.replace(bank, camera=bank.camera.model_copy(update={"sensor": sensor}))
+    with pytest.raises(InputError, match=r"differ in cutoff_nm; .*'dasim calibrate"):
+        recon.reconstruct(scene.capture, other)
+    moved = dataclasses.replace(bank, camera=bank.camera.model_copy(update={"stops": mine.stops[:1]}))
+    with pytest.raises(InputError, match="differ in stops"):
+        recon.reconstruct(scene.capture, moved)
+
+
+def test_a_bank_of_another_light_is_said(scene, result):
+    """A picture under D65, a bank of lamps alone: done, with a note; with both lights there is none."""
+    bank = recon_scenes.bank()
+    lamp = dataclasses.replace(bank, kernel=bank.kernel[1:], lights=bank.lights[1:], signature=bank.signature[1:])
+    small = crop(scene.capture, 128, 64)
+    assert result.notes == ()
+    (note,) = recon.reconstruct(small, lamp).notes
+    assert "far from every light of the bank (A)" in note and "--illuminant" in note
+
+
+def crop(capture, width, height):
+    camera = recon_scenes.da_mobile(width, height)
+    return dataclasses.replace(capture, raw_dn=capture.raw_dn[:height, :width], camera=camera)
+
+
+def test_a_frame_smaller_than_the_kernels(scene):
+    """64 x 64 pixels under kernels of 75 x 75: finished, in range, and levels where there is texture."""
+    small = crop(scene.capture, 64, 64)
+    assert recon_scenes.bank().kernel.shape[-1] > 64
+    result = recon.reconstruct(small, recon_scenes.bank())
+    for name in ("rgb", "sharp_rgb", "linear_e", "sharp_e", "ir_e", "level", "depth_m", "confidence"):
+        assert np.isfinite(getattr(result, name)).all(), name
+    assert np.isfinite(result.level_raw).any()
+
+
 def test_tiny_frames_are_refused():
     camera = recon_scenes.da_mobile(8, 8)
     with pytest.raises(InputError, match="at least"):

@@ -46,18 +46,18 @@ def captured(level, photo="astronaut"):
 
 
 @cache
-def alpha():
-    return infrared.crosstalk(recon_scenes.da_mobile(512, 384))
+def separation():
+    return infrared.separation(recon_scenes.da_mobile(512, 384), "D65", PAPER)
 
 
 def infrared_free(image):
-    return np.concatenate([image[..., :3] - alpha() * image[..., 3:], image[..., 3:]], axis=-1)
+    return np.concatenate([image @ separation().T, image[..., 3:]], axis=-1)
 
 
 @cache
 def kernels():
     bank = recon_scenes.bank()
-    return sharpen.visible_kernels(bank.kernel[0], bank.signature[0], alpha())
+    return sharpen.visible_kernels(bank.kernel[0], bank.signature[0], separation())
 
 
 def sharpened(image, level, **settings):
