@@ -103,8 +103,8 @@ class RandomScenes(Specification):
                 raise ValueError(f"{name} is [{low}, {high}]: the smaller number comes first")
         if self.depth_cm[1] < LEAST_RATIO * self.depth_cm[0]:
             raise ValueError(f"depth_cm must reach to {LEAST_RATIO} times its nearer end at least")
-        if self.depth_cm[0] < 1 or self.depth_cm[1] > 4000:
-            raise ValueError("depth_cm must lie within 1 and 4000")
+        if self.depth_cm[0] < 3 or self.depth_cm[1] > 4000:
+            raise ValueError("depth_cm must lie within 3 and 4000: nearer, the floor would touch the lens")
         if not 3 <= self.objects[0] <= self.objects[1] <= 200:
             raise ValueError("objects must lie within 3 and 200")
         if not 1 <= self.lamps[0] <= self.lamps[1] <= 8:

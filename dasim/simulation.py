@@ -126,6 +126,7 @@ def simulate(
         samples = passes.sample_count(spp)
         lens_rate = stop_pictures(seed, (samples,) * len(camera.stops)).sum(axis=0)
         sampled = {"spp": samples}
+    check_lit(scene, lens_rate, [world.objects[number - 1] for number in np.unique(geometry.object_id) if number])
     sampling = passes.Sampling(SHARP_SPP, seed, partial(progress, "rendering the pinhole picture"))
     twin = cameras.load_camera(TWIN)
     response = np.concatenate([cameras.response(camera), cameras.response(twin)])
@@ -194,8 +195,20 @@ def check_options(
 def check_in_view(scene: Scene | MitsubaScene, depth_m: np.ndarray) -> None:
     """InputError where no pixel's ray meets anything."""
     if np.isnan(depth_m).all():
+        units = f"; unit_cm is {scene.unit_cm:g}" if isinstance(scene, MitsubaScene) else ""
         raise InputError(
             f"scene '{scene.name}': the camera looks at nothing; turn its view towards an object, or move one into it"
+            + units
+        )
+
+
+def check_lit(scene: Scene | MitsubaScene, rate: np.ndarray, seen: list[str]) -> None:
+    """InputError where no light at all reaches the sensor."""
+    if rate.max() <= 0:
+        names = ", ".join(f"'{name}'" for name in seen[:3]) + (" and others" if len(seen) > 3 else "")
+        raise InputError(
+            f"scene '{scene.name}': no light reaches the sensor, which looks at {names or 'a lamp from behind'}; is "
+            "a light hidden or turned away, the camera inside an object, or a light so small as to need more samples?"
         )
 
 
@@ -215,8 +228,6 @@ def srgb(rate: np.ndarray, twin: Camera, illuminant: str) -> np.ndarray:
 def notes(rate_e_s: np.ndarray, saturated: int) -> list[str]:
     """What a user should know of a capture that is legal but odd."""
     found = []
-    if rate_e_s.max() <= 0:
-        found.append("no light reaches the sensor")
     if saturated > 0.05 * rate_e_s[..., 0].size:
         found.append(f"{saturated / rate_e_s[..., 0].size:.0%} of the pixels are saturated")
     return found

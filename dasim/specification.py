@@ -51,7 +51,18 @@ def parse(model: type[Model], data: Any, where: str, folder: Path = Path(".")) -
     try:
         return model.model_validate(data, context={"folder": folder})
     except ValidationError as error:
-        raise InputError(f"{where}: " + "; ".join(_problem(item, data) for item in error.errors())) from None
+        raise InputError(f"{where}: " + "; ".join(_problem(item, data) for item in _own(error.errors()))) from None
+
+
+def _own(problems: list[Any]) -> list[Any]:
+    """Without complaints of a whole that only follow from those of its parts: a list whose one entry is wrong."""
+    places = [item["loc"] for item in problems]
+
+    def follows(item: Any) -> bool:
+        inner = any(len(place) > len(item["loc"]) and place[: len(item["loc"])] == item["loc"] for place in places)
+        return item["type"] == "too_short" and inner
+
+    return [item for item in problems if not follows(item)]
 
 
 def named_file(data: dict[str, Any], info: ValidationInfo) -> Path:

@@ -26,7 +26,7 @@ from recon.output import load_reconstruction
 from recon.settings import PRESETS, Settings
 
 TINY = ("--size", "64x48", "--spp", "4")
-SIGINT_DEADLINE_S = 60.0  # for start, import and stop together, on a busy computer
+SIGINT_DEADLINE_S = 180.0  # for start, import and stop together, on a busy computer
 INTERRUPTED = 130  # 128 + SIGINT, as shells say it
 
 SCENE = """

@@ -304,6 +304,58 @@ def test_defaults_and_files_beside_the_scene_are_found_from_anywhere(xml, world,
     assert xml(ROOM).focus_cm is None and dasim.focused(wide(), xml(ROOM)) == wide()
 
 
+def test_many_instances_are_copies_of_their_group(xml, world, wide):
+    """Expectation: each of 12 instances is an object of its own, and shows as many shapes as its group has."""
+    spheres = '<shape type="sphere"><float name="radius" value="0.1"/></shape>' * 2
+    instances = "".join(
+        f'<shape type="instance" id="pair {k}"><ref id="pair"/>'
+        f'<transform name="to_world"><translate x="{k / 10}" z="-1"/></transform></shape>'
+        for k in range(12)
+    )
+    text = wall().replace("</scene>", f'<shape type="shapegroup" id="pair">{spheres}</shape>{instances}</scene>')
+    found = world(xml(text), wide())
+    assert found.objects[1:] == [f"pair {k}" for k in range(12)]
+    assert sum(shape.id().startswith("object_") for shape in found.scene.shapes()) == 1 + 2 * 12
+
+
+@pytest.mark.parametrize(
+    ("text", "noted"),
+    [
+        ('<bsdf type="diffuse"><spectrum name="reflectance" value="2"/></bsdf>', "at most everything"),
+        ('<bsdf type="diffuse"><spectrum name="reflectance" value="400:1.5, 830:1.9"/></bsdf>', "at most everything"),
+        ('<bsdf type="diffuse"><rgb name="reflectance" value="2, 2, 2"/></bsdf>', "at most everything"),
+    ],
+)
+def test_no_surface_reflects_more_than_it_receives(xml, world, wide, text, noted):
+    """Expectation: a wall of reflectance 2 is as bright as one of reflectance 1, and that is noted."""
+    import drjit as dr
+    import mitsuba as mi
+
+    def brightness(inside: str) -> float:
+        found = world(xml(wall(inside)), wide())
+        notes.append(found.notes)
+        si = found.scene.ray_intersect(mi.Ray3f([0, 0, 0], [0, 0, 1], 0, mi.Spectrum(600.0)))
+        context = mi.BSDFContext()
+        value = si.bsdf().eval(context, si, mi.Vector3f(0, 0, 1))
+        return float(np.ravel(value)[0]) * dr.pi
+
+    notes: list[list[str]] = []
+    assert brightness(text) == pytest.approx(1.0, abs=0.01)
+    assert any(noted in line for line in notes[0])
+
+
+def test_files_of_spectra_are_found_beside_the_scene(xml, world, wide, monkeypatch, tmp_path, tmp_path_factory):
+    (tmp_path / "half.spd").write_text("400 0.5\n830 0.5\n")
+    scene = xml(wall('<bsdf type="diffuse"><spectrum name="reflectance" filename="half.spd"/></bsdf>'))
+    monkeypatch.chdir(tmp_path_factory.mktemp("elsewhere"))
+    assert world(scene, wide()).objects
+
+
+def test_sizes_beyond_likely_units_are_noted(xml, world, wide):
+    found = world(xml(wall(), unit_cm=1e4), wide())
+    assert any("1e+04 m large" in line and "unit_cm is 10000" in line for line in found.notes), found.notes
+
+
 @pytest.mark.parametrize(
     ("text", "said"),
     [
@@ -322,6 +374,10 @@ def test_defaults_and_files_beside_the_scene_are_found_from_anywhere(xml, world,
             ),
             ["no.png"],
         ),
+        (wall('<bsdf type="diffuse"><rgb name="reflectance" value="nan, 0, 0"/></bsdf>'), ["diffuse.reflectance"]),
+        (wall("", '<emitter type="constant"><rgb name="radiance" value="-1,-1,-1"/></emitter>'), ["constant.radiance"]),
+        (wall("", '<emitter type="point"><spectrum name="intensity" value="-1"/></emitter>'), ["point.intensity"]),
+        (wall().replace("</scene>", '<shape type="instance"/></scene>'), ["no shapegroup"]),
         (wall(z=-0.0005), ["object 'rectangle-1'", "reaches into the lens", "unit_cm is 100"]),
     ],
 )

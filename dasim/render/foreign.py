@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from dasim.clearance import LARGEST_M, SMALLEST_M
 from dasim.errors import InputError
 from dasim.foreign import MitsubaScene
 from dasim.meshes import distance_from_origin
@@ -38,12 +39,18 @@ def load(scene: MitsubaScene, fov_deg: float) -> World:
     config = mi.parser.ParserConfig(mi.variant())
     config.merge_equivalent = config.merge_meshes = False  # merged shapes would lose their names
     notes = Notes()
+    before, resolver = mi.file_resolver(), mi.FileResolver(mi.file_resolver())
+    resolver.prepend(str(scene.file.parent))
+    mi.set_file_resolver(resolver)  # files of spectra are read while parsing
     try:
         state = mi.parser.parse_file(config, str(scene.file))
         mi.parser.transform_all(config, state)
     except Exception as error:
         raise _broken(scene, error) from None
+    finally:
+        mi.set_file_resolver(before)
     nodes = state.nodes
+    nodes[0].props["embree_use_robust_intersections"] = True  # no rays between the triangles of a mesh
     to_camera = _drop_sensor(nodes, scene, fov_deg, notes)
     _drop_media(nodes, notes)
     _find_files(nodes, scene)
@@ -80,7 +87,7 @@ def _made(config: Any, state: Any, scene: MitsubaScene) -> Any:
 def _broken(scene: MitsubaScene, error: Exception) -> InputError:
     """Mitsuba's complaint in one line, without the place in its own source."""
     text = " ".join(str(error).split())
-    return InputError(f"{scene.file}: does not load in Mitsuba ({text[text.find('] ') + 2 :] or error})")
+    return InputError(f"{scene.file}: does not load in Mitsuba ({text.partition('] ')[2] or text})")
 
 
 def _children(nodes: Any) -> dict[str, int]:
@@ -167,37 +174,44 @@ def _place_shapes(nodes: Any, to_camera: FloatArray, scene: MitsubaScene) -> lis
     """
     import mitsuba as mi
 
-    root = nodes[0].props
+    # Copies move the nodes in memory: none is held beyond the next copy.
     objects: list[tuple[str, list[int]]] = []
-    copies = 0
+    copies: list[int] = []
     for key, index in _children(nodes).items():
-        node = nodes[index]
-        if node.type != mi.ObjectType.Shape:
+        if nodes[index].type != mi.ObjectType.Shape:
             continue
-        plugin = node.props.plugin_name()
-        name = node.props.id() or f"{plugin}-{len(objects) + 1}"
+        plugin = nodes[index].props.plugin_name()
+        name = nodes[index].props.id() or f"{plugin}-{len(objects) + 1}"
+        if plugin in ("shapegroup", "instance"):
+            del nodes[0].props[key]
         if plugin == "shapegroup":
-            del root[key]
-        elif plugin != "instance":
-            _move(node.props, to_camera)
+            continue
+        if plugin != "instance":
+            _move(nodes[index].props, to_camera)
             objects.append((name, [index]))
-        else:
-            group = next(i for i in _references(node.props).values() if nodes[i].props.plugin_name() == "shapegroup")
-            own = to_camera @ _to_world(node.props)
-            del root[key]
-            members = []
-            for part in _references(nodes[group].props).values():
-                if nodes[part].type != mi.ObjectType.Shape:
-                    continue
-                copies += 1
-                if copies > MOST_COPIES:
-                    raise InputError(f"{scene.file}: instances of more than {MOST_COPIES} shapes; reduce them")
-                members.append(_copied(nodes, part, own))
-                root[f"copy_{copies}"] = mi.Properties.ResolvedReference(members[-1])
-            objects.append((name, members))
+            continue
+        own = to_camera @ _to_world(nodes[index].props)
+        members = []
+        for part in _group_members(nodes, index, f"{scene.file}: instance '{name}'"):
+            if len(copies) == MOST_COPIES:
+                raise InputError(f"{scene.file}: instances of more than {MOST_COPIES} shapes; reduce them")
+            members.append(_copied(nodes, part, own))
+            copies.append(members[-1])
+            nodes[0].props[f"copy_{len(copies)}"] = mi.Properties.ResolvedReference(members[-1])
+        objects.append((name, members))
     if not objects:
         raise InputError(f"{scene.file}: has no shapes")
     return objects
+
+
+def _group_members(nodes: Any, instance: int, where: str) -> list[int]:
+    """Places of the shapes of an instance's group."""
+    import mitsuba as mi
+
+    groups = [i for i in _references(nodes[instance].props).values() if nodes[i].props.plugin_name() == "shapegroup"]
+    if not groups:
+        raise InputError(f"{where}: refers to no shapegroup")
+    return [i for i in _references(nodes[groups[0]].props).values() if nodes[i].type == mi.ObjectType.Shape]
 
 
 def _copied(nodes: Any, index: int, matrix: FloatArray) -> int:
@@ -269,12 +283,18 @@ def _materials(nodes: Any, objects: list[list[int]]) -> tuple[list[str], np.ndar
 
 
 def check_clear(world: World, scene: MitsubaScene, pupil_radius_m: float) -> None:
-    """InputError where a mesh of the scene reaches into the lens."""
+    """InputError where a mesh of the scene reaches into the lens; a note where a size hints at a mistake of units."""
     import mitsuba as mi
 
     for shape in world.scene.shapes():
         box = shape.bbox()
         low, high = np.ravel(box.min), np.ravel(box.max)
+        size_m = float((high - low).max())
+        if not SMALLEST_M <= size_m <= LARGEST_M and shape.id().startswith("object_"):
+            name = world.objects[int(shape.id().removeprefix("object_"))]
+            world.notes.append(
+                f"object '{name}' is {size_m:.3g} m large; a mistake of units? unit_cm is {scene.unit_cm:g}"
+            )
         if not shape.is_mesh() or (low > pupil_radius_m).any() or (high < -pupil_radius_m).any():
             continue
         corners = _triangles(mi.traverse(shape))

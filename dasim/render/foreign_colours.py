@@ -29,6 +29,7 @@ COLOURS = (
     "transmittance",
     "base_color",
 )
+TOO_BRIGHT = "reflectances above 1: surfaces reflect at most everything"
 NO_INFRARED = ("sunsky", "sun", "sky", "timed_sunsky")  # Mitsuba's tables end at 720 nm
 
 
@@ -61,19 +62,58 @@ def replace_surface_colours(nodes: Any, scene: MitsubaScene, notes: Notes) -> No
             continue
         for key in list(props.keys()):
             kind = props.type(key)
+            what = f"{props.plugin_name()}.{key}"
             if kind == kinds.Color and props.plugin_name() not in ("d65",):
+                _check_values(list(props[key]), what, scene)
                 props[key] = _colour(key, list(props[key]), scene, notes)
             elif kind == kinds.Spectrum:
-                _say_range(props[key], f"{props.plugin_name()}.{key}", notes)
+                _check_values(props[key].values, what, scene)
+                if key in COLOURS:
+                    props[key] = _at_most_all(props[key], notes)
+                if props.type(key) == kinds.Spectrum:
+                    _say_range(props[key], what, notes)
+            elif kind == kinds.Float and key in COLOURS:
+                _check_values([props[key]], what, scene)
+                if props[key] > 1:
+                    notes.add(TOO_BRIGHT)
+                    props[key] = 1.0
             elif kind == kinds.ResolvedReference and node.type == mi.ObjectType.BSDF and key in COLOURS:
                 _texture(nodes, index, key, scene, notes)
+
+
+def _check_values(values: Any, what: str, scene: MitsubaScene) -> None:
+    """InputError for what no surface and no light can have."""
+    if not np.isfinite(values).all() or min(values) < 0:
+        raise InputError(f"{scene.file}: {what} has values that are negative or no numbers; 0 or more is allowed")
+
+
+def _at_most_all(spectrum: Any, notes: Notes) -> Any:
+    """A reflectance spectrum of an author's, cut at 1."""
+    import mitsuba as mi
+
+    if max(spectrum.values) <= 1:
+        return spectrum
+    notes.add(TOO_BRIGHT)
+    values = np.minimum(spectrum.values, 1.0)
+    if spectrum.is_uniform():
+        return mi.load_dict({"type": "uniform", "value": float(values[0])})
+    return mi.load_dict(
+        {
+            "type": "irregular",
+            "wavelengths": ", ".join(f"{value:.9g}" for value in spectrum.wavelengths),
+            "values": ", ".join(f"{value:.9g}" for value in values),
+        }
+    )
 
 
 def _colour(key: str, rgb: list[float], scene: MitsubaScene, notes: Notes) -> Any:
     import mitsuba as mi
 
-    if min(rgb) < 0 or max(rgb) > 1 or key in ("eta", "k"):
-        notes.add(f"RGB values of '{key}' outside 0..1, or no reflectance: taken as their mean at all wavelengths")
+    if key in COLOURS and max(rgb) > 1:
+        notes.add(TOO_BRIGHT)
+        rgb = [min(value, 1.0) for value in rgb]
+    if max(rgb) > 1 or key in ("eta", "k"):
+        notes.add(f"RGB values of '{key}' above 1, or no reflectance: taken as their mean at all wavelengths")
         return mi.load_dict({"type": "uniform", "value": float(np.mean(rgb))})
     notes.add(f"RGB surface colours: spectra by the near-infrared rule '{scene.near_infrared}'")
     return mi.load_dict(spectrum_dict(spectrum_of(np.array(rgb, np.float32), scene.near_infrared)))
@@ -103,11 +143,14 @@ def _texture(nodes: Any, index: int, key: str, scene: MitsubaScene, notes: Notes
     if plugin == "mesh_attribute":
         parent[key] = mi.load_dict({"type": "uniform", "value": 0.5})
         notes.add("colours of mesh attributes: not honoured, taken as grey 0.5")
-    if plugin != "bitmap" or (texture.get("raw")):
+    if plugin != "bitmap":
         return
     picture = _picture(texture, scene.file)
+    _check_values([picture.min(), picture.max(), picture.mean()], f"picture {texture['filename']}", scene)
+    if "filter_type" in texture and texture["filter_type"] != "bilinear":
+        notes.add(f"pictures with the filter '{texture['filter_type']}': read bilinearly")
     if picture.max() > 1:
-        notes.add("pictures with values above 1: surfaces reflect at most everything")
+        notes.add(TOO_BRIGHT)
     jit = not str(mi.variant()).startswith("scalar")
     shown = np.clip(picture[::-1], 0.0, 1.0)  # Mitsuba's v runs down
     repeats = jit and _wrap(texture) == "repeat"
@@ -142,7 +185,10 @@ def _picture(texture: Any, file: Path) -> Any:
         raise InputError(f"{file}: a picture in it names no file")
     path = file.parent / texture["filename"]
     try:
-        bitmap = mi.Bitmap(str(path)).convert(mi.Bitmap.PixelFormat.RGB, mi.Struct.Type.Float32, srgb_gamma=False)
+        bitmap = mi.Bitmap(str(path))
+        if texture.get("raw"):
+            bitmap.set_srgb_gamma(False)  # its values are linear
+        bitmap = bitmap.convert(mi.Bitmap.PixelFormat.RGB, mi.Struct.Type.Float32, srgb_gamma=False)
     except Exception as error:
         text = " ".join(str(error).split())
         raise InputError(f"{file}: picture {path} does not load ({text})") from None
@@ -272,6 +318,7 @@ def _light(nodes: Any, props: Any, key: str, factor: float, scene: MitsubaScene,
     elif kind == kinds.Color:
         _give(props, key, float(np.dot(list(value), LUMINANCE)) * factor, scene, notes)
     elif kind == kinds.Spectrum:
+        _check_values(value.values, f"{props.plugin_name()}.{key}", scene)
         _say_range(value, f"{props.plugin_name()}.{key}", notes)
         if value.is_uniform():
             props[key] = mi.load_dict({"type": "uniform", "value": float(value.values[0]) * factor})
@@ -280,6 +327,7 @@ def _light(nodes: Any, props: Any, key: str, factor: float, scene: MitsubaScene,
             text = {name: ", ".join(f"{v:.9g}" for v in row) for name, row in scaled.items()}
             props[key] = mi.load_dict({"type": "irregular", **text})
     elif kind == kinds.Float:
+        _check_values([value], f"{props.plugin_name()}.{key}", scene)
         props[key] = mi.load_dict({"type": "uniform", "value": float(value) * factor})
 
 
@@ -300,6 +348,7 @@ def _scaled(inner: Any, factor: float) -> Any:
 def _give(props: Any, key: str, luminance: float, scene: MitsubaScene, notes: Notes) -> None:
     import mitsuba as mi
 
+    _check_values([luminance], f"{props.plugin_name()}.{key}", scene)
     props[key] = mi.load_dict(spectrum_dict(luminance * one_unit(scene.illuminant)))
     notes.add(f"RGB lights: the spectrum of {scene.illuminant} at the same luminance, without their tint")
 

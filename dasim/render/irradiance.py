@@ -27,7 +27,7 @@ AGREEMENT = 0.15  # of the irradiance at a cell's corners
 SAME_NORMAL = 0.9  # cosine
 SAME_DEPTH = 0.02
 NODES = 32  # wavelengths at which irradiance over the lights' spectrum is kept
-DIRECTIONS_PER_SAMPLE = 2  # of a pixel
+DIRECTIONS_PER_SAMPLE = 4  # of a pixel
 FEWEST_DIRECTIONS, MOST_DIRECTIONS = 64, 1024
 LANES = 1 << 21
 

@@ -48,7 +48,8 @@ def world(scene: Scene | MitsubaScene, camera: Camera) -> World:
 
 def scene_dict(scene: Scene) -> dict[str, Any]:
     """Mitsuba's description of a scene's objects, lights and integrator; objects first and in order."""
-    result: dict[str, Any] = {"type": "scene"}
+    # Without it, rays slip between the triangles of a mesh, and the truth with them.
+    result: dict[str, Any] = {"type": "scene", "embree_use_robust_intersections": True}
     result["integrator"] = {"type": "path", "max_depth": MAX_PATH_DEPTH}
     surfaces: dict[tuple[str, bool], Any] = {}
     for index, item in enumerate(scene.objects):
