@@ -350,8 +350,13 @@ def validate(
     only: Annotated[list[str] | None, Parameter(negative="", consume_multiple=True)] = None,
     quick: Annotated[bool, Parameter(negative="")] = False,
     gates: Path | None = None,
+    fresh: Annotated[bool, Parameter(negative="")] = False,
+    jobs: Whole = 1,
+    compare: Path | None = None,
 ) -> int:
     """Hold the simulator against closed forms and independent methods; writes results, a report and junit.xml.
+
+    A claim that an earlier run measured with the same code, data, libraries and renderer is not measured again.
 
     Args:
         out: folder to write; an earlier result there is replaced as a whole
@@ -359,9 +364,14 @@ def validate(
         only: ids of the claims to measure; all by default
         quick: only claims that take less than about 20 s each
         gates: a TOML file with limits that are added to the bundled ones, or replace them
+        fresh: measure every claim again
+        jobs: claims that are measured at once, each in a process of its own
+        compare: results.json of an earlier run: prints what became better and worse
     """
     from dasim.files import check_output
+    from dasim.render import backend
     from validation.claims import CLAIMS
+    from validation.comparison import changes, load_results, report
     from validation.validate import all_gates, chosen, failed, run_claims
 
     names = chosen(CLAIMS, only or (), quick=quick)
@@ -371,15 +381,25 @@ def validate(
         return 0
     if out is None:
         raise InputError("--out is missing; name a folder for the results")
+    if jobs < 1:
+        raise InputError(f"--jobs {jobs}: must be 1 or more")
+    earlier = None if compare is None else load_results(compare)
     check_output(out, "validation")
     _say_variant(None)
+    variant = backend.choose().variant
     with _progress() as progress:
-        outcomes = run_claims(out, names, CLAIMS, limits, progress=progress)
+        outcomes = run_claims(out, names, CLAIMS, limits, variant=variant, fresh=fresh, jobs=jobs, progress=progress)
     for outcome in outcomes:
         for entry in outcome.claims:
             mark = {None: "", True: "passed", False: "FAILED"}[entry.passed]
             line = f"{entry.id:<44}{entry.value:>10.4g} {entry.unit:<6}{entry.limit or '':<16}{mark}"
             print(f"{entry.id:<44}{entry.source}" if outcome.not_run or outcome.error else line)
+    again = sum(outcome.stored for outcome in outcomes)
+    if again:
+        print(f"{again} of {len(outcomes)} claims are unchanged since an earlier run; --fresh measures them again")
+    if earlier is not None:
+        entries = [entry for outcome in outcomes for entry in outcome.claims]
+        print("\n".join(report(changes(earlier, entries, set(names)))))
     print(f"report: {out / 'report.html'}")
     return 1 if failed(outcomes) else 0
 

@@ -31,6 +31,7 @@ class Figure:
     value: float
     unit: str
     meaning: str
+    spread: float | None = None  # standard deviation over seeds, where it was measured
 
 
 def score(result: Reconstruction, truth: Truth) -> list[Figure]:
