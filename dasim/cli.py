@@ -314,26 +314,41 @@ def recon(
 
 @app.command
 def score(
-    reconstruction: Path, capture: Path, *, json_file: Annotated[Path | None, Parameter(name="--json")] = None
+    result: Path,
+    capture: Path,
+    *,
+    confidence: Path | None = None,
+    scale: float | None = None,
+    json_file: Annotated[Path | None, Parameter(name="--json")] = None,
 ) -> int:
-    """Score a reconstruction against the ground truth of its capture.
+    """Score a reconstruction, or anybody's depth map, against the ground truth of its capture.
 
     Args:
-        reconstruction: a reconstruction folder
+        result: a reconstruction folder, or a depth map: EXR or NPY in metres, 16-bit PNG with --scale
         capture: the capture folder with truth.exr
+        confidence: with a depth map, how sure it is of each pixel (same formats, any unit, more is surer)
+        scale: metres of one unit of the depth map
         json_file: also write the figures to this file
     """
     from dasim.files import load_capture, load_truth
     from recon.output import load_reconstruction
     from validation.claim import plain_value
-    from validation.metrics import score as score_of
+    from validation.depth_files import SUFFIXES, read_depth, read_map
+    from validation.scores import score_map, score_reconstruction, shown
 
     _check_score_output(json_file)
-    found = load_reconstruction(reconstruction)
-    load_capture(capture)  # a capture that is not whole is not scored
-    figures = score_of(found, load_truth(capture))
-    for figure in figures:
-        print(f"{figure.id:<28}{figure.value:>9.3f} {figure.unit:<6}{figure.meaning}")
+    if result.is_file() or result.suffix.lower() in SUFFIXES:
+        depth_m = read_depth(result, scale)
+        trust = None if confidence is None else read_map(confidence)
+        taken = load_capture(capture)
+        figures = score_map(depth_m, trust, taken, load_truth(capture))
+    else:
+        if confidence is not None or scale is not None:
+            raise InputError("--confidence and --scale belong to a depth map; a reconstruction folder has its own")
+        found = load_reconstruction(result)
+        taken = load_capture(capture)  # a capture that is not whole is not scored
+        figures = score_reconstruction(found, taken, load_truth(capture))
+    print(shown(figures))
     if json_file is not None:
         content = {f.id: {"value": plain_value(f.value), "unit": f.unit} for f in figures}
         partial = json_file.with_name(f".{json_file.name}.partial")

@@ -384,7 +384,7 @@ def test_several_at_once_give_the_same(fakes):
     ],
 )
 def test_changes_count_beyond_the_spread(limit, old, new, spread, verdict):
-    """Expectation: three standard deviations of a difference, 4.2 spreads, are chance; the limit says what is better."""
+    """Expectation: three standard deviations of a difference, 4.2 spreads, are chance; a limit says what is better."""
     claim = Claim("good.size", new, limit, "px", None, "", spread)
     (found,) = changes({"good.size": Earlier(old, None, "px")}, [claim], {"good"})
     assert found.verdict == verdict

@@ -66,6 +66,13 @@ def level_error(level: NDArray[Any], truth: Truth) -> FloatArray:
     return np.where(truth.valid, level.astype(np.float64) - truth.level, np.nan)
 
 
+def depth_of_level(level: NDArray[Any], result: Reconstruction) -> FloatArray:
+    """Depth of raw levels, by the relation of level and depth that the regularised map shows."""
+    order = np.argsort(result.level, axis=None)
+    levels, depths = result.level.ravel()[order], result.depth_m.ravel()[order]
+    return np.interp(level, levels, depths, left=depths[0], right=depths[-1])
+
+
 def best_constant_error(level: FloatArray) -> float:
     """Median absolute error of the best constant map: the smallest over all constants, [n] true levels."""
     constants = np.arange(level.min(), level.max() + CONSTANT_STEP, CONSTANT_STEP)
