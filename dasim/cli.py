@@ -370,26 +370,41 @@ def _picture_alone(shot: Capture, even: Capture | None, chosen: Settings, bank: 
 
 @app.command
 def score(
-    reconstruction: Path, capture: Path, *, json_file: Annotated[Path | None, Parameter(name="--json")] = None
+    result: Path,
+    capture: Path,
+    *,
+    confidence: Path | None = None,
+    scale: float | None = None,
+    json_file: Annotated[Path | None, Parameter(name="--json")] = None,
 ) -> int:
-    """Score a reconstruction against the ground truth of its capture.
+    """Score a reconstruction, or anybody's depth map, against the ground truth of its capture.
 
     Args:
-        reconstruction: a reconstruction folder
+        result: a reconstruction folder, or a depth map: EXR or NPY in metres, 16-bit PNG with --scale
         capture: the capture folder with truth.exr
+        confidence: with a depth map, how sure it is of each pixel (same formats, any unit, more is surer)
+        scale: metres of one unit of the depth map
         json_file: also write the figures to this file
     """
     from dasim.files import load_capture, load_truth
     from recon.output import load_reconstruction
     from validation.claim import plain_value
-    from validation.metrics import score as score_of
+    from validation.depth_files import SUFFIXES, read_depth, read_map
+    from validation.scores import score_map, score_reconstruction, shown
 
     _check_score_output(json_file)
-    found = load_reconstruction(reconstruction)
-    load_capture(capture)  # a capture that is not whole is not scored
-    figures = score_of(found, load_truth(capture))
-    for figure in figures:
-        print(f"{figure.id:<28}{figure.value:>9.3f} {figure.unit:<6}{figure.meaning}")
+    if result.is_file() or result.suffix.lower() in SUFFIXES:
+        depth_m = read_depth(result, scale)
+        trust = None if confidence is None else read_map(confidence)
+        taken = load_capture(capture)
+        figures = score_map(depth_m, trust, taken, load_truth(capture))
+    else:
+        if confidence is not None or scale is not None:
+            raise InputError("--confidence and --scale belong to a depth map; a reconstruction folder has its own")
+        found = load_reconstruction(result)
+        taken = load_capture(capture)  # a capture that is not whole is not scored
+        figures = score_reconstruction(found, taken, load_truth(capture))
+    print(shown(figures))
     if json_file is not None:
         content = {f.id: {"value": plain_value(f.value), "unit": f.unit} for f in figures}
         partial = json_file.with_name(f".{json_file.name}.partial")
@@ -406,8 +421,13 @@ def validate(
     only: Annotated[list[str] | None, Parameter(negative="", consume_multiple=True)] = None,
     quick: Annotated[bool, Parameter(negative="")] = False,
     gates: Path | None = None,
+    fresh: Annotated[bool, Parameter(negative="")] = False,
+    jobs: Whole = 1,
+    compare: Path | None = None,
 ) -> int:
     """Hold the simulator against closed forms and independent methods; writes results, a report and junit.xml.
+
+    A claim that an earlier run measured with the same code, data, libraries and renderer is not measured again.
 
     Args:
         out: folder to write; an earlier result there is replaced as a whole
@@ -415,9 +435,14 @@ def validate(
         only: ids of the claims to measure; all by default
         quick: only claims that take less than about 20 s each
         gates: a TOML file with limits that are added to the bundled ones, or replace them
+        fresh: measure every claim again
+        jobs: claims that are measured at once, each in a process of its own
+        compare: results.json of an earlier run: prints what became better and worse
     """
     from dasim.files import check_output
+    from dasim.render import backend
     from validation.claims import CLAIMS
+    from validation.comparison import changes, load_results, report
     from validation.validate import all_gates, chosen, failed, run_claims
 
     names = chosen(CLAIMS, only or (), quick=quick)
@@ -427,15 +452,25 @@ def validate(
         return 0
     if out is None:
         raise InputError("--out is missing; name a folder for the results")
+    if jobs < 1:
+        raise InputError(f"--jobs {jobs}: must be 1 or more")
+    earlier = None if compare is None else load_results(compare)
     check_output(out, "validation")
     _say_variant(None)
+    variant = backend.choose().variant
     with _progress() as progress:
-        outcomes = run_claims(out, names, CLAIMS, limits, progress=progress)
+        outcomes = run_claims(out, names, CLAIMS, limits, variant=variant, fresh=fresh, jobs=jobs, progress=progress)
     for outcome in outcomes:
         for entry in outcome.claims:
             mark = {None: "", True: "passed", False: "FAILED"}[entry.passed]
             line = f"{entry.id:<44}{entry.value:>10.4g} {entry.unit:<6}{entry.limit or '':<16}{mark}"
             print(f"{entry.id:<44}{entry.source}" if outcome.not_run or outcome.error else line)
+    again = sum(outcome.stored for outcome in outcomes)
+    if again:
+        print(f"{again} of {len(outcomes)} claims are unchanged since an earlier run; --fresh measures them again")
+    if earlier is not None:
+        entries = [entry for outcome in outcomes for entry in outcome.claims]
+        print("\n".join(report(changes(earlier, entries, set(names)))))
     print(f"report: {out / 'report.html'}")
     return 1 if failed(outcomes) else 0
 

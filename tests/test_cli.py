@@ -137,7 +137,9 @@ def test_render_recon_score_round_trip(shop, capsys):
     figures = json.loads((shop / "score.json").read_text())
     assert {"level-raw-median", "depth-rmse-dioptre", "psnr-gain-blurred"} <= set(figures)
     for name, figure in figures.items():
-        assert name in printed and set(figure) == {"value", "unit"}
+        assert name.split(".")[-1] in printed or name.endswith(".constant"), name
+        assert set(figure) == {"value", "unit"}
+    assert {"raw", "regularised"} == {name.split(".")[0] for name in figures if name.endswith(".constant")}
 
 
 def test_same_seed_same_bytes(shop, tmp_path):

@@ -13,8 +13,9 @@ import pytest
 from dasim import aperture
 from dasim.cli import run
 from dasim.errors import InputError
-from validation import claims, claims_diffraction, claims_lens, claims_light, claims_recon, rendering
-from validation.claim import GATES, Evidence, NotRun, gate_of, judged_all, load_gates, within
+from validation import claims, claims_diffraction, claims_lens, claims_light, claims_recon, rendering, stored
+from validation.claim import GATES, Claim, Evidence, Gate, NotRun, gate_of, judged_all, load_gates, within
+from validation.comparison import Earlier, changes
 from validation.metrics import Figure
 from validation.validate import Measurement, all_gates, chosen, run_claims
 
@@ -60,13 +61,14 @@ LIMITS = '["good.size"]\nlimit = "<= 0.5"\nwhy = "half"\n["bad.*"]\nlimit = "<= 
 
 
 @pytest.fixture
-def fakes(monkeypatch, tmp_path):
+def fakes(monkeypatch, tmp_path, tmp_path_factory):
     """The command with made-up claims and limits."""
     file = tmp_path / "bundled.toml"
     file.write_text(LIMITS)
     monkeypatch.setattr(claims, "CLAIMS", FAKES)
     monkeypatch.setattr("validation.validate.all_gates", lambda table, users: all_gates(table, users, file))
     monkeypatch.setattr("dasim.cli._say_variant", lambda variant: None)
+    monkeypatch.setenv("DASIM_CACHE_DIR", str(tmp_path_factory.mktemp("cache")))
     monkeypatch.chdir(tmp_path)
     return tmp_path
 
@@ -162,6 +164,7 @@ def test_kept_limits_end_with_status_0(fakes, capsys):
         "unit": "px",
         "passed": True,
         "source": "a size. Limit: half",
+        "spread": None,
     }
     assert entries["good.other"]["passed"] is None and entries["good.other"]["limit"] is None
     assert "good.size" in capsys.readouterr().out
@@ -189,6 +192,7 @@ def test_what_cannot_be_run_is_not_passed(fakes, capsys):
             "unit": "",
             "passed": None,
             "source": "not run: there is no renderer",
+            "spread": None,
         }
     }
     assert "not run" in capsys.readouterr().out
@@ -223,6 +227,10 @@ def test_users_gates_decide(fakes):
         (("--gates", "none.toml", "--out", "new"), ("none.toml",)),
         (("--only", "good"), ("--out",)),
         (("--only", "good", "--out", "."), ("output",)),
+        (("--only", "good", "--out", "new", "--jobs", "0"), ("--jobs 0", "1 or more")),
+        (("--only", "good", "--out", "new", "--compare", "none.json"), ("none.json", "results.json")),
+        (("--only", "good", "--out", "new", "--compare", "bundled.toml"), ("bundled.toml", "JSON")),
+        (("--only", "good", "--out", "new", "--compare", "foreign/results.json"), ("no results.json",)),
         (("--only", "good", "--out", "foreign"), ("foreign", "dasim did not write")),
     ],
 )
@@ -282,6 +290,121 @@ def test_report_is_self_contained_and_shows_all(fakes):
     assert "something &lt;must&gt; &amp; should" in page, "texts are escaped"
     assert not re.search(r"https?://|<script|@import", page)
     assert re.findall(r'(?:src|href)="(?!data:|#)[^"]*"', page) == []
+
+
+# --- kept results, several at once, comparison ----------------------------------------------------
+
+
+def counted(progress) -> Evidence:
+    """A claim that counts how often it was measured."""
+    calls.append(1)
+    return Evidence([Figure("calls", float(len(calls)), "1", "calls"), Figure("none", math.nan, "1", "nothing", 0.5)],
+                    pictures=[("a picture", "data:,")], tables=[("t", ["a"], [["1"]])])  # fmt: skip
+
+
+calls: list[int] = []
+
+
+def test_an_unchanged_claim_is_not_measured_again(fakes, monkeypatch, capsys):
+    """Expectation: the same evidence with limits judged anew; --fresh, another variant, or damage measure again."""
+    calls.clear()
+    monkeypatch.setitem(FAKES, "counted", Measurement(counted, quick=True))
+    table, limits = {"counted": FAKES["counted"]}, [Gate("counted.calls", "<= 1", "once")]
+    first = run_claims(fakes / "a", ["counted"], table, [], variant="x", fresh=False)[0]
+    again = run_claims(fakes / "b", ["counted"], table, limits, variant="x", fresh=False)[0]
+    assert len(calls) == 1 and again.stored and not first.stored
+    assert again.evidence.pictures == first.evidence.pictures and again.evidence.tables == first.evidence.tables
+    assert again.claims[0].passed is True and first.claims[0].passed is None
+    assert math.isnan(again.claims[1].value) and again.claims[1].spread == 0.5
+    run_claims(fakes / "a", ["counted"], table, [], variant="y", fresh=False)
+    assert len(calls) == 2
+    (kept,) = (stored.cache_dir() / "claims").glob("counted.*.json")
+    kept.write_text("{")
+    run_claims(fakes / "a", ["counted"], table, [], variant="y", fresh=False)
+    assert len(calls) == 3
+    assert run(["validate", "--only", "counted", "--out", "new", "--fresh"]) == 0 and len(calls) == 4
+    assert run(["validate", "--only", "counted", "--out", "new"]) == 0 and len(calls) == 4
+    assert "1 of 1 claims are unchanged" in capsys.readouterr().out
+
+
+def test_what_did_not_run_or_broke_is_tried_again(fakes):
+    for _ in range(2):
+        outcomes = run_claims(fakes / "new", ["absent", "broken"], FAKES, [], variant="x", fresh=False)
+        assert not any(outcome.stored for outcome in outcomes)
+
+
+def test_the_key_follows_the_code_that_decides(tmp_path, monkeypatch):
+    """Set-up: the claim colour; a copy of its package where one file is changed.
+
+    Expectation: a change of a module that it imports changes the key, one of another claim's module does not.
+    """
+    monkeypatch.setattr(stored, "HERE", tmp_path)
+    (tmp_path / "near.py").write_text("VALUE = 1\n")
+    (tmp_path / "far.py").write_text("VALUE = 1\n")
+    (tmp_path / "claim.py").write_text("def claim(progress):\n    from validation.near import VALUE\n")
+    monkeypatch.setattr(stored.inspect, "getsourcefile", lambda run: str(tmp_path / "claim.py"))
+
+    def key(variant: str = "x") -> str:
+        stored._imports.cache_clear(), stored._digest.cache_clear()
+        return stored.key(good, variant)
+
+    first = key()
+    assert key() == first != key("y")
+    (tmp_path / "far.py").write_text("VALUE = 2\n")
+    assert key() == first
+    (tmp_path / "near.py").write_text("VALUE = 2\n")
+    assert key() != first
+
+
+def test_several_at_once_give_the_same(fakes):
+    """Set-up: two processes; one claim that stops. Expectation: order, figures and failures as one after the other."""
+    names = ["good", "bad", "free", "absent", "broken"]
+    one = run_claims(fakes / "one", names, FAKES, [], jobs=1)
+    two = run_claims(fakes / "two", names, FAKES, [], jobs=2)
+    assert [outcome.id for outcome in two] == names
+    for a, b in zip(one, two, strict=True):
+        assert [(c.id, c.passed, c.source) for c in a.claims] == [(c.id, c.passed, c.source) for c in b.claims]
+        np.testing.assert_array_equal([c.value for c in a.claims], [c.value for c in b.claims])
+
+
+@pytest.mark.parametrize(
+    ("limit", "old", "new", "spread", "verdict"),
+    [
+        ("<= 1", 0.5, 0.4, 0.01, "better"),
+        ("<= 1", 0.5, 0.6, 0.01, "worse"),
+        (">= 1", 0.5, 0.6, 0.01, "better"),
+        ("0..1", 0.5, 0.6, 0.01, "worse"),
+        ("0..1", 0.4, 0.6, 0.01, "changed"),
+        ("<= 1", 0.5, 0.6, 0.03, "same"),
+        ("<= 1", 0.5, 0.5 + 1e-8, None, "same"),
+        ("<= 1", 0.5, 0.5001, None, "worse"),
+        (None, 0.5, 0.6, None, "changed"),
+        ("<= 1", math.nan, 0.6, 0.03, "changed"),
+        ("<= 1", math.nan, math.nan, None, "same"),
+    ],
+)
+def test_changes_count_beyond_the_spread(limit, old, new, spread, verdict):
+    """Expectation: three standard deviations of a difference, 4.2 spreads, are chance; a limit says what is better."""
+    claim = Claim("good.size", new, limit, "px", None, "", spread)
+    (found,) = changes({"good.size": Earlier(old, None, "px")}, [claim], {"good"})
+    assert found.verdict == verdict
+
+
+def test_compare_prints_what_changed(fakes, capsys):
+    run(["validate", "--only", "good", "bad", "--out", "old"])
+    content = json.loads((fakes / "old" / "results.json").read_text())
+    content["claims"][0]["value"] = 0.125
+    content["claims"][1]["id"] = "good.lost"
+    content["claims"].append(content["claims"][0] | {"id": "other.size"})
+    (fakes / "old.json").write_text(json.dumps(content))
+    capsys.readouterr()
+    assert run(["validate", "--only", "good", "bad", "--out", "new", "--compare", "old.json"]) == 1
+    shown = capsys.readouterr().out
+    assert re.search(r"^worse +good\.size +0\.125 -> 0\.25 +px$", shown, re.MULTILINE)
+    assert re.search(r"^gone +good\.lost ", shown, re.MULTILINE) and re.search(
+        r"^new +good\.other", shown, re.MULTILINE
+    )
+    assert "1 worse, 0 better, 0 changed, 1 gone, 1 new, 1 same" in shown
 
 
 # --- claims see what they are for ----------------------------------------------------------------

@@ -45,6 +45,7 @@ class Claim:
     unit: str
     passed: bool | None  # None where there is no limit, or nothing was measured: reported, not passed
     source: str
+    spread: float | None = None  # standard deviation over seeds, where it was measured
 
 
 @dataclass(frozen=True)
@@ -77,7 +78,7 @@ def judged(figure: Figure, limit: str | None, *, claim: str, why: str = "") -> C
     """A figure of a claim, compared with its limit."""
     passed = None if limit is None else within(figure.value, limit)
     source = figure.meaning if not why else f"{figure.meaning}{LIMIT_FROM}{why}"
-    return Claim(f"{claim}.{figure.id}", figure.value, limit, figure.unit, passed, source)
+    return Claim(f"{claim}.{figure.id}", figure.value, limit, figure.unit, passed, source, figure.spread)
 
 
 @dataclass(frozen=True)

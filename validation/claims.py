@@ -26,11 +26,11 @@ CLAIMS = {
     "noise-slope-off": Measurement(noise_slope_off, quick=False),
     "noise-slope-wave": Measurement(noise_slope_wave, quick=False),
     "desk-noise": Measurement(desk_noise, quick=False),
-    "render-cost": Measurement(render_cost, quick=False),
+    "render-cost": Measurement(render_cost, quick=False, alone=True),
     "registration": Measurement(registration, quick=True),
     "interreflection": Measurement(interreflection, quick=False),
     "colour": Measurement(colour, quick=False),
-    "scenes-speed": Measurement(scenes_speed, quick=False),
+    "scenes-speed": Measurement(scenes_speed, quick=False, alone=True),
     "staircase": Measurement(staircase, quick=False),
     "staircase-camera": Measurement(staircase_camera, quick=False),
 }

@@ -31,6 +31,7 @@ class Figure:
     value: float
     unit: str
     meaning: str
+    spread: float | None = None  # standard deviation over seeds, where it was measured
 
 
 def score(result: Reconstruction, truth: Truth) -> list[Figure]:
@@ -63,6 +64,13 @@ def score(result: Reconstruction, truth: Truth) -> list[Figure]:
 def level_error(level: NDArray[Any], truth: Truth) -> FloatArray:
     """Signed error in blur levels, NaN where either is unknown, [h, w]."""
     return np.where(truth.valid, level.astype(np.float64) - truth.level, np.nan)
+
+
+def depth_of_level(level: NDArray[Any], result: Reconstruction) -> FloatArray:
+    """Depth of raw levels, by the relation of level and depth that the regularised map shows."""
+    order = np.argsort(result.level, axis=None)
+    levels, depths = result.level.ravel()[order], result.depth_m.ravel()[order]
+    return np.interp(level, levels, depths, left=depths[0], right=depths[-1])
 
 
 def best_constant_error(level: FloatArray) -> float:

@@ -17,7 +17,7 @@ from dasim.simulation import Shot
 from dasim.values import Reconstruction
 from recon import colour
 from recon.output import grey
-from validation.metrics import infrared_free, level_error
+from validation.metrics import depth_of_level, infrared_free, level_error
 
 if TYPE_CHECKING:
     from validation.claim import Claim
@@ -56,7 +56,7 @@ def demo_page(shot: Shot, result: Reconstruction, claims: list[Claim], timings_s
             [
                 ("True depth", depth(truth.depth_m)),
                 ("Estimated depth, regularised", depth(result.depth_m)),
-                ("Estimated depth, raw (grey: no edge, no estimate)", depth(_raw_depth(result))),
+                ("Estimated depth, raw (grey: no edge, no estimate)", depth(depth_of_level(result.level_raw, result))),
                 (
                     "Error in blur levels, regularised (grey: nothing there)",
                     _map(error, low=-ERROR_SPAN_LEVELS, high=ERROR_SPAN_LEVELS, cmap=ERROR_MAP, label="levels"),
@@ -102,13 +102,6 @@ def overview(shot: Shot, result: Reconstruction) -> NDArray[np.uint8]:
     row = np.hstack([np.clip(picture, 0, 1) for picture in pictures])
     small = cv2.resize(row, (OVERVIEW_PX, OVERVIEW_PX * row.shape[0] // row.shape[1]), interpolation=cv2.INTER_AREA)
     return np.rint(small[..., ::-1] * 255).astype(np.uint8)
-
-
-def _raw_depth(result: Reconstruction) -> NDArray[Any]:
-    """Raw levels as depth, by the relation of level and depth that the regularised map shows."""
-    order = np.argsort(result.level, axis=None)
-    levels, depths = result.level.ravel()[order], result.depth_m.ravel()[order]
-    return np.interp(result.level_raw, levels, depths, left=depths[0], right=depths[-1])
 
 
 def png_address(image: NDArray[Any]) -> str:

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import inspect
 import math
+import multiprocessing
 import sys
 import time
 import traceback
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -16,16 +18,18 @@ from xml.etree import ElementTree
 
 from dasim.errors import InputError
 from dasim.files import new_folder
+from validation import stored
 from validation.claim import GATES, Claim, Evidence, Gate, NotRun, Progress, judged_all, load_gates, write_results
 
 StageProgress = Callable[[str, float], None]
 
 
 class Measurement(NamedTuple):
-    """How a claim is measured, and whether that takes less than about 20 s."""
+    """How a claim is measured, whether that takes less than about 20 s, and whether it is a time that is measured."""
 
     run: Callable[[Progress], Evidence]
     quick: bool
+    alone: bool = False  # nothing else may run at the same time
 
 
 @dataclass(frozen=True)
@@ -40,6 +44,7 @@ class Outcome:
     gates: list[Gate] = field(default_factory=list)
     not_run: str | None = None
     error: str | None = None
+    stored: bool = False  # measured by an earlier run
 
 
 def title(measurement: Measurement) -> str:
@@ -70,17 +75,21 @@ def run_claims(
     table: Mapping[str, Measurement],
     gates: list[Gate],
     *,
+    variant: str = "",
+    fresh: bool = True,
+    jobs: int = 1,
     progress: StageProgress = lambda stage, share: None,
 ) -> list[Outcome]:
-    """Measure the named claims one after the other; ``out`` is written as a whole when all are done."""
+    """Measure the named claims; ``out`` is written as a whole when all are done.
+
+    Unless ``fresh``, a claim that an earlier run measured with the same code, data, libraries and renderer ``variant``
+    is not measured again. ``jobs`` claims are measured at once, each in a process of its own.
+    """
     from validation.claims_report import claims_page
 
     with new_folder(out, "validation") as folder:
-        outcomes = []
-        for name in names:
-            progress(name, 0.0)
-            outcomes.append(measured(name, table[name], gates, partial(progress, name)))
-            progress(name, 1.0)
+        by_name = dict(_outcomes(names, table, gates, variant, fresh=fresh, jobs=jobs, progress=progress))
+        outcomes = [by_name[name] for name in names]
         entries = [entry for outcome in outcomes for entry in outcome.claims]
         write_results(folder / "results.json", entries, {outcome.id: outcome.seconds for outcome in outcomes})
         (folder / "report.html").write_text(claims_page(outcomes), encoding="utf-8")
@@ -88,23 +97,101 @@ def run_claims(
     return outcomes
 
 
+def _outcomes(
+    names: Sequence[str],
+    table: Mapping[str, Measurement],
+    gates: list[Gate],
+    variant: str,
+    *,
+    fresh: bool,
+    jobs: int,
+    progress: StageProgress,
+) -> Iterator[tuple[str, Outcome]]:
+    """Each claim's outcome, kept ones first, then those that share the computer, then those that want it alone."""
+    keys = {name: stored.key(table[name].run, variant) for name in names}
+    missing = []
+    for name in names:
+        found = None if fresh else stored.load(name, keys[name])
+        if found is None:
+            missing.append(name)
+            continue
+        progress(name, 1.0)
+        evidence, seconds = found
+        yield name, _judged(name, table[name], evidence, seconds, gates, stored=True)
+    together = [name for name in missing if not table[name].alone] if jobs > 1 else []
+    for name, outcome in _side_by_side(together, table, gates, jobs, progress):
+        yield name, _keep(outcome, keys[name])
+    for name in missing:
+        if name not in together:
+            progress(name, 0.0)
+            yield name, _keep(measured(name, table[name], gates, partial(progress, name)), keys[name])
+            progress(name, 1.0)
+
+
+def _side_by_side(
+    names: Sequence[str], table: Mapping[str, Measurement], gates: list[Gate], jobs: int, progress: StageProgress
+) -> Iterator[tuple[str, Outcome]]:
+    """Claims measured in ``jobs`` processes; one that dies is a claim that stopped."""
+    if not names:
+        return
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(min(jobs, len(names)), mp_context=context, max_tasks_per_child=1) as pool:
+        waiting = {pool.submit(measured, name, table[name], gates, _silent): name for name in names}
+        for name in names:
+            progress(name, 0.0)
+        try:
+            for done in as_completed(waiting):
+                name = waiting[done]
+                error = done.exception()
+                yield name, done.result() if error is None else _stopped(name, table[name], 0.0, error, str(error))
+                progress(name, 1.0)
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)
+            raise
+
+
+def _silent(share: float) -> None:
+    pass
+
+
+def _keep(outcome: Outcome, key: str) -> Outcome:
+    """Store what was measured; what could not be run, or stopped, is tried again the next time."""
+    if outcome.not_run is None and outcome.error is None:
+        stored.save(outcome.id, key, outcome.evidence, outcome.seconds)
+    return outcome
+
+
 def measured(name: str, measurement: Measurement, gates: list[Gate], progress: Progress) -> Outcome:
     """Run one claim. What stops it is a claim that failed, and the others go on; Ctrl-C ends all."""
-    text = inspect.getdoc(measurement.run) or ""
     start = time.perf_counter()
     try:
         evidence = measurement.run(progress)
     except NotRun as reason:
         entry = Claim(name, math.nan, None, "", None, f"not run: {reason}")
-        return Outcome(name, text, [entry], time.perf_counter() - start, not_run=str(reason))
+        seconds = time.perf_counter() - start
+        return Outcome(name, _text(measurement), [entry], seconds, not_run=str(reason))
     except Exception as error:
         report = traceback.format_exc()
         print(f"claim {name} stopped:\n{report}", file=sys.stderr, flush=True)
-        entry = Claim(name, math.nan, None, "", False, f"stopped by {type(error).__name__}: {error}")
-        return Outcome(name, text, [entry], time.perf_counter() - start, error=report)
+        return _stopped(name, measurement, time.perf_counter() - start, error, report)
+    return _judged(name, measurement, evidence, time.perf_counter() - start, gates)
+
+
+def _judged(
+    name: str, measurement: Measurement, evidence: Evidence, seconds: float, gates: list[Gate], *, stored: bool = False
+) -> Outcome:
     entries = judged_all(name, evidence.figures, gates)
     own = [gate for gate in gates if gate.claim == name]
-    return Outcome(name, text, entries, time.perf_counter() - start, evidence=evidence, gates=own)
+    return Outcome(name, _text(measurement), entries, seconds, evidence=evidence, gates=own, stored=stored)
+
+
+def _stopped(name: str, measurement: Measurement, seconds: float, error: BaseException, report: str) -> Outcome:
+    entry = Claim(name, math.nan, None, "", False, f"stopped by {type(error).__name__}: {error}")
+    return Outcome(name, _text(measurement), [entry], seconds, error=report)
+
+
+def _text(measurement: Measurement) -> str:
+    return inspect.getdoc(measurement.run) or ""
 
 
 def failed(outcomes: list[Outcome]) -> bool:
