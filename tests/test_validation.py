@@ -323,7 +323,7 @@ def test_results_follow_their_schema(tmp_path, camera):
     assert content["schema"] == 1
     assert len({claim["id"] for claim in content["claims"]}) == len(content["claims"]) == len(entries)
     for claim in content["claims"]:
-        assert set(claim) == {"id", "value", "limit", "unit", "passed", "source"}
+        assert set(claim) == {"id", "value", "limit", "unit", "passed", "source", "spread"}
         assert isinstance(claim["id"], str) and isinstance(claim["unit"], str) and isinstance(claim["source"], str)
         assert claim["value"] is None or isinstance(claim["value"], float)
         assert (claim["limit"] is None) == (claim["passed"] is None)
