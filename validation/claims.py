@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from validation.claims_camera import depth_of_field, dynamic_range, kernels, response_curves
 from validation.claims_depth import staircase, staircase_camera
 from validation.claims_diffraction import airy_table, wave_energy, wave_sfr
 from validation.claims_lens import blur_off
@@ -16,6 +17,10 @@ from validation.validate import Measurement
 CLAIMS = {
     "radiometry": Measurement(absolute_electrons, quick=True),
     "light-loss": Measurement(light_loss, quick=True),
+    "response-curves": Measurement(response_curves, quick=True),
+    "depth-of-field": Measurement(depth_of_field, quick=True),
+    "kernels": Measurement(kernels, quick=True),
+    "dynamic-range": Measurement(dynamic_range, quick=True),
     "hole-alpha-squared": Measurement(hole_alpha_squared, quick=True),
     "eq8-flat-field": Measurement(eq8_flat_field, quick=True),
     "blur-off": Measurement(blur_off, quick=True),

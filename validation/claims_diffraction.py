@@ -123,8 +123,10 @@ def cos4(camera: Camera) -> FloatArray:
     return (1 + ((x - sensor.width_px / 2) ** 2 + (y - sensor.height_px / 2) ** 2) / image_px**2) ** -2.0
 
 
-def wave_mtf(camera: Camera, blur_px: float, spectrum: FloatArray, frequency: FloatArray) -> FloatArray:
-    """Signed MTF of every channel with the pixel, across an edge of ``EDGE_DEG``, [channel, frequency]."""
+def wave_mtf(
+    camera: Camera, blur_px: float, spectrum: FloatArray, frequency: FloatArray, angle_deg: float = EDGE_DEG
+) -> FloatArray:
+    """Signed MTF of every channel with the pixel, ``angle_deg`` from a row, [channel, frequency]."""
     lens, pitch_um = camera.lens, camera.sensor.pixel_pitch_um
     image_mm = 1 / (1 / lens.focal_length_mm - 1e-3 / lens.focus_distance_m)
     total, signal = np.zeros((4, len(frequency))), np.zeros(4)
@@ -137,7 +139,7 @@ def wave_mtf(camera: Camera, blur_px: float, spectrum: FloatArray, frequency: Fl
             otf = transfer.hopkins_otf(scale_px * frequency, ratio * blur_px / (8 * scale_px))
             total += weights[:, index, None] * otf
             signal += weights[:, index]
-    return total / signal[:, None] * transfer.pixel_transfer(frequency, np.radians(EDGE_DEG))
+    return total / signal[:, None] * transfer.pixel_transfer(frequency, np.radians(angle_deg))
 
 
 def _sfr_plot(part: NDArray[np.int_], mean: FloatArray, expected: FloatArray) -> str:
