@@ -132,6 +132,7 @@ def scores(
     """Score of every level [level, h, w] with the weights of ``classes``, and the plain NCC at the best, [h, w]."""
     grid, spectra = _spectra(sharper, green, settings, spacing_px)
     kernels = sharper[3]
+    observed = comparison.filtered(spectra[1], grid.filters, grid) if settings.score == "ncc" else None
     score, ncc = np.empty((2, len(kernels), *grid.frame), np.float32)
     for level, (kernel, green_kernel) in enumerate(zip(kernels, green[3], strict=True)):
         own = fourier.transfer(kernel, grid.shape, spacing_px)
@@ -141,7 +142,7 @@ def scores(
             continue
         for weights, where in classes:
             if where.any():
-                found = comparison.level_score(own, other, weights, settings, spectra, grid)
+                found = comparison.level_score(own, other, weights, settings, spectra, grid, observed)
                 score[level][where], ncc[level][where] = (f[where] for f in found)
     return score, np.take_along_axis(ncc, score.argmax(axis=0)[None], 0)[0]
 
