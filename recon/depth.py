@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from recon import comparison, fourier
+from recon import bands, comparison, fourier
 from recon.comparison import Weights, window_mean
 from recon.mosaic import Phase
 from recon.settings import Settings
@@ -31,6 +31,13 @@ INDEPENDENT_SHARE = 0.5  # of a window's samples, after the band-pass
 # Too weak an assumption draws to small levels, too strong a one to large: a factor of three either way is harmless.
 SMALLEST_SIGNAL = 1e-3  # of the brightest sample: darker means count as this
 STRENGTHS = (1.0, 6.0, 36.0, 216.0)
+
+
+class Leak(NamedTuple):
+    """Infrared in green: alpha of eq. (8), and white's infrared electrons over its green ones under the light."""
+
+    alpha: float
+    white: float
 
 
 class Match(NamedTuple):
@@ -57,11 +64,17 @@ def transform(
     return fourier.forward(fourier.pad_blended(plane, shape)) * moved
 
 
-def match(sharper: Channel, green: Channel, settings: Settings, spacing_px: float = PLANE_SPACING_PX) -> Match:
+def match(
+    sharper: Channel,
+    green: Channel,
+    settings: Settings,
+    spacing_px: float = PLANE_SPACING_PX,
+    leak: Leak | None = None,
+) -> Match:
     """Score of every level at every sample, by ``settings.score``.
 
     Each channel comes as (plane [h, w], phase, noise variance map, kernels [level, size, size]), samples
-    ``spacing_px`` apart, kernels in pixels.
+    ``spacing_px`` apart, kernels in pixels. ``leak`` serves the score ``bands`` alone.
     """
     plane, phase, variance, kernels = sharper
     shape = fourier.fast_shape(plane.shape, int(np.ceil(kernels.shape[-1] / spacing_px)))
@@ -75,6 +88,8 @@ def match(sharper: Channel, green: Channel, settings: Settings, spacing_px: floa
         return energy / (gain * window_mean(noise, settings, spacing_px)) - 1
 
     snr, green_snr = signal_over_noise(spectra[0], variance), signal_over_noise(spectra[1], green[2])
+    if settings.score == "bands":
+        return _by_bands(sharper, green, spectra, (snr, green_snr), grid, settings, leak or Leak(0.0, 0.0))
     unit = _unit_weight(kernels, settings, spacing_px)
     quieter = _quieter((plane, variance), (green[0], green[2]), settings, spacing_px)
     classes = _classes(snr, (snr > settings.edge_snr) & (green_snr > settings.edge_snr), quieter, unit, settings)
@@ -93,6 +108,30 @@ def match(sharper: Channel, green: Channel, settings: Settings, spacing_px: floa
         return Match(score, plain, np.zeros(len(kernels)), snr, green_snr)
     typical = max(classes, key=lambda item: int(item[1].sum()))[0]
     return Match(score, plain, peak_offset(kernels, green[3], typical, settings, spacing_px), snr, green_snr)
+
+
+def _by_bands(
+    sharper: Channel,
+    green: Channel,
+    spectra: tuple[Complex64Array, Complex64Array],
+    snr: tuple[Float32Array, Float32Array],
+    grid: comparison.Grid,
+    settings: Settings,
+    leak: Leak,
+) -> Match:
+    """Scores by :mod:`recon.bands`, of green without its infrared.
+
+    Deviation: the paper compares unprocessed channels, with kernels that hold white's share of infrared in green. The
+    share differs from material to material (a leaf has far more), and with it green's blur: taken off on both sides.
+    """
+    plain_green = spectra[1] - np.complex64(leak.alpha) * spectra[0]
+    share = leak.alpha * leak.white
+    kernels = (green[3] - share * sharper[3]) / (1 - share)
+    noise = sharper[2], (green[2] + leak.alpha**2 * sharper[2]).astype(np.float32)
+    size = grid.shape, grid.frame
+    found = bands.energies((spectra[0], plain_green), noise, size, settings, grid.spacing_px, leak.alpha)
+    score = bands.log_likelihood(found, bands.transfers(sharper[3], kernels, grid.spacing_px))
+    return Match(score, np.ones(grid.frame, np.float32), np.zeros(len(score)), *snr)
 
 
 def _unit_weight(kernels: NDArray, settings: Settings, spacing_px: float) -> float:
@@ -200,7 +239,7 @@ def best_level(
 
     The confidence is s^2 / (s^2 + e^2) with s one level and e the standard error of a least-squares fit:
     e^2 = (1 - n^2) / (N c n), n the ``plain`` NCC at its peak, -c its second derivative, N the window's independent
-    samples. Zero where the NCC is not positive.
+    samples. Zero where the NCC is not positive. With the score ``bands``, e follows from the likelihood itself.
     """
     levels = len(score)
     peak = np.argmax(score, axis=0)
@@ -212,6 +251,9 @@ def best_level(
     vertex = np.where(inside, middle + np.clip(shift, -0.5, 0.5), peak)
     seen = np.maximum.accumulate(np.arange(levels) + offset)
     level = np.interp(vertex, seen, np.arange(levels)).astype(np.float32)
+    if settings.score == "bands":
+        error = bands.standard_error(score)
+        return level, np.asarray(REFERENCE_ERROR**2 / (REFERENCE_ERROR**2 + error**2), np.float32)
     top = np.clip(plain, 0, 1)
     samples = INDEPENDENT_SHARE * (settings.window_px / PLANE_SPACING_PX) ** 2
     information = samples * np.maximum(curvature, 0) * top
