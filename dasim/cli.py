@@ -279,6 +279,7 @@ def recon(
     settings: Path | None = None,
     print_settings: Annotated[bool, Parameter(negative="")] = False,
     flat: Path | None = None,
+    also: Annotated[list[str] | None, Parameter(negative="", consume_multiple=True)] = None,
 ) -> int:
     """Reconstruct a capture: picture, depth, all-in-focus picture. Of a camera without infrared, the picture alone.
 
@@ -298,13 +299,15 @@ def recon(
         print_settings: print the settings as TOML, with what each means, and end
         flat: a capture of an even surface that fills the frame, to undo the lens shading in the pictures; of the same
             kind as the capture
+        also: further pictures of the all-in-focus one: anaglyph (red-cyan), stereo (side by side), ply or glb (textured
+            surface)
     """
     import dasim
     import recon as reconstruction
     from dasim.files import check_output
     from recon import settings as known
     from recon.mosaic import grids
-    from recon.output import save_reconstruction
+    from recon.output import check_extras, save_reconstruction
     from recon.raw_files import load_input
 
     chosen = known.chosen(preset, settings)
@@ -314,6 +317,7 @@ def recon(
     if capture is None or out is None:
         raise InputError("recon: needs a capture and --out FOLDER (see 'dasim recon --help')")
     check_output(out, "reconstruction")
+    check_extras(also or ())
     model = None if camera is None else dasim.load_camera(camera)
     if focus is not None:
         if model is None:
@@ -333,7 +337,7 @@ def recon(
         result = reconstruction.reconstruct(
             shot, kernels, chosen, flat=even, progress=lambda s, x: progress("reconstructing", x)
         )
-        save_reconstruction(out, result)
+        save_reconstruction(out, result, also or ())
     for note in result.notes:
         print(f"note: {note}")
     print(f"reconstruction: {out} (light by white balance: {result.light})")

@@ -54,7 +54,10 @@ def software_versions() -> dict[str, str]:
 # What each kind of result folder holds; the first is the file that marks it.
 RESULT_FILES = {
     "capture": ("meta.json", "raw.png", "truth.exr"),
-    "reconstruction": ("meta.json", "recon.exr", "rgb.png", "sharp.png", "ir.png"),
+    "reconstruction": (
+        *("meta.json", "recon.exr", "rgb.png", "sharp.png", "ir.png"),
+        *("anaglyph.png", "stereo.png", "surface.ply", "surface.glb"),
+    ),
     "EMVA 1288 measurement": ("meta.json", "descriptor.txt", "frames"),
     "demo": ("results.json", "report.html", "overview.jpg", "capture", "recon"),
     "validation": ("results.json", "report.html", "junit.xml"),

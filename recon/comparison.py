@@ -188,11 +188,16 @@ def level_score(
     settings: Settings,
     spectra: tuple[Complex64Array, Complex64Array],
     grid: Grid,
+    observed: list[Float32Array] | None = None,
 ) -> tuple[Float32Array, Float32Array]:
-    """Score of a level at each sample, [h, w], by ``settings.score``: ncc or likelihood; and the plain NCC."""
+    """Score of a level at each sample, [h, w], by ``settings.score``: ncc or likelihood; and the plain NCC.
+
+    ``observed`` are green's gradients, which the NCC takes as they are at every level.
+    """
     mine, other, constant = level_filters(infrared, green, weights, settings, grid)
-    predicted, observed = filtered(spectra[0], mine, grid), filtered(spectra[1], other, grid)
-    power, energy, product = correlate(predicted, observed, settings, grid)
+    if observed is None:
+        observed = filtered(spectra[1], other, grid)
+    power, energy, product = correlate(filtered(spectra[0], mine, grid), observed, settings, grid)
     ncc = product / np.sqrt(np.maximum(power * energy, SMALLEST))
     if settings.score == "ncc":
         return np.asarray(ncc, np.float32), np.asarray(ncc, np.float32)

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from recon import comparison, fourier
+from recon import bands, comparison, fourier
 from recon.comparison import Weights, window_mean
 from recon.mosaic import Phase
 from recon.settings import Settings
@@ -31,6 +31,13 @@ INDEPENDENT_SHARE = 0.5  # of a window's samples, after the band-pass
 # Too weak an assumption draws to small levels, too strong a one to large: a factor of three either way is harmless.
 SMALLEST_SIGNAL = 1e-3  # of the brightest sample: darker means count as this
 STRENGTHS = (1.0, 6.0, 36.0, 216.0)
+
+
+class Leak(NamedTuple):
+    """Infrared in green: alpha of eq. (8), and white's infrared electrons over its green ones under the light."""
+
+    alpha: float
+    white: float
 
 
 class Signals(NamedTuple):
@@ -72,15 +79,21 @@ def transform(
     return fourier.forward(fourier.pad_blended(plane, shape)) * moved
 
 
-def match(sharper: Channel, green: Channel, settings: Settings, spacing_px: float = PLANE_SPACING_PX) -> Match:
+def match(
+    sharper: Channel,
+    green: Channel,
+    settings: Settings,
+    spacing_px: float = PLANE_SPACING_PX,
+    leak: Leak | None = None,
+) -> Match:
     """Score of every level at every sample, by ``settings.score``.
 
     Each channel comes as (plane [h, w], phase, noise variance map, kernels [level, size, size]), samples
-    ``spacing_px`` apart, kernels in pixels.
+    ``spacing_px`` apart, kernels in pixels. ``leak`` serves the score ``bands`` alone.
     """
     found = signals(sharper, green, settings, spacing_px)
     told = typical(found, sharper[3], green[3], settings, spacing_px)
-    score, plain = scores(sharper, green, told.classes, settings, spacing_px)
+    score, plain = scores(sharper, green, told.classes, settings, spacing_px, leak)
     return Match(score, plain, told.offset, found.snr, found.green_snr)
 
 
@@ -113,6 +126,8 @@ def typical(
     found: Signals, kernels: NDArray, green_kernels: NDArray, settings: Settings, spacing_px: float = PLANE_SPACING_PX
 ) -> Typical:
     """The weights of eq. (9) and where a peak lies, from the signals of a whole frame."""
+    if settings.score == "bands":  # has no weights, and its own refinement
+        return Typical([], np.zeros(len(kernels)))
     unit = _unit_weight(kernels, settings, spacing_px)
     edges = (found.snr > settings.edge_snr) & (found.green_snr > settings.edge_snr)
     classes = _classes(found.snr, edges, found.quieter, unit, settings)
@@ -128,10 +143,14 @@ def scores(
     classes: list[tuple[Weights, NDArray]],
     settings: Settings,
     spacing_px: float = PLANE_SPACING_PX,
+    leak: Leak | None = None,
 ) -> tuple[Float32Array, Float32Array]:
     """Score of every level [level, h, w] with the weights of ``classes``, and the plain NCC at the best, [h, w]."""
     grid, spectra = _spectra(sharper, green, settings, spacing_px)
+    if settings.score == "bands":
+        return _by_bands(sharper, green, spectra, grid, settings, leak or Leak(0.0, 0.0))
     kernels = sharper[3]
+    observed = comparison.filtered(spectra[1], grid.filters, grid) if settings.score == "ncc" else None
     score, ncc = np.empty((2, len(kernels), *grid.frame), np.float32)
     for level, (kernel, green_kernel) in enumerate(zip(kernels, green[3], strict=True)):
         own = fourier.transfer(kernel, grid.shape, spacing_px)
@@ -141,9 +160,32 @@ def scores(
             continue
         for weights, where in classes:
             if where.any():
-                found = comparison.level_score(own, other, weights, settings, spectra, grid)
+                found = comparison.level_score(own, other, weights, settings, spectra, grid, observed)
                 score[level][where], ncc[level][where] = (f[where] for f in found)
     return score, np.take_along_axis(ncc, score.argmax(axis=0)[None], 0)[0]
+
+
+def _by_bands(
+    sharper: Channel,
+    green: Channel,
+    spectra: tuple[Complex64Array, Complex64Array],
+    grid: comparison.Grid,
+    settings: Settings,
+    leak: Leak,
+) -> tuple[Float32Array, Float32Array]:
+    """Scores by :mod:`recon.bands`, of green without its infrared; and 1 in place of an NCC.
+
+    Deviation: the paper compares unprocessed channels, with kernels that hold white's share of infrared in green. The
+    share differs from material to material (a leaf has far more), and with it green's blur: taken off on both sides.
+    """
+    plain_green = spectra[1] - np.complex64(leak.alpha) * spectra[0]
+    share = leak.alpha * leak.white
+    kernels = (green[3] - share * sharper[3]) / (1 - share)
+    noise = sharper[2], (green[2] + leak.alpha**2 * sharper[2]).astype(np.float32)
+    size = grid.shape, grid.frame
+    found = bands.energies((spectra[0], plain_green), noise, size, settings, grid.spacing_px, leak.alpha)
+    score = bands.log_likelihood(found, bands.transfers(sharper[3], kernels, grid.spacing_px))
+    return score, np.ones(grid.frame, np.float32)
 
 
 def _spectra(
@@ -265,7 +307,7 @@ def best_level(
 
     The confidence is s^2 / (s^2 + e^2) with s one level and e the standard error of a least-squares fit:
     e^2 = (1 - n^2) / (N c n), n the ``plain`` NCC at its peak, -c its second derivative, N the window's independent
-    samples. Zero where the NCC is not positive.
+    samples. Zero where the NCC is not positive. With the score ``bands``, e follows from the likelihood itself.
     """
     levels = len(score)
     peak = np.argmax(score, axis=0)
@@ -277,6 +319,9 @@ def best_level(
     vertex = np.where(inside, middle + np.clip(shift, -0.5, 0.5), peak)
     seen = np.maximum.accumulate(np.arange(levels) + offset)
     level = np.interp(vertex, seen, np.arange(levels)).astype(np.float32)
+    if settings.score == "bands":
+        error = bands.standard_error(score)
+        return level, np.asarray(REFERENCE_ERROR**2 / (REFERENCE_ERROR**2 + error**2), np.float32)
     top = np.clip(plain, 0, 1)
     samples = INDEPENDENT_SHARE * (settings.window_px / PLANE_SPACING_PX) ** 2
     information = samples * np.maximum(curvature, 0) * top

@@ -63,6 +63,12 @@ def transfer(kernel: NDArray, shape: tuple[int, int], spacing_px: float = 1.0) -
     Evaluated at the frequencies of a grid of ``spacing_px``, as sum h(y, x) exp(-2 pi i (fy y + fx x)).
     """
     size = kernel.shape[-1]
+    if spacing_px == 1:  # the transform of the kernel itself, wrapped around the frame's corner
+        wrapped = np.zeros((*kernel.shape[:-2], *shape), np.float32)
+        rows, columns = ((np.arange(size) - size // 2) % n for n in shape)
+        for place, row in enumerate(rows):
+            np.add.at(np.moveaxis(wrapped[..., row, :], -1, 0), columns, np.moveaxis(kernel[..., place, :], -1, 0))
+        return forward(wrapped, 1)
     place = np.arange(size) - size // 2
     fy, fx = frequencies(shape, spacing_px)
     rows = np.exp(-2j * np.pi * fy * place[None, :]).astype(np.complex64)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -10,21 +11,35 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from dasim.camera import Camera
+from dasim.camera import Camera, intrinsic_matrix
 from dasim.errors import InputError
 from dasim.files import new_folder, software_versions
 from dasim.specification import parse
 from dasim.values import Developed, Reconstruction
+from recon import stereo, surface
 from recon.settings import Settings, preset_name
 
 RECON_SCHEMA = 1
+EXTRAS = ("anaglyph", "stereo", "ply", "glb")
+STRONGEST_SHIFT = 0.02  # of the picture's width, between the eyes: comfortable on a screen at arm's length
 _RGB = ("R", "G", "B")
 _COLOURS = ("rgb", "sharp_rgb", "linear_e", "sharp_e")
 _PLANES = ("ir_e", "level_raw", "level", "confidence")
 
 
-def save_reconstruction(path: Path, result: Reconstruction) -> None:
-    """Write ``rgb.png``, ``sharp.png``, ``ir.png``, ``recon.exr`` (``Z`` is the depth in metres) and ``meta.json``."""
+def check_extras(extras: Sequence[str]) -> None:
+    """InputError where an extra picture is unknown."""
+    for name in extras:
+        if name not in EXTRAS:
+            raise InputError(f"--also '{name}' is unknown; allowed are {', '.join(EXTRAS)}")
+
+
+def save_reconstruction(path: Path, result: Reconstruction, extras: Sequence[str] = ()) -> None:
+    """Write ``rgb.png``, ``sharp.png``, ``ir.png``, ``recon.exr`` (``Z`` is the depth in metres) and ``meta.json``.
+
+    ``extras`` of ``EXTRAS``: ``anaglyph.png``, ``stereo.png`` (left eye's picture to the left), ``surface.ply`` or
+    ``surface.glb``, all of the all-in-focus picture.
+    """
     import OpenEXR
 
     parts = [_part("depth", {"Z": result.depth_m})]
@@ -46,7 +61,21 @@ def save_reconstruction(path: Path, result: Reconstruction) -> None:
         write_picture(folder / "sharp.png", result.sharp_rgb)
         write_picture(folder / "ir.png", grey(result.ir_e))
         OpenEXR.File(parts).write(str(folder / "recon.exr"))
+        _write_extras(folder, result, extras)
         (folder / "meta.json").write_text(json.dumps(about, indent=1) + "\n", encoding="utf-8")
+
+
+def _write_extras(folder: Path, result: Reconstruction, extras: Sequence[str]) -> None:
+    picture, depth_m = result.sharp_rgb, result.depth_m
+    if {"anaglyph", "stereo"} & set(extras):
+        left, right = stereo.pair(picture, depth_m, STRONGEST_SHIFT * picture.shape[1])
+        if "anaglyph" in extras:
+            write_picture(folder / "anaglyph.png", stereo.anaglyph(left, right))
+        if "stereo" in extras:
+            write_picture(folder / "stereo.png", stereo.side_by_side(left, right))
+    for suffix in {"ply", "glb"} & set(extras):
+        mesh = surface.surface(picture, depth_m, intrinsic_matrix(result.camera))
+        surface.save_surface(folder / f"surface.{suffix}", mesh)
 
 
 def save_picture(path: Path, picture: Developed) -> None:

@@ -58,7 +58,9 @@ def reconstruct(
     assert ir_e is not None  # checked above
     variances = _variances(raw_e, capture)
     with stage("depth"):
-        raw_level, trust = _raw_levels(raw_e, variances, saturated, camera, bank.kernel[light], settings)
+        raw_level, trust = _raw_levels(
+            raw_e, variances, saturated, camera, bank.kernel[light], settings, bank.signature[light]
+        )
     with stage("regularise"):
         guide = _infrared_guide(ir_e, capture)
         smooth, evidence = regularise(raw_level, trust, guide, settings.regularise_bandwidth)
@@ -210,6 +212,7 @@ def _raw_levels(
     camera: Camera,
     kernels: NDArray,
     settings: Settings,
+    white: NDArray | None = None,
 ) -> tuple[Float32Array, Float32Array]:
     """Eq. (12) for every block of the mosaic, NaN where neither infrared nor red nor blue has an edge; confidence."""
     places, planes = mosaic.phases(camera), mosaic.planes(raw_e, camera)
@@ -217,17 +220,28 @@ def _raw_levels(
     def channel(name: str, plane: NDArray) -> depth.Channel:
         return np.ascontiguousarray(plane), places[name], variances[name], kernels[:, CHANNELS.index(name)]
 
+    leak = None if white is None else _green_leak(camera, white, settings)
     usable = depth.window_mean(picture.blocks_any(saturated).astype(np.float32), settings) < settings.saturated_share
     green = channel("G", planes["G"])
     level = np.full(planes["G"].shape, np.nan, np.float32)
     confidence = np.zeros_like(level)
     sharper = {"IR": planes["IR"]} | ({n: planes[n] for n in _fallbacks(camera)} if settings.fallback else {})
     for name, plane in sharper.items():
-        found, trust, snr, green_snr = tiles.best_levels(channel(name, plane), green, settings)
-        new = usable & np.isnan(level) & (snr > settings.edge_snr) & (green_snr > settings.edge_snr) & (trust > 0)
+        found, trust, snr, green_snr = tiles.best_levels(
+            channel(name, plane), green, settings, leak if name == "IR" else None
+        )
+        new = usable & np.isnan(level) & (snr > settings.edge_snr) & (green_snr > settings.edge_snr)
+        new &= (trust > 0) & (trust >= settings.least_confidence)
         level[new] = found[new]
         confidence[new] = (trust if name == "IR" else FALLBACK_TRUST * trust)[new]
     return level, confidence
+
+
+def _green_leak(camera: Camera, white: NDArray, settings: Settings) -> depth.Leak:
+    """What of infrared is in green, from eq. (8) or as measured, and in white [channel]."""
+    alpha = infrared.crosstalk(camera) if settings.crosstalk is None else settings.crosstalk
+    green = CHANNELS.index("G")
+    return depth.Leak(float(alpha[green]), float(white[CHANNELS.index("IR")] / white[green]))
 
 
 def _fallbacks(camera: Camera) -> list[str]:

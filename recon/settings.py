@@ -37,8 +37,9 @@ class Settings(Specification):
         default="both", description="eq. (11): NCC of the sum of the derivatives, or of both taken together"
     )
     cutoff_cycles_px: float = Field(default=0.16, gt=0, le=0.25, description="edge of the band that is compared")
-    score: Literal["ncc", "likelihood", "colour-line"] = Field(
-        default="ncc", description="how a level is scored: eq. (11), its likelihood, or Chakrabarti and Zickler's"
+    score: Literal["ncc", "likelihood", "bands", "colour-line"] = Field(
+        default="ncc",
+        description="how a level is scored: eq. (11), its likelihood, transfer by bands, or Chakrabarti and Zickler's",
     )
     prior_factor: float = Field(default=1.0, gt=0, le=1e4, description="factor on the measured beta of eq. (9)")
     diagonals: Literal["right", "published"] = Field(
@@ -47,6 +48,7 @@ class Settings(Specification):
     edge_snr: float = Field(default=0.5, ge=0, le=1000, description="gradient energy over noise that makes an edge")
     fallback: bool = Field(default=True, description="red, then blue, where infrared shows no edge (sec. 5.3)")
     saturated_share: float = Field(default=0.05, ge=0, le=1, description="of a window: above it, no estimate")
+    least_confidence: float = Field(default=0.0, ge=0, lt=1, description="of a raw level, 0..1; below it, no estimate")
     regularise_bandwidth: float = Field(default=60.0, gt=0, description="tau of eq. (14), noise variances")
 
     # sec. 5.4
@@ -59,6 +61,7 @@ PAPER = Settings()
 PRESETS = {
     "paper": PAPER,
     "likelihood": Settings(score="likelihood"),  # the paper's with levels scored by likelihood instead of NCC
+    "bands": Settings(score="bands", least_confidence=0.4),  # the paper's with levels from transfers band by band
     "chakrabarti-zickler": Settings(score="colour-line"),  # the closest prior work on the same bank and windows
 }
 

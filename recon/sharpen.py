@@ -21,8 +21,8 @@ from recon.settings import Settings
 Float32Array = NDArray[np.float32]
 Complex64Array = NDArray[np.complex64]
 
-TILE_PX = 128
-MARGIN_PX = 32  # beyond the kernel's reach: deconvolution rings out over some pixels more
+TILE_PX = 256
+MARGIN_PX = 16  # beyond the kernel's reach: deconvolution rings out over some pixels more
 KERNEL_SHARE = 0.999  # of a kernel's energy within its reach
 DENSE_LEVELS, SPARSE_STEP = 12, 2  # every level up to here is deconvolved, then each second one
 FEATHER_LEVELS = 1.0  # beyond the levels a layer serves: there the picture itself fades into its replacement

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recon import depth, fourier
-from recon.depth import Channel, Signals
+from recon.depth import Channel, Leak, Signals
 from recon.settings import Settings
 
 Float32Array = NDArray[np.float32]
@@ -57,7 +57,15 @@ def tiles(shape: tuple[int, ...], size: int = TILE, halo: int = HALO) -> Iterato
             yield Tile(core, box, inner)
 
 
-def best_levels(sharper: Channel, green: Channel, settings: Settings, *, size: int = TILE, halo: int = HALO) -> Levels:
+def best_levels(
+    sharper: Channel,
+    green: Channel,
+    settings: Settings,
+    leak: Leak | None = None,
+    *,
+    size: int = TILE,
+    halo: int = HALO,
+) -> Levels:
     """:func:`recon.depth.match` and :func:`recon.depth.best_level` of a frame, in tiles of ``size`` samples."""
     frame = sharper[2].shape
     parts = list(tiles(frame, size, halo if max(frame) > size else 0))
@@ -73,7 +81,7 @@ def best_levels(sharper: Channel, green: Channel, settings: Settings, *, size: i
     level, confidence = np.empty((2, *frame), np.float32)
     for part in parts:
         classes = [(weights, where[part.box]) for weights, where in told.classes]
-        score, plain = depth.scores(*cut(part), classes, settings)
+        score, plain = depth.scores(*cut(part), classes, settings, leak=leak)
         best, trust = depth.best_level(score, plain, told.offset, settings)
         level[part.core], confidence[part.core] = best[part.inner], (trust * (plain > 0))[part.inner]
     return Levels(level, confidence, measured.snr, measured.green_snr)

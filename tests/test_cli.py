@@ -252,6 +252,15 @@ def test_recon_of_a_raw_file_equals_that_of_its_capture(here, capfd):
     assert Settings.model_validate(about["settings"]) == PRESETS["paper"]
 
 
+def test_stereo_pictures_and_surfaces_beside_the_result(here):
+    arguments = ["recon", "shot", "--bank", "bank.npz", "--out", "plain"]
+    assert run([*arguments, "--also", "anaglyph", "stereo", "ply", "glb"]) == 0
+    names = {p.name for p in (here / "plain").iterdir()}
+    assert names >= {"anaglyph.png", "stereo.png", "surface.ply", "surface.glb"}
+    assert run(arguments) == 0, "an earlier result with them is replaced"
+    assert "anaglyph.png" not in {p.name for p in (here / "plain").iterdir()}
+
+
 def test_settings_are_printed_changed_and_found_again(here, capfd):
     assert run(["recon", "--preset", "likelihood", "--print-settings"]) == 0
     printed = capfd.readouterr().out
@@ -273,6 +282,7 @@ def test_settings_are_printed_changed_and_found_again(here, capfd):
         (("shot", "--preset", "best"), ("'best'", "chakrabarti-zickler")),
         (("shot", "--preset", "paper", "--settings", "mine.toml"), ("--preset and --settings",)),
         (("--preset", "paper"), ("capture",)),
+        (("shot", "--also", "hologram"), ("'hologram'", "anaglyph, stereo, ply, glb")),
     ],
 )
 def test_raw_files_and_settings_that_are_wrong(refused, arguments, said):

@@ -9,8 +9,8 @@ from recon.settings import PRESETS
 
 # Levels, and the share of the confident samples that keeps within; the rest are near ties. Far below an estimate's own
 # error of 0.1 to 0.5. The likelihood has a constant that depends a little on the grid of frequencies; the colour
-# line's filters are not limited to a band, and reach farther.
-SAME = {"paper": (0.005, 0.999), "likelihood": (0.1, 0.99), "chakrabarti-zickler": (0.05, 0.98)}
+# line's filters are not limited to a band and reach farther, and so do those of narrow bands.
+SAME = {"paper": (0.005, 0.999), "likelihood": (0.1, 0.99), "bands": (0.1, 0.98), "chakrabarti-zickler": (0.05, 0.98)}
 SAME_SIGNAL = 1e-3  # of the noise, or relative
 
 

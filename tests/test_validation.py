@@ -554,3 +554,19 @@ def test_report_opens_in_a_browser_without_complaint(page_text, tmp_path):
     picture = cv2.imread(str(tmp_path / "shot.png"))
     assert picture is not None and picture.shape == (2400, 1200, 3)
     assert picture.std() > 10, "the page is blank"
+
+
+def test_balanced_error_counts_levels_not_pixels():
+    """Levels 2, 5 and 8 of 800, 150 and 50 pixels, off by 0, 1 and 3: balanced, the median is the middle one's."""
+    true = np.repeat([2.0, 5.0, 8.0], [800, 150, 50])
+    error = np.repeat([0.0, 1.0, 3.0], [800, 150, 50])
+    own, constant, bins = metrics.balanced_error(error, true)
+    assert own == 1.0
+    assert constant == pytest.approx(1.5, abs=0.05)  # between two of them
+    assert bins == [(2, 0.8, 0.0), (5, 0.15, 1.0), (8, 0.05, 3.0)]
+
+
+def test_balanced_error_leaves_rare_levels_out():
+    true = np.repeat([2.0, 8.0], [990, 10])
+    own, _, bins = metrics.balanced_error(np.where(true == 8, 5.0, 0.5), true)
+    assert own == 0.5 and len(bins) == 1

@@ -10,7 +10,9 @@ from validation.claims_light import absolute_electrons, eq8_flat_field, hole_alp
 from validation.claims_occlusion import occluding_edge
 from validation.claims_recon import colour
 from validation.claims_sampling import desk_noise, noise_slope_off, noise_slope_wave, render_cost
+from validation.claims_scene_depth import depth
 from validation.claims_scenes import interreflection, registration, scenes_speed
+from validation.claims_speed import recon_speed
 from validation.validate import Measurement
 
 # Quick: less than about 20 s on two cores.
@@ -38,4 +40,6 @@ CLAIMS = {
     "scenes-speed": Measurement(scenes_speed, quick=False, alone=True),
     "staircase": Measurement(staircase, quick=False),
     "staircase-camera": Measurement(staircase_camera, quick=False),
+    "recon-speed": Measurement(recon_speed, quick=False),
+    "depth": Measurement(depth, quick=False),
 }

@@ -20,6 +20,7 @@ Mask = NDArray[np.bool_]
 VISIBLE_BLUR_PX = (3.0, 15.0)  # where sharpening is judged
 LEVEL_BINS = (-0.5, 0.5, 2.0, 6.0, 12.0, 29.0)
 FLAT_LEVELS = 1e-3  # a scene with less depth than this has no best constant to compare with
+OCCUPIED_SHARE = 0.02  # of the pixels, for a level to count
 CONSTANT_STEP = 0.05  # levels between the constant maps that are tried
 
 
@@ -77,6 +78,35 @@ def best_constant_error(level: FloatArray) -> float:
     """Median absolute error of the best constant map: the smallest over all constants, [n] true levels."""
     constants = np.arange(level.min(), level.max() + CONSTANT_STEP, CONSTANT_STEP)
     return min(float(np.median(np.abs(level - constant))) for constant in constants)
+
+
+def balanced_error(error: FloatArray, true: FloatArray) -> tuple[float, float, list[tuple[int, float, float]]]:
+    """Median absolute error with every occupied level counting the same; the best constant map's; the bins.
+
+    ``error`` and ``true`` levels are [n]. A bin is one level of the bank, k - 1/2 to k + 1/2, occupied where it holds
+    OCCUPIED_SHARE of the pixels; each is (k, its share, its median error). NaN where no bin is.
+    """
+    level = np.rint(true).astype(int)
+    count = np.bincount(np.maximum(level, 0))
+    occupied = count >= max(OCCUPIED_SHARE * len(true), 1)
+    if not occupied.any():
+        return float("nan"), float("nan"), []
+    level = np.maximum(level, 0)
+    inside = occupied[level]
+    weight = 1 / count[level[inside]]
+    bins = [
+        (int(k), float(count[k] / len(true)), float(np.median(error[level == k]))) for k in np.flatnonzero(occupied)
+    ]
+    constants = np.arange(true[inside].min(), true[inside].max() + CONSTANT_STEP, CONSTANT_STEP)
+    best = min(weighted_median(np.abs(true[inside] - constant), weight) for constant in constants)
+    return weighted_median(np.abs(error[inside]), weight), best, bins
+
+
+def weighted_median(values: FloatArray, weights: FloatArray) -> float:
+    """The value up to which half of the weight lies."""
+    order = np.argsort(values)
+    total = np.cumsum(weights[order])
+    return float(values[order][np.searchsorted(total, total[-1] / 2)])
 
 
 def _level_figures(name: str, what: str, level: NDArray[Any], truth: Truth, where: Mask) -> list[Figure]:

@@ -1,0 +1,97 @@
+"""Levels by bands: energies against a direct sum, no bias by noise, and a standard error that is one."""
+
+import numpy as np
+import pytest
+import recon_scenes
+from scipy import signal
+
+from recon import bands, comparison, depth, fourier
+from recon.settings import PRESETS
+
+BANDS = PRESETS["bands"]
+BORDER_PX = 45
+WEAK_BIAS_LEVELS = 0.5  # at a noise where the NCC's weight for the frame misses by levels
+
+
+def test_rings_share_the_power():
+    """Squares of the rings add up to one between the middles of the first and the last."""
+    total = np.sum([ring**2 for ring in bands.filters((96, 128), 2.0)], axis=0)
+    radius = np.hypot(*fourier.frequencies((96, 128), 2.0))
+    inside = (radius > 0.02) & (radius < 0.16)
+    np.testing.assert_allclose(total[inside], 1, atol=1e-5)
+
+
+def test_energies_of_white_noise_are_its_variances():
+    """Independent noise of variance 4 and 9: energies are those in every band, the product zero, within 5 sigma."""
+    random = np.random.default_rng(5)
+    shape = (256, 256)
+    noise = [s * random.standard_normal(shape).astype(np.float32) for s in (2, 3)]
+    spectra = (fourier.forward(noise[0]), fourier.forward(noise[1]))
+    variance = (np.full(shape, 4, np.float32), np.full(shape, 9, np.float32))
+    found = bands.energies(spectra, variance, (shape, shape), BANDS, 2.0)
+    values = 256**2 * found.values / (4 * np.pi * (BANDS.window_px / 2) ** 2 / 12)  # independent ones in the frame
+    for index, count in enumerate(values):
+        # the bands' middles have at least 100 values; five standard deviations of a mean square
+        slack = 5 * np.sqrt(2 / max(count, 1))
+        assert abs(found.sharper[index].mean() / 4 - 1) < slack
+        assert abs(found.green[index].mean() / 9 - 1) < slack
+        assert abs(found.product[index].mean() / 6) < slack
+
+
+def pair(level, noise, size=224, seed=0):
+    """Planes of a natural texture at a level of the bank, one pixel apart, with noise relative to the contrast."""
+    bank = recon_scenes.bank()
+    kernels = bank.kernel[bank.lights.index("D65")]
+    random = np.random.default_rng(seed)
+    side = size + kernels.shape[-1] - 1
+    fy, fx = fourier.frequencies((side, side))
+    spectrum = np.fft.rfft2(random.standard_normal((side, side))) / np.maximum(np.hypot(fy, fx), 0.01)
+    texture = np.fft.irfft2(spectrum, (side, side))
+    texture = 10 + texture / texture.std()
+    channels = []
+    for index in (3, 1):
+        plane = signal.fftconvolve(texture, kernels[level, index].astype(float), "valid")
+        plane = (plane + noise * random.standard_normal(plane.shape)).astype(np.float32)
+        channels.append((plane, (0, 0), np.full(plane.shape, noise**2, np.float32), kernels[:, index]))
+    return channels
+
+
+def estimates(level, noise):
+    found = depth.match(*pair(level, noise), BANDS, 1.0)
+    value, confidence = depth.best_level(found.score, found.plain, found.offset, BANDS)
+    inner = slice(BORDER_PX, -BORDER_PX)
+    return value[inner, inner], confidence[inner, inner]
+
+
+@pytest.mark.parametrize("level", [0, 4, 8])
+def test_noise_does_not_pass_for_blur(level):
+    """Noise of a tenth of the texture's contrast in both channels: the median level stays near the true one."""
+    value, _ = estimates(level, 0.1)
+    assert abs(np.median(value) - level) < WEAK_BIAS_LEVELS
+
+
+def test_confidence_falls_with_noise():
+    means = [estimates(8, noise)[1].mean() for noise in (0.1, 0.5, 2.0)]
+    assert means[0] > means[1] > means[2]
+
+
+def test_the_leak_is_taken_off():
+    """Green with half of infrared in it, as told by the leak, gives the level of green without."""
+    infrared, green = pair(8, 0.02)
+    mixed = (green[0] + 0.5 * infrared[0], green[1], green[2] * 1.25, (green[3] + 0.5 * infrared[3]) / 1.5)
+    found = depth.match(infrared, mixed, BANDS, 1.0, leak=depth.Leak(0.5, 1 / 1.5))
+    value, _ = depth.best_level(found.score, found.plain, found.offset, BANDS)
+    assert abs(np.median(value[45:-45, 45:-45]) - 8) < WEAK_BIAS_LEVELS
+
+
+def test_standard_error_of_a_parabola():
+    """A Gaussian likelihood of deviation 1.5 levels has that standard error."""
+    k = np.arange(29, dtype=np.float32)[:, None, None]
+    score = -((k - 14) ** 2) / (2 * 1.5**2) * np.ones((1, 2, 3), np.float32)
+    np.testing.assert_allclose(bands.standard_error(score.astype(np.float32)), 1.5, rtol=1e-3)
+
+
+def test_plane_mean_counts_both_halves():
+    """What the bands' shares rest on: a constant has its own mean for even and odd widths."""
+    for width in (8, 9):
+        assert comparison.plane_mean(np.ones((6, width // 2 + 1)), width) == pytest.approx(1)
