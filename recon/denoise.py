@@ -49,10 +49,24 @@ def nonlocal_means(
     reach = SEARCH_PX // 2
     border = reach + PATCH_PX // 2
     wide, wide_guide = (np.pad(a, border, "symmetric").astype(np.float32) for a in (plane, guide))
+    (total,), norm = nonlocal_sums(wide[None], wide_guide, patch_sigma_px, bandwidth, reach)
+    return total / norm
+
+
+def nonlocal_sums(
+    wide: Float32Array, wide_guide: Float32Array, patch_sigma_px: float, bandwidth: float, reach: int, stride: int = 1
+) -> tuple[Float32Array, Float32Array]:
+    """Sums over q of W(p, q) times each of ``wide`` [n, h', w'] at q, [n, h, w], and of W(p, q), [h, w].
+
+    q lies up to ``reach`` steps of ``stride`` pixels from p along each axis; ``wide_guide`` [h', w'], whose patches of
+    3x3 give W, and ``wide`` have ``reach * stride + 1`` more pixels at each side than the result.
+    """
+    border = reach * stride + PATCH_PX // 2
+    height, width = (n - 2 * border for n in wide_guide.shape)
     bell = np.sqrt(np.diag(patch_weights(patch_sigma_px)))  # the patch's weights are a product of two of these
-    out = np.empty(plane.shape, np.float32)
-    _nonlocal_means(wide, wide_guide, bell, np.float32(np.log2(np.e) / bandwidth), reach, out)
-    return out
+    total, norm = np.empty((len(wide), height, width), np.float32), np.empty((height, width), np.float32)
+    _nonlocal_sums(wide, wide_guide, bell, np.float32(np.log2(np.e) / bandwidth), reach, stride, total, norm)
+    return total, norm
 
 
 # 2^f for |f| <= 1/2 by its Taylor series, to 2e-7: enough for float32.
@@ -61,17 +75,19 @@ _HALF, _FAINTEST = np.float32(0.5), np.float32(-126)  # as powers of 2: the leas
 
 
 @njit(cache=True, parallel=True)
-def _nonlocal_means(  # pragma: no cover - compiled
-    plane: Float32Array,
+def _nonlocal_sums(  # pragma: no cover - compiled
+    wide: Float32Array,
     guide: Float32Array,
     bell: Float32Array,
     inverse_bandwidth: np.float32,
     reach: int,
-    out: Float32Array,
+    stride: int,
+    total_out: Float32Array,
+    norm_out: Float32Array,
 ) -> None:
     """Row by row, all pixels of a row for one shift before the next: loops that the compiler turns into vectors."""
-    height, width = out.shape
-    border = reach + 1
+    images, height, width = total_out.shape
+    border = reach * stride
     c0, c1, c2, c3, c4, c5, c6 = _POWERS
     edge, middle = bell[0], bell[1]
     for y in prange(height):
@@ -79,17 +95,17 @@ def _nonlocal_means(  # pragma: no cover - compiled
         mantissa = np.empty(width, np.float32)
         exponent = np.empty(width, np.int32)
         power = exponent.view(np.float32)
-        total = np.zeros(width, np.float32)
+        total = np.zeros((images, width), np.float32)
         norm = np.zeros(width, np.float32)
-        for dy in range(-reach, reach + 1):
-            for dx in range(-reach, reach + 1):
-                here0, here1, here2 = guide[y + reach], guide[y + reach + 1], guide[y + reach + 2]
-                there0, there1, there2 = (guide[y + reach + dy], guide[y + reach + dy + 1], guide[y + reach + dy + 2])
-                values = plane[y + border + dy]
+        top = y + border
+        for dy in range(-border, border + 1, stride):
+            for dx in range(-border, border + 1, stride):
+                here0, here1, here2 = guide[top], guide[top + 1], guide[top + 2]
+                there0, there1, there2 = guide[top + dy], guide[top + dy + 1], guide[top + dy + 2]
                 for x in range(width + 2):
-                    above = here0[x + reach] - there0[x + reach + dx]
-                    level = here1[x + reach] - there1[x + reach + dx]
-                    below = here2[x + reach] - there2[x + reach + dx]
+                    above = here0[x + border] - there0[x + border + dx]
+                    level = here1[x + border] - there1[x + border + dx]
+                    below = here2[x + border] - there2[x + border + dx]
                     column[x] = edge * (above * above + below * below) + middle * level * level
                 for x in range(width):
                     distance = edge * (column[x] + column[x + 2]) + middle * column[x + 1]
@@ -99,8 +115,11 @@ def _nonlocal_means(  # pragma: no cover - compiled
                     mantissa[x] = c0 + f * (c1 + f * (c2 + f * (c3 + f * (c4 + f * (c5 + f * c6)))))
                     exponent[x] = (np.int32(whole) + np.int32(127)) << np.int32(23)
                 for x in range(width):
-                    weight = mantissa[x] * power[x]
-                    total[x] += weight * values[x + border + dx]
-                    norm[x] += weight
-        for x in range(width):
-            out[y, x] = total[x] / norm[x]
+                    mantissa[x] *= power[x]
+                    norm[x] += mantissa[x]
+                for image in range(images):
+                    values, sums = wide[image, top + 1 + dy], total[image]
+                    for x in range(width):
+                        sums[x] += mantissa[x] * values[x + border + 1 + dx]
+        total_out[:, y] = total
+        norm_out[y] = norm

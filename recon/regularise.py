@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit, prange
 from numpy.typing import NDArray
 
-from recon.denoise import patch_weights
+from recon.denoise import nonlocal_sums
 
 Float32Array = NDArray[np.float32]
 
@@ -34,7 +33,6 @@ def regularise(
     value = np.where(known, level, 0).astype(np.float32) * weight
     if not weight.max() > 0:
         return np.zeros_like(level), np.zeros_like(level)
-    patch = patch_weights(PATCH_SIGMA_PX)
     sums: list[tuple[Float32Array, Float32Array]] = []
     evidence: Float32Array | None = None
     reach = SEARCH_PX // 2
@@ -42,9 +40,8 @@ def regularise(
         border = reach * stride
         if border + 1 >= min(level.shape):
             break
-        wide = [np.pad(a, border + 1, "reflect") for a in (guide, value, weight)]
-        value, weight, norm = np.empty((3, *level.shape), np.float32)
-        _spread(wide[0], wide[1], wide[2], patch, np.float32(1 / bandwidth), stride, reach, value, weight, norm)
+        wide = np.stack([np.pad(a, border + 1, "reflect") for a in (guide, value, weight)])
+        (value, weight), norm = nonlocal_sums(wide[1:], wide[0], PATCH_SIGMA_PX, bandwidth, reach, stride)
         sums.append((value, weight))
         evidence = weight / norm if evidence is None else evidence
     everywhere = np.float32(np.average(level[known], weights=np.maximum(confidence[known], 1e-6)))
@@ -53,41 +50,3 @@ def regularise(
         need = np.maximum(ENOUGH - weight, MIN_NEED)
         result = (value + need * result) / (weight + need)
     return result.astype(np.float32), weight if evidence is None else evidence
-
-
-@njit(cache=True, parallel=True)
-def _spread(  # pragma: no cover - compiled
-    guide: Float32Array,
-    value: Float32Array,
-    weight: Float32Array,
-    patch: Float32Array,
-    inverse_bandwidth: np.float32,
-    stride: int,
-    reach: int,
-    value_out: Float32Array,
-    weight_out: Float32Array,
-    norm_out: Float32Array,
-) -> None:
-    half = patch.shape[0] // 2
-    border = reach * stride + 1
-    for y in prange(value_out.shape[0]):
-        for x in range(value_out.shape[1]):
-            cy, cx = y + border, x + border
-            total = np.float32(0)
-            known = np.float32(0)
-            norm = np.float32(0)
-            for dy in range(-reach, reach + 1):
-                for dx in range(-reach, reach + 1):
-                    qy, qx = cy + dy * stride, cx + dx * stride
-                    distance = np.float32(0)
-                    for j in range(-half, half + 1):
-                        for i in range(-half, half + 1):
-                            step = guide[cy + j, cx + i] - guide[qy + j, qx + i]
-                            distance += patch[j + half, i + half] * step * step
-                    similar = np.exp(-distance * inverse_bandwidth)
-                    norm += similar
-                    known += similar * weight[qy, qx]
-                    total += similar * value[qy, qx]
-            value_out[y, x] = total
-            weight_out[y, x] = known
-            norm_out[y, x] = norm
