@@ -28,6 +28,8 @@ LIGHTS = ("D65", "D55", "A", "energy-saving-3500K")  # sec. 5.1, that white bala
 NOISE_BLUR_PX = 1.5  # plane pixels: the signal that decides the noise is a local mean
 FALLBACK_TRUST = 0.25  # of red or blue in place of infrared: their blur differs little (sec. 5.3)
 INTERPOLATED_NOISE_SHARE = 0.7  # of the sensor's noise that interpolation leaves, standard deviation
+GRAINY_LEVEL = 3.0  # from here on, deconvolution starts from the picture before noise reduction alone
+BLURRED_LEVEL = 1.5  # below it the picture fades to that captured: in focus there is noise to lose, nothing to gain
 FOCUS_TOLERANCE = 0.01  # relative, in dioptres, between bank and capture
 
 
@@ -66,9 +68,14 @@ def reconstruct(
         linear_e = picture.without_infrared(full_e, ir_e, separation, clipped, white)
         kernels = sharpen.visible_kernels(bank.kernel[light], white, separation)
         noise_e = sharpen.visible_noise(_noise_e(variances), separation)
-        found, _ = sharpen.sharpen(*_grainy(capture, bank, settings, flat), level, kernels, noise_e, settings)
+        grainy_e, grainy_ir_e = _grainy(capture, bank, settings, flat)
+        grain = np.clip(level / GRAINY_LEVEL, 0, 1)  # in focus, noise reduction does better than deconvolution's prior
+        colours_e = linear_e + grain[..., None] * (grainy_e - linear_e)
+        near_e = ir_e + grain * (grainy_ir_e - ir_e)
+        found, _ = sharpen.sharpen(colours_e, near_e, level, kernels, noise_e, settings)
         confidence = _upsampled(evidence, *level.shape)
         certain = np.asarray(confidence * sharpen.away_from(np.any(clipped, axis=-1, keepdims=True)[..., 0]))
+        certain *= np.clip(level / BLURRED_LEVEL, 0, 1)
         sharp_e = linear_e + certain[..., None] * (found - linear_e)  # where the level is a guess, as captured
     with stage("colour"):
         matrix = colour.colour_matrix(camera, bank.lights[light], separation)

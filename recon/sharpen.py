@@ -158,14 +158,13 @@ def _around(kernels: NDArray, node: int) -> tuple[NDArray, NDArray]:
 
 
 def uncertain_transfer(layer: Layer, part: slice, shape: tuple[int, int]) -> tuple[Complex64Array, Float32Array]:
-    """Mean and variance of the transfer function, [channel, h, w/2 + 1], of a level known to ``LEVEL_DEVIATION``.
+    """Transfer function and its uncertainty E|H - H_own|^2, [channel, h, w/2 + 1]; the level has ``LEVEL_DEVIATION``.
 
-    By Gauss and Hermite's rule of three levels, of weights 1/6, 2/3, 1/6.
+    By Gauss and Hermite's rule of three levels, of weights 1/6, 2/3, 1/6. The kernel stays that of the level itself:
+    in focus, where no level is below, the mean would be blurred.
     """
     below, own, above = (_transfer(k[part], shape) for k in (layer.around[0], layer.kernels, layer.around[1]))
-    mean = ((below + 4 * own + above) / 6).astype(np.complex64)
-    square = (np.abs(below) ** 2 + 4 * np.abs(own) ** 2 + np.abs(above) ** 2) / 6
-    return mean, np.maximum(square - np.abs(mean) ** 2, 0).astype(np.float32)
+    return own, ((np.abs(below - own) ** 2 + np.abs(above - own) ** 2) / 6).astype(np.float32)
 
 
 def _transfer(kernels: NDArray, shape: tuple[int, int]) -> Complex64Array:

@@ -10,6 +10,7 @@ from validation.claims_occlusion import occluding_edge
 from validation.claims_recon import colour
 from validation.claims_sampling import desk_noise, noise_slope_off, noise_slope_wave, render_cost
 from validation.claims_scenes import interreflection, registration, scenes_speed
+from validation.claims_sharp import all_in_focus
 from validation.validate import Measurement
 
 # Quick: less than about 20 s on two cores.
@@ -33,4 +34,5 @@ CLAIMS = {
     "scenes-speed": Measurement(scenes_speed, quick=False),
     "staircase": Measurement(staircase, quick=False),
     "staircase-camera": Measurement(staircase_camera, quick=False),
+    "all-in-focus": Measurement(all_in_focus, quick=False),
 }
