@@ -65,6 +65,9 @@ def transfer(kernel: NDArray, shape: tuple[int, int], spacing_px: float = 1.0) -
     size = kernel.shape[-1]
     if spacing_px == 1:  # the transform of the kernel itself, wrapped around the frame's corner
         wrapped = np.zeros((*kernel.shape[:-2], *shape), np.float32)
+        if size <= min(shape):
+            wrapped[..., :size, :size] = kernel
+            return forward(np.roll(wrapped, (-(size // 2), -(size // 2)), (-2, -1)), 1)
         rows, columns = ((np.arange(size) - size // 2) % n for n in shape)
         for place, row in enumerate(rows):
             np.add.at(np.moveaxis(wrapped[..., row, :], -1, 0), columns, np.moveaxis(kernel[..., place, :], -1, 0))

@@ -28,9 +28,12 @@ DENSE_LEVELS, SPARSE_STEP = 12, 2  # every level up to here is deconvolved, then
 FEATHER_LEVELS = 1.0  # beyond the levels a layer serves: there the picture itself fades into its replacement
 GUIDE_WINDOW_PX = 5.0  # sigma, of the window in which infrared's gradients are fitted to a colour's
 GUIDE_FLOOR = 1e-3  # of the mean gradient energy: below it infrared tells nothing
+LEVEL_DEVIATION = 0.6  # standard deviation of the level map, and of what lies between two levels
+SPREAD_LEVELS = np.sqrt(3.0) * LEVEL_DEVIATION  # outer places of Gauss and Hermite's rule
+CLIPPED_NEAR_PX = 3.0
 ENOUGH_PX = 2000.0  # pixels of a level that tell its own prior's weight
-BORDER_SHARE = 1.0  # of the kernel's reach: width of the frame's rim that fades into the draft
-DRAFT_PRIOR = 4.0  # factor on the draft's measured beta
+BORDER_SHARE = 0.2  # of the kernel's reach: width of the frame's rim that fades into the draft
+DRAFT_PRIOR = 2.0  # factor on the draft's measured beta
 
 
 @dataclass(frozen=True)
@@ -42,6 +45,7 @@ class Layer:
     box: tuple[slice, slice]  # the tile with its margin
     inner: tuple[slice, slice]  # the tile within the box
     kernels: NDArray  # [channel, size, size], cut to their reach
+    around: tuple[NDArray, NDArray]  # the same of the levels at either side of it, ``SPREAD_LEVELS`` apart
 
 
 def sharpen(
@@ -65,7 +69,7 @@ def sharpen(
     picture, scaled to each colour, where ``sharpen_guide`` says so.
     """
     nodes = _nodes(len(kernels))
-    cut = [_cut(kernels[node]) for node in nodes]
+    cut = [(_cut(kernels[node]), _around(kernels, node)) for node in nodes]
     position = np.interp(level, nodes, np.arange(len(nodes))).astype(np.float32)
     stack = np.ascontiguousarray(np.concatenate([np.moveaxis(image, -1, 0), infrared[None]]), np.float32)
     layers = list(_layers(position, cut))
@@ -98,6 +102,12 @@ def visible_noise(noise_e: NDArray, separation: NDArray) -> NDArray:
     return np.append(np.sqrt(separation**2 @ noise_e**2), noise_e[3])
 
 
+def away_from(mask: NDArray) -> Float32Array:
+    """0 within ``CLIPPED_NEAR_PX`` of a mask [h, w], rising to 1: clipped light has no linear deconvolution."""
+    distance = cv2.distanceTransform((~mask).astype(np.uint8), cv2.DIST_L2, 3)
+    return np.clip(distance / CLIPPED_NEAR_PX - 1, 0, 1).astype(np.float32)
+
+
 def _nodes(levels: int) -> list[int]:
     """Levels that are deconvolved, from 0: blur grows slowly relative to itself at large levels."""
     dense = list(range(min(DENSE_LEVELS, levels)))
@@ -109,7 +119,7 @@ def _share(position: Float32Array, node: int) -> Float32Array:
     return np.maximum(1 - np.abs(position - node), 0).astype(np.float32)
 
 
-def _layers(position: Float32Array, kernels: list[NDArray]) -> Iterator[Layer]:
+def _layers(position: Float32Array, kernels: list[tuple[NDArray, tuple[NDArray, NDArray]]]) -> Iterator[Layer]:
     """Every node in every tile of the grid where it has a share; ``kernels`` of each node."""
     height, width = position.shape
     for top in range(0, height, TILE_PX):
@@ -119,11 +129,12 @@ def _layers(position: Float32Array, kernels: list[NDArray]) -> Iterator[Layer]:
             for node in range(int(inside.min()), int(np.ceil(inside.max())) + 1):
                 if not _share(inside, node).any():
                     continue
-                margin = kernels[node].shape[-1] // 2 + MARGIN_PX
+                own, around = kernels[node]
+                margin = own.shape[-1] // 2 + MARGIN_PX
                 box = tuple(slice(max(s.start - margin, 0), min(s.stop + margin, n))
                             for s, n in zip(core, position.shape, strict=True))  # fmt: skip
                 inner = tuple(slice(c.start - b.start, c.stop - b.start) for c, b in zip(core, box, strict=True))
-                yield Layer(node, core, (box[0], box[1]), (inner[0], inner[1]), kernels[node])
+                yield Layer(node, core, (box[0], box[1]), (inner[0], inner[1]), own, around)
 
 
 def _cut(kernels: NDArray) -> NDArray:
@@ -136,13 +147,33 @@ def _cut(kernels: NDArray) -> NDArray:
     return square / square.sum(axis=(1, 2), keepdims=True)
 
 
+def _around(kernels: NDArray, node: int) -> tuple[NDArray, NDArray]:
+    """Kernels of the levels ``SPREAD_LEVELS`` below and above a node, interpolated, cut to their reach."""
+    found = []
+    for level in (node - SPREAD_LEVELS, node + SPREAD_LEVELS):
+        low, share = divmod(min(max(level, 0.0), len(kernels) - 1.0), 1)
+        high = min(int(low) + 1, len(kernels) - 1)
+        found.append(_cut((1 - share) * kernels[int(low)] + share * kernels[high]))
+    return found[0], found[1]
+
+
+def uncertain_transfer(layer: Layer, part: slice, shape: tuple[int, int]) -> tuple[Complex64Array, Float32Array]:
+    """Transfer function and its uncertainty E|H - H_own|^2, [channel, h, w/2 + 1]; the level has ``LEVEL_DEVIATION``.
+
+    By Gauss and Hermite's rule of three levels, of weights 1/6, 2/3, 1/6. The kernel stays that of the level itself:
+    in focus, where no level is below, the mean would be blurred.
+    """
+    below, own, above = (_transfer(k[part], shape) for k in (layer.around[0], layer.kernels, layer.around[1]))
+    return own, ((np.abs(below - own) ** 2 + np.abs(above - own) ** 2) / 6).astype(np.float32)
+
+
 def _transfer(kernels: NDArray, shape: tuple[int, int]) -> Complex64Array:
     """From the scene as pixels see it to the picture, [channel, h, w/2 + 1].
 
     Measured kernels hold the pixel's area, and so does the sharp picture: it is taken out once.
     """
     fy, fx = fourier.frequencies(shape)
-    return (fourier.transfer(kernels, shape) / (np.sinc(fy) * np.sinc(fx))).astype(np.complex64)
+    return fourier.transfer(kernels, shape) / (np.sinc(fy) * np.sinc(fx)).astype(np.float32)
 
 
 def _padded(stack: Float32Array, kernels: NDArray) -> tuple[Float32Array, tuple[int, int]]:
@@ -207,7 +238,7 @@ def _deconvolved(
     kernel, box = layer.kernels[part], layer.box
     picture = stack[part, *box]
     shape = fourier.fast_shape(picture.shape[1:], kernel.shape[-1] // 2 + MARGIN_PX)
-    transfer = _transfer(kernel, shape)
+    transfer, variance = uncertain_transfer(layer, part, shape)
     inner = (slice(None), slice(0, picture.shape[1]), slice(0, picture.shape[2]))
     near = np.clip(1 - (np.abs(position[box] - layer.node) - 1) / FEATHER_LEVELS, 0, 1).astype(np.float32)
     near *= _inside_frame(box, position.shape, BORDER_SHARE * (kernel.shape[-1] // 2))
@@ -220,7 +251,9 @@ def _deconvolved(
     if guide is not None:
         expected = _expected(padded, _padded(guide[None, *box], kernel)[0], transfer, shape)
     weight, steps = kappa[layer.node], settings.sharpen_steps
-    return deconvolution.half_quadratic(padded, transfer, weight, steps, expected)[inner] * unit
+    steps_e2 = sum(np.mean(np.diff(draft[part, *box], axis=axis) ** 2, axis=(1, 2)) for axis in (1, 2))
+    trust = deconvolution.data_trust(variance, steps_e2 / noise[part] ** 2, shape)
+    return deconvolution.half_quadratic(padded, transfer, weight, steps, expected, trust)[inner] * unit
 
 
 def _inside_frame(box: tuple[slice, slice], frame: tuple[int, ...], ramp_px: float) -> Float32Array:
