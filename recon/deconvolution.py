@@ -14,7 +14,7 @@ Float32Array = NDArray[np.float32]
 Complex64Array = NDArray[np.complex64]
 
 PRIOR_POWER = 0.8  # eq. (16)
-BETA_FIRST, BETA_GROWTH = 0.02, 2.0 * np.sqrt(2.0)  # of half-quadratic splitting (Krishnan and Fergus 2009, sec. 3)
+BETA_FIRST, BETA_GROWTH = 0.02, 8.0  # of half-quadratic splitting (Krishnan and Fergus 2009, sec. 3, has 2 sqrt(2))
 TABLE_LIMIT, TABLE_SIZE = 64.0, 8193
 SMALLEST_GRADIENT = np.float32(1e-4)  # finite at frequency 0, where every kernel passes 1 and is certain
 SMALLEST_POWER = np.float32(1e-9)  # keeps a division by zero out where neither kernel nor gradient passes anything
@@ -57,11 +57,15 @@ def half_quadratic(
     return result
 
 
-def quadratic(image: Float32Array, transfer: Complex64Array, beta: NDArray) -> Float32Array:
-    """Minimise over f |h * f - I|^2 + beta (|f_x|^2 + |f_y|^2), eq. (9)-(10), in closed form; shapes as above."""
-    shape = (image.shape[-2], image.shape[-1])
+def quadratic(
+    spectrum: Complex64Array, transfer: Complex64Array, beta: NDArray, shape: tuple[int, int]
+) -> Float32Array:
+    """Minimise over f |h * f - I|^2 + beta (|f_x|^2 + |f_y|^2), eq. (9)-(10), in closed form.
+
+    ``spectrum`` is the transform of I [channel, *shape]; the others as above.
+    """
     weight = np.asarray(beta, np.float32)[:, None, None] * gradient_power(shape)
-    spectrum = np.conj(transfer) * fourier.forward(image, 1)
+    spectrum = np.conj(transfer) * spectrum
     return fourier.inverse(spectrum / (np.abs(transfer) ** 2 + weight + SMALLEST_POWER), shape, 1)
 
 
@@ -75,6 +79,7 @@ def data_trust(variance: Float32Array, steps: NDArray, shape: tuple[int, int]) -
     return (1 / (1 + variance * scene)).astype(np.float32)
 
 
+@lru_cache(maxsize=16)
 def gradient_power(shape: tuple[int, int]) -> Float32Array:
     """|D_x|^2 + |D_y|^2 of differences on the half-plane of frequencies."""
     fy, fx = fourier.frequencies(shape)
