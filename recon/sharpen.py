@@ -69,10 +69,10 @@ def sharpen(
     picture, scaled to each colour, where ``sharpen_guide`` says so.
     """
     nodes = _nodes(len(kernels))
-    cut = [(_cut(kernels[node]), _around(kernels, node)) for node in nodes]
+    pairs = [(cut(kernels[node]), _around(kernels, node)) for node in nodes]
     position = np.interp(level, nodes, np.arange(len(nodes))).astype(np.float32)
     stack = np.ascontiguousarray(np.concatenate([np.moveaxis(image, -1, 0), infrared[None]]), np.float32)
-    layers = list(_layers(position, cut))
+    layers = list(_layers(position, pairs))
     noise = np.maximum(np.asarray(noise_e, np.float32), np.float32(1e-3))
     draft = _draft(stack, position, layers, noise)
     sharp = np.zeros_like(stack)
@@ -137,7 +137,7 @@ def _layers(position: Float32Array, kernels: list[tuple[NDArray, tuple[NDArray, 
                 yield Layer(node, core, (box[0], box[1]), (inner[0], inner[1]), own, around)
 
 
-def _cut(kernels: NDArray) -> NDArray:
+def cut(kernels: NDArray) -> NDArray:
     """Kernels [channel, size, size] cut to the square that holds ``KERNEL_SHARE`` of each, again of unit sum."""
     middle = reach = kernels.shape[-1] // 2
     for reach in range(1, middle + 1):
@@ -153,7 +153,7 @@ def _around(kernels: NDArray, node: int) -> tuple[NDArray, NDArray]:
     for level in (node - SPREAD_LEVELS, node + SPREAD_LEVELS):
         low, share = divmod(min(max(level, 0.0), len(kernels) - 1.0), 1)
         high = min(int(low) + 1, len(kernels) - 1)
-        found.append(_cut((1 - share) * kernels[int(low)] + share * kernels[high]))
+        found.append(cut((1 - share) * kernels[int(low)] + share * kernels[high]))
     return found[0], found[1]
 
 
