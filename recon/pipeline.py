@@ -146,9 +146,20 @@ def _check(capture: Capture, bank: PsfBank) -> None:
             "recon.develop makes the picture alone"
         )
     mine, banks = capture.camera, bank.camera
-    same_stops = [s.model_dump() for s in mine.stops] == [s.model_dump() for s in banks.stops]
-    if not same_stops or mine.sensor.pixel_pitch_um != banks.sensor.pixel_pitch_um:
-        raise InputError(f"bank of camera '{banks.name}' does not fit a capture of camera '{mine.name}'")
+    unlike = [
+        what
+        for what, one, other in (
+            ("stops", [s.model_dump() for s in mine.stops], [s.model_dump() for s in banks.stops]),
+            ("pixel pitch", mine.sensor.pixel_pitch_um, banks.sensor.pixel_pitch_um),
+            ("colour responses", _responses(mine), _responses(banks)),
+        )
+        if one != other
+    ]
+    if unlike:
+        raise InputError(
+            f"bank of camera '{banks.name}' does not fit a capture of camera '{mine.name}': other {', '.join(unlike)}; "
+            "make one with 'dasim calibrate --camera'"
+        )
     focus, bank_focus = mine.lens.focus_distance_m, banks.lens.focus_distance_m
     if abs(1 / focus - 1 / bank_focus) > FOCUS_TOLERANCE / bank_focus or (
         mine.lens.focal_length_mm, mine.lens.f_number
@@ -158,6 +169,12 @@ def _check(capture: Capture, bank: PsfBank) -> None:
             f"{bank_focus:g} m, the capture has {mine.lens.focal_length_mm:g} mm f/{mine.lens.f_number:g} at "
             f"{focus:g} m; make a bank with 'dasim calibrate --focus {focus:g}'"
         )
+
+
+def _responses(camera: Camera) -> tuple[object, ...]:
+    """What decides the colours that a sensor sees, its mosaic apart."""
+    sensor = camera.sensor
+    return sensor.quantum_efficiency, sensor.cutoff_nm, sensor.cutoff_width_nm
 
 
 def _variances(raw_e: Float32Array, capture: Capture) -> dict[str, Float32Array]:
@@ -182,26 +199,39 @@ def _raw_levels(
     """Eq. (12) for every block of the mosaic, NaN where neither infrared nor red nor blue has an edge; confidence."""
     places, planes = mosaic.phases(camera), mosaic.planes(raw_e, camera)
 
-    def channel(name: str, plane: NDArray) -> depth.Channel:
-        return np.ascontiguousarray(plane), places[name], variances[name], kernels[:, CHANNELS.index(name)]
+    def channel(name: str, box: tuple[slice, slice]) -> depth.Channel:
+        plane = np.ascontiguousarray(planes[name][box])
+        return plane, places[name], variances[name][box], kernels[:, CHANNELS.index(name)]
 
     leak = None if white is None else _green_leak(camera, white, settings)
     usable = depth.window_mean(picture.blocks_any(saturated).astype(np.float32), settings) < settings.saturated_share
-    green = channel("G", planes["G"])
     level = np.full(planes["G"].shape, np.nan, np.float32)
     confidence = np.zeros_like(level)
-    sharper = {"IR": planes["IR"]} | ({n: planes[n] for n in _fallbacks(camera)} if settings.fallback else {})
-    for name, plane in sharper.items():
-        score, plain, offset, snr, green_snr = depth.match(
-            channel(name, plane), green, settings, leak=leak if name == "IR" else None
-        )
-        found, trust = depth.best_level(score, plain, offset, settings)
-        trust = trust * (plain > 0)
-        new = usable & np.isnan(level) & (snr > settings.edge_snr) & (green_snr > settings.edge_snr)
-        new &= (trust > 0) & (trust >= settings.least_confidence)
-        level[new] = found[new]
-        confidence[new] = (trust if name == "IR" else FALLBACK_TRUST * trust)[new]
+    open_ = usable.copy()  # where no channel has shown an edge yet
+    for name in ["IR", *(_fallbacks(camera) if settings.fallback else [])]:
+        box = _around(open_, round(settings.window_px / depth.PLANE_SPACING_PX) * 2)
+        if box is None:
+            break
+        found = depth.match(channel(name, box), channel("G", box), settings, leak=leak if name == "IR" else None)
+        best, trust = depth.best_level(found.score, found.plain, found.offset, settings)
+        trust = trust * (found.plain > 0)
+        edge = open_[box] & (found.snr > settings.edge_snr) & (found.green_snr > settings.edge_snr)
+        new = edge & (trust > 0) & (trust >= settings.least_confidence)
+        level[box][new] = best[new]
+        confidence[box][new] = (trust if name == "IR" else FALLBACK_TRUST * trust)[new]
+        open_[box] &= (found.snr <= settings.edge_snr) & (found.green_snr > settings.edge_snr)
     return level, confidence
+
+
+def _around(mask: NDArray, margin: int) -> tuple[slice, slice] | None:
+    """The smallest part of a mask [h, w] that holds all of it and a margin; None where it is empty."""
+    parts = []
+    for axis in (1, 0):
+        place = np.flatnonzero(mask.any(axis=axis))
+        if not place.size:
+            return None
+        parts.append(slice(max(int(place[0]) - margin, 0), int(place[-1]) + margin + 1))
+    return parts[0], parts[1]
 
 
 def _green_leak(camera: Camera, white: NDArray, settings: Settings) -> depth.Leak:
