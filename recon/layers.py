@@ -98,12 +98,12 @@ def transfers(kernels: NDArray, nodes: list[int]) -> tuple[Transfers, list[int]]
     return at, [kernel.shape[-1] // 2 for kernel in own]
 
 
-def cut(kernels: NDArray) -> NDArray:
-    """Kernels [channel, size, size] cut to the square that holds ``KERNEL_SHARE`` of each, again of unit sum."""
+def cut(kernels: NDArray, energy: float = KERNEL_SHARE) -> NDArray:
+    """Kernels [channel, size, size] cut to the square that holds a share of each one's energy, again of unit sum."""
     middle = reach = kernels.shape[-1] // 2
     for reach in range(1, middle + 1):
         square = kernels[:, middle - reach : middle + reach + 1, middle - reach : middle + reach + 1]
-        if square.sum(axis=(1, 2)).min() >= KERNEL_SHARE:
+        if square.sum(axis=(1, 2)).min() >= energy:
             break
     return square / square.sum(axis=(1, 2), keepdims=True)
 

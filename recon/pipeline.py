@@ -225,24 +225,39 @@ def _raw_levels(
     """Eq. (12) for every block of the mosaic, NaN where neither infrared nor red nor blue has an edge; confidence."""
     places, planes = mosaic.phases(camera), mosaic.planes(raw_e, camera)
 
-    def channel(name: str, plane: NDArray) -> depth.Channel:
-        return np.ascontiguousarray(plane), places[name], variances[name], kernels[:, CHANNELS.index(name)]
+    def channel(name: str, box: tuple[slice, slice]) -> depth.Channel:
+        plane = np.ascontiguousarray(planes[name][box])
+        return plane, places[name], variances[name][box], kernels[:, CHANNELS.index(name)]
 
     leak = None if white is None else _green_leak(camera, white, settings)
     usable = depth.window_mean(picture.blocks_any(saturated).astype(np.float32), settings) < settings.saturated_share
-    green = channel("G", planes["G"])
     level = np.full(planes["G"].shape, np.nan, np.float32)
     confidence = np.zeros_like(level)
-    sharper = {"IR": planes["IR"]} | ({n: planes[n] for n in _fallbacks(camera)} if settings.fallback else {})
-    for name, plane in sharper.items():
-        found, trust, snr, green_snr = tiles.best_levels(
-            channel(name, plane), green, settings, leak if name == "IR" else None
+    open_ = usable.copy()  # where no channel has shown an edge yet
+    for name in ["IR", *(_fallbacks(camera) if settings.fallback else [])]:
+        box = _around(open_, round(settings.window_px / depth.PLANE_SPACING_PX) * 2)
+        if box is None:
+            break
+        best, trust, snr, green_snr = tiles.best_levels(
+            channel(name, box), channel("G", box), settings, leak if name == "IR" else None
         )
-        new = usable & np.isnan(level) & (snr > settings.edge_snr) & (green_snr > settings.edge_snr)
-        new &= (trust > 0) & (trust >= settings.least_confidence)
-        level[new] = found[new]
-        confidence[new] = (trust if name == "IR" else FALLBACK_TRUST * trust)[new]
+        edge = open_[box] & (snr > settings.edge_snr) & (green_snr > settings.edge_snr)
+        new = edge & (trust > 0) & (trust >= settings.least_confidence)
+        level[box][new] = best[new]
+        confidence[box][new] = (trust if name == "IR" else FALLBACK_TRUST * trust)[new]
+        open_[box] &= (snr <= settings.edge_snr) & (green_snr > settings.edge_snr)
     return level, confidence
+
+
+def _around(mask: NDArray, margin: int) -> tuple[slice, slice] | None:
+    """The smallest part of a mask [h, w] that holds all of it and a margin; None where it is empty."""
+    parts = []
+    for axis in (1, 0):
+        place = np.flatnonzero(mask.any(axis=axis))
+        if not place.size:
+            return None
+        parts.append(slice(max(int(place[0]) - margin, 0), int(place[-1]) + margin + 1))
+    return parts[0], parts[1]
 
 
 def _green_leak(camera: Camera, white: NDArray, settings: Settings) -> depth.Leak:
