@@ -12,7 +12,7 @@ from dasim.camera import Camera
 from dasim.values import PointPicture
 
 FRAMES = 8
-CALIBRATION_LIGHTS = ("D65", "D55", "A")
+CALIBRATION_LIGHTS = ("D65", "D55", "A", illuminants.ENERGY_SAVING)
 # Four positions a whole pixel apart, so that every channel of a 2x2 mosaic sees every part of the kernel.
 _BACKGROUND_SHARE = 1e-3  # of the peak: a little stray light, which calibration has to remove
 

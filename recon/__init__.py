@@ -1,7 +1,7 @@
 """Reconstruction: from a raw picture of a dual-aperture camera to colour, depth and an all-in-focus picture.
 
 ``calibrate`` measures point-spread functions, ``reconstruct`` applies them; ``develop`` makes the
-colour picture alone. Only values and their files are
+colour picture alone; ``refocus`` blurs the result anew. Only values and their files are
 shared with the simulator, never its formulas.
 """
 
@@ -10,6 +10,7 @@ from recon.infrared import measured_crosstalk
 from recon.pipeline import develop, reconstruct
 from recon.psf_bank import calibrate
 from recon.raw_files import load_raw
+from recon.refocus import refocus
 from recon.settings import PAPER, PRESETS, Settings
 from recon.shading import check as check_flat
 
@@ -25,5 +26,6 @@ __all__ = [
     "load_raw",
     "measured_crosstalk",
     "reconstruct",
+    "refocus",
     "save_bank",
 ]

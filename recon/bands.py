@@ -33,7 +33,7 @@ BANDS = 15
 LOWEST_CYCLES_PX = 0.008
 HIGHEST_CYCLES_PX = 0.17  # beyond, green of a mosaic is aliased near focus
 TABLE_GRID = 192  # samples a side, on which the transfers of the levels are tabulated
-GAIN_STEPS = 3  # the weights depend on the gain; converges in two or three
+GAIN_STEPS = 2  # the weights depend on the gain: once without, once with it
 SMALLEST_GAIN = 1e-3
 TINY = np.float32(1e-12)
 

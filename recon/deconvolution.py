@@ -14,8 +14,9 @@ Float32Array = NDArray[np.float32]
 Complex64Array = NDArray[np.complex64]
 
 PRIOR_POWER = 0.8  # eq. (16)
-BETA_FIRST, BETA_GROWTH = 0.02, 2.0 * np.sqrt(2.0)  # of half-quadratic splitting (Krishnan and Fergus 2009, sec. 3)
+BETA_FIRST, BETA_GROWTH = 0.02, 8.0  # of half-quadratic splitting (Krishnan and Fergus 2009, sec. 3, has 2 sqrt(2))
 TABLE_LIMIT, TABLE_SIZE = 64.0, 8193
+SMALLEST_GRADIENT = np.float32(1e-4)  # finite at frequency 0, where every kernel passes 1 and is certain
 SMALLEST_POWER = np.float32(1e-9)  # keeps a division by zero out where neither kernel nor gradient passes anything
 
 
@@ -25,17 +26,20 @@ def half_quadratic(
     kappa: NDArray,
     steps: int,
     expected: tuple[Float32Array, Float32Array] | None = None,
+    trust: Float32Array | None = None,
 ) -> Float32Array:
     """Minimise over f |h * f - I|^2 / 2 + kappa sum(|f_x - e_x|^0.8 + |f_y - e_y|^0.8), eq. (15)-(16), periodic.
 
     ``image`` is [channel, h, w] with noise of standard deviation 1, ``transfer`` [channel, h, w/2 + 1], ``kappa``
     [channel], ``expected`` the gradients (x, y) [channel, h, w] that the prior expects; none: 0, as in the paper.
+    ``trust`` [channel, h, w/2 + 1] weighs the data's frequencies (:func:`data_trust`).
     Half-quadratic splitting: in turns, gradients shrunk towards the expected ones and f from the quadratic problem
     with them, their coupling beta growing each step.
     """
     shape = (image.shape[-2], image.shape[-1])
     gradient = gradient_power(shape)
-    data, power = np.conj(transfer) * fourier.forward(image, 1), np.abs(transfer) ** 2
+    weighted = np.conj(transfer) if trust is None else trust * np.conj(transfer)
+    data, power = weighted * fourier.forward(image, 1), np.abs(transfer * weighted)
     none = np.zeros((image.shape[0], 1, 1), np.float32)
     wanted_x, wanted_y = expected or (none, none)
     table = shrink_table()
@@ -53,14 +57,29 @@ def half_quadratic(
     return result
 
 
-def quadratic(image: Float32Array, transfer: Complex64Array, beta: NDArray) -> Float32Array:
-    """Minimise over f |h * f - I|^2 + beta (|f_x|^2 + |f_y|^2), eq. (9)-(10), in closed form; shapes as above."""
-    shape = (image.shape[-2], image.shape[-1])
+def quadratic(
+    spectrum: Complex64Array, transfer: Complex64Array, beta: NDArray, shape: tuple[int, int]
+) -> Float32Array:
+    """Minimise over f |h * f - I|^2 + beta (|f_x|^2 + |f_y|^2), eq. (9)-(10), in closed form.
+
+    ``spectrum`` is the transform of I [channel, *shape]; the others as above.
+    """
     weight = np.asarray(beta, np.float32)[:, None, None] * gradient_power(shape)
-    spectrum = np.conj(transfer) * fourier.forward(image, 1)
+    spectrum = np.conj(transfer) * spectrum
     return fourier.inverse(spectrum / (np.abs(transfer) ** 2 + weight + SMALLEST_POWER), shape, 1)
 
 
+def data_trust(variance: Float32Array, steps: NDArray, shape: tuple[int, int]) -> Float32Array:
+    """Weight 1 / (1 + var(H) S) of data whose transfer function is known up to ``variance`` [channel, h, w/2 + 1].
+
+    Noise has unit density, and what an uncertain kernel adds has var(H) S, with the scene's spectrum S of white
+    gradients whose mean squares along x and y add up to ``steps`` [channel].
+    """
+    scene = np.asarray(steps, np.float32)[:, None, None] / (gradient_power(shape) + SMALLEST_GRADIENT)
+    return (1 / (1 + variance * scene)).astype(np.float32)
+
+
+@lru_cache(maxsize=16)
 def gradient_power(shape: tuple[int, int]) -> Float32Array:
     """|D_x|^2 + |D_y|^2 of differences on the half-plane of frequencies."""
     fy, fx = fourier.frequencies(shape)

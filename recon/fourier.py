@@ -62,15 +62,24 @@ def transfer(kernel: NDArray, shape: tuple[int, int], spacing_px: float = 1.0) -
 
     Evaluated at the frequencies of a grid of ``spacing_px``, as sum h(y, x) exp(-2 pi i (fy y + fx x)).
     """
-    size = kernel.shape[-1]
-    if spacing_px == 1:  # the transform of the kernel itself, wrapped around the frame's corner
-        wrapped = np.zeros((*kernel.shape[:-2], *shape), np.float32)
-        rows, columns = ((np.arange(size) - size // 2) % n for n in shape)
-        for place, row in enumerate(rows):
-            np.add.at(np.moveaxis(wrapped[..., row, :], -1, 0), columns, np.moveaxis(kernel[..., place, :], -1, 0))
-        return forward(wrapped, 1)
-    place = np.arange(size) - size // 2
-    fy, fx = frequencies(shape, spacing_px)
-    rows = np.exp(-2j * np.pi * fy * place[None, :]).astype(np.complex64)
-    columns = np.exp(-2j * np.pi * place[:, None] * fx).astype(np.complex64)
-    return rows @ (kernel.astype(np.complex64) @ columns)
+    step = round(spacing_px)
+    if step != spacing_px:
+        raise ValueError(f"samples {spacing_px} pixels apart; a whole number is needed")
+    # The transform on a grid of pixels, and of that what the coarser grid holds, one axis after the other: no linear
+    # algebra, whose waiting threads take the other cores.
+    half = (shape[0] + 1) // 2
+    along_x = fft.rfft(_wrapped(kernel, shape[1] * step, -1), axis=-1)[..., : shape[1] // 2 + 1]
+    both = fft.fft(_wrapped(along_x, shape[0] * step, -2), axis=-2)
+    if step == 1:
+        return both
+    return np.concatenate([both[..., :half, :], both[..., both.shape[-2] - (shape[0] - half) :, :]], axis=-2)
+
+
+def _wrapped(kernel: NDArray, length: int, axis: int) -> NDArray:
+    """A kernel's axis enlarged to ``length``, or folded where it is longer, its middle at 0."""
+    size = kernel.shape[axis]
+    moved = np.moveaxis(kernel, axis, -1)
+    padded = np.zeros((*moved.shape[:-1], -(-size // length) * length), np.result_type(kernel, np.float32))
+    padded[..., :size] = moved
+    folded = padded.reshape(*moved.shape[:-1], -1, length).sum(axis=-2)
+    return np.moveaxis(np.roll(folded, -(size // 2), axis=-1), -1, axis)

@@ -6,42 +6,28 @@ where it occurs.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
 from functools import partial
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from recon import deconvolution, fourier
+from recon import deconvolution, fourier, layers
+from recon.layers import Tile
 from recon.settings import Settings
 
 Float32Array = NDArray[np.float32]
 Complex64Array = NDArray[np.complex64]
 
-TILE_PX = 256
-MARGIN_PX = 16  # beyond the kernel's reach: deconvolution rings out over some pixels more
-KERNEL_SHARE = 0.999  # of a kernel's energy within its reach
-DENSE_LEVELS, SPARSE_STEP = 12, 2  # every level up to here is deconvolved, then each second one
 FEATHER_LEVELS = 1.0  # beyond the levels a layer serves: there the picture itself fades into its replacement
 GUIDE_WINDOW_PX = 5.0  # sigma, of the window in which infrared's gradients are fitted to a colour's
 GUIDE_FLOOR = 1e-3  # of the mean gradient energy: below it infrared tells nothing
+CLIPPED_NEAR_PX = 3.0
 ENOUGH_PX = 2000.0  # pixels of a level that tell its own prior's weight
-BORDER_SHARE = 1.0  # of the kernel's reach: width of the frame's rim that fades into the draft
-DRAFT_PRIOR = 4.0  # factor on the draft's measured beta
-
-
-@dataclass(frozen=True)
-class Layer:
-    """A level in a tile: which pixels it serves, and what is deconvolved for them."""
-
-    node: int  # place in the list of deconvolved levels
-    core: tuple[slice, slice]  # the tile in the frame
-    box: tuple[slice, slice]  # the tile with its margin
-    inner: tuple[slice, slice]  # the tile within the box
-    kernels: NDArray  # [channel, size, size], cut to their reach
+BORDER_SHARE = 0.2  # of the kernel's reach: width of the frame's rim that fades into the draft
+DRAFT_PRIOR = 2.0  # factor on the draft's measured beta
 
 
 def sharpen(
@@ -64,19 +50,19 @@ def sharpen(
     assumes one blur everywhere; the prior of the colours expects the gradients of the sharp infrared
     picture, scaled to each colour, where ``sharpen_guide`` says so.
     """
-    nodes = _nodes(len(kernels))
-    cut = [_cut(kernels[node]) for node in nodes]
+    nodes = layers.levels_of_nodes(len(kernels))
+    transfers, reach_px = layers.transfers(kernels, nodes)
     position = np.interp(level, nodes, np.arange(len(nodes))).astype(np.float32)
     stack = np.ascontiguousarray(np.concatenate([np.moveaxis(image, -1, 0), infrared[None]]), np.float32)
-    layers = list(_layers(position, cut))
+    tiles = list(layers.tiles(position, reach_px))
     noise = np.maximum(np.asarray(noise_e, np.float32), np.float32(1e-3))
-    draft = _draft(stack, position, layers, noise)
+    draft = _draft(stack, tiles, transfers, noise)
     sharp = np.zeros_like(stack)
     for part in (slice(3, 4), slice(0, 3)):  # infrared first: it guides the colours
         guide = sharp[3] if settings.sharpen_guide and part.start == 0 else None
         kappa = _prior_scale(draft[part], noise[part], position, len(nodes)) / settings.sharpen_strength
-        work = partial(_deconvolved, stack, draft, guide, position, part, noise, kappa, settings)
-        _collect(sharp[part], position, layers, work)
+        work = partial(_deconvolved, stack, draft, guide, position, part, noise, kappa, settings, transfers, reach_px)
+        _collect(sharp[part], tiles, work)
     sharp = np.maximum(sharp, 0)
     return np.ascontiguousarray(np.moveaxis(sharp[:3], 0, -1)), sharp[3]
 
@@ -98,80 +84,41 @@ def visible_noise(noise_e: NDArray, separation: NDArray) -> NDArray:
     return np.append(np.sqrt(separation**2 @ noise_e**2), noise_e[3])
 
 
-def _nodes(levels: int) -> list[int]:
-    """Levels that are deconvolved, from 0: blur grows slowly relative to itself at large levels."""
-    dense = list(range(min(DENSE_LEVELS, levels)))
-    return dense + list(range(DENSE_LEVELS, levels, SPARSE_STEP))
+def away_from(mask: NDArray) -> Float32Array:
+    """0 within ``CLIPPED_NEAR_PX`` of a mask [h, w], rising to 1: clipped light has no linear deconvolution."""
+    distance = cv2.distanceTransform((~mask).astype(np.uint8), cv2.DIST_L2, 3)
+    return np.clip(distance / CLIPPED_NEAR_PX - 1, 0, 1).astype(np.float32)
 
 
-def _share(position: Float32Array, node: int) -> Float32Array:
-    """Weight of a node at each pixel: linear between neighbouring nodes, summing to 1."""
-    return np.maximum(1 - np.abs(position - node), 0).astype(np.float32)
+def _padded(stack: Float32Array, shape: layers.Shape) -> Float32Array:
+    """A stack [channel, h, w] in a frame for the Fourier domain, without steps at its borders."""
+    return np.stack([fourier.pad_blended(plane, shape) for plane in stack])
 
 
-def _layers(position: Float32Array, kernels: list[NDArray]) -> Iterator[Layer]:
-    """Every node in every tile of the grid where it has a share; ``kernels`` of each node."""
-    height, width = position.shape
-    for top in range(0, height, TILE_PX):
-        for left in range(0, width, TILE_PX):
-            core = (slice(top, min(top + TILE_PX, height)), slice(left, min(left + TILE_PX, width)))
-            inside = position[core]
-            for node in range(int(inside.min()), int(np.ceil(inside.max())) + 1):
-                if not _share(inside, node).any():
-                    continue
-                margin = kernels[node].shape[-1] // 2 + MARGIN_PX
-                box = tuple(slice(max(s.start - margin, 0), min(s.stop + margin, n))
-                            for s, n in zip(core, position.shape, strict=True))  # fmt: skip
-                inner = tuple(slice(c.start - b.start, c.stop - b.start) for c, b in zip(core, box, strict=True))
-                yield Layer(node, core, (box[0], box[1]), (inner[0], inner[1]), kernels[node])
-
-
-def _cut(kernels: NDArray) -> NDArray:
-    """Kernels [channel, size, size] cut to the square that holds ``KERNEL_SHARE`` of each, again of unit sum."""
-    middle = reach = kernels.shape[-1] // 2
-    for reach in range(1, middle + 1):
-        square = kernels[:, middle - reach : middle + reach + 1, middle - reach : middle + reach + 1]
-        if square.sum(axis=(1, 2)).min() >= KERNEL_SHARE:
-            break
-    return square / square.sum(axis=(1, 2), keepdims=True)
-
-
-def _transfer(kernels: NDArray, shape: tuple[int, int]) -> Complex64Array:
-    """From the scene as pixels see it to the picture, [channel, h, w/2 + 1].
-
-    Measured kernels hold the pixel's area, and so does the sharp picture: it is taken out once.
-    """
-    fy, fx = fourier.frequencies(shape)
-    return (fourier.transfer(kernels, shape) / (np.sinc(fy) * np.sinc(fx))).astype(np.complex64)
-
-
-def _padded(stack: Float32Array, kernels: NDArray) -> tuple[Float32Array, tuple[int, int]]:
-    """A stack [channel, h, w] in a frame for the Fourier domain, without steps at its borders; and that frame."""
-    shape = fourier.fast_shape(stack.shape[1:], kernels.shape[-1] // 2 + MARGIN_PX)
-    return np.stack([fourier.pad_blended(plane, shape) for plane in stack]), shape
-
-
-def _draft(stack: Float32Array, position: Float32Array, layers: list[Layer], noise: Float32Array) -> Float32Array:
+def _draft(stack: Float32Array, tiles: list[Tile], transfers: layers.Transfers, noise: Float32Array) -> Float32Array:
     """First all-in-focus estimate with the quadratic prior of eq. (10), in closed form."""
     steps = 0.5 * (np.mean(np.diff(stack, axis=1) ** 2, (1, 2)) + np.mean(np.diff(stack, axis=2) ** 2, (1, 2)))
     beta = DRAFT_PRIOR * noise**2 / np.maximum(steps, 1e-3 * noise**2)
+
+    def work(tile: Tile) -> Float32Array:
+        spectrum = fourier.forward(_padded(stack[:, *tile.box], tile.shape), 1)
+        total = np.zeros((len(stack), *tile.position.shape), np.float32)
+        for index, node in enumerate(tile.nodes):
+            transfer, _ = transfers(node, tile.shape)
+            found = deconvolution.quadratic(spectrum, transfer, beta, tile.shape)
+            total += tile.share(index) * found[:, *tile.inner]
+        return total
+
     draft = np.zeros_like(stack)
-
-    def work(layer: Layer) -> Float32Array:
-        padded, shape = _padded(stack[:, *layer.box], layer.kernels)
-        return deconvolution.quadratic(padded, _transfer(layer.kernels, shape), beta)
-
-    _collect(draft, position, layers, work)
+    _collect(draft, tiles, work)
     return np.maximum(draft, 0)
 
 
-def _collect(
-    result: Float32Array, position: Float32Array, layers: list[Layer], work: Callable[[Layer], Float32Array]
-) -> None:
-    """Add every layer's [channel, h, w] to the picture, each with its share; two layers at a time."""
+def _collect(result: Float32Array, tiles: list[Tile], work: Callable[[Tile], Float32Array]) -> None:
+    """Fill a picture [channel, h, w] tile by tile, two at a time."""
     with ThreadPoolExecutor(fourier.WORKERS) as pool:
-        for layer, found in zip(layers, pool.map(work, layers), strict=True):  # in order: sums do not depend on timing
-            result[:, *layer.core] += _share(position[layer.core], layer.node) * found[:, *layer.inner]
+        for tile, found in zip(tiles, pool.map(work, tiles), strict=True):
+            result[:, *tile.core] = found
 
 
 def _prior_scale(draft: Float32Array, noise: Float32Array, position: Float32Array, nodes: int) -> Float32Array:
@@ -201,26 +148,37 @@ def _deconvolved(
     noise: Float32Array,
     kappa: Float32Array,
     settings: Settings,
-    layer: Layer,
+    transfers: layers.Transfers,
+    reach_px: list[int],
+    tile: Tile,
 ) -> Float32Array:
-    """One level in one box, [channel, h, w]: what lies at other levels is the draft blurred to this one."""
-    kernel, box = layer.kernels[part], layer.box
-    picture = stack[part, *box]
-    shape = fourier.fast_shape(picture.shape[1:], kernel.shape[-1] // 2 + MARGIN_PX)
-    transfer = _transfer(kernel, shape)
-    inner = (slice(None), slice(0, picture.shape[1]), slice(0, picture.shape[2]))
-    near = np.clip(1 - (np.abs(position[box] - layer.node) - 1) / FEATHER_LEVELS, 0, 1).astype(np.float32)
-    near *= _inside_frame(box, position.shape, BORDER_SHARE * (kernel.shape[-1] // 2))
-    if near.min() < 1:
-        spectrum = fourier.forward(_padded(draft[part, *box], kernel)[0], 1)
-        picture = near * picture + (1 - near) * fourier.inverse(spectrum * transfer, shape, 1)[inner]
+    """A tile, [channel, h, w]: each of its levels deconvolved, where other levels are the draft blurred to this one."""
+    box, shape = tile.box, tile.shape
     unit = noise[part, None, None]
-    padded = _padded(picture, kernel)[0] / unit
-    expected = None
-    if guide is not None:
-        expected = _expected(padded, _padded(guide[None, *box], kernel)[0], transfer, shape)
-    weight, steps = kappa[layer.node], settings.sharpen_steps
-    return deconvolution.half_quadratic(padded, transfer, weight, steps, expected)[inner] * unit
+    picture = stack[part, *box] / unit
+    first = draft[part, *box] / unit
+    steps_2 = np.asarray(sum(np.mean(np.diff(first, axis=axis) ** 2, axis=(1, 2)) for axis in (1, 2)))
+    first_spectrum = fourier.forward(_padded(first, shape), 1)
+    near_ir = None if guide is None else _padded(guide[None, *box], shape)
+    near_spectrum = None if near_ir is None else fourier.forward(near_ir, 1)
+    total = np.zeros((len(unit), *tile.position.shape), np.float32)
+    for index, node in enumerate(tile.nodes):
+        all_transfers, variances = transfers(node, shape)
+        transfer, variance = all_transfers[part], variances[part]
+        near = np.clip(1 - (np.abs(position[box] - node) - 1) / FEATHER_LEVELS, 0, 1).astype(np.float32)
+        near *= _inside_frame(box, position.shape, BORDER_SHARE * reach_px[node])
+        inside = (slice(None), slice(0, near.shape[0]), slice(0, near.shape[1]))
+        mixed = near * picture + (1 - near) * fourier.inverse(first_spectrum * transfer, shape, 1)[inside]
+        padded = _padded(mixed, shape)
+        expected = None
+        if near_ir is not None and near_spectrum is not None:
+            blurred = fourier.inverse(near_spectrum * transfer, shape, 1)
+            expected = _expected(padded, near_ir, blurred)
+        trust = deconvolution.data_trust(variance, steps_2, shape)
+        steps = settings.sharpen_steps
+        found = deconvolution.half_quadratic(padded, transfer, kappa[node], steps, expected, trust)
+        total += tile.share(index) * found[:, *tile.inner]
+    return total * unit
 
 
 def _inside_frame(box: tuple[slice, slice], frame: tuple[int, ...], ramp_px: float) -> Float32Array:
@@ -235,15 +193,12 @@ def _inside_frame(box: tuple[slice, slice], frame: tuple[int, ...], ramp_px: flo
     return np.outer(*sides).astype(np.float32)
 
 
-def _expected(
-    picture: Float32Array, guide: Float32Array, transfer: Complex64Array, shape: tuple[int, int]
-) -> tuple[Float32Array, Float32Array]:
+def _expected(picture: Float32Array, guide: Float32Array, blurred: Float32Array) -> tuple[Float32Array, Float32Array]:
     """Gradients (x, y) [channel, h, w] of the sharp guide [1, h, w], scaled to each channel of the blurred picture.
 
     The factor is fitted by least squares in a window around each pixel, between the picture's gradients and
-    those of the guide blurred as the picture is: there both hold the same frequencies.
+    those of the guide ``blurred`` as the picture is, [channel, h, w]: there both hold the same frequencies.
     """
-    blurred = fourier.inverse(fourier.forward(guide, 1) * transfer, shape, 1)
     (gx, gy), (bx, by), (px, py) = _gradients(guide), _gradients(blurred), _gradients(picture)
     energy = _window(bx * bx + by * by)
     factor = _window(bx * px + by * py) / (energy + GUIDE_FLOOR * energy.mean(axis=(1, 2), keepdims=True) + 1e-12)

@@ -5,6 +5,8 @@ import pytest
 import recon_scenes
 from scipy import signal
 
+import recon
+from dasim.values import Capture
 from recon import bands, comparison, depth, fourier
 from recon.settings import PRESETS
 
@@ -95,3 +97,16 @@ def test_plane_mean_counts_both_halves():
     """What the bands' shares rest on: a constant has its own mean for even and odd widths."""
     for width in (8, 9):
         assert comparison.plane_mean(np.ones((6, width // 2 + 1)), width) == pytest.approx(1)
+
+
+@pytest.mark.parametrize("fill", ["black", "saturated", "constant"])
+def test_frames_without_texture_end_with_no_confidence(fill):
+    """All black, all saturated, or one value everywhere: finished, nothing claimed, no NaN."""
+    camera = recon_scenes.da_mobile(128, 96)
+    sensor = camera.sensor
+    value = {"black": sensor.black_level_dn, "saturated": 2**sensor.adc_bits - 1, "constant": 300}[fill]
+    capture = Capture(np.full((96, 128), value, np.uint16), camera, 0.02, 1.0, 0)
+    result = recon.reconstruct(capture, recon_scenes.bank(), BANDS)
+    for name in ("rgb", "sharp_rgb", "linear_e", "sharp_e", "ir_e", "level", "depth_m", "confidence"):
+        assert np.isfinite(getattr(result, name)).all(), name
+    assert not result.confidence.any()
