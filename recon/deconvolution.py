@@ -103,22 +103,23 @@ def shrink_table() -> Float32Array:
 
 
 @njit(cache=True, nogil=True)
-def _shrunk(
-    step: np.float32, table: Float32Array, scale: np.float32, limit: np.float32
-) -> np.float32:  # pragma: no cover - compiled
-    """A difference moved towards 0, by the table in units of ``scale``."""
-    size = abs(step) / scale
-    if size >= limit:
-        return step
-    place = size * np.float32((table.shape[0] - 1) / limit)
-    low = int(place)
-    part = np.float32(place - low)
-    value = ((1 - part) * table[low] + part * table[min(low + 1, table.shape[0] - 1)]) * scale
-    return value if step >= 0 else -value
+def _shrink(  # pragma: no cover - compiled
+    step: Float32Array, table: Float32Array, unit: np.float32, limit: np.float32, out: Float32Array
+) -> None:
+    """Differences of a row moved towards 0, by the table in units of ``unit``; beyond its ``limit`` as they are."""
+    per_step = np.float32((table.size - 1) / (limit * unit))
+    last = np.float32(table.size - 2)
+    for x in range(step.size):
+        size = abs(step[x])
+        place = size * per_step
+        low = np.int32(min(place, last))
+        value = (table[low] + (place - np.float32(low)) * (table[low + 1] - table[low])) * unit
+        value = value if place < last else size
+        out[x] = value if step[x] >= 0 else -value
 
 
 @njit(cache=True, nogil=True)
-def _shrunk_divergence(
+def _shrunk_divergence(  # pragma: no cover - compiled
     image: Float32Array,
     wanted_x: Float32Array,
     wanted_y: Float32Array,
@@ -126,22 +127,35 @@ def _shrunk_divergence(
     scale: Float32Array,
     limit: np.float32,
     out: Float32Array,
-) -> None:  # pragma: no cover - compiled
-    """D_x^T w_x + D_y^T w_y of forward differences shrunk towards the wanted ones, periodic."""
+) -> None:
+    """D_x^T w_x + D_y^T w_y of forward differences shrunk towards the wanted ones, periodic.
+
+    Row by row, in loops that the compiler turns into vectors; the row above the first is the last one.
+    """
     channels, height, width = image.shape
     own = wanted_x.shape[1] == height and wanted_x.shape[2] == width
-    out[:] = 0
+    zero = np.zeros(width, np.float32)
+    step, along_x, along_y, above = np.empty((4, width), np.float32)
     for c in range(channels):
-        unit = scale[c]
-        for y in range(height):
-            down = y + 1 if y + 1 < height else 0
+        for row in range(-1, height):
+            y = row if row >= 0 else height - 1
+            here, below = image[c, y], image[c, y + 1 if y + 1 < height else 0]
+            expected = wanted_y[c, y] if own else zero
             for x in range(width):
-                right = x + 1 if x + 1 < width else 0
-                here = image[c, y, x]
-                expected_x = wanted_x[c, y, x] if own else np.float32(0)
-                expected_y = wanted_y[c, y, x] if own else np.float32(0)
-                along_x = expected_x + _shrunk(image[c, y, right] - here - expected_x, table, unit, limit)
-                along_y = expected_y + _shrunk(image[c, down, x] - here - expected_y, table, unit, limit)
-                out[c, y, right] += along_x
-                out[c, down, x] += along_y
-                out[c, y, x] -= along_x + along_y
+                step[x] = below[x] - here[x] - expected[x]
+            _shrink(step, table, scale[c], limit, along_y)
+            for x in range(width):
+                along_y[x] += expected[x]
+            if row >= 0:
+                expected = wanted_x[c, y] if own else zero
+                for x in range(width - 1):
+                    step[x] = here[x + 1] - here[x] - expected[x]
+                step[width - 1] = here[0] - here[width - 1] - expected[width - 1]
+                _shrink(step, table, scale[c], limit, along_x)
+                for x in range(width):
+                    along_x[x] += expected[x]
+                found = out[c, y]
+                found[0] = along_x[width - 1] - along_x[0] + above[0] - along_y[0]
+                for x in range(1, width):
+                    found[x] = along_x[x - 1] - along_x[x] + above[x] - along_y[x]
+            above[:] = along_y
