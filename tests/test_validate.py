@@ -5,8 +5,11 @@ from __future__ import annotations
 import json
 import math
 import re
+import shutil
+import subprocess
 from xml.etree import ElementTree
 
+import cv2
 import numpy as np
 import pytest
 
@@ -17,6 +20,7 @@ from validation import claims, claims_diffraction, claims_lens, claims_light, cl
 from validation.claim import GATES, Claim, Evidence, Gate, NotRun, gate_of, judged_all, load_gates, within
 from validation.comparison import Earlier, changes
 from validation.metrics import Figure
+from validation.report import png_address
 from validation.validate import Measurement, all_gates, chosen, run_claims
 
 
@@ -290,6 +294,35 @@ def test_report_is_self_contained_and_shows_all(fakes):
     assert "something &lt;must&gt; &amp; should" in page, "texts are escaped"
     assert not re.search(r"https?://|<script|@import", page)
     assert re.findall(r'(?:src|href)="(?!data:|#)[^"]*"', page) == []
+
+
+def paired(progress) -> Evidence:
+    """A claim with two pictures to compare."""
+    left, right = (png_address(np.full((40, 60, 3), colour, float)) for colour in ((1, 0, 0), (0, 0, 1)))
+    return Evidence([Figure("size", 0.25, "px", "a size")], pairs=[("Two", ("one", left), ("other", right))])
+
+
+def test_pairs_show_both_pictures_with_a_slider(fakes, monkeypatch):
+    """Expectation: a browser, where there is one, shows the left half of one and the right half of the other."""
+    monkeypatch.setitem(FAKES, "paired", Measurement(paired, quick=True))
+    for _ in range(2):  # the second time from what the first has kept
+        run(["validate", "--only", "paired", "--out", "new"])
+        page = (fakes / "new" / "report.html").read_text()
+        assert "Left: one; right: other" in page and 'type="range"' in page
+    browser = next((found for name in ("chromium", "chromium-browser") if (found := shutil.which(name))), None)
+    if browser is None:
+        pytest.skip("no browser here, looked for chromium and chromium-browser")
+    flags = "--headless --no-sandbox --disable-gpu --disable-background-networking --no-first-run --disable-sync"
+    command = [browser, *flags.split(), f"--user-data-dir={fakes / 'profile'}", "--enable-logging=stderr"]
+    command += ["--window-size=800,1600", "--virtual-time-budget=5000", f"--screenshot={fakes / 'shot.png'}"]
+    done = subprocess.run(
+        [*command, (fakes / "new" / "report.html").as_uri()], capture_output=True, text=True, timeout=60, check=False
+    )
+    assert done.returncode == 0 and "CONSOLE" not in done.stderr, done.stderr
+    shot = cv2.imread(str(fakes / "shot.png")).astype(int)
+    red, blue = (np.nonzero((shot == colour).all(axis=-1))[1] for colour in ([0, 0, 255], [255, 0, 0]))
+    assert len(red) > 1000 and len(blue) == pytest.approx(len(red), rel=0.1)
+    assert red.max() <= blue.min()
 
 
 # --- kept results, several at once, comparison ----------------------------------------------------

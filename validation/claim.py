@@ -28,6 +28,7 @@ GATES = Path(__file__).parent / "gates.toml"
 Progress = Callable[[float], None]
 
 Table = tuple[str, list[str], list[list[str]]]  # caption, head, rows
+Pair = tuple[str, tuple[str, str], tuple[str, str]]  # caption, then label and data address of two pictures of one size
 
 _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 _ONE_SIDED = re.compile(rf"(<=|>=|<|>)\s*({_NUMBER})")
@@ -50,11 +51,14 @@ class Claim:
 
 @dataclass(frozen=True)
 class Evidence:
-    """What a claim measured: figures; for the report also pictures (caption and data address) and tables."""
+    """What a claim measured: figures; for the report also pictures (caption and data address), tables, and pairs of
+    pictures to be compared side by side.
+    """
 
     figures: list[Figure]
     pictures: list[tuple[str, str]] = field(default_factory=list)
     tables: list[Table] = field(default_factory=list)
+    pairs: list[Pair] = field(default_factory=list)
 
 
 class NotRun(Exception):

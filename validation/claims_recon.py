@@ -47,7 +47,8 @@ def colour(progress: Progress) -> Evidence:
     Source: sec. 4.4 and 4.5; Sharma et al. 2005 (CIEDE2000).
     """
     rendering.activate()
-    figures, rows, pictures = [], [], []
+    figures, rows, pairs = [], [], []
+    pictures: dict[str, str] = {}
     steps = [(camera, light) for light in CHECKER_LIGHTS for camera in CHECKER_CAMERAS]
     for number, (camera, light) in enumerate(steps):
         shot = checker(camera, light)
@@ -63,10 +64,13 @@ def colour(progress: Progress) -> Evidence:
             what = f"mean CIEDE2000 of 24 patches, {camera} under {light}, balanced for {developed.light}"
             figures.append(Figure(key, float(difference.mean()), "dE00", f"{what}; largest {difference.max():.1f}"))
             rows.append([key, *(f"{value:.1f}" for value in difference)])
-        pictures.append((f"{camera}, {light}", png_address(variants[name].rgb)))
+        pictures[camera] = png_address(variants[name].rgb)
+        if camera != "da-mobile":
+            shown = ("da-mobile", pictures["da-mobile"]), (camera, pictures[camera])
+            pairs.append((f"The ColorChecker under {light} (compare Fig. 6)", *shown))
         progress((number + 1) / len(steps))
     head = ["", *(name.removeprefix("checker-") for name in colour_checker.PATCHES)]
-    return Evidence(figures, pictures=pictures, tables=[("CIEDE2000 of each patch", head, rows)])
+    return Evidence(figures, tables=[("CIEDE2000 of each patch", head, rows)], pairs=pairs)
 
 
 def checker(camera_name: str, light: str) -> Shot:

@@ -22,7 +22,7 @@ from dasim.scene import SCENE_DIR
 from validation.claim import Evidence, plain_value
 from validation.metrics import Figure
 
-SCHEMA = 1
+SCHEMA = 2
 LIBRARIES = ("mitsuba", "drjit", "numpy", "scipy", "numba", "opencv-python-headless", "colour-science", "scikit-image")
 HERE = Path(__file__).parent
 
@@ -52,7 +52,8 @@ def load(name: str, key: str) -> tuple[Evidence, float] | None:
         figures = [Figure(**figure | {"value": _number(figure["value"])}) for figure in content["figures"]]
         pictures = [(caption, data) for caption, data in content["pictures"]]
         tables = [(caption, head, rows) for caption, head, rows in content["tables"]]
-        return Evidence(figures, pictures, tables), float(content["seconds"])
+        pairs = [(caption, tuple(left), tuple(right)) for caption, left, right in content["pairs"]]
+        return Evidence(figures, pictures, tables, pairs), float(content["seconds"])
     except (OSError, ValueError, KeyError, TypeError):
         return None  # none, or damaged: measure again
 
