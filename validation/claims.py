@@ -9,6 +9,7 @@ from validation.claims_lens import blur_off
 from validation.claims_light import absolute_electrons, eq8_flat_field, hole_alpha_squared, light_loss
 from validation.claims_occlusion import occluding_edge
 from validation.claims_recon import colour
+from validation.claims_resolution import depth_resolution
 from validation.claims_sampling import desk_noise, noise_slope_off, noise_slope_wave, render_cost
 from validation.claims_scene_depth import depth
 from validation.claims_scenes import interreflection, registration, scenes_speed
@@ -24,6 +25,7 @@ CLAIMS = {
     "depth-of-field": Measurement(depth_of_field, quick=True),
     "kernels": Measurement(kernels, quick=True),
     "dynamic-range": Measurement(dynamic_range, quick=True),
+    "depth-resolution": Measurement(depth_resolution, quick=True),
     "hole-alpha-squared": Measurement(hole_alpha_squared, quick=True),
     "eq8-flat-field": Measurement(eq8_flat_field, quick=True),
     "blur-off": Measurement(blur_off, quick=True),
