@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import lru_cache
 
 import numpy as np
@@ -12,11 +13,13 @@ from recon import fourier
 
 Float32Array = NDArray[np.float32]
 Complex64Array = NDArray[np.complex64]
+Phase = tuple[int, int]
 
 PRIOR_POWER = 0.8  # eq. (16)
 BETA_FIRST, BETA_GROWTH = 0.02, 2.0 * np.sqrt(2.0)  # of half-quadratic splitting (Krishnan and Fergus 2009, sec. 3)
 TABLE_LIMIT, TABLE_SIZE = 64.0, 8193
 SMALLEST_GRADIENT = np.float32(1e-4)  # finite at frequency 0, where every kernel passes 1 and is certain
+MEAN_GRADIENT = np.float32(1e-6)  # at frequency 0, which differences do not see: the data alone decide there
 SMALLEST_POWER = np.float32(1e-9)  # keeps a division by zero out where neither kernel nor gradient passes anything
 
 
@@ -34,7 +37,8 @@ def half_quadratic(
     [channel], ``expected`` the gradients (x, y) [channel, h, w] that the prior expects; none: 0, as in the paper.
     ``trust`` [channel, h, w/2 + 1] weighs the data's frequencies (:func:`data_trust`).
     Half-quadratic splitting: in turns, gradients shrunk towards the expected ones and f from the quadratic problem
-    with them, their coupling beta growing each step.
+    with them, their coupling beta growing each step. The channels' differences shrink together, each in units of
+    its own: edges of the three colours coincide.
     """
     shape = (image.shape[-2], image.shape[-1])
     gradient = gradient_power(shape)
@@ -48,7 +52,7 @@ def half_quadratic(
     pull = np.empty_like(image)
     scale = np.empty(len(image), np.float32)
     for _ in range(steps):
-        scale[:] = factor ** (-1 / (2 - PRIOR_POWER))
+        scale[:] = _scale(kappa, factor)
         _shrunk_divergence(result, wanted_x, wanted_y, table, scale, np.float32(TABLE_LIMIT), pull)
         beta = (factor * np.asarray(kappa, np.float32))[:, None, None]
         spectrum = (data + beta * fourier.forward(pull, 1)) / (power + beta * gradient + SMALLEST_POWER)
@@ -63,6 +67,74 @@ def quadratic(image: Float32Array, transfer: Complex64Array, beta: NDArray) -> F
     weight = np.asarray(beta, np.float32)[:, None, None] * gradient_power(shape)
     spectrum = np.conj(transfer) * fourier.forward(image, 1)
     return fourier.inverse(spectrum / (np.abs(transfer) ** 2 + weight + SMALLEST_POWER), shape, 1)
+
+
+def half_quadratic_samples(
+    image: Float32Array,
+    phases: Sequence[Phase],
+    transfer: Complex64Array,
+    kappa: NDArray,
+    steps: int,
+    expected: tuple[Float32Array, Float32Array] | None = None,
+    trust: Float32Array | None = None,
+) -> Float32Array:
+    """:func:`half_quadratic` of what a mosaic samples: of each channel every second pixel in every second row counts.
+
+    ``phases`` are the places (row, column) of each channel's first sample; height and width are multiples of 4.
+    Blur and loss of samples are undone together: what aliases is told apart by the prior. The quadratic problem
+    couples four frequencies alone, hence its closed form (Zhao et al. 2016, Fast single image super-resolution,
+    theorem 1, with the image's differences instead of the image).
+    """
+    shape = (image.shape[-2], image.shape[-1])
+    gradient = gradient_power(shape)
+    gradient[0, 0] = MEAN_GRADIENT
+    seen = transfer * _phase_factors(phases, shape)
+    data = fourier.forward(np.stack([plane[y::2, x::2] for plane, (y, x) in zip(image, phases, strict=True)]), 1)
+    passed = _folded(np.abs(seen) ** 2 / gradient)
+    weight = np.float32(1) if trust is None else 1 / (1 + _folded(1 / trust - 1))
+    back = np.conj(seen) / gradient
+    none = np.zeros((image.shape[0], 1, 1), np.float32)
+    wanted_x, wanted_y = expected or (none, none)
+    pull, scale, factor, result = np.empty_like(image), np.empty(len(image), np.float32), BETA_FIRST, image
+    for _ in range(steps):
+        scale[:] = _scale(kappa, factor)
+        _shrunk_divergence(result, wanted_x, wanted_y, shrink_table(), scale, np.float32(TABLE_LIMIT), pull)
+        beta = (factor * np.asarray(kappa, np.float32))[:, None, None]
+        prior = fourier.forward(pull, 1) / gradient
+        prior[:, 0, 0] = 0
+        misfit = weight * (data - _folded(seen * prior)) / (beta + weight * passed)
+        result = fourier.inverse(prior + back * _unfolded(misfit), shape, 1)
+        factor *= BETA_GROWTH
+    return result
+
+
+def _scale(kappa: NDArray, factor: float) -> NDArray:
+    """Unit of each channel's differences in the shrinkage: as large as kappa says that they are."""
+    return factor ** (-1 / (2 - PRIOR_POWER)) * (np.mean(kappa) / np.asarray(kappa)) ** (1 / PRIOR_POWER)
+
+
+def _phase_factors(phases: Sequence[Phase], shape: tuple[int, int]) -> Complex64Array:
+    """Shift theorem's factors [channel, h, w/2 + 1] that bring each channel's first sample to the origin."""
+    fy, fx = fourier.frequencies(shape)
+    return np.stack([np.exp(2j * np.pi * (fy * y + fx * x)) for y, x in phases]).astype(np.complex64)
+
+
+def _folded(spectrum: NDArray) -> NDArray:
+    """Mean over the four frequencies that alias on every second sample, [..., h, w/2 + 1] -> [..., h/2, w/4 + 1]."""
+    height, width = spectrum.shape[-2], 2 * (spectrum.shape[-1] - 1)
+    rows = spectrum[..., : height // 2, :] + spectrum[..., height // 2 :, :]
+    return (rows[..., : width // 4 + 1] + _mirrored(rows)[..., : width // 4 + 1]) / 4
+
+
+def _unfolded(spectrum: NDArray) -> NDArray:
+    """The spectrum of every second sample, repeated, [..., h/2, w/4 + 1] -> [..., h, w/2 + 1]."""
+    rows = np.concatenate([spectrum, _mirrored(spectrum)[..., 1:]], axis=-1)
+    return np.concatenate([rows, rows], axis=-2)
+
+
+def _mirrored(half: NDArray) -> NDArray:
+    """Values at (-fy, highest fx - fx), conjugate: a real signal's at (fy, fx - highest)."""
+    return np.conj(np.roll(half[..., ::-1, ::-1], 1, axis=-2))
 
 
 def data_trust(variance: Float32Array, steps: NDArray, shape: tuple[int, int]) -> Float32Array:
@@ -98,18 +170,16 @@ def shrink_table() -> Float32Array:
 
 
 @njit(cache=True, nogil=True)
-def _shrunk(
-    step: np.float32, table: Float32Array, scale: np.float32, limit: np.float32
-) -> np.float32:  # pragma: no cover - compiled
-    """A difference moved towards 0, by the table in units of ``scale``."""
-    size = abs(step) / scale
+def _kept(size: np.float32, table: Float32Array, limit: np.float32) -> np.float32:  # pragma: no cover - compiled
+    """Share of a difference of ``size`` that shrinkage leaves."""
     if size >= limit:
-        return step
+        return np.float32(1)
+    if size <= np.float32(1e-6):
+        return np.float32(0)
     place = size * np.float32((table.shape[0] - 1) / limit)
     low = int(place)
     part = np.float32(place - low)
-    value = ((1 - part) * table[low] + part * table[min(low + 1, table.shape[0] - 1)]) * scale
-    return value if step >= 0 else -value
+    return ((1 - part) * table[low] + part * table[min(low + 1, table.shape[0] - 1)]) / size
 
 
 @njit(cache=True, nogil=True)
@@ -122,21 +192,32 @@ def _shrunk_divergence(
     limit: np.float32,
     out: Float32Array,
 ) -> None:  # pragma: no cover - compiled
-    """D_x^T w_x + D_y^T w_y of forward differences shrunk towards the wanted ones, periodic."""
+    """D_x^T w_x + D_y^T w_y of forward differences shrunk towards the wanted ones, periodic.
+
+    The channels' differences shrink together, by their root mean square in units of each channel's ``scale``.
+    """
     channels, height, width = image.shape
     own = wanted_x.shape[1] == height and wanted_x.shape[2] == width
     out[:] = 0
-    for c in range(channels):
-        unit = scale[c]
-        for y in range(height):
-            down = y + 1 if y + 1 < height else 0
-            for x in range(width):
-                right = x + 1 if x + 1 < width else 0
+    sx = np.empty(channels, np.float32)
+    sy = np.empty(channels, np.float32)
+    for y in range(height):
+        down = y + 1 if y + 1 < height else 0
+        for x in range(width):
+            right = x + 1 if x + 1 < width else 0
+            px = np.float32(0)
+            py = np.float32(0)
+            for c in range(channels):
                 here = image[c, y, x]
-                expected_x = wanted_x[c, y, x] if own else np.float32(0)
-                expected_y = wanted_y[c, y, x] if own else np.float32(0)
-                along_x = expected_x + _shrunk(image[c, y, right] - here - expected_x, table, unit, limit)
-                along_y = expected_y + _shrunk(image[c, down, x] - here - expected_y, table, unit, limit)
+                sx[c] = image[c, y, right] - here - (wanted_x[c, y, x] if own else np.float32(0))
+                sy[c] = image[c, down, x] - here - (wanted_y[c, y, x] if own else np.float32(0))
+                px += (sx[c] / scale[c]) ** 2
+                py += (sy[c] / scale[c]) ** 2
+            kx = _kept(np.float32(np.sqrt(px / channels)), table, limit)
+            ky = _kept(np.float32(np.sqrt(py / channels)), table, limit)
+            for c in range(channels):
+                along_x = kx * sx[c] + (wanted_x[c, y, x] if own else np.float32(0))
+                along_y = ky * sy[c] + (wanted_y[c, y, x] if own else np.float32(0))
                 out[c, y, right] += along_x
                 out[c, down, x] += along_y
                 out[c, y, x] -= along_x + along_y

@@ -6,7 +6,7 @@ where it occurs.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import partial
@@ -14,12 +14,14 @@ from functools import partial
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from scipy import fft
 
 from recon import deconvolution, fourier
 from recon.settings import Settings
 
 Float32Array = NDArray[np.float32]
 Complex64Array = NDArray[np.complex64]
+Phases = Sequence[tuple[int, int] | None]
 
 TILE_PX = 256
 MARGIN_PX = 16  # beyond the kernel's reach: deconvolution rings out over some pixels more
@@ -34,6 +36,10 @@ CLIPPED_NEAR_PX = 3.0
 ENOUGH_PX = 2000.0  # pixels of a level that tell its own prior's weight
 BORDER_SHARE = 0.2  # of the kernel's reach: width of the frame's rim that fades into the draft
 DRAFT_PRIOR = 2.0  # factor on the draft's measured beta
+INTERPOLATED_WEIGHT = 0.25  # of a pixel's data where most are interpolated, one in four is not
+COLOURS, INFRARED = slice(0, 3), slice(3, 4)
+PLAIN_PASSES = ((COLOURS, None),)
+PASSES = ((INFRARED, None), (COLOURS, INFRARED), (COLOURS, COLOURS))  # what is deconvolved, and whose edges guide it
 
 
 @dataclass(frozen=True)
@@ -55,18 +61,22 @@ def sharpen(
     kernels: NDArray,
     noise_e: NDArray,
     settings: Settings,
-) -> tuple[Float32Array, Float32Array]:
-    """All-in-focus colours [h, w, 3] and infrared [h, w] from linear ones without infrared and their level map.
+    phases: Phases | None = None,
+) -> Float32Array:
+    """All-in-focus colours [h, w, 3] from linear ones without infrared, infrared, and their level map.
 
     ``kernels`` [level, channel, size, size] blur R, G, B without infrared (:func:`visible_kernels`) and IR,
     ``noise_e`` [channel] is the noise's standard deviation. A pixel takes its value between the two nearest
-    levels, eq. (17).
+    levels, eq. (17). ``phases`` are the places (row, column) of each channel's samples in the 2x2 block of the
+    mosaic, None for a channel with other places: only samples count as data, since what lies between them is
+    interpolated, and holds the interpolation's errors.
 
     Deviations from the paper: infrared is taken out first, since a mixed kernel is right for one reflectance
     only; the regularised level map with fractions, not the raw one (no seams); what lies at other levels is
     replaced beforehand by a first estimate blurred to this level, because each layer's deconvolution
     assumes one blur everywhere; the prior of the colours expects the gradients of the sharp infrared
-    picture, scaled to each colour, where ``sharpen_guide`` says so.
+    picture, scaled to each colour, and then once more those of the sharp colours' own mean, where
+    ``sharpen_guide`` says so.
     """
     nodes = _nodes(len(kernels))
     pairs = [(cut(kernels[node]), _around(kernels, node)) for node in nodes]
@@ -76,13 +86,13 @@ def sharpen(
     noise = np.maximum(np.asarray(noise_e, np.float32), np.float32(1e-3))
     draft = _draft(stack, position, layers, noise)
     sharp = np.zeros_like(stack)
-    for part in (slice(3, 4), slice(0, 3)):  # infrared first: it guides the colours
-        guide = sharp[3] if settings.sharpen_guide and part.start == 0 else None
+    for part, guided_by in PLAIN_PASSES if not settings.sharpen_guide else PASSES:
+        guide = None if guided_by is None else (sharp[guided_by] / noise[guided_by, None, None]).mean(axis=0)
         kappa = _prior_scale(draft[part], noise[part], position, len(nodes)) / settings.sharpen_strength
-        work = partial(_deconvolved, stack, draft, guide, position, part, noise, kappa, settings)
-        _collect(sharp[part], position, layers, work)
-    sharp = np.maximum(sharp, 0)
-    return np.ascontiguousarray(np.moveaxis(sharp[:3], 0, -1)), sharp[3]
+        own = None if phases is None or None in phases[part] else phases[part]
+        work = partial(_deconvolved, stack, draft, guide, position, part, noise, kappa, settings, own)
+        sharp[part] = np.maximum(_collected(len(stack[part]), position, layers, work), 0)
+    return np.ascontiguousarray(np.moveaxis(sharp[COLOURS], 0, -1))
 
 
 def visible_kernels(kernels: NDArray, signature: NDArray, separation: NDArray) -> Float32Array:
@@ -178,31 +188,38 @@ def _transfer(kernels: NDArray, shape: tuple[int, int]) -> Complex64Array:
 
 def _padded(stack: Float32Array, kernels: NDArray) -> tuple[Float32Array, tuple[int, int]]:
     """A stack [channel, h, w] in a frame for the Fourier domain, without steps at its borders; and that frame."""
-    shape = fourier.fast_shape(stack.shape[1:], kernels.shape[-1] // 2 + MARGIN_PX)
+    shape = _shape(stack, kernels)
     return np.stack([fourier.pad_blended(plane, shape) for plane in stack]), shape
+
+
+def _shape(stack: Float32Array, kernels: NDArray) -> tuple[int, int]:
+    """Frame for the Fourier domain, of multiples of 4: the samples of a mosaic have even sizes too."""
+    margin = kernels.shape[-1] // 2 + MARGIN_PX
+    height, width = (4 * fft.next_fast_len(-(-(n + margin) // 4), real=True) for n in stack.shape[1:])
+    return height, width
 
 
 def _draft(stack: Float32Array, position: Float32Array, layers: list[Layer], noise: Float32Array) -> Float32Array:
     """First all-in-focus estimate with the quadratic prior of eq. (10), in closed form."""
     steps = 0.5 * (np.mean(np.diff(stack, axis=1) ** 2, (1, 2)) + np.mean(np.diff(stack, axis=2) ** 2, (1, 2)))
     beta = DRAFT_PRIOR * noise**2 / np.maximum(steps, 1e-3 * noise**2)
-    draft = np.zeros_like(stack)
 
     def work(layer: Layer) -> Float32Array:
         padded, shape = _padded(stack[:, *layer.box], layer.kernels)
         return deconvolution.quadratic(padded, _transfer(layer.kernels, shape), beta)
 
-    _collect(draft, position, layers, work)
-    return np.maximum(draft, 0)
+    return np.maximum(_collected(len(stack), position, layers, work), 0)
 
 
-def _collect(
-    result: Float32Array, position: Float32Array, layers: list[Layer], work: Callable[[Layer], Float32Array]
-) -> None:
-    """Add every layer's [channel, h, w] to the picture, each with its share; two layers at a time."""
+def _collected(
+    channels: int, position: Float32Array, layers: list[Layer], work: Callable[[Layer], Float32Array]
+) -> Float32Array:
+    """Every layer's [channel, h, w] in one picture, each with its share; two layers at a time."""
+    result = np.zeros((channels, *position.shape), np.float32)
     with ThreadPoolExecutor(fourier.WORKERS) as pool:
         for layer, found in zip(layers, pool.map(work, layers), strict=True):  # in order: sums do not depend on timing
             result[:, *layer.core] += _share(position[layer.core], layer.node) * found[:, *layer.inner]
+    return result
 
 
 def _prior_scale(draft: Float32Array, noise: Float32Array, position: Float32Array, nodes: int) -> Float32Array:
@@ -232,12 +249,13 @@ def _deconvolved(
     noise: Float32Array,
     kappa: Float32Array,
     settings: Settings,
+    phases: Phases | None,
     layer: Layer,
 ) -> Float32Array:
     """One level in one box, [channel, h, w]: what lies at other levels is the draft blurred to this one."""
     kernel, box = layer.kernels[part], layer.box
     picture = stack[part, *box]
-    shape = fourier.fast_shape(picture.shape[1:], kernel.shape[-1] // 2 + MARGIN_PX)
+    shape = _shape(picture, kernel)
     transfer, variance = uncertain_transfer(layer, part, shape)
     inner = (slice(None), slice(0, picture.shape[1]), slice(0, picture.shape[2]))
     near = np.clip(1 - (np.abs(position[box] - layer.node) - 1) / FEATHER_LEVELS, 0, 1).astype(np.float32)
@@ -253,7 +271,11 @@ def _deconvolved(
     weight, steps = kappa[layer.node], settings.sharpen_steps
     steps_e2 = sum(np.mean(np.diff(draft[part, *box], axis=axis) ** 2, axis=(1, 2)) for axis in (1, 2))
     trust = deconvolution.data_trust(variance, steps_e2 / noise[part] ** 2, shape)
-    return deconvolution.half_quadratic(padded, transfer, weight, steps, expected, trust)[inner] * unit
+    if phases is None:
+        weight = weight / INTERPOLATED_WEIGHT
+        return deconvolution.half_quadratic(padded, transfer, weight, steps, expected, trust)[inner] * unit
+    own = [((p[0] - box[0].start) % 2, (p[1] - box[1].start) % 2) for p in phases if p is not None]
+    return deconvolution.half_quadratic_samples(padded, own, transfer, weight, steps, expected, trust)[inner] * unit
 
 
 def _inside_frame(box: tuple[slice, slice], frame: tuple[int, ...], ramp_px: float) -> Float32Array:
