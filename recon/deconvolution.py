@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import lru_cache
 
 import numpy as np
@@ -12,11 +13,13 @@ from recon import fourier
 
 Float32Array = NDArray[np.float32]
 Complex64Array = NDArray[np.complex64]
+Phase = tuple[int, int]
 
 PRIOR_POWER = 0.8  # eq. (16)
-BETA_FIRST, BETA_GROWTH = 0.02, 8.0  # of half-quadratic splitting (Krishnan and Fergus 2009, sec. 3, has 2 sqrt(2))
+BETA_FIRST, BETA_GROWTH = 0.02, 2.0 * np.sqrt(2.0)  # of half-quadratic splitting (Krishnan and Fergus 2009, sec. 3)
 TABLE_LIMIT, TABLE_SIZE = 64.0, 8193
 SMALLEST_GRADIENT = np.float32(1e-4)  # finite at frequency 0, where every kernel passes 1 and is certain
+MEAN_GRADIENT = np.float32(1e-6)  # at frequency 0, which differences do not see: the data alone decide there
 SMALLEST_POWER = np.float32(1e-9)  # keeps a division by zero out where neither kernel nor gradient passes anything
 
 
@@ -34,7 +37,8 @@ def half_quadratic(
     [channel], ``expected`` the gradients (x, y) [channel, h, w] that the prior expects; none: 0, as in the paper.
     ``trust`` [channel, h, w/2 + 1] weighs the data's frequencies (:func:`data_trust`).
     Half-quadratic splitting: in turns, gradients shrunk towards the expected ones and f from the quadratic problem
-    with them, their coupling beta growing each step.
+    with them, their coupling beta growing each step. The channels' differences shrink together, each in units of
+    its own: edges of the three colours coincide.
     """
     shape = (image.shape[-2], image.shape[-1])
     gradient = gradient_power(shape)
@@ -48,7 +52,7 @@ def half_quadratic(
     pull = np.empty_like(image)
     scale = np.empty(len(image), np.float32)
     for _ in range(steps):
-        scale[:] = factor ** (-1 / (2 - PRIOR_POWER))
+        scale[:] = _scale(kappa, factor)
         _shrunk_divergence(result, wanted_x, wanted_y, table, scale, np.float32(TABLE_LIMIT), pull)
         beta = (factor * np.asarray(kappa, np.float32))[:, None, None]
         spectrum = (data + beta * fourier.forward(pull, 1)) / (power + beta * gradient + SMALLEST_POWER)
@@ -67,6 +71,74 @@ def quadratic(
     weight = np.asarray(beta, np.float32)[:, None, None] * gradient_power(shape)
     spectrum = np.conj(transfer) * spectrum
     return fourier.inverse(spectrum / (np.abs(transfer) ** 2 + weight + SMALLEST_POWER), shape, 1)
+
+
+def half_quadratic_samples(
+    image: Float32Array,
+    phases: Sequence[Phase],
+    transfer: Complex64Array,
+    kappa: NDArray,
+    steps: int,
+    expected: tuple[Float32Array, Float32Array] | None = None,
+    trust: Float32Array | None = None,
+) -> Float32Array:
+    """:func:`half_quadratic` of what a mosaic samples: of each channel every second pixel in every second row counts.
+
+    ``phases`` are the places (row, column) of each channel's first sample; height and width are multiples of 4.
+    Blur and loss of samples are undone together: what aliases is told apart by the prior. The quadratic problem
+    couples four frequencies alone, hence its closed form (Zhao et al. 2016, Fast single image super-resolution,
+    theorem 1, with the image's differences instead of the image).
+    """
+    shape = (image.shape[-2], image.shape[-1])
+    gradient = gradient_power(shape).copy()
+    gradient[0, 0] = MEAN_GRADIENT
+    seen = transfer * _phase_factors(phases, shape)
+    data = fourier.forward(np.stack([plane[y::2, x::2] for plane, (y, x) in zip(image, phases, strict=True)]), 1)
+    passed = _folded(np.abs(seen) ** 2 / gradient)
+    weight = np.float32(1) if trust is None else 1 / (1 + _folded(1 / trust - 1))
+    back = np.conj(seen) / gradient
+    none = np.zeros((image.shape[0], 1, 1), np.float32)
+    wanted_x, wanted_y = expected or (none, none)
+    pull, scale, factor, result = np.empty_like(image), np.empty(len(image), np.float32), BETA_FIRST, image
+    for _ in range(steps):
+        scale[:] = _scale(kappa, factor)
+        _shrunk_divergence(result, wanted_x, wanted_y, shrink_table(), scale, np.float32(TABLE_LIMIT), pull)
+        beta = (factor * np.asarray(kappa, np.float32))[:, None, None]
+        prior = fourier.forward(pull, 1) / gradient
+        prior[:, 0, 0] = 0
+        misfit = weight * (data - _folded(seen * prior)) / (beta + weight * passed)
+        result = fourier.inverse(prior + back * _unfolded(misfit), shape, 1)
+        factor *= BETA_GROWTH
+    return result
+
+
+def _scale(kappa: NDArray, factor: float) -> NDArray:
+    """Unit of each channel's differences in the shrinkage: as large as kappa says that they are."""
+    return factor ** (-1 / (2 - PRIOR_POWER)) * (np.mean(kappa) / np.asarray(kappa)) ** (1 / PRIOR_POWER)
+
+
+def _phase_factors(phases: Sequence[Phase], shape: tuple[int, int]) -> Complex64Array:
+    """Shift theorem's factors [channel, h, w/2 + 1] that bring each channel's first sample to the origin."""
+    fy, fx = fourier.frequencies(shape)
+    return np.stack([np.exp(2j * np.pi * (fy * y + fx * x)) for y, x in phases]).astype(np.complex64)
+
+
+def _folded(spectrum: NDArray) -> NDArray:
+    """Mean over the four frequencies that alias on every second sample, [..., h, w/2 + 1] -> [..., h/2, w/4 + 1]."""
+    height, width = spectrum.shape[-2], 2 * (spectrum.shape[-1] - 1)
+    rows = spectrum[..., : height // 2, :] + spectrum[..., height // 2 :, :]
+    return (rows[..., : width // 4 + 1] + _mirrored(rows)[..., : width // 4 + 1]) / 4
+
+
+def _unfolded(spectrum: NDArray) -> NDArray:
+    """The spectrum of every second sample, repeated, [..., h/2, w/4 + 1] -> [..., h, w/2 + 1]."""
+    rows = np.concatenate([spectrum, _mirrored(spectrum)[..., 1:]], axis=-1)
+    return np.concatenate([rows, rows], axis=-2)
+
+
+def _mirrored(half: NDArray) -> NDArray:
+    """Values at (-fy, highest fx - fx), conjugate: a real signal's at (fy, fx - highest)."""
+    return np.conj(np.roll(half[..., ::-1, ::-1], 1, axis=-2))
 
 
 def data_trust(variance: Float32Array, steps: NDArray, shape: tuple[int, int]) -> Float32Array:
@@ -103,19 +175,18 @@ def shrink_table() -> Float32Array:
 
 
 @njit(cache=True, nogil=True)
-def _shrink(  # pragma: no cover - compiled
-    step: Float32Array, table: Float32Array, unit: np.float32, limit: np.float32, out: Float32Array
+def _kept(  # pragma: no cover - compiled
+    energy: Float32Array, table: Float32Array, limit: np.float32, out: Float32Array
 ) -> None:
-    """Differences of a row moved towards 0, by the table in units of ``unit``; beyond its ``limit`` as they are."""
-    per_step = np.float32((table.size - 1) / (limit * unit))
+    """Share of a difference that shrinkage leaves, from the mean square of its channels in units of their scale."""
+    per_step = np.float32((table.size - 1) / limit)
     last = np.float32(table.size - 2)
-    for x in range(step.size):
-        size = abs(step[x])
+    for x in range(energy.size):
+        size = np.sqrt(energy[x]) + np.float32(1e-6)
         place = size * per_step
         low = np.int32(min(place, last))
-        value = (table[low] + (place - np.float32(low)) * (table[low + 1] - table[low])) * unit
-        value = value if place < last else size
-        out[x] = value if step[x] >= 0 else -value
+        value = (table[low] + (place - np.float32(low)) * (table[low + 1] - table[low])) / size
+        out[x] = value if place < last else np.float32(1)
 
 
 @njit(cache=True, nogil=True)
@@ -130,32 +201,46 @@ def _shrunk_divergence(  # pragma: no cover - compiled
 ) -> None:
     """D_x^T w_x + D_y^T w_y of forward differences shrunk towards the wanted ones, periodic.
 
-    Row by row, in loops that the compiler turns into vectors; the row above the first is the last one.
+    The channels' differences shrink together, by their root mean square in units of each channel's ``scale``. Row by
+    row, in loops that the compiler turns into vectors; the row above the first is the last one.
     """
     channels, height, width = image.shape
     own = wanted_x.shape[1] == height and wanted_x.shape[2] == width
     zero = np.zeros(width, np.float32)
-    step, along_x, along_y, above = np.empty((4, width), np.float32)
-    for c in range(channels):
-        for row in range(-1, height):
-            y = row if row >= 0 else height - 1
-            here, below = image[c, y], image[c, y + 1 if y + 1 < height else 0]
-            expected = wanted_y[c, y] if own else zero
+    energy, share = np.empty((2, width), np.float32)
+    along_x, along_y, above = np.empty((3, channels, width), np.float32)
+    for row in range(-1, height):
+        y = row if row >= 0 else height - 1
+        down = y + 1 if y + 1 < height else 0
+        energy[:] = 0
+        for c in range(channels):
+            here, below, expected = image[c, y], image[c, down], wanted_y[c, y] if own else zero
+            step, per_unit = along_y[c], 1 / (scale[c] * scale[c] * channels)
             for x in range(width):
                 step[x] = below[x] - here[x] - expected[x]
-            _shrink(step, table, scale[c], limit, along_y)
+                energy[x] += step[x] * step[x] * per_unit
+        _kept(energy, table, limit, share)
+        for c in range(channels):
+            step, expected = along_y[c], wanted_y[c, y] if own else zero
             for x in range(width):
-                along_y[x] += expected[x]
-            if row >= 0:
-                expected = wanted_x[c, y] if own else zero
+                step[x] = share[x] * step[x] + expected[x]
+        if row >= 0:
+            energy[:] = 0
+            for c in range(channels):
+                here, expected = image[c, y], wanted_x[c, y] if own else zero
+                step, per_unit = along_x[c], 1 / (scale[c] * scale[c] * channels)
                 for x in range(width - 1):
                     step[x] = here[x + 1] - here[x] - expected[x]
                 step[width - 1] = here[0] - here[width - 1] - expected[width - 1]
-                _shrink(step, table, scale[c], limit, along_x)
                 for x in range(width):
-                    along_x[x] += expected[x]
-                found = out[c, y]
-                found[0] = along_x[width - 1] - along_x[0] + above[0] - along_y[0]
+                    energy[x] += step[x] * step[x] * per_unit
+            _kept(energy, table, limit, share)
+            for c in range(channels):
+                step, expected = along_x[c], wanted_x[c, y] if own else zero
+                for x in range(width):
+                    step[x] = share[x] * step[x] + expected[x]
+                found, up, left = out[c, y], above[c], along_y[c]
+                found[0] = step[width - 1] - step[0] + up[0] - left[0]
                 for x in range(1, width):
-                    found[x] = along_x[x - 1] - along_x[x] + above[x] - along_y[x]
-            above[:] = along_y
+                    found[x] = step[x - 1] - step[x] + up[x] - left[x]
+        above[:] = along_y

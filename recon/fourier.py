@@ -12,9 +12,10 @@ Complex64Array = NDArray[np.complex64]
 WORKERS = 2
 
 
-def fast_shape(shape: tuple[int, ...], margin: int) -> tuple[int, int]:
-    """Frame [h, w] enlarged by at least ``margin`` pixels to sizes of fast transforms."""
-    return tuple(fft.next_fast_len(n + margin, real=True) for n in shape[:2])
+def fast_shape(shape: tuple[int, ...], margin: int, multiple: int = 1) -> tuple[int, int]:
+    """Frame [h, w] enlarged by at least ``margin`` pixels to sizes of fast transforms, multiples of ``multiple``."""
+    height, width = (multiple * fft.next_fast_len(-(-(n + margin) // multiple), real=True) for n in shape[:2])
+    return height, width
 
 
 def pad_blended(image: Float32Array, shape: tuple[int, int]) -> Float32Array:

@@ -35,7 +35,7 @@ class Tile:
     core: tuple[slice, slice]  # the tile in the frame
     box: tuple[slice, slice]  # the tile with its margin
     inner: tuple[slice, slice]  # the tile within the box
-    shape: Shape  # of the frame in the Fourier domain, which holds the box and a strip that closes it
+    shape: Shape  # of the frame in the Fourier domain: the box and a strip that closes it, multiples of 4 for a mosaic
     nodes: tuple[int, ...]  # places in the list of deconvolved levels
     position: Float32Array  # of every pixel of the tile among ``nodes``, 0 .. len(nodes) - 1
 
@@ -63,7 +63,7 @@ def tiles(position: Float32Array, reach_px: list[int]) -> Iterator[Tile]:
                         for s, n in zip(core, position.shape, strict=True))  # fmt: skip
             inner = tuple(slice(c.start - b.start, c.stop - b.start) for c, b in zip(core, box, strict=True))
             # The strip closes the frame; at the picture's border, where the box has no margin, it keeps sides apart
-            shape = fourier.fast_shape(tuple(s.stop - s.start for s in box), reach + STRIP_PX)
+            shape = fourier.fast_shape(tuple(s.stop - s.start for s in box), reach + STRIP_PX, 4)
             among = np.interp(position[core], nodes, np.arange(len(nodes))).astype(np.float32)
             yield Tile(core, (box[0], box[1]), (inner[0], inner[1]), shape, nodes, among)
 

@@ -85,6 +85,11 @@ def phases(camera: Camera) -> dict[str, Phase]:
     return {name: (found[0].row % 2, found[0].column % 2) for name, found in grids(camera).items()}
 
 
+def sole_phases(camera: Camera) -> list[Phase | None]:
+    """Position (row, column) in the 2x2 block of each channel that has one pixel in each block; None for others."""
+    return [(g[0].row, g[0].column) if len(g) == 1 and g[0].step == 2 else None for g in grids(camera).values()]
+
+
 def linearise(capture: Capture) -> tuple[Float32Array, BoolArray]:
     """Photo-electrons of a raw picture, float32 [h, w], and its saturated pixels.
 

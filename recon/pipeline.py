@@ -32,7 +32,7 @@ FALLBACK_TRUST = 0.25  # of red or blue in place of infrared: their blur differs
 FAR_LIGHT = 1.0  # in log-chromaticity: D65 and A are 1.46 apart, photographs within 0.5 of their own light
 INTERPOLATED_NOISE_SHARE = 0.7  # of the sensor's noise that interpolation leaves, standard deviation
 GRAINY_LEVEL = 3.0  # from here on, deconvolution starts from the picture before noise reduction alone
-BLURRED_LEVEL = 1.5  # below it the picture fades to that captured: in focus there is noise to lose, nothing to gain
+CERTAIN = 0.05  # confidence below which the picture fades to that captured: there the level is a guess
 FOCUS_TOLERANCE = 0.01  # relative, in dioptres, between bank and capture
 
 
@@ -77,10 +77,11 @@ def reconstruct(
         grain = np.clip(level / GRAINY_LEVEL, 0, 1)  # in focus, noise reduction does better than deconvolution's prior
         colours_e = linear_e + grain[..., None] * (grainy_e - linear_e)
         near_e = ir_e + grain * (grainy_ir_e - ir_e)
-        found, _ = sharpen.sharpen(colours_e, near_e, level, kernels, noise_e, settings)
+        found = sharpen.sharpen(colours_e, near_e, level, kernels, noise_e, settings, mosaic.sole_phases(camera))
         confidence = _upsampled(evidence, *level.shape)
-        certain = np.asarray(confidence * sharpen.away_from(np.any(clipped, axis=-1, keepdims=True)[..., 0]))
-        certain *= np.clip(level / BLURRED_LEVEL, 0, 1)
+        certain = np.clip(confidence / CERTAIN, 0, 1) * sharpen.away_from(
+            np.any(clipped, axis=-1, keepdims=True)[..., 0]
+        )
         sharp_e = linear_e + certain[..., None] * (found - linear_e)  # where the level is a guess, as captured
     with stage("colour"):
         matrix = colour.colour_matrix(camera, bank.lights[light], separation)

@@ -6,7 +6,7 @@ where it occurs.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 
@@ -20,6 +20,7 @@ from recon.settings import Settings
 
 Float32Array = NDArray[np.float32]
 Complex64Array = NDArray[np.complex64]
+Phases = Sequence[tuple[int, int] | None]
 
 FEATHER_LEVELS = 1.0  # beyond the levels a layer serves: there the picture itself fades into its replacement
 GUIDE_WINDOW_PX = 5.0  # sigma, of the window in which infrared's gradients are fitted to a colour's
@@ -28,6 +29,10 @@ CLIPPED_NEAR_PX = 3.0
 ENOUGH_PX = 2000.0  # pixels of a level that tell its own prior's weight
 BORDER_SHARE = 0.2  # of the kernel's reach: width of the frame's rim that fades into the draft
 DRAFT_PRIOR = 2.0  # factor on the draft's measured beta
+INTERPOLATED_WEIGHT = 0.25  # of a pixel's data where most are interpolated, one in four is not
+COLOURS, INFRARED = slice(0, 3), slice(3, 4)
+PLAIN_PASSES = ((COLOURS, None),)
+PASSES = ((INFRARED, None), (COLOURS, INFRARED), (COLOURS, COLOURS))  # what is deconvolved, and whose edges guide it
 
 
 def sharpen(
@@ -37,18 +42,22 @@ def sharpen(
     kernels: NDArray,
     noise_e: NDArray,
     settings: Settings,
-) -> tuple[Float32Array, Float32Array]:
-    """All-in-focus colours [h, w, 3] and infrared [h, w] from linear ones without infrared and their level map.
+    phases: Phases | None = None,
+) -> Float32Array:
+    """All-in-focus colours [h, w, 3] from linear ones without infrared, infrared, and their level map.
 
     ``kernels`` [level, channel, size, size] blur R, G, B without infrared (:func:`visible_kernels`) and IR,
     ``noise_e`` [channel] is the noise's standard deviation. A pixel takes its value between the two nearest
-    levels, eq. (17).
+    levels, eq. (17). ``phases`` are the places (row, column) of each channel's samples in the 2x2 block of the
+    mosaic, None for a channel with other places: only samples count as data, since what lies between them is
+    interpolated, and holds the interpolation's errors.
 
     Deviations from the paper: infrared is taken out first, since a mixed kernel is right for one reflectance
     only; the regularised level map with fractions, not the raw one (no seams); what lies at other levels is
     replaced beforehand by a first estimate blurred to this level, because each layer's deconvolution
     assumes one blur everywhere; the prior of the colours expects the gradients of the sharp infrared
-    picture, scaled to each colour, where ``sharpen_guide`` says so.
+    picture, scaled to each colour, and then once more those of the sharp colours' own mean, where
+    ``sharpen_guide`` says so.
     """
     nodes = layers.levels_of_nodes(len(kernels))
     transfers, reach_px = layers.transfers(kernels, nodes)
@@ -58,13 +67,15 @@ def sharpen(
     noise = np.maximum(np.asarray(noise_e, np.float32), np.float32(1e-3))
     draft = _draft(stack, tiles, transfers, noise)
     sharp = np.zeros_like(stack)
-    for part in (slice(3, 4), slice(0, 3)):  # infrared first: it guides the colours
-        guide = sharp[3] if settings.sharpen_guide and part.start == 0 else None
+    for part, guided_by in PASSES if settings.sharpen_guide else PLAIN_PASSES:
+        guide = None if guided_by is None else (sharp[guided_by] / noise[guided_by, None, None]).mean(axis=0)
         kappa = _prior_scale(draft[part], noise[part], position, len(nodes)) / settings.sharpen_strength
-        work = partial(_deconvolved, stack, draft, guide, position, part, noise, kappa, settings, transfers, reach_px)
-        _collect(sharp[part], tiles, work)
-    sharp = np.maximum(sharp, 0)
-    return np.ascontiguousarray(np.moveaxis(sharp[:3], 0, -1)), sharp[3]
+        own = None if phases is None or None in phases[part] else phases[part]
+        work = partial(
+            _deconvolved, stack, draft, guide, position, part, noise, kappa, settings, own, transfers, reach_px
+        )
+        sharp[part] = np.maximum(_collected(len(stack[part]), position.shape, tiles, work), 0)
+    return np.ascontiguousarray(np.moveaxis(sharp[COLOURS], 0, -1))
 
 
 def visible_kernels(kernels: NDArray, signature: NDArray, separation: NDArray) -> Float32Array:
@@ -109,16 +120,18 @@ def _draft(stack: Float32Array, tiles: list[Tile], transfers: layers.Transfers, 
             total += tile.share(index) * found[:, *tile.inner]
         return total
 
-    draft = np.zeros_like(stack)
-    _collect(draft, tiles, work)
-    return np.maximum(draft, 0)
+    return np.maximum(_collected(len(stack), stack.shape[1:], tiles, work), 0)
 
 
-def _collect(result: Float32Array, tiles: list[Tile], work: Callable[[Tile], Float32Array]) -> None:
-    """Fill a picture [channel, h, w] tile by tile, two at a time."""
+def _collected(
+    channels: int, shape: tuple[int, ...], tiles: list[Tile], work: Callable[[Tile], Float32Array]
+) -> Float32Array:
+    """A picture [channel, h, w] made tile by tile, two at a time."""
+    result = np.empty((channels, *shape), np.float32)
     with ThreadPoolExecutor(fourier.WORKERS) as pool:
         for tile, found in zip(tiles, pool.map(work, tiles), strict=True):
             result[:, *tile.core] = found
+    return result
 
 
 def _prior_scale(draft: Float32Array, noise: Float32Array, position: Float32Array, nodes: int) -> Float32Array:
@@ -148,6 +161,7 @@ def _deconvolved(
     noise: Float32Array,
     kappa: Float32Array,
     settings: Settings,
+    phases: Phases | None,
     transfers: layers.Transfers,
     reach_px: list[int],
     tile: Tile,
@@ -162,6 +176,7 @@ def _deconvolved(
     near_ir = None if guide is None else _padded(guide[None, *box], shape)
     near_spectrum = None if near_ir is None else fourier.forward(near_ir, 1)
     total = np.zeros((len(unit), *tile.position.shape), np.float32)
+    own = None if phases is None else _within(phases, box)
     for index, node in enumerate(tile.nodes):
         all_transfers, variances = transfers(node, shape)
         transfer, variance = all_transfers[part], variances[part]
@@ -175,10 +190,19 @@ def _deconvolved(
             blurred = fourier.inverse(near_spectrum * transfer, shape, 1)
             expected = _expected(padded, near_ir, blurred)
         trust = deconvolution.data_trust(variance, steps_2, shape)
-        steps = settings.sharpen_steps
-        found = deconvolution.half_quadratic(padded, transfer, kappa[node], steps, expected, trust)
+        weight, steps = kappa[node], settings.sharpen_steps
+        if own is None:
+            weight = weight / INTERPOLATED_WEIGHT
+            found = deconvolution.half_quadratic(padded, transfer, weight, steps, expected, trust)
+        else:
+            found = deconvolution.half_quadratic_samples(padded, own, transfer, weight, steps, expected, trust)
         total += tile.share(index) * found[:, *tile.inner]
     return total * unit
+
+
+def _within(phases: Phases, box: tuple[slice, slice]) -> list[tuple[int, int]]:
+    """Places of each channel's first sample in a box, from those in the frame."""
+    return [((p[0] - box[0].start) % 2, (p[1] - box[1].start) % 2) for p in phases if p is not None]
 
 
 def _inside_frame(box: tuple[slice, slice], frame: tuple[int, ...], ramp_px: float) -> Float32Array:
