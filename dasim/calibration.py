@@ -11,8 +11,12 @@ from dasim import illuminants, pointspread, sensor
 from dasim.camera import Camera
 from dasim.values import PointPicture
 
-FRAMES = 8
+FRAMES = 2  # of each exposure
 CALIBRATION_LIGHTS = ("D65", "D55", "A", illuminants.ENERGY_SAVING)
+# Times as long as the automatic exposure: a kernel's tails, and infrared under a lamp that has little of it, drown in
+# the fixed pattern of a picture whose core is exposed well. The automatic one comes last.
+EXPOSURES = (256.0, 16.0, 1.0)
+EXPOSURE_S = 0.01
 # Four positions a whole pixel apart, so that every channel of a 2x2 mosaic sees every part of the kernel.
 _BACKGROUND_SHARE = 1e-3  # of the peak: a little stray light, which calibration has to remove
 
@@ -25,11 +29,12 @@ def calibration_captures(
     seed: int = 0,
     diffraction: str = "wave",
 ) -> Iterator[PointPicture]:
-    """Pictures of a point source for each light, blur level and mosaic position.
+    """Pictures of a point source for each light, blur level, mosaic position and exposure.
 
     The kernels are the camera's own (a path-traced point source converges too slowly to calibrate with),
     at an unknown sub-pixel position for each light and level, and go through the sensor model with
-    automatic exposure to 85 % of full scale. ``shift_px`` covers one period of the mosaic.
+    automatic exposure to 85 % of full scale, and longer ones (``EXPOSURES``). ``shift_px``
+    covers one period of the mosaic.
     """
     blurs = cameras.level_blur_px(camera)
     depths = cameras.depth_of_blur_m(camera, blurs)
@@ -54,10 +59,14 @@ def calibration_captures(
                     moved = np.roll(flux, (dy, dx), axis=(0, 1))
                     # The strongest channel of any position sets the exposure, the same for all positions.
                     scale = sensor.Exposure().auto_level * sensor.saturation_e(local) / flux.max()
-                    mean_e = sensor.electronic_crosstalk(scale * sensor.mosaic(moved, frame_camera), local)
+                    mean_e = scale * sensor.mosaic(moved, frame_camera)
                     noise_seed = int(key.generate_state(1)[0])
-                    shots = [
-                        sensor.expose(mean_e, local, 0.01, noise_seed, frame=frame + frames * (dy * columns + dx))[0]
-                        for frame in range(frames)
-                    ]
-                    yield PointPicture(np.stack(shots), light, level, float(depth), float(blur), (dy, dx), 0.01)
+                    for number, times in enumerate(EXPOSURES):
+                        time_s = times * EXPOSURE_S
+                        first = frames * ((dy * columns + dx) * len(EXPOSURES) + number)
+                        collected_e = sensor.electronic_crosstalk(times * mean_e, local)
+                        shots = [
+                            sensor.expose(collected_e, local, time_s, noise_seed, frame=first + frame)[0]
+                            for frame in range(frames)
+                        ]
+                        yield PointPicture(np.stack(shots), light, level, float(depth), float(blur), (dy, dx), time_s)

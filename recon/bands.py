@@ -3,17 +3,20 @@
 Deviation from eq. (9)-(12), the preset ``bands``. The paper deblurs infrared with one weight for the frame and takes
 the NCC of gradients. Where infrared is weak or the blurrier channel (near focus, by diffraction), its noise then
 passes for blur and levels near focus come out up to four too large. Here energies of both channels and their product
-are averaged in narrow bands around each sample; for a texture of power S in a band,
+are averaged in bands around each sample, wide enough to see no farther than the patch; for a texture of power S in one,
 
     <I I> = S |H_IR|^2 + s_IR^2,   <G I> = g T (<I I> - s_IR^2),   T = S H_G conj(H_IR) / (S |H_IR|^2),
 
 so that the residual <G I> - g T (<I I> - s_IR^2) is zero on average at the true level whatever the texture, how
-strong it is, and how much of green's texture infrared does not share: the noise is known from the sensor.
+strong it is, and how much of green's texture infrared does not share: the noise is known from the sensor. Red is
+compared in the same way: a red flower has no green texture. The patch follows the surface: samples count by how alike
+their ratio of visible to infrared is, which texture changes less than the step from one material to the next.
 """
 
 from __future__ import annotations
 
 import itertools
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import cv2
@@ -29,9 +32,14 @@ Float32Array = NDArray[np.float32]
 Complex64Array = NDArray[np.complex64]
 FloatArray = NDArray[np.float64]
 
-BANDS = 15
-LOWEST_CYCLES_PX = 0.008
-HIGHEST_CYCLES_PX = 0.17  # beyond, green of a mosaic is aliased near focus
+BANDS = 7  # a ring's impulse response reaches about 1 / width: 36 px, as the patch; narrower ones smear over objects
+LOWEST_CYCLES_PX = 0.025  # below, shading differs between channels
+HIGHEST_CYCLES_PX = 0.22  # beyond, green of a mosaic is aliased near focus
+GUIDE_BLUR_PX = 4.0  # of the planes, whose ratio tells materials apart
+UNLIKE = 0.12  # in the logarithm of that ratio: weight exp(-1/2)
+TAP_PX = 8  # between the samples of a patch; each is a mean itself, of TAP_BLUR taps
+TAP_BLUR = 0.6
+FARTHEST = np.float32(8.0)  # exponent of a weight that is not worth adding
 TABLE_GRID = 192  # samples a side, on which the transfers of the levels are tabulated
 GAIN_STEPS = 2  # the weights depend on the gain: once without, once with it
 SMALLEST_GAIN = 1e-3
@@ -76,29 +84,97 @@ def transfers(kernels: NDArray, green_kernels: NDArray, spacing_px: float) -> Fl
 
 
 def energies(
-    spectra: tuple[Complex64Array, Complex64Array],
-    noise: tuple[Float32Array, Float32Array],
+    spectra: Sequence[Complex64Array],
+    noise: Sequence[Float32Array],
     grid: tuple[tuple[int, int], tuple[int, int]],
     settings: Settings,
     spacing_px: float,
-    leak: float = 0.0,
-) -> Energies:
-    """Energies by bands of (sharper, green) spectra on the grid (padded shape, frame), with their noise variances.
+    leaks: Sequence[float] = (),
+    likeness: Float32Array | None = None,
+) -> list[Energies]:
+    """Energies by bands of the sharper channel with each of the visible ones, from spectra and noise variances.
 
-    ``leak`` times the sharper channel was taken off green before: their noise then has a product, undone here.
+    The sharper channel comes first; ``grid`` is the padded shape and the frame. ``leaks`` times the sharper channel
+    was taken off the visible ones before: their noises then have a product, undone here. ``likeness`` [n, h, w] as
+    from :func:`guide` shapes the patches.
     """
     shape, frame = grid
     rings = filters(shape, spacing_px)
-    found = np.empty((3, len(rings), *frame), np.float32)
     share = np.array([plane_mean(ring**2, shape[1]) for ring in rings])
+    visible = len(spectra) - 1
+    found = np.empty((1 + 2 * visible, len(rings), *frame), np.float32)
     for index, ring in enumerate(rings):
-        sharper, green = (fourier.inverse(s * ring, shape)[: frame[0], : frame[1]] for s in spectra)
-        for part, image in enumerate((green * green, sharper * sharper, green * sharper)):
-            found[part, index] = window_mean(image, settings, spacing_px) / np.float32(share[index])
-    sharper_noise, green_noise = (window_mean(n, settings, spacing_px) for n in noise)
-    found[2] += np.float32(leak) * sharper_noise
-    samples = 4 * np.pi * (settings.window_px / spacing_px) ** 2 / 12  # of a Gaussian patch
-    return Energies(found[0], found[1], found[2], green_noise, sharper_noise, samples * share)
+        sharper, *others = (fourier.inverse(s * ring, shape)[: frame[0], : frame[1]] for s in spectra)
+        parts = [sharper * sharper, *(o * o for o in others), *(o * sharper for o in others)]
+        for part, image in enumerate(parts):
+            found[part, index] = image / np.float32(share[index])
+    stack = np.concatenate([found.reshape(-1, *frame), np.stack(noise)])
+    stack = _means(stack, settings, spacing_px, likeness)
+    found = stack[: -len(noise)].reshape(found.shape)
+    variances = stack[-len(noise) :]
+    samples = 4 * np.pi * (settings.window_px / spacing_px) ** 2 / 12 * share  # of a Gaussian patch
+    pairs = []
+    for number, leak in zip(range(1, visible + 1), leaks or [0.0] * visible, strict=True):
+        product = found[visible + number] + np.float32(leak) * variances[0]
+        pairs.append(Energies(found[number], found[0], product, variances[number], variances[0], samples))
+    return pairs
+
+
+def guide(
+    sharper: Float32Array, visible: Sequence[Float32Array], floors: Sequence[Float32Array], spacing_px: float
+) -> Float32Array:
+    """Logarithms of the visible channels' ratios to the sharper one, in units of UNLIKE, [n, h, w].
+
+    ``floors`` are the least values that count, the sharper channel's first: standard deviations of the noise.
+    """
+    blurred = [
+        np.log(np.maximum(cv2.GaussianBlur(plane, (0, 0), GUIDE_BLUR_PX / spacing_px), floor))
+        for plane, floor in zip((sharper, *visible), floors, strict=True)
+    ]
+    return np.stack([(image - blurred[0]) / UNLIKE for image in blurred[1:]]).astype(np.float32)
+
+
+def _means(stack: Float32Array, settings: Settings, spacing_px: float, likeness: Float32Array | None) -> Float32Array:
+    """Means over the patch of images [n, h, w], of samples that look alike where ``likeness`` is given."""
+    if likeness is None:
+        return np.stack([window_mean(image, settings, spacing_px) for image in stack])
+    step = max(round(TAP_PX / spacing_px), 1)
+    sigma = settings.window_px / spacing_px / np.sqrt(12)
+    taps = np.stack([cv2.GaussianBlur(i, (0, 0), TAP_BLUR * step, borderType=cv2.BORDER_REFLECT) for i in stack])
+    result = np.empty_like(taps)
+    _alike(taps, likeness, int(np.ceil(2 * sigma / step)), step, np.float32(sigma), result)
+    return result
+
+
+@njit(cache=True, parallel=True, fastmath=True)
+def _alike(  # pragma: no cover - compiled
+    stack: Float32Array, likeness: Float32Array, radius: int, step: int, sigma: np.float32, result: Float32Array
+) -> None:
+    images, height, width = stack.shape
+    for y in prange(height):
+        total = np.empty(images, np.float32)
+        for x in range(width):
+            total[:] = 0
+            norm = np.float32(0)
+            for dy in range(-radius, radius + 1):
+                yy = y + dy * step
+                if yy < 0 or yy >= height:
+                    continue
+                for dx in range(-radius, radius + 1):
+                    xx = x + dx * step
+                    if xx < 0 or xx >= width:
+                        continue
+                    exponent = np.float32((dy * step) ** 2 + (dx * step) ** 2) / (2 * sigma * sigma)
+                    for c in range(likeness.shape[0]):
+                        exponent += (likeness[c, y, x] - likeness[c, yy, xx]) ** 2 / 2
+                    if exponent > FARTHEST:
+                        continue
+                    weight = np.exp(-exponent)
+                    norm += weight
+                    for k in range(images):
+                        total[k] += weight * stack[k, yy, xx]
+            for k in range(images):
+                result[k, y, x] = total[k] / norm
 
 
 def log_likelihood(found: Energies, table: Float32Array) -> Float32Array:

@@ -8,6 +8,7 @@ case of samples one pixel apart.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -34,10 +35,13 @@ STRENGTHS = (1.0, 6.0, 36.0, 216.0)
 
 
 class Leak(NamedTuple):
-    """Infrared in green: alpha of eq. (8), and white's infrared electrons over its green ones under the light."""
+    """Infrared in a channel: alpha of eq. (8), and white's infrared electrons over its own under the light."""
 
     alpha: float
     white: float
+
+
+Also = Sequence[tuple[Channel, Leak]]  # further visible channels, compared in the same way by the score ``bands``
 
 
 class Signals(NamedTuple):
@@ -144,11 +148,15 @@ def scores(
     settings: Settings,
     spacing_px: float = PLANE_SPACING_PX,
     leak: Leak | None = None,
+    also: Also = (),
 ) -> tuple[Float32Array, Float32Array]:
-    """Score of every level [level, h, w] with the weights of ``classes``, and the plain NCC at the best, [h, w]."""
+    """Score of every level [level, h, w] with the weights of ``classes``, and the plain NCC at the best, [h, w].
+
+    ``leak`` and ``also`` serve the score ``bands`` alone.
+    """
     grid, spectra = _spectra(sharper, green, settings, spacing_px)
     if settings.score == "bands":
-        return _by_bands(sharper, green, spectra, grid, settings, leak or Leak(0.0, 0.0))
+        return _by_bands(sharper, [(green, leak or Leak(0.0, 0.0)), *also], spectra[0], grid, settings)
     kernels = sharper[3]
     observed = comparison.filtered(spectra[1], grid.filters, grid) if settings.score == "ncc" else None
     score, ncc = np.empty((2, len(kernels), *grid.frame), np.float32)
@@ -166,25 +174,30 @@ def scores(
 
 
 def _by_bands(
-    sharper: Channel,
-    green: Channel,
-    spectra: tuple[Complex64Array, Complex64Array],
-    grid: comparison.Grid,
-    settings: Settings,
-    leak: Leak,
+    sharper: Channel, visible: Also, spectrum: Complex64Array, grid: comparison.Grid, settings: Settings
 ) -> tuple[Float32Array, Float32Array]:
-    """Scores by :mod:`recon.bands`, of green without its infrared; and 1 in place of an NCC.
+    """Scores by :mod:`recon.bands`, of visible channels without their infrared; and 1 in place of an NCC.
 
     Deviation: the paper compares unprocessed channels, with kernels that hold white's share of infrared in green. The
     share differs from material to material (a leaf has far more), and with it green's blur: taken off on both sides.
+    The channels count as independent.
     """
-    plain_green = spectra[1] - np.complex64(leak.alpha) * spectra[0]
-    share = leak.alpha * leak.white
-    kernels = (green[3] - share * sharper[3]) / (1 - share)
-    noise = sharper[2], (green[2] + leak.alpha**2 * sharper[2]).astype(np.float32)
-    size = grid.shape, grid.frame
-    found = bands.energies((spectra[0], plain_green), noise, size, settings, grid.spacing_px, leak.alpha)
-    score = bands.log_likelihood(found, bands.transfers(sharper[3], kernels, grid.spacing_px))
+    (height, width), spacing_px = grid.frame, grid.spacing_px
+    spectra, noise = [spectrum], [sharper[2]]
+    for (plane, phase, variance, _), leak in visible:
+        own = transform(plane, phase, grid.shape, spacing_px)
+        spectra.append(own - np.complex64(leak.alpha) * spectrum)
+        noise.append((variance + leak.alpha**2 * sharper[2]).astype(np.float32))
+    planes = [np.ascontiguousarray(c[0][:height, :width]) for c in (sharper, *(channel for channel, _ in visible))]
+    floors = [np.sqrt(c[2]) for c in (sharper, *(channel for channel, _ in visible))]
+    likeness = bands.guide(planes[0], planes[1:], floors, spacing_px) if settings.alike else None
+    leaks = [leak.alpha for _, leak in visible]
+    found = bands.energies(spectra, noise, (grid.shape, grid.frame), settings, spacing_px, leaks, likeness)
+    score = np.zeros((len(sharper[3]), height, width), np.float32)
+    for pair, (channel, leak) in zip(found, visible, strict=True):
+        share = leak.alpha * leak.white
+        kernels = (channel[3] - share * sharper[3]) / (1 - share)
+        score += bands.log_likelihood(pair, bands.transfers(sharper[3], kernels, spacing_px))
     return score, np.ones(grid.frame, np.float32)
 
 

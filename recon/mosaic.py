@@ -25,7 +25,7 @@ Phase = tuple[int, int]
 SATURATION_SHARE = 0.98  # of full scale above black: noise and rounding can lower a full pixel by that much
 STRIP_PX = 256  # even, rows that are demosaiced at a time
 BORDER_PX = 8  # even, so that mirroring keeps the mosaic's phase; more than the demosaic's filters reach
-EXCESS_PATCH, EXCESS_PERCENTILE = 16, 10.0
+EXCESS_PATCH, EXCESS_PERCENTILE = 16, 2.0
 DIAGONAL = np.array([[1, 0, 1], [0, 0, 0], [1, 0, 1]], np.float32) / 4
 CROSS = np.array([[0, 1, 0], [1, 0, 1], [0, 1, 0]], np.float32) / 4
 FAR_CROSS = np.zeros((5, 5), np.float32)
@@ -177,7 +177,7 @@ def noise_excess(plane: Float32Array, variance: Float32Array) -> float:
     """Factor of at least 1 by which a colour plane's noise exceeds the variance that the data sheet tells.
 
     Mean square of the mixed second difference (x00 - x01 - x10 + x11) / 2, which has the noise's own variance and
-    sees no slopes, over patches; the quietest tenth of them shows the noise, not texture.
+    sees no slopes, over patches; the quietest fiftieth of them shows the noise, not texture.
     """
     mixed = (plane[:-1, :-1] - plane[:-1, 1:] - plane[1:, :-1] + plane[1:, 1:]) / 2
     size = (max(plane.shape[1] // EXCESS_PATCH, 1), max(plane.shape[0] // EXCESS_PATCH, 1))

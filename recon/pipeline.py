@@ -230,7 +230,8 @@ def _raw_levels(
         plane = np.ascontiguousarray(planes[name][box])
         return plane, places[name], variances[name][box], kernels[:, CHANNELS.index(name)]
 
-    leak = None if white is None else _green_leak(camera, white, settings)
+    leak = None if white is None else _leak("G", camera, white, settings)
+    further = ["R"] if settings.score == "bands" and "R" in _fallbacks(camera) else []
     usable = depth.window_mean(picture.blocks_any(saturated).astype(np.float32), settings) < settings.saturated_share
     level = np.full(planes["G"].shape, np.nan, np.float32)
     confidence = np.zeros_like(level)
@@ -239,8 +240,11 @@ def _raw_levels(
         box = _around(open_, round(settings.window_px / depth.PLANE_SPACING_PX) * 2)
         if box is None:
             break
+        also: depth.Also = []
+        if name == "IR" and white is not None:
+            also = [(channel(n, box), _leak(n, camera, white, settings)) for n in further]
         best, trust, snr, green_snr = tiles.best_levels(
-            channel(name, box), channel("G", box), settings, leak if name == "IR" else None
+            channel(name, box), channel("G", box), settings, leak if name == "IR" else None, also
         )
         edge = open_[box] & (snr > settings.edge_snr) & (green_snr > settings.edge_snr)
         new = edge & (trust > 0) & (trust >= settings.least_confidence)
@@ -261,11 +265,11 @@ def _around(mask: NDArray, margin: int) -> tuple[slice, slice] | None:
     return parts[0], parts[1]
 
 
-def _green_leak(camera: Camera, white: NDArray, settings: Settings) -> depth.Leak:
-    """What of infrared is in green, from eq. (8) or as measured, and in white [channel]."""
+def _leak(name: str, camera: Camera, white: NDArray, settings: Settings) -> depth.Leak:
+    """What of infrared is in a channel, from eq. (8) or as measured, and in white [channel]."""
     alpha = infrared.crosstalk(camera) if settings.crosstalk is None else settings.crosstalk
-    green = CHANNELS.index("G")
-    return depth.Leak(float(alpha[green]), float(white[CHANNELS.index("IR")] / white[green]))
+    own = CHANNELS.index(name)
+    return depth.Leak(float(alpha[own]), float(white[CHANNELS.index("IR")] / white[own]))
 
 
 def _fallbacks(camera: Camera) -> list[str]:

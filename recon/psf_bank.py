@@ -11,12 +11,13 @@ from scipy.optimize import nnls
 
 from dasim.camera import Camera, channels, mosaic_channels
 from dasim.errors import InputError
-from dasim.sensor import electrons_per_dn
+from dasim.sensor import electrons_per_dn, saturation_e
 from dasim.values import PointPicture, PsfBank
 
 FloatArray = NDArray[np.float64]
 Progress = Callable[[str, float], None]
 
+SATURATION_SHARE = 0.9  # of a pixel: above it, a picture of a longer exposure tells nothing
 RIM_PX = 3  # width of the frame's rim that shows background alone
 CORE_SHARE = 0.02  # of the peak: a channel's core, where its centre is measured
 CORE_MARGIN_PX = 2
@@ -84,28 +85,38 @@ def calibrate(
 
 
 def _interleave(group: list[PointPicture], camera: Camera) -> tuple[FloatArray, FloatArray]:
-    """Electrons of every channel at every pixel, [channel, h, w], background removed, and their noise."""
+    """Electrons of every channel at every pixel, [channel, h, w], background removed, and their noise.
+
+    In the shortest exposure's electrons; of several exposures every pixel has the sum of those that it stands.
+    """
     sensor = camera.sensor
     height, width = group[0].frames_dn.shape[1:]
     local = camera.model_copy(update={"sensor": sensor.model_copy(update={"height_px": height, "width_px": width})})
     channel = mosaic_channels(local)
     scale = electrons_per_dn(sensor)
-    image = np.full((len(channels(sensor)), height, width), np.nan)
-    noise = np.zeros_like(image)
+    shortest = min(picture.exposure_s for picture in group)
+    shape = (len(channels(sensor)), height, width)
+    electrons, variance, frames_s, count = np.zeros((4, *shape))  # sums over all frames that see a pixel
+    seen = np.zeros(shape, bool)
     for picture in group:
         frames = picture.frames_dn.astype(np.float64)
         mean_e = (frames.mean(axis=0) - sensor.black_level_dn) * scale
-        variance = (np.maximum(mean_e, 0) + sensor.read_noise_e**2) / len(frames) + sensor.dsnu_e**2
+        # A pixel that saturates in the longer exposures counts in the shorter alone; not by its noise in one frame.
+        usable = (mean_e < SATURATION_SHARE * saturation_e(sensor)) | (picture.exposure_s == shortest)
+        back = tuple(-s for s in picture.shift_px)
         for index in np.unique(channel):
-            own = channel == index
-            value = np.where(own, mean_e, np.nan)
-            back = tuple(-s for s in picture.shift_px)
-            moved, seen = np.roll(value, back, axis=(0, 1)), np.roll(own, back, axis=(0, 1))
-            image[index][seen] = moved[seen]
-            noise[index][seen] = np.roll(np.sqrt(variance), back, axis=(0, 1))[seen]
-    if not np.isfinite(image).all():
+            here = np.roll((channel == index) & usable, back, axis=(0, 1))
+            seen[index] |= here
+            value = np.roll(mean_e, back, axis=(0, 1))[here]
+            electrons[index][here] += len(frames) * value
+            variance[index][here] += len(frames) * (np.maximum(value, 0) + sensor.read_noise_e**2)
+            frames_s[index][here] += len(frames) * picture.exposure_s / shortest
+            count[index][here] += len(frames)
+    if not seen.all():
         where = f"{group[0].light} level {group[0].level}"
         raise InputError(f"calibration: pictures of {where} do not cover one period of the mosaic by their shifts")
+    image = electrons / frames_s
+    noise = np.sqrt(variance + (sensor.dsnu_e * count) ** 2) / frames_s
     rim = np.ones((height, width), bool)
     rim[RIM_PX:-RIM_PX, RIM_PX:-RIM_PX] = False
     return image - np.median(image[:, rim], axis=1)[:, None, None], noise

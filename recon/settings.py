@@ -33,6 +33,7 @@ class Settings(Specification):
     # sec. 5.2
     window_px: int = Field(default=31, ge=5, le=201, description="delta of eq. (11), side of the patch")
     window: Literal["gaussian", "box"] = "gaussian"
+    alike: bool = Field(default=False, description="of the patch, samples of like colour; for the score bands")
     gradient: Literal["sum", "both"] = Field(
         default="both", description="eq. (11): NCC of the sum of the derivatives, or of both taken together"
     )
@@ -63,7 +64,8 @@ PAPER = Settings()
 PRESETS = {
     "paper": PAPER,
     "likelihood": Settings(score="likelihood"),  # the paper's with levels scored by likelihood instead of NCC
-    "bands": Settings(score="bands", least_confidence=0.4),  # the paper's with levels from transfers band by band
+    # the paper's with levels from transfers band by band, of red too, in patches that follow the surface
+    "bands": Settings(score="bands", window_px=51, alike=True, edge_snr=0.0, fallback=False, least_confidence=0.6),
     "chakrabarti-zickler": Settings(score="colour-line"),  # the closest prior work on the same bank and windows
 }
 

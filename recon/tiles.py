@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recon import depth, fourier
-from recon.depth import Channel, Leak, Signals
+from recon.depth import Also, Channel, Leak, Signals
 from recon.settings import Settings
 
 Float32Array = NDArray[np.float32]
@@ -62,6 +62,7 @@ def best_levels(
     green: Channel,
     settings: Settings,
     leak: Leak | None = None,
+    also: Also = (),
     *,
     size: int = TILE,
     halo: int = HALO,
@@ -69,19 +70,23 @@ def best_levels(
     """:func:`recon.depth.match` and :func:`recon.depth.best_level` of a frame, in tiles of ``size`` samples."""
     frame = sharper[2].shape
     parts = list(tiles(frame, size, halo if max(frame) > size else 0))
-    pair = (sharper, green) if len(parts) == 1 else (_padded(sharper), _padded(green))
-    cut = partial(_cut, pair, halo) if len(parts) > 1 else lambda part: pair
+    channels = (sharper, green, *(channel for channel, _ in also))
+    if len(parts) > 1:
+        channels = tuple(_padded(channel) for channel in channels)
+    cut = partial(_cut, halo=halo) if len(parts) > 1 else lambda channel, part: channel
     brightest = float(sharper[0].max()), float(green[0].max())
     measured = Signals(*np.empty((3, *frame), np.float32))
     for part in parts:
-        found = depth.signals(*cut(part), settings, brightest=brightest)
+        found = depth.signals(cut(channels[0], part), cut(channels[1], part), settings, brightest=brightest)
         for image, own in zip(measured, found, strict=True):
             image[part.core] = own[part.inner]
     told = depth.typical(measured, sharper[3], green[3], settings)
     level, confidence = np.empty((2, *frame), np.float32)
     for part in parts:
         classes = [(weights, where[part.box]) for weights, where in told.classes]
-        score, plain = depth.scores(*cut(part), classes, settings, leak=leak)
+        first, second, *others = (cut(channel, part) for channel in channels)
+        further = [(channel, own) for channel, (_, own) in zip(others, also, strict=True)]
+        score, plain = depth.scores(first, second, classes, settings, leak=leak, also=further)
         best, trust = depth.best_level(score, plain, told.offset, settings)
         level[part.core], confidence[part.core] = best[part.inner], (trust * (plain > 0))[part.inner]
     return Levels(level, confidence, measured.snr, measured.green_snr)
@@ -93,11 +98,10 @@ def _padded(channel: Channel) -> Channel:
     return fourier.pad_blended(plane, depth.padded_shape(channel)), phase, variance, kernels
 
 
-def _cut(pair: tuple[Channel, Channel], halo: int, part: Tile) -> tuple[Channel, Channel]:
-    """Both channels in a tile's box, their planes going on around it as the periodic frame does."""
-    first, second = ((_around(plane, part, halo), phase, np.ascontiguousarray(variance[part.box]), kernels)
-                     for plane, phase, variance, kernels in pair)  # fmt: skip
-    return first, second
+def _cut(channel: Channel, part: Tile, halo: int) -> Channel:
+    """A channel in a tile's box, its plane going on around it as the periodic frame does."""
+    plane, phase, variance, kernels = channel
+    return _around(plane, part, halo), phase, np.ascontiguousarray(variance[part.box]), kernels
 
 
 def _around(plane: Float32Array, part: Tile, halo: int) -> Float32Array:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from validation.claims_bank import bank
 from validation.claims_camera import depth_of_field, dynamic_range, kernels, response_curves
 from validation.claims_depth import staircase, staircase_camera
 from validation.claims_diffraction import airy_table, wave_energy, wave_sfr
@@ -41,6 +42,8 @@ CLAIMS = {
     "interreflection": Measurement(interreflection, quick=False),
     "colour": Measurement(colour, quick=False),
     "scenes-speed": Measurement(scenes_speed, quick=False, alone=True),
+    "scenes-speed": Measurement(scenes_speed, quick=False),
+    "bank": Measurement(bank, quick=True),
     "staircase": Measurement(staircase, quick=False),
     "staircase-camera": Measurement(staircase_camera, quick=False),
     "recon-speed": Measurement(recon_speed, quick=False),
