@@ -42,11 +42,10 @@ CLAIMS = {
     "interreflection": Measurement(interreflection, quick=False),
     "colour": Measurement(colour, quick=False),
     "scenes-speed": Measurement(scenes_speed, quick=False, alone=True),
-    "scenes-speed": Measurement(scenes_speed, quick=False),
     "bank": Measurement(bank, quick=True),
     "staircase": Measurement(staircase, quick=False),
     "staircase-camera": Measurement(staircase_camera, quick=False),
-    "recon-speed": Measurement(recon_speed, quick=False),
+    "recon-speed": Measurement(recon_speed, quick=False, alone=True),
     "depth": Measurement(depth, quick=False),
     "all-in-focus": Measurement(all_in_focus, quick=False),
 }
