@@ -15,6 +15,7 @@ FloatArray = NDArray[np.float64]
 
 EXPOSED_PERCENTILE = 99.0
 EXPOSED_LUMINANCE = 0.9
+STRIP_ROWS = 256  # of a picture whose colours are converted at once
 DARKEST = 0.02  # luminance below which a patch weighs no more
 
 
@@ -68,6 +69,10 @@ def exposure_scale(linear_e: Float32Array, matrix: FloatArray) -> float:
 
 def to_srgb(linear_e: Float32Array, matrix: FloatArray, scale: float) -> Float32Array:
     """Display values 0..1 of linear camera colours [h, w, 3]: matrix, exposure, clip, sRGB curve (IEC 61966-2-1)."""
-    linear = np.clip(linear_e @ (scale * matrix.T).astype(np.float32), 0, 1)
-    curved = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** np.float32(1 / 2.4) - 0.055)
-    return curved.astype(np.float32)
+    to_linear = (scale * matrix.T).astype(np.float32)
+    curved = np.empty(linear_e.shape, np.float32)
+    for start in range(0, len(linear_e), STRIP_ROWS):  # large frames: no second and third copy of the whole
+        linear = np.clip(linear_e[start : start + STRIP_ROWS] @ to_linear, 0, 1)
+        curve = 1.055 * linear ** np.float32(1 / 2.4) - 0.055
+        curved[start : start + STRIP_ROWS] = np.where(linear <= 0.0031308, 12.92 * linear, curve)
+    return curved

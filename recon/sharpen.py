@@ -36,15 +36,14 @@ PASSES = ((INFRARED, None), (COLOURS, INFRARED), (COLOURS, COLOURS))  # what is 
 
 
 def sharpen(
-    image: Float32Array,
-    infrared: Float32Array,
+    stack: Float32Array,
     level: Float32Array,
     kernels: NDArray,
     noise_e: NDArray,
     settings: Settings,
     phases: Phases | None = None,
 ) -> Float32Array:
-    """All-in-focus colours [h, w, 3] from linear ones without infrared, infrared, and their level map.
+    """All-in-focus colours [h, w, 3] from linear ones without infrared and infrared, [4, h, w], and their level map.
 
     ``kernels`` [level, channel, size, size] blur R, G, B without infrared (:func:`visible_kernels`) and IR,
     ``noise_e`` [channel] is the noise's standard deviation. A pixel takes its value between the two nearest
@@ -62,7 +61,6 @@ def sharpen(
     nodes = layers.levels_of_nodes(len(kernels))
     transfers, reach_px = layers.transfers(kernels, nodes)
     position = np.interp(level, nodes, np.arange(len(nodes))).astype(np.float32)
-    stack = np.ascontiguousarray(np.concatenate([np.moveaxis(image, -1, 0), infrared[None]]), np.float32)
     tiles = list(layers.tiles(position, reach_px))
     noise = np.maximum(np.asarray(noise_e, np.float32), np.float32(1e-3))
     draft = _draft(stack, tiles, transfers, noise)
@@ -141,15 +139,16 @@ def _prior_scale(draft: Float32Array, noise: Float32Array, position: Float32Arra
     takes from the whole frame's mean what it lacks.
     """
     power = deconvolution.PRIOR_POWER
-    unit = noise[:, None, None]
-    steps = np.zeros_like(draft)
-    for axis in (1, 2):
-        steps += np.abs(np.diff(draft, axis=axis, append=np.take(draft, [-1], axis)) / unit) ** power / 2
-    nearest = np.rint(position).astype(int).ravel()
+    nearest = np.rint(position).astype(np.intp).ravel()
     count = np.bincount(nearest, minlength=nodes)
-    sums = np.stack([np.bincount(nearest, plane.ravel(), minlength=nodes) for plane in steps], axis=1)
-    spread = (sums + ENOUGH_PX * steps.mean(axis=(1, 2))) / (count[:, None] + ENOUGH_PX)
-    return (1 / (power * np.maximum(spread, 1e-6))).astype(np.float32)
+    kappa = np.empty((nodes, len(draft)), np.float32)
+    for index, (plane, unit) in enumerate(zip(draft, noise, strict=True)):
+        steps = np.zeros_like(plane)
+        for axis in (0, 1):
+            steps += np.abs(np.diff(plane, axis=axis, append=np.take(plane, [-1], axis)) / unit) ** power / 2
+        spread = (np.bincount(nearest, steps.ravel(), nodes) + ENOUGH_PX * steps.mean()) / (count + ENOUGH_PX)
+        kappa[:, index] = 1 / (power * np.maximum(spread, 1e-6))
+    return kappa
 
 
 def _deconvolved(

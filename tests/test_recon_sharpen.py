@@ -64,7 +64,7 @@ def kernels():
 
 def sharpened(image, level, **settings):
     changed = PAPER.model_copy(update=settings)
-    return sharpen.sharpen(image[..., :3], image[..., 3], level, kernels(), np.full(4, NOISE_E), changed)
+    return sharpen.sharpen(np.moveaxis(image, -1, 0), level, kernels(), np.full(4, NOISE_E), changed)
 
 
 def decibel(image, truth):
