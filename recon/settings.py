@@ -13,7 +13,7 @@ from dasim.specification import Specification, parse_toml
 
 
 class Settings(Specification):
-    """Settings of :func:`recon.reconstruct`; the defaults are the preset ``PAPER``."""
+    """Settings of :func:`recon.reconstruct`; its own defaults are the preset ``PAPER``."""
 
     side: Literal["near"] = Field(default="near", description="side of the focal plane that depths are on")
 
@@ -68,6 +68,10 @@ PRESETS = {
 }
 
 
+DEFAULT_PRESET = "bands"  # the best on scenes, and the paper's in all but the scores of levels
+DEFAULT = PRESETS[DEFAULT_PRESET]
+
+
 def preset(name: str) -> Settings:
     """The settings of a preset; InputError for an unknown name."""
     if name not in PRESETS:
@@ -76,10 +80,10 @@ def preset(name: str) -> Settings:
 
 
 def chosen(name: str | None, file: Path | None) -> Settings:
-    """The settings of a preset or of a TOML file; the paper's where neither is given."""
+    """The settings of a preset or of a TOML file; DEFAULT's where neither is given."""
     if name is not None and file is not None:
         raise InputError("--preset and --settings both say the settings; give one")
-    return parse_toml(Settings, file) if file is not None else preset(name or "paper")
+    return parse_toml(Settings, file) if file is not None else preset(name or DEFAULT_PRESET)
 
 
 def preset_name(settings: Settings) -> str | None:
