@@ -63,7 +63,7 @@ PRESETS = {
     "paper": PAPER,
     "likelihood": Settings(score="likelihood"),  # the paper's with levels scored by likelihood instead of NCC
     # the paper's with levels from transfers band by band, of red too, in patches that follow the surface
-    "bands": Settings(score="bands", window_px=51, alike=True, edge_snr=0.0, fallback=False, least_confidence=0.6),
+    "bands": Settings(score="bands", window_px=35, alike=True, edge_snr=0.0, fallback=False, least_confidence=0.6),
     "chakrabarti-zickler": Settings(score="colour-line"),  # the closest prior work on the same bank and windows
 }
 
