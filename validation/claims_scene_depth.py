@@ -28,9 +28,9 @@ def depth(progress: Progress) -> Evidence:
     Rationale: Fig. 1(b), 8(c,d) and 11(c), measured: the staircase has one texture and no boundaries, scenes have.
 
     Set-up: the bundled scenes desk, flowers and adam, 512 x 384 px, da-mobile focused as the scene proposes, seed 0,
-    160 samples a pixel and stop: rendering noise is a fifth to a third of the sensor's. Reconstructed with a bank calibrated for the camera and focus; presets bands (the limits),
-    paper and chakrabarti-zickler (reported beside). Pixels behind the focal plane, which one picture cannot tell
-    from those before it, are left out. Textured pixels are those to which the reconstruction itself gave a raw
+    160 samples a pixel and stop. Reconstructed with a bank calibrated for the camera and focus; presets bands (the
+    limits), paper and chakrabarti-zickler (reported beside). Pixels behind the focal plane, which one picture cannot
+    tell from those before it, are left out. Textured pixels are those to which the reconstruction itself gave a raw
     level; their share is reported.
 
     Expectation: median absolute error of the raw levels of textured pixels away from boundaries, and of the regularised
