@@ -294,7 +294,7 @@ def recon(
         gain: of a raw file, analogue, a factor on the camera's own; 1 by default
         focus: of a raw file, focus distance in metres; the camera's own by default
         bank: a PSF bank; by default one is calibrated for the capture's camera and focus, and kept in the cache
-        preset: paper (the default), likelihood or chakrabarti-zickler
+        preset: bands (the default), paper, likelihood or chakrabarti-zickler
         settings: a TOML file with settings that differ from the paper's preset, as --print-settings writes it
         print_settings: print the settings as TOML, with what each means, and end
         flat: a capture of an even surface that fills the frame, to undo the lens shading in the pictures; of the same

@@ -11,10 +11,11 @@ from recon.pipeline import develop, reconstruct
 from recon.psf_bank import calibrate
 from recon.raw_files import load_raw
 from recon.refocus import refocus
-from recon.settings import PAPER, PRESETS, Settings
+from recon.settings import DEFAULT, PAPER, PRESETS, Settings
 from recon.shading import check as check_flat
 
 __all__ = [
+    "DEFAULT",
     "PAPER",
     "PRESETS",
     "Settings",

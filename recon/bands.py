@@ -32,9 +32,9 @@ Float32Array = NDArray[np.float32]
 Complex64Array = NDArray[np.complex64]
 FloatArray = NDArray[np.float64]
 
-BANDS = 7  # a ring's impulse response reaches about 1 / width: 36 px, as the patch; narrower ones smear over objects
+BANDS = 7  # a ring's impulse response reaches about 1 / width: 33 px, as the patch; narrower ones smear over objects
 LOWEST_CYCLES_PX = 0.025  # below, shading differs between channels
-HIGHEST_CYCLES_PX = 0.22  # beyond, green of a mosaic is aliased near focus
+HIGHEST_CYCLES_PX = 0.235  # beyond, green of a mosaic is aliased near focus
 GUIDE_BLUR_PX = 4.0  # of the planes, whose ratio tells materials apart
 UNLIKE = 0.12  # in the logarithm of that ratio: weight exp(-1/2)
 TAP_PX = 8  # between the samples of a patch; each is a mean itself, of TAP_BLUR taps

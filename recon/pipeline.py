@@ -19,7 +19,7 @@ from dasim.spectra import CHANNELS
 from dasim.values import Capture, Developed, PsfBank, Reconstruction
 from recon import colour, denoise, depth, infrared, mosaic, picture, sharpen, tiles
 from recon.regularise import regularise
-from recon.settings import PAPER, Settings
+from recon.settings import DEFAULT, PAPER, Settings
 
 Float32Array = NDArray[np.float32]
 Progress = Callable[[str, float], None]
@@ -39,7 +39,7 @@ FOCUS_TOLERANCE = 0.01  # relative, in dioptres, between bank and capture
 def reconstruct(
     capture: Capture,
     bank: PsfBank,
-    settings: Settings = PAPER,
+    settings: Settings = DEFAULT,
     *,
     flat: Capture | None = None,
     progress: Progress | None = None,

@@ -13,7 +13,7 @@ from dasim.specification import Specification, parse_toml
 
 
 class Settings(Specification):
-    """Settings of :func:`recon.reconstruct`; the defaults are the preset ``PAPER``."""
+    """Settings of :func:`recon.reconstruct`; its own defaults are the preset ``PAPER``."""
 
     side: Literal["near"] = Field(default="near", description="side of the focal plane that depths are on")
 
@@ -65,9 +65,13 @@ PRESETS = {
     "paper": PAPER,
     "likelihood": Settings(score="likelihood"),  # the paper's with levels scored by likelihood instead of NCC
     # the paper's with levels from transfers band by band, of red too, in patches that follow the surface
-    "bands": Settings(score="bands", window_px=51, alike=True, edge_snr=0.0, fallback=False, least_confidence=0.6),
+    "bands": Settings(score="bands", window_px=35, alike=True, edge_snr=0.0, fallback=False, least_confidence=0.6),
     "chakrabarti-zickler": Settings(score="colour-line"),  # the closest prior work on the same bank and windows
 }
+
+
+DEFAULT_PRESET = "bands"  # the best on scenes, and the paper's in all but the scores of levels
+DEFAULT = PRESETS[DEFAULT_PRESET]
 
 
 def preset(name: str) -> Settings:
@@ -78,10 +82,10 @@ def preset(name: str) -> Settings:
 
 
 def chosen(name: str | None, file: Path | None) -> Settings:
-    """The settings of a preset or of a TOML file; the paper's where neither is given."""
+    """The settings of a preset or of a TOML file; DEFAULT's where neither is given."""
     if name is not None and file is not None:
         raise InputError("--preset and --settings both say the settings; give one")
-    return parse_toml(Settings, file) if file is not None else preset(name or "paper")
+    return parse_toml(Settings, file) if file is not None else preset(name or DEFAULT_PRESET)
 
 
 def preset_name(settings: Settings) -> str | None:

@@ -246,10 +246,10 @@ def test_recon_of_a_raw_file_equals_that_of_its_capture(here, capfd):
     assert run([*raw, "--exposure", exposure, "--out", "plain"]) == 0
     np.testing.assert_array_equal(load_reconstruction(here / "plain").level, load_reconstruction(here / "result").level)
     about = json.loads((here / "plain" / "meta.json").read_text())
-    assert (about["preset"], about["light"]) == ("paper", "D55")
+    assert (about["preset"], about["light"]) == ("bands", "D55")
     assert about["bank"] == bank_identity(load_bank(here / "bank.npz"))
     assert set(about["timings_s"]) >= {"denoise", "depth", "sharpen"}
-    assert Settings.model_validate(about["settings"]) == PRESETS["paper"]
+    assert Settings.model_validate(about["settings"]) == PRESETS["bands"]
 
 
 def test_stereo_pictures_and_surfaces_beside_the_result(here):

@@ -77,7 +77,7 @@ def test_everything_is_finite_and_in_range(result):
         image = getattr(result, name)
         assert image.dtype == np.float32 and np.isfinite(image).all() and image.min() >= 0, name
     assert result.rgb.max() <= 1 and result.sharp_rgb.max() <= 1 and result.confidence.max() <= 1
-    assert result.settings == recon.PAPER.model_dump()
+    assert result.settings == recon.DEFAULT.model_dump()
 
 
 def test_the_simulator_cannot_leak_into_the_estimate(scene, result):

@@ -17,7 +17,7 @@ def test_printed_settings_are_read_back(tmp_path, name):
 
 
 def test_presets_are_chosen_by_name(tmp_path):
-    assert known.chosen(None, None) == PRESETS["paper"]
+    assert known.chosen(None, None) == PRESETS["bands"]
     assert known.chosen("chakrabarti-zickler", None) == PRESETS["chakrabarti-zickler"]
     with pytest.raises(InputError, match="'mine' is unknown; allowed are paper, "):
         known.chosen("mine", None)

@@ -63,7 +63,7 @@ def recon_speed(progress: Progress) -> Evidence:
 
     Set-up: 2048 x 1536 pixels of da-mobile with sensor noise: a photograph in eight bands, each blurred with the
     bank's kernels of its own level, 2 to 23, so that every stage has work everywhere. The bank is ready, what is
-    compiled is in the cache. A process of its own, the whole pipeline with the paper's preset, without files.
+    compiled is in the cache. A process of its own, the whole pipeline with the default preset, without files.
 
     Expectation: reported in seconds of this computer, which is what was free of it: run alone. Beside it the total
     in units of one real two-dimensional Fourier transform of the frame on one core in the same process.
