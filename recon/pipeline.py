@@ -32,7 +32,9 @@ FALLBACK_TRUST = 0.25  # of red or blue in place of infrared: their blur differs
 FAR_LIGHT = 1.0  # in log-chromaticity: D65 and A are 1.46 apart, photographs within 0.5 of their own light
 INTERPOLATED_NOISE_SHARE = 0.7  # of the sensor's noise that interpolation leaves, standard deviation
 GRAINY_LEVEL = 3.0  # from here on, deconvolution starts from the picture before noise reduction alone
-CERTAIN = 0.05  # confidence below which the picture fades to that captured: there the level is a guess
+DOUBT = 0.5  # of the spread of raw levels, taken off for deconvolution: too wide a kernel harms more than a narrow
+DOUBT_BLOCKS = 12.0  # sigma of the window of that spread
+CERTAIN = 0.02  # confidence below which the picture fades to that captured: there the level is a guess
 FOCUS_TOLERANCE = 0.01  # relative, in dioptres, between bank and capture
 
 
@@ -74,10 +76,13 @@ def reconstruct(
         kernels = sharpen.visible_kernels(bank.kernel[light], white, separation)
         noise_e = sharpen.visible_noise(_noise_e(variances), separation)
         grainy_e, grainy_ir_e = _grainy(capture, bank, settings, flat)
-        grain = np.clip(level / GRAINY_LEVEL, 0, 1)  # in focus, noise reduction does better than deconvolution's prior
+        careful = np.maximum(level - DOUBT * _doubt(raw_level, smooth, level.shape), 0)
+        grain = np.clip(
+            careful / GRAINY_LEVEL, 0, 1
+        )  # in focus, noise reduction does better than deconvolution's prior
         colours_e = linear_e + grain[..., None] * (grainy_e - linear_e)
         near_e = ir_e + grain * (grainy_ir_e - ir_e)
-        found = sharpen.sharpen(colours_e, near_e, level, kernels, noise_e, settings, mosaic.sole_phases(camera))
+        found = sharpen.sharpen(colours_e, near_e, careful, kernels, noise_e, settings, mosaic.sole_phases(camera))
         confidence = _upsampled(evidence, *level.shape)
         certain = np.clip(confidence / CERTAIN, 0, 1) * sharpen.away_from(
             np.any(clipped, axis=-1, keepdims=True)[..., 0]
@@ -295,6 +300,14 @@ def _grainy(
     clipped, white = picture.clipped(image.saturated, capture.camera), bank.signature[image.light]
     assert image.ir_e is not None
     return picture.without_infrared(image.full_e, image.ir_e, separation, clipped, white), image.ir_e
+
+
+def _doubt(raw: Float32Array, smooth: Float32Array, shape: tuple[int, ...]) -> Float32Array:
+    """Spread of the raw levels [h/2, w/2] around the regularised ones, root mean square in a window, at every pixel."""
+    known = np.isfinite(raw).astype(np.float32)
+    square = np.where(known > 0, (raw - smooth) ** 2, 0).astype(np.float32)
+    mean, share = (cv2.GaussianBlur(a, (0, 0), DOUBT_BLOCKS) for a in (square, known))
+    return _upsampled(np.sqrt(mean / np.maximum(share, np.float32(1e-3))), shape[0], shape[1])
 
 
 def _noise_e(variances: dict[str, Float32Array]) -> NDArray:
