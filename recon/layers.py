@@ -25,7 +25,7 @@ DENSE_LEVELS, SPARSE_STEP = 6, 2  # every level up to here is deconvolved, then 
 RARE_SHARE = 0.005  # of a tile's pixels: a level with fewer leaves them to its neighbours
 LEVEL_DEVIATION = 0.6  # standard deviation of the level map, and of what lies between two levels
 SPREAD_LEVELS = np.sqrt(3.0) * LEVEL_DEVIATION  # outer places of Gauss and Hermite's rule
-KEPT_TRANSFERS = 96
+KEPT_TRANSFERS = 48
 
 
 @dataclass(frozen=True)

@@ -78,7 +78,7 @@ def reconstruct(
     with stage("sharpen"):
         kernels = sharpen.visible_kernels(bank.kernel[light], white, separation)
         stack = _grainy(capture, bank, settings, flat)
-        grain = np.clip(level / GRAINY_LEVEL, 0, 1)  # in focus, noise reduction does better than deconvolution's prior
+        grain = np.clip(level / GRAINY_LEVEL, 0, 1)  # in focus, noise reduction does better than the prior
         for index, smooth_e in enumerate((*np.moveaxis(linear_e, -1, 0), ir_e)):
             stack[index] = smooth_e + grain * (stack[index] - smooth_e)
         sharp_e = sharpen.sharpen(stack, level, kernels, noise_e, settings, mosaic.sole_phases(camera))

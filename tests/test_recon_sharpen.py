@@ -13,7 +13,11 @@ from recon.settings import PAPER
 NOISE_E = 10.0
 KERNEL_MISFIT = 0.06  # of the bank's 3 % in encircled energy, counted on both sides
 SEAM_NOISE_SHARE = 0.5
-RIM_PX = 64
+SEAM_RIM_PX = 64
+RIM_PX = 12
+RIM_FACTOR = 1.5  # the rim's texture is another than the middle's, and half its blur lies outside the frame
+EDGE_PX = 16
+EDGE_FACTOR = 2.0  # what replacing the other side's light gains at least; it is 4.6
 
 
 def test_shrinkage_is_the_minimum():
@@ -132,7 +136,7 @@ def test_tiles_leave_no_seams(monkeypatch):
     tiled = sharpened(image, level)
     monkeypatch.setattr(layers, "TILE_PX", 4096)
     whole = sharpened(image, level)
-    inner, rim = slice(RIM_PX, -RIM_PX), slice(0, RIM_PX // 2)
+    inner, rim = slice(SEAM_RIM_PX, -SEAM_RIM_PX), slice(0, SEAM_RIM_PX // 2)
     assert np.sqrt(np.mean((tiled - whole)[inner, inner] ** 2)) < SEAM_NOISE_SHARE * NOISE_E
     errors = [np.sqrt(np.mean((found - truth[..., :3])[rim] ** 2)) for found in (tiled, whole)]
     assert errors[0] == pytest.approx(errors[1], rel=0.02)
@@ -145,3 +149,80 @@ def test_transfer_of_a_kernel_is_its_dft():
     padded[:9, :9] = kernel
     reference = np.fft.rfft2(np.roll(padded, (-4, -4), (0, 1)))
     np.testing.assert_allclose(fourier.transfer(kernel, (32, 40)), reference, atol=1e-4)
+
+
+def test_samples_alias_as_spectra_fold():
+    """The transform of every second pixel is the mean of four frequencies of the whole, and back."""
+    picture = np.random.default_rng(0).standard_normal((2, 24, 32)).astype(np.float32)
+    phases = [(1, 0), (0, 1)]
+    factors = deconvolution._phase_factors(phases, (24, 32))
+    folded = deconvolution._folded(fourier.forward(picture) * factors)
+    alone = np.zeros_like(picture)
+    for place, (y, x) in enumerate(phases):
+        np.testing.assert_allclose(folded[place], np.fft.rfft2(picture[place, y::2, x::2]), atol=1e-4)
+        alone[place, y::2, x::2] = picture[place, y::2, x::2]
+    back = np.conj(factors) * deconvolution._unfolded(folded)
+    np.testing.assert_allclose(back, np.fft.rfft2(alone), atol=1e-4)
+
+
+def test_deconvolution_of_samples_is_the_least_squares_solution():
+    """A step from small gradients, all shrunk to 0, against a dense system of blur, samples and differences."""
+    generator = np.random.default_rng(2)
+    picture = (5 + generator.standard_normal((1, 8, 12))).astype(np.float32)
+    kernel = generator.random((3, 3)).astype(np.float32)
+    kernel /= kernel.sum()
+    kappa, phase = 3.0, (1, 0)
+    transfer = fourier.transfer(kernel[None], (8, 12))
+    found = deconvolution.half_quadratic_samples(picture, [phase], transfer, np.array([kappa]), 1)
+    pixels = np.eye(96).reshape(96, 8, 12)
+    shifts = [(dy, dx, kernel[dy + 1, dx + 1]) for dy in (-1, 0, 1) for dx in (-1, 0, 1)]
+    blur = sum(w * np.roll(pixels, (dy, dx), (1, 2)) for dy, dx, w in shifts)
+    sampled = blur[:, phase[0] :: 2, phase[1] :: 2].reshape(96, -1).T
+    steps = [(np.roll(pixels, -1, axis) - pixels).reshape(96, -1).T for axis in (1, 2)]
+    beta = deconvolution.BETA_FIRST * kappa
+    system = np.concatenate([sampled, *(np.sqrt(beta) * step for step in steps)])
+    data = np.concatenate([picture[0, phase[0] :: 2, phase[1] :: 2].ravel(), np.zeros(192)])
+    exact = np.linalg.lstsq(system, data)[0].reshape(8, 12)
+    np.testing.assert_allclose(found[0], exact, atol=2e-4)
+
+
+def rim_and_middle(level_value):
+    """Errors (rim, middle) of a picture that is bright to one side and dark to the other, root mean square."""
+    level = np.full((160, 224), level_value, np.float32)
+    image, truth = captured(level)
+    ramp = np.linspace(0.3, 1.5, 224, dtype=np.float32)[:, None]
+    result = sharpened(image * ramp, level) - (truth * ramp)[..., :3]
+    rim = np.ones(level.shape, bool)
+    rim[RIM_PX:-RIM_PX, RIM_PX:-RIM_PX] = False
+    return np.sqrt(np.mean(result[rim] ** 2)), np.sqrt(np.mean(result[~rim] ** 2))
+
+
+def test_no_ringing_at_the_frames_border(monkeypatch):
+    """The border's rim is about as true as the middle; a periodic frame, whose opposite sides differ, is not."""
+    rim, middle = rim_and_middle(6.0)
+    assert rim < RIM_FACTOR * middle
+    monkeypatch.setattr(fourier, "pad_blended", periodic)
+    rim, middle = rim_and_middle(6.0)
+    assert rim > RIM_FACTOR * middle
+
+
+def periodic(image, shape):
+    return np.pad(image, [(0, n - m) for n, m in zip(shape, image.shape, strict=True)], "wrap").astype(np.float32)
+
+
+def edge_error():
+    """Root mean square error on both sides of a step of depth, and that of the capture."""
+    level = np.where(np.arange(224) < 112, 2.0, 12.0)[None, :].repeat(160, 0).astype(np.float32)
+    image, truth = captured(level)
+    near = (slice(16, -16), slice(112 - EDGE_PX, 112 + EDGE_PX))
+    before, after = (a[near][..., :3] - truth[near][..., :3] for a in (image, sharpened(image, level)))
+    return np.sqrt(np.mean(after**2)), np.sqrt(np.mean(before**2))
+
+
+def test_no_ringing_at_depth_edges(monkeypatch):
+    """Across a step of ten levels the picture gains; with the other side left as it is in each layer, it rings."""
+    after, before = edge_error()
+    assert after < before
+    monkeypatch.setattr(sharpen, "FEATHER_LEVELS", 1e6)
+    ringing, _ = edge_error()
+    assert ringing > EDGE_FACTOR * after

@@ -14,7 +14,7 @@ from validation.claims_resolution import depth_resolution
 from validation.claims_sampling import desk_noise, noise_slope_off, noise_slope_wave, render_cost
 from validation.claims_scene_depth import depth
 from validation.claims_scenes import interreflection, registration, scenes_speed
-from validation.claims_sharp import all_in_focus
+from validation.claims_sharp import all_in_focus, refocus
 from validation.claims_speed import recon_speed
 from validation.validate import Measurement
 
@@ -48,4 +48,5 @@ CLAIMS = {
     "recon-speed": Measurement(recon_speed, quick=False, alone=True),
     "depth": Measurement(depth, quick=False),
     "all-in-focus": Measurement(all_in_focus, quick=False),
+    "refocus": Measurement(refocus, quick=False),
 }
