@@ -115,14 +115,15 @@ def test_frames_without_texture_end_with_no_confidence(fill):
 def test_patches_end_where_the_material_does():
     """Energies of 1 and 100 on two halves whose ratio of channels differs: each half keeps its own.
 
-    What leaks comes through the blur of the taps alone (2.4 samples): at 4 to 8 samples from the border less than half
-    of what the plain patch (5 samples) takes over, and the far half is untouched.
+    What leaks comes through the blur of the taps alone (2.4 samples): at the border less than half of what the plain
+    patch (5 samples) takes over, and nothing far from it.
     """
     left = np.arange(96) < 48
     stack = np.where(left, 1, 100).astype(np.float32) * np.ones((1, 64, 96), np.float32)
     likeness = np.where(left, 0, 10).astype(np.float32) * np.ones((1, 64, 96), np.float32)
     apart = bands._means(stack, BANDS, 2.0, likeness)[0]
     mixed = bands._means(stack, BANDS, 2.0, None)[0]
-    assert ((apart - 1)[:, 40:44] < 0.5 * (mixed - 1)[:, 40:44]).all()
+    assert ((apart - 1)[:, 44:48] < 0.5 * (mixed - 1)[:, 44:48]).all()
+    assert ((100 - apart)[:, 48:52] < 0.5 * (100 - mixed)[:, 48:52]).all()
     np.testing.assert_allclose(apart[:, :24], 1, rtol=0.01)
     np.testing.assert_allclose(apart[:, 72:], 100, rtol=0.01)
