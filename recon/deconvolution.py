@@ -90,26 +90,85 @@ def half_quadratic_samples(
     theorem 1, with the image's differences instead of the image).
     """
     shape = (image.shape[-2], image.shape[-1])
-    gradient = gradient_power(shape).copy()
-    gradient[0, 0] = MEAN_GRADIENT
-    seen = transfer * _phase_factors(phases, shape)
+    whiten = _inverse_gradient(shape)
+    seen = transfer * _phase_factors(tuple(phases), shape)
     data = fourier.forward(np.stack([plane[y::2, x::2] for plane, (y, x) in zip(image, phases, strict=True)]), 1)
-    passed = _folded(np.abs(seen) ** 2 / gradient)
-    weight = np.float32(1) if trust is None else 1 / (1 + _folded(1 / trust - 1))
-    back = np.conj(seen) / gradient
+    passed = np.empty(data.shape, np.float32)
+    _fold((seen.real**2 + seen.imag**2) * whiten, passed)
+    weight: Float32Array = np.ones_like(passed)
+    if trust is not None:
+        _fold(1 / trust - 1, weight)
+        weight = np.asarray(1 / (1 + weight), np.float32)
     none = np.zeros((image.shape[0], 1, 1), np.float32)
     wanted_x, wanted_y = expected or (none, none)
     pull, scale, factor, result = np.empty_like(image), np.empty(len(image), np.float32), BETA_FIRST, image
     for _ in range(steps):
         scale[:] = _scale(kappa, factor)
         _shrunk_divergence(result, wanted_x, wanted_y, shrink_table(), scale, np.float32(TABLE_LIMIT), pull)
-        beta = (factor * np.asarray(kappa, np.float32))[:, None, None]
-        prior = fourier.forward(pull, 1) / gradient
-        prior[:, 0, 0] = 0
-        misfit = weight * (data - _folded(seen * prior)) / (beta + weight * passed)
-        result = fourier.inverse(prior + back * _unfolded(misfit), shape, 1)
+        beta = (factor * np.asarray(kappa)).astype(np.float32)
+        spectrum = fourier.forward(pull, 1)
+        _solve(spectrum, seen, whiten, data, weight, passed, beta, np.empty_like(data))
+        result = fourier.inverse(spectrum, shape, 1)
         factor *= BETA_GROWTH
     return result
+
+
+@njit(cache=True, nogil=True)
+def _fold(power: Float32Array, out: Float32Array) -> None:  # pragma: no cover - compiled
+    """Mean over the four frequencies that alias on every second sample, [c, h, w/2 + 1] -> [c, h/2, w/4 + 1].
+
+    Of powers, which are the same at opposite frequencies.
+    """
+    channels, height, width = out.shape
+    last = power.shape[2] - 1
+    for c in range(channels):
+        for y in range(height):
+            mirror = (height - y) % height
+            for x in range(width):
+                near = power[c, y, x] + power[c, y + height, x]
+                out[c, y, x] = (near + power[c, mirror, last - x] + power[c, mirror + height, last - x]) / 4
+
+
+@njit(cache=True, nogil=True)
+def _solve(  # pragma: no cover - compiled
+    spectrum: Complex64Array,
+    seen: Complex64Array,
+    whiten: Float32Array,
+    data: Complex64Array,
+    weight: Float32Array,
+    passed: Float32Array,
+    beta: Float32Array,
+    misfit: Complex64Array,
+) -> None:
+    """The quadratic problem in place: from the transform of D^T w to that of f, [c, h, w/2 + 1].
+
+    f = p + conj(S) / |D|^2 A^T q with p = D^T w / |D|^2, q = (data - A S p) / (beta / weight + A |S|^2 / |D|^2), where
+    S blurs and shifts to the samples and A adds up the frequencies that alias there.
+    """
+    channels, half, width = data.shape
+    height, last = 2 * half, spectrum.shape[2] - 1
+    for c in range(channels):
+        here, passing = spectrum[c], seen[c]
+        for y in range(height):
+            for x in range(last + 1):
+                here[y, x] *= whiten[y, x]
+        here[0, 0] = 0
+        for y in range(half):
+            mirror = (half - y) % half
+            for x in range(width):
+                far = last - x
+                near = here[y, x] * passing[y, x] + here[y + half, x] * passing[y + half, x]
+                other = here[mirror, far] * passing[mirror, far]
+                other += here[mirror + half, far] * passing[mirror + half, far]
+                found = data[c, y, x] - (near + np.conj(other)) * np.float32(0.25)
+                misfit[c, y, x] = found * (weight[c, y, x] / (beta[c] + weight[c, y, x] * passed[c, y, x]))
+        for y in range(height):
+            row = y % half
+            mirror = (half - row) % half
+            for x in range(width):
+                here[y, x] += np.conj(passing[y, x]) * misfit[c, row, x] * whiten[y, x]
+            for x in range(width, last + 1):
+                here[y, x] += np.conj(passing[y, x] * misfit[c, mirror, last - x]) * whiten[y, x]
 
 
 def _scale(kappa: NDArray, factor: float) -> NDArray:
@@ -117,28 +176,19 @@ def _scale(kappa: NDArray, factor: float) -> NDArray:
     return factor ** (-1 / (2 - PRIOR_POWER)) * (np.mean(kappa) / np.asarray(kappa)) ** (1 / PRIOR_POWER)
 
 
-def _phase_factors(phases: Sequence[Phase], shape: tuple[int, int]) -> Complex64Array:
+@lru_cache(maxsize=16)
+def _phase_factors(phases: tuple[Phase, ...], shape: tuple[int, int]) -> Complex64Array:
     """Shift theorem's factors [channel, h, w/2 + 1] that bring each channel's first sample to the origin."""
     fy, fx = fourier.frequencies(shape)
     return np.stack([np.exp(2j * np.pi * (fy * y + fx * x)) for y, x in phases]).astype(np.complex64)
 
 
-def _folded(spectrum: NDArray) -> NDArray:
-    """Mean over the four frequencies that alias on every second sample, [..., h, w/2 + 1] -> [..., h/2, w/4 + 1]."""
-    height, width = spectrum.shape[-2], 2 * (spectrum.shape[-1] - 1)
-    rows = spectrum[..., : height // 2, :] + spectrum[..., height // 2 :, :]
-    return (rows[..., : width // 4 + 1] + _mirrored(rows)[..., : width // 4 + 1]) / 4
-
-
-def _unfolded(spectrum: NDArray) -> NDArray:
-    """The spectrum of every second sample, repeated, [..., h/2, w/4 + 1] -> [..., h, w/2 + 1]."""
-    rows = np.concatenate([spectrum, _mirrored(spectrum)[..., 1:]], axis=-1)
-    return np.concatenate([rows, rows], axis=-2)
-
-
-def _mirrored(half: NDArray) -> NDArray:
-    """Values at (-fy, highest fx - fx), conjugate: a real signal's at (fy, fx - highest)."""
-    return np.conj(np.roll(half[..., ::-1, ::-1], 1, axis=-2))
+@lru_cache(maxsize=16)
+def _inverse_gradient(shape: tuple[int, int]) -> Float32Array:
+    """1 / (|D_x|^2 + |D_y|^2), finite at frequency 0."""
+    gradient = gradient_power(shape).copy()
+    gradient[0, 0] = MEAN_GRADIENT
+    return np.asarray(1 / gradient, np.float32)
 
 
 def data_trust(variance: Float32Array, steps: NDArray, shape: tuple[int, int]) -> Float32Array:

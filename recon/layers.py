@@ -17,12 +17,12 @@ Shape = tuple[int, int]
 Transfers = Callable[[int, Shape], tuple[Complex64Array, Float32Array]]
 
 TILE_PX = 256
-MARGIN_PX = 16  # beyond the kernels' reach: deconvolution rings out over some pixels more
+MARGIN_PX = 8  # beyond the kernels' reach: deconvolution rings out over some pixels more
 STRIP_PX = 8  # beyond the reach: a longer strip says more than is known of what lies outside the picture
 REACH_STEP_PX = 8  # reaches are rounded up to these, so that tiles share transfer functions
 KERNEL_SHARE = 0.98  # of a kernel's energy within its reach; what lies beyond is mostly the calibration's noise
 DENSE_LEVELS, SPARSE_STEP = 6, 2  # every level up to here is deconvolved, then each second one
-RARE_SHARE = 0.005  # of a tile's pixels: a level with fewer leaves them to its neighbours
+RARE_SHARE = 0.02  # of a tile's pixels: a level with fewer leaves them to its neighbours
 LEVEL_DEVIATION = 0.6  # standard deviation of the level map, and of what lies between two levels
 SPREAD_LEVELS = np.sqrt(3.0) * LEVEL_DEVIATION  # outer places of Gauss and Hermite's rule
 KEPT_TRANSFERS = 48

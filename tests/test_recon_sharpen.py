@@ -151,27 +151,14 @@ def test_transfer_of_a_kernel_is_its_dft():
     np.testing.assert_allclose(fourier.transfer(kernel, (32, 40)), reference, atol=1e-4)
 
 
-def test_samples_alias_as_spectra_fold():
-    """The transform of every second pixel is the mean of four frequencies of the whole, and back."""
-    picture = np.random.default_rng(0).standard_normal((2, 24, 32)).astype(np.float32)
-    phases = [(1, 0), (0, 1)]
-    factors = deconvolution._phase_factors(phases, (24, 32))
-    folded = deconvolution._folded(fourier.forward(picture) * factors)
-    alone = np.zeros_like(picture)
-    for place, (y, x) in enumerate(phases):
-        np.testing.assert_allclose(folded[place], np.fft.rfft2(picture[place, y::2, x::2]), atol=1e-4)
-        alone[place, y::2, x::2] = picture[place, y::2, x::2]
-    back = np.conj(factors) * deconvolution._unfolded(folded)
-    np.testing.assert_allclose(back, np.fft.rfft2(alone), atol=1e-4)
-
-
-def test_deconvolution_of_samples_is_the_least_squares_solution():
+@pytest.mark.parametrize("phase", [(0, 0), (0, 1), (1, 0), (1, 1)])
+def test_deconvolution_of_samples_is_the_least_squares_solution(phase):
     """A step from small gradients, all shrunk to 0, against a dense system of blur, samples and differences."""
     generator = np.random.default_rng(2)
     picture = (5 + generator.standard_normal((1, 8, 12))).astype(np.float32)
     kernel = generator.random((3, 3)).astype(np.float32)
     kernel /= kernel.sum()
-    kappa, phase = 3.0, (1, 0)
+    kappa = 3.0
     transfer = fourier.transfer(kernel[None], (8, 12))
     found = deconvolution.half_quadratic_samples(picture, [phase], transfer, np.array([kappa]), 1)
     pixels = np.eye(96).reshape(96, 8, 12)
