@@ -344,6 +344,41 @@ def recon(
     return 0
 
 
+@app.command
+def refocus(
+    reconstruction: Path,
+    *,
+    depth: float,
+    out: Path,
+    f_number: float | None = None,
+    bank: Path | None = None,
+) -> int:
+    """Focus a reconstructed picture after the shot, at any depth and aperture.
+
+    Args:
+        reconstruction: a reconstruction folder
+        depth: distance in metres that becomes sharp
+        out: the picture to write, a PNG file; an earlier one is replaced
+        f_number: of the lens; the camera's own by default
+        bank: the PSF bank of the reconstruction; by default that of the camera's description
+    """
+    import recon as pipeline
+    from recon.output import displayed, load_reconstruction, write_picture
+    from validation.banks import simulated_bank
+
+    if out.suffix.lower() != ".png" or out.is_dir() or not out.resolve().parent.is_dir():
+        raise InputError(f"--out {out}: is not a PNG file in a folder that exists")
+    for option, value in (("--depth", depth), ("--f-number", f_number)):
+        if value is not None and not 0 < value < float("inf"):
+            raise InputError(f"{option} {value:g}: must be above 0")
+    found = load_reconstruction(reconstruction)
+    with _progress() as progress:
+        kernels = pipeline.load_bank(bank) if bank is not None else simulated_bank(found.camera, progress=progress)
+    write_picture(out, displayed(pipeline.refocus(found, kernels, depth, f_number), found))
+    print(f"picture: {out} (focused at {depth:g} m, f/{f_number or found.camera.lens.f_number:g})")
+    return 0
+
+
 def _bank(path: Path | None, shot: Capture, progress: Progress) -> PsfBank:
     """The bank of a file, or the one that the camera's own description gives."""
     from dasim.files import load_bank

@@ -12,11 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dasim.camera import Camera, intrinsic_matrix
+from dasim.colour import exposure_scale, to_srgb
 from dasim.errors import InputError
 from dasim.files import new_folder, software_versions
 from dasim.specification import parse
 from dasim.values import Developed, Reconstruction
-from recon import stereo, surface
+from recon import colour, infrared, stereo, surface
 from recon.settings import Settings, preset_name
 
 RECON_SCHEMA = 1
@@ -143,6 +144,13 @@ def _preset(settings: dict[str, Any]) -> str | None:
     return preset_name(Settings.model_validate(settings))
 
 
+def displayed(linear_e: NDArray[Any], result: Reconstruction) -> NDArray[np.float32]:
+    """Display values 0..1 of linear camera colours [h, w, 3], with the colours and the exposure of ``result.rgb``."""
+    separation = infrared.separation(result.camera, result.light, Settings(**result.settings))
+    matrix = colour.colour_matrix(result.camera, result.light, separation)
+    return to_srgb(np.asarray(linear_e, np.float32), matrix, exposure_scale(result.linear_e, matrix))
+
+
 def grey(image: NDArray[Any]) -> NDArray[np.float64]:
     """A linear picture as display grey 0..1: 99.5th percentile to white, gamma 2.2."""
     white = float(np.percentile(image, 99.5))
@@ -155,7 +163,9 @@ def write_picture(path: Path, image: NDArray[Any]) -> None:
     done, data = cv2.imencode(".png", encoded[..., ::-1] if encoded.ndim == 3 else encoded)
     if not done:
         raise OSError(f"{path}: the PNG encoder failed")
-    path.write_bytes(data.tobytes())
+    partial = path.with_name(f".{path.name}.partial")
+    partial.write_bytes(data.tobytes())
+    partial.replace(path)
 
 
 def _part(name: str, channels: dict[str, NDArray[Any]]) -> Any:
