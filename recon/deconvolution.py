@@ -16,7 +16,7 @@ Complex64Array = NDArray[np.complex64]
 Phase = tuple[int, int]
 
 PRIOR_POWER = 0.8  # eq. (16)
-BETA_FIRST, BETA_GROWTH = 0.02, 4.0  # of half-quadratic splitting (Krishnan and Fergus 2009, sec. 3, has 2 sqrt(2))
+BETA_FIRST, BETA_GROWTH = 0.03, 4.0  # of half-quadratic splitting (Krishnan and Fergus 2009, sec. 3, has 2 sqrt(2))
 TABLE_LIMIT, TABLE_SIZE = 64.0, 8193
 SMALLEST_GRADIENT = np.float32(1e-4)  # finite at frequency 0, where every kernel passes 1 and is certain
 MEAN_GRADIENT = np.float32(1e-6)  # at frequency 0, which differences do not see: the data alone decide there

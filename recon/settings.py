@@ -54,7 +54,7 @@ class Settings(Specification):
 
     # sec. 5.4
     sharpen_steps: int = Field(default=3, ge=1, le=50, description="iterations of half-quadratic splitting")
-    sharpen_strength: float = Field(default=8.0, gt=0, le=100, description="data weight of eq. (15), 1: the noise's")
+    sharpen_strength: float = Field(default=6.0, gt=0, le=100, description="data weight of eq. (15), 1: the noise's")
     sharpen_guide: bool = Field(
         default=True, description="eq. (16) about the gradients of sharp infrared, then of the mean"
     )
