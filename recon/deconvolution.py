@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import lru_cache
 
 import numpy as np
@@ -44,19 +44,33 @@ def half_quadratic(
     gradient = gradient_power(shape)
     weighted = np.conj(transfer) if trust is None else trust * np.conj(transfer)
     data, power = weighted * fourier.forward(image, 1), np.abs(transfer * weighted)
+
+    def solve(spectrum: Complex64Array, beta: Float32Array) -> Float32Array:
+        coupled = beta[:, None, None]
+        found = (data + coupled * spectrum) / (power + coupled * gradient + SMALLEST_POWER)
+        return fourier.inverse(found, shape, 1)
+
+    return _alternated(image, kappa, steps, expected, solve)
+
+
+def _alternated(
+    image: Float32Array,
+    kappa: NDArray,
+    steps: int,
+    expected: tuple[Float32Array, Float32Array] | None,
+    solve: Callable[[Complex64Array, Float32Array], Float32Array],
+) -> Float32Array:
+    """Shrinkage and the quadratic problem in turns.
+
+    ``solve`` takes the transform of D^T w and the coupling beta [channel] and gives f.
+    """
     none = np.zeros((image.shape[0], 1, 1), np.float32)
     wanted_x, wanted_y = expected or (none, none)
-    table = shrink_table()
-    factor = BETA_FIRST
-    result = image
-    pull = np.empty_like(image)
-    scale = np.empty(len(image), np.float32)
+    result, pull, factor = image, np.empty_like(image), BETA_FIRST
     for _ in range(steps):
-        scale[:] = _scale(kappa, factor)
-        _shrunk_divergence(result, wanted_x, wanted_y, table, scale, np.float32(TABLE_LIMIT), pull)
-        beta = (factor * np.asarray(kappa, np.float32))[:, None, None]
-        spectrum = (data + beta * fourier.forward(pull, 1)) / (power + beta * gradient + SMALLEST_POWER)
-        result = fourier.inverse(spectrum, shape, 1)
+        scale = _scale(kappa, factor).astype(np.float32)
+        _shrunk_divergence(result, wanted_x, wanted_y, shrink_table(), scale, np.float32(TABLE_LIMIT), pull)
+        result = solve(fourier.forward(pull, 1), (factor * np.asarray(kappa)).astype(np.float32))
         factor *= BETA_GROWTH
     return result
 
@@ -99,18 +113,12 @@ def half_quadratic_samples(
     if trust is not None:
         _fold(1 / trust - 1, weight)
         weight = np.asarray(1 / (1 + weight), np.float32)
-    none = np.zeros((image.shape[0], 1, 1), np.float32)
-    wanted_x, wanted_y = expected or (none, none)
-    pull, scale, factor, result = np.empty_like(image), np.empty(len(image), np.float32), BETA_FIRST, image
-    for _ in range(steps):
-        scale[:] = _scale(kappa, factor)
-        _shrunk_divergence(result, wanted_x, wanted_y, shrink_table(), scale, np.float32(TABLE_LIMIT), pull)
-        beta = (factor * np.asarray(kappa)).astype(np.float32)
-        spectrum = fourier.forward(pull, 1)
+
+    def solve(spectrum: Complex64Array, beta: Float32Array) -> Float32Array:
         _solve(spectrum, seen, whiten, data, weight, passed, beta, np.empty_like(data))
-        result = fourier.inverse(spectrum, shape, 1)
-        factor *= BETA_GROWTH
-    return result
+        return fourier.inverse(spectrum, shape, 1)
+
+    return _alternated(image, kappa, steps, expected, solve)
 
 
 @njit(cache=True, nogil=True)

@@ -46,17 +46,7 @@ def save_reconstruction(path: Path, result: Reconstruction, extras: Sequence[str
     parts = [_part("depth", {"Z": result.depth_m})]
     parts += [_part(name, {name: getattr(result, name)}) for name in _PLANES]
     parts += [_part(name, {c: getattr(result, name)[..., i] for i, c in enumerate(_RGB)}) for name in _COLOURS]
-    about = {
-        "schema": RECON_SCHEMA,
-        "camera": result.camera.model_dump(mode="json"),
-        "light": result.light,
-        "bank": result.bank,
-        "notes": list(result.notes),
-        "preset": _preset(result.settings),
-        "settings": result.settings,
-        "timings_s": result.timings_s,
-        "software": software_versions(),
-    }
+    about = _about(result) | {"bank": result.bank, "notes": list(result.notes)}
     with new_folder(path, "reconstruction") as folder:
         write_picture(folder / "rgb.png", result.rgb)
         write_picture(folder / "sharp.png", result.sharp_rgb)
@@ -87,16 +77,7 @@ def save_picture(path: Path, picture: Developed) -> None:
     parts = [_part(name, {c: image[..., i] for i, c in enumerate(_RGB)}) for name, image in colours.items()]
     if picture.ir_e is not None:
         parts.append(_part("ir_e", {"ir_e": picture.ir_e}))
-    about = {
-        "schema": RECON_SCHEMA,
-        "picture_only": True,
-        "camera": picture.camera.model_dump(mode="json"),
-        "light": picture.light,
-        "preset": _preset(picture.settings),
-        "settings": picture.settings,
-        "timings_s": picture.timings_s,
-        "software": software_versions(),
-    }
+    about = _about(picture) | {"picture_only": True}
     with new_folder(path, "reconstruction") as folder:
         write_picture(folder / "rgb.png", picture.rgb)
         if picture.ir_e is not None:
@@ -138,6 +119,19 @@ def load_reconstruction(path: Path) -> Reconstruction:
             f"reconstruction {path}: is damaged ({type(error).__name__}: {error}); "
             "make one with 'dasim recon CAPTURE --out DIR'"
         ) from None
+
+
+def _about(result: Reconstruction | Developed) -> dict[str, Any]:
+    """What ``meta.json`` says of either kind of result."""
+    return {
+        "schema": RECON_SCHEMA,
+        "camera": result.camera.model_dump(mode="json"),
+        "light": result.light,
+        "preset": _preset(result.settings),
+        "settings": result.settings,
+        "timings_s": result.timings_s,
+        "software": software_versions(),
+    }
 
 
 def _preset(settings: dict[str, Any]) -> str | None:

@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 import OpenEXR
 import pytest
+import surfaces
 
 from dasim import camera as cameras
 from dasim import sensor
@@ -35,24 +36,7 @@ def step(camera):
 
 
 def truth(camera, level, boundary=False) -> Truth:
-    """A frontal surface of given levels."""
-    level = np.broadcast_to(np.asarray(level, np.float32), SIZE).copy()
-    blur = level * cameras.level_blur_px(camera)[1]
-    image = np.full((*SIZE, 4), 1000, np.float32)
-    return Truth(
-        depth_m=cameras.depth_of_blur_m(camera, blur).astype(np.float32),
-        valid=np.ones(SIZE, bool),
-        normal=np.broadcast_to(np.float32([0, 0, -1]), (*SIZE, 3)),
-        object_id=np.ones(SIZE, np.uint32),
-        material_id=np.ones(SIZE, np.uint32),
-        blur_px=blur.astype(np.float32),
-        level=level,
-        boundary=np.broadcast_to(boundary, SIZE).copy(),
-        channels=("R", "G", "B", "IR"),
-        mean_e=image,
-        sharp_e=image,
-        sharp_srgb=image[..., :3] / image.max(),
-    )
+    return surfaces.truth(camera, np.broadcast_to(level, SIZE), np.full((*SIZE, 4), 1000), boundary)
 
 
 def at(camera, level):

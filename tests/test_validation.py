@@ -14,6 +14,7 @@ from html.parser import HTMLParser
 import cv2
 import numpy as np
 import pytest
+import surfaces
 
 import recon
 from dasim import camera as cameras
@@ -40,24 +41,9 @@ def camera(da_mobile):
 
 def truth(camera, level, **changes) -> Truth:
     """Ground truth of a fronto-parallel patch of given levels, its picture a checkerboard of 0 and 1000 electrons."""
-    level = np.broadcast_to(np.asarray(level, np.float32), SIZE).copy()
-    blur = level * cameras.level_blur_px(camera)[1]
     image = np.repeat((CHECKER * TEXTURE_E)[..., None], 4, axis=-1)
     image[..., 3] = 0
-    made = Truth(
-        depth_m=cameras.depth_of_blur_m(camera, blur).astype(np.float32),
-        valid=np.ones(SIZE, bool),
-        normal=np.broadcast_to(np.float32([0, 0, -1]), (*SIZE, 3)),
-        object_id=np.ones(SIZE, np.uint32),
-        material_id=np.ones(SIZE, np.uint32),
-        blur_px=blur.astype(np.float32),
-        level=level,
-        boundary=np.zeros(SIZE, bool),
-        channels=("R", "G", "B", "IR"),
-        mean_e=image,
-        sharp_e=image,
-        sharp_srgb=image[..., :3] / image.max(),
-    )
+    made = surfaces.truth(camera, np.broadcast_to(level, SIZE), image)
     return replace(made, **changes)
 
 
