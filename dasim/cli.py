@@ -461,6 +461,7 @@ def validate(
     quick: Annotated[bool, Parameter(negative="")] = False,
     gates: Path | None = None,
     fresh: Annotated[bool, Parameter(negative="")] = False,
+    seeds: Whole = 1,
     jobs: Whole = 1,
     compare: Path | None = None,
 ) -> int:
@@ -475,12 +476,14 @@ def validate(
         quick: only claims that take less than about 20 s each
         gates: a TOML file with limits that are added to the bundled ones, or replace them
         fresh: measure every claim again
+        seeds: random numbers of claims that depend on them: with 3, each is measured with the seeds 0, 1 and 2, and its
+            figures are means with their spread
         jobs: claims that are measured at once, each in a process of its own
         compare: results.json of an earlier run: prints what became better and worse
     """
     from dasim.files import check_output
     from dasim.render import backend
-    from validation.claims import CLAIMS
+    from validation.claim_table import CLAIMS
     from validation.comparison import changes, load_results, report
     from validation.validate import all_gates, chosen, failed, run_claims
 
@@ -491,18 +494,22 @@ def validate(
         return 0
     if out is None:
         raise InputError("--out is missing; name a folder for the results")
-    if jobs < 1:
-        raise InputError(f"--jobs {jobs}: must be 1 or more")
+    for option, number in (("--jobs", jobs), ("--seeds", seeds)):
+        if number < 1:
+            raise InputError(f"{option} {number}: must be 1 or more")
     earlier = None if compare is None else load_results(compare)
     check_output(out, "validation")
     _say_variant(None)
     variant = backend.choose().variant
     with _progress() as progress:
-        outcomes = run_claims(out, names, CLAIMS, limits, variant=variant, fresh=fresh, jobs=jobs, progress=progress)
+        outcomes = run_claims(
+            out, names, CLAIMS, limits, variant=variant, seeds=seeds, fresh=fresh, jobs=jobs, progress=progress
+        )
     for outcome in outcomes:
         for entry in outcome.claims:
             mark = {None: "", True: "passed", False: "FAILED"}[entry.passed]
-            line = f"{entry.id:<44}{entry.value:>10.4g} {entry.unit:<6}{entry.limit or '':<16}{mark}"
+            spread = "" if entry.spread is None else f"+- {entry.spread:.2g}"
+            line = f"{entry.id:<44}{entry.value:>10.4g} {spread:<11}{entry.unit:<7}{entry.limit or '':<16}{mark}"
             print(f"{entry.id:<44}{entry.source}" if outcome.not_run or outcome.error else line)
     again = sum(outcome.stored for outcome in outcomes)
     if again:
@@ -578,7 +585,7 @@ def list_(kind: str, *, verbose: Annotated[bool, Parameter(negative="")] = False
     elif kind == "illuminants":
         _list_illuminants(verbose=verbose)
     elif kind == "claims":
-        from validation.claims import CLAIMS
+        from validation.claim_table import CLAIMS
 
         _list_claims(list(CLAIMS), verbose=verbose)
     else:
@@ -623,7 +630,7 @@ def _list_illuminants(*, verbose: bool) -> None:
 
 
 def _list_claims(names: list[str], *, verbose: bool) -> None:
-    from validation.claims import CLAIMS
+    from validation.claim_table import CLAIMS
     from validation.validate import title
 
     for name in names:

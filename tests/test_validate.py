@@ -16,8 +16,10 @@ import pytest
 from dasim import aperture
 from dasim.cli import run
 from dasim.errors import InputError
-from validation import claims, claims_diffraction, claims_lens, claims_light, claims_recon, rendering, stored
+from validation import rendering, stored
 from validation.claim import GATES, Claim, Evidence, Gate, NotRun, gate_of, judged_all, load_gates, within
+from validation.claim_table import CLAIMS
+from validation.claims import colour, diffraction, lens, light
 from validation.comparison import Earlier, changes
 from validation.metrics import Figure
 from validation.report import png_address
@@ -69,7 +71,7 @@ def fakes(monkeypatch, tmp_path, tmp_path_factory):
     """The command with made-up claims and limits."""
     file = tmp_path / "bundled.toml"
     file.write_text(LIMITS)
-    monkeypatch.setattr(claims, "CLAIMS", FAKES)
+    monkeypatch.setattr("validation.claim_table.CLAIMS", FAKES)
     monkeypatch.setattr("validation.validate.all_gates", lambda table, users: all_gates(table, users, file))
     monkeypatch.setattr("dasim.cli._say_variant", lambda variant: None)
     monkeypatch.setenv("DASIM_CACHE_DIR", str(tmp_path_factory.mktemp("cache")))
@@ -144,12 +146,12 @@ def test_a_limit_that_finds_no_figure_fails(tmp_path):
 
 
 def test_bundled_limits_are_readable_and_say_where_they_come_from():
-    gates = load_gates(GATES, claims.CLAIMS)
+    gates = load_gates(GATES, CLAIMS)
     assert gates and all(len(gate.why) > 20 for gate in gates)
 
 
 def test_every_claim_has_a_report_for_its_docstring():
-    for name, measurement in claims.CLAIMS.items():
+    for name, measurement in CLAIMS.items():
         for part in ("Rationale: ", "Set-up: ", "Expectation: ", "Source: "):
             assert f"\n    {part}" in (measurement.run.__doc__ or ""), f"{name} lacks {part}"
 
@@ -444,7 +446,7 @@ def test_compare_prints_what_changed(fakes, capsys):
 
 
 def verdicts(name: str, run_claim) -> list[bool]:
-    entries = judged_all(name, run_claim(lambda share: None).figures, load_gates(GATES, claims.CLAIMS))
+    entries = judged_all(name, run_claim(lambda share: None).figures, load_gates(GATES, CLAIMS))
     return [entry.passed for entry in entries if entry.passed is not None]
 
 
@@ -455,10 +457,10 @@ def test_blur_off_by_5_percent_fails(renderer, monkeypatch, factor):
 
     true = cameras.aperture_m
     monkeypatch.setattr(cameras, "aperture_m", lambda camera: factor * true(camera))
-    monkeypatch.setattr(claims_lens, "LENSES_MM", (3.6,))
-    monkeypatch.setattr(claims_lens, "BLUR_OFF_PX", (-5.0, 10.0))
-    monkeypatch.setattr(claims_lens, "BLUR_OFF_SPP", 1024 if renderer != "scalar_spectral" else 256)
-    found = verdicts("blur-off", claims_lens.blur_off)
+    monkeypatch.setattr(lens, "LENSES_MM", (3.6,))
+    monkeypatch.setattr(lens, "BLUR_OFF_PX", (-5.0, 10.0))
+    monkeypatch.setattr(lens, "BLUR_OFF_SPP", 1024 if renderer != "scalar_spectral" else 256)
+    found = verdicts("blur-off", lens.blur_off)
     assert len(found) == 4
     assert found == [True] * 4 if factor == 1 else not any(found)
 
@@ -475,11 +477,11 @@ def test_edges_of_geometry_fail_the_wave_claim(jit, monkeypatch, model):
         return true(*arguments, diffraction=model, **options)
 
     monkeypatch.setattr(rendering, "stop_pictures", pictures)
-    monkeypatch.setattr(claims_diffraction, "SFR_BLUR_PX", (17.4, 17.4))
-    monkeypatch.setattr(claims_diffraction, "SFR_CYCLES_PX", np.linspace(0.05, 0.2, 7))
-    monkeypatch.setattr(claims_diffraction, "EDGE_SPP", 256)
-    monkeypatch.setattr(claims_diffraction, "EDGE_SEEDS", 2)
-    found = verdicts("wave-sfr", claims_diffraction.wave_sfr)
+    monkeypatch.setattr(diffraction, "SFR_BLUR_PX", (17.4, 17.4))
+    monkeypatch.setattr(diffraction, "SFR_CYCLES_PX", np.linspace(0.05, 0.2, 7))
+    monkeypatch.setattr(diffraction, "EDGE_SPP", 256)
+    monkeypatch.setattr(diffraction, "EDGE_SEEDS", 2)
+    found = verdicts("wave-sfr", diffraction.wave_sfr)
     assert found[3] is (model == "wave")
 
 
@@ -491,7 +493,7 @@ def test_a_hole_too_large_fails(renderer, monkeypatch, da_mobile, ratio, good):
     visible, hole = da_mobile.stops
     camera = da_mobile.model_copy(update={"stops": (visible, hole.model_copy(update={"radius_ratio": ratio}))})
     monkeypatch.setattr(cameras, "load_camera", lambda name: camera)
-    assert verdicts("hole-alpha-squared", claims_light.hole_alpha_squared) == [good] * 4
+    assert verdicts("hole-alpha-squared", light.hole_alpha_squared) == [good] * 4
 
 
 @pytest.mark.parametrize("good", [True, False])
@@ -500,7 +502,7 @@ def test_a_lens_without_natural_vignetting_fails_in_the_corner(renderer, monkeyp
 
     if not good:
         monkeypatch.setattr(cameras, "relative_illumination", lambda camera: np.ones((36, 48)))
-    assert verdicts("radiometry", claims_light.absolute_electrons) == [True] * 4 + [good] * 4
+    assert verdicts("radiometry", light.absolute_electrons) == [True] * 4 + [good] * 4
 
 
 def test_a_stop_of_another_size_changes_the_light_loss(jit, monkeypatch):
@@ -516,19 +518,19 @@ def test_a_stop_of_another_size_changes_the_light_loss(jit, monkeypatch):
         ]
         return camera.model_copy(update={"stops": tuple(stops)})
 
-    monkeypatch.setattr(claims_light, "REDUCTIONS", {"chakrabarti-zickler": ("chakrabarti-zickler", [(2, 0.59)])})
-    monkeypatch.setattr(claims_light, "LOSS_LIGHTS", ("D65",))
+    monkeypatch.setattr(light, "REDUCTIONS", {"chakrabarti-zickler": ("chakrabarti-zickler", [(2, 0.59)])})
+    monkeypatch.setattr(light, "LOSS_LIGHTS", ("D65",))
     for load, good in ((true, True), (wrong, False)):
         monkeypatch.setattr(cameras, "load_camera", load)
-        found = claims_light.light_loss(lambda share: None).figures[0]
-        gate = gate_of(f"light-loss.{found.id}", load_gates(GATES, claims.CLAIMS))
+        found = light.light_loss(lambda share: None).figures[0]
+        gate = gate_of(f"light-loss.{found.id}", load_gates(GATES, CLAIMS))
         assert within(found.value, gate.limit) is good
 
 
 def test_limits_of_light_loss_lie_around_eq_1():
     """Expectation: half a percentage point either way, to the limits' rounding."""
-    gates = load_gates(GATES, claims.CLAIMS)
-    for name, (_, reductions) in claims_light.REDUCTIONS.items():
+    gates = load_gates(GATES, CLAIMS)
+    for name, (_, reductions) in light.REDUCTIONS.items():
         low, high = map(float, gate_of(f"light-loss.{name}", gates).limit.split(".."))
         expected = aperture.light_loss(reductions, 4)
         assert low == pytest.approx(expected - 0.005, abs=1e-4) and high == pytest.approx(expected + 0.005, abs=1e-4)
@@ -540,15 +542,15 @@ def test_crosstalk_of_other_curves_fails(renderer, monkeypatch):
 
     true = describe.crosstalk
     monkeypatch.setattr(describe, "crosstalk", lambda camera: true(camera) * (1.0, 1.02, 1.0))
-    monkeypatch.setattr(claims_light, "REAL_LIGHTS", ())
-    assert verdicts("eq8-flat-field", claims_light.eq8_flat_field) == [True, False, True]
+    monkeypatch.setattr(light, "REAL_LIGHTS", ())
+    assert verdicts("eq8-flat-field", light.eq8_flat_field) == [True, False, True]
 
 
 def test_moments_of_a_known_picture():
     """Expectation: two lines of 3 and 1 at distance 4 have a second moment of 16 * 3/4 * 1/4 = 3 along one axis."""
     picture = np.zeros((9, 9, 4))
     picture[4, 2], picture[4, 6] = 3.0, 1.0
-    np.testing.assert_allclose(claims_lens.second_moments(picture), [[0.0, 3.0]] * 4, atol=1e-12)
+    np.testing.assert_allclose(lens.second_moments(picture), [[0.0, 3.0]] * 4, atol=1e-12)
 
 
 def test_folder_is_written_as_a_whole(fakes):
@@ -559,18 +561,18 @@ def test_folder_is_written_as_a_whole(fakes):
 
 def test_a_picture_balanced_for_another_light_fails(renderer, monkeypatch):
     """Set-up: the ColorChecker under A as da-mobile has it; white balance that is right, or always finds daylight."""
-    from recon import colour
+    from recon import colour as recon_colour
 
-    monkeypatch.setattr(claims_recon, "CHECKER_LIGHTS", ("A",))
-    monkeypatch.setattr(claims_recon, "CHECKER_CAMERAS", ("da-mobile",))
-    shot = claims_recon.checker("da-mobile", "A")
-    monkeypatch.setattr(claims_recon, "checker", lambda camera, light: shot)
+    monkeypatch.setattr(colour, "CHECKER_LIGHTS", ("A",))
+    monkeypatch.setattr(colour, "CHECKER_CAMERAS", ("da-mobile",))
+    shot = colour.checker("da-mobile", "A")
+    monkeypatch.setattr(colour, "checker", lambda camera, light: shot)
 
     def under_a() -> bool:
-        figure = claims_recon.colour(lambda share: None).figures[0]
+        figure = colour.colour(lambda share: None).figures[0]
         assert figure.id == "A"
-        return within(figure.value, gate_of("colour.A", load_gates(GATES, claims.CLAIMS)).limit)
+        return within(figure.value, gate_of("colour.A", load_gates(GATES, CLAIMS)).limit)
 
     assert under_a()
-    monkeypatch.setattr(colour, "choose_light", lambda planes, saturated, signature: 0)
+    monkeypatch.setattr(recon_colour, "choose_light", lambda planes, saturated, signature: 0)
     assert not under_a()

@@ -8,7 +8,7 @@ import inspect
 import json
 import os
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import asdict
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
@@ -22,13 +22,13 @@ from dasim.scene import SCENE_DIR
 from validation.claim import Evidence, plain_value
 from validation.metrics import Figure
 
-SCHEMA = 2
+SCHEMA = 3
 LIBRARIES = ("mitsuba", "drjit", "numpy", "scipy", "numba", "opencv-python-headless", "colour-science", "scikit-image")
 HERE = Path(__file__).parent
 
 
-def key(run: Callable[..., Any], variant: str) -> str:
-    """What a claim's result depends on, as a hash: its code and all it may call, data, libraries, renderer variant.
+def key(run: Callable[..., Any], variant: str, seed: int = 0) -> str:
+    """What a claim's result depends on, as a hash: its code, what that calls, data, libraries, variant, seed.
 
     Limits are not part of it: results are judged anew. Of ``validation`` counts what the claim's module imports, of
     ``dasim`` and ``recon`` everything.
@@ -36,19 +36,28 @@ def key(run: Callable[..., Any], variant: str) -> str:
     own = inspect.getsourcefile(run)
     assert own is not None
     files = sorted(_imported(Path(own)))
-    text = [str(SCHEMA), run.__qualname__, variant, *(f"{name} {_version(name)}" for name in LIBRARIES)]
-    text += [_digest(file) for file in files]
-    folders = [Path(str(dasim.__file__)).parent, SCENE_DIR]
+    text = [run.__qualname__, str(seed), *(_digest(file) for file in files)]
     if any("recon" in _imports(file) for file in files):
-        folders.append(Path(str(recon.__file__)).parent)
-    text += [_folder_digest(folder) for folder in folders]
+        text.append(_folder_digest(Path(str(recon.__file__)).parent))
+    return hashed([*text, *simulator(variant)])
+
+
+def simulator(variant: str) -> list[str]:
+    """What a rendering depends on beside its own parameters: the simulator's files, the scenes, libraries, variant."""
+    folders = Path(str(dasim.__file__)).parent, SCENE_DIR
+    libraries = (f"{name} {_version(name)}" for name in LIBRARIES)
+    return [str(SCHEMA), variant, *libraries, *map(_folder_digest, folders)]
+
+
+def hashed(text: Iterable[str]) -> str:
+    """A name for content."""
     return hashlib.sha256("\n".join(text).encode()).hexdigest()[:24]
 
 
-def load(name: str, key: str) -> tuple[Evidence, float] | None:
+def load(name: str, seed: int, key: str) -> tuple[Evidence, float] | None:
     """A claim's evidence and the seconds that it took, or None where there is none for this key."""
     try:
-        content = json.loads(_path(name, key).read_text(encoding="utf-8"))
+        content = json.loads(_path(name, seed, key).read_text(encoding="utf-8"))
         figures = [Figure(**figure | {"value": _number(figure["value"])}) for figure in content["figures"]]
         pictures = [(caption, data) for caption, data in content["pictures"]]
         tables = [(caption, head, rows) for caption, head, rows in content["tables"]]
@@ -58,25 +67,25 @@ def load(name: str, key: str) -> tuple[Evidence, float] | None:
         return None  # none, or damaged: measure again
 
 
-def save(name: str, key: str, evidence: Evidence, seconds: float) -> None:
+def save(name: str, seed: int, key: str, evidence: Evidence, seconds: float) -> None:
     """Keep a claim's evidence in place of what was kept under other keys. A cache that cannot be written is none."""
     content = asdict(evidence) | {"seconds": seconds}
     for figure in content["figures"]:
         figure["value"] = plain_value(figure["value"])
-    path = _path(name, key)
+    path = _path(name, seed, key)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
         partial.write_text(json.dumps(content), encoding="utf-8")
-        for old in path.parent.glob(f"{name}.*.json"):
+        for old in path.parent.glob(f"{name}.{seed}.*.json"):
             old.unlink(missing_ok=True)
         partial.replace(path)
     except OSError as error:
         print(f"note: the result of {name} is not kept: {error}", file=sys.stderr)
 
 
-def _path(name: str, key: str) -> Path:
-    return cache_dir() / "claims" / f"{name}.{key}.json"
+def _path(name: str, seed: int, key: str) -> Path:
+    return cache_dir() / "claims" / f"{name}.{seed}.{key}.json"
 
 
 def _number(value: float | None) -> float:
@@ -98,7 +107,9 @@ def _imported(file: Path) -> set[Path]:
         here = waiting.pop()
         found.add(here)
         names = (name.split(".") for name in _imports(here))
-        near = {HERE / f"{parts[1]}.py" for parts in names if parts[0] == "validation" and len(parts) > 1}
+        near = {
+            HERE.joinpath(*parts[1:]).with_suffix(".py") for parts in names if parts[0] == "validation" and parts[1:]
+        }
         waiting += [path for path in near - found if path.is_file()]
     return found
 

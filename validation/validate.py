@@ -5,12 +5,13 @@ from __future__ import annotations
 import inspect
 import math
 import multiprocessing
+import statistics
 import sys
 import time
 import traceback
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import NamedTuple
@@ -18,18 +19,27 @@ from xml.etree import ElementTree
 
 from dasim.errors import InputError
 from dasim.files import new_folder
-from validation import stored
+from validation import shots, stored
 from validation.claim import GATES, Claim, Evidence, Gate, NotRun, Progress, judged_all, load_gates, write_results
+from validation.metrics import Figure
 
 StageProgress = Callable[[str, float], None]
 
 
 class Measurement(NamedTuple):
-    """How a claim is measured, whether that takes less than about 20 s, and whether it is a time that is measured."""
+    """How a claim is measured, whether that takes less than about 20 s, and whether it is a time that is measured.
 
-    run: Callable[[Progress], Evidence]
+    ``run`` takes ``progress``, and also ``seed`` where what it measures depends on random numbers.
+    """
+
+    run: Callable[..., Evidence]
     quick: bool
     alone: bool = False  # nothing else may run at the same time
+
+    @property
+    def seeded(self) -> bool:
+        """Whether another seed gives other figures."""
+        return "seed" in inspect.signature(self.run).parameters
 
 
 @dataclass(frozen=True)
@@ -44,6 +54,7 @@ class Outcome:
     gates: list[Gate] = field(default_factory=list)
     not_run: str | None = None
     error: str | None = None
+    seeds: int = 1
     stored: bool = False  # measured by an earlier run
 
 
@@ -76,6 +87,7 @@ def run_claims(
     gates: list[Gate],
     *,
     variant: str = "",
+    seeds: int = 1,
     fresh: bool = True,
     jobs: int = 1,
     progress: StageProgress = lambda stage, share: None,
@@ -83,13 +95,17 @@ def run_claims(
     """Measure the named claims; ``out`` is written as a whole when all are done.
 
     Unless ``fresh``, a claim that an earlier run measured with the same code, data, libraries and renderer ``variant``
-    is not measured again. ``jobs`` claims are measured at once, each in a process of its own.
+    is not measured again. ``jobs`` claims are measured at once, each in a process of its own. A claim that depends on
+    random numbers is measured with each of the ``seeds`` 0, 1, ...: its figures are means with their spread.
     """
-    from validation.claims_report import claims_page
+    from validation.claims_page import claims_page
 
     with new_folder(out, "validation") as folder:
-        by_name = dict(_outcomes(names, table, gates, variant, fresh=fresh, jobs=jobs, progress=progress))
-        outcomes = [by_name[name] for name in names]
+        if fresh:
+            shots.forget()
+        runs = [(name, seed) for name in names for seed in range(seeds if table[name].seeded else 1)]
+        done = dict(_runs(runs, table, variant, fresh=fresh, jobs=jobs, progress=progress))
+        outcomes = [_outcome(name, table[name], [done[run] for run in runs if run[0] == name], gates) for name in names]
         entries = [entry for outcome in outcomes for entry in outcome.claims]
         write_results(folder / "results.json", entries, {outcome.id: outcome.seconds for outcome in outcomes})
         (folder / "report.html").write_text(claims_page(outcomes), encoding="utf-8")
@@ -97,54 +113,68 @@ def run_claims(
     return outcomes
 
 
-def _outcomes(
-    names: Sequence[str],
+class _Run(NamedTuple):
+    """A claim measured with one seed, or the reason why not."""
+
+    evidence: Evidence = Evidence([])
+    seconds: float = 0.0
+    not_run: str | None = None
+    stopped_by: str | None = None
+    report: str | None = None
+    stored: bool = False
+
+
+def _runs(
+    runs: Sequence[tuple[str, int]],
     table: Mapping[str, Measurement],
-    gates: list[Gate],
     variant: str,
     *,
     fresh: bool,
     jobs: int,
     progress: StageProgress,
-) -> Iterator[tuple[str, Outcome]]:
-    """Each claim's outcome, kept ones first, then those that share the computer, then those that want it alone."""
-    keys = {name: stored.key(table[name].run, variant) for name in names}
+) -> Iterator[tuple[tuple[str, int], _Run]]:
+    """Each claim and seed, kept ones first, then those that share the computer, then those that want it alone."""
+    keys = {(name, seed): stored.key(table[name].run, variant, seed) for name, seed in runs}
     missing = []
-    for name in names:
-        found = None if fresh else stored.load(name, keys[name])
+    for run in runs:
+        found = None if fresh else stored.load(*run, keys[run])
         if found is None:
-            missing.append(name)
+            missing.append(run)
             continue
-        progress(name, 1.0)
+        progress(_stage(*run), 1.0)
         evidence, seconds = found
-        yield name, _judged(name, table[name], evidence, seconds, gates, stored=True)
-    together = [name for name in missing if not table[name].alone] if jobs > 1 else []
-    for name, outcome in _side_by_side(together, table, gates, jobs, progress):
-        yield name, _keep(outcome, keys[name])
-    for name in missing:
-        if name not in together:
-            progress(name, 0.0)
-            yield name, _keep(measured(name, table[name], gates, partial(progress, name)), keys[name])
-            progress(name, 1.0)
+        yield run, _Run(evidence, seconds, stored=True)
+    together = [run for run in missing if not table[run[0]].alone] if jobs > 1 else []
+    for run, result in _side_by_side(together, table, jobs, progress):
+        yield run, _keep(run, keys[run], result)
+    for run in missing:
+        if run not in together:
+            name, seed = run
+            progress(_stage(*run), 0.0)
+            yield run, _keep(run, keys[run], measured(name, table[name], seed, partial(progress, _stage(*run))))
+            progress(_stage(*run), 1.0)
+
+
+def _stage(name: str, seed: int) -> str:
+    return name if seed == 0 else f"{name}, seed {seed}"
 
 
 def _side_by_side(
-    names: Sequence[str], table: Mapping[str, Measurement], gates: list[Gate], jobs: int, progress: StageProgress
-) -> Iterator[tuple[str, Outcome]]:
+    runs: Sequence[tuple[str, int]], table: Mapping[str, Measurement], jobs: int, progress: StageProgress
+) -> Iterator[tuple[tuple[str, int], _Run]]:
     """Claims measured in ``jobs`` processes; one that dies is a claim that stopped."""
-    if not names:
+    if not runs:
         return
     context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(min(jobs, len(names)), mp_context=context, max_tasks_per_child=1) as pool:
-        waiting = {pool.submit(measured, name, table[name], gates, _silent): name for name in names}
-        for name in names:
-            progress(name, 0.0)
+    with ProcessPoolExecutor(min(jobs, len(runs)), mp_context=context, max_tasks_per_child=1) as pool:
+        waiting = {pool.submit(measured, name, table[name], seed, _silent): (name, seed) for name, seed in runs}
+        for run in runs:
+            progress(_stage(*run), 0.0)
         try:
             for done in as_completed(waiting):
-                name = waiting[done]
                 error = done.exception()
-                yield name, done.result() if error is None else _stopped(name, table[name], 0.0, error, str(error))
-                progress(name, 1.0)
+                yield waiting[done], done.result() if error is None else _stopped(0.0, error, str(error))
+                progress(_stage(*waiting[done]), 1.0)
         except BaseException:
             pool.shutdown(wait=False, cancel_futures=True)
             raise
@@ -154,44 +184,61 @@ def _silent(share: float) -> None:
     pass
 
 
-def _keep(outcome: Outcome, key: str) -> Outcome:
+def _keep(run: tuple[str, int], key: str, result: _Run) -> _Run:
     """Store what was measured; what could not be run, or stopped, is tried again the next time."""
-    if outcome.not_run is None and outcome.error is None:
-        stored.save(outcome.id, key, outcome.evidence, outcome.seconds)
-    return outcome
+    if result.not_run is None and result.stopped_by is None:
+        stored.save(*run, key, result.evidence, result.seconds)
+    return result
 
 
-def measured(name: str, measurement: Measurement, gates: list[Gate], progress: Progress) -> Outcome:
+def measured(name: str, measurement: Measurement, seed: int, progress: Progress) -> _Run:
     """Run one claim. What stops it is a claim that failed, and the others go on; Ctrl-C ends all."""
     start = time.perf_counter()
     try:
-        evidence = measurement.run(progress)
+        evidence = measurement.run(progress, seed) if measurement.seeded else measurement.run(progress)
     except NotRun as reason:
-        entry = Claim(name, math.nan, None, "", None, f"not run: {reason}")
-        seconds = time.perf_counter() - start
-        return Outcome(name, _text(measurement), [entry], seconds, not_run=str(reason))
+        return _Run(seconds=time.perf_counter() - start, not_run=str(reason))
     except Exception as error:
         report = traceback.format_exc()
         print(f"claim {name} stopped:\n{report}", file=sys.stderr, flush=True)
-        return _stopped(name, measurement, time.perf_counter() - start, error, report)
-    return _judged(name, measurement, evidence, time.perf_counter() - start, gates)
+        return _stopped(time.perf_counter() - start, error, report)
+    return _Run(evidence, time.perf_counter() - start)
 
 
-def _judged(
-    name: str, measurement: Measurement, evidence: Evidence, seconds: float, gates: list[Gate], *, stored: bool = False
-) -> Outcome:
+def _stopped(seconds: float, error: BaseException, report: str) -> _Run:
+    return _Run(seconds=seconds, stopped_by=f"{type(error).__name__}: {error}", report=report)
+
+
+def _outcome(name: str, measurement: Measurement, runs: Sequence[_Run], gates: list[Gate]) -> Outcome:
+    """A claim's runs, one a seed, as one: means and spreads, judged; with the pictures and tables of the first."""
+    text = inspect.getdoc(measurement.run) or ""
+    seconds = sum(run.seconds for run in runs)
+    if reason := next((run.not_run for run in runs if run.not_run), None):
+        entry = Claim(name, math.nan, None, "", None, f"not run: {reason}")
+        return Outcome(name, text, [entry], seconds, not_run=reason)
+    if broken := next((run for run in runs if run.stopped_by), None):
+        entry = Claim(name, math.nan, None, "", False, f"stopped by {broken.stopped_by}")
+        return Outcome(name, text, [entry], seconds, error=broken.report)
+    evidence = replace(runs[0].evidence, figures=over_seeds([run.evidence.figures for run in runs]))
     entries = judged_all(name, evidence.figures, gates)
     own = [gate for gate in gates if gate.claim == name]
-    return Outcome(name, _text(measurement), entries, seconds, evidence=evidence, gates=own, stored=stored)
+    kept = all(run.stored for run in runs)
+    return Outcome(name, text, entries, seconds, evidence=evidence, gates=own, seeds=len(runs), stored=kept)
 
 
-def _stopped(name: str, measurement: Measurement, seconds: float, error: BaseException, report: str) -> Outcome:
-    entry = Claim(name, math.nan, None, "", False, f"stopped by {type(error).__name__}: {error}")
-    return Outcome(name, _text(measurement), [entry], seconds, error=report)
+def over_seeds(measured: Sequence[list[Figure]]) -> list[Figure]:
+    """Mean and standard deviation (of one measurement) of each figure over seeds; a single seed has no spread."""
+    if len(measured) == 1:
+        return measured[0]
+    found = []
+    for figure in measured[0]:
+        values = [other.value for figures in measured for other in figures if other.id == figure.id]
+        found.append(replace(figure, value=statistics.fmean(values), spread=_spread(values)))
+    return found
 
 
-def _text(measurement: Measurement) -> str:
-    return inspect.getdoc(measurement.run) or ""
+def _spread(values: Sequence[float]) -> float | None:
+    return statistics.stdev(values) if len(values) > 1 and all(map(math.isfinite, values)) else None
 
 
 def failed(outcomes: list[Outcome]) -> bool:

@@ -13,8 +13,8 @@ from dasim.camera import Camera
 from dasim.spectra import CHANNELS
 from validation import rendering, transfer
 from validation.claim import Evidence, Progress
-from validation.claims_report import plot
 from validation.metrics import Figure
+from validation.plots import plot
 from validation.rendering import FloatArray
 
 # Pixels so large that lambda N is 0.03 of one, and a lens long enough for several pixels of blur all the same.

@@ -9,9 +9,9 @@ from dasim import describe, illuminants, pointspread, sensor, spectra
 from dasim.camera import Camera
 from dasim.spectra import CHANNELS
 from validation.claim import Evidence, Progress
-from validation.claims_diffraction import wave_mtf
-from validation.claims_report import CHANNEL_COLOURS, plot
+from validation.claims.diffraction import wave_mtf
 from validation.metrics import Figure
+from validation.plots import CHANNEL_COLOURS, plot
 from validation.rendering import STOP_RATIOS, FloatArray
 from validation.transfer import disc_transfer, pixel_transfer
 

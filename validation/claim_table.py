@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-from validation.claims_bank import bank
-from validation.claims_camera import depth_of_field, dynamic_range, kernels, response_curves
-from validation.claims_depth import staircase, staircase_camera
-from validation.claims_diffraction import airy_table, wave_energy, wave_sfr
-from validation.claims_lens import blur_off
-from validation.claims_light import absolute_electrons, eq8_flat_field, hole_alpha_squared, light_loss
-from validation.claims_occlusion import occluding_edge
-from validation.claims_recon import colour
-from validation.claims_resolution import depth_resolution
-from validation.claims_sampling import desk_noise, noise_slope_off, noise_slope_wave, render_cost
-from validation.claims_scene_depth import depth
-from validation.claims_scenes import interreflection, registration, scenes_speed
-from validation.claims_sharp import all_in_focus, refocus
-from validation.claims_speed import recon_speed
+from validation.claims.bank import bank
+from validation.claims.camera import depth_of_field, dynamic_range, kernels, response_curves
+from validation.claims.colour import colour
+from validation.claims.depth import depth
+from validation.claims.diffraction import airy_table, wave_energy, wave_sfr
+from validation.claims.lens import blur_off
+from validation.claims.light import absolute_electrons, eq8_flat_field, hole_alpha_squared, light_loss
+from validation.claims.occlusion import occluding_edge
+from validation.claims.resolution import depth_resolution
+from validation.claims.sampling import desk_noise, noise_slope_off, noise_slope_wave, render_cost
+from validation.claims.scenes import interreflection, registration, scenes_speed
+from validation.claims.sharp import all_in_focus, refocus
+from validation.claims.speed import recon_speed
+from validation.claims.staircase import staircase, staircase_camera
 from validation.validate import Measurement
 
 # Quick: less than about 20 s on two cores.

@@ -13,8 +13,8 @@ from dasim.camera import Camera
 from dasim.spectra import CHANNELS
 from validation import rendering
 from validation.claim import Evidence, NotRun, Progress
-from validation.claims_report import CHANNEL_COLOURS, plot
 from validation.metrics import Figure
+from validation.plots import CHANNEL_COLOURS, plot
 from validation.rendering import FloatArray
 
 SCENE = "desk"

@@ -10,8 +10,8 @@ from dasim.camera import Camera
 from dasim.spectra import CHANNELS
 from validation import rendering
 from validation.claim import Evidence, Progress
-from validation.claims_report import CHANNEL_COLOURS, plot
 from validation.metrics import Figure
+from validation.plots import CHANNEL_COLOURS, plot
 from validation.rendering import FloatArray
 
 BLUR_OFF_PX = (-5.0, 4.0, 6.0, 10.0, 16.0, 24.0)  # visible, negative behind the focus; hole 0.46 of it

@@ -8,8 +8,8 @@ from scipy.optimize import brentq
 from dasim import camera as cameras
 from dasim.camera import BLUR_LEVELS, Camera
 from validation.claim import Evidence, Progress
-from validation.claims_report import plot
 from validation.metrics import Figure
+from validation.plots import plot
 
 LENSES = {"3.6mm": "da-mobile", "8mm": "da-8mm"}
 DEPTHS_CM = (5, 10, 20, 40, 100, 200)

@@ -1,12 +1,10 @@
-"""The report page of ``dasim validate``, and the plots that claims put into it."""
+"""The report page of ``dasim validate``."""
 
 from __future__ import annotations
 
-import base64
-import io
 import re
-from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import jinja2
 from markupsafe import Markup, escape
@@ -19,7 +17,6 @@ if TYPE_CHECKING:
     from validation.validate import Outcome
 
 _LABEL = re.compile(r"(Rationale|Set-up|Expectation|Limit|Deviation|Source): ")
-CHANNEL_COLOURS = {"R": "#d55e00", "G": "#009e73", "B": "#0072b2", "IR": "#444444"}  # Okabe and Ito, colour-blind-safe
 
 
 def claims_page(outcomes: Sequence[Outcome]) -> str:
@@ -79,18 +76,3 @@ def verdict(claims: Sequence[Claim]) -> bool | None:
     """False where one failed, True where some were judged and none failed, None where none was judged."""
     judged = [claim.passed for claim in claims if claim.passed is not None]
     return all(judged) if judged else None
-
-
-def plot(draw: Callable[[Any], None], *, columns: int = 1, size: tuple[float, float] = (6.4, 3.6)) -> str:
-    """An SVG picture as a data address; ``draw`` gets the axes (an array of them for several columns)."""
-    import matplotlib
-    from matplotlib.backends.backend_svg import FigureCanvasSVG
-    from matplotlib.figure import Figure
-
-    with matplotlib.rc_context({"svg.hashsalt": "dasim", "font.size": 9}):
-        figure = Figure(figsize=(size[0] * columns, size[1]), layout="constrained")
-        FigureCanvasSVG(figure)
-        draw(figure.subplots(1, columns))
-        buffer = io.BytesIO()
-        figure.savefig(buffer, format="svg", facecolor="white", metadata={"Date": None})
-    return "data:image/svg+xml;base64," + base64.b64encode(buffer.getvalue()).decode()
