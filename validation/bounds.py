@@ -20,6 +20,7 @@ power spectrum is the mean of |DFT|^2 / (h w): white noise of variance v has the
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Literal
 
 import numpy as np
@@ -35,7 +36,7 @@ FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
 SLOPE_STEP_PX = 0.05  # of visible blur, either way: at 0.5 cycles/px a transfer function turns by 0.16 rad
-RADIAL_STEP_PX = 0.1  # of profiles before the pixel, which hold no frequency above 1 / (lambda N) = 1.2 cycles/px
+RADIAL_STEP_PX = 0.2  # of profiles before the pixel, which hold no frequency above 1 / (lambda N) = 1.2 cycles/px
 RADIAL_FREQUENCIES = 160  # from 0 to the corner of the pixels' own band
 TAIL_PX = 40.0  # beyond the geometric blur: where the wave's rings end
 BLUR = 0  # place of the blur among the parameters
@@ -92,7 +93,7 @@ def window_area_px(window_px: float, window: Literal["gaussian", "box"] = "gauss
 def camera_transfers(
     camera: Camera,
     blur_px: ArrayLike,
-    light: str,
+    light: str | Sequence[str],
     shape: tuple[int, int],
     *,
     spacing_px: float = 1.0,
@@ -100,13 +101,15 @@ def camera_transfers(
 ) -> tuple[FloatArray, FloatArray]:
     """Transfer functions H of a camera's channels and dH/dc, c the visible blur in px: [blur, channel, h, w/2 + 1].
 
+    For several lights [light, blur, channel, h, w/2 + 1], in little more time than for one.
     Hankel transform of the camera's own kernels under an illuminant (:mod:`dasim.pointspread`), times the pixel's
     sinc; the change by differences of 0.05 px to either side. For stops that are discs and rings about the axis.
     """
     blurs = np.atleast_1d(np.asarray(blur_px, np.float64))
     radius = np.arange(RADIAL_STEP_PX / 2, np.abs(blurs).max() / 2 + TAIL_PX, RADIAL_STEP_PX)
     both = np.concatenate([blurs - SLOPE_STEP_PX, blurs + SLOPE_STEP_PX])
-    spectrum = illuminants.illuminant(light)
+    names = [light] if isinstance(light, str) else light
+    spectrum = np.stack([illuminants.illuminant(name) for name in names])
     profiles, _ = pointspread.radial_profiles(camera, both, spectrum, radius, diffraction)
     ring = profiles * (2 * np.pi * radius * RADIAL_STEP_PX)
     ring /= ring.sum(axis=-1, keepdims=True)
@@ -114,8 +117,10 @@ def camera_transfers(
     known = np.linspace(0, float(wanted.max()), RADIAL_FREQUENCIES)
     along = ring @ j0(2 * np.pi * np.outer(radius, known))
     fy, fx = _frequencies(shape, spacing_px)
-    full = CubicSpline(known, along, axis=-1)(wanted.ravel()).reshape(*along.shape[:2], *wanted.shape)
-    below, above = np.split(full * (np.sinc(fy) * np.sinc(fx)), 2)
+    full = CubicSpline(known, along, axis=-1)(wanted.ravel()).reshape(*along.shape[:-1], *wanted.shape)
+    below, above = np.split(full * (np.sinc(fy) * np.sinc(fx)), 2, axis=1)
+    if isinstance(light, str):
+        below, above = below[0], above[0]
     return (below + above) / 2, (above - below) / (2 * SLOPE_STEP_PX)
 
 
@@ -152,8 +157,8 @@ def information(
     """Fisher information of (blur, ln B, ln g_2, ...) in one periodic patch [h, width], [..., channels + 1, same].
 
     ``transfer`` and ``slope`` are [..., channel, h, w/2 + 1], ``power`` [h, w/2 + 1],
-    ``noise`` variances [..., channel] in the picture's unit squared, ``gain`` [..., channel], ``coherence`` one number for all pairs of channels or a
-    matrix [channel, channel]. The unit of the blur is that of the slope.
+    ``noise`` variances [..., channel] in the picture's unit squared, ``gain`` [..., channel], ``coherence`` one number
+    for all pairs of channels or a matrix [channel, channel]. The unit of the blur is that of the slope.
     """
     count = transfer.shape[-3]
     signal = np.asarray(gain, np.float64)[..., None, None] * transfer

@@ -10,16 +10,18 @@ from typing import Any
 CHANNEL_COLOURS = {"R": "#d55e00", "G": "#009e73", "B": "#0072b2", "IR": "#444444"}  # Okabe and Ito, colour-blind-safe
 
 
-def plot(draw: Callable[[Any], None], *, columns: int = 1, size: tuple[float, float] = (6.4, 3.6)) -> str:
-    """An SVG picture as a data address; ``draw`` gets the axes (an array of them for several columns)."""
+def plot(
+    draw: Callable[[Any], None], *, columns: int = 1, rows: int = 1, size: tuple[float, float] = (6.4, 3.6)
+) -> str:
+    """An SVG picture as a data address; ``draw`` gets the axes, an array of them for several columns or rows."""
     import matplotlib
     from matplotlib.backends.backend_svg import FigureCanvasSVG
     from matplotlib.figure import Figure
 
     with matplotlib.rc_context({"svg.hashsalt": "dasim", "font.size": 9}):
-        figure = Figure(figsize=(size[0] * columns, size[1]), layout="constrained")
+        figure = Figure(figsize=(size[0] * columns, size[1] * rows), layout="constrained")
         FigureCanvasSVG(figure)
-        draw(figure.subplots(1, columns))
+        draw(figure.subplots(rows, columns))
         buffer = io.BytesIO()
         figure.savefig(buffer, format="svg", facecolor="white", metadata={"Date": None})
     return "data:image/svg+xml;base64," + base64.b64encode(buffer.getvalue()).decode()
