@@ -121,7 +121,7 @@ def camera_transfers(
     below, above = np.split(full * (np.sinc(fy) * np.sinc(fx)), 2, axis=1)
     if isinstance(light, str):
         below, above = below[0], above[0]
-    return (below + above) / 2, (above - below) / (2 * SLOPE_STEP_PX)
+    return np.asarray((below + above) / 2), np.asarray((above - below) / (2 * SLOPE_STEP_PX))
 
 
 def kernel_transfers(

@@ -160,7 +160,7 @@ def bound_of(table: FloatArray, strength: FloatArray) -> float:
 
 def strength_of(sharp: FloatArray) -> FloatArray:
     """Gradient energy of a sharp picture in the patch around each pixel, relative to its mean, [h, w]."""
-    energy = patch_mean(sum(np.gradient(sharp, axis=axis) ** 2 for axis in (0, 1)))
+    energy = patch_mean(np.sum(np.square(np.gradient(sharp)), axis=0))
     return np.asarray(energy / energy.mean())
 
 
