@@ -148,7 +148,7 @@ def test_one_known_white_texture_by_hand():
     h = gaussian(5.0, f)
     change = 2 * 0.3 * h * (-4 * 5.0 * (np.pi / 4 * f) ** 2 * h)
     expected = 0.5 * np.sum((change / (0.3 * h**2 + 0.01)) ** 2)
-    found = bounds.blur_deviation(transfer, slope, power, [0.01], width=8, known=True)
+    found = bounds.blur_deviation(transfer, slope, power, [0.01], width=8, texture="known")
     assert float(found) == pytest.approx(expected**-0.5, rel=EXACT)
 
 
@@ -200,15 +200,43 @@ def test_a_change_of_brightness_is_no_blur():
     slope = transfer * np.array([0.3, -0.2])[:, None, None]
     power = bounds.natural_power(SHAPE)
     assert bounds.blur_deviation(transfer, slope, power, NOISE, width=SIDE) == np.inf
-    assert np.isfinite(bounds.blur_deviation(transfer, slope, power, NOISE, width=SIDE, known=True))
+    assert np.isfinite(bounds.blur_deviation(transfer, slope, power, NOISE, width=SIDE, texture="known"))
+
+
+def test_a_free_spectrum_leaves_the_difference_of_blur_alone():
+    """Two channels of the same blur tell next to nothing (power is free from ring to ring, each a frequency wide)."""
+    power = bounds.natural_power(SHAPE, contrast=CONTRAST)
+    same = [np.repeat(part[1:], 2, axis=0) for part in two_channels(5.0)]
+    free, spectrum = (
+        float(bounds.blur_deviation(*same, power, NOISE, width=SIDE, texture=t)) for t in ("free", "spectrum")
+    )
+    assert free > 4 * spectrum
+    assert free > 4 * bound(5.0, texture="free")
+    assert bound(5.0, texture="known") < bound(5.0) < bound(5.0, texture="free") < np.inf
+
+
+def test_a_free_spectrum_by_hand():
+    """Weak noise: green over infrared is T, known to (n_G + T^2 n_I) / |I|^2 at each frequency, the gain unknown."""
+    transfer, slope = two_channels(3.0)
+    power, noise = bounds.natural_power(SHAPE, contrast=1.0), np.array([1e-7, 1e-7])
+    low = np.hypot(np.fft.fftfreq(SIDE)[:, None], np.fft.rfftfreq(SIDE)[None]) < 0.25
+    power = power * low
+    ratio = transfer[1] / transfer[0]
+    change = slope[1] / transfer[0] - ratio * slope[0] / transfer[0]
+    weight = power * transfer[0] ** 2 / (noise[1] + ratio**2 * noise[0])
+    twice = np.r_[1.0, np.full(SIDE // 2, 2.0)]
+    blur, gain, both = ((weight * a * b * twice).sum() for a, b in ((change,) * 2, (ratio,) * 2, (change, ratio)))
+    found = bounds.blur_deviation(transfer, slope, power, noise, width=SIDE, texture="free")
+    # of each ring the power is learnt from both channels, which costs a part in a thousand here
+    assert float(found) == pytest.approx((blur - both**2 / gain) ** -0.5, rel=0.01)
 
 
 def test_one_blur_in_both_channels_is_told_by_the_texture_alone():
     """Both channels alike and no noise to speak of: the second adds nothing but an average of the noise."""
     transfer, slope = (np.repeat(part[1:], 2, axis=0) for part in two_channels(5.0))
     power = bounds.natural_power(SHAPE, contrast=CONTRAST)
-    both = bounds.blur_deviation(transfer, slope, power, [2e-4, 2e-4], width=SIDE, known=True)
-    one = bounds.blur_deviation(transfer[:1], slope[:1], power, [1e-4], width=SIDE, known=True)
+    both = bounds.blur_deviation(transfer, slope, power, [2e-4, 2e-4], width=SIDE, texture="known")
+    one = bounds.blur_deviation(transfer[:1], slope[:1], power, [1e-4], width=SIDE, texture="known")
     assert float(both) == pytest.approx(float(one), rel=EXACT)
 
 

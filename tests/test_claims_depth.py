@@ -12,7 +12,7 @@ from recon.settings import PRESETS
 from validation import bounds, strips
 from validation.claim import GATES, judged_all, load_gates
 from validation.claim_table import CLAIMS
-from validation.claims import staircase
+from validation.claims import balance, resolution, staircase, steps
 from validation.strips import Noise, Strips
 
 LIGHT = "D65"
@@ -108,3 +108,107 @@ def test_bound_of_strips_scales_with_noise_and_texture(gravel):
 
 def test_level_step_is_that_of_the_camera(da_mobile, gravel):
     assert gravel.step_px == pytest.approx(float(cameras.level_blur_px(da_mobile)[1]))
+
+
+# --- balance -------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def small_balance(monkeypatch):
+    """Three holes, two blurs, one light."""
+    monkeypatch.setattr(balance, "ALPHAS", (0.2, 0.46, 0.9))
+    monkeypatch.setattr(balance, "BLURS_PX", np.array([8.0, 26.0]))
+    monkeypatch.setattr(balance, "LIGHTS", ("D65",))
+    return lambda: balance.balance(lambda share: None)
+
+
+def test_balance_holds_its_limits(small_balance):
+    evidence = small_balance()
+    assert not failed("balance", evidence.figures)
+    assert len(evidence.pictures) == 1
+
+
+def test_a_hole_that_does_not_count_fails_the_balance(small_balance, monkeypatch):
+    monkeypatch.setattr(balance, "with_hole", lambda camera, alpha: camera)
+    assert {"balance.D65.bright.small-hole", "balance.D65.bright.large-hole"} <= failed(
+        "balance", small_balance().figures
+    )
+
+
+def test_a_hole_of_another_size_fails_the_light_loss(small_balance, monkeypatch):
+    """5 % more radius."""
+    honest = balance.aperture.light_loss
+    monkeypatch.setattr(
+        balance.aperture, "light_loss", lambda found, pixels: honest([(n, 1.05 * a) for n, a in found], pixels)
+    )
+    assert "balance.light-loss" in failed("balance", small_balance().figures)
+
+
+def test_the_minimum_of_a_parabola():
+    x = np.array([0.2, 0.4, 0.5, 0.8])
+    assert balance.minimum(x, np.exp((x - 0.45) ** 2 + 1)) == pytest.approx((0.45, np.e))
+
+
+# --- steps of depth ------------------------------------------------------------------------------
+
+
+def two_planes(random, step, spread, bias=0.0, level=10.0):
+    """Raw levels of two planes, the nearer on the left, a tenth of the pixels without one."""
+    found = np.where(np.arange(80) < 40, level, level - step) + bias + spread * random.standard_normal((60, 80))
+    found[random.random(found.shape) < 0.1] = np.nan
+    near = np.broadcast_to(np.arange(80) < 40, found.shape)
+    return steps.assigned(found, near, ~near, (level, level - step))
+
+
+@pytest.mark.parametrize("step", [0.2, 0.5, 1.0])
+def test_share_of_right_answers_is_that_of_normal_noise(step):
+    from scipy.stats import norm
+
+    told = two_planes(np.random.default_rng(0), step, 0.4)
+    assert told.right == pytest.approx(norm.cdf(step / 2 / 0.4), abs=0.02)
+    assert told.ordered == pytest.approx(norm.cdf(step / 0.4 / np.sqrt(2)), abs=0.03)
+    assert told.textured == pytest.approx(0.9, abs=0.02)
+
+
+def test_guessing_is_one_half():
+    random = np.random.default_rng(0)
+    near = np.broadcast_to(np.arange(80) < 40, (60, 80))
+    told = steps.assigned(np.full((60, 80), 9.9), near, ~near, (10.0, 9.8))
+    assert (told.right, told.ordered) == pytest.approx((0.5, 0.5))
+    told = steps.assigned(random.uniform(0, 28, (60, 80)), near, ~near, (10.0, 9.8))
+    assert told.right == pytest.approx(0.5, abs=0.03)
+
+
+def test_levels_of_the_next_kernel_are_not_right():
+    """A bias of a whole level orders the planes, and assigns all pixels to one of them."""
+    told = two_planes(np.random.default_rng(0), 0.4, 0.1, bias=1.0)
+    assert told.right == pytest.approx(0.5, abs=0.02)
+    assert told.ordered > 0.98
+
+
+def test_threshold_is_interpolated_where_the_share_passes_it():
+    assert steps.threshold((0.1, 0.2, 0.4, 0.8), [0.5, 0.65, 0.85, 0.95]) == pytest.approx(0.2 * 2**0.5)
+    assert steps.threshold((0.1, 0.2), [0.9, 0.95]) == 0.1
+    assert np.isnan(steps.threshold((0.1, 0.2), [0.5, 0.6]))
+    assert steps.threshold((0.1, 0.2, 0.4), [0.8, 0.5, 1.0]) == pytest.approx(0.2 * 2**0.5)  # the last time
+
+
+def test_step_of_a_level_is_that_of_the_blur(da_mobile):
+    """Far focus, small steps: twice d^2 N p / (2 f^2) a pixel of blur; a level has 1 / (1 - alpha) of it."""
+    camera = cameras.refocused(da_mobile, 100.0)
+    by_formula = 2 * resolution.first_order_m(camera, 0.2) / (1 - cameras.hole_ratio(camera)) * 0.01
+    assert steps.step_m(camera, 0.2, 0.01) == pytest.approx(by_formula, rel=0.01)
+    assert np.isnan(steps.step_m(camera, 2.0, 3.0))
+
+
+def test_depth_as_range_is_no_depth(da_mobile):
+    """Planes whose places are taken for distances along the ray, 18 degrees off the axis: told wrong."""
+    camera = cameras.refocused(da_mobile, 100.0)
+    z, oblique = 0.1, 1 / np.cos(np.radians(18))
+    level = np.array([float(cameras.blur_px(camera, d)) for d in (z, z + steps.step_m(camera, z, 0.4))])
+    wrong = np.array([float(cameras.blur_px(camera, d * oblique)) for d in (z, z + steps.step_m(camera, z, 0.4))])
+    step = float(cameras.level_blur_px(camera)[1])
+    levels = np.where(np.arange(80) < 40, *(wrong / step)) * np.ones((60, 80))
+    near = np.broadcast_to(np.arange(80) < 40, levels.shape)
+    told = steps.assigned(levels, near, ~near, (level[0] / step, level[1] / step))
+    assert told.right == pytest.approx(0.5)

@@ -39,7 +39,7 @@ SLOPE_STEP_PX = 0.05  # of visible blur, either way: at 0.5 cycles/px a transfer
 RADIAL_STEP_PX = 0.2  # of profiles before the pixel, which hold no frequency above 1 / (lambda N) = 1.2 cycles/px
 RADIAL_FREQUENCIES = 160  # from 0 to the corner of the pixels' own band
 TAIL_PX = 40.0  # beyond the geometric blur: where the wave's rings end
-BLUR = 0  # place of the blur among the parameters
+BLUR, STRENGTH = 0, 1  # places among the parameters; the gains follow
 
 
 # --- textures and patches ------------------------------------------------------------------------
@@ -156,10 +156,18 @@ def information(
 ) -> FloatArray:
     """Fisher information of (blur, ln B, ln g_2, ...) in one periodic patch [h, width], [..., channels + 1, same].
 
-    ``transfer`` and ``slope`` are [..., channel, h, w/2 + 1], ``power`` [h, w/2 + 1],
-    ``noise`` variances [..., channel] in the picture's unit squared, ``gain`` [..., channel], ``coherence`` one number
-    for all pairs of channels or a matrix [channel, channel]. The unit of the blur is that of the slope.
+    ``transfer`` and ``slope`` are [..., channel, h, w/2 + 1], ``power`` [h, w/2 + 1], ``noise`` variances
+    [..., channel] in the picture's unit squared, ``gain`` [..., channel], ``coherence`` one number for all pairs of
+    channels or a matrix [channel, channel]. The unit of the blur is that of the slope.
     """
+    told = _by_frequency(transfer, slope, power, noise, gain, coherence)
+    return np.asarray((told * _multiplicity(width)).sum(axis=(-1, -2)))
+
+
+def _by_frequency(
+    transfer: NDArray, slope: NDArray, power: NDArray, noise: ArrayLike, gain: ArrayLike, coherence: ArrayLike
+) -> FloatArray:
+    """Information at each frequency of the whole plane, given on its half, [..., channels + 1, same, h, w/2 + 1]."""
     count = transfer.shape[-3]
     signal = np.asarray(gain, np.float64)[..., None, None] * transfer
     change = np.asarray(gain, np.float64)[..., None, None] * slope
@@ -177,12 +185,11 @@ def information(
         only[channel, channel] = 1.0
         changes.append(only @ own + own @ only)
     parts = [inverse @ part for part in changes]
-    twice = _multiplicity(width)
-    found = np.empty((*own.shape[:-4], len(parts), len(parts)))
+    found = np.empty((*own.shape[:-4], len(parts), len(parts), *own.shape[-4:-2]))
     for a, first in enumerate(parts):
         for b, second in enumerate(parts[: a + 1]):
-            trace = np.einsum("...ij,...ji->...", first, second).real
-            found[..., a, b] = found[..., b, a] = 0.5 * (trace * twice).sum(axis=(-1, -2))
+            trace = 0.5 * np.einsum("...ij,...ji->...", first, second).real
+            found[..., a, b, :, :] = found[..., b, a, :, :] = trace
     return found
 
 
@@ -197,26 +204,47 @@ def blur_deviation(
     spacing_px: float = 1.0,
     gain: ArrayLike = 1.0,
     coherence: ArrayLike = 1.0,
-    known: bool = False,
+    texture: Literal["known", "spectrum", "free"] = "spectrum",
 ) -> FloatArray:
     """Least standard deviation of the blur that an unbiased estimate from one patch can have, [...], in its unit.
 
     Arguments as of :func:`information`; ``area_px`` is the patch's area (:func:`window_area_px`), by default that of
-    the spectra's own grid: information grows in proportion. ``known`` says that strength and gains are known too.
-    Infinite where the blur tells nothing.
+    the spectra's own grid: information grows in proportion. ``texture`` says what is known of it: its spectrum and
+    also its strength and gains (``known``), the spectrum alone, or nothing (``free``): then its power in every ring
+    of frequencies is a nuisance, and what is left is what the channels' difference of blur tells. Infinite where the
+    blur tells nothing.
     """
-    found = information(transfer, slope, power, noise, width=width, gain=gain, coherence=coherence)
+    per_frequency = _by_frequency(transfer, slope, power, noise, gain, coherence) * _multiplicity(width)
+    whole = told = per_frequency[..., BLUR, BLUR, :, :].sum(axis=(-1, -2))
+    if texture == "spectrum":
+        told = _without(per_frequency.sum(axis=(-1, -2)))
+    elif texture == "free":
+        told = _without(_free_of_spectrum(per_frequency, power.shape, width))
+    told = np.where(told > _NOTHING * np.maximum(whole, np.finfo(float).tiny), told, 0.0)
     if area_px is not None:
-        found = found * (area_px / (power.shape[-2] * width * spacing_px**2))
-    told = found[..., BLUR, BLUR]
-    if not known:
-        rest = found[..., BLUR + 1 :, BLUR + 1 :]
-        across = found[..., BLUR + 1 :, BLUR]
-        # pinv: where a channel sees nothing, its gain is no parameter
-        told = told - np.einsum("...i,...ij,...j->...", across, np.linalg.pinv(rest, hermitian=True), across)
-    told = np.where(told > _NOTHING * np.maximum(found[..., BLUR, BLUR], np.finfo(float).tiny), told, 0.0)
+        told = told * (area_px / (power.shape[-2] * width * spacing_px**2))
     with np.errstate(divide="ignore"):
         return np.asarray(1 / np.sqrt(told))
+
+
+def _without(found: FloatArray) -> FloatArray:
+    """Information of the first parameter when the others are unknown: the Schur complement, [...]."""
+    rest, across = found[..., 1:, 1:], found[..., 1:, 0]
+    # pinv: where a channel sees nothing, its gain is no parameter
+    return np.asarray(found[..., 0, 0] - np.einsum("...i,...ij,...j->...", across, np.linalg.pinv(rest), across))
+
+
+def _free_of_spectrum(per_frequency: FloatArray, shape: tuple[int, ...], width: int) -> FloatArray:
+    """Information of (blur, gains) when the texture's power in every ring of frequencies is unknown."""
+    ring = np.rint(_radius((shape[0], width), 1.0) * max(shape[0], width)).astype(int)
+    kept = [BLUR, *range(STRENGTH + 1, per_frequency.shape[-3])]
+    total = np.zeros((*per_frequency.shape[:-4], len(kept), len(kept)))
+    for number in range(1, ring.max() + 1):
+        one = (per_frequency * (ring == number)).sum(axis=(-1, -2))
+        across, own = one[..., kept, STRENGTH], one[..., STRENGTH, STRENGTH][..., None, None]
+        outer = across[..., :, None] * across[..., None, :]
+        total += one[..., kept, :][..., kept] - np.divide(outer, own, out=np.zeros_like(outer), where=own > 0)
+    return total
 
 
 def depth_deviation_m(camera: Camera, depth_m: ArrayLike, blur_deviation_px: ArrayLike) -> FloatArray:
@@ -247,7 +275,8 @@ def _multiplicity(width: int) -> FloatArray:
 
 
 def _frequencies(shape: tuple[int, int], spacing_px: float) -> tuple[FloatArray, FloatArray]:
-    return np.fft.fftfreq(shape[0], spacing_px)[:, None], np.fft.rfftfreq(shape[1], spacing_px)[None, :]
+    down, along = np.fft.fftfreq(shape[0], spacing_px), np.fft.rfftfreq(shape[1], spacing_px)
+    return np.asarray(down[:, None], np.float64), np.asarray(along[None, :], np.float64)
 
 
 def _radius(shape: tuple[int, int], spacing_px: float) -> FloatArray:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from validation.claims.balance import balance
 from validation.claims.bank import bank
 from validation.claims.camera import depth_of_field, dynamic_range, kernels, response_curves
 from validation.claims.colour import colour
@@ -16,6 +17,7 @@ from validation.claims.scenes import interreflection, registration, scenes_speed
 from validation.claims.sharp import all_in_focus, refocus
 from validation.claims.speed import recon_speed
 from validation.claims.staircase import staircase, staircase_camera
+from validation.claims.steps import measured_steps
 from validation.validate import Measurement
 
 # Quick: less than about 20 s on two cores.
@@ -49,4 +51,6 @@ CLAIMS = {
     "depth": Measurement(depth, quick=False),
     "all-in-focus": Measurement(all_in_focus, quick=False),
     "refocus": Measurement(refocus, quick=False),
+    "depth-steps": Measurement(measured_steps, quick=False),
+    "balance": Measurement(balance, quick=True),
 }
