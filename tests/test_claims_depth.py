@@ -6,13 +6,17 @@ import socket
 
 import numpy as np
 import pytest
+import surfaces
 
 from dasim import camera as cameras
+from dasim.simulation import Shot
+from dasim.values import Capture
+from recon import mosaic
 from recon.settings import PRESETS
 from validation import bounds, strips
 from validation.claim import GATES, judged_all, load_gates
 from validation.claim_table import CLAIMS
-from validation.claims import balance, resolution, staircase, steps
+from validation.claims import balance, light_levels, resolution, staircase, steps
 from validation.strips import Noise, Strips
 
 LIGHT = "D65"
@@ -36,7 +40,7 @@ def gravel(da_mobile, bank_kernels):
 def failed(claim: str, figures) -> set[str]:
     """Figures that do not keep their limits; those that were not measured do not count."""
     entries = judged_all(claim, figures, load_gates(GATES, CLAIMS))
-    return {entry.id for entry in entries if entry.passed is False and np.isfinite(entry.value)}
+    return {entry.id for entry in entries if entry.passed is False and not np.isnan(entry.value)}
 
 
 def staircase_fails(found) -> set[str]:
@@ -212,3 +216,53 @@ def test_depth_as_range_is_no_depth(da_mobile):
     near = np.broadcast_to(np.arange(80) < 40, levels.shape)
     told = steps.assigned(levels, near, ~near, (level[0] / step, level[1] / step))
     assert told.right == pytest.approx(0.5)
+
+
+# --- levels of light -----------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def even_shot(da_mobile):
+    """A shot of an even grey surface of 1,000 green electrons at 1/100 s; its level falls from left to right."""
+    camera = cameras.cropped(da_mobile, 64, 48)
+    mean = np.broadcast_to(np.array([600.0, 1000.0, 500.0, 300.0]), (48, 64, 4)).astype(np.float32)
+    truth = surfaces.truth(camera, np.broadcast_to(np.linspace(20.0, 0.0, 64), (48, 64)), mean, False)
+    return Shot(Capture(np.zeros((48, 64), np.uint16), camera, 0.01, 1.0, 0), truth)
+
+
+@pytest.mark.parametrize(
+    ("times", "time_s", "gain"),
+    [(5.0, None, 1.0), (0.5, 1 / 30, None), (0.01, 1 / 30, 16.0)],
+    ids=["bright", "dim", "dark"],
+)
+def test_exposure_is_time_first_then_gain(even_shot, times, time_s, gain):
+    camera = even_shot.capture.camera
+    capture = light_levels.exposed(even_shot, camera, times, 0)
+    full = 0.85 * camera.sensor.full_well_e / capture.gain
+    green = 1000 * times * capture.exposure_s / 0.01
+    assert capture.exposure_s <= light_levels.LONGEST_S
+    assert time_s is None or capture.exposure_s == pytest.approx(time_s)
+    assert gain is None or capture.gain == gain
+    assert green <= full * 1.001
+    if capture.gain < light_levels.MOST_GAIN:
+        assert green == pytest.approx(full)
+    electrons, _ = mosaic.linearise(capture)
+    assert electrons[::2, ::2].mean() == pytest.approx(green, rel=0.05)
+
+
+def test_errors_are_those_of_the_pixels_before_the_focus(even_shot):
+    level = even_shot.truth.level
+    raw = np.where(np.arange(64) < 32, level + 0.5, np.nan).astype(np.float32)
+    error, raw_error, share = light_levels.errors_of(level + 2.0, raw, even_shot)
+    assert (error, raw_error, share) == pytest.approx((2.0, 0.5, 0.5), abs=1e-4)
+
+
+def test_light_that_only_harms_fails():
+    """The curve turned round: noise that rises with light."""
+    good = np.array([8.0, 4.0, 2.0, 0.8, 0.6, 0.5, 0.5])
+    assert not failed("light-levels", light_levels.summary("D65", good, 2.0))
+    assert {f"light-levels.D65.{key}" for key in ("order", "bright", "dark", "enough-lux")} <= failed(
+        "light-levels", light_levels.summary("D65", good[::-1], 2.0)
+    )
+    assert light_levels.summary("D65", good, 2.0)[0].value == 300  # below half of 2
+    assert light_levels.summary("D65", good + 1, 2.0)[0].value == np.inf

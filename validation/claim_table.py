@@ -10,6 +10,7 @@ from validation.claims.depth import depth
 from validation.claims.diffraction import airy_table, wave_energy, wave_sfr
 from validation.claims.lens import blur_off
 from validation.claims.light import absolute_electrons, eq8_flat_field, hole_alpha_squared, light_loss
+from validation.claims.light_levels import light_levels
 from validation.claims.occlusion import occluding_edge
 from validation.claims.resolution import depth_resolution
 from validation.claims.sampling import desk_noise, noise_slope_off, noise_slope_wave, render_cost
@@ -53,4 +54,5 @@ CLAIMS = {
     "refocus": Measurement(refocus, quick=False),
     "depth-steps": Measurement(measured_steps, quick=False),
     "balance": Measurement(balance, quick=True),
+    "light-levels": Measurement(light_levels, quick=False),
 }

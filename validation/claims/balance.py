@@ -30,6 +30,7 @@ FOCUS_M = 0.4  # the far end of the paper's first working range, 5 to 40 cm
 BLURS_PX = np.array([3.0, 8.0, 14.0, 20.0, 26.0, 32.0, 40.0, 47.0])  # visible: 24 to 5 cm, even in dioptres
 MEAN_SHARE = 0.4  # of white, the texture's mean
 CONTRAST = 0.15  # of its mean, the texture's standard deviation in an octave
+TICKS = (0.2, 0.5, 1, 2, 4)  # of the depth error's axis
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7")
 
 
@@ -159,6 +160,8 @@ def _curves(loss: list[float], snr: FloatArray, error: FloatArray) -> str:
         axes[1].set(ylabel="signal over noise of infrared")
         axes[2].set(ylabel="depth error (Cramer-Rao), 1/m")
         axes[0].legend(*axes[1].get_legend_handles_labels(), fontsize=7, loc="lower left")
+        axes[2].set_yticks(TICKS, [f"{tick:g}" for tick in TICKS])
+        axes[2].minorticks_off()
         for panel in axes:
             panel.axvline(PAPERS, color="#888888", linewidth=0.8)
             panel.set(xlabel="radius of the hole over the lens's")
