@@ -133,7 +133,7 @@ def demo(*, out: Out = Path("out/demo"), variant: str | None = None, spp: Whole 
         entries = run_demo(out, variant=variant, spp=spp, progress=progress)
     for entry in entries:
         mark = {None: "", True: "passed", False: "FAILED"}[entry.passed]
-        print(f"{entry.id:<34}{entry.value:>9.3f} {entry.unit:<6}{entry.limit or '':<8}{mark}")
+        print(f"{entry.id:<46}{entry.value:>9.3f} {entry.unit:<6}{entry.limit or '':<8}{mark}")
     print(f"report: {out / 'report.html'}")
     return 1 if any(entry.passed is False for entry in entries) else 0
 
@@ -427,23 +427,23 @@ def score(
     """
     from dasim.files import load_capture, load_truth
     from recon.output import load_reconstruction
+    from validation import scores
     from validation.claim import plain_value
     from validation.depth_files import SUFFIXES, read_depth, read_map
-    from validation.scores import score_map, score_reconstruction, shown
 
     _check_score_output(json_file)
     if result.is_file() or result.suffix.lower() in SUFFIXES:
         depth_m = read_depth(result, scale)
         trust = None if confidence is None else read_map(confidence)
         taken = load_capture(capture)
-        figures = score_map(depth_m, trust, taken, load_truth(capture))
+        figures = scores.score_map(depth_m, taken, load_truth(capture), trust)
     else:
         if confidence is not None or scale is not None:
             raise InputError("--confidence and --scale belong to a depth map; a reconstruction folder has its own")
         found = load_reconstruction(result)
         taken = load_capture(capture)  # a capture that is not whole is not scored
-        figures = score_reconstruction(found, taken, load_truth(capture))
-    print(shown(figures))
+        figures = scores.score(found, taken, load_truth(capture))
+    print(scores.shown(figures))
     if json_file is not None:
         content = {f.id: {"value": plain_value(f.value), "unit": f.unit} for f in figures}
         partial = json_file.with_name(f".{json_file.name}.partial")

@@ -21,7 +21,7 @@ from validation.claim import GATES, Claim, Evidence, Gate, NotRun, gate_of, judg
 from validation.claim_table import CLAIMS
 from validation.claims import colour, diffraction, lens, light
 from validation.comparison import Earlier, changes
-from validation.metrics import Figure
+from validation.figures import Figure
 from validation.report import png_address
 from validation.validate import Measurement, all_gates, chosen, run_claims
 

@@ -20,7 +20,7 @@ import recon
 from dasim.cache import cache_dir
 from dasim.scene import SCENE_DIR
 from validation.claim import Evidence, plain_value
-from validation.metrics import Figure
+from validation.figures import Figure
 
 SCHEMA = 3
 LIBRARIES = ("mitsuba", "drjit", "numpy", "scipy", "numba", "opencv-python-headless", "colour-science", "scikit-image")

@@ -19,7 +19,7 @@ from recon.settings import Settings
 from validation import rendering
 from validation.banks import simulated_bank
 from validation.claim import Evidence, Progress
-from validation.metrics import Figure
+from validation.figures import Figure
 
 FloatArray = NDArray[np.float64]
 
