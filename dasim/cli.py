@@ -464,6 +464,7 @@ def validate(
     seeds: Whole = 1,
     jobs: Whole = 1,
     compare: Path | None = None,
+    propose_gates: Path | None = None,
 ) -> int:
     """Hold the simulator against closed forms and independent methods; writes results, a report and junit.xml.
 
@@ -480,11 +481,13 @@ def validate(
             figures are means with their spread
         jobs: claims that are measured at once, each in a process of its own
         compare: results.json of an earlier run: prints what became better and worse
+        propose_gates: a TOML file to write, for --gates: limits from the measured means and their spread over --seeds
     """
     from dasim.files import check_output
     from dasim.render import backend
     from validation.claim_table import CLAIMS
     from validation.comparison import changes, load_results, report
+    from validation.proposal import gate_file
     from validation.validate import all_gates, chosen, failed, run_claims
 
     names = chosen(CLAIMS, only or (), quick=quick)
@@ -497,6 +500,10 @@ def validate(
     for option, number in (("--jobs", jobs), ("--seeds", seeds)):
         if number < 1:
             raise InputError(f"{option} {number}: must be 1 or more")
+    if propose_gates is not None:
+        if seeds < 2:
+            raise InputError("--propose-gates: needs --seeds of 2 or more, since the margin comes from their spread")
+        _check_new_file(propose_gates, "--propose-gates")
     earlier = None if compare is None else load_results(compare)
     check_output(out, "validation")
     _say_variant(None)
@@ -514,6 +521,10 @@ def validate(
     again = sum(outcome.stored for outcome in outcomes)
     if again:
         print(f"{again} of {len(outcomes)} claims are unchanged since an earlier run; --fresh measures them again")
+    if propose_gates is not None:
+        figures = [(entry, outcome.seeds) for outcome in outcomes for entry in outcome.claims]
+        propose_gates.write_text(gate_file(figures), encoding="utf-8")
+        print(f"limits: {propose_gates}")
     if earlier is not None:
         entries = [entry for outcome in outcomes for entry in outcome.claims]
         print("\n".join(report(changes(earlier, entries, set(names)))))
@@ -636,6 +647,14 @@ def _list_claims(names: list[str], *, verbose: bool) -> None:
     for name in names:
         text = f"\n{inspect.getdoc(CLAIMS[name].run)}\n" if verbose else title(CLAIMS[name])
         print(f"{name:<20}{'quick' if CLAIMS[name].quick else '':<7}{text}")
+
+
+def _check_new_file(path: Path, option: str) -> None:
+    """Refuse to overwrite anything, and a folder that is not there, before the work begins."""
+    if path.exists():
+        raise InputError(f"{option} {path}: exists; choose another name")
+    if not path.resolve().parent.is_dir():
+        raise InputError(f"{option} {path}: the folder {path.resolve().parent} does not exist")
 
 
 def _check_score_output(out: Path | None) -> None:
