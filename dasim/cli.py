@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import cyclopts
 from cyclopts import Parameter
 
+from dasim.cli_dataset import app as dataset_app
 from dasim.errors import InputError
 
 if TYPE_CHECKING:
@@ -27,6 +28,8 @@ app = cyclopts.App(
     version_flags=["--version"],
     suppress_keyboard_interrupt=False,  # run() says it, and main() knows which signal it was
 )
+
+app.command(dataset_app)
 
 Progress = Callable[[str, float], None]
 _STOPPED = 130
