@@ -300,9 +300,9 @@ def _print_distances(camera: Camera) -> int:
     margin = DEPTH_TOLERANCE * blurs[1]
     nearest, farthest = (depth_of_blur_m(camera, blurs + side * margin) for side in (1, -1))
     print(
-        f"# camera '{camera.name}' focused at {camera.lens.focus_distance_m:g} m: metres from the lens plane to the pinhole;"
+        f"# camera '{camera.name}' focused at {camera.lens.focus_distance_m:g} m: metres from the lens to the pinhole;"
     )
-    print("# within from_m and to_m a picture counts; you may stop after any level")
+    print("# a picture counts from from_m to to_m; you may stop after any level, and leave none out before it")
     print("level  distance_m   from_m     to_m  blur_px")
     for row in zip(range(len(depths)), depths, nearest, farthest, blurs, strict=True):
         print("{:>5}  {:>10.5f}  {:>7.5f}  {:>7.5f}  {:>7.1f}".format(*row))
