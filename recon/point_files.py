@@ -99,7 +99,7 @@ def read_point_pictures(
         progress("reading pictures", (number + 1) / len(lines))
     pictures: list[PointPicture] = []
     worst = (np.inf, "")
-    half_px = point_source.window_half_px(float(level_blur_px[max((line.level for line in lines), default=0)]))
+    half_px = point_source.window_half_px(float(level_blur_px[-1]))
     for (light, _), loaded in groups.items():
         blur_px = _blur_px(loaded[0][0].depth_m, level_depth_m, level_blur_px)
         group, wrong = _cut(loaded, camera, blur_px, half_px)
