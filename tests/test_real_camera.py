@@ -27,7 +27,7 @@ LEVELS = 8  # the scene lies at 2.5 and 6.2
 SIZE = (160, 112)
 GAIN_DN_PER_E, FULL_WELL_E, DARK_NOISE_E, BLACK_DN = 0.31, 11_000.0, 5.5, 168
 SENSOR_TOLERANCE = 1e-4  # the saturation capacity is written to a tenth of an electron
-# Straight lines between points h = 5 nm apart miss h^2 / 8 of the largest bend: of infrared's edge, a logistic that rises
+# Straight lines between points h = 5 nm apart miss h^2 / 8 of the largest bend: of an edge, a logistic that rises
 # over 14 nm, 0.0962 (ln 81 / 14 nm)^2 of its height.
 CURVE_TOLERANCE = 5**2 / 8 * 0.0962 * (np.log(81) / 14) ** 2
 # White of the bank against the spectra: the tails of weak pictures, as of the bank in memory.
