@@ -489,9 +489,10 @@ def score(
 
     Args:
         result: a reconstruction folder, or a depth map: EXR or NPY in metres, 16-bit PNG with --scale
-        capture: the capture folder with truth.exr
+        capture: the capture folder with truth.exr; or, for a reconstruction of a photograph of your own, the depths
+            that you measured: EXR or NPY in metres, 16-bit PNG with --scale, one for each pixel, NaN (0) where unknown
         confidence: with a depth map, how sure it is of each pixel (same formats, any unit, more is surer)
-        scale: metres of one unit of the depth map
+        scale: metres of one unit of the depth map, or of the measured depths
         json_file: also write the figures to this file
     """
     from dasim.files import load_capture, load_truth
@@ -501,7 +502,13 @@ def score(
     from validation.scores import score_map, score_reconstruction, shown
 
     _check_score_output(json_file)
-    if result.is_file() or result.suffix.lower() in SUFFIXES:
+    if capture.is_file() and capture.suffix.lower() in SUFFIXES:
+        from validation.own_truth import score_measured
+
+        if confidence is not None or not result.is_dir():
+            raise InputError(f"{capture}: measured depths judge a reconstruction folder, which says its camera")
+        figures = score_measured(load_reconstruction(result), read_depth(capture, scale))
+    elif result.is_file() or result.suffix.lower() in SUFFIXES:
         depth_m = read_depth(result, scale)
         trust = None if confidence is None else read_map(confidence)
         taken = load_capture(capture)

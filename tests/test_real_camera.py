@@ -18,7 +18,7 @@ from dasim import calibration, illuminants, spectra
 from dasim import camera as cameras
 from dasim.cli import run
 from dasim.datasheet import saturation_capacity_e
-from dasim.files import load_bank
+from dasim.files import load_bank, write_png16
 from recon import point_files
 from recon.output import load_reconstruction
 
@@ -198,6 +198,38 @@ def test_the_depth_is_scored(bench):
     median = figures["regularised.textured.level-median"]["value"]
     assert median < MEDIAN_LEVELS
     assert median < figures["regularised.textured.level-median.constant"]["value"] / 2
+
+
+def test_measured_depths_judge_a_photograph(bench, capsys, monkeypatch):
+    """Rationale: who took a photograph has no truth.exr, but may know depths. Set-up: those of the truth as NPY in
+    metres, and as 16-bit PNG in tenths of a millimetre; half of the picture unknown.
+
+    Expectation: off the boundaries the figures of the simulated truth, where both judge the same pixels; from the PNG
+    the same to its rounding; a map of another size, and a depth map without its camera, are refused.
+    """
+    monkeypatch.chdir(bench)
+    depth_m = dasim.load_truth(bench / "truth").depth_m
+    np.save("measured.npy", depth_m)
+    assert run(["score", "result", "measured.npy", "--json", "own.json"]) == 0
+    own, simulated = (json.loads((bench / name).read_text()) for name in ("own.json", "score.json"))
+    for region in ("all", "boundary"):
+        for metric in ("share", "level-median", "rmse-dioptre", "level-median.constant"):
+            key = f"regularised.{region}.{metric}"
+            assert own[key]["value"] == pytest.approx(simulated[key]["value"], rel=1e-4), key  # float32 levels
+    assert not any(".textured." in key or ".untextured." in key for key in own)
+    half = np.where(np.arange(SIZE[0]) < SIZE[0] // 2, depth_m, 0)
+    write_png16(bench / "measured.png", np.rint(half * 1e4).astype(np.uint16))
+    assert run(["score", "result", "measured.png", "--scale", "1e-4", "--json", "png.json"]) == 0
+    png = json.loads((bench / "png.json").read_text())
+    assert png["regularised.inner.level-median"]["value"] < MEDIAN_LEVELS
+    np.save("small.npy", depth_m[:-2])
+    capsys.readouterr()
+    for result, measured, said in (
+        ("result", "small.npy", "is 160x112 pixels"),
+        ("measured.npy", "measured.npy", "folder"),
+    ):
+        assert run(["score", result, measured]) == 2
+        assert said in capsys.readouterr().err
 
 
 def test_distances_are_printed_and_simulated_pictures_saved(tmp_path, capsys, monkeypatch):
