@@ -266,6 +266,8 @@ def calibrate(
         return _print_distances(chosen)
     if captures is not None and (illuminant or diffraction or save_captures):
         raise InputError("--captures: your own pictures decide lights and diffraction; leave the other option out")
+    if save_captures is not None and out is not None:
+        raise InputError("--save-captures: writes pictures and no bank; leave --out out")
     if captures is None and format_ is not None:
         raise InputError("--format: is for your own pictures; name their folder with --captures")
     lights = tuple(dict.fromkeys(illuminant or CALIBRATION_LIGHTS))
@@ -294,7 +296,7 @@ def calibrate(
 def _print_distances(camera: Camera) -> int:
     from dasim.calibration import levels
     from dasim.camera import depth_of_blur_m
-    from recon.point_files import DEPTH_TOLERANCE
+    from recon.point_table import DEPTH_TOLERANCE
 
     depths, blurs = levels(camera)
     margin = DEPTH_TOLERANCE * blurs[1]

@@ -22,6 +22,7 @@ SATURATED_SHARE = 0.97  # of a pixel; an automatic exposure to 85 % stays below 
 HOT_RATIO = 20.0  # a pixel over the brightest of its eight neighbours, of any colour: no lens draws such a point
 MARGIN_PX = 18  # around the widest blur: its diffraction tail, and the rim that shows background
 SEARCH_STEPS = 5
+MANY_WINDOWS = 16  # side by side in a frame, that tell how much their means differ without a source
 
 
 def window_half_px(blur_px: float) -> int:
@@ -118,16 +119,22 @@ def _period(camera: Camera) -> tuple[int, int]:
 
 
 def _electrons(capture: Capture) -> tuple[FloatArray, FloatArray]:
-    """Electrons above each mosaic place's background, [h, w], and the standard deviation of the background there."""
+    """Electrons above each mosaic place's background, [h, w], and the standard deviation of the background there.
+
+    The background is the median of the frame's border: a long exposure saturates most of a frame that is not much
+    larger than the blur.
+    """
     sensor = capture.camera.sensor
     scale_e = electrons_per_dn(sensor, capture.gain)
     electrons = (capture.raw_dn.astype(np.float64) - sensor.black_level_dn) * scale_e
     sigma_e = np.empty_like(electrons)
     rows, columns = _period(capture.camera)
+    border = np.ones(electrons.shape, bool)
+    border[rows:-rows, columns:-columns] = False
     for row in range(rows):
         for column in range(columns):
             part = (slice(row, None, rows), slice(column, None, columns))
-            background = float(np.median(electrons[part]))
+            background = float(np.median(electrons[part][border[part]]))
             electrons[part] -= background
             light = max(background, 0.0)
             fixed = sensor.dsnu_e**2 + (sensor.prnu * light) ** 2
@@ -151,13 +158,15 @@ def _found(electrons: FloatArray, sigma_e: FloatArray, camera: Camera, blur_px: 
     mean = ndimage.uniform_filter(cold, width, mode="constant")
     peak = np.unravel_index(int(mean.argmax()), mean.shape)
     noise_e = float(np.sqrt(np.mean(sigma_e**2))) / width
+    elsewhere_e = 0.0
     apart = mean[width // 2 :: width, width // 2 :: width]
-    if apart.size >= 16:  # uneven light that is no point
-        noise_e = max(noise_e, 1.4826 * float(np.median(np.abs(apart - np.median(apart)))))
+    if apart.size >= MANY_WINDOWS:  # uneven light that is no point
+        elsewhere_e = float(np.median(apart))
+        noise_e = max(noise_e, 1.4826 * float(np.median(np.abs(apart - elsewhere_e))))
     place = np.array(peak, float)
     y, x = np.indices(mean.shape)
     for _ in range(SEARCH_STEPS):
         near = np.maximum(cold, 0) * (np.hypot(y - place[0], x - place[1]) < width / 2 + period)
         if near.sum() > 0:
             place = np.array([(near * y).sum(), (near * x).sum()]) / near.sum()
-    return place, float(mean[peak]) / noise_e
+    return place, (float(mean[peak]) - elsewhere_e) / noise_e

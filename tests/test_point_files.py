@@ -14,8 +14,8 @@ from dasim import calibration, illuminants, pointspread, sensor
 from dasim import camera as cameras
 from dasim.errors import InputError
 from dasim.files import read_png16, write_png16
-from dasim.values import PointPicture
-from recon import point_files
+from dasim.values import Capture, PointPicture
+from recon import point_files, point_source
 
 LIGHT = "D55"
 LEVELS = 3  # with which the tests make do; the camera has 29
@@ -121,10 +121,9 @@ def test_large_frames_with_the_source_aside_and_hot_pixels(tmp_path, camera, pic
         assert energy_error(found.kernel[0, level, channel], bank.kernel[0, level, channel]) < WINDOW_ENERGY
 
 
-def anywhere(camera, level, places, exposures):
+def anywhere(camera, level, places, exposures, side=60):
     """Pictures of a source of one brightness at places (y, x) in pixels from the middle, in several exposures."""
     depths, blurs = calibration.levels(camera)
-    side = 60
     local = cameras.cropped(cameras.load_camera(camera.name), side, side)
     local = local.model_copy(update={"sensor": camera.sensor.model_copy(update={"width_px": side, "height_px": side})})
     at = pointspread.kernels(camera, blurs[: level + 1], illuminants.illuminant(LIGHT), side - 1, "wave")
@@ -167,6 +166,51 @@ def test_a_source_that_stood_anywhere(tmp_path, camera):
     few = [p for p in taken if p.position == "place 1"]
     point_files.write_point_pictures(tmp_path / "few", few, camera)
     assert "1 position of the source" in read(tmp_path / "few", camera).notes[1]
+
+
+def capture_of(picture, camera):
+    height, width = picture.frames_dn.shape[1:]
+    sized = cameras.cropped(cameras.load_camera(camera.name), width, height)
+    return Capture(picture.frames_dn[0], sized, picture.exposure_s, picture.gain, 0)
+
+
+def test_a_wide_blur_is_found_in_every_exposure(camera):
+    """Set-up: the widest blur in a frame hardly larger, the longest exposure saturated all over it.
+
+    Expectation: no complaint of any, and the window, of whole periods, is about the source.
+    """
+    taken = list(anywhere(camera, 28, [(3.4, -2.2)], ((256.0, 1.0), (16.0, 1.0), (1.0, 1.0)), side=84))
+    captures = [capture_of(picture, camera) for picture in taken]
+    for capture in captures:
+        point_source.check(capture, capture.camera, taken[0].blur_px, shortest=capture is captures[-1])
+    rows, columns = point_source.window(captures, captures[0].camera, taken[0].blur_px, 36)
+    for span, at in ((rows, 41 + 3.4), (columns, 41 - 2.2)):
+        assert span.stop - span.start == 72 and span.start % 2 == 0
+        assert abs((span.start + span.stop - 1) / 2 - at) < 2  # the mosaic's period
+
+
+@pytest.mark.parametrize("light_e", [300.0, 3000.0])
+def test_uneven_light_is_no_source(light_e):
+    """Set-up: an even surface whose corners have 60 % of the middle's light; then a point of 4 x 4 pixels on it.
+
+    Expectation: the surface alone is refused, the point before the dimmer one is found, a full one is saturated.
+    """
+    wide = cameras.cropped(cameras.load_camera("da-mobile"), 240, 200)
+    y, x = np.indices((200, 240)) - np.array([100, 120])[:, None, None]
+    even_e = light_e * (1 - 0.4 * (y**2 + x**2) / (100**2 + 120**2))
+
+    def check(point_e):
+        mean_e = even_e.copy()
+        mean_e[60:64, 71:75] += point_e
+        raw, _ = sensor.expose(mean_e, wide.sensor, 0.01, 1)
+        point_source.check(Capture(raw, wide, 0.01, 1.0, 0), wide, 0.0, shortest=True)
+
+    with pytest.raises(InputError, match="shows no point source"):
+        check(0.0)
+    if light_e < 1000:
+        check(4000.0)
+        with pytest.raises(InputError, match="16 pixels are saturated in the shortest exposure"):
+            check(9000.0)
 
 
 def test_everything_that_is_wrong_is_said_at_once(folder, camera):

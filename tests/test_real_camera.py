@@ -19,7 +19,7 @@ from dasim import camera as cameras
 from dasim.cli import run
 from dasim.datasheet import saturation_capacity_e
 from dasim.files import load_bank, write_png16
-from recon import point_files
+from recon import point_table
 from recon.output import load_reconstruction
 
 LIGHT = "D55"
@@ -200,6 +200,29 @@ def test_the_depth_is_scored(bench):
     assert median < figures["regularised.textured.level-median.constant"]["value"] / 2
 
 
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (("--captures", "pinhole", "--illuminant", "A"), "decide lights and diffraction"),
+        (("--captures", "pinhole", "--diffraction", "off"), "decide lights and diffraction"),
+        (("--captures", "pinhole", "--save-captures", "new"), "leave the other option out"),
+        (("--format", "raw12"), "name their folder with --captures"),
+        (("--captures", "none"), "needs a table captures.csv"),
+        (("--captures", "pinhole", "--focus", "0.2"), "is no level's distance"),
+        (("--captures", "pinhole", "--camera", "da-mobile"), "has values of"),
+        (("--save-captures", "new"), "leave --out out"),
+    ],
+)
+def test_options_that_contradict_each_other(bench, options, said, capsys, monkeypatch):
+    """Expectation: status 2, one line, no bank; 12-bit pictures of a camera of 10 bits are refused too."""
+    monkeypatch.chdir(bench)
+    camera = () if "--camera" in options else ("--camera", "camera.toml")
+    assert run(["calibrate", *camera, "--out", "new.npz", *options]) == 2
+    lines = capsys.readouterr().err.splitlines()
+    assert said in lines[-1], lines[-1]
+    assert not (bench / "new.npz").exists() and not (bench / "new").exists()
+
+
 def test_measured_depths_judge_a_photograph(bench, capsys, monkeypatch):
     """Rationale: who took a photograph has no truth.exr, but may know depths. Set-up: those of the truth as NPY in
     metres, and as 16-bit PNG in tenths of a millimetre; half of the picture unknown.
@@ -243,8 +266,8 @@ def test_distances_are_printed_and_simulated_pictures_saved(tmp_path, capsys, mo
     np.testing.assert_allclose([float(row[1]) for row in rows], depths, atol=5e-6)
     for level, row in enumerate(rows):
         for bound, side in ((row[2], 1), (row[3], -1)):
-            place = point_files.level_of(float(bound), depths)
-            assert place == pytest.approx(level + side * point_files.DEPTH_TOLERANCE, abs=0.02)  # five decimals
+            place = point_table.level_of(float(bound), depths)
+            assert place == pytest.approx(level + side * point_table.DEPTH_TOLERANCE, abs=0.02)  # five decimals
     few = itertools.islice(calibration.calibration_captures(camera, ("A",)), 2)
     monkeypatch.setattr("dasim.calibration.calibration_captures", lambda *arguments, **options: few)
     assert run(["calibrate", "--illuminant", "A", "--save-captures", str(tmp_path / "saved")]) == 0
