@@ -19,6 +19,7 @@ from dasim.cli_dataset import app as dataset_app
 from dasim.errors import InputError
 
 if TYPE_CHECKING:
+    from dasim.camera import Camera
     from dasim.values import Capture, PsfBank
     from recon.settings import Settings
 
@@ -229,42 +230,112 @@ def render(
 @app.command
 def calibrate(
     *,
-    out: Out,
+    out: Path | None = None,
     camera: str = "da-mobile",
     focus: float | None = None,
     illuminant: Annotated[list[str] | None, Parameter(negative="")] = None,
-    diffraction: str = "wave",
+    diffraction: str | None = None,
+    captures: Path | None = None,
+    format_: Annotated[str | None, Parameter(name="--format")] = None,
+    print_distances: Annotated[bool, Parameter(negative="")] = False,
+    save_captures: Path | None = None,
 ) -> int:
-    """Measure a PSF bank from simulated pictures of a point source.
+    """Measure a PSF bank from pictures of a point source, simulated ones or your own.
 
     Args:
         out: the bank, one .npz file
         camera: a bundled name or a TOML file
         focus: focus distance in metres; the camera's own by default
-        illuminant: lights of the bank; all by default
-        diffraction: wave, airy or off; the same as that of the captures
+        illuminant: of simulated pictures, lights of the bank; all by default
+        diffraction: of simulated pictures: wave (the default), airy or off; the same as that of the captures
+        captures: a folder with your own pictures: raw files, and captures.csv with a line for each (columns file,
+            light, depth_m, exposure_s; also gain, and position where the source stood at several places)
+        format_: of your own pictures: raw10, raw12, raw16 or left-aligned, as of 'dasim recon'
+        print_distances: print the distances from the lens at which to photograph the point source, and end
+        save_captures: write the simulated pictures to this folder, in the form that --captures reads, and end
     """
     import dasim
     from dasim import illuminants
     from dasim.calibration import CALIBRATION_LIGHTS
-    from dasim.files import save_bank
+    from dasim.files import check_output, save_bank
     from dasim.simulation import check_options
+    from recon.point_files import KIND
     from validation.banks import simulated_bank
 
-    _check_bank_output(out)
+    chosen = dasim.load_camera(camera)
+    if focus is not None:
+        chosen = dasim.refocused(chosen, focus)
+    if print_distances:
+        return _print_distances(chosen)
+    if captures is not None and (illuminant or diffraction or save_captures):
+        raise InputError("--captures: your own pictures decide lights and diffraction; leave the other option out")
+    if save_captures is not None and out is not None:
+        raise InputError("--save-captures: writes pictures and no bank; leave --out out")
+    if captures is None and format_ is not None:
+        raise InputError("--format: is for your own pictures; name their folder with --captures")
     lights = tuple(dict.fromkeys(illuminant or CALIBRATION_LIGHTS))
     for light in lights:
         illuminants.illuminant(light)
     check_options(None, 0, diffraction)
-    chosen = dasim.load_camera(camera)
-    if focus is not None:
-        chosen = dasim.refocused(chosen, focus)
+    if save_captures is not None:
+        check_output(save_captures, KIND)
+        return _save_captures(save_captures, chosen, lights, diffraction or "wave")
+    if out is None:
+        raise InputError("--out is missing; name the bank's file, such as bank.npz")
+    _check_bank_output(out)
     with _progress() as progress:
-        bank = simulated_bank(chosen, lights=lights, diffraction=diffraction, progress=progress)
+        if captures is None:
+            bank = simulated_bank(chosen, lights=lights, diffraction=diffraction or "wave", progress=progress)
+        else:
+            bank, notes = _measured_bank(captures, chosen, format_, progress)
+            for note in notes:
+                print(f"note: {note}")
     save_bank(out, bank)
     print(f"bank: {out} ({', '.join(bank.lights)}; {len(bank.depth_m)} levels, {bank.depth_m[-1]:.3g} to "
           f"{bank.depth_m[0]:.3g} m)")  # fmt: skip
     return 0
+
+
+def _print_distances(camera: Camera) -> int:
+    from dasim.calibration import levels
+    from dasim.camera import depth_of_blur_m
+    from recon.point_table import DEPTH_TOLERANCE
+
+    depths, blurs = levels(camera)
+    margin = DEPTH_TOLERANCE * blurs[1]
+    nearest, farthest = (depth_of_blur_m(camera, blurs + side * margin) for side in (1, -1))
+    print(
+        f"# camera '{camera.name}' focused at {camera.lens.focus_distance_m:g} m: metres from the lens to the pinhole;"
+    )
+    print("# a picture counts from from_m to to_m; you may stop after any level, and leave none out before it")
+    print("level  distance_m   from_m     to_m  blur_px")
+    for row in zip(range(len(depths)), depths, nearest, farthest, blurs, strict=True):
+        print("{:>5}  {:>10.5f}  {:>7.5f}  {:>7.5f}  {:>7.1f}".format(*row))
+    return 0
+
+
+def _save_captures(out: Path, camera: Camera, lights: tuple[str, ...], diffraction: str) -> int:
+    from dasim.calibration import calibration_captures
+    from recon.point_files import write_point_pictures
+
+    count = write_point_pictures(out, calibration_captures(camera, lights, diffraction=diffraction), camera)
+    print(f"captures: {out} ({count} pictures of {', '.join(lights)})")
+    return 0
+
+
+def _measured_bank(
+    folder: Path, camera: Camera, kind: str | None, progress: Progress
+) -> tuple[PsfBank, tuple[str, ...]]:
+    """A bank of a user's own pictures, and what is to be said of it."""
+    from dasim import illuminants
+    from dasim.calibration import levels
+    from recon import calibrate as measured
+    from recon.point_files import read_point_pictures
+
+    found = read_point_pictures(
+        folder, camera, *levels(camera), known_light=illuminants.illuminant, kind=kind, progress=progress
+    )
+    return measured(found.pictures, camera, progress=progress), found.notes
 
 
 @app.command
@@ -392,7 +463,7 @@ def _bank(path: Path | None, shot: Capture, progress: Progress) -> PsfBank:
     if "raw_file" in shot.provenance:
         print(
             f"note: without --bank the kernels are those that the description of camera '{shot.camera.name}' predicts; "
-            "of a real camera, measure them (recon.calibrate)"
+            "of a real camera, measure them (dasim calibrate --captures)"
         )
     return simulated_bank(shot.camera, diffraction=shot.provenance.get("diffraction", "wave"), progress=progress)
 
@@ -423,9 +494,10 @@ def score(
 
     Args:
         result: a reconstruction folder, or a depth map: EXR or NPY in metres, 16-bit PNG with --scale
-        capture: the capture folder with truth.exr
+        capture: the capture folder with truth.exr; or, for a reconstruction of a photograph of your own, the depths
+            that you measured: EXR or NPY in metres, 16-bit PNG with --scale, one for each pixel, NaN (0) where unknown
         confidence: with a depth map, how sure it is of each pixel (same formats, any unit, more is surer)
-        scale: metres of one unit of the depth map
+        scale: metres of one unit of the depth map, or of the measured depths
         json_file: also write the figures to this file
     """
     from dasim.files import load_capture, load_truth
@@ -435,7 +507,13 @@ def score(
     from validation.depth_files import SUFFIXES, read_depth, read_map
 
     _check_score_output(json_file)
-    if result.is_file() or result.suffix.lower() in SUFFIXES:
+    if capture.is_file() and capture.suffix.lower() in SUFFIXES:
+        from validation.own_truth import score_measured
+
+        if confidence is not None or not result.is_dir():
+            raise InputError(f"{capture}: measured depths judge a reconstruction folder, which says its camera")
+        figures = score_measured(load_reconstruction(result), read_depth(capture, scale))
+    elif result.is_file() or result.suffix.lower() in SUFFIXES:
         depth_m = read_depth(result, scale)
         trust = None if confidence is None else read_map(confidence)
         taken = load_capture(capture)

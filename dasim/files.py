@@ -60,6 +60,7 @@ RESULT_FILES = {
         *("anaglyph.png", "stereo.png", "surface.ply", "surface.glb"),
     ),
     "EMVA 1288 measurement": ("meta.json", "descriptor.txt", "frames"),
+    "calibration pictures": ("meta.json", "captures.csv", "pictures"),
     "demo": ("results.json", "report.html", "overview.jpg", "capture", "recon"),
     "validation": ("results.json", "report.html", "junit.xml"),
 }
