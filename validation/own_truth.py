@@ -12,9 +12,8 @@ from dasim import camera as cameras
 from dasim.camera import Camera
 from dasim.render.truth import boundary
 from dasim.values import Reconstruction, Truth
-from validation import metrics
-from validation.metrics import Figure
-from validation.scores import confidence_figures, depth_figures
+from validation.figures import Figure
+from validation.scores import confidence_figures, depth_figures, depth_of_level
 
 NOTHING = np.zeros((0, 0))
 
@@ -48,7 +47,7 @@ def score_measured(found: Reconstruction, depth_m: NDArray[Any]) -> list[Figure]
     Texture is told from the raw picture, which is not here: ``inner`` is all that lies off the boundaries.
     """
     truth = truth_of_depth(depth_m, found.camera)
-    raw_m = np.where(np.isfinite(found.level_raw), metrics.depth_of_level(found.level_raw, found), np.nan)
+    raw_m = np.where(np.isfinite(found.level_raw), depth_of_level(found.level_raw, found), np.nan)
     whole = np.ones(truth.depth_m.shape, bool)
     figures = []
     for name, estimate in (("raw", raw_m), ("regularised", found.depth_m)):
