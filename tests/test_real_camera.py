@@ -248,7 +248,7 @@ def test_measured_depths_judge_a_photograph(bench, capsys, monkeypatch):
     np.save("small.npy", depth_m[:-2])
     capsys.readouterr()
     for result, measured, said in (
-        ("result", "small.npy", "is 160x112 pixels"),
+        ("result", "small.npy", "is 160 x 112 pixels"),
         ("measured.npy", "measured.npy", "folder"),
     ):
         assert run(["score", result, measured]) == 2
