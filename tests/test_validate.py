@@ -72,7 +72,7 @@ def fakes(monkeypatch, tmp_path, tmp_path_factory):
     file.write_text(LIMITS)
     monkeypatch.setattr("validation.claim_table.CLAIMS", FAKES)
     monkeypatch.setattr("validation.validate.all_gates", lambda table, users: all_gates(table, users, file))
-    monkeypatch.setattr("dasim.cli._say_variant", lambda variant: None)
+    monkeypatch.setattr("dasim.cli.options.say_variant", lambda variant: None)
     monkeypatch.setenv("DASIM_CACHE_DIR", str(tmp_path_factory.mktemp("cache")))
     monkeypatch.chdir(tmp_path)
     return tmp_path

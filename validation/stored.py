@@ -139,5 +139,5 @@ def _folder_digest(folder: Path) -> str:
 def _content(folder: Path) -> Iterator[Path]:
     """Files below a folder that decide results: no caches, and not the command line."""
     for path in folder.rglob("*"):
-        if path.is_file() and "__pycache__" not in path.parts and path.name != "cli.py":
+        if path.is_file() and "__pycache__" not in path.parts and "cli" not in path.parts:
             yield path

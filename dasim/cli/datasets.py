@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import cyclopts
 from cyclopts import Parameter
 
+from dasim.cli.options import Whole
 from dasim.errors import InputError
 
 if TYPE_CHECKING:
@@ -33,7 +34,7 @@ def make(
     *,
     out: Annotated[str, Parameter(name="--out")],
     dry_run: Annotated[bool, Parameter(negative="")] = False,
-    jobs: int | None = None,
+    jobs: Whole | None = None,
     executor: Literal["local", "ray"] = "local",
     address: str = "auto",
     shard: str = "1/1",
