@@ -1,4 +1,4 @@
-# make demo | make test | make lint: each first makes what it needs, an environment in .venv.
+# make demo | make test | make lint | make validate: each first makes what it needs, an environment in .venv.
 # PYTHON=/path/to/python chooses the interpreter (3.11 or newer).
 
 SHELL := /bin/sh
@@ -9,12 +9,13 @@ IS_NEW := import sys; sys.exit(sys.version_info < (3, 11))
 PIP := $(BIN)/python -m pip --disable-pip-version-check --quiet
 APT := env DEBIAN_FRONTEND=noninteractive apt-get -q -y -o Acquire::Retries=0 -o Acquire::http::Timeout=20
 
-.PHONY: help demo test lint environment
+.PHONY: help demo test lint validate environment
 
 help:
 	@echo "make demo   the whole chain on a bundled scene; report in out/demo/report.html"
 	@echo "make test   the tests, without the slow ones"
 	@echo "make lint   style, formatting, import contracts, types"
+	@echo "make validate   the quick claims against their limits; report in out/validate/report.html"
 
 demo: environment
 	$(BIN)/dasim demo --out out/demo
@@ -27,6 +28,9 @@ lint: environment
 	$(BIN)/ruff format --check .
 	$(BIN)/lint-imports --no-logo
 	$(BIN)/mypy
+
+validate: environment
+	$(BIN)/dasim validate --quick --out out/validate
 
 environment: $(VENV)/.llvm
 

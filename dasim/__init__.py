@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from dasim.calibration import calibration_captures
     from dasim.camera import Camera, cropped, load_camera, refocused
+    from dasim.dataset.reading import open_dataset
     from dasim.errors import InputError
     from dasim.files import load_capture, load_truth, save_capture
     from dasim.foreign import MitsubaScene, focused, load_scene
@@ -44,6 +45,7 @@ __all__ = [
     "load_random_scenes",
     "load_scene",
     "load_truth",
+    "open_dataset",
     "psf",
     "random_exposure",
     "random_scene",
@@ -63,6 +65,7 @@ _HOME = {
     "sensor": ("Exposure",),
     "simulation": ("Shot", "simulate"),
     "files": ("load_capture", "load_truth", "save_capture"),
+    "dataset.reading": ("open_dataset",),
     "values": ("Capture", "Truth"),
 }
 

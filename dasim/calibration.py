@@ -9,6 +9,7 @@ import numpy as np
 from dasim import camera as cameras
 from dasim import illuminants, pointspread, sensor
 from dasim.camera import Camera
+from dasim.spectra import FloatArray
 from dasim.values import PointPicture
 
 FRAMES = 2  # of each exposure
@@ -19,6 +20,12 @@ EXPOSURES = (256.0, 16.0, 1.0)
 EXPOSURE_S = 0.01
 # Four positions a whole pixel apart, so that every channel of a 2x2 mosaic sees every part of the kernel.
 _BACKGROUND_SHARE = 1e-3  # of the peak: a little stray light, which calibration has to remove
+
+
+def levels(camera: Camera) -> tuple[FloatArray, FloatArray]:
+    """Distances in metres from the lens at which to photograph a point source, and the visible blur there, px."""
+    blurs = cameras.level_blur_px(camera)
+    return np.asarray(cameras.depth_of_blur_m(camera, blurs)), blurs
 
 
 def calibration_captures(
@@ -36,8 +43,7 @@ def calibration_captures(
     automatic exposure to 85 % of full scale, and longer ones (``EXPOSURES``). ``shift_px``
     covers one period of the mosaic.
     """
-    blurs = cameras.level_blur_px(camera)
-    depths = cameras.depth_of_blur_m(camera, blurs)
+    depths, blurs = levels(camera)
     rows, columns = len(camera.sensor.mosaic), len(camera.sensor.mosaic[0])
     kernel_size = pointspread.kernel_size_px(camera, float(blurs[-1]))
     side = (kernel_size + 2 * max(rows, columns) + 6) // (2 * rows * columns) * (2 * rows * columns)

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pydantic import Field, ValidationInfo, field_validator, model_validator
+from pydantic import Field, ValidationError, ValidationInfo, field_validator, model_validator
 
 from dasim import aperture, datasheet, optics, spectra
 from dasim.errors import InputError
@@ -69,7 +69,8 @@ class Lens(Specification):
 class Curves(Specification):
     """Quantum efficiency of every channel, electrons a photon, tabulated; straight lines in between.
 
-    In TOML, ``file`` names a CSV file: a first column ``wavelength_nm``, then one a channel, headed by its name.
+    In TOML, ``file`` names a CSV file: a first column ``wavelength_nm``, then one a channel, headed by its name. It may
+    reach beyond 400 to 830 nm, the band that is simulated; what lies outside is not used.
     """
 
     wavelength_nm: tuple[float, ...] = Field(min_length=2)
@@ -83,6 +84,7 @@ class Curves(Specification):
         if len(data) > 1:
             raise ValueError("file and curves both say the response; give one")
         names, columns = _csv_columns(named_file(data, info))
+        columns = _within_band(columns)
         return {"wavelength_nm": columns[0], "channels": dict(zip(names[1:], columns[1:], strict=True))}
 
     @model_validator(mode="after")
@@ -124,6 +126,16 @@ def _csv_columns(path: Path) -> tuple[list[str], list[tuple[float, ...]]]:
     if len(table) < 2:
         raise ValueError(f"file {path}: two or more lines of numbers are needed")
     return names, list(zip(*table, strict=True))
+
+
+def _within_band(columns: list[tuple[float, ...]]) -> list[tuple[float, ...]]:
+    """A table's columns, wavelengths first, cut to the band that is simulated; by straight lines at its ends."""
+    nm = np.array(columns[0])
+    if (np.diff(nm) <= 0).any():
+        return columns  # refused by name later
+    low, high = (np.clip(end, nm[0], nm[-1]) for end in aperture.WHOLE_GRID_NM)
+    inside = np.unique([low, *nm[(nm > low) & (nm < high)], high])
+    return [tuple(np.interp(inside, nm, column).tolist()) for column in columns]
 
 
 def _number(text: str, where: str) -> float:
@@ -169,8 +181,17 @@ class Sensor(Specification):
 
     @model_validator(mode="before")
     @classmethod
-    def _from_data_sheet(cls, data: Any) -> Any:
-        return datasheet.translated(data) if isinstance(data, dict) and "emva1288" in data else data
+    def _from_data_sheet(cls, data: Any, info: ValidationInfo) -> Any:
+        if not isinstance(data, dict) or "emva1288" not in data:
+            return data
+        green = None
+        if data.get("quantum_efficiency") is not None:
+            try:
+                curves = Curves.model_validate(data["quantum_efficiency"], context=info.context)
+                green = curves.wavelength_nm, curves.channels["G"]
+            except (ValidationError, KeyError):
+                pass  # what is wrong with the table is said of the table
+        return datasheet.translated(data, green)
 
     @model_validator(mode="after")
     def _consistent(self) -> Sensor:

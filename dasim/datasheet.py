@@ -14,6 +14,8 @@ from scipy.special import ndtr
 
 from dasim import spectra
 
+Curve = tuple[tuple[float, ...], tuple[float, ...]]
+
 # What the fields of Sensor are where a camera's file gives neither spelling.
 DEFAULT_PRNU = 0.01
 DEFAULT_DARK_DOUBLING_K = 7.0
@@ -35,6 +37,9 @@ class DataSheet(BaseModel):
     | dark current mu_I, at ``dark_current_temperature_c`` | ``dark_current_e_s``, carried to 25 C |
     | doubling temperature T_d | ``dark_doubling_k`` |
     | quantum efficiency of green, at ``wavelength_nm`` or its peak | ``quantum_efficiency_scale``, for all curves |
+
+    The curves are the table ``quantum_efficiency`` where the camera's file has one: then they count relative to each
+    other, and the sheet says how high they are.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
@@ -82,9 +87,10 @@ _FIELD = {
 }
 
 
-def translated(data: dict[str, Any]) -> dict[str, Any]:
+def translated(data: dict[str, Any], green: Curve | None = None) -> dict[str, Any]:
     """Plain data of a sensor with its table ``emva1288`` replaced by the fields of ``Sensor``, see `DataSheet`.
 
+    ``green`` is that of the sensor's own response curves, wavelengths in nm and efficiencies, if it has some.
     Raises ValueError (pydantic's own for single keys) for unknown keys and for a quantity in both spellings.
     """
     sheet = _Table(emva1288=data["emva1288"]).emva1288
@@ -103,11 +109,13 @@ def translated(data: dict[str, Any]) -> dict[str, Any]:
         doubling_k = max(_number(fields | others, "dark_doubling_k", DEFAULT_DARK_DOUBLING_K), 1.0)
         fields["dark_current_e_s"] *= 2.0 ** ((25.0 - sheet.dark_current_temperature_c) / doubling_k)
     if sheet.quantum_efficiency_percent is not None:
-        if others.get("quantum_efficiency") is not None:
-            raise ValueError("emva1288.quantum_efficiency_percent: the table quantum_efficiency says that already")
-        green = spectra.rgb_ir_quantum_efficiency()[spectra.CHANNELS.index("G")]
-        at_nm = sheet.wavelength_nm
-        ours = green.max() if at_nm is None else np.interp(at_nm, spectra.WAVELENGTH_NM, green)
+        if green is None and others.get("quantum_efficiency") is not None:
+            raise ValueError("emva1288.quantum_efficiency_percent: the table quantum_efficiency has no column G")
+        bundled = spectra.rgb_ir_quantum_efficiency()[spectra.CHANNELS.index("G")]
+        nm, curve = green or (tuple(spectra.WAVELENGTH_NM), tuple(bundled))
+        ours = max(curve) if sheet.wavelength_nm is None else float(np.interp(sheet.wavelength_nm, nm, curve))
+        if not ours > 0:
+            raise ValueError(f"emva1288.quantum_efficiency_percent: green is 0 at {sheet.wavelength_nm} nm")
         fields["quantum_efficiency_scale"] = sheet.quantum_efficiency_percent / 100 / float(ours)
     return others | fields
 

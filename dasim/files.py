@@ -7,8 +7,9 @@ import json
 import os
 import shutil
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import fields
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
@@ -59,6 +60,7 @@ RESULT_FILES = {
         *("anaglyph.png", "stereo.png", "surface.ply", "surface.glb"),
     ),
     "EMVA 1288 measurement": ("meta.json", "descriptor.txt", "frames"),
+    "calibration pictures": ("meta.json", "captures.csv", "pictures"),
     "demo": ("results.json", "report.html", "overview.jpg", "capture", "recon"),
     "validation": ("results.json", "report.html", "junit.xml"),
 }
@@ -132,20 +134,26 @@ def save_capture(path: Path, capture: Capture, truth: Truth | None) -> None:
         write_png16(folder / "raw.png", capture.raw_dn)
         if truth is not None:
             write_truth(folder / "truth.exr", truth)
-        meta = {
-            "schema": CAPTURE_SCHEMA,
-            "camera": capture.camera.model_dump(mode="json"),
-            "intrinsic_matrix_px": intrinsic_matrix(capture.camera).tolist(),
-            "levels": level_table(capture.camera),
-            "exposure_s": capture.exposure_s,
-            "gain": capture.gain,
-            "seed": capture.seed,
-            "illuminant": capture.illuminant,
-            "provenance": capture.provenance,
+        meta = capture_meta(capture) | {
             "software": software_versions(),
             "file_bytes": {file.name: file.stat().st_size for file in sorted(folder.iterdir())},
         }
         (folder / "meta.json").write_text(json.dumps(meta, indent=1) + "\n", encoding="utf-8")
+
+
+def capture_meta(capture: Capture) -> dict[str, Any]:
+    """What ``meta.json`` says of a capture, apart from its files and the software."""
+    return {
+        "schema": CAPTURE_SCHEMA,
+        "camera": capture.camera.model_dump(mode="json"),
+        "intrinsic_matrix_px": intrinsic_matrix(capture.camera).tolist(),
+        "levels": level_table(capture.camera),
+        "exposure_s": capture.exposure_s,
+        "gain": capture.gain,
+        "seed": capture.seed,
+        "illuminant": capture.illuminant,
+        "provenance": capture.provenance,
+    }
 
 
 def load_capture(path: Path) -> Capture:
@@ -251,39 +259,55 @@ NAMES = "objectAndMaterialNames"  # header of the first part, JSON: numbers 1, 2
 CHANNEL_ORDER = "channelOrder"  # header of the first part: EXR itself keeps channels in alphabetical order
 
 
-def write_truth(path: Path, truth: Truth) -> None:
-    """Write the ground truth as a multi-part EXR; ``Z`` of the first part is the depth in metres."""
+TRUTH_PARTS = ("depth", "normal", "blur", "labels", "mean_e", "sharp_e", "sharp_srgb")
+
+
+def write_truth(path: Path, truth: Truth, keep: Sequence[str] = TRUTH_PARTS, *, half: bool = False) -> None:
+    """Write the ground truth as a multi-part EXR; ``Z`` of the part ``depth`` is the depth in metres.
+
+    ``keep`` chooses of ``TRUTH_PARTS``. With ``half`` all but depth and labels are 16-bit floats, of 11 bits.
+    """
     import OpenEXR
 
-    def part(name: str, channels: dict[str, np.ndarray]) -> Any:
+    kind = np.float16 if half else np.float32
+    most = np.finfo(kind).max
+    arrays: dict[str, dict[str, np.ndarray]] = {
+        "depth": {"Z": truth.depth_m},
+        "normal": {axis: truth.normal[..., i] for i, axis in enumerate(_XYZ)},
+        "blur": {"blur_px": truth.blur_px, "level": truth.level},
+        "labels": {
+            "object_id": truth.object_id,
+            "material_id": truth.material_id,
+            "valid": truth.valid.astype(np.uint32),
+            "boundary": truth.boundary.astype(np.uint32),
+        },
+        "mean_e": {name: truth.mean_e[..., i] for i, name in enumerate(truth.channels)},
+        "sharp_e": {name: truth.sharp_e[..., i] for i, name in enumerate(truth.channels)},
+        "sharp_srgb": {name: truth.sharp_srgb[..., i] for i, name in enumerate("RGB")},
+    }
+    parts = []
+    for name in keep:
+        channels = arrays[name]
+        if name not in ("depth", "labels"):
+            channels = {key: np.clip(value, -most, most).astype(kind) for key, value in channels.items()}
         header = {"name": name, "type": OpenEXR.scanlineimage, "compression": OpenEXR.ZIP_COMPRESSION}
-        return OpenEXR.Part(header, {key: np.ascontiguousarray(value) for key, value in channels.items()})
-
-    depth = part("depth", {"Z": truth.depth_m})
-    depth.header[CHANNEL_ORDER] = ",".join(truth.channels)
-    depth.header[NAMES] = json.dumps({"objects": truth.objects, "materials": truth.materials})
-    parts = [
-        depth,
-        part("normal", {axis: truth.normal[..., i] for i, axis in enumerate(_XYZ)}),
-        part("blur", {"blur_px": truth.blur_px, "level": truth.level}),
-        part(
-            "labels",
-            {
-                "object_id": truth.object_id,
-                "material_id": truth.material_id,
-                "valid": truth.valid.astype(np.uint32),
-                "boundary": truth.boundary.astype(np.uint32),
-            },
-        ),
-        part("mean_e", {name: truth.mean_e[..., i] for i, name in enumerate(truth.channels)}),
-        part("sharp_e", {name: truth.sharp_e[..., i] for i, name in enumerate(truth.channels)}),
-        part("sharp_srgb", {name: truth.sharp_srgb[..., i] for i, name in enumerate("RGB")}),
-    ]
+        parts.append(OpenEXR.Part(header, {key: np.ascontiguousarray(value) for key, value in channels.items()}))
+    parts[0].header[CHANNEL_ORDER] = ",".join(truth.channels)
+    parts[0].header[NAMES] = json.dumps({"objects": truth.objects, "materials": truth.materials})
     OpenEXR.File(parts).write(str(path))
 
 
 def read_truth(path: Path) -> Truth:
     """Read a ground-truth EXR; InputError where it is missing, cut short or lacks a part."""
+    found = read_truth_parts(path)
+    missing = [field.name for field in fields(Truth) if field.name not in found]
+    if missing:
+        raise InputError(f"{path}: lacks {', '.join(missing)}; a truth file with all its parts is needed")
+    return Truth(**found)
+
+
+def read_truth_parts(path: Path) -> dict[str, Any]:
+    """What a ground-truth EXR has of :class:`Truth`'s fields, by name; InputError where it cannot be read."""
     import OpenEXR
 
     if not path.is_file():
@@ -293,27 +317,28 @@ def read_truth(path: Path) -> Truth:
             parts = {p.name(): {k: c.pixels for k, c in p.channels.items()} for p in file.parts}
             names = tuple(file.parts[0].header[CHANNEL_ORDER].split(","))
             labelled = json.loads(file.parts[0].header[NAMES])
-        labels = parts["labels"]
-        return Truth(
-            depth_m=parts["depth"]["Z"],
-            valid=labels["valid"].astype(bool),
-            normal=np.stack([parts["normal"][axis] for axis in _XYZ], axis=-1),
-            object_id=labels["object_id"],
-            material_id=labels["material_id"],
-            blur_px=parts["blur"]["blur_px"],
-            level=parts["blur"]["level"],
-            boundary=labels["boundary"].astype(bool),
-            channels=names,
-            mean_e=np.stack([parts["mean_e"][name] for name in names], axis=-1),
-            sharp_e=np.stack([parts["sharp_e"][name] for name in names], axis=-1),
-            sharp_srgb=np.stack([parts["sharp_srgb"][name] for name in "RGB"], axis=-1),
-            objects=tuple(labelled["objects"]),
-            materials=tuple(labelled["materials"]),
-        )
+        found: dict[str, Any] = {"channels": names}
+        found |= {key: tuple(labelled[key]) for key in ("objects", "materials")}
+        if "depth" in parts:
+            found["depth_m"] = parts["depth"]["Z"]
+        if "blur" in parts:
+            found |= {key: _single(parts["blur"][key]) for key in ("blur_px", "level")}
+        if "labels" in parts:
+            found |= {key: parts["labels"][key] for key in ("object_id", "material_id")}
+            found |= {key: parts["labels"][key].astype(bool) for key in ("valid", "boundary")}
+        for part, order in (("normal", _XYZ), ("mean_e", names), ("sharp_e", names), ("sharp_srgb", "RGB")):
+            if part in parts:
+                found[part] = np.stack([_single(parts[part][name]) for name in order], axis=-1)
+        return found
     except KeyError as error:
         raise InputError(f"{path}: lacks {error}; a truth file of dasim is needed") from None
     except Exception as error:  # the library raises bare RuntimeError and others for damaged files
         raise InputError(f"{path}: cannot be read, or is cut short ({error})") from None
+
+
+def _single(channel: np.ndarray) -> np.ndarray:
+    """Half floats as single ones, which numpy computes with."""
+    return channel.astype(np.float32, copy=False)
 
 
 # --- PSF banks -----------------------------------------------------------------------------------

@@ -55,7 +55,7 @@ class PointPicture:
     """Frames of a point source for calibration: one light, level and position.
 
     The source was moved by ``shift_px`` (y, x) whole pixels between pictures; the rest of its position
-    is unknown and has to be measured.
+    is unknown and has to be measured. None: it stood anywhere, the same place in all pictures of one ``position``.
     """
 
     frames_dn: NDArray[np.uint16]  # [frame, h, w]
@@ -63,8 +63,10 @@ class PointPicture:
     level: int
     depth_m: float
     blur_px: float  # visible blur diameter that the depth stands for
-    shift_px: tuple[int, int]
+    shift_px: tuple[int, int] | None
     exposure_s: float
+    gain: float = 1.0  # analogue
+    position: str = ""
 
 
 @dataclass(frozen=True)

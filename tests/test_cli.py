@@ -136,7 +136,7 @@ def test_render_recon_score_round_trip(shop, capsys):
     assert run(["score", str(shop / "result"), str(shop / "shot"), "--json", str(shop / "score.json")]) == 0
     printed = capsys.readouterr().out
     figures = json.loads((shop / "score.json").read_text())
-    assert {"level-raw-median", "depth-rmse-dioptre", "psnr-gain-blurred"} <= set(figures)
+    assert {"raw.all.level-median", "regularised.all.rmse-dioptre", "all-in-focus.blurred.psnr-gain"} <= set(figures)
     for name, figure in figures.items():
         assert name.split(".")[-1] in printed or name.endswith(".constant"), name
         assert set(figure) == {"value", "unit"}

@@ -94,3 +94,26 @@ def test_what_is_wrong_in_a_data_sheet_is_named(da_mobile, table, without, said)
     assert "\n" not in str(caught.value)
     for part in ("mine.toml", *said):
         assert part in str(caught.value)
+
+
+def test_curves_of_a_file_get_their_height_from_the_sheet(da_mobile, tmp_path):
+    """Set-up: the bundled curves, relative to the highest, in a CSV file from 350 to 1,000 nm, beside a sheet with 60 %
+    for green at 540 nm. Expectation: green has 60 % there, all channels keep their ratios, and what the file says
+    beyond the simulated band plays no part; without a column for green the sheet's figure is refused.
+    """
+    ours = spectra.rgb_ir_quantum_efficiency()
+    nm = np.concatenate([[350.0, 380.0], spectra.WAVELENGTH_NM, [850.0, 1000.0]])
+    for head in ("wavelength_nm,R,G,B,IR", "wavelength_nm,R,L,B,IR"):
+        curves = [np.concatenate([[0.9, c[0]], c, [c[-1], 0.9]]) for c in ours / ours.max()]
+        rows = [",".join(f"{value:.9f}" for value in row) for row in np.transpose([nm, *curves])]
+        (tmp_path / f"{head[16:17]}.csv").write_text("\n".join([head, *rows]) + "\n")
+    data = da_mobile.model_dump()
+    del data["sensor"]["quantum_efficiency_scale"]
+    data["sensor"]["emva1288"] = {"quantum_efficiency_percent": 60.0, "wavelength_nm": 540.0}
+    data["sensor"]["quantum_efficiency"] = {"file": "G.csv"}
+    found = cameras.quantum_efficiency(cameras.parse(cameras.Camera, data, "mine.toml", folder=tmp_path).sensor)
+    green = np.interp(540.0, spectra.WAVELENGTH_NM, ours[1])
+    np.testing.assert_allclose(found, ours * 0.6 / green, atol=1e-8)  # the file's nine digits
+    data["sensor"] |= {"mosaic": [["L", "R"], ["B", "IR"]], "quantum_efficiency": {"file": "L.csv"}}
+    with pytest.raises(InputError, match="quantum_efficiency has no column G"):
+        cameras.parse(cameras.Camera, data, "mine.toml", folder=tmp_path)

@@ -141,8 +141,18 @@ def test_an_empty_map_scores_nothing(camera):
 
 
 def test_maps_of_another_size_are_refused(camera):
-    with pytest.raises(InputError, match=r"32x48 pixels.*64x48"):
+    with pytest.raises(InputError, match=r"32 x 48 pixels.*64 x 48"):
         scored(np.ones((48, 32)), truth(camera, 4), camera)
+
+
+def test_errors_by_true_level(camera):
+    """Set-up: true levels 2 and 8, half each; the map is right at 2 and two levels too near at 8."""
+    exact = truth(camera, halves(2, 8))
+    found = depth_scores.by_level(at(camera, halves(2, 10)), exact, camera, ALL)
+    values = {low: (median, bias) for low, median, bias in found}
+    assert values[1.0] == pytest.approx((0, 0), abs=ROUNDING)
+    assert values[6.0] == pytest.approx((2, 2), abs=ROUNDING)
+    assert all(math.isnan(values[low][0]) for low in (0.0, 3.0, 12.0))
 
 
 # --- confidence ------------------------------------------------------------------------------------
@@ -270,10 +280,10 @@ def test_the_command_scores_a_foreign_map(capture_folder, tmp_path, camera, caps
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (["small.npy"], "64x48"),
+        (["small.npy"], "64 x 48"),
         (["good.png"], "--scale"),
         (["none.npy"], "none.npy: does not exist"),
-        (["good.npy", "--confidence", "small.npy"], "confidence: is 4x4"),
+        (["good.npy", "--confidence", "small.npy"], "confidence: is 4 x 4"),
     ],
 )
 def test_the_command_refuses_in_one_line(capture_folder, tmp_path, monkeypatch, capsys, arguments, said):

@@ -1,5 +1,6 @@
 """Scores against ground truth, and the proof that simulator and reconstruction can be trusted."""
 
-from validation.metrics import Figure, score
+from validation.figures import Figure
+from validation.scores import score, score_map
 
-__all__ = ["Figure", "score"]
+__all__ = ["Figure", "score", "score_map"]

@@ -15,7 +15,10 @@ import dasim.optics
 import dasim.pointspread
 import dasim.sensor
 import dasim.spectra
+import recon.point_pictures
 import recon.psf_bank
+import recon.round_kernel
+import recon.scattered
 from dasim.cache import cache_dir
 from dasim.camera import Camera
 from dasim.files import BANK_SCHEMA, load_bank, save_bank
@@ -32,7 +35,10 @@ _DECIDING = (
     dasim.pointspread,
     dasim.sensor,
     dasim.spectra,
+    recon.point_pictures,
     recon.psf_bank,
+    recon.round_kernel,
+    recon.scattered,
 )
 _LIBRARIES = ("numpy", "scipy", "colour-science")
 

@@ -19,7 +19,7 @@ from pydantic import RootModel, field_validator
 from dasim.errors import InputError
 from dasim.files import software_versions
 from dasim.specification import Specification, parse_toml
-from validation.metrics import Figure
+from validation.figures import Figure
 
 RESULTS_SCHEMA = 1
 LIMIT_FROM = ". Limit: "  # between what a figure means and where its limit comes from

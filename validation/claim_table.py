@@ -11,6 +11,7 @@ from validation.claims.diffraction import airy_table, wave_energy, wave_sfr
 from validation.claims.lens import blur_off
 from validation.claims.light import absolute_electrons, eq8_flat_field, hole_alpha_squared, light_loss
 from validation.claims.light_levels import light_levels
+from validation.claims.noise import photon_transfer
 from validation.claims.occlusion import occluding_edge
 from validation.claims.resolution import depth_resolution
 from validation.claims.sampling import desk_noise, noise_slope_off, noise_slope_wave, render_cost
@@ -19,11 +20,13 @@ from validation.claims.sharp import all_in_focus, refocus
 from validation.claims.speed import recon_speed
 from validation.claims.staircase import staircase, staircase_camera
 from validation.claims.steps import measured_steps
+from validation.claims.truth import ground_truth
 from validation.validate import Measurement
 
 # Quick: less than about 20 s on two cores.
 CLAIMS = {
     "radiometry": Measurement(absolute_electrons, quick=True),
+    "photon-transfer": Measurement(photon_transfer, quick=True),
     "light-loss": Measurement(light_loss, quick=True),
     "response-curves": Measurement(response_curves, quick=True),
     "depth-of-field": Measurement(depth_of_field, quick=True),
@@ -41,6 +44,7 @@ CLAIMS = {
     "noise-slope-wave": Measurement(noise_slope_wave, quick=False),
     "desk-noise": Measurement(desk_noise, quick=False),
     "render-cost": Measurement(render_cost, quick=False, alone=True),
+    "ground-truth": Measurement(ground_truth, quick=True),
     "registration": Measurement(registration, quick=True),
     "interreflection": Measurement(interreflection, quick=False),
     "colour": Measurement(colour, quick=False),

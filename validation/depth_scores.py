@@ -6,6 +6,7 @@ picture: a method that is not clearly better has not seen depth.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -24,6 +25,9 @@ FAR_SIDE_LEVEL = -0.5  # beyond it a pixel is behind the focal plane, where leve
 MOST_PIXELS = 5_000  # of a region, evenly spaced, in which the best constant map is looked for
 CONSTANTS = 200  # constant maps that are tried, evenly spaced in dioptres
 SPARSIFICATION_STEPS = 50
+OCCUPIED_SHARE = 0.02  # of the pixels, for a level to count
+CONSTANT_STEP = 0.05  # levels between the constant maps that balanced_error tries
+LEVEL_EDGES = (-0.5, 1.0, 3.0, 6.0, 12.0, 29.0)  # of true levels that are looked at apart
 MIN_DEPTH_M, MAX_DEPTH_M = 1e-3, 1e6
 
 
@@ -114,6 +118,22 @@ def depth_scores(depth_m: NDArray[Any], truth: Truth, camera: Camera, texture: M
     return found
 
 
+def by_level(depth_m: NDArray[Any], truth: Truth, camera: Camera, texture: Mask) -> list[tuple[float, float, float]]:
+    """Median absolute error and bias in levels by true level, since a median over all hides where a map fails.
+
+    Of the region "textured". For each interval of ``LEVEL_EDGES``: its lower end, the error, the bias; NaN where the
+    truth has none or the map no estimate.
+    """
+    where = regions(truth, texture)["textured"] & np.isfinite(depth_m) & (depth_m > 0)
+    error = _errors(np.clip(depth_m[where], MIN_DEPTH_M, MAX_DEPTH_M), truth.depth_m[where], camera).level
+    found = []
+    for low, high in itertools.pairwise(LEVEL_EDGES):
+        part = error[(truth.level[where] >= low) & (truth.level[where] < high)]
+        median, bias = (float(np.median(e)) if e.size else float("nan") for e in (np.abs(part), part))
+        found.append((max(low, 0.0), median, bias))
+    return found
+
+
 def sparsification(
     depth_m: NDArray[Any], confidence: NDArray[Any], truth: Truth, camera: Camera
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -141,10 +161,44 @@ def sparsification_area(kept: FloatArray, error: FloatArray, oracle: FloatArray)
     return float(np.trapezoid((error - oracle)[::-1], kept[::-1]))
 
 
+def level_error(level: NDArray[Any], truth: Truth) -> FloatArray:
+    """Signed error in blur levels, NaN where either is unknown, [h, w]."""
+    return np.where(truth.valid, level.astype(np.float64) - truth.level, np.nan)
+
+
+def balanced_error(error: FloatArray, true: FloatArray) -> tuple[float, float, list[tuple[int, float, float]]]:
+    """Median absolute error with every occupied level counting the same; the best constant map's; the bins.
+
+    ``error`` and ``true`` levels are [n]. A bin is one level of the bank, k - 1/2 to k + 1/2, occupied where it holds
+    OCCUPIED_SHARE of the pixels; each is (k, its share, its median error). NaN where no bin is.
+    """
+    level = np.rint(true).astype(int)
+    count = np.bincount(np.maximum(level, 0))
+    occupied = count >= max(OCCUPIED_SHARE * len(true), 1)
+    if not occupied.any():
+        return float("nan"), float("nan"), []
+    level = np.maximum(level, 0)
+    inside = occupied[level]
+    weight = 1 / count[level[inside]]
+    bins = [
+        (int(k), float(count[k] / len(true)), float(np.median(error[level == k]))) for k in np.flatnonzero(occupied)
+    ]
+    constants = np.arange(true[inside].min(), true[inside].max() + CONSTANT_STEP, CONSTANT_STEP)
+    best = min(weighted_median(np.abs(true[inside] - constant), weight) for constant in constants)
+    return weighted_median(np.abs(error[inside]), weight), best, bins
+
+
+def weighted_median(values: FloatArray, weights: FloatArray) -> float:
+    """The value up to which half of the weight lies."""
+    order = np.argsort(values)
+    total = np.cumsum(weights[order])
+    return float(values[order][np.searchsorted(total, total[-1] / 2)])
+
+
 def check_size(image: NDArray[Any], truth: Truth, what: str = "depth map") -> None:
     """Refuse a map of another size than the truth."""
     if image.shape != truth.depth_m.shape:
-        mine, exact = ("x".join(map(str, a.shape[::-1])) for a in (image, truth.depth_m))
+        mine, exact = (" x ".join(map(str, a.shape[::-1])) for a in (image, truth.depth_m))
         raise InputError(f"{what}: is {mine} pixels, the ground truth {exact}; score it at the capture's own size")
 
 

@@ -12,12 +12,12 @@ import jinja2
 import numpy as np
 from numpy.typing import NDArray
 
-from dasim.colour import exposure_scale, to_srgb
 from dasim.simulation import Shot
 from dasim.values import Reconstruction
-from recon import colour
 from recon.output import grey
-from validation.metrics import depth_of_level, infrared_free, level_error
+from validation.depth_scores import level_error
+from validation.picture_scores import displayed
+from validation.scores import depth_of_level
 
 if TYPE_CHECKING:
     from validation.claim import Claim
@@ -33,9 +33,7 @@ NO_ESTIMATE = "#7f7f7f"
 def demo_page(shot: Shot, result: Reconstruction, claims: list[Claim], timings_s: dict[str, float]) -> str:
     """The demo's report."""
     truth, camera = shot.truth, shot.capture.camera
-    matrix = colour.colour_matrix(camera, result.light)
-    scale = exposure_scale(result.linear_e, matrix)
-    sharp_truth = to_srgb(infrared_free(truth.sharp_e, camera).astype(np.float32), matrix, scale)
+    shown = displayed(result, truth)
     near, far = float(np.nanmin(truth.depth_m)) * 100, float(np.nanmax(truth.depth_m)) * 100
 
     def depth(depth_m: NDArray[Any]) -> str:
@@ -66,9 +64,9 @@ def demo_page(shot: Shot, result: Reconstruction, claims: list[Claim], timings_s
         (
             "All in focus",
             [
-                ("Captured", png_address(result.rgb)),
-                ("All in focus", png_address(result.sharp_rgb)),
-                ("Truth, through a pinhole", png_address(sharp_truth)),
+                ("Captured", png_address(shown["captured"])),
+                ("All in focus", png_address(shown["all-in-focus"])),
+                ("Truth, through a pinhole", png_address(shown["truth"])),
             ],
         ),
     ]

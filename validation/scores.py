@@ -9,29 +9,51 @@ from numpy.typing import NDArray
 
 from dasim.camera import Camera
 from dasim.values import Capture, Reconstruction, Truth
-from validation import depth_scores, metrics, texture
-from validation.depth_scores import METRICS
-from validation.metrics import Figure
+from validation import depth_scores, picture_scores, texture
+from validation.depth_scores import METRICS as DEPTH_METRICS
+from validation.depth_scores import check_size
+from validation.figures import Figure
 
+FloatArray = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-
-def score_reconstruction(found: Reconstruction, capture: Capture, truth: Truth) -> list[Figure]:
-    """Figures of a reconstruction: raw and regularised depth, confidence, pictures."""
-    figures = metrics.score(found, truth)
-    textured = texture.textured(capture)
-    raw_m = np.where(np.isfinite(found.level_raw), metrics.depth_of_level(found.level_raw, found), np.nan)
-    figures += depth_figures("raw", raw_m, truth, found.camera, textured)
-    figures += depth_figures("regularised", found.depth_m, truth, found.camera, textured)
-    return [*figures, *confidence_figures("regularised", found.depth_m, found.confidence, truth, found.camera)]
+PICTURES = ("captured", "all-in-focus")
+LEVEL_KEYS = ("level-median", "level-bias")
+FLAT_LEVELS = 1e-3  # a scene with less depth than this has no best constant to compare with
 
 
-def score_map(depth_m: NDArray[Any], confidence: NDArray[Any] | None, capture: Capture, truth: Truth) -> list[Figure]:
+def score(result: Reconstruction, capture: Capture, truth: Truth) -> list[Figure]:
+    """Figures of a reconstruction: raw and regularised depth, confidence, and pictures against the sharp truth.
+
+    Depth figures are MAP.REGION.METRIC (:mod:`validation.depth_scores`), those of pictures PICTURE.REGION.METRIC
+    (:mod:`validation.picture_scores`). Raises InputError where the sizes differ.
+    """
+    camera, textured = result.camera, texture.textured(capture)
+    check_size(result.level, truth, "reconstruction")
+    raw_m = np.where(np.isfinite(result.level_raw), depth_of_level(result.level_raw, result), np.nan)
+    figures = []
+    for name, depth_m in (("raw", raw_m), ("regularised", result.depth_m)):
+        figures += depth_figures(name, depth_m, truth, camera, textured)
+    figures += level_figures("raw", raw_m, truth, camera, textured)
+    figures += confidence_figures("regularised", result.depth_m, result.confidence, truth, camera)
+    return [*figures, *picture_figures(result, truth)]
+
+
+def score_map(
+    depth_m: NDArray[Any], capture: Capture, truth: Truth, confidence: NDArray[Any] | None = None
+) -> list[Figure]:
     """Figures of anybody's depth map [h, w] in metres, NaN where there is no estimate, and of its confidence."""
     figures = depth_figures("depth", depth_m, truth, capture.camera, texture.textured(capture))
     if confidence is not None:
         figures += confidence_figures("depth", depth_m, confidence, truth, capture.camera)
     return figures
+
+
+def depth_of_level(level: NDArray[Any], result: Reconstruction) -> FloatArray:
+    """Depth of raw levels, by the relation of level and depth that the regularised map shows."""
+    order = np.argsort(result.level, axis=None)
+    levels, depths = result.level.ravel()[order], result.depth_m.ravel()[order]
+    return np.interp(level, levels, depths, left=depths[0], right=depths[-1])
 
 
 def depth_figures(name: str, depth_m: NDArray[Any], truth: Truth, camera: Camera, textured: Mask) -> list[Figure]:
@@ -41,10 +63,40 @@ def depth_figures(name: str, depth_m: NDArray[Any], truth: Truth, camera: Camera
         where = f"{name}.{found.region}"
         figures.append(Figure(f"{where}.share", found.share, "1", "the region's share of the pixels"))
         figures.append(Figure(f"{where}.coverage", found.coverage, "1", "share of the region with an estimate"))
-        for key, metric in METRICS.items():
+        for key, metric in DEPTH_METRICS.items():
             figures.append(Figure(f"{where}.{key}", found.values[key], metric.unit, metric.meaning))
             best = f"best constant map: {metric.meaning}"
             figures.append(Figure(f"{where}.{key}.constant", found.constant[key], metric.unit, best))
+        text = "median |l - l*| over that of the best constant map"
+        constant = found.constant["level-median"]
+        ratio = found.values["level-median"] / constant if constant > FLAT_LEVELS else float("nan")
+        figures.append(Figure(f"{where}.level-ratio", ratio, "1", text))
+    return figures
+
+
+def level_figures(name: str, depth_m: NDArray[Any], truth: Truth, camera: Camera, textured: Mask) -> list[Figure]:
+    """NAME.at-LEVEL.level-median and .level-bias: errors of textured pixels by true level, from LEVEL to the next."""
+    figures = []
+    for low, median, bias in depth_scores.by_level(depth_m, truth, camera, textured):
+        where = f"textured pixels of true levels from {low:g}"
+        figures.append(Figure(f"{name}.at-{low:g}.level-median", median, "level", f"{where}: median |l - l*|"))
+        figures.append(Figure(f"{name}.at-{low:g}.level-bias", bias, "level", f"{where}: median l - l*"))
+    return figures
+
+
+def picture_figures(result: Reconstruction, truth: Truth) -> list[Figure]:
+    """PICTURE.REGION.METRIC of the captured and of the all-in-focus picture; gains; blur of each and of the truth."""
+    figures = []
+    for found in picture_scores.picture_scores(result, truth):
+        for key, (unit, meaning) in picture_scores.METRICS.items():
+            for name, values in (("captured", found.captured), ("all-in-focus", found.sharpened)):
+                figures.append(Figure(f"{name}.{found.region}.{key}", values[key], unit, meaning))
+        gain = found.sharpened["psnr"] - found.captured["psnr"]
+        text = "PSNR of the all-in-focus picture less that of the captured one"
+        figures.append(Figure(f"all-in-focus.{found.region}.psnr-gain", gain, "dB", text))
+    for name, picture in picture_scores.displayed(result, truth).items():
+        text = "blur effect, 0 sharp to 1, without reference"
+        figures.append(Figure(f"{name}.blur-effect", picture_scores.blur_effect(picture), "1", text))
     return figures
 
 
@@ -52,7 +104,7 @@ def confidence_figures(
     name: str, depth_m: NDArray[Any], confidence: NDArray[Any], truth: Truth, camera: Camera
 ) -> list[Figure]:
     """How well a confidence tells which estimates are wrong."""
-    depth_scores.check_size(confidence, truth, "confidence")
+    check_size(confidence, truth, "confidence")
     curve = depth_scores.sparsification(depth_m, confidence, truth, camera)
     area = depth_scores.sparsification_area(*curve)
     half = len(curve[0]) // 2
@@ -64,27 +116,47 @@ def confidence_figures(
 
 
 def shown(figures: list[Figure]) -> str:
-    """A table a map, regions across, the best constant map's score in brackets; other figures one a line."""
-    values = {figure.id: figure for figure in figures}
+    """Tables for people: depth maps by region, with the best constant map in brackets; by true level; pictures."""
+    values = {figure.id: figure.value for figure in figures}
+    lines = [f"{f.id:<28}{f.value:>9.3f} {f.unit:<6}{f.meaning}" for f in figures if f.id.count(".") == 1]
     maps = dict.fromkeys(name.split(".")[0] for name in values if name.endswith(".constant"))
-    lines = [
-        f"{figure.id:<28}{figure.value:>9.3f} {figure.unit:<6}{figure.meaning}"
-        for figure in figures
-        if figure.id.count(".") < 2
-    ]
     for name in maps:
-        regions = dict.fromkeys(
-            key.split(".")[1] for key in values if key.startswith(f"{name}.") and key.count(".") > 1
-        )
+        regions = _second(values, f"{name}.", ".coverage")
+
+        def cell(key: str, name: str = name) -> str:
+            best = values.get(f"{name}.{key}.constant")
+            return f"{values[f'{name}.{key}']:.3f}" + ("" if best is None else f" ({best:.3f})")
+
+        units = {"share": "1", "coverage": "1", "level-ratio": "1"}
+        units |= {key: metric.unit for key, metric in DEPTH_METRICS.items()}
         lines += ["", f"{name} depth (in brackets: the best constant map)"]
-        lines.append(f"{'':<15}{'':<7}" + "".join(f"{region:>18}" for region in regions))
-        for key in ("share", "coverage", *METRICS):
-            unit = METRICS[key].unit if key in METRICS else "1"
-            cells = []
-            for region in regions:
-                cell = f"{values[f'{name}.{region}.{key}'].value:.3f}"
-                if key in METRICS:
-                    cell += f" ({values[f'{name}.{region}.{key}.constant'].value:.3f})"
-                cells.append(f"{cell:>18}")
-            lines.append(f"{key:<15}{unit:<7}" + "".join(cells))
+        lines += _table(regions, {f"{k:<15}{u}": [cell(f"{r}.{k}") for r in regions] for k, u in units.items()})
+    for name in maps:
+        if levels := [key for key in _second(values, f"{name}.", ".level-bias") if key.startswith("at-")]:
+            rows = {f"{k:<15}level": [f"{values[f'{name}.{a}.{k}']:.3f}" for a in levels] for k in LEVEL_KEYS}
+            lines += [
+                "",
+                f"{name} depth of textured pixels by true level, from",
+                *_table([a[3:] for a in levels], rows),
+            ]
+    if regions := _second(values, "captured.", ".psnr"):
+        rows = {
+            f"{key:<15}{unit}": [f"{values[f'{name}.{region}.{key}']:.3f}" for region in regions for name in PICTURES]
+            for key, (unit, _) in picture_scores.METRICS.items()
+        }
+        gains = [f"{values[f'all-in-focus.{region}.psnr-gain']:+.3f}" for region in regions]
+        rows[f"{'psnr-gain':<15}dB"] = [cell for gain in gains for cell in ("", gain)]
+        lines += ["", "pictures against the sharp truth, away from boundaries"]
+        lines += _table([f"{region} {name}" for region in regions for name in ("captured", "sharpened")], rows)
     return "\n".join(lines)
+
+
+def _second(values: dict[str, float], start: str, end: str) -> list[str]:
+    """The middle parts of ids of three parts that begin and end so."""
+    found = [key for key in values if key.startswith(start) and key.endswith(end) and key.count(".") == 2]
+    return [key.split(".")[1] for key in found]
+
+
+def _table(head: list[str], rows: dict[str, list[str]]) -> list[str]:
+    lines = [f"{'':<22}" + "".join(f"{name:>20}" for name in head)]
+    return lines + [f"{name:<22}" + "".join(f"{value:>20}" for value in row) for name, row in rows.items()]

@@ -20,7 +20,7 @@ import recon
 from dasim.cache import cache_dir
 from dasim.scene import SCENE_DIR
 from validation.claim import Evidence, plain_value
-from validation.metrics import Figure
+from validation.figures import Figure
 
 SCHEMA = 3
 LIBRARIES = ("mitsuba", "drjit", "numpy", "scipy", "numba", "opencv-python-headless", "colour-science", "scikit-image")
@@ -139,5 +139,5 @@ def _folder_digest(folder: Path) -> str:
 def _content(folder: Path) -> Iterator[Path]:
     """Files below a folder that decide results: no caches, and not the command line."""
     for path in folder.rglob("*"):
-        if path.is_file() and "__pycache__" not in path.parts and path.name != "cli.py":
+        if path.is_file() and "__pycache__" not in path.parts and "cli" not in path.parts:
             yield path

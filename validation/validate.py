@@ -21,7 +21,7 @@ from dasim.errors import InputError
 from dasim.files import new_folder
 from validation import shots, stored
 from validation.claim import GATES, Claim, Evidence, Gate, NotRun, Progress, judged_all, load_gates, write_results
-from validation.metrics import Figure
+from validation.figures import Figure
 
 StageProgress = Callable[[str, float], None]
 

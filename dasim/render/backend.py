@@ -124,6 +124,13 @@ def choose(variant: str | None = None) -> Choice:
     return Choice(name, _reason(name, results[name], asked_for=wanted != "auto"), results[name].get("llvm_path"))
 
 
+def use_threads(count: int) -> None:
+    """How many threads render from now on; sums over many threads may differ in their last bits."""
+    import drjit
+
+    drjit.set_thread_count(count)
+
+
 def activate(choice: Choice) -> None:
     """Make ``choice`` the variant of this process, once; InputError where another one is active already."""
     global _active

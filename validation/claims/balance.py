@@ -16,7 +16,7 @@ from dasim.values import Capture
 from recon import mosaic
 from validation import bounds, rendering, strips
 from validation.claim import Evidence, Progress
-from validation.metrics import Figure
+from validation.figures import Figure
 from validation.plots import plot
 
 FloatArray = NDArray[np.float64]

@@ -11,7 +11,7 @@ from dasim.spectra import CHANNELS
 from dasim.values import PsfBank
 from validation.banks import simulated_bank
 from validation.claim import Evidence, Progress
-from validation.metrics import Figure
+from validation.figures import Figure
 
 FloatArray = NDArray[np.float64]
 

@@ -10,7 +10,7 @@ from dasim.camera import Camera
 from dasim.spectra import CHANNELS
 from validation.claim import Evidence, Progress
 from validation.claims.diffraction import wave_mtf
-from validation.metrics import Figure
+from validation.figures import Figure
 from validation.plots import CHANNEL_COLOURS, plot
 from validation.rendering import STOP_RATIOS, FloatArray
 from validation.transfer import disc_transfer, pixel_transfer

@@ -16,7 +16,7 @@ from dasim.specification import parse
 from dasim.values import Developed
 from validation import rendering
 from validation.claim import Evidence, Progress
-from validation.metrics import Figure
+from validation.figures import Figure
 from validation.rendering import FloatArray
 from validation.report import png_address
 

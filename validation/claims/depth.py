@@ -10,10 +10,10 @@ import dasim
 import recon
 from dasim.simulation import Shot
 from dasim.values import Reconstruction
-from validation import metrics, rendering, report
+from validation import depth_scores, rendering, report
 from validation.banks import simulated_bank
 from validation.claim import Evidence, Progress
-from validation.metrics import Figure
+from validation.figures import Figure
 from validation.shots import photographed
 
 SCENES = ("desk", "flowers", "adam")
@@ -78,7 +78,7 @@ def _figures(name: str, preset: str, result: Reconstruction, shot: Shot) -> tupl
     ):
         true = truth.level[where].astype(np.float64)
         error = level[where].astype(np.float64) - true
-        own, constant, bins = metrics.balanced_error(error, true)
+        own, constant, bins = depth_scores.balanced_error(error, true)
         figures += [
             Figure(
                 f"{label}.{what}", float(np.median(np.abs(error))), "level", f"{said} {text}, median absolute error"

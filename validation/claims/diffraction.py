@@ -14,7 +14,7 @@ from dasim.camera import Camera
 from dasim.spectra import CHANNELS
 from validation import rendering, transfer
 from validation.claim import Evidence, Progress
-from validation.metrics import Figure
+from validation.figures import Figure
 from validation.plots import CHANNEL_COLOURS, plot
 from validation.rendering import FloatArray
 from validation.sfr import slanted_edge_sfr, windowed_response

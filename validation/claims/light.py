@@ -15,7 +15,7 @@ from dasim.camera import Camera
 from dasim.spectra import CHANNELS
 from validation import radiometry, rendering, walls
 from validation.claim import Evidence, NotRun, Progress
-from validation.metrics import Figure
+from validation.figures import Figure
 from validation.rendering import FloatArray
 
 FRAME = {"width_px": 16, "height_px": 12}

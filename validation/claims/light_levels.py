@@ -19,7 +19,7 @@ from recon.settings import DEFAULT
 from validation import rendering
 from validation.banks import simulated_bank
 from validation.claim import Evidence, Progress
-from validation.metrics import Figure
+from validation.figures import Figure
 from validation.plots import plot
 from validation.shots import photographed
 

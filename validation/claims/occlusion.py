@@ -13,7 +13,7 @@ from dasim.camera import Camera
 from dasim.spectra import CHANNELS
 from validation import rendering, transfer
 from validation.claim import Evidence, Progress
-from validation.metrics import Figure
+from validation.figures import Figure
 from validation.plots import plot
 from validation.rendering import FloatArray
 

@@ -8,7 +8,7 @@ from scipy.optimize import brentq
 from dasim import camera as cameras
 from dasim.camera import BLUR_LEVELS, Camera
 from validation.claim import Evidence, Progress
-from validation.metrics import Figure
+from validation.figures import Figure
 from validation.plots import plot
 
 LENSES = {"3.6mm": "da-mobile", "8mm": "da-8mm"}

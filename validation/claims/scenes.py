@@ -18,7 +18,7 @@ from dasim import scene as scenes
 from dasim.camera import Camera, channels
 from validation import rendering
 from validation.claim import Evidence, NotRun, Progress
-from validation.metrics import Figure
+from validation.figures import Figure
 from validation.rendering import FloatArray
 
 # --- registration --------------------------------------------------------------------------------

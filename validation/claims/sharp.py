@@ -5,7 +5,6 @@ from __future__ import annotations
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from skimage.metrics import structural_similarity
 
 import dasim
 import recon
@@ -16,10 +15,11 @@ from dasim.sensor import Exposure
 from dasim.simulation import Shot
 from dasim.values import PsfBank, Reconstruction, Truth
 from recon import colour, infrared
-from validation import metrics, rendering
+from validation import picture_scores, rendering
 from validation.banks import simulated_bank
 from validation.claim import Evidence, Progress
-from validation.metrics import Figure, infrared_free, psnr
+from validation.figures import Figure
+from validation.picture_scores import infrared_free, psnr
 from validation.report import png_address
 from validation.shots import photographed
 
@@ -34,7 +34,6 @@ LEAST_SHARE = 0.02  # of the frame's pixels in a bin that counts
 FOCUSED_SPP = 64  # of the pictures that refocusing is compared with: their noise is 40 dB down
 REFERENCE_SEED = 1000  # other samples than those of any capture
 LEAST_PX = 1000  # of an object away from boundaries, for the focus to be set on it
-SSIM_SIGMA_PX = 1.5  # Wang et al. 2004
 
 FloatArray = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -86,7 +85,7 @@ def gains(name: str, result: Reconstruction, truth: Truth) -> tuple[list[Figure]
     exact = infrared_free(truth.sharp_e, result.camera)
     blur, inner = np.abs(truth.blur_px), truth.valid & ~truth.boundary
 
-    def measured(where: metrics.Mask) -> tuple[float, float]:
+    def measured(where: Mask) -> tuple[float, float]:
         return psnr(result.linear_e, exact, where), psnr(result.sharp_e, exact, where)
 
     figures, rows, losses = [], [], []
@@ -172,9 +171,5 @@ def _likeness(image: NDArray, exact: NDArray, where: Mask) -> tuple[float, float
     """PSNR in dB and mean SSIM of display values over masked pixels; NaN where there are none."""
     if not where.any():
         return float("nan"), float("nan")
-    _, likeness = structural_similarity(
-        exact, image, channel_axis=-1, data_range=1.0, full=True, gaussian_weights=True, sigma=SSIM_SIGMA_PX,
-        use_sample_covariance=False,
-    )  # fmt: skip
     error = float(np.mean((image[where].astype(np.float64) - exact[where]) ** 2))
-    return float(-10 * np.log10(error)), float(likeness[where].mean())
+    return float(-10 * np.log10(error)), picture_scores.display_scores(image, exact, where)["ssim"]

@@ -23,7 +23,7 @@ from dasim.values import PsfBank
 from recon import fourier
 from validation.banks import simulated_bank
 from validation.claim import Evidence, Progress
-from validation.metrics import Figure
+from validation.figures import Figure
 
 BANDS = 8
 FIRST_LEVEL, LEVEL_STEP = 2, 3

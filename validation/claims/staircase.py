@@ -20,7 +20,7 @@ from recon.settings import Settings
 from validation import bounds, rendering, strips
 from validation.banks import simulated_bank
 from validation.claim import Evidence, Progress
-from validation.metrics import Figure
+from validation.figures import Figure
 from validation.plots import plot
 from validation.shots import photographed
 from validation.strips import Estimates, Noise, Strips

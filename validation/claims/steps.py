@@ -17,7 +17,7 @@ from validation import rendering
 from validation.banks import simulated_bank
 from validation.claim import Evidence, Progress
 from validation.claims.resolution import first_order_m
-from validation.metrics import Figure
+from validation.figures import Figure
 from validation.plots import plot
 from validation.shots import photographed
 

@@ -1,0 +1,79 @@
+"""The command ``dasim``: parses and prints; the work is done elsewhere."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+from typing import Any
+
+import cyclopts
+
+from dasim.cli import check, datasets, photograph, reconstruct
+from dasim.errors import InputError
+
+app = cyclopts.App(
+    name="dasim",
+    help="Simulate dual-aperture photography, reconstruct depth and an all-in-focus picture, and score both.",
+    version_flags=["--version"],
+    suppress_keyboard_interrupt=False,  # run() says it, and main() knows which signal it was
+)
+
+for command in (
+    check.demo,
+    photograph.render,
+    photograph.calibrate,
+    reconstruct.recon,
+    reconstruct.refocus,
+    reconstruct.score,
+    datasets.app,
+    check.validate,
+    photograph.emva,
+):
+    app.command(command)
+app.command(check.list_, name="list")
+
+_STOPPED = 130
+
+
+def main() -> None:
+    """Entry point: exit status 0 done, 1 a gate failed, 2 the user's input is wrong, 128 + signal when stopped."""
+    stopped: list[int] = []
+
+    def stop(number: int, frame: Any) -> None:
+        stopped.append(number)
+        raise KeyboardInterrupt
+
+    for name in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(name, stop)
+    try:
+        status = run(sys.argv[1:])
+    except Exception:
+        # A library that was stopped while it was loading may raise anything.
+        if not stopped:
+            raise
+        status = _STOPPED
+    sys.exit(128 + stopped[0] if stopped else status)
+
+
+def run(arguments: list[str]) -> int:
+    """Run one command; the exit status."""
+    try:
+        return app(arguments, exit_on_error=False, print_error=False, result_action="return_value") or 0
+    except InputError as error:
+        return _refuse(str(error))
+    except cyclopts.CycloptsError as error:
+        return _refuse(" ".join(str(error).split()) + " (see 'dasim --help')")
+    except BrokenPipeError:  # who reads the output has read enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 128 + signal.SIGPIPE
+    except OSError as error:
+        return _refuse(f"{error.filename or 'file'}: {error.strerror or error}")
+    except KeyboardInterrupt:
+        print("dasim: stopped; nothing half-written is left behind", file=sys.stderr)
+        return _STOPPED
+
+
+def _refuse(message: str) -> int:
+    print(f"dasim: {message}", file=sys.stderr)
+    return 2

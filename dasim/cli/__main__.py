@@ -1,0 +1,5 @@
+"""``python -m dasim.cli``."""
+
+from dasim.cli import main
+
+main()

@@ -1,0 +1,192 @@
+"""The commands that show and prove: demo, validate, list."""
+
+from __future__ import annotations
+
+import inspect
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import Parameter
+
+from dasim.cli import options
+from dasim.cli.options import Out, Whole
+from dasim.errors import InputError
+
+
+def demo(*, out: Out = Path("out/demo"), variant: str | None = None, spp: Whole | None = None) -> int:
+    """Run the whole chain on a bundled scene; writes report.html and results.json.
+
+    Args:
+        out: folder to write; an earlier result there is replaced as a whole
+        variant: Mitsuba variant, auto by default
+        spp: samples a pixel and stop
+    """
+    from dasim.files import check_output
+    from dasim.simulation import check_options
+    from validation.demo import run_demo
+
+    check_output(out, "demo")
+    check_options(spp, 0, None)
+    options.say_variant(variant)
+    with options.progress() as progress:
+        entries = run_demo(out, variant=variant, spp=spp, progress=progress)
+    for entry in entries:
+        mark = {None: "", True: "passed", False: "FAILED"}[entry.passed]
+        print(f"{entry.id:<46}{entry.value:>9.3f} {entry.unit:<6}{entry.limit or '':<8}{mark}")
+    print(f"report: {out / 'report.html'}")
+    return 1 if any(entry.passed is False for entry in entries) else 0
+
+
+def validate(
+    *,
+    out: Annotated[Path | None, Parameter(name="--out")] = None,
+    list_: Annotated[bool, Parameter(name="--list", negative="")] = False,
+    only: Annotated[list[str] | None, Parameter(negative="", consume_multiple=True)] = None,
+    quick: Annotated[bool, Parameter(negative="")] = False,
+    gates: Path | None = None,
+    fresh: Annotated[bool, Parameter(negative="")] = False,
+    seeds: Whole = 1,
+    jobs: Whole = 1,
+    compare: Path | None = None,
+    propose_gates: Path | None = None,
+) -> int:
+    """Hold the simulator against closed forms and independent methods; writes results, a report and junit.xml.
+
+    A claim that an earlier run measured with the same code, data, libraries and renderer is not measured again.
+
+    Args:
+        out: folder to write; an earlier result there is replaced as a whole
+        list_: list the claims and end
+        only: ids of the claims to measure; all by default
+        quick: only claims that take less than about 20 s each
+        gates: a TOML file with limits that are added to the bundled ones, or replace them
+        fresh: measure every claim again
+        seeds: random numbers of claims that depend on them: with 3, each is measured with the seeds 0, 1 and 2, and its
+            figures are means with their spread
+        jobs: claims that are measured at once, each in a process of its own
+        compare: results.json of an earlier run: prints what became better and worse
+        propose_gates: a TOML file to write, for --gates: limits from the measured means and their spread over --seeds
+    """
+    from dasim.files import check_output
+    from dasim.render import backend
+    from validation.claim_table import CLAIMS
+    from validation.comparison import changes, load_results, report
+    from validation.proposal import gate_file
+    from validation.validate import all_gates, chosen, failed, run_claims
+
+    names = chosen(CLAIMS, only or (), quick=quick)
+    limits = all_gates(CLAIMS, gates)
+    if list_:
+        _list_claims(names, verbose=False)
+        return 0
+    if out is None:
+        raise InputError("--out is missing; name a folder for the results")
+    for option, number in (("--jobs", jobs), ("--seeds", seeds)):
+        if number < 1:
+            raise InputError(f"{option} {number}: must be 1 or more")
+    if propose_gates is not None:
+        if seeds < 2:
+            raise InputError("--propose-gates: needs --seeds of 2 or more, since the margin comes from their spread")
+        options.check_new_file(propose_gates, "--propose-gates")
+    earlier = None if compare is None else load_results(compare)
+    check_output(out, "validation")
+    options.say_variant(None)
+    variant = backend.choose().variant
+    with options.progress() as progress:
+        outcomes = run_claims(
+            out, names, CLAIMS, limits, variant=variant, seeds=seeds, fresh=fresh, jobs=jobs, progress=progress
+        )
+    for outcome in outcomes:
+        for entry in outcome.claims:
+            mark = {None: "", True: "passed", False: "FAILED"}[entry.passed]
+            spread = "" if entry.spread is None else f"+- {entry.spread:.2g}"
+            line = f"{entry.id:<44}{entry.value:>10.4g} {spread:<11}{entry.unit:<7}{entry.limit or '':<16}{mark}"
+            print(f"{entry.id:<44}{entry.source}" if outcome.not_run or outcome.error else line)
+    again = sum(outcome.stored for outcome in outcomes)
+    if again:
+        print(f"{again} of {len(outcomes)} claims are unchanged since an earlier run; --fresh measures them again")
+    if propose_gates is not None:
+        figures = [(entry, outcome.seeds) for outcome in outcomes for entry in outcome.claims]
+        propose_gates.write_text(gate_file(figures), encoding="utf-8")
+        print(f"limits: {propose_gates}")
+    if earlier is not None:
+        entries = [entry for outcome in outcomes for entry in outcome.claims]
+        print("\n".join(report(changes(earlier, entries, set(names)))))
+    print(f"report: {out / 'report.html'}")
+    return 1 if failed(outcomes) else 0
+
+
+def list_(kind: str, *, verbose: Annotated[bool, Parameter(negative="")] = False) -> int:
+    """List what is bundled.
+
+    Args:
+        kind: scenes, cameras, materials, illuminants or claims
+        verbose: with more detail
+    """
+    from dasim import camera, describe, scene
+
+    if kind == "scenes":
+        for name in scene.scene_names():
+            print(f"{name:<16}{scene.load_scene(name).description}")
+    elif kind == "cameras":
+        for name in camera.camera_names():
+            loaded = camera.load_camera(name)
+            print(f"{name:<20}{loaded.description}")
+            if verbose:
+                print("\n".join(f"    {line}" for line in describe.described(loaded)) + "\n")
+    elif kind == "materials":
+        _list_materials(verbose=verbose)
+    elif kind == "illuminants":
+        _list_illuminants(verbose=verbose)
+    elif kind == "claims":
+        from validation.claim_table import CLAIMS
+
+        _list_claims(list(CLAIMS), verbose=verbose)
+    else:
+        raise InputError(f"list '{kind}' is unknown; allowed are scenes, cameras, materials, illuminants, claims")
+    return 0
+
+
+def _list_materials(*, verbose: bool) -> None:
+    from dasim import materials
+    from dasim.render.reflection import normal_reflectance
+    from dasim.spectra import WAVELENGTH_NM
+
+    shown_nm = (450, 550, 650, 750, 800)
+    if verbose:
+        print(f"reflectance (metals, glass and coats: at normal incidence) at {', '.join(map(str, shown_nm))} nm")
+    for name in materials.material_names():
+        kind, source = materials.kind_and_source(name)
+        if not verbose:
+            print(f"{name:<24}{kind}")
+            continue
+        curve = normal_reflectance(materials.surface(name, Path(".")))
+        values = " ".join(f"{curve[WAVELENGTH_NM == nm][0]:.2f}" for nm in shown_nm)
+        print(f"{name:<24}{kind:<9}{values}  {source}")
+
+
+def _list_illuminants(*, verbose: bool) -> None:
+    from dasim import illuminants
+
+    if verbose:
+        print("name                  CCT K  near-IR  beyond the end of the table")
+    for name in (*illuminants.ILLUMINANTS, *(illuminants.EXAMPLES if verbose else illuminants.PATTERNS)):
+        if not verbose:
+            print(name)
+            continue
+        about = illuminants.described(name)
+        print(f"{about.name:<20}{about.cct_k:>7.0f}{about.near_infrared:>9.2f}  {about.beyond}")
+    if verbose:
+        print(
+            "CCT: without what lies below 400 nm; near-IR: photons over 650-810 nm, over those of D65 at as many lux\n"
+        )
+        print("\n".join(f"also: {pattern}" for pattern in illuminants.PATTERNS))
+
+
+def _list_claims(names: list[str], *, verbose: bool) -> None:
+    from validation.claim_table import CLAIMS
+    from validation.validate import title
+
+    for name in names:
+        text = f"\n{inspect.getdoc(CLAIMS[name].run)}\n" if verbose else title(CLAIMS[name])
+        print(f"{name:<20}{'quick' if CLAIMS[name].quick else '':<7}{text}")

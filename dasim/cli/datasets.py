@@ -1,0 +1,201 @@
+"""The commands ``dasim dataset``: parse and print."""
+
+from __future__ import annotations
+
+import os
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import cyclopts
+from cyclopts import Parameter
+
+from dasim.cli.options import Whole
+from dasim.errors import InputError
+
+if TYPE_CHECKING:
+    from dasim.dataset.make import Progress
+    from dasim.dataset.specification import DatasetSpec
+    from dasim.executors import Executor
+
+app = cyclopts.App(name="dataset", help="Make, check and describe datasets of many captures with their truth.")
+
+LINE_S = 30.0  # between lines of progress where there is no terminal
+TRIALS = 3  # small renders that the cost of a dataset is estimated from
+TRIAL_SHARE = 4  # of the frame's width and height
+
+
+@app.command
+def make(
+    spec: Path,
+    *,
+    out: Annotated[str, Parameter(name="--out")],
+    dry_run: Annotated[bool, Parameter(negative="")] = False,
+    jobs: Whole | None = None,
+    executor: Literal["local", "ray"] = "local",
+    address: str = "auto",
+    shard: str = "1/1",
+    retry: Annotated[bool, Parameter(negative="")] = False,
+    variant: str | None = None,
+) -> int:
+    """Make a dataset from a specification, or go on with one that was stopped; exit status 1 where samples failed.
+
+    Args:
+        spec: a TOML file
+        out: a folder, or an fsspec address such as s3://bucket/folder
+        dry_run: print what would be made and what it costs, from three small renders, and end
+        jobs: processes of the local executor; by default one for each core
+        executor: local, or ray for the nodes of a cluster (extra 'cluster')
+        address: of Ray: auto, or ray://host:port
+        shard: K/N makes the K-th of N parts of the shards, for batch schedulers; the last one to end finishes
+        retry: try samples again that failed in an earlier run
+        variant: Mitsuba variant, auto by default
+    """
+    from dasim import executors
+    from dasim.dataset import plan, storage
+    from dasim.dataset.make import make as make_dataset
+    from dasim.dataset.reading import parquet_library
+    from dasim.dataset.sample import Job, environment
+    from dasim.dataset.specification import load_spec
+    from dasim.render import backend
+
+    described = load_spec(spec)
+    part = _part(shard)
+    processes = _processes(jobs)
+    parquet_library()
+    choice = backend.choose(variant)
+    here = environment(choice.variant)
+    if dry_run:
+        _print_plan(described, out, processes, choice.variant)
+        return 0
+    run: Executor = executors.local(processes) if executor == "local" else executors.ray(address)
+    plan.begin(out, plan.description(described, here))
+    log = Path(out) / plan.LOG if storage.is_local(out) else None
+    with _shown(described.name) as show:
+        progress = make_dataset(Job(described, out, here), run, shard=part, retry=retry, log=log, show=show)
+    for index, said in sorted(progress.failed.items()):
+        print(f"sample {index} failed: {said}", file=sys.stderr)
+    print(f"dataset: {out} ({progress.before + progress.done} of {progress.total} samples)")
+    if progress.failed:
+        print(f"{len(progress.failed)} samples failed and are left out; --retry tries them again", file=sys.stderr)
+    return 1 if progress.failed else 0
+
+
+@app.command
+def verify(dataset: str) -> int:
+    """Read a dataset as a whole again: checksums, shapes, ranges, missing and extra samples; status 1 where it fails.
+
+    Args:
+        dataset: its folder or fsspec address
+    """
+    from dasim.dataset import plan, verify
+
+    plan.manifest(dataset)
+    count = 0
+    for problem in verify.problems(dataset):
+        count += 1
+        print(problem)
+    print(f"{dataset}: {count} problems" if count else f"{dataset}: every file is as it was written")
+    return 1 if count else 0
+
+
+@app.command
+def info(dataset: str, *, plot: Path | None = None) -> int:
+    """Print what is in a dataset.
+
+    Args:
+        dataset: its folder or fsspec address
+        plot: a PNG or SVG file to write, with histograms of depth, blur, exposure and illuminants
+    """
+    from dasim.dataset import card, histograms, reading
+
+    if plot is not None and (plot.suffix.lower() not in (".png", ".svg") or not plot.resolve().parent.is_dir()):
+        raise InputError(f"--plot {plot}: needs a name that ends in .png or .svg, in a folder that exists")
+    spec, rows = reading.spec_of(dataset), reading.index_rows(dataset)
+    print(f"{spec.name} {spec.version}, {spec.format}, licence: {spec.licence}")
+    print("\n".join(card.statistics(rows)))
+    if plot is not None:
+        histograms.plot(rows, plot, f"{spec.name} {spec.version}")
+        print(f"plot: {plot}")
+    return 0
+
+
+def _part(text: str) -> tuple[int, int]:
+    first, _, second = text.partition("/")
+    if not (first.isdigit() and second.isdigit() and 1 <= int(first) <= int(second)):
+        raise InputError(f"--shard '{text}': must be K/N, such as 3/8, with K from 1 to N")
+    return int(first), int(second)
+
+
+def _processes(jobs: int | None) -> int:
+    if jobs is not None and jobs < 1:
+        raise InputError(f"--jobs {jobs}: must be 1 or more")
+    allowed = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return jobs or allowed
+
+
+def _print_plan(spec: DatasetSpec, out: str, processes: int, variant: str) -> None:
+    """What would be made, some samples as drawn, and the cost by small renders."""
+    from dasim.dataset import plan
+    from dasim.dataset.draws import draft
+    from dasim.dataset.make import estimate
+    from dasim.dataset.sample import activate
+    from dasim.dataset.sample import make as make_sample
+
+    groups = plan.shards(spec)
+    for split in spec.splits:
+        own = [group for group in groups if group.split == split]
+        print(f"{split}: {sum(len(group.indices) for group in own)} samples in {len(own)} shards")
+    shown = sorted({0, spec.samples // 2, spec.samples - 1})
+    for index in shown:
+        drafted = draft(spec, index)
+        drawn = ", ".join(f"{name} {value:.4g}" if isinstance(value, float) else f"{name} {value}"
+                          for name, value in drafted.drawn.items())  # fmt: skip
+        focus_m = drafted.camera.lens.focus_distance_m
+        print(f"sample {index}: {drafted.split}, {drafted.scene_key}, focus {focus_m:.3g} m, {drawn}")
+    small = tuple(max(side // TRIAL_SHARE // 2 * 2, 32) for side in spec.size_px)
+    margin = spec.truth.model_copy(update={"margin_px": 0})
+    trial = spec.model_copy(update={"size_px": small, "truth": margin})
+    factor = spec.size_px[0] * spec.size_px[1] / (small[0] * small[1])
+    activate(variant)
+    seconds = []
+    for index in range(min(TRIALS + 1, spec.samples)):
+        begin = time.perf_counter()
+        make_sample(trial, index, variant)
+        seconds.append((time.perf_counter() - begin) * factor)
+    measured = seconds[1:] or seconds  # the first one compiles
+    print(f"estimate from {len(measured)} renders of {small[0]} x {small[1]} pixels on one core each: "
+          + estimate(spec, sum(measured) / len(measured), processes))  # fmt: skip
+
+
+@contextmanager
+def _shown(name: str) -> Iterator[Any]:
+    """A progress bar with rate, time left and failures on a terminal; elsewhere a line now and then."""
+    from rich import progress as bars
+    from rich.console import Console
+
+    console = Console(stderr=True)
+    text = (bars.TextColumn("{task.description}"), bars.BarColumn(), bars.TextColumn("{task.fields[said]}"))
+    printed = [0.0]
+    with bars.Progress(*text, bars.TimeElapsedColumn(), console=console, disable=not console.is_terminal) as bar:
+        task = bar.add_task(name, total=None, said="")
+
+        def update(progress: Progress) -> None:
+            said = _said(progress)
+            bar.update(task, total=progress.total, completed=progress.before + progress.done, said=said)
+            if not console.is_terminal and time.monotonic() - printed[0] >= LINE_S:
+                printed[0] = time.monotonic()
+                print(f"{name}: {said}", file=sys.stderr, flush=True)
+
+        yield update
+
+
+def _said(progress: Progress) -> str:
+    left = progress.left_s
+    time_left = "" if left != left else f", {left / 60:.0f} min left" if left > 90 else f", {left:.0f} s left"
+    failed = f", {len(progress.failed)} failed" if progress.failed else ""
+    rate = f", {progress.rate:.0f} an hour" if progress.done else ""
+    return f"{progress.before + progress.done} of {progress.total}{rate}{time_left}{failed}"

@@ -1,0 +1,77 @@
+"""What the commands share: options, the progress bar, checks of names of files to write."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Annotated, Any
+
+from cyclopts import Parameter
+
+from dasim.errors import InputError
+
+Progress = Callable[[str, float], None]
+
+
+@contextmanager
+def progress() -> Iterator[Progress]:
+    """A progress bar with the time left on a terminal; elsewhere one line a stage."""
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
+
+    console = Console(stderr=True)
+    columns = (TextColumn("{task.description:<36}"), BarColumn(), TextColumn("{task.percentage:3.0f} %"))
+    tasks: dict[str, TaskID] = {}
+    with Progress(*columns, TimeRemainingColumn(), console=console, disable=not console.is_terminal) as bar:
+
+        def update(stage: str, share: float) -> None:
+            if stage not in tasks:
+                tasks[stage] = bar.add_task(stage, total=1.0)
+                if not console.is_terminal:
+                    print(stage, file=sys.stderr, flush=True)
+            bar.update(tasks[stage], completed=share)
+
+        yield update
+
+
+def whole(kind: Any, tokens: Any) -> int:
+    """A whole number, as written: 1.5 is none."""
+    try:
+        return int(tokens[0].value)
+    except ValueError:
+        raise InputError(f"--{tokens[0].keyword.lstrip('-')} '{tokens[0].value}' is not a whole number") from None
+
+
+def samples(kind: Any, tokens: Any) -> int | str:
+    """A whole number of samples, or auto."""
+    return "auto" if tokens[0].value == "auto" else whole(kind, tokens)
+
+
+Whole = Annotated[int, Parameter(converter=whole)]
+Out = Annotated[Path, Parameter(name="--out")]
+
+
+def check_new_file(path: Path, option: str) -> None:
+    """Refuse to overwrite anything, and a folder that is not there, before the work begins."""
+    if path.exists():
+        raise InputError(f"{option} {path}: exists; choose another name")
+    if not path.resolve().parent.is_dir():
+        raise InputError(f"{option} {path}: the folder {path.resolve().parent} does not exist")
+
+
+def size(text: str) -> tuple[int, int]:
+    """Width and height of WxH."""
+    width, _, height = text.partition("x")
+    try:
+        return int(width), int(height)
+    except ValueError:
+        raise InputError(f"--size '{text}' is not of the form WxH, such as 768x576") from None
+
+
+def say_variant(variant: str | None) -> None:
+    """Say which renderer works, and why it was chosen."""
+    from dasim.render import backend
+
+    print(f"renderer: {backend.choose(variant).reason}", file=sys.stderr, flush=True)

@@ -1,0 +1,267 @@
+"""The commands that photograph and calibrate: render, calibrate, emva."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+from cyclopts import Parameter
+
+from dasim.cli import options
+from dasim.cli.options import Out, Progress, Whole, samples
+from dasim.errors import InputError
+
+if TYPE_CHECKING:
+    from dasim.camera import Camera
+    from dasim.values import PsfBank
+
+
+def render(
+    scene: str,
+    *,
+    out: Out,
+    camera: str = "da-mobile",
+    focus: float | None = None,
+    seed: Whole = 0,
+    size: str | None = None,
+    spp: Annotated[int | str | None, Parameter(converter=samples)] = None,
+    noise_share: float = 0.2,
+    exposure: float | None = None,
+    diffraction: str | None = None,
+    variant: str | None = None,
+    unit_cm: float | None = None,
+    near_infrared: str | None = None,
+    illuminant: str | None = None,
+) -> int:
+    """Photograph a scene: a capture folder with raw.png, truth.exr and meta.json.
+
+    Args:
+        scene: a bundled name (see 'dasim list scenes', staircase:14 for one of a family), a TOML file, a Mitsuba XML
+            file, or a random scene: random:SEED:INDEX, or random:FILE.toml:SEED:INDEX with what it is drawn from; it
+            fits the picture's size
+        out: the capture folder
+        camera: a bundled name (see 'dasim list cameras') or a TOML file
+        focus: focus distance in metres; by default what the scene proposes, else the camera's own
+        seed: of all random numbers
+        size: WxH pixels, a central crop of the sensor at unchanged pixel pitch
+        spp: samples a pixel and stop, or auto: until rendering noise is below --noise-share
+        noise_share: rendering noise over the sensor's own that auto aims at, at the median pixel of every channel
+        exposure: exposure time in seconds; automatic by default
+        diffraction: wave, airy or off
+        variant: Mitsuba variant: auto, cuda_ad_spectral, llvm_ad_spectral or scalar_spectral
+        unit_cm: of a Mitsuba XML file, the length of its unit; 100 by default
+        near_infrared: of a Mitsuba XML file, the rule for its RGB surfaces: print, dyed, or achromatic by default
+        illuminant: of a Mitsuba XML file, the spectrum of its RGB lights; D65 by default
+    """
+    import dasim
+    from dasim import random_scenes
+    from dasim.files import check_output
+    from dasim.render import backend
+    from dasim.simulation import check_camera, check_options
+    from dasim.specification import parse
+
+    check_output(out, "capture")
+    check_options(spp, seed, diffraction, noise_share)
+    choices = {"unit_cm": unit_cm, "near_infrared": near_infrared, "illuminant": illuminant}
+    given = {name: value for name, value in choices.items() if value is not None}
+    whole = chosen = dasim.load_camera(camera)
+    if size is not None:
+        chosen = dasim.cropped(whole, *options.size(size))
+    described: dasim.Scene | dasim.MitsubaScene
+    if random_scenes.is_random(scene) and not given:
+        described, drawn = random_scenes.named(scene, chosen)
+    else:
+        described, drawn = dasim.load_scene(scene, camera=whole, **given), dasim.Exposure()
+    chosen = dasim.focused(chosen, described) if focus is None else dasim.refocused(chosen, focus)
+    count: dict[str, Any] = {} if spp is None else {"spp": spp}
+    times = drawn if exposure is None else parse(dasim.Exposure, {"time_s": exposure}, "--exposure")
+    check_camera(chosen, backend.choose(variant).variant)
+    options.say_variant(variant)
+    with options.progress() as progress:
+        shot = dasim.simulate(
+            described,
+            chosen,
+            seed,
+            exposure=times,
+            diffraction=diffraction,
+            variant=variant,
+            noise_share=noise_share,
+            progress=progress,
+            **count,
+        )
+    dasim.save_capture(out, shot.capture, shot.truth)
+    for note in shot.capture.provenance["notes"]:
+        print(f"note: {note}")
+    shares = shot.capture.provenance.get("rendering_noise_share", {})
+    if shares:
+        listed = ", ".join(f"{name} {share:.2f}" for name, share in shares.items())
+        print(f"rendering noise over the sensor's own: {listed} ({shot.capture.provenance['spp']} samples)")
+    print(f"capture: {out} ({shot.capture.exposure_s * 1e3:.3g} ms)")
+    return 0
+
+
+def calibrate(
+    *,
+    out: Path | None = None,
+    camera: str = "da-mobile",
+    focus: float | None = None,
+    illuminant: Annotated[list[str] | None, Parameter(negative="")] = None,
+    diffraction: str | None = None,
+    captures: Path | None = None,
+    format_: Annotated[str | None, Parameter(name="--format")] = None,
+    print_distances: Annotated[bool, Parameter(negative="")] = False,
+    save_captures: Path | None = None,
+) -> int:
+    """Measure a PSF bank from pictures of a point source, simulated ones or your own.
+
+    Args:
+        out: the bank, one .npz file
+        camera: a bundled name or a TOML file
+        focus: focus distance in metres; the camera's own by default
+        illuminant: of simulated pictures, lights of the bank; all by default
+        diffraction: of simulated pictures: wave (the default), airy or off; the same as that of the captures
+        captures: a folder with your own pictures: raw files, and captures.csv with a line for each (columns file,
+            light, depth_m, exposure_s; also gain, and position where the source stood at several places)
+        format_: of your own pictures: raw10, raw12, raw16 or left-aligned, as of 'dasim recon'
+        print_distances: print the distances from the lens at which to photograph the point source, and end
+        save_captures: write the simulated pictures to this folder, in the form that --captures reads, and end
+    """
+    import dasim
+    from dasim import illuminants
+    from dasim.calibration import CALIBRATION_LIGHTS
+    from dasim.files import check_output, save_bank
+    from dasim.simulation import check_options
+    from recon.point_files import KIND
+    from validation.banks import simulated_bank
+
+    chosen = dasim.load_camera(camera)
+    if focus is not None:
+        chosen = dasim.refocused(chosen, focus)
+    if print_distances:
+        return _print_distances(chosen)
+    if captures is not None and (illuminant or diffraction or save_captures):
+        raise InputError("--captures: your own pictures decide lights and diffraction; leave the other option out")
+    if save_captures is not None and out is not None:
+        raise InputError("--save-captures: writes pictures and no bank; leave --out out")
+    if captures is None and format_ is not None:
+        raise InputError("--format: is for your own pictures; name their folder with --captures")
+    lights = tuple(dict.fromkeys(illuminant or CALIBRATION_LIGHTS))
+    for light in lights:
+        illuminants.illuminant(light)
+    check_options(None, 0, diffraction)
+    if save_captures is not None:
+        check_output(save_captures, KIND)
+        return _save_captures(save_captures, chosen, lights, diffraction or "wave")
+    if out is None:
+        raise InputError("--out is missing; name the bank's file, such as bank.npz")
+    _check_bank_output(out)
+    with options.progress() as progress:
+        if captures is None:
+            bank = simulated_bank(chosen, lights=lights, diffraction=diffraction or "wave", progress=progress)
+        else:
+            bank, notes = _measured_bank(captures, chosen, format_, progress)
+            for note in notes:
+                print(f"note: {note}")
+    save_bank(out, bank)
+    print(f"bank: {out} ({', '.join(bank.lights)}; {len(bank.depth_m)} levels, {bank.depth_m[-1]:.3g} to "
+          f"{bank.depth_m[0]:.3g} m)")  # fmt: skip
+    return 0
+
+
+def _print_distances(camera: Camera) -> int:
+    from dasim.calibration import levels
+    from dasim.camera import depth_of_blur_m
+    from recon.point_table import DEPTH_TOLERANCE
+
+    depths, blurs = levels(camera)
+    margin = DEPTH_TOLERANCE * blurs[1]
+    nearest, farthest = (depth_of_blur_m(camera, blurs + side * margin) for side in (1, -1))
+    print(
+        f"# camera '{camera.name}' focused at {camera.lens.focus_distance_m:g} m: metres from the lens to the pinhole;"
+    )
+    print("# a picture counts from from_m to to_m; you may stop after any level, and leave none out before it")
+    print("level  distance_m   from_m     to_m  blur_px")
+    for row in zip(range(len(depths)), depths, nearest, farthest, blurs, strict=True):
+        print("{:>5}  {:>10.5f}  {:>7.5f}  {:>7.5f}  {:>7.1f}".format(*row))
+    return 0
+
+
+def _save_captures(out: Path, camera: Camera, lights: tuple[str, ...], diffraction: str) -> int:
+    from dasim.calibration import calibration_captures
+    from recon.point_files import write_point_pictures
+
+    count = write_point_pictures(out, calibration_captures(camera, lights, diffraction=diffraction), camera)
+    print(f"captures: {out} ({count} pictures of {', '.join(lights)})")
+    return 0
+
+
+def _measured_bank(
+    folder: Path, camera: Camera, kind: str | None, progress: Progress
+) -> tuple[PsfBank, tuple[str, ...]]:
+    """A bank of a user's own pictures, and what is to be said of it."""
+    from dasim import illuminants
+    from dasim.calibration import levels
+    from recon import calibrate as measured
+    from recon.point_files import read_point_pictures
+
+    found = read_point_pictures(
+        folder, camera, *levels(camera), known_light=illuminants.illuminant, kind=kind, progress=progress
+    )
+    return measured(found.pictures, camera, progress=progress), found.notes
+
+
+def _check_bank_output(out: Path) -> None:
+    """Refuse to overwrite anything but a bank."""
+    from dasim.files import load_bank
+
+    if out.is_dir():
+        raise InputError(f"output {out}: is a folder; a bank is one .npz file")
+    if out.exists():
+        try:
+            load_bank(out)
+        except InputError:
+            raise InputError(f"output {out}: exists and is no PSF bank; choose another name") from None
+    for parent in out.resolve().parents:
+        if parent.exists():
+            if not parent.is_dir():
+                raise InputError(f"output {out}: {parent} is a file, not a folder")
+            break
+
+
+def emva(
+    *,
+    out: Out,
+    camera: str = "da-mobile",
+    channel: str = "G",
+    gain: float = 1.0,
+    seed: Whole = 0,
+    size: str = "256x256",
+) -> int:
+    """Photograph an even light as EMVA 1288 measures a sensor: frames and the descriptor for its reference analyser.
+
+    Args:
+        out: folder to write; an earlier measurement there is replaced as a whole
+        camera: a bundled name or a TOML file; its lens is not used
+        channel: whose pixels are measured: R, G, B or IR
+        gain: analogue gain; a higher one shows a read noise that rounding hides, but not the full well
+        seed: of all random numbers
+        size: WxH pixels of the frames
+    """
+    import dasim
+    from dasim.emva import KIND, write_measurement
+    from dasim.files import check_output
+    from dasim.simulation import check_options
+    from dasim.specification import parse
+
+    check_output(out, KIND)
+    check_options(None, seed, None)
+    chosen = dasim.load_camera(camera)
+    gain = parse(dasim.Exposure, {"gain": gain}, "--gain").gain
+    with options.progress() as progress:
+        notes = write_measurement(
+            out, chosen, channel=channel, gain=gain, seed=seed, size_px=options.size(size), progress=progress
+        )
+    for note in notes:
+        print(f"note: {note}")
+    print(f"EMVA 1288 measurement: {out / 'descriptor.txt'}")
+    return 0

@@ -1,0 +1,226 @@
+"""The commands that start from a capture: recon, refocus, score."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+from cyclopts import Parameter
+
+from dasim.cli import options
+from dasim.cli.options import Progress
+from dasim.errors import InputError
+
+if TYPE_CHECKING:
+    from dasim.values import Capture, PsfBank
+    from recon.settings import Settings
+
+
+def recon(
+    capture: Path | None = None,
+    *,
+    out: Path | None = None,
+    camera: str | None = None,
+    format_: Annotated[str | None, Parameter(name="--format")] = None,
+    exposure: float | None = None,
+    gain: float | None = None,
+    focus: float | None = None,
+    bank: Path | None = None,
+    preset: str | None = None,
+    settings: Path | None = None,
+    print_settings: Annotated[bool, Parameter(negative="")] = False,
+    flat: Path | None = None,
+    also: Annotated[list[str] | None, Parameter(negative="", consume_multiple=True)] = None,
+) -> int:
+    """Reconstruct a capture: picture, depth, all-in-focus picture. Of a camera without infrared, the picture alone.
+
+    Args:
+        capture: a capture folder, or with --camera a raw mosaic: a 16-bit PNG, TIFF or NPY file, or packed pixels
+        out: the reconstruction folder
+        camera: of a raw file: a bundled name or a TOML file with mosaic, bit depth, black level and noise; the
+            picture's own size counts
+        format_: of a raw file: raw10 or raw12 (MIPI packing), raw16 (two bytes, low first), all without header and of
+            the camera's size; left-aligned for PNG, TIFF or NPY values shifted up to 16 bits
+        exposure: of a raw file, in seconds, for the dark signal; 0.01 by default
+        gain: of a raw file, analogue, a factor on the camera's own; 1 by default
+        focus: of a raw file, focus distance in metres; the camera's own by default
+        bank: a PSF bank; by default one is calibrated for the capture's camera and focus, and kept in the cache
+        preset: bands (the default), paper, likelihood or chakrabarti-zickler
+        settings: a TOML file with settings that differ from the paper's preset, as --print-settings writes it
+        print_settings: print the settings as TOML, with what each means, and end
+        flat: a capture of an even surface that fills the frame, to undo the lens shading in the pictures; of the same
+            kind as the capture
+        also: further pictures of the all-in-focus one: anaglyph (red-cyan), stereo (side by side), ply or glb (textured
+            surface)
+    """
+    import dasim
+    import recon as reconstruction
+    from dasim.files import check_output
+    from recon import settings as known
+    from recon.mosaic import grids
+    from recon.output import check_extras, save_reconstruction
+    from recon.raw_files import load_input
+
+    chosen = known.chosen(preset, settings)
+    if print_settings:
+        print(known.to_toml(chosen), end="")
+        return 0
+    if capture is None or out is None:
+        raise InputError("recon: needs a capture and --out FOLDER (see 'dasim recon --help')")
+    check_output(out, "reconstruction")
+    check_extras(also or ())
+    model = None if camera is None else dasim.load_camera(camera)
+    if focus is not None:
+        if model is None:
+            raise InputError("--focus: is for raw files with --camera; a capture folder says it itself")
+        model = dasim.refocused(model, focus)
+    shot, even = (
+        None if path is None else load_input(path, model, kind=format_, exposure_s=exposure, gain=gain)
+        for path in (capture, flat)
+    )
+    assert shot is not None
+    if even is not None:
+        reconstruction.check_flat(even, shot.camera)
+    if "IR" not in grids(shot.camera):  # a mosaic that cannot be reconstructed is refused before a bank is made
+        return _picture_alone(shot, even, chosen, bank, out)
+    with options.progress() as progress:
+        kernels = _bank(bank, shot, progress)
+        result = reconstruction.reconstruct(
+            shot, kernels, chosen, flat=even, progress=lambda s, x: progress("reconstructing", x)
+        )
+        save_reconstruction(out, result, also or ())
+    for note in result.notes:
+        print(f"note: {note}")
+    print(f"reconstruction: {out} (light by white balance: {result.light})")
+    return 0
+
+
+def refocus(
+    reconstruction: Path,
+    *,
+    depth: float,
+    out: Path,
+    f_number: float | None = None,
+    bank: Path | None = None,
+) -> int:
+    """Focus a reconstructed picture after the shot, at any depth and aperture.
+
+    Args:
+        reconstruction: a reconstruction folder
+        depth: distance in metres that becomes sharp
+        out: the picture to write, a PNG file; an earlier one is replaced
+        f_number: of the lens; the camera's own by default
+        bank: the PSF bank of the reconstruction; by default that of the camera's description
+    """
+    import recon as pipeline
+    from recon.output import displayed, load_reconstruction, write_picture
+    from validation.banks import simulated_bank
+
+    if out.suffix.lower() != ".png" or out.is_dir() or not out.resolve().parent.is_dir():
+        raise InputError(f"--out {out}: is not a PNG file in a folder that exists")
+    for option, value in (("--depth", depth), ("--f-number", f_number)):
+        if value is not None and not 0 < value < float("inf"):
+            raise InputError(f"{option} {value:g}: must be above 0")
+    found = load_reconstruction(reconstruction)
+    with options.progress() as progress:
+        kernels = pipeline.load_bank(bank) if bank is not None else simulated_bank(found.camera, progress=progress)
+    write_picture(out, displayed(pipeline.refocus(found, kernels, depth, f_number), found))
+    print(f"picture: {out} (focused at {depth:g} m, f/{f_number or found.camera.lens.f_number:g})")
+    return 0
+
+
+def _bank(path: Path | None, shot: Capture, progress: Progress) -> PsfBank:
+    """The bank of a file, or the one that the camera's own description gives."""
+    from dasim.files import load_bank
+    from validation.banks import simulated_bank
+
+    if path is not None:
+        return load_bank(path)
+    if "raw_file" in shot.provenance:
+        print(
+            f"note: without --bank the kernels are those that the description of camera '{shot.camera.name}' predicts; "
+            "of a real camera, measure them (dasim calibrate --captures)"
+        )
+    return simulated_bank(shot.camera, diffraction=shot.provenance.get("diffraction", "wave"), progress=progress)
+
+
+def _picture_alone(shot: Capture, even: Capture | None, chosen: Settings, bank: Path | None, out: Path) -> int:
+    from recon import develop
+    from recon.output import save_picture
+
+    if bank is not None:
+        raise InputError(f"--bank: camera '{shot.camera.name}' has no infrared pixels and so no depth; leave it out")
+    picture = develop(shot, chosen, flat=even)
+    save_picture(out, picture)
+    print(f"note: camera '{shot.camera.name}' has no infrared pixels: the picture alone, no depth")
+    print(f"picture: {out} (light by white balance: {picture.light})")
+    return 0
+
+
+def score(
+    result: Path,
+    capture: Path,
+    *,
+    confidence: Path | None = None,
+    scale: float | None = None,
+    json_file: Annotated[Path | None, Parameter(name="--json")] = None,
+) -> int:
+    """Score a reconstruction, or anybody's depth map, against the ground truth of its capture.
+
+    Args:
+        result: a reconstruction folder, or a depth map: EXR or NPY in metres, 16-bit PNG with --scale
+        capture: the capture folder with truth.exr; or, for a reconstruction of a photograph of your own, the depths
+            that you measured: EXR or NPY in metres, 16-bit PNG with --scale, one for each pixel, NaN (0) where unknown
+        confidence: with a depth map, how sure it is of each pixel (same formats, any unit, more is surer)
+        scale: metres of one unit of the depth map, or of the measured depths
+        json_file: also write the figures to this file
+    """
+    from dasim.files import load_capture, load_truth
+    from recon.output import load_reconstruction
+    from validation import scores
+    from validation.claim import plain_value
+    from validation.depth_files import SUFFIXES, read_depth, read_map
+
+    _check_score_output(json_file)
+    if capture.is_file() and capture.suffix.lower() in SUFFIXES:
+        from validation.own_truth import score_measured
+
+        if confidence is not None or not result.is_dir():
+            raise InputError(f"{capture}: measured depths judge a reconstruction folder, which says its camera")
+        figures = score_measured(load_reconstruction(result), read_depth(capture, scale))
+    elif result.is_file() or result.suffix.lower() in SUFFIXES:
+        depth_m = read_depth(result, scale)
+        trust = None if confidence is None else read_map(confidence)
+        taken = load_capture(capture)
+        figures = scores.score_map(depth_m, taken, load_truth(capture), trust)
+    else:
+        if confidence is not None or scale is not None:
+            raise InputError("--confidence and --scale belong to a depth map; a reconstruction folder has its own")
+        found = load_reconstruction(result)
+        taken = load_capture(capture)  # a capture that is not whole is not scored
+        figures = scores.score(found, taken, load_truth(capture))
+    print(scores.shown(figures))
+    if json_file is not None:
+        content = {f.id: {"value": plain_value(f.value), "unit": f.unit} for f in figures}
+        partial = json_file.with_name(f".{json_file.name}.partial")
+        partial.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+        partial.replace(json_file)
+    return 0
+
+
+def _check_score_output(out: Path | None) -> None:
+    """Refuse to overwrite anything but an earlier score."""
+    if out is None:
+        return
+    if not out.parent.is_dir():
+        raise InputError(f"--json {out}: {out.parent} is no folder")
+    if not out.exists():
+        return
+    try:
+        earlier = json.loads(out.read_text(encoding="utf-8"))
+        if all(set(figure) == {"value", "unit"} for figure in earlier.values()):
+            return
+    except (OSError, ValueError, AttributeError, TypeError):
+        pass
+    raise InputError(f"--json {out}: exists and is no earlier score; choose another name")

@@ -1,0 +1,189 @@
+"""Make a dataset: what is missing, in any order and by any executor, into shards, an index and a card."""
+
+from __future__ import annotations
+
+import json
+import tarfile
+import time
+from collections import deque
+from collections.abc import Callable
+from contextlib import ExitStack, closing
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from dasim.dataset import card, plan, reading, storage
+from dasim.dataset.plan import Shard
+from dasim.dataset.sample import FILES, ROW, Job, add, key, packed, plain, unpacked
+from dasim.dataset.specification import DatasetSpec
+from dasim.errors import InputError
+from dasim.executors import PART, Executor, Outcome
+
+TRIES = 3
+
+
+@dataclass
+class Progress:
+    """How far a run is; handed to who shows it, after each sample."""
+
+    total: int  # samples of this run
+    before: int = 0  # of them made by earlier runs
+    done: int = 0
+    failed: dict[int, str] = field(default_factory=dict)
+    began: float = field(default_factory=time.monotonic)
+    last: str = ""  # one line on the last sample
+
+    @property
+    def rate(self) -> float:
+        """Samples an hour of this run."""
+        return 3600 * self.done / max(time.monotonic() - self.began, 1e-9)
+
+    @property
+    def left_s(self) -> float:
+        """Seconds left at this rate; NaN before the first sample."""
+        missing = self.total - self.before - self.done - len(self.failed)
+        return 3600 * missing / self.rate if self.done else float("nan")
+
+
+def make(
+    job: Job,
+    executor: Executor,
+    *,
+    shard: tuple[int, int] = (1, 1),
+    retry: bool = False,
+    log: Path | None = None,
+    show: Callable[[Progress], None] = lambda progress: None,
+) -> Progress:
+    """Make what is missing of a dataset, and finish it when nothing is.
+
+    ``shard`` is (k, n): the k-th of n parts of the shards, for as many runs side by side; who comes last finishes. With
+    ``retry``, samples that failed in earlier runs are tried again. Raises InputError where nothing can be written.
+    """
+    storage.sweep(job.out)
+    if storage.exists(job.out, plan.SUMS) and not retry:
+        return Progress(job.spec.samples, before=job.spec.samples, failed=failures(job.out))
+    everyone = plan.shards(job.spec)
+    own = everyone[shard[0] - 1 :: shard[1]]
+    if retry:
+        _reopen(job, own)
+    have, broken = parts(job.out), failures(job.out)
+    closed = closed_shards(job.out)
+    waiting = {group.name: group for group in own if group.name not in closed}
+    wanted = {index: group for group in waiting.values() for index in group.indices}
+    queue = deque(index for index in wanted if index not in have and index not in broken)
+    total = sum(len(group.indices) for group in own)
+    progress = Progress(total, before=total - len(queue) - sum(i in broken for g in own for i in g.indices))
+    progress.failed |= {index: said for group in own for index in group.indices if (said := broken.get(index))}
+    plan.check_space(job.spec, job.out, len(queue))
+    left = {name: sum(i not in have and i not in broken for i in group.indices) for name, group in waiting.items()}
+    for name, missing in left.items():
+        if not missing:
+            close(job, waiting[name])
+    tries: dict[int, int] = {}
+    show(progress)
+    with closing(executor(job, queue)) as outcomes:
+        for outcome in outcomes:
+            if outcome.fatal:
+                raise InputError(f"{job.out}: {outcome.error}; nothing is lost: put it right, and run the same again")
+            tries[outcome.index] = tries.get(outcome.index, 0) + 1
+            progress.last = _line(outcome, tries[outcome.index])
+            _append(log, progress.last)
+            if outcome.error and not outcome.final and tries[outcome.index] < TRIES:
+                queue.append(outcome.index)
+                show(progress)
+                continue
+            if outcome.error:
+                progress.failed[outcome.index] = outcome.error
+                storage.write(
+                    job.out,
+                    f"failed/{key(outcome.index)}.json",
+                    plain({"error": outcome.error}),
+                )
+            else:
+                progress.done += 1
+            group = wanted[outcome.index]
+            left[group.name] -= 1
+            if not left[group.name]:
+                close(job, group)
+            show(progress)
+    if closed_shards(job.out) >= {group.name for group in everyone}:
+        card.finish(job.out, job.spec, failures(job.out))
+    return progress
+
+
+def parts(out: str) -> set[int]:
+    """Samples that are made and wait for the others of their shard."""
+    return {int(Path(name).stem) for name in storage.names(out, "parts")}
+
+
+def failures(out: str) -> dict[int, str]:
+    """Samples that were given up, and why."""
+    return {int(Path(name).stem): json.loads(storage.read(out, name))["error"] for name in storage.names(out, "failed")}
+
+
+def closed_shards(out: str) -> set[str]:
+    """Names of the shards that are finished."""
+    return {Path(name).stem for name in storage.names(out, "rows")}
+
+
+def close(job: Job, group: Shard) -> None:
+    """Put the samples of a shard together; what was given up is left out."""
+    made = [index for index in group.indices if storage.exists(job.out, PART.format(key(index)))]
+    rows = []
+    with ExitStack() as stack:
+        tar = None
+        if job.spec.format == "webdataset" and made:
+            file = stack.enter_context(storage.writing(job.out, f"{group.name}.tar"))
+            tar = stack.enter_context(tarfile.open(fileobj=file, mode="w", format=tarfile.USTAR_FORMAT))
+        for index in made:
+            members = unpacked(storage.read(job.out, PART.format(key(index))))
+            rows.append(json.loads(members[ROW]) | {"shard": group.name})
+            for name in FILES:  # meta.json comes last: with it a capture is whole
+                if tar is not None:
+                    add(tar, f"{key(index)}.{name}", members[name])
+                else:
+                    storage.write(job.out, f"{group.split}/{key(index)}/{name}", members[name])
+    storage.write(job.out, f"rows/{group.name}.json", plain(rows))
+    for index in made:
+        storage.remove(job.out, PART.format(key(index)))
+
+
+def _reopen(job: Job, own: tuple[Shard, ...]) -> None:
+    """Take shards apart in which samples failed, so that these are tried again."""
+    broken = failures(job.out)
+    if storage.exists(job.out, plan.SUMS):
+        card.take_back(job.out, job.spec)
+    for group in own:
+        if not any(index in broken for index in group.indices):
+            continue
+        if storage.exists(job.out, f"rows/{group.name}.json"):
+            rows = {row["index"]: row for row in json.loads(storage.read(job.out, f"rows/{group.name}.json"))}
+            for index, files in reading.samples_of(job.out, job.spec, group, list(rows)):
+                row = {name: value for name, value in rows[index].items() if name != "shard"}
+                storage.write(job.out, PART.format(key(index)), packed({**files, ROW: plain(row)}))
+            storage.remove(job.out, f"rows/{group.name}.json")
+        for index in group.indices:
+            storage.remove(job.out, f"failed/{key(index)}.json")
+
+
+def _line(outcome: Outcome, tries: int) -> str:
+    stamp = time.strftime("%Y-%m-%dT%H:%M:%S%z")
+    if outcome.error:
+        return f"{stamp} {key(outcome.index)} failed, try {tries}: {outcome.error}"
+    outside = 1 - outcome.render_s / max(outcome.seconds, 1e-9)
+    return (
+        f"{stamp} {key(outcome.index)} {outcome.seconds:.2f} s, {outside:.1%} outside the renderer, "
+        f"{outcome.peak_mb:.0f} MB"
+    )
+
+
+def _append(log: Path | None, line: str) -> None:
+    if log is not None:
+        with log.open("a", encoding="utf-8") as file:
+            file.write(line + "\n")
+
+
+def estimate(spec: DatasetSpec, seconds: float, processes: int) -> str:
+    """One line on what a dataset costs, where a sample takes ``seconds`` of one core."""
+    hours = spec.samples * seconds / processes / 3600
+    size = spec.samples * plan.sample_bytes(spec) / 1e9
+    return f"{spec.samples} samples, about {hours:.3g} hours on {processes} processes and {size:.3g} GB"

@@ -1,0 +1,132 @@
+"""What a dataset consists of before it is made: shards and their samples, size, and what a folder already holds."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+from dasim.dataset import storage
+from dasim.dataset.draws import scene_number, split_of_scene
+from dasim.dataset.sample import plain
+from dasim.dataset.specification import DatasetSpec
+from dasim.errors import InputError
+
+SCHEMA = 1
+MANIFEST = "dataset.json"
+INDEX = "index.parquet"
+SUMS = "SHA256SUMS"
+LOG = "make.log"
+# Bytes a pixel of each part of the truth as the EXR's ZIP leaves them, measured on random scenes; noise hardly packs.
+PART_BYTES = {
+    "depth": 3.0,
+    "normal": 5.0,
+    "blur": 6.0,
+    "labels": 0.5,
+    "mean_e": 15.0,
+    "sharp_e": 14.0,
+    "sharp_srgb": 11.0,
+}
+HALF_SHARE = 0.5
+RAW_BYTES = 1.5
+META_BYTES = 60_000
+SPARE = 1.1  # a shard exists twice for a moment, and estimates are estimates
+
+
+class Shard(NamedTuple):
+    """Samples that are kept together."""
+
+    name: str  # split and number
+    split: str
+    indices: tuple[int, ...]
+
+
+def shards(spec: DatasetSpec) -> tuple[Shard, ...]:
+    """All shards, by split and in the order of their samples."""
+    members: dict[str, list[int]] = {split: [] for split in spec.splits}
+    for index in range(spec.samples):
+        members[split_of_scene(spec, scene_number(spec, index))].append(index)
+    found = []
+    for split, indices in members.items():
+        for number, start in enumerate(range(0, len(indices), spec.samples_per_shard)):
+            chunk = tuple(indices[start : start + spec.samples_per_shard])
+            found.append(Shard(f"{split}-{number:06d}", split, chunk))
+    return tuple(found)
+
+
+def sample_bytes(spec: DatasetSpec) -> float:
+    """Estimated size of a sample."""
+    pixels = spec.size_px[0] * spec.size_px[1]
+    margin = 2 * spec.truth.margin_px
+    kept = (spec.size_px[0] - margin) * (spec.size_px[1] - margin)
+    per_pixel = sum(
+        PART_BYTES[part] * (HALF_SHARE if spec.truth.half and part not in ("depth", "labels") else 1.0)
+        for part in spec.truth.keep
+    )
+    return pixels * RAW_BYTES + kept * per_pixel + META_BYTES
+
+
+def check_space(spec: DatasetSpec, out: str, samples: int) -> None:
+    """InputError where what is left to make will not fit."""
+    free, needed = storage.free_bytes(out), SPARE * samples * sample_bytes(spec)
+    if free is not None and needed > free:
+        raise InputError(
+            f"{out}: {samples} samples need about {needed / 1e9:.3g} GB, {free / 1e9:.3g} GB are free; make room, or "
+            "take fewer samples, fewer parts of the truth (truth.keep) or half floats (truth.half)"
+        )
+
+
+def description(spec: DatasetSpec, environment: dict[str, Any]) -> dict[str, Any]:
+    """The manifest: what the dataset is made of and with."""
+    plain = spec.model_dump(mode="json")
+    digest = hashlib.sha256(json.dumps(plain, sort_keys=True).encode()).hexdigest()
+    return {"schema": SCHEMA, "spec": plain, "spec_sha256": digest, **environment}
+
+
+def manifest(out: str) -> dict[str, Any]:
+    """The manifest of a dataset; InputError where there is none, or one of a newer version."""
+    try:
+        found = json.loads(storage.read(out, MANIFEST))
+        schema = int(found["schema"])
+    except FileNotFoundError:
+        raise InputError(f"{out}: is no dataset, it has no {MANIFEST}") from None
+    except (ValueError, KeyError, TypeError) as error:
+        raise InputError(f"{out}/{MANIFEST}: is damaged ({error})") from None
+    if schema > SCHEMA:
+        raise InputError(f"{out}: is of schema {schema}, newer than this dasim knows ({SCHEMA}); update dasim")
+    return dict(found)
+
+
+def begin(out: str, described: dict[str, Any]) -> None:
+    """Write the manifest of a new dataset; of one that was begun, see that it is the same.
+
+    Raises InputError that says what differs: the specification key by key, variant, instruction set or libraries.
+    """
+    if not storage.exists(out, MANIFEST):
+        there = [name for name in storage.names(out) if not name.startswith(".")]
+        if there:
+            raise InputError(f"{out}: is no dataset and not empty ({there[0]}); choose another folder")
+        storage.check_writable(out)
+        storage.write(out, MANIFEST, plain(described))
+        return
+    differing = list(differences(manifest(out), described))
+    if differing:
+        raise InputError(f"{out}: was made from something else: {'; '.join(differing[:8])}; choose another folder")
+    storage.check_writable(out)
+
+
+def differences(old: Any, new: Any, place: Sequence[str] = ()) -> list[str]:
+    """Where two plain values differ, as sentences."""
+    if isinstance(old, dict) and isinstance(new, dict):
+        keys = [key for key in (*old, *(key for key in new if key not in old)) if key != "spec_sha256"]
+        return [said for key in keys for said in differences(old.get(key), new.get(key), (*place, key))]
+    if isinstance(old, list) and isinstance(new, list) and len(old) == len(new):
+        pairs = enumerate(zip(old, new, strict=True))
+        return [said for number, (a, b) in pairs for said in differences(a, b, (*place, str(number)))]
+    return [] if old == new else [f"{'.'.join(place)} was {_short(old)}, now {_short(new)}"]
+
+
+def _short(value: Any) -> str:
+    text = json.dumps(value)
+    return text if len(text) <= 60 else text[:57] + "..."

@@ -1,0 +1,152 @@
+"""Read a dataset, either format, without caring which."""
+
+from __future__ import annotations
+
+import io
+import json
+import tarfile
+import tempfile
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, overload
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from dasim.dataset import plan, storage
+from dasim.dataset.plan import INDEX, Shard
+from dasim.dataset.sample import FILES, key
+from dasim.dataset.specification import DatasetSpec
+from dasim.errors import InputError
+from dasim.files import read_truth_parts
+
+
+@dataclass(frozen=True)
+class Sample:
+    """A capture with its truth, as plain arrays."""
+
+    index: int
+    split: str
+    raw_dn: NDArray[np.uint16]  # [h, w] the mosaic
+    truth: dict[str, Any]  # what was kept of dasim.values.Truth, by the names of its fields
+    meta: dict[str, Any]  # camera, exposure, levels, provenance; see meta.json of a capture
+
+
+class Dataset(Sequence[Sample]):
+    """Samples in the order of their indices; ``dataset[k]`` is the k-th that there is."""
+
+    def __init__(self, path: str, rows: list[dict[str, Any]], spec: DatasetSpec) -> None:
+        self.path, self.rows, self.spec = path, rows, spec
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+    @overload
+    def __getitem__(self, place: int) -> Sample: ...
+    @overload
+    def __getitem__(self, place: slice) -> Dataset: ...
+    def __getitem__(self, place: int | slice) -> Sample | Dataset:
+        if isinstance(place, slice):
+            return Dataset(self.path, self.rows[place], self.spec)
+        row = self.rows[place]
+        ((_, files),) = samples_of(self.path, self.spec, _shard(row), [row["index"]])
+        return decoded(row, files)
+
+    def __iter__(self) -> Iterator[Sample]:
+        """One after the other; of shards in one go, which is faster than one by one."""
+        start = 0
+        while start < len(self.rows):
+            shard = self.rows[start]["shard"]
+            end = start
+            while end < len(self.rows) and self.rows[end]["shard"] == shard:
+                end += 1
+            some = {row["index"]: row for row in self.rows[start:end]}
+            for index, files in samples_of(self.path, self.spec, _shard(self.rows[start]), list(some)):
+                yield decoded(some[index], files)
+            start = end
+
+
+def open_dataset(path: str | Path, split: str | None = None) -> Dataset:
+    """A dataset on disk or at an fsspec address (``s3://...``), whole or one split of it.
+
+    Raises InputError where there is none, it is not finished, or has no such split.
+    """
+    where = str(path)
+    spec = spec_of(where)
+    if split is not None and split not in spec.splits:
+        raise InputError(f"{where}: has no split '{split}'; it has {', '.join(spec.splits)}")
+    rows = [row for row in index_rows(where) if split in (None, row["split"])]
+    return Dataset(where, rows, spec)
+
+
+def spec_of(where: str) -> DatasetSpec:
+    """The specification that a dataset was made from."""
+    return DatasetSpec.model_validate(plan.manifest(where)["spec"])
+
+
+def index_rows(where: str) -> list[dict[str, Any]]:
+    """Rows of the index; InputError where it is missing."""
+    parquet = parquet_library()
+    try:
+        table = parquet.read_table(io.BytesIO(storage.read(where, INDEX)))
+    except FileNotFoundError:
+        raise InputError(f"{where}: is not finished, it has no {INDEX}; run 'dasim dataset make' again") from None
+    except Exception as error:  # of the library, for damaged files
+        raise InputError(f"{where}/{INDEX}: cannot be read: {' '.join(str(error).split())}") from None
+    return [dict(row) for row in table.to_pylist()]
+
+
+def parquet_library() -> Any:
+    """``pyarrow.parquet``; InputError where it is not installed."""
+    try:
+        import pyarrow.parquet
+    except ImportError:
+        raise InputError("datasets need pyarrow; install it with pip install 'dasim[dataset]'") from None
+    return pyarrow.parquet
+
+
+def samples_of(
+    where: str, spec: DatasetSpec, group: Shard, indices: Sequence[int]
+) -> Iterator[tuple[int, dict[str, bytes]]]:
+    """Files of some samples of a shard, by name; FileNotFoundError or KeyError where one is missing."""
+    if spec.format == "folders":
+        for index in indices:
+            yield index, {name: storage.read(where, f"{group.split}/{key(index)}/{name}") for name in FILES}
+        return
+    wanted = {key(index): index for index in indices}
+    with storage.reading(where, f"{group.name}.tar") as file, tarfile.open(fileobj=file, mode="r:") as tar:
+        found: dict[str, dict[str, bytes]] = {}
+        for info in tar:
+            name, _, part = info.name.partition(".")
+            member = tar.extractfile(info) if name in wanted else None
+            if member is None:
+                continue
+            found.setdefault(name, {})[part] = member.read()
+            if part == FILES[-1]:
+                yield wanted.pop(name), found.pop(name)
+                if not wanted:
+                    return
+    if wanted:
+        raise KeyError(f"{group.name}.tar lacks {', '.join(wanted)}")
+
+
+def decoded(row: dict[str, Any], files: dict[str, bytes]) -> Sample:
+    """A sample from its files."""
+    raw = cv2.imdecode(np.frombuffer(files["raw.png"], np.uint8), cv2.IMREAD_UNCHANGED)
+    if raw is None:
+        raise InputError(f"sample {row['key']}: raw.png cannot be read")
+    return Sample(row["index"], row["split"], raw, truth_of(files["truth.exr"]), json.loads(files["meta.json"]))
+
+
+def truth_of(content: bytes) -> dict[str, Any]:
+    """The parts of a truth file: its library reads from disk alone."""
+    with tempfile.NamedTemporaryFile(suffix=".exr") as file:
+        file.write(content)
+        file.flush()
+        return read_truth_parts(Path(file.name))
+
+
+def _shard(row: dict[str, Any]) -> Shard:
+    return Shard(row["shard"], row["split"], ())

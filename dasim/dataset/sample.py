@@ -1,0 +1,222 @@
+"""One sample: photographed, described, and packed as the files of a capture."""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import io
+import json
+import platform
+import tarfile
+import tempfile
+import time
+from dataclasses import dataclass, fields, replace
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from dasim.dataset.draws import Draft, draft
+from dasim.dataset.specification import DatasetSpec
+from dasim.files import capture_meta, write_png16, write_truth
+from dasim.render import backend
+from dasim.simulation import Shot, simulate
+from dasim.values import Truth
+
+FILES = ("raw.png", "truth.exr", "meta.json")  # of a sample, in this order
+ROW = "row.json"  # beside them until the sample is in the index
+DIGITS = 9
+THUMBNAIL_PX, THUMBNAIL_QUALITY = 96, 80
+DEPTH_EDGES_M = np.geomspace(0.03, 100.0, 41)
+BLUR_EDGES_PX = np.linspace(-20.0, 60.0, 41)
+LIBRARIES = ("mitsuba", "drjit", "numpy", "scipy", "opencv-python-headless", "colour-science", "trimesh", "OpenEXR")
+
+
+@dataclass(frozen=True)
+class Job:
+    """What a worker has to know: where to write, what to make, and that it has to make it as the others do."""
+
+    spec: DatasetSpec
+    out: str
+    environment: dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Made:
+    """A sample as bytes by file name, and its row of the index."""
+
+    files: dict[str, bytes]
+    row: dict[str, Any]
+    seconds: float  # in all
+    render_s: float  # of them in the renderer
+
+
+def key(index: int) -> str:
+    """A sample's name."""
+    return f"{index:0{DIGITS}d}"
+
+
+def environment(variant: str) -> dict[str, Any]:
+    """What decides pixels beside the specification: renderer variant, instruction set, libraries."""
+    from numpy._core._multiarray_umath import __cpu_features__ as features  # type: ignore[import-not-found]
+
+    return {
+        "variant": variant,
+        "cpu": f"{platform.machine()} " + " ".join(sorted(name for name, on in features.items() if on)),
+        "libraries": {name: _version(name) for name in ("dasim", *LIBRARIES)},
+    }
+
+
+def _version(name: str) -> str:
+    try:
+        return version(name)
+    except PackageNotFoundError:
+        return "none"
+
+
+def make(spec: DatasetSpec, index: int, variant: str) -> Made:
+    """Photograph sample ``index`` and pack it; depends on the specification, the index and the variant alone."""
+    start = time.perf_counter()
+    drafted = draft(spec, index)
+    begun = time.perf_counter()
+    shot = simulate(
+        drafted.scene,
+        drafted.camera,
+        drafted.seed,
+        spp=spec.spp,
+        noise_share=spec.noise_share,
+        exposure=drafted.exposure,
+        diffraction=spec.diffraction,
+        variant=variant,
+    )
+    render_s = time.perf_counter() - begun
+    files = _files(spec, drafted, shot)
+    row = _row(drafted, shot, files)
+    return Made(files, row, time.perf_counter() - start, render_s)
+
+
+def one_thread() -> None:
+    """Let this process render on one thread: many processes share the computer, and all add in the same order."""
+    backend.use_threads(1)
+    cv2.setNumThreads(1)
+
+
+def activate(variant: str) -> None:
+    """Choose the renderer's variant in this process."""
+    backend.activate(backend.choose(variant))
+    one_thread()
+
+
+def _files(spec: DatasetSpec, drafted: Draft, shot: Shot) -> dict[str, bytes]:
+    margin = spec.truth.margin_px
+    kept = inner(shot.truth, margin)
+    with tempfile.TemporaryDirectory(prefix="dasim-") as name:
+        folder = Path(name)
+        write_png16(folder / "raw.png", shot.capture.raw_dn)
+        write_truth(folder / "truth.exr", kept, spec.truth.keep, half=spec.truth.half)
+        found = {file: (folder / file).read_bytes() for file in ("raw.png", "truth.exr")}
+    meta = capture_meta(shot.capture) | {
+        "sample": {
+            "dataset": spec.name,
+            "version": spec.version,
+            "index": drafted.index,
+            "split": drafted.split,
+            "scene": drafted.scene_key,
+            "drawn": drafted.drawn,
+            "truth": {"keep": spec.truth.keep, "half": spec.truth.half, "offset_px": [margin, margin]},
+        },
+        "file_bytes": {file: len(content) for file, content in found.items()},
+    }
+    return found | {"meta.json": plain(meta)}
+
+
+def inner(truth: Truth, margin_px: int) -> Truth:
+    """The truth without a margin along every edge."""
+    if margin_px == 0:
+        return truth
+    part = slice(margin_px, -margin_px)
+    arrays: dict[str, Any] = {f.name: getattr(truth, f.name) for f in fields(truth)}
+    cut: dict[str, Any] = {name: a[part, part] for name, a in arrays.items() if isinstance(a, np.ndarray)}
+    return replace(truth, **cut)
+
+
+def _row(drafted: Draft, shot: Shot, files: dict[str, bytes]) -> dict[str, Any]:
+    """A sample's row of the index: parameters, checksums, what tells whether it is sane, and a small picture."""
+    capture, truth = shot.capture, shot.truth
+    body = capture.camera.sensor
+    seen = truth.depth_m[truth.valid]
+    share = capture.provenance.get("rendering_noise_share", {})
+    depth = np.percentile(seen, (0, 5, 50, 95, 100))
+    return {
+        "index": drafted.index,
+        "key": key(drafted.index),
+        "split": drafted.split,
+        "scene": drafted.scene_key,
+        "camera": capture.camera.name,
+        "f_number": capture.camera.lens.f_number,
+        "focal_length_mm": capture.camera.lens.focal_length_mm,
+        "focus_m": capture.camera.lens.focus_distance_m,
+        "illuminant": capture.illuminant,
+        "exposure_s": capture.exposure_s,
+        "gain": capture.gain,
+        "seed": capture.seed,
+        "drawn": json.dumps(drafted.drawn),
+        "spp": json.dumps(capture.provenance["spp"]),
+        "noise_share": max(share.values()) if share else None,
+        "saturated_share": capture.provenance["saturated_pixels"] / capture.raw_dn.size,
+        "mean_dn": float(capture.raw_dn.mean()) - body.black_level_dn,
+        "valid_share": float(truth.valid.mean()),
+        "boundary_share": float(truth.boundary.mean()),
+        **{f"depth_{name}_m": float(v) for name, v in zip(("min", "p05", "p50", "p95", "max"), depth, strict=True)},
+        "far_side_share": float(np.mean(truth.level[truth.valid] < -0.5)),
+        "depth_histogram": np.histogram(seen, DEPTH_EDGES_M)[0].tolist(),
+        "blur_histogram": np.histogram(truth.blur_px[truth.valid], BLUR_EDGES_PX)[0].tolist(),
+        "sha256": {file: hashlib.sha256(content).hexdigest() for file, content in files.items()},
+        "bytes": sum(map(len, files.values())),
+        "thumbnail": base64.b64encode(_thumbnail(truth.sharp_srgb)).decode(),
+    }
+
+
+def _thumbnail(srgb: np.ndarray) -> bytes:
+    size = (THUMBNAIL_PX, max(round(THUMBNAIL_PX * srgb.shape[0] / srgb.shape[1]), 1))
+    small = cv2.resize(np.ascontiguousarray(srgb[..., ::-1]), size, interpolation=cv2.INTER_AREA)
+    small = np.rint(np.clip(small, 0, 1) * 255).astype(np.uint8)
+    _, data = cv2.imencode(".jpg", small, [cv2.IMWRITE_JPEG_QUALITY, THUMBNAIL_QUALITY])
+    return bytes(data.tobytes())
+
+
+# --- tar files -----------------------------------------------------------------------------------
+
+
+def add(tar: tarfile.TarFile, name: str, content: bytes) -> None:
+    """Append a member to a tar file: no times, owners or other traces of who wrote it."""
+    info = tarfile.TarInfo(name)
+    info.size, info.mode = len(content), 0o644
+    tar.addfile(info, io.BytesIO(content))
+
+
+def packed(members: dict[str, bytes]) -> bytes:
+    """A tar file of members in their order."""
+    buffer = io.BytesIO()
+    with tarfile.open(fileobj=buffer, mode="w", format=tarfile.USTAR_FORMAT) as tar:
+        for name, content in members.items():
+            add(tar, name, content)
+    return buffer.getvalue()
+
+
+def unpacked(data: bytes) -> dict[str, bytes]:
+    """Members of a tar file by name."""
+    found = {}
+    with tarfile.open(fileobj=io.BytesIO(data), mode="r:") as tar:
+        for info in tar:
+            member = tar.extractfile(info)
+            if member is not None:
+                found[info.name] = member.read()
+    return found
+
+
+def plain(value: Any) -> bytes:
+    """JSON, the same for the same value."""
+    return (json.dumps(value, indent=1) + "\n").encode()

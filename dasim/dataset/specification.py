@@ -1,0 +1,319 @@
+"""What a dataset is made of: scenes, cameras, light, focus and exposure with their distributions; splits and format."""
+
+from __future__ import annotations
+
+import difflib
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import BeforeValidator, Field, field_validator, model_validator
+
+from dasim import camera as cameras
+from dasim import illuminants, random_scenes
+from dasim.camera import Camera
+from dasim.errors import InputError
+from dasim.files import TRUTH_PARTS
+from dasim.quiet import NOISE_SHARE
+from dasim.random_scenes import RandomScenes
+from dasim.scene import scene_names
+from dasim.sensor import LONGEST_EXPOSURE_S
+from dasim.specification import Specification, parse, parse_toml
+
+MOST_SAMPLES = 10_000_000
+Scalar = bool | int | float | str
+
+
+class Draw(Specification):
+    """A number or a word for each sample: uniform, log-uniform, or one of several with equal chances."""
+
+    uniform: tuple[float, float] | None = None
+    log_uniform: tuple[float, float] | None = None
+    choice: tuple[Scalar, ...] | None = Field(default=None, min_length=1)
+
+    @model_validator(mode="after")
+    def _one(self) -> Draw:
+        given = [name for name in ("uniform", "log_uniform", "choice") if getattr(self, name) is not None]
+        if len(given) != 1:
+            raise ValueError("give one of uniform = [low, high], log_uniform = [low, high], choice = [...]")
+        for low, high in (ends for ends in (self.uniform, self.log_uniform) if ends is not None):
+            if low > high:
+                raise ValueError(f"{given[0]} is [{low:g}, {high:g}]: the smaller number comes first")
+        if self.log_uniform is not None and self.log_uniform[0] <= 0:
+            raise ValueError(f"log_uniform is {list(self.log_uniform)}: both ends must be above 0")
+        return self
+
+    def draw(self, random: np.random.Generator) -> Scalar:
+        """One value."""
+        if self.choice is not None:
+            return self.choice[int(random.integers(len(self.choice)))]
+        if self.uniform is not None:
+            return float(random.uniform(*self.uniform))
+        assert self.log_uniform is not None
+        return float(np.exp(random.uniform(*np.log(self.log_uniform))))
+
+    def extremes(self) -> tuple[Scalar, ...]:
+        """Values that bound all others, to be checked beforehand."""
+        return self.choice or self.uniform or self.log_uniform or ()
+
+
+def _constant(value: Any) -> Any:
+    """A plain value stands for itself."""
+    return {"choice": [value]} if isinstance(value, (bool, int, float, str)) else value
+
+
+Drawn = Annotated[Draw, BeforeValidator(_constant)]
+
+
+class CameraChoice(Specification):
+    """A camera, and which of its parameters vary: dotted keys as in its file, lists by number or by name."""
+
+    name: str
+    weight: float = Field(default=1.0, gt=0)
+    vary: dict[str, Drawn] = Field(default_factory=dict)
+
+
+class SceneChoice(Specification):
+    """Where scenes come from."""
+
+    family: Literal["random", "bundled", "files", "meshes"] = "random"
+    names: tuple[str, ...] = Field(default=(), description="bundled: scenes to take in turn; all by default")
+    files: tuple[str, ...] = Field(default=(), description="files: TOML or Mitsuba XML, taken in turn")
+    folder: str | None = Field(default=None, description="meshes: OBJ, PLY, GLB, STL and OFF files")
+    random: RandomScenes = RandomScenes()
+    captures_per_scene: int = Field(default=1, ge=1, le=1000, description="random, meshes: captures of each scene")
+
+    @model_validator(mode="after")
+    def _fitting(self) -> SceneChoice:
+        for field, family in (("names", "bundled"), ("files", "files"), ("folder", "meshes")):
+            if getattr(self, field) and self.family != family:
+                raise ValueError(f"{field} is for family = '{family}', not for '{self.family}'")
+        if self.family == "files" and not self.files:
+            raise ValueError("files is missing: a list of TOML or Mitsuba XML scenes")
+        if self.family == "meshes" and not self.folder:
+            raise ValueError("folder is missing: one with OBJ, PLY, GLB, STL or OFF files")
+        for name in self.names:
+            if name not in scene_names():
+                near = difflib.get_close_matches(name, scene_names(), 3) or scene_names()
+                raise ValueError(f"names: scene '{name}' is unknown; did you mean {', '.join(near)}?")
+        return self
+
+
+class LightChoice(Specification):
+    """Changes of the scenes' lights; by default they stay as they are."""
+
+    illuminant: Drawn | None = Field(default=None, description="of all lights of the scene")
+    scale: Drawn | None = Field(default=None, description="factor on the illuminance of all lights")
+
+
+class FocusChoice(Specification):
+    """Focus distance; by default what the scene proposes."""
+
+    distance_m: Drawn | None = None
+
+
+class ExposureChoice(Specification):
+    """Exposure; by default automatic, of random scenes as they draw it."""
+
+    time_s: Drawn | None = None
+    gain: Drawn | None = None
+    auto_level: Drawn | None = None
+
+
+class TruthChoice(Specification):
+    """Which ground truth is kept, and how."""
+
+    keep: tuple[str, ...] = Field(default=tuple(TRUTH_PARTS), min_length=1)
+    half: bool = Field(default=False, description="16-bit floats; depth and labels stay as they are")
+    margin_px: int = Field(default=0, ge=0, le=4096, description="left out along every edge of the frame")
+
+    @field_validator("keep")
+    @classmethod
+    def _known(cls, keep: tuple[str, ...]) -> tuple[str, ...]:
+        for name in keep:
+            if name not in TRUTH_PARTS:
+                raise ValueError(f"'{name}' is unknown; allowed are {', '.join(TRUTH_PARTS)}")
+        return tuple(part for part in TRUTH_PARTS if part in keep)
+
+
+class DatasetSpec(Specification):
+    """A dataset, as ``dasim dataset make`` reads it from TOML."""
+
+    name: str = Field(min_length=1, max_length=100)
+    version: str = "1.0"
+    licence: str = "not stated"
+    description: str = ""
+    samples: int = Field(ge=1, le=MOST_SAMPLES)
+    seed: int = Field(default=0, ge=0, lt=2**63)
+    size_px: tuple[int, int] = Field(default=(512, 384), description="width and height, a central crop of the sensor")
+    format: Literal["folders", "webdataset"] = "webdataset"
+    samples_per_shard: int = Field(default=100, ge=1, le=100_000)
+    spp: int | Literal["auto"] = Field(default="auto", description="samples a pixel and stop")
+    noise_share: float = Field(default=NOISE_SHARE, ge=0.01, le=10, description="that spp = 'auto' aims at")
+    diffraction: Literal["wave", "airy", "off"] | None = None
+    scenes: SceneChoice = SceneChoice()
+    cameras: tuple[CameraChoice, ...] = Field(default=(CameraChoice(name="da-mobile"),), min_length=1)
+    light: LightChoice = LightChoice()
+    focus: FocusChoice = FocusChoice()
+    exposure: ExposureChoice = ExposureChoice()
+    truth: TruthChoice = TruthChoice()
+    splits: dict[str, float] = Field(default={"train": 1.0}, min_length=1)
+    folder: Path = Field(default=Path("."), exclude=True)
+
+    @model_validator(mode="after")
+    def _whole(self) -> DatasetSpec:
+        for name, share in self.splits.items():
+            if not name.isidentifier():
+                raise ValueError(f"splits: '{name}' is no name of letters, digits and underscores")
+            if share <= 0:
+                raise ValueError(f"splits.{name} is {share:g}: shares are above 0")
+        if abs(sum(self.splits.values()) - 1) > 1e-6:
+            raise ValueError(f"splits sum to {sum(self.splits.values()):g}, not to 1")
+        if isinstance(self.spp, int) and not 1 <= self.spp <= 65_536:
+            raise ValueError(f"spp is {self.spp}: 1 to 65536, or 'auto'")
+        if 2 * self.truth.margin_px >= min(self.size_px):
+            raise ValueError(f"truth.margin_px is {self.truth.margin_px}: nothing of {self.size_px} is left")
+        return self
+
+
+def load_spec(path: Path) -> DatasetSpec:
+    """A specification from a TOML file, checked as a whole; InputError names everything that is wrong."""
+    if not path.is_file():
+        raise InputError(f"{path}: no such file; a specification of a dataset is a TOML file (see the README)")
+    spec = parse_toml(DatasetSpec, path).model_copy(update={"folder": path.parent.resolve()})
+    check(spec, str(path))
+    return spec
+
+
+def check(spec: DatasetSpec, where: str) -> None:
+    """InputError where something that the specification names is missing or out of range, all problems at once."""
+    problems = []
+    for number, choice in enumerate(spec.cameras):
+        problems += [f"cameras.{number}: {said}" for said in _camera_problems(spec, choice)]
+    for key, drawn, allowed in (
+        ("focus.distance_m", spec.focus.distance_m, (1e-3, 1e4)),
+        ("exposure.time_s", spec.exposure.time_s, (1e-9, LONGEST_EXPOSURE_S)),
+        ("exposure.gain", spec.exposure.gain, (1 / 16, 1024)),
+        ("exposure.auto_level", spec.exposure.auto_level, (1e-6, 1)),
+        ("light.scale", spec.light.scale, (1e-9, 1e9)),
+    ):
+        for value in drawn.extremes() if drawn else ():
+            if isinstance(value, (str, bool)) or not allowed[0] <= value <= allowed[1]:
+                problems.append(f"{key} is {value!r}; a number from {allowed[0]:g} to {allowed[1]:g} is allowed")
+    for value in spec.light.illuminant.extremes() if spec.light.illuminant else ():
+        try:
+            illuminants.illuminant(str(value))
+        except InputError as error:
+            problems.append(f"light.illuminant: {error}")
+    problems += _scene_problems(spec)
+    if problems:
+        raise InputError(f"{where}: " + "; ".join(problems))
+
+
+def _camera_problems(spec: DatasetSpec, choice: CameraChoice) -> list[str]:
+    try:
+        camera = cameras.cropped(named_camera(spec, choice), *spec.size_px)
+    except InputError as error:
+        return [str(error)]
+    problems = []
+    for key, drawn in choice.vary.items():
+        for value in drawn.extremes():
+            try:
+                varied(camera, {key: value})
+            except InputError as error:
+                problems.append(str(error))
+                break
+    return problems
+
+
+def _scene_problems(spec: DatasetSpec) -> list[str]:
+    problems = []
+    chosen = spec.scenes
+    try:
+        if chosen.family in ("random", "meshes"):
+            random_scenes.check(random_spec(spec))
+    except InputError as error:
+        problems.append(f"scenes: {error}")
+    for name in chosen.files:
+        if not (spec.folder / name).is_file():
+            problems.append(f"scenes.files: {spec.folder / name}: no such file")
+        elif Path(name).suffix.lower() == ".xml" and (spec.light.illuminant or spec.light.scale):
+            problems.append(
+                f"scenes.files: {name} is a Mitsuba scene, whose lights stay as they are; leave [light] out"
+            )
+    count = scene_count(spec)
+    if count < len(spec.splits):
+        problems.append(f"splits: {len(spec.splits)} splits need as many scenes, there are {count}")
+    return problems
+
+
+def random_spec(spec: DatasetSpec) -> RandomScenes:
+    """What random scenes are drawn from, their folders beside the specification."""
+    changes: dict[str, Any] = {"folder": spec.folder}
+    if spec.scenes.family == "meshes":
+        changes |= {"mesh_folder": spec.scenes.folder, "mesh_share": 1.0}
+    return spec.scenes.random.model_copy(update=changes)
+
+
+def scene_keys(spec: DatasetSpec) -> tuple[str, ...]:
+    """Names of the scenes of a family that has only so many; none for random ones."""
+    if spec.scenes.family == "bundled":
+        return spec.scenes.names or tuple(scene_names())
+    return spec.scenes.files
+
+
+def scene_count(spec: DatasetSpec) -> int:
+    """How many scenes the samples are taken of."""
+    keys = scene_keys(spec)
+    return min(len(keys), spec.samples) if keys else -(-spec.samples // spec.scenes.captures_per_scene)
+
+
+def named_camera(spec: DatasetSpec, choice: CameraChoice) -> Camera:
+    """The camera of a choice: a bundled name, or a file beside the specification."""
+    beside = spec.folder / choice.name
+    return cameras.load_camera(beside if beside.is_file() else choice.name)
+
+
+def varied(camera: Camera, changes: dict[str, Scalar]) -> Camera:
+    """A camera with other values at dotted keys; InputError where a key does not exist or a value is not allowed."""
+    if not changes:
+        return camera
+    data = camera.model_dump(mode="json")
+    for key, value in changes.items():
+        place, parts = data, key.split(".")
+        for depth, part in enumerate(parts):
+            found = _entry(place, part)
+            if found is None:
+                known = _names(place)
+                near = difflib.get_close_matches(part, known, 3) or known
+                raise InputError(
+                    f"vary: '{key}' does not exist in camera '{camera.name}' ({'.'.join(parts[:depth]) or 'it'} has "
+                    f"{', '.join(near)})"
+                )
+            if depth == len(parts) - 1:
+                place[found] = value
+            else:
+                place = place[found]
+    return parse(Camera, data, "vary: " + ", ".join(f"{key} = {value!r}" for key, value in changes.items()))
+
+
+def _entry(place: Any, part: str) -> Any:
+    """Key or number of an entry by its key, number or name; None where there is none."""
+    if isinstance(place, dict):
+        return part if part in place else None
+    if isinstance(place, list):
+        if part.isdigit() and int(part) < len(place):
+            return int(part)
+        named = [index for index, item in enumerate(place) if isinstance(item, dict) and item.get("name") == part]
+        return named[0] if named else None
+    return None
+
+
+def _names(place: Any) -> list[str]:
+    if isinstance(place, dict):
+        return list(place)
+    if isinstance(place, list):
+        return [
+            str(item.get("name", index)) if isinstance(item, dict) else str(index) for index, item in enumerate(place)
+        ]
+    return ["no parts"]

@@ -1,0 +1,132 @@
+"""Files of a dataset, here or wherever fsspec reaches (``s3://...``); each is there whole, or not at all."""
+
+from __future__ import annotations
+
+import errno
+import os
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import lru_cache
+from pathlib import Path
+from typing import IO, Any
+
+import fsspec
+
+from dasim.errors import InputError
+
+FULL = (errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EACCES, errno.EPERM)  # the same for every sample
+
+
+@lru_cache(maxsize=8)
+def _opened(out: str) -> tuple[Any, str]:
+    try:
+        fs, root = fsspec.core.url_to_fs(out)
+    except (ImportError, ValueError) as error:
+        raise InputError(f"{out}: cannot be opened: {error}") from None
+    return fs, root.rstrip("/")
+
+
+def is_local(out: str) -> bool:
+    """Whether it is a folder of this computer."""
+    return "local" in _opened(out)[0].protocol or "file" in _opened(out)[0].protocol
+
+
+@contextmanager
+def writing(out: str, name: str) -> Iterator[IO[bytes]]:
+    """A file of the dataset to write into; it appears as a whole when all is written."""
+    fs, root = _opened(out)
+    if not is_local(out):
+        file = fs.open(f"{root}/{name}", "wb")
+        try:
+            yield file
+        except BaseException:
+            file.discard()
+            raise
+        file.close()
+        return
+    path = Path(root) / name
+    path.parent.mkdir(parents=True, exist_ok=True)
+    partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
+    try:
+        with partial.open("wb") as file:
+            yield file
+        partial.replace(path)
+    finally:
+        partial.unlink(missing_ok=True)
+
+
+def write(out: str, name: str, data: bytes) -> None:
+    """Write a file of the dataset as a whole."""
+    if is_local(out):
+        with writing(out, name) as file:
+            file.write(data)
+        return
+    fs, root = _opened(out)
+    fs.pipe_file(f"{root}/{name}", data)
+
+
+@contextmanager
+def reading(out: str, name: str) -> Iterator[IO[bytes]]:
+    """A file of the dataset to read from."""
+    fs, root = _opened(out)
+    with fs.open(f"{root}/{name}", "rb") as file:
+        yield file
+
+
+def read(out: str, name: str) -> bytes:
+    """A file's content; FileNotFoundError where it is missing."""
+    fs, root = _opened(out)
+    return bytes(fs.cat_file(f"{root}/{name}"))
+
+
+def exists(out: str, name: str = "") -> bool:
+    """Whether there is such a file or folder."""
+    fs, root = _opened(out)
+    fs.invalidate_cache()
+    return bool(fs.exists(f"{root}/{name}" if name else root))
+
+
+def names(out: str, folder: str = "") -> list[str]:
+    """Names of everything below a folder, relative to the dataset, sorted; without what is half-written."""
+    fs, root = _opened(out)
+    fs.invalidate_cache()
+    below = f"{root}/{folder}" if folder else root
+    found = fs.find(below) if fs.exists(below) else []
+    return sorted(name[len(root) + 1 :] for name in found if not name.endswith(".partial"))
+
+
+def remove(out: str, name: str) -> None:
+    """Remove a file or a folder with all that is in it, if it is there."""
+    fs, root = _opened(out)
+    path = f"{root}/{name}"
+    if fs.exists(path):
+        fs.rm(path, recursive=True)
+
+
+def sweep(out: str) -> None:
+    """Remove what killed writers left half-written, on this computer."""
+    if is_local(out):
+        for partial in Path(_opened(out)[1]).rglob(".*.partial"):
+            partial.unlink(missing_ok=True)
+
+
+def free_bytes(out: str) -> int | None:
+    """Free space where the dataset goes; None where nobody knows."""
+    if not is_local(out):
+        return None
+    path = Path(_opened(out)[1])
+    while not path.exists():
+        path = path.parent
+    return shutil.disk_usage(path).free
+
+
+def check_writable(out: str) -> None:
+    """InputError where nothing can be written."""
+    try:
+        write(out, ".writable", b"")
+        remove(out, ".writable")
+    except OSError as error:
+        raise InputError(f"{out}: cannot be written: {error.strerror or error}") from None
+    except Exception as error:  # each store raises its own
+        raise InputError(f"{out}: cannot be written: {type(error).__name__}: {error}") from None
