@@ -45,7 +45,8 @@ class Outcome:
     row: dict[str, Any] | None = None
 
 
-Executor = Callable[[Job, "deque[int]"], Generator[Outcome]]
+Work = Callable[[Any, int], "Outcome"]  # a job, which pickles, and an index: what became of it
+Executor = Callable[[Any, "deque[int]"], Generator["Outcome"]]
 
 
 def work(job: Job, index: int) -> Outcome:
@@ -71,10 +72,10 @@ def work(job: Job, index: int) -> Outcome:
 # --- processes of this computer ------------------------------------------------------------------
 
 
-def local(processes: int) -> Executor:
+def local(processes: int, work: Work = work) -> Executor:
     """Processes of this computer; one that dies is replaced, and only its own sample has failed."""
 
-    def run(job: Job, queue: deque[int]) -> Generator[Outcome]:
+    def run(job: Any, queue: deque[int]) -> Generator[Outcome]:
         context = multiprocessing.get_context("spawn")
         workers: dict[Connection, tuple[BaseProcess, int]] = {}
         idle: list[tuple[Connection, BaseProcess]] = []
@@ -83,7 +84,7 @@ def local(processes: int) -> Executor:
             while queue or workers:
                 while queue and len(workers) < processes:
                     if not idle:
-                        idle.append(_started(context, job, number))
+                        idle.append(_started(context, work, job, number))
                         number += 1
                     connection, process = idle.pop()
                     index = queue.popleft()
@@ -113,15 +114,15 @@ def local(processes: int) -> Executor:
     return run
 
 
-def _started(context: Any, job: Job, number: int) -> tuple[Connection, BaseProcess]:
+def _started(context: Any, work: Work, job: Any, number: int) -> tuple[Connection, BaseProcess]:
     near, far = context.Pipe()
-    process = context.Process(target=_serve, args=(far, job, number), daemon=True)
+    process = context.Process(target=_serve, args=(far, work, job, number), daemon=True)
     process.start()
     far.close()
     return near, process
 
 
-def _serve(connection: Connection, job: Job, number: int) -> None:
+def _serve(connection: Connection, work: Work, job: Any, number: int) -> None:
     """A worker: makes what it is asked for until nobody asks any more."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C goes to all; the one who asks decides
     if job.environment["variant"].startswith("cuda"):
@@ -141,7 +142,7 @@ def _death(code: int | None) -> str:
 # --- Ray -----------------------------------------------------------------------------------------
 
 
-def ray(address: str) -> Executor:
+def ray(address: str, work: Work = work) -> Executor:
     """The nodes of a Ray cluster: ``auto`` for the one of this computer, or ``ray://host:port``.
 
     Ray places, and after the death of a worker or node repeats, each sample. Raises InputError where Ray is not
@@ -158,7 +159,7 @@ def ray(address: str) -> Executor:
         first = (str(error).splitlines() or [type(error).__name__])[0]
         raise InputError(f"--address {address}: Ray does not answer: {first}") from None
 
-    def run(job: Job, queue: deque[int]) -> Generator[Outcome]:
+    def run(job: Any, queue: deque[int]) -> Generator[Outcome]:
         gpus = 1 if job.environment["variant"].startswith("cuda") else 0
         task = engine.remote(num_cpus=1, num_gpus=gpus, max_retries=RAY_TRIES - 1)(work)
         sent = engine.put(job)

@@ -64,7 +64,7 @@ def make(
 
     described = load_spec(spec)
     part = _part(shard)
-    processes = _processes(jobs)
+    processes = processes_of(jobs)
     parquet_library()
     choice = backend.choose(variant)
     here = environment(choice.variant)
@@ -130,7 +130,8 @@ def _part(text: str) -> tuple[int, int]:
     return int(first), int(second)
 
 
-def _processes(jobs: int | None) -> int:
+def processes_of(jobs: int | None) -> int:
+    """Processes asked for, or one for each core that this process may use."""
     if jobs is not None and jobs < 1:
         raise InputError(f"--jobs {jobs}: must be 1 or more")
     allowed = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

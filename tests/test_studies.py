@@ -1,0 +1,212 @@
+"""Sweeps: what a file may say, which pictures are rendered once, what is resumed, the table and the page."""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+from collections import deque
+
+import pytest
+
+from dasim import camera as cameras
+from dasim.cli import run
+from dasim.errors import InputError
+from dasim.executors import Outcome
+from validation.studies import specification, sweep
+from validation.studies.point import FIGURES, Sweep, file_of, light_loss
+from validation.studies.specification import load_study, points, units
+
+STUDY = """
+name = "small"
+question = "Which <hole> & why?"
+seeds = 2
+pareto = ["light-loss", "depth-median"]
+[parameters]
+"camera.stops.hole.radius_ratio" = [0.3, 0.46]
+"light.lux" = { log_grid = [100.0, 10000.0, 3] }
+[[curves]]
+x = "camera.stops.hole.radius_ratio"
+y = "depth-median"
+by = "light.lux"
+log_y = true
+"""
+EDGES = 0.004  # of the light: coatings have edges of 8 nm, which eq. (1) has not
+
+
+@pytest.fixture
+def study(tmp_path):
+    file = tmp_path / "small.toml"
+    file.write_text(STUDY)
+    return file
+
+
+def measured(job: Sweep, index: int, broken=()) -> Outcome:
+    """A worker that knows a formula: error falls with the hole and with light, loss with the hole."""
+    from dasim.dataset import sample, storage
+
+    unit = units(job.spec)[index]
+    if index in broken:
+        return Outcome(index, "no such luck")
+    rows = []
+    for point in unit.points:
+        alpha, lux = point["camera.stops.hole.radius_ratio"], point["light.lux"]
+        own = dict.fromkeys(FIGURES, 1.0) | {"light-loss": (1 - alpha**2) / 4, "depth-median": 1 / alpha / lux}
+        own["depth-median"] *= 1 + 0.1 * unit.seed
+        rows.append({"point": point, "seed": unit.seed, "light_chosen": "D55", "figures": own})
+    storage.write(job.out, file_of(job.spec, unit), sample.plain(rows))
+    return Outcome(index)
+
+
+def inline(taken: list[int], broken=()):
+    def run_all(job, queue: deque[int]):
+        while queue:
+            taken.append(queue[0])
+            yield measured(job, queue.popleft(), broken)
+
+    return run_all
+
+
+def swept(spec, out, broken=()) -> tuple[list[int], dict[str, str]]:
+    taken: list[int] = []
+    failed = sweep.sweep(Sweep(spec, str(out), {}), inline(taken, broken), lambda *counts: None)
+    return taken, failed
+
+
+# --- specification -------------------------------------------------------------------------------
+
+
+def test_what_needs_no_new_picture_shares_one(study):
+    """Set-up: two holes, three levels of light, two seeds. Expectation: 6 points, 4 renderings of 3 points each."""
+    spec = load_study(str(study))
+    assert len(points(spec)) == 6 and spec.parameters["light.lux"] == (100.0, 1000.0, 10000.0)
+    assert [(unit.seed, len(unit.points)) for unit in units(spec)] == [(0, 3), (0, 3), (1, 3), (1, 3)]
+    assert all("light.lux" not in unit.render for unit in units(spec))
+
+
+@pytest.mark.parametrize("name", specification.names())
+def test_bundled_studies_are_sound(name):
+    for quick in (False, True):
+        spec = load_study(name, quick=quick)
+        assert spec.question and units(spec)
+
+
+@pytest.mark.parametrize(
+    ("parameters", "said"),
+    [
+        ('"camera.stops.hole.radius_rato" = [0.3]', ("radius_rato", "radius_ratio")),
+        ('"camera.lens.f_numbr" = [2]\n"light.luks" = [3]', ("light.luks", "light.lux")),
+        ('"light.lux" = []', ("light.lux", "empty")),
+        ('"light.lux" = {log_grid = [0, 10, 3]}', ("log_grid", "above 0")),
+        ('"light.lux" = {grid = [1, 10, 0]}', ("0 values",)),
+        ('"camera.stops.hole.radius_ratio" = [0.3, 1.5]', ("1.5",)),
+        ('"camera.stops.hole.radius_ratio" = [0.0, 0.46]', ("0.0",)),
+        ('"camera.sensor.cutoff_nm" = [300]', ("cutoff_nm",)),
+        ('"light.illuminant" = ["D66"]', ("D66",)),
+        ('"recon.window_px" = [31]\n"recon.no_such" = [1]', ("recon.no_such",)),
+        ('camera = ["da-mobil"]', ("da-mobil",)),
+        ('scene = ["dask"]', ("dask",)),
+        ('"focus_m" = [-1]', ("focus_m = -1",)),
+        ('"light.lux" = ["bright"]', ("bright", "number")),
+    ],
+)
+def test_wrong_studies_are_refused_before_the_first_render(tmp_path, capsys, parameters, said):
+    (tmp_path / "s.toml").write_text(f'name = "wrong"\n[parameters]\n{parameters}\n')
+    assert run(["study", "sweep", str(tmp_path / "s.toml"), "--out", str(tmp_path / "new")]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith("dasim: ") and all(part in line for part in said), line
+    assert not (tmp_path / "new").exists()
+
+
+def test_all_problems_are_said_at_once(tmp_path):
+    text = '"light.illuminant" = ["D66"]\n"camera.stops.hole.radius_ratio" = [2.0]'
+    (tmp_path / "s.toml").write_text(f'name = "wrong"\n[parameters]\n{text}\n')
+    with pytest.raises(InputError, match=r"(?s)D66.*2\.0"):
+        load_study(str(tmp_path / "s.toml"))
+
+
+def test_an_unknown_study_is_answered_with_the_nearest(capsys, tmp_path):
+    assert run(["study", "sweep", "hole-siz", "--out", str(tmp_path / "new")]) == 2
+    assert "hole-size" in capsys.readouterr().err
+
+
+# --- running -------------------------------------------------------------------------------------
+
+
+def test_a_restarted_sweep_redoes_nothing(study, tmp_path):
+    """Set-up: a sweep; again; then with one more hole. Expectation: 4 renderings, none, and the 2 of the new hole."""
+    assert swept(load_study(str(study)), tmp_path / "out")[0] == [0, 1, 2, 3]
+    assert swept(load_study(str(study)), tmp_path / "out")[0] == []
+    study.write_text(STUDY.replace("[0.3, 0.46]", "[0.3, 0.46, 0.6]"))
+    assert len(swept(load_study(str(study)), tmp_path / "out")[0]) == 2
+
+
+def test_what_failed_is_said_and_tried_again(study, tmp_path):
+    taken, failed = swept(load_study(str(study)), tmp_path / "out", broken=(1,))
+    assert len(taken) == 4 and list(failed.values()) == ["no such luck"] and "0.46" in next(iter(failed))
+    assert "no such luck" in (tmp_path / "out" / "report.html").read_text()
+    assert swept(load_study(str(study)), tmp_path / "out") == ([1], {})
+
+
+def test_the_table_has_every_point_and_seed(study, tmp_path):
+    swept(load_study(str(study)), tmp_path / "out")
+    with (tmp_path / "out" / "results.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == 12
+    one = next(r for r in rows if r["camera.stops.hole.radius_ratio"] == "0.3" and r["light.lux"] == "100")
+    assert float(one["depth-median (1/m)"]) == pytest.approx(1 / 0.3 / 100, rel=1e-5)
+
+
+def test_means_and_spread_over_seeds(study, tmp_path):
+    """Expectation: seeds give x and 1.1 x: mean 1.05 x, deviation 0.1 x / sqrt(2)."""
+    spec = load_study(str(study))
+    swept(spec, tmp_path / "out")
+    rows = sweep.means(sweep.gathered(Sweep(spec, str(tmp_path / "out"), {})), spec)
+    one = next(row for row in rows if row["light.lux"] == 100 and row["camera.stops.hole.radius_ratio"] == 0.3)
+    x = 1 / 0.3 / 100
+    assert one["depth-median"] == pytest.approx(1.05 * x)
+    assert one["depth-median:spread"] == pytest.approx(0.1 * x / math.sqrt(2))
+
+
+def test_pareto_front_by_hand():
+    rows = [{"a": a, "b": b} for a, b in ((1, 5), (2, 3), (3, 4), (4, 1), (2, 3.5), (5, math.nan))]
+    assert [(row["a"], row["b"]) for row in sweep.pareto(rows, "a", "b")] == [(1, 5), (2, 3), (4, 1)]
+
+
+def test_the_page_is_self_contained(study, tmp_path):
+    swept(load_study(str(study)), tmp_path / "out")
+    page = (tmp_path / "out" / "report.html").read_text()
+    assert page.count("data:image/svg+xml") == 2 and "http" not in page.replace("http://www.w3.org", "")
+    assert "&lt;hole&gt; &amp; why" in page
+
+
+# --- points --------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("alpha", [0.3, 0.46, 0.9])
+def test_light_loss_is_that_of_eq_1(da_mobile, alpha):
+    from dasim.dataset.specification import varied
+
+    loss = light_loss(varied(da_mobile, {"stops.hole.radius_ratio": alpha}))
+    assert loss == pytest.approx((1 - alpha**2) / 4, abs=EDGES)
+
+
+def test_a_mosaic_with_fewer_infrared_pixels_loses_less():
+    """Expectation: a 4x4 mosaic with two infrared pixels of sixteen loses half as much as one with four."""
+    four = cameras.load_camera("da-4x4")
+    count = sum(name == "IR" for row in four.sensor.mosaic for name in row)
+    pixels = sum(len(row) for row in four.sensor.mosaic)
+    assert light_loss(four) == pytest.approx((1 - 0.46**2) * count / pixels, abs=EDGES)
+
+
+def test_a_point_is_photographed_and_scored(study, tmp_path, renderer):
+    """Set-up: one design, two levels of light, tiny. Expectation: the same picture in more light has less noise."""
+    from validation.studies.point import measured as real
+
+    text = STUDY.replace("[0.3, 0.46]", "[0.46]").replace("seeds = 2", "seeds = 1\nsize_px = [64, 48]\nspp = 4")
+    study.write_text(text)
+    spec = load_study(str(study))
+    rows = real(spec, units(spec)[0])
+    dim, _, bright = (row["figures"] for row in rows)
+    assert set(dim) == set(FIGURES) and json.dumps(rows)
+    assert bright["infrared-snr"] > 2 * dim["infrared-snr"]

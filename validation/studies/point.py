@@ -1,0 +1,180 @@
+"""One point of a sweep: photograph, calibrate, reconstruct, and score in units that compare between designs."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import time
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+import dasim
+import recon
+from dasim import aperture, sensor, spectra
+from dasim import camera as cameras
+from dasim.camera import Camera
+from dasim.dataset import sample, storage
+from dasim.errors import InputError
+from dasim.executors import Outcome
+from dasim.scene import Scene
+from dasim.simulation import Shot
+from dasim.values import Capture, Reconstruction, Truth
+from validation import picture_scores
+from validation.banks import simulated_bank
+from validation.studies.specification import StudySpec, Unit, Value, camera_of, scene_of, settings_of, units
+
+FloatArray = NDArray[np.float64]
+
+LONGEST_S, MOST_GAIN = 1 / 30, 16.0  # of a picture by hand
+FIGURES = {
+    "light-loss": ("1", "light that the sensor loses to the stops, eq. (1) in the camera's own mosaic"),
+    "infrared-snr": ("1", "signal over noise of an infrared pixel, median"),
+    "depth-median": ("1/m", "median absolute error of 1/z, all pixels before the focus"),
+    "depth-rmse": ("1/m", "root mean square error of 1/z"),
+    "depth-constant": ("1/m", "the median of the best constant map"),
+    "depth-median-m": ("m", "median absolute error of z"),
+    "depth-rmse-m": ("m", "root mean square error of z"),
+    "coverage": ("1", "share of the pixels with a raw estimate"),
+    "psnr": ("dB", "all-in-focus picture against the sharp truth, linear light"),
+    "psnr-gain": ("dB", "that less the same of the captured picture"),
+    "ciede2000": ("1", "mean colour difference to the sharp truth, all in focus"),
+    "seconds": ("s", "time of the point, with its share of the rendering"),
+}
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """What a worker has to know."""
+
+    spec: StudySpec
+    out: str
+    environment: dict[str, Any]
+
+
+def file_of(spec: StudySpec, unit: Unit) -> str:
+    """Where a unit's rows are kept: a name made of everything that decides them."""
+    fixed = {key: getattr(spec, key) for key in ("camera", "scene", "preset", "size_px", "spp")}
+    text = json.dumps([fixed, unit.points, unit.seed], sort_keys=True, default=str)
+    return f"points/{hashlib.sha256(text.encode()).hexdigest()[:24]}.json"
+
+
+def work(job: Sweep, index: int) -> Outcome:
+    """Measure a unit in this process and write its rows; an error is an outcome, not raised."""
+    begin = time.perf_counter()
+    try:
+        sample.activate(job.environment["variant"])
+        unit = units(job.spec)[index]
+        storage.write(job.out, file_of(job.spec, unit), sample.plain(measured(job.spec, unit)))
+    except OSError as error:
+        return Outcome(index, f"{error.strerror or error} ({error.filename or job.out})", error.errno in storage.FULL)
+    except Exception as error:
+        said = str(error) if isinstance(error, InputError) else f"{type(error).__name__}: {error}"
+        return Outcome(index, " ".join(said.split()))
+    return Outcome(index, seconds=time.perf_counter() - begin)
+
+
+def measured(spec: StudySpec, unit: Unit) -> list[dict[str, Any]]:
+    """Rows of a unit's points: parameters, seed, figures."""
+    begin = time.perf_counter()
+    scene = scene_of(spec, unit.render)
+    if "light.illuminant" in unit.render:
+        lights = tuple(
+            light.model_copy(update={"illuminant": str(unit.render["light.illuminant"])}) for light in scene.lights
+        )
+        scene = scene.model_copy(update={"lights": lights})
+    camera = dasim.focused(dasim.cropped(camera_of(spec, unit.render), *spec.size_px), scene)
+    if "focus_m" in unit.render:
+        camera = dasim.refocused(camera, float(unit.render["focus_m"]))
+    shot = dasim.simulate(scene, camera, unit.seed, spp=spec.spp)
+    bank = simulated_bank(camera, diffraction=shot.capture.provenance["diffraction"])
+    shared = (time.perf_counter() - begin) / len(unit.points)
+    rows = []
+    for number, point in enumerate(unit.points):
+        begin = time.perf_counter()
+        capture = exposed(shot, scene, point, unit.seed * len(unit.points) + number)
+        exact = scaled(shot, capture, scene, point)
+        result = recon.reconstruct(capture, bank, settings_of(spec, point))
+        own = figures(result, capture, exact) | {"seconds": shared + time.perf_counter() - begin}
+        rows.append({"point": point, "seed": unit.seed, "light_chosen": result.light, "figures": own})
+    return rows
+
+
+def exposed(shot: Shot, scene: Scene, point: dict[str, Value], seed: int) -> Capture:
+    """A capture of the shot's mean electrons at the point's level of light: automatic time, then gain."""
+    camera = shot.capture.camera
+    rate = shot.truth.mean_e.astype(np.float64) * (brighter(scene, point) / shot.capture.exposure_s)
+    rule = sensor.Exposure()
+    wanted = sensor.auto_exposure_s(rate, camera, rule)
+    time_s = min(wanted, float(point.get("exposure.longest_s", LONGEST_S)))
+    gain = float(np.clip(wanted / time_s, 1.0, float(point.get("exposure.most_gain", MOST_GAIN))))
+    collected = sensor.electronic_crosstalk(sensor.mosaic(rate * time_s, camera), camera.sensor)
+    raw, _ = sensor.expose(collected, camera.sensor, time_s, seed, gain=gain)
+    return Capture(raw, camera, time_s, gain, seed)
+
+
+def brighter(scene: Scene, point: dict[str, Value]) -> float:
+    """Factor from the scene's own light to the point's."""
+    own = sum(getattr(light, "lux", 0.0) for light in scene.lights)
+    return float(point["light.lux"]) / own if "light.lux" in point else 1.0
+
+
+def scaled(shot: Shot, capture: Capture, scene: Scene, point: dict[str, Value]) -> Truth:
+    """The truth with its electrons as the capture collected them."""
+    factor = np.float32(brighter(scene, point) * capture.exposure_s / shot.capture.exposure_s)
+    return replace(shot.truth, mean_e=shot.truth.mean_e * factor, sharp_e=shot.truth.sharp_e * factor)
+
+
+def figures(result: Reconstruction, capture: Capture, truth: Truth) -> dict[str, float]:
+    """Figures of a reconstruction that compare between designs: dioptres, metres, dB (see ``FIGURES``)."""
+    near = truth.valid & (truth.level >= -0.5)
+    exact, found = (1 / np.maximum(a[near].astype(np.float64), 1e-3) for a in (truth.depth_m, result.depth_m))
+    error, metres = found - exact, 1 / found - 1 / exact
+    pictures = {score.region: score for score in picture_scores.picture_scores(result, truth)}
+    sharp, captured = pictures["inner"].sharpened, pictures["inner"].captured
+    return {
+        "light-loss": light_loss(capture.camera),
+        "infrared-snr": infrared_snr(capture, truth),
+        "depth-median": float(np.median(np.abs(error))),
+        "depth-rmse": float(np.sqrt(np.mean(error**2))),
+        "depth-constant": float(np.median(np.abs(exact - np.median(exact)))),
+        "depth-median-m": float(np.median(np.abs(metres))),
+        "depth-rmse-m": float(np.sqrt(np.mean(metres**2))),
+        "coverage": float(np.isfinite(result.level_raw[near]).mean()),
+        "psnr": sharp["psnr"],
+        "psnr-gain": sharp["psnr"] - captured["psnr"],
+        "ciede2000": sharp["ciede2000"],
+    }
+
+
+def light_loss(camera: Camera) -> float:
+    """Share of the light that the mosaic loses to stops smaller than the lens, eq. (1).
+
+    Each pixel of the mosaic loses what its stops block of the band that it is for, 650 nm and beyond for infrared and
+    below for the others: for a disc of ratio alpha before one pixel of four, (1 - alpha^2) / 4.
+    """
+    names = cameras.channels(camera.sensor)
+    opened = camera.model_copy(update={"stops": tuple(_opened(stop) for stop in camera.stops)})
+    infrared = spectra.WAVELENGTH_NM >= spectra.NEAR_INFRARED_NM[0]
+    band = np.stack([infrared if name == "IR" else ~infrared for name in names])
+    passed, whole = (spectra.integrate(cameras.response(c) * band) for c in (camera, opened))
+    block = [names.index(name) for row in camera.sensor.mosaic for name in row]
+    return float(np.mean([1 - passed[pixel] / whole[pixel] for pixel in block]))
+
+
+def _opened(stop: aperture.Stop) -> aperture.Stop:
+    """A stop opened to the lens's own aperture."""
+    return aperture.Disc(
+        name=stop.name, passes_nm=stop.passes_nm, edge_width_nm=stop.edge_width_nm, shape="disc", radius_ratio=1.0
+    )
+
+
+def infrared_snr(capture: Capture, truth: Truth) -> float:
+    """Median signal over temporal noise of the infrared pixels."""
+    from dasim.quiet import temporal_noise_e
+
+    electrons = truth.mean_e[..., truth.channels.index("IR")][truth.valid].astype(np.float64)
+    noise = temporal_noise_e(electrons, capture.camera.sensor, capture.exposure_s, capture.gain)
+    return float(np.median(electrons / noise))

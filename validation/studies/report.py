@@ -1,0 +1,88 @@
+"""The page of a sweep: its question, curves with error bars, the Pareto front, and every number."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jinja2
+import numpy as np
+
+from validation.plots import plot
+from validation.report import TEMPLATE_DIR
+from validation.studies.point import FIGURES
+from validation.studies.specification import Curve, StudySpec
+
+Row = dict[str, Any]
+
+COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#444444")  # Okabe and Ito
+MARKERS = "os^Dv<>"
+
+
+def page(spec: StudySpec, rows: list[Row], failed: dict[str, str]) -> str:
+    """One self-contained HTML page."""
+    from validation.studies.sweep import means, pareto
+
+    averaged = means(rows, spec)
+    pictures = [(_caption(curve), _curve(curve, averaged, spec)) for curve in spec.curves]
+    front: list[Row] = []
+    if spec.pareto:
+        front = pareto(averaged, *spec.pareto)
+        caption = f"{_meaning(spec.pareto[1])} against {_meaning(spec.pareto[0])}; joined: beaten by none in both"
+        pictures.append((caption, _pareto(spec.pareto, averaged, front)))
+    environment = jinja2.Environment(loader=jinja2.FileSystemLoader(TEMPLATE_DIR), autoescape=True)
+    return environment.get_template("study.html").render(
+        spec=spec, pictures=pictures, figures=FIGURES, rows=averaged, front=front, failed=failed, number=_number
+    )
+
+
+def _number(value: Any) -> str:
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
+
+
+def _meaning(figure: str) -> str:
+    unit, meaning = FIGURES.get(figure, ("", figure))
+    return meaning if unit in ("", "1") else f"{meaning} ({unit})"
+
+
+def _caption(curve: Curve) -> str:
+    by = f", by {curve.by}" if curve.by else ""
+    return f"{_meaning(curve.y)} against {curve.x}{by}; bars: standard deviation over seeds and other parameters"
+
+
+def _curve(curve: Curve, rows: list[Row], spec: StudySpec) -> str:
+    lines = spec.parameters[curve.by] if curve.by else (None,)
+    ticks = spec.parameters[curve.x]
+    words = any(isinstance(value, str) for value in ticks)
+
+    def draw(axes: Any) -> None:
+        for number, value in enumerate(lines):
+            own = [row for row in rows if curve.by is None or row[curve.by] == value]
+            middle, spread = [], []
+            for tick in ticks:
+                here = [row for row in own if row[curve.x] == tick]
+                measured = np.array([row[curve.y] for row in here])
+                middle.append(np.nanmean(measured) if np.isfinite(measured).any() else np.nan)
+                within = np.sqrt(np.mean([row[f"{curve.y}:spread"] ** 2 for row in here])) if here else np.nan
+                spread.append(np.hypot(within, measured.std()) if len(here) else np.nan)
+            x = np.arange(len(ticks)) if words else np.array(ticks, float)
+            label = None if value is None else str(value)
+            style = {"color": COLOURS[number % len(COLOURS)], "marker": MARKERS[number % len(MARKERS)]}
+            axes.errorbar(x, middle, spread, capsize=3, markersize=4, linewidth=1, label=label, **style)
+        if words:
+            axes.set_xticks(range(len(ticks)), [str(tick) for tick in ticks])
+        axes.set(xlabel=curve.x, ylabel=f"{curve.y} ({FIGURES[curve.y][0]})")
+        axes.set_xscale("log" if curve.log_x else "linear")
+        axes.set_yscale("log" if curve.log_y else "linear")
+        if curve.by:
+            axes.legend(title=curve.by, fontsize=8)
+
+    return plot(draw)
+
+
+def _pareto(names: tuple[str, str], rows: list[Row], front: list[Row]) -> str:
+    def draw(axes: Any) -> None:
+        axes.plot([row[names[0]] for row in rows], [row[names[1]] for row in rows], "o", color="0.7", markersize=4)
+        axes.plot([row[names[0]] for row in front], [row[names[1]] for row in front], "s-", color=COLOURS[1])
+        axes.set(xlabel=f"{names[0]} ({FIGURES[names[0]][0]})", ylabel=f"{names[1]} ({FIGURES[names[1]][0]})")
+
+    return plot(draw)

@@ -1,0 +1,243 @@
+"""What a sweep varies and how each point is measured."""
+
+from __future__ import annotations
+
+import difflib
+import itertools
+from pathlib import Path
+from typing import Annotated, Any, NamedTuple
+
+import numpy as np
+from pydantic import BeforeValidator, Field, model_validator
+
+import dasim
+import recon
+from dasim import illuminants
+from dasim.camera import Camera
+from dasim.dataset.specification import varied
+from dasim.errors import InputError
+from dasim.foreign import MitsubaScene
+from dasim.specification import Specification, parse, parse_toml
+from recon.settings import Settings
+
+BUNDLED = Path(__file__).parent / "bundled"
+Value = bool | int | float | str
+
+# Keys of a point that need no new rendering: the light's level, the exposure and the reconstruction.
+AFTERWARDS = ("light.lux", "exposure.", "recon.")
+PLAIN = {
+    "scene": "a bundled scene or a file",
+    "camera": "a bundled camera or a file",
+    "light.illuminant": "of all lights",
+    "light.lux": "of all lights together",
+    "disc_edge_nm": "where the disc begins to block",
+    "focus_m": "focus distance",
+    "exposure.longest_s": "longest exposure",
+    "exposure.most_gain": "highest analogue gain",
+}
+
+
+class Grid(Specification):
+    """Evenly spaced values, or evenly spaced logarithms."""
+
+    grid: tuple[float, float, int] | None = None
+    log_grid: tuple[float, float, int] | None = None
+
+    def values(self) -> tuple[float, ...]:
+        """The values, both ends among them."""
+        if self.grid is not None:
+            return tuple(float(f"{v:.6g}") for v in np.linspace(*self.grid))
+        assert self.log_grid is not None
+        return tuple(float(f"{v:.6g}") for v in np.geomspace(*self.log_grid))
+
+    @model_validator(mode="after")
+    def _one(self) -> Grid:
+        if (self.grid is None) == (self.log_grid is None):
+            raise ValueError("give grid = [first, last, count] or log_grid = [first, last, count]")
+        low, high, count = self.grid or self.log_grid or (0, 0, 0)
+        if count < 1:
+            raise ValueError(f"has {count} values; 1 or more are needed")
+        if self.log_grid is not None and not 0 < low <= high:
+            raise ValueError(f"log_grid goes from {low:g} to {high:g}; both above 0, the smaller one first")
+        return self
+
+
+def _values(given: Any) -> Any:
+    """A list as it is, a grid as its values, one value as a list of one."""
+    if isinstance(given, dict):
+        return parse(Grid, given, "grid").values()
+    return given if isinstance(given, list | tuple) else [given]
+
+
+class Curve(Specification):
+    """A picture of the report: a figure against a parameter, a line for each value of another."""
+
+    x: str
+    y: str
+    by: str | None = None
+    log_x: bool = False
+    log_y: bool = False
+
+
+class StudySpec(Specification):
+    """A sweep, as ``dasim study sweep`` reads it from TOML."""
+
+    name: str = Field(min_length=1, max_length=100)
+    question: str = ""
+    camera: str = "da-mobile"
+    scene: str = "desk"
+    preset: str = "bands"
+    size_px: tuple[int, int] = (256, 192)
+    spp: int = Field(default=128, ge=1, le=65_536)
+    seeds: int = Field(default=2, ge=1, le=1000)
+    parameters: dict[str, Annotated[tuple[Value, ...], BeforeValidator(_values)]] = Field(min_length=1)
+    curves: tuple[Curve, ...] = ()
+    pareto: tuple[str, str] | None = Field(default=None, description="two figures, both the better the smaller")
+    quick: dict[str, Annotated[tuple[Value, ...], BeforeValidator(_values)]] = Field(
+        default_factory=dict, description="values of parameters for --quick"
+    )
+    folder: Path = Field(default=Path("."), exclude=True)
+
+
+class Unit(NamedTuple):
+    """What is rendered once: what decides the picture, and the points that are measured on it."""
+
+    render: dict[str, Value]
+    points: tuple[dict[str, Value], ...]
+    seed: int
+
+
+def names() -> list[str]:
+    """Bundled studies."""
+    return sorted(path.stem for path in BUNDLED.glob("*.toml"))
+
+
+def load_study(name_or_path: str, *, quick: bool = False) -> StudySpec:
+    """A bundled study or a TOML file, checked as a whole; InputError names everything that is wrong."""
+    bundled = BUNDLED / f"{name_or_path}.toml"
+    path = bundled if bundled.is_file() else Path(name_or_path)
+    if not path.is_file():
+        near = difflib.get_close_matches(name_or_path, names(), 3) or names()
+        raise InputError(f"study '{name_or_path}' is neither bundled nor a file; did you mean {', '.join(near)}?")
+    spec = parse_toml(StudySpec, path).model_copy(update={"folder": path.parent.resolve()})
+    if quick:
+        unknown = [key for key in spec.quick if key not in spec.parameters]
+        if unknown:
+            raise InputError(f"{path}: quick.{unknown[0]} is no parameter of the study")
+        spec = spec.model_copy(update={"parameters": spec.parameters | spec.quick, "seeds": min(spec.seeds, 2)})
+    check(spec, str(path))
+    return spec
+
+
+def points(spec: StudySpec) -> list[dict[str, Value]]:
+    """Every combination of the parameters' values, the last parameter fastest."""
+    return [dict(zip(spec.parameters, values, strict=True)) for values in itertools.product(*spec.parameters.values())]
+
+
+def units(spec: StudySpec) -> list[Unit]:
+    """Points that show the same picture, together, for each seed."""
+    groups: dict[tuple[tuple[str, Value], ...], list[dict[str, Value]]] = {}
+    for point in points(spec):
+        render = tuple((key, value) for key, value in point.items() if not key.startswith(AFTERWARDS))
+        groups.setdefault(render, []).append(point)
+    return [Unit(dict(render), tuple(own), seed) for seed in range(spec.seeds) for render, own in groups.items()]
+
+
+def camera_of(spec: StudySpec, point: dict[str, Value]) -> Camera:
+    """The camera of a point, whole frame; InputError where it cannot be made."""
+    name = str(point.get("camera", spec.camera))
+    beside = spec.folder / name
+    camera = dasim.load_camera(beside if beside.is_file() else name)
+    changes = {key.removeprefix("camera."): value for key, value in point.items() if key.startswith("camera.")}
+    if "disc_edge_nm" in point:  # one coating: what it stops passes the hole alone
+        wide, hole = camera.stops[0].name, camera.stops[-1].name
+        changes |= {f"stops.{wide}.passes_nm.0.1": point["disc_edge_nm"]}
+        changes |= {f"stops.{hole}.passes_nm.0.0": point["disc_edge_nm"]}
+    return varied(camera, changes)
+
+
+def scene_of(spec: StudySpec, point: dict[str, Value]) -> dasim.Scene:
+    """The scene of a point, as it is lit in its file."""
+    name = str(point.get("scene", spec.scene))
+    beside = spec.folder / name
+    found = dasim.load_scene(beside if beside.is_file() else name)
+    if isinstance(found, MitsubaScene):
+        raise InputError(f"scene '{name}': a study lights its scenes anew, which Mitsuba's files do not allow")
+    return found
+
+
+def settings_of(spec: StudySpec, point: dict[str, Value]) -> Settings:
+    """The settings of the reconstruction of a point."""
+    preset = str(point.get("recon.preset", spec.preset))
+    if preset not in recon.PRESETS:
+        raise InputError(f"preset '{preset}' is unknown; allowed are {', '.join(recon.PRESETS)}")
+    changes = {
+        key.removeprefix("recon."): value
+        for key, value in point.items()
+        if key.startswith("recon.") and key != "recon.preset"
+    }
+    return parse(Settings, recon.PRESETS[preset].model_dump() | changes, "recon") if changes else recon.PRESETS[preset]
+
+
+def check(spec: StudySpec, where: str) -> None:
+    """InputError with all that is wrong: unknown parameters, empty lists, designs that cannot be made."""
+    problems = []
+    for key, values in spec.parameters.items():
+        problems += [f"parameters.{key}: is empty; give one value at least"] if not values else []
+        if key not in PLAIN and not key.startswith(("camera.", "recon.")):
+            known = [*PLAIN, "camera.<key of a camera file>", "recon.<setting>"]
+            near = difflib.get_close_matches(key, known, 3) or known
+            problems.append(f"parameters.{key}: does not exist; did you mean {', '.join(near)}?")
+    if problems:
+        raise InputError(f"{where}: " + "; ".join(problems))
+    for key, values in spec.parameters.items():  # each parameter by itself first: the shortest message
+        for value in values:
+            problems += _point_problems(spec, {key: value})
+    if not problems:
+        designs = {
+            tuple((k, v) for k, v in p.items() if k.startswith(("camera", "disc", "focus"))) for p in points(spec)
+        }
+        for design in sorted(designs, key=str):
+            problems += _point_problems(spec, dict(design))
+    for figure in (*(curve.x for curve in spec.curves), *(c.by for c in spec.curves if c.by)):
+        if figure not in spec.parameters:
+            problems.append(f"curves: '{figure}' is no parameter of this study ({', '.join(spec.parameters)})")
+    if problems:
+        raise InputError(f"{where}: " + "; ".join(dict.fromkeys(problems)))
+
+
+def _point_problems(spec: StudySpec, point: dict[str, Value]) -> list[str]:
+    said = ", ".join(f"{key} = {value!r}" for key, value in point.items())
+    try:
+        camera = camera_of(spec, point)
+        if "focus_m" in point:
+            camera = dasim.refocused(camera, float(point["focus_m"]))
+        if any(key.startswith(("camera", "disc")) for key in point):
+            _check_sees(camera)
+        if "scene" in point:
+            scene_of(spec, point)
+        settings_of(spec, point)
+        if "light.illuminant" in point:
+            illuminants.illuminant(str(point["light.illuminant"]))
+        for key, low, high in (
+            ("light.lux", 1e-3, 1e6),
+            ("exposure.longest_s", 1e-9, 3600.0),
+            ("exposure.most_gain", 1.0, 1024.0),
+        ):
+            if key in point and not low <= float(point[key]) <= high:
+                raise InputError(f"must be from {low:g} to {high:g}")
+    except InputError as error:
+        return [f"{said}: {error}"]
+    except ValueError:
+        return [f"{said}: is no number"]
+    return []
+
+
+def _check_sees(camera: Camera) -> None:
+    """InputError where a channel gets no light, or nothing tells infrared's blur from that of the others."""
+    from dasim import camera as cameras
+
+    rates = cameras.response(camera).max(axis=-1)
+    dark = [name for name, rate in zip(cameras.channels(camera.sensor), rates, strict=True) if rate <= 0]
+    if dark:
+        raise InputError(f"no light of any wavelength reaches {', '.join(dark)}")

@@ -1,0 +1,119 @@
+"""Run a sweep: measure the points that are missing, gather them in a table, and draw its report."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import math
+from collections import deque
+from collections.abc import Callable
+from contextlib import closing
+from typing import Any
+
+import numpy as np
+
+from dasim.dataset import storage
+from dasim.errors import InputError
+from dasim.executors import Executor
+from validation.studies import report
+from validation.studies.point import FIGURES, Sweep, file_of
+from validation.studies.specification import StudySpec, units
+
+Row = dict[str, Any]
+
+TABLE, PARQUET, PAGE = "results.csv", "results.parquet", "report.html"
+
+
+def sweep(job: Sweep, executor: Executor, show: Callable[[int, int, int], None]) -> dict[str, str]:
+    """Measure what is missing and write table and report; what failed, and why, by the point's words.
+
+    A point that was measured before, by this study or one with the same point, is not measured again. ``show`` gets how
+    many units are done, how many there are, and how many failed.
+    """
+    storage.check_writable(job.out)
+    storage.sweep(job.out)
+    everyone = units(job.spec)
+    queue = deque(i for i, unit in enumerate(everyone) if not storage.exists(job.out, file_of(job.spec, unit)))
+    total, done, failed = len(everyone), len(everyone) - len(queue), dict[str, str]()
+    show(done, total, 0)
+    with closing(executor(job, queue)) as outcomes:
+        for outcome in outcomes:
+            if outcome.fatal:
+                raise InputError(f"{job.out}: {outcome.error}; nothing is lost: put it right, and run the same again")
+            if outcome.error:
+                unit = everyone[outcome.index]
+                failed[f"{_said(unit.render)}, seed {unit.seed}"] = outcome.error
+            else:
+                done += 1
+            show(done, total, len(failed))
+    rows = gathered(job)
+    if rows:
+        storage.write(job.out, TABLE, table(rows).encode())
+        _write_parquet(job.out, rows)
+        storage.write(job.out, PAGE, report.page(job.spec, rows, failed).encode())
+    return failed
+
+
+def _said(point: dict[str, Any]) -> str:
+    return ", ".join(f"{key} = {value}" for key, value in point.items()) or "the study's own design"
+
+
+def gathered(job: Sweep) -> list[Row]:
+    """Rows of all points that are measured, flat: parameters, seed, figures."""
+    rows = []
+    for unit in units(job.spec):
+        name = file_of(job.spec, unit)
+        if storage.exists(job.out, name):
+            for row in json.loads(storage.read(job.out, name)):
+                figures = {key: math.nan if value is None else value for key, value in row["figures"].items()}
+                rows.append({**row["point"], "seed": row["seed"], "light_chosen": row["light_chosen"], **figures})
+    return rows
+
+
+def table(rows: list[Row]) -> str:
+    """The rows as CSV; units stand in the heads."""
+    buffer = io.StringIO()
+    writer = csv.writer(buffer, lineterminator="\n")
+    heads = list(rows[0])
+    writer.writerow([f"{head} ({FIGURES[head][0]})" if head in FIGURES else head for head in heads])
+    for row in rows:
+        writer.writerow([f"{row[head]:.6g}" if isinstance(row[head], float) else row[head] for head in heads])
+    return buffer.getvalue()
+
+
+def _write_parquet(out: str, rows: list[Row]) -> None:
+    """The same as parquet, where pyarrow is installed."""
+    try:
+        import pyarrow
+        import pyarrow.parquet
+    except ImportError:
+        return
+    with storage.writing(out, PARQUET) as file:
+        pyarrow.parquet.write_table(pyarrow.Table.from_pylist(rows), file)
+
+
+def means(rows: list[Row], spec: StudySpec) -> list[Row]:
+    """One row a point: the mean of each figure over seeds, and its standard deviation as FIGURE:spread."""
+    groups: dict[tuple[Any, ...], list[Row]] = {}
+    for row in rows:
+        groups.setdefault(tuple(row[key] for key in spec.parameters), []).append(row)
+    found = []
+    for values, own in groups.items():
+        one: Row = dict(zip(spec.parameters, values, strict=True))
+        for key in FIGURES:
+            measured = np.array([row[key] for row in own if key in row], float)
+            one[key] = float(measured.mean()) if measured.size else math.nan
+            one[f"{key}:spread"] = float(measured.std(ddof=1)) if measured.size > 1 else 0.0
+        found.append(one)
+    return found
+
+
+def pareto(rows: list[Row], first: str, second: str) -> list[Row]:
+    """Rows that no other one beats in both figures, the smaller the better; sorted by the first."""
+    good = [row for row in rows if math.isfinite(row[first]) and math.isfinite(row[second])]
+    front: list[Row] = []
+    for row in sorted(good, key=lambda r: (r[first], r[second])):
+        if not front or row[second] < front[-1][second]:
+            front.append(row)
+    return front
