@@ -18,11 +18,12 @@ if TYPE_CHECKING:
 app = cyclopts.App(name="study", help="Compare aperture designs: by simulation, by bounds, by a search of shapes.")
 
 
+@app.default
 @app.command
 def sweep(
     study: str,
     *,
-    out: Annotated[str, Parameter(name="--out")],
+    out: Annotated[str | None, Parameter(name="--out")] = None,
     quick: Annotated[bool, Parameter(negative="")] = False,
     jobs: Whole | None = None,
     executor: Literal["local", "ray"] = "local",
@@ -35,7 +36,7 @@ def sweep(
 
     Args:
         study: hole-size, lens, cut-wavelengths, mosaic, or a TOML file
-        out: a folder, or an fsspec address such as s3://bucket/folder
+        out: a folder, or an fsspec address such as s3://bucket/folder; out/NAME of the study by default
         quick: the study's few most telling points
         jobs: processes of the local executor; by default one for each core
         executor: local, or ray for the nodes of a cluster (extra 'cluster')
@@ -51,14 +52,15 @@ def sweep(
     from validation.studies.sweep import sweep as run_sweep
 
     spec = load_study(study, quick=quick)
+    place = out or f"out/{spec.name}"
     here = environment(backend.choose(variant).variant)
     local = executor == "local"
     run: Executor = executors.local(processes_of(jobs), work) if local else executors.ray(address, work)
     with _shown(spec.name) as show:
-        failed = run_sweep(Sweep(spec, out, here), run, show)
+        failed = run_sweep(Sweep(spec, place, here), run, show)
     for point, said in failed.items():
         print(f"not measured: {point}: {said}")
-    print(f"report: {out}/{PAGE}")
+    print(f"report: {place}/{PAGE}")
     return 1 if failed else 0
 
 
