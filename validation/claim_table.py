@@ -6,7 +6,9 @@ from validation.claims.bank import bank
 from validation.claims.camera import depth_of_field, dynamic_range, kernels, response_curves
 from validation.claims.colour import colour
 from validation.claims.depth import depth
+from validation.claims.depth_maps import depth_maps
 from validation.claims.diffraction import airy_table, wave_energy, wave_sfr
+from validation.claims.disks import yellow_disks
 from validation.claims.lens import blur_off
 from validation.claims.light import absolute_electrons, eq8_flat_field, hole_alpha_squared, light_loss
 from validation.claims.occlusion import occluding_edge
@@ -49,4 +51,6 @@ CLAIMS = {
     "depth": Measurement(depth, quick=False),
     "all-in-focus": Measurement(all_in_focus, quick=False),
     "refocus": Measurement(refocus, quick=False),
+    "depth-maps": Measurement(depth_maps, quick=False),
+    "yellow-disks": Measurement(yellow_disks, quick=False),
 }
