@@ -566,7 +566,7 @@ def test_a_picture_balanced_for_another_light_fails(renderer, monkeypatch):
     monkeypatch.setattr(colour, "CHECKER_LIGHTS", ("A",))
     monkeypatch.setattr(colour, "CHECKER_CAMERAS", ("da-mobile",))
     shot = colour.checker("da-mobile", "A")
-    monkeypatch.setattr(colour, "checker", lambda camera, light: shot)
+    monkeypatch.setattr(colour, "checker", lambda camera, light, seed: shot)
 
     def under_a() -> bool:
         figure = colour.colour(lambda share: None).figures[0]

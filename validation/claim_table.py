@@ -14,10 +14,12 @@ from validation.claims.light import absolute_electrons, eq8_flat_field, hole_alp
 from validation.claims.occlusion import occluding_edge
 from validation.claims.resolution import depth_resolution
 from validation.claims.sampling import desk_noise, noise_slope_off, noise_slope_wave, render_cost
+from validation.claims.scene_pictures import scene_pictures
 from validation.claims.scenes import interreflection, registration, scenes_speed
 from validation.claims.sharp import all_in_focus, refocus
 from validation.claims.speed import recon_speed
 from validation.claims.staircase import staircase, staircase_camera
+from validation.claims.two_cameras import two_cameras
 from validation.validate import Measurement
 
 # Quick: less than about 20 s on two cores.
@@ -53,4 +55,6 @@ CLAIMS = {
     "refocus": Measurement(refocus, quick=False),
     "depth-maps": Measurement(depth_maps, quick=False),
     "yellow-disks": Measurement(yellow_disks, quick=False),
+    "scene-pictures": Measurement(scene_pictures, quick=False),
+    "two-cameras": Measurement(two_cameras, quick=False),
 }
