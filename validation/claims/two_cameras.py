@@ -43,7 +43,7 @@ def two_cameras(progress: Progress, seed: int = 0) -> Evidence:
     one luminance, where it is at least 0.02: between both pictures everywhere, as the visible blur is the same; of each
     against the twin's noise-free pinhole picture under the scene's light where the visible blur is below 1.5 px, away
     from boundaries. Noise: rms of luminance about the noise-free picture of the same camera and lens, local means
-    taken off.
+    taken off; texture that noise reduction and interpolation took counts as well.
 
     Expectation: differences as between two cameras of the same make, 1 being just seen side by side; more noise, for
     green is interpolated from a quarter of the pixels instead of half, and infrared's noise comes with its removal.
