@@ -16,10 +16,11 @@ from dasim import sensor
 from dasim.values import Capture, Reconstruction, Truth
 from recon import pipeline, stereo
 from recon.surface import surface
-from validation import metrics, pictures
+from validation import claims_page, metrics, pictures
 from validation.claim import GATES, judged_all, load_gates
 from validation.claim_table import CLAIMS
 from validation.claims import depth_maps, disks, scene_pictures, two_cameras
+from validation.report import png_address
 
 HEIGHT, WIDTH = 192, 256
 
@@ -219,3 +220,9 @@ def test_relief_from_the_right_shows_near_things_to_the_left():
         red = (view[..., 0] > 0.9) & (view[..., 1] < 0.7)
         middle.append(float(np.flatnonzero(red.any(axis=0)).mean()) + 0.5)
     assert middle[0] == pytest.approx(40, abs=1) and middle[1] < 36 and middle[2] > 44
+
+
+def test_rows_of_panels_get_the_whole_width():
+    row, single = np.zeros((30, 90, 3)), np.zeros((30, 40, 3))
+    assert [claims_page.wide(png_address(image)) for image in (row, single)] == [True, False]
+    assert not claims_page.wide(pictures.photo_address(row)) and not claims_page.wide("data:image/svg+xml;base64,AAAA")

@@ -42,14 +42,15 @@ def yellow_disks(progress: Progress, seed: int = 0) -> Evidence:
     bands, which has none. Judged are the edges of the disks, 15 px wide. Contrast is (paper - ink) / paper of the
     noise-free ``sharp_e``. Black disks, which infrared shows, are the control; magenta ones fail as yellow ones do.
 
-    Expectation: without the fall-back no level at a yellow edge; with it a level at most of them, but a wrong one:
+    Expectation: without the fall-back no level along a yellow edge; with it a level at most of it, but a wrong one:
     blue is blurred as green is, so that their comparison hardly tells levels apart (the rms radii of their kernels are
     reported, with infrared's). Averaging over neighbours improves it, but cannot repair it at 5 cm, where the sheet
     around has no texture.
 
     Limit: contrast in infrared at most 0.01, where blue has at least 0.5; levels at no more than 0.05 of a yellow edge
-    without the fall-back, at 0.5 with it, off by at least twice as much as at a black edge, which is off by 0.8 level
-    at most; less after regularisation than before. Preset bands abstains: levels at no more than 0.1 of a yellow edge.
+    without the fall-back, at 0.3 at least with it, off by at least 1.5 times as much as at a black edge, which is off
+    by 0.8 level at most; less after regularisation than before. Preset bands abstains: levels at no more than 0.1 of a
+    yellow edge.
 
     Deviation: the paper fell back to red; yellow ink does not show there either (contrast 0.02), so that blue serves.
     Its infrared was noisier, too: here D55 gives the infrared pixels a third of green's electrons on white.

@@ -52,10 +52,13 @@ def scene_pictures(progress: Progress, seed: int = 0) -> Evidence:
     Expectation: slopes up, at most to one and the width of its error; the stack's levels those of the truth as far as
     depth is; shifts those of depth, to the step of the search, behind the screen or before it as asked.
 
+    Shifts are scaled to the range of the found depths, outliers included: in adam these take more than half of it, so that
+    the scene hardly comes out of the screen.
+
     What was in focus is where depth is worst: the brick wall of adam and the meadow of flowers, at level 0, come out
     up to 3 levels nearer (table), and a picture refocused to them is blurred there.
 
-    Limit: slope at 3 to 10 px of blur 0.5 and 1.5 times the capture's at least, at 0 to 3 px 0.8 to 1.15; half of the
+    Limit: slope at 3 to 10 px of blur 0.5 and 1.5 times the capture's at least, at 0 to 3 px 0.75 to 1.15; half of the
     way in blur; stack off by 0.5 level from the reconstruction's own levels, 0.8 from the true ones (median); shifts
     off by 0.5 px, 0.95 of them on the right side of the screen.
 

@@ -22,7 +22,7 @@ from validation.pictures import photo_address
 from validation.shots import photographed
 
 CAMERAS = ("da-mobile", "bayer-mobile")
-SPP = {"da-mobile": depth.SPP, "bayer-mobile": 64}  # the twin's picture is of one stop, and compared in means alone
+SPP = {"da-mobile": depth.SPP, "bayer-mobile": 32}  # the twin's picture is of one stop, and compared in means alone
 MEAN_SIGMA_PX = 3.0  # Gaussian of the local means whose colours are compared: noise is judged apart
 FOCUS_PX = 1.5  # visible blur up to which a pixel is in focus
 DARKEST = 0.02  # of the display's white: below it, neither eye nor display shows a colour
