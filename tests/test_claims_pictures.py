@@ -13,6 +13,7 @@ import surfaces
 
 import recon
 from dasim import sensor
+from dasim.simulation import Shot
 from dasim.values import Capture, Reconstruction, Truth
 from recon import pipeline, stereo
 from recon.surface import surface
@@ -180,6 +181,25 @@ def test_colours_differ_by_cast_and_not_by_exposure():
     cast = picture * np.array([1.15, 1.0, 1.0], np.float32)
     figure = metrics.Figure("x.between", float(two_cameras.differences(cast, picture, where).mean()), "dE00", "")
     assert failed("two-cameras", [figure]) == {"x.between"}
+
+
+def test_noise_and_detail_follow_light_and_blur(printed):
+    """Expectation: half the light has sqrt(2) of the relative shot noise, more with read noise, less as noise reduction
+    adapts; a Gaussian of 1 px takes from edges that are blurred by 7 px already.
+    """
+    capture, exact = printed
+    developed = recon.develop(capture, lights=["D65"])
+    found = []
+    for share in (1.0, 0.5):
+        mean_e = share * exact.mean_e
+        raw, _ = sensor.expose(sensor.mosaic(mean_e, capture.camera), capture.camera.sensor, 0.02, 3)
+        shot = Shot(dataclasses.replace(capture, raw_dn=raw), dataclasses.replace(exact, mean_e=mean_e))
+        found.append(two_cameras.noise(shot, recon.develop(shot.capture, lights=["D65"])))
+    assert 1.15 < found[1] / found[0] < 1.6
+    in_focus = dataclasses.replace(exact, blur_px=np.zeros_like(exact.blur_px))
+    smooth = dataclasses.replace(developed, linear_e=cv2.GaussianBlur(developed.linear_e, (0, 0), 1.0))
+    edges = [two_cameras.detail(Shot(capture, in_focus), one) for one in (developed, smooth)]
+    assert edges[1] < 0.95 * edges[0]
 
 
 # --- pictures ------------------------------------------------------------------------------------

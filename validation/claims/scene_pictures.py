@@ -18,7 +18,7 @@ from validation import metrics, pictures, rendering
 from validation.banks import simulated_bank
 from validation.claim import Evidence, Pair, Progress, Table
 from validation.claims import depth
-from validation.metrics import Figure
+from validation.metrics import Figure, Mask
 from validation.shots import photographed
 
 SCENES = {"adam": "skin", "flowers": "daisy"}  # and the object to which they are refocused
@@ -52,8 +52,8 @@ def scene_pictures(progress: Progress, seed: int = 0) -> Evidence:
     Expectation: slopes up, at most to one and the width of its error; the stack's levels those of the truth as far as
     depth is; shifts those of depth, to the step of the search, behind the screen or before it as asked.
 
-    Shifts are scaled to the range of the found depths, outliers included: in adam these take more than half of it, so that
-    the scene hardly comes out of the screen.
+    Shifts are scaled to the range of the found depths, outliers included: in adam these take more than half of it, so
+    that the scene hardly comes out of the screen.
 
     What was in focus is where depth is worst: the brick wall of adam and the meadow of flowers, at level 0, come out
     up to 3 levels nearer (table), and a picture refocused to them is blurred there.
@@ -93,13 +93,11 @@ def edges(name: str, result: Reconstruction, truth: Truth) -> list[Figure]:
     """How steep edges are, and how blurred the pictures look."""
     exact = gradients(metrics.infrared_free(truth.sharp_e, result.camera)[..., 1])
     before, after = gradients(result.linear_e[..., 1]), gradients(result.sharp_e[..., 1])
-    steep = np.hypot(*exact)
     figures = []
     for low, high in EDGE_BLUR_PX:
         blur = np.abs(truth.blur_px)
         where = truth.valid & ~truth.boundary & (blur >= low) & (blur < high)
-        where &= steep >= np.quantile(steep[where], 1 - EDGE_SHARE)
-        slopes = [float((own * exact)[:, where].sum() / (exact**2)[:, where].sum()) for own in (before, after)]
+        slopes = [slope(own, exact, where) for own in (before, after)]
         said = f"{name}: slope of edges at {low:g} to {high:g} px of blur over the sharp truth's"
         label = f"{name}.slope-{low:g}-{high:g}"
         figures += [
@@ -117,6 +115,13 @@ def edges(name: str, result: Reconstruction, truth: Truth) -> list[Figure]:
         Figure(f"{name}.blur.truth", best, "1", f"{said}, sharp truth"),
         Figure(f"{name}.blur.way", (blurred - sharp) / (blurred - best), "1", f"{said}, share of the way to the truth"),
     ]
+
+
+def slope(found: FloatArray, exact: FloatArray, where: Mask) -> float:
+    """Regression of gradients [2, h, w] on exact ones, at the steepest of these within a mask [h, w]."""
+    steep = np.hypot(*exact)
+    edge = where & (steep >= np.quantile(steep[where], 1 - EDGE_SHARE))
+    return float((found * exact)[:, edge].sum() / (exact**2)[:, edge].sum())
 
 
 def gradients(image: NDArray) -> FloatArray:
