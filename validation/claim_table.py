@@ -7,7 +7,9 @@ from validation.claims.bank import bank
 from validation.claims.camera import depth_of_field, dynamic_range, kernels, response_curves
 from validation.claims.colour import colour
 from validation.claims.depth import depth
+from validation.claims.depth_maps import depth_maps
 from validation.claims.diffraction import airy_table, wave_energy, wave_sfr
+from validation.claims.disks import yellow_disks
 from validation.claims.lens import blur_off
 from validation.claims.light import absolute_electrons, eq8_flat_field, hole_alpha_squared, light_loss
 from validation.claims.light_levels import light_levels
@@ -15,12 +17,14 @@ from validation.claims.noise import photon_transfer
 from validation.claims.occlusion import occluding_edge
 from validation.claims.resolution import depth_resolution
 from validation.claims.sampling import desk_noise, noise_slope_off, noise_slope_wave, render_cost
+from validation.claims.scene_pictures import scene_pictures
 from validation.claims.scenes import interreflection, registration, scenes_speed
 from validation.claims.sharp import all_in_focus, refocus
 from validation.claims.speed import recon_speed
 from validation.claims.staircase import staircase, staircase_camera
 from validation.claims.steps import measured_steps
 from validation.claims.truth import ground_truth
+from validation.claims.two_cameras import two_cameras
 from validation.validate import Measurement
 
 # Quick: less than about 20 s on two cores.
@@ -59,4 +63,8 @@ CLAIMS = {
     "depth-steps": Measurement(measured_steps, quick=False),
     "balance": Measurement(balance, quick=True),
     "light-levels": Measurement(light_levels, quick=False),
+    "depth-maps": Measurement(depth_maps, quick=False),
+    "yellow-disks": Measurement(yellow_disks, quick=False),
+    "scene-pictures": Measurement(scene_pictures, quick=False),
+    "two-cameras": Measurement(two_cameras, quick=False),
 }

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import base64
 import re
+import struct
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
@@ -15,6 +17,8 @@ from validation.report import TEMPLATE_DIR
 if TYPE_CHECKING:
     from validation.claim import Claim
     from validation.validate import Outcome
+
+WIDE = 1.9
 
 _LABEL = re.compile(r"(Rationale|Set-up|Expectation|Limit|Deviation|Source): ")
 
@@ -39,6 +43,7 @@ def claims_page(outcomes: Sequence[Outcome]) -> str:
         number=number,
         verdict=verdict,
         meaning=meaning,
+        wide=wide,
     )
 
 
@@ -65,6 +70,15 @@ def paragraphs(text: str) -> list[tuple[str, str]]:
         label = _LABEL.match(line)
         found.append((label[1], line[label.end() :]) if label else ("", line))
     return found
+
+
+def wide(address: str) -> bool:
+    """Whether a PNG is a row of panels, more than WIDE times as wide as high: it gets the page's whole width."""
+    head, _, data = address.partition(",")
+    if not head.startswith("data:image/png;base64"):
+        return False
+    width, height = struct.unpack(">II", base64.b64decode(data[:32])[16:24])  # the first chunk, IHDR
+    return bool(width > WIDE * height)
 
 
 def number(value: float) -> str:
