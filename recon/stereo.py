@@ -12,6 +12,8 @@ from dasim.errors import InputError
 
 Float32Array = NDArray[np.float32]
 
+OUTLIERS = 0.01  # share of the pixels at either end of the depths
+
 Where = Literal["in", "out"]
 
 
@@ -21,7 +23,8 @@ def disparity_px(depth_m: NDArray, strongest_px: float, where: Where = "in") -> 
     In dioptres it is linear, as before two parallel cameras: b f / p (1 / z_0 - 1 / z), with the screen at z_0.
     ``in``: the nearest point lies in the screen and the rest behind it (shift > 0); ``out``: the farthest lies in
     the screen and the rest before it (shift < 0). ``strongest_px`` is the largest shift. Unknown depths (NaN) count
-    as farthest.
+    as farthest. The nearest and the farthest hundredth of the pixels count as one depth each: a few wrong ones would
+    leave no shift to the others.
     """
     if not (np.isfinite(strongest_px) and strongest_px >= 0):
         raise InputError(f"stereo: a largest shift of {strongest_px:g} px; zero or more is allowed, such as 12")
@@ -31,8 +34,10 @@ def disparity_px(depth_m: NDArray, strongest_px: float, where: Where = "in") -> 
     known = np.isfinite(vergence) & (vergence > 0)
     if not known.any():
         return np.zeros(vergence.shape, np.float32)
-    low, high = float(vergence[known].min()), float(vergence[known].max())
-    vergence = np.where(known, vergence, low)
+    low, high = (
+        float(np.quantile(vergence[known], q, method=m)) for q, m in ((OUTLIERS, "lower"), (1 - OUTLIERS, "higher"))
+    )
+    vergence = np.clip(np.where(known, vergence, low), low, high)
     span = high - low if high > low else 1.0
     screen = high if where == "in" else low
     return (strongest_px * (screen - vergence) / span).astype(np.float32)

@@ -67,3 +67,15 @@ def test_red_is_for_the_left_eye():
 def test_what_cannot_be_is_refused():
     with pytest.raises(InputError, match="largest shift of -1"):
         stereo.disparity_px(np.ones((2, 2)), -1)
+
+
+def test_a_few_wrong_depths_leave_the_others_their_shift():
+    """Set-up: a ramp in dioptres, half a percent of its pixels at 1 mm. Expectation: the ramp has the whole shift."""
+    vergence = np.linspace(2, 10, 4000).reshape(40, 100)
+    wrong = vergence.copy()
+    wrong.ravel()[::200] = 1000
+    right = np.ones(4000, bool)
+    right[::200] = False
+    shift = stereo.disparity_px(1 / wrong, 8, "out").ravel()[right]
+    assert shift.min() < -7.8 and np.ptp(shift) > 7.8
+    assert stereo.disparity_px(1 / wrong, 8, "out").min() >= -8 - EXACT_PX
