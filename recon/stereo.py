@@ -34,9 +34,8 @@ def disparity_px(depth_m: NDArray, strongest_px: float, where: Where = "in") -> 
     known = np.isfinite(vergence) & (vergence > 0)
     if not known.any():
         return np.zeros(vergence.shape, np.float32)
-    low, high = (
-        float(np.quantile(vergence[known], q, method=m)) for q, m in ((OUTLIERS, "lower"), (1 - OUTLIERS, "higher"))
-    )
+    low = float(np.quantile(vergence[known], OUTLIERS, method="lower"))
+    high = float(np.quantile(vergence[known], 1 - OUTLIERS, method="higher"))
     vergence = np.clip(np.where(known, vergence, low), low, high)
     span = high - low if high > low else 1.0
     screen = high if where == "in" else low

@@ -208,5 +208,5 @@ def test_a_point_is_photographed_and_scored(study, tmp_path, renderer):
     spec = load_study(str(study))
     rows = real(spec, units(spec)[0])
     dim, _, bright = (row["figures"] for row in rows)
-    assert set(dim) == set(FIGURES) and json.dumps(rows)
+    assert set(dim) < set(FIGURES) and json.dumps(rows)
     assert bright["infrared-snr"] > 2 * dim["infrared-snr"]

@@ -35,7 +35,7 @@ def sweep(
     A sweep that was stopped goes on where it was; points that were measured are not measured again.
 
     Args:
-        study: hole-size, lens, cut-wavelengths, mosaic, or a TOML file
+        study: hole-size, lens, cut-wavelengths, mosaic, stereo, or a TOML file
         out: a folder, or an fsspec address such as s3://bucket/folder; out/NAME of the study by default
         quick: the study's few most telling points
         jobs: processes of the local executor; by default one for each core

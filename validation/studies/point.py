@@ -24,10 +24,13 @@ from dasim.simulation import Shot
 from dasim.values import Capture, Reconstruction, Truth
 from validation import picture_scores
 from validation.banks import simulated_bank
+from validation.studies import stereo
 from validation.studies.specification import StudySpec, Unit, Value, camera_of, scene_of, settings_of, units
 
 FloatArray = NDArray[np.float64]
 
+BASELINE = "stereo.baseline_mm"
+OTHER_SEED = 1_000_000  # the second camera has its own noise
 LONGEST_S, MOST_GAIN = 1 / 30, 16.0  # of a picture by hand
 FIGURES = {
     "light-loss": ("1", "light that the sensor loses to the stops, eq. (1) in the camera's own mosaic"),
@@ -41,6 +44,11 @@ FIGURES = {
     "psnr": ("dB", "all-in-focus picture against the sharp truth, linear light"),
     "psnr-gain": ("dB", "that less the same of the captured picture"),
     "ciede2000": ("1", "mean colour difference to the sharp truth, all in focus"),
+    "stereo-median": ("1/m", "median absolute error of 1/z by stereo, where both cameras see the point"),
+    "stereo-coverage": ("1", "share of the pixels with a match"),
+    "combined-median": ("1/m", "median absolute error of 1/z by stereo and defocus, all pixels before the focus"),
+    "occluded-share": ("1", "share of the pixels that the other camera does not see"),
+    "occluded-median": ("1/m", "median absolute error of 1/z by both, there"),
     "seconds": ("s", "time of the point, with its share of the rendering"),
 }
 
@@ -90,6 +98,10 @@ def measured(spec: StudySpec, unit: Unit) -> list[dict[str, Any]]:
         camera = dasim.refocused(camera, float(unit.render["focus_m"]))
     shot = dasim.simulate(scene, camera, unit.seed, spp=spec.spp)
     bank = simulated_bank(camera, diffraction=shot.capture.provenance["diffraction"])
+    other = None
+    if BASELINE in unit.render:
+        moved = stereo.other_view(scene, 1e-3 * float(unit.render[BASELINE]))
+        other = dasim.simulate(moved, camera, unit.seed + OTHER_SEED, spp=spec.spp)
     shared = (time.perf_counter() - begin) / len(unit.points)
     rows = []
     for number, point in enumerate(unit.points):
@@ -97,7 +109,14 @@ def measured(spec: StudySpec, unit: Unit) -> list[dict[str, Any]]:
         capture = exposed(shot, scene, point, unit.seed * len(unit.points) + number)
         exact = scaled(shot, capture, scene, point)
         result = recon.reconstruct(capture, bank, settings_of(spec, point))
-        own = figures(result, capture, exact) | {"seconds": shared + time.perf_counter() - begin}
+        own = figures(result, capture, exact)
+        if other is not None:
+            seen = exposed(other, scene, point, unit.seed * len(unit.points) + number + OTHER_SEED)
+            right = recon.reconstruct(seen, bank, settings_of(spec, point))
+            baseline_m = 1e-3 * float(unit.render[BASELINE])
+            nearest_m = float(bank.depth_m.min())
+            own |= stereo.figures(result, right, exact, other.truth, baseline_m, nearest_m)
+        own["seconds"] = shared + time.perf_counter() - begin
         rows.append({"point": point, "seed": unit.seed, "light_chosen": result.light, "figures": own})
     return rows
 

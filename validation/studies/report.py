@@ -29,9 +29,10 @@ def page(spec: StudySpec, rows: list[Row], failed: dict[str, str]) -> str:
         front = pareto(averaged, *spec.pareto)
         caption = f"{_meaning(spec.pareto[1])} against {_meaning(spec.pareto[0])}; joined: beaten by none in both"
         pictures.append((caption, _pareto(spec.pareto, averaged, front)))
+    shown = {key: about for key, about in FIGURES.items() if any(np.isfinite(row[key]) for row in averaged)}
     environment = jinja2.Environment(loader=jinja2.FileSystemLoader(TEMPLATE_DIR), autoescape=True)
     return environment.get_template("study.html").render(
-        spec=spec, pictures=pictures, figures=FIGURES, rows=averaged, front=front, failed=failed, number=_number
+        spec=spec, pictures=pictures, figures=shown, rows=averaged, front=front, failed=failed, number=_number
     )
 
 

@@ -32,6 +32,7 @@ PLAIN = {
     "light.lux": "of all lights together",
     "disc_edge_nm": "where the disc begins to block",
     "focus_m": "focus distance",
+    "stereo.baseline_mm": "of a second camera to the right",
     "exposure.longest_s": "longest exposure",
     "exposure.most_gain": "highest analogue gain",
 }
@@ -220,6 +221,7 @@ def _point_problems(spec: StudySpec, point: dict[str, Value]) -> list[str]:
         if "light.illuminant" in point:
             illuminants.illuminant(str(point["light.illuminant"]))
         for key, low, high in (
+            ("stereo.baseline_mm", 0.1, 1000.0),
             ("light.lux", 1e-3, 1e6),
             ("exposure.longest_s", 1e-9, 3600.0),
             ("exposure.most_gain", 1.0, 1024.0),

@@ -66,9 +66,13 @@ def gathered(job: Sweep) -> list[Row]:
         name = file_of(job.spec, unit)
         if storage.exists(job.out, name):
             for row in json.loads(storage.read(job.out, name)):
-                figures = {key: math.nan if value is None else value for key, value in row["figures"].items()}
+                figures = {key: _number(row["figures"].get(key)) for key in FIGURES}
                 rows.append({**row["point"], "seed": row["seed"], "light_chosen": row["light_chosen"], **figures})
     return rows
+
+
+def _number(value: float | None) -> float:
+    return math.nan if value is None else float(value)
 
 
 def table(rows: list[Row]) -> str:
@@ -102,9 +106,10 @@ def means(rows: list[Row], spec: StudySpec) -> list[Row]:
     for values, own in groups.items():
         one: Row = dict(zip(spec.parameters, values, strict=True))
         for key in FIGURES:
-            measured = np.array([row[key] for row in own if key in row], float)
-            one[key] = float(measured.mean()) if measured.size else math.nan
-            one[f"{key}:spread"] = float(measured.std(ddof=1)) if measured.size > 1 else 0.0
+            every = np.array([row[key] for row in own], float)
+            known = every[np.isfinite(every)]
+            one[key] = float(known.mean()) if known.size else math.nan
+            one[f"{key}:spread"] = float(known.std(ddof=1)) if known.size > 1 else 0.0
         found.append(one)
     return found
 

@@ -1,0 +1,109 @@
+"""Two cameras: where the second one stands, which pixels it does not see, and how both depths join."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import surfaces
+
+from dasim import camera as cameras
+from dasim.scene import world_to_camera
+from dasim.values import Reconstruction
+from validation.studies import stereo
+
+SIZE = (96, 160)
+BASELINE_M = 0.02
+MATCH_PX = 0.5  # of a matcher with sixteenths, on a texture without noise
+
+
+@pytest.fixture(scope="module")
+def camera(da_mobile):
+    return cameras.cropped(cameras.refocused(da_mobile, 2.0), SIZE[1], SIZE[0])
+
+
+def truth(camera, depth_m):
+    level = cameras.blur_px(camera, np.broadcast_to(depth_m, SIZE)) / cameras.level_blur_px(camera)[1]
+    return surfaces.truth(camera, level, np.ones((*SIZE, 4)))
+
+
+def seen(camera, picture, depth_m) -> Reconstruction:
+    colours = np.repeat(picture[..., None], 3, axis=-1).astype(np.float32)
+    depth = np.broadcast_to(np.float32(depth_m), SIZE).copy()
+    ones = np.ones(SIZE, np.float32)
+    return Reconstruction(
+        rgb=colours, sharp_rgb=colours, linear_e=colours, sharp_e=colours, ir_e=ones, level_raw=ones, level=ones,
+        depth_m=depth, confidence=ones, camera=camera, light="D55", settings={}, timings_s={},
+    )  # fmt: skip
+
+
+def texture(width: int) -> np.ndarray:
+    from scipy import ndimage
+
+    random = np.random.default_rng(3).random((SIZE[0], width))
+    smooth = ndimage.gaussian_filter(random, 1.0)
+    return (smooth - smooth.min()) / np.ptp(smooth)
+
+
+def test_the_second_camera_stands_to_the_right(make_scene):
+    """Expectation: a point keeps its z and moves to the left by the baseline, whichever way the first one looks."""
+    view = {"position_cm": (3, -2, 5), "look_at_cm": (10, 4, 60)}
+    scene = make_scene(
+        {"name": "ball", "shape": "sphere", "radius_cm": 1, "position_cm": (0, 0, 40), "material": "white-paper"},
+        view=view,
+    )
+    point = np.array([0.1, 0.05, 0.6, 1.0])
+    first, second = (world_to_camera(s) @ point for s in (scene, stereo.other_view(scene, BASELINE_M)))
+    np.testing.assert_allclose(second - first, [-BASELINE_M, 0, 0, 0], atol=1e-12)
+
+
+@pytest.mark.parametrize("depth_m", [0.7, 1.4])
+def test_a_plane_has_its_distance(camera, depth_m):
+    """Set-up: a textured plane, moved by b f / (p z) pixels, interpolated. Expectation: z, to half a pixel."""
+    wide = texture(SIZE[1] + 200)
+    shift = float(stereo.shift_px(camera, BASELINE_M, np.float64(depth_m)))
+    columns = np.arange(SIZE[1])
+    left = wide[:, 100 : 100 + SIZE[1]]
+    right = np.stack([np.interp(columns + 100 + shift, np.arange(wide.shape[1]), row) for row in wide])
+    pair = [seen(camera, picture, depth_m) for picture in (left, right)]
+    found = stereo.stereo_depth_m(pair[0], pair[1], BASELINE_M, 0.4)[10:-10, 110:-10]
+    known = np.isfinite(found)
+    assert known.mean() > 0.9
+    error = stereo.shift_px(camera, BASELINE_M, found[known]) - shift
+    assert np.median(np.abs(error)) < MATCH_PX
+
+
+def test_both_together_are_nearer_to_the_better_one(camera):
+    """Set-up: z = 1 m; stereo is exact, defocus off by a fifth of a level. Expectation: less than defocus's error."""
+    step = float(cameras.level_blur_px(camera)[1])
+    wrong = float(cameras.depth_of_blur_m(camera, cameras.blur_px(camera, 1.0) + 0.2 * step))
+    result = seen(camera, texture(SIZE[1]), wrong)
+    both = stereo.combined_m(result, np.ones(SIZE), 0.06)
+    assert np.abs(1 / both - 1).max() < 0.5 * abs(1 / wrong - 1)
+
+
+def test_a_match_far_from_defocus_is_wrong(camera):
+    """Expectation: where stereo has none, or one many levels off, the depth by defocus stays."""
+    result = seen(camera, texture(SIZE[1]), 1.0)
+    matched = np.ones(SIZE)
+    matched[:, :50], matched[:, 50:100] = np.nan, 0.05
+    np.testing.assert_allclose(stereo.combined_m(result, matched, BASELINE_M), 1.0, rtol=1e-6)
+
+
+def test_what_a_near_square_hides_is_occluded(camera):
+    """Set-up: a wall at 2 m, before it a strip at 0.5 m. Expectation: a stripe to the strip's left as wide as the
+    difference of both disparities, and what leaves the frame at the left, and nothing else.
+    """
+    shifts = [float(stereo.shift_px(camera, BASELINE_M, np.float64(z))) for z in (2.0, 0.5)]
+    left, right = np.full(SIZE, 2.0), np.full(SIZE, 2.0)
+    left[:, 110:130] = 0.5
+    moved = np.arange(SIZE[1]) + shifts[1]
+    right[:, (moved >= 110) & (moved < 130)] = 0.5
+    hidden = stereo.occluded(truth(camera, left), replace(truth(camera, right)), camera, BASELINE_M)
+    columns = np.flatnonzero(hidden.all(axis=0))
+    gone = [x for x in range(SIZE[1]) if x < shifts[0] - 0.5 and not 110 <= x < 130]
+    shade = shifts[1] - shifts[0]
+    assert (hidden.any(axis=0) == hidden.all(axis=0)).all()
+    behind = [x for x in columns if x not in gone]
+    assert abs(len(behind) - min(shade, 20.0)) <= 2 and max(behind) < 110
