@@ -17,6 +17,7 @@ from validation import bounds, strips
 from validation.claim import GATES, judged_all, load_gates
 from validation.claim_table import CLAIMS
 from validation.claims import balance, light_levels, resolution, staircase, steps
+from validation.metrics import Figure
 from validation.strips import Noise, Strips
 
 LIGHT = "D65"
@@ -266,3 +267,13 @@ def test_light_that_only_harms_fails():
     )
     assert light_levels.summary("D65", good, 2.0)[0].value == 300  # below half of 2
     assert light_levels.summary("D65", good + 1, 2.0)[0].value == np.inf
+
+
+@pytest.mark.parametrize(("spread", "bias", "holds"), [(0.4, 0.0, True), (1.0, 0.0, False), (0.1, 1.0, False)])
+def test_noise_and_kernels_of_the_next_level_fail_the_measured_step(spread, bias, holds):
+    """Levels with 0.4 levels of noise; with more than twice of it; and without noise, a level too large."""
+    random = np.random.default_rng(0)
+    right = [two_planes(random, step, spread, bias).right for step in steps.STEPS]
+    figure = Figure("paper.3.6mm.20cm.levels", steps.threshold(steps.STEPS, right), "level", "")
+    entries = judged_all("depth-steps", [figure], load_gates(GATES, CLAIMS))
+    assert next(entry.passed for entry in entries if entry.id == f"depth-steps.{figure.id}") is holds

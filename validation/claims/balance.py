@@ -35,7 +35,7 @@ COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7")
 
 
 def balance(progress: Progress) -> Evidence:
-    """A hole of 0.46 gives nearly the depth of the best one, for a fifth of the light; by depth alone it is small.
+    """A hole of 0.46 gives nearly the depth of the best one, which would be larger in most light.
 
     Rationale: sec. 3.3 wants the hole as large as possible for light and noise, as small as possible for crosstalk and
     a deep field of infrared, and found 0.46 by experiment. Here both sides are computed.
