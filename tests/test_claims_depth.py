@@ -17,7 +17,7 @@ from validation import bounds, strips
 from validation.claim import GATES, judged_all, load_gates
 from validation.claim_table import CLAIMS
 from validation.claims import balance, light_levels, resolution, staircase, steps
-from validation.metrics import Figure
+from validation.figures import Figure
 from validation.strips import Noise, Strips
 
 LIGHT = "D65"
