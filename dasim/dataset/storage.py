@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import platform
 import shutil
+import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -68,8 +69,8 @@ def writing(out: str, name: str) -> Iterator[IO[bytes]]:
 
 
 def _writer() -> str:
-    """Who writes, among all that may: computer and process."""
-    return f"{platform.node()}.{os.getpid()}"
+    """Who writes, among all that may: thread, computer, process."""
+    return f"{threading.get_ident()}.{platform.node()}.{os.getpid()}"
 
 
 def write(out: str, name: str, data: bytes) -> None:
