@@ -312,7 +312,7 @@ def test_poisoned_sample_is_left_out_until_it_is_repaired(tmp_path, monkeypatch,
 def test_full_temporary_folder_is_nobodys_sample(spec, tmp_path, monkeypatch):
     monkeypatch.setattr(sample, "make", lambda *arguments: 1 / 0)
     monkeypatch.setattr(executors, "SCRATCH_BYTES", 1e30)
-    with pytest.raises(InputError, match="temporary folder .* is full; nothing is lost"):
+    with pytest.raises(InputError, match=r"temporary folder .* is full; nothing is lost"):
         made(spec, tmp_path / "ds")
     assert not list((tmp_path / "ds").rglob("failed/*"))
 

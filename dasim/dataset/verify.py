@@ -53,7 +53,10 @@ def problems(out: str, show: Callable[[float], None] = lambda share: None) -> It
 def _files(out: str) -> Iterator[str]:
     """Checksums, and files that nobody knows."""
     known = set()
-    for number, line in enumerate(storage.read(out, SUMS).decode(errors="replace").splitlines(), 1):
+    *lines, rest = storage.read(out, SUMS).decode(errors="replace").split("\n")
+    if rest:
+        yield f"{SUMS}: is damaged at its end"
+    for number, line in enumerate(lines, 1):
         digest, _, name = line.partition("  ")
         if len(digest) != 64 or not name:
             yield f"{SUMS}, line {number}: is damaged"
