@@ -9,15 +9,18 @@ from __future__ import annotations
 import contextlib
 import multiprocessing
 import os
+import re
 import resource
+import shutil
 import signal
-import socket
 import sys
+import tempfile
 from collections import deque
-from collections.abc import Callable, Generator
+from collections.abc import Callable, Generator, Iterator
 from dataclasses import dataclass
 from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
+from pathlib import Path
 from typing import Any
 
 from dasim.dataset import sample, storage
@@ -28,6 +31,7 @@ RAY_ANSWER_S = 10.0
 RAY_TRIES = 3
 STOP_S = 5.0  # that a process gets to end by itself
 LOOK_S = 0.5
+SCRATCH_BYTES = 200e6  # that writing a sample needs of the temporary folder, at most
 PART = "parts/{}.tar"
 
 
@@ -45,89 +49,136 @@ class Outcome:
     row: dict[str, Any] | None = None
 
 
-Work = Callable[[Any, int], "Outcome"]  # a job, which pickles, and an index: what became of it
-Executor = Callable[[Any, "deque[int]"], Generator["Outcome"]]
+Work = Callable[[Any, int], Outcome]  # a job, which pickles, and an index: what became of it
+Executor = Callable[[Any, "deque[int]"], Generator[Outcome]]
 
 
 def work(job: Job, index: int) -> Outcome:
-    """Make a sample in this process and write it; an error is an outcome, not raised."""
+    """Make a sample in this process and write it; an error is an outcome, not raised.
+
+    What goes wrong in the making is the sample's own; where files cannot be written, no other sample could be.
+    """
     try:
         sample.activate(job.environment["variant"])
         here = sample.environment(job.environment["variant"])
         if here != job.environment:
-            differing = ", ".join(key for key in here if here[key] != job.environment[key])
+            differing = ", ".join(key for key in here if here[key] != job.environment.get(key))
             return Outcome(index, f"this worker has another {differing} than the dataset: pixels would differ", True)
         made = sample.make(job.spec, index, job.environment["variant"])
+    except Exception as error:
+        if shutil.disk_usage(tempfile.gettempdir()).free < SCRATCH_BYTES:
+            return Outcome(index, f"the temporary folder {tempfile.gettempdir()} is full", fatal=True)
+        return Outcome(index, said(error))
+    try:
         members = {**made.files, sample.ROW: sample.plain(made.row)}
         storage.write(job.out, PART.format(sample.key(index)), sample.packed(members))
-    except OSError as error:
-        return Outcome(index, f"{error.strerror or error} ({error.filename or job.out})", error.errno in storage.FULL)
-    except Exception as error:
-        said = str(error) if isinstance(error, InputError) else f"{type(error).__name__}: {error}"
-        return Outcome(index, " ".join(said.split()))
+    except Exception as error:  # each store raises its own
+        return Outcome(index, f"cannot be written: {said(error)}", fatal=True)
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / (1e6 if sys.platform == "darwin" else 1e3)
     return Outcome(index, None, False, False, made.seconds, made.render_s, peak, made.row)
 
 
+def said(error: Exception) -> str:
+    """An error in one line."""
+    if isinstance(error, OSError) and error.strerror:
+        return error.strerror + (f" ({error.filename})" if error.filename else "")
+    return " ".join((str(error) if isinstance(error, InputError) else f"{type(error).__name__}: {error}").split())
+
+
 # --- processes of this computer ------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class _Worker:
+    process: BaseProcess
+    connection: Connection
+    place: int  # of so many; a new one takes the place of one that died, and its GPU
 
 
 def local(processes: int, work: Work = work) -> Executor:
     """Processes of this computer; one that dies is replaced, and only its own sample has failed."""
 
     def run(job: Any, queue: deque[int]) -> Generator[Outcome]:
-        context = multiprocessing.get_context("spawn")
-        workers: dict[Connection, tuple[BaseProcess, int]] = {}
-        idle: list[tuple[Connection, BaseProcess]] = []
-        number = 0
+        busy: dict[Connection, tuple[_Worker, int]] = {}
+        idle: list[_Worker] = []
+        places = list(range(processes))
         try:
-            while queue or workers:
-                while queue and len(workers) < processes:
-                    if not idle:
-                        idle.append(_started(context, work, job, number))
-                        number += 1
-                    connection, process = idle.pop()
+            while queue or busy:
+                while queue and len(busy) < processes:
+                    worker = idle.pop() if idle else _started(job, places.pop(), work)
                     index = queue.popleft()
                     with contextlib.suppress(OSError):  # it died while it waited: found below
-                        connection.send(index)
-                    workers[connection] = (process, index)
-                for ready in wait(list(workers), timeout=LOOK_S):
+                        worker.connection.send(index)
+                    busy[worker.connection] = (worker, index)
+                for ready in wait(list(busy), timeout=LOOK_S):
                     assert isinstance(ready, Connection)
-                    process, index = workers.pop(ready)
+                    worker, index = busy.pop(ready)
                     try:
-                        yield ready.recv()
-                        idle.append((ready, process))
+                        outcome = ready.recv()
+                        idle.append(worker)
                     except (EOFError, OSError):
-                        process.join(STOP_S)
-                        yield Outcome(index, f"the process that made it died ({_death(process.exitcode)})")
+                        worker.process.join(STOP_S)
+                        places.append(worker.place)
+                        ready.close()
+                        outcome = Outcome(index, f"the process that made it died ({_death(worker.process.exitcode)})")
+                    yield outcome
         finally:
-            everyone = [process for process, _ in workers.values()] + [process for _, process in idle]
-            for connection in [*workers, *(connection for connection, _ in idle)]:
-                connection.close()
-            for process in everyone:
-                process.terminate()
-            for process in everyone:
-                process.join(STOP_S)
-                if process.is_alive():
-                    process.kill()
+            _stop([worker for worker, _ in busy.values()] + idle)
 
     return run
 
 
-def _started(context: Any, work: Work, job: Any, number: int) -> tuple[Connection, BaseProcess]:
+def _started(job: Any, place: int, work: Work) -> _Worker:
+    context = multiprocessing.get_context("spawn")
     near, far = context.Pipe()
-    process = context.Process(target=_serve, args=(far, work, job, number), daemon=True)
-    process.start()
+    process = context.Process(target=_serve, args=(far, job, work), daemon=True)
+    variables = dict(sample.ONE_THREAD)
+    if job.environment["variant"].startswith("cuda"):
+        variables["CUDA_VISIBLE_DEVICES"] = gpus()[place % len(gpus())]
+    with _variables(variables):  # read when libraries are loaded, before anything of ours runs
+        process.start()
     far.close()
-    return near, process
+    return _Worker(process, near, place)
 
 
-def _serve(connection: Connection, work: Work, job: Any, number: int) -> None:
+@contextlib.contextmanager
+def _variables(changes: dict[str, str]) -> Iterator[None]:
+    """Variables for processes that are started meanwhile."""
+    before = {name: os.environ.get(name) for name in changes}
+    os.environ.update(changes)
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value
+
+
+def gpus() -> list[str]:
+    """NVIDIA graphics cards that this process may use, as CUDA numbers them; the first one where nobody knows."""
+    given = os.environ.get("CUDA_VISIBLE_DEVICES")
+    if given:
+        return given.split(",")
+    found = [path.name for path in Path("/dev").glob("nvidia*") if re.fullmatch(r"nvidia\d+", path.name)]
+    return [str(number) for number in range(len(found))] or ["0"]
+
+
+def _stop(workers: list[_Worker]) -> None:
+    for worker in workers:
+        worker.connection.close()
+        worker.process.terminate()
+    for worker in workers:
+        worker.process.join(STOP_S)
+        if worker.process.is_alive():
+            worker.process.kill()
+            worker.process.join(STOP_S)
+
+
+def _serve(connection: Connection, job: Any, work: Work) -> None:
     """A worker: makes what it is asked for until nobody asks any more."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C goes to all; the one who asks decides
-    if job.environment["variant"].startswith("cuda"):
-        gpus = (os.environ.get("CUDA_VISIBLE_DEVICES") or "0").split(",")
-        os.environ["CUDA_VISIBLE_DEVICES"] = gpus[number % len(gpus)]
     with contextlib.suppress(EOFError, OSError, KeyboardInterrupt):
         while True:
             connection.send(work(job, connection.recv()))
@@ -153,15 +204,21 @@ def ray(address: str, work: Work = work) -> Executor:
     except ImportError:
         raise InputError("--executor ray: needs Ray; install it with pip install 'dasim[cluster]'") from None
     _check_answers(address)
+    os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")  # else it warns of a change to come
     try:
         engine.init(address=address, log_to_driver=False, logging_level="ERROR", ignore_reinit_error=True)
     except Exception as error:  # connection errors of Ray, grpc and the operating system
-        first = (str(error).splitlines() or [type(error).__name__])[0]
-        raise InputError(f"--address {address}: Ray does not answer: {first}") from None
+        raise InputError(f"--address {address}: Ray does not answer: {said(error)[:300]}") from None
 
     def run(job: Any, queue: deque[int]) -> Generator[Outcome]:
         gpus = 1 if job.environment["variant"].startswith("cuda") else 0
-        task = engine.remote(num_cpus=1, num_gpus=gpus, max_retries=RAY_TRIES - 1)(work)
+        task = engine.remote(
+            num_cpus=1,
+            num_gpus=gpus,
+            max_retries=RAY_TRIES - 1,
+            max_calls=0,  # a process makes many: kernels are compiled once
+            runtime_env={"env_vars": sample.ONE_THREAD},
+        )(work)
         sent = engine.put(job)
         pending: dict[Any, int] = {}
         try:
@@ -176,8 +233,7 @@ def ray(address: str, work: Work = work) -> Executor:
                     try:
                         yield engine.get(reference)
                     except engine.exceptions.RayError as error:
-                        said = " ".join(str(error).split())[:300]
-                        yield Outcome(index, f"{type(error).__name__} in {RAY_TRIES} tries: {said}", final=True)
+                        yield Outcome(index, f"{said(error)[:300]} (in {RAY_TRIES} tries)", final=True)
         finally:
             for reference in pending:
                 engine.cancel(reference, force=True)
@@ -186,16 +242,19 @@ def ray(address: str, work: Work = work) -> Executor:
 
 
 def _check_answers(address: str) -> None:
-    """InputError where nobody listens at an address."""
+    """InputError where nobody who speaks Ray's protocol listens at an address."""
     if address == "auto":
         return
     host, _, port = address.removeprefix("ray://").rpartition(":")
-    if not host or not port.isdigit():
+    if not address.startswith("ray://") or not host or not port.isdigit():
         raise InputError(f"--address '{address}': is neither auto nor of the form ray://host:port")
-    try:
-        socket.create_connection((host, int(port)), timeout=RAY_ANSWER_S).close()
-    except OSError as error:
-        raise InputError(
-            f"--address {address}: Ray does not answer within {RAY_ANSWER_S:g} s ({error.strerror or error}); is "
-            "'ray start --head' running there, and the port open?"
-        ) from None
+    import grpc
+
+    with grpc.insecure_channel(f"{host}:{port}") as channel:
+        try:
+            grpc.channel_ready_future(channel).result(timeout=RAY_ANSWER_S)
+        except grpc.FutureTimeoutError:
+            raise InputError(
+                f"--address {address}: Ray does not answer within {RAY_ANSWER_S:g} s; is 'ray start --head' running "
+                "there, and the port of its client server (10001) open?"
+            ) from None

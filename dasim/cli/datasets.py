@@ -64,16 +64,18 @@ def make(
 
     described = load_spec(spec)
     part = _part(shard)
-    processes = processes_of(jobs)
+    if retry and part != (1, 1):
+        raise InputError(f"--retry: takes finished shards apart, and goes without --shard {shard}")
     parquet_library()
     choice = backend.choose(variant)
+    processes = processes_of(jobs, len(executors.gpus()) if choice.variant.startswith("cuda") else None)
     here = environment(choice.variant)
     if dry_run:
         _print_plan(described, out, processes, choice.variant)
         return 0
     run: Executor = executors.local(processes) if executor == "local" else executors.ray(address)
     plan.begin(out, plan.description(described, here))
-    log = Path(out) / plan.LOG if storage.is_local(out) else None
+    log = storage.local_path(out) / plan.log_name(part) if storage.is_local(out) else None
     with _shown(described.name) as show:
         progress = make_dataset(Job(described, out, here), run, shard=part, retry=retry, log=log, show=show)
     for index, said in sorted(progress.failed.items()):
@@ -130,12 +132,12 @@ def _part(text: str) -> tuple[int, int]:
     return int(first), int(second)
 
 
-def processes_of(jobs: int | None) -> int:
-    """Processes asked for, or one for each core that this process may use."""
+def processes_of(jobs: int | None, gpus: int | None = None) -> int:
+    """As asked for; else one a graphics card, or one a core."""
     if jobs is not None and jobs < 1:
         raise InputError(f"--jobs {jobs}: must be 1 or more")
     allowed = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    return jobs or allowed
+    return jobs or gpus or allowed
 
 
 def _print_plan(spec: DatasetSpec, out: str, processes: int, variant: str) -> None:
@@ -162,14 +164,16 @@ def _print_plan(spec: DatasetSpec, out: str, processes: int, variant: str) -> No
     trial = spec.model_copy(update={"size_px": small, "truth": margin})
     factor = spec.size_px[0] * spec.size_px[1] / (small[0] * small[1])
     activate(variant)
-    seconds = []
-    for index in range(min(TRIALS + 1, spec.samples)):
-        begin = time.perf_counter()
-        make_sample(trial, index, variant)
-        seconds.append((time.perf_counter() - begin) * factor)
-    measured = seconds[1:] or seconds  # the first one compiles
-    print(f"estimate from {len(measured)} renders of {small[0]} x {small[1]} pixels on one core each: "
-          + estimate(spec, sum(measured) / len(measured), processes))  # fmt: skip
+    costs = []
+    for index in range(min(TRIALS, spec.samples)):
+        times = []
+        for _ in range(2):  # the first time compiles, whatever the size; the second tells what pixels cost
+            begin = time.perf_counter()
+            make_sample(trial, index, variant)
+            times.append(time.perf_counter() - begin)
+        costs.append(max(times[0] - times[1], 0) + times[1] * factor)
+    print(f"estimate from {len(costs)} renders of {small[0]} x {small[1]} pixels on one core: "
+          + estimate(spec, sum(costs) / len(costs), processes))  # fmt: skip
 
 
 @contextmanager

@@ -24,7 +24,14 @@ CHUNK = 1 << 20
 
 def finish(out: str, spec: DatasetSpec, failed: dict[int, str]) -> None:
     """Write index, card, contact sheet and checksums; what was only needed on the way goes."""
-    rows = rows_of(out)
+    try:
+        rows = rows_of(out)
+    except FileNotFoundError:
+        rows = None
+    if storage.exists(out, SUMS):  # another run finishes, and removes the rows while they are read
+        return
+    if rows is None:
+        raise FileNotFoundError(None, "rows vanished while they were read", f"{out}/rows")
     storage.write(out, INDEX, table(rows))
     if rows:
         storage.write(out, SHEET, contact_sheet(rows))
@@ -33,8 +40,13 @@ def finish(out: str, spec: DatasetSpec, failed: dict[int, str]) -> None:
     known += [name for name in storage.names(out, "failed")]
     sums = "".join(f"{sha256(out, name)}  {name}\n" for name in sorted(known))
     storage.write(out, SUMS, sums.encode())
-    storage.remove(out, "rows")
-    storage.remove(out, "parts")
+    tidy(out)
+
+
+def tidy(out: str) -> None:
+    """Remove what was only needed on the way to the whole."""
+    for folder in ("rows", "parts"):
+        storage.remove(out, folder)
 
 
 def take_back(out: str, spec: DatasetSpec) -> None:

@@ -11,11 +11,11 @@ import numpy as np
 from dasim import camera as cameras
 from dasim import foreign, random_scenes
 from dasim.camera import Camera
-from dasim.dataset.specification import DatasetSpec, Draw, named_camera, random_spec, scene_count, scene_keys, varied
+from dasim.dataset.specification import DatasetSpec, named_camera, random_spec, scene_count, scene_keys, varied
 from dasim.foreign import MitsubaScene
 from dasim.scene import Scene
 from dasim.sensor import Exposure
-from dasim.specification import parse
+from dasim.specification import Specification, parse
 
 # Each part on a generator of its own: another distribution of one leaves the others as they are.
 _STAGES = {"camera": 1, "light": 2, "focus": 3, "exposure": 4, "capture": 5, "splits": 6}
@@ -38,26 +38,58 @@ class Draft:
 def draft(spec: DatasetSpec, index: int) -> Draft:
     """Sample ``index``, 0 to ``spec.samples`` - 1; InputError where what was drawn cannot be photographed."""
     number = scene_number(spec, index)
-    drawn: dict[str, Any] = {}
-    base, camera = _camera(spec, index, drawn)
-    scene, exposure, key = _scene(spec, number, base)
-    scene = _lit(spec, scene, index, drawn)
-    camera = cameras.cropped(camera, *spec.size_px)
-    if spec.focus.distance_m is None:
-        camera = foreign.focused(camera, scene)
-    else:
-        drawn["focus.distance_m"] = spec.focus.distance_m.draw(_generator(spec, index, "focus"))
+    drawn = values(spec, index)
+    base = named_camera(spec, spec.cameras[_choice(spec, index)])
+    camera = cameras.cropped(varied(base, _below(drawn, "camera")), *spec.size_px)
+    scene, exposure = _scene(spec, number, base)
+    scene = _lit(scene, **_below(drawn, "light"))
+    if "focus.distance_m" in drawn:
         camera = cameras.refocused(camera, float(drawn["focus.distance_m"]))
+    else:
+        camera = foreign.focused(camera, scene)
+    changes = _below(drawn, "exposure")
     return Draft(
         index=index,
         split=split_of_scene(spec, number),
-        scene_key=key,
+        scene_key=scene_key(spec, number),
         scene=scene,
         camera=camera,
-        exposure=_exposure(spec, exposure, index, drawn),
-        seed=int(np.random.SeedSequence((spec.seed, index, _STAGES["capture"])).generate_state(1)[0]),
+        exposure=parse(Exposure, exposure.model_dump() | changes, "exposure") if changes else exposure,
+        seed=capture_seed(spec, index),
         drawn=drawn,
     )
+
+
+def values(spec: DatasetSpec, index: int) -> dict[str, Any]:
+    """What the specification's distributions give for a sample; needs no files."""
+    choice = spec.cameras[_choice(spec, index)]
+    random = _generator(spec, index, "camera", 1)
+    drawn: dict[str, Any] = {"camera": choice.name}
+    drawn |= {f"camera.{key}": draw.draw(random) for key, draw in choice.vary.items()}
+    parts: tuple[tuple[str, Specification], ...] = (
+        ("light", spec.light),
+        ("focus", spec.focus),
+        ("exposure", spec.exposure),
+    )
+    for stage, part in parts:
+        random = _generator(spec, index, stage)
+        draws = {key: getattr(part, key) for key in type(part).model_fields}
+        drawn |= {f"{stage}.{key}": draw.draw(random) for key, draw in draws.items() if draw is not None}
+    return drawn
+
+
+def _below(drawn: dict[str, Any], stage: str) -> dict[str, Any]:
+    return {key.partition(".")[2]: value for key, value in drawn.items() if key.startswith(f"{stage}.")}
+
+
+def capture_seed(spec: DatasetSpec, index: int) -> int:
+    """Seed of a sample's rendering and sensor noise."""
+    return int(np.random.SeedSequence((spec.seed, index, _STAGES["capture"])).generate_state(1)[0])
+
+
+def scene_key(spec: DatasetSpec, number: int) -> str:
+    """What a scene is called in the index."""
+    return (scene_keys(spec) or {number: f"random:{spec.seed}:{number}"})[number]
 
 
 def scene_number(spec: DatasetSpec, index: int) -> int:
@@ -85,24 +117,18 @@ def _splits(count: int, seed: int, shares: tuple[tuple[str, float], ...]) -> tup
     return tuple(map(str, found))
 
 
-def _generator(spec: DatasetSpec, index: int, stage: str) -> np.random.Generator:
-    return np.random.default_rng(np.random.SeedSequence((spec.seed, index, _STAGES[stage])))
+def _generator(spec: DatasetSpec, index: int, stage: str, part: int = 0) -> np.random.Generator:
+    return np.random.default_rng(np.random.SeedSequence((spec.seed, index, _STAGES[stage], part)))
 
 
-def _camera(spec: DatasetSpec, index: int, drawn: dict[str, Any]) -> tuple[Camera, Camera]:
-    """The camera before and after its parameters were drawn."""
-    random = _generator(spec, index, "camera")
+def _choice(spec: DatasetSpec, index: int) -> int:
+    """Which of the cameras takes a sample."""
     weights = np.array([choice.weight for choice in spec.cameras])
-    choice = spec.cameras[int(random.choice(len(weights), p=weights / weights.sum()))]
-    base = named_camera(spec, choice)
-    values = {key: draw.draw(random) for key, draw in choice.vary.items()}
-    drawn["camera"] = choice.name
-    drawn |= {f"camera.{key}": value for key, value in values.items()}
-    return base, varied(base, values)
+    return int(_generator(spec, index, "camera").choice(len(weights), p=weights / weights.sum()))
 
 
-def _scene(spec: DatasetSpec, number: int, camera: Camera) -> tuple[Scene | MitsubaScene, Exposure, str]:
-    """A scene, how it wants to be exposed, and what it is called.
+def _scene(spec: DatasetSpec, number: int, camera: Camera) -> tuple[Scene | MitsubaScene, Exposure]:
+    """A scene, and how it wants to be exposed.
 
     Random scenes fit the frame of the first camera, so that all captures of one show the same scene.
     """
@@ -111,37 +137,21 @@ def _scene(spec: DatasetSpec, number: int, camera: Camera) -> tuple[Scene | Mits
         first = cameras.cropped(named_camera(spec, spec.cameras[0]), *spec.size_px)
         source = random_spec(spec)
         scene = random_scenes.random_scene(spec.seed, number, source, first)
-        return scene, random_scenes.random_exposure(spec.seed, number, source), f"random:{spec.seed}:{number}"
+        return scene, random_scenes.random_exposure(spec.seed, number, source)
     name = keys[number]
     path = spec.folder / name
     described = foreign.load_scene(path if spec.scenes.family == "files" else name, camera=camera)
-    return described, Exposure(), name
+    return described, Exposure()
 
 
-def _lit(spec: DatasetSpec, scene: Scene | MitsubaScene, index: int, drawn: dict[str, Any]) -> Scene | MitsubaScene:
+def _lit(scene: Scene | MitsubaScene, illuminant: str | None = None, scale: float = 1.0) -> Scene | MitsubaScene:
     """The scene under another illuminant or level, where the specification says so."""
-    random = _generator(spec, index, "light")
-    changes: dict[str, Any] = {}
-    for key, draw in (("illuminant", spec.light.illuminant), ("scale", spec.light.scale)):
-        if draw is not None:
-            changes[key] = drawn[f"light.{key}"] = draw.draw(random)
-    if not changes or isinstance(scene, MitsubaScene):
+    if isinstance(scene, MitsubaScene) or (illuminant is None and scale == 1.0):
         return scene
     data = scene.model_dump(mode="json", exclude={"folder"})
     for light in data["lights"]:
-        if "illuminant" in changes and "illuminant" in light:
-            light["illuminant"] = changes["illuminant"]
-        if "scale" in changes and light.get("lux") is not None:
-            light["lux"] *= changes["scale"]
+        light["lux"] *= scale
+        if illuminant is not None and "illuminant" in light:
+            light["illuminant"] = illuminant
     changed = parse(Scene, data, f"scene {scene.name}, light", folder=scene.folder)
     return changed.model_copy(update={"folder": scene.folder})
-
-
-def _exposure(spec: DatasetSpec, own: Exposure, index: int, drawn: dict[str, Any]) -> Exposure:
-    random = _generator(spec, index, "exposure")
-    draws: tuple[tuple[str, Draw | None], ...] = tuple(
-        (key, getattr(spec.exposure, key)) for key in ("time_s", "gain", "auto_level")
-    )
-    values = {key: draw.draw(random) for key, draw in draws if draw is not None}
-    drawn |= {f"exposure.{key}": value for key, value in values.items()}
-    return parse(Exposure, own.model_dump() | values, "exposure") if values else own

@@ -10,15 +10,17 @@ from collections.abc import Callable
 from contextlib import ExitStack, closing
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 from dasim.dataset import card, plan, reading, storage
 from dasim.dataset.plan import Shard
 from dasim.dataset.sample import FILES, ROW, Job, add, key, packed, plain, unpacked
 from dasim.dataset.specification import DatasetSpec
 from dasim.errors import InputError
-from dasim.executors import PART, Executor, Outcome
+from dasim.executors import PART, Executor, Outcome, said
 
 TRIES = 3
+KEPT = "nothing is lost: put it right, and run the same again"
 
 
 @dataclass
@@ -58,21 +60,38 @@ def make(
     ``shard`` is (k, n): the k-th of n parts of the shards, for as many runs side by side; who comes last finishes. With
     ``retry``, samples that failed in earlier runs are tried again. Raises InputError where nothing can be written.
     """
-    storage.sweep(job.out)
-    if storage.exists(job.out, plan.SUMS) and not retry:
-        return Progress(job.spec.samples, before=job.spec.samples, failed=failures(job.out))
+    try:
+        return _make(job, executor, shard, retry, log, show)
+    except OSError as error:
+        raise InputError(f"{job.out}: {said(error)}; {KEPT}") from None
+    finally:
+        storage.sweep(job.out)
+
+
+def _make(
+    job: Job,
+    executor: Executor,
+    shard: tuple[int, int],
+    retry: bool,
+    log: Path | None,
+    show: Callable[[Progress], None],
+) -> Progress:
     everyone = plan.shards(job.spec)
     own = everyone[shard[0] - 1 :: shard[1]]
+    storage.sweep(job.out)
     if retry:
         _reopen(job, own)
     have, broken = parts(job.out), failures(job.out)
     closed = closed_shards(job.out)
+    if storage.exists(job.out, plan.SUMS):  # looked for last: another run may just have finished
+        card.tidy(job.out)
+        return Progress(job.spec.samples, before=job.spec.samples - len(broken), failed=broken)
     waiting = {group.name: group for group in own if group.name not in closed}
     wanted = {index: group for group in waiting.values() for index in group.indices}
     queue = deque(index for index in wanted if index not in have and index not in broken)
     total = sum(len(group.indices) for group in own)
     progress = Progress(total, before=total - len(queue) - sum(i in broken for g in own for i in g.indices))
-    progress.failed |= {index: said for group in own for index in group.indices if (said := broken.get(index))}
+    progress.failed |= {index: broken[index] for group in own for index in group.indices if index in broken}
     plan.check_space(job.spec, job.out, len(queue))
     left = {name: sum(i not in have and i not in broken for i in group.indices) for name, group in waiting.items()}
     for name, missing in left.items():
@@ -83,7 +102,7 @@ def make(
     with closing(executor(job, queue)) as outcomes:
         for outcome in outcomes:
             if outcome.fatal:
-                raise InputError(f"{job.out}: {outcome.error}; nothing is lost: put it right, and run the same again")
+                raise InputError(f"{job.out}: {outcome.error}; {KEPT}")
             tries[outcome.index] = tries.get(outcome.index, 0) + 1
             progress.last = _line(outcome, tries[outcome.index])
             _append(log, progress.last)
@@ -117,7 +136,8 @@ def parts(out: str) -> set[int]:
 
 def failures(out: str) -> dict[int, str]:
     """Samples that were given up, and why."""
-    return {int(Path(name).stem): json.loads(storage.read(out, name))["error"] for name in storage.names(out, "failed")}
+    names = storage.names(out, "failed")
+    return {int(Path(name).stem): str(json.loads(storage.read(out, name))["error"]) for name in names}
 
 
 def closed_shards(out: str) -> set[str]:
@@ -127,7 +147,21 @@ def closed_shards(out: str) -> set[str]:
 
 def close(job: Job, group: Shard) -> None:
     """Put the samples of a shard together; what was given up is left out."""
-    made = [index for index in group.indices if storage.exists(job.out, PART.format(key(index)))]
+    given_up = failures(job.out)
+    made = [index for index in group.indices if index not in given_up]
+    try:
+        rows = _written(job, group, made)
+    except FileNotFoundError as error:
+        if storage.exists(job.out, f"rows/{group.name}.json") or storage.exists(job.out, plan.SUMS):
+            return  # another run has put it together
+        raise InputError(f"{job.out}: {said(error)}; is another run at work there? {KEPT}") from None
+    storage.write(job.out, f"rows/{group.name}.json", plain(rows))
+    for index in made:
+        storage.remove(job.out, PART.format(key(index)))
+
+
+def _written(job: Job, group: Shard, made: list[int]) -> list[dict[str, Any]]:
+    """Write the samples of a shard where they belong; their rows of the index."""
     rows = []
     with ExitStack() as stack:
         tar = None
@@ -142,9 +176,7 @@ def close(job: Job, group: Shard) -> None:
                     add(tar, f"{key(index)}.{name}", members[name])
                 else:
                     storage.write(job.out, f"{group.split}/{key(index)}/{name}", members[name])
-    storage.write(job.out, f"rows/{group.name}.json", plain(rows))
-    for index in made:
-        storage.remove(job.out, PART.format(key(index)))
+    return rows
 
 
 def _reopen(job: Job, own: tuple[Shard, ...]) -> None:

@@ -17,7 +17,7 @@ SCHEMA = 1
 MANIFEST = "dataset.json"
 INDEX = "index.parquet"
 SUMS = "SHA256SUMS"
-LOG = "make.log"
+LOGS = "make*.log"  # of several runs side by side one each
 # Bytes a pixel of each part of the truth as the EXR's ZIP leaves them, measured on random scenes; noise hardly packs.
 PART_BYTES = {
     "depth": 3.0,
@@ -77,6 +77,11 @@ def check_space(spec: DatasetSpec, out: str, samples: int) -> None:
         )
 
 
+def log_name(part: tuple[int, int]) -> str:
+    """Name of the log of a run, or of one of several side by side."""
+    return LOGS.replace("*", "" if part == (1, 1) else f"-{part[0]}-of-{part[1]}")
+
+
 def description(spec: DatasetSpec, environment: dict[str, Any]) -> dict[str, Any]:
     """The manifest: what the dataset is made of and with."""
     plain = spec.model_dump(mode="json")
@@ -105,7 +110,7 @@ def begin(out: str, described: dict[str, Any]) -> None:
     """
     if not storage.exists(out, MANIFEST):
         there = [name for name in storage.names(out) if not name.startswith(".")]
-        if there:
+        if there and not storage.exists(out, MANIFEST):  # another run may just have begun it
             raise InputError(f"{out}: is no dataset and not empty ({there[0]}); choose another folder")
         storage.check_writable(out)
         storage.write(out, MANIFEST, plain(described))

@@ -21,6 +21,7 @@ from dasim.dataset.sample import FILES, key
 from dasim.dataset.specification import DatasetSpec
 from dasim.errors import InputError
 from dasim.files import read_truth_parts
+from dasim.specification import parse
 
 
 @dataclass(frozen=True)
@@ -83,7 +84,7 @@ def open_dataset(path: str | Path, split: str | None = None) -> Dataset:
 
 def spec_of(where: str) -> DatasetSpec:
     """The specification that a dataset was made from."""
-    return DatasetSpec.model_validate(plan.manifest(where)["spec"])
+    return parse(DatasetSpec, plan.manifest(where).get("spec"), f"{where}/{plan.MANIFEST}: spec")
 
 
 def index_rows(where: str) -> list[dict[str, Any]]:
@@ -111,6 +112,8 @@ def samples_of(
     where: str, spec: DatasetSpec, group: Shard, indices: Sequence[int]
 ) -> Iterator[tuple[int, dict[str, bytes]]]:
     """Files of some samples of a shard, by name; FileNotFoundError or KeyError where one is missing."""
+    if not indices:
+        return
     if spec.format == "folders":
         for index in indices:
             yield index, {name: storage.read(where, f"{group.split}/{key(index)}/{name}") for name in FILES}

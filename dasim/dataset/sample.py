@@ -11,6 +11,7 @@ import tarfile
 import tempfile
 import time
 from dataclasses import dataclass, fields, replace
+from functools import lru_cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
@@ -31,7 +32,13 @@ DIGITS = 9
 THUMBNAIL_PX, THUMBNAIL_QUALITY = 96, 80
 DEPTH_EDGES_M = np.geomspace(0.03, 100.0, 41)
 BLUR_EDGES_PX = np.linspace(-20.0, 60.0, 41)
-LIBRARIES = ("mitsuba", "drjit", "numpy", "scipy", "opencv-python-headless", "colour-science", "trimesh", "OpenEXR")
+LIBRARIES = (  # what decides the bytes of pixels and files
+    *("mitsuba", "drjit", "numpy", "scipy", "numba", "opencv-python-headless", "scikit-image", "colour-science"),
+    *("trimesh", "OpenEXR", "pyarrow"),
+)
+ONE_THREAD = {  # for linear algebra as well: sums over many threads may differ in their last bits
+    name: "1" for name in ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS", "NUMBA_NUM_THREADS")
+}
 
 
 @dataclass(frozen=True)
@@ -58,12 +65,14 @@ def key(index: int) -> str:
     return f"{index:0{DIGITS}d}"
 
 
+@lru_cache(maxsize=1)
 def environment(variant: str) -> dict[str, Any]:
-    """What decides pixels beside the specification: renderer variant, instruction set, libraries."""
+    """What decides pixels beside the specification: renderer variant, compiler, instruction set, libraries."""
     from numpy._core._multiarray_umath import __cpu_features__ as features  # type: ignore[import-not-found]
 
     return {
         "variant": variant,
+        "llvm": backend.choose(variant).llvm,
         "cpu": f"{platform.machine()} " + " ".join(sorted(name for name, on in features.items() if on)),
         "libraries": {name: _version(name) for name in ("dasim", *LIBRARIES)},
     }

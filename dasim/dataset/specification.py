@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -65,12 +66,27 @@ def _constant(value: Any) -> Any:
 Drawn = Annotated[Draw, BeforeValidator(_constant)]
 
 
+SET_ELSEWHERE = {
+    "lens.focus_distance_m": "[focus] distance_m",
+    "sensor.width_px": "size_px",
+    "sensor.height_px": "size_px",
+}
+
+
 class CameraChoice(Specification):
     """A camera, and which of its parameters vary: dotted keys as in its file, lists by number or by name."""
 
     name: str
     weight: float = Field(default=1.0, gt=0)
     vary: dict[str, Drawn] = Field(default_factory=dict)
+
+    @field_validator("vary")
+    @classmethod
+    def _own(cls, vary: dict[str, Draw]) -> dict[str, Draw]:
+        for key in vary:
+            if key in SET_ELSEWHERE:
+                raise ValueError(f"'{key}' is set by {SET_ELSEWHERE[key]}, not here")
+        return vary
 
 
 class SceneChoice(Specification):
@@ -92,6 +108,10 @@ class SceneChoice(Specification):
             raise ValueError("files is missing: a list of TOML or Mitsuba XML scenes")
         if self.family == "meshes" and not self.folder:
             raise ValueError("folder is missing: one with OBJ, PLY, GLB, STL or OFF files")
+        for listed in (self.names, self.files):
+            for name in listed:
+                if listed.count(name) > 1:
+                    raise ValueError(f"'{name}' is twice in the list")
         for name in self.names:
             if name not in scene_names():
                 near = difflib.get_close_matches(name, scene_names(), 3) or scene_names()
@@ -217,13 +237,20 @@ def _camera_problems(spec: DatasetSpec, choice: CameraChoice) -> list[str]:
         return [str(error)]
     problems = []
     for key, drawn in choice.vary.items():
-        for value in drawn.extremes():
-            try:
-                varied(camera, {key: value})
-            except InputError as error:
-                problems.append(str(error))
-                break
+        problems += _refused(drawn, lambda value, key=key: varied(camera, {key: value}))  # type: ignore[misc]
+    if spec.focus.distance_m is not None:
+        problems += _refused(spec.focus.distance_m, lambda value: cameras.refocused(camera, float(value)))
     return problems
+
+
+def _refused(drawn: Draw, use: Callable[[Scalar], Any]) -> list[str]:
+    """Why the first of the extreme values cannot be used, if one cannot."""
+    for value in drawn.extremes():
+        try:
+            use(value)
+        except (InputError, ValueError) as error:
+            return [str(error)]
+    return []
 
 
 def _scene_problems(spec: DatasetSpec) -> list[str]:

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-import errno
 import os
+import platform
 import shutil
+import threading
+import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import lru_cache
 from pathlib import Path
 from typing import IO, Any
@@ -15,13 +17,18 @@ import fsspec
 
 from dasim.errors import InputError
 
-FULL = (errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EACCES, errno.EPERM)  # the same for every sample
+PARTIAL = ".partial"
+ABANDONED_S = 24 * 3600.0  # a file that another computer began and left alone for so long
+
+
+def _opened(out: str) -> tuple[Any, str]:
+    return _opened_in(out, os.getpid())  # connections do not outlive a fork
 
 
 @lru_cache(maxsize=8)
-def _opened(out: str) -> tuple[Any, str]:
+def _opened_in(out: str, process: int) -> tuple[Any, str]:
     try:
-        fs, root = fsspec.core.url_to_fs(out)
+        fs, root = fsspec.core.url_to_fs(out, use_listings_cache=False)  # others write there at the same time
     except (ImportError, ValueError) as error:
         raise InputError(f"{out}: cannot be opened: {error}") from None
     return fs, root.rstrip("/")
@@ -30,6 +37,11 @@ def _opened(out: str) -> tuple[Any, str]:
 def is_local(out: str) -> bool:
     """Whether it is a folder of this computer."""
     return "local" in _opened(out)[0].protocol or "file" in _opened(out)[0].protocol
+
+
+def local_path(out: str) -> Path:
+    """The folder that it is on this computer."""
+    return Path(_opened(out)[1])
 
 
 @contextmanager
@@ -47,13 +59,18 @@ def writing(out: str, name: str) -> Iterator[IO[bytes]]:
         return
     path = Path(root) / name
     path.parent.mkdir(parents=True, exist_ok=True)
-    partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
+    partial = path.with_name(f".{path.name}.{_writer()}{PARTIAL}")
     try:
         with partial.open("wb") as file:
             yield file
         partial.replace(path)
     finally:
         partial.unlink(missing_ok=True)
+
+
+def _writer() -> str:
+    """Who writes, among all that may: thread, computer, process."""
+    return f"{threading.get_ident()}.{platform.node()}.{os.getpid()}"
 
 
 def write(out: str, name: str, data: bytes) -> None:
@@ -83,39 +100,55 @@ def read(out: str, name: str) -> bytes:
 def exists(out: str, name: str = "") -> bool:
     """Whether there is such a file or folder."""
     fs, root = _opened(out)
-    fs.invalidate_cache()
     return bool(fs.exists(f"{root}/{name}" if name else root))
 
 
 def names(out: str, folder: str = "") -> list[str]:
     """Names of everything below a folder, relative to the dataset, sorted; without what is half-written."""
     fs, root = _opened(out)
-    fs.invalidate_cache()
     below = f"{root}/{folder}" if folder else root
     found = fs.find(below) if fs.exists(below) else []
-    return sorted(name[len(root) + 1 :] for name in found if not name.endswith(".partial"))
+    return sorted(name[len(root) + 1 :] for name in found if not name.endswith(PARTIAL))
 
 
 def remove(out: str, name: str) -> None:
     """Remove a file or a folder with all that is in it, if it is there."""
     fs, root = _opened(out)
     path = f"{root}/{name}"
-    if fs.exists(path):
+    with suppress(FileNotFoundError):  # another run may remove it too
         fs.rm(path, recursive=True)
 
 
 def sweep(out: str) -> None:
-    """Remove what killed writers left half-written, on this computer."""
-    if is_local(out):
-        for partial in Path(_opened(out)[1]).rglob(".*.partial"):
-            partial.unlink(missing_ok=True)
+    """Remove what killed writers left half-written; what others are writing stays."""
+    if not is_local(out):
+        return
+    for partial in local_path(out).rglob(f".*{PARTIAL}"):
+        computer, _, process = partial.name.removesuffix(PARTIAL).rpartition(".")
+        with suppress(FileNotFoundError):
+            if computer.endswith(f".{platform.node()}") and process.isdigit():
+                left = not _runs(int(process))
+            else:
+                left = time.time() - partial.stat().st_mtime > ABANDONED_S
+            if left:
+                partial.unlink()
+
+
+def _runs(process: int) -> bool:
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    except PermissionError:
+        return True
+    return True
 
 
 def free_bytes(out: str) -> int | None:
     """Free space where the dataset goes; None where nobody knows."""
     if not is_local(out):
         return None
-    path = Path(_opened(out)[1])
+    path = local_path(out)
     while not path.exists():
         path = path.parent
     return shutil.disk_usage(path).free
@@ -124,8 +157,9 @@ def free_bytes(out: str) -> int | None:
 def check_writable(out: str) -> None:
     """InputError where nothing can be written."""
     try:
-        write(out, ".writable", b"")
-        remove(out, ".writable")
+        name = f".writable.{_writer()}{PARTIAL}"
+        write(out, name, b"")
+        remove(out, name)
     except OSError as error:
         raise InputError(f"{out}: cannot be written: {error.strerror or error}") from None
     except Exception as error:  # each store raises its own

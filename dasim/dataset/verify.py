@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import hashlib
-import json
 from collections.abc import Callable, Iterator
+from fnmatch import fnmatch
 from typing import Any
 
 import numpy as np
 
-from dasim.dataset import card, plan, reading, storage
-from dasim.dataset.draws import draft
-from dasim.dataset.plan import LOG, MANIFEST, SUMS
+from dasim.dataset import card, draws, plan, reading, storage
+from dasim.dataset.plan import LOGS, MANIFEST, SUMS
 from dasim.dataset.sample import FILES, key
 from dasim.dataset.specification import DatasetSpec
 from dasim.errors import InputError
@@ -54,7 +53,10 @@ def problems(out: str, show: Callable[[float], None] = lambda share: None) -> It
 def _files(out: str) -> Iterator[str]:
     """Checksums, and files that nobody knows."""
     known = set()
-    for number, line in enumerate(storage.read(out, SUMS).decode(errors="replace").splitlines(), 1):
+    *lines, rest = storage.read(out, SUMS).decode(errors="replace").split("\n")
+    if rest:
+        yield f"{SUMS}: is damaged at its end"
+    for number, line in enumerate(lines, 1):
         digest, _, name = line.partition("  ")
         if len(digest) != 64 or not name:
             yield f"{SUMS}, line {number}: is damaged"
@@ -66,7 +68,7 @@ def _files(out: str) -> Iterator[str]:
         except FileNotFoundError:
             yield f"{name}: is missing"
     for name in storage.names(out):
-        if name not in known and name not in (SUMS, LOG):
+        if name not in known and name != SUMS and not fnmatch(name, LOGS):
             yield f"{name}: is not part of the dataset"
 
 
@@ -120,10 +122,14 @@ def _sample(spec: DatasetSpec, row: dict[str, Any], files: dict[str, bytes]) -> 
             low, high = RANGES[field]
             if values.size and not (np.isfinite(values).all() and low <= values.min() and values.max() <= high):
                 yield f"{name}: truth {field} is not within {low:g} and {high:g}"
-    drafted = draft(spec, row["index"])
-    said = {"camera": drafted.camera.model_dump(mode="json"), "seed": drafted.seed}
-    about = found.meta["sample"]
-    if json.loads(json.dumps(said["camera"])) != found.meta["camera"] or said["seed"] != found.meta["seed"]:
-        yield f"{name}: camera or seed are not those of the specification"
-    if (about["split"], about["scene"]) != (drafted.split, drafted.scene_key):
-        yield f"{name}: split or scene are not those of the specification"
+    about, index = found.meta["sample"], row["index"]
+    number = draws.scene_number(spec, index)
+    facts: tuple[tuple[str, Any, Any], ...] = (
+        ("what was drawn", about["drawn"], draws.values(spec, index)),
+        ("seed", found.meta["seed"], draws.capture_seed(spec, index)),
+        ("split", about["split"], draws.split_of_scene(spec, number)),
+        ("scene", about["scene"], draws.scene_key(spec, number)),
+    )
+    for what, is_now, should in facts:
+        if is_now != should:
+            yield f"{name}: {what} is not as the specification says"

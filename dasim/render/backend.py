@@ -98,6 +98,7 @@ class Choice:
     variant: str
     reason: str
     llvm_path: str | None = None
+    llvm: str | None = None  # its version
 
 
 def choose(variant: str | None = None) -> Choice:
@@ -121,7 +122,9 @@ def choose(variant: str | None = None) -> Choice:
         raise InputError(
             f"{where} '{name}' does not work here ({results[name]['why']}); {_advice(name)}, or use 'auto'"
         )
-    return Choice(name, _reason(name, results[name], asked_for=wanted != "auto"), results[name].get("llvm_path"))
+    found = results[name]
+    reason = _reason(name, found, asked_for=wanted != "auto")
+    return Choice(name, reason, found.get("llvm_path"), found.get("llvm"))
 
 
 def use_threads(count: int) -> None:
