@@ -54,7 +54,7 @@ def measured(job: Sweep, index: int, broken=()) -> Outcome:
         own = dict.fromkeys(FIGURES, 1.0) | {"light-loss": (1 - alpha**2) / 4, "depth-median": 1 / alpha / lux}
         own["depth-median"] *= 1 + 0.1 * unit.seed
         rows.append({"point": point, "seed": unit.seed, "light_chosen": "D55", "figures": own})
-    storage.write(job.out, file_of(job.spec, unit), sample.plain(rows))
+    storage.write(job.out, file_of(job, unit), sample.plain(rows))
     return Outcome(index)
 
 

@@ -17,8 +17,7 @@ from dasim import aperture, sensor, spectra
 from dasim import camera as cameras
 from dasim.camera import Camera
 from dasim.dataset import sample, storage
-from dasim.errors import InputError
-from dasim.executors import Outcome
+from dasim.executors import Outcome, said
 from dasim.scene import Scene
 from dasim.simulation import Shot
 from dasim.values import Capture, Reconstruction, Truth
@@ -62,25 +61,28 @@ class Sweep:
     environment: dict[str, Any]
 
 
-def file_of(spec: StudySpec, unit: Unit) -> str:
+def file_of(job: Sweep, unit: Unit) -> str:
     """Where a unit's rows are kept: a name made of everything that decides them."""
-    fixed = {key: getattr(spec, key) for key in ("camera", "scene", "preset", "size_px", "spp")}
-    text = json.dumps([fixed, unit.points, unit.seed], sort_keys=True, default=str)
+    spec = job.spec
+    design = [camera_of(spec, unit.render).model_dump(mode="json"), scene_of(spec, unit.render).model_dump(mode="json")]
+    fixed = [spec.preset, spec.size_px, spec.spp, unit, job.environment]
+    text = json.dumps([design, fixed], sort_keys=True, default=str)
     return f"points/{hashlib.sha256(text.encode()).hexdigest()[:24]}.json"
 
 
 def work(job: Sweep, index: int) -> Outcome:
     """Measure a unit in this process and write its rows; an error is an outcome, not raised."""
     begin = time.perf_counter()
+    unit = units(job.spec)[index]
     try:
         sample.activate(job.environment["variant"])
-        unit = units(job.spec)[index]
-        storage.write(job.out, file_of(job.spec, unit), sample.plain(measured(job.spec, unit)))
-    except OSError as error:
-        return Outcome(index, f"{error.strerror or error} ({error.filename or job.out})", error.errno in storage.FULL)
+        rows = measured(job.spec, unit)
     except Exception as error:
-        said = str(error) if isinstance(error, InputError) else f"{type(error).__name__}: {error}"
-        return Outcome(index, " ".join(said.split()))
+        return Outcome(index, said(error))
+    try:
+        storage.write(job.out, file_of(job, unit), sample.plain(rows))
+    except Exception as error:  # each store raises its own
+        return Outcome(index, f"cannot be written: {said(error)}", fatal=True)
     return Outcome(index, seconds=time.perf_counter() - begin)
 
 

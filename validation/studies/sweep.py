@@ -34,7 +34,7 @@ def sweep(job: Sweep, executor: Executor, show: Callable[[int, int, int], None])
     storage.check_writable(job.out)
     storage.sweep(job.out)
     everyone = units(job.spec)
-    queue = deque(i for i, unit in enumerate(everyone) if not storage.exists(job.out, file_of(job.spec, unit)))
+    queue = deque(i for i, unit in enumerate(everyone) if not storage.exists(job.out, file_of(job, unit)))
     total, done, failed = len(everyone), len(everyone) - len(queue), dict[str, str]()
     show(done, total, 0)
     with closing(executor(job, queue)) as outcomes:
@@ -63,7 +63,7 @@ def gathered(job: Sweep) -> list[Row]:
     """Rows of all points that are measured, flat: parameters, seed, figures."""
     rows = []
     for unit in units(job.spec):
-        name = file_of(job.spec, unit)
+        name = file_of(job, unit)
         if storage.exists(job.out, name):
             for row in json.loads(storage.read(job.out, name)):
                 figures = {key: _number(row["figures"].get(key)) for key in FIGURES}
