@@ -38,7 +38,7 @@ def depth(progress: Progress, seed: int = 0) -> Evidence:
     levels of all pixels. The ratio to the best constant map, for which, as for the map, every bin of one level
     that holds 2 % of the pixels counts the same.
 
-    Limit: 0.8 levels raw, 1.5 levels regularised, each at most half the error of the best constant map;
+    Limit: 0.8 levels raw, 1.2 levels regularised, each at most half the error of the best constant map;
     a raw level for at least 0.6 of the pixels away from boundaries.
 
     Source: the project's own.
