@@ -5,6 +5,7 @@ from __future__ import annotations
 from validation.claims.bank import bank
 from validation.claims.camera import depth_of_field, dynamic_range, kernels, response_curves
 from validation.claims.colour import colour
+from validation.claims.datasets import dataset_speed
 from validation.claims.depth import depth
 from validation.claims.diffraction import airy_table, wave_energy, wave_sfr
 from validation.claims.lens import blur_off
@@ -53,4 +54,5 @@ CLAIMS = {
     "depth": Measurement(depth, quick=False),
     "all-in-focus": Measurement(all_in_focus, quick=False),
     "refocus": Measurement(refocus, quick=False),
+    "dataset-speed": Measurement(dataset_speed, quick=False, alone=True),
 }
