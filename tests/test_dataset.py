@@ -480,9 +480,11 @@ def rewrite(out: Path, **changes) -> None:
 
 @pytest.mark.parametrize("task", ["verify", "info"])
 def test_no_dataset_is_refused(task, command, tmp_path):
-    for out in (tmp_path, tmp_path / "nowhere"):
+    for out in (tmp_path, tmp_path / "nowhere", __file__):
         status, _, error = command(task, out)
         assert status == 2 and "is no dataset" in error and len(error.splitlines()) == 1
+    status, _, error = command(task, "nothing://bucket/ds")
+    assert status == 2 and "cannot be opened" in error and len(error.splitlines()) == 1
 
 
 @pytest.mark.parametrize(

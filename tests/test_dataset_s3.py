@@ -11,7 +11,7 @@ from dasim.cli import run
 from dasim.dataset import plan, storage, verify
 from dasim.errors import InputError
 
-pytest.importorskip("s3fs", reason="s3fs is not installed (extra 'cluster')")
+s3fs = pytest.importorskip("s3fs", reason="s3fs is not installed (extra 'cluster')")
 moto_server = pytest.importorskip("moto.server", reason="moto is not installed (extra 'test')")
 pytestmark = [
     pytest.mark.filterwarnings("ignore::DeprecationWarning"),
@@ -31,8 +31,6 @@ def address(renderer):
         patch.setenv("AWS_DEFAULT_REGION", "us-east-1")
         for name in ("AWS_ACCESS_KEY_ID", "AWS_SECRET_ACCESS_KEY"):
             patch.setenv(name, "test")
-        import s3fs
-
         s3fs.S3FileSystem(skip_instance_cache=True).mkdir("bucket")
         yield "s3://bucket"
     server.stop()
@@ -102,3 +100,15 @@ def test_bucket_that_is_not_there(address, tmp_path, capsys, monkeypatch):
     assert "s3://nowhere/ds: cannot be written" in said and len(said.splitlines()) == 1
     assert run(["dataset", "info", f"{address}/nothing"]) == 2
     assert "is no dataset" in capsys.readouterr().err
+
+
+def test_store_that_does_not_answer(address, tmp_path, capsys, monkeypatch):
+    """In one line, after the tries of its library."""
+    monkeypatch.setenv("AWS_ENDPOINT_URL", "http://127.0.0.1:9")
+    monkeypatch.setenv("AWS_MAX_ATTEMPTS", "1")
+    storage._opened_in.cache_clear()
+    monkeypatch.setattr(s3fs.S3FileSystem, "_cache", {})
+    assert run(["dataset", "make", str(spec_file(tmp_path)), "--out", "s3://bucket/silent"]) == 2
+    said = capsys.readouterr().err
+    assert "Could not connect" in said and len(said.splitlines()) == 1
+    storage._opened_in.cache_clear()

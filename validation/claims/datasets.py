@@ -85,10 +85,11 @@ def dataset_speed(progress: Progress) -> Evidence:
         small: dict[str, Any] = {"spp": 4, "size_px": TINY_SIZE_PX, "scenes": {"family": "bundled"}}
         tiny = _run(folder, "local", 1, small, TINY)
     progress(1.0)
-    return Evidence(_figures(runs, tiny), tables=[_table(runs, tiny)])
+    return Evidence(figures(runs, tiny), tables=[_table(runs, tiny)])
 
 
-def _figures(runs: dict[str, list[dict[str, float]]], tiny: list[dict[str, float]]) -> list[Figure]:
+def figures(runs: dict[str, list[dict[str, float]]], tiny: list[dict[str, float]]) -> list[Figure]:
+    """What is judged, of the rows of each run."""
     two, one = (_rate(runs[name], processes) for name, processes in (("two", 2), ("one", 1)))
     peak = [row["peak_mb"] for row in tiny]
     quarter = len(peak) // 4
