@@ -13,6 +13,7 @@ import re
 import resource
 import shutil
 import signal
+import socket
 import sys
 import tempfile
 from collections import deque
@@ -194,7 +195,7 @@ def _death(code: int | None) -> str:
 
 
 def ray(address: str, work: Work = work) -> Executor:
-    """The nodes of a Ray cluster: ``auto`` for the one of this computer, or ``ray://host:port``.
+    """The nodes of a Ray cluster: ``auto`` for the one of this computer or of RAY_ADDRESS, or ``ray://host:port``.
 
     Ray places, and after the death of a worker or node repeats, each sample. Raises InputError where Ray is not
     installed or does not answer.
@@ -244,17 +245,25 @@ def ray(address: str, work: Work = work) -> Executor:
 def _check_answers(address: str) -> None:
     """InputError where nobody who speaks Ray's protocol listens at an address."""
     if address == "auto":
+        address = os.environ.get("RAY_ADDRESS", address)
+    if address == "auto":
         return
     host, _, port = address.removeprefix("ray://").rpartition(":")
-    if not address.startswith("ray://") or not host or not port.isdigit():
+    if not host or not port.isdigit() or int(port) >= 2**16:
         raise InputError(f"--address '{address}': is neither auto nor of the form ray://host:port")
     import grpc
 
-    with grpc.insecure_channel(f"{host}:{port}") as channel:
-        try:
-            grpc.channel_ready_future(channel).result(timeout=RAY_ANSWER_S)
-        except grpc.FutureTimeoutError:
-            raise InputError(
-                f"--address {address}: Ray does not answer within {RAY_ANSWER_S:g} s; is 'ray start --head' running "
-                "there, and the port of its client server (10001) open?"
-            ) from None
+    why = "no Ray is there"
+    try:
+        socket.create_connection((host, int(port)), timeout=RAY_ANSWER_S / 2).close()
+        with grpc.insecure_channel(f"{host}:{port}") as channel:
+            grpc.channel_ready_future(channel).result(timeout=RAY_ANSWER_S / 2)
+            return
+    except OSError as error:
+        why = said(error)
+    except grpc.FutureTimeoutError:
+        pass
+    raise InputError(
+        f"--address {address}: does not answer ({why}); is 'ray start --head' running there, and the port of its "
+        "client server (10001 by default) open?"
+    )

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import resource
 import signal
+import time
 from collections import deque
 from collections.abc import Generator
 from pathlib import Path
@@ -59,6 +60,7 @@ files = {files}
 auto_level = {{uniform = [0.1, 0.3]}}
 {more}
 """
+WAIT_S = 60.0
 
 
 def spec_file(folder: Path, *, samples: int = 6, top: str = "", more: str = "", **changes) -> Path:
@@ -109,6 +111,22 @@ def logged(out: Path, start: int = 0) -> list[tuple[int, bool]]:
     """Index and whether it was made, of each line of the log from one on."""
     lines = (out / "make.log").read_text().splitlines()[start:]
     return [(int(line.split()[1]), "failed" not in line) for line in lines]
+
+
+def spread(job: Job, index: int) -> Outcome:
+    """Work on two nodes of a cluster that tells which ones begin, waits for both, and is killed once at sample 3."""
+    import ray
+
+    folder = Path(job.out).parent / "nodes"
+    (folder / ray.get_runtime_context().get_node_id()).touch()
+    begin = time.monotonic()
+    while len(list(folder.iterdir())) < 2 and time.monotonic() - begin < WAIT_S:
+        time.sleep(0.05)
+    marker = folder.parent / "killed"
+    if index == 3 and not marker.exists():
+        marker.touch()
+        os.kill(os.getpid(), signal.SIGKILL)
+    return executors.work(job, index)
 
 
 def deadly(job: Job, index: int) -> Outcome:

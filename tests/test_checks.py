@@ -9,7 +9,7 @@ from dasim import aperture
 from validation import rendering
 from validation.claim import GATES, Claim, gate_of, judged_all, load_gates, within
 from validation.claim_table import CLAIMS
-from validation.claims import bank, camera, colour, diffraction, lens, light, noise, scenes, truth
+from validation.claims import bank, camera, colour, datasets, diffraction, lens, light, noise, scenes, truth
 
 
 def entries(name: str, run_claim) -> list[Claim]:
@@ -267,3 +267,25 @@ def test_the_kernel_of_the_next_level_fails(monkeypatch, levels):
     monkeypatch.setattr(bank, "LEVELS", (1, 8))
     found = verdicts("bank", bank.bank)
     assert all(found) if levels == 0 else not any(found)
+
+
+def test_dataset_claim_fails_what_is_slow_large_or_leaks():
+    """Each figure from made-up runs: at its limit it holds, and a tenth beyond it fails."""
+    row = {"seconds": 24.0, "cpu_s": 24.0, "render_s": 20.5, "peak_mb": 1500.0}
+
+    def run(**changes):
+        return [row | changes] * 2
+
+    def failing(tiny=(1000.0,) * 8, **runs) -> set[str]:
+        ran = {"auto": run(), "two": run(), "one": run(seconds=20.5), "ray": run(seconds=26.6)} | runs
+        found = datasets.figures(ran, [row | {"peak_mb": peak} for peak in tiny])
+        judged = judged_all("dataset-speed", found, load_gates(GATES, CLAIMS))
+        return {entry.id.removeprefix("dataset-speed.") for entry in judged if entry.passed is False}
+
+    assert failing() == set()
+    assert failing(auto=run(seconds=26.0, render_s=25.0)) == {"rate-auto"}
+    assert failing(auto=run(render_s=18.0)) == {"outside-auto"}
+    assert failing(one=run(seconds=18.0)) == {"two-over-one"}
+    assert failing(ray=run(seconds=29.0)) == {"ray-over-local"}
+    assert failing(one=run(seconds=20.5, peak_mb=1650.0)) == {"memory"}
+    assert failing(tiny=[1000.0] * 4 + [1010.0, 1030.0, 1060.0, 1100.0]) == {"growth"}

@@ -480,9 +480,11 @@ def rewrite(out: Path, **changes) -> None:
 
 @pytest.mark.parametrize("task", ["verify", "info"])
 def test_no_dataset_is_refused(task, command, tmp_path):
-    for out in (tmp_path, tmp_path / "nowhere"):
+    for out in (tmp_path, tmp_path / "nowhere", __file__):
         status, _, error = command(task, out)
         assert status == 2 and "is no dataset" in error and len(error.splitlines()) == 1
+    status, _, error = command(task, "nothing://bucket/ds")
+    assert status == 2 and "cannot be opened" in error and len(error.splitlines()) == 1
 
 
 @pytest.mark.parametrize(
@@ -528,14 +530,18 @@ def test_disk_too_small_is_told_before_the_start(command, tmp_path, monkeypatch)
 
 
 def test_torch_loader(both):
+    """The example of the README."""
     torch = pytest.importorskip("torch", reason="PyTorch is not installed")
-    dataset = dasim.open_dataset(both["webdataset"], split="train")
 
-    def item(sample):
-        return torch.from_numpy(sample.raw_dn.astype("float32")), torch.from_numpy(sample.truth["depth_m"])
+    def batch(samples):
+        raw = torch.stack([torch.from_numpy(sample.raw_dn.astype("float32")) for sample in samples])
+        depth = torch.stack([torch.from_numpy(sample.truth["depth_m"]) for sample in samples])
+        return raw, depth
 
-    loader = torch.utils.data.DataLoader(dataset, batch_size=2, shuffle=True, collate_fn=lambda b: list(map(item, b)))
-    assert sum(len(batch) for batch in loader) == len(dataset)
+    train = dasim.open_dataset(both["webdataset"], split="train")
+    loader = torch.utils.data.DataLoader(train, batch_size=2, shuffle=True, num_workers=2, collate_fn=batch)
+    shapes = [(tuple(raw.shape), tuple(depth.shape)) for raw, depth in loader]
+    assert shapes == [((2, 24, 32), (2, 24, 32))] * 2
 
 
 def test_webdataset_library(both):

@@ -6,6 +6,7 @@ from validation.claims.balance import balance
 from validation.claims.bank import bank
 from validation.claims.camera import depth_of_field, dynamic_range, kernels, response_curves
 from validation.claims.colour import colour
+from validation.claims.datasets import dataset_speed
 from validation.claims.depth import depth
 from validation.claims.depth_maps import depth_maps
 from validation.claims.diffraction import airy_table, wave_energy, wave_sfr
@@ -67,4 +68,5 @@ CLAIMS = {
     "yellow-disks": Measurement(yellow_disks, quick=False),
     "scene-pictures": Measurement(scene_pictures, quick=False),
     "two-cameras": Measurement(two_cameras, quick=False),
+    "dataset-speed": Measurement(dataset_speed, quick=False, alone=True),
 }

@@ -92,10 +92,12 @@ def description(spec: DatasetSpec, environment: dict[str, Any]) -> dict[str, Any
 def manifest(out: str) -> dict[str, Any]:
     """The manifest of a dataset; InputError where there is none, or one of a newer version."""
     try:
-        found = json.loads(storage.read(out, MANIFEST))
-        schema = int(found["schema"])
-    except FileNotFoundError:
+        content = storage.read(out, MANIFEST)
+    except (FileNotFoundError, NotADirectoryError):
         raise InputError(f"{out}: is no dataset, it has no {MANIFEST}") from None
+    try:
+        found = json.loads(content)
+        schema = int(found["schema"])
     except (ValueError, KeyError, TypeError) as error:
         raise InputError(f"{out}/{MANIFEST}: is damaged ({error})") from None
     if schema > SCHEMA:

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import platform
 import shutil
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from functools import lru_cache
+from functools import lru_cache, wraps
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, Any, Concatenate, ParamSpec, TypeVar
 
 import fsspec
 
@@ -32,6 +33,28 @@ def _opened_in(out: str, process: int) -> tuple[Any, str]:
     except (ImportError, ValueError) as error:
         raise InputError(f"{out}: cannot be opened: {error}") from None
     return fs, root.rstrip("/")
+
+
+Result = TypeVar("Result")
+Others = ParamSpec("Others")
+
+
+def _asked(function: Callable[Concatenate[str, Others], Result]) -> Callable[Concatenate[str, Others], Result]:
+    """What a store raises that is no OSError, as one: each has errors of its own."""
+
+    @wraps(function)
+    def ask(out: str, *arguments: Others.args, **options: Others.kwargs) -> Result:
+        try:
+            return function(out, *arguments, **options)
+        except (OSError, InputError):
+            raise
+        except Exception as error:
+            if is_local(out):
+                raise
+            said = " ".join(f"{type(error).__name__}: {error}".split())
+            raise ConnectionError(errno.EIO, said, out) from None
+
+    return ask
 
 
 def is_local(out: str) -> bool:
@@ -73,6 +96,7 @@ def _writer() -> str:
     return f"{threading.get_ident()}.{platform.node()}.{os.getpid()}"
 
 
+@_asked
 def write(out: str, name: str, data: bytes) -> None:
     """Write a file of the dataset as a whole."""
     if is_local(out):
@@ -91,18 +115,21 @@ def reading(out: str, name: str) -> Iterator[IO[bytes]]:
         yield file
 
 
+@_asked
 def read(out: str, name: str) -> bytes:
     """A file's content; FileNotFoundError where it is missing."""
     fs, root = _opened(out)
     return bytes(fs.cat_file(f"{root}/{name}"))
 
 
+@_asked
 def exists(out: str, name: str = "") -> bool:
     """Whether there is such a file or folder."""
     fs, root = _opened(out)
     return bool(fs.exists(f"{root}/{name}" if name else root))
 
 
+@_asked
 def names(out: str, folder: str = "") -> list[str]:
     """Names of everything below a folder, relative to the dataset, sorted; without what is half-written."""
     fs, root = _opened(out)
@@ -111,6 +138,7 @@ def names(out: str, folder: str = "") -> list[str]:
     return sorted(name[len(root) + 1 :] for name in found if not name.endswith(PARTIAL))
 
 
+@_asked
 def remove(out: str, name: str) -> None:
     """Remove a file or a folder with all that is in it, if it is there."""
     fs, root = _opened(out)
@@ -162,5 +190,3 @@ def check_writable(out: str) -> None:
         remove(out, name)
     except OSError as error:
         raise InputError(f"{out}: cannot be written: {error.strerror or error}") from None
-    except Exception as error:  # each store raises its own
-        raise InputError(f"{out}: cannot be written: {type(error).__name__}: {error}") from None
