@@ -1,0 +1,1 @@
+"""Studies of aperture design: sweeps, bounds and the search for a shape."""
