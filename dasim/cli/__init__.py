@@ -9,7 +9,7 @@ from typing import Any
 
 import cyclopts
 
-from dasim.cli import check, datasets, photograph, reconstruct
+from dasim.cli import check, datasets, photograph, reconstruct, study
 from dasim.errors import InputError
 
 app = cyclopts.App(
@@ -27,6 +27,7 @@ for command in (
     reconstruct.refocus,
     reconstruct.score,
     datasets.app,
+    study.app,
     check.validate,
     photograph.emva,
 ):

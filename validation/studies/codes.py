@@ -7,6 +7,7 @@ of pictures is taken as 1/f^2.
 
 from __future__ import annotations
 
+import itertools
 from functools import cache
 
 import numpy as np
@@ -43,7 +44,7 @@ def veeraraghavan() -> FloatArray:
 
 @cache
 def levin() -> FloatArray:
-    """13 x 13 cells whose blurs of neighbouring sizes make pictures of the most different statistics (Levin et al. 2007).
+    """13 x 13 cells whose blurs of two sizes make pictures of the most different statistics (Levin et al. 2007).
 
     "Image and Depth from a Conventional Camera with a Coded Aperture", ACM Trans. Graph. 26(3), sec. 2: random binary
     13 x 13 patterns; the score is the least Kullback-Leibler divergence between the distributions of pictures blurred
@@ -73,7 +74,7 @@ def _least_divergence(pattern: FloatArray) -> float:
         covered = np.clip(high - low, 0.0, None)
         kernel = covered @ pattern @ covered.T
         spectra.append(np.abs(fft.fft2(kernel / kernel.sum())) ** 2 * power + _NOISE**2)
-    ratios = [(a / b, b / a) for a, b in zip(spectra[:-1], spectra[1:], strict=True)]
+    ratios = [(a / b, b / a) for a, b in itertools.pairwise(spectra)]
     return float(min(0.5 * (r - np.log(r) - 1).sum() for pair in ratios for r in pair))
 
 

@@ -181,6 +181,22 @@ def sharp_error(transfer: NDArray, seen: Sight, coherence: float = COHERENCE) ->
     return value, by_light * 2 * s * gain
 
 
+def camera_bound(
+    camera: Camera,
+    blur_px: ArrayLike,
+    *,
+    light: str = "D65",
+    level_lux: float = 5000.0,
+    texture: Texture = "free",
+    planes: tuple[str, ...] = PLANES,
+) -> FloatArray:
+    """Least standard deviation of the visible blur of any camera, px, [blur]; infinite where nothing tells it."""
+    seen = sight(camera, light, level_lux, planes)
+    index = [cameras.channels(camera.sensor).index(name) for name in planes]
+    transfer, slope = pupils.camera_transfers(camera, blur_px, light, SHAPE, spacing_px=SPACING_PX)
+    return np.asarray(np.sqrt(blur_variance(transfer[:, index], slope[:, index], seen, texture)[0]))
+
+
 # --- the camera's near-infrared stop -----------------------------------------------------------
 
 
@@ -210,12 +226,12 @@ class Bench:
 def infrared_stop(camera: Camera) -> Stop:
     """The stop that a mask would replace: of those that pass 730 nm, the one with the smallest area."""
     found = [
-        stop
-        for stop in camera.stops
-        if np.interp(730.0, spectra.WAVELENGTH_NM, aperture.transmittance(stop)) > 0.5
+        stop for stop in camera.stops if np.interp(730.0, spectra.WAVELENGTH_NM, aperture.transmittance(stop)) > 0.5
     ]
     if not found:
-        raise InputError(f"camera '{camera.name}' has no stop that passes 730 nm; there is no infrared aperture to shape")
+        raise InputError(
+            f"camera '{camera.name}' has no stop that passes 730 nm; there is no infrared aperture to shape"
+        )
     return min(found, key=aperture.open_area)
 
 

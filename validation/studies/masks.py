@@ -6,6 +6,7 @@ the square. Its light budget is its open area over the lens's, alpha^2 of a disc
 
 from __future__ import annotations
 
+import itertools
 from pathlib import Path
 
 import cv2
@@ -20,7 +21,6 @@ from validation.studies import criteria, pupils
 
 FloatArray = NDArray[np.float64]
 
-_PICTURE_PX = 960  # side of a picture, about
 _MARGIN = 0.35  # of the lens's radius around the drawing, for the dimensions
 
 
@@ -45,7 +45,9 @@ def annulus(cells: int, share: float, inner: float) -> FloatArray:
     """A ring of a light budget; InputError where it does not fit into the lens."""
     outer = float(np.sqrt(share + inner**2))
     if outer > 1:
-        raise InputError(f"annulus: an inner radius of {inner:g} and a light budget of {share:g} reach outside the lens")
+        raise InputError(
+            f"annulus: an inner radius of {inner:g} and a light budget of {share:g} reach outside the lens"
+        )
     ring = aperture.Annulus(name="ring", shape="annulus", inner_ratio=inner, outer_ratio=outer)
     return _binary(pupils.drawn(ring, cells))
 
@@ -160,7 +162,8 @@ def svg(camera: Camera, amplitude: FloatArray, title: str) -> str:
         f'<path d="M{-radius:.4f} {below:.4f}H{radius:.4f}"/></g>',
         _arrow(-radius, below, 1, text),
         _arrow(radius, below, -1, text),
-        f'<path d="M{-bar_mm / 2:.4f} {below + 2.9 * text:.4f}h{bar_mm:g}" stroke="#111" stroke-width="{3 * line:.5f}"/>',
+        f'<path d="M{-bar_mm / 2:.4f} {below + 2.9 * text:.4f}h{bar_mm:g}" '
+        f'stroke="#111" stroke-width="{3 * line:.5f}"/>',
         f'<g font-family="sans-serif" font-size="{text:.4f}" text-anchor="middle">'
         f'<text y="{-radius - 0.12 * diameter_mm:.4f}">{title}</text>'
         f'<text y="{-radius - 0.05 * diameter_mm:.4f}">open {100 * budget(amplitude):.1f} % of the lens, '
@@ -182,7 +185,7 @@ def _runs(passed: FloatArray, radius: float, side: float) -> str:
     parts = []
     for row, values in enumerate(passed):
         edges = [0, *(np.flatnonzero(np.diff(values)) + 1), len(values)]
-        for start, end in zip(edges[:-1], edges[1:], strict=True):
+        for start, end in itertools.pairwise(edges):
             if values[start] > 0:
                 opacity = "" if values[start] == 1 else f' fill-opacity="{values[start]:g}"'
                 parts.append(

@@ -14,10 +14,12 @@ Places are in camera axes, x right, y down, in radii of the lens; patches as in 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import fft
+from scipy.interpolate import CubicSpline
 
 from dasim import aperture, illuminants, pointspread, spectra
 from dasim import camera as cameras
@@ -33,6 +35,8 @@ FINE_CELLS = 96  # across the lens at least, so that averaging onto a wavelength
 RING_CELLS = 256  # across the lens for stops that are drawn: a rim is drawn with the share of each cell it covers
 _DRAWN = 8  # points across such a cell
 _TAIL = 0.01  # of the light, at either end of the band
+_NODES = 64  # Gauss-Legendre nodes of Hopkins's integral: enough for 10 waves
+_RADIAL_FREQUENCIES = 96  # from 0 to the corner of the patch's band
 
 
 @dataclass(frozen=True)
@@ -43,6 +47,7 @@ class Grid:
     average: FloatArray  # [cell, mask's cell]
     phase: ComplexArray  # [blur, y, x]
     factor: FloatArray  # [blur, h, w/2 + 1], pixel and phase within a cell
+    side: float  # of a cell
     step: int  # cells a frequency step
     size: int  # of the transform
 
@@ -74,25 +79,42 @@ def pupil(
     if shape[0] != shape[1]:
         raise ValueError("patches must be square: one shift is one frequency step along both axes")
     blurs = np.atleast_1d(np.asarray(blur_px, np.float64))
+    found, electrons = _bands(camera, stop, light)
+    grids = tuple(
+        _grid(band.weight, band.scale_px, blurs + band.colour_px, cells, shape[0], spacing_px, fine_cells)
+        for band in found
+    )
+    return Pupil(grids, shape, electrons / aperture.open_area(stop))
+
+
+@dataclass(frozen=True)
+class _Band:
+    """Wavelengths that share one transfer function."""
+
+    weight: FloatArray  # [channel], share of the channel's light through the stop
+    scale_px: float  # lambda N of the open lens
+    colour_px: float  # what axial colour adds to the blur
+
+
+def _bands(camera: Camera, stop: Stop, light: str) -> tuple[list[_Band], FloatArray]:
+    """Bands of ``BAND_NM`` of the light through a stop, and its electrons, relative, [channel]."""
     weights = cameras.stop_response(camera, stop) * illuminants.illuminant(light)
-    weights = weights / aperture.open_area(stop)
     total = spectra.integrate(weights)
     f_number, pitch_m = pointspread.working_f_number(camera, 1.0), camera.sensor.pixel_pitch_um * 1e-6
-    groups: dict[int, list[tuple[float, FloatArray]]] = {}
     parts = pointspread.bands(weights)
     passed = np.cumsum([weight.max() for _, weight in parts])
     core = [nm for (nm, _), share in zip(parts, passed / passed[-1], strict=True) if _TAIL < share < 1 - _TAIL]
+    groups: dict[int, list[tuple[float, FloatArray]]] = {}
     for nm, weight in parts:  # an edge's tail goes with what lies beside it
         groups.setdefault(int((np.clip(nm, core[0], core[-1]) - core[0]) // BAND_NM), []).append((nm, weight))
-    grids = []
+    found = []
     for group in groups.values():
         share = np.array([weight for _, weight in group])
         mean_nm = float(np.average([nm for nm, _ in group], weights=share.sum(axis=1)))
-        scale_px = mean_nm * 1e-9 * f_number / pitch_m
-        seen = blurs + float(np.interp(mean_nm, spectra.WAVELENGTH_NM, cameras.chromatic_blur_px(camera)))
+        colour = float(np.interp(mean_nm, spectra.WAVELENGTH_NM, cameras.chromatic_blur_px(camera)))
         weight = share.sum(axis=0) / np.where(total > 0, total, 1.0)
-        grids.append(_grid(weight, scale_px, seen, cells, shape[0], spacing_px, fine_cells))
-    return Pupil(tuple(grids), shape, total)
+        found.append(_Band(weight, mean_nm * 1e-9 * f_number / pitch_m, colour))
+    return found, total
 
 
 def _grid(
@@ -115,16 +137,22 @@ def _grid(
         average,
         defocus[:, :, None] * defocus[:, None, :],
         within * np.sinc(fy) * np.sinc(fx),
+        side,
         step,
         int(fft.next_fast_len(across + step * (count // 2), real=False)),
     )
 
 
-def transfers(made: Pupil, amplitude: FloatArray) -> ComplexArray:
-    """H of every channel's light through the pupil, [blur, channel, h, w/2 + 1]; 1 at frequency 0."""
+def transfers(made: Pupil, amplitude: FloatArray, area: float | None = None) -> ComplexArray:
+    """H of every channel's light through the pupil, [blur, channel, h, w/2 + 1].
+
+    ``area`` is the open area in squared radii, by default the sum of the squared amplitudes: a cell that a rim covers
+    by half passes half the light, and a quarter by its mean amplitude. At frequency 0 H falls short of 1 by what
+    averaging takes from fine masks; no bound looks there.
+    """
     total: ComplexArray = np.zeros((), complex)
     for grid in made.grids:
-        one = _transform(grid, made.shape, amplitude)[-1]
+        one = _transform(grid, made.shape, amplitude, area)[-1]
         total = total + grid.weight[:, None, None] * one[:, None]
     return total
 
@@ -144,22 +172,27 @@ def gradient(made: Pupil, amplitude: FloatArray, wanted: NDArray) -> FloatArray:
         to_intensity = fft.irfft2(spread, (grid.size, grid.size), workers=2)
         count = len(averaged)
         back = fft.ifft2(2 * to_intensity * field, workers=2)[:, :count, :count] * grid.size**2
-        own = (np.conj(grid.phase) * back).real.sum(axis=0) + 2 * averaged * to_energy
-        total += grid.average.T @ own @ grid.average
+        own = (np.conj(grid.phase) * back).real.sum(axis=0)
+        total += grid.average.T @ own @ grid.average + 2 * amplitude * to_energy * _ratio(grid, amplitude)
     return total
 
 
 def _transform(
-    grid: Grid, shape: tuple[int, int], amplitude: FloatArray
+    grid: Grid, shape: tuple[int, int], amplitude: FloatArray, area: float | None = None
 ) -> tuple[FloatArray, ComplexArray, float, ComplexArray]:
     """Averaged amplitude, its field, its energy, and H of one band, [blur, h, w/2 + 1]."""
     averaged = grid.average @ amplitude @ grid.average.T
     field = fft.fft2(averaged * grid.phase, (grid.size, grid.size), workers=2)
-    energy = float((averaged**2).sum())
+    energy = float((amplitude**2).sum()) * _ratio(grid, amplitude) if area is None else area / grid.side**2
     both = fft.rfft2(field.real**2 + field.imag**2, workers=2)
     rows, columns = _shifts(grid, shape)
     found = np.conj(both[:, rows[:, None], columns[None, :]]) / grid.size**2
     return averaged, field, energy, found * grid.factor / energy
+
+
+def _ratio(grid: Grid, amplitude: FloatArray) -> float:
+    """Area of a cell of the mask over that of the grid."""
+    return (2 / len(amplitude) / grid.side) ** 2
 
 
 def _shifts(grid: Grid, shape: tuple[int, int]) -> tuple[NDArray[np.int_], NDArray[np.int_]]:
@@ -184,40 +217,64 @@ def drawn(stop: Stop, cells: int = RING_CELLS) -> FloatArray:
     return np.asarray(inside.reshape(cells, _DRAWN, cells, _DRAWN).mean(axis=(1, 3)))
 
 
+def disc_transfers(
+    camera: Camera, stop: aperture.Disc, blur_px: FloatArray, light: str, shape: tuple[int, int], spacing_px: float
+) -> tuple[FloatArray, FloatArray]:
+    """H through a disc in the middle of the lens, [blur, channel, h, w/2 + 1], and its electrons, relative, [channel].
+
+    Hopkins's integral (Proc. R. Soc. A 231, 1955), as in :func:`validation.transfer.hopkins_otf`, at radial
+    frequencies with a spline between.
+    """
+    found, electrons = _bands(camera, stop, light)
+    fy, fx = bounds.frequencies(shape, spacing_px)
+    wanted = np.hypot(fy, fx)
+    known = np.linspace(0, float(wanted.max()), _RADIAL_FREQUENCIES)
+    t, node = _nodes()
+    total: FloatArray = np.zeros(())
+    for band in found:
+        scale_px = band.scale_px / stop.radius_ratio
+        v = np.minimum(known * scale_px, 1.0)[:, None]
+        x = (1 - v) * (1 - t**2)
+        kernel = np.sqrt(np.maximum(1 - (x + v) ** 2, 0.0)) * (8 / np.pi * t * node * (1 - v))
+        waves = stop.radius_ratio * (blur_px + band.colour_px) / (8 * scale_px)
+        along = (np.cos(8 * np.pi * waves[:, None, None] * (v * x)) * kernel).sum(axis=-1)
+        total = total + along[:, None] * band.weight[:, None]
+    full = CubicSpline(known, total, axis=-1)(wanted.ravel()).reshape(*total.shape[:-1], *wanted.shape)
+    return full * (np.sinc(fy) * np.sinc(fx)), electrons
+
+
+@cache
+def _nodes() -> tuple[FloatArray, FloatArray]:
+    nodes, weights = np.polynomial.legendre.leggauss(_NODES)
+    return (nodes + 1) / 2, weights / 2
+
+
 def stop_transfers(
     camera: Camera, blur_px: FloatArray, light: str, shape: tuple[int, int], *, spacing_px: float = 1.0
 ) -> tuple[ComplexArray, FloatArray]:
-    """H of every channel through all stops, of any shape, [blur, channel, h, w/2 + 1], and its electrons, relative.
-
-    Discs and rings about the axis by their radial profiles, all others by their pupils.
-    """
-    round_ones, parts, electrons = [], [], []
+    """H of every channel through all stops, of any shape, [blur, channel, h, w/2 + 1], and its electrons, relative."""
+    parts: list[NDArray] = []
+    electrons: list[FloatArray] = []
     for stop in camera.stops:
-        ring = aperture.ring(stop)
-        if ring is not None and ring.centre == (0.0, 0.0):
-            round_ones.append(stop)
-            continue
-        amplitude = drawn(stop)
-        made = pupil(camera, stop, light, blur_px, len(amplitude), shape, spacing_px=spacing_px)
-        parts.append(transfers(made, amplitude))
-        electrons.append(made.electrons * aperture.open_area(stop))
-    if round_ones:
-        spectrum = illuminants.illuminant(light)
-        part, signal = bounds.round_transfers(
-            camera, blur_px, spectrum, shape, spacing_px=spacing_px, stops=round_ones
-        )
-        parts.append(part.astype(complex))
+        if isinstance(stop, aperture.Disc) and aperture.is_plain_disc(stop):
+            part, signal = disc_transfers(camera, stop, blur_px, light, shape, spacing_px)
+            parts.append(part)
+        else:
+            amplitude = drawn(stop)
+            made = pupil(camera, stop, light, blur_px, len(amplitude), shape, spacing_px=spacing_px)
+            parts.append(transfers(made, amplitude, aperture.open_area(stop) * np.pi))
+            signal = made.electrons * aperture.open_area(stop)
         electrons.append(signal)
     total = np.sum(electrons, axis=0)
     shares = np.array(electrons) / np.where(total > 0, total, 1.0)
     full = np.sum([share[:, None, None] * part for share, part in zip(shares, parts, strict=True)], axis=0)
-    return full, total
+    return full.astype(complex), total
 
 
 def camera_transfers(
     camera: Camera, blur_px: ArrayLike, light: str, shape: tuple[int, int], *, spacing_px: float = 1.0
 ) -> tuple[ComplexArray, ComplexArray]:
-    """As :func:`validation.bounds.camera_transfers`, for stops of any shape: H and dH/dc, [blur, channel, h, w/2 + 1]."""
+    """H and dH/dc as of :func:`validation.bounds.camera_transfers`, for stops of any shape."""
     blurs = np.atleast_1d(np.asarray(blur_px, np.float64))
     both = np.concatenate([blurs - bounds.SLOPE_STEP_PX, blurs + bounds.SLOPE_STEP_PX])
     full, _ = stop_transfers(camera, both, light, shape, spacing_px=spacing_px)

@@ -149,9 +149,7 @@ def _cone(diameter: float) -> FloatArray:
     return np.clip(radius - np.hypot(place[:, None], place[None, :]), 0.0, None)
 
 
-def projected(
-    latent: FloatArray, search: Search, beta: float
-) -> tuple[FloatArray, Callable[[FloatArray], FloatArray]]:
+def projected(latent: FloatArray, search: Search, beta: float) -> tuple[FloatArray, Callable[[FloatArray], FloatArray]]:
     """Amplitudes with exactly the light budget, and the adjoint: gradient by amplitude to gradient by latent value.
 
     As eta moves with y so that the budget stays: d eta = sum(a h dy) / sum(a h), h = da/dy.
@@ -182,7 +180,7 @@ def projected(
 def cut(smooth: FloatArray, search: Search) -> FloatArray:
     """The binary mask of the light budget: opened and closed by the smallest feature, at the level that gives it."""
     whole = masks.inside(len(smooth))
-    diameter = max(1, round(search.feature_cells))
+    diameter = max(1, int(np.ceil(search.feature_cells - 0.05)))  # a twentieth of a cell is no feature
     levels = np.unique(smooth[whole])[::-1]
 
     def at_level(index: int) -> FloatArray:
@@ -215,6 +213,12 @@ def references(cells: int, budget: float) -> list[Design]:
         if inner**2 + budget <= 1:
             designs.append(Design(f"ring from {inner:g}", masks.annulus(cells, budget, inner)))
     designs.append(Design("disc at the rim", masks.disc(cells, budget, (1 - alpha, 0.0))))
+    # Two windows at opposite ends of the lens: a stereo pair in one lens, its two pictures on top of each other.
+    half = budget / 2
+    apart = 1 - float(np.sqrt(half))
+    if apart > np.sqrt(half):
+        two = masks.disc(cells, half, (apart, 0.0)) + masks.disc(cells, half, (-apart, 0.0))
+        designs.append(Design("two discs at the rim", two))
     published = {
         "Levin 2007, rebuilt": codes.levin,
         "Veeraraghavan 2007, rebuilt": codes.veeraraghavan,
