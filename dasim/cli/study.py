@@ -134,6 +134,8 @@ def shape(
     for row in study.rows:
         print(f"{row.name:<44} {100 * row.budget:5.1f} % {row.depth_dioptre:11.4f} {row.depth_ratio:8.2f} "
               f"{row.sharp_error:7.4f} {row.sharp_ratio:8.3f}")  # fmt: skip
+    for name, (error, least) in study.estimates.items():
+        print(f"patches, {name}: likelihood {error:.4f} 1/m, its bound {least:.4f} 1/m")
     for name, one in study.proofs.items():
         print(f"pipeline, {name}: boards {one.deviation:.3f} 1/m, desk {one.desk_error:.3f} 1/m, "
               f"all in focus {one.desk_sharp_db:.1f} dB")  # fmt: skip

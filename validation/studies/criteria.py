@@ -218,9 +218,13 @@ class Bench:
 
     @property
     def dioptre_px(self) -> float:
-        """Visible blur of one dioptre, A s / p."""
-        pitch_m = self.camera.sensor.pixel_pitch_um * 1e-6
-        return cameras.aperture_m(self.camera) * cameras.image_distance_m(self.camera) / pitch_m
+        """Visible blur of one dioptre."""
+        return dioptre_px(self.camera)
+
+
+def dioptre_px(camera: Camera) -> float:
+    """Visible blur of one dioptre, A s / p."""
+    return cameras.aperture_m(camera) * cameras.image_distance_m(camera) / (camera.sensor.pixel_pitch_um * 1e-6)
 
 
 def infrared_stop(camera: Camera) -> Stop:

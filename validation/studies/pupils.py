@@ -250,7 +250,13 @@ def _nodes() -> tuple[FloatArray, FloatArray]:
 
 
 def stop_transfers(
-    camera: Camera, blur_px: FloatArray, light: str, shape: tuple[int, int], *, spacing_px: float = 1.0
+    camera: Camera,
+    blur_px: FloatArray,
+    light: str,
+    shape: tuple[int, int],
+    *,
+    spacing_px: float = 1.0,
+    fine_cells: int = FINE_CELLS,
 ) -> tuple[ComplexArray, FloatArray]:
     """H of every channel through all stops, of any shape, [blur, channel, h, w/2 + 1], and its electrons, relative."""
     parts: list[NDArray] = []
@@ -261,7 +267,9 @@ def stop_transfers(
             parts.append(part)
         else:
             amplitude = drawn(stop)
-            made = pupil(camera, stop, light, blur_px, len(amplitude), shape, spacing_px=spacing_px)
+            made = pupil(
+                camera, stop, light, blur_px, len(amplitude), shape, spacing_px=spacing_px, fine_cells=fine_cells
+            )
             parts.append(transfers(made, amplitude, aperture.open_area(stop) * np.pi))
             signal = made.electrons * aperture.open_area(stop)
         electrons.append(signal)
@@ -272,11 +280,17 @@ def stop_transfers(
 
 
 def camera_transfers(
-    camera: Camera, blur_px: ArrayLike, light: str, shape: tuple[int, int], *, spacing_px: float = 1.0
+    camera: Camera,
+    blur_px: ArrayLike,
+    light: str,
+    shape: tuple[int, int],
+    *,
+    spacing_px: float = 1.0,
+    fine_cells: int = FINE_CELLS,
 ) -> tuple[ComplexArray, ComplexArray]:
     """H and dH/dc as of :func:`validation.bounds.camera_transfers`, for stops of any shape."""
     blurs = np.atleast_1d(np.asarray(blur_px, np.float64))
     both = np.concatenate([blurs - bounds.SLOPE_STEP_PX, blurs + bounds.SLOPE_STEP_PX])
-    full, _ = stop_transfers(camera, both, light, shape, spacing_px=spacing_px)
+    full, _ = stop_transfers(camera, both, light, shape, spacing_px=spacing_px, fine_cells=fine_cells)
     below, above = np.split(full, 2, axis=0)
     return (below + above) / 2, (above - below) / (2 * bounds.SLOPE_STEP_PX)

@@ -18,7 +18,7 @@ from dasim.errors import InputError
 from dasim.files import new_folder
 from validation.plots import plot
 from validation.report import TEMPLATE_DIR, png_address
-from validation.studies import criteria, masks, shape
+from validation.studies import criteria, masks, patches, shape
 from validation.studies.criteria import Bench, Objective, Texture
 from validation.studies.proof import LEVELS, PRESETS, Proof, proof
 from validation.studies.shape import Design, Search
@@ -82,6 +82,7 @@ class Study:
     rows: list[Row]
     curves: list[list[float]]  # of each design, by blur
     blur_px: list[float]
+    estimates: dict[str, tuple[float, float]]  # error of maximum likelihood on patches and its bound, 1/m
     proofs: dict[str, Proof]
 
 
@@ -133,16 +134,21 @@ def studied(
         progress("comparison", (number + 1) / len(designs))
     order = [0, *sorted(range(1, len(rows)), key=lambda index: _key(plan, rows[index]))]
     designs, rows, curves = ([part[i] for i in order] for part in (designs, rows, curves))  # type: ignore[assignment]
+    shown = [designs[0], *[design for design in designs if design.name in best][:RENDERED]]
+    estimates = {}
+    for number, design in enumerate(shown):
+        progress("patches", number / len(shown))
+        estimates[design.name] = _estimated(plan, design, blurs)
+    progress("patches", 1.0)
     proofs: dict[str, Proof] = {}
     if render:
-        shown = [designs[0], *[design for design in designs if design.name in best][:RENDERED]]
         for number, design in enumerate(shown):
             progress("the whole pipeline", number / len(shown))
             camera = masks.camera_with(plan.camera, design.amplitude)
             for preset in PRESETS:
                 proofs[f"{design.name}, {preset}"] = proof(camera, cache_dir() / "proofs", preset, seed)
         progress("the whole pipeline", 1.0)
-    return Study(plan, designs, rows, curves, blurs.tolist(), proofs)
+    return Study(plan, designs, rows, curves, blurs.tolist(), estimates, proofs)
 
 
 def _searched(plan: Plan, progress: Progress) -> list[Design]:
@@ -187,6 +193,14 @@ def _values(
     return values, curves[plan.objective]
 
 
+def _estimated(plan: Plan, design: Design, blurs: criteria.FloatArray) -> tuple[float, float]:
+    """Root mean square over the depths of the likelihood's error on patches, and of its bound, in dioptres."""
+    camera = masks.camera_with(plan.camera, design.amplitude)
+    found = patches.likelihood_errors(camera, blurs, light=plan.light, level_lux=plan.level_lux)
+    error, bound = (float(np.sqrt(np.mean(one**2))) / criteria.dioptre_px(camera) for one in found)
+    return error, bound
+
+
 def _row(plan: Plan, design: Design, values: dict[Objective, float], disc: Row | None) -> Row:
     depth, sharp = values["depth"], values["all-in-focus"]
     feature = masks.smallest_feature(design.amplitude) * aperture_m(plan.camera) * 1e6 / len(design.amplitude)
@@ -223,7 +237,8 @@ def written(study: Study, out: Path) -> None:
             table.writerows(asdict(row) for row in study.rows)
         figures = {slug(row.name): asdict(row) for row in study.rows}
         proofs = {slug(name): asdict(one) for name, one in study.proofs.items()}
-        results = {"schema": 1, "study": "shape", "designs": figures, "pipeline": proofs}
+        estimates = {slug(name): {"error": e, "bound": b} for name, (e, b) in study.estimates.items()}
+        results = {"schema": 1, "study": "shape", "designs": figures, "patches": estimates, "pipeline": proofs}
         (folder / "results.json").write_text(json.dumps(results, indent=1) + "\n")
         (folder / "report.html").write_text(report(study))
 
@@ -259,6 +274,7 @@ def report(study: Study) -> str:
         curves=plot(lambda axes: _draw_curves(axes, study)),
         history=plot(lambda axes: _draw_history(axes, study)),
         proofs=study.proofs,
+        estimates=study.estimates,
         levels=LEVELS,
         best=min(study.rows, key=lambda row: _key(plan, row)),
         slug=slug,
