@@ -63,6 +63,7 @@ RESULT_FILES = {
     "calibration pictures": ("meta.json", "captures.csv", "pictures"),
     "demo": ("results.json", "report.html", "overview.jpg", "capture", "recon"),
     "validation": ("results.json", "report.html", "junit.xml"),
+    "study": ("results.json", "report.html", "table.csv", "masks"),
 }
 
 

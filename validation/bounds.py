@@ -30,6 +30,7 @@ from scipy.special import j0
 
 from dasim import camera as cameras
 from dasim import illuminants, pointspread
+from dasim.aperture import Stop
 from dasim.camera import Camera
 
 FloatArray = NDArray[np.float64]
@@ -106,22 +107,42 @@ def camera_transfers(
     sinc; the change by differences of 0.05 px to either side. For stops that are discs and rings about the axis.
     """
     blurs = np.atleast_1d(np.asarray(blur_px, np.float64))
-    radius = np.arange(RADIAL_STEP_PX / 2, np.abs(blurs).max() / 2 + TAIL_PX, RADIAL_STEP_PX)
     both = np.concatenate([blurs - SLOPE_STEP_PX, blurs + SLOPE_STEP_PX])
     names = [light] if isinstance(light, str) else light
     spectrum = np.stack([illuminants.illuminant(name) for name in names])
-    profiles, _ = pointspread.radial_profiles(camera, both, spectrum, radius, diffraction)
-    ring = profiles * (2 * np.pi * radius * RADIAL_STEP_PX)
-    ring /= ring.sum(axis=-1, keepdims=True)
-    wanted = _radius(shape, spacing_px)
-    known = np.linspace(0, float(wanted.max()), RADIAL_FREQUENCIES)
-    along = ring @ j0(2 * np.pi * np.outer(radius, known))
-    fy, fx = _frequencies(shape, spacing_px)
-    full = CubicSpline(known, along, axis=-1)(wanted.ravel()).reshape(*along.shape[:-1], *wanted.shape)
-    below, above = np.split(full * (np.sinc(fy) * np.sinc(fx)), 2, axis=1)
+    full, _ = round_transfers(camera, both, spectrum, shape, spacing_px=spacing_px, diffraction=diffraction)
+    below, above = np.split(full, 2, axis=1)
     if isinstance(light, str):
         below, above = below[0], above[0]
     return np.asarray((below + above) / 2), np.asarray((above - below) / (2 * SLOPE_STEP_PX))
+
+
+def round_transfers(
+    camera: Camera,
+    blur_px: FloatArray,
+    spectrum: FloatArray,
+    shape: tuple[int, int],
+    *,
+    spacing_px: float = 1.0,
+    diffraction: str = "wave",
+    stops: Sequence[Stop] | None = None,
+) -> tuple[FloatArray, FloatArray]:
+    """H through discs and rings about the axis, all of the camera's or ``stops``, [..., blur, channel, h, w/2 + 1].
+
+    Under light of ``spectrum`` [..., wavelength]; also the electrons of each channel through them, relative,
+    [..., channel].
+    """
+    radius = np.arange(RADIAL_STEP_PX / 2, np.abs(blur_px).max() / 2 + TAIL_PX, RADIAL_STEP_PX)
+    profiles, electrons = pointspread.radial_profiles(camera, blur_px, spectrum, radius, diffraction, stops)
+    ring = profiles * (2 * np.pi * radius * RADIAL_STEP_PX)
+    whole = ring.sum(axis=-1, keepdims=True)
+    ring = np.divide(ring, whole, out=np.zeros_like(ring), where=whole > 0)
+    wanted = _radius(shape, spacing_px)
+    known = np.linspace(0, float(wanted.max()), RADIAL_FREQUENCIES)
+    along = ring @ j0(2 * np.pi * np.outer(radius, known))
+    fy, fx = frequencies(shape, spacing_px)
+    full = CubicSpline(known, along, axis=-1)(wanted.ravel()).reshape(*along.shape[:-1], *wanted.shape)
+    return np.asarray(full * (np.sinc(fy) * np.sinc(fx))), electrons
 
 
 def kernel_transfers(
@@ -132,7 +153,7 @@ def kernel_transfers(
     The change with blur is that of a cubic spline through the blurs, at least two. Where blur steps by s px, it is
     right below about 0.4 / s cycles/px and too small beyond: the bound is then too careful.
     """
-    fy, fx = _frequencies(shape, spacing_px)
+    fy, fx = frequencies(shape, spacing_px)
     rows, columns = (np.arange(n) - n // 2 for n in kernels.shape[-2:])
     right = np.exp(-2j * np.pi * np.outer(columns, fx[0]))
     down = np.exp(-2j * np.pi * np.outer(fy[:, 0], rows))
@@ -161,7 +182,7 @@ def information(
     channels or a matrix [channel, channel]. The unit of the blur is that of the slope.
     """
     told = _by_frequency(transfer, slope, power, noise, gain, coherence)
-    return np.asarray((told * _multiplicity(width)).sum(axis=(-1, -2)))
+    return np.asarray((told * multiplicity(width)).sum(axis=(-1, -2)))
 
 
 def _by_frequency(
@@ -214,13 +235,13 @@ def blur_deviation(
     of frequencies is a nuisance, and what is left is what the channels' difference of blur tells. Infinite where the
     blur tells nothing.
     """
-    per_frequency = _by_frequency(transfer, slope, power, noise, gain, coherence) * _multiplicity(width)
+    per_frequency = _by_frequency(transfer, slope, power, noise, gain, coherence) * multiplicity(width)
     whole = told = per_frequency[..., BLUR, BLUR, :, :].sum(axis=(-1, -2))
     if texture == "spectrum":
         told = _without(per_frequency.sum(axis=(-1, -2)))
     elif texture == "free":
         told = _without(_free_of_spectrum(per_frequency, power.shape, width))
-    told = np.where(told > _NOTHING * np.maximum(whole, np.finfo(float).tiny), told, 0.0)
+    told = np.where(told > NOTHING * np.maximum(whole, np.finfo(float).tiny), told, 0.0)
     if area_px is not None:
         told = told * (area_px / (power.shape[-2] * width * spacing_px**2))
     with np.errstate(divide="ignore"):
@@ -258,14 +279,14 @@ def level_deviation(camera: Camera, blur_deviation_px: ArrayLike) -> FloatArray:
     return np.asarray(np.asarray(blur_deviation_px, np.float64) / cameras.level_blur_px(camera)[1])
 
 
-_NOTHING = 1e-9  # of the information with all else known: what rounding leaves where the blur tells nothing
+NOTHING = 1e-9  # of the information with all else known: what rounding leaves where the blur tells nothing
 
 
 def _adjoint(matrix: NDArray) -> NDArray:
     return np.conj(np.swapaxes(matrix, -1, -2))
 
 
-def _multiplicity(width: int) -> FloatArray:
+def multiplicity(width: int) -> FloatArray:
     """How often each column of the half-plane stands in the whole one, [w/2 + 1]."""
     twice = np.full(width // 2 + 1, 2.0)
     twice[0] = 1.0
@@ -274,11 +295,12 @@ def _multiplicity(width: int) -> FloatArray:
     return twice
 
 
-def _frequencies(shape: tuple[int, int], spacing_px: float) -> tuple[FloatArray, FloatArray]:
+def frequencies(shape: tuple[int, int], spacing_px: float) -> tuple[FloatArray, FloatArray]:
+    """Frequencies of a patch in cycles/px down and along, [h, 1] and [1, w/2 + 1]."""
     down, along = np.fft.fftfreq(shape[0], spacing_px), np.fft.rfftfreq(shape[1], spacing_px)
     return np.asarray(down[:, None], np.float64), np.asarray(along[None, :], np.float64)
 
 
 def _radius(shape: tuple[int, int], spacing_px: float) -> FloatArray:
     """Frequency in cycles/px, [h, w/2 + 1]."""
-    return np.asarray(np.hypot(*_frequencies(shape, spacing_px)))
+    return np.asarray(np.hypot(*frequencies(shape, spacing_px)))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import sys
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -10,12 +12,15 @@ import cyclopts
 from cyclopts import Parameter
 
 from dasim.cli.datasets import processes_of
-from dasim.cli.options import Whole
+from dasim.cli.options import Out, Whole, progress
+from dasim.errors import InputError
 
 if TYPE_CHECKING:
     from dasim.executors import Executor
 
 app = cyclopts.App(name="study", help="Compare aperture designs: by simulation, by bounds, by a search of shapes.")
+
+Texture = Literal["known", "spectrum", "free"]
 
 
 @app.default
@@ -64,11 +69,159 @@ def sweep(
     return 1 if failed else 0
 
 
+@app.command
+def bound(
+    camera: str = "da-mobile",
+    *,
+    focus: float | None = None,
+    near_cm: float = 5.0,
+    far_cm: float = 24.0,
+    count: Whole = 8,
+    light: str = "D65",
+    lux: float = 5000.0,
+    texture: Texture = "free",
+    channels: str = "G,IR",
+) -> int:
+    """Print the least error of depth that an unbiased estimate from one patch can have, by distance.
+
+    Args:
+        camera: a bundled name or a TOML file, with stops of any shape
+        focus: distance in m; by default 0.4
+        near_cm: nearest distance
+        far_cm: farthest distance, on the near side of the focus
+        count: number of distances, evenly spaced in dioptres
+        light: illuminant
+        lux: its strength
+        texture: what is known of the texture: all but its phases, its spectrum up to a factor, or nothing (free)
+        channels: planes of the mosaic that are compared, first the one with the sharp texture
+    """
+    from dasim import camera as cameras
+    from dasim import illuminants
+    from validation import bounds
+    from validation.studies import criteria
+
+    wrong = _positive(("--near-cm", near_cm), ("--far-cm", far_cm), ("--lux", lux))
+    if count < 1:
+        wrong.append(f"--count {count}: must be 1 or more")
+    names = tuple(name.strip() for name in channels.split(",") if name.strip())
+    if len(names) < 2 or len(set(names)) != len(names):
+        wrong.append(f"--channels '{channels}': must be two channels or more, such as G,IR")
+    lens = _focused(camera, focus, wrong)
+    for check in (lambda: illuminants.illuminant(light),
+                  lambda: criteria.blurs_between(lens, near_cm / 100, far_cm / 100, max(count, 1))):  # fmt: skip
+        _collect(wrong, check)
+    if wrong:
+        raise InputError("; ".join(wrong))
+    blurs = criteria.blurs_between(lens, near_cm / 100, far_cm / 100, count)
+    begin = time.perf_counter()
+    deviation = criteria.camera_bound(lens, blurs, light=light, level_lux=lux, texture=texture, planes=names)
+    seconds = time.perf_counter() - begin
+    depth_m = cameras.depth_of_blur_m(lens, blurs)
+    metres = bounds.depth_deviation_m(lens, depth_m, deviation)
+    print(f"{lens.name}, focus {lens.lens.focus_distance_m:g} m, {light}, {lux:g} lux, channels {', '.join(names)}, "
+          f"texture {texture}: least standard deviation in a patch of 31 px")  # fmt: skip
+    print(f"{'depth':>9}  {'blur':>8}  {'levels':>8}  {'dioptres':>9}  {'depth':>10}")
+    for z, blur, own, error_m in zip(depth_m, blurs, bounds.level_deviation(lens, deviation), metres, strict=True):
+        print(f"{100 * z:6.2f} cm  {blur:5.1f} px  {own:8.3f}  {error_m / z**2:9.4f}  {1000 * error_m:7.3f} mm")
+    print(f"computed in {1000 * seconds:.0f} ms")
+    return 0
+
+
+@app.command
+def shape(
+    camera: str = "da-mobile",
+    *,
+    out: Out,
+    focus: float | None = None,
+    budget: float = 0.2116,
+    cells: Whole = 64,
+    feature_um: float = 80.0,
+    seeds: Whole = 5,
+    objective: Literal["depth", "all-in-focus"] = "depth",
+    near_cm: float = 5.0,
+    far_cm: float = 24.0,
+    light: str = "D65",
+    lux: float = 5000.0,
+    texture: Texture = "free",
+    quick: Annotated[bool, Parameter(negative="")] = False,
+    render: Annotated[bool, Parameter(negative="")] = False,
+) -> int:
+    """Search for the shape of the near-infrared stop, and compare it with a disc, rings and published codes.
+
+    Args:
+        camera: a bundled name or a TOML file
+        out: a folder for table.csv, results.json, report.html and masks as PNG, SVG and TOML
+        focus: distance in m; by default 0.4
+        budget: open area over the lens's, 0.46 squared by default
+        cells: of the mask across the lens
+        feature_um: diameter of the smallest feature, of what is open and of what is closed
+        seeds: starts of each kind of search
+        objective: the least error of depth, or of the sharp picture
+        near_cm: nearest distance
+        far_cm: farthest distance, on the near side of the focus
+        light: illuminant
+        lux: its strength
+        texture: what is known of the texture, see 'dasim study bound'
+        quick: smaller masks and fewer starts, for a first look
+        render: put the best three through the whole pipeline, several minutes each; goes on where it was stopped
+    """
+    from dasim.files import check_output
+    from validation.studies import shape_study
+
+    wrong = _positive(("--near-cm", near_cm), ("--far-cm", far_cm), ("--lux", lux), ("--feature-um", feature_um))
+    lens = _focused(camera, focus, wrong)
+    if quick:
+        cells, seeds = min(cells, 40), min(seeds, 2)
+    plan = shape_study.Plan(
+        lens, budget, cells, feature_um, seeds, objective, near_cm / 100, far_cm / 100, light, lux, texture,
+        iterations=8 if quick else 20,
+    )  # fmt: skip
+    for check in (lambda: shape_study.checked(plan), lambda: check_output(out, "study")):
+        _collect(wrong, check)
+    if wrong:
+        raise InputError("; ".join(wrong))
+    with progress() as show:
+        study = shape_study.studied(plan, render=render, progress=show)
+    shape_study.written(study, out)
+    print(f"{'design':<44} {'open':>7} {'depth, 1/m':>11} {'to disc':>8} {'sharp':>7} {'to disc':>8}")
+    for row in study.rows:
+        print(f"{row.name:<44} {100 * row.budget:5.1f} % {row.depth_dioptre:11.4f} {row.depth_ratio:8.2f} "
+              f"{row.sharp_error:7.4f} {row.sharp_ratio:8.3f}")  # fmt: skip
+    for name, (error, least) in study.estimates.items():
+        print(f"patches, {name}: likelihood {error:.4f} 1/m, its bound {least:.4f} 1/m")
+    for name, one in study.proofs.items():
+        print(f"pipeline, {name}: boards {one.deviation:.3f} 1/m, desk {one.desk_error:.3f} 1/m, "
+              f"all in focus {one.desk_sharp_db:.1f} dB")  # fmt: skip
+    print(f"report: {out / 'report.html'}")
+    return 0
+
+
+DEFAULT_FOCUS_M = 0.4  # the far end of the paper's first working range
+
+
+def _focused(camera, focus, wrong):  # type: ignore[no-untyped-def]
+    from dasim import camera as cameras
+
+    lens = cameras.load_camera(camera)
+    found = []
+    _collect(wrong, lambda: found.append(cameras.refocused(lens, DEFAULT_FOCUS_M if focus is None else focus)))
+    return found[0] if found else lens
+
+
+def _positive(*options: tuple[str, float]) -> list[str]:
+    return [f"{name} {value:g}: must be above 0" for name, value in options if not value > 0]
+
+
+def _collect(wrong, check) -> None:  # type: ignore[no-untyped-def]
+    try:
+        check()
+    except InputError as error:
+        wrong.append(str(error))
+
+
 @contextmanager
 def _shown(name: str) -> Iterator[Callable[[int, int, int], None]]:
     """A progress bar with the time left on a terminal; elsewhere a line for each point."""
-    import sys
-
     from rich import progress as bars
     from rich.console import Console
 
