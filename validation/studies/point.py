@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 import time
 from dataclasses import dataclass, replace
 from typing import Any
@@ -17,17 +18,19 @@ from dasim import aperture, sensor, spectra
 from dasim import camera as cameras
 from dasim.camera import Camera
 from dasim.dataset import sample, storage
+from dasim.errors import InputError
 from dasim.executors import Outcome, said
 from dasim.scene import Scene
 from dasim.simulation import Shot
 from dasim.values import Capture, Reconstruction, Truth
-from validation import picture_scores
+from validation import bounds, picture_scores
 from validation.banks import simulated_bank
-from validation.studies import stereo
+from validation.studies import criteria, stereo
 from validation.studies.specification import StudySpec, Unit, Value, camera_of, scene_of, settings_of, units
 
 FloatArray = NDArray[np.float64]
 
+BOUND_DEPTHS, BOUND_PERCENTILES = 6, (5, 95)
 BASELINE = "stereo.baseline_mm"
 OTHER_SEED = 1_000_000  # the second camera has its own noise
 LONGEST_S, MOST_GAIN = 1 / 30, 16.0  # of a picture by hand
@@ -37,6 +40,7 @@ FIGURES = {
     "depth-median": ("1/m", "median absolute error of 1/z, all pixels before the focus"),
     "depth-rmse": ("1/m", "root mean square error of 1/z"),
     "depth-constant": ("1/m", "the median of the best constant map"),
+    "depth-bound": ("1/m", "Cramer-Rao bound of 1/z over the same depths, natural texture of nothing known"),
     "depth-median-m": ("m", "median absolute error of z"),
     "depth-rmse-m": ("m", "root mean square error of z"),
     "coverage": ("1", "share of the pixels with a raw estimate"),
@@ -111,7 +115,9 @@ def measured(spec: StudySpec, unit: Unit) -> list[dict[str, Any]]:
         capture = exposed(shot, scene, point, unit.seed * len(unit.points) + number)
         exact = scaled(shot, capture, scene, point)
         result = recon.reconstruct(capture, bank, settings_of(spec, point))
-        own = figures(result, capture, exact)
+        own = figures(result, capture, exact) | {
+            "depth-bound": bound(capture, exact, shot.capture.illuminant, lux(scene, point))
+        }
         if other is not None:
             seen = exposed(other, scene, point, unit.seed * len(unit.points) + number + OTHER_SEED)
             right = recon.reconstruct(seen, bank, settings_of(spec, point))
@@ -136,10 +142,28 @@ def exposed(shot: Shot, scene: Scene, point: dict[str, Value], seed: int) -> Cap
     return Capture(raw, camera, time_s, gain, seed)
 
 
+def lux(scene: Scene, point: dict[str, Value]) -> float:
+    """Illuminance of the point: its own, or all lights of the scene together."""
+    return float(point.get("light.lux", sum(getattr(light, "lux", 0.0) for light in scene.lights)))
+
+
 def brighter(scene: Scene, point: dict[str, Value]) -> float:
     """Factor from the scene's own light to the point's."""
-    own = sum(getattr(light, "lux", 0.0) for light in scene.lights)
-    return float(point["light.lux"]) / own if "light.lux" in point else 1.0
+    return lux(scene, point) / lux(scene, {})
+
+
+def bound(capture: Capture, truth: Truth, light: str | None, level_lux: float) -> float:
+    """Root mean square of the least error of 1/z that a patch allows, over the depths in view; NaN where none is."""
+    camera = capture.camera
+    depth = truth.depth_m[truth.valid & (truth.level >= -0.5)]
+    near_m, far_m = (float(v) for v in np.percentile(depth, BOUND_PERCENTILES))
+    try:
+        blurs = criteria.blurs_between(camera, near_m, far_m, BOUND_DEPTHS)
+        deviation = criteria.camera_bound(camera, blurs, light=str(light), level_lux=level_lux)
+    except InputError:  # all in focus, or a camera that lacks a plane
+        return math.nan
+    per_px = bounds.depth_deviation_m(camera, 1.0, 1.0)
+    return float(np.sqrt(np.mean(deviation**2)) * per_px)
 
 
 def scaled(shot: Shot, capture: Capture, scene: Scene, point: dict[str, Value]) -> Truth:
