@@ -142,7 +142,9 @@ def shape(
     for name, (error, least) in study.estimates.items():
         print(f"patches, {name}: likelihood {error:.4f} 1/m, its bound {least:.4f} 1/m")
     for name, one in study.proofs.items():
-        print(f"pipeline, {name}: boards {one.deviation:.3f} 1/m, desk {one.desk_error:.3f} 1/m, "
+        boards = " ".join(f"{error:.3f}" for error in one.board_deviation)
+        found = " ".join(f"{100 * share:.0f}" for share in one.board_coverage)
+        print(f"pipeline, {name}: boards {boards} 1/m, found {found} %, desk {one.desk_error:.3f} 1/m, "
               f"all in focus {one.desk_sharp_db:.1f} dB")  # fmt: skip
     print(f"report: {out / 'report.html'}")
     return 0
