@@ -3,7 +3,12 @@
 from __future__ import annotations
 
 import json
+import shutil
+import subprocess
+from collections.abc import Iterator
+from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
@@ -18,6 +23,7 @@ from validation.studies.shape import Search
 CELLS, BUDGET = 20, 0.2116
 BLURS = np.array([5.0, 20.0, 40.0])
 STEP = 1e-4  # of amplitudes; differences are good to its square
+BROWSER_DEADLINE_S = 60
 GRADIENT_TOLERANCE = 1e-3  # relative, of the issue; 1e-6 is reached
 
 
@@ -145,15 +151,21 @@ def test_a_camera_without_infrared_has_nothing_to_shape(tmp_path, capsys) -> Non
     assert "IR" in capsys.readouterr().err
 
 
-def test_a_study_writes_its_masks_table_and_page(camera: dasim.Camera, tmp_path, monkeypatch) -> None:  # type: ignore[no-untyped-def]
-    for name, small in {"REFERENCE_CELLS": 32, "FINE": 24, "SEARCH_FINE": 24, "BLURS": 2, "SEARCH_BLURS": 2}.items():
-        monkeypatch.setattr(shape_study, name, small)  # coarse, to be quick
-    monkeypatch.setattr(shape_study.patches, "STEP_PX", 1.0)
-    # The pipeline takes minutes: what it finds stands in.
+@pytest.fixture(scope="module")
+def study(camera: dasim.Camera) -> Iterator[shape_study.Study]:
+    """A coarse study, to be quick; the pipeline takes minutes, so what it finds stands in."""
+    small = {"REFERENCE_CELLS": 32, "FINE": 24, "SEARCH_FINE": 24, "BLURS": 2, "SEARCH_BLURS": 2}
     rendered = Proof((0.1, np.nan), (0.2, np.nan), (0.9, 0.0), (20.0, 18.0), 0.3, 25.0)
-    monkeypatch.setattr(shape_study, "proof", lambda camera, folder, preset, seed: rendered)
-    plan = shape_study.Plan(camera, BUDGET, cells=16, feature_um=170.0, seeds=1, iterations=1)
-    study = shape_study.studied(plan, render=True)
+    with pytest.MonkeyPatch.context() as patch:
+        for name, value in small.items():
+            patch.setattr(shape_study, name, value)
+        patch.setattr(shape_study.patches, "STEP_PX", 1.0)
+        patch.setattr(shape_study, "proof", lambda camera, folder, preset, seed: rendered)
+        plan = shape_study.Plan(camera, BUDGET, cells=16, feature_um=170.0, seeds=1, iterations=1)
+        yield shape_study.studied(plan, render=True)
+
+
+def test_a_study_writes_its_masks_table_and_page(study: shape_study.Study, tmp_path: Path) -> None:
     shape_study.written(study, tmp_path / "out")
     results = json.loads((tmp_path / "out" / "results.json").read_text())
     assert results["designs"]["disc-0-46"]["depth_ratio"] == 1
@@ -166,3 +178,21 @@ def test_a_study_writes_its_masks_table_and_page(camera: dasim.Camera, tmp_path,
     page = (tmp_path / "out" / "report.html").read_text()
     assert "http" not in page.replace("http://www.w3.org/2000/svg", "")
     assert all(row.name.replace("&", "&amp;") in page for row in study.rows)
+
+
+def test_the_page_opens_in_a_browser_without_complaint(study: shape_study.Study, tmp_path: Path) -> None:
+    names = ("chromium", "chromium-browser", "google-chrome")
+    browser = next((found for name in names if (found := shutil.which(name))), None)
+    if browser is None:
+        pytest.skip(f"no browser here, looked for {', '.join(names)}")
+    page = tmp_path / "report.html"
+    page.write_text(shape_study.report(study), encoding="utf-8")
+    flags = "--headless --no-sandbox --disable-gpu --disable-background-networking --no-first-run --disable-sync"
+    command = [browser, *flags.split(), f"--user-data-dir={tmp_path / 'profile'}", "--enable-logging=stderr"]
+    command += ["--window-size=1200,2400", f"--screenshot={tmp_path / 'shot.png'}", page.as_uri()]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=BROWSER_DEADLINE_S, check=False)
+    assert done.returncode == 0, done.stderr
+    assert not [line for line in done.stderr.splitlines() if "CONSOLE" in line]
+    picture = cv2.imread(str(tmp_path / "shot.png"))
+    assert picture is not None
+    assert picture.std() > 10, "the page is blank"

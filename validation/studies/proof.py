@@ -31,6 +31,7 @@ LIGHT = "D55"  # the desk's; one light, so that a mask's kernels are calibrated 
 LEVELS = (5, 11, 17, 23)  # of boards with one texture: visible blurs of 9 to 43 px with a hole of 0.46
 BOARD_PX, DESK_PX = (192, 144), (256, 192)
 SPP = 64
+FOUND = 0.5  # of a board's textured pixels have a level, or the board is not found
 # The default compares means over rings of frequencies, for which round stops were assumed, and keeps what it is sure
 # of; the paper's own, eq. (9) to (12), and its likelihood take kernels as they are.
 PRESETS = ("bands", "paper", "likelihood")
@@ -50,18 +51,18 @@ class Proof:
 
     @property
     def deviation(self) -> float:
-        """Over the boards that have levels: root mean square without bias."""
-        return _rms(self.board_deviation)
+        """Over the boards: root mean square without bias; NaN where one is not found."""
+        return _rms(self.board_deviation, self.board_coverage)
 
     @property
     def error(self) -> float:
-        """Over the boards that have levels: root mean square."""
-        return _rms(self.board_error)
+        """Over the boards: root mean square; NaN where one is not found."""
+        return _rms(self.board_error, self.board_coverage)
 
 
-def _rms(values: tuple[float, ...]) -> float:
-    known = np.array(values)[np.isfinite(values)]
-    return float(np.sqrt(np.mean(known**2))) if len(known) else float("nan")
+def _rms(values: tuple[float, ...], coverage: tuple[float, ...]) -> float:
+    """A mean over the boards that were found would reward a design for those that were not: there is none then."""
+    return float(np.sqrt(np.mean(np.square(values)))) if min(coverage) >= FOUND else float("nan")
 
 
 def proof(

@@ -203,12 +203,17 @@ def best_of(at: Bench, search: Search, seeds: Sequence[int], progress: Progress 
     return sorted(designs, key=lambda design: criteria.value(at, design.amplitude))
 
 
+def disc_name(budget: float) -> str:
+    """What the disc of a light budget is called."""
+    return f"disc {np.sqrt(budget):.2f}"
+
+
 def references(cells: int, budget: float) -> list[Design]:
     """What a search is compared with: the disc, rings, a disc at the rim, and published codes, at the same budget."""
     from validation.studies import codes
 
     alpha = float(np.sqrt(budget))
-    designs = [Design(f"disc {alpha:.2f}", masks.disc(cells, budget))]
+    designs = [Design(disc_name(budget), masks.disc(cells, budget))]
     for inner in (0.25, 0.5, 0.75):
         if inner**2 + budget <= 1:
             designs.append(Design(f"ring from {inner:g}", masks.annulus(cells, budget, inner)))

@@ -12,6 +12,7 @@ from pathlib import Path
 import jinja2
 import numpy as np
 
+from dasim import aperture
 from dasim.cache import cache_dir
 from dasim.camera import Camera, aperture_m
 from dasim.errors import InputError
@@ -144,7 +145,7 @@ def studied(
     if render:
         for number, design in enumerate(shown):
             progress("the whole pipeline", number / len(shown))
-            camera = masks.camera_with(plan.camera, design.amplitude)
+            camera = _camera(plan, design)
             for preset in PRESETS:
                 proofs[f"{design.name}, {preset}"] = proof(camera, cache_dir() / "proofs", preset, seed)
         progress("the whole pipeline", 1.0)
@@ -193,9 +194,21 @@ def _values(
     return values, curves[plan.objective]
 
 
+def _camera(plan: Plan, design: Design) -> Camera:
+    """The camera with a design in its near-infrared stop; the disc is a disc and no mask of cells."""
+    if design.name != shape.disc_name(plan.budget):
+        return masks.camera_with(plan.camera, design.amplitude)
+    stop = criteria.infrared_stop(plan.camera)
+    radius = round(float(np.sqrt(plan.budget)), 12)
+    disc = aperture.Disc(
+        name=stop.name, radius_ratio=radius, passes_nm=stop.passes_nm, edge_width_nm=stop.edge_width_nm
+    )
+    return criteria.with_stop(plan.camera, disc)
+
+
 def _estimated(plan: Plan, design: Design, blurs: criteria.FloatArray) -> tuple[float, float]:
     """Root mean square over the depths of the likelihood's error on patches, and of its bound, in dioptres."""
-    camera = masks.camera_with(plan.camera, design.amplitude)
+    camera = _camera(plan, design)
     found = patches.likelihood_errors(camera, blurs, light=plan.light, level_lux=plan.level_lux)
     error, bound = (float(np.sqrt(np.mean(one**2))) / criteria.dioptre_px(camera) for one in found)
     return error, bound
