@@ -31,7 +31,7 @@ FIXED_SPP = 64
 COUNTED = 2  # samples of each run that are measured; others keep the processes busy until these are done
 TINY = 200  # samples that memory is watched over
 TINY_SIZE_PX = (64, 48)
-TINY_SCENES = ("adam", "colour-checker", "depth-steps", "desk", "fence", "flat", "flowers", "staircase")  # lit ones
+TINY_SCENES = ("colour-checker", "depth-steps", "desk", "flat")  # lit ones, soon compiled
 RENDERING = {
     "translate": ("world",),
     "truth": ("geometry",),
