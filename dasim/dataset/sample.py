@@ -103,6 +103,8 @@ def make(spec: DatasetSpec, index: int, variant: str) -> Made:
     render_s = time.perf_counter() - begun
     files = _files(spec, drafted, shot)
     row = _row(drafted, shot, files)
+    del shot, drafted
+    backend.release_memory()
     return Made(files, row, time.perf_counter() - start, render_s)
 
 

@@ -8,6 +8,7 @@ kept in the cache folder, so later starts cost nothing. ``python -m dasim.render
 from __future__ import annotations
 
 import contextlib
+import ctypes
 import glob
 import hashlib
 import json
@@ -132,6 +133,18 @@ def use_threads(count: int) -> None:
     import drjit
 
     drjit.set_thread_count(count)
+
+
+def release_memory() -> None:
+    """Give back what a picture left in the pools of Dr.Jit and of the C library.
+
+    Scenes of ever other sizes would leave more and more there: 0.87 GB after 12 random scenes, 0.47 GB with this.
+    """
+    import drjit
+
+    drjit.flush_malloc_cache()
+    with contextlib.suppress(OSError, AttributeError, TypeError):  # glibc alone has it
+        ctypes.CDLL(None).malloc_trim(0)
 
 
 def activate(choice: Choice) -> None:
