@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import os
+import sys
 
 # Small products gain nothing from several threads, and idle ones spin: on a busy computer that is ten times slower.
 # Set before numpy is loaded.
@@ -13,6 +14,7 @@ for _name in ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
 
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
@@ -39,6 +41,15 @@ def reference():
         return dict(zip(lines[0].split(","), values.T, strict=True))
 
     return read
+
+
+@pytest.fixture(scope="module", autouse=True)
+def threads():
+    """Datasets render on one thread; the tests of the next module do not."""
+    yield
+    if "drjit" in sys.modules:
+        backend.use_threads(os.cpu_count() or 1)
+    cv2.setNumThreads(-1)
 
 
 @pytest.fixture(scope="session")

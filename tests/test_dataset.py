@@ -23,20 +23,11 @@ from dasim.dataset import draws, plan, storage, verify
 from dasim.dataset.specification import DatasetSpec, load_spec
 from dasim.errors import InputError
 from dasim.files import TRUTH_PARTS
-from dasim.render import backend
 from dasim.specification import parse
 
 HALF_STEP = 2**-11  # relative: half of the last of 11 bits
 COUNT = 400
 SIGMAS = 5
-
-
-@pytest.fixture(scope="module", autouse=True)
-def threads():
-    """Datasets render on one thread; the tests after these do not."""
-    yield
-    backend.use_threads(os.cpu_count() or 1)
-    cv2.setNumThreads(-1)
 
 
 def spec_of(**changes) -> DatasetSpec:

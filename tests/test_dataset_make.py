@@ -14,7 +14,6 @@ import time
 from collections import Counter
 from pathlib import Path
 
-import cv2
 import pytest
 from datasets import MESH, SQUARE, WALL, backwards, deadly, inline, logged, made, spec_file, sums
 
@@ -23,18 +22,9 @@ from dasim.cli import run
 from dasim.dataset import plan, sample, storage, verify
 from dasim.dataset.make import TRIES
 from dasim.errors import InputError
-from dasim.render import backend
 
 SAMPLES = 24
 START_S = 100.0  # that a process gets to begin on a busy computer
-
-
-@pytest.fixture(scope="module", autouse=True)
-def threads():
-    """Datasets render on one thread; the tests after these do not."""
-    yield
-    backend.use_threads(os.cpu_count() or 1)
-    cv2.setNumThreads(-1)
 
 
 @pytest.fixture(scope="module")

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
+
 import cv2
 import numpy as np
 import pytest
@@ -13,6 +16,7 @@ from dasim.errors import InputError
 from dasim.foreign import MitsubaScene
 from dasim.spectra import WAVELENGTH_NM, integrate
 
+DEADLINE_S = 100.0  # of a process that imports, compiles and reads, on a busy computer
 SINGLE = 1e-4  # relative: rays and shapes are single precision
 LEVEL_LIMIT = 0.01  # relative, of a mean over many pixels: sampling noise of wavelengths
 POSE = '<lookat origin="1, 2, 4" target="0.1, 0.2, -0.3" up="0.2, 1, 0"/>'
@@ -465,6 +469,29 @@ def test_lights_that_are_no_shapes_stand_where_mitsuba_puts_them(xml, world, wid
     assert rows[0][3] > 0
     np.testing.assert_allclose(rows[1], rows[0], rtol=SINGLE, atol=1e-6)
     np.testing.assert_allclose(rows[2], rows[0], rtol=SINGLE, atol=1e-6)
+
+
+READ_ON_ONE_THREAD = """
+import cv2, numpy as np
+import dasim
+from dasim.render import backend, translate
+backend.activate(backend.choose())
+backend.use_threads(1)
+scene = dasim.load_scene("scene.xml")
+translate.world(scene, dasim.cropped(dasim.load_camera("da-mobile"), 32, 24))
+"""
+
+
+def test_an_environment_map_is_read_on_one_thread(jit, tmp_path):
+    """Rationale: workers of datasets render on one thread, and Mitsuba's EXR reader waits for ever for a second one."""
+    import mitsuba as mi
+
+    mi.Bitmap(np.ones((128, 256, 3), np.float32)).write(str(tmp_path / "sky.exr"))
+    light = '<emitter type="envmap"><string name="filename" value="sky.exr"/></emitter>'
+    (tmp_path / "scene.xml").write_text(f'<scene version="3.0.0">{ASLANT}{SHAPE}{light}</scene>')
+    command = [sys.executable, "-c", READ_ON_ONE_THREAD]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=DEADLINE_S, check=False)
+    assert done.returncode == 0, done.stderr
 
 
 def test_environment_map_keeps_its_directions_and_gets_the_illuminant(xml, world, wide, jit, tmp_path):

@@ -19,6 +19,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Iterator
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
@@ -133,6 +134,21 @@ def use_threads(count: int) -> None:
     import drjit
 
     drjit.set_thread_count(count)
+
+
+@contextlib.contextmanager
+def reading_threads() -> Iterator[None]:
+    """Two threads at least while Mitsuba reads files: its EXR reader waits for ever for another one than its own."""
+    import drjit
+
+    count = drjit.thread_count()
+    if count < 2:
+        drjit.set_thread_count(2)
+    try:
+        yield
+    finally:
+        if count < 2:
+            drjit.set_thread_count(count)
 
 
 def release_memory() -> None:

@@ -12,7 +12,7 @@ from dasim import camera as cameras
 from dasim import scene as scenes
 from dasim.camera import Camera
 from dasim.foreign import MitsubaScene
-from dasim.render import foreign, truth
+from dasim.render import backend, foreign, truth
 from dasim.render.emitters import emitters
 from dasim.render.foreign import World
 from dasim.render.geometry import shape
@@ -33,7 +33,8 @@ def world(scene: Scene | MitsubaScene, camera: Camera) -> World:
     """A scene of either kind in Mitsuba, clear of the lens, with what is to be told of it."""
     pupil_radius_m = cameras.aperture_m(camera) / 2
     if isinstance(scene, MitsubaScene):
-        found = foreign.load(scene, truth.field_of_view_deg(camera))
+        with backend.reading_threads():
+            found = foreign.load(scene, truth.field_of_view_deg(camera))
         foreign.check_clear(found, scene, pupil_radius_m)
         return found
     scenes.check_clear(scene, pupil_radius_m)
