@@ -13,7 +13,7 @@ from dasim.simulation import Shot
 from dasim.values import Capture
 from recon import mosaic
 from recon.settings import PRESETS
-from validation import bounds, strips
+from validation import bounds, relighting, strips
 from validation.claim import GATES, judged_all, load_gates
 from validation.claim_table import CLAIMS
 from validation.claims import balance, light_levels, resolution, staircase, steps
@@ -238,14 +238,14 @@ def even_shot(da_mobile):
 )
 def test_exposure_is_time_first_then_gain(even_shot, times, time_s, gain):
     camera = even_shot.capture.camera
-    capture = light_levels.exposed(even_shot, camera, times, 0)
+    capture = relighting.exposed(even_shot, times, 0)
     full = 0.85 * camera.sensor.full_well_e / capture.gain
     green = 1000 * times * capture.exposure_s / 0.01
-    assert capture.exposure_s <= light_levels.LONGEST_S
+    assert capture.exposure_s <= relighting.LONGEST_S
     assert time_s is None or capture.exposure_s == pytest.approx(time_s)
     assert gain is None or capture.gain == gain
     assert green <= full * 1.001
-    if capture.gain < light_levels.MOST_GAIN:
+    if capture.gain < relighting.MOST_GAIN:
         assert green == pytest.approx(full)
     electrons, _ = mosaic.linearise(capture)
     assert electrons[::2, ::2].mean() == pytest.approx(green, rel=0.05)

@@ -23,6 +23,7 @@ from validation.claim_table import CLAIMS
 from validation.claims import depth_maps, disks, scene_pictures, two_cameras
 from validation.figures import Figure
 from validation.picture_scores import infrared_free
+from validation.plots import plot
 from validation.report import png_address
 
 HEIGHT, WIDTH = 192, 256
@@ -248,3 +249,10 @@ def test_rows_of_panels_get_the_whole_width():
     row, single = np.zeros((30, 90, 3)), np.zeros((30, 40, 3))
     assert [claims_page.wide(png_address(image)) for image in (row, single)] == [True, False]
     assert not claims_page.wide(pictures.photo_address(row)) and not claims_page.wide("data:image/svg+xml;base64,AAAA")
+
+
+@pytest.mark.parametrize(("columns", "rows", "wanted"), [(5, 2, True), (1, 1, False), (2, 1, True)])
+def test_rows_of_plots_get_the_whole_width(columns, rows, wanted):
+    """Expectation: five panels in half the page's width are too small to read; one plot is not."""
+    address = plot(lambda axes: None, columns=columns, rows=rows)
+    assert claims_page.wide(address) is wanted

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 WIDE = 1.9
 
 _LABEL = re.compile(r"(Rationale|Set-up|Expectation|Limit|Deviation|Source): ")
+_VIEW = re.compile(rb'viewBox="0 0 ([\d.]+) ([\d.]+)"')  # of an SVG
 
 
 def claims_page(outcomes: Sequence[Outcome]) -> str:
@@ -73,12 +74,13 @@ def paragraphs(text: str) -> list[tuple[str, str]]:
 
 
 def wide(address: str) -> bool:
-    """Whether a PNG is a row of panels, more than WIDE times as wide as high: it gets the page's whole width."""
+    """Whether a picture is a row of panels, more than WIDE times as wide as high: it gets the page's whole width."""
     head, _, data = address.partition(",")
-    if not head.startswith("data:image/png;base64"):
-        return False
-    width, height = struct.unpack(">II", base64.b64decode(data[:32])[16:24])  # the first chunk, IHDR
-    return bool(width > WIDE * height)
+    if head.startswith("data:image/png;base64"):
+        width, height = struct.unpack(">II", base64.b64decode(data[:32])[16:24])  # the first chunk, IHDR
+        return bool(width > WIDE * height)
+    found = _VIEW.search(base64.b64decode(data[:4096])) if head.startswith("data:image/svg+xml;base64") else None
+    return found is not None and float(found[1]) > WIDE * float(found[2])
 
 
 def number(value: float) -> str:

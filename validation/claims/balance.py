@@ -18,6 +18,7 @@ from validation import bounds, rendering, strips
 from validation.claim import Evidence, Progress
 from validation.figures import Figure
 from validation.plots import plot
+from validation.relighting import LONGEST_S
 
 FloatArray = NDArray[np.float64]
 
@@ -25,7 +26,6 @@ ALPHAS = (0.2, 0.3, 0.4, 0.46, 0.5, 0.6, 0.7, 0.8, 0.9)
 PAPERS = 0.46
 LIGHTS = ("D65", "A", "energy-saving-3500K", "LED-B3")
 LEVELS_LUX = {"bright": 5000.0, "dim": 50.0}
-LONGEST_S = 1 / 30  # of a hand-held picture; brighter light takes less, white at the automatic exposure's level
 FOCUS_M = 0.4  # the far end of the paper's first working range, 5 to 40 cm
 BLURS_PX = np.array([3.0, 8.0, 14.0, 20.0, 26.0, 32.0, 40.0, 47.0])  # visible: 24 to 5 cm, even in dioptres
 MEAN_SHARE = 0.4  # of white, the texture's mean

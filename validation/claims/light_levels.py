@@ -10,17 +10,15 @@ from scipy.stats import spearmanr
 
 import dasim
 import recon
-from dasim import sensor
-from dasim.camera import Camera
-from dasim.scene import Scene, load_scene
+from dasim.scene import load_scene
 from dasim.simulation import Shot
-from dasim.values import Capture
 from recon.settings import DEFAULT
 from validation import rendering
 from validation.banks import simulated_bank
 from validation.claim import Evidence, Progress
 from validation.figures import Figure
 from validation.plots import plot
+from validation.relighting import exposed, lit_by
 from validation.shots import photographed
 
 FloatArray = NDArray[np.float64]
@@ -30,8 +28,6 @@ SIZE_PX = (256, 192)
 SPP = 160
 LIGHTS = ("D65", "A", "energy-saving-3500K", "LED-B3")
 LEVELS_LUX = (10.0, 30.0, 100.0, 300.0, 1000.0, 3000.0, 10000.0)
-LONGEST_S = 1 / 30  # of a hand-held picture
-MOST_GAIN = 16.0
 ENOUGH = 0.5  # of the best constant map's error: usable depth
 TICKS = (0.2, 0.5, 1, 2, 5, 10)
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7")
@@ -69,7 +65,7 @@ def light_levels(progress: Progress, seed: int = 0) -> Evidence:
         bank = simulated_bank(camera, diffraction=shot.capture.provenance["diffraction"])
         errors = []
         for part, level_lux in enumerate(LEVELS_LUX):
-            capture = exposed(shot, camera, level_lux / scene_lux, seed * len(LEVELS_LUX) + part)
+            capture = exposed(shot, level_lux / scene_lux, seed * len(LEVELS_LUX) + part)
             result = recon.reconstruct(capture, bank, DEFAULT)
             own = errors_of(result.level, result.level_raw, shot)
             errors.append(own[0])
@@ -95,24 +91,6 @@ def light_levels(progress: Progress, seed: int = 0) -> Evidence:
     return Evidence(
         figures, pictures=[(caption, _picture(curves, constant))], tables=[("Depth against light", head, rows)]
     )
-
-
-def lit_by(scene: Scene, light: str) -> Scene:
-    """The scene with all of its lights of one illuminant."""
-    lights = tuple(item.model_copy(update={"illuminant": light}) for item in scene.lights)
-    return scene.model_copy(update={"name": f"{scene.name}:{light}", "lights": lights})
-
-
-def exposed(shot: Shot, camera: Camera, times: float, seed: int) -> Capture:
-    """The shot's mean electrons in so many times its light, exposed by the rule of the claim."""
-    rate = shot.truth.mean_e.astype(np.float64) * (times / shot.capture.exposure_s)
-    rule = sensor.Exposure()
-    wanted = sensor.auto_exposure_s(rate, camera, rule)
-    time_s = min(wanted, LONGEST_S)
-    gain = float(np.clip(wanted / time_s, 1.0, MOST_GAIN))
-    collected = sensor.electronic_crosstalk(sensor.mosaic(rate * time_s, camera), camera.sensor)
-    raw, _ = sensor.expose(collected, camera.sensor, time_s, seed, gain=gain)
-    return Capture(raw, camera, time_s, gain, seed)
 
 
 def errors_of(level: NDArray, raw: NDArray, shot: Shot) -> tuple[float, float, float]:

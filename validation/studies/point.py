@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 import dasim
 import recon
-from dasim import aperture, sensor, spectra
+from dasim import aperture, spectra
 from dasim import camera as cameras
 from dasim.camera import Camera
 from dasim.dataset import sample, storage
@@ -25,6 +25,7 @@ from dasim.simulation import Shot
 from dasim.values import Capture, Reconstruction, Truth
 from validation import bounds, picture_scores
 from validation.banks import simulated_bank
+from validation.relighting import LONGEST_S, MOST_GAIN, exposed, lit_by
 from validation.studies import criteria, stereo
 from validation.studies.specification import StudySpec, Unit, Value, camera_of, scene_of, settings_of, units
 
@@ -33,7 +34,6 @@ FloatArray = NDArray[np.float64]
 BOUND_DEPTHS, BOUND_PERCENTILES = 6, (5, 95)
 BASELINE = "stereo.baseline_mm"
 OTHER_SEED = 1_000_000  # the second camera has its own noise
-LONGEST_S, MOST_GAIN = 1 / 30, 16.0  # of a picture by hand
 FIGURES = {
     "light-loss": ("1", "light that the sensor loses to the stops, eq. (1) in the camera's own mosaic"),
     "infrared-snr": ("1", "signal over noise of an infrared pixel, median"),
@@ -95,10 +95,7 @@ def measured(spec: StudySpec, unit: Unit) -> list[dict[str, Any]]:
     begin = time.perf_counter()
     scene = scene_of(spec, unit.render)
     if "light.illuminant" in unit.render:
-        lights = tuple(
-            light.model_copy(update={"illuminant": str(unit.render["light.illuminant"])}) for light in scene.lights
-        )
-        scene = scene.model_copy(update={"lights": lights})
+        scene = lit_by(scene, str(unit.render["light.illuminant"]))
     camera = dasim.focused(dasim.cropped(camera_of(spec, unit.render), *spec.size_px), scene)
     if "focus_m" in unit.render:
         camera = dasim.refocused(camera, float(unit.render["focus_m"]))
@@ -112,14 +109,14 @@ def measured(spec: StudySpec, unit: Unit) -> list[dict[str, Any]]:
     rows = []
     for number, point in enumerate(unit.points):
         begin = time.perf_counter()
-        capture = exposed(shot, scene, point, unit.seed * len(unit.points) + number)
+        capture = taken(shot, scene, point, unit.seed * len(unit.points) + number)
         exact = scaled(shot, capture, scene, point)
         result = recon.reconstruct(capture, bank, settings_of(spec, point))
         own = figures(result, capture, exact) | {
             "depth-bound": bound(capture, exact, shot.capture.illuminant, lux(scene, point))
         }
         if other is not None:
-            seen = exposed(other, scene, point, unit.seed * len(unit.points) + number + OTHER_SEED)
+            seen = taken(other, scene, point, unit.seed * len(unit.points) + number + OTHER_SEED)
             right = recon.reconstruct(seen, bank, settings_of(spec, point))
             baseline_m = 1e-3 * float(unit.render[BASELINE])
             nearest_m = float(bank.depth_m.min())
@@ -129,17 +126,11 @@ def measured(spec: StudySpec, unit: Unit) -> list[dict[str, Any]]:
     return rows
 
 
-def exposed(shot: Shot, scene: Scene, point: dict[str, Value], seed: int) -> Capture:
-    """A capture of the shot's mean electrons at the point's level of light: automatic time, then gain."""
-    camera = shot.capture.camera
-    rate = shot.truth.mean_e.astype(np.float64) * (brighter(scene, point) / shot.capture.exposure_s)
-    rule = sensor.Exposure()
-    wanted = sensor.auto_exposure_s(rate, camera, rule)
-    time_s = min(wanted, float(point.get("exposure.longest_s", LONGEST_S)))
-    gain = float(np.clip(wanted / time_s, 1.0, float(point.get("exposure.most_gain", MOST_GAIN))))
-    collected = sensor.electronic_crosstalk(sensor.mosaic(rate * time_s, camera), camera.sensor)
-    raw, _ = sensor.expose(collected, camera.sensor, time_s, seed, gain=gain)
-    return Capture(raw, camera, time_s, gain, seed)
+def taken(shot: Shot, scene: Scene, point: dict[str, Value], seed: int) -> Capture:
+    """A capture of the shot at the point's level of light, exposed as the point says."""
+    longest_s = float(point.get("exposure.longest_s", LONGEST_S))
+    most_gain = float(point.get("exposure.most_gain", MOST_GAIN))
+    return exposed(shot, brighter(scene, point), seed, longest_s=longest_s, most_gain=most_gain)
 
 
 def lux(scene: Scene, point: dict[str, Value]) -> float:
