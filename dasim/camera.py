@@ -225,14 +225,22 @@ class Sensor(Specification):
         return self
 
 
+class Levels(Specification):
+    """The ladder of blur levels that a bank is calibrated at: evenly spaced in visible blur, from 0."""
+
+    count: int = Field(default=BLUR_LEVELS, ge=2, le=400)
+    max_blur_px: float = Field(gt=0, le=500, description="diameter of the visible blur of the last level")
+
+
 class Camera(Specification):
-    """A lens with its stops, and a sensor."""
+    """A lens with its stops, a sensor, and where its blur is calibrated."""
 
     name: str
     description: str = ""
     lens: Lens
     stops: tuple[aperture.Stop, ...] = Field(min_length=1)
     sensor: Sensor
+    levels: Levels | None = Field(default=None, description="by default the paper's ladder, see level_blur_px")
 
     @field_validator("stops", mode="before")
     @classmethod
@@ -353,11 +361,14 @@ def hole_ratio(camera: Camera) -> float:
 
 
 def level_blur_px(camera: Camera) -> FloatArray:
-    """Visible blur diameters in pixels of the blur levels, shape [BLUR_LEVELS], from 0.
+    """Visible blur diameters in pixels of the blur levels, shape [level], from 0.
 
-    Level k is the relative diameter (1 - alpha) c = k pixels, which spans the paper's working range of
-    5 cm to 2 m in 29 levels with its 3.6 mm lens. A camera with one aperture takes steps of 2 pixels.
+    By default level k is the relative diameter (1 - alpha) c = k pixels, which spans the paper's working range of
+    5 cm to 2 m in 29 levels with its 3.6 mm lens. A camera with one aperture takes steps of 2 pixels. Such steps are
+    too wide where alpha nears 1 (10 px of visible blur at 0.9), and comparisons of designs set ``camera.levels``.
     """
+    if camera.levels is not None:
+        return np.linspace(0.0, camera.levels.max_blur_px, camera.levels.count)
     relative = 1.0 - hole_ratio(camera)
     return np.arange(BLUR_LEVELS, dtype=np.float64) * (1.0 / relative if relative > 0 else 2.0)
 

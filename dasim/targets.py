@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from dasim import photographs, scene
-from dasim.camera import BLUR_LEVELS, Camera, depth_of_blur_m, level_blur_px, load_camera
+from dasim.camera import Camera, depth_of_blur_m, level_blur_px, load_camera
 from dasim.errors import InputError
 from dasim.lights import Dome, Lamp, Light
 from dasim.scene import Scene
@@ -23,7 +23,7 @@ DEPTH_RANGE_CM = (1.0, 10_000.0)  # of the halves of depth-steps
 
 
 def staircase(camera: Camera, level: int, texture: str | None = None) -> Scene:
-    """The board of ``scenes/staircase.toml`` at a blur level 0 to 28 of ``camera`` (Fig. 10).
+    """The board of ``scenes/staircase.toml`` at a blur level of ``camera``, 0 to 28 by default (Fig. 10).
 
     The camera's own focus counts: take ``dasim.focused(camera, dasim.load_scene("staircase"))``. ``texture`` is
     another image, ``brick`` (a photograph of scikit-image) or ``pattern:NAME``.
@@ -33,7 +33,7 @@ def staircase(camera: Camera, level: int, texture: str | None = None) -> Scene:
 
 
 def point(camera: Camera, level: int) -> Scene:
-    """The hole in black cloth of ``scenes/point.toml`` at a blur level 0 to 28 of ``camera`` (sec. 5.1)."""
+    """The hole in black cloth of ``scenes/point.toml`` at a blur level of ``camera`` (sec. 5.1)."""
     return _at_level(scene.load_scene("point"), camera, level)
 
 
@@ -102,9 +102,10 @@ _FAMILIES: dict[str, tuple[str, Callable[[Camera, str], Scene]]] = {
 
 def _at_level(template: Scene, camera: Camera, level: int) -> Scene:
     """A scene moved and grown so that its first object or light, whichever is nearer, has a blur level."""
-    if not 0 <= level < BLUR_LEVELS:
-        raise InputError(f"scene '{template.name}': level {level} is not one of 0 to {BLUR_LEVELS - 1}")
-    depth_cm = float(depth_of_blur_m(camera, level_blur_px(camera)[level])) * 1e2
+    blurs = level_blur_px(camera)
+    if not 0 <= level < len(blurs):
+        raise InputError(f"scene '{template.name}': level {level} is not one of 0 to {len(blurs) - 1}")
+    depth_cm = float(depth_of_blur_m(camera, blurs[level])) * 1e2
     depths_cm = [item.position_cm[2] for item in template.objects]
     depths_cm += [light.position_cm[2] for light in template.lights if isinstance(light, Lamp)]
     factor = depth_cm / min(depths_cm)

@@ -7,14 +7,16 @@ import json
 import math
 from collections import deque
 
+import browser
+import numpy as np
 import pytest
 
 from dasim import camera as cameras
 from dasim.cli import run
 from dasim.errors import InputError
 from dasim.executors import Outcome
-from validation.studies import specification, sweep
-from validation.studies.point import FIGURES, Sweep, file_of, light_loss
+from validation.studies import findings, report, specification, sweep
+from validation.studies.point import FIGURES, Sweep, file_of, light_loss, median_error
 from validation.studies.specification import load_study, points, units
 
 STUDY = """
@@ -178,6 +180,113 @@ def test_the_page_is_self_contained(study, tmp_path):
     page = (tmp_path / "out" / "report.html").read_text()
     assert page.count("data:image/svg+xml") == 2 and "http" not in page.replace("http://www.w3.org", "")
     assert "&lt;hole&gt; &amp; why" in page
+
+
+# --- what a sweep says ----------------------------------------------------------------------------
+
+
+def rows_of(spec, errors, figure="depth-median"):
+    """Rows with an error for each hole and seed: errors[hole][seed]."""
+    rows = []
+    for hole, own in errors.items():
+        for seed, value in enumerate(own):
+            row = dict.fromkeys(FIGURES, math.nan) | {figure: value, "seed": seed, "light.lux": 100.0}
+            rows.append(row | {"camera.stops.hole.radius_ratio": hole})
+    return rows
+
+
+@pytest.fixture
+def referred(study):
+    text = STUDY.replace("[0.3, 0.46]", "[0.3, 0.46, 0.65]").replace("[parameters]", REFERENCE + "[parameters]")
+    study.write_text(text)
+    return load_study(str(study))
+
+
+REFERENCE = '[reference]\n"camera.stops.hole.radius_ratio" = 0.46\n'
+
+
+@pytest.mark.parametrize(
+    ("errors", "best", "verdict", "said"),
+    [
+        # every seed has its own noise, far larger than the lead, and 0.65 leads in each of them
+        (
+            {0.3: (3, 7, 2, 5), 0.46: (2.0, 6.1, 1.0, 4.2), 0.65: (1.8, 5.9, 0.8, 4.0)},
+            *(0.65, "worse", "0.65 is best, 0.46 costs 6 %"),
+        ),
+        (
+            {0.3: (3, 3, 3, 3), 0.46: (1.0, 2.0, 1.0, 2.0), 0.65: (1.9, 0.9, 1.9, 0.9)},
+            *(0.65, "not told from the best", "0.65 is best, 0.46 is not told from it"),
+        ),
+        (
+            {0.3: (3, 3, 3, 3), 0.46: (1.0, 1.1, 1.0, 1.1), 0.65: (1.2, 1.2, 1.3, 1.2)},
+            *(0.46, "the best", "0.46 is best"),
+        ),
+        (
+            {0.3: (3,), 0.46: (1.5,), 0.65: (1.0,)},
+            *(0.65, "not told from the best", "0.65 is best, 0.46 is not told from it"),
+        ),
+    ],
+    ids=["paired", "noise", "best", "one seed"],
+)
+def test_where_the_reference_stands(referred, errors, best, verdict, said):
+    found = findings.findings(referred, rows_of(referred, errors))
+    assert [(one.figure, one.best, one.verdict) for one in found] == [("depth-median", best, verdict)]
+    assert findings.said(referred, found) == [f"depth-median: {said}"]
+
+
+def test_figures_that_are_better_large_are_judged_so(referred):
+    """Expectation: the higher PSNR is the better one, and the cost is in dB."""
+    rows = rows_of(referred, {0.3: (20.0, 20.1), 0.46: (24.0, 24.1), 0.65: (26.0, 26.1)}, "psnr")
+    (one,) = findings.findings(referred, rows)
+    assert (one.best, one.cost) == (0.65, pytest.approx(2.0)) and one.clear
+
+
+def test_a_reference_must_be_a_value_of_the_study(study):
+    study.write_text(STUDY.replace("[parameters]", REFERENCE.replace("0.46", "0.47") + "[parameters]"))
+    with pytest.raises(InputError, match=r"reference: camera.stops.hole.radius_ratio = 0.47 is not among the values"):
+        load_study(str(study))
+
+
+def test_the_ranking_is_spearmans():
+    """Expectation: the same order by whatever law 1; two neighbours of five exchanged 1 - 6 * 2 / (5 * 24) = 0.9."""
+    bound = [1.0, 2.0, 3.0, 4.0, 5.0]
+
+    def of(errors):
+        return findings.ranking([{"depth-bound": b, "depth-median": e} for b, e in zip(bound, errors, strict=True)])
+
+    assert of([b**3 for b in bound]).correlation == pytest.approx(1.0)
+    assert of([1, 3, 2, 4, 5]).correlation == pytest.approx(0.9)
+    assert of([math.nan, math.nan, 2, 4, 5]) is None
+
+
+def test_the_median_of_normal_errors_of_several_spreads():
+    """Expectation: 0.6745 of one spread; of two, what 400,000 drawn errors have."""
+    assert median_error(np.full(7, 0.2)) == pytest.approx(0.6745 * 0.2, rel=1e-4)
+    spreads = np.tile([0.1, 0.1, 3.0], 100)
+    drawn = np.random.default_rng(0).normal(size=(4000, 300)) * spreads
+    assert median_error(spreads) == pytest.approx(np.median(np.abs(drawn)), rel=0.01)
+
+
+def test_every_design_of_a_study_is_calibrated_at_the_same_blurs(study):
+    """Expectation: holes of 0.3 and 0.9 have the levels of the study's camera, not steps of 1.4 and 10 px."""
+    study.write_text(STUDY.replace("[0.3, 0.46]", "[0.3, 0.9]"))
+    spec = load_study(str(study))
+    ladders = [
+        cameras.level_blur_px(specification.camera_of(spec, {"camera.stops.hole.radius_ratio": hole}))
+        for hole in (0.3, 0.9)
+    ]
+    np.testing.assert_allclose(ladders[0], ladders[1], rtol=1e-12)
+    np.testing.assert_allclose(ladders[0], np.arange(29) / 0.54, rtol=1e-12)
+
+
+def test_the_page_opens_in_a_browser_without_complaint(referred, tmp_path):
+    """Expectation: the page shows its curves, in their first colour, and says where the reference stands."""
+    swept(referred, tmp_path / "out")
+    page = tmp_path / "out" / "report.html"
+    assert "Where camera.stops.hole.radius_ratio = 0.46 stands" in page.read_text()
+    shot = browser.screenshot(page)
+    blue = np.array([int(report.COLOURS[0][k : k + 2], 16) for k in (5, 3, 1)])
+    assert (np.abs(shot.astype(int) - blue).max(axis=-1) < 20).sum() > 100
 
 
 # --- points --------------------------------------------------------------------------------------

@@ -72,7 +72,7 @@ def measured_bank(
     """The same without the cache."""
     pictures = dasim.calibration.calibration_captures(camera, lights, diffraction=diffraction)
     positions = len(camera.sensor.mosaic) * len(camera.sensor.mosaic[0])
-    count = len(lights) * dasim.camera.BLUR_LEVELS * positions
+    count = len(lights) * len(dasim.camera.level_blur_px(camera)) * positions
 
     def counted():  # type: ignore[no-untyped-def]
         for index, picture in enumerate(pictures):

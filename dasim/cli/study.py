@@ -53,7 +53,7 @@ def sweep(
     from dasim.render import backend
     from validation.studies.point import Sweep, work
     from validation.studies.specification import load_study
-    from validation.studies.sweep import PAGE
+    from validation.studies.sweep import PAGE, summary
     from validation.studies.sweep import sweep as run_sweep
 
     spec = load_study(study, quick=quick)
@@ -61,8 +61,11 @@ def sweep(
     here = environment(backend.choose(variant).variant)
     local = executor == "local"
     run: Executor = executors.local(processes_of(jobs), work) if local else executors.ray(address, work)
+    job = Sweep(spec, place, here)
     with _shown(spec.name) as show:
-        failed = run_sweep(Sweep(spec, place, here), run, show)
+        failed = run_sweep(job, run, show)
+    for line in summary(job):
+        print(line)
     for point, said in failed.items():
         print(f"not measured: {point}: {said}")
     print(f"report: {place}/{PAGE}")

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import optimize, stats
 
 import dasim
 import recon
@@ -31,8 +32,9 @@ from validation.studies.specification import StudySpec, Unit, Value, camera_of, 
 
 FloatArray = NDArray[np.float64]
 
-BOUND_DEPTHS, BOUND_PERCENTILES = 6, (5, 95)
+BOUND_BLURS = 10  # at which the bound is computed; between them its logarithm is interpolated
 BASELINE = "stereo.baseline_mm"
+QUANTILES = 200  # of the deviations that stand for all pixels
 OTHER_SEED = 1_000_000  # the second camera has its own noise
 FIGURES = {
     "light-loss": ("1", "light that the sensor loses to the stops, eq. (1) in the camera's own mosaic"),
@@ -40,7 +42,11 @@ FIGURES = {
     "depth-median": ("1/m", "median absolute error of 1/z, all pixels before the focus"),
     "depth-rmse": ("1/m", "root mean square error of 1/z"),
     "depth-constant": ("1/m", "the median of the best constant map"),
-    "depth-bound": ("1/m", "Cramer-Rao bound of 1/z over the same depths, natural texture of nothing known"),
+    "depth-seen": ("1/m", "the median where the visible blur is 3 px or more"),
+    "depth-bound": (
+        "1/m",
+        "the same median of an unbiased estimate with the Cramer-Rao bound's spread, natural texture",
+    ),
     "depth-median-m": ("m", "median absolute error of z"),
     "depth-rmse-m": ("m", "root mean square error of z"),
     "coverage": ("1", "share of the pixels with a raw estimate"),
@@ -69,7 +75,7 @@ def file_of(job: Sweep, unit: Unit) -> str:
     """Where a unit's rows are kept: a name made of everything that decides them."""
     spec = job.spec
     design = [camera_of(spec, unit.render).model_dump(mode="json"), scene_of(spec, unit.render).model_dump(mode="json")]
-    fixed = [spec.preset, spec.size_px, spec.spp, unit, job.environment]
+    fixed = [spec.preset, spec.size_px, spec.spp, unit, job.environment, FIGURES]
     text = json.dumps([design, fixed], sort_keys=True, default=str)
     return f"points/{hashlib.sha256(text.encode()).hexdigest()[:24]}.json"
 
@@ -144,17 +150,39 @@ def brighter(scene: Scene, point: dict[str, Value]) -> float:
 
 
 def bound(capture: Capture, truth: Truth, light: str | None, level_lux: float) -> float:
-    """Root mean square of the least error of 1/z that a patch allows, over the depths in view; NaN where none is."""
+    """Median absolute error of 1/z that the Cramer-Rao bound allows over the pixels of ``depth-seen``; NaN for none.
+
+    Of a normal error with the bound's standard deviation at each pixel's blur, in a patch of natural texture of which
+    nothing is known: what texture the scene has there is not asked.
+    """
     camera = capture.camera
-    depth = truth.depth_m[truth.valid & (truth.level >= -0.5)]
-    near_m, far_m = (float(v) for v in np.percentile(depth, BOUND_PERCENTILES))
+    blur = truth.blur_px[_seen(truth)].astype(np.float64)
+    if not blur.size:
+        return math.nan
+    grid = np.linspace(criteria.NEAREST_BLUR_PX, max(float(blur.max()), 2 * criteria.NEAREST_BLUR_PX), BOUND_BLURS)
     try:
-        blurs = criteria.blurs_between(camera, near_m, far_m, BOUND_DEPTHS)
-        deviation = criteria.camera_bound(camera, blurs, light=str(light), level_lux=level_lux)
-    except InputError:  # all in focus, or a camera that lacks a plane
+        deviation = criteria.camera_bound(camera, grid, light=str(light), level_lux=level_lux)
+    except InputError:  # a camera that lacks a plane
+        return math.nan
+    if not np.isfinite(deviation).all():  # stops that all blur alike
         return math.nan
     per_px = bounds.depth_deviation_m(camera, 1.0, 1.0)
-    return float(np.sqrt(np.mean(deviation**2)) * per_px)
+    return median_error(np.exp(np.interp(blur, grid, np.log(deviation * per_px))))
+
+
+def median_error(deviation: FloatArray) -> float:
+    """Median absolute value of normal errors of these standard deviations together, all of them finite."""
+    of_all = np.quantile(deviation, (np.arange(QUANTILES) + 0.5) / QUANTILES)
+
+    def beyond_half(size: float) -> float:
+        return float(np.mean(2 * stats.norm.cdf(size / of_all) - 1)) - 0.5
+
+    return float(optimize.brentq(beyond_half, 0.0, float(of_all[-1])))  # 0.68 of the largest is certain
+
+
+def _seen(truth: Truth) -> NDArray[np.bool_]:
+    """Pixels before the focus whose visible blur is large enough to tell depth by."""
+    return np.asarray(truth.valid & (truth.blur_px >= criteria.NEAREST_BLUR_PX))
 
 
 def scaled(shot: Shot, capture: Capture, scene: Scene, point: dict[str, Value]) -> Truth:
@@ -168,12 +196,14 @@ def figures(result: Reconstruction, capture: Capture, truth: Truth) -> dict[str,
     near = truth.valid & (truth.level >= -0.5)
     exact, found = (1 / np.maximum(a[near].astype(np.float64), 1e-3) for a in (truth.depth_m, result.depth_m))
     error, metres = found - exact, 1 / found - 1 / exact
+    seen = _seen(truth)[near]
     pictures = {score.region: score for score in picture_scores.picture_scores(result, truth)}
     sharp, captured = pictures["inner"].sharpened, pictures["inner"].captured
     return {
         "light-loss": light_loss(capture.camera),
         "infrared-snr": infrared_snr(capture, truth),
         "depth-median": float(np.median(np.abs(error))),
+        "depth-seen": float(np.median(np.abs(error[seen]))) if seen.any() else math.nan,
         "depth-rmse": float(np.sqrt(np.mean(error**2))),
         "depth-constant": float(np.median(np.abs(exact - np.median(exact)))),
         "depth-median-m": float(np.median(np.abs(metres))),

@@ -9,6 +9,7 @@ import numpy as np
 
 from validation.plots import plot
 from validation.report import TEMPLATE_DIR
+from validation.studies import findings
 from validation.studies.point import FIGURES
 from validation.studies.specification import Curve, StudySpec
 
@@ -23,17 +24,23 @@ def page(spec: StudySpec, rows: list[Row], failed: dict[str, str]) -> str:
     from validation.studies.sweep import means, pareto
 
     averaged = means(rows, spec)
+    found = findings.findings(spec, rows)
+    ranked = findings.ranking(averaged)
     pictures = [(_caption(curve), _curve(curve, averaged, spec)) for curve in spec.curves]
     front: list[Row] = []
     if spec.pareto:
         front = pareto(averaged, *spec.pareto)
         caption = f"{_meaning(spec.pareto[1])} against {_meaning(spec.pareto[0])}; joined: beaten by none in both"
         pictures.append((caption, _pareto(spec.pareto, averaged, front)))
+    if ranked:
+        caption = f"{_meaning(findings.RANKED[1])} against the bound; rank correlation {ranked.correlation:.2f}"
+        pictures.append((caption, _ranking(averaged)))
     shown = {key: about for key, about in FIGURES.items() if any(np.isfinite(row[key]) for row in averaged)}
     environment = jinja2.Environment(loader=jinja2.FileSystemLoader(TEMPLATE_DIR), autoescape=True)
     return environment.get_template("study.html").render(
-        spec=spec, pictures=pictures, figures=shown, rows=averaged, front=front, failed=failed, number=_number
-    )
+        spec=spec, pictures=pictures, figures=shown, rows=averaged, front=front, failed=failed, number=_number,
+        findings=found, said=findings.said(spec, found), ranked=ranked, unit=lambda name: FIGURES[name][0],
+    )  # fmt: skip
 
 
 def _number(value: Any) -> str:
@@ -85,5 +92,19 @@ def _pareto(names: tuple[str, str], rows: list[Row], front: list[Row]) -> str:
         axes.plot([row[names[0]] for row in rows], [row[names[1]] for row in rows], "o", color="0.7", markersize=4)
         axes.plot([row[names[0]] for row in front], [row[names[1]] for row in front], "s-", color=COLOURS[1])
         axes.set(xlabel=f"{names[0]} ({FIGURES[names[0]][0]})", ylabel=f"{names[1]} ({FIGURES[names[1]][0]})")
+
+    return plot(draw)
+
+
+def _ranking(rows: list[Row]) -> str:
+    x, y = ([row[key] for row in rows] for key in findings.RANKED)
+
+    def draw(axes: Any) -> None:
+        axes.loglog(x, y, "o", color=COLOURS[0], markersize=4)
+        known = [value for value in x if np.isfinite(value)]
+        ends = [min(known), max(known)]
+        axes.loglog(ends, ends, "--", color="0.5", linewidth=1, label="as good as the bound")
+        axes.set(xlabel=f"{findings.RANKED[0]} (1/m)", ylabel=f"{findings.RANKED[1]} (1/m)")
+        axes.legend(fontsize=8)
 
     return plot(draw)

@@ -12,8 +12,9 @@ from pydantic import BeforeValidator, Field, model_validator
 
 import dasim
 import recon
+from dasim import camera as cameras
 from dasim import illuminants
-from dasim.camera import Camera
+from dasim.camera import Camera, Levels
 from dasim.dataset.specification import varied
 from dasim.errors import InputError
 from dasim.foreign import MitsubaScene
@@ -94,6 +95,9 @@ class StudySpec(Specification):
     parameters: dict[str, Annotated[tuple[Value, ...], BeforeValidator(_values)]] = Field(min_length=1)
     curves: tuple[Curve, ...] = ()
     pareto: tuple[str, str] | None = Field(default=None, description="two figures, both the better the smaller")
+    reference: dict[str, Value] = Field(
+        default_factory=dict, max_length=1, description="a parameter's value that the report holds against all others"
+    )
     quick: dict[str, Annotated[tuple[Value, ...], BeforeValidator(_values)]] = Field(
         default_factory=dict, description="values of parameters for --quick"
     )
@@ -145,10 +149,17 @@ def units(spec: StudySpec) -> list[Unit]:
 
 
 def camera_of(spec: StudySpec, point: dict[str, Value]) -> Camera:
-    """The camera of a point, whole frame; InputError where it cannot be made."""
+    """The camera of a point, whole frame; InputError where it cannot be made.
+
+    Every design is calibrated at the blurs of the camera that it is made of: by default a wider hole would have wider
+    steps between its levels, and the pipeline would be worse for that alone.
+    """
     name = str(point.get("camera", spec.camera))
     beside = spec.folder / name
     camera = dasim.load_camera(beside if beside.is_file() else name)
+    if camera.levels is None:
+        blurs = cameras.level_blur_px(camera)
+        camera = camera.model_copy(update={"levels": Levels(count=len(blurs), max_blur_px=float(blurs[-1]))})
     changes = {key.removeprefix("camera."): value for key, value in point.items() if key.startswith("camera.")}
     if "disc_edge_nm" in point:  # one coating: what it stops passes the hole alone
         wide, hole = camera.stops[0].name, camera.stops[-1].name
@@ -203,6 +214,9 @@ def check(spec: StudySpec, where: str) -> None:
     for figure in (*(curve.x for curve in spec.curves), *(c.by for c in spec.curves if c.by)):
         if figure not in spec.parameters:
             problems.append(f"curves: '{figure}' is no parameter of this study ({', '.join(spec.parameters)})")
+    for key, value in spec.reference.items():
+        if value not in spec.parameters.get(key, ()):
+            problems.append(f"reference: {key} = {value!r} is not among the values of a parameter of this study")
     if problems:
         raise InputError(f"{where}: " + "; ".join(dict.fromkeys(problems)))
 

@@ -16,7 +16,7 @@ import numpy as np
 from dasim.dataset import storage
 from dasim.errors import InputError
 from dasim.executors import Executor
-from validation.studies import report
+from validation.studies import findings, report
 from validation.studies.point import FIGURES, Sweep, file_of
 from validation.studies.specification import StudySpec, units
 
@@ -53,6 +53,18 @@ def sweep(job: Sweep, executor: Executor, show: Callable[[int, int, int], None])
         _write_parquet(job.out, rows)
         storage.write(job.out, PAGE, report.page(job.spec, rows, failed).encode())
     return failed
+
+
+def summary(job: Sweep) -> list[str]:
+    """What the sweep says, in lines: where the study's reference stands, and whether the bound ranks alike."""
+    rows = gathered(job)
+    lines = findings.said(job.spec, findings.findings(job.spec, rows)) if rows else []
+    ranked = findings.ranking(means(rows, job.spec)) if rows else None
+    if ranked:
+        lines.append(
+            f"rank correlation of {' and '.join(findings.RANKED)}: {ranked.correlation:.2f}, {ranked.points} points"
+        )
+    return lines
 
 
 def _said(point: dict[str, Any]) -> str:

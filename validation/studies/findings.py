@@ -1,0 +1,159 @@
+"""What a sweep says: the best value of a parameter by each criterion, what another one costs, whether the bound ranks.
+
+The value that is asked about is the study's ``reference``, such as the paper's hole of 0.46. Seeds are paired: the same
+seed is the same noise at every value. The best value is chosen by the same measurements that then say how good it is,
+so its lead is a little flattered; it counts as clear only where Student's test of the paired differences says so.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
+
+from validation.studies.point import FIGURES
+from validation.studies.specification import StudySpec, Value
+
+Row = dict[str, Any]
+FloatArray = NDArray[np.float64]
+
+LARGER_IS_BETTER = ("infrared-snr", "coverage", "psnr", "psnr-gain", "stereo-coverage")
+NOT_JUDGED = ("depth-constant", "occluded-share", "seconds")  # of the scene, or of the machine
+LEVEL = 0.05  # of the test: one clear lead in twenty is none
+RANKED = ("depth-bound", "depth-median")
+
+
+@dataclass(frozen=True)
+class Finding:
+    """The best value of the reference's parameter by one figure, all else being equal."""
+
+    figure: str
+    others: dict[str, Value]  # the point's other parameters; empty where they do not matter
+    best: Value
+    at_best: float
+    at_reference: float
+    spread: float  # of the paired difference over seeds, its standard error; NaN with a single seed
+    clear: bool  # the best value is better than the reference beyond the noise
+
+    @property
+    def cost(self) -> float:
+        """What the reference is worse by: a share of the best, or a difference for figures in dB."""
+        if FIGURES[self.figure][0] == "dB":
+            return self.at_best - self.at_reference
+        worse, better = self.at_reference, self.at_best
+        if self.figure in LARGER_IS_BETTER:
+            worse, better = better, worse
+        return worse / better - 1 if better > 0 else math.nan
+
+    @property
+    def verdict(self) -> str:
+        """In words."""
+        if self.cost == 0:
+            return "the best"
+        return "worse" if self.clear else "not told from the best"
+
+
+def findings(spec: StudySpec, rows: list[Row]) -> list[Finding]:
+    """A finding for each figure and each combination of the other parameters, those that do not matter left out.
+
+    None where the study has no reference.
+    """
+    found: list[Finding] = []
+    if not spec.reference:
+        return found
+    for figure in FIGURES:
+        if figure in NOT_JUDGED or not any(math.isfinite(row[figure]) for row in rows):
+            continue
+        own = [one for group in _groups(spec, rows) if (one := _finding(spec, figure, *group)) is not None]
+        if own and len({(one.best, one.at_best, one.at_reference) for one in own}) == 1:
+            own = [Finding(figure, {}, own[0].best, own[0].at_best, own[0].at_reference, own[0].spread, own[0].clear)]
+        found += own
+    return found
+
+
+def _groups(spec: StudySpec, rows: list[Row]) -> list[tuple[dict[str, Value], list[Row]]]:
+    """Rows that differ in the reference's parameter and the seed alone."""
+    key = next(iter(spec.reference))
+    groups: dict[tuple[Value, ...], list[Row]] = {}
+    others = [name for name in spec.parameters if name != key]
+    for row in rows:
+        groups.setdefault(tuple(row[name] for name in others), []).append(row)
+    return [(dict(zip(others, values, strict=True)), own) for values, own in groups.items()]
+
+
+def _finding(spec: StudySpec, figure: str, others: dict[str, Value], rows: list[Row]) -> Finding | None:
+    key, reference = next(iter(spec.reference.items()))
+    seeds = sorted({row["seed"] for row in rows})
+    values = {value: _by_seed(rows, key, value, figure, seeds) for value in spec.parameters[key]}
+    known = {value: curve for value, curve in values.items() if np.isfinite(curve).all()}
+    if reference not in known:
+        return None
+    sign = -1 if figure in LARGER_IS_BETTER else 1
+    # of equals the reference, so that nothing is said to be better that is not
+    best = min(known, key=lambda value: (sign * known[value].mean(), value != reference))
+    lead = sign * (known[reference] - known[best])
+    error = float(lead.std(ddof=1) / np.sqrt(len(seeds))) if len(seeds) > 1 else math.nan
+    clear = bool(lead.mean() > stats.t.ppf(1 - LEVEL, len(seeds) - 1) * error) if len(seeds) > 1 else False
+    return Finding(figure, others, best, float(known[best].mean()), float(known[reference].mean()), error, clear)
+
+
+def _by_seed(rows: list[Row], key: str, value: Value, figure: str, seeds: list[int]) -> FloatArray:
+    found = {row["seed"]: row[figure] for row in rows if row[key] == value}
+    return np.array([found.get(seed, math.nan) for seed in seeds])
+
+
+def said(spec: StudySpec, found: list[Finding]) -> list[str]:
+    """One sentence a figure: where the reference is the best value, and where another is better."""
+    if not found:
+        return []
+    reference = next(iter(spec.reference.values()))
+    lines = []
+    for figure in dict.fromkeys(one.figure for one in found):
+        own = [one for one in found if one.figure == figure]
+        best = [one for one in own if one.cost == 0]
+        close = [one for one in own if one.cost != 0 and not one.clear]
+        worse = [one for one in own if one.clear]
+        parts = []
+        if len(own) == 1:
+            costs = f", {reference} costs {_cost(own[0])}" if worse else f", {reference} is not told from it"
+            parts.append(f"{own[0].best} is best" + ("" if best else costs))
+        else:
+            parts += [f"{reference} is best in {len(best)} of {len(own)} cases"] if best else []
+            parts += [f"not told from the best in {len(close)}"] if close else []
+            parts += [f"{one.best} is better for {_where(one.others)} (by {_cost(one)})" for one in worse]
+        lines.append(f"{figure}: {'; '.join(parts)}")
+    return lines
+
+
+def _cost(one: Finding) -> str:
+    return f"{one.cost:.1f} dB" if FIGURES[one.figure][0] == "dB" else f"{100 * one.cost:.0f} %"
+
+
+def _where(others: dict[str, Value]) -> str:
+    return ", ".join(f"{value:g}" if isinstance(value, float) else str(value) for value in others.values())
+
+
+# --- does the bound rank designs as the pipeline does? -------------------------------------------
+
+
+@dataclass(frozen=True)
+class Ranking:
+    """Spearman's rank correlation of the bound with the error that was measured, over the points of a sweep."""
+
+    correlation: float
+    points: int
+    over_bound: float  # median of measured error over bound
+
+
+def ranking(averaged: list[Row]) -> Ranking | None:
+    """Over the points that have both figures; None where fewer than four have."""
+    pairs = np.array([[row[key] for key in RANKED] for row in averaged], float)
+    pairs = pairs[np.isfinite(pairs).all(axis=1)]
+    if len(np.unique(pairs[:, 0])) < 4:
+        return None
+    rho = float(stats.spearmanr(pairs[:, 0], pairs[:, 1]).statistic)
+    return Ranking(rho, len(pairs), float(np.median(pairs[:, 1] / pairs[:, 0])))
