@@ -5,8 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from dasim import aperture, optics, spectra
+from dasim import aperture, optics, spectra, targets
 from dasim import camera as cameras
+from dasim.calibration import calibration_captures
+from dasim.dataset.specification import varied
+from dasim.errors import InputError
 
 ROUNDING = 1e-9  # relative, of double precision through a few operations
 PAPER_DIGITS = 5e-4  # the paper's percentages have three digits
@@ -73,6 +76,19 @@ def test_levels_span_the_working_range(da_mobile):
     depths = cameras.depth_of_blur_m(camera, blurs)
     assert depths[0] == pytest.approx(2.0) and 0.05 < depths[-1] < 0.053 and (np.diff(depths) < 0).all()
     np.testing.assert_allclose(cameras.blur_px(camera, depths), blurs, rtol=ROUNDING, atol=1e-9)
+
+
+def test_a_camera_may_set_its_own_levels(da_mobile):
+    """Expectation: levels of its own lie evenly from 0 to the given blur whatever the hole, and scenes follow them."""
+    text = {"count": 7, "max_blur_px": 30.0}
+    wide = varied(da_mobile.model_copy(update={"levels": cameras.Levels(**text)}), {"stops.hole.radius_ratio": 0.9})
+    np.testing.assert_allclose(cameras.level_blur_px(wide), [0, 5, 10, 15, 20, 25, 30])
+    board = targets.staircase(wide, 3).objects[0]
+    assert cameras.blur_px(wide, board.position_cm[2] / 100) == pytest.approx(15.0)
+    with pytest.raises(InputError, match="level 7 is not one of 0 to 6"):
+        targets.staircase(wide, 7)
+    pictures = calibration_captures(wide, ("A",), frames=1)
+    assert {round(picture.blur_px, 9) for picture in pictures} == {0, 5, 10, 15, 20, 25, 30}
 
 
 @pytest.mark.parametrize(
