@@ -55,6 +55,7 @@ def measured(job: Sweep, index: int, broken=()) -> Outcome:
         alpha, lux = point["camera.stops.hole.radius_ratio"], point["light.lux"]
         own = dict.fromkeys(FIGURES, 1.0) | {"light-loss": (1 - alpha**2) / 4, "depth-median": 1 / alpha / lux}
         own["depth-median"] *= 1 + 0.1 * unit.seed
+        own["depth-bound"] = own["depth-median"] ** 0.5
         rows.append({"point": point, "seed": unit.seed, "light_chosen": "D55", "figures": own})
     storage.write(job.out, file_of(job, unit), sample.plain(rows))
     return Outcome(index)
@@ -178,7 +179,7 @@ def test_pareto_front_by_hand():
 def test_the_page_is_self_contained(study, tmp_path):
     swept(load_study(str(study)), tmp_path / "out")
     page = (tmp_path / "out" / "report.html").read_text()
-    assert page.count("data:image/svg+xml") == 2 and "http" not in page.replace("http://www.w3.org", "")
+    assert page.count("data:image/svg+xml") == 3 and "http" not in page.replace("http://www.w3.org", "")
     assert "&lt;hole&gt; &amp; why" in page
 
 
@@ -232,6 +233,16 @@ def test_where_the_reference_stands(referred, errors, best, verdict, said):
     found = findings.findings(referred, rows_of(referred, errors))
     assert [(one.figure, one.best, one.verdict) for one in found] == [("depth-median", best, verdict)]
     assert findings.said(referred, found) == [f"depth-median: {said}"]
+
+
+def test_a_sweep_says_what_it_found(referred, tmp_path):
+    """Expectation: by the worker's formula the largest hole has the least error and loss; the bound has its order."""
+    swept(referred, tmp_path / "out")
+    lines = sweep.summary(Sweep(referred, str(tmp_path / "out"), {}))
+    assert lines[0] == "light-loss: 0.65 is best, 0.46 costs 37 %"  # the share of it that it loses more
+    (depth,) = (line for line in lines if line.startswith("depth-median:"))
+    assert depth.count("0.65 is better for") == 3 and "(by 41 %)" in depth
+    assert lines[-1] == "rank correlation of depth-bound and depth-median: 1.00, 9 points"
 
 
 def test_figures_that_are_better_large_are_judged_so(referred):
