@@ -16,14 +16,14 @@ import dasim
 import recon
 from dasim import aperture, spectra
 from dasim import camera as cameras
-from dasim.camera import Camera
+from dasim.camera import BLUR_LEVELS, Camera
 from dasim.dataset import sample, storage
 from dasim.errors import InputError
 from dasim.executors import Outcome, said
 from dasim.scene import Scene
 from dasim.simulation import Shot
 from dasim.values import Capture, Reconstruction, Truth
-from validation import bounds, picture_scores
+from validation import picture_scores
 from validation.banks import simulated_bank
 from validation.relighting import LONGEST_S, MOST_GAIN, exposed, lit_by
 from validation.studies import criteria, stereo
@@ -32,17 +32,23 @@ from validation.studies.specification import StudySpec, Unit, Value, camera_of, 
 FloatArray = NDArray[np.float64]
 
 BOUND_DEPTHS, BOUND_PERCENTILES = 6, (5, 95)
+FLAT = 1e-3  # of its distance, what a board's depths differ by at most
+FOCUS_BLUR_PX = 0.5  # of the visible blur; nearer to the focus it tells nothing, and the bound has no end
+MOST_BEYOND = 0.5  # of the pixels out of the range of depths that the bank holds: beyond, a median says nothing
 BASELINE = "stereo.baseline_mm"
 OTHER_SEED = 1_000_000  # the second camera has its own noise
 FIGURES = {
     "light-loss": ("1", "light that the sensor loses to the stops, eq. (1) in the camera's own mosaic"),
     "infrared-snr": ("1", "signal over noise of an infrared pixel, median"),
-    "depth-median": ("1/m", "median absolute error of 1/z, all pixels before the focus"),
+    "in-range": ("1", "share of the pixels between the focus and the nearest depth of the PSF bank"),
+    "depth-median": ("1/m", "median absolute error of 1/z, all pixels before the focus; none if few are in range"),
     "depth-rmse": ("1/m", "root mean square error of 1/z"),
     "depth-constant": ("1/m", "the median of the best constant map"),
     "depth-bound": ("1/m", "Cramer-Rao bound of 1/z over the same depths, natural texture of nothing known"),
     "depth-median-m": ("m", "median absolute error of z"),
     "depth-rmse-m": ("m", "root mean square error of z"),
+    "depth-bound-m": ("m", "Cramer-Rao bound of z, at the median depth"),
+    "half-pixel-m": ("m", "Fig. 13: what half a pixel of blur is worth, d^2 N p / (2 f^2), at the median depth"),
     "coverage": ("1", "share of the pixels with a raw estimate"),
     "psnr": ("dB", "all-in-focus picture against the sharp truth, linear light"),
     "psnr-gain": ("dB", "that less the same of the captured picture"),
@@ -112,9 +118,8 @@ def measured(spec: StudySpec, unit: Unit) -> list[dict[str, Any]]:
         capture = taken(shot, scene, point, unit.seed * len(unit.points) + number)
         exact = scaled(shot, capture, scene, point)
         result = recon.reconstruct(capture, bank, settings_of(spec, point))
-        own = figures(result, capture, exact) | {
-            "depth-bound": bound(capture, exact, shot.capture.illuminant, lux(scene, point))
-        }
+        own = figures(result, capture, exact)
+        own |= limits(capture, exact, shot.capture.illuminant, lux(scene, point))
         if other is not None:
             seen = taken(other, scene, point, unit.seed * len(unit.points) + number + OTHER_SEED)
             right = recon.reconstruct(seen, bank, settings_of(spec, point))
@@ -143,18 +148,33 @@ def brighter(scene: Scene, point: dict[str, Value]) -> float:
     return lux(scene, point) / lux(scene, {})
 
 
-def bound(capture: Capture, truth: Truth, light: str | None, level_lux: float) -> float:
-    """Root mean square of the least error of 1/z that a patch allows, over the depths in view; NaN where none is."""
+def limits(capture: Capture, truth: Truth, light: str | None, level_lux: float) -> dict[str, float]:
+    """What theory says of depth: the bound in dioptres and metres, and half a pixel of blur as Fig. 13 draws it."""
     camera = capture.camera
     depth = truth.depth_m[truth.valid & (truth.level >= -0.5)]
-    near_m, far_m = (float(v) for v in np.percentile(depth, BOUND_PERCENTILES))
+    if not depth.size:
+        return dict.fromkeys(("depth-bound", "depth-bound-m", "half-pixel-m"), math.nan)
+    least, square = bound(camera, depth, light, level_lux), float(np.median(depth)) ** 2
+    focal_m = camera.lens.focal_length_mm * 1e-3
+    half = square * camera.lens.f_number * camera.sensor.pixel_pitch_um * 1e-6 / (2 * focal_m**2)
+    return {"depth-bound": least, "depth-bound-m": least * square, "half-pixel-m": half}
+
+
+def bound(camera: Camera, depth_m: NDArray, light: str | None, level_lux: float) -> float:
+    """Root mean square of the least error of 1/z that a patch allows, over the depths in view; NaN where none is."""
+    near_m, far_m = (float(v) for v in np.percentile(depth_m, BOUND_PERCENTILES))
     try:
-        blurs = criteria.blurs_between(camera, near_m, far_m, BOUND_DEPTHS)
+        if far_m - near_m > FLAT * far_m:
+            blurs = criteria.blurs_between(camera, near_m, far_m, BOUND_DEPTHS)
+        else:
+            blurs = np.atleast_1d(cameras.blur_px(camera, near_m))
+        if blurs.min() < FOCUS_BLUR_PX:
+            return math.nan
         deviation = criteria.camera_bound(camera, blurs, light=str(light), level_lux=level_lux)
     except InputError:  # all in focus, or a camera that lacks a plane
         return math.nan
-    per_px = bounds.depth_deviation_m(camera, 1.0, 1.0)
-    return float(np.sqrt(np.mean(deviation**2)) * per_px)
+    found = float(np.sqrt(np.mean(deviation**2)) / criteria.dioptre_px(camera))
+    return found if math.isfinite(found) else math.nan
 
 
 def scaled(shot: Shot, capture: Capture, scene: Scene, point: dict[str, Value]) -> Truth:
@@ -165,23 +185,33 @@ def scaled(shot: Shot, capture: Capture, scene: Scene, point: dict[str, Value]) 
 
 def figures(result: Reconstruction, capture: Capture, truth: Truth) -> dict[str, float]:
     """Figures of a reconstruction that compare between designs: dioptres, metres, dB (see ``FIGURES``)."""
-    near = truth.valid & (truth.level >= -0.5)
-    exact, found = (1 / np.maximum(a[near].astype(np.float64), 1e-3) for a in (truth.depth_m, result.depth_m))
-    error, metres = found - exact, 1 / found - 1 / exact
     pictures = {score.region: score for score in picture_scores.picture_scores(result, truth)}
     sharp, captured = pictures["inner"].sharpened, pictures["inner"].captured
     return {
         "light-loss": light_loss(capture.camera),
         "infrared-snr": infrared_snr(capture, truth),
+        **depth_figures(result, truth),
+        "psnr": sharp["psnr"],
+        "psnr-gain": sharp["psnr"] - captured["psnr"],
+        "ciede2000": sharp["ciede2000"],
+    }
+
+
+def depth_figures(result: Reconstruction, truth: Truth) -> dict[str, float]:
+    """Errors of depth over all pixels before the focus; NaN where most of the picture is out of the bank's range."""
+    near = truth.valid & (truth.level >= -0.5)
+    share = float((near & (truth.level <= BLUR_LEVELS - 0.5))[truth.valid].mean())
+    found = {"in-range": share, "coverage": float(np.isfinite(result.level_raw[near]).mean()) if near.any() else 0.0}
+    if share < 1 - MOST_BEYOND:
+        return found
+    exact, seen = (1 / np.maximum(a[near].astype(np.float64), 1e-3) for a in (truth.depth_m, result.depth_m))
+    error, metres = seen - exact, 1 / seen - 1 / exact
+    return found | {
         "depth-median": float(np.median(np.abs(error))),
         "depth-rmse": float(np.sqrt(np.mean(error**2))),
         "depth-constant": float(np.median(np.abs(exact - np.median(exact)))),
         "depth-median-m": float(np.median(np.abs(metres))),
         "depth-rmse-m": float(np.sqrt(np.mean(metres**2))),
-        "coverage": float(np.isfinite(result.level_raw[near]).mean()),
-        "psnr": sharp["psnr"],
-        "psnr-gain": sharp["psnr"] - captured["psnr"],
-        "ciede2000": sharp["ciede2000"],
     }
 
 

@@ -47,12 +47,28 @@ def _meaning(figure: str) -> str:
 
 def _caption(curve: Curve) -> str:
     by = f", by {curve.by}" if curve.by else ""
-    return f"{_meaning(curve.y)} against {curve.x}{by}; bars: standard deviation over seeds and other parameters"
+    beside = "".join(
+        f"; {kind}: {_meaning(one)}" for one, kind in zip(curve.beside, ("dashed", "dotted"), strict=False)
+    )
+    return (
+        f"{_meaning(curve.y)} against {curve.x}{by}{beside}; bars: standard deviation over seeds and other parameters"
+    )
 
 
-def _curve(curve: Curve, rows: list[Row], spec: StudySpec) -> str:
-    lines = spec.parameters[curve.by] if curve.by else (None,)
-    ticks = spec.parameters[curve.x]
+def _about_design(curve: Curve, rows: list[Row], spec: StudySpec) -> list[Row]:
+    """Rows of the base design but for what the curve varies; all of them where the study has no such design."""
+    fixed = {key: value for key, value in spec.design.items() if key not in (curve.x, curve.by)}
+    return [row for row in rows if all(row[key] == value for key, value in fixed.items())]
+
+
+def _curve(curve: Curve, averaged: list[Row], spec: StudySpec) -> str:
+    rows = _about_design(curve, averaged, spec)
+    lines = (
+        [value for value in spec.parameters[curve.by] if any(row[curve.by] == value for row in rows)]
+        if curve.by
+        else [None]
+    )
+    ticks = [tick for tick in spec.parameters[curve.x] if any(row[curve.x] == tick for row in rows)]
     words = any(isinstance(value, str) for value in ticks)
 
     def draw(axes: Any) -> None:
@@ -69,6 +85,9 @@ def _curve(curve: Curve, rows: list[Row], spec: StudySpec) -> str:
             label = None if value is None else str(value)
             style = {"color": COLOURS[number % len(COLOURS)], "marker": MARKERS[number % len(MARKERS)]}
             axes.errorbar(x, middle, spread, capsize=3, markersize=4, linewidth=1, label=label, **style)
+            for figure, kind in zip(curve.beside, ("--", ":"), strict=False):
+                drawn = [_mean([row[figure] for row in own if row[curve.x] == tick]) for tick in ticks]
+                axes.plot(x, drawn, kind, color=style["color"], linewidth=1)
         if words:
             axes.set_xticks(range(len(ticks)), [str(tick) for tick in ticks])
         axes.set(xlabel=curve.x, ylabel=f"{curve.y} ({FIGURES[curve.y][0]})")
@@ -78,6 +97,11 @@ def _curve(curve: Curve, rows: list[Row], spec: StudySpec) -> str:
             axes.legend(title=curve.by, fontsize=8)
 
     return plot(draw)
+
+
+def _mean(values: list[float]) -> float:
+    known = np.array(values)[np.isfinite(values)]
+    return float(known.mean()) if known.size else float("nan")
 
 
 def _pareto(names: tuple[str, str], rows: list[Row], front: list[Row]) -> str:
