@@ -55,14 +55,14 @@ def _caption(curve: Curve) -> str:
     )
 
 
-def _about_design(curve: Curve, rows: list[Row], spec: StudySpec) -> list[Row]:
+def about_design(curve: Curve, rows: list[Row], spec: StudySpec) -> list[Row]:
     """Rows of the base design but for what the curve varies; all of them where the study has no such design."""
     fixed = {key: value for key, value in spec.design.items() if key not in (curve.x, curve.by)}
     return [row for row in rows if all(row[key] == value for key, value in fixed.items())]
 
 
 def _curve(curve: Curve, averaged: list[Row], spec: StudySpec) -> str:
-    rows = _about_design(curve, averaged, spec)
+    rows = about_design(curve, averaged, spec)
     lines = (
         [value for value in spec.parameters[curve.by] if any(row[curve.by] == value for row in rows)]
         if curve.by
@@ -82,7 +82,7 @@ def _curve(curve: Curve, averaged: list[Row], spec: StudySpec) -> str:
                 within = np.sqrt(np.mean([row[f"{curve.y}:spread"] ** 2 for row in here])) if here else np.nan
                 spread.append(np.hypot(within, measured.std()) if len(here) else np.nan)
             x = np.arange(len(ticks)) if words else np.array(ticks, float)
-            label = None if value is None else str(value)
+            label = None if value is None else _number(value)
             style = {"color": COLOURS[number % len(COLOURS)], "marker": MARKERS[number % len(MARKERS)]}
             axes.errorbar(x, middle, spread, capsize=3, markersize=4, linewidth=1, label=label, **style)
             for figure, kind in zip(curve.beside, ("--", ":"), strict=False):
