@@ -53,11 +53,18 @@ FIGURES = {
     "psnr": ("dB", "all-in-focus picture against the sharp truth, linear light"),
     "psnr-gain": ("dB", "that less the same of the captured picture"),
     "ciede2000": ("1", "mean colour difference to the sharp truth, all in focus"),
-    "stereo-median": ("1/m", "median absolute error of 1/z by stereo, where both cameras see the point"),
+    "matched-defocus": (
+        "1/m",
+        "median absolute error of 1/z by defocus, where both cameras see the point and match it",
+    ),
+    "stereo-median": ("1/m", "median absolute error of 1/z by stereo, there"),
+    "matched-combined": ("1/m", "median absolute error of 1/z by stereo and defocus, there"),
     "stereo-coverage": ("1", "share of the pixels with a match"),
     "combined-median": ("1/m", "median absolute error of 1/z by stereo and defocus, all pixels before the focus"),
+    "combined-rmse": ("1/m", "root mean square error of 1/z by stereo and defocus, all pixels before the focus"),
     "occluded-share": ("1", "share of the pixels that the other camera does not see"),
     "occluded-median": ("1/m", "median absolute error of 1/z by both, there"),
+    "occluded-matched": ("1", "share of these that were matched all the same, wrongly"),
     "seconds": ("s", "time of the point, with its share of the rendering"),
 }
 

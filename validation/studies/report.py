@@ -89,7 +89,7 @@ def _curve(curve: Curve, averaged: list[Row], spec: StudySpec) -> str:
                 drawn = [_mean([row[figure] for row in own if row[curve.x] == tick]) for tick in ticks]
                 axes.plot(x, drawn, kind, color=style["color"], linewidth=1)
         if words:
-            axes.set_xticks(range(len(ticks)), [str(tick) for tick in ticks])
+            axes.set_xticks(range(len(ticks)), [str(tick) for tick in ticks], rotation=20)
         axes.set(xlabel=curve.x, ylabel=f"{curve.y} ({FIGURES[curve.y][0]})")
         axes.set_xscale("log" if curve.log_x else "linear")
         axes.set_yscale("log" if curve.log_y else "linear")
