@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import math
+import shutil
 from collections import deque
 
 import numpy as np
@@ -12,6 +13,7 @@ import pytest
 import surfaces
 
 from dasim import camera as cameras
+from dasim import scene
 from dasim.cli import run
 from dasim.errors import InputError
 from dasim.executors import Outcome
@@ -199,6 +201,15 @@ def test_a_restarted_sweep_redoes_nothing(study, tmp_path):
     assert swept(load_study(str(study)), tmp_path / "out")[0] == []
     study.write_text(STUDY.replace("[0.3, 0.46]", "[0.3, 0.46, 0.6]"))
     assert len(swept(load_study(str(study)), tmp_path / "out")[0]) == 2
+
+
+def test_points_keep_their_names_in_another_installation(study, tmp_path, monkeypatch):
+    """Set-up: the bundled scenes in another folder. Expectation: the same names, so that what was measured counts."""
+    job = Sweep(load_study(str(study)), "out", {})
+    before = [file_of(job, unit) for unit in units(job.spec)]
+    shutil.copytree(scene.SCENE_DIR, tmp_path / "elsewhere")
+    monkeypatch.setattr(scene, "SCENE_DIR", tmp_path / "elsewhere")
+    assert [file_of(job, unit) for unit in units(job.spec)] == before and len(set(before)) == len(before)
 
 
 def test_what_failed_is_said_and_tried_again(study, tmp_path):

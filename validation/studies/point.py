@@ -79,9 +79,10 @@ class Sweep:
 
 
 def file_of(job: Sweep, unit: Unit) -> str:
-    """Where a unit's rows are kept: a name made of everything that decides them."""
+    """Where a unit's rows are kept: a name made of everything that decides them, the same wherever dasim is installed."""
     spec = job.spec
-    design = [camera_of(spec, unit.render).model_dump(mode="json"), scene_of(spec, unit.render).model_dump(mode="json")]
+    scene = scene_of(spec, unit.render).model_dump(mode="json", exclude={"folder"})
+    design = [camera_of(spec, unit.render).model_dump(mode="json"), scene]
     fixed = [spec.preset, spec.size_px, spec.spp, unit, job.environment]
     text = json.dumps([design, fixed], sort_keys=True, default=str)
     return f"points/{hashlib.sha256(text.encode()).hexdigest()[:24]}.json"
