@@ -79,7 +79,7 @@ class Sweep:
 
 
 def file_of(job: Sweep, unit: Unit) -> str:
-    """Where a unit's rows are kept: a name made of everything that decides them, the same wherever dasim is installed."""
+    """Where a unit's rows are kept: a name of all that decides them, the same wherever dasim is installed."""
     spec = job.spec
     scene = scene_of(spec, unit.render).model_dump(mode="json", exclude={"folder"})
     design = [camera_of(spec, unit.render).model_dump(mode="json"), scene]
