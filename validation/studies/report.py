@@ -67,7 +67,7 @@ def about_design(curve: Curve, rows: list[Row], spec: StudySpec) -> list[Row]:
 
 def _curve(curve: Curve, averaged: list[Row], spec: StudySpec) -> str:
     rows = about_design(curve, averaged, spec)
-    lines = spec.parameters[curve.by] if curve.by else (None,)
+    lines: tuple[Any, ...] = spec.parameters[curve.by] if curve.by else (None,)
     lines = tuple(value for value in lines if curve.by is None or any(row[curve.by] == value for row in rows))
     ticks = [tick for tick in spec.parameters[curve.x] if any(row[curve.x] == tick for row in rows)]
     words = _words(curve, spec)
