@@ -209,6 +209,7 @@ def test_points_keep_their_names_in_another_installation(study, tmp_path, monkey
     before = [file_of(job, unit) for unit in units(job.spec)]
     shutil.copytree(scene.SCENE_DIR, tmp_path / "elsewhere")
     monkeypatch.setattr(scene, "SCENE_DIR", tmp_path / "elsewhere")
+    specification._loaded.cache_clear()
     assert [file_of(job, unit) for unit in units(job.spec)] == before and len(set(before)) == len(before)
 
 

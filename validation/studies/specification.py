@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import functools
 import itertools
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
@@ -25,14 +26,8 @@ Value = bool | int | float | str
 
 # Keys of a point that need no new rendering: the light's level, the exposure and the reconstruction.
 AFTERWARDS = ("light.lux", "exposure.", "recon.")
-DESIGN = (
-    "camera",
-    "disc_edge_nm",
-    "focus_m",
-    "mosaic",
-    "scene",
-    "distance_cm",
-)  # what decides whether a point can be made
+# What decides together whether a point can be made.
+TOGETHER = (("camera", "disc_edge_nm", "focus_m", "mosaic"), ("scene", "distance_cm"))
 PLAIN = {
     "scene": "a bundled scene or a file",
     "camera": "a bundled camera or a file",
@@ -214,6 +209,12 @@ def with_mosaic(camera: Camera, text: str) -> Camera:
     return camera.model_copy(update={"sensor": parse(type(camera.sensor), changed, f"mosaic '{text}'")})
 
 
+@functools.lru_cache(maxsize=32)
+def _loaded(name: str, changed_ns: int) -> dasim.Scene | MitsubaScene:
+    """A scene, read once for all points that show it, and again when its file has changed."""
+    return dasim.load_scene(name)
+
+
 def scene_of(spec: StudySpec, point: dict[str, Value]) -> dasim.Scene:
     """The scene of a point, as it is lit in its file.
 
@@ -222,7 +223,8 @@ def scene_of(spec: StudySpec, point: dict[str, Value]) -> dasim.Scene:
     """
     name = str(point.get("scene", spec.scene))
     beside = spec.folder / name
-    found = dasim.load_scene(beside if beside.is_file() else name)
+    file = beside if beside.is_file() else Path(name)
+    found = _loaded(str(file), file.stat().st_mtime_ns if file.is_file() else 0)
     if isinstance(found, MitsubaScene):
         raise InputError(f"scene '{name}': a study lights its scenes anew, which Mitsuba's files do not allow")
     if "distance_cm" not in point:
@@ -269,8 +271,11 @@ def check(spec: StudySpec, where: str) -> None:
         for value in values:
             problems += _point_problems(spec, {**where_else, key: value})
     if not problems:
-        designs = {tuple((k, v) for k, v in p.items() if k.startswith(DESIGN)) for p in points(spec)}
-        for design in sorted(designs, key=str):
+        parts = [
+            {tuple((key, value) for key, value in point.items() if key.startswith(group)) for point in points(spec)}
+            for group in TOGETHER
+        ]
+        for design in sorted((part for group in parts for part in group if len(part) > 1), key=str):
             problems += _point_problems(spec, dict(design))
     problems += _picture_problems(spec)
     if problems:
