@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import csv
 import json
 import math
@@ -49,6 +50,17 @@ name = "grids"
 "light.illuminant" = ["D65", "A"]
 [quick]
 "{HOLE}" = [0.6]
+"""
+CURVES = f"""
+[[curves]]
+x = "light.illuminant"
+y = "depth-median"
+beside = ["depth-bound"]
+[[curves]]
+x = "{HOLE}"
+y = "depth-median"
+beside = ["depth-bound"]
+log_x = true
 """
 EDGES = 0.004  # of the light: coatings have edges of 8 nm, which eq. (1) has not
 
@@ -250,6 +262,20 @@ def test_the_page_is_self_contained(study, tmp_path):
     page = (tmp_path / "out" / "report.html").read_text()
     assert page.count("data:image/svg+xml") == 2 and "http" not in page.replace("http://www.w3.org", "")
     assert "&lt;hole&gt; &amp; why" in page
+
+
+def test_curves_of_words_show_them_and_figures_stand_beside_a_curve(tmp_path):
+    """Set-up: two lights, one hole, a figure drawn beside. Expectation: the words at the ticks, and the figure's line."""
+    (tmp_path / "s.toml").write_text(GRIDS + CURVES)
+    spec = load_study(str(tmp_path / "s.toml"))
+    rows = [
+        dict(point) | {key: number + 1.0 for key in FIGURES} | {f"{key}:spread": 0.0 for key in FIGURES}
+        for number, point in enumerate(points(spec))
+    ]
+    words, lines = (base64.b64decode(report._curve(one, rows, spec).split(",")[1]).decode() for one in spec.curves)
+    assert "<!-- D65 -->" in words and "<!-- A -->" in words
+    assert "stroke-dasharray" in lines and "<!-- 0.46 -->" in lines
+    assert "dashes: Cramer" in report._caption(spec.curves[0], spec)
 
 
 # --- points --------------------------------------------------------------------------------------
