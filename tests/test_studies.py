@@ -265,7 +265,7 @@ def test_the_page_is_self_contained(study, tmp_path):
 
 
 def test_curves_of_words_show_them_and_figures_stand_beside_a_curve(tmp_path):
-    """Set-up: two lights, one hole, a figure drawn beside. Expectation: the words at the ticks, and the figure's line."""
+    """Set-up: two lights, a figure drawn beside. Expectation: the words at the ticks, and the figure's line."""
     (tmp_path / "s.toml").write_text(GRIDS + CURVES)
     spec = load_study(str(tmp_path / "s.toml"))
     rows = [
