@@ -57,14 +57,17 @@ FIGURES = {
         "1/m",
         "median absolute error of 1/z by defocus, where both cameras see the point and match it",
     ),
-    "stereo-median": ("1/m", "median absolute error of 1/z by stereo, there"),
-    "matched-combined": ("1/m", "median absolute error of 1/z by stereo and defocus, there"),
+    "stereo-median": ("1/m", "median absolute error of 1/z by stereo, where both cameras see the point and match it"),
+    "matched-combined": (
+        "1/m",
+        "median absolute error of 1/z by stereo and defocus, where both cameras match the point",
+    ),
     "stereo-coverage": ("1", "share of the pixels with a match"),
     "combined-median": ("1/m", "median absolute error of 1/z by stereo and defocus, all pixels before the focus"),
     "combined-rmse": ("1/m", "root mean square error of 1/z by stereo and defocus, all pixels before the focus"),
     "occluded-share": ("1", "share of the pixels that the other camera does not see"),
-    "occluded-median": ("1/m", "median absolute error of 1/z by both, there"),
-    "occluded-matched": ("1", "share of these that were matched all the same, wrongly"),
+    "occluded-median": ("1/m", "median absolute error of 1/z by both, where the other camera does not see the point"),
+    "occluded-matched": ("1", "share of the pixels unseen by the other camera that are matched all the same, wrongly"),
     "seconds": ("s", "time of the point, with its share of the rendering"),
 }
 

@@ -82,20 +82,17 @@ def _curve(curve: Curve, averaged: list[Row], spec: StudySpec) -> str:
                 middle.append(np.nanmean(measured) if np.isfinite(measured).any() else np.nan)
                 within = np.sqrt(np.mean([row[f"{curve.y}:spread"] ** 2 for row in here])) if here else np.nan
                 spread.append(np.hypot(within, measured.std()) if len(here) else np.nan)
-            x = np.arange(len(ticks)) + SIDE * (number - len(lines) / 2) if words else np.array(ticks, float)
+            x = np.arange(len(ticks)) + SIDE * (number - (len(lines) - 1) / 2) if words else np.array(ticks, float)
             label = None if value is None else _number(value)
             style = {"color": COLOURS[number % len(COLOURS)], "marker": MARKERS[number % len(MARKERS)]}
             style["linestyle"] = "" if words else "-"  # nothing lies between two words
             axes.errorbar(x, middle, spread, capsize=3, markersize=4, linewidth=1, label=label, **style)
-            for figure, kind in zip(curve.beside, ("_x" if words else ("--", ":")), strict=False):
+            for place, figure in enumerate(curve.beside):
                 drawn = [_mean([row[figure] for row in own if row[curve.x] == tick]) for tick in ticks]
-                axes.plot(
-                    x,
-                    drawn,
-                    "_" if words and kind == "--" else "x" if words else kind,
-                    color=style["color"],
-                    linewidth=1,
-                )
+                if words:
+                    axes.plot(x, drawn, color=style["color"], linestyle="", marker="_x"[place], markersize=9)
+                else:
+                    axes.plot(x, drawn, color=style["color"], linestyle=("--", ":")[place], linewidth=1)
         axes.set(xlabel=curve.x, ylabel=f"{curve.y} ({FIGURES[curve.y][0]})")
         axes.set_yscale("log" if curve.log_y else "linear")
         if words:

@@ -88,7 +88,7 @@ class Curve(Specification):
 
     x: str
     y: str
-    beside: tuple[str, ...] = Field(default=(), description="figures drawn with it, dashed and dotted")
+    beside: tuple[str, ...] = Field(default=(), max_length=2, description="figures drawn with it, dashed and dotted")
     by: str | None = None
     log_x: bool = False
     log_y: bool = False
