@@ -52,6 +52,28 @@ def depth_steps(depth_cm: float, step_cm: float, texture: str | None = None) -> 
     return _textured(template.model_copy(update={"name": name, "objects": halves}), texture)
 
 
+def at_distance(template: Scene, depth_cm: float, scale: float = 1.0) -> Scene:
+    """A scene of planes moved until its nearest one is at a distance, and grown with it: only the blur changes.
+
+    ``scale`` is a further factor on widths and heights, for a lens or a pixel that sees another angle.
+    """
+    low, high = DEPTH_RANGE_CM
+    if not low <= depth_cm <= high:  # written so that NaN is refused
+        raise InputError(f"distance {depth_cm:g} cm: must be from {low:g} to {high:g} cm")
+    lights = all(isinstance(light, Dome | Lamp) for light in template.lights)
+    if not (lights and all(isinstance(item, Plane) for item in template.objects)):
+        raise InputError(
+            f"scene '{template.name}': only a flat one can be set at a distance, such as staircase or depth-steps"
+        )
+    factor = depth_cm / min(item.position_cm[2] for item in template.objects)
+    changes: dict[str, Any] = {
+        "name": f"{template.name} at {depth_cm:g} cm",
+        "objects": tuple(_grown(item, factor, scale) for item in template.objects),
+        "lights": tuple(_grown_light(light, factor) for light in template.lights),
+    }
+    return template.model_copy(update=changes)
+
+
 # --- by name -------------------------------------------------------------------------------------
 
 
@@ -117,12 +139,16 @@ def _at_level(template: Scene, camera: Camera, level: int) -> Scene:
     return template.model_copy(update=changes)
 
 
-def _grown(item: Object, factor: float) -> Object:
-    """A plane with every length times a factor: farther away, and looking the same from the lens's centre."""
+def _grown(item: Object, factor: float, scale: float = 1.0) -> Object:
+    """A plane with every length times a factor: farther away, and looking the same from the lens's centre.
+
+    ``scale`` makes it wider and higher beside.
+    """
     assert isinstance(item, Plane), "the templates are flat"
     x, y, z = item.position_cm
     width, height = item.size_cm
-    changes = {"position_cm": (x * factor, y * factor, z * factor), "size_cm": (width * factor, height * factor)}
+    across = factor * scale
+    changes = {"position_cm": (x * across, y * across, z * factor), "size_cm": (width * across, height * across)}
     return item.model_copy(update=changes)
 
 

@@ -2,21 +2,27 @@
 
 from __future__ import annotations
 
+import base64
 import csv
 import json
 import math
+import shutil
 from collections import deque
 
 import browser
 import numpy as np
 import pytest
+import surfaces
 
 from dasim import camera as cameras
+from dasim import scene
 from dasim.cli import run
 from dasim.errors import InputError
 from dasim.executors import Outcome
-from validation.studies import findings, report, specification, sweep
-from validation.studies.point import FIGURES, Sweep, file_of, light_loss, median_error
+from dasim.values import Capture
+from validation.claims.resolution import half_pixel_m
+from validation.studies import criteria, findings, report, specification, sweep
+from validation.studies.point import FIGURES, Sweep, depth_figures, file_of, light_loss, limits, median_error
 from validation.studies.specification import load_study, points, units
 
 STUDY = """
@@ -32,6 +38,30 @@ x = "camera.stops.hole.radius_ratio"
 y = "depth-median"
 by = "light.lux"
 log_y = true
+"""
+HOLE = "camera.stops.hole.radius_ratio"
+GRIDS = f"""
+name = "grids"
+[design]
+"{HOLE}" = 0.46
+"light.illuminant" = "D65"
+[[parameters]]
+"{HOLE}" = [0.3, 0.46, 0.6]
+[[parameters]]
+"light.illuminant" = ["D65", "A"]
+[quick]
+"{HOLE}" = [0.6]
+"""
+CURVES = f"""
+[[curves]]
+x = "light.illuminant"
+y = "depth-median"
+beside = ["depth-bound"]
+[[curves]]
+x = "{HOLE}"
+y = "depth-median"
+beside = ["depth-bound"]
+log_x = true
 """
 EDGES = 0.004  # of the light: coatings have edges of 8 nm, which eq. (1) has not
 
@@ -111,6 +141,11 @@ def test_bundled_studies_are_sound(name):
         ('scene = ["dask"]', ("dask",)),
         ('"focus_m" = [-1]', ("focus_m = -1",)),
         ('"light.lux" = ["bright"]', ("bright", "number")),
+        ("distance_cm = [20]", ("desk", "flat")),
+        ('scene = ["staircase"]\ndistance_cm = [0]', ("distance 0 cm",)),
+        ('mosaic = ["GR/BX"]', ("GR/BX", "GR/BI")),
+        ('mosaic = ["GRB/IGR"]', ("IGR", "2048 x 1536")),
+        ('mosaic = ["GI/RB"]', ("cannot be reconstructed", "diagonal")),
     ],
 )
 def test_wrong_studies_are_refused_before_the_first_render(tmp_path, capsys, parameters, said):
@@ -119,6 +154,44 @@ def test_wrong_studies_are_refused_before_the_first_render(tmp_path, capsys, par
     (line,) = capsys.readouterr().err.splitlines()
     assert line.startswith("dasim: ") and all(part in line for part in said), line
     assert not (tmp_path / "new").exists()
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        (
+            '[[parameters]]\nfocus_m = [2]\n[[parameters]]\n"light.lux" = [9]',
+            ("table 1", "light.lux", "table 2", "focus"),
+        ),
+        ("[design]\nfocus_n = 2\n[parameters]\nfocus_m = [2]", ("focus_n", "focus_m")),
+        ('[parameters]\nfocus_m = [2]\n[[curves]]\nx = "focus_m"\ny = "psnt"', ("psnt", "psnr")),
+        ('pareto = ["psnr", "dept-rmse"]\n[parameters]\nfocus_m = [2]', ("dept-rmse", "depth-rmse")),
+        ("[parameters]\nfocus_m = [2]\n[quick]\nfocus = [2]", ("quick.focus",)),
+    ],
+)
+def test_wrong_grids_and_curves_are_refused(tmp_path, text, said):
+    (tmp_path / "s.toml").write_text(f'name = "wrong"\n{text}\n')
+    with pytest.raises(InputError) as refused:
+        load_study(str(tmp_path / "s.toml"), quick=True)
+    assert all(part in str(refused.value) for part in said), refused.value
+
+
+def test_several_grids_stand_about_one_design(tmp_path):
+    """Set-up: a base design; three holes and two levels of light about it; one hole of the three quick.
+
+    Expectation: the union, the base design once; curves show what else is as in the base design.
+    """
+    (tmp_path / "s.toml").write_text(GRIDS)
+    spec = load_study(str(tmp_path / "s.toml"))
+    hole, light = HOLE, "light.illuminant"
+    found = [(point[hole], point[light]) for point in points(spec)]
+    assert found == [(0.3, "D65"), (0.46, "D65"), (0.6, "D65"), (0.46, "A")]
+    assert spec.parameters == {hole: (0.3, 0.46, 0.6), light: ("D65", "A")}
+    rows = [dict(point, number=number) for number, point in enumerate(points(spec))]
+    shown = [report.about_design(specification.Curve(x=x, y="psnr"), rows, spec) for x in (hole, light)]
+    assert [[row["number"] for row in own] for own in shown] == [[0, 1, 2], [1, 3]]
+    quick = load_study(str(tmp_path / "s.toml"), quick=True)
+    assert [(point[hole], point[light]) for point in points(quick)] == [(0.6, "D65"), (0.46, "D65"), (0.46, "A")]
 
 
 def test_all_problems_are_said_at_once(tmp_path):
@@ -142,6 +215,16 @@ def test_a_restarted_sweep_redoes_nothing(study, tmp_path):
     assert swept(load_study(str(study)), tmp_path / "out")[0] == []
     study.write_text(STUDY.replace("[0.3, 0.46]", "[0.3, 0.46, 0.6]"))
     assert len(swept(load_study(str(study)), tmp_path / "out")[0]) == 2
+
+
+def test_points_keep_their_names_in_another_installation(study, tmp_path, monkeypatch):
+    """Set-up: the bundled scenes in another folder. Expectation: the same names, so that what was measured counts."""
+    job = Sweep(load_study(str(study)), "out", {})
+    before = [file_of(job, unit) for unit in units(job.spec)]
+    shutil.copytree(scene.SCENE_DIR, tmp_path / "elsewhere")
+    monkeypatch.setattr(scene, "SCENE_DIR", tmp_path / "elsewhere")
+    specification._loaded.cache_clear()
+    assert [file_of(job, unit) for unit in units(job.spec)] == before and len(set(before)) == len(before)
 
 
 def test_what_failed_is_said_and_tried_again(study, tmp_path):
@@ -181,6 +264,20 @@ def test_the_page_is_self_contained(study, tmp_path):
     page = (tmp_path / "out" / "report.html").read_text()
     assert page.count("data:image/svg+xml") == 3 and "http" not in page.replace("http://www.w3.org", "")
     assert "&lt;hole&gt; &amp; why" in page
+
+
+def test_curves_of_words_show_them_and_figures_stand_beside_a_curve(tmp_path):
+    """Set-up: two lights, a figure drawn beside. Expectation: the words at the ticks, and the figure's line."""
+    (tmp_path / "s.toml").write_text(GRIDS + CURVES)
+    spec = load_study(str(tmp_path / "s.toml"))
+    rows = [
+        dict(point) | {key: number + 1.0 for key in FIGURES} | {f"{key}:spread": 0.0 for key in FIGURES}
+        for number, point in enumerate(points(spec))
+    ]
+    words, lines = (base64.b64decode(report._curve(one, rows, spec).split(",")[1]).decode() for one in spec.curves)
+    assert "<!-- D65 -->" in words and "<!-- A -->" in words
+    assert "stroke-dasharray" in lines and "<!-- 0.46 -->" in lines
+    assert "dashes: Cramer" in report._caption(spec.curves[0], spec)
 
 
 # --- what a sweep says ----------------------------------------------------------------------------
@@ -317,6 +414,68 @@ def test_a_mosaic_with_fewer_infrared_pixels_loses_less():
     count = sum(name == "IR" for row in four.sensor.mosaic for name in row)
     pixels = sum(len(row) for row in four.sensor.mosaic)
     assert light_loss(four) == pytest.approx((1 - 0.46**2) * count / pixels, abs=EDGES)
+
+
+@pytest.mark.parametrize("mosaic", ["GR/BI", "RG/IB", "BI/GR", "IB/RG", "GB/RI", "GIGI/RGBG/GIGI/BGRG"])
+def test_mosaics_by_their_letters_have_a_quarter_of_infrared(da_mobile, mosaic):
+    """Expectation: wherever it stands, and in the 4x4 block too, infrared loses (1 - alpha^2) / 4 of the light."""
+    camera = specification.with_mosaic(da_mobile, mosaic)
+    assert ["".join(name[0] for name in row) for row in camera.sensor.mosaic] == mosaic.split("/")
+    assert light_loss(camera) == pytest.approx((1 - 0.46**2) / 4, abs=EDGES)
+
+
+BOARD = {"distance_cm": 10.0}
+DESIGNS = ({}, {"camera.lens.focal_length_mm": 8.0}, {"camera.sensor.pixel_pitch_um": 3.0}, {"distance_cm": 90.0})
+
+
+def test_a_board_keeps_its_picture(tmp_path):
+    """Expectation: width times f / (z p), in pixels, is that of the scene's own file, and the distance the point's."""
+    (tmp_path / "s.toml").write_text('name = "board"\nscene = "staircase"\n[parameters]\ndistance_cm = [10, 90]\n')
+    spec = load_study(str(tmp_path / "s.toml"))
+    widths = []
+    for changes in DESIGNS:
+        point = BOARD | changes
+        camera, (board,) = specification.camera_of(spec, point), specification.scene_of(spec, point).objects
+        assert board.position_cm[2] == pytest.approx(point["distance_cm"])
+        pixels = camera.lens.focal_length_mm / (camera.sensor.pixel_pitch_um * 1e-3)
+        widths.append(board.size_cm[0] / board.position_cm[2] * pixels)
+    assert widths == pytest.approx([12.5 / 10 * 3.6 / 1.7e-3] * len(DESIGNS))
+
+
+FAR_M = 100.0
+FIRST_ORDER = 0.01  # (e / d)^2 of half a pixel, at most 0.005 here, and the focus at 100 m in the place of infinity
+
+
+@pytest.mark.parametrize(("name", "depth_m"), [("da-mobile", 0.1), ("da-mobile", 0.4), ("da-8mm", 0.4)])
+def test_half_a_pixel_is_worth_the_depth_of_fig_13(name, depth_m):
+    """Expectation: the formula is half the distance of the depths whose blur is half a pixel more and less, which is
+    found by inverting the camera's blur; and the bound of a board is the median of normal errors at its one depth.
+    """
+    camera = cameras.cropped(cameras.refocused(cameras.load_camera(name), FAR_M), 64, 48)
+    depth = np.full((48, 64), depth_m)
+    exact = surfaces.truth(
+        camera, cameras.blur_px(camera, depth) / cameras.level_blur_px(camera)[1], np.ones((48, 64, 4))
+    )
+    found = limits(Capture(np.zeros((48, 64), np.uint16), camera, 0.01, 1.0, 0), exact, "D65", 1000.0)
+    assert found["half-pixel-m"] == pytest.approx(half_pixel_m(camera, depth_m), rel=FIRST_ORDER)
+    deviation = criteria.camera_bound(camera, cameras.blur_px(camera, depth_m), light="D65", level_lux=1000.0)
+    assert found["depth-bound-m"] == pytest.approx(
+        0.6745 * float(deviation[0]) / criteria.dioptre_px(camera) * depth_m**2, rel=1e-4
+    )
+
+
+@pytest.mark.parametrize(("level", "share"), [(10.0, 1.0), (-3.0, 0.0), (40.0, 0.0)])
+def test_depth_is_scored_where_the_bank_reaches(da_mobile, level, share):
+    """Set-up: a board at a level of the bank, behind the focus, and nearer than the bank's nearest; depth told exactly.
+
+    Expectation: no error; none is said where the pipeline has no such depth.
+    """
+    camera = cameras.cropped(cameras.refocused(da_mobile, 2.0), 64, 48)
+    exact = surfaces.truth(camera, np.full((48, 64), level), np.ones((48, 64, 4)))
+    told = surfaces.told(exact, camera)
+    found = depth_figures(told, exact)
+    assert found["in-range"] == share
+    assert found.get("depth-median", math.nan) == pytest.approx(0.0 if share else math.nan, abs=1e-9, nan_ok=True)
 
 
 def test_a_point_is_photographed_and_scored(study, tmp_path, renderer):

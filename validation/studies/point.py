@@ -24,7 +24,7 @@ from dasim.executors import Outcome, said
 from dasim.scene import Scene
 from dasim.simulation import Shot
 from dasim.values import Capture, Reconstruction, Truth
-from validation import bounds, picture_scores
+from validation import picture_scores
 from validation.banks import simulated_bank
 from validation.relighting import LONGEST_S, MOST_GAIN, exposed, lit_by
 from validation.studies import criteria, stereo
@@ -33,31 +33,44 @@ from validation.studies.specification import StudySpec, Unit, Value, camera_of, 
 FloatArray = NDArray[np.float64]
 
 BOUND_BLURS = 10  # at which the bound is computed; between them its logarithm is interpolated
+FLAT = 1e-3  # of its distance, what a board's depths differ by at most
+FOCUS_BLUR_PX = 0.5  # of the visible blur; nearer to the focus it tells nothing, and the bound has no end
+MOST_BEYOND = 0.5  # of the pixels out of the range of depths that the bank holds: beyond, a median says nothing
 BASELINE = "stereo.baseline_mm"
 QUANTILES = 200  # of the deviations that stand for all pixels
 OTHER_SEED = 1_000_000  # the second camera has its own noise
 FIGURES = {
     "light-loss": ("1", "light that the sensor loses to the stops, eq. (1) in the camera's own mosaic"),
     "infrared-snr": ("1", "signal over noise of an infrared pixel, median"),
-    "depth-median": ("1/m", "median absolute error of 1/z, all pixels before the focus"),
+    "in-range": ("1", "share of the pixels between the focus and the nearest depth of the PSF bank"),
+    "depth-median": ("1/m", "median absolute error of 1/z, all pixels before the focus; none if few are in range"),
     "depth-rmse": ("1/m", "root mean square error of 1/z"),
     "depth-constant": ("1/m", "the median of the best constant map"),
     "depth-seen": ("1/m", "the median where the visible blur is 3 px or more"),
-    "depth-bound": (
-        "1/m",
-        "the same median of an unbiased estimate with the Cramer-Rao bound's spread, natural texture",
-    ),
+    "depth-bound": ("1/m", "Cramer-Rao bound of that median, for natural texture in a patch"),
     "depth-median-m": ("m", "median absolute error of z"),
     "depth-rmse-m": ("m", "root mean square error of z"),
+    "depth-bound-m": ("m", "Cramer-Rao bound of the median error of z, at the median depth"),
+    "half-pixel-m": ("m", "Fig. 13: what half a pixel of blur is worth, d^2 N p / (2 f^2), at the median depth"),
     "coverage": ("1", "share of the pixels with a raw estimate"),
     "psnr": ("dB", "all-in-focus picture against the sharp truth, linear light"),
     "psnr-gain": ("dB", "that less the same of the captured picture"),
     "ciede2000": ("1", "mean colour difference to the sharp truth, all in focus"),
-    "stereo-median": ("1/m", "median absolute error of 1/z by stereo, where both cameras see the point"),
+    "matched-defocus": (
+        "1/m",
+        "median absolute error of 1/z by defocus, where both cameras see the point and match it",
+    ),
+    "stereo-median": ("1/m", "median absolute error of 1/z by stereo, where both cameras see the point and match it"),
+    "matched-combined": (
+        "1/m",
+        "median absolute error of 1/z by stereo and defocus, where both cameras match the point",
+    ),
     "stereo-coverage": ("1", "share of the pixels with a match"),
     "combined-median": ("1/m", "median absolute error of 1/z by stereo and defocus, all pixels before the focus"),
+    "combined-rmse": ("1/m", "root mean square error of 1/z by stereo and defocus, all pixels before the focus"),
     "occluded-share": ("1", "share of the pixels that the other camera does not see"),
-    "occluded-median": ("1/m", "median absolute error of 1/z by both, there"),
+    "occluded-median": ("1/m", "median absolute error of 1/z by both, where the other camera does not see the point"),
+    "occluded-matched": ("1", "share of the pixels unseen by the other camera that are matched all the same, wrongly"),
     "seconds": ("s", "time of the point, with its share of the rendering"),
 }
 
@@ -72,9 +85,10 @@ class Sweep:
 
 
 def file_of(job: Sweep, unit: Unit) -> str:
-    """Where a unit's rows are kept: a name made of everything that decides them."""
+    """Where a unit's rows are kept: a name of all that decides them, the same wherever dasim is installed."""
     spec = job.spec
-    design = [camera_of(spec, unit.render).model_dump(mode="json"), scene_of(spec, unit.render).model_dump(mode="json")]
+    scene = scene_of(spec, unit.render).model_dump(mode="json", exclude={"folder"})
+    design = [camera_of(spec, unit.render).model_dump(mode="json"), scene]
     fixed = [spec.preset, spec.size_px, spec.spp, unit, job.environment, FIGURES]
     text = json.dumps([design, fixed], sort_keys=True, default=str)
     return f"points/{hashlib.sha256(text.encode()).hexdigest()[:24]}.json"
@@ -118,9 +132,8 @@ def measured(spec: StudySpec, unit: Unit) -> list[dict[str, Any]]:
         capture = taken(shot, scene, point, unit.seed * len(unit.points) + number)
         exact = scaled(shot, capture, scene, point)
         result = recon.reconstruct(capture, bank, settings_of(spec, point))
-        own = figures(result, capture, exact) | {
-            "depth-bound": bound(capture, exact, shot.capture.illuminant, lux(scene, point))
-        }
+        own = figures(result, capture, exact)
+        own |= limits(capture, exact, shot.capture.illuminant, lux(scene, point))
         if other is not None:
             seen = taken(other, scene, point, unit.seed * len(unit.points) + number + OTHER_SEED)
             right = recon.reconstruct(seen, bank, settings_of(spec, point))
@@ -149,25 +162,39 @@ def brighter(scene: Scene, point: dict[str, Value]) -> float:
     return lux(scene, point) / lux(scene, {})
 
 
-def bound(capture: Capture, truth: Truth, light: str | None, level_lux: float) -> float:
-    """Median absolute error of 1/z that the Cramer-Rao bound allows over the pixels of ``depth-seen``; NaN for none.
+def limits(capture: Capture, truth: Truth, light: str | None, level_lux: float) -> dict[str, float]:
+    """What theory says of depth: the bound in dioptres and metres, and half a pixel of blur as Fig. 13 draws it."""
+    camera = capture.camera
+    depth = truth.depth_m[truth.valid & (truth.level >= -0.5)]
+    if not depth.size:
+        return dict.fromkeys(("depth-bound", "depth-bound-m", "half-pixel-m"), math.nan)
+    least, square = bound(camera, depth, light, level_lux), float(np.median(depth)) ** 2
+    focal_m = camera.lens.focal_length_mm * 1e-3
+    half = square * camera.lens.f_number * camera.sensor.pixel_pitch_um * 1e-6 / (2 * focal_m**2)
+    return {"depth-bound": least, "depth-bound-m": least * square, "half-pixel-m": half}
+
+
+def bound(camera: Camera, depth_m: NDArray, light: str | None, level_lux: float) -> float:
+    """Median absolute error of 1/z that the Cramer-Rao bound allows over the depths of ``depth-seen``; NaN for none.
 
     Of a normal error with the bound's standard deviation at each pixel's blur, in a patch of natural texture of which
-    nothing is known: what texture the scene has there is not asked.
+    nothing is known: what texture the scene has there is not asked. Where all is nearer to the focus than that, of all
+    with half a pixel of blur.
     """
-    camera = capture.camera
-    blur = truth.blur_px[_seen(truth)].astype(np.float64)
-    if not blur.size:
+    blur = np.asarray(cameras.blur_px(camera, depth_m.astype(np.float64)))
+    for least in (criteria.NEAREST_BLUR_PX, FOCUS_BLUR_PX):
+        if (part := blur[blur >= least]).size:
+            break
+    else:
         return math.nan
-    grid = np.linspace(criteria.NEAREST_BLUR_PX, max(float(blur.max()), 2 * criteria.NEAREST_BLUR_PX), BOUND_BLURS)
+    grid = np.linspace(part.min(), part.max(), BOUND_BLURS if np.ptp(part) > FLAT * part.max() else 1)
     try:
         deviation = criteria.camera_bound(camera, grid, light=str(light), level_lux=level_lux)
     except InputError:  # a camera that lacks a plane
         return math.nan
     if not np.isfinite(deviation).all():  # stops that all blur alike
         return math.nan
-    per_px = bounds.depth_deviation_m(camera, 1.0, 1.0)
-    return median_error(np.exp(np.interp(blur, grid, np.log(deviation * per_px))))
+    return median_error(np.exp(np.interp(part, grid, np.log(deviation / criteria.dioptre_px(camera)))))
 
 
 def median_error(deviation: FloatArray) -> float:
@@ -180,11 +207,6 @@ def median_error(deviation: FloatArray) -> float:
     return float(optimize.brentq(beyond_half, 0.0, float(of_all[-1])))  # 0.68 of the largest is certain
 
 
-def _seen(truth: Truth) -> NDArray[np.bool_]:
-    """Pixels before the focus whose visible blur is large enough to tell depth by."""
-    return np.asarray(truth.valid & (truth.blur_px >= criteria.NEAREST_BLUR_PX))
-
-
 def scaled(shot: Shot, capture: Capture, scene: Scene, point: dict[str, Value]) -> Truth:
     """The truth with its electrons as the capture collected them."""
     factor = np.float32(brighter(scene, point) * capture.exposure_s / shot.capture.exposure_s)
@@ -193,25 +215,35 @@ def scaled(shot: Shot, capture: Capture, scene: Scene, point: dict[str, Value]) 
 
 def figures(result: Reconstruction, capture: Capture, truth: Truth) -> dict[str, float]:
     """Figures of a reconstruction that compare between designs: dioptres, metres, dB (see ``FIGURES``)."""
-    near = truth.valid & (truth.level >= -0.5)
-    exact, found = (1 / np.maximum(a[near].astype(np.float64), 1e-3) for a in (truth.depth_m, result.depth_m))
-    error, metres = found - exact, 1 / found - 1 / exact
-    seen = _seen(truth)[near]
     pictures = {score.region: score for score in picture_scores.picture_scores(result, truth)}
     sharp, captured = pictures["inner"].sharpened, pictures["inner"].captured
     return {
         "light-loss": light_loss(capture.camera),
         "infrared-snr": infrared_snr(capture, truth),
+        **depth_figures(result, truth),
+        "psnr": sharp["psnr"],
+        "psnr-gain": sharp["psnr"] - captured["psnr"],
+        "ciede2000": sharp["ciede2000"],
+    }
+
+
+def depth_figures(result: Reconstruction, truth: Truth) -> dict[str, float]:
+    """Errors of depth over all pixels before the focus; NaN where most of the picture is out of the bank's range."""
+    near = truth.valid & (truth.level >= -0.5)
+    share = float((near & (truth.level <= len(cameras.level_blur_px(result.camera)) - 0.5))[truth.valid].mean())
+    found = {"in-range": share, "coverage": float(np.isfinite(result.level_raw[near]).mean()) if near.any() else 0.0}
+    if share < 1 - MOST_BEYOND:
+        return found
+    exact, given = (1 / np.maximum(a[near].astype(np.float64), 1e-3) for a in (truth.depth_m, result.depth_m))
+    error, metres = given - exact, 1 / given - 1 / exact
+    seen = truth.blur_px[near] >= criteria.NEAREST_BLUR_PX
+    return found | {
         "depth-median": float(np.median(np.abs(error))),
         "depth-seen": float(np.median(np.abs(error[seen]))) if seen.any() else math.nan,
         "depth-rmse": float(np.sqrt(np.mean(error**2))),
         "depth-constant": float(np.median(np.abs(exact - np.median(exact)))),
         "depth-median-m": float(np.median(np.abs(metres))),
         "depth-rmse-m": float(np.sqrt(np.mean(metres**2))),
-        "coverage": float(np.isfinite(result.level_raw[near]).mean()),
-        "psnr": sharp["psnr"],
-        "psnr-gain": sharp["psnr"] - captured["psnr"],
-        "ciede2000": sharp["ciede2000"],
     }
 
 

@@ -17,6 +17,7 @@ Row = dict[str, Any]
 
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#444444")  # Okabe and Ito
 MARKERS = "os^Dv<>"
+SIDE = 0.08  # of the distance of two words, between the lines' markers
 
 
 def page(spec: StudySpec, rows: list[Row], failed: dict[str, str]) -> str:
@@ -26,7 +27,7 @@ def page(spec: StudySpec, rows: list[Row], failed: dict[str, str]) -> str:
     averaged = means(rows, spec)
     found = findings.findings(spec, rows)
     ranked = findings.ranking(averaged)
-    pictures = [(_caption(curve), _curve(curve, averaged, spec)) for curve in spec.curves]
+    pictures = [(_caption(curve, spec), _curve(curve, averaged, spec)) for curve in spec.curves]
     front: list[Row] = []
     if spec.pareto:
         front = pareto(averaged, *spec.pareto)
@@ -52,15 +53,31 @@ def _meaning(figure: str) -> str:
     return meaning if unit in ("", "1") else f"{meaning} ({unit})"
 
 
-def _caption(curve: Curve) -> str:
+def _caption(curve: Curve, spec: StudySpec) -> str:
     by = f", by {curve.by}" if curve.by else ""
-    return f"{_meaning(curve.y)} against {curve.x}{by}; bars: standard deviation over seeds and other parameters"
+    kinds = ("dashes", "crosses") if _words(curve, spec) else ("dashed", "dotted")
+    beside = "".join(f"; {kind}: {_meaning(one)}" for one, kind in zip(curve.beside, kinds, strict=False))
+    return (
+        f"{_meaning(curve.y)} against {curve.x}{by}{beside}; bars: standard deviation over seeds and other parameters"
+    )
 
 
-def _curve(curve: Curve, rows: list[Row], spec: StudySpec) -> str:
-    lines = spec.parameters[curve.by] if curve.by else (None,)
-    ticks = spec.parameters[curve.x]
-    words = any(isinstance(value, str) for value in ticks)
+def _words(curve: Curve, spec: StudySpec) -> bool:
+    return any(isinstance(value, str) for value in spec.parameters[curve.x])
+
+
+def about_design(curve: Curve, rows: list[Row], spec: StudySpec) -> list[Row]:
+    """Rows of the base design but for what the curve varies; all of them where the study has no such design."""
+    fixed = {key: value for key, value in spec.design.items() if key not in (curve.x, curve.by)}
+    return [row for row in rows if all(row[key] == value for key, value in fixed.items())]
+
+
+def _curve(curve: Curve, averaged: list[Row], spec: StudySpec) -> str:
+    rows = about_design(curve, averaged, spec)
+    lines: tuple[Any, ...] = spec.parameters[curve.by] if curve.by else (None,)
+    lines = tuple(value for value in lines if curve.by is None or any(row[curve.by] == value for row in rows))
+    ticks = [tick for tick in spec.parameters[curve.x] if any(row[curve.x] == tick for row in rows)]
+    words = _words(curve, spec)
 
     def draw(axes: Any) -> None:
         for number, value in enumerate(lines):
@@ -72,19 +89,34 @@ def _curve(curve: Curve, rows: list[Row], spec: StudySpec) -> str:
                 middle.append(np.nanmean(measured) if np.isfinite(measured).any() else np.nan)
                 within = np.sqrt(np.mean([row[f"{curve.y}:spread"] ** 2 for row in here])) if here else np.nan
                 spread.append(np.hypot(within, measured.std()) if len(here) else np.nan)
-            x = np.arange(len(ticks)) if words else np.array(ticks, float)
-            label = None if value is None else str(value)
+            x = np.arange(len(ticks)) + SIDE * (number - (len(lines) - 1) / 2) if words else np.array(ticks, float)
+            label = None if value is None else _number(value)
             style = {"color": COLOURS[number % len(COLOURS)], "marker": MARKERS[number % len(MARKERS)]}
+            style["linestyle"] = "" if words else "-"  # nothing lies between two words
             axes.errorbar(x, middle, spread, capsize=3, markersize=4, linewidth=1, label=label, **style)
-        if words:
-            axes.set_xticks(range(len(ticks)), [str(tick) for tick in ticks])
+            for place, figure in enumerate(curve.beside):
+                drawn = [_mean([row[figure] for row in own if row[curve.x] == tick]) for tick in ticks]
+                if words:
+                    axes.plot(x, drawn, color=style["color"], linestyle="", marker="_x"[place], markersize=9)
+                else:
+                    axes.plot(x, drawn, color=style["color"], linestyle=("--", ":")[place], linewidth=1)
         axes.set(xlabel=curve.x, ylabel=f"{curve.y} ({FIGURES[curve.y][0]})")
-        axes.set_xscale("log" if curve.log_x else "linear")
         axes.set_yscale("log" if curve.log_y else "linear")
+        if words:
+            axes.set_xticks(range(len(ticks)), [str(tick) for tick in ticks], rotation=20, ha="right")
+        elif curve.log_x:  # a new scale forgets its ticks
+            axes.set_xscale("log")
+            axes.set_xticks(np.array(ticks, float), [_number(tick) for tick in ticks])
+            axes.set_xticks([], minor=True)
         if curve.by:
             axes.legend(title=curve.by, fontsize=8)
 
     return plot(draw)
+
+
+def _mean(values: list[float]) -> float:
+    known = np.array(values)[np.isfinite(values)]
+    return float(known.mean()) if known.size else float("nan")
 
 
 def _pareto(names: tuple[str, str], rows: list[Row], front: list[Row]) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import functools
 import itertools
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
@@ -13,7 +14,7 @@ from pydantic import BeforeValidator, Field, model_validator
 import dasim
 import recon
 from dasim import camera as cameras
-from dasim import illuminants
+from dasim import illuminants, targets
 from dasim.camera import Camera, Levels
 from dasim.dataset.specification import varied
 from dasim.errors import InputError
@@ -26,9 +27,13 @@ Value = bool | int | float | str
 
 # Keys of a point that need no new rendering: the light's level, the exposure and the reconstruction.
 AFTERWARDS = ("light.lux", "exposure.", "recon.")
+# What decides together whether a point can be made.
+TOGETHER = (("camera", "disc_edge_nm", "focus_m", "mosaic"), ("scene", "distance_cm"))
 PLAIN = {
     "scene": "a bundled scene or a file",
     "camera": "a bundled camera or a file",
+    "mosaic": "rows of R, G, B and I, infrared, such as GR/BI",
+    "distance_cm": "of the board of a flat scene, which keeps its size in the picture",
     "light.illuminant": "of all lights",
     "light.lux": "of all lights together",
     "disc_edge_nm": "where the disc begins to block",
@@ -71,18 +76,31 @@ def _values(given: Any) -> Any:
     return given if isinstance(given, list | tuple) else [given]
 
 
+def _tables(given: Any) -> Any:
+    """One table or several, as a list."""
+    return [given] if isinstance(given, dict) else given
+
+
+Table = dict[str, Annotated[tuple[Value, ...], BeforeValidator(_values)]]
+
+
 class Curve(Specification):
     """A picture of the report: a figure against a parameter, a line for each value of another."""
 
     x: str
     y: str
+    beside: tuple[str, ...] = Field(default=(), max_length=2, description="figures drawn with it, dashed and dotted")
     by: str | None = None
     log_x: bool = False
     log_y: bool = False
 
 
 class StudySpec(Specification):
-    """A sweep, as ``dasim study sweep`` reads it from TOML."""
+    """A sweep, as ``dasim study sweep`` reads it from TOML.
+
+    ``[parameters]`` is a grid: all combinations of its values. Several tables ``[[parameters]]`` are as many grids
+    about one base design: what a grid does not vary has its value of ``[design]``.
+    """
 
     name: str = Field(min_length=1, max_length=100)
     question: str = ""
@@ -92,16 +110,28 @@ class StudySpec(Specification):
     size_px: tuple[int, int] = (256, 192)
     spp: int = Field(default=128, ge=1, le=65_536)
     seeds: int = Field(default=2, ge=1, le=1000)
-    parameters: dict[str, Annotated[tuple[Value, ...], BeforeValidator(_values)]] = Field(min_length=1)
+    grids: Annotated[tuple[Table, ...], BeforeValidator(_tables)] = Field(alias="parameters", min_length=1)
+    design: dict[str, Value] = Field(default_factory=dict, description="values where a grid does not vary them")
     curves: tuple[Curve, ...] = ()
     pareto: tuple[str, str] | None = Field(default=None, description="two figures, both the better the smaller")
     reference: dict[str, Value] = Field(
         default_factory=dict, max_length=1, description="a parameter's value that the report holds against all others"
     )
-    quick: dict[str, Annotated[tuple[Value, ...], BeforeValidator(_values)]] = Field(
-        default_factory=dict, description="values of parameters for --quick"
-    )
+    quick: Table = Field(default_factory=dict, description="values of parameters for --quick")
     folder: Path = Field(default=Path("."), exclude=True)
+
+    @property
+    def parameters(self) -> dict[str, tuple[Value, ...]]:
+        """All values of each parameter, of the base design and of every grid; numbers of several grids in order."""
+        tables: list[Table] = [{key: (value,) for key, value in self.design.items()}, *self.grids]
+        found: dict[str, tuple[Value, ...]] = {}
+        for key in dict.fromkeys(key for table in tables for key in table):
+            lists = [table[key] for table in tables if key in table]
+            values = list(dict.fromkeys(value for own in lists for value in own))
+            if len(lists) > 1 and not any(isinstance(value, str) for value in values):
+                values.sort(key=float)
+            found[key] = tuple(values)
+        return found
 
 
 class Unit(NamedTuple):
@@ -129,14 +159,21 @@ def load_study(name_or_path: str, *, quick: bool = False) -> StudySpec:
         unknown = [key for key in spec.quick if key not in spec.parameters]
         if unknown:
             raise InputError(f"{path}: quick.{unknown[0]} is no parameter of the study")
-        spec = spec.model_copy(update={"parameters": spec.parameters | spec.quick, "seeds": min(spec.seeds, 2)})
+        grids = tuple({key: spec.quick.get(key, values) for key, values in grid.items()} for grid in spec.grids)
+        spec = spec.model_copy(update={"grids": grids, "seeds": min(spec.seeds, 2)})
     check(spec, str(path))
     return spec
 
 
 def points(spec: StudySpec) -> list[dict[str, Value]]:
-    """Every combination of the parameters' values, the last parameter fastest."""
-    return [dict(zip(spec.parameters, values, strict=True)) for values in itertools.product(*spec.parameters.values())]
+    """Every combination of each grid's values, the last parameter fastest; what several grids share once."""
+    found: dict[tuple[Value, ...], dict[str, Value]] = {}
+    for grid in spec.grids:
+        for values in itertools.product(*grid.values()):
+            point = spec.design | dict(zip(grid, values, strict=True))
+            ordered = {key: point[key] for key in spec.parameters}
+            found.setdefault(tuple(ordered.values()), ordered)
+    return list(found.values())
 
 
 def units(spec: StudySpec) -> list[Unit]:
@@ -160,6 +197,8 @@ def camera_of(spec: StudySpec, point: dict[str, Value]) -> Camera:
     if camera.levels is None:
         blurs = cameras.level_blur_px(camera)
         camera = camera.model_copy(update={"levels": Levels(count=len(blurs), max_blur_px=float(blurs[-1]))})
+    if "mosaic" in point:
+        camera = with_mosaic(camera, str(point["mosaic"]))
     changes = {key.removeprefix("camera."): value for key, value in point.items() if key.startswith("camera.")}
     if "disc_edge_nm" in point:  # one coating: what it stops passes the hole alone
         wide, hole = camera.stops[0].name, camera.stops[-1].name
@@ -168,14 +207,42 @@ def camera_of(spec: StudySpec, point: dict[str, Value]) -> Camera:
     return varied(camera, changes)
 
 
+def with_mosaic(camera: Camera, text: str) -> Camera:
+    """The camera with another mosaic: rows of R, G, B and I (infrared) with / between them, such as GR/BI."""
+    rows = text.split("/")
+    if set(text) != set("RGBI/") or len({len(row) for row in rows}) != 1:
+        raise InputError(
+            f"mosaic '{text}': needs two rows or more of equal length with / between them, of R, G, B and I "
+            "(infrared), all of which occur, such as GR/BI"
+        )
+    block = [["IR" if letter == "I" else letter for letter in row] for row in rows]
+    changed = camera.sensor.model_dump() | {"mosaic": block}
+    return camera.model_copy(update={"sensor": parse(type(camera.sensor), changed, f"mosaic '{text}'")})
+
+
+@functools.lru_cache(maxsize=32)
+def _loaded(name: str, changed_ns: int) -> dasim.Scene | MitsubaScene:
+    """A scene, read once for all points that show it, and again when its file has changed."""
+    return dasim.load_scene(name)
+
+
 def scene_of(spec: StudySpec, point: dict[str, Value]) -> dasim.Scene:
-    """The scene of a point, as it is lit in its file."""
+    """The scene of a point, as it is lit in its file.
+
+    A board at the point's distance has the same picture in every design, in pixels, but for its blur: textures of
+    nature are alike at all scales, and no lens shall look at a smoother one than another.
+    """
     name = str(point.get("scene", spec.scene))
     beside = spec.folder / name
-    found = dasim.load_scene(beside if beside.is_file() else name)
+    file = beside if beside.is_file() else Path(name)
+    found = _loaded(str(file), file.stat().st_mtime_ns if file.is_file() else 0)
     if isinstance(found, MitsubaScene):
         raise InputError(f"scene '{name}': a study lights its scenes anew, which Mitsuba's files do not allow")
-    return found
+    if "distance_cm" not in point:
+        return found
+    ours, drawn_for = camera_of(spec, point), dasim.load_camera(targets.DEFAULT_CAMERA)
+    angles = [one.sensor.pixel_pitch_um / one.lens.focal_length_mm for one in (ours, drawn_for)]
+    return targets.at_distance(found, float(point["distance_cm"]), angles[0] / angles[1])
 
 
 def settings_of(spec: StudySpec, point: dict[str, Value]) -> Settings:
@@ -194,8 +261,14 @@ def settings_of(spec: StudySpec, point: dict[str, Value]) -> Settings:
 def check(spec: StudySpec, where: str) -> None:
     """InputError with all that is wrong: unknown parameters, empty lists, designs that cannot be made."""
     problems = []
-    for key, values in spec.parameters.items():
-        problems += [f"parameters.{key}: is empty; give one value at least"] if not values else []
+    for number, grid in enumerate(spec.grids, 1):
+        problems += [f"parameters.{key}: is empty; give one value at least" for key, own in grid.items() if not own]
+        problems += [
+            f"parameters, table {number}: has no '{key}', which others vary; give its value here or in [design]"
+            for key in spec.parameters
+            if key not in grid and key not in spec.design
+        ]
+    for key in spec.parameters:
         if key not in PLAIN and not key.startswith(("camera.", "recon.")):
             known = [*PLAIN, "camera.<key of a camera file>", "recon.<setting>"]
             near = difflib.get_close_matches(key, known, 3) or known
@@ -203,22 +276,39 @@ def check(spec: StudySpec, where: str) -> None:
     if problems:
         raise InputError(f"{where}: " + "; ".join(problems))
     for key, values in spec.parameters.items():  # each parameter by itself first: the shortest message
+        where_else = (
+            {"scene": spec.parameters["scene"][0]} if key == "distance_cm" and "scene" in spec.parameters else {}
+        )
         for value in values:
-            problems += _point_problems(spec, {key: value})
+            problems += _point_problems(spec, {**where_else, key: value})
     if not problems:
-        designs = {
-            tuple((k, v) for k, v in p.items() if k.startswith(("camera", "disc", "focus"))) for p in points(spec)
-        }
-        for design in sorted(designs, key=str):
+        parts = [
+            {tuple((key, value) for key, value in point.items() if key.startswith(group)) for point in points(spec)}
+            for group in TOGETHER
+        ]
+        for design in sorted((part for group in parts for part in group if len(part) > 1), key=str):
             problems += _point_problems(spec, dict(design))
-    for figure in (*(curve.x for curve in spec.curves), *(c.by for c in spec.curves if c.by)):
-        if figure not in spec.parameters:
-            problems.append(f"curves: '{figure}' is no parameter of this study ({', '.join(spec.parameters)})")
     for key, value in spec.reference.items():
         if value not in spec.parameters.get(key, ()):
             problems.append(f"reference: {key} = {value!r} is not among the values of a parameter of this study")
+    problems += _picture_problems(spec)
     if problems:
         raise InputError(f"{where}: " + "; ".join(dict.fromkeys(problems)))
+
+
+def _picture_problems(spec: StudySpec) -> list[str]:
+    """What the curves and the front name that there is not."""
+    from validation.studies.point import FIGURES
+
+    problems = []
+    for name in (*(curve.x for curve in spec.curves), *(curve.by for curve in spec.curves if curve.by)):
+        if name not in spec.parameters:
+            problems.append(f"curves: '{name}' is no parameter of this study ({', '.join(spec.parameters)})")
+    for name in (*(name for curve in spec.curves for name in (curve.y, *curve.beside)), *(spec.pareto or ())):
+        if name not in FIGURES:
+            near = difflib.get_close_matches(name, FIGURES, 3) or list(FIGURES)
+            problems.append(f"'{name}' is no figure; did you mean {', '.join(near)}?")
+    return problems
 
 
 def _point_problems(spec: StudySpec, point: dict[str, Value]) -> list[str]:
@@ -227,9 +317,9 @@ def _point_problems(spec: StudySpec, point: dict[str, Value]) -> list[str]:
         camera = camera_of(spec, point)
         if "focus_m" in point:
             camera = dasim.refocused(camera, float(point["focus_m"]))
-        if any(key.startswith(("camera", "disc")) for key in point):
+        if any(key.startswith(("camera", "disc", "mosaic")) for key in point):
             _check_sees(camera)
-        if "scene" in point:
+        if "scene" in point or "distance_cm" in point:
             scene_of(spec, point)
         settings_of(spec, point)
         if "light.illuminant" in point:
@@ -250,10 +340,12 @@ def _point_problems(spec: StudySpec, point: dict[str, Value]) -> list[str]:
 
 
 def _check_sees(camera: Camera) -> None:
-    """InputError where a channel gets no light, or nothing tells infrared's blur from that of the others."""
+    """InputError where a channel gets no light, or where its mosaic is none that is reconstructed."""
     from dasim import camera as cameras
+    from recon import mosaic
 
     rates = cameras.response(camera).max(axis=-1)
     dark = [name for name, rate in zip(cameras.channels(camera.sensor), rates, strict=True) if rate <= 0]
     if dark:
         raise InputError(f"no light of any wavelength reaches {', '.join(dark)}")
+    mosaic.grids(camera)

@@ -18,8 +18,10 @@ FloatArray = NDArray[np.float64]
 BLOCK_PX = 5  # of the matcher
 MOST_SHIFT = 0.6  # of the frame's width: beyond, hardly anything is in both pictures
 MATCH_PX = 0.25  # standard deviation of a match, for the weights
-LEVEL_SIGMA = 0.5  # of a level by defocus, for the weights
+LEVEL_SIGMA = 0.75  # of a level by defocus where it is sure, for the weights: its median error there is half a level
+LEAST_CONFIDENCE = 0.01  # of a level: below, it is a guess, which refutes no match
 AGREE_SIGMAS = 3.0  # a match farther from defocus than that is taken for wrong
+BOTH_WAYS_PX = 1.0  # that the matches of a point and of its partner may differ by
 OCCLUDED = 0.02  # of z by which what the other camera sees there is nearer
 
 
@@ -61,30 +63,45 @@ def stereo_depth_m(left: Reconstruction, right: Reconstruction, baseline_m: floa
         speckleRange=2,
         mode=cv2.STEREO_SGBM_MODE_HH,
     )
-    # as wide again to the left, so that points near the left edge can be sought as far as all others
     grey = [
         cv2.cvtColor(np.clip(r.sharp_rgb * 255, 0, 255).astype(np.uint8), cv2.COLOR_RGB2GRAY) for r in (left, right)
     ]
-    padded = [cv2.copyMakeBorder(g, 0, 0, count, 0, cv2.BORDER_CONSTANT, value=0) for g in grey]
-    found = matcher.compute(*padded)[:, count:].astype(np.float64) / 16
+    found = _disparity_px(matcher, grey[0], grey[1], count)
+    back = _disparity_px(matcher, grey[1][:, ::-1], grey[0][:, ::-1], count)[:, ::-1]
+    # what the other camera does not see is matched with something else, which has its own partner (sec. 2.3 there)
+    partner = np.clip(np.rint(np.arange(width) - found), 0, width - 1).astype(int)
+    same = np.abs(np.take_along_axis(back, partner, axis=1) - found) <= BOTH_WAYS_PX
     focal_px = cameras.intrinsic_matrix(camera)[0, 0]
-    return np.where(found > 0, baseline_m * focal_px / np.maximum(found, 1e-9), np.nan)
+    return np.where((found > 0) & same, baseline_m * focal_px / np.maximum(found, 1e-9), np.nan)
+
+
+def _disparity_px(matcher: cv2.StereoSGBM, one: NDArray, other: NDArray, count: int) -> FloatArray:
+    """How far points of a picture have moved to the left in another, px, [h, w]; not above 0 without a match.
+
+    As wide again to the left, so that points near the left edge can be sought as far as all others.
+    """
+    padded = [cv2.copyMakeBorder(np.ascontiguousarray(g), 0, 0, count, 0, cv2.BORDER_CONSTANT) for g in (one, other)]
+    return np.asarray(matcher.compute(*padded)[:, count:].astype(np.float64) / 16)
 
 
 def combined_m(result: Reconstruction, stereo_m: FloatArray, baseline_m: float) -> FloatArray:
-    """Both depths weighted by their variances in dioptres; defocus alone where there is no match that agrees."""
+    """Both depths weighted by their variances in dioptres; defocus alone where there is no match that agrees.
+
+    Defocus's deviation is that of a level over its confidence: an unsure level neither weighs nor refutes a match. A
+    match's is that of a quarter of a pixel, tens of times less, so where it stands it decides.
+    """
     camera = result.camera
     focal_px = cameras.intrinsic_matrix(camera)[0, 0]
     per_level = float(
         cameras.level_blur_px(camera)[1] * camera.sensor.pixel_pitch_um * 1e-6
         / (cameras.aperture_m(camera) * cameras.image_distance_m(camera))
     )  # fmt: skip
-    sigma = np.array([LEVEL_SIGMA * per_level, MATCH_PX / (baseline_m * focal_px)])
-    weight = 1 / sigma**2
+    own = LEVEL_SIGMA * per_level / np.maximum(result.confidence.astype(np.float64), LEAST_CONFIDENCE)
+    match = MATCH_PX / (baseline_m * focal_px)
     defocus, stereo = 1 / result.depth_m.astype(np.float64), 1 / stereo_m
-    agree = np.abs(defocus - stereo) <= AGREE_SIGMAS * np.hypot(*sigma)  # False where there is none
-    both = (weight[0] * defocus + weight[1] * np.nan_to_num(stereo)) / weight.sum()
-    return np.asarray(1 / np.where(agree, both, defocus))
+    agree = np.abs(defocus - stereo) <= AGREE_SIGMAS * np.hypot(own, match)  # False where there is none
+    share = own**2 / (own**2 + match**2)
+    return np.asarray(1 / np.where(agree, defocus + share * (np.nan_to_num(stereo) - defocus), defocus))
 
 
 def occluded(left: Truth, right: Truth, camera: Camera, baseline_m: float) -> NDArray[np.bool_]:
@@ -100,21 +117,29 @@ def occluded(left: Truth, right: Truth, camera: Camera, baseline_m: float) -> ND
 def figures(
     left: Reconstruction, right: Reconstruction, truth: Truth, other: Truth, baseline_m: float, nearest_m: float
 ) -> dict[str, float]:
-    """Median absolute errors in dioptres of stereo and of both, how much is matched, how much is occluded."""
+    """Errors in dioptres of defocus, of stereo and of both, how much is matched, how much is occluded.
+
+    Of all three where both cameras see a point and it is matched, so that they compare; of both together everywhere.
+    """
     stereo = stereo_depth_m(left, right, baseline_m, nearest_m)
     both = combined_m(left, stereo, baseline_m)
     near = truth.valid & (truth.level >= -0.5)
     hidden = occluded(truth, other, left.camera, baseline_m)
+    matched = np.isfinite(stereo)
 
-    def error(depth_m: FloatArray, where: NDArray[np.bool_]) -> float:
-        known = where & np.isfinite(depth_m)
-        exact = truth.depth_m[known].astype(np.float64)
-        return float(np.median(np.abs(1 / depth_m[known] - 1 / exact))) if known.any() else math.nan
+    def error(depth_m: NDArray, where: NDArray[np.bool_]) -> FloatArray:
+        exact, found = (1 / a[where].astype(np.float64) for a in (truth.depth_m, depth_m))
+        return np.asarray(np.abs(found - exact) if where.any() else [math.nan])
 
+    seen, shade = near & ~hidden & matched, near & hidden
     return {
-        "stereo-median": error(stereo, near & ~hidden),
-        "stereo-coverage": float(np.isfinite(stereo[near]).mean()),
-        "combined-median": error(both, near),
+        "matched-defocus": float(np.median(error(left.depth_m, seen))),
+        "stereo-median": float(np.median(error(stereo, seen))),
+        "matched-combined": float(np.median(error(both, seen))),
+        "stereo-coverage": float(matched[near].mean()),
+        "combined-median": float(np.median(error(both, near))),
+        "combined-rmse": float(np.sqrt(np.mean(error(both, near) ** 2))),
         "occluded-share": float(hidden[near].mean()),
-        "occluded-median": error(both, near & hidden),
+        "occluded-median": float(np.median(error(both, shade))),
+        "occluded-matched": float(matched[shade].mean()) if shade.any() else 0.0,
     }
