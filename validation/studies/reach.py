@@ -4,7 +4,10 @@ The bound takes a patch for periodic: what a wide kernel brings in from outside 
 a larger picture it tells less, since the surroundings are unknown; :func:`cut_deviation` is its bound, from the
 covariances between all of its pixels. A picture does show the surroundings, up to its border and as long as depth stays
 the same; :func:`board_deviations` is what maximum likelihood makes of rendered boards that fill the frame, with the
-camera's own kernels and the texture's own power: the best that a renderer, sensor and mosaic leave to a reconstruction.
+camera's own kernels and the texture's own power. It stands for what is left when bank, levels, presets and their
+thresholds are taken away, and is no lower limit: it trusts that the surroundings go on, and at a frame's border, where
+deblurring two windows carries what is missing far inwards, a preset that fits gain and scale in each patch can do
+better.
 """
 
 from __future__ import annotations
