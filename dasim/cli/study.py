@@ -201,7 +201,7 @@ def shape(
               f"all in focus {one.desk_sharp_db:.1f} dB")  # fmt: skip
     for step, designs in study.steps().items():
         said = []
-        for name, error, to_disc, spread in designs:
+        for name, error, to_disc, spread in designs:  # ratios are to the first, the disc
             wide = f" +- {spread:.2f}" if spread == spread else ""  # of one value there is none
             said.append(f"{name} {error:.3f} 1/m ({to_disc:.2f}{wide})")
         print(f"{step}: {'; '.join(said)}")
