@@ -6,6 +6,7 @@ import itertools
 
 import numpy as np
 import pytest
+from scipy import fft, sparse
 
 from dasim import camera as cameras
 from validation import bounds
@@ -16,8 +17,10 @@ NARROW = 0.46  # of green's blur
 NOISE = (0.02**2, 0.015**2)
 GAIN = 0.7
 CONTRAST = 0.15
-PATCHES = 1600
-MISFIT = 0.05  # of a standard deviation from 1,600 patches, which is good to 1.8 %: nearly three times that
+PATCHES = 3200
+CHUNK = 400  # of these at a time
+BLIND = 1e-4  # of the noise's power: tells nothing, 1e-8 of what a frequency can
+MISFIT = 0.05  # of a standard deviation from 3,200 patches, which is good to 1.3 %: four times that
 UNBIASED = 4.0  # standard errors of the mean of the patches
 EXACT = 1e-9
 BOUNDARY = 0.1  # what a patch without periodic borders tells less or more, at a blur of a sixth of its side
@@ -47,49 +50,65 @@ def bound(blur, noise=NOISE, gain=(1.0, GAIN), **options):
 # --- maximum likelihood --------------------------------------------------------------------------
 
 
-def patches(blur, random):
-    """Periodograms of infrared and green, real part of their cross-spectrum, [patch, h, w/2 + 1], of noisy pictures."""
-    power, transfer = bounds.natural_power(SHAPE, contrast=CONTRAST), two_channels(blur)[0]
-    sharp = np.sqrt(power) * np.fft.rfft2(random.standard_normal((PATCHES, *SHAPE)))
-    seen = [
-        np.fft.irfft2(g * h * sharp, SHAPE) + np.sqrt(n) * random.standard_normal((PATCHES, *SHAPE))
-        for g, h, n in zip((1.0, GAIN), transfer, NOISE, strict=True)
-    ]
-    first, second = (np.fft.rfft2(picture) / SIDE for picture in seen)
-    return np.abs(first) ** 2, np.abs(second) ** 2, (first * np.conj(second)).real
+def patches(blur, side, random):
+    """Periodograms of infrared and green, real part of their cross-spectrum, each [patch, radius], of noisy pictures.
+
+    Model and texture are round, so that means over frequencies of one radius tell all; beyond ``BLIND`` of the noise
+    no channel shows any texture. Also these radii in cycles/px and how many frequencies each has.
+    """
+    shape = (side, side)
+    power, transfer = bounds.natural_power(shape, contrast=CONTRAST), two_channels(blur, shape)[0]
+    square = np.rint((np.hypot(np.fft.fftfreq(side)[:, None], np.fft.rfftfreq(side)[None]) * side) ** 2).astype(int)
+    seen = (power * transfer[0] ** 2 > BLIND * NOISE[0]) & (square > 0)
+    squares, ring = np.unique(square[seen], return_inverse=True)
+    twice = np.broadcast_to(bounds.multiplicity(side), square.shape)[seen]
+    times = np.bincount(ring, twice)
+    to_ring = sparse.csr_matrix((twice, (np.arange(ring.size), ring))) / times
+    found = []
+    for _ in range(0, PATCHES, CHUNK):
+        white = random.standard_normal((3, CHUNK, *shape), np.float32)
+        texture, *noises = (fft.rfft2(picture, workers=2)[:, seen].astype(complex) / side for picture in white)
+        first, second = (
+            g * (np.sqrt(power) * h)[seen] * texture + np.sqrt(n) * own
+            for g, h, n, own in zip((1.0, GAIN), transfer, NOISE, noises, strict=True)
+        )
+        cross = (first * np.conj(second)).real
+        found.append([part @ to_ring for part in (np.abs(first) ** 2, np.abs(second) ** 2, cross)])
+    return np.concatenate(found, axis=1), np.sqrt(squares) / side, times
 
 
-def log_likelihood(theta, data):
+def log_likelihood(theta, data, radius, times):
     """Of each patch, [patch], for (blur, ln strength, ln gain) [patch, 3]: two Gaussian channels, written out."""
-    blur, strength, gain = (t[:, None, None] for t in theta.T)
-    f = np.hypot(np.fft.fftfreq(SIDE)[:, None], np.fft.rfftfreq(SIDE)[None])
-    power = np.exp(strength) * bounds.natural_power(SHAPE, contrast=CONTRAST)
-    small, large = gaussian(NARROW * blur, f), np.exp(gain) * gaussian(blur, f)
+    blur, strength, gain = (t[:, None] for t in theta.T)
+    side = int(np.rint(1 / radius[0]))
+    natural = bounds.natural_power((side, side), contrast=CONTRAST)[0, 1] * radius[0] ** 2 / radius**2
+    power = np.exp(strength) * natural
+    small, large = gaussian(NARROW * blur, radius), np.exp(gain) * gaussian(blur, radius)
     a, b, c = power * small**2 + NOISE[0], power * large**2 + NOISE[1], power * small * large
     det = a * b - c**2
-    total = np.log(det) + (b * data[0] + a * data[1] - 2 * c * data[2]) / det
-    return -0.5 * (total[..., :1].sum((1, 2)) + 2 * total[..., 1:].sum((1, 2)))
+    return -0.5 * ((np.log(det) + (b * data[0] + a * data[1] - 2 * c * data[2]) / det) @ times)
 
 
-def most_likely(data, start):
+def most_likely(data, radius, times, start):
     """The maximum for every patch by Newton's method, with the curvature that the patches have on average."""
     step = np.array([0.02, 0.02, 0.005])
     theta = np.tile(start, (PATCHES, 1))
 
-    def shifted(*moves):
-        return log_likelihood(theta + sum(sign * step[i] * np.eye(3)[i] for i, sign in moves), data)
+    def shifted(*moves, some=slice(None)):
+        moved = theta[some] + sum(sign * step[i] * np.eye(3)[i] for i, sign in moves)
+        return log_likelihood(moved, data[:, some], radius, times)
 
     curvature = np.empty((3, 3))
     for i in range(3):
         for j in range(3):
             signs = [(1, 1, 1), (1, -1, -1), (-1, 1, -1), (-1, -1, 1)]
-            total = sum(sign * shifted((i, p), (j, q)).mean() for p, q, sign in signs)
+            total = sum(sign * shifted((i, p), (j, q), some=slice(CHUNK)).mean() for p, q, sign in signs)
             curvature[i, j] = -total / (4 * step[i] * step[j])
-    share, reached = np.ones(PATCHES), log_likelihood(theta, data)
-    for _ in range(10):
+    share, reached = np.ones(PATCHES), log_likelihood(theta, data, radius, times)
+    for _ in range(7):
         gradient = np.stack([(shifted((i, 1)) - shifted((i, -1))) / (2 * step[i]) for i in range(3)], axis=1)
         move = np.linalg.solve(curvature, gradient.T).T
-        tried = log_likelihood(theta + share[:, None] * move, data)
+        tried = log_likelihood(theta + share[:, None] * move, data, radius, times)
         better = tried >= reached
         theta = np.where(better[:, None], theta + share[:, None] * move, theta)
         reached, share = np.maximum(tried, reached), np.where(better, np.minimum(1.5 * share, 1.0), share / 3)
@@ -97,14 +116,38 @@ def most_likely(data, start):
     return theta
 
 
-@pytest.mark.parametrize("blur", [3.0, 6.0])
-def test_maximum_likelihood_reaches_the_bound(blur):
-    """Gaussian kernels of 9 px leave so few frequencies in 31 px that the best estimate is 5 % above the bound."""
-    data = patches(blur, np.random.default_rng(3))
-    found = most_likely(data, np.array([blur, 0.0, np.log(GAIN)]))[:, 0]
-    least = bound(blur)
-    assert found.std() == pytest.approx(least, rel=MISFIT)
-    assert abs(found.mean() - blur) < UNBIASED * least / np.sqrt(PATCHES) + 0.5 * least**2  # and no bias to speak of
+def spread_over_bound(blur, side):
+    """Standard deviation of the most likely blur over the bound, and the mean's error in standard errors."""
+    data, radius, times = patches(blur, side, np.random.default_rng(3))
+    found = most_likely(data, radius, times, np.array([blur, 0.0, np.log(GAIN)]))[:, 0]
+    transfer, slope = two_channels(blur, (side, side))
+    power = bounds.natural_power((side, side), contrast=CONTRAST)
+    least = float(bounds.blur_deviation(transfer, slope, power, NOISE, width=side, gain=(1.0, GAIN)))
+    return found.std() / least, abs(found.mean() - blur) / (found.std() / np.sqrt(PATCHES))
+
+
+@pytest.mark.parametrize(("blur", "side"), [(3.0, 31), (6.0, 37), (9.0, 55), (20.0, 121)])
+def test_maximum_likelihood_reaches_the_bound(blur, side):
+    """Rationale: a bound is of use where an estimator reaches it; the issue wants 5 %.
+
+    Set-up: periodic patches of 31 px or six blurs a side, whichever is more, chosen beforehand: the bound is
+    asymptotic in the number of frequencies that blur leaves, which goes as (side / blur)^2. ``PATCHES`` of them.
+    """
+    ratio, off = spread_over_bound(blur, side)
+    assert ratio == pytest.approx(1, abs=MISFIT)
+    assert off < UNBIASED  # and no bias to speak of
+
+
+def test_what_is_above_the_bound_in_small_patches_goes_with_their_size():
+    """Of 9 px of blur, 31 px are 3.4 blurs and leave too few frequencies: 4 % above the bound, 63 px nothing.
+
+    Measured with 6,400 and 3,200 patches: 4.0 +- 1.0 % in 31 px, -0.9 +- 1.2 % in 63 px. Of 20 px of blur there is
+    not always a maximum in 31 px, 4.2 +- 1.3 % in 63 px (3.2 blurs), 0.5 +- 2.0 % in 127 px.
+    """
+    small, large = (spread_over_bound(9.0, side)[0] for side in (31, 63))
+    assert 1.0 < small < 1 + 2 * MISFIT
+    assert large == pytest.approx(1, abs=MISFIT)
+    assert large < small
 
 
 def test_a_misfit_of_the_kernels_would_show():

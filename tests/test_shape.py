@@ -16,6 +16,7 @@ from dasim.cli import run
 from validation import bounds
 from validation.studies import criteria, masks, patches, shape, shape_study
 from validation.studies.proof import Proof
+from validation.studies.reach import Reach
 from validation.studies.shape import Search
 
 CELLS, BUDGET = 20, 0.2116
@@ -152,12 +153,14 @@ def test_a_camera_without_infrared_has_nothing_to_shape(tmp_path, capsys) -> Non
 def study(camera: dasim.Camera) -> Iterator[shape_study.Study]:
     """A coarse study, to be quick; the pipeline takes minutes, so what it finds stands in."""
     small = {"REFERENCE_CELLS": 32, "FINE": 24, "SEARCH_FINE": 24, "BLURS": 2, "SEARCH_BLURS": 2}
-    rendered = Proof((0.1, np.nan), (0.2, np.nan), (0.9, 0.0), (20.0, 18.0), 0.3, 25.0)
+    rendered = Proof(((0.1, np.nan),) * 2, ((0.2, np.nan),) * 2, (0.9, 0.0), (20.0, 18.0), (0.3, 0.3), 25.0)
+    reached = Reach((0.1, 0.2), (0.1, 0.3), ((0.2, 0.3), (0.2, 0.4)), ((0.1, 0.2), (0.1, 0.1)))
     with pytest.MonkeyPatch.context() as patch:
         for name, value in small.items():
             patch.setattr(shape_study, name, value)
         patch.setattr(shape_study.patches, "STEP_PX", 1.0)
         patch.setattr(shape_study, "proof", lambda camera, folder, preset, seed: rendered)
+        patch.setattr(shape_study, "reach", lambda camera, folder, light, lux, seed: reached)
         plan = shape_study.Plan(camera, BUDGET, cells=16, feature_um=170.0, seeds=1, iterations=1)
         yield shape_study.studied(plan, render=True)
 

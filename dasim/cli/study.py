@@ -198,10 +198,16 @@ def shape(
     for name, (error, least) in study.estimates.items():
         print(f"patches, {name}: likelihood {error:.4f} 1/m, its bound {least:.4f} 1/m")
     for name, one in study.proofs.items():
-        boards = " ".join(f"{error:.3f}" for error in one.board_deviation)
+        boards = " ".join(f"{sum(errors) / len(errors):.3f}" for errors in zip(*one.board_deviation, strict=True))
         found = " ".join(f"{100 * share:.0f}" for share in one.board_coverage)
-        print(f"pipeline, {name}: boards {boards} 1/m, found {found} %, desk {one.desk_error:.3f} 1/m, "
+        print(f"pipeline, {name}: boards {boards} 1/m, sure of {found} %, desk {one.desk_error[0]:.3f} 1/m, "
               f"all in focus {one.desk_sharp_db:.1f} dB")  # fmt: skip
+    for step, designs in study.steps().items():
+        said = []
+        for name, error, to_disc, spread in designs:  # ratios are to the first, the disc
+            wide = f" +- {spread:.2f}" if spread == spread else ""  # of one value there is none
+            said.append(f"{name} {error:.3f} 1/m ({to_disc:.2f}{wide})")
+        print(f"{step}: {'; '.join(said)}")
     print(f"report: {out / 'report.html'}")
     return 0
 

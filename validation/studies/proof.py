@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -17,10 +17,12 @@ from dasim import camera as cameras
 from dasim import targets
 from dasim.camera import Camera
 from dasim.scene import Scene
-from dasim.values import Reconstruction, Truth
+from dasim.simulation import Shot
+from dasim.values import Capture, Reconstruction, Truth
 from validation import rendering, stored, texture
 from validation.banks import simulated_bank
 from validation.picture_scores import picture_scores
+from validation.relighting import exposed
 from validation.scores import depth_of_level
 from validation.shots import photographed
 
@@ -29,40 +31,47 @@ Progress = Callable[[str, float], None]
 
 LIGHT = "D55"  # the desk's; one light, so that a mask's kernels are calibrated in a minute or two
 LEVELS = (5, 11, 17, 23)  # of boards with one texture: visible blurs of 9 to 43 px with a hole of 0.46
-BOARD_PX, DESK_PX = (192, 144), (256, 192)
+BOARD_PX, DESK_PX = (384, 288), (256, 192)
 SPP = 64
-FOUND = 0.5  # of a board's textured pixels have a level, or the board is not found
+EXPOSURES = 3  # of each picture, with noise of their own
 # The default compares means over rings of frequencies, for which round stops were assumed, and keeps what it is sure
 # of; the paper's own, eq. (9) to (12), and its likelihood take kernels as they are.
 PRESETS = ("bands", "paper", "likelihood")
-BORDER_PX = 24  # of a board's picture, that lacks half of its surroundings
+ALL = {"least_confidence": 0.0, "edge_snr": 0.0, "fallback": False}  # a level for every pixel, from infrared alone
+BORDER_PX = 64  # of a board's picture, that lacks half of its surroundings, and what deblurring carries inwards
 
 
 @dataclass(frozen=True)
 class Proof:
-    """Errors of one design in the pipeline; depth in dioptres, of raw levels at textured pixels."""
+    """Errors of one design in the pipeline; depth in dioptres, of raw levels at all textured pixels."""
 
-    board_deviation: tuple[float, ...]  # [level], root mean square about the median, so without bias
-    board_error: tuple[float, ...]  # [level], root mean square
-    board_coverage: tuple[float, ...]  # [level], share of textured pixels with a raw level
-    board_sharp_db: tuple[float, ...]  # [level], PSNR of the all-in-focus picture
-    desk_error: float  # median absolute
+    board_deviation: tuple[tuple[float, ...], ...]  # [exposure, level], root mean square about the median: no bias
+    board_error: tuple[tuple[float, ...], ...]  # [exposure, level], root mean square
+    board_coverage: tuple[float, ...]  # [level], share of textured pixels that the preset itself gives a level
+    board_sharp_db: tuple[float, ...]  # [level], PSNR of the preset's all-in-focus picture
+    desk_error: tuple[float, ...]  # [exposure], median absolute
     desk_sharp_db: float
 
     @property
-    def deviation(self) -> float:
-        """Over the boards: root mean square without bias; NaN where one is not found."""
-        return _rms(self.board_deviation, self.board_coverage)
+    def deviations(self) -> tuple[float, ...]:
+        """Over the boards, root mean square without bias, [exposure]."""
+        return tuple(rms(one) for one in self.board_deviation)
 
     @property
-    def error(self) -> float:
-        """Over the boards: root mean square; NaN where one is not found."""
-        return _rms(self.board_error, self.board_coverage)
+    def errors(self) -> tuple[float, ...]:
+        """Over the boards, root mean square, [exposure]."""
+        return tuple(rms(one) for one in self.board_error)
 
 
-def _rms(values: tuple[float, ...], coverage: tuple[float, ...]) -> float:
-    """A mean over the boards that were found would reward a design for those that were not: there is none then."""
-    return float(np.sqrt(np.mean(np.square(values)))) if min(coverage) >= FOUND else float("nan")
+def rms(values: Sequence[float] | FloatArray) -> float:
+    """Root mean square."""
+    return float(np.sqrt(np.mean(np.square(values))))
+
+
+def ratio(one: Sequence[float], other: Sequence[float]) -> tuple[float, float]:
+    """Mean of the ratios of two designs, exposure by exposure, and their standard deviation."""
+    ratios = np.asarray(one) / np.asarray(other)
+    return float(ratios.mean()), float(ratios.std(ddof=1)) if len(ratios) > 1 else float("nan")
 
 
 def proof(
@@ -72,37 +81,72 @@ def proof(
     seed: int = 0,
     progress: Progress = lambda stage, share: None,
 ) -> Proof:
-    """Render, calibrate, reconstruct and score; or what an earlier run has left in ``folder`` for the same camera."""
+    """Render, calibrate, reconstruct and score; or what an earlier run has left in ``folder`` for the same camera.
+
+    Designs are compared where all have a level: depth is scored with the preset's thresholds of confidence off.
+    """
     rendering.needs_wave()
     variant = rendering.activate()
-    path = folder / f"{stored.hashed([camera.model_dump_json(), preset, stored.key(proof, variant, seed)])}.json"
-    if path.is_file():
-        kept: Any = {k: tuple(v) if isinstance(v, list) else v for k, v in json.loads(path.read_text()).items()}
-        return Proof(**kept)
+    what = [camera.model_dump_json(), preset, stored.key(proof, variant, seed)]
+    return Proof(**kept(folder, what, lambda: asdict(_proved(camera, preset, seed, progress))))
+
+
+def kept(folder: Path, what: list[str], make: Callable[[], dict[str, Any]]) -> dict[str, Any]:
+    """What was made before of the same, from ``folder``; or made now and left there. Lists come as tuples."""
+    path = folder / f"{stored.hashed(what)}.json"
+    if not path.is_file():
+        found = json.dumps(make(), indent=1)
+        folder.mkdir(parents=True, exist_ok=True)
+        part = path.with_suffix(".part")
+        part.write_text(found + "\n")
+        part.replace(path)
+    return {name: _frozen(value) for name, value in json.loads(path.read_text()).items()}
+
+
+def _proved(camera: Camera, preset: str, seed: int, progress: Progress) -> Proof:
     bank = simulated_bank(camera, lights=(LIGHT,), progress=progress)
-    boards = []
-    for number, (scene, own) in enumerate(_boards(camera)):
+    own = recon.PRESETS[preset]
+    everywhere = own.model_copy(update=ALL)
+    boards, coverage, sharp = [], [], []
+    for number, (scene, cropped) in enumerate(lit_boards(camera)):
         progress("boards", number / len(LEVELS))
-        shot = photographed(scene, own, seed, spp=SPP)
-        found = recon.reconstruct(shot.capture, bank, recon.PRESETS[preset])
-        boards.append(_board_scores(found, shot.truth, texture.textured(shot.capture)))
+        shot = photographed(scene, cropped, seed, spp=SPP)
+        found = recon.reconstruct(shot.capture, bank, own)
+        where = inner(texture.textured(shot.capture))
+        coverage.append(float(np.isfinite(found.level_raw[where]).mean()))
+        sharp.append(_sharp_db(found, shot.truth))
+        boards.append(
+            [_board_scores(recon.reconstruct(one, bank, everywhere), shot.truth, where) for one in exposures(shot)]
+        )
     desk = dasim.load_scene("desk")
     assert isinstance(desk, Scene)
     shot = photographed(desk, cameras.cropped(camera, *DESK_PX), seed, spp=SPP)
-    found = recon.reconstruct(shot.capture, bank, recon.PRESETS[preset])
-    error = _dioptre_errors(found, shot.truth)
-    where = texture.textured(shot.capture) & ~shot.truth.boundary & np.isfinite(error)
-    deviation, whole, coverage, sharp = zip(*boards, strict=True)
-    median = float(np.median(np.abs(error[where]))) if where.any() else float("nan")
-    result = Proof(deviation, whole, coverage, sharp, median, _sharp_db(found, shot.truth))
-    folder.mkdir(parents=True, exist_ok=True)
-    part = path.with_suffix(".part")
-    part.write_text(json.dumps(asdict(result), indent=1) + "\n")
-    part.replace(path)
-    return result
+    sharp_db = _sharp_db(recon.reconstruct(shot.capture, bank, own), shot.truth)
+    where = texture.textured(shot.capture) & ~shot.truth.boundary
+    desks = []
+    for one in exposures(shot):
+        error = _dioptre_errors(recon.reconstruct(one, bank, everywhere), shot.truth)[where]
+        desks.append(float(np.nanmedian(np.abs(error))))
+    scores = np.array(boards)  # [level, exposure, score]
+    return Proof(
+        _frozen(scores[..., 0].T.tolist()), _frozen(scores[..., 1].T.tolist()), tuple(coverage), tuple(sharp),
+        tuple(desks), sharp_db,
+    )  # fmt: skip
 
 
-def _boards(camera: Camera) -> Iterator[tuple[Scene, Camera]]:
+def _frozen(value: Any) -> Any:
+    return tuple(_frozen(one) for one in value) if isinstance(value, list) else value
+
+
+def exposures(shot: Shot) -> Iterator[Capture]:
+    """The picture itself and others of the same light with noise of their own: renders are the costly part."""
+    yield shot.capture
+    for seed in range(1, EXPOSURES):
+        yield exposed(shot, 1.0, shot.capture.seed + 1000 * seed)
+
+
+def lit_boards(camera: Camera) -> Iterator[tuple[Scene, Camera]]:
+    """Boards of one texture at each of ``LEVELS``, and the camera that sees them."""
     own = cameras.cropped(camera, *BOARD_PX)
     for level in LEVELS:
         scene = targets.staircase(own, level)
@@ -110,16 +154,19 @@ def _boards(camera: Camera) -> Iterator[tuple[Scene, Camera]]:
         yield scene.model_copy(update={"lights": lights}), own
 
 
-def _board_scores(found: Reconstruction, truth: Truth, textured: NDArray[np.bool_]) -> tuple[float, ...]:
-    inner = np.zeros(textured.shape, bool)
-    inner[BORDER_PX:-BORDER_PX, BORDER_PX:-BORDER_PX] = True
-    error = _dioptre_errors(found, truth)
-    where = inner & textured & np.isfinite(error)
-    if not where.any():
-        return float("nan"), float("nan"), 0.0, _sharp_db(found, truth)
-    one = error[where]
-    deviation, whole = np.sqrt(np.mean((one - np.median(one)) ** 2)), np.sqrt(np.mean(one**2))
-    return float(deviation), float(whole), float(where.sum() / (inner & textured).sum()), _sharp_db(found, truth)
+def inner(textured: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Textured pixels that are far from the border."""
+    mask = np.zeros(textured.shape, bool)
+    mask[BORDER_PX:-BORDER_PX, BORDER_PX:-BORDER_PX] = True
+    return mask & textured
+
+
+def _board_scores(found: Reconstruction, truth: Truth, where: NDArray[np.bool_]) -> tuple[float, float]:
+    one = _dioptre_errors(found, truth)[where]
+    one = one[np.isfinite(one)]  # without a level are those alone whose infrared has no energy above its noise
+    if not one.size:
+        return float("nan"), float("nan")
+    return float(np.sqrt(np.mean((one - np.median(one)) ** 2))), rms(one)
 
 
 def _dioptre_errors(found: Reconstruction, truth: Truth) -> FloatArray:

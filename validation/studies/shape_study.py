@@ -21,7 +21,8 @@ from validation.plots import plot
 from validation.report import TEMPLATE_DIR, png_address
 from validation.studies import criteria, masks, patches, shape
 from validation.studies.criteria import Bench, Objective, Texture
-from validation.studies.proof import LEVELS, PRESETS, Proof, proof
+from validation.studies.proof import LEVELS, PRESETS, Proof, proof, ratio
+from validation.studies.reach import Reach, reach
 from validation.studies.shape import Design, Search
 
 Progress = Callable[[str, float], None]
@@ -84,7 +85,23 @@ class Study:
     curves: list[list[float]]  # of each design, by blur
     blur_px: list[float]
     estimates: dict[str, tuple[float, float]]  # error of maximum likelihood on patches and its bound, 1/m
-    proofs: dict[str, Proof]
+    proofs: dict[str, Proof]  # of "design, preset"
+    reaches: dict[str, Reach]
+
+    def steps(self) -> dict[str, list[tuple[str, float, float, float]]]:
+        """From the bound to each preset: (design, error on boards in 1/m, ratio to the disc, its spread)."""
+        found: dict[str, dict[str, tuple[float, ...]]] = {}
+        for name, one in self.reaches.items():
+            for step, values in one.steps().items():
+                found.setdefault(step, {})[name] = values
+        for key, own in self.proofs.items():
+            name, _, preset = key.rpartition(", ")
+            found.setdefault(f"preset {preset}", {})[name] = own.deviations
+        rows = {}
+        for step, designs in found.items():
+            first = next(iter(designs.values()))
+            rows[step] = [(name, float(np.mean(v)), *ratio(v, first)) for name, v in designs.items()]
+        return rows
 
 
 def checked(plan: Plan) -> None:
@@ -142,14 +159,16 @@ def studied(
         estimates[design.name] = _estimated(plan, design, blurs)
     progress("patches", 1.0)
     proofs: dict[str, Proof] = {}
+    reaches: dict[str, Reach] = {}
     if render:
         for number, design in enumerate(shown):
             progress("the whole pipeline", number / len(shown))
             camera = _camera(plan, design)
             for preset in PRESETS:
                 proofs[f"{design.name}, {preset}"] = proof(camera, cache_dir() / "proofs", preset, seed)
+            reaches[design.name] = reach(camera, cache_dir() / "proofs", plan.light, plan.level_lux, seed)
         progress("the whole pipeline", 1.0)
-    return Study(plan, designs, rows, curves, blurs.tolist(), estimates, proofs)
+    return Study(plan, designs, rows, curves, blurs.tolist(), estimates, proofs, reaches)
 
 
 def _searched(plan: Plan, progress: Progress) -> list[Design]:
@@ -252,6 +271,7 @@ def written(study: Study, out: Path) -> None:
         proofs = {slug(name): asdict(one) for name, one in study.proofs.items()}
         estimates = {slug(name): {"error": e, "bound": b} for name, (e, b) in study.estimates.items()}
         results = {"schema": 1, "study": "shape", "designs": figures, "patches": estimates, "pipeline": proofs}
+        results["reach"] = {slug(name): asdict(one) for name, one in study.reaches.items()}
         (folder / "results.json").write_text(json.dumps(results, indent=1) + "\n")
         (folder / "report.html").write_text(report(study))
 
@@ -287,6 +307,8 @@ def report(study: Study) -> str:
         curves=plot(lambda axes: _draw_curves(axes, study)),
         history=plot(lambda axes: _draw_history(axes, study)),
         proofs=study.proofs,
+        steps=study.steps(),
+        names=list(study.reaches),
         estimates=study.estimates,
         levels=LEVELS,
         best=min(study.rows, key=lambda row: _key(plan, row)),
