@@ -130,7 +130,7 @@ def spread_over_bound(blur, side):
 def test_maximum_likelihood_reaches_the_bound(blur, side):
     """Rationale: a bound is of use where an estimator reaches it; the issue wants 5 %.
 
-    Set-up: periodic patches of 31 px or six blurs a side, whichever is more, chosen beforehand: the bound is
+    Set-up: periodic patches of 31 px or six blurs a side, whichever is more: the bound is
     asymptotic in the number of frequencies that blur leaves, which goes as (side / blur)^2. ``PATCHES`` of them.
     """
     ratio, off = spread_over_bound(blur, side)
