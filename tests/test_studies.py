@@ -21,9 +21,10 @@ from dasim.errors import InputError
 from dasim.executors import Outcome
 from dasim.values import Capture
 from validation.claims.resolution import half_pixel_m
-from validation.studies import criteria, findings, report, specification, sweep
+from validation.studies import criteria, designs, findings, loading, report, sweep
+from validation.studies.loading import load_study
 from validation.studies.point import FIGURES, Sweep, depth_figures, file_of, light_loss, limits, median_error
-from validation.studies.specification import load_study, points, units
+from validation.studies.specification import Curve, points, units
 
 STUDY = """
 name = "small"
@@ -117,7 +118,7 @@ def test_what_needs_no_new_picture_shares_one(study):
     assert all("light.lux" not in unit.render for unit in units(spec))
 
 
-@pytest.mark.parametrize("name", specification.names())
+@pytest.mark.parametrize("name", loading.names())
 def test_bundled_studies_are_sound(name):
     for quick in (False, True):
         spec = load_study(name, quick=quick)
@@ -188,7 +189,7 @@ def test_several_grids_stand_about_one_design(tmp_path):
     assert found == [(0.3, "D65"), (0.46, "D65"), (0.6, "D65"), (0.46, "A")]
     assert spec.parameters == {hole: (0.3, 0.46, 0.6), light: ("D65", "A")}
     rows = [dict(point, number=number) for number, point in enumerate(points(spec))]
-    shown = [report.about_design(specification.Curve(x=x, y="psnr"), rows, spec) for x in (hole, light)]
+    shown = [report.about_design(Curve(x=x, y="psnr"), rows, spec) for x in (hole, light)]
     assert [[row["number"] for row in own] for own in shown] == [[0, 1, 2], [1, 3]]
     quick = load_study(str(tmp_path / "s.toml"), quick=True)
     assert [(point[hole], point[light]) for point in points(quick)] == [(0.6, "D65"), (0.46, "D65"), (0.46, "A")]
@@ -223,7 +224,7 @@ def test_points_keep_their_names_in_another_installation(study, tmp_path, monkey
     before = [file_of(job, unit) for unit in units(job.spec)]
     shutil.copytree(scene.SCENE_DIR, tmp_path / "elsewhere")
     monkeypatch.setattr(scene, "SCENE_DIR", tmp_path / "elsewhere")
-    specification._loaded.cache_clear()
+    designs._loaded.cache_clear()
     assert [file_of(job, unit) for unit in units(job.spec)] == before and len(set(before)) == len(before)
 
 
@@ -380,8 +381,7 @@ def test_every_design_of_a_study_is_calibrated_at_the_same_blurs(study):
     study.write_text(STUDY.replace("[0.3, 0.46]", "[0.3, 0.9]"))
     spec = load_study(str(study))
     ladders = [
-        cameras.level_blur_px(specification.camera_of(spec, {"camera.stops.hole.radius_ratio": hole}))
-        for hole in (0.3, 0.9)
+        cameras.level_blur_px(designs.camera_of(spec, {"camera.stops.hole.radius_ratio": hole})) for hole in (0.3, 0.9)
     ]
     np.testing.assert_allclose(ladders[0], ladders[1], rtol=1e-12)
     np.testing.assert_allclose(ladders[0], np.arange(29) / 0.54, rtol=1e-12)
@@ -419,7 +419,7 @@ def test_a_mosaic_with_fewer_infrared_pixels_loses_less():
 @pytest.mark.parametrize("mosaic", ["GR/BI", "RG/IB", "BI/GR", "IB/RG", "GB/RI", "GIGI/RGBG/GIGI/BGRG"])
 def test_mosaics_by_their_letters_have_a_quarter_of_infrared(da_mobile, mosaic):
     """Expectation: wherever it stands, and in the 4x4 block too, infrared loses (1 - alpha^2) / 4 of the light."""
-    camera = specification.with_mosaic(da_mobile, mosaic)
+    camera = designs.with_mosaic(da_mobile, mosaic)
     assert ["".join(name[0] for name in row) for row in camera.sensor.mosaic] == mosaic.split("/")
     assert light_loss(camera) == pytest.approx((1 - 0.46**2) / 4, abs=EDGES)
 
@@ -435,7 +435,7 @@ def test_a_board_keeps_its_picture(tmp_path):
     widths = []
     for changes in DESIGNS:
         point = BOARD | changes
-        camera, (board,) = specification.camera_of(spec, point), specification.scene_of(spec, point).objects
+        camera, (board,) = designs.camera_of(spec, point), designs.scene_of(spec, point).objects
         assert board.position_cm[2] == pytest.approx(point["distance_cm"])
         pixels = camera.lens.focal_length_mm / (camera.sensor.pixel_pitch_um * 1e-3)
         widths.append(board.size_cm[0] / board.position_cm[2] * pixels)

@@ -51,8 +51,8 @@ def sweep(
     from dasim import executors
     from dasim.dataset.sample import environment
     from dasim.render import backend
+    from validation.studies.loading import load_study
     from validation.studies.point import Sweep, work
-    from validation.studies.specification import load_study
     from validation.studies.sweep import PAGE, summary
     from validation.studies.sweep import sweep as run_sweep
 

@@ -28,7 +28,8 @@ from validation import picture_scores
 from validation.banks import simulated_bank
 from validation.relighting import LONGEST_S, MOST_GAIN, exposed, lit_by
 from validation.studies import criteria, stereo
-from validation.studies.specification import StudySpec, Unit, Value, camera_of, scene_of, settings_of, units
+from validation.studies.designs import camera_of, scene_of, settings_of
+from validation.studies.specification import StudySpec, Unit, Value, units
 
 FloatArray = NDArray[np.float64]
 
