@@ -173,7 +173,7 @@ def test_a_study_writes_its_masks_table_and_page(study: shape_study.Study, tmp_p
     assert len(names) == len(study.rows)
     for suffix in (".png", ".svg", ".toml"):
         assert {path.stem for path in (tmp_path / "out" / "masks").glob(f"*{suffix}")} == names
-    assert len(results["pipeline"]) == 4 * len(shape_study.PRESETS)
+    assert len(results["pipeline"]) == 5 * len(shape_study.PRESETS)
     assert set(results["patches"]) == {name.rpartition("-")[0] for name in results["pipeline"]}
     page = (tmp_path / "out" / "report.html").read_text()
     assert "http" not in page.replace("http://www.w3.org/2000/svg", "")

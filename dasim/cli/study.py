@@ -171,7 +171,7 @@ def shape(
         lux: its strength
         texture: what is known of the texture, see 'dasim study bound'
         quick: smaller masks and fewer starts, for a first look
-        render: put the best three through the whole pipeline, several minutes each; goes on where it was stopped
+        render: put the best three and a disc at the rim through the whole pipeline, minutes each; goes on if stopped
     """
     from dasim.files import check_output
     from validation.studies import shape_study
@@ -191,10 +191,10 @@ def shape(
     with progress() as show:
         study = shape_study.studied(plan, render=render, progress=show)
     shape_study.written(study, out)
-    print(f"{'design':<44} {'open':>7} {'depth, 1/m':>11} {'to disc':>8} {'sharp':>7} {'to disc':>8}")
+    print(f"{'design':<44} {'open':>7} {'depth, 1/m':>11} {'to disc':>8} {'cut out':>8} {'sharp':>7} {'to disc':>8}")
     for row in study.rows:
         print(f"{row.name:<44} {100 * row.budget:5.1f} % {row.depth_dioptre:11.4f} {row.depth_ratio:8.2f} "
-              f"{row.sharp_error:7.4f} {row.sharp_ratio:8.3f}")  # fmt: skip
+              f"{row.cut_ratio:8.2f} {row.sharp_error:7.4f} {row.sharp_ratio:8.3f}")  # fmt: skip
     for name, (error, least) in study.estimates.items():
         print(f"patches, {name}: likelihood {error:.4f} 1/m, its bound {least:.4f} 1/m")
     for name, one in study.proofs.items():

@@ -208,6 +208,9 @@ def disc_name(budget: float) -> str:
     return f"disc {np.sqrt(budget):.2f}"
 
 
+AT_RIM = "disc at the rim"  # moved as far out as it goes: infrared then shifts with defocus, and stays as sharp
+
+
 def references(cells: int, budget: float) -> list[Design]:
     """What a search is compared with: the disc, rings, a disc at the rim, and published codes, at the same budget."""
     from validation.studies import codes
@@ -217,7 +220,7 @@ def references(cells: int, budget: float) -> list[Design]:
     for inner in (0.25, 0.5, 0.75):
         if inner**2 + budget <= 1:
             designs.append(Design(f"ring from {inner:g}", masks.annulus(cells, budget, inner)))
-    designs.append(Design("disc at the rim", masks.disc(cells, budget, (1 - alpha, 0.0))))
+    designs.append(Design(AT_RIM, masks.disc(cells, budget, (1 - alpha, 0.0))))
     # Two windows at opposite ends of the lens: a stereo pair in one lens, its two pictures on top of each other.
     half = budget / 2
     apart = 1 - float(np.sqrt(half))

@@ -22,7 +22,7 @@ from validation.report import TEMPLATE_DIR, png_address
 from validation.studies import criteria, masks, patches, shape
 from validation.studies.criteria import Bench, Objective, Texture
 from validation.studies.proof import LEVELS, PRESETS, Proof, proof, ratio
-from validation.studies.reach import Reach, reach
+from validation.studies.reach import SIDE, Reach, cut_deviation, reach
 from validation.studies.shape import Design, Search
 
 Progress = Callable[[str, float], None]
@@ -71,6 +71,8 @@ class Row:
     feature_um: float
     depth_dioptre: float  # root mean square of the bound over the depths
     depth_ratio: float
+    cut_dioptre: float  # the same of a patch without its surroundings, see validation.studies.reach
+    cut_ratio: float
     sharp_error: float  # of the Wiener filter, relative to the texture's contrast
     sharp_ratio: float
 
@@ -147,12 +149,13 @@ def studied(
     for number, design in enumerate(designs):
         values, curve = _values(plan, design, blurs)
         first = rows[0] if rows else None
-        rows.append(_row(plan, design, values, first))
+        rows.append(_row(plan, design, values, _cut(plan, design, blurs), first))
         curves.append(curve.tolist())
         progress("comparison", (number + 1) / len(designs))
     order = [0, *sorted(range(1, len(rows)), key=lambda index: _key(plan, rows[index]))]
     designs, rows, curves = ([part[i] for i in order] for part in (designs, rows, curves))  # type: ignore[assignment]
     shown = [designs[0], *[design for design in designs if design.name in best][:RENDERED]]
+    shown += [design for design in designs if design.name == shape.AT_RIM]  # by the other bound no worse than the disc
     estimates = {}
     for number, design in enumerate(shown):
         progress("patches", number / len(shown))
@@ -213,6 +216,13 @@ def _values(
     return values, curves[plan.objective]
 
 
+def _cut(plan: Plan, design: Design, blurs: criteria.FloatArray) -> float:
+    """Root mean square over the depths of the bound of a patch without its surroundings, dioptres."""
+    camera = _camera(plan, design)
+    least = cut_deviation(camera, blurs, SIDE, light=plan.light, level_lux=plan.level_lux)
+    return float(np.sqrt(np.mean(least**2))) / criteria.dioptre_px(camera)
+
+
 def _camera(plan: Plan, design: Design) -> Camera:
     """The camera with a design in its near-infrared stop; the disc is a disc and no mask of cells."""
     if design.name != shape.disc_name(plan.budget):
@@ -233,7 +243,7 @@ def _estimated(plan: Plan, design: Design, blurs: criteria.FloatArray) -> tuple[
     return error, bound
 
 
-def _row(plan: Plan, design: Design, values: dict[Objective, float], disc: Row | None) -> Row:
+def _row(plan: Plan, design: Design, values: dict[Objective, float], cut: float, disc: Row | None) -> Row:
     depth, sharp = values["depth"], values["all-in-focus"]
     feature = masks.smallest_feature(design.amplitude) * aperture_m(plan.camera) * 1e6 / len(design.amplitude)
     return Row(
@@ -242,6 +252,8 @@ def _row(plan: Plan, design: Design, values: dict[Objective, float], disc: Row |
         feature,
         depth,
         depth / (disc.depth_dioptre if disc else depth),
+        cut,
+        cut / (disc.cut_dioptre if disc else cut),
         sharp,
         sharp / (disc.sharp_error if disc else sharp),
     )
