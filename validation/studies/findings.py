@@ -22,7 +22,14 @@ Row = dict[str, Any]
 FloatArray = NDArray[np.float64]
 
 LARGER_IS_BETTER = ("infrared-snr", "coverage", "psnr", "psnr-gain", "stereo-coverage")
-NOT_JUDGED = ("depth-constant", "occluded-share", "seconds")  # of the scene, or of the machine
+SHARES = ("light-loss", "coverage", "stereo-coverage")  # compared by their difference
+NOT_JUDGED = (
+    "in-range",
+    "half-pixel-m",
+    "depth-constant",
+    "occluded-share",
+    "seconds",
+)  # of the scene, or of the machine
 LEVEL = 0.05  # of the test: one clear lead in twenty is none
 RANKED = ("depth-bound", "depth-median")
 
@@ -41,9 +48,9 @@ class Finding:
 
     @property
     def cost(self) -> float:
-        """What the reference is worse by: a share of the best, or a difference for figures in dB."""
-        if FIGURES[self.figure][0] == "dB":
-            return self.at_best - self.at_reference
+        """What the reference is worse by: a share of the best, or a difference for shares and figures in dB."""
+        if FIGURES[self.figure][0] == "dB" or self.figure in SHARES:
+            return abs(self.at_best - self.at_reference)
         worse, better = self.at_reference, self.at_best
         if self.figure in LARGER_IS_BETTER:
             worse, better = better, worse
@@ -107,12 +114,13 @@ def _by_seed(rows: list[Row], key: str, value: Value, figure: str, seeds: list[i
 
 
 def said(spec: StudySpec, found: list[Finding]) -> list[str]:
-    """One sentence a figure: where the reference is the best value, and where another is better."""
+    """One sentence a figure of the study's own pictures: where the reference is the best value, where another is."""
     if not found:
         return []
     reference = next(iter(spec.reference.values()))
     lines = []
-    for figure in dict.fromkeys(one.figure for one in found):
+    drawn = {curve.y for curve in spec.curves} | set(spec.pareto or ())
+    for figure in dict.fromkeys(one.figure for one in found if one.figure in drawn):
         own = [one for one in found if one.figure == figure]
         best = [one for one in own if one.cost == 0]
         close = [one for one in own if one.cost != 0 and not one.clear]
@@ -124,17 +132,23 @@ def said(spec: StudySpec, found: list[Finding]) -> list[str]:
         else:
             parts += [f"{reference} is best in {len(best)} of {len(own)} cases"] if best else []
             parts += [f"not told from the best in {len(close)}"] if close else []
-            parts += [f"{one.best} is better for {_where(one.others)} (by {_cost(one)})" for one in worse]
+            for value in dict.fromkeys(one.best for one in worse):
+                cases = [f"{_where(one.others)} (by {_cost(one)})" for one in worse if one.best == value]
+                parts.append(f"{value} is better for {', '.join(cases)}")
         lines.append(f"{figure}: {'; '.join(parts)}")
     return lines
 
 
 def _cost(one: Finding) -> str:
-    return f"{one.cost:.1f} dB" if FIGURES[one.figure][0] == "dB" else f"{100 * one.cost:.0f} %"
+    decibels = FIGURES[one.figure][0] == "dB"
+    unit = "dB" if decibels else "percentage points" if one.figure in SHARES else "%"
+    value = one.cost if decibels else 100 * one.cost
+    return f"{value:.0f} {unit}" if value >= 10 else f"{value:.2g} {unit}"
 
 
 def _where(others: dict[str, Value]) -> str:
-    return ", ".join(f"{value:g}" if isinstance(value, float) else str(value) for value in others.values())
+    words = (f"{v:g} {key.rpartition('.')[2]}" if isinstance(v, float) else str(v) for key, v in others.items())
+    return " and ".join(words)
 
 
 # --- does the bound rank designs as the pipeline does? -------------------------------------------

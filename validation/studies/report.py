@@ -48,6 +48,10 @@ def _number(value: Any) -> str:
     return f"{value:.4g}" if isinstance(value, float) else str(value)
 
 
+def _tick(value: Any) -> str:
+    return f"{value:g}" if isinstance(value, float) else str(value)
+
+
 def _meaning(figure: str) -> str:
     unit, meaning = FIGURES.get(figure, ("", figure))
     return meaning if unit in ("", "1") else f"{meaning} ({unit})"
@@ -57,9 +61,10 @@ def _caption(curve: Curve, spec: StudySpec) -> str:
     by = f", by {curve.by}" if curve.by else ""
     kinds = ("dashes", "crosses") if _words(curve, spec) else ("dashed", "dotted")
     beside = "".join(f"; {kind}: {_meaning(one)}" for one, kind in zip(curve.beside, kinds, strict=False))
-    return (
-        f"{_meaning(curve.y)} against {curve.x}{by}{beside}; bars: standard deviation over seeds and other parameters"
-    )
+    fixed = "".join(f"; {key} {_tick(value)}" for key, value in spec.design.items() if key not in (curve.x, curve.by))
+    free = any(key not in (curve.x, curve.by, *spec.design) for key in spec.parameters)
+    bars = "; bars: standard deviation over seeds" + (" and other parameters" if free else "")
+    return f"{_meaning(curve.y)} against {curve.x}{by}{fixed}{beside}{bars}"
 
 
 def _words(curve: Curve, spec: StudySpec) -> bool:
@@ -90,7 +95,7 @@ def _curve(curve: Curve, averaged: list[Row], spec: StudySpec) -> str:
                 within = np.sqrt(np.mean([row[f"{curve.y}:spread"] ** 2 for row in here])) if here else np.nan
                 spread.append(np.hypot(within, measured.std()) if len(here) else np.nan)
             x = np.arange(len(ticks)) + SIDE * (number - (len(lines) - 1) / 2) if words else np.array(ticks, float)
-            label = None if value is None else _number(value)
+            label = None if value is None else _tick(value)
             style = {"color": COLOURS[number % len(COLOURS)], "marker": MARKERS[number % len(MARKERS)]}
             style["linestyle"] = "" if words else "-"  # nothing lies between two words
             axes.errorbar(x, middle, spread, capsize=3, markersize=4, linewidth=1, label=label, **style)
@@ -106,7 +111,7 @@ def _curve(curve: Curve, averaged: list[Row], spec: StudySpec) -> str:
             axes.set_xticks(range(len(ticks)), [str(tick) for tick in ticks], rotation=20, ha="right")
         elif curve.log_x:  # a new scale forgets its ticks
             axes.set_xscale("log")
-            axes.set_xticks(np.array(ticks, float), [_number(tick) for tick in ticks])
+            axes.set_xticks(np.array(ticks, float), [_tick(tick) for tick in ticks])
             axes.set_xticks([], minor=True)
         if curve.by:
             axes.legend(title=curve.by, fontsize=8)
