@@ -131,6 +131,7 @@ def test_bundled_studies_are_sound(name):
         ('"camera.stops.hole.radius_rato" = [0.3]', ("radius_rato", "radius_ratio")),
         ('"camera.lens.f_numbr" = [2]\n"light.luks" = [3]', ("light.luks", "light.lux")),
         ('"light.lux" = []', ("light.lux", "empty")),
+        ("disc_edge_nm = [820.0]", ("disc_edge_nm = 820.0", "no light", "stop 'hole'")),
         ('"light.lux" = {log_grid = [0, 10, 3]}', ("log_grid", "above 0")),
         ('"light.lux" = {grid = [1, 10, 0]}', ("0 values",)),
         ('"camera.stops.hole.radius_ratio" = [0.3, 1.5]', ("1.5",)),

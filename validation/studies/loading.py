@@ -5,15 +5,20 @@ from __future__ import annotations
 import difflib
 from pathlib import Path
 
+import numpy as np
+
 import dasim
+from dasim import camera as cameras
 from dasim import illuminants
 from dasim.camera import Camera
 from dasim.errors import InputError
 from dasim.specification import parse_toml
+from recon import mosaic
 from validation.studies.designs import camera_of, scene_of, settings_of
 from validation.studies.specification import StudySpec, Value, points
 
 BUNDLED = Path(__file__).parent / "bundled"
+LEAST_SHARE = 1e-3  # of a channel's light, for a stop to count as open
 # What decides together whether a point can be made.
 TOGETHER = (("camera", "disc_edge_nm", "focus_m", "mosaic"), ("scene", "distance_cm"))
 PLAIN = {
@@ -136,12 +141,13 @@ def _point_problems(spec: StudySpec, point: dict[str, Value]) -> list[str]:
 
 
 def _check_sees(camera: Camera) -> None:
-    """InputError where a channel gets no light, or where its mosaic is none that is reconstructed."""
-    from dasim import camera as cameras
-    from recon import mosaic
-
-    rates = cameras.response(camera).max(axis=-1)
-    dark = [name for name, rate in zip(cameras.channels(camera.sensor), rates, strict=True) if rate <= 0]
+    """InputError where a channel gets no light, a stop lets none through, or no such mosaic is reconstructed."""
+    names, parts = cameras.channels(camera.sensor), [cameras.stop_response(camera, stop) for stop in camera.stops]
+    whole = np.sum(parts, axis=(0, -1))
+    dark = [name for name, light in zip(names, whole, strict=True) if light <= 0]
     if dark:
         raise InputError(f"no light of any wavelength reaches {', '.join(dark)}")
+    for stop, part in zip(camera.stops, parts, strict=True):
+        if np.max(part.sum(axis=-1) / whole) < LEAST_SHARE:
+            raise InputError(f"no light that the sensor sees comes through stop '{stop.name}'")
     mosaic.grids(camera)
