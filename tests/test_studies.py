@@ -134,6 +134,9 @@ def test_bundled_studies_are_sound(name):
         ("disc_edge_nm = [820.0]", ("disc_edge_nm = 820.0", "no light", "stop 'hole'")),
         ('"light.lux" = {log_grid = [0, 10, 3]}', ("log_grid", "above 0")),
         ('"light.lux" = {grid = [1, 10, 0]}', ("0 values",)),
+        ('"light.lux" = {grid = [1, 10, 1000000000]}', ("1000000000 values",)),
+        ("", ("parameters", "empty")),
+        ('camera = ["bayer-mobile"]', ("bayer-mobile", "no infrared pixels")),
         ('"camera.stops.hole.radius_ratio" = [0.3, 1.5]', ("1.5",)),
         ('"camera.stops.hole.radius_ratio" = [0.0, 0.46]', ("0.0",)),
         ('"camera.sensor.cutoff_nm" = [300]', ("cutoff_nm",)),
@@ -203,6 +206,23 @@ def test_all_problems_are_said_at_once(tmp_path):
         load_study(str(tmp_path / "s.toml"))
 
 
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ('scene = "dask"\ncamera = "da-mobil"\npreset = "bandz"', ("'dask'", "'da-mobil'", "'bandz'")),
+        ('camera = "bayer-mobile"', ("no infrared pixels",)),
+        ("size_px = [0, 48]", ("size 0x48",)),
+    ],
+)
+def test_what_no_point_can_be_made_of_is_said_once(tmp_path, text, said):
+    """Expectation: camera, scene, preset and size of the study itself, once, not for each value of a parameter."""
+    (tmp_path / "s.toml").write_text(f'name = "wrong"\n{text}\n[parameters]\nfocus_m = [2, 3]\n')
+    with pytest.raises(InputError) as refused:
+        load_study(str(tmp_path / "s.toml"))
+    assert all(str(refused.value).count(part) == 1 for part in said), refused.value
+    assert "focus_m" not in str(refused.value)
+
+
 def test_an_unknown_study_is_answered_with_the_nearest(capsys, tmp_path):
     assert run(["study", "sweep", "hole-siz", "--out", str(tmp_path / "new")]) == 2
     assert "hole-size" in capsys.readouterr().err
@@ -234,6 +254,16 @@ def test_what_failed_is_said_and_tried_again(study, tmp_path):
     assert len(taken) == 4 and list(failed.values()) == ["no such luck"] and "0.46" in next(iter(failed))
     assert "no such luck" in (tmp_path / "out" / "report.html").read_text()
     assert swept(load_study(str(study)), tmp_path / "out") == ([1], {})
+
+
+@pytest.mark.parametrize("text", ['[{"a', "[]", "{}", "[1, 2, 3]", "\xff"])
+def test_a_damaged_file_of_a_point_is_measured_again(study, tmp_path, text):
+    spec, out = load_study(str(study)), tmp_path / "out"
+    swept(spec, out)
+    table = (out / "results.csv").read_text()
+    (out / file_of(Sweep(spec, str(out), {}), units(spec)[2])).write_bytes(text.encode("latin-1"))
+    assert swept(spec, out) == ([2], {})
+    assert (out / "results.csv").read_text() == table
 
 
 def test_the_table_has_every_point_and_seed(study, tmp_path):
@@ -340,7 +370,9 @@ def test_a_sweep_says_what_it_found(referred, tmp_path):
     lines = sweep.summary(Sweep(referred, str(tmp_path / "out"), {}))
     assert lines[0] == "light-loss: 0.65 is best, 0.46 costs 5.3 percentage points"  # (0.65^2 - 0.46^2) / 4
     (depth,) = (line for line in lines if line.startswith("depth-median:"))
-    assert depth == "depth-median: 0.65 is better for 100 lux (by 41 %), 1000 lux (by 41 %), 10000 lux (by 41 %)"
+    assert depth == "depth-median: 0.65 is better for " + ", ".join(
+        f"{lux} lux (0.46 costs 41 %)" for lux in (100, 1000, 10000)
+    )
     assert lines[-1] == "rank correlation of depth-bound and depth-median: 1.00, 9 points"
 
 
@@ -349,6 +381,37 @@ def test_figures_that_are_better_large_are_judged_so(referred):
     rows = rows_of(referred, {0.3: (20.0, 20.1), 0.46: (24.0, 24.1), 0.65: (26.0, 26.1)}, "psnr")
     (one,) = findings.findings(referred, rows)
     assert (one.best, one.cost) == (0.65, pytest.approx(2.0)) and one.clear
+
+
+def test_a_cost_is_a_share_of_the_best(referred):
+    """Set-up: a signal over noise of 60 where the best is 100. Expectation: 40 %, not 67 %."""
+    rows = rows_of(referred, {0.3: (20.0, 20.0), 0.46: (60.0, 60.0), 0.65: (100.0, 100.0)}, "infrared-snr")
+    (said,) = (one.cost for one in findings.findings(referred, rows))
+    assert said == pytest.approx(0.4)
+
+
+def test_a_case_without_another_value_is_none(tmp_path):
+    """Set-up: several grids about one design: holes under D65, and light A with the reference's hole alone.
+
+    Expectation: A is no case that the reference is best in.
+    """
+    (tmp_path / "s.toml").write_text(GRIDS.replace("[design]", REFERENCE + "[design]"))
+    spec = load_study(str(tmp_path / "s.toml"))
+    rows = [
+        dict.fromkeys(FIGURES, math.nan) | point | {"depth-median": 1.0 + point[HOLE], "seed": seed}
+        for point in points(spec)
+        for seed in (0, 1)
+    ]
+    assert [one.best for one in findings.findings(spec, rows)] == [0.3]
+
+
+def test_what_is_known_of_one_case_is_not_said_of_all(referred):
+    """Set-up: errors at 100 lux; at 1,000 lux none were measured. Expectation: the finding keeps its level of light."""
+    rows = rows_of(referred, {0.3: (3, 3), 0.46: (2, 2), 0.65: (1, 1)})
+    rows += [row | {"light.lux": 1000.0, "depth-median": math.nan} for row in rows]
+    found = findings.findings(referred, rows)
+    assert [one.others for one in found] == [{"light.lux": 100.0}]
+    assert findings.said(referred, found) == ["depth-median: 0.65 is best for 100 lux, 0.46 costs 100 %"]
 
 
 def test_a_reference_must_be_a_value_of_the_study(study):

@@ -22,7 +22,7 @@ Row = dict[str, Any]
 FloatArray = NDArray[np.float64]
 
 LARGER_IS_BETTER = ("infrared-snr", "coverage", "psnr", "psnr-gain", "stereo-coverage")
-SHARES = ("light-loss", "coverage", "stereo-coverage")  # compared by their difference
+SHARES = ("light-loss", "coverage", "stereo-coverage", "occluded-matched")  # compared by their difference
 NOT_JUDGED = (
     "in-range",
     "half-pixel-m",
@@ -48,13 +48,10 @@ class Finding:
 
     @property
     def cost(self) -> float:
-        """What the reference is worse by: a share of the best, or a difference for shares and figures in dB."""
+        """What the reference is worse by: a share of the best, a difference for shares and in dB."""
         if FIGURES[self.figure][0] == "dB" or self.figure in SHARES:
             return abs(self.at_best - self.at_reference)
-        worse, better = self.at_reference, self.at_best
-        if self.figure in LARGER_IS_BETTER:
-            worse, better = better, worse
-        return worse / better - 1 if better > 0 else math.nan
+        return abs(self.at_reference / self.at_best - 1) if self.at_best > 0 else math.nan
 
     @property
     def verdict(self) -> str:
@@ -72,24 +69,29 @@ def findings(spec: StudySpec, rows: list[Row]) -> list[Finding]:
     found: list[Finding] = []
     if not spec.reference:
         return found
+    groups = _groups(spec, rows)
     for figure in FIGURES:
         if figure in NOT_JUDGED or not any(math.isfinite(row[figure]) for row in rows):
             continue
-        own = [one for group in _groups(spec, rows) if (one := _finding(spec, figure, *group)) is not None]
-        if own and len({(one.best, one.at_best, one.at_reference) for one in own}) == 1:
+        own = [one for group in groups if (one := _finding(spec, figure, *group)) is not None]
+        if len(own) == len(groups) and len({(one.best, one.at_best, one.at_reference) for one in own}) == 1:
             own = [Finding(figure, {}, own[0].best, own[0].at_best, own[0].at_reference, own[0].spread, own[0].clear)]
         found += own
     return found
 
 
 def _groups(spec: StudySpec, rows: list[Row]) -> list[tuple[dict[str, Value], list[Row]]]:
-    """Rows that differ in the reference's parameter and the seed alone."""
-    key = next(iter(spec.reference))
+    """Rows that differ in the reference's parameter and the seed alone; none where nothing stands against it."""
+    key, reference = next(iter(spec.reference.items()))
     groups: dict[tuple[Value, ...], list[Row]] = {}
     others = [name for name in spec.parameters if name != key]
     for row in rows:
         groups.setdefault(tuple(row[name] for name in others), []).append(row)
-    return [(dict(zip(others, values, strict=True)), own) for values, own in groups.items()]
+    return [
+        (dict(zip(others, values, strict=True)), own)
+        for values, own in groups.items()
+        if any(row[key] != reference for row in own)
+    ]
 
 
 def _finding(spec: StudySpec, figure: str, others: dict[str, Value], rows: list[Row]) -> Finding | None:
@@ -97,7 +99,7 @@ def _finding(spec: StudySpec, figure: str, others: dict[str, Value], rows: list[
     seeds = sorted({row["seed"] for row in rows})
     values = {value: _by_seed(rows, key, value, figure, seeds) for value in spec.parameters[key]}
     known = {value: curve for value, curve in values.items() if np.isfinite(curve).all()}
-    if reference not in known:
+    if reference not in known or len(known) < 2:
         return None
     sign = -1 if figure in LARGER_IS_BETTER else 1
     # of equals the reference, so that nothing is said to be better that is not
@@ -128,12 +130,13 @@ def said(spec: StudySpec, found: list[Finding]) -> list[str]:
         parts = []
         if len(own) == 1:
             costs = f", {reference} costs {_cost(own[0])}" if worse else f", {reference} is not told from it"
-            parts.append(f"{own[0].best} is best" + ("" if best else costs))
+            where = f" for {_where(own[0].others)}" if own[0].others else ""
+            parts.append(f"{own[0].best} is best{where}" + ("" if best else costs))
         else:
             parts += [f"{reference} is best in {len(best)} of {len(own)} cases"] if best else []
             parts += [f"not told from the best in {len(close)}"] if close else []
             for value in dict.fromkeys(one.best for one in worse):
-                cases = [f"{_where(one.others)} (by {_cost(one)})" for one in worse if one.best == value]
+                cases = [f"{_where(one.others)} ({reference} costs {_cost(one)})" for one in worse if one.best == value]
                 parts.append(f"{value} is better for {', '.join(cases)}")
         lines.append(f"{figure}: {'; '.join(parts)}")
     return lines
@@ -143,7 +146,7 @@ def _cost(one: Finding) -> str:
     decibels = FIGURES[one.figure][0] == "dB"
     unit = "dB" if decibels else "percentage points" if one.figure in SHARES else "%"
     value = one.cost if decibels else 100 * one.cost
-    return f"{value:.0f} {unit}" if value >= 10 else f"{value:.2g} {unit}"
+    return f"{value:.0f} {unit}" if value >= 9.95 else f"{value:.2g} {unit}"
 
 
 def _where(others: dict[str, Value]) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -62,6 +63,8 @@ def load_study(name_or_path: str, *, quick: bool = False) -> StudySpec:
 def check(spec: StudySpec, where: str) -> None:
     """InputError with all that is wrong: unknown parameters, empty lists, designs that cannot be made."""
     problems = []
+    if not spec.parameters:
+        problems.append("parameters: is empty; give one parameter at least")
     for number, grid in enumerate(spec.grids, 1):
         problems += [f"parameters.{key}: is empty; give one value at least" for key, own in grid.items() if not own]
         problems += [
@@ -76,7 +79,8 @@ def check(spec: StudySpec, where: str) -> None:
             problems.append(f"parameters.{key}: does not exist; did you mean {', '.join(near)}?")
     if problems:
         raise InputError(f"{where}: " + "; ".join(problems))
-    for key, values in spec.parameters.items():  # each parameter by itself first: the shortest message
+    problems = _base_problems(spec)
+    for key, values in spec.parameters.items() if not problems else ():  # each by itself first: the shortest message
         where_else = (
             {"scene": spec.parameters["scene"][0]} if key == "distance_cm" and "scene" in spec.parameters else {}
         )
@@ -95,6 +99,23 @@ def check(spec: StudySpec, where: str) -> None:
     problems += _picture_problems(spec)
     if problems:
         raise InputError(f"{where}: " + "; ".join(dict.fromkeys(problems)))
+
+
+def _base_problems(spec: StudySpec) -> list[str]:
+    """What cannot be of the study's own camera, scene and preset, where no parameter takes their place."""
+    checks: dict[str, Callable[[], object]] = {
+        "camera": lambda: _check_sees(dasim.cropped(camera_of(spec, {}), *spec.size_px)),
+        "scene": lambda: scene_of(spec, {}),
+        "recon.preset": lambda: settings_of(spec, {}),
+    }
+    problems = []
+    for key, check_one in checks.items():
+        if key not in spec.parameters:
+            try:
+                check_one()
+            except InputError as error:
+                problems.append(str(error))
+    return problems
 
 
 def _picture_problems(spec: StudySpec) -> list[str]:
@@ -120,6 +141,7 @@ def _point_problems(spec: StudySpec, point: dict[str, Value]) -> list[str]:
             camera = dasim.refocused(camera, float(point["focus_m"]))
         if any(key.startswith(("camera", "disc", "mosaic")) for key in point):
             _check_sees(camera)
+        dasim.cropped(camera, *spec.size_px)
         if "scene" in point or "distance_cm" in point:
             scene_of(spec, point)
         settings_of(spec, point)
@@ -150,4 +172,5 @@ def _check_sees(camera: Camera) -> None:
     for stop, part in zip(camera.stops, parts, strict=True):
         if np.max(part.sum(axis=-1) / whole) < LEAST_SHARE:
             raise InputError(f"no light that the sensor sees comes through stop '{stop.name}'")
-    mosaic.grids(camera)
+    if "IR" not in mosaic.grids(camera):
+        raise InputError(f"camera '{camera.name}' has no infrared pixels, so that its captures show no depth")

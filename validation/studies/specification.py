@@ -16,6 +16,8 @@ Value = bool | int | float | str
 # Keys of a point that need no new rendering: the light's level, the exposure and the reconstruction.
 AFTERWARDS = ("light.lux", "exposure.", "recon.")
 
+MOST_VALUES = 10_000  # of a grid
+
 
 class Grid(Specification):
     """Evenly spaced values, or evenly spaced logarithms."""
@@ -35,8 +37,8 @@ class Grid(Specification):
         if (self.grid is None) == (self.log_grid is None):
             raise ValueError("give grid = [first, last, count] or log_grid = [first, last, count]")
         low, high, count = self.grid or self.log_grid or (0, 0, 0)
-        if count < 1:
-            raise ValueError(f"has {count} values; 1 or more are needed")
+        if not 1 <= count <= MOST_VALUES:
+            raise ValueError(f"has {count} values; 1 to {MOST_VALUES} are allowed")
         if self.log_grid is not None and not 0 < low <= high:
             raise ValueError(f"log_grid goes from {low:g} to {high:g}; both above 0, the smaller one first")
         return self

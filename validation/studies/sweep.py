@@ -18,7 +18,7 @@ from dasim.errors import InputError
 from dasim.executors import Executor
 from validation.studies import findings, report
 from validation.studies.point import FIGURES, Sweep, file_of
-from validation.studies.specification import StudySpec, units
+from validation.studies.specification import StudySpec, Unit, units
 
 Row = dict[str, Any]
 
@@ -34,7 +34,7 @@ def sweep(job: Sweep, executor: Executor, show: Callable[[int, int, int], None])
     storage.check_writable(job.out)
     storage.sweep(job.out)
     everyone = units(job.spec)
-    queue = deque(i for i, unit in enumerate(everyone) if not storage.exists(job.out, file_of(job, unit)))
+    queue = deque(i for i, unit in enumerate(everyone) if _kept(job, unit) is None)
     total, done, failed = len(everyone), len(everyone) - len(queue), dict[str, str]()
     show(done, total, 0)
     with closing(executor(job, queue)) as outcomes:
@@ -75,12 +75,23 @@ def gathered(job: Sweep) -> list[Row]:
     """Rows of all points that are measured, flat: parameters, seed, figures."""
     rows = []
     for unit in units(job.spec):
-        name = file_of(job, unit)
-        if storage.exists(job.out, name):
-            for row in json.loads(storage.read(job.out, name)):
-                figures = {key: _number(row["figures"].get(key)) for key in FIGURES}
-                rows.append({**row["point"], "seed": row["seed"], "light_chosen": row["light_chosen"], **figures})
+        rows += _kept(job, unit) or []
     return rows
+
+
+def _kept(job: Sweep, unit: Unit) -> list[Row] | None:
+    """Rows of a unit that was measured; None where it was not, or where its file is damaged."""
+    name = file_of(job, unit)
+    if not storage.exists(job.out, name):
+        return None
+    rows = []
+    try:
+        for row in json.loads(storage.read(job.out, name)):
+            figures = {key: _number(row["figures"].get(key)) for key in FIGURES}
+            rows.append({**row["point"], "seed": row["seed"], "light_chosen": row["light_chosen"], **figures})
+    except (ValueError, TypeError, KeyError, AttributeError):
+        return None
+    return rows if len(rows) == len(unit.points) else None
 
 
 def _number(value: float | None) -> float:
