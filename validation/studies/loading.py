@@ -72,6 +72,9 @@ def check(spec: StudySpec, where: str) -> None:
             for key in spec.parameters
             if key not in grid and key not in spec.design
         ]
+    for key, values in spec.parameters.items():
+        if len({isinstance(value, str) for value in values}) > 1:
+            problems.append(f"parameters.{key}: has words and numbers, {', '.join(map(str, values))}; give one kind")
     for key in spec.parameters:
         if key not in PLAIN and not key.startswith(("camera.", "recon.")):
             known = [*PLAIN, "camera.<key of a camera file>", "recon.<setting>"]

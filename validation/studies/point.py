@@ -37,6 +37,7 @@ BOUND_BLURS = 10  # at which the bound is computed; between them its logarithm i
 FLAT = 1e-3  # of its distance, what a board's depths differ by at most
 FOCUS_BLUR_PX = 0.5  # of the visible blur; nearer to the focus it tells nothing, and the bound has no end
 MOST_BEYOND = 0.5  # of the pixels out of the range of depths that the bank holds: beyond, a median says nothing
+MEASURED_AS = 1  # goes up when a figure of the same name means something else
 BASELINE = "stereo.baseline_mm"
 QUANTILES = 200  # of the deviations that stand for all pixels
 OTHER_SEED = 1_000_000  # the second camera has its own noise
@@ -90,7 +91,7 @@ def file_of(job: Sweep, unit: Unit) -> str:
     spec = job.spec
     scene = scene_of(spec, unit.render).model_dump(mode="json", exclude={"folder"})
     design = [camera_of(spec, unit.render).model_dump(mode="json"), scene]
-    fixed = [spec.preset, spec.size_px, spec.spp, unit, job.environment, FIGURES]
+    fixed = [spec.preset, spec.size_px, spec.spp, unit, job.environment, sorted(FIGURES), MEASURED_AS]
     text = json.dumps([design, fixed], sort_keys=True, default=str)
     return f"points/{hashlib.sha256(text.encode()).hexdigest()[:24]}.json"
 

@@ -26,7 +26,7 @@ def page(spec: StudySpec, rows: list[Row], failed: dict[str, str]) -> str:
 
     averaged = means(rows, spec)
     found = findings.findings(spec, rows)
-    ranked = findings.ranking(averaged)
+    ranked = findings.ranking(spec, averaged)
     pictures = [(_caption(curve, spec), _curve(curve, averaged, spec)) for curve in spec.curves]
     front: list[Row] = []
     if spec.pareto:

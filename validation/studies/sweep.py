@@ -59,11 +59,9 @@ def summary(job: Sweep) -> list[str]:
     """What the sweep says, in lines: where the study's reference stands, and whether the bound ranks alike."""
     rows = gathered(job)
     lines = findings.said(job.spec, findings.findings(job.spec, rows)) if rows else []
-    ranked = findings.ranking(means(rows, job.spec)) if rows else None
+    ranked = findings.ranking(job.spec, means(rows, job.spec)) if rows else None
     if ranked:
-        lines.append(
-            f"rank correlation of {' and '.join(findings.RANKED)}: {ranked.correlation:.2f}, {ranked.points} points"
-        )
+        lines.append(ranked.said)
     return lines
 
 
