@@ -107,6 +107,12 @@ def swept(spec, out, broken=()) -> tuple[list[int], dict[str, str]]:
     return taken, failed
 
 
+@pytest.fixture
+def undrawn(monkeypatch):
+    """Sweeps without their pictures, which take a second."""
+    monkeypatch.setattr(report, "page", lambda *parts: "")
+
+
 # --- specification -------------------------------------------------------------------------------
 
 
@@ -232,6 +238,7 @@ def test_an_unknown_study_is_answered_with_the_nearest(capsys, tmp_path):
 # --- running -------------------------------------------------------------------------------------
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_restarted_sweep_redoes_nothing(study, tmp_path):
     """Set-up: a sweep; again; then with one more hole. Expectation: 4 renderings, none, and the 2 of the new hole."""
     assert swept(load_study(str(study)), tmp_path / "out")[0] == [0, 1, 2, 3]
@@ -258,6 +265,7 @@ def test_what_failed_is_said_and_tried_again(study, tmp_path):
 
 
 @pytest.mark.parametrize("text", ['[{"a', "[]", "{}", "[1, 2, 3]", "\xff"])
+@pytest.mark.usefixtures("undrawn")
 def test_a_damaged_file_of_a_point_is_measured_again(study, tmp_path, text):
     spec, out = load_study(str(study)), tmp_path / "out"
     swept(spec, out)
@@ -267,6 +275,7 @@ def test_a_damaged_file_of_a_point_is_measured_again(study, tmp_path, text):
     assert (out / "results.csv").read_text() == table
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_the_table_has_every_point_and_seed(study, tmp_path):
     swept(load_study(str(study)), tmp_path / "out")
     with (tmp_path / "out" / "results.csv").open() as file:
@@ -276,6 +285,7 @@ def test_the_table_has_every_point_and_seed(study, tmp_path):
     assert float(one["depth-median (1/m)"]) == pytest.approx(1 / 0.3 / 100, rel=1e-5)
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_means_and_spread_over_seeds(study, tmp_path):
     """Expectation: seeds give x and 1.1 x: mean 1.05 x, deviation 0.1 x / sqrt(2)."""
     spec = load_study(str(study))
@@ -365,6 +375,7 @@ def test_where_the_reference_stands(referred, errors, best, verdict, said):
     assert findings.said(referred, found) == [f"depth-median: {said}"]
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_sweep_says_what_it_found(referred, tmp_path):
     """Expectation: by the worker's formula the largest hole has the least error and loss; the bound has its order."""
     swept(referred, tmp_path / "out")
