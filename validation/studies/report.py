@@ -88,23 +88,25 @@ def _curve(curve: Curve, averaged: list[Row], spec: StudySpec) -> str:
         for number, value in enumerate(lines):
             own = [row for row in rows if curve.by is None or row[curve.by] == value]
             middle, spread = [], []
-            for tick in ticks:
+            at = [place for place, tick in enumerate(ticks) if any(row[curve.x] == tick for row in own)]
+            for tick in (ticks[place] for place in at):
                 here = [row for row in own if row[curve.x] == tick]
                 measured = np.array([row[curve.y] for row in here])
                 middle.append(np.nanmean(measured) if np.isfinite(measured).any() else np.nan)
                 within = np.sqrt(np.mean([row[f"{curve.y}:spread"] ** 2 for row in here])) if here else np.nan
                 spread.append(np.hypot(within, measured.std()) if len(here) else np.nan)
-            x = np.arange(len(ticks)) + SIDE * (number - (len(lines) - 1) / 2) if words else np.array(ticks, float)
+            side = SIDE * (number - (len(lines) - 1) / 2)
+            x = np.array(at) + side if words else np.array([ticks[place] for place in at], float)
             label = None if value is None else _tick(value)
             style = {"color": COLOURS[number % len(COLOURS)], "marker": MARKERS[number % len(MARKERS)]}
             style["linestyle"] = "" if words else "-"  # nothing lies between two words
             axes.errorbar(x, middle, spread, capsize=3, markersize=4, linewidth=1, label=label, **style)
-            for place, figure in enumerate(curve.beside):
-                drawn = [_mean([row[figure] for row in own if row[curve.x] == tick]) for tick in ticks]
+            for kind, figure in enumerate(curve.beside):
+                drawn = [_mean([row[figure] for row in own if row[curve.x] == ticks[place]]) for place in at]
                 if words:
-                    axes.plot(x, drawn, color=style["color"], linestyle="", marker="_x"[place], markersize=9)
+                    axes.plot(x, drawn, color=style["color"], linestyle="", marker="_x"[kind], markersize=9)
                 else:
-                    axes.plot(x, drawn, color=style["color"], linestyle=("--", ":")[place], linewidth=1)
+                    axes.plot(x, drawn, color=style["color"], linestyle=("--", ":")[kind], linewidth=1)
         axes.set(xlabel=curve.x, ylabel=f"{curve.y} ({FIGURES[curve.y][0]})")
         axes.set_yscale("log" if curve.log_y else "linear")
         if words:
