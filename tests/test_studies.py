@@ -362,12 +362,17 @@ REFERENCE = '[reference]\n"camera.stops.hole.radius_ratio" = 0.46\n'
             {0.3: (3, 3, 3, 3), 0.46: (1.0, 1.1, 1.0, 1.1), 0.65: (1.2, 1.2, 1.3, 1.2)},
             *(0.46, "the best", "0.46 is best"),
         ),
+        # t is 3.06 of 3 degrees of freedom: clear at 5 % (2.35), not at 5 % shared by two other values (3.18)
+        (
+            {0.3: (3, 3, 3, 3), 0.46: (1.0, 1.0, 1.0, 1.0), 0.65: (0.8, 0.9, 0.98, 0.85)},
+            *(0.65, "not told from the best", "0.65 is best, 0.46 is not told from it"),
+        ),
         (
             {0.3: (3,), 0.46: (1.5,), 0.65: (1.0,)},
             *(0.65, "not told from the best", "0.65 is best, 0.46 is not told from it"),
         ),
     ],
-    ids=["paired", "noise", "best", "one seed"],
+    ids=["paired", "noise", "best", "shared level", "one seed"],
 )
 def test_where_the_reference_stands(referred, errors, best, verdict, said):
     found = findings.findings(referred, rows_of(referred, errors))
@@ -443,6 +448,18 @@ def test_the_ranking_is_spearmans(study):
     assert of([b**3 for b in bound]).correlation == pytest.approx(1.0)
     assert of([1, 3, 2, 4, 5]).correlation == pytest.approx(0.9)
     assert of([math.nan, math.nan, 2, 4, 5]) is None
+
+
+def test_the_ranking_is_also_told_within_each_light(referred):
+    """Set-up: four holes in the order of their bounds at 100 lux, in the opposite one at 1,000."""
+    hole = "camera.stops.hole.radius_ratio"
+    rows = [
+        {hole: value, "light.lux": lux, "depth-bound": value, "depth-seen": value if lux == 100 else lux - value}
+        for lux in (100.0, 1000.0)
+        for value in (0.3, 0.4, 0.46, 0.65)
+    ]
+    found = findings.ranking(referred, rows)
+    assert found.within == (pytest.approx(1.0), pytest.approx(-1.0)) and "-1.00 at least" in found.said
 
 
 def test_the_median_of_normal_errors_of_several_spreads():

@@ -1,10 +1,10 @@
 """What a sweep says: the best value of a parameter by each criterion, what another one costs, whether the bound ranks.
 
-The value that is asked about is the study's ``reference``, such as the paper's hole of 0.46. Seeds are paired: the same
-seed is the same noise at every value. The best value is chosen by the same measurements that then say how good it is,
-so its lead is a little flattered; it counts as clear only where Student's test of the paired differences says so, at a
-level shared among the values that it was chosen from (Bonferroni). Seeds differ by the noise of sensor and rendering:
-another scene may answer otherwise.
+The value that is asked about is the study's ``reference``, such as the paper's hole of 0.46. Values are compared seed
+by seed; where the reference decides the picture, the same seed is also the same random numbers. The best value is
+chosen by the same measurements that then say how good it is, so its lead is a little flattered; it counts as clear
+only where Student's test of the paired differences says so, at a level shared among the values that it was chosen
+from (Bonferroni). Seeds differ by the noise of sensor and rendering: another scene may answer otherwise.
 """
 
 from __future__ import annotations
@@ -109,11 +109,8 @@ def _finding(spec: StudySpec, figure: str, others: dict[str, Value], rows: list[
     best = min(known, key=lambda value: (sign * known[value].mean(), value != reference))
     lead = sign * (known[reference] - known[best])
     error = float(lead.std(ddof=1) / np.sqrt(len(seeds))) if len(seeds) > 1 else math.nan
-    clear = (
-        bool(lead.mean() > stats.t.ppf(1 - LEVEL / max(len(known) - 1, 1), len(seeds) - 1) * error)
-        if len(seeds) > 1
-        else False
-    )
+    level = LEVEL / (len(known) - 1)
+    clear = len(seeds) > 1 and bool(lead.mean() > stats.t.ppf(1 - level, len(seeds) - 1) * error)
     return Finding(figure, others, best, float(known[best].mean()), float(known[reference].mean()), error, clear)
 
 

@@ -28,8 +28,9 @@ TABLE, PARQUET, PAGE = "results.csv", "results.parquet", "report.html"
 def sweep(job: Sweep, executor: Executor, show: Callable[[int, int, int], None]) -> dict[str, str]:
     """Measure what is missing and write table and report; what failed, and why, by the point's words.
 
-    A point that was measured before, by this study or one with the same point, is not measured again. ``show`` gets how
-    many units are done, how many there are, and how many failed.
+    What was measured before is not measured again. The unit is a picture with all points that share it, so that one
+    more level of light measures that picture anew. ``show`` gets how many units are done, how many there are, and how
+    many failed.
     """
     storage.check_writable(job.out)
     storage.sweep(job.out)
