@@ -14,17 +14,17 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from dasim.calibration import calibration_captures
-    from dasim.camera import Camera, cropped, load_camera, refocused
+    from dasim.base.errors import InputError
+    from dasim.camera.noise import Exposure
+    from dasim.camera.pointspread import psf
+    from dasim.camera.specification import Camera, cropped, load_camera, refocused
     from dasim.dataset.reading import open_dataset
-    from dasim.errors import InputError
-    from dasim.files import load_capture, load_truth, save_capture
-    from dasim.foreign import MitsubaScene, focused, load_scene
-    from dasim.pointspread import psf
-    from dasim.random_scenes import RandomScenes, load_random_scenes, random_exposure, random_scene
-    from dasim.scene import Scene
-    from dasim.sensor import Exposure
-    from dasim.simulation import Shot, simulate
+    from dasim.files.folders import load_capture, load_truth, save_capture
+    from dasim.random_scenes.specification import RandomScenes, load_random_scenes, random_exposure, random_scene
+    from dasim.scene.loading import MitsubaScene, focused, load_scene
+    from dasim.scene.specification import Scene
+    from dasim.simulation.calibration import calibration_captures
+    from dasim.simulation.simulate import Shot, simulate
     from dasim.values import Capture, Truth
 
 __all__ = [
@@ -55,16 +55,16 @@ __all__ = [
 ]
 
 _HOME = {
-    "calibration": ("calibration_captures",),
-    "camera": ("Camera", "cropped", "load_camera", "refocused"),
-    "errors": ("InputError",),
-    "pointspread": ("psf",),
-    "random_scenes": ("RandomScenes", "load_random_scenes", "random_exposure", "random_scene"),
-    "foreign": ("MitsubaScene", "focused", "load_scene"),
-    "scene": ("Scene",),
-    "sensor": ("Exposure",),
-    "simulation": ("Shot", "simulate"),
-    "files": ("load_capture", "load_truth", "save_capture"),
+    "simulation.calibration": ("calibration_captures",),
+    "camera.specification": ("Camera", "cropped", "load_camera", "refocused"),
+    "base.errors": ("InputError",),
+    "camera.pointspread": ("psf",),
+    "random_scenes.specification": ("RandomScenes", "load_random_scenes", "random_exposure", "random_scene"),
+    "scene.loading": ("MitsubaScene", "focused", "load_scene"),
+    "scene.specification": ("Scene",),
+    "camera.noise": ("Exposure",),
+    "simulation.simulate": ("Shot", "simulate"),
+    "files.folders": ("load_capture", "load_truth", "save_capture"),
     "dataset.reading": ("open_dataset",),
     "values": ("Capture", "Truth"),
 }

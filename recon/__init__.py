@@ -5,14 +5,14 @@ colour picture alone; ``refocus`` blurs the result anew. Only values and their f
 shared with the simulator, never its formulas.
 """
 
-from dasim.files import load_bank, load_capture, save_bank
-from recon.infrared import measured_crosstalk
+from dasim.files.folders import load_bank, load_capture, save_bank
+from recon.calibration.psf_bank import calibrate
+from recon.files.raw import load_raw
+from recon.picture.infrared import measured_crosstalk
+from recon.picture.shading import check as check_flat
 from recon.pipeline import develop, reconstruct
-from recon.psf_bank import calibrate
-from recon.raw_files import load_raw
-from recon.refocus import refocus
 from recon.settings import DEFAULT, PAPER, PRESETS, Settings
-from recon.shading import check as check_flat
+from recon.sharp.refocus import refocus
 
 __all__ = [
     "DEFAULT",

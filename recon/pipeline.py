@@ -11,15 +11,18 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from dasim.camera import Camera, channels
-from dasim.colour import exposure_scale, to_srgb
-from dasim.errors import InputError
-from dasim.files import bank_identity
-from dasim.spectra import CHANNELS
+from dasim.base.errors import InputError
+from dasim.camera.specification import Camera, channels
+from dasim.files.folders import bank_identity
+from dasim.spectra.colour import exposure_scale, to_srgb
+from dasim.spectra.grid import CHANNELS
 from dasim.values import Capture, Developed, PsfBank, Reconstruction
-from recon import colour, denoise, depth, infrared, mosaic, picture, sharpen, tiles
-from recon.regularise import regularise
+from recon.depth import scores, tiles
+from recon.depth.regularise import regularise
+from recon.picture import colour, denoise, infrared, mosaic
+from recon.picture import develop as picture
 from recon.settings import DEFAULT, PAPER, Settings
+from recon.sharp import sharpen
 
 Float32Array = NDArray[np.float32]
 Progress = Callable[[str, float], None]
@@ -232,21 +235,21 @@ def _raw_levels(
     """Eq. (12) for every block of the mosaic, NaN where neither infrared nor red nor blue has an edge; confidence."""
     places, planes = mosaic.phases(camera), mosaic.planes(raw_e, camera)
 
-    def channel(name: str, box: tuple[slice, slice]) -> depth.Channel:
+    def channel(name: str, box: tuple[slice, slice]) -> scores.Channel:
         plane = np.ascontiguousarray(planes[name][box])
         return plane, places[name], variances[name][box], kernels[:, CHANNELS.index(name)]
 
     leak = None if white is None else _leak("G", camera, white, settings)
     further = ["R"] if settings.score == "bands" and "R" in _fallbacks(camera) else []
-    usable = depth.window_mean(picture.blocks_any(saturated).astype(np.float32), settings) < settings.saturated_share
+    usable = scores.window_mean(picture.blocks_any(saturated).astype(np.float32), settings) < settings.saturated_share
     level = np.full(planes["G"].shape, np.nan, np.float32)
     confidence = np.zeros_like(level)
     open_ = usable.copy()  # where no channel has shown an edge yet
     for name in ["IR", *(_fallbacks(camera) if settings.fallback else [])]:
-        box = _around(open_, round(settings.window_px / depth.PLANE_SPACING_PX) * 2)
+        box = _around(open_, round(settings.window_px / scores.PLANE_SPACING_PX) * 2)
         if box is None:
             break
-        also: depth.Also = []
+        also: scores.Also = []
         if name == "IR" and white is not None:
             also = [(channel(n, box), _leak(n, camera, white, settings)) for n in further]
         best, trust, snr, green_snr = tiles.best_levels(
@@ -271,11 +274,11 @@ def _around(mask: NDArray, margin: int) -> tuple[slice, slice] | None:
     return parts[0], parts[1]
 
 
-def _leak(name: str, camera: Camera, white: NDArray, settings: Settings) -> depth.Leak:
+def _leak(name: str, camera: Camera, white: NDArray, settings: Settings) -> scores.Leak:
     """What of infrared is in a channel, from eq. (8) or as measured, and in white [channel]."""
     alpha = infrared.crosstalk(camera) if settings.crosstalk is None else settings.crosstalk
     own = CHANNELS.index(name)
-    return depth.Leak(float(alpha[own]), float(white[CHANNELS.index("IR")] / white[own]))
+    return scores.Leak(float(alpha[own]), float(white[CHANNELS.index("IR")] / white[own]))
 
 
 def _fallbacks(camera: Camera) -> list[str]:

@@ -8,8 +8,8 @@ from typing import Any, Literal
 
 from pydantic import Field
 
-from dasim.errors import InputError
-from dasim.specification import Specification, parse_toml
+from dasim.base.errors import InputError
+from dasim.base.toml import Specification, parse_toml
 
 
 class Settings(Specification):
@@ -94,7 +94,7 @@ def preset_name(settings: Settings) -> str | None:
 
 
 def to_toml(settings: Settings) -> str:
-    """The settings as TOML that :func:`dasim.specification.parse_toml` reads back, each with what it means.
+    """The settings as TOML that :func:`dasim.base.toml.parse_toml` reads back, each with what it means.
 
     A setting without value stands there as a comment.
     """

@@ -18,12 +18,12 @@ import cv2
 import numpy as np
 import pytest
 
-from dasim import camera as cameras
-from dasim.camera import Camera
-from dasim.errors import InputError
+from dasim.base.errors import InputError
+from dasim.base.toml import parse
+from dasim.camera import specification as cameras
+from dasim.camera.specification import Camera
 from dasim.render import backend
-from dasim.scene import Scene
-from dasim.specification import parse
+from dasim.scene.specification import Scene
 
 REFERENCE = Path(__file__).parents[2] / "shared" / "reference"
 

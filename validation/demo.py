@@ -11,13 +11,13 @@ import cv2
 
 import dasim
 import recon
-from dasim.files import new_folder
-from recon.output import save_reconstruction
-from validation import report
-from validation.banks import simulated_bank
-from validation.claim import Claim, judged, write_results
-from validation.figures import Figure
-from validation.scores import score
+from dasim.files.folders import new_folder
+from recon.calibration.cached import simulated_bank
+from recon.files.reconstruction import save_reconstruction
+from validation.gates.claim import Claim, judged, write_results
+from validation.reports import page
+from validation.scores.figures import Figure
+from validation.scores.score import score
 
 DEMO_SCENE, DEMO_CAMERA, DEMO_SIZE_PX = "desk", "da-mobile", (768, 576)
 
@@ -68,8 +68,8 @@ def run_demo(
         entries = claims(score(result, shot.capture, shot.truth))
         lap("score")
         progress("writing the report", 0.0)
-        (folder / "report.html").write_text(report.demo_page(shot, result, entries, timings), encoding="utf-8")
-        cv2.imwrite(str(folder / "overview.jpg"), report.overview(shot, result), [cv2.IMWRITE_JPEG_QUALITY, 88])
+        (folder / "report.html").write_text(page.demo_page(shot, result, entries, timings), encoding="utf-8")
+        cv2.imwrite(str(folder / "overview.jpg"), page.overview(shot, result), [cv2.IMWRITE_JPEG_QUALITY, 88])
         lap("report")
         write_results(folder / "results.json", entries, timings)
         progress("writing the report", 1.0)

@@ -9,8 +9,8 @@ from typing import Any
 
 import cyclopts
 
+from dasim.base.errors import InputError
 from dasim.cli import check, datasets, photograph, reconstruct, study
-from dasim.errors import InputError
 
 app = cyclopts.App(
     name="dasim",

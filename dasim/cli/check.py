@@ -8,9 +8,9 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
+from dasim.base.errors import InputError
 from dasim.cli import options
 from dasim.cli.options import Out, Whole
-from dasim.errors import InputError
 
 
 def demo(*, out: Out = Path("out/demo"), variant: str | None = None, spp: Whole | None = None) -> int:
@@ -21,8 +21,8 @@ def demo(*, out: Out = Path("out/demo"), variant: str | None = None, spp: Whole 
         variant: Mitsuba variant, auto by default
         spp: samples a pixel and stop
     """
-    from dasim.files import check_output
-    from dasim.simulation import check_options
+    from dasim.files.folders import check_output
+    from dasim.simulation.simulate import check_options
     from validation.demo import run_demo
 
     check_output(out, "demo")
@@ -67,12 +67,12 @@ def validate(
         compare: results.json of an earlier run: prints what became better and worse
         propose_gates: a TOML file to write, for --gates: limits from the measured means and their spread over --seeds
     """
-    from dasim.files import check_output
+    from dasim.files.folders import check_output
     from dasim.render import backend
-    from validation.claim_table import CLAIMS
-    from validation.comparison import changes, load_results, report
-    from validation.proposal import gate_file
-    from validation.validate import all_gates, chosen, failed, run_claims
+    from validation.claims.table import CLAIMS
+    from validation.gates.comparison import changes, load_results, report
+    from validation.gates.proposal import gate_file
+    from validation.gates.run import all_gates, chosen, failed, run_claims
 
     names = chosen(CLAIMS, only or (), quick=quick)
     limits = all_gates(CLAIMS, gates)
@@ -123,14 +123,16 @@ def list_(kind: str, *, verbose: Annotated[bool, Parameter(negative="")] = False
         kind: scenes, cameras, materials, illuminants or claims
         verbose: with more detail
     """
-    from dasim import camera, describe, scene
+    from dasim.camera import describe
+    from dasim.camera import specification as cameras
+    from dasim.scene import specification as scenes
 
     if kind == "scenes":
-        for name in scene.scene_names():
-            print(f"{name:<16}{scene.load_scene(name).description}")
+        for name in scenes.scene_names():
+            print(f"{name:<16}{scenes.load_scene(name).description}")
     elif kind == "cameras":
-        for name in camera.camera_names():
-            loaded = camera.load_camera(name)
+        for name in cameras.camera_names():
+            loaded = cameras.load_camera(name)
             print(f"{name:<20}{loaded.description}")
             if verbose:
                 print("\n".join(f"    {line}" for line in describe.described(loaded)) + "\n")
@@ -139,7 +141,7 @@ def list_(kind: str, *, verbose: Annotated[bool, Parameter(negative="")] = False
     elif kind == "illuminants":
         _list_illuminants(verbose=verbose)
     elif kind == "claims":
-        from validation.claim_table import CLAIMS
+        from validation.claims.table import CLAIMS
 
         _list_claims(list(CLAIMS), verbose=verbose)
     else:
@@ -148,25 +150,25 @@ def list_(kind: str, *, verbose: Annotated[bool, Parameter(negative="")] = False
 
 
 def _list_materials(*, verbose: bool) -> None:
-    from dasim import materials
+    from dasim.materials import library
     from dasim.render.reflection import normal_reflectance
-    from dasim.spectra import WAVELENGTH_NM
+    from dasim.spectra.grid import WAVELENGTH_NM
 
     shown_nm = (450, 550, 650, 750, 800)
     if verbose:
         print(f"reflectance (metals, glass and coats: at normal incidence) at {', '.join(map(str, shown_nm))} nm")
-    for name in materials.material_names():
-        kind, source = materials.kind_and_source(name)
+    for name in library.material_names():
+        kind, source = library.kind_and_source(name)
         if not verbose:
             print(f"{name:<24}{kind}")
             continue
-        curve = normal_reflectance(materials.surface(name, Path(".")))
+        curve = normal_reflectance(library.surface(name, Path(".")))
         values = " ".join(f"{curve[WAVELENGTH_NM == nm][0]:.2f}" for nm in shown_nm)
         print(f"{name:<24}{kind:<9}{values}  {source}")
 
 
 def _list_illuminants(*, verbose: bool) -> None:
-    from dasim import illuminants
+    from dasim.spectra import illuminants
 
     if verbose:
         print("name                  CCT K  near-IR  beyond the end of the table")
@@ -184,8 +186,8 @@ def _list_illuminants(*, verbose: bool) -> None:
 
 
 def _list_claims(names: list[str], *, verbose: bool) -> None:
-    from validation.claim_table import CLAIMS
-    from validation.validate import title
+    from validation.claims.table import CLAIMS
+    from validation.gates.run import title
 
     for name in names:
         text = f"\n{inspect.getdoc(CLAIMS[name].run)}\n" if verbose else title(CLAIMS[name])

@@ -13,13 +13,13 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import cyclopts
 from cyclopts import Parameter
 
+from dasim.base.errors import InputError
 from dasim.cli.options import Whole
-from dasim.errors import InputError
 
 if TYPE_CHECKING:
+    from dasim.base.executors import Executor
     from dasim.dataset.make import Progress
     from dasim.dataset.specification import DatasetSpec
-    from dasim.executors import Executor
 
 app = cyclopts.App(name="dataset", help="Make, check and describe datasets of many captures with their truth.")
 
@@ -54,7 +54,7 @@ def make(
         retry: try samples again that failed in an earlier run
         variant: Mitsuba variant, auto by default
     """
-    from dasim import executors
+    from dasim.base import executors
     from dasim.dataset import plan, storage
     from dasim.dataset.make import make as make_dataset
     from dasim.dataset.reading import parquet_library

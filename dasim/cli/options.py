@@ -10,7 +10,7 @@ from typing import Annotated, Any
 
 from cyclopts import Parameter
 
-from dasim.errors import InputError
+from dasim.base.errors import InputError
 
 Progress = Callable[[str, float], None]
 

@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
+from dasim.base.errors import InputError
 from dasim.cli import options
 from dasim.cli.options import Out, Progress, Whole, samples
-from dasim.errors import InputError
 
 if TYPE_CHECKING:
-    from dasim.camera import Camera
+    from dasim.camera.specification import Camera
     from dasim.values import PsfBank
 
 
@@ -54,11 +54,11 @@ def render(
         illuminant: of a Mitsuba XML file, the spectrum of its RGB lights; D65 by default
     """
     import dasim
-    from dasim import random_scenes
-    from dasim.files import check_output
+    from dasim.base.toml import parse
+    from dasim.files.folders import check_output
+    from dasim.random_scenes import specification
     from dasim.render import backend
-    from dasim.simulation import check_camera, check_options
-    from dasim.specification import parse
+    from dasim.simulation.simulate import check_camera, check_options
 
     check_output(out, "capture")
     check_options(spp, seed, diffraction, noise_share)
@@ -68,8 +68,8 @@ def render(
     if size is not None:
         chosen = dasim.cropped(whole, *options.size(size))
     described: dasim.Scene | dasim.MitsubaScene
-    if random_scenes.is_random(scene) and not given:
-        described, drawn = random_scenes.named(scene, chosen)
+    if specification.is_random(scene) and not given:
+        described, drawn = specification.named(scene, chosen)
     else:
         described, drawn = dasim.load_scene(scene, camera=whole, **given), dasim.Exposure()
     chosen = dasim.focused(chosen, described) if focus is None else dasim.refocused(chosen, focus)
@@ -127,12 +127,12 @@ def calibrate(
         save_captures: write the simulated pictures to this folder, in the form that --captures reads, and end
     """
     import dasim
-    from dasim import illuminants
-    from dasim.calibration import CALIBRATION_LIGHTS
-    from dasim.files import check_output, save_bank
-    from dasim.simulation import check_options
-    from recon.point_files import KIND
-    from validation.banks import simulated_bank
+    from dasim.files.folders import check_output, save_bank
+    from dasim.simulation.calibration import CALIBRATION_LIGHTS
+    from dasim.simulation.simulate import check_options
+    from dasim.spectra import illuminants
+    from recon.calibration.cached import simulated_bank
+    from recon.calibration.folder import KIND
 
     chosen = dasim.load_camera(camera)
     if focus is not None:
@@ -169,9 +169,9 @@ def calibrate(
 
 
 def _print_distances(camera: Camera) -> int:
-    from dasim.calibration import levels
-    from dasim.camera import depth_of_blur_m
-    from recon.point_table import DEPTH_TOLERANCE
+    from dasim.camera.specification import depth_of_blur_m
+    from dasim.simulation.calibration import levels
+    from recon.calibration.table import DEPTH_TOLERANCE
 
     depths, blurs = levels(camera)
     margin = DEPTH_TOLERANCE * blurs[1]
@@ -187,8 +187,8 @@ def _print_distances(camera: Camera) -> int:
 
 
 def _save_captures(out: Path, camera: Camera, lights: tuple[str, ...], diffraction: str) -> int:
-    from dasim.calibration import calibration_captures
-    from recon.point_files import write_point_pictures
+    from dasim.simulation.calibration import calibration_captures
+    from recon.calibration.folder import write_point_pictures
 
     count = write_point_pictures(out, calibration_captures(camera, lights, diffraction=diffraction), camera)
     print(f"captures: {out} ({count} pictures of {', '.join(lights)})")
@@ -199,10 +199,10 @@ def _measured_bank(
     folder: Path, camera: Camera, kind: str | None, progress: Progress
 ) -> tuple[PsfBank, tuple[str, ...]]:
     """A bank of a user's own pictures, and what is to be said of it."""
-    from dasim import illuminants
-    from dasim.calibration import levels
+    from dasim.simulation.calibration import levels
+    from dasim.spectra import illuminants
     from recon import calibrate as measured
-    from recon.point_files import read_point_pictures
+    from recon.calibration.folder import read_point_pictures
 
     found = read_point_pictures(
         folder, camera, *levels(camera), known_light=illuminants.illuminant, kind=kind, progress=progress
@@ -212,7 +212,7 @@ def _measured_bank(
 
 def _check_bank_output(out: Path) -> None:
     """Refuse to overwrite anything but a bank."""
-    from dasim.files import load_bank
+    from dasim.files.folders import load_bank
 
     if out.is_dir():
         raise InputError(f"output {out}: is a folder; a bank is one .npz file")
@@ -248,10 +248,10 @@ def emva(
         size: WxH pixels of the frames
     """
     import dasim
-    from dasim.emva import KIND, write_measurement
-    from dasim.files import check_output
-    from dasim.simulation import check_options
-    from dasim.specification import parse
+    from dasim.base.toml import parse
+    from dasim.files.folders import check_output
+    from dasim.simulation.emva import KIND, write_measurement
+    from dasim.simulation.simulate import check_options
 
     check_output(out, KIND)
     check_options(None, seed, None)

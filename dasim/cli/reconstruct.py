@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
+from dasim.base.errors import InputError
 from dasim.cli import options
 from dasim.cli.options import Progress
-from dasim.errors import InputError
 
 if TYPE_CHECKING:
     from dasim.values import Capture, PsfBank
@@ -56,11 +56,11 @@ def recon(
     """
     import dasim
     import recon as reconstruction
-    from dasim.files import check_output
+    from dasim.files.folders import check_output
     from recon import settings as known
-    from recon.mosaic import grids
-    from recon.output import check_extras, save_reconstruction
-    from recon.raw_files import load_input
+    from recon.files.raw import load_input
+    from recon.files.reconstruction import check_extras, save_reconstruction
+    from recon.picture.mosaic import grids
 
     chosen = known.chosen(preset, settings)
     if print_settings:
@@ -114,8 +114,8 @@ def refocus(
         bank: the PSF bank of the reconstruction; by default that of the camera's description
     """
     import recon as pipeline
-    from recon.output import displayed, load_reconstruction, write_picture
-    from validation.banks import simulated_bank
+    from recon.calibration.cached import simulated_bank
+    from recon.files.reconstruction import displayed, load_reconstruction, write_picture
 
     if out.suffix.lower() != ".png" or out.is_dir() or not out.resolve().parent.is_dir():
         raise InputError(f"--out {out}: is not a PNG file in a folder that exists")
@@ -132,8 +132,8 @@ def refocus(
 
 def _bank(path: Path | None, shot: Capture, progress: Progress) -> PsfBank:
     """The bank of a file, or the one that the camera's own description gives."""
-    from dasim.files import load_bank
-    from validation.banks import simulated_bank
+    from dasim.files.folders import load_bank
+    from recon.calibration.cached import simulated_bank
 
     if path is not None:
         return load_bank(path)
@@ -147,7 +147,7 @@ def _bank(path: Path | None, shot: Capture, progress: Progress) -> PsfBank:
 
 def _picture_alone(shot: Capture, even: Capture | None, chosen: Settings, bank: Path | None, out: Path) -> int:
     from recon import develop
-    from recon.output import save_picture
+    from recon.files.reconstruction import save_picture
 
     if bank is not None:
         raise InputError(f"--bank: camera '{shot.camera.name}' has no infrared pixels and so no depth; leave it out")
@@ -176,15 +176,15 @@ def score(
         scale: metres of one unit of the depth map, or of the measured depths
         json_file: also write the figures to this file
     """
-    from dasim.files import load_capture, load_truth
-    from recon.output import load_reconstruction
-    from validation import scores
-    from validation.claim import plain_value
-    from validation.depth_files import SUFFIXES, read_depth, read_map
+    from dasim.files.folders import load_capture, load_truth
+    from recon.files.reconstruction import load_reconstruction
+    from validation.gates.claim import plain_value
+    from validation.scores import score as scores
+    from validation.scores.depth_files import SUFFIXES, read_depth, read_map
 
     _check_score_output(json_file)
     if capture.is_file() and capture.suffix.lower() in SUFFIXES:
-        from validation.own_truth import score_measured
+        from validation.scores.measured_truth import score_measured
 
         if confidence is not None or not result.is_dir():
             raise InputError(f"{capture}: measured depths judge a reconstruction folder, which says its camera")

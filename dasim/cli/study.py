@@ -11,12 +11,12 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import cyclopts
 from cyclopts import Parameter
 
+from dasim.base.errors import InputError
 from dasim.cli.datasets import processes_of
 from dasim.cli.options import Out, Whole, progress
-from dasim.errors import InputError
 
 if TYPE_CHECKING:
-    from dasim.executors import Executor
+    from dasim.base.executors import Executor
 
 app = cyclopts.App(name="study", help="Compare aperture designs: by simulation, by bounds, by a search of shapes.")
 
@@ -48,14 +48,14 @@ def sweep(
         address: of Ray: auto, or ray://host:port
         variant: Mitsuba variant, auto by default
     """
-    from dasim import executors
+    from dasim.base import executors
     from dasim.dataset.sample import environment
     from dasim.render import backend
-    from validation.studies.loading import load_study
-    from validation.studies.point import Sweep, work
-    from validation.studies.specification import units
-    from validation.studies.sweep import PAGE, summary
-    from validation.studies.sweep import sweep as run_sweep
+    from validation.studies.sweep.loading import load_study
+    from validation.studies.sweep.point import Sweep, work
+    from validation.studies.sweep.run import PAGE, summary
+    from validation.studies.sweep.run import sweep as run_sweep
+    from validation.studies.sweep.specification import units
 
     spec = load_study(study, quick=quick)
     place = out or f"out/{spec.name}"
@@ -100,9 +100,9 @@ def bound(
         texture: what is known of the texture: all but its phases, its spectrum up to a factor, or nothing (free)
         channels: planes of the mosaic that are compared, first the one with the sharp texture
     """
-    from dasim import camera as cameras
-    from dasim import illuminants
-    from validation import bounds
+    from dasim.bounds import cramer_rao
+    from dasim.camera import specification as cameras
+    from dasim.spectra import illuminants
     from validation.studies import criteria
 
     wrong = _positive(("--near-cm", near_cm), ("--far-cm", far_cm), ("--lux", lux))
@@ -127,11 +127,11 @@ def bound(
     computed()  # again, for what a further design costs: the first time reads the illuminant's and other tables
     seconds = time.perf_counter() - begin
     depth_m = cameras.depth_of_blur_m(lens, blurs)
-    metres = bounds.depth_deviation_m(lens, depth_m, deviation)
+    metres = cramer_rao.depth_deviation_m(lens, depth_m, deviation)
     print(f"{lens.name}, focus {lens.lens.focus_distance_m:g} m, {light}, {lux:g} lux, channels {', '.join(names)}, "
           f"texture {texture}: least standard deviation in a patch of 31 px")  # fmt: skip
     print(f"{'depth':>9}  {'blur':>8}  {'levels':>8}  {'dioptres':>9}  {'depth':>10}")
-    for z, blur, own, error_m in zip(depth_m, blurs, bounds.level_deviation(lens, deviation), metres, strict=True):
+    for z, blur, own, error_m in zip(depth_m, blurs, cramer_rao.level_deviation(lens, deviation), metres, strict=True):
         print(f"{100 * z:6.2f} cm  {blur:5.1f} px  {own:8.3f}  {error_m / z**2:9.4f}  {1000 * error_m:7.3f} mm")
     print(f"{1000 * seconds:.0f} ms a design")
     return 0
@@ -175,8 +175,8 @@ def shape(
         quick: smaller masks and fewer starts, for a first look
         render: put the best three and a disc at the rim through the whole pipeline, minutes each; goes on if stopped
     """
-    from dasim.files import check_output
-    from validation.studies import shape_study
+    from dasim.files.folders import check_output
+    from validation.studies.shape import study as shape_study
 
     wrong = _positive(("--near-cm", near_cm), ("--far-cm", far_cm), ("--lux", lux), ("--feature-um", feature_um))
     lens = _focused(camera, focus, wrong)
@@ -218,7 +218,7 @@ DEFAULT_FOCUS_M = 0.4  # the far end of the paper's first working range
 
 
 def _focused(camera, focus, wrong):  # type: ignore[no-untyped-def]
-    from dasim import camera as cameras
+    from dasim.camera import specification as cameras
 
     lens = cameras.load_camera(camera)
     found = []

@@ -8,14 +8,15 @@ from typing import Any
 
 import numpy as np
 
-from dasim import camera as cameras
-from dasim import foreign, random_scenes
-from dasim.camera import Camera
+from dasim.base.toml import Specification, parse
+from dasim.camera import specification as cameras
+from dasim.camera.noise import Exposure
+from dasim.camera.specification import Camera
 from dasim.dataset.specification import DatasetSpec, named_camera, random_spec, scene_count, scene_keys, varied
-from dasim.foreign import MitsubaScene
-from dasim.scene import Scene
-from dasim.sensor import Exposure
-from dasim.specification import Specification, parse
+from dasim.random_scenes import specification
+from dasim.scene import loading
+from dasim.scene.loading import MitsubaScene
+from dasim.scene.specification import Scene
 
 # Each part on a generator of its own: another distribution of one leaves the others as they are.
 _STAGES = {"camera": 1, "light": 2, "focus": 3, "exposure": 4, "capture": 5, "splits": 6}
@@ -46,7 +47,7 @@ def draft(spec: DatasetSpec, index: int) -> Draft:
     if "focus.distance_m" in drawn:
         camera = cameras.refocused(camera, float(drawn["focus.distance_m"]))
     else:
-        camera = foreign.focused(camera, scene)
+        camera = loading.focused(camera, scene)
     changes = _below(drawn, "exposure")
     return Draft(
         index=index,
@@ -136,11 +137,11 @@ def _scene(spec: DatasetSpec, number: int, camera: Camera) -> tuple[Scene | Mits
     if not keys:
         first = cameras.cropped(named_camera(spec, spec.cameras[0]), *spec.size_px)
         source = random_spec(spec)
-        scene = random_scenes.random_scene(spec.seed, number, source, first)
-        return scene, random_scenes.random_exposure(spec.seed, number, source)
+        scene = specification.random_scene(spec.seed, number, source, first)
+        return scene, specification.random_exposure(spec.seed, number, source)
     name = keys[number]
     path = spec.folder / name
-    described = foreign.load_scene(path if spec.scenes.family == "files" else name, camera=camera)
+    described = loading.load_scene(path if spec.scenes.family == "files" else name, camera=camera)
     return described, Exposure()
 
 

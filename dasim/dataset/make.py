@@ -12,12 +12,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from dasim.base.errors import InputError
+from dasim.base.executors import PART, Executor, Outcome, said
 from dasim.dataset import card, plan, reading, storage
 from dasim.dataset.plan import Shard
 from dasim.dataset.sample import FILES, ROW, Job, add, key, packed, plain, unpacked
 from dasim.dataset.specification import DatasetSpec
-from dasim.errors import InputError
-from dasim.executors import PART, Executor, Outcome, said
 
 TRIES = 3
 KEPT = "nothing is lost: put it right, and run the same again"

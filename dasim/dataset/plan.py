@@ -7,11 +7,11 @@ import json
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
+from dasim.base.errors import InputError
 from dasim.dataset import storage
 from dasim.dataset.draws import scene_number, split_of_scene
 from dasim.dataset.sample import plain
 from dasim.dataset.specification import DatasetSpec
-from dasim.errors import InputError
 
 SCHEMA = 1
 MANIFEST = "dataset.json"

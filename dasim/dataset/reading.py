@@ -15,13 +15,13 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from dasim.base.errors import InputError
+from dasim.base.toml import parse
 from dasim.dataset import plan, storage
 from dasim.dataset.plan import INDEX, Shard
 from dasim.dataset.sample import FILES, key
 from dasim.dataset.specification import DatasetSpec
-from dasim.errors import InputError
-from dasim.files import read_truth_parts
-from dasim.specification import parse
+from dasim.files.folders import read_truth_parts
 
 
 @dataclass(frozen=True)

@@ -21,9 +21,9 @@ import numpy as np
 
 from dasim.dataset.draws import Draft, draft
 from dasim.dataset.specification import DatasetSpec
-from dasim.files import capture_meta, write_png16, write_truth
+from dasim.files.folders import capture_meta, write_png16, write_truth
 from dasim.render import backend
-from dasim.simulation import Shot, simulate
+from dasim.simulation.simulate import Shot, simulate
 from dasim.values import Truth
 
 FILES = ("raw.png", "truth.exr", "meta.json")  # of a sample, in this order

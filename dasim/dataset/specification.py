@@ -10,16 +10,17 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import BeforeValidator, Field, field_validator, model_validator
 
-from dasim import camera as cameras
-from dasim import illuminants, random_scenes
-from dasim.camera import Camera
-from dasim.errors import InputError
-from dasim.files import TRUTH_PARTS
-from dasim.quiet import NOISE_SHARE
-from dasim.random_scenes import RandomScenes
-from dasim.scene import scene_names
-from dasim.sensor import LONGEST_EXPOSURE_S
-from dasim.specification import Specification, parse, parse_toml
+from dasim.base.errors import InputError
+from dasim.base.toml import Specification, parse, parse_toml
+from dasim.camera import specification as cameras
+from dasim.camera.noise import LONGEST_EXPOSURE_S
+from dasim.camera.specification import Camera
+from dasim.files.folders import TRUTH_PARTS
+from dasim.random_scenes import specification
+from dasim.random_scenes.specification import RandomScenes
+from dasim.scene.specification import scene_names
+from dasim.simulation.adaptive_sampling import NOISE_SHARE
+from dasim.spectra import illuminants
 
 MOST_SAMPLES = 10_000_000
 Scalar = bool | int | float | str
@@ -258,7 +259,7 @@ def _scene_problems(spec: DatasetSpec) -> list[str]:
     chosen = spec.scenes
     try:
         if chosen.family in ("random", "meshes"):
-            random_scenes.check(random_spec(spec))
+            specification.check(random_spec(spec))
     except InputError as error:
         problems.append(f"scenes: {error}")
     for name in chosen.files:

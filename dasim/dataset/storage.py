@@ -16,7 +16,7 @@ from typing import IO, Any, Concatenate, ParamSpec, TypeVar
 
 import fsspec
 
-from dasim.errors import InputError
+from dasim.base.errors import InputError
 
 PARTIAL = ".partial"
 ABANDONED_S = 24 * 3600.0  # a file that another computer began and left alone for so long

@@ -9,11 +9,11 @@ from typing import Any
 
 import numpy as np
 
+from dasim.base.errors import InputError
 from dasim.dataset import card, draws, plan, reading, storage
 from dasim.dataset.plan import LOGS, MANIFEST, SUMS
 from dasim.dataset.sample import FILES, key
 from dasim.dataset.specification import DatasetSpec
-from dasim.errors import InputError
 
 RANGES = {"depth_m": (0.0, 1e6), "blur_px": (-1e4, 1e4), "mean_e": (0.0, 1e9), "sharp_e": (0.0, 1e9)}
 SHAPES = {"normal": 3, "mean_e": None, "sharp_e": None, "sharp_srgb": 3}  # last axis; None: a channel each

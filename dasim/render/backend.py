@@ -25,8 +25,8 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from dasim.cache import cache_dir
-from dasim.errors import InputError
+from dasim.base.cache import cache_dir
+from dasim.base.errors import InputError
 
 VARIANTS = ("cuda_ad_spectral", "llvm_ad_spectral", "scalar_spectral")  # fastest first
 OLDEST_LLVM = 17  # of 15, 16, 19 and 22 the first two abort Dr.Jit 1.5, the others work

@@ -6,14 +6,15 @@ from typing import Any
 
 import numpy as np
 
-from dasim import illuminants, panorama
-from dasim import lights as lighting
-from dasim import scene as scenes
-from dasim.lights import SUN_DIAMETER_DEG, Bulb, Dome, Environment, Near, Panel, Sky, Sun, Surrounding
 from dasim.render.plugin import spectrum_dict, transform
 from dasim.render.surrounding import Layer, surrounding_dict
-from dasim.scene import Scene
-from dasim.spectra import FloatArray
+from dasim.scene import lights as lighting
+from dasim.scene import panorama
+from dasim.scene import specification as scenes
+from dasim.scene.lights import SUN_DIAMETER_DEG, Bulb, Dome, Environment, Near, Panel, Sky, Sun, Surrounding
+from dasim.scene.specification import Scene
+from dasim.spectra import illuminants
+from dasim.spectra.grid import FloatArray
 
 SUN_DISTANCE_M = 1e4  # across 10 m of scene its direction changes by a tenth of its diameter
 

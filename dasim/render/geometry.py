@@ -7,12 +7,12 @@ from typing import Any
 import cv2
 import numpy as np
 
-from dasim import scene as scenes
-from dasim import shapes
-from dasim.meshes import Part
-from dasim.photographs import mask
+from dasim.materials.photographs import mask
 from dasim.render.plugin import transform
-from dasim.scene import Scene
+from dasim.scene import shapes
+from dasim.scene import specification as scenes
+from dasim.scene.meshes import Part
+from dasim.scene.specification import Scene
 
 _UP = np.diag([1.0, -1.0, -1.0, 1.0])  # Mitsuba's flat shapes face +z with v up; ours face -z with v down
 

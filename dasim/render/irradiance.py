@@ -17,10 +17,10 @@ from typing import Any
 
 import numpy as np
 
-from dasim import spectra
 from dasim.render.plugin import tensor
 from dasim.render.sobol import Sobol
-from dasim.spectra import FloatArray
+from dasim.spectra import grid
+from dasim.spectra.grid import FloatArray
 
 STRIDE_PX = 3.0
 AGREEMENT = 0.15  # of the irradiance at a cell's corners
@@ -64,15 +64,15 @@ class Field:
         known &= (dr.abs(vergence * si.p.z - 1) < SAME_DEPTH) & (dr.dot(facing, mi.Vector3f(*normal)) > SAME_NORMAL)
         result = mi.Spectrum(0.0)
         for k in range(4):
-            at = (si.wavelengths[k] - float(spectra.WAVELENGTH_NM[0])) / _SPAN_NM
+            at = (si.wavelengths[k] - float(grid.WAVELENGTH_NM[0])) / _SPAN_NM
             ratio = self.ratio.eval(mi.Point3f(place.x, place.y, (at * (NODES - 1) + 0.5) / NODES), known)[0]
             lit = self.spectrum.eval(mi.Point1f((at * (_GRID - 1) + 0.5) / _GRID), known)[0]
             result[k] = ratio * lit
         return result, known
 
 
-_GRID = len(spectra.WAVELENGTH_NM)
-_SPAN_NM = float(spectra.WAVELENGTH_NM[-1] - spectra.WAVELENGTH_NM[0])
+_GRID = len(grid.WAVELENGTH_NM)
+_SPAN_NM = float(grid.WAVELENGTH_NM[-1] - grid.WAVELENGTH_NM[0])
 
 
 def lambertian(bsdf: Any) -> Any:
@@ -117,7 +117,7 @@ def field(
     directions = int(np.clip(DIRECTIONS_PER_SAMPLE * spp, FEWEST_DIRECTIONS, MOST_DIRECTIONS))
     directions = 1 << int(np.log2(directions))
     floor = np.maximum(spectrum, 1e-3 * spectrum.mean())
-    lit = np.interp(_nodes_nm(), spectra.WAVELENGTH_NM, floor)
+    lit = np.interp(_nodes_nm(), grid.WAVELENGTH_NM, floor)
     count = rows * columns
     received = np.zeros((count, NODES))
     met = np.zeros((count, 5))
@@ -152,7 +152,7 @@ def field(
 
 
 def _nodes_nm() -> FloatArray:
-    return np.linspace(spectra.WAVELENGTH_NM[0], spectra.WAVELENGTH_NM[-1], NODES)
+    return np.linspace(grid.WAVELENGTH_NM[0], grid.WAVELENGTH_NM[-1], NODES)
 
 
 def _towards_camera(si: Any) -> Any:
@@ -180,7 +180,7 @@ def _traced(
     wavelengths = mi.Spectrum(0.0)
     step = _SPAN_NM / (NODES - 1)
     for k in range(4):
-        wavelengths[k] = float(spectra.WAVELENGTH_NM[0]) + mi.Float(group + k * groups) * step
+        wavelengths[k] = float(grid.WAVELENGTH_NM[0]) + mi.Float(group + k * groups) * step
     ray = mi.RayDifferential3f(mi.Ray3f(mi.Point3f(0.0), dr.normalize(mi.Vector3f(slope.x, slope.y, 1.0))))
     ray.wavelengths = wavelengths
     si = scene.ray_intersect(ray, ray_flags=mi.RayFlags.All, coherent=True)

@@ -12,9 +12,9 @@ from typing import Any
 
 import numpy as np
 
+from dasim.materials.surfaces import Diffuse, Image, Mixture, Surface, leaves
 from dasim.render.plugin import tensor
-from dasim.spectra import WAVELENGTH_NM
-from dasim.surfaces import Diffuse, Image, Mixture, Surface, leaves
+from dasim.spectra.grid import WAVELENGTH_NM
 
 # The nearest node is looked up, which is twice as fast as a line between two: off by at most an eighth of a nanometre,
 # to either side alike, so that a drawn wavelength's error is none on the mean.

@@ -14,15 +14,15 @@ from typing import Any
 
 import numpy as np
 
-from dasim import camera as cameras
-from dasim import spectra
-from dasim.aperture import Stop
-from dasim.camera import Camera
+from dasim.camera import specification as cameras
+from dasim.camera.specification import Camera
+from dasim.camera.stops import Stop
 from dasim.render import irradiance, pupil, stock, transport, wave
 from dasim.render.irradiance import Field
 from dasim.render.plugin import tensor
 from dasim.render.sobol import Sobol
-from dasim.spectra import FloatArray
+from dasim.spectra import grid
+from dasim.spectra.grid import FloatArray
 
 Progress = Callable[[float], None]
 
@@ -136,8 +136,8 @@ def draw_density(whole: FloatArray, response: FloatArray, light: FloatArray | No
     A channel that a stop barely reaches gets few samples there, because it needs few. ``light`` is a spectrum on the
     grid, an even one if None.
     """
-    light = np.ones_like(spectra.WAVELENGTH_NM) if light is None else light
-    total = spectra.integrate(whole * light)
+    light = np.ones_like(grid.WAVELENGTH_NM) if light is None else light
+    total = grid.integrate(whole * light)
     share = response / np.where(total > 0, total, 1.0)[:, None]
     density = np.sum(share * light, axis=0)
     # What the lights' own spectrum hardly has may still come from another source.
@@ -153,20 +153,20 @@ def _draw_table(camera: Camera, response: FloatArray, light: FloatArray, density
     Columns are the wavelength, its focus vergence, response / density of each channel, and the light's spectrum. The
     mean of response x light is its integral, so that an even surface is exact.
     """
-    fine = np.linspace(spectra.WAVELENGTH_NM[0], spectra.WAVELENGTH_NM[-1], 20_001)
+    fine = np.linspace(grid.WAVELENGTH_NM[0], grid.WAVELENGTH_NM[-1], 20_001)
     step = fine[1] - fine[0]
-    pdf = np.interp(fine, spectra.WAVELENGTH_NM, density)
+    pdf = np.interp(fine, grid.WAVELENGTH_NM, density)
     cdf = np.concatenate([[0.0], np.cumsum((pdf[1:] + pdf[:-1]) / 2 * step)])
     total = cdf[-1]
     nodes = (np.arange(DRAW_NODES) + 0.5) / DRAW_NODES
     wavelength = np.interp(nodes, cdf / total, fine)
-    at = np.interp(wavelength, spectra.WAVELENGTH_NM, density)
-    lit = np.interp(wavelength, spectra.WAVELENGTH_NM, light)
-    columns = [wavelength, np.interp(wavelength, spectra.WAVELENGTH_NM, cameras.focus_vergence(camera))]
+    at = np.interp(wavelength, grid.WAVELENGTH_NM, density)
+    lit = np.interp(wavelength, grid.WAVELENGTH_NM, light)
+    columns = [wavelength, np.interp(wavelength, grid.WAVELENGTH_NM, cameras.focus_vergence(camera))]
     for row in response:
-        ratio = np.interp(wavelength, spectra.WAVELENGTH_NM, row) * total / at
+        ratio = np.interp(wavelength, grid.WAVELENGTH_NM, row) * total / at
         mean = (ratio * lit).mean()
-        columns.append(ratio * (spectra.integrate(row * light) / mean if mean > 0 else 0.0))
+        columns.append(ratio * (grid.integrate(row * light) / mean if mean > 0 else 0.0))
     return np.stack([*columns, lit], axis=-1)
 
 
@@ -192,8 +192,8 @@ def _ray_loop(
     radius_m = dr.opaque(mi.Float, cameras.aperture_m(camera) / 2)
     per_vergence = 2 * radius_m * px_per_m  # pixels of visible blur
     vergence = dr.opaque(mi.Float, 1.0 / camera.lens.focus_distance_m)
-    light = np.ones_like(spectra.WAVELENGTH_NM) if field is None else field.light
-    mean_signal = spectra.integrate(response * light)
+    light = np.ones_like(grid.WAVELENGTH_NM) if field is None else field.light
+    mean_signal = grid.integrate(response * light)
     rate = np.zeros((height, width, len(response)))
     if mean_signal.max() <= 0:
         return rate

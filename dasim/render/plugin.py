@@ -6,17 +6,17 @@ from typing import Any
 
 import numpy as np
 
-from dasim import spectra
+from dasim.spectra import grid
 
 
-def spectrum_dict(values: spectra.FloatArray) -> dict[str, Any]:
+def spectrum_dict(values: grid.FloatArray) -> dict[str, Any]:
     """A spectral curve on the wavelength grid."""
     if not np.any(values):  # a table without any light in it is refused
         return {"type": "uniform", "value": 0.0}
     return {
         "type": "regular",
-        "wavelength_min": float(spectra.WAVELENGTH_NM[0]),
-        "wavelength_max": float(spectra.WAVELENGTH_NM[-1]),
+        "wavelength_min": float(grid.WAVELENGTH_NM[0]),
+        "wavelength_max": float(grid.WAVELENGTH_NM[-1]),
         "values": ",".join(f"{value:.9g}" for value in values),
     }
 

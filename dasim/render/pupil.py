@@ -7,15 +7,15 @@ from typing import Any
 
 import numpy as np
 
-from dasim import aperture
-from dasim.aperture import Mask, Polygon, Stop
+from dasim.camera import stops
+from dasim.camera.stops import Mask, Polygon, Stop
 
 Draw = Callable[[Any], Any]  # two uniform numbers -> a place, in ratios of the lens's radius
 
 
 def drawer(stop: Stop) -> Draw:
     """How to turn two uniform numbers into a place on the stop, evenly over what it lets through."""
-    ring = aperture.ring(stop)
+    ring = stops.ring(stop)
     if ring is not None:
         return _on_ring(ring)
     if isinstance(stop, Polygon):
@@ -24,7 +24,7 @@ def drawer(stop: Stop) -> Draw:
     return _on_cells(stop)
 
 
-def _on_ring(ring: aperture.Ring) -> Draw:
+def _on_ring(ring: stops.Ring) -> Draw:
     import drjit as dr
     import mitsuba as mi
 
@@ -44,8 +44,8 @@ def _on_triangles(stop: Polygon) -> Draw:
     import drjit as dr
     import mitsuba as mi
 
-    corners = aperture.triangles(stop.corners_ratio)
-    choice = mi.DiscreteDistribution(aperture.triangle_areas(corners).astype(np.float32))
+    corners = stops.triangles(stop.corners_ratio)
+    choice = mi.DiscreteDistribution(stops.triangle_areas(corners).astype(np.float32))
     table = mi.Float(corners.astype(np.float32).ravel())
 
     def draw(sample: Any) -> Any:

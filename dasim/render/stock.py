@@ -10,15 +10,16 @@ from typing import Any
 
 import numpy as np
 
-from dasim import aperture, illuminants, pointspread
-from dasim import camera as cameras
-from dasim.aperture import Stop
-from dasim.camera import Camera
-from dasim.errors import InputError
+from dasim.base.errors import InputError
+from dasim.camera import pointspread, stops
+from dasim.camera import specification as cameras
+from dasim.camera.specification import Camera
+from dasim.camera.stops import Stop
 from dasim.render import truth
 from dasim.render.plugin import spectrum_dict
 from dasim.render.translate import MAX_PATH_DEPTH
-from dasim.spectra import FloatArray
+from dasim.spectra import illuminants
+from dasim.spectra.grid import FloatArray
 
 RAYS = 1 << 22  # a block: some seconds between two steps of the progress bar, or a Ctrl-C
 PINHOLE_RATIO = 1e-4  # of the lens radius: the plugin needs a lens that is not a point
@@ -26,7 +27,7 @@ PINHOLE_RATIO = 1e-4  # of the lens radius: the plugin needs a lens that is not 
 
 def check(camera: Camera) -> None:
     """InputError where the camera is more than centred discs before a lens without axial colour."""
-    found = [f"stop '{stop.name}' is no centred disc" for stop in camera.stops if not aperture.is_plain_disc(stop)]
+    found = [f"stop '{stop.name}' is no centred disc" for stop in camera.stops if not stops.is_plain_disc(stop)]
     if camera.lens.focal_shift_um:
         found.append("lens.focal_shift_um is set")
     if found:
@@ -40,7 +41,7 @@ def stop_pass(
     scene: Any, camera: Camera, stop: Stop, spp: int, seeds: Callable[[int], int], progress: Callable[[float], None]
 ) -> FloatArray:
     """Mean electrons a second through a centred disc on the axis of every pixel, [h, w, channel]."""
-    assert isinstance(stop, aperture.Disc)
+    assert isinstance(stop, stops.Disc)
     radius_m = stop.radius_ratio * cameras.aperture_m(camera) / 2
     return _render(scene, camera, radius_m, cameras.stop_response(camera, stop), spp, seeds, progress)
 
@@ -118,7 +119,7 @@ def in_focus_diffraction(rate: FloatArray, camera: Camera, stop: Stop, illuminan
     from scipy import fft
 
     weights = cameras.stop_response(camera, stop) * illuminants.illuminant(illuminant)
-    f_number = pointspread.working_f_number(camera, aperture.reach(stop))
+    f_number = pointspread.working_f_number(camera, stops.reach(stop))
     height, width = rate.shape[:2]
     # The cosine transform of a frame that is mirrored at its edges has frequencies k / (2 n) cycles a pixel.
     frequency = np.hypot(np.arange(height)[:, None] / (2 * height), np.arange(width)[None, :] / (2 * width))

@@ -8,16 +8,17 @@ from __future__ import annotations
 
 from typing import Any
 
-from dasim import camera as cameras
-from dasim import scene as scenes
-from dasim.camera import Camera
-from dasim.foreign import MitsubaScene
-from dasim.render import backend, foreign, truth
+from dasim.camera import specification as cameras
+from dasim.camera.specification import Camera
+from dasim.render import backend, truth
 from dasim.render.emitters import emitters
-from dasim.render.foreign import World
+from dasim.render.foreign import scene as foreign
+from dasim.render.foreign.scene import World
 from dasim.render.geometry import shape
 from dasim.render.reflection import surface_bsdf
-from dasim.scene import Scene
+from dasim.scene import specification as scenes
+from dasim.scene.loading import MitsubaScene
+from dasim.scene.specification import Scene
 
 MAX_PATH_DEPTH = 6  # lens to light: four bounces after the first surface
 

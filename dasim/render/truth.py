@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from dasim import camera as cameras
-from dasim.camera import Camera
+from dasim.camera import specification as cameras
+from dasim.camera.specification import Camera
 
 FloatArray = NDArray[np.float64]
 BLUR_JUMP_PX = 0.5  # neighbours whose visible blur differs by more are a depth discontinuity

@@ -25,13 +25,14 @@ import numpy as np
 from scipy import ndimage, signal
 from scipy.special import j1
 
-from dasim import aperture, pointspread, spectra
-from dasim import camera as cameras
-from dasim.aperture import Stop
-from dasim.camera import Camera
+from dasim.camera import pointspread, stops
+from dasim.camera import specification as cameras
+from dasim.camera.specification import Camera
+from dasim.camera.stops import Stop
 from dasim.render import pupil
 from dasim.render.plugin import tensor
-from dasim.spectra import FloatArray
+from dasim.spectra import grid as spectra
+from dasim.spectra.grid import FloatArray
 
 OFFSET_NODES = 1 << 15  # inverse CDF of delta
 TAIL_RINGS = 40.0  # delta is drawn up to this many lambda N; 0.5 % of an Airy pattern lies beyond
@@ -81,7 +82,7 @@ def _weigher(camera_json: str, stop: Stop, density_bytes: bytes, max_blur_px: fl
     total = sum(weight for _, weight in bands)
     bands = [(nm, weight / total) for nm, weight in bands]
     shortest_nm = float(spectra.WAVELENGTH_NM[np.argmax(density > 0)])
-    if aperture.ring(stop) is not None:
+    if stops.ring(stop) is not None:
         return radial_blur(camera, stop, bands, shortest_nm, max_blur_px)
     return pattern_blur(camera, stop, bands, shortest_nm, max_blur_px)
 
@@ -243,7 +244,7 @@ def radial_blur(
     import drjit as dr
     import mitsuba as mi
 
-    ring = aperture.ring(stop)
+    ring = stops.ring(stop)
     assert ring is not None
     inner = ring.inner / ring.outer
     px_per_nm = pointspread.working_f_number(camera, ring.outer) * 1e-3 / camera.sensor.pixel_pitch_um
@@ -409,8 +410,8 @@ def pattern_blur(
 
     px_per_nm = pointspread.working_f_number(camera, 1.0) * 1e-3 / camera.sensor.pixel_pitch_um
     longest_px, shortest_px = max(nm for nm, _ in bands) * px_per_nm, shortest_nm * px_per_nm
-    rings = PATTERN_TAIL / aperture.open_area(stop) ** 0.5  # in lambda N of the whole lens
-    half = aperture.reach(stop) * max_blur_px / 2 + rings * longest_px
+    rings = PATTERN_TAIL / stops.open_area(stop) ** 0.5  # in lambda N of the whole lens
+    half = stops.reach(stop) * max_blur_px / 2 + rings * longest_px
 
     blurs = np.arange(0.0, max_blur_px + 2 * PATTERN_BLUR_STEP_PX, PATTERN_BLUR_STEP_PX)
     step = max(PATTERN_DENSITY_STEP_PX, 2 * half * (len(blurs) / MOST_NODES) ** 0.5)
@@ -432,7 +433,7 @@ def pattern_blur(
     wave = np.empty((len(waves), wave_count, wave_count), np.float32)
     for row, w in zip(wave, waves, strict=True):
         # As in the tables of rings, what lies farther out is put inside.
-        inside = np.abs(scaled) <= 4 * w * aperture.reach(stop) + rings
+        inside = np.abs(scaled) <= 4 * w * stops.reach(stop) + rings
         pattern = pointspread.pupil_pattern(stop, w, scaled, scaled) * (inside[:, None] & inside)
         row[:] = pattern / (pattern.sum() * wave_step**2)
     return PatternBlur(
@@ -453,7 +454,7 @@ def pattern_blur(
 
 def _spread(focus: FloatArray, stop: Stop, blur_px: float, step_px: float) -> FloatArray:
     """The in-focus pattern convolved with the geometric blur, on the same grid, of unit integral as a density."""
-    transmitted, place = aperture.pupil(stop)
+    transmitted, place = stops.pupil(stop)
     reach = int(np.ceil(blur_px / 2 / step_px)) + 2
     at = -place * blur_px / 2 / step_px + reach  # in cells of a small grid around the middle
     low = np.floor(at).astype(int)

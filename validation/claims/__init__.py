@@ -1,1 +1,1 @@
-"""The claims, a module a topic; :mod:`validation.claim_table` lists them all."""
+"""The claims, a module a topic; :mod:`validation.claims.table` lists them all."""

@@ -3,7 +3,7 @@
 Both for the samples of a mosaic's planes (by default green and infrared, the pair that sec. 5 compares), a natural
 texture that both show, and the sensor's noise. With m_i = 1 / n_i, s_i = g_i H_i, a = sum m |s|^2 and q = 1 / (1 + p a)
 the covariance p s s^H + diag(n) has its inverse in closed form (Sherman and Morrison), and with u = ds/dtheta,
-b_u = s^H m u and g_uv = u^H m v the Fisher information of :mod:`validation.bounds` at one frequency is
+b_u = s^H m u and g_uv = u^H m v the Fisher information of :mod:`dasim.bounds.cramer_rao` at one frequency is
 
     I_uv = p^2 Re[b_u b_v q^2 + a q (g_uv - p conj(b_u) b_v q)].
 
@@ -22,16 +22,17 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from dasim import aperture, spectra
-from dasim import camera as cameras
-from dasim.aperture import Stop
-from dasim.camera import Camera
-from dasim.errors import InputError
+from dasim.base.errors import InputError
+from dasim.bounds import cramer_rao, pupils
+from dasim.camera import specification as cameras
+from dasim.camera import stops
+from dasim.camera.specification import Camera
+from dasim.camera.stops import Stop
+from dasim.spectra import grid
 from dasim.values import Capture
-from recon import mosaic
-from validation import bounds, strips
-from validation.claims.balance import CONTRAST, MEAN_SHARE, white_electrons
-from validation.studies import pupils
+from recon.picture import mosaic
+from validation.claims.light.balance import CONTRAST, MEAN_SHARE, white_electrons
+from validation.subjects import strips
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -57,7 +58,7 @@ class Sight:
     @property
     def times(self) -> FloatArray:
         """How often each frequency of the half-plane stands in the patch that is looked at, [w/2 + 1]."""
-        return bounds.multiplicity(SHAPE[1]) * self.area
+        return cramer_rao.multiplicity(SHAPE[1]) * self.area
 
 
 def sight(camera: Camera, light: str, level_lux: float, planes: tuple[str, ...] = PLANES) -> Sight:
@@ -73,8 +74,8 @@ def sight(camera: Camera, light: str, level_lux: float, planes: tuple[str, ...] 
         dark = [name for name, value in zip(planes, mean, strict=True) if value <= 0]
         raise InputError(f"camera '{camera.name}': no light of {light} reaches {', '.join(dark)}")
     capture = Capture(np.zeros((1, 1), np.uint16), camera, time_s, 1.0, 0)
-    power = bounds.natural_power(SHAPE, spacing_px=SPACING_PX, contrast=CONTRAST * mean[0])
-    area = bounds.window_area_px(strips.WINDOW_PX) / (SHAPE[0] * SHAPE[1] * SPACING_PX**2)
+    power = cramer_rao.natural_power(SHAPE, spacing_px=SPACING_PX, contrast=CONTRAST * mean[0])
+    area = cramer_rao.window_area_px(strips.WINDOW_PX) / (SHAPE[0] * SHAPE[1] * SPACING_PX**2)
     return Sight(power, np.asarray(mosaic.noise_variance(mean, capture), np.float64), mean / mean[0], area)
 
 
@@ -84,7 +85,7 @@ def blur_variance(
     """Least variance of the visible blur in px^2, [blur], and the gradients of its inverse by transfer and slope.
 
     ``transfer`` and ``slope`` [blur, plane, h, w/2 + 1]; each gradient G gives d(1 / variance) = Re sum conj(G) d.
-    As :func:`validation.bounds.blur_deviation`, by the closed form above.
+    As :func:`dasim.bounds.cramer_rao.blur_deviation`, by the closed form above.
     """
     gain, m, p = seen.gain[:, None, None], 1 / seen.noise[:, None, None], seen.power
     s, moved = gain * transfer, gain * slope
@@ -148,7 +149,7 @@ def _reduced(found: FloatArray, texture: Texture) -> tuple[FloatArray, FloatArra
         strength = -np.einsum("pbr,pb->br", ratio, weights)
         along[1] = (strength @ rings).reshape(found.shape[2:])
     told = np.einsum("ibyx,ijbyx,jbyx->b", along, found, along)
-    return np.where(told > bounds.NOTHING * np.maximum(whole, np.finfo(float).tiny), told, 0.0), along
+    return np.where(told > cramer_rao.NOTHING * np.maximum(whole, np.finfo(float).tiny), told, 0.0), along
 
 
 def _direction(total: FloatArray, rest: range) -> FloatArray:
@@ -160,7 +161,7 @@ def _direction(total: FloatArray, rest: range) -> FloatArray:
 
 def _rings() -> FloatArray:
     """Which frequencies of the half-plane lie in which ring, [ring, h w], without the mean."""
-    fy, fx = bounds.frequencies(SHAPE, 1.0)
+    fy, fx = cramer_rao.frequencies(SHAPE, 1.0)
     ring = np.rint(np.hypot(fy, fx) * max(SHAPE)).astype(int).ravel()
     return (ring == np.arange(1, ring.max() + 1)[:, None]).astype(np.float64)
 
@@ -229,14 +230,12 @@ def dioptre_px(camera: Camera) -> float:
 
 def infrared_stop(camera: Camera) -> Stop:
     """The stop that a mask would replace: of those that pass 730 nm, the one with the smallest area."""
-    found = [
-        stop for stop in camera.stops if np.interp(730.0, spectra.WAVELENGTH_NM, aperture.transmittance(stop)) > 0.5
-    ]
+    found = [stop for stop in camera.stops if np.interp(730.0, grid.WAVELENGTH_NM, stops.transmittance(stop)) > 0.5]
     if not found:
         raise InputError(
             f"camera '{camera.name}' has no stop that passes 730 nm; there is no infrared aperture to shape"
         )
-    return min(found, key=aperture.open_area)
+    return min(found, key=stops.open_area)
 
 
 def blurs_between(camera: Camera, near_m: float, far_m: float, count: int) -> FloatArray:
@@ -267,9 +266,9 @@ def bench(
     """A bench for masks of ``cells`` across whose open area is ``budget`` of the lens's."""
     blurs = np.atleast_1d(np.asarray(blur_px, np.float64))
     stop = infrared_stop(camera)
-    holed = with_stop(camera, aperture.Disc(name=stop.name, radius_ratio=float(np.sqrt(budget)),
+    holed = with_stop(camera, stops.Disc(name=stop.name, radius_ratio=float(np.sqrt(budget)),
                                             passes_nm=stop.passes_nm, edge_width_nm=stop.edge_width_nm))  # fmt: skip
-    both = np.concatenate([blurs - bounds.SLOPE_STEP_PX, blurs + bounds.SLOPE_STEP_PX])
+    both = np.concatenate([blurs - cramer_rao.SLOPE_STEP_PX, blurs + cramer_rao.SLOPE_STEP_PX])
     made = pupils.pupil(camera, stop, light, both, cells, SHAPE, spacing_px=SPACING_PX, fine_cells=fine_cells)
     others = [one for one in camera.stops if one.name != stop.name]
     own = made.electrons * budget
@@ -317,7 +316,7 @@ def value_and_gradient(at: Bench, amplitude: FloatArray) -> tuple[float, FloatAr
         square, by_transfer = sharp_error(transfer, at.seen, at.coherence)
         by_transfer = by_transfer / (2 * square.sum())
         by_slope = np.zeros_like(by_transfer)
-    step = 1 / (2 * bounds.SLOPE_STEP_PX)
+    step = 1 / (2 * cramer_rao.SLOPE_STEP_PX)
     wanted = np.concatenate([by_transfer / 2 - step * by_slope, by_transfer / 2 + step * by_slope])
     full = np.zeros((len(wanted), len(at.made.electrons), *wanted.shape[2:]), complex)
     full[:, at.planes] = wanted * at.share[:, None, None]
@@ -328,4 +327,4 @@ def _planes(at: Bench, amplitude: FloatArray) -> tuple[ComplexArray, ComplexArra
     """H and dH/dc of the planes with a mask in the stop, [blur, plane, h, w/2 + 1]."""
     own = pupils.transfers(at.made, amplitude)[:, at.planes]
     below, above = np.split(at.others + at.share[:, None, None] * own, 2, axis=0)
-    return (below + above) / 2, (above - below) / (2 * bounds.SLOPE_STEP_PX)
+    return (below + above) / 2, (above - below) / (2 * cramer_rao.SLOPE_STEP_PX)

@@ -1,0 +1,114 @@
+"""Specifications: frozen values read from TOML, checked once, every problem named by its key."""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+from typing import Any, TypeVar
+
+from pydantic import BaseModel, ConfigDict, ValidationError, ValidationInfo
+
+from dasim.base.errors import InputError
+
+
+class Specification(BaseModel):
+    """A frozen value that refuses unknown keys, NaN and infinity."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+Model = TypeVar("Model", bound=BaseModel)
+
+
+def bundled_or_file(name_or_path: str | Path, folder: Path, kind: str) -> Path:
+    """Path of a bundled TOML file by its name, or of the user's own; InputError where there is neither."""
+    path = Path(name_or_path)
+    bundled = folder / f"{name_or_path}.toml"
+    if path.parent == Path(".") and bundled.is_file():
+        return bundled
+    if path.is_file():
+        return path
+    names = ", ".join(sorted(p.stem for p in folder.glob("*.toml")))
+    raise InputError(f"{kind} '{name_or_path}' is neither a bundled name ({names}) nor a file")
+
+
+def parse_toml(model: type[Model], path: Path) -> Model:
+    """Read a TOML file into a specification; every problem in one InputError, each with its key.
+
+    Files that it names are looked for beside it.
+    """
+    try:
+        data = tomllib.loads(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: cannot be read ({error})") from None
+    except tomllib.TOMLDecodeError as error:
+        raise InputError(f"{path}: not valid TOML ({error})") from None
+    return parse(model, data, str(path), folder=path.parent)
+
+
+def parse(model: type[Model], data: Any, where: str, folder: Path = Path(".")) -> Model:
+    """Validate plain data into a specification; every problem in one InputError, each with its key."""
+    try:
+        return model.model_validate(data, context={"folder": folder})
+    except ValidationError as error:
+        raise InputError(f"{where}: " + "; ".join(_problem(item, data) for item in _own(error.errors()))) from None
+
+
+def _own(problems: list[Any]) -> list[Any]:
+    """Without complaints of a whole that only follow from those of its parts: a list whose one entry is wrong."""
+    places = [item["loc"] for item in problems]
+
+    def follows(item: Any) -> bool:
+        inner = any(len(place) > len(item["loc"]) and place[: len(item["loc"])] == item["loc"] for place in places)
+        return item["type"] == "too_short" and inner
+
+    return [item for item in problems if not follows(item)]
+
+
+def named_file(data: dict[str, Any], info: ValidationInfo) -> Path:
+    """Path of the file that ``data["file"]`` names, relative to the specification's own folder."""
+    name = data["file"]
+    if not isinstance(name, str) or not name:
+        raise ValueError("file must be the name of a file")
+    path = Path((info.context or {}).get("folder", ".")) / name
+    if not path.is_file():
+        raise ValueError(f"file {path}: no such file")
+    return path
+
+
+def _problem(item: Any, data: Any) -> str:
+    location = item["loc"]
+    if item["type"] == "value_error" and isinstance(item.get("input"), dict):
+        location = (*location, "")  # of a whole: a kind at the end is no key
+    key = _key(location, data)
+    message = item["msg"].removeprefix("Value error, ")
+    if item["type"] == "extra_forbidden":
+        return f"{key}: unknown key"
+    if item["type"] == "missing":
+        return f"{key}: is missing"
+    shown = item.get("input")
+    is_now = f" (is {shown!r})" if isinstance(shown, (str, int, float)) else ""
+    return (f"{key}: {message}" if key else message) + is_now
+
+
+def _key(location: tuple[int | str, ...], data: Any) -> str:
+    """Path of a problem as the user wrote it: without the kinds that pydantic puts in (stops.1.disc.radius_ratio)."""
+    parts: list[str] = []
+    kind_seen = False
+    for place, part in enumerate(location):
+        inside = isinstance(data, dict)
+        # The kind of a shape or light follows its place once, and may be called as one of its keys (mask).
+        if inside and not kind_seen and part in (data.get("shape"), data.get("kind")):
+            kind_seen = True
+            continue
+        if inside and part not in data and place < len(location) - 1:
+            continue
+        if part == "":
+            break
+        parts.append(str(part))
+        kind_seen = False
+        try:
+            data = data[part] if inside or isinstance(data, (list, tuple)) else None
+        except (KeyError, IndexError, TypeError):
+            data = None
+    return ".".join(parts)

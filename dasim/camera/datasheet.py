@@ -1,0 +1,149 @@
+"""The data sheet of a sensor by EMVA 1288 (release 4.0), translated into the fields of ``camera.Sensor``.
+
+A camera's TOML file takes it as a table ``[sensor.emva1288]`` beside the geometry, the converter and the mosaic.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+from scipy.optimize import brentq
+from scipy.special import ndtr
+
+from dasim.spectra import grid
+
+Curve = tuple[tuple[float, ...], tuple[float, ...]]
+
+# What the fields of Sensor are where a camera's file gives neither spelling.
+DEFAULT_PRNU = 0.01
+DEFAULT_DARK_DOUBLING_K = 7.0
+
+# The variance's peak is looked for from this share of the full well to the full well.
+_LOWEST_PEAK = 0.05
+_PEAK_POINTS = 2001
+
+
+class DataSheet(BaseModel):
+    """Figures of an EMVA 1288 data sheet in the sheet's units, and the field of ``Sensor`` that each becomes.
+
+    | figure | becomes |
+    |---|---|
+    | overall system gain K | ``dn_per_e``; without it the full well sits at the converter's full scale |
+    | temporal dark noise sigma_d | ``read_noise_e``: both are of no exposure time and without rounding |
+    | saturation capacity mu_e.sat | ``full_well_e``, by :func:`full_well_of_capacity_e` |
+    | DSNU1288, PRNU1288 | ``dsnu_e``, ``prnu``, taken as white patterns |
+    | dark current mu_I, at ``dark_current_temperature_c`` | ``dark_current_e_s``, carried to 25 C |
+    | doubling temperature T_d | ``dark_doubling_k`` |
+    | quantum efficiency of green, at ``wavelength_nm`` or its peak | ``quantum_efficiency_scale``, for all curves |
+
+    The curves are the table ``quantum_efficiency`` where the camera's file has one: then they count relative to each
+    other, and the sheet says how high they are.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    overall_system_gain_dn_per_e: float | None = Field(default=None, gt=0)
+    temporal_dark_noise_e: float | None = Field(default=None, ge=0)
+    saturation_capacity_e: float | None = Field(default=None, gt=0, le=1e8)
+    dsnu1288_e: float | None = Field(default=None, ge=0)
+    prnu1288_percent: float | None = Field(default=None, ge=0, le=50)
+    dark_current_e_s: float | None = Field(default=None, ge=0)
+    dark_current_temperature_c: float | None = Field(default=None, ge=-100, le=150, description="25 by default")
+    doubling_temperature_k: float | None = Field(default=None, ge=1, le=100)
+    quantum_efficiency_percent: float | None = Field(default=None, gt=0, le=100)
+    wavelength_nm: float | None = Field(default=None, ge=float(grid.WAVELENGTH_NM[0]), le=float(grid.WAVELENGTH_NM[-1]))
+
+    @model_validator(mode="after")
+    def _conditions_have_their_figure(self) -> DataSheet:
+        for condition, figure in (
+            ("dark_current_temperature_c", "dark_current_e_s"),
+            ("wavelength_nm", "quantum_efficiency_percent"),
+        ):
+            if getattr(self, condition) is not None and getattr(self, figure) is None:
+                raise ValueError(f"{condition} says nothing without {figure}")
+        return self
+
+
+class _Table(BaseModel):
+    """Gives the errors of the data sheet their path."""
+
+    emva1288: DataSheet
+
+
+# The sheet's figure and the field of Sensor that says the same.
+_FIELD = {
+    "overall_system_gain_dn_per_e": "dn_per_e",
+    "temporal_dark_noise_e": "read_noise_e",
+    "saturation_capacity_e": "full_well_e",
+    "dsnu1288_e": "dsnu_e",
+    "prnu1288_percent": "prnu",
+    "dark_current_e_s": "dark_current_e_s",
+    "doubling_temperature_k": "dark_doubling_k",
+    "quantum_efficiency_percent": "quantum_efficiency_scale",
+}
+
+
+def translated(data: dict[str, Any], green: Curve | None = None) -> dict[str, Any]:
+    """Plain data of a sensor with its table ``emva1288`` replaced by the fields of ``Sensor``, see `DataSheet`.
+
+    ``green`` is that of the sensor's own response curves, wavelengths in nm and efficiencies, if it has some.
+    Raises ValueError (pydantic's own for single keys) for unknown keys and for a quantity in both spellings.
+    """
+    sheet = _Table(emva1288=data["emva1288"]).emva1288
+    others = {key: value for key, value in data.items() if key != "emva1288"}
+    given = {key: value for key, value in sheet.model_dump().items() if value is not None}
+    both = [f"emva1288.{key} and {_FIELD[key]}" for key in given if _FIELD.get(key) in others]
+    if both:
+        raise ValueError(f"{'; '.join(both)}: one quantity in two spellings, give one of them")
+    fields = {_FIELD[key]: value for key, value in given.items() if key in _FIELD}
+    if "prnu" in fields:
+        fields["prnu"] /= 100
+    if "full_well_e" in fields:
+        prnu = _number(fields | others, "prnu", DEFAULT_PRNU)
+        fields["full_well_e"] = full_well_of_capacity_e(fields["full_well_e"], min(max(prnu, 0.0), 0.5))
+    if sheet.dark_current_temperature_c is not None:
+        doubling_k = max(_number(fields | others, "dark_doubling_k", DEFAULT_DARK_DOUBLING_K), 1.0)
+        fields["dark_current_e_s"] *= 2.0 ** ((25.0 - sheet.dark_current_temperature_c) / doubling_k)
+    if sheet.quantum_efficiency_percent is not None:
+        if green is None and others.get("quantum_efficiency") is not None:
+            raise ValueError("emva1288.quantum_efficiency_percent: the table quantum_efficiency has no column G")
+        bundled = grid.rgb_ir_quantum_efficiency()[grid.CHANNELS.index("G")]
+        nm, curve = green or (tuple(grid.WAVELENGTH_NM), tuple(bundled))
+        ours = max(curve) if sheet.wavelength_nm is None else float(np.interp(sheet.wavelength_nm, nm, curve))
+        if not ours > 0:
+            raise ValueError(f"emva1288.quantum_efficiency_percent: green is 0 at {sheet.wavelength_nm} nm")
+        fields["quantum_efficiency_scale"] = sheet.quantum_efficiency_percent / 100 / float(ours)
+    return others | fields
+
+
+def _number(data: dict[str, Any], key: str, default: float) -> float:
+    """A number of data that is not yet validated; what is no number is refused later, by its own field."""
+    value = data.get(key, default)
+    return float(value) if isinstance(value, (int, float)) and np.isfinite(value) else default
+
+
+def saturation_capacity_e(full_well_e: float, prnu: float) -> float:
+    """EMVA 1288's saturation capacity mu_e.sat of a pixel with a full well: where the temporal variance peaks.
+
+    A pixel of mean m collects Poisson electrons and keeps at most F = ``full_well_e``; its variance is m g(x) with
+    x = (F - m) / sqrt(m) and g the variance of a normal variable cut off above x:
+    g = Phi + x^2 Q - x phi - (x Q - phi)^2, Q = 1 - Phi. The camera's is the mean over pixels of mean m (1 + PRNU z),
+    z normal. It peaks about three standard deviations below F, at 0.956 F for 6,000 electrons and 1 %.
+    (The normal law stands for the Poisson law, for wells of some hundred electrons and more.)
+    """
+    mean_e = np.linspace(_LOWEST_PEAK, 1.0, _PEAK_POINTS) * full_well_e
+    z, weight = np.polynomial.hermite_e.hermegauss(31)
+    pixel_e = np.maximum(mean_e[:, None] * (1.0 + prnu * z), 1e-6)
+    x = (full_well_e - pixel_e) / np.sqrt(pixel_e)
+    density = np.exp(-0.5 * x**2) / np.sqrt(2 * np.pi)
+    below, above = ndtr(x), ndtr(-x)
+    variance = pixel_e * (below + x**2 * above - x * density - (x * above - density) ** 2)
+    return float(mean_e[np.argmax(variance @ weight)])
+
+
+def full_well_of_capacity_e(capacity_e: float, prnu: float) -> float:
+    """Full well whose :func:`saturation_capacity_e` is ``capacity_e``."""
+    largest_e = capacity_e / _LOWEST_PEAK * 1.001
+    return float(brentq(lambda well_e: saturation_capacity_e(well_e, prnu) - capacity_e, capacity_e, largest_e))

@@ -1,0 +1,62 @@
+"""A camera in words and numbers, for people."""
+
+from __future__ import annotations
+
+from dasim.camera import specification as cameras
+from dasim.camera import stops
+from dasim.camera.specification import Camera
+from dasim.spectra import grid
+from dasim.spectra.grid import CHANNELS, FloatArray
+
+
+def described(camera: Camera) -> list[str]:
+    """Lines on the lens, each stop, the sensor and, where it has R, G, B and IR, the coefficients of eq. (8)."""
+    lens, sensor = camera.lens, camera.sensor
+    extras = [f"transmittance {lens.transmittance:g}"] if lens.transmittance != 1 else []
+    extras += ["radial shading"] if lens.shading_per_mm else []
+    extras += ["axial colour"] if lens.focal_shift_um else []
+    lines = [
+        f"lens     {lens.focal_length_mm:g} mm f/{lens.f_number:g}, focused at {lens.focus_distance_m * 100:g} cm"
+        + "".join(f", {extra}" for extra in extras)
+    ]
+    for stop in camera.stops:
+        share = f"{stops.open_area(stop):.1%} of the open area"
+        lines.append(f"stop     {stop.name}: {_shape(stop)}, {share}, passes {_bands(stop)}")
+    rows = " / ".join(" ".join(row) for row in sensor.mosaic)
+    curves = "synthetic curves" if sensor.quantum_efficiency is None else "curves of its own"
+    lines += [
+        f"sensor   {sensor.width_px} x {sensor.height_px} pixels of {sensor.pixel_pitch_um:g} um, mosaic {rows}",
+        f"         {curves}, cut at {sensor.cutoff_nm:g} nm; full well {sensor.full_well_e:g} e-, "
+        f"read noise {sensor.read_noise_e:g} e-, {sensor.adc_bits} bits",
+    ]
+    if set(CHANNELS) <= set(cameras.channels(sensor)):
+        alpha = ", ".join(f"{name} {value:.3f}" for name, value in zip("RGB", crosstalk(camera), strict=True))
+        low, high = grid.NEAR_INFRARED_NM
+        lines.append(f"eq. (8)  near-infrared in {alpha} of that in IR ({low:g}-{high:g} nm, equal photons)")
+    return lines
+
+
+def crosstalk(camera: Camera) -> FloatArray:
+    """Coefficients of eq. (8) for R, G and B, [3], of the response curves behind the sensor's cut-off filter."""
+    sensor = camera.sensor
+    curves = cameras.quantum_efficiency(sensor) * grid.short_pass(sensor.cutoff_nm, sensor.cutoff_width_nm)
+    names = cameras.channels(sensor)
+    return grid.ir_crosstalk(curves[[names.index(name) for name in CHANNELS]])
+
+
+def _shape(stop: stops.Stop) -> str:
+    if isinstance(stop, stops.Polygon):
+        return f"polygon of {len(stop.corners_ratio)} corners"
+    ring = stops.ring(stop)
+    if ring is None:
+        return "mask"
+    size = f"disc of {ring.outer:g}" if ring.inner == 0 else f"annulus from {ring.inner:g} to {ring.outer:g}"
+    x, y = ring.centre
+    return size if (x, y) == (0, 0) else f"{size} centred at ({x:.3g}, {y:.3g})"
+
+
+def _bands(stop: stops.Stop) -> str:
+    if stop.passes_nm == (stops.WHOLE_GRID_NM,):
+        return "all light"
+    bands = " and ".join(f"{low:g}-{high:g}" for low, high in stop.passes_nm)
+    return f"{bands} nm (edges {stop.edge_width_nm:g} nm wide)"

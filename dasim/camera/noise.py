@@ -1,0 +1,136 @@
+"""From mean electrons to raw numbers: mosaic, exposure, noise, analogue-to-digital conversion."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from dasim.base.toml import Specification
+from dasim.camera.specification import Camera, Sensor, mosaic_channels
+
+FloatArray = NDArray[np.float64]
+
+LONGEST_EXPOSURE_S = 3600.0
+_MOST_E = 1e15  # electrons of a pixel's Poisson draw: beyond every full well, within what the generator can draw
+
+# Randomness is keyed by (seed, stage), so that no stage depends on how much another has drawn.
+_STAGES = {"shot": 1, "dark": 2, "read": 3, "dsnu": 4, "prnu": 5}
+
+
+class Exposure(Specification):
+    """Exposure time and analogue gain; a time of None means automatic exposure."""
+
+    time_s: float | None = Field(default=None, gt=0, le=LONGEST_EXPOSURE_S)
+    gain: float = Field(default=1.0, ge=1.0 / 16, le=1024, description="analogue gain, a factor on the sensor's own")
+    auto_percentile: float = Field(default=99.5, gt=0, le=100)
+    auto_level: float = Field(default=0.85, gt=0, le=1, description="share of full scale that the percentile reaches")
+
+
+def auto_exposure_s(rate_e_s: FloatArray, camera: Camera, exposure: Exposure) -> float:
+    """Exposure time that brings the first channel's percentile to its share of full scale.
+
+    ``rate_e_s`` is [h, w, 4] mean electrons a second; each channel is judged at its own pixels of the mosaic,
+    as a camera would. Scenes without light get 1 s.
+    """
+    channels = mosaic_channels(camera)
+    collected = electronic_crosstalk(mosaic(rate_e_s, camera), camera.sensor)
+    brightest = max(
+        float(np.percentile(collected[channels == index], exposure.auto_percentile)) for index in np.unique(channels)
+    )
+    if brightest <= 0:
+        return 1.0
+    return min(exposure.auto_level * saturation_e(camera.sensor, exposure.gain) / brightest, LONGEST_EXPOSURE_S)
+
+
+def full_scale_e(sensor: Sensor, gain: float = 1.0) -> float:
+    """Electrons at the converter's top: at gain 1 the full well, unless ``dn_per_e`` says otherwise."""
+    if sensor.dn_per_e is None:
+        return sensor.full_well_e / gain
+    return (2**sensor.adc_bits - 1 - sensor.black_level_dn) / (sensor.dn_per_e * gain)
+
+
+def saturation_e(sensor: Sensor, gain: float = 1.0) -> float:
+    """Electrons at which a pixel saturates, by its well or by the converter, whichever is full first."""
+    return min(sensor.full_well_e, full_scale_e(sensor, gain))
+
+
+def electrons_per_dn(sensor: Sensor, gain: float = 1.0) -> float:
+    """Electrons one digital number stands for, EMVA 1288's 1 / K."""
+    return full_scale_e(sensor, gain) / (2**sensor.adc_bits - 1 - sensor.black_level_dn)
+
+
+def dark_rate_e_s(sensor: Sensor) -> float:
+    """Dark electrons a second at the sensor's temperature, doubling every ``dark_doubling_k`` from 25 C."""
+    heat: float = 2.0 ** ((sensor.temperature_c - 25.0) / sensor.dark_doubling_k)
+    return sensor.dark_current_e_s * heat
+
+
+def mosaic(image: FloatArray, camera: Camera) -> FloatArray:
+    """Pick each pixel's own channel: [h, w, 4] -> [h, w]."""
+    return np.take_along_axis(image, mosaic_channels(camera)[..., None], axis=-1)[..., 0]
+
+
+def electronic_crosstalk(mean_e: FloatArray, sensor: Sensor) -> FloatArray:
+    """Mean electrons after diffusion between pixels: [h, w] of the mosaic -> [h, w], same sum.
+
+    Each of a pixel's four edge neighbours collects the share c = ``sensor.electronic_crosstalk`` of its electrons:
+    m + c * sum over neighbours of (their m - m). Nothing crosses the frame's border: a pixel there keeps what would
+    leave it, so charge is conserved and a flat field stays flat. Every electron takes its way independently of the
+    others, and a Poisson process so divided, and the sums of such parts, are Poisson processes again, independent
+    from pixel to pixel: applied to the mean before the shot noise, the statistics are exact.
+    """
+    if sensor.electronic_crosstalk == 0:
+        return mean_e
+    spread = mean_e.astype(np.float64)
+    for axis in (0, 1):
+        flow = sensor.electronic_crosstalk * np.diff(mean_e, axis=axis)
+        none = np.zeros_like(np.take(mean_e, [0], axis=axis))
+        spread += np.diff(np.concatenate([none, flow, none], axis=axis), axis=axis)
+    return spread
+
+
+def expose(
+    mean_e: FloatArray,
+    sensor: Sensor,
+    time_s: float,
+    seed: int,
+    *,
+    gain: float = 1.0,
+    frame: int = 0,
+    noise: Literal["on", "off"] = "on",
+) -> tuple[NDArray[np.uint16], int]:
+    """Raw numbers of a frame, and how many of its pixels saturated (EMVA 1288 release 4.0, sec. 2).
+
+    ``mean_e`` is [h, w] photo-electrons of the mosaic. Shot noise is Poisson; dark current doubles every
+    ``dark_doubling_k``; DSNU (electrons) and PRNU (relative) are fixed patterns of the seed, the same in
+    every ``frame``. With noise off the result is the rounded, clipped mean, without dark signal.
+    """
+    if noise == "off":
+        well = np.minimum(mean_e, sensor.full_well_e)
+        return _convert(well, sensor, gain, mean_e >= sensor.full_well_e)
+    height_width = mean_e.shape
+    prnu = 1.0 + sensor.prnu * _generator(seed, "prnu").standard_normal(height_width)
+    dsnu = sensor.dsnu_e * _generator(seed, "dsnu").standard_normal(height_width)
+    dark = np.full(height_width, min(dark_rate_e_s(sensor) * time_s, _MOST_E))
+    electrons = _generator(seed, "shot", frame).poisson(np.clip(mean_e * prnu, 0.0, _MOST_E)).astype(np.float64)
+    electrons += _generator(seed, "dark", frame).poisson(dark)
+    full = electrons >= sensor.full_well_e
+    electrons = np.minimum(electrons, sensor.full_well_e)
+    electrons += dsnu + sensor.read_noise_e * _generator(seed, "read", frame).standard_normal(height_width)
+    return _convert(electrons, sensor, gain, full)
+
+
+def _convert(
+    electrons: FloatArray, sensor: Sensor, gain: float, full: NDArray[np.bool_]
+) -> tuple[NDArray[np.uint16], int]:
+    """Raw numbers, and how many pixels are saturated: their well is full or their number at its top."""
+    top = 2**sensor.adc_bits - 1
+    numbers = np.rint(electrons / electrons_per_dn(sensor, gain)) + sensor.black_level_dn
+    return np.clip(numbers, 0, top).astype(np.uint16), int(np.count_nonzero((numbers >= top) | full))
+
+
+def _generator(seed: int, stage: str, frame: int = 0) -> np.random.Generator:
+    return np.random.Generator(np.random.Philox(np.random.SeedSequence((seed, _STAGES[stage], frame))))

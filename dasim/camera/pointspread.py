@@ -1,0 +1,382 @@
+"""Point-spread functions of the camera: wave optics per stop and wavelength, then the pixel.
+
+A kernel is the sum over the stops, weighted with the spectrum that the channel sees through each, and
+integrated over square pixels. Discs and rings are radial about their own centre: one profile a wavelength.
+Polygons and masks are transformed on a grid. Three models:
+
+``wave``  |FT of the defocused pupil|^2, the true kernel (Goodman, Introduction to Fourier Optics, ch. 6)
+``airy``  the geometric blur convolved with the in-focus pattern, an approximation
+``off``   the geometric blur
+
+A point nearer than the focus throws the pupil upside down: the part of the lens at rho is displaced by
+-rho c / 2, with c the signed visible blur. All of this in the upright picture, x right, y down.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from functools import cache
+from typing import Any, Literal, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import j0, j1, roots_legendre
+
+from dasim.base.errors import InputError
+from dasim.camera import specification as cameras
+from dasim.camera import stops as aperture
+from dasim.camera.specification import Camera
+from dasim.camera.stops import Stop
+from dasim.spectra import grid, illuminants
+
+FloatArray = NDArray[np.float64]
+Diffraction = Literal["wave", "airy", "off"]
+DIFFRACTION_MODELS: tuple[str, ...] = get_args(Diffraction)
+
+BAND_NM = 10.0  # profiles change slowly with wavelength: one each 10 nm
+RADIAL_STEP_PX = 0.05
+SUBPIXELS = 10  # per pixel and axis, for the integral over the pixel
+PUPIL_NODES = 400  # Gauss-Legendre nodes over the pupil's radius: enough for 100 rings and 20 waves
+AIRY_NODES = 800  # more, for mixtures whose transfer functions end one after the other
+MIN_DISC_PX = 0.3  # a geometric disc smaller than this has no effect on a pixel's integral
+
+
+def wave_profile(radius: FloatArray, waves: FloatArray, inner: float = 0.0) -> FloatArray:
+    """Intensity of a defocused disc or ring, [waves, radius], of unit integral over the plane.
+
+    ``radius`` is in units of lambda N (N the working f-number of the outer rim), ``waves`` the defocus W20 there,
+    ``inner`` the ring's inner radius over its outer, e.
+    h = pi/4 |U|^2 / (1 - e^2) with U = 2 int_e^1 exp(2 pi i W20 rho^2) J0(pi radius rho) rho d rho.
+    """
+    rho, weight = _unit_nodes(PUPIL_NODES)
+    rho, weight = inner + (1 - inner) * rho, (1 - inner) * weight
+    pupil = np.exp(2j * np.pi * np.outer(waves, rho**2)) * (2 * rho * weight)
+    bessel = j0(np.pi * np.outer(rho, radius))
+    # two real products instead of a complex one with a real matrix
+    return np.pi / 4 * ((pupil.real @ bessel) ** 2 + (pupil.imag @ bessel) ** 2) / (1 - inner**2)
+
+
+def airy_profile(radius_px: FloatArray, blur_px: FloatArray, scale_px: float, inner: float = 0.0) -> FloatArray:
+    """Geometric blur of a disc or ring convolved with its in-focus pattern, [blur, radius], of unit integral.
+
+    ``blur_px`` are diameters of the outer rim, ``scale_px`` is lambda N in pixels.
+    """
+    return mixed_airy_profile(radius_px, blur_px, [(scale_px, 1.0)], inner)
+
+
+def mixed_airy_profile(
+    radius_px: FloatArray, blur_px: FloatArray, scales: Sequence[tuple[float, float]], inner: float = 0.0
+) -> FloatArray:
+    """The same for light of several wavelengths: ``scales`` are pairs of lambda N in pixels and a share, of sum 1.
+
+    Computed from the product of the two transfer functions, which ends at the diffraction limit of 1 / lambda N
+    cycles a pixel.
+    """
+    nodes, weight = _unit_nodes(AIRY_NODES)
+    end = 1 / min(scale for scale, _ in scales)
+    frequency, weight = nodes * end, weight * end
+    focus = sum(share * ring_mtf(frequency * scale, inner) for scale, share in scales)
+    geometric = _jinc(np.outer(blur_px, frequency)) - inner**2 * _jinc(inner * np.outer(blur_px, frequency))
+    transfer = focus * geometric / (1 - inner**2)
+    return (transfer * (2 * np.pi * frequency * weight)) @ j0(2 * np.pi * np.outer(frequency, radius_px))
+
+
+@cache
+def _unit_nodes(count: int) -> tuple[FloatArray, FloatArray]:
+    """Gauss-Legendre nodes and weights on 0..1."""
+    nodes, weights = roots_legendre(count)
+    return (nodes + 1) / 2, weights / 2
+
+
+def ring_mtf(v: FloatArray, inner: float = 0.0) -> FloatArray:
+    """In-focus incoherent MTF of a disc or ring at v = lambda N f, 0 beyond v = 1: the pupil's own overlap.
+
+    ``inner`` is the inner radius over the outer (O'Neill, J. Opt. Soc. Am. 46, 1956).
+    """
+    shift = 2 * np.clip(v, 0.0, 1.0)
+    overlap = _overlap(1.0, 1.0, shift) - 2 * _overlap(1.0, inner, shift) + _overlap(inner, inner, shift)
+    return overlap / (np.pi * (1 - inner**2))
+
+
+def _overlap(a: float, b: float, distance: FloatArray) -> FloatArray:
+    """Area that two discs of radii a >= b share at a distance of their centres."""
+    if b == 0:
+        return np.zeros_like(distance)
+    d = np.clip(distance, a - b + 1e-12, a + b)
+    angle_a = np.arccos(np.clip((d**2 + a**2 - b**2) / (2 * d * a), -1, 1))
+    angle_b = np.arccos(np.clip((d**2 + b**2 - a**2) / (2 * d * b), -1, 1))
+    return a**2 * (angle_a - np.sin(2 * angle_a) / 2) + b**2 * (angle_b - np.sin(2 * angle_b) / 2)
+
+
+def _jinc(x: FloatArray) -> FloatArray:
+    """Transfer function of a disc, 2 J1(pi x) / (pi x) with x = diameter * frequency."""
+    safe = np.where(np.abs(x) < 1e-9, 1.0, x)
+    return np.where(np.abs(x) < 1e-9, 1.0, 2 * j1(np.pi * safe) / (np.pi * safe))
+
+
+def _geometric_profile(radius_px: FloatArray, blur_px: FloatArray, inner: float) -> FloatArray:
+    """A disc or ring with edges one sub-pixel wide, so that its sampled integral over the plane stays 1."""
+    outer = np.maximum(np.abs(blur_px), MIN_DISC_PX)[:, None] / 2
+    edge = 1.0 / SUBPIXELS
+
+    def inside(half: FloatArray) -> FloatArray:
+        return np.clip((half - radius_px[None, :]) / edge + 0.5, 0.0, 1.0)
+
+    def area(half: FloatArray) -> FloatArray:
+        return np.pi * (half**2 + edge**2 / 12)
+
+    if inner == 0:
+        return inside(outer) / area(outer)
+    return (inside(outer) - inside(inner * outer)) / (area(outer) - area(inner * outer))
+
+
+def working_f_number(camera: Camera, radius_ratio: float) -> float:
+    """N = s / A of a stop, with A its diameter."""
+    return cameras.image_distance_m(camera) / (radius_ratio * cameras.aperture_m(camera))
+
+
+def check_model(diffraction: str) -> None:
+    """InputError where the diffraction model is unknown."""
+    if diffraction not in DIFFRACTION_MODELS:
+        raise InputError(f"diffraction '{diffraction}' is unknown; allowed are {', '.join(DIFFRACTION_MODELS)}")
+
+
+def radial_profiles(
+    camera: Camera,
+    blur_px: FloatArray,
+    spectrum: FloatArray,
+    radius_px: FloatArray,
+    diffraction: str = "wave",
+    stops: Sequence[Stop] | None = None,
+) -> tuple[FloatArray, FloatArray]:
+    """Radial density of the kernels, [..., blur, channel, radius] per square pixel, before the pixel.
+
+    ``blur_px`` are visible blur diameters, ``spectrum`` the spectral power of one light or several on the
+    wavelength grid, [..., wavelength]; ``stops`` are discs and rings about one centre, all of the camera's by
+    default. Each density integrates to 1 over the plane. Also returns the electrons of each channel through these
+    stops, relative, [..., channel].
+    """
+    check_model(diffraction)
+    pitch_m = camera.sensor.pixel_pitch_um * 1e-6
+    colour_px = cameras.chromatic_blur_px(camera)
+    lead = spectrum.shape[:-1]
+    count = len(cameras.channels(camera.sensor))
+    total = np.zeros((*lead, len(blur_px), count, len(radius_px)))
+    signal = np.zeros((*lead, count))
+    for stop in camera.stops if stops is None else stops:
+        ring = aperture.ring(stop)
+        if ring is None:
+            raise ValueError(f"stop '{stop.name}' is not radial")
+        weights = cameras.stop_response(camera, stop) * spectrum[..., None, :]
+        signal += grid.integrate(weights)
+        f_number, inner = working_f_number(camera, ring.outer), ring.inner / ring.outer
+        for wavelength_nm, weight in bands(weights):
+            scale_px = wavelength_nm * 1e-9 * f_number / pitch_m
+            own_blur = ring.outer * (np.asarray(blur_px) + np.interp(wavelength_nm, grid.WAVELENGTH_NM, colour_px))
+            if diffraction == "wave":
+                profile = wave_profile(radius_px / scale_px, own_blur / (8 * scale_px), inner) / scale_px**2
+            elif diffraction == "airy":
+                profile = airy_profile(radius_px, own_blur, scale_px, inner)
+            else:
+                profile = _geometric_profile(radius_px, own_blur, inner)
+            total += weight[..., None, :, None] * profile[:, None, :]
+    return total / np.where(signal > 0, signal, 1.0)[..., None, :, None], signal
+
+
+def bands(weights: FloatArray) -> list[tuple[float, FloatArray]]:
+    """Integrals of [..., wavelength] weights over bands of ``BAND_NM``, each with its mean wavelength."""
+    step = grid.WAVELENGTH_STEP_NM * np.ones_like(grid.WAVELENGTH_NM)
+    step[[0, -1]] /= 2  # the trapezoid rule, so that the bands add up to spectra.integrate
+    index = _band_index()
+    bands = []
+    for band in range(index[-1] + 1):
+        inside = index == band
+        weight = (weights[..., inside] * step[inside]).sum(axis=-1)
+        if weight.max() > 1e-6 * grid.integrate(weights).max():
+            bands.append((float(grid.WAVELENGTH_NM[inside].mean()), weight))
+    return bands
+
+
+def _band_index() -> NDArray[np.int_]:
+    """The band of every wavelength of the grid."""
+    return np.minimum((grid.WAVELENGTH_NM - 400.0) // BAND_NM, (830.0 - 400.0) // BAND_NM - 1).astype(int)
+
+
+def pupil_pattern(stop: Stop, waves: float, y: FloatArray, x: FloatArray) -> FloatArray:
+    """Intensity of a defocused polygon or mask at places of the picture, [y, x], of unit integral over the plane.
+
+    Places are in units of lambda N, with N the working f-number of the whole lens, ``waves`` the defocus W20 at the
+    lens's rim, positive for points nearer than the focus. U(u) = int P(rho) exp(2 pi i W20 rho^2 + pi i rho u),
+    h = |U|^2 / (4 int |P|^2), as a product of matrices (Jurling et al., J. Opt. Soc. Am. A 35, 2018).
+    """
+    transmitted, place = aperture.pupil(stop)
+    cell = place[1] - place[0]
+    phase = np.exp(2j * np.pi * waves * place**2)
+    # A cell that a polygon covers by half passes half the amplitude; one of half the transmittance passes more.
+    drawn = np.sqrt(transmitted) if isinstance(stop, aperture.Mask) else transmitted
+    amplitude = drawn * phase[:, None] * phase[None, :]
+    field = np.exp(1j * np.pi * np.outer(y, place)) @ amplitude @ np.exp(1j * np.pi * np.outer(place, x)) * cell**2
+    return np.abs(field) ** 2 / (4 * transmitted.sum() * cell**2)
+
+
+def _pattern_kernel(
+    camera: Camera,
+    stop: Stop,
+    blur_px: float,
+    spectrum: FloatArray,
+    size: int,
+    offset_px: tuple[float, float],
+    diffraction: str,
+) -> tuple[FloatArray, FloatArray]:
+    """Kernel of one polygon or mask over the pixels, times the electrons, [..., channel, y, x], and the electrons."""
+    if diffraction == "airy":
+        raise InputError(f"stop '{stop.name}' is a {stop.shape}; diffraction 'airy' takes discs and rings only")
+    weights = cameras.stop_response(camera, stop) * spectrum[..., None, :]
+    fine = (np.arange(size * SUBPIXELS) + 0.5) / SUBPIXELS - size / 2
+    f_number, colour_px = working_f_number(camera, 1.0), cameras.chromatic_blur_px(camera)
+    total = np.zeros((*weights.shape[:-1], size, size))
+    for wavelength_nm, weight in bands(weights):
+        blur = blur_px + float(np.interp(wavelength_nm, grid.WAVELENGTH_NM, colour_px))
+        if diffraction == "wave":
+            scale = wavelength_nm * 1e-3 * f_number / camera.sensor.pixel_pitch_um
+            y, x = ((fine - at) / scale for at in offset_px)
+            density = pupil_pattern(stop, blur / (8 * scale), y, x) / scale**2
+            kernel = density.reshape(size, SUBPIXELS, size, SUBPIXELS).mean(axis=(1, 3))
+        else:
+            transmitted, place = aperture.pupil(stop)
+            rows, columns = np.meshgrid(*(at - place * blur / 2 for at in offset_px), indexing="ij")
+            edges = np.arange(size + 1) - size / 2
+            drawn = np.histogram2d(rows.ravel(), columns.ravel(), bins=[edges, edges], weights=transmitted.ravel())
+            kernel = drawn[0]
+            kernel /= transmitted.sum()
+        total += weight[..., None, None] * kernel
+    return total, grid.integrate(weights)
+
+
+def kernels(
+    camera: Camera, blur_px: Sequence[float] | FloatArray, spectrum: FloatArray, size: int, diffraction: str = "wave"
+) -> Callable[[int, tuple[float, float], Any], tuple[FloatArray, FloatArray]]:
+    """The camera's kernels for visible blurs, as a function of (index of the blur, offset (y, x) in pixels, light).
+
+    The function gives kernels [..., channel, size, size] (see :func:`psf`), for ``spectrum`` [..., wavelength],
+    and the electrons of each channel, relative, [..., channel]; ``light`` is an index into the leading axes of the
+    spectrum, ``...`` for all. What all blurs share is computed once.
+    """
+    check_model(diffraction)
+    blurs = np.asarray(blur_px, dtype=np.float64)
+    about: dict[aperture.Point, list[Stop]] = {}
+    others: list[Stop] = []
+    for stop in camera.stops:
+        ring = aperture.ring(stop)
+        if ring is None:
+            others.append(stop)
+        else:
+            about.setdefault(ring.centre, []).append(stop)
+    largest = float(np.abs(blurs).max() + np.abs(cameras.chromatic_blur_px(camera)).max())
+    farthest = max((float(np.hypot(*centre)) for centre in about), default=0.0) * largest / 2
+    radius = np.arange(0, size * 0.75 + 2 + farthest, RADIAL_STEP_PX)
+    groups = [
+        (np.array(centre[::-1]), colour_px, *radial_profiles(camera, blurs, part, radius, diffraction, stops))
+        for centre, stops in about.items()
+        for colour_px, part in _moved_alike(camera, centre, spectrum)
+    ]
+
+    def at(index: int, offset_px: tuple[float, float], light: Any) -> tuple[FloatArray, FloatArray]:
+        total: FloatArray = np.zeros(())
+        signal: FloatArray = np.zeros(())
+        for centre, colour_px, profiles, electrons in groups:
+            y, x = np.array(offset_px) - centre * (blurs[index] + colour_px) / 2
+            shares = electrons[light]
+            part = pixel_kernels(profiles[..., index, :, :][light], radius, size, (float(y), float(x)))
+            total, signal = total + part * shares[..., None, None], signal + shares
+        for stop in others:
+            part, electrons = _pattern_kernel(
+                camera, stop, float(blurs[index]), spectrum[light], size, offset_px, diffraction
+            )
+            total, signal = total + part, signal + electrons
+        return total / np.where(signal > 0, signal, 1.0)[..., None, None], signal
+
+    return at
+
+
+def _moved_alike(camera: Camera, centre: aperture.Point, spectrum: FloatArray) -> Iterator[tuple[float, FloatArray]]:
+    """Parts of a spectrum whose blur through a stop about ``centre`` has one place, with what axial colour adds to it.
+
+    Through a displaced stop axial colour moves the wavelengths apart: one part each 10 nm.
+    """
+    if centre == (0.0, 0.0) or not camera.lens.focal_shift_um:
+        yield 0.0, spectrum
+        return
+    colour_px, index = cameras.chromatic_blur_px(camera), _band_index()
+    for band in range(index[-1] + 1):
+        inside = index == band
+        yield float(colour_px[inside].mean()), np.where(inside, spectrum, 0.0)
+
+
+def pixel_kernels(
+    profiles: FloatArray, radius_px: FloatArray, size: int, offset_px: tuple[float, float] = (0.0, 0.0)
+) -> FloatArray:
+    """Integrate radial profiles [..., radius] over the pixels of a ``size`` x ``size`` frame (odd).
+
+    The point's image lies at ``offset_px`` (y, x) from the centre of the middle pixel.
+    """
+    fine = (np.arange(size * SUBPIXELS) + 0.5) / SUBPIXELS - size / 2
+    distance = np.hypot(fine[:, None] - offset_px[0], fine[None, :] - offset_px[1]).ravel()
+    flat = profiles.reshape(-1, profiles.shape[-1])
+    kernels = np.empty((len(flat), size, size))
+    for row, profile in enumerate(flat):
+        value = np.interp(distance, radius_px, profile, right=0.0)
+        kernels[row] = value.reshape(size, SUBPIXELS, size, SUBPIXELS).mean(axis=(1, 3))
+    return kernels.reshape(*profiles.shape[:-1], size, size)
+
+
+def kernel_size_px(camera: Camera, blur_px: float) -> int:
+    """Odd frame size that holds a kernel of a visible blur with its diffraction tail."""
+    widest = max(working_f_number(camera, aperture.breadth(stop)) for stop in camera.stops)
+    tail_px = 3 * 0.7e-6 * widest / (camera.sensor.pixel_pitch_um * 1e-6)  # three rings at 700 nm
+    colour_px = float(np.abs(cameras.chromatic_blur_px(camera)).max())
+    return 2 * int(np.ceil((abs(blur_px) + colour_px) / 2 + tail_px)) + 1
+
+
+def psf(
+    camera: Camera,
+    depth_m: float,
+    channel: str,
+    illuminant: str,
+    *,
+    offset_px: tuple[float, float] = (0.0, 0.0),
+    size: int | None = None,
+    diffraction: str = "wave",
+) -> FloatArray:
+    """Kernel of a channel for a white point on the axis at ``depth_m``, [size, size] (odd), y down, x right.
+
+    Values are the shares of the point's light in each pixel; their sum falls short of 1 by what lands
+    outside the frame. ``offset_px`` (y, x) moves the point's image from the centre of the middle pixel; the image is
+    where the ray through the middle of the lens meets the sensor.
+    """
+    names = cameras.channels(camera.sensor)
+    if channel not in names:
+        raise InputError(f"channel '{channel}' is unknown; allowed are {', '.join(names)}")
+    if not depth_m > 0:
+        raise InputError(f"depth_m is {depth_m!r}; a distance above 0 is needed")
+    blur = float(cameras.blur_px(camera, depth_m))
+    size = size or kernel_size_px(camera, blur)
+    return kernels(camera, [blur], illuminants.illuminant(illuminant), size, diffraction)(0, offset_px, ...)[0][
+        names.index(channel)
+    ]
+
+
+def airy_errors(camera: Camera, illuminant: str) -> tuple[FloatArray, FloatArray]:
+    """Largest errors of ``airy`` against ``wave``, of encircled energy and of MTF, each [level, channel]."""
+    blurs = cameras.level_blur_px(camera)
+    step = RADIAL_STEP_PX
+    radius = np.arange(0.0, blurs[-1] / 2 + 40, step)
+    wave, airy = (
+        radial_profiles(camera, blurs, illuminants.illuminant(illuminant), radius, model)[0]
+        for model in ("wave", "airy")
+    )
+    ring = 2 * np.pi * radius * step
+    energy = np.abs(np.cumsum((airy - wave) * ring, axis=-1)).max(axis=-1)
+    frequency = np.linspace(0.02, 0.5, 49)
+    hankel = ring[:, None] * j0(2 * np.pi * np.outer(radius, frequency)) * np.sinc(frequency)
+    return energy, np.abs(np.abs(airy @ hankel) - np.abs(wave @ hankel)).max(axis=-1)

@@ -1,0 +1,429 @@
+"""The camera: a lens, its stops and a sensor, as data; and what follows from them."""
+
+from __future__ import annotations
+
+import csv
+import itertools
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pydantic import Field, ValidationError, ValidationInfo, field_validator, model_validator
+
+from dasim.base.errors import InputError
+from dasim.base.toml import Specification, bundled_or_file, named_file, parse, parse_toml
+from dasim.camera import datasheet, geometry
+from dasim.camera import stops as aperture
+from dasim.spectra import grid
+from dasim.spectra.grid import FloatArray
+
+CAMERA_DIR = Path(__file__).parents[1] / "cameras"
+BLUR_LEVELS = 29  # sec. 6.1
+NEAREST_FOCUS = 1.1  # in focal lengths: ten times life size
+SMALLEST_FRAME_PX = 8
+LARGEST_FOCAL_SHIFT = 0.1  # of the focal length: a lens, no prism
+CHANNEL_NAME = re.compile(r"\w{1,16}", re.ASCII)  # they name the channels of the truth's EXR file too
+WIDEST_STEP_NM = 20.0  # between two entries of a response curve; more is a gap
+
+
+class Lens(Specification):
+    """A thin lens; ``focus_distance_m`` is the one place that says where the camera focuses."""
+
+    focal_length_mm: float = Field(gt=0, le=1000)
+    f_number: float = Field(gt=0.5, le=64)
+    focus_distance_m: float = Field(gt=0, le=1e6)
+    transmittance: float = Field(default=1.0, gt=0, le=1)
+    shading_per_mm: tuple[float, ...] = Field(
+        default=(), max_length=6, description="a_k of 1 + sum a_k r^(2k), r mm on the sensor, beside cos^4"
+    )
+    focal_shift_um: tuple[tuple[float, float], ...] = Field(
+        default=(), description="axial colour: [nm, um added to the focal length], straight between, level beyond"
+    )
+
+    @field_validator("focal_shift_um")
+    @classmethod
+    def _rising(cls, curve: tuple[tuple[float, float], ...]) -> tuple[tuple[float, float], ...]:
+        low, high = aperture.WHOLE_GRID_NM
+        if any(not low <= nm <= high for nm, _ in curve):
+            raise ValueError(f"wavelengths must lie within {low:g} to {high:g} nm")
+        if any(b <= a for (a, _), (b, _) in itertools.pairwise(curve)):
+            raise ValueError("wavelengths must rise")
+        return curve
+
+    @model_validator(mode="after")
+    def _shift_is_small(self) -> Lens:
+        if any(abs(shift) > LARGEST_FOCAL_SHIFT * 1e3 * self.focal_length_mm for _, shift in self.focal_shift_um):
+            raise ValueError(f"focal_shift_um must stay within {LARGEST_FOCAL_SHIFT:.0%} of the focal length")
+        return self
+
+    @model_validator(mode="after")
+    def _focus_beyond_focal_length(self) -> Lens:
+        nearest_m = NEAREST_FOCUS * self.focal_length_mm * 1e-3
+        if self.focus_distance_m < nearest_m:
+            raise ValueError(
+                f"focus_distance_m is {self.focus_distance_m:g} m, must be at least {nearest_m:g} m, "
+                f"{NEAREST_FOCUS:g} times the focal length"
+            )
+        return self
+
+
+class Curves(Specification):
+    """Quantum efficiency of every channel, electrons a photon, tabulated; straight lines in between.
+
+    In TOML, ``file`` names a CSV file: a first column ``wavelength_nm``, then one a channel, headed by its name. It may
+    reach beyond 400 to 830 nm, the band that is simulated; what lies outside is not used.
+    """
+
+    wavelength_nm: tuple[float, ...] = Field(min_length=2)
+    channels: dict[str, tuple[float, ...]] = Field(min_length=1)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _read(cls, data: Any, info: ValidationInfo) -> Any:
+        if not isinstance(data, dict) or "file" not in data:
+            return data
+        if len(data) > 1:
+            raise ValueError("file and curves both say the response; give one")
+        names, columns = _csv_columns(named_file(data, info))
+        columns = _within_band(columns)
+        return {"wavelength_nm": columns[0], "channels": dict(zip(names[1:], columns[1:], strict=True))}
+
+    @model_validator(mode="after")
+    def _whole(self) -> Curves:
+        low, high = aperture.WHOLE_GRID_NM
+        wavelength = self.wavelength_nm
+        if any(b <= a for a, b in itertools.pairwise(wavelength)):
+            raise ValueError("wavelength_nm must rise")
+        if wavelength[0] < low or wavelength[-1] > high:
+            raise ValueError(f"wavelength_nm must lie within {low:g} to {high:g} nm, the band that is simulated")
+        for a, b in itertools.pairwise(wavelength):
+            if b - a > WIDEST_STEP_NM:
+                raise ValueError(f"wavelength_nm has a gap from {a:g} to {b:g} nm; steps of {WIDEST_STEP_NM:g} at most")
+        for name, values in self.channels.items():
+            if not CHANNEL_NAME.fullmatch(name):
+                raise ValueError(f"channels.{name}: names must be 1 to 16 letters, digits or underscores")
+            if len(values) != len(wavelength):
+                raise ValueError(f"channels.{name} must have as many values as wavelength_nm")
+            if min(values) < 0 or max(values) > 1:
+                raise ValueError(f"channels.{name} must be quantum efficiencies from 0 to 1")
+        return self
+
+
+def _csv_columns(path: Path) -> tuple[list[str], list[tuple[float, ...]]]:
+    """Names and columns of a table of response curves; ValueError says where it is wrong."""
+    try:
+        lines = [line for line in path.read_text(encoding="utf-8-sig").splitlines() if line.strip()]
+        rows = list(csv.reader(line for line in lines if not line.startswith("#")))
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise ValueError(f"file {path}: cannot be read as a table ({error})") from None
+    names = [name.strip() for name in rows[0]] if rows else []
+    if len(names) < 2 or names[0] != "wavelength_nm" or len(set(names)) != len(names) or "" in names:
+        raise ValueError(f"file {path}: the first line must be 'wavelength_nm' and one name a channel")
+    table = []
+    for number, row in enumerate(rows[1:], 2):
+        if len(row) != len(names) or any(not item.strip() for item in row):
+            raise ValueError(f"file {path}, line {number} of the table: {len(names)} numbers are needed")
+        table.append([_number(item, f"file {path}, line {number} of the table") for item in row])
+    if len(table) < 2:
+        raise ValueError(f"file {path}: two or more lines of numbers are needed")
+    return names, list(zip(*table, strict=True))
+
+
+def _within_band(columns: list[tuple[float, ...]]) -> list[tuple[float, ...]]:
+    """A table's columns, wavelengths first, cut to the band that is simulated; by straight lines at its ends."""
+    nm = np.array(columns[0])
+    if (np.diff(nm) <= 0).any():
+        return columns  # refused by name later
+    low, high = (np.clip(end, nm[0], nm[-1]) for end in aperture.WHOLE_GRID_NM)
+    inside = np.unique([low, *nm[(nm > low) & (nm < high)], high])
+    return [tuple(np.interp(inside, nm, column).tolist()) for column in columns]
+
+
+def _number(text: str, where: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = np.nan
+    if not np.isfinite(value):
+        raise ValueError(f"{where}: '{text.strip()}' is no number")
+    return value
+
+
+class Sensor(Specification):
+    """A sensor: geometry, mosaic, spectral limits and electrical values (EMVA 1288 terms).
+
+    Without ``quantum_efficiency`` the curves are those of ``spectra.rgb_ir_quantum_efficiency``.
+    A table ``emva1288`` gives electrical values as a maker's data sheet does, see :class:`dasim.camera.datasheet.DataSheet`.
+    """
+
+    width_px: int = Field(ge=SMALLEST_FRAME_PX, le=20_000)
+    height_px: int = Field(ge=SMALLEST_FRAME_PX, le=20_000)
+    pixel_pitch_um: float = Field(gt=0.2, le=50)
+    mosaic: tuple[tuple[str, ...], ...] = Field(description="rows of channel names, top left of the frame first")
+    quantum_efficiency: Curves | None = None
+    cutoff_nm: float = Field(default=810.0, ge=500, le=830, description="short-pass filter on the sensor")
+    cutoff_width_nm: float = Field(default=8.0, gt=0, le=100)
+    full_well_e: float = Field(default=6000.0, gt=0, le=1e9)
+    read_noise_e: float = Field(default=3.0, ge=0)
+    dark_current_e_s: float = Field(default=10.0, ge=0, description="at 25 C")
+    dark_doubling_k: float = Field(default=datasheet.DEFAULT_DARK_DOUBLING_K, ge=1, le=100)
+    temperature_c: float = Field(default=25.0, ge=-100, le=150)
+    dsnu_e: float = Field(default=2.0, ge=0)
+    prnu: float = Field(default=datasheet.DEFAULT_PRNU, ge=0, le=0.5)
+    adc_bits: int = Field(default=10, ge=6, le=16)
+    black_level_dn: int = Field(default=64, ge=0)
+    dn_per_e: float | None = Field(
+        default=None, ge=1e-6, le=1e6, description="EMVA 1288's K at gain 1; by default the full well is at full scale"
+    )
+    quantum_efficiency_scale: float = Field(default=1.0, gt=0, description="factor on the response curves")
+    electronic_crosstalk: float = Field(
+        default=0.0, ge=0, le=0.2, description="share of a pixel's electrons that each of its four edge neighbours gets"
+    )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _from_data_sheet(cls, data: Any, info: ValidationInfo) -> Any:
+        if not isinstance(data, dict) or "emva1288" not in data:
+            return data
+        green = None
+        if data.get("quantum_efficiency") is not None:
+            try:
+                curves = Curves.model_validate(data["quantum_efficiency"], context=info.context)
+                green = curves.wavelength_nm, curves.channels["G"]
+            except (ValidationError, KeyError):
+                pass  # what is wrong with the table is said of the table
+        return datasheet.translated(data, green)
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Sensor:
+        rows = self.mosaic
+        if not 1 <= len(rows) <= 8 or any(len(row) != len(rows[0]) for row in rows) or not 1 <= len(rows[0]) <= 8:
+            raise ValueError("mosaic must be 1 to 8 rows of equal length, 1 to 8 channels each")
+        curves = self.quantum_efficiency
+        known = grid.CHANNELS if curves is None else tuple(curves.channels)
+        for name in sorted({name for row in rows for name in row}):
+            if name not in known:
+                raise ValueError(f"mosaic channel '{name}' is unknown, allowed are {', '.join(known)}")
+        last_nm = min(aperture.WHOLE_GRID_NM[1], self.cutoff_nm + 2 * self.cutoff_width_nm)
+        first_nm = aperture.WHOLE_GRID_NM[0]
+        if curves is not None and (curves.wavelength_nm[0] > first_nm or curves.wavelength_nm[-1] < last_nm):
+            raise ValueError(
+                f"quantum_efficiency.wavelength_nm must reach from {first_nm:g} to {last_nm:g} nm, beyond the cut-off"
+            )
+        if self.height_px % len(rows) or self.width_px % len(rows[0]):
+            raise ValueError(
+                f"width_px x height_px = {self.width_px} x {self.height_px} "
+                f"is no multiple of the {len(rows[0])} x {len(rows)} mosaic"
+            )
+        if self.black_level_dn >= 2**self.adc_bits - 1:
+            raise ValueError(f"black_level_dn must be below {2**self.adc_bits - 1}")
+        peak = float(quantum_efficiency(self).max())
+        if peak > 1:
+            raise ValueError(
+                f"the response curves times quantum_efficiency_scale = {self.quantum_efficiency_scale:.4g} "
+                f"peak at a quantum efficiency of {peak:.4g}, must be at most 1"
+            )
+        return self
+
+
+class Levels(Specification):
+    """The ladder of blur levels that a bank is calibrated at: evenly spaced in visible blur, from 0."""
+
+    count: int = Field(default=BLUR_LEVELS, ge=2, le=400)
+    max_blur_px: float = Field(gt=0, le=500, description="diameter of the visible blur of the last level")
+
+
+class Camera(Specification):
+    """A lens with its stops, a sensor, and where its blur is calibrated."""
+
+    name: str
+    description: str = ""
+    lens: Lens
+    stops: tuple[aperture.Stop, ...] = Field(min_length=1)
+    sensor: Sensor
+    levels: Levels | None = Field(default=None, description="by default the paper's ladder, see level_blur_px")
+
+    @field_validator("stops", mode="before")
+    @classmethod
+    def _discs_by_default(cls, stops: Any) -> Any:
+        if not isinstance(stops, (list, tuple)):
+            return stops
+        return [{"shape": "disc"} | stop if isinstance(stop, dict) else stop for stop in stops]
+
+    @field_validator("stops")
+    @classmethod
+    def _unique_names(cls, stops: tuple[aperture.Stop, ...]) -> tuple[aperture.Stop, ...]:
+        names = [stop.name for stop in stops]
+        if len(set(names)) != len(names):
+            raise ValueError(f"names must be unique, they are {', '.join(names)}")
+        return stops
+
+    @model_validator(mode="after")
+    def _light_everywhere(self) -> Camera:
+        if self.lens.shading_per_mm and relative_illumination(self).min() <= 0:
+            raise ValueError("lens.shading_per_mm: falls to zero or below within the frame")
+        return self
+
+
+def camera_names() -> list[str]:
+    """Names of the bundled cameras."""
+    return sorted(path.stem for path in CAMERA_DIR.glob("*.toml"))
+
+
+def load_camera(name_or_path: str | Path) -> Camera:
+    """The camera of a bundled name or a TOML file; InputError names every key that is wrong."""
+    return parse_toml(Camera, bundled_or_file(name_or_path, CAMERA_DIR, "camera"))
+
+
+def cropped(camera: Camera, width_px: int, height_px: int) -> Camera:
+    """The camera with a central crop of its sensor, at unchanged pixel pitch.
+
+    Raises InputError where the crop is larger than the sensor or no multiple of its mosaic.
+    """
+    sensor = camera.sensor
+    low = SMALLEST_FRAME_PX
+    if not (low <= width_px <= sensor.width_px and low <= height_px <= sensor.height_px):
+        raise InputError(
+            f"size {width_px}x{height_px} is not within {low}x{low} to {sensor.width_px}x{sensor.height_px}, "
+            f"the sensor of camera '{camera.name}'"
+        )
+    changed = sensor.model_dump() | {"width_px": width_px, "height_px": height_px}
+    return camera.model_copy(update={"sensor": parse(Sensor, changed, f"size {width_px}x{height_px}")})
+
+
+def refocused(camera: Camera, focus_distance_m: float) -> Camera:
+    """The camera focused at another distance; InputError where that is not beyond the focal length."""
+    changed = camera.lens.model_dump() | {"focus_distance_m": focus_distance_m}
+    return camera.model_copy(update={"lens": parse(Lens, changed, "focus")})
+
+
+def image_distance_m(camera: Camera) -> float:
+    """Distance from lens to sensor."""
+    return geometry.image_distance_m(camera.lens.focal_length_mm * 1e-3, camera.lens.focus_distance_m)
+
+
+def aperture_m(camera: Camera) -> float:
+    """Diameter of the open lens."""
+    return camera.lens.focal_length_mm * 1e-3 / camera.lens.f_number
+
+
+def blur_px(camera: Camera, depth_m: Any) -> Any:
+    """Signed diameter in pixels of the visible (open lens) blur at ``depth_m``; positive nearer than the focus."""
+    lens = camera.lens
+    blur_m = geometry.blur_diameter_m(depth_m, aperture_m(camera), image_distance_m(camera), lens.focus_distance_m)
+    return blur_m / (camera.sensor.pixel_pitch_um * 1e-6)
+
+
+def depth_of_blur_m(camera: Camera, blur_px: Any) -> Any:
+    """Depth whose signed visible blur diameter is ``blur_px`` pixels."""
+    blur_m = np.asarray(blur_px) * camera.sensor.pixel_pitch_um * 1e-6
+    focus = camera.lens.focus_distance_m
+    return geometry.depth_of_blur_m(blur_m, aperture_m(camera), image_distance_m(camera), focus)
+
+
+def focus_vergence(camera: Camera) -> FloatArray:
+    """Inverse of the distance that is in focus, 1/m, on ``spectra.WAVELENGTH_NM``; below 0 beyond infinity.
+
+    The sensor stays where the focal length without shift puts it: 1/d_f(lambda) = 1/f(lambda) - 1/s.
+    """
+    lens = camera.lens
+    focal_m = lens.focal_length_mm * 1e-3
+    shift_m = np.zeros_like(grid.WAVELENGTH_NM)
+    if lens.focal_shift_um:
+        nm, um = np.array(lens.focal_shift_um).T
+        shift_m = np.interp(grid.WAVELENGTH_NM, nm, um) * 1e-6
+    return 1.0 / lens.focus_distance_m + 1.0 / (focal_m + shift_m) - 1.0 / focal_m
+
+
+def chromatic_blur_px(camera: Camera) -> FloatArray:
+    """What axial colour adds to the signed visible blur, pixels, on ``spectra.WAVELENGTH_NM``."""
+    vergence = 1.0 / camera.lens.focus_distance_m - focus_vergence(camera)
+    return aperture_m(camera) * image_distance_m(camera) * vergence / (camera.sensor.pixel_pitch_um * 1e-6)
+
+
+def relative_illumination(camera: Camera) -> FloatArray:
+    """Light of each pixel relative to the axis, [h, w]: cos^4 of the chief ray's angle times the shading."""
+    sensor = camera.sensor
+    pitch_m = sensor.pixel_pitch_um * 1e-6
+    x = (np.arange(sensor.width_px) + 0.5 - sensor.width_px / 2) * pitch_m
+    y = (np.arange(sensor.height_px) + 0.5 - sensor.height_px / 2) * pitch_m
+    r2 = x[None, :] ** 2 + y[:, None] ** 2
+    s2 = image_distance_m(camera) ** 2
+    return (s2 / (s2 + r2)) ** 2 * np.polynomial.Polynomial((1.0, *camera.lens.shading_per_mm))(r2 * 1e6)
+
+
+def hole_ratio(camera: Camera) -> float:
+    """Radius ratio of the smallest stop, the paper's alpha; of a stop that is no ring, that of a disc of its area."""
+    rings = [aperture.ring(stop) for stop in camera.stops]
+    return min(
+        float(np.sqrt(aperture.open_area(stop))) if ring is None else ring.outer
+        for stop, ring in zip(camera.stops, rings, strict=True)
+    )
+
+
+def level_blur_px(camera: Camera) -> FloatArray:
+    """Visible blur diameters in pixels of the blur levels, shape [level], from 0.
+
+    By default level k is the relative diameter (1 - alpha) c = k pixels, which spans the paper's working range of
+    5 cm to 2 m in 29 levels with its 3.6 mm lens. A camera with one aperture takes steps of 2 pixels. Such steps are
+    too wide where alpha nears 1 (10 px of visible blur at 0.9), and comparisons of designs set ``camera.levels``.
+    """
+    if camera.levels is not None:
+        return np.linspace(0.0, camera.levels.max_blur_px, camera.levels.count)
+    relative = 1.0 - hole_ratio(camera)
+    return np.arange(BLUR_LEVELS, dtype=np.float64) * (1.0 / relative if relative > 0 else 2.0)
+
+
+def intrinsic_matrix(camera: Camera) -> FloatArray:
+    """Pinhole intrinsics K in pixels, [3, 3]; pixel centres at +0.5, the principal point in the frame's centre."""
+    focal_px = image_distance_m(camera) / (camera.sensor.pixel_pitch_um * 1e-6)
+    centre = (camera.sensor.width_px / 2, camera.sensor.height_px / 2)
+    return np.array([[focal_px, 0, centre[0]], [0, focal_px, centre[1]], [0, 0, 1.0]])
+
+
+def channels(sensor: Sensor) -> tuple[str, ...]:
+    """Names of the mosaic's channels: R, G, B, IR as far as it has them, then others in the order of their curves."""
+    used = {name for row in sensor.mosaic for name in row}
+    others = () if sensor.quantum_efficiency is None else tuple(sensor.quantum_efficiency.channels)
+    return tuple(name for name in dict.fromkeys((*grid.CHANNELS, *others)) if name in used)
+
+
+def quantum_efficiency(sensor: Sensor) -> FloatArray:
+    """Electrons a photon of each of :func:`channels`, [channel, wavelength], before the cut-off filter."""
+    curves = sensor.quantum_efficiency
+    if curves is None:
+        ours = dict(zip(grid.CHANNELS, grid.rgb_ir_quantum_efficiency(), strict=True))
+        found = [ours[name] for name in channels(sensor)]
+    else:
+        nm = curves.wavelength_nm
+        found = [np.interp(grid.WAVELENGTH_NM, nm, curves.channels[n], right=0.0) for n in channels(sensor)]
+    return sensor.quantum_efficiency_scale * np.stack(found)
+
+
+def stop_response(camera: Camera, stop: aperture.Stop) -> FloatArray:
+    """Electrons a second and pixel, per W m^-2 sr^-1 nm^-1 of scene radiance, through one stop.
+
+    Shape [channel, wavelength], on the axis: p^2 pi (r/s)^2 T_lens T_stop T_cutoff QE lambda / (h c),
+    the Abbe lens's E = pi L (r/s)^2 with pi r^2 the stop's open area. Off the axis it falls as
+    :func:`relative_illumination`.
+    """
+    sensor = camera.sensor
+    square_of_radius = aperture.open_area(stop) * (aperture_m(camera) / 2) ** 2
+    etendue = (sensor.pixel_pitch_um * 1e-6) ** 2 * np.pi * square_of_radius / image_distance_m(camera) ** 2
+    passed = camera.lens.transmittance * aperture.transmittance(stop)
+    passed = passed * grid.short_pass(sensor.cutoff_nm, sensor.cutoff_width_nm)
+    return etendue * passed * quantum_efficiency(sensor) * grid.photons_per_joule()
+
+
+def response(camera: Camera) -> FloatArray:
+    """Spectral response of the whole camera, the sum of :func:`stop_response` over its stops, [channel, wavelength]."""
+    return np.sum([stop_response(camera, stop) for stop in camera.stops], axis=0)
+
+
+def mosaic_channels(camera: Camera) -> np.ndarray:
+    """Channel index (into :func:`channels`) of every pixel, int [height, width]."""
+    sensor = camera.sensor
+    names = channels(sensor)
+    block = np.array([[names.index(name) for name in row] for row in sensor.mosaic])
+    return np.tile(block, (sensor.height_px // block.shape[0], sensor.width_px // block.shape[1]))

@@ -1,0 +1,59 @@
+"""Reflectances that a user measured: checked, never extrapolated."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from dasim.base.errors import InputError
+from dasim.spectra.grid import WAVELENGTH_NM, FloatArray
+
+
+def checked(points: FloatArray, where: str) -> FloatArray:
+    """Reflectance on ``WAVELENGTH_NM`` through ``points`` [n, 2] of (wavelength in nm, reflectance 0..1).
+
+    InputError, which ``where`` begins, says what is wrong with them.
+    """
+    first, last = WAVELENGTH_NM[0], WAVELENGTH_NM[-1]
+    if len(points) < 2 or (np.diff(points[:, 0]) <= 0).any():
+        raise InputError(f"{where}: needs two or more wavelengths, each longer than the one before")
+    low, high = points[0, 0], points[-1, 0]
+    if low > first or high < last:
+        raise InputError(
+            f"{where}: reaches from {low:g} to {high:g} nm, must cover {first:g} to {last:g} nm; "
+            "measure or choose what lies beyond, nothing is extrapolated"
+        )
+    ends = np.array([(nm, np.interp(nm, points[:, 0], points[:, 1])) for nm in (first, last)])
+    used = np.vstack([ends, points[(points[:, 0] >= first) & (points[:, 0] <= last)]])
+    if used[:, 1].max(initial=0.0) > 1:
+        peak = used[used[:, 1].argmax()]
+        hint = "; is it in percent?" if peak[1] > 1.5 else ""
+        raise InputError(f"{where}: reflects more than it receives ({peak[1]:g} at {peak[0]:g} nm, at most 1{hint})")
+    if used[:, 1].min(initial=0.0) < 0:
+        low = used[used[:, 1].argmin()]
+        raise InputError(f"{where}: reflects less than nothing ({low[1]:g} at {low[0]:g} nm, at least 0)")
+    return np.clip(np.interp(WAVELENGTH_NM, points[:, 0], points[:, 1]), 0.0, 1.0)
+
+
+def read(path: Path, where: str) -> FloatArray:
+    """Points [n, 2] of a CSV file with the header ``wavelength_nm,reflectance``; lines from # on are remarks."""
+    try:
+        lines = [line for line in path.read_text(encoding="utf-8-sig").splitlines() if line.strip()]
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"{where}: cannot be read from {path.parent} ({type(error).__name__})") from None
+    rows = [line for line in lines if not line.lstrip().startswith("#")]
+    try:
+        values = np.array([[float(cell) for cell in row.split(",")] for row in rows[1:]], float)
+    except ValueError:
+        values = np.empty((0, 0))
+    if (
+        not rows
+        or rows[0].replace(" ", "") != "wavelength_nm,reflectance"
+        or values.ndim != 2
+        or values.shape[1:] != (2,)
+    ):
+        raise InputError(f"{where}: must be a CSV with the header wavelength_nm,reflectance and two numbers a line")
+    if not np.isfinite(values).all():
+        raise InputError(f"{where}: has values that are not finite")
+    return values

@@ -1,0 +1,152 @@
+"""RGB photographs as surfaces: what a picture is made of decides how it looks in the near-infrared.
+
+No rule extends RGB upsampling beyond 650 nm. Each mixes eight spectra, the corners of the RGB cube, trilinearly with
+the picture's linear values (Demichel's areas of three independent screens):
+
+- ``print``: process inks on paper and black ink of carbon. Only the black is seen beyond 740 nm.
+- ``dyed``: cloth of yarns that are dyed with three dyes; nothing of them is seen there, a black least of all.
+- ``achromatic``: colourless pigments beyond 650 nm, whose reflectance is the picture's luminance; below, the sRGB
+  basis of Mallett and Yuksel (2019), so that the colour under D65 is the picture's.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from dasim.base.errors import InputError
+from dasim.materials import patterns, reflectances
+from dasim.materials.surfaces import Diffuse, Image, Mixture, Surface
+from dasim.spectra.grid import LUMINANCE, WAVELENGTH_NM, FloatArray, long_pass
+
+NEAR_INFRARED_RULES = ("print", "dyed", "achromatic")
+BLACK_INK = "carbon-black"
+PRINT_PAPER = "white-paper"
+BLACK_GENERATION = 0.6
+DYED_FABRIC = "cotton-undyed"
+CHANGE_OVER_NM = (650.0, 16.0)  # where the achromatic rule leaves the RGB basis, and in what width (10-90 %)
+
+
+def photograph_surface(image: Image, rule: str, repeat: tuple[float, float] = (1.0, 1.0)) -> Surface:
+    """The surface of a photograph by one of ``NEAR_INFRARED_RULES``.
+
+    ``image`` is linear sRGB, [h, w, 3] 0..1, top row first; ``repeat`` the copies across and down.
+    """
+    if rule not in NEAR_INFRARED_RULES:
+        rules = ", ".join(f"'{name}'" for name in NEAR_INFRARED_RULES)
+        raise InputError(f"near-infrared rule '{rule}' is unknown; a photograph needs one of {rules}")
+    image = np.asarray(image, np.float32)
+    if image.ndim != 3 or image.shape[2] != 3 or not np.isfinite(image).all() or image.min() < 0 or image.max() > 1:
+        raise InputError("a photograph is an array of linear RGB [h, w, 3] with values from 0 to 1")
+    if rule == "print":
+        return printed(image, reflectances.curve(PRINT_PAPER), BLACK_GENERATION, repeat)
+    return _cube(image, _dyed_corner if rule == "dyed" else _achromatic_corner, repeat)
+
+
+def printed(image: Image, paper: FloatArray, black_generation: float, repeat: tuple[float, float]) -> Surface:
+    """Halftone print by the Neugebauer model with Demichel's coverages.
+
+    Ink coverages are 1 - R, 1 - G, 1 - B (Murray-Davies), their common part partly replaced by black.
+    """
+    coverage = 1.0 - image
+    black = black_generation * coverage.min(axis=-1)
+    coverage = (coverage - black[..., None]) / np.maximum(1.0 - black[..., None], 1e-6)
+    inks = list(reflectances.ink_transmittances().values())
+
+    def overprint(solids: tuple[int, int, int]) -> FloatArray:
+        return paper * np.prod([ink for ink, solid in zip(inks, solids, strict=True) if solid], axis=0)
+
+    colours = _cube(np.clip(coverage, 0.0, 1.0), overprint, repeat)
+    return Mixture(np.ascontiguousarray(black), colours, Diffuse(reflectances.curve(BLACK_INK)), repeat)
+
+
+def _cube(image: Image, corner: Callable[[tuple[int, int, int]], FloatArray], repeat: tuple[float, float]) -> Mixture:
+    """Eight spectra mixed trilinearly by the three planes of an image, [h, w, 3]: one level of mixtures a plane."""
+    planes = [np.ascontiguousarray(image[..., plane]) for plane in range(3)]
+
+    def half(plane: int, chosen: tuple[int, ...]) -> Surface:
+        if plane == 3:
+            return Diffuse(corner((chosen[0], chosen[1], chosen[2])))
+        return Mixture(planes[plane], half(plane + 1, (*chosen, 0)), half(plane + 1, (*chosen, 1)), repeat)
+
+    root = half(0, ())
+    assert isinstance(root, Mixture)
+    return root
+
+
+def _dyed_corner(rgb: tuple[int, int, int]) -> FloatArray:
+    """Yarn of full dyeings: cyan takes red away, magenta green, yellow blue; their K/S add up."""
+    missing = [dye for dye, value in zip(reflectances.dye_absorptions().values(), rgb, strict=True) if not value]
+    fabric = reflectances.curve(DYED_FABRIC)
+    return reflectances.dyed(fabric, np.sum([np.zeros_like(fabric), *missing], axis=0))
+
+
+def _achromatic_corner(rgb: tuple[int, int, int]) -> FloatArray:
+    visible = np.tensordot(rgb, _srgb_basis(), axes=1)
+    colourless = long_pass(*CHANGE_OVER_NM)
+    return np.clip((1.0 - colourless) * visible + colourless * np.dot(rgb, LUMINANCE), 0.0, 1.0)
+
+
+@cache
+def _srgb_basis() -> FloatArray:
+    """Reflectances of the sRGB primaries that sum to one, [3, wavelength] (Mallett and Yuksel 2019)."""
+    from colour.recovery import MSDS_BASIS_FUNCTIONS_sRGB_MALLETT2019 as table
+
+    return np.stack([np.interp(WAVELENGTH_NM, table.wavelengths, column) for column in table.values.T])
+
+
+# --- files ---------------------------------------------------------------------------------------
+
+
+def linear_rgb(image: str, folder: Path) -> Image:
+    """A photograph in linear light, [h, w, 3] 0..1: a file, ``skimage:NAME`` or a pattern.
+
+    Files are sRGB of 8 or 16 bits, ``skimage:NAME`` is one that ships with scikit-image; ``pattern:NAME`` or
+    ``pattern:NAME:NUMBER`` is linear and grey (``patterns``).
+    """
+    if image.startswith("pattern:"):
+        return np.repeat(patterns.pattern(image.removeprefix("pattern:"))[..., None], 3, axis=-1)
+    encoded = _read(image, folder, cv2.IMREAD_COLOR)[..., ::-1]
+    return np.where(encoded <= 0.04045, encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4).astype(np.float32)
+
+
+def mask(image: str, folder: Path) -> Image:
+    """A share 0..1, [h, w]: a pattern, or a grey picture whose values are shares as they stand, without decoding."""
+    if image.startswith("pattern:"):
+        return patterns.pattern(image.removeprefix("pattern:"))
+    return np.ascontiguousarray(_read(image, folder, cv2.IMREAD_GRAYSCALE))
+
+
+def luminance(rgb: Image) -> Image:
+    """Luminance 0..1 of linear sRGB, [h, w]."""
+    return np.asarray(rgb @ np.array(LUMINANCE, np.float32))
+
+
+def _read(image: str, folder: Path, how: int) -> Image:
+    """Values 0..1 of a picture file of 8 or 16 bits, as OpenCV orders its channels."""
+    if image.startswith("skimage:"):
+        import skimage
+
+        path = _bundled_photograph(Path(skimage.__file__).parent / "data", image.removeprefix("skimage:"))
+    else:
+        path = folder / image
+        if not path.is_file():
+            raise InputError(f"image '{image}': no such file in {folder} (or 'skimage:NAME', or 'pattern:NAME')")
+    data = cv2.imread(str(path), how | cv2.IMREAD_ANYDEPTH)
+    if data is None:
+        raise InputError(f"image '{image}': {path} cannot be read as a picture")
+    if data.dtype not in (np.uint8, np.uint16):
+        raise InputError(f"image '{image}': {path} has values of type {data.dtype}; allowed are 8 or 16 bits")
+    return data.astype(np.float32) / np.float32(np.iinfo(data.dtype).max)
+
+
+def _bundled_photograph(folder: Path, name: str) -> Path:
+    for suffix in (".png", ".jpg"):
+        if (folder / f"{name}{suffix}").is_file():
+            return folder / f"{name}{suffix}"
+    known = sorted(p.stem for p in folder.iterdir() if p.suffix in (".png", ".jpg"))
+    raise InputError(f"image 'skimage:{name}': does not ship with scikit-image; there are {', '.join(known)}")

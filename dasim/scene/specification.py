@@ -1,0 +1,282 @@
+"""The scene: objects, materials and lights as data, read from TOML.
+
+Scene coordinates are x right, y down, z forward, in centimetres; angles in degrees. The camera stands at
+the origin and looks along z unless ``view`` says otherwise.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, field_validator, model_validator
+
+from dasim.base.errors import InputError
+from dasim.base.toml import Specification, bundled_or_file, parse_toml
+from dasim.camera.specification import Camera, refocused
+from dasim.materials.library import Glass, Surface, Texture, is_textured, material_names, surface, unknown
+from dasim.materials.photographs import NEAR_INFRARED_RULES, mask, photograph_surface
+from dasim.scene import meshes, panorama
+from dasim.scene.clearance import placement_problems, size_problems
+from dasim.scene.lights import Light, Near, Positive, Vector
+from dasim.scene.shapes import Box, HeightField, Mesh, Object, Sphere, half_extent_m, mesh_parts, mesh_place, placement
+from dasim.spectra import illuminants
+
+FloatArray = NDArray[np.float64]
+
+_HERE = Path(__file__).parents[1]
+SCENE_DIR = _HERE / "scenes" if (_HERE / "scenes").is_dir() else _HERE.parent / "scenes"
+
+
+class View(Specification):
+    """Where the camera stands and what it looks at; the picture's down is as near to y as possible."""
+
+    position_cm: Vector = (0.0, 0.0, 0.0)
+    look_at_cm: Vector = (0.0, 0.0, 1.0)
+
+    @model_validator(mode="after")
+    def _looks_somewhere(self) -> View:
+        forward = np.subtract(self.look_at_cm, self.position_cm)
+        if np.linalg.norm(np.cross(forward, (0.0, 1.0, 0.0))) < 1e-9 * max(1.0, float(np.linalg.norm(forward))):
+            raise ValueError("look_at_cm must differ from position_cm and not lie straight above or below it")
+        return self
+
+
+class Scene(Specification):
+    """Objects and lights; ``folder`` is where its images and meshes lie."""
+
+    name: str
+    description: str = ""
+    focus_cm: Positive | None = Field(default=None, description="proposed focus; the camera owns the focus")
+    view: View = View()
+    materials: dict[str, Texture] = Field(default_factory=dict)
+    lights: tuple[Light, ...] = Field(min_length=1)
+    objects: tuple[Object, ...] = Field(min_length=1)
+    folder: Path = Path(".")
+
+    @field_validator("objects")
+    @classmethod
+    def _unique_names(cls, objects: tuple[Object, ...]) -> tuple[Object, ...]:
+        names = [item.name for item in objects]
+        twice = sorted({name for name in names if names.count(name) > 1})
+        if twice:
+            raise ValueError(f"object names must be unique; used twice: {', '.join(twice)}")
+        return objects
+
+
+def scene_names() -> list[str]:
+    """Names of the bundled scenes."""
+    return sorted(path.stem for path in SCENE_DIR.glob("*.toml"))
+
+
+def load_scene(name_or_path: str | Path) -> Scene:
+    """The scene of a bundled name or a TOML file; InputError names everything that is wrong with it."""
+    path = bundled_or_file(name_or_path, SCENE_DIR, "scene")
+    scene = parse_toml(Scene, path).model_copy(update={"folder": path.parent.resolve()})
+    _check(scene, str(path))
+    return scene
+
+
+def focused(camera: Camera, scene: Scene) -> Camera:
+    """The camera focused where the scene proposes, or unchanged where it proposes nothing."""
+    return camera if scene.focus_cm is None else refocused(camera, scene.focus_cm * 1e-2)
+
+
+def main_illuminant(scene: Scene) -> str:
+    """Name of the illuminant that gives the most lux."""
+    return max(scene.lights, key=lambda light: light.lux).illuminant
+
+
+def light_spectrum(scene: Scene) -> FloatArray:
+    """Spectral power of all lights together, weighted by their lux, on the wavelength grid."""
+    parts = [light.lux * illuminants.illuminant(light.illuminant) for light in scene.lights]
+    return np.asarray(np.sum(parts, axis=0))
+
+
+# --- surfaces ------------------------------------------------------------------------------------
+
+
+def material_of(item: Object) -> str:
+    """Name of an object's material; a mesh with colours of its own is a material of its own."""
+    return item.material or f"colours of {item.name}"
+
+
+def surface_of(item: Object, scene: Scene) -> Surface:
+    """The surface of an object: its material's, or its mesh's own colours by the near-infrared rule it names."""
+    if item.material is not None:
+        return surface(scene.materials.get(item.material, item.material), scene.folder)
+    assert isinstance(item, Mesh) and item.near_infrared is not None  # checked where the scene was loaded
+    picture = triangles(item, scene.folder).paint
+    assert picture is not None
+    return photograph_surface(picture, item.near_infrared)
+
+
+def triangles(item: Mesh, folder: Path) -> meshes.Part:
+    """A mesh's triangles; without a material also the picture of its colours, and where it lies on them."""
+    parts = mesh_parts(item, folder)
+    if item.material is not None:
+        return meshes.joined(parts)
+    return meshes.joined_with_colours(parts, mesh_place(item, folder))
+
+
+def material_names_of(scene: Scene) -> list[str]:
+    """Names of the materials that a scene's objects have, in order of first use; number 1 is the first."""
+    return list(dict.fromkeys(material_of(item) for item in scene.objects))
+
+
+def material_number_of_object(scene: Scene) -> NDArray[np.uint32]:
+    """Number of each object's material (from 1, in ``material_names_of``) by ``object_id``; 0 is nothing."""
+    names = material_names_of(scene)
+    return np.array([0, *(names.index(material_of(item)) + 1 for item in scene.objects)], np.uint32)
+
+
+def colour_notes(scene: Scene) -> list[str]:
+    """What was made of RGB colours: one line for each mesh that has its own."""
+    return [
+        f"object '{item.name}': RGB of {item.file} ({', '.join(meshes.colour_kinds(mesh_parts(item, scene.folder)))}) "
+        f"became a matt material by the near-infrared rule '{item.near_infrared}'"
+        for item in scene.objects
+        if isinstance(item, Mesh) and item.material is None
+    ]
+
+
+# --- geometry ------------------------------------------------------------------------------------
+
+
+def object_to_camera(item: Object, scene: Scene) -> FloatArray:
+    """Transform of an object's unscaled local axes into camera axes, metres, [4, 4].
+
+    Local lengths are metres; a mesh's own units are scaled where it is read.
+    """
+    return world_to_camera(scene) @ placement(item)
+
+
+def world_to_camera(scene: Scene) -> FloatArray:
+    """Transform of scene coordinates (metres) into camera axes, [4, 4]."""
+    position, target = np.multiply(scene.view.position_cm, 1e-2), np.multiply(scene.view.look_at_cm, 1e-2)
+    forward = (target - position) / np.linalg.norm(target - position)
+    right = np.cross((0.0, 1.0, 0.0), forward)
+    right /= np.linalg.norm(right)
+    matrix = np.eye(4)
+    matrix[:3, :3] = np.stack([right, np.cross(forward, right), forward])
+    matrix[:3, 3] = -matrix[:3, :3] @ position
+    return matrix
+
+
+# --- checks that need more than one key ----------------------------------------------------------
+
+
+def _check(scene: Scene, where: str) -> None:
+    """Materials, illuminants, images and meshes exist, and no object is behind or on the lens."""
+    problems: list[str] = []
+    for index, light in enumerate(scene.lights):
+        problems += [f"lights.{index} ({light.kind}): {problem}" for problem in _light_problems(light, scene)]
+    own: dict[str, Surface] = {}
+    for name, texture in scene.materials.items():
+        try:
+            own[name] = surface(texture, scene.folder)
+        except InputError as error:
+            problems.append(f"material '{name}': {error}")
+    for item in scene.objects:
+        for check in (_material_problems, _place_problems):
+            try:
+                problems += check(item, scene)
+            except InputError as error:
+                if str(error) not in problems:
+                    problems.append(str(error))
+        problems += _glass_problems(item, scene, own)
+        if isinstance(item, Mesh) and item.material in own and is_textured(own[item.material]):
+            problems += _texture_problems(item, scene)
+    if problems:
+        raise InputError(f"{where}: " + "; ".join(problems))
+
+
+def _material_problems(item: Object, scene: Scene) -> list[str]:
+    if isinstance(item, HeightField):
+        try:
+            mask(item.image, scene.folder)
+        except InputError as error:
+            return [f"object '{item.name}': {error}"]
+    if item.material is None:
+        return _colour_problems(item, scene) if isinstance(item, Mesh) else []
+    if item.material not in set(material_names()) | set(scene.materials):
+        return [f"object '{item.name}': {unknown(item.material, scene.materials)}"]
+    return []
+
+
+def _glass_problems(item: Object, scene: Scene, own: dict[str, Surface]) -> list[str]:
+    """Light that enters glass has to come out again: solid glass on an open shape would fill the world."""
+    found = own.get(item.material or "")
+    solid = isinstance(found, Glass) and not found.thin if found else item.material == "glass"
+    if not solid or item.shape not in ("plane", "disc", "cylinder", "heightfield"):
+        return []
+    return [
+        f"object '{item.name}': a {item.shape} is open and cannot be of solid glass (material '{item.material}'); "
+        "take 'glass-pane' (or thin = true), or a box, sphere or closed mesh"
+    ]
+
+
+def _light_problems(light: Light, scene: Scene) -> list[str]:
+    """An unknown illuminant, a bad image, or a lamp inside a solid object, where nobody sees its light."""
+    found = []
+    for check in (lambda: illuminants.illuminant(light.illuminant), lambda: panorama.check(light, scene.folder)):
+        try:
+            check()
+        except InputError as error:
+            found.append(str(error))
+    if not isinstance(light, Near):
+        return found
+    for item in scene.objects:
+        if isinstance(item, (Box, Sphere)):
+            _, half = half_extent_m(item, scene.folder)
+            place = np.linalg.inv(placement(item)) @ [*np.multiply(light.position_cm, 1e-2), 1.0]
+            share = np.abs(place[:3]) / half
+            if (np.linalg.norm(share) if isinstance(item, Sphere) else share.max()) < 1:
+                found.append(f"position_cm lies inside object '{item.name}'; move one of them")
+    return found
+
+
+def _texture_problems(item: Mesh, scene: Scene) -> list[str]:
+    try:
+        if any(part.uv is None for part in mesh_parts(item, scene.folder)):
+            return [
+                f"object '{item.name}': mesh {item.file} has no texture coordinates "
+                f"for the material '{item.material}'; give it some, or one of the plain materials"
+            ]
+    except InputError:
+        pass  # reported with the placement
+    return []
+
+
+def _colour_problems(item: Mesh, scene: Scene) -> list[str]:
+    """What stands against using a mesh's own colours."""
+    kinds = meshes.colour_kinds(mesh_parts(item, scene.folder))
+    rules = ", ".join(NEAR_INFRARED_RULES)
+    if not kinds:
+        return [f"object '{item.name}': mesh {item.file} has no colours of its own; give the object a material"]
+    if item.near_infrared is None:
+        return [
+            f"object '{item.name}': mesh {item.file} has RGB colours ({', '.join(kinds)}), which say nothing of the "
+            f"near-infrared; choose a rule, near_infrared = {rules}, or give the object a material"
+        ]
+    if item.near_infrared not in NEAR_INFRARED_RULES:
+        return [f"object '{item.name}': near_infrared '{item.near_infrared}' is unknown; allowed are {rules}"]
+    triangles(item, scene.folder)  # raises where the colours are too many
+    return []
+
+
+def _place_problems(item: Object, scene: Scene) -> list[str]:
+    to_camera = object_to_camera(item, scene)
+    return size_problems(item, scene.folder) + placement_problems(item, scene.folder, to_camera)
+
+
+def check_clear(scene: Scene, pupil_radius_m: float) -> None:
+    """InputError where an object reaches into the lens of the camera that is going to be used."""
+    problems = [
+        problem
+        for item in scene.objects
+        for problem in placement_problems(item, scene.folder, object_to_camera(item, scene), pupil_radius_m)
+    ]
+    if problems:
+        raise InputError(f"scene '{scene.name}': " + "; ".join(problems))

@@ -1,0 +1,179 @@
+"""Test targets that come as families of scenes: one capture for each blur level, or for each depth and step.
+
+A bundled TOML file is the template. A target is moved along the axis and grown with its distance, seen from the
+lens's centre: every point keeps its place in the picture, so that nothing but the blur changes. ``staircase:14`` names
+a member of a family wherever a scene is named.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from dasim.base.errors import InputError
+from dasim.camera.specification import Camera, depth_of_blur_m, level_blur_px, load_camera
+from dasim.materials import photographs
+from dasim.scene import specification
+from dasim.scene.lights import Dome, Lamp, Light
+from dasim.scene.shapes import Object, Plane
+from dasim.scene.specification import Scene
+
+DEFAULT_CAMERA = "da-mobile"
+DEPTH_RANGE_CM = (1.0, 10_000.0)  # of the halves of depth-steps
+
+
+def staircase(camera: Camera, level: int, texture: str | None = None) -> Scene:
+    """The board of ``scenes/staircase.toml`` at a blur level of ``camera``, 0 to 28 by default (Fig. 10).
+
+    The camera's own focus counts: take ``dasim.focused(camera, dasim.load_scene("staircase"))``. ``texture`` is
+    another image, ``brick`` (a photograph of scikit-image) or ``pattern:NAME``.
+    """
+    template = specification.load_scene("staircase")
+    return _textured(_at_level(template, camera, level), texture)
+
+
+def point(camera: Camera, level: int) -> Scene:
+    """The hole in black cloth of ``scenes/point.toml`` at a blur level of ``camera`` (sec. 5.1)."""
+    return _at_level(specification.load_scene("point"), camera, level)
+
+
+def depth_steps(depth_cm: float, step_cm: float, texture: str | None = None) -> Scene:
+    """The halves of ``scenes/depth-steps.toml``: the left one at ``depth_cm``, the right one ``step_cm`` farther."""
+    low, high = DEPTH_RANGE_CM
+    if not (low <= depth_cm and step_cm > 0 and depth_cm + step_cm <= high):  # written so that NaN is refused
+        raise InputError(
+            f"scene 'depth-steps': depth {depth_cm:g} cm and step {step_cm:g} cm; a depth from {low:g} cm and a step "
+            f"above 0 are allowed, together up to {high:g} cm"
+        )
+    template = specification.load_scene("depth-steps")
+    depths = {"near": depth_cm, "far": depth_cm + step_cm}
+    halves = tuple(_grown(item, depths[item.name] / item.position_cm[2]) for item in template.objects)
+    name = f"depth-steps:{depth_cm:g}:{step_cm:g}"
+    return _textured(template.model_copy(update={"name": name, "objects": halves}), texture)
+
+
+def at_distance(template: Scene, depth_cm: float, scale: float = 1.0) -> Scene:
+    """A scene of planes moved until its nearest one is at a distance, and grown with it: only the blur changes.
+
+    ``scale`` is a further factor on widths and heights, for a lens or a pixel that sees another angle.
+    """
+    low, high = DEPTH_RANGE_CM
+    if not low <= depth_cm <= high:  # written so that NaN is refused
+        raise InputError(f"distance {depth_cm:g} cm: must be from {low:g} to {high:g} cm")
+    lights = all(isinstance(light, Dome | Lamp) for light in template.lights)
+    if not (lights and all(isinstance(item, Plane) for item in template.objects)):
+        raise InputError(
+            f"scene '{template.name}': only a flat one can be set at a distance, such as staircase or depth-steps"
+        )
+    factor = depth_cm / min(item.position_cm[2] for item in template.objects)
+    changes: dict[str, Any] = {
+        "name": f"{template.name} at {depth_cm:g} cm",
+        "objects": tuple(_grown(item, factor, scale) for item in template.objects),
+        "lights": tuple(_grown_light(light, factor) for light in template.lights),
+    }
+    return template.model_copy(update=changes)
+
+
+# --- by name -------------------------------------------------------------------------------------
+
+
+def is_target(name: str | Path) -> bool:
+    """Whether a scene's name is that of a member of a family, as ``staircase:14``."""
+    family, colon, _ = str(name).partition(":")
+    return bool(colon) and family in _FAMILIES
+
+
+def target(name: str | Path, camera: Camera | None = None) -> Scene:
+    """The scene of a name: ``staircase:LEVEL[:IMAGE]``, ``point:LEVEL`` or ``depth-steps:DEPTH:STEP[:IMAGE]``.
+
+    Levels are those of ``camera`` (da-mobile if None) at the focus that the family proposes.
+    """
+    family, _, rest = str(name).partition(":")
+    form, make = _FAMILIES[family]
+    try:
+        return make(camera or load_camera(DEFAULT_CAMERA), rest)
+    except ValueError as error:
+        if isinstance(error, InputError):
+            raise
+        raise InputError(f"scene '{name}': has the form {form}, with numbers for the words in capitals") from None
+
+
+def _named_staircase(camera: Camera, text: str) -> Scene:
+    level, _, texture = text.partition(":")
+    return staircase(specification.focused(camera, specification.load_scene("staircase")), int(level), texture or None)
+
+
+def _named_point(camera: Camera, text: str) -> Scene:
+    return point(specification.focused(camera, specification.load_scene("point")), int(text))
+
+
+def _named_depth_steps(camera: Camera, text: str) -> Scene:
+    depth, step, *texture = text.split(":", 2)
+    return depth_steps(float(depth), float(step), texture[0] if texture else None)
+
+
+_FAMILIES: dict[str, tuple[str, Callable[[Camera, str], Scene]]] = {
+    "staircase": ("staircase:LEVEL or staircase:LEVEL:image", _named_staircase),
+    "point": ("point:LEVEL", _named_point),
+    "depth-steps": ("depth-steps:DEPTH:STEP or depth-steps:DEPTH:STEP:image, in cm", _named_depth_steps),
+}
+
+
+# --- templates -----------------------------------------------------------------------------------
+
+
+def _at_level(template: Scene, camera: Camera, level: int) -> Scene:
+    """A scene moved and grown so that its first object or light, whichever is nearer, has a blur level."""
+    blurs = level_blur_px(camera)
+    if not 0 <= level < len(blurs):
+        raise InputError(f"scene '{template.name}': level {level} is not one of 0 to {len(blurs) - 1}")
+    depth_cm = float(depth_of_blur_m(camera, blurs[level])) * 1e2
+    depths_cm = [item.position_cm[2] for item in template.objects]
+    depths_cm += [light.position_cm[2] for light in template.lights if isinstance(light, Lamp)]
+    factor = depth_cm / min(depths_cm)
+    changes: dict[str, Any] = {
+        "name": f"{template.name}:{level}",
+        "objects": tuple(_grown(item, factor) for item in template.objects),
+        "lights": tuple(_grown_light(light, factor) for light in template.lights),
+    }
+    return template.model_copy(update=changes)
+
+
+def _grown(item: Object, factor: float, scale: float = 1.0) -> Object:
+    """A plane with every length times a factor: farther away, and looking the same from the lens's centre.
+
+    ``scale`` makes it wider and higher beside.
+    """
+    assert isinstance(item, Plane), "the templates are flat"
+    x, y, z = item.position_cm
+    width, height = item.size_cm
+    across = factor * scale
+    changes = {"position_cm": (x * across, y * across, z * factor), "size_cm": (width * across, height * across)}
+    return item.model_copy(update=changes)
+
+
+def _grown_light(light: Light, factor: float) -> Light:
+    """A light with every length times a factor; its lux at its target stays."""
+    if isinstance(light, Dome):
+        return light
+    assert isinstance(light, Lamp), "the templates have domes and lamps"
+    places = {
+        "position_cm": tuple(value * factor for value in light.position_cm),
+        "target_cm": tuple(value * factor for value in light.target_cm),
+        "radius_cm": light.radius_cm * factor,
+    }
+    return light.model_copy(update=places)
+
+
+def _textured(template: Scene, texture: str | None) -> Scene:
+    """The scene with another picture in all of its own materials."""
+    if texture is None:
+        return template
+    image = texture if ":" in texture else f"skimage:{texture}"
+    try:
+        photographs.linear_rgb(image, template.folder)
+    except InputError as error:
+        raise InputError(f"scene '{template.name}': {error}") from None
+    materials = {name: item.model_copy(update={"image": image}) for name, item in template.materials.items()}
+    return template.model_copy(update={"name": f"{template.name}:{texture}", "materials": materials})

@@ -1,0 +1,79 @@
+"""Calibration pictures: a point source in front of the camera, as sec. 5.1 of the paper takes them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from dasim.camera import noise, pointspread
+from dasim.camera import specification as cameras
+from dasim.camera.specification import Camera
+from dasim.spectra import illuminants
+from dasim.spectra.grid import FloatArray
+from dasim.values import PointPicture
+
+FRAMES = 2  # of each exposure
+CALIBRATION_LIGHTS = ("D65", "D55", "A", illuminants.ENERGY_SAVING)
+# Times as long as the automatic exposure: a kernel's tails, and infrared under a lamp that has little of it, drown in
+# the fixed pattern of a picture whose core is exposed well. The automatic one comes last.
+EXPOSURES = (256.0, 16.0, 1.0)
+EXPOSURE_S = 0.01
+# Four positions a whole pixel apart, so that every channel of a 2x2 mosaic sees every part of the kernel.
+_BACKGROUND_SHARE = 1e-3  # of the peak: a little stray light, which calibration has to remove
+
+
+def levels(camera: Camera) -> tuple[FloatArray, FloatArray]:
+    """Distances in metres from the lens at which to photograph a point source, and the visible blur there, px."""
+    blurs = cameras.level_blur_px(camera)
+    return np.asarray(cameras.depth_of_blur_m(camera, blurs)), blurs
+
+
+def calibration_captures(
+    camera: Camera,
+    lights: Sequence[str] = CALIBRATION_LIGHTS,
+    *,
+    frames: int = FRAMES,
+    seed: int = 0,
+    diffraction: str = "wave",
+) -> Iterator[PointPicture]:
+    """Pictures of a point source for each light, blur level, mosaic position and exposure.
+
+    The kernels are the camera's own (a path-traced point source converges too slowly to calibrate with),
+    at an unknown sub-pixel position for each light and level, and go through the sensor model with
+    automatic exposure to 85 % of full scale, and longer ones (``EXPOSURES``). ``shift_px``
+    covers one period of the mosaic.
+    """
+    depths, blurs = levels(camera)
+    rows, columns = len(camera.sensor.mosaic), len(camera.sensor.mosaic[0])
+    kernel_size = pointspread.kernel_size_px(camera, float(blurs[-1]))
+    side = (kernel_size + 2 * max(rows, columns) + 6) // (2 * rows * columns) * (2 * rows * columns)
+    side += 2 * rows * columns
+    local = camera.sensor.model_copy(update={"width_px": side, "height_px": side})
+    frame_camera = camera.model_copy(update={"sensor": local})
+    powers = np.stack([illuminants.illuminant(light) for light in lights])
+    kernels_at = pointspread.kernels(camera, blurs, powers, side - 1, diffraction)
+    for level, (blur, depth) in enumerate(zip(blurs, depths, strict=True)):
+        for light_index, light in enumerate(lights):
+            key = np.random.SeedSequence((seed, light_index, level))
+            place = np.random.Generator(np.random.Philox(key)).uniform(-0.5, 0.5, 2)
+            kernel, signal = kernels_at(level, (place[0], place[1]), light_index)
+            flux = np.zeros((side, side, len(signal)))
+            flux[: side - 1, : side - 1] = np.moveaxis(kernel * signal[:, None, None], 0, -1)
+            flux += _BACKGROUND_SHARE * flux.max() * signal / signal.max()
+            for dy in range(rows):
+                for dx in range(columns):
+                    moved = np.roll(flux, (dy, dx), axis=(0, 1))
+                    # The strongest channel of any position sets the exposure, the same for all positions.
+                    scale = noise.Exposure().auto_level * noise.saturation_e(local) / flux.max()
+                    mean_e = scale * noise.mosaic(moved, frame_camera)
+                    noise_seed = int(key.generate_state(1)[0])
+                    for number, times in enumerate(EXPOSURES):
+                        time_s = times * EXPOSURE_S
+                        first = frames * ((dy * columns + dx) * len(EXPOSURES) + number)
+                        collected_e = noise.electronic_crosstalk(times * mean_e, local)
+                        shots = [
+                            noise.expose(collected_e, local, time_s, noise_seed, frame=first + frame)[0]
+                            for frame in range(frames)
+                        ]
+                        yield PointPicture(np.stack(shots), light, level, float(depth), float(blur), (dy, dx), time_s)

@@ -1,0 +1,91 @@
+"""Captures put together into one picture: the middles of several, one above the other."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from dasim.base.errors import InputError
+from dasim.base.toml import parse
+from dasim.camera import pointspread
+from dasim.camera.specification import Camera, Sensor
+from dasim.values import Capture, Truth
+
+
+def margin_px(camera: Camera, blur_px: float) -> int:
+    """Pixels that a blur reaches beyond its place: half of its kernel with the diffraction tail."""
+    return pointspread.kernel_size_px(camera, blur_px) // 2
+
+
+def tiled(tiles: Sequence[tuple[Capture, Truth]], width_px: int, height_px: int) -> tuple[Capture, Truth]:
+    """The middles of captures, ``width_px`` x ``height_px`` each, the first at the bottom (Fig. 10 of the paper).
+
+    Every tile is cut on whole cells of the mosaic, so that the picture's mosaic is the camera's, and at least
+    :func:`margin_px` of its own blur away from its capture's border, so that nothing of a border is in it. The
+    captures must be of one camera, focus and exposure. The picture's camera is theirs with a sensor of its size:
+    its off-axis angles are not those at which the tiles were taken, and windows across a seam see two of them.
+    """
+    if not tiles:
+        raise InputError("tiles: none are given; at least one capture is needed")
+    first = tiles[0][0]
+    cell_height, cell_width = len(first.camera.sensor.mosaic), len(first.camera.sensor.mosaic[0])
+    if height_px % cell_height or width_px % cell_width or min(width_px, height_px) <= 0:
+        raise InputError(
+            f"tiles of {width_px}x{height_px} pixels: sides must be multiples of the mosaic, {cell_width}x{cell_height}"
+        )
+    for number, (capture, truth) in enumerate(tiles):
+        _check(number, capture, truth, first, width_px, height_px)
+    height, width = first.raw_dn.shape
+    top = (height - height_px) // 2 // cell_height * cell_height
+    left = (width - width_px) // 2 // cell_width * cell_width
+    part = (slice(top, top + height_px), slice(left, left + width_px))
+
+    def stacked(*images: np.ndarray) -> np.ndarray:
+        return np.concatenate([image[part] for image in reversed(images)])
+
+    size = {"width_px": width_px, "height_px": height_px * len(tiles)}
+    sensor = parse(Sensor, first.camera.sensor.model_dump() | size, "tiles")
+    raw_dn = stacked(*(capture.raw_dn for capture, _ in tiles))
+    picture = replace(
+        first,
+        raw_dn=raw_dn,
+        camera=first.camera.model_copy(update={"sensor": sensor}),
+        provenance=first.provenance
+        | {
+            "scene": {"name": "tiles", "tiles": [capture.provenance.get("scene", {}) for capture, _ in tiles]},
+            "tiles": {"height_px": height_px, "seeds": [capture.seed for capture, _ in tiles]},
+            "saturated_pixels": int(np.count_nonzero(raw_dn == 2**sensor.adc_bits - 1)),
+            "notes": list(dict.fromkeys(note for shot, _ in tiles for note in shot.provenance.get("notes", []))),
+        },
+    )
+    truths = [truth for _, truth in tiles]
+    exact: dict[str, Any] = {
+        name: stacked(*(getattr(truth, name) for truth in truths))
+        for name, value in vars(truths[0]).items()
+        if isinstance(value, np.ndarray)
+    }
+    return picture, replace(truths[0], **exact)
+
+
+def _check(number: int, capture: Capture, truth: Truth, first: Capture, width_px: int, height_px: int) -> None:
+    """InputError where a tile does not fit the first, or its blur reaches from the border into what is kept."""
+    where = f"tile {number}"
+    if capture.camera != first.camera:
+        raise InputError(f"{where}: its camera, focus or size differs from that of tile 0")
+    if (capture.exposure_s, capture.gain) != (first.exposure_s, first.gain):
+        raise InputError(
+            f"{where}: exposed {capture.exposure_s:g} s at gain {capture.gain:g}, tile 0 {first.exposure_s:g} s at "
+            f"{first.gain:g}; give all captures the exposure of the first"
+        )
+    height, width = capture.raw_dn.shape
+    cell = max(len(first.camera.sensor.mosaic), len(first.camera.sensor.mosaic[0]))
+    needed = margin_px(capture.camera, float(np.abs(truth.blur_px).max())) + cell  # cutting may shift by a cell
+    if min(height - height_px, width - width_px) // 2 < needed:
+        smallest = f"{width_px + 2 * needed}x{height_px + 2 * needed}"
+        raise InputError(
+            f"{where}: its blur reaches {needed} pixels in from the border; to keep {width_px}x{height_px} pixels, "
+            f"a capture must have {smallest} at least, not {width}x{height}"
+        )

@@ -1,0 +1,224 @@
+"""Illuminants by name: spectral power on the wavelength grid, of lights that give one lux.
+
+What each is beyond the end of its table, where it has one, is part of what it is: see :func:`described`.
+"""
+
+from __future__ import annotations
+
+import difflib
+import re
+from functools import cache
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from dasim.base.errors import InputError
+from dasim.spectra import daylight
+from dasim.spectra.grid import (
+    LIGHT_SPEED_M_S,
+    NEAR_INFRARED_NM,
+    PLANCK_J_S,
+    WAVELENGTH_NM,
+    FloatArray,
+    integrate,
+    photons_per_joule,
+)
+
+BOLTZMANN_J_K = 1.380649e-23
+MAX_LUMINOUS_EFFICACY_LM_W = 683.002  # lm/W at 555 nm, CIE 015:2018
+
+_D_SERIES_CCT_K = {"D65": 6504.0, "D55": 5503.0, "D50": 5003.0, "D75": 7504.0}
+_PLANCKIAN_K = {"A": 2855.5, "incandescent-2800K": 2800.0}
+ENERGY_SAVING = "energy-saving-3500K"
+_FLUORESCENT = tuple(f"F{i}" for i in range(1, 13)) + tuple(f"F3.{i}" for i in range(1, 16))
+_LEDS = (*(f"LED-B{i}" for i in range(1, 6)), "LED-BH1", "LED-RGB1", "LED-V1", "LED-V2")
+
+ILLUMINANTS = (*_D_SERIES_CCT_K, *_PLANCKIAN_K, ENERGY_SAVING, *_FLUORESCENT, *_LEDS)
+BLACKBODY_K = (1000, 25_000)
+ELEVATION_DEG = (5, 90)
+PATTERNS = (
+    f"blackbody-NNNNK ({BLACKBODY_K[0]} to {BLACKBODY_K[1]} K)",
+    f"sun-NNdeg, sky-NNdeg and daylight-NNdeg (sun {ELEVATION_DEG[0]} to {ELEVATION_DEG[1]} degrees up)",
+)
+EXAMPLES = ("blackbody-5000K", "sun-10deg", "sun-60deg", "sky-60deg", "daylight-60deg")  # of the patterns
+_BLACKBODY = re.compile(r"blackbody-(\d{1,6})K")
+_DAYLIGHT = re.compile(r"(sun|sky|daylight)-(\d{1,3})deg")
+
+_TABLE_END_NM = 780.0  # of the CIE's fluorescent lamps and LEDs
+_HELD_FROM_NM = 760.0  # lamps: the mean from here to the table's end is held beyond it
+_TAIL_FROM_NM = 740.0  # LEDs: the phosphor's fall from here to the table's end goes on beyond it
+
+# Three-band compact fluorescent lamp [inferred]: the CIE's tables, and what a booth's three-band lamp of 3000 K
+# shows above them (ISETCam's U30): a floor of continuum, and the lines of argon, unresolved, at 795 to 826 nm.
+_THREE_BAND = ("F12", "F11")  # 3000 K and 4000 K
+_THREE_BAND_CCT_K = 3500.0
+_CONTINUUM_W_M2_NM = 0.40e-6  # of one lux
+_ARGON_NM, _ARGON_SIGMA_NM, _ARGON_W_M2 = 806.0, 12.0, 8e-6  # of one lux
+
+
+class Description(NamedTuple):
+    """What people want to know of an illuminant."""
+
+    name: str
+    cct_k: float
+    near_infrared: float  # photons over 650-810 nm, over those of D65 at as many lux
+    beyond: str  # the end of its table
+
+
+@cache
+def luminous_efficiency() -> FloatArray:
+    """CIE 1924 photopic luminous efficiency V(lambda), 0..1, from colour-science."""
+    import colour
+
+    table = colour.SDS_LEFS["CIE 1924 Photopic Standard Observer"]
+    return np.interp(WAVELENGTH_NM, table.wavelengths, table.values, left=0.0, right=0.0)
+
+
+def planckian(temperature_k: float) -> FloatArray:
+    """Relative spectral power of a blackbody, scaled to 1 at 560 nm (Planck's law)."""
+
+    def law(wavelength_nm: FloatArray | float) -> FloatArray:
+        metres = np.asarray(wavelength_nm) * 1e-9
+        exponent = PLANCK_J_S * LIGHT_SPEED_M_S / (metres * BOLTZMANN_J_K * temperature_k)
+        return metres**-5 / np.expm1(exponent)
+
+    return law(WAVELENGTH_NM) / law(560.0)
+
+
+@cache
+def illuminant(name: str) -> FloatArray:
+    """Relative spectral power of an illuminant (``ILLUMINANTS``, ``PATTERNS``), scaled to 1 lux.
+
+    Returned in W m^-2 nm^-1 of a light that gives one lux; treat it as read-only. Raises InputError for other names.
+    """
+    curve = _one_lux(_relative(name))
+    curve.setflags(write=False)
+    return curve
+
+
+def lux(power: FloatArray) -> float:
+    """Illuminance in lux of a spectral irradiance in W m^-2 nm^-1."""
+    return float(MAX_LUMINOUS_EFFICACY_LM_W * integrate(power * luminous_efficiency()))
+
+
+def described(name: str) -> Description:
+    """Colour temperature and near-infrared of an illuminant, and what it is beyond the end of its table."""
+    low, high = NEAR_INFRARED_NM
+    band = (WAVELENGTH_NM >= low) & (WAVELENGTH_NM <= high)
+    photons = [np.trapezoid((illuminant(n) * photons_per_joule())[band], WAVELENGTH_NM[band]) for n in (name, "D65")]
+    return Description(name, _cct_k(illuminant(name)), float(photons[0] / photons[1]), _beyond(name))
+
+
+def _beyond(name: str) -> str:
+    if name in _D_SERIES_CCT_K:
+        return "computed from the CIE's S0, S1 and S2, which reach 830 nm"
+    if name in _PLANCKIAN_K or _BLACKBODY.fullmatch(name):
+        return "Planck's law"
+    if _DAYLIGHT.fullmatch(name):
+        return "SPCTRAL2 (Bird and Riordan 1986), whose table goes on to 4000 nm"
+    if name in _LEDS:
+        return "CIE table to 780 nm; the exponential fall of 740-780 nm goes on"
+    if name == ENERGY_SAVING:
+        return "inferred: F12 and F11 mixed; continuum and argon lines above 700 nm as a measured three-band lamp's"
+    return "CIE table to 780 nm, the mean of its last 20 nm held; measured lamps have 0.93 to 1.0 of that"
+
+
+def _relative(name: str) -> FloatArray:
+    """Spectral power of a name, in any scale."""
+    if name in _PLANCKIAN_K:
+        return planckian(_PLANCKIAN_K[name])
+    if name in _D_SERIES_CCT_K:
+        return _daylight(_D_SERIES_CCT_K[name])
+    if name == ENERGY_SAVING:
+        return _energy_saving()
+    if name in _FLUORESCENT:
+        return _table(f"FL{name[1:]}")
+    if name in _LEDS:
+        return _led(name)
+    if found := _BLACKBODY.fullmatch(name):
+        return planckian(_within(name, int(found[1]), BLACKBODY_K, "K"))
+    if found := _DAYLIGHT.fullmatch(name):
+        elevation_deg = _within(name, int(found[2]), ELEVATION_DEG, "degrees")
+        sun, sky = daylight.sun_and_sky(elevation_deg)
+        level = np.sin(np.radians(elevation_deg))
+        return {"sun": sun, "sky": sky, "daylight": sun * level + sky}[found[1]]
+    near = difflib.get_close_matches(name.lower(), [n.lower() for n in ILLUMINANTS], n=3, cutoff=0.4)
+    nearest = [n for n in ILLUMINANTS if n.lower() in near] or list(ILLUMINANTS[:5])
+    raise InputError(
+        f"illuminant '{name}' is unknown; nearest are {', '.join(nearest)}; there are also {', '.join(PATTERNS)} "
+        "(see 'dasim list illuminants')"
+    )
+
+
+def _within(name: str, value: int, allowed: tuple[int, int], unit: str) -> int:
+    if not allowed[0] <= value <= allowed[1]:
+        raise InputError(f"illuminant '{name}': {allowed[0]} to {allowed[1]} {unit} are allowed")
+    return value
+
+
+def _one_lux(relative: FloatArray) -> FloatArray:
+    return np.array(relative / lux(relative))
+
+
+def _daylight(cct_k: float) -> FloatArray:
+    """Relative spectral power of the CIE daylight of a correlated colour temperature (CIE 015:2018).
+
+    Computed from the components S0-S2, which reach 830 nm: the tables of D50 to D75 stop at 780 nm, inside the
+    near-infrared band.
+    """
+    import colour
+
+    chromaticity = colour.temperature.CCT_to_xy_CIE_D(cct_k)
+    table = colour.sd_CIE_illuminant_D_series(chromaticity)
+    return np.interp(WAVELENGTH_NM, table.wavelengths, table.values)
+
+
+def _table(name: str) -> FloatArray:
+    """A table of the CIE's (CIE 015:2018) from colour-science; beyond 780 nm the mean of its last 20 nm is held.
+
+    Three fluorescent lamps of a light booth, measured to 830 nm, have 0.93 to 1.0 of that there: phosphors are dark,
+    and the lines of argon are weak. (The last value alone is rounded to 0 in some tables.)
+    """
+    import colour
+
+    table = colour.SDS_ILLUMINANTS[name]
+    held = np.mean(table.values[table.wavelengths >= _HELD_FROM_NM])
+    return np.where(WAVELENGTH_NM > _TABLE_END_NM, held, np.interp(WAVELENGTH_NM, table.wavelengths, table.values))
+
+
+def _led(name: str) -> FloatArray:
+    """An LED of the CIE's (CIE 015:2018); beyond its table the phosphor's exponential fall goes on."""
+    curve = _table(name)
+    curve = np.where(WAVELENGTH_NM > _TABLE_END_NM, curve[WAVELENGTH_NM == _TABLE_END_NM], curve)
+    fall = (WAVELENGTH_NM >= _TAIL_FROM_NM) & (WAVELENGTH_NM <= _TABLE_END_NM)
+    slope = np.polyfit(WAVELENGTH_NM[fall], np.log(curve[fall]), 1)[0]
+    return curve * np.exp(slope * np.maximum(WAVELENGTH_NM - _TABLE_END_NM, 0.0))
+
+
+def _energy_saving() -> FloatArray:
+    """A three-band compact fluorescent lamp of 3500 K [inferred].
+
+    The mixture of the CIE's three-band lamps F12 (3000 K) and F11 (4000 K) that has this colour temperature, with a
+    floor of continuum and the lines of argon above 700 nm that a measured three-band lamp shows and the CIE's tables,
+    which end at 780 nm, hardly do.
+    """
+    from scipy.optimize import brentq
+
+    warm, cold = (_one_lux(_table(f"FL{name[1:]}")) for name in _THREE_BAND)
+
+    def lamp(share: float) -> FloatArray:
+        argon = np.exp(-0.5 * ((WAVELENGTH_NM - _ARGON_NM) / _ARGON_SIGMA_NM) ** 2)
+        argon *= _ARGON_W_M2 / (_ARGON_SIGMA_NM * np.sqrt(2 * np.pi))
+        floor = _CONTINUUM_W_M2_NM * np.clip((WAVELENGTH_NM - 700.0) / 40.0, 0.0, 1.0)
+        return (1 - share) * warm + share * cold + floor + argon
+
+    return lamp(brentq(lambda share: _cct_k(lamp(share)) - _THREE_BAND_CCT_K, 0.0, 1.0, xtol=1e-6))
+
+
+def _cct_k(power: FloatArray) -> float:
+    """Correlated colour temperature (Ohno 2013), by colour-science."""
+    import colour
+
+    observer: Any = colour.MSDS_CMFS["CIE 1931 2 Degree Standard Observer"]
+    xyz = [integrate(power * np.interp(WAVELENGTH_NM, observer.wavelengths, c)) for c in observer.values.T]
+    return float(colour.temperature.XYZ_to_CCT_Ohno2013(np.array(xyz))[0])

@@ -1,0 +1,188 @@
+"""A folder with pictures of a point source, as a user takes them for calibration: raw files and their table.
+
+See :mod:`recon.calibration.table` for the table, ``captures.csv``.
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dasim.base.errors import InputError
+from dasim.camera.specification import Camera
+from dasim.files.folders import load_capture, new_folder, software_versions, write_png16
+from dasim.values import Capture, PointPicture
+from recon.calibration import source
+from recon.calibration.table import SHIFTS, TABLE, Line, few_positions, incomplete, level_of, read_table
+from recon.files.raw import load_raw
+
+FloatArray = NDArray[np.float64]
+
+KIND = "calibration pictures"
+MOST_PROBLEMS = 30  # that one message lists
+
+
+@dataclass(frozen=True)
+class Found:
+    """Pictures of a folder, and what a user should know of them."""
+
+    pictures: list[PointPicture]
+    notes: tuple[str, ...]
+
+
+def read_point_pictures(
+    folder: Path,
+    camera: Camera,
+    level_depth_m: FloatArray,
+    level_blur_px: FloatArray,
+    *,
+    known_light: Callable[[str], object],
+    kind: str | None = None,
+    progress: Callable[[str, float], None] = lambda stage, share: None,
+) -> Found:
+    """Pictures of a calibration folder, cut to a window about the source, for :func:`recon.calibrate`.
+
+    ``level_depth_m`` and ``level_blur_px`` [level] are the camera's table of levels; ``known_light`` raises InputError
+    for a light's name that is unknown; ``kind`` is the format of packed raw files. One InputError lists everything
+    that is wrong: lines, files, what shows no source or is saturated, lights and levels without pictures.
+    """
+    lines, problems = read_table(folder, level_depth_m, known_light)
+    problems += incomplete(lines)
+    groups: dict[tuple[str, int], list[tuple[Line, Capture]]] = {}
+    for number, line in enumerate(lines):
+        try:
+            capture = _load(line, camera, kind)
+            groups.setdefault((line.light, line.level), []).append((line, capture))
+        except InputError as error:
+            problems.append(f"{line.where}: {error}")
+        progress("reading pictures", (number + 1) / len(lines))
+    pictures: list[PointPicture] = []
+    worst = (np.inf, "")
+    half_px = source.window_half_px(float(level_blur_px[-1]))
+    for (light, _), loaded in groups.items():
+        blur_px = _blur_px(loaded[0][0].depth_m, level_depth_m, level_blur_px)
+        group, wrong = _cut(loaded, camera, blur_px, half_px)
+        problems += wrong
+        if not wrong:
+            pictures += group
+            ratio, channel = source.signal_to_noise(group, camera, blur_px)
+            worst = min(worst, (ratio, f"{channel} of {light} at {loaded[0][0].depth_m:g} m"))
+            if ratio < source.LEAST_SNR:
+                problems.append(
+                    f"{light} at {loaded[0][0].depth_m:g} m: {channel} has a signal-to-noise ratio of {ratio:.2g}, at "
+                    f"least {source.LEAST_SNR:g} is needed; add longer exposures or more frames"
+                )
+    if problems:
+        shown = "; ".join(problems[:MOST_PROBLEMS])
+        more = f"; and {len(problems) - MOST_PROBLEMS} more" if len(problems) > MOST_PROBLEMS else ""
+        raise InputError(f"captures {folder}: {shown}{more}")
+    return Found(pictures, (f"signal-to-noise ratio at least {worst[0]:.3g} ({worst[1]})", *few_positions(lines)))
+
+
+def write_point_pictures(folder: Path, pictures: Iterable[PointPicture], camera: Camera) -> int:
+    """Write pictures as such a folder, one 16-bit PNG a frame, ``meta.json`` beside it; how many frames there are."""
+    rows: list[list[object]] = []
+    shifted = False
+    with new_folder(folder, KIND) as made:
+        (made / "pictures").mkdir()
+        for picture in pictures:
+            shifted = shifted or picture.shift_px is not None
+            place = picture.position if picture.shift_px is None else ""
+            shift = ("", "") if picture.shift_px is None else picture.shift_px[::-1]
+            for frame in picture.frames_dn:
+                name = f"pictures/{picture.light}-{picture.level:02d}-{len(rows):05d}.png"
+                write_png16(made / name, frame)
+                said = (picture.light, repr(picture.depth_m), repr(picture.exposure_s), f"{picture.gain:g}")
+                rows.append([name, *said, *(shift if shifted else (place,))])
+        last = SHIFTS if shifted else ("position",)
+        with (made / TABLE).open("w", encoding="utf-8", newline="") as file:
+            writer = csv.writer(file, lineterminator="\n")
+            writer.writerows([("file", "light", "depth_m", "exposure_s", "gain", *last), *rows])
+        meta = {"camera": camera.model_dump(mode="json"), "software": software_versions()}
+        (made / "meta.json").write_text(json.dumps(meta, indent=1) + "\n", encoding="utf-8")
+    return len(rows)
+
+
+def _blur_px(depth_m: float, level_depth_m: FloatArray, level_blur_px: FloatArray) -> float:
+    """Visible blur diameter of a depth, even steps of the levels' own."""
+    return float(level_of(depth_m, level_depth_m) * level_blur_px[-1] / (len(level_blur_px) - 1))
+
+
+def _load(line: Line, camera: Camera, kind: str | None) -> Capture:
+    """One picture; of a capture folder, that of this camera and with the table's exposure, if it says one."""
+    if not line.path.is_dir():
+        return load_raw(line.path, camera, kind=kind, exposure_s=line.exposure_s, gain=line.gain)
+    capture = load_capture(line.path)
+    size = {"width_px": camera.sensor.width_px, "height_px": camera.sensor.height_px}
+    if capture.camera.sensor.model_copy(update=size) != camera.sensor:
+        raise InputError(f"is a capture of camera '{capture.camera.name}', whose sensor is another")
+    for name, said, own in (("exposure_s", line.exposure_s, capture.exposure_s), ("gain", line.gain, capture.gain)):
+        if said is not None and not np.isclose(said, own):
+            raise InputError(f"{name} is {said:g} in {TABLE} and {own:g} in the capture")
+    return capture
+
+
+def _cut(
+    loaded: list[tuple[Line, Capture]], camera: Camera, blur_px: float, half_px: int
+) -> tuple[list[PointPicture], list[str]]:
+    """Pictures of one light and level, cut to windows about the source, and what is wrong with them."""
+    problems: list[str] = []
+    places: dict[object, list[tuple[Line, Capture]]] = {}
+    for line, capture in loaded:
+        # Whole-pixel shifts are those of one window.
+        places.setdefault(line.position if line.shift_px is None else None, []).append((line, capture))
+    pictures: list[PointPicture] = []
+    for group in places.values():
+        shapes = {capture.raw_dn.shape for _, capture in group}
+        if len(shapes) > 1:
+            problems.append(f"{', '.join(line.where for line, _ in group[:3])} ...: have different sizes")
+            continue
+        wrong = []
+        for line, capture in group:
+            try:
+                source.check(capture, camera, blur_px, shortest=_is_shortest(line, capture, group))
+            except InputError as error:
+                wrong.append(f"{line.where}: {error}")
+        problems += wrong
+        if wrong:
+            continue
+        try:
+            window = source.window([capture for _, capture in group], camera, blur_px, half_px)
+        except InputError as error:
+            problems.append(f"{group[0][0].where}: {error}")
+            continue
+        pictures += _stacked(group, window, blur_px)
+    return pictures, problems
+
+
+def _is_shortest(line: Line, capture: Capture, group: list[tuple[Line, Capture]]) -> bool:
+    """Of its position's pictures, which alone must not be saturated."""
+    own = [c.exposure_s * c.gain for other, c in group if other.shift_px == line.shift_px]
+    return capture.exposure_s * capture.gain <= min(own)
+
+
+def _stacked(group: list[tuple[Line, Capture]], window: tuple[slice, slice], blur_px: float) -> list[PointPicture]:
+    """Frames of the same place and exposure as one picture each, in the table's order."""
+    frames: dict[tuple[object, ...], list[tuple[Line, Capture]]] = {}
+    for line, capture in group:
+        frames.setdefault((line.shift_px, capture.exposure_s, capture.gain), []).append((line, capture))
+    return [
+        PointPicture(
+            frames_dn=np.stack([source.without_hot_pixels(c)[window] for _, c in same]),
+            light=same[0][0].light,
+            level=same[0][0].level,
+            depth_m=same[0][0].depth_m,
+            blur_px=blur_px,
+            shift_px=same[0][0].shift_px,
+            exposure_s=same[0][1].exposure_s,
+            gain=same[0][1].gain,
+            position=same[0][0].position,
+        )
+        for same in frames.values()
+    ]

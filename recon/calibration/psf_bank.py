@@ -1,0 +1,129 @@
+"""Calibration (sec. 5.1): point-spread functions measured from pictures of a point source."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import fft
+
+from dasim.base.errors import InputError
+from dasim.camera.specification import Camera, channels
+from dasim.values import PointPicture, PsfBank
+from recon.calibration.pictures import averaged, common_centre
+from recon.calibration.round_kernel import basis_of, round_fit, subpixel_radius
+from recon.calibration.unaligned import scattered
+
+FloatArray = NDArray[np.float64]
+Progress = Callable[[str, float], None]
+
+
+def calibrate(
+    pictures: Iterable[PointPicture],
+    camera: Camera,
+    *,
+    diffraction: str = "measured",
+    progress: Progress | None = None,
+) -> PsfBank:
+    """Measure the camera's kernels from pictures of a point source, for every light and blur level.
+
+    ``pictures`` cover one period of the mosaic by whole-pixel shifts for each light and level, so that each
+    channel sees each pixel of its kernel. Frames are averaged; black level and background go; the positions
+    are interleaved; the common centre of the four channels moves to the middle pixel; each kernel is
+    normalised to unit sum. Pictures without ``shift_px`` stand anywhere, one position of the source is enough, and
+    each position's centre is measured: kernels of round stops only. ``diffraction`` is recorded as a remark.
+    Raises InputError where pictures lack.
+    """
+    groups: dict[tuple[str, int], list[PointPicture]] = {}
+    for picture in pictures:
+        groups.setdefault((picture.light, picture.level), []).append(picture)
+    if not groups:
+        raise InputError("calibration: no pictures; one for each light, blur level and mosaic position is needed")
+    lights = tuple(dict.fromkeys(light for light, _ in groups))
+    levels = sorted({level for _, level in groups})
+    missing = [f"{light} level {level}" for light in lights for level in levels if (light, level) not in groups]
+    if missing or levels != list(range(len(levels))):
+        raise InputError(f"calibration: pictures lack {', '.join(missing) or 'levels from 0 on without a gap'}")
+    centred: dict[tuple[str, int], FloatArray] = {}
+    for done, (key, group) in enumerate(groups.items()):
+        if any(picture.shift_px is None for picture in group):
+            centred[key] = scattered(group, camera)
+        else:
+            full, noise_e = _interleave(group, camera)
+            moved = _centre(full)
+            round_kernel = _round_kernels(full, noise_e, moved.shape[1] // 2)
+            centred[key] = np.where(np.isnan(round_kernel), moved, round_kernel)
+        if progress:
+            progress("calibrate", (done + 1) / len(groups))
+    half = min(min(image.shape[1:]) for image in centred.values()) // 2
+    stacked = np.stack([[_crop(centred[light, level], half) for level in levels] for light in lights])
+    electrons = np.maximum(stacked, 0.0)
+    total = electrons.sum(axis=(-1, -2), keepdims=True)
+    if not np.all(total > 0):
+        raise InputError("calibration: a channel of a picture shows no point source above its background")
+    names = channels(camera.sensor)
+    reference = names.index("G") if "G" in names else 0
+    ratio = (total / total[:, :, reference : reference + 1])[..., 0, 0].mean(axis=1)
+    first = [groups[lights[0], level][0] for level in levels]
+    return PsfBank(
+        kernel=(electrons / total).astype(np.float32),
+        lights=lights,
+        signature=ratio.astype(np.float32),
+        depth_m=np.array([picture.depth_m for picture in first], np.float32),
+        blur_px=np.array([picture.blur_px for picture in first], np.float32),
+        camera=camera,
+        diffraction=diffraction,
+    )
+
+
+def _interleave(group: list[PointPicture], camera: Camera) -> tuple[FloatArray, FloatArray]:
+    """Electrons of every channel at every pixel, [channel, h, w], background removed, and their noise."""
+    image, noise, seen = averaged(group, camera, min(picture.exposure_s for picture in group))
+    if not seen.all():
+        where = f"{group[0].light} level {group[0].level}"
+        raise InputError(f"calibration: pictures of {where} do not cover one period of the mosaic by their shifts")
+    return image, noise
+
+
+def _round_kernels(image: FloatArray, noise_e: FloatArray, half: int) -> FloatArray:
+    """Kernels of round stops about the middle pixel, [channel, size, size], electrons; NaN where not round.
+
+    Least squares for the radial density (non-negative, linear between knots) that, integrated over the pixels
+    around the measured centre, gives the picture: pixels at many distances sample the profile more finely
+    than their pitch, so moving the centre costs no sharpness. From the first ring that drowns in
+    noise the profile goes on as r^-3, the mean diffraction tail of a round stop, on a constant background.
+    """
+    centre = common_centre(image)
+    size = 2 * half + 1
+    measured = subpixel_radius(image.shape[1:], centre)
+    wanted = subpixel_radius((size, size), np.array([half, half], float))
+    kernels = np.full((len(image), size, size), np.nan)
+    for index, (picture, sigma) in enumerate(zip(image, noise_e, strict=True)):
+        found = round_fit(measured, picture.ravel(), sigma.ravel(), int(min(picture.shape) // 2))
+        if found is not None:
+            kernels[index] = (basis_of(wanted, found[0]) @ found[1]).reshape(size, size)
+    return kernels
+
+
+def _centre(image: FloatArray) -> FloatArray:
+    """Move the common centre to the middle pixel of an odd frame, [channel, size, size], by the shift theorem."""
+    centre = common_centre(image)
+    middle = np.rint(centre).astype(int)
+    half = int(min(*middle, *(np.array(image.shape[1:]) - 1 - middle))) - 1
+    if half < 1:
+        raise InputError("calibration: the point source lies at the picture's edge; it must be near the middle")
+    odd = image[:, : image.shape[1] // 2 * 2, : image.shape[2] // 2 * 2]
+    padded = np.pad(odd, ((0, 0), (8, 8), (8, 8)))
+    fy = fft.fftfreq(padded.shape[1])[:, None]
+    fx = fft.rfftfreq(padded.shape[2])[None, :]
+    dy, dx = middle - centre
+    moved = fft.irfft2(fft.rfft2(padded) * np.exp(-2j * np.pi * (fy * dy + fx * dx)), s=padded.shape[1:])
+    top, left = middle + 8
+    return moved[:, top - half : top + half + 1, left - half : left + half + 1]
+
+
+def _crop(image: FloatArray, half: int) -> FloatArray:
+    """The central [channel, 2 half + 1, 2 half + 1]."""
+    middle = image.shape[1] // 2
+    return image[:, middle - half : middle + half + 1, middle - half : middle + half + 1]

@@ -1,0 +1,172 @@
+"""Find a point source in a raw picture: where it is, whether it is saturated, how far it stands out of the noise."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from dasim.base.errors import InputError
+from dasim.camera.noise import electrons_per_dn, saturation_e
+from dasim.camera.specification import Camera, channels, mosaic_channels
+from dasim.values import Capture, PointPicture
+from recon.calibration.pictures import RIM_PX, SATURATION_SHARE
+
+FloatArray = NDArray[np.float64]
+
+LEAST_SNR = 20.0  # of a channel's whole image of the source: its electrons over their noise
+DETECTED = 10.0  # the source's mean over a window, over the noise of such means elsewhere
+SATURATED_SHARE = 0.97  # of a pixel; an automatic exposure to 85 % stays below with its noise
+HOT_RATIO = 20.0  # a pixel over the brightest of its eight neighbours, of any colour: no lens draws such a point
+MARGIN_PX = 18  # around the widest blur: its diffraction tail, and the rim that shows background
+SEARCH_STEPS = 5
+MANY_WINDOWS = 16  # side by side in a frame, that tell how much their means differ without a source
+
+
+def window_half_px(blur_px: float) -> int:
+    """Half the side of the window that holds a visible blur, its tail and some background."""
+    return int(np.ceil(blur_px / 2)) + MARGIN_PX
+
+
+def check(capture: Capture, camera: Camera, blur_px: float, *, shortest: bool) -> None:
+    """InputError where a picture shows no source, one that is cut off, or in its shortest exposure a saturated one."""
+    electrons, sigma_e = _electrons(capture)
+    place, ratio = _found(electrons, sigma_e, camera, blur_px)
+    if ratio < DETECTED:
+        raise InputError(
+            f"shows no point source (the brightest place stands {max(ratio, 0):.2g} standard deviations out, "
+            f"{DETECTED:g} are needed)"
+        )
+    room = min(*place, *(np.array(electrons.shape) - 1 - place))
+    needed = blur_px / 2 + RIM_PX
+    if room < needed:
+        raise InputError(
+            f"the source at row {place[0]:.0f}, column {place[1]:.0f} is cut off at the edge: its blur needs "
+            f"{needed:.0f} pixels to each side, there are {max(room, 0):.0f}"
+        )
+    if shortest:
+        raw = without_hot_pixels(capture)
+        sensor = camera.sensor
+        full_dn = sensor.black_level_dn + SATURATED_SHARE * saturation_e(sensor, capture.gain) / electrons_per_dn(
+            sensor, capture.gain
+        )
+        count = int(np.count_nonzero(raw >= full_dn))
+        if count:
+            raise InputError(
+                f"{count} pixel{'s are' if count > 1 else ' is'} saturated in the shortest exposure of its place "
+                f"({capture.exposure_s:g} s); add a shorter one"
+            )
+
+
+def window(captures: Sequence[Capture], camera: Camera, blur_px: float, half_px: int) -> tuple[slice, slice]:
+    """The window about the source in pictures of one place, whole periods of the mosaic from the frame's corner."""
+    least = min(capture.exposure_s * capture.gain for capture in captures)
+    chosen = [_electrons(c) for c in captures if c.exposure_s * c.gain <= least]
+    electrons = np.mean([part[0] for part in chosen], axis=0)
+    place, _ = _found(electrons, np.mean([part[1] for part in chosen], axis=0), camera, blur_px)
+    spans = []
+    for centre, size, period in zip(place, electrons.shape, _period(camera), strict=True):
+        side = min(-(-2 * half_px // period) * period, size // period * period)
+        start = int(np.clip(round(centre - side / 2), 0, size - side)) // period * period
+        spans.append(slice(start, start + side))
+    return spans[0], spans[1]
+
+
+def without_hot_pixels(capture: Capture) -> NDArray[np.uint16]:
+    """The raw picture with pixels that stand alone replaced by the median of their neighbours of the same colour."""
+    electrons, sigma_e = _electrons(capture)
+    hot = _hot(electrons, sigma_e)
+    if not hot.any():
+        return capture.raw_dn
+    rows, columns = _period(capture.camera)
+    ring = np.zeros((2 * rows + 1, 2 * columns + 1), bool)
+    ring[::rows, ::columns] = True
+    ring[rows, columns] = False
+    return np.where(hot, ndimage.median_filter(capture.raw_dn, footprint=ring, mode="mirror"), capture.raw_dn)
+
+
+def signal_to_noise(pictures: Sequence[PointPicture], camera: Camera, blur_px: float) -> tuple[float, str]:
+    """Electrons of the source over their noise, of the channel where it is lowest, and which channel that is."""
+    sensor = camera.sensor
+    names = channels(sensor)
+    square = np.zeros(len(names))
+    for picture in pictures:
+        frames, height, width = picture.frames_dn.shape
+        local = camera.model_copy(update={"sensor": sensor.model_copy(update={"height_px": height, "width_px": width})})
+        channel = mosaic_channels(local)
+        scale_e = electrons_per_dn(sensor, picture.gain)
+        mean_e = (picture.frames_dn.mean(axis=0) - sensor.black_level_dn) * scale_e
+        y, x = np.indices(mean_e.shape)
+        near = np.hypot(y - (height - 1) / 2, x - (width - 1) / 2) < blur_px / 2 + 2 * RIM_PX
+        near &= mean_e < SATURATION_SHARE * saturation_e(sensor, picture.gain)
+        for index in range(len(names)):
+            own = channel == index
+            used = near & own
+            signal = np.sum(mean_e[used] - np.median(mean_e[own]))
+            variance = np.sum(np.maximum(mean_e[used], 0) + sensor.read_noise_e**2 + scale_e**2 / 12) / frames
+            variance += np.count_nonzero(used) * sensor.dsnu_e**2
+            if signal > 0 and variance > 0:
+                square[index] += signal**2 / variance
+    lowest = int(square.argmin())
+    return float(np.sqrt(square[lowest])), names[lowest]
+
+
+def _period(camera: Camera) -> tuple[int, int]:
+    """Rows and columns after which the mosaic repeats."""
+    return len(camera.sensor.mosaic), len(camera.sensor.mosaic[0])
+
+
+def _electrons(capture: Capture) -> tuple[FloatArray, FloatArray]:
+    """Electrons above each mosaic place's background, [h, w], and the standard deviation of the background there.
+
+    The background is the median of the frame's border: a long exposure saturates most of a frame that is not much
+    larger than the blur.
+    """
+    sensor = capture.camera.sensor
+    scale_e = electrons_per_dn(sensor, capture.gain)
+    electrons = (capture.raw_dn.astype(np.float64) - sensor.black_level_dn) * scale_e
+    sigma_e = np.empty_like(electrons)
+    rows, columns = _period(capture.camera)
+    border = np.ones(electrons.shape, bool)
+    border[rows:-rows, columns:-columns] = False
+    for row in range(rows):
+        for column in range(columns):
+            part = (slice(row, None, rows), slice(column, None, columns))
+            background = float(np.median(electrons[part][border[part]]))
+            electrons[part] -= background
+            light = max(background, 0.0)
+            fixed = sensor.dsnu_e**2 + (sensor.prnu * light) ** 2
+            sigma_e[part] = np.sqrt(light + sensor.read_noise_e**2 + fixed + scale_e**2 / 12)
+    return electrons, sigma_e
+
+
+def _hot(electrons: FloatArray, sigma_e: FloatArray) -> NDArray[np.bool_]:
+    """Pixels far above all eight neighbours."""
+    around = np.ones((3, 3), bool)
+    around[1, 1] = False
+    brightest = ndimage.maximum_filter(electrons, footprint=around, mode="mirror")
+    return np.asarray(electrons > HOT_RATIO * np.maximum(brightest, sigma_e))
+
+
+def _found(electrons: FloatArray, sigma_e: FloatArray, camera: Camera, blur_px: float) -> tuple[FloatArray, float]:
+    """Place (y, x) of the source in pixels, and its mean over a window about as wide as its blur, over the noise."""
+    period = max(_period(camera))
+    width = max(2 * period + 1, int(blur_px) // 2 * 2 + 1)
+    cold = np.where(_hot(electrons, sigma_e), 0.0, electrons)
+    mean = ndimage.uniform_filter(cold, width, mode="constant")
+    peak = np.unravel_index(int(mean.argmax()), mean.shape)
+    noise_e = float(np.sqrt(np.mean(sigma_e**2))) / width
+    elsewhere_e = 0.0
+    apart = mean[width // 2 :: width, width // 2 :: width]
+    if apart.size >= MANY_WINDOWS:  # uneven light that is no point
+        elsewhere_e = float(np.median(apart))
+        noise_e = max(noise_e, 1.4826 * float(np.median(np.abs(apart - elsewhere_e))))
+    place = np.array(peak, float)
+    y, x = np.indices(mean.shape)
+    for _ in range(SEARCH_STEPS):
+        near = np.maximum(cold, 0) * (np.hypot(y - place[0], x - place[1]) < width / 2 + period)
+        if near.sum() > 0:
+            place = np.array([(near * y).sum(), (near * x).sum()]) / near.sum()
+    return place, (float(mean[peak]) - elsewhere_e) / noise_e

@@ -1,0 +1,191 @@
+"""Raw mosaics from real cameras: 16-bit PNG, TIFF and NPY files, and packed pixels as sensors deliver them.
+
+The camera's TOML file says what a file does not: black level, bit depth, full well, noise, mosaic. The picture's
+top left pixel is the first of ``mosaic``. A picture's own size governs, whatever the sensor's; packed pixels have
+no header, so there the camera's size governs.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from dasim.base.errors import InputError
+from dasim.base.toml import parse
+from dasim.camera.noise import Exposure
+from dasim.camera.specification import Camera, Sensor
+from dasim.files.folders import load_capture
+from dasim.values import Capture
+
+UInt16Array = NDArray[np.uint16]
+
+# Bits of a pixel, and pixels and bytes of a group, of files without a header. MIPI CSI-2, sec. "RAW10", "RAW12".
+PACKED = {"raw10": (10, 4, 5), "raw12": (12, 2, 3), "raw16": (16, 1, 2)}
+LEFT_ALIGNED = "left-aligned"  # PNG, TIFF, NPY whose values are shifted to the top of 16 bits
+FORMATS = (*PACKED, LEFT_ALIGNED)
+MOST_ROW_PADDING = 256  # bytes that a driver may add to each row
+USUAL_EXPOSURE_S = 0.01  # where it is not told: it decides the dark signal alone
+
+
+def load_input(
+    path: Path,
+    camera: Camera | None = None,
+    *,
+    kind: str | None = None,
+    exposure_s: float | None = None,
+    gain: float | None = None,
+) -> Capture:
+    """A capture folder, or a raw file of a camera (see :func:`load_raw`)."""
+    told = {"--camera": camera, "--format": kind, "--exposure": exposure_s, "--gain": gain}
+    if path.is_file() and camera is not None:
+        return load_raw(path, camera, kind=kind, exposure_s=exposure_s, gain=gain)
+    if path.is_file():
+        raise InputError(
+            f"capture {path}: is a file; name its camera with --camera (see 'dasim list cameras', or a TOML file), "
+            "or give a capture's folder"
+        )
+    capture = load_capture(path)
+    extra = [name for name, value in told.items() if value is not None]
+    if extra:
+        raise InputError(f"{extra[0]}: capture {path} is a folder and says it itself; leave it out")
+    return capture
+
+
+def load_raw(
+    path: Path,
+    camera: Camera,
+    *,
+    kind: str | None = None,
+    exposure_s: float | None = None,
+    gain: float | None = None,
+) -> Capture:
+    """A capture from a raw mosaic file.
+
+    ``kind`` is one of ``FORMATS``: ``raw10``, ``raw12`` (MIPI packing) and ``raw16`` (two bytes, low first) for files
+    without header, ``left-aligned`` for values shifted up to 16 bits; by default the suffix says PNG, TIFF or NPY.
+    """
+    given = {"time_s": USUAL_EXPOSURE_S if exposure_s is None else exposure_s, "gain": 1.0 if gain is None else gain}
+    exposure = parse(Exposure, given, "--exposure or --gain")
+    if kind is not None and kind not in FORMATS:
+        raise InputError(f"--format '{kind}' is unknown; allowed are {', '.join(FORMATS)}")
+    if not path.is_file():
+        raise InputError(f"raw picture {path}: no such file")
+    if kind in PACKED:
+        raw = _unpacked(path, camera, kind)
+    else:
+        raw = _numbers(_decoded(path), path, camera, left_aligned=kind == LEFT_ALIGNED)
+    height, width = raw.shape
+    changed = camera.sensor.model_dump() | {"width_px": width, "height_px": height}
+    sensor = parse(Sensor, changed, f"raw picture {path} with camera '{camera.name}'")
+    assert exposure.time_s is not None
+    return Capture(
+        raw_dn=raw,
+        camera=camera.model_copy(update={"sensor": sensor}),
+        exposure_s=exposure.time_s,
+        gain=exposure.gain,
+        seed=0,
+        provenance={"raw_file": path.name},
+    )
+
+
+def _decoded(path: Path) -> NDArray:
+    """Numbers of a PNG, TIFF or NPY file as they are."""
+    suffix = path.suffix.lower()
+    if suffix not in (".png", ".tif", ".tiff", ".npy"):
+        raise InputError(
+            f"raw picture {path}: '{suffix}' files are not known; give .png, .tif or .npy, or say with --format "
+            f"{'|'.join(PACKED)} how its pixels are packed"
+        )
+    try:
+        if suffix == ".npy":
+            return np.asarray(np.load(path, allow_pickle=False))
+        if suffix == ".png":
+            data = path.read_bytes()
+            # The decoder fills what a cut file lacks with zeros, so the end of the file is checked first.
+            image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED) if b"IEND" in data[-16:] else None
+            if image is None:
+                raise ValueError("no PNG, or cut short")
+            return np.asarray(image)
+        import tifffile
+
+        return np.asarray(tifffile.imread(path))
+    except Exception as error:  # each library has its own
+        text = " ".join(str(error).split()) or type(error).__name__
+        raise InputError(f"raw picture {path}: cannot be read ({text})") from None
+
+
+def _numbers(image: NDArray, path: Path, camera: Camera, *, left_aligned: bool) -> UInt16Array:
+    """Raw numbers within the camera's bit depth; InputError for anything else."""
+    bits = camera.sensor.adc_bits
+    if image.ndim != 2:
+        raise InputError(
+            f"raw picture {path}: has the shape {image.shape}; a raw mosaic has one number a pixel, rows and columns"
+        )
+    if image.dtype.kind == "f":
+        if not np.isfinite(image).all():
+            raise InputError(
+                f"raw picture {path}: has NaN or infinite values; give whole numbers from 0 to {2**bits - 1}"
+            )
+        if (image != np.rint(image)).any():
+            raise InputError(f"raw picture {path}: has fractions; give raw numbers, whole ones from 0 to {2**bits - 1}")
+    elif image.dtype.kind not in "ui":
+        raise InputError(f"raw picture {path}: holds {image.dtype}; give whole numbers of 16 bits")
+    if image.dtype.itemsize == 1 and bits > 8:
+        raise InputError(
+            f"raw picture {path}: has 8 bits, camera '{camera.name}' has {bits}; save raw numbers with 16 bits, "
+            "or name the camera that took it"
+        )
+    low, high = (image.min(), image.max()) if image.size else (0, 0)
+    shift = 16 - bits
+    if left_aligned and high < 2**16 and low >= 0:
+        image = image.astype(np.uint16)
+        if np.any(image & np.uint16(2**shift - 1)):
+            raise InputError(
+                f"raw picture {path}: is not left-aligned for the {bits} bits of camera '{camera.name}': "
+                f"the lowest {shift} bits are in use; leave --format out or correct adc_bits"
+            )
+        return image >> np.uint16(shift)
+    if low < 0 or high >= 2**bits:
+        aligned = 0 <= low and high < 2**16 and not np.any(image.astype(np.uint16) & np.uint16(2**shift - 1))
+        hint = (
+            f"its values are left-aligned: add --format {LEFT_ALIGNED}" if aligned else "correct adc_bits of the camera"
+        )
+        raise InputError(
+            f"raw picture {path}: has values of {low:g} to {high:g}, camera '{camera.name}' has {bits} bits, "
+            f"0 to {2**bits - 1}; {hint}"
+        )
+    return image.astype(np.uint16)
+
+
+def _unpacked(path: Path, camera: Camera, kind: str) -> UInt16Array:
+    """Raw numbers of a file without header, rows from the top, each perhaps with some bytes more."""
+    bits, group, group_bytes = PACKED[kind]
+    sensor = camera.sensor
+    height, width = sensor.height_px, sensor.width_px
+    if kind != "raw16" and sensor.adc_bits != bits:
+        raise InputError(
+            f"--format {kind} has {bits} bits, camera '{camera.name}' has {sensor.adc_bits}; correct one of them"
+        )
+    if width % group:
+        raise InputError(
+            f"--format {kind}: a width of {width} px is no multiple of {group}; correct the camera's width_px"
+        )
+    row = width // group * group_bytes
+    data = np.fromfile(path, np.uint8)
+    stride = data.size // height
+    if data.size % height or not row <= stride <= row + MOST_ROW_PADDING:
+        raise InputError(
+            f"raw picture {path}: has {data.size} bytes, {width} x {height} pixels of {kind} have {row * height} "
+            f"(or up to {MOST_ROW_PADDING} more a row); correct width_px and height_px of camera '{camera.name}'"
+        )
+    parts = data.reshape(height, stride)[:, :row].reshape(height, width // group, group_bytes).astype(np.uint16)
+    if kind == "raw10":  # four high bytes, then the four pairs of low bits, the first pixel's lowest
+        values = parts[..., :4] << 2 | parts[..., 4:] >> np.array([0, 2, 4, 6], np.uint16) & 3
+    elif kind == "raw12":  # two high bytes, then the two low halves
+        values = parts[..., :2] << 4 | parts[..., 2:] >> np.array([0, 4], np.uint16) & 15
+    else:
+        values = parts[..., :1] | parts[..., 1:] << 8
+    return _numbers(values.reshape(height, width), path, camera, left_aligned=False)

@@ -1,0 +1,257 @@
+"""The sensor model by the methods of EMVA 1288: photon transfer, frame stacks, linearity."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+
+import numpy as np
+import pytest
+
+from dasim.camera import noise as sensor
+from dasim.camera import specification as cameras
+
+SIDE = 250  # 62,500 pixels: a standard deviation is known to 1 / sqrt(2 n) = 0.28 %, a variance to 0.57 %
+STD_LIMIT = 0.012  # four of these
+STACK = 48  # frames for fixed patterns: what of the temporal noise is left is subtracted
+
+
+@pytest.fixture
+def quiet(da_mobile):
+    """A sensor without any noise of its own, and 4 electrons a digital number."""
+
+    def make(**changes):
+        silent = {"read_noise_e": 0, "dark_current_e_s": 0, "dsnu_e": 0, "prnu": 0, "full_well_e": 4.0 * (1023 - 64)}
+        return da_mobile.sensor.model_copy(update=silent | changes)
+
+    return make
+
+
+def flat(level_e: float, side: int = SIDE) -> np.ndarray:
+    return np.full((side, side), level_e)
+
+
+def stack_e(mean_e, model, frames=STACK, *, gain=4.0, seed=3, first=0) -> np.ndarray:
+    """Frames in electrons, through the raw numbers."""
+    shots = [
+        sensor.expose(mean_e, model, 0.0, seed, gain=gain, frame=first + k)[0].astype(float) for k in range(frames)
+    ]
+    return (np.stack(shots) - model.black_level_dn) * sensor.electrons_per_dn(model, gain)
+
+
+def test_without_noise_a_number_is_the_rounded_and_clipped_mean(quiet):
+    """Set-up: 4 electrons a digital number, in thirds of electrons, so that no number lies halfway.
+
+    Expectation: exactly the nearest whole number above black, at most 1,023; those at 1,023 are counted.
+    """
+    thirds = np.arange(0, 3 * 4200).reshape(120, -1)
+    raw, saturated = sensor.expose(thirds / 3, quiet(), 1.0, 0, noise="off")
+    expected = [min(64 + round(Fraction(int(third), 12)), 1023) for third in thirds.ravel()]
+    halfway = np.abs((thirds.ravel() % 12) - 6) == 0
+    difference = np.abs(raw.ravel().astype(int) - expected)
+    assert (difference[~halfway] == 0).all() and (difference <= 1).all()
+    assert saturated == np.count_nonzero(np.array(expected) == 1023)
+    assert raw.dtype == np.uint16
+
+
+@pytest.mark.parametrize("gain", [1.0, 4.0])
+def test_photon_transfer(quiet, gain):
+    """Rationale: EMVA 1288's central measurement: of a Poisson process the variance grows with the mean by 1 / K.
+
+    Set-up: eight levels up to 60 % of full scale, 62,500 pixels each, no other noise.
+    Expectation: slope gain / 4 numbers a number, intercept the 1/12 of rounding. The slope of eight variances of
+    0.57 % each is known to about 0.4 %; the limit is four times that.
+    """
+    levels = np.linspace(0.05, 0.6, 8) * 4 * 959 / gain
+    frames = [sensor.expose(flat(level), quiet(), 1.0, 11 + k, gain=gain)[0] for k, level in enumerate(levels)]
+    mean, variance = np.array([(raw.mean() - 64, raw.var()) for raw in frames]).T
+    slope, intercept = np.polyfit(mean, variance, 1, w=1 / variance)
+    assert slope == pytest.approx(gain / 4, rel=0.016)
+    assert intercept == pytest.approx(1 / 12, abs=0.016 * variance[0] * 4)
+    np.testing.assert_allclose(mean * 4 / gain, levels, rtol=5 * np.sqrt(1 / levels[0] / SIDE**2) + 1e-4)
+
+
+def test_read_noise(quiet):
+    """Expectation: 3 electrons in the dark, after the rounding's variance (step^2 / 12) is taken off."""
+    model = quiet(read_noise_e=3.0)
+    electrons = stack_e(flat(0), model, 1)[0]
+    step = sensor.electrons_per_dn(model, 4.0)
+    assert np.sqrt(electrons.var() - step**2 / 12) == pytest.approx(3.0, rel=STD_LIMIT)
+    assert abs(electrons.mean()) < 5 * 3.0 / SIDE
+
+
+def test_fixed_patterns_are_recovered_from_stacks(quiet):
+    """Set-up: 48 frames, dark and at 2,000 electrons, with read noise.
+
+    Expectation: the spread of the mean frame, less the temporal share, is 2 electrons of DSNU and 1 % of PRNU.
+    """
+    dark = stack_e(flat(0), quiet(read_noise_e=3.0, dsnu_e=2.0))
+    bright = stack_e(flat(600), quiet(prnu=0.02))
+
+    def spatial_std(frames):
+        return np.sqrt(frames.mean(axis=0).var() - frames.var(axis=0, ddof=1).mean() / len(frames))
+
+    assert spatial_std(dark) == pytest.approx(2.0, rel=1.5 * STD_LIMIT)
+    assert spatial_std(bright) / bright.mean() == pytest.approx(0.02, rel=1.5 * STD_LIMIT)
+
+
+def test_fixed_patterns_stay_and_noise_changes(quiet):
+    """Expectation: two stacks of one seed share their pattern, those of two seeds have nothing in common.
+
+    The correlation of 62,500 independent pairs has a standard deviation of 1 / 250.
+    """
+    model = quiet(dsnu_e=2.0, read_noise_e=3.0)
+
+    def pattern(seed, first=0):
+        return stack_e(flat(0), model, 12, seed=seed, first=first).mean(axis=0).ravel()
+
+    first = pattern(0)
+    expected = 2.0**2 / (2.0**2 + (3.0**2 + 1.0 / 12) / 12)  # fixed over whole variance of a mean of 12 frames
+    assert np.corrcoef(first, pattern(0, first=12))[0, 1] == pytest.approx(expected, abs=5 / SIDE)
+    assert abs(np.corrcoef(first, pattern(1))[0, 1]) < 5 / SIDE
+
+
+def test_dark_signal_doubles_each_7_kelvin_and_grows_with_time(quiet):
+    """Expectation: 500 electrons a second at 25 C, twice at 32 C, four times at 39 C; Poisson, so five sigma."""
+    for temperature_c, time_s, expected in ((25, 1, 500), (25, 2, 1000), (32, 1, 1000), (39, 0.5, 1000)):
+        model = quiet(dark_current_e_s=500.0, temperature_c=temperature_c)
+        raw, _ = sensor.expose(flat(0), model, time_s, 5)
+        assert (raw.mean() - 64) * 4 == pytest.approx(expected, abs=5 * np.sqrt(expected) / SIDE)
+
+
+def test_whole_noise_is_the_sum_of_its_parts(da_mobile):
+    """Set-up: da-mobile as it is, 1,500 electrons, 0.02 s. Expectation: variances add."""
+    model, step = da_mobile.sensor, sensor.electrons_per_dn(da_mobile.sensor)
+    raw, _ = sensor.expose(flat(1500), model, 0.02, 8)
+    expected = 1500 + 0.2 + 3.0**2 + 2.0**2 + (0.01 * 1500) ** 2 + step**2 / 12
+    assert (raw * step).var() == pytest.approx(expected, rel=2 * STD_LIMIT)
+
+
+def test_seeds_frames_and_stages(quiet):
+    """Expectation: same seed and frame, same bytes; another seed or frame, others; seed 0 is a seed.
+
+    One stage's draws do not depend on another's: switching DSNU on changes each pixel by its DSNU alone, although
+    shot noise is 20 times larger.
+    """
+    model = quiet(dsnu_e=0, read_noise_e=0)
+    first = sensor.expose(flat(1600), model, 1.0, 0)[0]
+    assert (first == sensor.expose(flat(1600), model, 1.0, 0)[0]).all()
+    for other in (sensor.expose(flat(1600), model, 1.0, 1)[0], sensor.expose(flat(1600), model, 1.0, 0, frame=1)[0]):
+        assert np.corrcoef(first.ravel(), other.ravel())[0, 1] < 5 / SIDE
+    with_pattern = sensor.expose(flat(1600), quiet(dsnu_e=8.0), 1.0, 0)[0]
+    change_e = (with_pattern.astype(float) - first) * 4
+    # two roundings of 4 electrons: 2 * 16 / 12
+    assert np.std(change_e) == pytest.approx(np.sqrt(64 + 32 / 12), rel=4 * STD_LIMIT)
+
+
+@pytest.mark.parametrize("gain", [1.0, 0.5, 4.0])
+def test_overexposed_pixels_are_all_counted(da_mobile, gain):
+    """Rationale: saturation is counted and reported, never silent.
+
+    Set-up: twice the full well everywhere, at gain 1 and, since gains down to 1/16 are allowed, at gain 1/2, where
+    the well is full long before the converter is. Expectation: every pixel counts as saturated.
+    """
+    model = da_mobile.sensor
+    assert sensor.expose(flat(2 * 6000, 50), model, 0.01, 0, gain=gain)[1] == 50 * 50
+    assert sensor.expose(flat(3000 / gain if gain > 1 else 3000, 50), model, 0.01, 0, gain=gain)[1] == 0, (
+        "half the full well saturates nothing"
+    )
+
+
+@pytest.mark.parametrize("gain", [1.0, 4.0])
+def test_automatic_exposure_puts_the_brightest_channel_at_85_percent(da_mobile, gain):
+    """Set-up: uniform channels of 10, 200, 50 and 20 e-/s; red is 1e6 where no red pixel looks.
+
+    Expectation: green's raw numbers are 85 % of the way from black to full scale.
+    """
+    camera = cameras.cropped(da_mobile, 32, 24)
+    rate = np.ones((24, 32, 4)) * [10.0, 200.0, 50.0, 20.0]
+    rate[0::2, 0::2, 0] = 1e6  # green's places
+    time_s = sensor.auto_exposure_s(rate, camera, sensor.Exposure(gain=gain))
+    raw, _ = sensor.expose(sensor.mosaic(rate * time_s, camera), camera.sensor, time_s, 0, gain=gain, noise="off")
+    assert abs(raw.max() - (64 + 0.85 * 959)) <= 0.5
+    assert sensor.auto_exposure_s(np.zeros_like(rate), camera, sensor.Exposure()) == 1.0
+
+
+def test_automatic_exposure_never_overfills_the_well(da_mobile):
+    """Rationale: below gain 1 the well is full before the converter is, so 85 % of full scale can not be reached."""
+    camera = cameras.cropped(da_mobile, 32, 24)
+    rate = np.full((24, 32, 4), 100.0)
+    time_s = sensor.auto_exposure_s(rate, camera, sensor.Exposure(gain=0.25))
+    assert 100.0 * time_s <= camera.sensor.full_well_e
+
+
+def test_automatic_exposure_ignores_a_few_highlights(da_mobile):
+    """Expectation: a highlight of 0.2 % of the pixels changes nothing, one of 2 % does (percentile 99.5)."""
+    camera = cameras.cropped(da_mobile, 80, 50)
+    rate = np.full((50, 80, 4), 100.0)
+    plain = sensor.auto_exposure_s(rate, camera, sensor.Exposure())
+    rate[0, :4] = 1e4
+    assert sensor.auto_exposure_s(rate, camera, sensor.Exposure()) == pytest.approx(plain)
+    rate[:4, :20] = 1e4
+    assert sensor.auto_exposure_s(rate, camera, sensor.Exposure()) == pytest.approx(plain / 100)
+
+
+# --- impossible but legal, crosstalk -------------------------------------------------------------
+
+
+def test_no_light_and_far_too_much_finish(da_mobile):
+    """Expectation: no light gives the black level and its noise, none saturated; 1e30 electrons, or a dark current
+    beyond all bounds, saturate every pixel at the top number or just below it (read noise after the full well).
+    """
+    model = da_mobile.sensor
+    raw, full = sensor.expose(flat(0, 50), model, 1e-3, 0)
+    assert full == 0 and abs(raw.mean() - 64) < 5 * 0.7 / 50
+    for noise in ("on", "off"):
+        raw, full = sensor.expose(flat(1e30, 50), model, 3600.0, 0, noise=noise)
+        assert full == 50 * 50 and raw.min() >= 1023 - 5
+    hot = model.model_copy(update={"dark_current_e_s": 1e300, "temperature_c": 150.0, "dark_doubling_k": 1.0})
+    assert sensor.expose(flat(0, 50), hot, 3600.0, 0)[1] == 50 * 50
+
+
+def test_crosstalk_of_a_point(quiet):
+    """Expectation: a pixel of 1,000 electrons keeps 600 and gives 100 to each edge neighbour; at the frame's corner it
+    has two neighbours and keeps 800.
+    """
+    image = np.zeros((5, 6))
+    image[2, 3] = image[0, 0] = 1000.0
+    expected = np.zeros((5, 6))
+    expected[2, 3], expected[0, 0] = 600.0, 800.0
+    expected[[1, 3, 2, 2, 0, 1], [3, 3, 2, 4, 1, 0]] = 100.0
+    np.testing.assert_allclose(sensor.electronic_crosstalk(image, quiet(electronic_crosstalk=0.1)), expected, atol=1e-9)
+
+
+def test_crosstalk_conserves_charge_and_flat_fields(quiet):
+    """Expectation: the sum of any frame stays, border included, down to a single row; an even field does not change;
+    a share of 0 gives back the very same array, so that nothing else changes.
+    """
+    model = quiet(electronic_crosstalk=0.2)
+    for shape in ((12, 9), (1, 7), (7, 1), (1, 1)):
+        image = np.random.default_rng(0).uniform(0, 5000, shape)
+        spread = sensor.electronic_crosstalk(image, model)
+        assert spread.sum() == pytest.approx(image.sum(), rel=1e-12) and spread.min() >= 0
+        np.testing.assert_allclose(sensor.electronic_crosstalk(np.full(shape, 7.0), model), 7.0, rtol=1e-12)
+    assert sensor.electronic_crosstalk(image, quiet()) is image
+
+
+def test_crosstalk_before_the_shot_noise_is_that_of_single_electrons(quiet):
+    """Rationale: the way of every single electron, drawn after the shot noise, is the brute-force model.
+
+    Set-up: columns of 4,000 and 0 electrons in turn, c = 0.1; each electron stays or goes to one of four neighbours
+    by a multinomial draw. Expectation: means, variances and the covariance of neighbours (none) agree.
+    A variance of 31,250 pixels is known to 0.8 %; five of these. A covariance's sigma is the variance / sqrt(31,250).
+    """
+    share, side = 0.1, SIDE
+    image = flat(0.0)
+    image[:, ::2] = 4000.0
+    rng = np.random.default_rng(1)
+    ways = rng.multinomial(rng.poisson(image), [1 - 4 * share, *[share] * 4])
+    single = ways[..., 0].copy()
+    for way, (axis, shift) in enumerate(((0, 1), (0, -1), (1, 1), (1, -1)), start=1):
+        single += np.roll(ways[..., way], shift, axis=axis)
+    ours = rng.poisson(sensor.electronic_crosstalk(image, quiet(electronic_crosstalk=share)))
+    for start in (0, 1):
+        columns = np.s_[1:-1, 2 + start : side - 2 : 2]
+        assert ours[columns].mean() == pytest.approx(single[columns].mean(), rel=1e-3)
+        assert ours[columns].var() == pytest.approx(single[columns].var(), rel=0.04)
+    first, second = single[1:-1, 2:-3:2].ravel(), single[1:-1, 3:-2:2].ravel()
+    assert abs(np.corrcoef(first, second)[0, 1]) < 5 / np.sqrt(first.size)

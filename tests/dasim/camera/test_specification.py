@@ -1,0 +1,281 @@
+"""The camera as data: what is refused and how it is said, crops, the mosaic, the intrinsic matrix, sensitivity."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import dasim
+from dasim.base.errors import InputError
+from dasim.camera import specification as cameras
+from dasim.spectra import grid
+
+SOURCE = (cameras.CAMERA_DIR / "da-mobile.toml").read_text()
+
+
+def refusal(folder, text: str) -> str:
+    """What is said of a camera file that must be refused: one line."""
+    path = folder / "mine.toml"
+    path.write_text(text)
+    with pytest.raises(InputError) as caught:
+        cameras.load_camera(path)
+    message = str(caught.value)
+    assert "\n" not in message and message.startswith(f"{path}: ")
+    return message
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("focal_length_mm = 3.6", "focal_length_mm = 0", ["lens.focal_length_mm"]),
+        (
+            "focal_length_mm = 3.6",
+            "focal_length = 3.6",
+            ["lens.focal_length: unknown", "lens.focal_length_mm: is missing"],
+        ),
+        ("focal_length_mm = 3.6", "focal_length_mm = nan", ["lens.focal_length_mm"]),
+        ("focal_length_mm = 3.6", "focal_length_mm = '3.6 mm'", ["lens.focal_length_mm", "3.6 mm"]),
+        ("f_number = 2.8", "f_number = -2.8", ["lens.f_number", "-2.8"]),
+        ("focus_distance_m = 0.4", "focus_distance_m = 0.0036", ["lens", "focus_distance_m", "focal length"]),
+        ("focus_distance_m = 0.4", "focus_distance_m = inf", ["lens.focus_distance_m"]),
+        ("radius_ratio = 0.46", "radius_ratio = 1.46", ["stops.1.radius_ratio"]),
+        ("[[650, 830]]", "[[650, 840]]", ["stops.1.passes_nm", "400 to 830"]),
+        ("[[650, 830]]", "[[650, 700], [690, 830]]", ["stops.1.passes_nm", "without overlap"]),
+        ('name = "hole"', 'name = "open"', ["stops: names must be unique", "open, open"]),
+        ("cutoff_nm = 810", "cutoff_nm = 840", ["sensor.cutoff_nm", "840"]),
+        ("focus_distance_m = 0.4", "focus_distance_m = 0.4\nfocal_shift_um = [[900, 1]]", ["lens.focal_shift_um"]),
+        ("edge_width_nm = 8", "edge_width_nm = 0", ["stops.0.edge_width_nm"]),
+        ("width_px = 2048", "width_px = 2047", ["sensor", "2047 x 1536", "2 x 2 mosaic"]),
+        ("width_px = 2048", "width_px = 2", ["sensor.width_px"]),
+        ("pixel_pitch_um = 1.7", "pixel_pitch_um = 0", ["sensor.pixel_pitch_um"]),
+        ('["G", "R"]', '["G", "X"]', ["sensor", "mosaic channel 'X'", "R, G, B, IR"]),
+        ('["G", "R"]', '["G"]', ["sensor", "mosaic", "equal length"]),
+        ("full_well_e = 6000", "full_well_e = 0", ["sensor.full_well_e"]),
+        ("read_noise_e = 3.0", "read_noise_e = -1", ["sensor.read_noise_e"]),
+        ("prnu = 0.01", "prnu = 1", ["sensor.prnu"]),
+        ("adc_bits = 10", "adc_bits = 20", ["sensor.adc_bits"]),
+        ("black_level_dn = 64", "black_level_dn = 1023", ["sensor", "black_level_dn", "1023"]),
+        ('name = "da-mobile"', "", ["name: is missing"]),
+        ("[lens]", "[lens", ["not valid TOML"]),
+    ],
+)
+def test_what_is_wrong_is_named_in_one_line(tmp_path, old, new, said):
+    """Expectation: InputError with the file and the key, and the value or what is allowed."""
+    assert old in SOURCE
+    message = refusal(tmp_path, SOURCE.replace(old, new, 1))
+    for part in ("mine.toml", *said):
+        assert part in message, message
+
+
+@pytest.mark.parametrize(
+    ("stop", "said"),
+    [
+        ("radius_ratio = 0.46\ncentre_ratio = [0.5, 0.3]", "stops.1: the stop reaches outside the lens, to 1.043"),
+        (
+            'shape = "annulus"\ninner_ratio = 0.2\nouter_ratio = 0.5\ncentre_ratio = [0.6, 0]',
+            "stops.1: the stop reaches outside the lens, to 1.1",
+        ),
+        ('shape = "annulus"\ninner_ratio = 0.6\nouter_ratio = 0.5', "stops.1: inner_ratio must be below outer_ratio"),
+        (
+            'shape = "polygon"\ncorners_ratio = [[0, 0], [0.9, 0.9], [0, 0.5]]',
+            "stops.1.corners_ratio: the stop reaches outside the lens, to 1.273",
+        ),
+        (
+            'shape = "polygon"\ncorners_ratio = [[0, 0], [0.5, 0.5], [0.6, 0], [0, 0.5]]',
+            "stops.1.corners_ratio: is no simple polygon: its sides cross",
+        ),
+        (
+            'shape = "polygon"\ncorners_ratio = [[0, -0.9], [0.5, 0.7], [-0.8, -0.3], [0.8, -0.3], [-0.5, 0.7]]',
+            "stops.1.corners_ratio: is no simple polygon: its sides cross",
+        ),
+        ('shape = "polygon"\ncorners_ratio = [[0, 0], [0.5, 0.5], [0.2, 0.2]]', "stops.1.corners_ratio: is no simple"),
+        (
+            'shape = "mask"\nmask = [[1, 0, 0, 0], [0, 1, 1, 0], [0, 1, 1, 0], [0, 0, 0, 0]]',
+            "stops.1.mask: is open outside the lens",
+        ),
+        ('shape = "mask"\nmask = [[0, 0], [0, 0]]', "stops.1.mask: is closed everywhere"),
+        ('shape = "mask"\nmask = [[0, 2], [0, 0]]', "stops.1.mask: must be transmittances from 0 to 1"),
+        ('shape = "mask"\nfile = "none.png"', "none.png: no such file"),
+        ('shape = "mask"\nfile = "mine.toml"', "mine.toml: is no picture"),
+        ('shape = "star"', "stops.1: "),
+    ],
+)
+def test_impossible_stops_are_refused(tmp_path, stop, said):
+    """Expectation: one line with the stop's key as the file has it, for each shape."""
+    message = refusal(tmp_path, SOURCE.replace("radius_ratio = 0.46", stop))
+    assert said in message and "stops.1" in message, message
+
+
+NM = tuple(range(400, 831, 10))
+FLAT = (0.3,) * len(NM)
+
+
+def inline(nm=NM, **channels) -> str:
+    curves = ", ".join(f'"{name}" = {list(values)}' for name, values in channels.items())
+    return f"wavelength_nm = {list(nm)}, channels = {{{curves}}}"
+
+
+@pytest.mark.parametrize(
+    ("curves", "said"),
+    [
+        (inline(R=(-0.1, *FLAT[1:]), G=FLAT, B=FLAT, IR=FLAT), "channels.R must be quantum efficiencies from 0 to 1"),
+        (inline(R=FLAT, G=(1.1, *FLAT[1:]), B=FLAT, IR=FLAT), "channels.G must be quantum efficiencies from 0 to 1"),
+        (inline(R=FLAT[1:], G=FLAT, B=FLAT, IR=FLAT), "channels.R must have as many values as wavelength_nm"),
+        (
+            inline(NM[:11] + NM[15:], **dict.fromkeys(("R", "G", "B", "IR"), FLAT[4:])),
+            "wavelength_nm has a gap from 500 to 550 nm",
+        ),
+        (inline((*NM, 840), **dict.fromkeys(("R", "G", "B", "IR"), (*FLAT, 0.3))), "must lie within 400 to 830 nm"),
+        (
+            inline(NM[:-4], **dict.fromkeys(("R", "G", "B", "IR"), FLAT[4:])),
+            "wavelength_nm must reach from 400 to 826 nm",
+        ),
+        (inline(NM[::-1], **dict.fromkeys(("R", "G", "B", "IR"), FLAT)), "wavelength_nm must rise"),
+        (inline(R=FLAT, G=FLAT, B=FLAT), "mosaic channel 'IR' is unknown, allowed are R, G, B"),
+        (inline(**dict.fromkeys(("R", "G", "B", "IR", "a,b"), FLAT)), "channels.a,b: names must be"),
+        ('file = "none.csv"', "none.csv: no such file"),
+        ('file = "c.csv", ' + inline(R=FLAT), "file and curves both say the response"),
+    ],
+)
+def test_impossible_curves_are_refused(tmp_path, curves, said):
+    text = SOURCE.replace("[sensor]", f"[sensor]\nquantum_efficiency = {{{curves}}}")
+    message = refusal(tmp_path, text)
+    assert ": sensor" in message and said in message, message
+
+
+@pytest.mark.parametrize(
+    ("table", "said"),
+    [
+        ("", "the first line must be 'wavelength_nm' and one name a channel"),
+        ("nm,R,G,B,IR\n400,0,0,0,0\n", "the first line must be 'wavelength_nm' and one name a channel"),
+        ("wavelength_nm,R,G,R,IR\n400,0,0,0,0\n", "the first line must be 'wavelength_nm' and one name a channel"),
+        ("wavelength_nm,R,G,B,IR\n400,0.1,0.1,0.1,0.1\n410,0.1,,0.1,0.1\n", "line 3 of the table: 5 numbers"),
+        ("wavelength_nm,R,G,B,IR\n400,0.1,0.1,0.1\n", "line 2 of the table: 5 numbers"),
+        ("wavelength_nm,R,G,B,IR\n400,0.1,0.1,x,0.1\n", "line 2 of the table: 'x' is no number"),
+        ("wavelength_nm,R,G,B,IR\n400,0.1,0.1,nan,0.1\n", "line 2 of the table: 'nan' is no number"),
+        ("wavelength_nm,R,G,B,IR\n", "two or more lines of numbers are needed"),
+        (b"\xff\xfe\x00", "cannot be read as a table"),
+    ],
+)
+def test_broken_tables_of_curves_are_refused(tmp_path, table, said):
+    """Expectation: one line with the key, the file and what is wrong in it."""
+    (tmp_path / "c.csv").write_bytes(table if isinstance(table, bytes) else table.encode())
+    message = refusal(tmp_path, SOURCE.replace("[sensor]", '[sensor]\nquantum_efficiency = { file = "c.csv" }'))
+    assert "sensor.quantum_efficiency: file " in message and "c.csv" in message and said in message, message
+
+
+@pytest.mark.parametrize("mosaic", [[["R", "G", "W"], ["B", "IR", "G"]], [["W", "G"] * 4, ["R", "IR"] * 4] * 4])
+def test_curves_of_ones_own_travel_to_the_truth(renderer, tmp_path, mosaic):
+    """Set-up: a 3x2 and an 8x8 mosaic with a clear channel W, of our own curves in a CSV file with a comment.
+
+    Expectation: the curves come back exactly, channels in the order R, G, B, IR, then others; a picture renders,
+    in which W has more electrons than any colour, and capture and truth come back from their folder.
+    """
+    names = ("W", "IR", "G", "R", "B")
+    ours = dict(zip(grid.CHANNELS, grid.rgb_ir_quantum_efficiency(), strict=True))
+    ours["W"] = np.maximum.reduce(list(ours.values()))
+    rows = [",".join((f"{nm:g}", *(f"{ours[n][k]:.9f}" for n in names))) for k, nm in enumerate(grid.WAVELENGTH_NM)]
+    (tmp_path / "c.csv").write_text("\n".join(["# source: made up", "wavelength_nm," + ",".join(names), *rows]) + "\n")
+    text = SOURCE.replace("[sensor]", '[sensor]\nquantum_efficiency = { file = "c.csv" }')
+    text = text.replace('[["G", "R"], ["B", "IR"]]', str(mosaic)).replace("width_px = 2048", "width_px = 24")
+    (tmp_path / "mine.toml").write_text(text.replace("height_px = 1536", "height_px = 16"))
+    camera = cameras.load_camera(tmp_path / "mine.toml")
+    used = tuple(name for name in ("R", "G", "B", "IR", "W") if any(name in row for row in mosaic))
+    assert cameras.channels(camera.sensor) == used
+    np.testing.assert_allclose(
+        cameras.quantum_efficiency(camera.sensor), np.stack([ours[name] for name in used]), atol=1e-9
+    )
+    letters = np.array(used)[cameras.mosaic_channels(camera)]
+    assert letters[: len(mosaic), : len(mosaic[0])].tolist() == mosaic
+    assert (letters[len(mosaic) :, len(mosaic[0]) :] == letters[: -len(mosaic), : -len(mosaic[0])]).all()
+
+    scene = dasim.load_scene("desk")
+    shot = dasim.simulate(scene, dasim.focused(camera, scene), seed=1, spp=16, diffraction="off")
+    dasim.save_capture(tmp_path / "shot", shot.capture, shot.truth)
+    assert dasim.load_capture(tmp_path / "shot").camera.sensor == camera.sensor
+    truth = dasim.load_truth(tmp_path / "shot")
+    assert truth.channels == used
+    np.testing.assert_array_equal(truth.mean_e, shot.truth.mean_e)
+    assert truth.mean_e.mean(axis=(0, 1)).argmax() == used.index("W")
+
+
+def test_all_mistakes_are_named_at_once(tmp_path):
+    path = tmp_path / "mine.toml"
+    path.write_text(SOURCE.replace("f_number = 2.8", "f_number = 0").replace("prnu = 0.01", "prnu = -1"))
+    with pytest.raises(InputError, match=r"lens\.f_number.*sensor\.prnu"):
+        cameras.load_camera(path)
+
+
+def test_names_and_files(tmp_path):
+    assert "da-mobile" in cameras.camera_names()
+    with pytest.raises(InputError, match=r"camera 'nokia' is neither a bundled name .*da-mobile.* nor a file"):
+        cameras.load_camera("nokia")
+    (tmp_path / "mine.toml").write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(InputError, match=r"mine\.toml: cannot be read"):
+        cameras.load_camera(tmp_path / "mine.toml")
+
+
+def test_focus_stays_beyond_the_focal_length(da_mobile):
+    assert cameras.refocused(da_mobile, 0.12).lens.focus_distance_m == 0.12
+    for bad in (0.0036, 0.001, 0.0, -1.0, float("nan"), float("inf")):
+        with pytest.raises(InputError, match=r"focus: .*focus_distance_m"):
+            cameras.refocused(da_mobile, bad)
+
+
+def test_crop_keeps_pitch_and_mosaic(da_mobile):
+    small = cameras.cropped(da_mobile, 64, 48)
+    assert (small.sensor.width_px, small.sensor.height_px, small.sensor.pixel_pitch_um) == (64, 48, 1.7)
+    for size in ((65, 48), (64, 47), (2050, 48), (64, 1538), (0, 48), (64, -2), (4, 4)):
+        with pytest.raises(InputError, match=f"size {size[0]}x{size[1]}"):
+            cameras.cropped(da_mobile, *size)
+
+
+def test_mosaic_starts_at_the_top_left(da_mobile):
+    """Expectation: the preset's block, rows from above: G R over B IR, then again."""
+    channels = cameras.mosaic_channels(cameras.cropped(da_mobile, 12, 8))
+    letters = np.array(grid.CHANNELS)[channels]
+    assert letters.shape == (8, 12)
+    assert letters[0, :4].tolist() == ["G", "R", "G", "R"]
+    assert letters[1, :4].tolist() == ["B", "IR", "B", "IR"]
+    assert letters[:4, 0].tolist() == ["G", "B", "G", "B"]
+    assert all(np.count_nonzero(letters == name) == 24 for name in grid.CHANNELS)
+
+
+def test_intrinsic_matrix_is_similar_triangles(da_mobile):
+    """Set-up: a ray through the lens centre to a point 2 mm right and 1 mm below the axis, 10 cm away, focus 40 cm.
+
+    Expectation: it meets the sensor s / d as far from the axis, s = 3.6 * 400 / 396.4 mm; crops keep the rays.
+    """
+    for width, height in ((2048, 1536), (64, 48)):
+        matrix = cameras.intrinsic_matrix(cameras.cropped(da_mobile, width, height))
+        x, y, one = matrix @ np.array([0.002, 0.001, 0.1]) / 0.1
+        image_mm = 3.6 * 400 / 396.4
+        assert one == 1
+        assert (x - width / 2) * 1.7e-3 == pytest.approx(2 * image_mm / 100, rel=1e-12)
+        assert (y - height / 2) * 1.7e-3 == pytest.approx(1 * image_mm / 100, rel=1e-12)
+
+
+def test_sensitivity_follows_area_distance_and_pixel(da_mobile):
+    """Expectation: electrons go with the stop's area, the pixel's area and the lens's transmittance, and fall with the
+    square of the image distance; nothing beyond the sensor's filter is seen.
+    """
+    hole = da_mobile.stops[1]
+    whole = hole.model_copy(update={"radius_ratio": 1.0})
+    ours, open_ = cameras.stop_response(da_mobile, hole), cameras.stop_response(da_mobile, whole)
+    np.testing.assert_allclose(ours, open_ * 0.46**2, rtol=1e-12)
+    sensor = da_mobile.sensor.model_copy(update={"pixel_pitch_um": 3.4})
+    np.testing.assert_allclose(
+        cameras.stop_response(da_mobile.model_copy(update={"sensor": sensor}), hole), 4 * ours, rtol=1e-12
+    )
+    near = cameras.refocused(da_mobile, 0.0072)  # unit magnification: s = 2 f
+    far = cameras.refocused(da_mobile, 1e6)  # s = f
+    np.testing.assert_allclose(4 * cameras.stop_response(near, hole), cameras.stop_response(far, hole), rtol=1e-5)
+    above = grid.WAVELENGTH_NM > 826  # four widths beyond 810 nm
+    assert cameras.response(da_mobile)[:, above].max() < 1e-3 * cameras.response(da_mobile).max()
+
+
+def test_hole_passes_near_infrared_alone(da_mobile):
+    """Expectation: the infrared pixel gets most of its light through the hole, green most through the open lens."""
+    flat = [grid.integrate(cameras.stop_response(da_mobile, stop)) for stop in da_mobile.stops]
+    through_hole = flat[1] / (flat[0] + flat[1])
+    assert through_hole[3] > 0.9 and through_hole[1] < 0.1 and through_hole[2] < 0.1

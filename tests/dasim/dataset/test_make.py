@@ -1,0 +1,342 @@
+"""Making datasets: the same bytes whatever happens on the way, and nothing made twice."""
+
+from __future__ import annotations
+
+import errno
+import os
+import platform
+import shutil
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections import Counter
+from pathlib import Path
+
+import pytest
+
+from dasim.base import executors
+from dasim.base.errors import InputError
+from dasim.cli import run
+from dasim.dataset import plan, sample, storage, verify
+from dasim.dataset.make import TRIES
+from tests.support.datasets import MESH, SQUARE, WALL, backwards, deadly, inline, logged, made, spec_file, sums
+
+SAMPLES = 24
+START_S = 100.0  # that a process gets to begin on a busy computer
+
+
+@pytest.fixture(scope="module")
+def spec(renderer, tmp_path_factory) -> Path:
+    return spec_file(tmp_path_factory.mktemp("spec"), samples=SAMPLES, samples_per_shard=5)
+
+
+@pytest.fixture(scope="module")
+def reference(spec, tmp_path_factory) -> dict[str, str]:
+    """Checksums of a run in this process, one sample after the other."""
+    out = tmp_path_factory.mktemp("reference") / "ds"
+    made(spec, out)
+    assert list(verify.problems(str(out))) == []
+    return sums(out)
+
+
+@pytest.fixture
+def remembered(monkeypatch):
+    """Each sample is rendered once; that rendering it again gives the same is shown by other tests."""
+    kept, render = {}, sample.make
+
+    def remember(spec, index, variant):
+        key = (spec.model_dump_json(), index)
+        if key not in kept:
+            kept[key] = render(spec, index, variant)
+        return kept[key]
+
+    monkeypatch.setattr(sample, "make", remember)
+
+
+def whole(out: Path) -> dict[str, str]:
+    """Checksums of a finished dataset, in which everything is as it should be."""
+    assert list(verify.problems(str(out))) == []
+    left = [path.name for path in out.rglob("*.partial")]
+    assert left == [] and not (out / "parts").exists() and not (out / "rows").exists()
+    return sums(out)
+
+
+# --- the same bytes anywhere ---------------------------------------------------------------------
+
+
+def test_another_order_makes_the_same_bytes(spec, reference, tmp_path):
+    made(spec, tmp_path / "ds", backwards)
+    assert whole(tmp_path / "ds") == reference
+
+
+def test_runs_of_a_part_each_make_the_same_bytes(spec, reference, tmp_path, remembered):
+    for part in (2, 3, 1):
+        done = made(spec, tmp_path / "ds", shard=(part, 3))
+        assert done.failed == {} and done.done == done.total
+        assert (tmp_path / "ds" / plan.SUMS).exists() == (part == 1)
+    assert whole(tmp_path / "ds") == reference
+
+
+def test_runs_side_by_side_make_the_same_bytes(spec, reference, tmp_path, remembered):
+    """All of them begin, write and finish at the same time; the sweep of one leaves the files of the others."""
+    made(spec, tmp_path / "first")  # fills what is remembered
+    for attempt in range(4):
+        out = tmp_path / f"ds{attempt}"
+        errors = []
+
+        def part(number, out=out, errors=errors):
+            try:
+                made(spec, out, shard=(number, 5))
+            except BaseException as error:
+                errors.append(error)
+
+        runs = [threading.Thread(target=part, args=(number,)) for number in range(1, 6)]
+        for thread in runs:
+            thread.start()
+        for thread in runs:
+            thread.join()
+        assert errors == []
+        assert whole(out) == reference
+
+
+def test_workers_that_crash_cost_their_own_sample_alone(spec, reference, tmp_path):
+    """Four processes; the renderer ends its process at the last sample always, at the one before once."""
+    out = tmp_path / "ds"
+    done = made(spec, out, executors.local(4, deadly))
+    assert set(done.failed) == {23} and "SIGKILL" in done.failed[23]
+    tries = Counter(logged(out))
+    assert tries.pop((23, False)) == TRIES and tries.pop((22, False)) == 1
+    assert tries == {(index, True): 1 for index in range(SAMPLES - 1)}
+    assert "SIGABRT" in (out / "make.log").read_text()
+    (out / ".once").unlink()
+    assert list(verify.problems(str(out))) == []
+    again = made(spec, out)  # it was given up: not tried again unless asked for
+    assert again.failed == done.failed and again.done == 0
+    repaired = made(spec, out, retry=True)
+    assert repaired.failed == {} and repaired.done == 1
+    assert whole(out) == reference
+
+
+# --- never loses work ----------------------------------------------------------------------------
+
+
+def started(spec: Path, out: Path, jobs: str) -> subprocess.Popen:
+    """A run of the command in a process of its own, of which two samples at least are made."""
+    program = "from dasim.cli import main; main()"
+    command = [sys.executable, "-c", program, "dataset", "make", str(spec), "--out", str(out), "--jobs", jobs]
+    process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
+    begin = time.monotonic()
+    while len(list(out.glob("parts/*.tar"))) < 2 and process.poll() is None:
+        assert time.monotonic() - begin < START_S
+        time.sleep(0.005)
+    return process
+
+
+def goes_on(spec: Path, out: Path) -> dict[str, str]:
+    """Checksums after the run was taken up again; nothing that was made is made twice."""
+    have = {int(path.stem) for path in out.glob("parts/[0-9]*.tar")}
+    lines = len((out / "make.log").read_text().splitlines())
+    made(spec, out)
+    assert have and have.isdisjoint(index for index, _ in logged(out, lines))
+    assert all(done for _, done in logged(out)) and max(Counter(logged(out)).values()) == 1
+    return whole(out)
+
+
+def test_interrupt_ends_the_run_and_it_goes_on(spec, reference, tmp_path):
+    out = tmp_path / "ds"
+    process = started(spec, out, "1")
+    process.send_signal(signal.SIGINT)
+    _, said = process.communicate(timeout=START_S)
+    assert process.returncode == 128 + signal.SIGINT, said
+    assert "stopped" in said.splitlines()[-1] and "Traceback" not in said
+    assert not list(out.rglob("*.partial"))
+    assert goes_on(spec, out) == reference
+
+
+def test_killed_run_goes_on(spec, reference, tmp_path):
+    out = tmp_path / "ds"
+    process = started(spec, out, "2")
+    process.kill()
+    process.communicate(timeout=START_S)
+    time.sleep(1.0)  # its workers end with their samples, as nobody asks for more
+    assert goes_on(spec, out) == reference
+
+
+def test_half_written_files_of_the_dead_are_swept(tmp_path):
+    """Those of another computer stay until they are a day old."""
+    dead = subprocess.Popen(["true"])
+    dead.wait()
+    here = platform.node()
+    names = {
+        f".a.tar.1.{here}.{dead.pid}.partial": False,
+        f".b.tar.1.{here}.{os.getpid()}.partial": True,
+        ".c.tar.1.elsewhere.1.partial": True,
+        ".d.tar.1.elsewhere.1.partial": False,
+        "e.tar": True,
+    }
+    for name in names:
+        (tmp_path / name).write_bytes(b"half")
+    os.utime(tmp_path / ".d.tar.1.elsewhere.1.partial", (time.time() - 2 * storage.ABANDONED_S,) * 2)
+    storage.sweep(str(tmp_path))
+    assert {name: (tmp_path / name).exists() for name in names} == names
+
+
+class Killed(BaseException):
+    """What nothing catches."""
+
+
+@pytest.fixture
+def interrupted(monkeypatch):
+    """Ends a run before its n-th change of the files, or with a full disk; None lets it be."""
+    left: list[int | None] = [None]
+    error: list[BaseException] = [Killed()]
+
+    def counted(function):
+        def change(*arguments):
+            if left[0] is not None:
+                left[0] -= 1
+                if left[0] < 0:
+                    raise error[0]
+            return function(*arguments)
+
+        return change
+
+    for name in ("write", "remove", "writing"):
+        monkeypatch.setattr(storage, name, counted(getattr(storage, name)))
+
+    def arm(changes: int | None, raised: BaseException | None = None) -> None:
+        left[0], error[0] = changes, raised or Killed()
+
+    return arm
+
+
+FULL = OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+
+@pytest.mark.parametrize("form", ["webdataset", "folders"])
+@pytest.mark.parametrize("end", [None, FULL], ids=["killed", "full"])
+def test_ends_at_any_change_of_the_files(form, end, tmp_path, interrupted, remembered, renderer):
+    """Run until the n-th write or removal, for every n, and then to the end: the same bytes, no sample made twice."""
+    spec = spec_file(tmp_path, samples=3, format=form)
+    made(spec, tmp_path / "reference")
+    reference = whole(tmp_path / "reference")
+    for changes in range(100):
+        out = tmp_path / f"{changes}"
+        interrupted(changes, end)
+        try:
+            made(spec, out)
+            break
+        except Killed:
+            pass
+        except (InputError, OSError) as error:  # the command says either in one line
+            assert "No space left" in str(error) and "\n" not in str(error)
+        finally:
+            interrupted(None)
+        have = {int(path.stem) for path in out.glob("parts/[0-9]*.tar")}
+        lines = len(logged(out)) if (out / "make.log").exists() else 0
+        made(spec, out)
+        assert whole(out) == reference, f"stopped before change {changes}"
+        assert have.isdisjoint(index for index, _ in logged(out, lines))
+        assert all(done for _, done in logged(out))
+    assert changes > 10
+
+
+def test_retry_ends_at_any_change_of_the_files(tmp_path, interrupted, remembered, renderer):
+    """As above, with the run that tries a failed sample again after its mesh was repaired."""
+    (tmp_path / "mesh.toml").write_text(WALL + MESH)
+    spec = spec_file(tmp_path, samples=4, files=["wall.toml", "mesh.toml"], samples_per_shard=3)
+    (tmp_path / "thing.obj").write_text(SQUARE)
+    made(spec, tmp_path / "reference")
+    reference = whole(tmp_path / "reference")
+    (tmp_path / "thing.obj").write_text("no mesh")
+    made(spec, tmp_path / "poisoned", only_mesh_fails)
+    (tmp_path / "thing.obj").write_text(SQUARE)
+    for changes in range(100):
+        out = tmp_path / f"{changes}"
+        shutil.copytree(tmp_path / "poisoned", out)
+        interrupted(changes)
+        try:
+            made(spec, out, retry=True)
+            break
+        except Killed:
+            pass
+        finally:
+            interrupted(None)
+        made(spec, out, retry=True)
+        assert whole(out) == reference, f"stopped before change {changes}"
+    assert changes > 10
+
+
+def only_mesh_fails(job, queue):
+    """The samples of the broken mesh were rendered before it broke; here they fail."""
+    while queue:
+        index = queue.popleft()
+        yield executors.Outcome(index, "broken") if index % 2 else executors.work(job, index)
+
+
+def test_poisoned_sample_is_left_out_until_it_is_repaired(tmp_path, monkeypatch, capsys, renderer):
+    (tmp_path / "mesh.toml").write_text(WALL + MESH)
+    (tmp_path / "thing.obj").write_text("no mesh\n")
+    spec = spec_file(tmp_path, samples=4, files=["wall.toml", "mesh.toml"])
+    out = tmp_path / "ds"
+    monkeypatch.setattr(executors, "local", lambda processes: inline)
+    assert run(["dataset", "make", str(spec), "--out", str(out)]) == 1
+    said = capsys.readouterr().err
+    assert "sample 1 failed" in said and "sample 3 failed" in said and "thing.obj" in said and "--retry" in said
+    assert Counter(logged(out)) == {(0, True): 1, (2, True): 1, (1, False): TRIES, (3, False): TRIES}
+    assert "thing.obj" in (out / "README.md").read_text()
+    assert run(["dataset", "verify", str(out)]) == 0
+    assert run(["dataset", "make", str(spec), "--out", str(out)]) == 1  # nothing to do, and still not whole
+    (tmp_path / "thing.obj").write_text(SQUARE)
+    assert run(["dataset", "make", str(spec), "--out", str(out), "--retry"]) == 0
+    assert Counter(logged(out)) == {
+        **{(index, True): 1 for index in range(4)},
+        **{(1, False): TRIES, (3, False): TRIES},
+    }
+    made(spec, tmp_path / "straight")
+    assert whole(out) == whole(tmp_path / "straight")
+
+
+def test_full_temporary_folder_is_nobodys_sample(spec, tmp_path, monkeypatch):
+    monkeypatch.setattr(sample, "make", lambda *arguments: 1 / 0)
+    monkeypatch.setattr(executors, "SCRATCH_BYTES", 1e30)
+    with pytest.raises(InputError, match=r"temporary folder .* is full; nothing is lost"):
+        made(spec, tmp_path / "ds")
+    assert not list((tmp_path / "ds").rglob("failed/*"))
+
+
+def test_file_beyond_the_limit_of_a_process_is_a_full_disk(spec, reference, tmp_path):
+    """The same by the operating system, which cuts writes short: RLIMIT_FSIZE at 40 kB."""
+    out = tmp_path / "ds"
+    program = (
+        "import resource, sys; from tests.support.datasets import made, inline; from pathlib import Path\n"
+        "import dasim.dataset.sample as s\n"
+        "real = s.packed\n"
+        "def packed(members):\n"
+        "    resource.setrlimit(resource.RLIMIT_FSIZE, (40_000, resource.RLIM_INFINITY))\n"
+        "    return real(members)\n"
+        "import dasim.base.executors as e\n"
+        "e.sample.packed = packed\n"
+        f"made(Path({str(spec)!r}), Path({str(out)!r}), inline)\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", program],
+        cwd=Path(__file__).parents[3],
+        env=os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)},
+        capture_output=True,
+        text=True,
+    )
+    assert "InputError" in done.stderr.splitlines()[-1] and "File too large" in done.stderr.splitlines()[-1]
+    assert not list(out.rglob("*.partial"))
+    made(spec, out)
+    assert whole(out) == reference
+
+
+def test_worker_with_other_libraries_makes_nothing(spec, tmp_path, monkeypatch):
+    """Pixels would differ: the run ends before the first one is written."""
+    monkeypatch.setattr(sample, "environment", lambda variant: {"variant": variant, "llvm": "0", "cpu": "abacus"})
+    with pytest.raises(InputError, match="this worker has another llvm, cpu than the dataset"):
+        made(spec, tmp_path / "ds")
+    assert not (tmp_path / "ds" / "parts").exists()

@@ -1,0 +1,114 @@
+"""Datasets in an object store: moto's S3 server on this computer, the same bytes as in a folder."""
+
+from __future__ import annotations
+
+import pytest
+
+import dasim
+from dasim.base import executors
+from dasim.base.errors import InputError
+from dasim.cli import run
+from dasim.dataset import plan, storage, verify
+from tests.support.datasets import made, spec_file, sums
+
+s3fs = pytest.importorskip("s3fs", reason="s3fs is not installed (extra 'cluster')")
+moto_server = pytest.importorskip("moto.server", reason="moto is not installed (extra 'test')")
+pytestmark = [
+    pytest.mark.filterwarnings("ignore::DeprecationWarning"),
+    pytest.mark.filterwarnings("ignore::ResourceWarning"),  # connections of s3fs stay open
+    pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning"),
+]
+
+
+@pytest.fixture(scope="module")
+def address(renderer):
+    """A bucket of a server on this computer, found by the variables that the AWS tools know."""
+    server = moto_server.ThreadedMotoServer(ip_address="127.0.0.1", port=0, verbose=False)
+    server.start()
+    host, port = server.get_host_and_port()
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("AWS_ENDPOINT_URL", f"http://{host}:{port}")
+        patch.setenv("AWS_DEFAULT_REGION", "us-east-1")
+        for name in ("AWS_ACCESS_KEY_ID", "AWS_SECRET_ACCESS_KEY"):
+            patch.setenv(name, "test")
+        s3fs.S3FileSystem(skip_instance_cache=True).mkdir("bucket")
+        yield "s3://bucket"
+    server.stop()
+
+
+@pytest.mark.parametrize("form", ["webdataset", "folders"])
+def test_same_bytes_as_in_a_folder(form, address, tmp_path):
+    """By two runs of a half each; nothing of the way there is left behind."""
+    spec = spec_file(tmp_path, format=form)
+    out = f"{address}/{form}/ds"
+    for part in (2, 1):
+        made(spec, out, shard=(part, 2))
+    made(spec, tmp_path / "local")
+    assert sums(out) == sums(tmp_path / "local")
+    assert list(verify.problems(out)) == []
+    assert set(storage.names(out)) == {plan.SUMS, *sums(out)}
+    here, there = dasim.open_dataset(tmp_path / "local"), dasim.open_dataset(out)
+    assert [s.index for s in there] == [s.index for s in here] == list(range(6))
+    assert (there[4].raw_dn == here[4].raw_dn).all()
+
+
+def test_verify_finds_a_flipped_bit_and_an_extra_file(address, tmp_path):
+    out = f"{address}/flipped"
+    made(spec_file(tmp_path), out)
+    content = bytearray(storage.read(out, "train-000001.tar"))
+    content[len(content) // 2] ^= 1
+    storage.write(out, "train-000001.tar", bytes(content))
+    storage.write(out, "extra", b"x")
+    said = list(verify.problems(out))
+    assert "train-000001.tar: its checksum differs" in said and "extra: is not part of the dataset" in said
+
+
+def test_command_by_processes_of_their_own(address, tmp_path, capsys):
+    """Each process opens the store for itself."""
+    out = f"{address}/command"
+    spec = spec_file(tmp_path, samples=2)
+    assert run(["dataset", "make", str(spec), "--out", out, "--jobs", "1"]) == 0
+    assert run(["dataset", "verify", out]) == 0
+    assert "every file is as it was written" in capsys.readouterr().out
+
+
+def test_store_that_refuses_ends_the_run_and_nothing_is_lost(address, tmp_path, monkeypatch):
+    """As a full disk does: no sample is blamed, and the run goes on where it was."""
+    spec, out = spec_file(tmp_path), f"{address}/refused"
+    write, count = storage.write, [0]
+
+    def refusing(where, name, data):
+        if name.startswith("parts/"):
+            count[0] += 1
+            if count[0] == 4:
+                raise ConnectionError("Could not connect to the endpoint")
+        write(where, name, data)
+
+    monkeypatch.setattr(storage, "write", refusing)
+    with pytest.raises(InputError, match=r"cannot be written: ConnectionError: .* nothing is lost"):
+        made(spec, out)
+    assert storage.names(out, "failed") == [] and "parts/000000002.tar" in storage.names(out)
+    made(spec, out)
+    assert count[0] == 4 + 3  # three were there
+    assert list(verify.problems(out)) == []
+
+
+def test_bucket_that_is_not_there(address, tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(executors, "local", lambda processes: None)
+    assert run(["dataset", "make", str(spec_file(tmp_path)), "--out", "s3://nowhere/ds"]) == 2
+    said = capsys.readouterr().err
+    assert "s3://nowhere/ds: cannot be written" in said and len(said.splitlines()) == 1
+    assert run(["dataset", "info", f"{address}/nothing"]) == 2
+    assert "is no dataset" in capsys.readouterr().err
+
+
+def test_store_that_does_not_answer(address, tmp_path, capsys, monkeypatch):
+    """In one line, after the tries of its library."""
+    monkeypatch.setenv("AWS_ENDPOINT_URL", "http://127.0.0.1:9")
+    monkeypatch.setenv("AWS_MAX_ATTEMPTS", "1")
+    storage._opened_in.cache_clear()
+    monkeypatch.setattr(s3fs.S3FileSystem, "_cache", {})
+    assert run(["dataset", "make", str(spec_file(tmp_path)), "--out", "s3://bucket/silent"]) == 2
+    said = capsys.readouterr().err
+    assert "Could not connect" in said and len(said.splitlines()) == 1
+    storage._opened_in.cache_clear()

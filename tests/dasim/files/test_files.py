@@ -1,0 +1,237 @@
+"""Files on disk: what is written is read, what is cut is refused, and nothing half done is left."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+
+import cv2
+import numpy as np
+import pytest
+
+from dasim.base.errors import InputError
+from dasim.camera import specification as cameras
+from dasim.files import folders
+from dasim.values import Capture, PsfBank, Truth
+
+H, W = 12, 16
+
+
+@pytest.fixture
+def capture(da_mobile):
+    rng = np.random.default_rng(7)
+    return Capture(
+        raw_dn=rng.integers(0, 1024, (H, W)).astype(np.uint16),
+        camera=cameras.cropped(da_mobile, W, H),
+        exposure_s=1 / 3,
+        gain=2.0,
+        seed=5,
+        illuminant="D55",
+        provenance={"spp": 64, "scene": {"name": "Tisch"}},
+    )
+
+
+@pytest.fixture
+def truth():
+    rng = np.random.default_rng(8)
+    depth = rng.uniform(0.05, 2, (H, W)).astype(np.float32)
+    depth[0, 0] = np.nan
+    return Truth(
+        depth_m=depth,
+        valid=~np.isnan(depth),
+        normal=rng.normal(size=(H, W, 3)).astype(np.float32),
+        object_id=rng.integers(0, 70_000, (H, W)).astype(np.uint32),
+        material_id=rng.integers(0, 300, (H, W)).astype(np.uint32),
+        blur_px=rng.normal(size=(H, W)).astype(np.float32),
+        level=rng.normal(size=(H, W)).astype(np.float32),
+        boundary=rng.random((H, W)) > 0.5,
+        channels=("R", "G", "B", "IR"),
+        mean_e=rng.uniform(0, 6000, (H, W, 4)).astype(np.float32),
+        sharp_e=rng.uniform(0, 6000, (H, W, 4)).astype(np.float32),
+        sharp_srgb=rng.uniform(0, 1, (H, W, 3)).astype(np.float32),
+        objects=("wall, far", "cup"),
+        materials=("white-paper",),
+    )
+
+
+@pytest.fixture
+def folder(tmp_path, capture, truth):
+    folders.save_capture(tmp_path / "shot", capture, truth)
+    return tmp_path / "shot"
+
+
+def test_capture_and_truth_come_back_as_they_were(folder, capture, truth):
+    """Expectation: every field exactly, types and NaN included."""
+    back = folders.load_capture(folder)
+    for field in dataclasses.fields(Capture):
+        if field.name != "raw_dn":
+            assert getattr(back, field.name) == getattr(capture, field.name), field.name
+    np.testing.assert_array_equal(back.raw_dn, capture.raw_dn)
+    assert back.raw_dn.dtype == np.uint16
+    truth_back = folders.load_truth(folder)
+    for field in dataclasses.fields(Truth):
+        ours, theirs = np.array(getattr(truth, field.name)), np.array(getattr(truth_back, field.name))
+        assert ours.dtype == theirs.dtype, field.name
+        np.testing.assert_array_equal(ours, theirs, err_msg=field.name)
+    assert sorted(path.name for path in folder.iterdir()) == ["meta.json", "raw.png", "truth.exr"]
+    assert [path.name for path in folder.parent.iterdir()] == ["shot"], "no temporary folder is left"
+
+
+def test_meta_states_what_a_reader_needs(folder, capture):
+    """Expectation: schema, K (the principal point in the centre), a table of 29 levels, versions; other tools read the
+    raw picture as 16 bits and the depth as Z.
+    """
+    meta = json.loads((folder / "meta.json").read_text())
+    assert meta["schema"] == 3
+    assert [row[2] for row in meta["intrinsic_matrix_px"]] == [W / 2, H / 2, 1]
+    assert [row["level"] for row in meta["levels"]] == list(range(29))
+    assert meta["levels"][0]["depth_m"] == pytest.approx(capture.camera.lens.focus_distance_m)
+    assert {"dasim", "mitsuba", "drjit", "numpy"} <= meta["software"].keys()
+    assert cv2.imread(str(folder / "raw.png"), cv2.IMREAD_UNCHANGED).dtype == np.uint16
+    import OpenEXR
+
+    with OpenEXR.File(str(folder / "truth.exr"), separate_channels=True) as file:
+        assert file.parts[0].name() == "depth"
+        assert list(file.parts[0].channels) == ["Z"]
+
+
+@pytest.mark.parametrize("kept", [0.0, 0.3, 0.9, 0.999])
+@pytest.mark.parametrize("name", ["raw.png", "truth.exr", "meta.json"])
+def test_cut_files_are_refused(folder, name, kept):
+    data = (folder / name).read_bytes()
+    (folder / name).write_bytes(data[: min(int(len(data) * kept), len(data) - 3)])
+    load = folders.load_truth if name == "truth.exr" else folders.load_capture
+    with pytest.raises(InputError, match=name):
+        load(folder)
+
+
+@pytest.mark.parametrize("name", ["raw.png", "truth.exr", "meta.json"])
+def test_missing_files_are_named(folder, name):
+    (folder / name).unlink()
+    load = folders.load_truth if name == "truth.exr" else folders.load_capture
+    with pytest.raises(InputError, match=rf"{name}: is missing"):
+        load(folder)
+    with pytest.raises(InputError, match="no such folder"):
+        folders.load_capture(folder / "nothing")
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda meta: meta.pop("schema"), "schema 3"),
+        (lambda meta: meta.update(schema=99), "schema 3"),
+        (lambda meta: meta.pop("gain"), "gain"),
+        (lambda meta: meta.update(exposure_s=[1]), "meta.json"),
+        (lambda meta: meta.update(exposure_s="long"), "meta.json"),
+        (lambda meta: meta.update(provenance=3), "meta.json"),
+        (lambda meta: meta["camera"]["lens"].pop("f_number"), "camera.lens.f_number: is missing"),
+        (lambda meta: meta["camera"]["sensor"].update(width_px=32), "16 x 12 pixels, meta.json says 32 x 12"),
+    ],
+)
+def test_wrong_meta_is_refused(folder, change, said):
+    meta = json.loads((folder / "meta.json").read_text())
+    change(meta)
+    (folder / "meta.json").write_text(json.dumps(meta))
+    with pytest.raises(InputError, match=said):
+        folders.load_capture(folder)
+
+
+def test_other_pictures_are_no_raw_pictures(folder):
+    assert cv2.imwrite(str(folder / "raw.png"), np.zeros((H, W), np.uint8))
+    with pytest.raises(InputError, match=r"raw\.png: has \d+ bytes of \d+"):
+        folders.load_capture(folder)
+    with pytest.raises(InputError, match="no 16-bit grey PNG"):
+        folders.read_png16(folder / "raw.png")
+    (folder / "truth.exr").write_bytes((folder / "raw.png").read_bytes())
+    with pytest.raises(InputError, match=r"truth\.exr"):
+        folders.load_truth(folder)
+
+
+OWN = '{"software": {"dasim": "0"}}'
+
+
+def test_failure_leaves_nothing_behind(tmp_path):
+    """Expectation: an exception in the block leaves neither the folder nor a temporary one, and keeps an old result."""
+    with pytest.raises(ZeroDivisionError), folders.new_folder(tmp_path / "out", "capture") as folder:
+        (folder / "half.txt").write_text("half")
+        raise ZeroDivisionError
+    assert list(tmp_path.iterdir()) == []
+    with folders.new_folder(tmp_path / "out", "capture") as folder:
+        (folder / "meta.json").write_text(OWN)
+    with pytest.raises(KeyboardInterrupt), folders.new_folder(tmp_path / "out", "capture"):
+        raise KeyboardInterrupt
+    assert [path.name for path in tmp_path.iterdir()] == ["out"]
+    assert (tmp_path / "out" / "meta.json").read_text() == OWN
+
+
+def test_own_results_are_replaced_and_foreign_files_kept(tmp_path, capture):
+    """Expectation: an earlier capture is replaced as a whole; a folder with anything else, and a file, are refused."""
+    folders.save_capture(tmp_path / "a" / "shot", capture, None)
+    before = (tmp_path / "a" / "shot").stat().st_ino
+    folders.save_capture(tmp_path / "a" / "shot", capture, None)
+    assert (tmp_path / "a" / "shot").stat().st_ino != before
+    assert sorted(path.name for path in (tmp_path / "a" / "shot").iterdir()) == ["meta.json", "raw.png"]
+    (tmp_path / "a" / "shot" / "notes.txt").write_text("mine")
+    with pytest.raises(InputError, match=r"notes\.txt"):
+        folders.save_capture(tmp_path / "a" / "shot", capture, None)
+    (tmp_path / "foreign").mkdir()
+    (tmp_path / "foreign" / "meta.json").write_text('{"mine": 1}')
+    with pytest.raises(InputError, match=r"foreign: .*did not write"):
+        folders.save_capture(tmp_path / "foreign", capture, None)
+    (tmp_path / "holiday").mkdir()
+    (tmp_path / "holiday" / "beach.jpg").write_text("mine")
+    with pytest.raises(InputError, match=r"holiday: .*did not write"):
+        folders.save_capture(tmp_path / "holiday", capture, None)
+    assert [path.name for path in (tmp_path / "holiday").iterdir()] == ["beach.jpg"]
+    with pytest.raises(InputError, match="is a file"):
+        folders.save_capture(tmp_path / "holiday" / "beach.jpg", capture, None)
+    with pytest.raises(InputError, match="not a folder that can be written to"):
+        folders.check_output(tmp_path / "holiday" / "beach.jpg" / "below", "capture")
+    (tmp_path / "empty").mkdir()
+    folders.save_capture(tmp_path / "empty", capture, None)
+    assert (tmp_path / "empty" / "raw.png").is_file()
+
+
+@pytest.fixture
+def bank(da_mobile):
+    rng = np.random.default_rng(9)
+    kernel = rng.random((2, 3, 4, 5, 5)).astype(np.float32)
+    return PsfBank(
+        kernel=kernel / kernel.sum(axis=(-2, -1), keepdims=True),
+        lights=("D65", "A"),
+        signature=rng.random((2, 4)).astype(np.float32),
+        depth_m=np.array([0.4, 0.3, 0.2], np.float32),
+        blur_px=np.array([0, 2, 4], np.float32),
+        camera=da_mobile,
+        diffraction="wave",
+    )
+
+
+def test_bank_comes_back_as_it_was(tmp_path, bank):
+    folders.save_bank(tmp_path / "banks" / "b.npz", bank)
+    back = folders.load_bank(tmp_path / "banks" / "b.npz")
+    for field in dataclasses.fields(PsfBank):
+        ours, theirs = getattr(bank, field.name), getattr(back, field.name)
+        if isinstance(ours, np.ndarray):
+            assert ours.dtype == theirs.dtype
+            np.testing.assert_array_equal(ours, theirs)
+        else:
+            assert ours == theirs, field.name
+    assert [path.name for path in (tmp_path / "banks").iterdir()] == ["b.npz"]
+
+
+def test_damaged_banks_are_refused(tmp_path, bank):
+    with pytest.raises(InputError, match=r"b\.npz: no such file; make one with 'dasim calibrate'"):
+        folders.load_bank(tmp_path / "b.npz")
+    folders.save_bank(tmp_path / "b.npz", bank)
+    data = (tmp_path / "b.npz").read_bytes()
+    for part in (b"", b"text", data[: len(data) // 2], data[:-10]):
+        (tmp_path / "b.npz").write_bytes(part)
+        with pytest.raises(InputError, match=r"b\.npz"):
+            folders.load_bank(tmp_path / "b.npz")
+    np.savez(tmp_path / "b.npz", kernel=bank.kernel)
+    with pytest.raises(InputError, match=r"b\.npz"):
+        folders.load_bank(tmp_path / "b.npz")
+    np.savez(tmp_path / "b.npz", about="[]", kernel=bank.kernel, signature=bank.signature, depth_m=[1], blur_px=[1])
+    with pytest.raises(InputError, match=r"b\.npz"):
+        folders.load_bank(tmp_path / "b.npz")

@@ -1,0 +1,461 @@
+"""Random scenes: valid by construction, the same for the same numbers, drawn as they say."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+import trimesh
+
+import dasim
+from dasim import cli
+from dasim.base.errors import InputError
+from dasim.base.toml import parse
+from dasim.camera import specification as cameras
+from dasim.camera.specification import Camera
+from dasim.random_scenes.specification import PICTURE_PX, RandomScenes, named
+from dasim.scene import shapes
+from dasim.scene import specification as scenes
+from dasim.scene.procedural import library, solids
+from dasim.simulation.simulate import simulate
+
+SEED = 11
+DRAWS = 200
+ROUNDING_M = 3e-6  # positions and sizes are rounded to 1e-4 cm each, angles to 1e-4 degrees
+BACKGROUND = ("floor", "wall 1", "wall 2")
+LEAST_SPAN = 0.4  # of the range of blur; 60 % less twice the outer bands, in the least lucky of the scenes
+SIGMAS = 5.0  # a share over n draws: misses one in two million right generators
+
+
+@pytest.fixture(scope="module")
+def samples() -> list[tuple[dasim.Scene, list[Measured]]]:
+    """Scenes and all their objects, each measured while its meshes are at hand."""
+    scenes_drawn = (dasim.random_scene(SEED, index) for index in range(DRAWS))
+    return [(scene, [measure(item, scene) for item in things(scene)]) for scene in scenes_drawn]
+
+
+@pytest.fixture(scope="module")
+def drawn(samples) -> list[dasim.Scene]:
+    return [scene for scene, _ in samples]
+
+
+class Measured(NamedTuple):
+    """An object by its own points, metres: depths, middle (camera axes), lowest level, distance from the lamps."""
+
+    name: str
+    item: shapes.Object
+    depth: tuple[float, float]
+    middle: np.ndarray
+    lowest: float
+    from_lamps: float
+
+
+@pytest.fixture(scope="module")
+def measured(samples) -> list[list[Measured]]:
+    return [found for _, found in samples]
+
+
+def measure(item, scene: dasim.Scene) -> Measured:
+    points = points_m(item, scene)
+    to_camera = scenes.world_to_camera(scene)
+    level = points @ to_camera[:3, 1]  # the second row of the inverse
+    lowest = item.position_cm[1] * 1e-2 + item.radius_cm * 1e-2 if isinstance(item, shapes.Sphere) else level.max()
+    lamps = [to_camera[:3, :3] @ np.multiply(light.position_cm, 1e-2) for light in near_lights(scene)]
+    # An eighth of a mesh's vertices: they lie closer than a millimetre, and the limit is a matter of decimetres.
+    distance = min((float(np.sqrt(((points[::8] - lamp) ** 2).sum(axis=-1).min())) for lamp in lamps), default=np.inf)
+    depth = points[:, 2]
+    middle = (points.min(axis=0) + points.max(axis=0)) / 2
+    return Measured(item.name, item, (depth.min(), depth.max()), middle, float(lowest), distance)
+
+
+def near_lights(scene: dasim.Scene) -> list:
+    return [light for light in scene.lights if light.kind in ("lamp", "panel")]
+
+
+def small_camera(width: int = 64, height: int = 48) -> Camera:
+    """What the default picture shows, in few and large pixels."""
+    data = cameras.load_camera("da-mobile").model_dump()
+    pitch_um = data["sensor"]["pixel_pitch_um"] * PICTURE_PX[0] / width
+    data["sensor"] |= {"width_px": width, "height_px": height, "pixel_pitch_um": pitch_um}
+    return parse(Camera, data, "small camera")
+
+
+def things(scene: dasim.Scene) -> list:
+    return [item for item in scene.objects if item.name not in BACKGROUND]
+
+
+def corners_m(item, scene: dasim.Scene) -> np.ndarray:
+    """Corners of an object's box in camera axes, [8, 3]."""
+    centre, half = shapes.half_extent_m(item, scene.folder)
+    matrix = scenes.object_to_camera(item, scene)
+    corners = centre + np.array(np.meshgrid(*[(-1, 1)] * 3)).reshape(3, -1).T * half
+    return corners @ matrix[:3, :3].T + matrix[:3, 3]
+
+
+def points_m(item, scene: dasim.Scene) -> np.ndarray:
+    """Points whose hull holds an object, in camera axes: of a mesh its vertices, of a ball its ends along z."""
+    matrix = scenes.object_to_camera(item, scene)
+    if isinstance(item, shapes.Sphere):
+        return matrix[:3, 3] + np.array([[0, 0, -1], [0, 0, 1]]) * item.radius_cm * 1e-2
+    if isinstance(item, shapes.Mesh):
+        if item.file.startswith(library.PREFIX):
+            made = library.procedural(item.file.removeprefix(library.PREFIX)).vertices * item.unit_cm * 1e-2
+            return made @ matrix[:3, :3].T + matrix[:3, 3]
+        return scenes.triangles(item, scene.folder).vertices @ matrix[:3, :3].T + matrix[:3, 3]
+    if isinstance(item, (shapes.Cylinder, shapes.Disc)):
+        turn = np.linspace(0, 2 * np.pi, 48)
+        height = item.height_cm / 2 if isinstance(item, shapes.Cylinder) else 0.0
+        flat = [np.cos(turn), np.sin(turn), 0 * turn] if height == 0 else [np.cos(turn), 0 * turn, np.sin(turn)]
+        ring = np.stack(flat, axis=-1) * item.radius_cm
+        local = np.concatenate([ring + np.array((0, side * height, 0)) for side in (-1, 1)]) * 1e-2
+        return local @ matrix[:3, :3].T + matrix[:3, 3]
+    return corners_m(item, scene)
+
+
+# --- valid by construction -----------------------------------------------------------------------
+
+
+def test_every_object_lies_within_the_depth_range(measured):
+    """Objects, by their own points: between the ends of the range (and so never in the lens)."""
+    near, far = RandomScenes().depth_cm
+    for item in (item for scene in measured for item in scene):
+        assert item.depth[0] >= near * 1e-2 - ROUNDING_M, item.name
+        assert item.depth[1] <= far * 1e-2 + ROUNDING_M, item.name
+
+
+def test_all_that_is_seen_of_floor_and_walls_lies_within_the_range(drawn):
+    """Rays of the picture's border and inside against each plane, cut analytically, first hit."""
+    near, far = RandomScenes().depth_cm
+    for scene in drawn:
+        depth = background_depth_m(scene)
+        assert np.isfinite(depth).all(), scene.name
+        assert depth.min() >= near * 1e-2 - ROUNDING_M, scene.name
+        assert depth.max() <= far * 1e-2 + ROUNDING_M, scene.name
+
+
+def background_depth_m(scene: dasim.Scene, camera: Camera | None = None) -> np.ndarray:
+    chosen = dasim.focused(camera or small_camera(), scene)
+    matrix = np.linalg.inv(cameras.intrinsic_matrix(chosen))
+    size = (chosen.sensor.width_px, chosen.sensor.height_px)
+    x, y = np.meshgrid(*(np.linspace(0, side, 41) for side in size))
+    rays = np.stack([x, y, np.ones_like(x)], axis=-1) @ matrix.T
+    found = np.full(x.shape, np.inf)
+    for item in scene.objects:
+        if item.name in BACKGROUND:
+            assert isinstance(item, shapes.Plane)
+            to_camera = scenes.object_to_camera(item, scene)
+            normal, origin = to_camera[:3, 2], to_camera[:3, 3]
+            depth = (normal @ origin) / (rays @ normal)
+            place = (rays * depth[..., None] - origin) @ to_camera[:3, :2] / (np.array(item.size_cm) * 0.5e-2)
+            hit = (depth > 0) & (np.abs(place) <= 1).all(axis=-1)
+            found = np.where(hit, np.minimum(found, depth), found)
+    return found
+
+
+@pytest.mark.parametrize(
+    ("size_px", "depth_cm"),
+    [
+        ((512, 384), (5.0, 40.0)),
+        ((2048, 1536), (20.0, 80.0)),
+        ((128, 512), (50.0, 75.0)),
+        ((1536, 1536), (30.0, 400.0)),
+    ],
+)
+def test_other_pictures_and_ranges_are_as_valid(size_px, depth_cm):
+    camera = cameras.cropped(cameras.load_camera("da-mobile"), *size_px)
+    for index in range(12):
+        scene = dasim.random_scene(SEED, index, RandomScenes(depth_cm=depth_cm), camera)
+        depth = [*(points_m(item, scene)[:, 2] for item in things(scene)), background_depth_m(scene, camera).ravel()]
+        assert np.concatenate(depth).min() >= depth_cm[0] * 1e-2 - ROUNDING_M
+        assert np.concatenate(depth).max() <= depth_cm[1] * 1e-2 + ROUNDING_M
+
+
+def test_objects_are_in_view_and_their_blur_spans_the_range(drawn, measured):
+    """Middles of three or more within the picture; together they take up a good part of the range of blur.
+
+    The first two objects are drawn from its outer 15 % each; the range that is left to them begins where the floor is
+    seen (1.4 times the near end at most, where 60 % of the blur is left) and ends before the wall.
+    """
+    near, far = (value * 1e-2 for value in RandomScenes().depth_cm)
+    spans = []
+    for scene, found in zip(drawn, measured, strict=True):
+        matrix = cameras.intrinsic_matrix(dasim.focused(small_camera(), scene))
+        pixels = np.array([item.middle for item in found]) @ matrix.T
+        depth, pixels = pixels[:, 2], pixels[:, :2] / pixels[:, 2:]
+        assert ((pixels > 0) & (pixels < (64, 48))).all(axis=-1).sum() >= 3, scene.name
+        share = (1 / depth - 1 / far) / (1 / near - 1 / far)
+        spans.append(np.ptp(share[(pixels[:, 0] > 0) & (pixels[:, 0] < 64)]))
+    assert min(spans) >= LEAST_SPAN
+    assert np.median(spans) >= 0.5
+
+
+def test_what_stands_touches_the_floor(drawn, measured):
+    """On table tops nothing floats: the lowest point of each object is the floor's level (posters hang on the wall)."""
+    for scene, found in zip(drawn, measured, strict=True):
+        if not scene.description.startswith("table top"):
+            continue
+        floor = next(item for item in scene.objects if item.name == "floor").position_cm[1] * 1e-2
+        for item in found:
+            if not item.name.startswith("poster"):
+                lifted = 0.02 * item.item.radius_cm * 1e-2 if isinstance(item.item, shapes.Disc) else 0.0
+                assert item.lowest == pytest.approx(floor - lifted, abs=ROUNDING_M), (scene.name, item.name)
+
+
+def test_lamps_are_out_of_the_picture_and_away_from_all_objects(drawn, measured):
+    """Nothing is nearer to a lamp's middle than a quarter of the far end of the range: no spot outshines the rest."""
+    camera = small_camera()
+    least_m = 0.25 * RandomScenes().depth_cm[1] * 1e-2
+    for scene, found in zip(drawn, measured, strict=True):
+        assert min(item.from_lamps for item in found) > least_m, scene.name
+        for light in near_lights(scene):
+            place = scenes.world_to_camera(scene)[:3, :3] @ np.multiply(light.position_cm, 1e-2)
+            if place[2] > 0:
+                pixel = cameras.intrinsic_matrix(dasim.focused(camera, scene)) @ place
+                assert not (np.abs(pixel[:2] / pixel[2] - (32, 24)) < (32, 24)).all(), scene.name
+
+
+def test_lamps_stand_within_the_room(drawn):
+    for scene in drawn:
+        floor = next(item for item in scene.objects if item.name == "floor")
+        walls = [item for item in scene.objects if item.name.startswith("wall")]
+        for light in near_lights(scene):
+            assert light.position_cm[1] < floor.position_cm[1], scene.name
+            for wall in walls:
+                outwards = shapes.placement(wall)[:3, 2]
+                assert outwards @ np.subtract(light.position_cm, wall.position_cm) < 0, scene.name
+
+
+def test_drawn_scenes_pass_the_checks_of_scenes_that_are_read(drawn):
+    for scene in drawn[:3]:
+        scenes._check(scene, scene.name)
+        scenes.check_clear(scene, cameras.aperture_m(small_camera()) / 2)
+
+
+# --- distributions -------------------------------------------------------------------------------
+
+
+def share_error(share: float, count: int) -> float:
+    return SIGMAS * float(np.sqrt(share * (1 - share) / count))
+
+
+def test_counts_are_uniform_from_5_to_40(drawn):
+    """Mean and ends of 36 equally likely numbers; 200 draws miss an end's five numbers once in 10^13."""
+    counts = np.array([len(things(scene)) for scene in drawn])
+    assert counts.min() in range(5, 10) and counts.max() in range(36, 41)
+    assert counts.mean() == pytest.approx(22.5, abs=SIGMAS * np.sqrt((36**2 - 1) / 12 / DRAWS))
+
+
+def test_shares_of_rooms_and_of_outdoor_light(drawn):
+    spec = RandomScenes()
+    rooms = np.mean([scene.description.startswith("room") for scene in drawn])
+    assert rooms == pytest.approx(spec.room_share, abs=share_error(spec.room_share, DRAWS))
+    outdoors = np.mean([scene.lights[0].kind in ("daylight", "sky") for scene in drawn])
+    assert outdoors == pytest.approx(spec.outdoor_share, abs=share_error(spec.outdoor_share, DRAWS))
+
+
+def test_levels_are_log_uniform_and_lamps_share_them():
+    spec = RandomScenes(outdoor_share=0.0, window_share=0.0, objects=(3, 3), lux=(10.0, 1000.0))
+    lux = []
+    for index in range(60):
+        lights = dasim.random_scene(SEED, index, spec).lights
+        assert [light.kind for light in lights][-1] == "dome" and 2 <= len(lights) <= 4
+        lux.append(sum(light.lux for light in lights[:-1]))
+    assert 9.9 <= min(lux) and max(lux) <= 1060  # a lamp gives 2 % at least
+    assert np.mean(np.log10(lux)) == pytest.approx(2.0, abs=SIGMAS * 2 / np.sqrt(12 * len(lux)))
+
+
+def test_focus_is_an_end_of_the_range_unless_drawn():
+    assert dasim.random_scene(0, 0).focus_cm == 80.0
+    assert dasim.random_scene(0, 0, RandomScenes(focus="near")).focus_cm == 20.0
+    within = [dasim.random_scene(0, i, RandomScenes(focus="within", objects=(3, 3))).focus_cm for i in range(20)]
+    assert 20 < min(within) and max(within) < 80 and len(set(within)) == 20
+
+
+def test_illuminants_follow_their_weights():
+    spec = RandomScenes(illuminants={"A": 1.0, "blackbody": 1.0}, objects=(3, 3), outdoor_share=0.0)
+    names = [dasim.random_scene(SEED, index, spec).lights[0].illuminant for index in range(80)]
+    assert np.mean([name == "A" for name in names]) == pytest.approx(0.5, abs=share_error(0.5, len(names)))
+    assert all(name == "A" or 2300 <= int(name[10:-1]) <= 6500 for name in names)
+
+
+def test_exposure_is_drawn_within_its_ranges():
+    found = [dasim.random_exposure(SEED, index) for index in range(100)]
+    assert {exposure.gain for exposure in found} == {1.0, 2.0, 4.0}
+    assert all(0.6 <= exposure.auto_level <= 0.9 and exposure.time_s is None for exposure in found)
+
+
+# --- the same numbers, the same scene ------------------------------------------------------------
+
+
+def test_a_sample_depends_on_seed_and_index_alone(drawn):
+    """In any order, and beside any others: the same bytes."""
+    for index in (DRAWS - 1, 5, 0):
+        assert dasim.random_scene(SEED, index).model_dump_json() == drawn[index].model_dump_json()
+    assert len({scene.model_dump_json(exclude={"name"}) for scene in drawn}) == DRAWS
+    assert dasim.random_scene(0, 1).objects != dasim.random_scene(1, 0).objects
+
+
+def test_other_numbers_of_objects_leave_lights_room_and_surfaces():
+    few, many = (dasim.random_scene(3, 4, RandomScenes(objects=(count, count))) for count in (6, 30))
+    assert few.lights == many.lights and few.view == many.view
+    assert few.objects[0] == many.objects[0]
+    both = few.materials.keys() & many.materials.keys()
+    assert both and all(few.materials[name] == many.materials[name] for name in both)
+
+
+# --- the user's own ------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def mesh_folder(tmp_path: Path) -> Path:
+    folder = tmp_path / "meshes"
+    folder.mkdir()
+    cone = trimesh.creation.cone(radius=3.0, height=7.0)
+    cone.export(folder / "cone.ply")
+    coloured = trimesh.creation.box((20, 10, 5))
+    coloured.apply_translation((100, 40, 3))
+    coloured.visual.vertex_colors = np.random.default_rng(0).integers(0, 255, (8, 4)).astype(np.uint8)
+    coloured.export(folder / "painted.ply")
+    return folder
+
+
+def test_meshes_of_a_folder_are_used_and_stand_in_range(mesh_folder):
+    """Both files appear, whatever their unit and origin; one has colours and gets the rule that was asked for."""
+    spec = RandomScenes(mesh_folder=str(mesh_folder), mesh_share=1.0, mesh_up="z", mesh_near_infrared="dyed")
+    seen = set()
+    for index in range(4):
+        scene = dasim.random_scene(SEED, index, spec)
+        scenes._check(scene, scene.name)
+        for item in things(scene):
+            if isinstance(item, shapes.Mesh) and "procedural" not in item.file:
+                seen.add((Path(item.file).name, item.near_infrared))
+                depth = points_m(item, scene)[:, 2]
+                assert 0.2 - ROUNDING_M <= depth.min() and depth.max() <= 0.8 + ROUNDING_M
+    assert seen == {("cone.ply", None), ("painted.ply", "dyed")}
+
+
+def test_all_broken_files_of_a_folder_are_named_at_once(mesh_folder):
+    (mesh_folder / "broken.obj").write_text("v 1 2\nf 1 2 9\n")
+    (mesh_folder / "empty.stl").write_bytes(b"")
+    with pytest.raises(InputError, match=r"broken\.obj(.|\n)*empty\.stl"):
+        dasim.random_scene(0, 0, RandomScenes(mesh_folder=str(mesh_folder)))
+
+
+def test_folders_without_files_and_broken_pictures_are_errors(tmp_path):
+    with pytest.raises(InputError, match="no such folder"):
+        dasim.random_scene(0, 0, RandomScenes(mesh_folder=str(tmp_path / "none")))
+    with pytest.raises(InputError, match="holds none of"):
+        dasim.random_scene(0, 0, RandomScenes(mesh_folder=str(tmp_path)))
+    (tmp_path / "bad.png").write_bytes(b"no picture")
+    with pytest.raises(InputError, match=r"bad\.png"):
+        dasim.random_scene(0, 0, RandomScenes(image_folder=str(tmp_path)))
+
+
+def test_a_specification_is_read_from_toml(tmp_path, mesh_folder):
+    """Folders are looked up beside the file, and the scene says where they are as the file did."""
+    path = tmp_path / "set.toml"
+    path.write_text('depth_cm = [5, 40]\nobjects = [5, 6]\nmesh_folder = "meshes"\nmesh_share = 1\n[gains]\n"2" = 1\n')
+    scene, exposure = named(f"random:{path}:3:4")
+    assert exposure.gain == 2.0 and scene.focus_cm == 40.0 and len(things(scene)) in (5, 6)
+    files = {item.file for item in things(scene) if isinstance(item, shapes.Mesh)}
+    assert files <= {"meshes/cone.ply", "meshes/painted.ply"} and files
+    scenes._check(scene, scene.name)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("depth_cm = [40, 50]", "1.5 times its nearer end"),
+        ("objects = [40, 5]", "the smaller number comes first"),
+        ("[illuminants]\nD66 = 1", "illuminant 'D66' is unknown"),
+        ("colour = 1", "colour: unknown key"),
+        ("objects = [0, 5]", "objects must lie within 3 and 200"),
+    ],
+)
+def test_bad_specifications_are_named(tmp_path, text, message):
+    path = tmp_path / "bad.toml"
+    path.write_text(text)
+    with pytest.raises(InputError, match=message):
+        dasim.load_random_scenes(path)
+
+
+def test_bad_names_and_numbers_are_named():
+    for name in ("random:1", "random:a:2", "random:1:-2", "random:"):
+        with pytest.raises(InputError, match="random:SEED:INDEX"):
+            named(name)
+    with pytest.raises(InputError, match="seed is -1"):
+        dasim.random_scene(-1, 0)
+
+
+def test_the_command_line_names_what_is_wrong(tmp_path, capsys):
+    assert cli.run(["render", "random:7", "--out", str(tmp_path / "a")]) == 2
+    assert "random:SEED:INDEX" in capsys.readouterr().err
+    assert cli.run(["render", "random:none.toml:0:1", "--out", str(tmp_path / "a")]) == 2
+    assert "'none.toml': no such file" in capsys.readouterr().err
+
+
+# --- rendered ------------------------------------------------------------------------------------
+
+CLIPPED_SHARE = 0.02
+NOISE_FLOOR_E = 3.0  # the camera's read noise; the median signal of the brightest channel is tenfold at least
+
+
+def check_truth(depth_m: np.ndarray, object_id: np.ndarray, spec: RandomScenes) -> None:
+    near, far = (value * 1e-2 for value in spec.depth_cm)
+    assert np.isfinite(depth_m).all()
+    assert near - ROUNDING_M <= depth_m.min() and depth_m.max() <= far + ROUNDING_M
+    assert len(np.unique(object_id)) >= 5
+
+
+@pytest.mark.parametrize("index", range(4))
+def test_every_pixel_sees_something_in_range(renderer, index):
+    from dasim.render import translate, truth
+
+    spec = RandomScenes(textured_share=0.0, surfaces=2)
+    scene = dasim.random_scene(SEED, index, spec)
+    camera = dasim.focused(small_camera(), scene)
+    found = truth.geometry(translate.world(scene, camera).scene, camera)
+    check_truth(found.depth_m, found.object_id, spec)
+
+
+def test_a_rendered_sample_is_well_exposed(renderer):
+    """In range as above, few pixels clip, and most are well lit."""
+    # Preparing surfaces is what takes time; those with textures are rendered with the bundled scenes.
+    spec = RandomScenes(objects=(5, 8), surfaces=2, textured_share=0.0, background_textured_share=0.0)
+    scene = dasim.random_scene(SEED, 8, spec)
+    camera, exposure = dasim.focused(small_camera(), scene), dasim.random_exposure(SEED, 8, spec)
+    shot = simulate(scene, camera, 0, spp=4, exposure=exposure, diffraction="off")
+    check_truth(shot.truth.depth_m, shot.truth.object_id, spec)
+    assert shot.capture.provenance["saturated_pixels"] <= CLIPPED_SHARE * shot.capture.raw_dn.size
+    assert np.median(shot.truth.mean_e, axis=(0, 1)).max() > 10 * NOISE_FLOOR_E
+
+
+# --- solids --------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", library.BODIES)
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_bodies_are_closed_and_fill_their_cube(name, seed):
+    """The areas of a closed surface, as vectors, add up to nothing; with faces outwards its volume is positive.
+
+    The box is a cube's largest, around the origin: what a drawn size is the size of.
+    """
+    part = library.procedural(f"{name}:{seed}")
+    low, high = part.vertices.min(axis=0), part.vertices.max(axis=0)
+    assert (high - low).max() == pytest.approx(1.0)
+    assert low == pytest.approx(-high, abs=1e-9)
+    a, b, c = (part.vertices[part.faces[:, corner]] for corner in range(3))
+    assert np.abs(np.cross(b - a, c - a).sum(axis=0)).max() < 1e-9
+    volume = np.einsum("ij,ij->", a, np.cross(b, c)) / 6
+    assert 0 < volume < np.prod(high - low)
+
+
+@pytest.mark.parametrize("name", sorted(solids.MESHES))
+def test_solids_with_edges_have_normals_of_their_faces(name):
+    part = library.procedural(name)
+    a, b, c = (part.vertices[part.faces[:, corner]] for corner in range(3))
+    across = np.cross(b - a, c - a)
+    across /= np.linalg.norm(across, axis=-1, keepdims=True)
+    assert part.normals[part.faces] == pytest.approx(np.repeat(across[:, None], 3, axis=1), abs=1e-6)

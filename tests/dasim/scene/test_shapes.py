@@ -1,0 +1,428 @@
+"""Height fields and mesh files: analytic heights, where textures lie, colours of their own, cameras inside them."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+import trimesh
+from trimesh.visual.material import PBRMaterial
+
+from dasim.base.errors import InputError
+from dasim.materials import photographs
+from dasim.scene import meshes, shapes
+from dasim.scene import specification as scenes
+from dasim.spectra.grid import WAVELENGTH_NM
+
+DEPTH_LIMIT = 1e-4  # relative; the issue's limit, rays and shapes are single precision
+LINEAR_LIMIT = 1e-5  # colours are single precision
+SRGB_188 = ((188 / 255 + 0.055) / 1.055) ** 2.4  # 0.5029
+
+
+def relief(**others) -> dict:
+    return {
+        "name": "relief",
+        "shape": "heightfield",
+        "image": "relief.png",
+        "size_cm": (16, 12),
+        "height_cm": 4,
+        "position_cm": (0, 0, 30),
+        "material": "grey-card",
+    } | others
+
+
+@pytest.fixture(scope="module")
+def geometry(loaded):
+    from dasim.render import truth
+
+    return lambda scene, camera: truth.geometry(loaded(scene), camera)
+
+
+# --- height fields -------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("bits", [8, 16])
+def test_height_field_is_a_ramp_where_its_picture_is(geometry, make_scene, wide, tmp_path, bits):
+    """Set-up: a picture that grows from black at the left to white at the right: a plane between z = 30 and 26 cm.
+
+    Expectation: z at the pixel centres is that of the tilted plane, where a value stands at its pixel's centre:
+    z = 30 - 4 (u W - 0.5) / (W - 1) with u = x / 16 + 1/2. 8 bits hold 52 steps exactly (255 = 51 x 5).
+    """
+    columns = 52
+    ramp = np.tile(np.rint(np.linspace(0, 2**bits - 1, columns)), (8, 1))
+    assert cv2.imwrite(str(tmp_path / "relief.png"), ramp.astype(np.uint8 if bits == 8 else np.uint16))
+    camera = wide()
+    found = geometry(make_scene(relief(), folder=tmp_path), camera)
+    sensor, lens = camera.sensor, camera.lens
+    image_mm = 1 / (1 / lens.focal_length_mm - 1 / (lens.focus_distance_m * 1e3))
+    x = (np.arange(sensor.width_px) - (sensor.width_px - 1) / 2) * sensor.pixel_pitch_um / 1e3 / image_mm
+    # z = a - b X with X = x z, in cm
+    b = 4 / 16 * columns / (columns - 1)
+    z = 0.01 * (30 - 4 * (columns / 2 - 0.5) / (columns - 1)) / (1 + b * x)
+    inside = (np.abs(x * z) < 0.078) & ~np.isnan(found.depth_m[18])
+    assert inside.sum() > 25
+    np.testing.assert_allclose(found.depth_m[18, inside], z[inside], rtol=DEPTH_LIMIT)
+    assert (found.object_id[18, inside] == 1).all()
+
+
+def test_height_field_reaches_as_far_as_a_plane_and_white_is_nearer(geometry, make_scene, wide, tmp_path):
+    """Expectation: all black is the plane itself, all white a plane that much nearer; outlines agree."""
+    for value, depth_cm in ((0, 30), (255, 26)):
+        cv2.imwrite(str(tmp_path / "relief.png"), np.full((5, 7), value, np.uint8))
+        found = geometry(make_scene(relief(rotation_deg=(0, 0, 20)), folder=tmp_path), wide())
+        plane = {"name": "p", "shape": "plane", "size_cm": (16, 12), "material": "grey-card"}
+        flat = make_scene(plane | {"position_cm": (0, 0, depth_cm), "rotation_deg": (0, 0, 20)})
+        np.testing.assert_allclose(found.depth_m, geometry(flat, wide()).depth_m, rtol=DEPTH_LIMIT)
+
+
+def test_texture_lies_on_a_height_field_as_on_a_plane(loaded, make_scene, wide, tmp_path):
+    """Set-up: a picture with one bright quarter on a black (flat) height field and on a plane.
+
+    Expectation: the same picture, pixel by pixel (noise aside, which is the same too: same samples).
+    """
+    from dasim.render import passes
+
+    quarter = np.zeros((8, 8, 3), np.uint8)
+    quarter[:4, :4] = 255
+    cv2.imwrite(str(tmp_path / "quarter.png"), quarter)
+    cv2.imwrite(str(tmp_path / "relief.png"), np.zeros((5, 7), np.uint8))
+    materials = {"q": {"kind": "blend", "image": "quarter.png", "dark": "carbon-black", "bright": "ceramic-white"}}
+    pictures = []
+    for item in (relief(material="q"), relief(material="q", shape="plane")):
+        if item["shape"] == "plane":
+            del item["image"], item["height_cm"]
+        scene = loaded(make_scene(item, materials=materials, folder=tmp_path))
+        pictures.append(passes.pinhole_pass(scene, wide(), passes.Sampling(16, 0))[..., 1])
+    assert pictures[1][12, 16] > 10 * pictures[1][24, 32]
+    np.testing.assert_allclose(pictures[0], pictures[1], rtol=2e-3, atol=2e-3 * pictures[1].max())
+
+
+def test_large_pictures_are_averaged_down(loaded, make_scene, tmp_path):
+    """Expectation: at most 512 heights a side, that is 513 cells with the rim."""
+    cv2.imwrite(str(tmp_path / "relief.png"), np.zeros((8, 2000), np.uint8))
+    built = loaded(make_scene(relief(), folder=tmp_path)).shapes()[0]
+    assert built.face_count() == 2 * 513 * 9
+
+
+# --- meshes with colours of their own ------------------------------------------------------------
+
+
+def at(picture: np.ndarray, uv: np.ndarray) -> np.ndarray:
+    """A picture's value at uv (v up), bilinear between texel centres: written out anew for the tests."""
+    height, width = picture.shape[:2]
+    x = np.clip(uv[..., 0] * width - 0.5, 0, width - 1)
+    y = np.clip((1 - uv[..., 1]) * height - 0.5, 0, height - 1)
+    x0, y0 = np.minimum(x.astype(int), max(width - 2, 0)), np.minimum(y.astype(int), max(height - 2, 0))
+    x1, y1 = np.minimum(x0 + 1, width - 1), np.minimum(y0 + 1, height - 1)
+    fx, fy = (x - x0)[..., None], (y - y0)[..., None]
+    above = picture[y0, x0] * (1 - fx) + picture[y0, x1] * fx
+    below = picture[y1, x0] * (1 - fx) + picture[y1, x1] * fx
+    return above * (1 - fy) + below * fy
+
+
+def inner_points(mesh: meshes.Part, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Random points on every face: barycentric coordinates [m, 3], places and uv."""
+    share = rng.dirichlet((1, 1, 1), len(mesh.faces))
+    place = np.einsum("mk,mkx->mx", share, mesh.vertices[mesh.faces])
+    assert mesh.uv is not None
+    return share, place, np.einsum("mk,mkx->mx", share, mesh.uv[mesh.faces])
+
+
+@pytest.mark.parametrize("suffix", ["ply", "glb", "obj"])
+def test_vertex_colours_run_linearly_over_each_face(tmp_path, suffix):
+    """Set-up: a sphere with random colours at its vertices. Expectation: anywhere on a face the picture of its colours
+    holds the linear interpolation of the three, in linear light (sRGB decoded; glTF holds linear light already).
+    """
+    rng = np.random.default_rng(1)
+    ball = trimesh.creation.icosphere(subdivisions=2)
+    # between 140 and 170 the block's fourth corner, c10 + c01 - c00, stays within 0..1
+    colours = rng.integers(140, 170, (len(ball.vertices), 3), dtype=np.uint8)
+    ball.visual = trimesh.visual.ColorVisuals(ball, vertex_colors=colours)
+    ball.export(tmp_path / f"ball.{suffix}")
+    parts = meshes.read(tmp_path / f"ball.{suffix}", 1.0, "ball")
+    mesh = meshes.joined_with_colours(parts, "ball")
+    share, _, uv = inner_points(mesh, rng)
+    decode = (lambda c: c / 255) if suffix == "glb" else lambda c: ((c / 255 + 0.055) / 1.055) ** 2.4
+    corners = parts[0].vertices[parts[0].faces]
+    # the file's order of vertices is its own: find each by its place
+    nearest = np.linalg.norm(corners[:, :, None] - ball.vertices, axis=-1).argmin(axis=-1)
+    expected = np.einsum("mk,mkc->mc", share, decode(colours[nearest].astype(float)))
+    assert mesh.paint is not None
+    np.testing.assert_allclose(at(mesh.paint, uv), expected, atol=LINEAR_LIMIT)
+    np.testing.assert_allclose(mesh.vertices[mesh.faces], corners)
+
+
+def test_face_colours_stay_within_their_faces(tmp_path):
+    rng = np.random.default_rng(2)
+    ball = trimesh.creation.icosphere(subdivisions=1)
+    colours = rng.integers(0, 256, (len(ball.faces), 3), dtype=np.uint8)
+    ball.visual = trimesh.visual.ColorVisuals(ball, face_colors=colours)
+    ball.export(tmp_path / "ball.ply")
+    mesh = meshes.joined_with_colours(meshes.read(tmp_path / "ball.ply", 1.0, "ball"), "ball")
+    assert mesh.paint is not None
+    _, _, uv = inner_points(mesh, rng)
+    np.testing.assert_allclose(at(mesh.paint, uv), meshes.decoded(colours), atol=LINEAR_LIMIT)
+
+
+def test_parts_with_colours_of_all_kinds_keep_them_in_one_picture(tmp_path):
+    """Set-up: a GLB of a textured square whose picture repeats 2 x 3 times, moved vertex-coloured triangles, and a
+    box of one colour. Expectation: each shows its own at every place, the square's repeated and not mirrored.
+    """
+    rng = np.random.default_rng(3)
+    from PIL import Image
+
+    picture = rng.integers(0, 256, (16, 8, 3), dtype=np.uint8)
+    square = trimesh.Trimesh([[0, 0, 0], [2, 0, 0], [2, 3, 0], [0, 3, 0]], [[0, 1, 2], [0, 2, 3]], process=False)
+    square.visual = trimesh.visual.TextureVisuals(
+        uv=[[0, 0], [2, 0], [2, 3], [0, 3]], material=PBRMaterial(baseColorTexture=Image.fromarray(picture))
+    )
+    box = trimesh.creation.box((1, 1, 1))
+    box.visual = trimesh.visual.TextureVisuals(material=PBRMaterial(baseColorFactor=[255, 51, 0, 255]))
+    ball = trimesh.creation.icosphere(subdivisions=1)
+    colours = np.where(ball.vertices[:, :1] > 0, np.uint8([0, 80, 200]), np.uint8([0, 60, 150]))
+    ball.visual = trimesh.visual.ColorVisuals(ball, vertex_colors=colours)
+    scene = trimesh.Scene([square])
+    scene.add_geometry(box, transform=trimesh.transformations.translation_matrix([0, 0, 10]))
+    scene.add_geometry(ball, transform=trimesh.transformations.translation_matrix([0, 0, 20]))
+    scene.export(tmp_path / "all.glb")
+    parts = meshes.read(tmp_path / "all.glb", 0.5, "all")
+    assert meshes.colour_kinds(parts) == ["one colour", "texture image", "vertex colours"]
+    mesh = meshes.joined_with_colours(parts, "all")
+    assert mesh.paint is not None
+    for _ in range(20):
+        _, place, uv = inner_points(mesh, rng)
+        seen, place = at(mesh.paint, uv), 2 * place
+        on_box = np.abs(place[:, 2] - 10) < 0.51
+        np.testing.assert_allclose(seen[on_box], np.tile([1, 0.2, 0], (on_box.sum(), 1)), atol=LINEAR_LIMIT)
+        on_ball = np.abs(place[:, 2] - 20) < 1.1
+        np.testing.assert_allclose(seen[on_ball, 2] * 0.4, seen[on_ball, 1], atol=0.005)
+        flat = np.abs(place[:, 2]) < 0.1
+        tile = place[flat, :2] % 1
+        away = (np.abs(tile - 0.5) < 0.42).all(axis=-1)  # a half texel from its border at least
+        np.testing.assert_allclose(
+            seen[flat][away], at(meshes.decoded(picture), tile[away]), atol=1e-4
+        )  # uv in single precision
+
+
+def test_obj_with_a_material_library_shows_its_colours_and_pictures(tmp_path):
+    """Set-up: a unit square of Kd (1, 0, 0.5) and one beside it with a picture. Expectation: each shows its own, Kd as
+    sRGB; a file with texture coordinates and no library has no colours (trimesh makes a grey one up).
+    """
+    picture = np.random.default_rng(4).integers(0, 256, (8, 8, 3), dtype=np.uint8)
+    cv2.imwrite(str(tmp_path / "own.png"), picture[..., ::-1])
+    (tmp_path / "two.mtl").write_text("newmtl red\nKd 1 0 0.5\nnewmtl own\nKd 0.2 0.2 0.2\nmap_Kd own.png\n")
+    corners = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nv 2 0 0\nv 2 1 0\nvt 0 0\nvt 1 0\nvt 1 1\nvt 0 1\n"
+    red, own = "f 1 2 3\nf 1 3 4\n", "f 2/1 5/2 6/3\nf 2/1 6/3 3/4\n"
+    (tmp_path / "two.obj").write_text(f"mtllib two.mtl\n{corners}usemtl red\n{red}usemtl own\n{own}")
+    mesh = meshes.joined_with_colours(meshes.read(tmp_path / "two.obj", 1.0, "two"), "two")
+    assert mesh.paint is not None
+    for seed in range(10):
+        _, place, uv = inner_points(mesh, np.random.default_rng(seed))
+        seen = at(mesh.paint, uv)
+        left = place[:, 0] < 1
+        np.testing.assert_allclose(seen[left], np.tile([1, 0, 0.2122], (2, 1)), atol=0.005)  # Kd is kept in 8 bits
+        shown = at(meshes.decoded(picture), place[~left, :2] - [1, 0])
+        np.testing.assert_allclose(seen[~left], shown, atol=1e-4)  # uv in single precision
+    (tmp_path / "bare.obj").write_text(corners + own)
+    assert meshes.colour_kinds(meshes.read(tmp_path / "bare.obj", 1.0, "bare")) == []
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "name", ["plain.ply", "plain.off", "plain.obj", "coloured.ply", "coloured.glb", "coloured.obj"]
+)
+def test_half_a_million_triangles_load_in_three_seconds(loaded, make_scene, tmp_path, name):
+    """Expectation: reading, checks and Mitsuba's mesh take at most 3 s (measured 0.2 to 2.4 s on 2 cores)."""
+    import time
+
+    steps = np.linspace(-5, 5, 501)
+    x, y = np.meshgrid(steps, steps)
+    first = np.arange(500 * 501).reshape(500, 501)[:, :-1].ravel()
+    faces = np.concatenate(
+        [np.stack([first, first + 1, first + 502], -1), np.stack([first, first + 502, first + 501], -1)]
+    )
+    mesh = trimesh.Trimesh(np.stack([x, y, np.sin(x)], -1).reshape(-1, 3), faces, process=False)
+    assert len(faces) == 500_000
+    if name.startswith("coloured"):
+        colours = np.random.default_rng(0).integers(0, 256, (len(mesh.vertices), 3), dtype=np.uint8)
+        mesh.visual = trimesh.visual.ColorVisuals(mesh, vertex_colors=colours)
+    mesh.export(tmp_path / name)
+    look = {"near_infrared": "print"} if name.startswith("coloured") else {"material": "brick"}
+    item = {"name": "thing", "shape": "mesh", "file": name, "position_cm": (0, 0, 30)} | look
+    scene = make_scene(item, folder=tmp_path)
+    start = time.perf_counter()
+    scenes.check_clear(scene, 1e-3)
+    loaded(scene)
+    assert time.perf_counter() - start <= 3.0
+
+
+def test_colours_become_a_material_by_the_named_rule_and_the_capture_says_so(make_scene, wide, tmp_path, renderer):
+    """Set-up: a blue square under the achromatic rule, beside the rule's own surface of that blue.
+
+    Expectation: in the truth the infrared pixel sees what the rule's spectrum reflects there; the notes name object,
+    file, kind of colours and rule. sRGB 188 is 0.503 in linear light.
+    """
+    import dasim
+
+    square = trimesh.Trimesh([[-9, -9, 0], [9, -9, 0], [9, 9, 0], [-9, 9, 0]], [[0, 1, 2], [0, 2, 3]], process=False)
+    square.visual = trimesh.visual.ColorVisuals(square, vertex_colors=np.tile(np.uint8([0, 0, 188]), (4, 1)))
+    square.export(tmp_path / "blue.ply")
+    item = {"name": "sheet", "shape": "mesh", "file": "blue.ply", "position_cm": (0, 0, 20)}
+    scene = make_scene(item | {"near_infrared": "achromatic"}, folder=tmp_path)
+    shot = dasim.simulate(scene, wide(16, 12), spp=16)
+    (note,) = [note for note in shot.capture.provenance["notes"] if "sheet" in note]
+    assert "blue.ply" in note and "one colour" in note and "'achromatic'" in note
+    surface = photographs.photograph_surface(np.full((1, 1, 3), (0, 0, SRGB_188), np.float32), "achromatic")
+    white = dasim.simulate(
+        make_scene(item | {"material": "white-paper"}, folder=tmp_path), wide(16, 12), spp=16, exposure=dasim.Exposure()
+    )
+    per_second = [s.truth.sharp_e[4:8, 4:12, 3].mean() / s.capture.exposure_s for s in (shot, white)]
+    infrared = WAVELENGTH_NM == 740
+    paper = scenes.surface_of(make_scene(item | {"material": "white-paper"}, folder=tmp_path).objects[0], scene)
+    expected = spectrum(surface)[infrared] / spectrum(paper)[infrared]
+    assert per_second[0] / per_second[1] == pytest.approx(float(expected[0]), rel=0.02)
+
+
+def spectrum(surface) -> np.ndarray:
+    """Reflectance of a surface of one texel."""
+    if not hasattr(surface, "weight"):
+        return surface.reflectance
+    share = float(surface.weight.mean())
+    return (1 - share) * spectrum(surface.first) + share * spectrum(surface.second)
+
+
+def test_smooth_normals_are_used_where_the_file_has_them_and_geometry_stays(loaded, make_scene, tmp_path):
+    ball = trimesh.creation.icosphere(subdivisions=1)
+    for name, keep in (("flat", False), ("smooth", True)):
+        ball.export(tmp_path / f"{name}.ply", vertex_normal=keep)
+        item = {"name": name, "shape": "mesh", "file": f"{name}.ply", "position_cm": (0, 0, 20), "material": "brick"}
+        built = loaded(make_scene(item, folder=tmp_path)).shapes()[0]
+        assert built.has_vertex_normals() == keep
+
+
+# --- what is refused -----------------------------------------------------------------------------
+
+HEAD = 'name = "mine"\n[[lights]]\nkind = "dome"\nilluminant = "D65"\nlux = 500\n'
+
+
+def refusal(folder, item: str) -> str:
+    (folder / "mine.toml").write_text(HEAD + "[[objects]]\nname = 'thing'\n" + item)
+    with pytest.raises(InputError) as caught:
+        scenes.load_scene(folder / "mine.toml")
+    message = str(caught.value)
+    assert "\n" not in message and ("thing" in message or "objects.0" in message)
+    return message
+
+
+@pytest.fixture
+def files(tmp_path):
+    ball = trimesh.creation.icosphere(subdivisions=1)
+    ball.export(tmp_path / "plain.stl")
+    ball.visual = trimesh.visual.ColorVisuals(ball, vertex_colors=np.tile(np.uint8([9, 99, 199]), (42, 1)))
+    ball.export(tmp_path / "coloured.ply")
+    (tmp_path / "broken.png").write_text("no picture")
+    (tmp_path / "cut.ply").write_bytes((tmp_path / "coloured.ply").read_bytes()[:300])
+    (tmp_path / "cut.glb").write_bytes(ball.export(file_type="glb")[:300])
+    return tmp_path
+
+
+AT_20 = "\nposition_cm = [0, 0, 20]\n"
+
+
+@pytest.mark.parametrize(
+    ("item", "said"),
+    [
+        ('shape = "mesh"\nfile = "coloured.ply"', ["coloured.ply", "RGB colours", "print, dyed, achromatic"]),
+        ('shape = "mesh"\nfile = "coloured.ply"\nnear_infrared = "rgb"', ["'rgb' is unknown", "print, dyed"]),
+        (
+            'shape = "mesh"\nfile = "plain.stl"',
+            ["plain.stl", "has no colours of its own", "give the object a material"],
+        ),
+        ('shape = "mesh"\nfile = "plain.stl"\nnear_infrared = "print"', ["has no colours of its own"]),
+        (
+            'shape = "mesh"\nfile = "coloured.ply"\nnear_infrared = "print"\nmaterial = "brick"',
+            ["objects.0", "near_infrared is for a mesh with colours of its own"],
+        ),
+        ('shape = "mesh"\nfile = "cut.ply"\nmaterial = "brick"', ["cut.ply", "does not load", "allowed are OBJ"]),
+        ('shape = "mesh"\nfile = "cut.glb"\nmaterial = "brick"', ["cut.glb", "does not load"]),
+        ('shape = "mesh"\nfile = "coloured.ply"\nmaterial = "brick"\nunit_cm = 6000', ["m large", "unit_cm is 6000"]),
+        ('shape = "mesh"\nfile = "coloured.ply"\nmaterial = "brick"\nunit_cm = 1e-4', ["m large", "unit_cm is 0.0001"]),
+        ('shape = "plane"\nmaterial = "brick"\nsize_cm = [10001, 10]', ["100 m large", "in centimetres"]),
+        ('shape = "sphere"\nmaterial = "brick"\nradius_cm = 0.0004', ["8e-06 m large", "10 um to 100 m"]),
+        ('shape = "heightfield"\nmaterial = "brick"\nsize_cm = [1, 1]\nheight_cm = 1\nimage = "no.png"', ["no.png"]),
+        (
+            'shape = "heightfield"\nmaterial = "brick"\nsize_cm = [1, 1]\nheight_cm = 1\nimage = "broken.png"',
+            ["broken.png", "cannot be read"],
+        ),
+        ('shape = "heightfield"\nmaterial = "brick"\nsize_cm = [1, 1]\nimage = "skimage:coins"', ["height_cm: is mis"]),
+    ],
+)
+def test_what_is_wrong_with_an_object_is_one_line(files, item, said):
+    message = refusal(files, item + AT_20)
+    for part in said:
+        assert part in message, message
+
+
+def test_camera_may_stand_in_a_room_but_not_in_a_body(files):
+    """Set-up: a ball of 40 cm around the camera: closed, inside out, half a shell; and one that touches the lens.
+
+    Expectation: the closed one is refused and told how a room looks; the others are rooms; the lens stays clear.
+    """
+    ball = trimesh.creation.icosphere(subdivisions=3)
+    ball.export(files / "body.ply")
+    room = ball.copy()
+    room.invert()
+    room.export(files / "room.ply")
+    shell = trimesh.Trimesh(ball.vertices, ball.faces[ball.triangles_center[:, 2] > 0.1], process=False)
+    shell.export(files / "shell.ply")
+    item = 'shape = "mesh"\nmaterial = "brick"\nunit_cm = 20\nfile = '
+    assert "the camera is inside it" in refusal(files, item + '"body.ply"')
+    for name in ("room.ply", "shell.ply"):
+        text = HEAD + "[[objects]]\nname = 'thing'\n" + item + f'"{name}"'
+        (files / "mine.toml").write_text(text)
+        scenes.load_scene(files / "mine.toml")
+    assert "lies on the lens" in refusal(files, item + '"room.ply"\nposition_cm = [0, 0, 19.95]')
+    assert "around it" in refusal(files, 'shape = "sphere"\nmaterial = "brick"\nradius_cm = 5\nposition_cm = [0, 0, 4]')
+    # In the corner of its box, but outside the ball
+    text = HEAD + "[[objects]]\nname = 'thing'\n"
+    (files / "mine.toml").write_text(
+        text + 'shape = "sphere"\nmaterial = "brick"\nradius_cm = 5\nposition_cm = [4, 4, 4]\n'
+    )
+    scenes.load_scene(files / "mine.toml")
+
+
+def test_winding_number_and_distance_of_a_closed_surface():
+    """Closed form: 1 inside, 0 outside, -1 inside out, 5/6 in the middle of a cube without its lid."""
+    ball = trimesh.creation.icosphere(subdivisions=3)
+    assert meshes.turns_around_origin(ball.triangles) == pytest.approx(1, abs=1e-9)
+    assert meshes.turns_around_origin(ball.triangles[:, ::-1]) == pytest.approx(-1, abs=1e-9)
+    assert meshes.turns_around_origin(ball.triangles + 3) == pytest.approx(0, abs=1e-9)
+    box = trimesh.creation.box((2, 2, 2))
+    five = box.triangles[box.face_normals[:, 2] < 0.5]
+    assert meshes.turns_around_origin(five) == pytest.approx(5 / 6, abs=1e-9)
+    rng = np.random.default_rng(0)
+    for centre in rng.normal(0, 2, (5, 3)):
+        found = meshes.distance_from_origin(ball.triangles + centre)
+        assert found == pytest.approx(abs(np.linalg.norm(centre) - 1), abs=0.02), "flat triangles lie a little inside"
+
+
+# --- numbers of materials ------------------------------------------------------------------------
+
+
+def test_materials_are_numbered_in_order_of_first_use(make_scene):
+    ball = {"shape": "sphere", "radius_cm": 1, "position_cm": (0, 0, 20)}
+    scene = make_scene(
+        ball | {"name": "a", "material": "brick"},
+        ball | {"name": "b", "material": "soil"},
+        ball | {"name": "c", "material": "brick"},
+        {"name": "d", "shape": "mesh", "file": "x.ply", "near_infrared": "print", "position_cm": (0, 0, 20)},
+    )
+    assert scenes.material_names_of(scene) == ["brick", "soil", "colours of d"]
+    np.testing.assert_array_equal(scenes.material_number_of_object(scene), [0, 1, 2, 1, 3])
+
+
+def test_half_extent_of_a_height_field_holds_its_relief(make_scene):
+    item = make_scene(relief()).objects[0]
+    centre, half = shapes.half_extent_m(item, make_scene(relief()).folder)
+    np.testing.assert_allclose(centre, [0, 0, -0.02])
+    np.testing.assert_allclose(half, [0.08, 0.06, 0.02])

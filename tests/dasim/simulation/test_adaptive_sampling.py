@@ -1,0 +1,82 @@
+"""Samples until rendering noise is a share of the sensor's own, on pictures whose noise is known."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from dasim.simulation import adaptive_sampling
+
+STOPS = 2
+SHAPE = (STOPS, 60, 80, 4)
+MEAN_E = np.array([400.0, 900.0, 100.0, 50.0])
+MEDIAN = 0.1  # relative; the median of 4,800 absolute differences is known to 2 %, a pair's worth to 3 %
+
+
+def pictures(coefficients, calls, slope=0.75):
+    """Pictures of half the light a stop, with noise of ``coefficients`` x samples ** -slope of it in every channel."""
+
+    def picture(index, spp):
+        calls.append((index, spp))
+        noise = np.random.default_rng((index, *spp)).standard_normal(SHAPE)
+        spread = np.multiply(coefficients, np.power(spp, -slope))
+        return MEAN_E / STOPS * (1 + spread[:, None, None, None] * noise)
+
+    return picture
+
+
+def poisson(rate):
+    return np.sqrt(np.maximum(rate, 0))
+
+
+def test_enough_samples_are_taken_and_the_noise_reached_is_true():
+    """Rationale: what meta.json says of the noise must be the noise of the picture that is kept.
+
+    Expectation: below the share that was asked for; the error of the result, known here, is what is stated.
+    """
+    calls: list = []
+    found = adaptive_sampling.quiet_picture(pictures((1.0, 0.5), calls), poisson, stops=STOPS)
+    assert max(found.share) <= adaptive_sampling.NOISE_SHARE
+    assert found.spp == tuple(np.sum([spp for _, spp in calls], axis=0))
+    assert found.spp[0] > found.spp[1], "the stop that gives more of the noise gets more samples"
+    assert len({index for index, _ in calls}) == len(calls), "every picture has random numbers of its own"
+    truth = np.median(np.abs(found.rate - MEAN_E) / np.sqrt(MEAN_E), axis=(0, 1)) / 0.6745
+    np.testing.assert_allclose(found.share, truth, rtol=MEDIAN)
+
+
+def test_a_quiet_scene_takes_the_first_pair_alone():
+    calls: list = []
+    found = adaptive_sampling.quiet_picture(pictures((0.01, 0.01), calls), poisson, stops=STOPS)
+    pilot = (adaptive_sampling.PILOT_SPP,) * STOPS
+    assert calls == [(0, pilot), (1, pilot)] and found.spp == (2 * adaptive_sampling.PILOT_SPP,) * STOPS
+
+
+def test_a_smaller_share_takes_more_samples():
+    """Expectation: half the noise takes two to three times the samples; powers of two blur that."""
+    noisy = pictures((2.0, 2.0), [])
+    counts = [
+        sum(adaptive_sampling.quiet_picture(noisy, poisson, stops=STOPS, wanted=share).spp) for share in (0.4, 0.2, 0.1)
+    ]
+    assert counts[0] < counts[1] < counts[2]
+
+
+def test_the_most_samples_end_it():
+    found = adaptive_sampling.quiet_picture(pictures((50.0, 50.0), []), poisson, stops=STOPS, most_spp=500)
+    assert max(found.spp) <= 500 and max(found.share) > adaptive_sampling.NOISE_SHARE
+
+
+def test_no_light_and_no_noise_need_no_more():
+    found = adaptive_sampling.quiet_picture(lambda index, spp: np.zeros(SHAPE), poisson, stops=STOPS)
+    assert found.share == (0, 0, 0, 0) and found.spp == (2 * adaptive_sampling.PILOT_SPP,) * STOPS
+
+
+@pytest.mark.parametrize(("mean_e", "time_s"), [(0.0, 0.1), (100.0, 0.1), (1000.0, 4.0)])
+def test_temporal_noise_is_that_of_frames(da_mobile, mean_e, time_s):
+    """Expectation: the spread of raw numbers from frame to frame, in electrons, fixed patterns left out."""
+    from dasim.camera import noise as sensors
+
+    sensor = da_mobile.sensor.model_copy(update={"prnu": 0.0, "dsnu_e": 0.0})
+    mean = np.full((64, 64), mean_e)
+    frames = np.stack([sensors.expose(mean, sensor, time_s, 1, frame=frame)[0] for frame in range(24)])
+    spread = np.sqrt(frames.astype(float).var(axis=0, ddof=1).mean()) * sensors.electrons_per_dn(sensor)
+    assert adaptive_sampling.temporal_noise_e(np.array(mean_e), sensor, time_s) == pytest.approx(spread, rel=0.02)

@@ -1,0 +1,220 @@
+"""The whole chain: capture and truth fit each other, the sensor's noise on top, provenance, odd scenes."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.ndimage import convolve
+
+from dasim.base.errors import InputError
+from dasim.camera import noise
+from dasim.camera import specification as cameras
+from dasim.camera.noise import Exposure
+from dasim.simulation.simulate import diffraction_model, simulate
+from dasim.spectra.grid import CHANNELS
+
+RENDER_NOISE = 0.02  # 36 samples a pixel on smooth surfaces under a dome: below 1 %
+RAW_LIMIT = 0.12  # 3,072 pixels: a variance is known to 2.6 %
+DOME = {"kind": "dome", "illuminant": "D55", "lux": 400.0}
+
+
+@pytest.fixture(scope="module")
+def scene(make_scene, lamp):
+    """A wall in focus, a card in front of its left half."""
+    wall = {"name": "wall", "shape": "plane", "size_cm": (60, 60), "position_cm": (0, 0, 40), "material": "sand"}
+    card = {"name": "card", "shape": "plane", "size_cm": (6, 20), "position_cm": (-3, 0, 20), "material": "leaf-green"}
+    return make_scene(wall, card, lights=[DOME, lamp])
+
+
+@pytest.fixture(scope="module")
+def shot(renderer, scene, da_mobile):
+    return simulate(scene, cameras.cropped(da_mobile, 64, 48), seed=3, spp=36, diffraction="off")
+
+
+def test_lens_and_pinhole_pictures_are_registered(shot):
+    """Expectation: away from the edge both have the same electrons in all channels; at the edge the lens's is blurred
+    but the step stands at the same place: columns 31 and 32 lie on either side of the half height.
+    """
+    mean, sharp = shot.truth.mean_e, shot.truth.sharp_e
+    even = ~shot.truth.boundary
+    assert even[:, :8].all() and even[:, -8:].all()
+    for part in (np.s_[:, :8], np.s_[:, -8:]):
+        np.testing.assert_allclose(mean[part].mean(axis=(0, 1)), sharp[part].mean(axis=(0, 1)), rtol=RENDER_NOISE)
+    green = sharp[..., 1].mean(axis=0)
+    assert np.argmax(np.abs(np.diff(green))) == 31
+    blurred = mean[..., 1].mean(axis=0)
+    half = (blurred[:8].mean() + blurred[-8:].mean()) / 2
+    assert (blurred[29] - half) * (blurred[34] - half) < 0
+    assert np.abs(np.diff(blurred)).max() < 0.5 * np.abs(np.diff(green)).max(), "the lens blurs the near card's edge"
+
+
+def test_truth_is_whole_and_consistent(shot, da_mobile):
+    truth = shot.truth
+    for name in ("depth_m", "normal", "blur_px", "level", "mean_e", "sharp_e"):
+        assert np.isfinite(getattr(truth, name)).all(), name
+    assert truth.valid.all()
+    assert (truth.object_id[:, :32] == 2).all() and (truth.object_id[:, 32:] == 1).all()
+    np.testing.assert_allclose(truth.depth_m[:, :32], 0.2, rtol=1e-5)
+    np.testing.assert_allclose(truth.depth_m[:, 32:], 0.4, rtol=1e-5)
+    np.testing.assert_allclose(truth.level, (1 - 0.46) * truth.blur_px, rtol=1e-5, atol=1e-5)
+    assert (truth.mean_e >= 0).all() and (truth.sharp_e >= 0).all()
+
+
+def test_raw_numbers_scatter_around_the_mean_as_the_sensor_says(shot):
+    """Set-up: each pixel's number against the mean electrons of its own channel.
+
+    Expectation: standardised by shot, dark, read, pattern and rounding noise, mean 0 and variance 1.
+    """
+    camera = shot.capture.camera
+    mean = noise.mosaic(shot.truth.mean_e.astype(float), camera)
+    step = 6000 / 959
+    electrons = (shot.capture.raw_dn.astype(float) - 64) * step
+    dark = 10.0 * shot.capture.exposure_s
+    sigma = np.sqrt(mean + dark + 3.0**2 + 2.0**2 + (0.01 * mean) ** 2 + step**2 / 12)
+    z = (electrons - mean - dark) / sigma
+    assert abs(z.mean()) < 5 / np.sqrt(z.size)
+    assert z.var() == pytest.approx(1.0, abs=RAW_LIMIT)
+    top = max(np.percentile(mean[cameras.mosaic_channels(camera) == c], 99.5) for c in range(4))
+    assert top == pytest.approx(0.85 * 6000, rel=1e-3), "automatic exposure"
+
+
+def test_leaf_is_bright_in_the_near_infrared(shot):
+    """Expectation: sand reflects more red than a leaf does, the leaf at least as much near-infrared as red (its 0.45
+    against 0.04): the camera sees vegetation as vegetation.
+    """
+    leaf, sand = shot.truth.sharp_e[:, :30].mean(axis=(0, 1)), shot.truth.sharp_e[:, 34:].mean(axis=(0, 1))
+    relative = leaf / sand
+    red, green, blue, infrared = (relative[CHANNELS.index(name)] for name in CHANNELS)
+    assert infrared > 1.5 * max(red, green, blue) and green < 0.8
+
+
+def test_capture_says_where_it_comes_from(shot, renderer):
+    capture = shot.capture
+    assert capture.seed == 3 and capture.illuminant == "D65" and capture.gain == 1.0
+    assert capture.raw_dn.shape == (48, 64) and capture.raw_dn.dtype == np.uint16
+    about = capture.provenance
+    assert about["renderer"] == renderer and about["diffraction"] == "off" and about["spp"] == 36
+    assert [item["name"] for item in about["scene"]["objects"]] == ["wall", "card"]
+    assert about["saturated_pixels"] == np.count_nonzero(capture.raw_dn == 1023)
+    assert "folder" not in about["scene"], "no path of this computer in a data set"
+
+
+def test_same_seed_same_bytes(scene, da_mobile, renderer):
+    """Expectation: all of capture and truth; another seed changes raw numbers and rendering noise, not geometry."""
+    camera = cameras.cropped(da_mobile, 16, 12)
+    first, again, other = (
+        simulate(scene, camera, seed=seed, spp=4, diffraction="off", exposure=Exposure(time_s=0.02))
+        for seed in (0, 0, 1)
+    )
+    np.testing.assert_array_equal(first.capture.raw_dn, again.capture.raw_dn)
+    np.testing.assert_array_equal(first.truth.mean_e, again.truth.mean_e)
+    np.testing.assert_array_equal(first.truth.sharp_e, again.truth.sharp_e)
+    assert (first.capture.raw_dn != other.capture.raw_dn).any()
+    assert (first.truth.mean_e != other.truth.mean_e).any()
+    np.testing.assert_array_equal(first.truth.depth_m, other.truth.depth_m)
+
+
+def test_electrons_follow_time_and_numbers_follow_gain(scene, da_mobile, renderer):
+    camera = cameras.cropped(da_mobile, 16, 12)
+
+    def taken(time_s, gain):
+        exposure = Exposure(time_s=time_s, gain=gain)
+        return simulate(scene, camera, spp=16, diffraction="off", exposure=exposure)
+
+    short, long, gained = taken(0.002, 1.0), taken(0.004, 1.0), taken(0.002, 4.0)
+    np.testing.assert_allclose(long.truth.mean_e, 2 * short.truth.mean_e, rtol=1e-6)
+    np.testing.assert_array_equal(gained.truth.mean_e, short.truth.mean_e)
+    ratio = (gained.capture.raw_dn - 64.0).mean() / (short.capture.raw_dn - 64.0).mean()
+    signal = float(noise.mosaic(short.truth.mean_e, camera).mean())
+    assert ratio == pytest.approx(4.0, rel=5 * np.sqrt(2 / signal / 192) + 0.01)
+
+
+def test_camera_that_looks_at_nothing_is_refused(make_scene, da_mobile, lamp, renderer):
+    """Set-up: a ball beside the view. Expectation: one line that names the scene, before anything is rendered."""
+    ball = {"name": "ball", "shape": "sphere", "radius_cm": 1, "position_cm": (30, 0, 30), "material": "brick"}
+    stages = []
+    with pytest.raises(InputError, match="scene 'test': the camera looks at nothing"):
+        simulate(
+            make_scene(ball, lights=[lamp]),
+            cameras.cropped(da_mobile, 16, 12),
+            spp=4,
+            progress=lambda stage, share: stages.append(stage),
+        )
+    assert set(stages) == {"geometry"}
+
+
+def test_default_model_of_diffraction_spreads_light_and_keeps_it(make_scene, da_mobile, lamp, renderer):
+    """Rationale: the default is wave-true in JIT variants, Airy in scalar_spectral; both conserve light.
+
+    Set-up: a sheet with its edge in focus in the frame's middle. Expectation: the near-infrared's edge is wider than
+    green's (2.7 against 0.9 px), far from it the electrons are those without diffraction.
+    """
+    sheet = {"name": "sheet", "shape": "plane", "size_cm": (40, 40), "position_cm": (-20, 0, 40), "material": "sand"}
+    scene, camera = make_scene(sheet, lights=[lamp]), cameras.cropped(da_mobile, 48, 16)
+    shot = simulate(scene, camera, spp=64, exposure=Exposure(time_s=0.01))
+    assert shot.capture.provenance["diffraction"] == ("airy" if renderer.startswith("scalar") else "wave")
+    rows = shot.truth.mean_e.mean(axis=0)
+    np.testing.assert_allclose(rows[:6].mean(axis=0), shot.truth.sharp_e[:, :6].mean(axis=(0, 1)), rtol=0.03)
+    relative = rows / rows[:6].mean(axis=0)
+    green, infrared = relative[:, 1], relative[:, 3]
+    assert infrared[25] > 2 * green[25] > 0, "a pixel and a half beyond the edge"
+    assert np.isfinite(shot.truth.mean_e).all()
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"spp": 0}, "spp is 0"),
+        ({"seed": -1}, "seed is -1"),
+        ({"variant": "llvm_rgb"}, "variant 'llvm_rgb' is unknown"),
+        ({"diffraction": "fourier"}, "diffraction 'fourier' is unknown; allowed are .*off"),
+    ],
+)
+def test_mistakes_are_named(scene, da_mobile, renderer, change, said):
+    with pytest.raises(InputError, match=said):
+        simulate(scene, cameras.cropped(da_mobile, 16, 12), **change)
+
+
+def test_each_variant_has_its_models_of_diffraction():
+    assert diffraction_model(None, "llvm_ad_spectral") == "wave"
+    assert diffraction_model(None, "scalar_spectral") == "airy"
+    assert diffraction_model("off", "cuda_ad_spectral") == "off"
+    for name, variant in (("airy", "llvm_ad_spectral"), ("wave", "scalar_spectral")):
+        with pytest.raises(InputError, match=f"diffraction '{name}' is not what {variant} can do"):
+            diffraction_model(name, variant)
+
+
+def test_crosstalk_reaches_the_raw_numbers_and_not_the_truth(shot, scene):
+    """Set-up: the same photograph with 8 % to each neighbour, without noise of its own and with many bits.
+
+    Expectation: the truth is what the lens sees, as before; the raw numbers scatter about the mean blurred by
+    0, c, 0 / c, 1 - 4 c, c / 0, c, 0 with the nearest pixel beyond the border, as shot noise does.
+    """
+    changes = {"electronic_crosstalk": 0.08, "read_noise_e": 0, "dsnu_e": 0, "prnu": 0, "dark_current_e_s": 0}
+    camera = shot.capture.camera
+    leaky = camera.model_copy(update={"sensor": camera.sensor.model_copy(update={**changes, "adc_bits": 16})})
+    time = Exposure(time_s=shot.capture.exposure_s)
+    seen = simulate(scene, leaky, seed=3, spp=36, diffraction="off", exposure=time)
+    np.testing.assert_array_equal(seen.truth.mean_e, shot.truth.mean_e)
+    kernel = [[0, 0.08, 0], [0.08, 1 - 4 * 0.08, 0.08], [0, 0.08, 0]]
+    mean = convolve(noise.mosaic(seen.truth.mean_e.astype(float), camera), kernel, mode="nearest")
+    electrons = (seen.capture.raw_dn.astype(float) - 64) * 6000 / (65535 - 64)
+    z = ((electrons - mean) / np.sqrt(mean))[mean < 5500]
+    assert abs(z.mean()) < 5 / np.sqrt(z.size)
+    assert z.var() == pytest.approx(1.0, abs=RAW_LIMIT)
+
+
+def test_auto_takes_as_many_samples_as_the_sensor_needs(renderer, scene, da_mobile):
+    """Expectation: the share of noise reached is stated for every channel, and is below what was asked."""
+    camera = cameras.cropped(da_mobile, 32, 24)
+    auto = simulate(scene, camera, seed=1, spp="auto", noise_share=0.5, diffraction="off")
+    about = auto.capture.provenance
+    assert set(about["rendering_noise_share"]) == set(CHANNELS)
+    assert set(about["spp"]) == {stop.name for stop in camera.stops} and min(about["spp"].values()) >= 32
+    assert max(about["rendering_noise_share"].values()) <= about["rendering_noise_share_wanted"] == 0.5
+    again = simulate(scene, camera, seed=1, spp="auto", noise_share=0.5, diffraction="off")
+    np.testing.assert_array_equal(auto.capture.raw_dn, again.capture.raw_dn)
+    with pytest.raises(InputError, match="'auto'"):
+        simulate(scene, camera, spp="many")
+    with pytest.raises(InputError, match="noise_share"):
+        simulate(scene, camera, spp="auto", noise_share=0.0)

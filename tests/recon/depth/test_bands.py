@@ -1,0 +1,130 @@
+"""Levels by bands: energies against a direct sum, no bias by noise, and a standard error that is one."""
+
+import numpy as np
+import pytest
+from scipy import signal
+
+import recon
+from dasim.values import Capture
+from recon import fourier
+from recon.depth import bands, reblur, scores
+from recon.settings import PRESETS
+from tests.support import recon_scenes
+
+BANDS = PRESETS["bands"]
+BORDER_PX = 45
+WEAK_BIAS_LEVELS = 0.5  # at a noise where the NCC's weight for the frame misses by levels
+
+
+def test_rings_share_the_power():
+    """Squares of the rings add up to one between the middles of the first and the last."""
+    total = np.sum([ring**2 for ring in bands.filters((96, 128), 2.0)], axis=0)
+    radius = np.hypot(*fourier.frequencies((96, 128), 2.0))
+    inside = (radius > 0.04) & (radius < 0.2)
+    np.testing.assert_allclose(total[inside], 1, atol=1e-5)
+
+
+def test_energies_of_white_noise_are_its_variances():
+    """Independent noise of variance 4 and 9: energies are those in every band, the product zero, within 5 sigma."""
+    random = np.random.default_rng(5)
+    shape = (256, 256)
+    noise = [s * random.standard_normal(shape).astype(np.float32) for s in (2, 3)]
+    spectra = (fourier.forward(noise[0]), fourier.forward(noise[1]))
+    variance = (np.full(shape, 4, np.float32), np.full(shape, 9, np.float32))
+    (found,) = bands.energies(spectra, variance, (shape, shape), BANDS, 2.0)
+    values = 256**2 * found.values / (4 * np.pi * (BANDS.window_px / 2) ** 2 / 12)  # independent ones in the frame
+    for index, count in enumerate(values):
+        # the bands' middles have at least 100 values; five standard deviations of a mean square
+        slack = 5 * np.sqrt(2 / max(count, 1))
+        assert abs(found.sharper[index].mean() / 4 - 1) < slack
+        assert abs(found.green[index].mean() / 9 - 1) < slack
+        assert abs(found.product[index].mean() / 6) < slack
+
+
+def pair(level, noise, size=224, seed=0):
+    """Planes of a natural texture at a level of the bank, one pixel apart, with noise relative to the contrast."""
+    bank = recon_scenes.bank()
+    kernels = bank.kernel[bank.lights.index("D65")]
+    random = np.random.default_rng(seed)
+    side = size + kernels.shape[-1] - 1
+    fy, fx = fourier.frequencies((side, side))
+    spectrum = np.fft.rfft2(random.standard_normal((side, side))) / np.maximum(np.hypot(fy, fx), 0.01)
+    texture = np.fft.irfft2(spectrum, (side, side))
+    texture = 10 + texture / texture.std()
+    channels = []
+    for index in (3, 1):
+        plane = signal.fftconvolve(texture, kernels[level, index].astype(float), "valid")
+        plane = (plane + noise * random.standard_normal(plane.shape)).astype(np.float32)
+        channels.append((plane, (0, 0), np.full(plane.shape, noise**2, np.float32), kernels[:, index]))
+    return channels
+
+
+def estimates(level, noise):
+    found = scores.match(*pair(level, noise), BANDS, 1.0)
+    value, confidence = scores.best_level(found.score, found.plain, found.offset, BANDS)
+    inner = slice(BORDER_PX, -BORDER_PX)
+    return value[inner, inner], confidence[inner, inner]
+
+
+@pytest.mark.parametrize("level", [0, 4, 8])
+def test_noise_does_not_pass_for_blur(level):
+    """Noise of a tenth of the texture's contrast in both channels: the median level stays near the true one."""
+    value, _ = estimates(level, 0.1)
+    assert abs(np.median(value) - level) < WEAK_BIAS_LEVELS
+
+
+def test_confidence_falls_with_noise():
+    means = [estimates(8, noise)[1].mean() for noise in (0.1, 0.5, 2.0)]
+    assert means[0] > means[1] > means[2]
+
+
+def test_the_leak_is_taken_off():
+    """Green with half of infrared in it, as told by the leak, gives the level of green without."""
+    infrared, green = pair(8, 0.02)
+    mixed = (green[0] + 0.5 * infrared[0], green[1], green[2] * 1.25, (green[3] + 0.5 * infrared[3]) / 1.5)
+    found = scores.match(infrared, mixed, BANDS, 1.0, leak=scores.Leak(0.5, 1 / 1.5))
+    value, _ = scores.best_level(found.score, found.plain, found.offset, BANDS)
+    assert abs(np.median(value[45:-45, 45:-45]) - 8) < WEAK_BIAS_LEVELS
+
+
+def test_standard_error_of_a_parabola():
+    """A Gaussian likelihood of deviation 1.5 levels has that standard error."""
+    k = np.arange(29, dtype=np.float32)[:, None, None]
+    score = -((k - 14) ** 2) / (2 * 1.5**2) * np.ones((1, 2, 3), np.float32)
+    np.testing.assert_allclose(bands.standard_error(score.astype(np.float32)), 1.5, rtol=1e-3)
+
+
+def test_plane_mean_counts_both_halves():
+    """What the bands' shares rest on: a constant has its own mean for even and odd widths."""
+    for width in (8, 9):
+        assert reblur.plane_mean(np.ones((6, width // 2 + 1)), width) == pytest.approx(1)
+
+
+@pytest.mark.parametrize("fill", ["black", "saturated", "constant"])
+def test_frames_without_texture_end_with_no_confidence(fill):
+    """All black, all saturated, or one value everywhere: finished, nothing claimed, no NaN."""
+    camera = recon_scenes.da_mobile(128, 96)
+    sensor = camera.sensor
+    value = {"black": sensor.black_level_dn, "saturated": 2**sensor.adc_bits - 1, "constant": 300}[fill]
+    capture = Capture(np.full((96, 128), value, np.uint16), camera, 0.02, 1.0, 0)
+    result = recon.reconstruct(capture, recon_scenes.bank(), BANDS)
+    for name in ("rgb", "sharp_rgb", "linear_e", "sharp_e", "ir_e", "level", "depth_m", "confidence"):
+        assert np.isfinite(getattr(result, name)).all(), name
+    assert not result.confidence.any()
+
+
+def test_patches_end_where_the_material_does():
+    """Energies of 1 and 100 on two halves whose ratio of channels differs: each half keeps its own.
+
+    What leaks comes through the blur of the taps alone (2.4 samples): at the border less than half of what the plain
+    patch (5 samples) takes over, and nothing far from it.
+    """
+    left = np.arange(96) < 48
+    stack = np.where(left, 1, 100).astype(np.float32) * np.ones((1, 64, 96), np.float32)
+    likeness = np.where(left, 0, 10).astype(np.float32) * np.ones((1, 64, 96), np.float32)
+    apart = bands._means(stack, BANDS, 2.0, likeness)[0]
+    mixed = bands._means(stack, BANDS, 2.0, None)[0]
+    assert ((apart - 1)[:, 44:48] < 0.5 * (mixed - 1)[:, 44:48]).all()
+    assert ((100 - apart)[:, 48:52] < 0.5 * (100 - mixed)[:, 48:52]).all()
+    np.testing.assert_allclose(apart[:, :24], 1, rtol=0.01)
+    np.testing.assert_allclose(apart[:, 72:], 100, rtol=0.01)

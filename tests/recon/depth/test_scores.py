@@ -1,0 +1,157 @@
+"""Raw levels: no bias on clean pictures, the planned error on noisy ones; and their regularisation."""
+
+import cv2
+import numpy as np
+import pytest
+
+from recon import fourier, pipeline
+from recon.depth import scores
+from recon.depth.regularise import regularise
+from recon.picture import mosaic
+from recon.settings import PAPER
+from tests.support import recon_scenes
+
+CLEAN_BIAS_LEVELS = 0.1  # a tenth of a level: interpolation between kernels half a level apart, and the parabola
+NOISY_MEDIAN_LEVELS = 0.8  # of pixels with an estimate, away from steps; the prototype had 0.5 without a mosaic
+STEP_MARGIN_PX = 35
+BORDER_BLOCKS = 24  # where the blur reaches beyond the frame
+
+
+def grey(height, width, seed=0):
+    """Texture with a natural 1/f amplitude, 0.1..1, the same in every channel."""
+    random = np.random.default_rng(seed)
+    fy, fx = np.fft.fftfreq(height)[:, None], np.fft.rfftfreq(width)[None, :]
+    spectrum = np.fft.rfft2(random.standard_normal((height, width))) / np.maximum(np.hypot(fy, fx), 0.01)
+    texture = np.fft.irfft2(spectrum, (height, width))
+    return 0.55 + 0.45 * np.clip(texture / (2.5 * texture.std()), -1, 1)
+
+
+@pytest.mark.parametrize("level", [3.0, 8.0, 15.0, 24.0])
+def test_clean_pictures_have_no_bias(level):
+    """Noise-free planes of a grey texture at one level: the median level is the true one."""
+    bank = recon_scenes.bank()
+    margin = recon_scenes.MARGIN_PX
+    texture = grey(256 + 2 * margin, 256 + 2 * margin)
+    true = np.full((256, 256), level)
+    mean_e = 4000 * recon_scenes.blurred(np.repeat(texture[..., None], 4, -1), texture, true, "D65")
+    light = bank.lights.index("D65")
+
+    def channel(index, phase):
+        plane = np.ascontiguousarray(mean_e[phase[0] :: 2, phase[1] :: 2, index])
+        return plane, phase, np.full(plane.shape, 1.0, np.float32), bank.kernel[light, :, index]
+
+    score, plain, offset, snr, _ = scores.match(channel(3, (1, 1)), channel(1, (0, 0)), PAPER)
+    found, _ = scores.best_level(score, plain, offset, PAPER)
+    textured = snr > 50
+    textured[:BORDER_BLOCKS] = textured[-BORDER_BLOCKS:] = False
+    textured[:, :BORDER_BLOCKS] = textured[:, -BORDER_BLOCKS:] = False
+    assert textured.mean() > 0.25
+    assert abs(np.median(found[textured]) - level) < CLEAN_BIAS_LEVELS
+
+
+@pytest.fixture(scope="module")
+def noisy():
+    """A slanted plane over all levels and a staircase: level and estimate on blocks."""
+    bank = recon_scenes.bank()
+    results = []
+    for light, level in (
+        ("D65", recon_scenes.slanted(384, 512, 2, 26)),
+        ("A", recon_scenes.staircase(384, 512, 3, 24, 4)),
+    ):
+        scene = recon_scenes.make(level, light=light, white_e=3500 if light == "D65" else 2500)
+        raw, saturated = mosaic.linearise(scene.capture)
+        kernels = bank.kernel[bank.lights.index(light)]
+        found, confidence = pipeline._raw_levels(
+            raw, pipeline._variances(raw, scene.capture), saturated, scene.capture.camera, kernels, PAPER
+        )
+        true = cv2.resize(level.astype(np.float32), found.shape[::-1], interpolation=cv2.INTER_AREA)
+        results.append((true, found, confidence))
+    return results
+
+
+def away_from_steps(true):
+    size = np.ones((STEP_MARGIN_PX // 2 + 1,) * 2)
+    return cv2.dilate(true, size) - cv2.erode(true, size) < 3
+
+
+def test_noisy_mosaics_keep_the_planned_error(noisy):
+    for true, found, _ in noisy:
+        good = np.isfinite(found) & away_from_steps(true)
+        assert good.mean() > 0.2
+        assert np.median(np.abs(found - true)[good]) < NOISY_MEDIAN_LEVELS
+
+
+def test_no_bin_of_levels_is_biased(noisy):
+    """Bins of six levels, from where blur is visible: the median signed error stays below the error's own limit."""
+    true, found, _ = noisy[0]
+    good = np.isfinite(found) & away_from_steps(true)
+    for low in (2, 8, 14, 20):
+        inside = good & (true >= low) & (true < low + 6)
+        if inside.sum() > 300:
+            assert abs(np.median((found - true)[inside])) < NOISY_MEDIAN_LEVELS
+
+
+def test_confidence_ranks_errors(noisy):
+    """The confident half has the smaller mean error, or confidence says nothing."""
+    for true, found, confidence in noisy:
+        good = np.isfinite(found) & away_from_steps(true)
+        error = np.minimum(np.abs(found - true)[good], 5)
+        sure = confidence[good] > np.median(confidence[good])
+        assert error[sure].mean() < error[~sure].mean()
+        assert confidence.min() >= 0 and confidence.max() <= 1
+
+
+@pytest.mark.parametrize("phase", [(0, 0), (0, 1), (1, 0), (1, 1)])
+def test_planes_are_moved_to_the_middle_of_the_blocks(phase):
+    """A sinusoid sampled at any phase gives the same values at the blocks' middles, half a pixel in."""
+    y, x = np.indices((128, 128), dtype=float)
+
+    def wave(y, x):
+        return np.cos(2 * np.pi * (3 * y + 5 * x) / 128).astype(np.float32)
+
+    shape = (64, 64)
+    moved = fourier.inverse(scores.transform(wave(y, x)[phase[0] :: 2, phase[1] :: 2], phase, shape), shape)
+    np.testing.assert_allclose(moved, wave(y[::2, ::2] + 0.5, x[::2, ::2] + 0.5), atol=1e-4)
+
+
+def test_parabola_finds_a_fractional_level():
+    k = np.arange(29, dtype=np.float32)[:, None, None]
+    score = np.broadcast_to(0.9 - 0.002 * (k - 11.3) ** 2, (29, 3, 3)).astype(np.float32)
+    found, _ = scores.best_level(score, score.max(axis=0), np.zeros(29), PAPER)
+    np.testing.assert_allclose(found, 11.3, atol=1e-2)
+
+
+def test_blended_border_has_no_step():
+    """Across the added strip, neighbours differ by no more than the ramp from edge to edge needs."""
+    image = np.linspace(0, 100, 40, dtype=np.float32)[None, :].repeat(30, 0)
+    padded = fourier.pad_blended(image, (45, 60))
+    closed = np.concatenate([padded, padded[:, :1]], axis=1)
+    assert np.abs(np.diff(closed[:30], axis=1)).max() < 3 * 100 / 20
+    np.testing.assert_array_equal(padded[:30, :40], image)
+
+
+def test_regularisation_keeps_a_constant_and_fills_gaps():
+    random = np.random.default_rng(2)
+    level = np.where(random.random((96, 128)) < 0.1, 7.0, np.nan).astype(np.float32)
+    confidence = np.where(np.isfinite(level), 0.8, 0).astype(np.float32)
+    result, evidence = regularise(level, confidence, random.normal(0, 1, (96, 128)).astype(np.float32), 60.0)
+    np.testing.assert_allclose(result, 7.0, rtol=1e-4)
+    assert 0 <= evidence.min() and evidence.max() <= 1
+
+
+def test_regularisation_keeps_the_edges_of_the_guide():
+    """Two halves far apart in the guide (40 noise deviations): levels do not leak from one to the other."""
+    random = np.random.default_rng(4)
+    left = np.arange(128) < 64
+    true = np.where(left, 5.0, 20.0)[None, :].repeat(96, 0)
+    guide = (np.where(left, 20.0, 60.0)[None, :] + random.normal(0, 0.5, (96, 128))).astype(np.float32)
+    level = np.where(random.random((96, 128)) < 0.2, true + random.normal(0, 0.5, true.shape), np.nan)
+    confidence = np.where(np.isfinite(level), 0.7, 0)
+    result, _ = regularise(level.astype(np.float32), confidence.astype(np.float32), guide, 60.0)
+    assert np.abs(result - true).max() < 1.0  # a few dozen estimates of deviation 0.5 average below 0.25
+
+
+def test_regularisation_without_any_estimate():
+    empty = np.full((32, 48), np.nan, np.float32)
+    result, evidence = regularise(empty, np.zeros((32, 48), np.float32), np.zeros((32, 48), np.float32), 60.0)
+    assert not result.any() and not evidence.any()

@@ -1,0 +1,46 @@
+"""Frames in tiles: the same levels as in one piece."""
+
+import numpy as np
+import pytest
+
+from recon import pipeline
+from recon.depth import tiles
+from recon.picture import mosaic
+from recon.settings import PRESETS
+from tests.support import recon_scenes
+
+# Levels, and the share of the confident samples that keeps within; the rest are near ties. Far below an estimate's own
+# error of 0.1 to 0.5. The likelihood has a constant that depends a little on the grid of frequencies; the colour
+# line's filters are not limited to a band and reach farther, and so do those of narrow bands.
+SAME = {"paper": (0.005, 0.999), "likelihood": (0.1, 0.99), "bands": (0.1, 0.98), "chakrabarti-zickler": (0.05, 0.98)}
+SAME_SIGNAL = 1e-3  # of the noise, or relative
+
+
+@pytest.fixture(scope="module")
+def channels():
+    scene = recon_scenes.make(recon_scenes.slanted(384, 512, 1, 22), white_e=4000)
+    camera, bank = scene.capture.camera, recon_scenes.bank()
+    raw_e, _ = mosaic.linearise(scene.capture)
+    places, planes = mosaic.phases(camera), mosaic.planes(raw_e, camera)
+    variances = pipeline._variances(raw_e, scene.capture)
+    return [(planes[n], places[n], variances[n], bank.kernel[0, :, i]) for n, i in (("IR", 3), ("G", 1))]
+
+
+@pytest.mark.parametrize("preset", PRESETS)
+def test_levels_in_tiles_equal_those_of_the_whole(channels, preset):
+    whole = tiles.best_levels(*channels, PRESETS[preset])
+    parts = tiles.best_levels(*channels, PRESETS[preset], size=100, halo=96)
+    sure = whole.confidence > 0.5
+    assert sure.mean() > 0.2
+    level, share = SAME.get(preset, SAME["paper"])
+    assert (np.abs(parts.level - whole.level)[sure] < level).mean() > share
+    np.testing.assert_allclose(parts.snr[sure], whole.snr[sure], rtol=SAME_SIGNAL, atol=SAME_SIGNAL)
+
+
+def test_tiles_cover_a_frame_once():
+    seen = np.zeros((333, 517), int)
+    for part in tiles.tiles(seen.shape, 100, 30):
+        seen[part.core] += 1
+        assert seen[part.box][part.inner].shape == seen[part.core].shape
+        assert all(s.stop - s.start <= 100 for s in part.core)
+    assert (seen == 1).all()

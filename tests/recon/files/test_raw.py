@@ -1,0 +1,133 @@
+"""Raw files of real cameras: every format gives back the numbers that were packed, every mistake one line."""
+
+import cv2
+import numpy as np
+import pytest
+import tifffile
+
+from dasim.base.errors import InputError
+from dasim.camera import specification as cameras
+from dasim.files.folders import write_png16
+from recon.files import raw as raw_files
+
+WIDTH, HEIGHT = 96, 64
+
+
+@pytest.fixture(scope="module")
+def ten():
+    return cameras.cropped(cameras.load_camera("da-mobile"), WIDTH, HEIGHT)
+
+
+@pytest.fixture(scope="module")
+def twelve(ten):
+    return ten.model_copy(update={"sensor": ten.sensor.model_copy(update={"adc_bits": 12})})
+
+
+def numbers(bits):
+    """Every value that occurs, in no order."""
+    return np.random.default_rng(bits).integers(0, 2**bits, (HEIGHT, WIDTH)).astype(np.uint16)
+
+
+def bit_packed(raw, bits, group):
+    """MIPI CSI-2's packing bit by bit: high bytes of a group, then the low bits, the first pixel's lowest."""
+    data = bytearray()
+    for start in range(0, raw.size, group):
+        pixels = [int(value) for value in raw.ravel()[start : start + group]]
+        data += bytes(value >> (bits - 8) for value in pixels)
+        low = sum((value & (2 ** (bits - 8) - 1)) << (place * (bits - 8)) for place, value in enumerate(pixels))
+        data += bytes([low])
+    return bytes(data)
+
+
+@pytest.mark.parametrize("suffix", ["png", "tif", "npy", "float.npy"])
+def test_files_with_a_header(tmp_path, ten, suffix):
+    raw, path = numbers(10), tmp_path / f"photo.{suffix}"
+    if suffix == "png":
+        write_png16(path, raw)
+    elif suffix == "tif":
+        tifffile.imwrite(path, raw, photometric="minisblack")
+    else:
+        np.save(path, raw.astype(np.float64) if suffix == "float.npy" else raw)
+    capture = raw_files.load_raw(path, ten, exposure_s=0.02, gain=2.0)
+    np.testing.assert_array_equal(capture.raw_dn, raw)
+    assert capture.raw_dn.dtype == np.uint16 and (capture.exposure_s, capture.gain) == (0.02, 2.0)
+
+
+def test_the_pictures_own_size_governs(tmp_path):
+    """A camera of 2048 x 1536 pixels, a picture of 96 x 64."""
+    np.save(tmp_path / "photo.npy", numbers(10))
+    capture = raw_files.load_raw(tmp_path / "photo.npy", cameras.load_camera("da-mobile"))
+    assert (capture.camera.sensor.width_px, capture.camera.sensor.height_px) == (WIDTH, HEIGHT)
+
+
+@pytest.mark.parametrize("padding", [0, 8])
+@pytest.mark.parametrize("kind", ["raw10", "raw12", "raw16"])
+def test_packed_pixels(tmp_path, ten, twelve, kind, padding):
+    bits = 10 if kind == "raw10" else 12
+    raw, camera = numbers(bits), ten if bits == 10 else twelve
+    rows = [r.astype("<u2").tobytes() if kind == "raw16" else bit_packed(r, bits, 4 if bits == 10 else 2) for r in raw]
+    (tmp_path / "photo.raw").write_bytes(b"".join(row + b"\xff" * padding for row in rows))
+    capture = raw_files.load_raw(tmp_path / "photo.raw", camera, kind=kind)
+    np.testing.assert_array_equal(capture.raw_dn, raw)
+
+
+def test_left_aligned_values(tmp_path, ten):
+    raw = numbers(10)
+    write_png16(tmp_path / "photo.png", raw << 6)
+    with pytest.raises(InputError, match="left-aligned: add --format left-aligned"):
+        raw_files.load_raw(tmp_path / "photo.png", ten)
+    capture = raw_files.load_raw(tmp_path / "photo.png", ten, kind="left-aligned")
+    np.testing.assert_array_equal(capture.raw_dn, raw)
+    write_png16(tmp_path / "photo.png", raw << 4)
+    with pytest.raises(InputError, match="lowest 6 bits are in use"):
+        raw_files.load_raw(tmp_path / "photo.png", ten, kind="left-aligned")
+
+
+WRONG = {
+    "nan": (np.full((64, 96), np.nan), "NaN"),
+    "fractions": (np.full((64, 96), 70.5), "fractions"),
+    "negative": (np.full((64, 96), -1), "values of -1 to -1"),
+    "too deep": (np.full((64, 96), 1025, np.uint16), "10 bits, 0 to 1023"),
+    "8 bits": (np.full((64, 96), 100, np.uint8), "has 8 bits"),
+    "colour": (np.zeros((64, 96, 3), np.uint16), "one number a pixel"),
+    "odd": (np.zeros((63, 96), np.uint16), "no multiple of the 2 x 2 mosaic"),
+    "text": (np.full((64, 96), "a"), "whole numbers"),
+    "empty": (np.zeros((0, 0), np.uint16), "height_px"),
+}
+
+
+@pytest.mark.parametrize("case", WRONG)
+def test_what_a_file_must_not_hold(tmp_path, ten, case):
+    values, said = WRONG[case]
+    np.save(tmp_path / "photo.npy", values)
+    with pytest.raises(InputError, match=said) as refused:
+        raw_files.load_raw(tmp_path / "photo.npy", ten)
+    assert "photo.npy" in str(refused.value) and "\n" not in str(refused.value)
+
+
+def test_damaged_and_unknown_files(tmp_path, ten):
+    write_png16(tmp_path / "whole.png", numbers(10))
+    (tmp_path / "cut.png").write_bytes((tmp_path / "whole.png").read_bytes()[:-2000])
+    cv2.imwrite(str(tmp_path / "eight.png"), np.full((64, 96), 9, np.uint8))
+    (tmp_path / "no.tif").write_bytes(b"no picture")
+    (tmp_path / "no.npy").write_bytes(b"no array")
+    (tmp_path / "photo.dng").write_bytes(b"x")
+    for name, said in (
+        ("cut.png", "cut short"), ("eight.png", "8 bits"), ("no.tif", "cannot be read"), ("no.npy", "cannot be read"),
+        ("photo.dng", "--format raw10"), ("none.png", "no such file"),
+    ):  # fmt: skip
+        with pytest.raises(InputError, match=said) as refused:
+            raw_files.load_raw(tmp_path / name, ten)
+        assert "\n" not in str(refused.value)
+
+
+def test_packed_files_that_do_not_fit(tmp_path, ten):
+    (tmp_path / "photo.raw").write_bytes(bytes(1000))
+    for kind, said in (("raw10", "1000 bytes"), ("raw12", "has 12 bits"), ("raw8", "unknown")):
+        with pytest.raises(InputError, match=said):
+            raw_files.load_raw(tmp_path / "photo.raw", ten, kind=kind)
+    narrow = ten.model_copy(update={"sensor": ten.sensor.model_copy(update={"width_px": 98})})
+    with pytest.raises(InputError, match="no multiple of 4"):
+        raw_files.load_raw(tmp_path / "photo.raw", narrow, kind="raw10")
+    with pytest.raises(InputError, match="gain"):
+        raw_files.load_raw(tmp_path / "photo.raw", ten, kind="raw10", gain=-1.0)

@@ -1,0 +1,59 @@
+"""Interpolation of the infrared plane on the mosaic's own grid, and its removal from the colours."""
+
+import numpy as np
+import pytest
+
+from dasim.spectra import grid, illuminants
+from recon.picture import infrared
+from tests.support import recon_scenes
+
+PHASES = [(0, 0), (0, 1), (1, 0), (1, 1)]
+BORDER = 4
+
+
+def sampled(function, phase, shape=(48, 64)):
+    y, x = np.indices(shape, dtype=float)
+    image = function(y, x)
+    return image, image[phase[0] :: 2, phase[1] :: 2].astype(np.float32)
+
+
+@pytest.mark.parametrize("phase", PHASES)
+def test_a_ramp_stays_where_it_is(phase):
+    """Cubic convolution reproduces a line exactly: a shift of half a pixel would be off by half its slope."""
+    image, plane = sampled(lambda y, x: 3 * y - 2 * x + 100, phase)
+    inner = slice(BORDER, -BORDER)
+    np.testing.assert_allclose(infrared.interpolate(plane, phase)[inner, inner], image[inner, inner], atol=1e-3)
+
+
+@pytest.mark.parametrize("phase", PHASES)
+def test_a_shifted_pattern_comes_out_at_its_place(phase):
+    """The phase of a sinusoid of 16 px period, at a shift of 0.3 px, within 0.01 px (cubic error: (2/16)^3)."""
+    frequency = 1 / 16
+    for axis in (0, 1):
+        _, plane = sampled(lambda y, x: np.cos(2 * np.pi * frequency * ((y, x)[axis] - 0.3)), phase)  # noqa: B023
+        result = infrared.interpolate(plane, phase)
+        line = result[16:32, 16:48].mean(axis=1) if axis == 0 else result[16:32, 16:48].mean(axis=0)
+        place = np.arange(16, 16 + len(line))
+        angle = -np.angle(np.sum(line * np.exp(-2j * np.pi * frequency * place)))
+        assert abs(angle / (2 * np.pi * frequency) - 0.3) < 0.01
+
+
+@pytest.mark.parametrize("phase", PHASES)
+def test_samples_stay_as_they_are(phase):
+    plane = np.random.default_rng(1).uniform(0, 100, (12, 10)).astype(np.float32)
+    np.testing.assert_allclose(infrared.interpolate(plane, phase)[phase[0] :: 2, phase[1] :: 2], plane, rtol=1e-6)
+
+
+def test_removal_leaves_the_visible_light_of_each_light():
+    """A white scene: what eq. (7) leaves is the light below 650 nm, up to the filters' 8 nm edges (3 %)."""
+    camera = recon_scenes.da_mobile(512, 384)
+    alpha = infrared.crosstalk(camera)
+    low = grid.WAVELENGTH_NM < grid.NEAR_INFRARED_NM[0]
+    from dasim.camera.specification import response
+
+    for light in ("D65", "A"):
+        power = response(camera) * illuminants.illuminant(light)
+        electrons, visible = grid.integrate(power), grid.integrate(power * low)[:3]
+        rgb = np.tile(electrons[:3] / electrons[1] * 1000, (4, 4, 1)).astype(np.float32)
+        clean = infrared.remove(rgb, np.full((4, 4), electrons[3] / electrons[1] * 1000, np.float32), alpha)
+        np.testing.assert_allclose(clean[0, 0], visible / electrons[1] * 1000, rtol=0.09)

@@ -1,0 +1,217 @@
+"""Deconvolution: its shrinkage against brute force, its gain on a known blur, and what it must leave alone."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+from scipy.optimize import minimize_scalar
+
+from recon import fourier
+from recon.picture import infrared
+from recon.settings import PAPER
+from recon.sharp import deconvolution, layers, sharpen
+from tests.support import recon_scenes
+
+NOISE_E = 10.0
+KERNEL_MISFIT = 0.06  # of the bank's 3 % in encircled energy, counted on both sides
+SEAM_NOISE_SHARE = 0.5
+SEAM_RIM_PX = 64
+RIM_PX = 12
+RIM_FACTOR = 1.5  # the rim's texture is another than the middle's, and half its blur lies outside the frame
+EDGE_PX = 16
+EDGE_FACTOR = 2.0  # what replacing the other side's light gains at least; it is 4.6
+
+
+def test_shrinkage_is_the_minimum():
+    """The table against a bounded scalar search of |u|^0.8 + (u - v)^2 / 2."""
+    table = deconvolution.shrink_table()
+    step = deconvolution.TABLE_LIMIT / (len(table) - 1)
+    for index in (0, 100, 180, 260, 700, 3000, len(table) - 1):
+        v = index * step
+        candidates = np.linspace(0, v + 1e-9, 4001)
+        start = candidates[np.argmin(candidates**0.8 + (candidates - v) ** 2 / 2)]
+        found = minimize_scalar(
+            lambda u: abs(u) ** 0.8 + (u - v) ** 2 / 2,  # noqa: B023
+            bounds=(max(start - 0.1, 0), start + 0.1),
+            method="bounded",
+            options={"xatol": 1e-7},
+        )
+        best = found.x if found.fun < v**2 / 2 else 0.0
+        assert abs(table[index] - best) < 1e-3
+
+
+def captured(level, photo="astronaut"):
+    """Pictures of visible light alone and of infrared [h, w, 4] with noise, and the same sharp."""
+    margin = recon_scenes.MARGIN_PX
+    shape = level.shape
+    visible, near = recon_scenes.textures(shape[0] + 2 * margin, shape[1] + 2 * margin, photo)
+    mean = 4000 * recon_scenes.blurred(visible, near, level, "D65")
+    _, _, signal = recon_scenes.stop_kernels("D65")
+    inner = slice(margin, -margin)
+    sharp = 4000 * (signal[0] * visible[inner, inner] + signal[1] * near[inner, inner, None])
+    noise = NOISE_E * np.random.default_rng(1).standard_normal(mean.shape)
+    return infrared_free(mean + noise).astype(np.float32), infrared_free(sharp)
+
+
+@cache
+def separation():
+    return infrared.separation(recon_scenes.da_mobile(512, 384), "D65", PAPER)
+
+
+def infrared_free(image):
+    return np.concatenate([image @ separation().T, image[..., 3:]], axis=-1)
+
+
+@cache
+def kernels():
+    bank = recon_scenes.bank()
+    return sharpen.visible_kernels(bank.kernel[0], bank.signature[0], separation())
+
+
+def sharpened(image, level, **settings):
+    changed = PAPER.model_copy(update=settings)
+    return sharpen.sharpen(np.moveaxis(image, -1, 0), level, kernels(), np.full(4, NOISE_E), changed)
+
+
+def decibel(image, truth):
+    return -10 * np.log10(np.mean((image - truth)[8:-8, 8:-8] ** 2))
+
+
+def test_kernels_without_infrared_are_those_of_the_open_stop_alone():
+    """White through both stops minus infrared's share against the open stop's own kernels, rendered apart."""
+    levels, alone, _ = recon_scenes.stop_kernels("D65")
+    for level in (4, 10):
+        mine = kernels()[level, 1]
+        exact = alone[0, int(np.flatnonzero(levels == level)[0]), 1]
+        half = mine.shape[-1] // 2
+        middle = exact.shape[-1] // 2
+        if half < middle:
+            exact = exact[middle - half : middle + half + 1, middle - half : middle + half + 1]
+        part = slice(half - middle, half + middle + 1) if half > middle else slice(None)
+        assert np.abs(mine[part, part] - exact).sum() < KERNEL_MISFIT
+
+
+def test_a_known_blur_is_undone():
+    """Blur of 4 to 8 px, noise of 10 electrons: at least 2.5 dB in green, and every channel gains."""
+    for level_value in (2.0, 3.5, 4.5):
+        level = np.full((192, 256), level_value, np.float32)
+        image, truth = captured(level)
+        result = sharpened(image, level)
+        gain = [decibel(result[..., c], truth[..., c]) - decibel(image[..., c], truth[..., c]) for c in range(3)]
+        assert gain[1] > 2.5 and min(gain) > 0, (level_value, gain)
+
+
+def test_infrared_tells_the_colours_where_edges_are():
+    """The prior about infrared's gradients beats the paper's about zero, on texture that both share in part."""
+    level = np.full((192, 256), 5.0, np.float32)
+    image, truth = captured(level)
+    guided, plain = (sharpened(image, level, sharpen_guide=guide) for guide in (True, False))
+    assert decibel(guided[..., 1], truth[..., 1]) > decibel(plain[..., 1], truth[..., 1]) + 0.3
+
+
+def test_layers_gain_on_both_sides_of_a_step():
+    """Two depths meet: each side's own pixels are sharper than captured, away from the step."""
+    level = np.where(np.arange(256) < 128, 3.0, 14.0)[None, :].repeat(192, 0).astype(np.float32)
+    image, truth = captured(level)
+    result = sharpened(image, level)
+    for part in (slice(8, 118), slice(138, 248)):
+        before = decibel(image[:, part, 1], truth[:, part, 1])
+        assert decibel(result[:, part, 1], truth[:, part, 1]) > before + 1
+
+
+def test_a_flat_picture_stays_flat():
+    """Kernels have unit sum: a constant is its own deconvolution, up to float32."""
+    level = np.linspace(0, 28, 128, dtype=np.float32)[None, :].repeat(96, 0)
+    image = np.full((96, 128, 4), 1000, np.float32)
+    np.testing.assert_allclose(sharpened(image, level), 1000, rtol=1e-4)
+
+
+def test_tiles_leave_no_seams(monkeypatch):
+    """The picture in tiles against one tile for all, level 4 to 6: closer than the noise by far.
+
+    Away from the picture's rim, where a tile's frame is closed with other mirrors than the whole's: what lies outside
+    is unknown to both, and both are equally far from the truth there.
+    """
+    level = np.linspace(4, 6, 320, dtype=np.float32)[None, :].repeat(256, 0)
+    image, truth = captured(level)
+    monkeypatch.setattr(layers, "TILE_PX", 64)
+    tiled = sharpened(image, level)
+    monkeypatch.setattr(layers, "TILE_PX", 4096)
+    whole = sharpened(image, level)
+    inner, rim = slice(SEAM_RIM_PX, -SEAM_RIM_PX), slice(0, SEAM_RIM_PX // 2)
+    assert np.sqrt(np.mean((tiled - whole)[inner, inner] ** 2)) < SEAM_NOISE_SHARE * NOISE_E
+    errors = [np.sqrt(np.mean((found - truth[..., :3])[rim] ** 2)) for found in (tiled, whole)]
+    assert errors[0] == pytest.approx(errors[1], rel=0.02)
+
+
+def test_transfer_of_a_kernel_is_its_dft():
+    """The DFT sums against a padded, rolled FFT of the same kernel."""
+    kernel = np.random.default_rng(0).random((9, 9))
+    padded = np.zeros((32, 40))
+    padded[:9, :9] = kernel
+    reference = np.fft.rfft2(np.roll(padded, (-4, -4), (0, 1)))
+    np.testing.assert_allclose(fourier.transfer(kernel, (32, 40)), reference, atol=1e-4)
+
+
+@pytest.mark.parametrize("phase", [(0, 0), (0, 1), (1, 0), (1, 1)])
+def test_deconvolution_of_samples_is_the_least_squares_solution(phase):
+    """A step from small gradients, all shrunk to 0, against a dense system of blur, samples and differences."""
+    generator = np.random.default_rng(2)
+    picture = (5 + generator.standard_normal((1, 8, 12))).astype(np.float32)
+    kernel = generator.random((3, 3)).astype(np.float32)
+    kernel /= kernel.sum()
+    kappa = 3.0
+    transfer = fourier.transfer(kernel[None], (8, 12))
+    found = deconvolution.half_quadratic_samples(picture, [phase], transfer, np.array([kappa]), 1)
+    pixels = np.eye(96).reshape(96, 8, 12)
+    shifts = [(dy, dx, kernel[dy + 1, dx + 1]) for dy in (-1, 0, 1) for dx in (-1, 0, 1)]
+    blur = sum(w * np.roll(pixels, (dy, dx), (1, 2)) for dy, dx, w in shifts)
+    sampled = blur[:, phase[0] :: 2, phase[1] :: 2].reshape(96, -1).T
+    steps = [(np.roll(pixels, -1, axis) - pixels).reshape(96, -1).T for axis in (1, 2)]
+    beta = deconvolution.BETA_FIRST * kappa
+    system = np.concatenate([sampled, *(np.sqrt(beta) * step for step in steps)])
+    data = np.concatenate([picture[0, phase[0] :: 2, phase[1] :: 2].ravel(), np.zeros(192)])
+    exact = np.linalg.lstsq(system, data)[0].reshape(8, 12)
+    np.testing.assert_allclose(found[0], exact, atol=2e-4)
+
+
+def rim_and_middle(level_value):
+    """Errors (rim, middle) of a picture that is bright to one side and dark to the other, root mean square."""
+    level = np.full((160, 224), level_value, np.float32)
+    image, truth = captured(level)
+    ramp = np.linspace(0.3, 1.5, 224, dtype=np.float32)[:, None]
+    result = sharpened(image * ramp, level) - (truth * ramp)[..., :3]
+    rim = np.ones(level.shape, bool)
+    rim[RIM_PX:-RIM_PX, RIM_PX:-RIM_PX] = False
+    return np.sqrt(np.mean(result[rim] ** 2)), np.sqrt(np.mean(result[~rim] ** 2))
+
+
+def test_no_ringing_at_the_frames_border(monkeypatch):
+    """The border's rim is about as true as the middle; a periodic frame, whose opposite sides differ, is not."""
+    rim, middle = rim_and_middle(6.0)
+    assert rim < RIM_FACTOR * middle
+    monkeypatch.setattr(fourier, "pad_blended", periodic)
+    rim, middle = rim_and_middle(6.0)
+    assert rim > RIM_FACTOR * middle
+
+
+def periodic(image, shape):
+    return np.pad(image, [(0, n - m) for n, m in zip(shape, image.shape, strict=True)], "wrap").astype(np.float32)
+
+
+def edge_error():
+    """Root mean square error on both sides of a step of depth, and that of the capture."""
+    level = np.where(np.arange(224) < 112, 2.0, 12.0)[None, :].repeat(160, 0).astype(np.float32)
+    image, truth = captured(level)
+    near = (slice(16, -16), slice(112 - EDGE_PX, 112 + EDGE_PX))
+    before, after = (a[near][..., :3] - truth[near][..., :3] for a in (image, sharpened(image, level)))
+    return np.sqrt(np.mean(after**2)), np.sqrt(np.mean(before**2))
+
+
+def test_no_ringing_at_depth_edges(monkeypatch):
+    """Across a step of ten levels the picture gains; with the other side left as it is in each layer, it rings."""
+    after, before = edge_error()
+    assert after < before
+    monkeypatch.setattr(sharpen, "FEATHER_LEVELS", 1e6)
+    ringing, _ = edge_error()
+    assert ringing > EDGE_FACTOR * after

@@ -1,0 +1,166 @@
+"""The whole reconstruction of one capture: figures on a textured scene, and frames that hold nothing."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+import recon
+from dasim.base.errors import InputError
+from dasim.camera import noise as sensor
+from dasim.camera import specification as cameras
+from dasim.values import Capture
+from recon.picture import infrared
+from tests.support import recon_scenes
+
+MIN_GAIN_DB = 1.0  # of the all-in-focus picture, with the estimated levels, mosaic and photon noise
+MIN_PICTURE_DB = 35.0  # captured against exact colours, white as peak; a picture off by one pixel has some 25
+MAX_LOSS_DB = 0.5  # near focus, where nothing is to gain
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return recon_scenes.make(recon_scenes.slanted(256, 384, 0, 20), white_e=4000)
+
+
+@pytest.fixture(scope="module")
+def result(scene):
+    return recon.reconstruct(scene.capture, recon_scenes.bank())
+
+
+def decibel(image, truth, mask):
+    return -10 * np.log10(np.mean((image - truth)[mask] ** 2))
+
+
+@pytest.mark.parametrize(("preset", "lowest"), [("bands", 0), ("paper", 3)])  # near focus NCC's levels are too large
+def test_all_in_focus_gains_and_never_loses(scene, result, preset, lowest):
+    if preset != "paper":
+        result = recon.reconstruct(scene.capture, recon_scenes.bank(), recon.PRESETS[preset])
+    alpha = infrared.crosstalk(scene.capture.camera)
+    truth = np.maximum(scene.sharp_e[..., :3] - alpha * scene.sharp_e[..., 3:], 0)
+    inner = np.zeros(scene.level.shape, bool)
+    inner[16:-16, 16:-16] = True
+    per_level = cameras.level_blur_px(scene.capture.camera)[1]
+    for low, high, gain in ((0, 3, -MAX_LOSS_DB), (3, 10, MIN_GAIN_DB), (10, 20, MIN_GAIN_DB), (20, 40, 0)):
+        mask = inner & (scene.level * per_level >= max(low, lowest)) & (scene.level * per_level < high)
+        if not mask.any():
+            continue
+        before = decibel(result.linear_e, truth, mask)
+        assert decibel(result.sharp_e, truth, mask) > before + gain, (low, high)
+
+
+def test_levels_and_depths(scene, result):
+    sure = np.isfinite(result.level_raw)
+    assert np.median(np.abs(result.level_raw - scene.level)[sure]) < 0.8
+    assert np.median(np.abs(result.level - scene.level)) < 1.5
+    depths = cameras.depth_of_blur_m(
+        scene.capture.camera, result.level * cameras.level_blur_px(scene.capture.camera)[1]
+    )
+    # the bank's depths interpolated linearly between levels, against the lens equation
+    np.testing.assert_allclose(result.depth_m, depths, rtol=0.01)
+
+
+def test_the_4x4_mosaic_shows_the_same_levels():
+    """The same light through the 4x4 mosaic, the same bank (kernels do not know of mosaics): level and picture."""
+    scene = recon_scenes.make(recon_scenes.slanted(128, 256, 2, 16), white_e=4000)
+    four = cameras.cropped(cameras.load_camera("da-4x4"), 256, 128)
+    raw, _ = sensor.expose(sensor.mosaic(scene.mean_e.astype(float), four), four.sensor, 0.02, 1)
+    result = recon.reconstruct(Capture(raw, four, 0.02, 1.0, 1), recon_scenes.bank())
+    sure = np.isfinite(result.level_raw)
+    assert sure.mean() > 0.25
+    assert np.median(np.abs(result.level_raw - scene.level)[sure]) < 0.8
+    alpha = infrared.crosstalk(four)
+    exact = scene.mean_e[..., :3] - alpha * scene.mean_e[..., 3:]
+    inner = np.zeros(scene.level.shape, bool)
+    inner[16:-16, 16:-16] = True
+    peak = 20 * np.log10(4000)
+    assert peak + decibel(result.linear_e, exact, inner) > MIN_PICTURE_DB
+
+
+def test_everything_is_finite_and_in_range(result):
+    for name in ("rgb", "sharp_rgb", "linear_e", "sharp_e", "ir_e", "level", "depth_m", "confidence"):
+        image = getattr(result, name)
+        assert image.dtype == np.float32 and np.isfinite(image).all() and image.min() >= 0, name
+    assert result.rgb.max() <= 1 and result.sharp_rgb.max() <= 1 and result.confidence.max() <= 1
+    assert result.settings == recon.DEFAULT.model_dump()
+
+
+def test_the_simulator_cannot_leak_into_the_estimate(scene, result):
+    """Another name of the light, seed and provenance: the same result, bit for bit (also: deterministic)."""
+    other = dataclasses.replace(scene.capture, illuminant="A", seed=99, provenance={"scene": "x"})
+    seen = []
+    again = recon.reconstruct(other, recon_scenes.bank(), progress=lambda name, share: seen.append((name, share)))
+    np.testing.assert_array_equal(again.sharp_rgb, result.sharp_rgb)
+    np.testing.assert_array_equal(again.level, result.level)
+    assert [name for name, _ in seen] == [*result.timings_s, "done"]
+    assert [share for _, share in seen] == sorted(share for _, share in seen)
+
+
+@pytest.mark.parametrize("value", [0, 64, 300, 1023])
+def test_frames_without_any_texture(value):
+    """Black, constant and saturated frames: finite pictures, no confidence, no estimate."""
+    camera = recon_scenes.da_mobile(96, 64)
+    capture = Capture(np.full((64, 96), value, np.uint16), camera, 0.01, 1.0, 0)
+    result = recon.reconstruct(capture, recon_scenes.bank())
+    assert np.isnan(result.level_raw).all()
+    assert not result.confidence.any()
+    for name in ("rgb", "sharp_rgb", "linear_e", "sharp_e", "ir_e", "level", "depth_m"):
+        assert np.isfinite(getattr(result, name)).all(), name
+
+
+def test_a_bank_of_another_focus_or_camera_is_refused(scene):
+    bank = recon_scenes.bank()
+    moved = dataclasses.replace(scene.capture, camera=cameras.refocused(scene.capture.camera, 0.12))
+    with pytest.raises(InputError, match=r"focused at 0\.4 m"):
+        recon.reconstruct(moved, bank)
+    sensor = scene.capture.camera.sensor.model_copy(update={"pixel_pitch_um": 3.0})
+    other = dataclasses.replace(scene.capture, camera=scene.capture.camera.model_copy(update={"sensor": sensor}))
+    with pytest.raises(InputError, match=r"does not fit.*pixel_pitch_um"):
+        recon.reconstruct(other, bank)
+    sensor = scene.capture.camera.sensor.model_copy(update={"cutoff_nm": 700.0})
+    other = dataclasses.replace(scene.capture, camera=scene.capture.camera.model_copy(update={"sensor": sensor}))
+    with pytest.raises(InputError, match="differ in cutoff_nm"):
+        recon.reconstruct(other, bank)
+
+
+def test_a_bank_of_another_kind_of_sensor_is_refused(scene):
+    """Expectation: what differs is named: response curves, pixels, or the channels of a mosaic."""
+    bank, mine = recon_scenes.bank(), scene.capture.camera
+    sensor = bank.camera.sensor.model_copy(update={"cutoff_nm": 700.0})
+    other = dataclasses.replace(bank, camera=bank.camera.model_copy(update={"sensor": sensor}))
+    with pytest.raises(InputError, match=r"differ in cutoff_nm; .*'dasim calibrate"):
+        recon.reconstruct(scene.capture, other)
+    moved = dataclasses.replace(bank, camera=bank.camera.model_copy(update={"stops": mine.stops[:1]}))
+    with pytest.raises(InputError, match="differ in stops"):
+        recon.reconstruct(scene.capture, moved)
+
+
+def test_a_bank_of_another_light_is_said(scene, result):
+    """A picture under D65, a bank of lamps alone: done, with a note; with both lights there is none."""
+    bank = recon_scenes.bank()
+    lamp = dataclasses.replace(bank, kernel=bank.kernel[1:], lights=bank.lights[1:], signature=bank.signature[1:])
+    small = crop(scene.capture, 128, 64)
+    assert result.notes == ()
+    (note,) = recon.reconstruct(small, lamp).notes
+    assert "far from every light of the bank (A)" in note and "--illuminant" in note
+
+
+def crop(capture, width, height):
+    camera = recon_scenes.da_mobile(width, height)
+    return dataclasses.replace(capture, raw_dn=capture.raw_dn[:height, :width], camera=camera)
+
+
+def test_a_frame_smaller_than_the_kernels(scene):
+    """64 x 64 pixels under kernels of 75 x 75: finished, in range, and levels where there is texture."""
+    small = crop(scene.capture, 64, 64)
+    assert recon_scenes.bank().kernel.shape[-1] > 64
+    result = recon.reconstruct(small, recon_scenes.bank())
+    for name in ("rgb", "sharp_rgb", "linear_e", "sharp_e", "ir_e", "level", "depth_m", "confidence"):
+        assert np.isfinite(getattr(result, name)).all(), name
+    assert np.isfinite(result.level_raw).any()
+
+
+def test_tiny_frames_are_refused():
+    camera = recon_scenes.da_mobile(8, 8)
+    with pytest.raises(InputError, match="at least"):
+        recon.reconstruct(Capture(np.full((8, 8), 100, np.uint16), camera, 0.01, 1.0, 0), recon_scenes.bank())

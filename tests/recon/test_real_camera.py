@@ -1,0 +1,275 @@
+"""From measurements of a camera to a scored depth map, as a user goes: files and commands alone.
+
+No camera of this kind is at hand. The "hardware" is a simulated one that differs from every bundled camera in what a
+user measures; the way from its files on knows nothing of it but those files.
+"""
+
+from __future__ import annotations
+
+import csv
+import itertools
+import json
+
+import numpy as np
+import pytest
+
+import dasim
+from dasim.camera import specification as cameras
+from dasim.camera.datasheet import saturation_capacity_e
+from dasim.cli import run
+from dasim.files.folders import load_bank, write_png16
+from dasim.simulation import calibration
+from dasim.spectra import grid, illuminants
+from recon.calibration import table as point_table
+from recon.files.reconstruction import load_reconstruction
+
+LIGHT = "D55"
+LEVELS = 8  # the scene lies at 2.5 and 6.2
+SIZE = (160, 112)
+GAIN_DN_PER_E, FULL_WELL_E, DARK_NOISE_E, BLACK_DN = 0.31, 11_000.0, 5.5, 168
+SENSOR_TOLERANCE = 1e-4  # the saturation capacity is written to a tenth of an electron
+# Straight lines between points h = 5 nm apart miss h^2 / 8 of the largest bend: of an edge, a logistic that rises
+# over 14 nm, 0.0962 (ln 81 / 14 nm)^2 of its height.
+CURVE_TOLERANCE = 5**2 / 8 * 0.0962 * (np.log(81) / 14) ** 2
+# White of the bank against the spectra: the tails of weak pictures, as of the bank in memory.
+WHITE_TOLERANCE = 0.06
+# Mean of the reconstructed infrared over the true one: PRNU, noise reduction and the blur of the borders.
+ELECTRONS_TOLERANCE = 0.05
+MEDIAN_LEVELS = 1.0  # of the regularised depth at textured pixels; the scene's halves are 3.7 apart
+
+SHEET = f"""
+name = "bench camera"
+
+[lens]
+focal_length_mm = 3.6
+f_number = 2.8
+focus_distance_m = 0.4
+
+[[stops]]
+name = "open"
+radius_ratio = 1.0
+passes_nm = [[400, 655]]
+edge_width_nm = 10
+
+[[stops]]
+name = "hole"
+radius_ratio = 0.46
+passes_nm = [[655, 830]]
+edge_width_nm = 10
+
+[sensor]
+width_px = {SIZE[0]}
+height_px = {SIZE[1]}
+pixel_pitch_um = 1.7
+mosaic = [["G", "R"], ["B", "IR"]]
+cutoff_nm = 800
+cutoff_width_nm = 8
+adc_bits = 12
+black_level_dn = {BLACK_DN}
+quantum_efficiency = {{ file = "response.csv" }}
+
+[sensor.emva1288]
+overall_system_gain_dn_per_e = {GAIN_DN_PER_E}
+temporal_dark_noise_e = {DARK_NOISE_E}
+saturation_capacity_e = {saturation_capacity_e(FULL_WELL_E, 0.006):.1f}
+dsnu1288_e = 1.5
+prnu1288_percent = 0.6
+dark_current_e_s = 64.0
+dark_current_temperature_c = 46.0
+doubling_temperature_k = 7.0
+quantum_efficiency_percent = 48.0
+wavelength_nm = 540
+"""
+
+
+def curves() -> np.ndarray:
+    """Quantum efficiency of the hardware, [channel, wavelength]: reds that fall off towards the near-infrared."""
+    ours = grid.rgb_ir_quantum_efficiency()
+    fall = np.interp(grid.WAVELENGTH_NM, [600.0, 830.0], [1.0, 0.6])
+    changed = ours * np.array([[0.8], [1.0], [1.25], [1.0]]) * fall
+    green = np.interp(540.0, grid.WAVELENGTH_NM, changed[1])
+    return changed * 0.48 / green
+
+
+@pytest.fixture(scope="module")
+def hardware():
+    """The camera itself, of which the user knows the files only."""
+    data = cameras.load_camera("da-mobile").model_dump()
+    for stop, band in zip(data["stops"], ((400.0, 655.0), (655.0, 830.0)), strict=True):
+        stop |= {"passes_nm": (band,), "edge_width_nm": 10.0}
+    table = dict(zip(grid.CHANNELS, (tuple(curve.tolist()) for curve in curves()), strict=True))
+    data["sensor"] |= {
+        "width_px": SIZE[0], "height_px": SIZE[1], "cutoff_nm": 800.0, "adc_bits": 12, "black_level_dn": BLACK_DN,
+        "dn_per_e": GAIN_DN_PER_E, "full_well_e": FULL_WELL_E, "read_noise_e": DARK_NOISE_E, "dsnu_e": 1.5,
+        "prnu": 0.006, "dark_current_e_s": 8.0,
+        "quantum_efficiency": {"wavelength_nm": tuple(grid.WAVELENGTH_NM.tolist()), "channels": table},
+    }  # fmt: skip
+    return cameras.parse(cameras.Camera, data | {"name": "hardware"}, "hardware")
+
+
+def write_response(path):
+    """Relative to their peak, every 5 nm from 350 to 1,000 nm, as such tables are published."""
+    nm = np.arange(350.0, 1000.1, 5.0)
+    rows = [np.interp(nm, grid.WAVELENGTH_NM, curve) / curves().max() for curve in curves()]
+    with path.open("w", newline="") as file:
+        file.write("# relative response, monochromator\n")
+        writer = csv.writer(file)
+        writer.writerow(["wavelength_nm", "B", "G", "R", "IR"])
+        writer.writerows(
+            [[f"{value:.6f}" for value in row] for row in zip(nm, *(rows[k] for k in (2, 1, 0, 3)), strict=True)]
+        )
+
+
+def write_pictures(folder, hardware):
+    """A pinhole lit by one lamp at four places a level, raw 12-bit files."""
+    found = calibration.calibration_captures(hardware, (LIGHT,))
+    rows = []
+    folder.mkdir()
+    for number, picture in enumerate(itertools.takewhile(lambda p: p.level < LEVELS, found)):
+        for frame, raw in enumerate(picture.frames_dn):
+            name = f"p{number:04d}-{frame}.npy"
+            np.save(folder / name, raw)
+            place = "abcd"[2 * picture.shift_px[0] + picture.shift_px[1]]
+            rows.append([name, LIGHT, f"{picture.depth_m:.4f}", picture.exposure_s, place])
+    with (folder / "captures.csv").open("w", newline="") as file:
+        csv.writer(file).writerows([["file", "light", "depth_m", "exposure_s", "position"], *rows])
+
+
+def packed12(raw):
+    """MIPI RAW12: two high bytes, then both low halves."""
+    pairs = raw.reshape(-1, 2).astype(np.uint16)
+    low = (pairs[:, 0] & 15) | (pairs[:, 1] & 15) << 4
+    return np.stack([pairs[:, 0] >> 4, pairs[:, 1] >> 4, low], axis=1).astype(np.uint8).tobytes()
+
+
+@pytest.fixture(scope="module")
+def bench(renderer, hardware, tmp_path_factory):
+    """A user's folder: sheet, response, pictures of a pinhole, a photograph; then what the commands make of it."""
+    folder = tmp_path_factory.mktemp("bench")
+    model = "airy" if renderer.startswith("scalar") else "wave"
+    (folder / "camera.toml").write_text(SHEET)
+    write_response(folder / "response.csv")
+    write_pictures(folder / "pinhole", hardware)
+    scene = dasim.load_scene("depth-steps:15:9", camera=hardware)
+    shot = dasim.simulate(scene, hardware, 3, spp=32, variant=renderer, diffraction=model)
+    dasim.save_capture(folder / "truth", shot.capture, shot.truth)
+    (folder / "photo.raw").write_bytes(packed12(shot.capture.raw_dn))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("DASIM_CACHE_DIR", str(folder / "cache"))
+        patch.chdir(folder)
+        measured = ["calibrate", "--camera", "camera.toml", "--captures", "pinhole", "--out", "bank.npz"]
+        assert run(measured) == 0
+        exposure = ["--exposure", f"{shot.capture.exposure_s:.6g}"]
+        photo = ["recon", "photo.raw", "--format", "raw12", "--camera", "camera.toml", *exposure]
+        assert run([*photo, "--bank", "bank.npz", "--out", "result"]) == 0
+        assert run(["score", "result", "truth", "--json", "score.json"]) == 0
+    return folder
+
+
+def test_the_camera_file_is_the_hardware(bench, hardware):
+    """Rationale: every measured figure reaches the field that decides. Expectation: the hardware's own sensor."""
+    found, true = cameras.load_camera(bench / "camera.toml").sensor, hardware.sensor
+    for name in ("dn_per_e", "read_noise_e", "full_well_e", "dsnu_e", "prnu", "dark_current_e_s", "black_level_dn"):
+        assert getattr(found, name) == pytest.approx(getattr(true, name), rel=SENSOR_TOLERANCE), name
+    inside = grid.WAVELENGTH_NM < 810  # the cut-off's end
+    mine, own = (cameras.quantum_efficiency(sensor)[:, inside] for sensor in (found, true))
+    np.testing.assert_allclose(mine, own, atol=CURVE_TOLERANCE * own.max())
+
+
+def test_the_bank_is_measured_from_the_pictures(bench, hardware):
+    """Expectation: white is the hardware's under the lamp, from its spectra; depths are those of the table's lines."""
+    bank = load_bank(bench / "bank.npz")
+    assert bank.lights == (LIGHT,) and bank.diffraction == "measured" and len(bank.depth_m) == LEVELS
+    white = grid.integrate(cameras.response(hardware) * illuminants.illuminant(LIGHT))
+    np.testing.assert_allclose(bank.signature[0], white / white[1], rtol=WHITE_TOLERANCE)
+    bundled = grid.integrate(cameras.response(cameras.load_camera("da-mobile")) * illuminants.illuminant(LIGHT))
+    assert np.abs(bundled / bundled[1] / bank.signature[0] - 1).max() > 2 * WHITE_TOLERANCE, "another camera's white"
+    np.testing.assert_allclose(bank.depth_m, calibration.levels(hardware)[0][:LEVELS], atol=1e-4)
+
+
+def test_electrons_are_those_of_the_sheet(bench):
+    """Rationale: gain and black level turn numbers into electrons. Expectation: infrared's mean is the truth's."""
+    result, truth = load_reconstruction(bench / "result"), dasim.load_truth(bench / "truth")
+    assert result.ir_e.mean() == pytest.approx(truth.mean_e[..., 3].mean(), rel=ELECTRONS_TOLERANCE)
+
+
+def test_the_depth_is_scored(bench):
+    """Set-up: two textured halves at 15 and 24 cm. Expectation: within a level, and better than any constant map."""
+    figures = json.loads((bench / "score.json").read_text())
+    median = figures["regularised.textured.level-median"]["value"]
+    assert median < MEDIAN_LEVELS
+    assert median < figures["regularised.textured.level-median.constant"]["value"] / 2
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (("--captures", "pinhole", "--illuminant", "A"), "decide lights and diffraction"),
+        (("--captures", "pinhole", "--diffraction", "off"), "decide lights and diffraction"),
+        (("--captures", "pinhole", "--save-captures", "new"), "leave the other option out"),
+        (("--format", "raw12"), "name their folder with --captures"),
+        (("--captures", "none"), "needs a table captures.csv"),
+        (("--captures", "pinhole", "--focus", "0.2"), "is no level's distance"),
+        (("--captures", "pinhole", "--camera", "da-mobile"), "has values of"),
+        (("--save-captures", "new"), "leave --out out"),
+    ],
+)
+def test_options_that_contradict_each_other(bench, options, said, capsys, monkeypatch):
+    """Expectation: status 2, one line, no bank; 12-bit pictures of a camera of 10 bits are refused too."""
+    monkeypatch.chdir(bench)
+    camera = () if "--camera" in options else ("--camera", "camera.toml")
+    assert run(["calibrate", *camera, "--out", "new.npz", *options]) == 2
+    lines = capsys.readouterr().err.splitlines()
+    assert said in lines[-1], lines[-1]
+    assert not (bench / "new.npz").exists() and not (bench / "new").exists()
+
+
+def test_measured_depths_judge_a_photograph(bench, capsys, monkeypatch):
+    """Rationale: who took a photograph has no truth.exr, but may know depths. Set-up: those of the truth as NPY in
+    metres, and as 16-bit PNG in tenths of a millimetre; half of the picture unknown.
+
+    Expectation: off the boundaries the figures of the simulated truth, where both judge the same pixels; from the PNG
+    the same to its rounding; a map of another size, and a depth map without its camera, are refused.
+    """
+    monkeypatch.chdir(bench)
+    depth_m = dasim.load_truth(bench / "truth").depth_m
+    np.save("measured.npy", depth_m)
+    assert run(["score", "result", "measured.npy", "--json", "own.json"]) == 0
+    own, simulated = (json.loads((bench / name).read_text()) for name in ("own.json", "score.json"))
+    for region in ("all", "boundary"):
+        for metric in ("share", "level-median", "rmse-dioptre", "level-median.constant"):
+            key = f"regularised.{region}.{metric}"
+            assert own[key]["value"] == pytest.approx(simulated[key]["value"], rel=1e-4), key  # float32 levels
+    assert not any(".textured." in key or ".untextured." in key for key in own)
+    half = np.where(np.arange(SIZE[0]) < SIZE[0] // 2, depth_m, 0)
+    write_png16(bench / "measured.png", np.rint(half * 1e4).astype(np.uint16))
+    assert run(["score", "result", "measured.png", "--scale", "1e-4", "--json", "png.json"]) == 0
+    png = json.loads((bench / "png.json").read_text())
+    assert png["regularised.inner.level-median"]["value"] < MEDIAN_LEVELS
+    np.save("small.npy", depth_m[:-2])
+    capsys.readouterr()
+    for result, measured, said in (
+        ("result", "small.npy", "is 160 x 112 pixels"),
+        ("measured.npy", "measured.npy", "folder"),
+    ):
+        assert run(["score", result, measured]) == 2
+        assert said in capsys.readouterr().err
+
+
+def test_distances_are_printed_and_simulated_pictures_saved(tmp_path, capsys, monkeypatch):
+    """Expectation: each printed distance is a level's own, and lies within its bounds; what --save-captures would
+    write is what --captures reads (that both make one bank is tested in test_point_files).
+    """
+    assert run(["calibrate", "--camera", "da-mobile", "--focus", "0.5", "--print-distances"]) == 0
+    rows = [line.split() for line in capsys.readouterr().out.splitlines() if not line.startswith("#")][1:]
+    camera = dasim.refocused(cameras.load_camera("da-mobile"), 0.5)
+    depths, _ = calibration.levels(camera)
+    np.testing.assert_allclose([float(row[1]) for row in rows], depths, atol=5e-6)
+    for level, row in enumerate(rows):
+        for bound, side in ((row[2], 1), (row[3], -1)):
+            place = point_table.level_of(float(bound), depths)
+            assert place == pytest.approx(level + side * point_table.DEPTH_TOLERANCE, abs=0.02)  # five decimals
+    few = itertools.islice(calibration.calibration_captures(camera, ("A",)), 2)
+    monkeypatch.setattr("dasim.simulation.calibration.calibration_captures", lambda *arguments, **options: few)
+    assert run(["calibrate", "--illuminant", "A", "--save-captures", str(tmp_path / "saved")]) == 0
+    assert len((tmp_path / "saved" / "captures.csv").read_text().splitlines()) == 1 + 2 * calibration.FRAMES

@@ -1,0 +1,103 @@
+"""Meshes from depth: place and area of a plane, a sphere's radius, cuts at jumps, files read back."""
+
+import numpy as np
+import pytest
+import trimesh
+
+from dasim.base.errors import InputError
+from dasim.camera import specification as cameras
+from recon.views import surface
+
+K = np.array([[200.0, 0, 32], [0, 200.0, 24], [0, 0, 1]])
+EXACT = 1e-9
+FILE_PRECISION = 1e-6  # relative, float32 in files
+
+
+def picture():
+    return np.random.default_rng(0).random((48, 64, 3))
+
+
+def area(mesh):
+    a, b, c = (mesh.vertex_m[mesh.triangle[:, i]] for i in range(3))
+    return 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1).sum()
+
+
+def test_a_plane_has_its_place_and_its_area():
+    """(w - 1) (h - 1) pixels of (z / f)^2 each; every vertex at z, its pixel's centre by similar triangles."""
+    mesh = surface.surface(picture(), np.full((48, 64), 0.3), K)
+    assert area(mesh) == pytest.approx(63 * 47 * (0.3 / 200) ** 2, rel=EXACT)
+    np.testing.assert_allclose(mesh.vertex_m[0], [0.3 * (0.5 - 32) / 200, 0.3 * (0.5 - 24) / 200, 0.3], rtol=EXACT)
+
+
+def test_triangles_face_the_camera():
+    mesh = surface.surface(picture(), np.full((48, 64), 0.3), K)
+    a, b, c = (mesh.vertex_m[mesh.triangle[:, i]] for i in range(3))
+    assert (np.cross(b - a, c - a)[:, 2] < 0).all()
+
+
+def test_a_tilted_plane_stays_a_plane():
+    """Depths of the plane n . X = 1 give vertices on it."""
+    normal = np.array([2.0, 1.0, 3.0])
+    y, x = np.indices((48, 64)) + 0.5
+    ray = np.stack([(x - 32) / 200, (y - 24) / 200, np.ones_like(x)], -1)
+    mesh = surface.surface(picture(), 1 / (ray @ normal), K)
+    np.testing.assert_allclose(mesh.vertex_m @ normal, 1, rtol=EXACT)
+
+
+def test_a_jump_is_cut_and_nothing_else():
+    """A near square before a far wall: two flat pieces, the cells across the edge are missing."""
+    depth = np.full((48, 64), 0.4)
+    depth[10:30, 20:44] = 0.2
+    mesh = surface.surface(picture(), depth, K)
+    assert set(np.unique(mesh.vertex_m[mesh.triangle][..., 2].min(axis=1))) == {0.2, 0.4}
+    np.testing.assert_array_equal(np.ptp(mesh.vertex_m[mesh.triangle][..., 2], axis=1), 0)
+    square, hole = 23 * 19, 25 * 21 - 1  # cells; of two at the corners, the half that touches the wall alone stays
+    assert area(mesh) == pytest.approx(square * (0.2 / 200) ** 2 + (63 * 47 - hole) * (0.4 / 200) ** 2, rel=EXACT)
+
+
+def test_unknown_depth_leaves_a_hole():
+    depth = np.full((48, 64), 0.4)
+    depth[20, 30] = np.nan
+    mesh = surface.surface(picture(), depth, K)
+    assert len(mesh.triangle) == 2 * 63 * 47 - 6 and np.isfinite(mesh.vertex_m).all()  # six share a vertex
+
+
+def test_a_stride_keeps_place_and_thins_out():
+    mesh = surface.surface(picture(), np.full((48, 64), 0.3), K, stride_px=4)
+    assert area(mesh) == pytest.approx(60 * 44 * (0.3 / 200) ** 2, rel=EXACT)
+
+
+def test_files_read_back(tmp_path):
+    """PLY in the camera's axes with each pixel's colour, GLB y up with the picture as texture."""
+    image = picture()
+    mesh = surface.surface(image, np.full((48, 64), 0.3), K)
+    surface.save_surface(tmp_path / "a.ply", mesh)
+    surface.save_surface(tmp_path / "a.glb", mesh)
+    ply = trimesh.load(tmp_path / "a.ply", process=False)
+    np.testing.assert_allclose(ply.vertices, mesh.vertex_m, rtol=FILE_PRECISION)
+    np.testing.assert_array_equal(ply.visual.vertex_colors[:, :3], mesh.picture.reshape(-1, 3))
+    glb = trimesh.load(tmp_path / "a.glb", force="mesh", process=False)
+    np.testing.assert_allclose(glb.vertices, mesh.vertex_m * [1, -1, -1], rtol=FILE_PRECISION)
+    np.testing.assert_array_equal(np.asarray(glb.visual.material.baseColorTexture.convert("RGB")), mesh.picture)
+    np.testing.assert_allclose(glb.visual.uv, mesh.uv, atol=FILE_PRECISION)
+
+
+def test_the_cameras_matrix_fits(da_mobile):
+    """A pixel at the frame's edge lies where the field of view ends: x = z w p / (2 s)."""
+    small = cameras.cropped(da_mobile, 64, 48)
+    mesh = surface.surface(picture(), np.full((48, 64), 0.3), cameras.intrinsic_matrix(small))
+    pitch_m = small.sensor.pixel_pitch_um * 1e-6
+    assert np.ptp(mesh.vertex_m[:, 0]) == pytest.approx(0.3 * 63 * pitch_m / cameras.image_distance_m(small))
+
+
+@pytest.mark.parametrize(("arguments", "said"), [({"stride_px": 0}, "stride of 0"), ({"jump_share": 0.0}, "jump of 0")])
+def test_what_cannot_be_is_refused(arguments, said):
+    with pytest.raises(InputError, match=said):
+        surface.surface(picture(), np.full((48, 64), 0.3), K, **arguments)
+
+
+def test_other_files_are_refused(tmp_path):
+    with pytest.raises(InputError, match=r"'.ply' or '.glb'"):
+        surface.save_surface(tmp_path / "a.stl", surface.surface(picture(), np.full((48, 64), 0.3), K))
+    with pytest.raises(InputError, match="nothing to write"):
+        surface.save_surface(tmp_path / "a.ply", surface.surface(picture(), np.full((48, 64), np.nan), K))

@@ -1,0 +1,141 @@
+"""Datasets for the tests: a wall under a lamp, small enough for twenty samples a second, and ways to run them."""
+
+from __future__ import annotations
+
+import os
+import resource
+import signal
+import time
+from collections import deque
+from collections.abc import Generator
+from pathlib import Path
+
+from dasim.base import executors
+from dasim.base.executors import Outcome
+from dasim.dataset import plan, storage
+from dasim.dataset.make import make
+from dasim.dataset.sample import Job, environment
+from dasim.dataset.specification import load_spec
+from dasim.render import backend
+
+WALL = """
+name = "wall"
+focus_cm = 40
+[[lights]]
+kind = "lamp"
+illuminant = "D65"
+lux = 1000
+position_cm = [0, -30, -60]
+target_cm = [0, 0, 40]
+radius_cm = 5
+[[objects]]
+name = "wall"
+shape = "plane"
+size_cm = [60, 60]
+position_cm = [0, 0, 50]
+material = "brick"
+"""
+MESH = """
+[[objects]]
+name = "thing"
+shape = "mesh"
+file = "thing.obj"
+position_cm = [0, 0, 40]
+material = "grey-card"
+"""
+SQUARE = "v -1 -1 0\nv 1 -1 0\nv 1 1 0\nv -1 1 0\nf 1 3 2\nf 1 4 3\n"
+SPEC = """
+name = "tiny"
+samples = {samples}
+size_px = [32, 24]
+spp = 4
+diffraction = "off"
+samples_per_shard = {samples_per_shard}
+format = "{format}"
+{top}
+[scenes]
+family = "files"
+files = {files}
+[exposure]
+auto_level = {{uniform = [0.1, 0.3]}}
+{more}
+"""
+WAIT_S = 60.0
+
+
+def spec_file(folder: Path, *, samples: int = 6, top: str = "", more: str = "", **changes) -> Path:
+    """A specification of a tiny dataset with its scene beside it."""
+    (folder / "wall.toml").write_text(WALL)
+    given = {"samples_per_shard": 2, "format": "webdataset", "files": ["wall.toml"], **changes}
+    path = folder / "spec.toml"
+    path.write_text(SPEC.format(samples=samples, top=top, more=more, **given))
+    return path
+
+
+def job(spec: Path, out: Path | str) -> Job:
+    """What ``dasim dataset make`` hands to its workers, with the dataset begun."""
+    described = load_spec(spec)
+    here = environment(backend.choose().variant)
+    plan.begin(str(out), plan.description(described, here))
+    return Job(described, str(out), here)
+
+
+def inline(job: Job, queue: deque[int]) -> Generator[Outcome]:
+    """An executor in this process, where nothing has to be started."""
+    while queue:
+        yield executors.work(job, queue.popleft())
+
+
+def backwards(job: Job, queue: deque[int]) -> Generator[Outcome]:
+    """The same in another order."""
+    while queue:
+        yield executors.work(job, queue.pop())
+
+
+def made(spec: Path, out: Path | str, executor=inline, **options):
+    """Make a dataset, or go on with it; the last progress."""
+    return make(job(spec, out), executor, log=log_file(out), **options)
+
+
+def log_file(out: Path | str) -> Path | None:
+    return storage.local_path(str(out)) / "make.log" if storage.is_local(str(out)) else None
+
+
+def sums(out: Path | str) -> dict[str, str]:
+    """Checksums by file."""
+    lines = storage.read(str(out), plan.SUMS).decode().splitlines()
+    return {name: digest for digest, _, name in (line.partition("  ") for line in lines)}
+
+
+def logged(out: Path, start: int = 0) -> list[tuple[int, bool]]:
+    """Index and whether it was made, of each line of the log from one on."""
+    lines = (out / "make.log").read_text().splitlines()[start:]
+    return [(int(line.split()[1]), "failed" not in line) for line in lines]
+
+
+def spread(job: Job, index: int) -> Outcome:
+    """Work on two nodes of a cluster that tells which ones begin, waits for both, and is killed once at sample 3."""
+    import ray
+
+    folder = Path(job.out).parent / "nodes"
+    (folder / ray.get_runtime_context().get_node_id()).touch()
+    begin = time.monotonic()
+    while len(list(folder.iterdir())) < 2 and time.monotonic() - begin < WAIT_S:
+        time.sleep(0.05)
+    marker = folder.parent / "killed"
+    if index == 3 and not marker.exists():
+        marker.touch()
+        os.kill(os.getpid(), signal.SIGKILL)
+    return executors.work(job, index)
+
+
+def deadly(job: Job, index: int) -> Outcome:
+    """Work that a crashing renderer ends: always of sample 23, once of sample 22."""
+    marker = Path(job.out) / ".once"
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    if index == 22 and not marker.exists():
+        marker.touch()
+        os.abort()
+    if index == 23:
+        os.kill(os.getpid(), signal.SIGKILL)
+    return executors.work(job, index)

@@ -1,0 +1,139 @@
+"""Captures of layered scenes for the reconstruction's tests, made from photographs without a renderer.
+
+Each stop's own texture (visible light through the open lens, near-infrared through the hole) is blurred
+with that stop's wave-optics kernel of each level, so crosstalk, colour and blur go together as in a camera.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+import skimage.data
+from scipy import fft, ndimage
+
+import recon
+from dasim.camera import noise as sensor
+from dasim.camera import pointspread, specification
+from dasim.simulation import calibration
+from dasim.spectra import illuminants
+from dasim.values import Capture, PsfBank
+
+MARGIN_PX = 48
+GAMMA = 2.2
+
+
+@dataclass(frozen=True)
+class Scene:
+    capture: Capture
+    level: np.ndarray  # [h, w]
+    mean_e: np.ndarray  # [h, w, 4]
+    sharp_e: np.ndarray  # [h, w, 4]
+
+
+@cache
+def da_mobile(width: int, height: int) -> specification.Camera:
+    return specification.cropped(specification.load_camera("da-mobile"), width, height)
+
+
+@cache
+def bank(lights: tuple[str, ...] = ("D65", "A")) -> PsfBank:
+    cam = da_mobile(512, 384)
+    return recon.calibrate(calibration.calibration_captures(cam, lights), cam)
+
+
+@cache
+def stop_kernels(light: str, step: float = 0.5) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Levels, kernels [stop, level, channel, y, x] and electrons [stop, channel] relative to all green."""
+    cam = da_mobile(512, 384)
+    per_level = specification.level_blur_px(cam)[1]
+    levels = np.arange(0, 28 + step / 2, step)
+    kernels, signals = [], []
+    radius = np.arange(0, 60, pointspread.RADIAL_STEP_PX)
+    for stop in cam.stops:
+        one = cam.model_copy(update={"stops": (stop,)})
+        profile, signal = pointspread.radial_profiles(one, levels * per_level, illuminants.illuminant(light), radius)
+        kernels.append(pointspread.pixel_kernels(profile, radius, 75).astype(np.float32))
+        signals.append(signal)
+    signals = np.array(signals)
+    kernels = np.array(kernels)
+    return levels, kernels / kernels.sum((-1, -2), keepdims=True), signals / signals[:, 1].sum()
+
+
+def _photo(name: str, height: int, width: int, zoom: float) -> np.ndarray:
+    image = getattr(skimage.data, name)().astype(np.float32) / 255
+    image = np.repeat(image[..., None], 3, -1) if image.ndim == 2 else image[..., :3]
+    image = ndimage.zoom(image, (zoom, zoom, 1), order=1) if zoom != 1 else image
+    up = -(-height // image.shape[0]), -(-width // image.shape[1])
+    mirrored = np.pad(
+        image, ((0, (up[0] - 1) * image.shape[0]), (0, (up[1] - 1) * image.shape[1]), (0, 0)), "symmetric"
+    )
+    return mirrored[:height, :width] ** GAMMA
+
+
+def textures(height: int, width: int, photo: str = "astronaut", zoom: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
+    """Reflectance-like visible [h, w, 4] and near-infrared [h, w] textures that correlate but differ."""
+    colour = _photo(photo, height, width, zoom)
+    other = _photo("gravel", height, width, 1.0)[..., 0]
+    visible = np.concatenate([colour, colour[..., :1]], axis=-1)
+    infrared = 0.12 + 0.55 * colour[..., 0] + 0.2 * colour[..., 1] + 0.08 * other
+    return visible, infrared
+
+
+def blurred(visible: np.ndarray, infrared: np.ndarray, level: np.ndarray, light: str) -> np.ndarray:
+    """Mean electrons relative to white green, [h, w, 4]; inputs have a margin, the result has none."""
+    levels, kernels, signal = stop_kernels(light)
+    shape = visible.shape[:2]
+    size = [fft.next_fast_len(n + 75, real=True) for n in shape]
+    position = level / (levels[1] - levels[0])
+    low = np.clip(np.floor(position).astype(int), 0, len(levels) - 2)
+    share = position - low
+    result = np.zeros((*level.shape, 4), np.float32)
+    for channel in range(4):
+        sources = [fft.rfft2(t, size, workers=2) for t in (visible[..., channel], infrared)]
+        for index in range(len(levels)):
+            weight = np.where(low == index, 1 - share, np.where(low + 1 == index, share, 0))
+            if not weight.any():
+                continue
+            spectrum = sum(
+                signal[stop, channel] * sources[stop] * fft.rfft2(kernels[stop, index, channel], size, workers=2)
+                for stop in range(2)
+            )
+            full = fft.irfft2(spectrum, size, workers=2)[37 : 37 + shape[0], 37 : 37 + shape[1]]
+            result[..., channel] += weight * full[MARGIN_PX:-MARGIN_PX, MARGIN_PX:-MARGIN_PX]
+    return result
+
+
+def make(
+    level: np.ndarray,
+    *,
+    photo: str = "astronaut",
+    zoom: float = 1.0,
+    light: str = "D65",
+    white_e: float = 4000.0,
+    noise: str = "on",
+    seed: int = 1,
+) -> Scene:
+    """A capture of a photograph with the blur level of each pixel given, [h, w]."""
+    height, width = level.shape
+    cam = da_mobile(width, height)
+    visible, infrared = textures(height + 2 * MARGIN_PX, width + 2 * MARGIN_PX, photo, zoom)
+    _, _, signal = stop_kernels(light)
+    mean_e = white_e * blurred(visible, infrared, level, light)
+    inner = slice(MARGIN_PX, -MARGIN_PX)
+    sharp = signal[0] * visible[inner, inner] + signal[1] * infrared[inner, inner, None]
+    raw, _ = sensor.expose(sensor.mosaic(mean_e, cam), cam.sensor, 0.02, seed, noise=noise)
+    capture = Capture(raw, cam, 0.02, 1.0, seed)
+    return Scene(capture, level, mean_e.astype(np.float32), (white_e * sharp).astype(np.float32))
+
+
+def staircase(height: int, width: int, first: float, last: float, bands: int) -> np.ndarray:
+    """Levels in horizontal bands from ``first`` to ``last``."""
+    steps = np.linspace(first, last, bands)
+    return np.repeat(steps[np.minimum(np.arange(height) * bands // height, bands - 1)][:, None], width, 1)
+
+
+def slanted(height: int, width: int, first: float, last: float) -> np.ndarray:
+    """Levels rising linearly from left to right."""
+    return np.repeat(np.linspace(first, last, width)[None], height, 0)

@@ -1,0 +1,38 @@
+"""Ground truth of frontal surfaces of known blur levels, for tests of scores."""
+
+import numpy as np
+
+from dasim.camera import specification as cameras
+from dasim.values import Reconstruction, Truth
+
+
+def truth(camera, level, image, boundary=False) -> Truth:
+    """Surfaces at ``level`` [h, w], their picture ``image`` [h, w, 4] electrons through lens and pinhole alike."""
+    level = np.array(level, np.float32)
+    image = np.array(image, np.float32)
+    blur = level * cameras.level_blur_px(camera)[1]
+    return Truth(
+        depth_m=cameras.depth_of_blur_m(camera, blur).astype(np.float32),
+        valid=np.ones(level.shape, bool),
+        normal=np.broadcast_to(np.float32([0, 0, -1]), (*level.shape, 3)),
+        object_id=np.ones(level.shape, np.uint32),
+        material_id=np.ones(level.shape, np.uint32),
+        blur_px=blur.astype(np.float32),
+        level=level,
+        boundary=np.broadcast_to(boundary, level.shape).copy(),
+        channels=("R", "G", "B", "IR"),
+        mean_e=image,
+        sharp_e=image,
+        sharp_srgb=image[..., :3] / image.max(),
+    )
+
+
+def told(truth: Truth, camera) -> Reconstruction:
+    """A reconstruction that tells the truth's depths, and of whose pictures nothing matters."""
+    shape = truth.level.shape
+    colours, ones = np.ones((*shape, 3), np.float32), np.ones(shape, np.float32)
+    return Reconstruction(
+        rgb=colours, sharp_rgb=colours, linear_e=colours, sharp_e=colours, ir_e=ones, level_raw=truth.level,
+        level=truth.level, depth_m=truth.depth_m, confidence=ones, camera=camera, light="D55",
+        settings={}, timings_s={},
+    )  # fmt: skip

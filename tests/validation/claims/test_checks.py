@@ -1,0 +1,297 @@
+"""Checks on the checks: each claim's gate fails where the thing that it is for is broken, and holds where it is not."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from dasim.camera import stops as aperture
+from validation.claims.cost import datasets, scenes
+from validation.claims.depth import ground_truth
+from validation.claims.light import electrons as light
+from validation.claims.light import noise
+from validation.claims.optics import bank, camera, diffraction
+from validation.claims.optics import blur as lens
+from validation.claims.pictures import colour
+from validation.claims.table import CLAIMS
+from validation.gates.claim import GATES, Claim, gate_of, judged_all, load_gates, within
+from validation.subjects import rendering
+
+
+def entries(name: str, run_claim) -> list[Claim]:
+    return judged_all(name, run_claim(lambda share: None).figures, load_gates(GATES, CLAIMS))
+
+
+def verdicts(name: str, run_claim) -> list[bool]:
+    return [entry.passed for entry in entries(name, run_claim) if entry.passed is not None]
+
+
+@pytest.mark.parametrize("factor", [1.0, 1.05])
+def test_blur_off_by_5_percent_fails(renderer, monkeypatch, factor):
+    """Set-up: two blurs, one lens, fewer samples; a lens whose diameter is 5 % too large, or is not."""
+    from dasim.camera import specification as cameras
+
+    true = cameras.aperture_m
+    monkeypatch.setattr(cameras, "aperture_m", lambda camera: factor * true(camera))
+    monkeypatch.setattr(lens, "LENSES_MM", (3.6,))
+    monkeypatch.setattr(lens, "BLUR_OFF_PX", (-5.0, 10.0))
+    monkeypatch.setattr(lens, "BLUR_OFF_SPP", 1024 if renderer != "scalar_spectral" else 256)
+    found = verdicts("blur-off", lens.blur_off)
+    assert len(found) == 4
+    assert found == [True] * 4 if factor == 1 else not any(found)
+
+
+@pytest.mark.parametrize("model", ["wave", "off"])
+def test_edges_of_geometry_fail_the_wave_claim(jit, monkeypatch, model):
+    """Set-up: one blur, 8 px of the near-infrared's own, fewer samples; rays of wave optics, or of geometry.
+
+    Expectation: infrared is told apart: geometry is off by 0.2 there. Up to 0.2 cycles a pixel, where noise is low.
+    """
+    true = rendering.stop_pictures
+
+    def pictures(*arguments, diffraction, **options):
+        return true(*arguments, diffraction=model, **options)
+
+    monkeypatch.setattr(rendering, "stop_pictures", pictures)
+    monkeypatch.setattr(diffraction, "SFR_BLUR_PX", (17.4, 17.4))
+    monkeypatch.setattr(diffraction, "SFR_CYCLES_PX", np.linspace(0.05, 0.2, 7))
+    monkeypatch.setattr(diffraction, "EDGE_SPP", 256)
+    monkeypatch.setattr(diffraction, "EDGE_SEEDS", 2)
+    found = verdicts("wave-sfr", diffraction.wave_sfr)
+    assert found[3] is (model == "wave")
+
+
+@pytest.mark.parametrize(("ratio", "good"), [(0.46, True), (0.462, False)])
+def test_a_hole_too_large_fails(renderer, monkeypatch, da_mobile, ratio, good):
+    """Set-up: da-mobile, and with a hole 0.4 % too wide, so 0.9 % too large."""
+    from dasim.camera import specification as cameras
+
+    visible, hole = da_mobile.stops
+    camera = da_mobile.model_copy(update={"stops": (visible, hole.model_copy(update={"radius_ratio": ratio}))})
+    monkeypatch.setattr(cameras, "load_camera", lambda name: camera)
+    assert verdicts("hole-alpha-squared", light.hole_alpha_squared) == [good] * 4
+
+
+@pytest.mark.parametrize("good", [True, False])
+def test_a_lens_without_natural_vignetting_fails_in_the_corner(renderer, monkeypatch, good):
+    from dasim.camera import specification as cameras
+
+    if not good:
+        monkeypatch.setattr(cameras, "relative_illumination", lambda camera: np.ones((36, 48)))
+    assert verdicts("radiometry", light.absolute_electrons) == [True] * 4 + [good] * 4
+
+
+def test_a_stop_of_another_size_changes_the_light_loss(jit, monkeypatch):
+    """Set-up: Chakrabarti and Zickler's stop of 0.6 instead of 0.59 loses 0.6 percentage points less."""
+    from dasim.camera import specification as cameras
+
+    true = cameras.load_camera
+
+    def wrong(name):
+        camera = true(name)
+        stops = [
+            stop.model_copy(update={"radius_ratio": 0.6 if stop.name == "green" else 1.0}) for stop in camera.stops
+        ]
+        return camera.model_copy(update={"stops": tuple(stops)})
+
+    monkeypatch.setattr(light, "REDUCTIONS", {"chakrabarti-zickler": ("chakrabarti-zickler", [(2, 0.59)])})
+    monkeypatch.setattr(light, "LOSS_LIGHTS", ("D65",))
+    for load, good in ((true, True), (wrong, False)):
+        monkeypatch.setattr(cameras, "load_camera", load)
+        found = light.light_loss(lambda share: None).figures[0]
+        gate = gate_of(f"light-loss.{found.id}", load_gates(GATES, CLAIMS))
+        assert within(found.value, gate.limit) is good
+
+
+def test_limits_of_light_loss_lie_around_eq_1():
+    """Expectation: half a percentage point either way, to the limits' rounding."""
+    gates = load_gates(GATES, CLAIMS)
+    for name, (_, reductions) in light.REDUCTIONS.items():
+        low, high = map(float, gate_of(f"light-loss.{name}", gates).limit.split(".."))
+        expected = aperture.light_loss(reductions, 4)
+        assert low == pytest.approx(expected - 0.005, abs=1e-4) and high == pytest.approx(expected + 0.005, abs=1e-4)
+
+
+def test_crosstalk_of_other_curves_fails(renderer, monkeypatch):
+    """Set-up: coefficients of curves whose green passes 2 % more of the near-infrared than the rendered ones."""
+    from dasim.camera import describe
+
+    true = describe.crosstalk
+    monkeypatch.setattr(describe, "crosstalk", lambda camera: true(camera) * (1.0, 1.02, 1.0))
+    monkeypatch.setattr(light, "REAL_LIGHTS", ())
+    assert verdicts("eq8-flat-field", light.eq8_flat_field) == [True, False, True]
+
+
+def test_moments_of_a_known_picture():
+    """Expectation: two lines of 3 and 1 at distance 4 have a second moment of 16 * 3/4 * 1/4 = 3 along one axis."""
+    picture = np.zeros((9, 9, 4))
+    picture[4, 2], picture[4, 6] = 3.0, 1.0
+    np.testing.assert_allclose(lens.second_moments(picture), [[0.0, 3.0]] * 4, atol=1e-12)
+
+
+@pytest.fixture(scope="module")
+def checker_under_a(renderer):
+    return colour.checker("da-mobile", "A")
+
+
+@pytest.mark.parametrize("broken", [None, "white balance", "gamma"])
+def test_colours_that_are_wrong_fail(checker_under_a, monkeypatch, broken):
+    """Set-up: the ColorChecker under A as da-mobile has it; white balance that always finds daylight, or the display's
+    curve applied twice.
+    """
+    from recon.picture import colour as recon_colour
+
+    monkeypatch.setattr(colour, "CHECKER_LIGHTS", ("A",))
+    monkeypatch.setattr(colour, "CHECKER_CAMERAS", ("da-mobile",))
+    monkeypatch.setattr(colour, "checker", lambda *arguments: checker_under_a)
+    if broken == "white balance":
+        monkeypatch.setattr(recon_colour, "choose_light", lambda planes, saturated, signature: 0)
+    if broken == "gamma":
+        true = colour.to_srgb
+        monkeypatch.setattr(colour, "to_srgb", lambda e, matrix, scale: true(true(e, matrix, scale), np.eye(3), 1.0))
+    figure = next(f for f in colour.colour(lambda share: None).figures if f.id == "A")
+    gate = gate_of("colour.A", load_gates(GATES, CLAIMS))
+    assert within(figure.value, gate.limit) is (broken is None)
+
+
+@pytest.mark.parametrize("factor", [1.0, 2**0.5])
+def test_noise_doubled_fails(monkeypatch, factor):
+    """Set-up: electrons that come in pairs, so that photons' variance is twice their number; or do not."""
+    from dasim.camera import noise as sensor
+
+    true = sensor._generator
+
+    class Paired:
+        def __init__(self, generator):
+            self.generator = generator
+
+        def poisson(self, mean):
+            return factor**2 * self.generator.poisson(np.asarray(mean) / factor**2)
+
+        def __getattr__(self, name):
+            return getattr(self.generator, name)
+
+    monkeypatch.setattr(sensor, "_generator", lambda *key: Paired(true(*key)))
+    monkeypatch.setattr(noise, "GAINS", (1.0,))
+    monkeypatch.setattr(noise, "SIZE_PX", (256, 256))
+    slope, _, ratio, _ = verdicts("photon-transfer", noise.photon_transfer)
+    assert (slope, ratio) == ((True, True) if factor == 1 else (False, False))
+
+
+@pytest.mark.parametrize("good", [True, False])
+def test_depth_as_range_fails(renderer, monkeypatch, good):
+    """Set-up: the truth's depth times the length of the ray with z = 1: range, for z."""
+    import dasim
+
+    true = dasim.simulate
+
+    def ranged(*arguments, **options):
+        from dataclasses import replace
+
+        shot = true(*arguments, **options)
+        depth = shot.truth.depth_m
+        away = [np.arange(n) + 0.5 - n / 2 for n in depth.shape]
+        image_px = 1e-3 / (1 / 3.6 - 1 / (1e3 * ground_truth.FOCUS_M)) / (ground_truth.PITCH_UM * 1e-6)
+        length = np.sqrt(1 + (away[0][:, None] ** 2 + away[1][None] ** 2) / image_px**2)
+        return shot if good else replace(shot, truth=replace(shot.truth, depth_m=depth * length))
+
+    monkeypatch.setattr(dasim, "simulate", ranged)
+    depth, *others = verdicts("ground-truth", ground_truth.ground_truth)
+    assert depth is good and all(others)
+
+
+@pytest.mark.parametrize("flip", [False, True])
+def test_a_mirrored_truth_fails(renderer, monkeypatch, flip):
+    import dasim
+
+    true = dasim.simulate
+
+    def mirrored(*arguments, **options):
+        from dataclasses import fields, replace
+
+        shot = true(*arguments, **options)
+        arrays = {f.name: getattr(shot.truth, f.name) for f in fields(shot.truth)}
+        turned = {key: a[:, ::-1] for key, a in arrays.items() if isinstance(a, np.ndarray) and a.ndim > 1}
+        return replace(shot, truth=replace(shot.truth, **turned)) if flip else shot
+
+    monkeypatch.setattr(dasim, "simulate", mirrored)
+    assert all(verdicts("ground-truth", ground_truth.ground_truth)) is not flip
+
+
+@pytest.mark.parametrize("shift_px", [0.0, 0.5])
+def test_infrared_half_a_pixel_off_fails(renderer, monkeypatch, shift_px):
+    """Set-up: the light that comes through the hole alone moved along x, as a film of its own could be."""
+    from scipy import ndimage
+
+    from dasim.render import passes
+
+    true = passes.stop_pass
+
+    def moved(loaded, camera_, stop, *arguments, **options):
+        picture = true(loaded, camera_, stop, *arguments, **options)
+        if stop.name != camera_.stops[-1].name or shift_px == 0:
+            return picture
+        return ndimage.shift(picture, (0, shift_px, 0), order=1, mode="nearest")
+
+    monkeypatch.setattr(passes, "stop_pass", moved)
+    monkeypatch.setattr(scenes, "GRID_BLURS_PX", (0.0,))
+    found = {
+        entry.id.removeprefix("registration.blur-0."): entry.passed
+        for entry in entries("registration", scenes.registration)
+    }
+    assert found["mean_e.G"] and found["sharp_e.G"]
+    assert found["mean_e.IR"] is (shift_px == 0)
+
+
+@pytest.mark.parametrize("good", [True, False])
+def test_near_infrared_removed_from_red_fails(monkeypatch, good):
+    """Set-up: a sensor whose red pixel is blind beyond 650 nm, as under a common camera's filter."""
+    from dasim.camera import specification as cameras
+    from dasim.spectra import grid
+
+    true = cameras.quantum_efficiency
+    seen = np.ones((4, len(grid.WAVELENGTH_NM)))
+    seen[0, grid.WAVELENGTH_NM > 650] = 1 if good else 0.01
+    monkeypatch.setattr(cameras, "quantum_efficiency", lambda body: true(body) * seen)
+    found = [entry for entry in entries("response-curves", camera.response_curves) if entry.id.endswith("alpha.R")]
+    assert [entry.passed for entry in found] == [good]
+
+
+@pytest.mark.parametrize("levels", [0, 1])
+def test_the_kernel_of_the_next_level_fails(monkeypatch, levels):
+    """Set-up: a bank whose kernels are those of the level asked for, or of the next."""
+    from dataclasses import replace
+
+    true = bank.simulated_bank
+
+    def shifted(camera_, progress):
+        found = true(camera_, lights=("D65",))
+        count = found.kernel.shape[1]
+        return replace(found, kernel=found.kernel[:, np.minimum(np.arange(count) + levels, count - 1)])
+
+    monkeypatch.setattr(bank, "simulated_bank", shifted)
+    monkeypatch.setattr(bank, "LEVELS", (1, 8))
+    found = verdicts("bank", bank.bank)
+    assert all(found) if levels == 0 else not any(found)
+
+
+def test_dataset_claim_fails_what_is_slow_large_or_leaks():
+    """Each figure from made-up runs: at its limit it holds, and a tenth beyond it fails."""
+    row = {"seconds": 24.0, "cpu_s": 24.0, "render_s": 20.5, "peak_mb": 1500.0}
+
+    def run(**changes):
+        return [row | changes] * 2
+
+    def failing(tiny=(1000.0,) * 8, **runs) -> set[str]:
+        ran = {"auto": run(), "two": run(), "one": run(seconds=20.5), "ray": run(seconds=26.6)} | runs
+        found = datasets.figures(ran, [row | {"peak_mb": peak} for peak in tiny])
+        judged = judged_all("dataset-speed", found, load_gates(GATES, CLAIMS))
+        return {entry.id.removeprefix("dataset-speed.") for entry in judged if entry.passed is False}
+
+    assert failing() == set()
+    assert failing(auto=run(seconds=26.0, render_s=25.0)) == {"rate-auto"}
+    assert failing(auto=run(render_s=18.0)) == {"outside-auto"}
+    assert failing(one=run(seconds=18.0)) == {"two-over-one"}
+    assert failing(ray=run(seconds=29.0)) == {"ray-over-local"}
+    assert failing(one=run(seconds=20.5, peak_mb=1650.0)) == {"memory"}
+    assert failing(tiny=[1000.0] * 4 + [1010.0, 1030.0, 1060.0, 1100.0]) == {"growth"}

@@ -1,0 +1,552 @@
+"""Scores, cached banks, the report and results.json: against answers worked out by hand."""
+
+from __future__ import annotations
+
+import base64
+import json
+import math
+import re
+from dataclasses import replace
+from html.parser import HTMLParser
+
+import cv2
+import numpy as np
+import pytest
+
+import recon
+from dasim.base.errors import InputError
+from dasim.base.toml import parse
+from dasim.camera import specification as cameras
+from dasim.scene.specification import Scene
+from dasim.simulation.simulate import simulate
+from dasim.spectra import grid
+from dasim.values import Capture, Reconstruction, Truth
+from recon.calibration import cached as banks
+from tests.support import browser, surfaces
+from validation import demo
+from validation.gates.claim import Claim, write_results
+from validation.reports import page as report
+from validation.scores.depth import balanced_error
+from validation.scores.figures import Figure
+from validation.scores.pictures import blur_effect, infrared_free, psnr
+from validation.scores.score import depth_of_level, score
+
+SIZE = (8, 12)
+CHECKER = (np.indices(SIZE).sum(axis=0) % 2).astype(np.float32)
+ROUNDING = 1e-5  # single precision, a few operations
+INTERPOLATED = 0.15  # levels, between samples of a relation that is a hyperbola, over 2.3 levels
+TEXTURE_E = 1000.0
+
+
+@pytest.fixture(scope="module")
+def camera(da_mobile):
+    return cameras.refocused(da_mobile, 0.4)
+
+
+def truth(camera, level, **changes) -> Truth:
+    """Ground truth of a fronto-parallel patch of given levels, its picture a checkerboard of 0 and 1000 electrons."""
+    image = np.repeat((CHECKER * TEXTURE_E)[..., None], 4, axis=-1)
+    image[..., 3] = 0
+    made = surfaces.truth(camera, np.broadcast_to(level, SIZE), image)
+    return replace(made, **changes)
+
+
+def reconstruction(camera, exact: Truth, **changes) -> Reconstruction:
+    """A reconstruction that is right in everything."""
+    colours = exact.sharp_e[..., :3]
+    made = Reconstruction(
+        rgb=colours / TEXTURE_E,
+        sharp_rgb=colours / TEXTURE_E,
+        linear_e=colours,
+        sharp_e=colours,
+        ir_e=exact.sharp_e[..., 3],
+        level_raw=exact.level,
+        level=exact.level,
+        depth_m=exact.depth_m,
+        confidence=np.ones(SIZE, np.float32),
+        camera=camera,
+        light="D55",
+        settings={},
+        timings_s={},
+    )
+    return replace(made, **changes)
+
+
+def scored(result: Reconstruction, exact: Truth) -> list[Figure]:
+    size = cameras.cropped(result.camera, SIZE[1], SIZE[0])
+    capture = Capture(np.full(SIZE, 200, np.uint16), size, 0.01, 1.0, 0)
+    return score(result, capture, exact)
+
+
+def figures(result: Reconstruction, exact: Truth) -> dict[str, float]:
+    return {figure.id: figure.value for figure in scored(result, exact)}
+
+
+# --- scores of a reconstruction ------------------------------------------------------------------
+
+
+def test_perfect_reconstruction_has_no_error(camera):
+    exact = truth(camera, np.linspace(2, 8, SIZE[1]))
+    found = figures(reconstruction(camera, exact), exact)
+    assert found["raw.all.coverage"] == 1 and found["raw.far-side.share"] == 0
+    for name in ("raw", "regularised"):
+        for key in ("level-median", "level-bias", "level-bad-2", "level-ratio", "rmse-dioptre", "abs-rel"):
+            assert found[f"{name}.all.{key}"] == pytest.approx(0, abs=ROUNDING), key
+    assert found["all-in-focus.blurred.psnr"] == math.inf
+    assert found["all-in-focus.blurred.ciede2000"] == 0
+
+
+def test_constant_offset_is_bias_and_median(camera):
+    """Expectation: raw levels 3 too high give median and bias 3 and all pixels off by over 2; 3 too low, bias -3.
+
+    The regularised map is right: it is not what is judged.
+    """
+    exact = truth(camera, np.linspace(5, 15, SIZE[1]))
+    whole = truth(camera, np.linspace(0, 25, SIZE[1]))
+    for offset in (3.0, -3.0):
+        raw = exact.level + np.float32(offset)
+        result = reconstruction(camera, exact, level_raw=raw, level=whole.level, depth_m=whole.depth_m)
+        result = replace(result, level=np.sort(whole.level, axis=1), depth_m=-np.sort(-whole.depth_m, axis=1))
+        found = figures(result, exact)
+        assert found["raw.all.level-median"] == pytest.approx(3.0, abs=INTERPOLATED)
+        assert found["raw.all.level-bias"] == pytest.approx(offset, abs=INTERPOLATED)
+        assert found["raw.all.level-bad-2"] == 1
+
+
+def test_raw_levels_are_read_by_the_relation_of_the_regularised_map(camera):
+    """Expectation: a level between two of the regularised map has a depth between theirs; NaN stays NaN."""
+    exact = truth(camera, np.linspace(0, 20, SIZE[1]))
+    result = reconstruction(camera, exact)
+    order = np.sort(exact.level[0])
+    found = depth_of_level(np.array([(order[3] + order[4]) / 2, order[7], np.nan]), result)
+    depths = -np.sort(-exact.depth_m[0])
+    assert found[0] == pytest.approx((depths[3] + depths[4]) / 2)
+    assert found[1] == pytest.approx(depths[7]) and math.isnan(found[2])
+
+
+def test_ratio_is_against_the_best_constant(camera):
+    """A map that is the best constant one has the ratio 1; one with half its error, 1/2."""
+    exact = truth(camera, np.broadcast_to(np.linspace(4, 12, 12), SIZE))
+    middle = truth(camera, 8.0)
+    constant = reconstruction(camera, exact, depth_m=middle.depth_m)
+    found = figures(constant, exact)
+    assert found["regularised.all.level-ratio"] == pytest.approx(1, abs=0.02)  # constants are tried in steps
+    nearer = truth(camera, (exact.level + middle.level) / 2)
+    found = figures(reconstruction(camera, exact, depth_m=nearer.depth_m), exact)
+    assert found["regularised.all.level-ratio"] == pytest.approx(0.5, abs=0.02)
+
+
+@pytest.mark.parametrize("level", [0.0, 5.0, 5.3, 1 / 3])
+@pytest.mark.parametrize("error", [0.0, 1.0])
+def test_ratio_of_a_flat_scene_is_never_a_huge_number(camera, level, error):
+    """Rationale: the best constant map of a flat scene is perfect, so nothing can be half as bad.
+
+    Expectation: the ratio says so (NaN or, without error, 0), and is no rounding error's reciprocal.
+    """
+    exact = truth(camera, np.float32(level) + np.float32(1e-6) * CHECKER)
+    wrong = truth(camera, np.float32(level + error))
+    ratio = figures(reconstruction(camera, exact, depth_m=wrong.depth_m), exact)["regularised.all.level-ratio"]
+    assert not math.isfinite(ratio) or ratio <= 1.0, ratio
+
+
+def test_pixels_without_estimate_are_not_judged(camera):
+    """Expectation: NaN in the raw map is left out of its figures, not counted as an error; it lowers the coverage."""
+    exact = truth(camera, np.linspace(5, 15, SIZE[1]))
+    raw = exact.level.copy()
+    raw[:, :3] = np.nan
+    found = figures(reconstruction(camera, exact, level_raw=raw), exact)
+    assert found["raw.all.coverage"] == pytest.approx(9 / 12)
+    assert found["raw.all.level-median"] == pytest.approx(0, abs=ROUNDING)
+
+
+def test_capture_without_any_estimate(camera):
+    exact = truth(camera, np.linspace(5, 15, SIZE[1]))
+    found = figures(reconstruction(camera, exact, level_raw=np.full(SIZE, np.nan, np.float32)), exact)
+    assert found["raw.all.coverage"] == 0
+    assert math.isnan(found["raw.all.level-median"])
+    assert found["regularised.all.level-median"] == pytest.approx(0, abs=ROUNDING)
+
+
+def test_pixels_where_nothing_is_hit_do_not_count(camera):
+    exact = truth(camera, np.linspace(5, 15, SIZE[1]))
+    holes = np.zeros(SIZE, bool)
+    holes[0] = True
+    depth, level = np.where(holes, np.nan, exact.depth_m), np.where(holes, np.nan, exact.level)
+    holed = replace(exact, valid=~holes, depth_m=depth, level=level, blur_px=np.where(holes, np.nan, exact.blur_px))
+    found = figures(reconstruction(camera, exact), holed)
+    assert found["raw.all.level-median"] == pytest.approx(0, abs=ROUNDING) and found["raw.all.coverage"] == 1
+    for key in (
+        "captured.inner.psnr",
+        "captured.inner.ciede2000",
+        "regularised.all.rmse",
+        "regularised.sparsification",
+    ):
+        assert math.isfinite(found[key]) or found[key] == math.inf, key
+
+
+def test_empty_view_is_scored_without_failing(camera):
+    nothing = np.full(SIZE, np.nan, np.float32)
+    empty = replace(truth(camera, 5.0), valid=np.zeros(SIZE, bool), depth_m=nothing, level=nothing, blur_px=nothing)
+    found = figures(reconstruction(camera, truth(camera, 5.0)), empty)
+    assert math.isnan(found["raw.all.level-median"]) and math.isnan(found["captured.inner.ssim"])
+
+
+def test_wrong_side_of_the_focus_is_judged_apart(camera):
+    """Expectation: three of twelve columns lie behind the focal plane; their error is not in the others' figures."""
+    level = np.linspace(5, 15, SIZE[1])
+    level[:3] = -4
+    exact = truth(camera, level)
+    found_level = exact.level.copy()
+    found_level[:, :3] = 4  # what a method that cannot tell the sides finds
+    found = figures(reconstruction(camera, exact, depth_m=truth(camera, found_level).depth_m), exact)
+    assert found["regularised.far-side.share"] == pytest.approx(3 / 12)
+    assert found["regularised.all.level-median"] == pytest.approx(0, abs=ROUNDING)
+    assert found["regularised.all.level-bad-2"] == 0 and found["regularised.far-side.level-bad-2"] == 1
+
+
+@pytest.mark.parametrize(("error_e", "decibel"), [(100.0, 20.0), (10.0, 40.0), (1000.0, 0.0)])
+def test_psnr_by_hand(error_e, decibel):
+    """Expectation: peak 1000, an error of 1000, 100, 10 everywhere: 0, 20, 40 dB; NaN where nothing is asked for."""
+    exact = np.repeat((CHECKER * TEXTURE_E)[..., None], 3, axis=-1).astype(np.float64)
+    everywhere = np.ones(SIZE, bool)
+    assert psnr(exact + error_e, exact, everywhere) == pytest.approx(decibel)
+    assert psnr(exact, exact, everywhere) == math.inf
+    assert math.isnan(psnr(exact, exact, ~everywhere))
+
+
+def test_psnr_looks_only_where_it_is_asked():
+    exact = np.full((*SIZE, 3), 1000.0)
+    image = exact + 100
+    image[0] = 1e6
+    where = np.ones(SIZE, bool)
+    where[0] = False
+    assert psnr(image, exact, where) == pytest.approx(20)
+
+
+def test_sharpness_is_judged_at_3_to_15_pixels_of_blur(camera):
+    """Expectation: an error where the blur is too small or too large, or near a boundary, does not count.
+
+    Levels are (1 - alpha) times the blur; the middle columns have 3 to 15 pixels.
+    """
+    blur = np.array([0, 1, 2.9, 3.1, 5, 7, 9, 11, 14.9, 15.1, 20, 30])
+    edge = np.zeros(SIZE, bool)
+    edge[:, 5] = True
+    exact = truth(camera, blur / cameras.level_blur_px(camera)[1], boundary=edge)
+    unjudged = (blur < 3) | (blur > 15)
+    unjudged[5] = True
+    worse = exact.sharp_e[..., :3] + 100.0 * unjudged[None, :, None].astype(np.float32)
+    found = figures(reconstruction(camera, exact, sharp_e=worse), exact)
+    assert found["all-in-focus.blurred.psnr"] == math.inf
+    better = exact.sharp_e[..., :3] + np.float32(100)
+    found = figures(reconstruction(camera, exact, linear_e=better, sharp_e=better / 2 + worse / 2), exact)
+    assert found["captured.blurred.psnr"] == pytest.approx(20, abs=ROUNDING)
+    assert found["all-in-focus.blurred.psnr-gain"] == pytest.approx(20 * math.log10(2), abs=1e-4)
+
+
+def test_sizes_that_differ_are_refused(camera):
+    exact = truth(camera, 5.0)
+    result = reconstruction(camera, exact)
+    smaller = replace(result, level=result.level[:4], level_raw=result.level_raw[:4])
+    with pytest.raises(InputError, match=r"12 x 4 .*12 x 8"):
+        figures(smaller, exact)
+
+
+def test_blur_effect_tells_a_blurred_picture():
+    """Rationale: its name and range are scikit-image's; the direction, 0 for sharp, is easily taken the other way."""
+    picture = np.repeat(np.random.default_rng(0).random((64, 64, 1)), 3, axis=-1)
+    values = [blur_effect(cv2.GaussianBlur(picture, (0, 0), sigma)) for sigma in (0.5, 1.0, 2.0, 4.0)]
+    assert values == sorted(values) and 0 <= values[0] and values[-1] <= 1
+
+
+def test_infrared_free_undoes_the_crosstalk(camera):
+    """Expectation: near-infrared light of even photon flux leaves nothing in R, G and B; eqs. (7) and (8).
+
+    Signals are photon counts over 650 to 810 nm through the sensor's own curves. Without infrared nothing changes.
+    """
+    band = (grid.WAVELENGTH_NM >= 650) & (grid.WAVELENGTH_NM <= 810)
+    sensor = camera.sensor
+    curves = grid.rgb_ir_quantum_efficiency() * grid.short_pass(sensor.cutoff_nm, sensor.cutoff_width_nm)
+    seen = np.trapezoid(curves[:, band], grid.WAVELENGTH_NM[band], axis=-1)
+    assert (seen[:3] > 0.05 * seen[3]).all(), "the colour pixels see infrared, or this test shows nothing"
+    left = infrared_free(seen[None, None], camera)[0, 0]
+    np.testing.assert_allclose(left, 0, atol=ROUNDING * seen[3])
+    visible = np.array([[[10.0, 20.0, 30.0, 0.0]]])
+    np.testing.assert_array_equal(infrared_free(visible, camera)[0, 0], [10, 20, 30])
+
+
+# --- claims and results.json ---------------------------------------------------------------------
+
+
+def claim_of(name: str, value: float) -> Claim:
+    return next(c for c in demo.claims([Figure(name, value, "1", "a figure")]) if c.id == f"demo.{name}")
+
+
+def test_claims_hold_their_limits():
+    assert claim_of("raw.all.level-median", 2.0).passed is True
+    assert claim_of("raw.all.level-median", 2.01).passed is False
+    assert claim_of("raw.all.level-ratio", 0.5).passed is True
+    assert claim_of("all-in-focus.blurred.psnr-gain", 0.0).passed is False
+    assert claim_of("raw.all.coverage", 0.1).passed is False
+    assert claim_of("raw.all.level-bias", 0.1).passed is None
+    for name in demo.LIMITS:
+        assert claim_of(name, math.nan).passed is False, "what was not measured has not passed"
+
+
+def test_a_limit_without_its_figure_is_not_passed_over(camera):
+    """Expectation: where a figure with a limit could not be measured, a failed claim says so; it is not left out."""
+    exact = truth(camera, np.linspace(5, 15, SIZE[1]))
+    blank = reconstruction(camera, exact, level_raw=np.full(SIZE, np.nan, np.float32))
+    entries = {claim.id: claim for claim in demo.claims(scored(blank, exact))}
+    for name in demo.LIMITS:
+        assert f"demo.{name}" in entries, f"{name} is missing"
+    assert entries["demo.raw.all.level-ratio"].passed is False
+
+
+def test_results_follow_their_schema(tmp_path, camera):
+    """Expectation: the contract's keys, plain JSON (no NaN or Infinity, which other parsers refuse)."""
+    exact = truth(camera, 5.0)
+    entries = demo.claims(scored(reconstruction(camera, exact), exact))
+    assert any(math.isinf(claim.value) for claim in entries) and any(math.isnan(claim.value) for claim in entries)
+    write_results(tmp_path / "results.json", entries, {"render": 1.234})
+
+    def refuse(constant: str) -> None:
+        raise AssertionError(f"{constant} is no JSON")
+
+    content = json.loads((tmp_path / "results.json").read_text(), parse_constant=refuse)
+    assert content["schema"] == 1
+    assert len({claim["id"] for claim in content["claims"]}) == len(content["claims"]) == len(entries)
+    for claim in content["claims"]:
+        assert set(claim) == {"id", "value", "limit", "unit", "passed", "source", "spread"}
+        assert isinstance(claim["id"], str) and isinstance(claim["unit"], str) and isinstance(claim["source"], str)
+        assert claim["value"] is None or isinstance(claim["value"], float)
+        assert (claim["limit"] is None) == (claim["passed"] is None)
+    assert content["timings_s"] == {"render": 1.23}
+    assert {"dasim", "mitsuba", "numpy"} <= set(content["software"])
+
+
+# --- banks ---------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def cache(tmp_path, monkeypatch):
+    monkeypatch.setenv("DASIM_CACHE_DIR", str(tmp_path / "cache"))
+    return tmp_path / "cache"
+
+
+@pytest.fixture(scope="module")
+def bank(camera):
+    return banks.measured_bank(camera, lights=("D55",), diffraction="off")
+
+
+@pytest.fixture
+def measured(bank, monkeypatch):
+    """Count the banks that are measured; the measurement itself is done once for all tests."""
+    calls = []
+
+    def measure(camera, **options):
+        calls.append(camera)
+        return replace(bank, camera=camera)
+
+    monkeypatch.setattr(banks, "measured_bank", measure)
+    return calls
+
+
+def test_measured_bank_is_of_the_camera(bank, camera):
+    assert bank.lights == ("D55",) and bank.camera == camera and bank.diffraction == "off"
+    assert bank.kernel.shape[:3] == (1, cameras.BLUR_LEVELS, 4)
+    np.testing.assert_allclose(bank.kernel.sum(axis=(-1, -2)), 1, atol=ROUNDING)
+    np.testing.assert_allclose(bank.blur_px, cameras.level_blur_px(camera), rtol=1e-6)
+
+
+def test_cached_bank_is_the_same_without_photographing_again(cache, camera, bank, measured):
+    options = {"lights": ("D55",), "diffraction": "off"}
+    first = banks.simulated_bank(camera, **options)
+    assert len(measured) == 1
+
+    second = banks.simulated_bank(camera, **options)
+    assert len(measured) == 1
+    for name in ("kernel", "signature", "depth_m", "blur_px"):
+        np.testing.assert_array_equal(getattr(first, name), getattr(second, name))
+    assert (second.lights, second.camera, second.diffraction) == (bank.lights, camera, "off")
+
+
+@pytest.mark.parametrize("content", [b"", b"rubbish", None])
+def test_damaged_cached_bank_is_made_anew(cache, camera, measured, content):
+    banks.simulated_bank(camera, lights=("D55",), diffraction="off")
+    (file,) = (cache / "banks").iterdir()
+    file.write_bytes(file.read_bytes()[:5000] if content is None else content)
+    made = banks.simulated_bank(camera, lights=("D55",), diffraction="off")
+    assert len(measured) == 2 and made.kernel.shape[1] == cameras.BLUR_LEVELS
+    banks.simulated_bank(camera, lights=("D55",), diffraction="off")
+    assert len(measured) == 2, "the new one is kept"
+
+
+def test_cached_file_that_is_a_bank_of_something_else_is_made_anew(cache, camera, measured):
+    """Rationale: the cache is the user's folder, anything may stand there; its metadata alone may be damaged."""
+    banks.simulated_bank(camera, lights=("D55",), diffraction="off")
+    (file,) = (cache / "banks").iterdir()
+    with np.load(file) as data:
+        arrays = dict(data)
+    about = json.loads(str(arrays["about"]))
+    np.savez(file, **(arrays | {"about": np.array(json.dumps({"schema": about["schema"]}))}))
+    banks.simulated_bank(camera, lights=("D55",), diffraction="off")
+    assert len(measured) == 2
+
+
+def changed(camera, **changes):
+    """The camera with changed values, ``part__name``."""
+    data = camera.model_dump()
+    for key, value in changes.items():
+        part, name = key.split("__")
+        if part == "stops":
+            data["stops"] = [s | {name: value} if s["radius_ratio"] < 1 else s for s in data["stops"]]
+        else:
+            data[part][name] = value
+    return parse(cameras.Camera, data, "changed camera")
+
+
+def test_key_ignores_the_frame_and_nothing_that_decides_the_kernels(cache, camera, measured):
+    """Expectation: another frame size finds the bank; another focus, hole, pixel, light or diffraction does not."""
+    options = {"lights": ("D55",), "diffraction": "off"}
+    banks.simulated_bank(camera, **options)
+    banks.simulated_bank(cameras.cropped(camera, 64, 48), **options)
+    assert len(measured) == 1
+    others = [
+        changed(camera, lens__focus_distance_m=0.41),
+        changed(camera, lens__f_number=2.0),
+        changed(camera, stops__radius_ratio=0.5),
+        changed(camera, sensor__pixel_pitch_um=1.6),
+        changed(camera, sensor__cutoff_nm=800.0),
+    ]
+    for count, other in enumerate(others, start=2):
+        banks.simulated_bank(other, **options)
+        assert len(measured) == count, other
+    banks.simulated_bank(camera, lights=("D65",), diffraction="off")
+    banks.simulated_bank(camera, lights=("D55",), diffraction="wave")
+    assert len(measured) == len(others) + 3
+
+
+def test_bank_from_the_cache_carries_the_asked_frame(cache, camera, measured):
+    """Expectation: the camera that a bank names is the one asked for, or all that reads it must ignore its frame."""
+    options = {"lights": ("D55",), "diffraction": "off"}
+    banks.simulated_bank(cameras.cropped(camera, 64, 48), **options)
+    found = banks.simulated_bank(camera, **options)
+    assert found.camera.lens == camera.lens and found.camera.stops == camera.stops
+
+
+# --- the report ----------------------------------------------------------------------------------
+
+
+class Page(HTMLParser):
+    """What a page asks for from outside itself, its pictures, and whether its elements nest."""
+
+    VOID = frozenset({"meta", "link", "img", "br", "hr", "input"})
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.addresses: list[str] = []
+        self.pictures: list[dict] = []
+        self.open: list[str] = []
+        self.tags: set[str] = set()
+        self.text = ""
+
+    def handle_starttag(self, tag, attrs):
+        self.tags.add(tag)
+        found = dict(attrs)
+        self.addresses += [found[k] for k in ("src", "href", "srcset", "data", "action", "poster") if found.get(k)]
+        if tag == "img":
+            self.pictures.append(found)
+        if tag not in self.VOID:
+            self.open.append(tag)
+
+    def handle_endtag(self, tag):
+        assert self.open and self.open[-1] == tag, f"</{tag}> closes {self.open[-1:]}"
+        self.open.pop()
+
+    def handle_data(self, data):
+        self.text += data
+
+
+@pytest.fixture(scope="module")
+def small_demo(renderer, bank, lamp):
+    """A tiny photograph of a photograph 25 cm away, what is made of it, and the claims."""
+    data = {
+        "name": "<tiny> & small",
+        "focus_cm": 40,
+        "lights": [lamp | {"illuminant": "D55"}],
+        "materials": {"photo": {"kind": "print", "image": "skimage:astronaut"}},
+        "objects": [
+            {"name": "photo", "shape": "plane", "size_cm": (2, 2), "position_cm": (0, 0, 25), "material": "photo"}
+        ],
+    }
+    scene = parse(Scene, data, "tiny scene")
+    shot = simulate(scene, cameras.cropped(bank.camera, 96, 64), spp=4, diffraction="off")
+    result = recon.reconstruct(shot.capture, bank)
+    return shot, result, demo.claims(score(result, shot.capture, shot.truth))
+
+
+@pytest.fixture(scope="module")
+def page_text(small_demo):
+    return report.demo_page(*small_demo, {"render": 1.0, "reconstruct": 2.0})
+
+
+@pytest.fixture
+def page(page_text):
+    parser = Page()
+    parser.feed(page_text)
+    parser.close()
+    assert not parser.open, f"{parser.open} are not closed"
+    return parser
+
+
+def test_report_asks_for_nothing_from_outside(page, page_text):
+    assert page.addresses and all(address.startswith("data:") for address in page.addresses)
+    without_data = re.sub(r"data:image/png;base64,[A-Za-z0-9+/=]*", "", page_text)
+    assert not re.search(r"https?://|//[a-z]+\.|@import|url\(", without_data)
+    assert not {"script", "iframe", "object", "embed", "base"} & page.tags
+
+
+def test_report_shows_the_pictures_it_promises(page, small_demo):
+    """Expectation: ten whole PNG pictures with a text for those who do not see them; capture and truth side by side."""
+    assert len(page.pictures) == 10
+    for picture in page.pictures:
+        assert picture["alt"]
+        data = base64.b64decode(picture["src"].removeprefix("data:image/png;base64,"), validate=True)
+        assert cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR) is not None
+    captions = " ".join(picture["alt"].lower() for picture in page.pictures)
+    for part in ("raw mosaic", "colour", "infrared", "true depth", "estimated depth", "error", "all in focus", "truth"):
+        assert part in captions, part
+    for claim in small_demo[2]:
+        assert claim.id in page.text
+    assert "<tiny> & small" in page.text, "names are escaped"
+
+
+def test_report_of_a_capture_without_an_estimate(small_demo):
+    """Rationale: a page is most needed where the reconstruction failed."""
+    shot, result, _ = small_demo
+    blank = replace(result, level_raw=np.full_like(result.level_raw, np.nan))
+    entries = demo.claims(score(blank, shot.capture, shot.truth))
+    assert "nan" in report.demo_page(shot, blank, entries, {})
+
+
+def test_report_opens_in_a_browser_without_complaint(page_text, tmp_path):
+    """Expectation: a headless browser draws the page, not all of one colour, and has nothing to say of it."""
+    page = tmp_path / "report.html"
+    page.write_text(page_text, encoding="utf-8")
+    assert browser.screenshot(page).std() > 10, "the page is blank"
+
+
+def test_balanced_error_counts_levels_not_pixels():
+    """Levels 2, 5 and 8 of 800, 150 and 50 pixels, off by 0, 1 and 3: balanced, the median is the middle one's."""
+    true = np.repeat([2.0, 5.0, 8.0], [800, 150, 50])
+    error = np.repeat([0.0, 1.0, 3.0], [800, 150, 50])
+    own, constant, bins = balanced_error(error, true)
+    assert own == 1.0
+    assert constant == pytest.approx(1.5, abs=0.05)  # between two of them
+    assert bins == [(2, 0.8, 0.0), (5, 0.15, 1.0), (8, 0.05, 3.0)]
+
+
+def test_balanced_error_leaves_rare_levels_out():
+    true = np.repeat([2.0, 8.0], [990, 10])
+    own, _, bins = balanced_error(np.where(true == 8, 5.0, 0.5), true)
+    assert own == 0.5 and len(bins) == 1

@@ -1,0 +1,270 @@
+"""Claims of scenes and their truth: registration, light between surfaces, and what a picture costs in time."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import dasim
+from dasim.camera.specification import Camera, channels
+from dasim.scene import specification as scenes
+from validation.gates.claim import Evidence, NotRun, Progress
+from validation.scores.figures import Figure
+from validation.subjects import rendering
+from validation.subjects.rendering import FloatArray
+
+# --- registration --------------------------------------------------------------------------------
+
+GRID_SIZE_PX = (192, 144)
+GRID_STEP_PX = 37.3  # no whole number: the points lie anywhere in their pixels
+GRID_RADIUS_PX = 4.0
+GRID_BLURS_PX = (0.0, 6.0)  # in focus, and defocused
+GRID_WINDOW_PX = 14
+GRID_SPP = 256
+
+
+def registration(progress: Progress) -> Evidence:
+    """Truth and capture are registered: what lies at a pixel of one lies at the same pixel of the other.
+
+    Rationale: half a pixel between truth and capture would pass for a fault of every algorithm that is scored.
+
+    Set-up: a grid of 15 white discs of 4 px radius before a black wall, once in focus (40 cm) and once at 6 px of
+    visible blur, da-mobile, central 192 x 144 px, all four channels. Wave-true where the variant can. Discs face the
+    camera on places that are no whole pixels apart.
+
+    Expectation: centroids of the light in ``mean_e`` (through the lens) and ``sharp_e`` (the pinhole), and of the
+    labels ``object_id``, lie where similar triangles put the discs' centres: s X / Z from the frame's middle.
+
+    Limit: 0.05 px for every disc of both pictures; for the labels, which are whole pixels, for the mean of the grid.
+
+    Source: the thin lens; central projection.
+    """
+    variant = rendering.activate()
+    focus_m = 0.4
+    camera = dasim.refocused(dasim.cropped(dasim.load_camera("da-mobile"), *GRID_SIZE_PX), focus_m)
+    figures = []
+    for part, blur in enumerate(GRID_BLURS_PX):
+        depth_m = rendering.depth_m(camera, blur)
+        pixel_cm = rendering.pixel_at_m(camera, depth_m) * 100
+        offsets = [
+            (x * GRID_STEP_PX + 0.37 * y, y * GRID_STEP_PX - 0.21 * x) for y in range(-1, 2) for x in range(-2, 3)
+        ]
+        discs: list[dict[str, Any]] = [
+            {
+                "name": f"disc {index}",
+                "shape": "disc",
+                "radius_cm": GRID_RADIUS_PX * pixel_cm,
+                "position_cm": (x * pixel_cm, y * pixel_cm, depth_m * 100),
+                "material": "white-paper",
+            }
+            for index, (x, y) in enumerate(offsets)
+        ]
+        wall = {"name": "wall", "shape": "plane", "size_cm": (80, 80), "position_cm": (0, 0, depth_m * 100 + 1e-3)}
+        scene = rendering.make_scene([*discs, wall | {"material": "carbon-black"}])
+        shot = dasim.simulate(scene, camera, 0, spp=GRID_SPP)
+        centre = np.array(GRID_SIZE_PX) / 2 + np.array(offsets)
+        label = f"blur-{blur:g}"
+        for what in ("mean_e", "sharp_e"):
+            picture = getattr(shot.truth, what).astype(float)
+            for channel, name in enumerate(channels(camera.sensor)):
+                errors = [_centroid(picture[..., channel], place) - place for place in centre]
+                worst = float(np.abs(errors).max())
+                text = f"{what}, {name}: worst centroid of {len(centre)} discs against the projection, {variant}"
+                figures.append(Figure(f"{label}.{what}.{name}", worst, "px", text))
+        found = [
+            np.argwhere(shot.truth.object_id == index + 1).mean(axis=0)[::-1] + 0.5 for index in range(len(centre))
+        ]
+        bias = float(np.abs(np.mean(np.array(found) - centre, axis=0)).max())
+        figures.append(Figure(f"{label}.object_id", bias, "px", "labels: mean centroid of the discs, the worse axis"))
+        progress((part + 1) / len(GRID_BLURS_PX))
+    return Evidence(figures)
+
+
+def _centroid(picture: FloatArray, about: FloatArray) -> FloatArray:
+    """Centroid (x, y) in pixels, centres at +0.5, of what is brighter than the black wall around a place."""
+    left, top = (round(float(value)) - GRID_WINDOW_PX for value in about)
+    left, top = max(left, 0), max(top, 0)
+    part = picture[top : top + 2 * GRID_WINDOW_PX, left : left + 2 * GRID_WINDOW_PX]
+    part = part - np.median(np.concatenate([part[0], part[-1], part[:, 0], part[:, -1]]))
+    y, x = np.mgrid[: part.shape[0], : part.shape[1]] + 0.5
+    return np.array([(part * x).sum(), (part * y).sum()]) / part.sum() + (left, top)
+
+
+# --- light from all around and between surfaces --------------------------------------------------
+
+LIGHT_SCENES = ("desk", "adam")
+LIGHT_SIZE_PX = (256, 192)
+LIGHT_SPP = 256
+LIGHT_TRACED_SPP = 1024
+LIGHT_BLOCK_PX = 8
+
+
+def interreflection(progress: Progress) -> Evidence:
+    """Interpolating the light from all around and between surfaces changes no picture.
+
+    Rationale: the renderer traces that light on a grid and interpolates it where it is smooth (irradiance caching,
+    Ward 1988). What is interpolated is not exact, so it is held against what is traced.
+
+    Set-up: the bundled scenes ``desk`` and ``fence``, central 256 x 192 px, da-mobile, both stops, diffraction off:
+    twice 256 samples with the field, and twice 1,024 samples traced throughout.
+
+    Expectation: means over blocks of 8 x 8 pixels are the same within the noise of rendering, which the differences
+    of each pair tell, and which is taken out of the root mean square.
+
+    Limit: 0.5 % for the root mean square of the blocks' relative differences, 0.2 % for the mean of the picture.
+
+    Source: path tracing of the same scene.
+    """
+    from dasim.render import passes, translate, truth
+
+    if rendering.activate().startswith("scalar"):
+        raise NotRun("only scalar_spectral works here, which traces all light; install LLVM 17 or newer")
+    figures = []
+    for number, name in enumerate(LIGHT_SCENES):
+        scene = scenes.load_scene(name)
+        camera = dasim.focused(dasim.cropped(dasim.load_camera("da-mobile"), *LIGHT_SIZE_PX), scene)
+        loaded = translate.load(scene)
+        blur = truth.signed_blur_px(truth.geometry(loaded, camera).depth_m, camera)
+        reach = float(np.abs(blur).max())
+        spectrum = scenes.light_spectrum(scene)
+        fields = [passes.irradiance_field(loaded, camera, spectrum, reach, LIGHT_SPP, seed) for seed in (1, 2)]
+        assert fields[0] is not None
+        runs = [(LIGHT_SPP, field) for field in fields] + [(LIGHT_TRACED_SPP, None)] * 2
+        pictures = []
+        for seed, (samples, field) in enumerate(runs):
+            parts = [
+                passes.stop_pass(loaded, camera, stop, passes.Sampling(samples, seed), field=field)
+                for stop in camera.stops
+            ]
+            pictures.append(_blocks(np.sum(parts, axis=0)))
+            progress((len(runs) * number + seed + 1) / (len(runs) * len(LIGHT_SCENES)))
+        (ours, ours_noise), (traced, traced_noise) = (
+            ((first + second) / 2, (first - second) / 2) for first, second in (pictures[:2], pictures[2:])
+        )
+        difference = (ours - traced) / traced
+        noise = (ours_noise**2 + traced_noise**2) / traced**2
+        for channel, colour in enumerate(channels(camera.sensor)):
+            square = float(np.mean(difference[..., channel] ** 2 - noise[..., channel]))
+            rms = max(square, 0.0) ** 0.5
+            mean = float(ours[..., channel].mean() / traced[..., channel].mean() - 1)
+            figures.append(Figure(f"{name}.rms.{colour}", rms, "1", f"{name}, {colour}: blocks, noise taken out"))
+            figures.append(Figure(f"{name}.mean.{colour}", mean, "1", f"{name}, {colour}: mean of the picture"))
+        known_share = f"{name}: share of the grid's cells that are interpolated"
+        figures.append(Figure(f"{name}.interpolated", fields[0].share, "1", known_share))
+    return Evidence(figures)
+
+
+def _blocks(picture: FloatArray) -> FloatArray:
+    height, width = (extent // LIGHT_BLOCK_PX for extent in picture.shape[:2])
+    whole = picture[: height * LIGHT_BLOCK_PX, : width * LIGHT_BLOCK_PX]
+    return whole.reshape(height, LIGHT_BLOCK_PX, width, LIGHT_BLOCK_PX, -1).mean(axis=(1, 3))
+
+
+# --- speed ---------------------------------------------------------------------------------------
+
+SPEED_SIZE_PX = (512, 384)
+SPEED_TRIANGLES = 500_000
+SPEED_PICTURE = ("staircase", "depth-steps")  # families are one scene of many
+
+_TIMED = """
+import json, resource, sys, time
+import dasim
+scene = dasim.load_scene(sys.argv[1])
+camera = dasim.focused(dasim.cropped(dasim.load_camera("da-mobile"), int(sys.argv[2]), int(sys.argv[3])), scene)
+def render():
+    begin = time.perf_counter()
+    shot = dasim.simulate(scene, camera, 0, spp="auto")
+    return time.perf_counter() - begin, shot
+first, shot = render()
+seconds = first
+if sys.argv[4] == "warm":
+    seconds, shot = render()
+peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1 if sys.platform == "darwin" else 1024)
+about = shot.capture.provenance
+print(json.dumps({"first_s": first, "s": seconds, "memory_gb": peak / 1e9, "spp": about["spp"],
+                  "share": max(about["rendering_noise_share"].values())}))
+"""
+
+
+def scenes_speed(progress: Progress) -> Evidence:
+    """A bundled scene renders in seconds, and a large mesh loads in a few.
+
+    Rationale: data sets are made of thousands of pictures.
+
+    Set-up: every bundled scene at 512 x 384, da-mobile, the default noise target (``--spp auto``: a fifth of the
+    sensor's own noise at the median pixel), each in a process of its own that renders it twice; the second time
+    counts, since kernels are compiled once and kept. Then the desk with a mesh of 500,000 triangles, against without.
+
+    Expectation: reported in seconds of this computer, which is what was free of it: run alone.
+
+    Limit: 12 s a scene, 3 s for the mesh, 2 GB of memory, on two cores with LLVM.
+
+    Source: the project's own limits.
+    """
+    variant = rendering.activate()
+    names = [name for name in scenes.scene_names() if name not in SPEED_PICTURE]
+    figures: list[Figure] = []
+    rows: list[list[str]] = []
+    for index, name in enumerate(names):
+        found = _timed(name)
+        rows.append(
+            [
+                name,
+                *(f"{found[key]:.{digits}f}" for key, digits in (("first_s", 1), ("s", 1), ("memory_gb", 2))),
+                " + ".join(str(count) for count in found["spp"].values()),
+                f"{found['share']:.2f}",
+            ]
+        )
+        figures.append(Figure(f"{name}.seconds", found["s"], "s", f"{name}: seconds a picture, {variant}"))
+        figures.append(Figure(f"{name}.memory", found["memory_gb"], "GB", f"{name}: largest memory"))
+        progress((index + 1) / (len(names) + 1))
+    figures.append(Figure("mesh.seconds", _mesh_seconds(), "s", f"a mesh of {SPEED_TRIANGLES} triangles, PLY"))
+    progress(1.0)
+    head = ["scene", "first picture, s", "second, s", "memory, GB", "samples of the stops", "noise share reached"]
+    return Evidence(figures, [], [(f"{os.cpu_count()} cores, {variant}", head, rows)])
+
+
+def _timed(name: str) -> dict[str, Any]:
+    command = [sys.executable, "-c", _TIMED, name, *(str(value) for value in SPEED_SIZE_PX), "warm"]
+    done = subprocess.run(command, capture_output=True, text=True)
+    if done.returncode != 0:
+        raise RuntimeError(f"scene {name}: {done.stderr.strip().splitlines()[-1]}")
+    return dict(json.loads(done.stdout.splitlines()[-1]))
+
+
+def _mesh_seconds() -> float:
+    """Seconds to read, check and hand over a mesh, less those of the same scene without it."""
+    import trimesh
+
+    side = int(np.ceil(np.sqrt(SPEED_TRIANGLES / 2)))
+    y, x = np.mgrid[: side + 1, : side + 1] / side - 0.5
+    vertices = np.stack([x, y, 0.02 * np.sin(40 * x) * np.cos(31 * y)], axis=-1).reshape(-1, 3)
+    corner = (np.arange(side)[:, None] * (side + 1) + np.arange(side)).ravel()
+    below = corner + side + 1
+    faces = np.concatenate([np.stack([corner, below, corner + 1], -1), np.stack([corner + 1, below, below + 1], -1)])
+    camera = dasim.load_camera("da-mobile")
+    with tempfile.TemporaryDirectory() as folder:
+        trimesh.Trimesh(vertices, faces, process=False).export(Path(folder) / "large.ply")
+        large = 'shape = "mesh"\nfile = "large.ply"\nunit_cm = 10\n'
+        return _load_seconds(Path(folder), large, camera) - _load_seconds(
+            Path(folder), 'shape = "disc"\nradius_cm = 5\n', camera
+        )
+
+
+def _load_seconds(folder: Path, shape: str, camera: Camera) -> float:
+    from dasim.render import translate
+
+    text = 'name = "large"\n[[lights]]\nkind = "dome"\nilluminant = "D65"\nlux = 500\n'
+    text += '[[objects]]\nname = "thing"\nmaterial = "grey-card"\nposition_cm = [0, 0, 30]\n' + shape
+    (folder / "large.toml").write_text(text)
+    begin = time.perf_counter()
+    translate.world(dasim.load_scene(folder / "large.toml"), camera)
+    return time.perf_counter() - begin

@@ -1,0 +1,93 @@
+"""Claim of sensor noise: the photon transfer curve of raw frames, against the data sheet."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dasim.camera import noise as sensor
+from dasim.camera import specification as cameras
+from dasim.camera.specification import Camera
+from validation.gates.claim import Evidence, Progress
+from validation.reports.plots import plot
+from validation.scores.figures import Figure
+
+FloatArray = NDArray[np.float64]
+
+GAINS = (1.0, 8.0)  # analogue: photons make most of the noise, and the amplifier a good part
+COLOURS = ("#0072b2", "#d55e00")
+SIZE_PX = (512, 512)
+LEVELS = 24  # even light from dark to SHARE_OF_FULL of full scale
+SHARE_OF_FULL = 0.7
+TIME_S = 1e-4  # short: hardly any dark current
+ROUNDING_DN2 = 1 / 12  # variance of rounding to whole numbers
+
+
+def photon_transfer(progress: Progress, seed: int = 0) -> Evidence:
+    """Noise is that of photons, of the amplifier and of rounding, no more and no less.
+
+    Rationale: depth, its confidence and every comparison of apertures rest on how noisy the raw numbers are; a factor
+    between electrons and digital numbers, or noise added twice, shows nowhere else.
+
+    Set-up: da-mobile at analogue gain 1 and 8: pairs of raw frames of even light, 512 x 512 px, at 24 levels from dark
+    to 70 % of full scale, exposed for 0.1 ms. The variance of a pair's difference, halved, is free of fixed patterns. A
+    straight line through variance against mean (both in digital numbers, weights 1 / variance squared).
+
+    Expectation: the slope is the overall system gain K, so that the variance of n electrons is n; the line meets the
+    dark at read noise and rounding, K^2 sigma_d^2 + 1/12. Brightest level: a pixel's signal-to-noise ratio is that of
+    n photo-electrons, sqrt(n), but for read noise. Rows, columns and pixels of a frame are uncorrelated.
+
+    Limit: 1 % for the slope, 2 % for read noise in electrons and for the signal-to-noise ratio, .01 for correlation.
+
+    Source: EMVA 1288 release 4.0, sec. 6.
+    """
+    figures, curves = [], {}
+    camera = cameras.load_camera("da-mobile")
+    for number, analogue in enumerate(GAINS):
+        name = f"gain-{analogue:g}"
+        mean, variance, correlation = _transfer(camera, analogue, seed)
+        weight = 1 / variance**2
+        slope, dark = np.polyfit(mean, variance, 1, w=np.sqrt(weight))
+        body = camera.sensor
+        top_dn = 2**body.adc_bits - 1 - body.black_level_dn
+        gain = analogue * (body.dn_per_e if body.dn_per_e is not None else top_dn / body.full_well_e)
+        read = np.sqrt(max(dark - ROUNDING_DN2, 0)) / slope
+        ratio = mean[-1] / np.sqrt(variance[-1])
+        electrons = mean[-1] / gain
+        expected = electrons / np.sqrt(electrons + body.read_noise_e**2)
+        for key, value, text in (
+            ("slope", slope / gain - 1, "slope of the transfer curve over the gain of the data sheet, less 1"),
+            ("read-noise", read / body.read_noise_e - 1, "read noise over that of the data sheet, less 1"),
+            ("snr", ratio / expected - 1, f"signal-to-noise ratio of {electrons:.0f} electrons over theirs, less 1"),
+            ("correlation", correlation, "largest correlation of neighbouring pixels' noise"),
+        ):
+            figures.append(Figure(f"{name}.{key}", float(value), "1", f"analogue gain {analogue:g}: {text}"))
+        curves[name] = (mean, variance, slope, dark)
+        progress((number + 1) / len(GAINS))
+
+    def draw(axes):  # type: ignore[no-untyped-def]
+        for (name, (mean, variance, slope, dark)), colour in zip(curves.items(), COLOURS, strict=False):
+            axes.plot(mean, variance, "o", color=colour, label=name, markersize=4)
+            axes.plot(mean, slope * mean + dark, color=colour, linewidth=1)
+        axes.set(xlabel="mean above black in digital numbers", ylabel="variance in digital numbers squared")
+        axes.legend()
+
+    return Evidence(figures, [("Photon transfer curves: points measured, lines fitted", plot(draw))])
+
+
+def _transfer(camera: Camera, analogue: float, seed: int) -> tuple[FloatArray, FloatArray, float]:
+    """Mean above black and temporal variance of each level in digital numbers; the largest correlation."""
+    body = camera.sensor.model_copy(update={"width_px": SIZE_PX[0], "height_px": SIZE_PX[1]})
+    full_e = sensor.full_scale_e(body, analogue)
+    mean, variance, correlation = [], [], 0.0
+    for step, share in enumerate(np.linspace(0, SHARE_OF_FULL, LEVELS)):
+        light = np.full(SIZE_PX[::-1], share * full_e)
+        frames = [sensor.expose(light, body, TIME_S, seed, gain=analogue, frame=2 * step + k)[0] for k in (0, 1)]
+        pair = [frame.astype(np.float64) for frame in frames]
+        difference = pair[0] - pair[1]
+        mean.append(float(np.mean(pair)) - body.black_level_dn)
+        variance.append(float(difference.var()) / 2)
+        noise = (difference - difference.mean()) / difference.std()
+        beside = (np.mean(noise[1:] * noise[:-1]), np.mean(noise[:, 1:] * noise[:, :-1]))
+        correlation = max(correlation, *(abs(float(value)) for value in beside))
+    return np.array(mean), np.array(variance), correlation

@@ -1,0 +1,242 @@
+"""Claims of occlusion: a near edge over a far texture."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import t as student
+
+import dasim
+from dasim.camera import specification as cameras
+from dasim.camera.specification import Camera
+from dasim.materials import library
+from dasim.spectra import illuminants
+from dasim.spectra.grid import CHANNELS
+from validation.gates.claim import Evidence, Progress
+from validation.references import transfer
+from validation.reports.plots import plot
+from validation.scores.figures import Figure
+from validation.subjects import rendering
+from validation.subjects.rendering import FloatArray
+
+# Pixels so large that lambda N is 0.03 of one, and a lens long enough for several pixels of blur all the same.
+PITCH_UM, FOCAL_MM, FOCUS_M = 50.0, 12.0, 0.4
+SIZE_PX = (32, 24)
+NEAR_BLUR_PX, FAR_BLUR_PX = 4.0, -1.5
+CHANNEL, STOP = "G", 0  # the open stop alone: green sees some near-infrared through the hole, with another blur
+NEAR_TURN_DEG, STRIPE_TURN_DEG = 10.0, 40.0
+STRIPE_PX = 3.0  # width of a stripe in the picture
+NEAR, DARK, BRIGHT = "grey-card", "carbon-black", "white-paper"
+SPP, SEEDS = 1024, 12
+QUADRATURE = 40_000  # points a pixel over pixel area x pupil disc
+# Far behind the lens, on the side away from the near plane: its shadow falls beside the view.
+LAMP_CM, LAMP_TARGET_CM, LAMP_RADIUS_CM = (600.0, 0.0, -2000.0), (0.0, 0.0, 40.0), 20.0
+
+
+def occluding_edge(progress: Progress) -> Evidence:
+    """A near edge over far stripes looks as a brute-force integral over pixel and pupil says.
+
+    Rationale: at depth steps, light of the far plane is cut by the near one pupil point by pupil point; a blur by
+    layers gets that wrong, and so would rays that were weighted by the wrong depth.
+
+    Set-up: a grey half-plane 4 px out of focus before black and white stripes 1.5 px out of focus on the other side of
+    the focal plane, both turned, lit by a far lamp. The lens of 12 mm f/2.8 before pixels of 50 um, where lambda N is
+    0.03 px: nearly geometric. Rendered with diffraction 'wave', 12 seeds of 1,024 samples, green through the
+    open stop. The reference is
+    numpy alone: 40,000 points a pixel (Roberts's R4 sequence) over its area and the pupil, each ray met with the
+    half-plane or the stripes, thin-lens geometry.
+
+    Expectation: in pixels that see both planes, Student's t of render less reference, with the seeds' variance plus
+    the square of the reference's own error: of quadrature (from two halves of the points) and, for 'wave', of
+    diffraction (the largest difference between the edge spreads of wave optics and geometry). The smallest p,
+    corrected for the number of pixels (Sidak), is not small, nor is the p of the mean difference over these pixels.
+    Rendered with 'off' as well, which shows that the reference is right.
+
+    Limit: p of at least 0.01.
+
+    Source: thin-lens geometry; Roberts 2018, quasirandom sequences; Sidak 1967.
+    """
+    rendering.needs_wave()
+    camera = edge_camera()
+    reference, layered, both, quadrature = reference_picture(camera)
+    diffraction = diffraction_error(camera)
+    scene = edge_scene(camera)
+    figures, pictures = [], []
+    for model, changed in (("off", 0.0), ("wave", diffraction)):
+        own_error = float(np.hypot(quadrature, changed))
+        rendered = _renders(scene, camera, model)
+        progress(0.5 if model == "off" else 1.0)
+        rendered *= reference[~both].mean() / rendered[:, ~both].mean()  # electrons are another claim's
+        t = t_values(rendered[:, both], reference[both], own_error)
+        # An edge's diffraction is odd about the edge, so what it does to the mean falls with the number of pixels.
+        mean_error = own_error / np.sqrt(t.size)
+        t_mean = t_values(rendered[:, both].mean(axis=1), reference[both].mean(), mean_error)
+        layers = smallest_p(t_values(rendered[:, both], layered[both], own_error))
+        off = rendered[:, both].mean(axis=0) - reference[both]
+        noise = rendered[:, both].std(axis=0, ddof=1) / np.sqrt(SEEDS)
+        figures += [
+            Figure(f"{model}.p", smallest_p(t), "1", "smallest p over pixels, corrected for their number"),
+            Figure(f"{model}.p-of-mean", smallest_p(t_mean), "1", "p of the mean difference over these pixels"),
+            Figure(f"{model}.mean-square-t", float(np.mean(t**2)), "1", "mean of t^2; 1.2 if all were noise"),
+            Figure(f"{model}.bias", float(off.mean()), "1", "mean difference; white far paper is 1"),
+            Figure(f"{model}.worst", float(np.abs(off).max()), "1", "largest difference, of white"),
+            Figure(f"{model}.noise", float(np.median(noise)), "1", "median standard error of a pixel, of white"),
+            Figure(f"{model}.p-of-layers", layers, "1", "the same p for a blur by layers, which is wrong: the power"),
+        ]
+        shown = np.full(both.shape, np.nan)
+        shown[both] = t
+        pictures.append((f"Reference, render with diffraction '{model}', and t", _plot(reference, rendered, shown)))
+    figures += [
+        Figure("quadrature", quadrature, "1", "the reference's quadrature error, root mean square, of white"),
+        Figure("diffraction", diffraction, "1", "largest change that diffraction makes to a full edge, of white"),
+        Figure("pixels", float(both.sum()), "px", "pixels compared, those that see both planes"),
+    ]
+    return Evidence(figures, pictures)
+
+
+def _renders(scene: dasim.Scene, camera: Camera, model: str) -> FloatArray:
+    """Electrons a second through the one stop in the one channel, [seed, h, w]."""
+    pictures = []
+    for seed in range(SEEDS):
+        stops = rendering.stop_pictures(scene, camera, SPP, seed, diffraction=model, max_blur_px=NEAR_BLUR_PX + 1)
+        pictures.append(stops[STOP, ..., CHANNELS.index(CHANNEL)])
+    return np.stack(pictures)
+
+
+def edge_camera() -> Camera:
+    """The lens of 12 mm before 32 x 24 pixels of 50 um."""
+    return rendering.changed(
+        cameras.load_camera("da-mobile"),
+        lens={"focal_length_mm": FOCAL_MM, "focus_distance_m": FOCUS_M},
+        sensor={"width_px": SIZE_PX[0], "height_px": SIZE_PX[1], "pixel_pitch_um": PITCH_UM},
+    )
+
+
+def _normal(turn_deg: float) -> FloatArray:
+    return np.array([np.cos(np.radians(turn_deg)), np.sin(np.radians(turn_deg))])
+
+
+def edge_scene(camera: Camera) -> dasim.Scene:
+    """A grey sheet left of the frame's middle, stripes behind it; exact geometry, no image texture."""
+    near_m, far_m = (rendering.depth_m(camera, blur) for blur in (NEAR_BLUR_PX, FAR_BLUR_PX))
+    wide_cm, high_cm = 3.2, 5.0  # covers the frame's left half at the near depth, blur included
+    objects = [
+        {
+            "name": "near",
+            "shape": "plane",
+            "size_cm": [wide_cm, high_cm],
+            "rotation_deg": [0, 0, NEAR_TURN_DEG],
+            "position_cm": [*(-wide_cm / 2 * _normal(NEAR_TURN_DEG)), near_m * 100],
+            "material": NEAR,
+        }
+    ]
+    stripe_cm = STRIPE_PX * rendering.pixel_at_m(camera, far_m) * 100
+    count = int(np.ceil(0.75 * np.hypot(*SIZE_PX) / STRIPE_PX))
+    for k in range(-count, count):
+        objects.append(
+            {
+                "name": f"stripe {k}",
+                "shape": "plane",
+                "size_cm": [stripe_cm, 2 * count * stripe_cm],
+                "rotation_deg": [0, 0, STRIPE_TURN_DEG],
+                "position_cm": [*((k + 0.5) * stripe_cm * _normal(STRIPE_TURN_DEG)), far_m * 100],
+                "material": DARK if k % 2 else BRIGHT,
+            }
+        )
+    lamp = {
+        "kind": "lamp",
+        "illuminant": "D65",
+        "lux": 1000.0,
+        "position_cm": list(LAMP_CM),
+        "target_cm": list(LAMP_TARGET_CM),
+        "radius_cm": LAMP_RADIUS_CM,
+    }
+    return rendering.make_scene(objects, [lamp])
+
+
+def reference_picture(camera: Camera) -> tuple[FloatArray, FloatArray, NDArray[np.bool_], float]:
+    """The brute-force picture (white far paper is 1), one by blurred layers, pixels that see both, quadrature error."""
+    from dasim.spectra import grid
+
+    light = illuminants.illuminant("D65") * cameras.stop_response(camera, camera.stops[STOP])[CHANNELS.index(CHANNEL)]
+    bright, dark, near = (grid.integrate(light * library.reflectance(m)) for m in (BRIGHT, DARK, NEAR))
+    image_m = 1 / (1 / (FOCAL_MM * 1e-3) - 1 / FOCUS_M)
+    pixel = PITCH_UM * 1e-6 / image_m  # of the picture at 1 m
+    root = 1.1673039782614187  # of x^5 = x + 1: Roberts's R4 sequence
+    points = (0.5 + np.outer(np.arange(1, QUADRATURE + 1), root ** -np.arange(1.0, 5.0))) % 1.0
+    radius_m = FOCAL_MM * 1e-3 / camera.lens.f_number / 2 * np.sqrt(points[:, 2])
+    pupil = radius_m[:, None] * np.stack([np.cos(2 * np.pi * points[:, 3]), np.sin(2 * np.pi * points[:, 3])], axis=-1)
+    near_m, far_m = (rendering.depth_m(camera, blur) for blur in (NEAR_BLUR_PX, FAR_BLUR_PX))
+    stripe_m = STRIPE_PX * rendering.pixel_at_m(camera, far_m)
+    unit = _illuminance(np.zeros(2), far_m)
+    width, height = SIZE_PX
+    halves, layered, covered = np.empty((2, height, width)), np.empty((height, width)), np.empty((height, width))
+    for y, x in np.ndindex(height, width):
+        focus = (points[:, :2] + (x - width / 2, y - height / 2)) * pixel * FOCUS_M
+
+        def at(depth_m: float, focus: FloatArray = focus) -> FloatArray:
+            return pupil + (focus - pupil) * (depth_m / FOCUS_M)
+
+        on_near, on_far = at(near_m), at(far_m)
+        hidden = on_near @ _normal(NEAR_TURN_DEG) <= 0
+        stripe = np.floor(on_far @ _normal(STRIPE_TURN_DEG) / stripe_m).astype(int) % 2
+        far_light = np.where(stripe == 0, bright, dark) * _illuminance(on_far, far_m)
+        near_light = near * _illuminance(on_near, near_m)
+        seen = np.where(hidden, near_light, far_light)
+        halves[:, y, x] = seen.reshape(2, -1).mean(axis=1)
+        covered[y, x] = hidden.mean()
+        layered[y, x] = covered[y, x] * near_light.mean() + (1 - covered[y, x]) * far_light.mean()
+    y, x = np.indices((height, width)) + 0.5
+    cos4 = (1 + ((x - width / 2) ** 2 + (y - height / 2) ** 2) * pixel**2) ** -2.0
+    halves, layered = halves * cos4 / (bright * unit), layered * cos4 / (bright * unit)
+    both = (covered > 0) & (covered < 1)
+    error = float(np.sqrt(np.mean((halves[0] - halves[1])[both] ** 2)) / 2)
+    return halves.mean(axis=0), layered, both, error
+
+
+def _illuminance(place_m: FloatArray, depth_m: float) -> FloatArray:
+    """Relative illuminance of surfaces that face the camera at [..., 2] and a depth: cos cos / distance^2."""
+    lamp, target = np.array(LAMP_CM) / 100, np.array(LAMP_TARGET_CM) / 100
+    axis = (target - lamp) / np.linalg.norm(target - lamp)
+    x, y, z = place_m[..., 0] - lamp[0], place_m[..., 1] - lamp[1], depth_m - lamp[2]
+    squared = x**2 + y**2 + z**2
+    return z * (x * axis[0] + y * axis[1] + z * axis[2]) / squared**2
+
+
+def diffraction_error(camera: Camera) -> float:
+    """Largest difference between the edge spreads of wave optics and of geometry, over both planes, at 550 nm."""
+    image_mm = 1 / (1 / FOCAL_MM - 1e-3 / FOCUS_M)
+    scale_px = 0.55 * image_mm * camera.lens.f_number / FOCAL_MM / PITCH_UM
+    frequency = np.arange(0.001, 4.0, 0.002)  # beyond, the pixel leaves nothing
+    place = np.linspace(0.0, 4.0, 161)
+    worst = 0.0
+    for blur in (NEAR_BLUR_PX, FAR_BLUR_PX):
+        wave = transfer.hopkins_otf(scale_px * frequency, blur / (8 * scale_px))
+        change = (wave - transfer.disc_transfer(blur * frequency)) * np.sinc(frequency) / (np.pi * frequency)
+        worst = max(worst, float(np.abs(np.sin(2 * np.pi * np.outer(place, frequency)) @ change * 0.002).max()))
+    return worst
+
+
+def t_values(rendered: FloatArray, reference: FloatArray, own_error: float) -> FloatArray:
+    """Student's t of [seed, h, w] less a reference that is itself known to ``own_error``."""
+    variance = rendered.var(axis=0, ddof=1) / len(rendered) + own_error**2
+    return (rendered.mean(axis=0) - reference) / np.sqrt(variance)
+
+
+def smallest_p(t: FloatArray) -> float:
+    """The smallest two-sided p of ``SEEDS`` - 1 degrees of freedom, corrected for the number of values (Sidak)."""
+    smallest = 2 * student.sf(np.abs(t).max(), SEEDS - 1)
+    return float(-np.expm1(t.size * np.log1p(-smallest)))
+
+
+def _plot(reference: FloatArray, rendered: FloatArray, t: FloatArray) -> str:
+    def draw(axes):  # type: ignore[no-untyped-def]
+        shown = (reference, rendered.mean(axis=0), t)
+        for panel, image, title in zip(axes, shown, ("reference", "render", "t"), strict=True):
+            limits = {"cmap": "PuOr", "vmin": -5, "vmax": 5} if title == "t" else {"cmap": "gray", "vmin": 0, "vmax": 1}
+            mapped = panel.imshow(image, interpolation="nearest", **limits)
+            panel.set(title=title, xticks=[], yticks=[])
+            if title == "t":
+                panel.figure.colorbar(mapped, ax=panel)
+
+    return plot(draw, columns=3, size=(3.6, 2.8))

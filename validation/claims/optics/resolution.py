@@ -1,0 +1,101 @@
+"""Claims of depth resolution: Fig. 13's curves of both lenses, and the ladder of blur levels."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.optimize import brentq
+
+from dasim.camera import specification as cameras
+from dasim.camera.specification import BLUR_LEVELS, Camera
+from validation.gates.claim import Evidence, Progress
+from validation.reports.plots import plot
+from validation.scores.figures import Figure
+
+LENSES = {"3.6mm": "da-mobile", "8mm": "da-8mm"}
+DEPTHS_CM = (5, 10, 20, 40, 100, 200)
+FOCUS_AT_INFINITY_M = 1e4
+LADDER_FOCUS_M = 2.0
+NEAREST_M = 0.05
+PAPERS_AXIS_CM = 14.75  # the highest number on Fig. 13's axis
+COLOURS = ("#0072b2", "#d55e00")
+
+
+def depth_resolution(progress: Progress) -> Evidence:
+    """Half a pixel of blur is worth the depth of Fig. 13, and 5 cm to 2 m is a ladder of 29 levels.
+
+    Rationale: what a design can tell apart follows from its blur circles; the figure is the paper's summary of both
+    lenses. Resolution by levels, (1 - alpha) c = 1 px, is coarser by 1 / (1 - alpha) = 1.85: both are stated here, and
+    measured resolution is held against the second.
+
+    Set-up: da-mobile (3.6 mm) and da-8mm focused at infinity: half the distance between the depths whose blur differs
+    by half a pixel to either side, found by inverting the camera's blur numerically, at six depths; and da-mobile
+    focused at 2 m.
+
+    Expectation: e = d^2 N p / (2 f^2), the first-order error of half a pixel; exactly it is e / (1 - (e / d)^2), since
+    blur is linear in 1/d. The highest number on the figure's axis, 14.75 cm, fits the 8 mm lens at 2 m with (d - f)^2
+    in place of d^2 (14.756), depth counted from the front focal plane: reported. The ladder: (1 - alpha) c from 2 m to
+    5 cm spans 28.7 px, so 29 levels of 1 px, 0 to 28.
+
+    Limit: 0.1 %; 28 to 29 px.
+
+    Source: Fig. 13, sec. 6; Pentland 1987 for the error of depth from blur.
+    """
+    rows, figures, curves = [], [], {}
+    worst = 0.0
+    grid_cm = np.geomspace(DEPTHS_CM[0], DEPTHS_CM[-1], 40)
+    for number, (lens, name) in enumerate(LENSES.items()):
+        camera = cameras.refocused(cameras.load_camera(name), FOCUS_AT_INFINITY_M)
+        for depth_cm in DEPTHS_CM:
+            found, expected = 100 * half_pixel_m(camera, depth_cm / 100), 100 * first_order_m(camera, depth_cm / 100)
+            worst = max(worst, abs(found * (1 - (expected / depth_cm) ** 2) / expected - 1))
+            by_level = expected / (1 - cameras.hole_ratio(camera))
+            rows.append([lens, f"{depth_cm}", f"{found:.3f}", f"{expected:.3f}", f"{by_level:.3f}"])
+            figures.append(
+                Figure(f"{lens}.{depth_cm}cm", found, "cm", f"half a pixel of blur at {depth_cm} cm, {lens}")
+            )
+        curves[lens] = np.array([100 * first_order_m(camera, depth / 100) for depth in grid_cm])
+        progress((number + 1) / len(LENSES))
+    camera = cameras.refocused(cameras.load_camera(LENSES["3.6mm"]), LADDER_FOCUS_M)
+    span = (1 - cameras.hole_ratio(camera)) * float(cameras.blur_px(camera, NEAREST_M))
+    long_lens = cameras.load_camera(LENSES["8mm"])
+    focal_m = long_lens.lens.focal_length_mm * 1e-3
+    axis_cm = 100 * first_order_m(long_lens, 2.0) * ((2.0 - focal_m) / 2.0) ** 2
+    figures += [
+        Figure("error", worst, "1", "largest relative difference of the camera's blur and the formula"),
+        Figure("papers-axis", axis_cm, "cm", f"8 mm lens at 2 m from the front focal plane; paper: {PAPERS_AXIS_CM}"),
+        Figure("ladder-span", span, "px", "(1 - alpha) c from 2 m to 5 cm, 3.6 mm lens"),
+    ]
+    levels = cameras.level_blur_px(camera)
+    ladder_cm = 100 * np.asarray(cameras.depth_of_blur_m(camera, levels))
+
+    def draw(axes):  # type: ignore[no-untyped-def]
+        for colour, (lens, curve) in zip(COLOURS, curves.items(), strict=True):
+            axes[0].loglog(grid_cm, curve, color=colour, label=f"{lens}, half a pixel")
+            axes[0].loglog(grid_cm, curve * 1.85, "--", color=colour, label=f"{lens}, by levels")
+        axes[0].set(xlabel="depth in cm", ylabel="resolution in cm")
+        axes[0].legend()
+        axes[1].semilogy(range(BLUR_LEVELS), ladder_cm, ".", color=COLOURS[0])
+        axes[1].set(xlabel="blur level", ylabel="depth in cm")
+
+    head = ["lens", "depth, cm", "half a pixel, cm", "first order, cm", "by levels, cm"]
+    caption = "Depth resolution of both lenses (compare Fig. 13), and the ladder of levels, focus 2 m"
+    pictures = [(caption, plot(draw, columns=2, size=(4.4, 3.2)))]
+    return Evidence(figures, pictures=pictures, tables=[("Depth resolution", head, rows)])
+
+
+def half_pixel_m(camera: Camera, depth_m: float) -> float:
+    """Half the distance between the depths whose blur is half a pixel more and half a pixel less than at a depth."""
+
+    def at(blur_px: float) -> float:
+        return float(
+            brentq(lambda d: float(cameras.blur_px(camera, d)) - blur_px, depth_m / 5, depth_m * 50, xtol=1e-9)
+        )
+
+    blur = float(cameras.blur_px(camera, depth_m))
+    return (at(blur - 0.5) - at(blur + 0.5)) / 2
+
+
+def first_order_m(camera: Camera, depth_m: float) -> float:
+    """d^2 N p / (2 f^2), written out from the data sheet."""
+    focal_m, pitch_m = camera.lens.focal_length_mm * 1e-3, camera.sensor.pixel_pitch_um * 1e-6
+    return depth_m**2 * camera.lens.f_number * pitch_m / (2 * focal_m**2)

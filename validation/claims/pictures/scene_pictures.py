@@ -1,0 +1,259 @@
+"""Claim of what the paper shows of two scenes (Fig. 1, 11 and 12): all in focus, depth, refocused, for two eyes."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from skimage.measure import blur_effect
+
+import dasim
+import recon
+from dasim.simulation.simulate import Shot
+from dasim.spectra.colour import exposure_scale, to_srgb
+from dasim.spectra.grid import LUMINANCE
+from dasim.values import PsfBank, Reconstruction, Truth
+from recon.calibration.cached import simulated_bank
+from recon.picture import colour, infrared
+from recon.views import anaglyph as stereo
+from validation.claims.depth import scenes
+from validation.gates.claim import Evidence, Pair, Progress, Table
+from validation.reports import pictures
+from validation.scores.depth import Mask
+from validation.scores.figures import Figure
+from validation.scores.pictures import infrared_free
+from validation.subjects import rendering
+from validation.subjects.shots import photographed
+
+SCENES = {"adam": "skin", "flowers": "daisy"}  # and the object to which they are refocused
+EDGE_BLUR_PX = ((0.0, 3.0), (3.0, 10.0))  # visible blur
+EDGE_SHARE = 0.1  # of the pixels, those with the steepest truth
+GRADIENT_SIGMA_PX = 0.7  # of the Gaussian before the differences
+STACK_STEP = 1.0  # levels between the pictures of a stack, beyond both ends by one
+LOCAL_SIGMA_PX = 8.0  # of the patch in which sharpness is compared
+STRONGEST_PX = 12.0  # largest shift between the two eyes
+SHIFT_STEP_PX = 0.5
+PATCH_SIGMA_PX, SHADING_SIGMA_PX = 5.0, 6.0  # of the blocks that are matched, and of the shading taken off before
+LEAST_PX = 2000  # of an object in the table
+MATCHED = 0.9  # correlation between red of one eye and green of the other that makes a match
+
+FloatArray = NDArray[np.float64]
+
+
+def scene_pictures(progress: Progress, seed: int = 0) -> Evidence:
+    """All in focus has steeper edges, refocused is sharpest where it was focused, and two eyes see the depth.
+
+    Rationale: these pictures are what the camera is for. Claims ``all-in-focus`` and ``refocus`` compare them with the
+    truth pixel by pixel; this one asks what eyes ask, by measures that the reconstruction does not use itself.
+
+    Set-up: the photographs of adam and flowers of claim ``depth``, 512 x 384 px, da-mobile, preset bands. Edge slope:
+    gradients of green regressed on those of the sharp truth at its steepest tenth of pixels, away from boundaries (1:
+    as steep; noise does not count, for it knows nothing of the truth). Blur: Crete et al. 2007 on luminance, as the
+    share of the way from the capture to the sharp truth. Stack: the picture refocused to every level; a pixel's level
+    is that at which its patch has the largest energy of gradients. Anaglyph (12 px): its red is matched with its green,
+    block by block, for the shift between the eyes; expected is b (1/z_0 - 1/z) of the reconstructed depth.
+
+    Expectation: slopes up, at most to one and the width of its error; the stack's levels those of the truth as far as
+    depth is; shifts those of depth, to the step of the search, behind the screen or before it as asked.
+
+    Shifts are scaled to the range of the found depths, outliers included: in adam these take more than half of it, so
+    that the scene hardly comes out of the screen.
+
+    What was in focus is where depth is worst: the brick wall of adam and the meadow of flowers, at level 0, come out
+    up to 3 levels nearer (table), and a picture refocused to them is blurred there.
+
+    Limit: slope at 3 to 10 px of blur 0.5 and 1.5 times the capture's at least, at 0 to 3 px 0.75 to 1.15; half of the
+    way in blur; stack off by 0.5 level from the reconstruction's own levels, 0.8 from the true ones (median); shifts
+    off by 0.5 px, 0.95 of them on the right side of the screen.
+
+    Source: Fig. 1, 11 and 12, sec. 5.4 and 6.2.
+    """
+    rendering.needs_wave()
+    figures: list[Figure] = []
+    shown: list[tuple[str, str]] = []
+    pairs: list[Pair] = []
+    tables: list[Table] = []
+    for number, name in enumerate(SCENES):
+        scene = dasim.load_scene(name)
+        camera = dasim.focused(dasim.cropped(dasim.load_camera("da-mobile"), *scenes.SIZE_PX), scene)
+        shot = photographed(scene, camera, seed, spp=scenes.SPP)
+        bank = simulated_bank(camera, diffraction=shot.capture.provenance["diffraction"])
+        result = recon.reconstruct(shot.capture, bank, recon.PRESETS[scenes.PRESETS[0]])
+        figures += [*edges(name, result, shot.truth), *sharpest(name, result, bank, shot.truth)]
+        progress((number + 0.7) / len(SCENES))
+        anaglyphs = {}
+        for where in ("in", "out"):
+            left, right = stereo.pair(result.sharp_rgb, result.depth_m, STRONGEST_PX, where)
+            anaglyphs[where] = stereo.anaglyph(left, right)
+            figures += eyes(f"{name}.{where}", anaglyphs[where], result.depth_m, where, shot.truth)
+        tables.append((f"{name}: levels of objects", ["object", "pixels", "true", "found"], _rows(result, shot.truth)))
+        pairs += _pairs(name, result, bank, shot)
+        shown += _pictures(name, result, anaglyphs, shot)
+        progress((number + 1) / len(SCENES))
+    return Evidence(figures, pictures=shown, tables=tables, pairs=pairs)
+
+
+def edges(name: str, result: Reconstruction, truth: Truth) -> list[Figure]:
+    """How steep edges are, and how blurred the pictures look."""
+    exact = gradients(infrared_free(truth.sharp_e, result.camera)[..., 1])
+    before, after = gradients(result.linear_e[..., 1]), gradients(result.sharp_e[..., 1])
+    figures = []
+    for low, high in EDGE_BLUR_PX:
+        blur = np.abs(truth.blur_px)
+        where = truth.valid & ~truth.boundary & (blur >= low) & (blur < high)
+        slopes = [slope(own, exact, where) for own in (before, after)]
+        said = f"{name}: slope of edges at {low:g} to {high:g} px of blur over the sharp truth's"
+        label = f"{name}.slope-{low:g}-{high:g}"
+        figures += [
+            Figure(label, slopes[1], "1", f"{said}, all-in-focus picture"),
+            Figure(f"{label}.capture", slopes[0], "1", f"{said}, capture"),
+            Figure(f"{label}.gain", slopes[1] / slopes[0], "1", f"{said}, ratio of both"),
+        ]
+    images = (result.rgb, result.sharp_rgb, truth.sharp_srgb)
+    blurred, sharp, best = (float(blur_effect(np.asarray(i, np.float64) @ np.array(LUMINANCE))) for i in images)
+    said = f"{name}: blur (Crete et al.)"
+    return [
+        *figures,
+        Figure(f"{name}.blur.capture", blurred, "1", f"{said}, capture"),
+        Figure(f"{name}.blur.sharp", sharp, "1", f"{said}, all-in-focus picture"),
+        Figure(f"{name}.blur.truth", best, "1", f"{said}, sharp truth"),
+        Figure(f"{name}.blur.way", (blurred - sharp) / (blurred - best), "1", f"{said}, share of the way to the truth"),
+    ]
+
+
+def slope(found: FloatArray, exact: FloatArray, where: Mask) -> float:
+    """Regression of gradients [2, h, w] on exact ones, at the steepest of these within a mask [h, w]."""
+    steep = np.hypot(*exact)
+    edge = where & (steep >= np.quantile(steep[where], 1 - EDGE_SHARE))
+    return float((found * exact)[:, edge].sum() / (exact**2)[:, edge].sum())
+
+
+def gradients(image: NDArray) -> FloatArray:
+    """Differences along y and x of an image [h, w], slightly smoothed, [2, h, w]."""
+    smooth = cv2.GaussianBlur(image.astype(np.float64), (0, 0), GRADIENT_SIGMA_PX)
+    return np.stack(np.gradient(smooth))
+
+
+def sharpest(name: str, result: Reconstruction, bank: PsfBank, truth: Truth) -> list[Figure]:
+    """At which level each place of a stack of refocused pictures is sharpest, against those found and the true ones."""
+    where = truth.valid & ~truth.boundary & np.isfinite(result.level_raw)
+    levels = np.arange(0, np.ceil(float(np.nanmax(truth.level))) + 1 + STACK_STEP / 2, STACK_STEP)
+    energy = []
+    for level in levels:
+        picture = recon.refocus(result, bank, depth_of(level, bank))[..., 1]
+        energy.append(cv2.GaussianBlur((gradients(picture) ** 2).sum(axis=0), (0, 0), LOCAL_SIGMA_PX))
+    best = levels[np.argmax(energy, axis=0)]
+    said = f"{name}: level at which a refocused picture is sharpest, textured pixels away from boundaries"
+    return [
+        Figure(f"{name}.stack.{what}", float(np.median(np.abs(best - level)[where])), "level", f"{said}, {text}")
+        for what, level, text in (
+            ("own", result.level, "median distance from the reconstruction's own level"),
+            ("true", truth.level, "median distance from the true level"),
+        )
+    ]
+
+
+def depth_of(level: float, bank: PsfBank) -> float:
+    """Depth of a level of blur, m: linear in dioptres through the bank's first and last."""
+    vergence = 1 / bank.depth_m.astype(np.float64)
+    return float(1 / (vergence[0] + (vergence[-1] - vergence[0]) * level / (len(vergence) - 1)))
+
+
+def eyes(name: str, anaglyph: NDArray, depth_m: NDArray, where: str, truth: Truth) -> list[Figure]:
+    """Shifts between the eyes of a red-cyan anaglyph against those that depth asks for."""
+    found, match = shifts(anaglyph[..., 0], anaglyph[..., 1])
+    sure = (match > MATCHED) & truth.valid
+    vergence = 1 / depth_m.astype(np.float64)
+    screen = vergence.max() if where == "in" else vergence.min()
+    scale = STRONGEST_PX / (vergence.max() - vergence.min())
+    off = np.abs(found - scale * (screen - vergence))[sure]
+    off_true = np.abs(found - scale * (screen - 1 / truth.depth_m))[sure]
+    side = found[sure] * (1 if where == "in" else -1)
+    said = f"{name.partition('.')[0]}, anaglyph, {where}"
+    return [
+        Figure(f"{name}.shift", _median(off), "px", f"{said}: median error of the shift, expected from found depth"),
+        Figure(
+            f"{name}.side",
+            float(np.mean(side >= -SHIFT_STEP_PX)),
+            "1",
+            f"{said}: share on the right side of the screen",
+        ),
+        Figure(f"{name}.shift-true", _median(off_true), "px", f"{said}: median error of the shift, from true depth"),
+        Figure(f"{name}.matched", float(sure.mean()), "1", f"{said}: share of pixels whose blocks match"),
+    ]
+
+
+def _median(values: NDArray) -> float:
+    return float(np.median(values)) if values.size else float("nan")
+
+
+def shifts(left: NDArray, right: NDArray) -> tuple[FloatArray, FloatArray]:
+    """x_right - x_left of two pictures [h, w], px, and the correlation of the blocks that match best, [h, w].
+
+    Both are moved by half of each candidate shift, so that a shift is found at the place halfway between the two.
+    """
+    height, width = left.shape
+    pictures_ = [
+        np.asarray(p, np.float32) - cv2.GaussianBlur(p.astype(np.float32), (0, 0), SHADING_SIGMA_PX)
+        for p in (left, right)
+    ]
+    best = np.full((height, width), -np.inf)
+    found = np.zeros((height, width))
+
+    def mean(image: NDArray) -> NDArray:
+        return np.asarray(cv2.GaussianBlur(image, (0, 0), PATCH_SIGMA_PX))
+
+    for shift in np.arange(-STRONGEST_PX - 2, STRONGEST_PX + 2 + SHIFT_STEP_PX / 2, SHIFT_STEP_PX):
+        a, b = (
+            cv2.warpAffine(
+                p, np.array([[1, 0, move], [0, 1, 0]], np.float32), (width, height), borderMode=cv2.BORDER_REFLECT
+            )
+            for p, move in zip(pictures_, (shift / 2, -shift / 2), strict=True)
+        )
+        match = mean(a * b) / np.sqrt(mean(a * a) * mean(b * b) + np.float32(1e-9))
+        better = match > best
+        best[better], found[better] = match[better], shift
+    return found, best
+
+
+def _rows(result: Reconstruction, truth: Truth) -> list[list[str]]:
+    """Name, pixels away from boundaries, true and found level (medians) of each larger object."""
+    rows = []
+    for number, name in enumerate(truth.objects):
+        own = (truth.object_id == number + 1) & ~truth.boundary
+        if own.sum() >= LEAST_PX:
+            rows.append(
+                [name, str(own.sum()), *(f"{np.median(level[own]):.1f}" for level in (truth.level, result.level))]
+            )
+    return rows
+
+
+def _pairs(name: str, result: Reconstruction, bank: PsfBank, shot: Shot) -> list[Pair]:
+    """Capture and all-in-focus picture; refocused near, to the depth found at an object, and to where it was."""
+    separation = infrared.separation(result.camera, result.light, recon.Settings(**result.settings))
+    matrix = colour.colour_matrix(result.camera, result.light, separation)
+    scale = exposure_scale(result.linear_e, matrix)
+    own = shot.truth.object_id == shot.truth.objects.index(SCENES[name]) + 1
+    places = {f"depth found of the {SCENES[name]}": float(np.median(result.depth_m[own]))}
+    places["focus of the capture"] = result.camera.lens.focus_distance_m
+    focused = []
+    for text, depth_m in places.items():
+        picture = to_srgb(recon.refocus(result, bank, depth_m), matrix, scale)
+        focused.append((f"focused at {100 * depth_m:.0f} cm, the {text}", pictures.photo_address(picture)))
+    captured = ("captured", pictures.photo_address(result.rgb))
+    sharp = ("all in focus", pictures.photo_address(result.sharp_rgb))
+    return [(name, captured, sharp), (f"{name}, refocused after the shot", focused[0], focused[1])]
+
+
+def _pictures(name: str, result: Reconstruction, anaglyphs: dict[str, NDArray], shot: Shot) -> list[tuple[str, str]]:
+    truth = shot.truth
+    maps = [("true", truth.depth_m), ("found", result.depth_m)]
+    near, far = float(np.nanmin(truth.depth_m)), float(np.nanmax(truth.depth_m))
+    said = {"in": "goes into the screen", "out": "comes out of the screen"}
+    return [
+        (f"{name}: depth, linear in dioptres; yellow is near", pictures.depth_panels(maps, near, far)),
+        *(
+            (f"{name} for red-cyan glasses (red left): the scene {said[where]}", pictures.photo_address(image))
+            for where, image in anaglyphs.items()
+        ),
+    ]

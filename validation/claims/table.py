@@ -1,0 +1,72 @@
+"""The table of claims: everything ``dasim validate`` can measure, in the order of its report."""
+
+from __future__ import annotations
+
+from validation.claims.cost.datasets import dataset_speed
+from validation.claims.cost.reconstruction import recon_speed
+from validation.claims.cost.sampling import desk_noise, noise_slope_off, noise_slope_wave, render_cost
+from validation.claims.cost.scenes import interreflection, registration, scenes_speed
+from validation.claims.depth.depth_maps import depth_maps
+from validation.claims.depth.disks import yellow_disks
+from validation.claims.depth.ground_truth import ground_truth
+from validation.claims.depth.light_levels import light_levels
+from validation.claims.depth.scenes import depth
+from validation.claims.depth.staircase import staircase, staircase_camera
+from validation.claims.depth.steps import measured_steps
+from validation.claims.light.balance import balance
+from validation.claims.light.electrons import absolute_electrons, eq8_flat_field, hole_alpha_squared, light_loss
+from validation.claims.light.noise import photon_transfer
+from validation.claims.optics.bank import bank
+from validation.claims.optics.blur import blur_off
+from validation.claims.optics.camera import depth_of_field, dynamic_range, kernels, response_curves
+from validation.claims.optics.diffraction import airy_table, wave_energy, wave_sfr
+from validation.claims.optics.occlusion import occluding_edge
+from validation.claims.optics.resolution import depth_resolution
+from validation.claims.pictures.all_in_focus import all_in_focus, refocus
+from validation.claims.pictures.colour import colour
+from validation.claims.pictures.scene_pictures import scene_pictures
+from validation.claims.pictures.two_cameras import two_cameras
+from validation.gates.run import Measurement
+
+# Quick: less than about 20 s on two cores.
+CLAIMS = {
+    "radiometry": Measurement(absolute_electrons, quick=True),
+    "photon-transfer": Measurement(photon_transfer, quick=True),
+    "light-loss": Measurement(light_loss, quick=True),
+    "response-curves": Measurement(response_curves, quick=True),
+    "depth-of-field": Measurement(depth_of_field, quick=True),
+    "kernels": Measurement(kernels, quick=True),
+    "dynamic-range": Measurement(dynamic_range, quick=True),
+    "depth-resolution": Measurement(depth_resolution, quick=True),
+    "hole-alpha-squared": Measurement(hole_alpha_squared, quick=True),
+    "eq8-flat-field": Measurement(eq8_flat_field, quick=True),
+    "blur-off": Measurement(blur_off, quick=True),
+    "wave-sfr": Measurement(wave_sfr, quick=False),
+    "wave-energy": Measurement(wave_energy, quick=True),
+    "occluding-edge": Measurement(occluding_edge, quick=True),
+    "airy-table": Measurement(airy_table, quick=True),
+    "noise-slope-off": Measurement(noise_slope_off, quick=False),
+    "noise-slope-wave": Measurement(noise_slope_wave, quick=False),
+    "desk-noise": Measurement(desk_noise, quick=False),
+    "render-cost": Measurement(render_cost, quick=False, alone=True),
+    "ground-truth": Measurement(ground_truth, quick=True),
+    "registration": Measurement(registration, quick=True),
+    "interreflection": Measurement(interreflection, quick=False),
+    "colour": Measurement(colour, quick=False),
+    "scenes-speed": Measurement(scenes_speed, quick=False, alone=True),
+    "bank": Measurement(bank, quick=True),
+    "staircase": Measurement(staircase, quick=False),
+    "staircase-camera": Measurement(staircase_camera, quick=False),
+    "recon-speed": Measurement(recon_speed, quick=False, alone=True),
+    "depth": Measurement(depth, quick=False),
+    "all-in-focus": Measurement(all_in_focus, quick=False),
+    "refocus": Measurement(refocus, quick=False),
+    "depth-steps": Measurement(measured_steps, quick=False),
+    "balance": Measurement(balance, quick=True),
+    "light-levels": Measurement(light_levels, quick=False),
+    "depth-maps": Measurement(depth_maps, quick=False),
+    "yellow-disks": Measurement(yellow_disks, quick=False),
+    "scene-pictures": Measurement(scene_pictures, quick=False),
+    "two-cameras": Measurement(two_cameras, quick=False),
+    "dataset-speed": Measurement(dataset_speed, quick=False, alone=True),
+}

@@ -1,0 +1,107 @@
+"""What became better and worse since an earlier ``results.json``, beyond the spread over seeds."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from pathlib import Path
+from typing import NamedTuple
+
+from dasim.base.errors import InputError
+from validation.gates.claim import RESULTS_SCHEMA, Claim
+
+SPREADS = 3.0  # standard deviations of the difference of two runs that chance alone seldom makes
+ROUNDING = 1e-6  # relative, for figures of unknown spread: other thread counts add in another order
+
+
+class Change(NamedTuple):
+    """A figure of both runs, or of one of them (the other's value is NaN)."""
+
+    id: str
+    old: float
+    new: float
+    unit: str
+    verdict: str  # better, worse, changed (it has no better side), same, new, gone
+
+
+class Earlier(NamedTuple):
+    """What an earlier run says of a figure."""
+
+    value: float
+    spread: float | None
+    unit: str
+
+
+def load_results(path: Path) -> dict[str, Earlier]:
+    """Figures of an earlier ``results.json`` by their id; InputError where it is none."""
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise InputError(f"--compare {path}: does not exist; give the results.json of an earlier run") from None
+    except (OSError, ValueError) as error:
+        raise InputError(f"--compare {path}: cannot be read as JSON: {error}") from None
+    try:
+        if content["schema"] > RESULTS_SCHEMA:
+            raise InputError(f"--compare {path}: schema {content['schema']} is newer than this dasim; update dasim")
+        return {
+            entry["id"]: Earlier(
+                math.nan if entry["value"] is None else float(entry["value"]), entry.get("spread"), entry["unit"]
+            )
+            for entry in content["claims"]
+        }
+    except (KeyError, TypeError, ValueError):
+        raise InputError(f"--compare {path}: is no results.json of dasim validate") from None
+
+
+def changes(old: dict[str, Earlier], new: list[Claim], measured: set[str]) -> list[Change]:
+    """Each figure's change. Figures of claims that were not ``measured`` this time are no loss."""
+    found = []
+    for claim in new:
+        before = old.get(claim.id)
+        if before is None:
+            found.append(Change(claim.id, math.nan, claim.value, claim.unit, "new"))
+        else:
+            found.append(Change(claim.id, before.value, claim.value, claim.unit, _verdict(before, claim)))
+    here = {claim.id for claim in new}
+    gone = [name for name in old if name not in here and name.partition(".")[0] in measured]
+    return found + [Change(name, old[name].value, math.nan, old[name].unit, "gone") for name in gone]
+
+
+def _verdict(before: Earlier, claim: Claim) -> str:
+    if math.isnan(before.value) and math.isnan(claim.value):
+        return "same"
+    if math.isnan(before.value) or math.isnan(claim.value):
+        return "changed"
+    known = [s for s in (before.spread, claim.spread) if s is not None and math.isfinite(s)]
+    tolerance = SPREADS * math.sqrt(2) * max(known) if known else ROUNDING * max(abs(before.value), abs(claim.value))
+    if abs(claim.value - before.value) <= tolerance:
+        return "same"
+    distance = _distance(claim.limit)
+    if distance is None or distance(claim.value) == distance(before.value):
+        return "changed"
+    return "better" if distance(claim.value) < distance(before.value) else "worse"
+
+
+def _distance(limit: str | None):  # type: ignore[no-untyped-def]
+    """How far from good a value is, by its limit's direction; None without a limit."""
+    if limit is None:
+        return None
+    if ".." in limit:
+        low, high = (float(part) for part in re.split(r"\.\.", limit))
+        return lambda value: abs(value - (low + high) / 2)
+    sign = 1.0 if limit.lstrip().startswith("<") else -1.0
+    return lambda value: sign * value
+
+
+def report(found: list[Change]) -> list[str]:
+    """Lines for people: what became worse first; what stayed is only counted."""
+    order = ("worse", "better", "changed", "gone", "new")
+    lines = [
+        f"{change.verdict:<8}{change.id:<44}{change.old:>10.4g} -> {change.new:<10.4g} {change.unit}"
+        for verdict in order
+        for change in found
+        if change.verdict == verdict
+    ]
+    counts = {verdict: sum(change.verdict == verdict for change in found) for verdict in (*order, "same")}
+    return [*lines, "compared: " + ", ".join(f"{count} {verdict}" for verdict, count in counts.items())]

@@ -1,0 +1,46 @@
+"""Limits proposed from what was measured: a mean over seeds and a margin that comes from their spread."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from validation.gates.claim import Claim
+
+CONFIDENCE = 0.99  # that one more seed keeps the limit
+
+
+def proposed(claim: Claim, seeds: int) -> str | None:
+    """A limit that one more seed keeps with the probability ``CONFIDENCE``; None where no spread was measured.
+
+    The prediction interval of a normal variable, mean +- t s sqrt(1 + 1/n), with Student's t of n - 1 degrees of
+    freedom. One-sided as the claim's own limit is, two-sided without one or with a range.
+    """
+    from scipy.stats import t as student
+
+    if claim.spread is None or seeds < 2 or not math.isfinite(claim.value):
+        return None
+    sides = 1 if claim.limit and ".." not in claim.limit else 2
+    quantile = float(student.ppf(1 - (1 - CONFIDENCE) / sides, seeds - 1))
+    margin = quantile * claim.spread * math.sqrt(1 + 1 / seeds)
+    low, high = (f"{claim.value + sign * margin:.4g}" for sign in (-1, 1))
+    if sides == 2:
+        return f"{low}..{high}"
+    return f"<= {high}" if claim.limit and claim.limit.lstrip().startswith("<") else f">= {low}"
+
+
+def gate_file(measured: Sequence[tuple[Claim, int]]) -> str:
+    """A file for ``--gates``: a limit for each figure (claim, seeds) whose spread is known, and where it comes from."""
+    lines = ["# Limits from measured values and their spread over seeds, by dasim validate --propose-gates."]
+    for claim, seeds in measured:
+        limit = proposed(claim, seeds)
+        if limit is None:
+            continue
+        why = f"measured {claim.value:.4g} +- {claim.spread:.2g} {claim.unit} over {seeds} seeds"
+        lines += [
+            "",
+            f'["{claim.id}"]',
+            f'limit = "{limit}"',
+            f'why = "{why}; {CONFIDENCE:.0%} of further seeds keep it"',
+        ]
+    return "\n".join(lines) + "\n"

@@ -1,0 +1,94 @@
+"""The report page of ``dasim validate``."""
+
+from __future__ import annotations
+
+import base64
+import re
+import struct
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import jinja2
+from markupsafe import Markup, escape
+
+from validation.gates.claim import LIMIT_FROM
+from validation.reports.page import TEMPLATE_DIR
+
+if TYPE_CHECKING:
+    from validation.gates.claim import Claim
+    from validation.gates.run import Outcome
+
+WIDE = 1.9
+
+_LABEL = re.compile(r"(Rationale|Set-up|Expectation|Limit|Deviation|Source): ")
+_VIEW = re.compile(rb'viewBox="0 0 ([\d.]+) ([\d.]+)"')  # of an SVG
+
+
+def claims_page(outcomes: Sequence[Outcome]) -> str:
+    """Summary table, then each claim's text, figures and pictures; one file, no outside request."""
+    environment = jinja2.Environment(loader=jinja2.FileSystemLoader(TEMPLATE_DIR), autoescape=True)
+    entries = [(outcome, entry) for outcome in outcomes for entry in outcome.claims]
+    environment.filters["code"] = code
+    judged = [entry for _, entry in entries if entry.passed is not None]
+    counts = {
+        "passed": sum(entry.passed is True for entry in judged),
+        "failed": sum(entry.passed is False for entry in judged),
+        "reported": sum(entry.passed is None and not outcome.not_run for outcome, entry in entries),
+        "not_run": sum(bool(outcome.not_run) for outcome in outcomes),
+    }
+    return environment.get_template("claims.html").render(
+        outcomes=outcomes,
+        counts=counts,
+        sentence=sentence,
+        paragraphs=paragraphs,
+        number=number,
+        verdict=verdict,
+        meaning=meaning,
+        wide=wide,
+    )
+
+
+def sentence(text: str) -> str:
+    """A docstring's first paragraph, in one line."""
+    return " ".join(text.split("\n\n")[0].split())
+
+
+def code(text: str) -> Markup:
+    """Escaped text with ``names`` set as code."""
+    return Markup(re.sub(r"``([^`]+)``", r"<code>\1</code>", str(escape(text))))
+
+
+def meaning(claim: Claim) -> str:
+    """What a figure is, without where its limit comes from: that stands beside the gate, once."""
+    return claim.source.partition(LIMIT_FROM)[0]
+
+
+def paragraphs(text: str) -> list[tuple[str, str]]:
+    """A docstring's paragraphs after the first, each with the label it begins with (or none)."""
+    found = []
+    for paragraph in text.split("\n\n")[1:]:
+        line = " ".join(paragraph.split())
+        label = _LABEL.match(line)
+        found.append((label[1], line[label.end() :]) if label else ("", line))
+    return found
+
+
+def wide(address: str) -> bool:
+    """Whether a picture is a row of panels, more than WIDE times as wide as high: it gets the page's whole width."""
+    head, _, data = address.partition(",")
+    if head.startswith("data:image/png;base64"):
+        width, height = struct.unpack(">II", base64.b64decode(data[:32])[16:24])  # the first chunk, IHDR
+        return bool(width > WIDE * height)
+    found = _VIEW.search(base64.b64decode(data[:4096])) if head.startswith("data:image/svg+xml;base64") else None
+    return found is not None and float(found[1]) > WIDE * float(found[2])
+
+
+def number(value: float) -> str:
+    """Four significant digits."""
+    return f"{value:.4g}"
+
+
+def verdict(claims: Sequence[Claim]) -> bool | None:
+    """False where one failed, True where some were judged and none failed, None where none was judged."""
+    judged = [claim.passed for claim in claims if claim.passed is not None]
+    return all(judged) if judged else None

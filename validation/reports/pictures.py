@@ -1,0 +1,111 @@
+"""Pictures that claims put into the report: photographs, maps of depth on one scale, surfaces seen from aside."""
+
+from __future__ import annotations
+
+import base64
+import io
+from collections.abc import Sequence
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from recon.views.surface import Surface
+from validation.reports.page import MAP, NO_ESTIMATE
+
+JPEG_QUALITY = 92  # a fifth of the size of PNG for a noisy photograph, without a difference that is seen
+PANEL_INCH = 3.2  # width of a map
+DPI = 130
+TICKS = 5
+BACKGROUND = 255
+SUPERSAMPLED = 2
+RELIEF_SHARE = 0.7  # of the frame's width, depth of a relief
+PITCH_DEG = 15.0  # from above
+FRAMED = 0.75  # of its size, so that the turned relief stays within the frame
+
+FloatArray = NDArray[np.float64]
+
+
+def photo_address(image: NDArray[Any]) -> str:
+    """A photograph, display values 0..1 [h, w, 3], as a data address (JPEG)."""
+    encoded = np.rint(np.clip(np.nan_to_num(image), 0, 1) * 255).astype(np.uint8)[..., ::-1]
+    sampling = [cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444]
+    _, data = cv2.imencode(".jpg", np.ascontiguousarray(encoded), [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY, *sampling])
+    return "data:image/jpeg;base64," + base64.b64encode(data.tobytes()).decode()
+
+
+def depth_panels(maps: Sequence[tuple[str, NDArray[Any]]], nearest_m: float, farthest_m: float) -> str:
+    """Maps of depth in metres [h, w] side by side, each under its title, on one scale with a colour bar, in cm.
+
+    Colours are linear in dioptres, as blur is; grey where a map has NaN.
+    """
+    import matplotlib
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    height, width = maps[0][1].shape
+    colours = matplotlib.colormaps[MAP].with_extremes(bad=NO_ESTIMATE)
+    size = (PANEL_INCH * len(maps) + 0.9, PANEL_INCH * height / width + 0.35)
+    with matplotlib.rc_context({"font.size": 9}):
+        figure = Figure(figsize=size, dpi=DPI, layout="constrained")
+        FigureCanvasAgg(figure)
+        axes = np.atleast_1d(figure.subplots(1, len(maps)))
+        for one, (title, depth_m) in zip(axes, maps, strict=True):
+            vergence = 1 / np.asarray(depth_m, np.float64)
+            shown = one.imshow(
+                np.ma.masked_invalid(vergence), cmap=colours, vmin=1 / farthest_m, vmax=1 / nearest_m,
+                interpolation="nearest",
+            )  # fmt: skip
+            one.set_title(title)
+            one.set_axis_off()
+        bar = figure.colorbar(shown, ax=list(axes), label="depth z (cm)", pad=0.01)
+        ticks = np.linspace(1 / farthest_m, 1 / nearest_m, TICKS)
+        bar.set_ticks(list(ticks), labels=[f"{100 / tick:.3g}" for tick in ticks])
+        buffer = io.BytesIO()
+        figure.savefig(buffer, format="png", facecolor="white")
+    return "data:image/png;base64," + base64.b64encode(buffer.getvalue()).decode()
+
+
+def relief(
+    mesh: Surface, intrinsic: FloatArray, shape: tuple[int, int], nearest_m: float, farthest_m: float, yaw_deg: float
+) -> FloatArray:
+    """A textured surface as a relief seen from aside and a little from above, display values [h, w, 3].
+
+    ``yaw_deg`` > 0 looks from the right. The axes are (x / z, y / z, 1 / z): a projective view of space, in which
+    planes stay planes and a level of blur is as deep everywhere; in metres, a lens of 14 degrees sees a spike.
+    The range from ``nearest_m`` to ``farthest_m`` is RELIEF_SHARE of the frame's width deep. Triangles from the
+    farthest on, each in the colour of its middle (painter's algorithm); white where no surface is seen.
+    """
+    height, width = SUPERSAMPLED * shape[0], SUPERSAMPLED * shape[1]
+    canvas = np.full((height, width, 3), BACKGROUND, np.uint8)
+    if len(mesh.triangle):
+        flat = mesh.vertex_m @ intrinsic.T / mesh.vertex_m[:, 2:]
+        depth = (1 / mesh.vertex_m[:, 2] - 1 / farthest_m) / (1 / nearest_m - 1 / farthest_m)
+        centred = np.column_stack(
+            [flat[:, 0] - shape[1] / 2, flat[:, 1] - shape[0] / 2, (0.5 - depth) * RELIEF_SHARE * shape[1]]
+        )
+        turned = centred @ _rotation(yaw_deg, PITCH_DEG).T * (FRAMED * SUPERSAMPLED)
+        xy = np.rint(turned[:, :2] + (width / 2, height / 2)).astype(np.int32)
+        faces = mesh.triangle[np.argsort(-turned[mesh.triangle, 2].mean(axis=1))]
+        for corners, colour in zip(xy[faces], _colours(mesh, faces), strict=True):
+            cv2.fillConvexPoly(canvas, corners, colour)
+    return cv2.resize(canvas, (shape[1], shape[0]), interpolation=cv2.INTER_AREA).astype(np.float64) / 255
+
+
+def _rotation(yaw_deg: float, pitch_deg: float) -> FloatArray:
+    """Rotation of the scene that shows it from the right (yaw) and from above (pitch); x right, y down, z forward."""
+    yaw, pitch = np.radians(yaw_deg), np.radians(pitch_deg)
+    about_y = np.array([[np.cos(yaw), 0, np.sin(yaw)], [0, 1, 0], [-np.sin(yaw), 0, np.cos(yaw)]])
+    about_x = np.array([[1, 0, 0], [0, np.cos(pitch), -np.sin(pitch)], [0, np.sin(pitch), np.cos(pitch)]])
+    return np.asarray(about_x @ about_y)
+
+
+def _colours(mesh: Surface, faces: NDArray[np.int64]) -> list[list[int]]:
+    """Colour of each triangle's middle in the texture, [n][3]."""
+    height, width = mesh.picture.shape[:2]
+    u, v = mesh.uv[faces].mean(axis=1).T
+    rows = np.clip(((1 - v) * height).astype(int), 0, height - 1)
+    columns = np.clip((u * width).astype(int), 0, width - 1)
+    found: list[list[int]] = mesh.picture[rows, columns].astype(int).tolist()
+    return found

@@ -1,0 +1,80 @@
+"""Depth and confidence maps that another program wrote: EXR, NPY, 16-bit PNG."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dasim.base.errors import InputError
+from dasim.files.folders import read_png16
+
+FloatArray = NDArray[np.float64]
+
+SUFFIXES = (".exr", ".npy", ".png")
+EXR_CHANNELS = ("Z", "depth.Z", "depth", "Y", "R")  # that are tried, in this order
+
+
+def read_depth(path: Path, metres_per_unit: float | None = None) -> FloatArray:
+    """Depth z in metres, [h, w], NaN where the file has no estimate.
+
+    EXR (channel Z, depth, Y or R) and NPY hold metres unless ``metres_per_unit`` says otherwise; 16-bit PNG needs it,
+    and 0 there is no estimate. Raises InputError for what cannot be read as one map.
+    """
+    if metres_per_unit is not None and not metres_per_unit > 0:
+        raise InputError(f"--scale {metres_per_unit:g}: must be above 0, the metres of one unit")
+    found = read_map(path)
+    if path.suffix.lower() == ".png":
+        if metres_per_unit is None:
+            raise InputError(f"{path}: a PNG holds whole numbers; say with --scale how many metres one unit is")
+        found[found == 0] = np.nan
+    found = found * (metres_per_unit or 1.0)
+    found[~(np.isfinite(found) & (found > 0))] = np.nan
+    if np.isnan(found).all():
+        raise InputError(
+            f"{path}: holds no depth at all; needed are metres above 0, NaN or 0 where there is no estimate"
+        )
+    return found
+
+
+def read_map(path: Path) -> FloatArray:
+    """One number a pixel, [h, w], as the file has them."""
+    if not path.is_file():
+        raise InputError(f"{path}: does not exist, or is a folder that is no reconstruction")
+    suffix = path.suffix.lower()
+    if suffix == ".png":
+        return read_png16(path).astype(np.float64)
+    if suffix == ".npy":
+        found = _read_npy(path)
+    elif suffix == ".exr":
+        found = _read_exr(path)
+    else:
+        raise InputError(f"{path}: unknown kind of file; allowed are {', '.join(SUFFIXES)}")
+    found = np.squeeze(found)
+    if found.ndim != 2 or not np.issubdtype(found.dtype, np.number) or np.iscomplexobj(found):
+        raise InputError(
+            f"{path}: holds an array of shape {found.shape} and type {found.dtype}; needed is [h, w] of numbers"
+        )
+    return found.astype(np.float64)
+
+
+def _read_npy(path: Path) -> NDArray:
+    try:
+        return np.asarray(np.load(path, allow_pickle=False))
+    except (OSError, ValueError) as error:
+        raise InputError(f"{path}: cannot be read as NPY: {error}") from None
+
+
+def _read_exr(path: Path) -> NDArray:
+    import OpenEXR
+
+    try:
+        with OpenEXR.File(str(path), separate_channels=True) as file:
+            channels = {name: channel.pixels for part in file.parts for name, channel in part.channels.items()}
+    except (OSError, ValueError, RuntimeError) as error:
+        raise InputError(f"{path}: cannot be read as EXR: {error}") from None
+    for name in EXR_CHANNELS:
+        if name in channels:
+            return np.asarray(channels[name])
+    raise InputError(f"{path}: has no channel {', '.join(EXR_CHANNELS)}; it has {', '.join(channels) or 'none'}")

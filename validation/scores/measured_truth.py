@@ -1,0 +1,57 @@
+"""A ground truth that a user measured beside a photograph: a map of depths, and nothing else of the scene."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dasim.camera import specification as cameras
+from dasim.camera.specification import Camera
+from dasim.render.truth import boundary
+from dasim.values import Reconstruction, Truth
+from validation.scores.figures import Figure
+from validation.scores.score import confidence_figures, depth_figures, depth_of_level
+
+NOTHING = np.zeros((0, 0))
+
+
+def truth_of_depth(depth_m: NDArray[Any], camera: Camera) -> Truth:
+    """What follows from a depth map [h, w] in metres, NaN where nothing was measured: levels and boundaries.
+
+    Normals, labels and pictures stay empty.
+    """
+    blur = np.asarray(cameras.blur_px(camera, depth_m.astype(np.float64)))
+    empty = NOTHING.astype(np.float32)
+    return Truth(
+        depth_m=depth_m.astype(np.float32),
+        valid=np.isfinite(depth_m),
+        normal=empty,
+        object_id=empty.astype(np.uint32),
+        material_id=empty.astype(np.uint32),
+        blur_px=blur.astype(np.float32),
+        level=(blur / cameras.level_blur_px(camera)[1]).astype(np.float32),
+        boundary=boundary(blur),
+        channels=cameras.channels(camera.sensor),
+        mean_e=empty,
+        sharp_e=empty,
+        sharp_srgb=empty,
+    )
+
+
+def score_measured(found: Reconstruction, depth_m: NDArray[Any]) -> list[Figure]:
+    """Depth figures of a reconstruction, raw and regularised, against a measured depth map of its size.
+
+    Texture is told from the raw picture, which is not here: ``inner`` is all that lies off the boundaries.
+    """
+    truth = truth_of_depth(depth_m, found.camera)
+    raw_m = np.where(np.isfinite(found.level_raw), depth_of_level(found.level_raw, found), np.nan)
+    whole = np.ones(truth.depth_m.shape, bool)
+    figures = []
+    for name, estimate in (("raw", raw_m), ("regularised", found.depth_m)):
+        for figure in depth_figures(name, estimate, truth, found.camera, whole):
+            if f"{name}.untextured." not in figure.id:
+                figures.append(replace(figure, id=figure.id.replace(f"{name}.textured.", f"{name}.inner.")))
+    return [*figures, *confidence_figures("regularised", found.depth_m, found.confidence, truth, found.camera)]

@@ -1,0 +1,126 @@
+"""Scores of pictures, captured and all in focus, against the picture through a pinhole.
+
+PSNR of linear light: no display curve or clipping is graded. SSIM (Wang et al. 2004), colour difference CIEDE2000 and
+the blur effect (Crete et al. 2007) of what is displayed: sRGB, both pictures through the same matrix and exposure.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dasim.camera.specification import Camera, quantum_efficiency
+from dasim.spectra import grid
+from dasim.spectra.colour import exposure_scale, to_srgb
+from dasim.values import Reconstruction, Truth
+from recon.picture import colour, infrared
+from recon.settings import Settings
+
+FloatArray = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+VISIBLE_BLUR_PX = (3.0, 15.0)  # where sharpening is judged
+PEAK_PERCENTILE = 99.9  # of the truth: a single highlight is no peak
+SSIM_SIGMA_PX, SSIM_WINDOW_PX = 1.5, 11  # Wang et al. 2004
+
+METRICS = {
+    "psnr": ("dB", "10 log10(peak^2 / mean squared error), linear light"),
+    "ssim": ("1", "mean structural similarity of sRGB, Gaussian window of 1.5 px"),
+    "ciede2000": ("1", "mean colour difference CIEDE2000"),
+}
+
+
+class PictureScore(NamedTuple):
+    """Scores of the captured and of the all-in-focus picture in one region."""
+
+    region: str
+    share: float  # of the pixels that see something
+    captured: dict[str, float]
+    sharpened: dict[str, float]
+
+
+def regions(truth: Truth) -> dict[str, Mask]:
+    """Where pictures are judged: blurred by 3 to 15 px, and everywhere; both away from boundaries."""
+    inner = truth.valid & ~truth.boundary
+    low, high = VISIBLE_BLUR_PX
+    blur = np.abs(truth.blur_px)
+    return {"blurred": inner & (blur >= low) & (blur <= high), "inner": inner}
+
+
+def picture_scores(result: Reconstruction, truth: Truth) -> list[PictureScore]:
+    """Scores of both pictures, region by region; NaN where a region is empty."""
+    exact = infrared_free(truth.sharp_e, result.camera)
+    shown = displayed(result, truth)
+    total = max(float(truth.valid.sum()), 1.0)
+    found = []
+    for name, where in regions(truth).items():
+        pair = [
+            {"psnr": psnr(linear, exact, where), **display_scores(picture, shown["truth"], where)}
+            for linear, picture in ((result.linear_e, shown["captured"]), (result.sharp_e, shown["all-in-focus"]))
+        ]
+        found.append(PictureScore(name, float(where.sum()) / total, pair[0], pair[1]))
+    return found
+
+
+def displayed(result: Reconstruction, truth: Truth) -> dict[str, FloatArray]:
+    """The captured, the all-in-focus and the true picture in sRGB through one matrix and exposure, [h, w, 3] each."""
+    separation = infrared.separation(result.camera, result.light, Settings(**result.settings))
+    matrix = colour.colour_matrix(result.camera, result.light, separation)
+    scale = exposure_scale(result.linear_e, matrix)
+    exact = infrared_free(truth.sharp_e, result.camera)
+    linear: dict[str, NDArray[Any]] = {"captured": result.linear_e, "all-in-focus": result.sharp_e, "truth": exact}
+    return {name: to_srgb(e.astype(np.float32), matrix, scale).astype(np.float64) for name, e in linear.items()}
+
+
+def infrared_free(image_e: NDArray[Any], camera: Camera) -> FloatArray:
+    """Linear colours without infrared, eq. (7) on exact signals: [h, w, 4] -> [h, w, 3] electrons."""
+    sensor = camera.sensor
+    response = quantum_efficiency(sensor) * grid.short_pass(sensor.cutoff_nm, sensor.cutoff_width_nm)
+    return image_e[..., :3].astype(np.float64) - grid.ir_crosstalk(response) * image_e[..., 3:]
+
+
+def psnr(image: NDArray[Any], exact: FloatArray, where: Mask) -> float:
+    """Peak signal-to-noise ratio in dB over masked pixels and all channels; the peak is the truth's 99.9th percentile.
+
+    10 log10(peak^2 / mean squared error), linear light.
+    """
+    if not where.any():
+        return float("nan")
+    error = float(np.mean((image[where].astype(np.float64) - exact[where]) ** 2))
+    peak = float(np.percentile(exact, PEAK_PERCENTILE))
+    return float(10 * np.log10(peak**2 / error)) if error > 0 and peak > 0 else float("inf")
+
+
+def display_scores(image: NDArray[Any], exact: FloatArray, where: Mask) -> dict[str, float]:
+    """SSIM and CIEDE2000 of display pictures [h, w, 3], 0..1: means over masked pixels, NaN where there are none.
+
+    SSIM is NaN also where the picture is smaller than its window.
+    """
+    import colour as science
+    from skimage.metrics import structural_similarity
+
+    if not where.any():
+        return {"ssim": float("nan"), "ciede2000": float("nan")}
+    likeness = np.full(image.shape, np.nan)
+    if min(where.shape) >= SSIM_WINDOW_PX:
+        _, likeness = structural_similarity(
+            exact, np.asarray(image, np.float64), channel_axis=-1, data_range=1.0, full=True, gaussian_weights=True,
+            sigma=SSIM_SIGMA_PX, use_sample_covariance=False,
+        )  # fmt: skip
+    lab = [science.XYZ_to_Lab(science.sRGB_to_XYZ(picture[where])) for picture in (image, exact)]
+    return {
+        "ssim": float(likeness[where].mean()),
+        "ciede2000": float(np.mean(science.delta_E(*lab, method="CIE 2000"))),
+    }
+
+
+def blur_effect(image: NDArray[Any]) -> float:
+    """Blur of a display picture [h, w, 3], from 0 (sharp) to 1: how little a further blur takes from it.
+
+    Crete et al. 2007, as scikit-image has it; without reference. Noise counts as sharpness.
+    """
+    from skimage.measure import blur_effect as effect
+
+    return float(effect(np.asarray(image, np.float64), channel_axis=-1))

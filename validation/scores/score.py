@@ -1,0 +1,162 @@
+"""All scores of a reconstruction or of a foreign depth map, as figures and as a table for people."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dasim.camera.specification import Camera
+from dasim.values import Capture, Reconstruction, Truth
+from validation.scores import depth, pictures, texture
+from validation.scores.depth import METRICS as DEPTH_METRICS
+from validation.scores.depth import check_size
+from validation.scores.figures import Figure
+
+FloatArray = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+PICTURES = ("captured", "all-in-focus")
+LEVEL_KEYS = ("level-median", "level-bias")
+FLAT_LEVELS = 1e-3  # a scene with less depth than this has no best constant to compare with
+
+
+def score(result: Reconstruction, capture: Capture, truth: Truth) -> list[Figure]:
+    """Figures of a reconstruction: raw and regularised depth, confidence, and pictures against the sharp truth.
+
+    Depth figures are MAP.REGION.METRIC (:mod:`validation.scores.depth`), those of pictures PICTURE.REGION.METRIC
+    (:mod:`validation.scores.pictures`). Raises InputError where the sizes differ.
+    """
+    camera, textured = result.camera, texture.textured(capture)
+    check_size(result.level, truth, "reconstruction")
+    raw_m = np.where(np.isfinite(result.level_raw), depth_of_level(result.level_raw, result), np.nan)
+    figures = []
+    for name, depth_m in (("raw", raw_m), ("regularised", result.depth_m)):
+        figures += depth_figures(name, depth_m, truth, camera, textured)
+    figures += level_figures("raw", raw_m, truth, camera, textured)
+    figures += confidence_figures("regularised", result.depth_m, result.confidence, truth, camera)
+    return [*figures, *picture_figures(result, truth)]
+
+
+def score_map(
+    depth_m: NDArray[Any], capture: Capture, truth: Truth, confidence: NDArray[Any] | None = None
+) -> list[Figure]:
+    """Figures of anybody's depth map [h, w] in metres, NaN where there is no estimate, and of its confidence."""
+    figures = depth_figures("depth", depth_m, truth, capture.camera, texture.textured(capture))
+    if confidence is not None:
+        figures += confidence_figures("depth", depth_m, confidence, truth, capture.camera)
+    return figures
+
+
+def depth_of_level(level: NDArray[Any], result: Reconstruction) -> FloatArray:
+    """Depth of raw levels, by the relation of level and depth that the regularised map shows."""
+    order = np.argsort(result.level, axis=None)
+    levels, depths = result.level.ravel()[order], result.depth_m.ravel()[order]
+    return np.interp(level, levels, depths, left=depths[0], right=depths[-1])
+
+
+def depth_figures(name: str, depth_m: NDArray[Any], truth: Truth, camera: Camera, textured: Mask) -> list[Figure]:
+    """Scores of a depth map: NAME.REGION.METRIC, and the same of the best constant map: NAME.REGION.METRIC.constant."""
+    figures = []
+    for found in depth.depth_scores(depth_m, truth, camera, textured):
+        where = f"{name}.{found.region}"
+        figures.append(Figure(f"{where}.share", found.share, "1", "the region's share of the pixels"))
+        figures.append(Figure(f"{where}.coverage", found.coverage, "1", "share of the region with an estimate"))
+        for key, metric in DEPTH_METRICS.items():
+            figures.append(Figure(f"{where}.{key}", found.values[key], metric.unit, metric.meaning))
+            best = f"best constant map: {metric.meaning}"
+            figures.append(Figure(f"{where}.{key}.constant", found.constant[key], metric.unit, best))
+        text = "median |l - l*| over that of the best constant map"
+        constant = found.constant["level-median"]
+        ratio = found.values["level-median"] / constant if constant > FLAT_LEVELS else float("nan")
+        figures.append(Figure(f"{where}.level-ratio", ratio, "1", text))
+    return figures
+
+
+def level_figures(name: str, depth_m: NDArray[Any], truth: Truth, camera: Camera, textured: Mask) -> list[Figure]:
+    """NAME.at-LEVEL.level-median and .level-bias: errors of textured pixels by true level, from LEVEL to the next."""
+    figures = []
+    for low, median, bias in depth.by_level(depth_m, truth, camera, textured):
+        where = f"textured pixels of true levels from {low:g}"
+        figures.append(Figure(f"{name}.at-{low:g}.level-median", median, "level", f"{where}: median |l - l*|"))
+        figures.append(Figure(f"{name}.at-{low:g}.level-bias", bias, "level", f"{where}: median l - l*"))
+    return figures
+
+
+def picture_figures(result: Reconstruction, truth: Truth) -> list[Figure]:
+    """PICTURE.REGION.METRIC of the captured and of the all-in-focus picture; gains; blur of each and of the truth."""
+    figures = []
+    for found in pictures.picture_scores(result, truth):
+        for key, (unit, meaning) in pictures.METRICS.items():
+            for name, values in (("captured", found.captured), ("all-in-focus", found.sharpened)):
+                figures.append(Figure(f"{name}.{found.region}.{key}", values[key], unit, meaning))
+        gain = found.sharpened["psnr"] - found.captured["psnr"]
+        text = "PSNR of the all-in-focus picture less that of the captured one"
+        figures.append(Figure(f"all-in-focus.{found.region}.psnr-gain", gain, "dB", text))
+    for name, picture in pictures.displayed(result, truth).items():
+        text = "blur effect, 0 sharp to 1, without reference"
+        figures.append(Figure(f"{name}.blur-effect", pictures.blur_effect(picture), "1", text))
+    return figures
+
+
+def confidence_figures(
+    name: str, depth_m: NDArray[Any], confidence: NDArray[Any], truth: Truth, camera: Camera
+) -> list[Figure]:
+    """How well a confidence tells which estimates are wrong."""
+    check_size(confidence, truth, "confidence")
+    curve = depth.sparsification(depth_m, confidence, truth, camera)
+    area = depth.sparsification_area(*curve)
+    half = len(curve[0]) // 2
+    return [
+        Figure(f"{name}.sparsification", area, "level", "AUSE: area between sparsification curve and oracle's"),
+        Figure(f"{name}.error-all", float(curve[1][0]), "level", "mean |l - l*|"),
+        Figure(f"{name}.error-surer-half", float(curve[1][half]), "level", "mean |l - l*|, the surer half"),
+    ]
+
+
+def shown(figures: list[Figure]) -> str:
+    """Tables for people: depth maps by region, with the best constant map in brackets; by true level; pictures."""
+    values = {figure.id: figure.value for figure in figures}
+    lines = [f"{f.id:<28}{f.value:>9.3f} {f.unit:<6}{f.meaning}" for f in figures if f.id.count(".") == 1]
+    maps = dict.fromkeys(name.split(".")[0] for name in values if name.endswith(".constant"))
+    for name in maps:
+        regions = _second(values, f"{name}.", ".coverage")
+
+        def cell(key: str, name: str = name) -> str:
+            best = values.get(f"{name}.{key}.constant")
+            return f"{values[f'{name}.{key}']:.3f}" + ("" if best is None else f" ({best:.3f})")
+
+        units = {"share": "1", "coverage": "1", "level-ratio": "1"}
+        units |= {key: metric.unit for key, metric in DEPTH_METRICS.items()}
+        lines += ["", f"{name} depth (in brackets: the best constant map)"]
+        lines += _table(regions, {f"{k:<15}{u}": [cell(f"{r}.{k}") for r in regions] for k, u in units.items()})
+    for name in maps:
+        if levels := [key for key in _second(values, f"{name}.", ".level-bias") if key.startswith("at-")]:
+            rows = {f"{k:<15}level": [f"{values[f'{name}.{a}.{k}']:.3f}" for a in levels] for k in LEVEL_KEYS}
+            lines += [
+                "",
+                f"{name} depth of textured pixels by true level, from",
+                *_table([a[3:] for a in levels], rows),
+            ]
+    if regions := _second(values, "captured.", ".psnr"):
+        rows = {
+            f"{key:<15}{unit}": [f"{values[f'{name}.{region}.{key}']:.3f}" for region in regions for name in PICTURES]
+            for key, (unit, _) in pictures.METRICS.items()
+        }
+        gains = [f"{values[f'all-in-focus.{region}.psnr-gain']:+.3f}" for region in regions]
+        rows[f"{'psnr-gain':<15}dB"] = [cell for gain in gains for cell in ("", gain)]
+        lines += ["", "pictures against the sharp truth, away from boundaries"]
+        lines += _table([f"{region} {name}" for region in regions for name in ("captured", "sharpened")], rows)
+    return "\n".join(lines)
+
+
+def _second(values: dict[str, float], start: str, end: str) -> list[str]:
+    """The middle parts of ids of three parts that begin and end so."""
+    found = [key for key in values if key.startswith(start) and key.endswith(end) and key.count(".") == 2]
+    return [key.split(".")[1] for key in found]
+
+
+def _table(head: list[str], rows: dict[str, list[str]]) -> list[str]:
+    lines = [f"{'':<22}" + "".join(f"{name:>20}" for name in head)]
+    return lines + [f"{name:<22}" + "".join(f"{value:>20}" for value in row) for name, row in rows.items()]

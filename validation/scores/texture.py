@@ -1,0 +1,41 @@
+"""Which pixels of a raw picture show texture: from the capture alone, the same for every method that is scored."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from dasim.values import Capture
+from recon.picture import mosaic
+
+FloatArray = NDArray[np.float64]
+
+WINDOW_PX = 31  # side of the square around a pixel: the paper's patch (sec. 5.2)
+TEXTURE_SNR = 1.0  # gradient energy of the picture over that of its noise
+
+
+def textured(capture: Capture) -> NDArray[np.bool_]:
+    """Pixels in whose surrounding the energy of green's differences is more than twice that of noise, [h, w]."""
+    return gradient_snr(capture) > TEXTURE_SNR
+
+
+def gradient_snr(capture: Capture) -> FloatArray:
+    """Energy of the raw green's differences over that of their noise, less 1, mean over ``WINDOW_PX``, [h, w].
+
+    Differences of green pixels one period of the mosaic apart, along both axes; their noise is twice the variance
+    that the data sheet gives for their mean. Around 0 without texture.
+    """
+    electrons, _ = mosaic.linearise(capture)
+    energy, noise = np.zeros((2, *electrons.shape))
+    block = np.array(capture.camera.sensor.mosaic)
+    for row, column in zip(*np.nonzero(block == "G"), strict=True):
+        grid = (slice(row, None, block.shape[0]), slice(column, None, block.shape[1]))
+        green = electrons[grid].astype(np.float64)
+        for axis in (0, 1):
+            near, far = (np.take(green, range(start, green.shape[axis] - 1 + start), axis) for start in (0, 1))
+            part = (slice(near.shape[0]), slice(near.shape[1]))
+            energy[grid][part] += (far - near) ** 2
+            noise[grid][part] += 2 * mosaic.noise_variance((near + far) / 2, capture)
+    signal, floor = (cv2.boxFilter(a, -1, (WINDOW_PX, WINDOW_PX), normalize=False) for a in (energy, noise))
+    return np.asarray(signal / np.maximum(floor, 1e-9) - 1)

@@ -1,0 +1,179 @@
+"""Studies from files: read, and refused as a whole before the first render where anything in them cannot be."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+import dasim
+from dasim.base.errors import InputError
+from dasim.base.toml import parse_toml
+from dasim.camera import specification as cameras
+from dasim.camera.specification import Camera
+from dasim.spectra import illuminants
+from recon.picture import mosaic
+from validation.studies.sweep.designs import camera_of, scene_of, settings_of
+from validation.studies.sweep.specification import StudySpec, Value, points
+
+BUNDLED = Path(__file__).parents[1] / "bundled"
+LEAST_SHARE = 1e-3  # of a channel's light, for a stop to count as open
+# What decides together whether a point can be made.
+TOGETHER = (("camera", "disc_edge_nm", "focus_m", "mosaic"), ("scene", "distance_cm"))
+PLAIN = {
+    "scene": "a bundled scene or a file",
+    "camera": "a bundled camera or a file",
+    "mosaic": "rows of R, G, B and I, infrared, such as GR/BI",
+    "distance_cm": "of the board of a flat scene, which keeps its size in the picture",
+    "light.illuminant": "of all lights",
+    "light.lux": "of all lights together",
+    "disc_edge_nm": "where the disc begins to block",
+    "focus_m": "focus distance",
+    "stereo.baseline_mm": "of a second camera to the right",
+    "exposure.longest_s": "longest exposure",
+    "exposure.most_gain": "highest analogue gain",
+}
+
+
+def names() -> list[str]:
+    """Bundled studies."""
+    return sorted(path.stem for path in BUNDLED.glob("*.toml"))
+
+
+def load_study(name_or_path: str, *, quick: bool = False) -> StudySpec:
+    """A bundled study or a TOML file, checked as a whole; InputError names everything that is wrong."""
+    bundled = BUNDLED / f"{name_or_path}.toml"
+    path = bundled if bundled.is_file() else Path(name_or_path)
+    if not path.is_file():
+        near = difflib.get_close_matches(name_or_path, names(), 3) or names()
+        raise InputError(f"study '{name_or_path}' is neither bundled nor a file; did you mean {', '.join(near)}?")
+    spec = parse_toml(StudySpec, path).model_copy(update={"folder": path.parent.resolve()})
+    if quick:
+        unknown = [key for key in spec.quick if key not in spec.parameters]
+        if unknown:
+            raise InputError(f"{path}: quick.{unknown[0]} is no parameter of the study")
+        grids = tuple({key: spec.quick.get(key, values) for key, values in grid.items()} for grid in spec.grids)
+        spec = spec.model_copy(update={"grids": grids, "seeds": min(spec.seeds, 2)})
+    check(spec, str(path))
+    return spec
+
+
+def check(spec: StudySpec, where: str) -> None:
+    """InputError with all that is wrong: unknown parameters, empty lists, designs that cannot be made."""
+    problems = []
+    if not spec.parameters:
+        problems.append("parameters: is empty; give one parameter at least")
+    for number, grid in enumerate(spec.grids, 1):
+        problems += [f"parameters.{key}: is empty; give one value at least" for key, own in grid.items() if not own]
+        problems += [
+            f"parameters, table {number}: has no '{key}', which others vary; give its value here or in [design]"
+            for key in spec.parameters
+            if key not in grid and key not in spec.design
+        ]
+    for key, values in spec.parameters.items():
+        if len({isinstance(value, str) for value in values}) > 1:
+            problems.append(f"parameters.{key}: has words and numbers, {', '.join(map(str, values))}; give one kind")
+    for key in spec.parameters:
+        if key not in PLAIN and not key.startswith(("camera.", "recon.")):
+            known = [*PLAIN, "camera.<key of a camera file>", "recon.<setting>"]
+            near = difflib.get_close_matches(key, known, 3) or known
+            problems.append(f"parameters.{key}: does not exist; did you mean {', '.join(near)}?")
+    if problems:
+        raise InputError(f"{where}: " + "; ".join(problems))
+    problems = _base_problems(spec)
+    for key, values in spec.parameters.items() if not problems else ():  # each by itself first: the shortest message
+        where_else = (
+            {"scene": spec.parameters["scene"][0]} if key == "distance_cm" and "scene" in spec.parameters else {}
+        )
+        for value in values:
+            problems += _point_problems(spec, {**where_else, key: value})
+    if not problems:
+        parts = [
+            {tuple((key, value) for key, value in point.items() if key.startswith(group)) for point in points(spec)}
+            for group in TOGETHER
+        ]
+        for design in sorted((part for group in parts for part in group if len(part) > 1), key=str):
+            problems += _point_problems(spec, dict(design))
+    for key, value in spec.reference.items():
+        if value not in spec.parameters.get(key, ()):
+            problems.append(f"reference: {key} = {value!r} is not among the values of a parameter of this study")
+    problems += _picture_problems(spec)
+    if problems:
+        raise InputError(f"{where}: " + "; ".join(dict.fromkeys(problems)))
+
+
+def _base_problems(spec: StudySpec) -> list[str]:
+    """What cannot be of the study's own camera, scene and preset, where no parameter takes their place."""
+    checks: dict[str, Callable[[], object]] = {
+        "camera": lambda: _check_sees(dasim.cropped(camera_of(spec, {}), *spec.size_px)),
+        "scene": lambda: scene_of(spec, {}),
+        "recon.preset": lambda: settings_of(spec, {}),
+    }
+    problems = []
+    for key, check_one in checks.items():
+        if key not in spec.parameters:
+            try:
+                check_one()
+            except InputError as error:
+                problems.append(str(error))
+    return problems
+
+
+def _picture_problems(spec: StudySpec) -> list[str]:
+    """What the curves and the front name that there is not."""
+    from validation.studies.sweep.point import FIGURES
+
+    problems = []
+    for name in (*(curve.x for curve in spec.curves), *(curve.by for curve in spec.curves if curve.by)):
+        if name not in spec.parameters:
+            problems.append(f"curves: '{name}' is no parameter of this study ({', '.join(spec.parameters)})")
+    for name in (*(name for curve in spec.curves for name in (curve.y, *curve.beside)), *(spec.pareto or ())):
+        if name not in FIGURES:
+            near = difflib.get_close_matches(name, FIGURES, 3) or list(FIGURES)
+            problems.append(f"'{name}' is no figure; did you mean {', '.join(near)}?")
+    return problems
+
+
+def _point_problems(spec: StudySpec, point: dict[str, Value]) -> list[str]:
+    said = ", ".join(f"{key} = {value!r}" for key, value in point.items())
+    try:
+        camera = camera_of(spec, point)
+        if "focus_m" in point:
+            camera = dasim.refocused(camera, float(point["focus_m"]))
+        if any(key.startswith(("camera", "disc", "mosaic")) for key in point):
+            _check_sees(camera)
+        dasim.cropped(camera, *spec.size_px)
+        if "scene" in point or "distance_cm" in point:
+            scene_of(spec, point)
+        settings_of(spec, point)
+        if "light.illuminant" in point:
+            illuminants.illuminant(str(point["light.illuminant"]))
+        for key, low, high in (
+            ("stereo.baseline_mm", 0.1, 1000.0),
+            ("light.lux", 1e-3, 1e6),
+            ("exposure.longest_s", 1e-9, 3600.0),
+            ("exposure.most_gain", 1.0, 1024.0),
+        ):
+            if key in point and not low <= float(point[key]) <= high:
+                raise InputError(f"must be from {low:g} to {high:g}")
+    except InputError as error:
+        return [f"{said}: {error}"]
+    except ValueError:
+        return [f"{said}: is no number"]
+    return []
+
+
+def _check_sees(camera: Camera) -> None:
+    """InputError where a channel gets no light, a stop lets none through, or no such mosaic is reconstructed."""
+    names, parts = cameras.channels(camera.sensor), [cameras.stop_response(camera, stop) for stop in camera.stops]
+    whole = np.sum(parts, axis=(0, -1))
+    dark = [name for name, light in zip(names, whole, strict=True) if light <= 0]
+    if dark:
+        raise InputError(f"no light of any wavelength reaches {', '.join(dark)}")
+    for stop, part in zip(camera.stops, parts, strict=True):
+        if np.max(part.sum(axis=-1) / whole) < LEAST_SHARE:
+            raise InputError(f"no light that the sensor sees comes through stop '{stop.name}'")
+    if "IR" not in mosaic.grids(camera):
+        raise InputError(f"camera '{camera.name}' has no infrared pixels, so that its captures show no depth")

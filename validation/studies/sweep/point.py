@@ -1,0 +1,282 @@
+"""One point of a sweep: photograph, calibrate, reconstruct, and score in units that compare between designs."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import time
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import optimize, stats
+
+import dasim
+import recon
+from dasim.base.errors import InputError
+from dasim.base.executors import Outcome, said
+from dasim.camera import specification as cameras
+from dasim.camera import stops
+from dasim.camera.specification import Camera
+from dasim.dataset import sample, storage
+from dasim.scene.specification import Scene
+from dasim.simulation.relight import LONGEST_S, MOST_GAIN, exposed, lit_by
+from dasim.simulation.simulate import Shot
+from dasim.spectra import grid as spectra
+from dasim.values import Capture, Reconstruction, Truth
+from recon.calibration.cached import simulated_bank
+from recon.depth import stereo_fusion
+from validation.scores import pictures as picture_scores
+from validation.studies import criteria
+from validation.studies.sweep.designs import camera_of, scene_of, settings_of
+from validation.studies.sweep.specification import StudySpec, Unit, Value, units
+
+FloatArray = NDArray[np.float64]
+
+BOUND_BLURS = 10  # at which the bound is computed; between them its logarithm is interpolated
+FLAT = 1e-3  # of its distance, what a board's depths differ by at most
+FOCUS_BLUR_PX = 0.5  # of the visible blur; nearer to the focus it tells nothing, and the bound has no end
+MOST_BEYOND = 0.5  # of the pixels out of the range of depths that the bank holds: beyond, a median says nothing
+MEASURED_AS = 1  # goes up when a figure of the same name means something else
+BASELINE = "stereo.baseline_mm"
+QUANTILES = 200  # of the deviations that stand for all pixels
+OTHER_SEED = 1_000_000  # the second camera has its own noise
+FIGURES = {
+    "light-loss": ("1", "light that the sensor loses to the stops, eq. (1) in the camera's own mosaic"),
+    "infrared-snr": ("1", "signal over noise of an infrared pixel, median"),
+    "in-range": ("1", "share of the pixels between the focus and the nearest depth of the PSF bank"),
+    "depth-median": ("1/m", "median absolute error of 1/z, all pixels before the focus; none if few are in range"),
+    "depth-rmse": ("1/m", "root mean square error of 1/z"),
+    "depth-constant": ("1/m", "the median of the best constant map"),
+    "depth-seen": ("1/m", "the median where the visible blur is 3 px or more"),
+    "depth-bound": ("1/m", "Cramer-Rao bound of that median, for natural texture in a patch"),
+    "depth-median-m": ("m", "median absolute error of z"),
+    "depth-rmse-m": ("m", "root mean square error of z"),
+    "depth-bound-m": ("m", "Cramer-Rao bound of the median error of z, at the median depth"),
+    "half-pixel-m": ("m", "Fig. 13: what half a pixel of blur is worth, d^2 N p / (2 f^2), at the median depth"),
+    "coverage": ("1", "share of the pixels with a raw estimate"),
+    "psnr": ("dB", "all-in-focus picture against the sharp truth, linear light"),
+    "psnr-gain": ("dB", "that less the same of the captured picture"),
+    "ciede2000": ("1", "mean colour difference to the sharp truth, all in focus"),
+    "matched-defocus": (
+        "1/m",
+        "median absolute error of 1/z by defocus, where both cameras see the point and match it",
+    ),
+    "stereo-median": ("1/m", "median absolute error of 1/z by stereo, where both cameras see the point and match it"),
+    "matched-combined": (
+        "1/m",
+        "median absolute error of 1/z by stereo and defocus, where both cameras match the point",
+    ),
+    "stereo-coverage": ("1", "share of the pixels with a match"),
+    "combined-median": ("1/m", "median absolute error of 1/z by stereo and defocus, all pixels before the focus"),
+    "combined-rmse": ("1/m", "root mean square error of 1/z by stereo and defocus, all pixels before the focus"),
+    "occluded-share": ("1", "share of the pixels that the other camera does not see"),
+    "occluded-median": ("1/m", "median absolute error of 1/z by both, where the other camera does not see the point"),
+    "occluded-matched": ("1", "share of the pixels unseen by the other camera that are matched all the same, wrongly"),
+    "seconds": ("s", "time of the point, with its share of the rendering"),
+}
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """What a worker has to know."""
+
+    spec: StudySpec
+    out: str
+    environment: dict[str, Any]
+
+
+def file_of(job: Sweep, unit: Unit) -> str:
+    """Where a unit's rows are kept: a name of all that decides them, the same wherever dasim is installed."""
+    spec = job.spec
+    scene = scene_of(spec, unit.render).model_dump(mode="json", exclude={"folder"})
+    design = [camera_of(spec, unit.render).model_dump(mode="json"), scene]
+    fixed = [spec.preset, spec.size_px, spec.spp, unit, job.environment, sorted(FIGURES), MEASURED_AS]
+    text = json.dumps([design, fixed], sort_keys=True, default=str)
+    return f"points/{hashlib.sha256(text.encode()).hexdigest()[:24]}.json"
+
+
+def work(job: Sweep, index: int) -> Outcome:
+    """Measure a unit in this process and write its rows; an error is an outcome, not raised."""
+    begin = time.perf_counter()
+    unit = units(job.spec)[index]
+    try:
+        sample.activate(job.environment["variant"])
+        rows = measured(job.spec, unit)
+    except Exception as error:
+        return Outcome(index, said(error))
+    try:
+        storage.write(job.out, file_of(job, unit), sample.plain(rows))
+    except Exception as error:  # each store raises its own
+        return Outcome(index, f"cannot be written: {said(error)}", fatal=True)
+    return Outcome(index, seconds=time.perf_counter() - begin)
+
+
+def measured(spec: StudySpec, unit: Unit) -> list[dict[str, Any]]:
+    """Rows of a unit's points: parameters, seed, figures."""
+    begin = time.perf_counter()
+    scene = scene_of(spec, unit.render)
+    if "light.illuminant" in unit.render:
+        scene = lit_by(scene, str(unit.render["light.illuminant"]))
+    camera = dasim.focused(dasim.cropped(camera_of(spec, unit.render), *spec.size_px), scene)
+    if "focus_m" in unit.render:
+        camera = dasim.refocused(camera, float(unit.render["focus_m"]))
+    shot = dasim.simulate(scene, camera, unit.seed, spp=spec.spp)
+    bank = simulated_bank(camera, diffraction=shot.capture.provenance["diffraction"])
+    other = None
+    if BASELINE in unit.render:
+        moved = stereo_fusion.other_view(scene, 1e-3 * float(unit.render[BASELINE]))
+        other = dasim.simulate(moved, camera, unit.seed + OTHER_SEED, spp=spec.spp)
+    shared = (time.perf_counter() - begin) / len(unit.points)
+    rows = []
+    for number, point in enumerate(unit.points):
+        begin = time.perf_counter()
+        capture = taken(shot, scene, point, unit.seed * len(unit.points) + number)
+        exact = scaled(shot, capture, scene, point)
+        result = recon.reconstruct(capture, bank, settings_of(spec, point))
+        own = figures(result, capture, exact)
+        own |= limits(capture, exact, shot.capture.illuminant, lux(scene, point))
+        if other is not None:
+            seen = taken(other, scene, point, unit.seed * len(unit.points) + number + OTHER_SEED)
+            right = recon.reconstruct(seen, bank, settings_of(spec, point))
+            baseline_m = 1e-3 * float(unit.render[BASELINE])
+            nearest_m = float(bank.depth_m.min())
+            own |= stereo_fusion.figures(result, right, exact, other.truth, baseline_m, nearest_m)
+        own["seconds"] = shared + time.perf_counter() - begin
+        rows.append({"point": point, "seed": unit.seed, "light_chosen": result.light, "figures": own})
+    return rows
+
+
+def taken(shot: Shot, scene: Scene, point: dict[str, Value], seed: int) -> Capture:
+    """A capture of the shot at the point's level of light, exposed as the point says."""
+    longest_s = float(point.get("exposure.longest_s", LONGEST_S))
+    most_gain = float(point.get("exposure.most_gain", MOST_GAIN))
+    return exposed(shot, brighter(scene, point), seed, longest_s=longest_s, most_gain=most_gain)
+
+
+def lux(scene: Scene, point: dict[str, Value]) -> float:
+    """Illuminance of the point: its own, or all lights of the scene together."""
+    return float(point.get("light.lux", sum(getattr(light, "lux", 0.0) for light in scene.lights)))
+
+
+def brighter(scene: Scene, point: dict[str, Value]) -> float:
+    """Factor from the scene's own light to the point's."""
+    return lux(scene, point) / lux(scene, {})
+
+
+def limits(capture: Capture, truth: Truth, light: str | None, level_lux: float) -> dict[str, float]:
+    """What theory says of depth: the bound in dioptres and metres, and half a pixel of blur as Fig. 13 draws it."""
+    camera = capture.camera
+    depth = truth.depth_m[truth.valid & (truth.level >= -0.5)]
+    if not depth.size:
+        return dict.fromkeys(("depth-bound", "depth-bound-m", "half-pixel-m"), math.nan)
+    least, square = bound(camera, depth, light, level_lux), float(np.median(depth)) ** 2
+    focal_m = camera.lens.focal_length_mm * 1e-3
+    half = square * camera.lens.f_number * camera.sensor.pixel_pitch_um * 1e-6 / (2 * focal_m**2)
+    return {"depth-bound": least, "depth-bound-m": least * square, "half-pixel-m": half}
+
+
+def bound(camera: Camera, depth_m: NDArray, light: str | None, level_lux: float) -> float:
+    """Median absolute error of 1/z that the Cramer-Rao bound allows over the depths of ``depth-seen``; NaN for none.
+
+    Of a normal error with the bound's standard deviation at each pixel's blur, in a patch of natural texture of which
+    nothing is known: what texture the scene has there is not asked. Where all is nearer to the focus than that, of all
+    with half a pixel of blur.
+    """
+    blur = np.asarray(cameras.blur_px(camera, depth_m.astype(np.float64)))
+    for least in (criteria.NEAREST_BLUR_PX, FOCUS_BLUR_PX):
+        if (part := blur[blur >= least]).size:
+            break
+    else:
+        return math.nan
+    grid = np.linspace(part.min(), part.max(), BOUND_BLURS if np.ptp(part) > FLAT * part.max() else 1)
+    try:
+        deviation = criteria.camera_bound(camera, grid, light=str(light), level_lux=level_lux)
+    except InputError:  # a camera that lacks a plane
+        return math.nan
+    if not np.isfinite(deviation).all():  # stops that all blur alike
+        return math.nan
+    return median_error(np.exp(np.interp(part, grid, np.log(deviation / criteria.dioptre_px(camera)))))
+
+
+def median_error(deviation: FloatArray) -> float:
+    """Median absolute value of normal errors of these standard deviations together, all of them finite."""
+    of_all = np.quantile(deviation, (np.arange(QUANTILES) + 0.5) / QUANTILES)
+
+    def beyond_half(size: float) -> float:
+        return float(np.mean(2 * stats.norm.cdf(size / of_all) - 1)) - 0.5
+
+    return float(optimize.brentq(beyond_half, 0.0, float(of_all[-1])))  # 0.68 of the largest is certain
+
+
+def scaled(shot: Shot, capture: Capture, scene: Scene, point: dict[str, Value]) -> Truth:
+    """The truth with its electrons as the capture collected them."""
+    factor = np.float32(brighter(scene, point) * capture.exposure_s / shot.capture.exposure_s)
+    return replace(shot.truth, mean_e=shot.truth.mean_e * factor, sharp_e=shot.truth.sharp_e * factor)
+
+
+def figures(result: Reconstruction, capture: Capture, truth: Truth) -> dict[str, float]:
+    """Figures of a reconstruction that compare between designs: dioptres, metres, dB (see ``FIGURES``)."""
+    pictures = {score.region: score for score in picture_scores.picture_scores(result, truth)}
+    sharp, captured = pictures["inner"].sharpened, pictures["inner"].captured
+    return {
+        "light-loss": light_loss(capture.camera),
+        "infrared-snr": infrared_snr(capture, truth),
+        **depth_figures(result, truth),
+        "psnr": sharp["psnr"],
+        "psnr-gain": sharp["psnr"] - captured["psnr"],
+        "ciede2000": sharp["ciede2000"],
+    }
+
+
+def depth_figures(result: Reconstruction, truth: Truth) -> dict[str, float]:
+    """Errors of depth over all pixels before the focus; NaN where most of the picture is out of the bank's range."""
+    near = truth.valid & (truth.level >= -0.5)
+    share = float((near & (truth.level <= len(cameras.level_blur_px(result.camera)) - 0.5))[truth.valid].mean())
+    found = {"in-range": share, "coverage": float(np.isfinite(result.level_raw[near]).mean()) if near.any() else 0.0}
+    if share < 1 - MOST_BEYOND:
+        return found
+    exact, given = (1 / np.maximum(a[near].astype(np.float64), 1e-3) for a in (truth.depth_m, result.depth_m))
+    error, metres = given - exact, 1 / given - 1 / exact
+    seen = truth.blur_px[near] >= criteria.NEAREST_BLUR_PX
+    return found | {
+        "depth-median": float(np.median(np.abs(error))),
+        "depth-seen": float(np.median(np.abs(error[seen]))) if seen.any() else math.nan,
+        "depth-rmse": float(np.sqrt(np.mean(error**2))),
+        "depth-constant": float(np.median(np.abs(exact - np.median(exact)))),
+        "depth-median-m": float(np.median(np.abs(metres))),
+        "depth-rmse-m": float(np.sqrt(np.mean(metres**2))),
+    }
+
+
+def light_loss(camera: Camera) -> float:
+    """Share of the light that the mosaic loses to stops smaller than the lens, eq. (1).
+
+    Each pixel of the mosaic loses what its stops block of the band that it is for, 650 nm and beyond for infrared and
+    below for the others: for a disc of ratio alpha before one pixel of four, (1 - alpha^2) / 4.
+    """
+    names = cameras.channels(camera.sensor)
+    opened = camera.model_copy(update={"stops": tuple(_opened(stop) for stop in camera.stops)})
+    infrared = spectra.WAVELENGTH_NM >= spectra.NEAR_INFRARED_NM[0]
+    band = np.stack([infrared if name == "IR" else ~infrared for name in names])
+    passed, whole = (spectra.integrate(cameras.response(c) * band) for c in (camera, opened))
+    block = [names.index(name) for row in camera.sensor.mosaic for name in row]
+    return float(np.mean([1 - passed[pixel] / whole[pixel] for pixel in block]))
+
+
+def _opened(stop: stops.Stop) -> stops.Stop:
+    """A stop opened to the lens's own aperture."""
+    return stops.Disc(
+        name=stop.name, passes_nm=stop.passes_nm, edge_width_nm=stop.edge_width_nm, shape="disc", radius_ratio=1.0
+    )
+
+
+def infrared_snr(capture: Capture, truth: Truth) -> float:
+    """Median signal over temporal noise of the infrared pixels."""
+    from dasim.simulation.adaptive_sampling import temporal_noise_e
+
+    electrons = truth.mean_e[..., truth.channels.index("IR")][truth.valid].astype(np.float64)
+    noise = temporal_noise_e(electrons, capture.camera.sensor, capture.exposure_s, capture.gain)
+    return float(np.median(electrons / noise))

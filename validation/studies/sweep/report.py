@@ -1,0 +1,149 @@
+"""The page of a sweep: its question, curves with error bars, the Pareto front, and every number."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jinja2
+import numpy as np
+
+from validation.reports.page import TEMPLATE_DIR
+from validation.reports.plots import plot
+from validation.studies.sweep import findings
+from validation.studies.sweep.point import FIGURES
+from validation.studies.sweep.specification import Curve, StudySpec
+
+Row = dict[str, Any]
+
+COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#444444")  # Okabe and Ito
+MARKERS = "os^Dv<>"
+SIDE = 0.08  # of the distance of two words, between the lines' markers
+
+
+def page(spec: StudySpec, rows: list[Row], failed: dict[str, str]) -> str:
+    """One self-contained HTML page."""
+    from validation.studies.sweep.run import means, pareto
+
+    averaged = means(rows, spec)
+    found = findings.findings(spec, rows)
+    ranked = findings.ranking(spec, averaged)
+    pictures = [(_caption(curve, spec), _curve(curve, averaged, spec)) for curve in spec.curves]
+    front: list[Row] = []
+    if spec.pareto:
+        front = pareto(averaged, *spec.pareto)
+        caption = f"{_meaning(spec.pareto[1])} against {_meaning(spec.pareto[0])}; joined: beaten by none in both"
+        pictures.append((caption, _pareto(spec.pareto, averaged, front)))
+    if ranked:
+        caption = f"{_meaning(findings.RANKED[1])} against the bound; rank correlation {ranked.correlation:.2f}"
+        pictures.append((caption, _ranking(averaged)))
+    shown = {key: about for key, about in FIGURES.items() if any(np.isfinite(row[key]) for row in averaged)}
+    environment = jinja2.Environment(loader=jinja2.FileSystemLoader(TEMPLATE_DIR), autoescape=True)
+    return environment.get_template("study.html").render(
+        spec=spec, pictures=pictures, figures=shown, rows=averaged, front=front, failed=failed, number=_number,
+        findings=found, said=findings.said(spec, found), ranked=ranked, unit=lambda name: FIGURES[name][0],
+    )  # fmt: skip
+
+
+def _number(value: Any) -> str:
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
+
+
+def _tick(value: Any) -> str:
+    return f"{value:g}" if isinstance(value, float) else str(value)
+
+
+def _meaning(figure: str) -> str:
+    unit, meaning = FIGURES.get(figure, ("", figure))
+    return meaning if unit in ("", "1") else f"{meaning} ({unit})"
+
+
+def _caption(curve: Curve, spec: StudySpec) -> str:
+    by = f", by {curve.by}" if curve.by else ""
+    kinds = ("dashes", "crosses") if _words(curve, spec) else ("dashed", "dotted")
+    beside = "".join(f"; {kind}: {_meaning(one)}" for one, kind in zip(curve.beside, kinds, strict=False))
+    fixed = "".join(f"; {key} {_tick(value)}" for key, value in spec.design.items() if key not in (curve.x, curve.by))
+    free = any(key not in (curve.x, curve.by, *spec.design) for key in spec.parameters)
+    bars = "; bars: standard deviation over seeds" + (" and other parameters" if free else "")
+    return f"{_meaning(curve.y)} against {curve.x}{by}{fixed}{beside}{bars}"
+
+
+def _words(curve: Curve, spec: StudySpec) -> bool:
+    return any(isinstance(value, str) for value in spec.parameters[curve.x])
+
+
+def about_design(curve: Curve, rows: list[Row], spec: StudySpec) -> list[Row]:
+    """Rows of the base design but for what the curve varies; all of them where the study has no such design."""
+    fixed = {key: value for key, value in spec.design.items() if key not in (curve.x, curve.by)}
+    return [row for row in rows if all(row[key] == value for key, value in fixed.items())]
+
+
+def _curve(curve: Curve, averaged: list[Row], spec: StudySpec) -> str:
+    rows = about_design(curve, averaged, spec)
+    lines: tuple[Any, ...] = spec.parameters[curve.by] if curve.by else (None,)
+    lines = tuple(value for value in lines if curve.by is None or any(row[curve.by] == value for row in rows))
+    ticks = [tick for tick in spec.parameters[curve.x] if any(row[curve.x] == tick for row in rows)]
+    words = _words(curve, spec)
+
+    def draw(axes: Any) -> None:
+        for number, value in enumerate(lines):
+            own = [row for row in rows if curve.by is None or row[curve.by] == value]
+            middle, spread = [], []
+            at = [place for place, tick in enumerate(ticks) if any(row[curve.x] == tick for row in own)]
+            for tick in (ticks[place] for place in at):
+                here = [row for row in own if row[curve.x] == tick]
+                measured = np.array([row[curve.y] for row in here])
+                middle.append(np.nanmean(measured) if np.isfinite(measured).any() else np.nan)
+                within = np.sqrt(np.mean([row[f"{curve.y}:spread"] ** 2 for row in here])) if here else np.nan
+                spread.append(np.hypot(within, measured.std()) if len(here) else np.nan)
+            side = SIDE * (number - (len(lines) - 1) / 2)
+            x = np.array(at) + side if words else np.array([ticks[place] for place in at], float)
+            label = None if value is None else _tick(value)
+            style = {"color": COLOURS[number % len(COLOURS)], "marker": MARKERS[number % len(MARKERS)]}
+            style["linestyle"] = "" if words else "-"  # nothing lies between two words
+            axes.errorbar(x, middle, spread, capsize=3, markersize=4, linewidth=1, label=label, **style)
+            for kind, figure in enumerate(curve.beside):
+                drawn = [_mean([row[figure] for row in own if row[curve.x] == ticks[place]]) for place in at]
+                if words:
+                    axes.plot(x, drawn, color=style["color"], linestyle="", marker="_x"[kind], markersize=9)
+                else:
+                    axes.plot(x, drawn, color=style["color"], linestyle=("--", ":")[kind], linewidth=1)
+        axes.set(xlabel=curve.x, ylabel=f"{curve.y} ({FIGURES[curve.y][0]})")
+        axes.set_yscale("log" if curve.log_y else "linear")
+        if words:
+            axes.set_xticks(range(len(ticks)), [str(tick) for tick in ticks], rotation=20, ha="right")
+        elif curve.log_x:  # a new scale forgets its ticks
+            axes.set_xscale("log")
+            axes.set_xticks(np.array(ticks, float), [_tick(tick) for tick in ticks])
+            axes.set_xticks([], minor=True)
+        if curve.by:
+            axes.legend(title=curve.by, fontsize=8)
+
+    return plot(draw)
+
+
+def _mean(values: list[float]) -> float:
+    known = np.array(values)[np.isfinite(values)]
+    return float(known.mean()) if known.size else float("nan")
+
+
+def _pareto(names: tuple[str, str], rows: list[Row], front: list[Row]) -> str:
+    def draw(axes: Any) -> None:
+        axes.plot([row[names[0]] for row in rows], [row[names[1]] for row in rows], "o", color="0.7", markersize=4)
+        axes.plot([row[names[0]] for row in front], [row[names[1]] for row in front], "s-", color=COLOURS[1])
+        axes.set(xlabel=f"{names[0]} ({FIGURES[names[0]][0]})", ylabel=f"{names[1]} ({FIGURES[names[1]][0]})")
+
+    return plot(draw)
+
+
+def _ranking(rows: list[Row]) -> str:
+    x, y = ([row[key] for row in rows] for key in findings.RANKED)
+
+    def draw(axes: Any) -> None:
+        axes.loglog(x, y, "o", color=COLOURS[0], markersize=4)
+        known = [value for value in x if np.isfinite(value)]
+        ends = [min(known), max(known)]
+        axes.loglog(ends, ends, "--", color="0.5", linewidth=1, label="as good as the bound")
+        axes.set(xlabel=f"{findings.RANKED[0]} (1/m)", ylabel=f"{findings.RANKED[1]} (1/m)")
+        axes.legend(fontsize=8)
+
+    return plot(draw)

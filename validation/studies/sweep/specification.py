@@ -1,0 +1,137 @@
+"""What a sweep varies: grids of parameters, the points that they make, and which of them share a picture."""
+
+from __future__ import annotations
+
+import itertools
+from pathlib import Path
+from typing import Annotated, Any, NamedTuple
+
+import numpy as np
+from pydantic import BeforeValidator, Field, model_validator
+
+from dasim.base.toml import Specification, parse
+
+Value = bool | int | float | str
+
+# Keys of a point that need no new rendering: the light's level, the exposure and the reconstruction.
+AFTERWARDS = ("light.lux", "exposure.", "recon.")
+
+MOST_VALUES = 10_000  # of a grid
+
+
+class Grid(Specification):
+    """Evenly spaced values, or evenly spaced logarithms."""
+
+    grid: tuple[float, float, int] | None = None
+    log_grid: tuple[float, float, int] | None = None
+
+    def values(self) -> tuple[float, ...]:
+        """The values, both ends among them."""
+        if self.grid is not None:
+            return tuple(float(f"{v:.6g}") for v in np.linspace(*self.grid))
+        assert self.log_grid is not None
+        return tuple(float(f"{v:.6g}") for v in np.geomspace(*self.log_grid))
+
+    @model_validator(mode="after")
+    def _one(self) -> Grid:
+        if (self.grid is None) == (self.log_grid is None):
+            raise ValueError("give grid = [first, last, count] or log_grid = [first, last, count]")
+        low, high, count = self.grid or self.log_grid or (0, 0, 0)
+        if not 1 <= count <= MOST_VALUES:
+            raise ValueError(f"has {count} values; 1 to {MOST_VALUES} are allowed")
+        if self.log_grid is not None and not 0 < low <= high:
+            raise ValueError(f"log_grid goes from {low:g} to {high:g}; both above 0, the smaller one first")
+        return self
+
+
+def _values(given: Any) -> Any:
+    """A list as it is, a grid as its values, one value as a list of one."""
+    if isinstance(given, dict):
+        return parse(Grid, given, "grid").values()
+    return given if isinstance(given, list | tuple) else [given]
+
+
+def _tables(given: Any) -> Any:
+    """One table or several, as a list."""
+    return [given] if isinstance(given, dict) else given
+
+
+Table = dict[str, Annotated[tuple[Value, ...], BeforeValidator(_values)]]
+
+
+class Curve(Specification):
+    """A picture of the report: a figure against a parameter, a line for each value of another."""
+
+    x: str
+    y: str
+    beside: tuple[str, ...] = Field(default=(), max_length=2, description="figures drawn with it, dashed and dotted")
+    by: str | None = None
+    log_x: bool = False
+    log_y: bool = False
+
+
+class StudySpec(Specification):
+    """A sweep, as ``dasim study sweep`` reads it from TOML.
+
+    ``[parameters]`` is a grid: all combinations of its values. Several tables ``[[parameters]]`` are as many grids
+    about one base design: what a grid does not vary has its value of ``[design]``.
+    """
+
+    name: str = Field(min_length=1, max_length=100)
+    question: str = ""
+    camera: str = "da-mobile"
+    scene: str = "desk"
+    preset: str = "bands"
+    size_px: tuple[int, int] = (256, 192)
+    spp: int = Field(default=128, ge=1, le=65_536)
+    seeds: int = Field(default=2, ge=1, le=1000)
+    grids: Annotated[tuple[Table, ...], BeforeValidator(_tables)] = Field(alias="parameters", min_length=1)
+    design: dict[str, Value] = Field(default_factory=dict, description="values where a grid does not vary them")
+    curves: tuple[Curve, ...] = ()
+    pareto: tuple[str, str] | None = Field(default=None, description="two figures, both the better the smaller")
+    reference: dict[str, Value] = Field(
+        default_factory=dict, max_length=1, description="a parameter's value that the report holds against all others"
+    )
+    quick: Table = Field(default_factory=dict, description="values of parameters for --quick")
+    folder: Path = Field(default=Path("."), exclude=True)
+
+    @property
+    def parameters(self) -> dict[str, tuple[Value, ...]]:
+        """All values of each parameter, of the base design and of every grid; numbers of several grids in order."""
+        tables: list[Table] = [{key: (value,) for key, value in self.design.items()}, *self.grids]
+        found: dict[str, tuple[Value, ...]] = {}
+        for key in dict.fromkeys(key for table in tables for key in table):
+            lists = [table[key] for table in tables if key in table]
+            values = list(dict.fromkeys(value for own in lists for value in own))
+            if len(lists) > 1 and not any(isinstance(value, str) for value in values):
+                values.sort(key=float)
+            found[key] = tuple(values)
+        return found
+
+
+class Unit(NamedTuple):
+    """What is rendered once: what decides the picture, and the points that are measured on it."""
+
+    render: dict[str, Value]
+    points: tuple[dict[str, Value], ...]
+    seed: int
+
+
+def points(spec: StudySpec) -> list[dict[str, Value]]:
+    """Every combination of each grid's values, the last parameter fastest; what several grids share once."""
+    found: dict[tuple[Value, ...], dict[str, Value]] = {}
+    for grid in spec.grids:
+        for values in itertools.product(*grid.values()):
+            point = spec.design | dict(zip(grid, values, strict=True))
+            ordered = {key: point[key] for key in spec.parameters}
+            found.setdefault(tuple(ordered.values()), ordered)
+    return list(found.values())
+
+
+def units(spec: StudySpec) -> list[Unit]:
+    """Points that show the same picture, together, for each seed."""
+    groups: dict[tuple[tuple[str, Value], ...], list[dict[str, Value]]] = {}
+    for point in points(spec):
+        render = tuple((key, value) for key, value in point.items() if not key.startswith(AFTERWARDS))
+        groups.setdefault(render, []).append(point)
+    return [Unit(dict(render), tuple(own), seed) for seed in range(spec.seeds) for render, own in groups.items()]

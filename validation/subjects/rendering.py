@@ -1,0 +1,147 @@
+"""Small scenes and cameras for claims, and their pictures."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dasim.base.toml import parse
+from dasim.camera import specification as cameras
+from dasim.camera.specification import Camera
+from dasim.render import backend
+from dasim.scene.specification import Scene
+from validation.gates.claim import NotRun
+
+FloatArray = NDArray[np.float64]
+
+HOLE_RATIO = 0.46  # of the paper (sec. 3), not read from the camera that is checked
+STOP_RATIOS = (1.0, HOLE_RATIO)  # of da-mobile's stops, in its order
+
+# Even light without noise: rays leave a surface towards the dome, which is everywhere. The renderer would aim at
+# it as well, and so add noise, if there were no lamp: this one is behind everything and gives nothing.
+EVEN_LIGHT: tuple[dict[str, Any], ...] = (
+    {"kind": "dome", "illuminant": "D65", "lux": 500.0},
+    {
+        "kind": "lamp",
+        "illuminant": "D65",
+        "lux": 1e-6,
+        "position_cm": [0, 0, 500],
+        "target_cm": [0, 0, 400],
+        "radius_cm": 1,
+    },
+)
+# Beside the lens and behind it: lights what faces the camera and is never in view, so that empty space stays dark.
+LAMP: tuple[dict[str, Any], ...] = (
+    {
+        "kind": "lamp",
+        "illuminant": "D65",
+        "lux": 1000.0,
+        "position_cm": [0, -30, -60],
+        "target_cm": [0, 0, 20],
+        "radius_cm": 5,
+    },
+)
+
+
+def activate() -> str:
+    """Make the fastest variant active; its name."""
+    choice = backend.choose()
+    backend.activate(choice)
+    return choice.variant
+
+
+def needs_wave() -> None:
+    """NotRun where the renderer has no wave-true blur."""
+    if activate().startswith("scalar"):
+        raise NotRun("only scalar_spectral works here, which has no wave-true blur; install LLVM 17 or newer")
+
+
+def make_scene(objects: Sequence[dict[str, Any]], lights: Sequence[dict[str, Any]] = LAMP) -> Scene:
+    """A scene from plain data."""
+    return parse(Scene, {"name": "claim", "lights": list(lights), "objects": list(objects)}, "scene of a claim")
+
+
+def changed(
+    camera: Camera,
+    *,
+    lens: dict[str, Any] | None = None,
+    sensor: dict[str, Any] | None = None,
+    stops: Sequence[dict[str, Any]] | None = None,
+) -> Camera:
+    """The camera with other values of its lens or sensor, or with other stops."""
+    data = camera.model_dump()
+    data["lens"] |= lens or {}
+    data["sensor"] |= sensor or {}
+    if stops is not None:
+        data["stops"] = list(stops)
+    return parse(Camera, data, "camera of a claim")
+
+
+def stop_pictures(
+    scene: Any,
+    camera: Camera,
+    spp: int,
+    seed: int,
+    *,
+    diffraction: str,
+    max_blur_px: float,
+    spectrum: FloatArray | None = None,
+    progress: Callable[[float], None] = lambda share: None,
+) -> FloatArray:
+    """Electrons a second through each stop, [stop, h, w, channel], of a scene or of one that is loaded already.
+
+    With the ``spectrum`` of its lights, as captures are rendered, and else traced throughout.
+    """
+    from dasim.render import passes, translate
+
+    loaded = translate.load(scene) if isinstance(scene, Scene) else scene
+    field = None if spectrum is None else passes.irradiance_field(loaded, camera, spectrum, max_blur_px, spp, seed)
+    pictures = []
+    for index, stop in enumerate(camera.stops):
+        pictures.append(
+            passes.stop_pass(
+                loaded,
+                camera,
+                stop,
+                passes.Sampling(spp, seed),
+                diffraction=diffraction,
+                max_blur_px=max_blur_px,
+                field=field,
+            )
+        )
+        progress((index + 1) / len(camera.stops))
+    return np.stack(pictures)
+
+
+def stop_electrons(camera: Camera, spectrum: FloatArray) -> FloatArray:
+    """Relative electrons of each stop and channel under a spectrum, [stop, channel], the sum over stops is 1."""
+    from dasim.spectra import grid
+
+    signal = np.stack([grid.integrate(cameras.stop_response(camera, stop) * spectrum) for stop in camera.stops])
+    return signal / signal.sum(axis=0)
+
+
+def blur_px(camera: Camera, depth_m: float) -> float:
+    """Signed visible blur diameter, c = A s (1/d - 1/d_f) / p, written out from the camera's data sheet."""
+    lens = camera.lens
+    focal_m, focus_m = lens.focal_length_mm * 1e-3, lens.focus_distance_m
+    image_m = 1 / (1 / focal_m - 1 / focus_m)
+    return focal_m / lens.f_number * image_m * (1 / depth_m - 1 / focus_m) / (camera.sensor.pixel_pitch_um * 1e-6)
+
+
+def depth_m(camera: Camera, blur: float) -> float:
+    """Depth of a signed visible blur diameter in pixels, the inverse of :func:`blur_px`."""
+    lens = camera.lens
+    focal_m, focus_m = lens.focal_length_mm * 1e-3, lens.focus_distance_m
+    image_m = 1 / (1 / focal_m - 1 / focus_m)
+    return 1 / (1 / focus_m + blur * camera.sensor.pixel_pitch_um * 1e-6 * lens.f_number / (focal_m * image_m))
+
+
+def pixel_at_m(camera: Camera, depth: float) -> float:
+    """Size of a pixel's picture at a depth."""
+    lens = camera.lens
+    image_m = 1 / (1 / (lens.focal_length_mm * 1e-3) - 1 / lens.focus_distance_m)
+    return camera.sensor.pixel_pitch_um * 1e-6 * depth / image_m
