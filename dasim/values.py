@@ -13,8 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dasim.camera.specification import Camera
-
-Float32Array = NDArray[np.float32]
+from dasim.typing import Float32Array
 
 
 @dataclass(frozen=True)
@@ -99,7 +98,7 @@ class Reconstruction:
     light: str  # the bank's light, chosen by white balance
     settings: dict[str, Any]
     timings_s: dict[str, float]
-    bank: dict[str, Any] = field(default_factory=dict)  # which bank it was, see dasim.files.folders.bank_identity
+    bank: dict[str, Any] = field(default_factory=dict)  # which bank it was, see dasim.files.banks.bank_identity
     notes: tuple[str, ...] = ()  # what a user should know of this result
 
 

@@ -5,7 +5,8 @@ colour picture alone; ``refocus`` blurs the result anew. Only values and their f
 shared with the simulator, never its formulas.
 """
 
-from dasim.files.folders import load_bank, load_capture, save_bank
+from dasim.files.banks import load_bank, save_bank
+from dasim.files.captures import load_capture
 from recon.calibration.psf_bank import calibrate
 from recon.files.raw import load_raw
 from recon.picture.infrared import measured_crosstalk

@@ -6,8 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
 
-Float32Array = NDArray[np.float32]
-Complex64Array = NDArray[np.complex64]
+from dasim.typing import Complex64Array, Float32Array
 
 WORKERS = 2
 

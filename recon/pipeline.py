@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, nullcontext
 from typing import Any
 
@@ -13,9 +13,10 @@ from numpy.typing import NDArray
 
 from dasim.base.errors import InputError
 from dasim.camera.specification import Camera, channels
-from dasim.files.folders import bank_identity
+from dasim.files.banks import bank_identity
 from dasim.spectra.colour import exposure_scale, to_srgb
 from dasim.spectra.grid import CHANNELS
+from dasim.typing import Float32Array, Progress
 from dasim.values import Capture, Developed, PsfBank, Reconstruction
 from recon.depth import scores, tiles
 from recon.depth.regularise import regularise
@@ -23,9 +24,6 @@ from recon.picture import colour, denoise, infrared, mosaic
 from recon.picture import develop as picture
 from recon.settings import DEFAULT, PAPER, Settings
 from recon.sharp import sharpen
-
-Float32Array = NDArray[np.float32]
-Progress = Callable[[str, float], None]
 
 PICTURE_STAGES = ("linearise", "light", "denoise", "infrared", "demosaic", "colour")
 STAGES = (*PICTURE_STAGES[:-1], "depth", "regularise", "sharpen", "colour")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +11,7 @@ import cv2
 import dasim
 import recon
 from dasim.files.folders import new_folder
+from dasim.typing import Progress
 from recon.calibration.cached import simulated_bank
 from recon.files.reconstruction import save_reconstruction
 from validation.gates.claim import Claim, judged, write_results
@@ -21,7 +21,6 @@ from validation.scores.score import score
 
 DEMO_SCENE, DEMO_CAMERA, DEMO_SIZE_PX = "desk", "da-mobile", (768, 576)
 
-Progress = Callable[[str, float], None]
 
 # Limits that a first version of the chain has to meet on the demo's scene.
 LIMITS = {

@@ -28,13 +28,12 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import CubicSpline
 from scipy.special import j0
 
-from dasim.camera import pointspread
-from dasim.camera import specification as cameras
+from dasim.camera import geometry, pointspread
 from dasim.camera.specification import Camera
 from dasim.camera.stops import Stop
 from dasim.spectra import illuminants
+from dasim.typing import FloatArray
 
-FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
 SLOPE_STEP_PX = 0.05  # of visible blur, either way: at 0.5 cycles/px a transfer function turns by 0.16 rad
@@ -104,8 +103,8 @@ def camera_transfers(
     """Transfer functions H of a camera's channels and dH/dc, c the visible blur in px: [blur, channel, h, w/2 + 1].
 
     For several lights [light, blur, channel, h, w/2 + 1], in little more time than for one.
-    Hankel transform of the camera's own kernels under an illuminant (:mod:`dasim.camera.pointspread`), times the pixel's
-    sinc; the change by differences of 0.05 px to either side. For stops that are discs and rings about the axis.
+    Hankel transform of the camera's own kernels under an illuminant (:mod:`dasim.camera.pointspread`), times the
+    pixel's sinc; the change by differences of 0.05 px to either side. For stops that are centred discs and rings.
     """
     blurs = np.atleast_1d(np.asarray(blur_px, np.float64))
     both = np.concatenate([blurs - SLOPE_STEP_PX, blurs + SLOPE_STEP_PX])
@@ -271,13 +270,13 @@ def _free_of_spectrum(per_frequency: FloatArray, shape: tuple[int, ...], width: 
 
 def depth_deviation_m(camera: Camera, depth_m: ArrayLike, blur_deviation_px: ArrayLike) -> FloatArray:
     """Standard deviation of depth for one of visible blur: d^2 p / (A s) for a pixel, from c = A s (1/d - 1/d_f)."""
-    per_px = camera.sensor.pixel_pitch_um * 1e-6 / (cameras.aperture_m(camera) * cameras.image_distance_m(camera))
+    per_px = camera.sensor.pixel_pitch_um * 1e-6 / (geometry.aperture_m(camera) * geometry.image_distance_m(camera))
     return np.asarray(np.asarray(depth_m, np.float64) ** 2 * per_px * np.asarray(blur_deviation_px, np.float64))
 
 
 def level_deviation(camera: Camera, blur_deviation_px: ArrayLike) -> FloatArray:
     """Standard deviation in blur levels of one of visible blur in px."""
-    return np.asarray(np.asarray(blur_deviation_px, np.float64) / cameras.level_blur_px(camera)[1])
+    return np.asarray(np.asarray(blur_deviation_px, np.float64) / geometry.level_blur_px(camera)[1])
 
 
 NOTHING = 1e-9  # of the information with all else known: what rounding leaves where the blur tells nothing

@@ -22,14 +22,13 @@ from scipy import fft
 from scipy.interpolate import CubicSpline
 
 from dasim.bounds import cramer_rao
-from dasim.camera import pointspread, stops
-from dasim.camera import specification as cameras
+from dasim.camera import geometry, pointspread, radiometry, stops
 from dasim.camera.specification import Camera
 from dasim.camera.stops import Stop
 from dasim.spectra import grid as spectra
 from dasim.spectra import illuminants
+from dasim.typing import FloatArray
 
-FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
 BAND_NM = 40.0  # wavelengths that share one grid: lambda changes by 5 %, the transfer function of c not at all
@@ -100,7 +99,7 @@ class _Band:
 
 def _bands(camera: Camera, stop: Stop, light: str) -> tuple[list[_Band], FloatArray]:
     """Bands of ``BAND_NM`` of the light through a stop, and its electrons, relative, [channel]."""
-    weights = cameras.stop_response(camera, stop) * illuminants.illuminant(light)
+    weights = radiometry.stop_response(camera, stop) * illuminants.illuminant(light)
     total = spectra.integrate(weights)
     f_number, pitch_m = pointspread.working_f_number(camera, 1.0), camera.sensor.pixel_pitch_um * 1e-6
     parts = pointspread.bands(weights)
@@ -113,7 +112,7 @@ def _bands(camera: Camera, stop: Stop, light: str) -> tuple[list[_Band], FloatAr
     for group in groups.values():
         share = np.array([weight for _, weight in group])
         mean_nm = float(np.average([nm for nm, _ in group], weights=share.sum(axis=1)))
-        colour = float(np.interp(mean_nm, spectra.WAVELENGTH_NM, cameras.chromatic_blur_px(camera)))
+        colour = float(np.interp(mean_nm, spectra.WAVELENGTH_NM, geometry.chromatic_blur_px(camera)))
         weight = share.sum(axis=0) / np.where(total > 0, total, 1.0)
         found.append(_Band(weight, mean_nm * 1e-9 * f_number / pitch_m, colour))
     return found, total

@@ -12,6 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 from scipy.optimize import brentq
 from scipy.special import ndtr
 
+from dasim.camera import response_curves
 from dasim.spectra import grid
 
 Curve = tuple[tuple[float, ...], tuple[float, ...]]
@@ -109,7 +110,7 @@ def translated(data: dict[str, Any], green: Curve | None = None) -> dict[str, An
     if sheet.quantum_efficiency_percent is not None:
         if green is None and others.get("quantum_efficiency") is not None:
             raise ValueError("emva1288.quantum_efficiency_percent: the table quantum_efficiency has no column G")
-        bundled = grid.rgb_ir_quantum_efficiency()[grid.CHANNELS.index("G")]
+        bundled = response_curves.rgb_ir_quantum_efficiency()[grid.CHANNELS.index("G")]
         nm, curve = green or (tuple(grid.WAVELENGTH_NM), tuple(bundled))
         ours = max(curve) if sheet.wavelength_nm is None else float(np.interp(sheet.wavelength_nm, nm, curve))
         if not ours > 0:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from dasim.camera import response_curves, specification, stops
 from dasim.camera import specification as cameras
-from dasim.camera import stops
 from dasim.camera.specification import Camera
 from dasim.spectra import grid
-from dasim.spectra.grid import CHANNELS, FloatArray
+from dasim.spectra.grid import CHANNELS
+from dasim.typing import FloatArray
 
 
 def described(camera: Camera) -> list[str]:
@@ -39,9 +40,9 @@ def described(camera: Camera) -> list[str]:
 def crosstalk(camera: Camera) -> FloatArray:
     """Coefficients of eq. (8) for R, G and B, [3], of the response curves behind the sensor's cut-off filter."""
     sensor = camera.sensor
-    curves = cameras.quantum_efficiency(sensor) * grid.short_pass(sensor.cutoff_nm, sensor.cutoff_width_nm)
+    curves = specification.quantum_efficiency(sensor) * grid.short_pass(sensor.cutoff_nm, sensor.cutoff_width_nm)
     names = cameras.channels(sensor)
-    return grid.ir_crosstalk(curves[[names.index(name) for name in CHANNELS]])
+    return response_curves.ir_crosstalk(curves[[names.index(name) for name in CHANNELS]])
 
 
 def _shape(stop: stops.Stop) -> str:

@@ -1,34 +1,86 @@
-"""Thin-lens geometry: conjugates, blur and depth, field of view.
-
-Distances are metres from the lens plane along the optical axis; a blur diameter is positive for
-points nearer than the focal plane and negative for points behind it.
-"""
+"""Geometry of a camera: image distance, aperture, blur in pixels, depth of a blur, levels, intrinsic matrix."""
 
 from __future__ import annotations
 
-from typing import TypeVar
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-Value = TypeVar("Value", float, NDArray[np.float64])
-
-
-def image_distance_m(focal_length_m: float, focus_distance_m: float) -> float:
-    """Distance from lens to sensor that focuses at ``focus_distance_m``, s = f d_f / (d_f - f)."""
-    return focal_length_m * focus_distance_m / (focus_distance_m - focal_length_m)
+from dasim.camera import stops as aperture
+from dasim.camera import thin_lens
+from dasim.camera.specification import BLUR_LEVELS, Camera
+from dasim.spectra import grid
+from dasim.typing import FloatArray
 
 
-def blur_diameter_m(depth_m: Value, aperture_m: float, image_distance: float, focus_distance_m: float) -> Value:
-    """Signed diameter on the sensor of the blur of a point at ``depth_m``, c = A s (1/d - 1/d_f)."""
-    return aperture_m * image_distance * (1.0 / depth_m - 1.0 / focus_distance_m)
+def image_distance_m(camera: Camera) -> float:
+    """Distance from lens to sensor."""
+    return thin_lens.image_distance_m(camera.lens.focal_length_mm * 1e-3, camera.lens.focus_distance_m)
 
 
-def depth_of_blur_m(blur_m: Value, aperture_m: float, image_distance: float, focus_distance_m: float) -> Value:
-    """Depth whose signed blur diameter is ``blur_m``, the inverse of :func:`blur_diameter_m`."""
-    return 1.0 / (1.0 / focus_distance_m + blur_m / (aperture_m * image_distance))
+def aperture_m(camera: Camera) -> float:
+    """Diameter of the open lens."""
+    return camera.lens.focal_length_mm * 1e-3 / camera.lens.f_number
 
 
-def waves_of_defocus(blur_m: Value, working_f_number: float, wavelength_m: float) -> Value:
-    """Defocus W20 at the edge of the pupil in waves, c / (8 N lambda), with N = s / A of the stop."""
-    return blur_m / (8.0 * working_f_number * wavelength_m)
+def blur_px(camera: Camera, depth_m: Any) -> Any:
+    """Signed diameter in pixels of the visible (open lens) blur at ``depth_m``; positive nearer than the focus."""
+    lens = camera.lens
+    blur_m = thin_lens.blur_diameter_m(depth_m, aperture_m(camera), image_distance_m(camera), lens.focus_distance_m)
+    return blur_m / (camera.sensor.pixel_pitch_um * 1e-6)
+
+
+def depth_of_blur_m(camera: Camera, blur_px: Any) -> Any:
+    """Depth whose signed visible blur diameter is ``blur_px`` pixels."""
+    blur_m = np.asarray(blur_px) * camera.sensor.pixel_pitch_um * 1e-6
+    focus = camera.lens.focus_distance_m
+    return thin_lens.depth_of_blur_m(blur_m, aperture_m(camera), image_distance_m(camera), focus)
+
+
+def focus_vergence(camera: Camera) -> FloatArray:
+    """Inverse of the distance that is in focus, 1/m, on ``spectra.WAVELENGTH_NM``; below 0 beyond infinity.
+
+    The sensor stays where the focal length without shift puts it: 1/d_f(lambda) = 1/f(lambda) - 1/s.
+    """
+    lens = camera.lens
+    focal_m = lens.focal_length_mm * 1e-3
+    shift_m = np.zeros_like(grid.WAVELENGTH_NM)
+    if lens.focal_shift_um:
+        nm, um = np.array(lens.focal_shift_um).T
+        shift_m = np.interp(grid.WAVELENGTH_NM, nm, um) * 1e-6
+    return 1.0 / lens.focus_distance_m + 1.0 / (focal_m + shift_m) - 1.0 / focal_m
+
+
+def chromatic_blur_px(camera: Camera) -> FloatArray:
+    """What axial colour adds to the signed visible blur, pixels, on ``spectra.WAVELENGTH_NM``."""
+    vergence = 1.0 / camera.lens.focus_distance_m - focus_vergence(camera)
+    return aperture_m(camera) * image_distance_m(camera) * vergence / (camera.sensor.pixel_pitch_um * 1e-6)
+
+
+def hole_ratio(camera: Camera) -> float:
+    """Radius ratio of the smallest stop, the paper's alpha; of a stop that is no ring, that of a disc of its area."""
+    rings = [aperture.ring(stop) for stop in camera.stops]
+    return min(
+        float(np.sqrt(aperture.open_area(stop))) if ring is None else ring.outer
+        for stop, ring in zip(camera.stops, rings, strict=True)
+    )
+
+
+def level_blur_px(camera: Camera) -> FloatArray:
+    """Visible blur diameters in pixels of the blur levels, shape [level], from 0.
+
+    By default level k is the relative diameter (1 - alpha) c = k pixels, which spans the paper's working range of
+    5 cm to 2 m in 29 levels with its 3.6 mm lens. A camera with one aperture takes steps of 2 pixels. Such steps are
+    too wide where alpha nears 1 (10 px of visible blur at 0.9), and comparisons of designs set ``camera.levels``.
+    """
+    if camera.levels is not None:
+        return np.linspace(0.0, camera.levels.max_blur_px, camera.levels.count)
+    relative = 1.0 - hole_ratio(camera)
+    return np.arange(BLUR_LEVELS, dtype=np.float64) * (1.0 / relative if relative > 0 else 2.0)
+
+
+def intrinsic_matrix(camera: Camera) -> FloatArray:
+    """Pinhole intrinsics K in pixels, [3, 3]; pixel centres at +0.5, the principal point in the frame's centre."""
+    focal_px = image_distance_m(camera) / (camera.sensor.pixel_pitch_um * 1e-6)
+    centre = (camera.sensor.width_px / 2, camera.sensor.height_px / 2)
+    return np.array([[focal_px, 0, centre[0]], [0, focal_px, centre[1]], [0, 0, 1.0]])

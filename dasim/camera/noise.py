@@ -10,8 +10,7 @@ from pydantic import Field
 
 from dasim.base.toml import Specification
 from dasim.camera.specification import Camera, Sensor, mosaic_channels
-
-FloatArray = NDArray[np.float64]
+from dasim.typing import FloatArray
 
 LONGEST_EXPOSURE_S = 3600.0
 _MOST_E = 1e15  # electrons of a pixel's Poisson draw: beyond every full well, within what the generator can draw

@@ -23,13 +23,14 @@ from numpy.typing import NDArray
 from scipy.special import j0, j1, roots_legendre
 
 from dasim.base.errors import InputError
+from dasim.camera import geometry, radiometry
 from dasim.camera import specification as cameras
 from dasim.camera import stops as aperture
 from dasim.camera.specification import Camera
 from dasim.camera.stops import Stop
 from dasim.spectra import grid, illuminants
+from dasim.typing import FloatArray
 
-FloatArray = NDArray[np.float64]
 Diffraction = Literal["wave", "airy", "off"]
 DIFFRACTION_MODELS: tuple[str, ...] = get_args(Diffraction)
 
@@ -132,7 +133,7 @@ def _geometric_profile(radius_px: FloatArray, blur_px: FloatArray, inner: float)
 
 def working_f_number(camera: Camera, radius_ratio: float) -> float:
     """N = s / A of a stop, with A its diameter."""
-    return cameras.image_distance_m(camera) / (radius_ratio * cameras.aperture_m(camera))
+    return geometry.image_distance_m(camera) / (radius_ratio * geometry.aperture_m(camera))
 
 
 def check_model(diffraction: str) -> None:
@@ -158,7 +159,7 @@ def radial_profiles(
     """
     check_model(diffraction)
     pitch_m = camera.sensor.pixel_pitch_um * 1e-6
-    colour_px = cameras.chromatic_blur_px(camera)
+    colour_px = geometry.chromatic_blur_px(camera)
     lead = spectrum.shape[:-1]
     count = len(cameras.channels(camera.sensor))
     total = np.zeros((*lead, len(blur_px), count, len(radius_px)))
@@ -167,7 +168,7 @@ def radial_profiles(
         ring = aperture.ring(stop)
         if ring is None:
             raise ValueError(f"stop '{stop.name}' is not radial")
-        weights = cameras.stop_response(camera, stop) * spectrum[..., None, :]
+        weights = radiometry.stop_response(camera, stop) * spectrum[..., None, :]
         signal += grid.integrate(weights)
         f_number, inner = working_f_number(camera, ring.outer), ring.inner / ring.outer
         for wavelength_nm, weight in bands(weights):
@@ -231,9 +232,9 @@ def _pattern_kernel(
     """Kernel of one polygon or mask over the pixels, times the electrons, [..., channel, y, x], and the electrons."""
     if diffraction == "airy":
         raise InputError(f"stop '{stop.name}' is a {stop.shape}; diffraction 'airy' takes discs and rings only")
-    weights = cameras.stop_response(camera, stop) * spectrum[..., None, :]
+    weights = radiometry.stop_response(camera, stop) * spectrum[..., None, :]
     fine = (np.arange(size * SUBPIXELS) + 0.5) / SUBPIXELS - size / 2
-    f_number, colour_px = working_f_number(camera, 1.0), cameras.chromatic_blur_px(camera)
+    f_number, colour_px = working_f_number(camera, 1.0), geometry.chromatic_blur_px(camera)
     total = np.zeros((*weights.shape[:-1], size, size))
     for wavelength_nm, weight in bands(weights):
         blur = blur_px + float(np.interp(wavelength_nm, grid.WAVELENGTH_NM, colour_px))
@@ -272,7 +273,7 @@ def kernels(
             others.append(stop)
         else:
             about.setdefault(ring.centre, []).append(stop)
-    largest = float(np.abs(blurs).max() + np.abs(cameras.chromatic_blur_px(camera)).max())
+    largest = float(np.abs(blurs).max() + np.abs(geometry.chromatic_blur_px(camera)).max())
     farthest = max((float(np.hypot(*centre)) for centre in about), default=0.0) * largest / 2
     radius = np.arange(0, size * 0.75 + 2 + farthest, RADIAL_STEP_PX)
     groups = [
@@ -307,7 +308,7 @@ def _moved_alike(camera: Camera, centre: aperture.Point, spectrum: FloatArray) -
     if centre == (0.0, 0.0) or not camera.lens.focal_shift_um:
         yield 0.0, spectrum
         return
-    colour_px, index = cameras.chromatic_blur_px(camera), _band_index()
+    colour_px, index = geometry.chromatic_blur_px(camera), _band_index()
     for band in range(index[-1] + 1):
         inside = index == band
         yield float(colour_px[inside].mean()), np.where(inside, spectrum, 0.0)
@@ -334,7 +335,7 @@ def kernel_size_px(camera: Camera, blur_px: float) -> int:
     """Odd frame size that holds a kernel of a visible blur with its diffraction tail."""
     widest = max(working_f_number(camera, aperture.breadth(stop)) for stop in camera.stops)
     tail_px = 3 * 0.7e-6 * widest / (camera.sensor.pixel_pitch_um * 1e-6)  # three rings at 700 nm
-    colour_px = float(np.abs(cameras.chromatic_blur_px(camera)).max())
+    colour_px = float(np.abs(geometry.chromatic_blur_px(camera)).max())
     return 2 * int(np.ceil((abs(blur_px) + colour_px) / 2 + tail_px)) + 1
 
 
@@ -359,7 +360,7 @@ def psf(
         raise InputError(f"channel '{channel}' is unknown; allowed are {', '.join(names)}")
     if not depth_m > 0:
         raise InputError(f"depth_m is {depth_m!r}; a distance above 0 is needed")
-    blur = float(cameras.blur_px(camera, depth_m))
+    blur = float(geometry.blur_px(camera, depth_m))
     size = size or kernel_size_px(camera, blur)
     return kernels(camera, [blur], illuminants.illuminant(illuminant), size, diffraction)(0, offset_px, ...)[0][
         names.index(channel)
@@ -368,7 +369,7 @@ def psf(
 
 def airy_errors(camera: Camera, illuminant: str) -> tuple[FloatArray, FloatArray]:
     """Largest errors of ``airy`` against ``wave``, of encircled energy and of MTF, each [level, channel]."""
-    blurs = cameras.level_blur_px(camera)
+    blurs = geometry.level_blur_px(camera)
     step = RADIAL_STEP_PX
     radius = np.arange(0.0, blurs[-1] / 2 + 40, step)
     wave, airy = (

@@ -13,10 +13,10 @@ from pydantic import Field, ValidationError, ValidationInfo, field_validator, mo
 
 from dasim.base.errors import InputError
 from dasim.base.toml import Specification, bundled_or_file, named_file, parse, parse_toml
-from dasim.camera import datasheet, geometry
+from dasim.camera import datasheet, response_curves
 from dasim.camera import stops as aperture
 from dasim.spectra import grid
-from dasim.spectra.grid import FloatArray
+from dasim.typing import FloatArray
 
 CAMERA_DIR = Path(__file__).parents[1] / "cameras"
 BLUR_LEVELS = 29  # sec. 6.1
@@ -153,8 +153,8 @@ def _number(text: str, where: str) -> float:
 class Sensor(Specification):
     """A sensor: geometry, mosaic, spectral limits and electrical values (EMVA 1288 terms).
 
-    Without ``quantum_efficiency`` the curves are those of ``spectra.rgb_ir_quantum_efficiency``.
-    A table ``emva1288`` gives electrical values as a maker's data sheet does, see :class:`dasim.camera.datasheet.DataSheet`.
+    Without ``quantum_efficiency`` the curves are those of ``response_curves.rgb_ir_quantum_efficiency``.
+    A table ``emva1288`` gives electrical values as a data sheet does, see :class:`dasim.camera.datasheet.DataSheet`.
     """
 
     width_px: int = Field(ge=SMALLEST_FRAME_PX, le=20_000)
@@ -261,7 +261,7 @@ class Camera(Specification):
 
     @model_validator(mode="after")
     def _light_everywhere(self) -> Camera:
-        if self.lens.shading_per_mm and relative_illumination(self).min() <= 0:
+        if self.lens.shading_per_mm and shading(self).min() <= 0:
             raise ValueError("lens.shading_per_mm: falls to zero or below within the frame")
         return self
 
@@ -298,88 +298,20 @@ def refocused(camera: Camera, focus_distance_m: float) -> Camera:
     return camera.model_copy(update={"lens": parse(Lens, changed, "focus")})
 
 
-def image_distance_m(camera: Camera) -> float:
-    """Distance from lens to sensor."""
-    return geometry.image_distance_m(camera.lens.focal_length_mm * 1e-3, camera.lens.focus_distance_m)
+def shading(camera: Camera) -> FloatArray:
+    """Transmittance of the lens at each pixel relative to the axis, beside cos^4, [h, w]: 1 + sum a_k r^(2k)."""
+    return np.asarray(
+        np.polynomial.Polynomial((1.0, *camera.lens.shading_per_mm))(square_of_image_height_m2(camera) * 1e6)
+    )
 
 
-def aperture_m(camera: Camera) -> float:
-    """Diameter of the open lens."""
-    return camera.lens.focal_length_mm * 1e-3 / camera.lens.f_number
-
-
-def blur_px(camera: Camera, depth_m: Any) -> Any:
-    """Signed diameter in pixels of the visible (open lens) blur at ``depth_m``; positive nearer than the focus."""
-    lens = camera.lens
-    blur_m = geometry.blur_diameter_m(depth_m, aperture_m(camera), image_distance_m(camera), lens.focus_distance_m)
-    return blur_m / (camera.sensor.pixel_pitch_um * 1e-6)
-
-
-def depth_of_blur_m(camera: Camera, blur_px: Any) -> Any:
-    """Depth whose signed visible blur diameter is ``blur_px`` pixels."""
-    blur_m = np.asarray(blur_px) * camera.sensor.pixel_pitch_um * 1e-6
-    focus = camera.lens.focus_distance_m
-    return geometry.depth_of_blur_m(blur_m, aperture_m(camera), image_distance_m(camera), focus)
-
-
-def focus_vergence(camera: Camera) -> FloatArray:
-    """Inverse of the distance that is in focus, 1/m, on ``spectra.WAVELENGTH_NM``; below 0 beyond infinity.
-
-    The sensor stays where the focal length without shift puts it: 1/d_f(lambda) = 1/f(lambda) - 1/s.
-    """
-    lens = camera.lens
-    focal_m = lens.focal_length_mm * 1e-3
-    shift_m = np.zeros_like(grid.WAVELENGTH_NM)
-    if lens.focal_shift_um:
-        nm, um = np.array(lens.focal_shift_um).T
-        shift_m = np.interp(grid.WAVELENGTH_NM, nm, um) * 1e-6
-    return 1.0 / lens.focus_distance_m + 1.0 / (focal_m + shift_m) - 1.0 / focal_m
-
-
-def chromatic_blur_px(camera: Camera) -> FloatArray:
-    """What axial colour adds to the signed visible blur, pixels, on ``spectra.WAVELENGTH_NM``."""
-    vergence = 1.0 / camera.lens.focus_distance_m - focus_vergence(camera)
-    return aperture_m(camera) * image_distance_m(camera) * vergence / (camera.sensor.pixel_pitch_um * 1e-6)
-
-
-def relative_illumination(camera: Camera) -> FloatArray:
-    """Light of each pixel relative to the axis, [h, w]: cos^4 of the chief ray's angle times the shading."""
+def square_of_image_height_m2(camera: Camera) -> FloatArray:
+    """Square of each pixel's distance from the optical axis, m^2, [h, w]."""
     sensor = camera.sensor
     pitch_m = sensor.pixel_pitch_um * 1e-6
     x = (np.arange(sensor.width_px) + 0.5 - sensor.width_px / 2) * pitch_m
     y = (np.arange(sensor.height_px) + 0.5 - sensor.height_px / 2) * pitch_m
-    r2 = x[None, :] ** 2 + y[:, None] ** 2
-    s2 = image_distance_m(camera) ** 2
-    return (s2 / (s2 + r2)) ** 2 * np.polynomial.Polynomial((1.0, *camera.lens.shading_per_mm))(r2 * 1e6)
-
-
-def hole_ratio(camera: Camera) -> float:
-    """Radius ratio of the smallest stop, the paper's alpha; of a stop that is no ring, that of a disc of its area."""
-    rings = [aperture.ring(stop) for stop in camera.stops]
-    return min(
-        float(np.sqrt(aperture.open_area(stop))) if ring is None else ring.outer
-        for stop, ring in zip(camera.stops, rings, strict=True)
-    )
-
-
-def level_blur_px(camera: Camera) -> FloatArray:
-    """Visible blur diameters in pixels of the blur levels, shape [level], from 0.
-
-    By default level k is the relative diameter (1 - alpha) c = k pixels, which spans the paper's working range of
-    5 cm to 2 m in 29 levels with its 3.6 mm lens. A camera with one aperture takes steps of 2 pixels. Such steps are
-    too wide where alpha nears 1 (10 px of visible blur at 0.9), and comparisons of designs set ``camera.levels``.
-    """
-    if camera.levels is not None:
-        return np.linspace(0.0, camera.levels.max_blur_px, camera.levels.count)
-    relative = 1.0 - hole_ratio(camera)
-    return np.arange(BLUR_LEVELS, dtype=np.float64) * (1.0 / relative if relative > 0 else 2.0)
-
-
-def intrinsic_matrix(camera: Camera) -> FloatArray:
-    """Pinhole intrinsics K in pixels, [3, 3]; pixel centres at +0.5, the principal point in the frame's centre."""
-    focal_px = image_distance_m(camera) / (camera.sensor.pixel_pitch_um * 1e-6)
-    centre = (camera.sensor.width_px / 2, camera.sensor.height_px / 2)
-    return np.array([[focal_px, 0, centre[0]], [0, focal_px, centre[1]], [0, 0, 1.0]])
+    return np.asarray(x[None, :] ** 2 + y[:, None] ** 2)
 
 
 def channels(sensor: Sensor) -> tuple[str, ...]:
@@ -389,41 +321,21 @@ def channels(sensor: Sensor) -> tuple[str, ...]:
     return tuple(name for name in dict.fromkeys((*grid.CHANNELS, *others)) if name in used)
 
 
-def quantum_efficiency(sensor: Sensor) -> FloatArray:
-    """Electrons a photon of each of :func:`channels`, [channel, wavelength], before the cut-off filter."""
-    curves = sensor.quantum_efficiency
-    if curves is None:
-        ours = dict(zip(grid.CHANNELS, grid.rgb_ir_quantum_efficiency(), strict=True))
-        found = [ours[name] for name in channels(sensor)]
-    else:
-        nm = curves.wavelength_nm
-        found = [np.interp(grid.WAVELENGTH_NM, nm, curves.channels[n], right=0.0) for n in channels(sensor)]
-    return sensor.quantum_efficiency_scale * np.stack(found)
-
-
-def stop_response(camera: Camera, stop: aperture.Stop) -> FloatArray:
-    """Electrons a second and pixel, per W m^-2 sr^-1 nm^-1 of scene radiance, through one stop.
-
-    Shape [channel, wavelength], on the axis: p^2 pi (r/s)^2 T_lens T_stop T_cutoff QE lambda / (h c),
-    the Abbe lens's E = pi L (r/s)^2 with pi r^2 the stop's open area. Off the axis it falls as
-    :func:`relative_illumination`.
-    """
-    sensor = camera.sensor
-    square_of_radius = aperture.open_area(stop) * (aperture_m(camera) / 2) ** 2
-    etendue = (sensor.pixel_pitch_um * 1e-6) ** 2 * np.pi * square_of_radius / image_distance_m(camera) ** 2
-    passed = camera.lens.transmittance * aperture.transmittance(stop)
-    passed = passed * grid.short_pass(sensor.cutoff_nm, sensor.cutoff_width_nm)
-    return etendue * passed * quantum_efficiency(sensor) * grid.photons_per_joule()
-
-
-def response(camera: Camera) -> FloatArray:
-    """Spectral response of the whole camera, the sum of :func:`stop_response` over its stops, [channel, wavelength]."""
-    return np.sum([stop_response(camera, stop) for stop in camera.stops], axis=0)
-
-
 def mosaic_channels(camera: Camera) -> np.ndarray:
     """Channel index (into :func:`channels`) of every pixel, int [height, width]."""
     sensor = camera.sensor
     names = channels(sensor)
     block = np.array([[names.index(name) for name in row] for row in sensor.mosaic])
     return np.tile(block, (sensor.height_px // block.shape[0], sensor.width_px // block.shape[1]))
+
+
+def quantum_efficiency(sensor: Sensor) -> FloatArray:
+    """Electrons a photon of each of :func:`channels`, [channel, wavelength], before the cut-off filter."""
+    curves = sensor.quantum_efficiency
+    if curves is None:
+        ours = dict(zip(grid.CHANNELS, response_curves.rgb_ir_quantum_efficiency(), strict=True))
+        found = [ours[name] for name in channels(sensor)]
+    else:
+        nm = curves.wavelength_nm
+        found = [np.interp(grid.WAVELENGTH_NM, nm, curves.channels[n], right=0.0) for n in channels(sensor)]
+    return sensor.quantum_efficiency_scale * np.stack(found)

@@ -19,7 +19,7 @@ from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from dasim.base.toml import Specification, named_file
 from dasim.spectra import grid
-from dasim.spectra.grid import FloatArray
+from dasim.typing import FloatArray
 
 Point = tuple[float, float]
 

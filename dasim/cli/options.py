@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any
@@ -11,8 +11,7 @@ from typing import Annotated, Any
 from cyclopts import Parameter
 
 from dasim.base.errors import InputError
-
-Progress = Callable[[str, float], None]
+from dasim.typing import Progress
 
 
 @contextmanager

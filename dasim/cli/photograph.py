@@ -9,7 +9,8 @@ from cyclopts import Parameter
 
 from dasim.base.errors import InputError
 from dasim.cli import options
-from dasim.cli.options import Out, Progress, Whole, samples
+from dasim.cli.options import Out, Whole, samples
+from dasim.typing import Progress
 
 if TYPE_CHECKING:
     from dasim.camera.specification import Camera
@@ -127,7 +128,8 @@ def calibrate(
         save_captures: write the simulated pictures to this folder, in the form that --captures reads, and end
     """
     import dasim
-    from dasim.files.folders import check_output, save_bank
+    from dasim.files.banks import save_bank
+    from dasim.files.folders import check_output
     from dasim.simulation.calibration import CALIBRATION_LIGHTS
     from dasim.simulation.simulate import check_options
     from dasim.spectra import illuminants
@@ -169,7 +171,7 @@ def calibrate(
 
 
 def _print_distances(camera: Camera) -> int:
-    from dasim.camera.specification import depth_of_blur_m
+    from dasim.camera.geometry import depth_of_blur_m
     from dasim.simulation.calibration import levels
     from recon.calibration.table import DEPTH_TOLERANCE
 
@@ -212,7 +214,7 @@ def _measured_bank(
 
 def _check_bank_output(out: Path) -> None:
     """Refuse to overwrite anything but a bank."""
-    from dasim.files.folders import load_bank
+    from dasim.files.banks import load_bank
 
     if out.is_dir():
         raise InputError(f"output {out}: is a folder; a bank is one .npz file")

@@ -10,7 +10,7 @@ from cyclopts import Parameter
 
 from dasim.base.errors import InputError
 from dasim.cli import options
-from dasim.cli.options import Progress
+from dasim.typing import Progress
 
 if TYPE_CHECKING:
     from dasim.values import Capture, PsfBank
@@ -132,7 +132,7 @@ def refocus(
 
 def _bank(path: Path | None, shot: Capture, progress: Progress) -> PsfBank:
     """The bank of a file, or the one that the camera's own description gives."""
-    from dasim.files.folders import load_bank
+    from dasim.files.banks import load_bank
     from recon.calibration.cached import simulated_bank
 
     if path is not None:
@@ -176,7 +176,7 @@ def score(
         scale: metres of one unit of the depth map, or of the measured depths
         json_file: also write the figures to this file
     """
-    from dasim.files.folders import load_capture, load_truth
+    from dasim.files.captures import load_capture, load_truth
     from recon.files.reconstruction import load_reconstruction
     from validation.gates.claim import plain_value
     from validation.scores import score as scores

@@ -101,7 +101,7 @@ def bound(
         channels: planes of the mosaic that are compared, first the one with the sharp texture
     """
     from dasim.bounds import cramer_rao
-    from dasim.camera import specification as cameras
+    from dasim.camera import geometry
     from dasim.spectra import illuminants
     from validation.studies import criteria
 
@@ -126,7 +126,7 @@ def bound(
     begin = time.perf_counter()
     computed()  # again, for what a further design costs: the first time reads the illuminant's and other tables
     seconds = time.perf_counter() - begin
-    depth_m = cameras.depth_of_blur_m(lens, blurs)
+    depth_m = geometry.depth_of_blur_m(lens, blurs)
     metres = cramer_rao.depth_deviation_m(lens, depth_m, deviation)
     print(f"{lens.name}, focus {lens.lens.focus_distance_m:g} m, {light}, {lux:g} lux, channels {', '.join(names)}, "
           f"texture {texture}: least standard deviation in a patch of 31 px")  # fmt: skip

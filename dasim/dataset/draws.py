@@ -15,7 +15,7 @@ from dasim.camera.specification import Camera
 from dasim.dataset.specification import DatasetSpec, named_camera, random_spec, scene_count, scene_keys, varied
 from dasim.random_scenes import specification
 from dasim.scene import loading
-from dasim.scene.loading import MitsubaScene
+from dasim.scene.mitsuba_scene import MitsubaScene
 from dasim.scene.specification import Scene
 
 # Each part on a generator of its own: another distribution of one leaves the others as they are.

@@ -21,7 +21,7 @@ from dasim.dataset import plan, storage
 from dasim.dataset.plan import INDEX, Shard
 from dasim.dataset.sample import FILES, key
 from dasim.dataset.specification import DatasetSpec
-from dasim.files.folders import read_truth_parts
+from dasim.files.truth import read_truth_parts
 
 
 @dataclass(frozen=True)

@@ -21,7 +21,9 @@ import numpy as np
 
 from dasim.dataset.draws import Draft, draft
 from dasim.dataset.specification import DatasetSpec
-from dasim.files.folders import capture_meta, write_png16, write_truth
+from dasim.files.captures import capture_meta
+from dasim.files.png import write_png16
+from dasim.files.truth import write_truth
 from dasim.render import backend
 from dasim.simulation.simulate import Shot, simulate
 from dasim.values import Truth

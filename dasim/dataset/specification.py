@@ -15,7 +15,7 @@ from dasim.base.toml import Specification, parse, parse_toml
 from dasim.camera import specification as cameras
 from dasim.camera.noise import LONGEST_EXPOSURE_S
 from dasim.camera.specification import Camera
-from dasim.files.folders import TRUTH_PARTS
+from dasim.files.truth import TRUTH_PARTS
 from dasim.random_scenes import specification
 from dasim.random_scenes.specification import RandomScenes
 from dasim.scene.specification import scene_names

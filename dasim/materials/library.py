@@ -32,7 +32,7 @@ from dasim.materials.surfaces import (
     is_textured,
 )
 from dasim.spectra import colour_checker
-from dasim.spectra.grid import FloatArray
+from dasim.typing import FloatArray
 
 __all__ = [
     "NEAR_INFRARED_RULES",

@@ -7,7 +7,8 @@ from pathlib import Path
 import numpy as np
 
 from dasim.base.errors import InputError
-from dasim.spectra.grid import WAVELENGTH_NM, FloatArray
+from dasim.spectra.grid import WAVELENGTH_NM
+from dasim.typing import FloatArray
 
 
 def checked(points: FloatArray, where: str) -> FloatArray:

@@ -21,7 +21,8 @@ import numpy as np
 from dasim.base.errors import InputError
 from dasim.materials import patterns, reflectances
 from dasim.materials.surfaces import Diffuse, Image, Mixture, Surface
-from dasim.spectra.grid import LUMINANCE, WAVELENGTH_NM, FloatArray, long_pass
+from dasim.spectra.grid import LUMINANCE, WAVELENGTH_NM, long_pass
+from dasim.typing import FloatArray
 
 NEAR_INFRARED_RULES = ("print", "dyed", "achromatic")
 BLACK_INK = "carbon-black"

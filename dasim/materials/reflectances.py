@@ -12,7 +12,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dasim.spectra.grid import WAVELENGTH_NM, FloatArray, long_pass, short_pass
+from dasim.spectra.grid import WAVELENGTH_NM, long_pass, short_pass
+from dasim.typing import FloatArray
 
 ECOSTRESS = "in shape like the ECOSTRESS spectral library (Meerdink et al. 2019)"
 USGS = "in shape like the man-made materials of the USGS Spectral Library 7 (Kokaly et al. 2017)"

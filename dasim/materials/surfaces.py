@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from dasim.spectra.grid import FloatArray
+from dasim.typing import FloatArray
 
 Image = NDArray[np.float32]
 CLEAR_COAT_INDEX = 1.5  # of resins, varnishes and glazes

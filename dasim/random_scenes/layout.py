@@ -12,9 +12,9 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from dasim.typing import FloatArray
+
 Random = np.random.Generator
 
 STEEPEST = np.tan(np.radians(40.0))  # tangent of the camera's pitch

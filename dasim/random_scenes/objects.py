@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dasim.base.errors import InputError
 from dasim.materials import photographs
@@ -16,8 +15,8 @@ from dasim.random_scenes.layout import Outline, Room, Taken
 from dasim.random_scenes.materials import Stock
 from dasim.scene import meshes, shapes
 from dasim.scene.procedural import library
+from dasim.typing import FloatArray
 
-FloatArray = NDArray[np.float64]
 Random = np.random.Generator
 
 MESH_SUFFIXES = (".obj", ".ply", ".glb", ".stl", ".off")

@@ -12,11 +12,11 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from dasim.base.errors import InputError
 from dasim.base.toml import Specification, parse, parse_toml
+from dasim.camera import geometry
 from dasim.camera import specification as cameras
 from dasim.camera.noise import Exposure
 from dasim.camera.specification import Camera
@@ -29,8 +29,8 @@ from dasim.random_scenes.materials import Palette, Shares
 from dasim.scene.lights import Lux
 from dasim.scene.specification import Scene
 from dasim.spectra import illuminants
+from dasim.typing import FloatArray
 
-FloatArray = NDArray[np.float64]
 Random = np.random.Generator
 Share = Annotated[float, Field(ge=0, le=1)]
 Positive = Annotated[float, Field(gt=0)]
@@ -254,7 +254,7 @@ def _seen(camera: Camera | None, focus_cm: float) -> tuple[float, float]:
     """Tangents of half the width and height of what the camera sees at that focus."""
     camera = cameras.refocused(camera or _default_camera(), focus_cm * 1e-2)
     pixels = np.array([camera.sensor.width_px, camera.sensor.height_px]) / 2
-    half = pixels * camera.sensor.pixel_pitch_um * 1e-6 / cameras.image_distance_m(camera)
+    half = pixels * camera.sensor.pixel_pitch_um * 1e-6 / geometry.image_distance_m(camera)
     return float(half[0]), float(half[1])
 
 

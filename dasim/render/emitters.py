@@ -14,7 +14,7 @@ from dasim.scene import specification as scenes
 from dasim.scene.lights import SUN_DIAMETER_DEG, Bulb, Dome, Environment, Near, Panel, Sky, Sun, Surrounding
 from dasim.scene.specification import Scene
 from dasim.spectra import illuminants
-from dasim.spectra.grid import FloatArray
+from dasim.typing import FloatArray
 
 SUN_DISTANCE_M = 1e4  # across 10 m of scene its direction changes by a tenth of its diameter
 

@@ -20,7 +20,7 @@ import numpy as np
 from dasim.render.plugin import tensor
 from dasim.render.sobol import Sobol
 from dasim.spectra import grid
-from dasim.spectra.grid import FloatArray
+from dasim.typing import FloatArray
 
 STRIDE_PX = 3.0
 AGREEMENT = 0.15  # of the irradiance at a cell's corners

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from dasim.camera import specification as cameras
+from dasim.camera import geometry, radiometry
 from dasim.camera.specification import Camera
 from dasim.camera.stops import Stop
 from dasim.render import irradiance, pupil, stock, transport, wave
@@ -22,9 +22,7 @@ from dasim.render.irradiance import Field
 from dasim.render.plugin import tensor
 from dasim.render.sobol import Sobol
 from dasim.spectra import grid
-from dasim.spectra.grid import FloatArray
-
-Progress = Callable[[float], None]
+from dasim.typing import FloatArray, ShareDone
 
 LANES = 1 << 21  # rays in flight: bounds the memory, and is fixed, since it decides the random numbers
 WAVE_BLUR_PX = 150.0  # visible blur up to which weights are tabulated; beyond, blur is that of the drawn rays
@@ -42,7 +40,7 @@ class Sampling:
 
     spp: int
     seed: int
-    progress: Progress = lambda share: None
+    progress: ShareDone = lambda share: None
 
 
 def stop_pass(
@@ -70,9 +68,9 @@ def stop_pass(
             rate = stock.in_focus_diffraction(rate, camera, stop, illuminant)
     else:
         waves = max_blur_px if diffraction == "wave" else None
-        response = cameras.stop_response(camera, stop)
+        response = radiometry.stop_response(camera, stop)
         rate = _ray_loop(mitsuba_scene, camera, stop, sampling, waves, field, response)
-    return rate * cameras.relative_illumination(camera)[..., None]
+    return rate * radiometry.relative_illumination(camera)[..., None]
 
 
 def sample_count(spp: int) -> int:
@@ -121,13 +119,13 @@ def pinhole_pass(
     """
     import mitsuba as mi
 
-    response = cameras.response(camera) if response is None else response
+    response = radiometry.response(camera) if response is None else response
     if mi.variant().startswith("scalar"):
         seeds = _seeds(sampling, None)
         rate = stock.pinhole_pass(mitsuba_scene, camera, response, sampling.spp, seeds, sampling.progress)
     else:
         rate = _ray_loop(mitsuba_scene, camera, None, sampling, None, field, response)
-    return rate * cameras.relative_illumination(camera)[..., None]
+    return rate * radiometry.relative_illumination(camera)[..., None]
 
 
 def draw_density(whole: FloatArray, response: FloatArray, light: FloatArray | None = None) -> FloatArray:
@@ -162,7 +160,7 @@ def _draw_table(camera: Camera, response: FloatArray, light: FloatArray, density
     wavelength = np.interp(nodes, cdf / total, fine)
     at = np.interp(wavelength, grid.WAVELENGTH_NM, density)
     lit = np.interp(wavelength, grid.WAVELENGTH_NM, light)
-    columns = [wavelength, np.interp(wavelength, grid.WAVELENGTH_NM, cameras.focus_vergence(camera))]
+    columns = [wavelength, np.interp(wavelength, grid.WAVELENGTH_NM, geometry.focus_vergence(camera))]
     for row in response:
         ratio = np.interp(wavelength, grid.WAVELENGTH_NM, row) * total / at
         mean = (ratio * lit).mean()
@@ -189,7 +187,7 @@ def _ray_loop(
     each, columns = dr.opaque(mi.UInt32, sampling.spp), dr.opaque(mi.UInt32, width)
     middle = mi.Point2f(dr.opaque(mi.Float, width / 2), dr.opaque(mi.Float, height / 2))
     px_per_m = dr.opaque(mi.Float, _px_per_m(camera))
-    radius_m = dr.opaque(mi.Float, cameras.aperture_m(camera) / 2)
+    radius_m = dr.opaque(mi.Float, geometry.aperture_m(camera) / 2)
     per_vergence = 2 * radius_m * px_per_m  # pixels of visible blur
     vergence = dr.opaque(mi.Float, 1.0 / camera.lens.focus_distance_m)
     light = np.ones_like(grid.WAVELENGTH_NM) if field is None else field.light
@@ -197,7 +195,7 @@ def _ray_loop(
     rate = np.zeros((height, width, len(response)))
     if mean_signal.max() <= 0:
         return rate
-    density = draw_density(cameras.response(camera) if stop is not None else response, response, light)
+    density = draw_density(radiometry.response(camera) if stop is not None else response, response, light)
     table = mi.Texture1f(tensor(_draw_table(camera, response, light, density)))
     draw_pupil = None if stop is None else pupil.drawer(stop)
     blur_range = 0.0 if max_blur_px is None else wave.blur_range_px(camera, max_blur_px, WAVE_BLUR_PX)
@@ -279,7 +277,7 @@ def _ray_loop(
 
 def _px_per_m(camera: Camera) -> float:
     """Pixels on the sensor of a metre at a distance of one metre."""
-    return cameras.image_distance_m(camera) / (camera.sensor.pixel_pitch_um * 1e-6)
+    return geometry.image_distance_m(camera) / (camera.sensor.pixel_pitch_um * 1e-6)
 
 
 def _middle_vergence(scene: Any, corner: Any, spp: int, middle: Any, px_per_m: Any) -> Any:

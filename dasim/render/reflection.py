@@ -12,7 +12,8 @@ import numpy as np
 from dasim.materials.surfaces import Coated, Diffuse, Glass, Metal, Mixture, Surface, flipped, is_diffuse
 from dasim.render.mixture import mixture_dict
 from dasim.render.plugin import spectrum_dict
-from dasim.spectra.grid import WAVELENGTH_NM, FloatArray
+from dasim.spectra.grid import WAVELENGTH_NM
+from dasim.typing import FloatArray
 
 GAUSS_NODES = 24  # the coat's transmittance is smooth: the integral is good to 1e-4
 

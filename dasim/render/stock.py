@@ -11,15 +11,14 @@ from typing import Any
 import numpy as np
 
 from dasim.base.errors import InputError
-from dasim.camera import pointspread, stops
-from dasim.camera import specification as cameras
+from dasim.camera import geometry, pointspread, radiometry, stops
 from dasim.camera.specification import Camera
 from dasim.camera.stops import Stop
 from dasim.render import truth
 from dasim.render.plugin import spectrum_dict
 from dasim.render.translate import MAX_PATH_DEPTH
 from dasim.spectra import illuminants
-from dasim.spectra.grid import FloatArray
+from dasim.typing import FloatArray
 
 RAYS = 1 << 22  # a block: some seconds between two steps of the progress bar, or a Ctrl-C
 PINHOLE_RATIO = 1e-4  # of the lens radius: the plugin needs a lens that is not a point
@@ -42,8 +41,8 @@ def stop_pass(
 ) -> FloatArray:
     """Mean electrons a second through a centred disc on the axis of every pixel, [h, w, channel]."""
     assert isinstance(stop, stops.Disc)
-    radius_m = stop.radius_ratio * cameras.aperture_m(camera) / 2
-    return _render(scene, camera, radius_m, cameras.stop_response(camera, stop), spp, seeds, progress)
+    radius_m = stop.radius_ratio * geometry.aperture_m(camera) / 2
+    return _render(scene, camera, radius_m, radiometry.stop_response(camera, stop), spp, seeds, progress)
 
 
 def pinhole_pass(
@@ -55,7 +54,7 @@ def pinhole_pass(
     progress: Callable[[float], None],
 ) -> FloatArray:
     """The same through a point, for channels of ``response``."""
-    point_m = PINHOLE_RATIO * cameras.aperture_m(camera) / 2
+    point_m = PINHOLE_RATIO * geometry.aperture_m(camera) / 2
     return _render(scene, camera, point_m, response, spp, seeds, progress)
 
 
@@ -118,7 +117,7 @@ def in_focus_diffraction(rate: FloatArray, camera: Camera, stop: Stop, illuminan
     """
     from scipy import fft
 
-    weights = cameras.stop_response(camera, stop) * illuminants.illuminant(illuminant)
+    weights = radiometry.stop_response(camera, stop) * illuminants.illuminant(illuminant)
     f_number = pointspread.working_f_number(camera, stops.reach(stop))
     height, width = rate.shape[:2]
     # The cosine transform of a frame that is mirrored at its edges has frequencies k / (2 n) cycles a pixel.

@@ -16,7 +16,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from dasim.render.plugin import spectrum_dict, transform
-from dasim.spectra.grid import WAVELENGTH_NM, FloatArray, integrate
+from dasim.spectra.grid import WAVELENGTH_NM, integrate
+from dasim.typing import FloatArray
 
 FAR_M = 1e6  # beyond everything, the sun included
 

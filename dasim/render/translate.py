@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from dasim.camera import specification as cameras
+from dasim.camera import geometry
 from dasim.camera.specification import Camera
 from dasim.render import backend, truth
 from dasim.render.emitters import emitters
@@ -17,7 +17,7 @@ from dasim.render.foreign.scene import World
 from dasim.render.geometry import shape
 from dasim.render.reflection import surface_bsdf
 from dasim.scene import specification as scenes
-from dasim.scene.loading import MitsubaScene
+from dasim.scene.mitsuba_scene import MitsubaScene
 from dasim.scene.specification import Scene
 
 MAX_PATH_DEPTH = 6  # lens to light: four bounces after the first surface
@@ -32,7 +32,7 @@ def load(scene: Scene) -> Any:
 
 def world(scene: Scene | MitsubaScene, camera: Camera) -> World:
     """A scene of either kind in Mitsuba, clear of the lens, with what is to be told of it."""
-    pupil_radius_m = cameras.aperture_m(camera) / 2
+    pupil_radius_m = geometry.aperture_m(camera) / 2
     if isinstance(scene, MitsubaScene):
         with backend.reading_threads():
             found = foreign.load(scene, truth.field_of_view_deg(camera))

@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from dasim.camera import specification as cameras
+from dasim.camera import geometry as cameras
 from dasim.camera.specification import Camera
+from dasim.typing import FloatArray
 
-FloatArray = NDArray[np.float64]
 BLUR_JUMP_PX = 0.5  # neighbours whose visible blur differs by more are a depth discontinuity
 _RADIUS_BINS_PX = 1.0  # boundary discs are drawn with their radius rounded up to this
 

@@ -25,14 +25,13 @@ import numpy as np
 from scipy import ndimage, signal
 from scipy.special import j1
 
-from dasim.camera import pointspread, stops
-from dasim.camera import specification as cameras
+from dasim.camera import geometry, pointspread, stops
 from dasim.camera.specification import Camera
 from dasim.camera.stops import Stop
 from dasim.render import pupil
 from dasim.render.plugin import tensor
 from dasim.spectra import grid as spectra
-from dasim.spectra.grid import FloatArray
+from dasim.typing import FloatArray
 
 OFFSET_NODES = 1 << 15  # inverse CDF of delta
 TAIL_RINGS = 40.0  # delta is drawn up to this many lambda N; 0.5 % of an Airy pattern lies beyond
@@ -469,4 +468,4 @@ def _spread(focus: FloatArray, stop: Stop, blur_px: float, step_px: float) -> Fl
 
 def blur_range_px(camera: Camera, seen_px: float, limit_px: float) -> float:
     """Largest visible blur that the tables have to hold, axial colour included."""
-    return min(seen_px, limit_px) + float(np.abs(cameras.chromatic_blur_px(camera)).max())
+    return min(seen_px, limit_px) + float(np.abs(geometry.chromatic_blur_px(camera)).max())

@@ -5,12 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dasim.scene import meshes
 from dasim.scene.shapes import Mesh, Object, Sphere, half_extent_m, mesh_parts
-
-FloatArray = NDArray[np.float64]
+from dasim.typing import FloatArray
 
 LENS_CLEARANCE_M = 1e-3
 PUPIL_POINTS = 24

@@ -13,7 +13,7 @@ from pydantic import Field, model_validator
 
 from dasim.base.toml import Specification
 from dasim.spectra import daylight, illuminants
-from dasim.spectra.grid import FloatArray
+from dasim.typing import FloatArray
 
 Vector = tuple[float, float, float]
 Positive = Annotated[float, Field(gt=0)]

@@ -3,36 +3,18 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any, Literal
-
-from pydantic import Field
+from typing import Any
 
 from dasim.base.errors import InputError
-from dasim.base.toml import Specification, parse
+from dasim.base.toml import parse
 from dasim.camera.specification import Camera
 from dasim.scene import specification, targets
+from dasim.scene.mitsuba_scene import MitsubaScene
 from dasim.scene.specification import Scene
 from dasim.spectra import illuminants
-from dasim.spectra.grid import FloatArray
+from dasim.typing import FloatArray
 
 SUFFIX = ".xml"
-
-
-class MitsubaScene(Specification):
-    """A Mitsuba XML file, seen from where its sensor stands.
-
-    ``unit_cm`` is the length of the scene's unit. Its RGB surface colours become materials by the rule
-    ``near_infrared``, its RGB lights get the spectrum of ``illuminant`` at the same luminance. Levels are relative,
-    as in Mitsuba: RGB light of luminance 1 is as bright as a spectrum that is 1 W m^-2 sr^-1 nm^-1 everywhere
-    (73,000 cd/m^2); automatic exposure takes care of the rest.
-    """
-
-    name: str
-    file: Path
-    unit_cm: float = Field(default=100.0, gt=0, description="length of the scene's unit")
-    near_infrared: Literal["print", "dyed", "achromatic"] = "achromatic"
-    illuminant: str = "D65"
-    focus_cm: None = None  # what the file's own sensor is focused on means nothing to another lens
 
 
 def load_scene(name_or_path: str | Path, *, camera: Camera | None = None, **choices: Any) -> Scene | MitsubaScene:

@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dasim.base.errors import InputError
+from dasim.typing import FloatArray
 
-FloatArray = NDArray[np.float64]
 Picture = NDArray[np.float32]
 
 FORMATS = "OBJ, PLY, GLB, STL, OFF"

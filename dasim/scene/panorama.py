@@ -14,7 +14,8 @@ import numpy as np
 
 from dasim.base.errors import InputError
 from dasim.scene.lights import Dome, Environment, Ground, Light, Sky, Surrounding, direction
-from dasim.spectra.grid import LUMINANCE, FloatArray
+from dasim.spectra.grid import LUMINANCE
+from dasim.typing import FloatArray
 
 SKY_ROWS = 256
 MOST_ROWS = 1024  # larger images are averaged down to this

@@ -17,8 +17,8 @@ from dasim.base.errors import InputError
 from dasim.base.toml import Specification
 from dasim.scene import meshes
 from dasim.scene.procedural.library import PREFIX, procedural
+from dasim.typing import FloatArray
 
-FloatArray = NDArray[np.float64]
 Vector = tuple[float, float, float]
 Positive = Annotated[float, Field(gt=0)]
 

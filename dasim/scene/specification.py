@@ -22,8 +22,7 @@ from dasim.scene.clearance import placement_problems, size_problems
 from dasim.scene.lights import Light, Near, Positive, Vector
 from dasim.scene.shapes import Box, HeightField, Mesh, Object, Sphere, half_extent_m, mesh_parts, mesh_place, placement
 from dasim.spectra import illuminants
-
-FloatArray = NDArray[np.float64]
+from dasim.typing import FloatArray
 
 _HERE = Path(__file__).parents[1]
 SCENE_DIR = _HERE / "scenes" if (_HERE / "scenes").is_dir() else _HERE.parent / "scenes"

@@ -12,7 +12,8 @@ from pathlib import Path
 from typing import Any
 
 from dasim.base.errors import InputError
-from dasim.camera.specification import Camera, depth_of_blur_m, level_blur_px, load_camera
+from dasim.camera.geometry import depth_of_blur_m, level_blur_px
+from dasim.camera.specification import Camera, load_camera
 from dasim.materials import photographs
 from dasim.scene import specification
 from dasim.scene.lights import Dome, Lamp, Light

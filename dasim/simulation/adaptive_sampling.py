@@ -9,7 +9,7 @@ import numpy as np
 
 from dasim.camera.noise import dark_rate_e_s, electrons_per_dn
 from dasim.camera.specification import Sensor
-from dasim.spectra.grid import FloatArray
+from dasim.typing import FloatArray
 
 NOISE_SHARE = 0.2  # of the sensor's noise: adds 2 % to it
 PILOT_SPP = 16  # of each of the first two pictures

@@ -6,11 +6,10 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from dasim.camera import noise, pointspread
-from dasim.camera import specification as cameras
+from dasim.camera import geometry, noise, pointspread
 from dasim.camera.specification import Camera
 from dasim.spectra import illuminants
-from dasim.spectra.grid import FloatArray
+from dasim.typing import FloatArray
 from dasim.values import PointPicture
 
 FRAMES = 2  # of each exposure
@@ -25,8 +24,8 @@ _BACKGROUND_SHARE = 1e-3  # of the peak: a little stray light, which calibration
 
 def levels(camera: Camera) -> tuple[FloatArray, FloatArray]:
     """Distances in metres from the lens at which to photograph a point source, and the visible blur there, px."""
-    blurs = cameras.level_blur_px(camera)
-    return np.asarray(cameras.depth_of_blur_m(camera, blurs)), blurs
+    blurs = geometry.level_blur_px(camera)
+    return np.asarray(geometry.depth_of_blur_m(camera, blurs)), blurs
 
 
 def calibration_captures(

@@ -15,10 +15,11 @@ import numpy as np
 
 from dasim.base.errors import InputError
 from dasim.camera import noise as sensors
-from dasim.camera.noise import FloatArray
 from dasim.camera.specification import SMALLEST_FRAME_PX, Camera, Sensor, channels, quantum_efficiency
-from dasim.files.folders import new_folder, software_versions, write_png16
+from dasim.files.folders import new_folder, software_versions
+from dasim.files.png import write_png16
 from dasim.spectra import grid
+from dasim.typing import FloatArray
 
 KIND = "EMVA 1288 measurement"
 SCHEMA = 1

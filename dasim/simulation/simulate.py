@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, Literal
@@ -10,17 +9,19 @@ from typing import Any, Literal
 import numpy as np
 
 from dasim.base.errors import InputError
-from dasim.camera import noise, pointspread
+from dasim.camera import geometry as camera_geometry
+from dasim.camera import noise, pointspread, radiometry
 from dasim.camera import specification as cameras
 from dasim.camera.noise import Exposure
 from dasim.camera.pointspread import DIFFRACTION_MODELS
 from dasim.camera.specification import Camera
 from dasim.render import backend, stock
 from dasim.scene import loading
-from dasim.scene.loading import MitsubaScene
+from dasim.scene.mitsuba_scene import MitsubaScene
 from dasim.scene.specification import Scene
 from dasim.simulation import adaptive_sampling
 from dasim.spectra import colour, illuminants
+from dasim.typing import Progress
 from dasim.values import Capture, Truth
 
 DEFAULT_SPP = 64  # a power of two, in which the samples are most even
@@ -28,8 +29,6 @@ MOST_SPP = 65_536
 TWIN = "bayer-mobile"  # whose colours the truth's picture has
 SHARP_SPP = 64  # the pinhole pass has no lens to sample
 BLUR_MARGIN = 1.1  # something nearer than all that is seen may lie just outside the frame
-
-Progress = Callable[[str, float], None]
 
 
 @dataclass(frozen=True)
@@ -132,7 +131,7 @@ def simulate(
     check_lit(scene, lens_rate, [world.objects[number - 1] for number in np.unique(geometry.object_id) if number])
     sampling = passes.Sampling(SHARP_SPP, seed, partial(progress, "rendering the pinhole picture"))
     twin = cameras.load_camera(TWIN)
-    response = np.concatenate([cameras.response(camera), cameras.response(twin)])
+    response = np.concatenate([radiometry.response(camera), radiometry.response(twin)])
     (field,) = fields.values()
     pinhole_rate = passes.pinhole_pass(mitsuba_scene, camera, sampling, field, response)
     pinhole_rate, twin_rate = np.split(pinhole_rate, [len(names)], axis=-1)
@@ -167,7 +166,7 @@ def simulate(
         object_id=geometry.object_id,
         material_id=world.material_number[geometry.object_id],
         blur_px=blur_px.astype(np.float32),
-        level=(blur_px / cameras.level_blur_px(camera)[1]).astype(np.float32),
+        level=(blur_px / camera_geometry.level_blur_px(camera)[1]).astype(np.float32),
         boundary=truth.boundary(blur_px),
         channels=names,
         mean_e=mean_e.astype(np.float32),
@@ -223,7 +222,7 @@ def check_camera(camera: Camera, variant: str) -> None:
 
 def srgb(rate: np.ndarray, twin: Camera, illuminant: str) -> np.ndarray:
     """Picture 0..1 of electrons [h, w, 3] of a camera without near-infrared, its white balanced for the illuminant."""
-    matrix = colour.fitted_matrix(cameras.response(twin), illuminants.illuminant(illuminant))
+    matrix = colour.fitted_matrix(radiometry.response(twin), illuminants.illuminant(illuminant))
     linear = rate.astype(np.float32)
     return colour.to_srgb(linear, matrix, colour.exposure_scale(linear, matrix))
 

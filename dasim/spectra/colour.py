@@ -5,13 +5,10 @@ from __future__ import annotations
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dasim.spectra import grid
 from dasim.spectra.grid import LUMINANCE
-
-Float32Array = NDArray[np.float32]
-FloatArray = NDArray[np.float64]
+from dasim.typing import Float32Array, FloatArray
 
 EXPOSED_PERCENTILE = 99.0
 EXPOSED_LUMINANCE = 0.9

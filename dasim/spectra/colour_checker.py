@@ -13,7 +13,8 @@ from functools import cache
 
 import numpy as np
 
-from dasim.spectra.grid import WAVELENGTH_NM, FloatArray
+from dasim.spectra.grid import WAVELENGTH_NM
+from dasim.typing import FloatArray
 
 TABLE = "ColorChecker N Ohta"
 TABLE_END_NM = 720.0

@@ -12,7 +12,8 @@ from pathlib import Path
 
 import numpy as np
 
-from dasim.spectra.grid import WAVELENGTH_NM, FloatArray
+from dasim.spectra.grid import WAVELENGTH_NM
+from dasim.typing import FloatArray
 
 _TABLE = Path(__file__).parents[1] / "data" / "spctral2.csv"
 

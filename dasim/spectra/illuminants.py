@@ -19,10 +19,10 @@ from dasim.spectra.grid import (
     NEAR_INFRARED_NM,
     PLANCK_J_S,
     WAVELENGTH_NM,
-    FloatArray,
     integrate,
     photons_per_joule,
 )
+from dasim.typing import FloatArray
 
 BOLTZMANN_J_K = 1.380649e-23
 MAX_LUMINOUS_EFFICACY_LM_W = 683.002  # lm/W at 555 nm, CIE 015:2018

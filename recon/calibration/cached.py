@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from importlib.metadata import version
 from pathlib import Path
 
-import dasim.camera.geometry
 import dasim.camera.noise
 import dasim.camera.pointspread
 import dasim.camera.specification
 import dasim.camera.stops
+import dasim.camera.thin_lens
 import dasim.simulation.calibration
 import dasim.spectra.grid
 import recon.calibration.pictures
@@ -21,17 +21,16 @@ import recon.calibration.round_kernel
 import recon.calibration.unaligned
 from dasim.base.cache import cache_dir
 from dasim.camera.specification import Camera
-from dasim.files.folders import BANK_SCHEMA, load_bank, save_bank
+from dasim.files.banks import BANK_SCHEMA, load_bank, save_bank
+from dasim.typing import Progress
 from dasim.values import PsfBank
-
-Progress = Callable[[str, float], None]
 
 # The code that decides what a bank holds: a change there makes a new bank.
 _DECIDING = (
     dasim.camera.stops,
     dasim.simulation.calibration,
     dasim.camera.specification,
-    dasim.camera.geometry,
+    dasim.camera.thin_lens,
     dasim.camera.pointspread,
     dasim.camera.noise,
     dasim.spectra.grid,
@@ -72,7 +71,7 @@ def measured_bank(
     """The same without the cache."""
     pictures = dasim.simulation.calibration.calibration_captures(camera, lights, diffraction=diffraction)
     positions = len(camera.sensor.mosaic) * len(camera.sensor.mosaic[0])
-    count = len(lights) * len(dasim.camera.specification.level_blur_px(camera)) * positions
+    count = len(lights) * len(dasim.camera.geometry.level_blur_px(camera)) * positions
 
     def counted():  # type: ignore[no-untyped-def]
         for index, picture in enumerate(pictures):

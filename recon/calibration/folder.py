@@ -12,17 +12,17 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dasim.base.errors import InputError
 from dasim.camera.specification import Camera
-from dasim.files.folders import load_capture, new_folder, software_versions, write_png16
+from dasim.files.captures import load_capture
+from dasim.files.folders import new_folder, software_versions
+from dasim.files.png import write_png16
+from dasim.typing import FloatArray
 from dasim.values import Capture, PointPicture
 from recon.calibration import source
 from recon.calibration.table import SHIFTS, TABLE, Line, few_positions, incomplete, level_of, read_table
 from recon.files.raw import load_raw
-
-FloatArray = NDArray[np.float64]
 
 KIND = "calibration pictures"
 MOST_PROBLEMS = 30  # that one message lists

@@ -7,9 +7,8 @@ from numpy.typing import NDArray
 
 from dasim.camera.noise import electrons_per_dn, saturation_e
 from dasim.camera.specification import Camera, channels, mosaic_channels
+from dasim.typing import FloatArray
 from dasim.values import PointPicture
-
-FloatArray = NDArray[np.float64]
 
 SATURATION_SHARE = 0.9  # of a pixel: above it, a picture of a longer exposure tells nothing
 RIM_PX = 3  # width of the frame's rim that shows background alone

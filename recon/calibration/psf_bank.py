@@ -2,21 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import fft
 
 from dasim.base.errors import InputError
 from dasim.camera.specification import Camera, channels
+from dasim.typing import FloatArray, Progress
 from dasim.values import PointPicture, PsfBank
 from recon.calibration.pictures import averaged, common_centre
 from recon.calibration.round_kernel import basis_of, round_fit, subpixel_radius
 from recon.calibration.unaligned import scattered
-
-FloatArray = NDArray[np.float64]
-Progress = Callable[[str, float], None]
 
 
 def calibrate(

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 from scipy.optimize import nnls
 
-FloatArray = NDArray[np.float64]
+from dasim.typing import FloatArray
 
 RING_SNR = 4.0  # a ring's mean over its standard error: from the first ring below it, the tail is modelled
 MIN_TAIL_START_PX = 3.0

@@ -11,10 +11,9 @@ from scipy import ndimage
 from dasim.base.errors import InputError
 from dasim.camera.noise import electrons_per_dn, saturation_e
 from dasim.camera.specification import Camera, channels, mosaic_channels
+from dasim.typing import FloatArray
 from dasim.values import Capture, PointPicture
 from recon.calibration.pictures import RIM_PX, SATURATION_SHARE
-
-FloatArray = NDArray[np.float64]
 
 LEAST_SNR = 20.0  # of a channel's whole image of the source: its electrons over their noise
 DETECTED = 10.0  # the source's mean over a window, over the noise of such means elsewhere

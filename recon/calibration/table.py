@@ -24,11 +24,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dasim.base.errors import InputError
-
-FloatArray = NDArray[np.float64]
+from dasim.typing import FloatArray
 
 TABLE = "captures.csv"
 NEEDED = ("file", "light", "depth_m")

@@ -9,11 +9,10 @@ from scipy.optimize import minimize, nnls
 
 from dasim.base.errors import InputError
 from dasim.camera.specification import Camera, channels
+from dasim.typing import FloatArray
 from dasim.values import PointPicture
 from recon.calibration.pictures import CORE_SHARE, RIM_PX, averaged, common_centre
 from recon.calibration.round_kernel import basis_of, knots_to, round_fit, subpixel_radius
-
-FloatArray = NDArray[np.float64]
 
 SMALL_CORE_PX = 7.0  # one mosaic picture samples a core within this radius so coarsely that its centre of mass is off
 FIT_RADIUS_PX = 8.0  # by a tenth of a pixel: there the round model's misfit within this radius decides

@@ -24,13 +24,10 @@ import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
+from dasim.typing import Complex64Array, Float32Array, FloatArray
 from recon import fourier
 from recon.depth.reblur import plane_mean, window_mean
 from recon.settings import Settings
-
-Float32Array = NDArray[np.float32]
-Complex64Array = NDArray[np.complex64]
-FloatArray = NDArray[np.float64]
 
 BANDS = 7  # a ring's impulse response reaches about 1 / width: 33 px, as the patch; narrower ones smear over objects
 LOWEST_CYCLES_PX = 0.025  # below, shading differs between channels

@@ -13,11 +13,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from dasim.typing import Complex64Array, Float32Array
 from recon import fourier
 from recon.settings import Settings
-
-Float32Array = NDArray[np.float32]
-Complex64Array = NDArray[np.complex64]
 
 ROLL_OFF = 0.4  # of the cutoff: width of the band's smooth edge
 SMALLEST = float(np.finfo(np.float32).tiny)

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dasim.typing import Float32Array
 from recon.picture.denoise import nonlocal_sums
-
-Float32Array = NDArray[np.float32]
 
 SEARCH_PX = 9
 STRIDES = (1, 2, 4, 8, 16, 32)  # of the search, block by block: the last reaches 128 blocks to each side

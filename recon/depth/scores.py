@@ -14,14 +14,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from dasim.typing import Complex64Array, Float32Array
 from recon import fourier
 from recon.depth import bands, reblur
 from recon.depth.reblur import Weights, window_mean
 from recon.picture.mosaic import Phase
 from recon.settings import Settings
-
-Float32Array = NDArray[np.float32]
-Complex64Array = NDArray[np.complex64]
 
 Channel = tuple[Float32Array, Phase, Float32Array, NDArray]  # plane, phase, noise variance, kernels [level, y, x]
 

@@ -8,12 +8,11 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from dasim.camera import specification as cameras
+from dasim.camera import geometry
 from dasim.camera.specification import Camera
 from dasim.scene.specification import Scene, world_to_camera
+from dasim.typing import FloatArray
 from dasim.values import Reconstruction, Truth
-
-FloatArray = NDArray[np.float64]
 
 BLOCK_PX = 5  # of the matcher
 MOST_SHIFT = 0.6  # of the frame's width: beyond, hardly anything is in both pictures
@@ -39,7 +38,7 @@ def other_view(scene: Scene, baseline_m: float) -> Scene:
 
 def shift_px(camera: Camera, baseline_m: float, depth_m: ArrayLike) -> FloatArray:
     """Disparity x_left - x_right = b f / (p z) in pixels."""
-    return np.asarray(baseline_m * cameras.intrinsic_matrix(camera)[0, 0] / np.asarray(depth_m))
+    return np.asarray(baseline_m * geometry.intrinsic_matrix(camera)[0, 0] / np.asarray(depth_m))
 
 
 def stereo_depth_m(left: Reconstruction, right: Reconstruction, baseline_m: float, nearest_m: float) -> FloatArray:
@@ -71,7 +70,7 @@ def stereo_depth_m(left: Reconstruction, right: Reconstruction, baseline_m: floa
     # what the other camera does not see is matched with something else, which has its own partner (sec. 2.3 there)
     partner = np.clip(np.rint(np.arange(width) - found), 0, width - 1).astype(int)
     same = np.abs(np.take_along_axis(back, partner, axis=1) - found) <= BOTH_WAYS_PX
-    focal_px = cameras.intrinsic_matrix(camera)[0, 0]
+    focal_px = geometry.intrinsic_matrix(camera)[0, 0]
     return np.where((found > 0) & same, baseline_m * focal_px / np.maximum(found, 1e-9), np.nan)
 
 
@@ -91,10 +90,10 @@ def combined_m(result: Reconstruction, stereo_m: FloatArray, baseline_m: float) 
     match's is that of a quarter of a pixel, tens of times less, so where it stands it decides.
     """
     camera = result.camera
-    focal_px = cameras.intrinsic_matrix(camera)[0, 0]
+    focal_px = geometry.intrinsic_matrix(camera)[0, 0]
     per_level = float(
-        cameras.level_blur_px(camera)[1] * camera.sensor.pixel_pitch_um * 1e-6
-        / (cameras.aperture_m(camera) * cameras.image_distance_m(camera))
+        geometry.level_blur_px(camera)[1] * camera.sensor.pixel_pitch_um * 1e-6
+        / (geometry.aperture_m(camera) * geometry.image_distance_m(camera))
     )  # fmt: skip
     own = LEVEL_SIGMA * per_level / np.maximum(result.confidence.astype(np.float64), LEAST_CONFIDENCE)
     match = MATCH_PX / (baseline_m * focal_px)

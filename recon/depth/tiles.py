@@ -12,14 +12,12 @@ from functools import partial
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dasim.typing import Float32Array
 from recon import fourier
 from recon.depth import scores
 from recon.depth.scores import Also, Channel, Leak, Signals
 from recon.settings import Settings
-
-Float32Array = NDArray[np.float32]
 
 TILE = 1024  # samples of a colour plane: a frame of 4 Mpx and less is one tile
 BLEND = 16  # samples between the two ends of a tile, beyond the halo
@@ -68,7 +66,7 @@ def best_levels(
     size: int = TILE,
     halo: int = HALO,
 ) -> Levels:
-    """:func:`recon.depth.scores.match` and :func:`recon.depth.scores.best_level` of a frame, in tiles of ``size`` samples."""
+    """:func:`recon.depth.scores.match` and :func:`recon.depth.scores.best_level` in tiles of ``size`` samples."""
     frame = sharper[2].shape
     parts = list(tiles(frame, size, halo if max(frame) > size else 0))
     channels = (sharper, green, *(channel for channel, _ in also))

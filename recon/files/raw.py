@@ -17,7 +17,7 @@ from dasim.base.errors import InputError
 from dasim.base.toml import parse
 from dasim.camera.noise import Exposure
 from dasim.camera.specification import Camera, Sensor
-from dasim.files.folders import load_capture
+from dasim.files.captures import load_capture
 from dasim.values import Capture
 
 UInt16Array = NDArray[np.uint16]

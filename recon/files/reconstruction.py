@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 
 from dasim.base.errors import InputError
 from dasim.base.toml import parse
-from dasim.camera.specification import Camera, intrinsic_matrix
+from dasim.camera.geometry import intrinsic_matrix
+from dasim.camera.specification import Camera
 from dasim.files.folders import new_folder, software_versions
 from dasim.spectra.colour import exposure_scale, to_srgb
 from dasim.values import Developed, Reconstruction

@@ -9,15 +9,14 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from dasim.camera.specification import Camera, channels, response
+from dasim.camera.radiometry import response
+from dasim.camera.specification import Camera, channels
 from dasim.spectra import grid
 from dasim.spectra.colour import fitted_matrix
+from dasim.typing import Float32Array, FloatArray
 from recon.picture import infrared
 from recon.picture.infrared import light_power
 from recon.settings import PAPER
-
-Float32Array = NDArray[np.float32]
-FloatArray = NDArray[np.float64]
 
 DARK_SHARE = 0.02  # of the brightest: darker areas tell little of the light
 MINKOWSKI = 4.0  # between grey world (1) and white patch (infinity): "shades of grey", Finlayson and Trezzi 2004
@@ -71,8 +70,8 @@ def colour_matrix(camera: Camera, light: str, separation: FloatArray | None = No
     """Matrix [3, 3] from camera electrons without infrared (R, G, B) to linear sRGB under D65.
 
     Fitted to the ColorChecker under the light, after the removal of infrared by ``separation`` [3, channel] (by
-    default that of eq. (7)): see ``dasim.spectra.colour.fitted_matrix``. A light that ``dasim.spectra.illuminants`` does not know
-    is treated as D65.
+    default that of eq. (7)): see ``dasim.spectra.colour.fitted_matrix``. A light that
+    ``dasim.spectra.illuminants`` does not know is treated as D65.
     """
     rows = infrared.separation(camera, light, PAPER) if separation is None else separation
     return _colour_matrix(camera.model_dump_json(), light, tuple(map(tuple, rows.tolist())))

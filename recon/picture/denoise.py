@@ -6,9 +6,8 @@ import math
 
 import numpy as np
 from numba import njit, prange
-from numpy.typing import NDArray
 
-Float32Array = NDArray[np.float32]
+from dasim.typing import Float32Array
 
 PATCH_PX = 3
 SEARCH_PX = 9

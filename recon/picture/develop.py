@@ -13,12 +13,11 @@ from numpy.typing import NDArray
 from dasim.base.errors import InputError
 from dasim.camera.specification import Camera
 from dasim.spectra.colour import exposure_scale, to_srgb
+from dasim.typing import Float32Array, FloatArray
 from dasim.values import Capture
 from recon.picture import colour, denoise, infrared, mosaic, shading
 from recon.settings import Settings
 
-Float32Array = NDArray[np.float32]
-FloatArray = NDArray[np.float64]
 Stage = Callable[[str], AbstractContextManager[None]]
 
 MIN_FRAME_PX = 32

@@ -7,15 +7,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dasim.base.errors import InputError
-from dasim.camera.specification import Camera, channels, quantum_efficiency, response
+from dasim.camera import response_curves
+from dasim.camera.radiometry import response
+from dasim.camera.specification import Camera, channels, quantum_efficiency
 from dasim.spectra import colour_checker, grid, illuminants
+from dasim.typing import Float32Array, FloatArray
 from dasim.values import Capture
 from recon.picture import mosaic
 from recon.picture.mosaic import Phase
 from recon.settings import Settings
-
-Float32Array = NDArray[np.float32]
-FloatArray = NDArray[np.float64]
 
 MOST_SATURATED = 0.001  # of a channel's pixels, in a capture that crosstalk is measured from
 LEAST_SIGNAL = 0.02  # of full scale, mean of the infrared pixels there
@@ -45,7 +45,7 @@ def crosstalk(camera: Camera) -> Float32Array:
     """
     sensor = camera.sensor
     cutoff = grid.short_pass(sensor.cutoff_nm, sensor.cutoff_width_nm)
-    return grid.ir_crosstalk(quantum_efficiency(sensor) * cutoff).astype(np.float32)
+    return response_curves.ir_crosstalk(quantum_efficiency(sensor) * cutoff).astype(np.float32)
 
 
 def measured_crosstalk(capture: Capture) -> tuple[float, float, float]:

@@ -16,10 +16,9 @@ from dasim.base.errors import InputError
 from dasim.camera.noise import electrons_per_dn
 from dasim.camera.specification import Camera
 from dasim.spectra.grid import CHANNELS
+from dasim.typing import BoolArray, Float32Array
 from dasim.values import Capture
 
-Float32Array = NDArray[np.float32]
-BoolArray = NDArray[np.bool_]
 Phase = tuple[int, int]
 
 SATURATION_SHARE = 0.98  # of full scale above black: noise and rounding can lower a full pixel by that much

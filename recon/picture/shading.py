@@ -8,10 +8,9 @@ from numpy.typing import NDArray
 
 from dasim.base.errors import InputError
 from dasim.camera.specification import Camera
+from dasim.typing import Float32Array
 from dasim.values import Capture
 from recon.picture import mosaic
-
-Float32Array = NDArray[np.float32]
 
 DEGREE = 4  # of the polynomial in row and column that is the gain: cos^-4 = (1 + r^2 / s^2)^2 is one, exactly
 SAMPLES = 64  # blocks along the longer side that the polynomial is fitted to

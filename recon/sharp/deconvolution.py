@@ -9,10 +9,9 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from dasim.typing import Complex64Array, Float32Array
 from recon import fourier
 
-Float32Array = NDArray[np.float32]
-Complex64Array = NDArray[np.complex64]
 Phase = tuple[int, int]
 
 PRIOR_POWER = 0.8  # eq. (16)

@@ -9,10 +9,9 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from dasim.typing import Complex64Array, Float32Array
 from recon import fourier
 
-Float32Array = NDArray[np.float32]
-Complex64Array = NDArray[np.complex64]
 Shape = tuple[int, int]
 Transfers = Callable[[int, Shape], tuple[Complex64Array, Float32Array]]
 

@@ -13,12 +13,11 @@ from scipy import fft, signal
 
 from dasim.base.errors import InputError
 from dasim.camera.specification import Camera
+from dasim.typing import Float32Array
 from dasim.values import PsfBank, Reconstruction
 from recon.picture import infrared
 from recon.settings import Settings
 from recon.sharp import layers, sharpen
-
-Float32Array = NDArray[np.float32]
 
 KERNEL_SHARE = 0.999  # of a kernel's energy that a layer keeps
 DENSE_STEPS, SPARSE_STEP = 12, 2  # layers lie a level of the bank apart up to here, then two

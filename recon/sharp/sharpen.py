@@ -14,13 +14,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from dasim.typing import Float32Array
 from recon import fourier
 from recon.settings import Settings
 from recon.sharp import deconvolution, layers
 from recon.sharp.layers import Tile
 
-Float32Array = NDArray[np.float32]
-Complex64Array = NDArray[np.complex64]
 Phases = Sequence[tuple[int, int] | None]
 
 FEATHER_LEVELS = 1.0  # beyond the levels a layer serves: there the picture itself fades into its replacement

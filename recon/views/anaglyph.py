@@ -9,8 +9,7 @@ from numba import njit, prange
 from numpy.typing import NDArray
 
 from dasim.base.errors import InputError
-
-Float32Array = NDArray[np.float32]
+from dasim.typing import Float32Array
 
 OUTLIERS = 0.01  # share of the pixels at either end of the depths
 

@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dasim.base.errors import InputError
-
-FloatArray = NDArray[np.float64]
+from dasim.typing import FloatArray
 
 JUMP_SHARE = 0.02  # of depth, a pixel: a face seen at 88 degrees through da-mobile rises by 1.3 %
 LARGEST_STRIDE_PX = 64

@@ -7,6 +7,7 @@ import pytest
 
 import recon
 from dasim.base.errors import InputError
+from dasim.camera import geometry
 from dasim.camera import noise as sensor
 from dasim.camera import specification as cameras
 from dasim.values import Capture
@@ -40,7 +41,7 @@ def test_all_in_focus_gains_and_never_loses(scene, result, preset, lowest):
     truth = np.maximum(scene.sharp_e[..., :3] - alpha * scene.sharp_e[..., 3:], 0)
     inner = np.zeros(scene.level.shape, bool)
     inner[16:-16, 16:-16] = True
-    per_level = cameras.level_blur_px(scene.capture.camera)[1]
+    per_level = geometry.level_blur_px(scene.capture.camera)[1]
     for low, high, gain in ((0, 3, -MAX_LOSS_DB), (3, 10, MIN_GAIN_DB), (10, 20, MIN_GAIN_DB), (20, 40, 0)):
         mask = inner & (scene.level * per_level >= max(low, lowest)) & (scene.level * per_level < high)
         if not mask.any():
@@ -53,8 +54,8 @@ def test_levels_and_depths(scene, result):
     sure = np.isfinite(result.level_raw)
     assert np.median(np.abs(result.level_raw - scene.level)[sure]) < 0.8
     assert np.median(np.abs(result.level - scene.level)) < 1.5
-    depths = cameras.depth_of_blur_m(
-        scene.capture.camera, result.level * cameras.level_blur_px(scene.capture.camera)[1]
+    depths = geometry.depth_of_blur_m(
+        scene.capture.camera, result.level * geometry.level_blur_px(scene.capture.camera)[1]
     )
     # the bank's depths interpolated linearly between levels, against the lens equation
     np.testing.assert_allclose(result.depth_m, depths, rtol=0.01)

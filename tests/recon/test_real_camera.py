@@ -14,10 +14,12 @@ import numpy as np
 import pytest
 
 import dasim
+from dasim.camera import radiometry, response_curves, specification
 from dasim.camera import specification as cameras
 from dasim.camera.datasheet import saturation_capacity_e
 from dasim.cli import run
-from dasim.files.folders import load_bank, write_png16
+from dasim.files.banks import load_bank
+from dasim.files.png import write_png16
 from dasim.simulation import calibration
 from dasim.spectra import grid, illuminants
 from recon.calibration import table as point_table
@@ -84,7 +86,7 @@ wavelength_nm = 540
 
 def curves() -> np.ndarray:
     """Quantum efficiency of the hardware, [channel, wavelength]: reds that fall off towards the near-infrared."""
-    ours = grid.rgb_ir_quantum_efficiency()
+    ours = response_curves.rgb_ir_quantum_efficiency()
     fall = np.interp(grid.WAVELENGTH_NM, [600.0, 830.0], [1.0, 0.6])
     changed = ours * np.array([[0.8], [1.0], [1.25], [1.0]]) * fall
     green = np.interp(540.0, grid.WAVELENGTH_NM, changed[1])
@@ -172,7 +174,7 @@ def test_the_camera_file_is_the_hardware(bench, hardware):
     for name in ("dn_per_e", "read_noise_e", "full_well_e", "dsnu_e", "prnu", "dark_current_e_s", "black_level_dn"):
         assert getattr(found, name) == pytest.approx(getattr(true, name), rel=SENSOR_TOLERANCE), name
     inside = grid.WAVELENGTH_NM < 810  # the cut-off's end
-    mine, own = (cameras.quantum_efficiency(sensor)[:, inside] for sensor in (found, true))
+    mine, own = (specification.quantum_efficiency(sensor)[:, inside] for sensor in (found, true))
     np.testing.assert_allclose(mine, own, atol=CURVE_TOLERANCE * own.max())
 
 
@@ -180,9 +182,9 @@ def test_the_bank_is_measured_from_the_pictures(bench, hardware):
     """Expectation: white is the hardware's under the lamp, from its spectra; depths are those of the table's lines."""
     bank = load_bank(bench / "bank.npz")
     assert bank.lights == (LIGHT,) and bank.diffraction == "measured" and len(bank.depth_m) == LEVELS
-    white = grid.integrate(cameras.response(hardware) * illuminants.illuminant(LIGHT))
+    white = grid.integrate(radiometry.response(hardware) * illuminants.illuminant(LIGHT))
     np.testing.assert_allclose(bank.signature[0], white / white[1], rtol=WHITE_TOLERANCE)
-    bundled = grid.integrate(cameras.response(cameras.load_camera("da-mobile")) * illuminants.illuminant(LIGHT))
+    bundled = grid.integrate(radiometry.response(cameras.load_camera("da-mobile")) * illuminants.illuminant(LIGHT))
     assert np.abs(bundled / bundled[1] / bank.signature[0] - 1).max() > 2 * WHITE_TOLERANCE, "another camera's white"
     np.testing.assert_allclose(bank.depth_m, calibration.levels(hardware)[0][:LEVELS], atol=1e-4)
 

@@ -14,8 +14,8 @@ import skimage.data
 from scipy import fft, ndimage
 
 import recon
+from dasim.camera import geometry, pointspread, specification
 from dasim.camera import noise as sensor
-from dasim.camera import pointspread, specification
 from dasim.simulation import calibration
 from dasim.spectra import illuminants
 from dasim.values import Capture, PsfBank
@@ -47,7 +47,7 @@ def bank(lights: tuple[str, ...] = ("D65", "A")) -> PsfBank:
 def stop_kernels(light: str, step: float = 0.5) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Levels, kernels [stop, level, channel, y, x] and electrons [stop, channel] relative to all green."""
     cam = da_mobile(512, 384)
-    per_level = specification.level_blur_px(cam)[1]
+    per_level = geometry.level_blur_px(cam)[1]
     levels = np.arange(0, 28 + step / 2, step)
     kernels, signals = [], []
     radius = np.arange(0, 60, pointspread.RADIAL_STEP_PX)

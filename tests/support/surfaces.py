@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from dasim.camera import specification as cameras
+from dasim.camera import geometry
 from dasim.values import Reconstruction, Truth
 
 
@@ -10,9 +10,9 @@ def truth(camera, level, image, boundary=False) -> Truth:
     """Surfaces at ``level`` [h, w], their picture ``image`` [h, w, 4] electrons through lens and pinhole alike."""
     level = np.array(level, np.float32)
     image = np.array(image, np.float32)
-    blur = level * cameras.level_blur_px(camera)[1]
+    blur = level * geometry.level_blur_px(camera)[1]
     return Truth(
-        depth_m=cameras.depth_of_blur_m(camera, blur).astype(np.float32),
+        depth_m=geometry.depth_of_blur_m(camera, blur).astype(np.float32),
         valid=np.ones(level.shape, bool),
         normal=np.broadcast_to(np.float32([0, 0, -1]), (*level.shape, 3)),
         object_id=np.ones(level.shape, np.uint32),

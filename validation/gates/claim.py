@@ -8,7 +8,7 @@ import operator
 import re
 import resource
 import sys
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import asdict, dataclass, field
 from fnmatch import fnmatchcase
 from pathlib import Path
@@ -25,7 +25,6 @@ RESULTS_SCHEMA = 1
 LIMIT_FROM = ". Limit: "  # between what a figure means and where its limit comes from
 GATES = Path(__file__).parent / "gates.toml"
 
-Progress = Callable[[float], None]
 
 Table = tuple[str, list[str], list[list[str]]]  # caption, head, rows
 Pair = tuple[str, tuple[str, str], tuple[str, str]]  # caption, then label and data address of two pictures of one size

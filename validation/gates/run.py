@@ -19,12 +19,11 @@ from xml.etree import ElementTree
 
 from dasim.base.errors import InputError
 from dasim.files.folders import new_folder
+from dasim.typing import Progress, ShareDone
 from validation.gates import stored
-from validation.gates.claim import GATES, Claim, Evidence, Gate, NotRun, Progress, judged_all, load_gates, write_results
+from validation.gates.claim import GATES, Claim, Evidence, Gate, NotRun, judged_all, load_gates, write_results
 from validation.scores.figures import Figure
 from validation.subjects import shots
-
-StageProgress = Callable[[str, float], None]
 
 
 class Measurement(NamedTuple):
@@ -91,7 +90,7 @@ def run_claims(
     seeds: int = 1,
     fresh: bool = True,
     jobs: int = 1,
-    progress: StageProgress = lambda stage, share: None,
+    progress: Progress = lambda stage, share: None,
 ) -> list[Outcome]:
     """Measure the named claims; ``out`` is written as a whole when all are done.
 
@@ -132,7 +131,7 @@ def _runs(
     *,
     fresh: bool,
     jobs: int,
-    progress: StageProgress,
+    progress: Progress,
 ) -> Iterator[tuple[tuple[str, int], _Run]]:
     """Each claim and seed, kept ones first, then those that share the computer, then those that want it alone."""
     keys = {(name, seed): stored.key(table[name].run, variant, seed) for name, seed in runs}
@@ -161,7 +160,7 @@ def _stage(name: str, seed: int) -> str:
 
 
 def _side_by_side(
-    runs: Sequence[tuple[str, int]], table: Mapping[str, Measurement], jobs: int, progress: StageProgress
+    runs: Sequence[tuple[str, int]], table: Mapping[str, Measurement], jobs: int, progress: Progress
 ) -> Iterator[tuple[tuple[str, int], _Run]]:
     """Claims measured in ``jobs`` processes; one that dies is a claim that stopped."""
     if not runs:
@@ -192,7 +191,7 @@ def _keep(run: tuple[str, int], key: str, result: _Run) -> _Run:
     return result
 
 
-def measured(name: str, measurement: Measurement, seed: int, progress: Progress) -> _Run:
+def measured(name: str, measurement: Measurement, seed: int, progress: ShareDone) -> _Run:
     """Run one claim. What stops it is a claim that failed, and the others go on; Ctrl-C ends all."""
     start = time.perf_counter()
     try:

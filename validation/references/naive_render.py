@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dasim.camera import specification as cameras
+from dasim.camera import geometry, radiometry
 from dasim.camera.specification import Camera
 from dasim.render.translate import MAX_PATH_DEPTH
 from dasim.spectra import grid
@@ -29,12 +29,12 @@ def naive_picture(scene: Any, camera: Camera, stop_ratios: Sequence[float], spp:
 
     width, height = camera.sensor.width_px, camera.sensor.height_px
     pitch_m = camera.sensor.pixel_pitch_um * 1e-6
-    image_m, focus_m = cameras.image_distance_m(camera), camera.lens.focus_distance_m
-    radius_m = cameras.aperture_m(camera) / 2
+    image_m, focus_m = geometry.image_distance_m(camera), camera.lens.focus_distance_m
+    radius_m = geometry.aperture_m(camera) / 2
     low, high = float(grid.WAVELENGTH_NM[0]), float(grid.WAVELENGTH_NM[-1])
     # A stop's response counts its own area only, a ray stands for the whole lens.
     curves = [
-        mi.Texture1f(mi.TensorXf((cameras.stop_response(camera, stop) / ratio**2).T.astype(np.float32)))
+        mi.Texture1f(mi.TensorXf((radiometry.stop_response(camera, stop) / ratio**2).T.astype(np.float32)))
         for stop, ratio in zip(camera.stops, stop_ratios, strict=True)
     ]
     integrator = mi.load_dict({"type": "path", "max_depth": MAX_PATH_DEPTH})

@@ -8,6 +8,7 @@ from functools import cache
 import numpy as np
 from scipy import constants, integrate
 
+from dasim.camera import response_curves
 from dasim.camera.specification import Camera
 from dasim.spectra import grid
 
@@ -36,7 +37,7 @@ def wall_electrons(camera: Camera, channel: int, column_px: float, row_px: float
         on_pixel = np.pi * (radius_mm / image_mm) ** 2 * cosine**4 * irradiance * reflectance / np.pi
         glass = _edge(nm, GLASS_NM) if side == "hole" else 1 - _edge(nm, GLASS_NM)
         photon_j = constants.h * constants.c / (nm * 1e-9)
-        efficiency = np.interp(nm, grid.WAVELENGTH_NM, grid.rgb_ir_quantum_efficiency()[channel])
+        efficiency = np.interp(nm, grid.WAVELENGTH_NM, response_curves.rgb_ir_quantum_efficiency()[channel])
         area = (sensor.pixel_pitch_um * 1e-6) ** 2
         passed = lens.transmittance * glass * (1 - _edge(nm, CUTOFF_NM))
         return float(on_pixel * passed * efficiency / photon_j * area)

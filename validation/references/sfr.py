@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from dasim.typing import FloatArray
 
 OVERSAMPLING = 4  # bins a pixel
 EDGE_WINDOW_PX = 8.0  # half width, beyond the blur, of the window in which a row's edge is sought

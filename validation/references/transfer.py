@@ -5,10 +5,9 @@ from __future__ import annotations
 from functools import cache
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import j1
 
-FloatArray = NDArray[np.float64]
+from dasim.typing import FloatArray
 
 OTF_NODES = 300  # Gauss-Legendre nodes of Hopkins's integral: enough for 30 waves
 

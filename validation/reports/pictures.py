@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from dasim.typing import FloatArray
 from recon.views.surface import Surface
 from validation.reports.page import MAP, NO_ESTIMATE
 
@@ -23,8 +24,6 @@ SUPERSAMPLED = 2
 RELIEF_SHARE = 0.7  # of the frame's width, depth of a relief
 PITCH_DEG = 15.0  # from above
 FRAMED = 0.75  # of its size, so that the turned relief stays within the frame
-
-FloatArray = NDArray[np.float64]
 
 
 def photo_address(image: NDArray[Any]) -> str:

@@ -14,12 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dasim.base.errors import InputError
-from dasim.camera import specification as cameras
+from dasim.camera import geometry
 from dasim.camera.specification import Camera
+from dasim.typing import BoolArray, FloatArray
 from dasim.values import Truth
-
-FloatArray = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 FAR_SIDE_LEVEL = -0.5  # beyond it a pixel is behind the focal plane, where levels mean another depth
 MOST_PIXELS = 5_000  # of a region, evenly spaced, in which the best constant map is looked for
@@ -85,7 +83,7 @@ class RegionScore(NamedTuple):
     constant: dict[str, float]
 
 
-def regions(truth: Truth, texture: Mask) -> dict[str, Mask]:
+def regions(truth: Truth, texture: BoolArray) -> dict[str, BoolArray]:
     """Where depth is judged apart: everything on the near side, its parts, and what lies behind the focus.
 
     ``texture`` [h, w] comes from the capture (:func:`validation.scores.texture.textured`), never from the truth.
@@ -101,7 +99,7 @@ def regions(truth: Truth, texture: Mask) -> dict[str, Mask]:
     }
 
 
-def depth_scores(depth_m: NDArray[Any], truth: Truth, camera: Camera, texture: Mask) -> list[RegionScore]:
+def depth_scores(depth_m: NDArray[Any], truth: Truth, camera: Camera, texture: BoolArray) -> list[RegionScore]:
     """Score a depth map [h, w] in metres, NaN (or not above 0) where there is no estimate, region by region.
 
     Estimates count where they are; ``coverage`` says how many there are. Raises InputError where the sizes differ.
@@ -118,7 +116,9 @@ def depth_scores(depth_m: NDArray[Any], truth: Truth, camera: Camera, texture: M
     return found
 
 
-def by_level(depth_m: NDArray[Any], truth: Truth, camera: Camera, texture: Mask) -> list[tuple[float, float, float]]:
+def by_level(
+    depth_m: NDArray[Any], truth: Truth, camera: Camera, texture: BoolArray
+) -> list[tuple[float, float, float]]:
     """Median absolute error and bias in levels by true level, since a median over all hides where a map fails.
 
     Of the region "textured". For each interval of ``LEVEL_EDGES``: its lower end, the error, the bias; NaN where the
@@ -204,8 +204,8 @@ def check_size(image: NDArray[Any], truth: Truth, what: str = "depth map") -> No
 
 def _errors(depth_m: NDArray[Any], exact_m: NDArray[Any], camera: Camera) -> Errors:
     found, exact = depth_m.astype(np.float64), exact_m.astype(np.float64)
-    blur = np.asarray(cameras.blur_px(camera, found) - cameras.blur_px(camera, exact))
-    return Errors(blur / cameras.level_blur_px(camera)[1], blur, found, exact)
+    blur = np.asarray(geometry.blur_px(camera, found) - geometry.blur_px(camera, exact))
+    return Errors(blur / geometry.level_blur_px(camera)[1], blur, found, exact)
 
 
 def _best_constants(exact_m: FloatArray, camera: Camera) -> dict[str, float]:
@@ -227,5 +227,5 @@ def _rms(error: FloatArray) -> float:
     return float(np.sqrt(np.mean(error**2)))
 
 
-def _share(part: Mask, whole: Mask) -> float:
+def _share(part: BoolArray, whole: BoolArray) -> float:
     return float(part.sum()) / float(whole.sum()) if whole.any() else float("nan")

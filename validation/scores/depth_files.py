@@ -8,9 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dasim.base.errors import InputError
-from dasim.files.folders import read_png16
-
-FloatArray = NDArray[np.float64]
+from dasim.files.png import read_png16
+from dasim.typing import FloatArray
 
 SUFFIXES = (".exr", ".npy", ".png")
 EXR_CHANNELS = ("Z", "depth.Z", "depth", "Y", "R")  # that are tried, in this order

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from dasim.camera import geometry
 from dasim.camera import specification as cameras
 from dasim.camera.specification import Camera
 from dasim.render.truth import boundary
@@ -23,7 +24,7 @@ def truth_of_depth(depth_m: NDArray[Any], camera: Camera) -> Truth:
 
     Normals, labels and pictures stay empty.
     """
-    blur = np.asarray(cameras.blur_px(camera, depth_m.astype(np.float64)))
+    blur = np.asarray(geometry.blur_px(camera, depth_m.astype(np.float64)))
     empty = NOTHING.astype(np.float32)
     return Truth(
         depth_m=depth_m.astype(np.float32),
@@ -32,7 +33,7 @@ def truth_of_depth(depth_m: NDArray[Any], camera: Camera) -> Truth:
         object_id=empty.astype(np.uint32),
         material_id=empty.astype(np.uint32),
         blur_px=blur.astype(np.float32),
-        level=(blur / cameras.level_blur_px(camera)[1]).astype(np.float32),
+        level=(blur / geometry.level_blur_px(camera)[1]).astype(np.float32),
         boundary=boundary(blur),
         channels=cameras.channels(camera.sensor),
         mean_e=empty,

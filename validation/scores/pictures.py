@@ -11,15 +11,14 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from dasim.camera import response_curves
 from dasim.camera.specification import Camera, quantum_efficiency
 from dasim.spectra import grid
 from dasim.spectra.colour import exposure_scale, to_srgb
+from dasim.typing import BoolArray, FloatArray
 from dasim.values import Reconstruction, Truth
 from recon.picture import colour, infrared
 from recon.settings import Settings
-
-FloatArray = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 VISIBLE_BLUR_PX = (3.0, 15.0)  # where sharpening is judged
 PEAK_PERCENTILE = 99.9  # of the truth: a single highlight is no peak
@@ -41,7 +40,7 @@ class PictureScore(NamedTuple):
     sharpened: dict[str, float]
 
 
-def regions(truth: Truth) -> dict[str, Mask]:
+def regions(truth: Truth) -> dict[str, BoolArray]:
     """Where pictures are judged: blurred by 3 to 15 px, and everywhere; both away from boundaries."""
     inner = truth.valid & ~truth.boundary
     low, high = VISIBLE_BLUR_PX
@@ -78,10 +77,10 @@ def infrared_free(image_e: NDArray[Any], camera: Camera) -> FloatArray:
     """Linear colours without infrared, eq. (7) on exact signals: [h, w, 4] -> [h, w, 3] electrons."""
     sensor = camera.sensor
     response = quantum_efficiency(sensor) * grid.short_pass(sensor.cutoff_nm, sensor.cutoff_width_nm)
-    return image_e[..., :3].astype(np.float64) - grid.ir_crosstalk(response) * image_e[..., 3:]
+    return image_e[..., :3].astype(np.float64) - response_curves.ir_crosstalk(response) * image_e[..., 3:]
 
 
-def psnr(image: NDArray[Any], exact: FloatArray, where: Mask) -> float:
+def psnr(image: NDArray[Any], exact: FloatArray, where: BoolArray) -> float:
     """Peak signal-to-noise ratio in dB over masked pixels and all channels; the peak is the truth's 99.9th percentile.
 
     10 log10(peak^2 / mean squared error), linear light.
@@ -93,7 +92,7 @@ def psnr(image: NDArray[Any], exact: FloatArray, where: Mask) -> float:
     return float(10 * np.log10(peak**2 / error)) if error > 0 and peak > 0 else float("inf")
 
 
-def display_scores(image: NDArray[Any], exact: FloatArray, where: Mask) -> dict[str, float]:
+def display_scores(image: NDArray[Any], exact: FloatArray, where: BoolArray) -> dict[str, float]:
     """SSIM and CIEDE2000 of display pictures [h, w, 3], 0..1: means over masked pixels, NaN where there are none.
 
     SSIM is NaN also where the picture is smaller than its window.

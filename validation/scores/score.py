@@ -8,14 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dasim.camera.specification import Camera
+from dasim.typing import BoolArray, FloatArray
 from dasim.values import Capture, Reconstruction, Truth
 from validation.scores import depth, pictures, texture
 from validation.scores.depth import METRICS as DEPTH_METRICS
 from validation.scores.depth import check_size
 from validation.scores.figures import Figure
-
-FloatArray = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 PICTURES = ("captured", "all-in-focus")
 LEVEL_KEYS = ("level-median", "level-bias")
@@ -56,7 +54,7 @@ def depth_of_level(level: NDArray[Any], result: Reconstruction) -> FloatArray:
     return np.interp(level, levels, depths, left=depths[0], right=depths[-1])
 
 
-def depth_figures(name: str, depth_m: NDArray[Any], truth: Truth, camera: Camera, textured: Mask) -> list[Figure]:
+def depth_figures(name: str, depth_m: NDArray[Any], truth: Truth, camera: Camera, textured: BoolArray) -> list[Figure]:
     """Scores of a depth map: NAME.REGION.METRIC, and the same of the best constant map: NAME.REGION.METRIC.constant."""
     figures = []
     for found in depth.depth_scores(depth_m, truth, camera, textured):
@@ -74,7 +72,7 @@ def depth_figures(name: str, depth_m: NDArray[Any], truth: Truth, camera: Camera
     return figures
 
 
-def level_figures(name: str, depth_m: NDArray[Any], truth: Truth, camera: Camera, textured: Mask) -> list[Figure]:
+def level_figures(name: str, depth_m: NDArray[Any], truth: Truth, camera: Camera, textured: BoolArray) -> list[Figure]:
     """NAME.at-LEVEL.level-median and .level-bias: errors of textured pixels by true level, from LEVEL to the next."""
     figures = []
     for low, median, bias in depth.by_level(depth_m, truth, camera, textured):

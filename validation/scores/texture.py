@@ -6,10 +6,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from dasim.typing import FloatArray
 from dasim.values import Capture
 from recon.picture import mosaic
-
-FloatArray = NDArray[np.float64]
 
 WINDOW_PX = 31  # side of the square around a pixel: the paper's patch (sec. 5.2)
 TEXTURE_SNR = 1.0  # gradient energy of the picture over that of its noise

@@ -24,17 +24,17 @@ from numpy.typing import ArrayLike, NDArray
 
 from dasim.base.errors import InputError
 from dasim.bounds import cramer_rao, pupils
+from dasim.camera import geometry, stops
 from dasim.camera import specification as cameras
-from dasim.camera import stops
 from dasim.camera.specification import Camera
 from dasim.camera.stops import Stop
 from dasim.spectra import grid
+from dasim.typing import FloatArray
 from dasim.values import Capture
 from recon.picture import mosaic
 from validation.claims.light.balance import CONTRAST, MEAN_SHARE, white_electrons
 from validation.subjects import strips
 
-FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 Texture = Literal["known", "spectrum", "free"]
 Objective = Literal["depth", "all-in-focus"]
@@ -225,7 +225,7 @@ class Bench:
 
 def dioptre_px(camera: Camera) -> float:
     """Visible blur of one dioptre, A s / p."""
-    return cameras.aperture_m(camera) * cameras.image_distance_m(camera) / (camera.sensor.pixel_pitch_um * 1e-6)
+    return geometry.aperture_m(camera) * geometry.image_distance_m(camera) / (camera.sensor.pixel_pitch_um * 1e-6)
 
 
 def infrared_stop(camera: Camera) -> Stop:
@@ -240,7 +240,7 @@ def infrared_stop(camera: Camera) -> Stop:
 
 def blurs_between(camera: Camera, near_m: float, far_m: float, count: int) -> FloatArray:
     """Visible blurs, evenly spaced in dioptres, over a depth range on the near side of the focus."""
-    blurs = np.asarray(cameras.blur_px(camera, np.array([far_m, near_m])), np.float64)
+    blurs = np.asarray(geometry.blur_px(camera, np.array([far_m, near_m])), np.float64)
     if not 0 < near_m < far_m or blurs[1] <= NEAREST_BLUR_PX:
         raise InputError(
             f"depths {near_m:g} to {far_m:g} m: must rise and lie on the near side of the focus, "

@@ -6,16 +6,14 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dasim.base.toml import parse
-from dasim.camera import specification as cameras
+from dasim.camera import radiometry
 from dasim.camera.specification import Camera
 from dasim.render import backend
 from dasim.scene.specification import Scene
+from dasim.typing import FloatArray
 from validation.gates.claim import NotRun
-
-FloatArray = NDArray[np.float64]
 
 HOLE_RATIO = 0.46  # of the paper (sec. 3), not read from the camera that is checked
 STOP_RATIOS = (1.0, HOLE_RATIO)  # of da-mobile's stops, in its order
@@ -120,7 +118,7 @@ def stop_electrons(camera: Camera, spectrum: FloatArray) -> FloatArray:
     """Relative electrons of each stop and channel under a spectrum, [stop, channel], the sum over stops is 1."""
     from dasim.spectra import grid
 
-    signal = np.stack([grid.integrate(cameras.stop_response(camera, stop) * spectrum) for stop in camera.stops])
+    signal = np.stack([grid.integrate(radiometry.stop_response(camera, stop) * spectrum) for stop in camera.stops])
     return signal / signal.sum(axis=0)
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import shutil
 import sys
-from collections.abc import Callable
 from pathlib import Path
 from typing import Literal
 
@@ -14,14 +13,13 @@ from dasim.base.cache import cache_dir
 from dasim.base.errors import InputError
 from dasim.camera.noise import Exposure
 from dasim.camera.specification import Camera
-from dasim.files.folders import load_capture, load_truth
+from dasim.files.captures import load_capture, load_truth
 from dasim.render import backend
-from dasim.scene.loading import MitsubaScene
+from dasim.scene.mitsuba_scene import MitsubaScene
 from dasim.scene.specification import Scene
 from dasim.simulation.simulate import Shot
+from dasim.typing import Progress
 from validation.gates import stored
-
-Progress = Callable[[str, float], None]
 
 
 def photographed(

@@ -1,6 +1,6 @@
 """Strips of a real texture at known levels of blur, as sec. 6.1 makes them: no mosaic, no render, noise that is known.
 
-What an estimator makes of them is held against the Cramer-Rao bound (:mod:`dasim.bounds.cramer_rao`) of the same pixels.
+What an estimator makes of them is held against the Cramer-Rao bound (:mod:`dasim.bounds.cramer_rao`) of these pixels.
 """
 
 from __future__ import annotations
@@ -17,15 +17,13 @@ from numpy.typing import NDArray
 from scipy import signal
 
 from dasim.bounds import cramer_rao
-from dasim.camera import pointspread
-from dasim.camera import specification as cameras
+from dasim.camera import geometry, pointspread
 from dasim.camera.specification import Camera
 from dasim.spectra import illuminants
 from dasim.spectra.grid import CHANNELS
+from dasim.typing import FloatArray
 from recon.depth import scores
 from recon.settings import Settings
-
-FloatArray = NDArray[np.float64]
 
 PAIR = ("IR", "G")
 STRIP_PX = (128, 224)  # of each level: the window and twice its reach stay clear of the borders
@@ -101,7 +99,7 @@ class Strips:
             [signal.fftconvolve(sharp, kernel[index].astype(float), mode="valid") for index in pair]
             for kernel in kernels
         ]
-        self.step_px = float(cameras.level_blur_px(camera)[1])
+        self.step_px = float(geometry.level_blur_px(camera)[1])
         blurs = np.array(self.levels) * self.step_px
         transfer, slope = cramer_rao.camera_transfers(camera, blurs, light, BOUND_SHAPE)
         self.transfer, self.slope = transfer[:, pair], slope[:, pair]
@@ -167,7 +165,7 @@ def strength_of(sharp: FloatArray) -> FloatArray:
 
 def own_kernels(camera: Camera, levels: Sequence[float], light: str, size: int) -> FloatArray:
     """The camera's own kernels at any levels, of unit sum, [level, channel, size, size]."""
-    blurs = np.array(levels) * cameras.level_blur_px(camera)[1]
+    blurs = np.array(levels) * geometry.level_blur_px(camera)[1]
     at = pointspread.kernels(camera, blurs, illuminants.illuminant(light), size)
     found = np.stack([at(index, (0.0, 0.0), ...)[0] for index in range(len(blurs))])
     return np.asarray(found / found.sum(axis=(-1, -2), keepdims=True))

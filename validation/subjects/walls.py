@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 
 from dasim.spectra import grid
+from dasim.typing import FloatArray
 from validation.subjects import rendering
-from validation.subjects.rendering import FloatArray
 
 WALL = {"name": "wall", "shape": "plane", "size_cm": (400, 400), "position_cm": (0, 0, 40)}
 STEP_NM = 1e-3  # over which a sharp light rises

@@ -15,9 +15,10 @@ from dasim.render import reflection
 from dasim.render.mixture import mixture_dict
 from dasim.render.plugin import spectrum_dict
 from dasim.render.surrounding import Layer, surrounding_dict
-from dasim.scene.loading import MitsubaScene
+from dasim.scene.mitsuba_scene import MitsubaScene
 from dasim.spectra import illuminants
-from dasim.spectra.grid import LUMINANCE, WAVELENGTH_NM, FloatArray, integrate
+from dasim.spectra.grid import LUMINANCE, WAVELENGTH_NM, integrate
+from dasim.typing import FloatArray
 
 # Where a texture is a colour. Elsewhere (roughness, weights, opacity, bumps) it is data, and stays.
 COLOURS = (

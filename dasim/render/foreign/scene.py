@@ -14,9 +14,9 @@ from dasim.base.errors import InputError
 from dasim.render.foreign.colours import Notes, replace_light_colours, replace_surface_colours
 from dasim.render.plugin import transform
 from dasim.scene.clearance import LARGEST_M, SMALLEST_M
-from dasim.scene.loading import MitsubaScene
 from dasim.scene.meshes import distance_from_origin
-from dasim.spectra.grid import FloatArray
+from dasim.scene.mitsuba_scene import MitsubaScene
+from dasim.typing import FloatArray
 
 MOST_COPIES = 5000  # of an instance's shapes: each is a shape of its own here
 RIGID = 1e-3  # how far a sensor's axes may be from a right angle

@@ -1,7 +1,7 @@
 """Meshes by formula, named ``NAME`` or ``NAME:SEED``: bodies for scenes, the same in every run.
 
 ``BODIES`` fit into a cube of side 1 around the origin, and their seed draws their proportions; what plants and
-the figure of a head are measured in stands in ``dasim.scene.procedural.plants`` and ``dasim.scene.procedural.mannequin``.
+the figure of a head are measured in stands in ``plants`` and ``mannequin``.
 """
 
 from __future__ import annotations
@@ -14,7 +14,8 @@ import numpy as np
 
 from dasim.base.errors import InputError
 from dasim.scene.procedural import mannequin, plants, solids
-from dasim.scene.procedural.triangles import FloatArray, Triangles, ball, fitted, sheet, together, tube
+from dasim.scene.procedural.triangles import Triangles, ball, fitted, sheet, together, tube
+from dasim.typing import FloatArray
 
 PREFIX = "procedural:"
 LARGEST_SEED = 2**31 - 1

@@ -11,7 +11,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from dasim.scene.procedural.triangles import FloatArray, Triangles, ball, sheet, smooth, together
+from dasim.scene.procedural.triangles import Triangles, ball, sheet, smooth, together
+from dasim.typing import FloatArray
 
 Field = Callable[[FloatArray], FloatArray]
 COARSE = 0.04  # step of the grid that finds where a surface may be

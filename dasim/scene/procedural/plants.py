@@ -12,7 +12,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from dasim.scene.procedural.triangles import FloatArray, Triangles, placed, sheet, together, tube, turned
+from dasim.scene.procedural.triangles import Triangles, placed, sheet, together, tube, turned
+from dasim.typing import FloatArray
 
 
 def blade(

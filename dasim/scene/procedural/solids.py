@@ -9,7 +9,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from dasim.scene.procedural.triangles import FloatArray, Triangles, fitted, sheet
+from dasim.scene.procedural.triangles import Triangles, fitted, sheet
+from dasim.typing import FloatArray
 
 AROUND, ALONG = 96, 40  # cells of a grid
 

@@ -9,7 +9,7 @@ import pytest
 from scipy import fft, sparse
 
 from dasim.bounds import cramer_rao
-from dasim.camera import specification as cameras
+from dasim.camera import geometry
 
 SIDE = 31
 SHAPE = (SIDE, SIDE)
@@ -360,7 +360,7 @@ def test_camera_transfers_are_those_of_its_kernels(da_mobile):
 
     blur = 9.0
     transfer, slope = cramer_rao.camera_transfers(da_mobile, [blur], "D65", SHAPE)
-    depth = float(cameras.depth_of_blur_m(da_mobile, blur))
+    depth = float(geometry.depth_of_blur_m(da_mobile, blur))
     for index, name in ((1, "G"), (3, "IR")):
         kernel = pointspread.psf(da_mobile, depth, name, "D65", size=45)
         known = cramer_rao.kernel_transfers(np.stack([kernel, kernel])[:, None] / kernel.sum(), [8.0, 9.0], SHAPE)[0][
@@ -375,10 +375,10 @@ def test_camera_transfers_are_those_of_its_kernels(da_mobile):
 
 def test_depth_follows_from_blur(da_mobile):
     """The derivative of the camera's own blur at a depth."""
-    near, far = (float(cameras.blur_px(da_mobile, 0.2 + s)) for s in (-1e-5, 1e-5))
+    near, far = (float(geometry.blur_px(da_mobile, 0.2 + s)) for s in (-1e-5, 1e-5))
     expected = 2e-5 / (near - far) * 0.3
     assert float(cramer_rao.depth_deviation_m(da_mobile, 0.2, 0.3)) == pytest.approx(expected, rel=1e-6)
 
 
 def test_levels_are_steps_of_blur(da_mobile):
-    assert float(cramer_rao.level_deviation(da_mobile, cameras.level_blur_px(da_mobile)[2])) == pytest.approx(2.0)
+    assert float(cramer_rao.level_deviation(da_mobile, geometry.level_blur_px(da_mobile)[2])) == pytest.approx(2.0)

@@ -8,7 +8,7 @@ from scipy.special import ndtr
 from scipy.stats import norm
 
 from dasim.base.errors import InputError
-from dasim.camera import datasheet, noise
+from dasim.camera import datasheet, noise, radiometry, response_curves, specification
 from dasim.camera import specification as cameras
 from dasim.spectra import grid
 
@@ -45,11 +45,11 @@ def test_figures_in_their_units(da_mobile):
     table |= {"quantum_efficiency_percent": 60.0, "wavelength_nm": 560.0}
     others = ("prnu", "dark_current_e_s", "quantum_efficiency_scale")
     loaded = sheet(da_mobile, table, without=others)
-    green = np.interp(560.0, grid.WAVELENGTH_NM, grid.rgb_ir_quantum_efficiency()[1])
+    green = np.interp(560.0, grid.WAVELENGTH_NM, response_curves.rgb_ir_quantum_efficiency()[1])
     assert loaded.sensor.prnu == pytest.approx(0.004)
     assert loaded.sensor.dark_current_e_s == pytest.approx(10.0)
     assert loaded.sensor.quantum_efficiency_scale == pytest.approx(0.6 / green)
-    np.testing.assert_allclose(cameras.response(loaded), cameras.response(da_mobile) * 0.6 / green, rtol=1e-12)
+    np.testing.assert_allclose(radiometry.response(loaded), radiometry.response(da_mobile) * 0.6 / green, rtol=1e-12)
 
 
 def test_system_gain_sets_the_numbers(da_mobile):
@@ -102,7 +102,7 @@ def test_curves_of_a_file_get_their_height_from_the_sheet(da_mobile, tmp_path):
     for green at 540 nm. Expectation: green has 60 % there, all channels keep their ratios, and what the file says
     beyond the simulated band plays no part; without a column for green the sheet's figure is refused.
     """
-    ours = grid.rgb_ir_quantum_efficiency()
+    ours = response_curves.rgb_ir_quantum_efficiency()
     nm = np.concatenate([[350.0, 380.0], grid.WAVELENGTH_NM, [850.0, 1000.0]])
     for head in ("wavelength_nm,R,G,B,IR", "wavelength_nm,R,L,B,IR"):
         curves = [np.concatenate([[0.9, c[0]], c, [c[-1], 0.9]]) for c in ours / ours.max()]
@@ -112,7 +112,7 @@ def test_curves_of_a_file_get_their_height_from_the_sheet(da_mobile, tmp_path):
     del data["sensor"]["quantum_efficiency_scale"]
     data["sensor"]["emva1288"] = {"quantum_efficiency_percent": 60.0, "wavelength_nm": 540.0}
     data["sensor"]["quantum_efficiency"] = {"file": "G.csv"}
-    found = cameras.quantum_efficiency(cameras.parse(cameras.Camera, data, "mine.toml", folder=tmp_path).sensor)
+    found = specification.quantum_efficiency(cameras.parse(cameras.Camera, data, "mine.toml", folder=tmp_path).sensor)
     green = np.interp(540.0, grid.WAVELENGTH_NM, ours[1])
     np.testing.assert_allclose(found, ours * 0.6 / green, atol=1e-8)  # the file's nine digits
     data["sensor"] |= {"mosaic": [["L", "R"], ["B", "IR"]], "quantum_efficiency": {"file": "L.csv"}}

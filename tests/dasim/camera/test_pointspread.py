@@ -8,8 +8,7 @@ from scipy.special import j0, j1
 
 from dasim.base.errors import InputError
 from dasim.base.toml import parse
-from dasim.camera import pointspread
-from dasim.camera import specification as cameras
+from dasim.camera import geometry, pointspread, radiometry
 from dasim.camera.pointspread import pixel_kernels, psf, radial_profiles, wave_profile
 from dasim.camera.specification import Camera
 from dasim.spectra import grid as spectra
@@ -186,12 +185,12 @@ def test_kernel_in_focus_is_wider_in_the_near_infrared(wave_kernels):
 
 def test_relative_electrons_are_those_of_the_camera(da_mobile, wave_kernels):
     """Expectation: the sum over bands of 10 nm equals an integral on a grid of 1 nm."""
-    from dasim.camera import specification as cameras
+    from dasim.camera import radiometry
 
     nm = np.arange(400, 831)
-    light = np.interp(nm, pointspread.spectra.WAVELENGTH_NM, illuminant("D65"))
-    for channel, row in enumerate(cameras.response(da_mobile)):
-        fine = np.interp(nm, pointspread.spectra.WAVELENGTH_NM, row) * light
+    light = np.interp(nm, spectra.WAVELENGTH_NM, illuminant("D65"))
+    for channel, row in enumerate(radiometry.response(da_mobile)):
+        fine = np.interp(nm, spectra.WAVELENGTH_NM, row) * light
         assert wave_kernels[3][channel] == pytest.approx(fine.sum(), rel=2e-3)
 
 
@@ -282,9 +281,9 @@ def test_three_coloured_discs_part_the_channels(da_mobile, depth_m):
     """
     camera = many_stops(da_mobile, *COLOURED)
     light = illuminant("D65")
-    electrons = np.stack([spectra.integrate(cameras.stop_response(camera, stop) * light) for stop in camera.stops])
+    electrons = np.stack([spectra.integrate(radiometry.stop_response(camera, stop) * light) for stop in camera.stops])
     centres = np.array([stop.centre_ratio for stop in camera.stops])
-    blur = float(cameras.blur_px(camera, depth_m))
+    blur = float(geometry.blur_px(camera, depth_m))
     alone = [many_stops(da_mobile, stop) for stop in COLOURED]
     for index, channel in enumerate(CHANNELS):
         share = electrons[:, index] / electrons[:, index].sum()
@@ -327,6 +326,6 @@ LETTER_L = ((-0.6, -0.7), (-0.2, -0.7), (-0.2, 0.3), (0.5, 0.3), (0.5, 0.7), (-0
 def test_automatic_frame_holds_the_kernel(da_mobile, stop, blur_px):
     """Expectation: of light beyond three rings of a disc as broad as the stop, 2 / (3 pi^2) = 7 % at most."""
     camera = many_stops(da_mobile, stop)
-    depth_m = float(cameras.depth_of_blur_m(camera, blur_px))
+    depth_m = float(geometry.depth_of_blur_m(camera, blur_px))
     for channel in ("G", "IR"):
         assert psf(camera, depth_m, channel, "D65").sum() > 0.92

@@ -14,7 +14,7 @@ from prysm.propagation import Wavefront
 
 from dasim import psf
 from dasim.base.toml import parse
-from dasim.camera import specification as cameras
+from dasim.camera import geometry, radiometry
 from dasim.camera.specification import Camera
 from dasim.spectra import grid as spectra
 from dasim.spectra import illuminants
@@ -93,14 +93,14 @@ def test_channels_of_da_mobile(da_mobile, blur_px):
     total = np.zeros(2)
     grid = spectra.WAVELENGTH_NM
     for stop, ratio in zip(da_mobile.stops, (1.0, 0.46), strict=True):
-        seen = (cameras.stop_response(da_mobile, stop) * light)[[1, 3]]
+        seen = (radiometry.stop_response(da_mobile, stop) * light)[[1, 3]]
         for nm in np.arange(400 + STEP_NM / 2, 830, STEP_NM):
             band = np.abs(grid - nm) <= STEP_NM / 2
             weight = seen[:, band].mean(axis=1)
             if (weight > 1e-4 * seen.max(axis=1)).any():
                 expected += weight[:, None, None] * pixels(ring(ratio), blur_px, nm / 1e3)
                 total += weight
-    depth_m = float(cameras.depth_of_blur_m(da_mobile, blur_px))
+    depth_m = float(geometry.depth_of_blur_m(da_mobile, blur_px))
     for index, channel in enumerate(("G", "IR")):
         kernel = psf(da_mobile, depth_m, channel, "D65", size=SIZE)
         difference = encircled(kernel) - encircled(expected[index] / total[index])
@@ -137,7 +137,7 @@ def test_stops_of_any_shape(da_mobile, shape, blur_px):
     """
     stop, pupil = SHAPES[shape]
     camera = with_stops(da_mobile, stop | NARROW, focus_distance_m=CLOSE_MM / 1e3)
-    depth_m = float(cameras.depth_of_blur_m(camera, blur_px))
+    depth_m = float(geometry.depth_of_blur_m(camera, blur_px))
     expected = pixels(pupil, blur_px, NARROW_UM, 1 / (1 / FOCAL_MM - 1 / CLOSE_MM))
     found = psf(camera, depth_m, "G", "D65", size=SIZE)
     assert np.abs(found - expected).sum() < SHAPE
@@ -156,7 +156,7 @@ def test_axial_colour_moves_the_focus_of_each_wavelength(da_mobile, stop):
         da_mobile, stop | {"passes_nm": bands, "edge_width_nm": 1}, focal_shift_um=[[500, -20], [600, 20]]
     )
     depth_mm = 300.0
-    seen = (cameras.stop_response(camera, camera.stops[0]) * illuminants.illuminant("D65"))[1]
+    seen = (radiometry.stop_response(camera, camera.stops[0]) * illuminants.illuminant("D65"))[1]
     pupil = ring(stop["radius_ratio"], 0, tuple(stop.get("centre_ratio", (0, 0))))
     expected, total = np.zeros((SIZE, SIZE)), 0.0
     for low, high in bands:

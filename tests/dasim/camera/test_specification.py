@@ -7,6 +7,7 @@ import pytest
 
 import dasim
 from dasim.base.errors import InputError
+from dasim.camera import geometry, radiometry, response_curves, specification
 from dasim.camera import specification as cameras
 from dasim.spectra import grid
 
@@ -172,7 +173,7 @@ def test_curves_of_ones_own_travel_to_the_truth(renderer, tmp_path, mosaic):
     in which W has more electrons than any colour, and capture and truth come back from their folder.
     """
     names = ("W", "IR", "G", "R", "B")
-    ours = dict(zip(grid.CHANNELS, grid.rgb_ir_quantum_efficiency(), strict=True))
+    ours = dict(zip(grid.CHANNELS, response_curves.rgb_ir_quantum_efficiency(), strict=True))
     ours["W"] = np.maximum.reduce(list(ours.values()))
     rows = [",".join((f"{nm:g}", *(f"{ours[n][k]:.9f}" for n in names))) for k, nm in enumerate(grid.WAVELENGTH_NM)]
     (tmp_path / "c.csv").write_text("\n".join(["# source: made up", "wavelength_nm," + ",".join(names), *rows]) + "\n")
@@ -183,7 +184,7 @@ def test_curves_of_ones_own_travel_to_the_truth(renderer, tmp_path, mosaic):
     used = tuple(name for name in ("R", "G", "B", "IR", "W") if any(name in row for row in mosaic))
     assert cameras.channels(camera.sensor) == used
     np.testing.assert_allclose(
-        cameras.quantum_efficiency(camera.sensor), np.stack([ours[name] for name in used]), atol=1e-9
+        specification.quantum_efficiency(camera.sensor), np.stack([ours[name] for name in used]), atol=1e-9
     )
     letters = np.array(used)[cameras.mosaic_channels(camera)]
     assert letters[: len(mosaic), : len(mosaic[0])].tolist() == mosaic
@@ -247,7 +248,7 @@ def test_intrinsic_matrix_is_similar_triangles(da_mobile):
     Expectation: it meets the sensor s / d as far from the axis, s = 3.6 * 400 / 396.4 mm; crops keep the rays.
     """
     for width, height in ((2048, 1536), (64, 48)):
-        matrix = cameras.intrinsic_matrix(cameras.cropped(da_mobile, width, height))
+        matrix = geometry.intrinsic_matrix(cameras.cropped(da_mobile, width, height))
         x, y, one = matrix @ np.array([0.002, 0.001, 0.1]) / 0.1
         image_mm = 3.6 * 400 / 396.4
         assert one == 1
@@ -261,21 +262,21 @@ def test_sensitivity_follows_area_distance_and_pixel(da_mobile):
     """
     hole = da_mobile.stops[1]
     whole = hole.model_copy(update={"radius_ratio": 1.0})
-    ours, open_ = cameras.stop_response(da_mobile, hole), cameras.stop_response(da_mobile, whole)
+    ours, open_ = radiometry.stop_response(da_mobile, hole), radiometry.stop_response(da_mobile, whole)
     np.testing.assert_allclose(ours, open_ * 0.46**2, rtol=1e-12)
     sensor = da_mobile.sensor.model_copy(update={"pixel_pitch_um": 3.4})
     np.testing.assert_allclose(
-        cameras.stop_response(da_mobile.model_copy(update={"sensor": sensor}), hole), 4 * ours, rtol=1e-12
+        radiometry.stop_response(da_mobile.model_copy(update={"sensor": sensor}), hole), 4 * ours, rtol=1e-12
     )
     near = cameras.refocused(da_mobile, 0.0072)  # unit magnification: s = 2 f
     far = cameras.refocused(da_mobile, 1e6)  # s = f
-    np.testing.assert_allclose(4 * cameras.stop_response(near, hole), cameras.stop_response(far, hole), rtol=1e-5)
+    np.testing.assert_allclose(4 * radiometry.stop_response(near, hole), radiometry.stop_response(far, hole), rtol=1e-5)
     above = grid.WAVELENGTH_NM > 826  # four widths beyond 810 nm
-    assert cameras.response(da_mobile)[:, above].max() < 1e-3 * cameras.response(da_mobile).max()
+    assert radiometry.response(da_mobile)[:, above].max() < 1e-3 * radiometry.response(da_mobile).max()
 
 
 def test_hole_passes_near_infrared_alone(da_mobile):
     """Expectation: the infrared pixel gets most of its light through the hole, green most through the open lens."""
-    flat = [grid.integrate(cameras.stop_response(da_mobile, stop)) for stop in da_mobile.stops]
+    flat = [grid.integrate(radiometry.stop_response(da_mobile, stop)) for stop in da_mobile.stops]
     through_hole = flat[1] / (flat[0] + flat[1])
     assert through_hole[3] > 0.9 and through_hole[1] < 0.1 and through_hole[2] < 0.1

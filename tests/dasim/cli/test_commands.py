@@ -21,7 +21,9 @@ import trimesh
 from dasim.base.cache import cache_dir
 from dasim.camera.specification import CAMERA_DIR, cropped, load_camera
 from dasim.cli import run
-from dasim.files.folders import bank_identity, load_bank, load_capture, load_truth, save_capture, write_truth
+from dasim.files.banks import bank_identity, load_bank
+from dasim.files.captures import load_capture, load_truth, save_capture
+from dasim.files.truth import write_truth
 from dasim.values import Capture
 from recon.files.reconstruction import load_reconstruction
 from recon.settings import PRESETS, Settings

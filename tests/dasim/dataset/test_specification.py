@@ -22,7 +22,7 @@ from dasim.base.toml import parse
 from dasim.cli import run
 from dasim.dataset import draws, plan, storage, verify
 from dasim.dataset.specification import DatasetSpec, load_spec
-from dasim.files.folders import TRUTH_PARTS
+from dasim.files.truth import TRUTH_PARTS
 from tests.support.datasets import WALL, inline, made, spec_file, sums
 
 HALF_STEP = 2**-11  # relative: half of the last of 11 bits

@@ -11,7 +11,7 @@ import pytest
 
 from dasim.base.errors import InputError
 from dasim.camera import specification as cameras
-from dasim.files import folders
+from dasim.files import banks, captures, folders, png
 from dasim.values import Capture, PsfBank, Truth
 
 H, W = 12, 16
@@ -56,19 +56,19 @@ def truth():
 
 @pytest.fixture
 def folder(tmp_path, capture, truth):
-    folders.save_capture(tmp_path / "shot", capture, truth)
+    captures.save_capture(tmp_path / "shot", capture, truth)
     return tmp_path / "shot"
 
 
 def test_capture_and_truth_come_back_as_they_were(folder, capture, truth):
     """Expectation: every field exactly, types and NaN included."""
-    back = folders.load_capture(folder)
+    back = captures.load_capture(folder)
     for field in dataclasses.fields(Capture):
         if field.name != "raw_dn":
             assert getattr(back, field.name) == getattr(capture, field.name), field.name
     np.testing.assert_array_equal(back.raw_dn, capture.raw_dn)
     assert back.raw_dn.dtype == np.uint16
-    truth_back = folders.load_truth(folder)
+    truth_back = captures.load_truth(folder)
     for field in dataclasses.fields(Truth):
         ours, theirs = np.array(getattr(truth, field.name)), np.array(getattr(truth_back, field.name))
         assert ours.dtype == theirs.dtype, field.name
@@ -100,7 +100,7 @@ def test_meta_states_what_a_reader_needs(folder, capture):
 def test_cut_files_are_refused(folder, name, kept):
     data = (folder / name).read_bytes()
     (folder / name).write_bytes(data[: min(int(len(data) * kept), len(data) - 3)])
-    load = folders.load_truth if name == "truth.exr" else folders.load_capture
+    load = captures.load_truth if name == "truth.exr" else captures.load_capture
     with pytest.raises(InputError, match=name):
         load(folder)
 
@@ -108,11 +108,11 @@ def test_cut_files_are_refused(folder, name, kept):
 @pytest.mark.parametrize("name", ["raw.png", "truth.exr", "meta.json"])
 def test_missing_files_are_named(folder, name):
     (folder / name).unlink()
-    load = folders.load_truth if name == "truth.exr" else folders.load_capture
+    load = captures.load_truth if name == "truth.exr" else captures.load_capture
     with pytest.raises(InputError, match=rf"{name}: is missing"):
         load(folder)
     with pytest.raises(InputError, match="no such folder"):
-        folders.load_capture(folder / "nothing")
+        captures.load_capture(folder / "nothing")
 
 
 @pytest.mark.parametrize(
@@ -133,18 +133,18 @@ def test_wrong_meta_is_refused(folder, change, said):
     change(meta)
     (folder / "meta.json").write_text(json.dumps(meta))
     with pytest.raises(InputError, match=said):
-        folders.load_capture(folder)
+        captures.load_capture(folder)
 
 
 def test_other_pictures_are_no_raw_pictures(folder):
     assert cv2.imwrite(str(folder / "raw.png"), np.zeros((H, W), np.uint8))
     with pytest.raises(InputError, match=r"raw\.png: has \d+ bytes of \d+"):
-        folders.load_capture(folder)
+        captures.load_capture(folder)
     with pytest.raises(InputError, match="no 16-bit grey PNG"):
-        folders.read_png16(folder / "raw.png")
+        png.read_png16(folder / "raw.png")
     (folder / "truth.exr").write_bytes((folder / "raw.png").read_bytes())
     with pytest.raises(InputError, match=r"truth\.exr"):
-        folders.load_truth(folder)
+        captures.load_truth(folder)
 
 
 OWN = '{"software": {"dasim": "0"}}'
@@ -166,29 +166,29 @@ def test_failure_leaves_nothing_behind(tmp_path):
 
 def test_own_results_are_replaced_and_foreign_files_kept(tmp_path, capture):
     """Expectation: an earlier capture is replaced as a whole; a folder with anything else, and a file, are refused."""
-    folders.save_capture(tmp_path / "a" / "shot", capture, None)
+    captures.save_capture(tmp_path / "a" / "shot", capture, None)
     before = (tmp_path / "a" / "shot").stat().st_ino
-    folders.save_capture(tmp_path / "a" / "shot", capture, None)
+    captures.save_capture(tmp_path / "a" / "shot", capture, None)
     assert (tmp_path / "a" / "shot").stat().st_ino != before
     assert sorted(path.name for path in (tmp_path / "a" / "shot").iterdir()) == ["meta.json", "raw.png"]
     (tmp_path / "a" / "shot" / "notes.txt").write_text("mine")
     with pytest.raises(InputError, match=r"notes\.txt"):
-        folders.save_capture(tmp_path / "a" / "shot", capture, None)
+        captures.save_capture(tmp_path / "a" / "shot", capture, None)
     (tmp_path / "foreign").mkdir()
     (tmp_path / "foreign" / "meta.json").write_text('{"mine": 1}')
     with pytest.raises(InputError, match=r"foreign: .*did not write"):
-        folders.save_capture(tmp_path / "foreign", capture, None)
+        captures.save_capture(tmp_path / "foreign", capture, None)
     (tmp_path / "holiday").mkdir()
     (tmp_path / "holiday" / "beach.jpg").write_text("mine")
     with pytest.raises(InputError, match=r"holiday: .*did not write"):
-        folders.save_capture(tmp_path / "holiday", capture, None)
+        captures.save_capture(tmp_path / "holiday", capture, None)
     assert [path.name for path in (tmp_path / "holiday").iterdir()] == ["beach.jpg"]
     with pytest.raises(InputError, match="is a file"):
-        folders.save_capture(tmp_path / "holiday" / "beach.jpg", capture, None)
+        captures.save_capture(tmp_path / "holiday" / "beach.jpg", capture, None)
     with pytest.raises(InputError, match="not a folder that can be written to"):
         folders.check_output(tmp_path / "holiday" / "beach.jpg" / "below", "capture")
     (tmp_path / "empty").mkdir()
-    folders.save_capture(tmp_path / "empty", capture, None)
+    captures.save_capture(tmp_path / "empty", capture, None)
     assert (tmp_path / "empty" / "raw.png").is_file()
 
 
@@ -208,8 +208,8 @@ def bank(da_mobile):
 
 
 def test_bank_comes_back_as_it_was(tmp_path, bank):
-    folders.save_bank(tmp_path / "banks" / "b.npz", bank)
-    back = folders.load_bank(tmp_path / "banks" / "b.npz")
+    banks.save_bank(tmp_path / "banks" / "b.npz", bank)
+    back = banks.load_bank(tmp_path / "banks" / "b.npz")
     for field in dataclasses.fields(PsfBank):
         ours, theirs = getattr(bank, field.name), getattr(back, field.name)
         if isinstance(ours, np.ndarray):
@@ -222,16 +222,16 @@ def test_bank_comes_back_as_it_was(tmp_path, bank):
 
 def test_damaged_banks_are_refused(tmp_path, bank):
     with pytest.raises(InputError, match=r"b\.npz: no such file; make one with 'dasim calibrate'"):
-        folders.load_bank(tmp_path / "b.npz")
-    folders.save_bank(tmp_path / "b.npz", bank)
+        banks.load_bank(tmp_path / "b.npz")
+    banks.save_bank(tmp_path / "b.npz", bank)
     data = (tmp_path / "b.npz").read_bytes()
     for part in (b"", b"text", data[: len(data) // 2], data[:-10]):
         (tmp_path / "b.npz").write_bytes(part)
         with pytest.raises(InputError, match=r"b\.npz"):
-            folders.load_bank(tmp_path / "b.npz")
+            banks.load_bank(tmp_path / "b.npz")
     np.savez(tmp_path / "b.npz", kernel=bank.kernel)
     with pytest.raises(InputError, match=r"b\.npz"):
-        folders.load_bank(tmp_path / "b.npz")
+        banks.load_bank(tmp_path / "b.npz")
     np.savez(tmp_path / "b.npz", about="[]", kernel=bank.kernel, signature=bank.signature, depth_m=[1], blur_px=[1])
     with pytest.raises(InputError, match=r"b\.npz"):
-        folders.load_bank(tmp_path / "b.npz")
+        banks.load_bank(tmp_path / "b.npz")

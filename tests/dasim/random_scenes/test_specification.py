@@ -13,6 +13,7 @@ import dasim
 from dasim import cli
 from dasim.base.errors import InputError
 from dasim.base.toml import parse
+from dasim.camera import geometry
 from dasim.camera import specification as cameras
 from dasim.camera.specification import Camera
 from dasim.random_scenes.specification import PICTURE_PX, RandomScenes, named
@@ -137,7 +138,7 @@ def test_all_that_is_seen_of_floor_and_walls_lies_within_the_range(drawn):
 
 def background_depth_m(scene: dasim.Scene, camera: Camera | None = None) -> np.ndarray:
     chosen = dasim.focused(camera or small_camera(), scene)
-    matrix = np.linalg.inv(cameras.intrinsic_matrix(chosen))
+    matrix = np.linalg.inv(geometry.intrinsic_matrix(chosen))
     size = (chosen.sensor.width_px, chosen.sensor.height_px)
     x, y = np.meshgrid(*(np.linspace(0, side, 41) for side in size))
     rays = np.stack([x, y, np.ones_like(x)], axis=-1) @ matrix.T
@@ -181,7 +182,7 @@ def test_objects_are_in_view_and_their_blur_spans_the_range(drawn, measured):
     near, far = (value * 1e-2 for value in RandomScenes().depth_cm)
     spans = []
     for scene, found in zip(drawn, measured, strict=True):
-        matrix = cameras.intrinsic_matrix(dasim.focused(small_camera(), scene))
+        matrix = geometry.intrinsic_matrix(dasim.focused(small_camera(), scene))
         pixels = np.array([item.middle for item in found]) @ matrix.T
         depth, pixels = pixels[:, 2], pixels[:, :2] / pixels[:, 2:]
         assert ((pixels > 0) & (pixels < (64, 48))).all(axis=-1).sum() >= 3, scene.name
@@ -212,7 +213,7 @@ def test_lamps_are_out_of_the_picture_and_away_from_all_objects(drawn, measured)
         for light in near_lights(scene):
             place = scenes.world_to_camera(scene)[:3, :3] @ np.multiply(light.position_cm, 1e-2)
             if place[2] > 0:
-                pixel = cameras.intrinsic_matrix(dasim.focused(camera, scene)) @ place
+                pixel = geometry.intrinsic_matrix(dasim.focused(camera, scene)) @ place
                 assert not (np.abs(pixel[:2] / pixel[2] - (32, 24)) < (32, 24)).all(), scene.name
 
 
@@ -230,7 +231,7 @@ def test_lamps_stand_within_the_room(drawn):
 def test_drawn_scenes_pass_the_checks_of_scenes_that_are_read(drawn):
     for scene in drawn[:3]:
         scenes._check(scene, scene.name)
-        scenes.check_clear(scene, cameras.aperture_m(small_camera()) / 2)
+        scenes.check_clear(scene, geometry.aperture_m(small_camera()) / 2)
 
 
 # --- distributions -------------------------------------------------------------------------------

@@ -196,7 +196,7 @@ def test_libraries_are_found_once_by_their_names(tmp_path, monkeypatch):
 
 
 _ACTIVATE = """
-from dasim.errors import InputError
+from dasim.base.errors import InputError
 from dasim.render import backend
 choice = backend.choose()
 backend.activate(choice)

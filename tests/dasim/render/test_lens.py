@@ -7,6 +7,7 @@ import pytest
 
 from dasim.base.errors import InputError
 from dasim.base.toml import parse
+from dasim.camera import radiometry
 from dasim.camera import specification as cameras
 from dasim.camera.specification import Camera
 
@@ -121,8 +122,8 @@ def test_shading_is_cos4_times_the_polynomial(passes, changed, make_scene, loade
     corner = np.mean([expected(y, x) for y in np.arange(-17.5, -13) for x in np.arange(-23.5, -19)])
     middle = np.mean([expected(y, x) for y in np.arange(-1.5, 2) for x in np.arange(-1.5, 2)])
     assert picture[:5, :5].mean() / picture[16:20, 22:26].mean() == pytest.approx(corner / middle, rel=2 * FLAT)
-    crop = cameras.relative_illumination(cameras.cropped(camera, 24, 16))
-    np.testing.assert_allclose(crop, cameras.relative_illumination(camera)[10:26, 12:36], rtol=1e-12)
+    crop = radiometry.relative_illumination(cameras.cropped(camera, 24, 16))
+    np.testing.assert_allclose(crop, radiometry.relative_illumination(camera)[10:26, 12:36], rtol=1e-12)
 
 
 @pytest.mark.parametrize(

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from dasim.camera import geometry
 from dasim.camera import specification as cameras
 from validation.references.radiometry import wall_electrons
 
@@ -99,7 +100,7 @@ def test_blur_has_the_variance_of_a_disc(passes, loaded, make_scene, da_mobile, 
         mean = line @ place
         assert mean == pytest.approx(0, abs=0.05)
         assert line @ place**2 - mean**2 == pytest.approx(expected, rel=MOMENTS)
-    assert blur_px == pytest.approx(used.radius_ratio * cameras.blur_px(camera, depth_cm / 100), rel=1e-9)
+    assert blur_px == pytest.approx(used.radius_ratio * geometry.blur_px(camera, depth_cm / 100), rel=1e-9)
 
 
 def test_seeds_decide_the_bytes(passes, make_scene, loaded, wide):
@@ -120,11 +121,11 @@ def test_seeds_decide_the_bytes(passes, make_scene, loaded, wide):
 _COMPARED = """
 import sys
 import numpy as np
-from dasim import camera as cameras
-from dasim.camera import Camera
-from dasim.specification import parse
+from dasim.base.toml import parse
+from dasim.camera import specification as cameras
+from dasim.camera.specification import Camera
 from dasim.render import backend
-from dasim.scene import Scene
+from dasim.scene.specification import Scene
 backend.activate(backend.choose(sys.argv[1]))
 import mitsuba as mi
 from dasim.render import passes, translate

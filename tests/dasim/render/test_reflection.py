@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dasim.camera import specification as cameras
+from dasim.camera import radiometry
 from dasim.materials import library
 from dasim.materials.library import Coated, Diffuse, Metal, Mixture
 from dasim.spectra.grid import WAVELENGTH_NM
@@ -170,7 +170,9 @@ def test_glass_ball_shows_the_wall_behind_it_the_other_way_round(make_scene, loa
     glass = {"name": "ball", "shape": "sphere", "radius_cm": 3, "position_cm": (0, 0, 20), "material": "glass"}
     camera = wide()
     scene = loaded(make_scene(left, right, glass))
-    rate = passes.pinhole_pass(scene, camera, passes.Sampling(256, 0))[..., 1] / cameras.relative_illumination(camera)
+    rate = passes.pinhole_pass(scene, camera, passes.Sampling(256, 0))[..., 1] / radiometry.relative_illumination(
+        camera
+    )
     beside = rate[16:20, 5:10].mean()  # the wall outside the ball
     assert rate[16:20, 26:28].mean() == pytest.approx(0.92 * beside, rel=0.12)
     assert rate[16:20, 20:22].mean() < 0.25 * beside

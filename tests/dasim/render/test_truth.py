@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import trimesh
 
+from dasim.camera import geometry as camera_geometry
 from dasim.camera import specification as cameras
 
 DEPTH_LIMIT = 1e-4  # relative; rays and shapes are single precision, amplified where they meet at an angle
@@ -304,7 +305,7 @@ def test_boundary_is_as_wide_as_the_blur_of_the_nearer_side(da_mobile):
     from dasim.render import truth
 
     depth = np.where(np.arange(96) < 48, 0.1, 0.4) * np.ones((20, 1))
-    blur = cameras.blur_px(da_mobile, depth)
+    blur = camera_geometry.blur_px(da_mobile, depth)
     found = truth.boundary(blur)
     radius = blur.max() / 2
     assert 9 < radius < 14
@@ -319,7 +320,7 @@ def test_field_of_view_and_matrix_agree(wide):
     from dasim.render import truth
 
     camera = wide(focus_m=0.05)
-    matrix = cameras.intrinsic_matrix(camera)
+    matrix = camera_geometry.intrinsic_matrix(camera)
     edge = np.linalg.inv(matrix) @ [0, camera.sensor.height_px / 2, 1]
     assert truth.field_of_view_deg(camera) == pytest.approx(2 * np.degrees(np.arctan(-edge[0])), rel=1e-9)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from dasim.camera import pointspread
+from dasim.camera import geometry, pointspread, radiometry
 from dasim.camera import specification as cameras
 from dasim.spectra import grid, illuminants
 from dasim.spectra.grid import CHANNELS
@@ -46,7 +46,7 @@ def profiles(camera):
     from dasim.materials import library
 
     light = illuminants.illuminant("D65") * library.reflectance("white-paper")
-    blur = np.array([float(cameras.blur_px(camera, DEPTH_CM / 100))])
+    blur = np.array([float(geometry.blur_px(camera, DEPTH_CM / 100))])
     return pointspread.radial_profiles(camera, blur, light, radius)[0][0], radius
 
 
@@ -65,7 +65,7 @@ def blurs(jit, da_mobile):
 
     found = []
     for stop in da_mobile.stops:
-        density = passes.draw_density(cameras.response(da_mobile), cameras.stop_response(da_mobile, stop))
+        density = passes.draw_density(radiometry.response(da_mobile), radiometry.stop_response(da_mobile, stop))
         found.append((wave.weigher(da_mobile, stop, density, 25.0), density))
     return found
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from dasim.base.toml import parse
-from dasim.camera import pointspread
+from dasim.camera import geometry, pointspread, radiometry
 from dasim.camera import specification as cameras
 from dasim.camera.specification import Camera
 from dasim.materials import library
@@ -62,7 +62,7 @@ def test_weights_average_one(jit, camera_of, shape):
     from dasim.render import passes, wave
 
     camera = camera_of(shape)
-    density = passes.draw_density(cameras.response(camera), cameras.stop_response(camera, camera.stops[0]))
+    density = passes.draw_density(radiometry.response(camera), radiometry.stop_response(camera, camera.stops[0]))
     blur = wave.weigher(camera, camera.stops[0], density, 12.5)
     rng = np.random.default_rng(20)
     wavelength = np.interp(rng.random(COUNT), np.cumsum(density) / np.sum(density), grid.WAVELENGTH_NM)
@@ -113,14 +113,14 @@ def spot(jit, loaded, make_scene, camera_of, lamp):
     def picture(shape: str, side: str, diffraction: str, spp: int):
         focus_m, depth_m = SIDES[side]
         camera = camera_of(shape, focus_m)
-        radius_cm = SOURCE_PX * 1.7e-6 * depth_m / cameras.image_distance_m(camera) * 100
+        radius_cm = SOURCE_PX * 1.7e-6 * depth_m / geometry.image_distance_m(camera) * 100
         disc = {"name": "spot", "shape": "disc", "radius_cm": radius_cm, "position_cm": (0, 0, depth_m * 100)}
         scene = make_scene(disc | {"material": "white-paper"}, lights=[lamp])
         sampling = passes.Sampling(spp, 6)
         rate = passes.stop_pass(
             loaded(scene), camera, camera.stops[0], sampling, diffraction=diffraction, max_blur_px=12.0
         )[..., 1]
-        return rate / rate.sum(), camera, float(cameras.blur_px(camera, depth_m))
+        return rate / rate.sum(), camera, float(geometry.blur_px(camera, depth_m))
 
     return picture
 

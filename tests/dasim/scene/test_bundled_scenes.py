@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import dasim
+from dasim.camera import geometry, radiometry
 from dasim.camera import specification as cameras
 from dasim.materials.surfaces import Diffuse, Mixture
 from dasim.render import truth
@@ -71,7 +72,7 @@ def test_adam_is_in_the_middle_before_a_wall_in_focus(view):
     wall = np.isin(seen.object_id, [numbers[part] for part in ("wall", "poster", "picture")])
     assert wall.mean() > 0.3
     full = cameras.refocused(cameras.load_camera("da-mobile"), scene.focus_cm * 1e-2)
-    blur_px = cameras.blur_px(full, seen.depth_m)
+    blur_px = geometry.blur_px(full, seen.depth_m)
     assert np.abs(blur_px[wall]).max() < 0.1
     assert blur_px[seen.object_id == numbers["skin"]].min() > 5
     assert {light.illuminant for light in scene.lights} == {"energy-saving-3500K"}
@@ -85,8 +86,8 @@ def test_fence_is_thin_and_its_boundaries_are_many(view, loaded):
     seen = truth.geometry(loaded(scene), camera)
     assert truth.boundary(truth.signed_blur_px(seen.depth_m, camera)).mean() > 0.3
     # A wire is about as wide as its blur.
-    wire_px = 0.1e-2 * cameras.image_distance_m(camera) / (0.25 * 1.7e-6)
-    assert 0.5 < cameras.blur_px(camera, 0.25) / wire_px < 2
+    wire_px = 0.1e-2 * geometry.image_distance_m(camera) / (0.25 * 1.7e-6)
+    assert 0.5 < geometry.blur_px(camera, 0.25) / wire_px < 2
 
 
 def _mean_reflectance(surface) -> np.ndarray:
@@ -161,7 +162,7 @@ def test_disk_contrasts_are_those_of_the_inks_spectra(disks):
     from dasim.materials.library import reflectance
 
     scene, camera, _ = disks
-    weight = cameras.response(camera) * scenes.light_spectrum(scene)
+    weight = radiometry.response(camera) * scenes.light_spectrum(scene)
     paper = reflectance("white-paper")
     for ink in ("cyan", "magenta", "yellow"):
         expected = 1 - (weight @ reflectance(f"ink-{ink}")) / (weight @ paper)

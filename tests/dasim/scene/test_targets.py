@@ -8,6 +8,8 @@ import pytest
 import dasim
 from dasim.base.errors import InputError
 from dasim.base.toml import parse
+from dasim.camera import geometry as camera_geometry
+from dasim.camera import radiometry
 from dasim.camera import specification as cameras
 from dasim.camera.pointspread import psf
 from dasim.camera.specification import Camera
@@ -57,7 +59,7 @@ def pinhole(renderer, loaded):
         field = passes.irradiance_field(world, camera, spectrum, 0.0, spp, 0)
         rate = passes.pinhole_pass(world, camera, passes.Sampling(spp, 0), field)
         assert rate.shape[:2] == size[::-1]
-        return rate / integrate(cameras.response(camera) * spectrum / np.pi)
+        return rate / integrate(radiometry.response(camera) * spectrum / np.pi)
 
     return picture
 
@@ -82,7 +84,7 @@ def test_every_level_of_the_staircase_is_at_its_level(far, geometry):
     small = cameras.cropped(far, 8, 8)
     for level in range(cameras.BLUR_LEVELS):
         found = geometry(dasim.load_scene(f"staircase:{level}"), small)
-        blur_px = cameras.blur_px(small, found.depth_m)
+        blur_px = camera_geometry.blur_px(small, found.depth_m)
         np.testing.assert_allclose(0.54 * blur_px, level, atol=LEVEL_LIMIT)  # (1 - alpha) c, sec. 6.1
 
 
@@ -100,7 +102,9 @@ def test_levels_are_those_of_the_camera_that_is_named():
     scene = dasim.load_scene("staircase:14", camera=other)
     focused = dasim.focused(other, scene)
     depth_m = scene.objects[0].position_cm[2] * 1e-2
-    assert cameras.blur_px(focused, depth_m) / cameras.level_blur_px(focused)[1] == pytest.approx(14, rel=1e-9)
+    assert camera_geometry.blur_px(focused, depth_m) / camera_geometry.level_blur_px(focused)[1] == pytest.approx(
+        14, rel=1e-9
+    )
 
 
 def test_texture_has_the_same_size_in_the_picture_at_every_level(far, pinhole):
@@ -120,9 +124,9 @@ def test_board_fills_the_frame_and_what_blur_brings_into_it():
         camera = dasim.load_camera(name)
         board = dasim.load_scene("staircase:28", camera=camera)
         camera = dasim.focused(camera, board)
-        px_per_unit = cameras.image_distance_m(camera) / (camera.sensor.pixel_pitch_um * 1e-6)
+        px_per_unit = camera_geometry.image_distance_m(camera) / (camera.sensor.pixel_pitch_um * 1e-6)
         size_px = np.multiply(board.objects[0].size_cm, px_per_unit / board.objects[0].position_cm[2])
-        reach = margin_px(camera, cameras.level_blur_px(camera)[28])
+        reach = margin_px(camera, camera_geometry.level_blur_px(camera)[28])
         assert (size_px / 2 >= np.array([camera.sensor.width_px, camera.sensor.height_px]) / 2 + reach).all(), name
 
 
@@ -221,9 +225,9 @@ def test_tiles_that_do_not_fit_are_refused(far):
 
 def test_margin_holds_the_widest_kernel(far):
     """Expectation: of a point at level 28, 98 % of the light of every channel lands within the margin of its place."""
-    blur = float(cameras.level_blur_px(far)[28])
+    blur = float(camera_geometry.level_blur_px(far)[28])
     margin = margin_px(far, blur)
-    depth_m = float(cameras.depth_of_blur_m(far, blur))
+    depth_m = float(camera_geometry.depth_of_blur_m(far, blur))
     for channel in ("G", "IR"):
         assert psf(far, depth_m, channel, "D65", size=2 * margin + 1).sum() > 0.98
 
@@ -257,11 +261,11 @@ def test_colour_checker_has_its_patches_in_order_with_their_colours(coarse, pinh
     scene = dasim.load_scene("colour-checker")
     camera = coarse(scene, 8, 64, 48)
     picture, labels = (
-        pinhole(scene, camera, 64) / cameras.relative_illumination(camera)[..., None],
+        pinhole(scene, camera, 64) / radiometry.relative_illumination(camera)[..., None],
         geometry(scene, camera),
     )
-    spectrum = cameras.response(camera) * scenes.light_spectrum(scene)
-    pitch_px = 4.6 / 130 * cameras.image_distance_m(camera) / 1.7e-6 / 8
+    spectrum = radiometry.response(camera) * scenes.light_spectrum(scene)
+    pitch_px = 4.6 / 130 * camera_geometry.image_distance_m(camera) / 1.7e-6 / 8
     for number, patch in enumerate(PATCHES):
         row, column = divmod(number, 6)
         x, y = int(32 + (column - 2.5) * pitch_px), int(24 + (row - 1.5) * pitch_px)
@@ -310,9 +314,9 @@ def test_flat_is_even_to_cos4_over_the_whole_frame(coarse, pinhole):
     """Expectation: at every pixel of the full field of view rho E / pi times the relative illumination."""
     scene = dasim.load_scene("flat")
     camera = coarse(scene, 24, 84, 64)
-    spectrum = cameras.response(camera) * scenes.light_spectrum(scene)
+    spectrum = radiometry.response(camera) * scenes.light_spectrum(scene)
     expected = integrate(spectrum * reflectance("grey-card")) / integrate(spectrum)
-    found = pinhole(scene, camera, 256) / cameras.relative_illumination(camera)[..., None]
+    found = pinhole(scene, camera, 256) / radiometry.relative_illumination(camera)[..., None]
     np.testing.assert_allclose(found, np.broadcast_to(expected, found.shape), rtol=EVEN_LIMIT)
 
 
@@ -320,8 +324,8 @@ def test_flat_is_even_to_cos4_over_the_whole_frame(coarse, pinhole):
 def test_point_is_at_its_level_and_small(far, level):
     hole = targets.point(far, level).lights[0]
     depth_m = hole.position_cm[2] * 1e-2
-    assert 0.54 * cameras.blur_px(far, depth_m) == pytest.approx(level, abs=1e-9)
-    per_pixel_m = depth_m * 1.7e-6 / cameras.image_distance_m(far)
+    assert 0.54 * camera_geometry.blur_px(far, depth_m) == pytest.approx(level, abs=1e-9)
+    per_pixel_m = depth_m * 1.7e-6 / camera_geometry.image_distance_m(far)
     assert 0.4 < 2 * hole.radius_cm * 1e-2 / per_pixel_m < 0.5
 
 
@@ -335,7 +339,7 @@ def test_point_shines_in_the_middle_with_the_light_that_it_says(far, renderer, l
     camera = cameras.cropped(far, 8, 8)
     scene = dasim.load_scene("point:0")
     spp, hole = 65_536, scene.lights[0]
-    radius_px = hole.radius_cm / hole.position_cm[2] * cameras.image_distance_m(far) / 1.7e-6
+    radius_px = hole.radius_cm / hole.position_cm[2] * camera_geometry.image_distance_m(far) / 1.7e-6
     limit = 4 / np.sqrt(spp * np.pi * radius_px**2)
     stop = camera.stops[0]
     rate = passes.stop_pass(
@@ -348,7 +352,7 @@ def test_point_shines_in_the_middle_with_the_light_that_it_says(far, renderer, l
         illuminant="A",
         field=None,
     )
-    seen = integrate(cameras.stop_response(camera, stop) * scenes.light_spectrum(scene))
+    seen = integrate(radiometry.stop_response(camera, stop) * scenes.light_spectrum(scene))
     expected = seen * (hole.position_cm[2] / hole.radius_cm) ** 2 / np.pi * np.pi * radius_px**2
     np.testing.assert_allclose(rate.sum(axis=(0, 1)), expected, rtol=limit)
     assert rate[3:5, 3:5].sum() == pytest.approx(rate.sum(), rel=1e-6)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from dasim.camera import noise
+from dasim.camera import geometry, noise, radiometry
 from dasim.camera import specification as cameras
 from dasim.simulation.calibration import EXPOSURE_S, EXPOSURES, FRAMES, calibration_captures
 from dasim.spectra import grid, illuminants
@@ -42,7 +42,7 @@ def test_each_level_and_position_of_the_mosaic_is_taken_once(da_mobile, pictures
     depths = [pictures[level, (0, 0)].depth_m for level in range(29)]
     assert depths[0] == pytest.approx(da_mobile.lens.focus_distance_m)
     assert (np.diff(depths) < 0).all(), "levels come nearer"
-    for level, blur in enumerate(cameras.level_blur_px(da_mobile)):
+    for level, blur in enumerate(geometry.level_blur_px(da_mobile)):
         picture = pictures[level, (1, 0)]
         assert picture.blur_px == pytest.approx(blur) and picture.light == "A"
         assert picture.frames_dn.shape[0] == FRAMES
@@ -62,7 +62,7 @@ def test_charge_of_the_channels_is_that_of_the_light(da_mobile, pictures):
         total += [values[channels == index].sum() for index in range(4)]
     nm = np.arange(400.0, 830.5, 1.0)
     light = np.interp(nm, grid.WAVELENGTH_NM, illuminants.illuminant("A"))
-    electrons = np.array([np.interp(nm, grid.WAVELENGTH_NM, row) @ light for row in cameras.response(da_mobile)])
+    electrons = np.array([np.interp(nm, grid.WAVELENGTH_NM, row) @ light for row in radiometry.response(da_mobile)])
     np.testing.assert_allclose(total / total[1], electrons / electrons[1], rtol=CHARGE_LIMIT)
 
 

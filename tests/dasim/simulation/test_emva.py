@@ -9,7 +9,7 @@ import tomllib
 import numpy as np
 import pytest
 
-from dasim.camera import datasheet, noise
+from dasim.camera import datasheet, noise, response_curves
 from dasim.camera import specification as cameras
 from dasim.cli import run
 from dasim.simulation import emva
@@ -121,7 +121,7 @@ def test_quantum_efficiency_is_that_of_the_pixel_among_its_neighbours(cases, mea
     88 % of its own electrons and gets 3 % of each neighbour's: red above and below, blue left and right (the mosaic
     is G R over B IR).
     """
-    curves = grid.rgb_ir_quantum_efficiency()
+    curves = response_curves.rgb_ir_quantum_efficiency()
     assert measured("da-mobile").QE == pytest.approx(100 * curves[1].max(), rel=EFFICIENCY_LIMIT)
     model = cases["large"][0].sensor
     passed = curves * grid.short_pass(model.cutoff_nm, model.cutoff_width_nm)

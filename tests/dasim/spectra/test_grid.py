@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy import constants
 
+from dasim.camera import response_curves
 from dasim.spectra import grid
 
 GRID_NM = grid.WAVELENGTH_NM
@@ -38,13 +39,13 @@ def test_near_infrared_crosstalk_is_as_sec_4_4_states():
     their clear pixel (red 0.55-0.59, green 0.19-0.20, blue 0.10 of it); dyes and the loss in the infrared pixel's own
     dye differ between makers, so the fractions may be half to twice those.
     """
-    red, green, blue = grid.ir_crosstalk(grid.rgb_ir_quantum_efficiency())
+    red, green, blue = response_curves.ir_crosstalk(response_curves.rgb_ir_quantum_efficiency())
     assert 0.9 < red < 1.05
     assert 0.05 <= blue <= 0.20
     assert 0.10 <= green <= 0.40
     # A sensor whose red and infrared pixels are alike has exactly 1, and one that is blind there exactly 0.
     made_up = np.stack([np.full(len(GRID_NM), level) for level in (0.3, 0.15, 0.0, 0.3)])
-    np.testing.assert_allclose(grid.ir_crosstalk(made_up), [1.0, 0.5, 0.0], atol=1e-12)
+    np.testing.assert_allclose(response_curves.ir_crosstalk(made_up), [1.0, 0.5, 0.0], atol=1e-12)
 
 
 def test_tails_against_a_measured_sensors(reference):
@@ -59,7 +60,7 @@ def test_tails_against_a_measured_sensors(reference):
     names = ("red", "green", "blue", "clear")
     theirs = [np.interp(GRID_NM[band], measured["wavelength_nm"], measured[name]).sum() for name in names]
     inside = (GRID_NM >= 680) & (GRID_NM <= 810)  # where the infrared dye is fully open
-    curves = grid.rgb_ir_quantum_efficiency()
+    curves = response_curves.rgb_ir_quantum_efficiency()
     clear = curves[3, inside] / 0.95
     ours = curves[:3, inside].sum(axis=1) / clear.sum()
     red, green, blue = ours / (np.array(theirs[:3]) / theirs[3])
@@ -75,7 +76,7 @@ def test_quantum_efficiency_is_one_of_silicon(reference):
     order (red, green, blue).
     """
     measured = reference("sensor_mt9v024_rgbw")
-    ours = grid.rgb_ir_quantum_efficiency()
+    ours = response_curves.rgb_ir_quantum_efficiency()
     assert (ours >= 0).all() and ours.max() < 0.7, "quantum efficiencies of silicon behind dyes"
     assert ours[1].max() == pytest.approx(0.55, abs=0.01), "0.55 in green"
     names = ("red", "green", "blue")

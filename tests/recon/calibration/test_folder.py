@@ -13,7 +13,7 @@ import recon
 from dasim.base.errors import InputError
 from dasim.camera import noise, pointspread
 from dasim.camera import specification as cameras
-from dasim.files.folders import read_png16, write_png16
+from dasim.files.png import read_png16, write_png16
 from dasim.simulation import calibration
 from dasim.spectra import illuminants
 from dasim.values import Capture, PointPicture

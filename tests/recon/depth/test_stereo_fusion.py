@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from dasim.camera import geometry
 from dasim.camera import specification as cameras
 from dasim.scene.specification import world_to_camera
 from dasim.values import Reconstruction
@@ -29,7 +30,7 @@ def camera(da_mobile):
 
 
 def truth(camera, depth_m):
-    level = cameras.blur_px(camera, np.broadcast_to(depth_m, SIZE)) / cameras.level_blur_px(camera)[1]
+    level = geometry.blur_px(camera, np.broadcast_to(depth_m, SIZE)) / geometry.level_blur_px(camera)[1]
     return surfaces.truth(camera, level, np.ones((*SIZE, 4)))
 
 
@@ -81,8 +82,8 @@ def test_a_plane_has_its_distance(camera, depth_m):
 
 def test_both_together_are_nearer_to_the_better_one(camera):
     """Set-up: z = 1 m; stereo is exact, defocus off by a fifth of a level. Expectation: less than defocus's error."""
-    step = float(cameras.level_blur_px(camera)[1])
-    wrong = float(cameras.depth_of_blur_m(camera, cameras.blur_px(camera, 1.0) + 0.2 * step))
+    step = float(geometry.level_blur_px(camera)[1])
+    wrong = float(geometry.depth_of_blur_m(camera, geometry.blur_px(camera, 1.0) + 0.2 * step))
     result = seen(camera, texture(SIZE[1]), wrong)
     both = stereo_fusion.combined_m(result, np.ones(SIZE), 0.06)
     assert np.abs(1 / both - 1).max() < 0.5 * abs(1 / wrong - 1)
@@ -100,8 +101,8 @@ def test_an_unsure_level_refutes_no_match(camera):
     """Set-up: a match three levels from what defocus says. Expectation: the match is refuted by a sure level alone, and
     goes for all where the level is a guess.
     """
-    step = 3 * float(cameras.level_blur_px(camera)[1])
-    matched = np.full(SIZE, float(cameras.depth_of_blur_m(camera, cameras.blur_px(camera, 1.0) + step)))
+    step = 3 * float(geometry.level_blur_px(camera)[1])
+    matched = np.full(SIZE, float(geometry.depth_of_blur_m(camera, geometry.blur_px(camera, 1.0) + step)))
     result = seen(camera, texture(SIZE[1]), 1.0)
     guess = replace(result, confidence=np.zeros(SIZE, np.float32))
     np.testing.assert_allclose(stereo_fusion.combined_m(result, matched, BASELINE_M), 1.0, rtol=1e-6)
@@ -113,9 +114,9 @@ def test_weights_are_those_of_least_variance(camera):
 
     Expectation: both together have the variance 1 / (1/a + 1/b) of the best mean of two, below that of either.
     """
-    per_level = 1 / float(cameras.depth_of_blur_m(camera, cameras.level_blur_px(camera)[1])) - 1 / FOCUS_M
+    per_level = 1 / float(geometry.depth_of_blur_m(camera, geometry.level_blur_px(camera)[1])) - 1 / FOCUS_M
     baseline_m = stereo_fusion.MATCH_PX / (
-        stereo_fusion.LEVEL_SIGMA * per_level * cameras.intrinsic_matrix(camera)[0, 0]
+        stereo_fusion.LEVEL_SIGMA * per_level * geometry.intrinsic_matrix(camera)[0, 0]
     )
     deviation = stereo_fusion.LEVEL_SIGMA * per_level  # of both, with so short a baseline
     random = np.random.default_rng(5)
@@ -152,7 +153,7 @@ def test_figures_compare_where_a_point_is_matched(camera):
     shift = round(float(stereo_fusion.shift_px(camera, BASELINE_M, np.float64(1.0))))
     columns = np.arange(SIZE[1]) + 100
     pair = [seen(camera, wide[:, columns + s], 1 / 1.1) for s in (0, shift)]
-    exact_m = BASELINE_M * cameras.intrinsic_matrix(camera)[0, 0] / shift
+    exact_m = BASELINE_M * geometry.intrinsic_matrix(camera)[0, 0] / shift
     exact = truth(camera, exact_m)
     found = stereo_fusion.figures(pair[0], pair[1], exact, exact, BASELINE_M, 0.4)
     off = abs(1.1 - 1 / exact_m)

@@ -7,7 +7,7 @@ import tifffile
 
 from dasim.base.errors import InputError
 from dasim.camera import specification as cameras
-from dasim.files.folders import write_png16
+from dasim.files.png import write_png16
 from recon.files import raw as raw_files
 
 WIDTH, HEIGHT = 96, 64

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from dasim.camera import noise
-from dasim.camera import specification as cameras
+from dasim.camera import noise, radiometry
 from dasim.spectra import grid as spectra
 from dasim.spectra import illuminants
 from dasim.spectra.colour import exposure_scale, to_srgb
@@ -19,7 +18,7 @@ MEAN_COLOUR_DIFFERENCE = 3.5
 def white_capture(light):
     """A grey ramp with noise under a light, exposed to 80 % of the full well in its brightest channel."""
     camera = recon_scenes.da_mobile(256, 192)
-    signal = spectra.integrate(cameras.response(camera) * illuminants.illuminant(light))
+    signal = spectra.integrate(radiometry.response(camera) * illuminants.illuminant(light))
     ramp = np.linspace(0.1, 0.8, 256)[None, :, None] * np.ones((192, 1, 1))
     raw, _ = noise.expose(noise.mosaic(6000 * ramp * signal / signal.max(), camera), camera.sensor, 0.01, 0)
     return Capture(raw, camera, 0.01, 1.0, 0)
@@ -36,7 +35,7 @@ def test_the_light_of_a_grey_scene_is_found(light):
 @pytest.mark.parametrize("light", ["D65", "A"])
 def test_white_is_kept(light):
     camera = recon_scenes.da_mobile(256, 192)
-    electrons = spectra.integrate(cameras.response(camera) * illuminants.illuminant(light))
+    electrons = spectra.integrate(radiometry.response(camera) * illuminants.illuminant(light))
     visible = electrons[:3] - infrared.crosstalk(camera) * electrons[3]
     linear = colour.colour_matrix(camera, light) @ visible
     np.testing.assert_allclose(linear / linear[1], 1, atol=1e-3)
@@ -52,8 +51,8 @@ def test_colour_checker(light):
     patches = science.SDS_COLOURCHECKERS["ISO 17321-1"].values()
     reflectance = np.stack([np.interp(grid, sd.wavelengths, sd.values) for sd in patches])
     power = illuminants.illuminant(light)
-    electrons = spectra.integrate(reflectance[:, None, :] * cameras.response(camera) * power)
-    white = spectra.integrate(cameras.response(camera) * power)
+    electrons = spectra.integrate(reflectance[:, None, :] * radiometry.response(camera) * power)
+    white = spectra.integrate(radiometry.response(camera) * power)
     visible = (electrons[:, :3] - infrared.crosstalk(camera) * electrons[:, 3:]).astype(np.float32)
     scale = 1 / (white[1] - infrared.crosstalk(camera)[1] * white[3])
     srgb = to_srgb(visible[None], colour.colour_matrix(camera, light), scale)[0]

@@ -8,6 +8,7 @@ import pytest
 import recon
 from dasim.base.errors import InputError
 from dasim.camera import noise as sensor
+from dasim.camera import radiometry, specification
 from dasim.camera import specification as cameras
 from dasim.spectra import grid, illuminants
 from dasim.values import Capture
@@ -37,7 +38,7 @@ def small(name, **changed):
 
 def capture(camera, reflectance, light, *, share=0.8, noise="on", seed=0):
     """A capture of an image of grey [h, w], 1 exposed to ``share`` of the full well in the brightest channel."""
-    signal = grid.integrate(cameras.response(camera) * illuminants.illuminant(light))
+    signal = grid.integrate(radiometry.response(camera) * illuminants.illuminant(light))
     mean_e = share * camera.sensor.full_well_e * reflectance[..., None] * signal / signal.max()
     raw, _ = sensor.expose(sensor.mosaic(mean_e, camera), camera.sensor, TIME_S, seed, noise=noise)
     return Capture(raw, camera, TIME_S, 1.0, seed)
@@ -133,7 +134,7 @@ def near_infrared(camera, share=0.5):
     """An even field under light of equal photons from 650 to 810 nm, through the sensor's filter, as LEDs make it."""
     low, high = grid.NEAR_INFRARED_NM
     band = (grid.WAVELENGTH_NM >= low) & (grid.WAVELENGTH_NM <= high)
-    curves = cameras.quantum_efficiency(camera.sensor)
+    curves = specification.quantum_efficiency(camera.sensor)
     passed = grid.short_pass(camera.sensor.cutoff_nm, camera.sensor.cutoff_width_nm)
     nm = grid.WAVELENGTH_NM[band]
     signal = np.trapezoid((curves * passed)[:, band], nm, axis=-1)

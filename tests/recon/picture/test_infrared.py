@@ -49,7 +49,7 @@ def test_removal_leaves_the_visible_light_of_each_light():
     camera = recon_scenes.da_mobile(512, 384)
     alpha = infrared.crosstalk(camera)
     low = grid.WAVELENGTH_NM < grid.NEAR_INFRARED_NM[0]
-    from dasim.camera.specification import response
+    from dasim.camera.radiometry import response
 
     for light in ("D65", "A"):
         power = response(camera) * illuminants.illuminant(light)

@@ -180,7 +180,7 @@ def test_the_channels_lie_on_each_other(rows, what, shift, monkeypatch):
 
     Half-pixel offsets of the planes would show as 0.5 px. The exact place is known, so that a common shift shows too.
     """
-    monkeypatch.setattr("test_recon_mosaic.POINT", (24.0 + shift[0], 31.0 + shift[1]))
+    monkeypatch.setattr(f"{__name__}.POINT", (24.0 + shift[0], 31.0 + shift[1]))
     picture, place = (blob, place_of_blob) if what == "blob" else (edge, place_of_edge)
     image = picture(*np.indices((48, 64), dtype=float))
     white = np.array([0.8, 1.0, 0.5, 0.3])

@@ -113,9 +113,7 @@ def test_a_wider_aperture_than_the_banks_blurs_further():
     around = np.hypot(*(np.indices((201, 201)) - 100))
     width = []
     for f_number in (lens.f_number, lens.f_number / 2):
-        result = recon.refocus(
-            scene(image, np.full((201, 201), 20.0)), recon_scenes.bank(), depth_of(0.0), f_number
-        )
+        result = recon.refocus(scene(image, np.full((201, 201), 20.0)), recon_scenes.bank(), depth_of(0.0), f_number)
         width.append(np.sum(around * result[..., 1]) / np.sum(result[..., 1]))
     assert width[1] / width[0] == pytest.approx(2, rel=0.05)  # diffraction is a small part of either
 
@@ -192,6 +190,4 @@ def test_a_bank_of_another_focus_is_refused():
     bank = recon_scenes.bank()
     lens = bank.camera.lens.model_copy(update={"focus_distance_m": 1.0})
     with pytest.raises(InputError, match="focused at 1 m"):
-        recon.refocus(
-            edge(0, 0), replace(bank, camera=bank.camera.model_copy(update={"lens": lens})), depth_of(2.0)
-        )
+        recon.refocus(edge(0, 0), replace(bank, camera=bank.camera.model_copy(update={"lens": lens})), depth_of(2.0))

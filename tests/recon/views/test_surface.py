@@ -5,6 +5,7 @@ import pytest
 import trimesh
 
 from dasim.base.errors import InputError
+from dasim.camera import geometry
 from dasim.camera import specification as cameras
 from recon.views import surface
 
@@ -85,9 +86,9 @@ def test_files_read_back(tmp_path):
 def test_the_cameras_matrix_fits(da_mobile):
     """A pixel at the frame's edge lies where the field of view ends: x = z w p / (2 s)."""
     small = cameras.cropped(da_mobile, 64, 48)
-    mesh = surface.surface(picture(), np.full((48, 64), 0.3), cameras.intrinsic_matrix(small))
+    mesh = surface.surface(picture(), np.full((48, 64), 0.3), geometry.intrinsic_matrix(small))
     pitch_m = small.sensor.pixel_pitch_um * 1e-6
-    assert np.ptp(mesh.vertex_m[:, 0]) == pytest.approx(0.3 * 63 * pitch_m / cameras.image_distance_m(small))
+    assert np.ptp(mesh.vertex_m[:, 0]) == pytest.approx(0.3 * 63 * pitch_m / geometry.image_distance_m(small))
 
 
 @pytest.mark.parametrize(("arguments", "said"), [({"stride_px": 0}, "stride of 0"), ({"jump_share": 0.0}, "jump of 0")])

@@ -29,9 +29,10 @@ def verdicts(name: str, run_claim) -> list[bool]:
 @pytest.mark.parametrize("factor", [1.0, 1.05])
 def test_blur_off_by_5_percent_fails(renderer, monkeypatch, factor):
     """Set-up: two blurs, one lens, fewer samples; a lens whose diameter is 5 % too large, or is not."""
+    from dasim.camera import geometry
     from dasim.camera import specification as cameras
 
-    true = cameras.aperture_m
+    true = geometry.aperture_m
     monkeypatch.setattr(cameras, "aperture_m", lambda camera: factor * true(camera))
     monkeypatch.setattr(lens, "LENSES_MM", (3.6,))
     monkeypatch.setattr(lens, "BLUR_OFF_PX", (-5.0, 10.0))
@@ -246,10 +247,11 @@ def test_infrared_half_a_pixel_off_fails(renderer, monkeypatch, shift_px):
 @pytest.mark.parametrize("good", [True, False])
 def test_near_infrared_removed_from_red_fails(monkeypatch, good):
     """Set-up: a sensor whose red pixel is blind beyond 650 nm, as under a common camera's filter."""
+    from dasim.camera import specification
     from dasim.camera import specification as cameras
     from dasim.spectra import grid
 
-    true = cameras.quantum_efficiency
+    true = specification.quantum_efficiency
     seen = np.ones((4, len(grid.WAVELENGTH_NM)))
     seen[0, grid.WAVELENGTH_NM > 650] = 1 if good else 0.01
     monkeypatch.setattr(cameras, "quantum_efficiency", lambda body: true(body) * seen)

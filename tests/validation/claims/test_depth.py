@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from dasim.bounds import cramer_rao
+from dasim.camera import geometry
 from dasim.camera import specification as cameras
 from dasim.simulation import relight
 from dasim.simulation.simulate import Shot
@@ -118,7 +119,7 @@ def test_bound_of_strips_scales_with_noise_and_texture(gravel):
 
 
 def test_level_step_is_that_of_the_camera(da_mobile, gravel):
-    assert gravel.step_px == pytest.approx(float(cameras.level_blur_px(da_mobile)[1]))
+    assert gravel.step_px == pytest.approx(float(geometry.level_blur_px(da_mobile)[1]))
 
 
 # --- balance -------------------------------------------------------------------------------------
@@ -207,7 +208,7 @@ def test_threshold_is_interpolated_where_the_share_passes_it():
 def test_step_of_a_level_is_that_of_the_blur(da_mobile):
     """Far focus, small steps: twice d^2 N p / (2 f^2) a pixel of blur; a level has 1 / (1 - alpha) of it."""
     camera = cameras.refocused(da_mobile, 100.0)
-    by_formula = 2 * resolution.first_order_m(camera, 0.2) / (1 - cameras.hole_ratio(camera)) * 0.01
+    by_formula = 2 * resolution.first_order_m(camera, 0.2) / (1 - geometry.hole_ratio(camera)) * 0.01
     assert steps.step_m(camera, 0.2, 0.01) == pytest.approx(by_formula, rel=0.01)
     assert np.isnan(steps.step_m(camera, 2.0, 3.0))
 
@@ -216,9 +217,9 @@ def test_depth_as_range_is_no_depth(da_mobile):
     """Planes whose places are taken for distances along the ray, 18 degrees off the axis: told wrong."""
     camera = cameras.refocused(da_mobile, 100.0)
     z, oblique = 0.1, 1 / np.cos(np.radians(18))
-    level = np.array([float(cameras.blur_px(camera, d)) for d in (z, z + steps.step_m(camera, z, 0.4))])
-    wrong = np.array([float(cameras.blur_px(camera, d * oblique)) for d in (z, z + steps.step_m(camera, z, 0.4))])
-    step = float(cameras.level_blur_px(camera)[1])
+    level = np.array([float(geometry.blur_px(camera, d)) for d in (z, z + steps.step_m(camera, z, 0.4))])
+    wrong = np.array([float(geometry.blur_px(camera, d * oblique)) for d in (z, z + steps.step_m(camera, z, 0.4))])
+    step = float(geometry.level_blur_px(camera)[1])
     levels = np.where(np.arange(80) < 40, *(wrong / step)) * np.ones((60, 80))
     near = np.broadcast_to(np.arange(80) < 40, levels.shape)
     told = steps.assigned(levels, near, ~near, (level[0] / step, level[1] / step))

@@ -11,10 +11,11 @@ import OpenEXR
 import pytest
 
 from dasim.base.errors import InputError
-from dasim.camera import noise
+from dasim.camera import geometry, noise
 from dasim.camera import specification as cameras
 from dasim.cli import run
-from dasim.files.folders import save_capture, write_png16
+from dasim.files.captures import save_capture
+from dasim.files.png import write_png16
 from dasim.values import Capture, Truth
 from tests.support import surfaces
 from validation.scores import depth as depth_scores
@@ -33,7 +34,7 @@ def camera(da_mobile):
 
 @pytest.fixture(scope="module")
 def step(camera):
-    return float(cameras.level_blur_px(camera)[1])
+    return float(geometry.level_blur_px(camera)[1])
 
 
 def truth(camera, level, boundary=False) -> Truth:
@@ -41,7 +42,7 @@ def truth(camera, level, boundary=False) -> Truth:
 
 
 def at(camera, level):
-    return cameras.depth_of_blur_m(camera, np.asarray(level, float) * cameras.level_blur_px(camera)[1])
+    return geometry.depth_of_blur_m(camera, np.asarray(level, float) * geometry.level_blur_px(camera)[1])
 
 
 def halves(left, right):

@@ -16,6 +16,7 @@ import pytest
 import recon
 from dasim.base.errors import InputError
 from dasim.base.toml import parse
+from dasim.camera import geometry, response_curves
 from dasim.camera import specification as cameras
 from dasim.scene.specification import Scene
 from dasim.simulation.simulate import simulate
@@ -231,7 +232,7 @@ def test_sharpness_is_judged_at_3_to_15_pixels_of_blur(camera):
     blur = np.array([0, 1, 2.9, 3.1, 5, 7, 9, 11, 14.9, 15.1, 20, 30])
     edge = np.zeros(SIZE, bool)
     edge[:, 5] = True
-    exact = truth(camera, blur / cameras.level_blur_px(camera)[1], boundary=edge)
+    exact = truth(camera, blur / geometry.level_blur_px(camera)[1], boundary=edge)
     unjudged = (blur < 3) | (blur > 15)
     unjudged[5] = True
     worse = exact.sharp_e[..., :3] + 100.0 * unjudged[None, :, None].astype(np.float32)
@@ -265,7 +266,7 @@ def test_infrared_free_undoes_the_crosstalk(camera):
     """
     band = (grid.WAVELENGTH_NM >= 650) & (grid.WAVELENGTH_NM <= 810)
     sensor = camera.sensor
-    curves = grid.rgb_ir_quantum_efficiency() * grid.short_pass(sensor.cutoff_nm, sensor.cutoff_width_nm)
+    curves = response_curves.rgb_ir_quantum_efficiency() * grid.short_pass(sensor.cutoff_nm, sensor.cutoff_width_nm)
     seen = np.trapezoid(curves[:, band], grid.WAVELENGTH_NM[band], axis=-1)
     assert (seen[:3] > 0.05 * seen[3]).all(), "the colour pixels see infrared, or this test shows nothing"
     left = infrared_free(seen[None, None], camera)[0, 0]
@@ -355,7 +356,7 @@ def test_measured_bank_is_of_the_camera(bank, camera):
     assert bank.lights == ("D55",) and bank.camera == camera and bank.diffraction == "off"
     assert bank.kernel.shape[:3] == (1, cameras.BLUR_LEVELS, 4)
     np.testing.assert_allclose(bank.kernel.sum(axis=(-1, -2)), 1, atol=ROUNDING)
-    np.testing.assert_allclose(bank.blur_px, cameras.level_blur_px(camera), rtol=1e-6)
+    np.testing.assert_allclose(bank.blur_px, geometry.level_blur_px(camera), rtol=1e-6)
 
 
 def test_cached_bank_is_the_same_without_photographing_again(cache, camera, bank, measured):

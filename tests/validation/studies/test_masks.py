@@ -13,7 +13,7 @@ import pytest
 
 import dasim
 from dasim.bounds import cramer_rao, pupils
-from dasim.camera import pointspread, stops
+from dasim.camera import geometry, pointspread, stops
 from dasim.camera import specification as cameras
 from dasim.cli import run
 from dasim.spectra import illuminants
@@ -77,7 +77,7 @@ def test_a_mask_off_the_axis_has_the_phase_of_the_simulators_kernel(camera: dasi
     mask = np.zeros((cells, cells))
     mask[6:12, 20:28] = 1.0
     masked = masks.camera_with(camera, mask)
-    depth_m = float(cameras.depth_of_blur_m(camera, 14.0))
+    depth_m = float(geometry.depth_of_blur_m(camera, 14.0))
     kernel = pointspread.psf(masked, depth_m, "IR", "D65", size=91)
     expected, _ = cramer_rao.kernel_transfers(np.stack([kernel, kernel])[:, None], [13.0, 14.0], SHAPE, spacing_px=2.0)
     found, _ = pupils.stop_transfers(masked, np.array([14.0]), "D65", SHAPE, spacing_px=SPACING_PX)

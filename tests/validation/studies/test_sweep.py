@@ -14,6 +14,7 @@ import pytest
 
 from dasim.base.errors import InputError
 from dasim.base.executors import Outcome
+from dasim.camera import geometry
 from dasim.camera import specification as cameras
 from dasim.cli import run
 from dasim.scene import specification as scene
@@ -476,7 +477,7 @@ def test_every_design_of_a_study_is_calibrated_at_the_same_blurs(study):
     study.write_text(STUDY.replace("[0.3, 0.46]", "[0.3, 0.9]"))
     spec = load_study(str(study))
     ladders = [
-        cameras.level_blur_px(designs.camera_of(spec, {"camera.stops.hole.radius_ratio": hole})) for hole in (0.3, 0.9)
+        geometry.level_blur_px(designs.camera_of(spec, {"camera.stops.hole.radius_ratio": hole})) for hole in (0.3, 0.9)
     ]
     np.testing.assert_allclose(ladders[0], ladders[1], rtol=1e-12)
     np.testing.assert_allclose(ladders[0], np.arange(29) / 0.54, rtol=1e-12)
@@ -549,11 +550,11 @@ def test_half_a_pixel_is_worth_the_depth_of_fig_13(name, depth_m):
     camera = cameras.cropped(cameras.refocused(cameras.load_camera(name), FAR_M), 64, 48)
     depth = np.full((48, 64), depth_m)
     exact = surfaces.truth(
-        camera, cameras.blur_px(camera, depth) / cameras.level_blur_px(camera)[1], np.ones((48, 64, 4))
+        camera, geometry.blur_px(camera, depth) / geometry.level_blur_px(camera)[1], np.ones((48, 64, 4))
     )
     found = limits(Capture(np.zeros((48, 64), np.uint16), camera, 0.01, 1.0, 0), exact, "D65", 1000.0)
     assert found["half-pixel-m"] == pytest.approx(half_pixel_m(camera, depth_m), rel=FIRST_ORDER)
-    deviation = criteria.camera_bound(camera, cameras.blur_px(camera, depth_m), light="D65", level_lux=1000.0)
+    deviation = criteria.camera_bound(camera, geometry.blur_px(camera, depth_m), light="D65", level_lux=1000.0)
     assert found["depth-bound-m"] == pytest.approx(
         0.6745 * float(deviation[0]) / criteria.dioptre_px(camera) * depth_m**2, rel=1e-4
     )

@@ -23,7 +23,8 @@ from dasim.base import executors
 from dasim.base.cache import cache_dir
 from dasim.base.executors import Outcome
 from dasim.dataset.sample import Job
-from validation.gates.claim import Evidence, Progress
+from dasim.typing import ShareDone
+from validation.gates.claim import Evidence
 from validation.scores.figures import Figure
 
 SIZE_PX = (512, 384)
@@ -49,7 +50,7 @@ print("\\n" + json.dumps(datasets.measured(kind, processes, spec, out, counted))
 """
 
 
-def dataset_speed(progress: Progress) -> Evidence:
+def dataset_speed(progress: ShareDone) -> Evidence:
     """A dataset is made at the speed of the renderer, on all cores, in little memory.
 
     Rationale: training sets have many thousand samples; what is slow or grows beside the rendering is paid for by all.

@@ -17,12 +17,13 @@ from numpy.typing import NDArray
 import dasim
 from dasim.camera.noise import expose
 from dasim.camera.specification import Camera
-from dasim.files.folders import save_bank
+from dasim.files.banks import save_bank
 from dasim.spectra.grid import CHANNELS
+from dasim.typing import ShareDone
 from dasim.values import PsfBank
 from recon import fourier
 from recon.calibration.cached import simulated_bank
-from validation.gates.claim import Evidence, Progress
+from validation.gates.claim import Evidence
 from validation.scores.figures import Figure
 
 BANDS = 8
@@ -56,7 +57,7 @@ print(json.dumps({"s": total, "memory_gb": peak / 1e9, "fft_s": sorted(times)[2]
 """
 
 
-def recon_speed(progress: Progress) -> Evidence:
+def recon_speed(progress: ShareDone) -> Evidence:
     """A capture of 3 Mpx is reconstructed in seconds.
 
     Rationale: captures of real cameras have millions of pixels, and parameters are found by trying.

@@ -11,11 +11,11 @@ import dasim
 from dasim.camera.specification import Camera
 from dasim.scene import specification as scenes
 from dasim.spectra.grid import CHANNELS
-from validation.gates.claim import Evidence, NotRun, Progress
+from dasim.typing import FloatArray, ShareDone
+from validation.gates.claim import Evidence, NotRun
 from validation.reports.plots import CHANNEL_COLOURS, plot
 from validation.scores.figures import Figure
 from validation.subjects import rendering
-from validation.subjects.rendering import FloatArray
 
 SCENE = "desk"
 MAX_BLUR_PX = 30.0  # more than desk's nearest object has
@@ -51,7 +51,7 @@ def desk(size_px: tuple[int, int]) -> tuple[dasim.Scene, Camera]:
     return scene, dasim.focused(dasim.cropped(dasim.load_camera("da-mobile"), *size_px), scene)
 
 
-def noise_slope_off(progress: Progress) -> Evidence:
+def noise_slope_off(progress: ShareDone) -> Evidence:
     """Without diffraction, rendering noise falls faster than with independent samples, in every channel.
 
     Rationale: quiet pictures must be affordable; independent samples give a slope of -0.5 in log-log.
@@ -70,7 +70,7 @@ def noise_slope_off(progress: Progress) -> Evidence:
     return _noise_slope("off", progress)
 
 
-def noise_slope_wave(progress: Progress) -> Evidence:
+def noise_slope_wave(progress: ShareDone) -> Evidence:
     """With wave-true blur, rendering noise falls faster than with independent samples, in every channel.
 
     Rationale: the weights of wave optics must not undo what stratified samples gain.
@@ -87,7 +87,7 @@ def noise_slope_wave(progress: Progress) -> Evidence:
     return _noise_slope("wave", progress)
 
 
-def _noise_slope(model: str, progress: Progress) -> Evidence:
+def _noise_slope(model: str, progress: ShareDone) -> Evidence:
     from dasim.render import passes, translate
 
     scene, camera = desk(SLOPE_SIZE_PX)
@@ -125,7 +125,7 @@ def _slope_plot(count: FloatArray, noise: FloatArray) -> str:
     return plot(draw, size=(5.0, 3.2))
 
 
-def desk_noise(progress: Progress) -> Evidence:
+def desk_noise(progress: ShareDone) -> Evidence:
     """Wave-true blur costs at most three times the noise of geometric blur, and both are quiet at 256 samples.
 
     Rationale: weights of wave optics are paid for in noise; a photon-limited pixel with 1,000 electrons has 3 %.
@@ -165,14 +165,14 @@ def desk_noise(progress: Progress) -> Evidence:
     return Evidence(figures)
 
 
-def render_cost(progress: Progress) -> Evidence:
+def render_cost(progress: ShareDone) -> Evidence:
     """One pass a stop reaches 1 % noise in the near-infrared at a fraction of the naive render's cost.
 
     Rationale: it is why the camera is a sum of passes; a ray that the stop rejects is computed for nothing.
 
     Set-up: the bundled scene ``desk``, central 512 x 384 px, da-mobile, diffraction off, both in one run and one
     process, CPU seconds of all threads with kernels compiled before. Ours: both stops at 36 and 121 samples.
-    Naive (``validation.references.naive_render``): one pass, ``independent`` sampler, four wavelengths a ray spread evenly over 400
+    Naive (``references.naive_render``): one pass, ``independent`` sampler, four wavelengths per ray spread over 400
     to 830 nm, rays over the open lens, the stop tested on each. Noise from
     three seeds (naive: twelve), the median over pixels.
 

@@ -16,10 +16,10 @@ import numpy as np
 import dasim
 from dasim.camera.specification import Camera, channels
 from dasim.scene import specification as scenes
-from validation.gates.claim import Evidence, NotRun, Progress
+from dasim.typing import FloatArray, ShareDone
+from validation.gates.claim import Evidence, NotRun
 from validation.scores.figures import Figure
 from validation.subjects import rendering
-from validation.subjects.rendering import FloatArray
 
 # --- registration --------------------------------------------------------------------------------
 
@@ -31,7 +31,7 @@ GRID_WINDOW_PX = 14
 GRID_SPP = 256
 
 
-def registration(progress: Progress) -> Evidence:
+def registration(progress: ShareDone) -> Evidence:
     """Truth and capture are registered: what lies at a pixel of one lies at the same pixel of the other.
 
     Rationale: half a pixel between truth and capture would pass for a fault of every algorithm that is scored.
@@ -107,7 +107,7 @@ LIGHT_TRACED_SPP = 1024
 LIGHT_BLOCK_PX = 8
 
 
-def interreflection(progress: Progress) -> Evidence:
+def interreflection(progress: ShareDone) -> Evidence:
     """Interpolating the light from all around and between surfaces changes no picture.
 
     Rationale: the renderer traces that light on a grid and interpolates it where it is smooth (irradiance caching,
@@ -194,7 +194,7 @@ print(json.dumps({"first_s": first, "s": seconds, "memory_gb": peak / 1e9, "spp"
 """
 
 
-def scenes_speed(progress: Progress) -> Evidence:
+def scenes_speed(progress: ShareDone) -> Evidence:
     """A bundled scene renders in seconds, and a large mesh loads in a few.
 
     Rationale: data sets are made of thousands of pictures.

@@ -7,15 +7,16 @@ from numpy.typing import NDArray
 
 import dasim
 import recon
-from dasim.camera.specification import intrinsic_matrix
+from dasim.camera.geometry import intrinsic_matrix
 from dasim.simulation.simulate import Shot
+from dasim.typing import BoolArray, ShareDone
 from dasim.values import Reconstruction, Truth
 from recon.calibration.cached import simulated_bank
 from recon.views.surface import surface
 from validation.claims.depth import scenes
-from validation.gates.claim import Evidence, Progress
+from validation.gates.claim import Evidence
 from validation.reports import pictures
-from validation.scores.depth import Mask, balanced_error, level_error
+from validation.scores.depth import balanced_error, level_error
 from validation.scores.figures import Figure
 from validation.scores.score import depth_of_level
 from validation.subjects import rendering
@@ -27,10 +28,8 @@ PAIRS = 200_000  # drawn at random: the share of right ones is known to 0.1 %
 YAWS_DEG = (35.0, -35.0)
 STRIDE_PX = 2  # of the surfaces: the levels' own grid
 
-FloatArray = NDArray[np.float64]
 
-
-def depth_maps(progress: Progress, seed: int = 0) -> Evidence:
+def depth_maps(progress: ShareDone, seed: int = 0) -> Evidence:
     """Regularised depth is smoother than raw depth and no less right, and tells near from far.
 
     Rationale: Fig. 8 shows a raw map that is noisy and has gaps, a regularised one without, and surfaces from aside.
@@ -95,7 +94,7 @@ def judged(name: str, said: str, result: Reconstruction, truth: Truth, seed: int
     ]
 
 
-def in_order(level: NDArray, true: NDArray, where: Mask, seed: int = 0) -> float:
+def in_order(level: NDArray, true: NDArray, where: BoolArray, seed: int = 0) -> float:
     """Share of random pairs of pixels whose true levels are APART_LEVELS apart that a map has in the same order."""
     chosen = np.random.default_rng(seed).choice(np.flatnonzero(where), (2, PAIRS))
     difference = np.diff(true.ravel()[chosen].astype(np.float64), axis=0)[0]
@@ -104,7 +103,7 @@ def in_order(level: NDArray, true: NDArray, where: Mask, seed: int = 0) -> float
     return float(np.mean(difference[apart] * found[apart] > 0)) if apart.any() else float("nan")
 
 
-def roughness(level: NDArray, where: Mask, truth: Truth) -> float:
+def roughness(level: NDArray, where: BoolArray, truth: Truth) -> float:
     """Root mean square step of a map between the neighbouring samples (2 px) of one object, levels."""
     values, own, inside = (a[::2, ::2] for a in (level.astype(np.float64), truth.object_id, where))
     steps = []

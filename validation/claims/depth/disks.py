@@ -11,12 +11,13 @@ import dasim
 import recon
 from dasim.simulation.simulate import Shot
 from dasim.spectra.grid import CHANNELS
+from dasim.typing import BoolArray, ShareDone
 from dasim.values import PsfBank, Reconstruction, Truth
 from recon.calibration.cached import simulated_bank
-from validation.gates.claim import Evidence, Progress
+from validation.gates.claim import Evidence
 from validation.reports import pictures
 from validation.reports.page import png_address
-from validation.scores.depth import Mask, level_error
+from validation.scores.depth import level_error
 from validation.scores.figures import Figure
 from validation.scores.score import depth_of_level
 from validation.subjects import rendering
@@ -34,7 +35,7 @@ OFF = recon.PAPER.model_copy(update={"fallback": False})
 SETTINGS = {"paper": recon.PAPER, "no-fallback": OFF, "bands": recon.PRESETS["bands"]}
 
 
-def yellow_disks(progress: Progress, seed: int = 0) -> Evidence:
+def yellow_disks(progress: ShareDone, seed: int = 0) -> Evidence:
     """Yellow disks on white paper have no edge in near-infrared: depth fails there, and blue in its place misleads.
 
     Rationale: Fig. 9 is the paper's own counter-example; a simulator that does not show it is too kind, and a
@@ -117,7 +118,7 @@ def _radii(bank: PsfBank, light: str, truth: Truth) -> list[Figure]:
     return figures
 
 
-def edge(name: str, truth: Truth) -> Mask:
+def edge(name: str, truth: Truth) -> BoolArray:
     """Pixels within half of RIM_PX of an object's edge."""
     own, around = _grown(name, truth, RIM_PX // 2)
     return around & ~own
@@ -131,14 +132,14 @@ def contrasts(name: str, truth: Truth) -> NDArray[np.float64]:
     return np.asarray((paper - truth.sharp_e[ink].mean(axis=0, dtype=np.float64)) / paper)
 
 
-def _grown(name: str, truth: Truth, by_px: int) -> tuple[Mask, Mask]:
+def _grown(name: str, truth: Truth, by_px: int) -> tuple[BoolArray, BoolArray]:
     """An object's pixels without and with a rim of ``by_px``."""
     own = (truth.object_id == truth.objects.index(name) + 1).astype(np.uint8)
     disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * by_px + 1, 2 * by_px + 1))
     return cv2.erode(own, disc) > 0, cv2.dilate(own, disc) > 0
 
 
-def _off(level: NDArray, truth: Truth, where: Mask) -> float:
+def _off(level: NDArray, truth: Truth, where: BoolArray) -> float:
     """Median absolute error of the raw levels that there are."""
     found = where & np.isfinite(level)
     return float(np.median(np.abs(level_error(level, truth)[found]))) if found.any() else float("nan")

@@ -9,11 +9,10 @@ from numpy.typing import NDArray
 
 import dasim
 from dasim.camera.specification import Camera
-from validation.gates.claim import Evidence, Progress
+from dasim.typing import FloatArray, ShareDone
+from validation.gates.claim import Evidence
 from validation.scores.figures import Figure
 from validation.subjects import rendering
-
-FloatArray = NDArray[np.float64]
 
 SIZE_PX = (256, 192)
 PITCH_UM = 12.0  # of wide pixels: the frame's corner is 27 degrees off the axis, z and range differ by 12 %
@@ -24,7 +23,7 @@ BALL_M = (-0.08, 0.05, 0.5, 0.12)  # x, y, z, radius
 RIM = 0.98  # of the ball's radius: at its very outline single precision decides what a ray meets
 
 
-def ground_truth(progress: Progress) -> Evidence:
+def ground_truth(progress: ShareDone) -> Evidence:
     """Depth is z from the lens, and depth, normals, labels and blur are exact at every pixel.
 
     Rationale: all scores rest on the truth, and its usual errors (range for z, a flipped axis, half a pixel, a blur

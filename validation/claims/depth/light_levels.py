@@ -13,15 +13,14 @@ import recon
 from dasim.scene.specification import load_scene
 from dasim.simulation.relight import exposed, lit_by
 from dasim.simulation.simulate import Shot
+from dasim.typing import FloatArray, ShareDone
 from recon.calibration.cached import simulated_bank
 from recon.settings import DEFAULT
-from validation.gates.claim import Evidence, Progress
+from validation.gates.claim import Evidence
 from validation.reports.plots import plot
 from validation.scores.figures import Figure
 from validation.subjects import rendering
 from validation.subjects.shots import photographed
-
-FloatArray = NDArray[np.float64]
 
 SCENE = "desk"
 SIZE_PX = (256, 192)
@@ -33,7 +32,7 @@ TICKS = (0.2, 0.5, 1, 2, 5, 10)
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7")
 
 
-def light_levels(progress: Progress, seed: int = 0) -> Evidence:
+def light_levels(progress: ShareDone, seed: int = 0) -> Evidence:
     """Depth is found under all four lights, and the error falls with light until the scene itself limits it.
 
     Rationale: sec. 6.2 names outdoor shade, energy-saving lamps and incandescent light; lamps without near-infrared in

@@ -9,9 +9,10 @@ from numpy.typing import NDArray
 import dasim
 import recon
 from dasim.simulation.simulate import Shot
+from dasim.typing import ShareDone
 from dasim.values import Reconstruction
 from recon.calibration.cached import simulated_bank
-from validation.gates.claim import Evidence, Progress
+from validation.gates.claim import Evidence
 from validation.reports import page
 from validation.scores import depth as depth_scores
 from validation.scores.figures import Figure
@@ -25,7 +26,7 @@ PRESETS = ("bands", "paper", "chakrabarti-zickler")  # the first has the limits,
 COLOURS = "turbo"
 
 
-def depth(progress: Progress, seed: int = 0) -> Evidence:
+def depth(progress: ShareDone, seed: int = 0) -> Evidence:
     """On scenes, levels of blur are found to within a level or so, and far better than by any constant map.
 
     Rationale: Fig. 1(b), 8(c,d) and 11(c), measured: the staircase has one texture and no boundaries, scenes have.

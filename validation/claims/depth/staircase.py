@@ -13,21 +13,21 @@ import dasim
 import recon
 from dasim.bounds import cramer_rao
 from dasim.camera import noise as sensor
-from dasim.camera.specification import BLUR_LEVELS, Camera, level_blur_px
+from dasim.camera.geometry import level_blur_px
+from dasim.camera.specification import BLUR_LEVELS, Camera
 from dasim.spectra.grid import CHANNELS
+from dasim.typing import FloatArray, ShareDone
 from dasim.values import Capture
 from recon.calibration.cached import simulated_bank
 from recon.depth import scores
 from recon.picture import mosaic
 from recon.settings import Settings
-from validation.gates.claim import Evidence, Progress
+from validation.gates.claim import Evidence
 from validation.reports.plots import plot
 from validation.scores.figures import Figure
 from validation.subjects import rendering, strips
 from validation.subjects.shots import photographed
 from validation.subjects.strips import Estimates, Noise, Strips
-
-FloatArray = NDArray[np.float64]
 
 LIGHT = "D65"
 TEXTURE = "gravel"  # at every level, and the one that has limits
@@ -58,7 +58,7 @@ SCORES = {
 COLOURS = {"paper": "#0072b2", "likelihood": "#009e73", "chakrabarti-zickler": "#d55e00"}
 
 
-def staircase(progress: Progress, seed: int = 0) -> Evidence:
+def staircase(progress: ShareDone, seed: int = 0) -> Evidence:
     """Levels are estimated without bias, and with hardly more noise than the Cramer-Rao bound, on real textures.
 
     Rationale: the paper's Fig. 10, the measure of its depth estimation; and how much better any estimator could be.
@@ -118,7 +118,7 @@ def staircase(progress: Progress, seed: int = 0) -> Evidence:
     return Evidence(figures, pictures=pictures, tables=tables)
 
 
-def staircase_camera(progress: Progress, seed: int = 0) -> Evidence:
+def staircase_camera(progress: ShareDone, seed: int = 0) -> Evidence:
     """Through the whole camera, levels are estimated better than by the closest prior work.
 
     Rationale: the second half of Fig. 10: a comparison with Chakrabarti and Zickler on equal terms.

@@ -9,19 +9,19 @@ from numpy.typing import NDArray
 
 import dasim
 import recon
+from dasim.camera import geometry
 from dasim.camera import specification as cameras
 from dasim.camera.specification import Camera
 from dasim.scene.targets import depth_steps as steps_scene
+from dasim.typing import ShareDone
 from recon.calibration.cached import simulated_bank
 from recon.settings import DEFAULT_PRESET
 from validation.claims.optics.resolution import first_order_m
-from validation.gates.claim import Evidence, Progress
+from validation.gates.claim import Evidence
 from validation.reports.plots import plot
 from validation.scores.figures import Figure
 from validation.subjects import rendering
 from validation.subjects.shots import photographed
-
-FloatArray = NDArray[np.float64]
 
 FOCUS_M = 100.0  # as scenes/depth-steps.toml proposes
 DEPTHS_CM = {"da-mobile": (10.0, 20.0, 40.0, 80.0), "da-8mm": (40.0, 80.0, 160.0)}  # within each lens's bank
@@ -44,7 +44,7 @@ class Told(NamedTuple):
     textured: float  # share of pixels with a raw level
 
 
-def measured_steps(progress: Progress, seed: int = 0) -> Evidence:
+def measured_steps(progress: ShareDone, seed: int = 0) -> Evidence:
     """Two planes a fraction of a blur level apart are told apart: the paper's method resolves finer than its ladder.
 
     Rationale: Fig. 13 says what levels can tell apart; whether the reconstruction does is another question.
@@ -95,7 +95,7 @@ def measured_steps(progress: Progress, seed: int = 0) -> Evidence:
             ]
             cells += [_cell(levels, measured), _cell(by_order, 100 * step_m(camera, depth_cm / 100, by_order))]
             curves[label] = [one.right for one in found]
-        by_level = half_px / (1 - cameras.hole_ratio(camera))
+        by_level = half_px / (1 - geometry.hole_ratio(camera))
         rows.append([LENSES[name], f"{depth_cm:g}", f"{half_px:.3g}", f"{by_level:.3g}", f"{ladder:.3g}", *cells])
     for preset, all_levels in ratios.items():
         known = np.nan_to_num(all_levels, nan=np.inf)  # none up to the largest step
@@ -115,8 +115,8 @@ def _cell(levels: float, step_cm: float) -> str:
 
 def step_m(camera: Camera, depth_m: float, levels: float) -> float:
     """Distance behind a depth at which blur is so many levels less; NaN beyond the focus."""
-    blur = float(cameras.blur_px(camera, depth_m)) - levels * float(cameras.level_blur_px(camera)[1])
-    return float(cameras.depth_of_blur_m(camera, blur)) - depth_m if blur > 0 else float("nan")
+    blur = float(geometry.blur_px(camera, depth_m)) - levels * float(geometry.level_blur_px(camera)[1])
+    return float(geometry.depth_of_blur_m(camera, blur)) - depth_m if blur > 0 else float("nan")
 
 
 def assigned(level: NDArray, near: NDArray[np.bool_], far: NDArray[np.bool_], known: tuple[float, float]) -> Told:
@@ -155,8 +155,8 @@ def _photographed(camera: Camera, depth_m: float, step: float, seed: int) -> dic
     scene = steps_scene(100 * depth_m, 100 * step_m(camera, depth_m, step))
     shot = photographed(scene, camera, seed, spp=SPP)
     bank = simulated_bank(camera, diffraction=shot.capture.provenance["diffraction"])
-    level_px = float(cameras.level_blur_px(camera)[1])
-    blur = float(cameras.blur_px(camera, depth_m))
+    level_px = float(geometry.level_blur_px(camera)[1])
+    blur = float(geometry.blur_px(camera, depth_m))
     known = (blur / level_px, blur / level_px - step)
     clear = int(np.ceil(blur / 2 + WINDOW_PX / 2))
     x, y = np.meshgrid(np.arange(SIZE_PX[0]), np.arange(SIZE_PX[1]))

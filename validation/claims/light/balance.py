@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 import dasim
 from dasim.bounds import cramer_rao
-from dasim.camera import noise
+from dasim.camera import geometry, noise, radiometry
 from dasim.camera import specification as cameras
 from dasim.camera import stops as aperture
 from dasim.camera.specification import Camera
@@ -17,14 +17,13 @@ from dasim.materials import library
 from dasim.simulation.relight import LONGEST_S
 from dasim.spectra import grid, illuminants
 from dasim.spectra.grid import CHANNELS
+from dasim.typing import FloatArray, ShareDone
 from dasim.values import Capture
 from recon.picture import mosaic
-from validation.gates.claim import Evidence, Progress
+from validation.gates.claim import Evidence
 from validation.reports.plots import plot
 from validation.scores.figures import Figure
 from validation.subjects import rendering, strips
-
-FloatArray = NDArray[np.float64]
 
 ALPHAS = (0.2, 0.3, 0.4, 0.46, 0.5, 0.6, 0.7, 0.8, 0.9)
 PAPERS = 0.46
@@ -38,7 +37,7 @@ TICKS = (0.2, 0.5, 1, 2, 4)  # of the depth error's axis
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7")
 
 
-def balance(progress: Progress) -> Evidence:
+def balance(progress: ShareDone) -> Evidence:
     """A hole of 0.46 gives nearly the depth of the best one, which would be larger in most light.
 
     Rationale: sec. 3.3 wants the hole as large as possible for light and noise, as small as possible for crosstalk and
@@ -109,7 +108,7 @@ def with_hole(camera: Camera, alpha: float) -> Camera:
 def white_electrons(camera: Camera, light: str, level_lux: float) -> tuple[FloatArray, float]:
     """Electrons of white paper in every channel, and the exposure: automatic, up to ``LONGEST_S``."""
     radiance = illuminants.illuminant(light) * level_lux * library.reflectance("white-paper") / np.pi
-    rate = grid.integrate(cameras.response(camera) * radiance)
+    rate = grid.integrate(radiometry.response(camera) * radiance)
     top = noise.Exposure().auto_level * noise.saturation_e(camera.sensor)
     time_s = min(LONGEST_S, float(top / rate.max()))
     return rate * time_s, time_s
@@ -138,7 +137,9 @@ def depth_error(
         gain=(1.0, mean[1] / mean[0]),
         texture="free",
     )
-    per_dioptre = cameras.aperture_m(camera) * cameras.image_distance_m(camera) / (camera.sensor.pixel_pitch_um * 1e-6)
+    per_dioptre = (
+        geometry.aperture_m(camera) * geometry.image_distance_m(camera) / (camera.sensor.pixel_pitch_um * 1e-6)
+    )
     return float(np.sqrt(np.mean(deviation_px**2)) / per_dioptre), float(mean[0] / np.sqrt(variance[0]))
 
 

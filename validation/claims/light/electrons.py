@@ -15,11 +15,11 @@ from dasim.camera.specification import Camera
 from dasim.materials import library
 from dasim.spectra import grid, illuminants
 from dasim.spectra.grid import CHANNELS
-from validation.gates.claim import Evidence, NotRun, Progress
+from dasim.typing import FloatArray, ShareDone
+from validation.gates.claim import Evidence, NotRun
 from validation.references import radiometry
 from validation.scores.figures import Figure
 from validation.subjects import rendering, walls
-from validation.subjects.rendering import FloatArray
 
 FRAME = {"width_px": 16, "height_px": 12}
 SPP = 256
@@ -47,7 +47,7 @@ PLACES = {"middle": (slice(15, 21), slice(21, 27)), "corner": (slice(0, 6), slic
 # --- light loss ----------------------------------------------------------------------------------
 
 
-def light_loss(progress: Progress) -> Evidence:
+def light_loss(progress: ShareDone) -> Evidence:
     """Smaller apertures cost the light that eq. (1) says.
 
     Rationale: how little light is lost is what the paper holds against earlier cameras with coded apertures.
@@ -112,7 +112,7 @@ def _ideal(camera: Camera) -> Camera:
 # --- near-infrared -------------------------------------------------------------------------------
 
 
-def eq8_flat_field(progress: Progress) -> Evidence:
+def eq8_flat_field(progress: ShareDone) -> Evidence:
     """Near-infrared reaches R, G and B in the ratios of eq. (8).
 
     Rationale: the reconstruction takes near-infrared off R, G and B with these coefficients, from curves alone.
@@ -154,7 +154,7 @@ def eq8_flat_field(progress: Progress) -> Evidence:
     return Evidence(figures)
 
 
-def hole_alpha_squared(progress: Progress) -> Evidence:
+def hole_alpha_squared(progress: ShareDone) -> Evidence:
     """The hole passes the square of its radius of the near-infrared light.
 
     Rationale: the near-infrared signal, and with it the noise of depth, stands and falls with the hole's area.
@@ -185,7 +185,7 @@ def hole_alpha_squared(progress: Progress) -> Evidence:
 # --- absolute ------------------------------------------------------------------------------------
 
 
-def absolute_electrons(progress: Progress) -> Evidence:
+def absolute_electrons(progress: ShareDone) -> Evidence:
     """A wall of known lux gives the electrons that follow from the data sheet.
 
     Rationale: exposure time, gain and noise mean what they mean on a camera only if electrons are absolute.

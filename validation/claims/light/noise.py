@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dasim.camera import noise as sensor
 from dasim.camera import specification as cameras
 from dasim.camera.specification import Camera
-from validation.gates.claim import Evidence, Progress
+from dasim.typing import FloatArray, ShareDone
+from validation.gates.claim import Evidence
 from validation.reports.plots import plot
 from validation.scores.figures import Figure
-
-FloatArray = NDArray[np.float64]
 
 GAINS = (1.0, 8.0)  # analogue: photons make most of the noise, and the amplifier a good part
 COLOURS = ("#0072b2", "#d55e00")
@@ -23,7 +21,7 @@ TIME_S = 1e-4  # short: hardly any dark current
 ROUNDING_DN2 = 1 / 12  # variance of rounding to whole numbers
 
 
-def photon_transfer(progress: Progress, seed: int = 0) -> Evidence:
+def photon_transfer(progress: ShareDone, seed: int = 0) -> Evidence:
     """Noise is that of photons, of the amplifier and of rounding, no more and no less.
 
     Rationale: depth, its confidence and every comparison of apertures rest on how noisy the raw numbers are; a factor

@@ -3,23 +3,21 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 import dasim
 from dasim.camera import pointspread
 from dasim.spectra import illuminants
 from dasim.spectra.grid import CHANNELS
+from dasim.typing import FloatArray, ShareDone
 from dasim.values import PsfBank
 from recon.calibration.cached import simulated_bank
-from validation.gates.claim import Evidence, Progress
+from validation.gates.claim import Evidence
 from validation.scores.figures import Figure
-
-FloatArray = NDArray[np.float64]
 
 LEVELS = (0, 1, 2, 4, 8, 14, 20, 28)  # in focus, the strongest change of the pattern, and the largest
 
 
-def bank(progress: Progress) -> Evidence:
+def bank(progress: ShareDone) -> Evidence:
     """Kernels measured from noisy pictures of a point are those of the camera.
 
     Rationale: all that is reconstructed rests on them, and ``recon`` knows them from pictures alone.

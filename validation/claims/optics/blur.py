@@ -9,11 +9,11 @@ from dasim.camera.specification import Camera
 from dasim.materials import library
 from dasim.spectra import illuminants
 from dasim.spectra.grid import CHANNELS
-from validation.gates.claim import Evidence, Progress
+from dasim.typing import FloatArray, ShareDone
+from validation.gates.claim import Evidence
 from validation.reports.plots import CHANNEL_COLOURS, plot
 from validation.scores.figures import Figure
 from validation.subjects import rendering
-from validation.subjects.rendering import FloatArray
 
 BLUR_OFF_PX = (-5.0, 4.0, 6.0, 10.0, 16.0, 24.0)  # visible, negative behind the focus; hole 0.46 of it
 LENSES_MM = (3.6, 8.0)  # sec. 6.2 and Fig. 13
@@ -21,7 +21,7 @@ SOURCE_RADIUS_PX = 1.5
 BLUR_OFF_SPP, BLUR_OFF_SEEDS = 4096, 4
 
 
-def blur_off(progress: Progress) -> Evidence:
+def blur_off(progress: ShareDone) -> Evidence:
     """Without diffraction the blur of a small source has the size of similar triangles, in every channel and axis.
 
     Rationale: depth is read from blur, so its size must be right for each stop, channel, lens and side of the focus.

@@ -4,17 +4,18 @@ from __future__ import annotations
 
 import numpy as np
 
-from dasim.camera import describe, noise, pointspread
+from dasim.camera import describe, geometry, noise, pointspread, radiometry, specification
 from dasim.camera import specification as cameras
 from dasim.camera.specification import Camera
 from dasim.spectra import grid, illuminants
 from dasim.spectra.grid import CHANNELS
+from dasim.typing import FloatArray, ShareDone
 from validation.claims.optics.diffraction import wave_mtf
-from validation.gates.claim import Evidence, Progress
+from validation.gates.claim import Evidence
 from validation.references.transfer import disc_transfer, pixel_transfer
 from validation.reports.plots import CHANNEL_COLOURS, plot
 from validation.scores.figures import Figure
-from validation.subjects.rendering import STOP_RATIOS, FloatArray
+from validation.subjects.rendering import STOP_RATIOS
 
 LIGHT = "D65"
 FIELD_BLURS_PX = np.linspace(-6.0, 24.0, 31)  # visible blur: from behind the focus to well before it
@@ -34,7 +35,7 @@ RANGE_S = 0.01
 CLIPPED_SHARE = 1e-3  # of a channel's pixels
 
 
-def response_curves(progress: Progress) -> Evidence:
+def response_curves(progress: ShareDone) -> Evidence:
     """Each visible channel records part of the near-infrared: red nearly all of what the IR pixel does, green and blue
     less.
 
@@ -53,7 +54,7 @@ def response_curves(progress: Progress) -> Evidence:
     """
     camera = cameras.load_camera("da-mobile")
     body = camera.sensor
-    curves = cameras.quantum_efficiency(body) * grid.short_pass(body.cutoff_nm, body.cutoff_width_nm)
+    curves = specification.quantum_efficiency(body) * grid.short_pass(body.cutoff_nm, body.cutoff_width_nm)
     alpha = describe.crosstalk(camera)
     peak_nm = [float(grid.WAVELENGTH_NM[curve.argmax()]) for curve in curves]
     figures = [
@@ -66,7 +67,7 @@ def response_curves(progress: Progress) -> Evidence:
         Figure("order", float(peak_nm[2] < peak_nm[1] < peak_nm[0] < 650), "1", "1: peaks in order, and visible"),
     ]
     progress(0.5)
-    through = cameras.response(camera) / cameras.response(camera).max()
+    through = radiometry.response(camera) / radiometry.response(camera).max()
 
     def draw(axes):  # type: ignore[no-untyped-def]
         for panel, shown, title in zip(
@@ -85,7 +86,7 @@ def response_curves(progress: Progress) -> Evidence:
     return Evidence(figures, pictures=[(caption, plot(draw, columns=2, size=(4.4, 3.2)))])
 
 
-def depth_of_field(progress: Progress) -> Evidence:
+def depth_of_field(progress: ShareDone) -> Evidence:
     """Near-infrared has the deeper field; near focus, though, diffraction makes it the blurrier channel.
 
     Rationale: Fig. 3 shows a deeper field in IR. Geometry says that IR is never blurrier than green, and the paper
@@ -134,7 +135,7 @@ def depth_of_field(progress: Progress) -> Evidence:
     ]
 
     def draw(axes):  # type: ignore[no-untyped-def]
-        depth_cm = np.array([cameras.depth_of_blur_m(camera, blur) * 100 for blur in FIELD_BLURS_PX])
+        depth_cm = np.array([geometry.depth_of_blur_m(camera, blur) * 100 for blur in FIELD_BLURS_PX])
         for panel, shown, title in zip(axes, (geometric, wave), ("geometric", "wave-true"), strict=True):
             for channel, name in enumerate(CHANNELS):
                 panel.plot(depth_cm, shown[:, channel, place], color=CHANNEL_COLOURS[name], label=name)
@@ -149,7 +150,7 @@ def depth_of_field(progress: Progress) -> Evidence:
     return Evidence(figures, pictures=[(caption, plot(draw, columns=2, size=(4.4, 3.2)))], tables=[table])
 
 
-def kernels(progress: Progress) -> Evidence:
+def kernels(progress: ShareDone) -> Evidence:
     """A visible kernel is the open lens's and, within it, the small one of the hole; under lamplight mostly in red.
 
     Rationale: crosstalk makes a visible kernel the sum of both apertures' blurs, in shares that depend on the light
@@ -168,13 +169,13 @@ def kernels(progress: Progress) -> Evidence:
     """
     camera, twin = (cameras.load_camera(name) for name in RANGE_CAMERAS)
     spectrum = illuminants.illuminant(KERNEL_LIGHT)
-    signal = grid.integrate(cameras.response(camera) * spectrum)
-    near = grid.integrate(cameras.response(camera) * spectrum * (grid.WAVELENGTH_NM >= grid.NEAR_INFRARED_NM[0]))
+    signal = grid.integrate(radiometry.response(camera) * spectrum)
+    near = grid.integrate(radiometry.response(camera) * spectrum * (grid.WAVELENGTH_NM >= grid.NEAR_INFRARED_NM[0]))
     expected = near / signal
     found = np.empty((len(KERNEL_LEVELS), 3))
     tiles = []
     for row, level in enumerate(KERNEL_LEVELS):
-        blur = float(cameras.level_blur_px(camera)[level])
+        blur = float(geometry.level_blur_px(camera)[level])
         size = 2 * int(np.ceil(blur)) + 41
         both, alone = (
             pointspread.kernels(body, [blur], spectrum, size, "wave")(0, (0.0, 0.0), ...)[0] for body in (camera, twin)
@@ -212,7 +213,7 @@ def _kernel_row(tile: FloatArray) -> str:
     return plot(draw, columns=4, size=(1.8, 2.0))
 
 
-def dynamic_range(progress: Progress) -> Evidence:
+def dynamic_range(progress: ShareDone) -> Evidence:
     """Near-infrared takes dynamic range from the visible channels, from red most, and only under lights rich in it.
 
     Rationale: what a channel records of the near-infrared fills its well and is subtracted afterwards.
@@ -242,7 +243,7 @@ def dynamic_range(progress: Progress) -> Evidence:
         measured = np.array([_headroom_and_floor(camera, spectrum, alpha) for camera in cams])  # [camera, 2, 3]
         loss = 20 * np.log10(measured[1, 0] / measured[0, 0])
         rise = 20 * np.log10(measured[0, 1] / measured[1, 1])
-        signal = grid.integrate(cameras.response(cams[0]) * spectrum)
+        signal = grid.integrate(radiometry.response(cams[0]) * spectrum)
         share = alpha * signal[3] / signal[:3]
         shares.append(float(signal[3] / signal[1]))
         losses[index] = loss
@@ -288,7 +289,7 @@ def _headroom_and_floor(camera: Camera, spectrum: FloatArray, alpha: FloatArray)
     body = camera.sensor.model_copy(update={"width_px": width, "height_px": height})
     cropped = camera.model_copy(update={"sensor": body})
     names = cameras.channels(body)
-    signal = grid.integrate(cameras.response(cropped) * spectrum)
+    signal = grid.integrate(radiometry.response(cropped) * spectrum)
     places = cameras.mosaic_channels(cropped)
     infrared = alpha if "IR" in names else np.zeros(3)
 
@@ -341,6 +342,6 @@ def _zero(x: FloatArray, y: FloatArray) -> float:
 
 def _geometric_mtf(camera: Camera, blur_px: float, spectrum: FloatArray, frequency: FloatArray) -> FloatArray:
     """The same of uniform discs, one a stop in the shares of its electrons, times the pixel."""
-    signal = np.stack([grid.integrate(cameras.stop_response(camera, stop) * spectrum) for stop in camera.stops])
+    signal = np.stack([grid.integrate(radiometry.stop_response(camera, stop) * spectrum) for stop in camera.stops])
     discs = np.stack([disc_transfer(ratio * abs(blur_px) * frequency) for ratio in STOP_RATIOS])
     return np.einsum("sc,sf->cf", signal / signal.sum(axis=0), discs) * pixel_transfer(frequency, 0.0)

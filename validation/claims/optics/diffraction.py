@@ -8,19 +8,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 import dasim
-from dasim.camera import pointspread
+from dasim.camera import geometry, pointspread, radiometry
 from dasim.camera import specification as cameras
 from dasim.camera.specification import Camera
 from dasim.materials import library
 from dasim.spectra import grid, illuminants
 from dasim.spectra.grid import CHANNELS
-from validation.gates.claim import Evidence, Progress
+from dasim.typing import FloatArray, ShareDone
+from validation.gates.claim import Evidence
 from validation.references import transfer
 from validation.references.sfr import slanted_edge_sfr, windowed_response
 from validation.reports.plots import CHANNEL_COLOURS, plot
 from validation.scores.figures import Figure
 from validation.subjects import rendering
-from validation.subjects.rendering import FloatArray
 
 # The hole's own blur is 0.46 of these: the last, 8 px, is where geometry is most wrong about the near-infrared.
 SFR_BLUR_PX = (0.0, 2.0, 5.0, 10.0, 17.4, -5.0)
@@ -41,7 +41,7 @@ SOURCE_RADIUS_PX = 2.0
 FINE = 4  # places a pixel and axis at which the kernel is spread over the source
 
 
-def wave_sfr(progress: Progress) -> Evidence:
+def wave_sfr(progress: ShareDone) -> Evidence:
     """Path-traced slanted edges have the frequency response of wave optics, from focus to a blur of 17 px.
 
     Rationale: the near-infrared picture is decided by diffraction; a product of blur disc and Airy pattern would
@@ -135,7 +135,7 @@ def wave_mtf(
     total, signal = np.zeros((4, len(frequency))), np.zeros(4)
     for stop, ratio in zip(camera.stops, rendering.STOP_RATIOS, strict=True):
         f_number = image_mm * lens.f_number / (ratio * lens.focal_length_mm)
-        weights = cameras.stop_response(camera, stop) * spectrum
+        weights = radiometry.stop_response(camera, stop) * spectrum
         used = np.flatnonzero((weights > 1e-6 * weights.max(axis=1, keepdims=True)).any(axis=0))
         for index in used[:: MTF_NM // int(grid.WAVELENGTH_STEP_NM)]:
             scale_px = grid.WAVELENGTH_NM[index] * 1e-3 * f_number / pitch_um
@@ -161,7 +161,7 @@ def _sfr_plot(part: NDArray[np.int_], mean: FloatArray, expected: FloatArray) ->
 # --- small sources -------------------------------------------------------------------------------
 
 
-def wave_energy(progress: Progress) -> Evidence:
+def wave_energy(progress: ShareDone) -> Evidence:
     """Path-traced small sources spread their light as ``dasim.psf`` says.
 
     Rationale: reconstruction is calibrated with ``dasim.psf``; renders must have the same kernels, tails included.
@@ -266,12 +266,12 @@ def _energy_plot(found: FloatArray, expected: FloatArray) -> str:
 # --- the approximation of scalar_spectral --------------------------------------------------------
 
 
-def airy_table(progress: Progress) -> Evidence:
+def airy_table(progress: ShareDone) -> Evidence:
     """What the approximation ``airy`` (blur disc convolved with the in-focus Airy pattern) is off by, at every level.
 
     Rationale: ``scalar_spectral`` renders ``airy``; who uses it should know by how much it is wrong.
 
-    Set-up: the radial kernels of both models from ``dasim.camera.pointspread`` for da-mobile under D65, the 29 blur levels,
+    Set-up: the radial kernels of both models (``camera.pointspread``) for da-mobile under D65, the 29 blur levels,
     four channels.
 
     Expectation: for each level and channel the largest difference of encircled energy over all radii, and of MTF
@@ -290,7 +290,7 @@ def airy_table(progress: Progress) -> Evidence:
             meaning = f"{letter}: largest error of {what} over all levels (at level {level})"
             figures.append(Figure(f"{name}.{letter}", float(errors[level, channel]), "1", meaning))
     head = ["level", "visible blur in px", *(f"{what} {name}" for what in ("energy", "MTF") for name in CHANNELS)]
-    blurs = cameras.level_blur_px(camera)
+    blurs = geometry.level_blur_px(camera)
     rows = [
         [str(level), f"{blurs[level]:.2f}", *(f"{value:.3f}" for value in (*energy[level], *mtf[level]))]
         for level in range(len(blurs))

@@ -7,17 +7,18 @@ from numpy.typing import NDArray
 from scipy.stats import t as student
 
 import dasim
+from dasim.camera import radiometry
 from dasim.camera import specification as cameras
 from dasim.camera.specification import Camera
 from dasim.materials import library
 from dasim.spectra import illuminants
 from dasim.spectra.grid import CHANNELS
-from validation.gates.claim import Evidence, Progress
+from dasim.typing import FloatArray, ShareDone
+from validation.gates.claim import Evidence
 from validation.references import transfer
 from validation.reports.plots import plot
 from validation.scores.figures import Figure
 from validation.subjects import rendering
-from validation.subjects.rendering import FloatArray
 
 # Pixels so large that lambda N is 0.03 of one, and a lens long enough for several pixels of blur all the same.
 PITCH_UM, FOCAL_MM, FOCUS_M = 50.0, 12.0, 0.4
@@ -33,7 +34,7 @@ QUADRATURE = 40_000  # points a pixel over pixel area x pupil disc
 LAMP_CM, LAMP_TARGET_CM, LAMP_RADIUS_CM = (600.0, 0.0, -2000.0), (0.0, 0.0, 40.0), 20.0
 
 
-def occluding_edge(progress: Progress) -> Evidence:
+def occluding_edge(progress: ShareDone) -> Evidence:
     """A near edge over far stripes looks as a brute-force integral over pixel and pupil says.
 
     Rationale: at depth steps, light of the far plane is cut by the near one pupil point by pupil point; a blur by
@@ -158,7 +159,9 @@ def reference_picture(camera: Camera) -> tuple[FloatArray, FloatArray, NDArray[n
     """The brute-force picture (white far paper is 1), one by blurred layers, pixels that see both, quadrature error."""
     from dasim.spectra import grid
 
-    light = illuminants.illuminant("D65") * cameras.stop_response(camera, camera.stops[STOP])[CHANNELS.index(CHANNEL)]
+    light = (
+        illuminants.illuminant("D65") * radiometry.stop_response(camera, camera.stops[STOP])[CHANNELS.index(CHANNEL)]
+    )
     bright, dark, near = (grid.integrate(light * library.reflectance(m)) for m in (BRIGHT, DARK, NEAR))
     image_m = 1 / (1 / (FOCAL_MM * 1e-3) - 1 / FOCUS_M)
     pixel = PITCH_UM * 1e-6 / image_m  # of the picture at 1 m

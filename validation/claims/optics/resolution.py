@@ -5,9 +5,11 @@ from __future__ import annotations
 import numpy as np
 from scipy.optimize import brentq
 
+from dasim.camera import geometry
 from dasim.camera import specification as cameras
 from dasim.camera.specification import BLUR_LEVELS, Camera
-from validation.gates.claim import Evidence, Progress
+from dasim.typing import ShareDone
+from validation.gates.claim import Evidence
 from validation.reports.plots import plot
 from validation.scores.figures import Figure
 
@@ -20,7 +22,7 @@ PAPERS_AXIS_CM = 14.75  # the highest number on Fig. 13's axis
 COLOURS = ("#0072b2", "#d55e00")
 
 
-def depth_resolution(progress: Progress) -> Evidence:
+def depth_resolution(progress: ShareDone) -> Evidence:
     """Half a pixel of blur is worth the depth of Fig. 13, and 5 cm to 2 m is a ladder of 29 levels.
 
     Rationale: what a design can tell apart follows from its blur circles; the figure is the paper's summary of both
@@ -48,7 +50,7 @@ def depth_resolution(progress: Progress) -> Evidence:
         for depth_cm in DEPTHS_CM:
             found, expected = 100 * half_pixel_m(camera, depth_cm / 100), 100 * first_order_m(camera, depth_cm / 100)
             worst = max(worst, abs(found * (1 - (expected / depth_cm) ** 2) / expected - 1))
-            by_level = expected / (1 - cameras.hole_ratio(camera))
+            by_level = expected / (1 - geometry.hole_ratio(camera))
             rows.append([lens, f"{depth_cm}", f"{found:.3f}", f"{expected:.3f}", f"{by_level:.3f}"])
             figures.append(
                 Figure(f"{lens}.{depth_cm}cm", found, "cm", f"half a pixel of blur at {depth_cm} cm, {lens}")
@@ -56,7 +58,7 @@ def depth_resolution(progress: Progress) -> Evidence:
         curves[lens] = np.array([100 * first_order_m(camera, depth / 100) for depth in grid_cm])
         progress((number + 1) / len(LENSES))
     camera = cameras.refocused(cameras.load_camera(LENSES["3.6mm"]), LADDER_FOCUS_M)
-    span = (1 - cameras.hole_ratio(camera)) * float(cameras.blur_px(camera, NEAREST_M))
+    span = (1 - geometry.hole_ratio(camera)) * float(geometry.blur_px(camera, NEAREST_M))
     long_lens = cameras.load_camera(LENSES["8mm"])
     focal_m = long_lens.lens.focal_length_mm * 1e-3
     axis_cm = 100 * first_order_m(long_lens, 2.0) * ((2.0 - focal_m) / 2.0) ** 2
@@ -65,8 +67,8 @@ def depth_resolution(progress: Progress) -> Evidence:
         Figure("papers-axis", axis_cm, "cm", f"8 mm lens at 2 m from the front focal plane; paper: {PAPERS_AXIS_CM}"),
         Figure("ladder-span", span, "px", "(1 - alpha) c from 2 m to 5 cm, 3.6 mm lens"),
     ]
-    levels = cameras.level_blur_px(camera)
-    ladder_cm = 100 * np.asarray(cameras.depth_of_blur_m(camera, levels))
+    levels = geometry.level_blur_px(camera)
+    ladder_cm = 100 * np.asarray(geometry.depth_of_blur_m(camera, levels))
 
     def draw(axes):  # type: ignore[no-untyped-def]
         for colour, (lens, curve) in zip(COLOURS, curves.items(), strict=True):
@@ -88,10 +90,10 @@ def half_pixel_m(camera: Camera, depth_m: float) -> float:
 
     def at(blur_px: float) -> float:
         return float(
-            brentq(lambda d: float(cameras.blur_px(camera, d)) - blur_px, depth_m / 5, depth_m * 50, xtol=1e-9)
+            brentq(lambda d: float(geometry.blur_px(camera, d)) - blur_px, depth_m / 5, depth_m * 50, xtol=1e-9)
         )
 
-    blur = float(cameras.blur_px(camera, depth_m))
+    blur = float(geometry.blur_px(camera, depth_m))
     return (at(blur - 0.5) - at(blur + 0.5)) / 2
 
 

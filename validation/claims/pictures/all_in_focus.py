@@ -8,15 +8,17 @@ from numpy.typing import NDArray
 
 import dasim
 import recon
+from dasim.camera import geometry
 from dasim.camera import specification as cameras
 from dasim.camera.noise import Exposure
 from dasim.camera.specification import Camera
 from dasim.simulation.simulate import Shot
 from dasim.spectra.colour import exposure_scale, to_srgb
+from dasim.typing import BoolArray, FloatArray, ShareDone
 from dasim.values import PsfBank, Reconstruction, Truth
 from recon.calibration.cached import simulated_bank
 from recon.picture import colour, infrared
-from validation.gates.claim import Evidence, Progress
+from validation.gates.claim import Evidence
 from validation.reports.page import png_address
 from validation.scores import pictures as picture_scores
 from validation.scores.figures import Figure
@@ -36,9 +38,6 @@ FOCUSED_SPP = 64  # of the pictures that refocusing is compared with: their nois
 REFERENCE_SEED = 1000  # other samples than those of any capture
 LEAST_PX = 1000  # of an object away from boundaries, for the focus to be set on it
 
-FloatArray = NDArray[np.float64]
-Mask = NDArray[np.bool_]
-
 
 def _shot(name: str, seed: int) -> tuple[Shot, PsfBank]:
     """A bundled scene with its own focus, central part of the frame, with sensor noise; and the camera's bank."""
@@ -48,7 +47,7 @@ def _shot(name: str, seed: int) -> tuple[Shot, PsfBank]:
     return photographed(scene, camera, seed, spp=SHARP_SPP), simulated_bank(camera)
 
 
-def all_in_focus(progress: Progress, seed: int = 0) -> Evidence:
+def all_in_focus(progress: ShareDone, seed: int = 0) -> Evidence:
     """The all-in-focus picture is nearer to the sharp truth than the capture is, at every blur.
 
     Rationale: deconvolution by a kernel that depth has told must not only look sharp, it must be right.
@@ -86,7 +85,7 @@ def gains(name: str, result: Reconstruction, truth: Truth) -> tuple[list[Figure]
     exact = infrared_free(truth.sharp_e, result.camera)
     blur, inner = np.abs(truth.blur_px), truth.valid & ~truth.boundary
 
-    def measured(where: Mask) -> tuple[float, float]:
+    def measured(where: BoolArray) -> tuple[float, float]:
         return psnr(result.linear_e, exact, where), psnr(result.sharp_e, exact, where)
 
     figures, rows, losses = [], [], []
@@ -109,7 +108,7 @@ def gains(name: str, result: Reconstruction, truth: Truth) -> tuple[list[Figure]
     return figures, rows
 
 
-def refocus(progress: Progress, seed: int = 0) -> Evidence:
+def refocus(progress: ShareDone, seed: int = 0) -> Evidence:
     """Refocused after the shot, a picture looks as the same lens would have taken it, focused there.
 
     Rationale: the paper shows refocused pictures (Fig. 1, 11); here the lens can be focused anew and compared.
@@ -143,9 +142,7 @@ def refocus(progress: Progress, seed: int = 0) -> Evidence:
         exact, seen = _without_breathing(taken.truth, there, camera)
         mask = inner & seen
         scale = exposure_scale(exact[mask][None].astype(np.float32), matrix)
-        pair = [
-            to_srgb(e.astype(np.float32), matrix, scale) for e in (exact, recon.refocus(result, bank, depth_m))
-        ]
+        pair = [to_srgb(e.astype(np.float32), matrix, scale) for e in (exact, recon.refocus(result, bank, depth_m))]
         for what, where, text in (("", mask, "all pixels"), ("-object", mask & own, "the object itself")):
             level, likeness = _likeness(pair[1], pair[0], where)
             text = f"focused on the {name}, {100 * depth_m:.1f} cm, {text}"
@@ -157,9 +154,9 @@ def refocus(progress: Progress, seed: int = 0) -> Evidence:
     return Evidence(figures, pictures=pictures)
 
 
-def _without_breathing(truth: Truth, there: Camera, camera: Camera) -> tuple[FloatArray, Mask]:
+def _without_breathing(truth: Truth, there: Camera, camera: Camera) -> tuple[FloatArray, BoolArray]:
     """The lens's own picture without infrared at the magnification of another focus, and where it holds, [h, w]."""
-    ratio = cameras.image_distance_m(there) / cameras.image_distance_m(camera)
+    ratio = geometry.image_distance_m(there) / geometry.image_distance_m(camera)
     height, width = truth.boundary.shape
     x, y = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
     place = [(((p - n / 2) * ratio + n / 2) - 0.5).astype(np.float32) for p, n in ((x, width), (y, height))]
@@ -170,7 +167,7 @@ def _without_breathing(truth: Truth, there: Camera, camera: Camera) -> tuple[Flo
     return np.asarray(moved, np.float64), np.asarray(seen) == 1
 
 
-def _likeness(image: NDArray, exact: NDArray, where: Mask) -> tuple[float, float]:
+def _likeness(image: NDArray, exact: NDArray, where: BoolArray) -> tuple[float, float]:
     """PSNR in dB and mean SSIM of display values over masked pixels; NaN where there are none."""
     if not where.any():
         return float("nan"), float("nan")

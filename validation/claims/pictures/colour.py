@@ -13,12 +13,12 @@ from dasim.scene.specification import Scene
 from dasim.simulation.simulate import Shot
 from dasim.spectra import colour_checker, grid, illuminants
 from dasim.spectra.colour import to_srgb
+from dasim.typing import FloatArray, ShareDone
 from dasim.values import Developed
-from validation.gates.claim import Evidence, Progress
+from validation.gates.claim import Evidence
 from validation.reports.pictures import photo_address
 from validation.scores.figures import Figure
 from validation.subjects import rendering
-from validation.subjects.rendering import FloatArray
 from validation.subjects.shots import photographed
 
 CHECKER_SIZE_PX = (512, 384)
@@ -30,7 +30,7 @@ RIM_PX = 9  # of a patch, left out: blur and demosaicing mix neighbours there
 NEUTRALS = tuple(f"checker-{name}" for name in ("white", "neutral-8", "neutral-6.5", "neutral-5", "neutral-3.5"))
 
 
-def colour(progress: Progress, seed: int = 0) -> Evidence:
+def colour(progress: ShareDone, seed: int = 0) -> Evidence:
     """The picture of the ColorChecker has its colours.
 
     Rationale: near-infrared in red, green and blue, and a white point found by itself, must not show as a cast.

@@ -12,14 +12,14 @@ import recon
 from dasim.simulation.simulate import Shot
 from dasim.spectra.colour import exposure_scale, to_srgb
 from dasim.spectra.grid import LUMINANCE
+from dasim.typing import BoolArray, FloatArray, ShareDone
 from dasim.values import PsfBank, Reconstruction, Truth
 from recon.calibration.cached import simulated_bank
 from recon.picture import colour, infrared
 from recon.views import anaglyph as stereo
 from validation.claims.depth import scenes
-from validation.gates.claim import Evidence, Pair, Progress, Table
+from validation.gates.claim import Evidence, Pair, Table
 from validation.reports import pictures
-from validation.scores.depth import Mask
 from validation.scores.figures import Figure
 from validation.scores.pictures import infrared_free
 from validation.subjects import rendering
@@ -37,10 +37,8 @@ PATCH_SIGMA_PX, SHADING_SIGMA_PX = 5.0, 6.0  # of the blocks that are matched, a
 LEAST_PX = 2000  # of an object in the table
 MATCHED = 0.9  # correlation between red of one eye and green of the other that makes a match
 
-FloatArray = NDArray[np.float64]
 
-
-def scene_pictures(progress: Progress, seed: int = 0) -> Evidence:
+def scene_pictures(progress: ShareDone, seed: int = 0) -> Evidence:
     """All in focus has steeper edges, refocused is sharpest where it was focused, and two eyes see the depth.
 
     Rationale: these pictures are what the camera is for. Claims ``all-in-focus`` and ``refocus`` compare them with the
@@ -121,7 +119,7 @@ def edges(name: str, result: Reconstruction, truth: Truth) -> list[Figure]:
     ]
 
 
-def slope(found: FloatArray, exact: FloatArray, where: Mask) -> float:
+def slope(found: FloatArray, exact: FloatArray, where: BoolArray) -> float:
     """Regression of gradients [2, h, w] on exact ones, at the steepest of these within a mask [h, w]."""
     steep = np.hypot(*exact)
     edge = where & (steep >= np.quantile(steep[where], 1 - EDGE_SHARE))

@@ -15,13 +15,13 @@ from dasim.camera.noise import Exposure
 from dasim.simulation.simulate import Shot
 from dasim.spectra.colour import exposure_scale, to_srgb
 from dasim.spectra.grid import LUMINANCE
+from dasim.typing import BoolArray, FloatArray, ShareDone
 from dasim.values import Developed
 from recon.picture import colour
 from validation.claims.depth import scenes
 from validation.claims.pictures.scene_pictures import gradients, slope
-from validation.gates.claim import Evidence, Pair, Progress
+from validation.gates.claim import Evidence, Pair
 from validation.reports.pictures import photo_address
-from validation.scores.depth import Mask
 from validation.scores.figures import Figure
 from validation.scores.pictures import infrared_free
 from validation.subjects import rendering
@@ -34,10 +34,8 @@ FOCUS_PX = 1.5  # visible blur up to which a pixel is in focus
 OTHER_SENSOR = 1000  # on the seed
 DARKEST = 0.02  # of the display's white: below it, neither eye nor display shows a colour
 
-FloatArray = NDArray[np.float64]
 
-
-def two_cameras(progress: Progress, seed: int = 0) -> Evidence:
+def two_cameras(progress: ShareDone, seed: int = 0) -> Evidence:
     """The dual-aperture camera has the colours of its Bayer twin on real scenes, and about its noise and detail.
 
     Rationale: Fig. 6 and sec. 4.5: a green pixel given to infrared, and infrared taken off red, green and blue, must
@@ -135,7 +133,7 @@ def noises(name: str, shots: dict[str, Shot], developed: dict[str, Developed]) -
     return figures
 
 
-def differences(image: NDArray, other: NDArray, where: Mask) -> FloatArray:
+def differences(image: NDArray, other: NDArray, where: BoolArray) -> FloatArray:
     """CIEDE2000 between local means of two linear sRGB pictures [h, w, 3] at one luminance, [n] pixels."""
     import colour as science
 

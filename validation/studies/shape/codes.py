@@ -13,10 +13,9 @@ import itertools
 from functools import cache
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import fft, ndimage
 
-FloatArray = NDArray[np.float64]
+from dasim.typing import FloatArray
 
 _DRAWS = 1500
 _FRAME = 32  # samples a side of transforms

@@ -17,10 +17,10 @@ from scipy import ndimage
 from dasim.base.errors import InputError
 from dasim.bounds import pupils
 from dasim.camera import stops
-from dasim.camera.specification import Camera, aperture_m
+from dasim.camera.geometry import aperture_m
+from dasim.camera.specification import Camera
+from dasim.typing import FloatArray
 from validation.studies import criteria
-
-FloatArray = NDArray[np.float64]
 
 _MARGIN = 0.35  # of the lens's radius around the drawing, for the dimensions
 
@@ -122,7 +122,7 @@ def camera_with(camera: Camera, amplitude: FloatArray) -> Camera:
 def save_png(path: Path, amplitude: FloatArray) -> None:
     """A grey picture of the transmittance, linear, white open, each cell a square of pixels: as a camera reads it.
 
-    16 bits; one pixel a cell would do for :class:`dasim.camera.stops.Mask`, so that cells are repeated only as far as it
+    16 bits; one pixel a cell would do for :class:`dasim.camera.stops.Mask`, so cells are repeated only as far as it
     reads.
     """
     repeat = max(1, stops.MOST_MASK_CELLS // len(amplitude))

@@ -16,9 +16,8 @@ from numpy.typing import NDArray
 from dasim.bounds import cramer_rao, pupils
 from dasim.camera import specification as cameras
 from dasim.camera.specification import Camera
+from dasim.typing import FloatArray
 from validation.studies import criteria
-
-FloatArray = NDArray[np.float64]
 
 SHAPE = (16, 16)  # samples 2 px apart: the paper's patch of 31 px
 STEP_PX = 0.1  # of visible blur between the candidates

@@ -19,6 +19,7 @@ from dasim.scene import targets
 from dasim.scene.specification import Scene
 from dasim.simulation.relight import exposed
 from dasim.simulation.simulate import Shot
+from dasim.typing import FloatArray, Progress
 from dasim.values import Capture, Reconstruction, Truth
 from recon.calibration.cached import simulated_bank
 from validation.gates import stored
@@ -27,9 +28,6 @@ from validation.scores.pictures import picture_scores
 from validation.scores.score import depth_of_level
 from validation.subjects import rendering
 from validation.subjects.shots import photographed
-
-FloatArray = NDArray[np.float64]
-Progress = Callable[[str, float], None]
 
 LIGHT = "D55"  # the desk's; one light, so that a mask's kernels are calibrated in a minute or two
 LEVELS = (5, 11, 17, 23)  # of boards with one texture: visible blurs of 9 to 43 px with a hole of 0.46

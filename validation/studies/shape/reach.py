@@ -23,9 +23,11 @@ from numpy.typing import NDArray
 from scipy import linalg
 
 from dasim.bounds import cramer_rao, pupils
+from dasim.camera import geometry
 from dasim.camera import specification as cameras
 from dasim.camera.specification import Camera
 from dasim.simulation.simulate import Shot
+from dasim.typing import FloatArray
 from dasim.values import Capture
 from recon import fourier
 from recon.depth import scores as depth
@@ -36,8 +38,6 @@ from validation.studies import criteria
 from validation.studies.shape import proof
 from validation.subjects import rendering
 from validation.subjects.shots import photographed
-
-FloatArray = NDArray[np.float64]
 
 SPACING_PX = criteria.SPACING_PX
 SIDE = 16  # samples 2 px apart: a patch of 31 px
@@ -73,7 +73,7 @@ def reach(camera: Camera, folder: Path, light: str, level_lux: float, seed: int 
     what = [camera.model_dump_json(), light, f"{level_lux}", stored.key(reach, variant, seed)]
 
     def make() -> dict[str, Any]:
-        blurs = cameras.level_blur_px(camera)[list(proof.LEVELS)]
+        blurs = geometry.level_blur_px(camera)[list(proof.LEVELS)]
         transfer, slope = pupils.camera_transfers(camera, blurs, light, criteria.SHAPE, spacing_px=SPACING_PX)
         index = [cameras.channels(camera.sensor).index(name) for name in criteria.PLANES]
         seen = criteria.sight(camera, light, level_lux)
@@ -141,7 +141,7 @@ def board_deviations(camera: Camera, window_px: Sequence[float] = (31.0, 63.0), 
     for level, (scene, own) in enumerate(proof.lit_boards(camera)):
         shot = photographed(scene, own, seed, spp=proof.SPP)
         where = proof.inner(texture.textured(shot.capture))[::2, ::2]
-        blur = float(cameras.blur_px(camera, float(np.nanmedian(shot.truth.depth_m))))
+        blur = float(geometry.blur_px(camera, float(np.nanmedian(shot.truth.depth_m))))
         candidates = np.arange(max(blur - AROUND_PX, STEP_PX), blur + AROUND_PX + STEP_PX / 2, STEP_PX)
         for exposure, capture in enumerate(proof.exposures(shot)):
             for row, scores in enumerate(_scores(capture, shot, candidates, window_px)):

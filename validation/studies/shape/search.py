@@ -18,17 +18,15 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import ndimage, optimize, special
 
 from dasim.base.errors import InputError
 from dasim.camera import stops
+from dasim.typing import FloatArray, ShareDone
 from validation.studies import criteria
 from validation.studies.criteria import Bench
 from validation.studies.shape import masks
 
-FloatArray = NDArray[np.float64]
-Progress = Callable[[float], None]
 Symmetry = Literal["none", "half-turn"]
 
 SHARPNESS = (2.0, 4.0, 8.0, 16.0, 32.0)  # beta, one after the other; y is of 0..1
@@ -76,7 +74,7 @@ def check(search: Search) -> None:
         raise InputError("; ".join(wrong))
 
 
-def found(at: Bench, search: Search, seed: int, progress: Progress = lambda share: None) -> Design:
+def found(at: Bench, search: Search, seed: int, progress: ShareDone = lambda share: None) -> Design:
     """The mask that a start leads to: seed 0 a disc, 1 a ring, 2 a disc at the rim, others random."""
     check(search)
     x = start(search, seed)
@@ -194,7 +192,7 @@ def cut(smooth: FloatArray, search: Search) -> FloatArray:
     return min((at_level(low), at_level(high)), key=lambda mask: abs(masks.budget(mask) - search.budget))
 
 
-def best_of(at: Bench, search: Search, seeds: Sequence[int], progress: Progress = lambda share: None) -> list[Design]:
+def best_of(at: Bench, search: Search, seeds: Sequence[int], progress: ShareDone = lambda share: None) -> list[Design]:
     """The masks of several starts, best first."""
     if not seeds:
         raise InputError("seeds: none; one start or more is needed")

@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import json
 import re
-from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -15,8 +14,10 @@ import numpy as np
 from dasim.base.cache import cache_dir
 from dasim.base.errors import InputError
 from dasim.camera import stops
-from dasim.camera.specification import Camera, aperture_m
+from dasim.camera.geometry import aperture_m
+from dasim.camera.specification import Camera
 from dasim.files.folders import new_folder
+from dasim.typing import Progress
 from validation.reports.page import TEMPLATE_DIR, png_address
 from validation.reports.plots import plot
 from validation.studies import criteria
@@ -26,8 +27,6 @@ from validation.studies.shape import search as shape
 from validation.studies.shape.proof import LEVELS, PRESETS, Proof, proof, ratio
 from validation.studies.shape.reach import SIDE, Reach, cut_deviation, reach
 from validation.studies.shape.search import Design, Search
-
-Progress = Callable[[str, float], None]
 
 BLURS, SEARCH_BLURS = 8, 6  # depths that are averaged over, in the table and in the search
 SEARCH_FINE, FINE = 48, 96  # cells of the transforms across the lens

@@ -9,11 +9,11 @@ import dasim
 import recon
 from dasim.base.errors import InputError
 from dasim.base.toml import parse
-from dasim.camera import specification as cameras
+from dasim.camera import geometry
 from dasim.camera.specification import Camera, Levels
 from dasim.dataset.specification import varied
 from dasim.scene import targets
-from dasim.scene.loading import MitsubaScene
+from dasim.scene.mitsuba_scene import MitsubaScene
 from recon.settings import Settings
 from validation.studies.sweep.specification import StudySpec, Value
 
@@ -28,7 +28,7 @@ def camera_of(spec: StudySpec, point: dict[str, Value]) -> Camera:
     beside = spec.folder / name
     camera = dasim.load_camera(beside if beside.is_file() else name)
     if camera.levels is None:
-        blurs = cameras.level_blur_px(camera)
+        blurs = geometry.level_blur_px(camera)
         camera = camera.model_copy(update={"levels": Levels(count=len(blurs), max_blur_px=float(blurs[-1]))})
     if "mosaic" in point:
         camera = with_mosaic(camera, str(point["mosaic"]))

@@ -14,14 +14,13 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import stats
 
+from dasim.typing import FloatArray
 from validation.studies.sweep.point import FIGURES
 from validation.studies.sweep.specification import StudySpec, Value
 
 Row = dict[str, Any]
-FloatArray = NDArray[np.float64]
 
 LARGER_IS_BETTER = ("infrared-snr", "coverage", "psnr", "psnr-gain", "stereo-coverage")
 SHARES = ("light-loss", "coverage", "stereo-coverage", "occluded-matched")  # compared by their difference

@@ -11,6 +11,7 @@ import numpy as np
 import dasim
 from dasim.base.errors import InputError
 from dasim.base.toml import parse_toml
+from dasim.camera import radiometry
 from dasim.camera import specification as cameras
 from dasim.camera.specification import Camera
 from dasim.spectra import illuminants
@@ -167,7 +168,7 @@ def _point_problems(spec: StudySpec, point: dict[str, Value]) -> list[str]:
 
 def _check_sees(camera: Camera) -> None:
     """InputError where a channel gets no light, a stop lets none through, or no such mosaic is reconstructed."""
-    names, parts = cameras.channels(camera.sensor), [cameras.stop_response(camera, stop) for stop in camera.stops]
+    names, parts = cameras.channels(camera.sensor), [radiometry.stop_response(camera, stop) for stop in camera.stops]
     whole = np.sum(parts, axis=(0, -1))
     dark = [name for name, light in zip(names, whole, strict=True) if light <= 0]
     if dark:

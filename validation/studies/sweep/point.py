@@ -17,14 +17,15 @@ import dasim
 import recon
 from dasim.base.errors import InputError
 from dasim.base.executors import Outcome, said
+from dasim.camera import geometry, radiometry, stops
 from dasim.camera import specification as cameras
-from dasim.camera import stops
 from dasim.camera.specification import Camera
 from dasim.dataset import sample, storage
 from dasim.scene.specification import Scene
 from dasim.simulation.relight import LONGEST_S, MOST_GAIN, exposed, lit_by
 from dasim.simulation.simulate import Shot
 from dasim.spectra import grid as spectra
+from dasim.typing import FloatArray
 from dasim.values import Capture, Reconstruction, Truth
 from recon.calibration.cached import simulated_bank
 from recon.depth import stereo_fusion
@@ -32,8 +33,6 @@ from validation.scores import pictures as picture_scores
 from validation.studies import criteria
 from validation.studies.sweep.designs import camera_of, scene_of, settings_of
 from validation.studies.sweep.specification import StudySpec, Unit, Value, units
-
-FloatArray = NDArray[np.float64]
 
 BOUND_BLURS = 10  # at which the bound is computed; between them its logarithm is interpolated
 FLAT = 1e-3  # of its distance, what a board's depths differ by at most
@@ -185,7 +184,7 @@ def bound(camera: Camera, depth_m: NDArray, light: str | None, level_lux: float)
     nothing is known: what texture the scene has there is not asked. Where all is nearer to the focus than that, of all
     with half a pixel of blur.
     """
-    blur = np.asarray(cameras.blur_px(camera, depth_m.astype(np.float64)))
+    blur = np.asarray(geometry.blur_px(camera, depth_m.astype(np.float64)))
     for least in (criteria.NEAREST_BLUR_PX, FOCUS_BLUR_PX):
         if (part := blur[blur >= least]).size:
             break
@@ -234,7 +233,7 @@ def figures(result: Reconstruction, capture: Capture, truth: Truth) -> dict[str,
 def depth_figures(result: Reconstruction, truth: Truth) -> dict[str, float]:
     """Errors of depth over all pixels before the focus; NaN where most of the picture is out of the bank's range."""
     near = truth.valid & (truth.level >= -0.5)
-    share = float((near & (truth.level <= len(cameras.level_blur_px(result.camera)) - 0.5))[truth.valid].mean())
+    share = float((near & (truth.level <= len(geometry.level_blur_px(result.camera)) - 0.5))[truth.valid].mean())
     found = {"in-range": share, "coverage": float(np.isfinite(result.level_raw[near]).mean()) if near.any() else 0.0}
     if share < 1 - MOST_BEYOND:
         return found
@@ -261,7 +260,7 @@ def light_loss(camera: Camera) -> float:
     opened = camera.model_copy(update={"stops": tuple(_opened(stop) for stop in camera.stops)})
     infrared = spectra.WAVELENGTH_NM >= spectra.NEAR_INFRARED_NM[0]
     band = np.stack([infrared if name == "IR" else ~infrared for name in names])
-    passed, whole = (spectra.integrate(cameras.response(c) * band) for c in (camera, opened))
+    passed, whole = (spectra.integrate(radiometry.response(c) * band) for c in (camera, opened))
     block = [names.index(name) for row in camera.sensor.mosaic for name in row]
     return float(np.mean([1 - passed[pixel] / whole[pixel] for pixel in block]))
 

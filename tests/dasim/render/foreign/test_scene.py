@@ -12,7 +12,7 @@ import trimesh
 
 import dasim
 from dasim.base.errors import InputError
-from dasim.scene.loading import MitsubaScene
+from dasim.scene.mitsuba_scene import MitsubaScene
 from dasim.spectra import illuminants
 from dasim.spectra.grid import WAVELENGTH_NM, integrate
 

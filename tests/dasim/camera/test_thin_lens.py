@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from dasim.base.errors import InputError
-from dasim.camera import geometry, stops
+from dasim.camera import geometry, stops, thin_lens
 from dasim.camera import specification as cameras
 from dasim.dataset.specification import varied
 from dasim.scene import targets
@@ -29,7 +29,7 @@ def traced_height_m(y_m: float, slope: float, depth_m: float, focal_m: float, im
 @pytest.mark.parametrize("focus_m", [0.05, 0.12, 0.4, 2.0, 1e5])
 def test_image_distance_brings_all_rays_of_a_point_together(focus_m):
     """Set-up: a point 1 mm off the axis at the focus distance, rays to many places of the lens."""
-    s = geometry.image_distance_m(F_M, focus_m)
+    s = thin_lens.image_distance_m(F_M, focus_m)
     heights = [traced_height_m(1e-3, slope, focus_m, F_M, s) for slope in np.linspace(-1, 1, 7) * 1e-3 / focus_m]
     assert np.ptp(heights) < ROUNDING * 1e-3
     assert heights[0] == pytest.approx(-1e-3 * s / focus_m, rel=1e-6), "upside down, magnified by s / d"
@@ -43,12 +43,12 @@ def test_blur_is_what_two_rim_rays_draw(focus_m, depth_m):
     Expectation: their distance on the sensor, with the sign of the side (a near point's rays cross behind the
     sensor, so they have not changed sides).
     """
-    s = geometry.image_distance_m(F_M, focus_m)
+    s = thin_lens.image_distance_m(F_M, focus_m)
     rim = A_M / 2 / depth_m
     drawn = traced_height_m(0, rim, depth_m, F_M, s) - traced_height_m(0, -rim, depth_m, F_M, s)
-    blur = geometry.blur_diameter_m(depth_m, A_M, s, focus_m)
+    blur = thin_lens.blur_diameter_m(depth_m, A_M, s, focus_m)
     assert blur == pytest.approx(drawn, rel=1e-9, abs=1e-15)
-    assert geometry.depth_of_blur_m(drawn, A_M, s, focus_m) == pytest.approx(depth_m, rel=1e-9)
+    assert thin_lens.depth_of_blur_m(drawn, A_M, s, focus_m) == pytest.approx(depth_m, rel=1e-9)
 
 
 def test_waves_of_defocus_is_a_path_difference():
@@ -57,36 +57,36 @@ def test_waves_of_defocus_is_a_path_difference():
     Set-up: exact spheres through the pupil's rim, with image distances s and s' of the defocused point: a pupil of
     diameter A blurs to A (s' - s) / s'. Quadratic approximation, so to (A / 2s)^2 = 3 %.
     """
-    s, depth = geometry.image_distance_m(F_M, 0.4), 0.1
-    other = geometry.image_distance_m(F_M, depth)
+    s, depth = thin_lens.image_distance_m(F_M, 0.4), 0.1
+    other = thin_lens.image_distance_m(F_M, depth)
     rim = A_M / 2
     sag = (s - np.sqrt(s**2 - rim**2)) - (other - np.sqrt(other**2 - rim**2))
     blur = A_M * (other - s) / other
-    waves = geometry.waves_of_defocus(blur, s / A_M, 550e-9)
+    waves = thin_lens.waves_of_defocus(blur, s / A_M, 550e-9)
     assert waves == pytest.approx(sag / 550e-9, rel=(A_M / 2 / s) ** 2)
 
 
 def test_levels_span_the_working_range(da_mobile):
     """From 5 cm to 2 m the relative diameter spans 28.7 pixels, the paper's 29 kernels; 52 px of visible blur."""
     camera = cameras.refocused(da_mobile, 2.0)
-    relative = (1 - 0.46) * (cameras.blur_px(camera, 0.05) - cameras.blur_px(camera, 2.0))
+    relative = (1 - 0.46) * (geometry.blur_px(camera, 0.05) - geometry.blur_px(camera, 2.0))
     assert relative == pytest.approx(28.7, abs=0.05)
-    blurs = cameras.level_blur_px(camera)
+    blurs = geometry.level_blur_px(camera)
     assert len(blurs) == 29
     np.testing.assert_allclose(blurs * (1 - 0.46), range(29), atol=1e-12)
     assert blurs[-1] == pytest.approx(52, abs=0.5)
-    depths = cameras.depth_of_blur_m(camera, blurs)
+    depths = geometry.depth_of_blur_m(camera, blurs)
     assert depths[0] == pytest.approx(2.0) and 0.05 < depths[-1] < 0.053 and (np.diff(depths) < 0).all()
-    np.testing.assert_allclose(cameras.blur_px(camera, depths), blurs, rtol=ROUNDING, atol=1e-9)
+    np.testing.assert_allclose(geometry.blur_px(camera, depths), blurs, rtol=ROUNDING, atol=1e-9)
 
 
 def test_a_camera_may_set_its_own_levels(da_mobile):
     """Expectation: levels of its own lie evenly from 0 to the given blur whatever the hole, and scenes follow them."""
     text = {"count": 7, "max_blur_px": 30.0}
     wide = varied(da_mobile.model_copy(update={"levels": cameras.Levels(**text)}), {"stops.hole.radius_ratio": 0.9})
-    np.testing.assert_allclose(cameras.level_blur_px(wide), [0, 5, 10, 15, 20, 25, 30])
+    np.testing.assert_allclose(geometry.level_blur_px(wide), [0, 5, 10, 15, 20, 25, 30])
     board = targets.staircase(wide, 3).objects[0]
-    assert cameras.blur_px(wide, board.position_cm[2] / 100) == pytest.approx(15.0)
+    assert geometry.blur_px(wide, board.position_cm[2] / 100) == pytest.approx(15.0)
     with pytest.raises(InputError, match="level 7 is not one of 0 to 6"):
         targets.staircase(wide, 7)
     pictures = calibration_captures(wide, ("A",), frames=1)
@@ -105,8 +105,8 @@ def test_figure_13(da_mobile, focal_mm, error_cm):
     lens = da_mobile.lens.model_copy(update={"focal_length_mm": focal_mm, "focus_distance_m": 1e6})
     camera = da_mobile.model_copy(update={"lens": lens})
     for depth_m, expected_cm in zip((0.05, 0.1, 0.2, 0.4, 1.0, 2.0), error_cm, strict=True):
-        blur = cameras.blur_px(camera, depth_m)
-        nearer, farther = cameras.depth_of_blur_m(camera, np.array([blur + 0.005, blur - 0.005]))
+        blur = geometry.blur_px(camera, depth_m)
+        nearer, farther = geometry.depth_of_blur_m(camera, np.array([blur + 0.005, blur - 0.005]))
         assert (farther - nearer) * 100 * 50 == pytest.approx(expected_cm, rel=FIGURE_13_DIGITS, abs=5e-4)
 
 

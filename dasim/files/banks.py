@@ -1,0 +1,99 @@
+"""PSF banks as compressed NPZ files."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from dasim.base.errors import InputError
+from dasim.base.toml import parse
+from dasim.camera.specification import Camera, channels
+from dasim.values import PsfBank
+
+BANK_SCHEMA = 2
+
+
+KERNEL_SUM_TOLERANCE = 1e-3
+
+
+def bank_identity(bank: PsfBank) -> dict[str, Any]:
+    """Which bank it is, as plain data: SHA-256 of its arrays, camera, focus, lights, levels."""
+    digest = hashlib.sha256()
+    for array in (bank.kernel, bank.signature, bank.depth_m, bank.blur_px):
+        digest.update(np.ascontiguousarray(array, np.float32).tobytes())
+    return {
+        "sha256": digest.hexdigest(),
+        "camera": bank.camera.name,
+        "focus_distance_m": bank.camera.lens.focus_distance_m,
+        "lights": list(bank.lights),
+        "levels": len(bank.depth_m),
+        "depths_m": [float(bank.depth_m.min()), float(bank.depth_m.max())],
+        "diffraction": bank.diffraction,
+    }
+
+
+def save_bank(path: Path, bank: PsfBank) -> None:
+    """Write a PSF bank as one compressed ``.npz``, under a temporary name first."""
+    path = Path(path)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    about = {
+        "schema": BANK_SCHEMA,
+        "lights": bank.lights,
+        "diffraction": bank.diffraction,
+        "camera": bank.camera.model_dump(mode="json"),
+    }
+    handle, name = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
+    try:
+        with os.fdopen(handle, "wb") as file:
+            np.savez_compressed(
+                file,
+                about=np.array(json.dumps(about)),
+                kernel=bank.kernel,
+                signature=bank.signature,
+                depth_m=bank.depth_m,
+                blur_px=bank.blur_px,
+            )
+        os.chmod(name, 0o644)
+        os.replace(name, path)
+    except BaseException:
+        Path(name).unlink(missing_ok=True)
+        raise
+
+
+def load_bank(path: Path) -> PsfBank:
+    """Read a PSF bank; InputError where the file is missing, damaged or no bank."""
+    path = Path(path)
+    if not path.is_file():
+        what = "is a folder, a bank is one .npz file" if path.is_dir() else "no such file"
+        raise InputError(f"bank {path}: {what}; make one with 'dasim calibrate'")
+    try:
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as data:
+            about = dict(json.loads(str(data["about"])))
+            arrays = {key: data[key] for key in ("kernel", "signature", "depth_m", "blur_px")}
+    except Exception as error:  # zip, npy and json errors of a damaged file are of many types
+        raise InputError(
+            f"bank {path}: is no bank, or is damaged ({type(error).__name__}); make one with 'dasim calibrate'"
+        ) from None
+    if about.get("schema") != BANK_SCHEMA:
+        raise InputError(f"bank {path}: is no bank of schema {BANK_SCHEMA}; make a new one with 'dasim calibrate'")
+    camera = parse(Camera, about.get("camera"), f"bank {path}: camera")
+    lights, diffraction = tuple(about.get("lights", ())), str(about.get("diffraction", "measured"))
+    kernel, levels = arrays["kernel"], len(np.atleast_1d(arrays["depth_m"]))
+    count = len(channels(camera.sensor))
+    shapes = {"signature": (len(lights), count), "depth_m": (levels,), "blur_px": (levels,)}
+    square = kernel.ndim == 5 and kernel.shape[3] == kernel.shape[4] and kernel.shape[3] % 2 == 1
+    if not square or kernel.shape[:3] != (len(lights), levels, count) or 0 in kernel.shape:
+        raise InputError(f"bank {path}: its kernels do not fit its lights, levels and channels")
+    if any(arrays[name].shape != shape for name, shape in shapes.items()):
+        raise InputError(f"bank {path}: its tables do not fit its lights and levels")
+    if not all(np.isfinite(array).all() for array in arrays.values()):
+        raise InputError(f"bank {path}: has values that are not finite")
+    if np.abs(kernel.sum(axis=(3, 4)) - 1).max() > KERNEL_SUM_TOLERANCE or (arrays["depth_m"] <= 0).any():
+        raise InputError(f"bank {path}: its kernels are not of unit sum, or its depths not above 0")
+    return PsfBank(lights=lights, diffraction=diffraction, camera=camera, **arrays)

@@ -1,0 +1,132 @@
+"""Capture folders: raw mosaic, ground truth and meta.json."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+from pydantic import ConfigDict, Field
+
+from dasim.base.errors import InputError
+from dasim.base.toml import Specification, parse
+from dasim.camera.geometry import depth_of_blur_m, intrinsic_matrix, level_blur_px
+from dasim.camera.specification import Camera
+from dasim.files.folders import new_folder, software_versions
+from dasim.files.png import read_png16, write_png16
+from dasim.files.truth import read_truth, write_truth
+from dasim.values import Capture, Truth
+
+CAPTURE_SCHEMA = 3
+
+
+def level_table(camera: Camera) -> list[dict[str, float]]:
+    """Level, visible blur and depth of the camera's blur levels, for ``meta.json``."""
+    blurs = level_blur_px(camera)
+    depths = depth_of_blur_m(camera, blurs)
+    return [
+        {"level": k, "blur_px": float(b), "depth_m": float(d)}
+        for k, (b, d) in enumerate(zip(blurs, depths, strict=True))
+    ]
+
+
+def save_capture(path: Path, capture: Capture, truth: Truth | None) -> None:
+    """Write a capture folder: ``raw.png`` (16 bits), ``truth.exr`` (multi-part) and ``meta.json``."""
+    with new_folder(path, "capture") as folder:
+        write_png16(folder / "raw.png", capture.raw_dn)
+        if truth is not None:
+            write_truth(folder / "truth.exr", truth)
+        meta = capture_meta(capture) | {
+            "software": software_versions(),
+            "file_bytes": {file.name: file.stat().st_size for file in sorted(folder.iterdir())},
+        }
+        (folder / "meta.json").write_text(json.dumps(meta, indent=1) + "\n", encoding="utf-8")
+
+
+def capture_meta(capture: Capture) -> dict[str, Any]:
+    """What ``meta.json`` says of a capture, apart from its files and the software."""
+    return {
+        "schema": CAPTURE_SCHEMA,
+        "camera": capture.camera.model_dump(mode="json"),
+        "intrinsic_matrix_px": intrinsic_matrix(capture.camera).tolist(),
+        "levels": level_table(capture.camera),
+        "exposure_s": capture.exposure_s,
+        "gain": capture.gain,
+        "seed": capture.seed,
+        "illuminant": capture.illuminant,
+        "provenance": capture.provenance,
+    }
+
+
+def load_capture(path: Path) -> Capture:
+    """Read a capture folder; InputError where a file is missing, cut short or does not fit the others."""
+    path = Path(path)
+    meta = _read_meta(path)
+    about = parse(_CaptureMeta, meta, str(path / "meta.json"))
+    for name in {"raw.png", *meta.get("file_bytes", {})}:
+        _check_whole(path / name, meta)
+    raw = read_png16(path / "raw.png")
+    camera = about.camera
+    capture = Capture(
+        raw_dn=raw,
+        camera=camera,
+        exposure_s=about.exposure_s,
+        gain=about.gain,
+        seed=about.seed,
+        illuminant=about.illuminant,
+        provenance=about.provenance,
+    )
+    sensor = camera.sensor
+    if raw.shape != (sensor.height_px, sensor.width_px):
+        raise InputError(
+            f"{path / 'raw.png'}: is {raw.shape[1]} x {raw.shape[0]} pixels, "
+            f"meta.json says {sensor.width_px} x {sensor.height_px}"
+        )
+    return capture
+
+
+def load_truth(path: Path) -> Truth:
+    """Read the ground truth of a capture folder; InputError where it is missing or cut short."""
+    path = Path(path)
+    _check_whole(path / "truth.exr", _read_meta(path))
+    return read_truth(path / "truth.exr")
+
+
+class _CaptureMeta(Specification):
+    """The keys of ``meta.json`` that a capture is made of; the others are for people."""
+
+    model_config = ConfigDict(frozen=True, extra="ignore", allow_inf_nan=False)
+
+    camera: Camera
+    exposure_s: float = Field(gt=0)
+    gain: float = Field(gt=0)
+    seed: int = Field(ge=0)
+    illuminant: str | None
+    provenance: dict[str, Any]
+
+
+def _check_whole(file: Path, meta: dict[str, Any]) -> None:
+    """InputError where a file of a capture is missing, or shorter or longer than it was written."""
+    if not file.is_file():
+        raise InputError(f"{file}: is missing; a capture holds raw.png, truth.exr and meta.json")
+    sizes = meta.get("file_bytes")
+    written = sizes.get(file.name) if isinstance(sizes, dict) else None
+    if written is not None and file.stat().st_size != written:
+        raise InputError(f"{file}: has {file.stat().st_size} bytes of {written}; it is cut short or was changed")
+
+
+def _read_meta(path: Path) -> dict[str, Any]:
+    if path.is_file():
+        raise InputError(f"capture {path}: is a file; give the folder that holds raw.png, truth.exr and meta.json")
+    if not path.is_dir():
+        raise InputError(f"capture {path}: no such folder (a capture holds raw.png, truth.exr and meta.json)")
+    file = path / "meta.json"
+    try:
+        meta = json.loads(file.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise InputError(f"{file}: is missing; a capture holds raw.png, truth.exr and meta.json") from None
+    except (OSError, ValueError) as error:
+        raise InputError(f"{file}: cannot be read ({error})") from None
+    if not isinstance(meta, dict) or meta.get("schema") != CAPTURE_SCHEMA:
+        raise InputError(f"{file}: is no capture of schema {CAPTURE_SCHEMA}")
+    return meta
