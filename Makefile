@@ -1,4 +1,5 @@
 # make demo | make test | make lint | make validate: each first makes what it needs, an environment in .venv.
+# `make demo` installs the package; the others add the libraries and tools of the extra `test`.
 # PYTHON=/path/to/python chooses the interpreter (3.11 or newer).
 
 SHELL := /bin/sh
@@ -9,7 +10,7 @@ IS_NEW := import sys; sys.exit(sys.version_info < (3, 11))
 PIP := $(BIN)/python -m pip --disable-pip-version-check --quiet
 APT := env DEBIAN_FRONTEND=noninteractive apt-get -q -y -o Acquire::Retries=0 -o Acquire::http::Timeout=20
 
-.PHONY: help demo test lint validate environment
+.PHONY: help demo test lint validate environment test-environment
 
 help:
 	@echo "make demo   the whole chain on a bundled scene; report in out/demo/report.html"
@@ -20,19 +21,21 @@ help:
 demo: environment
 	$(BIN)/dasim demo --out out/demo
 
-test: environment
+test: test-environment
 	$(BIN)/python -m pytest
 
-lint: environment
+lint: test-environment
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/lint-imports --no-logo
 	$(BIN)/mypy
 
-validate: environment
+validate: test-environment
 	$(BIN)/dasim validate --quick --out out/validate
 
 environment: $(VENV)/.llvm
+
+test-environment: environment $(VENV)/.installed-test
 
 # The environment anew where a dependency changed.
 $(VENV)/.installed: pyproject.toml constraints.txt
@@ -52,6 +55,11 @@ $(VENV)/.installed: pyproject.toml constraints.txt
 	fi; \
 	exit 1
 	@echo "Installing the packages of constraints.txt (some minutes the first time)"
+	@$(PIP) install -c constraints.txt -e .
+	@touch $@
+
+$(VENV)/.installed-test: $(VENV)/.installed
+	@echo "Installing what the tests need besides (some minutes the first time)"
 	@$(PIP) install -c constraints.txt -e '.[test]'
 	@touch $@
 

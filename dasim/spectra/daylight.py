@@ -2,7 +2,9 @@
 
 R. Bird and C. Riordan, Simple solar spectral model for direct and diffuse irradiance on horizontal and tilted planes
 at the earth's surface for cloudless atmospheres, J. Climate Appl. Meteorol. 25, 87-97 (1986); numbers of equations
-are those of the report SERI/TR-215-2436 (1984).
+are those of the report SERI/TR-215-2436 (1984). The tests compare it with ``pvlib.spectrum.spectrl2``, which agrees
+within 0.22 % in the oxygen bands and 0.04 % elsewhere: it has two constants of a later program instead of the report's.
+pvlib itself is no dependency because it brings pandas and HDF5.
 """
 
 from __future__ import annotations
