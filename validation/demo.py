@@ -15,7 +15,7 @@ from dasim.typing import Progress
 from recon.calibration.cached import simulated_bank
 from recon.files.reconstruction import save_reconstruction
 from validation.gates.claim import Claim, judged, write_results
-from validation.reports import page
+from validation.reports.demo import demo_page, overview
 from validation.scores.figures import Figure
 from validation.scores.score import score
 
@@ -67,8 +67,8 @@ def run_demo(
         entries = claims(score(result, shot.capture, shot.truth))
         lap("score")
         progress("writing the report", 0.0)
-        (folder / "report.html").write_text(page.demo_page(shot, result, entries, timings), encoding="utf-8")
-        cv2.imwrite(str(folder / "overview.jpg"), page.overview(shot, result), [cv2.IMWRITE_JPEG_QUALITY, 88])
+        (folder / "report.html").write_text(demo_page(shot, result, entries, timings), encoding="utf-8")
+        cv2.imwrite(str(folder / "overview.jpg"), overview(shot, result), [cv2.IMWRITE_JPEG_QUALITY, 88])
         lap("report")
         write_results(folder / "results.json", entries, timings)
         progress("writing the report", 1.0)

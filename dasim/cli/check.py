@@ -70,9 +70,11 @@ def validate(
     from dasim.files.folders import check_output
     from dasim.render import backend
     from validation.claims.table import CLAIMS
+    from validation.gates.claim import all_gates
     from validation.gates.comparison import changes, load_results, report
+    from validation.gates.outcome import chosen, failed
     from validation.gates.proposal import gate_file
-    from validation.gates.run import all_gates, chosen, failed, run_claims
+    from validation.validate import run_claims
 
     names = chosen(CLAIMS, only or (), quick=quick)
     limits = all_gates(CLAIMS, gates)
@@ -187,7 +189,7 @@ def _list_illuminants(*, verbose: bool) -> None:
 
 def _list_claims(names: list[str], *, verbose: bool) -> None:
     from validation.claims.table import CLAIMS
-    from validation.gates.run import title
+    from validation.gates.outcome import title
 
     for name in names:
         text = f"\n{inspect.getdoc(CLAIMS[name].run)}\n" if verbose else title(CLAIMS[name])

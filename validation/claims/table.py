@@ -26,7 +26,7 @@ from validation.claims.pictures.all_in_focus import all_in_focus, refocus
 from validation.claims.pictures.colour import colour
 from validation.claims.pictures.scene_pictures import scene_pictures
 from validation.claims.pictures.two_cameras import two_cameras
-from validation.gates.run import Measurement
+from validation.gates.outcome import Measurement
 
 # Quick: less than about 20 s on two cores.
 CLAIMS = {

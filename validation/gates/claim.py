@@ -60,10 +60,6 @@ class Evidence:
     pairs: list[Pair] = field(default_factory=list)
 
 
-class NotRun(Exception):
-    """A claim cannot be measured on this computer; the message says why."""
-
-
 # --- limits --------------------------------------------------------------------------------------
 
 
@@ -124,6 +120,12 @@ def load_gates(path: Path, claims: Iterable[str]) -> list[Gate]:
                 f"with CLAIM one of {', '.join(known)}"
             )
     return sorted(gates, key=lambda gate: "*" in gate.pattern)
+
+
+def all_gates(claims: Iterable[str], users: Path | None, bundled: Path = GATES) -> list[Gate]:
+    """The bundled limits behind the user's own, which win."""
+    own = [] if users is None else load_gates(users, claims)
+    return [*own, *load_gates(bundled, claims)]
 
 
 def gate_of(figure_id: str, gates: list[Gate]) -> Gate | None:

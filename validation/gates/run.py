@@ -1,4 +1,4 @@
-"""Measure the claims, compare them with their limits, and write results.json, report.html and junit.xml."""
+"""Measure the claims and compare them with their limits."""
 
 from __future__ import annotations
 
@@ -9,79 +9,22 @@ import statistics
 import sys
 import time
 import traceback
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from functools import partial
-from pathlib import Path
 from typing import NamedTuple
-from xml.etree import ElementTree
 
-from dasim.base.errors import InputError
-from dasim.files.folders import new_folder
 from dasim.typing import Progress, ShareDone
 from validation.gates import stored
-from validation.gates.claim import GATES, Claim, Evidence, Gate, NotRun, judged_all, load_gates, write_results
+from validation.gates.claim import Claim, Evidence, Gate, judged_all
+from validation.gates.outcome import Measurement, Outcome
 from validation.scores.figures import Figure
 from validation.subjects import shots
+from validation.subjects.rendering import NotRun
 
 
-class Measurement(NamedTuple):
-    """How a claim is measured, whether that takes less than about 20 s, and whether it is a time that is measured.
-
-    ``run`` takes ``progress``, and also ``seed`` where what it measures depends on random numbers.
-    """
-
-    run: Callable[..., Evidence]
-    quick: bool
-    alone: bool = False  # nothing else may run at the same time
-
-    @property
-    def seeded(self) -> bool:
-        """Whether another seed gives other figures."""
-        return "seed" in inspect.signature(self.run).parameters
-
-
-@dataclass(frozen=True)
-class Outcome:
-    """A claim that was measured, or could not be."""
-
-    id: str
-    text: str  # the docstring
-    claims: list[Claim]
-    seconds: float
-    evidence: Evidence = field(default_factory=lambda: Evidence([]))
-    gates: list[Gate] = field(default_factory=list)
-    not_run: str | None = None
-    error: str | None = None
-    seeds: int = 1
-    stored: bool = False  # measured by an earlier run
-
-
-def title(measurement: Measurement) -> str:
-    """First sentence of a claim's docstring."""
-    return (inspect.getdoc(measurement.run) or "").split("\n\n")[0].replace("\n", " ")
-
-
-def chosen(table: Mapping[str, Measurement], only: Sequence[str], *, quick: bool) -> list[str]:
-    """Ids to measure, in the table's order; InputError where a name is unknown or nothing is left."""
-    for name in only:
-        if name not in table:
-            raise InputError(f"claim '{name}' is unknown; allowed are {', '.join(table)}")
-    names = [name for name in table if (not only or name in only) and (not quick or table[name].quick)]
-    if not names:
-        raise InputError(f"of {', '.join(only) or 'all claims'} none is quick; leave --quick out")
-    return names
-
-
-def all_gates(table: Mapping[str, Measurement], users: Path | None, bundled: Path = GATES) -> list[Gate]:
-    """The bundled limits behind the user's own, which win."""
-    own = [] if users is None else load_gates(users, table)
-    return [*own, *load_gates(bundled, table)]
-
-
-def run_claims(
-    out: Path,
+def measured_claims(
     names: Sequence[str],
     table: Mapping[str, Measurement],
     gates: list[Gate],
@@ -92,25 +35,17 @@ def run_claims(
     jobs: int = 1,
     progress: Progress = lambda stage, share: None,
 ) -> list[Outcome]:
-    """Measure the named claims; ``out`` is written as a whole when all are done.
+    """Measure the named claims and compare their figures with the limits.
 
     Unless ``fresh``, a claim that an earlier run measured with the same code, data, libraries and renderer ``variant``
     is not measured again. ``jobs`` claims are measured at once, each in a process of its own. A claim that depends on
     random numbers is measured with each of the ``seeds`` 0, 1, ...: its figures are means with their spread.
     """
-    from validation.reports.claims import claims_page
-
-    with new_folder(out, "validation") as folder:
-        if fresh:
-            shots.forget()
-        runs = [(name, seed) for name in names for seed in range(seeds if table[name].seeded else 1)]
-        done = dict(_runs(runs, table, variant, fresh=fresh, jobs=jobs, progress=progress))
-        outcomes = [_outcome(name, table[name], [done[run] for run in runs if run[0] == name], gates) for name in names]
-        entries = [entry for outcome in outcomes for entry in outcome.claims]
-        write_results(folder / "results.json", entries, {outcome.id: outcome.seconds for outcome in outcomes})
-        (folder / "report.html").write_text(claims_page(outcomes), encoding="utf-8")
-        write_junit(folder / "junit.xml", outcomes)
-    return outcomes
+    if fresh:
+        shots.forget()
+    runs = [(name, seed) for name in names for seed in range(seeds if table[name].seeded else 1)]
+    done = dict(_runs(runs, table, variant, fresh=fresh, jobs=jobs, progress=progress))
+    return [_outcome(name, table[name], [done[run] for run in runs if run[0] == name], gates) for name in names]
 
 
 class _Run(NamedTuple):
@@ -239,37 +174,3 @@ def over_seeds(measured: Sequence[list[Figure]]) -> list[Figure]:
 
 def _spread(values: Sequence[float]) -> float | None:
     return statistics.stdev(values) if len(values) > 1 and all(map(math.isfinite, values)) else None
-
-
-def failed(outcomes: list[Outcome]) -> bool:
-    """Whether any gate failed."""
-    return any(entry.passed is False for outcome in outcomes for entry in outcome.claims)
-
-
-def write_junit(path: Path, outcomes: list[Outcome]) -> None:
-    """Write the outcomes as JUnit XML: a suite a claim, a case a figure; figures without a limit are skipped cases."""
-    root = ElementTree.Element("testsuites", name="dasim validate")
-    for outcome in outcomes:
-        cases = outcome.claims
-        suite = ElementTree.SubElement(
-            root,
-            "testsuite",
-            name=outcome.id,
-            tests=str(len(cases)),
-            failures=str(sum(c.passed is False and outcome.error is None for c in cases)),
-            errors=str(len(cases) if outcome.error else 0),
-            skipped=str(sum(c.passed is None for c in cases)),
-            time=f"{outcome.seconds:.3f}",
-        )
-        for claim in cases:
-            case = ElementTree.SubElement(suite, "testcase", classname=outcome.id, name=claim.id)
-            said = f"{claim.value:.6g} {claim.unit}, limit {claim.limit}; {claim.source}"
-            if outcome.error:
-                ElementTree.SubElement(case, "error", message=claim.source).text = outcome.error
-            elif claim.passed is False:
-                ElementTree.SubElement(case, "failure", message=said)
-            elif claim.passed is None:
-                reason = claim.source if outcome.not_run else f"reported, no limit: {claim.value:.6g} {claim.unit}"
-                ElementTree.SubElement(case, "skipped", message=reason)
-    ElementTree.indent(root)
-    ElementTree.ElementTree(root).write(path, encoding="utf-8", xml_declaration=True)

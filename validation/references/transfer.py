@@ -7,8 +7,13 @@ from functools import cache
 import numpy as np
 from scipy.special import j1
 
+from dasim.camera import radiometry
+from dasim.camera.specification import Camera
+from dasim.spectra import grid
 from dasim.typing import FloatArray
+from validation.references.paper import STOP_RATIOS
 
+MTF_NM = 4  # nm of wavelength between two transfer functions
 OTF_NODES = 300  # Gauss-Legendre nodes of Hopkins's integral: enough for 30 waves
 
 
@@ -43,3 +48,22 @@ def disc_transfer(x: FloatArray) -> FloatArray:
 def pixel_transfer(frequency: FloatArray, angle_rad: float) -> FloatArray:
     """Transfer function of a square pixel at ``frequency`` cycles a pixel, ``angle_rad`` from an axis."""
     return np.sinc(frequency * np.cos(angle_rad)) * np.sinc(frequency * np.sin(angle_rad))
+
+
+def wave_mtf(
+    camera: Camera, blur_px: float, spectrum: FloatArray, frequency: FloatArray, angle_deg: float
+) -> FloatArray:
+    """Signed MTF of every channel with the pixel, ``angle_deg`` from a row, [channel, frequency]."""
+    lens, pitch_um = camera.lens, camera.sensor.pixel_pitch_um
+    image_mm = 1 / (1 / lens.focal_length_mm - 1e-3 / lens.focus_distance_m)
+    total, signal = np.zeros((4, len(frequency))), np.zeros(4)
+    for stop, ratio in zip(camera.stops, STOP_RATIOS, strict=True):
+        f_number = image_mm * lens.f_number / (ratio * lens.focal_length_mm)
+        weights = radiometry.stop_response(camera, stop) * spectrum
+        used = np.flatnonzero((weights > 1e-6 * weights.max(axis=1, keepdims=True)).any(axis=0))
+        for index in used[:: MTF_NM // int(grid.WAVELENGTH_STEP_NM)]:
+            scale_px = grid.WAVELENGTH_NM[index] * 1e-3 * f_number / pitch_um
+            otf = hopkins_otf(scale_px * frequency, ratio * blur_px / (8 * scale_px))
+            total += weights[:, index, None] * otf
+            signal += weights[:, index]
+    return total / signal[:, None] * pixel_transfer(frequency, np.radians(angle_deg))

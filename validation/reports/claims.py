@@ -6,17 +6,13 @@ import base64
 import re
 import struct
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import jinja2
 from markupsafe import Markup, escape
 
-from validation.gates.claim import LIMIT_FROM
+from validation.gates.claim import LIMIT_FROM, Claim
+from validation.gates.outcome import Outcome
 from validation.reports.page import TEMPLATE_DIR
-
-if TYPE_CHECKING:
-    from validation.gates.claim import Claim
-    from validation.gates.run import Outcome
 
 WIDE = 1.9
 

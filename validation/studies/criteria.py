@@ -32,8 +32,8 @@ from dasim.spectra import grid
 from dasim.typing import FloatArray
 from dasim.values import Capture
 from recon.picture import mosaic
-from validation.claims.light.balance import CONTRAST, MEAN_SHARE, white_electrons
 from validation.subjects import strips
+from validation.subjects.texture import CONTRAST, MEAN_SHARE, white_electrons
 
 ComplexArray = NDArray[np.complex128]
 Texture = Literal["known", "spectrum", "free"]

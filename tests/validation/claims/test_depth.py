@@ -18,9 +18,9 @@ from recon.settings import PRESETS
 from tests.support import surfaces
 from validation.claims.depth import light_levels, staircase, steps
 from validation.claims.light import balance
-from validation.claims.optics import resolution
 from validation.claims.table import CLAIMS
 from validation.gates.claim import GATES, judged_all, load_gates
+from validation.references.depth_from_blur import first_order_m
 from validation.scores.figures import Figure
 from validation.subjects import strips
 from validation.subjects.strips import Noise, Strips
@@ -208,7 +208,7 @@ def test_threshold_is_interpolated_where_the_share_passes_it():
 def test_step_of_a_level_is_that_of_the_blur(da_mobile):
     """Far focus, small steps: twice d^2 N p / (2 f^2) a pixel of blur; a level has 1 / (1 - alpha) of it."""
     camera = cameras.refocused(da_mobile, 100.0)
-    by_formula = 2 * resolution.first_order_m(camera, 0.2) / (1 - geometry.hole_ratio(camera)) * 0.01
+    by_formula = 2 * first_order_m(camera, 0.2) / (1 - geometry.hole_ratio(camera)) * 0.01
     assert steps.step_m(camera, 0.2, 0.01) == pytest.approx(by_formula, rel=0.01)
     assert np.isnan(steps.step_m(camera, 2.0, 3.0))
 

@@ -15,12 +15,14 @@ from dasim.cli import run
 from tests.support import browser
 from validation.claims.table import CLAIMS
 from validation.gates import stored
-from validation.gates.claim import GATES, Claim, Evidence, Gate, NotRun, gate_of, judged_all, load_gates, within
+from validation.gates.claim import GATES, Claim, Evidence, Gate, all_gates, gate_of, judged_all, load_gates, within
 from validation.gates.comparison import Earlier, changes
+from validation.gates.outcome import Measurement, chosen
 from validation.gates.proposal import proposed
-from validation.gates.run import Measurement, all_gates, chosen, run_claims
 from validation.reports.page import png_address
 from validation.scores.figures import Figure
+from validation.subjects.rendering import NotRun
+from validation.validate import run_claims
 
 
 def good(progress) -> Evidence:
@@ -69,7 +71,7 @@ def fakes(monkeypatch, tmp_path, tmp_path_factory):
     file = tmp_path / "bundled.toml"
     file.write_text(LIMITS)
     monkeypatch.setattr("validation.claims.table.CLAIMS", FAKES)
-    monkeypatch.setattr("validation.gates.run.all_gates", lambda table, users: all_gates(table, users, file))
+    monkeypatch.setattr("validation.gates.claim.all_gates", lambda table, users: all_gates(table, users, file))
     monkeypatch.setattr("dasim.cli.options.say_variant", lambda variant: None)
     monkeypatch.setenv("DASIM_CACHE_DIR", str(tmp_path_factory.mktemp("cache")))
     monkeypatch.chdir(tmp_path)

@@ -26,7 +26,7 @@ from recon.calibration import cached as banks
 from tests.support import browser, surfaces
 from validation import demo
 from validation.gates.claim import Claim, write_results
-from validation.reports import page as report
+from validation.reports import demo as report
 from validation.scores.depth import balanced_error
 from validation.scores.figures import Figure
 from validation.scores.pictures import blur_effect, infrared_free, psnr

@@ -12,10 +12,12 @@ from dasim.camera.specification import Camera
 from dasim.scene import specification as scenes
 from dasim.spectra.grid import CHANNELS
 from dasim.typing import FloatArray, ShareDone
-from validation.gates.claim import Evidence, NotRun
+from validation.gates.claim import Evidence
+from validation.references.paper import STOP_RATIOS
 from validation.reports.plots import CHANNEL_COLOURS, plot
 from validation.scores.figures import Figure
 from validation.subjects import rendering
+from validation.subjects.rendering import NotRun
 
 SCENE = "desk"
 MAX_BLUR_PX = 30.0  # more than desk's nearest object has
@@ -198,7 +200,7 @@ def render_cost(progress: ShareDone) -> Evidence:
         ).sum(axis=0)
 
     def naive(spp: int, seed: int) -> FloatArray:
-        return naive_picture(loaded, camera, rendering.STOP_RATIOS, spp, seed)
+        return naive_picture(loaded, camera, STOP_RATIOS, spp, seed)
 
     runs = [(ours, COST_SPP[0], COST_SEEDS), (ours, COST_SPP[1], COST_SEEDS), (naive, COST_NAIVE_SPP, COST_NAIVE_SEEDS)]
     pictures = []

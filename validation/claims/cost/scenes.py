@@ -17,7 +17,7 @@ import dasim
 from dasim.camera.specification import Camera, channels
 from dasim.scene import specification as scenes
 from dasim.typing import FloatArray, ShareDone
-from validation.gates.claim import Evidence, NotRun
+from validation.gates.claim import Evidence
 from validation.scores.figures import Figure
 from validation.subjects import rendering
 
@@ -126,7 +126,7 @@ def interreflection(progress: ShareDone) -> Evidence:
     from dasim.render import passes, translate, truth
 
     if rendering.activate().startswith("scalar"):
-        raise NotRun("only scalar_spectral works here, which traces all light; install LLVM 17 or newer")
+        raise rendering.NotRun("only scalar_spectral works here, which traces all light; install LLVM 17 or newer")
     figures = []
     for number, name in enumerate(LIGHT_SCENES):
         scene = scenes.load_scene(name)

@@ -13,13 +13,12 @@ from dasim.typing import BoolArray, ShareDone
 from dasim.values import Reconstruction, Truth
 from recon.calibration.cached import simulated_bank
 from recon.views.surface import surface
-from validation.claims.depth import scenes
 from validation.gates.claim import Evidence
 from validation.reports import pictures
 from validation.scores.depth import balanced_error, level_error
 from validation.scores.figures import Figure
 from validation.scores.score import depth_of_level
-from validation.subjects import rendering
+from validation.subjects import bundled, rendering
 from validation.subjects.shots import photographed
 
 PRESETS = ("bands", "paper")  # the first has the limits and the pictures, the second is reported
@@ -54,10 +53,10 @@ def depth_maps(progress: ShareDone, seed: int = 0) -> Evidence:
     figures: list[Figure] = []
     maps: list[tuple[str, str]] = []
     views: list[tuple[str, str]] = []
-    for number, name in enumerate(scenes.SCENES):
+    for number, name in enumerate(bundled.SCENES):
         scene = dasim.load_scene(name)
-        camera = dasim.focused(dasim.cropped(dasim.load_camera("da-mobile"), *scenes.SIZE_PX), scene)
-        shot = photographed(scene, camera, seed, spp=scenes.SPP)
+        camera = dasim.focused(dasim.cropped(dasim.load_camera("da-mobile"), *bundled.SIZE_PX), scene)
+        shot = photographed(scene, camera, seed, spp=bundled.SPP)
         bank = simulated_bank(camera, diffraction=shot.capture.provenance["diffraction"])
         for preset in PRESETS:
             result = recon.reconstruct(shot.capture, bank, recon.PRESETS[preset])
@@ -65,7 +64,7 @@ def depth_maps(progress: ShareDone, seed: int = 0) -> Evidence:
             if preset == PRESETS[0]:
                 maps.append(_maps(name, result, shot))
                 views.append(_aside(name, result, shot))
-        progress((number + 1) / len(scenes.SCENES))
+        progress((number + 1) / len(bundled.SCENES))
     return Evidence(figures, pictures=[*maps, *views])
 
 

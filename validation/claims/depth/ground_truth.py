@@ -11,6 +11,7 @@ import dasim
 from dasim.camera.specification import Camera
 from dasim.typing import FloatArray, ShareDone
 from validation.gates.claim import Evidence
+from validation.references.paper import HOLE_RATIO
 from validation.scores.figures import Figure
 from validation.subjects import rendering
 
@@ -52,7 +53,7 @@ def ground_truth(progress: ShareDone) -> Evidence:
     scene = rendering.make_scene([entry | {"material": "white-paper"} for entry in objects])
     truth = dasim.simulate(scene, camera, 0, spp=1, diffraction="off").truth
     depth, normal, label, sure = _by_hand(camera)
-    step = 1 - rendering.HOLE_RATIO
+    step = 1 - HOLE_RATIO
     blur = rendering.blur_px(camera, depth)  # type: ignore[arg-type]
     worst = {
         "depth": np.abs(truth.depth_m / depth - 1),

@@ -17,11 +17,9 @@ from validation.reports import page
 from validation.scores import depth as depth_scores
 from validation.scores.figures import Figure
 from validation.subjects import rendering
+from validation.subjects.bundled import SCENES, SIZE_PX, SPP
 from validation.subjects.shots import photographed
 
-SCENES = ("desk", "flowers", "adam")
-SIZE_PX = (512, 384)
-SPP = 160
 PRESETS = ("bands", "paper", "chakrabarti-zickler")  # the first has the limits, the others are reported
 COLOURS = "turbo"
 

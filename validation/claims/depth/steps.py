@@ -16,8 +16,8 @@ from dasim.scene.targets import depth_steps as steps_scene
 from dasim.typing import ShareDone
 from recon.calibration.cached import simulated_bank
 from recon.settings import DEFAULT_PRESET
-from validation.claims.optics.resolution import first_order_m
 from validation.gates.claim import Evidence
+from validation.references.depth_from_blur import first_order_m
 from validation.reports.plots import plot
 from validation.scores.figures import Figure
 from validation.subjects import rendering

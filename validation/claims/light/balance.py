@@ -9,13 +9,10 @@ from numpy.typing import NDArray
 
 import dasim
 from dasim.bounds import cramer_rao
-from dasim.camera import geometry, noise, radiometry
+from dasim.camera import geometry
 from dasim.camera import specification as cameras
 from dasim.camera import stops as aperture
 from dasim.camera.specification import Camera
-from dasim.materials import library
-from dasim.simulation.relight import LONGEST_S
-from dasim.spectra import grid, illuminants
 from dasim.spectra.grid import CHANNELS
 from dasim.typing import FloatArray, ShareDone
 from dasim.values import Capture
@@ -24,6 +21,7 @@ from validation.gates.claim import Evidence
 from validation.reports.plots import plot
 from validation.scores.figures import Figure
 from validation.subjects import rendering, strips
+from validation.subjects.texture import CONTRAST, MEAN_SHARE, white_electrons
 
 ALPHAS = (0.2, 0.3, 0.4, 0.46, 0.5, 0.6, 0.7, 0.8, 0.9)
 PAPERS = 0.46
@@ -31,8 +29,6 @@ LIGHTS = ("D65", "A", "energy-saving-3500K", "LED-B3")
 LEVELS_LUX = {"bright": 5000.0, "dim": 50.0}
 FOCUS_M = 0.4  # the far end of the paper's first working range, 5 to 40 cm
 BLURS_PX = np.array([3.0, 8.0, 14.0, 20.0, 26.0, 32.0, 40.0, 47.0])  # visible: 24 to 5 cm, even in dioptres
-MEAN_SHARE = 0.4  # of white, the texture's mean
-CONTRAST = 0.15  # of its mean, the texture's standard deviation in an octave
 TICKS = (0.2, 0.5, 1, 2, 4)  # of the depth error's axis
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7")
 
@@ -103,15 +99,6 @@ def with_hole(camera: Camera, alpha: float) -> Camera:
     """The camera with another radius of its near-infrared hole."""
     stops = [stop.model_dump() | ({"radius_ratio": alpha} if stop.name == "hole" else {}) for stop in camera.stops]
     return rendering.changed(camera, stops=stops)
-
-
-def white_electrons(camera: Camera, light: str, level_lux: float) -> tuple[FloatArray, float]:
-    """Electrons of white paper in every channel, and the exposure: automatic, up to ``LONGEST_S``."""
-    radiance = illuminants.illuminant(light) * level_lux * library.reflectance("white-paper") / np.pi
-    rate = grid.integrate(radiometry.response(camera) * radiance)
-    top = noise.Exposure().auto_level * noise.saturation_e(camera.sensor)
-    time_s = min(LONGEST_S, float(top / rate.max()))
-    return rate * time_s, time_s
 
 
 def depth_error(

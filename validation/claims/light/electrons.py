@@ -16,10 +16,12 @@ from dasim.materials import library
 from dasim.spectra import grid, illuminants
 from dasim.spectra.grid import CHANNELS
 from dasim.typing import FloatArray, ShareDone
-from validation.gates.claim import Evidence, NotRun
+from validation.gates.claim import Evidence
 from validation.references import radiometry
+from validation.references.paper import HOLE_RATIO, STOP_RATIOS
 from validation.scores.figures import Figure
 from validation.subjects import rendering, walls
+from validation.subjects.rendering import NotRun
 
 FRAME = {"width_px": 16, "height_px": 12}
 SPP = 256
@@ -176,7 +178,7 @@ def hole_alpha_squared(progress: ShareDone) -> Evidence:
     ratio = _rates(wall, camera).mean(axis=(0, 1)) / whole.mean(axis=(0, 1))
     return Evidence(
         [
-            Figure(name, float(value / rendering.HOLE_RATIO**2 - 1), "1", f"{name}: ratio over alpha^2, less 1")
+            Figure(name, float(value / HOLE_RATIO**2 - 1), "1", f"{name}: ratio over alpha^2, less 1")
             for name, value in zip(CHANNELS, ratio, strict=True)
         ]
     )
@@ -212,7 +214,7 @@ def absolute_electrons(progress: ShareDone) -> Evidence:
         for channel, name in enumerate(CHANNELS):
             expected = sum(
                 radiometry.wall_electrons(camera, channel, x, y, ratio, side)
-                for ratio, side in zip(rendering.STOP_RATIOS, ("open", "hole"), strict=True)
+                for ratio, side in zip(STOP_RATIOS, ("open", "hole"), strict=True)
             )
             error = float(rate[rows, columns, channel].mean() / expected - 1)
             meaning = f"{name}, {place} of the picture: relative error; {expected:.4g} e-/s are right"

@@ -11,6 +11,7 @@ from dasim.spectra import illuminants
 from dasim.spectra.grid import CHANNELS
 from dasim.typing import FloatArray, ShareDone
 from validation.gates.claim import Evidence
+from validation.references.paper import STOP_RATIOS
 from validation.reports.plots import CHANNEL_COLOURS, plot
 from validation.scores.figures import Figure
 from validation.subjects import rendering
@@ -64,7 +65,7 @@ def blur_off(progress: ShareDone) -> Evidence:
 def expected_moments(camera: Camera, blur_px: float) -> FloatArray:
     """Second moment per axis in square pixels, [channel], from the lens's data and the stops' shares of electrons."""
     share = rendering.stop_electrons(camera, illuminants.illuminant("D65") * library.reflectance("white-paper"))
-    own = np.array(rendering.STOP_RATIOS) * blur_px
+    own = np.array(STOP_RATIOS) * blur_px
     return (share * (own**2)[:, None]).sum(axis=0) / 16 + SOURCE_RADIUS_PX**2 / 4 + 1 / 12
 
 

@@ -10,12 +10,11 @@ from dasim.camera.specification import Camera
 from dasim.spectra import grid, illuminants
 from dasim.spectra.grid import CHANNELS
 from dasim.typing import FloatArray, ShareDone
-from validation.claims.optics.diffraction import wave_mtf
 from validation.gates.claim import Evidence
-from validation.references.transfer import disc_transfer, pixel_transfer
+from validation.references.paper import STOP_RATIOS
+from validation.references.transfer import disc_transfer, pixel_transfer, wave_mtf
 from validation.reports.plots import CHANNEL_COLOURS, plot
 from validation.scores.figures import Figure
-from validation.subjects.rendering import STOP_RATIOS
 
 LIGHT = "D65"
 FIELD_BLURS_PX = np.linspace(-6.0, 24.0, 31)  # visible blur: from behind the focus to well before it

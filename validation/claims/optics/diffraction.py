@@ -8,16 +8,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 import dasim
-from dasim.camera import geometry, pointspread, radiometry
+from dasim.camera import geometry, pointspread
 from dasim.camera import specification as cameras
 from dasim.camera.specification import Camera
 from dasim.materials import library
-from dasim.spectra import grid, illuminants
+from dasim.spectra import illuminants
 from dasim.spectra.grid import CHANNELS
 from dasim.typing import FloatArray, ShareDone
 from validation.gates.claim import Evidence
-from validation.references import transfer
 from validation.references.sfr import slanted_edge_sfr, windowed_response
+from validation.references.transfer import wave_mtf
 from validation.reports.plots import CHANNEL_COLOURS, plot
 from validation.scores.figures import Figure
 from validation.subjects import rendering
@@ -30,7 +30,6 @@ EDGE_SIZE_PX = (128, 64)
 EDGE_SPP, EDGE_SEEDS = 784, 4
 MTF_STEP = 1 / 512  # cycles a pixel: a period of 512 px, four frames
 MTF_END = 1.8  # cycles a pixel: beyond the diffraction limit of 400 nm at f/2.8
-MTF_NM = 4  # of wavelength between two transfer functions
 
 ENERGY_BLUR_PX = (3.0, 8.0, 17.4)
 ENERGY_CHANNELS = ("G", "IR")
@@ -78,7 +77,7 @@ def wave_sfr(progress: ShareDone) -> Evidence:
                 measured[seed, index, channel] = slanted_edge_sfr(picture[..., channel], SFR_CYCLES_PX, blur_px=blur)
             picture = np.mean(pictures, axis=0)[..., channel]
             mean[index, channel] = slanted_edge_sfr(picture, SFR_CYCLES_PX, blur_px=blur)
-        mtf = wave_mtf(camera, blur, edge_contrast(), np.arange(0, MTF_END, MTF_STEP))
+        mtf = wave_mtf(camera, blur, edge_contrast(), np.arange(0, MTF_END, MTF_STEP), EDGE_DEG)
         slope = np.tan(np.radians(EDGE_DEG))
         expected[index] = windowed_response(mtf, MTF_STEP, (height, width), slope, SFR_CYCLES_PX)
     error = mean - expected
@@ -124,25 +123,6 @@ def cos4(camera: Camera) -> FloatArray:
     image_px = 1 / (1 / (lens.focal_length_mm * 1e-3) - 1 / lens.focus_distance_m) / (sensor.pixel_pitch_um * 1e-6)
     y, x = np.indices((sensor.height_px, sensor.width_px)) + 0.5
     return (1 + ((x - sensor.width_px / 2) ** 2 + (y - sensor.height_px / 2) ** 2) / image_px**2) ** -2.0
-
-
-def wave_mtf(
-    camera: Camera, blur_px: float, spectrum: FloatArray, frequency: FloatArray, angle_deg: float = EDGE_DEG
-) -> FloatArray:
-    """Signed MTF of every channel with the pixel, ``angle_deg`` from a row, [channel, frequency]."""
-    lens, pitch_um = camera.lens, camera.sensor.pixel_pitch_um
-    image_mm = 1 / (1 / lens.focal_length_mm - 1e-3 / lens.focus_distance_m)
-    total, signal = np.zeros((4, len(frequency))), np.zeros(4)
-    for stop, ratio in zip(camera.stops, rendering.STOP_RATIOS, strict=True):
-        f_number = image_mm * lens.f_number / (ratio * lens.focal_length_mm)
-        weights = radiometry.stop_response(camera, stop) * spectrum
-        used = np.flatnonzero((weights > 1e-6 * weights.max(axis=1, keepdims=True)).any(axis=0))
-        for index in used[:: MTF_NM // int(grid.WAVELENGTH_STEP_NM)]:
-            scale_px = grid.WAVELENGTH_NM[index] * 1e-3 * f_number / pitch_um
-            otf = transfer.hopkins_otf(scale_px * frequency, ratio * blur_px / (8 * scale_px))
-            total += weights[:, index, None] * otf
-            signal += weights[:, index]
-    return total / signal[:, None] * transfer.pixel_transfer(frequency, np.radians(angle_deg))
 
 
 def _sfr_plot(part: NDArray[np.int_], mean: FloatArray, expected: FloatArray) -> str:

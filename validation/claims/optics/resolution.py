@@ -10,6 +10,7 @@ from dasim.camera import specification as cameras
 from dasim.camera.specification import BLUR_LEVELS, Camera
 from dasim.typing import ShareDone
 from validation.gates.claim import Evidence
+from validation.references.depth_from_blur import first_order_m
 from validation.reports.plots import plot
 from validation.scores.figures import Figure
 
@@ -95,9 +96,3 @@ def half_pixel_m(camera: Camera, depth_m: float) -> float:
 
     blur = float(geometry.blur_px(camera, depth_m))
     return (at(blur - 0.5) - at(blur + 0.5)) / 2
-
-
-def first_order_m(camera: Camera, depth_m: float) -> float:
-    """d^2 N p / (2 f^2), written out from the data sheet."""
-    focal_m, pitch_m = camera.lens.focal_length_mm * 1e-3, camera.sensor.pixel_pitch_um * 1e-6
-    return depth_m**2 * camera.lens.f_number * pitch_m / (2 * focal_m**2)

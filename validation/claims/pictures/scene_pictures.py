@@ -12,23 +12,22 @@ import recon
 from dasim.simulation.simulate import Shot
 from dasim.spectra.colour import exposure_scale, to_srgb
 from dasim.spectra.grid import LUMINANCE
-from dasim.typing import BoolArray, FloatArray, ShareDone
+from dasim.typing import FloatArray, ShareDone
 from dasim.values import PsfBank, Reconstruction, Truth
 from recon.calibration.cached import simulated_bank
 from recon.picture import colour, infrared
 from recon.views import anaglyph as stereo
-from validation.claims.depth import scenes
 from validation.gates.claim import Evidence, Pair, Table
 from validation.reports import pictures
+from validation.scores.edges import gradients, slope
 from validation.scores.figures import Figure
 from validation.scores.pictures import infrared_free
-from validation.subjects import rendering
+from validation.subjects import bundled, rendering
 from validation.subjects.shots import photographed
 
 SCENES = {"adam": "skin", "flowers": "daisy"}  # and the object to which they are refocused
+PRESET = "bands"
 EDGE_BLUR_PX = ((0.0, 3.0), (3.0, 10.0))  # visible blur
-EDGE_SHARE = 0.1  # of the pixels, those with the steepest truth
-GRADIENT_SIGMA_PX = 0.7  # of the Gaussian before the differences
 STACK_STEP = 1.0  # levels between the pictures of a stack, beyond both ends by one
 LOCAL_SIGMA_PX = 8.0  # of the patch in which sharpness is compared
 STRONGEST_PX = 12.0  # largest shift between the two eyes
@@ -73,10 +72,10 @@ def scene_pictures(progress: ShareDone, seed: int = 0) -> Evidence:
     tables: list[Table] = []
     for number, name in enumerate(SCENES):
         scene = dasim.load_scene(name)
-        camera = dasim.focused(dasim.cropped(dasim.load_camera("da-mobile"), *scenes.SIZE_PX), scene)
-        shot = photographed(scene, camera, seed, spp=scenes.SPP)
+        camera = dasim.focused(dasim.cropped(dasim.load_camera("da-mobile"), *bundled.SIZE_PX), scene)
+        shot = photographed(scene, camera, seed, spp=bundled.SPP)
         bank = simulated_bank(camera, diffraction=shot.capture.provenance["diffraction"])
-        result = recon.reconstruct(shot.capture, bank, recon.PRESETS[scenes.PRESETS[0]])
+        result = recon.reconstruct(shot.capture, bank, recon.PRESETS[PRESET])
         figures += [*edges(name, result, shot.truth), *sharpest(name, result, bank, shot.truth)]
         progress((number + 0.7) / len(SCENES))
         anaglyphs = {}
@@ -117,19 +116,6 @@ def edges(name: str, result: Reconstruction, truth: Truth) -> list[Figure]:
         Figure(f"{name}.blur.truth", best, "1", f"{said}, sharp truth"),
         Figure(f"{name}.blur.way", (blurred - sharp) / (blurred - best), "1", f"{said}, share of the way to the truth"),
     ]
-
-
-def slope(found: FloatArray, exact: FloatArray, where: BoolArray) -> float:
-    """Regression of gradients [2, h, w] on exact ones, at the steepest of these within a mask [h, w]."""
-    steep = np.hypot(*exact)
-    edge = where & (steep >= np.quantile(steep[where], 1 - EDGE_SHARE))
-    return float((found * exact)[:, edge].sum() / (exact**2)[:, edge].sum())
-
-
-def gradients(image: NDArray) -> FloatArray:
-    """Differences along y and x of an image [h, w], slightly smoothed, [2, h, w]."""
-    smooth = cv2.GaussianBlur(image.astype(np.float64), (0, 0), GRADIENT_SIGMA_PX)
-    return np.stack(np.gradient(smooth))
 
 
 def sharpest(name: str, result: Reconstruction, bank: PsfBank, truth: Truth) -> list[Figure]:

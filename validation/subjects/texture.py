@@ -1,0 +1,24 @@
+"""The texture for which bounds of depth are computed: its mean and contrast, and the electrons of white beside it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from dasim.camera import noise, radiometry
+from dasim.camera.specification import Camera
+from dasim.materials import library
+from dasim.simulation.relight import LONGEST_S
+from dasim.spectra import grid, illuminants
+from dasim.typing import FloatArray
+
+MEAN_SHARE = 0.4  # mean of the texture over white
+CONTRAST = 0.15  # standard deviation of the texture within an octave, over its mean
+
+
+def white_electrons(camera: Camera, light: str, level_lux: float) -> tuple[FloatArray, float]:
+    """Electrons of white paper in every channel, and the exposure: automatic, up to ``LONGEST_S``."""
+    radiance = illuminants.illuminant(light) * level_lux * library.reflectance("white-paper") / np.pi
+    rate = grid.integrate(radiometry.response(camera) * radiance)
+    top = noise.Exposure().auto_level * noise.saturation_e(camera.sensor)
+    time_s = min(LONGEST_S, float(top / rate.max()))
+    return rate * time_s, time_s
