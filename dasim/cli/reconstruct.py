@@ -176,6 +176,7 @@ def score(
         scale: metres of one unit of the depth map, or of the measured depths
         json_file: also write the figures to this file
     """
+    from dasim.base import atomic
     from dasim.files.captures import load_capture, load_truth
     from recon.files.reconstruction import load_reconstruction
     from validation.gates.claim import plain_value
@@ -203,9 +204,7 @@ def score(
     print(scores.shown(figures))
     if json_file is not None:
         content = {f.id: {"value": plain_value(f.value), "unit": f.unit} for f in figures}
-        partial = json_file.with_name(f".{json_file.name}.partial")
-        partial.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
-        partial.replace(json_file)
+        atomic.write(json_file, json.dumps(content, indent=1) + "\n")
     return 0
 
 

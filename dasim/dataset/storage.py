@@ -4,10 +4,7 @@ from __future__ import annotations
 
 import errno
 import os
-import platform
 import shutil
-import threading
-import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from functools import lru_cache, wraps
@@ -16,10 +13,9 @@ from typing import IO, Any, Concatenate, ParamSpec, TypeVar
 
 import fsspec
 
+from dasim.base import atomic
+from dasim.base.atomic import PARTIAL
 from dasim.base.errors import InputError
-
-PARTIAL = ".partial"
-ABANDONED_S = 24 * 3600.0  # a file that another computer began and left alone for so long
 
 
 def _opened(out: str) -> tuple[Any, str]:
@@ -80,20 +76,8 @@ def writing(out: str, name: str) -> Iterator[IO[bytes]]:
             raise
         file.close()
         return
-    path = Path(root) / name
-    path.parent.mkdir(parents=True, exist_ok=True)
-    partial = path.with_name(f".{path.name}.{_writer()}{PARTIAL}")
-    try:
-        with partial.open("wb") as file:
-            yield file
-        partial.replace(path)
-    finally:
-        partial.unlink(missing_ok=True)
-
-
-def _writer() -> str:
-    """Who writes, among all that may: thread, computer, process."""
-    return f"{threading.get_ident()}.{platform.node()}.{os.getpid()}"
+    with atomic.writing(Path(root) / name) as file:
+        yield file
 
 
 @_asked
@@ -148,28 +132,9 @@ def remove(out: str, name: str) -> None:
 
 
 def sweep(out: str) -> None:
-    """Remove what killed writers left half-written; what others are writing stays."""
-    if not is_local(out):
-        return
-    for partial in local_path(out).rglob(f".*{PARTIAL}"):
-        computer, _, process = partial.name.removesuffix(PARTIAL).rpartition(".")
-        with suppress(FileNotFoundError):
-            if computer.endswith(f".{platform.node()}") and process.isdigit():
-                left = not _runs(int(process))
-            else:
-                left = time.time() - partial.stat().st_mtime > ABANDONED_S
-            if left:
-                partial.unlink()
-
-
-def _runs(process: int) -> bool:
-    try:
-        os.kill(process, 0)
-    except ProcessLookupError:
-        return False
-    except PermissionError:
-        return True
-    return True
+    """Remove the unfinished files of killed writers; those of running writers stay."""
+    if is_local(out):
+        atomic.sweep(local_path(out))
 
 
 def free_bytes(out: str) -> int | None:
@@ -185,7 +150,7 @@ def free_bytes(out: str) -> int | None:
 def check_writable(out: str) -> None:
     """InputError where nothing can be written."""
     try:
-        name = f".writable.{_writer()}{PARTIAL}"
+        name = f".writable.{atomic.writer()}{PARTIAL}"
         write(out, name, b"")
         remove(out, name)
     except OSError as error:

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
-import tempfile
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from dasim.base import atomic
 from dasim.base.errors import InputError
 from dasim.base.toml import parse
 from dasim.camera.specification import Camera, channels
@@ -39,31 +38,22 @@ def bank_identity(bank: PsfBank) -> dict[str, Any]:
 
 
 def save_bank(path: Path, bank: PsfBank) -> None:
-    """Write a PSF bank as one compressed ``.npz``, under a temporary name first."""
-    path = Path(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
+    """Write a PSF bank as one compressed ``.npz``."""
     about = {
         "schema": BANK_SCHEMA,
         "lights": bank.lights,
         "diffraction": bank.diffraction,
         "camera": bank.camera.model_dump(mode="json"),
     }
-    handle, name = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
-    try:
-        with os.fdopen(handle, "wb") as file:
-            np.savez_compressed(
-                file,
-                about=np.array(json.dumps(about)),
-                kernel=bank.kernel,
-                signature=bank.signature,
-                depth_m=bank.depth_m,
-                blur_px=bank.blur_px,
-            )
-        os.chmod(name, 0o644)
-        os.replace(name, path)
-    except BaseException:
-        Path(name).unlink(missing_ok=True)
-        raise
+    with atomic.writing(path) as file:
+        np.savez_compressed(
+            file,
+            about=np.array(json.dumps(about)),
+            kernel=bank.kernel,
+            signature=bank.signature,
+            depth_m=bank.depth_m,
+            blur_px=bank.blur_px,
+        )
 
 
 def load_bank(path: Path) -> PsfBank:

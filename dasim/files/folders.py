@@ -1,16 +1,15 @@
-"""Values on disk: capture folders, ground truth as multi-part EXR, PSF banks; nothing half-written, nothing lost."""
+"""Result folders: written whole or not at all, and never over files that dasim did not write."""
 
 from __future__ import annotations
 
 import json
 import os
-import shutil
-import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
+from dasim.base import atomic
 from dasim.base.errors import InputError
 
 
@@ -50,24 +49,8 @@ def new_folder(path: Path, kind: str) -> Iterator[Path]:
     that holds anything else is refused with InputError.
     """
     check_output(path, kind)
-    path = Path(path).resolve()
-    path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = Path(tempfile.mkdtemp(prefix=f".{path.name}.partial-", dir=path.parent))
-    try:
-        yield temporary
-        temporary.chmod(0o755)
-        if path.exists():
-            retired = temporary.with_name(temporary.name.replace("partial", "old"))
-            os.rename(path, retired)
-            os.rename(temporary, path)
-            shutil.rmtree(retired)
-        else:
-            os.rename(temporary, path)
-    finally:
-        shutil.rmtree(temporary, ignore_errors=True)
-        retired = temporary.with_name(temporary.name.replace("partial", "old"))
-        if retired.exists() and not path.exists():  # stopped between the two renames
-            os.rename(retired, path)
+    with atomic.new_folder(path) as folder:
+        yield folder
 
 
 def check_output(path: Path, kind: str) -> None:
@@ -99,12 +82,3 @@ def _marked(file: Path) -> bool:
         return "dasim" in json.loads(file.read_text(encoding="utf-8"))["software"]
     except (OSError, ValueError, KeyError, TypeError):
         return False
-
-
-# --- captures ------------------------------------------------------------------------------------
-
-
-# --- ground truth as multi-part EXR --------------------------------------------------------------
-
-
-# --- PSF banks -----------------------------------------------------------------------------------

@@ -17,7 +17,6 @@ import platform
 import re
 import subprocess
 import sys
-import tempfile
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -25,6 +24,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+from dasim.base import atomic
 from dasim.base.cache import cache_dir
 from dasim.base.errors import InputError
 
@@ -342,18 +342,9 @@ def _read_cache(file: Path) -> dict[str, dict[str, Any]]:
 
 
 def _write_cache(file: Path, results: dict[str, dict[str, Any]]) -> None:
-    """Write the results under a temporary name first; a folder that cannot be written to is no error."""
-    name = None
-    try:
-        file.parent.mkdir(parents=True, exist_ok=True)
-        handle, name = tempfile.mkstemp(prefix=f".{file.name}.", dir=file.parent)
-        with os.fdopen(handle, "w", encoding="utf-8") as stream:
-            json.dump(results, stream, indent=1)
-        os.replace(name, file)
-    except OSError:
-        if name is not None:
-            with contextlib.suppress(OSError):
-                os.unlink(name)
+    """Write the results; a folder that cannot be written to is no error."""
+    with contextlib.suppress(OSError):
+        atomic.write(file, json.dumps(results, indent=1))
 
 
 def main() -> int:

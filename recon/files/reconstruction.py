@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from dasim.base import atomic
 from dasim.base.errors import InputError
 from dasim.base.toml import parse
 from dasim.camera.geometry import intrinsic_matrix
@@ -159,9 +160,7 @@ def write_picture(path: Path, image: NDArray[Any]) -> None:
     done, data = cv2.imencode(".png", encoded[..., ::-1] if encoded.ndim == 3 else encoded)
     if not done:
         raise OSError(f"{path}: the PNG encoder failed")
-    partial = path.with_name(f".{path.name}.partial")
-    partial.write_bytes(data.tobytes())
-    partial.replace(path)
+    atomic.write(path, data.tobytes())
 
 
 def _part(name: str, channels: dict[str, NDArray[Any]]) -> Any:

@@ -16,7 +16,7 @@ from pathlib import Path
 
 import pytest
 
-from dasim.base import executors
+from dasim.base import atomic, executors
 from dasim.base.errors import InputError
 from dasim.cli import run
 from dasim.dataset import plan, sample, storage, verify
@@ -178,7 +178,7 @@ def test_half_written_files_of_the_dead_are_swept(tmp_path):
     }
     for name in names:
         (tmp_path / name).write_bytes(b"half")
-    os.utime(tmp_path / ".d.tar.1.elsewhere.1.partial", (time.time() - 2 * storage.ABANDONED_S,) * 2)
+    os.utime(tmp_path / ".d.tar.1.elsewhere.1.partial", (time.time() - 2 * atomic.ABANDONED_S,) * 2)
     storage.sweep(str(tmp_path))
     assert {name: (tmp_path / name).exists() for name in names} == names
 

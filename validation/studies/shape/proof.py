@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 import dasim
 import recon
+from dasim.base import atomic
 from dasim.camera import specification as cameras
 from dasim.camera.specification import Camera
 from dasim.scene import targets
@@ -96,10 +97,7 @@ def kept(folder: Path, what: list[str], make: Callable[[], dict[str, Any]]) -> d
     path = folder / f"{stored.hashed(what)}.json"
     if not path.is_file():
         found = json.dumps(make(), indent=1)
-        folder.mkdir(parents=True, exist_ok=True)
-        part = path.with_suffix(".part")
-        part.write_text(found + "\n")
-        part.replace(path)
+        atomic.write(path, found + "\n")
     return {name: _frozen(value) for name, value in json.loads(path.read_text()).items()}
 
 

@@ -1,0 +1,88 @@
+"""Files and folders that appear whole or not at all: written under a temporary name, then renamed."""
+
+from __future__ import annotations
+
+import os
+import platform
+import shutil
+import tempfile
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import IO
+
+PARTIAL = ".partial"  # how temporary names end
+ABANDONED_S = 24 * 3600.0  # age at which an unfinished file of another computer counts as abandoned
+
+
+def write(path: Path, content: bytes | str) -> None:
+    """Write a file as a whole, text as UTF-8; missing parent folders are created."""
+    with writing(path) as file:
+        file.write(content.encode() if isinstance(content, str) else content)
+
+
+@contextmanager
+def writing(path: Path) -> Iterator[IO[bytes]]:
+    """Open a binary file that replaces ``path`` when the block ends, and leaves no trace when the block raises."""
+    path = Path(path)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    partial = path.with_name(f".{path.name}.{writer()}{PARTIAL}")
+    try:
+        with partial.open("wb") as file:
+            yield file
+        partial.replace(path)
+    finally:
+        partial.unlink(missing_ok=True)
+
+
+@contextmanager
+def new_folder(path: Path) -> Iterator[Path]:
+    """Create a temporary folder that becomes ``path`` when the block ends, and is removed when the block raises.
+
+    A folder at ``path`` is replaced as a whole.
+    """
+    path = Path(path).resolve()
+    path.parent.mkdir(parents=True, exist_ok=True)
+    temporary = Path(tempfile.mkdtemp(prefix=f".{path.name}.partial-", dir=path.parent))
+    retired = temporary.with_name(temporary.name.replace("partial", "old"))
+    try:
+        yield temporary
+        temporary.chmod(0o755)
+        if path.exists():
+            os.rename(path, retired)
+        os.rename(temporary, path)
+        shutil.rmtree(retired, ignore_errors=True)
+    finally:
+        shutil.rmtree(temporary, ignore_errors=True)
+        if retired.exists() and not path.exists():  # interrupted between the two renames
+            os.rename(retired, path)
+
+
+def writer() -> str:
+    """Name of this writer, unique among all threads, processes and computers that write into a folder."""
+    return f"{threading.get_ident()}.{platform.node()}.{os.getpid()}"
+
+
+def sweep(folder: Path) -> None:
+    """Remove the unfinished files of dead writers below a folder; those of running writers stay."""
+    for partial in folder.rglob(f".*{PARTIAL}"):
+        computer, _, process = partial.name.removesuffix(PARTIAL).rpartition(".")
+        with suppress(FileNotFoundError):
+            if computer.endswith(f".{platform.node()}") and process.isdigit():
+                dead = not _runs(int(process))
+            else:
+                dead = time.time() - partial.stat().st_mtime > ABANDONED_S
+            if dead:
+                partial.unlink()
+
+
+def _runs(process: int) -> bool:
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    except PermissionError:
+        return True
+    return True
