@@ -212,7 +212,7 @@ AT_RIM = "disc at the rim"  # moved as far out as it goes: infrared then shifts 
 
 def references(cells: int, budget: float) -> list[Design]:
     """What a search is compared with: the disc, rings, a disc at the rim, and published codes, at the same budget."""
-    from validation.studies.shape import codes
+    from validation.studies.shape import published_codes
 
     alpha = float(np.sqrt(budget))
     designs = [Design(disc_name(budget), masks.disc(cells, budget))]
@@ -227,9 +227,9 @@ def references(cells: int, budget: float) -> list[Design]:
         two = masks.disc(cells, half, (apart, 0.0)) + masks.disc(cells, half, (-apart, 0.0))
         designs.append(Design("two discs at the rim", two))
     published = {
-        "Levin 2007, rebuilt": codes.levin,
-        "Veeraraghavan 2007, rebuilt": codes.veeraraghavan,
-        "Zhou & Nayar 2009, rebuilt": codes.zhou_nayar,
+        "Levin 2007, rebuilt": published_codes.levin,
+        "Veeraraghavan 2007, rebuilt": published_codes.veeraraghavan,
+        "Zhou & Nayar 2009, rebuilt": published_codes.zhou_nayar,
     }
     designs += [Design(name, masks.square(code(), cells, budget)) for name, code in published.items()]
     return designs + [

@@ -22,10 +22,10 @@ from validation.reports.page import TEMPLATE_DIR, png_address
 from validation.reports.plots import plot
 from validation.studies import criteria
 from validation.studies.criteria import Bench, Objective, Texture
-from validation.studies.shape import masks, patches
+from validation.studies.shape import masks, patch_likelihood
 from validation.studies.shape import search as shape
-from validation.studies.shape.proof import LEVELS, PRESETS, Proof, proof, ratio
-from validation.studies.shape.reach import SIDE, Reach, cut_deviation, reach
+from validation.studies.shape.board_likelihood import SIDE, Reach, cut_deviation, reach
+from validation.studies.shape.pipeline import LEVELS, PRESETS, Proof, proof, ratio
 from validation.studies.shape.search import Design, Search
 
 BLURS, SEARCH_BLURS = 8, 6  # depths that are averaged over, in the table and in the search
@@ -72,7 +72,7 @@ class Row:
     feature_um: float
     depth_dioptre: float  # root mean square of the bound over the depths
     depth_ratio: float
-    cut_dioptre: float  # the same of a patch without its surroundings, see validation.studies.shape.reach
+    cut_dioptre: float  # the same of a patch without its surroundings, see validation.studies.shape.board_likelihood
     cut_ratio: float
     sharp_error: float  # of the Wiener filter, relative to the texture's contrast
     sharp_ratio: float
@@ -237,7 +237,7 @@ def _camera(plan: Plan, design: Design) -> Camera:
 def _estimated(plan: Plan, design: Design, blurs: criteria.FloatArray) -> tuple[float, float]:
     """Root mean square over the depths of the likelihood's error on patches, and of its bound, in dioptres."""
     camera = _camera(plan, design)
-    found = patches.likelihood_errors(camera, blurs, light=plan.light, level_lux=plan.level_lux)
+    found = patch_likelihood.likelihood_errors(camera, blurs, light=plan.light, level_lux=plan.level_lux)
     error, bound = (float(np.sqrt(np.mean(one**2))) / criteria.dioptre_px(camera) for one in found)
     return error, bound
 

@@ -19,7 +19,7 @@ from dasim.cli import run
 from dasim.spectra import illuminants
 from validation.references.transfer import hopkins_otf
 from validation.studies import criteria
-from validation.studies.shape import codes, masks
+from validation.studies.shape import masks, published_codes
 
 BLURS = np.array([3.0, 14.0, 30.0, 47.0])
 SHAPE, SPACING_PX = (32, 32), 2.0
@@ -134,7 +134,7 @@ def test_shapes_have_their_light_budget(share: float) -> None:
     rim = 2 * np.pi * (2 / 128) / np.pi
     assert masks.budget(masks.disc(128, share)) == pytest.approx(share, abs=rim / 4)
     assert masks.budget(masks.annulus(128, share, 0.3)) == pytest.approx(share, abs=rim / 2)
-    code = codes.zhou_nayar()
+    code = published_codes.zhou_nayar()
     own = min(share, code.mean() * 2 / np.pi)
     assert masks.budget(masks.square(code, 128, share)) == pytest.approx(own, rel=0.08)  # 13 cells on 128
 
@@ -166,11 +166,13 @@ def test_smoothing_takes_away_what_is_smaller_than_the_feature() -> None:
 def test_published_codes_are_the_best_of_their_searches() -> None:
     """Each beats all of 200 random patterns of its kind by its own criterion; their sizes are the papers'."""
     random = np.random.default_rng(0)
-    code = codes.zhou_nayar()
+    code = published_codes.zhou_nayar()
     others = (random.random((200, 13, 13)) < 0.5).astype(float)
-    assert codes._deblurring_error(code[None])[0] < codes._deblurring_error(others).min()
-    assert codes._least_divergence(codes.levin()) > max(map(codes._least_divergence, others[:100]))
-    seven = codes.veeraraghavan()
+    assert published_codes._deblurring_error(code[None])[0] < published_codes._deblurring_error(others).min()
+    assert published_codes._least_divergence(published_codes.levin()) > max(
+        map(published_codes._least_divergence, others[:100])
+    )
+    seven = published_codes.veeraraghavan()
     assert seven.shape == (7, 7)
     assert seven.sum() in (24, 25)
     spectrum = np.abs(np.fft.rfft2(others[:, :7, :7], (16, 16))).min(axis=(1, 2)) / others[:, :7, :7].sum(axis=(1, 2))

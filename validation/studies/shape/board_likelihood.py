@@ -35,7 +35,7 @@ from recon.picture import mosaic
 from validation.gates import stored
 from validation.scores import texture
 from validation.studies import criteria
-from validation.studies.shape import proof
+from validation.studies.shape import pipeline
 from validation.subjects import rendering
 from validation.subjects.shots import photographed
 
@@ -60,10 +60,10 @@ class Reach:
     def steps(self) -> dict[str, tuple[float, ...]]:
         """Root mean square over the levels of each step, [exposure] or one."""
         return {
-            "bound, periodic patch": (proof.rms(self.periodic),),
-            "bound, patch without surroundings": (proof.rms(self.cut),),
-            "likelihood on rendered boards": tuple(proof.rms(one) for one in self.board),
-            "likelihood, window of 63 px": tuple(proof.rms(one) for one in self.wide),
+            "bound, periodic patch": (pipeline.rms(self.periodic),),
+            "bound, patch without surroundings": (pipeline.rms(self.cut),),
+            "likelihood on rendered boards": tuple(pipeline.rms(one) for one in self.board),
+            "likelihood, window of 63 px": tuple(pipeline.rms(one) for one in self.wide),
         }
 
 
@@ -73,7 +73,7 @@ def reach(camera: Camera, folder: Path, light: str, level_lux: float, seed: int 
     what = [camera.model_dump_json(), light, f"{level_lux}", stored.key(reach, variant, seed)]
 
     def make() -> dict[str, Any]:
-        blurs = geometry.level_blur_px(camera)[list(proof.LEVELS)]
+        blurs = geometry.level_blur_px(camera)[list(pipeline.LEVELS)]
         transfer, slope = pupils.camera_transfers(camera, blurs, light, criteria.SHAPE, spacing_px=SPACING_PX)
         index = [cameras.channels(camera.sensor).index(name) for name in criteria.PLANES]
         seen = criteria.sight(camera, light, level_lux)
@@ -83,7 +83,7 @@ def reach(camera: Camera, folder: Path, light: str, level_lux: float, seed: int 
         px = criteria.dioptre_px(camera)
         return asdict(Reach((np.sqrt(variance) / px).tolist(), (cut / px).tolist(), boards[0], boards[1]))
 
-    return Reach(**proof.kept(folder, what, make))
+    return Reach(**pipeline.kept(folder, what, make))
 
 
 def cut_deviation(
@@ -133,17 +133,17 @@ def cut_deviation(
 
 
 def board_deviations(camera: Camera, window_px: Sequence[float] = (31.0, 63.0), seed: int = 0) -> FloatArray:
-    """Deviation of the most likely blur on the boards of :mod:`validation.studies.shape.proof`, dioptres.
+    """Deviation of the most likely blur on the boards of :mod:`validation.studies.shape.pipeline`, dioptres.
 
     [window, exposure, level]; without each board's own bias, as the pipeline's are scored.
     """
-    found = np.empty((len(window_px), proof.EXPOSURES, len(proof.LEVELS)))
-    for level, (scene, own) in enumerate(proof.lit_boards(camera)):
-        shot = photographed(scene, own, seed, spp=proof.SPP)
-        where = proof.inner(texture.textured(shot.capture))[::2, ::2]
+    found = np.empty((len(window_px), pipeline.EXPOSURES, len(pipeline.LEVELS)))
+    for level, (scene, own) in enumerate(pipeline.lit_boards(camera)):
+        shot = photographed(scene, own, seed, spp=pipeline.SPP)
+        where = pipeline.inner(texture.textured(shot.capture))[::2, ::2]
         blur = float(geometry.blur_px(camera, float(np.nanmedian(shot.truth.depth_m))))
         candidates = np.arange(max(blur - AROUND_PX, STEP_PX), blur + AROUND_PX + STEP_PX / 2, STEP_PX)
-        for exposure, capture in enumerate(proof.exposures(shot)):
+        for exposure, capture in enumerate(pipeline.exposures(shot)):
             for row, scores in enumerate(_scores(capture, shot, candidates, window_px)):
                 error = _refined(scores, candidates)[where] - blur
                 found[row, exposure, level] = np.sqrt(np.mean((error - np.median(error)) ** 2))
@@ -165,7 +165,7 @@ def _scores(capture: Capture, shot: Shot, candidates: FloatArray, window_px: Seq
     gain = float(planes["IR"].mean() / planes["G"].mean())  # the board's white and black are so in both
     power = _power(shot, side)
     transfer, _ = pupils.stop_transfers(
-        camera, candidates, proof.LIGHT, (side, side), spacing_px=SPACING_PX, fine_cells=CELLS
+        camera, candidates, pipeline.LIGHT, (side, side), spacing_px=SPACING_PX, fine_cells=CELLS
     )
     names = cameras.channels(camera.sensor)
     band = power > 0

@@ -15,11 +15,11 @@ from dasim.camera import specification as cameras
 from dasim.cli import run
 from tests.support import browser
 from validation.studies import criteria
-from validation.studies.shape import masks, patches
+from validation.studies.shape import masks, patch_likelihood
 from validation.studies.shape import search as shape
 from validation.studies.shape import study as shape_study
-from validation.studies.shape.proof import Proof
-from validation.studies.shape.reach import Reach
+from validation.studies.shape.board_likelihood import Reach
+from validation.studies.shape.pipeline import Proof
 from validation.studies.shape.search import Search
 
 CELLS, BUDGET = 20, 0.2116
@@ -127,7 +127,7 @@ def test_the_likelihood_of_patches_reaches_its_bound(camera: dasim.Camera) -> No
     half = masks.disc(32, BUDGET / 2, (0.67, 0.0)) + masks.disc(32, BUDGET / 2, (-0.67, 0.0))
     blurs = np.array([10.0])
     for own in (camera, masks.camera_with(camera, half)):
-        error, bound = patches.likelihood_errors(own, blurs, patches=300)
+        error, bound = patch_likelihood.likelihood_errors(own, blurs, patches=300)
         np.testing.assert_allclose(error, np.hypot(bound, 0.03), rtol=0.15)
 
 
@@ -161,7 +161,7 @@ def study(camera: dasim.Camera) -> Iterator[shape_study.Study]:
     with pytest.MonkeyPatch.context() as patch:
         for name, value in small.items():
             patch.setattr(shape_study, name, value)
-        patch.setattr(shape_study.patches, "STEP_PX", 1.0)
+        patch.setattr(shape_study.patch_likelihood, "STEP_PX", 1.0)
         patch.setattr(shape_study, "proof", lambda camera, folder, preset, seed: rendered)
         patch.setattr(shape_study, "reach", lambda camera, folder, light, lux, seed: reached)
         plan = shape_study.Plan(camera, BUDGET, cells=16, feature_um=170.0, seeds=1, iterations=1)
