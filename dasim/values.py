@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from dasim.base.errors import InputError
 from dasim.camera.specification import Camera
 from dasim.typing import Float32Array
 
@@ -82,6 +83,72 @@ class PsfBank:
 
 
 @dataclass(frozen=True)
+class DepthEstimate:
+    """What a depth method estimates from a capture: the blur level or the depth of every pixel, NaN where unknown.
+
+    Give exactly one of ``level`` and ``depth_m``, each of the raw frame's shape; InputError for anything else.
+    """
+
+    level: NDArray[np.floating] | None = None  # [h, w] blur level of the bank, fractional; 0 in focus, larger nearer
+    depth_m: NDArray[np.floating] | None = None  # [h, w] z from the lens plane in metres, never range
+    sd: NDArray[np.floating] | None = None  # [h, w] standard deviation, in levels or metres as the map; None: unknown
+
+    def __post_init__(self) -> None:
+        """Refuse what is no estimate."""
+        if (self.level is None) == (self.depth_m is None):
+            given = "neither" if self.level is None else "both"
+            raise InputError(f"depth estimate: {given} of level and depth_m given; give one of them")
+        name = "depth_m" if self.level is None else "level"
+        estimate = _map(getattr(self, name), name)
+        if np.isinf(estimate).any():
+            raise InputError(f"depth estimate: {name} holds infinite values; NaN marks pixels without an estimate")
+        if self.depth_m is not None and np.any(self.depth_m <= 0):
+            raise InputError(
+                f"depth estimate: depth_m goes down to {np.nanmin(self.depth_m):g} m; depths are metres above 0, "
+                "NaN where there is no estimate"
+            )
+        if self.sd is None:
+            return
+        if _map(self.sd, "sd").shape != estimate.shape:
+            raise InputError(
+                f"depth estimate: sd has the shape {self.sd.shape}, {name} has {estimate.shape}; they must be equal"
+            )
+        if not np.all(self.sd[np.isfinite(estimate)] >= 0):
+            raise InputError(
+                f"depth estimate: sd is NaN or negative where {name} has a value; standard deviations are 0 or more"
+            )
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Height and width in pixels."""
+        height, width = self._map.shape
+        return height, width
+
+    @property
+    def coverage(self) -> float:
+        """Share 0..1 of the pixels that have an estimate."""
+        return float(np.isfinite(self._map).mean())
+
+    @property
+    def _map(self) -> NDArray[np.floating]:
+        found = self.depth_m if self.level is None else self.level
+        assert found is not None  # checked when made
+        return found
+
+
+def _map(image: Any, name: str) -> NDArray[np.floating]:
+    """The image, if it is a floating-point NumPy array [h, w]; InputError otherwise."""
+    if not isinstance(image, np.ndarray):
+        raise InputError(f"depth estimate: {name} is of type {type(image).__name__}; give a NumPy array [h, w]")
+    if image.dtype.kind != "f" or image.ndim != 2 or not image.size:
+        raise InputError(
+            f"depth estimate: {name} is an array of {image.dtype} of shape {image.shape}; give floating-point numbers "
+            "of shape [h, w]"
+        )
+    return image
+
+
+@dataclass(frozen=True)
 class Reconstruction:
     """What the reconstruction makes of a capture. NaN marks pixels without an estimate."""
 
@@ -100,6 +167,7 @@ class Reconstruction:
     timings_s: dict[str, float]
     bank: dict[str, Any] = field(default_factory=dict)  # which bank it was, see dasim.files.banks.bank_identity
     notes: tuple[str, ...] = ()  # what a user should know of this result
+    method: str | None = None  # name of the depth method, where ``settings`` did not choose it
 
 
 @dataclass(frozen=True)

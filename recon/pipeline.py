@@ -5,20 +5,21 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, nullcontext
-from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from dasim.base.errors import InputError
-from dasim.camera.specification import Camera, channels
+from dasim.camera.specification import Camera
 from dasim.files.banks import bank_identity
 from dasim.spectra.colour import exposure_scale, to_srgb
 from dasim.spectra.grid import CHANNELS
 from dasim.typing import Float32Array, Progress
 from dasim.values import Capture, Developed, PsfBank, Reconstruction
-from recon.depth import scores, tiles
+from recon import levels
+from recon.calibration.fit import check_fits
+from recon.depth import raw_levels
+from recon.depth.method import Method, applied, method_name, on_blocks
 from recon.depth.regularise import regularise
 from recon.picture import colour, denoise, infrared, mosaic
 from recon.picture import develop as picture
@@ -28,13 +29,10 @@ from recon.sharp import sharpen
 PICTURE_STAGES = ("linearise", "light", "denoise", "infrared", "demosaic", "colour")
 STAGES = (*PICTURE_STAGES[:-1], "depth", "regularise", "sharpen", "colour")
 LIGHTS = ("D65", "D55", "A", "energy-saving-3500K")  # sec. 5.1, that white balance chooses from without a bank
-NOISE_BLUR_PX = 1.5  # plane pixels: the signal that decides the noise is a local mean
-FALLBACK_TRUST = 0.25  # of red or blue in place of infrared: their blur differs little (sec. 5.3)
 FAR_LIGHT = 1.0  # in log-chromaticity: D65 and A are 1.46 apart, photographs within 0.5 of their own light
 INTERPOLATED_NOISE_SHARE = 0.7  # of the sensor's noise that interpolation leaves, standard deviation
 GRAINY_LEVEL = 3.0  # from here on, deconvolution starts from the picture before noise reduction alone
 CERTAIN = 0.05  # confidence below which the picture fades to that captured: there the level is a guess
-FOCUS_TOLERANCE = 0.01  # relative, in dioptres, between bank and capture
 
 
 def reconstruct(
@@ -42,16 +40,19 @@ def reconstruct(
     bank: PsfBank,
     settings: Settings = DEFAULT,
     *,
+    method: Method | None = None,
     flat: Capture | None = None,
     progress: Progress | None = None,
 ) -> Reconstruction:
     """Everything the paper makes of one capture: picture, depth, all-in-focus picture.
 
+    With a ``method``, such as one of ``METHODS`` or your own, its estimate replaces the raw levels: regularisation
+    fills its gaps, and its standard deviation gives the confidence. By default ``settings.score`` chooses the method.
     ``flat`` is a capture of an even surface, from which the lens shading is undone in the pictures.
     ``progress`` is called with a stage's name and the share of stages done before it. Raises InputError where
     capture and bank do not belong together, or where the mosaic has no infrared.
     """
-    _check(capture, bank)
+    check_fits(bank, capture)
     camera = capture.camera
     timings: dict[str, float] = {}
 
@@ -59,17 +60,21 @@ def reconstruct(
     image = picture.demosaiced(capture, bank.signature, settings, flat, stage)
     light, saturated = image.light, image.saturated
     assert image.ir_e is not None  # checked above
-    variances = _variances(image.raw_e, capture)
+    variances = raw_levels.variances(image.raw_e, capture)
+    outside = 0.0
     with stage("depth"):
-        raw_level, trust = _raw_levels(
-            image.raw_e, variances, saturated, camera, bank.kernel[light], settings, bank.signature[light]
-        )
+        if method is None:
+            raw_level, trust = raw_levels.raw_levels(
+                image.raw_e, variances, saturated, camera, bank.kernel[light], settings, bank.signature[light]
+            )
+        else:
+            raw_level, trust, outside = on_blocks(applied(method, capture, bank), bank)
     with stage("regularise"):
         guide = _infrared_guide(image.ir_e, capture)
         smooth, evidence = regularise(raw_level, trust, guide, settings.regularise_bandwidth)
         level = _upsampled(smooth, camera.sensor.height_px, camera.sensor.width_px)
         confidence = _upsampled(evidence, *level.shape)
-    notes = _notes(image.raw_e, saturated, camera, bank)
+    notes = _notes(image.raw_e, saturated, camera, bank) + _range_notes(outside, method, bank)
     separation = infrared.separation(camera, bank.lights[light], settings)
     clipped, white = picture.clipped(saturated, camera), bank.signature[light]
     linear_e = picture.without_infrared(image.full_e, image.ir_e, separation, clipped, white)
@@ -104,7 +109,7 @@ def reconstruct(
         ir_e=ir_e,
         level_raw=raw_level.repeat(2, axis=0).repeat(2, axis=1),
         level=level,
-        depth_m=_depth_m(level, bank),
+        depth_m=levels.depth_of(level, bank.depth_m),
         confidence=confidence,
         camera=camera,
         light=bank.lights[light],
@@ -112,6 +117,7 @@ def reconstruct(
         timings_s=timings,
         bank=bank_identity(bank),
         notes=notes,
+        method=None if method is None else method_name(method),
     )
 
 
@@ -159,31 +165,6 @@ def _stages(names: Sequence[str], timings: dict[str, float], progress: Progress 
     return stage
 
 
-def _check(capture: Capture, bank: PsfBank) -> None:
-    """Refuse a bank of another camera or focus; the frame's size may differ."""
-    if "IR" not in mosaic.grids(capture.camera):
-        raise InputError(
-            f"camera '{capture.camera.name}' has no infrared pixels, so that its captures show no depth; "
-            "recon.develop makes the picture alone"
-        )
-    mine, banks = capture.camera, bank.camera
-    wrong = [what for what, one, other in _optics(mine, banks) if one != other]
-    if wrong:
-        raise InputError(
-            f"bank of camera '{banks.name}' does not fit a capture of camera '{mine.name}': they differ in "
-            f"{', '.join(wrong)}; make one with 'dasim calibrate --camera'"
-        )
-    focus, bank_focus = mine.lens.focus_distance_m, banks.lens.focus_distance_m
-    if abs(1 / focus - 1 / bank_focus) > FOCUS_TOLERANCE / bank_focus or (
-        mine.lens.focal_length_mm, mine.lens.f_number
-    ) != (banks.lens.focal_length_mm, banks.lens.f_number):  # fmt: skip
-        raise InputError(
-            f"bank is for a lens of {banks.lens.focal_length_mm:g} mm f/{banks.lens.f_number:g} focused at "
-            f"{bank_focus:g} m, the capture has {mine.lens.focal_length_mm:g} mm f/{mine.lens.f_number:g} at "
-            f"{focus:g} m; make a bank with 'dasim calibrate --focus {focus:g}'"
-        )
-
-
 def _notes(raw_e: Float32Array, saturated: NDArray, camera: Camera, bank: PsfBank) -> tuple[str, ...]:
     """What speaks against the bank's lights: the picture's white lies far from all of them, or cannot be told."""
     distance = colour.light_distances(mosaic.planes(raw_e, camera), picture.blocks_any(saturated), bank.signature)
@@ -198,90 +179,14 @@ def _notes(raw_e: Float32Array, saturated: NDArray, camera: Camera, bank: PsfBan
     )
 
 
-def _optics(mine: Camera, banks: Camera) -> list[tuple[str, Any, Any]]:
-    """What decides kernels beside the lens, of two cameras."""
-    one, other = ([stop.model_dump() for stop in camera.stops] for camera in (mine, banks))
-    first, second = mine.sensor, banks.sensor
-    return [
-        ("stops", one, other),
-        ("pixel_pitch_um", first.pixel_pitch_um, second.pixel_pitch_um),
-        ("channels", channels(first), channels(second)),
-        ("quantum_efficiency", first.quantum_efficiency, second.quantum_efficiency),
-        ("cutoff_nm", first.cutoff_nm, second.cutoff_nm),
-    ]
-
-
-def _variances(raw_e: Float32Array, capture: Capture) -> dict[str, Float32Array]:
-    """Noise variance of every colour plane's pixels: the data sheet's, raised where the picture shows more."""
-    found = {}
-    for name, plane in mosaic.planes(raw_e, capture.camera).items():
-        smooth = cv2.GaussianBlur(plane, (0, 0), NOISE_BLUR_PX)
-        variance = mosaic.noise_variance(smooth, capture).astype(np.float32)
-        found[name] = variance * mosaic.noise_excess(plane, variance)
-    return found
-
-
-def _raw_levels(
-    raw_e: Float32Array,
-    variances: dict[str, Float32Array],
-    saturated: NDArray,
-    camera: Camera,
-    kernels: NDArray,
-    settings: Settings,
-    white: NDArray | None = None,
-) -> tuple[Float32Array, Float32Array]:
-    """Eq. (12) for every block of the mosaic, NaN where neither infrared nor red nor blue has an edge; confidence."""
-    places, planes = mosaic.phases(camera), mosaic.planes(raw_e, camera)
-
-    def channel(name: str, box: tuple[slice, slice]) -> scores.Channel:
-        plane = np.ascontiguousarray(planes[name][box])
-        return plane, places[name], variances[name][box], kernels[:, CHANNELS.index(name)]
-
-    leak = None if white is None else _leak("G", camera, white, settings)
-    further = ["R"] if settings.score == "bands" and "R" in _fallbacks(camera) else []
-    usable = scores.window_mean(picture.blocks_any(saturated).astype(np.float32), settings) < settings.saturated_share
-    level = np.full(planes["G"].shape, np.nan, np.float32)
-    confidence = np.zeros_like(level)
-    open_ = usable.copy()  # where no channel has shown an edge yet
-    for name in ["IR", *(_fallbacks(camera) if settings.fallback else [])]:
-        box = _around(open_, round(settings.window_px / scores.PLANE_SPACING_PX) * 2)
-        if box is None:
-            break
-        also: scores.Also = []
-        if name == "IR" and white is not None:
-            also = [(channel(n, box), _leak(n, camera, white, settings)) for n in further]
-        best, trust, snr, green_snr = tiles.best_levels(
-            channel(name, box), channel("G", box), settings, leak if name == "IR" else None, also
-        )
-        edge = open_[box] & (snr > settings.edge_snr) & (green_snr > settings.edge_snr)
-        new = edge & (trust > 0) & (trust >= settings.least_confidence)
-        level[box][new] = best[new]
-        confidence[box][new] = (trust if name == "IR" else FALLBACK_TRUST * trust)[new]
-        open_[box] &= (snr <= settings.edge_snr) & (green_snr > settings.edge_snr)
-    return level, confidence
-
-
-def _around(mask: NDArray, margin: int) -> tuple[slice, slice] | None:
-    """The smallest part of a mask [h, w] that holds all of it and a margin; None where it is empty."""
-    parts = []
-    for axis in (1, 0):
-        place = np.flatnonzero(mask.any(axis=axis))
-        if not place.size:
-            return None
-        parts.append(slice(max(int(place[0]) - margin, 0), int(place[-1]) + margin + 1))
-    return parts[0], parts[1]
-
-
-def _leak(name: str, camera: Camera, white: NDArray, settings: Settings) -> scores.Leak:
-    """What of infrared is in a channel, from eq. (8) or as measured, and in white [channel]."""
-    alpha = infrared.crosstalk(camera) if settings.crosstalk is None else settings.crosstalk
-    own = CHANNELS.index(name)
-    return scores.Leak(float(alpha[own]), float(white[CHANNELS.index("IR")] / white[own]))
-
-
-def _fallbacks(camera: Camera) -> list[str]:
-    """Channels that stand in for infrared: those whose planes are sampled, not filled in between."""
-    return [name for name in "RB" if mosaic.grids(camera)[name][0].step == 2]
+def _range_notes(outside: float, method: Method | None, bank: PsfBank) -> tuple[str, ...]:
+    """What a user should know of estimates that lie where the bank has no kernels."""
+    if method is None or not outside:
+        return ()
+    return (
+        f"{outside:.1%} of the estimates of method '{method_name(method)}' lie outside the bank's "
+        f"{bank.depth_m.min():.4g} to {bank.depth_m.max():.4g} m and count as its ends",
+    )
 
 
 def _infrared_guide(ir_e: Float32Array, capture: Capture) -> Float32Array:
@@ -310,11 +215,6 @@ def _grainy(capture: Capture, bank: PsfBank, settings: Settings, flat: Capture |
 def _noise_e(variances: dict[str, Float32Array]) -> NDArray:
     """Standard deviation of the noise of R, G, B and IR in the full picture, its mean over the frame."""
     return INTERPOLATED_NOISE_SHARE * np.sqrt([variances[name].mean() for name in CHANNELS])
-
-
-def _depth_m(level: Float32Array, bank: PsfBank) -> Float32Array:
-    """Depth of fractional levels: the bank's depths, interpolated in dioptres, in which blur is linear."""
-    return (1 / np.interp(level, np.arange(len(bank.depth_m)), 1 / bank.depth_m)).astype(np.float32)
 
 
 def _upsampled(blocks: Float32Array, height: int, width: int) -> Float32Array:

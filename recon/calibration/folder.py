@@ -21,8 +21,9 @@ from dasim.files.png import write_png16
 from dasim.typing import FloatArray
 from dasim.values import Capture, PointPicture
 from recon.calibration import source
-from recon.calibration.table import SHIFTS, TABLE, Line, few_positions, incomplete, level_of, read_table
+from recon.calibration.table import SHIFTS, TABLE, Line, few_positions, incomplete, read_table
 from recon.files.raw import load_raw
+from recon.levels import level_of
 
 KIND = "calibration pictures"
 MOST_PROBLEMS = 30  # that one message lists

@@ -27,6 +27,7 @@ import numpy as np
 
 from dasim.base.errors import InputError
 from dasim.typing import FloatArray
+from recon.levels import level_of
 
 TABLE = "captures.csv"
 NEEDED = ("file", "light", "depth_m")
@@ -110,7 +111,7 @@ def _line(
         raise InputError("depth_m is empty")
     if exposure_s is None and not (folder / cells["file"]).is_dir():
         raise InputError("exposure_s is missing")
-    place = level_of(depth_m, level_depth_m)
+    place = float(level_of(depth_m, level_depth_m))
     level = int(np.clip(round(place), 0, len(level_depth_m) - 1))
     if abs(place - level) > DEPTH_TOLERANCE:
         near = sorted({max(level - 1, 0), level, min(level + 1, len(level_depth_m) - 1)})
@@ -172,9 +173,3 @@ def few_positions(lines: Sequence[Line]) -> tuple[str, ...]:
         f"{few} position{'s' if few > 1 else ''} of the source a light and distance: up to a tenth of a small kernel's "
         f"light may be misplaced; {ENOUGH_POSITIONS} bring that to about 2 %",
     )
-
-
-def level_of(depth_m: float, level_depth_m: FloatArray) -> float:
-    """Level, with its fraction, of a depth: levels are even steps in dioptres."""
-    first, last = 1 / level_depth_m[0], 1 / level_depth_m[-1]
-    return float((1 / depth_m - first) / (last - first) * (len(level_depth_m) - 1))

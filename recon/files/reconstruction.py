@@ -49,7 +49,7 @@ def save_reconstruction(path: Path, result: Reconstruction, extras: Sequence[str
     parts = [_part("depth", {"Z": result.depth_m})]
     parts += [_part(name, {name: getattr(result, name)}) for name in _PLANES]
     parts += [_part(name, {c: getattr(result, name)[..., i] for i, c in enumerate(_RGB)}) for name in _COLOURS]
-    about = _about(result) | {"bank": result.bank, "notes": list(result.notes)}
+    about = _about(result) | {"bank": result.bank, "notes": list(result.notes), "method": result.method}
     with new_folder(path, "reconstruction") as folder:
         write_picture(folder / "rgb.png", result.rgb)
         write_picture(folder / "sharp.png", result.sharp_rgb)
@@ -114,6 +114,7 @@ def load_reconstruction(path: Path) -> Reconstruction:
             timings_s=about["timings_s"],
             bank=about.get("bank", {}),
             notes=tuple(about.get("notes", ())),
+            method=about.get("method"),
         )
     except InputError:
         raise

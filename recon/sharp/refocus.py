@@ -15,6 +15,7 @@ from dasim.base.errors import InputError
 from dasim.camera.specification import Camera
 from dasim.typing import Float32Array
 from dasim.values import PsfBank, Reconstruction
+from recon.levels import level_of
 from recon.picture import infrared
 from recon.settings import Settings
 from recon.sharp import layers, sharpen
@@ -43,14 +44,8 @@ def refocus(
     _check(camera, bank, depth_m, f_number)
     ratio = 1.0 if f_number is None else camera.lens.f_number / f_number
     kernels = colour_kernels(reconstruction, bank)
-    steps = (reconstruction.level - level_of(depth_m, bank)) * ratio
+    steps = (reconstruction.level - float(level_of(depth_m, bank.depth_m))) * ratio
     return layered(reconstruction.sharp_e, steps, kernels)
-
-
-def level_of(depth_m: float, bank: PsfBank) -> float:
-    """Level of blur of a depth, negative beyond the focus: linear in dioptres through the bank's first and last."""
-    vergence = 1 / bank.depth_m.astype(np.float64)
-    return float((1 / depth_m - vergence[0]) / (vergence[-1] - vergence[0]) * (len(vergence) - 1))
 
 
 def colour_kernels(reconstruction: Reconstruction, bank: PsfBank) -> Float32Array:

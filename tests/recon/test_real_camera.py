@@ -24,6 +24,7 @@ from dasim.simulation import calibration
 from dasim.spectra import grid, illuminants
 from recon.calibration import table as point_table
 from recon.files.reconstruction import load_reconstruction
+from recon.levels import level_of
 
 LIGHT = "D55"
 LEVELS = 8  # the scene lies at 2.5 and 6.2
@@ -269,7 +270,7 @@ def test_distances_are_printed_and_simulated_pictures_saved(tmp_path, capsys, mo
     np.testing.assert_allclose([float(row[1]) for row in rows], depths, atol=5e-6)
     for level, row in enumerate(rows):
         for bound, side in ((row[2], 1), (row[3], -1)):
-            place = point_table.level_of(float(bound), depths)
+            place = level_of(float(bound), depths)
             assert place == pytest.approx(level + side * point_table.DEPTH_TOLERANCE, abs=0.02)  # five decimals
     few = itertools.islice(calibration.calibration_captures(camera, ("A",)), 2)
     monkeypatch.setattr("dasim.simulation.calibration.calibration_captures", lambda *arguments, **options: few)

@@ -4,8 +4,8 @@ import cv2
 import numpy as np
 import pytest
 
-from recon import fourier, pipeline
-from recon.depth import scores
+from recon import fourier
+from recon.depth import raw_levels, scores
 from recon.depth.regularise import regularise
 from recon.picture import mosaic
 from recon.settings import PAPER
@@ -60,9 +60,10 @@ def noisy():
     ):
         scene = recon_scenes.make(level, light=light, white_e=3500 if light == "D65" else 2500)
         raw, saturated = mosaic.linearise(scene.capture)
-        kernels = bank.kernel[bank.lights.index(light)]
-        found, confidence = pipeline._raw_levels(
-            raw, pipeline._variances(raw, scene.capture), saturated, scene.capture.camera, kernels, PAPER
+        index = bank.lights.index(light)
+        variances = raw_levels.variances(raw, scene.capture)
+        found, confidence = raw_levels.raw_levels(
+            raw, variances, saturated, scene.capture.camera, bank.kernel[index], PAPER, bank.signature[index]
         )
         true = cv2.resize(level.astype(np.float32), found.shape[::-1], interpolation=cv2.INTER_AREA)
         results.append((true, found, confidence))

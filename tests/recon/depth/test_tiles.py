@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from recon import pipeline
-from recon.depth import tiles
+from recon.depth import raw_levels, tiles
 from recon.picture import mosaic
 from recon.settings import PRESETS
 from tests.support import recon_scenes
@@ -22,7 +21,7 @@ def channels():
     camera, bank = scene.capture.camera, recon_scenes.bank()
     raw_e, _ = mosaic.linearise(scene.capture)
     places, planes = mosaic.phases(camera), mosaic.planes(raw_e, camera)
-    variances = pipeline._variances(raw_e, scene.capture)
+    variances = raw_levels.variances(raw_e, scene.capture)
     return [(planes[n], places[n], variances[n], bank.kernel[0, :, i]) for n, i in (("IR", 3), ("G", 1))]
 
 

@@ -1,0 +1,32 @@
+"""Blur levels and depths: levels are even steps in dioptres, in which blur is linear."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from dasim.typing import Float32Array, FloatArray
+
+
+def level_of(depth_m: ArrayLike, level_depth_m: NDArray) -> FloatArray:
+    """Fractional level of depths in metres, from the depths ``level_depth_m`` [level] of a bank or a camera.
+
+    Interpolated in dioptres; beyond the ends by the line through the first level and the last: negative farther than
+    the focus (level 0), above the last level nearer than its depth.
+    """
+    vergence, table = 1 / np.asarray(depth_m, np.float64), 1 / np.asarray(level_depth_m, np.float64)
+    last = len(table) - 1
+    between = np.interp(vergence, table, np.arange(len(table)))
+    line = (vergence - table[0]) / (table[-1] - table[0]) * last
+    return np.where((vergence < table[0]) | (vergence > table[-1]), line, between)
+
+
+def level_sd_of(sd_m: NDArray, depth_m: NDArray, level_depth_m: NDArray) -> FloatArray:
+    """Standard deviation in levels of depths with a standard deviation in metres: sd_m / z^2 dioptres."""
+    dioptres = 1 / float(level_depth_m[-1]) - 1 / float(level_depth_m[0])
+    return np.asarray(sd_m / depth_m.astype(np.float64) ** 2 * (len(level_depth_m) - 1) / dioptres)
+
+
+def depth_of(level: NDArray, level_depth_m: NDArray) -> Float32Array:
+    """Depth in metres of fractional levels, ``level_depth_m`` [level] interpolated in dioptres and held at its ends."""
+    return (1 / np.interp(level, np.arange(len(level_depth_m)), 1 / level_depth_m)).astype(np.float32)
