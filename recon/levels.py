@@ -23,8 +23,12 @@ def level_of(depth_m: ArrayLike, level_depth_m: NDArray) -> FloatArray:
 
 def level_sd_of(sd_m: NDArray, depth_m: NDArray, level_depth_m: NDArray) -> FloatArray:
     """Standard deviation in levels of depths with a standard deviation in metres: sd_m / z^2 dioptres."""
-    dioptres = 1 / float(level_depth_m[-1]) - 1 / float(level_depth_m[0])
-    return np.asarray(sd_m / depth_m.astype(np.float64) ** 2 * (len(level_depth_m) - 1) / dioptres)
+    return np.asarray(sd_m / depth_m.astype(np.float64) ** 2 / dioptres_per_level(level_depth_m))
+
+
+def dioptres_per_level(level_depth_m: NDArray) -> float:
+    """Mean difference of vergence between neighbouring levels, 1/m, from their depths [level]."""
+    return (1 / float(level_depth_m[-1]) - 1 / float(level_depth_m[0])) / (len(level_depth_m) - 1)
 
 
 def depth_of(level: NDArray, level_depth_m: NDArray) -> Float32Array:

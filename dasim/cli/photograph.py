@@ -134,7 +134,7 @@ def calibrate(
     from dasim.simulation.simulate import check_options
     from dasim.spectra import illuminants
     from recon.calibration.cached import simulated_bank
-    from recon.calibration.folder import KIND
+    from recon.files.point_pictures import KIND
 
     chosen = dasim.load_camera(camera)
     if focus is not None:
@@ -173,7 +173,7 @@ def calibrate(
 def _print_distances(camera: Camera) -> int:
     from dasim.camera.geometry import depth_of_blur_m
     from dasim.simulation.calibration import levels
-    from recon.calibration.table import DEPTH_TOLERANCE
+    from recon.files.point_table import DEPTH_TOLERANCE
 
     depths, blurs = levels(camera)
     margin = DEPTH_TOLERANCE * blurs[1]
@@ -190,7 +190,7 @@ def _print_distances(camera: Camera) -> int:
 
 def _save_captures(out: Path, camera: Camera, lights: tuple[str, ...], diffraction: str) -> int:
     from dasim.simulation.calibration import calibration_captures
-    from recon.calibration.folder import write_point_pictures
+    from recon.files.point_pictures import write_point_pictures
 
     count = write_point_pictures(out, calibration_captures(camera, lights, diffraction=diffraction), camera)
     print(f"captures: {out} ({count} pictures of {', '.join(lights)})")
@@ -204,7 +204,7 @@ def _measured_bank(
     from dasim.simulation.calibration import levels
     from dasim.spectra import illuminants
     from recon import calibrate as measured
-    from recon.calibration.folder import read_point_pictures
+    from recon.files.point_pictures import read_point_pictures
 
     found = read_point_pictures(
         folder, camera, *levels(camera), known_light=illuminants.illuminant, kind=kind, progress=progress

@@ -1,4 +1,8 @@
-"""Two dual-aperture cameras side by side (sec. 6.3.1): depth of defocus, of stereo, and of both."""
+"""Depth from two dual-aperture cameras side by side (sec. 6.3.1): stereo matching, and its fusion with defocus.
+
+Disparity is linear in dioptres: x_left - x_right = b f / (p z), so that ``px_per_dioptre`` = b f / p, the baseline
+times the image distance in pixels, is all that the cameras contribute.
+"""
 
 from __future__ import annotations
 
@@ -6,49 +10,27 @@ import math
 
 import cv2
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
-from dasim.camera import geometry
-from dasim.camera.specification import Camera
-from dasim.scene.specification import Scene, world_to_camera
 from dasim.typing import FloatArray
-from dasim.values import Reconstruction, Truth
 
-BLOCK_PX = 5  # of the matcher
-MOST_SHIFT = 0.6  # of the frame's width: beyond, hardly anything is in both pictures
+BLOCK_PX = 5  # side of the matcher's window
+MOST_SHIFT = 0.6  # largest disparity as a share of the frame's width: beyond, the pictures hardly overlap
 MATCH_PX = 0.25  # standard deviation of a match, for the weights
-LEVEL_SIGMA = 0.75  # of a level by defocus where it is sure, for the weights: its median error there is half a level
-LEAST_CONFIDENCE = 0.01  # of a level: below, it is a guess, which refutes no match
-AGREE_SIGMAS = 3.0  # a match farther from defocus than that is taken for wrong
-BOTH_WAYS_PX = 1.0  # that the matches of a point and of its partner may differ by
-OCCLUDED = 0.02  # of z by which what the other camera sees there is nearer
+LEVEL_SIGMA = 0.75  # standard deviation of a confident level, for the weights: its median error is half a level
+LEAST_CONFIDENCE = 0.01  # of a level: below it the level is a guess and rejects no match
+AGREE_SIGMAS = 3.0  # a match farther from defocus than this many standard deviations is rejected
+BOTH_WAYS_PX = 1.0  # largest difference between the matches from left to right and from right to left
 
 
-def other_view(scene: Scene, baseline_m: float) -> Scene:
-    """The scene as a camera ``baseline_m`` to the right of the first one sees it, looking in parallel."""
-    right = world_to_camera(scene)[0, :3] * (100 * baseline_m)
-    view = scene.view.model_copy(
-        update={
-            key: tuple(float(v) for v in np.add(getattr(scene.view, key), right))
-            for key in ("position_cm", "look_at_cm")
-        }
-    )
-    return scene.model_copy(update={"name": f"{scene.name}, {1e3 * baseline_m:g} mm to the right", "view": view})
+def stereo_depth_m(left_rgb: NDArray, right_rgb: NDArray, px_per_dioptre: float, nearest_m: float) -> FloatArray:
+    """Depth in metres by semi-global matching (Hirschmueller 2008, OpenCV), [h, w]; NaN without a match.
 
-
-def shift_px(camera: Camera, baseline_m: float, depth_m: ArrayLike) -> FloatArray:
-    """Disparity x_left - x_right = b f / (p z) in pixels."""
-    return np.asarray(baseline_m * geometry.intrinsic_matrix(camera)[0, 0] / np.asarray(depth_m))
-
-
-def stereo_depth_m(left: Reconstruction, right: Reconstruction, baseline_m: float, nearest_m: float) -> FloatArray:
-    """Depth by semi-global matching (Hirschmueller 2008, OpenCV) of both all-in-focus pictures, [h, w]; NaN without.
-
-    ``nearest_m`` bounds the search: the nearest depth of the PSF bank.
+    ``left_rgb`` and ``right_rgb`` [h, w, 3] are all-in-focus pictures of display values 0..1. ``nearest_m`` bounds
+    the search. Points that the right camera does not see are rejected by matching both ways (left-right check).
     """
-    camera = left.camera
-    width = left.level.shape[1]
-    most = min(float(shift_px(camera, baseline_m, np.float64(nearest_m))), MOST_SHIFT * width)
+    width = left_rgb.shape[1]
+    most = min(px_per_dioptre / nearest_m, MOST_SHIFT * width)
     count = 16 * max(math.ceil(most / 16), 1)
     matcher = cv2.StereoSGBM.create(
         minDisparity=0,
@@ -62,83 +44,38 @@ def stereo_depth_m(left: Reconstruction, right: Reconstruction, baseline_m: floa
         speckleRange=2,
         mode=cv2.STEREO_SGBM_MODE_HH,
     )
-    grey = [
-        cv2.cvtColor(np.clip(r.sharp_rgb * 255, 0, 255).astype(np.uint8), cv2.COLOR_RGB2GRAY) for r in (left, right)
-    ]
-    found = _disparity_px(matcher, grey[0], grey[1], count)
-    back = _disparity_px(matcher, grey[1][:, ::-1], grey[0][:, ::-1], count)[:, ::-1]
-    # what the other camera does not see is matched with something else, which has its own partner (sec. 2.3 there)
-    partner = np.clip(np.rint(np.arange(width) - found), 0, width - 1).astype(int)
-    same = np.abs(np.take_along_axis(back, partner, axis=1) - found) <= BOTH_WAYS_PX
-    focal_px = geometry.intrinsic_matrix(camera)[0, 0]
-    return np.where((found > 0) & same, baseline_m * focal_px / np.maximum(found, 1e-9), np.nan)
+    left, right = (
+        cv2.cvtColor(np.clip(picture * 255, 0, 255).astype(np.uint8), cv2.COLOR_RGB2GRAY)
+        for picture in (left_rgb, right_rgb)
+    )
+    shift = _disparity_px(matcher, left, right, count)
+    back = _disparity_px(matcher, right[:, ::-1], left[:, ::-1], count)[:, ::-1]
+    partner = np.clip(np.rint(np.arange(width) - shift), 0, width - 1).astype(int)
+    same = np.abs(np.take_along_axis(back, partner, axis=1) - shift) <= BOTH_WAYS_PX
+    return np.where((shift > 0) & same, px_per_dioptre / np.maximum(shift, 1e-9), np.nan)
 
 
 def _disparity_px(matcher: cv2.StereoSGBM, one: NDArray, other: NDArray, count: int) -> FloatArray:
-    """How far points of a picture have moved to the left in another, px, [h, w]; not above 0 without a match.
+    """Shift to the left of each point of a grey picture in another, pixels, [h, w]; 0 or less without a match.
 
-    As wide again to the left, so that points near the left edge can be sought as far as all others.
+    Both are padded on the left by ``count`` pixels, so that points near the left edge are searched as far as others.
     """
     padded = [cv2.copyMakeBorder(np.ascontiguousarray(g), 0, 0, count, 0, cv2.BORDER_CONSTANT) for g in (one, other)]
     return np.asarray(matcher.compute(*padded)[:, count:].astype(np.float64) / 16)
 
 
-def combined_m(result: Reconstruction, stereo_m: FloatArray, baseline_m: float) -> FloatArray:
-    """Both depths weighted by their variances in dioptres; defocus alone where there is no match that agrees.
+def combined_m(
+    depth_m: NDArray, confidence: NDArray, stereo_m: FloatArray, px_per_dioptre: float, dioptres_per_level: float
+) -> FloatArray:
+    """Depth by defocus and by stereo, weighted by their inverse variances in dioptres, metres, [h, w].
 
-    Defocus's deviation is that of a level over its confidence: an unsure level neither weighs nor refutes a match. A
-    match's is that of a quarter of a pixel, tens of times less, so where it stands it decides.
+    Where there is no match, or one that contradicts defocus, the depth by defocus stays. Its standard deviation is
+    that of a level over its ``confidence`` 0..1, so that an uncertain level has little weight and rejects no match. A
+    match's is a quarter of a pixel, tens of times less, so it dominates wherever there is one.
     """
-    camera = result.camera
-    focal_px = geometry.intrinsic_matrix(camera)[0, 0]
-    per_level = float(
-        geometry.level_blur_px(camera)[1] * camera.sensor.pixel_pitch_um * 1e-6
-        / (geometry.aperture_m(camera) * geometry.image_distance_m(camera))
-    )  # fmt: skip
-    own = LEVEL_SIGMA * per_level / np.maximum(result.confidence.astype(np.float64), LEAST_CONFIDENCE)
-    match = MATCH_PX / (baseline_m * focal_px)
-    defocus, stereo = 1 / result.depth_m.astype(np.float64), 1 / stereo_m
-    agree = np.abs(defocus - stereo) <= AGREE_SIGMAS * np.hypot(own, match)  # False where there is none
+    own = LEVEL_SIGMA * dioptres_per_level / np.maximum(confidence.astype(np.float64), LEAST_CONFIDENCE)
+    match = MATCH_PX / px_per_dioptre
+    defocus, stereo = 1 / depth_m.astype(np.float64), 1 / stereo_m
+    agree = np.abs(defocus - stereo) <= AGREE_SIGMAS * np.hypot(own, match)  # False without a match
     share = own**2 / (own**2 + match**2)
     return np.asarray(1 / np.where(agree, defocus + share * (np.nan_to_num(stereo) - defocus), defocus))
-
-
-def occluded(left: Truth, right: Truth, camera: Camera, baseline_m: float) -> NDArray[np.bool_]:
-    """Pixels of the left picture whose point the right camera does not see, [h, w]: hidden, or out of its frame."""
-    height, width = left.depth_m.shape
-    x = np.arange(width) - shift_px(camera, baseline_m, left.depth_m.astype(np.float64))
-    inside = np.isfinite(x) & (x >= 0) & (x <= width - 1)
-    column = np.clip(np.rint(np.nan_to_num(x)), 0, width - 1).astype(int)
-    nearer = right.depth_m[np.arange(height)[:, None], column] < (1 - OCCLUDED) * left.depth_m
-    return np.asarray(left.valid & (~inside | nearer))
-
-
-def figures(
-    left: Reconstruction, right: Reconstruction, truth: Truth, other: Truth, baseline_m: float, nearest_m: float
-) -> dict[str, float]:
-    """Errors in dioptres of defocus, of stereo and of both, how much is matched, how much is occluded.
-
-    Of all three where both cameras see a point and it is matched, so that they compare; of both together everywhere.
-    """
-    stereo = stereo_depth_m(left, right, baseline_m, nearest_m)
-    both = combined_m(left, stereo, baseline_m)
-    near = truth.valid & (truth.level >= -0.5)
-    hidden = occluded(truth, other, left.camera, baseline_m)
-    matched = np.isfinite(stereo)
-
-    def error(depth_m: NDArray, where: NDArray[np.bool_]) -> FloatArray:
-        exact, found = (1 / a[where].astype(np.float64) for a in (truth.depth_m, depth_m))
-        return np.asarray(np.abs(found - exact) if where.any() else [math.nan])
-
-    seen, shade = near & ~hidden & matched, near & hidden
-    return {
-        "matched-defocus": float(np.median(error(left.depth_m, seen))),
-        "stereo-median": float(np.median(error(stereo, seen))),
-        "matched-combined": float(np.median(error(both, seen))),
-        "stereo-coverage": float(matched[near].mean()),
-        "combined-median": float(np.median(error(both, near))),
-        "combined-rmse": float(np.sqrt(np.mean(error(both, near) ** 2))),
-        "occluded-share": float(hidden[near].mean()),
-        "occluded-median": float(np.median(error(both, shade))),
-        "occluded-matched": float(matched[shade].mean()) if shade.any() else 0.0,
-    }

@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from dasim.base import atomic
 from dasim.base.errors import InputError
 from dasim.base.toml import parse
-from dasim.camera.geometry import intrinsic_matrix
 from dasim.camera.specification import Camera
 from dasim.files.folders import new_folder, software_versions
 from dasim.spectra.colour import exposure_scale, to_srgb
@@ -68,7 +67,7 @@ def _write_extras(folder: Path, result: Reconstruction, extras: Sequence[str]) -
         if "stereo" in extras:
             write_picture(folder / "stereo.png", anaglyph.side_by_side(left, right))
     for suffix in {"ply", "glb"} & set(extras):
-        mesh = surface.surface(picture, depth_m, intrinsic_matrix(result.camera))
+        mesh = surface.surface(picture, depth_m, surface.intrinsic_matrix(result.camera))
         surface.save_surface(folder / f"surface.{suffix}", mesh)
 
 

@@ -27,7 +27,7 @@ def gain(flat: Capture, camera: Camera) -> Float32Array:
     black level. A polynomial is fitted to the inverse of each channel, so that noise, dust and PRNU
     are not taken for shading.
     """
-    check(flat, camera)
+    check_flat(flat, camera)
     electrons, saturated = mosaic.linearise(flat)
     if saturated.mean() > MOST_SATURATED:
         raise InputError(f"flat: {saturated.mean():.1%} of its pixels are saturated; take it with a shorter exposure")
@@ -41,7 +41,7 @@ def gain(flat: Capture, camera: Camera) -> Float32Array:
     return found
 
 
-def check(flat: Capture, camera: Camera) -> None:
+def check_flat(flat: Capture, camera: Camera) -> None:
     """InputError where a flat is of another sensor or size."""
     mine, theirs = camera.sensor, flat.camera.sensor
     same = ("width_px", "height_px", "pixel_pitch_um", "mosaic")

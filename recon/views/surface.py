@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dasim.base.errors import InputError
+from dasim.camera.specification import Camera
 from dasim.typing import FloatArray
 
 JUMP_SHARE = 0.02  # of depth, a pixel: a face seen at 88 degrees through da-mobile rises by 1.3 %
@@ -25,6 +26,18 @@ class Surface:
     uv: FloatArray  # [n, 2] place in the picture, 0..1, origin at the bottom left
     triangle: NDArray[np.int64]  # [m, 3] anticlockwise as the camera sees them
     picture: NDArray[np.uint8]  # [h, w, 3] texture
+
+
+def intrinsic_matrix(camera: Camera) -> FloatArray:
+    """Pinhole intrinsics K in pixels, [3, 3]; pixel centres at +0.5, the principal point in the frame's centre.
+
+    The focal length in pixels is the image distance s' = f s / (s - f) of the focus distance s over the pixel pitch.
+    """
+    focal_m, focus_m = camera.lens.focal_length_mm * 1e-3, camera.lens.focus_distance_m
+    focal_px = focal_m * focus_m / (focus_m - focal_m) / (camera.sensor.pixel_pitch_um * 1e-6)
+    return np.array(
+        [[focal_px, 0, camera.sensor.width_px / 2], [0, focal_px, camera.sensor.height_px / 2], [0, 0, 1.0]]
+    )
 
 
 def surface(

@@ -22,7 +22,7 @@ from dasim.files.banks import load_bank
 from dasim.files.png import write_png16
 from dasim.simulation import calibration
 from dasim.spectra import grid, illuminants
-from recon.calibration import table as point_table
+from recon.files import point_table
 from recon.files.reconstruction import load_reconstruction
 from recon.levels import level_of
 

@@ -28,9 +28,9 @@ from dasim.spectra import grid as spectra
 from dasim.typing import FloatArray
 from dasim.values import Capture, Reconstruction, Truth
 from recon.calibration.cached import simulated_bank
-from recon.depth import stereo_fusion
 from validation.scores import pictures as picture_scores
 from validation.studies import criteria
+from validation.studies.sweep import second_camera
 from validation.studies.sweep.designs import camera_of, scene_of, settings_of
 from validation.studies.sweep.specification import StudySpec, Unit, Value, units
 
@@ -126,7 +126,7 @@ def measured(spec: StudySpec, unit: Unit) -> list[dict[str, Any]]:
     bank = simulated_bank(camera, diffraction=shot.capture.provenance["diffraction"])
     other = None
     if BASELINE in unit.render:
-        moved = stereo_fusion.other_view(scene, 1e-3 * float(unit.render[BASELINE]))
+        moved = second_camera.other_view(scene, 1e-3 * float(unit.render[BASELINE]))
         other = dasim.simulate(moved, camera, unit.seed + OTHER_SEED, spp=spec.spp)
     shared = (time.perf_counter() - begin) / len(unit.points)
     rows = []
@@ -141,8 +141,7 @@ def measured(spec: StudySpec, unit: Unit) -> list[dict[str, Any]]:
             seen = taken(other, scene, point, unit.seed * len(unit.points) + number + OTHER_SEED)
             right = recon.reconstruct(seen, bank, settings_of(spec, point))
             baseline_m = 1e-3 * float(unit.render[BASELINE])
-            nearest_m = float(bank.depth_m.min())
-            own |= stereo_fusion.figures(result, right, exact, other.truth, baseline_m, nearest_m)
+            own |= second_camera.errors(result, right, exact, other.truth, baseline_m, bank.depth_m)
         own["seconds"] = shared + time.perf_counter() - begin
         rows.append({"point": point, "seed": unit.seed, "light_chosen": result.light, "figures": own})
     return rows

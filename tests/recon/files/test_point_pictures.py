@@ -17,8 +17,8 @@ from dasim.files.png import read_png16, write_png16
 from dasim.simulation import calibration
 from dasim.spectra import illuminants
 from dasim.values import Capture, PointPicture
-from recon.calibration import folder as point_files
 from recon.calibration import source
+from recon.files import point_pictures as point_files
 
 LIGHT = "D55"
 LEVELS = 3  # with which the tests make do; the camera has 29

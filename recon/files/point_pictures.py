@@ -1,6 +1,6 @@
 """A folder with pictures of a point source, as a user takes them for calibration: raw files and their table.
 
-See :mod:`recon.calibration.table` for the table, ``captures.csv``.
+See :mod:`recon.files.point_table` for the table, ``captures.csv``.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from dasim.files.png import write_png16
 from dasim.typing import FloatArray
 from dasim.values import Capture, PointPicture
 from recon.calibration import source
-from recon.calibration.table import SHIFTS, TABLE, Line, few_positions, incomplete, read_table
+from recon.files.point_table import SHIFTS, TABLE, Line, few_positions, incomplete, read_table
 from recon.files.raw import load_raw
 from recon.levels import level_of
 
