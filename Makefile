@@ -10,11 +10,12 @@ IS_NEW := import sys; sys.exit(sys.version_info < (3, 11))
 PIP := $(BIN)/python -m pip --disable-pip-version-check --quiet
 APT := env DEBIAN_FRONTEND=noninteractive apt-get -q -y -o Acquire::Retries=0 -o Acquire::http::Timeout=20
 
-.PHONY: help demo test lint validate environment test-environment
+.PHONY: help demo test test-slow lint validate environment test-environment
 
 help:
 	@echo "make demo   the whole chain on a bundled scene; report in out/demo/report.html"
-	@echo "make test   the tests, without the slow ones"
+	@echo "make test   the tests, without the slow ones, on up to four processor cores"
+	@echo "make test-slow   the slow tests, one after the other, since some measure time"
 	@echo "make lint   style, formatting, import contracts, types"
 	@echo "make validate   the quick claims against their limits; report in out/validate/report.html"
 
@@ -22,7 +23,10 @@ demo: environment
 	$(BIN)/dasim demo --out out/demo
 
 test: test-environment
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest -n auto --maxprocesses 4 --dist loadfile
+
+test-slow: test-environment
+	$(BIN)/python -m pytest -m slow
 
 lint: test-environment
 	$(BIN)/ruff check .

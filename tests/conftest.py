@@ -1,16 +1,20 @@
-"""What the tests share: one thread for linear algebra, a small camera, scenes from plain data, the renderer."""
+"""Fixtures and settings shared by all tests: number of threads, cameras, scenes from plain data, the renderer."""
 
-# ruff: noqa: E402  (the number of threads is set before numpy is loaded)
+# ruff: noqa: E402  (numbers of threads are set before the libraries are loaded)
 
 from __future__ import annotations
 
 import os
 import sys
 
-# Small products gain nothing from several threads, and idle ones spin: on a busy computer that is ten times slower.
-# Set before numpy is loaded.
+# Small matrix products gain nothing from several threads, and idle threads spin, which slows a busy computer tenfold.
 for _name in ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(_name, "1")
+# Processes of pytest-xdist share the cores: each renders and computes on its part of them.
+WORKERS = int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1"))
+THREADS = max(1, (os.cpu_count() or 1) // WORKERS)
+if WORKERS > 1:
+    os.environ.setdefault("NUMBA_NUM_THREADS", str(THREADS))
 
 from pathlib import Path
 
@@ -45,11 +49,10 @@ def reference():
 
 @pytest.fixture(scope="module", autouse=True)
 def threads():
-    """Datasets render on one thread; the tests of the next module do not."""
-    yield
+    """Each module starts with this process's number of threads; datasets set it to one."""
+    cv2.setNumThreads(THREADS)
     if "drjit" in sys.modules:
-        backend.use_threads(os.cpu_count() or 1)
-    cv2.setNumThreads(-1)
+        backend.use_threads(THREADS)
 
 
 @pytest.fixture(scope="session")
@@ -103,6 +106,7 @@ def renderer() -> str:
     """The variant of this process, the one that works best here."""
     choice = backend.choose()
     backend.activate(choice)
+    backend.use_threads(THREADS)
     return choice.variant
 
 
