@@ -193,7 +193,7 @@ def _infrared_guide(ir_e: Float32Array, capture: Capture) -> Float32Array:
     """Infrared at the blocks' centres in units of its noise, the guide of eq. (14)."""
     size = (ir_e.shape[1] // 2, ir_e.shape[0] // 2)
     blocks = np.asarray(cv2.resize(ir_e, size, interpolation=cv2.INTER_AREA), np.float32)
-    return denoise.stabilise(blocks, mosaic.noise_coefficients(capture))
+    return denoise.stabilise(blocks, mosaic.noise_variance(capture))
 
 
 def _grainy(capture: Capture, bank: PsfBank, settings: Settings, flat: Capture | None) -> Float32Array:

@@ -1,8 +1,17 @@
-"""From mean electrons to raw numbers: mosaic, exposure, noise, analogue-to-digital conversion."""
+"""The one noise model of a sensor: exposure, variance, and from mean electrons to raw numbers.
+
+A pixel that collects a mean of x photo-electrons in a time t shows, in electrons, the variance
+
+    temporal   x + dark(t) + read^2 + K^2 / 12     from frame to frame: shot noise, dark current, read-out, rounding
+    fixed      DSNU^2 + (PRNU x)^2                 from pixel to pixel, the same in every frame
+
+with K the electrons per digital number (EMVA 1288 release 4.0, eqs. (15) and (16), and sec. 4.3). Whatever weighs
+pixels by their noise takes it from here; :func:`expose` draws it.
+"""
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,12 +19,12 @@ from pydantic import Field
 
 from dasim.base.toml import Specification
 from dasim.camera.specification import Camera, Sensor, mosaic_channels
-from dasim.typing import FloatArray
+from dasim.typing import BoolArray, FloatArray
 
 LONGEST_EXPOSURE_S = 3600.0
-_MOST_E = 1e15  # electrons of a pixel's Poisson draw: beyond every full well, within what the generator can draw
+_MOST_E = 1e15  # electrons of a Poisson draw: more than any full well, and within the range of the generator
 
-# Randomness is keyed by (seed, stage), so that no stage depends on how much another has drawn.
+# Randomness is keyed by (seed, stage): no stage depends on how many numbers another has drawn.
 _STAGES = {"shot": 1, "dark": 2, "read": 3, "dsnu": 4, "prnu": 5}
 
 
@@ -28,10 +37,73 @@ class Exposure(Specification):
     auto_level: float = Field(default=0.85, gt=0, le=1, description="share of full scale that the percentile reaches")
 
 
-def auto_exposure_s(rate_e_s: FloatArray, camera: Camera, exposure: Exposure) -> float:
-    """Exposure time that brings the first channel's percentile to its share of full scale.
+class Variance(NamedTuple):
+    """Variance in electrons^2 of a pixel whose mean is x electrons: constant + linear x + quadratic x^2."""
 
-    ``rate_e_s`` is [h, w, 4] mean electrons a second; each channel is judged at its own pixels of the mosaic,
+    constant: float
+    linear: float
+    quadratic: float
+
+    def at(self, mean_e: NDArray | float) -> NDArray:
+        """The variance at mean photo-electrons of any shape and precision; negative means count as 0."""
+        x = np.maximum(mean_e, 0)
+        return self.constant + self.linear * x + self.quadratic * x**2
+
+
+def temporal_variance(sensor: Sensor, time_s: float, gain: float = 1.0) -> Variance:
+    """Variance of one pixel from frame to frame: shot noise, dark current, read-out, rounding."""
+    rounding = electrons_per_dn(sensor, gain) ** 2 / 12
+    return Variance(sensor.read_noise_e**2 + dark_e(sensor, time_s) + rounding, 1.0, 0.0)
+
+
+def fixed_variance(sensor: Sensor) -> Variance:
+    """Variance of the fixed patterns from pixel to pixel: DSNU and PRNU, the same in every frame."""
+    return Variance(sensor.dsnu_e**2, 0.0, sensor.prnu**2)
+
+
+def variance(sensor: Sensor, time_s: float, gain: float = 1.0) -> Variance:
+    """Variance of the pixels of one frame, temporal noise and fixed patterns together."""
+    parts = zip(temporal_variance(sensor, time_s, gain), fixed_variance(sensor), strict=True)
+    return Variance(*(temporal + fixed for temporal, fixed in parts))
+
+
+def full_scale_e(sensor: Sensor, gain: float = 1.0) -> float:
+    """Electrons at the converter's highest number: at gain 1 the full well, unless ``dn_per_e`` is given."""
+    if sensor.dn_per_e is None:
+        return sensor.full_well_e / gain
+    return (2**sensor.adc_bits - 1 - sensor.black_level_dn) / (sensor.dn_per_e * gain)
+
+
+def saturation_e(sensor: Sensor, gain: float = 1.0) -> float:
+    """Electrons at which a pixel saturates: the full well or the converter's full scale, whichever is smaller."""
+    return min(sensor.full_well_e, full_scale_e(sensor, gain))
+
+
+def electrons_per_dn(sensor: Sensor, gain: float = 1.0) -> float:
+    """Electrons per digital number, 1 / K of EMVA 1288."""
+    return full_scale_e(sensor, gain) / (2**sensor.adc_bits - 1 - sensor.black_level_dn)
+
+
+def dark_rate_e_s(sensor: Sensor) -> float:
+    """Dark electrons per second at the sensor's temperature; they double every ``dark_doubling_k`` from 25 C."""
+    heat: float = 2.0 ** ((sensor.temperature_c - 25.0) / sensor.dark_doubling_k)
+    return sensor.dark_current_e_s * heat
+
+
+def dark_e(sensor: Sensor, time_s: float) -> float:
+    """Mean dark electrons of an exposure, which are also their variance."""
+    return min(dark_rate_e_s(sensor) * time_s, _MOST_E)
+
+
+def collected_e(raw_dn: NDArray, sensor: Sensor, gain: float = 1.0) -> NDArray:
+    """Electrons of raw numbers, in the precision of ``raw_dn``: photo-electrons and dark electrons together."""
+    return (raw_dn - sensor.black_level_dn) * electrons_per_dn(sensor, gain)
+
+
+def auto_exposure_s(rate_e_s: FloatArray, camera: Camera, exposure: Exposure) -> float:
+    """Exposure time that brings a percentile of the brightest channel to its share of full scale.
+
+    ``rate_e_s`` is [h, w, channel] mean electrons per second; each channel is judged at its own pixels of the mosaic,
     as a camera would. Scenes without light get 1 s.
     """
     channels = mosaic_channels(camera)
@@ -44,31 +116,8 @@ def auto_exposure_s(rate_e_s: FloatArray, camera: Camera, exposure: Exposure) ->
     return min(exposure.auto_level * saturation_e(camera.sensor, exposure.gain) / brightest, LONGEST_EXPOSURE_S)
 
 
-def full_scale_e(sensor: Sensor, gain: float = 1.0) -> float:
-    """Electrons at the converter's top: at gain 1 the full well, unless ``dn_per_e`` says otherwise."""
-    if sensor.dn_per_e is None:
-        return sensor.full_well_e / gain
-    return (2**sensor.adc_bits - 1 - sensor.black_level_dn) / (sensor.dn_per_e * gain)
-
-
-def saturation_e(sensor: Sensor, gain: float = 1.0) -> float:
-    """Electrons at which a pixel saturates, by its well or by the converter, whichever is full first."""
-    return min(sensor.full_well_e, full_scale_e(sensor, gain))
-
-
-def electrons_per_dn(sensor: Sensor, gain: float = 1.0) -> float:
-    """Electrons one digital number stands for, EMVA 1288's 1 / K."""
-    return full_scale_e(sensor, gain) / (2**sensor.adc_bits - 1 - sensor.black_level_dn)
-
-
-def dark_rate_e_s(sensor: Sensor) -> float:
-    """Dark electrons a second at the sensor's temperature, doubling every ``dark_doubling_k`` from 25 C."""
-    heat: float = 2.0 ** ((sensor.temperature_c - 25.0) / sensor.dark_doubling_k)
-    return sensor.dark_current_e_s * heat
-
-
 def mosaic(image: FloatArray, camera: Camera) -> FloatArray:
-    """Pick each pixel's own channel: [h, w, 4] -> [h, w]."""
+    """Each pixel's own channel of an image: [h, w, channel] -> [h, w]."""
     return np.take_along_axis(image, mosaic_channels(camera)[..., None], axis=-1)[..., 0]
 
 
@@ -76,10 +125,10 @@ def electronic_crosstalk(mean_e: FloatArray, sensor: Sensor) -> FloatArray:
     """Mean electrons after diffusion between pixels: [h, w] of the mosaic -> [h, w], same sum.
 
     Each of a pixel's four edge neighbours collects the share c = ``sensor.electronic_crosstalk`` of its electrons:
-    m + c * sum over neighbours of (their m - m). Nothing crosses the frame's border: a pixel there keeps what would
-    leave it, so charge is conserved and a flat field stays flat. Every electron takes its way independently of the
-    others, and a Poisson process so divided, and the sums of such parts, are Poisson processes again, independent
-    from pixel to pixel: applied to the mean before the shot noise, the statistics are exact.
+    m + c * sum over neighbours of (their m - m). Nothing crosses the border of the frame: a pixel there keeps what
+    would leave it, so that charge is conserved and a flat field stays flat. Electrons diffuse independently of one
+    another; a Poisson process split in this way, and sums of such parts, are Poisson processes again, independent from
+    pixel to pixel. Applied to the mean before the shot noise, the statistics are therefore exact.
     """
     if sensor.electronic_crosstalk == 0:
         return mean_e
@@ -96,16 +145,16 @@ def expose(
     sensor: Sensor,
     time_s: float,
     seed: int,
-    *,
     gain: float = 1.0,
+    *,
     frame: int = 0,
     noise: Literal["on", "off"] = "on",
 ) -> tuple[NDArray[np.uint16], int]:
     """Raw numbers of a frame, and how many of its pixels saturated (EMVA 1288 release 4.0, sec. 2).
 
-    ``mean_e`` is [h, w] photo-electrons of the mosaic. Shot noise is Poisson; dark current doubles every
-    ``dark_doubling_k``; DSNU (electrons) and PRNU (relative) are fixed patterns of the seed, the same in
-    every ``frame``. With noise off the result is the rounded, clipped mean, without dark signal.
+    ``mean_e`` is [h, w] photo-electrons of the mosaic. Shot noise and dark current are Poisson; DSNU (electrons) and
+    PRNU (relative) are fixed patterns of the seed, the same in every ``frame``. With noise off the result is the
+    rounded, clipped mean, without dark signal.
     """
     if noise == "off":
         well = np.minimum(mean_e, sensor.full_well_e)
@@ -113,7 +162,7 @@ def expose(
     height_width = mean_e.shape
     prnu = 1.0 + sensor.prnu * _generator(seed, "prnu").standard_normal(height_width)
     dsnu = sensor.dsnu_e * _generator(seed, "dsnu").standard_normal(height_width)
-    dark = np.full(height_width, min(dark_rate_e_s(sensor) * time_s, _MOST_E))
+    dark = np.full(height_width, dark_e(sensor, time_s))
     electrons = _generator(seed, "shot", frame).poisson(np.clip(mean_e * prnu, 0.0, _MOST_E)).astype(np.float64)
     electrons += _generator(seed, "dark", frame).poisson(dark)
     full = electrons >= sensor.full_well_e
@@ -122,10 +171,8 @@ def expose(
     return _convert(electrons, sensor, gain, full)
 
 
-def _convert(
-    electrons: FloatArray, sensor: Sensor, gain: float, full: NDArray[np.bool_]
-) -> tuple[NDArray[np.uint16], int]:
-    """Raw numbers, and how many pixels are saturated: their well is full or their number at its top."""
+def _convert(electrons: FloatArray, sensor: Sensor, gain: float, full: BoolArray) -> tuple[NDArray[np.uint16], int]:
+    """Raw numbers, and how many pixels are saturated: their well is full or their number is the highest."""
     top = 2**sensor.adc_bits - 1
     numbers = np.rint(electrons / electrons_per_dn(sensor, gain)) + sensor.black_level_dn
     return np.clip(numbers, 0, top).astype(np.uint16), int(np.count_nonzero((numbers >= top) | full))

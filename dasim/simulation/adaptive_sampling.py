@@ -7,8 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dasim.camera.noise import dark_rate_e_s, electrons_per_dn
-from dasim.camera.specification import Sensor
 from dasim.typing import FloatArray
 
 NOISE_SHARE = 0.2  # of the sensor's noise: adds 2 % to it
@@ -30,16 +28,6 @@ class Quiet:
 
 
 Pair = tuple[tuple[int, ...], FloatArray, FloatArray]  # samples of each stop in one picture, and two, [stop, h, w, ch]
-
-
-def temporal_noise_e(mean_e: FloatArray, sensor: Sensor, time_s: float, gain: float = 1.0) -> FloatArray:
-    """Standard deviation of a pixel from frame to frame, electrons: shot, dark current, read-out and rounding.
-
-    EMVA 1288 release 4.0, eq. (16), without the fixed patterns DSNU and PRNU.
-    """
-    dark_e = dark_rate_e_s(sensor) * time_s
-    rounding = electrons_per_dn(sensor, gain) ** 2 / 12
-    return np.sqrt(np.maximum(mean_e, 0.0) + dark_e + sensor.read_noise_e**2 + rounding)
 
 
 def quiet_picture(

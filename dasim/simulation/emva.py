@@ -56,11 +56,11 @@ def plan(camera: Camera, channel: str = "G", gain: float = 1.0) -> Plan:
     sensor = camera.sensor
     wavelength_nm, efficiency = _quantum_efficiency(sensor, channel)
     full_e = sensors.saturation_e(sensor, gain)
-    spread_e = np.sqrt(full_e + (sensor.prnu * full_e) ** 2 + sensor.read_noise_e**2 + sensor.dsnu_e**2)
-    share = np.arange(1, STEPS + 1) / STEPS
-    mean_e = share * (full_e + _PAST_SATURATION * spread_e)
     dark_e_s = sensors.dark_rate_e_s(sensor)
     longest_s = min(_LONGEST_S, _DARK_SHARE * full_e / dark_e_s) if dark_e_s > 0 else _LONGEST_S
+    spread_e = np.sqrt(sensors.variance(sensor, longest_s, gain).at(full_e))
+    share = np.arange(1, STEPS + 1) / STEPS
+    mean_e = share * (full_e + _PAST_SATURATION * spread_e)
     middle = int(np.argmin(np.abs(mean_e - full_e / 2)))
     return Plan(channel, wavelength_nm, efficiency, share * longest_s, mean_e, middle)
 
@@ -159,7 +159,7 @@ def _notes(sensor: Sensor, gain: float, dark_clipped: float) -> list[str]:
     """Where the standard's figures will not be the sensor's own."""
     per_dn = sensors.electrons_per_dn(sensor, gain)
     found = []
-    if (sensor.read_noise_e / per_dn) ** 2 + 1 / 12 < _LEAST_DARK_VARIANCE_DN2:
+    if sensors.temporal_variance(sensor, 0.0, gain).constant / per_dn**2 < _LEAST_DARK_VARIANCE_DN2:
         found.append(
             f"read noise is {sensor.read_noise_e / per_dn:.2g} DN: rounding hides it, and the analyser "
             "reports its lower limit of 0.4 DN; a higher --gain shows it"

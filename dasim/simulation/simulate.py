@@ -107,7 +107,8 @@ def simulate(
 
     def sensor_noise(rate: np.ndarray) -> np.ndarray:
         time_s = exposure_time_s(rate)
-        return adaptive_sampling.temporal_noise_e(rate * time_s, camera.sensor, time_s, exposure.gain) / time_s
+        variance = noise.temporal_variance(camera.sensor, time_s, exposure.gain)
+        return np.sqrt(variance.at(rate * time_s)) / time_s
 
     sampled: dict[str, Any] = {}
     if spp == "auto":

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from dasim.camera.noise import electrons_per_dn, saturation_e
+from dasim.camera import noise
 from dasim.camera.specification import Camera, channels, mosaic_channels
 from dasim.typing import FloatArray
 from dasim.values import PointPicture
@@ -20,10 +20,11 @@ CENTRE_STEPS = 4  # the window of the centre of mass follows the centre; converg
 def averaged(
     group: list[PointPicture], camera: Camera, unit_s: float
 ) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
-    """Electrons of every channel at the pixels that see it, [channel, h, w], without background; noise; which do.
+    """Electrons of every channel at the pixels that see it, less background; their standard deviation; which do.
 
-    In the electrons of an exposure of ``unit_s``; of several exposures every pixel has the sum of
-    those that it stands.
+    All are [channel, h, w], in electrons of an exposure of ``unit_s``. A pixel sums the exposures that do not saturate
+    it. Temporal noise of its frames is independent; the fixed patterns are the same in all frames of one position of
+    the source and add up there.
     """
     sensor = camera.sensor
     height, width = group[0].frames_dn.shape[1:]
@@ -31,29 +32,42 @@ def averaged(
     channel = mosaic_channels(local)
     least = min(picture.exposure_s * picture.gain for picture in group)
     shape = (len(channels(sensor)), height, width)
-    electrons, variance, frames_s, count = np.zeros((4, *shape))  # sums over all frames that see a pixel
-    seen = np.zeros(shape, bool)
-    for picture in group:
-        frames = picture.frames_dn.astype(np.float64)
-        mean_e = (frames.mean(axis=0) - sensor.black_level_dn) * electrons_per_dn(sensor, picture.gain)
-        # A pixel that saturates in the longer exposures counts in the shorter alone; not by its noise in one frame.
-        usable = mean_e < SATURATION_SHARE * saturation_e(sensor, picture.gain)
-        usable |= picture.exposure_s * picture.gain == least
-        back = tuple(-s for s in picture.shift_px or (0, 0))
-        for index in np.unique(channel):
-            here = np.roll((channel == index) & usable, back, axis=(0, 1))
-            seen[index] |= here
-            value = np.roll(mean_e, back, axis=(0, 1))[here]
-            electrons[index][here] += len(frames) * value
-            variance[index][here] += len(frames) * (np.maximum(value, 0) + sensor.read_noise_e**2)
-            frames_s[index][here] += len(frames) * picture.exposure_s / unit_s
-            count[index][here] += len(frames)
-    known = np.where(seen, frames_s, 1.0)
-    image, noise = electrons / known, np.sqrt(variance + (sensor.dsnu_e * count) ** 2) / known
+    electrons, variance, exposed, count = np.zeros((4, *shape))  # sums over all frames that see a pixel
+    for shift, pictures in _by_shift(group).items():
+        own_e, own_count = np.zeros((2, *shape))
+        back = tuple(-s for s in shift or (0, 0))
+        for picture in pictures:
+            frames = len(picture.frames_dn)
+            full_e = noise.collected_e(picture.frames_dn.mean(axis=0), sensor, picture.gain)
+            # Judged by the mean of the frames: noise of a single one must not decide whether a pixel counts.
+            usable = full_e < SATURATION_SHARE * noise.saturation_e(sensor, picture.gain)
+            usable |= picture.exposure_s * picture.gain == least
+            mean_e = np.roll(full_e - noise.dark_e(sensor, picture.exposure_s), back, axis=(0, 1))
+            temporal = noise.temporal_variance(sensor, picture.exposure_s, picture.gain).at(mean_e)
+            for index in np.unique(channel):
+                here = np.roll((channel == index) & usable, back, axis=(0, 1))
+                own_e[index][here] += frames * mean_e[here]
+                variance[index][here] += frames * temporal[here]
+                exposed[index][here] += frames * picture.exposure_s / unit_s
+                own_count[index][here] += frames
+        variance += own_count**2 * noise.fixed_variance(sensor).at(own_e / np.maximum(own_count, 1))
+        electrons += own_e
+        count += own_count
+    seen = count > 0
+    known = np.where(seen, exposed, 1.0)
+    image, sigma = electrons / known, np.sqrt(variance) / known
     rim = np.ones((height, width), bool)
     rim[RIM_PX:-RIM_PX, RIM_PX:-RIM_PX] = False
     background = np.array([np.median(plane[rim & here]) for plane, here in zip(image, seen, strict=True)])
-    return np.where(seen, image - background[:, None, None], 0.0), noise, seen
+    return np.where(seen, image - background[:, None, None], 0.0), sigma, seen
+
+
+def _by_shift(group: list[PointPicture]) -> dict[tuple[int, int] | None, list[PointPicture]]:
+    """Pictures by the source's shift, within which a pixel of the frame sees the same part of the source's image."""
+    found: dict[tuple[int, int] | None, list[PointPicture]] = {}
+    for picture in group:
+        found.setdefault(picture.shift_px, []).append(picture)
+    return found
 
 
 def common_centre(image: FloatArray) -> FloatArray:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from dasim.base.errors import InputError
-from dasim.camera.noise import electrons_per_dn, saturation_e
+from dasim.camera import noise
 from dasim.camera.specification import Camera, channels, mosaic_channels
 from dasim.typing import FloatArray
 from dasim.values import Capture, PointPicture
@@ -48,10 +48,8 @@ def check(capture: Capture, camera: Camera, blur_px: float, *, shortest: bool) -
     if shortest:
         raw = without_hot_pixels(capture)
         sensor = camera.sensor
-        full_dn = sensor.black_level_dn + SATURATED_SHARE * saturation_e(sensor, capture.gain) / electrons_per_dn(
-            sensor, capture.gain
-        )
-        count = int(np.count_nonzero(raw >= full_dn))
+        full_dn = noise.saturation_e(sensor, capture.gain) / noise.electrons_per_dn(sensor, capture.gain)
+        count = int(np.count_nonzero(raw >= sensor.black_level_dn + SATURATED_SHARE * full_dn))
         if count:
             raise InputError(
                 f"{count} pixel{'s are' if count > 1 else ' is'} saturated in the shortest exposure of its place "
@@ -95,17 +93,17 @@ def signal_to_noise(pictures: Sequence[PointPicture], camera: Camera, blur_px: f
         frames, height, width = picture.frames_dn.shape
         local = camera.model_copy(update={"sensor": sensor.model_copy(update={"height_px": height, "width_px": width})})
         channel = mosaic_channels(local)
-        scale_e = electrons_per_dn(sensor, picture.gain)
-        mean_e = (picture.frames_dn.mean(axis=0) - sensor.black_level_dn) * scale_e
+        temporal = noise.temporal_variance(sensor, picture.exposure_s, picture.gain)
+        full_e = noise.collected_e(picture.frames_dn.mean(axis=0), sensor, picture.gain)
+        mean_e = full_e - noise.dark_e(sensor, picture.exposure_s)
         y, x = np.indices(mean_e.shape)
         near = np.hypot(y - (height - 1) / 2, x - (width - 1) / 2) < blur_px / 2 + 2 * RIM_PX
-        near &= mean_e < SATURATION_SHARE * saturation_e(sensor, picture.gain)
+        near &= full_e < SATURATION_SHARE * noise.saturation_e(sensor, picture.gain)
         for index in range(len(names)):
             own = channel == index
             used = near & own
             signal = np.sum(mean_e[used] - np.median(mean_e[own]))
-            variance = np.sum(np.maximum(mean_e[used], 0) + sensor.read_noise_e**2 + scale_e**2 / 12) / frames
-            variance += np.count_nonzero(used) * sensor.dsnu_e**2
+            variance = np.sum(temporal.at(mean_e[used]) / frames + noise.fixed_variance(sensor).at(mean_e[used]))
             if signal > 0 and variance > 0:
                 square[index] += signal**2 / variance
     lowest = int(square.argmin())
@@ -124,8 +122,9 @@ def _electrons(capture: Capture) -> tuple[FloatArray, FloatArray]:
     larger than the blur.
     """
     sensor = capture.camera.sensor
-    scale_e = electrons_per_dn(sensor, capture.gain)
-    electrons = (capture.raw_dn.astype(np.float64) - sensor.black_level_dn) * scale_e
+    variance = noise.variance(sensor, capture.exposure_s, capture.gain)
+    electrons = noise.collected_e(capture.raw_dn.astype(np.float64), sensor, capture.gain)
+    electrons -= noise.dark_e(sensor, capture.exposure_s)
     sigma_e = np.empty_like(electrons)
     rows, columns = _period(capture.camera)
     border = np.ones(electrons.shape, bool)
@@ -133,11 +132,9 @@ def _electrons(capture: Capture) -> tuple[FloatArray, FloatArray]:
     for row in range(rows):
         for column in range(columns):
             part = (slice(row, None, rows), slice(column, None, columns))
-            background = float(np.median(electrons[part][border[part]]))
+            background = np.median(electrons[part][border[part]])
             electrons[part] -= background
-            light = max(background, 0.0)
-            fixed = sensor.dsnu_e**2 + (sensor.prnu * light) ** 2
-            sigma_e[part] = np.sqrt(light + sensor.read_noise_e**2 + fixed + scale_e**2 / 12)
+            sigma_e[part] = np.sqrt(variance.at(background))
     return electrons, sigma_e
 
 

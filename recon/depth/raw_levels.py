@@ -24,7 +24,7 @@ def variances(raw_e: Float32Array, capture: Capture) -> dict[str, Float32Array]:
     found = {}
     for name, plane in mosaic.planes(raw_e, capture.camera).items():
         smooth = cv2.GaussianBlur(plane, (0, 0), NOISE_BLUR_PX)
-        variance = mosaic.noise_variance(smooth, capture).astype(np.float32)
+        variance: Float32Array = mosaic.noise_variance(capture).at(smooth)
         found[name] = variance * mosaic.noise_excess(plane, variance)
     return found
 

@@ -70,11 +70,11 @@ def denoised(raw_e: Float32Array, capture: Capture, settings: Settings) -> Float
     Two grids in a quincunx (green of a Bayer block, three channels of the 4x4 block) are taken one by one.
     """
     clean = np.empty_like(raw_e)
-    coefficients = mosaic.noise_coefficients(capture)
+    variance = mosaic.noise_variance(capture)
     for own in mosaic.grids(capture.camera).values():
         for row, column, step in own:
             plane = np.ascontiguousarray(raw_e[row::step, column::step])
-            guide = denoise.stabilise(plane, coefficients)
+            guide = denoise.stabilise(plane, variance)
             clean[row::step, column::step] = denoise.nonlocal_means(
                 plane, guide, settings.denoise_bandwidth, settings.denoise_patch_sigma_px
             )

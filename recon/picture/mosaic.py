@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dasim.base.errors import InputError
-from dasim.camera.noise import electrons_per_dn
+from dasim.camera import noise
 from dasim.camera.specification import Camera
 from dasim.spectra.grid import CHANNELS
 from dasim.typing import BoolArray, Float32Array
@@ -92,7 +92,7 @@ def sole_phases(camera: Camera) -> list[Phase | None]:
 def linearise(capture: Capture) -> tuple[Float32Array, BoolArray]:
     """Photo-electrons of a raw picture, float32 [h, w], and its saturated pixels.
 
-    (raw - black level) times the electrons of a digital number, the mean dark signal taken away.
+    (raw - black level) times the electrons per digital number, less the mean dark signal.
     """
     sensor = capture.camera.sensor
     raw = capture.raw_dn
@@ -101,13 +101,10 @@ def linearise(capture: Capture) -> tuple[Float32Array, BoolArray]:
             f"capture: the raw picture is {raw.shape[1]} x {raw.shape[0]} pixels, "
             f"its camera has {sensor.width_px} x {sensor.height_px}"
         )
-    heat = 2.0 ** ((sensor.temperature_c - 25.0) / sensor.dark_doubling_k)
-    dark_e = sensor.dark_current_e_s * heat * capture.exposure_s
-    scale = electrons_per_dn(sensor, capture.gain)
-    electrons = (raw.astype(np.float32) - sensor.black_level_dn) * scale - dark_e
-    full = min(2**sensor.adc_bits - 1 - sensor.black_level_dn, sensor.full_well_e / scale)
-    top = sensor.black_level_dn + SATURATION_SHARE * full
-    return electrons.astype(np.float32), raw >= top
+    electrons = noise.collected_e(raw.astype(np.float32), sensor, capture.gain)
+    electrons -= noise.dark_e(sensor, capture.exposure_s)
+    full_dn = noise.saturation_e(sensor, capture.gain) / noise.electrons_per_dn(sensor, capture.gain)
+    return electrons, raw >= sensor.black_level_dn + SATURATION_SHARE * full_dn
 
 
 def planes(mosaic: NDArray, camera: Camera) -> dict[str, NDArray]:
@@ -156,20 +153,9 @@ def _mean_of_known(image: NDArray, known: BoolArray, kernel: NDArray) -> Float32
     return near if weight.min() > SMALLEST else np.where(weight > SMALLEST, near, mean(WIDE)[0])
 
 
-def noise_variance(electrons: NDArray, capture: Capture) -> NDArray:
-    """Variance in electrons^2 of a pixel whose mean is ``electrons``: shot, dark, read, DSNU, PRNU, rounding."""
-    floor, shot, relative = noise_coefficients(capture)
-    mean = np.maximum(electrons, 0)
-    return floor + shot * mean + relative * mean**2
-
-
-def noise_coefficients(capture: Capture) -> tuple[float, float, float]:
-    """The noise variance a + b x + c x^2 of the sensor's data sheet, (a, b, c), for x electrons."""
-    sensor = capture.camera.sensor
-    heat = 2.0 ** ((sensor.temperature_c - 25.0) / sensor.dark_doubling_k)
-    dark_e = sensor.dark_current_e_s * heat * capture.exposure_s
-    rounding = electrons_per_dn(sensor, capture.gain) ** 2 / 12
-    return sensor.read_noise_e**2 + sensor.dsnu_e**2 + dark_e + rounding, 1.0, sensor.prnu**2
+def noise_variance(capture: Capture) -> noise.Variance:
+    """Variance of a capture's pixels by the sensor's data sheet, as a function of their mean electrons."""
+    return noise.variance(capture.camera.sensor, capture.exposure_s, capture.gain)
 
 
 def noise_excess(plane: Float32Array, variance: Float32Array) -> float:

@@ -35,6 +35,6 @@ def gradient_snr(capture: Capture) -> FloatArray:
             near, far = (np.take(green, range(start, green.shape[axis] - 1 + start), axis) for start in (0, 1))
             part = (slice(near.shape[0]), slice(near.shape[1]))
             energy[grid][part] += (far - near) ** 2
-            noise[grid][part] += 2 * mosaic.noise_variance((near + far) / 2, capture)
+            noise[grid][part] += 2 * mosaic.noise_variance(capture).at((near + far) / 2)
     signal, floor = (cv2.boxFilter(a, -1, (WINDOW_PX, WINDOW_PX), normalize=False) for a in (energy, noise))
     return np.asarray(signal / np.maximum(floor, 1e-9) - 1)

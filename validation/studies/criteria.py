@@ -24,14 +24,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from dasim.base.errors import InputError
 from dasim.bounds import cramer_rao, pupils
-from dasim.camera import geometry, stops
+from dasim.camera import geometry, noise, stops
 from dasim.camera import specification as cameras
 from dasim.camera.specification import Camera
 from dasim.camera.stops import Stop
 from dasim.spectra import grid
 from dasim.typing import FloatArray
-from dasim.values import Capture
-from recon.picture import mosaic
 from validation.subjects import strips
 from validation.subjects.texture import CONTRAST, MEAN_SHARE, white_electrons
 
@@ -73,10 +71,9 @@ def sight(camera: Camera, light: str, level_lux: float, planes: tuple[str, ...] 
     if mean.min() <= 0:
         dark = [name for name, value in zip(planes, mean, strict=True) if value <= 0]
         raise InputError(f"camera '{camera.name}': no light of {light} reaches {', '.join(dark)}")
-    capture = Capture(np.zeros((1, 1), np.uint16), camera, time_s, 1.0, 0)
     power = cramer_rao.natural_power(SHAPE, spacing_px=SPACING_PX, contrast=CONTRAST * mean[0])
     area = cramer_rao.window_area_px(strips.WINDOW_PX) / (SHAPE[0] * SHAPE[1] * SPACING_PX**2)
-    return Sight(power, np.asarray(mosaic.noise_variance(mean, capture), np.float64), mean / mean[0], area)
+    return Sight(power, noise.variance(camera.sensor, time_s).at(mean), mean / mean[0], area)
 
 
 def blur_variance(

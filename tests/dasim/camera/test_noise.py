@@ -11,6 +11,8 @@ from dasim.camera import noise as sensor
 from dasim.camera import specification as cameras
 
 SIDE = 250  # 62,500 pixels: a standard deviation is known to 1 / sqrt(2 n) = 0.28 %, a variance to 0.57 %
+VARIANCE_LIMIT = 5 * np.sqrt(2) / SIDE  # five standard errors of a variance, relative to it
+COVARIANCE_LIMIT = 5 / SIDE  # the same of the covariance of two frames, relative to the variance of one
 STD_LIMIT = 0.012  # four of these
 STACK = 48  # frames for fixed patterns: what of the temporal noise is left is subtracted
 
@@ -118,12 +120,99 @@ def test_dark_signal_doubles_each_7_kelvin_and_grows_with_time(quiet):
         assert (raw.mean() - 64) * 4 == pytest.approx(expected, abs=5 * np.sqrt(expected) / SIDE)
 
 
-def test_whole_noise_is_the_sum_of_its_parts(da_mobile):
+def temporal_and_fixed(mean_e, model, time_s, gain):
+    """Variance from frame to frame and from pixel to pixel, electrons^2, of two frames of a flat field."""
+    first, second = (
+        sensor.expose(flat(mean_e), model, time_s, 8, gain, frame=frame)[0].astype(float) for frame in (0, 1)
+    )
+    step = sensor.electrons_per_dn(model, gain)
+    return (first - second).var() / 2 * step**2, np.cov(first.ravel(), second.ravel())[0, 1] * step**2
+
+
+@pytest.mark.parametrize(
+    ("term", "changes", "mean_e", "time_s", "gain", "temporal", "fixed"),
+    [
+        ("shot", {}, 1500, 0.0, 1.0, 1500 + 16 / 12, 0),
+        ("dark", {"dark_current_e_s": 400.0, "temperature_c": 32.0}, 100, 2.0, 1.0, 1600 + 100 + 16 / 12, 0),
+        ("read", {"read_noise_e": 30.0}, 400, 0.0, 1.0, 900 + 400 + 16 / 12, 0),
+        ("rounding", {}, 2000, 0.0, 1 / 16, 2000 + 64**2 / 12, 0),
+        ("dsnu", {"dsnu_e": 30.0}, 400, 0.0, 1.0, 400 + 16 / 12, 900),
+        ("prnu", {"prnu": 0.03}, 1500, 0.0, 1.0, 1500 + 16 / 12, 45**2),
+    ],
+)
+def test_each_term_of_the_variance_is_that_of_frames(quiet, term, changes, mean_e, time_s, gain, temporal, fixed):
+    """Rationale: the law that weighs pixels must be the noise that :func:`expose` draws, term by term.
+
+    Set-up: two frames of a flat field, 62,500 pixels each, one term large beside the shot noise and the rounding of
+    4 electrons per number, which cannot be switched off; for the term of rounding, 64 electrons per number.
+    Expectation: half the variance of their difference is the temporal law, their covariance the fixed one, one frame's
+    variance the sum; all are the numbers written out in the table. Limit: five standard errors. Without the term the
+    law would miss by more than twice that.
+    """
+    model = quiet(**changes)
+    laws = sensor.temporal_variance(model, time_s, gain), sensor.fixed_variance(model)
+    np.testing.assert_allclose([law.at(float(mean_e)) for law in laws], [temporal, fixed], rtol=1e-12)
+    whole = sensor.variance(model, time_s, gain).at(float(mean_e))
+    assert whole == pytest.approx(temporal + fixed, rel=1e-12)
+    seen_temporal, seen_fixed = temporal_and_fixed(float(mean_e), model, time_s, gain)
+    assert seen_temporal == pytest.approx(temporal, rel=VARIANCE_LIMIT)
+    assert seen_fixed == pytest.approx(fixed, abs=COVARIANCE_LIMIT * whole)
+    size = {"shot": 1500, "dark": 1600, "read": 900, "rounding": 64**2 / 12, "dsnu": 900, "prnu": 45**2}[term]
+    assert size > 2 * (COVARIANCE_LIMIT if term in ("dsnu", "prnu") else VARIANCE_LIMIT) * whole
+
+
+def test_whole_variance_of_the_bundled_camera(da_mobile):
     """Set-up: da-mobile as it is, 1,500 electrons, 0.02 s. Expectation: variances add."""
     model, step = da_mobile.sensor, sensor.electrons_per_dn(da_mobile.sensor)
     raw, _ = sensor.expose(flat(1500), model, 0.02, 8)
     expected = 1500 + 0.2 + 3.0**2 + 2.0**2 + (0.01 * 1500) ** 2 + step**2 / 12
-    assert (raw * step).var() == pytest.approx(expected, rel=2 * STD_LIMIT)
+    assert sensor.variance(model, 0.02).at(1500.0) == pytest.approx(expected, rel=1e-12)
+    assert (raw * step).var() == pytest.approx(expected, rel=VARIANCE_LIMIT)
+
+
+def test_all_users_give_a_pixel_the_same_variance(da_mobile):
+    """Rationale: noise once stood in six places, which disagreed.
+
+    Set-up: a flat raw picture of da-mobile, 2 s long so that its dark current counts. Expectation: the reconstruction,
+    the calibration's pictures, its search for the source and its signal-to-noise ratio use the variance written out
+    here; so do the bounds of the claims and studies at their own mean, and the ladder of EMVA frames.
+    """
+    from dasim.simulation import emva
+    from dasim.values import Capture, PointPicture
+    from recon.calibration import pictures, source
+    from recon.picture import mosaic
+    from validation.studies import criteria
+    from validation.subjects import texture
+
+    def by_hand(x, time_s):
+        return x + 10 * time_s + 3.0**2 + step**2 / 12 + 2.0**2 + (0.01 * x) ** 2
+
+    camera, time_s = cameras.cropped(da_mobile, 64, 48), 2.0
+    step, raw = 6000 / 959, np.full((48, 64), 364, np.uint16)
+    mean_e = 300 * step - 10 * time_s
+    capture = Capture(raw, camera, time_s, 1.0, 0)
+    assert mosaic.noise_variance(capture).at(mean_e) == pytest.approx(by_hand(mean_e, time_s), rel=1e-9)
+
+    def point(raw_dn):
+        return PointPicture(raw_dn[None], "D65", 0, 1.0, 0.0, (0, 0), time_s)
+
+    _, sigma_e, seen = pictures.averaged([point(raw)], camera, time_s)
+    np.testing.assert_allclose(sigma_e[seen] ** 2, by_hand(mean_e, time_s), rtol=1e-9)
+    np.testing.assert_allclose(source._electrons(capture)[1] ** 2, by_hand(mean_e, time_s), rtol=1e-9)
+
+    y, x = np.indices(raw.shape)
+    disc = np.hypot(y - 23.5, x - 31.5) < 2 * pictures.RIM_PX
+    fewest = min(np.count_nonzero(disc[row::2, column::2]) for row in (0, 1) for column in (0, 1))
+    ratio, _ = source.signal_to_noise([point(np.where(disc, 364, 64).astype(np.uint16))], camera, 0.0)
+    assert ratio == pytest.approx(np.sqrt(fewest / by_hand(mean_e, time_s)) * 300 * step, rel=1e-9)
+
+    white, short_s = texture.white_electrons(da_mobile, "D65", 500.0)
+    seen_by = criteria.sight(da_mobile, "D65", 500.0)
+    green_and_infrared = criteria.MEAN_SHARE * white[[1, 3]]
+    np.testing.assert_allclose(seen_by.noise, by_hand(green_and_infrared, short_s), rtol=1e-9)
+
+    ladder = emva.plan(da_mobile)
+    assert ladder.mean_e[-1] == pytest.approx(6000 + 3 * np.sqrt(by_hand(6000, ladder.exposure_s[-1])), rel=1e-9)
 
 
 def test_seeds_frames_and_stages(quiet):

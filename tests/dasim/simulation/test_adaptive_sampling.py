@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 
 from dasim.simulation import adaptive_sampling
 
@@ -68,15 +67,3 @@ def test_the_most_samples_end_it():
 def test_no_light_and_no_noise_need_no_more():
     found = adaptive_sampling.quiet_picture(lambda index, spp: np.zeros(SHAPE), poisson, stops=STOPS)
     assert found.share == (0, 0, 0, 0) and found.spp == (2 * adaptive_sampling.PILOT_SPP,) * STOPS
-
-
-@pytest.mark.parametrize(("mean_e", "time_s"), [(0.0, 0.1), (100.0, 0.1), (1000.0, 4.0)])
-def test_temporal_noise_is_that_of_frames(da_mobile, mean_e, time_s):
-    """Expectation: the spread of raw numbers from frame to frame, in electrons, fixed patterns left out."""
-    from dasim.camera import noise as sensors
-
-    sensor = da_mobile.sensor.model_copy(update={"prnu": 0.0, "dsnu_e": 0.0})
-    mean = np.full((64, 64), mean_e)
-    frames = np.stack([sensors.expose(mean, sensor, time_s, 1, frame=frame)[0] for frame in range(24)])
-    spread = np.sqrt(frames.astype(float).var(axis=0, ddof=1).mean()) * sensors.electrons_per_dn(sensor)
-    assert adaptive_sampling.temporal_noise_e(np.array(mean_e), sensor, time_s) == pytest.approx(spread, rel=0.02)

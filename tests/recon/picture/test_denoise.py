@@ -50,7 +50,7 @@ def test_equals_the_transcription_at_the_pipelines_strength():
     clean = develop.denoised(electrons, capture, PAPER)
     for row, column in ((0, 0), (0, 1), (1, 0), (1, 1)):
         plane = electrons[row::2, column::2]
-        guide = denoise.stabilise(plane, mosaic.noise_coefficients(capture))
+        guide = denoise.stabilise(plane, mosaic.noise_variance(capture))
         wanted = transcription(plane, guide, PAPER.denoise_bandwidth, PAPER.denoise_patch_sigma_px)
         np.testing.assert_allclose(clean[row::2, column::2], wanted, rtol=1e-5)
 
@@ -66,7 +66,7 @@ def test_stabilised_noise_has_unit_deviation():
     for level_e in (60.0, 500.0, 4000.0):
         capture = flat_capture(level_e)
         electrons, _ = mosaic.linearise(capture)
-        guide = denoise.stabilise(electrons, mosaic.noise_coefficients(capture))
+        guide = denoise.stabilise(electrons, mosaic.noise_variance(capture))
         assert abs(guide.std() - 1) < 0.03
         assert abs(electrons.mean() / level_e - 1) < 0.003
 
@@ -75,7 +75,7 @@ def test_flat_field_keeps_its_mean_and_loses_noise():
     """81 samples of nearly equal weight: the noise must fall by far more than half, the mean stay."""
     capture = flat_capture(800.0)
     electrons, _ = mosaic.linearise(capture)
-    guide = denoise.stabilise(electrons, mosaic.noise_coefficients(capture))
+    guide = denoise.stabilise(electrons, mosaic.noise_variance(capture))
     result = denoise.nonlocal_means(electrons, guide, 3.0)
     assert result.std() < 0.4 * electrons.std()
     assert abs(result.mean() - electrons.mean()) < 0.002 * 800

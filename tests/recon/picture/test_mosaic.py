@@ -61,7 +61,7 @@ def test_noise_variance_is_that_of_the_sensor():
         raw, _ = noise.expose(np.full((96, 128), level_e), camera.sensor, 0.02, 5)
         capture = Capture(raw, camera, 0.02, 1.0, 5)
         electrons, _ = mosaic.linearise(capture)
-        np.testing.assert_allclose(electrons.var(), mosaic.noise_variance(np.array(level_e), capture), rtol=0.065)
+        np.testing.assert_allclose(electrons.var(), mosaic.noise_variance(capture).at(np.array(level_e)), rtol=0.065)
 
 
 @pytest.mark.parametrize(

@@ -203,7 +203,7 @@ def _camera_levels(
     for name in strips.PAIR:
         plane = np.ascontiguousarray(planes[name])
         smooth = cv2.GaussianBlur(plane, (0, 0), 1.5)
-        variance = mosaic.noise_variance(smooth, capture).astype(np.float32)
+        variance = mosaic.noise_variance(capture).at(smooth)
         channels.append((plane, places[name], variance, kernels[:, CHANNELS.index(name)]))
     found, edge = strips.levels_of(channels[0], channels[1], settings, scores.PLANE_SPACING_PX)
     green = sharp_e[..., CHANNELS.index("G")].astype(np.float64)
@@ -226,9 +226,8 @@ def _camera_bounds(camera: Camera, sharp_e: NDArray) -> FloatArray:
     # of the finer grid's frequencies those of the planes; samples further apart see less of the density each
     power = np.concatenate([whole[: side // 2], whole[-side // 2 :]])[:, : side // 2 + 1] / spacing**2
     texture = [float(np.std(sharp_e[..., index])) for index in pair]
-    capture = Capture(np.zeros((1, 1), np.uint16), camera, EXPOSURE_S, 1.0, 0)
     means = np.array([float(sharp_e[..., index].mean()) for index in pair])
-    variance = mosaic.noise_variance(means, capture)
+    variance = sensor.variance(camera.sensor, EXPOSURE_S).at(means)
     table = strips.bound_table(
         transfer[:, pair], slope[:, pair], power, variance, gain=(1.0, texture[1] / texture[0]), spacing_px=spacing
     )

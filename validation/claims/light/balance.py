@@ -9,14 +9,12 @@ from numpy.typing import NDArray
 
 import dasim
 from dasim.bounds import cramer_rao
-from dasim.camera import geometry
+from dasim.camera import geometry, noise
 from dasim.camera import specification as cameras
 from dasim.camera import stops as aperture
 from dasim.camera.specification import Camera
 from dasim.spectra.grid import CHANNELS
 from dasim.typing import FloatArray, ShareDone
-from dasim.values import Capture
-from recon.picture import mosaic
 from validation.gates.claim import Evidence
 from validation.reports.plots import plot
 from validation.scores.figures import Figure
@@ -111,7 +109,7 @@ def depth_error(
     pair = [CHANNELS.index(name) for name in strips.PAIR]
     white, time_s = white_electrons(camera, light, level_lux)
     mean = MEAN_SHARE * white[pair]
-    variance = mosaic.noise_variance(mean, Capture(np.zeros((1, 1), np.uint16), camera, time_s, 1.0, 0))
+    variance = noise.variance(camera.sensor, time_s).at(mean)
     power = cramer_rao.natural_power(strips.BOUND_SHAPE, spacing_px=2.0, contrast=CONTRAST * mean[0])
     deviation_px = cramer_rao.blur_deviation(
         transfers[0][:, pair],

@@ -161,7 +161,7 @@ def _scores(capture: Capture, shot: Shot, candidates: FloatArray, window_px: Seq
     height, width = planes["G"].shape
     side = fourier.fast_shape((max(height, width),) * 2, MARGIN)[0]
     spectra = [depth.transform(np.ascontiguousarray(planes[n]), places[n], (side, side)) for n in criteria.PLANES]
-    noise = [float(mosaic.noise_variance(planes[name], capture).mean()) for name in criteria.PLANES]
+    noise = [float(mosaic.noise_variance(capture).at(planes[name]).mean()) for name in criteria.PLANES]
     gain = float(planes["IR"].mean() / planes["G"].mean())  # the board's white and black are so in both
     power = _power(shot, side)
     transfer, _ = pupils.stop_transfers(

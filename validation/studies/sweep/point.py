@@ -17,7 +17,7 @@ import dasim
 import recon
 from dasim.base.errors import InputError
 from dasim.base.executors import Outcome, said
-from dasim.camera import geometry, radiometry, stops
+from dasim.camera import geometry, noise, radiometry, stops
 from dasim.camera import specification as cameras
 from dasim.camera.specification import Camera
 from dasim.dataset import sample, storage
@@ -273,8 +273,6 @@ def _opened(stop: stops.Stop) -> stops.Stop:
 
 def infrared_snr(capture: Capture, truth: Truth) -> float:
     """Median signal over temporal noise of the infrared pixels."""
-    from dasim.simulation.adaptive_sampling import temporal_noise_e
-
     electrons = truth.mean_e[..., truth.channels.index("IR")][truth.valid].astype(np.float64)
-    noise = temporal_noise_e(electrons, capture.camera.sensor, capture.exposure_s, capture.gain)
-    return float(np.median(electrons / noise))
+    variance = noise.temporal_variance(capture.camera.sensor, capture.exposure_s, capture.gain).at(electrons)
+    return float(np.median(electrons / np.sqrt(variance)))
