@@ -6,6 +6,7 @@ Pixel centres are at +0.5, x to the right, y down, z forward, lengths in metres.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -67,6 +68,24 @@ class PointPicture:
     exposure_s: float
     gain: float = 1.0  # analogue
     position: str = ""
+
+
+@dataclass(frozen=True)
+class PointPictures:
+    """Simulated pictures of a point source that calibrate a camera, made anew by each iteration."""
+
+    camera: Camera
+    lights: tuple[str, ...]
+    diffraction: str  # wave, airy or off
+    count: int  # of pictures
+    fingerprint: str  # of everything that decides the pictures: pictures of the same fingerprint are the same
+    make: Callable[[], Iterator[PointPicture]] = field(repr=False, compare=False)
+
+    def __iter__(self) -> Iterator[PointPicture]:
+        return self.make()
+
+    def __len__(self) -> int:
+        return self.count
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,7 @@
 """Reconstruction: from a raw picture of a dual-aperture camera to colour, depth and an all-in-focus picture.
 
 >>> import dasim, recon
->>> bank = recon.calibrate(dasim.calibration_captures(camera), camera)
+>>> bank = recon.calibrate(dasim.calibration_captures(camera))
 >>> result = recon.reconstruct(shot.capture, bank)
 
 ``calibrate`` measures point-spread functions, ``reconstruct`` applies them; ``develop`` makes the colour picture

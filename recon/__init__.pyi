@@ -1,4 +1,4 @@
-from .calibration.psf_bank import calibrate
+from .calibration.cached import calibrate
 from .depth.method import METHODS, Method
 from .files.raw import load_raw
 from .files.reconstruction import load_reconstruction, save_reconstruction

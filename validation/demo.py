@@ -12,7 +12,6 @@ import dasim
 import recon
 from dasim.files.folders import new_folder
 from dasim.typing import Progress
-from recon.calibration.cached import simulated_bank
 from recon.files.reconstruction import save_reconstruction
 from validation.gates.claim import Claim, judged, write_results
 from validation.reports.demo import demo_page, overview
@@ -59,7 +58,8 @@ def run_demo(
         shot = dasim.simulate(scene, camera, seed=0, variant=variant, progress=progress, **options)
         dasim.save_capture(folder / "capture", shot.capture, shot.truth)
         lap("render")
-        bank = simulated_bank(camera, diffraction=shot.capture.provenance["diffraction"], progress=progress)
+        pictures = dasim.calibration_captures(camera, diffraction=shot.capture.provenance["diffraction"])
+        bank = recon.calibrate(pictures, progress=progress)
         lap("calibrate")
         result = recon.reconstruct(shot.capture, bank, progress=lambda s, x: progress("reconstructing", x))
         save_reconstruction(folder / "recon", result)

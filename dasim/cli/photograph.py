@@ -128,12 +128,12 @@ def calibrate(
         save_captures: write the simulated pictures to this folder, in the form that --captures reads, and end
     """
     import dasim
+    import recon
     from dasim.files.banks import save_bank
     from dasim.files.folders import check_output
     from dasim.simulation.calibration import CALIBRATION_LIGHTS
     from dasim.simulation.simulate import check_options
     from dasim.spectra import illuminants
-    from recon.calibration.cached import simulated_bank
     from recon.files.point_pictures import KIND
 
     chosen = dasim.load_camera(camera)
@@ -159,7 +159,8 @@ def calibrate(
     _check_bank_output(out)
     with options.progress() as progress:
         if captures is None:
-            bank = simulated_bank(chosen, lights=lights, diffraction=diffraction or "wave", progress=progress)
+            pictures = dasim.calibration_captures(chosen, lights, diffraction=diffraction or "wave")
+            bank = recon.calibrate(pictures, progress=progress)
         else:
             bank, notes = _measured_bank(captures, chosen, format_, progress)
             for note in notes:

@@ -113,8 +113,8 @@ def refocus(
         f_number: of the lens; the camera's own by default
         bank: the PSF bank of the reconstruction; by default that of the camera's description
     """
+    import dasim
     import recon as pipeline
-    from recon.calibration.cached import simulated_bank
     from recon.files.reconstruction import displayed, load_reconstruction, write_picture
 
     if out.suffix.lower() != ".png" or out.is_dir() or not out.resolve().parent.is_dir():
@@ -124,7 +124,10 @@ def refocus(
             raise InputError(f"{option} {value:g}: must be above 0")
     found = load_reconstruction(reconstruction)
     with options.progress() as progress:
-        kernels = pipeline.load_bank(bank) if bank is not None else simulated_bank(found.camera, progress=progress)
+        if bank is not None:
+            kernels = pipeline.load_bank(bank)
+        else:
+            kernels = pipeline.calibrate(dasim.calibration_captures(found.camera), progress=progress)
     write_picture(out, displayed(pipeline.refocus(found, kernels, depth, f_number), found))
     print(f"picture: {out} (focused at {depth:g} m, f/{f_number or found.camera.lens.f_number:g})")
     return 0
@@ -132,17 +135,18 @@ def refocus(
 
 def _bank(path: Path | None, shot: Capture, progress: Progress) -> PsfBank:
     """The bank of a file, or the one that the camera's own description gives."""
-    from dasim.files.banks import load_bank
-    from recon.calibration.cached import simulated_bank
+    import dasim
+    import recon
 
     if path is not None:
-        return load_bank(path)
+        return recon.load_bank(path)
     if "raw_file" in shot.provenance:
         print(
             f"note: without --bank the kernels are those that the description of camera '{shot.camera.name}' predicts; "
             "of a real camera, measure them (dasim calibrate --captures)"
         )
-    return simulated_bank(shot.camera, diffraction=shot.provenance.get("diffraction", "wave"), progress=progress)
+    pictures = dasim.calibration_captures(shot.camera, diffraction=shot.provenance.get("diffraction", "wave"))
+    return recon.calibrate(pictures, progress=progress)
 
 
 def _picture_alone(shot: Capture, even: Capture | None, chosen: Settings, bank: Path | None, out: Path) -> int:

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator, Sequence
+from functools import partial
 
 import numpy as np
 
+from dasim.base.fingerprint import fingerprint
 from dasim.camera import geometry, noise, pointspread
 from dasim.camera.specification import Camera
 from dasim.spectra import illuminants
 from dasim.typing import FloatArray
-from dasim.values import PointPicture
+from dasim.values import PointPicture, PointPictures
 
 FRAMES = 2  # of each exposure
 CALIBRATION_LIGHTS = ("D65", "D55", "A", illuminants.ENERGY_SAVING)
@@ -35,14 +38,32 @@ def calibration_captures(
     frames: int = FRAMES,
     seed: int = 0,
     diffraction: str = "wave",
-) -> Iterator[PointPicture]:
+) -> PointPictures:
     """Pictures of a point source for each light, blur level, mosaic position and exposure.
 
     The kernels are the camera's own (a path-traced point source converges too slowly to calibrate with),
     at an unknown sub-pixel position for each light and level, and go through the sensor model with
     automatic exposure to 85 % of full scale, and longer ones (``EXPOSURES``). ``shift_px``
-    covers one period of the mosaic.
+    covers one period of the mosaic. The pictures do not depend on the size of the camera's frame.
     """
+    levels_count, positions = len(levels(camera)[0]), len(camera.sensor.mosaic) * len(camera.sensor.mosaic[0])
+    description = camera.model_dump(mode="json")
+    for size in ("width_px", "height_px"):
+        del description["sensor"][size]
+    decisive = json.dumps([description, list(lights), frames, seed, diffraction], sort_keys=True)
+    return PointPictures(
+        camera,
+        tuple(lights),
+        diffraction,
+        count=len(lights) * levels_count * positions * len(EXPOSURES),
+        fingerprint=fingerprint(_pictures, values=[decisive], given=("cameras", "scenes")),
+        make=partial(_pictures, camera, tuple(lights), frames, seed, diffraction),
+    )
+
+
+def _pictures(
+    camera: Camera, lights: Sequence[str], frames: int, seed: int, diffraction: str
+) -> Iterator[PointPicture]:
     depths, blurs = levels(camera)
     rows, columns = len(camera.sensor.mosaic), len(camera.sensor.mosaic[0])
     kernel_size = pointspread.kernel_size_px(camera, float(blurs[-1]))

@@ -1,94 +1,76 @@
-"""PSF banks from simulated calibration pictures, kept in the user's cache folder."""
+"""Calibration whose result is kept in the user's cache folder where the pictures say what decides them."""
 
 from __future__ import annotations
 
-import hashlib
-import json
-from collections.abc import Sequence
-from importlib.metadata import version
+import warnings
+from collections.abc import Iterable, Iterator
+from dataclasses import replace
 from pathlib import Path
 
-import dasim.camera.noise
-import dasim.camera.pointspread
-import dasim.camera.specification
-import dasim.camera.stops
-import dasim.camera.thin_lens
-import dasim.simulation.calibration
-import dasim.spectra.grid
-import recon.calibration.pictures
-import recon.calibration.psf_bank
-import recon.calibration.round_kernel
-import recon.calibration.unaligned
 from dasim.base.cache import cache_dir
+from dasim.base.errors import InputError
+from dasim.base.fingerprint import fingerprint
 from dasim.camera.specification import Camera
-from dasim.files.banks import BANK_SCHEMA, load_bank, save_bank
+from dasim.files.banks import load_bank, save_bank
 from dasim.typing import Progress
-from dasim.values import PsfBank
+from dasim.values import PointPicture, PointPictures, PsfBank
+from recon.calibration import psf_bank
 
-# The code that decides what a bank holds: a change there makes a new bank.
-_DECIDING = (
-    dasim.camera.stops,
-    dasim.simulation.calibration,
-    dasim.camera.specification,
-    dasim.camera.thin_lens,
-    dasim.camera.pointspread,
-    dasim.camera.noise,
-    dasim.spectra.grid,
-    recon.calibration.pictures,
-    recon.calibration.psf_bank,
-    recon.calibration.round_kernel,
-    recon.calibration.unaligned,
-)
-_LIBRARIES = ("numpy", "scipy", "colour-science")
+TAKING = "photographing a point source"
 
 
-def simulated_bank(
-    camera: Camera,
+def calibrate(
+    pictures: PointPictures | Iterable[PointPicture],
+    camera: Camera | None = None,
     *,
-    lights: Sequence[str] = dasim.simulation.calibration.CALIBRATION_LIGHTS,
-    diffraction: str = "wave",
+    diffraction: str = "measured",
+    cache: bool = True,
     progress: Progress = lambda stage, share: None,
 ) -> PsfBank:
-    """Photograph a point source and measure the camera's kernels, or find them in the cache.
+    """Measure the PSF bank of a camera from pictures of a point source, or find it in the cache.
 
-    The bank does not depend on the frame's size. The cache is keyed by the content of everything that
-    decides the bank: the camera, the lights, the diffraction model and the code.
+    >>> bank = recon.calibrate(dasim.calibration_captures(camera))
+
+    A bank from simulated pictures is kept in the cache folder. It is measured again when anything that decides the
+    pictures or the calibration has changed: camera, lights, code, data, libraries.
+
+    Args:
+        pictures: what ``dasim.calibration_captures`` gives, or pictures of your own; see
+            :func:`recon.calibration.psf_bank.calibrate` for what they have to cover.
+        camera: the camera of pictures of your own; simulated pictures bring theirs.
+        diffraction: a remark on pictures of your own; simulated pictures bring theirs.
+        cache: whether to use the cache.
+        progress: called with the stage and its share done.
     """
-    path = cache_dir() / "banks" / f"{_key(camera, lights, diffraction)}.npz"
-    if path.is_file():
+    if not isinstance(pictures, PointPictures):
+        if camera is None:
+            raise InputError("calibrate: pictures of your own do not say their camera; give camera=...")
+        return psf_bank.calibrate(pictures, camera, diffraction=diffraction, progress=progress)
+    if camera is not None and camera != pictures.camera:
+        raise InputError("calibrate: camera is not the one of the simulated pictures; leave it out")
+    path = bank_file(pictures)
+    if cache and path.is_file():
         try:
-            return load_bank(path)
-        except dasim.camera.specification.InputError:
-            path.unlink(missing_ok=True)  # damaged: make it anew
-    bank = measured_bank(camera, lights=lights, diffraction=diffraction, progress=progress)
-    save_bank(path, bank)
+            return replace(load_bank(path), camera=pictures.camera)
+        except InputError:
+            path.unlink(missing_ok=True)  # damaged
+    bank = psf_bank.calibrate(_counted(pictures, progress), pictures.camera, diffraction=pictures.diffraction)
+    progress(TAKING, 1.0)
+    if cache:
+        try:
+            save_bank(path, bank)
+        except OSError as error:
+            warnings.warn(f"the PSF bank cannot be kept in the cache: {error}", stacklevel=2)
     return bank
 
 
-def measured_bank(
-    camera: Camera, *, lights: Sequence[str], diffraction: str, progress: Progress = lambda stage, share: None
-) -> PsfBank:
-    """The same without the cache."""
-    pictures = dasim.simulation.calibration.calibration_captures(camera, lights, diffraction=diffraction)
-    positions = len(camera.sensor.mosaic) * len(camera.sensor.mosaic[0])
-    count = len(lights) * len(dasim.camera.geometry.level_blur_px(camera)) * positions
-
-    def counted():  # type: ignore[no-untyped-def]
-        for index, picture in enumerate(pictures):
-            progress("photographing a point source", index / count)
-            yield picture
-
-    bank = recon.calibration.psf_bank.calibrate(counted(), camera, diffraction=diffraction)
-    progress("photographing a point source", 1.0)
-    return bank
+def bank_file(pictures: PointPictures) -> Path:
+    """The bank of some pictures in the cache folder, existing or not."""
+    name = fingerprint(psf_bank.calibrate, save_bank, values=[pictures.fingerprint], given=("cameras", "scenes"))
+    return cache_dir() / "banks" / f"{name}.npz"
 
 
-def _key(camera: Camera, lights: Sequence[str], diffraction: str) -> str:
-    description = camera.model_dump(mode="json")
-    for size in ("width_px", "height_px"):
-        del description["sensor"][size]
-    for module in _DECIDING:
-        description[module.__name__] = hashlib.sha256(Path(str(module.__file__)).read_bytes()).hexdigest()
-    description["libraries"] = {name: version(name) for name in _LIBRARIES}
-    text = json.dumps([BANK_SCHEMA, description, list(lights), diffraction], sort_keys=True)
-    return hashlib.sha256(text.encode()).hexdigest()[:24]
+def _counted(pictures: PointPictures, progress: Progress) -> Iterator[PointPicture]:
+    for index, picture in enumerate(pictures):
+        progress(TAKING, index / len(pictures))
+        yield picture

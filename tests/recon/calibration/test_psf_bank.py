@@ -73,6 +73,6 @@ def test_missing_pictures_are_named():
     camera = recon_scenes.da_mobile(512, 384)
     with pytest.raises(InputError, match="no pictures"):
         recon.calibrate([], camera)
-    pictures = [next(calibration.calibration_captures(camera, ("D65",)))]
+    pictures = [next(iter(calibration.calibration_captures(camera, ("D65",))))]
     with pytest.raises(InputError, match="one period of the mosaic"):
         recon.calibrate(pictures, camera)

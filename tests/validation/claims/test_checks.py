@@ -264,14 +264,17 @@ def test_the_kernel_of_the_next_level_fails(monkeypatch, levels):
     """Set-up: a bank whose kernels are those of the level asked for, or of the next."""
     from dataclasses import replace
 
-    true = bank.simulated_bank
+    import dasim
+    import recon
 
-    def shifted(camera_, progress):
-        found = true(camera_, lights=("D65",))
+    true = recon.calibrate
+
+    def shifted(pictures, progress):
+        found = true(dasim.calibration_captures(pictures.camera, ("D65",)))
         count = found.kernel.shape[1]
         return replace(found, kernel=found.kernel[:, np.minimum(np.arange(count) + levels, count - 1)])
 
-    monkeypatch.setattr(bank, "simulated_bank", shifted)
+    monkeypatch.setattr(recon, "calibrate", shifted)
     monkeypatch.setattr(bank, "LEVELS", (1, 8))
     found = verdicts("bank", bank.bank)
     assert all(found) if levels == 0 else not any(found)

@@ -13,6 +13,7 @@ import cv2
 import numpy as np
 import pytest
 
+import dasim
 import recon
 from dasim.base.errors import InputError
 from dasim.base.toml import parse
@@ -22,7 +23,6 @@ from dasim.scene.specification import Scene
 from dasim.simulation.simulate import simulate
 from dasim.spectra import grid
 from dasim.values import Capture, Reconstruction, Truth
-from recon.calibration import cached as banks
 from tests.support import browser, surfaces
 from validation import demo
 from validation.gates.claim import Claim, write_results
@@ -325,116 +325,6 @@ def test_results_follow_their_schema(tmp_path, camera):
     assert {"dasim", "mitsuba", "numpy"} <= set(content["software"])
 
 
-# --- banks ---------------------------------------------------------------------------------------
-
-
-@pytest.fixture
-def cache(tmp_path, monkeypatch):
-    monkeypatch.setenv("DASIM_CACHE_DIR", str(tmp_path / "cache"))
-    return tmp_path / "cache"
-
-
-@pytest.fixture(scope="module")
-def bank(camera):
-    return banks.measured_bank(camera, lights=("D55",), diffraction="off")
-
-
-@pytest.fixture
-def measured(bank, monkeypatch):
-    """Count the banks that are measured; the measurement itself is done once for all tests."""
-    calls = []
-
-    def measure(camera, **options):
-        calls.append(camera)
-        return replace(bank, camera=camera)
-
-    monkeypatch.setattr(banks, "measured_bank", measure)
-    return calls
-
-
-def test_measured_bank_is_of_the_camera(bank, camera):
-    assert bank.lights == ("D55",) and bank.camera == camera and bank.diffraction == "off"
-    assert bank.kernel.shape[:3] == (1, cameras.BLUR_LEVELS, 4)
-    np.testing.assert_allclose(bank.kernel.sum(axis=(-1, -2)), 1, atol=ROUNDING)
-    np.testing.assert_allclose(bank.blur_px, geometry.level_blur_px(camera), rtol=1e-6)
-
-
-def test_cached_bank_is_the_same_without_photographing_again(cache, camera, bank, measured):
-    options = {"lights": ("D55",), "diffraction": "off"}
-    first = banks.simulated_bank(camera, **options)
-    assert len(measured) == 1
-
-    second = banks.simulated_bank(camera, **options)
-    assert len(measured) == 1
-    for name in ("kernel", "signature", "depth_m", "blur_px"):
-        np.testing.assert_array_equal(getattr(first, name), getattr(second, name))
-    assert (second.lights, second.camera, second.diffraction) == (bank.lights, camera, "off")
-
-
-@pytest.mark.parametrize("content", [b"", b"rubbish", None])
-def test_damaged_cached_bank_is_made_anew(cache, camera, measured, content):
-    banks.simulated_bank(camera, lights=("D55",), diffraction="off")
-    (file,) = (cache / "banks").iterdir()
-    file.write_bytes(file.read_bytes()[:5000] if content is None else content)
-    made = banks.simulated_bank(camera, lights=("D55",), diffraction="off")
-    assert len(measured) == 2 and made.kernel.shape[1] == cameras.BLUR_LEVELS
-    banks.simulated_bank(camera, lights=("D55",), diffraction="off")
-    assert len(measured) == 2, "the new one is kept"
-
-
-def test_cached_file_that_is_a_bank_of_something_else_is_made_anew(cache, camera, measured):
-    """Rationale: the cache is the user's folder, anything may stand there; its metadata alone may be damaged."""
-    banks.simulated_bank(camera, lights=("D55",), diffraction="off")
-    (file,) = (cache / "banks").iterdir()
-    with np.load(file) as data:
-        arrays = dict(data)
-    about = json.loads(str(arrays["about"]))
-    np.savez(file, **(arrays | {"about": np.array(json.dumps({"schema": about["schema"]}))}))
-    banks.simulated_bank(camera, lights=("D55",), diffraction="off")
-    assert len(measured) == 2
-
-
-def changed(camera, **changes):
-    """The camera with changed values, ``part__name``."""
-    data = camera.model_dump()
-    for key, value in changes.items():
-        part, name = key.split("__")
-        if part == "stops":
-            data["stops"] = [s | {name: value} if s["radius_ratio"] < 1 else s for s in data["stops"]]
-        else:
-            data[part][name] = value
-    return parse(cameras.Camera, data, "changed camera")
-
-
-def test_key_ignores_the_frame_and_nothing_that_decides_the_kernels(cache, camera, measured):
-    """Expectation: another frame size finds the bank; another focus, hole, pixel, light or diffraction does not."""
-    options = {"lights": ("D55",), "diffraction": "off"}
-    banks.simulated_bank(camera, **options)
-    banks.simulated_bank(cameras.cropped(camera, 64, 48), **options)
-    assert len(measured) == 1
-    others = [
-        changed(camera, lens__focus_distance_m=0.41),
-        changed(camera, lens__f_number=2.0),
-        changed(camera, stops__radius_ratio=0.5),
-        changed(camera, sensor__pixel_pitch_um=1.6),
-        changed(camera, sensor__cutoff_nm=800.0),
-    ]
-    for count, other in enumerate(others, start=2):
-        banks.simulated_bank(other, **options)
-        assert len(measured) == count, other
-    banks.simulated_bank(camera, lights=("D65",), diffraction="off")
-    banks.simulated_bank(camera, lights=("D55",), diffraction="wave")
-    assert len(measured) == len(others) + 3
-
-
-def test_bank_from_the_cache_carries_the_asked_frame(cache, camera, measured):
-    """Expectation: the camera that a bank names is the one asked for, or all that reads it must ignore its frame."""
-    options = {"lights": ("D55",), "diffraction": "off"}
-    banks.simulated_bank(cameras.cropped(camera, 64, 48), **options)
-    found = banks.simulated_bank(camera, **options)
-    assert found.camera.lens == camera.lens and found.camera.stops == camera.stops
-
-
 # --- the report ----------------------------------------------------------------------------------
 
 
@@ -466,6 +356,11 @@ class Page(HTMLParser):
 
     def handle_data(self, data):
         self.text += data
+
+
+@pytest.fixture(scope="module")
+def bank(camera):
+    return recon.calibrate(dasim.calibration_captures(camera, ("D55",), diffraction="off"))
 
 
 @pytest.fixture(scope="module")

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import dasim
+import recon
 from dasim.camera.noise import expose
 from dasim.camera.specification import Camera
 from dasim.files.banks import save_bank
@@ -22,7 +23,6 @@ from dasim.spectra.grid import CHANNELS
 from dasim.typing import ShareDone
 from dasim.values import PsfBank
 from recon import fourier
-from recon.calibration.cached import simulated_bank
 from validation.gates.claim import Evidence
 from validation.scores.figures import Figure
 
@@ -74,7 +74,7 @@ def recon_speed(progress: ShareDone) -> Evidence:
     Source: the project's own limits.
     """
     camera = dasim.load_camera("da-mobile")
-    bank = simulated_bank(camera)
+    bank = recon.calibrate(dasim.calibration_captures(camera))
     with tempfile.TemporaryDirectory() as folder:
         frame = banded_capture(camera, bank)
         np.save(Path(folder) / "frame.npy", frame)

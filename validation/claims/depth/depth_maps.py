@@ -11,7 +11,6 @@ from dasim.camera.geometry import intrinsic_matrix
 from dasim.simulation.simulate import Shot
 from dasim.typing import BoolArray, ShareDone
 from dasim.values import Reconstruction, Truth
-from recon.calibration.cached import simulated_bank
 from recon.views.surface import surface
 from validation.gates.claim import Evidence
 from validation.reports import pictures
@@ -57,7 +56,7 @@ def depth_maps(progress: ShareDone, seed: int = 0) -> Evidence:
         scene = dasim.load_scene(name)
         camera = dasim.focused(dasim.cropped(dasim.load_camera("da-mobile"), *bundled.SIZE_PX), scene)
         shot = photographed(scene, camera, seed, spp=bundled.SPP)
-        bank = simulated_bank(camera, diffraction=shot.capture.provenance["diffraction"])
+        bank = recon.calibrate(dasim.calibration_captures(camera, diffraction=shot.capture.provenance["diffraction"]))
         for preset in PRESETS:
             result = recon.reconstruct(shot.capture, bank, recon.PRESETS[preset])
             figures += judged(f"{preset}.{name}", f"{name}, {preset}", result, shot.truth, seed)

@@ -13,7 +13,6 @@ from dasim.simulation.simulate import Shot
 from dasim.spectra.grid import CHANNELS
 from dasim.typing import BoolArray, ShareDone
 from dasim.values import PsfBank, Reconstruction, Truth
-from recon.calibration.cached import simulated_bank
 from validation.gates.claim import Evidence
 from validation.reports import pictures
 from validation.reports.page import png_address
@@ -65,7 +64,7 @@ def yellow_disks(progress: ShareDone, seed: int = 0) -> Evidence:
     scene = dasim.load_scene("disks")
     camera = dasim.focused(dasim.cropped(dasim.load_camera("da-mobile"), *SIZE_PX), scene)
     shot = photographed(scene, camera, seed, spp=SPP)
-    bank = simulated_bank(camera, diffraction=shot.capture.provenance["diffraction"])
+    bank = recon.calibrate(dasim.calibration_captures(camera, diffraction=shot.capture.provenance["diffraction"]))
     results = {}
     for number, (name, settings) in enumerate(SETTINGS.items()):
         results[name] = recon.reconstruct(shot.capture, bank, settings)

@@ -14,7 +14,6 @@ from dasim.scene.specification import load_scene
 from dasim.simulation.relight import exposed, lit_by
 from dasim.simulation.simulate import Shot
 from dasim.typing import FloatArray, ShareDone
-from recon.calibration.cached import simulated_bank
 from recon.settings import DEFAULT
 from validation.gates.claim import Evidence
 from validation.reports.plots import plot
@@ -61,7 +60,7 @@ def light_levels(progress: ShareDone, seed: int = 0) -> Evidence:
     rows, curves = [], {}
     for number, light in enumerate(LIGHTS):
         shot = photographed(lit_by(scene, light), camera, spp=SPP)
-        bank = simulated_bank(camera, diffraction=shot.capture.provenance["diffraction"])
+        bank = recon.calibrate(dasim.calibration_captures(camera, diffraction=shot.capture.provenance["diffraction"]))
         errors = []
         for part, level_lux in enumerate(LEVELS_LUX):
             capture = exposed(shot, level_lux / scene_lux, seed * len(LEVELS_LUX) + part)

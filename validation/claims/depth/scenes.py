@@ -11,7 +11,6 @@ import recon
 from dasim.simulation.simulate import Shot
 from dasim.typing import ShareDone
 from dasim.values import Reconstruction
-from recon.calibration.cached import simulated_bank
 from validation.gates.claim import Evidence
 from validation.reports import page
 from validation.scores import depth as depth_scores
@@ -51,7 +50,7 @@ def depth(progress: ShareDone, seed: int = 0) -> Evidence:
         scene = dasim.load_scene(name)
         camera = dasim.focused(dasim.cropped(dasim.load_camera("da-mobile"), *SIZE_PX), scene)
         shot = photographed(scene, camera, seed, spp=SPP)
-        bank = simulated_bank(camera, diffraction=shot.capture.provenance["diffraction"])
+        bank = recon.calibrate(dasim.calibration_captures(camera, diffraction=shot.capture.provenance["diffraction"]))
         for step, preset in enumerate(PRESETS):
             result = recon.reconstruct(shot.capture, bank, recon.PRESETS[preset])
             found, rows = _figures(name, preset, result, shot)

@@ -18,7 +18,6 @@ from dasim.camera.specification import BLUR_LEVELS, Camera
 from dasim.spectra.grid import CHANNELS
 from dasim.typing import FloatArray, ShareDone
 from dasim.values import Capture
-from recon.calibration.cached import simulated_bank
 from recon.depth import scores
 from recon.picture import mosaic
 from recon.settings import Settings
@@ -87,7 +86,7 @@ def staircase(progress: ShareDone, seed: int = 0) -> Evidence:
     Source: Fig. 10 and sec. 6.1; for the bound validation/bounds.py.
     """
     camera = dasim.load_camera("da-mobile")
-    bank = simulated_bank(camera)
+    bank = recon.calibrate(dasim.calibration_captures(camera))
     kernels = bank.kernel[bank.lights.index(LIGHT)]
     figures: list[Figure] = []
     tables: list[Any] = []
@@ -149,7 +148,7 @@ def staircase_camera(progress: ShareDone, seed: int = 0) -> Evidence:
         progress(0.7 * (level + 1) / BLUR_LEVELS)
     green = CHANNELS.index("G")
     white = float(np.percentile([sharp[..., green] for _, sharp in rates], WHITE_PERCENTILE))
-    bank = simulated_bank(camera)
+    bank = recon.calibrate(dasim.calibration_captures(camera))
     kernels = bank.kernel[bank.lights.index(LIGHT)]
     figures: list[Figure] = []
     tables: list[Any] = []

@@ -14,7 +14,6 @@ from dasim.camera import specification as cameras
 from dasim.camera.specification import Camera
 from dasim.scene.targets import depth_steps as steps_scene
 from dasim.typing import ShareDone
-from recon.calibration.cached import simulated_bank
 from recon.settings import DEFAULT_PRESET
 from validation.gates.claim import Evidence
 from validation.references.depth_from_blur import first_order_m
@@ -154,7 +153,7 @@ def _photographed(camera: Camera, depth_m: float, step: float, seed: int) -> dic
     """What each preset tells of two planes ``step`` levels apart."""
     scene = steps_scene(100 * depth_m, 100 * step_m(camera, depth_m, step))
     shot = photographed(scene, camera, seed, spp=SPP)
-    bank = simulated_bank(camera, diffraction=shot.capture.provenance["diffraction"])
+    bank = recon.calibrate(dasim.calibration_captures(camera, diffraction=shot.capture.provenance["diffraction"]))
     level_px = float(geometry.level_blur_px(camera)[1])
     blur = float(geometry.blur_px(camera, depth_m))
     known = (blur / level_px, blur / level_px - step)

@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 import dasim
+import recon
 from dasim.camera import pointspread
 from dasim.spectra import illuminants
 from dasim.spectra.grid import CHANNELS
 from dasim.typing import FloatArray, ShareDone
 from dasim.values import PsfBank
-from recon.calibration.cached import simulated_bank
 from validation.gates.claim import Evidence
 from validation.scores.figures import Figure
 
@@ -34,7 +34,7 @@ def bank(progress: ShareDone) -> Evidence:
     Source: sec. 5.1; the limit is the project's own.
     """
     camera = dasim.load_camera("da-mobile")
-    measured = simulated_bank(camera, progress=lambda stage, share: progress(0.6 * share))
+    measured = recon.calibrate(dasim.calibration_captures(camera), progress=lambda stage, share: progress(0.6 * share))
     error = energy_errors(measured)
     figures, rows = [], []
     for number, light in enumerate(measured.lights):

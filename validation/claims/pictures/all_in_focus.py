@@ -16,7 +16,6 @@ from dasim.simulation.simulate import Shot
 from dasim.spectra.colour import exposure_scale, to_srgb
 from dasim.typing import BoolArray, FloatArray, ShareDone
 from dasim.values import PsfBank, Reconstruction, Truth
-from recon.calibration.cached import simulated_bank
 from recon.picture import colour, infrared
 from validation.gates.claim import Evidence
 from validation.reports.page import png_address
@@ -44,7 +43,7 @@ def _shot(name: str, seed: int) -> tuple[Shot, PsfBank]:
     rendering.needs_wave()
     scene = dasim.load_scene(name)
     camera = dasim.focused(dasim.cropped(dasim.load_camera("da-mobile"), *SHARP_SIZE_PX), scene)
-    return photographed(scene, camera, seed, spp=SHARP_SPP), simulated_bank(camera)
+    return photographed(scene, camera, seed, spp=SHARP_SPP), recon.calibrate(dasim.calibration_captures(camera))
 
 
 def all_in_focus(progress: ShareDone, seed: int = 0) -> Evidence:

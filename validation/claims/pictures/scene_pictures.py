@@ -14,7 +14,6 @@ from dasim.spectra.colour import exposure_scale, to_srgb
 from dasim.spectra.grid import LUMINANCE
 from dasim.typing import FloatArray, ShareDone
 from dasim.values import PsfBank, Reconstruction, Truth
-from recon.calibration.cached import simulated_bank
 from recon.picture import colour, infrared
 from recon.views import anaglyph as stereo
 from validation.gates.claim import Evidence, Pair, Table
@@ -74,7 +73,7 @@ def scene_pictures(progress: ShareDone, seed: int = 0) -> Evidence:
         scene = dasim.load_scene(name)
         camera = dasim.focused(dasim.cropped(dasim.load_camera("da-mobile"), *bundled.SIZE_PX), scene)
         shot = photographed(scene, camera, seed, spp=bundled.SPP)
-        bank = simulated_bank(camera, diffraction=shot.capture.provenance["diffraction"])
+        bank = recon.calibrate(dasim.calibration_captures(camera, diffraction=shot.capture.provenance["diffraction"]))
         result = recon.reconstruct(shot.capture, bank, recon.PRESETS[PRESET])
         figures += [*edges(name, result, shot.truth), *sharpest(name, result, bank, shot.truth)]
         progress((number + 0.7) / len(SCENES))

@@ -22,7 +22,6 @@ from dasim.simulation.relight import exposed
 from dasim.simulation.simulate import Shot
 from dasim.typing import FloatArray, Progress
 from dasim.values import Capture, Reconstruction, Truth
-from recon.calibration.cached import simulated_bank
 from validation.gates import stored
 from validation.scores import texture
 from validation.scores.pictures import picture_scores
@@ -102,7 +101,7 @@ def kept(folder: Path, what: list[str], make: Callable[[], dict[str, Any]]) -> d
 
 
 def _proved(camera: Camera, preset: str, seed: int, progress: Progress) -> Proof:
-    bank = simulated_bank(camera, lights=(LIGHT,), progress=progress)
+    bank = recon.calibrate(dasim.calibration_captures(camera, lights=(LIGHT,)), progress=progress)
     own = recon.PRESETS[preset]
     everywhere = own.model_copy(update=ALL)
     boards, coverage, sharp = [], [], []

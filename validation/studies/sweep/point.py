@@ -27,7 +27,6 @@ from dasim.simulation.simulate import Shot
 from dasim.spectra import grid as spectra
 from dasim.typing import FloatArray
 from dasim.values import Capture, Reconstruction, Truth
-from recon.calibration.cached import simulated_bank
 from validation.scores import pictures as picture_scores
 from validation.studies import criteria
 from validation.studies.sweep import second_camera
@@ -123,7 +122,7 @@ def measured(spec: StudySpec, unit: Unit) -> list[dict[str, Any]]:
     if "focus_m" in unit.render:
         camera = dasim.refocused(camera, float(unit.render["focus_m"]))
     shot = dasim.simulate(scene, camera, unit.seed, spp=spec.spp)
-    bank = simulated_bank(camera, diffraction=shot.capture.provenance["diffraction"])
+    bank = recon.calibrate(dasim.calibration_captures(camera, diffraction=shot.capture.provenance["diffraction"]))
     other = None
     if BASELINE in unit.render:
         moved = second_camera.other_view(scene, 1e-3 * float(unit.render[BASELINE]))

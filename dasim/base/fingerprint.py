@@ -1,0 +1,256 @@
+"""Fingerprint of everything that decides a cached result: code, bundled data, library versions, renderer variant.
+
+The code is found by following imports from the functions that compute the result. A name taken from a package
+(``dasim.simulate``) is followed to the module that defines it, so that a result does not depend on the other names
+that the package offers. Modules are followed as a whole: a change anywhere in a file changes the fingerprint.
+"""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+import inspect
+import sys
+from collections.abc import Callable, Collection, Iterable, Iterator
+from dataclasses import dataclass
+from functools import cache
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+from dasim.base import references
+from dasim.base.errors import InputError
+from dasim.base.references import Content, Reference
+
+PACKAGES = ("dasim", "recon", "validation")
+ROOT = Path(__file__).resolve().parents[2]  # holds the packages
+# Folders of bundled data below the root, the first that exists: a wheel holds the scenes inside of dasim.
+DATA_FOLDERS = {"cameras": ("dasim/cameras",), "data": ("dasim/data",), "scenes": ("dasim/scenes", "scenes")}
+RENDERERS = frozenset({"mitsuba", "drjit"})  # libraries whose results depend on the variant
+DISTRIBUTIONS = {"cv2": "opencv-python-headless", "skimage": "scikit-image", "colour": "colour-science"}
+DIGITS = 24
+
+Source = Callable[..., Any] | str | Path
+"""Code to start from: a function or class, the dotted name of a module, or a Python file outside of the packages."""
+
+
+@dataclass(frozen=True)
+class Dependencies:
+    """Files and libraries that a result depends on."""
+
+    files: dict[Path, str]  # with a name that does not depend on where the packages are installed
+    libraries: frozenset[str]  # top-level names of imported packages outside of the project and standard library
+
+    @property
+    def renders(self) -> bool:
+        """Whether the code can render."""
+        return bool(self.libraries & RENDERERS)
+
+
+def fingerprint(
+    *sources: Source, variant: str | None = None, values: Iterable[str] = (), given: Collection[str] = ()
+) -> str:
+    """Hash of the content of everything that decides what ``sources`` compute.
+
+    Args:
+        sources: functions, modules or files that compute the result.
+        variant: the renderer's variant; required where the code can render, without effect elsewhere.
+        values: parameters of the result as text.
+        given: names of the ``DATA_FOLDERS`` whose content the result depends on through ``values`` alone. The key of a
+            bank holds its camera, for example, and the bank does not depend on the other bundled cameras.
+    """
+    found = dependencies(*sources, given=given)
+    text = [_name(source) for source in sources]
+    text += sorted(f"{name} {_digest(path)}" for path, name in found.files.items())
+    text += [f"{name} {library_version(name)}" for name in sorted(found.libraries)]
+    if found.renders:
+        if variant is None:
+            raise ValueError(f"{', '.join(text[: len(sources)])} can render: the result depends on the variant")
+        text.append(variant)
+    return hashed([*text, *values])
+
+
+def dependencies(*sources: Source, given: Collection[str] = ()) -> Dependencies:
+    """Files and libraries that ``sources`` depend on; see :func:`fingerprint`."""
+    waiting = [_start(source) for source in sources]
+    modules: dict[str, Path] = {}
+    libraries: set[str] = set()
+    while waiting:
+        name, path = waiting.pop()
+        if name in modules:
+            continue
+        modules[name] = path
+        for reference in _content(path).references:
+            found, library = _resolved(reference, name, path)
+            waiting += found
+            libraries |= library
+    files = [*modules.values(), *(data for path in modules.values() for data in _data(path, given))]
+    return Dependencies({path: _file_name(path) for path in files}, frozenset(libraries))
+
+
+def hashed(text: Iterable[str]) -> str:
+    """Name for a sequence of texts, the same for the same texts only."""
+    digest = hashlib.sha256()
+    for part in text:
+        data = part.encode()
+        digest.update(f"{len(data)}:".encode() + data)
+    return digest.hexdigest()[:DIGITS]
+
+
+@cache
+def library_version(name: str) -> str:
+    """Version of the distribution that provides a top-level package; "none" where it is not installed."""
+    try:
+        return metadata.version(DISTRIBUTIONS.get(name, name))
+    except metadata.PackageNotFoundError:
+        pass
+    provided = metadata.packages_distributions().get(name, [])
+    return ", ".join(f"{one} {metadata.version(one)}" for one in sorted(set(provided))) or "none"
+
+
+def forget() -> None:
+    """Read all files again. Otherwise a process reads each file once, as it goes on running the code it has loaded."""
+    _content.cache_clear()
+    _digest.cache_clear()
+
+
+# --- where to start ------------------------------------------------------------------------------
+
+
+def _unwrapped(source: Source) -> Source:
+    while isinstance(source, functools.partial):
+        source = source.func
+    return inspect.unwrap(source) if callable(source) else source
+
+
+def _name(source: Source) -> str:
+    source = _unwrapped(source)
+    if isinstance(source, Path):
+        return source.name
+    if isinstance(source, str):
+        return source
+    module = source.__module__ if _is_own(source.__module__) else Path(inspect.getfile(source)).name
+    return f"{module}:{source.__qualname__}"
+
+
+def _start(source: Source) -> tuple[str, Path]:
+    """Module name, or path where the file lies outside of the packages, and file."""
+    source = _unwrapped(source)
+    if callable(source):
+        if _is_own(source.__module__):
+            source = source.__module__
+        else:
+            try:
+                source = Path(inspect.getfile(source)).resolve(strict=True)
+            except (TypeError, OSError):
+                raise InputError(f"{source}: has no source file, so that results cannot be cached") from None
+    if isinstance(source, Path):
+        return str(source.resolve()), source.resolve()
+    path = _module(source)
+    if path is None:
+        raise ValueError(f"module {source} is not in {ROOT}")
+    return source, path
+
+
+def _is_own(module: str) -> bool:
+    return module.partition(".")[0] in PACKAGES
+
+
+# --- from references to files --------------------------------------------------------------------
+
+
+def _resolved(reference: Reference, name: str, path: Path) -> tuple[list[tuple[str, Path]], set[str]]:
+    """Modules, as (name, file), and libraries that a reference in the module ``name`` leads to."""
+    foreign = name == str(path)
+    dotted = reference.dotted if foreign else reference.absolute(name, package=path.name == "__init__.py")
+    top = dotted.partition(".")[0]
+    if _is_own(dotted) and not (foreign and reference.level):
+        return list(_project(dotted, whole=reference.whole)), set()
+    local = _beside(path, dotted, reference.level) if foreign else []
+    library = not local and not reference.level and top not in sys.stdlib_module_names
+    return [(str(file), file) for file in local], {top} if library else set()
+
+
+def _project(dotted: str, *, whole: bool) -> Iterator[tuple[str, Path]]:
+    """Modules that ``package.module.name`` leads to; of a package as a ``whole``, all that it offers."""
+    parts = dotted.split(".")
+    for end in range(1, len(parts) + 1):
+        name, rest = ".".join(parts[:end]), parts[end:]
+        path = _module(name)
+        if path is None:
+            return
+        if path.name != "__init__.py":
+            yield name, path
+            return
+        offered = references.passed_on(path, _content(path))
+        if offered is None:  # a package with code of its own
+            yield name, path
+            offered = {}
+        if rest and (rest[0] not in offered or _module(f"{name}.{rest[0]}") is not None):
+            continue
+        wanted = [offered[rest[0]]] if rest else list(offered.values()) if whole else []
+        for reference in (one for several in wanted for one in several):
+            yield from _project(".".join([reference.absolute(name, package=True), *rest[1:]]), whole=False)
+        return
+
+
+def _module(name: str) -> Path | None:
+    """File of a module or package of the project by its dotted name; None where there is none."""
+    return _module_below(ROOT, name) if _is_own(name) else None
+
+
+def _module_below(folder: Path, name: str) -> Path | None:
+    base = folder.joinpath(*name.split("."))
+    for path in (base.with_name(f"{base.name}.py"), base / "__init__.py"):
+        if path.is_file():
+            return path
+    return None
+
+
+def _beside(path: Path, dotted: str, level: int) -> list[Path]:
+    """Modules that a file outside of the packages imports from its own folder, or from its own package.
+
+    What an installed package imports from others is a library, though it may lie beside it.
+    """
+    top = path.parent
+    while (top / "__init__.py").is_file():
+        top = top.parent
+    folders = [path.parents[level - 1]] if level else list(dict.fromkeys((path.parent, top)))
+    parts = dotted.split(".")
+    if {"site-packages", "dist-packages"} & set(top.parts) and not level:
+        folders = [top] if path.relative_to(top).parts[0] == parts[0] else []
+    for folder in folders:
+        files = [_module_below(folder, ".".join(parts[:end])) for end in range(1, len(parts) + 1)]
+        found = [file.resolve() for file in files if file is not None]
+        if found:
+            return found
+    return []
+
+
+def _data(path: Path, given: Collection[str]) -> Iterator[Path]:
+    """Bundled data that a module names: single files of a folder, or else the folder as a whole."""
+    strings = _content(path).strings
+    for name, places in DATA_FOLDERS.items():
+        folder = next((ROOT / place for place in places if (ROOT / place).is_dir()), None)
+        if name in given or name not in strings or folder is None:
+            continue
+        files = sorted(file for file in folder.rglob("*") if file.is_file())
+        yield from [file for file in files if file.name in strings] or files
+
+
+def _file_name(path: Path) -> str:
+    """Name of a file that is the same wherever the packages are installed."""
+    if not path.is_relative_to(ROOT):
+        return f"beside/{path.name}"
+    name = path.relative_to(ROOT).as_posix()
+    return name.removeprefix("dasim/") if name.startswith("dasim/scenes/") else name
+
+
+@cache
+def _content(path: Path) -> Content:
+    return references.content(path.read_bytes())
+
+
+@cache
+def _digest(path: Path) -> str:
+    return hashlib.sha256(path.read_bytes()).hexdigest()
