@@ -685,7 +685,7 @@ def environment(renderer):
 
 
 def test_interrupt_leaves_no_partial_capture(tmp_path, environment):
-    arguments = ["render", "desk", "--size", "512x384", "--spp", "4096", "--out", "photos/one"]
+    arguments = ["render", "desk", "--size", "512x384", "--spp", "128", "--out", "photos/one"]
     status, printed = interrupted(arguments, tmp_path, environment, "rendering through stop")
     assert status == INTERRUPTED, printed
     assert "Traceback" not in printed
@@ -694,7 +694,7 @@ def test_interrupt_leaves_no_partial_capture(tmp_path, environment):
 
 def test_interrupt_leaves_no_partial_demo(tmp_path, environment):
     """Rationale: the demo's folder is filled from the first stage on, under a temporary name."""
-    arguments = ["demo", "--spp", "4096", "--out", "demo"]
+    arguments = ["demo", "--spp", "64", "--out", "demo"]
     status, printed = interrupted(arguments, tmp_path, environment, "rendering through stop")
     assert status == INTERRUPTED, printed
     assert "Traceback" not in printed

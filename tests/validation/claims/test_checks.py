@@ -30,10 +30,9 @@ def verdicts(name: str, run_claim) -> list[bool]:
 def test_blur_off_by_5_percent_fails(renderer, monkeypatch, factor):
     """Set-up: two blurs, one lens, fewer samples; a lens whose diameter is 5 % too large, or is not."""
     from dasim.camera import geometry
-    from dasim.camera import specification as cameras
 
     true = geometry.aperture_m
-    monkeypatch.setattr(cameras, "aperture_m", lambda camera: factor * true(camera))
+    monkeypatch.setattr(geometry, "aperture_m", lambda camera: factor * true(camera))
     monkeypatch.setattr(lens, "LENSES_MM", (3.6,))
     monkeypatch.setattr(lens, "BLUR_OFF_PX", (-5.0, 10.0))
     monkeypatch.setattr(lens, "BLUR_OFF_SPP", 1024 if renderer != "scalar_spectral" else 256)
@@ -75,10 +74,10 @@ def test_a_hole_too_large_fails(renderer, monkeypatch, da_mobile, ratio, good):
 
 @pytest.mark.parametrize("good", [True, False])
 def test_a_lens_without_natural_vignetting_fails_in_the_corner(renderer, monkeypatch, good):
-    from dasim.camera import specification as cameras
+    from dasim.camera import radiometry
 
     if not good:
-        monkeypatch.setattr(cameras, "relative_illumination", lambda camera: np.ones((36, 48)))
+        monkeypatch.setattr(radiometry, "relative_illumination", lambda camera: np.ones((36, 48)))
     assert verdicts("radiometry", light.absolute_electrons) == [True] * 4 + [good] * 4
 
 

@@ -13,6 +13,7 @@ import pytest
 from dasim.base.errors import InputError
 from dasim.cli import run
 from tests.support import browser
+from tests.support.fake_claims import FAKES, good
 from validation.claims.table import CLAIMS
 from validation.gates import stored
 from validation.gates.claim import GATES, Claim, Evidence, Gate, all_gates, gate_of, judged_all, load_gates, within
@@ -21,52 +22,13 @@ from validation.gates.outcome import Measurement, chosen
 from validation.gates.proposal import proposed
 from validation.reports.page import png_address
 from validation.scores.figures import Figure
-from validation.subjects.rendering import NotRun
 from validation.validate import run_claims
 
-
-def good(progress) -> Evidence:
-    """A claim that keeps its limit.
-
-    Rationale: something <must> & should be shown.
-
-    Limit: half.
-    """
-    progress(0.5)
-    return Evidence([Figure("size", 0.25, "px", "a size"), Figure("other", 3.0, "1", "reported")])
-
-
-def bad(progress) -> Evidence:
-    """A claim that does not."""
-    return Evidence([Figure("size", 0.75, "px", "a size")], tables=[("Sizes", ["a", "b"], [["1", "2"]])])
-
-
-def free(progress) -> Evidence:
-    """A claim without any limit."""
-    return Evidence([Figure("size", math.nan, "px", "a size")])
-
-
-def absent(progress) -> Evidence:
-    """A claim that cannot be run here."""
-    raise NotRun("there is no renderer")
-
-
-def broken(progress) -> Evidence:
-    """A claim with a defect."""
-    raise ZeroDivisionError("by nothing")
-
-
-def stopped(progress) -> Evidence:
-    """A claim during which the user presses Ctrl-C."""
-    raise KeyboardInterrupt
-
-
-FAKES = {f.__name__: Measurement(f, quick=f is not bad) for f in (good, bad, free, absent, broken, stopped)}
 LIMITS = '["good.size"]\nlimit = "<= 0.5"\nwhy = "half"\n["bad.*"]\nlimit = "<= 0.5"\n["absent.size"]\nlimit = "> 0"\n'
 
 
 @pytest.fixture
-def fakes(monkeypatch, tmp_path, tmp_path_factory):
+def fakes(monkeypatch, tmp_path, tmp_path_factory, renderer):
     """The command with made-up claims and limits."""
     file = tmp_path / "bundled.toml"
     file.write_text(LIMITS)
