@@ -1,40 +1,68 @@
 from .base.errors import InputError
+from .camera.describe import describe
 from .camera.noise import Exposure
 from .camera.pointspread import psf
-from .camera.specification import Camera, cropped, load_camera, refocused
-from .dataset.reading import open_dataset
+from .camera.specification import Camera, camera_names, cropped, load_camera, refocused
+from .dataset.reading import Dataset, Sample, open_dataset
+from .files.banks import load_bank, save_bank
 from .files.captures import load_capture, load_truth, save_capture
+from .loading import focused, load_scene
+from .materials.library import material_names
 from .random_scenes.specification import RandomScenes, load_random_scenes, random_exposure, random_scene
-from .scene.loading import focused, load_scene
 from .scene.mitsuba_scene import MitsubaScene
-from .scene.specification import Scene
+from .scene.specification import Scene, scene_names
+from .scene.targets import depth_steps, point_source, staircase
 from .simulation.calibration import calibration_captures
+from .simulation.relight import exposed, lit_by
 from .simulation.simulate import Shot, simulate
-from .values import Capture, Truth
+from .simulation.tiling import tiled
+from .spectra.illuminants import illuminant_names
+from .values import Capture, DepthEstimate, Developed, PointPicture, PointPictures, PsfBank, Reconstruction, Truth
 
 __all__ = [
     "Camera",
     "Capture",
+    "Dataset",
+    "DepthEstimate",
+    "Developed",
     "Exposure",
     "InputError",
     "MitsubaScene",
+    "PointPicture",
+    "PointPictures",
+    "PsfBank",
     "RandomScenes",
+    "Reconstruction",
+    "Sample",
     "Scene",
     "Shot",
     "Truth",
     "calibration_captures",
+    "camera_names",
     "cropped",
+    "depth_steps",
+    "describe",
+    "exposed",
     "focused",
+    "illuminant_names",
+    "lit_by",
+    "load_bank",
     "load_camera",
     "load_capture",
     "load_random_scenes",
     "load_scene",
     "load_truth",
+    "material_names",
     "open_dataset",
+    "point_source",
     "psf",
     "random_exposure",
     "random_scene",
     "refocused",
+    "save_bank",
     "save_capture",
+    "scene_names",
     "simulate",
+    "staircase",
+    "tiled",
 ]

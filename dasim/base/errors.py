@@ -10,3 +10,13 @@ class InputError(ValueError):
 
     def __init__(self, message: str) -> None:
         super().__init__(" ".join(message.split()))
+
+
+def kind_of(value: object) -> str:
+    """A value of the wrong kind, for a message: ``None``, ``the int 3``, ``a Scene``."""
+    if value is None:
+        return "None"
+    name = type(value).__name__
+    if isinstance(value, (bool, int, float, str)):
+        return f"the {name} {value!r}"
+    return f"{'an' if name[0] in 'AEIOUaeiou' else 'a'} {name}"

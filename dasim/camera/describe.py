@@ -1,8 +1,10 @@
-"""A camera in words and numbers, for people."""
+"""A description of a camera for people, with its coefficients of eq. (8)."""
 
 from __future__ import annotations
 
-from dasim.camera import response_curves, specification, stops
+from pathlib import Path
+
+from dasim.camera import response_curves, stops
 from dasim.camera import specification as cameras
 from dasim.camera.specification import Camera
 from dasim.spectra import grid
@@ -10,8 +12,12 @@ from dasim.spectra.grid import CHANNELS
 from dasim.typing import FloatArray
 
 
-def described(camera: Camera) -> list[str]:
-    """Lines on the lens, each stop, the sensor and, where it has R, G, B and IR, the coefficients of eq. (8)."""
+def describe(camera: Camera | str | Path) -> str:
+    """Lines of text on the lens, each stop, the sensor and, if it has R, G, B and IR, the coefficients of eq. (8).
+
+    ``camera`` may be a bundled name or a path.
+    """
+    camera = cameras.as_camera(camera)
     lens, sensor = camera.lens, camera.sensor
     extras = [f"transmittance {lens.transmittance:g}"] if lens.transmittance != 1 else []
     extras += ["radial shading"] if lens.shading_per_mm else []
@@ -24,7 +30,7 @@ def described(camera: Camera) -> list[str]:
         share = f"{stops.open_area(stop):.1%} of the open area"
         lines.append(f"stop     {stop.name}: {_shape(stop)}, {share}, passes {_bands(stop)}")
     rows = " / ".join(" ".join(row) for row in sensor.mosaic)
-    curves = "synthetic curves" if sensor.quantum_efficiency is None else "curves of its own"
+    curves = "synthetic curves" if sensor.quantum_efficiency is None else "its own curves"
     lines += [
         f"sensor   {sensor.width_px} x {sensor.height_px} pixels of {sensor.pixel_pitch_um:g} um, mosaic {rows}",
         f"         {curves}, cut at {sensor.cutoff_nm:g} nm; full well {sensor.full_well_e:g} e-, "
@@ -34,13 +40,13 @@ def described(camera: Camera) -> list[str]:
         alpha = ", ".join(f"{name} {value:.3f}" for name, value in zip("RGB", crosstalk(camera), strict=True))
         low, high = grid.NEAR_INFRARED_NM
         lines.append(f"eq. (8)  near-infrared in {alpha} of that in IR ({low:g}-{high:g} nm, equal photons)")
-    return lines
+    return "\n".join(lines)
 
 
 def crosstalk(camera: Camera) -> FloatArray:
-    """Coefficients of eq. (8) for R, G and B, [3], of the response curves behind the sensor's cut-off filter."""
+    """Coefficients of eq. (8) for R, G and B, [3], from the response curves times the sensor's cut-off filter."""
     sensor = camera.sensor
-    curves = specification.quantum_efficiency(sensor) * grid.short_pass(sensor.cutoff_nm, sensor.cutoff_width_nm)
+    curves = cameras.quantum_efficiency(sensor) * grid.short_pass(sensor.cutoff_nm, sensor.cutoff_width_nm)
     names = cameras.channels(sensor)
     return response_curves.ir_crosstalk(curves[[names.index(name) for name in CHANNELS]])
 
@@ -57,7 +63,7 @@ def _shape(stop: stops.Stop) -> str:
 
 
 def _bands(stop: stops.Stop) -> str:
-    if stop.passes_nm == (stops.WHOLE_GRID_NM,):
+    if stop.passes_nm == (grid.WHOLE_GRID_NM,):
         return "all light"
     bands = " and ".join(f"{low:g}-{high:g}" for low, high in stop.passes_nm)
     return f"{bands} nm (edges {stop.edge_width_nm:g} nm wide)"

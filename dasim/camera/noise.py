@@ -36,6 +36,12 @@ class Exposure(Specification):
     auto_percentile: float = Field(default=99.5, gt=0, le=100)
     auto_level: float = Field(default=0.85, gt=0, le=1, description="share of full scale that the percentile reaches")
 
+    def __repr__(self) -> str:
+        time = f"automatic to {self.auto_level:g} of full scale" if self.time_s is None else f"{self.time_s:g} s"
+        return f"<Exposure {time}, gain {self.gain:g}>"
+
+    __str__ = __repr__
+
 
 class Variance(NamedTuple):
     """Variance in electrons^2 of a pixel whose mean is x electrons: constant + linear x + quadratic x^2."""

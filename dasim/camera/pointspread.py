@@ -16,13 +16,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from functools import cache
+from pathlib import Path
 from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import j0, j1, roots_legendre
 
-from dasim.base.errors import InputError
+from dasim.base.errors import InputError, kind_of
 from dasim.camera import geometry, radiometry
 from dasim.camera import specification as cameras
 from dasim.camera import stops as aperture
@@ -340,7 +341,7 @@ def kernel_size_px(camera: Camera, blur_px: float) -> int:
 
 
 def psf(
-    camera: Camera,
+    camera: Camera | str | Path,
     depth_m: float,
     channel: str,
     illuminant: str,
@@ -349,17 +350,26 @@ def psf(
     size: int | None = None,
     diffraction: str = "wave",
 ) -> FloatArray:
-    """Kernel of a channel for a white point on the axis at ``depth_m``, [size, size] (odd), y down, x right.
+    """Point-spread function of a channel for a white point on the axis, [size, size] in pixels, y down, x right.
 
-    Values are the shares of the point's light in each pixel; their sum falls short of 1 by what lands
-    outside the frame. ``offset_px`` (y, x) moves the point's image from the centre of the middle pixel; the image is
-    where the ray through the middle of the lens meets the sensor.
+    Each value is the share of the point's light in that pixel; the sum is 1 less the light outside the frame.
+
+    Args:
+        camera: a Camera, a bundled name or a path; its own focus is used
+        depth_m: distance of the point from the lens plane, above 0
+        channel: a name of the mosaic, such as ``"G"`` or ``"IR"``
+        illuminant: the spectrum of the point's light, such as ``"D65"``
+        offset_px: (y, x) from the centre of the middle pixel to the point's image, which is where the ray through the
+            middle of the lens meets the sensor
+        size: odd number of pixels per side; by default large enough for the blur and its diffraction tail
+        diffraction: ``wave``, ``airy`` or ``off``
     """
+    camera = cameras.as_camera(camera)
     names = cameras.channels(camera.sensor)
     if channel not in names:
         raise InputError(f"channel '{channel}' is unknown; allowed are {', '.join(names)}")
-    if not depth_m > 0:
-        raise InputError(f"depth_m is {depth_m!r}; a distance above 0 is needed")
+    if not isinstance(depth_m, (int, float, np.number)) or not depth_m > 0:
+        raise InputError(f"depth_m: a distance above 0, in metres, is needed, not {kind_of(depth_m)}")
     blur = float(geometry.blur_px(camera, depth_m))
     size = size or kernel_size_px(camera, blur)
     return kernels(camera, [blur], illuminants.illuminant(illuminant), size, diffraction)(0, offset_px, ...)[0][

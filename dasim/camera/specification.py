@@ -1,50 +1,47 @@
-"""The camera: a lens, its stops and a sensor, as data; and what follows from them."""
+"""The camera as data: a lens, its stops and a sensor; loading, cropping and focusing."""
 
 from __future__ import annotations
 
-import csv
 import itertools
-import re
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from pydantic import Field, ValidationError, ValidationInfo, field_validator, model_validator
 
-from dasim.base.errors import InputError
-from dasim.base.toml import Specification, bundled_or_file, named_file, parse, parse_toml
+from dasim.base.errors import InputError, kind_of
+from dasim.base.toml import Specification, bundled_or_file, parse, parse_toml
 from dasim.camera import datasheet, response_curves
-from dasim.camera import stops as aperture
+from dasim.camera.response_curves import Curves
+from dasim.camera.stops import Stop
 from dasim.spectra import grid
 from dasim.typing import FloatArray
 
 CAMERA_DIR = Path(__file__).parents[1] / "cameras"
 BLUR_LEVELS = 29  # sec. 6.1
-NEAREST_FOCUS = 1.1  # in focal lengths: ten times life size
+NEAREST_FOCUS = 1.1  # in focal lengths: a magnification of 10
 SMALLEST_FRAME_PX = 8
-LARGEST_FOCAL_SHIFT = 0.1  # of the focal length: a lens, no prism
-CHANNEL_NAME = re.compile(r"\w{1,16}", re.ASCII)  # they name the channels of the truth's EXR file too
-WIDEST_STEP_NM = 20.0  # between two entries of a response curve; more is a gap
+LARGEST_FOCAL_SHIFT = 0.1  # of the focal length; more is not a thin lens
 
 
 class Lens(Specification):
-    """A thin lens; ``focus_distance_m`` is the one place that says where the camera focuses."""
+    """A thin lens; ``focus_distance_m`` is the only place that holds the camera's focus."""
 
     focal_length_mm: float = Field(gt=0, le=1000)
     f_number: float = Field(gt=0.5, le=64)
     focus_distance_m: float = Field(gt=0, le=1e6)
     transmittance: float = Field(default=1.0, gt=0, le=1)
     shading_per_mm: tuple[float, ...] = Field(
-        default=(), max_length=6, description="a_k of 1 + sum a_k r^(2k), r mm on the sensor, beside cos^4"
+        default=(), max_length=6, description="a_k of 1 + sum a_k r^(2k), r in mm on the sensor, times cos^4"
     )
     focal_shift_um: tuple[tuple[float, float], ...] = Field(
-        default=(), description="axial colour: [nm, um added to the focal length], straight between, level beyond"
+        default=(), description="axial colour: [nm, um added to the focal length], linear between, constant beyond"
     )
 
     @field_validator("focal_shift_um")
     @classmethod
     def _rising(cls, curve: tuple[tuple[float, float], ...]) -> tuple[tuple[float, float], ...]:
-        low, high = aperture.WHOLE_GRID_NM
+        low, high = grid.WHOLE_GRID_NM
         if any(not low <= nm <= high for nm, _ in curve):
             raise ValueError(f"wavelengths must lie within {low:g} to {high:g} nm")
         if any(b <= a for (a, _), (b, _) in itertools.pairwise(curve)):
@@ -68,93 +65,11 @@ class Lens(Specification):
         return self
 
 
-class Curves(Specification):
-    """Quantum efficiency of every channel, electrons a photon, tabulated; straight lines in between.
-
-    In TOML, ``file`` names a CSV file: a first column ``wavelength_nm``, then one a channel, headed by its name. It may
-    reach beyond 400 to 830 nm, the band that is simulated; what lies outside is not used.
-    """
-
-    wavelength_nm: tuple[float, ...] = Field(min_length=2)
-    channels: dict[str, tuple[float, ...]] = Field(min_length=1)
-
-    @model_validator(mode="before")
-    @classmethod
-    def _read(cls, data: Any, info: ValidationInfo) -> Any:
-        if not isinstance(data, dict) or "file" not in data:
-            return data
-        if len(data) > 1:
-            raise ValueError("file and curves both say the response; give one")
-        names, columns = _csv_columns(named_file(data, info))
-        columns = _within_band(columns)
-        return {"wavelength_nm": columns[0], "channels": dict(zip(names[1:], columns[1:], strict=True))}
-
-    @model_validator(mode="after")
-    def _whole(self) -> Curves:
-        low, high = aperture.WHOLE_GRID_NM
-        wavelength = self.wavelength_nm
-        if any(b <= a for a, b in itertools.pairwise(wavelength)):
-            raise ValueError("wavelength_nm must rise")
-        if wavelength[0] < low or wavelength[-1] > high:
-            raise ValueError(f"wavelength_nm must lie within {low:g} to {high:g} nm, the band that is simulated")
-        for a, b in itertools.pairwise(wavelength):
-            if b - a > WIDEST_STEP_NM:
-                raise ValueError(f"wavelength_nm has a gap from {a:g} to {b:g} nm; steps of {WIDEST_STEP_NM:g} at most")
-        for name, values in self.channels.items():
-            if not CHANNEL_NAME.fullmatch(name):
-                raise ValueError(f"channels.{name}: names must be 1 to 16 letters, digits or underscores")
-            if len(values) != len(wavelength):
-                raise ValueError(f"channels.{name} must have as many values as wavelength_nm")
-            if min(values) < 0 or max(values) > 1:
-                raise ValueError(f"channels.{name} must be quantum efficiencies from 0 to 1")
-        return self
-
-
-def _csv_columns(path: Path) -> tuple[list[str], list[tuple[float, ...]]]:
-    """Names and columns of a table of response curves; ValueError says where it is wrong."""
-    try:
-        lines = [line for line in path.read_text(encoding="utf-8-sig").splitlines() if line.strip()]
-        rows = list(csv.reader(line for line in lines if not line.startswith("#")))
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise ValueError(f"file {path}: cannot be read as a table ({error})") from None
-    names = [name.strip() for name in rows[0]] if rows else []
-    if len(names) < 2 or names[0] != "wavelength_nm" or len(set(names)) != len(names) or "" in names:
-        raise ValueError(f"file {path}: the first line must be 'wavelength_nm' and one name a channel")
-    table = []
-    for number, row in enumerate(rows[1:], 2):
-        if len(row) != len(names) or any(not item.strip() for item in row):
-            raise ValueError(f"file {path}, line {number} of the table: {len(names)} numbers are needed")
-        table.append([_number(item, f"file {path}, line {number} of the table") for item in row])
-    if len(table) < 2:
-        raise ValueError(f"file {path}: two or more lines of numbers are needed")
-    return names, list(zip(*table, strict=True))
-
-
-def _within_band(columns: list[tuple[float, ...]]) -> list[tuple[float, ...]]:
-    """A table's columns, wavelengths first, cut to the band that is simulated; by straight lines at its ends."""
-    nm = np.array(columns[0])
-    if (np.diff(nm) <= 0).any():
-        return columns  # refused by name later
-    low, high = (np.clip(end, nm[0], nm[-1]) for end in aperture.WHOLE_GRID_NM)
-    inside = np.unique([low, *nm[(nm > low) & (nm < high)], high])
-    return [tuple(np.interp(inside, nm, column).tolist()) for column in columns]
-
-
-def _number(text: str, where: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = np.nan
-    if not np.isfinite(value):
-        raise ValueError(f"{where}: '{text.strip()}' is no number")
-    return value
-
-
 class Sensor(Specification):
-    """A sensor: geometry, mosaic, spectral limits and electrical values (EMVA 1288 terms).
+    """A sensor: geometry, mosaic, spectral limits and electrical values (in the terms of EMVA 1288).
 
-    Without ``quantum_efficiency`` the curves are those of ``response_curves.rgb_ir_quantum_efficiency``.
-    A table ``emva1288`` gives electrical values as a data sheet does, see :class:`dasim.camera.datasheet.DataSheet`.
+    The response curves default to ``response_curves.rgb_ir_quantum_efficiency``. A table ``emva1288`` gives the
+    electrical values in the form of a data sheet, see :class:`dasim.camera.datasheet.DataSheet`.
     """
 
     width_px: int = Field(ge=SMALLEST_FRAME_PX, le=20_000)
@@ -174,11 +89,14 @@ class Sensor(Specification):
     adc_bits: int = Field(default=10, ge=6, le=16)
     black_level_dn: int = Field(default=64, ge=0)
     dn_per_e: float | None = Field(
-        default=None, ge=1e-6, le=1e6, description="EMVA 1288's K at gain 1; by default the full well is at full scale"
+        default=None, ge=1e-6, le=1e6, description="EMVA 1288's K at gain 1; by default, full well gives full scale"
     )
     quantum_efficiency_scale: float = Field(default=1.0, gt=0, description="factor on the response curves")
     electronic_crosstalk: float = Field(
-        default=0.0, ge=0, le=0.2, description="share of a pixel's electrons that each of its four edge neighbours gets"
+        default=0.0,
+        ge=0,
+        le=0.2,
+        description="share of a pixel's electrons that each edge neighbour receives",
     )
 
     @model_validator(mode="before")
@@ -192,7 +110,7 @@ class Sensor(Specification):
                 curves = Curves.model_validate(data["quantum_efficiency"], context=info.context)
                 green = curves.wavelength_nm, curves.channels["G"]
             except (ValidationError, KeyError):
-                pass  # what is wrong with the table is said of the table
+                pass  # reported for the table itself
         return datasheet.translated(data, green)
 
     @model_validator(mode="after")
@@ -205,16 +123,16 @@ class Sensor(Specification):
         for name in sorted({name for row in rows for name in row}):
             if name not in known:
                 raise ValueError(f"mosaic channel '{name}' is unknown, allowed are {', '.join(known)}")
-        last_nm = min(aperture.WHOLE_GRID_NM[1], self.cutoff_nm + 2 * self.cutoff_width_nm)
-        first_nm = aperture.WHOLE_GRID_NM[0]
+        first_nm, last_nm = grid.WHOLE_GRID_NM
+        last_nm = min(last_nm, self.cutoff_nm + 2 * self.cutoff_width_nm)
         if curves is not None and (curves.wavelength_nm[0] > first_nm or curves.wavelength_nm[-1] < last_nm):
             raise ValueError(
-                f"quantum_efficiency.wavelength_nm must reach from {first_nm:g} to {last_nm:g} nm, beyond the cut-off"
+                f"quantum_efficiency.wavelength_nm must reach from {first_nm:g} to {last_nm:g} nm, past the cut-off"
             )
         if self.height_px % len(rows) or self.width_px % len(rows[0]):
             raise ValueError(
                 f"width_px x height_px = {self.width_px} x {self.height_px} "
-                f"is no multiple of the {len(rows[0])} x {len(rows)} mosaic"
+                f"is not a multiple of the {len(rows[0])} x {len(rows)} mosaic"
             )
         if self.black_level_dn >= 2**self.adc_bits - 1:
             raise ValueError(f"black_level_dn must be below {2**self.adc_bits - 1}")
@@ -228,21 +146,21 @@ class Sensor(Specification):
 
 
 class Levels(Specification):
-    """The ladder of blur levels that a bank is calibrated at: evenly spaced in visible blur, from 0."""
+    """The blur levels at which a bank is calibrated: evenly spaced in visible blur, from 0."""
 
     count: int = Field(default=BLUR_LEVELS, ge=2, le=400)
     max_blur_px: float = Field(gt=0, le=500, description="diameter of the visible blur of the last level")
 
 
 class Camera(Specification):
-    """A lens with its stops, a sensor, and where its blur is calibrated."""
+    """A lens with its stops, a sensor, and the blur levels at which it is calibrated."""
 
     name: str
     description: str = ""
     lens: Lens
-    stops: tuple[aperture.Stop, ...] = Field(min_length=1)
+    stops: tuple[Stop, ...] = Field(min_length=1)
     sensor: Sensor
-    levels: Levels | None = Field(default=None, description="by default the paper's ladder, see level_blur_px")
+    levels: Levels | None = Field(default=None, description="by default the paper's levels, see level_blur_px")
 
     @field_validator("stops", mode="before")
     @classmethod
@@ -253,7 +171,7 @@ class Camera(Specification):
 
     @field_validator("stops")
     @classmethod
-    def _unique_names(cls, stops: tuple[aperture.Stop, ...]) -> tuple[aperture.Stop, ...]:
+    def _unique_names(cls, stops: tuple[Stop, ...]) -> tuple[Stop, ...]:
         names = [stop.name for stop in stops]
         if len(set(names)) != len(names):
             raise ValueError(f"names must be unique, they are {', '.join(names)}")
@@ -265,24 +183,51 @@ class Camera(Specification):
             raise ValueError("lens.shading_per_mm: falls to zero or below within the frame")
         return self
 
+    def __repr__(self) -> str:
+        lens, sensor = self.lens, self.sensor
+        return (
+            f"<Camera '{self.name}': {lens.focal_length_mm:g} mm f/{lens.f_number:g} focused at "
+            f"{lens.focus_distance_m * 1e2:g} cm, stops {', '.join(stop.name for stop in self.stops)}, "
+            f"{sensor.width_px}x{sensor.height_px} pixels of {sensor.pixel_pitch_um:g} um, "
+            f"mosaic {' / '.join(' '.join(row) for row in sensor.mosaic)}>"
+        )
+
+    __str__ = __repr__
+
 
 def camera_names() -> list[str]:
-    """Names of the bundled cameras."""
+    """Names of the bundled cameras, sorted; each is accepted wherever a camera is."""
     return sorted(path.stem for path in CAMERA_DIR.glob("*.toml"))
 
 
 def load_camera(name_or_path: str | Path) -> Camera:
-    """The camera of a bundled name or a TOML file; InputError names every key that is wrong."""
+    """The camera of a bundled name (see :func:`camera_names`) or of a TOML file; InputError lists every wrong key."""
+    if not isinstance(name_or_path, (str, Path)):
+        raise InputError(f"camera: the name of a bundled camera or a path is needed, not {kind_of(name_or_path)}")
     return parse_toml(Camera, bundled_or_file(name_or_path, CAMERA_DIR, "camera"))
 
 
-def cropped(camera: Camera, width_px: int, height_px: int) -> Camera:
+def as_camera(camera: Camera | str | Path) -> Camera:
+    """The camera itself, or the one that a name or path stands for; InputError for anything else."""
+    if isinstance(camera, Camera):
+        return camera
+    if isinstance(camera, (str, Path)):
+        return load_camera(camera)
+    raise InputError(f"camera: a Camera, a bundled name or a path is needed, not {kind_of(camera)}")
+
+
+def cropped(camera: Camera | str | Path, width_px: int, height_px: int) -> Camera:
     """The camera with a central crop of its sensor, at unchanged pixel pitch.
 
-    Raises InputError where the crop is larger than the sensor or no multiple of its mosaic.
+    ``camera`` may be a bundled name or a path. ``width_px`` and ``height_px`` are multiples of the mosaic's width and
+    height, at least 8 and at most the sensor's; InputError otherwise.
     """
+    camera = as_camera(camera)
     sensor = camera.sensor
     low = SMALLEST_FRAME_PX
+    for name, pixels in (("width_px", width_px), ("height_px", height_px)):
+        if not isinstance(pixels, (int, np.integer)):
+            raise InputError(f"{name}: a whole number of pixels is needed, not {kind_of(pixels)}")
     if not (low <= width_px <= sensor.width_px and low <= height_px <= sensor.height_px):
         raise InputError(
             f"size {width_px}x{height_px} is not within {low}x{low} to {sensor.width_px}x{sensor.height_px}, "
@@ -292,14 +237,18 @@ def cropped(camera: Camera, width_px: int, height_px: int) -> Camera:
     return camera.model_copy(update={"sensor": parse(Sensor, changed, f"size {width_px}x{height_px}")})
 
 
-def refocused(camera: Camera, focus_distance_m: float) -> Camera:
-    """The camera focused at another distance; InputError where that is not beyond the focal length."""
+def refocused(camera: Camera | str | Path, focus_distance_m: float) -> Camera:
+    """The camera focused at a distance in metres from the lens, at least 1.1 focal lengths; InputError otherwise.
+
+    ``camera`` may be a bundled name or a path.
+    """
+    camera = as_camera(camera)
     changed = camera.lens.model_dump() | {"focus_distance_m": focus_distance_m}
     return camera.model_copy(update={"lens": parse(Lens, changed, "focus")})
 
 
 def shading(camera: Camera) -> FloatArray:
-    """Transmittance of the lens at each pixel relative to the axis, beside cos^4, [h, w]: 1 + sum a_k r^(2k)."""
+    """Transmittance of the lens at each pixel relative to the axis, without cos^4, [h, w]: 1 + sum a_k r^(2k)."""
     return np.asarray(
         np.polynomial.Polynomial((1.0, *camera.lens.shading_per_mm))(square_of_image_height_m2(camera) * 1e6)
     )
@@ -315,7 +264,7 @@ def square_of_image_height_m2(camera: Camera) -> FloatArray:
 
 
 def channels(sensor: Sensor) -> tuple[str, ...]:
-    """Names of the mosaic's channels: R, G, B, IR as far as it has them, then others in the order of their curves."""
+    """Names of the mosaic's channels: those of R, G, B, IR that it has, then others in the order of their curves."""
     used = {name for row in sensor.mosaic for name in row}
     others = () if sensor.quantum_efficiency is None else tuple(sensor.quantum_efficiency.channels)
     return tuple(name for name in dict.fromkeys((*grid.CHANNELS, *others)) if name in used)
@@ -330,12 +279,12 @@ def mosaic_channels(camera: Camera) -> np.ndarray:
 
 
 def quantum_efficiency(sensor: Sensor) -> FloatArray:
-    """Electrons a photon of each of :func:`channels`, [channel, wavelength], before the cut-off filter."""
+    """Electrons per photon of each of :func:`channels`, [channel, wavelength], without the cut-off filter."""
     curves = sensor.quantum_efficiency
     if curves is None:
-        ours = dict(zip(grid.CHANNELS, response_curves.rgb_ir_quantum_efficiency(), strict=True))
-        found = [ours[name] for name in channels(sensor)]
+        bundled = dict(zip(grid.CHANNELS, response_curves.rgb_ir_quantum_efficiency(), strict=True))
+        selected = [bundled[name] for name in channels(sensor)]
     else:
         nm = curves.wavelength_nm
-        found = [np.interp(grid.WAVELENGTH_NM, nm, curves.channels[n], right=0.0) for n in channels(sensor)]
-    return sensor.quantum_efficiency_scale * np.stack(found)
+        selected = [np.interp(grid.WAVELENGTH_NM, nm, curves.channels[n], right=0.0) for n in channels(sensor)]
+    return sensor.quantum_efficiency_scale * np.stack(selected)

@@ -19,11 +19,11 @@ from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from dasim.base.toml import Specification, named_file
 from dasim.spectra import grid
+from dasim.spectra.grid import WHOLE_GRID_NM
 from dasim.typing import FloatArray
 
 Point = tuple[float, float]
 
-WHOLE_GRID_NM = (float(grid.WAVELENGTH_NM[0]), float(grid.WAVELENGTH_NM[-1]))
 MOST_MASK_CELLS = 256  # a side
 PUPIL_CELLS = 256  # a side of the grid that stands for polygons and masks
 _FINE_ROWS = 16  # in a cell, for the share of it that a polygon covers

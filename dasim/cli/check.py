@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import textwrap
 from pathlib import Path
 from typing import Annotated
 
@@ -137,7 +138,7 @@ def list_(kind: str, *, verbose: Annotated[bool, Parameter(negative="")] = False
             loaded = cameras.load_camera(name)
             print(f"{name:<20}{loaded.description}")
             if verbose:
-                print("\n".join(f"    {line}" for line in describe.described(loaded)) + "\n")
+                print(textwrap.indent(describe.describe(loaded), "    ") + "\n")
     elif kind == "materials":
         _list_materials(verbose=verbose)
     elif kind == "illuminants":
@@ -178,7 +179,7 @@ def _list_illuminants(*, verbose: bool) -> None:
         if not verbose:
             print(name)
             continue
-        about = illuminants.described(name)
+        about = illuminants.description(name)
         print(f"{about.name:<20}{about.cct_k:>7.0f}{about.near_infrared:>9.2f}  {about.beyond}")
     if verbose:
         print(

@@ -8,13 +8,13 @@ from typing import Any
 
 import numpy as np
 
+from dasim import loading
 from dasim.base.toml import Specification, parse
 from dasim.camera import specification as cameras
 from dasim.camera.noise import Exposure
 from dasim.camera.specification import Camera
 from dasim.dataset.specification import DatasetSpec, named_camera, random_spec, scene_count, scene_keys, varied
 from dasim.random_scenes import specification
-from dasim.scene import loading
 from dasim.scene.mitsuba_scene import MitsubaScene
 from dasim.scene.specification import Scene
 

@@ -74,7 +74,7 @@ def diffuse_names() -> list[str]:
 
 
 def material_names() -> list[str]:
-    """Names of the materials of the library."""
+    """Names of the bundled materials, sorted; objects of a scene refer to them by name."""
     return sorted([*diffuse_names(), *CONDUCTORS, "glass", "glass-pane", *_GLOSSY])
 
 

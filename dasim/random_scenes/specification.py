@@ -152,11 +152,14 @@ def check(spec: RandomScenes) -> None:
         raise InputError("; ".join(problems))
 
 
-def random_scene(seed: int, index: int, spec: RandomScenes | None = None, camera: Camera | None = None) -> Scene:
-    """The scene ``index`` of the seed.
+def random_scene(
+    seed: int, index: int, spec: RandomScenes | None = None, camera: Camera | str | Path | None = None
+) -> Scene:
+    """Random scene number ``index`` of a seed, both 0 or above; the same numbers give the same scene.
 
-    ``camera`` is the one that is going to be used, cropped as it will be (default: da-mobile, its central 512 x 384
-    pixels): its field of view decides what is seen. InputError where a folder of the specification is broken.
+    ``spec`` gives the distributions (by default ``RandomScenes()``). Objects are placed within the field of view of
+    ``camera``, which is the one that will be used, cropped as it will be, or its name or path; by default the central
+    512 x 384 pixels of da-mobile. InputError where a file or folder of the specification is broken.
     """
     _check_numbers(seed, index)
     spec = spec or RandomScenes()
@@ -191,9 +194,10 @@ def random_scene(seed: int, index: int, spec: RandomScenes | None = None, camera
 
 
 def random_exposure(seed: int, index: int, spec: RandomScenes | None = None) -> Exposure:
-    """The exposure of scene ``index``: automatic, so that at most 0.5 % of the pixels come near to saturation.
+    """Exposure of random scene number ``index`` of a seed: automatic, with a random level and gain.
 
-    Drawn are the level it aims at, and the gain by its weights.
+    ``spec`` gives the range of the level, a share of full scale that the 99.5th percentile of the pixels reaches, and
+    the weights of the gains (by default ``RandomScenes()``).
     """
     _check_numbers(seed, index)
     spec = spec or RandomScenes()
@@ -250,7 +254,7 @@ def _default_camera() -> Camera:
     return cameras.cropped(cameras.load_camera("da-mobile"), *PICTURE_PX)
 
 
-def _seen(camera: Camera | None, focus_cm: float) -> tuple[float, float]:
+def _seen(camera: Camera | str | Path | None, focus_cm: float) -> tuple[float, float]:
     """Tangents of half the width and height of what the camera sees at that focus."""
     camera = cameras.refocused(camera or _default_camera(), focus_cm * 1e-2)
     pixels = np.array([camera.sensor.width_px, camera.sensor.height_px]) / 2

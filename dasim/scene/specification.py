@@ -20,6 +20,7 @@ from dasim.materials.photographs import NEAR_INFRARED_RULES, mask, photograph_su
 from dasim.scene import meshes, panorama
 from dasim.scene.clearance import placement_problems, size_problems
 from dasim.scene.lights import Light, Near, Positive, Vector
+from dasim.scene.mitsuba_scene import MitsubaScene
 from dasim.scene.shapes import Box, HeightField, Mesh, Object, Sphere, half_extent_m, mesh_parts, mesh_place, placement
 from dasim.spectra import illuminants
 from dasim.typing import FloatArray
@@ -54,6 +55,13 @@ class Scene(Specification):
     objects: tuple[Object, ...] = Field(min_length=1)
     folder: Path = Path(".")
 
+    def __repr__(self) -> str:
+        focus = "no focus proposed" if self.focus_cm is None else f"focus proposed at {self.focus_cm:g} cm"
+        lights = ", ".join(dict.fromkeys(getattr(light, "illuminant", light.kind) for light in self.lights))
+        return f"<Scene '{self.name}': {len(self.objects)} objects, {len(self.lights)} lights ({lights}), {focus}>"
+
+    __str__ = __repr__
+
     @field_validator("objects")
     @classmethod
     def _unique_names(cls, objects: tuple[Object, ...]) -> tuple[Object, ...]:
@@ -65,7 +73,7 @@ class Scene(Specification):
 
 
 def scene_names() -> list[str]:
-    """Names of the bundled scenes."""
+    """Names of the bundled scenes, sorted; each is accepted wherever a scene is."""
     return sorted(path.stem for path in SCENE_DIR.glob("*.toml"))
 
 
@@ -82,13 +90,17 @@ def focused(camera: Camera, scene: Scene) -> Camera:
     return camera if scene.focus_cm is None else refocused(camera, scene.focus_cm * 1e-2)
 
 
-def main_illuminant(scene: Scene) -> str:
-    """Name of the illuminant that gives the most lux."""
+def main_illuminant(scene: Scene | MitsubaScene) -> str:
+    """Name of the illuminant with the most lux in all; for a Mitsuba scene, the one chosen for its RGB lights."""
+    if isinstance(scene, MitsubaScene):
+        return scene.illuminant
     return max(scene.lights, key=lambda light: light.lux).illuminant
 
 
-def light_spectrum(scene: Scene) -> FloatArray:
-    """Spectral power of all lights together, weighted by their lux, on the wavelength grid."""
+def light_spectrum(scene: Scene | MitsubaScene) -> FloatArray:
+    """Relative spectral power of all lights together, weighted by their lux, [wavelength]."""
+    if isinstance(scene, MitsubaScene):
+        return illuminants.illuminant(scene.illuminant)
     parts = [light.lux * illuminants.illuminant(light.illuminant) for light in scene.lights]
     return np.asarray(np.sum(parts, axis=0))
 

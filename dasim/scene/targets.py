@@ -1,8 +1,8 @@
-"""Test targets that come as families of scenes: one capture for each blur level, or for each depth and step.
+"""Test targets that form families of scenes: one scene per blur level, or per depth and step.
 
-A bundled TOML file is the template. A target is moved along the axis and grown with its distance, seen from the
-lens's centre: every point keeps its place in the picture, so that nothing but the blur changes. ``staircase:14`` names
-a member of a family wherever a scene is named.
+A bundled TOML file is the template. A target is moved along the axis and scaled with its distance from the centre of
+the lens, so that every point keeps its place in the picture and only the blur changes. ``staircase:14`` names a member
+of a family wherever the name of a scene is accepted.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from typing import Any
 
 from dasim.base.errors import InputError
 from dasim.camera.geometry import depth_of_blur_m, level_blur_px
-from dasim.camera.specification import Camera, load_camera
+from dasim.camera.specification import Camera, as_camera, load_camera
 from dasim.materials import photographs
 from dasim.scene import specification
 from dasim.scene.lights import Dome, Lamp, Light
@@ -24,23 +24,32 @@ DEFAULT_CAMERA = "da-mobile"
 DEPTH_RANGE_CM = (1.0, 10_000.0)  # of the halves of depth-steps
 
 
-def staircase(camera: Camera, level: int, texture: str | None = None) -> Scene:
-    """The board of ``scenes/staircase.toml`` at a blur level of ``camera``, 0 to 28 by default (Fig. 10).
+def staircase(camera: Camera | str | Path, level: int, texture: str | None = None) -> Scene:
+    """The board of ``scenes/staircase.toml`` at a blur level of a camera (Fig. 10 of the paper).
 
-    The camera's own focus counts: take ``dasim.focused(camera, dasim.load_scene("staircase"))``. ``texture`` is
-    another image, ``brick`` (a photograph of scikit-image) or ``pattern:NAME``.
+    Args:
+        camera: a Camera, a bundled name or a path; its own focus is used: ``dasim.focused(camera, "staircase")`` sets
+            the one that the scene proposes
+        level: 0 (in focus) to 28, or to the last of the camera's own blur levels
+        texture: another image: ``pattern:NAME``, or the name of a photograph of scikit-image such as ``brick``
     """
     template = specification.load_scene("staircase")
-    return _textured(_at_level(template, camera, level), texture)
+    return _textured(_at_level(template, as_camera(camera), level), texture)
 
 
-def point(camera: Camera, level: int) -> Scene:
-    """The hole in black cloth of ``scenes/point.toml`` at a blur level of ``camera`` (sec. 5.1)."""
-    return _at_level(specification.load_scene("point"), camera, level)
+def point_source(camera: Camera | str | Path, level: int) -> Scene:
+    """The lit hole in black cloth of ``scenes/point.toml`` at a blur level of a camera (sec. 5.1 of the paper).
+
+    ``camera`` and ``level`` are as for :func:`staircase`.
+    """
+    return _at_level(specification.load_scene("point"), as_camera(camera), level)
 
 
 def depth_steps(depth_cm: float, step_cm: float, texture: str | None = None) -> Scene:
-    """The halves of ``scenes/depth-steps.toml``: the left one at ``depth_cm``, the right one ``step_cm`` farther."""
+    """The two halves of ``scenes/depth-steps.toml``, the left one at ``depth_cm``, the right one ``step_cm`` farther.
+
+    Depths are from 1 to 10,000 cm; ``texture`` is as for :func:`staircase`.
+    """
     low, high = DEPTH_RANGE_CM
     if not (low <= depth_cm and step_cm > 0 and depth_cm + step_cm <= high):  # written so that NaN is refused
         raise InputError(
@@ -55,18 +64,16 @@ def depth_steps(depth_cm: float, step_cm: float, texture: str | None = None) -> 
 
 
 def at_distance(template: Scene, depth_cm: float, scale: float = 1.0) -> Scene:
-    """A scene of planes moved until its nearest one is at a distance, and grown with it: only the blur changes.
+    """A scene of planes, moved until its nearest plane is at a distance and scaled alike: only the blur changes.
 
-    ``scale`` is a further factor on widths and heights, for a lens or a pixel that sees another angle.
+    ``scale`` is an additional factor on widths and heights, for a lens or a pixel pitch with another field of view.
     """
     low, high = DEPTH_RANGE_CM
     if not low <= depth_cm <= high:  # written so that NaN is refused
-        raise InputError(f"distance {depth_cm:g} cm: must be from {low:g} to {high:g} cm")
+        raise InputError(f"distance {depth_cm:g} cm: must be between {low:g} and {high:g} cm")
     lights = all(isinstance(light, Dome | Lamp) for light in template.lights)
     if not (lights and all(isinstance(item, Plane) for item in template.objects)):
-        raise InputError(
-            f"scene '{template.name}': only a flat one can be set at a distance, such as staircase or depth-steps"
-        )
+        raise InputError(f"scene '{template.name}': only scenes of planes, such as staircase, can be set at a distance")
     factor = depth_cm / min(item.position_cm[2] for item in template.objects)
     changes: dict[str, Any] = {
         "name": f"{template.name} at {depth_cm:g} cm",
@@ -80,7 +87,7 @@ def at_distance(template: Scene, depth_cm: float, scale: float = 1.0) -> Scene:
 
 
 def is_target(name: str | Path) -> bool:
-    """Whether a scene's name is that of a member of a family, as ``staircase:14``."""
+    """Whether a name is that of a member of a family, such as ``staircase:14``."""
     family, colon, _ = str(name).partition(":")
     return bool(colon) and family in _FAMILIES
 
@@ -106,7 +113,7 @@ def _named_staircase(camera: Camera, text: str) -> Scene:
 
 
 def _named_point(camera: Camera, text: str) -> Scene:
-    return point(specification.focused(camera, specification.load_scene("point")), int(text))
+    return point_source(specification.focused(camera, specification.load_scene("point")), int(text))
 
 
 def _named_depth_steps(camera: Camera, text: str) -> Scene:
@@ -125,7 +132,7 @@ _FAMILIES: dict[str, tuple[str, Callable[[Camera, str], Scene]]] = {
 
 
 def _at_level(template: Scene, camera: Camera, level: int) -> Scene:
-    """A scene moved and grown so that its first object or light, whichever is nearer, has a blur level."""
+    """The scene moved and scaled so that its nearest object or lamp is at a blur level."""
     blurs = level_blur_px(camera)
     if not 0 <= level < len(blurs):
         raise InputError(f"scene '{template.name}': level {level} is not one of 0 to {len(blurs) - 1}")
@@ -142,9 +149,9 @@ def _at_level(template: Scene, camera: Camera, level: int) -> Scene:
 
 
 def _grown(item: Object, factor: float, scale: float = 1.0) -> Object:
-    """A plane with every length times a factor: farther away, and looking the same from the lens's centre.
+    """A plane with all lengths times ``factor``, which looks the same from the centre of the lens.
 
-    ``scale`` makes it wider and higher beside.
+    Width and height are also multiplied by ``scale``.
     """
     assert isinstance(item, Plane), "the templates are flat"
     x, y, z = item.position_cm
@@ -155,7 +162,7 @@ def _grown(item: Object, factor: float, scale: float = 1.0) -> Object:
 
 
 def _grown_light(light: Light, factor: float) -> Light:
-    """A light with every length times a factor; its lux at its target stays."""
+    """A light with all lengths times ``factor``; the illuminance at its target is unchanged."""
     if isinstance(light, Dome):
         return light
     assert isinstance(light, Lamp), "the templates have domes and lamps"
@@ -168,7 +175,7 @@ def _grown_light(light: Light, factor: float) -> Light:
 
 
 def _textured(template: Scene, texture: str | None) -> Scene:
-    """The scene with another picture in all of its own materials."""
+    """The scene with another image on all of its own materials."""
     if texture is None:
         return template
     image = texture if ":" in texture else f"skimage:{texture}"

@@ -5,12 +5,13 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator, Sequence
 from functools import partial
+from pathlib import Path
 
 import numpy as np
 
 from dasim.base.fingerprint import fingerprint
 from dasim.camera import geometry, noise, pointspread
-from dasim.camera.specification import Camera
+from dasim.camera.specification import Camera, as_camera
 from dasim.spectra import illuminants
 from dasim.typing import FloatArray
 from dasim.values import PointPicture, PointPictures
@@ -32,7 +33,7 @@ def levels(camera: Camera) -> tuple[FloatArray, FloatArray]:
 
 
 def calibration_captures(
-    camera: Camera,
+    camera: Camera | str | Path,
     lights: Sequence[str] = CALIBRATION_LIGHTS,
     *,
     frames: int = FRAMES,
@@ -41,11 +42,19 @@ def calibration_captures(
 ) -> PointPictures:
     """Pictures of a point source for each light, blur level, mosaic position and exposure.
 
-    The kernels are the camera's own (a path-traced point source converges too slowly to calibrate with),
-    at an unknown sub-pixel position for each light and level, and go through the sensor model with
-    automatic exposure to 85 % of full scale, and longer ones (``EXPOSURES``). ``shift_px``
-    covers one period of the mosaic. The pictures do not depend on the size of the camera's frame.
+    The kernels are the camera's own (a path-traced point source converges too slowly to calibrate with), at an unknown
+    sub-pixel position for each light and level. They pass through the sensor model with automatic exposure to 85 % of
+    full scale and with longer ones (``EXPOSURES``). ``shift_px`` covers one period of the mosaic. The pictures do not
+    depend on the size of the camera's frame.
+
+    Args:
+        camera: a Camera, a bundled name or a path; its own focus is used
+        lights: names of illuminants
+        frames: number of frames of each picture
+        seed: of the positions and of the sensor noise
+        diffraction: ``wave``, ``airy`` or ``off``
     """
+    camera = as_camera(camera)
     levels_count, positions = len(levels(camera)[0]), len(camera.sensor.mosaic) * len(camera.sensor.mosaic[0])
     description = camera.model_dump(mode="json")
     for size in ("width_px", "height_px"):

@@ -1,27 +1,44 @@
-"""A photograph under other light: another illuminant before it is taken, another level after it."""
+"""Another illuminant for a scene before rendering, another light level for a rendered picture."""
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 
+from dasim.base.errors import InputError
 from dasim.camera import noise
+from dasim.loading import as_scene
+from dasim.scene.mitsuba_scene import MitsubaScene
 from dasim.scene.specification import Scene
 from dasim.simulation.simulate import Shot
+from dasim.spectra import illuminants
 from dasim.values import Capture
 
-LONGEST_S, MOST_GAIN = 1 / 30, 16.0  # of a picture by hand
+LONGEST_S, MOST_GAIN = 1 / 30, 16.0  # of a hand-held picture
 
 
-def lit_by(scene: Scene, light: str) -> Scene:
-    """The scene with all of its lights of one illuminant."""
-    lights = tuple(item.model_copy(update={"illuminant": light}) for item in scene.lights)
-    return scene.model_copy(update={"name": f"{scene.name}:{light}", "lights": lights})
+def lit_by(scene: Scene | MitsubaScene | str | Path, illuminant: str) -> Scene:
+    """The scene with all of its lights of one illuminant, at unchanged lux.
+
+    ``scene`` may be given by name or path, but is no Mitsuba scene; ``illuminant`` is a name such as ``"D65"`` or
+    ``"A"``.
+    """
+    scene = as_scene(scene)
+    if isinstance(scene, MitsubaScene):
+        raise InputError(f"scene '{scene.name}': the lights of a Mitsuba scene are its file's; see 'illuminant'")
+    illuminants.illuminant(illuminant)
+    lights = tuple(item.model_copy(update={"illuminant": illuminant}) for item in scene.lights)
+    return scene.model_copy(update={"name": f"{scene.name}:{illuminant}", "lights": lights})
 
 
 def exposed(
     shot: Shot, times: float, seed: int, *, longest_s: float = LONGEST_S, most_gain: float = MOST_GAIN
 ) -> Capture:
-    """A capture of the shot's mean electrons in so many times its light: automatic time first, then gain."""
+    """A capture of a shot's scene at ``times`` its light level, with the sensor noise of ``seed``, without rendering.
+
+    Automatic exposure sets the time, at most ``longest_s`` seconds, then the analogue gain, at most ``most_gain``.
+    """
     camera = shot.capture.camera
     rate = shot.truth.mean_e.astype(np.float64) * (times / shot.capture.exposure_s)
     wanted = noise.auto_exposure_s(rate, camera, noise.Exposure())

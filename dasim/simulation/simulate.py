@@ -1,9 +1,10 @@
-"""simulate(scene, camera, seed): from a scene to a capture and its exact ground truth."""
+"""From a scene and a camera to a capture and its exact ground truth."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import partial
+from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
@@ -14,9 +15,10 @@ from dasim.camera import noise, pointspread, radiometry
 from dasim.camera import specification as cameras
 from dasim.camera.noise import Exposure
 from dasim.camera.pointspread import DIFFRACTION_MODELS
-from dasim.camera.specification import Camera
+from dasim.camera.specification import Camera, as_camera
+from dasim.loading import as_scene
 from dasim.render import backend, stock
-from dasim.scene import loading
+from dasim.scene import specification as scenes
 from dasim.scene.mitsuba_scene import MitsubaScene
 from dasim.scene.specification import Scene
 from dasim.simulation import adaptive_sampling
@@ -33,15 +35,15 @@ BLUR_MARGIN = 1.1  # something nearer than all that is seen may lie just outside
 
 @dataclass(frozen=True)
 class Shot:
-    """A simulated capture and what is exactly known of it."""
+    """A simulated capture and its ground truth."""
 
     capture: Capture
     truth: Truth
 
 
 def simulate(
-    scene: Scene | MitsubaScene,
-    camera: Camera,
+    scene: Scene | MitsubaScene | str | Path,
+    camera: Camera | str | Path,
     seed: int = 0,
     *,
     spp: int | Literal["auto"] = DEFAULT_SPP,
@@ -53,12 +55,24 @@ def simulate(
 ) -> Shot:
     """Photograph a scene: render each stop, expose, add noise, and keep the ground truth.
 
-    The camera's own focus is used (see ``dasim.focused``). ``diffraction`` is ``wave`` (JIT variants only, their
-    default), ``airy`` (the default of ``scalar_spectral``) or ``off``. The same seed and variant give the same
-    bytes. ``spp`` is the samples a pixel and stop, or ``auto``: as many as it takes for rendering noise below
-    ``noise_share`` of the sensor's own at the median pixel of every channel. The truth's ``mean_e`` is as the lens
-    sees it, before electronic crosstalk. ``progress`` gets the stage's name and the share of it that is done.
+    The same seed and variant give the same bytes. The camera owns the focus, also where it is given by name;
+    ``dasim.focused(camera, scene)`` sets the focus that a scene proposes.
+
+    Args:
+        scene: a Scene or MitsubaScene, or the name or path of one: ``dasim.simulate("desk", "da-mobile")``
+        camera: a Camera, a bundled name or a path
+        seed: of all random numbers, 0 or above
+        spp: samples per pixel and stop, or ``auto``: as many as bring the rendering noise below ``noise_share``
+        noise_share: rendering noise over the sensor's own noise, at the median pixel of every channel
+        exposure: exposure time and gain; automatic by default
+        diffraction: ``wave`` (JIT variants only, their default), ``airy`` (default of ``scalar_spectral``) or ``off``
+        variant: the Mitsuba variant; by default the fastest that works here
+        progress: called with the name of a stage and the share of it that is done
+
+    Returns a :class:`Shot`; its ``truth.mean_e`` is the light through the lens, before electronic crosstalk.
     """
+    camera = as_camera(camera)
+    scene = as_scene(scene, camera)
     exposure = exposure or Exposure()
     check_options(spp, seed, diffraction, noise_share)
     choice = backend.choose(variant)
@@ -75,8 +89,8 @@ def simulate(
     blur_px = truth.signed_blur_px(geometry.depth_m, camera)
     progress("geometry", 1.0)
 
-    illuminant = loading.main_illuminant(scene)
-    spectrum = loading.light_spectrum(scene)
+    illuminant = scenes.main_illuminant(scene)
+    spectrum = scenes.light_spectrum(scene)
     names = cameras.channels(camera.sensor)
 
     reach_px = float(np.abs(blur_px).max()) * BLUR_MARGIN

@@ -1,4 +1,4 @@
-"""Captures put together into one picture: the middles of several, one above the other."""
+"""One capture from the central parts of several."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ from dasim.values import Capture, Truth
 
 
 def margin_px(camera: Camera, blur_px: float) -> int:
-    """Pixels that a blur reaches beyond its place: half of its kernel with the diffraction tail."""
+    """Reach of a blur in pixels: half the width of its kernel with the diffraction tail."""
     return pointspread.kernel_size_px(camera, blur_px) // 2
 
 
 def tiled(tiles: Sequence[tuple[Capture, Truth]], width_px: int, height_px: int) -> tuple[Capture, Truth]:
-    """The middles of captures, ``width_px`` x ``height_px`` each, the first at the bottom (Fig. 10 of the paper).
+    """One capture from the central parts of several, stacked with the first at the bottom (Fig. 10 of the paper).
 
-    Every tile is cut on whole cells of the mosaic, so that the picture's mosaic is the camera's, and at least
-    :func:`margin_px` of its own blur away from its capture's border, so that nothing of a border is in it. The
-    captures must be of one camera, focus and exposure. The picture's camera is theirs with a sensor of its size:
-    its off-axis angles are not those at which the tiles were taken, and windows across a seam see two of them.
+    ``tiles`` are captures with their truths, of one camera, focus and exposure; each part is ``width_px`` x
+    ``height_px``, multiples of the mosaic. A part keeps :func:`margin_px` of its own blur to the border of its capture,
+    so that it contains nothing of the border. The result's camera has a sensor of the result's size: its off-axis
+    angles are not those of the captures, and windows across a seam see two captures.
     """
     if not tiles:
         raise InputError("tiles: none are given; at least one capture is needed")
@@ -71,7 +71,7 @@ def tiled(tiles: Sequence[tuple[Capture, Truth]], width_px: int, height_px: int)
 
 
 def _check(number: int, capture: Capture, truth: Truth, first: Capture, width_px: int, height_px: int) -> None:
-    """InputError where a tile does not fit the first, or its blur reaches from the border into what is kept."""
+    """InputError where a tile does not match the first, or its blur reaches from the border into its central part."""
     where = f"tile {number}"
     if capture.camera != first.camera:
         raise InputError(f"{where}: its camera, focus or size differs from that of tile 0")

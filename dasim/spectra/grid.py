@@ -1,7 +1,7 @@
-"""Spectral curves on one wavelength grid: sensor responses and filter edges.
+"""The wavelength grid of all spectral curves, the edges of filters, and integration over wavelength.
 
-Every curve is a float64 array of shape [len(WAVELENGTH_NM)], sampled at ``WAVELENGTH_NM`` and
-linear in between. The grid ends at 830 nm, the upper limit of Mitsuba's spectral variants.
+A curve is a float64 array of shape [len(WAVELENGTH_NM)], sampled at ``WAVELENGTH_NM`` and interpolated linearly. The
+grid ends at 830 nm, the upper limit of Mitsuba's spectral variants.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from dasim.typing import FloatArray
 
 WAVELENGTH_STEP_NM = 2.0
 WAVELENGTH_NM: FloatArray = np.arange(400.0, 830.0 + WAVELENGTH_STEP_NM / 2, WAVELENGTH_STEP_NM)
+WHOLE_GRID_NM = (float(WAVELENGTH_NM[0]), float(WAVELENGTH_NM[-1]))
 
 PLANCK_J_S = 6.62607015e-34
 LIGHT_SPEED_M_S = 299_792_458.0
@@ -27,21 +28,21 @@ NEAR_INFRARED_NM = (650.0, 810.0)  # the paper's band, sec. 3.2
 _LOGISTIC_10_90 = float(np.log(81.0))
 
 
-def integrate(values: FloatArray, axis: int = -1) -> Any:
-    """Integral over wavelength of ``values`` (sampled on ``WAVELENGTH_NM``) by trapezoids, in units * nm."""
-    return np.trapezoid(values, WAVELENGTH_NM, axis=axis)
+def integrate(values: FloatArray) -> Any:
+    """Trapezoidal integral of ``values`` [..., wavelength] over wavelength, [...], in units of the values times nm."""
+    return np.trapezoid(values, WAVELENGTH_NM, axis=-1)
 
 
 def long_pass(edge_nm: float, width_nm: float) -> FloatArray:
-    """Transmittance 0..1 of a long-pass edge: logistic, half-maximum at ``edge_nm``, 10-90 % in ``width_nm``."""
+    """Transmittance 0..1 of a long-pass filter: a logistic edge, 0.5 at ``edge_nm``, 10-90 % within ``width_nm``."""
     return np.asarray(expit(_LOGISTIC_10_90 * (WAVELENGTH_NM - edge_nm) / width_nm))
 
 
 def short_pass(edge_nm: float, width_nm: float) -> FloatArray:
-    """Transmittance 0..1 of a short-pass edge, the complement of :func:`long_pass`."""
+    """Transmittance 0..1 of a short-pass filter, the complement of :func:`long_pass`."""
     return 1.0 - long_pass(edge_nm, width_nm)
 
 
 def photons_per_joule() -> FloatArray:
-    """Photons a joule of light holds at each wavelength, lambda / (h c)."""
+    """Photons per joule of light at each wavelength, lambda / (h c), [wavelength]."""
     return WAVELENGTH_NM * 1e-9 / (PLANCK_J_S * LIGHT_SPEED_M_S)

@@ -1,6 +1,7 @@
-"""Illuminants by name: spectral power on the wavelength grid, of lights that give one lux.
+"""Illuminants by name: spectral power on the wavelength grid, scaled to one lux.
 
-What each is beyond the end of its table, where it has one, is part of what it is: see :func:`described`.
+The CIE's tables of lamps end at 780 nm, inside the near-infrared band; :func:`description` states how each illuminant
+is continued beyond its table.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from dasim.base.errors import InputError
+from dasim.base.errors import InputError, kind_of
 from dasim.spectra import daylight
 from dasim.spectra.grid import (
     LIGHT_SPEED_M_S,
@@ -45,24 +46,24 @@ _BLACKBODY = re.compile(r"blackbody-(\d{1,6})K")
 _DAYLIGHT = re.compile(r"(sun|sky|daylight)-(\d{1,3})deg")
 
 _TABLE_END_NM = 780.0  # of the CIE's fluorescent lamps and LEDs
-_HELD_FROM_NM = 760.0  # lamps: the mean from here to the table's end is held beyond it
-_TAIL_FROM_NM = 740.0  # LEDs: the phosphor's fall from here to the table's end goes on beyond it
+_MEAN_FROM_NM = 760.0  # lamps: constant beyond the table, at the mean from here to its end
+_TAIL_FROM_NM = 740.0  # LEDs: the exponential decay fitted from here to the table's end continues beyond it
 
-# Three-band compact fluorescent lamp [inferred]: the CIE's tables, and what a booth's three-band lamp of 3000 K
-# shows above them (ISETCam's U30): a floor of continuum, and the lines of argon, unresolved, at 795 to 826 nm.
+# Three-band compact fluorescent lamp [inferred]: the CIE's tables, plus what a measured three-band lamp of 3000 K has
+# above 700 nm (U30 of ISETCam): a weak continuum, and the unresolved lines of argon at 795 to 826 nm.
 _THREE_BAND = ("F12", "F11")  # 3000 K and 4000 K
 _THREE_BAND_CCT_K = 3500.0
-_CONTINUUM_W_M2_NM = 0.40e-6  # of one lux
-_ARGON_NM, _ARGON_SIGMA_NM, _ARGON_W_M2 = 806.0, 12.0, 8e-6  # of one lux
+_CONTINUUM_W_M2_NM = 0.40e-6  # per lux
+_ARGON_NM, _ARGON_SIGMA_NM, _ARGON_W_M2 = 806.0, 12.0, 8e-6  # per lux
 
 
 class Description(NamedTuple):
-    """What people want to know of an illuminant."""
+    """Properties of an illuminant for a list."""
 
     name: str
-    cct_k: float
-    near_infrared: float  # photons over 650-810 nm, over those of D65 at as many lux
-    beyond: str  # the end of its table
+    cct_k: float  # correlated colour temperature
+    near_infrared: float  # photons within 650-810 nm, relative to D65 of the same illuminance
+    beyond: str  # how it is continued beyond the end of its table
 
 
 @cache
@@ -87,10 +88,12 @@ def planckian(temperature_k: float) -> FloatArray:
 
 @cache
 def illuminant(name: str) -> FloatArray:
-    """Relative spectral power of an illuminant (``ILLUMINANTS``, ``PATTERNS``), scaled to 1 lux.
+    """Spectral irradiance of an illuminant at 1 lux, [wavelength], W m^-2 nm^-1; the array is read-only.
 
-    Returned in W m^-2 nm^-1 of a light that gives one lux; treat it as read-only. Raises InputError for other names.
+    ``name`` is one of ``ILLUMINANTS`` or of the form of one of ``PATTERNS``; InputError otherwise.
     """
+    if not isinstance(name, str):
+        raise InputError(f"illuminant: a name such as 'D65' is needed, not {kind_of(name)}")
     curve = _one_lux(_relative(name))
     curve.setflags(write=False)
     return curve
@@ -101,8 +104,13 @@ def lux(power: FloatArray) -> float:
     return float(MAX_LUMINOUS_EFFICACY_LM_W * integrate(power * luminous_efficiency()))
 
 
-def described(name: str) -> Description:
-    """Colour temperature and near-infrared of an illuminant, and what it is beyond the end of its table."""
+def illuminant_names() -> list[str]:
+    """Names of the illuminants that are tabulated; ``blackbody-5000K`` and ``daylight-60deg`` are allowed as well."""
+    return list(ILLUMINANTS)
+
+
+def description(name: str) -> Description:
+    """Colour temperature and near-infrared content of an illuminant, and its continuation beyond its table."""
     low, high = NEAR_INFRARED_NM
     band = (WAVELENGTH_NM >= low) & (WAVELENGTH_NM <= high)
     photons = [np.trapezoid((illuminant(n) * photons_per_joule())[band], WAVELENGTH_NM[band]) for n in (name, "D65")]
@@ -115,16 +123,16 @@ def _beyond(name: str) -> str:
     if name in _PLANCKIAN_K or _BLACKBODY.fullmatch(name):
         return "Planck's law"
     if _DAYLIGHT.fullmatch(name):
-        return "SPCTRAL2 (Bird and Riordan 1986), whose table goes on to 4000 nm"
+        return "SPCTRAL2 (Bird and Riordan 1986), whose table reaches 4000 nm"
     if name in _LEDS:
-        return "CIE table to 780 nm; the exponential fall of 740-780 nm goes on"
+        return "CIE table to 780 nm, then the exponential decay of 740-780 nm"
     if name == ENERGY_SAVING:
-        return "inferred: F12 and F11 mixed; continuum and argon lines above 700 nm as a measured three-band lamp's"
-    return "CIE table to 780 nm, the mean of its last 20 nm held; measured lamps have 0.93 to 1.0 of that"
+        return "inferred: a mixture of F12 and F11, with the continuum and argon lines of a measured lamp above 700 nm"
+    return "CIE table to 780 nm, then the mean of its last 20 nm; measured lamps have 0.93 to 1.0 of that"
 
 
 def _relative(name: str) -> FloatArray:
-    """Spectral power of a name, in any scale."""
+    """Spectral power of a named illuminant at any scale, [wavelength]."""
     if name in _PLANCKIAN_K:
         return planckian(_PLANCKIAN_K[name])
     if name in _D_SERIES_CCT_K:
@@ -135,13 +143,13 @@ def _relative(name: str) -> FloatArray:
         return _table(f"FL{name[1:]}")
     if name in _LEDS:
         return _led(name)
-    if found := _BLACKBODY.fullmatch(name):
-        return planckian(_within(name, int(found[1]), BLACKBODY_K, "K"))
-    if found := _DAYLIGHT.fullmatch(name):
-        elevation_deg = _within(name, int(found[2]), ELEVATION_DEG, "degrees")
+    if match := _BLACKBODY.fullmatch(name):
+        return planckian(_within(name, int(match[1]), BLACKBODY_K, "K"))
+    if match := _DAYLIGHT.fullmatch(name):
+        elevation_deg = _within(name, int(match[2]), ELEVATION_DEG, "degrees")
         sun, sky = daylight.sun_and_sky(elevation_deg)
         level = np.sin(np.radians(elevation_deg))
-        return {"sun": sun, "sky": sky, "daylight": sun * level + sky}[found[1]]
+        return {"sun": sun, "sky": sky, "daylight": sun * level + sky}[match[1]]
     near = difflib.get_close_matches(name.lower(), [n.lower() for n in ILLUMINANTS], n=3, cutoff=0.4)
     nearest = [n for n in ILLUMINANTS if n.lower() in near] or list(ILLUMINANTS[:5])
     raise InputError(
@@ -161,10 +169,9 @@ def _one_lux(relative: FloatArray) -> FloatArray:
 
 
 def _daylight(cct_k: float) -> FloatArray:
-    """Relative spectral power of the CIE daylight of a correlated colour temperature (CIE 015:2018).
+    """Relative spectral power of CIE daylight at a correlated colour temperature (CIE 015:2018).
 
-    Computed from the components S0-S2, which reach 830 nm: the tables of D50 to D75 stop at 780 nm, inside the
-    near-infrared band.
+    It is computed from the components S0-S2, which reach 830 nm, because the tables of D50 to D75 end at 780 nm.
     """
     import colour
 
@@ -174,20 +181,20 @@ def _daylight(cct_k: float) -> FloatArray:
 
 
 def _table(name: str) -> FloatArray:
-    """A table of the CIE's (CIE 015:2018) from colour-science; beyond 780 nm the mean of its last 20 nm is held.
+    """A table of the CIE (CIE 015:2018) from colour-science, constant beyond 780 nm at the mean of its last 20 nm.
 
-    Three fluorescent lamps of a light booth, measured to 830 nm, have 0.93 to 1.0 of that there: phosphors are dark,
-    and the lines of argon are weak. (The last value alone is rounded to 0 in some tables.)
+    Three measured fluorescent lamps have 0.93 to 1.0 of that mean up to 830 nm, where their phosphors are dark and the
+    lines of argon weak. The last value alone would not do: some tables round it to 0.
     """
     import colour
 
     table = colour.SDS_ILLUMINANTS[name]
-    held = np.mean(table.values[table.wavelengths >= _HELD_FROM_NM])
-    return np.where(WAVELENGTH_NM > _TABLE_END_NM, held, np.interp(WAVELENGTH_NM, table.wavelengths, table.values))
+    level = np.mean(table.values[table.wavelengths >= _MEAN_FROM_NM])
+    return np.where(WAVELENGTH_NM > _TABLE_END_NM, level, np.interp(WAVELENGTH_NM, table.wavelengths, table.values))
 
 
 def _led(name: str) -> FloatArray:
-    """An LED of the CIE's (CIE 015:2018); beyond its table the phosphor's exponential fall goes on."""
+    """An LED of the CIE (CIE 015:2018); the exponential decay of its phosphor continues beyond its table."""
     curve = _table(name)
     curve = np.where(WAVELENGTH_NM > _TABLE_END_NM, curve[WAVELENGTH_NM == _TABLE_END_NM], curve)
     fall = (WAVELENGTH_NM >= _TAIL_FROM_NM) & (WAVELENGTH_NM <= _TABLE_END_NM)
@@ -198,9 +205,9 @@ def _led(name: str) -> FloatArray:
 def _energy_saving() -> FloatArray:
     """A three-band compact fluorescent lamp of 3500 K [inferred].
 
-    The mixture of the CIE's three-band lamps F12 (3000 K) and F11 (4000 K) that has this colour temperature, with a
-    floor of continuum and the lines of argon above 700 nm that a measured three-band lamp shows and the CIE's tables,
-    which end at 780 nm, hardly do.
+    It is the mixture of the CIE's three-band lamps F12 (3000 K) and F11 (4000 K) with this colour temperature, plus the
+    continuum and the lines of argon above 700 nm that a measured three-band lamp has and the CIE's tables, which end at
+    780 nm, lack.
     """
     from scipy.optimize import brentq
 
@@ -216,7 +223,7 @@ def _energy_saving() -> FloatArray:
 
 
 def _cct_k(power: FloatArray) -> float:
-    """Correlated colour temperature (Ohno 2013), by colour-science."""
+    """Correlated colour temperature in kelvin (Ohno 2013), by colour-science."""
     import colour
 
     observer: Any = colour.MSDS_CMFS["CIE 1931 2 Degree Standard Observer"]

@@ -135,7 +135,7 @@ def inline(nm=NM, **channels) -> str:
         (inline(R=FLAT, G=FLAT, B=FLAT), "mosaic channel 'IR' is unknown, allowed are R, G, B"),
         (inline(**dict.fromkeys(("R", "G", "B", "IR", "a,b"), FLAT)), "channels.a,b: names must be"),
         ('file = "none.csv"', "none.csv: no such file"),
-        ('file = "c.csv", ' + inline(R=FLAT), "file and curves both say the response"),
+        ('file = "c.csv", ' + inline(R=FLAT), "file and curves both give the response"),
     ],
 )
 def test_impossible_curves_are_refused(tmp_path, curves, said):
@@ -147,13 +147,13 @@ def test_impossible_curves_are_refused(tmp_path, curves, said):
 @pytest.mark.parametrize(
     ("table", "said"),
     [
-        ("", "the first line must be 'wavelength_nm' and one name a channel"),
-        ("nm,R,G,B,IR\n400,0,0,0,0\n", "the first line must be 'wavelength_nm' and one name a channel"),
-        ("wavelength_nm,R,G,R,IR\n400,0,0,0,0\n", "the first line must be 'wavelength_nm' and one name a channel"),
+        ("", "the first line must be 'wavelength_nm' and one name per channel"),
+        ("nm,R,G,B,IR\n400,0,0,0,0\n", "the first line must be 'wavelength_nm' and one name per channel"),
+        ("wavelength_nm,R,G,R,IR\n400,0,0,0,0\n", "the first line must be 'wavelength_nm' and one name per channel"),
         ("wavelength_nm,R,G,B,IR\n400,0.1,0.1,0.1,0.1\n410,0.1,,0.1,0.1\n", "line 3 of the table: 5 numbers"),
         ("wavelength_nm,R,G,B,IR\n400,0.1,0.1,0.1\n", "line 2 of the table: 5 numbers"),
-        ("wavelength_nm,R,G,B,IR\n400,0.1,0.1,x,0.1\n", "line 2 of the table: 'x' is no number"),
-        ("wavelength_nm,R,G,B,IR\n400,0.1,0.1,nan,0.1\n", "line 2 of the table: 'nan' is no number"),
+        ("wavelength_nm,R,G,B,IR\n400,0.1,0.1,x,0.1\n", "line 2 of the table: 'x' is not a number"),
+        ("wavelength_nm,R,G,B,IR\n400,0.1,0.1,nan,0.1\n", "line 2 of the table: 'nan' is not a number"),
         ("wavelength_nm,R,G,B,IR\n", "two or more lines of numbers are needed"),
         (b"\xff\xfe\x00", "cannot be read as a table"),
     ],

@@ -322,7 +322,7 @@ def test_flat_is_even_to_cos4_over_the_whole_frame(coarse, pinhole):
 
 @pytest.mark.parametrize("level", [0, 14, 28])
 def test_point_is_at_its_level_and_small(far, level):
-    hole = targets.point(far, level).lights[0]
+    hole = targets.point_source(far, level).lights[0]
     depth_m = hole.position_cm[2] * 1e-2
     assert 0.54 * camera_geometry.blur_px(far, depth_m) == pytest.approx(level, abs=1e-9)
     per_pixel_m = depth_m * 1.7e-6 / camera_geometry.image_distance_m(far)

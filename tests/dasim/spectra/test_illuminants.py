@@ -122,7 +122,7 @@ def test_unknown_illuminant_is_the_users_mistake(name, said):
 )  # fmt: skip
 def test_colour_temperatures(name, cct_k):
     """Expectation: correlated colour temperature as published, to 0.7 % (what is below 400 nm is cut off)."""
-    assert illuminants.described(name).cct_k == pytest.approx(cct_k, rel=7e-3)
+    assert illuminants.description(name).cct_k == pytest.approx(cct_k, rel=7e-3)
 
 
 @pytest.mark.parametrize(("name", "table"), [("F2", "FL2"), ("F3.4", "FL3.4"), ("LED-V1", "LED-V1")])
@@ -178,7 +178,7 @@ def test_near_infrared_of_lamps_is_little():
     """Rationale: the hard case for this camera. Expectation: relative to D65 at as many lux, three-band lamps and
     LEDs of high efficacy below a fifth, incandescent light about three times; D65 itself 1.
     """
-    share = {name: illuminants.described(name).near_infrared for name in ("D65", "A", "F11", "energy-saving-3500K")}
+    share = {name: illuminants.description(name).near_infrared for name in ("D65", "A", "F11", "energy-saving-3500K")}
     assert share["D65"] == 1.0
     assert 0.08 < share["F11"] < 0.2
     assert 0.1 < share["energy-saving-3500K"] < 0.2
@@ -190,7 +190,7 @@ def test_the_list_says_what_each_illuminant_is(capsys):
     assert cli.run(["list", "illuminants", "--verbose"]) == 0
     text = capsys.readouterr().out
     for name in illuminants.ILLUMINANTS:
-        about = illuminants.described(name)
+        about = illuminants.description(name)
         rows = [line for line in text.splitlines() if line.split(" ")[0] == name]
         assert len(rows) == 1
         assert rows[0].split()[1:3] == [f"{about.cct_k:.0f}", f"{about.near_infrared:.2f}"]
@@ -237,10 +237,10 @@ def test_daylight_is_as_bright_and_as_white_as_outdoors():
     """
     sun, sky = daylight.sun_and_sky(60)
     assert 90e3 < illuminants.lux(sun * np.sin(np.radians(60)) + sky) < 110e3
-    cct = {name: illuminants.described(name).cct_k for name in ("sun-60deg", "sky-60deg", "sun-5deg")}
+    cct = {name: illuminants.description(name).cct_k for name in ("sun-60deg", "sky-60deg", "sun-5deg")}
     assert cct["sun-5deg"] < cct["sun-60deg"] < cct["sky-60deg"]
     for height in (20, 40, 60, 90):
-        assert 5500 < illuminants.described(f"daylight-{height}deg").cct_k < 6500
+        assert 5500 < illuminants.description(f"daylight-{height}deg").cct_k < 6500
 
 
 def test_air_absorbs_in_the_near_infrared():

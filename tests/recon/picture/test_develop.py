@@ -8,7 +8,7 @@ import pytest
 import recon
 from dasim.base.errors import InputError
 from dasim.camera import noise as sensor
-from dasim.camera import radiometry, specification
+from dasim.camera import radiometry, response_curves, specification
 from dasim.camera import specification as cameras
 from dasim.spectra import grid, illuminants
 from dasim.values import Capture
@@ -181,7 +181,7 @@ def test_crosstalk_matrix_separates_disjoint_bands_exactly():
         "wavelength_nm": tuple(nm),
         "channels": {name: tuple(curve) for name, curve in zip(grid.CHANNELS, curves, strict=True)},
     }
-    camera = small("da-mobile", quantum_efficiency=cameras.Curves(**table))
+    camera = small("da-mobile", quantum_efficiency=response_curves.Curves(**table))
     matrix = infrared.crosstalk_matrix(camera, "A")
     visible = 0.5 * np.diag([1.0, 1, 1, 1])
     np.testing.assert_allclose(matrix @ mixture, visible, atol=1e-6)

@@ -1,0 +1,69 @@
+"""Scenes by name: a bundled scene, a member of a family, a random scene, a TOML file or a Mitsuba XML file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from dasim.base.errors import InputError, kind_of
+from dasim.base.toml import parse
+from dasim.camera.specification import Camera, as_camera
+from dasim.random_scenes import specification as random_scenes
+from dasim.scene import specification, targets
+from dasim.scene.mitsuba_scene import MitsubaScene
+from dasim.scene.specification import Scene
+from dasim.spectra import illuminants
+
+SUFFIX = ".xml"
+
+
+def load_scene(
+    name_or_path: str | Path, *, camera: Camera | str | Path | None = None, **choices: Any
+) -> Scene | MitsubaScene:
+    """The scene of a name or path; InputError lists everything that is wrong with it.
+
+    ``name_or_path`` is a bundled name (``dasim.scene_names()``), a member of a family (``staircase:14``, see
+    :mod:`dasim.scene.targets`), a random scene (``random:SEED:INDEX`` or ``random:FILE.toml:SEED:INDEX``), a TOML file,
+    or a Mitsuba XML file; only the last takes ``choices``, the fields of :class:`MitsubaScene`. The blur levels of a
+    family and the field of view of a random scene are those of ``camera``, cropped as it will be used; by default
+    da-mobile.
+    """
+    if not isinstance(name_or_path, (str, Path)):
+        raise InputError(f"scene: the name of a scene or a path is needed, not {kind_of(name_or_path)}")
+    chosen = None if camera is None else as_camera(camera)
+    path = Path(name_or_path)
+    if path.suffix.lower() != SUFFIX:
+        if choices:
+            raise InputError(f"scene '{name_or_path}': {', '.join(choices)} is for Mitsuba scenes (.xml) only")
+        if targets.is_target(name_or_path):
+            return targets.target(name_or_path, chosen)
+        if random_scenes.is_random(name_or_path):
+            return random_scenes.named(str(name_or_path), chosen)[0]
+        return specification.load_scene(name_or_path)
+    if not path.is_file():
+        raise InputError(f"scene '{name_or_path}': no such file")
+    data = {"name": path.stem, "file": path.resolve(), **choices}
+    scene = parse(MitsubaScene, data, str(name_or_path))
+    illuminants.illuminant(scene.illuminant)
+    return scene
+
+
+def as_scene(
+    scene: Scene | MitsubaScene | str | Path, camera: Camera | str | Path | None = None
+) -> Scene | MitsubaScene:
+    """The scene itself, or the one that a name or path stands for (see :func:`load_scene`); else InputError."""
+    if isinstance(scene, (Scene, MitsubaScene)):
+        return scene
+    if isinstance(scene, (str, Path)):
+        return load_scene(scene, camera=camera)
+    raise InputError(f"scene: a Scene, the name of a scene or a path is needed, not {kind_of(scene)}")
+
+
+def focused(camera: Camera | str | Path, scene: Scene | MitsubaScene | str | Path) -> Camera:
+    """The camera focused at the distance that the scene proposes (``focus_cm``), unchanged where it proposes none.
+
+    Both may be given by name or path. A Mitsuba scene proposes no focus.
+    """
+    camera = as_camera(camera)
+    scene = as_scene(scene, camera)
+    return camera if isinstance(scene, MitsubaScene) else specification.focused(camera, scene)
