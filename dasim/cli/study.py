@@ -100,10 +100,9 @@ def bound(
         texture: what is known of the texture: all but its phases, its spectrum up to a factor, or nothing (free)
         channels: planes of the mosaic that are compared, first the one with the sharp texture
     """
-    from dasim.bounds import cramer_rao
-    from dasim.camera import geometry
     from dasim.spectra import illuminants
     from validation.studies import criteria
+    from validation.studies.bound import bound_lines
 
     wrong = _positive(("--near-cm", near_cm), ("--far-cm", far_cm), ("--lux", lux))
     if count < 1:
@@ -118,22 +117,11 @@ def bound(
     if wrong:
         raise InputError("; ".join(wrong))
     blurs = criteria.blurs_between(lens, near_cm / 100, far_cm / 100, count)
-
-    def computed() -> criteria.FloatArray:
-        return criteria.camera_bound(lens, blurs, light=light, level_lux=lux, texture=texture, planes=names)
-
-    deviation = computed()
-    begin = time.perf_counter()
-    computed()  # again, for what a further design costs: the first time reads the illuminant's and other tables
-    seconds = time.perf_counter() - begin
-    depth_m = geometry.depth_of_blur_m(lens, blurs)
-    metres = cramer_rao.depth_deviation_m(lens, depth_m, deviation)
-    print(f"{lens.name}, focus {lens.lens.focus_distance_m:g} m, {light}, {lux:g} lux, channels {', '.join(names)}, "
-          f"texture {texture}: least standard deviation in a patch of 31 px")  # fmt: skip
-    print(f"{'depth':>9}  {'blur':>8}  {'levels':>8}  {'dioptres':>9}  {'depth':>10}")
-    for z, blur, own, error_m in zip(depth_m, blurs, cramer_rao.level_deviation(lens, deviation), metres, strict=True):
-        print(f"{100 * z:6.2f} cm  {blur:5.1f} px  {own:8.3f}  {error_m / z**2:9.4f}  {1000 * error_m:7.3f} mm")
-    print(f"{1000 * seconds:.0f} ms a design")
+    for line in bound_lines(lens, blurs, light, lux, texture, names):
+        print(line)
+    begin = time.perf_counter()  # of a second run: the first one also reads the tables of illuminants and others
+    list(bound_lines(lens, blurs, light, lux, texture, names))
+    print(f"{1000 * (time.perf_counter() - begin):.0f} ms per design")
     return 0
 
 
@@ -176,40 +164,26 @@ def shape(
         render: put the best three and a disc at the rim through the whole pipeline, minutes each; goes on if stopped
     """
     from dasim.files.folders import check_output
-    from validation.studies.shape import study as shape_study
+    from validation.studies.shape import files, report
+    from validation.studies.shape.study import Plan, check_plan, run_study
 
     wrong = _positive(("--near-cm", near_cm), ("--far-cm", far_cm), ("--lux", lux), ("--feature-um", feature_um))
     lens = _focused(camera, focus, wrong)
     if quick:
         cells, seeds = min(cells, 40), min(seeds, 2)
-    plan = shape_study.Plan(
+    plan = Plan(
         lens, budget, cells, feature_um, seeds, objective, near_cm / 100, far_cm / 100, light, lux, texture,
         iterations=8 if quick else 20,
     )  # fmt: skip
-    for check in (lambda: shape_study.checked(plan), lambda: check_output(out, "study")):
+    for check in (lambda: check_plan(plan), lambda: check_output(out, "study")):
         _collect(wrong, check)
     if wrong:
         raise InputError("; ".join(wrong))
     with progress() as show:
-        study = shape_study.studied(plan, render=render, progress=show)
-    shape_study.written(study, out)
-    print(f"{'design':<44} {'open':>7} {'depth, 1/m':>11} {'to disc':>8} {'cut out':>8} {'sharp':>7} {'to disc':>8}")
-    for row in study.rows:
-        print(f"{row.name:<44} {100 * row.budget:5.1f} % {row.depth_dioptre:11.4f} {row.depth_ratio:8.2f} "
-              f"{row.cut_ratio:8.2f} {row.sharp_error:7.4f} {row.sharp_ratio:8.3f}")  # fmt: skip
-    for name, (error, least) in study.estimates.items():
-        print(f"patches, {name}: likelihood {error:.4f} 1/m, its bound {least:.4f} 1/m")
-    for name, one in study.proofs.items():
-        boards = " ".join(f"{sum(errors) / len(errors):.3f}" for errors in zip(*one.board_deviation, strict=True))
-        found = " ".join(f"{100 * share:.0f}" for share in one.board_coverage)
-        print(f"pipeline, {name}: boards {boards} 1/m, sure of {found} %, desk {one.desk_error[0]:.3f} 1/m, "
-              f"all in focus {one.desk_sharp_db:.1f} dB")  # fmt: skip
-    for step, designs in study.steps().items():
-        said = []
-        for name, error, to_disc, spread in designs:  # ratios are to the first, the disc
-            wide = f" +- {spread:.2f}" if spread == spread else ""  # of one value there is none
-            said.append(f"{name} {error:.3f} 1/m ({to_disc:.2f}{wide})")
-        print(f"{step}: {'; '.join(said)}")
+        study = run_study(plan, render=render, progress=show)
+    files.write_study(study, out)
+    for line in report.lines(study):
+        print(line)
     print(f"report: {out / 'report.html'}")
     return 0
 

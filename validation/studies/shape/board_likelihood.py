@@ -1,26 +1,21 @@
-"""Why a bound of a patch is not what a pipeline gets: patches without their surroundings, and boards step by step.
+"""From the bound to the pipeline: bounds of a patch, and maximum likelihood on rendered boards.
 
-The bound takes a patch for periodic: what a wide kernel brings in from outside looks like the patch itself. Cut out of
-a larger picture it tells less, since the surroundings are unknown; :func:`cut_deviation` is its bound, from the
-covariances between all of its pixels. A picture does show the surroundings, up to its border and as long as depth stays
-the same; :func:`board_deviations` is what maximum likelihood makes of rendered boards that fill the frame, with the
-camera's own kernels and the texture's own power. It stands for what is left when bank, levels, presets and their
-thresholds are taken away, and is no lower limit: it trusts that the surroundings go on, and at a frame's border, where
-deblurring two windows carries what is missing far inwards, a preset that fits gain and scale in each patch can do
+The periodic bound overstates what an isolated patch tells, the bound of :mod:`validation.studies.shape.finite_patch`
+understates what a picture tells: a picture does show the surroundings of a patch, up to its border and as long as depth
+stays the same. :func:`board_deviations` is the error of maximum likelihood on rendered boards that fill the frame, with
+the camera's own kernels and the texture's own power: the pipeline without its bank, levels, presets and thresholds. It
+is no lower limit. It assumes that the surroundings continue beyond the frame; near the border of the frame, where
+deblurring two windows spreads the missing part far inwards, a preset that fits gain and scale in each patch can be
 better.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import asdict, dataclass
-from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
-from scipy import linalg
 
 from dasim.bounds import cramer_rao, pupils
 from dasim.camera import geometry
@@ -35,152 +30,103 @@ from recon.picture import mosaic
 from validation.gates import stored
 from validation.scores import texture
 from validation.studies import criteria
-from validation.studies.shape import pipeline
+from validation.studies.criteria import PLANES, SPACING_PX
+from validation.studies.shape import boards, cached
+from validation.studies.shape.finite_patch import LOWEST, SIDE, cut_deviation
 from validation.subjects import rendering
 from validation.subjects.shots import photographed
 
-SPACING_PX = criteria.SPACING_PX
-SIDE = 16  # samples 2 px apart: a patch of 31 px
-FIELD = 128  # samples a side of the field that patches are cut from
-STEP_PX, AROUND_PX = 0.5, 8.0  # candidates of the visible blur about the true one
+WINDOWS_PX = (31.0, 63.0)
+STEP_PX, AROUND_PX = 0.5, 8.0  # candidates of the visible blur around the true one
 CELLS = 64  # of transforms across the lens
-MARGIN = 40  # samples, in which opposite borders are blended
-LOWEST = 1 / 64  # cycles/px, the lowest of the bound's grid
+MARGIN = 40  # samples, over which opposite borders are blended
+WELCH_SHAPE = (64, 64)  # of the patches from which the texture's power is estimated
 
 
 @dataclass(frozen=True)
-class Reach:
-    """What estimators can reach on the boards' blurs, dioptres; all but the first two on rendered boards."""
+class Limits:
+    """Limits of estimators at the boards' blurs, in dioptres: two bounds, and likelihood on rendered boards."""
 
     periodic: tuple[float, ...]  # [level], bound of a periodic patch of 31 px
-    cut: tuple[float, ...]  # [level], bound of a patch of 31 px cut out of its surroundings
+    cut: tuple[float, ...]  # [level], bound of a patch of 31 px without its surroundings
     board: tuple[tuple[float, ...], ...]  # [exposure, level], likelihood with a window of 31 px
-    wide: tuple[tuple[float, ...], ...]  # [exposure, level], with one of 63 px
+    wide: tuple[tuple[float, ...], ...]  # [exposure, level], likelihood with a window of 63 px
 
     def steps(self) -> dict[str, tuple[float, ...]]:
-        """Root mean square over the levels of each step, [exposure] or one."""
+        """Root mean square over the levels at each step, [exposure], or one value for a bound."""
         return {
-            "bound, periodic patch": (pipeline.rms(self.periodic),),
-            "bound, patch without surroundings": (pipeline.rms(self.cut),),
-            "likelihood on rendered boards": tuple(pipeline.rms(one) for one in self.board),
-            "likelihood, window of 63 px": tuple(pipeline.rms(one) for one in self.wide),
+            "bound, periodic patch": (boards.rms(self.periodic),),
+            "bound, patch without surroundings": (boards.rms(self.cut),),
+            "likelihood on rendered boards": tuple(boards.rms(one) for one in self.board),
+            "likelihood, window of 63 px": tuple(boards.rms(one) for one in self.wide),
         }
 
 
-def reach(camera: Camera, folder: Path, light: str, level_lux: float, seed: int = 0) -> Reach:
-    """Bounds and likelihoods at the boards' blurs; or what an earlier run has left in ``folder``."""
+def limits(camera: Camera, light: str, level_lux: float) -> Limits:
+    """Bounds under ``light`` at ``level_lux``, and likelihoods, at the boards' blurs; cached."""
     variant = rendering.activate()
-    what = [camera.model_dump_json(), light, f"{level_lux}", stored.key(reach, variant, seed)]
+    key = [camera.model_dump_json(), light, f"{level_lux}", stored.key(limits, variant, boards.SEED)]
 
-    def make() -> dict[str, Any]:
-        blurs = geometry.level_blur_px(camera)[list(pipeline.LEVELS)]
-        transfer, slope = pupils.camera_transfers(camera, blurs, light, criteria.SHAPE, spacing_px=SPACING_PX)
-        index = [cameras.channels(camera.sensor).index(name) for name in criteria.PLANES]
-        seen = criteria.sight(camera, light, level_lux)
-        variance, _ = criteria.blur_variance(transfer[:, index], slope[:, index], seen, "spectrum")
+    def compute() -> dict[str, Any]:
+        blurs = geometry.level_blur_px(camera)[list(boards.LEVELS)]
+        periodic = criteria.camera_bound(camera, blurs, light=light, level_lux=level_lux, texture="spectrum")
         cut = cut_deviation(camera, blurs, SIDE, light=light, level_lux=level_lux)
-        boards = board_deviations(camera, seed=seed).tolist()
+        board, wide = board_deviations(camera).tolist()
         px = criteria.dioptre_px(camera)
-        return asdict(Reach((np.sqrt(variance) / px).tolist(), (cut / px).tolist(), boards[0], boards[1]))
+        return asdict(Limits((periodic / px).tolist(), (cut / px).tolist(), board, wide))
 
-    return Reach(**pipeline.kept(folder, what, make))
+    return Limits(**cached.figures(key, compute))
 
 
-def cut_deviation(
-    camera: Camera,
-    blur_px: FloatArray,
-    side: int,
-    *,
-    light: str = "D65",
-    level_lux: float = 5000.0,
-    planes: tuple[str, ...] = criteria.PLANES,
-) -> FloatArray:
-    """Least standard deviation of the visible blur from ``side`` x ``side`` samples of each plane alone, px, [blur].
+def board_deviations(camera: Camera) -> FloatArray:
+    """Deviation of the most likely blur on rendered boards in dioptres, [window, exposure, level].
 
-    Slepian and Bangs with the covariances between all samples; the texture's strength and the gain are unknown, its
-    spectrum is known. ``side`` is at most half of ``FIELD``.
+    Root mean square over the textured pixels about the median of each board, as in the scores of the pipeline.
     """
-    if 2 * side > FIELD:
-        raise ValueError("the field must be twice the patch at least")
-    seen = criteria.sight(camera, light, level_lux, planes)
-    index = [cameras.channels(camera.sensor).index(name) for name in planes]
-    shape = (FIELD, FIELD)
-    radius = np.hypot(*cramer_rao.frequencies(shape, SPACING_PX))
-    contrast = seen.power[0, 4] / cramer_rao.natural_power(criteria.SHAPE, spacing_px=SPACING_PX)[0, 4]
-    power = contrast * cramer_rao.natural_power(shape, spacing_px=SPACING_PX) * (radius >= LOWEST)
-    y, x = (part.ravel() for part in np.indices((side, side)))
-    rows, columns = (part[:, None] - part[None, :] for part in (y, x))
-    found = []
-    for blur in blur_px:
-        both = blur + np.array([-1, 1]) * cramer_rao.SLOPE_STEP_PX
-        transfer, _ = pupils.stop_transfers(camera, both, light, shape, spacing_px=SPACING_PX, fine_cells=CELLS)
-        s = seen.gain[:, None, None] * transfer[:, index]
-        middle, slope = s.mean(axis=0), (s[1] - s[0]) / (2 * cramer_rao.SLOPE_STEP_PX)
-
-        def covariance(one: NDArray, other: NDArray) -> FloatArray:
-            spectra = power * one[:, None] * np.conj(other[None])
-            return np.block([[np.fft.irfft2(part, shape)[rows, columns] for part in line] for line in spectra])
-
-        signal = covariance(middle, middle)
-        half = covariance(slope, middle)
-        second = np.where(np.arange(len(planes))[:, None, None] == 1, middle, 0)
-        gained = covariance(second, middle)
-        factor = linalg.cho_factor(signal + np.diag(np.repeat(seen.noise, side * side)))
-        parts = [linalg.cho_solve(factor, part) for part in (half + half.T, signal, gained + gained.T)]
-        told = np.array([[0.5 * np.sum(a * b.T) for b in parts] for a in parts])
-        found.append(np.sqrt(linalg.inv(told)[0, 0]))
-    return np.array(found)
-
-
-def board_deviations(camera: Camera, window_px: Sequence[float] = (31.0, 63.0), seed: int = 0) -> FloatArray:
-    """Deviation of the most likely blur on the boards of :mod:`validation.studies.shape.pipeline`, dioptres.
-
-    [window, exposure, level]; without each board's own bias, as the pipeline's are scored.
-    """
-    found = np.empty((len(window_px), pipeline.EXPOSURES, len(pipeline.LEVELS)))
-    for level, (scene, own) in enumerate(pipeline.lit_boards(camera)):
-        shot = photographed(scene, own, seed, spp=pipeline.SPP)
-        where = pipeline.inner(texture.textured(shot.capture))[::2, ::2]
+    deviations = np.empty((len(WINDOWS_PX), boards.EXPOSURES, len(boards.LEVELS)))
+    for level, (scene, cropped) in enumerate(boards.lit_boards(camera)):
+        shot = photographed(scene, cropped, boards.SEED, spp=boards.SPP)
+        where = boards.inner(texture.textured(shot.capture))[::2, ::2]
         blur = float(geometry.blur_px(camera, float(np.nanmedian(shot.truth.depth_m))))
         candidates = np.arange(max(blur - AROUND_PX, STEP_PX), blur + AROUND_PX + STEP_PX / 2, STEP_PX)
-        for exposure, capture in enumerate(pipeline.exposures(shot)):
-            for row, scores in enumerate(_scores(capture, shot, candidates, window_px)):
-                error = _refined(scores, candidates)[where] - blur
-                found[row, exposure, level] = np.sqrt(np.mean((error - np.median(error)) ** 2))
-    return found / criteria.dioptre_px(camera)
+        for exposure, capture in enumerate(boards.exposures(shot)):
+            for row, scores in enumerate(_log_likelihoods(capture, shot, candidates)):
+                error = _most_likely(scores, candidates)[where] - blur
+                deviations[row, exposure, level] = np.sqrt(np.mean((error - np.median(error)) ** 2))
+    return deviations / criteria.dioptre_px(camera)
 
 
-def _scores(capture: Capture, shot: Shot, candidates: FloatArray, window_px: Sequence[float]) -> list[FloatArray]:
-    """Log likelihood of each candidate at each sample, [candidate, h, w], for each window.
+def _log_likelihoods(capture: Capture, shot: Shot, candidates: FloatArray) -> list[FloatArray]:
+    """Log likelihood of each candidate blur at each sample, [candidate, h, w], for each of ``WINDOWS_PX``.
 
-    Of both planes together: infrared, and green less what infrared tells of it, each in units of its own power.
+    The joint likelihood of both planes: of infrared, and of green minus its prediction from infrared, each whitened.
     """
     camera = capture.camera
     electrons, _ = mosaic.linearise(capture)
     planes, places = mosaic.planes(electrons, camera), mosaic.phases(camera)
     height, width = planes["G"].shape
     side = fourier.fast_shape((max(height, width),) * 2, MARGIN)[0]
-    spectra = [depth.transform(np.ascontiguousarray(planes[n]), places[n], (side, side)) for n in criteria.PLANES]
-    noise = [float(mosaic.noise_variance(capture).at(planes[name]).mean()) for name in criteria.PLANES]
-    gain = float(planes["IR"].mean() / planes["G"].mean())  # the board's white and black are so in both
+    spectra = [depth.transform(np.ascontiguousarray(planes[n]), places[n], (side, side)) for n in PLANES]
+    noise = [float(mosaic.noise_variance(capture).at(planes[name]).mean()) for name in PLANES]
+    gain = float(planes["IR"].mean() / planes["G"].mean())  # the board's white and black are the same in both
     power = _power(shot, side)
     transfer, _ = pupils.stop_transfers(
-        camera, candidates, pipeline.LIGHT, (side, side), spacing_px=SPACING_PX, fine_cells=CELLS
+        camera, candidates, boards.LIGHT, (side, side), spacing_px=SPACING_PX, fine_cells=CELLS
     )
-    names = cameras.channels(camera.sensor)
+    green_index, infrared_index = (cameras.channels(camera.sensor).index(name) for name in PLANES)
     band = power > 0
-    times = np.broadcast_to(cramer_rao.multiplicity(side), power.shape) / side**2
-    scores: list[list[FloatArray]] = [[] for _ in window_px]
+    multiplicity = np.broadcast_to(cramer_rao.multiplicity(side), power.shape) / side**2
+    scores: list[list[FloatArray]] = [[] for _ in WINDOWS_PX]
     for full in transfer:
-        green, infrared = full[names.index("G")], gain * full[names.index("IR")]
+        green, infrared = full[green_index], gain * full[infrared_index]
         own = power * np.abs(infrared) ** 2 + noise[1]
         across = power * green * np.conj(infrared)
         left = power * np.abs(green) ** 2 + noise[0] - np.abs(across) ** 2 / own
         parts = (spectra[1] / np.sqrt(own), (spectra[0] - across / own * spectra[1]) / np.sqrt(left))
         images = [fourier.inverse((part * band).astype(np.complex64), (side, side))[:height, :width] for part in parts]
         energy = np.sum([image * image for image in images], axis=0)
-        constant = float(((np.log(own) + np.log(left)) * times * band).sum())
-        for row, window in enumerate(window_px):
+        constant = float(((np.log(own) + np.log(left)) * multiplicity * band).sum())
+        for row, window in enumerate(WINDOWS_PX):
             sigma = window / SPACING_PX / np.sqrt(12)
             mean = cv2.GaussianBlur(energy, (0, 0), sigma, borderType=cv2.BORDER_REFLECT)
             scores[row].append(-(mean + constant) / 2)
@@ -188,22 +134,24 @@ def _scores(capture: Capture, shot: Shot, candidates: FloatArray, window_px: Seq
 
 
 def _power(shot: Shot, side: int) -> FloatArray:
-    """Power of green's texture on the grid, [side, side/2 + 1], from the truth's sharp picture; 0 below ``LOWEST``."""
+    """Power of the texture in green, [side, side/2 + 1], from the truth's sharp picture; 0 below ``LOWEST``.
+
+    A power law is fitted to Welch's estimate up to 0.25 cycles/px, the Nyquist frequency of the planes.
+    """
     names = cameras.channels(shot.capture.camera.sensor)
     sharp = shot.truth.sharp_e[..., names.index("G")].astype(np.float64)
-    small = (64, 64)
-    known = cramer_rao.picture_power(np.nan_to_num(sharp, nan=float(np.nanmean(sharp))), small)
-    rings = np.rint(np.hypot(*cramer_rao.frequencies(small, 1.0)) * small[0]).astype(int)
+    known = cramer_rao.picture_power(np.nan_to_num(sharp, nan=float(np.nanmean(sharp))), WELCH_SHAPE)
+    rings = np.rint(np.hypot(*cramer_rao.frequencies(WELCH_SHAPE, 1.0)) * WELCH_SHAPE[0]).astype(int)
     mean = np.bincount(rings.ravel(), known.ravel()) / np.bincount(rings.ravel())
-    frequency = np.arange(2, len(mean)) / small[0]  # the window smears what is left of the mean to the first
+    frequency = np.arange(2, len(mean)) / WELCH_SHAPE[0]  # the window leaks the rest of the mean into the first
     radius = np.hypot(*cramer_rao.frequencies((side, side), SPACING_PX))
-    slope, level = np.polyfit(np.log(frequency[:16]), np.log(mean[2:18]), 1)  # to 0.25 cycles/px, the planes' own
+    slope, level = np.polyfit(np.log(frequency[:16]), np.log(mean[2:18]), 1)
     density = np.exp(level) * np.maximum(radius, LOWEST) ** slope / SPACING_PX**2
     return np.asarray(np.where(radius >= LOWEST, density, 0.0))
 
 
-def _refined(scores: FloatArray, candidates: FloatArray) -> FloatArray:
-    """The candidate of the largest score at each sample, between candidates by a parabola, [h, w]."""
+def _most_likely(scores: FloatArray, candidates: FloatArray) -> FloatArray:
+    """The candidate of the largest score at each sample, [h, w], refined by a parabola through its neighbours."""
     peak = scores.argmax(axis=0)
     middle = np.clip(peak, 1, len(candidates) - 2)
     before, at, after = (np.take_along_axis(scores, (middle + d)[None], 0)[0] for d in (-1, 0, 1))

@@ -1,11 +1,11 @@
-"""What the best estimator makes of noisy patches: is the bound within reach, or does it take one depth for another?
+"""Maximum likelihood on simulated patches: whether the bound is attainable, or depths are confused with one another.
 
-The Cramer-Rao bound looks at the neighbourhood of the true blur alone. Here patches are drawn from the model itself,
+The Cramer-Rao bound describes the neighbourhood of the true blur only. Here patches are sampled from the model itself,
 spectra of a natural texture through the channels' transfer functions with noise, and the blur of the largest likelihood
-is sought among all blurs; texture and noise are known by their powers. With s and p of
-:mod:`validation.studies.criteria`,
+is searched among all blurs; the powers of texture and noise are known. In the notation of
+:mod:`validation.studies.criteria`, for a candidate blur c and the spectra y of the planes,
 
-    ln L(c) = sum over w of p q |s^H m y|^2 - ln(1 + p a).
+    ln L(c) = sum over frequencies of p q |s^H m y|^2 - ln(1 + p a).
 """
 
 from __future__ import annotations
@@ -18,69 +18,66 @@ from dasim.camera import specification as cameras
 from dasim.camera.specification import Camera
 from dasim.typing import FloatArray
 from validation.studies import criteria
+from validation.studies.criteria import PLANES, SPACING_PX, TexturePatch
 
 SHAPE = (16, 16)  # samples 2 px apart: the paper's patch of 31 px
-STEP_PX = 0.1  # of visible blur between the candidates
-BEYOND_PX = 8.0  # candidates reach that much farther than the largest true blur
-PATCHES = 100
-CELLS = 48  # of the transforms across the lens: 1 % of the bound
+STEP_PX = 0.1  # of visible blur, between candidates
+BEYOND_PX = 8.0  # candidates extend this much beyond the largest true blur
+PATCHES = 100  # per blur
+CELLS = 48  # of transforms across the lens: changes the bound by 1 %
 
 
 def likelihood_errors(
-    camera: Camera,
-    blur_px: FloatArray,
-    *,
-    light: str = "D65",
-    level_lux: float = 5000.0,
-    planes: tuple[str, ...] = criteria.PLANES,
-    patches: int = PATCHES,
-    seed: int = 0,
+    camera: Camera, blur_px: FloatArray, *, light: str = "D65", level_lux: float = 5000.0, patches: int = PATCHES
 ) -> tuple[FloatArray, FloatArray]:
-    """Root mean square error of the visible blur by maximum likelihood, px, and its bound, [blur] each.
+    """Root mean square error of the visible blur by maximum likelihood, and its bound, in px, [blur] each.
 
-    True blurs are moved to the nearest candidate.
+    True blurs ``blur_px`` are rounded to the nearest candidate. ``patches`` are simulated at each.
     """
-    seen = criteria.sight(camera, light, level_lux, planes)
-    index = [cameras.channels(camera.sensor).index(name) for name in planes]
+    patch = criteria.texture_patch(camera, light, level_lux)
+    index = [cameras.channels(camera.sensor).index(name) for name in PLANES]
     candidates = np.arange(STEP_PX, float(np.max(blur_px)) + BEYOND_PX, STEP_PX)
-    transfer, _ = pupils.stop_transfers(
-        camera, candidates, light, SHAPE, spacing_px=criteria.SPACING_PX, fine_cells=CELLS
-    )
-    s = (seen.gain[:, None, None] * transfer[:, index]).reshape(len(candidates), len(planes), -1)
-    power = _power(seen).ravel()
-    times = (np.ones((SHAPE[0], 1)) * cramer_rao.multiplicity(SHAPE[1])).ravel()
-    m = 1 / seen.noise[:, None]
-    gain = power * (m * np.abs(s) ** 2).sum(axis=1)
-    share, depth = power / (1 + gain) * times, (np.log1p(gain) * times).sum(axis=-1)
-    random = np.random.default_rng(seed)
+    transfer, _ = pupils.stop_transfers(camera, candidates, light, SHAPE, spacing_px=SPACING_PX, fine_cells=CELLS)
+    s = (patch.gain[:, None, None] * transfer[:, index]).reshape(len(candidates), len(PLANES), -1)
+    power = _power(patch)
     true = np.rint(blur_px / STEP_PX).astype(int) - 1
-    errors = []
-    for number in true:
-        texture, noise = _normal(random, (patches, 1, power.size)), _normal(random, (patches, *s.shape[1:]))
-        seen_now = np.sqrt(power) * texture * s[number] + np.sqrt(seen.noise)[:, None] * noise
-        matched = sum(
-            (m[plane] * seen_now[:, plane])[:, None] * np.conj(s[None, :, plane]) for plane in range(len(planes))
-        )
-        score = (np.abs(matched) ** 2 * share).sum(axis=-1) - depth
-        errors.append(np.sqrt(np.mean((candidates[score.argmax(axis=1)] - candidates[number]) ** 2)))
-    found, slope = pupils.camera_transfers(
-        camera, candidates[true], light, SHAPE, spacing_px=criteria.SPACING_PX, fine_cells=CELLS
+    errors = _simulated_errors(s, power.ravel(), patch.noise, candidates, true, patches)
+    own, slope = pupils.camera_transfers(
+        camera, candidates[true], light, SHAPE, spacing_px=SPACING_PX, fine_cells=CELLS
     )
     bound = cramer_rao.blur_deviation(
-        found[:, index], slope[:, index], _power(seen), seen.noise, width=SHAPE[1], gain=seen.gain, texture="known"
+        own[:, index], slope[:, index], power, patch.noise, width=SHAPE[1], gain=patch.gain, texture="known"
     )
-    return np.array(errors), bound
+    return errors, bound
 
 
-def _power(seen: criteria.Sight) -> FloatArray:
-    """The texture of ``seen`` on this grid: its power does not depend on the number of samples."""
-    contrast = np.sqrt(
-        seen.power[0, 4] / cramer_rao.natural_power(criteria.SHAPE, spacing_px=criteria.SPACING_PX)[0, 4]
-    )
-    return cramer_rao.natural_power(SHAPE, spacing_px=criteria.SPACING_PX, contrast=0.1 * float(contrast))
+def _simulated_errors(
+    s: NDArray, power: FloatArray, noise: FloatArray, candidates: FloatArray, true: NDArray[np.int_], patches: int
+) -> FloatArray:
+    """Root mean square error at the candidates of index ``true``, [blur]; ``s`` is [candidate, plane, frequency]."""
+    multiplicity = (np.ones((SHAPE[0], 1)) * cramer_rao.multiplicity(SHAPE[1])).ravel()
+    m = 1 / noise[:, None]
+    snr = power * (m * np.abs(s) ** 2).sum(axis=1)
+    share, penalty = power / (1 + snr) * multiplicity, (np.log1p(snr) * multiplicity).sum(axis=-1)
+    random = np.random.default_rng(0)
+    errors = []
+    for number in true:
+        texture, white = _normal(random, (patches, 1, power.size)), _normal(random, (patches, *s.shape[1:]))
+        y = np.sqrt(power) * texture * s[number] + np.sqrt(noise)[:, None] * white
+        matched = sum((m[plane] * y[:, plane])[:, None] * np.conj(s[None, :, plane]) for plane in range(s.shape[1]))
+        likelihood = (np.abs(matched) ** 2 * share).sum(axis=-1) - penalty
+        errors.append(np.sqrt(np.mean((candidates[likelihood.argmax(axis=1)] - candidates[number]) ** 2)))
+    return np.array(errors)
+
+
+def _power(patch: TexturePatch) -> FloatArray:
+    """Power of the texture of ``patch`` on the grid of ``SHAPE``; it does not depend on the number of samples."""
+    unit = cramer_rao.natural_power(criteria.SHAPE, spacing_px=SPACING_PX)
+    contrast = np.sqrt(patch.power[0, 4] / unit[0, 4])
+    return cramer_rao.natural_power(SHAPE, spacing_px=SPACING_PX, contrast=0.1 * float(contrast))
 
 
 def _normal(random: np.random.Generator, shape: tuple[int, ...]) -> NDArray[np.complex128]:
-    """Complex normal numbers of variance 1: the frequencies of a real patch, but for the few that are real."""
+    """Circular complex normal numbers of variance 1, like the spectrum of a patch but for its few real frequencies."""
     parts = random.normal(size=(2, *shape)) / np.sqrt(2)
     return np.asarray(parts[0] + 1j * parts[1])

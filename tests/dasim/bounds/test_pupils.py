@@ -1,0 +1,95 @@
+"""Transfer functions of pupils by FFT, against the simulator's kernels, Hopkins's integral and Bessel functions."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import dasim
+from dasim.bounds import cramer_rao, pupils
+from dasim.camera import geometry, pointspread, stops
+from dasim.camera import specification as cameras
+from dasim.spectra import illuminants
+from validation.references.transfer import hopkins_otf
+from validation.studies.shape.infrared_stop import with_mask
+
+BLURS = np.array([3.0, 14.0, 30.0, 47.0])
+SHAPE, SPACING_PX = (32, 32), 2.0
+# Kernels end 40 px beyond the blur and are scaled to unit sum there: 2 / pi^2 of lambda N / 40 px of a disc's light
+# lies beyond, 1.3 % of infrared's, which all frequencies above 0 lack; the longer rim of a ring diffracts as much.
+TRANSFER_TOLERANCE = 0.014
+DRAWN_TOLERANCE = 0.01  # of a rim drawn in cells of a hundredth of the radius
+
+
+@pytest.fixture(scope="module")
+def camera() -> dasim.Camera:
+    return cameras.refocused(dasim.load_camera("da-mobile"), 0.4)
+
+
+def round_stop(camera: dasim.Camera, stop: stops.Stop) -> np.ndarray:
+    spectrum = illuminants.illuminant("D65")
+    return cramer_rao.round_transfers(camera, BLURS, spectrum, SHAPE, spacing_px=SPACING_PX, stops=[stop])[0]
+
+
+@pytest.mark.parametrize(
+    "stop",
+    [
+        stops.Disc(name="hole", radius_ratio=0.46, passes_nm=((650, 830),)),
+        stops.Annulus(name="hole", shape="annulus", inner_ratio=0.4, outer_ratio=0.8, passes_nm=((650, 830),)),
+    ],
+)
+def test_transfer_functions_of_a_drawn_stop_are_those_of_its_radial_kernels(
+    camera: dasim.Camera, stop: stops.Stop
+) -> None:
+    amplitude = pupils.drawn(stop)
+    made = pupils.pupil(camera, stop, "D65", BLURS, len(amplitude), SHAPE, spacing_px=SPACING_PX)
+    found = pupils.transfers(made, amplitude, stops.open_area(stop) * np.pi)
+    infrared = cameras.channels(camera.sensor).index("IR")
+    exact = round_stop(camera, stop)
+    found, exact = (one[:, infrared].reshape(len(BLURS), -1)[:, 1:] for one in (found, exact))  # without frequency 0
+    np.testing.assert_allclose(found, exact, atol=TRANSFER_TOLERANCE)
+
+
+def test_one_wavelength_is_hopkins_closed_form() -> None:
+    """A single band of the grid against the integral, along an axis, without kernels or spectra."""
+    scale_px, blur = 1.2, 20.0
+    grid = pupils._grid(np.ones(1), scale_px, np.array([blur]), 256, 32, 2.0, 192)
+    disc = pupils.drawn(stops.Disc(name="disc", radius_ratio=0.5))
+    found = pupils.transfers(pupils.Pupil((grid,), (32, 32), np.ones(1)), disc, 0.25 * np.pi)[0, 0, 0]
+    frequency = np.fft.rfftfreq(32, 2.0)
+    exact = hopkins_otf(frequency * scale_px / 0.5, blur * 0.5 / (8 * scale_px / 0.5)) * np.sinc(frequency)
+    np.testing.assert_allclose(
+        found[1:], exact[1:], atol=2e-3
+    )  # the rim is drawn in cells of 1/128 of the lens's radius
+
+
+def test_a_mask_off_the_axis_has_the_phase_of_the_simulators_kernel(camera: dasim.Camera) -> None:
+    """Sign and axes of the phase of an off-axis part of the lens, against the kernel on the pixel grid."""
+    cells = 32
+    mask = np.zeros((cells, cells))
+    mask[6:12, 20:28] = 1.0
+    masked = with_mask(camera, mask)
+    depth_m = float(geometry.depth_of_blur_m(camera, 14.0))
+    kernel = pointspread.psf(masked, depth_m, "IR", "D65", size=91)
+    expected, _ = cramer_rao.kernel_transfers(np.stack([kernel, kernel])[:, None], [13.0, 14.0], SHAPE, spacing_px=2.0)
+    found, _ = pupils.stop_transfers(masked, np.array([14.0]), "D65", SHAPE, spacing_px=SPACING_PX)
+    infrared = cameras.channels(camera.sensor).index("IR")
+    lost = 1 - kernel.sum()  # light outside the frame
+    np.testing.assert_allclose(found[0, infrared], expected[1, 0], atol=TRANSFER_TOLERANCE + lost)
+    mirrored = np.conj(found[0, infrared]) - expected[1, 0]
+    assert np.abs(mirrored).max() > 10 * (TRANSFER_TOLERANCE + lost)
+
+
+def test_discs_off_the_axis_have_the_pupils_transform() -> None:
+    """The closed form of each of Bando's discs, against the transform of the disc drawn in cells."""
+    bando = cameras.refocused(dasim.load_camera("bando"), 0.4)
+    for stop in bando.stops:
+        assert isinstance(stop, stops.Disc)
+        assert stop.centre_ratio != (0.0, 0.0)
+        amplitude = pupils.drawn(stop)
+        made = pupils.pupil(bando, stop, "D65", BLURS, len(amplitude), SHAPE, spacing_px=SPACING_PX, fine_cells=192)
+        drawn = pupils.transfers(made, amplitude, stops.open_area(stop) * np.pi)
+        exact, electrons = pupils.disc_transfers(bando, stop, BLURS, "D65", SHAPE, SPACING_PX)
+        seen = electrons > 0.01 * electrons.max()
+        found, exact = (one[:, seen].reshape(len(BLURS), -1) for one in (drawn, exact))
+        np.testing.assert_allclose(found[:, 1:], exact[:, 1:], atol=DRAWN_TOLERANCE)

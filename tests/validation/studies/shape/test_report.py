@@ -1,0 +1,26 @@
+"""The page and the lines of a shape study."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from tests.support import browser
+from validation.studies.shape import files, report
+from validation.studies.shape.study import Study
+
+
+def test_the_page_opens_in_a_browser_without_errors(study: Study, tmp_path: Path) -> None:
+    page = tmp_path / "report.html"
+    page.write_text(report.page(study, files.slug), encoding="utf-8")
+    assert browser.screenshot(page).std() > 10, "the page is blank"
+
+
+def test_lines_name_every_design_and_give_no_spread_to_a_bound(study: Study) -> None:
+    text = list(report.lines(study))
+    for row, line in zip(study.rows, text[1:], strict=False):
+        assert line.startswith(row.name)
+        assert f"{row.depth_dioptre:.4f}" in line
+    bound = next(line for line in text if line.startswith("bound, periodic patch"))
+    board = next(line for line in text if line.startswith("likelihood on rendered boards"))
+    assert "+-" not in bound
+    assert "+-" in board

@@ -1,0 +1,27 @@
+"""Figures of rendered designs, cached as JSON: rendering and calibrating a design takes minutes."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from dasim.base import atomic
+from dasim.base.cache import cache_dir
+from validation.gates import stored
+
+
+def figures(key: Sequence[str], compute: Callable[[], dict[str, Any]]) -> dict[str, Any]:
+    """What ``compute`` returns for this key, from the cache if an earlier run computed it. Lists become tuples.
+
+    ``key`` holds everything that the figures depend on.
+    """
+    path = cache_dir() / "shape-study" / f"{stored.hashed(key)}.json"
+    if not path.is_file():
+        atomic.write(path, json.dumps(compute(), indent=1) + "\n")
+    return {name: as_tuple(value) for name, value in json.loads(path.read_text()).items()}
+
+
+def as_tuple(value: Any) -> Any:
+    """Nested lists as nested tuples; other values unchanged."""
+    return tuple(as_tuple(one) for one in value) if isinstance(value, list) else value
