@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import os
 import sys
+import tempfile
 
 # Small matrix products gain nothing from several threads, and idle threads spin, which slows a busy computer tenfold.
 for _name in ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
@@ -28,8 +29,18 @@ from dasim.camera import specification as cameras
 from dasim.camera.specification import Camera
 from dasim.render import backend
 from dasim.scene.specification import Scene
+from tests.support.shared import FOLDER
 
 REFERENCE = Path(__file__).parents[2] / "shared" / "reference"
+
+
+def pytest_configure(config):
+    """A folder for what the processes of this run share; they inherit the variable."""
+    if WORKERS > 1 or getattr(config.option, "numprocesses", None) is None or FOLDER in os.environ:
+        return
+    folder = tempfile.TemporaryDirectory(prefix="dasim-tests-")
+    os.environ[FOLDER] = folder.name
+    config.add_cleanup(folder.cleanup)
 
 
 @pytest.fixture(scope="session")

@@ -19,6 +19,7 @@ from dasim.camera import noise as sensor
 from dasim.simulation import calibration
 from dasim.spectra import illuminants
 from dasim.values import Capture, PsfBank
+from tests.support.shared import shared
 
 MARGIN_PX = 48
 GAMMA = 2.2
@@ -37,13 +38,13 @@ def da_mobile(width: int, height: int) -> specification.Camera:
     return specification.cropped(specification.load_camera("da-mobile"), width, height)
 
 
-@cache
+@shared
 def bank(lights: tuple[str, ...] = ("D65", "A")) -> PsfBank:
     cam = da_mobile(512, 384)
     return recon.calibrate(calibration.calibration_captures(cam, lights), cam)
 
 
-@cache
+@shared
 def stop_kernels(light: str, step: float = 0.5) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Levels, kernels [stop, level, channel, y, x] and electrons [stop, channel] relative to all green."""
     cam = da_mobile(512, 384)

@@ -102,9 +102,9 @@ def test_runs_side_by_side_make_the_same_bytes(spec, reference, tmp_path, rememb
 
 
 def test_workers_that_crash_cost_their_own_sample_alone(spec, reference, tmp_path):
-    """Four processes; the renderer ends its process at the last sample always, at the one before once."""
+    """Two processes; the renderer ends its process at the last sample always, at the one before once."""
     out = tmp_path / "ds"
-    done = made(spec, out, executors.local(4, deadly))
+    done = made(spec, out, executors.local(2, deadly))
     assert set(done.failed) == {23} and "SIGKILL" in done.failed[23]
     tries = Counter(logged(out))
     assert tries.pop((23, False)) == TRIES and tries.pop((22, False)) == 1
