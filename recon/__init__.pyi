@@ -2,9 +2,10 @@ from .calibration.cached import calibrate
 from .depth.method import METHODS, Method
 from .files.raw import load_raw
 from .files.reconstruction import load_reconstruction, save_reconstruction
+from .picture.develop import develop
 from .picture.infrared import measured_crosstalk
 from .picture.shading import check_flat
-from .pipeline import develop, reconstruct
+from .pipeline import reconstruct
 from .settings import DEFAULT, PAPER, PRESETS, Settings
 from .sharp.refocus import refocus
 from .values import (

@@ -13,12 +13,13 @@ FOCUS_TOLERANCE = 0.01  # relative, in dioptres, between bank and capture
 
 def check_fits(bank: PsfBank, capture: Capture) -> None:
     """InputError where a bank is of another camera or focus, or the camera shows no depth; frame sizes may differ."""
-    mine, banks = capture.camera, bank.camera
+    mine = capture.camera
     if "IR" not in channels(mine.sensor):
         raise InputError(
             f"camera '{mine.name}' has no infrared pixels, so that its captures show no depth; "
             "recon.develop makes the picture alone"
         )
+    banks = bank.camera
     wrong = [name for name, own, other in _kernel_properties(mine, banks) if own != other]
     if wrong:
         raise InputError(

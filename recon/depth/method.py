@@ -16,7 +16,6 @@ from recon.calibration.fit import check_fits
 from recon.depth.raw_levels import raw_levels, variances
 from recon.depth.scores import REFERENCE_ERROR
 from recon.picture import colour, mosaic
-from recon.picture.develop import blocks_any
 from recon.settings import PRESETS, Settings
 
 Method = Callable[[Capture, PsfBank], DepthEstimate]
@@ -32,7 +31,7 @@ def estimate(capture: Capture, bank: PsfBank, settings: Settings) -> DepthEstima
     check_fits(bank, capture)
     raw_e, saturated = mosaic.linearise(capture)
     camera = capture.camera
-    light = colour.choose_light(mosaic.planes(raw_e, camera), blocks_any(saturated), bank.signature)
+    light = colour.choose_light(mosaic.planes(raw_e, camera), mosaic.blocks_any(saturated), bank.signature)
     level, confidence = raw_levels(
         raw_e, variances(raw_e, capture), saturated, camera, bank.kernel[light], settings, bank.signature[light]
     )

@@ -11,7 +11,6 @@ from dasim.spectra.grid import CHANNELS
 from dasim.typing import Float32Array
 from dasim.values import Capture
 from recon.depth import scores, tiles
-from recon.picture import develop as picture
 from recon.picture import infrared, mosaic
 from recon.settings import Settings
 
@@ -47,7 +46,7 @@ def raw_levels(
 
     leak = _leak("G", camera, white, settings)
     further = ["R"] if settings.score == "bands" and "R" in _fallbacks(camera) else []
-    usable = scores.window_mean(picture.blocks_any(saturated).astype(np.float32), settings) < settings.saturated_share
+    usable = scores.window_mean(mosaic.blocks_any(saturated).astype(np.float32), settings) < settings.saturated_share
     level = np.full(planes["G"].shape, np.nan, np.float32)
     confidence = np.zeros_like(level)
     open_ = usable.copy()  # where no channel has shown an edge yet

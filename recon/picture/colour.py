@@ -14,12 +14,14 @@ from dasim.camera.specification import Camera, channels
 from dasim.spectra import grid
 from dasim.spectra.colour import fitted_matrix
 from dasim.typing import Float32Array, FloatArray
-from recon.picture import infrared
+from dasim.values import PsfBank
+from recon.picture import infrared, mosaic
 from recon.picture.infrared import light_power
 from recon.settings import PAPER
 
 DARK_SHARE = 0.02  # of the brightest: darker areas tell little of the light
 MINKOWSKI = 4.0  # between grey world (1) and white patch (infinity): "shades of grey", Finlayson and Trezzi 2004
+FAR_LIGHT = 1.0  # in log-chromaticity: D65 and A are 1.46 apart, photographs within 0.5 of their own light
 BLOCK_PX = 8  # of the planes: averaging takes noise and clipped points out of the high power
 
 
@@ -43,6 +45,20 @@ def light_distances(planes: dict[str, NDArray], saturated: NDArray, signature: N
     measured = np.log(mean / mean[green])
     known = np.log(np.maximum(signature, np.finfo(np.float32).tiny))
     return np.asarray(np.sqrt(((known - measured) ** 2).sum(axis=1)))
+
+
+def light_notes(raw_e: Float32Array, saturated: NDArray, camera: Camera, bank: PsfBank) -> tuple[str, ...]:
+    """A note where the picture's white lies far from every light of the bank, or cannot be measured."""
+    distance = light_distances(mosaic.planes(raw_e, camera), mosaic.blocks_any(saturated), bank.signature)
+    if distance is None:
+        return (f"the picture is too dark or too bright to measure its light; {bank.lights[0]} is assumed",)
+    nearest = int(distance.argmin())
+    if distance[nearest] < FAR_LIGHT:
+        return ()
+    return (
+        f"the picture's white lies far from every light of the bank ({', '.join(bank.lights)}), the nearest is "
+        f"{bank.lights[nearest]}; if it was taken under another light, add that with 'dasim calibrate --illuminant'",
+    )
 
 
 def _minkowski(plane: NDArray, saturated: NDArray) -> float:

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from contextlib import AbstractContextManager
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -13,35 +12,73 @@ from numpy.typing import NDArray
 from dasim.base.errors import InputError
 from dasim.camera.specification import Camera
 from dasim.spectra.colour import exposure_scale, to_srgb
-from dasim.typing import Float32Array, FloatArray
-from dasim.values import Capture
+from dasim.typing import BoolArray, Float32Array, FloatArray, Progress
+from dasim.values import Capture, Developed
 from recon.picture import colour, denoise, infrared, mosaic, shading
-from recon.settings import Settings
-
-Stage = Callable[[str], AbstractContextManager[None]]
+from recon.settings import DEFAULT, Settings
+from recon.stages import Stage, stages
 
 MIN_FRAME_PX = 32
-CLIPPED_NEAR_PX = 5  # interpolation takes most of a value from pixels within two
+CLIPPED_NEAR_PX = 5  # side of the square in which a saturated pixel spoils the interpolated values
+LIGHTS = ("D65", "D55", "A", "energy-saving-3500K")  # sec. 5.1, that white balance chooses from without a bank
+STAGES = ("linearise", "light", "denoise", "infrared", "demosaic", "colour")
+
+
+@dataclass(frozen=True)
+class Linear:
+    """A linear mosaic, and what is measured on it once."""
+
+    raw_e: Float32Array  # [h, w] electrons
+    saturated: BoolArray  # [h, w]
+    light: int  # index of the light, by white balance
+    gain: Float32Array | None  # [h, w] that undoes the lens shading; None without a flat
 
 
 @dataclass(frozen=True)
 class Demosaiced:
-    """Every channel at full resolution, as far as a conventional pipeline takes it, electrons."""
+    """Every channel at full resolution, electrons."""
 
-    raw_e: Float32Array  # [h, w] mosaic, linear
-    saturated: NDArray[np.bool_]  # [h, w]
-    light: int  # index of the light, by white balance
     full_e: Float32Array  # [h, w, 3], infrared included
     ir_e: Float32Array | None  # [h, w]; None where the mosaic has no infrared
 
 
-def demosaiced(
-    capture: Capture, signature: NDArray, settings: Settings, flat: Capture | None, stage: Stage
-) -> Demosaiced:
-    """Sec. 4.1-4.3 of one capture. ``signature`` [light, channel] are electrons of white under each light.
+def develop(
+    capture: Capture,
+    settings: Settings = DEFAULT,
+    *,
+    lights: Sequence[str] = LIGHTS,
+    flat: Capture | None = None,
+    progress: Progress | None = None,
+) -> Developed:
+    """The colour picture alone (sec. 4), of any supported mosaic, without a PSF bank.
 
-    The lens shading is undone after noise reduction, not before as in Fig. 4 (deviation): its gain changes slowly, so
-    the two commute, and the noise model stays that of the sensor.
+    White balance chooses among ``lights`` by the camera's response curves. ``flat`` is a capture of an even surface,
+    from which the lens shading is corrected.
+    """
+    camera = capture.camera
+    timings: dict[str, float] = {}
+    stage = stages(STAGES, timings, progress)
+    signature = colour.signatures(camera, lights)
+    linear = linearised(capture, signature, flat, stage)
+    with stage("denoise"):
+        clean_e = shaded(denoised(linear.raw_e, capture, settings), linear.gain)
+    image = demosaiced(clean_e, camera, signature[linear.light], stage)
+    light = lights[linear.light]
+    with stage("colour"):
+        separation = infrared.separation(camera, light, settings)
+        linear_e = without_infrared(image, separation, clipped(linear.saturated, camera), signature[linear.light])
+        matrix = colour.colour_matrix(camera, light, separation)
+        rgb = to_srgb(linear_e, matrix, exposure_scale(linear_e, matrix))
+    if progress:
+        progress("done", 1.0)
+    ir_e = None if image.ir_e is None else np.maximum(image.ir_e, 0)
+    return Developed(rgb, linear_e, ir_e, matrix, camera, light, settings.model_dump(), timings)
+
+
+def linearised(capture: Capture, signature: NDArray, flat: Capture | None, stage: Stage) -> Linear:
+    """Electrons of a capture, and its light by white balance.
+
+    ``signature`` [light, channel] are electrons of a white point under each light.
     """
     camera = capture.camera
     height, width = capture.raw_dn.shape
@@ -51,24 +88,17 @@ def demosaiced(
         raw_e, saturated = mosaic.linearise(capture)
         gain = None if flat is None else shading.gain(flat, camera)
     with stage("light"):
-        light = colour.choose_light(mosaic.planes(raw_e, camera), blocks_any(saturated), signature)
-    with stage("denoise"):
-        clean_e = denoised(raw_e, capture, settings) if settings.denoise else raw_e
-        clean_e = clean_e if gain is None else clean_e * gain
-    with stage("infrared"):
-        planes = mosaic.planes(clean_e, camera)
-        ir_e = infrared.interpolate(planes["IR"], mosaic.phases(camera)["IR"]) if "IR" in planes else None
-    with stage("demosaic"):
-        bayer = mosaic.to_bayer(clean_e, ir_e, camera, signature[light])
-        full_e = mosaic.demosaic(bayer, camera, signature[light])
-    return Demosaiced(raw_e, saturated, light, full_e, ir_e)
+        light = colour.choose_light(mosaic.planes(raw_e, camera), mosaic.blocks_any(saturated), signature)
+    return Linear(raw_e, saturated, light, gain)
 
 
 def denoised(raw_e: Float32Array, capture: Capture, settings: Settings) -> Float32Array:
-    """Sec. 4.1 on each grid of the mosaic [h, w]; the strength from the sensor's noise model.
+    """Sec. 4.1 on each grid of the mosaic [h, w], with the sensor's noise model; unchanged where it is off.
 
-    Two grids in a quincunx (green of a Bayer block, three channels of the 4x4 block) are taken one by one.
+    Two grids in a quincunx (green of a Bayer block, three channels of the 4x4 block) are denoised separately.
     """
+    if not settings.denoise:
+        return raw_e
     clean = np.empty_like(raw_e)
     variance = mosaic.noise_variance(capture)
     for own in mosaic.grids(capture.camera).values():
@@ -81,15 +111,36 @@ def denoised(raw_e: Float32Array, capture: Capture, settings: Settings) -> Float
     return clean
 
 
-def without_infrared(
-    full_e: Float32Array, ir_e: Float32Array | None, separation: FloatArray, clipped: NDArray, white: NDArray
-) -> Float32Array:
-    """Sec. 4.4 at full resolution, [h, w, 3]; what is ``clipped`` [h, w, 3] is taken for a lower bound.
+def shaded(mosaic_e: Float32Array, gain: Float32Array | None) -> Float32Array:
+    """A mosaic [h, w] with the lens shading corrected.
 
-    A saturated channel has lost more than infrared: it is raised to the brightest channel's level, all measured
-    against ``white`` [channel], so that a highlight is white and no pink (deviation: the paper does not treat them).
+    Deviation from Fig. 4: after noise reduction, not before. The gain changes slowly, so the two commute, and the
+    noise model stays that of the sensor.
     """
-    with_ir = full_e if ir_e is None else np.dstack([full_e, np.maximum(ir_e, 0)])
+    return mosaic_e if gain is None else mosaic_e * gain
+
+
+def demosaiced(mosaic_e: Float32Array, camera: Camera, white: NDArray, stage: Stage) -> Demosaiced:
+    """Sec. 4.2-4.3: infrared and colours at full resolution, from a mosaic [h, w] in electrons.
+
+    ``white`` [channel] are electrons of a white point under the light.
+    """
+    with stage("infrared"):
+        planes = mosaic.planes(mosaic_e, camera)
+        ir_e = infrared.interpolate(planes["IR"], mosaic.phases(camera)["IR"]) if "IR" in planes else None
+    with stage("demosaic"):
+        bayer = mosaic.to_bayer(mosaic_e, ir_e, camera, white)
+        full_e = mosaic.demosaic(bayer, camera, white)
+    return Demosaiced(full_e, ir_e)
+
+
+def without_infrared(image: Demosaiced, separation: FloatArray, clipped: NDArray, white: NDArray) -> Float32Array:
+    """Sec. 4.4 at full resolution, [h, w, 3]; values where ``clipped`` [h, w, 3] are lower bounds.
+
+    A saturated channel has lost more than infrared: it is raised to the brightest channel's level, all relative to
+    ``white`` [channel], so that a highlight is white instead of pink (deviation: the paper does not treat them).
+    """
+    with_ir = image.full_e if image.ir_e is None else np.dstack([image.full_e, np.maximum(image.ir_e, 0)])
     clean = infrared.separate(with_ir, separation)
     if not clipped.any():
         return clean
@@ -98,19 +149,9 @@ def without_infrared(
     return np.asarray(np.where(clipped, np.maximum(clean, level * neutral), clean), np.float32)
 
 
-def clipped(saturated: NDArray, camera: Camera) -> NDArray[np.bool_]:
-    """Where R, G and B took their value from a saturated pixel, [h, w, 3]."""
+def clipped(saturated: NDArray, camera: Camera) -> BoolArray:
+    """Where R, G and B are interpolated from a saturated pixel, [h, w, 3]."""
     own = mosaic.grids(camera)
     near = np.ones((CLIPPED_NEAR_PX, CLIPPED_NEAR_PX), np.uint8)
     masks = [(saturated & mosaic.sites(own[name], saturated.shape)).astype(np.uint8) for name in "RGB"]
     return np.dstack([cv2.dilate(mask, near) > 0 for mask in masks])
-
-
-def displayed(linear_e: Float32Array, matrix: FloatArray) -> Float32Array:
-    """Display values of linear colours, sRGB 0..1, with automatic exposure."""
-    return to_srgb(linear_e, matrix, exposure_scale(linear_e, matrix))
-
-
-def blocks_any(mask: NDArray) -> NDArray:
-    """2x2 blocks [h/2, w/2] with any pixel of a mask [h, w]."""
-    return mask[::2, ::2] | mask[1::2, ::2] | mask[::2, 1::2] | mask[1::2, 1::2]

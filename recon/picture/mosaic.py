@@ -123,6 +123,11 @@ def planes(mosaic: NDArray, camera: Camera) -> dict[str, NDArray]:
     return found
 
 
+def blocks_any(mask: NDArray) -> NDArray:
+    """2x2 blocks [h/2, w/2] with any pixel of a mask [h, w]."""
+    return mask[::2, ::2] | mask[1::2, ::2] | mask[::2, 1::2] | mask[1::2, 1::2]
+
+
 def sites(own: tuple[Grid, ...], shape: tuple[int, ...]) -> BoolArray:
     """The pixels of a channel's grids, bool [h, w]."""
     mask = np.zeros(shape[:2], bool)

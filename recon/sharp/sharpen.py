@@ -8,13 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
 from functools import partial
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from dasim.typing import Float32Array
+from dasim.typing import Complex64Array, Float32Array
 from recon import fourier
 from recon.settings import Settings
 from recon.sharp import deconvolution, layers
@@ -35,6 +36,29 @@ PLAIN_PASSES = ((COLOURS, None),)
 PASSES = ((INFRARED, None), (COLOURS, INFRARED), (COLOURS, COLOURS))  # what is deconvolved, and whose edges guide it
 
 
+@dataclass(frozen=True)
+class Frame:
+    """A frame to deconvolve: its pictures, the level of every pixel, and the blur of each level."""
+
+    stack: Float32Array  # [channel, h, w] electrons
+    draft: Float32Array  # [channel, h, w] first all-in-focus estimate
+    noise: Float32Array  # [channel] standard deviation
+    position: Float32Array  # [h, w] place of the level among the deconvolved ones
+    transfers: layers.Transfers
+    reach_px: list[int]  # of the kernel of each deconvolved level
+
+
+@dataclass(frozen=True)
+class Pass:
+    """One pass of the deconvolution: which channels, and what their prior expects."""
+
+    part: slice  # of the frame's channels
+    kappa: Float32Array  # [node, channel] weight of the prior
+    steps: int  # iterations of half-quadratic splitting
+    guide: Float32Array | None  # [h, w] sharp picture whose gradients the prior expects
+    phases: Phases | None  # places of the channels' samples in the 2x2 block, where all have one
+
+
 def sharpen(
     stack: Float32Array,
     level: Float32Array,
@@ -46,32 +70,29 @@ def sharpen(
     """All-in-focus colours [h, w, 3] from linear ones without infrared and infrared, [4, h, w], and their level map.
 
     ``kernels`` [level, channel, size, size] blur R, G, B without infrared (:func:`visible_kernels`) and IR,
-    ``noise_e`` [channel] is the noise's standard deviation. A pixel takes its value between the two nearest
+    ``noise_e`` [channel] is the standard deviation of the noise. A pixel is interpolated between the two nearest
     levels, eq. (17). ``phases`` are the places (row, column) of each channel's samples in the 2x2 block of the
-    mosaic, None for a channel with other places: only samples count as data, since what lies between them is
-    interpolated, and holds the interpolation's errors.
+    mosaic, None for a channel with other places: only samples count as data, because the pixels between them are
+    interpolated and carry interpolation errors.
 
-    Deviations from the paper: infrared is taken out first, since a mixed kernel is right for one reflectance
-    only; the regularised level map with fractions, not the raw one (no seams); what lies at other levels is
-    replaced beforehand by a first estimate blurred to this level, because each layer's deconvolution
-    assumes one blur everywhere; the prior of the colours expects the gradients of the sharp infrared
-    picture, scaled to each colour, and then once more those of the sharp colours' own mean, where
-    ``sharpen_guide`` says so.
+    Deviations from the paper: infrared is removed first, since a mixed kernel is right for one reflectance only; the
+    level map is the regularised one with fractions, not the raw one (no seams); pixels at other levels are replaced
+    beforehand by a first estimate blurred to this level, because each layer's deconvolution assumes one blur
+    everywhere; with ``sharpen_guide``, the prior of the colours expects the gradients of the sharp infrared picture,
+    scaled to each colour, and in a second pass those of the mean of the sharp colours.
     """
     nodes = layers.levels_of_nodes(len(kernels))
     transfers, reach_px = layers.transfers(kernels, nodes)
     position = np.interp(level, nodes, np.arange(len(nodes))).astype(np.float32)
     tiles = list(layers.tiles(position, reach_px))
     noise = np.maximum(np.asarray(noise_e, np.float32), np.float32(1e-3))
-    draft = _draft(stack, tiles, transfers, noise)
+    frame = Frame(stack, _draft(stack, tiles, transfers, noise), noise, position, transfers, reach_px)
     sharp = np.zeros_like(stack)
     for part, guided_by in PASSES if settings.sharpen_guide else PLAIN_PASSES:
         guide = None if guided_by is None else (sharp[guided_by] / noise[guided_by, None, None]).mean(axis=0)
-        kappa = _prior_scale(draft[part], noise[part], position, len(nodes)) / settings.sharpen_strength
+        kappa = _prior_scale(frame.draft[part], noise[part], position, len(nodes)) / settings.sharpen_strength
         own = None if phases is None or None in phases[part] else phases[part]
-        work = partial(
-            _deconvolved, stack, draft, guide, position, part, noise, kappa, settings, own, transfers, reach_px
-        )
+        work = partial(_deconvolved, frame, Pass(part, kappa, settings.sharpen_steps, guide, own))
         sharp[part] = np.maximum(_collected(len(stack[part]), position.shape, tiles, work), 0)
     return np.ascontiguousarray(np.moveaxis(sharp[COLOURS], 0, -1))
 
@@ -151,52 +172,55 @@ def _prior_scale(draft: Float32Array, noise: Float32Array, position: Float32Arra
     return kappa
 
 
-def _deconvolved(
-    stack: Float32Array,
-    draft: Float32Array,
-    guide: Float32Array | None,
-    position: Float32Array,
-    part: slice,
-    noise: Float32Array,
-    kappa: Float32Array,
-    settings: Settings,
-    phases: Phases | None,
-    transfers: layers.Transfers,
-    reach_px: list[int],
-    tile: Tile,
-) -> Float32Array:
-    """A tile, [channel, h, w]: each of its levels deconvolved, where other levels are the draft blurred to this one."""
-    box, shape = tile.box, tile.shape
-    unit = noise[part, None, None]
-    picture = stack[part, *box] / unit
-    first = draft[part, *box] / unit
-    steps_2 = np.asarray(sum(np.mean(np.diff(first, axis=axis) ** 2, axis=(1, 2)) for axis in (1, 2)))
-    first_spectrum = fourier.forward(_padded(first, shape), 1)
-    near_ir = None if guide is None else _padded(guide[None, *box], shape)
-    near_spectrum = None if near_ir is None else fourier.forward(near_ir, 1)
+def _deconvolved(frame: Frame, own: Pass, tile: Tile) -> Float32Array:
+    """A tile, [channel, h, w]: the sum of its levels' deconvolutions, weighted by each pixel's share of a level."""
+    unit = frame.noise[own.part, None, None]
+    picture, draft = (image[own.part, *tile.box] / unit for image in (frame.stack, frame.draft))
+    gradients = np.asarray(sum(np.mean(np.diff(draft, axis=axis) ** 2, axis=(1, 2)) for axis in (1, 2)))
+    spectrum = fourier.forward(_padded(draft, tile.shape), 1)
+    guide = None if own.guide is None else _padded(own.guide[None, *tile.box], tile.shape)
+    guide_spectrum = None if guide is None else fourier.forward(guide, 1)
+    phases = None if own.phases is None else _within(own.phases, tile.box)
     total = np.zeros((len(unit), *tile.position.shape), np.float32)
-    own = None if phases is None else _within(phases, box)
     for index, node in enumerate(tile.nodes):
-        all_transfers, variances = transfers(node, shape)
-        transfer, variance = all_transfers[part], variances[part]
-        near = np.clip(1 - (np.abs(position[box] - node) - 1) / FEATHER_LEVELS, 0, 1).astype(np.float32)
-        near *= _inside_frame(box, position.shape, BORDER_SHARE * reach_px[node])
-        inside = (slice(None), slice(0, near.shape[0]), slice(0, near.shape[1]))
-        mixed = near * picture + (1 - near) * fourier.inverse(first_spectrum * transfer, shape, 1)[inside]
-        padded = _padded(mixed, shape)
+        transfers, variances = frame.transfers(node, tile.shape)
+        transfer, variance = transfers[own.part], variances[own.part]
+        blurred_draft = fourier.inverse(spectrum * transfer, tile.shape, 1)
+        one_level = _padded(_of_one_level(picture, blurred_draft, _near(frame, tile, node)), tile.shape)
         expected = None
-        if near_ir is not None and near_spectrum is not None:
-            blurred = fourier.inverse(near_spectrum * transfer, shape, 1)
-            expected = _expected(padded, near_ir, blurred)
-        trust = deconvolution.data_trust(variance, steps_2, shape)
-        weight, steps = kappa[node], settings.sharpen_steps
-        if own is None:
-            weight = weight / INTERPOLATED_WEIGHT
-            found = deconvolution.half_quadratic(padded, transfer, weight, steps, expected, trust)
-        else:
-            found = deconvolution.half_quadratic_samples(padded, own, transfer, weight, steps, expected, trust)
-        total += tile.share(index) * found[:, *tile.inner]
+        if guide is not None and guide_spectrum is not None:
+            expected = _expected(one_level, guide, fourier.inverse(guide_spectrum * transfer, tile.shape, 1))
+        trust = deconvolution.data_trust(variance, gradients, tile.shape)
+        sharp = _solved(one_level, transfer, own.kappa[node], own.steps, phases, expected, trust)
+        total += tile.share(index) * sharp[:, *tile.inner]
     return total * unit
+
+
+def _near(frame: Frame, tile: Tile, node: int) -> Float32Array:
+    """Share 0..1 of each pixel of a tile's box [h, w] that is used as captured at a level."""
+    near = np.clip(1 - (np.abs(frame.position[tile.box] - node) - 1) / FEATHER_LEVELS, 0, 1).astype(np.float32)
+    return near * _inside_frame(tile.box, frame.position.shape, BORDER_SHARE * frame.reach_px[node])
+
+
+def _of_one_level(picture: Float32Array, blurred_draft: Float32Array, near: Float32Array) -> Float32Array:
+    """A picture [channel, h, w] in which pixels of other levels are the draft blurred to this one."""
+    height, width = near.shape
+    return near * picture + (1 - near) * blurred_draft[:, :height, :width]
+
+
+def _solved(
+    picture: Float32Array,
+    transfer: Complex64Array,
+    kappa: Float32Array,
+    steps: int,
+    phases: list[tuple[int, int]] | None,
+    expected: tuple[Float32Array, Float32Array] | None,
+    trust: Float32Array,
+) -> Float32Array:
+    """The deconvolution of one level: from the samples at ``phases``, from all pixels without."""
+    if phases is None:
+        return deconvolution.half_quadratic(picture, transfer, kappa / INTERPOLATED_WEIGHT, steps, expected, trust)
+    return deconvolution.half_quadratic_samples(picture, phases, transfer, kappa, steps, expected, trust)
 
 
 def _within(phases: Phases, box: tuple[slice, slice]) -> list[tuple[int, int]]:

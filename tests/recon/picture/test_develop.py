@@ -123,7 +123,7 @@ def test_a_saturated_colour_keeps_its_hue():
     clipped = np.array([[[True, False, False]]])
     rows = infrared.separation(small("da-mobile"), "A", recon.PAPER)
     ir, white = np.full((1, 1), 1500, np.float32), np.array([2.0, 1.0, 0.5, 1.4])
-    clean = develop.without_infrared(full, ir, rows, clipped, white)
+    clean = develop.without_infrared(develop.Demosaiced(full, ir), rows, clipped, white)
     np.testing.assert_allclose(clean, full - 1500 * infrared.crosstalk(small("da-mobile")), rtol=1e-5)
 
 
