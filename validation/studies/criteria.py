@@ -96,9 +96,9 @@ def blur_variance(
     s = signal.s
     derivatives = [gain * slope, s / 2]  # by the blur, and by the logarithm of the texture's power
     for plane in range(1, s.shape[1]):  # by the logarithm of each gain
-        own = np.zeros_like(s)
-        own[:, plane] = s[:, plane]
-        derivatives.append(own)
+        by_gain = np.zeros_like(s)
+        by_gain[:, plane] = s[:, plane]
+        derivatives.append(by_gain)
     information, direction = _marginalised(_fisher_information(signal, derivatives) * patch.multiplicity, texture)
     by_s, by_slope = _information_gradient(signal, derivatives, direction)
     weight = gain * patch.multiplicity
@@ -164,14 +164,14 @@ def _marginalised(information: FloatArray, texture: Texture) -> tuple[FloatArray
     else:
         rings = _rings()
         per_ring = information.reshape(*information.shape[:3], -1) @ rings.T  # [parameter, parameter, blur, ring]
-        own = per_ring[1, 1]
-        ratio = np.divide(per_ring[1], own, out=np.zeros_like(per_ring[1]), where=own > 0)
+        strength = per_ring[1, 1]
+        ratio = np.divide(per_ring[1], strength, out=np.zeros_like(per_ring[1]), where=strength > 0)
         free = (per_ring - per_ring[:, 1, None] * ratio[None]).sum(axis=-1)
         rest = _nuisance_direction(free, range(2, len(information)))
         direction[2:] = rest[..., None, None]
         weights = np.concatenate([np.ones((1, len(whole))), np.zeros((1, len(whole))), rest])
-        strength = -np.einsum("pbr,pb->br", ratio, weights)
-        direction[1] = (strength @ rings).reshape(information.shape[2:])
+        by_ring = -np.einsum("pbr,pb->br", ratio, weights)
+        direction[1] = (by_ring @ rings).reshape(information.shape[2:])
     left = np.einsum("ibyx,ijbyx,jbyx->b", direction, information, direction)
     return np.where(left > cramer_rao.NOTHING * np.maximum(whole, np.finfo(float).tiny), left, 0.0), direction
 

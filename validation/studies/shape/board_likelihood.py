@@ -11,11 +11,13 @@ better.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from dasim.bounds import cramer_rao, pupils
 from dasim.camera import geometry
@@ -90,8 +92,8 @@ def board_deviations(camera: Camera) -> FloatArray:
         blur = float(geometry.blur_px(camera, float(np.nanmedian(shot.truth.depth_m))))
         candidates = np.arange(max(blur - AROUND_PX, STEP_PX), blur + AROUND_PX + STEP_PX / 2, STEP_PX)
         for exposure, capture in enumerate(boards.exposures(shot)):
-            for row, scores in enumerate(_log_likelihoods(capture, shot, candidates)):
-                error = _most_likely(scores, candidates)[where] - blur
+            for row, likelihood in enumerate(_log_likelihoods(capture, shot, candidates)):
+                error = _most_likely(likelihood, candidates)[where] - blur
                 deviations[row, exposure, level] = np.sqrt(np.mean((error - np.median(error)) ** 2))
     return deviations / criteria.dioptre_px(camera)
 
@@ -116,21 +118,34 @@ def _log_likelihoods(capture: Capture, shot: Shot, candidates: FloatArray) -> li
     green_index, infrared_index = (cameras.channels(camera.sensor).index(name) for name in PLANES)
     band = power > 0
     multiplicity = np.broadcast_to(cramer_rao.multiplicity(side), power.shape) / side**2
-    scores: list[list[FloatArray]] = [[] for _ in WINDOWS_PX]
-    for full in transfer:
-        green, infrared = full[green_index], gain * full[infrared_index]
-        own = power * np.abs(infrared) ** 2 + noise[1]
-        across = power * green * np.conj(infrared)
-        left = power * np.abs(green) ** 2 + noise[0] - np.abs(across) ** 2 / own
-        parts = (spectra[1] / np.sqrt(own), (spectra[0] - across / own * spectra[1]) / np.sqrt(left))
+    likelihoods: list[list[FloatArray]] = [[] for _ in WINDOWS_PX]
+    for one in transfer:
+        parts, log_determinant = _whitened(spectra, (one[green_index], gain * one[infrared_index]), power, noise)
         images = [fourier.inverse((part * band).astype(np.complex64), (side, side))[:height, :width] for part in parts]
         energy = np.sum([image * image for image in images], axis=0)
-        constant = float(((np.log(own) + np.log(left)) * multiplicity * band).sum())
+        constant = float((log_determinant * multiplicity * band).sum())
         for row, window in enumerate(WINDOWS_PX):
             sigma = window / SPACING_PX / np.sqrt(12)
             mean = cv2.GaussianBlur(energy, (0, 0), sigma, borderType=cv2.BORDER_REFLECT)
-            scores[row].append(-(mean + constant) / 2)
-    return [np.stack(one) for one in scores]
+            likelihoods[row].append(-(mean + constant) / 2)
+    return [np.stack(one) for one in likelihoods]
+
+
+def _whitened(
+    spectra: Sequence[NDArray], transfer: Sequence[NDArray], power: FloatArray, noise: Sequence[float]
+) -> tuple[tuple[NDArray, NDArray], FloatArray]:
+    """Two independent spectra of unit power for those of (green, infrared), and ln det C at each frequency.
+
+    C = power s s^H + diag(noise), s the two ``transfer`` functions. The first spectrum is infrared, the second green
+    minus its prediction from infrared (Cholesky's factorisation of C).
+    """
+    green, infrared = transfer
+    infrared_power = power * np.abs(infrared) ** 2 + noise[1]
+    across = power * green * np.conj(infrared)
+    residual_power = power * np.abs(green) ** 2 + noise[0] - np.abs(across) ** 2 / infrared_power
+    residual = spectra[0] - across / infrared_power * spectra[1]
+    whitened = (spectra[1] / np.sqrt(infrared_power), residual / np.sqrt(residual_power))
+    return whitened, np.log(infrared_power) + np.log(residual_power)
 
 
 def _power(shot: Shot, side: int) -> FloatArray:
@@ -150,11 +165,11 @@ def _power(shot: Shot, side: int) -> FloatArray:
     return np.asarray(np.where(radius >= LOWEST, density, 0.0))
 
 
-def _most_likely(scores: FloatArray, candidates: FloatArray) -> FloatArray:
-    """The candidate of the largest score at each sample, [h, w], refined by a parabola through its neighbours."""
-    peak = scores.argmax(axis=0)
+def _most_likely(likelihood: FloatArray, candidates: FloatArray) -> FloatArray:
+    """The candidate of the largest likelihood at each sample, [h, w], refined by a parabola through its neighbours."""
+    peak = likelihood.argmax(axis=0)
     middle = np.clip(peak, 1, len(candidates) - 2)
-    before, at, after = (np.take_along_axis(scores, (middle + d)[None], 0)[0] for d in (-1, 0, 1))
+    before, at, after = (np.take_along_axis(likelihood, (middle + d)[None], 0)[0] for d in (-1, 0, 1))
     bend = 2 * at - before - after
     move = np.where((peak == middle) & (bend > 0), (after - before) / (2 * np.where(bend > 0, bend, 1)), 0)
     return np.interp(np.where(peak == middle, middle + move, peak), np.arange(len(candidates)), candidates)

@@ -168,12 +168,12 @@ def _searched(plan: Plan, progress: Progress) -> list[Design]:
     """The best mask of each of ``SEARCHES``."""
     blurs = criteria.blurs_between(plan.camera, plan.near_m, plan.far_m, SEARCH_BLURS)
     stop = _free_stop(plan, blurs, plan.cells, plan.budget, plan.objective, SEARCH_FINE)
-    found = []
+    best = []
     for name, grey, symmetry in SEARCHES:
         one = Search(plan.cells, plan.budget, plan.feature_cells, grey, symmetry, plan.iterations)
         seeds = range(plan.seeds)
-        found.append(search.best_of(stop, one, seeds, lambda share, n=name: progress(f"search, {n}", share)))  # type: ignore[misc]
-    return found
+        best.append(search.best_of(stop, one, seeds, lambda share, n=name: progress(f"search, {n}", share)))  # type: ignore[misc]
+    return best
 
 
 def _compared(
