@@ -1,4 +1,4 @@
-"""Types of arrays and callbacks that the whole package shares."""
+"""Types of arrays and callbacks that all rooms share."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 FloatArray = NDArray[np.float64]
 Float32Array = NDArray[np.float32]
 Complex64Array = NDArray[np.complex64]
+ComplexArray = NDArray[np.complex128]
 BoolArray = NDArray[np.bool_]
 
 Progress = Callable[[str, float], None]

@@ -27,9 +27,7 @@ from dasim.camera.specification import Camera
 from dasim.camera.stops import Stop
 from dasim.spectra import grid as spectra
 from dasim.spectra import illuminants
-from dasim.typing import FloatArray
-
-ComplexArray = NDArray[np.complex128]
+from dasim.typing import ComplexArray, FloatArray
 
 BAND_NM = 40.0  # wavelengths that share one grid: lambda changes by 5 %, the transfer function of c not at all
 FINE_CELLS = 96  # across the lens at least, so that averaging onto a wavelength's grid blurs no mask of 48 cells

@@ -15,19 +15,19 @@ import cv2
 import numpy as np
 
 from dasim.base.errors import InputError
-from dasim.materials.surfaces import Image
+from dasim.typing import Float32Array
 
 SIZE_PX = 1024
 OVERSAMPLING = 4
 
 
-def _positions(size: int) -> tuple[Image, Image]:
+def _positions(size: int) -> tuple[Float32Array, Float32Array]:
     """Pixel centres across and down, 0..1 over the image."""
     centres = ((np.arange(size) + 0.5) / size).astype(np.float32)
     return centres[None, :], centres[:, None]
 
 
-def _area_sampled(inside: Callable[[Image, Image], np.ndarray]) -> Image:
+def _area_sampled(inside: Callable[[Float32Array, Float32Array], np.ndarray]) -> Float32Array:
     """Mean over each pixel of a function of the position that is 0 or 1."""
     x, y = _positions(SIZE_PX * OVERSAMPLING)
     result = np.empty((SIZE_PX, SIZE_PX), np.float32)
@@ -38,28 +38,28 @@ def _area_sampled(inside: Callable[[Image, Image], np.ndarray]) -> Image:
     return result
 
 
-def _siemens_star(sectors: int) -> Image:
+def _siemens_star(sectors: int) -> Float32Array:
     """``sectors`` pairs of a bright and a dark sector; grey where they are finer than two pixels."""
     x, y = _positions(SIZE_PX)
     resolved = np.hypot(x - 0.5, y - 0.5) * SIZE_PX * np.pi / sectors > 2.0
 
-    def bright(x: Image, y: Image) -> np.ndarray:
+    def bright(x: Float32Array, y: Float32Array) -> np.ndarray:
         return np.sin(np.arctan2(y - 0.5, x - 0.5) * sectors) > 0
 
     return np.where(resolved, _area_sampled(bright), np.float32(0.5))
 
 
-def _checkerboard(squares: int) -> Image:
+def _checkerboard(squares: int) -> Float32Array:
     """``squares`` across and down, the first dark."""
     return _area_sampled(lambda x, y: (np.floor(x * squares) + np.floor(y * squares)) % 2)
 
 
-def _stripes(pairs: int) -> Image:
+def _stripes(pairs: int) -> Float32Array:
     """``pairs`` of a dark and a bright upright stripe."""
     return _area_sampled(lambda x, y: np.broadcast_to(np.floor(2 * x * pairs) % 2, (len(y), x.shape[1])))
 
 
-def _dead_leaves(seed: int) -> Image:
+def _dead_leaves(seed: int) -> Float32Array:
     """Occluding discs of even grey levels, radii r as r^-3 from 4 to 200 pixels (Lee, Mumford and Huang 2001)."""
     random = np.random.default_rng(seed)
     fine, count = SIZE_PX * 2, 20_000
@@ -71,7 +71,7 @@ def _dead_leaves(seed: int) -> Image:
     return np.asarray(cv2.resize(canvas, (SIZE_PX, SIZE_PX), interpolation=cv2.INTER_AREA), np.float32)
 
 
-def _fractal(seed: int, cells: tuple[int, int], octaves: int) -> Image:
+def _fractal(seed: int, cells: tuple[int, int], octaves: int) -> Float32Array:
     """Value noise of mean 0.5 in ``octaves``, each twice as fine and half as strong; ``cells`` across and down."""
     random = np.random.default_rng(seed)
     total, height = np.zeros((SIZE_PX, SIZE_PX), np.float32), 0.0
@@ -85,18 +85,18 @@ def _fractal(seed: int, cells: tuple[int, int], octaves: int) -> Image:
     return total / np.float32(height)
 
 
-def _stretched(values: Image, low: float = 0.0, high: float = 1.0) -> Image:
+def _stretched(values: Float32Array, low: float = 0.0, high: float = 1.0) -> Float32Array:
     """Values mapped so that the 1st and 99th percentile are 0 and 1, then to low..high."""
     bottom, top = np.percentile(values, (1, 99))
     return (low + (high - low) * np.clip((values - bottom) / (top - bottom), 0.0, 1.0)).astype(np.float32)
 
 
-def _noise(seed: int) -> Image:
+def _noise(seed: int) -> Float32Array:
     """Clouds: value noise in seven octaves, values 0..1."""
     return _stretched(_fractal(seed, (4, 4), 7))
 
 
-def _leaf_veins(pairs: int) -> Image:
+def _leaf_veins(pairs: int) -> Float32Array:
     """Veins bright on a blade: a midrib upright in the middle, ``pairs`` of curved side veins, and a fine net."""
     x, y = _positions(SIZE_PX)
     away = np.abs(x - 0.5)
@@ -109,7 +109,7 @@ def _leaf_veins(pairs: int) -> Image:
     return np.clip(np.maximum(np.maximum(midrib, 0.8 * side), net), 0.0, 1.0).astype(np.float32)
 
 
-def _wood_grain(seed: int) -> Image:
+def _wood_grain(seed: int) -> Float32Array:
     """A tangentially cut board: year rings drawn out along the grain (upright), and pores; 1 is late wood."""
     x, _ = _positions(SIZE_PX)
     rings = (x + 0.16 * (_fractal(seed, (3, 1), 3) - 0.5)) * 14.0
@@ -118,7 +118,7 @@ def _wood_grain(seed: int) -> Image:
     return np.clip(0.75 * late + 0.35 * pores**3, 0.0, 1.0).astype(np.float32)
 
 
-def _weave(threads: int) -> Image:
+def _weave(threads: int) -> Float32Array:
     """Plain weave of ``threads`` each way: 1 on a thread's crown, 0 in the gaps, yarns uneven by a tenth."""
     x, y = _positions(SIZE_PX)
     u, v = x * threads, y * threads
@@ -129,14 +129,14 @@ def _weave(threads: int) -> Image:
     return np.clip(crown * uneven, 0.0, 1.0).astype(np.float32)
 
 
-def _petal(seed: int) -> Image:
+def _petal(seed: int) -> Float32Array:
     """Streaks that run from the foot (below) to the rim and fork, over soft clouds."""
     streaks = _stretched(_fractal(seed, (40, 2), 3))
     clouds = _stretched(_fractal(seed + 1, (3, 3), 4))
     return np.clip(0.65 * streaks + 0.35 * clouds, 0.0, 1.0).astype(np.float32)
 
 
-def _skin(seed: int) -> Image:
+def _skin(seed: int) -> Float32Array:
     """Fine relief with pores (small dark spots), over soft patches."""
     relief = _stretched(_fractal(seed, (110, 110), 2), 0.25, 1.0)
     pores = np.clip((_stretched(_fractal(seed + 1, (60, 60), 1)) - 0.78) / 0.22, 0.0, 1.0)
@@ -145,7 +145,7 @@ def _skin(seed: int) -> Image:
 
 
 class _Kind(NamedTuple):
-    make: Callable[[int], Image]
+    make: Callable[[int], Float32Array]
     default: int
     meaning: str
     limits: tuple[int, int]
@@ -166,7 +166,7 @@ PATTERNS = {
 }
 
 
-def pattern(name: str) -> Image:
+def pattern(name: str) -> Float32Array:
     """The pattern ``NAME`` or ``NAME:NUMBER``: linear weights 0..1, [SIZE_PX, SIZE_PX], top row first, read-only."""
     kind, colon, text = name.partition(":")
     if kind not in PATTERNS:
@@ -182,7 +182,7 @@ def pattern(name: str) -> Image:
 
 
 @lru_cache(maxsize=16)
-def _drawn(kind: str, number: int) -> Image:
+def _drawn(kind: str, number: int) -> Float32Array:
     image = np.ascontiguousarray(PATTERNS[kind].make(number), np.float32)
     image.setflags(write=False)
     return image

@@ -20,9 +20,9 @@ import numpy as np
 
 from dasim.base.errors import InputError
 from dasim.materials import patterns, reflectances
-from dasim.materials.surfaces import Diffuse, Image, Mixture, Surface
+from dasim.materials.surfaces import Diffuse, Mixture, Surface
 from dasim.spectra.grid import LUMINANCE, WAVELENGTH_NM, long_pass
-from dasim.typing import FloatArray
+from dasim.typing import Float32Array, FloatArray
 
 NEAR_INFRARED_RULES = ("print", "dyed", "achromatic")
 BLACK_INK = "carbon-black"
@@ -32,7 +32,7 @@ DYED_FABRIC = "cotton-undyed"
 CHANGE_OVER_NM = (650.0, 16.0)  # where the achromatic rule leaves the RGB basis, and in what width (10-90 %)
 
 
-def photograph_surface(image: Image, rule: str, repeat: tuple[float, float] = (1.0, 1.0)) -> Surface:
+def photograph_surface(image: Float32Array, rule: str, repeat: tuple[float, float] = (1.0, 1.0)) -> Surface:
     """The surface of a photograph by one of ``NEAR_INFRARED_RULES``.
 
     ``image`` is linear sRGB, [h, w, 3] 0..1, top row first; ``repeat`` the copies across and down.
@@ -48,7 +48,7 @@ def photograph_surface(image: Image, rule: str, repeat: tuple[float, float] = (1
     return _cube(image, _dyed_corner if rule == "dyed" else _achromatic_corner, repeat)
 
 
-def printed(image: Image, paper: FloatArray, black_generation: float, repeat: tuple[float, float]) -> Surface:
+def printed(image: Float32Array, paper: FloatArray, black_generation: float, repeat: tuple[float, float]) -> Surface:
     """Halftone print by the Neugebauer model with Demichel's coverages.
 
     Ink coverages are 1 - R, 1 - G, 1 - B (Murray-Davies), their common part partly replaced by black.
@@ -65,7 +65,9 @@ def printed(image: Image, paper: FloatArray, black_generation: float, repeat: tu
     return Mixture(np.ascontiguousarray(black), colours, Diffuse(reflectances.curve(BLACK_INK)), repeat)
 
 
-def _cube(image: Image, corner: Callable[[tuple[int, int, int]], FloatArray], repeat: tuple[float, float]) -> Mixture:
+def _cube(
+    image: Float32Array, corner: Callable[[tuple[int, int, int]], FloatArray], repeat: tuple[float, float]
+) -> Mixture:
     """Eight spectra mixed trilinearly by the three planes of an image, [h, w, 3]: one level of mixtures a plane."""
     planes = [np.ascontiguousarray(image[..., plane]) for plane in range(3)]
 
@@ -103,7 +105,7 @@ def _srgb_basis() -> FloatArray:
 # --- files ---------------------------------------------------------------------------------------
 
 
-def linear_rgb(image: str, folder: Path) -> Image:
+def linear_rgb(image: str, folder: Path) -> Float32Array:
     """A photograph in linear light, [h, w, 3] 0..1: a file, ``skimage:NAME`` or a pattern.
 
     Files are sRGB of 8 or 16 bits, ``skimage:NAME`` is one that ships with scikit-image; ``pattern:NAME`` or
@@ -115,19 +117,19 @@ def linear_rgb(image: str, folder: Path) -> Image:
     return np.where(encoded <= 0.04045, encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4).astype(np.float32)
 
 
-def mask(image: str, folder: Path) -> Image:
+def mask(image: str, folder: Path) -> Float32Array:
     """A share 0..1, [h, w]: a pattern, or a grey picture whose values are shares as they stand, without decoding."""
     if image.startswith("pattern:"):
         return patterns.pattern(image.removeprefix("pattern:"))
     return np.ascontiguousarray(_read(image, folder, cv2.IMREAD_GRAYSCALE))
 
 
-def luminance(rgb: Image) -> Image:
+def luminance(rgb: Float32Array) -> Float32Array:
     """Luminance 0..1 of linear sRGB, [h, w]."""
     return np.asarray(rgb @ np.array(LUMINANCE, np.float32))
 
 
-def _read(image: str, folder: Path, how: int) -> Image:
+def _read(image: str, folder: Path, how: int) -> Float32Array:
     """Values 0..1 of a picture file of 8 or 16 bits, as OpenCV orders its channels."""
     if image.startswith("skimage:"):
         import skimage

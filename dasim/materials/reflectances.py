@@ -146,7 +146,7 @@ def _plants() -> dict[str, Reflectance]:
     }
 
 
-def _skin(melanin: float, blood: float = 1.0) -> Reflectance:
+def _skin(melanin: float) -> Reflectance:
     """Light from the dermis, filtered by haemoglobin there and twice by the epidermis' melanin.
 
     ``melanin`` is the two-way optical density (natural) of the epidermis at 550 nm; it falls as wavelength^-3.33
@@ -157,7 +157,7 @@ def _skin(melanin: float, blood: float = 1.0) -> Reflectance:
     haemoglobin = haemoglobin + 0.30 * short_pass(592.0, 26.0)
     dermis = line((400, 0.52), (500, 0.60), (650, 0.66), (830, 0.66))
     epidermis = np.exp(-melanin * (550.0 / WAVELENGTH_NM) ** 3.33)
-    return Reflectance(0.035 + dermis * np.exp(-blood * haemoglobin) * epidermis, SKIN)
+    return Reflectance(0.035 + dermis * np.exp(-haemoglobin) * epidermis, SKIN)
 
 
 def _textiles() -> dict[str, Reflectance]:

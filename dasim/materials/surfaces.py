@@ -5,11 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from dasim.typing import FloatArray
+from dasim.typing import Float32Array, FloatArray
 
-Image = NDArray[np.float32]
 CLEAR_COAT_INDEX = 1.5  # of resins, varnishes and glazes
 CROWN_GLASS_INDEX = 1.52
 
@@ -25,7 +23,7 @@ class Diffuse:
 class Mixture:
     """``first`` and ``second`` mixed by an image of the second's share, [h, w] 0..1, top row first."""
 
-    weight: Image
+    weight: Float32Array
     first: Surface
     second: Surface
     repeat: tuple[float, float] = (1.0, 1.0)  # copies along u and v, every other one mirrored
@@ -87,7 +85,7 @@ def is_textured(surface: Surface) -> bool:
 
 def flipped(surface: Surface) -> Surface:
     """The surface with its images upside down."""
-    images: dict[int, Image] = {}  # an image that a tree shares stays shared
+    images: dict[int, Float32Array] = {}  # an image that a tree shares stays shared
 
     def turn(part: Surface) -> Surface:
         if not isinstance(part, Mixture):

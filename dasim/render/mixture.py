@@ -12,9 +12,10 @@ from typing import Any
 
 import numpy as np
 
-from dasim.materials.surfaces import Diffuse, Image, Mixture, Surface, leaves
+from dasim.materials.surfaces import Diffuse, Mixture, Surface, leaves
 from dasim.render.plugin import tensor
 from dasim.spectra.grid import WAVELENGTH_NM
+from dasim.typing import Float32Array
 
 # The nearest node is looked up, which is twice as fast as a line between two: off by at most an eighth of a nanometre,
 # to either side alike, so that a drawn wavelength's error is none on the mean.
@@ -35,12 +36,12 @@ def mixture_dict(surface: Mixture, gain: float = 1.0) -> dict[str, Any]:
     return {"type": "dasim_mixture", "number": number}
 
 
-def _places(surface: Surface) -> list[tuple[Image, tuple[float, float]]]:
+def _places(surface: Surface) -> list[tuple[Float32Array, tuple[float, float]]]:
     """Weight images of a tree and how often they repeat, each once."""
     if not isinstance(surface, Mixture):
         return []
     found = [(surface.weight, surface.repeat), *_places(surface.first), *_places(surface.second)]
-    kept: list[tuple[Image, tuple[float, float]]] = []
+    kept: list[tuple[Float32Array, tuple[float, float]]] = []
     for image, repeat in found:
         if not any(image is other and repeat == often for other, often in kept):
             kept.append((image, repeat))

@@ -61,22 +61,19 @@ def _envmap(panorama: FloatArray, to_world: FloatArray) -> Any:
     return emitter
 
 
-def _own_spectrum(emitter: Any, radiance: float) -> FloatArray:
-    """Spectrum of Mitsuba's map where its panorama is ``radiance`` everywhere, over that, on the wavelength grid."""
+@cache
+def _d65() -> FloatArray:
+    """Spectrum that Mitsuba gives an environment map of radiance 1 everywhere, [wavelength]."""
     import drjit as dr
     import mitsuba as mi
 
+    emitter = _envmap(np.ones((2, 4)), np.eye(4))
     values = []
     for wavelength_nm in WAVELENGTH_NM:
         si = dr.zeros(mi.SurfaceInteraction3f)
         si.wi, si.wavelengths = mi.Vector3f(0, 0, 1), mi.Spectrum(float(wavelength_nm))
         values.append(emitter.eval(si)[0])
-    return np.array([np.array(value).item() for value in values]) / radiance
-
-
-@cache
-def _d65() -> FloatArray:
-    return _own_spectrum(_envmap(np.ones((2, 4)), np.eye(4)), 1.0)
+    return np.array([np.array(value).item() for value in values])
 
 
 def _guide(layers: tuple[Layer, ...]) -> Any:

@@ -16,9 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dasim.base.errors import InputError
-from dasim.typing import FloatArray
-
-Picture = NDArray[np.float32]
+from dasim.typing import Float32Array, FloatArray
 
 FORMATS = "OBJ, PLY, GLB, STL, OFF"
 MOST_TEXELS = 1 << 24  # of all pictures of a mesh together: 200 MB in linear light, as much again as ink weights
@@ -37,7 +35,7 @@ class Part:
     faces: NDArray[np.uint32]
     uv: FloatArray | None = None
     normals: FloatArray | None = None
-    paint: Picture | None = None
+    paint: Float32Array | None = None
     painted: str | None = None
 
 
@@ -108,7 +106,7 @@ def _part(mesh: Any, matrix: FloatArray, unit_m: float, path: Path) -> Part:
 # --- colours -------------------------------------------------------------------------------------
 
 
-def decoded(encoded: NDArray[Any]) -> Picture:
+def decoded(encoded: NDArray[Any]) -> Float32Array:
     """Linear light 0..1 of sRGB values, 8 bits or 0..1 (IEC 61966-2-1)."""
     values = np.asarray(encoded)
     if values.dtype == np.uint8:
@@ -117,7 +115,7 @@ def decoded(encoded: NDArray[Any]) -> Picture:
     return np.where(values <= 0.04045, values / 12.92, ((values + 0.055) / 1.055) ** 2.4).astype(np.float32)
 
 
-def _paint(visual: Any, has_uv: bool, *, linear: bool) -> tuple[str | None, Picture | None]:
+def _paint(visual: Any, has_uv: bool, *, linear: bool) -> tuple[str | None, Float32Array | None]:
     """What the file says of colours. glTF's vertex colours and factors are linear light, all else is sRGB."""
     if visual.kind in ("vertex", "face"):
         colours = np.asarray(visual.vertex_colors if visual.kind == "vertex" else visual.face_colors)[:, :3]
@@ -197,7 +195,7 @@ def _with_picture(part: Part, where: str) -> Part:
     return _with_blocks(part, corners, where)
 
 
-def _with_blocks(part: Part, corners: Picture, where: str) -> Part:
+def _with_blocks(part: Part, corners: Float32Array, where: str) -> Part:
     """A picture with a block of 2 x 2 texels a face, whose corner colours are ``corners`` [m, 3, rgb].
 
     The face's corners lie at the centres of three texels; the fourth is c10 + c01 - c00, with which the bilinear
@@ -236,7 +234,7 @@ def _within_picture(part: Part, where: str) -> Part:
     return _unshared(part, corners.reshape(-1, 2) / copies, np.tile(part.paint, (copies[1], copies[0], 1)))
 
 
-def _unshared(part: Part, uv: FloatArray, picture: Picture) -> Part:
+def _unshared(part: Part, uv: FloatArray, picture: Float32Array) -> Part:
     """The part with vertices of its own for every face."""
     order = part.faces.ravel()
     faces = np.arange(len(order), dtype=np.uint32).reshape(-1, 3)
@@ -244,7 +242,7 @@ def _unshared(part: Part, uv: FloatArray, picture: Picture) -> Part:
     return Part(part.vertices[order], faces, uv, normals, picture, "texture image")
 
 
-def _stacked(pictures: list[Picture], uv: list[FloatArray], where: str) -> tuple[Picture, FloatArray]:
+def _stacked(pictures: list[Float32Array], uv: list[FloatArray], where: str) -> tuple[Float32Array, FloatArray]:
     """Pictures above each other, each with a rim of its own border, and where their coordinates went."""
     width = max(picture.shape[1] for picture in pictures) + 2
     heights = [picture.shape[0] + 2 for picture in pictures]

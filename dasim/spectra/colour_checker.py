@@ -1,10 +1,13 @@
-"""The 24 patches of the X-Rite (GretagMacbeth) ColorChecker, from 400 to 830 nm.
+"""The 24 patches of the X-Rite (GretagMacbeth) ColorChecker: the chart of scenes and the chart for colour matrices.
 
-Up to 720 nm: the spectra of N. Ohta (1997) as colour-science has them. That table ends at 780 nm, and its last 60 nm
-fall below what other instruments find (by 0.09 on the orange patch). Beyond 720 nm: straight lines to three numbers a
-patch, our reading, rounded to 0.01, of the chart that ISETCam publishes as measured to beyond 1,000 nm
-(macbethChart, MIT licence). Charts differ: pigments were changed around 2005 and 2014, and a patch of another year
-may be off by 0.2 in the near-infrared (foliage, dark skin).
+The chart of scenes reaches from 400 to 830 nm. Up to 720 nm it has the spectra of N. Ohta (1997) from colour-science;
+that table ends at 780 nm, and its last 60 nm lie below the values of other instruments (by 0.09 on the orange patch).
+Beyond 720 nm it is linear between three values per patch, read, rounded to 0.01, from the chart that ISETCam publishes
+as measured to beyond 1,000 nm (macbethChart, MIT licence). Charts differ: the pigments changed around 2005 and 2014,
+and a patch of another year may differ by 0.2 in the near-infrared (foliage, dark skin).
+
+Colour matrices are fitted to another measurement (ISO 17321-1), so that the colours of the chart in a scene are not
+those that the matrix was fitted to.
 """
 
 from __future__ import annotations
@@ -19,7 +22,7 @@ from dasim.typing import FloatArray
 TABLE = "ColorChecker N Ohta"
 TABLE_END_NM = 720.0
 READ_AT_NM = (760.0, 790.0, 830.0)
-SOURCE = "ColorChecker: Ohta (1997) to 720 nm (colour-science), then our reading of ISETCam's chart at 760, 790, 830 nm"
+SOURCE = "ColorChecker: Ohta (1997) to 720 nm (colour-science), then read from ISETCam's chart at 760, 790, 830 nm"
 
 _READ = {
     "dark-skin": (0.49, 0.50, 0.48),
@@ -47,7 +50,7 @@ _READ = {
     "neutral-3.5": (0.08, 0.08, 0.08),
     "black": (0.05, 0.06, 0.06),
 }
-PATCHES = tuple(f"checker-{name}" for name in _READ)  # in the chart's order: rows from the top, left to right
+PATCHES = tuple(f"checker-{name}" for name in _READ)  # in the order of the chart: rows from the top, left to right
 
 
 @cache
@@ -56,12 +59,23 @@ def _curves() -> dict[str, FloatArray]:
 
     curves: dict[str, FloatArray] = {}
     for name, table, read in zip(PATCHES, colour.SDS_COLOURCHECKERS[TABLE].values(), _READ.values(), strict=True):
-        kept = table.wavelengths <= TABLE_END_NM
-        places = np.concatenate([table.wavelengths[kept], READ_AT_NM])
-        curves[name] = np.interp(WAVELENGTH_NM, places, np.concatenate([table.values[kept], read]))
+        good = table.wavelengths <= TABLE_END_NM
+        places = np.concatenate([table.wavelengths[good], READ_AT_NM])
+        curves[name] = np.interp(WAVELENGTH_NM, places, np.concatenate([table.values[good], read]))
     return curves
 
 
 def curve(patch: str) -> FloatArray:
-    """Reflectance 0..1 of one of ``PATCHES`` on ``WAVELENGTH_NM``."""
+    """Reflectance 0..1 of one of ``PATCHES``, [wavelength]."""
     return _curves()[patch].copy()
+
+
+@cache
+def iso_17321_curves() -> FloatArray:
+    """Reflectances 0..1 of the 24 patches of ISO 17321-1, [24, wavelength], constant beyond the table; read-only."""
+    import colour
+
+    table = colour.SDS_COLOURCHECKERS["ISO 17321-1"]
+    curves = np.stack([np.interp(WAVELENGTH_NM, sd.wavelengths, sd.values) for sd in table.values()])
+    curves.setflags(write=False)
+    return curves

@@ -31,11 +31,10 @@ from dasim.bounds import cramer_rao, pupils
 from dasim.camera import geometry, noise
 from dasim.camera import specification as cameras
 from dasim.camera.specification import Camera
-from dasim.typing import FloatArray
+from dasim.typing import ComplexArray, FloatArray
 from validation.subjects import strips
 from validation.subjects.texture import CONTRAST, MEAN_SHARE, white_electrons
 
-ComplexArray = NDArray[np.complex128]
 Texture = Literal["known", "spectrum", "free"]
 
 SHAPE = strips.BOUND_SHAPE

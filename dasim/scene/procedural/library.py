@@ -1,7 +1,7 @@
-"""Meshes by formula, named ``NAME`` or ``NAME:SEED``: bodies for scenes, the same in every run.
+"""Meshes by formula, named ``NAME`` or ``NAME:SEED``; a seed gives the same triangles in every run.
 
-``BODIES`` fit into a cube of side 1 around the origin, and their seed draws their proportions; what plants and
-the figure of a head are measured in stands in ``plants`` and ``mannequin``.
+``BODIES`` fit into a cube of side 1 around the origin, with random proportions. The units of plants and of the head are
+those of :mod:`~dasim.scene.procedural.plants` and :mod:`~dasim.scene.procedural.mannequin`.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from dasim.typing import FloatArray
 
 PREFIX = "procedural:"
 LARGEST_SEED = 2**31 - 1
+_REVOLVED_SIDES = 96  # of a body of revolution
 
 
 def _power(values: FloatArray, exponent: float) -> FloatArray:
@@ -54,9 +55,9 @@ def _vase(seed: int) -> Triangles:
     return fitted(_revolved(radius, up))
 
 
-def _revolved(radius: FloatArray, up: FloatArray, sides: int = 96) -> Triangles:
-    """A body of revolution about the upright axis; its outline runs so that the outside is on its left going down."""
-    turn = np.linspace(-np.pi, np.pi, sides + 1)
+def _revolved(radius: FloatArray, up: FloatArray) -> Triangles:
+    """A body of revolution about the upright axis; going down its outline, the outside is on the left."""
+    turn = np.linspace(-np.pi, np.pi, _REVOLVED_SIDES + 1)
     points = np.stack(
         np.broadcast_arrays(radius[:, None] * np.sin(turn), -up[:, None], -radius[:, None] * np.cos(turn)), axis=-1
     )

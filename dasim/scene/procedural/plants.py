@@ -48,17 +48,17 @@ def blade(
     return sheet(np.stack(np.broadcast_arrays(x, y, z), axis=-1))
 
 
-def _whorl(count: int, seed: int, *, start: float = 0.0, jitter: float = 1.0, **shape: float) -> list[Triangles]:
-    """Petals evenly around the axis, each a little different."""
+def _whorl(count: int, seed: int, *, start: float = 0.0, **shape: float) -> list[Triangles]:
+    """Petals at equal angles around the axis, with small random differences in shape and place."""
     random = np.random.default_rng((seed, count))
     petals = []
     for number in range(count):
         drawn = shape | {
-            "length": shape["length"] * (1 + 0.06 * jitter * random.normal()),
-            "rise": shape["rise"] + 5 * jitter * random.normal(),
-            "curl": shape["curl"] + 8 * jitter * random.normal(),
+            "length": shape["length"] * (1 + 0.06 * random.normal()),
+            "rise": shape["rise"] + 5 * random.normal(),
+            "curl": shape["curl"] + 8 * random.normal(),
         }
-        angle = start + 360 * number / count + 60 / count * jitter * random.normal() / 3
+        angle = start + 360 * number / count + 60 / count * random.normal() / 3
         foot = 0.06 * shape["length"] * np.array([np.sin(np.radians(angle)), -np.cos(np.radians(angle)), 0.0])
         # Every second petal lies a little lower, so that neighbours do not cut through each other.
         foot[2] = 0.03 * (number % 2)

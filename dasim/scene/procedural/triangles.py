@@ -127,7 +127,7 @@ def together(parts: Sequence[Triangles]) -> Triangles:
     )
 
 
-def fitted(part: Triangles, side: float = 1.0) -> Triangles:
-    """A part centred, its longest side ``side``."""
+def fitted(part: Triangles) -> Triangles:
+    """The part centred and scaled so that the longest side of its box is 1."""
     low, high = part.vertices.min(axis=0), part.vertices.max(axis=0)
-    return part._replace(vertices=(part.vertices - (low + high) / 2) * (side / float((high - low).max())))
+    return part._replace(vertices=(part.vertices - (low + high) / 2) * (1.0 / float((high - low).max())))

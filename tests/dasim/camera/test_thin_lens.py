@@ -51,21 +51,6 @@ def test_blur_is_what_two_rim_rays_draw(focus_m, depth_m):
     assert thin_lens.depth_of_blur_m(drawn, A_M, s, focus_m) == pytest.approx(depth_m, rel=1e-9)
 
 
-def test_waves_of_defocus_is_a_path_difference():
-    """Expectation: the sag between the sphere that converges on the sensor and the one that converges beyond it.
-
-    Set-up: exact spheres through the pupil's rim, with image distances s and s' of the defocused point: a pupil of
-    diameter A blurs to A (s' - s) / s'. Quadratic approximation, so to (A / 2s)^2 = 3 %.
-    """
-    s, depth = thin_lens.image_distance_m(F_M, 0.4), 0.1
-    other = thin_lens.image_distance_m(F_M, depth)
-    rim = A_M / 2
-    sag = (s - np.sqrt(s**2 - rim**2)) - (other - np.sqrt(other**2 - rim**2))
-    blur = A_M * (other - s) / other
-    waves = thin_lens.waves_of_defocus(blur, s / A_M, 550e-9)
-    assert waves == pytest.approx(sag / 550e-9, rel=(A_M / 2 / s) ** 2)
-
-
 def test_levels_span_the_working_range(da_mobile):
     """From 5 cm to 2 m the relative diameter spans 28.7 pixels, the paper's 29 kernels; 52 px of visible blur."""
     camera = cameras.refocused(da_mobile, 2.0)
