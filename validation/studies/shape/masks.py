@@ -71,10 +71,15 @@ def square(pattern: FloatArray, cells: int, share: float | None = None) -> Float
     if share is not None:
         side = min(side, float(np.sqrt(share * np.pi / pattern.mean())))
     edges = (np.arange(len(pattern) + 1) / len(pattern) - 0.5) * side
-    own = np.arange(cells + 1) * 2 / cells - 1
-    low, high = np.maximum(own[:-1, None], edges[None, :-1]), np.minimum(own[1:, None], edges[None, 1:])
-    covered = np.clip(high - low, 0.0, None) / (2 / cells)
+    covered = overlap(np.arange(cells + 1) * 2 / cells - 1, edges) / (2 / cells)
     return _binary(covered @ pattern @ covered.T)
+
+
+def overlap(first: FloatArray, second: FloatArray) -> FloatArray:
+    """Lengths that the intervals between the edges ``first`` [n + 1] share with those of ``second`` [m + 1], [n, m]."""
+    low = np.maximum(first[:-1, None], second[None, :-1])
+    high = np.minimum(first[1:, None], second[None, 1:])
+    return np.clip(high - low, 0.0, None)
 
 
 def smallest_feature(amplitude: FloatArray) -> int:

@@ -16,6 +16,7 @@ import numpy as np
 from scipy import fft
 
 from dasim.typing import FloatArray
+from validation.studies.shape import masks
 
 _CODES = 1500  # random patterns that are compared
 _FRAME = 32  # samples per side of transforms
@@ -69,10 +70,7 @@ def _least_divergence(pattern: FloatArray) -> float:
     power = _power()
     spectra = []
     for size in _SCALES_PX:
-        edges = (np.arange(14) / 13 - 0.5) * size
-        own = np.arange(_FRAME + 1) - _FRAME / 2
-        low, high = np.maximum(own[:-1, None], edges[None, :-1]), np.minimum(own[1:, None], edges[None, 1:])
-        covered = np.clip(high - low, 0.0, None)
+        covered = masks.overlap(np.arange(_FRAME + 1) - _FRAME / 2, (np.arange(14) / 13 - 0.5) * size)
         kernel = covered @ pattern @ covered.T
         spectra.append(np.abs(fft.fft2(kernel / kernel.sum())) ** 2 * power + _NOISE**2)
     ratios = [(a / b, b / a) for a, b in itertools.pairwise(spectra)]

@@ -40,3 +40,8 @@ def test_smoothing_removes_specks_and_holes_smaller_than_the_feature() -> None:
     whole = masks.inside(64)
     for wrong in (speck, hole):
         np.testing.assert_array_equal(masks.smoothed(wrong, 5, whole), masks.smoothed(mask, 5, whole))
+
+
+def test_overlaps_of_intervals_are_their_common_lengths() -> None:
+    expected = [[0.5, 0.0], [0.5, 0.5], [0.0, 1.0]]  # of 0..1, 1..2 and 2..3 with 0.5..1.5 and 1.5..3.5
+    np.testing.assert_allclose(masks.overlap(np.arange(4.0), np.array([0.5, 1.5, 3.5])), expected)
