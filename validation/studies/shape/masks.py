@@ -75,11 +75,11 @@ def square(pattern: FloatArray, cells: int, share: float | None = None) -> Float
     return _binary(covered @ pattern @ covered.T)
 
 
-def overlap(first: FloatArray, second: FloatArray) -> FloatArray:
+def overlap(first: NDArray[np.floating], second: NDArray[np.floating]) -> FloatArray:
     """Lengths that the intervals between the edges ``first`` [n + 1] share with those of ``second`` [m + 1], [n, m]."""
     low = np.maximum(first[:-1, None], second[None, :-1])
     high = np.minimum(first[1:, None], second[None, 1:])
-    return np.clip(high - low, 0.0, None)
+    return np.asarray(np.clip(high - low, 0.0, None), np.float64)
 
 
 def smallest_feature(amplitude: FloatArray) -> int:
