@@ -15,8 +15,6 @@ from dasim.base.toml import Specification, parse_toml
 class Settings(Specification):
     """Settings of :func:`recon.reconstruct`; its own defaults are the preset ``PAPER``."""
 
-    side: Literal["near"] = Field(default="near", description="side of the focal plane that depths are on")
-
     # sec. 4.1
     denoise: bool = Field(default=True, description="nonlocal means before sec. 4's pictures")
     denoise_bandwidth: float = Field(default=3.0, gt=0, le=100, description="tau of eq. (4), noise variances")

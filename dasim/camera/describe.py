@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from dasim.camera import response_curves, stops
 from dasim.camera import specification as cameras
+from dasim.camera import stops
 from dasim.camera.specification import Camera
 from dasim.spectra import grid
 from dasim.spectra.grid import CHANNELS
-from dasim.typing import FloatArray
 
 
 def describe(camera: Camera | str | Path) -> str:
@@ -37,18 +36,10 @@ def describe(camera: Camera | str | Path) -> str:
         f"read noise {sensor.read_noise_e:g} e-, {sensor.adc_bits} bits",
     ]
     if set(CHANNELS) <= set(cameras.channels(sensor)):
-        alpha = ", ".join(f"{name} {value:.3f}" for name, value in zip("RGB", crosstalk(camera), strict=True))
+        alpha = ", ".join(f"{name} {value:.3f}" for name, value in zip("RGB", cameras.crosstalk(sensor), strict=True))
         low, high = grid.NEAR_INFRARED_NM
         lines.append(f"eq. (8)  near-infrared in {alpha} of that in IR ({low:g}-{high:g} nm, equal photons)")
     return "\n".join(lines)
-
-
-def crosstalk(camera: Camera) -> FloatArray:
-    """Coefficients of eq. (8) for R, G and B, [3], from the response curves times the sensor's cut-off filter."""
-    sensor = camera.sensor
-    curves = cameras.quantum_efficiency(sensor) * grid.short_pass(sensor.cutoff_nm, sensor.cutoff_width_nm)
-    names = cameras.channels(sensor)
-    return response_curves.ir_crosstalk(curves[[names.index(name) for name in CHANNELS]])
 
 
 def _shape(stop: stops.Stop) -> str:

@@ -270,6 +270,17 @@ def channels(sensor: Sensor) -> tuple[str, ...]:
     return tuple(name for name in dict.fromkeys((*grid.CHANNELS, *others)) if name in used)
 
 
+def crosstalk(sensor: Sensor) -> FloatArray:
+    """Shares alpha of the IR channel's near-infrared signal in R, G and B, eq. (8), [3].
+
+    The areas are those of the sensor's response behind its cut-off filter, so that light blocked by the filter does
+    not count.
+    """
+    curves = quantum_efficiency(sensor) * grid.short_pass(sensor.cutoff_nm, sensor.cutoff_width_nm)
+    names = channels(sensor)
+    return response_curves.ir_crosstalk(curves[[names.index(name) for name in grid.CHANNELS]])
+
+
 def mosaic_channels(camera: Camera) -> np.ndarray:
     """Channel index (into :func:`channels`) of every pixel, int [height, width]."""
     sensor = camera.sensor

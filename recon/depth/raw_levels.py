@@ -81,7 +81,7 @@ def _around(mask: NDArray, margin: int) -> tuple[slice, slice] | None:
 
 def _leak(name: str, camera: Camera, white: NDArray, settings: Settings) -> scores.Leak:
     """What of infrared is in a channel, from eq. (8) or as measured, and in white [channel]."""
-    alpha = infrared.crosstalk(camera) if settings.crosstalk is None else settings.crosstalk
+    alpha = infrared.crosstalk(camera.sensor, settings.crosstalk)
     own = CHANNELS.index(name)
     return scores.Leak(float(alpha[own]), float(white[CHANNELS.index("IR")] / white[own]))
 

@@ -109,7 +109,7 @@ def load_reconstruction(path: Path) -> Reconstruction:
             depth_m=parts["depth"]["Z"],
             camera=parse(Camera, about["camera"], f"{path / 'meta.json'}: camera"),
             light=about["light"],
-            settings=about["settings"],
+            settings=parse(Settings, about["settings"], f"{path / 'meta.json'}: settings").model_dump(),
             timings_s=about["timings_s"],
             bank=about.get("bank", {}),
             notes=tuple(about.get("notes", ())),

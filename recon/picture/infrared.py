@@ -7,9 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dasim.base.errors import InputError
-from dasim.camera import response_curves
+from dasim.camera import specification
 from dasim.camera.radiometry import response
-from dasim.camera.specification import Camera, channels, quantum_efficiency
+from dasim.camera.specification import Camera, Sensor, channels
 from dasim.spectra import colour_checker, grid, illuminants
 from dasim.typing import Float32Array, FloatArray
 from dasim.values import Capture
@@ -37,15 +37,11 @@ def interpolate(plane: Float32Array, phase: Phase) -> Float32Array:
     return np.asarray(full, np.float32)
 
 
-def crosstalk(camera: Camera) -> Float32Array:
-    """Shares alpha of the infrared signal in R, G and B, eq. (8), [3], from the sensor's response curves.
-
-    The areas are taken on the sensor's response with its cutoff filter, so that light the filter stops
-    beyond 800 nm does not count.
-    """
-    sensor = camera.sensor
-    cutoff = grid.short_pass(sensor.cutoff_nm, sensor.cutoff_width_nm)
-    return response_curves.ir_crosstalk(quantum_efficiency(sensor) * cutoff).astype(np.float32)
+def crosstalk(sensor: Sensor, measured: tuple[float, float, float] | None) -> FloatArray:
+    """Shares alpha of the infrared signal in R, G and B, [3]: as measured, or eq. (8) of the response curves."""
+    if measured is not None:
+        return np.asarray(measured, np.float64)
+    return specification.crosstalk(sensor).astype(np.float32).astype(np.float64)
 
 
 def measured_crosstalk(capture: Capture) -> tuple[float, float, float]:
@@ -81,8 +77,7 @@ def separation(camera: Camera, light: str, settings: Settings) -> FloatArray:
         return np.eye(3)
     if settings.infrared_removal == "matrix":
         return crosstalk_matrix(camera, light)[:3]
-    alpha = crosstalk(camera) if settings.crosstalk is None else settings.crosstalk
-    return np.hstack([np.eye(3), -np.asarray(alpha, float)[:, None]])
+    return np.hstack([np.eye(3), -crosstalk(camera.sensor, settings.crosstalk)[:, None]])
 
 
 def crosstalk_matrix(camera: Camera, light: str) -> FloatArray:
@@ -114,8 +109,3 @@ def light_power(light: str) -> FloatArray:
 def separate(image: Float32Array, matrix: NDArray) -> Float32Array:
     """Visible light alone: ``matrix`` [3, channel] times an image [h, w, channel], not below 0, [h, w, 3]."""
     return np.asarray(np.maximum(image @ matrix.astype(np.float32).T, 0), np.float32)
-
-
-def remove(rgb: Float32Array, infrared: Float32Array, alpha: Float32Array) -> Float32Array:
-    """Visible light alone, I_out = I_f - alpha I_IR, eq. (7): :func:`separate` with one coefficient a channel."""
-    return separate(np.dstack([rgb, infrared]), np.hstack([np.eye(3), -np.asarray(alpha)[:, None]]))

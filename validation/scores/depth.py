@@ -19,7 +19,7 @@ from dasim.camera.specification import Camera
 from dasim.typing import BoolArray, FloatArray
 from dasim.values import Truth
 
-FAR_SIDE_LEVEL = -0.5  # beyond it a pixel is behind the focal plane, where levels mean another depth
+FAR_SIDE_LEVEL = -0.5  # below it a pixel lies behind the focal plane, where the same blur means another depth
 MOST_PIXELS = 5_000  # of a region, evenly spaced, in which the best constant map is looked for
 CONSTANTS = 200  # constant maps that are tried, evenly spaced in dioptres
 SPARSIFICATION_STEPS = 50
@@ -27,6 +27,11 @@ OCCUPIED_SHARE = 0.02  # of the pixels, for a level to count
 CONSTANT_STEP = 0.05  # levels between the constant maps that balanced_error tries
 LEVEL_EDGES = (-0.5, 1.0, 3.0, 6.0, 12.0, 29.0)  # of true levels that are looked at apart
 MIN_DEPTH_M, MAX_DEPTH_M = 1e-3, 1e6
+
+
+def near_side(truth: Truth) -> BoolArray:
+    """Pixels [h, w] on the near side of the focal plane, where a blur level stands for one depth."""
+    return np.asarray(truth.valid & (truth.level >= FAR_SIDE_LEVEL))
 
 
 class Metric(NamedTuple):
@@ -88,7 +93,7 @@ def regions(truth: Truth, texture: BoolArray) -> dict[str, BoolArray]:
 
     ``texture`` [h, w] comes from the capture (:func:`validation.scores.texture.textured`), never from the truth.
     """
-    near = truth.valid & (truth.level >= FAR_SIDE_LEVEL)
+    near = near_side(truth)
     inner = near & ~truth.boundary
     return {
         "all": near,
@@ -143,7 +148,7 @@ def sparsification(
     side with an estimate. Equal confidences go in an order that does not depend on the error.
     """
     check_size(depth_m, truth)
-    where = truth.valid & (truth.level >= FAR_SIDE_LEVEL) & np.isfinite(depth_m) & (depth_m > 0)
+    where = near_side(truth) & np.isfinite(depth_m) & (depth_m > 0)
     if not where.any():
         return np.ones(1), np.full(1, np.nan), np.full(1, np.nan)
     error = np.abs(_errors(depth_m[where], truth.depth_m[where], camera).level)

@@ -11,9 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from dasim.camera import response_curves
-from dasim.camera.specification import Camera, quantum_efficiency
-from dasim.spectra import grid
+from dasim.camera.specification import Camera, crosstalk
 from dasim.spectra.colour import exposure_scale, to_srgb
 from dasim.typing import BoolArray, FloatArray
 from dasim.values import Reconstruction, Truth
@@ -75,9 +73,7 @@ def displayed(result: Reconstruction, truth: Truth) -> dict[str, FloatArray]:
 
 def infrared_free(image_e: NDArray[Any], camera: Camera) -> FloatArray:
     """Linear colours without infrared, eq. (7) on exact signals: [h, w, 4] -> [h, w, 3] electrons."""
-    sensor = camera.sensor
-    response = quantum_efficiency(sensor) * grid.short_pass(sensor.cutoff_nm, sensor.cutoff_width_nm)
-    return image_e[..., :3].astype(np.float64) - response_curves.ir_crosstalk(response) * image_e[..., 3:]
+    return image_e[..., :3].astype(np.float64) - crosstalk(camera.sensor) * image_e[..., 3:]
 
 
 def psnr(image: NDArray[Any], exact: FloatArray, where: BoolArray) -> float:

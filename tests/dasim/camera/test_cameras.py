@@ -11,11 +11,10 @@ import numpy as np
 import pytest
 
 import dasim
-from dasim.camera import describe, stops
 from dasim.camera import specification as cameras
+from dasim.camera import stops
 from dasim.cli import run
 from dasim.render import stock
-from recon.picture import infrared
 
 ROOT = Path(__file__).parents[3]
 
@@ -144,7 +143,3 @@ def test_list_describes_every_camera(capsys):
         assert ("eq. (8)" in block) == name.startswith("da-")
     assert "hole: disc of 0.46, 21.2% of the open area, passes 650-830 nm" in blocks["da-mobile"]
     assert "centred at (-0.433, 0.25)" in blocks["bando"] and "400-496 and 590-830" in blocks["chakrabarti-zickler"]
-
-
-def test_printed_coefficients_are_those_that_the_reconstruction_takes_off(da_mobile):
-    np.testing.assert_allclose(describe.crosstalk(da_mobile), infrared.crosstalk(da_mobile), rtol=1e-6)

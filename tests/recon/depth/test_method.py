@@ -7,9 +7,9 @@ import pytest
 
 import recon
 from dasim.base.errors import InputError
+from dasim.camera import specification
 from recon import levels
 from recon.depth import method as depth_method
-from recon.picture import infrared
 from tests.support import recon_scenes
 
 IMAGES = ("rgb", "sharp_rgb", "linear_e", "sharp_e", "ir_e", "level_raw", "level", "depth_m", "confidence")
@@ -54,7 +54,7 @@ def test_a_foreign_method_yields_an_all_in_focus_picture(scene, bank):
     result = recon.reconstruct(scene.capture, bank, method=oracle)
     inner = (slice(16, -16), slice(64, -16))
     assert np.median(np.abs(result.level - scene.level)[inner]) < FILLED_MEDIAN_LEVELS
-    separation = np.hstack([np.eye(3), -infrared.crosstalk(scene.capture.camera)[:, None]])
+    separation = np.hstack([np.eye(3), -specification.crosstalk(scene.capture.camera.sensor)[:, None]])
     truth = np.maximum(scene.sharp_e @ separation.T, 0)
     before, after = (np.mean((image - truth)[inner] ** 2) for image in (result.linear_e, result.sharp_e))
     assert 10 * np.log10(before / after) > MIN_GAIN_DB

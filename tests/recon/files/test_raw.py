@@ -90,7 +90,7 @@ WRONG = {
     "too deep": (np.full((64, 96), 1025, np.uint16), "10 bits, 0 to 1023"),
     "8 bits": (np.full((64, 96), 100, np.uint8), "has 8 bits"),
     "colour": (np.zeros((64, 96, 3), np.uint16), "one number a pixel"),
-    "odd": (np.zeros((63, 96), np.uint16), "no multiple of the 2 x 2 mosaic"),
+    "odd": (np.zeros((63, 96), np.uint16), "not a multiple of the 2 x 2 mosaic"),
     "text": (np.full((64, 96), "a"), "whole numbers"),
     "empty": (np.zeros((0, 0), np.uint16), "height_px"),
 }

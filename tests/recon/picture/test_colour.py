@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from dasim.camera import noise, radiometry
+from dasim.camera import noise, radiometry, specification
 from dasim.spectra import grid as spectra
 from dasim.spectra import illuminants
 from dasim.spectra.colour import exposure_scale, to_srgb
 from dasim.values import Capture
-from recon.picture import colour, infrared, mosaic
+from recon.picture import colour, mosaic
 from tests.support import recon_scenes
 
 # The camera's dyes are no linear combinations of the eye's: a matrix leaves 2-3 units for such sensors.
@@ -36,7 +36,7 @@ def test_the_light_of_a_grey_scene_is_found(light):
 def test_white_is_kept(light):
     camera = recon_scenes.da_mobile(256, 192)
     electrons = spectra.integrate(radiometry.response(camera) * illuminants.illuminant(light))
-    visible = electrons[:3] - infrared.crosstalk(camera) * electrons[3]
+    visible = electrons[:3] - specification.crosstalk(camera.sensor) * electrons[3]
     linear = colour.colour_matrix(camera, light) @ visible
     np.testing.assert_allclose(linear / linear[1], 1, atol=1e-3)
 
@@ -53,8 +53,8 @@ def test_colour_checker(light):
     power = illuminants.illuminant(light)
     electrons = spectra.integrate(reflectance[:, None, :] * radiometry.response(camera) * power)
     white = spectra.integrate(radiometry.response(camera) * power)
-    visible = (electrons[:, :3] - infrared.crosstalk(camera) * electrons[:, 3:]).astype(np.float32)
-    scale = 1 / (white[1] - infrared.crosstalk(camera)[1] * white[3])
+    visible = (electrons[:, :3] - specification.crosstalk(camera.sensor) * electrons[:, 3:]).astype(np.float32)
+    scale = 1 / (white[1] - specification.crosstalk(camera.sensor)[1] * white[3])
     srgb = to_srgb(visible[None], colour.colour_matrix(camera, light), scale)[0]
 
     observer = science.MSDS_CMFS["CIE 1931 2 Degree Standard Observer"]

@@ -124,7 +124,7 @@ def test_a_saturated_colour_keeps_its_hue():
     rows = infrared.separation(small("da-mobile"), "A", recon.PAPER)
     ir, white = np.full((1, 1), 1500, np.float32), np.array([2.0, 1.0, 0.5, 1.4])
     clean = develop.without_infrared(develop.Demosaiced(full, ir), rows, clipped, white)
-    np.testing.assert_allclose(clean, full - 1500 * infrared.crosstalk(small("da-mobile")), rtol=1e-5)
+    np.testing.assert_allclose(clean, full - 1500 * specification.crosstalk(small("da-mobile").sensor), rtol=1e-5)
 
 
 # --- infrared ------------------------------------------------------------------------------------
@@ -148,7 +148,7 @@ def test_measured_crosstalk_is_that_of_the_curves(name):
     """Light that is flat in photons: eq. (8)'s areas, within the noise of 768 pixels and more (five sigma, 0.5 %)."""
     camera = small(name)
     np.testing.assert_allclose(
-        infrared.measured_crosstalk(near_infrared(camera)), infrared.crosstalk(camera), rtol=5e-3
+        infrared.measured_crosstalk(near_infrared(camera)), specification.crosstalk(camera.sensor), rtol=5e-3
     )
 
 

@@ -14,7 +14,7 @@ from dasim.values import Reconstruction, Truth
 from recon.views.surface import surface
 from validation.gates.claim import Evidence
 from validation.reports import pictures
-from validation.scores.depth import balanced_error, level_error
+from validation.scores.depth import balanced_error, level_error, near_side
 from validation.scores.figures import Figure
 from validation.scores.score import depth_of_level
 from validation.subjects import bundled, rendering
@@ -69,7 +69,7 @@ def depth_maps(progress: ShareDone, seed: int = 0) -> Evidence:
 
 def judged(name: str, said: str, result: Reconstruction, truth: Truth, seed: int = 0) -> list[Figure]:
     """The figures of one reconstruction."""
-    near = truth.valid & (truth.level >= -0.5)
+    near = near_side(truth)
     known = np.isfinite(result.level_raw)
     gaps, rest = near & ~known, near & known
     smooth, raw = (level_error(level, truth) for level in (result.level, result.level_raw))
@@ -116,7 +116,7 @@ def roughness(level: NDArray, where: BoolArray, truth: Truth) -> float:
 def _maps(name: str, result: Reconstruction, shot: Shot) -> tuple[str, str]:
     """True, raw and regularised depth, with a caption."""
     truth = shot.truth
-    judged_ = np.where(truth.level >= -0.5, 1.0, np.nan)  # not behind the focus
+    judged_ = np.where(near_side(truth), 1.0, np.nan)  # not behind the focus
     raw = depth_of_level(result.level_raw, result)
     maps = [("true", truth.depth_m), ("raw", raw), ("regularised", result.depth_m)]
     address = pictures.depth_panels([(title, depth_m * judged_) for title, depth_m in maps], *_range_m(truth))

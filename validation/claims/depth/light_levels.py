@@ -17,6 +17,7 @@ from dasim.typing import FloatArray, ShareDone
 from recon.settings import DEFAULT
 from validation.gates.claim import Evidence
 from validation.reports.plots import plot
+from validation.scores.depth import near_side
 from validation.scores.figures import Figure
 from validation.subjects import rendering
 from validation.subjects.shots import photographed
@@ -93,7 +94,7 @@ def light_levels(progress: ShareDone, seed: int = 0) -> Evidence:
 
 def errors_of(level: NDArray, raw: NDArray, shot: Shot) -> tuple[float, float, float]:
     """Median absolute errors of regularised levels and of raw ones, and the share of pixels with a raw one."""
-    near = shot.truth.valid & (shot.truth.level >= -0.5)
+    near = near_side(shot.truth)
     error = np.abs(level[near].astype(np.float64) - shot.truth.level[near])
     told = near & np.isfinite(raw)
     raw_error = np.abs(raw[told].astype(np.float64) - shot.truth.level[told])
@@ -120,7 +121,7 @@ def summary(light: str, errors: FloatArray, constant: float) -> list[Figure]:
 
 def _constant(shot: Shot) -> float:
     """Median absolute error of the best constant map: of the level that is the median."""
-    level = shot.truth.level[shot.truth.valid & (shot.truth.level >= -0.5)].astype(np.float64)
+    level = shot.truth.level[near_side(shot.truth)].astype(np.float64)
     return min(float(np.median(np.abs(level - c))) for c in np.linspace(level.min(), level.max(), 200))
 
 

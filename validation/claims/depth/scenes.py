@@ -14,6 +14,7 @@ from dasim.values import Reconstruction
 from validation.gates.claim import Evidence
 from validation.reports import page
 from validation.scores import depth as depth_scores
+from validation.scores.depth import near_side
 from validation.scores.figures import Figure
 from validation.subjects import rendering
 from validation.subjects.bundled import SCENES, SIZE_PX, SPP
@@ -65,7 +66,7 @@ def depth(progress: ShareDone, seed: int = 0) -> Evidence:
 
 def _figures(name: str, preset: str, result: Reconstruction, shot: Shot) -> tuple[list[Figure], list[list[str]]]:
     truth = shot.truth
-    near = truth.valid & (truth.level >= -0.5)
+    near = near_side(truth)
     inner = near & np.isfinite(result.level_raw) & ~truth.boundary
     away = near & ~truth.boundary
     label, said = f"{preset}.{name}", f"{name}, {preset}:"
@@ -95,7 +96,7 @@ def _figures(name: str, preset: str, result: Reconstruction, shot: Shot) -> tupl
 def _picture(result: Reconstruction, shot: Shot) -> NDArray[np.float64]:
     """Sharp truth, true level, raw and regularised level side by side, 0..1; black: not judged or no estimate."""
     truth = shot.truth
-    near = truth.valid & (truth.level >= -0.5)
+    near = near_side(truth)
     top = max(float(truth.level[near].max()), 1.0)
     parts = [np.asarray(truth.sharp_srgb, np.float64)]
     for level in (np.where(near, truth.level, np.nan), result.level_raw, result.level):

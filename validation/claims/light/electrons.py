@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from dasim.camera import describe, noise
+from dasim.camera import noise, specification
 from dasim.camera import specification as cameras
 from dasim.camera.specification import Camera
 from dasim.materials import library
@@ -137,7 +137,7 @@ def eq8_flat_field(progress: ShareDone) -> Evidence:
     moved = rendering.changed(
         as_built, stops=[stop.model_dump() | {"passes_nm": below[stop.name]} for stop in as_built.stops]
     )
-    expected = describe.crosstalk(as_built)
+    expected = specification.crosstalk(as_built.sensor)
     equal = walls.sharp_light(grid.NEAR_INFRARED_NM, 1 / grid.photons_per_joule())
     runs: list[tuple[str, Camera, dict[str, Any], str]] = [
         ("", moved, equal, "equal photons, all through the hole"),

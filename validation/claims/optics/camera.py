@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from dasim.camera import describe, geometry, noise, pointspread, radiometry, specification
+from dasim.camera import geometry, noise, pointspread, radiometry, specification
 from dasim.camera import specification as cameras
 from dasim.camera.specification import Camera
 from dasim.spectra import grid, illuminants
@@ -54,7 +54,7 @@ def response_curves(progress: ShareDone) -> Evidence:
     camera = cameras.load_camera("da-mobile")
     body = camera.sensor
     curves = specification.quantum_efficiency(body) * grid.short_pass(body.cutoff_nm, body.cutoff_width_nm)
-    alpha = describe.crosstalk(camera)
+    alpha = specification.crosstalk(camera.sensor)
     peak_nm = [float(grid.WAVELENGTH_NM[curve.argmax()]) for curve in curves]
     figures = [
         Figure(f"alpha.{name}", float(value), "1", f"eq. (8): near-infrared in {name} over that in IR")
@@ -232,7 +232,7 @@ def dynamic_range(progress: ShareDone) -> Evidence:
     Source: sec. 4.5.1.
     """
     cams = [cameras.load_camera(name) for name in RANGE_CAMERAS]
-    alpha = np.array(describe.crosstalk(cams[0]))
+    alpha = np.array(specification.crosstalk(cams[0].sensor))
     rows, figures = [], []
     errors, poor, red_most = {"headroom": 0.0, "floor": 0.0}, 0.0, True
     shares = []

@@ -28,6 +28,7 @@ from dasim.spectra import grid as spectra
 from dasim.typing import FloatArray
 from dasim.values import Capture, Reconstruction, Truth
 from validation.scores import pictures as picture_scores
+from validation.scores.depth import near_side
 from validation.studies import criteria
 from validation.studies.sweep import second_camera
 from validation.studies.sweep.designs import camera_of, scene_of, settings_of
@@ -166,7 +167,7 @@ def brighter(scene: Scene, point: dict[str, Value]) -> float:
 def limits(capture: Capture, truth: Truth, light: str | None, level_lux: float) -> dict[str, float]:
     """What theory says of depth: the bound in dioptres and metres, and half a pixel of blur as Fig. 13 draws it."""
     camera = capture.camera
-    depth = truth.depth_m[truth.valid & (truth.level >= -0.5)]
+    depth = truth.depth_m[near_side(truth)]
     if not depth.size:
         return dict.fromkeys(("depth-bound", "depth-bound-m", "half-pixel-m"), math.nan)
     least, square = bound(camera, depth, light, level_lux), float(np.median(depth)) ** 2
@@ -230,7 +231,7 @@ def figures(result: Reconstruction, capture: Capture, truth: Truth) -> dict[str,
 
 def depth_figures(result: Reconstruction, truth: Truth) -> dict[str, float]:
     """Errors of depth over all pixels before the focus; NaN where most of the picture is out of the bank's range."""
-    near = truth.valid & (truth.level >= -0.5)
+    near = near_side(truth)
     share = float((near & (truth.level <= len(geometry.level_blur_px(result.camera)) - 0.5))[truth.valid].mean())
     found = {"in-range": share, "coverage": float(np.isfinite(result.level_raw[near]).mean()) if near.any() else 0.0}
     if share < 1 - MOST_BEYOND:

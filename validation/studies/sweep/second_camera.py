@@ -14,6 +14,7 @@ from dasim.typing import FloatArray
 from dasim.values import Reconstruction, Truth
 from recon import levels
 from recon.depth.stereo_fusion import combined_m, stereo_depth_m
+from validation.scores.depth import near_side
 
 OCCLUDED = 0.02  # relative: what the right camera sees there is nearer by more than this share of z
 
@@ -56,7 +57,7 @@ def errors(
     scale = px_per_dioptre(left.camera, baseline_m)
     stereo = stereo_depth_m(left.sharp_rgb, right.sharp_rgb, scale, float(level_depth_m.min()))
     both = combined_m(left.depth_m, left.confidence, stereo, scale, levels.dioptres_per_level(level_depth_m))
-    near = truth.valid & (truth.level >= -0.5)
+    near = near_side(truth)
     hidden = occluded(truth, other, left.camera, baseline_m)
     matched = np.isfinite(stereo)
 
