@@ -1,4 +1,7 @@
-"""Scenes by name: a bundled scene, a member of a family, a random scene, a TOML file or a Mitsuba XML file."""
+"""Scenes by name: a bundled scene, a member of a family, a random scene, a TOML file or a Mitsuba XML file.
+
+Tested in tests/dasim/random_scenes/test_specification.py and tests/dasim/dataset/test_specification.py.
+"""
 
 from __future__ import annotations
 

@@ -2,6 +2,8 @@
 
 Images are [y, x] or [y, x, channel]; channels are in the order of ``camera.channels`` (R, G, B, IR).
 Pixel centres are at +0.5, x to the right, y down, z forward, lengths in metres.
+
+Tested in tests/dasim/files/test_captures.py.
 """
 
 from __future__ import annotations

@@ -1,4 +1,7 @@
-"""Blur levels and depths: levels are even steps in dioptres, in which blur is linear."""
+"""Blur levels and depths: levels are even steps in dioptres, in which blur is linear.
+
+Tested in tests/recon/depth/test_method.py and tests/recon/test_real_camera.py.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Stages of a pipeline that report their progress and measure their time."""
+"""Stages of a pipeline that report their progress and measure their time.
+
+Tested in tests/recon/test_pipeline.py.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""The whole chain on a bundled scene: render, calibrate, reconstruct, score, report."""
+"""The whole chain on a bundled scene: render, calibrate, reconstruct, score, report.
+
+Tested in tests/validation/scores/test_score.py.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Measure claims and write the folder that ``dasim validate`` leaves: results.json, report.html, junit.xml."""
+"""Measure claims and write the folder that ``dasim validate`` leaves: results.json, report.html, junit.xml.
+
+Tested in tests/validation/gates/test_run.py.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""The folder for what is worth keeping between runs and may be deleted at any time."""
+"""The folder for what is worth keeping between runs and may be deleted at any time.
+
+Tested in tests/dasim/cli/test_commands.py.
+"""
 
 from __future__ import annotations
 

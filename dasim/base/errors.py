@@ -1,4 +1,7 @@
-"""The one exception a user's mistake raises."""
+"""The one exception a user's mistake raises.
+
+Tested in tests/dasim/base/test_loading.py.
+"""
 
 
 class InputError(ValueError):

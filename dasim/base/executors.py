@@ -2,6 +2,8 @@
 
 An executor takes indices from a queue until it is empty, and yields an outcome for each; who reads them may put an
 index back to have it tried again.
+
+Tested in tests/dasim/dataset/test_make.py and tests/dasim/dataset/test_ray.py.
 """
 
 from __future__ import annotations

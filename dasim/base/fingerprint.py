@@ -3,6 +3,8 @@
 The code is found by following imports from the functions that compute the result. A name taken from a package
 (``dasim.simulate``) is followed to the module that defines it, so that a result does not depend on the other names
 that the package offers. Modules are followed as a whole: a change anywhere in a file changes the fingerprint.
+
+Tested in tests/recon/calibration/test_cached.py.
 """
 
 from __future__ import annotations

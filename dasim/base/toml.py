@@ -1,4 +1,7 @@
-"""Specifications: frozen values read from TOML, checked once, every problem named by its key."""
+"""Specifications: frozen values read from TOML, checked once, every problem named by its key.
+
+Tested in tests/dasim/scene/test_specification.py and tests/dasim/camera/test_specification.py.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""A description of a camera for people, with its coefficients of eq. (8)."""
+"""A description of a camera for people, with its coefficients of eq. (8).
+
+Tested in tests/dasim/camera/test_cameras.py.
+"""
 
 from __future__ import annotations
 

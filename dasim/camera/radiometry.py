@@ -1,4 +1,7 @@
-"""Radiometry of a camera: from spectral radiance to electrons per second and pixel."""
+"""Radiometry of a camera: from spectral radiance to electrons per second and pixel.
+
+Tested in tests/dasim/camera/test_specification.py and tests/dasim/render/test_lens.py.
+"""
 
 from __future__ import annotations
 

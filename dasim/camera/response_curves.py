@@ -1,4 +1,7 @@
-"""Response curves of a sensor: the bundled synthetic ones, tables from CSV files, and near-infrared crosstalk."""
+"""Response curves of a sensor: the bundled synthetic ones, tables from CSV files, and near-infrared crosstalk.
+
+Tested in tests/dasim/camera/test_specification.py.
+"""
 
 from __future__ import annotations
 

@@ -5,6 +5,8 @@ open lens with the disc's transmittance, plus the hole with its complement. (Ins
 of the coating's edge, where both stops pass light of one wavelength, the sum neglects their interference.)
 
 Lengths in the pupil are ratios of the open lens's radius, in camera axes: x to the right, y down.
+
+Tested in tests/dasim/render/test_pupil.py and tests/dasim/camera/test_cameras.py.
 """
 
 from __future__ import annotations

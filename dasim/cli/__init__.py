@@ -1,4 +1,7 @@
-"""The command ``dasim``: parses and prints; the work is done elsewhere."""
+"""The command ``dasim``: parses and prints; the work is done elsewhere.
+
+Tested in tests/dasim/cli/test_commands.py.
+"""
 
 from __future__ import annotations
 

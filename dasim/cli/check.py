@@ -1,4 +1,7 @@
-"""The commands that show and prove: demo, validate, list."""
+"""The commands that show and prove: demo, validate, list.
+
+Tested in tests/dasim/cli/test_commands.py and tests/validation/gates/test_run.py.
+"""
 
 from __future__ import annotations
 

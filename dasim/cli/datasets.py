@@ -1,4 +1,7 @@
-"""The commands ``dasim dataset``: parse and print."""
+"""The commands ``dasim dataset``: parse and print.
+
+Tested in tests/dasim/dataset/test_specification.py and tests/dasim/dataset/test_make.py.
+"""
 
 from __future__ import annotations
 

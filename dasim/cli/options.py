@@ -1,4 +1,7 @@
-"""What the commands share: options, the progress bar, checks of names of files to write."""
+"""What the commands share: options, the progress bar, checks of names of files to write.
+
+Tested in tests/dasim/cli/test_commands.py.
+"""
 
 from __future__ import annotations
 

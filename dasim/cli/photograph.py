@@ -1,4 +1,7 @@
-"""The commands that photograph and calibrate: render, calibrate, emva."""
+"""The commands that photograph and calibrate: render, calibrate, emva.
+
+Tested in tests/dasim/cli/test_commands.py.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""The commands that start from a capture: recon, refocus, score."""
+"""The commands that start from a capture: recon, refocus, score.
+
+Tested in tests/dasim/cli/test_commands.py.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""The commands ``dasim study``: parse and print."""
+"""The commands ``dasim study``: parse and print.
+
+Tested in tests/validation/studies/test_sweep.py.
+"""
 
 from __future__ import annotations
 

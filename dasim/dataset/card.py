@@ -1,4 +1,7 @@
-"""What makes a dataset whole: its index, its card with statistics and a contact sheet, and its checksums."""
+"""What makes a dataset whole: its index, its card with statistics and a contact sheet, and its checksums.
+
+Tested in tests/dasim/dataset/test_specification.py.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Sample i of a dataset: scene, camera, focus, light, exposure and split, from the specification and i alone."""
+"""Sample i of a dataset: scene, camera, focus, light, exposure and split, from the specification and i alone.
+
+Tested in tests/dasim/dataset/test_specification.py.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Statistics of a dataset as a picture."""
+"""Statistics of a dataset as a picture.
+
+Tested in tests/dasim/dataset/test_specification.py.
+"""
 
 from __future__ import annotations
 

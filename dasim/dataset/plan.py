@@ -1,4 +1,7 @@
-"""What a dataset consists of before it is made: shards and their samples, size, and what a folder already holds."""
+"""What a dataset consists of before it is made: shards and their samples, size, and what a folder already holds.
+
+Tested in tests/dasim/dataset/test_make.py and tests/dasim/dataset/test_specification.py.
+"""
 
 from __future__ import annotations
 

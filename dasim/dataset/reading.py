@@ -1,4 +1,7 @@
-"""Read a dataset, either format, without caring which."""
+"""Read a dataset, either format, without caring which.
+
+Tested in tests/dasim/dataset/test_specification.py.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""One sample: photographed, described, and packed as the files of a capture."""
+"""One sample: photographed, described, and packed as the files of a capture.
+
+Tested in tests/dasim/dataset/test_make.py and tests/dasim/dataset/test_specification.py.
+"""
 
 from __future__ import annotations
 

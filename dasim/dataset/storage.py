@@ -1,4 +1,7 @@
-"""Files of a dataset, here or wherever fsspec reaches (``s3://...``); each is there whole, or not at all."""
+"""Files of a dataset, here or wherever fsspec reaches (``s3://...``); each is there whole, or not at all.
+
+Tested in tests/dasim/dataset/test_make.py and tests/dasim/dataset/test_s3.py.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Read a whole dataset again: checksums, shapes, ranges, specification, what is missing and what is too much."""
+"""Read a whole dataset again: checksums, shapes, ranges, specification, what is missing and what is too much.
+
+Tested in tests/dasim/dataset/test_specification.py.
+"""
 
 from __future__ import annotations
 

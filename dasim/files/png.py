@@ -1,4 +1,7 @@
-"""16-bit grey PNG files."""
+"""16-bit grey PNG files.
+
+Tested in tests/dasim/files/test_captures.py.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Ground truth as a multi-part EXR."""
+"""Ground truth as a multi-part EXR.
+
+Tested in tests/dasim/files/test_captures.py.
+"""
 
 from __future__ import annotations
 

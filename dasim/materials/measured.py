@@ -1,4 +1,7 @@
-"""Reflectances that a user measured: checked, never extrapolated."""
+"""Reflectances that a user measured: checked, never extrapolated.
+
+Tested in tests/dasim/materials/test_library.py.
+"""
 
 from __future__ import annotations
 

@@ -7,6 +7,8 @@ the picture's linear values (Demichel's areas of three independent screens):
 - ``dyed``: cloth of yarns that are dyed with three dyes; nothing of them is seen there, a black least of all.
 - ``achromatic``: colourless pigments beyond 650 nm, whose reflectance is the picture's luminance; below, the sRGB
   basis of Mallett and Yuksel (2019), so that the colour under D65 is the picture's.
+
+Tested in tests/dasim/scene/test_shapes.py.
 """
 
 from __future__ import annotations

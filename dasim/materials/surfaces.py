@@ -1,4 +1,7 @@
-"""What the renderer gets of a material: a surface as a value, without names or files."""
+"""What the renderer gets of a material: a surface as a value, without names or files.
+
+Tested in tests/dasim/materials/test_library.py.
+"""
 
 from __future__ import annotations
 

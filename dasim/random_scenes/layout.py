@@ -4,6 +4,8 @@ Everything is in scene axes (x right, y down, z forward, level), centimetres, th
 down. The room is convex: planes n . X <= d around the camera, the floor among them. A ray (x, y) of the picture meets
 plane i at the depth d_i / (n_i . r(x, y)), with r linear in x and y, and sizes are drawn relative to depth; so every
 limit (within the depth range, before the walls, above the floor) is a linear inequality, solved, never searched.
+
+Tested in tests/dasim/random_scenes/test_specification.py.
 """
 
 from __future__ import annotations

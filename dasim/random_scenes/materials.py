@@ -1,4 +1,7 @@
-"""Materials that are drawn: library names, blends of two, prints, dyed cloth, glosses, now and then metal or glass."""
+"""Materials that are drawn: library names, blends of two, prints, dyed cloth, glosses, now and then metal or glass.
+
+Tested in tests/dasim/random_scenes/test_specification.py.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Objects that are drawn: what they are, how they stand, and the user's own meshes and pictures."""
+"""Objects that are drawn: what they are, how they stand, and the user's own meshes and pictures.
+
+Tested in tests/dasim/random_scenes/test_specification.py.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Lights as Mitsuba's emitters, in camera axes."""
+"""Lights as Mitsuba's emitters, in camera axes.
+
+Tested in tests/dasim/render/test_lights.py.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Objects as Mitsuba's shapes, in camera axes."""
+"""Objects as Mitsuba's shapes, in camera axes.
+
+Tested in tests/dasim/scene/test_shapes.py and tests/dasim/render/test_truth.py.
+"""
 
 from __future__ import annotations
 

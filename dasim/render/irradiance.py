@@ -8,6 +8,8 @@ interreflection", SIGGRAPH 1988. Lamps are not part of it: rays aim at them wher
 A cell of the grid is used only where its four corners lie on one surface and agree to ``AGREEMENT``, so that straight
 lines between them are good to a fraction of that; elsewhere, and on all that is not Lambertian, rays go on as a path
 tracer's. The claim ``interreflection`` holds pictures against those that are traced throughout.
+
+Tested in tests/dasim/render/test_passes.py.
 """
 
 from __future__ import annotations

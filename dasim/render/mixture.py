@@ -2,6 +2,8 @@
 
 It is what nested ``blendbsdf`` plugins describe (the way of ``scalar_spectral``), evaluated once a hit instead of
 once a leaf of the tree.
+
+Tested in tests/dasim/render/test_reflection.py.
 """
 
 from __future__ import annotations

@@ -1,4 +1,7 @@
-"""Small parts of Mitsuba's descriptions."""
+"""Small parts of Mitsuba's descriptions.
+
+Tested in tests/dasim/render/test_reflection.py.
+"""
 
 from __future__ import annotations
 

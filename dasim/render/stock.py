@@ -1,6 +1,8 @@
 """The stock plugins of ``scalar_spectral``: a centred disc is a ``thinlens`` before a ``specfilm``.
 
 Other shapes and axial colour need the ray loop of a JIT variant.
+
+Tested in tests/dasim/render/test_passes.py.
 """
 
 from __future__ import annotations

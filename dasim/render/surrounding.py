@@ -5,6 +5,8 @@ kept for what it does well, directions in proportion to luminance and values bet
 in its place: the illuminant's over that of D65, exact on the wavelength grid (between its points, where lines are
 steep, off by up to 1 %; 2e-5 of the whole). It works in every variant; the scalar ones call Python for every ray
 that meets it, and are slow there.
+
+Tested in tests/dasim/render/test_lights.py.
 """
 
 from __future__ import annotations

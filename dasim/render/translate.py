@@ -2,6 +2,8 @@
 
 The camera's pose is baked into the objects, so that depth is simply z. Spectral values are the scene's own
 (W m^-2 sr^-1 nm^-1 for lights, 0..1 for surfaces), without Mitsuba's RGB upsampling anywhere.
+
+Tested in tests/dasim/render/test_lights.py and tests/dasim/render/test_passes.py.
 """
 
 from __future__ import annotations

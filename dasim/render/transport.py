@@ -2,6 +2,8 @@
 
 A pixel's rays differ in where they leave the lens and in their weights, so that their directions of light, however
 evenly spread, do not cancel: light from wide sources and from other surfaces is most of the noise, and of the time.
+
+Tested in tests/dasim/render/test_passes.py.
 """
 
 from __future__ import annotations

@@ -1,4 +1,7 @@
-"""Whether an object has a likely size and leaves the lens free, with what is wrong in words for people."""
+"""Whether an object has a likely size and leaves the lens free, with what is wrong in words for people.
+
+Tested in tests/dasim/scene/test_shapes.py and tests/dasim/scene/test_specification.py.
+"""
 
 from __future__ import annotations
 

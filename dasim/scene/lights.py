@@ -2,6 +2,8 @@
 
 Directions in the sky are elevations above the horizon (up is -y) and azimuths from straight ahead (+z) towards the
 right (+x), in degrees: 0 is behind what the camera looks at, 90 to its right, 180 behind the camera.
+
+Tested in tests/dasim/render/test_lights.py.
 """
 
 from __future__ import annotations

@@ -3,6 +3,8 @@
 A file may hold several parts (GLB, OBJ with materials). Each keeps its geometry; their colours are put side by side in
 one picture, so that an object stays one mesh with one surface. RGB says nothing of the near-infrared: what the
 picture becomes there is the scene's choice (``dasim.materials.library.photograph_surface``).
+
+Tested in tests/dasim/scene/test_shapes.py.
 """
 
 from __future__ import annotations

@@ -3,6 +3,8 @@
 Columns are azimuths from behind (-180 degrees, left edge) over straight ahead (+z, the middle) to behind again, the
 right half lying to the right (+x); rows are elevations from straight up (-y, the top) down. Pixel centres lie at +0.5;
 between them luminance is bilinear.
+
+Tested in tests/dasim/render/test_lights.py.
 """
 
 from __future__ import annotations

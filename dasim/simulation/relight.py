@@ -1,4 +1,7 @@
-"""Another illuminant for a scene before rendering, another light level for a rendered picture."""
+"""Another illuminant for a scene before rendering, another light level for a rendered picture.
+
+Tested in tests/validation/claims/test_depth.py.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""One capture from the central parts of several."""
+"""One capture from the central parts of several.
+
+Tested in tests/dasim/scene/test_targets.py.
+"""
 
 from __future__ import annotations
 

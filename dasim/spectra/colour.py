@@ -1,4 +1,7 @@
-"""Conversion of a camera's colours to sRGB: a matrix fitted to the ColorChecker, exposure, and the sRGB curve."""
+"""Conversion of a camera's colours to sRGB: a matrix fitted to the ColorChecker, exposure, and the sRGB curve.
+
+Tested in tests/recon/picture/test_colour.py.
+"""
 
 from __future__ import annotations
 

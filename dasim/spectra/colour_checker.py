@@ -8,6 +8,8 @@ and a patch of another year may differ by 0.2 in the near-infrared (foliage, dar
 
 Colour matrices are fitted to another measurement (ISO 17321-1), so that the colours of the chart in a scene are not
 those that the matrix was fitted to.
+
+Tested in tests/dasim/materials/test_reflectances.py.
 """
 
 from __future__ import annotations

@@ -1,4 +1,7 @@
-"""Whether a PSF bank belongs to a capture: same sensor, stops and lens, focused at the same distance."""
+"""Whether a PSF bank belongs to a capture: same sensor, stops and lens, focused at the same distance.
+
+Tested in tests/recon/calibration/test_psf_bank.py.
+"""
 
 from __future__ import annotations
 

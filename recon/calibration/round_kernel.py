@@ -1,4 +1,7 @@
-"""The radial profile of a round stop's kernel, by least squares from pixels at known distances."""
+"""The radial profile of a round stop's kernel, by least squares from pixels at known distances.
+
+Tested in tests/recon/calibration/test_psf_bank.py.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Find a point source in a raw picture: where it is, whether it is saturated, how far it stands out of the noise."""
+"""Find a point source in a raw picture: where it is, whether it is saturated, how far it stands out of the noise.
+
+Tested in tests/recon/files/test_point_pictures.py.
+"""
 
 from __future__ import annotations
 

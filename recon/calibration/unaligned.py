@@ -1,4 +1,7 @@
-"""Kernels from mosaic pictures of a point source that stood anywhere: nothing needs to move by whole pixels."""
+"""Kernels from mosaic pictures of a point source that stood anywhere: nothing needs to move by whole pixels.
+
+Tested in tests/recon/files/test_point_pictures.py.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Raw levels of a capture (sec. 5.2-5.3): infrared against green, then red or blue where infrared shows no edge."""
+"""Raw levels of a capture (sec. 5.2-5.3): infrared against green, then red or blue where infrared shows no edge.
+
+Tested in tests/recon/depth/test_tiles.py and tests/recon/depth/test_scores.py.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Regularised depth (sec. 5.2): raw levels averaged over pixels that look alike in infrared, eq. (13)-(14)."""
+"""Regularised depth (sec. 5.2): raw levels averaged over pixels that look alike in infrared, eq. (13)-(14).
+
+Tested in tests/recon/depth/test_scores.py.
+"""
 
 from __future__ import annotations
 

@@ -14,6 +14,8 @@ noise alone; one position without the column |
 | ``shift_x_px``, ``shift_y_px`` | instead of ``position``: whole pixels by which the source's image was moved |
 
 Lines that agree in all but ``file`` are frames of one picture.
+
+Tested in tests/recon/test_real_camera.py.
 """
 
 from __future__ import annotations

@@ -1,4 +1,7 @@
-"""A reconstruction on disk: pictures for people, one EXR with every number, and its settings."""
+"""A reconstruction on disk: pictures for people, one EXR with every number, and its settings.
+
+Tested in tests/dasim/cli/test_commands.py.
+"""
 
 from __future__ import annotations
 

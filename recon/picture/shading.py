@@ -1,4 +1,7 @@
-"""Lens shading: the fall-off of light towards the frame's corners, measured from a picture of an even surface."""
+"""Lens shading: the fall-off of light towards the frame's corners, measured from a picture of an even surface.
+
+Tested in tests/recon/picture/test_develop.py.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Deconvolution with a sparse-gradient prior about a predicted gradient, eq. (15)-(16), by half-quadratic splitting."""
+"""Deconvolution with a sparse-gradient prior about a predicted gradient, eq. (15)-(16), by half-quadratic splitting.
+
+Tested in tests/recon/sharp/test_sharpen.py.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Blur levels in tiles of the picture: which levels occur where, and their transfer functions on each tile's frame."""
+"""Blur levels in tiles of the picture: which levels occur where, and their transfer functions on each tile's frame.
+
+Tested in tests/recon/sharp/test_sharpen.py and tests/recon/sharp/test_refocus.py.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Claims: figures with limits, where the limits come from, and the file ``results.json``."""
+"""Claims: figures with limits, where the limits come from, and the file ``results.json``.
+
+Tested in tests/validation/gates/test_run.py.
+"""
 
 from __future__ import annotations
 

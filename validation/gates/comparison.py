@@ -1,4 +1,7 @@
-"""What became better and worse since an earlier ``results.json``, beyond the spread over seeds."""
+"""What became better and worse since an earlier ``results.json``, beyond the spread over seeds.
+
+Tested in tests/validation/gates/test_run.py.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Outcomes of claims as JUnit XML, which test runners and build servers read."""
+"""Outcomes of claims as JUnit XML, which test runners and build servers read.
+
+Tested in tests/validation/gates/test_run.py.
+"""
 
 from __future__ import annotations
 

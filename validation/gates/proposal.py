@@ -1,4 +1,7 @@
-"""Limits proposed from what was measured: a mean over seeds and a margin that comes from their spread."""
+"""Limits proposed from what was measured: a mean over seeds and a margin that comes from their spread.
+
+Tested in tests/validation/gates/test_run.py.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Results of claims, kept between runs by the content of everything that decides them."""
+"""Results of claims, kept between runs by the content of everything that decides them.
+
+Tested in tests/validation/gates/test_run.py.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Depth that a difference of blur is worth, from the data sheet of the lens."""
+"""Depth that a difference of blur is worth, from the data sheet of the lens.
+
+Tested in tests/validation/claims/test_depth.py.
+"""
 
 from __future__ import annotations
 

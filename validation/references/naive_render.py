@@ -2,6 +2,8 @@
 
 It shares the scene, the lens's geometry and the responses with ``dasim.render.passes``, and nothing of how that
 samples: what it costs is what passes are compared with. Diffraction is off.
+
+Tested in tests/validation/claims/test_checks.py.
 """
 
 from __future__ import annotations

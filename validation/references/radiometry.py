@@ -1,4 +1,7 @@
-"""Electrons of a pixel by quadrature, written out from the data sheet, apart from the simulator's radiometry."""
+"""Electrons of a pixel by quadrature, written out from the data sheet, apart from the simulator's radiometry.
+
+Tested in tests/dasim/render/test_passes.py.
+"""
 
 from __future__ import annotations
 

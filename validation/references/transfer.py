@@ -1,4 +1,7 @@
-"""Transfer functions in closed form, with no kernel, table or ray in between: what renders are compared with."""
+"""Transfer functions in closed form, with no kernel, table or ray in between: what renders are compared with.
+
+Tested in tests/validation/references/test_sfr.py.
+"""
 
 from __future__ import annotations
 

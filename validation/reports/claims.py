@@ -1,4 +1,7 @@
-"""The report page of ``dasim validate``."""
+"""The report page of ``dasim validate``.
+
+Tested in tests/validation/gates/test_run.py.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""The report page of ``dasim demo``, and its overview picture."""
+"""The report page of ``dasim demo``, and its overview picture.
+
+Tested in tests/validation/scores/test_score.py.
+"""
 
 from __future__ import annotations
 

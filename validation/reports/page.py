@@ -1,4 +1,7 @@
-"""What all report pages share: the templates, the colours of maps, and pictures as data addresses."""
+"""What all report pages share: the templates, the colours of maps, and pictures as data addresses.
+
+Tested in tests/validation/gates/test_run.py.
+"""
 
 from __future__ import annotations
 

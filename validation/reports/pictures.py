@@ -1,4 +1,7 @@
-"""Pictures that claims put into the report: photographs, maps of depth on one scale, surfaces seen from aside."""
+"""Pictures that claims put into the report: photographs, maps of depth on one scale, surfaces seen from aside.
+
+Tested in tests/validation/claims/test_pictures.py.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Plots that claims put into the report: SVG pictures by matplotlib, in colours that the colour-blind tell apart."""
+"""Plots that claims put into the report: SVG pictures by matplotlib, in colours that the colour-blind tell apart.
+
+Tested in tests/validation/claims/test_pictures.py.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Depth and confidence maps that another program wrote: EXR, NPY, 16-bit PNG."""
+"""Depth and confidence maps that another program wrote: EXR, NPY, 16-bit PNG.
+
+Tested in tests/validation/scores/test_depth.py.
+"""
 
 from __future__ import annotations
 

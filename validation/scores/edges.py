@@ -1,4 +1,7 @@
-"""How steep the edges of a picture are, against those of the sharp truth."""
+"""How steep the edges of a picture are, against those of the sharp truth.
+
+Tested in tests/validation/claims/test_pictures.py.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""A ground truth that a user measured beside a photograph: a map of depths, and nothing else of the scene."""
+"""A ground truth that a user measured beside a photograph: a map of depths, and nothing else of the scene.
+
+Tested in tests/recon/test_real_camera.py.
+"""
 
 from __future__ import annotations
 

@@ -2,6 +2,8 @@
 
 PSNR of linear light: no display curve or clipping is graded. SSIM (Wang et al. 2004), colour difference CIEDE2000 and
 the blur effect (Crete et al. 2007) of what is displayed: sRGB, both pictures through the same matrix and exposure.
+
+Tested in tests/validation/scores/test_score.py.
 """
 
 from __future__ import annotations

@@ -1,4 +1,7 @@
-"""Which pixels of a raw picture show texture: from the capture alone, the same for every method that is scored."""
+"""Which pixels of a raw picture show texture: from the capture alone, the same for every method that is scored.
+
+Tested in tests/validation/scores/test_depth.py.
+"""
 
 from __future__ import annotations
 

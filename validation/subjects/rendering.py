@@ -1,4 +1,7 @@
-"""Small scenes and cameras for claims, and their pictures."""
+"""Small scenes and cameras for claims, and their pictures.
+
+Tested in tests/validation/claims/test_checks.py.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Photographs that several claims look at: taken once, kept between runs by the content of what decides them."""
+"""Photographs that several claims look at: taken once, kept between runs by the content of what decides them.
+
+Tested in tests/validation/claims/test_pictures.py.
+"""
 
 from __future__ import annotations
 

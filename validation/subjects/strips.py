@@ -1,6 +1,8 @@
 """Strips of a real texture at known levels of blur, as sec. 6.1 makes them: no mosaic, no render, noise that is known.
 
 What an estimator makes of them is held against the Cramer-Rao bound (:mod:`dasim.bounds.cramer_rao`) of these pixels.
+
+Tested in tests/validation/claims/test_depth.py.
 """
 
 from __future__ import annotations

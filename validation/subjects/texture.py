@@ -1,4 +1,7 @@
-"""The texture for which bounds of depth are computed: its mean and contrast, and the electrons of white beside it."""
+"""The texture for which bounds of depth are computed: its mean and contrast, and the electrons of white beside it.
+
+Tested in tests/dasim/camera/test_noise.py.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""An even wall, lit by a named illuminant or by any spectrum, which scene files cannot express."""
+"""An even wall, lit by a named illuminant or by any spectrum, which scene files cannot express.
+
+Tested in tests/validation/claims/test_checks.py.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Colours and lights of a Mitsuba scene made physical to 830 nm, on the nodes that Mitsuba's parser found."""
+"""Colours and lights of a Mitsuba scene made physical to 830 nm, on the nodes that Mitsuba's parser found.
+
+Tested in tests/dasim/render/foreign/test_scene.py.
+"""
 
 from __future__ import annotations
 

@@ -4,6 +4,8 @@ A flower looks towards the camera (-z), its petals join at the origin; one unit 
 parts, each a mesh with a material of its own, go together at the same place: petals (``daisy``, ``dahlia``, ``poppy``),
 ``flower-centre`` and ``flower-stem`` with two leaves. Every petal and leaf has the whole texture, from its foot (v = 0)
 to its tip.
+
+Tested in tests/dasim/scene/procedural/test_library.py.
 """
 
 from __future__ import annotations

@@ -19,7 +19,7 @@ from dasim.camera.specification import Camera
 from dasim.random_scenes.specification import PICTURE_PX, RandomScenes, named
 from dasim.scene import shapes
 from dasim.scene import specification as scenes
-from dasim.scene.procedural import library, solids
+from dasim.scene.procedural import library
 from dasim.simulation.simulate import simulate
 
 SEED = 11
@@ -431,32 +431,3 @@ def test_a_rendered_sample_is_well_exposed(renderer):
     check_truth(shot.truth.depth_m, shot.truth.object_id, spec)
     assert shot.capture.provenance["saturated_pixels"] <= CLIPPED_SHARE * shot.capture.raw_dn.size
     assert np.median(shot.truth.mean_e, axis=(0, 1)).max() > 10 * NOISE_FLOOR_E
-
-
-# --- solids --------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("name", library.BODIES)
-@pytest.mark.parametrize("seed", [0, 1, 2])
-def test_bodies_are_closed_and_fill_their_cube(name, seed):
-    """The areas of a closed surface, as vectors, add up to nothing; with faces outwards its volume is positive.
-
-    The box is a cube's largest, around the origin: what a drawn size is the size of.
-    """
-    part = library.procedural(f"{name}:{seed}")
-    low, high = part.vertices.min(axis=0), part.vertices.max(axis=0)
-    assert (high - low).max() == pytest.approx(1.0)
-    assert low == pytest.approx(-high, abs=1e-9)
-    a, b, c = (part.vertices[part.faces[:, corner]] for corner in range(3))
-    assert np.abs(np.cross(b - a, c - a).sum(axis=0)).max() < 1e-9
-    volume = np.einsum("ij,ij->", a, np.cross(b, c)) / 6
-    assert 0 < volume < np.prod(high - low)
-
-
-@pytest.mark.parametrize("name", sorted(solids.MESHES))
-def test_solids_with_edges_have_normals_of_their_faces(name):
-    part = library.procedural(name)
-    a, b, c = (part.vertices[part.faces[:, corner]] for corner in range(3))
-    across = np.cross(b - a, c - a)
-    across /= np.linalg.norm(across, axis=-1, keepdims=True)
-    assert part.normals[part.faces] == pytest.approx(np.repeat(across[:, None], 3, axis=1), abs=1e-6)

@@ -1,4 +1,7 @@
-"""The camera, scene and settings of a point of a sweep."""
+"""The camera, scene and settings of a point of a sweep.
+
+Tested in tests/validation/studies/test_sweep.py.
+"""
 
 from __future__ import annotations
 

@@ -5,6 +5,8 @@ by seed; where the reference decides the picture, the same seed is also the same
 chosen by the same measurements that then say how good it is, so its lead is a little flattered; it counts as clear
 only where Student's test of the paired differences says so, at a level shared among the values that it was chosen
 from (Bonferroni). Seeds differ by the noise of sensor and rendering: another scene may answer otherwise.
+
+Tested in tests/validation/studies/test_sweep.py.
 """
 
 from __future__ import annotations

@@ -1,4 +1,7 @@
-"""Studies from files: read, and refused as a whole before the first render where anything in them cannot be."""
+"""Studies from files: read, and refused as a whole before the first render where anything in them cannot be.
+
+Tested in tests/validation/studies/test_sweep.py.
+"""
 
 from __future__ import annotations
 

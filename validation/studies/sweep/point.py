@@ -1,4 +1,7 @@
-"""One point of a sweep: photograph, calibrate, reconstruct, and score in units that compare between designs."""
+"""One point of a sweep: photograph, calibrate, reconstruct, and score in units that compare between designs.
+
+Tested in tests/validation/studies/test_sweep.py.
+"""
 
 from __future__ import annotations
 

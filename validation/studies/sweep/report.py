@@ -1,4 +1,7 @@
-"""The page of a sweep: its question, curves with error bars, the Pareto front, and every number."""
+"""The page of a sweep: its question, curves with error bars, the Pareto front, and every number.
+
+Tested in tests/validation/studies/test_sweep.py.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Run a sweep: measure the points that are missing, gather them in a table, and draw its report."""
+"""Run a sweep: measure the points that are missing, gather them in a table, and draw its report.
+
+Tested in tests/validation/studies/test_sweep.py.
+"""
 
 from __future__ import annotations
 

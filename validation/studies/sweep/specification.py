@@ -1,4 +1,7 @@
-"""What a sweep varies: grids of parameters, the points that they make, and which of them share a picture."""
+"""What a sweep varies: grids of parameters, the points that they make, and which of them share a picture.
+
+Tested in tests/validation/studies/test_sweep.py.
+"""
 
 from __future__ import annotations
 

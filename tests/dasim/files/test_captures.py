@@ -1,4 +1,4 @@
-"""Files on disk: what is written is read, what is cut is refused, and nothing half done is left."""
+"""Capture folders: what is written is read again, and truncated or foreign files are refused."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ import pytest
 
 from dasim.base.errors import InputError
 from dasim.camera import specification as cameras
-from dasim.files import banks, captures, folders, png
-from dasim.values import Capture, PsfBank, Truth
+from dasim.files import captures, folders, png
+from dasim.values import Capture, Truth
 
 H, W = 12, 16
 
@@ -147,23 +147,6 @@ def test_other_pictures_are_no_raw_pictures(folder):
         captures.load_truth(folder)
 
 
-OWN = '{"software": {"dasim": "0"}}'
-
-
-def test_failure_leaves_nothing_behind(tmp_path):
-    """Expectation: an exception in the block leaves neither the folder nor a temporary one, and keeps an old result."""
-    with pytest.raises(ZeroDivisionError), folders.new_folder(tmp_path / "out", "capture") as folder:
-        (folder / "half.txt").write_text("half")
-        raise ZeroDivisionError
-    assert list(tmp_path.iterdir()) == []
-    with folders.new_folder(tmp_path / "out", "capture") as folder:
-        (folder / "meta.json").write_text(OWN)
-    with pytest.raises(KeyboardInterrupt), folders.new_folder(tmp_path / "out", "capture"):
-        raise KeyboardInterrupt
-    assert [path.name for path in tmp_path.iterdir()] == ["out"]
-    assert (tmp_path / "out" / "meta.json").read_text() == OWN
-
-
 def test_own_results_are_replaced_and_foreign_files_kept(tmp_path, capture):
     """Expectation: an earlier capture is replaced as a whole; a folder with anything else, and a file, are refused."""
     captures.save_capture(tmp_path / "a" / "shot", capture, None)
@@ -190,48 +173,3 @@ def test_own_results_are_replaced_and_foreign_files_kept(tmp_path, capture):
     (tmp_path / "empty").mkdir()
     captures.save_capture(tmp_path / "empty", capture, None)
     assert (tmp_path / "empty" / "raw.png").is_file()
-
-
-@pytest.fixture
-def bank(da_mobile):
-    rng = np.random.default_rng(9)
-    kernel = rng.random((2, 3, 4, 5, 5)).astype(np.float32)
-    return PsfBank(
-        kernel=kernel / kernel.sum(axis=(-2, -1), keepdims=True),
-        lights=("D65", "A"),
-        signature=rng.random((2, 4)).astype(np.float32),
-        depth_m=np.array([0.4, 0.3, 0.2], np.float32),
-        blur_px=np.array([0, 2, 4], np.float32),
-        camera=da_mobile,
-        diffraction="wave",
-    )
-
-
-def test_bank_comes_back_as_it_was(tmp_path, bank):
-    banks.save_bank(tmp_path / "banks" / "b.npz", bank)
-    back = banks.load_bank(tmp_path / "banks" / "b.npz")
-    for field in dataclasses.fields(PsfBank):
-        ours, theirs = getattr(bank, field.name), getattr(back, field.name)
-        if isinstance(ours, np.ndarray):
-            assert ours.dtype == theirs.dtype
-            np.testing.assert_array_equal(ours, theirs)
-        else:
-            assert ours == theirs, field.name
-    assert [path.name for path in (tmp_path / "banks").iterdir()] == ["b.npz"]
-
-
-def test_damaged_banks_are_refused(tmp_path, bank):
-    with pytest.raises(InputError, match=r"b\.npz: no such file; make one with 'dasim calibrate'"):
-        banks.load_bank(tmp_path / "b.npz")
-    banks.save_bank(tmp_path / "b.npz", bank)
-    data = (tmp_path / "b.npz").read_bytes()
-    for part in (b"", b"text", data[: len(data) // 2], data[:-10]):
-        (tmp_path / "b.npz").write_bytes(part)
-        with pytest.raises(InputError, match=r"b\.npz"):
-            banks.load_bank(tmp_path / "b.npz")
-    np.savez(tmp_path / "b.npz", kernel=bank.kernel)
-    with pytest.raises(InputError, match=r"b\.npz"):
-        banks.load_bank(tmp_path / "b.npz")
-    np.savez(tmp_path / "b.npz", about="[]", kernel=bank.kernel, signature=bank.signature, depth_m=[1], blur_px=[1])
-    with pytest.raises(InputError, match=r"b\.npz"):
-        banks.load_bank(tmp_path / "b.npz")

@@ -1,0 +1,57 @@
+"""Bank files: what is written is read again, and damaged files are refused."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from dasim.base.errors import InputError
+from dasim.files import banks
+from dasim.values import PsfBank
+
+
+@pytest.fixture
+def bank(da_mobile):
+    rng = np.random.default_rng(9)
+    kernel = rng.random((2, 3, 4, 5, 5)).astype(np.float32)
+    return PsfBank(
+        kernel=kernel / kernel.sum(axis=(-2, -1), keepdims=True),
+        lights=("D65", "A"),
+        signature=rng.random((2, 4)).astype(np.float32),
+        depth_m=np.array([0.4, 0.3, 0.2], np.float32),
+        blur_px=np.array([0, 2, 4], np.float32),
+        camera=da_mobile,
+        diffraction="wave",
+    )
+
+
+def test_bank_comes_back_as_it_was(tmp_path, bank):
+    banks.save_bank(tmp_path / "banks" / "b.npz", bank)
+    back = banks.load_bank(tmp_path / "banks" / "b.npz")
+    for field in dataclasses.fields(PsfBank):
+        ours, theirs = getattr(bank, field.name), getattr(back, field.name)
+        if isinstance(ours, np.ndarray):
+            assert ours.dtype == theirs.dtype
+            np.testing.assert_array_equal(ours, theirs)
+        else:
+            assert ours == theirs, field.name
+    assert [path.name for path in (tmp_path / "banks").iterdir()] == ["b.npz"]
+
+
+def test_damaged_banks_are_refused(tmp_path, bank):
+    with pytest.raises(InputError, match=r"b\.npz: no such file; make one with 'dasim calibrate'"):
+        banks.load_bank(tmp_path / "b.npz")
+    banks.save_bank(tmp_path / "b.npz", bank)
+    data = (tmp_path / "b.npz").read_bytes()
+    for part in (b"", b"text", data[: len(data) // 2], data[:-10]):
+        (tmp_path / "b.npz").write_bytes(part)
+        with pytest.raises(InputError, match=r"b\.npz"):
+            banks.load_bank(tmp_path / "b.npz")
+    np.savez(tmp_path / "b.npz", kernel=bank.kernel)
+    with pytest.raises(InputError, match=r"b\.npz"):
+        banks.load_bank(tmp_path / "b.npz")
+    np.savez(tmp_path / "b.npz", about="[]", kernel=bank.kernel, signature=bank.signature, depth_m=[1], blur_px=[1])
+    with pytest.raises(InputError, match=r"b\.npz"):
+        banks.load_bank(tmp_path / "b.npz")
