@@ -52,6 +52,15 @@ def function_name(function: Callable[..., Any]) -> str:
     return f"{module}:{name}"
 
 
+def describe_error(error: BaseException) -> str:
+    """What a user's function raised, in one line: its kind, text, and the file and line where it was raised."""
+    text = " ".join(f"{type(error).__name__}: {error}".split())
+    frames = traceback.extract_tb(error.__traceback__)
+    if isinstance(error, SyntaxError) or not frames:  # a SyntaxError's text has its place
+        return text
+    return f"{text} ({Path(frames[-1].filename).name}, line {frames[-1].lineno})"
+
+
 def _module(name: str, where: str) -> ModuleType:
     _add_to_path(Path.cwd())
     importlib.invalidate_caches()
@@ -63,9 +72,9 @@ def _module(name: str, where: str) -> ModuleType:
                 f"{where}: there is no module '{error.name}' among the installed ones or in {Path.cwd()}; "
                 "a file is named with its ending: file.py:function"
             ) from None
-        raise _import_failed(where, error) from error
+        raise InputError(f"{where}: cannot be imported, {describe_error(error)}") from error
     except (Exception, SystemExit) as error:  # whatever the user's module raises
-        raise _import_failed(where, error) from error
+        raise InputError(f"{where}: cannot be imported, {describe_error(error)}") from error
 
 
 def _file_module(path: Path, where: str) -> ModuleType:
@@ -86,7 +95,7 @@ def _file_module(path: Path, where: str) -> ModuleType:
         exec(loader.source_to_code(source, str(path)), vars(module))
     except (Exception, SystemExit) as error:
         del sys.modules[name]
-        raise _import_failed(where, error) from error
+        raise InputError(f"{where}: cannot be imported, {describe_error(error)}") from error
     return module
 
 
@@ -94,12 +103,6 @@ def _add_to_path(folder: Path) -> None:
     """Let modules of the folder be imported, after the installed ones."""
     if str(folder) not in sys.path:
         sys.path.append(str(folder))
-
-
-def _import_failed(where: str, error: BaseException) -> InputError:
-    frames = traceback.extract_tb(error.__traceback__)
-    place = "" if isinstance(error, SyntaxError) else f" ({Path(frames[-1].filename).name}, line {frames[-1].lineno})"
-    return InputError(f"{where}: cannot be imported, {type(error).__name__}: {error}{place}")
 
 
 def _is_own(key: str, value: Any, module: ModuleType) -> bool:

@@ -11,12 +11,15 @@ pixels by their noise takes it from here; :func:`expose` draws it.
 
 from __future__ import annotations
 
-from typing import Literal, NamedTuple
+from collections.abc import Callable
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
+from dasim.base.errors import InputError
+from dasim.base.loading import describe_error, function_name
 from dasim.base.toml import Specification
 from dasim.camera.specification import Camera, Sensor, mosaic_channels
 from dasim.typing import BoolArray, FloatArray
@@ -26,6 +29,15 @@ _MOST_E = 1e15  # electrons of a Poisson draw: more than any full well, and with
 
 # Randomness is keyed by (seed, stage): no stage depends on how many numbers another has drawn.
 _STAGES = {"shot": 1, "dark": 2, "read": 3, "dsnu": 4, "prnu": 5}
+
+NoiseModel = Callable[[FloatArray, Sensor, float, int, float], tuple[NDArray[np.uint16], int]]
+"""A noise model: ``model(mean_e, sensor, time_s, seed, gain)`` gives raw numbers and how many pixels are saturated.
+
+``mean_e`` is [h, w] mean photo-electrons of the mosaic after electronic crosstalk, ``time_s`` the exposure time,
+``gain`` the analogue gain. The raw numbers are uint16 [h, w], black level included, at most
+2^``sensor.adc_bits`` - 1. The same arguments must give the same numbers. :func:`expose` is the bundled model,
+``examples/noise_model.py`` another.
+"""
 
 
 class Exposure(Specification):
@@ -175,6 +187,33 @@ def expose(
     electrons = np.minimum(electrons, sensor.full_well_e)
     electrons += dsnu + sensor.read_noise_e * _generator(seed, "read", frame).standard_normal(height_width)
     return _convert(electrons, sensor, gain, full)
+
+
+def apply(
+    model: NoiseModel, mean_e: FloatArray, sensor: Sensor, time_s: float, seed: int, gain: float
+) -> tuple[NDArray[np.uint16], int]:
+    """Expose with a noise model; InputError where a user's model raises or its result is not what a model returns."""
+    if model is expose:
+        return expose(mean_e, sensor, time_s, seed, gain)
+    where = f"noise model '{function_name(model)}'"
+    try:
+        result: Any = model(mean_e, sensor, time_s, seed, gain)
+    except Exception as error:  # whatever the user's function raises
+        raise InputError(f"{where}: raised {describe_error(error)}") from error
+    if not (isinstance(result, tuple) and len(result) == 2):
+        kind = type(result).__name__
+        kind = type(result).__name__
+        raise InputError(f"{where}: must return raw numbers and the count of saturated pixels, not one {kind}")
+    raw_dn, saturated = result
+    if not isinstance(raw_dn, np.ndarray) or raw_dn.dtype != np.uint16 or raw_dn.shape != mean_e.shape:
+        got = f"{raw_dn.dtype} {list(raw_dn.shape)}" if isinstance(raw_dn, np.ndarray) else type(raw_dn).__name__
+        raise InputError(f"{where}: raw numbers must be an array of uint16 {list(mean_e.shape)}, not {got}")
+    top = 2**sensor.adc_bits - 1
+    if raw_dn.max() > top:
+        raise InputError(f"{where}: a raw number is {raw_dn.max()}; the sensor has {sensor.adc_bits} bits, 0 to {top}")
+    if not isinstance(saturated, int | np.integer) or not 0 <= saturated <= raw_dn.size:
+        raise InputError(f"{where}: the count of saturated pixels must be 0 to {raw_dn.size}, not {saturated!r}")
+    return raw_dn, int(saturated)
 
 
 def _convert(electrons: FloatArray, sensor: Sensor, gain: float, full: BoolArray) -> tuple[NDArray[np.uint16], int]:

@@ -26,7 +26,7 @@ def demo(*, out: Out = Path("out/demo"), variant: str | None = None, spp: Whole 
         spp: samples a pixel and stop
     """
     from dasim.files.folders import check_output
-    from dasim.simulation.simulate import check_options
+    from dasim.simulation.checks import check_options
     from validation.demo import run_demo
 
     check_output(out, "demo")

@@ -32,6 +32,7 @@ def render(
     noise_share: float = 0.2,
     exposure: float | None = None,
     diffraction: str | None = None,
+    noise: str | None = None,
     variant: str | None = None,
     unit_cm: float | None = None,
     near_infrared: str | None = None,
@@ -52,17 +53,19 @@ def render(
         noise_share: rendering noise over the sensor's own that auto aims at, at the median pixel of every channel
         exposure: exposure time in seconds; automatic by default
         diffraction: wave, airy or off
+        noise: a noise model of your own, package.module:function or file.py:function; examples/noise_model.py is one
         variant: Mitsuba variant: auto, cuda_ad_spectral, llvm_ad_spectral or scalar_spectral
         unit_cm: of a Mitsuba XML file, the length of its unit; 100 by default
         near_infrared: of a Mitsuba XML file, the rule for its RGB surfaces: print, dyed, or achromatic by default
         illuminant: of a Mitsuba XML file, the spectrum of its RGB lights; D65 by default
     """
     import dasim
+    from dasim.base.loading import load_function
     from dasim.base.toml import parse
     from dasim.files.folders import check_output
     from dasim.random_scenes import specification
     from dasim.render import backend
-    from dasim.simulation.simulate import check_camera, check_options
+    from dasim.simulation.checks import check_camera, check_options
 
     check_output(out, "capture")
     check_options(spp, seed, diffraction, noise_share)
@@ -77,7 +80,9 @@ def render(
     else:
         described, drawn = dasim.load_scene(scene, camera=whole, **given), dasim.Exposure()
     chosen = dasim.focused(chosen, described) if focus is None else dasim.refocused(chosen, focus)
-    count: dict[str, Any] = {} if spp is None else {"spp": spp}
+    chosen_options: dict[str, Any] = {} if spp is None else {"spp": spp}
+    if noise is not None:
+        chosen_options["noise"] = load_function(noise, "noise model")
     times = drawn if exposure is None else parse(dasim.Exposure, {"time_s": exposure}, "--exposure")
     check_camera(chosen, backend.choose(variant).variant)
     options.say_variant(variant)
@@ -91,7 +96,7 @@ def render(
             variant=variant,
             noise_share=noise_share,
             progress=progress,
-            **count,
+            **chosen_options,
         )
     dasim.save_capture(out, shot.capture, shot.truth)
     for note in shot.capture.provenance["notes"]:
@@ -135,7 +140,7 @@ def calibrate(
     from dasim.files.banks import save_bank
     from dasim.files.folders import check_output
     from dasim.simulation.calibration import CALIBRATION_LIGHTS
-    from dasim.simulation.simulate import check_options
+    from dasim.simulation.checks import check_options
     from dasim.spectra import illuminants
     from recon.files.point_pictures import KIND
 
@@ -256,8 +261,8 @@ def emva(
     import dasim
     from dasim.base.toml import parse
     from dasim.files.folders import check_output
+    from dasim.simulation.checks import check_options
     from dasim.simulation.emva import KIND, write_measurement
-    from dasim.simulation.simulate import check_options
 
     check_output(out, KIND)
     check_options(None, seed, None)

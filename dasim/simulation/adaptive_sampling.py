@@ -1,73 +1,94 @@
-"""Enough samples, and no more: rendering noise measured between pictures, against the sensor's own noise."""
+"""As many samples as a noise level needs: rendering noise is measured between pictures and compared with the sensor's.
+
+Pictures are rendered in pairs with independent random numbers. Half the difference of a pair has the noise of its mean,
+so that the noise reached is measured, not predicted.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from dasim.typing import FloatArray
 
-NOISE_SHARE = 0.2  # of the sensor's noise: adds 2 % to it
-PILOT_SPP = 16  # of each of the first two pictures
-MOST_SPP = 8192  # of a stop
-SLOPE = 0.6  # noise falls about as samples ** -0.6 to -0.7 (claims noise-slope-*); too few are added to
+NOISE_SHARE = 0.2  # of the sensor's noise: raises the noise of a capture by 2 %
+PILOT_SPP = 16  # samples per pixel and stop of each picture of the first pair
+MOST_SPP = 8192  # samples per pixel and stop of all pictures together
+# Noise falls about as samples ** -0.6 to -0.7 (claims noise-slope-*). Where a pair misses the target, another follows.
+SLOPE = 0.6
 MOST_ROUNDS = 4
-# Median of |x| for a normal x of spread 1: turns the median difference of two pictures into a standard deviation.
+# Median of |x| for a normal x of standard deviation 1: turns a median difference into a standard deviation.
 _MEDIAN_OF_ABSOLUTE = 0.6745
 
 
+class StopPictures(NamedTuple):
+    """One picture through each stop, and the irradiance that they share."""
+
+    rate: FloatArray  # [stop, h, w, channel] mean electrons per second
+    field: Any = None  # see :func:`dasim.render.passes.irradiance_field`
+
+
 @dataclass(frozen=True)
-class Quiet:
-    """A picture as the mean of several, and what is left of their noise."""
+class AdaptiveRender:
+    """The mean of several pictures, and the rendering noise that is left in it."""
 
-    rate: FloatArray  # [h, w, channel] mean electrons a second
-    spp: tuple[int, ...]  # of all pictures together, a stop
-    share: tuple[float, ...]  # rendering noise over the sensor's at the median pixel, a channel
-
-
-Pair = tuple[tuple[int, ...], FloatArray, FloatArray]  # samples of each stop in one picture, and two, [stop, h, w, ch]
+    rate: FloatArray  # [h, w, channel] mean electrons per second of all stops together
+    spp: tuple[int, ...]  # samples per pixel of all pictures together, per stop
+    share: tuple[float, ...]  # rendering noise over the sensor's at the median pixel, per channel
+    field: Any  # irradiance of the last picture
 
 
-def quiet_picture(
-    picture: Callable[[int, tuple[int, ...]], FloatArray],
+Pair = tuple[tuple[int, ...], FloatArray, FloatArray]  # samples of each stop in one picture, two pictures
+
+
+def render_to_noise_target(
+    picture: Callable[[int, tuple[int, ...]], StopPictures],
     sensor_noise: Callable[[FloatArray], FloatArray],
     *,
     stops: int,
-    wanted: float = NOISE_SHARE,
+    target: float = NOISE_SHARE,
     most_spp: int = MOST_SPP,
-) -> Quiet:
-    """Render pairs of pictures until their noise is below the share ``wanted`` of the sensor's.
+) -> AdaptiveRender:
+    """Render pairs of pictures until their noise is below the share ``target`` of the sensor's.
 
-    ``picture(index, spp)`` renders one through each stop with so many samples, electrons a second, [stop, h, w,
-    channel], its randomness keyed by ``index``; ``sensor_noise`` gives the sensor's noise in the same unit for their
-    sum. The first pair is small and tells how large the next must be; all count in the result, by their samples. The
-    noise of a pair's mean is half the difference of its pictures.
+    The first pair is small; its noise decides the size of the next. All pairs count in the result, weighted by their
+    samples.
+
+    Args:
+        picture: ``picture(index, spp)`` renders through each stop with ``spp[stop]`` samples per pixel, its random
+            numbers keyed by ``index``.
+        sensor_noise: standard deviation of the sensor's noise [h, w, channel] for a sum over stops, in its unit.
+        stops: how many stops the camera has.
+        target: rendering noise over the sensor's noise, at the median pixel of the worst channel.
+        most_spp: bound on the samples per pixel of a stop.
     """
     pairs: list[Pair] = []
     spp = (PILOT_SPP,) * stops
     for number in range(MOST_ROUNDS):
-        pairs.append((spp, picture(2 * number, spp), picture(2 * number + 1, spp)))
-        rate, taken, shares = _joined(pairs, sensor_noise)
-        whole = np.sqrt((shares**2).sum(axis=0))
-        if whole.max() <= wanted or max(taken) + 2 * PILOT_SPP > most_spp:
+        first, second = picture(2 * number, spp), picture(2 * number + 1, spp)
+        pairs.append((spp, first.rate, second.rate))
+        rate, total, shares = _combined(pairs, sensor_noise)
+        share = np.sqrt((shares**2).sum(axis=0))
+        if share.max() <= target or max(total) + 2 * PILOT_SPP > most_spp:
             break
-        spp = _next_spp(taken, shares, wanted, most_spp)
-    return Quiet(rate, taken, tuple(float(share) for share in whole))
+        spp = _next_spp(total, shares, target, most_spp)
+    return AdaptiveRender(rate, total, tuple(float(value) for value in share), second.field)
 
 
-def _next_spp(taken: tuple[int, ...], shares: FloatArray, wanted: float, most_spp: int) -> tuple[int, ...]:
-    """Samples of each stop in the next two pictures: more where that helps the worst channel most, until it does."""
-    spp = [PILOT_SPP for _ in taken]
+def _next_spp(total: tuple[int, ...], shares: FloatArray, target: float, most_spp: int) -> tuple[int, ...]:
+    """Samples per stop of the next two pictures: greedily more where they help the worst channel most."""
+    spp = [PILOT_SPP for _ in total]
 
     def expected(counts: list[int]) -> FloatArray:
-        grown = np.array([(have + 2 * more) / have for have, more in zip(taken, counts, strict=True)])
+        grown = np.array([(have + 2 * more) / have for have, more in zip(total, counts, strict=True)])
         return (shares * grown[:, None] ** -SLOPE) ** 2
 
-    while (expected(spp).sum(axis=0) > wanted**2).any():
+    while (expected(spp).sum(axis=0) > target**2).any():
         worst = int(expected(spp).sum(axis=0).argmax())
-        free = [i for i, have in enumerate(taken) if have + 2 * _more(spp[i]) <= most_spp]
+        free = [i for i, have in enumerate(total) if have + 2 * _more(spp[i]) <= most_spp]
         if not free:
             break
         stop = max(free, key=lambda i: float(expected(spp)[i, worst]) / spp[i])
@@ -76,14 +97,14 @@ def _next_spp(taken: tuple[int, ...], shares: FloatArray, wanted: float, most_sp
 
 
 def _more(spp: int) -> int:
-    """The next of 16, 20, 24, 28, 32, 40, ...: quarters of powers of two, over which Sobol' points are even."""
+    """The next of 16, 20, 24, 28, 32, 40, ...: quarters of powers of two, for which Sobol' points are even."""
     return spp + (1 << (spp.bit_length() - 3))
 
 
-def _joined(
+def _combined(
     pairs: list[Pair], sensor_noise: Callable[[FloatArray], FloatArray]
 ) -> tuple[FloatArray, tuple[int, ...], FloatArray]:
-    """Mean picture, samples of each stop in it, and noise over the sensor's at the median pixel, [stop, channel]."""
+    """Mean picture, samples per stop, and noise over the sensor's at the median pixel, [stop, channel]."""
     spp = np.array([pair[0] for pair in pairs], dtype=float)
     part = spp / spp.sum(axis=0)
     means = [(first + second) / 2 for _, first, second in pairs]

@@ -7,6 +7,7 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
+from dasim.base.errors import InputError
 from dasim.camera import noise as sensor
 from dasim.camera import specification as cameras
 
@@ -207,9 +208,9 @@ def test_all_users_give_a_pixel_the_same_variance(da_mobile):
     assert ratio == pytest.approx(np.sqrt(fewest / by_hand(mean_e, time_s)) * 300 * step, rel=1e-9)
 
     white, short_s = texture.white_electrons(da_mobile, "D65", 500.0)
-    seen_by = criteria.sight(da_mobile, "D65", 500.0)
+    patch = criteria.texture_patch(da_mobile, "D65", 500.0)
     green_and_infrared = criteria.MEAN_SHARE * white[[1, 3]]
-    np.testing.assert_allclose(seen_by.noise, by_hand(green_and_infrared, short_s), rtol=1e-9)
+    np.testing.assert_allclose(patch.noise, by_hand(green_and_infrared, short_s), rtol=1e-9)
 
     ladder = emva.plan(da_mobile)
     assert ladder.mean_e[-1] == pytest.approx(6000 + 3 * np.sqrt(by_hand(6000, ladder.exposure_s[-1])), rel=1e-9)
@@ -344,3 +345,45 @@ def test_crosstalk_before_the_shot_noise_is_that_of_single_electrons(quiet):
         assert ours[columns].var() == pytest.approx(single[columns].var(), rel=0.04)
     first, second = single[1:-1, 2:-3:2].ravel(), single[1:-1, 3:-2:2].ravel()
     assert abs(np.corrcoef(first, second)[0, 1]) < 5 / np.sqrt(first.size)
+
+
+# --- a noise model of one's own -------------------------------------------------------------------
+
+
+def test_a_model_of_ones_own_gets_the_exposure_and_gives_the_frame(da_mobile):
+    """Expectation: the arguments arrive as they are documented, and the model's frame is the result, unchanged."""
+
+    def model(*arguments):
+        assert arguments[0].shape == (5, 7) and arguments[1:] == (da_mobile.sensor, 0.02, 9, 2.0)
+        return np.full((5, 7), 77, np.uint16), 3
+
+    raw, saturated = sensor.apply(model, np.ones((5, 7)), da_mobile.sensor, 0.02, 9, 2.0)
+    assert (raw == 77).all() and saturated == 3
+    ours = sensor.apply(sensor.expose, np.ones((5, 7)), da_mobile.sensor, 0.02, 9, 2.0)[0]
+    np.testing.assert_array_equal(ours, sensor.expose(np.ones((5, 7)), da_mobile.sensor, 0.02, 9, gain=2.0)[0])
+
+
+@pytest.mark.parametrize(
+    ("result", "words"),
+    [
+        (np.zeros((5, 7), np.uint16), "the count of saturated pixels, not one ndarray"),
+        ((np.zeros((5, 7)), 0), "an array of uint16 [5, 7], not float64 [5, 7]"),
+        ((np.zeros((7, 5), np.uint16), 0), "not uint16 [7, 5]"),
+        (([[0]], 0), "not list"),
+        ((np.full((5, 7), 1024, np.uint16), 0), "a raw number is 1024; the sensor has 10 bits, 0 to 1023"),
+        ((np.zeros((5, 7), np.uint16), 36), "must be 0 to 35, not 36"),
+        ((np.zeros((5, 7), np.uint16), None), "must be 0 to 35, not None"),
+    ],
+)
+def test_what_is_no_frame_is_refused_in_one_line(da_mobile, result, words):
+    with pytest.raises(InputError) as caught:
+        sensor.apply(lambda *_: result, np.ones((5, 7)), da_mobile.sensor, 0.02, 9, 1.0)
+    assert words in str(caught.value) and "noise model '" in str(caught.value)
+
+
+def test_a_model_that_raises_says_where(da_mobile):
+    def model(mean_e, sensor, time_s, seed, gain):
+        raise ValueError("no such thing")
+
+    with pytest.raises(InputError, match=r"model': raised ValueError: no such thing \(test_noise.py, line \d+\)"):
+        sensor.apply(model, np.ones((5, 7)), da_mobile.sensor, 0.02, 9, 1.0)

@@ -153,6 +153,25 @@ def test_same_seed_same_bytes(shop, tmp_path):
         np.testing.assert_array_equal(getattr(first, field.name), getattr(second, field.name), err_msg=field.name)
 
 
+def test_noise_model_of_the_users_own(shop, here, capfd):
+    """Expectation: the raw picture is the model's, the truth that of the bundled one; a model that raises is one line
+    with its place.
+    """
+    Path("mine.py").write_text(
+        "import numpy as np\ndef dark(mean_e, sensor, time_s, seed, gain):\n"
+        "    return np.full(mean_e.shape, 70, np.uint16), 0\ndef broken(*arguments):\n    return 1 / 0\n"
+    )
+    assert run(["render", "desk", *TINY, "--seed", "5", "--noise", "mine.py:dark", "--out", "own"]) == 0
+    assert (load_capture(Path("own")).raw_dn == 70).all()
+    assert load_capture(Path("own")).provenance["noise"] == "mine.py:dark"
+    np.testing.assert_array_equal(load_truth(Path("own")).mean_e, load_truth(shop / "shot").mean_e)
+    capfd.readouterr()
+    assert run(["render", "desk", *TINY, "--noise", "mine.py:broken", "--out", "none"]) == 2
+    last = capfd.readouterr().err.splitlines()[-1]
+    assert "noise model 'mine.py:broken': raised ZeroDivisionError: division by zero (mine.py, line 5)" in last
+    assert not Path("none").exists()
+
+
 @pytest.mark.parametrize("suffix", ["obj", "ply", "glb"])
 def test_scene_and_mesh_of_the_users_own(here, suffix, capfd):
     """Expectation: the mesh stands where the scene puts it, its front 19 cm before the lens.
@@ -365,6 +384,9 @@ RENDER = ("render", "desk", *TINY, "--out", "new")
         ((*RENDER, "--camera", "leica"), ("camera 'leica'", "da-mobile")),
         ((*RENDER, "--variant", "gpu"), ("variant 'gpu'", "auto", "scalar_spectral")),
         ((*RENDER, "--diffraction", "ray"), ("diffraction 'ray'", "off")),
+        ((*RENDER, "--noise", "column"), ("noise model 'column'", "file.py:function")),
+        ((*RENDER, "--noise", "no.py:column"), ("noise model 'no.py:column'", "no.py cannot be read")),
+        ((*RENDER, "--noise", "dasim.camera.noise:columns"), ("has no 'columns'", "expose")),
         ((*RENDER, "--seed", "-1"), ("seed", "-1", "0")),
         ((*RENDER, "--seed", "1.5"), ("seed", "1.5")),
         ((*RENDER, "--exposure", "0"), ("exposure", "0")),

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from dasim.simulation import adaptive_sampling
+from dasim.simulation.adaptive_sampling import StopPictures, render_to_noise_target
 
 STOPS = 2
 SHAPE = (STOPS, 60, 80, 4)
@@ -19,7 +20,7 @@ def pictures(coefficients, calls, slope=0.75):
         calls.append((index, spp))
         noise = np.random.default_rng((index, *spp)).standard_normal(SHAPE)
         spread = np.multiply(coefficients, np.power(spp, -slope))
-        return MEAN_E / STOPS * (1 + spread[:, None, None, None] * noise)
+        return StopPictures(MEAN_E / STOPS * (1 + spread[:, None, None, None] * noise), field=index)
 
     return picture
 
@@ -34,7 +35,7 @@ def test_enough_samples_are_taken_and_the_noise_reached_is_true():
     Expectation: below the share that was asked for; the error of the result, known here, is what is stated.
     """
     calls: list = []
-    found = adaptive_sampling.quiet_picture(pictures((1.0, 0.5), calls), poisson, stops=STOPS)
+    found = render_to_noise_target(pictures((1.0, 0.5), calls), poisson, stops=STOPS)
     assert max(found.share) <= adaptive_sampling.NOISE_SHARE
     assert found.spp == tuple(np.sum([spp for _, spp in calls], axis=0))
     assert found.spp[0] > found.spp[1], "the stop that gives more of the noise gets more samples"
@@ -45,7 +46,7 @@ def test_enough_samples_are_taken_and_the_noise_reached_is_true():
 
 def test_a_quiet_scene_takes_the_first_pair_alone():
     calls: list = []
-    found = adaptive_sampling.quiet_picture(pictures((0.01, 0.01), calls), poisson, stops=STOPS)
+    found = render_to_noise_target(pictures((0.01, 0.01), calls), poisson, stops=STOPS)
     pilot = (adaptive_sampling.PILOT_SPP,) * STOPS
     assert calls == [(0, pilot), (1, pilot)] and found.spp == (2 * adaptive_sampling.PILOT_SPP,) * STOPS
 
@@ -53,17 +54,15 @@ def test_a_quiet_scene_takes_the_first_pair_alone():
 def test_a_smaller_share_takes_more_samples():
     """Expectation: half the noise takes two to three times the samples; powers of two blur that."""
     noisy = pictures((2.0, 2.0), [])
-    counts = [
-        sum(adaptive_sampling.quiet_picture(noisy, poisson, stops=STOPS, wanted=share).spp) for share in (0.4, 0.2, 0.1)
-    ]
+    counts = [sum(render_to_noise_target(noisy, poisson, stops=STOPS, target=share).spp) for share in (0.4, 0.2, 0.1)]
     assert counts[0] < counts[1] < counts[2]
 
 
 def test_the_most_samples_end_it():
-    found = adaptive_sampling.quiet_picture(pictures((50.0, 50.0), []), poisson, stops=STOPS, most_spp=500)
+    found = render_to_noise_target(pictures((50.0, 50.0), []), poisson, stops=STOPS, most_spp=500)
     assert max(found.spp) <= 500 and max(found.share) > adaptive_sampling.NOISE_SHARE
 
 
 def test_no_light_and_no_noise_need_no_more():
-    found = adaptive_sampling.quiet_picture(lambda index, spp: np.zeros(SHAPE), poisson, stops=STOPS)
+    found = render_to_noise_target(lambda index, spp: StopPictures(np.zeros(SHAPE)), poisson, stops=STOPS)
     assert found.share == (0, 0, 0, 0) and found.spp == (2 * adaptive_sampling.PILOT_SPP,) * STOPS

@@ -10,7 +10,8 @@ from dasim.base.errors import InputError
 from dasim.camera import noise
 from dasim.camera import specification as cameras
 from dasim.camera.noise import Exposure
-from dasim.simulation.simulate import diffraction_model, simulate
+from dasim.simulation.checks import diffraction_model
+from dasim.simulation.simulate import simulate
 from dasim.spectra.grid import CHANNELS
 
 RENDER_NOISE = 0.02  # 36 samples a pixel on smooth surfaces under a dome: below 1 %
@@ -180,7 +181,7 @@ def test_each_variant_has_its_models_of_diffraction():
     assert diffraction_model(None, "scalar_spectral") == "airy"
     assert diffraction_model("off", "cuda_ad_spectral") == "off"
     for name, variant in (("airy", "llvm_ad_spectral"), ("wave", "scalar_spectral")):
-        with pytest.raises(InputError, match=f"diffraction '{name}' is not what {variant} can do"):
+        with pytest.raises(InputError, match=f"diffraction '{name}' is not available in {variant}"):
             diffraction_model(name, variant)
 
 
@@ -218,3 +219,19 @@ def test_auto_takes_as_many_samples_as_the_sensor_needs(renderer, scene, da_mobi
         simulate(scene, camera, spp="many")
     with pytest.raises(InputError, match="noise_share"):
         simulate(scene, camera, spp="auto", noise_share=0.0)
+
+
+def test_a_noise_model_of_ones_own_makes_the_raw_picture(renderer, scene, da_mobile, shot):
+    """Expectation: the model's numbers are the capture's, its name stands in the provenance, the rest is the same."""
+
+    def model(mean_e, sensor, time_s, seed, gain):
+        return (np.rint(mean_e / 10) + 64).astype(np.uint16), 5
+
+    camera = cameras.cropped(da_mobile, 64, 48)
+    own = simulate(scene, camera, seed=3, spp=36, diffraction="off", noise=model)
+    mean = noise.mosaic(own.truth.mean_e.astype(float), camera)
+    np.testing.assert_allclose(own.capture.raw_dn, mean / 10 + 64, atol=0.51)
+    assert own.capture.provenance["saturated_pixels"] == 5
+    assert own.capture.provenance["noise"].endswith("makes_the_raw_picture.<locals>.model")
+    assert shot.capture.provenance["noise"] == "dasim.camera.noise:expose"
+    np.testing.assert_array_equal(own.truth.mean_e, shot.truth.mean_e)

@@ -1,0 +1,67 @@
+"""What a simulation refuses: options that no variant takes, cameras that a variant cannot render, empty pictures."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from dasim.base.errors import InputError
+from dasim.camera.pointspread import DIFFRACTION_MODELS
+from dasim.camera.specification import Camera
+from dasim.render import stock
+from dasim.scene.mitsuba_scene import MitsubaScene
+from dasim.scene.specification import Scene
+from dasim.simulation.adaptive_sampling import NOISE_SHARE
+from dasim.typing import FloatArray
+
+MOST_SPP = 65_536
+
+
+def check_options(spp: int | str | None, seed: int, diffraction: str | None, noise_share: float = NOISE_SHARE) -> None:
+    """InputError for samples, a seed, a diffraction model or a share of noise that no variant takes."""
+    if isinstance(spp, str) and spp != "auto":
+        raise InputError(f"spp is '{spp}'; a whole number or 'auto' is needed")
+    if isinstance(spp, int) and not 1 <= spp <= MOST_SPP:
+        raise InputError(f"spp is {spp}; 1 to {MOST_SPP} samples per pixel are allowed")
+    if not 0.01 <= noise_share <= 10:
+        raise InputError(f"noise_share is {noise_share:g}; 0.01 to 10 of the sensor's own noise is allowed")
+    if seed < 0:
+        raise InputError(f"seed is {seed}; 0 or a positive whole number is needed")
+    if diffraction is not None and diffraction not in DIFFRACTION_MODELS:
+        raise InputError(f"diffraction '{diffraction}' is unknown; allowed are {', '.join(DIFFRACTION_MODELS)}")
+
+
+def check_camera(camera: Camera, variant: str) -> None:
+    """InputError where the variant cannot render through the camera's stops and lens."""
+    if variant.startswith("scalar"):
+        stock.check(camera)
+
+
+def diffraction_model(name: str | None, variant: str) -> str:
+    """The diffraction model of a variant, its default for None; InputError where the variant does not have it."""
+    scalar = variant.startswith("scalar")
+    if name is None:
+        return "airy" if scalar else "wave"
+    allowed = ("airy", "off") if scalar else ("wave", "off")
+    if name not in allowed:
+        raise InputError(f"diffraction '{name}' is not available in {variant}; allowed are {', '.join(allowed)}")
+    return name
+
+
+def check_in_view(scene: Scene | MitsubaScene, depth_m: FloatArray) -> None:
+    """InputError where no pixel's ray meets anything."""
+    if np.isnan(depth_m).all():
+        units = f"; unit_cm is {scene.unit_cm:g}" if isinstance(scene, MitsubaScene) else ""
+        raise InputError(
+            f"scene '{scene.name}': the camera looks at nothing; turn its view towards an object, or move one into it"
+            + units
+        )
+
+
+def check_lit(scene: Scene | MitsubaScene, rate: FloatArray, seen: list[str]) -> None:
+    """InputError where no light at all reaches the sensor; ``seen`` are the names of the objects in view."""
+    if rate.max() <= 0:
+        names = ", ".join(f"'{name}'" for name in seen[:3]) + (" and others" if len(seen) > 3 else "")
+        raise InputError(
+            f"scene '{scene.name}': no light reaches the sensor, which looks at {names or 'a lamp from behind'}; is "
+            "a light hidden or turned away, the camera inside an object, or a light so small as to need more samples?"
+        )
