@@ -3,9 +3,9 @@
 Both describe the samples of two or more planes of a mosaic (by default green and infrared, the pair that sec. 5
 compares), a natural texture that all of them record, and the sensor's noise. At one frequency, p is the power of the
 texture, and plane i has the transfer function H_i, the gain g_i and the noise variance n_i. With s_i = g_i H_i,
-m_i = 1 / n_i, a = sum m |s|^2 and q = 1 / (1 + p a), the covariance p s s^H + diag(n) has a closed inverse (Sherman and
-Morrison). For parameters u and v, with du = ds/du, b_u = s^H m du and g_uv = du^H m dv, the Fisher information of
-:mod:`dasim.bounds.cramer_rao` at this frequency is
+m_i = 1 / n_i, a = sum m |s|^2 and q = 1 / (1 + p a), the covariance p s s^H + diag(n) has a closed-form inverse
+(Sherman and Morrison). For parameters u and v, with du = ds/du, b_u = s^H m du and g_uv = du^H m dv, the Fisher
+information of :mod:`dasim.bounds.cramer_rao` at this frequency is
 
     I_uv = p^2 Re[b_u b_v q^2 + a q (g_uv - p conj(b_u) b_v q)].
 

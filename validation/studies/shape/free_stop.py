@@ -13,9 +13,9 @@ import numpy as np
 from dasim.bounds import cramer_rao, pupils
 from dasim.camera import specification as cameras
 from dasim.camera.specification import Camera
-from dasim.typing import FloatArray
+from dasim.typing import ComplexArray, FloatArray
 from validation.studies import criteria
-from validation.studies.criteria import PLANES, SHAPE, SPACING_PX, ComplexArray, Texture, TexturePatch
+from validation.studies.criteria import PLANES, SHAPE, SPACING_PX, Texture, TexturePatch
 from validation.studies.shape.infrared_stop import infrared_stop, with_disc
 
 Objective = Literal["depth", "all-in-focus"]
