@@ -1,4 +1,7 @@
-"""What a simulation refuses: options that no variant takes, cameras that a variant cannot render, empty pictures."""
+"""What a simulation refuses: options that no variant takes, cameras that a variant cannot render, empty pictures.
+
+Tested in tests/dasim/simulation/test_simulate.py.
+"""
 
 from __future__ import annotations
 

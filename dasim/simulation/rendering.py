@@ -1,4 +1,7 @@
-"""The pictures of a view in mean electrons per second: through the lens, stop by stop, and through a pinhole."""
+"""The pictures of a view in mean electrons per second: through the lens, stop by stop, and through a pinhole.
+
+Tested in tests/dasim/simulation/test_simulate.py.
+"""
 
 from __future__ import annotations
 
