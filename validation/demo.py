@@ -16,7 +16,8 @@ import recon
 from dasim.files.folders import new_folder
 from dasim.typing import Progress
 from recon.files.reconstruction import save_reconstruction
-from validation.gates.claim import Claim, judged, write_results
+from validation.gates.claim import Claim, write_results
+from validation.gates.limits import judged
 from validation.reports.demo import demo_page, overview
 from validation.scores.figures import Figure
 from validation.scores.score import score

@@ -28,6 +28,7 @@ def demo(*, out: Out = Path("out/demo"), variant: str | None = None, spp: Whole 
     from dasim.files.folders import check_output
     from dasim.simulation.checks import check_options
     from validation.demo import run_demo
+    from validation.reports.lines import of_claim
 
     check_output(out, "demo")
     check_options(spp, 0, None)
@@ -35,8 +36,7 @@ def demo(*, out: Out = Path("out/demo"), variant: str | None = None, spp: Whole 
     with options.progress() as progress:
         entries = run_demo(out, variant=variant, spp=spp, progress=progress)
     for entry in entries:
-        mark = {None: "", True: "passed", False: "FAILED"}[entry.passed]
-        print(f"{entry.id:<46}{entry.value:>9.3f} {entry.unit:<6}{entry.limit or '':<8}{mark}")
+        print(of_claim(entry))
     print(f"report: {out / 'report.html'}")
     return 1 if any(entry.passed is False for entry in entries) else 0
 
@@ -51,7 +51,9 @@ def validate(
     fresh: Annotated[bool, Parameter(negative="")] = False,
     seeds: Whole = 1,
     jobs: Whole = 1,
+    method: Annotated[list[str] | None, Parameter(negative="", consume_multiple=True)] = None,
     compare: Path | None = None,
+    fail_on_worse: Annotated[bool, Parameter(negative="")] = False,
     propose_gates: Path | None = None,
 ) -> int:
     """Hold the simulator against closed forms and independent methods; writes results, a report and junit.xml.
@@ -68,20 +70,27 @@ def validate(
         seeds: random numbers of claims that depend on them: with 3, each is measured with the seeds 0, 1 and 2, and its
             figures are means with their spread
         jobs: claims that are measured at once, each in a process of its own
+        method: a depth method that claims about depth and all-in-focus pictures measure beside their own: your function
+            as package.module:function or file.py:function, with a name for its figures as NAME=file.py:function
         compare: results.json of an earlier run: prints what became better and worse
+        fail_on_worse: with --compare, exit status 1 where a figure became worse by more than its spread explains
         propose_gates: a TOML file to write, for --gates: limits from the measured means and their spread over --seeds
     """
     from dasim.files.folders import check_output
     from dasim.render import backend
     from validation.claims.table import CLAIMS
-    from validation.gates.claim import all_gates
     from validation.gates.comparison import changes, load_results, report
-    from validation.gates.outcome import chosen, failed
+    from validation.gates.limits import all_gates
+    from validation.gates.outcome import check_methods, chosen, failed
     from validation.gates.proposal import gate_file
+    from validation.methods import named
+    from validation.reports.lines import of_claim
     from validation.validate import run_claims
 
     names = chosen(CLAIMS, only or (), quick=quick)
     limits = all_gates(CLAIMS, gates)
+    methods = named(method or ())
+    check_methods(CLAIMS, names, methods)
     if list_:
         _list_claims(names, verbose=False)
         return 0
@@ -94,20 +103,20 @@ def validate(
         if seeds < 2:
             raise InputError("--propose-gates: needs --seeds of 2 or more, since the margin comes from their spread")
         options.check_new_file(propose_gates, "--propose-gates")
+    if fail_on_worse and compare is None:
+        raise InputError("--fail-on-worse: needs --compare with the results.json of an earlier run")
     earlier = None if compare is None else load_results(compare)
     check_output(out, "validation")
     options.say_variant(None)
     variant = backend.choose().variant
     with options.progress() as progress:
         outcomes = run_claims(
-            out, names, CLAIMS, limits, variant=variant, seeds=seeds, fresh=fresh, jobs=jobs, progress=progress
-        )
-    for outcome in outcomes:
-        for entry in outcome.claims:
-            mark = {None: "", True: "passed", False: "FAILED"}[entry.passed]
-            spread = "" if entry.spread is None else f"+- {entry.spread:.2g}"
-            line = f"{entry.id:<44}{entry.value:>10.4g} {spread:<11}{entry.unit:<7}{entry.limit or '':<16}{mark}"
-            print(f"{entry.id:<44}{entry.source}" if outcome.not_run or outcome.error else line)
+            out, names, CLAIMS, limits,
+            variant=variant, seeds=seeds, fresh=fresh, jobs=jobs, methods=methods, progress=progress,
+        )  # fmt: skip
+    entries = [entry for outcome in outcomes for entry in outcome.claims]
+    for entry in entries:
+        print(of_claim(entry))
     again = sum(outcome.stored for outcome in outcomes)
     if again:
         print(f"{again} of {len(outcomes)} claims are unchanged since an earlier run; --fresh measures them again")
@@ -115,11 +124,12 @@ def validate(
         figures = [(entry, outcome.seeds) for outcome in outcomes for entry in outcome.claims]
         propose_gates.write_text(gate_file(figures), encoding="utf-8")
         print(f"limits: {propose_gates}")
+    found = [] if earlier is None else changes(earlier, entries, set(names))
     if earlier is not None:
-        entries = [entry for outcome in outcomes for entry in outcome.claims]
-        print("\n".join(report(changes(earlier, entries, set(names)))))
+        print("\n".join(report(found)))
     print(f"report: {out / 'report.html'}")
-    return 1 if failed(outcomes) else 0
+    worse = fail_on_worse and any(change.verdict == "worse" for change in found)
+    return 1 if worse or failed(outcomes) else 0
 
 
 def list_(kind: str, *, verbose: Annotated[bool, Parameter(negative="")] = False) -> int:

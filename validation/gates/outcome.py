@@ -8,13 +8,16 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from dasim.base.errors import InputError
-from validation.gates.claim import Claim, Evidence, Gate
+from validation.gates.claim import Claim, Evidence
+from validation.gates.limits import Gate
+from validation.methods import NamedMethod
 
 
 class Measurement(NamedTuple):
     """How a claim is measured, whether that takes less than about 20 s, and whether it is a time that is measured.
 
-    ``run`` takes ``progress``, and also ``seed`` where what it measures depends on random numbers.
+    ``run`` takes ``progress``, also ``seed`` where what it measures depends on random numbers, and ``methods`` where it
+    measures depth methods: by default bundled ones, and a user's in their place.
     """
 
     run: Callable[..., Evidence]
@@ -25,6 +28,12 @@ class Measurement(NamedTuple):
     def seeded(self) -> bool:
         """Whether another seed gives other figures."""
         return "seed" in inspect.signature(self.run).parameters
+
+    @property
+    def methods(self) -> tuple[NamedMethod, ...]:
+        """The bundled depth methods that it measures; none where it takes no methods."""
+        parameter = inspect.signature(self.run).parameters.get("methods")
+        return () if parameter is None else tuple(parameter.default)
 
 
 @dataclass(frozen=True)
@@ -41,6 +50,8 @@ class Outcome:
     error: str | None = None
     seeds: int = 1
     stored: bool = False  # measured by an earlier run
+    bundled: tuple[str, ...] = ()  # depth methods of the project among its figures
+    users: tuple[str, ...] = ()  # a user's depth methods beside them
 
 
 def title(measurement: Measurement) -> str:
@@ -57,6 +68,13 @@ def chosen(table: Mapping[str, Measurement], only: Sequence[str], *, quick: bool
     if not names:
         raise InputError(f"of {', '.join(only) or 'all claims'} none is quick; leave --quick out")
     return names
+
+
+def check_methods(table: Mapping[str, Measurement], names: Sequence[str], methods: Sequence[NamedMethod]) -> None:
+    """InputError where methods are given and none of the named claims measures methods."""
+    if methods and not any(table[name].methods for name in names):
+        able = ", ".join(name for name in table if table[name].methods)
+        raise InputError(f"--method {methods[0]}: none of these claims measures depth methods; {able} do")
 
 
 def failed(outcomes: list[Outcome]) -> bool:

@@ -11,17 +11,45 @@ import time
 import traceback
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
-from dataclasses import replace
+from dataclasses import fields, replace
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
+from dasim.base.errors import InputError
 from dasim.typing import Progress, ShareDone
 from validation.gates import stored
-from validation.gates.claim import Claim, Evidence, Gate, judged_all
+from validation.gates.claim import Claim, Evidence
+from validation.gates.limits import Gate, judged_all
 from validation.gates.outcome import Measurement, Outcome
+from validation.methods import NamedMethod, identity
 from validation.scores.figures import Figure
 from validation.subjects import shots
 from validation.subjects.rendering import NotRun
+
+
+class Job(NamedTuple):
+    """A claim, a seed, and a user's depth method in place of the bundled ones."""
+
+    claim: str
+    seed: int
+    method: NamedMethod | None = None
+
+    @property
+    def stage(self) -> str:
+        """What progress calls it."""
+        own = "" if self.method is None else f", {self.method}"
+        return self.claim + own + (f", seed {self.seed}" if self.seed else "")
+
+
+class Run(NamedTuple):
+    """A claim measured with one seed, or the reason why not."""
+
+    evidence: Evidence = Evidence([])
+    seconds: float = 0.0
+    not_run: str | None = None
+    stopped_by: str | None = None
+    report: str | None = None
+    stored: bool = False
 
 
 def measured_claims(
@@ -33,83 +61,86 @@ def measured_claims(
     seeds: int = 1,
     fresh: bool = True,
     jobs: int = 1,
+    methods: Sequence[NamedMethod] = (),
     progress: Progress = lambda stage, share: None,
 ) -> list[Outcome]:
     """Measure the named claims and compare their figures with the limits.
 
     Unless ``fresh``, a claim that an earlier run measured with the same code, data, libraries and renderer ``variant``
     is not measured again. ``jobs`` claims are measured at once, each in a process of its own. A claim that depends on
-    random numbers is measured with each of the ``seeds`` 0, 1, ...: its figures are means with their spread.
+    random numbers is measured with each of the ``seeds`` 0, 1, ...: its figures are means with their spread. Claims
+    about depth methods measure each of ``methods`` beside their own.
     """
     if fresh:
         shots.forget()
-    runs = [(name, seed) for name in names for seed in range(seeds if table[name].seeded else 1)]
-    done = dict(_runs(runs, table, variant, fresh=fresh, jobs=jobs, progress=progress))
-    return [_outcome(name, table[name], [done[run] for run in runs if run[0] == name], gates) for name in names]
+    planned = [job for name in names for job in _jobs(name, table[name], seeds, methods)]
+    done = dict(_runs(planned, table, variant, fresh=fresh, jobs=jobs, progress=progress))
+    return [
+        _outcome(name, table[name], {job: done[job] for job in planned if job.claim == name}, gates) for name in names
+    ]
 
 
-class _Run(NamedTuple):
-    """A claim measured with one seed, or the reason why not."""
-
-    evidence: Evidence = Evidence([])
-    seconds: float = 0.0
-    not_run: str | None = None
-    stopped_by: str | None = None
-    report: str | None = None
-    stored: bool = False
+def _jobs(name: str, measurement: Measurement, seeds: int, methods: Sequence[NamedMethod]) -> list[Job]:
+    own = [method for method in methods if measurement.methods and method not in measurement.methods]
+    return [Job(name, seed, method) for method in (None, *own) for seed in range(seeds if measurement.seeded else 1)]
 
 
 def _runs(
-    runs: Sequence[tuple[str, int]],
+    planned: Sequence[Job],
     table: Mapping[str, Measurement],
     variant: str,
     *,
     fresh: bool,
     jobs: int,
     progress: Progress,
-) -> Iterator[tuple[tuple[str, int], _Run]]:
-    """Each claim and seed, kept ones first, then those that share the computer, then those that want it alone."""
-    keys = {(name, seed): stored.key(table[name].run, variant, seed) for name, seed in runs}
+) -> Iterator[tuple[Job, Run]]:
+    """Each job, stored ones first, then those that share the computer, then those that want it alone."""
+    keys = {job: _key(job, table[job.claim], variant) for job in planned}
     missing = []
-    for run in runs:
-        found = None if fresh else stored.load(*run, keys[run])
-        if found is None:
-            missing.append(run)
+    for job in planned:
+        earlier = None if fresh else stored.load(_file(job), job.seed, keys[job])
+        if earlier is None:
+            missing.append(job)
             continue
-        progress(_stage(*run), 1.0)
-        evidence, seconds = found
-        yield run, _Run(evidence, seconds, stored=True)
-    together = [run for run in missing if not table[run[0]].alone] if jobs > 1 else []
-    for run, result in _side_by_side(together, table, jobs, progress):
-        yield run, _keep(run, keys[run], result)
-    for run in missing:
-        if run not in together:
-            name, seed = run
-            progress(_stage(*run), 0.0)
-            yield run, _keep(run, keys[run], measured(name, table[name], seed, partial(progress, _stage(*run))))
-            progress(_stage(*run), 1.0)
+        progress(job.stage, 1.0)
+        yield job, Run(*earlier, stored=True)
+    together = [job for job in missing if not table[job.claim].alone] if jobs > 1 else []
+    for job, run in _side_by_side(together, table, jobs, progress):
+        yield job, _stored(job, keys[job], run)
+    for job in missing:
+        if job not in together:
+            progress(job.stage, 0.0)
+            yield job, _stored(job, keys[job], measured(job, table[job.claim], partial(progress, job.stage)))
+            progress(job.stage, 1.0)
 
 
-def _stage(name: str, seed: int) -> str:
-    return name if seed == 0 else f"{name}, seed {seed}"
+def _key(job: Job, measurement: Measurement, variant: str) -> str:
+    """What the result depends on, of a user's method also its name and code."""
+    key = stored.key(measurement.run, variant, job.seed)
+    return key if job.method is None else stored.hashed([key, *identity(job.method, variant)])
+
+
+def _file(job: Job) -> str:
+    """Name under which a result is stored."""
+    return job.claim if job.method is None else f"{job.claim}-{stored.hashed([job.method.name])[:8]}"
 
 
 def _side_by_side(
-    runs: Sequence[tuple[str, int]], table: Mapping[str, Measurement], jobs: int, progress: Progress
-) -> Iterator[tuple[tuple[str, int], _Run]]:
+    planned: Sequence[Job], table: Mapping[str, Measurement], jobs: int, progress: Progress
+) -> Iterator[tuple[Job, Run]]:
     """Claims measured in ``jobs`` processes; one that dies is a claim that stopped."""
-    if not runs:
+    if not planned:
         return
     context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(min(jobs, len(runs)), mp_context=context, max_tasks_per_child=1) as pool:
-        waiting = {pool.submit(measured, name, table[name], seed, _silent): (name, seed) for name, seed in runs}
-        for run in runs:
-            progress(_stage(*run), 0.0)
+    with ProcessPoolExecutor(min(jobs, len(planned)), mp_context=context, max_tasks_per_child=1) as pool:
+        waiting = {pool.submit(measured, job, table[job.claim], _silent): job for job in planned}
+        for job in planned:
+            progress(job.stage, 0.0)
         try:
             for done in as_completed(waiting):
                 error = done.exception()
                 yield waiting[done], done.result() if error is None else _stopped(0.0, error, str(error))
-                progress(_stage(*waiting[done]), 1.0)
+                progress(waiting[done].stage, 1.0)
         except BaseException:
             pool.shutdown(wait=False, cancel_futures=True)
             raise
@@ -119,46 +150,78 @@ def _silent(share: float) -> None:
     pass
 
 
-def _keep(run: tuple[str, int], key: str, result: _Run) -> _Run:
+def _stored(job: Job, key: str, run: Run) -> Run:
     """Store what was measured; what could not be run, or stopped, is tried again the next time."""
-    if result.not_run is None and result.stopped_by is None:
-        stored.save(*run, key, result.evidence, result.seconds)
-    return result
+    if run.not_run is None and run.stopped_by is None:
+        stored.save(_file(job), job.seed, key, run.evidence, run.seconds)
+    return run
 
 
-def measured(name: str, measurement: Measurement, seed: int, progress: ShareDone) -> _Run:
+def measured(job: Job, measurement: Measurement, progress: ShareDone) -> Run:
     """Run one claim. What stops it is a claim that failed, and the others go on; Ctrl-C ends all."""
     start = time.perf_counter()
+    options: dict[str, Any] = {"seed": job.seed} if measurement.seeded else {}
+    if job.method is not None:
+        options["methods"] = (job.method,)
     try:
-        evidence = measurement.run(progress, seed) if measurement.seeded else measurement.run(progress)
+        evidence = measurement.run(progress, **options)
     except NotRun as reason:
-        return _Run(seconds=time.perf_counter() - start, not_run=str(reason))
+        return Run(seconds=time.perf_counter() - start, not_run=str(reason))
     except Exception as error:
+        seconds = time.perf_counter() - start
+        if job.method is not None and isinstance(error, InputError):  # the user's code, not the claim's
+            print(f"claim {job.claim}: {error}", file=sys.stderr, flush=True)
+            return Run(seconds=seconds, stopped_by=str(error))
         report = traceback.format_exc()
-        print(f"claim {name} stopped:\n{report}", file=sys.stderr, flush=True)
-        return _stopped(time.perf_counter() - start, error, report)
-    return _Run(evidence, time.perf_counter() - start)
+        print(f"claim {job.stage} stopped:\n{report}", file=sys.stderr, flush=True)
+        return _stopped(seconds, error, report)
+    return Run(evidence, time.perf_counter() - start)
 
 
-def _stopped(seconds: float, error: BaseException, report: str) -> _Run:
-    return _Run(seconds=seconds, stopped_by=f"{type(error).__name__}: {error}", report=report)
+def _stopped(seconds: float, error: BaseException, report: str) -> Run:
+    return Run(seconds=seconds, stopped_by=f"stopped by {type(error).__name__}: {error}", report=report)
 
 
-def _outcome(name: str, measurement: Measurement, runs: Sequence[_Run], gates: list[Gate]) -> Outcome:
-    """A claim's runs, one a seed, as one: means and spreads, judged; with the pictures and tables of the first."""
+def _outcome(name: str, measurement: Measurement, runs: Mapping[Job, Run], gates: list[Gate]) -> Outcome:
+    """A claim's runs as one: means and spreads over seeds, judged; with the pictures and tables of the first."""
     text = inspect.getdoc(measurement.run) or ""
-    seconds = sum(run.seconds for run in runs)
-    if reason := next((run.not_run for run in runs if run.not_run), None):
+    seconds = sum(run.seconds for run in runs.values())
+    own = [run for job, run in runs.items() if job.method is None]
+    if reason := next((run.not_run for run in own if run.not_run), None):
         entry = Claim(name, math.nan, None, "", None, f"not run: {reason}")
         return Outcome(name, text, [entry], seconds, not_run=reason)
-    if broken := next((run for run in runs if run.stopped_by), None):
-        entry = Claim(name, math.nan, None, "", False, f"stopped by {broken.stopped_by}")
+    if broken := next((run for run in own if run.stopped_by), None):
+        entry = Claim(name, math.nan, None, "", False, broken.stopped_by or "")
         return Outcome(name, text, [entry], seconds, error=broken.report)
-    evidence = replace(runs[0].evidence, figures=over_seeds([run.evidence.figures for run in runs]))
-    entries = judged_all(name, evidence.figures, gates)
-    own = [gate for gate in gates if gate.claim == name]
-    kept = all(run.stored for run in runs)
-    return Outcome(name, text, entries, seconds, evidence=evidence, gates=own, seeds=len(runs), stored=kept)
+    evidence, failures = _over_seeds(own), []
+    users = list(dict.fromkeys(job.method for job in runs if job.method is not None))
+    for method in users:
+        theirs = [run for job, run in runs.items() if job.method == method]
+        if broken := next((run for run in theirs if run.stopped_by), None):
+            failures.append(Claim(f"{name}.{method}", math.nan, None, "", False, broken.stopped_by or ""))
+        else:
+            evidence = joined(evidence, _over_seeds(theirs))
+    return Outcome(
+        name,
+        text,
+        [*judged_all(name, evidence.figures, gates), *failures],
+        seconds,
+        evidence=evidence,
+        gates=[gate for gate in gates if gate.claim == name],
+        seeds=len(own),
+        stored=all(run.stored for run in runs.values()),
+        bundled=tuple(method.name for method in measurement.methods),
+        users=tuple(method.name for method in users),
+    )
+
+
+def joined(first: Evidence, second: Evidence) -> Evidence:
+    """Evidence of both, one after the other."""
+    return Evidence(*(getattr(first, one.name) + getattr(second, one.name) for one in fields(Evidence)))
+
+
+def _over_seeds(runs: Sequence[Run]) -> Evidence:
+    return replace(runs[0].evidence, figures=over_seeds([run.evidence.figures for run in runs]))
 
 
 def over_seeds(measured: Sequence[list[Figure]]) -> list[Figure]:

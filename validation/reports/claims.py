@@ -13,7 +13,8 @@ from collections.abc import Sequence
 import jinja2
 from markupsafe import Markup, escape
 
-from validation.gates.claim import LIMIT_FROM, Claim
+from validation.gates.claim import Claim
+from validation.gates.limits import LIMIT_FROM
 from validation.gates.outcome import Outcome
 from validation.reports.page import TEMPLATE_DIR
 
@@ -44,6 +45,7 @@ def claims_page(outcomes: Sequence[Outcome]) -> str:
         verdict=verdict,
         meaning=meaning,
         wide=wide,
+        beside=beside,
     )
 
 
@@ -80,6 +82,35 @@ def wide(address: str) -> bool:
         return bool(width > WIDE * height)
     found = _VIEW.search(base64.b64decode(data[:4096])) if head.startswith("data:image/svg+xml;base64") else None
     return found is not None and float(found[1]) > WIDE * float(found[2])
+
+
+Beside = tuple[list[str], list[tuple[str, str, list[float | None]]]]
+
+
+def beside(outcome: Outcome) -> Beside | None:
+    """A user's methods beside the bundled ones: names of the methods; rows of figure, unit and a value for each.
+
+    A figure is CLAIM.METHOD.FIGURE, and of claims that measure one bundled method alone CLAIM.FIGURE. None where no
+    user's method was measured.
+    """
+    values = {claim.id.removeprefix(f"{outcome.id}."): claim for claim in outcome.claims}
+    rows: dict[str, str] = {}
+    for method in outcome.users:
+        start = f"{method}."
+        rows |= {name.removeprefix(start): claim.unit for name, claim in values.items() if name.startswith(start)}
+    if not rows:
+        return None
+
+    def value(method: str, figure: str) -> float | None:
+        entry = values.get(f"{method}.{figure}")
+        if entry is None and method == outcome.bundled[0]:
+            entry = values.get(figure)
+        return None if entry is None else entry.value
+
+    methods = [*outcome.bundled, *outcome.users]
+    table = [(figure, unit, [value(method, figure) for method in methods]) for figure, unit in rows.items()]
+    seen = [place for place in range(len(methods)) if any(cells[place] is not None for *_, cells in table)]
+    return [methods[place] for place in seen], [(name, unit, [cells[p] for p in seen]) for name, unit, cells in table]
 
 
 def number(value: float) -> str:

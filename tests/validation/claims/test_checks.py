@@ -14,7 +14,8 @@ from validation.claims.optics import bank, camera, diffraction
 from validation.claims.optics import blur as lens
 from validation.claims.pictures import colour
 from validation.claims.table import CLAIMS
-from validation.gates.claim import GATES, Claim, gate_of, judged_all, load_gates, within
+from validation.gates.claim import Claim
+from validation.gates.limits import GATES, gate_of, judged_all, load_gates, within
 from validation.subjects import rendering
 
 

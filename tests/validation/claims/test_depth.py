@@ -19,7 +19,7 @@ from tests.support import surfaces
 from validation.claims.depth import light_levels, staircase, steps
 from validation.claims.light import balance
 from validation.claims.table import CLAIMS
-from validation.gates.claim import GATES, judged_all, load_gates
+from validation.gates.limits import GATES, judged_all, load_gates
 from validation.references.depth_from_blur import first_order_m
 from validation.scores.figures import Figure
 from validation.subjects import strips

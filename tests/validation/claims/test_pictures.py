@@ -13,14 +13,14 @@ import recon
 from dasim.camera import noise as sensor
 from dasim.simulation.simulate import Shot
 from dasim.values import Capture, Reconstruction, Truth
-from recon import pipeline
+from recon.depth import raw_levels
 from recon.views import anaglyph
 from recon.views.surface import surface
 from tests.support import recon_scenes, surfaces
 from validation.claims.depth import depth_maps, disks
 from validation.claims.pictures import scene_pictures, two_cameras
 from validation.claims.table import CLAIMS
-from validation.gates.claim import GATES, judged_all, load_gates
+from validation.gates.limits import GATES, judged_all, load_gates
 from validation.reports import claims, pictures
 from validation.reports.page import png_address
 from validation.reports.plots import plot
@@ -110,7 +110,7 @@ def printed() -> tuple[Capture, Truth]:
 def test_without_the_fall_back_yellow_edges_have_no_level(printed, monkeypatch, fallback):
     capture, exact = printed
     if not fallback:
-        monkeypatch.setattr(pipeline, "_fallbacks", lambda camera: [])
+        monkeypatch.setattr(raw_levels, "_fallbacks", lambda camera: [])
     monkeypatch.setattr(disks, "SHEETS", {"near": "5 cm"})
     bank = recon_scenes.bank(("D65",))
     results = {name: recon.reconstruct(capture, bank, settings) for name, settings in disks.SETTINGS.items()}

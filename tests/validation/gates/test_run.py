@@ -16,8 +16,9 @@ from tests.support import browser
 from tests.support.fake_claims import FAKES, good
 from validation.claims.table import CLAIMS
 from validation.gates import stored
-from validation.gates.claim import GATES, Claim, Evidence, Gate, all_gates, gate_of, judged_all, load_gates, within
+from validation.gates.claim import Claim, Evidence
 from validation.gates.comparison import Earlier, changes
+from validation.gates.limits import GATES, Gate, all_gates, gate_of, judged_all, load_gates, within
 from validation.gates.outcome import Measurement, chosen
 from validation.gates.proposal import proposed
 from validation.reports.page import png_address
@@ -33,7 +34,7 @@ def fakes(monkeypatch, tmp_path, tmp_path_factory, renderer):
     file = tmp_path / "bundled.toml"
     file.write_text(LIMITS)
     monkeypatch.setattr("validation.claims.table.CLAIMS", FAKES)
-    monkeypatch.setattr("validation.gates.claim.all_gates", lambda table, users: all_gates(table, users, file))
+    monkeypatch.setattr("validation.gates.limits.all_gates", lambda table, users: all_gates(table, users, file))
     monkeypatch.setattr("dasim.cli.options.say_variant", lambda variant: None)
     monkeypatch.setenv("DASIM_CACHE_DIR", str(tmp_path_factory.mktemp("cache")))
     monkeypatch.chdir(tmp_path)
@@ -87,6 +88,36 @@ def test_unreadable_limits_are_refused(limit, tmp_path):
 def test_wrong_gates_are_refused(text, said, tmp_path):
     (tmp_path / "gates.toml").write_text(text)
     with pytest.raises(InputError, match=said):
+        load_gates(tmp_path / "gates.toml", FAKES)
+
+
+@pytest.mark.parametrize(
+    ("key", "figure_id", "matches"),
+    [
+        ("depth.bands.desk.raw", "depth.bands.desk.raw", True),
+        ("depth.bands.*.raw", "depth.bands.desk.raw", True),
+        ("depth.bands.*.raw", "depth.bands.desk.raw-ratio", False),
+        ("depth.bands.*", "depth.bands.desk.raw", False),
+        ("depth.*.desk.raw", "depth.my.desk.raw", True),
+        ("depth.*.desk.raw", "depth.my.own.desk.raw", False),
+        ("depth.*.desk.raw", "depth.file.py:function.desk.raw", False),
+        ("depth.file.py:function.*.raw", "depth.file.py:function.desk.raw", True),
+        ("light-levels.{D65,A}.order", "light-levels.A.order", True),
+        ("light-levels.{D65,A}.order", "light-levels.D55.order", False),
+        ("light-levels.*.order", "light-levels.my.D65.order", False),
+    ],
+)
+def test_a_gate_names_figures_part_by_part(key, figure_id, matches):
+    """Expectation: a * is one name between dots, never a part of one, nor several."""
+    assert Gate(key, "> 0", "").matches(figure_id) is matches
+
+
+@pytest.mark.parametrize(
+    "key", ["good.si*", "good.[abc]", "good.s?ze", "good.{a,b", "good.{}", "good.{a.b}", "good.", "good..size"]
+)
+def test_keys_that_could_catch_a_name_by_accident_are_refused(key, tmp_path):
+    (tmp_path / "gates.toml").write_text(f'["{key}"]\nlimit = "> 0"\n')
+    with pytest.raises(InputError, match=r"gates.toml.*for one name between dots"):
         load_gates(tmp_path / "gates.toml", FAKES)
 
 
@@ -168,7 +199,10 @@ def test_what_cannot_be_run_is_not_passed(fakes, capsys):
 def test_a_defect_fails_its_claim_and_not_the_others(fakes, capsys):
     assert run(["validate", "--only", "broken", "--only", "good", "--out", "new"]) == 1
     entries = results(fakes / "new")
-    assert entries["broken"]["passed"] is False and "by nothing" in entries["broken"]["source"]
+    assert (
+        entries["broken"]["passed"] is False
+        and "stopped by ZeroDivisionError: by nothing" in entries["broken"]["source"]
+    )
     assert entries["good.size"]["passed"] is True
     assert "ZeroDivisionError" in capsys.readouterr().err
 
@@ -201,6 +235,9 @@ def test_users_gates_decide(fakes):
         (("--only", "good", "--out", "new", "--compare", "none.json"), ("none.json", "results.json")),
         (("--only", "good", "--out", "new", "--compare", "bundled.toml"), ("bundled.toml", "JSON")),
         (("--only", "good", "--out", "new", "--compare", "foreign/results.json"), ("no results.json",)),
+        (("--only", "good", "--out", "new", "--fail-on-worse"), ("--fail-on-worse", "--compare")),
+        (("--only", "good", "--out", "new", "--method", "bandz"), ("'bandz' is unknown", "bands", "file.py:function")),
+        (("--only", "good", "--out", "new", "--method", "likelihood"), ("--method likelihood", "none")),
         (("--only", "good", "--out", "foreign"), ("foreign", "dasim did not write")),
     ],
 )
@@ -394,6 +431,18 @@ def test_compare_prints_what_changed(fakes, capsys):
         r"^new +good\.other", shown, re.MULTILINE
     )
     assert "1 worse, 0 better, 0 changed, 1 gone, 1 new, 1 same" in shown
+
+
+def test_fail_on_worse_ends_with_status_1_where_a_figure_became_worse(fakes, capsys):
+    """Set-up: the claim good, which keeps its limit, against an earlier run whose figure was better, and the same."""
+    assert run(["validate", "--only", "good", "--out", "old"]) == 0
+    content = json.loads((fakes / "old" / "results.json").read_text())
+    content["claims"][0]["value"] = 0.125
+    (fakes / "better.json").write_text(json.dumps(content))
+    again = ["validate", "--only", "good", "--out", "new", "--fail-on-worse", "--compare"]
+    assert run([*again, "old/results.json"]) == 0
+    assert run([*again, "better.json"]) == 1
+    assert run(["validate", "--only", "good", "--out", "new", "--compare", "better.json"]) == 0
 
 
 def test_folder_is_written_as_a_whole(fakes):

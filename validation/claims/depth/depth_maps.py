@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -13,21 +15,22 @@ from dasim.typing import BoolArray, ShareDone
 from dasim.values import Reconstruction, Truth
 from recon.views.surface import surface
 from validation.gates.claim import Evidence
+from validation.methods import NamedMethod, bundled, reconstructed
 from validation.reports import pictures
 from validation.scores.depth import balanced_error, level_error, near_side
 from validation.scores.figures import Figure
 from validation.scores.score import depth_of_level
-from validation.subjects import bundled, rendering
+from validation.subjects import rendering, scene_set
 from validation.subjects.shots import photographed
 
-PRESETS = ("bands", "paper")  # the first has the limits and the pictures, the second is reported
+METHODS = bundled("bands", "paper")  # the first has limits and pictures, the second is reported
 APART_LEVELS = 2.0  # true levels of two pixels whose order is judged: neighbouring levels are not told apart
 PAIRS = 200_000  # drawn at random: the share of right ones is known to 0.1 %
 YAWS_DEG = (35.0, -35.0)
 STRIDE_PX = 2  # of the surfaces: the levels' own grid
 
 
-def depth_maps(progress: ShareDone, seed: int = 0) -> Evidence:
+def depth_maps(progress: ShareDone, seed: int = 0, methods: Sequence[NamedMethod] = METHODS) -> Evidence:
     """Regularised depth is smoother than raw depth and no less right, and tells near from far.
 
     Rationale: Fig. 8 shows a raw map that is noisy and has gaps, a regularised one without, and surfaces from aside.
@@ -52,18 +55,18 @@ def depth_maps(progress: ShareDone, seed: int = 0) -> Evidence:
     figures: list[Figure] = []
     maps: list[tuple[str, str]] = []
     views: list[tuple[str, str]] = []
-    for number, name in enumerate(bundled.SCENES):
+    for number, name in enumerate(scene_set.SCENES):
         scene = dasim.load_scene(name)
-        camera = dasim.focused(dasim.cropped(dasim.load_camera("da-mobile"), *bundled.SIZE_PX), scene)
-        shot = photographed(scene, camera, seed, spp=bundled.SPP)
+        camera = dasim.focused(dasim.cropped(dasim.load_camera("da-mobile"), *scene_set.SIZE_PX), scene)
+        shot = photographed(scene, camera, seed, spp=scene_set.SPP)
         bank = recon.calibrate(dasim.calibration_captures(camera, diffraction=shot.capture.provenance["diffraction"]))
-        for preset in PRESETS:
-            result = recon.reconstruct(shot.capture, bank, recon.PRESETS[preset])
-            figures += judged(f"{preset}.{name}", f"{name}, {preset}", result, shot.truth, seed)
-            if preset == PRESETS[0]:
-                maps.append(_maps(name, result, shot))
-                views.append(_aside(name, result, shot))
-        progress((number + 1) / len(bundled.SCENES))
+        for method in methods:
+            result = reconstructed(shot.capture, bank, method)
+            figures += judged(f"{method}.{name}", f"{name}, {method}", result, shot.truth, seed)
+            if method == methods[0]:
+                maps.append(_maps(f"{name}, {method}", result, shot))
+                views.append(_aside(f"{name}, {method},", result, shot))
+        progress((number + 1) / len(scene_set.SCENES))
     return Evidence(figures, pictures=[*maps, *views])
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -14,14 +15,16 @@ from dasim.scene.specification import load_scene
 from dasim.simulation.relight import exposed, lit_by
 from dasim.simulation.simulate import Shot
 from dasim.typing import FloatArray, ShareDone
-from recon.settings import DEFAULT
+from recon.settings import DEFAULT_PRESET
 from validation.gates.claim import Evidence
+from validation.methods import NamedMethod, bundled, prefix, reconstructed
 from validation.reports.plots import plot
 from validation.scores.depth import near_side
 from validation.scores.figures import Figure
 from validation.subjects import rendering
 from validation.subjects.shots import photographed
 
+METHODS = bundled(DEFAULT_PRESET)
 SCENE = "desk"
 SIZE_PX = (256, 192)
 SPP = 160
@@ -32,7 +35,7 @@ TICKS = (0.2, 0.5, 1, 2, 5, 10)
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7")
 
 
-def light_levels(progress: ShareDone, seed: int = 0) -> Evidence:
+def light_levels(progress: ShareDone, seed: int = 0, methods: Sequence[NamedMethod] = METHODS) -> Evidence:
     """Depth is found under all four lights, and the error falls with light until the scene itself limits it.
 
     Rationale: sec. 6.2 names outdoor shade, energy-saving lamps and incandescent light; lamps without near-infrared in
@@ -62,27 +65,27 @@ def light_levels(progress: ShareDone, seed: int = 0) -> Evidence:
     for number, light in enumerate(LIGHTS):
         shot = photographed(lit_by(scene, light), camera, spp=SPP)
         bank = recon.calibrate(dasim.calibration_captures(camera, diffraction=shot.capture.provenance["diffraction"]))
-        errors = []
+        errors: dict[str, list[float]] = {prefix(method, METHODS): [] for method in methods}
         for part, level_lux in enumerate(LEVELS_LUX):
             capture = exposed(shot, level_lux / scene_lux, seed * len(LEVELS_LUX) + part)
-            result = recon.reconstruct(capture, bank, DEFAULT)
-            own = errors_of(result.level, result.level_raw, shot)
-            errors.append(own[0])
-            label, said = f"{light}.{level_lux:g}lux", f"{light}, {level_lux:g} lux"
-            figures += [
-                Figure(f"{label}.error", own[0], "level", f"{said}: median absolute error, regularised, all pixels"),
-                Figure(f"{label}.raw", own[1], "level", f"{said}: median absolute error, raw"),
-                Figure(f"{label}.share", own[2], "1", f"{said}: share of pixels with a raw level"),
-            ]
-            said_time = f"1/{1 / capture.exposure_s:.0f}, gain {capture.gain:.3g}"
-            rows.append([light, f"{level_lux:g}", said_time, result.light, *(f"{v:.2f}" for v in own)])
+            for method in methods:
+                result = reconstructed(capture, bank, method)
+                own = errors_of(result.level, result.level_raw, shot)
+                label = f"{prefix(method, METHODS)}{light}"
+                errors[prefix(method, METHODS)].append(own[0])
+                figures += _level_figures(f"{label}.{level_lux:g}lux", f"{label}, {level_lux:g} lux", own)
+                exposure = f"1/{1 / capture.exposure_s:.0f}, gain {capture.gain:.3g}"
+                rows.append([label, f"{level_lux:g}", exposure, result.light, *(f"{v:.2f}" for v in own)])
             progress((number + (part + 1) / len(LEVELS_LUX)) / len(LIGHTS))
-        curves[light] = np.array(errors)
         constant = _constant(shot)
-        figures += summary(light, curves[light], constant)
-    lamps = curves["energy-saving-3500K"] / curves["D65"]
-    text = "100 lux: error under energy-saving lamps over that under D65"
-    figures.append(Figure("lamps-over-daylight", float(lamps[LEVELS_LUX.index(100.0)]), "1", text))
+        for label, one in errors.items():
+            curves[f"{label}{light}"] = np.array(one)
+            figures += summary(f"{label}{light}", np.array(one), constant)
+    for method in methods:
+        label = prefix(method, METHODS)
+        lamps = curves[f"{label}energy-saving-3500K"] / curves[f"{label}D65"]
+        text = "100 lux: error under energy-saving lamps over that under D65"
+        figures.append(Figure(f"{label}lamps-over-daylight", float(lamps[LEVELS_LUX.index(100.0)]), "1", text))
     head = ["light", "lux", "exposure, s", "light chosen", "error, levels", "raw error, levels", "raw share"]
     caption = (
         "Median absolute error of the level against the light's level; dashed: the best constant map, grey: half of it"
@@ -90,6 +93,15 @@ def light_levels(progress: ShareDone, seed: int = 0) -> Evidence:
     return Evidence(
         figures, pictures=[(caption, _picture(curves, constant))], tables=[("Depth against light", head, rows)]
     )
+
+
+def _level_figures(label: str, where: str, errors: tuple[float, float, float]) -> list[Figure]:
+    """Figures of one light and level, from :func:`errors_of`."""
+    return [
+        Figure(f"{label}.error", errors[0], "level", f"{where}: median absolute error, regularised, all pixels"),
+        Figure(f"{label}.raw", errors[1], "level", f"{where}: median absolute error, raw"),
+        Figure(f"{label}.share", errors[2], "1", f"{where}: share of pixels with a raw level"),
+    ]
 
 
 def errors_of(level: NDArray, raw: NDArray, shot: Shot) -> tuple[float, float, float]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from matplotlib import colormaps
 from numpy.typing import NDArray
@@ -12,19 +14,20 @@ from dasim.simulation.simulate import Shot
 from dasim.typing import ShareDone
 from dasim.values import Reconstruction
 from validation.gates.claim import Evidence
+from validation.methods import NamedMethod, bundled, reconstructed
 from validation.reports import page
 from validation.scores import depth as depth_scores
 from validation.scores.depth import near_side
 from validation.scores.figures import Figure
 from validation.subjects import rendering
-from validation.subjects.bundled import SCENES, SIZE_PX, SPP
+from validation.subjects.scene_set import SCENES, SIZE_PX, SPP
 from validation.subjects.shots import photographed
 
-PRESETS = ("bands", "paper", "chakrabarti-zickler")  # the first has the limits, the others are reported
+METHODS = bundled("bands", "paper", "chakrabarti-zickler")  # the first has limits, the others are reported
 COLOURS = "turbo"
 
 
-def depth(progress: ShareDone, seed: int = 0) -> Evidence:
+def depth(progress: ShareDone, seed: int = 0, methods: Sequence[NamedMethod] = METHODS) -> Evidence:
     """On scenes, levels of blur are found to within a level or so, and far better than by any constant map.
 
     Rationale: Fig. 1(b), 8(c,d) and 11(c), measured: the staircase has one texture and no boundaries, scenes have.
@@ -52,24 +55,24 @@ def depth(progress: ShareDone, seed: int = 0) -> Evidence:
         camera = dasim.focused(dasim.cropped(dasim.load_camera("da-mobile"), *SIZE_PX), scene)
         shot = photographed(scene, camera, seed, spp=SPP)
         bank = recon.calibrate(dasim.calibration_captures(camera, diffraction=shot.capture.provenance["diffraction"]))
-        for step, preset in enumerate(PRESETS):
-            result = recon.reconstruct(shot.capture, bank, recon.PRESETS[preset])
-            found, rows = _figures(name, preset, result, shot)
+        for step, method in enumerate(methods):
+            result = reconstructed(shot.capture, bank, method)
+            found, rows = _figures(name, method.name, result, shot)
             figures += found
-            tables.append((f"{name}, {preset}: raw levels by true level", ["level", "share", "median error"], rows))
-            if preset == PRESETS[0]:
-                caption = f"{name}: all in focus, true level, raw and regularised level"
+            tables.append((f"{name}, {method}: raw levels by true level", ["level", "share", "median error"], rows))
+            if method == methods[0]:
+                caption = f"{name}, {method}: all in focus, true level, raw and regularised level"
                 pictures.append((caption, page.png_address(_picture(result, shot))))
-            progress((number + (step + 1) / len(PRESETS)) / len(SCENES))
+            progress((number + (step + 1) / len(methods)) / len(SCENES))
     return Evidence(figures, pictures, tables)
 
 
-def _figures(name: str, preset: str, result: Reconstruction, shot: Shot) -> tuple[list[Figure], list[list[str]]]:
+def _figures(name: str, method: str, result: Reconstruction, shot: Shot) -> tuple[list[Figure], list[list[str]]]:
     truth = shot.truth
     near = near_side(truth)
     inner = near & np.isfinite(result.level_raw) & ~truth.boundary
     away = near & ~truth.boundary
-    label, said = f"{preset}.{name}", f"{name}, {preset}:"
+    label, said = f"{method}.{name}", f"{name}, {method}:"
     share = float(inner.sum()) / max(float(away.sum()), 1.0)
     figures = [Figure(f"{label}.textured", share, "1", f"{said} share of pixels away from boundaries with a raw level")]
     rows: list[list[str]] = []

@@ -17,11 +17,13 @@ from dasim.camera.geometry import level_blur_px
 from dasim.camera.specification import BLUR_LEVELS, Camera
 from dasim.spectra.grid import CHANNELS
 from dasim.typing import FloatArray, ShareDone
-from dasim.values import Capture
+from dasim.values import Capture, PsfBank
 from recon.depth import scores
+from recon.depth.method import on_blocks
 from recon.picture import mosaic
 from recon.settings import Settings
 from validation.gates.claim import Evidence
+from validation.methods import NamedMethod, bundled, estimated
 from validation.reports.plots import plot
 from validation.scores.figures import Figure
 from validation.subjects import rendering, strips
@@ -47,7 +49,8 @@ EXPOSURE_S = 0.05  # for the dark signal; the light is set by WHITE_E
 WHITE_PERCENTILE = 99.9  # of the sharp picture: its white paper
 SMALL_BLUR = 4  # levels below this: where the paper says its advantage is largest
 OURS = ("paper", "likelihood")
-COMPARED = (*OURS, "chakrabarti-zickler")
+PRIOR = "chakrabarti-zickler"  # the closest prior work
+COMPARED = (*OURS, PRIOR)
 SCORES = {
     "paper": recon.PRESETS["paper"],
     "likelihood": recon.PRESETS["likelihood"],
@@ -55,6 +58,7 @@ SCORES = {
     "published-diagonals": recon.PRESETS["chakrabarti-zickler"].model_copy(update={"diagonals": "published"}),
 }
 COLOURS = {"paper": "#0072b2", "likelihood": "#009e73", "chakrabarti-zickler": "#d55e00"}
+METHODS = bundled(*COMPARED)
 
 
 def staircase(progress: ShareDone, seed: int = 0) -> Evidence:
@@ -117,7 +121,7 @@ def staircase(progress: ShareDone, seed: int = 0) -> Evidence:
     return Evidence(figures, pictures=pictures, tables=tables)
 
 
-def staircase_camera(progress: ShareDone, seed: int = 0) -> Evidence:
+def staircase_camera(progress: ShareDone, seed: int = 0, methods: Sequence[NamedMethod] = METHODS) -> Evidence:
     """Through the whole camera, levels are estimated better than by the closest prior work.
 
     Rationale: the second half of Fig. 10: a comparison with Chakrabarti and Zickler on equal terms.
@@ -149,7 +153,9 @@ def staircase_camera(progress: ShareDone, seed: int = 0) -> Evidence:
     green = CHANNELS.index("G")
     white = float(np.percentile([sharp[..., green] for _, sharp in rates], WHITE_PERCENTILE))
     bank = recon.calibrate(dasim.calibration_captures(camera))
-    kernels = bank.kernel[bank.lights.index(LIGHT)]
+    ours = methods == METHODS
+    users: dict[str, Settings | NamedMethod] = {method.name: method for method in methods}
+    estimators: dict[str, Settings | NamedMethod] = {**SCORES} if ours else {PRIOR: SCORES[PRIOR], **users}
     figures: list[Figure] = []
     tables: list[Any] = []
     drawn: dict[tuple[str, str, str], list[Estimates]] = {}
@@ -157,9 +163,9 @@ def staircase_camera(progress: ShareDone, seed: int = 0) -> Evidence:
         means = {}
         scaled = [(mean * white_e / white, sharp * white_e / white) for mean, sharp in rates]
         table = _camera_bounds(camera, np.stack([sharp for _, sharp in scaled]))
-        for name, settings in SCORES.items():
+        for name, estimator in estimators.items():
             found = [
-                _camera_levels(pair, camera, (level, seed), kernels, settings, table[:, level])
+                _camera_levels(pair, camera, (level, seed), bank, estimator, table[:, level])
                 for level, pair in enumerate(scaled)
             ]
             drawn[TEXTURE, f"{white_e:g}", name] = found
@@ -168,29 +174,34 @@ def staircase_camera(progress: ShareDone, seed: int = 0) -> Evidence:
             small = [float(np.abs(one.error).mean()) for one in found[:SMALL_BLUR] if one.error.size]
             text = f"{said}: mean absolute error of levels below {SMALL_BLUR}"
             own.append(Figure(f"{label}.error-small", float(np.mean(small)), "levels", text))
-            figures += own
             means[name] = {one.id.rpartition(".")[2]: one.value for one in own}
-            tables.append((said, *_rows(found)))
-        prior = means["chakrabarti-zickler"]
-        for name in OURS:
+            if ours or name != PRIOR:
+                figures += own
+                tables.append((said, *_rows(found)))
+        prior = means[PRIOR]
+        for name in OURS if ours else (method.name for method in methods):
             for key, error in (("ratio", "error"), ("ratio-small", "error-small")):
                 text = f"{name}: mean absolute error over that of chakrabarti-zickler, white at {white_e:g} electrons"
                 figures.append(Figure(f"{name}.white-{white_e:g}.{key}", means[name][error] / prior[error], "1", text))
         progress(0.7 + 0.3 * (number + 1) / len(WHITE_E))
     caption = "Mean and standard deviation of the estimated level against the true one, rendered (compare Fig. 10)"
     panels = {f"{white_e:g}": f"white at {white_e:g} electrons" for white_e in WHITE_E}
-    return Evidence(figures, pictures=[(caption, _fig_10(panels, drawn))], tables=tables)
+    return Evidence(figures, pictures=[(caption, _fig_10(panels, drawn))] if ours else [], tables=tables)
 
 
 def _camera_levels(
     pictures: tuple[NDArray, NDArray],
     camera: Camera,
     level_and_seed: tuple[int, int],
-    kernels: NDArray,
-    settings: Settings,
+    bank: PsfBank,
+    estimator: Settings | NamedMethod,
     table: FloatArray,
 ) -> Estimates:
-    """Raw levels of a noisy capture of mean electrons [h, w, channel]; the second picture is the sharp one."""
+    """Raw levels of a noisy capture of mean electrons [h, w, channel]; the second picture is the sharp one.
+
+    Which pixels show an edge is told by the settings of the pipeline's own score, for a user's method by the paper's.
+    """
+    kernels = bank.kernel[bank.lights.index(LIGHT)]
     (mean_e, sharp_e), (level, seed) = pictures, level_and_seed
     raw, _ = sensor.expose(
         sensor.mosaic(mean_e.astype(np.float64), camera), camera.sensor, EXPOSURE_S, level + BLUR_LEVELS * seed
@@ -204,12 +215,16 @@ def _camera_levels(
         smooth = cv2.GaussianBlur(plane, (0, 0), 1.5)
         variance = mosaic.noise_variance(capture).at(smooth)
         channels.append((plane, places[name], variance, kernels[:, CHANNELS.index(name)]))
+    settings = estimator if isinstance(estimator, Settings) else SCORES[OURS[0]]
     found, edge = strips.levels_of(channels[0], channels[1], settings, scores.PLANE_SPACING_PX)
     green = sharp_e[..., CHANNELS.index("G")].astype(np.float64)
     spacing, border = round(scores.PLANE_SPACING_PX), strips.BORDER_PX
     strength = strips.strength_of(green) * green.mean() / strips.patch_mean(green)  # shot noise rises with brightness
     # the planes' samples stand in the middle of blocks; the strength changes little over one
     inner = slice(round(border / spacing), -round(border / spacing))
+    if isinstance(estimator, NamedMethod):
+        found = on_blocks(estimated(capture, bank, estimator), bank)[0][inner, inner].astype(np.float64)
+        edge = edge & np.isfinite(found)
     near = strength[::spacing, ::spacing][inner, inner][edge]
     return Estimates(float(level), found[edge] - level, strips.bound_of(table, near), float(edge.mean()))
 

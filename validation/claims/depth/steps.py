@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -16,6 +17,7 @@ from dasim.scene.targets import depth_steps as steps_scene
 from dasim.typing import ShareDone
 from recon.settings import DEFAULT_PRESET
 from validation.gates.claim import Evidence
+from validation.methods import NamedMethod, bundled, reconstructed
 from validation.references.depth_from_blur import first_order_m
 from validation.reports.plots import plot
 from validation.scores.figures import Figure
@@ -28,7 +30,7 @@ LENSES = {"da-mobile": "3.6mm", "da-8mm": "8mm"}
 STEPS = (0.2, 0.4, 0.8, 1.6)  # of a blur level
 SIZE_PX = (256, 192)
 SPP = 120
-PRESETS = (DEFAULT_PRESET, "paper")
+METHODS = bundled(DEFAULT_PRESET, "paper")
 RIGHT_SHARE = 0.75  # of pixels: half way between guessing and certainty
 WINDOW_PX = 35  # the widest patch of the presets
 COLOURS = ("#0072b2", "#d55e00")
@@ -43,7 +45,7 @@ class Told(NamedTuple):
     textured: float  # share of pixels with a raw level
 
 
-def measured_steps(progress: ShareDone, seed: int = 0) -> Evidence:
+def measured_steps(progress: ShareDone, seed: int = 0, methods: Sequence[NamedMethod] = METHODS) -> Evidence:
     """Two planes a fraction of a blur level apart are told apart: the paper's method resolves finer than its ladder.
 
     Rationale: Fig. 13 says what levels can tell apart; whether the reconstruction does is another question.
@@ -70,12 +72,12 @@ def measured_steps(progress: ShareDone, seed: int = 0) -> Evidence:
     figures: list[Figure] = []
     rows, curves = [], {}
     jobs = [(name, depth_cm) for name, depths in DEPTHS_CM.items() for depth_cm in depths]
-    ratios: dict[str, list[float]] = {preset: [] for preset in PRESETS}
+    ratios: dict[str, list[float]] = {method.name: [] for method in methods}
     for number, (name, depth_cm) in enumerate(jobs):
         camera = cameras.refocused(dasim.cropped(dasim.load_camera(name), *SIZE_PX), FOCUS_M)
-        told: dict[str, list[Told]] = {preset: [] for preset in PRESETS}
+        told: dict[str, list[Told]] = {method.name: [] for method in methods}
         for part, step in enumerate(STEPS):
-            for preset, one in _photographed(camera, depth_cm / 100, step, seed).items():
+            for preset, one in _photographed(camera, depth_cm / 100, step, seed, methods).items():
                 told[preset].append(one)
             progress((number + (part + 1) / len(STEPS)) / len(jobs))
         half_px, ladder = 100 * first_order_m(camera, depth_cm / 100), 100 * step_m(camera, depth_cm / 100, 1.0)
@@ -101,9 +103,11 @@ def measured_steps(progress: ShareDone, seed: int = 0) -> Evidence:
         text = f"{preset}: measured step in blur levels, median over lenses and distances"
         figures.append(Figure(f"{preset}.median-levels", float(np.median(known)), "level", text))
     head = ["lens", "distance, cm", "half a pixel, cm", "half a level, cm", "one level, cm"]
-    head += [f"{preset}, {how}, cm" for preset in PRESETS for how in ("assigned", "in order")]
+    head += [f"{method}, {how}, cm" for method in methods for how in ("assigned", "in order")]
     caption = "Share of textured pixels assigned to the right one of two planes; 75 % is the threshold"
-    return Evidence(figures, pictures=[(caption, _picture(curves))], tables=[("Depth steps told apart", head, rows)])
+    return Evidence(
+        figures, pictures=[(caption, _picture(curves, methods))], tables=[("Depth steps told apart", head, rows)]
+    )
 
 
 def _cell(levels: float, step_cm: float) -> str:
@@ -149,8 +153,10 @@ def threshold(steps: tuple[float, ...], right: list[float]) -> float:
     return float(steps[first - 1] * (steps[first] / steps[first - 1]) ** share)
 
 
-def _photographed(camera: Camera, depth_m: float, step: float, seed: int) -> dict[str, Told]:
-    """What each preset tells of two planes ``step`` levels apart."""
+def _photographed(
+    camera: Camera, depth_m: float, step: float, seed: int, methods: Sequence[NamedMethod]
+) -> dict[str, Told]:
+    """What each method tells of two planes ``step`` levels apart."""
     scene = steps_scene(100 * depth_m, 100 * step_m(camera, depth_m, step))
     shot = photographed(scene, camera, seed, spp=SPP)
     bank = recon.calibrate(dasim.calibration_captures(camera, diffraction=shot.capture.provenance["diffraction"]))
@@ -163,26 +169,26 @@ def _photographed(camera: Camera, depth_m: float, step: float, seed: int) -> dic
     near = inner & (x >= WINDOW_PX // 2) & (x < SIZE_PX[0] / 2 - clear)
     far = inner & (x < SIZE_PX[0] - WINDOW_PX // 2) & (x >= SIZE_PX[0] / 2 + clear)
     return {
-        preset: assigned(recon.reconstruct(shot.capture, bank, recon.PRESETS[preset]).level_raw, near, far, known)
-        for preset in PRESETS
+        method.name: assigned(reconstructed(shot.capture, bank, method).level_raw, near, far, known)
+        for method in methods
     }
 
 
-def _picture(curves: dict[str, list[float]]) -> str:
+def _picture(curves: dict[str, list[float]], methods: Sequence[NamedMethod]) -> str:
     def draw(axes: Any) -> None:
-        for panel, preset in zip(axes, PRESETS, strict=True):
+        for panel, method in zip(np.atleast_1d(axes), methods, strict=True):
             for label, right in curves.items():
-                own, _, what = label.partition(".")
-                if own == preset:
+                what = label.removeprefix(f"{method}.")
+                if what != label:
                     style = "--s" if what.startswith("8mm") else "-o"
                     panel.semilogx(
                         STEPS, right, style, markersize=3.5, linewidth=0.9, label=what.replace("mm.", "mm, ")
                     )
             panel.axhline(RIGHT_SHARE, color="black", linewidth=0.8)
-            panel.set(xlabel="step, blur levels", title=preset, ylim=(0.4, 1.02))
+            panel.set(xlabel="step, blur levels", title=method.name, ylim=(0.4, 1.02))
             panel.set_xticks(STEPS, [f"{step:g}" for step in STEPS])
             panel.minorticks_off()
-        axes[0].set(ylabel="share of pixels assigned right")
-        axes[-1].legend(fontsize=7, loc="lower right")
+        np.atleast_1d(axes)[0].set(ylabel="share of pixels assigned right")
+        np.atleast_1d(axes)[-1].legend(fontsize=7, loc="lower right")
 
-    return plot(draw, columns=len(PRESETS), size=(4.4, 3.2))
+    return plot(draw, columns=len(methods), size=(4.4, 3.2))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +20,7 @@ from dasim.typing import BoolArray, FloatArray, ShareDone
 from dasim.values import PsfBank, Reconstruction, Truth
 from recon.picture import colour, infrared
 from validation.gates.claim import Evidence
+from validation.methods import NamedMethod, bundled, prefix, reconstructed
 from validation.reports.page import png_address
 from validation.scores import pictures as picture_scores
 from validation.scores.figures import Figure
@@ -28,7 +31,8 @@ from validation.subjects.shots import photographed
 SHARP_SCENES = ("desk", "flowers", "adam")
 SHARP_SIZE_PX = (384, 288)
 SHARP_SPP = 256
-PRESETS = ("bands", "paper")  # the first is judged, the second reported beside it
+METHODS = bundled("bands", "paper")  # the first has limits, the second is reported beside it
+REFOCUSED = bundled("bands")
 JUDGED_PX = ((3.0, 10.0), (10.0, 25.0))  # visible blur
 BIN_PX = 5.0
 LARGEST_PX = 55.0
@@ -46,7 +50,7 @@ def _shot(name: str, seed: int) -> tuple[Shot, PsfBank]:
     return photographed(scene, camera, seed, spp=SHARP_SPP), recon.calibrate(dasim.calibration_captures(camera))
 
 
-def all_in_focus(progress: ShareDone, seed: int = 0) -> Evidence:
+def all_in_focus(progress: ShareDone, seed: int = 0, methods: Sequence[NamedMethod] = METHODS) -> Evidence:
     """The all-in-focus picture is nearer to the sharp truth than the capture is, at every blur.
 
     Rationale: deconvolution by a kernel that depth has told must not only look sharp, it must be right.
@@ -66,16 +70,16 @@ def all_in_focus(progress: ShareDone, seed: int = 0) -> Evidence:
     figures, rows, pictures = [], [], []
     for number, name in enumerate(SHARP_SCENES):
         shot, bank = _shot(name, seed)
-        for preset in PRESETS:
-            result = recon.reconstruct(shot.capture, bank, recon.PRESETS[preset])
-            found, table = gains(f"{preset}.{name}", result, shot.truth)
+        for method in methods:
+            result = reconstructed(shot.capture, bank, method)
+            found, table = gains(f"{method}.{name}", result, shot.truth)
             figures += found
             rows += table
-            if preset == PRESETS[0]:
+            if method == methods[0]:
                 pictures.append((f"{name}, captured", png_address(result.rgb)))
-                pictures.append((f"{name}, all in focus", png_address(result.sharp_rgb)))
+                pictures.append((f"{name}, all in focus, {method}", png_address(result.sharp_rgb)))
         progress((number + 1) / len(SHARP_SCENES))
-    head = ["preset and scene", "visible blur (px)", "share of the frame", "capture (dB)", "all in focus (dB)"]
+    head = ["method and scene", "visible blur (px)", "share of the frame", "capture (dB)", "all in focus (dB)"]
     return Evidence(figures, pictures=pictures, tables=[("PSNR against the sharp truth", head, rows)])
 
 
@@ -107,7 +111,7 @@ def gains(name: str, result: Reconstruction, truth: Truth) -> tuple[list[Figure]
     return figures, rows
 
 
-def refocus(progress: ShareDone, seed: int = 0) -> Evidence:
+def refocus(progress: ShareDone, seed: int = 0, methods: Sequence[NamedMethod] = REFOCUSED) -> Evidence:
     """Refocused after the shot, a picture looks as the same lens would have taken it, focused there.
 
     Rationale: the paper shows refocused pictures (Fig. 1, 11); here the lens can be focused anew and compared.
@@ -126,9 +130,9 @@ def refocus(progress: ShareDone, seed: int = 0) -> Evidence:
     """
     shot, bank = _shot("desk", seed)
     scene, camera, truth = dasim.load_scene("desk"), shot.capture.camera, shot.truth
-    result = recon.reconstruct(shot.capture, bank, recon.PRESETS[PRESETS[0]])
-    separation = infrared.separation(camera, result.light, recon.Settings(**result.settings))
-    matrix = colour.colour_matrix(camera, result.light, separation)
+    results = {prefix(method, REFOCUSED): reconstructed(shot.capture, bank, method) for method in methods}
+    light, settings = (getattr(next(iter(results.values())), name) for name in ("light", "settings"))
+    matrix = colour.colour_matrix(camera, light, infrared.separation(camera, light, recon.Settings(**settings)))
     inner = truth.valid & ~truth.boundary
     chosen = [n for n in range(len(truth.objects)) if np.sum(inner & (truth.object_id == n + 1)) >= LEAST_PX]
     figures, pictures = [], []
@@ -141,14 +145,16 @@ def refocus(progress: ShareDone, seed: int = 0) -> Evidence:
         exact, seen = _without_breathing(taken.truth, there, camera)
         mask = inner & seen
         scale = exposure_scale(exact[mask][None].astype(np.float32), matrix)
-        pair = [to_srgb(e.astype(np.float32), matrix, scale) for e in (exact, recon.refocus(result, bank, depth_m))]
-        for what, where, text in (("", mask, "all pixels"), ("-object", mask & own, "the object itself")):
-            level, likeness = _likeness(pair[1], pair[0], where)
-            text = f"focused on the {name}, {100 * depth_m:.1f} cm, {text}"
-            figures.append(Figure(f"{name}.psnr{what}", level, "dB", f"{text}: PSNR of sRGB"))
-            figures.append(Figure(f"{name}.ssim{what}", likeness, "1", f"{text}: SSIM of sRGB"))
-        pictures.append((f"the lens focused on the {name}", png_address(pair[0])))
-        pictures.append((f"refocused to the {name}", png_address(pair[1])))
+        by_lens = to_srgb(exact.astype(np.float32), matrix, scale)
+        pictures.append((f"the lens focused on the {name}", png_address(by_lens)))
+        for label, result in results.items():
+            refocused = to_srgb(recon.refocus(result, bank, depth_m), matrix, scale)
+            for what, where, text in (("", mask, "all pixels"), ("-object", mask & own, "the object itself")):
+                level, likeness = _likeness(refocused, by_lens, where)
+                text = f"{label}focused on the {name}, {100 * depth_m:.1f} cm, {text}"
+                figures.append(Figure(f"{label}{name}.psnr{what}", level, "dB", f"{text}: PSNR of sRGB"))
+                figures.append(Figure(f"{label}{name}.ssim{what}", likeness, "1", f"{text}: SSIM of sRGB"))
+            pictures.append((f"{label}refocused to the {name}", png_address(refocused)))
         progress((done + 1) / len(chosen))
     return Evidence(figures, pictures=pictures)
 

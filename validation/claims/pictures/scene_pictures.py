@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -17,15 +19,16 @@ from dasim.values import PsfBank, Reconstruction, Truth
 from recon.picture import colour, infrared
 from recon.views import anaglyph as stereo
 from validation.gates.claim import Evidence, Pair, Table
+from validation.methods import NamedMethod, bundled, prefix, reconstructed
 from validation.reports import pictures
 from validation.scores.edges import gradients, slope
 from validation.scores.figures import Figure
 from validation.scores.pictures import infrared_free
-from validation.subjects import bundled, rendering
+from validation.subjects import rendering, scene_set
 from validation.subjects.shots import photographed
 
 SCENES = {"adam": "skin", "flowers": "daisy"}  # and the object to which they are refocused
-PRESET = "bands"
+METHODS = bundled("bands")
 EDGE_BLUR_PX = ((0.0, 3.0), (3.0, 10.0))  # visible blur
 STACK_STEP = 1.0  # levels between the pictures of a stack, beyond both ends by one
 LOCAL_SIGMA_PX = 8.0  # of the patch in which sharpness is compared
@@ -36,7 +39,7 @@ LEAST_PX = 2000  # of an object in the table
 MATCHED = 0.9  # correlation between red of one eye and green of the other that makes a match
 
 
-def scene_pictures(progress: ShareDone, seed: int = 0) -> Evidence:
+def scene_pictures(progress: ShareDone, seed: int = 0, methods: Sequence[NamedMethod] = METHODS) -> Evidence:
     """All in focus has steeper edges, refocused is sharpest where it was focused, and two eyes see the depth.
 
     Rationale: these pictures are what the camera is for. Claims ``all-in-focus`` and ``refocus`` compare them with the
@@ -71,20 +74,21 @@ def scene_pictures(progress: ShareDone, seed: int = 0) -> Evidence:
     tables: list[Table] = []
     for number, name in enumerate(SCENES):
         scene = dasim.load_scene(name)
-        camera = dasim.focused(dasim.cropped(dasim.load_camera("da-mobile"), *bundled.SIZE_PX), scene)
-        shot = photographed(scene, camera, seed, spp=bundled.SPP)
+        camera = dasim.focused(dasim.cropped(dasim.load_camera("da-mobile"), *scene_set.SIZE_PX), scene)
+        shot = photographed(scene, camera, seed, spp=scene_set.SPP)
         bank = recon.calibrate(dasim.calibration_captures(camera, diffraction=shot.capture.provenance["diffraction"]))
-        result = recon.reconstruct(shot.capture, bank, recon.PRESETS[PRESET])
-        figures += [*edges(name, result, shot.truth), *sharpest(name, result, bank, shot.truth)]
-        progress((number + 0.7) / len(SCENES))
-        anaglyphs = {}
-        for where in ("in", "out"):
-            left, right = stereo.pair(result.sharp_rgb, result.depth_m, STRONGEST_PX, where)
-            anaglyphs[where] = stereo.anaglyph(left, right)
-            figures += eyes(f"{name}.{where}", anaglyphs[where], result.depth_m, where, shot.truth)
-        tables.append((f"{name}: levels of objects", ["object", "pixels", "true", "found"], _rows(result, shot.truth)))
-        pairs += _pairs(name, result, bank, shot)
-        shown += _pictures(name, result, anaglyphs, shot)
+        for method in methods:
+            result, label = reconstructed(shot.capture, bank, method), f"{prefix(method, METHODS)}{name}"
+            figures += [*edges(label, result, shot.truth), *sharpest(label, result, bank, shot.truth)]
+            anaglyphs = {}
+            for where in ("in", "out"):
+                left, right = stereo.pair(result.sharp_rgb, result.depth_m, STRONGEST_PX, where)
+                anaglyphs[where] = stereo.anaglyph(left, right)
+                figures += eyes(f"{label}.{where}", anaglyphs[where], result.depth_m, where, shot.truth)
+            head = ["object", "pixels", "true", "estimated"]
+            tables.append((f"{label}: levels of objects", head, _rows(result, shot.truth)))
+            pairs += _pairs(label, SCENES[name], result, bank, shot)
+            shown += _pictures(label, result, anaglyphs, shot)
         progress((number + 1) / len(SCENES))
     return Evidence(figures, pictures=shown, tables=tables, pairs=pairs)
 
@@ -152,7 +156,7 @@ def eyes(name: str, anaglyph: NDArray, depth_m: NDArray, where: str, truth: Trut
     off = np.abs(found - scale * (screen - vergence))[sure]
     off_true = np.abs(found - scale * (screen - 1 / truth.depth_m))[sure]
     side = found[sure] * (1 if where == "in" else -1)
-    said = f"{name.partition('.')[0]}, anaglyph, {where}"
+    said = f"{name.rpartition('.')[0]}, anaglyph, {where}"
     return [
         Figure(f"{name}.shift", _median(off), "px", f"{said}: median error of the shift, expected from found depth"),
         Figure(
@@ -211,13 +215,13 @@ def _rows(result: Reconstruction, truth: Truth) -> list[list[str]]:
     return rows
 
 
-def _pairs(name: str, result: Reconstruction, bank: PsfBank, shot: Shot) -> list[Pair]:
+def _pairs(name: str, item: str, result: Reconstruction, bank: PsfBank, shot: Shot) -> list[Pair]:
     """Capture and all-in-focus picture; refocused near, to the depth found at an object, and to where it was."""
     separation = infrared.separation(result.camera, result.light, recon.Settings(**result.settings))
     matrix = colour.colour_matrix(result.camera, result.light, separation)
     scale = exposure_scale(result.linear_e, matrix)
-    own = shot.truth.object_id == shot.truth.objects.index(SCENES[name]) + 1
-    places = {f"depth found of the {SCENES[name]}": float(np.median(result.depth_m[own]))}
+    own = shot.truth.object_id == shot.truth.objects.index(item) + 1
+    places = {f"depth estimated for the {item}": float(np.median(result.depth_m[own]))}
     places["focus of the capture"] = result.camera.lens.focus_distance_m
     focused = []
     for text, depth_m in places.items():

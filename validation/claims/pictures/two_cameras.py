@@ -23,11 +23,14 @@ from validation.reports.pictures import photo_address
 from validation.scores.edges import gradients, slope
 from validation.scores.figures import Figure
 from validation.scores.pictures import infrared_free
-from validation.subjects import bundled, rendering
+from validation.subjects import rendering, scene_set
 from validation.subjects.shots import photographed
 
 CAMERAS = ("da-mobile", "bayer-mobile")
-SPP = {"da-mobile": bundled.SPP, "bayer-mobile": 64}  # the twin's picture is of one stop, and compared in means alone
+SPP = {
+    "da-mobile": scene_set.SPP,
+    "bayer-mobile": 64,
+}  # the twin's picture is of one stop, and compared in means alone
 MEAN_SIGMA_PX = 3.0  # Gaussian of the local means whose colours are compared: noise is judged apart
 FOCUS_PX = 1.5  # visible blur up to which a pixel is in focus
 OTHER_SENSOR = 1000  # on the seed
@@ -64,7 +67,7 @@ def two_cameras(progress: ShareDone, seed: int = 0) -> Evidence:
     rendering.needs_wave()
     figures: list[Figure] = []
     pairs: list[Pair] = []
-    for number, name in enumerate(bundled.SCENES):
+    for number, name in enumerate(scene_set.SCENES):
         shots = photographs(name, seed)
         automatic = {camera: recon.develop(shot.capture) for camera, shot in shots.items()}
         balanced = {camera: recon.develop(shot.capture, lights=[_light(shot)]) for camera, shot in shots.items()}
@@ -73,7 +76,7 @@ def two_cameras(progress: ShareDone, seed: int = 0) -> Evidence:
         labels = {camera: f"{camera}, balanced for {one.light}" for camera, one in automatic.items()}
         first, second = ((labels[camera], photo_address(automatic[camera].rgb)) for camera in CAMERAS)
         pairs.append((f"{name} through both cameras (Fig. 6)", first, second))
-        progress((number + 1) / len(bundled.SCENES))
+        progress((number + 1) / len(scene_set.SCENES))
     return Evidence(figures, pairs=pairs)
 
 
@@ -82,7 +85,7 @@ def photographs(name: str, seed: int) -> dict[str, Shot]:
     scene = dasim.load_scene(name)
     shots: dict[str, Shot] = {}
     for camera_name in CAMERAS:
-        camera = dasim.focused(dasim.cropped(dasim.load_camera(camera_name), *bundled.SIZE_PX), scene)
+        camera = dasim.focused(dasim.cropped(dasim.load_camera(camera_name), *scene_set.SIZE_PX), scene)
         exposure = Exposure(time_s=shots[CAMERAS[0]].capture.exposure_s) if shots else None
         shots[camera_name] = photographed(scene, camera, seed, spp=SPP[camera_name], exposure=exposure)
     return shots

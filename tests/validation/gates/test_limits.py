@@ -1,0 +1,49 @@
+"""The bundled limits: which figure has which, and that none limits a user's method by accident."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from validation.claims.table import CLAIMS
+from validation.gates.limits import GATES, gate_of, load_gates
+
+FIGURES = Path(__file__).with_name("limits.tsv")
+
+
+@pytest.fixture(scope="module")
+def gates():
+    return load_gates(GATES, CLAIMS)
+
+
+@pytest.fixture(scope="module")
+def figures() -> dict[str, str | None]:
+    """Limit of each figure that the claims measure, as it was listed from results."""
+    lines = [line.split("\t") for line in FIGURES.read_text().splitlines() if not line.startswith("#")]
+    return {name: None if limit == "none" else limit for name, limit in lines}
+
+
+def test_every_figure_has_the_limit_that_is_listed(gates, figures):
+    """A gate that is written anew limits what it limited before, and nothing else."""
+    assert {name.partition(".")[0] for name in figures} == set(CLAIMS)
+    found = {name: gate_of(name, gates) for name in figures}
+    assert {name: gate and gate.limit for name, gate in found.items()} == figures
+
+
+def test_every_gate_limits_a_figure(gates, figures):
+    used = {gate.key for gate in (gate_of(name, gates) for name in figures) if gate is not None}
+    assert [gate.key for gate in gates if gate.key not in used] == []
+
+
+@pytest.mark.parametrize("method", ["mine", "depth_method.py:ratio", "D65", "desk"])
+def test_no_bundled_limit_is_for_a_users_method(gates, figures, method):
+    """Its figures are CLAIM.METHOD.FIGURE: the bundled method's name exchanged, or put in where figures name none."""
+    theirs = set()
+    for name in figures:
+        claim, first, *rest = name.split(".")
+        bundled = [own.name for own in CLAIMS[claim].methods]
+        if bundled:
+            theirs.add(".".join([claim, method, *([] if first in bundled else [first]), *rest]))
+    assert len(theirs) > 100
+    assert [name for name in theirs if gate_of(name, gates) is not None] == []

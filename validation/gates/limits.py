@@ -1,0 +1,134 @@
+"""Limits of figures: how they are written, which figures each is for, and whether a figure keeps its own."""
+
+from __future__ import annotations
+
+import math
+import operator
+import re
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from pydantic import RootModel, field_validator
+
+from dasim.base.errors import InputError
+from dasim.base.toml import Specification, parse_toml
+from validation.gates.claim import Claim
+from validation.scores.figures import Figure
+
+LIMIT_FROM = ". Limit: "  # between what a figure means and where its limit comes from
+GATES = Path(__file__).parent / "gates.toml"
+
+_NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
+_ONE_SIDED = re.compile(rf"(<=|>=|<|>)\s*({_NUMBER})")
+_RANGE = re.compile(rf"({_NUMBER})\s*\.\.\s*({_NUMBER})")
+_PART = re.compile(r"\*|\{[^*?\[\]{}.,]+(?:,[^*?\[\]{}.,]+)*\}|[^*?\[\]{}]+")
+_COMPARE = {"<=": operator.le, ">=": operator.ge, "<": operator.lt, ">": operator.gt}
+
+
+def within(value: float, limit: str) -> bool:
+    """Whether a value keeps a limit such as ``<= 0.02``, ``> 0`` or ``0.195..0.199``; NaN keeps none."""
+    if bounds := _RANGE.fullmatch(limit):
+        return float(bounds[1]) <= value <= float(bounds[2])
+    bound = _ONE_SIDED.fullmatch(limit)
+    if not bound:
+        raise InputError(f"limit '{limit}' is not of the form '<= 0.02', '> 0' or '0.195..0.199'")
+    return bool(_COMPARE[bound[1]](value, float(bound[2])))
+
+
+def judged(figure: Figure, limit: str | None, *, claim: str, why: str = "") -> Claim:
+    """A figure of a claim, compared with its limit."""
+    passed = None if limit is None else within(figure.value, limit)
+    source = figure.meaning if not why else f"{figure.meaning}{LIMIT_FROM}{why}"
+    return Claim(f"{claim}.{figure.id}", figure.value, limit, figure.unit, passed, source, figure.spread)
+
+
+@dataclass(frozen=True)
+class Gate:
+    """A limit and the figures that it is for.
+
+    ``key`` has the form of a figure's id, CLAIM.FIGURE or CLAIM.METHOD.FIGURE. Between its dots stands a name, several
+    names as ``{D65,A}``, or ``*`` for any one name. A ``*`` never stands for two names with a dot between them, nor
+    for a part of a name: what a claim measures later, or of a user's method, is not limited by accident.
+    """
+
+    key: str
+    limit: str
+    why: str
+
+    @property
+    def claim(self) -> str:
+        """The claim whose figures it limits."""
+        return self.key.partition(".")[0]
+
+    @property
+    def exact(self) -> bool:
+        """Whether it is for one figure alone."""
+        return not set(self.key) & set("*{")
+
+    def matches(self, figure_id: str) -> bool:
+        """Whether it is for the figure of this id."""
+        parts, names = self.key.split("."), figure_id.split(".")
+        return len(parts) == len(names) and all(map(_part_matches, parts, names))
+
+
+def _part_matches(part: str, name: str) -> bool:
+    return part in ("*", name) or (part.startswith("{") and name in part[1:-1].split(","))
+
+
+class _GateText(Specification):
+    limit: str
+    why: str = ""
+
+    @field_validator("limit")
+    @classmethod
+    def _readable(cls, limit: str) -> str:
+        within(0.0, limit)
+        return limit
+
+
+class _GateFile(RootModel[dict[str, _GateText]]):
+    pass
+
+
+def load_gates(path: Path, claims: Iterable[str]) -> list[Gate]:
+    """Limits of a TOML file, those of a single figure first; InputError where a key is wrong."""
+    known = sorted(claims)
+    gates = [Gate(key, text.limit, text.why) for key, text in parse_toml(_GateFile, path).root.items()]
+    for gate in gates:
+        if gate.claim not in known or gate.key == gate.claim:
+            raise InputError(
+                f"{path}: '{gate.key}' is no figure of a claim; its form is CLAIM.FIGURE or CLAIM.METHOD.FIGURE, "
+                f"with CLAIM one of {', '.join(known)}"
+            )
+        for part in gate.key.split("."):
+            if not _PART.fullmatch(part):
+                raise InputError(
+                    f"{path}: '{part}' of '{gate.key}' is no name, {{NAME,NAME}}, or * for one name between dots"
+                )
+    return sorted(gates, key=lambda gate: not gate.exact)
+
+
+def all_gates(claims: Iterable[str], users: Path | None, bundled: Path = GATES) -> list[Gate]:
+    """The bundled limits behind the user's own, which win."""
+    own = [] if users is None else load_gates(users, claims)
+    return [*own, *load_gates(bundled, claims)]
+
+
+def gate_of(figure_id: str, gates: Sequence[Gate]) -> Gate | None:
+    """The first gate that is for a figure."""
+    return next((gate for gate in gates if gate.matches(figure_id)), None)
+
+
+def judged_all(claim: str, figures: Sequence[Figure], gates: Sequence[Gate]) -> list[Claim]:
+    """A claim's figures with their limits; a limit for which there is no figure is an entry that failed."""
+    entries = []
+    for figure in figures:
+        gate = gate_of(f"{claim}.{figure.id}", gates)
+        limit, why = (gate.limit, gate.why) if gate else (None, "")
+        entries.append(judged(figure, limit, claim=claim, why=why))
+    ids = [entry.id for entry in entries]
+    for gate in gates:
+        if gate.claim == claim and not any(map(gate.matches, ids)):
+            entries.append(Claim(gate.key, math.nan, gate.limit, "", False, "no figure of this name was measured"))
+    return entries

@@ -1,0 +1,133 @@
+"""Depth methods by name: the bundled ones and a user's own, which claims, studies and scores run side by side."""
+
+from __future__ import annotations
+
+import functools
+import re
+import traceback
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import recon
+from dasim.base.errors import InputError
+from dasim.base.fingerprint import fingerprint
+from dasim.base.loading import load_function
+from dasim.values import Capture, DepthEstimate, PsfBank, Reconstruction
+from recon.depth.method import applied
+
+NAME = re.compile(r"[A-Za-z][A-Za-z0-9_-]*")  # that a user may give a method of their own
+
+
+@dataclass(frozen=True)
+class NamedMethod:
+    """A depth method and the name by which its figures are called; the name alone crosses to other processes.
+
+    ``source`` is ``package.module:function`` or ``file.py:function`` of a user's method, and empty for a bundled one.
+    """
+
+    name: str
+    source: str = ""
+
+    def __str__(self) -> str:
+        """The name."""
+        return self.name
+
+
+def bundled(*names: str) -> tuple[NamedMethod, ...]:
+    """Bundled methods by their names; all of them without any name."""
+    return tuple(NamedMethod(name) for name in names or recon.METHODS)
+
+
+def named(given: Sequence[str]) -> tuple[NamedMethod, ...]:
+    """Methods as a user names them: a bundled name, ``package.module:function``, ``file.py:function``, NAME=FUNCTION.
+
+    Every function is loaded, so that what cannot be is refused before the work begins. Raises InputError for a name
+    that is unknown or clashes with another.
+    """
+    found: list[NamedMethod] = []
+    for text in given:
+        method = _parsed(text)
+        if method.name in (other.name for other in found):
+            raise InputError(f"method '{text}': two methods have the name '{method.name}'; give one as NAME={text}")
+        if method.source:
+            function(method)
+        found.append(method)
+    return tuple(found)
+
+
+def _parsed(text: str) -> NamedMethod:
+    if text in recon.METHODS:
+        return NamedMethod(text)
+    name, equals, source = text.partition("=")
+    if equals and ":" not in name and "/" not in name:
+        if not NAME.fullmatch(name):
+            raise InputError(
+                f"method '{text}': '{name}' is no name; allowed are letters, digits, - and _, a letter first"
+            )
+        if name in recon.METHODS:
+            raise InputError(f"method '{text}': '{name}' is the name of a bundled method; choose another name")
+    else:
+        name = source = text
+    if ":" not in source:
+        raise InputError(
+            f"method '{text}' is unknown; allowed are {', '.join(recon.METHODS)}, or your own as "
+            "package.module:function or file.py:function"
+        )
+    return NamedMethod(name, source)
+
+
+@functools.cache
+def function(method: NamedMethod) -> Callable[[Capture, PsfBank], DepthEstimate]:
+    """The function of a method, loaded once per process."""
+    return load_function(method.source, "method") if method.source else recon.METHODS[method.name]
+
+
+def prefix(method: NamedMethod, unnamed: Sequence[NamedMethod]) -> str:
+    """What begins the ids of a method's figures in a claim whose own figures name no method; none for these."""
+    return "" if method in unnamed else f"{method}."
+
+
+def identity(method: NamedMethod, variant: str) -> list[str]:
+    """What a result by a method depends on: its name, and the code of a user's function with all that it imports.
+
+    ``variant`` is the renderer's.
+    """
+    return [method.name, *([fingerprint(function(method), variant=variant)] if method.source else [])]
+
+
+def reconstructed(
+    capture: Capture, bank: PsfBank, method: NamedMethod, settings: recon.Settings | None = None
+) -> Reconstruction:
+    """The reconstruction of a capture with the depth of a method; of a bundled method, with its own preset.
+
+    ``settings`` replace those of the bundled method's preset, or the default ones, by which all other stages of a
+    user's method go. Raises InputError where a user's method raises or returns what is no estimate of this capture.
+    """
+    if not method.source:
+        return recon.reconstruct(capture, bank, settings or recon.PRESETS[method.name])
+    return recon.reconstruct(capture, bank, settings or recon.DEFAULT, method=_guarded(function(method)))
+
+
+def estimated(capture: Capture, bank: PsfBank, method: NamedMethod) -> DepthEstimate:
+    """The depth estimate of a method alone, checked as :func:`reconstructed` checks it."""
+    return applied(_guarded(function(method)), capture, bank)
+
+
+def _guarded(method: recon.Method) -> recon.Method:
+    """The method with its exceptions as InputError of one line, which says where in the user's code they come from."""
+
+    @functools.wraps(method)
+    def guarded(capture: Capture, bank: PsfBank) -> DepthEstimate:
+        try:
+            return method(capture, bank)
+        except InputError:
+            raise
+        except Exception as error:
+            frames = traceback.extract_tb(error.__traceback__)
+            frame = next((f for f in reversed(frames) if "site-packages" not in f.filename), frames[-1])
+            place = f"{Path(frame.filename).name}, line {frame.lineno}"
+            text = " ".join(str(error).split())
+            raise InputError(f"stopped by {type(error).__name__}: {text} ({place})") from error
+
+    return guarded
