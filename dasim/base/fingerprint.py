@@ -13,7 +13,7 @@ import functools
 import hashlib
 import inspect
 import sys
-from collections.abc import Callable, Collection, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cache
 from importlib import metadata
@@ -29,8 +29,12 @@ ROOT = Path(__file__).resolve().parents[2]  # holds the packages
 # Folders of bundled data below the root, the first that exists: a wheel holds the scenes inside of dasim.
 DATA_FOLDERS = {"cameras": ("dasim/cameras",), "data": ("dasim/data",), "scenes": ("dasim/scenes", "scenes")}
 RENDERERS = frozenset({"mitsuba", "drjit"})  # libraries whose results depend on the variant
-DISTRIBUTIONS = {"cv2": "opencv-python-headless", "skimage": "scikit-image", "colour": "colour-science"}
+DISTRIBUTIONS = {
+    **{"cv2": "opencv-python-headless", "skimage": "scikit-image", "colour": "colour-science"},
+    **{"colour_demosaicing": "colour-demosaicing", "PIL": "pillow", "grpc": "grpcio"},
+}
 DIGITS = 24
+LONGEST_PATH = 1000  # characters; longer text names no file
 
 Source = Callable[..., Any] | str | Path
 """Code to start from: a function or class, the dotted name of a module, or a Python file outside of the packages."""
@@ -99,6 +103,18 @@ def hashed(text: Iterable[str]) -> str:
     return digest.hexdigest()[:DIGITS]
 
 
+def named_files(data: Any, folder: Path) -> list[str]:
+    """Content, as hashes, of the files below ``folder`` that plain data names anywhere, such as a scene's meshes."""
+    if isinstance(data, dict):
+        return [found for value in data.values() for found in named_files(value, folder)]
+    if isinstance(data, (list, tuple)):
+        return [found for value in data for found in named_files(value, folder)]
+    if not isinstance(data, str) or not data or len(data) > LONGEST_PATH or "\0" in data:
+        return []
+    path = folder / data
+    return [hashlib.sha256(path.read_bytes()).hexdigest()] if path.is_file() else []
+
+
 @cache
 def library_version(name: str) -> str:
     """Version of the distribution that provides a top-level package; "none" where it is not installed."""
@@ -106,14 +122,19 @@ def library_version(name: str) -> str:
         return metadata.version(DISTRIBUTIONS.get(name, name))
     except metadata.PackageNotFoundError:
         pass
-    provided = metadata.packages_distributions().get(name, [])
+    provided = _distributions().get(name, [])
     return ", ".join(f"{one} {metadata.version(one)}" for one in sorted(set(provided))) or "none"
+
+
+@cache
+def _distributions() -> Mapping[str, list[str]]:
+    return metadata.packages_distributions()
 
 
 def forget() -> None:
     """Read all files again. Otherwise a process reads each file once, as it goes on running the code it has loaded."""
-    _content.cache_clear()
-    _digest.cache_clear()
+    for cached in (_content, _digest, _module_below, _passed_on):
+        cached.cache_clear()
 
 
 # --- where to start ------------------------------------------------------------------------------
@@ -184,7 +205,7 @@ def _project(dotted: str, *, whole: bool) -> Iterator[tuple[str, Path]]:
         if path.name != "__init__.py":
             yield name, path
             return
-        offered = references.passed_on(path, _content(path))
+        offered = _passed_on(path)
         if offered is None:  # a package with code of its own
             yield name, path
             offered = {}
@@ -201,6 +222,7 @@ def _module(name: str) -> Path | None:
     return _module_below(ROOT, name) if _is_own(name) else None
 
 
+@cache
 def _module_below(folder: Path, name: str) -> Path | None:
     base = folder.joinpath(*name.split("."))
     for path in (base.with_name(f"{base.name}.py"), base / "__init__.py"):
@@ -231,13 +253,13 @@ def _beside(path: Path, dotted: str, level: int) -> list[Path]:
 
 def _data(path: Path, given: Collection[str]) -> Iterator[Path]:
     """Bundled data that a module names: single files of a folder, or else the folder as a whole."""
-    strings = _content(path).strings
+    named = _content(path).path_parts
     for name, places in DATA_FOLDERS.items():
         folder = next((ROOT / place for place in places if (ROOT / place).is_dir()), None)
-        if name in given or name not in strings or folder is None:
+        if name in given or name not in named or folder is None:
             continue
         files = sorted(file for file in folder.rglob("*") if file.is_file())
-        yield from [file for file in files if file.name in strings] or files
+        yield from [file for file in files if file.name in named] or files
 
 
 def _file_name(path: Path) -> str:
@@ -251,6 +273,11 @@ def _file_name(path: Path) -> str:
 @cache
 def _content(path: Path) -> Content:
     return references.content(path.read_bytes())
+
+
+@cache
+def _passed_on(path: Path) -> references.Names | None:
+    return references.passed_on(path, _content(path))
 
 
 @cache

@@ -39,7 +39,7 @@ class Content:
     """What a file refers to."""
 
     references: frozenset[Reference]
-    strings: frozenset[str]  # constants
+    path_parts: frozenset[str]  # names that are joined to paths: folder / "data"
     passed_on: Names | None  # names that a package takes from its modules; None where the file has code of its own
 
 
@@ -55,7 +55,7 @@ def content(source: bytes) -> Content:
     uses = _Uses(imports.names)
     uses.visit(tree)
     passed_on = imports.names if all(map(_passes_on, tree.body)) else None
-    return Content(frozenset(imports.references | uses.references), frozenset(uses.strings), passed_on)
+    return Content(frozenset(imports.references | uses.references), frozenset(uses.path_parts), passed_on)
 
 
 def passed_on(init: Path, own: Content) -> Names | None:
@@ -104,12 +104,12 @@ class _Imports(ast.NodeVisitor):
 
 
 class _Uses(ast.NodeVisitor):
-    """How a file uses the names of its imports, and its strings."""
+    """How a file uses the names of its imports, and which names it joins to paths."""
 
     def __init__(self, names: Names) -> None:
         self.names = names
         self.references: set[Reference] = set()
-        self.strings: set[str] = set()
+        self.path_parts: set[str] = set()
 
     def visit_Attribute(self, node: ast.Attribute) -> None:
         chain: list[str] = []
@@ -127,15 +127,23 @@ class _Uses(ast.NodeVisitor):
         for found in self.names.get(node.id, ()):
             self.references.add(Reference(found.dotted, found.level, whole=True))
 
+    def visit_BinOp(self, node: ast.BinOp) -> None:
+        if isinstance(node.op, ast.Div):
+            self._join(node.right)
+        self.generic_visit(node)
+
     def visit_Call(self, node: ast.Call) -> None:
         called = node.func.attr if isinstance(node.func, ast.Attribute) else getattr(node.func, "id", None)
+        if called in ("Path", "joinpath", "join", "with_name"):
+            for argument in node.args:
+                self._join(argument)
         if called in ("import_module", "__import__") and node.args and isinstance(node.args[0], ast.Constant):
             self.references.add(Reference(str(node.args[0].value), whole=True))
         self.generic_visit(node)
 
-    def visit_Constant(self, node: ast.Constant) -> None:
-        if isinstance(node.value, str):
-            self.strings.add(node.value)
+    def _join(self, part: ast.expr) -> None:
+        if isinstance(part, ast.Constant) and isinstance(part.value, str):
+            self.path_parts.update(part.value.split("/"))
 
 
 def _is_type_checking(test: ast.expr) -> bool:

@@ -10,7 +10,6 @@ from __future__ import annotations
 import contextlib
 import ctypes
 import glob
-import hashlib
 import json
 import os
 import platform
@@ -20,19 +19,18 @@ import sys
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 from dasim.base import atomic
 from dasim.base.cache import cache_dir
 from dasim.base.errors import InputError
+from dasim.base.fingerprint import fingerprint
 
 VARIANTS = ("cuda_ad_spectral", "llvm_ad_spectral", "scalar_spectral")  # fastest first
 OLDEST_LLVM = 17  # of 15, 16, 19 and 22 the first two abort Dr.Jit 1.5, the others work
 PROBE_TIMEOUT_S = 60.0  # a healthy probe takes below 1 s, a cold graphics driver some seconds
 FAILURE_KEPT_S = 24 * 3600.0  # what failed is tried again a day later: a driver may have come, or a load gone
-CACHE_SCHEMA = 1
 
 LLVM_FOLDERS = (
     str(Path(sys.prefix) / "lib"),  # conda
@@ -309,13 +307,12 @@ def _advice(variant: str) -> str:
 
 
 def _cache_key(libraries: list[str]) -> str:
-    """Hash of everything that the answer depends on."""
-    facts: list[Any] = [CACHE_SCHEMA, version("mitsuba"), version("drjit"), sys.executable, platform.platform()]
-    facts += [platform.machine(), platform.node()]
+    """Hash of everything that the answer depends on: code, libraries, and the facts about this computer."""
+    facts: list[Any] = [sys.executable, platform.platform(), platform.machine(), platform.node()]
     facts += [os.environ.get("DRJIT_LIBLLVM_PATH"), os.environ.get("CUDA_VISIBLE_DEVICES")]
     facts += [_stamp(path) for path in libraries]
     facts += [_stamp(path) for pattern in _GPU_FILES for path in sorted(glob.glob(pattern))]
-    return hashlib.sha256(json.dumps(facts).encode()).hexdigest()[:16]
+    return fingerprint(choose, variant="", values=[json.dumps(facts)])
 
 
 def _stamp(path: str) -> list[Any]:

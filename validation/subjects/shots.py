@@ -1,11 +1,11 @@
-"""Photographs that several claims look at: taken once, kept between runs by the content of what decides them.
+"""Simulated photographs that several claims look at, kept between runs under a fingerprint of what decides them.
 
-Tested in tests/validation/claims/test_pictures.py.
+Tested in tests/validation/claims/test_pictures.py and tests/dasim/base/test_fingerprint.py.
 """
 
 from __future__ import annotations
 
-import os
+import json
 import shutil
 import sys
 from pathlib import Path
@@ -14,6 +14,7 @@ from typing import Literal
 import dasim
 from dasim.base.cache import cache_dir
 from dasim.base.errors import InputError
+from dasim.base.fingerprint import fingerprint, hashed, named_files
 from dasim.camera.noise import Exposure
 from dasim.camera.specification import Camera
 from dasim.files.captures import load_capture, load_truth
@@ -22,7 +23,6 @@ from dasim.scene.mitsuba_scene import MitsubaScene
 from dasim.scene.specification import Scene
 from dasim.simulation.simulate import Shot
 from dasim.typing import Progress
-from validation.gates import stored
 
 
 def photographed(
@@ -34,36 +34,51 @@ def photographed(
     exposure: Exposure | None = None,
     progress: Progress = lambda stage, share: None,
 ) -> Shot:
-    """What :func:`dasim.simulate` gives, as it stands in its files: 16-bit raw numbers, truth of 32-bit floats.
+    """A simulated capture and its truth as their files hold them: 16-bit raw numbers, truth as 32-bit floats.
 
-    Kept in the cache under the scene, the camera, the seed and the samples, as long as the simulator, its data, its
-    libraries and the renderer's variant are the same. A copy made by another process meanwhile is as good.
+    The photograph is kept in the cache under the scene, the camera, the exposure, the seed and the samples, for as long
+    as code, data, libraries and the renderer's variant stay the same.
     """
     assert isinstance(scene, Scene), "what decides a foreign scene is not in its description"
     exposure = exposure or Exposure()
-    what = stored.hashed([*(part.model_dump_json() for part in (scene, camera, exposure)), str(seed), str(spp)])
-    path = _folder() / f"{what}.{stored.hashed(stored.simulator(backend.choose().variant))}"
-    try:
-        return Shot(load_capture(path), load_truth(path))
-    except (InputError, OSError):
-        pass  # none, or damaged: take it
+    path = _place(scene, camera, exposure, seed, spp)
+    earlier = _load(path)
+    if earlier is not None:
+        return earlier
     shot = dasim.simulate(scene, camera, seed, spp=spp, exposure=exposure, progress=progress)
+    earlier = _load(path)
+    if earlier is not None:  # by another process meanwhile
+        return earlier
     try:
-        for old in _folder().glob(f"{what}.*"):
+        for old in path.parent.glob(f"{path.stem}.*"):
             shutil.rmtree(old, ignore_errors=True)
-        partial = path.with_name(f"{path.name}-{os.getpid()}")
-        dasim.save_capture(partial, shot.capture, shot.truth)
-        if not path.exists():
-            partial.rename(path)
-        shutil.rmtree(partial, ignore_errors=True)
+        dasim.save_capture(path, shot.capture, shot.truth)
         return Shot(load_capture(path), load_truth(path))
     except (InputError, OSError) as error:
-        print(f"note: a photograph is not kept: {error}", file=sys.stderr)
+        print(f"note: a photograph cannot be kept: {error}", file=sys.stderr)
         return shot
 
 
+def _load(path: Path) -> Shot | None:
+    """A photograph from the cache; None where it is missing or damaged."""
+    try:
+        return Shot(load_capture(path), load_truth(path))
+    except (InputError, OSError):
+        return None
+
+
+def _place(scene: Scene, camera: Camera, exposure: Exposure, seed: int, spp: int | str) -> Path:
+    """Folder of a photograph: a name of what is photographed, and the fingerprint of what photographs."""
+    described = scene.model_dump(mode="json", exclude={"folder"})
+    parts = [json.dumps(described), camera.model_dump_json(), exposure.model_dump_json(), str(seed), str(spp)]
+    what = hashed([*parts, *named_files(described, scene.folder)])
+    functions = (dasim.simulate, dasim.save_capture, dasim.load_truth)
+    how = fingerprint(*functions, variant=backend.choose().variant, given=("cameras", "scenes"))
+    return _folder() / f"{what}.{how}"
+
+
 def forget() -> None:
-    """Take all photographs anew."""
+    """Remove all photographs, so that they are simulated again."""
     shutil.rmtree(_folder(), ignore_errors=True)
 
 

@@ -359,27 +359,16 @@ def test_what_did_not_run_or_broke_is_tried_again(fakes):
         assert not any(outcome.stored for outcome in outcomes)
 
 
-def test_the_key_follows_the_code_that_decides(tmp_path, monkeypatch):
-    """Set-up: the claim colour; a copy of its package where one file is changed.
-
-    Expectation: a change of a module that it imports changes the key, one of another claim's module does not.
-    """
-    monkeypatch.setattr(stored, "HERE", tmp_path)
-    (tmp_path / "near.py").write_text("VALUE = 1\n")
-    (tmp_path / "far.py").write_text("VALUE = 1\n")
-    (tmp_path / "claim.py").write_text("def claim(progress):\n    from validation.near import VALUE\n")
-    monkeypatch.setattr(stored.inspect, "getsourcefile", lambda run: str(tmp_path / "claim.py"))
-
-    def key(variant: str = "x") -> str:
-        stored._imports.cache_clear(), stored._digest.cache_clear()
-        return stored.key(good, variant)
-
-    first = key()
-    assert key() == first != key("y")
-    (tmp_path / "far.py").write_text("VALUE = 2\n")
-    assert key() == first
-    (tmp_path / "near.py").write_text("VALUE = 2\n")
-    assert key() != first
+def test_key_depends_on_variant_seed_and_functions_passed_to_the_claim(monkeypatch):
+    """What code and data it depends on: tests/dasim/base/test_fingerprint.py."""
+    claim = CLAIMS["blur-off"].run
+    keys = [
+        stored.key(claim, "x"),
+        stored.key(claim, "y"),
+        stored.key(claim, "x", 1),
+        stored.key(claim, "x", uses=(good,)),
+    ]
+    assert len(set(keys)) == 4 and stored.key(claim, "x") == keys[0]
 
 
 def test_several_at_once_give_the_same(fakes):

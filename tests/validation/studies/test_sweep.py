@@ -105,7 +105,7 @@ def inline(taken: list[int], broken=()):
 
 def swept(spec, out, broken=()) -> tuple[list[int], dict[str, str]]:
     taken: list[int] = []
-    failed = sweep.sweep(Sweep(spec, str(out), {}), inline(taken, broken), lambda *counts: None)
+    failed = sweep.sweep(Sweep(spec, str(out), {"variant": "any"}), inline(taken, broken), lambda *counts: None)
     return taken, failed
 
 
@@ -251,7 +251,7 @@ def test_a_restarted_sweep_redoes_nothing(study, tmp_path):
 
 def test_points_keep_their_names_in_another_installation(study, tmp_path, monkeypatch):
     """Set-up: the bundled scenes in another folder. Expectation: the same names, so that what was measured counts."""
-    job = Sweep(load_study(str(study)), "out", {})
+    job = Sweep(load_study(str(study)), "out", {"variant": "any"})
     before = [file_of(job, unit) for unit in units(job.spec)]
     shutil.copytree(scene.SCENE_DIR, tmp_path / "elsewhere")
     monkeypatch.setattr(scene, "SCENE_DIR", tmp_path / "elsewhere")
@@ -272,7 +272,7 @@ def test_a_damaged_file_of_a_point_is_measured_again(study, tmp_path, text):
     spec, out = load_study(str(study)), tmp_path / "out"
     swept(spec, out)
     table = (out / "results.csv").read_text()
-    (out / file_of(Sweep(spec, str(out), {}), units(spec)[2])).write_bytes(text.encode("latin-1"))
+    (out / file_of(Sweep(spec, str(out), {"variant": "any"}), units(spec)[2])).write_bytes(text.encode("latin-1"))
     assert swept(spec, out) == ([2], {})
     assert (out / "results.csv").read_text() == table
 
@@ -292,7 +292,7 @@ def test_means_and_spread_over_seeds(study, tmp_path):
     """Expectation: seeds give x and 1.1 x: mean 1.05 x, deviation 0.1 x / sqrt(2)."""
     spec = load_study(str(study))
     swept(spec, tmp_path / "out")
-    rows = sweep.means(sweep.gathered(Sweep(spec, str(tmp_path / "out"), {})), spec)
+    rows = sweep.means(sweep.gathered(Sweep(spec, str(tmp_path / "out"), {"variant": "any"})), spec)
     one = next(row for row in rows if row["light.lux"] == 100 and row["camera.stops.hole.radius_ratio"] == 0.3)
     x = 1 / 0.3 / 100
     assert one["depth-median"] == pytest.approx(1.05 * x)
@@ -386,7 +386,7 @@ def test_where_the_reference_stands(referred, errors, best, verdict, said):
 def test_a_sweep_says_what_it_found(referred, tmp_path):
     """Expectation: by the worker's formula the largest hole has the least error and loss; the bound has its order."""
     swept(referred, tmp_path / "out")
-    lines = sweep.summary(Sweep(referred, str(tmp_path / "out"), {}))
+    lines = sweep.summary(Sweep(referred, str(tmp_path / "out"), {"variant": "any"}))
     assert lines[0] == "light-loss: 0.65 is best, 0.46 costs 5.3 percentage points"  # (0.65^2 - 0.46^2) / 4
     (depth,) = (line for line in lines if line.startswith("depth-median:"))
     assert depth == "depth-median: 0.65 is better for " + ", ".join(

@@ -5,7 +5,6 @@ Tested in tests/validation/studies/test_sweep.py.
 
 from __future__ import annotations
 
-import hashlib
 import json
 import math
 import time
@@ -20,6 +19,7 @@ import dasim
 import recon
 from dasim.base.errors import InputError
 from dasim.base.executors import Outcome, said
+from dasim.base.fingerprint import fingerprint, hashed, named_files
 from dasim.camera import geometry, noise, radiometry, stops
 from dasim.camera import specification as cameras
 from dasim.camera.specification import Camera
@@ -41,7 +41,6 @@ BOUND_BLURS = 10  # at which the bound is computed; between them its logarithm i
 FLAT = 1e-3  # of its distance, what a board's depths differ by at most
 FOCUS_BLUR_PX = 0.5  # of the visible blur; nearer to the focus it tells nothing, and the bound has no end
 MOST_BEYOND = 0.5  # of the pixels out of the range of depths that the bank holds: beyond, a median says nothing
-MEASURED_AS = 1  # goes up when a figure of the same name means something else
 BASELINE = "stereo.baseline_mm"
 QUANTILES = 200  # of the deviations that stand for all pixels
 OTHER_SEED = 1_000_000  # the second camera has its own noise
@@ -83,21 +82,31 @@ FIGURES = {
 
 @dataclass(frozen=True)
 class Sweep:
-    """What a worker has to know."""
+    """What a worker needs to measure a unit. ``code`` is the fingerprint of the code that measures, by default ours."""
 
     spec: StudySpec
     out: str
     environment: dict[str, Any]
+    code: str = ""
+
+    def __post_init__(self) -> None:
+        if not self.code:
+            object.__setattr__(self, "code", code(self.environment["variant"]))
+
+
+def code(variant: str) -> str:
+    """Fingerprint of the code that measures a unit, its data and libraries."""
+    return fingerprint(measured, variant=variant, given=("cameras", "scenes"))
 
 
 def file_of(job: Sweep, unit: Unit) -> str:
     """Where a unit's rows are kept: a name of all that decides them, the same wherever dasim is installed."""
     spec = job.spec
-    scene = scene_of(spec, unit.render).model_dump(mode="json", exclude={"folder"})
-    design = [camera_of(spec, unit.render).model_dump(mode="json"), scene]
-    fixed = [spec.preset, spec.size_px, spec.spp, unit, job.environment, sorted(FIGURES), MEASURED_AS]
-    text = json.dumps([design, fixed], sort_keys=True, default=str)
-    return f"points/{hashlib.sha256(text.encode()).hexdigest()[:24]}.json"
+    described = scene_of(spec, unit.render)
+    scene = described.model_dump(mode="json", exclude={"folder"})
+    design = [camera_of(spec, unit.render).model_dump(mode="json"), scene, named_files(scene, described.folder)]
+    fixed = [spec.preset, spec.size_px, spec.spp, unit, job.environment]
+    return f"points/{hashed([json.dumps([design, fixed], sort_keys=True, default=str), job.code])}.json"
 
 
 def work(job: Sweep, index: int) -> Outcome:
@@ -105,6 +114,8 @@ def work(job: Sweep, index: int) -> Outcome:
     begin = time.perf_counter()
     unit = units(job.spec)[index]
     try:
+        if code(job.environment["variant"]) != job.code:
+            return Outcome(index, "this worker has other code than the study: figures would not compare", fatal=True)
         sample.activate(job.environment["variant"])
         rows = measured(job.spec, unit)
     except Exception as error:
