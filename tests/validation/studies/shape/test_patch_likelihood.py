@@ -12,7 +12,9 @@ BUDGET = 0.2116
 
 
 def test_the_likelihood_of_patches_reaches_its_bound(camera: dasim.Camera) -> None:
-    """The disc and two windows: 300 patches give a deviation to 4 %; candidates 0.1 px apart add 0.03 px."""
+    """The disc and two windows: the deviation of 300 patches is known to 1 / sqrt(600), 4 %, and may be 3.7 of these
+    off; candidates 0.1 px apart add 0.03 px.
+    """
     half = masks.disc(32, BUDGET / 2, (0.67, 0.0)) + masks.disc(32, BUDGET / 2, (-0.67, 0.0))
     blurs = np.array([10.0])
     for own in (camera, with_mask(camera, half)):
