@@ -1,4 +1,4 @@
-"""Claim of the calibration: kernels measured from pictures of a point against those that the camera has."""
+"""Claim on calibration: PSFs measured from pictures of a point source agree with the PSFs of the camera."""
 
 from __future__ import annotations
 
@@ -14,22 +14,24 @@ from dasim.values import PsfBank
 from validation.gates.claim import Evidence
 from validation.scores.figures import Figure
 
-LEVELS = (0, 1, 2, 4, 8, 14, 20, 28)  # in focus, the strongest change of the pattern, and the largest
+LEVELS = (0, 1, 2, 4, 8, 14, 20, 28)  # in focus, the levels between which the PSF changes most, and the largest
 
 
 def bank(progress: ShareDone) -> Evidence:
-    """Kernels measured from noisy pictures of a point are those of the camera.
+    """PSFs measured from noisy pictures of a point source agree with the PSFs that wave optics gives for the camera.
 
-    Rationale: all that is reconstructed rests on them, and ``recon`` knows them from pictures alone.
+    Rationale: every step of the reconstruction uses the PSF bank, and ``recon`` obtains it from pictures alone.
 
-    Set-up: da-mobile at its own focus; calibration pictures through the sensor model under each of the four lights of
-    sec. 5.1, mosaicked, with noise and fixed patterns, the point at a random place within a pixel. The camera's own
-    kernels by wave optics, on the same pixels. Levels 0, 1, 2, 4, 8, 14, 20 and 28.
+    Set-up: da-mobile at its default focus distance. Calibration pictures pass through the sensor model (mosaic, noise,
+    fixed patterns) under each of the four lights of sec. 5.1; the point source lies at a random position within a
+    pixel. The reference is the camera's own PSF by wave optics, on the same pixel grid. Blur levels 0, 1, 2, 4, 8, 14,
+    20 and 28.
 
-    Expectation: the share of the light within whole-pixel radii of the middle; its largest difference, over radii and
-    levels, for every light and channel.
+    Expectation: both PSFs have the same encircled energy, which is the share of the light within a radius of a whole
+    number of pixels about the centre. The figure for each light and channel is the largest difference over radii and
+    levels.
 
-    Limit: 0.03.
+    Limit: 0.03 of the light.
 
     Source: sec. 5.1; the limit is the project's own.
     """
@@ -40,15 +42,19 @@ def bank(progress: ShareDone) -> Evidence:
     for number, light in enumerate(measured.lights):
         for index, channel in enumerate(CHANNELS):
             worst = error[number, :, index]
-            text = f"{light}, {channel}: largest error of encircled energy, at level {LEVELS[int(worst.argmax())]}"
+            text = f"{light}, {channel}: largest error of encircled energy (at level {LEVELS[int(worst.argmax())]})"
             figures.append(Figure(f"{light}.{channel}", float(worst.max()), "1", text))
             rows.append([light, channel, *(f"{value:.4f}" for value in worst)])
     progress(1.0)
-    return Evidence(figures, tables=[("error of encircled energy", ["light", "channel", *map(str, LEVELS)], rows)])
+    caption = "Largest error of encircled energy by blur level"
+    return Evidence(figures, tables=[(caption, ["light", "channel", *map(str, LEVELS)], rows)])
 
 
 def energy_errors(measured: PsfBank) -> FloatArray:
-    """Largest difference of encircled energy, [light, level of LEVELS, channel], to the camera's own kernels."""
+    """Largest difference in encircled energy between a measured bank and the camera's own PSFs.
+
+    The result is [light, level of LEVELS, channel], as a share of the PSF's light.
+    """
     powers = np.stack([illuminants.illuminant(light) for light in measured.lights])
     size = measured.kernel.shape[-1]
     blurs = measured.blur_px[list(LEVELS)].astype(np.float64)
@@ -58,13 +64,13 @@ def energy_errors(measured: PsfBank) -> FloatArray:
         for place, level in enumerate(LEVELS):
             own, _ = kernels_at(place, (0.0, 0.0), number)
             true = own / own.sum(axis=(-1, -2), keepdims=True)
-            found = measured.kernel[number, level].astype(np.float64)
-            error[number, place] = np.abs(encircled(found) - encircled(true)).max(axis=-1)
+            estimate = measured.kernel[number, level].astype(np.float64)
+            error[number, place] = np.abs(encircled(estimate) - encircled(true)).max(axis=-1)
     return error
 
 
 def encircled(kernel: FloatArray) -> FloatArray:
-    """Share of the light of kernels [..., size, size] within whole-pixel radii of the middle, [..., radius]."""
+    """Encircled energy of kernels [..., size, size] at radii of 1, 2, ... pixels about the centre, [..., radius]."""
     half = kernel.shape[-1] // 2
     radius = np.hypot(*(np.indices(kernel.shape[-2:]) - half))
     return np.stack([(kernel * (radius <= r)).sum(axis=(-1, -2)) for r in range(1, half + 1)], axis=-1)

@@ -1,4 +1,4 @@
-"""Claims of geometric optics: the size of the blur."""
+"""Claim on geometric optics: the diameter of the blur."""
 
 from __future__ import annotations
 
@@ -16,26 +16,29 @@ from validation.reports.plots import CHANNEL_COLOURS, plot
 from validation.scores.figures import Figure
 from validation.subjects import rendering
 
-BLUR_OFF_PX = (-5.0, 4.0, 6.0, 10.0, 16.0, 24.0)  # visible, negative behind the focus; hole 0.46 of it
+BLUR_OFF_PX = (-5.0, 4.0, 6.0, 10.0, 16.0, 24.0)  # visible blur, negative beyond the focal plane; the hole's is 0.46 c
 LENSES_MM = (3.6, 8.0)  # sec. 6.2 and Fig. 13
 SOURCE_RADIUS_PX = 1.5
 BLUR_OFF_SPP, BLUR_OFF_SEEDS = 4096, 4
 
 
 def blur_off(progress: ShareDone) -> Evidence:
-    """Without diffraction the blur of a small source has the size of similar triangles, in every channel and axis.
+    """Without diffraction, the blur of a small source has the diameter given by thin-lens geometry, in every channel.
 
-    Rationale: depth is read from blur, so its size must be right for each stop, channel, lens and side of the focus.
+    Rationale: depth is inferred from the blur diameter, which must therefore be correct for each stop, channel, lens
+    and side of the focal plane.
 
-    Set-up: a lit white disc of 1.5 px radius before nothing, on the axis, focus at 40 cm, both lenses (3.6 and 8 mm,
-    f/2.8), six depths with visible blurs of 4, 6, 10, 16, 24 px before the focus and 5 px behind it. Rendered through
-    both stops with diffraction off, mean of 4 seeds of 4,096 samples.
+    Set-up: a lit white disc of 1.5 px radius on the optical axis before an empty background. Focus at 40 cm, both
+    lenses (3.6 and 8 mm, f/2.8), six depths: visible blur diameters of 4, 6, 10, 16 and 24 px in front of the focal
+    plane and 5 px behind it. The picture is rendered through both stops with diffraction off, as the mean of 4 seeds
+    of 4,096 samples per pixel.
 
-    Expectation: the second central moment along y and x is c^2/16 (disc of blur) + r^2/4 (source) + 1/12 (pixel), with
-    c = A s (1/d - 1/d_f) / p of the lens's data sheet and c of the near-infrared's hole 0.46 of that. A channel that
-    sees through both stops has the mixture of both, by the electrons that the spectra say each stop gives.
+    Expectation: the second central moment along y and along x is c^2/16 (blur disc) + r^2/4 (source) + 1/12 (pixel),
+    where c = A s (1/d - 1/d_f) / p follows from the lens's data sheet and the blur of the near-infrared hole is 0.46 c.
+    A channel that receives light through both stops has the mean of both moments, weighted by the share of electrons
+    that each stop contributes according to the spectra.
 
-    Limit: 2 % of the moment at the worst depth and axis, for each lens and channel.
+    Limit: relative error of 2 % at the worst depth and axis, for each lens and channel.
 
     Source: thin-lens geometry; a uniform disc of diameter c has a second moment of c^2/16.
     """
@@ -46,48 +49,52 @@ def blur_off(progress: ShareDone) -> Evidence:
         camera = rendering.changed(cameras.load_camera("da-mobile"), lens={"focal_length_mm": focal_mm})
         relative = np.empty((len(BLUR_OFF_PX), 4, 2))
         for index, blur in enumerate(BLUR_OFF_PX):
-            found, noise = _moments(camera, blur)
+            rendered, noise = _moments(camera, blur)
             expected = expected_moments(camera, blur)
-            relative[index] = found / expected[:, None] - 1
+            relative[index] = rendered / expected[:, None] - 1
             worst_noise = max(worst_noise, float((noise / expected[:, None]).max()))
             progress((number + (index + 1) / len(BLUR_OFF_PX)) / len(LENSES_MM))
         ratios[focal_mm] = relative
         for channel, name in enumerate(CHANNELS):
             at = np.unravel_index(np.abs(relative[:, channel]).argmax(), relative[:, channel].shape)
-            what = f"{focal_mm:g} mm, {name}: worst relative error of the second moment over 6 depths and 2 axes"
+            what = f"{focal_mm:g} mm, {name}: largest relative error of the second moment over 6 depths and 2 axes"
             what += f" (at {BLUR_OFF_PX[at[0]]:g} px, {'yx'[at[1]]})"
             worst = float(np.abs(relative[:, channel]).max())
             figures.append(Figure(f"lens-{focal_mm:g}mm.{name}", worst, "1", what))
-    figures.append(Figure("noise", worst_noise, "1", "largest standard error of a moment, from the seeds"))
+    text = "largest relative standard error of a moment, from the scatter over seeds"
+    figures.append(Figure("noise", worst_noise, "1", text))
     return Evidence(figures, [("Error of the second moment against visible blur, mean of both axes", _plot(ratios))])
 
 
 def expected_moments(camera: Camera, blur_px: float) -> FloatArray:
-    """Second moment per axis in square pixels, [channel], from the lens's data and the stops' shares of electrons."""
+    """Expected second moment per axis in square pixels, [channel], for a visible blur diameter in pixels.
+
+    It follows from the lens's data sheet and from the share of electrons that each stop contributes.
+    """
     share = rendering.stop_electrons(camera, illuminants.illuminant("D65") * library.reflectance("white-paper"))
     own = np.array(STOP_RATIOS) * blur_px
     return (share * (own**2)[:, None]).sum(axis=0) / 16 + SOURCE_RADIUS_PX**2 / 4 + 1 / 12
 
 
 def _moments(camera: Camera, blur_px: float) -> tuple[FloatArray, FloatArray]:
-    """Rendered second moments [channel, axis (y, x)] and their standard errors, from seeds."""
+    """Rendered second moments in square pixels, [channel, axis (y, x)], and their standard errors over seeds."""
     depth = rendering.depth_m(camera, blur_px)
     size = 2 * int(np.ceil(abs(blur_px) / 2 + SOURCE_RADIUS_PX + 2))
     camera = rendering.changed(camera, sensor={"width_px": size, "height_px": size})
     radius_cm = SOURCE_RADIUS_PX * rendering.pixel_at_m(camera, depth) * 100
     disc = {"name": "disc", "shape": "disc", "radius_cm": radius_cm, "position_cm": [0, 0, depth * 100]}
     scene = rendering.make_scene([disc | {"material": "white-paper"}])
-    found = []
+    moments = []
     for seed in range(BLUR_OFF_SEEDS):
         pictures = rendering.stop_pictures(
             scene, camera, BLUR_OFF_SPP, seed, diffraction="off", max_blur_px=abs(blur_px) + 1
         )
-        found.append(second_moments(pictures.sum(axis=0)))
-    return np.mean(found, axis=0), np.std(found, axis=0, ddof=1) / np.sqrt(BLUR_OFF_SEEDS)
+        moments.append(second_moments(pictures.sum(axis=0)))
+    return np.mean(moments, axis=0), np.std(moments, axis=0, ddof=1) / np.sqrt(BLUR_OFF_SEEDS)
 
 
 def second_moments(picture: FloatArray) -> FloatArray:
-    """Second central moments of [h, w, channel] along y and x, [channel, 2]."""
+    """Second central moments in square pixels of a picture [h, w, channel] along y and x, [channel, 2]."""
     result = np.empty((picture.shape[-1], 2))
     for axis in (0, 1):
         line = picture.sum(axis=1 - axis)
@@ -105,7 +112,7 @@ def _plot(ratios: dict[float, FloatArray]) -> str:
                 mean = 100 * relative[:, channel].mean(axis=1)
                 panel.plot(BLUR_OFF_PX, mean, "o-", label=name, color=CHANNEL_COLOURS[name])
             panel.axhspan(-2, 2, color="0.9", zorder=0)
-            panel.set(title=f"{focal_mm:g} mm f/2.8", xlabel="visible blur in px", ylabel="error in %")
+            panel.set(title=f"{focal_mm:g} mm f/2.8", xlabel="visible blur diameter in px", ylabel="error in %")
             panel.legend(ncols=4)
 
     return plot(draw, columns=len(ratios), size=(4.5, 3.2))

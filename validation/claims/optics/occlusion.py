@@ -1,4 +1,4 @@
-"""Claims of occlusion: a near edge over a far texture."""
+"""Claim on occlusion: a defocused near edge over a far texture."""
 
 from __future__ import annotations
 
@@ -20,38 +20,39 @@ from validation.reports.plots import plot
 from validation.scores.figures import Figure
 from validation.subjects import rendering
 
-# Pixels so large that lambda N is 0.03 of one, and a lens long enough for several pixels of blur all the same.
+# Large pixels make diffraction small (lambda N is 0.03 px); a long lens still gives several pixels of blur.
 PITCH_UM, FOCAL_MM, FOCUS_M = 50.0, 12.0, 0.4
 SIZE_PX = (32, 24)
 NEAR_BLUR_PX, FAR_BLUR_PX = 4.0, -1.5
-CHANNEL, STOP = "G", 0  # the open stop alone: green sees some near-infrared through the hole, with another blur
+CHANNEL, STOP = "G", 0  # the open stop alone: near-infrared through the hole would add light with another blur
 NEAR_TURN_DEG, STRIPE_TURN_DEG = 10.0, 40.0
 STRIPE_PX = 3.0  # width of a stripe in the picture
 NEAR, DARK, BRIGHT = "grey-card", "carbon-black", "white-paper"
 SPP, SEEDS = 1024, 12
-QUADRATURE = 40_000  # points a pixel over pixel area x pupil disc
-# Far behind the lens, on the side away from the near plane: its shadow falls beside the view.
+QUADRATURE = 40_000  # points per pixel, over the product of pixel area and pupil disc
+# The lamp is far behind the lens, on the side away from the near plane, whose shadow then falls outside the view.
 LAMP_CM, LAMP_TARGET_CM, LAMP_RADIUS_CM = (600.0, 0.0, -2000.0), (0.0, 0.0, 40.0), 20.0
 
 
 def occluding_edge(progress: ShareDone) -> Evidence:
-    """A near edge over far stripes looks as a brute-force integral over pixel and pupil says.
+    """The picture of a near edge over far stripes equals a brute-force integral over pixel area and pupil.
 
-    Rationale: at depth steps, light of the far plane is cut by the near one pupil point by pupil point; a blur by
-    layers gets that wrong, and so would rays that were weighted by the wrong depth.
+    Rationale: at a depth step, the near object hides the far one from some points of the pupil and not from others.
+    Blurring the scene in layers gets this wrong, and so would rays weighted with the blur of the wrong depth.
 
-    Set-up: a grey half-plane 4 px out of focus before black and white stripes 1.5 px out of focus on the other side of
-    the focal plane, both turned, lit by a far lamp. The lens of 12 mm f/2.8 before pixels of 50 um, where lambda N is
-    0.03 px: nearly geometric. Rendered with diffraction 'wave', 12 seeds of 1,024 samples, green through the
-    open stop. The reference is
-    numpy alone: 40,000 points a pixel (Roberts's R4 sequence) over its area and the pupil, each ray met with the
-    half-plane or the stripes, thin-lens geometry.
+    Set-up: a grey half-plane with a blur diameter of 4 px in front of black and white stripes with 1.5 px on the other
+    side of the focal plane, both turned, lit by a distant lamp. The lens is 12 mm f/2.8 and the pixels measure 50 um,
+    so that lambda N is 0.03 px and the picture is nearly geometric. The render uses diffraction 'wave', 12 seeds of
+    1,024 samples per pixel, green through the open stop. The reference uses numpy and thin-lens geometry alone: 40,000
+    rays per pixel (Roberts's R4 sequence over pixel area and pupil), each intersected with the half-plane and the
+    stripes.
 
-    Expectation: in pixels that see both planes, Student's t of render less reference, with the seeds' variance plus
-    the square of the reference's own error: of quadrature (from two halves of the points) and, for 'wave', of
-    diffraction (the largest difference between the edge spreads of wave optics and geometry). The smallest p,
-    corrected for the number of pixels (Sidak), is not small, nor is the p of the mean difference over these pixels.
-    Rendered with 'off' as well, which shows that the reference is right.
+    Expectation: in pixels that see both planes, render and reference differ by noise alone. Student's t of their
+    difference divides by the variance over seeds plus the square of the reference's error, which has two parts: that of
+    the quadrature (from two halves of the points) and, for 'wave', that of neglected diffraction (the largest
+    difference between the edge spread functions of wave optics and of geometry). The smallest p over pixels, corrected
+    for their number (Sidak), is not significant, and neither is the p of the mean difference. The render with
+    diffraction 'off' passes the same test, which shows that the reference is right.
 
     Limit: p of at least 0.01.
 
@@ -67,9 +68,9 @@ def occluding_edge(progress: ShareDone) -> Evidence:
         own_error = float(np.hypot(quadrature, changed))
         rendered = _renders(scene, camera, model)
         progress(0.5 if model == "off" else 1.0)
-        rendered *= reference[~both].mean() / rendered[:, ~both].mean()  # electrons are another claim's
+        rendered *= reference[~both].mean() / rendered[:, ~both].mean()  # absolute electrons are tested elsewhere
         t = t_values(rendered[:, both], reference[both], own_error)
-        # An edge's diffraction is odd about the edge, so what it does to the mean falls with the number of pixels.
+        # Diffraction changes an edge antisymmetrically, so its effect on the mean falls with the number of pixels.
         mean_error = own_error / np.sqrt(t.size)
         t_mean = t_values(rendered[:, both].mean(axis=1), reference[both].mean(), mean_error)
         layers = smallest_p(t_values(rendered[:, both], layered[both], own_error))
@@ -78,25 +79,35 @@ def occluding_edge(progress: ShareDone) -> Evidence:
         figures += [
             Figure(f"{model}.p", smallest_p(t), "1", "smallest p over pixels, corrected for their number"),
             Figure(f"{model}.p-of-mean", smallest_p(t_mean), "1", "p of the mean difference over these pixels"),
-            Figure(f"{model}.mean-square-t", float(np.mean(t**2)), "1", "mean of t^2; 1.2 if all were noise"),
-            Figure(f"{model}.bias", float(off.mean()), "1", "mean difference; white far paper is 1"),
-            Figure(f"{model}.worst", float(np.abs(off).max()), "1", "largest difference, of white"),
-            Figure(f"{model}.noise", float(np.median(noise)), "1", "median standard error of a pixel, of white"),
-            Figure(f"{model}.p-of-layers", layers, "1", "the same p for a blur by layers, which is wrong: the power"),
+            Figure(f"{model}.mean-square-t", float(np.mean(t**2)), "1", "mean of t^2; 1.2 expected for noise alone"),
+            Figure(f"{model}.bias", float(off.mean()), "1", "mean difference, relative to white paper"),
+            Figure(f"{model}.worst", float(np.abs(off).max()), "1", "largest difference, relative to white paper"),
+            Figure(
+                f"{model}.noise",
+                float(np.median(noise)),
+                "1",
+                "median standard error of a pixel, relative to white paper",
+            ),
+            Figure(
+                f"{model}.p-of-layers",
+                layers,
+                "1",
+                "smallest p against a picture blurred in layers, which is wrong: shows the power of the test",
+            ),
         ]
-        shown = np.full(both.shape, np.nan)
-        shown[both] = t
-        pictures.append((f"Reference, render with diffraction '{model}', and t", _plot(reference, rendered, shown)))
+        t_map = np.full(both.shape, np.nan)
+        t_map[both] = t
+        pictures.append((f"Reference, render with diffraction '{model}', and t", _plot(reference, rendered, t_map)))
     figures += [
-        Figure("quadrature", quadrature, "1", "the reference's quadrature error, root mean square, of white"),
-        Figure("diffraction", diffraction, "1", "largest change that diffraction makes to a full edge, of white"),
-        Figure("pixels", float(both.sum()), "px", "pixels compared, those that see both planes"),
+        Figure("quadrature", quadrature, "1", "RMS quadrature error of the reference, relative to white paper"),
+        Figure("diffraction", diffraction, "1", "largest effect of diffraction on an edge, as a share of its step"),
+        Figure("pixels", float(both.sum()), "px", "pixels compared: those that see both planes"),
     ]
     return Evidence(figures, pictures)
 
 
 def _renders(scene: dasim.Scene, camera: Camera, model: str) -> FloatArray:
-    """Electrons a second through the one stop in the one channel, [seed, h, w]."""
+    """Electrons per second in ``CHANNEL`` through ``STOP`` alone, [seed, h, w]."""
     pictures = []
     for seed in range(SEEDS):
         stops = rendering.stop_pictures(scene, camera, SPP, seed, diffraction=model, max_blur_px=NEAR_BLUR_PX + 1)
@@ -105,7 +116,7 @@ def _renders(scene: dasim.Scene, camera: Camera, model: str) -> FloatArray:
 
 
 def edge_camera() -> Camera:
-    """The lens of 12 mm before 32 x 24 pixels of 50 um."""
+    """The camera of this claim: a lens of 12 mm with 32 x 24 pixels of 50 um."""
     return rendering.changed(
         cameras.load_camera("da-mobile"),
         lens={"focal_length_mm": FOCAL_MM, "focus_distance_m": FOCUS_M},
@@ -118,7 +129,7 @@ def _normal(turn_deg: float) -> FloatArray:
 
 
 def edge_scene(camera: Camera) -> dasim.Scene:
-    """A grey sheet left of the frame's middle, stripes behind it; exact geometry, no image texture."""
+    """A grey sheet that covers the left half of the view and stripes behind it, all as planes without image texture."""
     near_m, far_m = (rendering.depth_m(camera, blur) for blur in (NEAR_BLUR_PX, FAR_BLUR_PX))
     wide_cm, high_cm = 3.2, 5.0  # covers the frame's left half at the near depth, blur included
     objects = [
@@ -156,7 +167,11 @@ def edge_scene(camera: Camera) -> dasim.Scene:
 
 
 def reference_picture(camera: Camera) -> tuple[FloatArray, FloatArray, NDArray[np.bool_], float]:
-    """The brute-force picture (white far paper is 1), one by blurred layers, pixels that see both, quadrature error."""
+    """The brute-force picture, a picture blurred in layers, the mask of pixels that see both planes, and an error.
+
+    Pictures are [h, w], relative to white paper at the far plane on the axis. The error is the root mean square of the
+    quadrature error over the mask.
+    """
     from dasim.spectra import grid
 
     light = (
@@ -198,7 +213,7 @@ def reference_picture(camera: Camera) -> tuple[FloatArray, FloatArray, NDArray[n
 
 
 def _illuminance(place_m: FloatArray, depth_m: float) -> FloatArray:
-    """Relative illuminance of surfaces that face the camera at [..., 2] and a depth: cos cos / distance^2."""
+    """Relative illuminance, cos cos / distance^2, of surfaces that face the camera at x, y [..., 2] and a depth."""
     lamp, target = np.array(LAMP_CM) / 100, np.array(LAMP_TARGET_CM) / 100
     axis = (target - lamp) / np.linalg.norm(target - lamp)
     x, y, z = place_m[..., 0] - lamp[0], place_m[..., 1] - lamp[1], depth_m - lamp[2]
@@ -207,10 +222,10 @@ def _illuminance(place_m: FloatArray, depth_m: float) -> FloatArray:
 
 
 def diffraction_error(camera: Camera) -> float:
-    """Largest difference between the edge spreads of wave optics and of geometry, over both planes, at 550 nm."""
+    """Largest difference between the edge spread functions of wave optics and geometry, over both planes, at 550 nm."""
     image_mm = 1 / (1 / FOCAL_MM - 1e-3 / FOCUS_M)
     scale_px = 0.55 * image_mm * camera.lens.f_number / FOCAL_MM / PITCH_UM
-    frequency = np.arange(0.001, 4.0, 0.002)  # beyond, the pixel leaves nothing
+    frequency = np.arange(0.001, 4.0, 0.002)  # cycles per pixel; beyond, the pixel's transfer function is negligible
     place = np.linspace(0.0, 4.0, 161)
     worst = 0.0
     for blur in (NEAR_BLUR_PX, FAR_BLUR_PX):
@@ -221,21 +236,21 @@ def diffraction_error(camera: Camera) -> float:
 
 
 def t_values(rendered: FloatArray, reference: FloatArray, own_error: float) -> FloatArray:
-    """Student's t of [seed, h, w] less a reference that is itself known to ``own_error``."""
+    """Student's t of the mean over seeds of ``rendered`` [seed, ...] against a reference known to ``own_error``."""
     variance = rendered.var(axis=0, ddof=1) / len(rendered) + own_error**2
     return (rendered.mean(axis=0) - reference) / np.sqrt(variance)
 
 
 def smallest_p(t: FloatArray) -> float:
-    """The smallest two-sided p of ``SEEDS`` - 1 degrees of freedom, corrected for the number of values (Sidak)."""
+    """The smallest two-sided p of values of t with ``SEEDS`` - 1 degrees of freedom, by Sidak's correction."""
     smallest = 2 * student.sf(np.abs(t).max(), SEEDS - 1)
     return float(-np.expm1(t.size * np.log1p(-smallest)))
 
 
 def _plot(reference: FloatArray, rendered: FloatArray, t: FloatArray) -> str:
     def draw(axes):  # type: ignore[no-untyped-def]
-        shown = (reference, rendered.mean(axis=0), t)
-        for panel, image, title in zip(axes, shown, ("reference", "render", "t"), strict=True):
+        images = (reference, rendered.mean(axis=0), t)
+        for panel, image, title in zip(axes, images, ("reference", "render", "t"), strict=True):
             limits = {"cmap": "PuOr", "vmin": -5, "vmax": 5} if title == "t" else {"cmap": "gray", "vmin": 0, "vmax": 1}
             mapped = panel.imshow(image, interpolation="nearest", **limits)
             panel.set(title=title, xticks=[], yticks=[])
