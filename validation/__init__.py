@@ -1,6 +1,13 @@
-"""Scores against ground truth, and the proof that simulator and reconstruction can be trusted."""
+"""Scores against ground truth, and the claims and studies that test the simulator and the reconstruction.
 
-from validation.scores.figures import Figure
-from validation.scores.score import score, score_map
+>>> import dasim, validation
+>>> shot = dasim.simulate("desk", "da-mobile")
+>>> print(validation.table(validation.score_map(shot.truth.depth_m, shot.capture, shot.truth)))
 
-__all__ = ["Figure", "score", "score_map"]
+``dasim validate`` runs the claims (``validation/claims``), ``dasim study`` the studies (``validation/studies``). The
+public names are listed in ``__init__.pyi`` and loaded on first use.
+"""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,0 +1,1 @@
+"""What every room uses: errors, specifications from TOML, caches, fingerprints and processes; start with ``toml``."""

@@ -208,7 +208,7 @@ def score(
         found = load_reconstruction(result)
         taken = load_capture(capture)  # a capture that is not whole is not scored
         figures = scores.score(found, taken, load_truth(capture))
-    print(scores.shown(figures))
+    print(scores.table(figures))
     if json_file is not None:
         content = {f.id: {"value": plain_value(f.value), "unit": f.unit} for f in figures}
         atomic.write(json_file, json.dumps(content, indent=1) + "\n")

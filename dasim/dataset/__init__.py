@@ -1,1 +1,1 @@
-"""Datasets: many captures with their truth, the same bytes on one machine or many."""
+"""Datasets: many captures with ground truth, identical bytes on one machine or many; start with ``make``."""

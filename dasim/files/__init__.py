@@ -1,0 +1,1 @@
+"""Captures, ground truths and PSF banks on disk; start with ``captures``."""

@@ -1,0 +1,1 @@
+"""Random rooms and table tops from a seed and an index; start with ``specification``."""

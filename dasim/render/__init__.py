@@ -1,1 +1,1 @@
-
+"""Spectral rendering: the only room that knows Mitsuba; start with ``passes``."""

@@ -1,4 +1,4 @@
-"""Objects as Mitsuba's shapes, in camera axes.
+"""Objects of a scene as Mitsuba's shapes, in camera axes and metres.
 
 Tested in tests/dasim/scene/test_shapes.py and tests/dasim/render/test_truth.py.
 """
@@ -11,17 +11,19 @@ import cv2
 import numpy as np
 
 from dasim.materials.photographs import mask
+from dasim.render.mesh_parameters import mesh
 from dasim.render.plugin import transform
 from dasim.scene import shapes
 from dasim.scene import specification as scenes
 from dasim.scene.meshes import Part
 from dasim.scene.specification import Scene
 
-_UP = np.diag([1.0, -1.0, -1.0, 1.0])  # Mitsuba's flat shapes face +z with v up; ours face -z with v down
+_UP = np.diag([1.0, -1.0, -1.0, 1.0])  # Mitsuba's flat shapes face +z with v up; those of a scene face -z with v down
+MOST_HEIGHTS = 512  # samples of a height field per side: half a million triangles
 
 
 def shape(item: shapes.Object, scene: Scene, bsdf: Any, key: str) -> Any:
-    """Mitsuba's shape of an object, with a scattering function and a name."""
+    """Mitsuba's shape of an object, with the scattering function ``bsdf`` and the name ``key``."""
     to_camera = scenes.object_to_camera(item, scene)
     _, half = shapes.half_extent_m(item, scene.folder)
     if item.shape == "mesh":
@@ -34,7 +36,7 @@ def shape(item: shapes.Object, scene: Scene, bsdf: Any, key: str) -> Any:
         return {"type": plugin, "to_world": transform(to_camera @ local), "bsdf": bsdf}
     if item.shape == "box":
         return mesh(_box(half), to_camera, bsdf, key)
-    # Mitsuba's sphere has its poles, and its cylinder its axis, along z: turn z to up (-y).
+    # The poles of Mitsuba's sphere and the axis of its cylinder lie along z: rotate z to up (-y).
     stand = np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])
     if item.shape == "sphere":
         return {"type": "sphere", "to_world": transform(to_camera @ stand @ np.diag([*half, 1.0])), "bsdf": bsdf}
@@ -44,21 +46,18 @@ def shape(item: shapes.Object, scene: Scene, bsdf: Any, key: str) -> Any:
     return {"type": "cylinder", "to_world": transform(to_camera @ stand @ lower @ scale), "bsdf": bsdf}
 
 
-MOST_HEIGHTS = 512  # of a height field along a side: half a million triangles
-
-
 def _heights(picture: np.ndarray) -> np.ndarray:
-    """A height field's picture, averaged down where it has more pixels than are worth a triangle each."""
+    """The heights of a height field [y, x], averaged down to at most ``MOST_HEIGHTS`` per side."""
     rows, columns = (min(side, MOST_HEIGHTS) for side in picture.shape)
     return cv2.resize(picture, (columns, rows), interpolation=cv2.INTER_AREA)
 
 
 def _box(half: np.ndarray) -> Part:
-    """A box whose every side shows the whole texture upright, seen from outside; the lids as seen with z up."""
+    """A box of half sides ``half``; each side has the whole texture, upright from outside (top and bottom: z up)."""
     corners = np.array([[-1, 1], [1, 1], [1, -1], [-1, -1]])  # bottom left first, right, y down
     vertices: list[np.ndarray] = []
     faces: list[tuple[int, int, int]] = []
-    # right and down of each side as seen from outside; the side itself lies at right x down, turned outward
+    # Directions right and down of each side, as seen from outside; its outward normal is -right x down.
     for right, down in (
         ((1, 0, 0), (0, 1, 0)),
         ((-1, 0, 0), (0, 1, 0)),
@@ -73,31 +72,3 @@ def _box(half: np.ndarray) -> Part:
         faces += [(first, first + 1, first + 2), (first, first + 2, first + 3)]
     uv = np.tile([[0, 0], [1, 0], [1, 1], [0, 1]], (6, 1)).astype(float)
     return Part(np.array(vertices), np.array(faces, np.uint32), uv)
-
-
-def mesh(data: Part, to_camera: np.ndarray, bsdf: Any, key: str) -> Any:
-    """Mitsuba's mesh of triangles; shaded flat, as it is, but where its file brought normals."""
-    import mitsuba as mi
-
-    props = mi.Properties()
-    props["bsdf"] = bsdf
-    props["face_normals"] = data.normals is None
-    built = mi.Mesh(
-        key,
-        len(data.vertices),
-        len(data.faces),
-        has_vertex_normals=data.normals is not None,
-        has_vertex_texcoords=data.uv is not None,
-        props=props,
-    )
-    vertices = data.vertices @ to_camera[:3, :3].T + to_camera[:3, 3]
-    params = mi.traverse(built)
-    params["vertex_positions"] = np.ascontiguousarray(vertices, np.float32).ravel()
-    params["faces"] = np.ascontiguousarray(data.faces, np.uint32).ravel()
-    if data.uv is not None:
-        params["vertex_texcoords"] = np.ascontiguousarray(data.uv, np.float32).ravel()
-    if data.normals is not None:
-        normals = data.normals @ to_camera[:3, :3].T  # an object is turned and moved, never stretched
-        params["vertex_normals"] = np.ascontiguousarray(normals, np.float32).ravel()
-    params.update()
-    return built

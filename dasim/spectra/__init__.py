@@ -1,0 +1,1 @@
+"""The wavelength grid, illuminants and colour; start with ``grid``."""

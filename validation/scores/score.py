@@ -1,4 +1,4 @@
-"""All scores of a reconstruction or of a foreign depth map, as figures and as a table for people."""
+"""Scores of a reconstruction or of any depth map against the ground truth, as figures and as tables for people."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from dasim.base.errors import InputError, kind_of
 from dasim.camera.specification import Camera
 from dasim.typing import BoolArray, FloatArray
 from dasim.values import Capture, Reconstruction, Truth
@@ -23,9 +24,11 @@ FLAT_LEVELS = 1e-3  # a scene with less depth than this has no best constant to 
 def score(result: Reconstruction, capture: Capture, truth: Truth) -> list[Figure]:
     """Figures of a reconstruction: raw and regularised depth, confidence, and pictures against the sharp truth.
 
-    Depth figures are MAP.REGION.METRIC (:mod:`validation.scores.depth`), those of pictures PICTURE.REGION.METRIC
-    (:mod:`validation.scores.pictures`). Raises InputError where the sizes differ.
+    ``result``, ``capture`` and ``truth`` are of one picture [h, w]; the capture is needed because the regions with
+    texture are those of the raw picture. Depth figures are named MAP.REGION.METRIC (:mod:`validation.scores.depth`),
+    those of pictures PICTURE.REGION.METRIC (:mod:`validation.scores.pictures`). InputError where the sizes differ.
     """
+    _check_kinds((result, Reconstruction), (capture, Capture), (truth, Truth))
     camera, textured = result.camera, texture.textured(capture)
     check_size(result.level, truth, "reconstruction")
     raw_m = np.where(np.isfinite(result.level_raw), depth_of_level(result.level_raw, result), np.nan)
@@ -40,11 +43,22 @@ def score(result: Reconstruction, capture: Capture, truth: Truth) -> list[Figure
 def score_map(
     depth_m: NDArray[Any], capture: Capture, truth: Truth, confidence: NDArray[Any] | None = None
 ) -> list[Figure]:
-    """Figures of anybody's depth map [h, w] in metres, NaN where there is no estimate, and of its confidence."""
+    """Figures of any depth map [h, w] in metres, NaN where there is no estimate, and of its confidence.
+
+    ``depth_m`` is z from the lens plane; ``confidence`` [h, w] is on any increasing scale.
+    """
+    _check_kinds((capture, Capture), (truth, Truth))
     figures = depth_figures("depth", depth_m, truth, capture.camera, texture.textured(capture))
     if confidence is not None:
         figures += confidence_figures("depth", depth_m, confidence, truth, capture.camera)
     return figures
+
+
+def _check_kinds(*pairs: tuple[object, type]) -> None:
+    """InputError where an argument is not of its type, as where two are swapped."""
+    for value, kind in pairs:
+        if not isinstance(value, kind):
+            raise InputError(f"score: a {kind.__name__} is needed, not {kind_of(value)}; see help(validation.score)")
 
 
 def depth_of_level(level: NDArray[Any], result: Reconstruction) -> FloatArray:
@@ -113,7 +127,7 @@ def confidence_figures(
     ]
 
 
-def shown(figures: list[Figure]) -> str:
+def table(figures: list[Figure]) -> str:
     """Tables for people: depth maps by region, with the best constant map in brackets; by true level; pictures."""
     values = {figure.id: figure.value for figure in figures}
     lines = [f"{f.id:<28}{f.value:>9.3f} {f.unit:<6}{f.meaning}" for f in figures if f.id.count(".") == 1]

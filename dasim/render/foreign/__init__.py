@@ -1,0 +1,1 @@
+"""Mitsuba XML scenes: their surfaces and lights become spectral; start with ``scene``."""

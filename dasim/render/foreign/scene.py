@@ -12,6 +12,7 @@ import numpy as np
 
 from dasim.base.errors import InputError
 from dasim.render.foreign.colours import Notes, replace_light_colours, replace_surface_colours
+from dasim.render.mesh_parameters import corners
 from dasim.render.plugin import transform
 from dasim.scene.clearance import LARGEST_M, SMALLEST_M
 from dasim.scene.meshes import distance_from_origin
@@ -283,9 +284,7 @@ def _materials(nodes: Any, objects: list[list[int]]) -> tuple[list[str], np.ndar
 
 
 def check_clear(world: World, scene: MitsubaScene, pupil_radius_m: float) -> None:
-    """InputError where a mesh of the scene reaches into the lens; a note where a size hints at a mistake of units."""
-    import mitsuba as mi
-
+    """InputError where a mesh of the scene reaches into the lens; a note where a size suggests a mistake of units."""
     for shape in world.scene.shapes():
         box = shape.bbox()
         low, high = np.ravel(box.min), np.ravel(box.max)
@@ -297,20 +296,9 @@ def check_clear(world: World, scene: MitsubaScene, pupil_radius_m: float) -> Non
             )
         if not shape.is_mesh() or (low > pupil_radius_m).any() or (high < -pupil_radius_m).any():
             continue
-        corners = _triangles(mi.traverse(shape))
-        if distance_from_origin(corners) <= pupil_radius_m:
+        if distance_from_origin(corners(shape)) <= pupil_radius_m:
             name = world.objects[int(shape.id().removeprefix("object_"))]
             raise InputError(
                 f"{scene.file}: object '{name}' reaches into the lens, {2e3 * pupil_radius_m:.2g} mm wide; "
                 f"a mistake of units? unit_cm is {scene.unit_cm:g}"
             )
-
-
-def _triangles(params: Any) -> FloatArray:
-    """Corners [m, 3, xyz] of a mesh, or of a rectangle, which Mitsuba knows by its transform alone."""
-    if "vertex_positions" in params:
-        vertices = np.array(params["vertex_positions"], dtype=np.float64).reshape(-1, 3)
-        return vertices[np.array(params["faces"]).reshape(-1, 3)]
-    matrix = np.array(params["to_world"].matrix, dtype=np.float64).reshape(4, 4)
-    square = np.array([[-1, -1, 0, 1], [1, -1, 0, 1], [1, 1, 0, 1], [-1, 1, 0, 1]]) @ matrix.T
-    return square[:, :3][np.array([[0, 1, 2], [0, 2, 3]])]

@@ -1,0 +1,1 @@
+"""Meshes by formula: plants, a head, solids; start with ``library``."""
