@@ -7,6 +7,7 @@ import pytest
 
 from dasim.camera import geometry, pointspread, radiometry
 from dasim.camera import specification as cameras
+from dasim.render.wavelengths import draw_density
 from dasim.spectra import grid, illuminants
 from dasim.spectra.grid import CHANNELS
 
@@ -61,11 +62,11 @@ def within(picture: np.ndarray, radii) -> np.ndarray:
 @pytest.fixture(scope="module")
 def blurs(jit, da_mobile):
     """Weights of both stops, with the density of their wavelengths."""
-    from dasim.render import passes, wave
+    from dasim.render import wave
 
     found = []
     for stop in da_mobile.stops:
-        density = passes.draw_density(radiometry.response(da_mobile), radiometry.stop_response(da_mobile, stop))
+        density = draw_density(radiometry.response(da_mobile), radiometry.stop_response(da_mobile, stop))
         found.append((wave.weigher(da_mobile, stop, density, 25.0), density))
     return found
 

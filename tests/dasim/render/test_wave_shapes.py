@@ -10,6 +10,7 @@ from dasim.camera import geometry, pointspread, radiometry
 from dasim.camera import specification as cameras
 from dasim.camera.specification import Camera
 from dasim.materials import library
+from dasim.render.wavelengths import draw_density
 from dasim.spectra import grid, illuminants
 
 NARROW = {"passes_nm": [[540, 570]]}
@@ -59,10 +60,10 @@ def test_weights_average_one(jit, camera_of, shape):
     import drjit as dr
     import mitsuba as mi
 
-    from dasim.render import passes, wave
+    from dasim.render import wave
 
     camera = camera_of(shape)
-    density = passes.draw_density(radiometry.response(camera), radiometry.stop_response(camera, camera.stops[0]))
+    density = draw_density(radiometry.response(camera), radiometry.stop_response(camera, camera.stops[0]))
     blur = wave.weigher(camera, camera.stops[0], density, 12.5)
     rng = np.random.default_rng(20)
     wavelength = np.interp(rng.random(COUNT), np.cumsum(density) / np.sum(density), grid.WAVELENGTH_NM)

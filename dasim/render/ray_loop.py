@@ -1,0 +1,298 @@
+"""A pass of the JIT variants: rays through a stop of any shape, or through a point, traced block by block of rows.
+
+A block is set up (``_Pass``), its rays are aimed (``_aim``), weighted for wave optics (``_wave_weights``), traced and
+summed per pixel (``_trace``), and the sums become electrons with a control variate (``_estimate``).
+
+Tested in tests/dasim/render/test_passes.py.
+"""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from dasim.camera import geometry, radiometry
+from dasim.camera.specification import Camera
+from dasim.camera.stops import Stop
+from dasim.render import pupil, transport, wave
+from dasim.render.irradiance import Field
+from dasim.render.plugin import tensor
+from dasim.render.sobol import Sobol
+from dasim.render.wavelengths import draw_density, draw_table
+from dasim.spectra import grid
+from dasim.typing import BoolArray, FloatArray, ShareDone
+
+LANES = 1 << 21  # rays in flight: bounds the memory, and is fixed, because it decides the random numbers
+WAVE_BLUR_PX = 150.0  # visible blur up to which weights are tabulated; beyond, blur is that of the drawn rays
+SAME_BLUR_PX, SAME_BLUR_SHARE = 0.5, 0.05  # differences of blur on one surface, slanted ones included
+ONE_DEPTH_SHARE = 0.97  # of the weights of a pixel that sees one depth: tails of diffraction reach others everywhere
+HERO = 4  # wavelengths per ray
+
+
+@dataclass(frozen=True)
+class Sampling:
+    """How a pass is sampled: samples per pixel, seed, and a callback for the share that is done."""
+
+    spp: int
+    seed: int
+    progress: ShareDone = lambda share: None
+
+    def block_seeds(self, stop: Stop | None) -> Callable[[int], int]:
+        """Seed of each block of rows, independent between stops (by their names)."""
+        name = zlib.crc32(stop.name.encode()) if stop is not None else 0
+        return lambda block: int(np.random.SeedSequence((self.seed, name, block)).generate_state(1)[0])
+
+
+@dataclass(frozen=True)
+class _Pass:
+    """What all blocks of a pass share.
+
+    Numbers that change from picture to picture are opaque to the compiler: a kernel is compiled once, and found again.
+    """
+
+    scene: Any
+    field: Field | None
+    integrator: Any
+    sampler: Any  # random numbers deeper in the paths
+    spp: int
+    width_px: int
+    channels: int
+    samples: Any  # opaque ``spp``
+    columns: Any  # opaque ``width_px``
+    middle: Any  # of the frame, pixels
+    px_per_m: Any  # pixels on the sensor per metre at a distance of one metre
+    radius_m: Any  # of the lens
+    px_per_vergence: Any  # pixels of visible blur per 1/m
+    vergence: Any  # of the focus distance, 1/m
+    table: Any  # see ``draw_table``
+    axial_colour: bool
+    draw_pupil: pupil.Draw | None  # None for a pinhole
+    blur: wave.Blur | None  # None for geometric optics
+
+
+class _Rays(NamedTuple):
+    """Rays of a block from the lens to the scene."""
+
+    ray: Any
+    film: Any  # place on the sensor, pixels from the axis
+    focus: Any  # vergence in focus at the ray's wavelengths, 1/m
+    entries: list[Any]  # row of the table for each of the ray's wavelengths
+    expected: Any  # vergence that the middle of the pixel sees, 1/m; None without wave optics
+    drawn: Any  # weight of having drawn place and aim so
+
+
+class _Sums(NamedTuple):
+    """Sums over the samples of each pixel of a block."""
+
+    signal: list[FloatArray]  # [channel][pixel]
+    control: list[FloatArray]  # [channel][pixel] of response x light x weight
+    one_depth: BoolArray | np.bool_  # [pixel] all of the pixel's light comes from about one depth
+
+
+def render(
+    scene: Any,
+    camera: Camera,
+    stop: Stop | None,
+    sampling: Sampling,
+    max_blur_px: float | None,
+    field: Field | None,
+    response: FloatArray,
+) -> FloatArray:
+    """Mean electrons per second through a stop, [h, w, channel], before the falloff of relative illumination.
+
+    Args:
+        scene: a Mitsuba scene.
+        camera: the camera; its frame, lens and focus are used.
+        stop: the stop, or None for a pinhole.
+        sampling: samples per pixel and seed.
+        max_blur_px: largest visible blur in the scene; None for geometric optics.
+        field: irradiance that is known beforehand.
+        response: electrons per second per unit of spectral radiance, [channel, wavelength].
+    """
+    width, height = camera.sensor.width_px, camera.sensor.height_px
+    light = np.ones_like(grid.WAVELENGTH_NM) if field is None else field.light
+    mean_signal = grid.integrate(response * light)
+    rate = np.zeros((height, width, len(response)))
+    if mean_signal.max() <= 0:
+        return rate
+    shared = _prepare(scene, camera, stop, sampling.spp, max_blur_px, field, response, light)
+    rows_at_once = max(1, LANES // (sampling.spp * width))
+    seeds = sampling.block_seeds(stop)
+    for block, top in enumerate(range(0, height, rows_at_once)):
+        rows = min(rows_at_once, height - top)
+        sums = _trace(shared, top, rows, seeds(block))
+        rate[top : top + rows] = _estimate(sums, mean_signal, HERO * sampling.spp).reshape(rows, width, -1)
+        sampling.progress((top + rows) / height)
+    return rate
+
+
+def px_per_m(camera: Camera) -> float:
+    """Pixels on the sensor per metre at a distance of one metre."""
+    return geometry.image_distance_m(camera) / (camera.sensor.pixel_pitch_um * 1e-6)
+
+
+def _prepare(
+    scene: Any,
+    camera: Camera,
+    stop: Stop | None,
+    spp: int,
+    max_blur_px: float | None,
+    field: Field | None,
+    response: FloatArray,
+    light: FloatArray,
+) -> _Pass:
+    """Tables and constants of a pass."""
+    import drjit as dr
+    import mitsuba as mi
+
+    width, height = camera.sensor.width_px, camera.sensor.height_px
+    scale = dr.opaque(mi.Float, px_per_m(camera))
+    radius_m = dr.opaque(mi.Float, geometry.aperture_m(camera) / 2)
+    density = draw_density(radiometry.response(camera) if stop is not None else response, response, light)
+    blur = None
+    if stop is not None and max_blur_px is not None:
+        blur = wave.weigher(camera, stop, density, wave.blur_range_px(camera, max_blur_px, WAVE_BLUR_PX))
+    sampler = mi.load_dict({"type": "independent", "sample_count": spp})
+    sampler.set_samples_per_wavefront(spp)
+    return _Pass(
+        scene=scene,
+        field=field,
+        integrator=transport.path_integrator(),
+        sampler=sampler,
+        spp=spp,
+        width_px=width,
+        channels=len(response),
+        samples=dr.opaque(mi.UInt32, spp),
+        columns=dr.opaque(mi.UInt32, width),
+        middle=mi.Point2f(dr.opaque(mi.Float, width / 2), dr.opaque(mi.Float, height / 2)),
+        px_per_m=scale,
+        radius_m=radius_m,
+        px_per_vergence=2 * radius_m * scale,
+        vergence=dr.opaque(mi.Float, 1.0 / camera.lens.focus_distance_m),
+        table=mi.Texture1f(tensor(draw_table(camera, response, light, density))),
+        axial_colour=bool(camera.lens.focal_shift_um),
+        draw_pupil=None if stop is None else pupil.drawer(stop),
+        blur=blur,
+    )
+
+
+def _trace(shared: _Pass, top: int, rows: int, seed: int) -> _Sums:
+    """Trace the rays of ``rows`` rows from ``top`` and sum them per pixel."""
+    import drjit as dr
+    import mitsuba as mi
+
+    lanes = rows * shared.width_px * shared.spp
+    shared.sampler.seed(dr.opaque(mi.UInt32, seed), lanes)
+    pixel = dr.arange(mi.UInt32, lanes) // shared.samples
+    row = pixel // shared.columns
+    corner = mi.Point2f(mi.Float(pixel - row * shared.columns), mi.Float(row + dr.opaque(mi.UInt32, top)))
+    sample = dr.arange(mi.UInt32, lanes) % shared.samples
+    numbers = Sobol(shared.spp, sample, pixel + dr.opaque(mi.UInt32, seed))
+    # The first dimensions are the most even: they go to what matters most.
+    lens, film, aim_at, direction = (numbers.next_2d() for _ in range(4))
+    first, pattern, lobe = numbers.next_1d(), numbers.next_2d(), numbers.next_1d()
+
+    rays = _aim(shared, pixel, corner, (lens, film, pattern, first), seed)
+    si = shared.scene.ray_intersect(rays.ray, ray_flags=mi.RayFlags.All, coherent=True)
+    weight: list[Any] = [mi.Float(1.0)] * HERO
+    depth_share: list[Any] = []
+    if shared.blur is not None:
+        weight, depth_share = _wave_weights(shared, shared.blur, rays, si)
+    radiance = transport.radiance(
+        shared.scene, shared.integrator, shared.sampler, rays.ray, si, (aim_at, direction, lobe), shared.field
+    )
+
+    sums, lit = list(depth_share), [entry[-1] for entry in rays.entries]
+    for channel in range(shared.channels):
+        share = [rays.entries[k][2 + channel] * weight[k] for k in range(HERO)]
+        sums += [sum(share[k] * radiance[k] for k in range(HERO)), sum(share[k] * lit[k] for k in range(HERO))]
+    dr.eval(*sums)  # one kernel for all sums: summing first would trace the rays once per sum
+    totals = [np.array(dr.block_sum(value, shared.spp), dtype=np.float64) for value in sums]
+    one_depth = totals[1] >= ONE_DEPTH_SHARE * totals[0] if depth_share else np.True_
+    channels = totals[len(depth_share) :]
+    return _Sums(channels[0::2], channels[1::2], one_depth)
+
+
+def _aim(shared: _Pass, pixel: Any, corner: Any, numbers: tuple[Any, Any, Any, Any], seed: int) -> _Rays:
+    """Rays from their places on the lens through the film; ``numbers`` for lens, film, diffraction and wavelength."""
+    import drjit as dr
+    import mitsuba as mi
+
+    lens, film, pattern, first = numbers
+    film += corner - shared.middle  # pixels from the axis
+    # With axial colour every wavelength has rays of its own; without, the wavelengths of a ray are spread evenly.
+    spacing = 0.0 if shared.axial_colour else 1 / HERO
+    entries, wavelengths = [], mi.Spectrum(0.0)
+    for k in range(HERO):
+        shifted = first + k * spacing
+        entries.append(shared.table.eval(mi.Point1f(shifted - dr.floor(shifted))))
+        wavelengths[k] = entries[k][0]
+    focus = entries[0][1] if shared.axial_colour else mi.Float(shared.vergence)
+
+    on_lens, delta, drawn, expected = mi.Point2f(0.0), mi.Point2f(0.0), mi.Float(1.0), None
+    if shared.blur is not None:
+        expected = dr.gather(mi.Float, _middle_vergence(shared, corner), pixel)
+        defocus = shared.px_per_vergence * (expected - focus)
+        on_lens, delta, drawn = shared.blur.draw(lens, pattern, defocus, dr.opaque(mi.UInt32, seed))
+    elif shared.draw_pupil is not None:
+        on_lens = shared.draw_pupil(lens)
+    on_lens *= shared.radius_m
+    aim = film + delta
+    origin = mi.Point3f(on_lens.x, on_lens.y, 0.0)
+    # Through the film position and its conjugate point in focus; beyond infinity that is behind the camera.
+    slope = aim / shared.px_per_m - on_lens * focus
+    ray = mi.RayDifferential3f(mi.Ray3f(origin, dr.normalize(mi.Vector3f(slope.x, slope.y, 1.0))))
+    ray.wavelengths = wavelengths
+    return _Rays(ray, film, focus, entries, expected, drawn)
+
+
+def _middle_vergence(shared: _Pass, corner: Any) -> Any:
+    """Inverse depth that the ray through the middle of each pixel and of the lens meets first, 1/m; 0 for nothing.
+
+    ``corner`` are the corners of the pixels, repeated for each sample.
+    """
+    import drjit as dr
+    import mitsuba as mi
+
+    first = dr.arange(mi.UInt32, dr.width(corner) // shared.spp) * shared.spp
+    at = dr.gather(mi.Point2f, corner, first) + 0.5 - shared.middle
+    towards = mi.Vector3f(at.x / shared.px_per_m, at.y / shared.px_per_m, 1.0)
+    hit = shared.scene.ray_intersect_preliminary(mi.Ray3f(mi.Point3f(0.0), towards), coherent=True)
+    vergence = dr.select(hit.is_valid(), dr.rcp(hit.t), 0.0)  # the direction's z is 1, so t is depth
+    dr.eval(vergence)
+    return vergence
+
+
+def _wave_weights(shared: _Pass, blur: wave.Blur, rays: _Rays, si: Any) -> tuple[list[Any], list[Any]]:
+    """Weights of wave over geometric optics for each wavelength; their sum, and the part of it at the pixel's depth."""
+    import drjit as dr
+    import mitsuba as mi
+
+    point = dr.select(si.is_valid(), si.p, rays.ray(1e4))
+    u = rays.film - mi.Point2f(point.x, point.y) / point.z * shared.px_per_m
+    wavelengths = [entry[0] for entry in rays.entries]
+    ratios = blur.weights(u, shared.px_per_vergence * (1 / point.z - rays.focus), wavelengths)
+    weight = [rays.drawn * ratio for ratio in ratios]
+    seen, middle = (shared.px_per_vergence * (at - shared.vergence) for at in (1 / point.z, rays.expected))
+    near = dr.abs(seen - middle) <= SAME_BLUR_PX + SAME_BLUR_SHARE * dr.abs(middle)
+    total = sum(weight)
+    return weight, [total, dr.select(near, total, 0.0)]
+
+
+def _estimate(sums: _Sums, mean_signal: FloatArray, count: int) -> FloatArray:
+    """Mean electrons per second, [pixel, channel], of sums over ``count`` wavelengths per pixel.
+
+    The control variate: response x light x weight has the known mean ``mean_signal`` where a pixel sees one depth, and
+    dividing by its sampled mean takes out the noise of drawing wavelengths and weights. Near a depth step the mean
+    weight is not 1, so there the plain mean stays.
+    """
+    rate = np.empty((len(sums.signal[0]), len(mean_signal)))
+    for channel, (signal, control) in enumerate(zip(sums.signal, sums.control, strict=True)):
+        divisor = np.where(sums.one_depth, control, count * mean_signal[channel])
+        part = np.divide(signal, divisor, out=np.zeros_like(signal), where=divisor > 0)
+        rate[:, channel] = mean_signal[channel] * part
+    return rate
