@@ -20,22 +20,26 @@ from dasim.camera.specification import Camera
 from dasim.typing import Float32Array
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Capture:
-    """One raw picture and what the camera knows of it."""
+    """One raw picture, the camera and the exposure."""
 
     raw_dn: NDArray[np.uint16]  # [h, w], black level included
     camera: Camera
     exposure_s: float
     gain: float
     seed: int
-    illuminant: str | None = None  # name of the scene's main light; for scores only, never for estimates
+    illuminant: str | None = None  # name of the scene's main light; for scores, never for estimates
     provenance: dict[str, Any] = field(default_factory=dict)
 
+    def __repr__(self) -> str:
+        exposure = f"{self.exposure_s:g} s, gain {self.gain:g}, seed {self.seed}"
+        return f"Capture({_size(self.raw_dn)}, {_name(self.camera)}, {exposure}, light {self.illuminant or 'unknown'})"
 
-@dataclass(frozen=True)
+
+@dataclass(frozen=True, repr=False)
 class Truth:
-    """What is exactly known of a simulated capture, per pixel; NaN in ``depth_m`` where nothing is hit."""
+    """Ground truth of a simulated capture, per pixel; ``depth_m`` is NaN where no surface is hit."""
 
     depth_m: Float32Array  # [h, w] z from the lens plane at the pixel's centre, never range
     valid: NDArray[np.bool_]  # [h, w] a surface was hit
@@ -48,24 +52,30 @@ class Truth:
     channels: tuple[str, ...]  # names of the last axis below
     mean_e: Float32Array  # [h, w, channel] mean electrons of every channel as the lens sees the scene
     sharp_e: Float32Array  # [h, w, channel] the same through a pinhole of the same light
-    sharp_srgb: Float32Array  # [h, w, 3] 0..1, the pinhole's picture as the Bayer twin without near-infrared has it
+    sharp_srgb: Float32Array  # [h, w, 3] 0..1, through a pinhole onto a Bayer sensor without near-infrared
     objects: tuple[str, ...] = ()  # names
     materials: tuple[str, ...] = ()
+
+    def __repr__(self) -> str:
+        depths = _range(self.depth_m[self.valid])
+        return (
+            f"Truth({_size(self.depth_m)}, {depths}, {len(self.objects)} objects, channels {' '.join(self.channels)})"
+        )
 
 
 @dataclass(frozen=True)
 class PointPicture:
     """Frames of a point source for calibration: one light, level and position.
 
-    The source was moved by ``shift_px`` (y, x) whole pixels between pictures; the rest of its position
-    is unknown and has to be measured. None: it stood anywhere, the same place in all pictures of one ``position``.
+    The source moves by ``shift_px`` (y, x) whole pixels between pictures; its subpixel position is unknown and has to
+    be measured. None: it stands anywhere, at the same place in all pictures of one ``position``.
     """
 
     frames_dn: NDArray[np.uint16]  # [frame, h, w]
     light: str
     level: int
     depth_m: float
-    blur_px: float  # visible blur diameter that the depth stands for
+    blur_px: float  # visible blur diameter at this depth
     shift_px: tuple[int, int] | None
     exposure_s: float
     gain: float = 1.0  # analogue
@@ -90,7 +100,7 @@ class PointPictures:
         return self.count
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class PsfBank:
     """Measured point-spread functions of a camera at one focus."""
 
@@ -102,8 +112,13 @@ class PsfBank:
     camera: Camera
     diffraction: str  # how the pictures were made: wave, airy, off, or measured
 
+    def __repr__(self) -> str:
+        levels = f"{len(self.depth_m)} levels, {_range(self.depth_m)}"
+        kernels = f"lights {', '.join(self.lights)}, kernels of {self.kernel.shape[-1]} px, {self.diffraction}"
+        return f"PsfBank({_name(self.camera)}, {levels}, {kernels})"
 
-@dataclass(frozen=True)
+
+@dataclass(frozen=True, repr=False)
 class DepthEstimate:
     """What a depth method estimates from a capture: the blur level or the depth of every pixel, NaN where unknown.
 
@@ -150,6 +165,11 @@ class DepthEstimate:
         """Share 0..1 of the pixels that have an estimate."""
         return float(np.isfinite(self._map).mean())
 
+    def __repr__(self) -> str:
+        values = _range(self._map) if self.level is None else _range(self._map, "level", "")
+        sd = "unknown sd" if self.sd is None else "sd"
+        return f"DepthEstimate({_size(self._map)}, {values}, coverage {self.coverage:.1%}, {sd})"
+
     @property
     def _map(self) -> NDArray[np.floating]:
         found = self.depth_m if self.level is None else self.level
@@ -169,9 +189,9 @@ def _map(image: Any, name: str) -> NDArray[np.floating]:
     return image
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Reconstruction:
-    """What the reconstruction makes of a capture. NaN marks pixels without an estimate."""
+    """The result of a reconstruction. NaN marks pixels without an estimate."""
 
     rgb: Float32Array  # [h, w, 3] sRGB 0..1, the picture as taken
     sharp_rgb: Float32Array  # [h, w, 3] sRGB 0..1, all in focus
@@ -186,12 +206,17 @@ class Reconstruction:
     light: str  # the bank's light, chosen by white balance
     settings: dict[str, Any]
     timings_s: dict[str, float]
-    bank: dict[str, Any] = field(default_factory=dict)  # which bank it was, see dasim.files.banks.bank_identity
+    bank: dict[str, Any] = field(default_factory=dict)  # identity of the bank, see dasim.files.banks.bank_identity
     notes: tuple[str, ...] = ()  # what a user should know of this result
     method: str | None = None  # name of the depth method, where ``settings`` did not choose it
 
+    def __repr__(self) -> str:
+        made = f"method {self.method}" if self.method else f"score {self.settings.get('score', 'unknown')}"
+        depths = _range(self.depth_m)
+        return f"Reconstruction({_size(self.level)}, {_name(self.camera)}, {depths}, light {self.light}, {made})"
 
-@dataclass(frozen=True)
+
+@dataclass(frozen=True, repr=False)
 class Developed:
     """The colour picture of a capture alone, without depth."""
 
@@ -203,3 +228,22 @@ class Developed:
     light: str  # chosen by white balance
     settings: dict[str, Any]
     timings_s: dict[str, float]
+
+    def __repr__(self) -> str:
+        return f"Developed({_size(self.rgb)}, {_name(self.camera)}, light {self.light})"
+
+
+def _size(image: NDArray[Any]) -> str:
+    """Width and height of an image [h, w, ...]."""
+    return f"{image.shape[1]} x {image.shape[0]} px"
+
+
+def _name(camera: Camera) -> str:
+    """Name and focus of a camera."""
+    return f"{camera.name} focused at {camera.lens.focus_distance_m:g} m"
+
+
+def _range(values: NDArray[Any], name: str = "depth", unit: str = " m") -> str:
+    """Smallest and largest finite value."""
+    known = values[np.isfinite(values)]
+    return f"{name} {known.min():.3g} to {known.max():.3g}{unit}" if known.size else f"no {name}"
