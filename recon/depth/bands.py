@@ -26,7 +26,8 @@ from numpy.typing import NDArray
 
 from dasim.typing import Complex64Array, Float32Array, FloatArray
 from recon import fourier
-from recon.depth.reblur import plane_mean, window_mean
+from recon.depth.channels import Also, Channel
+from recon.depth.grid import Grid, plane_mean, transform, window_mean
 from recon.settings import Settings
 
 BANDS = 7  # a ring's impulse response reaches about 1 / width: 33 px, as the patch; narrower ones smear over objects
@@ -52,6 +53,34 @@ class Energies(NamedTuple):
     green_noise: Float32Array
     sharper_noise: Float32Array
     values: FloatArray
+
+
+def scored(
+    sharper: Channel, visible: Also, spectrum: Complex64Array, grid: Grid, settings: Settings
+) -> tuple[Float32Array, Float32Array]:
+    """Scores by :mod:`recon.depth.bands`, of visible channels without their infrared; and 1 in place of an NCC.
+
+    Deviation: the paper compares unprocessed channels, with kernels that hold white's share of infrared in green. The
+    share differs from material to material (a leaf has far more), and with it green's blur: taken off on both sides.
+    The channels count as independent.
+    """
+    (height, width), spacing_px = grid.frame, grid.spacing_px
+    spectra, noise = [spectrum], [sharper[2]]
+    for (plane, phase, variance, _), leak in visible:
+        own = transform(plane, phase, grid.shape, spacing_px)
+        spectra.append(own - np.complex64(leak.alpha) * spectrum)
+        noise.append((variance + leak.alpha**2 * sharper[2]).astype(np.float32))
+    planes = [np.ascontiguousarray(c[0][:height, :width]) for c in (sharper, *(channel for channel, _ in visible))]
+    floors = [np.sqrt(c[2]) for c in (sharper, *(channel for channel, _ in visible))]
+    likeness = guide(planes[0], planes[1:], floors, spacing_px) if settings.alike else None
+    leaks = [leak.alpha for _, leak in visible]
+    pairs = energies(spectra, noise, (grid.shape, grid.frame), settings, spacing_px, leaks, likeness)
+    score = np.zeros((len(sharper[3]), height, width), np.float32)
+    for pair, (channel, leak) in zip(pairs, visible, strict=True):
+        share = leak.alpha * leak.white
+        kernels = (channel[3] - share * sharper[3]) / (1 - share)
+        score += log_likelihood(pair, transfers(sharper[3], kernels, spacing_px))
+    return score, np.ones(grid.frame, np.float32)
 
 
 def filters(shape: tuple[int, int], spacing_px: float) -> list[Float32Array]:

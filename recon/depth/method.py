@@ -13,8 +13,8 @@ from dasim.typing import Float32Array
 from dasim.values import Capture, DepthEstimate, PsfBank
 from recon import levels
 from recon.calibration.fit import check_fits
+from recon.depth.peak import REFERENCE_ERROR
 from recon.depth.raw_levels import raw_levels, variances
-from recon.depth.scores import REFERENCE_ERROR
 from recon.picture import colour, mosaic
 from recon.settings import PRESETS, Settings
 

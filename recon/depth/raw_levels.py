@@ -13,7 +13,9 @@ from dasim.camera.specification import Camera
 from dasim.spectra.grid import CHANNELS
 from dasim.typing import Float32Array
 from dasim.values import Capture
-from recon.depth import scores, tiles
+from recon.depth import tiles
+from recon.depth.channels import Also, Channel, Leak
+from recon.depth.grid import PLANE_SPACING_PX, window_mean
 from recon.picture import infrared, mosaic
 from recon.settings import Settings
 
@@ -43,21 +45,21 @@ def raw_levels(
     """Eq. (12) for every block of the mosaic, NaN where neither infrared nor red nor blue has an edge; confidence."""
     places, planes = mosaic.phases(camera), mosaic.planes(raw_e, camera)
 
-    def channel(name: str, box: tuple[slice, slice]) -> scores.Channel:
+    def channel(name: str, box: tuple[slice, slice]) -> Channel:
         plane = np.ascontiguousarray(planes[name][box])
         return plane, places[name], variances[name][box], kernels[:, CHANNELS.index(name)]
 
     leak = _leak("G", camera, white, settings)
     further = ["R"] if settings.score == "bands" and "R" in _fallbacks(camera) else []
-    usable = scores.window_mean(mosaic.blocks_any(saturated).astype(np.float32), settings) < settings.saturated_share
+    usable = window_mean(mosaic.blocks_any(saturated).astype(np.float32), settings) < settings.saturated_share
     level = np.full(planes["G"].shape, np.nan, np.float32)
     confidence = np.zeros_like(level)
     open_ = usable.copy()  # where no channel has shown an edge yet
     for name in ["IR", *(_fallbacks(camera) if settings.fallback else [])]:
-        box = _around(open_, round(settings.window_px / scores.PLANE_SPACING_PX) * 2)
+        box = _around(open_, round(settings.window_px / PLANE_SPACING_PX) * 2)
         if box is None:
             break
-        also: scores.Also = []
+        also: Also = []
         if name == "IR":
             also = [(channel(n, box), _leak(n, camera, white, settings)) for n in further]
         best, trust, snr, green_snr = tiles.best_levels(
@@ -82,11 +84,11 @@ def _around(mask: NDArray, margin: int) -> tuple[slice, slice] | None:
     return parts[0], parts[1]
 
 
-def _leak(name: str, camera: Camera, white: NDArray, settings: Settings) -> scores.Leak:
+def _leak(name: str, camera: Camera, white: NDArray, settings: Settings) -> Leak:
     """What of infrared is in a channel, from eq. (8) or as measured, and in white [channel]."""
     alpha = infrared.crosstalk(camera.sensor, settings.crosstalk)
     own = CHANNELS.index(name)
-    return scores.Leak(float(alpha[own]), float(white[CHANNELS.index("IR")] / white[own]))
+    return Leak(float(alpha[own]), float(white[CHANNELS.index("IR")] / white[own]))
 
 
 def _fallbacks(camera: Camera) -> list[str]:

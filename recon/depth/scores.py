@@ -8,7 +8,6 @@ case of samples one pixel apart.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -16,31 +15,19 @@ from numpy.typing import NDArray
 
 from dasim.typing import Complex64Array, Float32Array
 from recon import fourier
-from recon.depth import bands, reblur
-from recon.depth.reblur import Weights, window_mean
-from recon.picture.mosaic import Phase
+from recon.depth import bands
+from recon.depth.channels import Also, Channel, Leak
+from recon.depth.colour_line import colour_line
+from recon.depth.grid import PLANE_SPACING_PX, Grid, filtered, make_grid, noise_gain, transform, window_mean
+from recon.depth.level_score import level_score
+from recon.depth.ncc import Weights, weight_of
+from recon.depth.peak import OFFSET_GRID, peak_offset
 from recon.settings import Settings
 
-Channel = tuple[Float32Array, Phase, Float32Array, NDArray]  # plane, phase, noise variance, kernels [level, y, x]
-
-PLANE_SPACING_PX = 2.0
-OFFSET_GRID = 96
-REFERENCE_ERROR = 1.0  # levels: an estimate with this standard error has a confidence of one half
-INDEPENDENT_SHARE = 0.5  # of a window's samples, after the band-pass
 # Signal over noise of infrared's gradients for which the likelihood is computed; each sample takes the nearest.
 # Too weak an assumption draws to small levels, too strong a one to large: a factor of three either way is harmless.
 SMALLEST_SIGNAL = 1e-3  # of the brightest sample: darker means count as this
 STRENGTHS = (1.0, 6.0, 36.0, 216.0)
-
-
-class Leak(NamedTuple):
-    """Infrared in a channel: alpha of eq. (8), and white's infrared electrons over its own under the light."""
-
-    alpha: float
-    white: float
-
-
-Also = Sequence[tuple[Channel, Leak]]  # further visible channels, compared in the same way by the score ``bands``
 
 
 class Signals(NamedTuple):
@@ -66,20 +53,6 @@ class Match(NamedTuple):
     offset: NDArray[np.float64]  # of the refined peak at each level
     snr: Float32Array  # signal over noise of the sharper channel's gradients, energies, [h, w]
     green_snr: Float32Array
-
-
-def transform(
-    plane: Float32Array, phase: Phase, shape: tuple[int, int], spacing_px: float = PLANE_SPACING_PX
-) -> Complex64Array:
-    """Spectrum of a plane [h, w], padded to ``shape``, moved to the middle of the blocks of ``spacing_px``.
-
-    ``phase`` is the place of its first sample in the block, in pixels.
-    """
-    fy, fx = fourier.frequencies(shape, spacing_px)
-    middle = (spacing_px - 1) / 2
-    shift = fy * (middle - phase[0]) + fx * (middle - phase[1])
-    moved = np.exp(2j * np.pi * shift).astype(np.complex64)
-    return fourier.forward(fourier.pad_blended(plane, shape)) * moved
 
 
 def match(
@@ -113,10 +86,10 @@ def signals(
     these (below and to the right, periodic) they go on as the frame does.
     """
     grid, spectra = _spectra(sharper, green, settings, spacing_px)
-    gain = reblur.noise_gain(grid.filters, grid.shape[1])
+    gain = noise_gain(grid.filters, grid.shape[1])
 
     def signal_over_noise(spectrum: Complex64Array, noise: Float32Array) -> Float32Array:
-        images = reblur.filtered(spectrum, grid.filters, grid)
+        images = filtered(spectrum, grid.filters, grid)
         energy = window_mean(np.sum([image * image for image in images], axis=0), settings, spacing_px)
         return energy / (gain * window_mean(noise, settings, spacing_px)) - 1
 
@@ -155,58 +128,30 @@ def scores(
     """
     grid, spectra = _spectra(sharper, green, settings, spacing_px)
     if settings.score == "bands":
-        return _by_bands(sharper, [(green, leak or Leak(0.0, 0.0)), *also], spectra[0], grid, settings)
+        return bands.scored(sharper, [(green, leak or Leak(0.0, 0.0)), *also], spectra[0], grid, settings)
     kernels = sharper[3]
-    observed = reblur.filtered(spectra[1], grid.filters, grid) if settings.score == "ncc" else None
+    observed = filtered(spectra[1], grid.filters, grid) if settings.score == "ncc" else None
     score, ncc = np.empty((2, len(kernels), *grid.frame), np.float32)
     for level, (kernel, green_kernel) in enumerate(zip(kernels, green[3], strict=True)):
         own = fourier.transfer(kernel, grid.shape, spacing_px)
         other = fourier.transfer(green_kernel, grid.shape, spacing_px)
         if settings.score == "colour-line":
-            score[level], ncc[level] = reblur.colour_line(own, other, settings, spectra, grid)
+            score[level], ncc[level] = colour_line(own, other, settings, spectra, grid)
             continue
         for weights, where in classes:
             if where.any():
-                found = reblur.level_score(own, other, weights, settings, spectra, grid, observed)
+                found = level_score(own, other, weights, settings, spectra, grid, observed)
                 score[level][where], ncc[level][where] = (f[where] for f in found)
     return score, np.take_along_axis(ncc, score.argmax(axis=0)[None], 0)[0]
 
 
-def _by_bands(
-    sharper: Channel, visible: Also, spectrum: Complex64Array, grid: reblur.Grid, settings: Settings
-) -> tuple[Float32Array, Float32Array]:
-    """Scores by :mod:`recon.depth.bands`, of visible channels without their infrared; and 1 in place of an NCC.
-
-    Deviation: the paper compares unprocessed channels, with kernels that hold white's share of infrared in green. The
-    share differs from material to material (a leaf has far more), and with it green's blur: taken off on both sides.
-    The channels count as independent.
-    """
-    (height, width), spacing_px = grid.frame, grid.spacing_px
-    spectra, noise = [spectrum], [sharper[2]]
-    for (plane, phase, variance, _), leak in visible:
-        own = transform(plane, phase, grid.shape, spacing_px)
-        spectra.append(own - np.complex64(leak.alpha) * spectrum)
-        noise.append((variance + leak.alpha**2 * sharper[2]).astype(np.float32))
-    planes = [np.ascontiguousarray(c[0][:height, :width]) for c in (sharper, *(channel for channel, _ in visible))]
-    floors = [np.sqrt(c[2]) for c in (sharper, *(channel for channel, _ in visible))]
-    likeness = bands.guide(planes[0], planes[1:], floors, spacing_px) if settings.alike else None
-    leaks = [leak.alpha for _, leak in visible]
-    found = bands.energies(spectra, noise, (grid.shape, grid.frame), settings, spacing_px, leaks, likeness)
-    score = np.zeros((len(sharper[3]), height, width), np.float32)
-    for pair, (channel, leak) in zip(found, visible, strict=True):
-        share = leak.alpha * leak.white
-        kernels = (channel[3] - share * sharper[3]) / (1 - share)
-        score += bands.log_likelihood(pair, bands.transfers(sharper[3], kernels, spacing_px))
-    return score, np.ones(grid.frame, np.float32)
-
-
 def _spectra(
     sharper: Channel, green: Channel, settings: Settings, spacing_px: float
-) -> tuple[reblur.Grid, tuple[Complex64Array, Complex64Array]]:
+) -> tuple[Grid, tuple[Complex64Array, Complex64Array]]:
     height, width = sharper[2].shape
     whole = sharper[0].shape == (height, width)
     shape = padded_shape(sharper, spacing_px) if whole else (sharper[0].shape[0], sharper[0].shape[1])
-    grid = reblur.make_grid(shape, (height, width), spacing_px, settings)
+    grid = make_grid(shape, (height, width), spacing_px, settings)
     first, second = (transform(plane, phase, shape, spacing_px) for plane, phase, _, _ in (sharper, green))
     return grid, (first, second)
 
@@ -219,8 +164,8 @@ def padded_shape(channel: Channel, spacing_px: float = PLANE_SPACING_PX) -> tupl
 def _unit_weight(kernels: NDArray, settings: Settings, spacing_px: float) -> float:
     """Weight beta of eq. (9) for gradients as strong as their noise: divide by the signal over noise."""
     shape = (OFFSET_GRID, OFFSET_GRID)
-    grid = reblur.make_grid(shape, shape, spacing_px, settings)
-    return reblur.weight_of(fourier.transfer(kernels, shape, spacing_px), 1.0, grid, settings)
+    grid = make_grid(shape, shape, spacing_px, settings)
+    return weight_of(fourier.transfer(kernels, shape, spacing_px), 1.0, grid, settings)
 
 
 def _quieter(
@@ -260,83 +205,3 @@ def _classes(
         for number, strength in enumerate(STRENGTHS)
         if (index == number).any()
     ]
-
-
-def peak_offset(
-    kernels: NDArray, green_kernels: NDArray, weights: Weights, settings: Settings, spacing_px: float
-) -> NDArray[np.float64]:
-    """How far the refined peak lies from each true level, [level], from the kernels alone.
-
-    The score falls faster towards less blur than towards more, so the vertex of a parabola misses its maximum, up to
-    0.3 levels. Expected score of neighbouring levels for a texture of natural spectrum (power 1/f^2) and the
-    weights of eq. (9) given, on a small grid; deviation: the paper names no refinement.
-    """
-    shape = (OFFSET_GRID, OFFSET_GRID)
-    grid = reblur.make_grid(shape, shape, spacing_px, settings)
-    small = fourier.transfer(kernels, shape, spacing_px)
-    large = fourier.transfer(green_kernels, shape, spacing_px)
-    texture = 1 / np.maximum(grid.gradient, OFFSET_GRID**-2)
-    steps = [reblur.level_filters(s, g, weights, settings, grid) for s, g in zip(small, large, strict=True)]
-    offset = np.zeros(len(kernels))
-    for true in range(1, len(kernels) - 1):
-        powers = (
-            texture * np.abs(small[true]) ** 2 + weights.sharper,
-            texture * np.abs(large[true]) ** 2 + weights.green,
-            texture * np.conj(large[true]) * small[true],
-        )
-        before, at, after = (_expected(steps[true + step], powers, shape, settings) for step in (-1, 0, 1))
-        curvature = 2 * at - before - after
-        offset[true] = np.clip(0.5 * (after - before) / curvature, -0.5, 0.5) if curvature > 0 else 0.0
-    return offset
-
-
-def _expected(
-    step: tuple[list[Complex64Array], list[Complex64Array], float],
-    powers: tuple[NDArray, NDArray, NDArray],
-    shape: tuple[int, int],
-    settings: Settings,
-) -> float:
-    """Score of a level for power spectra of the sharper channel, of green, and across, [h, w/2 + 1]."""
-    mine, other, constant = step
-    own, green, across = (
-        sum(reblur.plane_mean(part, shape[1]) for part in parts)
-        for parts in (
-            [powers[0] * np.abs(m) ** 2 for m in mine],
-            [powers[1] * np.abs(o) ** 2 for o in other],
-            [(powers[2] * m * np.conj(o)).real for m, o in zip(mine, other, strict=True)],
-        )
-    )
-    ncc = np.array(across / np.sqrt(own * green))
-    return float(ncc if settings.score == "ncc" else reblur.log_likelihood(ncc, np.array(green), constant))
-
-
-def best_level(
-    score: Float32Array, plain: Float32Array, offset: NDArray, settings: Settings
-) -> tuple[Float32Array, Float32Array]:
-    """Level of the largest NCC, eq. (12), refined by a parabola through its neighbours; and a confidence 0..1.
-
-    ``offset`` [level] is where the parabola's vertex lies for a true level (:func:`peak_offset`), undone here.
-
-    The confidence is s^2 / (s^2 + e^2) with s one level and e the standard error of a least-squares fit:
-    e^2 = (1 - n^2) / (N c n), n the ``plain`` NCC at its peak, -c its second derivative, N the window's independent
-    samples. Zero where the NCC is not positive. With the score ``bands``, e follows from the likelihood itself.
-    """
-    levels = len(score)
-    peak = np.argmax(score, axis=0)
-    middle = np.clip(peak, 1, levels - 2)
-    before, at, after = (np.take_along_axis(score, (middle + d)[None], 0)[0] for d in (-1, 0, 1))
-    curvature = 2 * at - before - after
-    shift = 0.5 * (after - before) / np.where(curvature > 0, curvature, 1)
-    inside = (peak == middle) & (curvature > 0)
-    vertex = np.where(inside, middle + np.clip(shift, -0.5, 0.5), peak)
-    seen = np.maximum.accumulate(np.arange(levels) + offset)
-    level = np.interp(vertex, seen, np.arange(levels)).astype(np.float32)
-    if settings.score == "bands":
-        error = bands.standard_error(score)
-        return level, np.asarray(REFERENCE_ERROR**2 / (REFERENCE_ERROR**2 + error**2), np.float32)
-    top = np.clip(plain, 0, 1)
-    samples = INDEPENDENT_SHARE * (settings.window_px / PLANE_SPACING_PX) ** 2
-    information = samples * np.maximum(curvature, 0) * top
-    unexplained = np.maximum(1 - top**2, 1e-3)
-    confidence = REFERENCE_ERROR**2 * information / (REFERENCE_ERROR**2 * information + unexplained)
-    return level, np.nan_to_num(confidence).astype(np.float32)

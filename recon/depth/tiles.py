@@ -15,8 +15,9 @@ import numpy as np
 
 from dasim.typing import Float32Array
 from recon import fourier
-from recon.depth import scores
-from recon.depth.scores import Also, Channel, Leak, Signals
+from recon.depth import peak, scores
+from recon.depth.channels import Also, Channel, Leak
+from recon.depth.scores import Signals
 from recon.settings import Settings
 
 TILE = 1024  # samples of a colour plane: a frame of 4 Mpx and less is one tile
@@ -66,7 +67,7 @@ def best_levels(
     size: int = TILE,
     halo: int = HALO,
 ) -> Levels:
-    """:func:`recon.depth.scores.match` and :func:`recon.depth.scores.best_level` in tiles of ``size`` samples."""
+    """:func:`recon.depth.scores.match` and :func:`recon.depth.peak.best_level` in tiles of ``size`` samples."""
     frame = sharper[2].shape
     parts = list(tiles(frame, size, halo if max(frame) > size else 0))
     channels = (sharper, green, *(channel for channel, _ in also))
@@ -86,7 +87,7 @@ def best_levels(
         first, second, *others = (cut(channel, part) for channel in channels)
         further = [(channel, own) for channel, (_, own) in zip(others, also, strict=True)]
         score, plain = scores.scores(first, second, classes, settings, leak=leak, also=further)
-        best, trust = scores.best_level(score, plain, told.offset, settings)
+        best, trust = peak.best_level(score, plain, told.offset, settings)
         level[part.core], confidence[part.core] = best[part.inner], (trust * (plain > 0))[part.inner]
     return Levels(level, confidence, measured.snr, measured.green_snr)
 

@@ -25,6 +25,8 @@ from dasim.spectra import illuminants
 from dasim.spectra.grid import CHANNELS
 from dasim.typing import FloatArray
 from recon.depth import scores
+from recon.depth.channels import Channel
+from recon.depth.peak import best_level
 from recon.settings import Settings
 
 PAIR = ("IR", "G")
@@ -122,7 +124,7 @@ class Strips:
         found = []
         for number, (level, blurred) in enumerate(zip(self.levels, self.blurred, strict=True)):
             random = np.random.default_rng((seed, round(100 * level), round(1e4 * noise.share)))
-            planes: list[scores.Channel] = []
+            planes: list[Channel] = []
             for channel, picture in enumerate(blurred):
                 noisy = noise.added(picture, channel, random).astype(np.float32)
                 variance = noise.variance(cv2.GaussianBlur(noisy, (0, 0), 1.5), channel).astype(np.float32)
@@ -174,11 +176,11 @@ def own_kernels(camera: Camera, levels: Sequence[float], light: str, size: int) 
 
 
 def levels_of(
-    sharper: scores.Channel, green: scores.Channel, settings: Settings, spacing_px: float
+    sharper: Channel, green: Channel, settings: Settings, spacing_px: float
 ) -> tuple[FloatArray, NDArray[np.bool_]]:
     """Estimates of the samples away from the frame's border, and which show an edge in both channels, [h, w]."""
     found = scores.match(sharper, green, settings, spacing_px)
-    level, _ = scores.best_level(found.score, found.plain, found.offset, settings)
+    level, _ = best_level(found.score, found.plain, found.offset, settings)
     border = round(BORDER_PX / spacing_px)
     inner = slice(border, -border)
     edge = (found.snr > settings.edge_snr) & (found.green_snr > settings.edge_snr)

@@ -7,7 +7,7 @@ from scipy import signal
 import recon
 from dasim.values import Capture
 from recon import fourier
-from recon.depth import bands, reblur, scores
+from recon.depth import bands, channels, grid, peak, scores
 from recon.settings import PRESETS
 from tests.support import recon_scenes
 
@@ -61,7 +61,7 @@ def pair(level, noise, size=224, seed=0):
 
 def estimates(level, noise):
     found = scores.match(*pair(level, noise), BANDS, 1.0)
-    value, confidence = scores.best_level(found.score, found.plain, found.offset, BANDS)
+    value, confidence = peak.best_level(found.score, found.plain, found.offset, BANDS)
     inner = slice(BORDER_PX, -BORDER_PX)
     return value[inner, inner], confidence[inner, inner]
 
@@ -82,8 +82,8 @@ def test_the_leak_is_taken_off():
     """Green with half of infrared in it, as told by the leak, gives the level of green without."""
     infrared, green = pair(8, 0.02)
     mixed = (green[0] + 0.5 * infrared[0], green[1], green[2] * 1.25, (green[3] + 0.5 * infrared[3]) / 1.5)
-    found = scores.match(infrared, mixed, BANDS, 1.0, leak=scores.Leak(0.5, 1 / 1.5))
-    value, _ = scores.best_level(found.score, found.plain, found.offset, BANDS)
+    found = scores.match(infrared, mixed, BANDS, 1.0, leak=channels.Leak(0.5, 1 / 1.5))
+    value, _ = peak.best_level(found.score, found.plain, found.offset, BANDS)
     assert abs(np.median(value[45:-45, 45:-45]) - 8) < WEAK_BIAS_LEVELS
 
 
@@ -97,7 +97,7 @@ def test_standard_error_of_a_parabola():
 def test_plane_mean_counts_both_halves():
     """What the bands' shares rest on: a constant has its own mean for even and odd widths."""
     for width in (8, 9):
-        assert reblur.plane_mean(np.ones((6, width // 2 + 1)), width) == pytest.approx(1)
+        assert grid.plane_mean(np.ones((6, width // 2 + 1)), width) == pytest.approx(1)
 
 
 @pytest.mark.parametrize("fill", ["black", "saturated", "constant"])

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from recon import fourier
-from recon.depth import raw_levels, scores
+from recon.depth import peak, raw_levels, scores
 from recon.depth.regularise import regularise
 from recon.picture import mosaic
 from recon.settings import PAPER
@@ -41,7 +41,7 @@ def test_clean_pictures_have_no_bias(level):
         return plane, phase, np.full(plane.shape, 1.0, np.float32), bank.kernel[light, :, index]
 
     score, plain, offset, snr, _ = scores.match(channel(3, (1, 1)), channel(1, (0, 0)), PAPER)
-    found, _ = scores.best_level(score, plain, offset, PAPER)
+    found, _ = peak.best_level(score, plain, offset, PAPER)
     textured = snr > 50
     textured[:BORDER_BLOCKS] = textured[-BORDER_BLOCKS:] = False
     textured[:, :BORDER_BLOCKS] = textured[:, -BORDER_BLOCKS:] = False
@@ -100,26 +100,6 @@ def test_confidence_ranks_errors(noisy):
         sure = confidence[good] > np.median(confidence[good])
         assert error[sure].mean() < error[~sure].mean()
         assert confidence.min() >= 0 and confidence.max() <= 1
-
-
-@pytest.mark.parametrize("phase", [(0, 0), (0, 1), (1, 0), (1, 1)])
-def test_planes_are_moved_to_the_middle_of_the_blocks(phase):
-    """A sinusoid sampled at any phase gives the same values at the blocks' middles, half a pixel in."""
-    y, x = np.indices((128, 128), dtype=float)
-
-    def wave(y, x):
-        return np.cos(2 * np.pi * (3 * y + 5 * x) / 128).astype(np.float32)
-
-    shape = (64, 64)
-    moved = fourier.inverse(scores.transform(wave(y, x)[phase[0] :: 2, phase[1] :: 2], phase, shape), shape)
-    np.testing.assert_allclose(moved, wave(y[::2, ::2] + 0.5, x[::2, ::2] + 0.5), atol=1e-4)
-
-
-def test_parabola_finds_a_fractional_level():
-    k = np.arange(29, dtype=np.float32)[:, None, None]
-    score = np.broadcast_to(0.9 - 0.002 * (k - 11.3) ** 2, (29, 3, 3)).astype(np.float32)
-    found, _ = scores.best_level(score, score.max(axis=0), np.zeros(29), PAPER)
-    np.testing.assert_allclose(found, 11.3, atol=1e-2)
 
 
 def test_blended_border_has_no_step():

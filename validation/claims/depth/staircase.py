@@ -18,7 +18,7 @@ from dasim.camera.specification import BLUR_LEVELS, Camera
 from dasim.spectra.grid import CHANNELS
 from dasim.typing import FloatArray, ShareDone
 from dasim.values import Capture, PsfBank
-from recon.depth import scores
+from recon.depth.grid import PLANE_SPACING_PX
 from recon.depth.method import on_blocks
 from recon.picture import mosaic
 from recon.settings import Settings
@@ -216,9 +216,9 @@ def _camera_levels(
         variance = mosaic.noise_variance(capture).at(smooth)
         channels.append((plane, places[name], variance, kernels[:, CHANNELS.index(name)]))
     settings = estimator if isinstance(estimator, Settings) else SCORES[OURS[0]]
-    found, edge = strips.levels_of(channels[0], channels[1], settings, scores.PLANE_SPACING_PX)
+    found, edge = strips.levels_of(channels[0], channels[1], settings, PLANE_SPACING_PX)
     green = sharp_e[..., CHANNELS.index("G")].astype(np.float64)
-    spacing, border = round(scores.PLANE_SPACING_PX), strips.BORDER_PX
+    spacing, border = round(PLANE_SPACING_PX), strips.BORDER_PX
     strength = strips.strength_of(green) * green.mean() / strips.patch_mean(green)  # shot noise rises with brightness
     # the planes' samples stand in the middle of blocks; the strength changes little over one
     inner = slice(round(border / spacing), -round(border / spacing))
@@ -232,7 +232,7 @@ def _camera_levels(
 def _camera_bounds(camera: Camera, sharp_e: NDArray) -> FloatArray:
     """Least standard deviation of the level, [strength, level], for sharp pictures [level, h, w, channel]."""
     pair = [CHANNELS.index(name) for name in strips.PAIR]
-    spacing, side = scores.PLANE_SPACING_PX, strips.BOUND_SHAPE[0]
+    spacing, side = PLANE_SPACING_PX, strips.BOUND_SHAPE[0]
     blurs = level_blur_px(camera)
     transfer, slope = cramer_rao.camera_transfers(camera, blurs, LIGHT, strips.BOUND_SHAPE, spacing_px=spacing)
     fine = (round(side * spacing), round(side * spacing))

@@ -27,7 +27,7 @@ from dasim.simulation.simulate import Shot
 from dasim.typing import FloatArray
 from dasim.values import Capture
 from recon import fourier
-from recon.depth import scores as depth
+from recon.depth.grid import transform
 from recon.picture import mosaic
 from validation.gates import stored
 from validation.scores import texture
@@ -108,7 +108,7 @@ def _log_likelihoods(capture: Capture, shot: Shot, candidates: FloatArray) -> li
     planes, places = mosaic.planes(electrons, camera), mosaic.phases(camera)
     height, width = planes["G"].shape
     side = fourier.fast_shape((max(height, width),) * 2, MARGIN)[0]
-    spectra = [depth.transform(np.ascontiguousarray(planes[n]), places[n], (side, side)) for n in PLANES]
+    spectra = [transform(np.ascontiguousarray(planes[n]), places[n], (side, side)) for n in PLANES]
     noise = [float(mosaic.noise_variance(capture).at(planes[name]).mean()) for name in PLANES]
     gain = float(planes["IR"].mean() / planes["G"].mean())  # the board's white and black are the same in both
     power = _power(shot, side)
