@@ -1,7 +1,7 @@
-"""Where the samples of a dataset are made: in processes of this computer, or by Ray on many.
+"""Executors: one function for many indices, in processes of this computer or by Ray on many computers.
 
-An executor takes indices from a queue until it is empty, and yields an outcome for each; who reads them may put an
-index back to have it tried again.
+An executor takes indices from a queue until it is empty, and yields an outcome for each. The caller may put an index
+back into the queue meanwhile, to have it tried again.
 
 Tested in tests/dasim/dataset/test_make.py and tests/dasim/dataset/test_ray.py.
 """
@@ -12,12 +12,8 @@ import contextlib
 import multiprocessing
 import os
 import re
-import resource
-import shutil
 import signal
 import socket
-import sys
-import tempfile
 from collections import deque
 from collections.abc import Callable, Generator, Iterator
 from dataclasses import dataclass
@@ -27,62 +23,39 @@ from pathlib import Path
 from typing import Any
 
 from dasim.base.errors import InputError
-from dasim.dataset import sample, storage
-from dasim.dataset.sample import Job
 
 RAY_ANSWER_S = 10.0
 RAY_TRIES = 3
-STOP_S = 5.0  # that a process gets to end by itself
-LOOK_S = 0.5
-SCRATCH_BYTES = 200e6  # that writing a sample needs of the temporary folder, at most
-PART = "parts/{}.tar"
+STOP_S = 5.0  # time for a process to end by itself
+POLL_S = 0.5
+ONE_THREAD = {  # also of linear algebra: sums over several threads may differ in their last bits
+    name: "1" for name in ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS", "NUMBA_NUM_THREADS")
+}
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of a sample."""
+    """Result of the work on one index."""
 
     index: int
-    error: str | None = None  # why it was not made
-    fatal: bool = False  # the same would happen to every other one
-    final: bool = False  # it was tried often enough
+    error: str | None = None  # one line; None after success
+    fatal: bool = False  # every other index would fail in the same way
+    final: bool = False  # the executor has repeated it: not worth another try
     seconds: float = 0.0
-    render_s: float = 0.0
-    peak_mb: float = 0.0  # largest memory of the process so far
+    render_s: float = 0.0  # of these in the renderer
+    peak_mb: float = 0.0  # peak memory of the process so far
     row: dict[str, Any] | None = None
 
 
-Work = Callable[[Any, int], Outcome]  # a job, which pickles, and an index: what became of it
+Work = Callable[[Any, int], Outcome]
+"""Works on one index of a job. The job can be pickled; an error is returned as an outcome, not raised."""
+
 Executor = Callable[[Any, "deque[int]"], Generator[Outcome]]
+"""Works on all indices of a queue of a job."""
 
 
-def work(job: Job, index: int) -> Outcome:
-    """Make a sample in this process and write it; an error is an outcome, not raised.
-
-    What goes wrong in the making is the sample's own; where files cannot be written, no other sample could be.
-    """
-    try:
-        sample.activate(job.environment["variant"])
-        here = sample.environment(job.environment["variant"])
-        if here != job.environment:
-            differing = ", ".join(key for key in here if here[key] != job.environment.get(key))
-            return Outcome(index, f"this worker has another {differing} than the dataset: pixels would differ", True)
-        made = sample.make(job.spec, index, job.environment["variant"])
-    except Exception as error:
-        if shutil.disk_usage(tempfile.gettempdir()).free < SCRATCH_BYTES:
-            return Outcome(index, f"the temporary folder {tempfile.gettempdir()} is full", fatal=True)
-        return Outcome(index, said(error))
-    try:
-        members = {**made.files, sample.ROW: sample.plain(made.row)}
-        storage.write(job.out, PART.format(sample.key(index)), sample.packed(members))
-    except Exception as error:  # each store raises its own
-        return Outcome(index, f"cannot be written: {said(error)}", fatal=True)
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / (1e6 if sys.platform == "darwin" else 1e3)
-    return Outcome(index, None, False, False, made.seconds, made.render_s, peak, made.row)
-
-
-def said(error: Exception) -> str:
-    """An error in one line."""
+def in_one_line(error: Exception) -> str:
+    """Message of an error as one line."""
     if isinstance(error, OSError) and error.strerror:
         return error.strerror + (f" ({error.filename})" if error.filename else "")
     return " ".join((str(error) if isinstance(error, InputError) else f"{type(error).__name__}: {error}").split())
@@ -95,11 +68,14 @@ def said(error: Exception) -> str:
 class _Worker:
     process: BaseProcess
     connection: Connection
-    place: int  # of so many; a new one takes the place of one that died, and its GPU
+    place: int  # 0 to the number of workers - 1; a replacement takes the place of the dead worker, and its GPU
 
 
-def local(processes: int, work: Work = work) -> Executor:
-    """Processes of this computer; one that dies is replaced, and only its own sample has failed."""
+def local(processes: int, work: Work, *, gpu: bool = False) -> Executor:
+    """Processes of this computer; a process that dies is replaced, and only its own index fails.
+
+    ``gpu`` gives each process one graphics card, in turn.
+    """
 
     def run(job: Any, queue: deque[int]) -> Generator[Outcome]:
         busy: dict[Connection, tuple[_Worker, int]] = {}
@@ -108,12 +84,12 @@ def local(processes: int, work: Work = work) -> Executor:
         try:
             while queue or busy:
                 while queue and len(busy) < processes:
-                    worker = idle.pop() if idle else _started(job, places.pop(), work)
+                    worker = idle.pop() if idle else _started(job, places.pop(), work, gpu)
                     index = queue.popleft()
-                    with contextlib.suppress(OSError):  # it died while it waited: found below
+                    with contextlib.suppress(OSError):  # it died while idle: its connection is ready below
                         worker.connection.send(index)
                     busy[worker.connection] = (worker, index)
-                for ready in wait(list(busy), timeout=LOOK_S):
+                for ready in wait(list(busy), timeout=POLL_S):
                     assert isinstance(ready, Connection)
                     worker, index = busy.pop(ready)
                     try:
@@ -123,7 +99,7 @@ def local(processes: int, work: Work = work) -> Executor:
                         worker.process.join(STOP_S)
                         places.append(worker.place)
                         ready.close()
-                        outcome = Outcome(index, f"the process that made it died ({_death(worker.process.exitcode)})")
+                        outcome = Outcome(index, f"its process died ({_death(worker.process.exitcode)})")
                     yield outcome
         finally:
             _stop([worker for worker, _ in busy.values()] + idle)
@@ -131,14 +107,14 @@ def local(processes: int, work: Work = work) -> Executor:
     return run
 
 
-def _started(job: Any, place: int, work: Work) -> _Worker:
+def _started(job: Any, place: int, work: Work, gpu: bool) -> _Worker:
     context = multiprocessing.get_context("spawn")
     near, far = context.Pipe()
     process = context.Process(target=_serve, args=(far, job, work), daemon=True)
-    variables = dict(sample.ONE_THREAD)
-    if job.environment["variant"].startswith("cuda"):
+    variables = dict(ONE_THREAD)
+    if gpu:
         variables["CUDA_VISIBLE_DEVICES"] = gpus()[place % len(gpus())]
-    with _variables(variables):  # read when libraries are loaded, before anything of ours runs
+    with _variables(variables):  # libraries read them when they are loaded
         process.start()
     far.close()
     return _Worker(process, near, place)
@@ -146,7 +122,7 @@ def _started(job: Any, place: int, work: Work) -> _Worker:
 
 @contextlib.contextmanager
 def _variables(changes: dict[str, str]) -> Iterator[None]:
-    """Variables for processes that are started meanwhile."""
+    """Set environment variables for processes that the block starts."""
     before = {name: os.environ.get(name) for name in changes}
     os.environ.update(changes)
     try:
@@ -160,7 +136,7 @@ def _variables(changes: dict[str, str]) -> Iterator[None]:
 
 
 def gpus() -> list[str]:
-    """NVIDIA graphics cards that this process may use, as CUDA numbers them; the first one where nobody knows."""
+    """Numbers by CUDA of the NVIDIA graphics cards that this process may use; "0" where they cannot be listed."""
     given = os.environ.get("CUDA_VISIBLE_DEVICES")
     if given:
         return given.split(",")
@@ -180,8 +156,8 @@ def _stop(workers: list[_Worker]) -> None:
 
 
 def _serve(connection: Connection, job: Any, work: Work) -> None:
-    """A worker: makes what it is asked for until nobody asks any more."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C goes to all; the one who asks decides
+    """Work on the indices that come through a connection until it closes, as it does when the coordinator dies."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches all processes; the coordinator decides
     with contextlib.suppress(EOFError, OSError, KeyboardInterrupt):
         while True:
             connection.send(work(job, connection.recv()))
@@ -196,31 +172,35 @@ def _death(code: int | None) -> str:
 # --- Ray -----------------------------------------------------------------------------------------
 
 
-def ray(address: str, work: Work = work) -> Executor:
-    """The nodes of a Ray cluster: ``auto`` for the one of this computer or of RAY_ADDRESS, or ``ray://host:port``.
+def ray(address: str, work: Work, *, gpu: bool = False) -> Executor:
+    """The nodes of a Ray cluster.
 
-    Ray places, and after the death of a worker or node repeats, each sample. Raises InputError where Ray is not
-    installed or does not answer.
+    Ray chooses the node of each index, and repeats the index after the death of a worker or node. Raises InputError
+    where Ray is not installed or does not answer.
+
+    Args:
+        address: ``auto`` for the cluster of this computer or of RAY_ADDRESS, or ``ray://host:port``.
+        work: works on one index.
+        gpu: whether each index needs a graphics card.
     """
     try:
         import ray as engine
     except ImportError:
         raise InputError("--executor ray: needs Ray; install it with pip install 'dasim[cluster]'") from None
     _check_answers(address)
-    os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")  # else it warns of a change to come
+    os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")  # otherwise Ray warns of a future change
     try:
         engine.init(address=address, log_to_driver=False, logging_level="ERROR", ignore_reinit_error=True)
     except Exception as error:  # connection errors of Ray, grpc and the operating system
-        raise InputError(f"--address {address}: Ray does not answer: {said(error)[:300]}") from None
+        raise InputError(f"--address {address}: Ray does not answer: {in_one_line(error)[:300]}") from None
 
     def run(job: Any, queue: deque[int]) -> Generator[Outcome]:
-        gpus = 1 if job.environment["variant"].startswith("cuda") else 0
         task = engine.remote(
             num_cpus=1,
-            num_gpus=gpus,
+            num_gpus=int(gpu),
             max_retries=RAY_TRIES - 1,
-            max_calls=0,  # a process makes many: kernels are compiled once
-            runtime_env={"env_vars": sample.ONE_THREAD},
+            max_calls=0,  # a process serves many indices: kernels are compiled once
+            runtime_env={"env_vars": ONE_THREAD},
         )(work)
         sent = engine.put(job)
         pending: dict[Any, int] = {}
@@ -230,13 +210,13 @@ def ray(address: str, work: Work = work) -> Executor:
                 while queue and len(pending) < most:
                     index = queue.popleft()
                     pending[task.remote(sent, index)] = index
-                done, _ = engine.wait(list(pending), num_returns=1, timeout=LOOK_S)
+                done, _ = engine.wait(list(pending), num_returns=1, timeout=POLL_S)
                 for reference in done:
                     index = pending.pop(reference)
                     try:
                         yield engine.get(reference)
                     except engine.exceptions.RayError as error:
-                        yield Outcome(index, f"{said(error)[:300]} (in {RAY_TRIES} tries)", final=True)
+                        yield Outcome(index, f"{in_one_line(error)[:300]} (in {RAY_TRIES} tries)", final=True)
         finally:
             for reference in pending:
                 engine.cancel(reference, force=True)
@@ -245,7 +225,7 @@ def ray(address: str, work: Work = work) -> Executor:
 
 
 def _check_answers(address: str) -> None:
-    """InputError where nobody who speaks Ray's protocol listens at an address."""
+    """InputError where no Ray client server listens at an address."""
     if address == "auto":
         address = os.environ.get("RAY_ADDRESS", address)
     if address == "auto":
@@ -262,7 +242,7 @@ def _check_answers(address: str) -> None:
             grpc.channel_ready_future(channel).result(timeout=RAY_ANSWER_S / 2)
             return
     except OSError as error:
-        why = said(error)
+        why = in_one_line(error)
     except grpc.FutureTimeoutError:
         pass
     raise InputError(

@@ -63,6 +63,7 @@ def make(
     from dasim.dataset.reading import parquet_library
     from dasim.dataset.sample import Job, environment
     from dasim.dataset.specification import load_spec
+    from dasim.dataset.work import work
     from dasim.render import backend
 
     described = load_spec(spec)
@@ -71,12 +72,17 @@ def make(
         raise InputError(f"--retry: takes finished shards apart, and goes without --shard {shard}")
     parquet_library()
     choice = backend.choose(variant)
-    processes = processes_of(jobs, len(executors.gpus()) if choice.variant.startswith("cuda") else None)
+    gpu = choice.variant.startswith("cuda")
+    processes = processes_of(jobs, len(executors.gpus()) if gpu else None)
     here = environment(choice.variant)
     if dry_run:
         _print_plan(described, out, processes, choice.variant)
         return 0
-    run: Executor = executors.local(processes) if executor == "local" else executors.ray(address)
+    run: Executor
+    if executor == "local":
+        run = executors.local(processes, work, gpu=gpu)
+    else:
+        run = executors.ray(address, work, gpu=gpu)
     plan.begin(out, plan.description(described, here))
     log = storage.local_path(out) / plan.log_name(part) if storage.is_local(out) else None
     with _shown(described.name) as show:

@@ -63,8 +63,12 @@ def sweep(
     spec = load_study(study, quick=quick)
     place = out or f"out/{spec.name}"
     here = environment(backend.choose(variant).variant)
-    local = executor == "local"
-    run: Executor = executors.local(processes_of(jobs), work) if local else executors.ray(address, work)
+    gpu = here["variant"].startswith("cuda")
+    run: Executor
+    if executor == "local":
+        run = executors.local(processes_of(jobs), work, gpu=gpu)
+    else:
+        run = executors.ray(address, work, gpu=gpu)
     job = Sweep(spec, place, here)
     with _shown(spec.name) as show:
         failed = run_sweep(job, run, show)

@@ -41,9 +41,6 @@ LIBRARIES = (  # what decides the bytes of pixels and files
     *("mitsuba", "drjit", "numpy", "scipy", "numba", "opencv-python-headless", "scikit-image", "colour-science"),
     *("trimesh", "OpenEXR", "pyarrow"),
 )
-ONE_THREAD = {  # for linear algebra as well: sums over many threads may differ in their last bits
-    name: "1" for name in ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS", "NUMBA_NUM_THREADS")
-}
 
 
 @dataclass(frozen=True)

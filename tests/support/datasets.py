@@ -10,12 +10,12 @@ from collections import deque
 from collections.abc import Generator
 from pathlib import Path
 
-from dasim.base import executors
 from dasim.base.executors import Outcome
 from dasim.dataset import plan, storage
 from dasim.dataset.make import make
 from dasim.dataset.sample import Job, environment
 from dasim.dataset.specification import load_spec
+from dasim.dataset.work import work
 from dasim.render import backend
 
 WALL = """
@@ -83,13 +83,13 @@ def job(spec: Path, out: Path | str) -> Job:
 def inline(job: Job, queue: deque[int]) -> Generator[Outcome]:
     """An executor in this process, where nothing has to be started."""
     while queue:
-        yield executors.work(job, queue.popleft())
+        yield work(job, queue.popleft())
 
 
 def backwards(job: Job, queue: deque[int]) -> Generator[Outcome]:
     """The same in another order."""
     while queue:
-        yield executors.work(job, queue.pop())
+        yield work(job, queue.pop())
 
 
 def made(spec: Path, out: Path | str, executor=inline, **options):
@@ -126,7 +126,7 @@ def spread(job: Job, index: int) -> Outcome:
     if index == 3 and not marker.exists():
         marker.touch()
         os.kill(os.getpid(), signal.SIGKILL)
-    return executors.work(job, index)
+    return work(job, index)
 
 
 def deadly(job: Job, index: int) -> Outcome:
@@ -138,4 +138,4 @@ def deadly(job: Job, index: int) -> Outcome:
         os.abort()
     if index == 23:
         os.kill(os.getpid(), signal.SIGKILL)
-    return executors.work(job, index)
+    return work(job, index)

@@ -19,7 +19,7 @@ import pytest
 from dasim.base import atomic, executors
 from dasim.base.errors import InputError
 from dasim.cli import run
-from dasim.dataset import plan, sample, storage, verify
+from dasim.dataset import plan, sample, storage, verify, work
 from dasim.dataset.make import TRIES
 from tests.support.datasets import MESH, SQUARE, WALL, backwards, deadly, inline, logged, made, spec_file, sums
 
@@ -273,7 +273,7 @@ def only_mesh_fails(job, queue):
     """The samples of the broken mesh were rendered before it broke; here they fail."""
     while queue:
         index = queue.popleft()
-        yield executors.Outcome(index, "broken") if index % 2 else executors.work(job, index)
+        yield executors.Outcome(index, "broken") if index % 2 else work.work(job, index)
 
 
 def test_poisoned_sample_is_left_out_until_it_is_repaired(tmp_path, monkeypatch, capsys, renderer):
@@ -281,7 +281,7 @@ def test_poisoned_sample_is_left_out_until_it_is_repaired(tmp_path, monkeypatch,
     (tmp_path / "thing.obj").write_text("no mesh\n")
     spec = spec_file(tmp_path, samples=4, files=["wall.toml", "mesh.toml"])
     out = tmp_path / "ds"
-    monkeypatch.setattr(executors, "local", lambda processes: inline)
+    monkeypatch.setattr(executors, "local", lambda *_, **options: inline)
     assert run(["dataset", "make", str(spec), "--out", str(out)]) == 1
     said = capsys.readouterr().err
     assert "sample 1 failed" in said and "sample 3 failed" in said and "thing.obj" in said and "--retry" in said
@@ -301,7 +301,7 @@ def test_poisoned_sample_is_left_out_until_it_is_repaired(tmp_path, monkeypatch,
 
 def test_full_temporary_folder_is_nobodys_sample(spec, tmp_path, monkeypatch):
     monkeypatch.setattr(sample, "make", lambda *arguments: 1 / 0)
-    monkeypatch.setattr(executors, "SCRATCH_BYTES", 1e30)
+    monkeypatch.setattr(work, "SCRATCH_BYTES", 1e30)
     with pytest.raises(InputError, match=r"temporary folder .* is full; nothing is lost"):
         made(spec, tmp_path / "ds")
     assert not list((tmp_path / "ds").rglob("failed/*"))
@@ -317,8 +317,8 @@ def test_file_beyond_the_limit_of_a_process_is_a_full_disk(spec, reference, tmp_
         "def packed(members):\n"
         "    resource.setrlimit(resource.RLIMIT_FSIZE, (40_000, resource.RLIM_INFINITY))\n"
         "    return real(members)\n"
-        "import dasim.base.executors as e\n"
-        "e.sample.packed = packed\n"
+        "import dasim.dataset.work as w\n"
+        "w.sample.packed = packed\n"
         f"made(Path({str(spec)!r}), Path({str(out)!r}), inline)\n"
     )
     done = subprocess.run(

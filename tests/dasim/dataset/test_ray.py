@@ -93,7 +93,7 @@ def test_address_that_does_not_answer(kind, monkeypatch):
         address = {"variable": "auto", "nobody": "auto", "no address": "127.0.0.1"}.get(kind, address)
         begin = time.monotonic()
         with pytest.raises(InputError) as refused:
-            executors.ray(address)
+            executors.ray(address, spread)
     assert time.monotonic() - begin < executors.RAY_ANSWER_S + SLACK_S
     message = str(refused.value)
     assert "--address" in message and "\n" not in message

@@ -94,7 +94,7 @@ def test_store_that_refuses_ends_the_run_and_nothing_is_lost(address, tmp_path, 
 
 
 def test_bucket_that_is_not_there(address, tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr(executors, "local", lambda processes: None)
+    monkeypatch.setattr(executors, "local", lambda *_, **options: None)
     assert run(["dataset", "make", str(spec_file(tmp_path)), "--out", "s3://nowhere/ds"]) == 2
     said = capsys.readouterr().err
     assert "s3://nowhere/ds: cannot be written" in said and len(said.splitlines()) == 1

@@ -409,7 +409,7 @@ def test_verify_of_what_is_not_finished(tmp_path, renderer):
 @pytest.fixture
 def command(monkeypatch, capsys, renderer):
     """``dasim dataset`` in this process: exit status, and what it prints."""
-    monkeypatch.setattr(executors, "local", lambda processes: inline)
+    monkeypatch.setattr(executors, "local", lambda *_, **options: inline)
 
     def call(*arguments) -> tuple[int, str, str]:
         status = run(["dataset", *map(str, arguments)])

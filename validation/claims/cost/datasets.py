@@ -210,12 +210,13 @@ _rendering = [0.0]
 def timed(job: Job, index: int) -> Outcome:
     """The executors' work, with seconds in all, in the renderer and of the processor as the row."""
     from dasim.dataset import sample
+    from dasim.dataset.work import work
 
     sample.activate(job.environment["variant"])
     _watch()
     _rendering[0] = 0.0
     begin, cpu = time.perf_counter(), time.process_time()
-    done = executors.work(job, index)
+    done = work(job, index)
     row = {
         "seconds": time.perf_counter() - begin,
         "cpu_s": time.process_time() - cpu,

@@ -18,7 +18,7 @@ from scipy import optimize, stats
 import dasim
 import recon
 from dasim.base.errors import InputError
-from dasim.base.executors import Outcome, said
+from dasim.base.executors import Outcome, in_one_line
 from dasim.base.fingerprint import fingerprint, hashed, named_files
 from dasim.camera import geometry, noise, radiometry, stops
 from dasim.camera import specification as cameras
@@ -119,11 +119,11 @@ def work(job: Sweep, index: int) -> Outcome:
         sample.activate(job.environment["variant"])
         rows = measured(job.spec, unit)
     except Exception as error:
-        return Outcome(index, said(error))
+        return Outcome(index, in_one_line(error))
     try:
         storage.write(job.out, file_of(job, unit), sample.plain(rows))
     except Exception as error:  # each store raises its own
-        return Outcome(index, f"cannot be written: {said(error)}", fatal=True)
+        return Outcome(index, f"cannot be written: {in_one_line(error)}", fatal=True)
     return Outcome(index, seconds=time.perf_counter() - begin)
 
 

@@ -1,0 +1,44 @@
+"""Work of one worker of a dataset: one sample, made and written.
+
+Tested in tests/dasim/dataset/test_make.py.
+"""
+
+from __future__ import annotations
+
+import resource
+import shutil
+import sys
+import tempfile
+
+from dasim.base.executors import Outcome, in_one_line
+from dasim.dataset import sample, storage
+from dasim.dataset.sample import Job
+
+SCRATCH_BYTES = 200e6  # of the temporary folder, that writing a sample needs at most
+PART = "parts/{}.tar"  # a sample until its shard is closed
+
+
+def work(job: Job, index: int) -> Outcome:
+    """Make a sample in this process and write it as a part of the dataset; an error is an outcome, not raised.
+
+    An error of the simulation concerns this sample alone. A file that cannot be written is fatal: other samples could
+    not be written either.
+    """
+    try:
+        sample.activate(job.environment["variant"])
+        here = sample.environment(job.environment["variant"])
+        if here != job.environment:
+            differing = ", ".join(key for key in here if here[key] != job.environment.get(key))
+            return Outcome(index, f"this worker has another {differing} than the dataset: pixels would differ", True)
+        made = sample.make(job.spec, index, job.environment["variant"])
+    except Exception as error:
+        if shutil.disk_usage(tempfile.gettempdir()).free < SCRATCH_BYTES:
+            return Outcome(index, f"the temporary folder {tempfile.gettempdir()} is full", fatal=True)
+        return Outcome(index, in_one_line(error))
+    try:
+        members = {**made.files, sample.ROW: sample.plain(made.row)}
+        storage.write(job.out, PART.format(sample.key(index)), sample.packed(members))
+    except Exception as error:  # stores raise errors of their own
+        return Outcome(index, f"cannot be written: {in_one_line(error)}", fatal=True)
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / (1e6 if sys.platform == "darwin" else 1e3)
+    return Outcome(index, None, False, False, made.seconds, made.render_s, peak, made.row)
