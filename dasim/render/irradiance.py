@@ -1,13 +1,13 @@
-"""Irradiance from wide sources and from other surfaces, interpolated where it is smooth (JIT variants).
+"""Irradiance from extended sources and from other surfaces, interpolated where it is smooth (JIT variants).
 
-What a Lambertian surface receives from the sky and from its surroundings changes little from pixel to pixel, and it
-is most of what a picture costs and of its noise. So it is traced once on a grid of points that the lens sees, with
-many directions each, and interpolated between them: Ward, Rubinstein and Clear, "A ray tracing solution for diffuse
-interreflection", SIGGRAPH 1988. Lamps are not part of it: rays aim at them where they land, so that shadows are sharp.
+The irradiance of a Lambertian surface by the sky and by its surroundings changes little from pixel to pixel, and makes
+most of the cost and the noise of a picture. It is traced once on a grid of points that the lens sees, with many
+directions each, and interpolated: Ward, Rubinstein and Clear, "A ray tracing solution for diffuse interreflection",
+SIGGRAPH 1988. Lamps are excluded: every ray samples them where it lands, so that shadows are sharp.
 
-A cell of the grid is used only where its four corners lie on one surface and agree to ``AGREEMENT``, so that straight
-lines between them are good to a fraction of that; elsewhere, and on all that is not Lambertian, rays go on as a path
-tracer's. The claim ``interreflection`` holds pictures against those that are traced throughout.
+A cell of the grid is used only where its four corners lie on one surface and agree to ``AGREEMENT``, so that linear
+interpolation is accurate to a fraction of that; elsewhere, and on surfaces that are not Lambertian, rays are traced by
+a path tracer. The claim ``interreflection`` compares pictures with those of the path tracer alone.
 
 Tested in tests/dasim/render/test_passes.py.
 """
@@ -25,11 +25,11 @@ from dasim.spectra import grid
 from dasim.typing import FloatArray
 
 STRIDE_PX = 3.0
-AGREEMENT = 0.15  # of the irradiance at a cell's corners
+AGREEMENT = 0.15  # largest relative difference of irradiance between the corners of a cell
 SAME_NORMAL = 0.9  # cosine
 SAME_DEPTH = 0.02
-NODES = 32  # wavelengths at which irradiance over the lights' spectrum is kept
-DIRECTIONS_PER_SAMPLE = 4  # of a pixel
+NODES = 32  # wavelengths at which irradiance over the lights' spectrum is stored
+DIRECTIONS_PER_SAMPLE = 4  # directions of a point per sample of a pixel
 FEWEST_DIRECTIONS, MOST_DIRECTIONS = 64, 1024
 LANES = 1 << 21
 
@@ -78,7 +78,7 @@ _SPAN_NM = float(grid.WAVELENGTH_NM[-1] - grid.WAVELENGTH_NM[0])
 
 
 def lambertian(bsdf: Any) -> Any:
-    """Where a surface scatters evenly and passes nothing."""
+    """Where a surface is a Lambertian reflector and transmits nothing."""
     import mitsuba as mi
 
     flags, kinds = bsdf.flags(), mi.BSDFFlags
@@ -105,10 +105,18 @@ def field(
     spp: int,
     seed: int,
 ) -> Field:
-    """Trace the irradiance on a grid over the frame of ``size_px`` (width, height) and ``margin_px`` around it.
+    """Trace the irradiance on a grid over the frame and a margin around it.
 
-    ``spectrum`` is that of all lights together, on the wavelength grid; it carries the lines of lamps, which the
-    wavelengths of the field are too few for. ``spp`` are the samples a pixel that the directions go with.
+    Args:
+        scene: a Mitsuba scene.
+        integrator: continues paths, see :func:`dasim.render.transport.path_integrator`.
+        size_px: width and height of the frame.
+        px_per_m: pixels on the sensor per metre at a distance of one metre.
+        margin_px: width of the margin.
+        spectrum: of all lights together, on the wavelength grid; it carries spectral lines, which the ``NODES``
+            wavelengths of the field do not resolve.
+        spp: samples per pixel of the picture, to which the number of directions is matched.
+        seed: of the directions.
     """
     import drjit as dr
     import mitsuba as mi
@@ -167,16 +175,16 @@ def _towards_camera(si: Any) -> Any:
 def _traced(
     scene: Any, integrator: Any, slope: Any, directions: int, index: Any, key: Any
 ) -> tuple[FloatArray, FloatArray]:
-    """Irradiance at what rays through the middle of the lens meet, [point, node], and (1/z, normal, known), [point, 5].
+    """Irradiance where rays through the middle of the lens land, [point, node], and (1/z, normal, known), [point, 5].
 
-    Each direction has four of the wavelengths.
+    Each direction carries four of the wavelengths.
     """
     import drjit as dr
     import mitsuba as mi
 
     lanes = dr.width(slope)
     groups = NODES // 4
-    block = directions // groups  # directions of a group, which are summed together
+    block = directions // groups  # directions of a group, summed together
     sample = dr.arange(mi.UInt32, lanes) % dr.opaque(mi.UInt32, directions)
     group = sample // dr.opaque(mi.UInt32, block)
     wavelengths = mi.Spectrum(0.0)
@@ -203,9 +211,9 @@ def _traced(
     aim = scene.pdf_emitter_direction(si, mi.DirectionSample3f(scene, met, si), known)
     density = local.z / dr.pi
     around = dr.select(aim > 0, power_heuristic(density, aim), 1.0)
-    kept = dr.select(from_all_around(emitter), around, 0.0)
+    counted = dr.select(from_all_around(emitter), around, 0.0)
     beyond, _, _ = integrator.sample(scene, sampler, mi.RayDifferential3f(onward), active=known)
-    received = dr.pi * (beyond - emitted * (1 - kept))
+    received = dr.pi * (beyond - emitted * (1 - counted))
 
     aimed, light = scene.sample_emitter_direction(si, aim_at, True, known)
     cosine = dr.maximum(dr.dot(normal, aimed.d), 0.0)
@@ -223,15 +231,15 @@ def _traced(
 
 
 def power_heuristic(own: Any, other: Any) -> Any:
-    """Weight of a way of sampling with density ``own`` beside another (Veach 1997, sec. 9.2)."""
+    """Weight of sampling with density ``own`` combined with sampling with density ``other`` (Veach 1997, sec. 9.2)."""
     ratio = other / own  # squares of large densities would not be finite
     return 1 / (1 + ratio * ratio)
 
 
 def _smoothed(ratio: FloatArray, surface: FloatArray) -> FloatArray:
-    """Each node's irradiance as a mean with its neighbours on the same surface that receive nearly the same.
+    """Irradiance of each node averaged with neighbours on the same surface that receive nearly the same.
 
-    Nodes near to each other share their directions' noise, which no number of a pixel's samples takes away.
+    The noise of a node is common to all pixels near it, and more samples per pixel do not reduce it.
     """
     from scipy import ndimage
 
@@ -260,7 +268,7 @@ def _agree(ratio: FloatArray, surface: FloatArray) -> np.ndarray:
     known = corners(surface[..., 4]).min(axis=0) > 0
     normal = corners(surface[..., 1:4])
     turned = np.min([np.sum(normal[i] * normal[j], axis=-1) for i in range(4) for j in range(i)], axis=0)
-    # Eight wavelengths together: single ones are noisier.
+    # Means of eight wavelengths: single ones are noisier.
     light = corners(ratio.reshape(*ratio.shape[:2], 4, -1).mean(axis=-1))
     middle = light.mean(axis=0)
     spread = (light.max(axis=0) - light.min(axis=0)) / np.where(middle > 0, middle, 1.0)

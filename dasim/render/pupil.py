@@ -1,4 +1,4 @@
-"""Points on a stop, drawn evenly over its open area, in the JIT variants."""
+"""Points on a stop, sampled uniformly over its open area, in the JIT variants."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ Draw = Callable[[Any], Any]  # two uniform numbers -> a place, in ratios of the 
 
 
 def drawer(stop: Stop) -> Draw:
-    """How to turn two uniform numbers into a place on the stop, evenly over what it lets through."""
+    """The function that turns two uniform numbers into a place on the stop, uniform over its open area."""
     ring = stops.ring(stop)
     if ring is not None:
         return _on_ring(ring)

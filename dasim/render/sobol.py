@@ -1,8 +1,8 @@
-"""Sobol' points with Owen's scrambling for the first numbers of every ray, in the JIT variants.
+"""Sobol' points with Owen scrambling for the first dimensions of every ray, in the JIT variants.
 
-Stratifying pairs of dimensions alone (Mitsuba's samplers) leaves a pixel's place on film and lens to chance together.
-The sequence is stratified in all its dimensions; each pixel scrambles it by a key of its own (hash-based
-scrambling: Laine and Karras, 2011; Burley, J. Computer Graphics Techniques 9(4), 2020).
+Mitsuba's samplers stratify pairs of dimensions, which leaves the place on the film jointly with that on the lens
+unstratified. A Sobol' sequence is stratified in all its dimensions; each pixel scrambles it with a key of its own
+(hash-based scrambling: Laine and Karras, 2011; Burley, J. Computer Graphics Techniques 9(4), 2020).
 """
 
 from __future__ import annotations
@@ -28,9 +28,9 @@ def _points(count: int) -> NDArray[np.uint32]:
 
 
 class Sobol:
-    """Draws like a Mitsuba sampler: each call takes the next dimension or two.
+    """A sampler with the interface of Mitsuba's: each call takes the next one or two of ``DIMENSIONS`` dimensions.
 
-    ``index`` numbers a pixel's samples (below ``count``), ``key`` tells pixels apart. There are ``DIMENSIONS``.
+    ``index`` is the number of the sample within its pixel (below ``count``), ``key`` a number unique to the pixel.
     """
 
     def __init__(self, count: int, index: Any, key: Any) -> None:
@@ -61,7 +61,7 @@ class Sobol:
 
 
 def _scrambled(bits: Any, key: Any) -> Any:
-    """Nested uniform scrambling: each bit turned or not by a hash of the key and the higher bits."""
+    """Nested uniform scrambling: a hash of the key and the higher bits decides whether a bit is flipped."""
     import drjit as dr
 
     bits = dr.brev(bits)

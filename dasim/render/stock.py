@@ -1,4 +1,4 @@
-"""The stock plugins of ``scalar_spectral``: a centred disc is a ``thinlens`` before a ``specfilm``.
+"""Passes with the stock plugins of ``scalar_spectral``: a centred disc is a ``thinlens`` with a ``specfilm``.
 
 Other shapes and axial colour need the ray loop of a JIT variant.
 
@@ -22,18 +22,18 @@ from dasim.render.translate import MAX_PATH_DEPTH
 from dasim.spectra import illuminants
 from dasim.typing import FloatArray
 
-RAYS = 1 << 22  # a block: some seconds between two steps of the progress bar, or a Ctrl-C
-PINHOLE_RATIO = 1e-4  # of the lens radius: the plugin needs a lens that is not a point
+RAYS = 1 << 22  # per block: progress and Ctrl-C every few seconds
+PINHOLE_RATIO = 1e-4  # of the lens radius: the plugin needs a lens of some size
 
 
 def check(camera: Camera) -> None:
-    """InputError where the camera is more than centred discs before a lens without axial colour."""
-    found = [f"stop '{stop.name}' is no centred disc" for stop in camera.stops if not stops.is_plain_disc(stop)]
+    """InputError where the camera has other stops than centred discs, or axial colour."""
+    problems = [f"stop '{stop.name}' is no centred disc" for stop in camera.stops if not stops.is_plain_disc(stop)]
     if camera.lens.focal_shift_um:
-        found.append("lens.focal_shift_um is set")
-    if found:
+        problems.append("lens.focal_shift_um is set")
+    if problems:
         raise InputError(
-            f"camera '{camera.name}': {'; '.join(found)}; scalar_spectral cannot render that, a JIT variant can: "
+            f"camera '{camera.name}': {'; '.join(problems)}; scalar_spectral cannot render that, a JIT variant can: "
             "install LLVM 17 or newer ('apt-get install libllvm19') for llvm_ad_spectral"
         )
 
@@ -41,7 +41,7 @@ def check(camera: Camera) -> None:
 def stop_pass(
     scene: Any, camera: Camera, stop: Stop, spp: int, seeds: Callable[[int], int], progress: Callable[[float], None]
 ) -> FloatArray:
-    """Mean electrons a second through a centred disc on the axis of every pixel, [h, w, channel]."""
+    """Mean electrons per second through a centred disc, [h, w, channel], as on the axis at every pixel."""
     assert isinstance(stop, stops.Disc)
     radius_m = stop.radius_ratio * geometry.aperture_m(camera) / 2
     return _render(scene, camera, radius_m, radiometry.stop_response(camera, stop), spp, seeds, progress)
@@ -55,7 +55,7 @@ def pinhole_pass(
     seeds: Callable[[int], int],
     progress: Callable[[float], None],
 ) -> FloatArray:
-    """The same through a point, for channels of ``response``."""
+    """Mean electrons per second through a pinhole, for the channels of ``response`` [channel, wavelength]."""
     point_m = PINHOLE_RATIO * geometry.aperture_m(camera) / 2
     return _render(scene, camera, point_m, response, spp, seeds, progress)
 
@@ -113,16 +113,16 @@ def _render(
 
 
 def in_focus_diffraction(rate: FloatArray, camera: Camera, stop: Stop, illuminant: str) -> FloatArray:
-    """Convolve with the disc's in-focus patterns, by their transfer function; the frame's edges are mirrored.
+    """Convolve with the in-focus diffraction patterns of a disc by their transfer functions; edges are mirrored.
 
-    The product of blur disc and Airy pattern is not the true defocused kernel: an approximation.
+    An approximation: the convolution of blur disc and Airy pattern is not the kernel of wave optics out of focus.
     """
     from scipy import fft
 
     weights = radiometry.stop_response(camera, stop) * illuminants.illuminant(illuminant)
     f_number = pointspread.working_f_number(camera, stops.reach(stop))
     height, width = rate.shape[:2]
-    # The cosine transform of a frame that is mirrored at its edges has frequencies k / (2 n) cycles a pixel.
+    # The cosine transform of a frame that is mirrored at its edges has frequencies k / (2 n) cycles per pixel.
     frequency = np.hypot(np.arange(height)[:, None] / (2 * height), np.arange(width)[None, :] / (2 * width))
     result = np.empty_like(rate)
     for channel in range(rate.shape[-1]):

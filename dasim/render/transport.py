@@ -1,7 +1,7 @@
-"""Light along a ray: a path tracer that takes what it can from an irradiance field.
+"""Radiance along a ray: a path tracer that uses an irradiance field where one is known.
 
-A pixel's rays differ in where they leave the lens and in their weights, so that their directions of light, however
-evenly spread, do not cancel: light from wide sources and from other surfaces is most of the noise, and of the time.
+The rays of a pixel differ in their places on the lens and in their weights, so that stratified directions of incident
+light do not average out: light from extended sources and from other surfaces makes most of the noise and of the cost.
 
 Tested in tests/dasim/render/test_passes.py.
 """
@@ -15,7 +15,7 @@ from dasim.render.translate import MAX_PATH_DEPTH
 
 
 def path_integrator() -> Any:
-    """What continues a path beyond its first surface."""
+    """The integrator that continues a path beyond its first surface."""
     import mitsuba as mi
 
     return mi.load_dict({"type": "path", "max_depth": MAX_PATH_DEPTH - 1})
@@ -26,10 +26,17 @@ def radiance(
 ) -> Any:
     """Spectral radiance along ``ray``, whose first intersection is ``si``.
 
-    ``numbers`` are uniform: two to aim at a lamp, two for a direction, one for a lobe of the surface.
+    Where ``field`` holds the irradiance from surrounding emitters and other surfaces, only lamps are sampled. Elsewhere
+    emitters are sampled once and the scattering function once, combined by the power heuristic.
 
-    Where ``field`` knows the irradiance from all around and from other surfaces, only lamps are aimed at. Elsewhere
-    lights are aimed at once and met by chance once, weighed by the power heuristic.
+    Args:
+        scene: a Mitsuba scene.
+        integrator: continues the path, see :func:`path_integrator`.
+        sampler: random numbers of the integrator.
+        ray: the ray, with its wavelengths.
+        si: its surface interaction.
+        numbers: uniform numbers: two for an emitter, two for a direction, one for a lobe of the scattering function.
+        field: known irradiance, or None.
     """
     import drjit as dr
     import mitsuba as mi
@@ -46,7 +53,7 @@ def radiance(
         result += dr.select(known, bsdf.eval(context, si, upright, known) * irradiance, 0.0)
 
     aimed, light = scene.sample_emitter_direction(si, aim_at, True, hit)
-    # A lamp that aims at itself finds infinities.
+    # A lamp that samples itself gives infinities.
     seen = hit & (aimed.pdf > 0) & dr.isfinite(aimed.pdf) & ~(known & from_all_around(aimed.emitter))
     value, density = bsdf.eval_pdf(context, si, si.to_local(aimed.d), seen)
     share = dr.select(aimed.delta | known, 1.0, power_heuristic(aimed.pdf, density))

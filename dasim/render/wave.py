@@ -1,18 +1,18 @@
-"""Wave-true defocus: rays drawn from the blur of geometric optics, weighted to that of wave optics.
+"""Defocus in wave optics: rays sampled from the blur of geometric optics, weighted to that of wave optics.
 
-A ray starts at rho on the stop, drawn evenly, and leaves through film position x + delta, with delta drawn from the
-in-focus diffraction pattern D. Where it meets a surface of blur c, that point's own image lies at u from
-x with density g(u; c) = (D * geometric blur). Wave optics has h(u; c, lambda) there, so the ray's
-contribution is weighted by h / g. Exact for surfaces that face the camera; occlusion follows from the real rays.
+A ray starts at rho on the stop, sampled uniformly, and leaves through the film position x + delta, with delta sampled
+from the in-focus diffraction pattern D. Where it meets a surface of blur c, the image of that point lies at u from x
+with density g(u; c) = (D * geometric blur). Wave optics has the density h(u; c, lambda) there, so the contribution of
+the ray is weighted by h / g. Exact for surfaces that face the camera; occlusion follows from the rays themselves.
 
-Drawn apart, rho and delta would leave u to chance even where each is stratified, and u decides what a pixel sees.
-So for discs and rings u is drawn first, stratified, for the blur c0 that the pixel's middle sees, with a density q
-near that of h; then rho by rejection from what D leaves possible, and delta follows. That is the same joint density
-but for the factor g(u; c0) / q(u; c0), which joins the weight: no approximation, wherever the ray ends up.
+Sampling rho and delta independently would leave u unstratified, although u determines what a pixel sees. For discs and
+rings, u is therefore sampled first, stratified, for the blur c0 at the middle of the pixel, with a density q close to
+h; then rho by rejection with density D(delta), where delta = -u - rho c0 / 2 follows. This is the same joint density
+apart from the factor g(u; c0) / q(u; c0), which multiplies the weight: no approximation, wherever the ray ends.
 
-Discs and rings are radial: tables of two dimensions. Polygons and masks take two of three dimensions, and rho and
-delta are drawn apart.
-Lengths are pixels; c is signed and that of the open lens, positive nearer than the focus.
+Discs and rings are radial and need tables of two dimensions. Polygons and masks need two tables of three dimensions,
+and sample rho and delta independently.
+Lengths are in pixels; c is signed, that of the open lens, and positive nearer than the focus.
 """
 
 from __future__ import annotations
@@ -33,49 +33,52 @@ from dasim.render.plugin import tensor
 from dasim.spectra import grid as spectra
 from dasim.typing import FloatArray
 
-OFFSET_NODES = 1 << 15  # inverse CDF of delta
-TAIL_RINGS = 40.0  # delta is drawn up to this many lambda N; 0.5 % of an Airy pattern lies beyond
-KERNEL_RINGS = 16.0  # h ends so many lambda N beyond the geometric blur; the 1 % of light farther out is put inside
+OFFSET_NODES = 1 << 15  # of the inverse cumulative distribution of |delta|
+TAIL_RINGS = 40.0  # |delta| is sampled up to this many lambda N; 0.5 % of the light of an Airy pattern lies beyond
+KERNEL_RINGS = 16.0  # h ends this many lambda N beyond the geometric blur; the 1 % of light beyond is added within
 RADIUS_STEP = 0.05  # of the table of h, in lambda N
 WAVES_STEP = 0.02
 DENSITY_STEP_PX = 0.04  # of the table of g, along u
 DENSITY_BLUR_STEP_PX = 0.1  # of the table of g, along c
-GUIDE_NODES = 512  # equal steps of probability of q along |u|
-GUIDE_SHARE = 0.75  # of h in q; the rest is g, so that no weight is large where another depth is met
-TAIL_BOOST = 0.25  # more of q, each width of D farther out: little light, but from places unlike the pixel
-GUIDE_BANDS = 8  # wavelengths that stand for h in q
+GUIDE_NODES = 512  # steps of equal probability of q along |u|
+GUIDE_SHARE = 0.75  # of h in q; the rest is g, which bounds the weights of rays that meet another depth
+TAIL_BOOST = 0.25  # relative increase of q per width of D outside the blur: little light, but from other surfaces
+GUIDE_BANDS = 8  # wavelengths that represent h in q
 
 PATTERN_TAIL = 12.0  # in lambda N of a disc of the same area
 PATTERN_STEP = 0.1  # of the table of h, in lambda N of the whole lens
 PATTERN_WAVES_STEP = 0.05
 PATTERN_DENSITY_STEP_PX = 0.15
 PATTERN_BLUR_STEP_PX = 0.5
-MOST_NODES = 48e6  # of a table of three dimensions; its steps grow where that does not do
+MOST_NODES = 48e6  # of a table of three dimensions; its steps grow where this is exceeded
 FLOOR = 1e-12
 
 
 class Blur(Protocol):
-    """The weights of one stop."""
+    """Sampling of the lens and weights of wave optics for one stop."""
 
     def draw(self, first: Any, second: Any, blur_px: Any, key: Any) -> tuple[Any, Any, Any]:
-        """Place rho on the stop (of the lens's radius), offset delta (pixels), and the weight of having drawn them.
+        """Place rho on the stop (in radii of the lens), offset delta in pixels, and their weight.
 
-        ``first`` and ``second`` are two uniform numbers each, ``blur_px`` is the blur to expect, ``key`` decides what
-        is drawn by rejection.
+        Args:
+            first: two uniform numbers.
+            second: two uniform numbers.
+            blur_px: expected signed blur of the open lens.
+            key: seed of the random numbers for rejection.
         """
 
     def weights(self, u_px: Any, blur_px: Any, wavelengths_nm: list[Any]) -> list[Any]:
-        """Ratios h / g for each wavelength; 1 beyond the tables, where the blur is that of the drawn rays."""
+        """Ratios h / g for each wavelength; 1 outside the tables, where the blur is that of the sampled rays."""
 
 
 def weigher(camera: Camera, stop: Stop, density: FloatArray, max_blur_px: float) -> Blur:
-    """Tables for a stop whose wavelengths are drawn with ``density`` (on the grid, relative)."""
+    """Tables for a stop whose wavelengths are sampled with the relative ``density`` on the grid."""
     return _weigher(camera.model_dump_json(), stop, density.tobytes(), max_blur_px)
 
 
 @lru_cache(maxsize=8)
 def _weigher(camera_json: str, stop: Stop, density_bytes: bytes, max_blur_px: float) -> Blur:
-    """The same by plain values: the pictures of one capture share their tables."""
+    """The tables, cached by plain values: the pictures of one capture share them."""
     camera, density = Camera.model_validate_json(camera_json), np.frombuffer(density_bytes)
     bands = [(nm, float(weight[0])) for nm, weight in pointspread.bands(density[None, :])]
     total = sum(weight for _, weight in bands)
@@ -94,7 +97,7 @@ def _texture(values: Any) -> Any:
 
 
 def _direction(turn: Any) -> Any:
-    """Unit vector at a share of a full turn."""
+    """Unit vector at a fraction of a full turn."""
     import drjit as dr
     import mitsuba as mi
 
@@ -103,7 +106,7 @@ def _direction(turn: Any) -> Any:
 
 
 def _place(value: Any, step: float, nodes: Any) -> Any:
-    """Texture coordinate of ``value`` on nodes 0, step, ...: the first node lies at half a texel."""
+    """Texture coordinate of ``value`` on nodes 0, step, ...; the first node lies at half a texel."""
     return (value / step + 0.5) / nodes
 
 
@@ -112,26 +115,26 @@ def _place(value: Any, step: float, nodes: Any) -> Any:
 
 @dataclass(frozen=True)
 class RadialBlur:
-    """Tables over distance; blur and distances are taken about the ring's own centre."""
+    """Radial tables of a disc or ring; blur and distances are relative to its own centre."""
 
-    outer: Any  # the numbers are opaque: stops and cameras share a compiled kernel
+    outer: Any  # radius over that of the lens; numbers are opaque, so that stops and cameras share a compiled kernel
     centre: Any
-    px_per_nm: Any  # lambda N in pixels, a nanometre of lambda
+    px_per_nm: Any  # lambda N in pixels per nanometre of lambda
     max_blur_px: Any
     max_radius_px: Any
-    inner: Any  # of the ring, over its outer radius
+    inner: Any  # inner radius over the outer one
     tail_px: Any
-    core_px: Any  # about the width of D
+    core_px: Any  # approximate width of D
     rows: Any  # of the table of g
     columns: Any
     wave_rows: Any
     wave_columns: Any
-    offsets: Any  # [OFFSET_NODES] radius of delta at equal steps of probability, 0 to 1
-    light_inside: Any  # [u] the reverse: share of D's light within u
+    offsets: Any  # [OFFSET_NODES] |delta| at equal steps of probability, 0 to 1
+    light_inside: Any  # [u] the inverse: share of D's light within u
     light_columns: Any
     density: Any  # [c, u] g per square pixel; its first row is D
-    envelope: Any  # [u] the largest value of D from u on
-    guide: Any  # [c, GUIDE_NODES + 1] flat: radius u at equal steps of probability of q
+    envelope: Any  # [u] maximum of D at u and beyond
+    guide: Any  # [c, GUIDE_NODES + 1], flat: |u| at equal steps of probability of q
     wave: Any  # [waves, radius] h in units of lambda N
 
     def draw(self, first: Any, second: Any, blur_px: Any, key: Any) -> tuple[Any, Any, Any]:
@@ -157,11 +160,12 @@ class RadialBlur:
         return self.centre + self.outer * rho, delta, g / drawn_density
 
     def _on_stop(self, u: Any, side: Any, length: Any, own: Any, key: Any) -> Any:
-        """Place rho with density D(-u - rho side), by rejection.
+        """Sample rho with density D(-u - rho side), by rejection.
 
-        Where the blur is narrower than D, from the ring, taken as D says. Where it is wider, rho side + u is drawn
-        from D: its length r among those that lead onto the lens, taken as the part of the circle that does, and its
-        direction from that part. Few are refused, which is what counts where many rays wait for the last one.
+        Where the blur is narrower than D, proposals are uniform on the ring and accepted with probability
+        proportional to D. Where it is wider, rho side + u is proposed from D: its length r among those for which part
+        of the circle of radius r lies on the lens, accepted with the share of that part, and its direction within that
+        part. Few proposals are rejected, which matters because all rays wait for the last one.
         """
         import drjit as dr
         import mitsuba as mi
@@ -171,11 +175,11 @@ class RadialBlur:
         nearest = dr.maximum(dr.maximum(length - reach, self.inner * reach - length), 0)
         columns = self.columns
         highest = self.envelope.eval(mi.Point1f(_place(nearest, DENSITY_STEP_PX, columns)))[0]
-        # A step of the table more on both sides: what it lets in is refused.
+        # Wider by one step of the table on both sides; proposals that this adds are rejected.
         low = self._inside(nearest - DENSITY_STEP_PX)
         span = self._inside(length + reach + DENSITY_STEP_PX) - low
         towards = -u / dr.maximum(length, 1e-6)
-        largest = dr.select(length > reach, dr.safe_asin(reach / length), dr.pi)  # half of the widest part of a circle
+        largest = dr.select(length > reach, dr.safe_asin(reach / length), dr.pi)  # half the angle of the widest part
         random = mi.PCG32(initstate=mi.UInt64(key), initseq=mi.UInt64(dr.arange(mi.UInt32, dr.width(u))))
 
         def again(random: Any, missing: Any, rho: Any) -> tuple[Any, Any, Any]:
@@ -192,10 +196,10 @@ class RadialBlur:
             proposed = dr.select(wide, (r * turned + u) / -side, from_ring)
             away = dr.norm(u + proposed * side)
             chance = self._density(away, mi.Float(0.0), ~wide) / highest
-            taken = dr.select(wide, third * largest < half, (third < chance) & (away <= self.tail_px))
+            accepted = dr.select(wide, third * largest < half, (third < chance) & (away <= self.tail_px))
             radius = dr.norm(proposed)
-            taken &= (radius >= self.inner) & (radius <= 1)
-            return random, missing & ~taken, dr.select(missing & taken, proposed, rho)
+            accepted &= (radius >= self.inner) & (radius <= 1)
+            return random, missing & ~accepted, dr.select(missing & accepted, proposed, rho)
 
         _, _, rho = dr.while_loop(
             state=(random, mi.Bool(dr.full(mi.Bool, True, dr.width(u))), mi.Point2f(0.0)),
@@ -239,7 +243,7 @@ class RadialBlur:
 def radial_blur(
     camera: Camera, stop: Stop, bands: list[tuple[float, float]], shortest_nm: float, max_blur_px: float
 ) -> RadialBlur:
-    """Tables of a disc or ring; ``bands`` are wavelengths (nm) with their shares of what is drawn."""
+    """Tables of a disc or ring; ``bands`` are wavelengths (nm) with the shares of rays that have them."""
     import drjit as dr
     import mitsuba as mi
 
@@ -290,7 +294,7 @@ def radial_blur(
 
 
 def _ended(profiles: FloatArray, radius: FloatArray, waves: FloatArray) -> FloatArray:
-    """Profiles [waves, radius] that end, and whose integral over the plane, straight between nodes, is 1."""
+    """Profiles [waves, radius] cut off at a finite radius, with unit integral (linear between nodes) over the plane."""
     profiles = np.where(radius <= 4 * waves[:, None] + KERNEL_RINGS, profiles, 0.0)
     low, high = radius[:-1], radius[1:]
     rings = profiles[:, :-1] * (2 * low + high) + profiles[:, 1:] * (low + 2 * high)
@@ -306,7 +310,7 @@ def _guide(
     reach_px: float,
     inner: float,
 ) -> FloatArray:
-    """Radii at equal steps of probability of q, a mixture of g and of h over some wavelengths, [c, GUIDE_NODES + 1]."""
+    """Radii |u| at equal steps of probability of q, a mixture of g and h at some wavelengths, [c, GUIDE_NODES + 1]."""
     chosen = scales[:: max(1, len(scales) // GUIDE_BANDS)]
     total = sum(weight for _, weight in chosen)
     pattern = np.zeros_like(density)
@@ -315,7 +319,7 @@ def _guide(
         columns = radius / scale / RADIUS_STEP
         grid = np.meshgrid(rows, columns, indexing="ij")
         pattern += weight / total * ndimage.map_coordinates(wave, grid, order=1, mode="nearest") / scale**2
-    # Not to the end of D, where there is hardly a rho left that leads there.
+    # Short of the end of D, where hardly any rho is possible.
     nearest, farthest = inner * blurs[:, None] / 2 - reach_px, blurs[:, None] / 2 + reach_px
     near = (radius[None, :] >= nearest) & (radius[None, :] <= farthest)
     core = float(np.average([scale for scale, _ in chosen], weights=[weight for _, weight in chosen]))
@@ -325,16 +329,17 @@ def _guide(
     ring = np.pi * np.diff(radius**2)
     inside = np.concatenate([np.zeros((len(blurs), 1)), np.cumsum((q[:, 1:] + q[:, :-1]) / 2 * ring, axis=1)], axis=1)
     steps = np.linspace(0.0, 1.0, GUIDE_NODES + 1)
-    found = np.stack([np.interp(steps, row / row[-1], radius) for row in inside])
-    return np.clip(found, np.maximum(nearest, 0.0), farthest)
+    radii = np.stack([np.interp(steps, row / row[-1], radius) for row in inside])
+    return np.clip(radii, np.maximum(nearest, 0.0), farthest)
 
 
 def _offsets(
     scales: list[tuple[float, float]], tail_px: float, inner: float, lengths: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Radii at equal steps of the mixed in-focus patterns' light, up to ``tail_px``, [OFFSET_NODES], and the reverse.
+    """Radii |delta| at equal steps of the light of the in-focus pattern D up to ``tail_px``, and the inverse.
 
-    The reverse is the share of light within each of ``lengths``.
+    D is the mean over ``scales`` (lambda N in pixels, weight). The radii are [OFFSET_NODES]; the inverse is the share
+    of light within each of ``lengths``.
     """
     radius = np.linspace(0.0, tail_px, 1 << 16)
     middle = (radius[1:] + radius[:-1]) / 2
@@ -356,9 +361,9 @@ def _offsets(
 
 @dataclass(frozen=True)
 class PatternBlur:
-    """Tables over two directions, about the image through the middle of the lens."""
+    """Tables of a polygon or mask in two directions, relative to the image through the middle of the lens."""
 
-    px_per_nm: float  # lambda N of the whole lens in pixels, a nanometre of lambda
+    px_per_nm: float  # lambda N of the open lens in pixels per nanometre of lambda
     max_blur_px: float
     max_radius_px: float  # half a side of the tables
     on_stop: pupil.Draw
@@ -372,7 +377,7 @@ class PatternBlur:
     waves_step: float
 
     def draw(self, first: Any, second: Any, blur_px: Any, key: Any) -> tuple[Any, Any, Any]:
-        """See :class:`Blur`; here rho and delta are drawn apart."""
+        """See :class:`Blur`; rho and delta are sampled independently."""
         import mitsuba as mi
 
         rho = self.on_stop(first)
@@ -384,7 +389,7 @@ class PatternBlur:
         import drjit as dr
         import mitsuba as mi
 
-        # Behind the focus the pattern is turned by half.
+        # Behind the focus the pattern is rotated by 180 degrees.
         u, blur = dr.select(blur_px < 0, -u_px, u_px), dr.abs(blur_px)
         half = self.max_radius_px
         inside = (blur <= self.max_blur_px) & (dr.abs(u.x) < half) & (dr.abs(u.y) < half)
@@ -404,7 +409,7 @@ class PatternBlur:
 def pattern_blur(
     camera: Camera, stop: Stop, bands: list[tuple[float, float]], shortest_nm: float, max_blur_px: float
 ) -> PatternBlur:
-    """Tables of a polygon or mask; ``bands`` are wavelengths (nm) with their shares of what is drawn."""
+    """Tables of a polygon or mask; ``bands`` are wavelengths (nm) with the shares of rays that have them."""
     import mitsuba as mi
 
     px_per_nm = pointspread.working_f_number(camera, 1.0) * 1e-3 / camera.sensor.pixel_pitch_um
@@ -431,7 +436,7 @@ def pattern_blur(
     wave_step = 2 * wave_half / wave_count
     wave = np.empty((len(waves), wave_count, wave_count), np.float32)
     for row, w in zip(wave, waves, strict=True):
-        # As in the tables of rings, what lies farther out is put inside.
+        # As in the tables of rings, the light farther out is added within.
         inside = np.abs(scaled) <= 4 * w * stops.reach(stop) + rings
         pattern = pointspread.pupil_pattern(stop, w, scaled, scaled) * (inside[:, None] & inside)
         row[:] = pattern / (pattern.sum() * wave_step**2)
@@ -452,10 +457,10 @@ def pattern_blur(
 
 
 def _spread(focus: FloatArray, stop: Stop, blur_px: float, step_px: float) -> FloatArray:
-    """The in-focus pattern convolved with the geometric blur, on the same grid, of unit integral as a density."""
+    """The in-focus pattern convolved with the geometric blur, a density of unit integral on the same grid."""
     transmitted, place = stops.pupil(stop)
     reach = int(np.ceil(blur_px / 2 / step_px)) + 2
-    at = -place * blur_px / 2 / step_px + reach  # in cells of a small grid around the middle
+    at = -place * blur_px / 2 / step_px + reach  # in cells of a small grid about the middle
     low = np.floor(at).astype(int)
     part = at - low
     deposit = np.zeros((2 * reach + 1, 2 * reach + 1))
@@ -467,5 +472,5 @@ def _spread(focus: FloatArray, stop: Stop, blur_px: float, step_px: float) -> Fl
 
 
 def blur_range_px(camera: Camera, seen_px: float, limit_px: float) -> float:
-    """Largest visible blur that the tables have to hold, axial colour included."""
+    """Largest visible blur that the tables must cover, axial colour included."""
     return min(seen_px, limit_px) + float(np.abs(geometry.chromatic_blur_px(camera)).max())

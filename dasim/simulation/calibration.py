@@ -16,14 +16,13 @@ from dasim.spectra import illuminants
 from dasim.typing import FloatArray
 from dasim.values import PointPicture, PointPictures
 
-FRAMES = 2  # of each exposure
+FRAMES = 2  # per exposure
 CALIBRATION_LIGHTS = ("D65", "D55", "A", illuminants.ENERGY_SAVING)
-# Times as long as the automatic exposure: a kernel's tails, and infrared under a lamp that has little of it, drown in
-# the fixed pattern of a picture whose core is exposed well. The automatic one comes last.
+# Exposure times over the automatic one, which comes last. In a picture whose core is well exposed, the fixed pattern
+# hides the tails of a kernel, and near-infrared under a lamp with little of it.
 EXPOSURES = (256.0, 16.0, 1.0)
 EXPOSURE_S = 0.01
-# Four positions a whole pixel apart, so that every channel of a 2x2 mosaic sees every part of the kernel.
-_BACKGROUND_SHARE = 1e-3  # of the peak: a little stray light, which calibration has to remove
+_BACKGROUND_SHARE = 1e-3  # of the peak: stray light, which the calibration must remove
 
 
 def levels(camera: Camera) -> tuple[FloatArray, FloatArray]:

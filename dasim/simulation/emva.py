@@ -1,7 +1,7 @@
 """Frames of a camera's sensor as EMVA 1288 (release 4.0, linear model) measures one, for its reference analyser.
 
-The public analyser (``emva1288`` on PyPI) reads the descriptor that is written here. The sensor is lit evenly, without
-a lens, by light of one wavelength; exposure time and light grow together (the standard's method 1).
+The public analyser (``emva1288`` on PyPI) reads the descriptor that is written here. The sensor is lit uniformly,
+without a lens, by light of one wavelength; exposure time and light increase together (method 1 of the standard).
 """
 
 from __future__ import annotations
@@ -23,35 +23,35 @@ from dasim.typing import FloatArray
 
 KIND = "EMVA 1288 measurement"
 SCHEMA = 1
-# The standard asks for 50 steps or more. The saturation capacity is read off the ladder: a step of 1.3 % of the full
-# well places it to 0.7 %.
+# The standard requires 50 steps or more. The saturation capacity is a step of the ladder: a step of 1.3 % of the full
+# well gives it to 0.7 %.
 STEPS = 80
-# The temporal noise left in the mean of a stack is subtracted; with 64 frames it is a tenth of the patterns or less.
+# Temporal noise that remains in the mean of a stack is subtracted; with 64 frames it is a tenth of the patterns.
 STACK_FRAMES = 64
 SIZE_PX = (256, 256)  # the variance of 65,536 pixels is known to 0.55 %
 
-_LONGEST_S = 1.0  # the dark current of a cool sensor shows
-_DARK_SHARE = 0.002  # of the full well, at most, so that dark current does not pass for light at saturation
+_LONGEST_S = 1.0  # long enough to measure the dark current of a cool sensor
+_DARK_SHARE = 0.002  # largest share of dark electrons in a full well, so that they do not count as light there
 _PAST_SATURATION = 3.0  # standard deviations: 99.9 % of the pixels are saturated in the last step
-_LEAST_DARK_VARIANCE_DN2 = 0.24  # EMVA 1288: below it, rounding hides the temporal dark noise
+_LEAST_DARK_VARIANCE_DN2 = 0.24  # EMVA 1288: below, rounding hides the temporal dark noise
 
 
 @dataclass(frozen=True)
 class Plan:
-    """What is measured: a channel's pixels, their light, and the ladder's steps from dark to past saturation."""
+    """The measurement of a channel: its light, and the steps of the ladder from dark to past saturation."""
 
     channel: str
     wavelength_nm: float
-    quantum_efficiency: float  # electrons a photon on the pixel, crosstalk and the sensor's own filter included
+    quantum_efficiency: float  # electrons per photon on the pixel, crosstalk and the filter on the sensor included
     exposure_s: FloatArray  # [STEPS]
-    mean_e: FloatArray  # [STEPS] photo-electrons a pixel
-    stack_step: int  # the step nearest half the saturation, for the spatial measurements
+    mean_e: FloatArray  # [STEPS] photo-electrons per pixel
+    stack_step: int  # the step nearest to half the saturation, for the spatial measurements
 
 
 def plan(camera: Camera, channel: str = "G", gain: float = 1.0) -> Plan:
-    """The measurement of one channel; a mosaic is characterised one plane at a time (EMVA 1288, colour cameras).
+    """The measurement of one channel; EMVA 1288 characterises the planes of a mosaic one by one.
 
-    The light has the wavelength at which the channel is most sensitive. InputError where the mosaic lacks it.
+    The light has the wavelength of the channel's peak sensitivity. InputError where the mosaic lacks the channel.
     """
     sensor = camera.sensor
     wavelength_nm, efficiency = _quantum_efficiency(sensor, channel)
@@ -66,7 +66,7 @@ def plan(camera: Camera, channel: str = "G", gain: float = 1.0) -> Plan:
 
 
 def _quantum_efficiency(sensor: Sensor, channel: str) -> tuple[float, float]:
-    """Wavelength of the channel's peak and its pixels' efficiency there, among their neighbours in the mosaic."""
+    """Wavelength of the channel's peak, and the efficiency of its pixels there, crosstalk in the mosaic included."""
     names = channels(sensor)
     block = np.array([[names.index(name) for name in row] for row in sensor.mosaic])
     if channel not in names:
@@ -76,7 +76,7 @@ def _quantum_efficiency(sensor: Sensor, channel: str) -> tuple[float, float]:
     peak = int(np.argmax(curves[index]))
     rows, columns = block.shape
     collected = sensors.electronic_crosstalk(np.tile(curves[block, peak], (3, 3)), sensor)
-    inner = collected[rows : 2 * rows, columns : 2 * columns]  # the border is a block away
+    inner = collected[rows : 2 * rows, columns : 2 * columns]  # a block away from the border
     return float(grid.WAVELENGTH_NM[peak]), float(inner[block == index][0])
 
 
@@ -146,7 +146,7 @@ def write_measurement(
 
 
 def _check_size(camera: Camera, size_px: tuple[int, int]) -> None:
-    """InputError for frames larger than the sensor, or too small for statistics."""
+    """InputError for frames larger than the sensor or too small for statistics."""
     low, sensor = SMALLEST_FRAME_PX, camera.sensor
     if not (low <= size_px[0] <= sensor.width_px and low <= size_px[1] <= sensor.height_px):
         raise InputError(
@@ -156,16 +156,16 @@ def _check_size(camera: Camera, size_px: tuple[int, int]) -> None:
 
 
 def _notes(sensor: Sensor, gain: float, dark_clipped: float) -> list[str]:
-    """Where the standard's figures will not be the sensor's own."""
+    """Notes on figures of the standard that will differ from the specification of the sensor."""
     per_dn = sensors.electrons_per_dn(sensor, gain)
-    found = []
+    notes = []
     if sensors.temporal_variance(sensor, 0.0, gain).constant / per_dn**2 < _LEAST_DARK_VARIANCE_DN2:
-        found.append(
+        notes.append(
             f"read noise is {sensor.read_noise_e / per_dn:.2g} DN: rounding hides it, and the analyser "
             "reports its lower limit of 0.4 DN; a higher --gain shows it"
         )
     if dark_clipped > 0.001:
-        found.append(f"{dark_clipped:.1%} of the dark pixels are clipped at 0 DN; black_level_dn is too low")
+        notes.append(f"{dark_clipped:.1%} of the dark pixels are clipped at 0 DN; black_level_dn is too low")
     if sensors.full_scale_e(sensor, gain) < sensor.full_well_e:
-        found.append("the converter is full before the well: the saturation capacity will be the converter's")
-    return found
+        notes.append("the converter is full before the well: the saturation capacity will be the converter's")
+    return notes
