@@ -1,4 +1,4 @@
-"""What a browser makes of a page."""
+"""Screenshots of pages in a headless browser."""
 
 from __future__ import annotations
 

@@ -152,7 +152,7 @@ def test_a_misfit_of_the_kernels_would_show():
     assert abs(bound(3.0) / bound(3.5) - 1) > 2 * MISFIT
 
 
-def test_frequencies_stand_for_a_patch_without_periodic_borders():
+def test_the_periodic_patch_approximates_one_cut_from_a_picture():
     """Slepian and Bangs with the covariances between all pixels of a patch cut out of a larger picture."""
     side, blur, large = 20, 3.0, (80, 80)
 
@@ -271,7 +271,7 @@ def test_a_free_spectrum_by_hand():
     assert float(found) == pytest.approx((blur - both**2 / gain) ** -0.5, rel=0.01)
 
 
-def test_one_blur_in_both_channels_is_told_by_the_texture_alone():
+def test_with_equal_blur_in_both_channels_only_the_texture_informs():
     """Both channels alike and no noise to speak of: the second adds nothing but an average of the noise."""
     transfer, slope = (np.repeat(part[1:], 2, axis=0) for part in two_channels(5.0))
     power = cramer_rao.natural_power(SHAPE, contrast=CONTRAST)

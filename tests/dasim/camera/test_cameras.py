@@ -1,4 +1,4 @@
-"""The bundled cameras: what each is, that all load, are listed and render."""
+"""The bundled cameras load, are listed, render, and have the stated properties."""
 
 from __future__ import annotations
 

@@ -69,7 +69,7 @@ def test_system_gain_sets_the_numbers(da_mobile):
 
 
 @pytest.mark.parametrize(
-    ("table", "without", "said"),
+    ("table", "without", "message"),
     [
         (
             {"temporal_dark_noise_e": 3},
@@ -89,11 +89,11 @@ def test_system_gain_sets_the_numbers(da_mobile):
         (5, (), ["sensor.emva1288"]),
     ],
 )
-def test_what_is_wrong_in_a_data_sheet_is_named(da_mobile, table, without, said):
+def test_what_is_wrong_in_a_data_sheet_is_named(da_mobile, table, without, message):
     with pytest.raises(InputError) as caught:
         sheet(da_mobile, table, without=without)
     assert "\n" not in str(caught.value)
-    for part in ("mine.toml", *said):
+    for part in ("mine.toml", *message):
         assert part in str(caught.value)
 
 

@@ -226,7 +226,7 @@ def test_psf_is_the_kernel_of_its_depth(da_mobile):
 
 
 @pytest.mark.parametrize(
-    ("change", "said"),
+    ("change", "message"),
     [
         ({"channel": "W"}, "channel 'W' is unknown; allowed are R, G, B, IR"),
         ({"depth_m": 0.0}, "depth_m: a distance above 0, in metres, is needed, not the float 0.0"),
@@ -235,8 +235,8 @@ def test_psf_is_the_kernel_of_its_depth(da_mobile):
         ({"diffraction": "fourier"}, "diffraction 'fourier' is unknown; allowed are wave, airy, off"),
     ],
 )
-def test_mistakes_are_named(da_mobile, change, said):
-    with pytest.raises(InputError, match=said):
+def test_mistakes_are_named(da_mobile, change, message):
+    with pytest.raises(InputError, match=message):
         psf(da_mobile, **({"depth_m": 0.1, "channel": "G", "illuminant": "D65"} | change))
 
 

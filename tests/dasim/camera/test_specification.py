@@ -1,4 +1,4 @@
-"""The camera as data: what is refused and how it is said, crops, the mosaic, the intrinsic matrix, sensitivity."""
+"""Camera files: wrong input and its messages, crops, the mosaic, the intrinsic matrix, sensitivity."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def refusal(folder, text: str) -> str:
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "said"),
+    ("old", "new", "message_part"),
     [
         ("focal_length_mm = 3.6", "focal_length_mm = 0", ["lens.focal_length_mm"]),
         (
@@ -60,16 +60,16 @@ def refusal(folder, text: str) -> str:
         ("[lens]", "[lens", ["not valid TOML"]),
     ],
 )
-def test_what_is_wrong_is_named_in_one_line(tmp_path, old, new, said):
+def test_problems_are_named_in_one_line(tmp_path, old, new, message_part):
     """Expectation: InputError with the file and the key, and the value or what is allowed."""
     assert old in SOURCE
     message = refusal(tmp_path, SOURCE.replace(old, new, 1))
-    for part in ("mine.toml", *said):
+    for part in ("mine.toml", *message_part):
         assert part in message, message
 
 
 @pytest.mark.parametrize(
-    ("stop", "said"),
+    ("stop", "message_part"),
     [
         ("radius_ratio = 0.46\ncentre_ratio = [0.5, 0.3]", "stops.1: the stop reaches outside the lens, to 1.043"),
         (
@@ -101,10 +101,10 @@ def test_what_is_wrong_is_named_in_one_line(tmp_path, old, new, said):
         ('shape = "star"', "stops.1: "),
     ],
 )
-def test_impossible_stops_are_refused(tmp_path, stop, said):
+def test_impossible_stops_are_refused(tmp_path, stop, message_part):
     """Expectation: one line with the stop's key as the file has it, for each shape."""
     message = refusal(tmp_path, SOURCE.replace("radius_ratio = 0.46", stop))
-    assert said in message and "stops.1" in message, message
+    assert message_part in message and "stops.1" in message, message
 
 
 NM = tuple(range(400, 831, 10))
@@ -117,7 +117,7 @@ def inline(nm=NM, **channels) -> str:
 
 
 @pytest.mark.parametrize(
-    ("curves", "said"),
+    ("curves", "message_part"),
     [
         (inline(R=(-0.1, *FLAT[1:]), G=FLAT, B=FLAT, IR=FLAT), "channels.R must be quantum efficiencies from 0 to 1"),
         (inline(R=FLAT, G=(1.1, *FLAT[1:]), B=FLAT, IR=FLAT), "channels.G must be quantum efficiencies from 0 to 1"),
@@ -138,14 +138,14 @@ def inline(nm=NM, **channels) -> str:
         ('file = "c.csv", ' + inline(R=FLAT), "file and curves both give the response"),
     ],
 )
-def test_impossible_curves_are_refused(tmp_path, curves, said):
+def test_impossible_curves_are_refused(tmp_path, curves, message_part):
     text = SOURCE.replace("[sensor]", f"[sensor]\nquantum_efficiency = {{{curves}}}")
     message = refusal(tmp_path, text)
-    assert ": sensor" in message and said in message, message
+    assert ": sensor" in message and message_part in message, message
 
 
 @pytest.mark.parametrize(
-    ("table", "said"),
+    ("table", "message_part"),
     [
         ("", "the first line must be 'wavelength_nm' and one name per channel"),
         ("nm,R,G,B,IR\n400,0,0,0,0\n", "the first line must be 'wavelength_nm' and one name per channel"),
@@ -158,11 +158,11 @@ def test_impossible_curves_are_refused(tmp_path, curves, said):
         (b"\xff\xfe\x00", "cannot be read as a table"),
     ],
 )
-def test_broken_tables_of_curves_are_refused(tmp_path, table, said):
+def test_broken_tables_of_curves_are_refused(tmp_path, table, message_part):
     """Expectation: one line with the key, the file and what is wrong in it."""
     (tmp_path / "c.csv").write_bytes(table if isinstance(table, bytes) else table.encode())
     message = refusal(tmp_path, SOURCE.replace("[sensor]", '[sensor]\nquantum_efficiency = { file = "c.csv" }'))
-    assert "sensor.quantum_efficiency: file " in message and "c.csv" in message and said in message, message
+    assert "sensor.quantum_efficiency: file " in message and "c.csv" in message and message_part in message, message
 
 
 @pytest.mark.parametrize("mosaic", [[["R", "G", "W"], ["B", "IR", "G"]], [["W", "G"] * 4, ["R", "IR"] * 4] * 4])

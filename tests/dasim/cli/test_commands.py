@@ -1,4 +1,4 @@
-"""The command line as a user meets it: the whole chain in small, and one line for every mistake."""
+"""The command line: the whole chain at small size, and one line on stderr for wrong input."""
 
 from __future__ import annotations
 
@@ -98,12 +98,12 @@ def tree(*folders: Path) -> dict[str, bytes]:
 
 @pytest.fixture
 def refused(here, capfd):
-    """Run a command that must fail: status 2, one line on stderr with all of ``said``, and nothing written."""
+    """Run a command that must fail: status 2, one line on stderr with all of ``message_part``, and nothing written."""
 
     def begun(*arguments, **options):
         raise AssertionError("the work has begun with this input")
 
-    def check(*arguments: str, said: tuple[str, ...] = ()) -> str:
+    def check(*arguments: str, message_part: tuple[str, ...] = ()) -> str:
         before = tree(here, cache_dir())
         capfd.readouterr()
         with pytest.MonkeyPatch.context() as patch:
@@ -116,7 +116,7 @@ def refused(here, capfd):
         assert "Traceback" not in printed.out + printed.err
         lines = printed.err.splitlines()
         assert lines and lines[-1].startswith("dasim: "), printed.err
-        for part in said:
+        for part in message_part:
             assert part in lines[-1], lines[-1]
         assert len(lines) == 1, printed.err
         assert "arning" not in printed.out, printed.out
@@ -204,8 +204,8 @@ def test_camera_that_looks_at_nothing_is_refused(here, capsys):
     """Expectation: one line, found before anything is rendered."""
     (here / "mine.toml").write_text(SCENE.replace("[0, 0, ", "[900, 0, "))
     assert run(["render", "mine.toml", *TINY, "--out", "photo"]) == 2
-    said = capsys.readouterr().err
-    assert "the camera looks at nothing" in said and "rendering through" not in said
+    message_part = capsys.readouterr().err
+    assert "the camera looks at nothing" in message_part and "rendering through" not in message_part
     assert not (here / "photo").exists()
 
 
@@ -219,9 +219,9 @@ def test_mitsuba_scene_through_our_camera(here, capsys):
     )
     options = ["--unit-cm", "5", "--near-infrared", "print", "--illuminant", "A"]
     assert run(["render", "wall.xml", *options, *TINY, "--out", "photo"]) == 0
-    said = capsys.readouterr().out
-    assert "note: RGB surface colours: spectra by the near-infrared rule 'print'" in said
-    assert "the spectrum of A" in said
+    message_part = capsys.readouterr().out
+    assert "note: RGB surface colours: spectra by the near-infrared rule 'print'" in message_part
+    assert "the spectrum of A" in message_part
     truth = load_truth(here / "photo")
     np.testing.assert_allclose(truth.depth_m, 0.2, rtol=1e-4)
     notes = json.loads((here / "photo" / "meta.json").read_text())["provenance"]["notes"]
@@ -294,7 +294,7 @@ def test_settings_are_printed_changed_and_found_again(here, capfd):
 
 
 @pytest.mark.parametrize(
-    ("arguments", "said"),
+    ("arguments", "message_part"),
     [
         (("shot/raw.png", "--camera", "none"), ("camera 'none'",)),
         (("shot/raw.png", "--camera", "camera.toml", "--format", "raw7"), ("--format 'raw7'", "raw10, raw12")),
@@ -307,8 +307,8 @@ def test_settings_are_printed_changed_and_found_again(here, capfd):
         (("shot", "--also", "hologram"), ("'hologram'", "anaglyph, stereo, ply, glb")),
     ],
 )
-def test_raw_files_and_settings_that_are_wrong(refused, arguments, said):
-    refused("recon", *arguments, "--out", "new", said=said)
+def test_raw_files_and_settings_that_are_wrong(refused, arguments, message_part):
+    refused("recon", *arguments, "--out", "new", message_part=message_part)
 
 
 def test_recon_of_a_camera_without_infrared_is_a_picture(here, refused, capfd):
@@ -318,9 +318,9 @@ def test_recon_of_a_camera_without_infrared_is_a_picture(here, refused, capfd):
     assert run(["recon", "twin", "--flat", "even", "--out", "picture"]) == 0
     assert "no depth" in capfd.readouterr().out
     assert sorted(p.name for p in (here / "picture").iterdir()) == ["meta.json", "recon.exr", "rgb.png"]
-    refused("recon", "twin", "--bank", "bank.npz", "--out", "new", said=("--bank", "no infrared pixels"))
-    refused("score", "picture", "shot", said=("picture", "no depth"))
-    refused("recon", "shot", "--bank", "bank.npz", "--flat", "even", "--out", "new", said=("flat", "mosaic"))
+    refused("recon", "twin", "--bank", "bank.npz", "--out", "new", message_part=("--bank", "no infrared pixels"))
+    refused("score", "picture", "shot", message_part=("picture", "no depth"))
+    refused("recon", "shot", "--bank", "bank.npz", "--flat", "even", "--out", "new", message_part=("flat", "mosaic"))
     assert run(["recon", "twin", "--out", "picture"]) == 0, "an earlier picture is replaced"
 
 
@@ -369,7 +369,7 @@ RENDER = ("render", "desk", *TINY, "--out", "new")
 
 
 @pytest.mark.parametrize(
-    ("arguments", "said"),
+    ("arguments", "message_part"),
     [
         (("nonsense",), ("nonsense", "render", "recon")),
         (("render", "desk"), ("--out",)),
@@ -421,8 +421,8 @@ RENDER = ("render", "desk", *TINY, "--out", "new")
     ],
     ids=lambda value: " ".join(value) if value and isinstance(value[0], str) else None,
 )
-def test_wrong_arguments_are_refused_in_one_line(refused, arguments, said):
-    refused(*arguments, said=said)
+def test_wrong_arguments_are_refused_in_one_line(refused, arguments, message_part):
+    refused(*arguments, message_part=message_part)
 
 
 def test_stock_plugins_refuse_other_stops(refused):
@@ -434,31 +434,38 @@ def test_stock_plugins_refuse_other_stops(refused):
     Path("ring.toml").write_text(
         source.replace("radius_ratio = 1.0", 'shape = "annulus"\ninner_ratio = 0.5\nouter_ratio = 1.0')
     )
-    refused(*RENDER, "--camera", "ring.toml", "--variant", "scalar_spectral", said=("stop 'open'", "install LLVM 17"))
+    refused(
+        *RENDER,
+        "--camera",
+        "ring.toml",
+        "--variant",
+        "scalar_spectral",
+        message_part=("stop 'open'", "install LLVM 17"),
+    )
 
 
 @pytest.mark.parametrize("spp", ["0", "-1", "1.5", "nan", "many"])
 def test_wrong_samples_are_refused(refused, spp):
-    refused("render", "desk", "--size", "64x48", f"--spp={spp}", "--out", "new", said=("spp", spp))
-    refused("demo", f"--spp={spp}", "--out", "new", said=("spp", spp))
+    refused("render", "desk", "--size", "64x48", f"--spp={spp}", "--out", "new", message_part=("spp", spp))
+    refused("demo", f"--spp={spp}", "--out", "new", message_part=("spp", spp))
 
 
 @pytest.mark.parametrize(
     "size", ["0x0", "0x48", "64x0", "64x-48", "-64x48", "64", "64x", "x48", "64x48x3", "axb", "nanxnan", "64.5x48", ""]
 )
 def test_wrong_sizes_are_refused(refused, size):
-    refused("render", "desk", f"--size={size}", "--out", "new", said=("size", size))
+    refused("render", "desk", f"--size={size}", "--out", "new", message_part=("size", size))
 
 
 @pytest.mark.parametrize("size", ["2x2", "63x48", "4096x48", "64x99999"])
 def test_sizes_that_do_not_fit_the_sensor_are_refused(refused, size):
     """Expectation: the message speaks of the size, and of no file: the user named none."""
-    message = refused("render", "desk", f"--size={size}", "--out", "new", said=(f"size {size}",))
+    message = refused("render", "desk", f"--size={size}", "--out", "new", message_part=(f"size {size}",))
     assert "the file" not in message
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "said"),
+    ("old", "new", "message_part"),
     [
         ("lux = 500", "lux = nan", ("lights.0", "lux")),
         ("lux = 500", "lux = 500\ncolour = 1", ("colour: unknown key",)),
@@ -476,10 +483,10 @@ def test_sizes_that_do_not_fit_the_sensor_are_refused(refused, size):
         ("focus_cm = 40", "focus_cm = 0.3", ("focus", "focal length")),
     ],
 )
-def test_wrong_scenes_are_refused(refused, here, old, new, said):
+def test_wrong_scenes_are_refused(refused, here, old, new, message_part):
     assert SCENE.count(old) == 1
     (here / "mine.toml").write_text(SCENE.replace(old, new))
-    refused("render", "mine.toml", *TINY, "--out", "new", said=said)
+    refused("render", "mine.toml", *TINY, "--out", "new", message_part=message_part)
 
 
 @pytest.mark.parametrize("kind", ["obj", "ply", "glb"])
@@ -499,11 +506,11 @@ def test_broken_meshes_are_refused(refused, here, kind, damage):
     else:
         trimesh.PointCloud(sphere.vertices).export(file)
     (here / "mine.toml").write_text(SCENE.replace("thing.obj", file.name))
-    refused("render", "mine.toml", *TINY, "--out", "new", said=("object 'thing'", file.name))
+    refused("render", "mine.toml", *TINY, "--out", "new", message_part=("object 'thing'", file.name))
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "said"),
+    ("old", "new", "message_part"),
     [
         ("pixel_pitch_um = 1.7", "pixel_pitch_um = nan", ("pixel_pitch_um",)),
         ("pixel_pitch_um = 1.7", "pixel_pitch_um = 0", ("pixel_pitch_um",)),
@@ -511,11 +518,13 @@ def test_broken_meshes_are_refused(refused, here, kind, damage):
         ("pixel_pitch_um = 1.7", "", ("pixel_pitch_um: is missing",)),
     ],
 )
-def test_wrong_cameras_are_refused(refused, here, old, new, said):
+def test_wrong_cameras_are_refused(refused, here, old, new, message_part):
     text = CAMERA.read_text()
     assert text.count(old) == 1
     (here / "camera.toml").write_text(text.replace(old, new))
-    refused("render", "desk", "--camera", "camera.toml", *TINY, "--out", "new", said=("camera.toml", *said))
+    refused(
+        "render", "desk", "--camera", "camera.toml", *TINY, "--out", "new", message_part=("camera.toml", *message_part)
+    )
 
 
 @pytest.mark.parametrize("kept", [None, 0.0, 0.5, 0.99])
@@ -529,7 +538,7 @@ def test_captures_with_missing_or_cut_files_are_refused(refused, here, name, kep
     else:
         file.write_bytes(data[: int(len(data) * kept)])
     command = ("score", "result", "shot") if name == "truth.exr" else ("recon", "shot", "--out", "new")
-    refused(*command, said=(f"shot/{name}",))
+    refused(*command, message_part=(f"shot/{name}",))
 
 
 @pytest.mark.parametrize(
@@ -549,7 +558,7 @@ def test_captures_with_missing_or_cut_files_are_refused(refused, here, name, kep
 def test_captures_with_wrong_metadata_are_refused(refused, here, key, value):
     file = here / "shot" / "meta.json"
     file.write_text(json.dumps(json.loads(file.read_text()) | {key: value}))
-    refused("recon", "shot", "--bank", "bank.npz", "--out", "new", said=("shot/meta.json", key))
+    refused("recon", "shot", "--bank", "bank.npz", "--out", "new", message_part=("shot/meta.json", key))
 
 
 @pytest.mark.parametrize("damage", ["cut", "empty", "text", "about", "list", "channels", "levels", "lights", "nan"])
@@ -576,7 +585,7 @@ def test_damaged_banks_are_refused(refused, here, damage):
         else:
             arrays["kernel"] = np.full_like(arrays["kernel"], np.nan)
         np.savez(file, **(arrays | {"about": np.array(json.dumps(about))}))
-    refused("recon", "shot", "--bank", "bank.npz", "--out", "new", said=("bank.npz",))
+    refused("recon", "shot", "--bank", "bank.npz", "--out", "new", message_part=("bank.npz",))
 
 
 def test_bank_of_another_focus_is_refused(refused, here):
@@ -585,11 +594,11 @@ def test_bank_of_another_focus_is_refused(refused, here):
     meta = json.loads(file.read_text())
     meta["camera"]["lens"]["focus_distance_m"] = 0.2
     file.write_text(json.dumps(meta))
-    refused("recon", "shot", "--bank", "bank.npz", "--out", "new", said=("0.4 m", "0.2 m", "dasim calibrate"))
+    refused("recon", "shot", "--bank", "bank.npz", "--out", "new", message_part=("0.4 m", "0.2 m", "dasim calibrate"))
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "message_part"),
     [
         ("windows_px = 31", "windows_px: unknown key"),
         ("window_px = 2", "window_px"),
@@ -598,10 +607,10 @@ def test_bank_of_another_focus_is_refused(refused, here):
         ("[[[", "not valid TOML"),
     ],
 )
-def test_wrong_settings_are_refused(refused, here, text, said):
+def test_wrong_settings_are_refused(refused, here, text, message_part):
     (here / "settings.toml").write_text(text)
     arguments = ("--bank", "bank.npz", "--settings", "settings.toml", "--out", "new")
-    refused("recon", "shot", *arguments, said=("settings.toml", said))
+    refused("recon", "shot", *arguments, message_part=("settings.toml", message_part))
 
 
 def test_reconstruction_and_truth_of_other_sizes_are_refused(refused, here):
@@ -613,7 +622,7 @@ def test_reconstruction_and_truth_of_other_sizes_are_refused(refused, here):
     write_truth(here / "shot" / "truth.exr", smaller)
     meta = json.loads((here / "shot" / "meta.json").read_text())
     (here / "shot" / "meta.json").write_text(json.dumps(meta | {"file_bytes": {}}))
-    refused("score", "result", "shot", said=("64 x 48", "32 x 32"))
+    refused("score", "result", "shot", message_part=("64 x 48", "32 x 32"))
 
 
 # --- what is there already -----------------------------------------------------------------------
@@ -624,8 +633,8 @@ each_writer = pytest.mark.parametrize("command", WRITERS, ids=lambda command: co
 
 @each_writer
 def test_output_that_is_a_file_is_refused(refused, command):
-    refused(*command, "mine.toml", said=("mine.toml", "is a file"))
-    refused(*command, "mine.toml/new", said=("mine.toml/new", "folder"))
+    refused(*command, "mine.toml", message_part=("mine.toml", "is a file"))
+    refused(*command, "mine.toml/new", message_part=("mine.toml/new", "folder"))
 
 
 @each_writer
@@ -636,21 +645,21 @@ def test_folder_with_foreign_files_is_never_touched(refused, here, command, extr
     (here / "thesis" / "thesis.txt").write_text("ten years of work")
     if extra:
         (here / "thesis" / extra).write_text('{"accuracy": 0.9}')
-    refused(*command, "thesis", said=("thesis", "dasim did not write"))
+    refused(*command, "thesis", message_part=("thesis", "dasim did not write"))
 
 
 def test_notes_beside_a_capture_are_not_deleted(refused, here):
     (here / "shot" / "notes.txt").write_text("seen at noon")
-    refused(*RENDER[:-1], "shot", said=("shot", "dasim did not write"))
+    refused(*RENDER[:-1], "shot", message_part=("shot", "dasim did not write"))
 
 
 def test_a_command_does_not_replace_its_own_input(refused):
-    refused("recon", "shot", "--bank", "bank.npz", "--out", "shot", said=("shot",))
+    refused("recon", "shot", "--bank", "bank.npz", "--out", "shot", message_part=("shot",))
 
 
 def test_a_result_of_another_kind_is_not_replaced(refused):
     """Rationale: a photograph that took hours must not vanish under a reconstruction's name."""
-    refused(*RENDER[:-1], "result", said=("result",))
+    refused(*RENDER[:-1], "result", message_part=("result",))
 
 
 @each_writer
@@ -659,7 +668,7 @@ def test_working_folder_itself_is_written_or_refused_before_work(refused, here, 
     arguments = [str(here / part) if part in ("shot", "bank.npz") else part for part in command]
     (here / "empty").mkdir()
     monkeypatch.chdir(here / "empty")
-    refused(*arguments, ".", said=("output",))
+    refused(*arguments, ".", message_part=("output",))
 
 
 @pytest.mark.parametrize("target", ["target", "nowhere"])
@@ -740,7 +749,7 @@ def test_refocus_writes_a_picture(shop, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("arguments", "said"),
+    ("arguments", "message_part"),
     [
         (("result", "--depth", "0.1", "--out", "picture.jpg"), ("--out picture.jpg", "PNG")),
         (("result", "--depth", "0.1", "--out", "no/near.png"), ("--out no/near.png", "folder")),
@@ -749,5 +758,5 @@ def test_refocus_writes_a_picture(shop, tmp_path):
         (("result", "--depth", "0.1", "--f-number", "0", "--out", "near.png"), ("--f-number 0",)),
     ],
 )
-def test_refocus_refuses_in_one_line(refused, arguments, said):
-    refused("refocus", *arguments, said=said)
+def test_refocus_refuses_in_one_line(refused, arguments, message_part):
+    refused("refocus", *arguments, message_part=message_part)

@@ -1,4 +1,4 @@
-"""What the README shows works: its Python is run, its commands exist."""
+"""The README's Python runs, and its commands and links exist."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Making datasets: the same bytes whatever happens on the way, and nothing made twice."""
+"""Making datasets: the same bytes after crashes and interrupts, and no sample made twice."""
 
 from __future__ import annotations
 
@@ -148,9 +148,9 @@ def test_interrupt_ends_the_run_and_it_goes_on(spec, reference, tmp_path):
     out = tmp_path / "ds"
     process = started(spec, out, "1")
     process.send_signal(signal.SIGINT)
-    _, said = process.communicate(timeout=START_S)
-    assert process.returncode == 128 + signal.SIGINT, said
-    assert "stopped" in said.splitlines()[-1] and "Traceback" not in said
+    _, message = process.communicate(timeout=START_S)
+    assert process.returncode == 128 + signal.SIGINT, message
+    assert "stopped" in message.splitlines()[-1] and "Traceback" not in message
     assert not list(out.rglob("*.partial"))
     assert goes_on(spec, out) == reference
 
@@ -283,8 +283,13 @@ def test_poisoned_sample_is_left_out_until_it_is_repaired(tmp_path, monkeypatch,
     out = tmp_path / "ds"
     monkeypatch.setattr(executors, "local", lambda *_, **options: inline)
     assert run(["dataset", "make", str(spec), "--out", str(out)]) == 1
-    said = capsys.readouterr().err
-    assert "sample 1 failed" in said and "sample 3 failed" in said and "thing.obj" in said and "--retry" in said
+    message = capsys.readouterr().err
+    assert (
+        "sample 1 failed" in message
+        and "sample 3 failed" in message
+        and "thing.obj" in message
+        and "--retry" in message
+    )
     assert Counter(logged(out)) == {(0, True): 1, (2, True): 1, (1, False): TRIES, (3, False): TRIES}
     assert "thing.obj" in (out / "README.md").read_text()
     assert run(["dataset", "verify", str(out)]) == 0

@@ -59,8 +59,8 @@ def test_verify_finds_a_flipped_bit_and_an_extra_file(address, tmp_path):
     content[len(content) // 2] ^= 1
     storage.write(out, "train-000001.tar", bytes(content))
     storage.write(out, "extra", b"x")
-    said = list(verify.problems(out))
-    assert "train-000001.tar: its checksum differs" in said and "extra: is not part of the dataset" in said
+    message = list(verify.problems(out))
+    assert "train-000001.tar: its checksum differs" in message and "extra: is not part of the dataset" in message
 
 
 def test_command_by_processes_of_their_own(address, tmp_path, capsys):
@@ -96,8 +96,8 @@ def test_store_that_refuses_ends_the_run_and_nothing_is_lost(address, tmp_path, 
 def test_bucket_that_is_not_there(address, tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(executors, "local", lambda *_, **options: None)
     assert run(["dataset", "make", str(spec_file(tmp_path)), "--out", "s3://nowhere/ds"]) == 2
-    said = capsys.readouterr().err
-    assert "s3://nowhere/ds: cannot be written" in said and len(said.splitlines()) == 1
+    message = capsys.readouterr().err
+    assert "s3://nowhere/ds: cannot be written" in message and len(message.splitlines()) == 1
     assert run(["dataset", "info", f"{address}/nothing"]) == 2
     assert "is no dataset" in capsys.readouterr().err
 
@@ -109,6 +109,6 @@ def test_store_that_does_not_answer(address, tmp_path, capsys, monkeypatch):
     storage._opened_in.cache_clear()
     monkeypatch.setattr(s3fs.S3FileSystem, "_cache", {})
     assert run(["dataset", "make", str(spec_file(tmp_path)), "--out", "s3://bucket/silent"]) == 2
-    said = capsys.readouterr().err
-    assert "Could not connect" in said and len(said.splitlines()) == 1
+    message = capsys.readouterr().err
+    assert "Could not connect" in message and len(message.splitlines()) == 1
     storage._opened_in.cache_clear()

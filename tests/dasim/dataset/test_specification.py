@@ -1,4 +1,4 @@
-"""Datasets: what a specification may say, what is drawn, and what is on disk when it is done."""
+"""Datasets: allowed specifications, distributions of the samples, and the files on disk."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ CAMERA = '[[cameras]]\nname = "da-mobile"\n[cameras.vary]\n'
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "message_part"),
     [
         ("colour = 3", ["colour: unknown key"]),
         ("samples = 0", ["samples", "greater than or equal to 1"]),
@@ -76,7 +76,7 @@ CAMERA = '[[cameras]]\nname = "da-mobile"\n[cameras.vary]\n'
         (CAMERA + "'sensor.width_px' = 64", ["set by size_px"]),
     ],
 )
-def test_impossible_specification_is_refused(text, said, tmp_path):
+def test_impossible_specification_is_refused(text, message_part, tmp_path):
     """In one line, with the key and what is allowed."""
     data = 'name = "test"\n' + ("" if "samples =" in text else "samples = 4\n") + text
     (tmp_path / "spec.toml").write_text(data)
@@ -84,11 +84,11 @@ def test_impossible_specification_is_refused(text, said, tmp_path):
         load_spec(tmp_path / "spec.toml")
     message = str(refused.value)
     assert "\n" not in message and "spec.toml" in message
-    for words in said:
+    for words in message_part:
         assert words in message
 
 
-def test_all_problems_are_told_at_once(tmp_path):
+def test_all_problems_are_reported_at_once(tmp_path):
     (tmp_path / "spec.toml").write_text(
         'name = "test"\nsamples = 4\nlight = {illuminant = "D56"}\nfocus = {distance_m = 1e9}\n'
         'scenes = {family = "files", files = ["a.toml"]}\nsplits = {a = 0.5, b = 0.5}\n'
@@ -327,8 +327,8 @@ def test_verify_finds_one_flipped_bit_in_any_file(both, form, tmp_path):
             flipped = bytearray(content)
             flipped[place] ^= 1
             path.write_bytes(flipped)
-            said = found(out)
-            assert said and all("\n" not in line for line in said), (path.name, place)
+            message_part = found(out)
+            assert message_part and all("\n" not in line for line in message_part), (path.name, place)
         path.write_bytes(content)
     assert found(out) == []
 
@@ -356,10 +356,10 @@ def test_verify_reads_more_than_checksums(both, tmp_path):
         before = path.read_bytes()
         path.write_bytes(change(before))
         reseal(out, path, before)
-        said = found(out)
+        message_part = found(out)
         path.write_bytes(before)
         reseal(out, path, before)
-        return said
+        return message_part
 
     def meta(**changes):
         return lambda content: json.dumps(json.loads(content) | changes).encode()
@@ -395,7 +395,7 @@ def test_verify_needs_no_sources(both, tmp_path, monkeypatch):
     assert found(Path("elsewhere")) == []
 
 
-def test_verify_of_what_is_not_finished(tmp_path, renderer):
+def test_verify_of_an_unfinished_dataset(tmp_path, renderer):
     spec = spec_file(tmp_path)
     made(spec, tmp_path / "ds", shard=(1, 2))
     assert "is not finished" in found(tmp_path / "ds")[0]
@@ -413,38 +413,38 @@ def command(monkeypatch, capsys, renderer):
 
     def call(*arguments) -> tuple[int, str, str]:
         status = run(["dataset", *map(str, arguments)])
-        said = capsys.readouterr()
-        return status, said.out, said.err
+        message_part = capsys.readouterr()
+        return status, message_part.out, message_part.err
 
     return call
 
 
 def test_make_verify_info(command, tmp_path):
     spec, out = spec_file(tmp_path), tmp_path / "ds"
-    status, said, _ = command("make", spec, "--out", out)
-    assert status == 0 and "6 of 6 samples" in said
+    status, message_part, _ = command("make", spec, "--out", out)
+    assert status == 0 and "6 of 6 samples" in message_part
     assert command("make", spec, "--out", out)[0] == 0
-    status, said, _ = command("verify", out)
-    assert status == 0 and "every file is as it was written" in said
+    status, message_part, _ = command("verify", out)
+    assert status == 0 and "every file is as it was written" in message_part
     (out / "README.md").write_text("?")
-    status, said, _ = command("verify", out)
-    assert status == 1 and "README.md: its checksum differs" in said and "1 problems" in said
-    status, said, _ = command("info", out, "--plot", tmp_path / "plot.png")
-    assert status == 0 and "samples: 6 of 1 scenes" in said and "lights: D65 6" in said
+    status, message_part, _ = command("verify", out)
+    assert status == 1 and "README.md: its checksum differs" in message_part and "1 problems" in message_part
+    status, message_part, _ = command("info", out, "--plot", tmp_path / "plot.png")
+    assert status == 0 and "samples: 6 of 1 scenes" in message_part and "lights: D65 6" in message_part
     assert cv2.imread(str(tmp_path / "plot.png")).std() > 1
     assert command("info", out, "--plot", tmp_path / "plot.pdf")[0] == 2
 
 
 def test_dry_run_writes_nothing(command, tmp_path):
     spec = spec_file(tmp_path)
-    status, said, _ = command("make", spec, "--out", tmp_path / "ds", "--dry-run")
+    status, message_part, _ = command("make", spec, "--out", tmp_path / "ds", "--dry-run")
     assert status == 0 and not (tmp_path / "ds").exists()
-    assert "train: 6 samples in 3 shards" in said
-    assert "exposure.auto_level" in said and "estimate from 3 renders" in said and "GB" in said
+    assert "train: 6 samples in 3 shards" in message_part
+    assert "exposure.auto_level" in message_part and "estimate from 3 renders" in message_part and "GB" in message_part
 
 
 @pytest.mark.parametrize(
-    ("change", "said"),
+    ("change", "message_part"),
     [
         (lambda spec, out: spec.write_text(spec.read_text().replace("spp = 4", "spp = 8")), "spec.spp was 4, now 8"),
         (lambda spec, out: rewrite(out, schema=99), "newer than this dasim knows"),
@@ -454,13 +454,13 @@ def test_dry_run_writes_nothing(command, tmp_path):
         (lambda spec, out: (shutil.rmtree(out), out.write_text("")), "ds"),
     ],
 )
-def test_folder_of_something_else_is_refused(change, said, command, both, tmp_path):
+def test_folder_of_something_else_is_refused(change, message_part, command, both, tmp_path):
     out, spec = tmp_path / "ds", tmp_path / "spec.toml"
     shutil.copytree(both["webdataset"].parent, tmp_path, dirs_exist_ok=True)
     change(spec, out)
     before = {path: path.read_bytes() for path in out.rglob("*") if path.is_file()}
     status, _, error = command("make", spec, "--out", out)
-    assert status == 2 and said in error and len(error.splitlines()) == 1
+    assert status == 2 and message_part in error and len(error.splitlines()) == 1
     assert {path: path.read_bytes() for path in out.rglob("*") if path.is_file()} == before
 
 
@@ -479,7 +479,7 @@ def test_no_dataset_is_refused(task, command, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("options", "said"),
+    ("options", "message_part"),
     [
         (("--shard", "3/2"), "--shard '3/2'"),
         (("--shard", "0/2"), "--shard"),
@@ -489,9 +489,9 @@ def test_no_dataset_is_refused(task, command, tmp_path):
         (("--variant", "scalar_rgb"), "scalar_rgb"),
     ],
 )
-def test_impossible_options_are_refused(options, said, command, tmp_path):
+def test_impossible_options_are_refused(options, message_part, command, tmp_path):
     status, _, error = command("make", spec_file(tmp_path), "--out", tmp_path / "ds", *options)
-    assert status != 0 and said in error and not (tmp_path / "ds").exists()
+    assert status != 0 and message_part in error and not (tmp_path / "ds").exists()
 
 
 def test_folder_without_permission_is_refused(command, tmp_path):
@@ -503,7 +503,7 @@ def test_folder_without_permission_is_refused(command, tmp_path):
     assert status == 2 and "cannot be written" in error and len(error.splitlines()) == 1
 
 
-def test_disk_too_small_is_told_before_the_start(command, tmp_path, monkeypatch):
+def test_a_disk_that_is_too_small_is_reported_before_the_start(command, tmp_path, monkeypatch):
     """The estimate is above what comes out, and not many times."""
     spec = spec_file(tmp_path)
     described = load_spec(spec)

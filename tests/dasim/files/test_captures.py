@@ -116,7 +116,7 @@ def test_missing_files_are_named(folder, name):
 
 
 @pytest.mark.parametrize(
-    ("change", "said"),
+    ("change", "message"),
     [
         (lambda meta: meta.pop("schema"), "schema 3"),
         (lambda meta: meta.update(schema=99), "schema 3"),
@@ -128,11 +128,11 @@ def test_missing_files_are_named(folder, name):
         (lambda meta: meta["camera"]["sensor"].update(width_px=32), "16 x 12 pixels, meta.json says 32 x 12"),
     ],
 )
-def test_wrong_meta_is_refused(folder, change, said):
+def test_wrong_meta_is_refused(folder, change, message):
     meta = json.loads((folder / "meta.json").read_text())
     change(meta)
     (folder / "meta.json").write_text(json.dumps(meta))
-    with pytest.raises(InputError, match=said):
+    with pytest.raises(InputError, match=message):
         captures.load_capture(folder)
 
 

@@ -1,4 +1,4 @@
-"""Materials from visible to near-infrared, and what photographs are made of."""
+"""Materials from visible to near-infrared, and materials made from photographs."""
 
 from __future__ import annotations
 
@@ -230,7 +230,7 @@ def test_rules_differ_where_it_matters():
 
 
 @pytest.mark.parametrize(
-    ("image", "rule", "said"),
+    ("image", "rule", "message_part"),
     [
         (np.zeros((2, 2, 3)), "upsampled", "'upsampled' is unknown; .* 'print', 'dyed', 'achromatic'"),
         (np.zeros((2, 2)), "dyed", r"\[h, w, 3\]"),
@@ -238,8 +238,8 @@ def test_rules_differ_where_it_matters():
         (np.full((2, 2, 3), np.nan), "dyed", "from 0 to 1"),
     ],
 )
-def test_photographs_that_are_none_are_refused(image, rule, said):
-    with pytest.raises(InputError, match=said):
+def test_photographs_that_are_none_are_refused(image, rule, message_part):
+    with pytest.raises(InputError, match=message_part):
         library.photograph_surface(image, rule)
 
 
@@ -300,7 +300,7 @@ FULL = [(400, 0.5), (830, 0.5)]
 
 
 @pytest.mark.parametrize(
-    ("points", "said"),
+    ("points", "message_part"),
     [
         ([(400, 0.5), (780, 0.5)], "from 400 to 780 nm, must cover 400 to 830 nm; .* nothing is extrapolated"),
         ([(420, 0.5), (830, 0.5)], "from 420 to 830 nm"),
@@ -312,13 +312,13 @@ FULL = [(400, 0.5), (830, 0.5)]
         ([(400, 0.5), (400, 0.6), (830, 0.5)], "longer than the one before"),
     ],
 )
-def test_spectra_that_cannot_be_are_refused(tmp_path, points, said):
-    with pytest.raises(InputError, match=said):
+def test_spectra_that_cannot_be_are_refused(tmp_path, points, message_part):
+    with pytest.raises(InputError, match=message_part):
         library.surface(texture(kind="spectrum", points=points), tmp_path)
 
 
 @pytest.mark.parametrize(
-    ("content", "said"),
+    ("content", "message_part"),
     [
         (None, "'mine.csv': cannot be read"),
         ("", "header wavelength_nm,reflectance"),
@@ -328,15 +328,15 @@ def test_spectra_that_cannot_be_are_refused(tmp_path, points, said):
         ("wavelength_nm,reflectance\n400,nan\n830,0.5\n", "not finite"),
     ],
 )
-def test_files_of_spectra_that_are_none_are_refused(tmp_path, content, said):
+def test_files_of_spectra_that_are_none_are_refused(tmp_path, content, message_part):
     if content is not None:
         (tmp_path / "mine.csv").write_text(content)
-    with pytest.raises(InputError, match=said):
+    with pytest.raises(InputError, match=message_part):
         library.surface(texture(kind="spectrum", file="mine.csv"), tmp_path)
 
 
 @pytest.mark.parametrize(
-    ("data", "said"),
+    ("data", "message_part"),
     [
         ({"kind": "metal", "metal": "gold", "roughness": 1.5}, ["m.roughness", "1.5"]),
         ({"kind": "metal", "metal": "adamant"}, ["m.metal", "'gold'"]),
@@ -358,7 +358,7 @@ def test_files_of_spectra_that_are_none_are_refused(tmp_path, content, said):
         ({"kind": "blend", "image": "no.png", "dark": "soil", "bright": "sand"}, ["'m'", "no.png", "no such file"]),
     ],
 )
-def test_what_is_wrong_with_a_material_is_named_in_one_line(tmp_path, data, said):
+def test_what_is_wrong_with_a_material_is_named_in_one_line(tmp_path, data, message_part):
     """Expectation: InputError that names the material and the key, and says what is allowed."""
     lights = [{"kind": "dome", "illuminant": "D65", "lux": 1.0}]
     thing = {"name": "it", "shape": "plane", "size_cm": [1, 1], "position_cm": [0, 0, 9], "material": "sand"}
@@ -367,7 +367,7 @@ def test_what_is_wrong_with_a_material_is_named_in_one_line(tmp_path, data, said
         scenes._check(scene.model_copy(update={"folder": tmp_path}), "scene")
     message = str(caught.value)
     assert "\n" not in message
-    for part in said:
+    for part in message_part:
         assert part in message, message
 
 

@@ -1,4 +1,4 @@
-"""Procedural images are what they say, the same in every run, and free of aliases."""
+"""Procedural images have their stated statistics, are the same in every run, and do not alias."""
 
 from __future__ import annotations
 
@@ -95,7 +95,7 @@ def test_dead_leaves_are_even_in_grey_and_alike_at_every_scale():
 
 
 @pytest.mark.parametrize(
-    ("name", "said"),
+    ("name", "message"),
     [
         ("dead-leafs", ["'pattern:dead-leafs'", "siemens-star", "did you mean 'dead-leaves'"]),
         ("stripes:0", ["'pattern:stripes:0'", "pairs of stripes", "from 1 to 256"]),
@@ -105,8 +105,8 @@ def test_dead_leaves_are_even_in_grey_and_alike_at_every_scale():
         ("", ["there are"]),
     ],
 )
-def test_a_pattern_that_is_none_is_refused(name, said):
+def test_a_pattern_that_is_none_is_refused(name, message):
     with pytest.raises(InputError) as caught:
         patterns.pattern(name)
-    for part in said:
+    for part in message:
         assert part in str(caught.value)

@@ -1,4 +1,4 @@
-"""Named reflectances: values that are known, measured curves, and what is bright or dark in the near-infrared."""
+"""Named reflectances against published values and measured curves, also in the near-infrared."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Random scenes: valid by construction, the same for the same numbers, drawn as they say."""
+"""Random scenes are valid, reproducible from seed and index, and follow their stated distributions."""
 
 from __future__ import annotations
 
@@ -126,7 +126,7 @@ def test_every_object_lies_within_the_depth_range(measured):
         assert item.depth[1] <= far * 1e-2 + ROUNDING_M, item.name
 
 
-def test_all_that_is_seen_of_floor_and_walls_lies_within_the_range(drawn):
+def test_visible_floor_and_walls_lie_within_the_range(drawn):
     """Rays of the picture's border and inside against each plane, cut analytically, first hit."""
     near, far = RandomScenes().depth_cm
     for scene in drawn:
@@ -192,7 +192,7 @@ def test_objects_are_in_view_and_their_blur_spans_the_range(drawn, measured):
     assert np.median(spans) >= 0.5
 
 
-def test_what_stands_touches_the_floor(drawn, measured):
+def test_standing_objects_touch_the_floor(drawn, measured):
     """On table tops nothing floats: the lowest point of each object is the floor's level (posters hang on the wall)."""
     for scene, found in zip(drawn, measured, strict=True):
         if not scene.description.startswith("table top"):

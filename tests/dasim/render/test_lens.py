@@ -127,14 +127,14 @@ def test_shading_is_cos4_times_the_polynomial(passes, changed, make_scene, loade
 
 
 @pytest.mark.parametrize(
-    ("stop", "curve", "said"),
+    ("stop", "curve", "message"),
     [
         ({"shape": "annulus", "inner_ratio": 0.5, "outer_ratio": 1.0}, [], "stop 'one' is no centred disc"),
         ({"radius_ratio": 0.3, "centre_ratio": [0.1, 0.0]}, [], "stop 'one' is no centred disc"),
         ({"radius_ratio": 1.0}, [[400, 0], [830, 5]], "lens.focal_shift_um is set"),
     ],
 )
-def test_stock_plugins_refuse_before_any_work(changed, make_scene, stop, curve, said):
+def test_stock_plugins_refuse_before_any_work(changed, make_scene, stop, curve, message):
     """Expectation: one line that says what and what to install, and no step of progress before it."""
     import dasim
 
@@ -145,5 +145,5 @@ def test_stock_plugins_refuse_before_any_work(changed, make_scene, stop, curve, 
         dasim.simulate(
             make_scene(card), camera, variant="scalar_spectral", progress=lambda stage, share: steps.append(stage)
         )
-    assert said in str(raised.value) and "\n" not in str(raised.value)
+    assert message in str(raised.value) and "\n" not in str(raised.value)
     assert steps == []

@@ -354,7 +354,7 @@ HEAD += 'material = "brick"\n[[lights]]\n'
 NEAR = "position_cm = [0, -30, 20]\ntarget_cm = [0, 0, 40]\n"
 
 
-def test_all_that_is_wrong_with_a_light_is_said(tmp_path):
+def test_all_problems_of_a_light_are_reported(tmp_path):
     light = 'kind = "environment"\nilluminant = "F77"\nlux = 1\nimage = "no.png"\n'
     (tmp_path / "mine.toml").write_text(HEAD + light)
     with pytest.raises(InputError, match=r"lights.0 \(environment\): illuminant 'F77'.*; lights.0 .*'no.png'"):
@@ -362,7 +362,7 @@ def test_all_that_is_wrong_with_a_light_is_said(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("light", "said"),
+    ("light", "message_part"),
     [
         ('kind = "sun"\nilluminant = "F77"\nlux = 1\nelevation_deg = 9', ("lights.0 (sun)", "'F77'", "F7")),
         ('kind = "sun"\nilluminant = "A"\nlux = 1\nelevation_deg = 95', ("lights.0.elevation_deg", "90", "95")),
@@ -383,7 +383,7 @@ def test_all_that_is_wrong_with_a_light_is_said(tmp_path):
         ("low.png", ("lights.0 (environment)", "upper half is black")),
     ],
 )
-def test_what_is_wrong_with_a_light_is_said_in_one_line(light, said, tmp_path):
+def test_problems_of_a_light_are_reported_in_one_line(light, message_part, tmp_path):
     low = np.zeros((8, 16, 3), np.uint8)
     cv2.imwrite(str(tmp_path / "black.png"), low)
     cv2.imwrite(str(tmp_path / "square.png"), np.ones((8, 8, 3), np.uint8))
@@ -397,4 +397,4 @@ def test_what_is_wrong_with_a_light_is_said_in_one_line(light, said, tmp_path):
         scenes.load_scene(tmp_path / "mine.toml")
     message = str(caught.value)
     assert "\n" not in message
-    assert all(part in message for part in said), message
+    assert all(part in message for part in message_part), message

@@ -1,4 +1,4 @@
-"""Height fields and mesh files: analytic heights, where textures lie, colours of their own, cameras inside them."""
+"""Height fields and mesh files: analytic heights, texture coordinates, vertex colours, cameras inside a mesh."""
 
 from __future__ import annotations
 
@@ -330,7 +330,7 @@ AT_20 = "\nposition_cm = [0, 0, 20]\n"
 
 
 @pytest.mark.parametrize(
-    ("item", "said"),
+    ("item", "message_part"),
     [
         ('shape = "mesh"\nfile = "coloured.ply"', ["coloured.ply", "RGB colours", "print, dyed, achromatic"]),
         ('shape = "mesh"\nfile = "coloured.ply"\nnear_infrared = "rgb"', ["'rgb' is unknown", "print, dyed"]),
@@ -357,9 +357,9 @@ AT_20 = "\nposition_cm = [0, 0, 20]\n"
         ('shape = "heightfield"\nmaterial = "brick"\nsize_cm = [1, 1]\nimage = "skimage:coins"', ["height_cm: is mis"]),
     ],
 )
-def test_what_is_wrong_with_an_object_is_one_line(files, item, said):
+def test_problems_of_an_object_are_one_line(files, item, message_part):
     message = refusal(files, item + AT_20)
-    for part in said:
+    for part in message_part:
         assert part in message, message
 
 

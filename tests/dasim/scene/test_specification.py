@@ -1,4 +1,4 @@
-"""The scene as data: what is refused and how it is said, and where things stand."""
+"""Scene files: wrong input and its messages, and the placement of objects."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def test_good_scene_and_bundled_ones_load(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "said"),
+    ("old", "new", "message_part"),
     [
         ("lux = 500", "lux = 500\ncolor = 3", ["lights.0", "color: unknown key"]),
         ("focus_cm = 40", "focus_m = 0.4", ["focus_m: unknown key"]),
@@ -104,11 +104,11 @@ def test_good_scene_and_bundled_ones_load(tmp_path):
         ("focus_cm = 40", "view = {look_at_cm = [0, 9, 0]}", ["view", "straight above or below"]),
     ],
 )
-def test_what_is_wrong_is_named_in_one_line(tmp_path, old, new, said):
+def test_problems_are_named_in_one_line(tmp_path, old, new, message_part):
     """Expectation: InputError with the file, the key or object, and the value or what is allowed."""
     assert GOOD.count(old) >= 1
     message = refusal(tmp_path, GOOD.replace(old, new, 1))
-    for part in said:
+    for part in message_part:
         assert part in message, message
 
 
@@ -134,7 +134,7 @@ def test_file_that_is_not_there():
 
 
 @pytest.mark.parametrize(
-    ("content", "said"),
+    ("content", "message_part"),
     [
         (None, "no such file"),
         ("", ""),
@@ -144,11 +144,11 @@ def test_file_that_is_not_there():
         ("rubbish \x00\x01", ""),
     ],
 )
-def test_mesh_that_is_missing_empty_or_broken(tmp_path, content, said):
+def test_mesh_that_is_missing_empty_or_broken(tmp_path, content, message_part):
     if content is not None:
         (tmp_path / "thing.obj").write_text(content)
     message = refusal(tmp_path, GOOD + MESH)
-    assert "object 'thing'" in message and "thing.obj" in message and said in message, message
+    assert "object 'thing'" in message and "thing.obj" in message and message_part in message, message
 
 
 def test_mesh_on_disk_may_change_between_two_loads(tmp_path):

@@ -1,4 +1,4 @@
-"""The bundled targets: they stand where they say, with the colours, angles and sizes that they say."""
+"""The bundled targets have the stated positions, colours, angles and sizes."""
 
 from __future__ import annotations
 
@@ -137,7 +137,7 @@ def test_other_textures_are_named_or_refused(far):
 
 
 @pytest.mark.parametrize(
-    ("name", "said"),
+    ("name", "message"),
     [
         ("staircase:29", "level 29 is not one of 0 to 28"),
         ("staircase:-1", "level -1 is not one of 0 to 28"),
@@ -152,10 +152,10 @@ def test_other_textures_are_named_or_refused(far):
         ("stairs:3", "scene 'stairs:3' is neither a bundled name"),
     ],
 )
-def test_wrong_names_are_refused_in_one_line(name, said):
+def test_wrong_names_are_refused_in_one_line(name, message):
     with pytest.raises(InputError) as caught:
         dasim.load_scene(name)
-    assert said in str(caught.value) and "\n" not in str(caught.value)
+    assert message in str(caught.value) and "\n" not in str(caught.value)
 
 
 # --- tiles ---------------------------------------------------------------------------------------
@@ -212,14 +212,14 @@ def test_tiles_are_the_middles_of_the_captures_on_whole_cells_of_the_mosaic(name
 def test_tiles_that_do_not_fit_are_refused(far):
     small = cameras.cropped(far, 64, 48)
     good = capture(small, 0)
-    for tiles, size, said in (
+    for tiles, size, message in (
         ([], (16, 12), "none are given"),
         ([good], (15, 12), "multiples of the mosaic, 2x2"),
         ([good, capture(small, 1, exposure_s=0.02)], (16, 12), "tile 1: exposed 0.02 s"),
         ([good, capture(cameras.refocused(small, 1.0), 1)], (16, 12), "tile 1: its camera, focus"),
         ([good, capture(small, 1, blur_px=50.0)], (16, 12), "tile 1: its blur reaches"),
     ):
-        with pytest.raises(InputError, match=said):
+        with pytest.raises(InputError, match=message):
             tiled(tiles, *size)
 
 

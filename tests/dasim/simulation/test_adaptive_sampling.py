@@ -1,4 +1,4 @@
-"""Samples until rendering noise is a share of the sensor's own, on pictures whose noise is known."""
+"""Adaptive sampling reaches its noise target, on pictures of known noise."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def poisson(rate):
     return np.sqrt(np.maximum(rate, 0))
 
 
-def test_enough_samples_are_taken_and_the_noise_reached_is_true():
+def test_the_noise_target_is_met_and_the_stated_noise_is_true():
     """Rationale: what meta.json says of the noise must be the noise of the picture that is kept.
 
     Expectation: below the share that was asked for; the error of the result, known here, is what is stated.

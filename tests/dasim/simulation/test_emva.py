@@ -205,7 +205,7 @@ def test_command_writes_what_it_says(tmp_path, monkeypatch, capsys):
 
 
 @pytest.mark.parametrize(
-    ("options", "said"),
+    ("options", "message"),
     [
         (("--channel", "X"), ("--channel 'X'", "R, G, B, IR")),
         (("--gain", "0"), ("--gain", "0.0625")),
@@ -215,15 +215,15 @@ def test_command_writes_what_it_says(tmp_path, monkeypatch, capsys):
         (("--camera", "leica"), ("leica", "da-mobile")),
     ],
 )
-def test_wrong_options_are_refused(tmp_path, capsys, options, said):
+def test_wrong_options_are_refused(tmp_path, capsys, options, message):
     assert run(["emva", "--out", str(tmp_path / "new"), *options]) == 2
     printed = capsys.readouterr().err
-    assert len(printed.splitlines()) == 1 and all(part in printed for part in said), printed
+    assert len(printed.splitlines()) == 1 and all(part in printed for part in message), printed
     assert not (tmp_path / "new").exists()
 
 
 @pytest.mark.parametrize(
-    ("changes", "said"),
+    ("changes", "message"),
     [
         ({"dark_current_e_s": 1e300, "temperature_c": 150.0}, None),
         ({"black_level_dn": 0}, "dark pixels are clipped at 0 DN"),
@@ -232,6 +232,6 @@ def test_wrong_options_are_refused(tmp_path, capsys, options, said):
         ({"prnu": 0, "dsnu_e": 0, "read_noise_e": 0, "dark_current_e_s": 0}, "rounding hides"),
     ],
 )
-def test_odd_but_legal_sensors_finish_and_say_so(da_mobile, tmp_path, changes, said):
+def test_odd_but_legal_sensors_finish_and_say_so(da_mobile, tmp_path, changes, message):
     notes = emva.write_measurement(tmp_path / "odd", with_sensor(da_mobile, **changes), size_px=(8, 8))
-    assert said is None or any(said in note for note in notes), notes
+    assert message is None or any(message in note for note in notes), notes

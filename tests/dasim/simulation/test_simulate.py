@@ -163,7 +163,7 @@ def test_default_model_of_diffraction_spreads_light_and_keeps_it(make_scene, da_
 
 
 @pytest.mark.parametrize(
-    ("change", "said"),
+    ("change", "message"),
     [
         ({"spp": 0}, "spp is 0"),
         ({"seed": -1}, "seed is -1"),
@@ -171,8 +171,8 @@ def test_default_model_of_diffraction_spreads_light_and_keeps_it(make_scene, da_
         ({"diffraction": "fourier"}, "diffraction 'fourier' is unknown; allowed are .*off"),
     ],
 )
-def test_mistakes_are_named(scene, da_mobile, renderer, change, said):
-    with pytest.raises(InputError, match=said):
+def test_mistakes_are_named(scene, da_mobile, renderer, change, message):
+    with pytest.raises(InputError, match=message):
         simulate(scene, cameras.cropped(da_mobile, 16, 12), **change)
 
 

@@ -94,7 +94,7 @@ def test_illuminant_a_resembles_a_measured_one(reference):
 
 
 @pytest.mark.parametrize(
-    ("name", "said"),
+    ("name", "message"),
     [
         ("F99", ("illuminant 'F99' is unknown", "F9", "blackbody-NNNNK", "dasim list illuminants")),
         ("d65", ("illuminant 'd65' is unknown", "D65")),
@@ -105,10 +105,10 @@ def test_illuminant_a_resembles_a_measured_one(reference):
         ("sky-91deg", ("illuminant 'sky-91deg'", "5 to 90 degrees")),
     ],
 )
-def test_unknown_illuminant_is_the_users_mistake(name, said):
+def test_unknown_illuminant_is_the_users_mistake(name, message):
     with pytest.raises(InputError) as caught:
         illuminants.illuminant(name)
-    assert all(part in str(caught.value) for part in said), caught.value
+    assert all(part in str(caught.value) for part in message), caught.value
 
 
 @pytest.mark.parametrize(
@@ -135,7 +135,7 @@ def test_lamps_are_the_cies_tables(name, table):
 
 
 @pytest.mark.parametrize("measured", ["illuminant_CWF", "illuminant_U30", "illuminant_DAY"])
-def test_what_lamps_do_beyond_their_table(reference, measured):
+def test_lamps_beyond_the_end_of_their_table(reference, measured):
     """Rationale: the CIE's tables of lamps end at 780 nm. Set-up: a light booth's fluorescent lamps to 830 nm.
 
     Expectation: between 780 and 830 nm they are as bright as on average between 760 and 780 nm, to within the 0.93 to

@@ -1,4 +1,4 @@
-"""Mitsuba scenes of others: pose, units, colours in the near-infrared, light levels, notes and refusals."""
+"""Mitsuba scenes from other sources: pose, units, near-infrared colours, light levels, notes and refusals."""
 
 from __future__ import annotations
 
@@ -361,7 +361,7 @@ def test_sizes_beyond_likely_units_are_noted(xml, world, wide):
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "message_part"),
     [
         (ROOM.replace("</scene>", ""), ["does not load", "scene.xml"]),
         ("rubbish", ["does not load"]),
@@ -385,25 +385,25 @@ def test_sizes_beyond_likely_units_are_noted(xml, world, wide):
         (wall(z=-0.0005), ["object 'rectangle-1'", "reaches into the lens", "unit_cm is 100"]),
     ],
 )
-def test_what_is_wrong_is_one_line(xml, world, wide, text, said):
+def test_what_is_wrong_is_one_line(xml, world, wide, text, message_part):
     with pytest.raises(InputError) as caught:
         world(xml(text), wide())
     message = str(caught.value)
     assert "\n" not in message and "scene.xml" in message
-    for part in said:
+    for part in message_part:
         assert part in message, message
 
 
 @pytest.mark.parametrize(
-    ("choices", "said"),
+    ("choices", "message_part"),
     [
         ({"unit_cm": 0}, "unit_cm"),
         ({"near_infrared": "rgb"}, "near_infrared"),
         ({"illuminant": "D66"}, "illuminant 'D66'"),
     ],
 )
-def test_choices_are_checked(xml, choices, said):
-    with pytest.raises(InputError, match=said):
+def test_choices_are_checked(xml, choices, message_part):
+    with pytest.raises(InputError, match=message_part):
         xml(ROOM, **choices)
 
 

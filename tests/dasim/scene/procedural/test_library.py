@@ -16,7 +16,7 @@ SEEDS = (0, 1, 2, 3)
 
 @pytest.mark.parametrize("name", BODIES)
 @pytest.mark.parametrize("seed", SEEDS)
-def test_bodies_are_closed_outside_out_and_of_unit_size(name, seed):
+def test_bodies_are_closed_face_outwards_and_have_unit_size(name, seed):
     """The area vectors of a closed surface add up to nothing, and its volume is positive where it is right way out."""
     part = procedural(f"{name}:{seed}")
     assert np.abs(area_vectors(part).sum(axis=0)).max() < ROUNDING
@@ -51,15 +51,15 @@ def test_seeds_draw_other_proportions(name):
 
 
 @pytest.mark.parametrize(
-    ("name", "said"),
+    ("name", "message"),
     [("rokc", "did you mean 'rock'"), ("rock:-1", "whole number"), ("rock:", "whole number"), ("rock:x", "seed")],
 )
-def test_what_there_is_not_is_refused(name, said, tmp_path):
+def test_unknown_procedural_meshes_are_refused(name, message, tmp_path):
     text = (
         'name = "x"\n[[lights]]\nkind = "dome"\nilluminant = "D65"\nlux = 9\n[[objects]]\nname = "thing"\n'
         f'shape = "mesh"\nfile = "procedural:{name}"\nmaterial = "sand"\nposition_cm = [0, 0, 30]\n'
     )
     (tmp_path / "x.toml").write_text(text)
-    with pytest.raises(InputError, match=said) as caught:
+    with pytest.raises(InputError, match=message) as caught:
         specification.load_scene(tmp_path / "x.toml")
     assert "object 'thing'" in str(caught.value) and "\n" not in str(caught.value)
