@@ -112,10 +112,10 @@ def translated(data: dict[str, Any], green: Curve | None = None) -> dict[str, An
             raise ValueError("emva1288.quantum_efficiency_percent: the table quantum_efficiency has no column G")
         bundled = response_curves.rgb_ir_quantum_efficiency()[grid.CHANNELS.index("G")]
         nm, curve = green or (tuple(grid.WAVELENGTH_NM), tuple(bundled))
-        ours = max(curve) if sheet.wavelength_nm is None else float(np.interp(sheet.wavelength_nm, nm, curve))
-        if not ours > 0:
+        peak = max(curve) if sheet.wavelength_nm is None else float(np.interp(sheet.wavelength_nm, nm, curve))
+        if not peak > 0:
             raise ValueError(f"emva1288.quantum_efficiency_percent: green is 0 at {sheet.wavelength_nm} nm")
-        fields["quantum_efficiency_scale"] = sheet.quantum_efficiency_percent / 100 / float(ours)
+        fields["quantum_efficiency_scale"] = sheet.quantum_efficiency_percent / 100 / float(peak)
     return others | fields
 
 

@@ -1,10 +1,10 @@
-"""Stops of the lens: each a shape in the pupil and a spectral transmittance.
+"""Stops of the lens, each with a shape in the pupil and a spectral transmittance.
 
-Light through different stops adds: a glass disc that blocks the near-infrared outside a hole is the
-open lens with the disc's transmittance, plus the hole with its complement. (Inside the few nanometres
-of the coating's edge, where both stops pass light of one wavelength, the sum neglects their interference.)
+The light through different stops adds up: a glass disc that blocks the near-infrared outside a hole is modelled as the
+open lens with the transmittance of the disc, plus the hole with the complement. (Within the few nanometres of the
+coating's edge, where both stops pass light of the same wavelength, the sum neglects interference.)
 
-Lengths in the pupil are ratios of the open lens's radius, in camera axes: x to the right, y down.
+Lengths in the pupil are ratios of the radius of the open lens, in camera axes: x to the right, y down.
 
 Tested in tests/dasim/render/test_pupil.py and tests/dasim/camera/test_cameras.py.
 """
@@ -26,8 +26,8 @@ from dasim.typing import FloatArray
 
 Point = tuple[float, float]
 
-MOST_MASK_CELLS = 256  # a side
-PUPIL_CELLS = 256  # a side of the grid that stands for polygons and masks
+MOST_MASK_CELLS = 256  # per side
+PUPIL_CELLS = 256  # per side of the grid that represents polygons and masks
 _FINE_ROWS = 16  # in a cell, for the share of it that a polygon covers
 _ROUNDING = 1e-9
 
@@ -35,7 +35,7 @@ _ROUNDING = 1e-9
 class _Stop(Specification):
     name: str = Field(min_length=1)
     passes_nm: tuple[tuple[float, float], ...] = Field(
-        default=(WHOLE_GRID_NM,), min_length=1, description="bands that pass; 400 and 830 stand for no edge"
+        default=(WHOLE_GRID_NM,), min_length=1, description="bands that pass; 400 and 830 mean no edge"
     )
     edge_width_nm: float = Field(default=8.0, gt=0, le=100, description="10-90 % width of every edge")
 
@@ -52,7 +52,7 @@ class _Stop(Specification):
 
 
 class Disc(_Stop):
-    """An open disc, in the middle of the lens or displaced."""
+    """An open disc, about the axis or displaced."""
 
     shape: Literal["disc"] = "disc"
     radius_ratio: float = Field(gt=0, le=1)
@@ -65,7 +65,7 @@ class Disc(_Stop):
 
 
 class Annulus(_Stop):
-    """An open ring, in the middle of the lens or displaced."""
+    """An open ring, about the axis or displaced."""
 
     shape: Literal["annulus"]
     inner_ratio: float = Field(gt=0, lt=1)
@@ -81,7 +81,7 @@ class Annulus(_Stop):
 
 
 class Polygon(_Stop):
-    """A simple polygon, its corners in order; it may be concave."""
+    """A simple polygon, which may be concave; the corners are listed in order."""
 
     shape: Literal["polygon"]
     corners_ratio: tuple[Point, ...] = Field(min_length=3, max_length=200)
@@ -95,9 +95,9 @@ class Polygon(_Stop):
 
 
 class Mask(_Stop):
-    """A picture of transmittances 0..1, top row first, over the square around the lens.
+    """Transmittances 0..1 on a square grid that circumscribes the lens, top row first.
 
-    In TOML, ``file`` names a grey picture, linear, black closed and white open; it is read once, into ``mask``.
+    In TOML, ``file`` names a linear grey image, black closed and white open, which is read into ``mask``.
     """
 
     shape: Literal["mask"]
@@ -142,7 +142,7 @@ Stop = Annotated[Disc | Annulus | Polygon | Mask, Field(discriminator="shape")]
 
 
 class Ring(NamedTuple):
-    """A disc (``inner`` 0) or annulus, all in ratios of the lens's radius."""
+    """A disc (``inner`` 0) or annulus; lengths are ratios of the lens's radius."""
 
     inner: float
     outer: float
@@ -150,7 +150,7 @@ class Ring(NamedTuple):
 
 
 def ring(stop: Stop) -> Ring | None:
-    """The stop as a ring, or None where it is no disc and no annulus."""
+    """The stop as a ring, or None for other shapes."""
     if isinstance(stop, Disc):
         return Ring(0.0, stop.radius_ratio, stop.centre_ratio)
     if isinstance(stop, Annulus):
@@ -159,14 +159,14 @@ def ring(stop: Stop) -> Ring | None:
 
 
 def is_plain_disc(stop: Stop) -> bool:
-    """Whether the stop is a disc in the middle of the lens."""
+    """Whether the stop is a disc about the axis."""
     return isinstance(stop, Disc) and stop.centre_ratio == (0.0, 0.0)
 
 
 def transmittance(stop: Stop) -> FloatArray:
-    """Spectral transmittance of the stop's open area on ``spectra.WAVELENGTH_NM``, 0..1.
+    """Spectral transmittance 0..1 of the open area of a stop, [wavelength].
 
-    Logistic edges at the ends of ``passes_nm``; bands that meet at an edge, of one stop or two, add up to 1 there.
+    The edges at the ends of ``passes_nm`` are logistic; two bands that share an edge, of one stop or two, sum to 1.
     """
     passed = np.zeros_like(grid.WAVELENGTH_NM)
     for low, high in stop.passes_nm:
@@ -177,7 +177,7 @@ def transmittance(stop: Stop) -> FloatArray:
 
 
 def open_area(stop: Stop) -> float:
-    """Open area over that of the whole lens, masks weighted by their transmittance; 0..1."""
+    """Open area relative to the whole lens, 0..1; the cells of a mask count by their transmittance."""
     disc = ring(stop)
     if disc is not None:
         return disc.outer**2 - disc.inner**2
@@ -188,7 +188,7 @@ def open_area(stop: Stop) -> float:
 
 
 def reach(stop: Stop) -> float:
-    """Radius of the smallest disc in the middle of the lens that holds the stop."""
+    """Radius of the smallest disc about the axis that contains the stop."""
     disc = ring(stop)
     if disc is not None:
         return float(np.hypot(*disc.centre)) + disc.outer
@@ -198,9 +198,9 @@ def reach(stop: Stop) -> float:
 
 
 def breadth(stop: Stop) -> float:
-    """Twice the open area over the length of the rim, of the lens's radius: the radius of a disc, the width of a ring.
+    """Twice the open area over the length of the rim: the radius of a disc, the width of a ring.
 
-    The light that diffraction throws far from a kernel's middle is in proportion to its inverse.
+    The light that is diffracted far from the centre of a kernel is proportional to the inverse.
     """
     disc = ring(stop)
     if disc is not None:
@@ -215,22 +215,22 @@ def breadth(stop: Stop) -> float:
 
 
 def cell_centres(count: int) -> FloatArray:
-    """Places of ``count`` cells across the lens, -1..1."""
+    """Centres of ``count`` cells across the lens, -1..1, [count]."""
     return (np.arange(count) + 0.5) * 2 / count - 1
 
 
 @lru_cache(maxsize=16)
 def pupil(stop: Stop) -> tuple[FloatArray, FloatArray]:
-    """Transmittance of a polygon or mask on a grid, [y, x], and the places of its cells along an axis.
+    """Transmittance of a polygon or mask on a grid, [y, x], and the centres of the cells along an axis.
 
-    A polygon's rim is drawn with the share of each cell that it covers; a mask's cells are repeated.
+    At the rim of a polygon, a cell has the share that the polygon covers; the cells of a mask are repeated.
     """
     if isinstance(stop, Mask):
         repeat = -(-PUPIL_CELLS // len(stop.mask))
         values = np.kron(np.array(stop.mask), np.ones((repeat, repeat)))
         return values, cell_centres(len(values))
     assert isinstance(stop, Polygon)
-    # In each fine row a side adds or takes away what lies to its right: exact along x.
+    # In each fine row, an edge adds or subtracts the coverage to its right, which is exact along x.
     y, left = cell_centres(PUPIL_CELLS * _FINE_ROWS)[:, None], np.arange(PUPIL_CELLS)
     covered = np.zeros((len(y), PUPIL_CELLS))
     for (ax, ay), (bx, by) in zip(stop.corners_ratio, (*stop.corners_ratio[1:], stop.corners_ratio[0]), strict=True):
@@ -249,7 +249,7 @@ def triangle_areas(corners: FloatArray) -> FloatArray:
 
 
 def triangles(corners_ratio: tuple[Point, ...]) -> FloatArray:
-    """A simple polygon cut into triangles by clipping ears, [n - 2, 3, 2]; ValueError where its sides cross."""
+    """Triangulation of a simple polygon by ear clipping, [n - 2, 3, 2]; ValueError where its sides cross."""
     points = np.array(corners_ratio, dtype=np.float64)
     if _turn(points, np.roll(points, -1, axis=0)) < 0:
         points = points[::-1]

@@ -1,7 +1,7 @@
 """Materials by name and from TOML, 400 to 830 nm, as surfaces for the renderer.
 
-Nothing is extrapolated from RGB: a photograph becomes a material through what its surface would be made of, by a rule
-that the scene names (``photographs``), so that its near-infrared is physical too.
+Near-infrared is never extrapolated from RGB: a photograph becomes a material by a rule that the scene names
+(:mod:`~dasim.materials.photographs`), which states what the surface is made of, so that its near-infrared is physical.
 """
 
 from __future__ import annotations

@@ -57,7 +57,7 @@ def read(path: Path, where: str) -> FloatArray:
         or values.ndim != 2
         or values.shape[1:] != (2,)
     ):
-        raise InputError(f"{where}: must be a CSV with the header wavelength_nm,reflectance and two numbers a line")
+        raise InputError(f"{where}: must be a CSV with the header wavelength_nm,reflectance and two numbers per line")
     if not np.isfinite(values).all():
         raise InputError(f"{where}: has values that are not finite")
     return values

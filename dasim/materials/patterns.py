@@ -1,7 +1,7 @@
 """Procedural images: linear weights 0..1, ``SIZE_PX`` pixels square, the same in every run.
 
 A pattern is named ``NAME`` or ``NAME:NUMBER``; what the number means and its default stand with each pattern.
-Edges of geometric patterns are area-sampled (``OVERSAMPLING`` a side), so that they hold no aliases.
+Edges of geometric patterns are area-sampled (``OVERSAMPLING`` per side) to avoid aliasing.
 """
 
 from __future__ import annotations

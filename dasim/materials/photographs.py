@@ -70,7 +70,7 @@ def printed(image: Float32Array, paper: FloatArray, black_generation: float, rep
 def _cube(
     image: Float32Array, corner: Callable[[tuple[int, int, int]], FloatArray], repeat: tuple[float, float]
 ) -> Mixture:
-    """Eight spectra mixed trilinearly by the three planes of an image, [h, w, 3]: one level of mixtures a plane."""
+    """Eight spectra mixed trilinearly by the three planes of an image, [h, w, 3]: one level of mixtures per plane."""
     planes = [np.ascontiguousarray(image[..., plane]) for plane in range(3)]
 
     def half(plane: int, chosen: tuple[int, ...]) -> Surface:

@@ -1,4 +1,4 @@
-"""Random scenes from (seed, index): rooms and table tops for data sets, each valid by construction.
+"""Random rooms and table tops from (seed, index) for data sets, each valid by construction.
 
 A sample depends on the specification, the picture (its field of view), the seed and the index alone, and each of its
 stages on a generator of its own: another number of objects leaves the lights as they are. How is in ``RandomScenes``,
@@ -60,7 +60,7 @@ ILLUMINANTS = {
 
 
 class RandomScenes(Specification):
-    """What random scenes are drawn from. Ranges are uniform unless said otherwise; lengths are centimetres."""
+    """Distributions of random scenes: ranges are uniform unless stated otherwise, lengths are in centimetres."""
 
     room_share: Share = Field(
         default=0.5, description="rooms (corner, hanging things, posters); the rest is table tops"
@@ -84,7 +84,7 @@ class RandomScenes(Specification):
     )
     image_folder: str | None = Field(default=None, description="PNG and JPEG files instead of the bundled photographs")
     lamps: tuple[int, int] = Field(default=(1, 3), description="of light by lamps")
-    window_share: Share = Field(default=0.2, description="light of one large panel at a side instead of lamps")
+    window_share: Share = Field(default=0.2, description="light of a large panel on one side instead of lamps")
     outdoor_share: Share = Field(default=0.1, description="light of sun and sky, or an overcast sky, instead of lamps")
     lux: tuple[Lux, Lux] = Field(default=(100.0, 2000.0), description="of all lamps together, log-uniform")
     fill_share: tuple[Share, Share] = Field(default=(0.1, 0.3), description="level of the dome over that of the lamps")

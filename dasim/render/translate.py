@@ -33,7 +33,7 @@ def load(scene: Scene) -> Any:
 
 
 def world(scene: Scene | MitsubaScene, camera: Camera) -> World:
-    """A scene of either kind in Mitsuba, clear of the lens, with what is to be told of it."""
+    """A scene of either kind in Mitsuba, with its notes and names; InputError where it reaches into the lens."""
     pupil_radius_m = geometry.aperture_m(camera) / 2
     if isinstance(scene, MitsubaScene):
         with backend.reading_threads():

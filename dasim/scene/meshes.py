@@ -139,7 +139,7 @@ def _paint(visual: Any, has_uv: bool, *, linear: bool) -> tuple[str | None, Floa
     if linear:
         return "one colour", share
     diffuse = getattr(material, "diffuse", None)
-    # An OBJ without a material library gets trimesh's grey, which is nobody's colour.
+    # trimesh gives an OBJ without a material library its default grey, which is not a colour of the file.
     if diffuse is None or made_up:
         return None, None
     return "one colour", decoded(np.asarray(diffuse, np.uint8)[:3])

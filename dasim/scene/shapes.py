@@ -171,7 +171,7 @@ def mesh_place(item: Mesh, folder: Path) -> str:
 def relief(item: HeightField, heights: NDArray[np.float32]) -> meshes.Part:
     """Triangles of a height field, from the values [rows, columns] 0..1 of its picture's pixels, top row first.
 
-    A value stands at its pixel's centre; between, the surface is that of two triangles a cell, and beyond the
+    A value stands at its pixel's centre; between, the surface is that of two triangles per cell, and beyond the
     outermost centres it goes on level. Texture coordinates are a plane's.
     """
     u, down = np.meshgrid(*(np.array([0, *(np.arange(n) + 0.5) / n, 1]) for n in heights.shape[::-1]))

@@ -48,7 +48,7 @@ class Notes:
         self.counted[what] += 1
 
     def lines(self) -> list[str]:
-        """One line a kind."""
+        """One line per kind."""
         return [what if count == 1 else f"{what} ({count} times)" for what, count in self.counted.items()]
 
 

@@ -1,7 +1,7 @@
-"""A foreign Mitsuba scene in camera axes and metres, its sensor replaced by ours at the same pose.
+"""A Mitsuba XML scene in camera axes and metres, with its sensor replaced by the camera at the same pose.
 
-The file is read by Mitsuba's own parser, and what it found is edited before anything is made of it, so that
-parameters, includes and relative file names mean what they mean in Mitsuba.
+Mitsuba's own parser reads the file, and its result is edited before the scene is instantiated, so that parameters,
+includes and relative file names have the meaning that they have in Mitsuba.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ RIGID = 1e-3  # how far a sensor's axes may be from a right angle
 
 
 class World(NamedTuple):
-    """A scene in Mitsuba, and what is to be told of it."""
+    """A scene in Mitsuba, with its notes and the names of its objects and materials."""
 
     scene: Any
     notes: list[str]

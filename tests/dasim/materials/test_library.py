@@ -323,8 +323,8 @@ def test_spectra_that_cannot_be_are_refused(tmp_path, points, message_part):
         (None, "'mine.csv': cannot be read"),
         ("", "header wavelength_nm,reflectance"),
         ("nm,value\n400,0.5\n830,0.5\n", "header wavelength_nm,reflectance"),
-        ("wavelength_nm,reflectance\n400,0.5,1\n830,0.5,1\n", "two numbers a line"),
-        ("wavelength_nm,reflectance\n400,half\n", "two numbers a line"),
+        ("wavelength_nm,reflectance\n400,0.5,1\n830,0.5,1\n", "two numbers per line"),
+        ("wavelength_nm,reflectance\n400,half\n", "two numbers per line"),
         ("wavelength_nm,reflectance\n400,nan\n830,0.5\n", "not finite"),
     ],
 )
