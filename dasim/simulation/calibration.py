@@ -8,6 +8,7 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dasim.base.fingerprint import fingerprint
 from dasim.camera import geometry, noise, pointspread
@@ -72,36 +73,58 @@ def calibration_captures(
 def _pictures(
     camera: Camera, lights: Sequence[str], frames: int, seed: int, diffraction: str
 ) -> Iterator[PointPicture]:
+    """The pictures, by level, light, shift and exposure."""
     depths, blurs = levels(camera)
-    rows, columns = len(camera.sensor.mosaic), len(camera.sensor.mosaic[0])
-    kernel_size = pointspread.kernel_size_px(camera, float(blurs[-1]))
-    side = (kernel_size + 2 * max(rows, columns) + 6) // (2 * rows * columns) * (2 * rows * columns)
-    side += 2 * rows * columns
+    side = _frame_side_px(camera, float(blurs[-1]))
     local = camera.sensor.model_copy(update={"width_px": side, "height_px": side})
     frame_camera = camera.model_copy(update={"sensor": local})
     powers = np.stack([illuminants.illuminant(light) for light in lights])
     kernels_at = pointspread.kernels(camera, blurs, powers, side - 1, diffraction)
+    shifts = list(np.ndindex(len(local.mosaic), len(local.mosaic[0])))
     for level, (blur, depth) in enumerate(zip(blurs, depths, strict=True)):
         for light_index, light in enumerate(lights):
             key = np.random.SeedSequence((seed, light_index, level))
             place = np.random.Generator(np.random.Philox(key)).uniform(-0.5, 0.5, 2)
-            kernel, signal = kernels_at(level, (place[0], place[1]), light_index)
-            flux = np.zeros((side, side, len(signal)))
-            flux[: side - 1, : side - 1] = np.moveaxis(kernel * signal[:, None, None], 0, -1)
-            flux += _BACKGROUND_SHARE * flux.max() * signal / signal.max()
-            for dy in range(rows):
-                for dx in range(columns):
-                    moved = np.roll(flux, (dy, dx), axis=(0, 1))
-                    # The strongest channel of any position sets the exposure, the same for all positions.
-                    scale = noise.Exposure().auto_level * noise.saturation_e(local) / flux.max()
-                    mean_e = scale * noise.mosaic(moved, frame_camera)
-                    noise_seed = int(key.generate_state(1)[0])
-                    for number, times in enumerate(EXPOSURES):
-                        time_s = times * EXPOSURE_S
-                        first = frames * ((dy * columns + dx) * len(EXPOSURES) + number)
-                        collected_e = noise.electronic_crosstalk(times * mean_e, local)
-                        shots = [
-                            noise.expose(collected_e, local, time_s, noise_seed, frame=first + frame)[0]
-                            for frame in range(frames)
-                        ]
-                        yield PointPicture(np.stack(shots), light, level, float(depth), float(blur), (dy, dx), time_s)
+            flux = _flux(*kernels_at(level, (place[0], place[1]), light_index))
+            noise_seed = int(key.generate_state(1)[0])
+            for number, (dy, dx) in enumerate(shifts):
+                first = frames * number * len(EXPOSURES)
+                moved = np.roll(flux, (dy, dx), axis=(0, 1))
+                for time_s, frames_dn in _exposures(moved, frame_camera, frames, noise_seed, first):
+                    yield PointPicture(frames_dn, light, level, float(depth), float(blur), (dy, dx), time_s)
+
+
+def _frame_side_px(camera: Camera, widest_blur_px: float) -> int:
+    """Side of a square frame that holds the widest kernel at every shift, in whole periods of the mosaic."""
+    rows, columns = len(camera.sensor.mosaic), len(camera.sensor.mosaic[0])
+    period = 2 * rows * columns
+    needed = pointspread.kernel_size_px(camera, widest_blur_px) + 2 * max(rows, columns) + 6
+    return needed // period * period + period
+
+
+def _flux(kernel: FloatArray, signal: FloatArray) -> FloatArray:
+    """Relative flux of every channel on a frame of even side, [side, side, channel], with a little stray light."""
+    side = kernel.shape[-1] + 1
+    flux = np.zeros((side, side, len(signal)))
+    flux[: side - 1, : side - 1] = np.moveaxis(kernel * signal[:, None, None], 0, -1)
+    return flux + _BACKGROUND_SHARE * flux.max() * signal / signal.max()
+
+
+def _exposures(
+    flux: FloatArray, camera: Camera, frames: int, seed: int, first: int
+) -> Iterator[tuple[float, NDArray[np.uint16]]]:
+    """Exposure time and frames [frame, h, w] of each of ``EXPOSURES``; their noise is numbered from ``first``.
+
+    The strongest channel, seen by a pixel of the mosaic or not, sets the exposure, so that it is the same for all
+    shifts.
+    """
+    scale = noise.Exposure().auto_level * noise.saturation_e(camera.sensor) / flux.max()
+    mean_e = scale * noise.mosaic(flux, camera)
+    for number, times in enumerate(EXPOSURES):
+        time_s = times * EXPOSURE_S
+        collected_e = noise.electronic_crosstalk(times * mean_e, camera.sensor)
+        shots = [
+            noise.expose(collected_e, camera.sensor, time_s, seed, frame=first + number * frames + frame)[0]
+            for frame in range(frames)
+        ]
+        yield time_s, np.stack(shots)

@@ -7,9 +7,9 @@ without a lens, by light of one wavelength; exposure time and light increase tog
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -19,7 +19,7 @@ from dasim.camera.specification import SMALLEST_FRAME_PX, Camera, Sensor, channe
 from dasim.files.folders import new_folder, software_versions
 from dasim.files.png import write_png16
 from dasim.spectra import grid
-from dasim.typing import FloatArray
+from dasim.typing import FloatArray, Progress
 
 KIND = "EMVA 1288 measurement"
 SCHEMA = 1
@@ -88,7 +88,7 @@ def write_measurement(
     gain: float = 1.0,
     seed: int = 0,
     size_px: tuple[int, int] = SIZE_PX,
-    progress: Callable[[str, float], None] = lambda stage, share: None,
+    progress: Progress = lambda stage, share: None,
 ) -> list[str]:
     """Write ``frames/*.png``, ``descriptor.txt`` and ``meta.json``; returns what a user should know of them.
 
@@ -96,39 +96,14 @@ def write_measurement(
     spatial figures. ``size_px`` is [width, height] of the frames, which hold pixels of ``channel`` alone. All frames
     share the fixed patterns of the seed.
     """
-    sensor = camera.sensor
     _check_size(camera, size_px)
     measurement = plan(camera, channel, gain)
-    sets = [(step, 2) for step in range(STEPS)] + [(measurement.stack_step, STACK_FRAMES)]
-    total, number = 2 * sum(count for _, count in sets), 0
-    lines = [
-        f"# {camera.name}, {channel} pixels, {measurement.wavelength_nm:g} nm, gain {gain:g}, seed {seed}",
-        "v 4.0",
-        f"n {sensor.adc_bits} {size_px[0]} {size_px[1]}",
-    ]
-    steps, dark_at_zero = [], 0
     with new_folder(path, KIND) as folder:
-        (folder / "frames").mkdir()
-        for step, count in sets:
-            time_s, mean_e = float(measurement.exposure_s[step]), float(measurement.mean_e[step])
-            photons = mean_e / measurement.quantum_efficiency
-            saturated = 0
-            for head, level_e in ((f"b {time_s * 1e9:.9g} {photons:.9g}", mean_e), (f"d {time_s * 1e9:.9g}", 0.0)):
-                lines.append(head)
-                for _ in range(count):
-                    flat = np.full((size_px[1], size_px[0]), level_e)
-                    raw_dn, full = sensors.expose(flat, sensor, time_s, seed, gain=gain, frame=number)
-                    lines.append(f"i frames/{head[0]}{number:04d}.png")
-                    write_png16(folder / lines[-1].removeprefix("i "), raw_dn)
-                    if level_e > 0:
-                        saturated += full
-                    else:
-                        dark_at_zero += int(np.count_nonzero(raw_dn == 0))
-                    number += 1
-                    progress("exposing", number / total)
-            steps.append({"exposure_s": time_s, "photons": photons, "frames": count, "saturated_pixels": saturated})
-        notes = _notes(sensor, gain, dark_at_zero / (total / 2 * size_px[0] * size_px[1]))
-        (folder / "descriptor.txt").write_text("\n".join(lines) + "\n", encoding="utf-8")
+        lines, steps, dark_at_zero = _write_frames(folder, camera.sensor, measurement, gain, seed, size_px, progress)
+        head = f"# {camera.name}, {channel} pixels, {measurement.wavelength_nm:g} nm, gain {gain:g}, seed {seed}"
+        size = f"n {camera.sensor.adc_bits} {size_px[0]} {size_px[1]}"
+        (folder / "descriptor.txt").write_text("\n".join([head, "v 4.0", size, *lines]) + "\n", encoding="utf-8")
+        notes = _notes(camera.sensor, gain, dark_at_zero)
         meta = {
             "schema": SCHEMA,
             "camera": camera.model_dump(mode="json"),
@@ -143,6 +118,43 @@ def write_measurement(
         }
         (folder / "meta.json").write_text(json.dumps(meta, indent=1) + "\n", encoding="utf-8")
     return notes
+
+
+def _write_frames(
+    folder: Path,
+    sensor: Sensor,
+    measurement: Plan,
+    gain: float,
+    seed: int,
+    size_px: tuple[int, int],
+    progress: Progress,
+) -> tuple[list[str], list[dict[str, Any]], float]:
+    """Write all frames; lines of the descriptor, a description of each step, and the share of dark pixels at 0 DN."""
+    sets = [(step, 2) for step in range(STEPS)] + [(measurement.stack_step, STACK_FRAMES)]
+    total, number = 2 * sum(count for _, count in sets), 0
+    lines: list[str] = []
+    steps: list[dict[str, Any]] = []
+    dark_at_zero = 0
+    (folder / "frames").mkdir()
+    for step, count in sets:
+        time_s, mean_e = float(measurement.exposure_s[step]), float(measurement.mean_e[step])
+        photons = mean_e / measurement.quantum_efficiency
+        saturated = 0
+        for head, level_e in ((f"b {time_s * 1e9:.9g} {photons:.9g}", mean_e), (f"d {time_s * 1e9:.9g}", 0.0)):
+            lines.append(head)
+            for _ in range(count):
+                flat = np.full((size_px[1], size_px[0]), level_e)
+                raw_dn, full = sensors.expose(flat, sensor, time_s, seed, gain=gain, frame=number)
+                lines.append(f"i frames/{head[0]}{number:04d}.png")
+                write_png16(folder / lines[-1].removeprefix("i "), raw_dn)
+                if level_e > 0:
+                    saturated += full
+                else:
+                    dark_at_zero += int(np.count_nonzero(raw_dn == 0))
+                number += 1
+                progress("exposing", number / total)
+        steps.append({"exposure_s": time_s, "photons": photons, "frames": count, "saturated_pixels": saturated})
+    return lines, steps, dark_at_zero / (total / 2 * size_px[0] * size_px[1])
 
 
 def _check_size(camera: Camera, size_px: tuple[int, int]) -> None:
