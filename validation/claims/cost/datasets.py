@@ -1,4 +1,4 @@
-"""Claim of how fast datasets are made, and of what that costs beside the rendering."""
+"""Claim on the speed and memory of dataset generation, and on its overhead beside rendering."""
 
 from __future__ import annotations
 
@@ -29,20 +29,20 @@ from validation.scores.figures import Figure
 
 SIZE_PX = (512, 384)
 FIXED_SPP = 64
-COUNTED = 2  # samples of each run that are measured; others keep the processes busy until these are done
-TINY = 200  # samples that memory is watched over
+COUNTED = 2  # samples measured in each run; further samples keep the processes busy until these are finished
+TINY = 200  # samples over which memory is observed
 TINY_SIZE_PX = (64, 48)
-TINY_SCENES = ("colour-checker", "depth-steps", "desk", "flat")  # lit ones, soon compiled
+TINY_SCENES = ("colour-checker", "depth-steps", "desk", "flat")  # scenes with lights whose kernels compile quickly
 RENDERING = {
     "translate": ("world",),
     "truth": ("geometry",),
     "passes": ("irradiance_field", "stop_pass", "pinhole_pass"),
 }
 
-# A run in a process of its own: what is compiled is kept nowhere else, and one core is one core.
+# A separate process per run, so that no run reuses compiled kernels and processor affinity can be set.
 _RUN = """
 import json, os, sys
-from validation.claims import datasets
+from validation.claims.cost import datasets
 kind, processes, spec, out, counted = json.loads(sys.argv[1])
 if processes == 1 and hasattr(os, "sched_setaffinity"):
     os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
@@ -51,23 +51,26 @@ print("\\n" + json.dumps(datasets.measured(kind, processes, spec, out, counted))
 
 
 def dataset_speed(progress: ShareDone) -> Evidence:
-    """A dataset is made at the speed of the renderer, on all cores, in little memory.
+    """Datasets are generated nearly as fast as the renderer permits, on all cores, in little memory.
 
-    Rationale: training sets have many thousand samples; what is slow or grows beside the rendering is paid for by all.
+    Rationale: training sets have many thousand samples, so every overhead beside rendering and every growth of memory
+    multiplies.
 
-    Set-up: random scenes at 512 x 384, da-mobile, wave-true, each a new scene whose kernels are compiled, in an empty
-    cache. Two local processes at the default noise target and at 64 samples a pixel and stop; the same samples at 64
-    in one process that may use one core, and by Ray on two. A rate is that of processes that are always busy: seconds
-    of the same two samples, while others keep the remaining process busy. Outside the renderer is what is not in the
-    functions of ``dasim.render`` that translate and trace (diffraction kernels are in them): drawing, the sensor,
-    writing, checksums. Memory is the largest of a process; it is watched over 200 samples of bundled scenes at
-    64 x 48 in one process.
+    Set-up: random scenes at 512 x 384 px, da-mobile, wave-true blur. Each sample is a new scene, whose kernels are
+    compiled, and each run starts with an empty cache of compiled kernels. The runs are: two local processes at the
+    default noise target; two local processes at 64 samples per pixel and stop; the same samples in one process bound to
+    one core; and the same samples by Ray on two cores. A rate is that of processes that are always busy: it is derived
+    from the seconds of the first two samples, while further samples occupy whichever process is free. Time outside the
+    renderer is time outside the functions of ``dasim.render`` that translate and trace scenes (which include
+    diffraction kernels): scene generation, sensor model, files, checksums. Memory is the largest resident set of a
+    process; its growth is observed over 200 samples of bundled scenes at 64 x 48 px in one process.
 
-    Expectation: reported in seconds of this computer, which is what was free of it: run alone. Beside it seconds of
-    the processor, which a busy computer changes less.
+    Expectation: times are those of this computer with its present load, so run this claim alone. Processor seconds are
+    reported as well, since they depend less on other load.
 
-    Limit: 300 samples an hour at the default noise target; 15 % outside the renderer; two processes 1.7 times one;
-    1.5 GB; flat within 3 % from the second quarter of the 200 to the last; Ray within 10 % of local.
+    Limit: at least 300 samples per hour at the default noise target; at most 15 % of the time outside the renderer; two
+    processes at least 1.7 times as fast as one; at most 1.5 GB; growth of at most 3 % from the second quarter of the
+    200 samples to the last; Ray within 10 % of local processes.
 
     Source: the project's own limits.
     """
@@ -95,26 +98,33 @@ def dataset_speed(progress: ShareDone) -> Evidence:
 
 
 def figures(runs: dict[str, list[dict[str, float]]], tiny: list[dict[str, float]]) -> list[Figure]:
-    """What is judged, of the rows of each run."""
+    """The claim's figures from the measured samples of each run, and of the run over which memory is observed.
+
+    A sample has ``seconds``, ``cpu_s`` (processor), ``render_s`` (in the renderer) and ``peak_mb`` (memory so far).
+    """
     two, one = (_rate(runs[name], processes) for name, processes in (("two", 2), ("one", 1)))
     peak = [row["peak_mb"] for row in tiny]
     quarter = len(peak) // 4
     large = max(row["peak_mb"] for rows in runs.values() for row in rows)
     figures = [
-        Figure("rate-auto", _rate(runs["auto"], 2), "1/h", "samples an hour of two processes, default noise target"),
-        Figure("rate-64", two, "1/h", "samples an hour of two processes, 64 samples a pixel and stop"),
-        Figure("cpu-auto", _mean(runs["auto"], "cpu_s"), "s", "processor seconds a sample, default noise target"),
-        Figure("cpu-64", _mean(runs["two"], "cpu_s"), "s", "processor seconds a sample, 64 samples"),
-        Figure("outside-auto", _outside(runs["auto"]), "1", "share of the time outside the renderer, default target"),
-        Figure("outside-64", _outside(runs["two"]), "1", "share of the time outside the renderer, 64 samples"),
-        Figure("two-over-one", two / one, "1", "rate of two processes over one on one core, the same samples"),
+        Figure("rate-auto", _rate(runs["auto"], 2), "1/h", "samples per hour, two processes, default noise target"),
+        Figure("rate-64", two, "1/h", "samples per hour, two processes, 64 samples per pixel and stop"),
+        Figure("cpu-auto", _mean(runs["auto"], "cpu_s"), "s", "processor seconds per sample, default noise target"),
+        Figure("cpu-64", _mean(runs["two"], "cpu_s"), "s", "processor seconds per sample, 64 samples per pixel"),
+        Figure("outside-auto", _outside(runs["auto"]), "1", "share of time outside the renderer, default noise target"),
+        Figure("outside-64", _outside(runs["two"]), "1", "share of time outside the renderer, 64 samples per pixel"),
+        Figure("two-over-one", two / one, "1", "rate of two processes over that of one on one core, same samples"),
         Figure("memory", large / 1e3, "GB", "largest memory of a process"),
         Figure(
-            "growth", max(peak[-quarter:]) / max(peak[quarter : 2 * quarter]) - 1, "1", f"of it over {TINY} samples"
+            "growth",
+            max(peak[-quarter:]) / max(peak[quarter : 2 * quarter]) - 1,
+            "1",
+            f"relative growth of memory from the second to the last quarter of {TINY} samples",
         ),
     ]
     if "ray" in runs:
-        figures.append(Figure("ray-over-local", _rate(runs["ray"], 2) / two, "1", "rate of Ray over two processes"))
+        text = "rate of Ray on two cores over that of two local processes"
+        figures.append(Figure("ray-over-local", _rate(runs["ray"], 2) / two, "1", text))
     return figures
 
 
@@ -129,14 +139,21 @@ def _table(runs: dict[str, list[dict[str, float]]], tiny: list[dict[str, float]]
     rows = [
         [
             names[name],
-            *(f"{_mean(found, key):.1f}" for key in ("seconds", "cpu_s", "render_s")),
-            f"{_outside(found):.1%}",
-            f"{max(row['peak_mb'] for row in found) / 1e3:.2f}",
+            *(f"{_mean(samples, key):.1f}" for key in ("seconds", "cpu_s", "render_s")),
+            f"{_outside(samples):.1%}",
+            f"{max(sample['peak_mb'] for sample in samples) / 1e3:.2f}",
         ]
-        for name, found in (*runs.items(), ("tiny", tiny))
+        for name, samples in (*runs.items(), ("tiny", tiny))
     ]
-    head = ["run", "seconds a sample", "of the processor", "in the renderer", "outside it", "memory, GB"]
-    return f"{os.cpu_count()} cores", head, rows
+    head = [
+        "run",
+        "seconds per sample",
+        "processor seconds",
+        "seconds in the renderer",
+        "share outside the renderer",
+        "memory, GB",
+    ]
+    return f"Time per sample on {os.cpu_count()} cores", head, rows
 
 
 def _mean(rows: list[dict[str, float]], key: str) -> float:
@@ -144,7 +161,7 @@ def _mean(rows: list[dict[str, float]], key: str) -> float:
 
 
 def _rate(rows: list[dict[str, float]], processes: int) -> float:
-    """Samples an hour of so many processes that are always busy."""
+    """Samples per hour of ``processes`` processes that are always busy."""
     return 3600 * processes / _mean(rows, "seconds")
 
 
@@ -155,20 +172,21 @@ def _outside(rows: list[dict[str, float]]) -> float:
 def _run(
     folder: Path, kind: str, processes: int, changes: dict[str, Any], counted: int = COUNTED
 ) -> list[dict[str, float]]:
-    """What each of the first samples of a run took, in a process and with a cache of its own."""
-    home = Path(tempfile.mkdtemp(dir=folder))  # Dr.Jit keeps what it compiled below it
+    """Time and memory of the first ``counted`` samples of a run, which has a process and a kernel cache of its own."""
+    home = Path(tempfile.mkdtemp(dir=folder))  # Dr.Jit caches compiled kernels in the home folder
     data = {"name": "speed", "samples": 10 * counted, "seed": 7, "size_px": SIZE_PX} | changes
     request = json.dumps([kind, processes, data, str(home / "out"), counted])
-    here = os.environ | {"HOME": str(home), "DASIM_CACHE": str(cache_dir())}
-    here["PYTHONPATH"] = os.pathsep.join([str(Path(dasim.__file__).parents[1]), *sys.path])
-    done = subprocess.run([sys.executable, "-c", _RUN, request], env=here, capture_output=True, text=True)
-    if done.returncode != 0:
-        raise RuntimeError(f"dataset: {(done.stderr.strip().splitlines() or ['was killed'])[-1]}")
-    return list(json.loads(done.stdout.splitlines()[-1]))
+    environment = os.environ | {"HOME": str(home), "DASIM_CACHE_DIR": str(cache_dir())}
+    environment["PYTHONPATH"] = os.pathsep.join([str(Path(dasim.__file__).parents[1]), *sys.path])
+    process = subprocess.run([sys.executable, "-c", _RUN, request], env=environment, capture_output=True, text=True)
+    if process.returncode != 0:
+        message = (process.stderr.strip().splitlines() or ["the process was killed"])[-1]
+        raise RuntimeError(f"generation of the dataset failed: {message}")
+    return list(json.loads(process.stdout.splitlines()[-1]))
 
 
 def measured(kind: str, processes: int, data: dict[str, Any], out: str, counted: int) -> list[dict[str, float]]:
-    """Rows of the first samples: seconds, of them in the renderer, of the processor, and largest memory so far."""
+    """Time and memory of the first ``counted`` samples of a dataset; see :func:`figures` for their keys."""
     from dasim.base.toml import parse
     from dasim.dataset.sample import environment
     from dasim.dataset.specification import DatasetSpec
@@ -176,15 +194,15 @@ def measured(kind: str, processes: int, data: dict[str, Any], out: str, counted:
 
     job = Job(parse(DatasetSpec, data, "speed"), out, environment(backend.choose().variant))
     Path(out).mkdir()
-    found: dict[int, dict[str, float]] = {}
+    samples: dict[int, dict[str, float]] = {}
     with _executor(kind, processes) as run, contextlib.closing(run(job, deque(range(job.spec.samples)))) as outcomes:
         for outcome in outcomes:
             if outcome.error:
                 raise RuntimeError(f"sample {outcome.index}: {outcome.error}")
-            found[outcome.index] = dict(outcome.row or {})
-            if set(range(counted)) <= set(found):
+            samples[outcome.index] = dict(outcome.row or {})
+            if set(range(counted)) <= set(samples):
                 break
-    return [found[index] for index in range(counted)]
+    return [samples[index] for index in range(counted)]
 
 
 @contextlib.contextmanager
@@ -204,11 +222,11 @@ def _executor(kind: str, processes: int) -> Iterator[executors.Executor]:
         cluster.shutdown()
 
 
-_rendering = [0.0]
+_rendering = [0.0]  # seconds that the present sample has spent in the renderer
 
 
 def timed(job: Job, index: int) -> Outcome:
-    """The executors' work, with seconds in all, in the renderer and of the processor as the row."""
+    """Generate a sample as the executors do; the outcome's row holds its time and memory (see :func:`figures`)."""
     from dasim.dataset import sample
     from dasim.dataset.work import work
 
@@ -216,33 +234,35 @@ def timed(job: Job, index: int) -> Outcome:
     _watch()
     _rendering[0] = 0.0
     begin, cpu = time.perf_counter(), time.process_time()
-    done = work(job, index)
+    outcome = work(job, index)
     row = {
         "seconds": time.perf_counter() - begin,
         "cpu_s": time.process_time() - cpu,
         "render_s": _rendering[0],
-        "peak_mb": done.peak_mb,
+        "peak_mb": outcome.peak_mb,
     }
-    return replace(done, row=row)
+    return replace(outcome, row=row)
 
 
 def _watch() -> None:
-    """Have the functions that translate and trace scenes add up their time, once in a process."""
+    """Wrap the functions that translate and trace scenes in a timer, once per process."""
     for name, functions in RENDERING.items():
         module = importlib.import_module(f"dasim.render.{name}")
         for function in functions:
-            real = getattr(module, function)
-            if not hasattr(real, "watched"):
-                setattr(module, function, _added_up(real))
+            original = getattr(module, function)
+            if not hasattr(original, "has_timer"):
+                setattr(module, function, _with_timer(original))
 
 
-def _added_up(real: Any) -> Any:
+def _with_timer(function: Any) -> Any:
+    """The function, adding the time of each call to ``_rendering``."""
+
     def call(*arguments: Any, **options: Any) -> Any:
         begin = time.perf_counter()
         try:
-            return real(*arguments, **options)
+            return function(*arguments, **options)
         finally:
             _rendering[0] += time.perf_counter() - begin
 
-    call.watched = True  # type: ignore[attr-defined]
+    call.has_timer = True  # type: ignore[attr-defined]
     return call

@@ -1,4 +1,4 @@
-"""Claims of cost: how fast rendering noise falls, and what a picture costs."""
+"""Claims on rendering noise: how fast it falls with the number of samples, and its cost in processor time."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from validation.subjects import rendering
 from validation.subjects.rendering import NotRun
 
 SCENE = "desk"
-MAX_BLUR_PX = 30.0  # more than desk's nearest object has
+MAX_BLUR_PX = 30.0  # more than the blur of the nearest object of desk
 
 SLOPE_SIZE_PX = (96, 72)
 SLOPE_SPP = (16, 64, 256, 1024)
@@ -33,13 +33,14 @@ COST_SIZE_PX = (512, 384)
 COST_NOISE = 0.01
 COST_SPP = (36, 121)
 COST_NAIVE_SPP = 16
-COST_SEEDS, COST_NAIVE_SEEDS = 3, 12  # the naive picture's rare rays need more for their variance
+COST_SEEDS, COST_NAIVE_SEEDS = 3, 12  # few naive rays pass the stop, so their variance needs more seeds
 
 
 def relative_noise(pictures: FloatArray) -> FloatArray:
-    """Median over pixels of the relative standard deviation, [channel], from [seed, h, w, channel].
+    """Median over pixels of the relative standard deviation over seeds, [channel], from [seed, h, w, channel].
 
-    The median of a standard deviation of few seeds is too small; its expected value under normal noise is taken out.
+    The median of the standard deviation from few seeds is biased low. The bias is corrected for normal noise, with the
+    median of the chi-squared distribution.
     """
     count = len(pictures)
     mean = pictures.mean(axis=0)
@@ -48,42 +49,47 @@ def relative_noise(pictures: FloatArray) -> FloatArray:
 
 
 def desk(size_px: tuple[int, int]) -> tuple[dasim.Scene, Camera]:
-    """The bundled scene ``desk`` and a central crop of da-mobile, focused on it."""
+    """The bundled scene ``desk`` and a central crop [width, height] of da-mobile, focused as the scene proposes."""
     scene = scenes.load_scene(SCENE)
     return scene, dasim.focused(dasim.cropped(dasim.load_camera("da-mobile"), *size_px), scene)
 
 
 def noise_slope_off(progress: ShareDone) -> Evidence:
-    """Without diffraction, rendering noise falls faster than with independent samples, in every channel.
+    """Without diffraction, rendering noise falls faster with the number of samples than it does for independent
+    samples.
 
-    Rationale: quiet pictures must be affordable; independent samples give a slope of -0.5 in log-log.
+    Rationale: pictures with little rendering noise must be affordable. Independent samples give a slope of -0.5 of
+    log noise against log samples.
 
-    Set-up: a central crop of 96 x 72 px of the bundled scene ``desk``, da-mobile, both stops, 16, 64, 256 and 1,024
-    samples a pixel and stop, four seeds each, diffraction off.
+    Set-up: a central crop of 96 x 72 px of the bundled scene ``desk``, da-mobile, both stops, with 16, 64, 256 and
+    1,024 samples per pixel and stop, four seeds each, diffraction off. Noise is the median over pixels of the relative
+    standard deviation over seeds.
 
-    Expectation: the straight line through log noise (median over pixels of the relative standard deviation between
-    seeds) against log samples is steep.
+    Expectation: the slope of the straight line through log noise against log samples is steeper than -0.5 in every
+    channel.
 
-    Limit: below -0.6 for each channel.
+    Limit: slope below -0.6 for each channel.
 
-    Source: stratified samples in several dimensions; -0.5 is the law of independent ones.
+    Source: stratified sampling in several dimensions; the noise of independent samples falls as N^-0.5.
     """
     rendering.activate()
     return _noise_slope("off", progress)
 
 
 def noise_slope_wave(progress: ShareDone) -> Evidence:
-    """With wave-true blur, rendering noise falls faster than with independent samples, in every channel.
+    """With wave-true blur, rendering noise falls faster with the number of samples than it does for independent
+    samples.
 
-    Rationale: the weights of wave optics must not undo what stratified samples gain.
+    Rationale: the sample weights of wave optics must not cancel the gain of stratified sampling.
 
     Set-up: as in ``noise-slope-off``, with diffraction 'wave'.
 
-    Expectation: the straight line through log noise against log samples is steep.
+    Expectation: the slope of the straight line through log noise against log samples is steeper than -0.5 in every
+    channel.
 
-    Limit: below -0.6 for each channel.
+    Limit: slope below -0.6 for each channel.
 
-    Source: stratified samples in several dimensions; -0.5 is the law of independent ones.
+    Source: stratified sampling in several dimensions; the noise of independent samples falls as N^-0.5.
     """
     rendering.needs_wave()
     return _noise_slope("wave", progress)
@@ -108,12 +114,13 @@ def _noise_slope(model: str, progress: ShareDone) -> Evidence:
     slopes = np.polyfit(np.log(count), np.log(noise), 1)[0]
     figures = []
     for channel, name in enumerate(CHANNELS):
-        what = f"{name}: slope of log noise against log samples, {count[0]} to {count[-1]} samples"
+        what = f"{name}: slope of log noise against log samples, {count[0]} to {count[-1]} samples per pixel and stop"
         figures.append(Figure(f"slope.{name}", float(slopes[channel]), "1", what))
     for channel, name in enumerate(CHANNELS):
-        what = f"{name}: median noise at {count[2]} samples"
+        what = f"{name}: median relative noise at {count[2]} samples per pixel and stop"
         figures.append(Figure(f"noise.{name}", float(noise[2, channel]), "1", what))
-    return Evidence(figures, [("Median relative noise against samples; grey: slope -0.6", _slope_plot(count, noise))])
+    caption = "Median relative noise against samples per pixel and stop; grey: slope -0.6"
+    return Evidence(figures, [(caption, _slope_plot(count, noise))])
 
 
 def _slope_plot(count: FloatArray, noise: FloatArray) -> str:
@@ -121,25 +128,27 @@ def _slope_plot(count: FloatArray, noise: FloatArray) -> str:
         for channel, name in enumerate(CHANNELS):
             axes.loglog(count, noise[:, channel], "o-", label=name, color=CHANNEL_COLOURS[name])
         axes.loglog(count, noise[0].max() * (count / count[0]) ** -0.6, color="0.7")
-        axes.set(xlabel="samples a pixel and stop", ylabel="relative noise")
+        axes.set(xlabel="samples per pixel and stop", ylabel="relative noise")
         axes.legend(ncols=2)
 
     return plot(draw, size=(5.0, 3.2))
 
 
 def desk_noise(progress: ShareDone) -> Evidence:
-    """Wave-true blur costs at most three times the noise of geometric blur, and both are quiet at 256 samples.
+    """Wave-true blur has at most three times the rendering noise of geometric blur, and below 0.6 % at 256 samples.
 
-    Rationale: weights of wave optics are paid for in noise; a photon-limited pixel with 1,000 electrons has 3 %.
+    Rationale: the sample weights of wave optics add noise, which must stay well below shot noise: a pixel with 1,000
+    electrons has 3 %.
 
-    Set-up: the bundled scene ``desk``, central 384 x 288 px, da-mobile, both stops, 256 samples a pixel and stop,
-    three seeds, diffraction off and wave.
+    Set-up: the bundled scene ``desk``, central 384 x 288 px, da-mobile, both stops, 256 samples per pixel and stop,
+    three seeds, with diffraction 'off' and 'wave'.
 
-    Expectation: the median over pixels of the relative standard deviation between seeds, a channel.
+    Expectation: the noise of each channel, as the median over pixels of the relative standard deviation over seeds, is
+    of similar size with and without diffraction.
 
-    Limit: wave at most 3 times off, and below 0.6 %.
+    Limit: noise with 'wave' at most 3 times that with 'off', and below 0.6 %.
 
-    Source: the limits are the project's own; the price of plain weights is E[w^2] up to 1.6.
+    Source: the limits are the project's own; plain weights w would multiply the variance by E[w^2], up to 1.6.
     """
     from dasim.render import translate
 
@@ -150,39 +159,41 @@ def desk_noise(progress: ShareDone) -> Evidence:
     for part, model in enumerate(("off", "wave")):
         pictures = []
         for seed in range(NOISE_SEEDS):
-            found = rendering.stop_pictures(
+            stops = rendering.stop_pictures(
                 loaded, camera, NOISE_SPP, seed, diffraction=model, max_blur_px=MAX_BLUR_PX, spectrum=spectrum
             )
-            pictures.append(found.sum(axis=0))
+            pictures.append(stops.sum(axis=0))
             progress((part * NOISE_SEEDS + seed + 1) / (2 * NOISE_SEEDS))
         noise[model] = relative_noise(np.stack(pictures))
     figures = []
     for channel, name in enumerate(CHANNELS):
         wave, off = float(noise["wave"][channel]), float(noise["off"][channel])
         figures += [
-            Figure(f"wave.{name}", wave, "1", f"{name}: median noise of wave at {NOISE_SPP} samples"),
-            Figure(f"off.{name}", off, "1", f"{name}: median noise of off"),
-            Figure(f"ratio.{name}", wave / off, "1", f"{name}: wave over off"),
+            Figure(f"wave.{name}", wave, "1", f"{name}: median relative noise with 'wave', {NOISE_SPP} samples"),
+            Figure(f"off.{name}", off, "1", f"{name}: median relative noise with 'off', {NOISE_SPP} samples"),
+            Figure(f"ratio.{name}", wave / off, "1", f"{name}: noise with 'wave' over noise with 'off'"),
         ]
     return Evidence(figures)
 
 
 def render_cost(progress: ShareDone) -> Evidence:
-    """One pass a stop reaches 1 % noise in the near-infrared at a fraction of the naive render's cost.
+    """Rendering one pass per stop reaches 1 % noise in near-infrared at a fraction of a naive renderer's cost.
 
-    Rationale: it is why the camera is a sum of passes; a ray that the stop rejects is computed for nothing.
+    Rationale: the simulator renders each stop in a separate pass because a ray that a stop blocks is wasted work.
 
-    Set-up: the bundled scene ``desk``, central 512 x 384 px, da-mobile, diffraction off, both in one run and one
-    process, CPU seconds of all threads with kernels compiled before. Ours: both stops at 36 and 121 samples.
-    Naive (``references.naive_render``): one pass, ``independent`` sampler, four wavelengths per ray spread over 400
-    to 830 nm, rays over the open lens, the stop tested on each. Noise from
-    three seeds (naive: twelve), the median over pixels.
+    Set-up: the bundled scene ``desk``, central 512 x 384 px, da-mobile, diffraction off. Both renderers run in the same
+    process with compiled kernels, and their cost is the processor time of all threads. Ours renders both stops with 36
+    and 121 samples per pixel. The naive renderer (``validation.references.naive_render``) uses one pass with the
+    ``independent`` sampler and four wavelengths per ray spread over 400 to 830 nm; its rays cover the open lens, and
+    each is tested against the stops. Noise is the median over pixels of the relative standard deviation over three
+    seeds (naive: twelve).
 
-    Expectation: CPU seconds to 1 % noise in IR. Ours by the power law through the two measured points; the naive
-    one from a measured run by the exact law of independent samples, noise^2 ~ 1 / N, cost ~ N. Its noise cannot be
-    less than what the stop's rejections alone make: sqrt((1 / alpha^2 - 1) / N), 0.48 at 16 samples.
+    Expectation: compared is the processor time to 1 % noise in IR. For ours it follows from the power law through both
+    measured points, for the naive renderer from one measured run and the law of independent samples, noise^2 ~ 1 / N
+    and cost ~ N. The naive noise is at least that of the rejections at the stop alone, sqrt((1 / alpha^2 - 1) / N),
+    which is 0.48 at 16 samples.
 
-    Limit: at least 50 times cheaper.
+    Limit: ours at least 50 times cheaper.
 
     Source: the measured run itself; 1/N is the variance of a mean of independent samples.
     """
@@ -206,27 +217,29 @@ def render_cost(progress: ShareDone) -> Evidence:
     pictures = []
     noise, cost = np.empty((len(runs), 4)), np.empty(len(runs))
     for index, (render, spp, seeds) in enumerate(runs):
-        render(spp, seeds)  # compiles
+        render(spp, seeds)  # compiles the kernels
         begin = time.process_time()
-        found = [render(spp, seed) for seed in range(seeds)]
+        renders = [render(spp, seed) for seed in range(seeds)]
         cost[index] = (time.process_time() - begin) / seeds
-        noise[index] = relative_noise(np.stack(found))
-        pictures.append(np.mean(found, axis=0).mean(axis=(0, 1)))
+        noise[index] = relative_noise(np.stack(renders))
+        pictures.append(np.mean(renders, axis=0).mean(axis=(0, 1)))
         progress((index + 1) / len(runs))
     infrared = CHANNELS.index("IR")
-    slope = np.log(noise[1] / noise[0]) / np.log(cost[1] / cost[0])  # of noise against cost, set-up included
+    slope = np.log(noise[1] / noise[0]) / np.log(cost[1] / cost[0])  # of log noise against log cost, overhead included
     ours_s = cost[0] * (COST_NOISE / noise[0]) ** (1 / slope)
     naive_s = cost[2] * (noise[2] / COST_NOISE) ** 2
     count = [passes.sample_count(spp) for spp in COST_SPP]
     figures = [
-        Figure("ratio", naive_s[infrared] / ours_s[infrared], "1", "CPU time to 1 % noise in IR: naive over ours"),
-        Figure("ours", float(ours_s[infrared]), "s", "ours: CPU seconds to 1 % noise in IR, by the power law"),
-        Figure("naive", float(naive_s[infrared]), "s", "naive: CPU seconds to 1 % noise in IR, extrapolated by 1/N"),
+        Figure(
+            "ratio", naive_s[infrared] / ours_s[infrared], "1", "processor time to 1 % noise in IR, naive over ours"
+        ),
+        Figure("ours", float(ours_s[infrared]), "s", "ours: processor time to 1 % noise in IR, by the power law"),
+        Figure("naive", float(naive_s[infrared]), "s", "naive: processor time to 1 % noise in IR, by the law of 1/N"),
     ]
     for index, name in enumerate((f"ours-{count[0]}", f"ours-{count[1]}", f"naive-{COST_NAIVE_SPP}")):
-        figures.append(Figure(f"{name}.noise", float(noise[index, infrared]), "1", "median noise in IR, measured"))
-        figures.append(Figure(f"{name}.cost", float(cost[index]), "s", "CPU seconds a picture, measured"))
+        figures.append(Figure(f"{name}.noise", float(noise[index, infrared]), "1", "median relative noise in IR"))
+        figures.append(Figure(f"{name}.cost", float(cost[index]), "s", "processor time per picture"))
     for channel, name in enumerate(CHANNELS):
-        what = f"{name}: mean of the naive picture over ours, less 1"
+        what = f"{name}: relative difference of the naive picture's mean from ours"
         figures.append(Figure(f"difference.{name}", float(pictures[2][channel] / pictures[1][channel] - 1), "1", what))
     return Evidence(figures)

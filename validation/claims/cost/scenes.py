@@ -1,4 +1,4 @@
-"""Claims of scenes and their truth: registration, light between surfaces, and what a picture costs in time."""
+"""Claims on scenes and their truth: registration, interpolated irradiance, and the time to render a picture."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from validation.subjects import rendering
 # --- registration --------------------------------------------------------------------------------
 
 GRID_SIZE_PX = (192, 144)
-GRID_STEP_PX = 37.3  # no whole number: the points lie anywhere in their pixels
+GRID_STEP_PX = 37.3  # not a whole number, so that the discs have different sub-pixel positions
 GRID_RADIUS_PX = 4.0
 GRID_BLURS_PX = (0.0, 6.0)  # in focus, and defocused
 GRID_WINDOW_PX = 14
@@ -32,18 +32,20 @@ GRID_SPP = 256
 
 
 def registration(progress: ShareDone) -> Evidence:
-    """Truth and capture are registered: what lies at a pixel of one lies at the same pixel of the other.
+    """Truth and capture are registered: each scene point has the same pixel position in both.
 
-    Rationale: half a pixel between truth and capture would pass for a fault of every algorithm that is scored.
+    Rationale: an offset of half a pixel between truth and capture would look like an error of every algorithm that is
+    scored.
 
     Set-up: a grid of 15 white discs of 4 px radius before a black wall, once in focus (40 cm) and once at 6 px of
-    visible blur, da-mobile, central 192 x 144 px, all four channels. Wave-true where the variant can. Discs face the
-    camera on places that are no whole pixels apart.
+    visible blur; da-mobile, central 192 x 144 px, all four channels, wave-true blur where the variant supports it. The
+    discs face the camera, and their distances are not whole numbers of pixels.
 
-    Expectation: centroids of the light in ``mean_e`` (through the lens) and ``sharp_e`` (the pinhole), and of the
-    labels ``object_id``, lie where similar triangles put the discs' centres: s X / Z from the frame's middle.
+    Expectation: the centroids of the light in ``mean_e`` (through the lens) and in ``sharp_e`` (through a pinhole), and
+    those of the labels ``object_id``, lie at the projections of the discs' centres, s X / Z from the frame's centre.
 
-    Limit: 0.05 px for every disc of both pictures; for the labels, which are whole pixels, for the mean of the grid.
+    Limit: 0.05 px for every disc in both pictures. Labels are whole pixels, so the limit applies to the mean error over
+    the grid.
 
     Source: the thin lens; central projection.
     """
@@ -77,19 +79,23 @@ def registration(progress: ShareDone) -> Evidence:
             for channel, name in enumerate(channels(camera.sensor)):
                 errors = [_centroid(picture[..., channel], place) - place for place in centre]
                 worst = float(np.abs(errors).max())
-                text = f"{what}, {name}: worst centroid of {len(centre)} discs against the projection, {variant}"
+                text = f"{what}, {name}: largest error of the centroids of {len(centre)} discs, {variant}"
                 figures.append(Figure(f"{label}.{what}.{name}", worst, "px", text))
-        found = [
+        labels = [
             np.argwhere(shot.truth.object_id == index + 1).mean(axis=0)[::-1] + 0.5 for index in range(len(centre))
         ]
-        bias = float(np.abs(np.mean(np.array(found) - centre, axis=0)).max())
-        figures.append(Figure(f"{label}.object_id", bias, "px", "labels: mean centroid of the discs, the worse axis"))
+        bias = float(np.abs(np.mean(np.array(labels) - centre, axis=0)).max())
+        text = "object_id: mean error of the discs' centroids, on the worse axis"
+        figures.append(Figure(f"{label}.object_id", bias, "px", text))
         progress((part + 1) / len(GRID_BLURS_PX))
     return Evidence(figures)
 
 
 def _centroid(picture: FloatArray, about: FloatArray) -> FloatArray:
-    """Centroid (x, y) in pixels, centres at +0.5, of what is brighter than the black wall around a place."""
+    """Centroid (x, y) in pixels, centres at +0.5, of the light above the background in a window around ``about``.
+
+    The background is the median over the window's border.
+    """
     left, top = (round(float(value)) - GRID_WINDOW_PX for value in about)
     left, top = max(left, 0), max(top, 0)
     part = picture[top : top + 2 * GRID_WINDOW_PX, left : left + 2 * GRID_WINDOW_PX]
@@ -108,16 +114,16 @@ LIGHT_BLOCK_PX = 8
 
 
 def interreflection(progress: ShareDone) -> Evidence:
-    """Interpolating the light from all around and between surfaces changes no picture.
+    """Interpolated irradiance from domes and from other surfaces gives the same pictures as path tracing.
 
-    Rationale: the renderer traces that light on a grid and interpolates it where it is smooth (irradiance caching,
-    Ward 1988). What is interpolated is not exact, so it is held against what is traced.
+    Rationale: the renderer traces indirect light and the light of domes on a grid, and interpolates it where it is
+    smooth (irradiance caching, Ward 1988). Interpolation is an approximation, so it is compared with full path tracing.
 
-    Set-up: the bundled scenes ``desk`` and ``fence``, central 256 x 192 px, da-mobile, both stops, diffraction off:
-    twice 256 samples with the field, and twice 1,024 samples traced throughout.
+    Set-up: the bundled scenes ``desk`` and ``adam``, central 256 x 192 px, da-mobile, both stops, diffraction off. Two
+    renders of 256 samples per pixel with interpolated irradiance, and two of 1,024 samples traced throughout.
 
-    Expectation: means over blocks of 8 x 8 pixels are the same within the noise of rendering, which the differences
-    of each pair tell, and which is taken out of the root mean square.
+    Expectation: means over blocks of 8 x 8 pixels agree within rendering noise. The noise is estimated from the
+    difference within each pair, and its variance is subtracted from the mean square difference.
 
     Limit: 0.5 % for the root mean square of the blocks' relative differences, 0.2 % for the mean of the picture.
 
@@ -155,14 +161,17 @@ def interreflection(progress: ShareDone) -> Evidence:
             square = float(np.mean(difference[..., channel] ** 2 - noise[..., channel]))
             rms = max(square, 0.0) ** 0.5
             mean = float(ours[..., channel].mean() / traced[..., channel].mean() - 1)
-            figures.append(Figure(f"{name}.rms.{colour}", rms, "1", f"{name}, {colour}: blocks, noise taken out"))
-            figures.append(Figure(f"{name}.mean.{colour}", mean, "1", f"{name}, {colour}: mean of the picture"))
-        known_share = f"{name}: share of the grid's cells that are interpolated"
-        figures.append(Figure(f"{name}.interpolated", fields[0].share, "1", known_share))
+            rms_text = f"{name}, {colour}: RMS relative difference of block means, noise variance subtracted"
+            mean_text = f"{name}, {colour}: relative difference of the picture's mean"
+            figures.append(Figure(f"{name}.rms.{colour}", rms, "1", rms_text))
+            figures.append(Figure(f"{name}.mean.{colour}", mean, "1", mean_text))
+        share_text = f"{name}: share of the grid's cells that are interpolated"
+        figures.append(Figure(f"{name}.interpolated", fields[0].share, "1", share_text))
     return Evidence(figures)
 
 
 def _blocks(picture: FloatArray) -> FloatArray:
+    """Means over square blocks of ``LIGHT_BLOCK_PX`` of a picture [h, w, channel]."""
     height, width = (extent // LIGHT_BLOCK_PX for extent in picture.shape[:2])
     whole = picture[: height * LIGHT_BLOCK_PX, : width * LIGHT_BLOCK_PX]
     return whole.reshape(height, LIGHT_BLOCK_PX, width, LIGHT_BLOCK_PX, -1).mean(axis=(1, 3))
@@ -172,7 +181,7 @@ def _blocks(picture: FloatArray) -> FloatArray:
 
 SPEED_SIZE_PX = (512, 384)
 SPEED_TRIANGLES = 500_000
-SPEED_PICTURE = ("staircase", "depth-steps")  # families are one scene of many
+SPEED_EXCLUDED = ("staircase", "depth-steps")  # test targets, which stand for many similar scenes
 
 _TIMED = """
 import json, resource, sys, time
@@ -184,9 +193,7 @@ def render():
     shot = dasim.simulate(scene, camera, 0, spp="auto")
     return time.perf_counter() - begin, shot
 first, shot = render()
-seconds = first
-if sys.argv[4] == "warm":
-    seconds, shot = render()
+seconds, shot = render()
 peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1 if sys.platform == "darwin" else 1024)
 about = shot.capture.provenance
 print(json.dumps({"first_s": first, "s": seconds, "memory_gb": peak / 1e9, "spp": about["spp"],
@@ -195,53 +202,64 @@ print(json.dumps({"first_s": first, "s": seconds, "memory_gb": peak / 1e9, "spp"
 
 
 def scenes_speed(progress: ShareDone) -> Evidence:
-    """A bundled scene renders in seconds, and a large mesh loads in a few.
+    """Every bundled scene renders in seconds, and a large mesh loads in a few seconds.
 
-    Rationale: data sets are made of thousands of pictures.
+    Rationale: datasets consist of thousands of pictures.
 
-    Set-up: every bundled scene at 512 x 384, da-mobile, the default noise target (``--spp auto``: a fifth of the
-    sensor's own noise at the median pixel), each in a process of its own that renders it twice; the second time
-    counts, since kernels are compiled once and kept. Then the desk with a mesh of 500,000 triangles, against without.
+    Set-up: every bundled scene at 512 x 384 px with da-mobile at the default noise target (``--spp auto``: rendering
+    noise is a fifth of the sensor noise at the median pixel). Each scene is rendered twice in a separate process, and
+    the second render counts, since kernels are compiled once and cached. The time to load a mesh is that of a scene
+    with a mesh of 500,000 triangles less that of the same scene with a disc in its place.
 
-    Expectation: reported in seconds of this computer, which is what was free of it: run alone.
+    Expectation: times are those of this computer with its present load, so run this claim alone.
 
-    Limit: 12 s a scene, 3 s for the mesh, 2 GB of memory, on two cores with LLVM.
+    Limit: 12 s per scene, 3 s for the mesh, 2 GB of memory, on two cores with LLVM.
 
     Source: the project's own limits.
     """
     variant = rendering.activate()
-    names = [name for name in scenes.scene_names() if name not in SPEED_PICTURE]
+    names = [name for name in scenes.scene_names() if name not in SPEED_EXCLUDED]
     figures: list[Figure] = []
     rows: list[list[str]] = []
     for index, name in enumerate(names):
-        found = _timed(name)
+        timing = _timing(name)
         rows.append(
             [
                 name,
-                *(f"{found[key]:.{digits}f}" for key, digits in (("first_s", 1), ("s", 1), ("memory_gb", 2))),
-                " + ".join(str(count) for count in found["spp"].values()),
-                f"{found['share']:.2f}",
+                *(f"{timing[key]:.{digits}f}" for key, digits in (("first_s", 1), ("s", 1), ("memory_gb", 2))),
+                " + ".join(str(count) for count in timing["spp"].values()),
+                f"{timing['share']:.2f}",
             ]
         )
-        figures.append(Figure(f"{name}.seconds", found["s"], "s", f"{name}: seconds a picture, {variant}"))
-        figures.append(Figure(f"{name}.memory", found["memory_gb"], "GB", f"{name}: largest memory"))
+        figures.append(Figure(f"{name}.seconds", timing["s"], "s", f"{name}: time per picture, {variant}"))
+        figures.append(Figure(f"{name}.memory", timing["memory_gb"], "GB", f"{name}: largest memory of the process"))
         progress((index + 1) / (len(names) + 1))
-    figures.append(Figure("mesh.seconds", _mesh_seconds(), "s", f"a mesh of {SPEED_TRIANGLES} triangles, PLY"))
+    text = f"time to load a mesh of {SPEED_TRIANGLES:,} triangles from PLY"
+    figures.append(Figure("mesh.seconds", _mesh_seconds(), "s", text))
     progress(1.0)
-    head = ["scene", "first picture, s", "second, s", "memory, GB", "samples of the stops", "noise share reached"]
-    return Evidence(figures, [], [(f"{os.cpu_count()} cores, {variant}", head, rows)])
+    head = [
+        "scene",
+        "first picture, s",
+        "second picture, s",
+        "memory, GB",
+        "samples per pixel of each stop",
+        "rendering noise over sensor noise",
+    ]
+    return Evidence(figures, [], [(f"Rendering on {os.cpu_count()} cores, {variant}", head, rows)])
 
 
-def _timed(name: str) -> dict[str, Any]:
-    command = [sys.executable, "-c", _TIMED, name, *(str(value) for value in SPEED_SIZE_PX), "warm"]
-    done = subprocess.run(command, capture_output=True, text=True)
-    if done.returncode != 0:
-        raise RuntimeError(f"scene {name}: {done.stderr.strip().splitlines()[-1]}")
-    return dict(json.loads(done.stdout.splitlines()[-1]))
+def _timing(name: str) -> dict[str, Any]:
+    """Seconds, memory and samples of a scene's renders in a separate process."""
+    command = [sys.executable, "-c", _TIMED, name, *(str(value) for value in SPEED_SIZE_PX)]
+    process = subprocess.run(command, capture_output=True, text=True)
+    if process.returncode != 0:
+        message = (process.stderr.strip().splitlines() or ["the process was killed"])[-1]
+        raise RuntimeError(f"rendering scene {name} failed: {message}")
+    return dict(json.loads(process.stdout.splitlines()[-1]))
 
 
 def _mesh_seconds() -> float:
-    """Seconds to read, check and hand over a mesh, less those of the same scene without it."""
+    """Seconds to read, check and translate a large mesh, beyond those of the same scene with a disc in its place."""
     import trimesh
 
     side = int(np.ceil(np.sqrt(SPEED_TRIANGLES / 2)))
@@ -260,6 +278,7 @@ def _mesh_seconds() -> float:
 
 
 def _load_seconds(folder: Path, shape: str, camera: Camera) -> float:
+    """Seconds to load and translate a scene of one object, whose shape is given in TOML."""
     from dasim.render import translate
 
     text = 'name = "large"\n[[lights]]\nkind = "dome"\nilluminant = "D65"\nlux = 500\n'

@@ -1,4 +1,4 @@
-"""Claim of sec. 3.3: where the radius of the near-infrared hole stands between light and depth."""
+"""Claim on sec. 3.3: the hole's radius as a compromise between near-infrared light and depth accuracy."""
 
 from __future__ import annotations
 
@@ -26,34 +26,38 @@ PAPERS = 0.46
 LIGHTS = ("D65", "A", "energy-saving-3500K", "LED-B3")
 LEVELS_LUX = {"bright": 5000.0, "dim": 50.0}
 FOCUS_M = 0.4  # the far end of the paper's first working range, 5 to 40 cm
-BLURS_PX = np.array([3.0, 8.0, 14.0, 20.0, 26.0, 32.0, 40.0, 47.0])  # visible: 24 to 5 cm, even in dioptres
-TICKS = (0.2, 0.5, 1, 2, 4)  # of the depth error's axis
+BLURS_PX = np.array([3.0, 8.0, 14.0, 20.0, 26.0, 32.0, 40.0, 47.0])  # visible: 24 to 5 cm, about evenly in dioptres
+TICKS = (0.2, 0.5, 1, 2, 4)  # on the axis of the depth error
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7")
 
 
 def balance(progress: ShareDone) -> Evidence:
-    """A hole of 0.46 gives nearly the depth of the best one, which would be larger in most light.
+    """A hole of radius ratio 0.46 has nearly the least possible depth error; in most light the optimum is larger.
 
-    Rationale: sec. 3.3 wants the hole as large as possible for light and noise, as small as possible for crosstalk and
-    a deep field of infrared, and found 0.46 by experiment. Here both sides are computed.
+    Rationale: by sec. 3.3 the hole should be large for light and low noise, and small for little crosstalk and a large
+    depth of field in infrared; the paper chose 0.46 by experiment. This claim computes both sides of the compromise.
 
-    Set-up: da-mobile focused at 40 cm with holes of 0.2 to 0.9, its own crosstalk and diffraction; four lights; 5,000
-    lux (white at the automatic exposure's level) and 50 lux (at most 1/30 s). A texture of natural spectrum, mean 0.4
-    of white, contrast 15 % an octave, in the paper's patch; nothing of the texture is known, so that the difference of
-    blur alone tells depth. Depth error: the Cramer-Rao bound from the samples of the green and the infrared plane, root
-    mean square over visible blurs of 3 to 47 px (5 to 24 cm), in dioptres: the same scale for every hole.
+    Set-up: da-mobile focused at 40 cm with holes of radius ratio alpha = 0.2 to 0.9, including crosstalk and
+    diffraction; four illuminants; 5,000 lux (white at the level of the automatic exposure) and 50 lux (exposure time at
+    most 1/30 s). The texture has a natural power spectrum, a mean of 0.4 of white, a contrast of 15 % per octave and
+    the extent of the paper's patch. The texture itself is unknown, so that only the difference in blur between the
+    channels carries depth. The depth error is the Cramer-Rao bound from the samples of the green and the infrared
+    plane, as the root mean square over visible blur diameters of 3 to 47 px (24 to 5 cm). It is stated in dioptres,
+    which makes holes comparable.
 
-    Expectation: light loss (1 - alpha^2) / 4, 19.7 % at 0.46; infrared's signal over noise rises with alpha; the depth
-    error has a minimum in between, since an alpha of 1 has no difference of blur and an alpha of 0 no light. Where it
-    lies is reported for each light and level, and what 0.46 costs against it. By this criterion alone 0.65 to 0.75
-    would be better in most light and clearly so in the dark; under A, rich in near-infrared, crosstalk asks for 0.33 in
-    bright light. 0.46 stands at the small end of a flat minimum: it gives up little depth for a deep field of
-    infrared, the paper's second wish, which the error of depth does not count.
+    Expectation: the light loss is (1 - alpha^2) / 4, which is 19.7 % at 0.46. The signal-to-noise ratio of infrared
+    rises with alpha. The depth error has a minimum in between, since alpha = 1 leaves no difference in blur and
+    alpha = 0 no light. The claim reports the minimum for each illuminant and level, and the error at 0.46 relative to
+    it. By this criterion alone 0.65 to 0.75 is better in most light, clearly so in dim light; under illuminant A, which
+    is rich in near-infrared, crosstalk moves the optimum in bright light to 0.33. A hole of 0.46 lies at the small end
+    of a flat minimum: it gives up little depth accuracy for a large depth of field in infrared, which the paper also
+    asks for and the depth error does not measure.
 
-    Limit: loss at 0.46 from 0.195 to 0.205; at 5,000 lux and each light the error at 0.46 at most 1.25 of the least, a
-    hole of 0.2 at least 1.2 and one of 0.9 at least 1.3 times worse than 0.46.
+    Limit: light loss at 0.46 from 0.195 to 0.205. At 5,000 lux, for each illuminant, the depth error at 0.46 is at most
+    1.25 times the minimum; that of a hole of 0.2 is at least 1.2 times, and that of 0.9 at least 1.3 times, the error
+    at 0.46.
 
-    Source: sec. 3.3 and eq. (1); the criterion for depth is the project's own, the paper gives none.
+    Source: sec. 3.3 and eq. (1); the criterion for depth is the project's own, since the paper gives none.
     """
     camera = cameras.refocused(dasim.load_camera("da-mobile"), FOCUS_M)
     error, snr = np.empty((2, len(LEVELS_LUX), len(LIGHTS), len(ALPHAS)))
@@ -67,34 +71,43 @@ def balance(progress: ShareDone) -> Evidence:
         progress((number + 1) / len(ALPHAS))
     loss = [aperture.light_loss([(1, alpha)], 4) for alpha in ALPHAS]
     own = ALPHAS.index(PAPERS)
-    figures = [Figure("light-loss", loss[own], "1", "light lost by a hole of 0.46, eq. (1)")]
+    figures = [Figure("light-loss", loss[own], "1", "share of the light lost with a hole of 0.46, eq. (1)")]
     rows = []
     for row, (name, level_lux) in enumerate(LEVELS_LUX.items()):
         for column, light in enumerate(LIGHTS):
             curve = error[row, column]
             best, least = minimum(np.array(ALPHAS), curve)
-            label, said = f"{light}.{name}", f"{light}, {level_lux:g} lux"
+            label, case = f"{light}.{name}", f"{light}, {level_lux:g} lux"
+            ratio_text = f"{case}: depth error at 0.46 over the minimum"
             figures += [
-                Figure(f"{label}.best-hole", best, "1", f"{said}: radius ratio of the least depth error"),
-                Figure(f"{label}.cost", float(curve[own] / least), "1", f"{said}: depth error at 0.46 over the least"),
-                Figure(f"{label}.error", float(curve[own]), "1/m", f"{said}: depth error at 0.46, Cramer-Rao bound"),
-                Figure(f"{label}.snr", float(snr[row, column, own]), "1", f"{said}: signal over noise of infrared"),
+                Figure(f"{label}.best-hole", best, "1", f"{case}: radius ratio with the least depth error"),
+                Figure(f"{label}.cost", float(curve[own] / least), "1", ratio_text),
+                Figure(f"{label}.error", float(curve[own]), "1/m", f"{case}: depth error at 0.46, Cramer-Rao bound"),
+                Figure(
+                    f"{label}.snr", float(snr[row, column, own]), "1", f"{case}: signal-to-noise ratio of IR at 0.46"
+                ),
             ]
             if name == "bright":
                 for key, index in (("small-hole", 0), ("large-hole", -1)):
-                    text = f"{said}: depth error of a hole of {ALPHAS[index]} over that of 0.46"
+                    text = f"{case}: depth error with a hole of {ALPHAS[index]} over that with 0.46"
                     figures.append(Figure(f"{label}.{key}", float(curve[index] / curve[own]), "1", text))
             cells = [f"{best:.2f}", f"{curve[own] / least:.2f}", f"{curve[own]:.3f}"]
             rows.append([light, f"{level_lux:g}", *cells, f"{snr[row, column, own]:.1f}"])
-    head = ["light", "lux", "best hole", "0.46 over best", "error at 0.46, 1/m", "infrared signal / noise"]
-    caption = "Light loss, infrared's signal over noise, and depth error against the radius of the hole"
-    return Evidence(
-        figures, pictures=[(caption, _curves(loss, snr, error))], tables=[("Where 0.46 stands", head, rows)]
-    )
+    head = [
+        "light",
+        "lux",
+        "best radius ratio",
+        "depth error at 0.46 over minimum",
+        "depth error at 0.46, 1/m",
+        "signal-to-noise ratio of IR at 0.46",
+    ]
+    caption = "Light loss, signal-to-noise ratio of IR, and depth error against the radius ratio of the hole"
+    table = ("A hole of 0.46 against the best one", head, rows)
+    return Evidence(figures, pictures=[(caption, _curves(loss, snr, error))], tables=[table])
 
 
 def with_hole(camera: Camera, alpha: float) -> Camera:
-    """The camera with another radius of its near-infrared hole."""
+    """The camera with its near-infrared hole changed to the radius ratio ``alpha``."""
     stops = [stop.model_dump() | ({"radius_ratio": alpha} if stop.name == "hole" else {}) for stop in camera.stops]
     return rendering.changed(camera, stops=stops)
 
@@ -102,9 +115,10 @@ def with_hole(camera: Camera, alpha: float) -> Camera:
 def depth_error(
     camera: Camera, light: str, level_lux: float, transfers: tuple[NDArray, NDArray]
 ) -> tuple[float, float]:
-    """Root mean square of the depth bound in dioptres, and the signal over noise of infrared.
+    """Root mean square over blur of the Cramer-Rao bound of 1/z in dioptres, and the signal-to-noise ratio of IR.
 
-    ``transfers`` H and dH/dc [blur, channel, h, w/2 + 1] of the planes of a mosaic.
+    ``transfers`` are the transfer functions H and their derivatives dH/dc by blur diameter,
+    [blur, channel, h, w/2 + 1], at the sample spacing of one colour plane of the mosaic (2 px).
     """
     pair = [CHANNELS.index(name) for name in strips.PAIR]
     white, time_s = white_electrons(camera, light, level_lux)
@@ -129,7 +143,10 @@ def depth_error(
 
 
 def minimum(x: FloatArray, y: FloatArray) -> tuple[float, float]:
-    """Place and value of the least of a curve, by a parabola in the logarithm through the three lowest points."""
+    """Position and value of a curve's minimum, by a parabola through the logarithms of the three points around it.
+
+    A minimum at either end of the curve is returned as it stands.
+    """
     index = int(np.clip(np.argmin(y), 1, len(x) - 2))
     if np.argmin(y) != index:
         return float(x[np.argmin(y)]), float(y.min())
@@ -141,19 +158,19 @@ def minimum(x: FloatArray, y: FloatArray) -> tuple[float, float]:
 def _curves(loss: list[float], snr: FloatArray, error: FloatArray) -> str:
     def draw(axes: Any) -> None:
         axes[0].plot(ALPHAS, 100 * np.array(loss), ".-", color="black")
-        axes[0].set(ylabel="light lost, %", ylim=(0, 26))
+        axes[0].set(ylabel="light loss in %", ylim=(0, 26))
         for row, (style, level_lux) in enumerate(zip(("-", "--"), LEVELS_LUX.values(), strict=True)):
             for light, colour, ratio, depth in zip(LIGHTS, COLOURS, snr[row], error[row], strict=False):
                 label = f"{light}, {level_lux:g} lux"
                 axes[1].semilogy(ALPHAS, ratio, style, color=colour, label=label)
                 axes[2].semilogy(ALPHAS, depth, style, color=colour, label=label)
-        axes[1].set(ylabel="signal over noise of infrared")
-        axes[2].set(ylabel="depth error (Cramer-Rao), 1/m")
+        axes[1].set(ylabel="signal-to-noise ratio of IR")
+        axes[2].set(ylabel="depth error (Cramer-Rao bound) in 1/m")
         axes[0].legend(*axes[1].get_legend_handles_labels(), fontsize=7, loc="lower left")
         axes[2].set_yticks(TICKS, [f"{tick:g}" for tick in TICKS])
         axes[2].minorticks_off()
         for panel in axes:
             panel.axvline(PAPERS, color="#888888", linewidth=0.8)
-            panel.set(xlabel="radius of the hole over the lens's")
+            panel.set(xlabel="radius ratio of the hole")
 
     return plot(draw, columns=3, size=(3.8, 3.2))

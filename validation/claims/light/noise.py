@@ -1,4 +1,4 @@
-"""Claim of sensor noise: the photon transfer curve of raw frames, against the data sheet."""
+"""Claim on sensor noise: the photon transfer curve of raw frames against the data sheet."""
 
 from __future__ import annotations
 
@@ -12,30 +12,32 @@ from validation.gates.claim import Evidence
 from validation.reports.plots import plot
 from validation.scores.figures import Figure
 
-GAINS = (1.0, 8.0)  # analogue: photons make most of the noise, and the amplifier a good part
+GAINS = (1.0, 8.0)  # analogue gain: photon noise dominates at 1, read noise contributes visibly at 8
 COLOURS = ("#0072b2", "#d55e00")
 SIZE_PX = (512, 512)
-LEVELS = 24  # even light from dark to SHARE_OF_FULL of full scale
+LEVELS = 24  # even light, from dark to SHARE_OF_FULL of full scale
 SHARE_OF_FULL = 0.7
-TIME_S = 1e-4  # short: hardly any dark current
-ROUNDING_DN2 = 1 / 12  # variance of rounding to whole numbers
+TIME_S = 1e-4  # short, so that dark current is negligible
+ROUNDING_DN2 = 1 / 12  # variance of rounding to whole digital numbers
 
 
 def photon_transfer(progress: ShareDone, seed: int = 0) -> Evidence:
-    """Noise is that of photons, of the amplifier and of rounding, no more and no less.
+    """The temporal noise of raw frames is photon noise, read noise and rounding, and nothing else.
 
-    Rationale: depth, its confidence and every comparison of apertures rest on how noisy the raw numbers are; a factor
-    between electrons and digital numbers, or noise added twice, shows nowhere else.
+    Rationale: depth, its confidence and every comparison of apertures depend on the noise of the raw values. A wrong
+    factor between electrons and digital numbers, or noise added twice, would show nowhere else.
 
-    Set-up: da-mobile at analogue gain 1 and 8: pairs of raw frames of even light, 512 x 512 px, at 24 levels from dark
-    to 70 % of full scale, exposed for 0.1 ms. The variance of a pair's difference, halved, is free of fixed patterns. A
-    straight line through variance against mean (both in digital numbers, weights 1 / variance squared).
+    Set-up: da-mobile at analogue gain 1 and 8 captures pairs of raw frames of even light, 512 x 512 px, at 24 levels
+    from dark to 70 % of full scale, exposed for 0.1 ms. Half the variance of a pair's difference is the temporal
+    variance, free of fixed patterns. A straight line is fitted to variance against mean (both in digital numbers, with
+    weights 1 / variance^2).
 
-    Expectation: the slope is the overall system gain K, so that the variance of n electrons is n; the line meets the
-    dark at read noise and rounding, K^2 sigma_d^2 + 1/12. Brightest level: a pixel's signal-to-noise ratio is that of
-    n photo-electrons, sqrt(n), but for read noise. Rows, columns and pixels of a frame are uncorrelated.
+    Expectation: the slope is the overall system gain K, because n electrons have a variance of n. In the dark the line
+    has the variance of read noise and rounding, K^2 sigma_d^2 + 1/12. At the brightest level the signal-to-noise ratio
+    is that of n photo-electrons with read noise, n / sqrt(n + sigma_d^2). Noise of neighbouring rows and columns is
+    uncorrelated.
 
-    Limit: 1 % for the slope, 2 % for read noise in electrons and for the signal-to-noise ratio, .01 for correlation.
+    Limit: 1 % for the slope, 2 % for read noise in electrons and for the signal-to-noise ratio, 0.01 for correlation.
 
     Source: EMVA 1288 release 4.0, sec. 6.
     """
@@ -54,10 +56,10 @@ def photon_transfer(progress: ShareDone, seed: int = 0) -> Evidence:
         electrons = mean[-1] / gain
         expected = electrons / np.sqrt(electrons + body.read_noise_e**2)
         for key, value, text in (
-            ("slope", slope / gain - 1, "slope of the transfer curve over the gain of the data sheet, less 1"),
-            ("read-noise", read / body.read_noise_e - 1, "read noise over that of the data sheet, less 1"),
-            ("snr", ratio / expected - 1, f"signal-to-noise ratio of {electrons:.0f} electrons over theirs, less 1"),
-            ("correlation", correlation, "largest correlation of neighbouring pixels' noise"),
+            ("slope", slope / gain - 1, "relative error of the transfer curve's slope against the data sheet's gain"),
+            ("read-noise", read / body.read_noise_e - 1, "relative error of read noise against the data sheet"),
+            ("snr", ratio / expected - 1, f"relative error of the signal-to-noise ratio at {electrons:.0f} electrons"),
+            ("correlation", correlation, "largest correlation of noise between neighbouring pixels"),
         ):
             figures.append(Figure(f"{name}.{key}", float(value), "1", f"analogue gain {analogue:g}: {text}"))
         curves[name] = (mean, variance, slope, dark)
@@ -67,14 +69,17 @@ def photon_transfer(progress: ShareDone, seed: int = 0) -> Evidence:
         for (name, (mean, variance, slope, dark)), colour in zip(curves.items(), COLOURS, strict=False):
             axes.plot(mean, variance, "o", color=colour, label=name, markersize=4)
             axes.plot(mean, slope * mean + dark, color=colour, linewidth=1)
-        axes.set(xlabel="mean above black in digital numbers", ylabel="variance in digital numbers squared")
+        axes.set(xlabel="mean above black level in DN", ylabel="temporal variance in DN squared")
         axes.legend()
 
-    return Evidence(figures, [("Photon transfer curves: points measured, lines fitted", plot(draw))])
+    return Evidence(figures, [("Photon transfer curves, measured (points) and fitted (lines)", plot(draw))])
 
 
 def _transfer(camera: Camera, analogue: float, seed: int) -> tuple[FloatArray, FloatArray, float]:
-    """Mean above black and temporal variance of each level in digital numbers; the largest correlation."""
+    """Mean above black level and temporal variance in digital numbers, [level] each; the largest correlation.
+
+    The correlation is that of the noise of neighbouring rows or columns, over all levels.
+    """
     body = camera.sensor.model_copy(update={"width_px": SIZE_PX[0], "height_px": SIZE_PX[1]})
     full_e = sensor.full_scale_e(body, analogue)
     mean, variance, correlation = [], [], 0.0
