@@ -1,7 +1,7 @@
-"""A render as one would write it first: one pass, independent samples, the stop tested on every ray.
+"""A naive renderer of a camera with several stops: one pass, independent samples, each ray tested against the stops.
 
-It shares the scene, the lens's geometry and the responses with ``dasim.render.passes``, and nothing of how that
-samples: what it costs is what passes are compared with. Diffraction is off.
+It uses the same scene, lens geometry and responses as ``dasim.render.passes``, but none of its sampling, and serves as
+the baseline for the cost of rendering. It models no diffraction.
 
 Tested in tests/validation/claims/test_checks.py.
 """
@@ -21,10 +21,11 @@ from dasim.spectra import grid
 
 
 def naive_picture(scene: Any, camera: Camera, stop_ratios: Sequence[float], spp: int, seed: int) -> NDArray[np.float64]:
-    """Mean electrons a second, [h, w, channel], JIT variants only.
+    """Mean electrons per second, [h, w, channel], of a Mitsuba scene with ``spp`` samples per pixel; JIT variants only.
 
-    Each ray starts anywhere on the open lens, with four wavelengths spread evenly over 400 to 830 nm; a stop of
-    radius ratio rho passes what starts within rho of the lens's radius, by its transmittance at each wavelength.
+    Each ray starts at a random point of the open lens and carries four wavelengths spread evenly over 400 to 830 nm.
+    The stop with the radius ratio rho, one of ``stop_ratios`` per stop, passes rays that start within rho times the
+    lens's radius, weighted by its transmittance at each wavelength.
     """
     import drjit as dr
     import mitsuba as mi
@@ -34,7 +35,7 @@ def naive_picture(scene: Any, camera: Camera, stop_ratios: Sequence[float], spp:
     image_m, focus_m = geometry.image_distance_m(camera), camera.lens.focus_distance_m
     radius_m = geometry.aperture_m(camera) / 2
     low, high = float(grid.WAVELENGTH_NM[0]), float(grid.WAVELENGTH_NM[-1])
-    # A stop's response counts its own area only, a ray stands for the whole lens.
+    # The response of a stop includes the area of that stop, whereas a ray represents the area of the whole lens.
     curves = [
         mi.Texture1f(mi.TensorXf((radiometry.stop_response(camera, stop) / ratio**2).T.astype(np.float32)))
         for stop, ratio in zip(camera.stops, stop_ratios, strict=True)

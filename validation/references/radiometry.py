@@ -1,4 +1,4 @@
-"""Electrons of a pixel by quadrature, written out from the data sheet, apart from the simulator's radiometry.
+"""Electrons of a pixel by quadrature from the data sheet, independent of the simulator's radiometry.
 
 Tested in tests/dasim/render/test_passes.py.
 """
@@ -15,17 +15,19 @@ from dasim.camera import response_curves
 from dasim.camera.specification import Camera
 from dasim.spectra import grid
 
-WALL_LUX = 500.0  # of illuminant A
-GLASS_NM, CUTOFF_NM, EDGE_NM = 650.0, 810.0, 8.0  # the disc's and the sensor's edges, 10-90 %
+WALL_LUX = 500.0  # illuminance of the wall under illuminant A
+GLASS_NM, CUTOFF_NM, EDGE_NM = 650.0, 810.0, 8.0  # spectral edges of disc and sensor, and their 10-90 % width
 
 
 def wall_electrons(camera: Camera, channel: int, column_px: float, row_px: float, ratio: float, side: str) -> float:
-    """Electrons a second that a channel (R, G, B, IR) of a camera like da-mobile gets from a grey wall.
+    """Electrons per second in a pixel of a camera with da-mobile's filters, from a grey wall through one stop.
 
-    The wall is a grey card under ``WALL_LUX`` of illuminant A; the pixel lies ``column_px`` and ``row_px`` from the
-    axis; ``ratio`` is the stop's radius over the lens's, ``side`` the light it passes: "open" up to 650 nm, "hole"
-    beyond. E = pi L (r/s)^2 cos^4 with L = rho E_wall / pi, integrated over wavelength with CODATA constants and
-    Planck's law.
+    The wall is a grey card under ``WALL_LUX`` of illuminant A. ``channel`` is the index of R, G, B or IR. The pixel
+    lies ``column_px`` and ``row_px`` from the optical axis. ``ratio`` is the stop's radius ratio, and ``side`` the band
+    that it passes: "open" up to 650 nm, "hole" beyond.
+
+    The irradiance is E = pi L (r/s)^2 cos^4 (Abbe lens) with L = rho E_wall / pi, integrated over wavelength with
+    CODATA constants and Planck's law.
     """
     lens, sensor = camera.lens, camera.sensor
     image_mm = 1 / (1 / lens.focal_length_mm - 1 / (1e3 * lens.focus_distance_m))
@@ -45,18 +47,20 @@ def wall_electrons(camera: Camera, channel: int, column_px: float, row_px: float
         passed = lens.transmittance * glass * (1 - _edge(nm, CUTOFF_NM))
         return float(on_pixel * passed * efficiency / photon_j * area)
 
-    # Gauss-Legendre between the edges' corners: adaptive quadrature stumbles over tabulated curves.
+    # Gauss-Legendre between the spectral edges: adaptive quadrature converges badly on tabulated curves.
     corners = [400, 640, 660, 800, 820, 830]
     parts = (integrate.fixed_quad(np.vectorize(rate), a, b, n=60)[0] for a, b in itertools.pairwise(corners))
     return float(sum(parts))
 
 
 def _planck(nm):  # type: ignore[no-untyped-def]
-    return nm**-5.0 / np.expm1(0.01435 / (2848 * nm * 1e-9))  # illuminant A, CIE 015
+    """Relative spectral power of illuminant A by Planck's law, CIE 015."""
+    return nm**-5.0 / np.expm1(0.01435 / (2848 * nm * 1e-9))
 
 
 @cache
 def _lumens_of_planck() -> float:
+    """Luminous flux in lumens of the spectral power :func:`_planck` taken as watts per nanometre."""
     import colour
 
     v = colour.SDS_LEFS["CIE 1924 Photopic Standard Observer"]
@@ -64,4 +68,5 @@ def _lumens_of_planck() -> float:
 
 
 def _edge(nm: float, at: float) -> float:
-    return float((1 + np.tanh(np.log(9) * (nm - at) / EDGE_NM)) / 2)  # 10 % to 90 % over the width
+    """A logistic edge from 0 to 1 at ``at`` nanometres, which rises from 10 % to 90 % over ``EDGE_NM``."""
+    return float((1 + np.tanh(np.log(9) * (nm - at) / EDGE_NM)) / 2)

@@ -1,4 +1,4 @@
-"""Small scenes and cameras for claims, and their pictures.
+"""Small scenes and modified cameras for claims, and renders of them.
 
 Tested in tests/validation/claims/test_checks.py.
 """
@@ -17,8 +17,9 @@ from dasim.render import backend
 from dasim.scene.specification import Scene
 from dasim.typing import FloatArray
 
-# Even light without noise: rays leave a surface towards the dome, which is everywhere. The renderer would aim at
-# it as well, and so add noise, if there were no lamp: this one is behind everything and gives nothing.
+# Even light without noise: every ray that leaves a surface meets the dome, which has the same radiance everywhere.
+# The lamp is behind all objects and contributes nothing; without a lamp the renderer would also sample the dome as an
+# emitter, which adds noise.
 EVEN_LIGHT: tuple[dict[str, Any], ...] = (
     {"kind": "dome", "illuminant": "D65", "lux": 500.0},
     {
@@ -30,7 +31,7 @@ EVEN_LIGHT: tuple[dict[str, Any], ...] = (
         "radius_cm": 1,
     },
 )
-# Beside the lens and behind it: lights what faces the camera and is never in view, so that empty space stays dark.
+# A lamp beside and behind the lens: it lights what faces the camera and is never in view, so the background is dark.
 LAMP: tuple[dict[str, Any], ...] = (
     {
         "kind": "lamp",
@@ -44,24 +45,24 @@ LAMP: tuple[dict[str, Any], ...] = (
 
 
 class NotRun(Exception):
-    """A claim cannot be measured on this computer; the message says why."""
+    """Raised if a claim cannot be measured on this computer; the message states the reason."""
 
 
 def activate() -> str:
-    """Make the fastest variant active; its name."""
+    """Activate the fastest Mitsuba variant of this computer and return its name."""
     choice = backend.choose()
     backend.activate(choice)
     return choice.variant
 
 
 def needs_wave() -> None:
-    """NotRun where the renderer has no wave-true blur."""
+    """Activate the renderer; raise NotRun if it has no wave-true blur."""
     if activate().startswith("scalar"):
         raise NotRun("only scalar_spectral works here, which has no wave-true blur; install LLVM 17 or newer")
 
 
 def make_scene(objects: Sequence[dict[str, Any]], lights: Sequence[dict[str, Any]] = LAMP) -> Scene:
-    """A scene from plain data."""
+    """A scene from tables of objects and lights, as scene files have them."""
     return parse(Scene, {"name": "claim", "lights": list(lights), "objects": list(objects)}, "scene of a claim")
 
 
@@ -72,7 +73,7 @@ def changed(
     sensor: dict[str, Any] | None = None,
     stops: Sequence[dict[str, Any]] | None = None,
 ) -> Camera:
-    """The camera with other values of its lens or sensor, or with other stops."""
+    """The camera with some values of its lens or sensor replaced, or with other stops."""
     data = camera.model_dump()
     data["lens"] |= lens or {}
     data["sensor"] |= sensor or {}
@@ -92,9 +93,11 @@ def stop_pictures(
     spectrum: FloatArray | None = None,
     progress: Callable[[float], None] = lambda share: None,
 ) -> FloatArray:
-    """Electrons a second through each stop, [stop, h, w, channel], of a scene or of one that is loaded already.
+    """Mean electrons per second through each stop, [stop, h, w, channel].
 
-    With the ``spectrum`` of its lights, as captures are rendered, and else traced throughout.
+    ``scene`` is a scene or a loaded Mitsuba scene, ``spp`` the number of samples per pixel and stop, ``diffraction``
+    one of 'wave', 'airy' and 'off', and ``max_blur_px`` a bound of the visible blur diameter. If the ``spectrum`` of
+    the lights is given, irradiance is interpolated as it is for captures; otherwise all light is traced.
     """
     from dasim.render import passes, translate
 
@@ -118,7 +121,7 @@ def stop_pictures(
 
 
 def stop_electrons(camera: Camera, spectrum: FloatArray) -> FloatArray:
-    """Relative electrons of each stop and channel under a spectrum, [stop, channel], the sum over stops is 1."""
+    """Share of each channel's electrons that each stop contributes under a spectrum, [stop, channel]; sums to 1."""
     from dasim.spectra import grid
 
     signal = np.stack([grid.integrate(radiometry.stop_response(camera, stop) * spectrum) for stop in camera.stops])
@@ -126,7 +129,10 @@ def stop_electrons(camera: Camera, spectrum: FloatArray) -> FloatArray:
 
 
 def blur_px(camera: Camera, depth_m: float) -> float:
-    """Signed visible blur diameter, c = A s (1/d - 1/d_f) / p, written out from the camera's data sheet."""
+    """Signed visible blur diameter in pixels at a depth, c = A s (1/d - 1/d_f) / p, from the camera's data sheet.
+
+    It is positive in front of the focal plane and does not use the simulator's geometry.
+    """
     lens = camera.lens
     focal_m, focus_m = lens.focal_length_mm * 1e-3, lens.focus_distance_m
     image_m = 1 / (1 / focal_m - 1 / focus_m)
@@ -134,7 +140,7 @@ def blur_px(camera: Camera, depth_m: float) -> float:
 
 
 def depth_m(camera: Camera, blur: float) -> float:
-    """Depth of a signed visible blur diameter in pixels, the inverse of :func:`blur_px`."""
+    """Depth in metres at which the signed visible blur diameter is ``blur`` pixels, the inverse of :func:`blur_px`."""
     lens = camera.lens
     focal_m, focus_m = lens.focal_length_mm * 1e-3, lens.focus_distance_m
     image_m = 1 / (1 / focal_m - 1 / focus_m)
@@ -142,7 +148,7 @@ def depth_m(camera: Camera, blur: float) -> float:
 
 
 def pixel_at_m(camera: Camera, depth: float) -> float:
-    """Size of a pixel's picture at a depth."""
+    """Size in metres of a pixel projected to a depth in metres, p d / s."""
     lens = camera.lens
     image_m = 1 / (1 / (lens.focal_length_mm * 1e-3) - 1 / lens.focus_distance_m)
     return camera.sensor.pixel_pitch_um * 1e-6 * depth / image_m

@@ -1,4 +1,4 @@
-"""The three bundled scenes that several claims photograph, in one size, so that they share the photographs."""
+"""The three bundled scenes that several claims capture at the same size, so that they share the cached captures."""
 
 SCENES = ("desk", "flowers", "adam")
 SIZE_PX = (512, 384)

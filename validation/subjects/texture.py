@@ -1,4 +1,4 @@
-"""The texture for which bounds of depth are computed: its mean and contrast, and the electrons of white beside it.
+"""The texture for which bounds on depth accuracy are computed: its mean, its contrast, and the exposure of white.
 
 Tested in tests/dasim/camera/test_noise.py.
 """
@@ -15,11 +15,14 @@ from dasim.spectra import grid, illuminants
 from dasim.typing import FloatArray
 
 MEAN_SHARE = 0.4  # mean of the texture over white
-CONTRAST = 0.15  # standard deviation of the texture within an octave, over its mean
+CONTRAST = 0.15  # standard deviation of the texture within an octave of spatial frequency, over its mean
 
 
 def white_electrons(camera: Camera, light: str, level_lux: float) -> tuple[FloatArray, float]:
-    """Electrons of white paper in every channel, and the exposure: automatic, up to ``LONGEST_S``."""
+    """Electrons of white paper in every channel, [channel], and the exposure time in seconds.
+
+    The exposure is automatic, up to ``LONGEST_S``. ``light`` names an illuminant, ``level_lux`` its illuminance.
+    """
     radiance = illuminants.illuminant(light) * level_lux * library.reflectance("white-paper") / np.pi
     rate = grid.integrate(radiometry.response(camera) * radiance)
     top = noise.Exposure().auto_level * noise.saturation_e(camera.sensor)

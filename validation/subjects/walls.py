@@ -1,4 +1,4 @@
-"""An even wall, lit by a named illuminant or by any spectrum, which scene files cannot express.
+"""An even wall lit by a named illuminant, or by an arbitrary spectrum, which scene files cannot express.
 
 Tested in tests/validation/claims/test_checks.py.
 """
@@ -14,13 +14,14 @@ from dasim.typing import FloatArray
 from validation.subjects import rendering
 
 WALL = {"name": "wall", "shape": "plane", "size_cm": (400, 400), "position_cm": (0, 0, 40)}
-STEP_NM = 1e-3  # over which a sharp light rises
+STEP_NM = 1e-3  # width of the spectral edge of a band-limited light
 
 
 def wall(light: str | dict[str, Any], *, material: str = "white-paper", lux: float = 500.0) -> Any:
-    """Mitsuba's scene of an even wall under an illuminant of ``lux``, or under a spectrum in Mitsuba's words.
+    """A Mitsuba scene of an even wall that fills the view.
 
-    White paper, because its reflectance does not change beyond 480 nm.
+    ``light`` is the name of an illuminant, with an illuminance of ``lux``, or a spectrum as a Mitsuba dictionary. The
+    default material is white paper, because its reflectance is constant beyond 480 nm.
     """
     import mitsuba as mi
 
@@ -36,9 +37,9 @@ def wall(light: str | dict[str, Any], *, material: str = "white-paper", lux: flo
 
 
 def sharp_light(band_nm: tuple[float, float], power: FloatArray) -> dict[str, Any]:
-    """A light of a spectral power [wavelength] within a band and none outside, in Mitsuba's words.
+    """A Mitsuba spectrum with the spectral power ``power`` [wavelength] within a band and no light outside.
 
-    Its level is of no meaning: about 1 W m^-2 sr^-1 nm^-1.
+    It is normalised to a mean of 1 W m^-2 sr^-1 nm^-1, so that only ratios of signals have a meaning.
     """
     low, high = band_nm
     nm = grid.WAVELENGTH_NM
