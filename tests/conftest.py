@@ -14,6 +14,7 @@ for _name in ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
 # Processes of pytest-xdist share the cores: each renders and computes on its part of them.
 WORKERS = int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1"))
 THREADS = max(1, (os.cpu_count() or 1) // WORKERS)
+RENDER_THREADS = max(2, THREADS)  # Mitsuba's EXR reader and writer wait for ever for a second thread
 if WORKERS > 1:
     os.environ.setdefault("NUMBA_NUM_THREADS", str(THREADS))
 
@@ -63,7 +64,7 @@ def threads():
     """Each module starts with this process's number of threads; datasets set it to one."""
     cv2.setNumThreads(THREADS)
     if "drjit" in sys.modules:
-        backend.use_threads(THREADS)
+        backend.use_threads(RENDER_THREADS)
 
 
 @pytest.fixture(scope="session")
@@ -117,7 +118,7 @@ def renderer() -> str:
     """The variant of this process, the one that works best here."""
     choice = backend.choose()
     backend.activate(choice)
-    backend.use_threads(THREADS)
+    backend.use_threads(RENDER_THREADS)
     return choice.variant
 
 
