@@ -53,7 +53,7 @@ def inverse(spectrum: Complex64Array, shape: tuple[int, int], workers: int = WOR
 
 
 def frequencies(shape: tuple[int, int], spacing_px: float = 1.0) -> tuple[NDArray, NDArray]:
-    """Frequencies (fy [h, 1], fx [1, w/2 + 1]) in cycles a pixel of a grid whose samples lie ``spacing_px`` apart."""
+    """Frequencies (fy [h, 1], fx [1, w/2 + 1]) in cycles per pixel of a grid whose samples lie ``spacing_px`` apart."""
     return fft.fftfreq(shape[0], spacing_px)[:, None], fft.rfftfreq(shape[1], spacing_px)[None, :]
 
 

@@ -31,7 +31,9 @@ class Settings(Specification):
     # sec. 5.2
     window_px: int = Field(default=31, ge=5, le=201, description="delta of eq. (11), side of the patch")
     window: Literal["gaussian", "box"] = "gaussian"
-    alike: bool = Field(default=False, description="of the patch, samples of like colour; for the score bands")
+    alike: bool = Field(
+        default=False, description="average only samples of similar colour within the patch; for the score bands"
+    )
     gradient: Literal["sum", "both"] = Field(
         default="both", description="eq. (11): NCC of the sum of the derivatives, or of both taken together"
     )
@@ -80,7 +82,7 @@ def preset(name: str) -> Settings:
 
 
 def chosen(name: str | None, file: Path | None) -> Settings:
-    """The settings of a preset or of a TOML file; DEFAULT's where neither is given."""
+    """The settings of a preset or of a TOML file; ``DEFAULT`` where neither is given."""
     if name is not None and file is not None:
         raise InputError("--preset and --settings both say the settings; give one")
     return parse_toml(Settings, file) if file is not None else preset(name or DEFAULT_PRESET)
@@ -92,9 +94,9 @@ def preset_name(settings: Settings) -> str | None:
 
 
 def to_toml(settings: Settings) -> str:
-    """The settings as TOML that :func:`dasim.base.toml.parse_toml` reads back, each with what it means.
+    """The settings as TOML that :func:`dasim.base.toml.parse_toml` reads back, each with its description.
 
-    A setting without value stands there as a comment.
+    A setting without a value is written as a comment.
     """
     lines = [f"# Settings of 'dasim recon --settings FILE'; preset: {preset_name(settings) or 'none'}"]
     for name, field in Settings.model_fields.items():

@@ -19,7 +19,7 @@ FINE_PX = 4.0  # the profile's knots are closer within this radius, where in-foc
 SUBPIXELS = 5  # per pixel and axis, for integrals over the pixel
 NORMAL_REGULARISATION = 1e-6  # keeps knots that no pixel resolves from breaking the factorisation
 ROUNDING = 1e-12  # the same, where the profile's bends decide those knots
-ROUND_MISFIT = 0.15  # relative residual of the round model; above it the profile is none
+ROUND_MISFIT = 0.15  # relative residual of the round model; above it the kernel is not round
 
 
 def round_fit(

@@ -21,7 +21,9 @@ from recon.calibration.pictures import RIM_PX, SATURATION_SHARE
 LEAST_SNR = 20.0  # of a channel's whole image of the source: its electrons over their noise
 DETECTED = 10.0  # the source's mean over a window, over the noise of such means elsewhere
 SATURATED_SHARE = 0.97  # of a pixel; an automatic exposure to 85 % stays below with its noise
-HOT_RATIO = 20.0  # a pixel over the brightest of its eight neighbours, of any colour: no lens draws such a point
+HOT_RATIO = (
+    20.0  # ratio of a pixel to the brightest of its eight neighbours, of any colour: no lens images such a point
+)
 MARGIN_PX = 18  # around the widest blur: its diffraction tail, and the rim that shows background
 SEARCH_STEPS = 5
 MANY_WINDOWS = 16  # side by side in a frame, that tell how much their means differ without a source

@@ -36,23 +36,23 @@ def scattered(group: list[PointPicture], camera: Camera) -> FloatArray:
     for picture in group:
         places.setdefault(picture.position, []).append(picture)
     unit_s = min(picture.exposure_s for picture in group)
-    taken = [averaged(pictures, camera, unit_s) for pictures in places.values()]
+    measured = [averaged(pictures, camera, unit_s) for pictures in places.values()]
     period = max(len(camera.sensor.mosaic), len(camera.sensor.mosaic[0]))
-    centres = [_mosaic_centre(*part, period) for part in taken]
+    centres = [_mosaic_centre(*part, period) for part in measured]
     reach = min(
         min(*centre, *(np.array(image.shape[1:]) - 1 - centre))
-        for centre, (image, _, _) in zip(centres, taken, strict=True)
+        for centre, (image, _, _) in zip(centres, measured, strict=True)
     )
     half = int(reach) - 1
     if half < RIM_PX:
         raise InputError("calibration: the point source lies at the picture's edge; it must be near the middle")
     wanted = subpixel_radius((2 * half + 1, 2 * half + 1), np.array([half, half], float))
-    radii = [subpixel_radius(part[0].shape[1:], centre) for centre, part in zip(centres, taken, strict=True)]
-    kernels = np.empty((len(taken[0][0]), 2 * half + 1, 2 * half + 1))
+    radii = [subpixel_radius(part[0].shape[1:], centre) for centre, part in zip(centres, measured, strict=True)]
+    kernels = np.empty((len(measured[0][0]), 2 * half + 1, 2 * half + 1))
     for index, name in enumerate(channels(camera.sensor)):
-        inside = [radius[seen[index].ravel()] for radius, (_, _, seen) in zip(radii, taken, strict=True)]
+        inside = [radius[seen[index].ravel()] for radius, (_, _, seen) in zip(radii, measured, strict=True)]
         value, sigma = (
-            np.concatenate([part[what][index][part[2][index]] for part in taken]) for what in (0, 1)
+            np.concatenate([part[what][index][part[2][index]] for part in measured]) for what in (0, 1)
         )  # fmt: skip
         found = round_fit(np.concatenate(inside), value, sigma, int(reach), SMOOTHNESS)
         if found is None:

@@ -1,9 +1,10 @@
 """Levels from the transfer between two channels, measured band by band around each sample.
 
 Deviation from eq. (9)-(12), the preset ``bands``. The paper deblurs infrared with one weight for the frame and takes
-the NCC of gradients. Where infrared is weak or the blurrier channel (near focus, by diffraction), its noise then
-passes for blur and levels near focus come out up to four too large. Here energies of both channels and their product
-are averaged in bands around each sample, wide enough to see no farther than the patch; for a texture of power S in one,
+the NCC of gradients. Where infrared is weak or the blurrier channel (near focus, by diffraction), its noise then is
+mistaken for blur, and levels near focus are overestimated by up to four. Here energies of both channels and their
+product are averaged in bands around each sample, wide enough that their impulse responses stay within the patch; for a
+texture of power S in one,
 
     <I I> = S |H_IR|^2 + s_IR^2,   <G I> = g T (<I I> - s_IR^2),   T = S H_G conj(H_IR) / (S |H_IR|^2),
 
@@ -38,7 +39,7 @@ UNLIKE = 0.12  # in the logarithm of that ratio: weight exp(-1/2)
 TAP_PX = 8  # between the samples of a patch; each is a mean itself, of TAP_BLUR taps
 TAP_BLUR = 0.6
 FARTHEST = np.float32(8.0)  # exponent of a weight that is not worth adding
-TABLE_GRID = 192  # samples a side, on which the transfers of the levels are tabulated
+TABLE_GRID = 192  # samples per side, on which the transfers of the levels are tabulated
 GAIN_STEPS = 2  # the weights depend on the gain: once without, once with it
 SMALLEST_GAIN = 1e-3
 TINY = np.float32(1e-12)

@@ -15,7 +15,7 @@ Channel = tuple[Float32Array, Phase, Float32Array, NDArray]
 
 
 class Leak(NamedTuple):
-    """Infrared in a channel: alpha of eq. (8), and white's infrared electrons over its own under the light."""
+    """Infrared in a channel: alpha of eq. (8), and a white point's infrared electrons relative to the channel's own."""
 
     alpha: float
     white: float

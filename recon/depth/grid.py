@@ -42,7 +42,7 @@ def band_pass(shape: tuple[int, int], settings: Settings, spacing_px: float) -> 
     """The band that is compared, 0..1, [h, w/2 + 1].
 
     It ends smoothly at ``cutoff_cycles_px`` (deviation: the paper does not limit it): towards the planes'
-    own limit of 0.25 cycles a pixel, aliasing of green near focus grows.
+    own limit of 0.25 cycles per pixel, aliasing of green near focus grows.
     """
     radius = np.hypot(*fourier.frequencies(shape, spacing_px))
     edge = settings.cutoff_cycles_px
@@ -66,7 +66,7 @@ def gradient_power(shape: tuple[int, int]) -> NDArray[np.float64]:
 
 
 def plane_mean(power: NDArray, width: int) -> float:
-    """Mean over the whole plane of frequencies of what is given on its half, [h, w/2 + 1]."""
+    """Mean over the whole plane of frequencies of a function given on half of it, [h, w/2 + 1]."""
     twice = np.full(power.shape[1], 2.0)
     twice[0] = 1.0
     if width % 2 == 0:

@@ -37,7 +37,7 @@ def level_score(
 ) -> tuple[Float32Array, Float32Array]:
     """Score of a level at each sample, [h, w], by ``settings.score``: ncc or likelihood; and the plain NCC.
 
-    ``observed`` are green's gradients, which the NCC takes as they are at every level.
+    ``observed`` are green's gradients, which the NCC compares unfiltered at every level.
     """
     mine, other, constant = level_filters(infrared, green, weights, settings, grid)
     if observed is None:

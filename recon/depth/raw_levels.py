@@ -24,7 +24,7 @@ FALLBACK_TRUST = 0.25  # of red or blue in place of infrared: their blur differs
 
 
 def variances(raw_e: Float32Array, capture: Capture) -> dict[str, Float32Array]:
-    """Noise variance of every colour plane's pixels: the data sheet's, raised where the picture shows more."""
+    """Noise variance of every colour plane's pixels: from the data sheet, raised where the picture shows more noise."""
     found = {}
     for name, plane in mosaic.planes(raw_e, capture.camera).items():
         smooth = cv2.GaussianBlur(plane, (0, 0), NOISE_BLUR_PX)
@@ -54,7 +54,7 @@ def raw_levels(
     usable = window_mean(mosaic.blocks_any(saturated).astype(np.float32), settings) < settings.saturated_share
     level = np.full(planes["G"].shape, np.nan, np.float32)
     confidence = np.zeros_like(level)
-    open_ = usable.copy()  # where no channel has shown an edge yet
+    open_ = usable.copy()  # no channel has shown an edge there yet
     for name in ["IR", *(_fallbacks(camera) if settings.fallback else [])]:
         box = _around(open_, round(settings.window_px / PLANE_SPACING_PX) * 2)
         if box is None:
@@ -85,7 +85,7 @@ def _around(mask: NDArray, margin: int) -> tuple[slice, slice] | None:
 
 
 def _leak(name: str, camera: Camera, white: NDArray, settings: Settings) -> Leak:
-    """What of infrared is in a channel, from eq. (8) or as measured, and in white [channel]."""
+    """Share of infrared in a channel, measured or from eq. (8), and that of a ``white`` point [channel]."""
     alpha = infrared.crosstalk(camera.sensor, settings.crosstalk)
     own = CHANNELS.index(name)
     return Leak(float(alpha[own]), float(white[CHANNELS.index("IR")] / white[own]))

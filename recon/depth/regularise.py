@@ -20,14 +20,13 @@ PATCH_SIGMA_PX = 1.0
 def regularise(
     level: Float32Array, confidence: Float32Array, guide: Float32Array, bandwidth: float
 ) -> tuple[Float32Array, Float32Array]:
-    """Levels for every block [h, w] from raw ones (NaN: none), eq. (13); and the mean confidence of what each is
-    made of, 0..1.
+    """Levels for every block [h, w] from raw ones (NaN: none), eq. (13); and the mean confidence of the
+    estimates that each averages, 0..1.
 
-    d_s(p) = sum W(p, q) c(q) d(q) / sum W(p, q) c(q), W from patches of the infrared ``guide`` in units of its
-    noise, eq. (14). Deviations: estimates count with their ``confidence`` c; the search of 9x9 repeats
-    with growing strides, each on the sums of the one before, and a pixel takes from a wider search what it
-    lacks in the narrow one, so that areas without texture are filled from around. A frame without any estimate
-    gets level 0.
+    d_s(p) = sum W(p, q) c(q) d(q) / sum W(p, q) c(q), W from patches of the infrared ``guide`` in units of its noise,
+    eq. (14). Deviations: estimates are weighted by their ``confidence`` c; the search of 9x9 repeats with growing
+    strides, each on the sums of the one before, and a pixel with few estimates in a narrow search is completed from the
+    wider one, so that areas without texture are filled from around. A frame without any estimate gets level 0.
     """
     known = np.isfinite(level)
     weight = np.where(known, confidence, 0).astype(np.float32)

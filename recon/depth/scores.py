@@ -1,8 +1,8 @@
 """Depth from the blur of green relative to infrared (sec. 5.2), eq. (9)-(12).
 
-All is done on the colour planes' own grid of half the resolution: a plane holds no frequency above
-0.25 cycles a pixel, so nothing is lost against interpolated images, whose interpolation would differ
-between channels. Each plane is moved to the middle of the 2x2 blocks by the shift theorem. Whole pictures are the
+All steps work on the colour planes' own grid of half the resolution: a plane holds no frequency above
+0.25 cycles per pixel, so that nothing is lost compared with interpolated images, whose interpolation would differ
+between channels. Each plane is shifted to the centres of the 2x2 blocks by the shift theorem. Whole pictures are the
 case of samples one pixel apart.
 """
 
@@ -24,14 +24,14 @@ from recon.depth.ncc import Weights, weight_of
 from recon.depth.peak import OFFSET_GRID, peak_offset
 from recon.settings import Settings
 
-# Signal over noise of infrared's gradients for which the likelihood is computed; each sample takes the nearest.
-# Too weak an assumption draws to small levels, too strong a one to large: a factor of three either way is harmless.
+# Signal over noise of infrared's gradients for which the likelihood is computed; each sample uses the nearest. Values
+# assumed too low bias towards small levels, values too high towards large ones: a factor of three is harmless.
 SMALLEST_SIGNAL = 1e-3  # of the brightest sample: darker means count as this
 STRENGTHS = (1.0, 6.0, 36.0, 216.0)
 
 
 class Signals(NamedTuple):
-    """What the picture tells of its own gradients and noise at every sample, [h, w]."""
+    """Signal-to-noise ratios of a picture's gradients at every sample, [h, w]."""
 
     snr: Float32Array  # signal over noise of the sharper channel's gradients, energies
     green_snr: Float32Array
@@ -39,14 +39,14 @@ class Signals(NamedTuple):
 
 
 class Typical(NamedTuple):
-    """What is measured once for the whole frame, so that its tiles are scored alike."""
+    """Values measured once for the whole frame, so that all its tiles are scored with the same weights."""
 
     classes: list[tuple[Weights, NDArray]]  # weights of eq. (9), and the samples [h, w] that each holds for
     offset: NDArray[np.float64]  # of the refined peak at each level
 
 
 class Match(NamedTuple):
-    """What :func:`match` finds: scores [level, h, w], and what :func:`best_level` needs of them."""
+    """Scores [level, h, w] of a frame, and what :func:`recon.depth.peak.best_level` needs with them."""
 
     score: Float32Array
     plain: Float32Array  # NCC at the best level, [h, w]
@@ -157,7 +157,7 @@ def _spectra(
 
 
 def padded_shape(channel: Channel, spacing_px: float = PLANE_SPACING_PX) -> tuple[int, int]:
-    """Size in which a channel's plane is taken for periodic."""
+    """Size of the padded, periodic plane of a channel."""
     return fourier.fast_shape(channel[2].shape, int(np.ceil(channel[3].shape[-1] / spacing_px)))
 
 
@@ -173,7 +173,7 @@ def _quieter(
 ) -> Float32Array:
     """Noise variance over squared signal of green, relative to the sharper channel's, [h, w].
 
-    The signal is the patch's mean: a texture has about the same contrast in both channels, whatever their blur.
+    The signal is the mean over the patch: a texture has about the same contrast in both channels, whatever their blur.
     """
     relative = []
     for (plane, _, variance, _), top in ((green, brightest[1]), (sharper, brightest[0])):

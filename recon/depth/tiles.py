@@ -1,7 +1,7 @@
-"""Raw levels of frames of any size: compared tile by tile, weighted as the whole frame asks for.
+"""Raw levels of frames of any size: compared tile by tile, with the weights of the whole frame.
 
-The scores of all levels of a frame of 50 Mpx would fill 3 GB. What is measured of the picture (weights of eq. (9),
-thresholds) is measured once for the frame; a tile sees around it what its filters and windows reach.
+The scores of all levels of a frame of 50 Mpx would fill 3 GB. Weights of eq. (9) and thresholds are measured once for
+the frame; a tile has a halo as wide as its filters and windows reach.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ HALO = 128  # samples around a tile: kernels, the tails of their inverse, and th
 
 
 class Levels(NamedTuple):
-    """The best level of every sample [h, w], and what tells whether to trust it."""
+    """The best level of every sample [h, w], and the figures that decide whether to trust it."""
 
     level: Float32Array
     confidence: Float32Array  # 0 where the NCC is not positive
@@ -80,14 +80,14 @@ def best_levels(
         found = scores.signals(cut(channels[0], part), cut(channels[1], part), settings, brightest=brightest)
         for image, own in zip(measured, found, strict=True):
             image[part.core] = own[part.inner]
-    told = scores.typical(measured, sharper[3], green[3], settings)
+    typical = scores.typical(measured, sharper[3], green[3], settings)
     level, confidence = np.empty((2, *frame), np.float32)
     for part in parts:
-        classes = [(weights, where[part.box]) for weights, where in told.classes]
+        classes = [(weights, where[part.box]) for weights, where in typical.classes]
         first, second, *others = (cut(channel, part) for channel in channels)
         further = [(channel, own) for channel, (_, own) in zip(others, also, strict=True)]
         score, plain = scores.scores(first, second, classes, settings, leak=leak, also=further)
-        best, trust = peak.best_level(score, plain, told.offset, settings)
+        best, trust = peak.best_level(score, plain, typical.offset, settings)
         level[part.core], confidence[part.core] = best[part.inner], (trust * (plain > 0))[part.inner]
     return Levels(level, confidence, measured.snr, measured.green_snr)
 

@@ -31,7 +31,7 @@ MOST_PROBLEMS = 30  # that one message lists
 
 @dataclass(frozen=True)
 class Found:
-    """Pictures of a folder, and what a user should know of them."""
+    """Pictures of a folder, and notes for the user."""
 
     pictures: list[PointPicture]
     notes: tuple[str, ...]
@@ -87,7 +87,7 @@ def read_point_pictures(
 
 
 def write_point_pictures(folder: Path, pictures: Iterable[PointPicture], camera: Camera) -> int:
-    """Write pictures as such a folder, one 16-bit PNG a frame, ``meta.json`` beside it; how many frames there are."""
+    """Write pictures as such a folder, one 16-bit PNG per frame, with ``meta.json``; returns the number of frames."""
     rows: list[list[object]] = []
     shifted = False
     with new_folder(folder, KIND) as made:
@@ -116,7 +116,7 @@ def _blur_px(depth_m: float, level_depth_m: FloatArray, level_blur_px: FloatArra
 
 
 def _load(line: Line, camera: Camera, kind: str | None) -> Capture:
-    """One picture; of a capture folder, that of this camera and with the table's exposure, if it says one."""
+    """One picture; of a capture folder, that of this camera and with the exposure of the table, if given."""
     if not line.path.is_dir():
         return load_raw(line.path, camera, kind=kind, exposure_s=line.exposure_s, gain=line.gain)
     capture = load_capture(line.path)
@@ -163,7 +163,7 @@ def _cut(
 
 
 def _is_shortest(line: Line, capture: Capture, group: list[tuple[Line, Capture]]) -> bool:
-    """Of its position's pictures, which alone must not be saturated."""
+    """Whether a picture has the shortest exposure of its position, the only one that must not be saturated."""
     own = [c.exposure_s * c.gain for other, c in group if other.shift_px == line.shift_px]
     return capture.exposure_s * capture.gain <= min(own)
 

@@ -1,6 +1,6 @@
 """The table of a folder with pictures of a point source, ``captures.csv``: read, and checked for what is missing.
 
-One line of the table a file. Columns, in any order, lines from # on are remarks:
+One line per file. Columns may be in any order; lines that begin with # are comments:
 
 | column | holds |
 |---|---|
@@ -162,7 +162,7 @@ def incomplete(lines: Sequence[Line]) -> list[str]:
 
 
 def few_positions(lines: Sequence[Line]) -> tuple[str, ...]:
-    """What is to be said where a source stood at few places."""
+    """A note where the source stood at few places."""
     if any(line.shift_px is not None for line in lines):
         return ()
     places: dict[tuple[str, int], set[str]] = {}

@@ -1,8 +1,8 @@
 """Raw mosaics from real cameras: 16-bit PNG, TIFF and NPY files, and packed pixels as sensors deliver them.
 
-The camera's TOML file says what a file does not: black level, bit depth, full well, noise, mosaic. The picture's
-top left pixel is the first of ``mosaic``. A picture's own size governs, whatever the sensor's; packed pixels have
-no header, so there the camera's size governs.
+The camera's TOML file gives what a raw file does not contain: black level, bit depth, full well, noise, mosaic. The
+picture's top left pixel is the first of ``mosaic``. The size of the picture overrides that of the sensor; packed pixels
+have no header, so that their size is that of the camera.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ PACKED = {"raw10": (10, 4, 5), "raw12": (12, 2, 3), "raw16": (16, 1, 2)}
 LEFT_ALIGNED = "left-aligned"  # PNG, TIFF, NPY whose values are shifted to the top of 16 bits
 FORMATS = (*PACKED, LEFT_ALIGNED)
 MOST_ROW_PADDING = 256  # bytes that a driver may add to each row
-USUAL_EXPOSURE_S = 0.01  # where it is not told: it decides the dark signal alone
+USUAL_EXPOSURE_S = 0.01  # where it is unknown: only the dark signal depends on it
 
 
 def load_input(

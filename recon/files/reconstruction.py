@@ -128,7 +128,7 @@ def load_reconstruction(path: Path) -> Reconstruction:
 
 
 def _about(result: Reconstruction | Developed) -> dict[str, Any]:
-    """What ``meta.json`` says of either kind of result."""
+    """Entries of ``meta.json`` that both kinds of result share."""
     return {
         "schema": RECON_SCHEMA,
         "camera": result.camera.model_dump(mode="json"),

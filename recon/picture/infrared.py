@@ -48,7 +48,7 @@ def measured_crosstalk(capture: Capture) -> tuple[float, float, float]:
     """The shares alpha of eq. (8) for R, G and B, measured: a capture lit by near-infrared alone.
 
     The light may be infrared LEDs, or a lamp behind a filter that passes nothing below 650 nm; the surface is even.
-    Ratios of the channels' means over what is not saturated, for ``Settings.crosstalk``. Unlike the areas of the
+    The ratios of the channels' means, for ``Settings.crosstalk``. Unlike the areas of the
     response curves they hold for the spectrum of this light.
     """
     electrons, saturated = mosaic.linearise(capture)
@@ -67,7 +67,7 @@ def measured_crosstalk(capture: Capture) -> tuple[float, float, float]:
 
 
 def separation(camera: Camera, light: str, settings: Settings) -> FloatArray:
-    """Matrix [3, channel] that takes infrared out of R, G and B, for :func:`separate`.
+    """Matrix [3, channel] that removes infrared from R, G and B, for :func:`separate`.
 
     Eq. (7): one on the diagonal and -alpha in the column of infrared, alpha from the settings or by eq. (8). With
     ``infrared_removal = "matrix"`` the first three rows of :func:`crosstalk_matrix`. The identity for a camera
@@ -81,11 +81,11 @@ def separation(camera: Camera, light: str, settings: Settings) -> FloatArray:
 
 
 def crosstalk_matrix(camera: Camera, light: str) -> FloatArray:
-    """The full matrix [4, 4] of sensor makers: (R, G, B, IR) as captured to what each gets of its own band alone.
+    """The full matrix [4, 4] of sensor makers: (R, G, B, IR) as captured to the signal of each in its own band alone.
 
     Least squares over the ColorChecker's 24 patches and white under the light, each weighted by 1 / its green, from
     the camera's response curves split at 650 nm: visible light for R, G and B, the rest for IR. (Deviation: eq. (7)
-    takes off infrared alone; this also uses what the colours tell about the infrared pixel's visible share.)
+    removes infrared alone; this matrix also removes visible light from the infrared pixel.)
     """
     curves = response(camera)
     visible = grid.WAVELENGTH_NM < grid.NEAR_INFRARED_NM[0]

@@ -51,7 +51,7 @@ def grids(camera: Camera) -> dict[str, tuple[Grid, ...]]:
     """The grids of each channel of the mosaic, in the order of ``camera.channels``; InputError for any other mosaic.
 
     Known are the paper's 2x2 block (Fig. 2(b)), Bayer's, and the 4x4 block of RGB-IR sensors: green on every
-    second pixel, infrared on every fourth, red and blue in turns on the rest; shifted and mirrored as may be.
+    second pixel, infrared on every fourth, red and blue in turns on the rest; each shifted or mirrored.
     """
     rows = camera.sensor.mosaic
     place: dict[str, list[Grid]] = {}
@@ -110,8 +110,8 @@ def linearise(capture: Capture) -> tuple[Float32Array, BoolArray]:
 def planes(mosaic: NDArray, camera: Camera) -> dict[str, NDArray]:
     """A colour plane of half resolution for each channel, [h/2, w/2], its pixels at :func:`phases`.
 
-    Of two greens it is the first. Red and blue of the 4x4 block have every second sample of it: between them stands
-    the mean of the four next to it.
+    Of two greens it is the first. Red and blue of the 4x4 block have every second sample of it; each sample between
+    them is the mean of its four neighbours.
     """
     found = {}
     for name, own in grids(camera).items():
@@ -142,9 +142,9 @@ def _filled(plane: NDArray, known: BoolArray) -> Float32Array:
 
 
 def _mean_of_known(image: NDArray, known: BoolArray, kernel: NDArray) -> Float32Array:
-    """Mean under a kernel of what is known; mirrored at the borders, which keeps the grid.
+    """Mean of the known pixels under a kernel; mirrored at the borders, which keeps the grid.
 
-    In a corner of the frame the mirror may show nothing that is known: there, the mean of a wider square.
+    Where no known pixel lies under the kernel, as in a corner of the frame, the mean of a wider square is used.
     """
     share = known.astype(np.float32)
 
@@ -164,10 +164,10 @@ def noise_variance(capture: Capture) -> noise.Variance:
 
 
 def noise_excess(plane: Float32Array, variance: Float32Array) -> float:
-    """Factor of at least 1 by which a colour plane's noise exceeds the variance that the data sheet tells.
+    """Factor of at least 1 by which a colour plane's noise exceeds the variance of the data sheet.
 
     Mean square of the mixed second difference (x00 - x01 - x10 + x11) / 2, which has the noise's own variance and
-    sees no slopes, over patches; the quietest fiftieth of them shows the noise, not texture.
+    sees no slopes, over patches; the quietest 2 % of them show noise, not texture.
     """
     mixed = (plane[:-1, :-1] - plane[:-1, 1:] - plane[1:, :-1] + plane[1:, 1:]) / 2
     size = (max(plane.shape[1] // EXCESS_PATCH, 1), max(plane.shape[0] // EXCESS_PATCH, 1))

@@ -20,7 +20,7 @@ SAMPLES = 64  # blocks along the longer side that the polynomial is fitted to
 MOST_SATURATED = 0.001  # of the pixels
 DIMMEST_SHARE = 0.02  # of full scale that the flat must have on average
 LEAST_BLOCK_PX = 8
-DARKEST_BLOCK = 0.02  # of the brightest: below, a gain would be guesswork
+DARKEST_BLOCK = 0.02  # of the brightest: below, a gain would be a guess
 
 
 def gain(flat: Capture, camera: Camera) -> Float32Array:
@@ -28,7 +28,7 @@ def gain(flat: Capture, camera: Camera) -> Float32Array:
 
     ``flat`` is a capture of an even, evenly lit surface out of focus, by the same sensor at the same focus, with its
     black level. A polynomial is fitted to the inverse of each channel, so that noise, dust and PRNU
-    are not taken for shading.
+    are not mistaken for shading.
     """
     check_flat(flat, camera)
     electrons, saturated = mosaic.linearise(flat)

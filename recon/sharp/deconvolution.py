@@ -101,7 +101,7 @@ def half_quadratic_samples(
     """:func:`half_quadratic` of what a mosaic samples: of each channel every second pixel in every second row counts.
 
     ``phases`` are the places (row, column) of each channel's first sample; height and width are multiples of 4.
-    Blur and loss of samples are undone together: what aliases is told apart by the prior. The quadratic problem
+    Blur and loss of samples are undone together: the prior resolves the aliasing. The quadratic problem
     couples four frequencies alone, hence its closed form (Zhao et al. 2016, Fast single image super-resolution,
     theorem 1, with the image's differences instead of the image).
     """
@@ -182,7 +182,7 @@ def _solve(  # pragma: no cover - compiled
 
 
 def _scale(kappa: NDArray, factor: float) -> NDArray:
-    """Unit of each channel's differences in the shrinkage: as large as kappa says that they are."""
+    """Unit of each channel's differences in the shrinkage: their expected size for the weight kappa."""
     return factor ** (-1 / (2 - PRIOR_POWER)) * (np.mean(kappa) / np.asarray(kappa)) ** (1 / PRIOR_POWER)
 
 
@@ -222,7 +222,7 @@ def gradient_power(shape: tuple[int, int]) -> Float32Array:
 def shrink_table() -> Float32Array:
     """Minimise over u |u|^0.8 + (u - v)^2 / 2 for v from 0 to ``TABLE_LIMIT``, [TABLE_SIZE].
 
-    The positive minimum from Newton's iteration started at v, kept where it beats u = 0.
+    The positive minimum from Newton's iteration started at v, used where its cost is below that of u = 0.
     """
     v = np.linspace(0, TABLE_LIMIT, TABLE_SIZE)
     a = PRIOR_POWER

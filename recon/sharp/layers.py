@@ -1,4 +1,4 @@
-"""Blur levels in tiles of the picture: which levels occur where, and their transfer functions on each tile's frame.
+"""Blur levels in tiles of the picture: which levels occur in each, and their transfer functions on its padded frame.
 
 Tested in tests/recon/sharp/test_sharpen.py and tests/recon/sharp/test_refocus.py.
 """
@@ -20,11 +20,11 @@ Transfers = Callable[[int, Shape], tuple[Complex64Array, Float32Array]]
 
 TILE_PX = 256
 MARGIN_PX = 8  # beyond the kernels' reach: deconvolution rings out over some pixels more
-STRIP_PX = 8  # beyond the reach: a longer strip says more than is known of what lies outside the picture
+STRIP_PX = 8  # beyond the reach: a longer strip would assume more about the surroundings of the picture
 REACH_STEP_PX = 8  # reaches are rounded up to these, so that tiles share transfer functions
 KERNEL_SHARE = 0.98  # of a kernel's energy within its reach; what lies beyond is mostly the calibration's noise
 DENSE_LEVELS, SPARSE_STEP = 6, 2  # every level up to here is deconvolved, then each second one
-RARE_SHARE = 0.02  # of a tile's pixels: a level with fewer leaves them to its neighbours
+RARE_SHARE = 0.02  # of a tile's pixels: pixels of a rarer level go to its neighbours
 LEVEL_DEVIATION = 0.6  # standard deviation of the level map, and of what lies between two levels
 SPREAD_LEVELS = np.sqrt(3.0) * LEVEL_DEVIATION  # outer places of Gauss and Hermite's rule
 KEPT_TRANSFERS = 48
@@ -120,7 +120,7 @@ def _between(kernels: NDArray, level: float) -> NDArray:
 def _transfer(kernels: NDArray, shape: Shape) -> Complex64Array:
     """From the scene as pixels see it to the picture, [channel, h, w/2 + 1].
 
-    Measured kernels hold the pixel's area, and so does the sharp picture: it is taken out once.
+    Measured kernels hold the pixel's area, and so does the sharp picture: it is divided out once.
     """
     fy, fx = fourier.frequencies(shape)
     return np.asarray(fourier.transfer(kernels, shape) / (np.sinc(fy) * np.sinc(fx)).astype(np.float32), np.complex64)

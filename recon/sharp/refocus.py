@@ -1,7 +1,7 @@
 """Refocusing after the shot (Fig. 1(c, d), 11(d)): the all-in-focus picture blurred anew, layer by layer.
 
-Linear light, the measured kernels, and the lens's order of things: what is nearer hides what is farther, and where
-its blur grows thin, what lies behind it shows through.
+Linear light, the measured kernels, and occlusion as through a lens: nearer surfaces hide farther ones, which show
+through where the blur of the nearer one is thin.
 """
 
 from __future__ import annotations
@@ -32,9 +32,9 @@ def refocus(
 ) -> Float32Array:
     """The picture as if focused at ``depth_m`` through an aperture of ``f_number``, [h, w, 3].
 
-    Linear camera colours without infrared, in electrons of the capture's own exposure: a smaller aperture darkens
-    nothing. The frame is the capture's: a real lens moves to focus and magnifies by s'/s (breathing), this one does
-    not. By default the camera's own f-number.
+    Linear camera colours without infrared, in electrons of the capture's own exposure: a smaller aperture does not
+    darken the picture. The frame is the capture's: a real lens moves to focus and magnifies by s'/s (breathing), this
+    one does not. By default the camera's own f-number.
 
     Blur in levels is linear in dioptres, so that a point at level l has |l - l_0| levels of blur with the focus at
     l_0; it is as 1/N. Sec. 5.4 has no formula for this; the layers follow the wave-optics kernels of the bank, whose
@@ -60,7 +60,7 @@ def colour_kernels(reconstruction: Reconstruction, bank: PsfBank) -> Float32Arra
 
 
 def without_pixel(kernels: NDArray) -> Float32Array:
-    """Measured kernels [..., size, size] without the pixel's area, which the sharp picture holds already; unit sum."""
+    """Measured kernels [..., size, size] without the pixel's area, which the sharp picture contains; unit sum."""
     size = kernels.shape[-1]
     wide = fft.next_fast_len(PAD_FACTOR * size, real=True)
     fy, fx = fft.fftfreq(wide)[:, None], fft.rfftfreq(wide)[None, :]

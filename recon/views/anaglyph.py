@@ -19,11 +19,11 @@ Where = Literal["in", "out"]
 def disparity_px(depth_m: NDArray, strongest_px: float, where: Where = "in") -> Float32Array:
     """Shift in pixels of every point between the right and the left eye's picture, x_right - x_left, [h, w].
 
-    In dioptres it is linear, as before two parallel cameras: b f / p (1 / z_0 - 1 / z), with the screen at z_0.
-    ``in``: the nearest point lies in the screen and the rest behind it (shift > 0); ``out``: the farthest lies in
-    the screen and the rest before it (shift < 0). ``strongest_px`` is the largest shift. Unknown depths (NaN) count
-    as farthest. The nearest and the farthest hundredth of the pixels count as one depth each: a few wrong ones would
-    leave no shift to the others.
+    In dioptres it is linear, as before two parallel cameras: b f / p (1 / z_0 - 1 / z), with the screen at z_0. ``in``:
+    the nearest point lies in the screen and the rest behind it (shift > 0); ``out``: the farthest lies in the screen
+    and the rest before it (shift < 0). ``strongest_px`` is the largest shift. Unknown depths (NaN) count as farthest.
+    The nearest and the farthest hundredth of the pixels count as one depth each: otherwise a few wrong ones would use
+    up the whole range of shifts.
     """
     if not (np.isfinite(strongest_px) and strongest_px >= 0):
         raise InputError(f"stereo: a largest shift of {strongest_px:g} px; zero or more is allowed, such as 12")
@@ -71,9 +71,9 @@ def side_by_side(left: NDArray, right: NDArray) -> Float32Array:
 def _displace(
     image: Float32Array, shift: Float32Array, vergence: Float32Array, out: Float32Array
 ) -> None:  # pragma: no cover - compiled
-    """Each row drawn anew: strips between neighbouring pixels, near over far, gaps from their farther side.
+    """Render each row: strips between neighbouring pixels, near over far; gaps are filled from their farther side.
 
-    Neighbours that part by more than a pixel's width belong to different surfaces and span no strip.
+    Neighbours displaced apart by more than one pixel belong to different surfaces, with no strip between them.
     """
     height, width, channels = image.shape
     for y in prange(height):

@@ -13,7 +13,7 @@ from dasim.base.errors import InputError
 from dasim.camera.specification import Camera
 from dasim.typing import FloatArray
 
-JUMP_SHARE = 0.02  # of depth, a pixel: a face seen at 88 degrees through da-mobile rises by 1.3 %
+JUMP_SHARE = 0.02  # of depth per pixel: a face seen at 88 degrees through da-mobile rises by 1.3 %
 LARGEST_STRIDE_PX = 64
 GLTF_AXES = np.array([1.0, -1.0, -1.0])  # y up, z towards the viewer, from the camera's y down, z forward
 
@@ -51,7 +51,7 @@ def surface(
     """Mesh of display values [h, w, 3], 0..1, at their depths [h, w], by the pinhole ``intrinsic`` [3, 3] in pixels.
 
     A vertex for each ``stride_px``-th pixel's centre, X = z K^-1 (u, v, 1); two triangles between four of them, left
-    out where a depth is unknown or where depth differs by more than ``jump_share`` of itself a pixel: the edge
+    out where a depth is unknown or where depth differs by more than ``jump_share`` of itself per pixel: the edge
     between an object and what lies behind it is cut, not bridged.
     """
     if not (isinstance(stride_px, int) and 1 <= stride_px <= LARGEST_STRIDE_PX):
