@@ -41,5 +41,5 @@ def run_claims(
         entries = [entry for outcome in outcomes for entry in outcome.claims]
         write_results(folder / "results.json", entries, {outcome.id: outcome.seconds for outcome in outcomes})
         (folder / "report.html").write_text(claims_page(outcomes), encoding="utf-8")
-        write_junit(folder / "junit.xml", outcomes)
+        write_junit(folder / "junit.xml", outcomes, "dasim validate")
     return outcomes

@@ -17,6 +17,7 @@ import cyclopts
 from cyclopts import Parameter
 
 from dasim.base.errors import InputError
+from dasim.cli import options
 from dasim.cli.options import Whole
 
 if TYPE_CHECKING:
@@ -132,6 +133,60 @@ def info(dataset: str, *, plot: Path | None = None) -> int:
         histograms.plot(rows, plot, f"{spec.name} {spec.version}")
         print(f"plot: {plot}")
     return 0
+
+
+@app.command
+def score(
+    dataset: str,
+    *,
+    method: Annotated[list[str], Parameter(negative="", consume_multiple=True)],
+    split: str = "test",
+    metric: Annotated[list[str] | None, Parameter(negative="", consume_multiple=True)] = None,
+    bank: Path | None = None,
+    gates: Path | None = None,
+    json_file: Annotated[Path | None, Parameter(name="--json")] = None,
+    junit: Path | None = None,
+) -> int:
+    """Score the depth estimates of methods on all samples of a split; exit status 1 where a limit of --gates is missed.
+
+    Args:
+        dataset: its folder or fsspec address
+        method: a depth method: a bundled name, or your function as package.module:function or file.py:function, with a
+            name for its figures as NAME=file.py:function
+        split: the samples that are scored
+        metric: your own function of a depth map in metres and the truth, named as a method is
+        bank: a PSF bank for all samples; by default one is calibrated for each camera and focus, and kept in the cache
+        gates: a TOML file with limits, whose keys are dataset.METHOD.FIGURE
+        json_file: also write the figures to this file, and each sample's
+        junit: also write the verdicts to this file, as JUnit XML
+    """
+    from dasim.dataset.reading import open_dataset
+    from dasim.files.banks import load_bank
+    from validation.gates.scored import check_score_files, judged_score, write_score
+    from validation.method_scores import sample_rows, score_split, split_figures
+    from validation.methods import named
+    from validation.reports.lines import of_claim
+    from validation.scores.metrics import load_metrics
+
+    check_score_files(json_file, junit)
+    judged_score("dataset", [], gates)
+    methods, metrics = named(method), load_metrics(metric or ())
+    samples = open_dataset(dataset, split)
+    if not len(samples):
+        raise InputError(f"{dataset}: split '{split}' has no samples")
+    given = None if bank is None else load_bank(bank)
+    with options.progress() as show:
+        scores = score_split(
+            samples, methods, metrics, bank_of=None if given is None else lambda *about: given, progress=show
+        )
+    entries = judged_score("dataset", [f for own in methods for f in split_figures(own, scores[own])], gates)
+    for own in methods:
+        print("\n".join(sample_rows(own, scores[own])))
+    for entry in entries:
+        print(of_claim(entry))
+    details = {own.name: [one.summary() for one in scores[own]] for own in methods}
+    write_score("dataset", entries, json_file=json_file, junit=junit, more={"samples": details})
+    return 1 if any(entry.passed is False for entry in entries) else 0
 
 
 def _part(text: str) -> tuple[int, int]:

@@ -5,7 +5,7 @@ Tested in tests/dasim/cli/test_commands.py.
 
 from __future__ import annotations
 
-import json
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -167,66 +167,84 @@ def _picture_alone(shot: Capture, even: Capture | None, chosen: Settings, bank: 
 
 def score(
     result: Path,
-    capture: Path,
+    capture: Path | None = None,
     *,
     confidence: Path | None = None,
     scale: float | None = None,
+    method: Annotated[list[str] | None, Parameter(negative="", consume_multiple=True)] = None,
+    metric: Annotated[list[str] | None, Parameter(negative="", consume_multiple=True)] = None,
+    bank: Path | None = None,
+    gates: Path | None = None,
     json_file: Annotated[Path | None, Parameter(name="--json")] = None,
+    junit: Path | None = None,
 ) -> int:
-    """Score a reconstruction, or anybody's depth map, against the ground truth of its capture.
+    """Score a reconstruction, a depth map, or the depth methods named, against the ground truth of the capture.
+
+    Exit status 1 where a limit of --gates is missed.
 
     Args:
-        result: a reconstruction folder, or a depth map: EXR or NPY in metres, 16-bit PNG with --scale
+        result: a reconstruction folder, or a depth map: EXR or NPY in metres, 16-bit PNG with --scale; with --method
+            the capture folder, and nothing else
         capture: the capture folder with truth.exr; or, for a reconstruction of a photograph of your own, the depths
             that you measured: EXR or NPY in metres, 16-bit PNG with --scale, one for each pixel, NaN (0) where unknown
         confidence: with a depth map, how sure it is of each pixel (same formats, any unit, more is surer)
         scale: metres of one unit of the depth map, or of the measured depths
+        method: a depth method to run and score: a bundled name, or your function as package.module:function or
+            file.py:function, with a name for its figures as NAME=file.py:function; figures are METHOD.FIGURE
+        metric: your own function of a depth map in metres and the truth, named as a method is; it returns a number or
+            a dict of numbers
+        bank: with --method, a PSF bank; by default that of the camera's description
+        gates: a TOML file with limits, whose keys are score.FIGURE
         json_file: also write the figures to this file
+        junit: also write the verdicts to this file, as JUnit XML
     """
-    from dasim.base import atomic
     from dasim.files.captures import load_capture, load_truth
     from recon.files.reconstruction import load_reconstruction
-    from validation.gates.claim import plain_value
+    from validation.gates.scored import check_score_files, judged_score, write_score
+    from validation.method_scores import score_methods
+    from validation.methods import named
+    from validation.reports.lines import of_claim
     from validation.scores import score as scores
     from validation.scores.depth_files import SUFFIXES, read_depth, read_map
+    from validation.scores.measured_truth import score_measured
+    from validation.scores.metrics import load_metrics
 
-    _check_score_output(json_file)
-    if capture.is_file() and capture.suffix.lower() in SUFFIXES:
-        from validation.scores.measured_truth import score_measured
-
-        if confidence is not None or not result.is_dir():
-            raise InputError(f"{capture}: measured depths judge a reconstruction folder, which says its camera")
+    check_score_files(json_file, junit)
+    judged_score("score", [], gates)  # a file that cannot be read is refused before the work begins
+    methods, metrics = named(method or ()), load_metrics(metric or ())
+    if methods:
+        if capture is not None or confidence is not None or scale is not None:
+            raise InputError("--method: runs on a capture; give its folder, and no map, --confidence or --scale")
+        taken = load_capture(result)
+        truth = load_truth(result)
+        with options.progress() as progress:
+            figures = score_methods(taken, truth, _bank(bank, taken, progress), methods, metrics)
+    elif capture is None or bank is not None:
+        raise InputError("score: needs a reconstruction or depth map and its capture; --bank is for --method")
+    elif capture.is_file() and capture.suffix.lower() in SUFFIXES:
+        if confidence is not None or metrics or not result.is_dir():
+            raise InputError(
+                f"{capture}: measured depths judge a reconstruction folder, which says its camera; --confidence and "
+                "--metric do not go with them"
+            )
         figures = score_measured(load_reconstruction(result), read_depth(capture, scale))
     elif result.is_file() or result.suffix.lower() in SUFFIXES:
         depth_m = read_depth(result, scale)
         trust = None if confidence is None else read_map(confidence)
         taken = load_capture(capture)
-        figures = scores.score_map(depth_m, taken, load_truth(capture), trust)
+        figures = scores.score_map(depth_m, taken, load_truth(capture), trust, metrics=metrics)
     else:
         if confidence is not None or scale is not None:
             raise InputError("--confidence and --scale belong to a depth map; a reconstruction folder has its own")
         found = load_reconstruction(result)
         taken = load_capture(capture)  # a capture that is not whole is not scored
-        figures = scores.score(found, taken, load_truth(capture))
-    print(scores.table(figures))
-    if json_file is not None:
-        content = {f.id: {"value": plain_value(f.value), "unit": f.unit} for f in figures}
-        atomic.write(json_file, json.dumps(content, indent=1) + "\n")
-    return 0
-
-
-def _check_score_output(out: Path | None) -> None:
-    """Refuse to overwrite anything but an earlier score."""
-    if out is None:
-        return
-    if not out.parent.is_dir():
-        raise InputError(f"--json {out}: {out.parent} is no folder")
-    if not out.exists():
-        return
-    try:
-        earlier = json.loads(out.read_text(encoding="utf-8"))
-        if all(set(figure) == {"value", "unit"} for figure in earlier.values()):
-            return
-    except (OSError, ValueError, AttributeError, TypeError):
-        pass
-    raise InputError(f"--json {out}: exists and is no earlier score; choose another name")
+        figures = scores.score(found, taken, load_truth(capture), metrics=metrics)
+    for name in [f"{own}." for own in methods] or [""]:
+        print(f"method {name[:-1]}" if name else "", end="\n" if name else "")
+        print(scores.table([replace(f, id=f.id.removeprefix(name)) for f in figures if f.id.startswith(name)]))
+    entries = judged_score("score", figures, gates)
+    for entry in entries:
+        if entry.limit is not None:
+            print(of_claim(entry))
+    write_score("score", entries, json_file=json_file, junit=junit)
+    return 1 if any(entry.passed is False for entry in entries) else 0

@@ -6,6 +6,8 @@ import json
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
 from pydantic import ConfigDict, Field
 
 from dasim.base.errors import InputError
@@ -62,10 +64,14 @@ def load_capture(path: Path) -> Capture:
     """Read a capture folder; InputError where a file is missing, cut short or does not fit the others."""
     path = Path(path)
     meta = _read_meta(path)
-    about = parse(_CaptureMeta, meta, str(path / "meta.json"))
     for name in {"raw.png", *meta.get("file_bytes", {})}:
         _check_whole(path / name, meta)
-    raw = read_png16(path / "raw.png")
+    return capture_of(meta, read_png16(path / "raw.png"), str(path))
+
+
+def capture_of(meta: dict[str, Any], raw: NDArray[np.uint16], where: str) -> Capture:
+    """A capture of the content of its ``meta.json`` and its raw picture; InputError where they do not fit."""
+    about = parse(_CaptureMeta, meta, f"{where}/meta.json")
     camera = about.camera
     capture = Capture(
         raw_dn=raw,
@@ -79,7 +85,7 @@ def load_capture(path: Path) -> Capture:
     sensor = camera.sensor
     if raw.shape != (sensor.height_px, sensor.width_px):
         raise InputError(
-            f"{path / 'raw.png'}: is {raw.shape[1]} x {raw.shape[0]} pixels, "
+            f"{where}/raw.png: is {raw.shape[1]} x {raw.shape[0]} pixels, "
             f"meta.json says {sensor.width_px} x {sensor.height_px}"
         )
     return capture

@@ -11,13 +11,19 @@ import numpy as np
 import pytest
 
 import recon
+import validation
 from dasim.base.errors import InputError
 from dasim.cli import run
+from dasim.dataset.reading import Sample
+from dasim.files.banks import save_bank
+from dasim.files.captures import capture_meta, save_capture
 from dasim.simulation.simulate import Shot
+from recon import levels
 from tests.support import recon_scenes, surfaces
 from validation import methods
 from validation.claims.depth import scenes
 from validation.claims.table import CLAIMS
+from validation.method_scores import sample_rows, score_split, split_figures
 from validation.methods import NamedMethod, named
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
@@ -61,6 +67,7 @@ def bank():
 def mine(tmp_path, monkeypatch) -> Path:
     """A folder to work in, with a file of methods."""
     (tmp_path / "mine.py").write_text(METHODS)
+    methods.function.cache_clear()  # the file has the same name in each test
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("DASIM_CACHE_DIR", str(tmp_path / "cache"))
     monkeypatch.setattr("dasim.cli.options.say_variant", lambda variant: None)
@@ -172,3 +179,116 @@ def test_every_claim_about_depth_takes_methods():
         "staircase-camera", "depth", "all-in-focus", "refocus", "depth-steps", "light-levels", "depth-maps",
         "yellow-disks", "scene-pictures",
     }  # fmt: skip
+
+
+# --- scores --------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def capture(mine, shot, bank) -> Path:
+    """The capture and its bank on disk."""
+    save_capture(mine / "shot", shot.capture, shot.truth)
+    save_bank(mine / "bank.npz", bank)
+    return mine
+
+
+def test_score_runs_methods_and_metrics_on_a_capture(capture, shot):
+    """Expectation: figures of the method are those of its reconstruction scored in Python; the metric's by hand."""
+    (capture / "gates.toml").write_text('["score.flat.raw.all.level-median"]\nlimit = "<= 0.5"\n')
+    metric = f"near={EXAMPLES / 'metric.py'}:within_a_centimetre"
+    command = ["score", "shot", "--method", "flat=mine.py:constant", "--bank", "bank.npz", "--metric", metric]
+    command += ["--metric", f"{EXAMPLES / 'metric.py'}:ordinal", "--json", "score.json", "--junit", "score.xml"]
+    assert run(command) == 0
+    assert run([*command, "--gates", "gates.toml"]) == 1, "a constant map is off by more than half a level"
+    content = json.loads((capture / "score.json").read_text())
+    assert content["flat.raw.all.level-median"]["passed"] is False
+    assert content["flat.raw.all.level-median"]["value"] == pytest.approx(
+        np.median(np.abs(shot.truth.level - 4)), abs=0.05
+    )
+    own = levels.depth_of(np.full(shot.truth.level.shape, 4.0, np.float32), recon_scenes.bank(("D65",)).depth_m)
+    expected = np.mean(np.abs(own - shot.truth.depth_m) < 0.01)
+    assert content["flat.raw.near"]["value"] == pytest.approx(expected, abs=0.01)
+    assert content["flat.raw.ordinal-right"]["value"] == 0, "a constant map orders nothing"
+    (failure,) = ElementTree.parse(capture / "score.xml").iter("failure")
+    assert "limit <= 0.5" in failure.get("message")
+
+
+def test_score_in_python_takes_a_metric(shot, bank):
+    result = recon.reconstruct(shot.capture, bank)
+
+    def share(depth_m, truth) -> float:
+        """Share of pixels with depth."""
+        return float(np.isfinite(depth_m).mean())
+
+    values = {f.id: f.value for f in validation.score(result, shot.capture, shot.truth, metrics=[share])}
+    assert values["regularised.share"] == 1 and values["raw.share"] == np.isfinite(result.level_raw).mean()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["--method", "mine.py:broken"], ("mine.py:broken", "IndexError")),
+        (["--method", "mine.py:wrong_shape"], ("mine.py:wrong_shape", "shape")),
+        (["--method", "mine.py:constant", "--scale", "1"], ("--method", "--scale")),
+        (["--metric", "mine.py:none", "--method", "bands"], ("mine.py", "none")),
+        (["--metric", "mine.py:broken", "--method", "flat=mine.py:constant"], ("metric 'broken'", "IndexError")),
+        (["--method", "bands", "--gates", "claims.toml"], ("depth.bands.desk.raw", "score")),
+        ([], ("needs", "capture")),
+    ],
+)
+def test_wrong_scores_are_refused_in_one_line(capture, capsys, arguments, said):
+    (capture / "claims.toml").write_text('["depth.bands.desk.raw"]\nlimit = "> 0"\n')
+    assert run(["score", "shot", "--bank", "bank.npz", *arguments]) == 2
+    lines = [line for line in capsys.readouterr().err.splitlines() if line.startswith("dasim: ")]
+    assert len(lines) == 1 and all(part in lines[0] for part in said), lines
+
+
+# --- datasets ------------------------------------------------------------------------------------
+
+
+def sample_of(index: int, shot: Shot, **changes) -> Sample:
+    parts = {field.name: getattr(shot.truth, field.name) for field in dataclasses.fields(shot.truth)}
+    meta = json.loads(json.dumps(capture_meta(shot.capture)))
+    return Sample(index, "test", shot.capture.raw_dn, parts | changes, meta)
+
+
+def test_a_dataset_is_scored_by_pixels_and_by_samples(mine, shot, bank):
+    """Set-up: the sample as it is, one whose true levels are 4 everywhere; the constant map of level 4.
+
+    Expectation: it wins the second and loses none to itself; both samples' errors are those of |level - 4|.
+    """
+    flat = sample_of(1, shot, level=np.full_like(shot.truth.level, 4.0))
+    methods_ = named(["flat=mine.py:constant", "mine.py:broken", "bands"])
+    scores = score_split([sample_of(0, shot), flat], methods_, bank_of=lambda *about: bank)
+    ours = {figure.id: figure.value for figure in split_figures(methods_[0], scores[methods_[0]])}
+    own = np.abs(shot.truth.level - 4.0)
+    near = shot.truth.valid & (shot.truth.level >= -0.5)
+    assert ours["flat.coverage"] == 1
+    assert ours["flat.pixels.level-mean"] == pytest.approx(own[near].mean() / 2, rel=0.02)
+    assert ours["flat.samples.level-mean"] == pytest.approx(np.median(own[near]) / 2, rel=0.02)
+    assert ours["flat.samples.level-mean.constant"] <= ours["flat.samples.level-mean"] + 0.05
+    assert [one.failed is None for one in scores[methods_[1]]] == [False, False]
+    broken = {figure.id: figure.value for figure in split_figures(methods_[1], scores[methods_[1]])}
+    assert broken["mine.py:broken.lost"] == 2 and np.isnan(broken["mine.py:broken.pixels.level-mean"])
+    assert not scores[methods_[2]][0].lost and scores[methods_[2]][1].lost, "of levels that the picture does not have"
+    assert "lost" in sample_rows(methods_[2], scores[methods_[2]])[2]
+
+
+def test_a_sample_without_the_truth_that_is_needed_is_named(shot, bank):
+    sample = sample_of(7, shot)
+    del sample.truth["level"]
+    with pytest.raises(InputError, match=r"sample 0*7: its truth lacks blur.*truth.keep"):
+        score_split([sample], named(["bands"]), bank_of=lambda *about: bank)
+
+
+def test_the_command_scores_a_split(mine, shot, bank, monkeypatch, capsys):
+    monkeypatch.setattr("dasim.dataset.reading.open_dataset", lambda path, split: [sample_of(3, shot)])
+    save_bank(mine / "bank.npz", bank)
+    (mine / "gates.toml").write_text('["dataset.flat.lost"]\nlimit = "<= 0"\n')
+    command = ["dataset", "score", "set", "--method", "flat=mine.py:constant", "--bank", "bank.npz", "--json", "s.json"]
+    assert run(command) == 0
+    assert run([*command, "--gates", "gates.toml", "--junit", "s.xml"]) == 1
+    content = json.loads((mine / "s.json").read_text())
+    assert content["flat.lost"] == {"value": 1.0, "unit": "samples", "limit": "<= 0", "passed": False}
+    assert content["samples"]["flat"][0]["lost"] is True
+    assert "lost" in capsys.readouterr().out

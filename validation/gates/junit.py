@@ -5,15 +5,16 @@ Tested in tests/validation/gates/test_run.py.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from xml.etree import ElementTree
 
 from validation.gates.outcome import Outcome
 
 
-def write_junit(path: Path, outcomes: list[Outcome]) -> None:
+def write_junit(path: Path, outcomes: Sequence[Outcome], name: str) -> None:
     """Write the outcomes as JUnit XML: a suite a claim, a case a figure; figures without a limit are skipped cases."""
-    root = ElementTree.Element("testsuites", name="dasim validate")
+    root = ElementTree.Element("testsuites", name=name)
     for outcome in outcomes:
         cases = outcome.claims
         suite = ElementTree.SubElement(

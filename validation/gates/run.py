@@ -21,7 +21,7 @@ from validation.gates import stored
 from validation.gates.claim import Claim, Evidence
 from validation.gates.limits import Gate, judged_all
 from validation.gates.outcome import Measurement, Outcome
-from validation.methods import NamedMethod, identity
+from validation.methods import NamedMethod, function
 from validation.scores.figures import Figure
 from validation.subjects import shots
 from validation.subjects.rendering import NotRun
@@ -116,8 +116,9 @@ def _runs(
 
 def _key(job: Job, measurement: Measurement, variant: str) -> str:
     """What the result depends on, of a user's method also its name and code."""
-    key = stored.key(measurement.run, variant, job.seed)
-    return key if job.method is None else stored.hashed([key, *identity(job.method, variant)])
+    own = () if job.method is None else (function(job.method),)
+    key = stored.key(measurement.run, variant, job.seed, uses=own)
+    return key if job.method is None else stored.hashed([key, job.method.name])
 
 
 def _file(job: Job) -> str:

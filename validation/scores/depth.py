@@ -193,6 +193,16 @@ def balanced_error(error: FloatArray, true: FloatArray) -> tuple[float, float, l
     return weighted_median(np.abs(error[inside]), weight), best, bins
 
 
+def constant_errors(true: FloatArray) -> FloatArray:
+    """Absolute errors of the constant map whose median error is least, for true levels [n]."""
+    if not true.size:
+        return true
+    some = true[:: max(true.size // MOST_PIXELS, 1)]
+    constants = np.arange(some.min(), some.max() + CONSTANT_STEP, CONSTANT_STEP)
+    best = min(constants, key=lambda constant: float(np.median(np.abs(some - constant))))
+    return np.abs(true - best)
+
+
 def weighted_median(values: FloatArray, weights: FloatArray) -> float:
     """The value up to which half of the weight lies."""
     order = np.argsort(values)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -15,18 +16,21 @@ from validation.scores import depth, pictures, texture
 from validation.scores.depth import METRICS as DEPTH_METRICS
 from validation.scores.depth import check_size
 from validation.scores.figures import Figure
+from validation.scores.metrics import Metric, metric_figures
 
 PICTURES = ("captured", "all-in-focus")
 LEVEL_KEYS = ("level-median", "level-bias")
 FLAT_LEVELS = 1e-3  # a scene with less depth than this has no best constant to compare with
 
 
-def score(result: Reconstruction, capture: Capture, truth: Truth) -> list[Figure]:
+def score(result: Reconstruction, capture: Capture, truth: Truth, *, metrics: Sequence[Metric] = ()) -> list[Figure]:
     """Figures of a reconstruction: raw and regularised depth, confidence, and pictures against the sharp truth.
 
     ``result``, ``capture`` and ``truth`` are of one picture [h, w]; the capture is needed because the regions with
     texture are those of the raw picture. Depth figures are named MAP.REGION.METRIC (:mod:`validation.scores.depth`),
-    those of pictures PICTURE.REGION.METRIC (:mod:`validation.scores.pictures`). InputError where the sizes differ.
+    those of pictures PICTURE.REGION.METRIC (:mod:`validation.scores.pictures`). ``metrics`` are
+    functions of your own of a depth map in metres and the truth; their figures are MAP.NAME. InputError where the sizes
+    differ.
     """
     _check_kinds((result, Reconstruction), (capture, Capture), (truth, Truth))
     camera, textured = result.camera, texture.textured(capture)
@@ -35,13 +39,19 @@ def score(result: Reconstruction, capture: Capture, truth: Truth) -> list[Figure
     figures = []
     for name, depth_m in (("raw", raw_m), ("regularised", result.depth_m)):
         figures += depth_figures(name, depth_m, truth, camera, textured)
+        figures += metric_figures(name, depth_m, truth, metrics)
     figures += level_figures("raw", raw_m, truth, camera, textured)
     figures += confidence_figures("regularised", result.depth_m, result.confidence, truth, camera)
     return [*figures, *picture_figures(result, truth)]
 
 
 def score_map(
-    depth_m: NDArray[Any], capture: Capture, truth: Truth, confidence: NDArray[Any] | None = None
+    depth_m: NDArray[Any],
+    capture: Capture,
+    truth: Truth,
+    confidence: NDArray[Any] | None = None,
+    *,
+    metrics: Sequence[Metric] = (),
 ) -> list[Figure]:
     """Figures of any depth map [h, w] in metres, NaN where there is no estimate, and of its confidence.
 
@@ -49,6 +59,7 @@ def score_map(
     """
     _check_kinds((capture, Capture), (truth, Truth))
     figures = depth_figures("depth", depth_m, truth, capture.camera, texture.textured(capture))
+    figures += metric_figures("depth", depth_m, truth, metrics)
     if confidence is not None:
         figures += confidence_figures("depth", depth_m, confidence, truth, capture.camera)
     return figures
