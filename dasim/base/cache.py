@@ -1,4 +1,4 @@
-"""The folder for what is worth keeping between runs and may be deleted at any time.
+"""Folder for results that are kept between runs and may be deleted at any time.
 
 Tested in tests/dasim/cli/test_commands.py.
 """

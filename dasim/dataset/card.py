@@ -1,4 +1,4 @@
-"""What makes a dataset whole: its index, its card with statistics and a contact sheet, and its checksums.
+"""What completes a dataset: index, card with statistics and a contact sheet, checksums.
 
 Tested in tests/dasim/dataset/test_specification.py.
 """
@@ -26,7 +26,7 @@ CHUNK = 1 << 20
 
 
 def finish(out: str, spec: DatasetSpec, failed: dict[int, str]) -> None:
-    """Write index, card, contact sheet and checksums; what was only needed on the way goes."""
+    """Write index, card, contact sheet and checksums, and remove the intermediate files."""
     try:
         rows = rows_of(out)
     except FileNotFoundError:
@@ -47,7 +47,7 @@ def finish(out: str, spec: DatasetSpec, failed: dict[int, str]) -> None:
 
 
 def tidy(out: str) -> None:
-    """Remove what was only needed on the way to the whole."""
+    """Remove the intermediate files: parts and rows."""
     for folder in ("rows", "parts"):
         storage.remove(out, folder)
 
@@ -86,7 +86,7 @@ def sha256(out: str, name: str) -> str:
 
 
 def table(rows: list[dict[str, Any]]) -> bytes:
-    """The index as parquet: a row a sample, the same bytes for the same rows."""
+    """The index as parquet: one row per sample, the same bytes for the same rows."""
     parquet = reading.parquet_library()
     import pyarrow
 
@@ -113,7 +113,7 @@ def contact_sheet(rows: list[dict[str, Any]]) -> bytes:
 
 
 def statistics(rows: list[dict[str, Any]]) -> list[str]:
-    """Lines on what the samples are like: depth, blur, exposure, lights, cameras."""
+    """Lines of text about the samples: depth, blur, exposure, lights, cameras."""
     if not rows:
         return ["no samples"]
 
@@ -157,7 +157,7 @@ def card(spec: DatasetSpec, manifest: dict[str, Any], rows: list[dict[str, Any]]
         if spec.format == "webdataset"
         else "A folder for each sample, `SPLIT/KEY/` with `raw.png`, `truth.exr`, `meta.json`."
     )
-    given_up = "".join(f"- {key}: {said}\n" for key, said in list(failed.items())[:20])
+    given_up = "".join(f"- {key}: {reason}\n" for key, reason in list(failed.items())[:20])
     lines = "\n".join(f"- {line}" for line in statistics(rows))
     return f"""# {spec.name} {spec.version}
 

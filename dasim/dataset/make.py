@@ -1,4 +1,4 @@
-"""Make a dataset: what is missing, in any order and by any executor, into shards, an index and a card."""
+"""Make the missing samples of a dataset, in any order and by any executor, and collect them in shards."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ KEPT = "nothing is lost: put it right, and run the same again"
 
 @dataclass
 class Progress:
-    """How far a run is; handed to who shows it, after each sample."""
+    """Progress of a run, reported after each sample."""
 
     total: int  # samples of this run
     before: int = 0  # of them made by earlier runs
@@ -37,12 +37,12 @@ class Progress:
 
     @property
     def rate(self) -> float:
-        """Samples an hour of this run."""
+        """Samples per hour of this run."""
         return 3600 * self.done / max(time.monotonic() - self.began, 1e-9)
 
     @property
     def left_s(self) -> float:
-        """Seconds left at this rate; NaN before the first sample."""
+        """Estimated time left, s; NaN before the first sample."""
         missing = self.total - self.before - self.done - len(self.failed)
         return 3600 * missing / self.rate if self.done else float("nan")
 
@@ -56,9 +56,9 @@ def make(
     log: Path | None = None,
     show: Callable[[Progress], None] = lambda progress: None,
 ) -> Progress:
-    """Make what is missing of a dataset, and finish it when nothing is.
+    """Make the missing samples of a dataset, and finish it when none is missing.
 
-    ``shard`` is (k, n): the k-th of n parts of the shards, for as many runs side by side; who comes last finishes. With
+    ``shard`` is (k, n): the k-th of n parts of the shards, for n runs side by side; the last one finishes it. With
     ``retry``, samples that failed in earlier runs are tried again. Raises InputError where nothing can be written.
     """
     try:
@@ -131,7 +131,7 @@ def _make(
 
 
 def parts(out: str) -> set[int]:
-    """Samples that are made and wait for the others of their shard."""
+    """Samples that are made and wait for their shard to be complete."""
     return {int(Path(name).stem) for name in storage.names(out, "parts")}
 
 
@@ -147,7 +147,7 @@ def closed_shards(out: str) -> set[str]:
 
 
 def close(job: Job, group: Shard) -> None:
-    """Put the samples of a shard together; what was given up is left out."""
+    """Write a shard from its samples; failed samples are left out."""
     given_up = failures(job.out)
     made = [index for index in group.indices if index not in given_up]
     try:
@@ -181,7 +181,7 @@ def _written(job: Job, group: Shard, made: list[int]) -> list[dict[str, Any]]:
 
 
 def _reopen(job: Job, own: tuple[Shard, ...]) -> None:
-    """Take shards apart in which samples failed, so that these are tried again."""
+    """Split shards with failed samples into their parts, so that these samples are tried again."""
     broken = failures(job.out)
     if storage.exists(job.out, plan.SUMS):
         card.take_back(job.out, job.spec)

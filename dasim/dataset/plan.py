@@ -21,7 +21,7 @@ MANIFEST = "dataset.json"
 INDEX = "index.parquet"
 SUMS = "SHA256SUMS"
 LOGS = "make*.log"  # of several runs side by side one each
-# Bytes a pixel of each part of the truth as the EXR's ZIP leaves them, measured on random scenes; noise hardly packs.
+# Bytes per pixel of each part of the truth after the EXR's ZIP, measured on random scenes; noise hardly compresses.
 PART_BYTES = {
     "depth": 3.0,
     "normal": 5.0,
@@ -34,11 +34,11 @@ PART_BYTES = {
 HALF_SHARE = 0.5
 RAW_BYTES = 1.5
 META_BYTES = 60_000
-SPARE = 1.1  # a shard exists twice for a moment, and estimates are estimates
+SPARE = 1.1  # a shard exists twice for a moment, and sizes are estimated
 
 
 class Shard(NamedTuple):
-    """Samples that are kept together."""
+    """Samples that are stored together."""
 
     name: str  # split and number
     split: str
@@ -109,7 +109,7 @@ def manifest(out: str) -> dict[str, Any]:
 
 
 def begin(out: str, described: dict[str, Any]) -> None:
-    """Write the manifest of a new dataset; of one that was begun, see that it is the same.
+    """Write the manifest of a new dataset; of one that exists, check that it is the same.
 
     Raises InputError that says what differs: the specification key by key, variant, instruction set or libraries.
     """
@@ -130,10 +130,10 @@ def differences(old: Any, new: Any, place: Sequence[str] = ()) -> list[str]:
     """Where two plain values differ, as sentences."""
     if isinstance(old, dict) and isinstance(new, dict):
         keys = [key for key in (*old, *(key for key in new if key not in old)) if key != "spec_sha256"]
-        return [said for key in keys for said in differences(old.get(key), new.get(key), (*place, key))]
+        return [text for key in keys for text in differences(old.get(key), new.get(key), (*place, key))]
     if isinstance(old, list) and isinstance(new, list) and len(old) == len(new):
         pairs = enumerate(zip(old, new, strict=True))
-        return [said for number, (a, b) in pairs for said in differences(a, b, (*place, str(number)))]
+        return [text for number, (a, b) in pairs for text in differences(a, b, (*place, str(number)))]
     return [] if old == new else [f"{'.'.join(place)} was {_short(old)}, now {_short(new)}"]
 
 

@@ -1,4 +1,4 @@
-"""Read a dataset, either format, without caring which.
+"""Read a dataset of either format.
 
 Tested in tests/dasim/dataset/test_specification.py.
 """
@@ -59,7 +59,7 @@ class Dataset(Sequence[Sample]):
         return decoded(row, files)
 
     def __iter__(self) -> Iterator[Sample]:
-        """One after the other; of shards in one go, which is faster than one by one."""
+        """All samples in order; each shard is read in one pass, which is faster than sample by sample."""
         start = 0
         while start < len(self.rows):
             shard = self.rows[start]["shard"]

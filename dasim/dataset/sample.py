@@ -45,7 +45,7 @@ LIBRARIES = (  # what decides the bytes of pixels and files
 
 @dataclass(frozen=True)
 class Job:
-    """What a worker has to know: where to write, what to make, and that it has to make it as the others do."""
+    """What a worker needs: the specification, the output, and the environment that all workers must share."""
 
     spec: DatasetSpec
     out: str
@@ -111,7 +111,7 @@ def make(spec: DatasetSpec, index: int, variant: str) -> Made:
 
 
 def one_thread() -> None:
-    """Let this process render on one thread: many processes share the computer, and all add in the same order."""
+    """Render on one thread in this process: many processes share the computer, and the order of sums is fixed."""
     backend.use_threads(1)
     cv2.setNumThreads(1)
 
@@ -156,7 +156,7 @@ def inner(truth: Truth, margin_px: int) -> Truth:
 
 
 def _row(drafted: Draft, shot: Shot, files: dict[str, bytes]) -> dict[str, Any]:
-    """A sample's row of the index: parameters, checksums, what tells whether it is sane, and a small picture."""
+    """A sample's row of the index: parameters, checksums, statistics for plausibility checks, and a thumbnail."""
     capture, truth = shot.capture, shot.truth
     body = capture.camera.sensor
     seen = truth.depth_m[truth.valid]

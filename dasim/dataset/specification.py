@@ -1,4 +1,4 @@
-"""What a dataset is made of: scenes, cameras, light, focus and exposure with their distributions; splits and format."""
+"""Specification of a dataset: scenes, cameras, light, focus and exposure with their distributions; splits, format."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ Scalar = bool | int | float | str
 
 
 class Draw(Specification):
-    """A number or a word for each sample: uniform, log-uniform, or one of several with equal chances."""
+    """Distribution of a number or word over the samples: uniform, log-uniform, or a choice with equal probabilities."""
 
     uniform: tuple[float, float] | None = None
     log_uniform: tuple[float, float] | None = None
@@ -169,7 +169,7 @@ class DatasetSpec(Specification):
     size_px: tuple[int, int] = Field(default=(512, 384), description="width and height, a central crop of the sensor")
     format: Literal["folders", "webdataset"] = "webdataset"
     samples_per_shard: int = Field(default=100, ge=1, le=100_000)
-    spp: int | Literal["auto"] = Field(default="auto", description="samples a pixel and stop")
+    spp: int | Literal["auto"] = Field(default="auto", description="samples per pixel and stop")
     noise_share: float = Field(default=NOISE_SHARE, ge=0.01, le=10, description="that spp = 'auto' aims at")
     diffraction: Literal["wave", "airy", "off"] | None = None
     scenes: SceneChoice = SceneChoice()
@@ -210,7 +210,7 @@ def check(spec: DatasetSpec, where: str) -> None:
     """InputError where something that the specification names is missing or out of range, all problems at once."""
     problems = []
     for number, choice in enumerate(spec.cameras):
-        problems += [f"cameras.{number}: {said}" for said in _camera_problems(spec, choice)]
+        problems += [f"cameras.{number}: {problem}" for problem in _camera_problems(spec, choice)]
     for key, drawn, allowed in (
         ("focus.distance_m", spec.focus.distance_m, (1e-3, 1e4)),
         ("exposure.time_s", spec.exposure.time_s, (1e-9, LONGEST_EXPOSURE_S)),

@@ -1,4 +1,4 @@
-"""Files of a dataset, here or wherever fsspec reaches (``s3://...``); each is there whole, or not at all.
+"""Files of a dataset, in a folder or at any address of fsspec (``s3://...``); written whole or not at all.
 
 Tested in tests/dasim/dataset/test_make.py and tests/dasim/dataset/test_s3.py.
 """
@@ -28,7 +28,7 @@ def _opened(out: str) -> tuple[Any, str]:
 @lru_cache(maxsize=8)
 def _opened_in(out: str, process: int) -> tuple[Any, str]:
     try:
-        fs, root = fsspec.core.url_to_fs(out, use_listings_cache=False)  # others write there at the same time
+        fs, root = fsspec.core.url_to_fs(out, use_listings_cache=False)  # other processes write there at the same time
     except (ImportError, ValueError) as error:
         raise InputError(f"{out}: cannot be opened: {error}") from None
     return fs, root.rstrip("/")
@@ -39,7 +39,7 @@ Others = ParamSpec("Others")
 
 
 def _asked(function: Callable[Concatenate[str, Others], Result]) -> Callable[Concatenate[str, Others], Result]:
-    """What a store raises that is no OSError, as one: each has errors of its own."""
+    """Turn errors of stores, which have types of their own, into OSError."""
 
     @wraps(function)
     def ask(out: str, *arguments: Others.args, **options: Others.kwargs) -> Result:
@@ -50,8 +50,8 @@ def _asked(function: Callable[Concatenate[str, Others], Result]) -> Callable[Con
         except Exception as error:
             if is_local(out):
                 raise
-            said = " ".join(f"{type(error).__name__}: {error}".split())
-            raise ConnectionError(errno.EIO, said, out) from None
+            message = " ".join(f"{type(error).__name__}: {error}".split())
+            raise ConnectionError(errno.EIO, message, out) from None
 
     return ask
 
@@ -118,7 +118,7 @@ def exists(out: str, name: str = "") -> bool:
 
 @_asked
 def names(out: str, folder: str = "") -> list[str]:
-    """Names of everything below a folder, relative to the dataset, sorted; without what is half-written."""
+    """Names of all files below a folder, relative to the dataset, sorted; without unfinished files."""
     fs, root = _opened(out)
     below = f"{root}/{folder}" if folder else root
     found = fs.find(below) if fs.exists(below) else []
@@ -141,7 +141,7 @@ def sweep(out: str) -> None:
 
 
 def free_bytes(out: str) -> int | None:
-    """Free space where the dataset goes; None where nobody knows."""
+    """Free space of the output, bytes; None where it is unknown."""
     if not is_local(out):
         return None
     path = local_path(out)

@@ -1,4 +1,4 @@
-"""Read a whole dataset again: checksums, shapes, ranges, specification, what is missing and what is too much.
+"""Check a dataset: checksums, shapes, ranges, specification, missing and surplus samples.
 
 Tested in tests/dasim/dataset/test_specification.py.
 """
@@ -23,7 +23,7 @@ SHAPES = {"normal": 3, "mean_e": None, "sharp_e": None, "sharp_srgb": 3}  # last
 
 
 def problems(out: str, show: Callable[[float], None] = lambda share: None) -> Iterator[str]:
-    """Everything that is wrong with a dataset, one line each, as it is found. InputError where it is none."""
+    """Problems of a dataset, one line each, as they are found. InputError where the folder is not a dataset."""
     described = plan.manifest(out)
     spec = reading.spec_of(out)
     if not storage.exists(out, SUMS):
@@ -54,7 +54,7 @@ def problems(out: str, show: Callable[[float], None] = lambda share: None) -> It
 
 
 def _files(out: str) -> Iterator[str]:
-    """Checksums, and files that nobody knows."""
+    """Wrong checksums, and files that do not belong to the dataset."""
     known = set()
     *lines, rest = storage.read(out, SUMS).decode(errors="replace").split("\n")
     if rest:

@@ -22,7 +22,7 @@ KERNEL_SUM_TOLERANCE = 1e-3
 
 
 def bank_identity(bank: PsfBank) -> dict[str, Any]:
-    """Which bank it is, as plain data: SHA-256 of its arrays, camera, focus, lights, levels."""
+    """Identity of a bank as plain data: SHA-256 of its arrays, camera, focus, lights, levels."""
     digest = hashlib.sha256()
     for array in (bank.kernel, bank.signature, bank.depth_m, bank.blur_px):
         digest.update(np.ascontiguousarray(array, np.float32).tobytes())

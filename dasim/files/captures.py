@@ -46,7 +46,7 @@ def save_capture(path: Path, capture: Capture, truth: Truth | None) -> None:
 
 
 def capture_meta(capture: Capture) -> dict[str, Any]:
-    """What ``meta.json`` says of a capture, apart from its files and the software."""
+    """Content of ``meta.json`` except for file sizes and software versions."""
     return {
         "schema": CAPTURE_SCHEMA,
         "camera": capture.camera.model_dump(mode="json"),
@@ -99,7 +99,7 @@ def load_truth(path: Path) -> Truth:
 
 
 class _CaptureMeta(Specification):
-    """The keys of ``meta.json`` that a capture is made of; the others are for people."""
+    """The keys of ``meta.json`` that define a capture; the others inform readers."""
 
     model_config = ConfigDict(frozen=True, extra="ignore", allow_inf_nan=False)
 
@@ -118,7 +118,7 @@ def _check_whole(file: Path, meta: dict[str, Any]) -> None:
     sizes = meta.get("file_bytes")
     written = sizes.get(file.name) if isinstance(sizes, dict) else None
     if written is not None and file.stat().st_size != written:
-        raise InputError(f"{file}: has {file.stat().st_size} bytes of {written}; it is cut short or was changed")
+        raise InputError(f"{file}: has {file.stat().st_size} bytes of {written}; it is truncated or was changed")
 
 
 def _read_meta(path: Path) -> dict[str, Any]:

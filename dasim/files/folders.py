@@ -14,7 +14,7 @@ from dasim.base.errors import InputError
 
 
 def software_versions() -> dict[str, str]:
-    """Versions of what decides the pixels of a capture."""
+    """Versions of the software that determines the pixels of a capture."""
     found = {}
     for name in ("dasim", "mitsuba", "drjit", "numpy", "scipy"):
         try:
@@ -54,7 +54,7 @@ def new_folder(path: Path, kind: str) -> Iterator[Path]:
 
 
 def check_output(path: Path, kind: str) -> None:
-    """Refuse an output folder that holds anything but an earlier result of this kind; before any work starts."""
+    """InputError for an output folder that holds anything but an earlier result of this kind; called before work."""
     shown, path = path, Path(path).resolve()
     if path == Path.cwd() or path in Path.cwd().parents:
         raise InputError(f"output '{shown}': is the working folder or above it; name a new folder")

@@ -30,7 +30,9 @@ from dasim.base.fingerprint import fingerprint
 VARIANTS = ("cuda_ad_spectral", "llvm_ad_spectral", "scalar_spectral")  # fastest first
 OLDEST_LLVM = 17  # of 15, 16, 19 and 22 the first two abort Dr.Jit 1.5, the others work
 PROBE_TIMEOUT_S = 60.0  # a healthy probe takes below 1 s, a cold graphics driver some seconds
-FAILURE_KEPT_S = 24 * 3600.0  # what failed is tried again a day later: a driver may have come, or a load gone
+FAILURE_KEPT_S = (
+    24 * 3600.0
+)  # a failed variant is tried again a day later: a driver may be installed by then, or a high load over
 
 LLVM_FOLDERS = (
     str(Path(sys.prefix) / "lib"),  # conda
@@ -44,7 +46,7 @@ LLVM_FOLDERS = (
     "/usr/local/opt/llvm*/lib",
 )
 _LLVM_NAME = re.compile(r"libLLVM(-\d[\w.]*)?\.(so[\d.]*|dylib)")
-# What shows that a graphics card or its driver has come or gone.
+# Files that show whether a graphics card and its driver are installed.
 _GPU_FILES = ("/dev/nvidia0", "/dev/dxg", "/proc/driver/nvidia/version", "/usr/lib/*-linux-gnu/libcuda.so*")
 
 _VERSION_PROGRAM = """
@@ -93,7 +95,7 @@ _active: Choice | None = None
 
 @dataclass(frozen=True)
 class Choice:
-    """A variant that works here, and why it was chosen, in one line for people."""
+    """A variant that works on this computer, and the reason for the choice in one line."""
 
     variant: str
     reason: str
@@ -128,7 +130,7 @@ def choose(variant: str | None = None) -> Choice:
 
 
 def use_threads(count: int) -> None:
-    """How many threads render from now on; sums over many threads may differ in their last bits."""
+    """Set the number of rendering threads; sums over several threads may differ in their last bits."""
     import drjit
 
     drjit.set_thread_count(count)
@@ -136,7 +138,7 @@ def use_threads(count: int) -> None:
 
 @contextlib.contextmanager
 def reading_threads() -> Iterator[None]:
-    """Two threads at least while Mitsuba reads files: its EXR reader waits for ever for another one than its own."""
+    """Ensure two threads while Mitsuba reads files: its EXR reader waits forever for a second one."""
     import drjit
 
     count = drjit.thread_count()
@@ -150,9 +152,9 @@ def reading_threads() -> Iterator[None]:
 
 
 def release_memory() -> None:
-    """Give back what a picture left in the pools of Dr.Jit and of the C library.
+    """Release memory that a picture left in the pools of Dr.Jit and of the C library.
 
-    Scenes of ever other sizes would leave more and more there: 0.87 GB after 12 random scenes, 0.47 GB with this.
+    Scenes of varying sizes would otherwise accumulate: 0.87 GB after 12 random scenes, 0.47 GB with this.
     """
     import drjit
 
