@@ -1,4 +1,4 @@
-"""Pictures that claims put into the report: photographs, maps of depth on one scale, surfaces seen from aside.
+"""Pictures of the reports: photographs, depth maps on a common scale, and oblique views of textured surfaces.
 
 Tested in tests/validation/claims/test_pictures.py.
 """
@@ -18,19 +18,19 @@ from dasim.typing import FloatArray
 from recon.views.surface import Surface
 from validation.reports.page import MAP, NO_ESTIMATE
 
-JPEG_QUALITY = 92  # a fifth of the size of PNG for a noisy photograph, without a difference that is seen
+JPEG_QUALITY = 92  # a fifth of the size of PNG for a noisy photograph, without a visible difference
 PANEL_INCH = 3.2  # width of a map
 DPI = 130
 TICKS = 5
 BACKGROUND = 255
-SUPERSAMPLED = 2
-RELIEF_SHARE = 0.7  # of the frame's width, depth of a relief
-PITCH_DEG = 15.0  # from above
-FRAMED = 0.75  # of its size, so that the turned relief stays within the frame
+SUPERSAMPLING = 2
+RELIEF_SHARE = 0.7  # depth of a relief as a share of the frame's width
+PITCH_DEG = 15.0  # the viewer's elevation above the optical axis
+RELIEF_SCALE = 0.75  # so that the rotated relief stays within the frame
 
 
 def photo_address(image: NDArray[Any]) -> str:
-    """A photograph, display values 0..1 [h, w, 3], as a data address (JPEG)."""
+    """A photograph [h, w, 3] of display values 0..1 as a data URL (JPEG)."""
     encoded = np.rint(np.clip(np.nan_to_num(image), 0, 1) * 255).astype(np.uint8)[..., ::-1]
     sampling = [cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444]
     _, data = cv2.imencode(".jpg", np.ascontiguousarray(encoded), [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY, *sampling])
@@ -38,9 +38,9 @@ def photo_address(image: NDArray[Any]) -> str:
 
 
 def depth_panels(maps: Sequence[tuple[str, NDArray[Any]]], nearest_m: float, farthest_m: float) -> str:
-    """Maps of depth in metres [h, w] side by side, each under its title, on one scale with a colour bar, in cm.
+    """Depth maps [h, w] in metres side by side, each below its title, with a common colour bar in cm.
 
-    Colours are linear in dioptres, as blur is; grey where a map has NaN.
+    Colours are linear in dioptres, as blur is, from ``farthest_m`` to ``nearest_m``; NaN is grey.
     """
     import matplotlib
     from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -72,14 +72,15 @@ def depth_panels(maps: Sequence[tuple[str, NDArray[Any]]], nearest_m: float, far
 def relief(
     mesh: Surface, intrinsic: FloatArray, shape: tuple[int, int], nearest_m: float, farthest_m: float, yaw_deg: float
 ) -> FloatArray:
-    """A textured surface as a relief seen from aside and a little from above, display values [h, w, 3].
+    """A textured surface as a relief, seen from one side and slightly from above; display values 0..1, [h, w, 3].
 
-    ``yaw_deg`` > 0 looks from the right. The axes are (x / z, y / z, 1 / z): a projective view of space, in which
-    planes stay planes and a level of blur is as deep everywhere; in metres, a lens of 14 degrees sees a spike.
-    The range from ``nearest_m`` to ``farthest_m`` is RELIEF_SHARE of the frame's width deep. Triangles from the
-    farthest on, each in the colour of its middle (painter's algorithm); white where no surface is seen.
+    ``intrinsic`` is the camera matrix K of the surface's picture and ``shape`` the [h, w] of the result; a positive
+    ``yaw_deg`` looks from the right. The relief's axes are (x / z, y / z, 1 / z). This projective map keeps planes
+    plane and gives every blur level the same depth, whereas in metres a field of view of 14 degrees would look like a
+    spike. The range from ``nearest_m`` to ``farthest_m`` has a depth of RELIEF_SHARE of the frame's width. Triangles
+    are drawn from back to front, each in the colour of its centre (painter's algorithm), on white.
     """
-    height, width = SUPERSAMPLED * shape[0], SUPERSAMPLED * shape[1]
+    height, width = SUPERSAMPLING * shape[0], SUPERSAMPLING * shape[1]
     canvas = np.full((height, width, 3), BACKGROUND, np.uint8)
     if len(mesh.triangle):
         flat = mesh.vertex_m @ intrinsic.T / mesh.vertex_m[:, 2:]
@@ -87,16 +88,16 @@ def relief(
         centred = np.column_stack(
             [flat[:, 0] - shape[1] / 2, flat[:, 1] - shape[0] / 2, (0.5 - depth) * RELIEF_SHARE * shape[1]]
         )
-        turned = centred @ _rotation(yaw_deg, PITCH_DEG).T * (FRAMED * SUPERSAMPLED)
-        xy = np.rint(turned[:, :2] + (width / 2, height / 2)).astype(np.int32)
-        faces = mesh.triangle[np.argsort(-turned[mesh.triangle, 2].mean(axis=1))]
+        rotated = centred @ _rotation(yaw_deg, PITCH_DEG).T * (RELIEF_SCALE * SUPERSAMPLING)
+        xy = np.rint(rotated[:, :2] + (width / 2, height / 2)).astype(np.int32)
+        faces = mesh.triangle[np.argsort(-rotated[mesh.triangle, 2].mean(axis=1))]
         for corners, colour in zip(xy[faces], _colours(mesh, faces), strict=True):
             cv2.fillConvexPoly(canvas, corners, colour)
     return cv2.resize(canvas, (shape[1], shape[0]), interpolation=cv2.INTER_AREA).astype(np.float64) / 255
 
 
 def _rotation(yaw_deg: float, pitch_deg: float) -> FloatArray:
-    """Rotation of the scene that shows it from the right (yaw) and from above (pitch); x right, y down, z forward."""
+    """Rotation matrix that shows a scene from the right (yaw) and from above (pitch); x right, y down, z forward."""
     yaw, pitch = np.radians(yaw_deg), np.radians(pitch_deg)
     about_y = np.array([[np.cos(yaw), 0, np.sin(yaw)], [0, 1, 0], [-np.sin(yaw), 0, np.cos(yaw)]])
     about_x = np.array([[1, 0, 0], [0, np.cos(pitch), -np.sin(pitch)], [0, np.sin(pitch), np.cos(pitch)]])
@@ -104,10 +105,10 @@ def _rotation(yaw_deg: float, pitch_deg: float) -> FloatArray:
 
 
 def _colours(mesh: Surface, faces: NDArray[np.int64]) -> list[list[int]]:
-    """Colour of each triangle's middle in the texture, [n][3]."""
+    """Colour of the texture at each triangle's centre, [n][3]."""
     height, width = mesh.picture.shape[:2]
     u, v = mesh.uv[faces].mean(axis=1).T
     rows = np.clip(((1 - v) * height).astype(int), 0, height - 1)
     columns = np.clip((u * width).astype(int), 0, width - 1)
-    found: list[list[int]] = mesh.picture[rows, columns].astype(int).tolist()
-    return found
+    colours: list[list[int]] = mesh.picture[rows, columns].astype(int).tolist()
+    return colours

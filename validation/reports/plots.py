@@ -1,4 +1,4 @@
-"""Plots that claims put into the report: SVG pictures by matplotlib, in colours that the colour-blind tell apart.
+"""Plots of the reports: SVG pictures by matplotlib, in colours that colour-blind readers can distinguish.
 
 Tested in tests/validation/claims/test_pictures.py.
 """
@@ -16,7 +16,11 @@ CHANNEL_COLOURS = {"R": "#d55e00", "G": "#009e73", "B": "#0072b2", "IR": "#44444
 def plot(
     draw: Callable[[Any], None], *, columns: int = 1, rows: int = 1, size: tuple[float, float] = (6.4, 3.6)
 ) -> str:
-    """An SVG picture as a data address; ``draw`` gets the axes, an array of them for several columns or rows."""
+    """A plot as a data URL of an SVG picture.
+
+    ``draw`` gets the matplotlib axes, as an array if there are several ``columns`` or ``rows``. ``size`` is the width
+    and height of one panel in inches.
+    """
     import matplotlib
     from matplotlib.backends.backend_svg import FigureCanvasSVG
     from matplotlib.figure import Figure

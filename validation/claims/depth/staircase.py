@@ -102,9 +102,9 @@ def staircase(progress: ShareDone, seed: int = 0) -> Evidence:
             for name in COMPARED:
                 found = made.estimates(noise, kernels, SCORES[name], seed)
                 drawn[texture, noise.name, name] = found
-                figures += _figures(f"{name}.{texture}.{noise.name}", f"{texture}, {noise.said}, {name}", found)
+                figures += _figures(f"{name}.{texture}.{noise.name}", f"{texture}, {noise.label}, {name}", found)
                 if texture == TEXTURE:
-                    tables.append((f"{texture}, {noise.said}, {name}", *_rows(found)))
+                    tables.append((f"{texture}, {noise.label}, {name}", *_rows(found)))
             figures.append(_ratio(texture, noise, drawn))
         progress(0.85 * (number + 1) / (1 + len(TEXTURES)))
     levels = range(0, BLUR_LEVELS, EVERY)
@@ -112,11 +112,11 @@ def staircase(progress: ShareDone, seed: int = 0) -> Evidence:
     for noise in (noise for noise in NOISES if noise.name in PUBLISHED):
         found = made.estimates(noise, kernels, SCORES["published-diagonals"], seed)
         label = f"published-diagonals.{TEXTURE}.{noise.name}"
-        figures += _figures(label, f"{TEXTURE}, {noise.said}, published diagonals", found)
+        figures += _figures(label, f"{TEXTURE}, {noise.label}, published diagonals", found)
     figures += _between(camera, kernels, seed)
     progress(1.0)
     caption = f"Mean and standard deviation of the estimated level against the true one, {TEXTURE} (compare Fig. 10)"
-    pictures = [(caption, _fig_10({noise.name: noise.said for noise in NOISES}, drawn))]
+    pictures = [(caption, _fig_10({noise.name: noise.label for noise in NOISES}, drawn))]
     pictures.append(("Root mean square error over the Cramer-Rao bound, by texture", _by_texture(drawn)))
     return Evidence(figures, pictures=pictures, tables=tables)
 
@@ -254,7 +254,7 @@ def _camera_bounds(camera: Camera, sharp_e: NDArray) -> FloatArray:
 def _figures(label: str, said: str, found: Sequence[Estimates]) -> list[Figure]:
     """Bias, deviation and error over the levels that show enough edges, their share, and the error over the bound."""
     seen = [one for one in found if one.error.size >= FEWEST_PX]
-    share = float(np.mean([one.answered for one in found]))
+    share = float(np.mean([one.coverage for one in found]))
     what = f"{said}: mean over {len(seen)} of {len(found)} levels of the"
     bias, deviation, error = (
         float(np.mean([measure(one.error) for one in seen])) if seen else float("nan")
@@ -284,7 +284,7 @@ def _ratio(texture: str, noise: Noise, drawn: dict[tuple[str, str, str], list[Es
         float(np.mean([np.abs(e.error).mean() for e in drawn[texture, noise.name, name] if e.error.size >= FEWEST_PX]))
         for name in ("paper", "chakrabarti-zickler")
     )
-    said = f"{texture}, {noise.said}: mean absolute error of paper over that of chakrabarti-zickler"
+    said = f"{texture}, {noise.label}: mean absolute error of paper over that of chakrabarti-zickler"
     return Figure(f"paper.{texture}.{noise.name}.ratio", own / prior, "1", said)
 
 
@@ -297,7 +297,7 @@ def _between(camera: Camera, kernels: NDArray, seed: int) -> list[Figure]:
     for noise in (noise for noise in NOISES if noise.name in BETWEEN_NOISES):
         for name in OURS:
             found = made.estimates(noise, kernels, SCORES[name], seed)
-            said = f"{TEXTURE}, {noise.said}, {name}, {len(levels)} levels between the bank's"
+            said = f"{TEXTURE}, {noise.label}, {name}, {len(levels)} levels between the bank's"
             text = f"{said}: root mean square error over the Cramer-Rao bound"
             figures.append(Figure(f"{name}.between.{noise.name}.to-bound", to_bound(found), "1", text))
     return figures
@@ -310,7 +310,7 @@ def _rows(found: Sequence[Estimates]) -> tuple[list[str], list[list[str]]]:
     for one in found:
         mean, deviation = (one.error.mean(), one.error.std()) if one.error.size else (np.nan, np.nan)
         bound = f"{one.bound:.3f}" if one.level >= 0.5 else "-"
-        rows.append([f"{one.level:g}", f"{one.level + mean:.3f}", f"{deviation:.3f}", bound, f"{one.answered:.2f}"])
+        rows.append([f"{one.level:g}", f"{one.level + mean:.3f}", f"{deviation:.3f}", bound, f"{one.coverage:.2f}"])
     return head, rows
 
 
@@ -359,7 +359,7 @@ def _by_texture(drawn: dict[tuple[str, str, str], list[Estimates]]) -> str:
                 value = [to_bound(drawn[texture, noise.name, name]) for texture in textures]
                 panel.semilogy(np.arange(len(textures)) + shift, value, "o", color=COLOURS[name], label=name)
             panel.axhline(1.0, color="black", linewidth=1.0)
-            panel.set(title=noise.said.replace(", ", ",\n"), ylim=(0.2, 60))
+            panel.set(title=noise.label.replace(", ", ",\n"), ylim=(0.2, 60))
             panel.set_xticks(range(len(textures)), textures, rotation=40)
         axes[0].set(ylabel="error over bound")
         axes[0].legend(fontsize=7)
