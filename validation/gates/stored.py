@@ -23,12 +23,13 @@ __all__ = ["hashed", "key", "load", "save"]
 SCHEMA = 4  # of the files
 
 
-def key(run: Callable[..., Any], variant: str, seed: int = 0) -> str:
+def key(run: Callable[..., Any], variant: str, seed: int = 0, *, uses: tuple[Callable[..., Any], ...] = ()) -> str:
     """Hash of what a claim's evidence depends on: code, data, libraries, the renderer's variant, seed.
 
-    Limits are not part of the key: stored evidence is compared with the limits of the day.
+    ``uses`` are functions that are passed to the claim, such as a depth method of a user's own. Limits are not part
+    of the key: stored evidence is compared with the limits of the day.
     """
-    return fingerprint(run, variant=variant, values=[str(SCHEMA), str(seed)])
+    return fingerprint(run, *uses, variant=variant, values=[str(SCHEMA), str(seed)])
 
 
 def load(name: str, seed: int, key: str) -> tuple[Evidence, float] | None:

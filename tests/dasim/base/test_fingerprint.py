@@ -273,6 +273,12 @@ def test_function_of_a_users_own_is_followed_beside_its_file(method, tmp_path, w
     assert HERE / "dasim/camera/noise.py" in found.files
 
 
+def test_claim_depends_on_the_functions_that_are_passed_to_it(method, tmp_path):
+    claim = CLAIMS["bank"].run
+    assert changed(lambda: stored.key(claim, VARIANT, uses=(method,)), tmp_path / "inner" / "sibling.py")
+    assert not changed(lambda: stored.key(claim, VARIANT), tmp_path / "inner" / "sibling.py")
+
+
 def test_installed_libraries_count_by_their_version(tmp_path, monkeypatch):
     """Expectation: a method in an installed package is followed within its package; what lies beside is a library."""
     folder = tmp_path / "site-packages"
