@@ -14,12 +14,12 @@ from dasim.typing import FloatArray
 
 
 def image_distance_m(camera: Camera) -> float:
-    """Distance from lens to sensor."""
+    """Distance from lens to sensor, in metres."""
     return thin_lens.image_distance_m(camera.lens.focal_length_mm * 1e-3, camera.lens.focus_distance_m)
 
 
 def aperture_m(camera: Camera) -> float:
-    """Diameter of the open lens."""
+    """Diameter of the open lens, in metres."""
     return camera.lens.focal_length_mm * 1e-3 / camera.lens.f_number
 
 
@@ -31,16 +31,16 @@ def blur_px(camera: Camera, depth_m: Any) -> Any:
 
 
 def depth_of_blur_m(camera: Camera, blur_px: Any) -> Any:
-    """Depth whose signed visible blur diameter is ``blur_px`` pixels."""
+    """Depth in metres at which the signed visible blur diameter is ``blur_px`` pixels."""
     blur_m = np.asarray(blur_px) * camera.sensor.pixel_pitch_um * 1e-6
     focus = camera.lens.focus_distance_m
     return thin_lens.depth_of_blur_m(blur_m, aperture_m(camera), image_distance_m(camera), focus)
 
 
 def focus_vergence(camera: Camera) -> FloatArray:
-    """Inverse of the distance that is in focus, 1/m, on ``spectra.WAVELENGTH_NM``; below 0 beyond infinity.
+    """Inverse of the focus distance at each wavelength, 1/m, [wavelength]; negative where it is beyond infinity.
 
-    The sensor stays where the focal length without shift puts it: 1/d_f(lambda) = 1/f(lambda) - 1/s.
+    The image distance s is that of the unshifted focal length: 1/d_f(lambda) = 1/f(lambda) - 1/s.
     """
     lens = camera.lens
     focal_m = lens.focal_length_mm * 1e-3
@@ -52,13 +52,13 @@ def focus_vergence(camera: Camera) -> FloatArray:
 
 
 def chromatic_blur_px(camera: Camera) -> FloatArray:
-    """What axial colour adds to the signed visible blur, pixels, on ``spectra.WAVELENGTH_NM``."""
+    """Addition of axial colour to the signed visible blur, in pixels, [wavelength]."""
     vergence = 1.0 / camera.lens.focus_distance_m - focus_vergence(camera)
     return aperture_m(camera) * image_distance_m(camera) * vergence / (camera.sensor.pixel_pitch_um * 1e-6)
 
 
 def hole_ratio(camera: Camera) -> float:
-    """Radius ratio of the smallest stop, the paper's alpha; of a stop that is no ring, that of a disc of its area."""
+    """Radius ratio of the smallest stop, alpha in the paper; for polygons and masks that of a disc of equal area."""
     rings = [aperture.ring(stop) for stop in camera.stops]
     return min(
         float(np.sqrt(aperture.open_area(stop))) if ring is None else ring.outer
@@ -67,11 +67,11 @@ def hole_ratio(camera: Camera) -> float:
 
 
 def level_blur_px(camera: Camera) -> FloatArray:
-    """Visible blur diameters in pixels of the blur levels, shape [level], from 0.
+    """Visible blur diameters of the blur levels, in pixels, [level], from 0.
 
-    By default level k is the relative diameter (1 - alpha) c = k pixels, which spans the paper's working range of
-    5 cm to 2 m in 29 levels with its 3.6 mm lens. A camera with one aperture takes steps of 2 pixels. Such steps are
-    too wide where alpha nears 1 (10 px of visible blur at 0.9), and comparisons of designs set ``camera.levels``.
+    By default, level k is at the relative diameter (1 - alpha) c = k pixels, so that 29 levels span the paper's working
+    range of 5 cm to 2 m with its 3.6 mm lens; cameras with one aperture have steps of 2 pixels. Where alpha approaches
+    1 these steps are too wide (10 px of visible blur at 0.9): comparisons of designs set ``camera.levels``.
     """
     if camera.levels is not None:
         return np.linspace(0.0, camera.levels.max_blur_px, camera.levels.count)
@@ -80,7 +80,7 @@ def level_blur_px(camera: Camera) -> FloatArray:
 
 
 def intrinsic_matrix(camera: Camera) -> FloatArray:
-    """Pinhole intrinsics K in pixels, [3, 3]; pixel centres at +0.5, the principal point in the frame's centre."""
+    """Pinhole intrinsics K in pixels, [3, 3]; pixel centres at +0.5, the principal point at the centre of the frame."""
     focal_px = image_distance_m(camera) / (camera.sensor.pixel_pitch_um * 1e-6)
     centre = (camera.sensor.width_px / 2, camera.sensor.height_px / 2)
     return np.array([[focal_px, 0, centre[0]], [0, focal_px, centre[1]], [0, 0, 1.0]])

@@ -1,15 +1,15 @@
-"""Point-spread functions of the camera: wave optics per stop and wavelength, then the pixel.
+"""Point-spread functions of a camera: wave optics per stop and wavelength, integrated over the pixels.
 
-A kernel is the sum over the stops, weighted with the spectrum that the channel sees through each, and
-integrated over square pixels. Discs and rings are radial about their own centre: one profile a wavelength.
-Polygons and masks are transformed on a grid. Three models:
+A kernel is the sum over the stops, weighted by the channel's spectral response through each, integrated over square
+pixels. Discs and rings are radially symmetric about their own centre and need one profile per wavelength; polygons and
+masks are transformed on a grid. There are three models of diffraction:
 
 ``wave``  |FT of the defocused pupil|^2, the true kernel (Goodman, Introduction to Fourier Optics, ch. 6)
 ``airy``  the geometric blur convolved with the in-focus pattern, an approximation
 ``off``   the geometric blur
 
-A point nearer than the focus throws the pupil upside down: the part of the lens at rho is displaced by
--rho c / 2, with c the signed visible blur. All of this in the upright picture, x right, y down.
+A point nearer than the focus projects the pupil upside down: light through the lens at rho is displaced by -rho c / 2,
+with c the signed visible blur. Kernels are those of the upright picture, x right, y down.
 """
 
 from __future__ import annotations
@@ -35,11 +35,11 @@ from dasim.typing import FloatArray
 Diffraction = Literal["wave", "airy", "off"]
 DIFFRACTION_MODELS: tuple[str, ...] = get_args(Diffraction)
 
-BAND_NM = 10.0  # profiles change slowly with wavelength: one each 10 nm
+BAND_NM = 10.0  # profiles vary slowly with wavelength: one per 10 nm
 RADIAL_STEP_PX = 0.05
 SUBPIXELS = 10  # per pixel and axis, for the integral over the pixel
 PUPIL_NODES = 400  # Gauss-Legendre nodes over the pupil's radius: enough for 100 rings and 20 waves
-AIRY_NODES = 800  # more, for mixtures whose transfer functions end one after the other
+AIRY_NODES = 800  # more, for mixtures of transfer functions with different cut-off frequencies
 MIN_DISC_PX = 0.3  # a geometric disc smaller than this has no effect on a pixel's integral
 
 
@@ -91,7 +91,7 @@ def _unit_nodes(count: int) -> tuple[FloatArray, FloatArray]:
 
 
 def ring_mtf(v: FloatArray, inner: float = 0.0) -> FloatArray:
-    """In-focus incoherent MTF of a disc or ring at v = lambda N f, 0 beyond v = 1: the pupil's own overlap.
+    """In-focus incoherent MTF of a disc or ring at v = lambda N f, 0 beyond v = 1: the autocorrelation of the pupil.
 
     ``inner`` is the inner radius over the outer (O'Neill, J. Opt. Soc. Am. 46, 1956).
     """
@@ -101,7 +101,7 @@ def ring_mtf(v: FloatArray, inner: float = 0.0) -> FloatArray:
 
 
 def _overlap(a: float, b: float, distance: FloatArray) -> FloatArray:
-    """Area that two discs of radii a >= b share at a distance of their centres."""
+    """Area of the intersection of two discs of radii a >= b, by the distance of their centres."""
     if b == 0:
         return np.zeros_like(distance)
     d = np.clip(distance, a - b + 1e-12, a + b)
@@ -302,7 +302,7 @@ def kernels(
 
 
 def _moved_alike(camera: Camera, centre: aperture.Point, spectrum: FloatArray) -> Iterator[tuple[float, FloatArray]]:
-    """Parts of a spectrum whose blur through a stop about ``centre`` has one place, with what axial colour adds to it.
+    """Parts of a spectrum that blur to the same place through a stop about ``centre``, each with its axial colour, px.
 
     Through a displaced stop axial colour moves the wavelengths apart: one part each 10 nm.
     """

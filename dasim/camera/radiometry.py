@@ -1,4 +1,4 @@
-"""Radiometry of a camera: from spectral radiance to electrons per second and pixel.
+"""Radiometry of a camera: electrons per second and pixel from spectral radiance.
 
 Tested in tests/dasim/camera/test_specification.py and tests/dasim/render/test_lens.py.
 """
@@ -15,17 +15,16 @@ from dasim.typing import FloatArray
 
 
 def relative_illumination(camera: Camera) -> FloatArray:
-    """Light of each pixel relative to the axis, [h, w]: cos^4 of the chief ray's angle times the shading."""
+    """Illumination of each pixel relative to the axis, [h, w]: cos^4 of the chief ray's angle times the shading."""
     s2 = image_distance_m(camera) ** 2
     return (s2 / (s2 + square_of_image_height_m2(camera))) ** 2 * shading(camera)
 
 
 def stop_response(camera: Camera, stop: aperture.Stop) -> FloatArray:
-    """Electrons a second and pixel, per W m^-2 sr^-1 nm^-1 of scene radiance, through one stop.
+    """Electrons per second and pixel through one stop, per W m^-2 sr^-1 nm^-1 of radiance, [channel, wavelength].
 
-    Shape [channel, wavelength], on the axis: p^2 pi (r/s)^2 T_lens T_stop T_cutoff QE lambda / (h c),
-    the Abbe lens's E = pi L (r/s)^2 with pi r^2 the stop's open area. Off the axis it falls as
-    :func:`relative_illumination`.
+    On the axis this is p^2 pi (r/s)^2 T_lens T_stop T_cutoff QE lambda / (h c), from E = pi L (r/s)^2 of an Abbe lens,
+    with pi r^2 the open area of the stop. Off the axis it decreases as :func:`relative_illumination`.
     """
     sensor = camera.sensor
     square_of_radius = aperture.open_area(stop) * (aperture_m(camera) / 2) ** 2
