@@ -255,7 +255,7 @@ def test_points_keep_their_names_in_another_installation(study, tmp_path, monkey
     before = [file_of(job, unit) for unit in units(job.spec)]
     shutil.copytree(scene.SCENE_DIR, tmp_path / "elsewhere")
     monkeypatch.setattr(scene, "SCENE_DIR", tmp_path / "elsewhere")
-    designs._loaded.cache_clear()
+    designs._cached_scene.cache_clear()
     assert [file_of(job, unit) for unit in units(job.spec)] == before and len(set(before)) == len(before)
 
 
@@ -292,7 +292,7 @@ def test_means_and_spread_over_seeds(study, tmp_path):
     """Expectation: seeds give x and 1.1 x: mean 1.05 x, deviation 0.1 x / sqrt(2)."""
     spec = load_study(str(study))
     swept(spec, tmp_path / "out")
-    rows = sweep.means(sweep.gathered(Sweep(spec, str(tmp_path / "out"), {"variant": "any"})), spec)
+    rows = sweep.means(sweep.measured_rows(Sweep(spec, str(tmp_path / "out"), {"variant": "any"})), spec)
     one = next(row for row in rows if row["light.lux"] == 100 and row["camera.stops.hole.radius_ratio"] == 0.3)
     x = 1 / 0.3 / 100
     assert one["depth-median"] == pytest.approx(1.05 * x)
@@ -354,24 +354,24 @@ REFERENCE = '[reference]\n"camera.stops.hole.radius_ratio" = 0.46\n'
         # every seed has its own noise, far larger than the lead, and 0.65 leads in each of them
         (
             {0.3: (3, 7, 2, 5), 0.46: (2.0, 6.1, 1.0, 4.2), 0.65: (1.8, 5.9, 0.8, 4.0)},
-            *(0.65, "worse", "0.65 is best, 0.46 costs 6.4 %"),
+            *(0.65, "worse", "0.65 is best, 0.46 is worse by 6.4 %"),
         ),
         (
             {0.3: (3, 3, 3, 3), 0.46: (1.0, 2.0, 1.0, 2.0), 0.65: (1.9, 0.9, 1.9, 0.9)},
-            *(0.65, "not told from the best", "0.65 is best, 0.46 is not told from it"),
+            *(0.65, "statistically tied with the best", "0.65 is best, 0.46 is statistically tied"),
         ),
         (
             {0.3: (3, 3, 3, 3), 0.46: (1.0, 1.1, 1.0, 1.1), 0.65: (1.2, 1.2, 1.3, 1.2)},
-            *(0.46, "the best", "0.46 is best"),
+            *(0.46, "best", "0.46 is best"),
         ),
         # t is 3.06 of 3 degrees of freedom: clear at 5 % (2.35), not at 5 % shared by two other values (3.18)
         (
             {0.3: (3, 3, 3, 3), 0.46: (1.0, 1.0, 1.0, 1.0), 0.65: (0.8, 0.9, 0.98, 0.85)},
-            *(0.65, "not told from the best", "0.65 is best, 0.46 is not told from it"),
+            *(0.65, "statistically tied with the best", "0.65 is best, 0.46 is statistically tied"),
         ),
         (
             {0.3: (3,), 0.46: (1.5,), 0.65: (1.0,)},
-            *(0.65, "not told from the best", "0.65 is best, 0.46 is not told from it"),
+            *(0.65, "statistically tied with the best", "0.65 is best, 0.46 is statistically tied"),
         ),
     ],
     ids=["paired", "noise", "best", "shared level", "one seed"],
@@ -379,7 +379,7 @@ REFERENCE = '[reference]\n"camera.stops.hole.radius_ratio" = 0.46\n'
 def test_where_the_reference_stands(referred, errors, best, verdict, said):
     found = findings.findings(referred, rows_of(referred, errors))
     assert [(one.figure, one.best, one.verdict) for one in found] == [("depth-median", best, verdict)]
-    assert findings.said(referred, found) == [f"depth-median: {said}"]
+    assert findings.sentences(referred, found) == [f"depth-median: {said}"]
 
 
 @pytest.mark.usefixtures("undrawn")
@@ -387,12 +387,12 @@ def test_a_sweep_says_what_it_found(referred, tmp_path):
     """Expectation: by the worker's formula the largest hole has the least error and loss; the bound has its order."""
     swept(referred, tmp_path / "out")
     lines = sweep.summary(Sweep(referred, str(tmp_path / "out"), {"variant": "any"}))
-    assert lines[0] == "light-loss: 0.65 is best, 0.46 costs 5.3 percentage points"  # (0.65^2 - 0.46^2) / 4
+    assert lines[0] == "light-loss: 0.65 is best, 0.46 is worse by 5.3 percentage points"  # (0.65^2 - 0.46^2) / 4
     (depth,) = (line for line in lines if line.startswith("depth-median:"))
     assert depth == "depth-median: 0.65 is better for " + ", ".join(
-        f"{lux} lux (0.46 costs 41 %)" for lux in (100, 1000, 10000)
+        f"{lux} lux (0.46 is worse by 41 %)" for lux in (100, 1000, 10000)
     )
-    assert lines[-1] == "rank correlation of depth-bound and depth-seen: 1.00, 9 points"
+    assert lines[-1] == "rank correlation of depth-bound and depth-seen: 1.00 over 9 points"
 
 
 def test_figures_that_are_better_large_are_judged_so(referred):
@@ -430,7 +430,7 @@ def test_what_is_known_of_one_case_is_not_said_of_all(referred):
     rows += [row | {"light.lux": 1000.0, "depth-median": math.nan} for row in rows]
     found = findings.findings(referred, rows)
     assert [one.others for one in found] == [{"light.lux": 100.0}]
-    assert findings.said(referred, found) == ["depth-median: 0.65 is best for 100 lux, 0.46 costs 100 %"]
+    assert findings.sentences(referred, found) == ["depth-median: 0.65 is best for 100 lux, 0.46 is worse by 100 %"]
 
 
 def test_a_reference_must_be_a_value_of_the_study(study):
@@ -461,7 +461,7 @@ def test_the_ranking_is_also_told_within_each_light(referred):
         for value in (0.3, 0.4, 0.46, 0.65)
     ]
     found = findings.ranking(referred, rows)
-    assert found.within == (pytest.approx(1.0), pytest.approx(-1.0)) and "-1.00 at least" in found.said
+    assert found.within == (pytest.approx(1.0), pytest.approx(-1.0)) and "minimum -1.00" in found.sentence
 
 
 def test_the_median_of_normal_errors_of_several_spreads():
@@ -487,7 +487,7 @@ def test_the_page_opens_in_a_browser_without_complaint(referred, tmp_path):
     """Expectation: the page shows its curves, in their first colour, and says where the reference stands."""
     swept(referred, tmp_path / "out")
     page = tmp_path / "out" / "report.html"
-    assert "Where camera.stops.hole.radius_ratio = 0.46 stands" in page.read_text()
+    assert "How camera.stops.hole.radius_ratio = 0.46 compares" in page.read_text()
     shot = browser.screenshot(page)
     blue = np.array([int(report.COLOURS[0][k : k + 2], 16) for k in (5, 3, 1)])
     assert (np.abs(shot.astype(int) - blue).max(axis=-1) < 20).sum() > 100
@@ -576,12 +576,12 @@ def test_depth_is_scored_where_the_bank_reaches(da_mobile, level, share):
 
 def test_a_point_is_photographed_and_scored(study, tmp_path, renderer):
     """Set-up: one design, two levels of light, tiny. Expectation: the same picture in more light has less noise."""
-    from validation.studies.sweep.point import measured as real
+    from validation.studies.sweep.point import measure
 
     text = STUDY.replace("[0.3, 0.46]", "[0.46]").replace("seeds = 2", "seeds = 1\nsize_px = [64, 48]\nspp = 4")
     study.write_text(text)
     spec = load_study(str(study))
-    rows = real(spec, units(spec)[0])
+    rows = measure(spec, units(spec)[0])
     dim, _, bright = (row["figures"] for row in rows)
     assert set(dim) < set(FIGURES) and json.dumps(rows)
     assert bright["infrared-snr"] > 2 * dim["infrared-snr"]

@@ -22,10 +22,10 @@ from validation.studies.sweep.specification import StudySpec, Value
 
 
 def camera_of(spec: StudySpec, point: dict[str, Value]) -> Camera:
-    """The camera of a point, whole frame; InputError where it cannot be made.
+    """The camera of a point, with its whole frame; InputError if its parameters make no valid camera.
 
-    Every design is calibrated at the blurs of the camera that it is made of: by default a wider hole would have wider
-    steps between its levels, and the pipeline would be worse for that alone.
+    All designs derived from one camera have the blur levels of that camera. The default levels would be further apart
+    for a larger hole, and this alone would worsen its reconstruction.
     """
     name = str(point.get("camera", spec.camera))
     beside = spec.folder / name
@@ -36,7 +36,7 @@ def camera_of(spec: StudySpec, point: dict[str, Value]) -> Camera:
     if "mosaic" in point:
         camera = with_mosaic(camera, str(point["mosaic"]))
     changes = {key.removeprefix("camera."): value for key, value in point.items() if key.startswith("camera.")}
-    if "disc_edge_nm" in point:  # one coating: what it stops passes the hole alone
+    if "disc_edge_nm" in point:  # the coating has one edge: light beyond it passes through the hole alone
         wide, hole = camera.stops[0].name, camera.stops[-1].name
         changes |= {f"stops.{wide}.passes_nm.0.1": point["disc_edge_nm"]}
         changes |= {f"stops.{hole}.passes_nm.0.0": point["disc_edge_nm"]}
@@ -44,45 +44,48 @@ def camera_of(spec: StudySpec, point: dict[str, Value]) -> Camera:
 
 
 def with_mosaic(camera: Camera, text: str) -> Camera:
-    """The camera with another mosaic: rows of R, G, B and I (infrared) with / between them, such as GR/BI."""
+    """The camera with another mosaic, given as rows of R, G, B and I (infrared) separated by /, such as GR/BI."""
     rows = text.split("/")
     if set(text) != set("RGBI/") or len({len(row) for row in rows}) != 1:
         raise InputError(
-            f"mosaic '{text}': needs two rows or more of equal length with / between them, of R, G, B and I "
-            "(infrared), all of which occur, such as GR/BI"
+            f"mosaic '{text}': give two or more rows of equal length, separated by /, of the letters R, G, B and I "
+            "(infrared), each of which must occur, such as GR/BI"
         )
     block = [["IR" if letter == "I" else letter for letter in row] for row in rows]
-    changed = camera.sensor.model_dump() | {"mosaic": block}
-    return camera.model_copy(update={"sensor": parse(type(camera.sensor), changed, f"mosaic '{text}'")})
+    sensor = camera.sensor.model_dump() | {"mosaic": block}
+    return camera.model_copy(update={"sensor": parse(type(camera.sensor), sensor, f"mosaic '{text}'")})
 
 
 @functools.lru_cache(maxsize=32)
-def _loaded(name: str, changed_ns: int) -> dasim.Scene | MitsubaScene:
-    """A scene, read once for all points that show it, and again when its file has changed."""
+def _cached_scene(name: str, modified_ns: int) -> dasim.Scene | MitsubaScene:
+    """A scene, read once for all points that show it, and again if its file's modification time differs."""
     return dasim.load_scene(name)
 
 
 def scene_of(spec: StudySpec, point: dict[str, Value]) -> dasim.Scene:
-    """The scene of a point, as it is lit in its file.
+    """The scene of a point, with the lights of its file.
 
-    A board at the point's distance has the same picture in every design, in pixels, but for its blur: textures of
-    nature are alike at all scales, and no lens shall look at a smoother one than another.
+    A board at the point's distance is scaled to have the same picture in pixels, apart from blur, in every design.
+    Natural textures have similar statistics at all scales; without scaling, lenses with other fields of view would see
+    smoother or coarser textures.
     """
     name = str(point.get("scene", spec.scene))
     beside = spec.folder / name
     file = beside if beside.is_file() else Path(name)
-    found = _loaded(str(file), file.stat().st_mtime_ns if file.is_file() else 0)
-    if isinstance(found, MitsubaScene):
-        raise InputError(f"scene '{name}': a study lights its scenes anew, which Mitsuba's files do not allow")
+    scene = _cached_scene(str(file), file.stat().st_mtime_ns if file.is_file() else 0)
+    if isinstance(scene, MitsubaScene):
+        raise InputError(
+            f"scene '{name}': a study changes the lights, which is impossible for a Mitsuba file; use TOML"
+        )
     if "distance_cm" not in point:
-        return found
-    ours, drawn_for = camera_of(spec, point), dasim.load_camera(targets.DEFAULT_CAMERA)
-    angles = [one.sensor.pixel_pitch_um / one.lens.focal_length_mm for one in (ours, drawn_for)]
-    return targets.at_distance(found, float(point["distance_cm"]), angles[0] / angles[1])
+        return scene
+    cameras = camera_of(spec, point), dasim.load_camera(targets.DEFAULT_CAMERA)
+    angles = [camera.sensor.pixel_pitch_um / camera.lens.focal_length_mm for camera in cameras]
+    return targets.at_distance(scene, float(point["distance_cm"]), angles[0] / angles[1])
 
 
 def settings_of(spec: StudySpec, point: dict[str, Value]) -> Settings:
-    """The settings of the reconstruction of a point."""
+    """The settings of a point's reconstruction: those of its preset, with the point's changes."""
     preset = str(point.get("recon.preset", spec.preset))
     if preset not in recon.PRESETS:
         raise InputError(f"preset '{preset}' is unknown; allowed are {', '.join(recon.PRESETS)}")

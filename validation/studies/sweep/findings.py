@@ -1,10 +1,10 @@
-"""What a sweep says: the best value of a parameter by each criterion, what another one costs, whether the bound ranks.
+"""Findings of a sweep: the best value of a parameter by each figure, its lead, and the ranking by the bound.
 
-The value that is asked about is the study's ``reference``, such as the paper's hole of 0.46. Values are compared seed
-by seed; where the reference decides the picture, the same seed is also the same random numbers. The best value is
-chosen by the same measurements that then say how good it is, so its lead is a little flattered; it counts as clear
-only where Student's test of the paired differences says so, at a level shared among the values that it was chosen
-from (Bonferroni). Seeds differ by the noise of sensor and rendering: another scene may answer otherwise.
+The value in question is the study's ``reference``, such as the paper's hole of 0.46. Values are compared seed by seed;
+if the parameter changes the rendered picture, equal seeds also mean equal random numbers. The best value is chosen by
+the same measurements that state its advantage, which is therefore slightly overestimated. It counts as better than the
+reference only if Student's t test of the paired differences is significant, at a level divided by the number of other
+values (Bonferroni). Seeds differ in the noise of sensor and rendering; another scene may have another best value.
 
 Tested in tests/validation/studies/test_sweep.py.
 """
@@ -26,66 +26,61 @@ Row = dict[str, Any]
 
 LARGER_IS_BETTER = ("infrared-snr", "coverage", "psnr", "psnr-gain", "stereo-coverage")
 SHARES = ("light-loss", "coverage", "stereo-coverage", "occluded-matched")  # compared by their difference
-NOT_JUDGED = (
-    "in-range",
-    "half-pixel-m",
-    "depth-constant",
-    "occluded-share",
-    "seconds",
-)  # of the scene, or of the machine
-LEVEL = 0.05  # of a case's tests together: one case in twenty has a clear lead that is none
-FEWEST_RANKED = 4  # points, for their order to mean something
-RANKED = ("depth-bound", "depth-seen")  # of the same pixels
+# Figures that describe the scene or the computer, not the design.
+WITHOUT_VERDICT = ("in-range", "half-pixel-m", "depth-constant", "occluded-share", "seconds")
+LEVEL = 0.05  # significance level of all tests of a case together: a false lead in one case of twenty
+FEWEST_RANKED = 4  # least number of points for a rank correlation
+RANKED = ("depth-bound", "depth-seen")  # the bound and the measured error over the same pixels
 
 
 @dataclass(frozen=True)
 class Finding:
-    """The best value of the reference's parameter by one figure, all else being equal."""
+    """The best value of the reference's parameter by one figure, with the other parameters fixed (a case)."""
 
     figure: str
-    others: dict[str, Value]  # the point's other parameters; empty where they do not matter
+    others: dict[str, Value]  # the point's other parameters; empty if they have no effect
     best: Value
-    at_best: float
-    at_reference: float
-    spread: float  # of the paired difference over seeds, its standard error; NaN with a single seed
-    clear: bool  # the best value is better than the reference beyond the noise
+    at_best: float  # mean of the figure over seeds at the best value
+    at_reference: float  # the same at the reference
+    spread: float  # standard error over seeds of the paired difference; NaN with a single seed
+    clear: bool  # whether the best value is significantly better than the reference
 
     @property
     def cost(self) -> float:
-        """What the reference is worse by: a share of the best, a difference for shares and in dB."""
+        """How much worse the reference is: relative to the best value, or a difference for shares and in dB."""
         if FIGURES[self.figure][0] == "dB" or self.figure in SHARES:
             return abs(self.at_best - self.at_reference)
         return abs(self.at_reference / self.at_best - 1) if self.at_best > 0 else math.nan
 
     @property
     def verdict(self) -> str:
-        """In words."""
+        """The reference's rank: best, statistically tied with the best, or worse."""
         if self.cost == 0:
-            return "the best"
-        return "worse" if self.clear else "not told from the best"
+            return "best"
+        return "worse" if self.clear else "statistically tied with the best"
 
 
 def findings(spec: StudySpec, rows: list[Row]) -> list[Finding]:
-    """A finding for each figure and each combination of the other parameters, those that do not matter left out.
+    """A finding for each figure and each combination of the other parameters; empty without a reference.
 
-    None where the study has no reference.
+    If a figure does not depend on the other parameters, it has one finding.
     """
-    found: list[Finding] = []
+    result: list[Finding] = []
     if not spec.reference:
-        return found
+        return result
     groups = _groups(spec, rows)
     for figure in FIGURES:
-        if figure in NOT_JUDGED or not any(math.isfinite(row[figure]) for row in rows):
+        if figure in WITHOUT_VERDICT or not any(math.isfinite(row[figure]) for row in rows):
             continue
         own = [one for group in groups if (one := _finding(spec, figure, *group)) is not None]
         if len(own) == len(groups) and len({(one.best, one.at_best, one.at_reference) for one in own}) == 1:
             own = [Finding(figure, {}, own[0].best, own[0].at_best, own[0].at_reference, own[0].spread, own[0].clear)]
-        found += own
-    return found
+        result += own
+    return result
 
 
 def _groups(spec: StudySpec, rows: list[Row]) -> list[tuple[dict[str, Value], list[Row]]]:
-    """Rows that differ in the reference's parameter and the seed alone; none where nothing stands against it."""
+    """Rows grouped by all parameters but the reference's; groups with the reference value alone are left out."""
     key, reference = next(iter(spec.reference.items()))
     groups: dict[tuple[Value, ...], list[Row]] = {}
     others = [name for name in spec.parameters if name != key]
@@ -99,6 +94,7 @@ def _groups(spec: StudySpec, rows: list[Row]) -> list[tuple[dict[str, Value], li
 
 
 def _finding(spec: StudySpec, figure: str, others: dict[str, Value], rows: list[Row]) -> Finding | None:
+    """The finding of one figure over a group of rows; None if the reference or all other values lack a measurement."""
     key, reference = next(iter(spec.reference.items()))
     seeds = sorted({row["seed"] for row in rows})
     values = {value: _by_seed(rows, key, value, figure, seeds) for value in spec.parameters[key]}
@@ -106,7 +102,7 @@ def _finding(spec: StudySpec, figure: str, others: dict[str, Value], rows: list[
     if reference not in known or len(known) < 2:
         return None
     sign = -1 if figure in LARGER_IS_BETTER else 1
-    # of equals the reference, so that nothing is said to be better that is not
+    # Among equal values the reference wins, so that no other value is reported as better.
     best = min(known, key=lambda value: (sign * known[value].mean(), value != reference))
     lead = sign * (known[reference] - known[best])
     error = float(lead.std(ddof=1) / np.sqrt(len(seeds))) if len(seeds) > 1 else math.nan
@@ -116,12 +112,13 @@ def _finding(spec: StudySpec, figure: str, others: dict[str, Value], rows: list[
 
 
 def _by_seed(rows: list[Row], key: str, value: Value, figure: str, seeds: list[int]) -> FloatArray:
-    found = {row["seed"]: row[figure] for row in rows if row[key] == value}
-    return np.array([found.get(seed, math.nan) for seed in seeds])
+    """A figure at one value of a parameter for each seed, NaN without a measurement."""
+    by_seed = {row["seed"]: row[figure] for row in rows if row[key] == value}
+    return np.array([by_seed.get(seed, math.nan) for seed in seeds])
 
 
-def said(spec: StudySpec, found: list[Finding]) -> list[str]:
-    """One sentence a figure of the study's own pictures: where the reference is the best value, where another is."""
+def sentences(spec: StudySpec, found: list[Finding]) -> list[str]:
+    """One sentence per figure of the study's plots: the cases in which the reference is best, and the others."""
     if not found:
         return []
     reference = next(iter(spec.reference.values()))
@@ -130,18 +127,21 @@ def said(spec: StudySpec, found: list[Finding]) -> list[str]:
     for figure in dict.fromkeys(one.figure for one in found if one.figure in drawn):
         own = [one for one in found if one.figure == figure]
         best = [one for one in own if one.cost == 0]
-        close = [one for one in own if one.cost != 0 and not one.clear]
+        tied = [one for one in own if one.cost != 0 and not one.clear]
         worse = [one for one in own if one.clear]
         parts = []
         if len(own) == 1:
-            costs = f", {reference} costs {_cost(own[0])}" if worse else f", {reference} is not told from it"
+            costs = f", {reference} is worse by {_cost(own[0])}" if worse else f", {reference} is statistically tied"
             where = f" for {_where(own[0].others)}" if own[0].others else ""
             parts.append(f"{own[0].best} is best{where}" + ("" if best else costs))
         else:
             parts += [f"{reference} is best in {len(best)} of {len(own)} cases"] if best else []
-            parts += [f"not told from the best in {len(close)}"] if close else []
+            parts += (
+                [f"{reference} is statistically tied with the best in {len(tied)} of {len(own)} cases"] if tied else []
+            )
             for value in dict.fromkeys(one.best for one in worse):
-                cases = [f"{_where(one.others)} ({reference} costs {_cost(one)})" for one in worse if one.best == value]
+                own_cases = [one for one in worse if one.best == value]
+                cases = [f"{_where(one.others)} ({reference} is worse by {_cost(one)})" for one in own_cases]
                 parts.append(f"{value} is better for {', '.join(cases)}")
         lines.append(f"{figure}: {'; '.join(parts)}")
     return lines
@@ -164,34 +164,40 @@ def _where(others: dict[str, Value]) -> str:
 
 @dataclass(frozen=True)
 class Ranking:
-    """Spearman's rank correlation of the bound with the error that was measured, over the points of a sweep."""
+    """Spearman's rank correlation between the Cramer-Rao bound and the measured error over the points of a sweep."""
 
     correlation: float
     points: int
     over_bound: float  # median of measured error over bound
-    within: tuple[float, ...]  # the same among values of the reference's parameter, all else being equal
+    within: tuple[float, ...]  # correlation over values of the reference's parameter, one for each case
 
     @property
-    def said(self) -> str:
-        """In words."""
-        text = f"rank correlation of {' and '.join(RANKED)}: {self.correlation:.2f}, {self.points} points"
+    def sentence(self) -> str:
+        """A sentence for reports."""
+        text = f"rank correlation of {' and '.join(RANKED)}: {self.correlation:.2f} over {self.points} points"
         if not self.within:
             return text
-        return f"{text}; all else being equal {np.median(self.within):.2f} (median), {min(self.within):.2f} at least"
+        middle, least = np.median(self.within), min(self.within)
+        return f"{text}; with the other parameters fixed, median {middle:.2f}, minimum {least:.2f}"
 
 
 def ranking(spec: StudySpec, averaged: list[Row]) -> Ranking | None:
-    """Over the points that have both figures; None where fewer than four have."""
-    found = _spearman(averaged)
-    if found is None:
+    """The ranking over the points that have both figures; None if fewer than ``FEWEST_RANKED`` bounds differ.
+
+    ``averaged`` has one row per point, the mean over seeds.
+    """
+    correlation = _spearman(averaged)
+    if correlation is None:
         return None
     pairs = _pairs(averaged)
     groups = _groups(spec, averaged) if spec.reference else []
     within = tuple(one for _, own in groups if (one := _spearman(own)) is not None)
-    return Ranking(found, len(pairs), float(np.median(pairs[:, 1] / pairs[:, 0])), within if len(within) > 1 else ())
+    over_bound = float(np.median(pairs[:, 1] / pairs[:, 0]))
+    return Ranking(correlation, len(pairs), over_bound, within if len(within) > 1 else ())
 
 
 def _pairs(rows: list[Row]) -> FloatArray:
+    """The figures ``RANKED`` of the rows that have both, [row, 2]."""
     pairs = np.array([[row[key] for key in RANKED] for row in rows], float)
     return np.asarray(pairs[np.isfinite(pairs).all(axis=1)])
 

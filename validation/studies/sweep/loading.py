@@ -1,4 +1,4 @@
-"""Studies from files: read, and refused as a whole before the first render where anything in them cannot be.
+"""Reading studies from files, and checking them completely before the first render.
 
 Tested in tests/validation/studies/test_sweep.py.
 """
@@ -23,31 +23,34 @@ from validation.studies.sweep.designs import camera_of, scene_of, settings_of
 from validation.studies.sweep.specification import StudySpec, Value, points
 
 BUNDLED = Path(__file__).parents[1] / "bundled"
-LEAST_SHARE = 1e-3  # of a channel's light, for a stop to count as open
-# What decides together whether a point can be made.
+LEAST_SHARE = 1e-3  # least share of a channel's light that passes a stop which counts as open
+# Groups of parameters whose combinations have to be checked; every other parameter is checked alone.
 TOGETHER = (("camera", "disc_edge_nm", "focus_m", "mosaic"), ("scene", "distance_cm"))
 PLAIN = {
     "scene": "a bundled scene or a file",
     "camera": "a bundled camera or a file",
-    "mosaic": "rows of R, G, B and I, infrared, such as GR/BI",
-    "distance_cm": "of the board of a flat scene, which keeps its size in the picture",
-    "light.illuminant": "of all lights",
-    "light.lux": "of all lights together",
-    "disc_edge_nm": "where the disc begins to block",
+    "mosaic": "rows of R, G, B and I (infrared), such as GR/BI",
+    "distance_cm": "distance of the board of a flat scene, which keeps its size in the picture",
+    "light.illuminant": "illuminant of all lights",
+    "light.lux": "illuminance by all lights together",
+    "disc_edge_nm": "wavelength beyond which the disc blocks light",
     "focus_m": "focus distance",
-    "stereo.baseline_mm": "of a second camera to the right",
-    "exposure.longest_s": "longest exposure",
+    "stereo.baseline_mm": "distance of a second camera to the right of the first",
+    "exposure.longest_s": "longest exposure time",
     "exposure.most_gain": "highest analogue gain",
 }
 
 
 def names() -> list[str]:
-    """Bundled studies."""
+    """Names of the bundled studies."""
     return sorted(path.stem for path in BUNDLED.glob("*.toml"))
 
 
 def load_study(name_or_path: str, *, quick: bool = False) -> StudySpec:
-    """A bundled study or a TOML file, checked as a whole; InputError names everything that is wrong."""
+    """A study from its bundled name or a TOML file, checked as a whole; InputError names all mistakes at once.
+
+    ``quick`` replaces values by those of the study's ``[quick]`` table and uses at most two seeds.
+    """
     bundled = BUNDLED / f"{name_or_path}.toml"
     path = bundled if bundled.is_file() else Path(name_or_path)
     if not path.is_file():
@@ -57,7 +60,10 @@ def load_study(name_or_path: str, *, quick: bool = False) -> StudySpec:
     if quick:
         unknown = [key for key in spec.quick if key not in spec.parameters]
         if unknown:
-            raise InputError(f"{path}: quick.{unknown[0]} is no parameter of the study")
+            raise InputError(
+                f"{path}: quick.{unknown[0]} is not a parameter of the study; its parameters are "
+                f"{', '.join(spec.parameters)}"
+            )
         grids = tuple({key: spec.quick.get(key, values) for key, values in grid.items()} for grid in spec.grids)
         spec = spec.model_copy(update={"grids": grids, "seeds": min(spec.seeds, 2)})
     check(spec, str(path))
@@ -65,14 +71,28 @@ def load_study(name_or_path: str, *, quick: bool = False) -> StudySpec:
 
 
 def check(spec: StudySpec, where: str) -> None:
-    """InputError with all that is wrong: unknown parameters, empty lists, designs that cannot be made."""
+    """Raise one InputError with all mistakes of a study: unknown parameters, empty lists, impossible designs."""
+    problems = _parameter_problems(spec)
+    if problems:
+        raise InputError(f"{where}: " + "; ".join(problems))
+    problems = _design_problems(spec)
+    for key, value in spec.reference.items():
+        if value not in spec.parameters.get(key, ()):
+            problems.append(f"reference: {key} = {value!r} is not among the values of a parameter of this study")
+    problems += _picture_problems(spec)
+    if problems:
+        raise InputError(f"{where}: " + "; ".join(dict.fromkeys(problems)))
+
+
+def _parameter_problems(spec: StudySpec) -> list[str]:
+    """Mistakes in the names and lists of parameters, before any design is made."""
     problems = []
     if not spec.parameters:
-        problems.append("parameters: is empty; give one parameter at least")
+        problems.append("parameters: is empty; give at least one parameter")
     for number, grid in enumerate(spec.grids, 1):
-        problems += [f"parameters.{key}: is empty; give one value at least" for key, own in grid.items() if not own]
+        problems += [f"parameters.{key}: is empty; give at least one value" for key, own in grid.items() if not own]
         problems += [
-            f"parameters, table {number}: has no '{key}', which others vary; give its value here or in [design]"
+            f"parameters, table {number}: has no '{key}', which other tables vary; give its value here or in [design]"
             for key in spec.parameters
             if key not in grid and key not in spec.design
         ]
@@ -84,15 +104,16 @@ def check(spec: StudySpec, where: str) -> None:
             known = [*PLAIN, "camera.<key of a camera file>", "recon.<setting>"]
             near = difflib.get_close_matches(key, known, 3) or known
             problems.append(f"parameters.{key}: does not exist; did you mean {', '.join(near)}?")
-    if problems:
-        raise InputError(f"{where}: " + "; ".join(problems))
+    return problems
+
+
+def _design_problems(spec: StudySpec) -> list[str]:
+    """Mistakes in the designs: first those of single values, whose messages are shortest, then of combinations."""
     problems = _base_problems(spec)
-    for key, values in spec.parameters.items() if not problems else ():  # each by itself first: the shortest message
-        where_else = (
-            {"scene": spec.parameters["scene"][0]} if key == "distance_cm" and "scene" in spec.parameters else {}
-        )
+    for key, values in spec.parameters.items() if not problems else ():
+        scene = {"scene": spec.parameters["scene"][0]} if key == "distance_cm" and "scene" in spec.parameters else {}
         for value in values:
-            problems += _point_problems(spec, {**where_else, key: value})
+            problems += _point_problems(spec, {**scene, key: value})
     if not problems:
         parts = [
             {tuple((key, value) for key, value in point.items() if key.startswith(group)) for point in points(spec)}
@@ -100,16 +121,11 @@ def check(spec: StudySpec, where: str) -> None:
         ]
         for design in sorted((part for group in parts for part in group if len(part) > 1), key=str):
             problems += _point_problems(spec, dict(design))
-    for key, value in spec.reference.items():
-        if value not in spec.parameters.get(key, ()):
-            problems.append(f"reference: {key} = {value!r} is not among the values of a parameter of this study")
-    problems += _picture_problems(spec)
-    if problems:
-        raise InputError(f"{where}: " + "; ".join(dict.fromkeys(problems)))
+    return problems
 
 
 def _base_problems(spec: StudySpec) -> list[str]:
-    """What cannot be of the study's own camera, scene and preset, where no parameter takes their place."""
+    """Mistakes in the study's own camera, scene and preset, unless a parameter replaces them."""
     checks: dict[str, Callable[[], object]] = {
         "camera": lambda: _check_sees(dasim.cropped(camera_of(spec, {}), *spec.size_px)),
         "scene": lambda: scene_of(spec, {}),
@@ -126,22 +142,23 @@ def _base_problems(spec: StudySpec) -> list[str]:
 
 
 def _picture_problems(spec: StudySpec) -> list[str]:
-    """What the curves and the front name that there is not."""
+    """Unknown parameters and figures in the study's curves and Pareto front."""
     from validation.studies.sweep.point import FIGURES
 
     problems = []
     for name in (*(curve.x for curve in spec.curves), *(curve.by for curve in spec.curves if curve.by)):
         if name not in spec.parameters:
-            problems.append(f"curves: '{name}' is no parameter of this study ({', '.join(spec.parameters)})")
+            problems.append(f"curves: '{name}' is not a parameter of this study ({', '.join(spec.parameters)})")
     for name in (*(name for curve in spec.curves for name in (curve.y, *curve.beside)), *(spec.pareto or ())):
         if name not in FIGURES:
             near = difflib.get_close_matches(name, FIGURES, 3) or list(FIGURES)
-            problems.append(f"'{name}' is no figure; did you mean {', '.join(near)}?")
+            problems.append(f"'{name}' is not a figure; did you mean {', '.join(near)}?")
     return problems
 
 
 def _point_problems(spec: StudySpec, point: dict[str, Value]) -> list[str]:
-    said = ", ".join(f"{key} = {value!r}" for key, value in point.items())
+    """Mistakes in some parameters of a point, at most one message."""
+    label = ", ".join(f"{key} = {value!r}" for key, value in point.items())
     try:
         camera = camera_of(spec, point)
         if "focus_m" in point:
@@ -163,14 +180,14 @@ def _point_problems(spec: StudySpec, point: dict[str, Value]) -> list[str]:
             if key in point and not low <= float(point[key]) <= high:
                 raise InputError(f"must be from {low:g} to {high:g}")
     except InputError as error:
-        return [f"{said}: {error}"]
+        return [f"{label}: {error}"]
     except ValueError:
-        return [f"{said}: is no number"]
+        return [f"{label}: is not a number"]
     return []
 
 
 def _check_sees(camera: Camera) -> None:
-    """InputError where a channel gets no light, a stop lets none through, or no such mosaic is reconstructed."""
+    """InputError if a channel receives no light, a stop passes none, or the mosaic cannot be reconstructed."""
     names, parts = cameras.channels(camera.sensor), [radiometry.stop_response(camera, stop) for stop in camera.stops]
     whole = np.sum(parts, axis=(0, -1))
     dark = [name for name, light in zip(names, whole, strict=True) if light <= 0]
@@ -178,6 +195,6 @@ def _check_sees(camera: Camera) -> None:
         raise InputError(f"no light of any wavelength reaches {', '.join(dark)}")
     for stop, part in zip(camera.stops, parts, strict=True):
         if np.max(part.sum(axis=-1) / whole) < LEAST_SHARE:
-            raise InputError(f"no light that the sensor sees comes through stop '{stop.name}'")
+            raise InputError(f"the sensor sees no light through stop '{stop.name}'")
     if "IR" not in mosaic.grids(camera):
-        raise InputError(f"camera '{camera.name}' has no infrared pixels, so that its captures show no depth")
+        raise InputError(f"camera '{camera.name}' has no infrared pixels, so its captures contain no depth information")

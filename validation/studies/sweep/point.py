@@ -1,4 +1,4 @@
-"""One point of a sweep: photograph, calibrate, reconstruct, and score in units that compare between designs.
+"""One point of a sweep: render, calibrate, reconstruct, and score in units that are comparable between designs.
 
 Tested in tests/validation/studies/test_sweep.py.
 """
@@ -37,52 +37,64 @@ from validation.studies.sweep import second_camera
 from validation.studies.sweep.designs import camera_of, scene_of, settings_of
 from validation.studies.sweep.specification import StudySpec, Unit, Value, units
 
-BOUND_BLURS = 10  # at which the bound is computed; between them its logarithm is interpolated
-FLAT = 1e-3  # of its distance, what a board's depths differ by at most
-FOCUS_BLUR_PX = 0.5  # of the visible blur; nearer to the focus it tells nothing, and the bound has no end
-MOST_BEYOND = 0.5  # of the pixels out of the range of depths that the bank holds: beyond, a median says nothing
+BOUND_BLURS = 10  # number of blurs at which the bound is computed; its logarithm is interpolated between them
+FLAT = 1e-3  # largest relative range of blur over a board that counts as one distance
+FOCUS_BLUR_PX = 0.5  # least visible blur for the bound: nearer to focus, blur carries no depth and the bound diverges
+MOST_BEYOND = 0.5  # largest share of pixels outside the bank's depth range for which a median error is reported
 BASELINE = "stereo.baseline_mm"
-QUANTILES = 200  # of the deviations that stand for all pixels
-OTHER_SEED = 1_000_000  # the second camera has its own noise
+QUANTILES = 200  # number of quantiles that represent the deviations of all pixels
+OTHER_SEED = 1_000_000  # added to the seed for the second camera, which has independent noise
 FIGURES = {
-    "light-loss": ("1", "light that the sensor loses to the stops, eq. (1) in the camera's own mosaic"),
-    "infrared-snr": ("1", "signal over noise of an infrared pixel, median"),
-    "in-range": ("1", "share of the pixels between the focus and the nearest depth of the PSF bank"),
-    "depth-median": ("1/m", "median absolute error of 1/z, all pixels before the focus; none if few are in range"),
-    "depth-rmse": ("1/m", "root mean square error of 1/z"),
-    "depth-constant": ("1/m", "the median of the best constant map"),
-    "depth-seen": ("1/m", "the median where the visible blur is 3 px or more"),
-    "depth-bound": ("1/m", "Cramer-Rao bound of that median, for natural texture in a patch"),
+    "light-loss": ("1", "share of the light lost to the stops, eq. (1) for the camera's mosaic"),
+    "infrared-snr": ("1", "median signal-to-noise ratio of the infrared pixels"),
+    "in-range": ("1", "share of the pixels between the focal plane and the nearest depth of the PSF bank"),
+    "depth-median": (
+        "1/m",
+        "median absolute error of 1/z over all pixels in front of the focal plane; empty if most are out of range",
+    ),
+    "depth-rmse": ("1/m", "root mean square error of 1/z over the same pixels"),
+    "depth-constant": ("1/m", "median absolute error of 1/z of the best constant depth map"),
+    "depth-seen": ("1/m", "median absolute error of 1/z where the visible blur is at least 3 px"),
+    "depth-bound": ("1/m", "Cramer-Rao bound of depth-seen, for a patch of natural texture"),
     "depth-median-m": ("m", "median absolute error of z"),
     "depth-rmse-m": ("m", "root mean square error of z"),
     "depth-bound-m": ("m", "Cramer-Rao bound of the median error of z, at the median depth"),
-    "half-pixel-m": ("m", "Fig. 13: what half a pixel of blur is worth, d^2 N p / (2 f^2), at the median depth"),
-    "coverage": ("1", "share of the pixels with a raw estimate"),
-    "psnr": ("dB", "all-in-focus picture against the sharp truth, linear light"),
-    "psnr-gain": ("dB", "that less the same of the captured picture"),
-    "ciede2000": ("1", "mean colour difference to the sharp truth, all in focus"),
-    "matched-defocus": (
-        "1/m",
-        "median absolute error of 1/z by defocus, where both cameras see the point and match it",
-    ),
-    "stereo-median": ("1/m", "median absolute error of 1/z by stereo, where both cameras see the point and match it"),
+    "half-pixel-m": ("m", "depth error of half a pixel of blur, d^2 N p / (2 f^2) as in Fig. 13, at the median depth"),
+    "coverage": ("1", "share of the pixels in front of the focal plane with a raw estimate"),
+    "psnr": ("dB", "PSNR of the all-in-focus picture against the sharp truth, linear light"),
+    "psnr-gain": ("dB", "PSNR of the all-in-focus picture less that of the captured picture"),
+    "ciede2000": ("1", "mean colour difference between the all-in-focus picture and the sharp truth"),
+    "matched-defocus": ("1/m", "median absolute error of 1/z by defocus, where both cameras see and match the point"),
+    "stereo-median": ("1/m", "median absolute error of 1/z by stereo, where both cameras see and match the point"),
     "matched-combined": (
         "1/m",
-        "median absolute error of 1/z by stereo and defocus, where both cameras match the point",
+        "median absolute error of 1/z by stereo and defocus, where both cameras see and match the point",
     ),
-    "stereo-coverage": ("1", "share of the pixels with a match"),
-    "combined-median": ("1/m", "median absolute error of 1/z by stereo and defocus, all pixels before the focus"),
-    "combined-rmse": ("1/m", "root mean square error of 1/z by stereo and defocus, all pixels before the focus"),
-    "occluded-share": ("1", "share of the pixels that the other camera does not see"),
-    "occluded-median": ("1/m", "median absolute error of 1/z by both, where the other camera does not see the point"),
-    "occluded-matched": ("1", "share of the pixels unseen by the other camera that are matched all the same, wrongly"),
-    "seconds": ("s", "time of the point, with its share of the rendering"),
+    "stereo-coverage": ("1", "share of the pixels in front of the focal plane with a stereo match"),
+    "combined-median": (
+        "1/m",
+        "median absolute error of 1/z by stereo and defocus, all pixels in front of the focal plane",
+    ),
+    "combined-rmse": (
+        "1/m",
+        "root mean square error of 1/z by stereo and defocus, all pixels in front of the focal plane",
+    ),
+    "occluded-share": ("1", "share of the pixels that the second camera does not see"),
+    "occluded-median": (
+        "1/m",
+        "median absolute error of 1/z by stereo and defocus, where the second camera does not see the point",
+    ),
+    "occluded-matched": ("1", "share of the pixels unseen by the second camera that have a (false) stereo match"),
+    "seconds": ("s", "time to measure the point, including its share of the rendering"),
 }
 
 
 @dataclass(frozen=True)
 class Sweep:
-    """What a worker needs to measure a unit. ``code`` is the fingerprint of the code that measures, by default ours."""
+    """What a worker needs to measure a unit: the study, the output folder and the software environment.
+
+    ``code`` is the fingerprint of the code that measures; by default it is computed.
+    """
 
     spec: StudySpec
     out: str
@@ -96,11 +108,14 @@ class Sweep:
 
 def code(variant: str) -> str:
     """Fingerprint of the code that measures a unit, its data and libraries."""
-    return fingerprint(measured, variant=variant, given=("cameras", "scenes"))
+    return fingerprint(measure, variant=variant, given=("cameras", "scenes"))
 
 
 def file_of(job: Sweep, unit: Unit) -> str:
-    """Where a unit's rows are kept: a name of all that decides them, the same wherever dasim is installed."""
+    """The file of a unit's rows in the output folder.
+
+    Its name is a hash of everything that determines the rows, and does not depend on where dasim is installed.
+    """
     spec = job.spec
     described = scene_of(spec, unit.render)
     scene = described.model_dump(mode="json", exclude={"folder"})
@@ -110,14 +125,14 @@ def file_of(job: Sweep, unit: Unit) -> str:
 
 
 def work(job: Sweep, index: int) -> Outcome:
-    """Measure a unit in this process and write its rows; an error is an outcome, not raised."""
+    """Measure a unit in this process and write its rows; errors are reported in the outcome, not raised."""
     begin = time.perf_counter()
     unit = units(job.spec)[index]
     try:
         if code(job.environment["variant"]) != job.code:
             return Outcome(index, "this worker has other code than the study: figures would not compare", fatal=True)
         sample.activate(job.environment["variant"])
-        rows = measured(job.spec, unit)
+        rows = measure(job.spec, unit)
     except Exception as error:
         return Outcome(index, in_one_line(error))
     try:
@@ -127,8 +142,11 @@ def work(job: Sweep, index: int) -> Outcome:
     return Outcome(index, seconds=time.perf_counter() - begin)
 
 
-def measured(spec: StudySpec, unit: Unit) -> list[dict[str, Any]]:
-    """Rows of a unit's points: parameters, seed, figures."""
+def measure(spec: StudySpec, unit: Unit) -> list[dict[str, Any]]:
+    """The rows of a unit's points, with their parameters, seed and figures.
+
+    The picture is rendered and the camera calibrated once; each point exposes, reconstructs and scores it.
+    """
     begin = time.perf_counter()
     scene = scene_of(spec, unit.render)
     if "light.illuminant" in unit.render:
@@ -146,13 +164,13 @@ def measured(spec: StudySpec, unit: Unit) -> list[dict[str, Any]]:
     rows = []
     for number, point in enumerate(unit.points):
         begin = time.perf_counter()
-        capture = taken(shot, scene, point, unit.seed * len(unit.points) + number)
-        exact = scaled(shot, capture, scene, point)
+        capture = capture_of(shot, scene, point, unit.seed * len(unit.points) + number)
+        exact = truth_of(shot, capture, scene, point)
         result = recon.reconstruct(capture, bank, settings_of(spec, point))
         own = figures(result, capture, exact)
         own |= limits(capture, exact, shot.capture.illuminant, lux(scene, point))
         if other is not None:
-            seen = taken(other, scene, point, unit.seed * len(unit.points) + number + OTHER_SEED)
+            seen = capture_of(other, scene, point, unit.seed * len(unit.points) + number + OTHER_SEED)
             right = recon.reconstruct(seen, bank, settings_of(spec, point))
             baseline_m = 1e-3 * float(unit.render[BASELINE])
             own |= second_camera.errors(result, right, exact, other.truth, baseline_m, bank.depth_m)
@@ -161,25 +179,28 @@ def measured(spec: StudySpec, unit: Unit) -> list[dict[str, Any]]:
     return rows
 
 
-def taken(shot: Shot, scene: Scene, point: dict[str, Value], seed: int) -> Capture:
-    """A capture of the shot at the point's level of light, exposed as the point says."""
+def capture_of(shot: Shot, scene: Scene, point: dict[str, Value], seed: int) -> Capture:
+    """A capture of the shot at the point's light level, with the point's limits of exposure time and gain."""
     longest_s = float(point.get("exposure.longest_s", LONGEST_S))
     most_gain = float(point.get("exposure.most_gain", MOST_GAIN))
-    return exposed(shot, brighter(scene, point), seed, longest_s=longest_s, most_gain=most_gain)
+    return exposed(shot, light_ratio(scene, point), seed, longest_s=longest_s, most_gain=most_gain)
 
 
 def lux(scene: Scene, point: dict[str, Value]) -> float:
-    """Illuminance of the point: its own, or all lights of the scene together."""
+    """Illuminance in lux of a point, by default that of all lights of the scene together."""
     return float(point.get("light.lux", sum(getattr(light, "lux", 0.0) for light in scene.lights)))
 
 
-def brighter(scene: Scene, point: dict[str, Value]) -> float:
-    """Factor from the scene's own light to the point's."""
+def light_ratio(scene: Scene, point: dict[str, Value]) -> float:
+    """Ratio of the point's illuminance to that of the scene's file."""
     return lux(scene, point) / lux(scene, {})
 
 
 def limits(capture: Capture, truth: Truth, light: str | None, level_lux: float) -> dict[str, float]:
-    """What theory says of depth: the bound in dioptres and metres, and half a pixel of blur as Fig. 13 draws it."""
+    """Theoretical limits of depth: the Cramer-Rao bound in dioptres and metres, and half a pixel of blur (Fig. 13).
+
+    ``light`` is the illuminant, ``level_lux`` its illuminance; metres refer to the median depth.
+    """
     camera = capture.camera
     depth = truth.depth_m[near_side(truth)]
     if not depth.size:
@@ -191,11 +212,11 @@ def limits(capture: Capture, truth: Truth, light: str | None, level_lux: float) 
 
 
 def bound(camera: Camera, depth_m: NDArray, light: str | None, level_lux: float) -> float:
-    """Median absolute error of 1/z that the Cramer-Rao bound allows over the depths of ``depth-seen``; NaN for none.
+    """Cramer-Rao bound of the median absolute error of 1/z over the pixels of ``depth-seen``; NaN without pixels.
 
-    Of a normal error with the bound's standard deviation at each pixel's blur, in a patch of natural texture of which
-    nothing is known: what texture the scene has there is not asked. Where all is nearer to the focus than that, of all
-    with half a pixel of blur.
+    It is the median of normal errors that have the bound's standard deviation at each pixel's blur, for a patch of
+    unknown natural texture; the texture of the scene has no influence. If no pixel has the blur of ``depth-seen``,
+    all pixels with at least half a pixel of blur count.
     """
     blur = np.asarray(geometry.blur_px(camera, depth_m.astype(np.float64)))
     for least in (criteria.NEAREST_BLUR_PX, FOCUS_BLUR_PX):
@@ -206,31 +227,31 @@ def bound(camera: Camera, depth_m: NDArray, light: str | None, level_lux: float)
     grid = np.linspace(part.min(), part.max(), BOUND_BLURS if np.ptp(part) > FLAT * part.max() else 1)
     try:
         deviation = criteria.camera_bound(camera, grid, light=str(light), level_lux=level_lux)
-    except InputError:  # a camera that lacks a plane
+    except InputError:  # the camera lacks a green or an infrared plane
         return math.nan
-    if not np.isfinite(deviation).all():  # stops that all blur alike
+    if not np.isfinite(deviation).all():  # all stops have the same blur
         return math.nan
     return median_error(np.exp(np.interp(part, grid, np.log(deviation / criteria.dioptre_px(camera)))))
 
 
 def median_error(deviation: FloatArray) -> float:
-    """Median absolute value of normal errors of these standard deviations together, all of them finite."""
+    """Median absolute value of a mixture of normal errors with the given standard deviations, all finite."""
     of_all = np.quantile(deviation, (np.arange(QUANTILES) + 0.5) / QUANTILES)
 
     def beyond_half(size: float) -> float:
         return float(np.mean(2 * stats.norm.cdf(size / of_all) - 1)) - 0.5
 
-    return float(optimize.brentq(beyond_half, 0.0, float(of_all[-1])))  # 0.68 of the largest is certain
+    return float(optimize.brentq(beyond_half, 0.0, float(of_all[-1])))  # at least 68 % of errors are below the largest
 
 
-def scaled(shot: Shot, capture: Capture, scene: Scene, point: dict[str, Value]) -> Truth:
-    """The truth with its electrons as the capture collected them."""
-    factor = np.float32(brighter(scene, point) * capture.exposure_s / shot.capture.exposure_s)
+def truth_of(shot: Shot, capture: Capture, scene: Scene, point: dict[str, Value]) -> Truth:
+    """The truth, with its mean electrons scaled to the light level and exposure time of a capture."""
+    factor = np.float32(light_ratio(scene, point) * capture.exposure_s / shot.capture.exposure_s)
     return replace(shot.truth, mean_e=shot.truth.mean_e * factor, sharp_e=shot.truth.sharp_e * factor)
 
 
 def figures(result: Reconstruction, capture: Capture, truth: Truth) -> dict[str, float]:
-    """Figures of a reconstruction that compare between designs: dioptres, metres, dB (see ``FIGURES``)."""
+    """Figures of a reconstruction in units that are comparable between designs (see ``FIGURES``)."""
     pictures = {score.region: score for score in picture_scores.picture_scores(result, truth)}
     sharp, captured = pictures["inner"].sharpened, pictures["inner"].captured
     return {
@@ -244,7 +265,7 @@ def figures(result: Reconstruction, capture: Capture, truth: Truth) -> dict[str,
 
 
 def depth_figures(result: Reconstruction, truth: Truth) -> dict[str, float]:
-    """Errors of depth over all pixels before the focus; NaN where most of the picture is out of the bank's range."""
+    """Depth errors over all pixels in front of the focal plane; without errors if most are out of the bank's range."""
     near = near_side(truth)
     share = float((near & (truth.level <= len(geometry.level_blur_px(result.camera)) - 0.5))[truth.valid].mean())
     found = {"in-range": share, "coverage": float(np.isfinite(result.level_raw[near]).mean()) if near.any() else 0.0}
@@ -266,8 +287,8 @@ def depth_figures(result: Reconstruction, truth: Truth) -> dict[str, float]:
 def light_loss(camera: Camera) -> float:
     """Share of the light that the mosaic loses to stops smaller than the lens, eq. (1).
 
-    Each pixel of the mosaic loses what its stops block of the band that it is for, 650 nm and beyond for infrared and
-    below for the others: for a disc of ratio alpha before one pixel of four, (1 - alpha^2) / 4.
+    Each pixel of the mosaic loses the light that the stops block in its own band, which is 650 nm and beyond for IR and
+    below 650 nm for the other channels. A hole of radius ratio alpha for one pixel of four loses (1 - alpha^2) / 4.
     """
     names = cameras.channels(camera.sensor)
     opened = camera.model_copy(update={"stops": tuple(_opened(stop) for stop in camera.stops)})
@@ -279,14 +300,14 @@ def light_loss(camera: Camera) -> float:
 
 
 def _opened(stop: stops.Stop) -> stops.Stop:
-    """A stop opened to the lens's own aperture."""
+    """The stop with the aperture of the whole lens."""
     return stops.Disc(
         name=stop.name, passes_nm=stop.passes_nm, edge_width_nm=stop.edge_width_nm, shape="disc", radius_ratio=1.0
     )
 
 
 def infrared_snr(capture: Capture, truth: Truth) -> float:
-    """Median signal over temporal noise of the infrared pixels."""
+    """Median ratio of signal to temporal noise of the infrared pixels."""
     electrons = truth.mean_e[..., truth.channels.index("IR")][truth.valid].astype(np.float64)
     variance = noise.temporal_variance(capture.camera.sensor, capture.exposure_s, capture.gain).at(electrons)
     return float(np.median(electrons / np.sqrt(variance)))

@@ -1,4 +1,4 @@
-"""The page of a sweep: its question, curves with error bars, the Pareto front, and every number.
+"""The report page of a sweep: its question, curves with error bars, the Pareto front, and all figures.
 
 Tested in tests/validation/studies/test_sweep.py.
 """
@@ -20,7 +20,7 @@ Row = dict[str, Any]
 
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#444444")  # Okabe and Ito
 MARKERS = "os^Dv<>"
-SIDE = 0.08  # of the distance of two words, between the lines' markers
+SIDE = 0.08  # horizontal offset between the markers of two lines, as a share of the distance between two text ticks
 
 
 def page(spec: StudySpec, rows: list[Row], failed: dict[str, str]) -> str:
@@ -34,16 +34,16 @@ def page(spec: StudySpec, rows: list[Row], failed: dict[str, str]) -> str:
     front: list[Row] = []
     if spec.pareto:
         front = pareto(averaged, *spec.pareto)
-        caption = f"{_meaning(spec.pareto[1])} against {_meaning(spec.pareto[0])}; joined: beaten by none in both"
+        caption = f"{_meaning(spec.pareto[1])} against {_meaning(spec.pareto[0])}; line: Pareto front"
         pictures.append((caption, _pareto(spec.pareto, averaged, front)))
     if ranked:
         caption = f"{_meaning(findings.RANKED[1])} against the bound; rank correlation {ranked.correlation:.2f}"
         pictures.append((caption, _ranking(averaged)))
-    shown = {key: about for key, about in FIGURES.items() if any(np.isfinite(row[key]) for row in averaged)}
+    known = {key: about for key, about in FIGURES.items() if any(np.isfinite(row[key]) for row in averaged)}
     environment = jinja2.Environment(loader=jinja2.FileSystemLoader(TEMPLATE_DIR), autoescape=True)
     return environment.get_template("study.html").render(
-        spec=spec, pictures=pictures, figures=shown, rows=averaged, front=front, failed=failed, number=_number,
-        findings=found, said=findings.said(spec, found), ranked=ranked, unit=lambda name: FIGURES[name][0],
+        spec=spec, pictures=pictures, figures=known, rows=averaged, front=front, failed=failed, number=_number,
+        findings=found, sentences=findings.sentences(spec, found), ranked=ranked, unit=lambda name: FIGURES[name][0],
     )  # fmt: skip
 
 
@@ -75,7 +75,7 @@ def _words(curve: Curve, spec: StudySpec) -> bool:
 
 
 def about_design(curve: Curve, rows: list[Row], spec: StudySpec) -> list[Row]:
-    """Rows of the base design but for what the curve varies; all of them where the study has no such design."""
+    """The rows that differ from the base design in the curve's parameters alone; all rows without a base design."""
     fixed = {key: value for key, value in spec.design.items() if key not in (curve.x, curve.by)}
     return [row for row in rows if all(row[key] == value for key, value in fixed.items())]
 
@@ -102,7 +102,7 @@ def _curve(curve: Curve, averaged: list[Row], spec: StudySpec) -> str:
             x = np.array(at) + side if words else np.array([ticks[place] for place in at], float)
             label = None if value is None else _tick(value)
             style = {"color": COLOURS[number % len(COLOURS)], "marker": MARKERS[number % len(MARKERS)]}
-            style["linestyle"] = "" if words else "-"  # nothing lies between two words
+            style["linestyle"] = "" if words else "-"  # no interpolation between text values
             axes.errorbar(x, middle, spread, capsize=3, markersize=4, linewidth=1, label=label, **style)
             for kind, figure in enumerate(curve.beside):
                 drawn = [_mean([row[figure] for row in own if row[curve.x] == ticks[place]]) for place in at]
@@ -114,7 +114,7 @@ def _curve(curve: Curve, averaged: list[Row], spec: StudySpec) -> str:
         axes.set_yscale("log" if curve.log_y else "linear")
         if words:
             axes.set_xticks(range(len(ticks)), [str(tick) for tick in ticks], rotation=20, ha="right")
-        elif curve.log_x:  # a new scale forgets its ticks
+        elif curve.log_x:  # matplotlib resets the ticks with the scale
             axes.set_xscale("log")
             axes.set_xticks(np.array(ticks, float), [_tick(tick) for tick in ticks])
             axes.set_xticks([], minor=True)
@@ -145,7 +145,7 @@ def _ranking(rows: list[Row]) -> str:
         axes.loglog(x, y, "o", color=COLOURS[0], markersize=4)
         known = [value for value in x if np.isfinite(value)]
         ends = [min(known), max(known)]
-        axes.loglog(ends, ends, "--", color="0.5", linewidth=1, label="as good as the bound")
+        axes.loglog(ends, ends, "--", color="0.5", linewidth=1, label="error equal to the bound")
         axes.set(xlabel=f"{findings.RANKED[0]} (1/m)", ylabel=f"{findings.RANKED[1]} (1/m)")
         axes.legend(fontsize=8)
 

@@ -1,4 +1,4 @@
-"""Run a sweep: measure the points that are missing, gather them in a table, and draw its report.
+"""Run a sweep: measure the missing points, and write their table and report.
 
 Tested in tests/validation/studies/test_sweep.py.
 """
@@ -29,29 +29,31 @@ TABLE, PARQUET, PAGE = "results.csv", "results.parquet", "report.html"
 
 
 def sweep(job: Sweep, executor: Executor, show: Callable[[int, int, int], None]) -> dict[str, str]:
-    """Measure what is missing and write table and report; what failed, and why, by the point's words.
+    """Measure the missing points, write table and report, and return the failures, {point and seed: error}.
 
-    What was measured before is not measured again. The unit is a picture with all points that share it, so that one
-    more level of light measures that picture anew. ``show`` gets how many units are done, how many there are, and how
-    many failed.
+    Measured points are read from their files. The unit of work is a picture with all points that share it, so an
+    additional light level measures that picture again. ``show`` receives the numbers of finished, of all and of failed
+    units.
     """
     storage.check_writable(job.out)
     storage.sweep(job.out)
     everyone = units(job.spec)
-    queue = deque(i for i, unit in enumerate(everyone) if _kept(job, unit) is None)
+    queue = deque(i for i, unit in enumerate(everyone) if _cached_rows(job, unit) is None)
     total, done, failed = len(everyone), len(everyone) - len(queue), dict[str, str]()
     show(done, total, 0)
     with closing(executor(job, queue)) as outcomes:
         for outcome in outcomes:
             if outcome.fatal:
-                raise InputError(f"{job.out}: {outcome.error}; nothing is lost: put it right, and run the same again")
+                raise InputError(
+                    f"{job.out}: {outcome.error}; finished points are stored: remove the cause and run the same command"
+                )
             if outcome.error:
                 unit = everyone[outcome.index]
-                failed[f"{_said(unit.render)}, seed {unit.seed}"] = outcome.error
+                failed[f"{_label(unit.render)}, seed {unit.seed}"] = outcome.error
             else:
                 done += 1
             show(done, total, len(failed))
-    rows = gathered(job)
+    rows = measured_rows(job)
     if rows:
         storage.write(job.out, TABLE, table(rows).encode())
         _write_parquet(job.out, rows)
@@ -60,29 +62,29 @@ def sweep(job: Sweep, executor: Executor, show: Callable[[int, int, int], None])
 
 
 def summary(job: Sweep) -> list[str]:
-    """What the sweep says, in lines: where the study's reference stands, and whether the bound ranks alike."""
-    rows = gathered(job)
-    lines = findings.said(job.spec, findings.findings(job.spec, rows)) if rows else []
+    """The results of a sweep in sentences: how the reference ranks, and whether the bound ranks designs alike."""
+    rows = measured_rows(job)
+    lines = findings.sentences(job.spec, findings.findings(job.spec, rows)) if rows else []
     ranked = findings.ranking(job.spec, means(rows, job.spec)) if rows else None
     if ranked:
-        lines.append(ranked.said)
+        lines.append(ranked.sentence)
     return lines
 
 
-def _said(point: dict[str, Any]) -> str:
-    return ", ".join(f"{key} = {value}" for key, value in point.items()) or "the study's own design"
+def _label(point: dict[str, Any]) -> str:
+    return ", ".join(f"{key} = {value}" for key, value in point.items()) or "the study's base design"
 
 
-def gathered(job: Sweep) -> list[Row]:
-    """Rows of all points that are measured, flat: parameters, seed, figures."""
+def measured_rows(job: Sweep) -> list[Row]:
+    """One row per measured point and seed, with its parameters, seed and figures."""
     rows = []
     for unit in units(job.spec):
-        rows += _kept(job, unit) or []
+        rows += _cached_rows(job, unit) or []
     return rows
 
 
-def _kept(job: Sweep, unit: Unit) -> list[Row] | None:
-    """Rows of a unit that was measured; None where it was not, or where its file is damaged."""
+def _cached_rows(job: Sweep, unit: Unit) -> list[Row] | None:
+    """The stored rows of a unit; None if it has not been measured or its file is damaged."""
     name = file_of(job, unit)
     if not storage.exists(job.out, name):
         return None
@@ -101,7 +103,7 @@ def _number(value: float | None) -> float:
 
 
 def table(rows: list[Row]) -> str:
-    """The rows as CSV; units stand in the heads."""
+    """The rows as CSV, with units in the column heads."""
     buffer = io.StringIO()
     writer = csv.writer(buffer, lineterminator="\n")
     heads = list(rows[0])
@@ -112,7 +114,7 @@ def table(rows: list[Row]) -> str:
 
 
 def _write_parquet(out: str, rows: list[Row]) -> None:
-    """The same as parquet, where pyarrow is installed."""
+    """Write the rows as a Parquet file if pyarrow is installed."""
     try:
         import pyarrow
         import pyarrow.parquet
@@ -123,11 +125,11 @@ def _write_parquet(out: str, rows: list[Row]) -> None:
 
 
 def means(rows: list[Row], spec: StudySpec) -> list[Row]:
-    """One row a point: the mean of each figure over seeds, and its standard deviation as FIGURE:spread."""
+    """One row per point: the mean of each figure over seeds, and its standard deviation as FIGURE:spread."""
     groups: dict[tuple[Any, ...], list[Row]] = {}
     for row in rows:
         groups.setdefault(tuple(row[key] for key in spec.parameters), []).append(row)
-    found = []
+    averaged = []
     for values, own in groups.items():
         one: Row = dict(zip(spec.parameters, values, strict=True))
         for key in FIGURES:
@@ -135,12 +137,12 @@ def means(rows: list[Row], spec: StudySpec) -> list[Row]:
             known = every[np.isfinite(every)]
             one[key] = float(known.mean()) if known.size else math.nan
             one[f"{key}:spread"] = float(known.std(ddof=1)) if known.size > 1 else 0.0
-        found.append(one)
-    return found
+        averaged.append(one)
+    return averaged
 
 
 def pareto(rows: list[Row], first: str, second: str) -> list[Row]:
-    """Rows that no other one beats in both figures, the smaller the better; sorted by the first."""
+    """The Pareto front of two figures that are better if smaller: rows that no other row beats in both, sorted."""
     good = [row for row in rows if math.isfinite(row[first]) and math.isfinite(row[second])]
     front: list[Row] = []
     for row in sorted(good, key=lambda r: (r[first], r[second])):

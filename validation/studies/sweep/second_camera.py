@@ -1,4 +1,4 @@
-"""A second dual-aperture camera beside the first (sec. 6.3.1): its view, what it does not see, and errors of depth."""
+"""A second dual-aperture camera beside the first (sec. 6.3.1): its view, occlusion, and errors of depth."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from recon import levels
 from recon.depth.stereo_fusion import combined_m, stereo_depth_m
 from validation.scores.depth import near_side
 
-OCCLUDED = 0.02  # relative: what the right camera sees there is nearer by more than this share of z
+OCCLUDED = 0.02  # a point is occluded if the second camera sees a surface there that is nearer by this share of z
 
 
 def other_view(scene: Scene, baseline_m: float) -> Scene:
-    """The scene as a camera ``baseline_m`` to the right of the first one sees it, looking in parallel."""
+    """The scene with a view from ``baseline_m`` to the right, parallel to the first."""
     right = world_to_camera(scene)[0, :3] * (100 * baseline_m)
     view = scene.view.model_copy(
         update={
@@ -32,12 +32,12 @@ def other_view(scene: Scene, baseline_m: float) -> Scene:
 
 
 def px_per_dioptre(camera: Camera, baseline_m: float) -> float:
-    """Disparity x_left - x_right = b f / (p z) in pixels of a point at z = 1 m."""
+    """Disparity x_left - x_right in pixels of a point at z = 1 m, b s / (p z), which is proportional to 1/z."""
     return float(baseline_m * geometry.intrinsic_matrix(camera)[0, 0])
 
 
 def occluded(left: Truth, right: Truth, camera: Camera, baseline_m: float) -> NDArray[np.bool_]:
-    """Pixels of the left picture whose point the right camera does not see, [h, w]: hidden, or out of its frame."""
+    """Mask [h, w] of pixels of the left picture whose point is hidden from the right camera or outside its frame."""
     height, width = left.depth_m.shape
     x = np.arange(width) - px_per_dioptre(camera, baseline_m) / left.depth_m.astype(np.float64)
     inside = np.isfinite(x) & (x >= 0) & (x <= width - 1)
@@ -49,10 +49,11 @@ def occluded(left: Truth, right: Truth, camera: Camera, baseline_m: float) -> ND
 def errors(
     left: Reconstruction, right: Reconstruction, truth: Truth, other: Truth, baseline_m: float, level_depth_m: NDArray
 ) -> dict[str, float]:
-    """Errors in dioptres of defocus, of stereo and of both combined; shares of matched and of occluded pixels.
+    """Errors of 1/z in dioptres by defocus, by stereo and by both combined; shares of matched and occluded pixels.
 
-    The errors of all three are over pixels that both cameras see and that are matched, so that they are comparable;
-    those of the combination also over all pixels. ``level_depth_m`` [level] are the depths of the PSF bank.
+    Errors of all three are computed over the pixels that both cameras see and that have a stereo match, so they are
+    comparable; those of the combination also over all pixels in front of the focal plane and over the occluded ones.
+    ``level_depth_m`` [level] are the depths of the PSF bank, ``other`` is the truth of the second camera.
     """
     scale = px_per_dioptre(left.camera, baseline_m)
     stereo = stereo_depth_m(left.sharp_rgb, right.sharp_rgb, scale, float(level_depth_m.min()))

@@ -1,4 +1,4 @@
-"""What a sweep varies: grids of parameters, the points that they make, and which of them share a picture.
+"""The specification of a sweep: grids of parameters, their points, and the points that share a picture.
 
 Tested in tests/validation/studies/test_sweep.py.
 """
@@ -19,7 +19,7 @@ Value = bool | int | float | str
 # Keys of a point that need no new rendering: the light's level, the exposure and the reconstruction.
 AFTERWARDS = ("light.lux", "exposure.", "recon.")
 
-MOST_VALUES = 10_000  # of a grid
+MOST_VALUES = 10_000  # largest number of values of a grid
 
 
 class Grid(Specification):
@@ -29,7 +29,7 @@ class Grid(Specification):
     log_grid: tuple[float, float, int] | None = None
 
     def values(self) -> tuple[float, ...]:
-        """The values, both ends among them."""
+        """The values, including both ends, rounded to six significant digits."""
         if self.grid is not None:
             return tuple(float(f"{v:.6g}") for v in np.linspace(*self.grid))
         assert self.log_grid is not None
@@ -38,17 +38,19 @@ class Grid(Specification):
     @model_validator(mode="after")
     def _one(self) -> Grid:
         if (self.grid is None) == (self.log_grid is None):
-            raise ValueError("give grid = [first, last, count] or log_grid = [first, last, count]")
+            raise ValueError("give either grid = [first, last, count] or log_grid = [first, last, count]")
         low, high, count = self.grid or self.log_grid or (0, 0, 0)
         if not 1 <= count <= MOST_VALUES:
             raise ValueError(f"has {count} values; 1 to {MOST_VALUES} are allowed")
         if self.log_grid is not None and not 0 < low <= high:
-            raise ValueError(f"log_grid goes from {low:g} to {high:g}; both above 0, the smaller one first")
+            raise ValueError(
+                f"log_grid goes from {low:g} to {high:g}; both ends must be above 0, the smaller one first"
+            )
         return self
 
 
 def _values(given: Any) -> Any:
-    """A list as it is, a grid as its values, one value as a list of one."""
+    """A list unchanged, a grid as its values, a single value as a list of one."""
     if isinstance(given, dict):
         return parse(Grid, given, "grid").values()
     return given if isinstance(given, list | tuple) else [given]
@@ -63,11 +65,13 @@ Table = dict[str, Annotated[tuple[Value, ...], BeforeValidator(_values)]]
 
 
 class Curve(Specification):
-    """A picture of the report: a figure against a parameter, a line for each value of another."""
+    """A plot of the report: the figure ``y`` against the parameter ``x``, with a line for each value of ``by``."""
 
     x: str
     y: str
-    beside: tuple[str, ...] = Field(default=(), max_length=2, description="figures drawn with it, dashed and dotted")
+    beside: tuple[str, ...] = Field(
+        default=(), max_length=2, description="further figures in the same plot, dashed and dotted"
+    )
     by: str | None = None
     log_x: bool = False
     log_y: bool = False
@@ -76,8 +80,8 @@ class Curve(Specification):
 class StudySpec(Specification):
     """A sweep, as ``dasim study sweep`` reads it from TOML.
 
-    ``[parameters]`` is a grid: all combinations of its values. Several tables ``[[parameters]]`` are as many grids
-    about one base design: what a grid does not vary has its value of ``[design]``.
+    ``[parameters]`` is a grid of all combinations of its values. Several tables ``[[parameters]]`` are several grids
+    around one base design: a parameter that a grid does not vary has its value from ``[design]``.
     """
 
     name: str = Field(min_length=1, max_length=100)
@@ -89,31 +93,31 @@ class StudySpec(Specification):
     spp: int = Field(default=128, ge=1, le=65_536)
     seeds: int = Field(default=2, ge=1, le=1000)
     grids: Annotated[tuple[Table, ...], BeforeValidator(_tables)] = Field(alias="parameters", min_length=1)
-    design: dict[str, Value] = Field(default_factory=dict, description="values where a grid does not vary them")
+    design: dict[str, Value] = Field(default_factory=dict, description="values of parameters that a grid does not vary")
     curves: tuple[Curve, ...] = ()
-    pareto: tuple[str, str] | None = Field(default=None, description="two figures, both the better the smaller")
+    pareto: tuple[str, str] | None = Field(default=None, description="two figures that are better if smaller")
     reference: dict[str, Value] = Field(
-        default_factory=dict, max_length=1, description="a parameter's value that the report holds against all others"
+        default_factory=dict, max_length=1, description="a parameter's value that the report compares with all others"
     )
     quick: Table = Field(default_factory=dict, description="values of parameters for --quick")
     folder: Path = Field(default=Path("."), exclude=True)
 
     @property
     def parameters(self) -> dict[str, tuple[Value, ...]]:
-        """All values of each parameter, of the base design and of every grid; numbers of several grids in order."""
+        """All values of each parameter, from the base design and all grids; numbers from several grids are sorted."""
         tables: list[Table] = [{key: (value,) for key, value in self.design.items()}, *self.grids]
-        found: dict[str, tuple[Value, ...]] = {}
+        parameters: dict[str, tuple[Value, ...]] = {}
         for key in dict.fromkeys(key for table in tables for key in table):
             lists = [table[key] for table in tables if key in table]
             values = list(dict.fromkeys(value for own in lists for value in own))
             if len(lists) > 1 and not any(isinstance(value, str) for value in values):
                 values.sort(key=float)
-            found[key] = tuple(values)
-        return found
+            parameters[key] = tuple(values)
+        return parameters
 
 
 class Unit(NamedTuple):
-    """What is rendered once: what decides the picture, and the points that are measured on it."""
+    """A picture that is rendered once: the parameters that determine it, and the points that share it."""
 
     render: dict[str, Value]
     points: tuple[dict[str, Value], ...]
@@ -121,18 +125,18 @@ class Unit(NamedTuple):
 
 
 def points(spec: StudySpec) -> list[dict[str, Value]]:
-    """Every combination of each grid's values, the last parameter fastest; what several grids share once."""
-    found: dict[tuple[Value, ...], dict[str, Value]] = {}
+    """All combinations of each grid's values, the last parameter fastest; a point of several grids occurs once."""
+    distinct: dict[tuple[Value, ...], dict[str, Value]] = {}
     for grid in spec.grids:
         for values in itertools.product(*grid.values()):
             point = spec.design | dict(zip(grid, values, strict=True))
             ordered = {key: point[key] for key in spec.parameters}
-            found.setdefault(tuple(ordered.values()), ordered)
-    return list(found.values())
+            distinct.setdefault(tuple(ordered.values()), ordered)
+    return list(distinct.values())
 
 
 def units(spec: StudySpec) -> list[Unit]:
-    """Points that show the same picture, together, for each seed."""
+    """Groups of points that share a picture, for each seed."""
     groups: dict[tuple[tuple[str, Value], ...], list[dict[str, Value]]] = {}
     for point in points(spec):
         render = tuple((key, value) for key, value in point.items() if not key.startswith(AFTERWARDS))
