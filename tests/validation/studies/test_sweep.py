@@ -155,7 +155,7 @@ def test_bundled_studies_are_sound(name):
         ('scene = ["dask"]', ("dask",)),
         ('"focus_m" = [-1]', ("focus_m = -1",)),
         ('"light.lux" = ["bright"]', ("bright", "number")),
-        ("distance_cm = [20]", ("desk", "flat")),
+        ("distance_cm = [20]", ("desk", "scenes of planes")),
         ('scene = ["staircase"]\ndistance_cm = [0]', ("distance 0 cm",)),
         ('mosaic = ["GR/BX"]', ("GR/BX", "GR/BI")),
         ('mosaic = ["GRB/IGR"]', ("IGR", "2048 x 1536")),
