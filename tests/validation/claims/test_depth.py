@@ -77,9 +77,9 @@ def test_kernels_of_the_next_level_fail(gravel, bank_kernels):
 
 def test_noise_that_is_more_than_said_fails(gravel, bank_kernels, monkeypatch):
     """Twice the noise that the estimator and the bound are told."""
-    honest = Noise.added
+    honest = Noise.add_to
     monkeypatch.setattr(
-        Noise, "added", lambda self, picture, *rest: picture + 2 * (honest(self, picture, *rest) - picture)
+        Noise, "add_to", lambda self, picture, *rest: picture + 2 * (honest(self, picture, *rest) - picture)
     )
     assert "staircase.paper.gravel.1.to-bound" in staircase_fails(
         gravel.estimates(NOISE, bank_kernels, PRESETS["paper"], 0)
@@ -88,7 +88,7 @@ def test_noise_that_is_more_than_said_fails(gravel, bank_kernels, monkeypatch):
 
 def test_levels_read_from_the_truth_fail(gravel, bank_kernels, monkeypatch):
     """A leak: without noise in what is estimated from, the error is far below what any estimate could have."""
-    monkeypatch.setattr(Noise, "added", lambda self, picture, *rest: picture)
+    monkeypatch.setattr(Noise, "add_to", lambda self, picture, *rest: picture)
     assert "staircase.paper.gravel.1.to-bound" in staircase_fails(
         gravel.estimates(NOISE, bank_kernels, PRESETS["likelihood"], 0)
     )
