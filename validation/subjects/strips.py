@@ -192,11 +192,11 @@ def levels_of(
 
     ``spacing_px`` is the distance of the channels' samples in pixels of the sensor.
     """
-    found = scores.match(sharper, green, settings, spacing_px)
-    level, _ = best_level(found.score, found.plain, found.offset, settings)
+    matches = scores.match(sharper, green, settings, spacing_px)
+    level, _ = best_level(matches.score, matches.plain, matches.offset, settings)
     border = round(BORDER_PX / spacing_px)
     inner = slice(border, -border)
-    edge = (found.snr > settings.edge_snr) & (found.green_snr > settings.edge_snr)
+    edge = (matches.snr > settings.edge_snr) & (matches.green_snr > settings.edge_snr)
     return level[inner, inner].astype(np.float64), edge[inner, inner]
 
 

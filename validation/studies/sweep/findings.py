@@ -117,15 +117,15 @@ def _by_seed(rows: list[Row], key: str, value: Value, figure: str, seeds: list[i
     return np.array([by_seed.get(seed, math.nan) for seed in seeds])
 
 
-def sentences(spec: StudySpec, found: list[Finding]) -> list[str]:
+def sentences(spec: StudySpec, all_findings: list[Finding]) -> list[str]:
     """One sentence per figure of the study's plots: the cases in which the reference is best, and the others."""
-    if not found:
+    if not all_findings:
         return []
     reference = next(iter(spec.reference.values()))
     lines = []
     drawn = {curve.y for curve in spec.curves} | set(spec.pareto or ())
-    for figure in dict.fromkeys(one.figure for one in found if one.figure in drawn):
-        own = [one for one in found if one.figure == figure]
+    for figure in dict.fromkeys(one.figure for one in all_findings if one.figure in drawn):
+        own = [one for one in all_findings if one.figure == figure]
         best = [one for one in own if one.cost == 0]
         tied = [one for one in own if one.cost != 0 and not one.clear]
         worse = [one for one in own if one.clear]

@@ -268,13 +268,16 @@ def depth_figures(result: Reconstruction, truth: Truth) -> dict[str, float]:
     """Depth errors over all pixels in front of the focal plane; without errors if most are out of the bank's range."""
     near = near_side(truth)
     share = float((near & (truth.level <= len(geometry.level_blur_px(result.camera)) - 0.5))[truth.valid].mean())
-    found = {"in-range": share, "coverage": float(np.isfinite(result.level_raw[near]).mean()) if near.any() else 0.0}
+    result_figures = {
+        "in-range": share,
+        "coverage": float(np.isfinite(result.level_raw[near]).mean()) if near.any() else 0.0,
+    }
     if share < 1 - MOST_BEYOND:
-        return found
+        return result_figures
     exact, given = (1 / np.maximum(a[near].astype(np.float64), 1e-3) for a in (truth.depth_m, result.depth_m))
     error, metres = given - exact, 1 / given - 1 / exact
     seen = truth.blur_px[near] >= criteria.NEAREST_BLUR_PX
-    return found | {
+    return result_figures | {
         "depth-median": float(np.median(np.abs(error))),
         "depth-seen": float(np.median(np.abs(error[seen]))) if seen.any() else math.nan,
         "depth-rmse": float(np.sqrt(np.mean(error**2))),

@@ -28,7 +28,7 @@ def page(spec: StudySpec, rows: list[Row], failed: dict[str, str]) -> str:
     from validation.studies.sweep.run import means, pareto
 
     averaged = means(rows, spec)
-    found = findings.findings(spec, rows)
+    all_findings = findings.findings(spec, rows)
     ranked = findings.ranking(spec, averaged)
     pictures = [(_caption(curve, spec), _curve(curve, averaged, spec)) for curve in spec.curves]
     front: list[Row] = []
@@ -43,7 +43,8 @@ def page(spec: StudySpec, rows: list[Row], failed: dict[str, str]) -> str:
     environment = jinja2.Environment(loader=jinja2.FileSystemLoader(TEMPLATE_DIR), autoescape=True)
     return environment.get_template("study.html").render(
         spec=spec, pictures=pictures, figures=known, rows=averaged, front=front, failed=failed, number=_number,
-        findings=found, sentences=findings.sentences(spec, found), ranked=ranked, unit=lambda name: FIGURES[name][0],
+        findings=all_findings, sentences=findings.sentences(spec, all_findings), ranked=ranked,
+        unit=lambda name: FIGURES[name][0],
     )  # fmt: skip
 
 
