@@ -47,7 +47,7 @@ def named(given: Sequence[str]) -> tuple[NamedMethod, ...]:
     """
     found: list[NamedMethod] = []
     for text in given:
-        method = _parsed(text)
+        method = parsed(text)
         if method.name in (other.name for other in found):
             raise InputError(f"method '{text}': two methods have the name '{method.name}'; give one as NAME={text}")
         if method.source:
@@ -56,7 +56,8 @@ def named(given: Sequence[str]) -> tuple[NamedMethod, ...]:
     return tuple(found)
 
 
-def _parsed(text: str) -> NamedMethod:
+def parsed(text: str) -> NamedMethod:
+    """The method of one name, without loading its function; InputError where that is none."""
     if text in recon.METHODS:
         return NamedMethod(text)
     name, equals, source = text.partition("=")

@@ -33,6 +33,7 @@ def sweep(
     *,
     out: Annotated[str | None, Parameter(name="--out")] = None,
     quick: Annotated[bool, Parameter(negative="")] = False,
+    method: Annotated[list[str] | None, Parameter(negative="", consume_multiple=True)] = None,
     jobs: Whole | None = None,
     executor: Literal["local", "ray"] = "local",
     address: str = "auto",
@@ -46,6 +47,8 @@ def sweep(
         study: hole-size, lens, cut-wavelengths, mosaic, stereo, or a TOML file
         out: a folder, or an fsspec address such as s3://bucket/folder; out/NAME of the study by default
         quick: the study's few most telling points
+        method: a further depth method for the parameter recon.preset: a bundled name, or your function as
+            package.module:function or file.py:function
         jobs: processes of the local executor; by default one for each core
         executor: local, or ray for the nodes of a cluster (extra 'cluster')
         address: of Ray: auto, or ray://host:port
@@ -60,7 +63,7 @@ def sweep(
     from validation.studies.sweep.run import sweep as run_sweep
     from validation.studies.sweep.specification import units
 
-    spec = load_study(study, quick=quick)
+    spec = load_study(study, quick=quick, methods=method or ())
     place = out or f"out/{spec.name}"
     here = environment(backend.choose(variant).variant)
     gpu = here["variant"].startswith("cuda")

@@ -12,6 +12,7 @@ import pytest
 
 import recon
 import validation
+from dasim.base import fingerprint
 from dasim.base.errors import InputError
 from dasim.cli import run
 from dasim.dataset.reading import Sample
@@ -25,6 +26,9 @@ from validation.claims.depth import scenes
 from validation.claims.table import CLAIMS
 from validation.method_scores import sample_rows, score_split, split_figures
 from validation.methods import NamedMethod, named
+from validation.studies.sweep import point
+from validation.studies.sweep.loading import load_study
+from validation.studies.sweep.specification import units
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 LAPLACIAN = f"laplacian={EXAMPLES / 'depth_method.py'}:laplacian_ratio"
@@ -104,8 +108,6 @@ def test_names_that_are_wrong_are_refused_in_one_line(mine, given, said):
 
 
 def test_a_methods_own_code_is_part_of_what_a_result_depends_on(mine):
-    from dasim.base import fingerprint
-
     def identity() -> list[str]:
         methods.function.cache_clear()
         fingerprint.forget()
@@ -292,3 +294,55 @@ def test_the_command_scores_a_split(mine, shot, bank, monkeypatch, capsys):
     assert content["flat.lost"] == {"value": 1.0, "unit": "samples", "limit": "<= 0", "passed": False}
     assert content["samples"]["flat"][0]["lost"] is True
     assert "lost" in capsys.readouterr().out
+
+
+# --- studies -------------------------------------------------------------------------------------
+
+
+STUDY = """
+name = "mine"
+camera = "da-mobile"
+scene = "desk"
+size_px = [256, 192]
+seeds = 1
+[parameters]
+"light.lux" = 1000.0
+"""
+
+
+def test_a_study_measures_a_users_method_beside_the_preset(mine, shot, bank, monkeypatch):
+    """Expectation: the same picture for both methods; a constant map has the error of its level.
+
+    Set-up: a study without the parameter recon.preset gets it; the picture is made without a renderer.
+    """
+    (mine / "study.toml").write_text(STUDY)
+    spec = load_study("study.toml", methods=["flat=mine.py:constant"])
+    assert spec.parameters["recon.preset"] == ("bands", "flat=mine.py:constant")
+    (unit,) = units(spec)
+    monkeypatch.setattr("dasim.simulate", lambda *args, **options: shot)
+    monkeypatch.setattr("dasim.calibration_captures", lambda *args, **options: None)
+    monkeypatch.setattr("recon.calibrate", lambda captures: bank)
+    ours, theirs = (row["figures"] for row in point.measure(spec, unit))
+    own = levels.depth_of(np.full(shot.truth.level.shape, 4.0, np.float32), bank.depth_m)
+    expected = np.median(np.abs(1 / own - 1 / shot.truth.depth_m))
+    assert theirs["depth-median"] == pytest.approx(expected, rel=0.02) and theirs["coverage"] == 1
+    assert ours["depth-median"] < 0.5 * theirs["depth-median"]
+    assert ours["infrared-snr"] == pytest.approx(theirs["infrared-snr"], rel=0.01)
+
+
+def test_a_studys_points_depend_on_a_users_code(mine):
+    """Expectation: a changed function is another code, so that its points are measured again."""
+    (mine / "study.toml").write_text(STUDY)
+    spec = load_study("study.toml", methods=["flat=mine.py:constant"])
+    first = point.code(spec, "x")
+    assert first != point.code(load_study("study.toml"), "x")
+    (mine / "mine.py").write_text(METHODS.replace("LEVEL = 4.0", "LEVEL = 5.0"))
+    fingerprint.forget()
+    assert point.code(spec, "x") != first
+
+
+@pytest.mark.parametrize("text", ["nothing", "mine.py:nothing", "bands=mine.py:constant"])
+def test_a_study_with_a_wrong_method_is_refused(mine, text):
+    (mine / "study.toml").write_text(STUDY)
+    with pytest.raises(InputError, match=r"study.toml.*method"):
+        load_study("study.toml", methods=[text])

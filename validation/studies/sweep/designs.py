@@ -6,6 +6,8 @@ Tested in tests/validation/studies/test_sweep.py.
 from __future__ import annotations
 
 import functools
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import dasim
@@ -18,6 +20,7 @@ from dasim.dataset.specification import varied
 from dasim.scene import targets
 from dasim.scene.mitsuba_scene import MitsubaScene
 from recon.settings import Settings
+from validation.methods import NamedMethod, parsed
 from validation.studies.sweep.specification import StudySpec, Value
 
 
@@ -86,12 +89,35 @@ def scene_of(spec: StudySpec, point: dict[str, Value]) -> dasim.Scene:
 
 def settings_of(spec: StudySpec, point: dict[str, Value]) -> Settings:
     """The settings of a point's reconstruction: those of its preset, with the point's changes."""
-    preset = str(point.get("recon.preset", spec.preset))
-    if preset not in recon.PRESETS:
-        raise InputError(f"preset '{preset}' is unknown; allowed are {', '.join(recon.PRESETS)}")
+    method = method_of(spec, point)
+    own = recon.DEFAULT if method.source else recon.PRESETS[method.name]
     changes = {
         key.removeprefix("recon."): value
         for key, value in point.items()
         if key.startswith("recon.") and key != "recon.preset"
     }
-    return parse(Settings, recon.PRESETS[preset].model_dump() | changes, "recon") if changes else recon.PRESETS[preset]
+    return parse(Settings, own.model_dump() | changes, "recon") if changes else own
+
+
+def method_of(spec: StudySpec, point: dict[str, Value]) -> NamedMethod:
+    """The depth method of a point: a preset's name, or a user's function, whose file may lie beside the study's."""
+    method = parsed(str(point.get("recon.preset", spec.preset)))
+    file, _, name = method.source.rpartition(":")
+    beside = spec.folder / file
+    return replace(method, source=f"{beside}:{name}") if file.endswith(".py") and beside.is_file() else method
+
+
+def own_methods(spec: StudySpec) -> list[NamedMethod]:
+    """A user's depth methods that a study measures."""
+    presets = spec.parameters.get("recon.preset", (spec.preset,))
+    every = (method_of(spec, {"recon.preset": preset}) for preset in presets)
+    return [method for method in every if method.source]
+
+
+def with_methods(spec: StudySpec, methods: Sequence[str]) -> StudySpec:
+    """The study with further depth methods at each of its points, beside the presets that it has."""
+    if not methods:
+        return spec
+    default = (spec.design.get("recon.preset", spec.preset),)
+    grids = [grid | {"recon.preset": (*grid.get("recon.preset", default), *methods)} for grid in spec.grids]
+    return spec.model_copy(update={"grids": tuple(grids)})

@@ -6,7 +6,7 @@ Tested in tests/validation/studies/test_sweep.py.
 from __future__ import annotations
 
 import difflib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +19,8 @@ from dasim.camera import specification as cameras
 from dasim.camera.specification import Camera
 from dasim.spectra import illuminants
 from recon.picture import mosaic
-from validation.studies.sweep.designs import camera_of, scene_of, settings_of
+from validation.methods import function
+from validation.studies.sweep.designs import camera_of, method_of, scene_of, settings_of, with_methods
 from validation.studies.sweep.specification import StudySpec, Value, points
 
 BUNDLED = Path(__file__).parents[1] / "bundled"
@@ -46,7 +47,7 @@ def names() -> list[str]:
     return sorted(path.stem for path in BUNDLED.glob("*.toml"))
 
 
-def load_study(name_or_path: str, *, quick: bool = False) -> StudySpec:
+def load_study(name_or_path: str, *, quick: bool = False, methods: Sequence[str] = ()) -> StudySpec:
     """A study from its bundled name or a TOML file, checked as a whole; InputError names all mistakes at once.
 
     ``quick`` replaces values by those of the study's ``[quick]`` table and uses at most two seeds.
@@ -66,6 +67,7 @@ def load_study(name_or_path: str, *, quick: bool = False) -> StudySpec:
             )
         grids = tuple({key: spec.quick.get(key, values) for key, values in grid.items()} for grid in spec.grids)
         spec = spec.model_copy(update={"grids": grids, "seeds": min(spec.seeds, 2)})
+    spec = with_methods(spec, methods)
     check(spec, str(path))
     return spec
 
@@ -129,7 +131,7 @@ def _base_problems(spec: StudySpec) -> list[str]:
     checks: dict[str, Callable[[], object]] = {
         "camera": lambda: _check_sees(dasim.cropped(camera_of(spec, {}), *spec.size_px)),
         "scene": lambda: scene_of(spec, {}),
-        "recon.preset": lambda: settings_of(spec, {}),
+        "recon.preset": lambda: function(method_of(spec, {})),
     }
     problems = []
     for key, check_one in checks.items():
@@ -169,6 +171,7 @@ def _point_problems(spec: StudySpec, point: dict[str, Value]) -> list[str]:
         if "scene" in point or "distance_cm" in point:
             scene_of(spec, point)
         settings_of(spec, point)
+        function(method_of(spec, point))
         if "light.illuminant" in point:
             illuminants.illuminant(str(point["light.illuminant"]))
         for key, low, high in (

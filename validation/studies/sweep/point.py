@@ -30,11 +30,12 @@ from dasim.simulation.simulate import Shot
 from dasim.spectra import grid as spectra
 from dasim.typing import FloatArray
 from dasim.values import Capture, Reconstruction, Truth
+from validation.methods import function, reconstructed
 from validation.scores import pictures as picture_scores
 from validation.scores.depth import near_side
 from validation.studies import criteria
 from validation.studies.sweep import second_camera
-from validation.studies.sweep.designs import camera_of, scene_of, settings_of
+from validation.studies.sweep.designs import camera_of, method_of, own_methods, scene_of, settings_of
 from validation.studies.sweep.specification import StudySpec, Unit, Value, units
 
 BOUND_BLURS = 10  # number of blurs at which the bound is computed; its logarithm is interpolated between them
@@ -103,12 +104,13 @@ class Sweep:
 
     def __post_init__(self) -> None:
         if not self.code:
-            object.__setattr__(self, "code", code(self.environment["variant"]))
+            object.__setattr__(self, "code", code(self.spec, self.environment["variant"]))
 
 
-def code(variant: str) -> str:
-    """Fingerprint of the code that measures a unit, its data and libraries."""
-    return fingerprint(measure, variant=variant, given=("cameras", "scenes"))
+def code(spec: StudySpec, variant: str) -> str:
+    """Fingerprint of the code that measures a unit, a user's depth methods among it, its data and libraries."""
+    methods = (function(method) for method in own_methods(spec))
+    return fingerprint(measure, *methods, variant=variant, given=("cameras", "scenes"))
 
 
 def file_of(job: Sweep, unit: Unit) -> str:
@@ -129,7 +131,7 @@ def work(job: Sweep, index: int) -> Outcome:
     begin = time.perf_counter()
     unit = units(job.spec)[index]
     try:
-        if code(job.environment["variant"]) != job.code:
+        if code(job.spec, job.environment["variant"]) != job.code:
             return Outcome(index, "this worker has other code than the study: figures would not compare", fatal=True)
         sample.activate(job.environment["variant"])
         rows = measure(job.spec, unit)
@@ -166,12 +168,13 @@ def measure(spec: StudySpec, unit: Unit) -> list[dict[str, Any]]:
         begin = time.perf_counter()
         capture = capture_of(shot, scene, point, unit.seed * len(unit.points) + number)
         exact = truth_of(shot, capture, scene, point)
-        result = recon.reconstruct(capture, bank, settings_of(spec, point))
+        method, settings = method_of(spec, point), settings_of(spec, point)
+        result = reconstructed(capture, bank, method, settings)
         own = figures(result, capture, exact)
         own |= limits(capture, exact, shot.capture.illuminant, lux(scene, point))
         if other is not None:
             seen = capture_of(other, scene, point, unit.seed * len(unit.points) + number + OTHER_SEED)
-            right = recon.reconstruct(seen, bank, settings_of(spec, point))
+            right = reconstructed(seen, bank, method, settings)
             baseline_m = 1e-3 * float(unit.render[BASELINE])
             own |= second_camera.errors(result, right, exact, other.truth, baseline_m, bank.depth_m)
         own["seconds"] = shared + time.perf_counter() - begin
