@@ -1,8 +1,9 @@
-"""Choose the Mitsuba variant, once: the fastest that really works on this computer.
+"""Choice of the Mitsuba variant: the fastest one that works on this computer.
 
-Every variant is tried out in a process of its own, because a faulty one does not raise: Dr.Jit 1.5 with LLVM 16
-or older aborts ("LLVM ERROR: Cannot select ... fminimum"), and a graphics driver may crash or hang. The answer is
-kept in the cache folder, so later starts cost nothing. ``python -m dasim.render.backend`` prints it.
+Each variant is tested by a small render in a separate process, because a faulty variant does not raise an exception:
+Dr.Jit 1.5 with LLVM 16 or older aborts ("LLVM ERROR: Cannot select ... fminimum"), and a graphics driver may crash or
+hang. The results are stored in the cache folder, so that later starts skip the tests.
+``python -m dasim.render.backend`` prints the choice.
 """
 
 from __future__ import annotations
@@ -28,11 +29,10 @@ from dasim.base.errors import InputError
 from dasim.base.fingerprint import fingerprint
 
 VARIANTS = ("cuda_ad_spectral", "llvm_ad_spectral", "scalar_spectral")  # fastest first
-OLDEST_LLVM = 17  # of 15, 16, 19 and 22 the first two abort Dr.Jit 1.5, the others work
-PROBE_TIMEOUT_S = 60.0  # a healthy probe takes below 1 s, a cold graphics driver some seconds
-FAILURE_KEPT_S = (
-    24 * 3600.0
-)  # a failed variant is tried again a day later: a driver may be installed by then, or a high load over
+OLDEST_LLVM = 17  # with Dr.Jit 1.5, LLVM 15 and 16 abort, 19 and 22 work
+PROBE_TIMEOUT_S = 60.0  # a test takes below 1 s, with a graphics driver that starts some seconds
+# After this time a failed variant is tested again: a driver may have been installed, or a high load be over.
+FAILURE_LIFETIME_S = 24 * 3600.0
 
 LLVM_FOLDERS = (
     str(Path(sys.prefix) / "lib"),  # conda
@@ -61,7 +61,7 @@ _PROBE_PROGRAM = """
 import sys
 try:
     import resource
-    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))  # an abort is an answer here, no core file is wanted
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))  # an abort is an expected result: write no core file
 except (ImportError, ValueError, OSError):
     pass
 import drjit as dr
@@ -87,7 +87,7 @@ scene = mi.load_dict({
 image = mi.render(scene, seed=1)
 total = dr.sum(dr.maximum(dr.minimum(image.array, 1e6), 0.0))
 total = total if isinstance(total, float) else total[0]
-print("OK" if 0.0 < total < 1e6 else f"the test picture is wrong, its sum is {total}")
+print("OK" if 0.0 < total < 1e6 else f"the test picture is wrong: its sum is {total}")
 """
 
 _active: Choice | None = None
@@ -95,18 +95,19 @@ _active: Choice | None = None
 
 @dataclass(frozen=True)
 class Choice:
-    """A variant that works on this computer, and the reason for the choice in one line."""
+    """A variant that works on this computer, and the reason for choosing it in one line."""
 
     variant: str
     reason: str
     llvm_path: str | None = None
-    llvm: str | None = None  # its version
+    llvm: str | None = None  # version, major.minor
 
 
 def choose(variant: str | None = None) -> Choice:
-    """The named variant, or for "auto" the fastest that works; ``None`` asks the variable ``DASIM_VARIANT`` first.
+    """The variant of a name, or the fastest variant that works for ``auto``.
 
-    Raises InputError where the name is unknown or the variant does not work here.
+    Without a name, the environment variable ``DASIM_VARIANT`` decides, and ``auto`` where it is not set. Raises
+    InputError where the name is unknown or the variant does not work on this computer.
     """
     where = "variant" if variant is not None else "DASIM_VARIANT"
     wanted = variant if variant is not None else os.environ.get("DASIM_VARIANT") or "auto"
@@ -119,18 +120,18 @@ def choose(variant: str | None = None) -> Choice:
     name = names[-1] if wanted != "auto" else next((n for n in names if results.get(n, {}).get("works")), None)
     if name is None:
         why = "; ".join(f"{n}: {results[n]['why']}" for n in names)
-        raise InputError(f"no variant of Mitsuba works here ({why}); try to install the package mitsuba again")
+        raise InputError(f"no variant of Mitsuba works on this computer ({why}); reinstall the package mitsuba")
     if not results[name]["works"]:
         raise InputError(
-            f"{where} '{name}' does not work here ({results[name]['why']}); {_advice(name)}, or use 'auto'"
+            f"{where} '{name}' does not work on this computer ({results[name]['why']}); {_advice(name)}, or use 'auto'"
         )
-    found = results[name]
-    reason = _reason(name, found, asked_for=wanted != "auto")
-    return Choice(name, reason, found.get("llvm_path"), found.get("llvm"))
+    result = results[name]
+    reason = _reason(name, result, by_name=wanted != "auto")
+    return Choice(name, reason, result.get("llvm_path"), result.get("llvm"))
 
 
 def use_threads(count: int) -> None:
-    """Set the number of rendering threads; sums over several threads may differ in their last bits."""
+    """Set the number of rendering threads; with several, sums may differ in their last bits."""
     import drjit
 
     drjit.set_thread_count(count)
@@ -164,15 +165,15 @@ def release_memory() -> None:
 
 
 def activate(choice: Choice) -> None:
-    """Make ``choice`` the variant of this process, once; InputError where another one is active already."""
+    """Activate a variant in this process; InputError where another one is active already."""
     global _active
     if _active is not None and _active.variant != choice.variant:
         raise InputError(
-            f"variant '{choice.variant}' comes too late, '{_active.variant}' is in use; a process keeps its variant, "
-            f"start a new one"
+            f"variant '{choice.variant}': this process already uses '{_active.variant}', and cannot change it; "
+            f"start a new process"
         )
     if choice.llvm_path is not None and _active is None:
-        os.environ["DRJIT_LIBLLVM_PATH"] = choice.llvm_path  # read by Dr.Jit in the first set_variant
+        os.environ["DRJIT_LIBLLVM_PATH"] = choice.llvm_path  # Dr.Jit reads it in the first set_variant
     import drjit as dr
     import mitsuba as mi
 
@@ -184,62 +185,65 @@ def activate(choice: Choice) -> None:
 
 
 def _results(names: tuple[str, ...]) -> dict[str, dict[str, Any]]:
-    """Results of the variants up to the first that works, from the cache where it has them."""
+    """Test results by name, up to the first variant that works, from the cache where it has them."""
     libraries = llvm_libraries()
     file = cache_dir() / f"backend-{_cache_key(libraries)}.json"
     results = _read_cache(file)
-    news = False
+    is_new = False
     for name in names:
         if name not in results:
             results[name] = _try_llvm(libraries) if name == "llvm_ad_spectral" else _try(name)
-            news = True
+            is_new = True
         if results[name]["works"]:
             break
-    if news:
+    if is_new:
         _write_cache(file, results)
     return results
 
 
-# --- trying out ----------------------------------------------------------------------------------
+# --- tests of variants ---------------------------------------------------------------------------
 
 
 def _try(variant: str, llvm_path: str | None = None) -> dict[str, Any]:
-    """Render a little in a process of its own: ``works``, and ``why`` not."""
+    """Result of a small render in a separate process: ``works``, and ``why`` not, in one line."""
     problem = _run((_PROBE_PROGRAM, variant), llvm_path=llvm_path)[1]
     return {"works": problem is None, "why": problem}
 
 
 def _try_llvm(libraries: list[str]) -> dict[str, Any]:
-    """Try the user's LLVM library first, then the others, newest first; too old ones are never loaded by Dr.Jit."""
-    given = os.environ.get("DRJIT_LIBLLVM_PATH")
+    """Result of the LLVM variant with the first library that works: the user's own, then the others, newest first.
+
+    Libraries older than ``OLDEST_LLVM`` are left out.
+    """
+    own = os.environ.get("DRJIT_LIBLLVM_PATH")
     versions = {path: _llvm_version(path) for path in libraries}
     usable = [path for path in libraries if versions[path] >= (OLDEST_LLVM,)]
     problems = []
-    for path in sorted(usable, key=lambda path: (path == given, versions[path]), reverse=True):
+    for path in sorted(usable, key=lambda path: (path == own, versions[path]), reverse=True):
         result = _try("llvm_ad_spectral", path)
         if result["works"]:
-            passed_over = given if given and path != given else None
+            ignored = own if own and path != own else None
             major, minor = versions[path][:2]
-            return {"works": True, "llvm_path": path, "llvm": f"{major}.{minor}", "passed_over": passed_over}
+            return {"works": True, "llvm_path": path, "llvm": f"{major}.{minor}", "ignored": ignored}
         problems.append(f"{path}: {result['why']}")
     return {"works": False, "why": "; ".join(problems) or f"no LLVM of version {OLDEST_LLVM} or newer was found"}
 
 
 def llvm_libraries() -> list[str]:
-    """Paths of LLVM libraries, each once: what ``DRJIT_LIBLLVM_PATH`` says, then the usual folders."""
-    found: dict[str, str] = {}
-    given = os.environ.get("DRJIT_LIBLLVM_PATH")
-    if given:
-        found[os.path.realpath(given)] = given
+    """Distinct paths of LLVM libraries: that of ``DRJIT_LIBLLVM_PATH``, then those in the usual folders."""
+    paths: dict[str, str] = {}
+    own = os.environ.get("DRJIT_LIBLLVM_PATH")
+    if own:
+        paths[os.path.realpath(own)] = own
     for folder in LLVM_FOLDERS:
         for path in sorted(glob.glob(f"{folder}/libLLVM*")):
             if _LLVM_NAME.fullmatch(os.path.basename(path)):
-                found.setdefault(os.path.realpath(path), os.path.realpath(path))
-    return list(found.values())
+                paths.setdefault(os.path.realpath(path), os.path.realpath(path))
+    return list(paths.values())
 
 
 def _llvm_version(path: str) -> tuple[int, ...]:
-    """Version of an LLVM library; empty where it is none, or older than 16, which does not tell."""
+    """Version of an LLVM library; empty where it is none, or older than 16, which has no function for it."""
     output, problem = _run((_VERSION_PROGRAM, path))
     try:
         return tuple(int(part) for part in output.split()) if problem is None else ()
@@ -248,12 +252,12 @@ def _llvm_version(path: str) -> tuple[int, ...]:
 
 
 def _run(program: tuple[str, ...], llvm_path: str | None = None) -> tuple[str, str | None]:
-    """Output of a Python program with its arguments, run apart, and in one line what went wrong, or None."""
+    """Output of a Python program in a separate process, and its problem in one line, or None."""
     environment = dict(os.environ)
     if llvm_path is not None:
         environment["DRJIT_LIBLLVM_PATH"] = llvm_path
     try:
-        done = subprocess.run(
+        process = subprocess.run(
             [sys.executable, "-P", "-c", *program],
             env=environment,
             stdin=subprocess.DEVNULL,
@@ -266,50 +270,50 @@ def _run(program: tuple[str, ...], llvm_path: str | None = None) -> tuple[str, s
         return "", f"it took longer than {PROBE_TIMEOUT_S:g} s"
     except OSError as error:
         return "", str(error)
-    if done.returncode < 0:
-        return "", f"the process crashed with signal {-done.returncode}"
-    if done.returncode > 0:
-        lines = done.stderr.strip().splitlines()
-        return "", lines[-1][:200] if lines else f"the process ended with status {done.returncode}"
-    if program[0] is _PROBE_PROGRAM and done.stdout.split()[-1:] != ["OK"]:
-        return "", done.stdout.strip()[-200:] or "no answer"
-    return done.stdout, None
+    if process.returncode < 0:
+        return "", f"the process crashed with signal {-process.returncode}"
+    if process.returncode > 0:
+        lines = process.stderr.strip().splitlines()
+        return "", lines[-1][:200] if lines else f"the process ended with status {process.returncode}"
+    if program[0] is _PROBE_PROGRAM and process.stdout.split()[-1:] != ["OK"]:
+        return "", process.stdout.strip()[-200:] or "no answer"
+    return process.stdout, None
 
 
-# --- words for people ----------------------------------------------------------------------------
+# --- messages ------------------------------------------------------------------------------------
 
 
-def _reason(variant: str, result: dict[str, Any], asked_for: bool) -> str:
-    """Why this variant, in one line."""
+def _reason(variant: str, result: dict[str, Any], *, by_name: bool) -> str:
+    """Reason for the choice of a variant, in one line; ``by_name`` where the user named it."""
     if variant == "cuda_ad_spectral":
         return f"{variant} (NVIDIA graphics card)"
     if variant == "llvm_ad_spectral":
-        ignored = result.get("passed_over")
+        ignored = result.get("ignored")
         note = f"; DRJIT_LIBLLVM_PATH={ignored} does not work and is not used" if ignored else ""
         return f"{variant} (LLVM {result['llvm']}){note}"
-    if asked_for:
-        return f"{variant}, as asked for"
-    return f"{variant}, about four times slower: no working LLVM was found; {_advice('llvm_ad_spectral')}"
+    if by_name:
+        return f"{variant}, as requested"
+    return f"{variant}, about four times slower: there is no LLVM library that works; {_advice('llvm_ad_spectral')}"
 
 
 def _advice(variant: str) -> str:
-    """What a user can try to make a variant work."""
+    """Advice on how to make a variant work."""
     if variant == "cuda_ad_spectral":
         return "it needs an NVIDIA graphics card with a recent driver"
     if variant == "scalar_spectral":
-        return "install the package mitsuba again"
+        return "reinstall the package mitsuba"
     if sys.platform == "darwin":
-        return "'brew install llvm' brings one"
+        return "'brew install llvm' installs one"
     if Path("/etc/debian_version").exists():
-        return "'apt-get install libllvm19' brings one"
-    return f"install LLVM {OLDEST_LLVM} or newer, or name its library in DRJIT_LIBLLVM_PATH"
+        return "'apt-get install libllvm19' installs one"
+    return f"install LLVM {OLDEST_LLVM} or newer, or set DRJIT_LIBLLVM_PATH to its library"
 
 
 # --- cache ---------------------------------------------------------------------------------------
 
 
 def _cache_key(libraries: list[str]) -> str:
-    """Hash of everything that the answer depends on: code, libraries, and the facts about this computer."""
+    """Hash of everything that the results depend on: code, LLVM libraries, and this computer."""
     facts: list[Any] = [sys.executable, platform.platform(), platform.machine(), platform.node()]
     facts += [os.environ.get("DRJIT_LIBLLVM_PATH"), os.environ.get("CUDA_VISIBLE_DEVICES")]
     facts += [_stamp(path) for path in libraries]
@@ -318,7 +322,7 @@ def _cache_key(libraries: list[str]) -> str:
 
 
 def _stamp(path: str) -> list[Any]:
-    """What tells a file from its replacement; times of devices mean nothing, so only of plain files."""
+    """Path, size and time of change of a plain file; only whether it exists for devices and files of the kernel."""
     if not os.path.isfile(path) or path.startswith("/proc/"):
         return [path, os.path.exists(path)]
     status = os.stat(path)
@@ -326,10 +330,10 @@ def _stamp(path: str) -> list[Any]:
 
 
 def _read_cache(file: Path) -> dict[str, dict[str, Any]]:
-    """Earlier results; none where the file is missing, damaged or of another shape. Old failures are left out."""
+    """Stored results without expired failures; none where the file is missing, damaged or of another form."""
     try:
         cached = json.loads(file.read_text(encoding="utf-8"))
-        fresh = time.time() - file.stat().st_mtime < FAILURE_KEPT_S
+        fresh = time.time() - file.stat().st_mtime < FAILURE_LIFETIME_S
         results = {name: cached[name] for name in VARIANTS if name in cached}
         for name, result in results.items():
             whole = name != "llvm_ad_spectral" or {"llvm_path", "llvm"} <= result.keys()
@@ -341,13 +345,13 @@ def _read_cache(file: Path) -> dict[str, dict[str, Any]]:
 
 
 def _write_cache(file: Path, results: dict[str, dict[str, Any]]) -> None:
-    """Write the results; a folder that cannot be written to is no error."""
+    """Store the results; a folder that cannot be written to is not an error."""
     with contextlib.suppress(OSError):
         atomic.write(file, json.dumps(results, indent=1))
 
 
 def main() -> int:
-    """Print the fastest variant and why; status 0 where it is a fast one, 3 where only the scalar one works."""
+    """Print the choice and its reason; exit status 0 for a JIT variant, 3 where only the scalar one works."""
     try:
         choice = choose("auto")
     except InputError as error:

@@ -1,4 +1,4 @@
-"""Lights as Mitsuba's emitters, in camera axes.
+"""Translation of a scene's lights into Mitsuba's emitters, in camera axes (x right, y down, z forward, metres).
 
 Tested in tests/dasim/render/test_lights.py.
 """
@@ -19,39 +19,45 @@ from dasim.scene.specification import Scene
 from dasim.spectra import illuminants
 from dasim.typing import FloatArray
 
-SUN_DISTANCE_M = 1e4  # across 10 m of scene its direction changes by a tenth of its diameter
+SUN_DISTANCE_M = 1e4  # over 10 m of scene the sun's direction changes by a tenth of its angular diameter
 
 
 def emitters(scene: Scene) -> dict[str, Any]:
-    """Mitsuba's emitters of a scene's lights by name; those from all around are one, which is all Mitsuba takes."""
-    found: dict[str, Any] = {}
+    """Mitsuba's emitters of a scene's lights, by name.
+
+    All lights that surround the scene become one emitter, because Mitsuba allows a single environment.
+    """
+    result: dict[str, Any] = {}
     parts = [(index, part) for index, light in enumerate(scene.lights) for part in lighting.parts(light)]
-    around = [(index, part) for index, part in parts if isinstance(part, Surrounding)]
-    aimed = [(index, part) for index, part in parts if not isinstance(part, Surrounding)]
-    for index, part in aimed:
-        found[f"light_{index:04d}"] = _sun(part, scene) if isinstance(part, Sun) else _near(part, scene)
-    if around:
-        sun = any(isinstance(part, Sun) for _, part in aimed)
-        uneven = sum(part.lux for _, part in around if _is_uneven(part, sun))
-        # Mitsuba needs one light to aim at. Beside others, what is uneven is aimed at as often as it matters.
-        weight = {"sampling_weight": float(uneven / np.mean([part.lux for _, part in aimed]))} if aimed else {}
-        name = f"light_{around[0][0]:04d}"
-        found[f"{name}_sky" if name in found else name] = _surrounding([part for _, part in around], scene) | weight
-    return found
+    distant = [(index, part) for index, part in parts if isinstance(part, Surrounding)]
+    local = [(index, part) for index, part in parts if not isinstance(part, Surrounding)]
+    for index, part in local:
+        result[f"light_{index:04d}"] = _sun(part, scene) if isinstance(part, Sun) else _near_light(part, scene)
+    if distant:
+        sun = any(isinstance(part, Sun) for _, part in local)
+        uneven = sum(part.lux for _, part in distant if _is_uneven(part, sun))
+        # Emitter sampling chooses the surroundings in proportion to the illuminance of their uneven part. Without other
+        # lights the weight stays 1, because Mitsuba needs an emitter to sample.
+        weight = {"sampling_weight": float(uneven / np.mean([part.lux for _, part in local]))} if local else {}
+        name = f"light_{distant[0][0]:04d}"
+        result[f"{name}_sky" if name in result else name] = _environment([part for _, part in distant], scene) | weight
+    return result
 
 
 def _is_uneven(light: Surrounding, sun: bool) -> bool:
-    """Whether a light from all around has bright places that reflected rays would seldom find.
+    """Whether a surrounding light has small bright parts, so that sampling its directions reduces the noise.
 
-    Those find a dome or an even sky everywhere: aiming at it as well would only add noise (tenfold). A clear sky
-    beside the sun is a small part of the light, and choosing between both would add more noise than it saves.
+    BSDF sampling alone suffices for a dome or an even sky; emitter sampling in addition would increase the noise
+    tenfold. Beside the sun a clear sky is a small part of the light, and sampling both would cost more noise than it
+    saves.
     """
     if isinstance(light, Sky):
         return light.distribution == "clear" and not sun
     return isinstance(light, Environment)
 
 
-def _surrounding(around: list[Surrounding], scene: Scene) -> dict[str, Any]:
+def _environment(around: list[Surrounding], scene: Scene) -> dict[str, Any]:
+    """One emitter of all surrounding lights: constant where all are domes, otherwise a sum of panoramas."""
     powers = [light.lux * illuminants.illuminant(light.illuminant) for light in around]
     if all(isinstance(light, Dome) for light in around):
         return {"type": "constant", "radiance": spectrum_dict(np.sum(powers, axis=0) / np.pi)}
@@ -64,31 +70,41 @@ def _surrounding(around: list[Surrounding], scene: Scene) -> dict[str, Any]:
 
 
 def _sun(light: Sun, scene: Scene) -> dict[str, Any]:
-    """A far disc that faces the scene's origin."""
+    """A distant disc that faces the scene's origin, of radiance E / (pi sin^2 a) for the sun's angular radius a."""
     towards = lighting.direction(light.elevation_deg, light.azimuth_deg)
     sine = float(np.sin(np.radians(SUN_DIAMETER_DEG / 2)))
     radius = SUN_DISTANCE_M * sine / np.sqrt(1 - sine**2)
-    facing = _facing(SUN_DISTANCE_M * towards, np.zeros(3)) @ np.diag([radius, radius, 1.0, 1.0])
+    to_scene = _look_at(SUN_DISTANCE_M * towards, np.zeros(3)) @ np.diag([radius, radius, 1.0, 1.0])
     power = light.lux * illuminants.illuminant(light.illuminant)
-    return _glowing("disk", facing, power / (np.pi * sine**2), scene)
+    return _area_light("disk", to_scene, power / (np.pi * sine**2), scene)
 
 
-def _near(light: Near, scene: Scene) -> dict[str, Any]:
+def _near_light(light: Near, scene: Scene) -> dict[str, Any]:
+    """A panel, bulb or lamp of finite distance as a rectangle, sphere or disc."""
     position, target = (np.multiply(p, 1e-2) for p in (light.position_cm, light.target_cm))
     radiance = light.lux * illuminants.illuminant(light.illuminant) * lighting.radiance_per_lux(light)
     if isinstance(light, Panel):
         width, height = (side * 1e-2 for side in light.size_cm)
-        return _glowing(
-            "rectangle", _facing(position, target) @ np.diag([width / 2, height / 2, 1.0, 1.0]), radiance, scene
+        return _area_light(
+            "rectangle", _look_at(position, target) @ np.diag([width / 2, height / 2, 1.0, 1.0]), radiance, scene
         )
     radius = light.radius_cm * 1e-2
     if isinstance(light, Bulb):
-        return _glowing("sphere", _facing(position, target) @ np.diag([radius, radius, radius, 1.0]), radiance, scene)
-    return _glowing("disk", _facing(position, target) @ np.diag([radius, radius, 1.0, 1.0]), radiance, scene)
+        return _area_light(
+            "sphere", _look_at(position, target) @ np.diag([radius, radius, radius, 1.0]), radiance, scene
+        )
+    return _area_light("disk", _look_at(position, target) @ np.diag([radius, radius, 1.0, 1.0]), radiance, scene)
 
 
-def _glowing(shape: str, to_scene: FloatArray, radiance: FloatArray, scene: Scene) -> dict[str, Any]:
-    """A shape that emits on its +z side, placed in scene coordinates."""
+def _area_light(shape: str, to_scene: FloatArray, radiance: FloatArray, scene: Scene) -> dict[str, Any]:
+    """An area light that emits on its +z side.
+
+    Args:
+        shape: name of Mitsuba's shape plugin.
+        to_scene: transform from the shape's own axes to scene coordinates, [4, 4], metres.
+        radiance: [wavelength], W m^-2 sr^-1 nm^-1.
+        scene: the scene, for its camera pose.
+    """
     return {
         "type": shape,
         "to_world": transform(scenes.world_to_camera(scene) @ to_scene),
@@ -96,8 +112,11 @@ def _glowing(shape: str, to_scene: FloatArray, radiance: FloatArray, scene: Scen
     }
 
 
-def _facing(position: np.ndarray, target: np.ndarray) -> np.ndarray:
-    """Transform that puts the origin at ``position`` with +z towards ``target`` and +x level where that can be."""
+def _look_at(position: np.ndarray, target: np.ndarray) -> np.ndarray:
+    """Transform [4, 4] that moves the origin to ``position`` and turns +z towards ``target``.
+
+    +x stays horizontal, except for directions within about 26 degrees of the vertical.
+    """
     forward = (target - position) / np.linalg.norm(target - position)
     helper = np.array([0.0, 1.0, 0.0]) if abs(forward[1]) < 0.9 else np.array([1.0, 0.0, 0.0])
     right = np.cross(helper, forward)

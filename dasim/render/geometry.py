@@ -1,4 +1,4 @@
-"""Objects of a scene as Mitsuba's shapes, in camera axes and metres.
+"""Translation of objects into Mitsuba's shapes, in camera axes and metres.
 
 Tested in tests/dasim/scene/test_shapes.py and tests/dasim/render/test_truth.py.
 """
@@ -18,12 +18,12 @@ from dasim.scene import specification as scenes
 from dasim.scene.meshes import Part
 from dasim.scene.specification import Scene
 
-_UP = np.diag([1.0, -1.0, -1.0, 1.0])  # Mitsuba's flat shapes face +z with v up; those of a scene face -z with v down
-MOST_HEIGHTS = 512  # samples of a height field per side: half a million triangles
+_UP = np.diag([1.0, -1.0, -1.0, 1.0])  # Mitsuba's flat shapes face +z with v up, ours -z with v down
+MOST_HEIGHTS = 512  # most samples of a height field per side, which make half a million triangles
 
 
 def shape(item: shapes.Object, scene: Scene, bsdf: Any, key: str) -> Any:
-    """Mitsuba's shape of an object, with the scattering function ``bsdf`` and the name ``key``."""
+    """Mitsuba's shape, or its description, of an object with the BSDF ``bsdf`` and the name ``key``."""
     to_camera = scenes.object_to_camera(item, scene)
     _, half = shapes.half_extent_m(item, scene.folder)
     if item.shape == "mesh":
@@ -36,7 +36,7 @@ def shape(item: shapes.Object, scene: Scene, bsdf: Any, key: str) -> Any:
         return {"type": plugin, "to_world": transform(to_camera @ local), "bsdf": bsdf}
     if item.shape == "box":
         return mesh(_box(half), to_camera, bsdf, key)
-    # The poles of Mitsuba's sphere and the axis of its cylinder lie along z: rotate z to up (-y).
+    # The poles of Mitsuba's sphere and the axis of its cylinder lie along z: rotate z to -y, which is up.
     stand = np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])
     if item.shape == "sphere":
         return {"type": "sphere", "to_world": transform(to_camera @ stand @ np.diag([*half, 1.0])), "bsdf": bsdf}
@@ -47,17 +47,20 @@ def shape(item: shapes.Object, scene: Scene, bsdf: Any, key: str) -> Any:
 
 
 def _heights(picture: np.ndarray) -> np.ndarray:
-    """The heights of a height field [y, x], averaged down to at most ``MOST_HEIGHTS`` per side."""
+    """Heights [y, x] of a height field, averaged over areas to at most ``MOST_HEIGHTS`` samples per side."""
     rows, columns = (min(side, MOST_HEIGHTS) for side in picture.shape)
     return cv2.resize(picture, (columns, rows), interpolation=cv2.INTER_AREA)
 
 
 def _box(half: np.ndarray) -> Part:
-    """A box of half sides ``half``; each side has the whole texture, upright from outside (top and bottom: z up)."""
-    corners = np.array([[-1, 1], [1, 1], [1, -1], [-1, -1]])  # bottom left first, right, y down
+    """A box of half side lengths ``half`` [x, y, z] in metres.
+
+    Each face shows the whole texture, upright as seen from outside; on the top and bottom faces, z is up.
+    """
+    corners = np.array([[-1, 1], [1, 1], [1, -1], [-1, -1]])  # x right, y down; bottom left first
     vertices: list[np.ndarray] = []
     faces: list[tuple[int, int, int]] = []
-    # Directions right and down of each side, as seen from outside; its outward normal is -right x down.
+    # Directions right and down of each face, as seen from outside; the outward normal is -(right x down).
     for right, down in (
         ((1, 0, 0), (0, 1, 0)),
         ((-1, 0, 0), (0, 1, 0)),

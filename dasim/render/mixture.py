@@ -1,7 +1,7 @@
-"""A diffuse surface's mixture of spectra as one Mitsuba texture, for the JIT variants.
+"""A mixture of diffuse spectra as one Mitsuba texture, for the JIT variants.
 
-It is what nested ``blendbsdf`` plugins describe (the way of ``scalar_spectral``), evaluated once a hit instead of
-once a leaf of the tree.
+The texture has the values of nested ``blendbsdf`` plugins, which ``scalar_spectral`` uses, but is evaluated once per
+intersection instead of once per leaf of the tree.
 
 Tested in tests/dasim/render/test_reflection.py.
 """
@@ -19,39 +19,38 @@ from dasim.render.plugin import tensor
 from dasim.spectra.grid import WAVELENGTH_NM
 from dasim.typing import Float32Array
 
-# The nearest node is looked up, which is twice as fast as a line between two: off by at most an eighth of a nanometre,
-# to either side alike, so that a drawn wavelength's error is none on the mean.
+# Spectra are looked up at the nearest node, which is twice as fast as linear interpolation. The error in wavelength is
+# at most 0.125 nm, of both signs equally often, so that it has zero mean over random wavelengths.
 FINE_STEP_NM = 0.25
 _FINE_NM = np.arange(WAVELENGTH_NM[0], WAVELENGTH_NM[-1] + FINE_STEP_NM / 2, FINE_STEP_NM)
 
 _numbers = itertools.count()
-_surfaces: dict[
-    int, tuple[Mixture, float]
-] = {}  # what a plugin's properties cannot carry, until the plugin has read it
+# Surfaces and gains by number, until their plugin reads them: a plugin's properties cannot hold Python objects.
+_surfaces: dict[int, tuple[Mixture, float]] = {}
 
 
 def mixture_dict(surface: Mixture, gain: float = 1.0) -> dict[str, Any]:
-    """Mitsuba's description of a mixture of diffuse parts as a texture, its reflectance multiplied by ``gain``."""
+    """Mitsuba's description of a texture with the reflectance of a mixture of diffuse parts, times ``gain``."""
     _register()
     number = next(_numbers)
     _surfaces[number] = surface, gain
     return {"type": "dasim_mixture", "number": number}
 
 
-def _places(surface: Surface) -> list[tuple[Float32Array, tuple[float, float]]]:
-    """Weight images of a tree and how often they repeat, each once."""
+def _weight_images(surface: Surface) -> list[tuple[Float32Array, tuple[float, float]]]:
+    """Distinct weight images [y, x] of a tree of mixtures, each with its repetitions along u and v."""
     if not isinstance(surface, Mixture):
         return []
-    found = [(surface.weight, surface.repeat), *_places(surface.first), *_places(surface.second)]
-    kept: list[tuple[Float32Array, tuple[float, float]]] = []
-    for image, repeat in found:
-        if not any(image is other and repeat == often for other, often in kept):
-            kept.append((image, repeat))
-    return kept
+    images = [(surface.weight, surface.repeat), *_weight_images(surface.first), *_weight_images(surface.second)]
+    distinct: list[tuple[Float32Array, tuple[float, float]]] = []
+    for image, repeat in images:
+        if not any(image is other and repeat == often for other, often in distinct):
+            distinct.append((image, repeat))
+    return distinct
 
 
 def _mean(surface: Surface) -> float:
-    """Mean reflectance over area and spectrum, from the mean of every image."""
+    """Mean reflectance over area and wavelength, if the weight images of nested mixtures are uncorrelated."""
     if isinstance(surface, Mixture):
         share = float(surface.weight.mean())
         return (1 - share) * _mean(surface.first) + share * _mean(surface.second)
@@ -64,24 +63,26 @@ def _register() -> None:
     import drjit as dr
     import mitsuba as mi
 
-    def mirrored(place: Any) -> Any:
-        """A texture coordinate folded into 0..1, as ``WrapMode.Mirror`` would for each of its four pixels in turn."""
-        return dr.abs(place - 2 * dr.round(0.5 * place))
+    def mirror(coordinate: Any) -> Any:
+        """Texture coordinate in 0..1 after reflections at 0 and 1, once per lookup; ``WrapMode.Mirror`` does it four
+        times, for each neighbouring pixel.
+        """
+        return dr.abs(coordinate - 2 * dr.round(0.5 * coordinate))
 
     class MixtureTexture(mi.Texture):
-        """Reflectance spectrum of a tree of mixtures at a surface point."""
+        """Reflectance spectrum of a tree of mixtures at a point of the surface."""
 
         def __init__(self, props: Any) -> None:
             super().__init__(props)
-            self.surface, gain = _surfaces.pop(props["number"])  # each description is read once
+            self.surface, gain = _surfaces.pop(props["number"])  # Mitsuba reads each description once
             self.average = gain * _mean(self.surface)
-            self.places = _places(self.surface)
-            # Without a graphics card's own textures, whose interpolation has eight bits.
-            # Images of one size and repeat are looked up together.
+            self.images = _weight_images(self.surface)
+            # Images of the same size and repetition share one lookup. use_accel is off because the texture units of
+            # graphics cards interpolate with 8 bits.
             groups: dict[Any, list[int]] = {}
-            for number, (image, repeat) in enumerate(self.places):
+            for number, (image, repeat) in enumerate(self.images):
                 groups.setdefault((image.shape, repeat), []).append(number)
-            # Opaque numbers, and everything else as arrays: surfaces with as many images share one compiled function.
+            # Opaque values instead of literals: surfaces with the same number of images share one compiled kernel.
             self.groups = [
                 ([dr.opaque(mi.Float, often) for often in repeat], numbers, self._weights(numbers))
                 for (_, repeat), numbers in groups.items()
@@ -91,21 +92,21 @@ def _register() -> None:
             self.spectra = mi.Texture1f(tensor(table), use_accel=False, filter_mode=dr.FilterMode.Nearest)
 
         def _weights(self, numbers: list[int]) -> Any:
-            # v = 0 is the bottom row, as in translate
-            stack = np.stack([self.places[number][0][::-1] for number in numbers], axis=-1)
+            # v = 0 is the bottom row, as for shapes
+            stack = np.stack([self.images[number][0][::-1] for number in numbers], axis=-1)
             return mi.Texture2f(tensor(stack), use_accel=False, wrap_mode=dr.WrapMode.Clamp)
 
         def eval(self, si: Any, active: Any = True) -> Any:
-            weights: list[Any] = [None] * len(self.places)
+            weights: list[Any] = [None] * len(self.images)
             for repeat, numbers, texture in self.groups:
-                found = texture.eval(mi.Point2f(mirrored(si.uv.x * repeat[0]), mirrored(si.uv.y * repeat[1])), active)
-                for number, value in zip(numbers, found, strict=True):
+                values = texture.eval(mi.Point2f(mirror(si.uv.x * repeat[0]), mirror(si.uv.y * repeat[1])), active)
+                for number, value in zip(numbers, values, strict=True):
                     weights[number] = value
             shares = self._shares(self.surface, mi.Float(1.0), weights)
             result = mi.Spectrum(0.0)
             for k in range(len(result)):
-                place = (si.wavelengths[k] - float(_FINE_NM[0])) / FINE_STEP_NM + 0.5
-                spectra = self.spectra.eval(mi.Point1f(place / len(_FINE_NM)), active)
+                position = (si.wavelengths[k] - float(_FINE_NM[0])) / FINE_STEP_NM + 0.5
+                spectra = self.spectra.eval(mi.Point1f(position / len(_FINE_NM)), active)
                 total = shares[0] * spectra[0]
                 for share, value in zip(shares[1:], spectra[1:], strict=True):
                     total = dr.fma(share, value, total)
@@ -113,15 +114,15 @@ def _register() -> None:
             return result
 
         def _shares(self, surface: Surface, whole: Any, weights: list[Any]) -> list[Any]:
-            """Share of each leaf in the area of ``surface``, of which ``whole`` is there."""
+            """Weights of the leaves of ``surface`` at a point, which sum to ``whole``."""
             if not isinstance(surface, Mixture):
                 return [whole]
-            place = next(
+            share = next(
                 weight
-                for weight, (image, repeat) in zip(weights, self.places, strict=True)
+                for weight, (image, repeat) in zip(weights, self.images, strict=True)
                 if image is surface.weight and repeat == surface.repeat
             )
-            second = whole * place
+            second = whole * share
             return [
                 *self._shares(surface.first, whole - second, weights),
                 *self._shares(surface.second, second, weights),

@@ -1,4 +1,4 @@
-"""Small parts of Mitsuba's descriptions.
+"""Spectra, transforms and tensors for Mitsuba.
 
 Tested in tests/dasim/render/test_reflection.py.
 """
@@ -13,8 +13,8 @@ from dasim.spectra import grid
 
 
 def spectrum_dict(values: grid.FloatArray) -> dict[str, Any]:
-    """A spectral curve on the wavelength grid."""
-    if not np.any(values):  # a table without any light in it is refused
+    """Mitsuba's description of a spectral curve [wavelength] on the wavelength grid."""
+    if not np.any(values):  # Mitsuba refuses a table of zeros
         return {"type": "uniform", "value": 0.0}
     return {
         "type": "regular",
@@ -25,17 +25,17 @@ def spectrum_dict(values: grid.FloatArray) -> dict[str, Any]:
 
 
 def transform(matrix: np.ndarray) -> Any:
-    """A Mitsuba transform of a [4, 4] matrix."""
+    """Mitsuba's transform of a matrix [4, 4]."""
     import mitsuba as mi
 
     return mi.ScalarTransform4f(matrix)
 
 
 def tensor(values: np.ndarray) -> Any:
-    """A Mitsuba tensor of an array, in memory of Dr.Jit's own.
+    """Mitsuba's float32 tensor of an array, copied into memory that Dr.Jit allocates.
 
-    Borrowed memory is aligned by chance, which decides the code that reads it, and with that whether a kernel that
-    was compiled for an earlier picture fits this one.
+    The alignment of memory that numpy allocates varies, and Dr.Jit compiles different code for different alignments: a
+    kernel that was compiled for one picture might not be reused for the next.
     """
     import drjit as dr
     import mitsuba as mi

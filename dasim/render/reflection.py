@@ -1,4 +1,4 @@
-"""Surfaces as Mitsuba's scattering functions."""
+"""Translation of surfaces into Mitsuba's scattering functions (BSDFs)."""
 
 from __future__ import annotations
 
@@ -15,25 +15,30 @@ from dasim.render.plugin import spectrum_dict
 from dasim.spectra.grid import WAVELENGTH_NM
 from dasim.typing import FloatArray
 
-GAUSS_NODES = 24  # the coat's transmittance is smooth: the integral is good to 1e-4
+GAUSS_NODES = 24  # of the hemispherical integral, whose error is 1e-4: the transmittance of a coat is smooth
 
 
 def surface_bsdf(surface: Surface, *, flip: bool) -> Any:
-    """A surface that is the same from both sides, one instance for all objects that have it; glass lets light through.
+    """Mitsuba's BSDF of a surface: two-sided, except for glass, which transmits light.
 
-    ``flip`` turns its images upside down.
+    The result is an instance, which all objects of one material share.
+
+    Args:
+        surface: the surface.
+        flip: whether its images are turned upside down, for shapes on which v runs the other way.
     """
     import mitsuba as mi
 
-    inner = _bsdf(flipped(surface) if flip else surface)
+    inner = bsdf_dict(flipped(surface) if flip else surface)
     return mi.load_dict(inner if isinstance(surface, Glass) else {"type": "twosided", "bsdf": inner})
 
 
 def normal_reflectance(surface: Surface) -> FloatArray:
-    """Reflectance 0..1 at normal incidence on ``WAVELENGTH_NM`` of a surface that is the same everywhere.
+    """Reflectance 0..1 of a uniform surface at normal incidence, [wavelength], on ``WAVELENGTH_NM``.
 
-    Fresnel's equations for the air side of metals and glass (both sides of a thin pane), the gloss and the base of a
-    coat. Roughness is left out.
+    Metals and glass follow Fresnel's equations for light that comes from air; a thin pane reflects at both of its
+    sides, with R = 2 r / (1 + r) for r at one. A coated surface has R = r + (1 - r) R_base. Roughness is neglected.
+    Raises TypeError for a surface with images.
     """
     match surface:
         case Diffuse():
@@ -47,75 +52,84 @@ def normal_reflectance(surface: Surface) -> FloatArray:
         case Coated():
             gloss = _gloss(surface.refractive_index)
             return gloss + (1 - gloss) * normal_reflectance(surface.base)
-    raise TypeError("a textured surface has no one reflectance")
+    raise TypeError("a textured surface has no single reflectance")
 
 
 def _gloss(refractive_index: float) -> float:
-    """Fresnel's reflectance of a clear surface at normal incidence."""
+    """Fresnel reflectance of a dielectric in air at normal incidence, ((n - 1) / (n + 1))^2."""
     return float(((refractive_index - 1) / (refractive_index + 1)) ** 2)
 
 
 def _measured_index(conductor: str, part: str) -> FloatArray:
-    """Real (``eta``) or imaginary (``k``) index of refraction, from the table that Mitsuba reads too."""
-    found = find_spec("mitsuba")
-    assert found is not None and found.origin is not None
-    table = np.loadtxt(Path(found.origin).parent / "data" / "ior" / f"{conductor}.{part}.spd")
-    assert table[0, 0] <= WAVELENGTH_NM[0] and table[-1, 0] >= WAVELENGTH_NM[-1], "outside, Mitsuba reads zeros"
+    """Real (``eta``) or imaginary (``k``) part of a metal's index of refraction, [wavelength], from Mitsuba's table."""
+    package = find_spec("mitsuba")
+    assert package is not None and package.origin is not None
+    table = np.loadtxt(Path(package.origin).parent / "data" / "ior" / f"{conductor}.{part}.spd")
+    assert table[0, 0] <= WAVELENGTH_NM[0] and table[-1, 0] >= WAVELENGTH_NM[-1], "Mitsuba's table is too short"
     return np.interp(WAVELENGTH_NM, table[:, 0], table[:, 1])
 
 
-def _bsdf(surface: Surface) -> dict[str, Any]:
+def bsdf_dict(surface: Surface) -> dict[str, Any]:
+    """Mitsuba's description of a surface's one-sided BSDF in the active variant.
+
+    The JIT variants evaluate a mixture of diffuse parts as one texture; every other mixture is a tree of blends.
+    """
     match surface:
         case Diffuse():
-            return {"type": "diffuse", "reflectance": _spectrum(surface.reflectance)}
+            return {"type": "diffuse", "reflectance": _reflectance_dict(surface.reflectance)}
         case Mixture() if _is_jit() and is_diffuse(surface):
             return {"type": "diffuse", "reflectance": mixture_dict(surface)}
         case Mixture():
-            return _blend(surface, _bsdf(surface.first), _bsdf(surface.second))
+            return _blend_dict(surface, bsdf_dict(surface.first), bsdf_dict(surface.second))
         case Metal():
-            return {"material": surface.conductor, **_rough("conductor", surface.roughness)}
+            return {"material": surface.conductor, **_microfacet_dict("conductor", surface.roughness)}
         case Glass():
             plugin = "thindielectric" if surface.thin else "dielectric"
             return {"type": plugin, "int_ior": surface.refractive_index, "ext_ior": 1.0}
         case Coated():
-            return _coated(surface.base, surface)
+            return _coat_dict(surface.base, surface)
 
 
-def _coated(base: Surface, coat: Coated) -> dict[str, Any]:
-    """A part of a base under its coat. The plugin is linear in the base's reflectance (``nonlinear`` is off), so
-    coated parts mixed are the coated mixture.
+def _coat_dict(base: Surface, coat: Coated) -> dict[str, Any]:
+    """Mitsuba's description of ``base``, or a part of it, under a coat.
+
+    The plugin is linear in the base's reflectance because ``nonlinear`` is off: a blend of coated parts equals the
+    coated blend.
     """
     if isinstance(base, Mixture) and not _is_jit():
-        return _blend(base, _coated(base.first, coat), _coated(base.second, coat))
+        return _blend_dict(base, _coat_dict(base.first, coat), _coat_dict(base.second, coat))
     gain = _coat_gain(coat.roughness, coat.refractive_index, _variant())
     if isinstance(base, Mixture):
         reflectance = mixture_dict(base, gain)
     else:
         assert isinstance(base, Diffuse)
-        reflectance = _spectrum(gain * base.reflectance)
+        reflectance = _reflectance_dict(gain * base.reflectance)
     return {
         "diffuse_reflectance": reflectance,
         "nonlinear": False,
         "int_ior": coat.refractive_index,
         "ext_ior": 1.0,
-        **_rough("plastic", coat.roughness),
+        **_microfacet_dict("plastic", coat.roughness),
     }
 
 
 @cache
 def _coat_gain(roughness: float, refractive_index: float, variant: str) -> float:
-    """What the base's reflectance is multiplied by under a rough coat.
+    """Factor on the base's reflectance that compensates for the energy lost by Mitsuba's ``roughplastic``.
 
-    ``roughplastic`` loses what its microfacets reflect twice (a white base under alpha 0.2 reflects 0.80). The gain
-    makes a white base reflect all but the gloss at normal incidence; at other angles it then reflects at most
-    everything, and 0.9 at 80 degrees from alpha 0.3. The integral over the hemisphere is by Gauss's rule.
+    The plugin leaves out light that its microfacets reflect more than once: a white base under alpha = 0.2 reflects
+    only 0.80. With this factor a white base reflects 1 - r of the light at normal incidence, r being the Fresnel
+    reflectance of the coat. At other angles it reflects at most 1, and 0.9 at 80 degrees for alpha = 0.3. The albedo
+    is integrated over the hemisphere by Gauss-Legendre quadrature.
     """
     import mitsuba as mi
 
     if roughness == 0:
         return 1.0
     bare = {"diffuse_reflectance": {"type": "uniform", "value": 1.0}, "nonlinear": False, "specular_reflectance": 0.0}
-    plugin = mi.load_dict({**bare, "int_ior": refractive_index, "ext_ior": 1.0, **_rough("plastic", roughness)})
+    plugin = mi.load_dict(
+        {**bare, "int_ior": refractive_index, "ext_ior": 1.0, **_microfacet_dict("plastic", roughness)}
+    )
     cosines, weights = np.polynomial.legendre.leggauss(GAUSS_NODES)
     cosines, weights = (cosines + 1) / 2, weights / 2
     albedo = 0.0
@@ -123,21 +137,21 @@ def _coat_gain(roughness: float, refractive_index: float, variant: str) -> float
         si = mi.SurfaceInteraction3f()
         si.wi, si.wavelengths = mi.Vector3f(0.0, 0.0, 1.0), mi.Spectrum(550.0)
         outward = mi.Vector3f(float(np.sqrt(1 - cosine**2)), 0.0, float(cosine))
-        value = np.ravel(plugin.eval(mi.BSDFContext(), si, outward))[0]  # with the cosine
+        value = np.ravel(plugin.eval(mi.BSDFContext(), si, outward))[0]  # includes the cosine
         albedo += 2 * np.pi * weight * float(value)
     return (1 - _gloss(refractive_index)) / albedo
 
 
-def _rough(plugin: str, roughness: float) -> dict[str, Any]:
+def _microfacet_dict(plugin: str, roughness: float) -> dict[str, Any]:
     if roughness == 0:
         return {"type": plugin}
     return {"type": f"rough{plugin}", "distribution": "ggx", "alpha": roughness}
 
 
-def _blend(surface: Mixture, first: dict[str, Any], second: dict[str, Any]) -> dict[str, Any]:
+def _blend_dict(surface: Mixture, first: dict[str, Any], second: dict[str, Any]) -> dict[str, Any]:
     import mitsuba as mi
 
-    # Mitsuba's v runs down from the bitmap's top row; shapes and mesh files have v = 0 at the bottom.
+    # v = 0 is the top row of Mitsuba's bitmaps, and the bottom of shapes and of mesh files.
     weight = np.ascontiguousarray(surface.weight[::-1, :, None], dtype=np.float32)
     uv = mi.ScalarTransform4f().scale([*surface.repeat, 1.0])
     return {
@@ -148,8 +162,8 @@ def _blend(surface: Mixture, first: dict[str, Any], second: dict[str, Any]) -> d
     }
 
 
-def _spectrum(values: FloatArray) -> dict[str, Any]:
-    """A curve for Mitsuba, whose sampled spectra must not be zero everywhere."""
+def _reflectance_dict(values: FloatArray) -> dict[str, Any]:
+    """Mitsuba's description of a spectrum; its sampled spectra must not be zero everywhere."""
     return spectrum_dict(values) if values.any() else {"type": "uniform", "value": 0.0}
 
 

@@ -1,10 +1,10 @@
-"""Light from all around, of any spectrum, as one Mitsuba emitter.
+"""Surrounding light of any spectrum as one Mitsuba emitter.
 
-Mitsuba's ``envmap`` colours its light through RGB and D65, and a scene may hold only one environment. So its map is
-kept for what it does well, directions in proportion to luminance and values between pixels, and the spectrum is put
-in its place: the illuminant's over that of D65, exact on the wavelength grid (between its points, where lines are
-steep, off by up to 1 %; 2e-5 of the whole). It works in every variant; the scalar ones call Python for every ray
-that meets it, and are slow there.
+Mitsuba's ``envmap`` derives its spectrum from RGB values and D65, and a scene may contain only one environment. This
+emitter uses ``envmap`` for interpolation between pixels and for sampling directions in proportion to luminance, and
+multiplies its value by the ratio of the illuminant's spectrum to that of D65. The result is exact on the wavelength
+grid; between grid points, at steep lines, it is off by up to 1 %, which is 2e-5 of the total. The emitter works in
+every variant. The scalar variants call Python for every ray that meets it, and are slow there.
 
 Tested in tests/dasim/render/test_lights.py.
 """
@@ -21,22 +21,23 @@ from dasim.render.plugin import spectrum_dict, transform
 from dasim.spectra.grid import WAVELENGTH_NM, integrate
 from dasim.typing import FloatArray
 
-FAR_M = 1e6  # beyond everything, the sun included
+FAR_M = 1e6  # distance of the environment, beyond everything else including the sun
 
 _numbers = itertools.count()
-_layers: dict[int, tuple[Layer, ...]] = {}  # what a plugin's properties cannot carry, until the plugin has read it
+# Layers by number, until their plugin reads them: a plugin's properties cannot hold Python objects.
+_layers: dict[int, tuple[Layer, ...]] = {}
 
 
 class Layer(NamedTuple):
-    """A panorama [h, w] of one spectrum: their product is radiance in W m^-2 sr^-1 nm^-1."""
+    """A panorama of one spectrum: ``panorama`` times ``power`` is the radiance in W m^-2 sr^-1 nm^-1."""
 
-    panorama: FloatArray
-    power: FloatArray
-    to_world: FloatArray  # [4, 4] of its directions (x right, y down, z ahead)
+    panorama: FloatArray  # [h, w], equirectangular
+    power: FloatArray  # [wavelength]
+    to_world: FloatArray  # [4, 4], from the panorama's axes (x right, y down, z ahead) to the world's
 
 
 def surrounding_dict(layers: tuple[Layer, ...], **others: Any) -> dict[str, Any]:
-    """Mitsuba's description of the sum of some panoramas as an emitter."""
+    """Mitsuba's description of an emitter that is the sum of panoramas; ``others`` are further properties."""
     _register()
     number = next(_numbers)
     _layers[number] = layers
@@ -44,11 +45,12 @@ def surrounding_dict(layers: tuple[Layer, ...], **others: Any) -> dict[str, Any]
 
 
 def _envmap(panorama: FloatArray, to_world: FloatArray) -> Any:
-    """Mitsuba's map of a panorama, with a spectrum that is everywhere that of D65."""
+    """Mitsuba's ``envmap`` of a panorama [h, w], with the spectrum of D65 everywhere."""
     import mitsuba as mi
 
-    # Its middle is +z and its top +y: half a turn about z gives our axes. Its first and last row are the poles, so
-    # rows at the pixels' borders are put between those at their centres: the same bilinear function.
+    # The centre of an envmap is +z and its top is +y: half a turn about z gives our axes. Its first and last rows are
+    # the poles, whereas ours are half a pixel away from them. Rows interpolated at the borders of the pixels, between
+    # the rows at their centres, give the same bilinear function.
     axes = to_world @ np.diag([-1.0, -1.0, 1.0, 1.0])
     rows = np.repeat(panorama, 2, axis=0)
     rows = np.concatenate([rows[:1], (rows[1:] + rows[:-1]) / 2, rows[-1:]])
@@ -57,7 +59,7 @@ def _envmap(panorama: FloatArray, to_world: FloatArray) -> Any:
     emitter = mi.load_dict({"type": "envmap", "bitmap": bitmap, "to_world": transform(axes)})
     parameters = mi.traverse(emitter)
     data = np.array(parameters["data"])
-    data[..., :3] = 0.0  # of the sigmoid that would make a spectrum of RGB: a half, and the scale is twice the value
+    data[..., :3] = 0.0  # coefficients of the RGB-to-spectrum sigmoid: it is 0.5 everywhere; the scale doubles it
     parameters["data"] = mi.TensorXf(data)
     parameters.update()
     return emitter
@@ -65,7 +67,7 @@ def _envmap(panorama: FloatArray, to_world: FloatArray) -> Any:
 
 @cache
 def _d65() -> FloatArray:
-    """Spectrum that Mitsuba gives an environment map of radiance 1 everywhere, [wavelength]."""
+    """Spectrum of Mitsuba's ``envmap`` of value 1, [wavelength]: D65 in Mitsuba's normalisation."""
     import drjit as dr
     import mitsuba as mi
 
@@ -79,7 +81,7 @@ def _d65() -> FloatArray:
 
 
 def _guide(layers: tuple[Layer, ...]) -> Any:
-    """The map that directions are drawn from: the sum of all layers, each with its whole power."""
+    """The ``envmap`` whose directions are sampled: the sum of all layers, each times the integral of its power."""
     import cv2
 
     height = max(len(layer.panorama) for layer in layers)
@@ -95,11 +97,11 @@ def _register() -> None:
     import mitsuba as mi
 
     class Surrounding(mi.Emitter):
-        """Sum of panoramas, each with its spectrum."""
+        """The sum of panoramas, each with its own spectrum."""
 
         def __init__(self, props: Any) -> None:
             super().__init__(props)
-            layers = _layers.pop(props["number"])  # each description is read once
+            layers = _layers.pop(props["number"])  # Mitsuba reads each description once
             self.maps = [_envmap(layer.panorama, layer.to_world) for layer in layers]
             self.factors = [mi.load_dict(spectrum_dict(layer.power / _d65())) for layer in layers]
             self.guide = self.maps[0] if len(layers) == 1 else _guide(layers)
@@ -124,7 +126,7 @@ def _register() -> None:
             return self.eval(si, active)
 
         def bbox(self) -> Any:
-            return mi.ScalarBoundingBox3f()  # it is nowhere
+            return mi.ScalarBoundingBox3f()  # empty: the emitter has no place in the scene
 
         def traverse(self, callback: Any) -> None:
             pass

@@ -1,7 +1,7 @@
-"""Scene to Mitsuba dictionary, in camera axes: x right, y down, z forward, metres, the lens at the origin.
+"""Translation of a scene into Mitsuba's dictionary, in camera axes: x right, y down, z forward, metres.
 
-The camera's pose is baked into the objects, so that depth is simply z. Spectral values are the scene's own
-(W m^-2 sr^-1 nm^-1 for lights, 0..1 for surfaces), without Mitsuba's RGB upsampling anywhere.
+The lens is at the origin, and the camera's pose is applied to the objects, so that depth is z. Spectra are those of the
+scene (radiance in W m^-2 sr^-1 nm^-1, reflectance 0..1); Mitsuba's upsampling of RGB values is never used.
 
 Tested in tests/dasim/render/test_lights.py and tests/dasim/render/test_passes.py.
 """
@@ -22,24 +22,27 @@ from dasim.scene import specification as scenes
 from dasim.scene.mitsuba_scene import MitsubaScene
 from dasim.scene.specification import Scene
 
-MAX_PATH_DEPTH = 6  # lens to light: four bounces after the first surface
+MAX_PATH_DEPTH = 6  # segments from lens to light: four bounces after the first surface
 
 
 def load(scene: Scene) -> Any:
-    """The scene in Mitsuba, in the variant that is active."""
+    """Mitsuba's scene in the active variant."""
     import mitsuba as mi
 
-    return mi.load_dict(scene_dict(scene), optimize=False)  # merged shapes would lose their numbers
+    return mi.load_dict(scene_dict(scene), optimize=False)  # merging shapes would lose their numbers
 
 
 def world(scene: Scene | MitsubaScene, camera: Camera) -> World:
-    """A scene of either kind in Mitsuba, with its notes and names; InputError where it reaches into the lens."""
+    """Mitsuba's scene of a dasim or Mitsuba XML scene, with its notes and names, for a camera at the origin.
+
+    Raises InputError where an object reaches into the lens.
+    """
     pupil_radius_m = geometry.aperture_m(camera) / 2
     if isinstance(scene, MitsubaScene):
         with backend.reading_threads():
-            found = foreign.load(scene, truth.field_of_view_deg(camera))
-        foreign.check_clear(found, scene, pupil_radius_m)
-        return found
+            result = foreign.load(scene, truth.field_of_view_deg(camera))
+        foreign.check_clear(result, scene, pupil_radius_m)
+        return result
     scenes.check_clear(scene, pupil_radius_m)
     return World(
         load(scene),
@@ -51,13 +54,13 @@ def world(scene: Scene | MitsubaScene, camera: Camera) -> World:
 
 
 def scene_dict(scene: Scene) -> dict[str, Any]:
-    """Mitsuba's description of a scene's objects, lights and integrator; objects first and in order."""
-    # Without it, rays slip between the triangles of a mesh, and the truth with them.
+    """Mitsuba's description of a scene: its integrator, then its objects in their order, then its lights."""
+    # Otherwise rays slip between the triangles of a mesh, and the truth has the depth behind it.
     result: dict[str, Any] = {"type": "scene", "embree_use_robust_intersections": True}
     result["integrator"] = {"type": "path", "max_depth": MAX_PATH_DEPTH}
     surfaces: dict[tuple[str, bool], Any] = {}
     for index, item in enumerate(scene.objects):
-        # Mitsuba's sphere counts v from its upper pole, everything else from the bottom.
+        # On Mitsuba's sphere v = 0 is the upper pole; on all other shapes it is the bottom.
         key = (scenes.material_of(item), item.shape == "sphere")
         if key not in surfaces:
             surfaces[key] = surface_bsdf(scenes.surface_of(item, scene), flip=key[1])

@@ -1,4 +1,4 @@
-"""Exact geometry at the pixel centres: depth, normals, object labels, and what follows for the blur."""
+"""Exact geometry at the pixel centres: depth, normals and object numbers, and the blur that depth implies."""
 
 from __future__ import annotations
 
@@ -12,33 +12,33 @@ from dasim.camera import geometry as cameras
 from dasim.camera.specification import Camera
 from dasim.typing import FloatArray
 
-BLUR_JUMP_PX = 0.5  # neighbours whose visible blur differs by more are a depth discontinuity
-_RADIUS_BINS_PX = 1.0  # boundary discs are drawn with their radius rounded up to this
+BLUR_JUMP_PX = 0.5  # a larger difference in visible blur between neighbouring pixels is a depth discontinuity
+_RADIUS_BINS_PX = 1.0  # radii of boundary discs are rounded up to multiples of this
 
 
 class Geometry(NamedTuple):
-    """What a pinhole ray through each pixel's centre meets first."""
+    """First intersection of the pinhole ray through the centre of each pixel."""
 
-    depth_m: FloatArray  # [h, w] z, NaN where nothing is met
-    normal: FloatArray  # [h, w, 3] unit, turned towards the camera
-    object_id: NDArray[np.uint32]  # [h, w] 1 is the scene's first object, 0 nothing
+    depth_m: FloatArray  # [h, w] z from the lens plane, NaN where the ray hits nothing
+    normal: FloatArray  # [h, w, 3] unit vectors, turned towards the camera; 0 where the ray hits nothing
+    object_id: NDArray[np.uint32]  # [h, w] 1 for the scene's first object; 0 for lights and where the ray hits nothing
 
 
 def field_of_view_deg(camera: Camera) -> float:
-    """Horizontal field of view at the present focus; it follows from the image distance, not from f."""
+    """Horizontal field of view in degrees at the camera's focus, 2 atan(w / (2 s)) with the image distance s."""
     width_m = camera.sensor.width_px * camera.sensor.pixel_pitch_um * 1e-6
     return float(np.degrees(2 * np.arctan(width_m / (2 * cameras.image_distance_m(camera)))))
 
 
 def camera_axes() -> Any:
-    """Mitsuba's camera looks along z with x left and y up: half a turn about z gives x right, y down."""
+    """Transform of Mitsuba's camera axes (x left, y up, z forward) to ours (x right, y down): half a turn about z."""
     import mitsuba as mi
 
     return mi.ScalarTransform4f().rotate([0, 0, 1], 180)
 
 
 def geometry(mitsuba_scene: Any, camera: Camera) -> Geometry:
-    """Trace one ray through the centre of every pixel, from the lens centre."""
+    """Geometry at the pixel centres, by one ray per pixel from the centre of the lens."""
     import mitsuba as mi
 
     sensor = mi.load_dict(
@@ -56,7 +56,7 @@ def geometry(mitsuba_scene: Any, camera: Camera) -> Geometry:
                 "rfilter": {"type": "box"},
                 "component_format": "float32",
             },
-            # One sample without jitter is the pixel's centre.
+            # A single stratified sample without jitter lies at the centre of the pixel.
             "sampler": {"type": "stratified", "sample_count": 1, "jitter": False},
         }
     )
@@ -64,41 +64,46 @@ def geometry(mitsuba_scene: Any, camera: Camera) -> Geometry:
     values = np.array(mi.render(mitsuba_scene, sensor=sensor, integrator=integrator, spp=1), dtype=np.float64)
     position, normal = values[..., 0:3], values[..., 3:6]
     hit = values[..., 7] > 0
-    towards = np.where(np.sum(normal * position, axis=-1, keepdims=True) > 0, -normal, normal)
+    towards_camera = np.where(np.sum(normal * position, axis=-1, keepdims=True) > 0, -normal, normal)
     return Geometry(
         depth_m=np.where(hit, position[..., 2], np.nan),
-        normal=np.where(hit[..., None], towards, 0.0),
+        normal=np.where(hit[..., None], towards_camera, 0.0),
         object_id=_object_ids(mitsuba_scene, np.where(hit, values[..., 6], 0).astype(np.uint32)),
     )
 
 
 def _object_ids(mitsuba_scene: Any, shape_index: NDArray[np.uint32]) -> NDArray[np.uint32]:
-    """Numbers of the scene's objects, from 1, for Mitsuba's shape numbers; 0 for lamps and nothing.
+    """Object numbers from 1 for Mitsuba's shape numbers, [h, w]; 0 for lights and where nothing is hit.
 
-    Mitsuba counts shapes from 1 in the scalar variants, and by its registry of all that was ever made in the others.
+    The scalar variants number the shapes of a scene from 1; the JIT variants use the shape's number in Mitsuba's
+    registry, which counts all shapes of the process.
     """
     import drjit as dr
     import mitsuba as mi
 
-    known = np.zeros(int(shape_index.max()) + 1, np.uint32)
+    numbers = np.zeros(int(shape_index.max()) + 1, np.uint32)  # by Mitsuba's shape number
     for place, shape in enumerate(mitsuba_scene.shapes()):
         scalar = mi.variant().startswith("scalar")
         number = place + 1 if scalar else int(dr.reinterpret_array(mi.UInt32, mi.ShapePtr(shape))[0])
         kind, _, index = shape.id().partition("_")
-        if kind == "object" and number < len(known):
-            known[number] = int(index) + 1
-    return known[shape_index]
+        if kind == "object" and number < len(numbers):
+            numbers[number] = int(index) + 1
+    return numbers[shape_index]
 
 
 def signed_blur_px(depth_m: FloatArray, camera: Camera) -> FloatArray:
-    """Signed visible blur of each pixel; what is not hit counts as infinitely far."""
+    """Signed visible blur in pixels, [h, w], of a depth map in which NaN stands for infinity."""
     return cameras.blur_px(camera, np.where(np.isnan(depth_m), np.inf, depth_m))
 
 
 def boundary(blur_px: FloatArray) -> NDArray[np.bool_]:
-    """Pixels whose blur disc, or that of a surface beyond the edge, crosses a depth discontinuity.
+    """Mask [h, w] of the pixels whose light may come from both sides of a depth discontinuity.
 
-    Each discontinuity is surrounded by a disc of the larger blur radius of its two sides.
+    A discontinuity is a pair of neighbouring pixels whose visible blur differs by more than ``BLUR_JUMP_PX``. The mask
+    is the union of discs about both pixels, with the larger blur radius of the two plus one pixel.
+
+    Args:
+        blur_px: signed visible blur (diameter), [h, w].
     """
     size = np.abs(blur_px)
     reach = np.zeros_like(size)
@@ -110,8 +115,8 @@ def boundary(blur_px: FloatArray) -> NDArray[np.bool_]:
         larger = np.where(jump, np.maximum(size[first], size[second]) / 2 + 1.0, 0.0)
         reach[first] = np.maximum(reach[first], larger)
         reach[second] = np.maximum(reach[second], larger)
-    found = np.zeros(size.shape, bool)
+    mask = np.zeros(size.shape, bool)
     steps = np.ceil(reach / _RADIUS_BINS_PX)
     for step in np.unique(steps[steps > 0]):
-        found |= ndimage.distance_transform_edt(steps != step) <= step * _RADIUS_BINS_PX
-    return found
+        mask |= ndimage.distance_transform_edt(steps != step) <= step * _RADIUS_BINS_PX
+    return mask

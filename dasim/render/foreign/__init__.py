@@ -1,1 +1,1 @@
-"""Mitsuba XML scenes: their surfaces and lights become spectral; start with ``scene``."""
+"""Mitsuba XML scenes, whose RGB surfaces and lights are replaced by spectral ones; start with ``scene``."""

@@ -1,4 +1,4 @@
-"""Colours and lights of a Mitsuba scene made physical to 830 nm, on the nodes that Mitsuba's parser found.
+"""Spectra up to 830 nm in place of the RGB colours and lights of a Mitsuba scene, on the nodes of Mitsuba's parser.
 
 Tested in tests/dasim/render/foreign/test_scene.py.
 """
@@ -6,6 +6,7 @@ Tested in tests/dasim/render/foreign/test_scene.py.
 from __future__ import annotations
 
 from collections import Counter
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +24,7 @@ from dasim.spectra import illuminants
 from dasim.spectra.grid import LUMINANCE, WAVELENGTH_NM, integrate
 from dasim.typing import FloatArray
 
-# Where a texture is a colour. Elsewhere (roughness, weights, opacity, bumps) it is data, and stays.
+# Parameters whose texture is a colour. All others (roughness, weights, opacity, bumps) are data and stay unchanged.
 COLOURS = (
     "reflectance",
     "diffuse_reflectance",
@@ -33,30 +34,33 @@ COLOURS = (
     "transmittance",
     "base_color",
 )
-TOO_BRIGHT = "reflectances above 1: surfaces reflect at most everything"
+TOO_BRIGHT = "reflectances above 1: clipped to 1"
 NO_INFRARED = ("sunsky", "sun", "sky", "timed_sunsky")  # Mitsuba's tables end at 720 nm
 
 
 class Notes:
-    """What was done to a scene, counted, in the order of first use."""
+    """Changes made to a scene, with their counts, in the order of their first occurrence."""
 
     def __init__(self) -> None:
-        self.counted: Counter[str] = Counter()
+        self.counts: Counter[str] = Counter()
 
     def add(self, what: str) -> None:
-        """Count one more of a kind."""
-        self.counted[what] += 1
+        """Count one more change of the kind ``what``."""
+        self.counts[what] += 1
 
     def lines(self) -> list[str]:
-        """One line per kind."""
-        return [what if count == 1 else f"{what} ({count} times)" for what, count in self.counted.items()]
+        """One line per kind of change."""
+        return [what if count == 1 else f"{what} ({count} times)" for what, count in self.counts.items()]
 
 
 # --- surfaces ------------------------------------------------------------------------------------
 
 
 def replace_surface_colours(nodes: Any, scene: MitsubaScene, notes: Notes) -> None:
-    """Give every RGB colour of the scattering functions and their textures a spectrum by the scene's rule."""
+    """Replace every RGB colour of the BSDFs and textures by a spectrum, and clip reflectances to 1.
+
+    Colours continue into the near-infrared by the scene's ``near_infrared`` rule. ``nodes`` are edited in place.
+    """
     import mitsuba as mi
 
     kinds = mi.Properties.Type
@@ -73,9 +77,9 @@ def replace_surface_colours(nodes: Any, scene: MitsubaScene, notes: Notes) -> No
             elif kind == kinds.Spectrum:
                 _check_values(props[key].values, what, scene)
                 if key in COLOURS:
-                    props[key] = _at_most_all(props[key], notes)
+                    props[key] = _clip_to_one(props[key], notes)
                 if props.type(key) == kinds.Spectrum:
-                    _say_range(props[key], what, notes)
+                    _note_range(props[key], what, notes)
             elif kind == kinds.Float and key in COLOURS:
                 _check_values([props[key]], what, scene)
                 if props[key] > 1:
@@ -86,13 +90,13 @@ def replace_surface_colours(nodes: Any, scene: MitsubaScene, notes: Notes) -> No
 
 
 def _check_values(values: Any, what: str, scene: MitsubaScene) -> None:
-    """InputError for what no surface and no light can have."""
+    """InputError where values are negative, infinite or NaN, as those of no surface or light are."""
     if not np.isfinite(values).all() or min(values) < 0:
-        raise InputError(f"{scene.file}: {what} has values that are negative or no numbers; 0 or more is allowed")
+        raise InputError(f"{scene.file}: {what} has values that are negative or not finite; 0 or more is allowed")
 
 
-def _at_most_all(spectrum: Any, notes: Notes) -> Any:
-    """A reflectance spectrum of an author's, cut at 1."""
+def _clip_to_one(spectrum: Any, notes: Notes) -> Any:
+    """The scene's own reflectance spectrum, clipped to 1."""
     import mitsuba as mi
 
     if max(spectrum.values) <= 1:
@@ -111,25 +115,26 @@ def _at_most_all(spectrum: Any, notes: Notes) -> Any:
 
 
 def _colour(key: str, rgb: list[float], scene: MitsubaScene, notes: Notes) -> Any:
+    """Mitsuba's spectrum of a linear RGB colour, [3]; uniform at its mean where it is not a reflectance."""
     import mitsuba as mi
 
     if key in COLOURS and max(rgb) > 1:
         notes.add(TOO_BRIGHT)
         rgb = [min(value, 1.0) for value in rgb]
     if max(rgb) > 1 or key in ("eta", "k"):
-        notes.add(f"RGB values of '{key}' above 1, or no reflectance: taken as their mean at all wavelengths")
+        notes.add(f"RGB values of '{key}' above 1, or not a reflectance: replaced by their mean at all wavelengths")
         return mi.load_dict({"type": "uniform", "value": float(np.mean(rgb))})
     notes.add(f"RGB surface colours: spectra by the near-infrared rule '{scene.near_infrared}'")
     return mi.load_dict(spectrum_dict(spectrum_of(np.array(rgb, np.float32), scene.near_infrared)))
 
 
 def spectrum_of(linear_rgb: Any, rule: str) -> FloatArray:
-    """Reflectance spectrum of one linear RGB colour by a near-infrared rule."""
+    """Reflectance spectrum [wavelength] of a linear RGB colour, [3], by a near-infrared rule."""
     return _mean(photograph_surface(np.asarray(linear_rgb, np.float32).reshape(1, 1, 3), rule))
 
 
 def _mean(surface: Surface) -> FloatArray:
-    """Spectrum of a surface of one texel."""
+    """Spectrum [wavelength] of a surface with images of one texel."""
     if isinstance(surface, Mixture):
         share = float(surface.weight.mean())
         return (1 - share) * _mean(surface.first) + share * _mean(surface.second)
@@ -138,7 +143,7 @@ def _mean(surface: Surface) -> FloatArray:
 
 
 def _texture(nodes: Any, index: int, key: str, scene: MitsubaScene, notes: Notes) -> None:
-    """Replace a picture, or vertex colours, that a scattering function takes as its colour."""
+    """Replace the picture or mesh attribute that is the colour ``key`` of the BSDF ``nodes[index]``."""
     import mitsuba as mi
 
     parent = nodes[index].props
@@ -146,7 +151,7 @@ def _texture(nodes: Any, index: int, key: str, scene: MitsubaScene, notes: Notes
     plugin = texture.plugin_name()
     if plugin == "mesh_attribute":
         parent[key] = mi.load_dict({"type": "uniform", "value": 0.5})
-        notes.add("colours of mesh attributes: not honoured, taken as grey 0.5")
+        notes.add("colours of mesh attributes: not supported, replaced by grey 0.5")
     if plugin != "bitmap":
         return
     picture = _picture(texture, scene.file)
@@ -156,37 +161,37 @@ def _texture(nodes: Any, index: int, key: str, scene: MitsubaScene, notes: Notes
     if picture.max() > 1:
         notes.add(TOO_BRIGHT)
     jit = not str(mi.variant()).startswith("scalar")
-    shown = np.clip(picture[::-1], 0.0, 1.0)  # Mitsuba's v runs down
-    repeats = jit and _wrap(texture) == "repeat"
-    surface = photograph_surface(np.pad(shown, _RIM, mode="wrap") if repeats else shown, scene.near_infrared)
+    upright = np.clip(picture[::-1], 0.0, 1.0)  # v runs down Mitsuba's bitmaps, and up our images
+    repeats = jit and _wrap_mode(texture) == "repeat"
+    surface = photograph_surface(np.pad(upright, _RIM, mode="wrap") if repeats else upright, scene.near_infrared)
     notes.add(f"RGB pictures on surfaces: spectra by the near-infrared rule '{scene.near_infrared}'")
     assert isinstance(surface, Mixture)
     if jit:
-        parent[key] = mi.load_dict(_placed(texture, mixture_dict(surface), picture.shape))
+        parent[key] = mi.load_dict(_layout_dict(texture, mixture_dict(surface), picture.shape))
     elif parent.plugin_name() == "diffuse" and "to_uv" not in texture:
-        _refer(nodes, index, mi.load_dict(reflection._bsdf(surface)))
+        _replace(nodes, index, mi.load_dict(reflection.bsdf_dict(surface)))
     else:
         mean = spectrum_of(np.clip(picture, 0, 1).mean(axis=(0, 1)), scene.near_infrared)
         parent[key] = mi.load_dict(spectrum_dict(mean))
-        notes.add("pictures on glossy or scaled surfaces: their mean colour (a JIT variant shows them)")
+        notes.add("pictures on glossy or scaled surfaces: replaced by their mean colour (JIT variants show them)")
 
 
-def _refer(nodes: Any, index: int, found: Any) -> None:
-    """Put an object in place of a node, wherever it is referred to."""
+def _replace(nodes: Any, index: int, substitute: Any) -> None:
+    """Replace every reference to the node ``index`` by an object."""
     import mitsuba as mi
 
     for node in nodes:
         for key in list(node.props.keys()):
             if node.props.type(key) == mi.Properties.Type.ResolvedReference and node.props[key].index() == index:
-                node.props[key] = found
+                node.props[key] = substitute
 
 
 def _picture(texture: Any, file: Path) -> Any:
-    """A bitmap texture's picture in linear RGB, [h, w, 3], as Mitsuba reads it."""
+    """Picture of a bitmap texture in linear RGB, [h, w, 3], as Mitsuba reads it."""
     import mitsuba as mi
 
     if "filename" not in texture:
-        raise InputError(f"{file}: a picture in it names no file")
+        raise InputError(f"{file}: a bitmap names no file; its filename is needed")
     path = file.parent / texture["filename"]
     try:
         bitmap = mi.Bitmap(str(path))
@@ -199,36 +204,33 @@ def _picture(texture: Any, file: Path) -> Any:
     return np.array(bitmap)
 
 
-_RIM = ((1, 1), (1, 1), (0, 0))  # of a picture that repeats: its other side, for values between texels
+_RIM = ((1, 1), (1, 1), (0, 0))  # padding of a periodic picture by its opposite edges, for interpolation
 
 
-def _wrap(texture: Any) -> str:
+def _wrap_mode(texture: Any) -> str:
     return texture["wrap_mode"] if "wrap_mode" in texture else "repeat"
 
 
-def _placed(texture: Any, inner: dict[str, Any], size: tuple[int, ...]) -> dict[str, Any]:
-    """A texture laid out as a bitmap of Mitsuba's is: its own transform of uv, repeated, mirrored or clamped."""
+def _layout_dict(texture: Any, inner: dict[str, Any], size: tuple[int, ...]) -> dict[str, Any]:
+    """Mitsuba's description of the texture ``inner`` with the uv transform and wrap mode of a bitmap texture.
+
+    ``size`` is the size of the bitmap, [h, w, ...].
+    """
     _register()
-    placed: dict[str, Any] = {"type": "dasim_placed", "inner": inner, "wrap": _wrap(texture)}
-    placed |= {"height": size[0], "width": size[1]}
+    layout: dict[str, Any] = {"type": "dasim_layout", "inner": inner, "wrap": _wrap_mode(texture)}
+    layout |= {"height": size[0], "width": size[1]}
     if "to_uv" in texture:
-        placed["to_uv"] = texture["to_uv"]
-    return placed
+        layout["to_uv"] = texture["to_uv"]
+    return layout
 
 
-_registered: list[bool] = []
-
-
+@cache
 def _register() -> None:
     import drjit as dr
     import mitsuba as mi
 
-    if _registered:
-        return
-    _registered.append(True)
-
-    class PlacedTexture(mi.Texture):
-        """Another texture, looked up elsewhere."""
+    class LayoutTexture(mi.Texture):
+        """Another texture, evaluated at transformed texture coordinates."""
 
         def __init__(self, props: Any) -> None:
             super().__init__(props)
@@ -238,15 +240,15 @@ def _register() -> None:
             self.rows = matrix[:2][:, [0, 1, -1]].tolist()
 
         def eval(self, si: Any, active: Any = True) -> Any:
-            moved = mi.SurfaceInteraction3f(si)
+            at_uv = mi.SurfaceInteraction3f(si)
             uv = [row[0] * si.uv.x + row[1] * si.uv.y + row[2] for row in self.rows]
             if self.wrap == "repeat":
                 inside = [value - dr.floor(value) for value in uv]
                 uv = [(value * size + 1) / (size + 2) for value, size in zip(inside, self.size, strict=True)]
             elif self.wrap == "clamp":
                 uv = [dr.clip(value, 0.0, 1.0) for value in uv]
-            moved.uv = mi.Point2f(*uv)
-            return self.inner.eval(moved, active)
+            at_uv.uv = mi.Point2f(*uv)
+            return self.inner.eval(at_uv, active)
 
         def mean(self) -> Any:
             return self.inner.mean()
@@ -255,27 +257,31 @@ def _register() -> None:
             return True
 
         def to_string(self) -> str:
-            return "PlacedTexture[]"
+            return "LayoutTexture[]"
 
-    mi.register_texture("dasim_placed", lambda props: PlacedTexture(props))
+    mi.register_texture("dasim_layout", lambda props: LayoutTexture(props))
 
 
-def _say_range(spectrum: Any, what: str, notes: Notes) -> None:
-    """Note where an author's spectrum ends before our band does."""
+def _note_range(spectrum: Any, what: str, notes: Notes) -> None:
+    """Note where the scene's own spectrum does not cover the band from 400 to 830 nm."""
     if spectrum.is_uniform():
         return
     low, high = min(spectrum.wavelengths), max(spectrum.wavelengths)
     if high < WAVELENGTH_NM[-1]:
-        notes.add(f"spectrum {what} ends at {high:g} nm: Mitsuba takes it as zero from there to 830 nm")
+        notes.add(f"spectrum {what} ends at {high:g} nm: it is zero from there to 830 nm")
     if low > WAVELENGTH_NM[0]:
-        notes.add(f"spectrum {what} begins at {low:g} nm: Mitsuba takes it as zero from 400 nm to there")
+        notes.add(f"spectrum {what} begins at {low:g} nm: it is zero from 400 nm to there")
 
 
 # --- lights --------------------------------------------------------------------------------------
 
 
 def replace_light_colours(nodes: Any, scene: MitsubaScene, to_camera: FloatArray, notes: Notes) -> None:
-    """Give every RGB light the scene's illuminant at the same luminance, and point lights the scene's unit."""
+    """Replace the spectrum of every RGB light by the scene's illuminant, at the same luminance.
+
+    Intensities of point and spot lights are converted from the scene's units of length to metres. ``nodes`` are edited
+    in place; ``to_camera`` [4, 4] is the transform from the scene's axes and units to camera axes and metres.
+    """
     import mitsuba as mi
 
     for index, node in enumerate(nodes):
@@ -285,12 +291,12 @@ def replace_light_colours(nodes: Any, scene: MitsubaScene, to_camera: FloatArray
         if plugin in NO_INFRARED:
             raise InputError(
                 f"{scene.file}: emitter '{plugin}' has no light beyond 720 nm in Mitsuba, so that the near-infrared "
-                "would be black; put an envmap or a constant emitter in its place"
+                "would be black; use an envmap or a constant emitter instead"
             )
-        # A point's intensity is W/sr in the scene's units of length: what falls on a surface goes with 1/distance^2.
+        # The irradiance of a point light goes with 1 / distance^2, so that its intensity scales with the unit squared.
         factor = (scene.unit_cm * 1e-2) ** 2 if plugin in ("point", "spot") else 1.0
         if plugin == "envmap":
-            _refer(nodes, index, mi.load_dict(_surrounding(node.props, scene, to_camera, notes)))
+            _replace(nodes, index, mi.load_dict(_environment(node.props, scene, to_camera, notes)))
             continue
         for key in ("radiance", "intensity", "irradiance"):
             if key in node.props:
@@ -298,13 +304,14 @@ def replace_light_colours(nodes: Any, scene: MitsubaScene, to_camera: FloatArray
 
 
 def one_unit(name: str) -> FloatArray:
-    """An illuminant as bright as a spectrum that is 1 at all wavelengths, on ``WAVELENGTH_NM``."""
+    """Spectrum of an illuminant with the luminance of a spectrum that is 1 everywhere, on ``WAVELENGTH_NM``."""
     power = illuminants.illuminant(name)
     efficiency = illuminants.luminous_efficiency()
     return power * integrate(efficiency) / integrate(power * efficiency)
 
 
 def _light(nodes: Any, props: Any, key: str, factor: float, scene: MitsubaScene, notes: Notes) -> None:
+    """Replace the spectrum ``key`` of an emitter: RGB by the illuminant, the scene's own spectra times ``factor``."""
     import mitsuba as mi
 
     kinds = mi.Properties.Type
@@ -313,30 +320,30 @@ def _light(nodes: Any, props: Any, key: str, factor: float, scene: MitsubaScene,
         inner = nodes[value.index()].props
         if inner.plugin_name() == "bitmap":
             picture = _picture(inner, scene.file)
-            notes.add("pictures on lights: their mean luminance")
-            _give(props, key, float(picture.mean(axis=(0, 1)) @ LUMINANCE) * factor, scene, notes)
+            notes.add("pictures on lights: replaced by their mean luminance")
+            _set_illuminant(props, key, float(picture.mean(axis=(0, 1)) @ LUMINANCE) * factor, scene, notes)
         elif "color" in inner and inner.type("color") == kinds.Color:
-            _give(props, key, float(np.dot(list(inner["color"]), LUMINANCE)) * factor, scene, notes)
+            _set_illuminant(props, key, float(np.dot(list(inner["color"]), LUMINANCE)) * factor, scene, notes)
         elif factor != 1:
-            props[key] = _scaled(inner, factor)
+            props[key] = _spectrum_times(inner, factor)
     elif kind == kinds.Color:
-        _give(props, key, float(np.dot(list(value), LUMINANCE)) * factor, scene, notes)
+        _set_illuminant(props, key, float(np.dot(list(value), LUMINANCE)) * factor, scene, notes)
     elif kind == kinds.Spectrum:
         _check_values(value.values, f"{props.plugin_name()}.{key}", scene)
-        _say_range(value, f"{props.plugin_name()}.{key}", notes)
+        _note_range(value, f"{props.plugin_name()}.{key}", notes)
         if value.is_uniform():
             props[key] = mi.load_dict({"type": "uniform", "value": float(value.values[0]) * factor})
         elif factor != 1:
-            scaled = {"wavelengths": value.wavelengths, "values": [v * factor for v in value.values]}
-            text = {name: ", ".join(f"{v:.9g}" for v in row) for name, row in scaled.items()}
+            table = {"wavelengths": value.wavelengths, "values": [v * factor for v in value.values]}
+            text = {name: ", ".join(f"{v:.9g}" for v in row) for name, row in table.items()}
             props[key] = mi.load_dict({"type": "irregular", **text})
     elif kind == kinds.Float:
         _check_values([value], f"{props.plugin_name()}.{key}", scene)
         props[key] = mi.load_dict({"type": "uniform", "value": float(value) * factor})
 
 
-def _scaled(inner: Any, factor: float) -> Any:
-    """A nested spectrum of an author's (a blackbody, a table), multiplied by a factor, on our wavelengths."""
+def _spectrum_times(inner: Any, factor: float) -> Any:
+    """The scene's own nested spectrum (a blackbody, a table) times a factor, sampled on ``WAVELENGTH_NM``."""
     import drjit as dr
     import mitsuba as mi
 
@@ -349,7 +356,8 @@ def _scaled(inner: Any, factor: float) -> Any:
     return mi.load_dict(spectrum_dict(factor * np.array(values)))
 
 
-def _give(props: Any, key: str, luminance: float, scene: MitsubaScene, notes: Notes) -> None:
+def _set_illuminant(props: Any, key: str, luminance: float, scene: MitsubaScene, notes: Notes) -> None:
+    """Set the spectrum ``key`` of a light to the scene's illuminant at a luminance, in the scene's units."""
     import mitsuba as mi
 
     _check_values([luminance], f"{props.plugin_name()}.{key}", scene)
@@ -357,17 +365,18 @@ def _give(props: Any, key: str, luminance: float, scene: MitsubaScene, notes: No
     notes.add(f"RGB lights: the spectrum of {scene.illuminant} at the same luminance, without their tint")
 
 
-def _surrounding(props: Any, scene: MitsubaScene, to_camera: FloatArray, notes: Notes) -> dict[str, Any]:
-    """An environment map with the illuminant's spectrum; its colours are dropped."""
+def _environment(props: Any, scene: MitsubaScene, to_camera: FloatArray, notes: Notes) -> dict[str, Any]:
+    """Mitsuba's description of an environment map that has the illuminant's spectrum in place of its colours."""
     luminance = np.asarray(_picture(props, scene.file) @ np.array(LUMINANCE), np.float64)
     luminance *= float(props["scale"]) if "scale" in props else 1.0
     own = np.array(props["to_world"].matrix) if "to_world" in props else np.eye(4)
     turn = np.eye(4)
-    turn[:3, :3] = _turned(to_camera) @ _turned(own)
+    turn[:3, :3] = _rotation(to_camera) @ _rotation(own)
     notes.add(f"environment map: the spectrum of {scene.illuminant} at the same luminance, without its colours")
     layer = Layer(luminance, one_unit(scene.illuminant), turn @ np.diag([-1.0, -1.0, 1.0, 1.0]))
     return surrounding_dict((layer,))
 
 
-def _turned(matrix: FloatArray) -> FloatArray:
+def _rotation(matrix: FloatArray) -> FloatArray:
+    """Rotation [3, 3] of a similarity transform [4, 4]."""
     return matrix[:3, :3] / np.cbrt(abs(np.linalg.det(matrix[:3, :3])))

@@ -1,7 +1,7 @@
-"""A Mitsuba XML scene in camera axes and metres, with its sensor replaced by the camera at the same pose.
+"""A Mitsuba XML scene in camera axes and metres, with our camera in place of its sensor.
 
-Mitsuba's own parser reads the file, and its result is edited before the scene is instantiated, so that parameters,
-includes and relative file names have the meaning that they have in Mitsuba.
+Mitsuba's own parser reads the file, and the parsed nodes are edited before the scene is instantiated. Parameters,
+includes and relative file names therefore have the same meaning as in Mitsuba.
 """
 
 from __future__ import annotations
@@ -19,26 +19,33 @@ from dasim.scene.meshes import distance_from_origin
 from dasim.scene.mitsuba_scene import MitsubaScene
 from dasim.typing import FloatArray
 
-MOST_COPIES = 5000  # of an instance's shapes: each is a shape of its own here
-RIGID = 1e-3  # how far a sensor's axes may be from a right angle
+MOST_COPIES = 5000  # most shapes of all instances: each is copied
+RIGID = 1e-3  # largest cosine between two axes of a sensor
 
 
 class World(NamedTuple):
-    """A scene in Mitsuba, with its notes and the names of its objects and materials."""
+    """Mitsuba's scene, with notes on what was changed and the names of its objects and materials."""
 
     scene: Any
     notes: list[str]
-    objects: list[str]  # names, from number 1 of ``object_id``
-    materials: list[str]  # names of scattering functions in order of first use
-    material_number: np.ndarray  # by ``object_id``; 0 is nothing
+    objects: list[str]  # names; entry 0 is number 1 of ``object_id``
+    materials: list[str]  # names of BSDFs in the order of their first use
+    material_number: np.ndarray  # by ``object_id``, from 1; 0 for no object
 
 
 def load(scene: MitsubaScene, fov_deg: float) -> World:
-    """Read, edit and make the scene; ``fov_deg`` is our horizontal field of view. InputError where it is broken."""
+    """Mitsuba's scene of an XML file, in camera axes and metres and with spectral surfaces and lights.
+
+    Args:
+        scene: the file, the unit of length, the illuminant and the near-infrared rule.
+        fov_deg: horizontal field of view of our camera, for the notes.
+
+    Raises InputError where Mitsuba cannot load the file, or it has no sensor, shapes or lights.
+    """
     import mitsuba as mi
 
     config = mi.parser.ParserConfig(mi.variant())
-    config.merge_equivalent = config.merge_meshes = False  # merged shapes would lose their names
+    config.merge_equivalent = config.merge_meshes = False  # merging shapes would lose their names
     notes = Notes()
     before, resolver = mi.file_resolver(), mi.FileResolver(mi.file_resolver())
     resolver.prepend(str(scene.file.parent))
@@ -47,11 +54,11 @@ def load(scene: MitsubaScene, fov_deg: float) -> World:
         state = mi.parser.parse_file(config, str(scene.file))
         mi.parser.transform_all(config, state)
     except Exception as error:
-        raise _broken(scene, error) from None
+        raise _load_error(scene, error) from None
     finally:
         mi.set_file_resolver(before)
     nodes = state.nodes
-    nodes[0].props["embree_use_robust_intersections"] = True  # no rays between the triangles of a mesh
+    nodes[0].props["embree_use_robust_intersections"] = True  # keeps rays from slipping between triangles
     to_camera = _drop_sensor(nodes, scene, fov_deg, notes)
     _drop_media(nodes, notes)
     _find_files(nodes, scene)
@@ -63,41 +70,41 @@ def load(scene: MitsubaScene, fov_deg: float) -> World:
     for place, (_, members) in enumerate(objects):
         for member in members:
             nodes[member].props.set_id(f"object_{place:04d}")
-    world = _made(config, state, scene)
+    world = _instance(config, state, scene)
     if not world.emitters():
-        raise InputError(f"{scene.file}: has no lights that can be honoured; nothing would be seen")
+        raise InputError(f"{scene.file}: has no lights that are supported; the picture would be black")
     return World(world, notes.lines(), [name for name, _ in objects], materials, numbers)
 
 
-def _made(config: Any, state: Any, scene: MitsubaScene) -> Any:
-    """Mitsuba's scene of a parser's nodes."""
+def _instance(config: Any, state: Any, scene: MitsubaScene) -> Any:
+    """Mitsuba's scene of the parsed nodes."""
     import mitsuba as mi
 
     try:
-        made = mi.parser.instantiate(config, state)
+        result = mi.parser.instantiate(config, state)
     except Exception as error:
-        broken = _broken(scene, error)
-        # What was made so far must go: a light that outlives its shape is called by the next scene's kernels, and
-        # a traceback that is kept would keep it.
+        load_error = _load_error(scene, error)
+        # The objects instantiated so far must be deleted: kernels of the next scene would call a light that outlives
+        # its shape. The traceback refers to them as well.
         state.nodes.clear()
         error.__traceback__ = None
-        raise broken from None
-    return made[0] if isinstance(made, list) else made
+        raise load_error from None
+    return result[0] if isinstance(result, list) else result
 
 
-def _broken(scene: MitsubaScene, error: Exception) -> InputError:
-    """Mitsuba's complaint in one line, without the place in its own source."""
+def _load_error(scene: MitsubaScene, error: Exception) -> InputError:
+    """Mitsuba's error message in one line, without the place in Mitsuba's source."""
     text = " ".join(str(error).split())
     return InputError(f"{scene.file}: does not load in Mitsuba ({text.partition('] ')[2] or text})")
 
 
 def _children(nodes: Any) -> dict[str, int]:
-    """Nodes right below the scene, by the scene's key."""
+    """Indices of the scene's child nodes, by key."""
     return _references(nodes[0].props)
 
 
 def _references(props: Any) -> dict[str, int]:
-    """Places of the nodes that a node refers to, by key."""
+    """Indices of the nodes that a node refers to, by key."""
     import mitsuba as mi
 
     kind = mi.Properties.Type.ResolvedReference
@@ -108,27 +115,30 @@ def _references(props: Any) -> dict[str, int]:
 
 
 def _drop_sensor(nodes: Any, scene: MitsubaScene, fov_deg: float, notes: Notes) -> FloatArray:
-    """Take sensors and integrators out; the transform of the scene's units into camera axes and metres, [4, 4]."""
+    """Remove sensors and integrators from the scene.
+
+    Returns the transform [4, 4] from the scene's axes and units to the axes of its first sensor and metres.
+    """
     import mitsuba as mi
 
-    root, found = nodes[0].props, []
+    root, sensors = nodes[0].props, []
     for key, index in _children(nodes).items():
         if nodes[index].type == mi.ObjectType.Sensor:
-            found.append(nodes[index].props)
+            sensors.append(nodes[index].props)
         if nodes[index].type in (mi.ObjectType.Sensor, mi.ObjectType.Integrator):
             del root[key]
-    if not found:
-        raise InputError(f"{scene.file}: has no sensor, so that nothing says where to photograph from")
-    if len(found) > 1:
-        notes.add(f"{len(found)} sensors: the first one's pose is used")
-    props = found[0]
+    if not sensors:
+        raise InputError(f"{scene.file}: has no sensor, whose to_world gives the camera's pose")
+    if len(sensors) > 1:
+        notes.add(f"{len(sensors)} sensors: the first one's pose is used")
+    props = sensors[0]
     pose = np.array(props["to_world"].matrix, dtype=np.float64) if "to_world" in props else np.eye(4)
     axes = pose[:3, :3] / np.maximum(np.linalg.norm(pose[:3, :3], axis=0), 1e-30)
     if not np.allclose(axes.T @ axes, np.eye(3), atol=RIGID) or np.linalg.det(axes) < 0:
         raise InputError(f"{scene.file}: the sensor's to_world is sheared or mirrored, which no camera can be")
-    theirs = f" of {props['fov']:g} degrees" if "fov" in props else ""
+    original = f" of {props['fov']:g} degrees" if "fov" in props else ""
     notes.add(
-        f"sensor '{props.plugin_name()}'{theirs}, film, sampler and integrator: replaced; ours sees "
+        f"sensor '{props.plugin_name()}'{original}, film, sampler and integrator: replaced; ours sees "
         f"{fov_deg:.1f} degrees across"
     )
     # Mitsuba's camera looks along z with x left and y up; ours has x right and y down.
@@ -139,25 +149,25 @@ def _drop_sensor(nodes: Any, scene: MitsubaScene, fov_deg: float, notes: Notes) 
     return np.diag([metre, metre, metre, 1.0]) @ matrix
 
 
-# --- what is in the scene ------------------------------------------------------------------------
+# --- shapes, media and files ---------------------------------------------------------------------
 
 
 def _drop_media(nodes: Any, notes: Notes) -> None:
-    """Take media and volumes out, wherever they are."""
+    """Remove all references to media and volumes."""
     import mitsuba as mi
 
-    gone = (mi.ObjectType.Medium, mi.ObjectType.Volume)
+    kinds = (mi.ObjectType.Medium, mi.ObjectType.Volume)
     for node in nodes:
-        if node.type in gone:
+        if node.type in kinds:
             continue
         for key, index in _references(node.props).items():
-            if nodes[index].type in gone:
+            if nodes[index].type in kinds:
                 del node.props[key]
-                notes.add("participating media: not honoured, light passes through empty space")
+                notes.add("participating media: not supported, removed")
 
 
 def _find_files(nodes: Any, scene: MitsubaScene) -> None:
-    """Make relative file names absolute: the file resolver of Mitsuba looks where the program was started."""
+    """Make relative file names absolute, because Mitsuba resolves them against the working folder."""
     import mitsuba as mi
 
     for node in nodes:
@@ -169,13 +179,14 @@ def _find_files(nodes: Any, scene: MitsubaScene) -> None:
 
 
 def _place_shapes(nodes: Any, to_camera: FloatArray, scene: MitsubaScene) -> list[tuple[str, list[int]]]:
-    """Move the shapes into camera axes; their names, and the nodes of each, in the file's order.
+    """Transform the shapes to camera axes, and replace instances by copies of the shapes of their group.
 
-    Instances become copies of their group's shapes: Mitsuba gives no number to what an instance shows.
+    Copies are needed because Mitsuba does not number the shapes of an instance. Returns the name and the indices of the
+    nodes of each object, in the order of the file.
     """
     import mitsuba as mi
 
-    # Copies move the nodes in memory: none is held beyond the next copy.
+    # Appending a copy moves all nodes in memory: no reference to a node may be used after it.
     objects: list[tuple[str, list[int]]] = []
     copies: list[int] = []
     for key, index in _children(nodes).items():
@@ -195,8 +206,8 @@ def _place_shapes(nodes: Any, to_camera: FloatArray, scene: MitsubaScene) -> lis
         members = []
         for part in _group_members(nodes, index, f"{scene.file}: instance '{name}'"):
             if len(copies) == MOST_COPIES:
-                raise InputError(f"{scene.file}: instances of more than {MOST_COPIES} shapes; reduce them")
-            members.append(_copied(nodes, part, own))
+                raise InputError(f"{scene.file}: has instances of more than {MOST_COPIES} shapes in total; use fewer")
+            members.append(_append_copy(nodes, part, own))
             copies.append(members[-1])
             nodes[0].props[f"copy_{len(copies)}"] = mi.Properties.ResolvedReference(members[-1])
         objects.append((name, members))
@@ -206,7 +217,7 @@ def _place_shapes(nodes: Any, to_camera: FloatArray, scene: MitsubaScene) -> lis
 
 
 def _group_members(nodes: Any, instance: int, where: str) -> list[int]:
-    """Places of the shapes of an instance's group."""
+    """Indices of the shapes of an instance's group."""
     import mitsuba as mi
 
     groups = [i for i in _references(nodes[instance].props).values() if nodes[i].props.plugin_name() == "shapegroup"]
@@ -215,8 +226,8 @@ def _group_members(nodes: Any, instance: int, where: str) -> list[int]:
     return [i for i in _references(nodes[groups[0]].props).values() if nodes[i].type == mi.ObjectType.Shape]
 
 
-def _copied(nodes: Any, index: int, matrix: FloatArray) -> int:
-    """A copy of a shape, moved by ``matrix``; its place among the nodes."""
+def _append_copy(nodes: Any, index: int, matrix: FloatArray) -> int:
+    """Append a copy of a shape, transformed by ``matrix``, to the nodes; returns its index."""
     import mitsuba as mi
 
     copy = mi.parser.SceneNode()
@@ -237,7 +248,7 @@ def _move(props: Any, matrix: FloatArray) -> None:
 
 
 def _place_lights(nodes: Any, to_camera: FloatArray, notes: Notes) -> None:
-    """Move the lights that are no shapes into camera axes."""
+    """Transform the lights that are not shapes to camera axes, and remove projectors."""
     import mitsuba as mi
 
     turn = to_camera[:3, :3] / np.cbrt(np.linalg.det(to_camera[:3, :3]))
@@ -249,7 +260,7 @@ def _place_lights(nodes: Any, to_camera: FloatArray, notes: Notes) -> None:
         plugin = props.plugin_name()
         if plugin == "projector":
             del root[key]
-            notes.add("emitter 'projector': not honoured")
+            notes.add("emitter 'projector': not supported, removed")
         elif "position" in props:
             place = to_camera @ [*np.ravel(props["position"]), 1.0]
             props["position"] = [float(value) for value in place[:3]]
@@ -257,16 +268,16 @@ def _place_lights(nodes: Any, to_camera: FloatArray, notes: Notes) -> None:
             props["direction"] = [float(value) for value in turn @ np.ravel(props["direction"])]
         elif plugin in ("point", "spot", "directional"):
             own = _to_world(props)
-            moved = np.eye(4)
-            moved[:3, :3] = turn @ own[:3, :3]
-            moved[:3, 3] = (to_camera @ own)[:3, 3]
-            props["to_world"] = transform(moved)
+            pose = np.eye(4)
+            pose[:3, :3] = turn @ own[:3, :3]
+            pose[:3, 3] = (to_camera @ own)[:3, 3]
+            props["to_world"] = transform(pose)
 
 
 def _materials(nodes: Any, objects: list[list[int]]) -> tuple[list[str], np.ndarray]:
-    """Names of scattering functions in order of first use, and each object's number among them, from 1.
+    """Names of BSDFs in the order of their first use, and the number of each object's BSDF, from 1.
 
-    An object of several shapes, an instance, has that of its first.
+    An object of several shapes (an instance) has the BSDF of its first shape.
     """
     import mitsuba as mi
 
@@ -274,17 +285,20 @@ def _materials(nodes: Any, objects: list[list[int]]) -> tuple[list[str], np.ndar
     numbers = [0]
     for members in objects:
         references = _references(nodes[members[0]].props).values()
-        found = next((i for i in references if nodes[i].type == mi.ObjectType.BSDF), -1)
-        if found not in names:
-            plugin = nodes[found].props.plugin_name() if found >= 0 else "diffuse"
-            own = nodes[found].props.id() if found >= 0 else "default"
-            names[found] = own or f"{plugin}-{len(names) + 1}"
-        numbers.append(list(names).index(found) + 1)
+        bsdf = next((i for i in references if nodes[i].type == mi.ObjectType.BSDF), -1)
+        if bsdf not in names:
+            plugin = nodes[bsdf].props.plugin_name() if bsdf >= 0 else "diffuse"
+            own = nodes[bsdf].props.id() if bsdf >= 0 else "default"
+            names[bsdf] = own or f"{plugin}-{len(names) + 1}"
+        numbers.append(list(names).index(bsdf) + 1)
     return list(names.values()), np.array(numbers, np.uint32)
 
 
 def check_clear(world: World, scene: MitsubaScene, pupil_radius_m: float) -> None:
-    """InputError where a mesh of the scene reaches into the lens; a note where a size suggests a mistake of units."""
+    """InputError where a mesh reaches into the lens; adds a note where a size suggests a mistake of units.
+
+    ``pupil_radius_m`` is the radius of the lens at the origin.
+    """
     for shape in world.scene.shapes():
         box = shape.bbox()
         low, high = np.ravel(box.min), np.ravel(box.max)

@@ -58,7 +58,7 @@ def started(monkeypatch):
 
 def test_scalar_variant_works_everywhere():
     choice = backend.choose("scalar_spectral")
-    assert choice == backend.Choice("scalar_spectral", "scalar_spectral, as asked for", None)
+    assert choice == backend.Choice("scalar_spectral", "scalar_spectral, as requested", None)
 
 
 def test_unknown_variant_is_the_users_mistake(monkeypatch):
@@ -71,15 +71,17 @@ def test_unknown_variant_is_the_users_mistake(monkeypatch):
 
 def test_variable_is_the_default_and_an_argument_overrides_it(started, monkeypatch):
     monkeypatch.setenv("DASIM_VARIANT", "scalar_spectral")
-    assert backend.choose().reason == "scalar_spectral, as asked for"
+    assert backend.choose().reason == "scalar_spectral, as requested"
     assert len(started) == 1
     assert "about four times slower" in backend.choose("auto").reason
 
 
 def test_variant_that_does_not_work_says_what_to_try(started):
-    with pytest.raises(InputError, match=r"'cuda_ad_spectral' does not work here \(not here\); .*NVIDIA.* 'auto'"):
+    with pytest.raises(
+        InputError, match=r"'cuda_ad_spectral' does not work on this computer \(not here\); .*NVIDIA.* 'auto'"
+    ):
         backend.choose("cuda_ad_spectral")
-    with pytest.raises(InputError, match=r"'llvm_ad_spectral' does not work here .*LLVM.* 'auto'"):
+    with pytest.raises(InputError, match=r"'llvm_ad_spectral' does not work on this computer .*LLVM.* 'auto'"):
         backend.choose("llvm_ad_spectral")
 
 
@@ -91,7 +93,7 @@ def test_rubbish_library_leads_to_the_scalar_variant(rubbish_llvm, no_system_llv
         backend.choose("llvm_ad_spectral")
 
 
-def test_rubbish_library_is_passed_over_for_a_good_one(rubbish_llvm, monkeypatch):
+def test_a_broken_library_is_ignored_where_another_works(rubbish_llvm, monkeypatch):
     monkeypatch.setattr(backend, "_llvm_version", lambda path: () if path == str(rubbish_llvm) else (19, 1, 7))
     monkeypatch.setattr(backend, "llvm_libraries", lambda: [str(rubbish_llvm), "/good/libLLVM.so.19.1"])
     monkeypatch.setattr(backend, "_run", lambda program, llvm_path=None: ("OK", None))
@@ -172,7 +174,7 @@ def test_cache_that_cannot_be_written_is_no_error(started, tmp_path, monkeypatch
 def test_failures_are_tried_again_a_day_later(started):
     backend.choose()
     (file,) = cache_dir().glob("*.json")
-    old = file.stat().st_mtime - 1.1 * backend.FAILURE_KEPT_S
+    old = file.stat().st_mtime - 1.1 * backend.FAILURE_LIFETIME_S
     os.utime(file, (old, old))
     assert list(backend._read_cache(file)) == ["scalar_spectral"]
 
@@ -207,7 +209,7 @@ assert mi.variant() == choice.variant
 try:
     backend.activate(backend.Choice("other_spectral", ""))
 except InputError as error:
-    assert "comes too late" in str(error), error
+    assert "cannot change it" in str(error), error
 else:
     raise AssertionError("two variants in a process")
 exec(compile(backend._PROBE_PROGRAM, "probe", "exec"), {"__name__": "probe"})

@@ -294,7 +294,7 @@ def test_notes_say_what_was_done_and_what_was_not(xml, wide, renderer):
     light = '<emitter type="constant"><rgb name="radiance" value="2, 1, 1"/></emitter>'
     shot = dasim.simulate(xml(wall(inside, light), illuminant="A"), wide(16, 12), spp=2)
     notes = shot.capture.provenance["notes"]
-    for part in ("sensor 'perspective'", "ends at 700 nm", "media: not honoured", "the spectrum of A at the same"):
+    for part in ("sensor 'perspective'", "ends at 700 nm", "media: not supported", "the spectrum of A at the same"):
         assert sum(part in note for note in notes) == 1, (part, notes)
     assert all("\n" not in note for note in notes)
     assert shot.capture.illuminant == "A"
@@ -325,9 +325,9 @@ def test_many_instances_are_copies_of_their_group(xml, world, wide):
 @pytest.mark.parametrize(
     ("text", "noted"),
     [
-        ('<bsdf type="diffuse"><spectrum name="reflectance" value="2"/></bsdf>', "at most everything"),
-        ('<bsdf type="diffuse"><spectrum name="reflectance" value="400:1.5, 830:1.9"/></bsdf>', "at most everything"),
-        ('<bsdf type="diffuse"><rgb name="reflectance" value="2, 2, 2"/></bsdf>', "at most everything"),
+        ('<bsdf type="diffuse"><spectrum name="reflectance" value="2"/></bsdf>', "clipped to 1"),
+        ('<bsdf type="diffuse"><spectrum name="reflectance" value="400:1.5, 830:1.9"/></bsdf>', "clipped to 1"),
+        ('<bsdf type="diffuse"><rgb name="reflectance" value="2, 2, 2"/></bsdf>', "clipped to 1"),
     ],
 )
 def test_no_surface_reflects_more_than_it_receives(xml, world, wide, text, noted):
