@@ -1,1 +1,1 @@
-"""Meshes by formula: plants, a head, solids; start with ``library``."""
+"""Procedural meshes: plants, a head with shoulders, solids. Start with ``library``."""

@@ -1,9 +1,9 @@
-"""Flowers, leaves and grass by formula.
+"""Procedural flowers, leaves and grass.
 
-A flower looks towards the camera (-z), its petals join at the origin; one unit is the radius of its corolla. Its
-parts, each a mesh with a material of its own, go together at the same place: petals (``daisy``, ``dahlia``, ``poppy``),
-``flower-centre`` and ``flower-stem`` with two leaves. Every petal and leaf has the whole texture, from its foot (v = 0)
-to its tip.
+A flower faces the camera (-z) and its petals meet at the origin; one unit is the radius of its corolla. It consists of
+several meshes, so that each can have its own material: the petals (``daisy``, ``dahlia``, ``poppy``), ``flower-centre``
+and ``flower-stem`` with two leaves. They share one origin: objects at the same position form the flower. The texture
+is repeated on every petal and leaf, from the foot (v = 0) to the tip (v = 1).
 
 Tested in tests/dasim/scene/procedural/test_library.py.
 """
@@ -14,7 +14,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from dasim.scene.procedural.triangles import Triangles, placed, sheet, together, tube, turned
+from dasim.scene.procedural.triangles import Triangles, merge, rotation_matrix, sheet, transform, tube
 from dasim.typing import FloatArray
 
 
@@ -29,11 +29,17 @@ def blade(
     pleats: float = 0.0,
     detail: float = 1.0,
 ) -> Triangles:
-    """A petal or leaf from the origin along -y, facing -z.
+    """A petal or leaf that starts at the origin, points along -y and faces -z.
 
-    ``rise`` is how far it leans towards the camera at its foot and ``curl`` how much it bends back towards its tip
-    (degrees); ``cup`` bends its sides forward, ``tip`` is 0.5 for a round and 1.5 for a pointed end, ``pleats`` the
-    depth of folds along it, all as shares of the width; ``detail`` 1 is 32 cells along and 20 across.
+    Args:
+        length: from foot to tip
+        width: at its widest place
+        rise: angle by which it leans towards the camera at its foot, degrees
+        curl: angle by which it bends back between foot and tip, degrees
+        cup: how far the edges bend forward, as a share of half the local width
+        tip: up to 1 for a petal's outline with a round end, above 1 for a leaf's, more pointed the larger it is
+        pleats: amplitude of the folds along it, as a share of half the local width
+        detail: resolution; 1 gives 32 cells along the blade and 20 across
     """
     along, across = np.linspace(1, 0, round(32 * detail) + 1), np.linspace(-1, 1, 2 * round(10 * detail) + 1)
     outline = np.sin(np.pi * along**0.75) ** 0.8 if tip > 1 else (along**0.6) * np.sqrt(1 - along**6 + 1e-9)
@@ -43,40 +49,45 @@ def blade(
     up = np.concatenate([np.cumsum((np.cos(lean) * step)[::-1])[::-1][1:], [0.0]])
     forward = np.concatenate([np.cumsum((np.sin(lean) * step)[::-1])[::-1][1:], [0.0]])
     x = wide[:, None] * across
-    bent = cup * wide[:, None] * across**2 + pleats * wide[:, None] * np.cos(5 * np.pi * across)
-    # What is bent goes along the blade's own normal.
-    y = -up[:, None] + bent * np.sin(lean)[:, None]
-    z = -forward[:, None] - bent * np.cos(lean)[:, None]
+    # Cup and pleats displace the blade along its own normal.
+    relief = cup * wide[:, None] * across**2 + pleats * wide[:, None] * np.cos(5 * np.pi * across)
+    y = -up[:, None] + relief * np.sin(lean)[:, None]
+    z = -forward[:, None] - relief * np.cos(lean)[:, None]
     return sheet(np.stack(np.broadcast_arrays(x, y, z), axis=-1))
 
 
 def _whorl(count: int, seed: int, *, start: float = 0.0, **shape: float) -> list[Triangles]:
-    """Petals at equal angles around the axis, with small random differences in shape and place."""
+    """``count`` petals at equal angles around the axis, the first at ``start`` degrees, with small random variations.
+
+    ``shape`` holds the arguments of :func:`blade`.
+    """
     random = np.random.default_rng((seed, count))
     petals = []
     for number in range(count):
-        drawn = shape | {
+        variation = shape | {
             "length": shape["length"] * (1 + 0.06 * random.normal()),
             "rise": shape["rise"] + 5 * random.normal(),
             "curl": shape["curl"] + 8 * random.normal(),
         }
         angle = start + 360 * number / count + 60 / count * random.normal() / 3
         foot = 0.06 * shape["length"] * np.array([np.sin(np.radians(angle)), -np.cos(np.radians(angle)), 0.0])
-        # Every second petal lies a little lower, so that neighbours do not cut through each other.
+        # Every second petal lies 0.03 farther back, so that neighbours do not intersect.
         foot[2] = 0.03 * (number % 2)
-        petals.append(placed(blade(**drawn), turned(random.normal() * 2, 6 * random.normal(), angle), foot))
+        petals.append(
+            transform(blade(**variation), rotation_matrix(random.normal() * 2, 6 * random.normal(), angle), foot)
+        )
     return petals
 
 
 def _daisy(seed: int) -> Triangles:
     lower = _whorl(13, seed, length=0.94, width=0.3, rise=12, curl=18, cup=0.2, tip=0.5, pleats=0.05)
     upper = _whorl(12, seed + 1, start=14, length=0.88, width=0.28, rise=24, curl=24, cup=0.2, tip=0.5, pleats=0.05)
-    return together(lower + upper)
+    return merge(lower + upper)
 
 
 def _dahlia(seed: int) -> Triangles:
     rings = [(16, 0.94, 10), (15, 0.86, 24), (13, 0.72, 38), (11, 0.55, 52), (8, 0.38, 66), (6, 0.22, 80)]
-    return together(
+    return merge(
         [
             petal
             for ring, (count, length, rise) in enumerate(rings)
@@ -91,11 +102,11 @@ def _dahlia(seed: int) -> Triangles:
 def _poppy(seed: int) -> Triangles:
     outer = _whorl(3, seed, length=0.95, width=1.25, rise=30, curl=26, cup=0.25, tip=0.5, pleats=0.05)
     inner = _whorl(3, seed + 7, start=60, length=0.88, width=1.1, rise=46, curl=30, cup=0.25, tip=0.5, pleats=0.05)
-    return together(outer + inner)
+    return merge(outer + inner)
 
 
 def _flower_centre(seed: int) -> Triangles:
-    """A dome of florets in Vogel's spiral: small knobs, each with the whole texture."""
+    """A dome of 220 florets in Vogel's spiral: small knobs, each with the whole texture."""
     random = np.random.default_rng((seed, 11))
     count, radius = 220, 0.3
     turns = np.arange(count) * np.radians(137.508)
@@ -106,10 +117,10 @@ def _flower_centre(seed: int) -> Triangles:
         np.stack(
             np.broadcast_arrays(np.sin(down) * np.sin(turn), np.sin(down) * np.cos(turn), -1.6 * np.cos(down)), -1
         ),
-        round_about=True,
+        periodic=True,
     )
     knobs = [
-        placed(knob, None, (r * np.sin(t), -r * np.cos(t), -h), 0.021 * (1 + 0.2 * random.normal()))
+        transform(knob, None, (r * np.sin(t), -r * np.cos(t), -h), 0.021 * (1 + 0.2 * random.normal()))
         for t, r, h in zip(turns, away, height, strict=True)
     ]
     base = np.stack(
@@ -118,35 +129,37 @@ def _flower_centre(seed: int) -> Triangles:
         ),
         axis=-1,
     )
-    return together([*knobs, sheet(base, round_about=True)])
+    return merge([*knobs, sheet(base, periodic=True)])
 
 
 def _stem_path(seed: int) -> FloatArray:
-    """From behind the flower down; it bends a little to one side."""
+    """Centre line of the stem [24, xyz], from behind the flower downwards, bent a little to one side."""
     lean = np.random.default_rng((seed, 12)).uniform(-0.5, 0.5)
     t = np.linspace(0, 1, 24)[:, None]
     return np.hstack([lean * t**2, 5.0 * t**1.15, 0.12 + 0.45 * np.sqrt(t + 0.002)])
 
 
 def _flower_stem(seed: int) -> Triangles:
-    """A stem of five units with two leaves."""
+    """A stem, 5 units long, with two leaves."""
     random = np.random.default_rng((seed, 13))
     path = _stem_path(seed)
     parts = [tube(path, 0.07)]
     for place, side in ((9, 1), (14, -1)):
         leaf = blade(2.0, 0.85, rise=random.uniform(0, 30), curl=random.uniform(10, 60), cup=0.3, tip=1.3)
-        parts.append(placed(leaf, turned(0, random.uniform(-20, 20), side * random.uniform(35, 65)), path[place]))
-    return together(parts)
+        parts.append(
+            transform(leaf, rotation_matrix(0, random.uniform(-20, 20), side * random.uniform(35, 65)), path[place])
+        )
+    return merge(parts)
 
 
 def _leaf(seed: int) -> Triangles:
-    """One leaf of length 1, with its stalk's end at the origin."""
+    """One leaf of length 1 whose foot is at the origin."""
     random = np.random.default_rng((seed, 14))
     return blade(1.0, random.uniform(0.4, 0.7), rise=20, curl=random.uniform(20, 60), cup=0.25, tip=1.3, pleats=0.02)
 
 
 def _foliage(seed: int) -> Triangles:
-    """A bush as seen from the front: leaves of length 1 over a field 16 wide and 12 high, up to 2 deep."""
+    """A bush seen from the front: leaves about 1 long fill a volume 16 wide, 12 high and 2 deep."""
     random = np.random.default_rng((seed, 15))
     kinds = [
         blade(1.0, width, rise=15, curl=curl, cup=0.3, tip=1.3, pleats=0.02, detail=0.4)
@@ -157,21 +170,21 @@ def _foliage(seed: int) -> Triangles:
         for column in np.arange(-8.0, 8.01, 0.5):
             at = np.array([column, row, -1.0]) + random.normal(size=3) * (0.25, 0.2, 0.45)
             at[2] = np.clip(at[2], -2.0, 0.0)
-            turn = turned(random.normal() * 22, random.normal() * 25, 180 + random.normal() * 55)
-            leaves.append(placed(kinds[int(random.integers(3))], turn, at, random.uniform(0.8, 1.3)))
-    return together(leaves)
+            turn = rotation_matrix(random.normal() * 22, random.normal() * 25, 180 + random.normal() * 55)
+            leaves.append(transform(kinds[int(random.integers(3))], turn, at, random.uniform(0.8, 1.3)))
+    return merge(leaves)
 
 
 def _grass(seed: int) -> Triangles:
-    """A strip of grass, 10 wide and 2 deep, blades about 1 high that stand on y = 0."""
+    """A strip of grass, 10 wide and 2 deep: 700 blades, 0.6 to 1.1 long, that stand on y = 0."""
     random = np.random.default_rng((seed, 16))
     blades = []
     for _ in range(700):
         length, rise, curl = random.uniform((0.6, 0, -45), (1.1, 25, 0))
         shape = blade(length, 0.07, rise=rise, curl=curl, cup=0.4, tip=1.3, detail=0.2)
         at = (random.uniform(-5, 5), 0.0, random.uniform(-1, 1))
-        blades.append(placed(shape, turned(0, random.uniform(-180, 180), random.normal() * 8), at))
-    return together(blades)
+        blades.append(transform(shape, rotation_matrix(0, random.uniform(-180, 180), random.normal() * 8), at))
+    return merge(blades)
 
 
 MESHES: dict[str, Callable[[int], Triangles]] = {

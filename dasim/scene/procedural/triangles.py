@@ -1,7 +1,7 @@
-"""Triangles made by formula: sheets, tubes and balls, and how they are put together.
+"""Triangle meshes from formulas: sheets, tubes and balls, and the operations that combine them.
 
-Axes are the scene's: x right, y down, z forward, away from the camera. Corners run counter-clockwise as seen from
-outside. Lengths are in units of the whole thing.
+Axes are those of the scene: x right, y down, z forward (away from the camera). The corners of a triangle run
+counter-clockwise as seen from outside. Lengths are in a unit of the mesh's own; a scene sets it with ``unit_cm``.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from dasim.typing import FloatArray
 
 
 class Triangles(NamedTuple):
-    """``vertices`` [n, xyz], ``faces`` [m, 3], texture coordinates ``uv`` [n, 2] and unit ``normals`` [n, xyz]."""
+    """A mesh: ``vertices`` [n, xyz], ``faces`` [m, 3], texture coordinates ``uv`` [n, 2], unit ``normals`` [n, xyz]."""
 
     vertices: FloatArray
     faces: NDArray[np.uint32]
@@ -24,21 +24,22 @@ class Triangles(NamedTuple):
     normals: FloatArray
 
 
-def sheet(points: FloatArray, *, round_about: bool = False) -> Triangles:
-    """A surface through points [rows, columns, xyz]; u runs along the columns, v from the last row (0) to the first.
+def sheet(points: FloatArray, *, periodic: bool = False) -> Triangles:
+    """A sheet joins the neighbours of a grid of points [rows, columns, xyz] with two triangles per cell.
 
-    ``round_about`` says that the last column is the first again, so that its normals are the same. The outside is
-    where rows run down and columns to the right.
+    Texture coordinate u runs from 0 to 1 along the columns, v from 0 at the last row to 1 at the first. Seen from
+    outside, rows run downwards and columns to the right. ``periodic`` means that the last column repeats the first:
+    both then get the same normals.
     """
     rows, columns = points.shape[:2]
     first = (np.arange(rows - 1)[:, None] * columns + np.arange(columns - 1)).ravel()
     right, below, across = first + 1, first + columns, first + columns + 1
     faces = np.concatenate([np.stack([first, across, right], -1), np.stack([first, below, across], -1)])
     vertices = points.reshape(-1, 3)
-    sums = _face_sums(vertices, faces).reshape(rows, columns, 3)
-    if round_about:
+    sums = _normal_sums(vertices, faces).reshape(rows, columns, 3)
+    if periodic:
         sums[:, 0] = sums[:, -1] = sums[:, 0] + sums[:, -1]
-    for row in (0, -1):  # a row that shrinks to a point is one corner
+    for row in (0, -1):  # all points of a row that shrinks to a pole share one normal
         if np.allclose(points[row], points[row, 0]):
             sums[row] = sums[row].sum(axis=0)
     u, down = np.meshgrid(np.linspace(0, 1, columns), np.linspace(0, 1, rows))
@@ -47,11 +48,12 @@ def sheet(points: FloatArray, *, round_about: bool = False) -> Triangles:
 
 
 def smooth(vertices: FloatArray, faces: NDArray[np.uint32], uv: FloatArray) -> Triangles:
-    """Triangles with normals that are the mean of the faces around each corner, by area."""
-    return Triangles(vertices, faces, uv, _unit(_face_sums(vertices, faces)))
+    """A mesh whose vertex normals are the area-weighted mean of the normals of the adjacent faces."""
+    return Triangles(vertices, faces, uv, _unit(_normal_sums(vertices, faces)))
 
 
-def _face_sums(vertices: FloatArray, faces: NDArray[np.integer]) -> FloatArray:
+def _normal_sums(vertices: FloatArray, faces: NDArray[np.integer]) -> FloatArray:
+    """Sum of the normals of the faces at each vertex, weighted by twice their area, [n, xyz]."""
     a, b, c = (vertices[faces[:, corner]] for corner in range(3))
     across = np.cross(b - a, c - a)
     return np.stack(
@@ -64,10 +66,10 @@ def _unit(vectors: FloatArray) -> FloatArray:
 
 
 def tube(path: FloatArray, radius: FloatArray | float, sides: int = 12, *, closed: bool = False) -> Triangles:
-    """A tube of ``radius`` (one or [n]) along a path [n, xyz]; u runs around it, v along it.
+    """A tube follows a path [n, xyz] with a radius that is one number or [n]; u runs around it, v along it.
 
-    The cross-section turns with the path as little as it can (parallel transport); of a ``closed`` path, whose last
-    point is its first, what is left of the turn is spread over its length.
+    Parallel transport carries the cross-section along the path without twist. A ``closed`` path ends at its first
+    point; the angle by which transport misses the first cross-section is then distributed evenly along the path.
     """
     along = np.gradient(path, axis=0)
     if closed:
@@ -76,18 +78,21 @@ def tube(path: FloatArray, radius: FloatArray | float, sides: int = 12, *, close
     side = np.empty_like(path)
     side[0] = _unit(np.cross(along[0], np.eye(3)[np.argmin(np.abs(along[0]))]))
     for i in range(1, len(path)):
-        kept = side[i - 1] - along[i] * (side[i - 1] @ along[i])
-        side[i] = kept / np.linalg.norm(kept)
+        perpendicular = side[i - 1] - along[i] * (side[i - 1] @ along[i])
+        side[i] = perpendicular / np.linalg.norm(perpendicular)
     other = np.cross(along, side)
     twist = np.arctan2(side[-1] @ other[0], side[-1] @ side[0]) if closed else 0.0
     angle = np.linspace(0, 2 * np.pi, sides + 1) + twist * np.linspace(0, 1, len(path))[:, None]
     rim = np.cos(angle)[..., None] * side[:, None] - np.sin(angle)[..., None] * other[:, None]
     wide = np.broadcast_to(np.asarray(radius, float), (len(path),))[:, None, None]
-    return sheet(path[:, None] + wide * rim, round_about=True)
+    return sheet(path[:, None] + wide * rim, periodic=True)
 
 
 def ball(rows: int = 24, columns: int = 48) -> FloatArray:
-    """Unit vectors [rows + 1, columns + 1, xyz] from the top pole to the bottom, the seam behind."""
+    """Unit vectors [rows + 1, columns + 1, xyz] of a latitude-longitude grid.
+
+    Rows run from the upper pole (-y) to the lower one. The first and the last column coincide on the far side (+z).
+    """
     down = np.linspace(0, np.pi, rows + 1)[:, None]
     turn = np.linspace(-np.pi, np.pi, columns + 1)
     return np.stack(
@@ -95,8 +100,8 @@ def ball(rows: int = 24, columns: int = 48) -> FloatArray:
     )
 
 
-def turned(x_deg: float = 0.0, y_deg: float = 0.0, z_deg: float = 0.0) -> FloatArray:
-    """Rotation [3, 3] about x, then y, then z."""
+def rotation_matrix(x_deg: float = 0.0, y_deg: float = 0.0, z_deg: float = 0.0) -> FloatArray:
+    """Rotation matrix [3, 3] about x, then y, then z, right-handed."""
     result = np.eye(3)
     for axis, degrees in enumerate((x_deg, y_deg, z_deg)):
         a, b = (axis + 1) % 3, (axis + 2) % 3
@@ -108,16 +113,20 @@ def turned(x_deg: float = 0.0, y_deg: float = 0.0, z_deg: float = 0.0) -> FloatA
     return result
 
 
-def placed(
-    part: Triangles, turn: FloatArray | None = None, at: Sequence[float] | FloatArray = (0.0, 0.0, 0.0), size: float = 1
+def transform(
+    mesh: Triangles,
+    rotation: FloatArray | None = None,
+    position: Sequence[float] | FloatArray = (0.0, 0.0, 0.0),
+    scale: float = 1,
 ) -> Triangles:
-    """A part scaled, turned by a rotation [3, 3], and moved."""
-    rotation = np.eye(3) if turn is None else turn
-    return part._replace(vertices=part.vertices * size @ rotation.T + np.asarray(at), normals=part.normals @ rotation.T)
+    """Scale a mesh about its origin, rotate it by a matrix [3, 3] (default: identity), then move it to ``position``."""
+    matrix = np.eye(3) if rotation is None else rotation
+    vertices = mesh.vertices * scale @ matrix.T + np.asarray(position)
+    return mesh._replace(vertices=vertices, normals=mesh.normals @ matrix.T)
 
 
-def together(parts: Sequence[Triangles]) -> Triangles:
-    """Several parts as one."""
+def merge(parts: Sequence[Triangles]) -> Triangles:
+    """Merge several meshes into one."""
     first = np.cumsum([0, *(len(part.vertices) for part in parts)])
     return Triangles(
         np.concatenate([part.vertices for part in parts]),
@@ -127,7 +136,7 @@ def together(parts: Sequence[Triangles]) -> Triangles:
     )
 
 
-def fitted(part: Triangles) -> Triangles:
-    """The part centred and scaled so that the longest side of its box is 1."""
-    low, high = part.vertices.min(axis=0), part.vertices.max(axis=0)
-    return part._replace(vertices=(part.vertices - (low + high) / 2) * (1.0 / float((high - low).max())))
+def fit_unit_cube(mesh: Triangles) -> Triangles:
+    """Centre a mesh on the origin and scale it so that the longest side of its bounding box is 1."""
+    low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
+    return mesh._replace(vertices=(mesh.vertices - (low + high) / 2) * (1.0 / float((high - low).max())))

@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 
 from dasim.scene import specification
-from dasim.scene.procedural.triangles import ball, sheet, tube, turned
+from dasim.scene.procedural.triangles import ball, rotation_matrix, sheet, tube
 from tests.support.solids import area_vectors, volume
 
 ROUNDING = 1e-9  # double precision, summed over 1e5 faces
 
 
 def test_ball_has_the_volume_and_normals_of_a_sphere():
-    part = sheet(ball(64, 128), round_about=True)
+    part = sheet(ball(64, 128), periodic=True)
     # A polyhedron of n steps inscribed in a sphere lacks about pi^2 / n^2 of it.
     assert volume(part) == pytest.approx(4 / 3 * np.pi, rel=2 * np.pi**2 / 64**2)
     assert np.sum(part.normals * part.vertices, axis=-1).min() > np.cos(np.pi / 64)
@@ -29,5 +29,5 @@ def test_closed_tube_has_the_volume_of_a_torus():
 
 def test_rotations_are_those_of_mesh_objects():
     item = {"shape": "mesh", "file": "procedural:rock", "name": "a", "material": "sand", "rotation_deg": (10, 20, 30)}
-    placed = specification.placement(specification.Mesh(**item))
-    assert np.allclose(placed[:3, :3], turned(10, 20, 30), atol=ROUNDING)
+    matrix = specification.placement(specification.Mesh(**item))
+    assert np.allclose(matrix[:3, :3], rotation_matrix(10, 20, 30), atol=ROUNDING)
