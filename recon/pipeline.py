@@ -18,7 +18,7 @@ from dasim.values import Capture, PsfBank, Reconstruction
 from recon import levels
 from recon.calibration.fit import check_fits
 from recon.depth import raw_levels
-from recon.depth.method import Method, applied, method_name, on_blocks
+from recon.depth.method import Method, method_name, on_blocks, run_method
 from recon.depth.regularise import regularise
 from recon.picture import colour, denoise, infrared, mosaic
 from recon.picture import develop as picture
@@ -71,7 +71,7 @@ def reconstruct(
                 linear.raw_e, variances, linear.saturated, camera, kernels, settings, white
             )
         else:
-            raw, trust, outside = on_blocks(applied(method, capture, bank), bank)
+            raw, trust, outside = on_blocks(run_method(method, capture, bank), bank)
             notes += _range_notes(outside, method_name(method), bank)
     with stage("regularise"):
         guide = _infrared_guide(ir_e, mosaic.noise_variance(capture))

@@ -14,7 +14,7 @@ from dasim.base.errors import InputError
 from dasim.base.fingerprint import fingerprint
 from dasim.base.loading import load_function
 from dasim.values import Capture, DepthEstimate, PsfBank, Reconstruction
-from recon.depth.method import applied
+from recon.depth.method import run_method
 
 NAME = re.compile(r"[A-Za-z][A-Za-z0-9_-]*")  # that a user may give a method of their own
 
@@ -112,7 +112,7 @@ def reconstructed(
 
 def estimated(capture: Capture, bank: PsfBank, method: NamedMethod) -> DepthEstimate:
     """The depth estimate of a method alone, checked as :func:`reconstructed` checks it."""
-    return applied(_guarded(function(method)), capture, bank)
+    return run_method(_guarded(function(method)), capture, bank)
 
 
 def _guarded(method: recon.Method) -> recon.Method:

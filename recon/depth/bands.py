@@ -1,17 +1,20 @@
-"""Levels from the transfer between two channels, measured band by band around each sample.
+"""Blur levels from the transfer between two channels, measured in frequency bands around each sample.
 
-Deviation from eq. (9)-(12), the preset ``bands``. The paper deblurs infrared with one weight for the frame and takes
-the NCC of gradients. Where infrared is weak or the blurrier channel (near focus, by diffraction), its noise then is
-mistaken for blur, and levels near focus are overestimated by up to four. Here energies of both channels and their
-product are averaged in bands around each sample, wide enough that their impulse responses stay within the patch; for a
-texture of power S in one,
+Deviation from eq. (9)-(12), the preset ``bands``. The paper deblurs infrared with one weight for the whole frame and
+maximises the NCC of gradients. Where infrared is weak, or is the blurrier channel (near focus, because of
+diffraction), its noise is then mistaken for blur, and levels near focus are overestimated by up to four.
 
-    <I I> = S |H_IR|^2 + s_IR^2,   <G I> = g T (<I I> - s_IR^2),   T = S H_G conj(H_IR) / (S |H_IR|^2),
+Here, the energies <I I> of infrared and <G G> of green and their product <G I> are averaged in each band around each
+sample. The bands are wide enough that their impulse responses stay within the patch. For a texture of power S and gain
+g between the channels, and noise of variance s_IR^2,
 
-so that the residual <G I> - g T (<I I> - s_IR^2) is zero on average at the true level whatever the texture, how
-strong it is, and how much of green's texture infrared does not share: the noise is known from the sensor. Red is
-compared in the same way: a red flower has no green texture. The patch follows the surface: samples count by how alike
-their ratio of visible to infrared is, which texture changes less than the step from one material to the next.
+    <I I> = S |H_IR|^2 + s_IR^2,   <G I> = g T (<I I> - s_IR^2),   T = S H_G conj(H_IR) / (S |H_IR|^2).
+
+The residual <G I> - g T (<I I> - s_IR^2) has mean zero at the true level, whatever the texture, its contrast, and the
+part of green's texture that is absent from infrared. The noise variance is known from the sensor. Red is compared in
+the same way, because some surfaces, such as a red flower, have no texture in green. The patch follows the surface:
+samples are weighted by the similarity of their ratio of visible light to infrared, which varies less within a material
+than between materials.
 """
 
 from __future__ import annotations
@@ -28,64 +31,72 @@ from numpy.typing import NDArray
 from dasim.typing import Complex64Array, Float32Array, FloatArray
 from recon import fourier
 from recon.depth.channels import Also, Channel
-from recon.depth.grid import Grid, plane_mean, transform, window_mean
-from recon.settings import Settings
+from recon.depth.grid import Grid, Window, plane_mean, transform, window_mean
 
-BANDS = 7  # a ring's impulse response reaches about 1 / width: 33 px, as the patch; narrower ones smear over objects
-LOWEST_CYCLES_PX = 0.025  # below, shading differs between channels
-HIGHEST_CYCLES_PX = 0.235  # beyond, green of a mosaic is aliased near focus
-GUIDE_BLUR_PX = 4.0  # of the planes, whose ratio tells materials apart
-UNLIKE = 0.12  # in the logarithm of that ratio: weight exp(-1/2)
-TAP_PX = 8  # between the samples of a patch; each is a mean itself, of TAP_BLUR taps
-TAP_BLUR = 0.6
-FARTHEST = np.float32(8.0)  # exponent of a weight that is not worth adding
-TABLE_GRID = 192  # samples per side, on which the transfers of the levels are tabulated
-GAIN_STEPS = 2  # the weights depend on the gain: once without, once with it
+BANDS = 7  # a band's impulse response reaches about 1 / width = 33 px, the patch; narrower bands mix objects
+LOWEST_CYCLES_PX = 0.025  # at lower frequencies, shading differs between channels
+HIGHEST_CYCLES_PX = 0.235  # at higher frequencies, green of a mosaic is aliased near focus
+GUIDE_BLUR_PX = 4.0  # sigma of the blur of the planes whose ratios separate materials
+GUIDE_SIGMA = 0.12  # difference in the logarithm of these ratios at which a sample's weight is exp(-1/2)
+TAP_PX = 8  # spacing of the samples of a patch in the weighted mean
+TAP_BLUR = 0.6  # sigma of the blur before that mean, in tap spacings
+LARGEST_EXPONENT = np.float32(8.0)  # samples of weight below exp(-8) are skipped
+TABLE_GRID = 192  # samples per side of the grid on which the transfers of the levels are tabulated
+GAIN_STEPS = 2  # iterations of the gain, on which the weights depend: first without it, then with it
 SMALLEST_GAIN = 1e-3
 TINY = np.float32(1e-12)
 
 
 class Energies(NamedTuple):
-    """Means over the patch in each band, [band, h, w]; noise variances [h, w]; independent values in each, [band]."""
+    """Energies of two channels, means over the patch."""
 
-    green: Float32Array
-    sharper: Float32Array
-    product: Float32Array
-    green_noise: Float32Array
-    sharper_noise: Float32Array
-    values: FloatArray
+    green: Float32Array  # <G G>, [band, h, w]
+    sharper: Float32Array  # <I I>, [band, h, w]
+    product: Float32Array  # <G I>, [band, h, w]
+    green_noise: Float32Array  # variance, [h, w]
+    sharper_noise: Float32Array  # variance, [h, w]
+    values: FloatArray  # independent values in the patch, [band]
 
 
 def scored(
-    sharper: Channel, visible: Also, spectrum: Complex64Array, grid: Grid, settings: Settings
-) -> tuple[Float32Array, Float32Array]:
-    """Scores by :mod:`recon.depth.bands`, of visible channels without their infrared; and 1 in place of an NCC.
+    sharper: Channel, visible: Also, spectrum: Complex64Array, grid: Grid, window: Window, *, alike: bool
+) -> Float32Array:
+    """Log likelihood of each level, [level, h, w], summed over the visible channels without their infrared.
 
-    Deviation: the paper compares unprocessed channels, with kernels that hold white's share of infrared in green. The
-    share differs from material to material (a leaf has far more), and with it green's blur: taken off on both sides.
-    The channels count as independent.
+    Deviation: the paper compares unprocessed channels, with kernels that contain white's share of infrared in green.
+    This share, and with it green's blur, differs between materials (it is far larger for a leaf). Infrared is
+    therefore subtracted from both picture and kernels. The channels are treated as independent.
+
+    Args:
+        sharper: the infrared channel.
+        visible: visible channels with their share of infrared.
+        spectrum: spectrum of the infrared plane, [h, w/2 + 1].
+        grid: the padded grid.
+        window: the patch.
+        alike: whether the patch follows the surface (:func:`guide`).
     """
     (height, width), spacing_px = grid.frame, grid.spacing_px
-    spectra, noise = [spectrum], [sharper[2]]
-    for (plane, phase, variance, _), leak in visible:
-        own = transform(plane, phase, grid.shape, spacing_px)
-        spectra.append(own - np.complex64(leak.alpha) * spectrum)
-        noise.append((variance + leak.alpha**2 * sharper[2]).astype(np.float32))
-    planes = [np.ascontiguousarray(c[0][:height, :width]) for c in (sharper, *(channel for channel, _ in visible))]
-    floors = [np.sqrt(c[2]) for c in (sharper, *(channel for channel, _ in visible))]
-    likeness = guide(planes[0], planes[1:], floors, spacing_px) if settings.alike else None
+    channels = (sharper, *(channel for channel, _ in visible))
+    spectra, noise = [spectrum], [sharper.variance]
+    for channel, leak in visible:
+        visible_spectrum = transform(channel.plane, channel.phase, grid.shape, spacing_px)
+        spectra.append(visible_spectrum - np.complex64(leak.alpha) * spectrum)
+        noise.append((channel.variance + leak.alpha**2 * sharper.variance).astype(np.float32))
+    planes = [np.ascontiguousarray(channel.plane[:height, :width]) for channel in channels]
+    floors = [np.sqrt(channel.variance) for channel in channels]
+    likeness = guide(planes[0], planes[1:], floors, spacing_px) if alike else None
     leaks = [leak.alpha for _, leak in visible]
-    pairs = energies(spectra, noise, (grid.shape, grid.frame), settings, spacing_px, leaks, likeness)
-    score = np.zeros((len(sharper[3]), height, width), np.float32)
+    pairs = energies(spectra, noise, (grid.shape, grid.frame), window, spacing_px, leaks, likeness)
+    score = np.zeros((len(sharper.kernels), height, width), np.float32)
     for pair, (channel, leak) in zip(pairs, visible, strict=True):
         share = leak.alpha * leak.white
-        kernels = (channel[3] - share * sharper[3]) / (1 - share)
-        score += log_likelihood(pair, transfers(sharper[3], kernels, spacing_px))
-    return score, np.ones(grid.frame, np.float32)
+        kernels = (channel.kernels - share * sharper.kernels) / (1 - share)
+        score += log_likelihood(pair, transfers(sharper.kernels, kernels, spacing_px))
+    return score
 
 
 def filters(shape: tuple[int, int], spacing_px: float) -> list[Float32Array]:
-    """Rings of frequencies [h, w/2 + 1], half overlapping; their squares add up to one within the range."""
+    """Ring-shaped band-pass filters, [h, w/2 + 1], that overlap by half; their squares sum to 1 within the range."""
     radius = np.hypot(*fourier.frequencies(shape, spacing_px))
     edges = np.linspace(LOWEST_CYCLES_PX, HIGHEST_CYCLES_PX, BANDS + 1)
     width = edges[1] - edges[0]
@@ -94,18 +105,18 @@ def filters(shape: tuple[int, int], spacing_px: float) -> list[Float32Array]:
 
 
 def transfers(kernels: NDArray, green_kernels: NDArray, spacing_px: float) -> Float32Array:
-    """T of each level and band, [level, band], for a texture of natural spectrum (power 1/f^2) within the band."""
+    """T of each level and band, [level, band], for a texture of natural power spectrum 1/f^2 within the band."""
     shape = (TABLE_GRID, TABLE_GRID)
-    own = fourier.transfer(kernels, shape, spacing_px)
-    other = fourier.transfer(green_kernels, shape, spacing_px)
+    infrared = fourier.transfer(kernels, shape, spacing_px)
+    green = fourier.transfer(green_kernels, shape, spacing_px)
     radius = np.hypot(*fourier.frequencies(shape, spacing_px))
     texture = np.maximum(radius, 0.5 / (TABLE_GRID * spacing_px)) ** -2
     table = np.empty((len(kernels), BANDS), np.float32)
     for index, ring in enumerate(filters(shape, spacing_px)):
         weight = texture * ring**2
         for level in range(len(kernels)):
-            cross = plane_mean(weight * (other[level] * np.conj(own[level])).real, TABLE_GRID)
-            power = plane_mean(weight * np.abs(own[level]) ** 2, TABLE_GRID)
+            cross = plane_mean(weight * (green[level] * np.conj(infrared[level])).real, TABLE_GRID)
+            power = plane_mean(weight * np.abs(infrared[level]) ** 2, TABLE_GRID)
             table[level, index] = cross / max(power, 1e-20)
     return table
 
@@ -114,69 +125,76 @@ def energies(
     spectra: Sequence[Complex64Array],
     noise: Sequence[Float32Array],
     grid: tuple[tuple[int, int], tuple[int, int]],
-    settings: Settings,
+    window: Window,
     spacing_px: float,
     leaks: Sequence[float] = (),
     likeness: Float32Array | None = None,
 ) -> list[Energies]:
-    """Energies by bands of the sharper channel with each of the visible ones, from spectra and noise variances.
+    """Energies in each band of the sharper channel with each visible one.
 
-    The sharper channel comes first; ``grid`` is the padded shape and the frame. ``leaks`` times the sharper channel
-    was taken off the visible ones before: their noises then have a product, undone here. ``likeness`` [n, h, w] as
-    from :func:`guide` shapes the patches.
+    Args:
+        spectra: spectra of the channels, [h, w/2 + 1] each, the sharper one first.
+        noise: noise variances of the channels, [h, w] each, in the same order.
+        grid: shape of the padded grid, and of the frame on it.
+        window: the patch.
+        spacing_px: sample spacing, raw pixels.
+        leaks: multiples of the sharper channel that were subtracted from each visible one. Their noise is then
+            correlated, which is corrected here.
+        likeness: the patches' guide [n, h, w] (:func:`guide`); None for the plain window.
     """
     shape, frame = grid
     rings = filters(shape, spacing_px)
     share = np.array([plane_mean(ring**2, shape[1]) for ring in rings])
     visible = len(spectra) - 1
-    found = np.empty((1 + 2 * visible, len(rings), *frame), np.float32)
+    parts = np.empty((1 + 2 * visible, len(rings), *frame), np.float32)
     for index, ring in enumerate(rings):
         sharper, *others = (fourier.inverse(s * ring, shape)[: frame[0], : frame[1]] for s in spectra)
-        parts = [sharper * sharper, *(o * o for o in others), *(o * sharper for o in others)]
-        for part, image in enumerate(parts):
-            found[part, index] = image / np.float32(share[index])
-    stack = np.concatenate([found.reshape(-1, *frame), np.stack(noise)])
-    stack = _means(stack, settings, spacing_px, likeness)
-    found = stack[: -len(noise)].reshape(found.shape)
+        images = [sharper * sharper, *(o * o for o in others), *(o * sharper for o in others)]
+        for part, image in enumerate(images):
+            parts[part, index] = image / np.float32(share[index])
+    stack = np.concatenate([parts.reshape(-1, *frame), np.stack(noise)])
+    stack = _means(stack, window, spacing_px, likeness)
+    parts = stack[: -len(noise)].reshape(parts.shape)
     variances = stack[-len(noise) :]
-    samples = 4 * np.pi * (settings.window_px / spacing_px) ** 2 / 12 * share  # of a Gaussian patch
+    samples = 4 * np.pi * (window.side_px / spacing_px) ** 2 / 12 * share  # of a Gaussian patch
     pairs = []
     for number, leak in zip(range(1, visible + 1), leaks or [0.0] * visible, strict=True):
-        product = found[visible + number] + np.float32(leak) * variances[0]
-        pairs.append(Energies(found[number], found[0], product, variances[number], variances[0], samples))
+        product = parts[visible + number] + np.float32(leak) * variances[0]
+        pairs.append(Energies(parts[number], parts[0], product, variances[number], variances[0], samples))
     return pairs
 
 
 def guide(
     sharper: Float32Array, visible: Sequence[Float32Array], floors: Sequence[Float32Array], spacing_px: float
 ) -> Float32Array:
-    """Logarithms of the visible channels' ratios to the sharper one, in units of UNLIKE, [n, h, w].
+    """Logarithms of the ratios of the visible channels to the sharper one, in units of ``GUIDE_SIGMA``, [n, h, w].
 
-    ``floors`` are the least values that count, the sharper channel's first: standard deviations of the noise.
+    ``floors`` are lower bounds of the planes, [h, w] each, the sharper channel's first: noise standard deviations.
     """
     blurred = [
         np.log(np.maximum(cv2.GaussianBlur(plane, (0, 0), GUIDE_BLUR_PX / spacing_px), floor))
         for plane, floor in zip((sharper, *visible), floors, strict=True)
     ]
-    return np.stack([(image - blurred[0]) / UNLIKE for image in blurred[1:]]).astype(np.float32)
+    return np.stack([(image - blurred[0]) / GUIDE_SIGMA for image in blurred[1:]]).astype(np.float32)
 
 
-def _means(stack: Float32Array, settings: Settings, spacing_px: float, likeness: Float32Array | None) -> Float32Array:
-    """Means over the patch of images [n, h, w], of samples that look alike where ``likeness`` is given."""
+def _means(stack: Float32Array, window: Window, spacing_px: float, likeness: Float32Array | None) -> Float32Array:
+    """Means over the patch of images [n, h, w], weighted by similarity of ``likeness`` [m, h, w] where it is given."""
     if likeness is None:
-        return np.stack([window_mean(image, settings, spacing_px) for image in stack])
+        return np.stack([window_mean(image, window, spacing_px) for image in stack])
     step = max(round(TAP_PX / spacing_px), 1)
-    sigma = settings.window_px / spacing_px / np.sqrt(12)
+    sigma = window.side_px / spacing_px / np.sqrt(12)
     taps = np.stack([cv2.GaussianBlur(i, (0, 0), TAP_BLUR * step, borderType=cv2.BORDER_REFLECT) for i in stack])
     result = np.empty_like(taps)
-    _alike(taps, likeness, int(np.ceil(2 * sigma / step)), step, np.float32(sigma), result)
+    _bilateral(taps, likeness, int(np.ceil(2 * sigma / step)), step, np.float32(sigma), result)
     return result
 
 
 @njit(cache=True, parallel=True, fastmath=True)
-def _alike(  # pragma: no cover - compiled
+def _bilateral(  # pragma: no cover - compiled
     stack: Float32Array, likeness: Float32Array, radius: int, step: int, sigma: np.float32, result: Float32Array
 ) -> None:
+    """Bilateral means: Gaussian weights in space (``sigma`` samples) and in ``likeness`` (unit sigma)."""
     images, height, width = stack.shape
     for y in prange(height):
         total = np.empty(images, np.float32)
@@ -194,7 +212,7 @@ def _alike(  # pragma: no cover - compiled
                     exponent = np.float32((dy * step) ** 2 + (dx * step) ** 2) / (2 * sigma * sigma)
                     for c in range(likeness.shape[0]):
                         exponent += (likeness[c, y, x] - likeness[c, yy, xx]) ** 2 / 2
-                    if exponent > FARTHEST:
+                    if exponent > LARGEST_EXPONENT:
                         continue
                     weight = np.exp(-exponent)
                     norm += weight
@@ -204,17 +222,18 @@ def _alike(  # pragma: no cover - compiled
                 result[k, y, x] = total[k] / norm
 
 
-def log_likelihood(found: Energies, table: Float32Array) -> Float32Array:
-    """Logarithm of each level's likelihood at every sample, [level, h, w], up to a constant.
+def log_likelihood(pair: Energies, table: Float32Array) -> Float32Array:
+    """Log likelihood of each level at every sample, [level, h, w], up to a constant; ``table`` [level, band] holds T.
 
-    -1/2 sum over the bands of r^2 / var(r), r the residual above with the best gain g;
-    var(r) = <I I> (V + g^2 T^2 s_IR^2 n) / N, V what green has beside (its noise at least), n the noise's share in
-    <I I>, N independent values.
+    -1/2 sum r^2 / var(r) over the bands, with the residual r of the module's docstring at the best gain g, and
+    var(r) = <I I> (V + g^2 T^2 s_IR^2 n) / N. V = <G G> - <G I>^2 / <I I> is the energy of green that infrared does
+    not predict, at least green's noise variance; n = s_IR^2 / <I I> is the share of noise; N is the number of
+    independent values.
     """
-    score = np.empty((len(table), *found.green_noise.shape), np.float32)
+    score = np.empty((len(table), *pair.green_noise.shape), np.float32)
     _fit(
-        found.green, found.sharper, found.product, found.green_noise, found.sharper_noise,
-        found.values.astype(np.float32), table, score,
+        pair.green, pair.sharper, pair.product, pair.green_noise, pair.sharper_noise,
+        pair.values.astype(np.float32), table, score,
     )  # fmt: skip
     return score
 
@@ -230,21 +249,22 @@ def _fit(  # pragma: no cover - compiled
     table: Float32Array,
     score: Float32Array,
 ) -> None:
+    """:func:`log_likelihood`, pixel by pixel."""
     levels, bands = table.shape
     for y in prange(green_noise.shape[0]):
-        own = np.empty(bands, np.float32)
+        power = np.empty(bands, np.float32)
         signal = np.empty(bands, np.float32)
-        beside = np.empty(bands, np.float32)
-        passed = np.empty(bands, np.float32)
+        unpredicted = np.empty(bands, np.float32)
+        noise_power = np.empty(bands, np.float32)
         for x in range(green_noise.shape[1]):
             noise = sharper_noise[y, x]
             for b in range(bands):
                 energy = sharper[b, y, x]
-                own[b] = max(energy, noise) + TINY
+                power[b] = max(energy, noise) + TINY
                 signal[b] = max(energy - noise, np.float32(0))
                 rest = green[b, y, x] - product[b, y, x] ** 2 / (energy + TINY)
-                beside[b] = max(rest, green_noise[y, x]) + TINY
-                passed[b] = noise * noise / own[b]
+                unpredicted[b] = max(rest, green_noise[y, x]) + TINY
+                noise_power[b] = noise * noise / power[b]
             for k in range(levels):
                 gain = np.float32(0)
                 for _ in range(GAIN_STEPS):
@@ -252,25 +272,28 @@ def _fit(  # pragma: no cover - compiled
                     bottom = TINY
                     for b in range(bands):
                         step = table[k, b] * signal[b]
-                        variance = beside[b] + (gain * table[k, b]) ** 2 * passed[b]
-                        weight = count[b] / (own[b] * variance)
+                        variance = unpredicted[b] + (gain * table[k, b]) ** 2 * noise_power[b]
+                        weight = count[b] / (power[b] * variance)
                         top += weight * product[b, y, x] * step
                         bottom += weight * step * step
                     gain = max(top / bottom, np.float32(SMALLEST_GAIN))
                 total = np.float32(0)
                 for b in range(bands):
                     rest = product[b, y, x] - gain * table[k, b] * signal[b]
-                    variance = beside[b] + (gain * table[k, b]) ** 2 * passed[b]
-                    total += count[b] * rest * rest / (own[b] * variance)
+                    variance = unpredicted[b] + (gain * table[k, b]) ** 2 * noise_power[b]
+                    total += count[b] * rest * rest / (power[b] * variance)
                 score[k, y, x] = -total / 2
 
 
 def standard_error(score: Float32Array) -> Float32Array:
-    """Standard deviation of the level, [h, w], its likelihood [level, h, w] taken for a probability."""
+    """Standard deviation of the level, [h, w], with the normalised likelihood as probability of each level.
+
+    ``score`` is the log likelihood, [level, h, w].
+    """
     top = score.max(axis=0)
     total, first, second = np.zeros((3, *top.shape), np.float32)
-    for level, one in enumerate(score):
-        weight = np.asarray(cv2.exp(one - top), np.float32).reshape(top.shape)
+    for level, plane in enumerate(score):
+        weight = np.asarray(cv2.exp(plane - top), np.float32).reshape(top.shape)
         total += weight
         first += weight * level
         second += weight * level**2

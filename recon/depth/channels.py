@@ -1,4 +1,4 @@
-"""Channels as they are compared: planes with their phase, noise and kernels."""
+"""Channels of a depth comparison: colour planes with their phase, noise and kernels."""
 
 from __future__ import annotations
 
@@ -10,16 +10,22 @@ from numpy.typing import NDArray
 from dasim.typing import Float32Array
 from recon.picture.mosaic import Phase
 
-Channel = tuple[Float32Array, Phase, Float32Array, NDArray]
-"""Plane [h, w], phase, noise variance [h, w], kernels [level, y, x]."""
+
+class Channel(NamedTuple):
+    """A colour plane and its kernels at every blur level."""
+
+    plane: Float32Array  # [h, w] electrons
+    phase: Phase  # (row, column) of its first sample in the mosaic's 2x2 block
+    variance: Float32Array  # [h, w] of the noise
+    kernels: NDArray  # [level, y, x] raw pixels
 
 
 class Leak(NamedTuple):
-    """Infrared in a channel: alpha of eq. (8), and a white point's infrared electrons relative to the channel's own."""
+    """Share of infrared in a visible channel."""
 
-    alpha: float
-    white: float
+    alpha: float  # of eq. (8)
+    white: float  # infrared electrons of a white point, relative to the channel's
 
 
 Also = Sequence[tuple[Channel, Leak]]
-"""Further visible channels, compared in the same way by the score ``bands``."""
+"""Further visible channels that the score ``bands`` compares with infrared."""

@@ -1,4 +1,4 @@
-"""Raw levels of a capture (sec. 5.2-5.3): infrared against green, then red or blue where infrared shows no edge.
+"""Raw blur levels of a capture (sec. 5.2-5.3): infrared against green, or red or blue where infrared has no edge.
 
 Tested in tests/recon/depth/test_tiles.py and tests/recon/depth/test_scores.py.
 """
@@ -16,21 +16,22 @@ from dasim.values import Capture
 from recon.depth import tiles
 from recon.depth.channels import Also, Channel, Leak
 from recon.depth.grid import PLANE_SPACING_PX, window_mean
+from recon.depth.scores import window_of
 from recon.picture import infrared, mosaic
 from recon.settings import Settings
 
-NOISE_BLUR_PX = 1.5  # plane pixels: the signal that decides the noise is a local mean
-FALLBACK_TRUST = 0.25  # of red or blue in place of infrared: their blur differs little (sec. 5.3)
+NOISE_BLUR_PX = 1.5  # sigma in plane pixels of the local mean that the noise variance is computed from
+FALLBACK_TRUST = 0.25  # factor on the confidence of red and blue, whose blur differs little from green's (sec. 5.3)
 
 
 def variances(raw_e: Float32Array, capture: Capture) -> dict[str, Float32Array]:
-    """Noise variance of every colour plane's pixels: from the data sheet, raised where the picture shows more noise."""
-    found = {}
+    """Noise variance of each colour plane, [h/2, w/2]: from the data sheet, or higher where the picture is noisier."""
+    variances = {}
     for name, plane in mosaic.planes(raw_e, capture.camera).items():
         smooth = cv2.GaussianBlur(plane, (0, 0), NOISE_BLUR_PX)
         variance: Float32Array = mosaic.noise_variance(capture).at(smooth)
-        found[name] = variance * mosaic.noise_excess(plane, variance)
-    return found
+        variances[name] = variance * mosaic.noise_excess(plane, variance)
+    return variances
 
 
 def raw_levels(
@@ -42,55 +43,65 @@ def raw_levels(
     settings: Settings,
     white: NDArray,
 ) -> tuple[Float32Array, Float32Array]:
-    """Eq. (12) for every block of the mosaic, NaN where neither infrared nor red nor blue has an edge; confidence."""
-    places, planes = mosaic.phases(camera), mosaic.planes(raw_e, camera)
+    """Level of eq. (12) and its confidence 0..1 for every 2x2 block of the mosaic, [h/2, w/2]; NaN without an edge.
+
+    Args:
+        raw_e: linear mosaic, [h, w] electrons.
+        variances: noise variance of each colour plane, [h/2, w/2].
+        saturated: mask of saturated pixels, [h, w].
+        camera: gives mosaic and response curves.
+        kernels: kernels under the light, [level, channel, y, x].
+        settings: score, window and thresholds.
+        white: electrons of a white point under the light, [channel].
+    """
+    phases, planes = mosaic.phases(camera), mosaic.planes(raw_e, camera)
+    alpha = infrared.crosstalk(camera.sensor, settings.crosstalk)
 
     def channel(name: str, box: tuple[slice, slice]) -> Channel:
         plane = np.ascontiguousarray(planes[name][box])
-        return plane, places[name], variances[name][box], kernels[:, CHANNELS.index(name)]
+        return Channel(plane, phases[name], variances[name][box], kernels[:, CHANNELS.index(name)])
 
-    leak = _leak("G", camera, white, settings)
+    leak = _leak("G", alpha, white)
     further = ["R"] if settings.score == "bands" and "R" in _fallbacks(camera) else []
-    usable = window_mean(mosaic.blocks_any(saturated).astype(np.float32), settings) < settings.saturated_share
+    clipped_share = window_mean(mosaic.saturated_blocks(saturated).astype(np.float32), window_of(settings))
     level = np.full(planes["G"].shape, np.nan, np.float32)
     confidence = np.zeros_like(level)
-    open_ = usable.copy()  # no channel has shown an edge there yet
+    unresolved = clipped_share < settings.saturated_share  # blocks in which no channel has had an edge yet
     for name in ["IR", *(_fallbacks(camera) if settings.fallback else [])]:
-        box = _around(open_, round(settings.window_px / PLANE_SPACING_PX) * 2)
+        box = _around(unresolved, round(settings.window_px / PLANE_SPACING_PX) * 2)
         if box is None:
             break
         also: Also = []
         if name == "IR":
-            also = [(channel(n, box), _leak(n, camera, white, settings)) for n in further]
+            also = [(channel(n, box), _leak(n, alpha, white)) for n in further]
         best, trust, snr, green_snr = tiles.best_levels(
             channel(name, box), channel("G", box), settings, leak if name == "IR" else None, also
         )
-        edge = open_[box] & (snr > settings.edge_snr) & (green_snr > settings.edge_snr)
+        edge = unresolved[box] & (snr > settings.edge_snr) & (green_snr > settings.edge_snr)
         new = edge & (trust > 0) & (trust >= settings.least_confidence)
         level[box][new] = best[new]
         confidence[box][new] = (trust if name == "IR" else FALLBACK_TRUST * trust)[new]
-        open_[box] &= (snr <= settings.edge_snr) & (green_snr > settings.edge_snr)
+        unresolved[box] &= (snr <= settings.edge_snr) & (green_snr > settings.edge_snr)
     return level, confidence
 
 
 def _around(mask: NDArray, margin: int) -> tuple[slice, slice] | None:
-    """The smallest part of a mask [h, w] that holds all of it and a margin; None where it is empty."""
+    """The bounding box of a mask [h, w] with a margin, rows and columns; None for an empty mask."""
     parts = []
     for axis in (1, 0):
-        place = np.flatnonzero(mask.any(axis=axis))
-        if not place.size:
+        index = np.flatnonzero(mask.any(axis=axis))
+        if not index.size:
             return None
-        parts.append(slice(max(int(place[0]) - margin, 0), int(place[-1]) + margin + 1))
+        parts.append(slice(max(int(index[0]) - margin, 0), int(index[-1]) + margin + 1))
     return parts[0], parts[1]
 
 
-def _leak(name: str, camera: Camera, white: NDArray, settings: Settings) -> Leak:
-    """Share of infrared in a channel, measured or from eq. (8), and that of a ``white`` point [channel]."""
-    alpha = infrared.crosstalk(camera.sensor, settings.crosstalk)
-    own = CHANNELS.index(name)
-    return Leak(float(alpha[own]), float(white[CHANNELS.index("IR")] / white[own]))
+def _leak(name: str, alpha: NDArray, white: NDArray) -> Leak:
+    """Infrared in a visible channel, from ``alpha`` [3] of eq. (8) and the electrons of a ``white`` point [channel]."""
+    index = CHANNELS.index(name)
+    return Leak(float(alpha[index]), float(white[CHANNELS.index("IR")] / white[index]))
 
 
 def _fallbacks(camera: Camera) -> list[str]:
-    """Channels that stand in for infrared: those whose planes are sampled, not filled in between."""
+    """Channels that replace infrared where it has no edge: those whose planes are fully sampled."""
     return [name for name in "RB" if mosaic.grids(camera)[name][0].step == 2]

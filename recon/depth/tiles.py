@@ -1,7 +1,7 @@
-"""Raw levels of frames of any size: compared tile by tile, with the weights of the whole frame.
+"""Raw levels of frames of any size, tile by tile, with the weights of the whole frame.
 
-The scores of all levels of a frame of 50 Mpx would fill 3 GB. Weights of eq. (9) and thresholds are measured once for
-the frame; a tile has a halo as wide as its filters and windows reach.
+The scores of all levels of a 50-megapixel frame would need 3 GB. The weights of eq. (9) are measured once for the
+frame. Each tile has a halo as wide as the reach of filters and windows.
 """
 
 from __future__ import annotations
@@ -20,30 +20,30 @@ from recon.depth.channels import Also, Channel, Leak
 from recon.depth.scores import Signals
 from recon.settings import Settings
 
-TILE = 1024  # samples of a colour plane: a frame of 4 Mpx and less is one tile
-BLEND = 16  # samples between the two ends of a tile, beyond the halo
-HALO = 128  # samples around a tile: kernels, the tails of their inverse, and the window
+TILE = 1024  # samples per side, on a colour plane: a frame of up to 4 megapixels is one tile
+BLEND = 16  # samples of the blended strip that makes a tile with its halo periodic
+HALO = 128  # samples around a tile: reach of the kernels, of their inverses, and of the window
 
 
 class Levels(NamedTuple):
-    """The best level of every sample [h, w], and the figures that decide whether to trust it."""
+    """The best level of every sample, its confidence, and signal-to-noise ratios, [h, w] each."""
 
     level: Float32Array
-    confidence: Float32Array  # 0 where the NCC is not positive
-    snr: Float32Array
+    confidence: Float32Array  # 0..1; 0 where the NCC is not positive
+    snr: Float32Array  # of the sharper channel's gradients
     green_snr: Float32Array
 
 
 class Tile(NamedTuple):
-    """A part of a frame [h, w]: where it lies, with its halo, and where in that."""
+    """A tile of a frame, rows and columns."""
 
-    core: tuple[slice, slice]
-    box: tuple[slice, slice]
-    inner: tuple[slice, slice]
+    core: tuple[slice, slice]  # the tile in the frame
+    box: tuple[slice, slice]  # the tile with its halo in the frame
+    inner: tuple[slice, slice]  # the tile in the box
 
 
 def tiles(shape: tuple[int, ...], size: int = TILE, halo: int = HALO) -> Iterator[Tile]:
-    """Tiles that cover a frame once, none much smaller than the others."""
+    """Tiles of about equal size, at most ``size`` samples per side, that cover a frame [h, w] once."""
     spans = []
     for length in shape[:2]:
         edges = np.linspace(0, length, -(-length // size) + 1).astype(int)
@@ -67,47 +67,50 @@ def best_levels(
     size: int = TILE,
     halo: int = HALO,
 ) -> Levels:
-    """:func:`recon.depth.scores.match` and :func:`recon.depth.peak.best_level` in tiles of ``size`` samples."""
-    frame = sharper[2].shape
+    """The level of the best score at every sample (:func:`recon.depth.peak.best_level`), in tiles.
+
+    ``size`` and ``halo`` are in samples. Only the score ``bands`` uses ``leak`` and ``also``.
+    """
+    frame = sharper.variance.shape
     parts = list(tiles(frame, size, halo if max(frame) > size else 0))
     channels = (sharper, green, *(channel for channel, _ in also))
     if len(parts) > 1:
         channels = tuple(_padded(channel) for channel in channels)
     cut = partial(_cut, halo=halo) if len(parts) > 1 else lambda channel, part: channel
-    brightest = float(sharper[0].max()), float(green[0].max())
-    measured = Signals(*np.empty((3, *frame), np.float32))
+    brightest = float(sharper.plane.max()), float(green.plane.max())
+    signal = Signals(*np.empty((3, *frame), np.float32))
     for part in parts:
-        found = scores.signals(cut(channels[0], part), cut(channels[1], part), settings, brightest=brightest)
-        for image, own in zip(measured, found, strict=True):
-            image[part.core] = own[part.inner]
-    typical = scores.typical(measured, sharper[3], green[3], settings)
+        in_tile = scores.signals(cut(channels[0], part), cut(channels[1], part), settings, brightest=brightest)
+        for image, tile_image in zip(signal, in_tile, strict=True):
+            image[part.core] = tile_image[part.inner]
+    frame_weights = scores.frame_weights(signal, sharper.kernels, green.kernels, settings)
     level, confidence = np.empty((2, *frame), np.float32)
     for part in parts:
-        classes = [(weights, where[part.box]) for weights, where in typical.classes]
+        classes = [(weights, where[part.box]) for weights, where in frame_weights.classes]
         first, second, *others = (cut(channel, part) for channel in channels)
-        further = [(channel, own) for channel, (_, own) in zip(others, also, strict=True)]
-        score, plain = scores.scores(first, second, classes, settings, leak=leak, also=further)
-        best, trust = peak.best_level(score, plain, typical.offset, settings)
-        level[part.core], confidence[part.core] = best[part.inner], (trust * (plain > 0))[part.inner]
-    return Levels(level, confidence, measured.snr, measured.green_snr)
+        further = [(channel, its_leak) for channel, (_, its_leak) in zip(others, also, strict=True)]
+        score, ncc = scores.scores(first, second, classes, settings, leak=leak, also=further)
+        best, trust = peak.best_level(score, ncc, frame_weights.offset, settings.window_px)
+        trust = trust if ncc is None else trust * (ncc > 0)
+        level[part.core], confidence[part.core] = best[part.inner], trust[part.inner]
+    return Levels(level, confidence, signal.snr, signal.green_snr)
 
 
 def _padded(channel: Channel) -> Channel:
-    """A channel whose plane is the whole frame's as it is taken for periodic."""
-    plane, phase, variance, kernels = channel
-    return fourier.pad_blended(plane, scores.padded_shape(channel)), phase, variance, kernels
+    """A channel whose plane is padded to a periodic one."""
+    return channel._replace(plane=fourier.pad_blended(channel.plane, scores.padded_shape(channel)))
 
 
 def _cut(channel: Channel, part: Tile, halo: int) -> Channel:
-    """A channel in a tile's box, its plane going on around it as the periodic frame does."""
-    plane, phase, variance, kernels = channel
-    return _around(plane, part, halo), phase, np.ascontiguousarray(variance[part.box]), kernels
+    """A channel in a tile's box; its plane includes the halo of the periodic frame."""
+    variance = np.ascontiguousarray(channel.variance[part.box])
+    return channel._replace(plane=_around(channel.plane, part, halo), variance=variance)
 
 
 def _around(plane: Float32Array, part: Tile, halo: int) -> Float32Array:
-    """A tile of a periodic plane with ``halo`` samples all around, in a size of fast transforms.
+    """A tile of a periodic plane with ``halo`` samples on each side, padded to a size of fast transforms.
 
-    The box is at its origin, what lies before it comes last.
+    The tile's box starts at the origin; samples above and to the left of it wrap around to the end.
     """
     places, before = [], []
     for core, box, length in zip(part.core, part.box, plane.shape, strict=True):

@@ -49,7 +49,7 @@ def light_distances(planes: dict[str, NDArray], saturated: NDArray, signature: N
 
 def light_notes(raw_e: Float32Array, saturated: NDArray, camera: Camera, bank: PsfBank) -> tuple[str, ...]:
     """A note where the picture's white lies far from every light of the bank, or cannot be measured."""
-    distance = light_distances(mosaic.planes(raw_e, camera), mosaic.blocks_any(saturated), bank.signature)
+    distance = light_distances(mosaic.planes(raw_e, camera), mosaic.saturated_blocks(saturated), bank.signature)
     if distance is None:
         return (f"the picture is too dark or too bright to measure its light; {bank.lights[0]} is assumed",)
     nearest = int(distance.argmin())

@@ -88,7 +88,7 @@ def linearised(capture: Capture, signature: NDArray, flat: Capture | None, stage
         raw_e, saturated = mosaic.linearise(capture)
         gain = None if flat is None else shading.gain(flat, camera)
     with stage("light"):
-        light = colour.choose_light(mosaic.planes(raw_e, camera), mosaic.blocks_any(saturated), signature)
+        light = colour.choose_light(mosaic.planes(raw_e, camera), mosaic.saturated_blocks(saturated), signature)
     return Linear(raw_e, saturated, light, gain)
 
 

@@ -123,9 +123,9 @@ def planes(mosaic: NDArray, camera: Camera) -> dict[str, NDArray]:
     return found
 
 
-def blocks_any(mask: NDArray) -> NDArray:
-    """2x2 blocks [h/2, w/2] with any pixel of a mask [h, w]."""
-    return mask[::2, ::2] | mask[1::2, ::2] | mask[::2, 1::2] | mask[1::2, 1::2]
+def saturated_blocks(saturated: NDArray) -> NDArray:
+    """Mask [h/2, w/2] of the 2x2 blocks that contain a saturated pixel, from the mask of pixels [h, w]."""
+    return saturated[::2, ::2] | saturated[1::2, ::2] | saturated[::2, 1::2] | saturated[1::2, 1::2]
 
 
 def sites(own: tuple[Grid, ...], shape: tuple[int, ...]) -> BoolArray:

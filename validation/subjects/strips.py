@@ -131,7 +131,7 @@ class Strips:
             for channel, picture in enumerate(blurred):
                 noisy = noise.add_to(picture, channel, random).astype(np.float32)
                 variance = noise.variance(cv2.GaussianBlur(noisy, (0, 0), 1.5), channel).astype(np.float32)
-                planes.append((noisy, (0, 0), variance, kernels[:, pair[channel]]))
+                planes.append(Channel(noisy, (0, 0), variance, kernels[:, pair[channel]]))
             seen, edge = levels_of(planes[0], planes[1], settings, 1.0)
             inner = slice(BORDER_PX, -BORDER_PX)
             bound = bound_of(table[:, number], strength[inner, inner][edge])
@@ -193,7 +193,7 @@ def levels_of(
     ``spacing_px`` is the distance of the channels' samples in pixels of the sensor.
     """
     matches = scores.match(sharper, green, settings, spacing_px)
-    level, _ = best_level(matches.score, matches.plain, matches.offset, settings)
+    level, _ = best_level(matches.score, matches.ncc, matches.offset, settings.window_px)
     border = round(BORDER_PX / spacing_px)
     inner = slice(border, -border)
     edge = (matches.snr > settings.edge_snr) & (matches.green_snr > settings.edge_snr)

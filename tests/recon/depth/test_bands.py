@@ -12,6 +12,7 @@ from recon.settings import PRESETS
 from tests.support import recon_scenes
 
 BANDS = PRESETS["bands"]
+WINDOW = scores.window_of(BANDS)
 BORDER_PX = 45
 WEAK_BIAS_LEVELS = 0.5  # at a noise where the NCC's weight for the frame misses by levels
 
@@ -31,7 +32,7 @@ def test_energies_of_white_noise_are_its_variances():
     noise = [s * random.standard_normal(shape).astype(np.float32) for s in (2, 3)]
     spectra = (fourier.forward(noise[0]), fourier.forward(noise[1]))
     variance = (np.full(shape, 4, np.float32), np.full(shape, 9, np.float32))
-    (found,) = bands.energies(spectra, variance, (shape, shape), BANDS, 2.0)
+    (found,) = bands.energies(spectra, variance, (shape, shape), WINDOW, 2.0)
     values = 256**2 * found.values / (4 * np.pi * (BANDS.window_px / 2) ** 2 / 12)  # independent ones in the frame
     for index, count in enumerate(values):
         # the bands' middles have at least 100 values; five standard deviations of a mean square
@@ -41,7 +42,7 @@ def test_energies_of_white_noise_are_its_variances():
         assert abs(found.product[index].mean() / 6) < slack
 
 
-def pair(level, noise, size=224, seed=0):
+def planes(level, noise, size=224, seed=0):
     """Planes of a natural texture at a level of the bank, one pixel apart, with noise relative to the contrast."""
     bank = recon_scenes.bank()
     kernels = bank.kernel[bank.lights.index("D65")]
@@ -51,17 +52,18 @@ def pair(level, noise, size=224, seed=0):
     spectrum = np.fft.rfft2(random.standard_normal((side, side))) / np.maximum(np.hypot(fy, fx), 0.01)
     texture = np.fft.irfft2(spectrum, (side, side))
     texture = 10 + texture / texture.std()
-    channels = []
+    pair = []
     for index in (3, 1):
         plane = signal.fftconvolve(texture, kernels[level, index].astype(float), "valid")
         plane = (plane + noise * random.standard_normal(plane.shape)).astype(np.float32)
-        channels.append((plane, (0, 0), np.full(plane.shape, noise**2, np.float32), kernels[:, index]))
-    return channels
+        variance = np.full(plane.shape, noise**2, np.float32)
+        pair.append(channels.Channel(plane, (0, 0), variance, kernels[:, index]))
+    return pair
 
 
 def estimates(level, noise):
-    found = scores.match(*pair(level, noise), BANDS, 1.0)
-    value, confidence = peak.best_level(found.score, found.plain, found.offset, BANDS)
+    found = scores.match(*planes(level, noise), BANDS, 1.0)
+    value, confidence = peak.best_level(found.score, found.ncc, found.offset, BANDS.window_px)
     inner = slice(BORDER_PX, -BORDER_PX)
     return value[inner, inner], confidence[inner, inner]
 
@@ -80,10 +82,15 @@ def test_confidence_falls_with_noise():
 
 def test_the_leak_is_taken_off():
     """Green with half of infrared in it, as told by the leak, gives the level of green without."""
-    infrared, green = pair(8, 0.02)
-    mixed = (green[0] + 0.5 * infrared[0], green[1], green[2] * 1.25, (green[3] + 0.5 * infrared[3]) / 1.5)
+    infrared, green = planes(8, 0.02)
+    mixed = channels.Channel(
+        green.plane + 0.5 * infrared.plane,
+        green.phase,
+        green.variance * 1.25,
+        (green.kernels + 0.5 * infrared.kernels) / 1.5,
+    )
     found = scores.match(infrared, mixed, BANDS, 1.0, leak=channels.Leak(0.5, 1 / 1.5))
-    value, _ = peak.best_level(found.score, found.plain, found.offset, BANDS)
+    value, _ = peak.best_level(found.score, found.ncc, found.offset, BANDS.window_px)
     assert abs(np.median(value[45:-45, 45:-45]) - 8) < WEAK_BIAS_LEVELS
 
 
@@ -122,8 +129,8 @@ def test_patches_end_where_the_material_does():
     left = np.arange(96) < 48
     stack = np.where(left, 1, 100).astype(np.float32) * np.ones((1, 64, 96), np.float32)
     likeness = np.where(left, 0, 10).astype(np.float32) * np.ones((1, 64, 96), np.float32)
-    apart = bands._means(stack, BANDS, 2.0, likeness)[0]
-    mixed = bands._means(stack, BANDS, 2.0, None)[0]
+    apart = bands._means(stack, WINDOW, 2.0, likeness)[0]
+    mixed = bands._means(stack, WINDOW, 2.0, None)[0]
     assert ((apart - 1)[:, 44:48] < 0.5 * (mixed - 1)[:, 44:48]).all()
     assert ((100 - apart)[:, 48:52] < 0.5 * (100 - mixed)[:, 48:52]).all()
     np.testing.assert_allclose(apart[:, :24], 1, rtol=0.01)

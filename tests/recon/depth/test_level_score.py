@@ -6,6 +6,7 @@ from scipy import signal
 
 from dasim.spectra.grid import CHANNELS
 from recon.depth import peak, scores
+from recon.depth.channels import Channel
 from recon.settings import PRESETS
 from tests.recon.depth.test_scores import grey
 from tests.support import recon_scenes
@@ -26,14 +27,14 @@ def strips(level, noise, seed=0):
         own = kernels[:, CHANNELS.index(name)]
         blurred = signal.fftconvolve(sharp, own[level].astype(float), mode="valid")
         plane = (blurred + noise * random.standard_normal(blurred.shape)).astype(np.float32)
-        channels.append((plane, (0, 0), np.full(plane.shape, noise**2, np.float32), own))
+        channels.append(Channel(plane, (0, 0), np.full(plane.shape, noise**2, np.float32), own))
     return channels
 
 
 def estimate(level, settings, noise=NOISE):
     infrared, green = strips(level, noise)
     found = scores.match(infrared, green, settings, 1.0)
-    levels, _ = peak.best_level(found.score, found.plain, found.offset, settings)
+    levels, _ = peak.best_level(found.score, found.ncc, found.offset, settings.window_px)
     inner = slice(BORDER_PX, -BORDER_PX)
     return levels[inner, inner]
 

@@ -6,6 +6,7 @@ import pytest
 
 from recon import fourier
 from recon.depth import peak, raw_levels, scores
+from recon.depth.channels import Channel
 from recon.depth.regularise import regularise
 from recon.picture import mosaic
 from recon.settings import PAPER
@@ -38,10 +39,10 @@ def test_clean_pictures_have_no_bias(level):
 
     def channel(index, phase):
         plane = np.ascontiguousarray(mean_e[phase[0] :: 2, phase[1] :: 2, index])
-        return plane, phase, np.full(plane.shape, 1.0, np.float32), bank.kernel[light, :, index]
+        return Channel(plane, phase, np.full(plane.shape, 1.0, np.float32), bank.kernel[light, :, index])
 
-    score, plain, offset, snr, _ = scores.match(channel(3, (1, 1)), channel(1, (0, 0)), PAPER)
-    found, _ = peak.best_level(score, plain, offset, PAPER)
+    score, ncc, offset, snr, _ = scores.match(channel(3, (1, 1)), channel(1, (0, 0)), PAPER)
+    found, _ = peak.best_level(score, ncc, offset, PAPER.window_px)
     textured = snr > 50
     textured[:BORDER_BLOCKS] = textured[-BORDER_BLOCKS:] = False
     textured[:, :BORDER_BLOCKS] = textured[:, -BORDER_BLOCKS:] = False

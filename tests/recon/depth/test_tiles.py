@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from recon.depth import raw_levels, tiles
+from recon.depth.channels import Channel
 from recon.picture import mosaic
 from recon.settings import PRESETS
 from tests.support import recon_scenes
@@ -20,9 +21,9 @@ def channels():
     scene = recon_scenes.make(recon_scenes.slanted(384, 512, 1, 22), white_e=4000)
     camera, bank = scene.capture.camera, recon_scenes.bank()
     raw_e, _ = mosaic.linearise(scene.capture)
-    places, planes = mosaic.phases(camera), mosaic.planes(raw_e, camera)
+    phases, planes = mosaic.phases(camera), mosaic.planes(raw_e, camera)
     variances = raw_levels.variances(raw_e, scene.capture)
-    return [(planes[n], places[n], variances[n], bank.kernel[0, :, i]) for n, i in (("IR", 3), ("G", 1))]
+    return [Channel(planes[n], phases[n], variances[n], bank.kernel[0, :, i]) for n, i in (("IR", 3), ("G", 1))]
 
 
 @pytest.mark.parametrize("preset", PRESETS)

@@ -18,6 +18,7 @@ from dasim.camera.specification import BLUR_LEVELS, Camera
 from dasim.spectra.grid import CHANNELS
 from dasim.typing import FloatArray, ShareDone
 from dasim.values import Capture, PsfBank
+from recon.depth.channels import Channel
 from recon.depth.grid import PLANE_SPACING_PX
 from recon.depth.method import on_blocks
 from recon.picture import mosaic
@@ -214,7 +215,7 @@ def _camera_levels(
         plane = np.ascontiguousarray(planes[name])
         smooth = cv2.GaussianBlur(plane, (0, 0), 1.5)
         variance = mosaic.noise_variance(capture).at(smooth)
-        channels.append((plane, places[name], variance, kernels[:, CHANNELS.index(name)]))
+        channels.append(Channel(plane, places[name], variance, kernels[:, CHANNELS.index(name)]))
     settings = estimator if isinstance(estimator, Settings) else SCORES[OURS[0]]
     found, edge = strips.levels_of(channels[0], channels[1], settings, PLANE_SPACING_PX)
     green = sharp_e[..., CHANNELS.index("G")].astype(np.float64)
