@@ -34,7 +34,7 @@ from dasim.spectra import illuminants
 from dasim.typing import FloatArray
 
 SLOPE_STEP_PX = 0.05  # of visible blur, to each side; the phase at 0.5 cycles/px changes by 0.16 rad
-RADIAL_STEP_PX = 0.2  # of profiles without the pixel, band-limited to 1 / (lambda N) = 1.2 cycles/px
+RADIAL_STEP_PX = 0.2  # of optical profiles, which are band-limited to 1 / (lambda N) = 1.2 cycles/px
 RADIAL_FREQUENCIES = 160  # from 0 to the corner of the patch's band
 TAIL_PX = 40.0  # extent of the diffraction rings beyond the geometric blur
 BLUR, STRENGTH = 0, 1  # indices of the parameters; the gains follow
@@ -46,8 +46,11 @@ BLUR, STRENGTH = 0, 1  # indices of the parameters; the gains follow
 def natural_power(shape: tuple[int, int], *, spacing_px: float = 1.0, contrast: float = 0.1) -> FloatArray:
     """Power spectrum of a natural texture, P ~ 1 / f^2 (Field, J. Opt. Soc. Am. A 4, 1987), [h, w/2 + 1]; 0 at f = 0.
 
-    ``contrast`` is the standard deviation within any octave, in the unit of the picture. The density does not depend on
-    the grid: samples ``spacing_px`` apart have 1 / spacing^2 of its power each.
+    Args:
+        shape: [h, w] of the patch.
+        spacing_px: distance of the samples. The spectral density per px^-2 does not depend on it, so that the power
+            per sample goes with 1 / spacing^2.
+        contrast: standard deviation within any octave, in the unit of the picture.
     """
     radius = _radius(shape, spacing_px)
     density = contrast**2 / (2 * np.pi * np.log(2.0))
@@ -72,10 +75,10 @@ def picture_power(picture: FloatArray, shape: tuple[int, int]) -> FloatArray:
 
 
 def window_area_px(window_px: float) -> float:
-    """Area in px^2 of the box that is as informative as a Gaussian window with the variance of a box of ``window_px``.
+    """Effective area in px^2 of a Gaussian window that has the variance of a box of side ``window_px``.
 
-    An estimate from weighted samples has the variance of one from (sum w)^2 / sum w^2 equally weighted samples, which
-    is 4 pi sigma^2 = pi/3 window^2 for a Gaussian.
+    The effective number of weighted samples is (sum w)^2 / sum w^2, which is 4 pi sigma^2 = pi/3 window^2 for a
+    Gaussian with sigma^2 = window^2 / 12.
     """
     return window_px**2 * (np.pi / 3)
 
@@ -91,11 +94,17 @@ def camera_transfers(
     *,
     spacing_px: float = 1.0,
 ) -> tuple[FloatArray, FloatArray]:
-    """Transfer functions H of a camera's channels and dH/dc, c the visible blur in px: [blur, channel, h, w/2 + 1].
+    """Transfer functions H of a camera's channels, and dH/dc by the visible blur c, both [blur, channel, h, w/2 + 1].
 
-    Several lights give [light, blur, channel, h, w/2 + 1], in little more time than one. H is the Hankel transform of
-    the camera's own wave-optical kernels under an illuminant (:mod:`dasim.camera.pointspread`) times the pixel's sinc,
-    dH/dc a central difference over 0.05 px to each side. All stops must be discs or rings about the axis.
+    H is the Hankel transform of the camera's wave-optical kernels (:mod:`dasim.camera.pointspread`) times the sinc of
+    the pixel; dH/dc is a central difference over 0.05 px to each side. All stops must be discs or rings about the axis.
+
+    Args:
+        camera: the camera.
+        blur_px: visible blurs in px, [blur] or a number.
+        light: an illuminant; several give [light, blur, channel, h, w/2 + 1] in little more time than one.
+        shape: [h, w] of the patch.
+        spacing_px: distance of the samples.
     """
     blurs = np.atleast_1d(np.asarray(blur_px, np.float64))
     both = np.concatenate([blurs - SLOPE_STEP_PX, blurs + SLOPE_STEP_PX])
@@ -118,18 +127,23 @@ def round_transfers(
 ) -> FloatArray:
     """Transfer functions through stops that are discs or rings about the axis, [..., blur, channel, h, w/2 + 1].
 
-    ``blur_px`` are visible blurs [blur], ``spectrum`` is the power of the light, [..., wavelength].
+    Args:
+        camera: the camera.
+        blur_px: visible blurs in px, [blur].
+        spectrum: power of the light, [..., wavelength].
+        shape: [h, w] of the patch.
+        spacing_px: distance of the samples.
     """
     radius = np.arange(RADIAL_STEP_PX / 2, np.abs(blur_px).max() / 2 + TAIL_PX, RADIAL_STEP_PX)
     profiles, _ = pointspread.radial_profiles(camera, blur_px, spectrum, radius)
     ring = profiles * (2 * np.pi * radius * RADIAL_STEP_PX)
     whole = ring.sum(axis=-1, keepdims=True)
     ring = np.divide(ring, whole, out=np.zeros_like(ring), where=whole > 0)
-    wanted = _radius(shape, spacing_px)
-    known = np.linspace(0, float(wanted.max()), RADIAL_FREQUENCIES)
-    along = ring @ j0(2 * np.pi * np.outer(radius, known))
+    frequency = _radius(shape, spacing_px)
+    nodes = np.linspace(0, float(frequency.max()), RADIAL_FREQUENCIES)
+    radial = ring @ j0(2 * np.pi * np.outer(radius, nodes))
     fy, fx = frequencies(shape, spacing_px)
-    full = CubicSpline(known, along, axis=-1)(wanted.ravel()).reshape(*along.shape[:-1], *wanted.shape)
+    full = CubicSpline(nodes, radial, axis=-1)(frequency.ravel()).reshape(*radial.shape[:-1], *frequency.shape)
     return np.asarray(full * (np.sinc(fy) * np.sinc(fx)))
 
 
@@ -141,19 +155,19 @@ def _by_frequency(transfer: NDArray, slope: NDArray, power: NDArray, noise: Arra
     count = transfer.shape[-3]
     signal = np.asarray(gain, np.float64)[..., None, None] * transfer
     change = np.asarray(gain, np.float64)[..., None, None] * slope
-    seen, moved = (np.moveaxis(part, -3, -1)[..., None] for part in (signal, change))  # [..., h, w, channel, 1]
-    scaled = power[..., None, None]
-    own = scaled * (seen @ _adjoint(seen))
-    half = scaled * (moved @ _adjoint(seen))
+    h, dh = (np.moveaxis(part, -3, -1)[..., None] for part in (signal, change))  # [..., h, w, channel, 1]
+    texture = power[..., None, None]
+    covariance = texture * (h @ _adjoint(h))  # of the signal alone
+    half = texture * (dh @ _adjoint(h))
     noises = np.asarray(noise, np.float64)[..., None, None, :, None] * np.eye(count)
-    inverse = np.linalg.inv(own + noises)
-    changes = [half + _adjoint(half), own]
+    inverse = np.linalg.inv(covariance + noises)
+    derivatives = [half + _adjoint(half), covariance]
     for channel in range(1, count):
-        only = np.zeros((count, count))
-        only[channel, channel] = 1.0
-        changes.append(only @ own + own @ only)
-    parts = [inverse @ part for part in changes]
-    information = np.empty((*own.shape[:-4], len(parts), len(parts), *own.shape[-4:-2]))
+        selection = np.zeros((count, count))
+        selection[channel, channel] = 1.0
+        derivatives.append(selection @ covariance + covariance @ selection)
+    parts = [inverse @ derivative for derivative in derivatives]
+    information = np.empty((*covariance.shape[:-4], len(parts), len(parts), *covariance.shape[-4:-2]))
     for a, first in enumerate(parts):
         for b, second in enumerate(parts[: a + 1]):
             trace = 0.5 * np.einsum("...ij,...ji->...", first, second).real
@@ -176,18 +190,18 @@ def blur_deviation(
     """Least standard deviation of an unbiased estimate of blur from one patch, [...], in the unit of the blur.
 
     Args:
-        transfer: H, [..., channel, h, w/2 + 1]
-        slope: dH/dc, of the same shape; its unit gives that of the result
-        power: power spectrum of the texture, [h, w/2 + 1], in the picture's unit squared
-        noise: variance of each channel, [..., channel], in the picture's unit squared
-        width: w of the patch
-        area_px: area of the patch (:func:`window_area_px`), to which the information is proportional; by default that
-            of the grid of the spectra
-        spacing_px: distance of the samples
-        gain: factor of each channel on the texture, [..., channel]
-        texture: ``known``: spectrum, strength and gains are known; ``spectrum``: only the spectrum's shape is known;
-            ``free``: nothing is known, so that the power in every ring of frequencies is a nuisance parameter and only
-            the difference of blur between the channels is informative
+        transfer: H, [..., channel, h, w/2 + 1].
+        slope: dH/dc, of the same shape; the result has the unit of c.
+        power: power spectrum of the texture, [h, w/2 + 1], in the picture's unit squared.
+        noise: variance of each channel, [..., channel], in the picture's unit squared.
+        width: w of the patch in samples.
+        area_px: area of the patch in px^2 (:func:`window_area_px`), to which the information is proportional; by
+            default that of the grid of the spectra.
+        spacing_px: distance of the samples.
+        gain: factor of each channel on the texture, [..., channel].
+        texture: ``known``: spectrum, strength and gains are known. ``spectrum``: only the shape of the spectrum is
+            known. ``free``: nothing is known; the power in every ring of frequencies is a nuisance parameter, so that
+            only the difference in blur between the channels is informative.
 
     The result is infinite where the picture contains no information on the blur.
     """
@@ -197,7 +211,7 @@ def blur_deviation(
         information = _marginal(per_frequency.sum(axis=(-1, -2)))
     elif texture == "free":
         information = _marginal(_without_spectrum(per_frequency, power.shape, width))
-    rounding = NOTHING * np.maximum(whole, np.finfo(float).tiny)
+    rounding = ROUNDING * np.maximum(whole, np.finfo(float).tiny)
     information = np.where(information > rounding, information, 0.0)
     if area_px is not None:
         information = information * (area_px / (power.shape[-2] * width * spacing_px**2))
@@ -207,9 +221,9 @@ def blur_deviation(
 
 def _marginal(information: FloatArray) -> FloatArray:
     """Information of the first parameter with the others marginalised: the Schur complement, [...]."""
-    rest, across = information[..., 1:, 1:], information[..., 1:, 0]
-    # pinv: the gain of a channel without signal is not a parameter
-    return np.asarray(information[..., 0, 0] - np.einsum("...i,...ij,...j->...", across, np.linalg.pinv(rest), across))
+    nuisance, cross = information[..., 1:, 1:], information[..., 1:, 0]
+    inverse = np.linalg.pinv(nuisance)  # singular where a channel has no signal, whose gain is then no parameter
+    return np.asarray(information[..., 0, 0] - np.einsum("...i,...ij,...j->...", cross, inverse, cross))
 
 
 def _without_spectrum(per_frequency: FloatArray, shape: tuple[int, ...], width: int) -> FloatArray:
@@ -219,14 +233,21 @@ def _without_spectrum(per_frequency: FloatArray, shape: tuple[int, ...], width: 
     total = np.zeros((*per_frequency.shape[:-4], len(others), len(others)))
     for number in range(1, ring.max() + 1):
         one = (per_frequency * (ring == number)).sum(axis=(-1, -2))
-        across, own = one[..., others, STRENGTH], one[..., STRENGTH, STRENGTH][..., None, None]
-        outer = across[..., :, None] * across[..., None, :]
-        total += one[..., others, :][..., others] - np.divide(outer, own, out=np.zeros_like(outer), where=own > 0)
+        cross, strength = one[..., others, STRENGTH], one[..., STRENGTH, STRENGTH][..., None, None]
+        outer = cross[..., :, None] * cross[..., None, :]
+        loss = np.divide(outer, strength, out=np.zeros_like(outer), where=strength > 0)
+        total += one[..., others, :][..., others] - loss
     return total
 
 
 def depth_deviation_m(camera: Camera, depth_m: ArrayLike, blur_deviation_px: ArrayLike) -> FloatArray:
-    """Standard deviation of depth from that of visible blur: d^2 p / (A s) per pixel, by c = A s (1/d - 1/d_f)."""
+    """Standard deviation of depth in metres, d^2 p / (A s) sigma_c, from c = A s (1/d - 1/d_f) / p.
+
+    Args:
+        camera: the camera, for aperture A, image distance s and pixel pitch p.
+        depth_m: depth d.
+        blur_deviation_px: standard deviation sigma_c of visible blur.
+    """
     per_px = camera.sensor.pixel_pitch_um * 1e-6 / (geometry.aperture_m(camera) * geometry.image_distance_m(camera))
     return np.asarray(np.asarray(depth_m, np.float64) ** 2 * per_px * np.asarray(blur_deviation_px, np.float64))
 
@@ -236,7 +257,7 @@ def level_deviation(camera: Camera, blur_deviation_px: ArrayLike) -> FloatArray:
     return np.asarray(np.asarray(blur_deviation_px, np.float64) / geometry.level_blur_px(camera)[1])
 
 
-NOTHING = 1e-9  # of the information with all else known: rounding, where there is no information on the blur
+ROUNDING = 1e-9  # smaller shares of the information with everything else known are rounding errors
 
 
 def _adjoint(matrix: NDArray) -> NDArray:

@@ -1,1 +1,1 @@
-"""The wavelength grid, illuminants and colour; start with ``grid``."""
+"""Wavelength grid, illuminants and colour; start with ``grid``."""

@@ -11,34 +11,38 @@ from dasim.spectra import colour_checker, grid
 from dasim.spectra.grid import LUMINANCE
 from dasim.typing import Float32Array, FloatArray
 
-EXPOSED_PERCENTILE = 99.0
-EXPOSED_LUMINANCE = 0.9
-STRIP_ROWS = 256  # rows that are converted at once
-DARKEST = 0.02  # luminance below which the weight of a patch is constant
+EXPOSED_PERCENTILE = 99.0  # of luminance, which the exposure brings to ...
+EXPOSED_LUMINANCE = 0.9  # ... this value
+STRIP_ROWS = 256  # rows converted at a time
+DARKEST = 0.02  # luminance below which the weight of a patch does not increase
 
 
 def fitted_matrix(response: FloatArray, power: FloatArray) -> FloatArray:
     """Matrix [3, 3] from electrons (R, G, B) to linear sRGB under D65.
 
-    ``response`` [3, wavelength] is in electrons per watt, ``power`` [wavelength] is the spectrum of the light. The fit
-    is by least squares over the 24 patches of the ColorChecker, weighted by 1 / luminance, to CIE 1931 colours adapted
-    to D65 (Bradford). White is exact: a perfect diffuser of n green electrons maps to (n, n, n).
+    The matrix is fitted by least squares, weighted by 1 / luminance, to the CIE 1931 colours of the 24 patches of the
+    ColorChecker (ISO 17321-1), adapted to D65 by the Bradford transform. White is exact: a perfect diffuser of n green
+    electrons maps to (n, n, n).
+
+    Args:
+        response: electrons per unit of power, [3, wavelength].
+        power: spectral power of the light, [wavelength], at any scale.
     """
     patches = np.vstack([colour_checker.iso_17321_curves(), np.ones_like(grid.WAVELENGTH_NM)])
-    seen = grid.integrate(patches[:, None, :] * response * power)
-    wanted = _linear_srgb(patches * power)
-    seen_white, wanted_white = seen[-1], wanted[-1]
-    balanced, target = seen[:-1] / seen_white, wanted[:-1] / wanted_white
+    electrons = grid.integrate(patches[:, None, :] * response * power)
+    srgb = _linear_srgb(patches * power)
+    white_electrons, white_srgb = electrons[-1], srgb[-1]
+    balanced, target = electrons[:-1] / white_electrons, srgb[:-1] / white_srgb
     weight = 1 / np.maximum(target @ LUMINANCE, DARKEST)[:, None]
-    # White is exact if every row sums to 1: fit two columns, the third follows.
+    # White is exact if every row sums to 1: two columns are fitted, and the third follows from them.
     difference = weight * (balanced[:, :2] - balanced[:, 2:])
     free, *_ = np.linalg.lstsq(difference, weight * (target - balanced[:, 2:]), rcond=None)
     rows = np.vstack([free, 1 - free.sum(axis=0)]).T
-    return rows / (seen_white / seen_white[1])
+    return rows / (white_electrons / white_electrons[1])
 
 
 def _linear_srgb(power: FloatArray) -> FloatArray:
-    """Linear sRGB [n, 3] of spectra [n, wavelength], adapted from the last one, white, to D65."""
+    """Linear sRGB [n, 3] of spectra [n, wavelength], adapted to D65 from the last spectrum, which is white."""
     import colour
 
     observer = colour.MSDS_CMFS["CIE 1931 2 Degree Standard Observer"]
@@ -50,7 +54,10 @@ def _linear_srgb(power: FloatArray) -> FloatArray:
 
 
 def exposure_scale(linear_e: Float32Array, matrix: FloatArray) -> float:
-    """Factor from electrons to linear sRGB that brings the 99th percentile of luminance to 0.9."""
+    """Factor that brings the 99th percentile of luminance to 0.9; 0 for a black picture.
+
+    ``linear_e`` [..., 3] are electrons, ``matrix`` [3, 3] converts them to linear sRGB.
+    """
     luminance = linear_e.reshape(-1, 3) @ (np.array(LUMINANCE) @ matrix).astype(np.float32)
     bright = float(np.percentile(luminance, EXPOSED_PERCENTILE))
     return EXPOSED_LUMINANCE / bright if bright > 0 else 0.0
@@ -60,7 +67,7 @@ def to_srgb(linear_e: Float32Array, matrix: FloatArray, scale: float) -> Float32
     """Display values 0..1 of linear camera colours [h, w, 3]: matrix, exposure, clip, sRGB curve (IEC 61966-2-1)."""
     to_linear = (scale * matrix.T).astype(np.float32)
     curved = np.empty(linear_e.shape, np.float32)
-    for start in range(0, len(linear_e), STRIP_ROWS):  # saves memory on large frames
+    for start in range(0, len(linear_e), STRIP_ROWS):  # limits the memory for large frames
         linear = np.clip(linear_e[start : start + STRIP_ROWS] @ to_linear, 0, 1)
         curve = 1.055 * linear ** np.float32(1 / 2.4) - 0.055
         curved[start : start + STRIP_ROWS] = np.where(linear <= 0.0031308, 12.92 * linear, curve)

@@ -1,13 +1,14 @@
-"""The 24 patches of the X-Rite (GretagMacbeth) ColorChecker: the chart of scenes and the chart for colour matrices.
+"""The 24 patches of the X-Rite (GretagMacbeth) ColorChecker: one chart for scenes, one for colour matrices.
 
-The chart of scenes reaches from 400 to 830 nm. Up to 720 nm it has the spectra of N. Ohta (1997) from colour-science;
-that table ends at 780 nm, and its last 60 nm lie below the values of other instruments (by 0.09 on the orange patch).
-Beyond 720 nm it is linear between three values per patch, read, rounded to 0.01, from the chart that ISETCam publishes
-as measured to beyond 1,000 nm (macbethChart, MIT licence). Charts differ: the pigments changed around 2005 and 2014,
-and a patch of another year may differ by 0.2 in the near-infrared (foliage, dark skin).
+The chart for scenes covers 400 to 830 nm. Up to 720 nm it has the spectra of N. Ohta (1997) from colour-science. That
+table ends at 780 nm, and its last 60 nm lie below the values of other instruments (by 0.09 for the orange patch), so
+that it is not used beyond 720 nm. There the reflectance is linear between three values per patch, which were read to
+0.01 from the chart that ISETCam publishes as measured to beyond 1,000 nm (macbethChart, MIT licence). Charts differ:
+the pigments changed around 2005 and 2014, and a patch of another year may differ by 0.2 in the near-infrared (foliage,
+dark skin).
 
-Colour matrices are fitted to another measurement (ISO 17321-1), so that the colours of the chart in a scene are not
-those that the matrix was fitted to.
+Colour matrices are fitted to a different measurement (ISO 17321-1), so that the chart in a scene is an independent test
+of them.
 
 Tested in tests/dasim/materials/test_reflectances.py.
 """
@@ -23,10 +24,10 @@ from dasim.typing import FloatArray
 
 TABLE = "ColorChecker N Ohta"
 TABLE_END_NM = 720.0
-READ_AT_NM = (760.0, 790.0, 830.0)
+BEYOND_NM = (760.0, 790.0, 830.0)  # wavelengths of the values of the second source
 SOURCE = "ColorChecker: Ohta (1997) to 720 nm (colour-science), then read from ISETCam's chart at 760, 790, 830 nm"
 
-_READ = {
+_REFLECTANCE_BEYOND = {
     "dark-skin": (0.49, 0.50, 0.48),
     "light-skin": (0.75, 0.76, 0.77),
     "blue-sky": (0.12, 0.12, 0.13),
@@ -52,29 +53,31 @@ _READ = {
     "neutral-3.5": (0.08, 0.08, 0.08),
     "black": (0.05, 0.06, 0.06),
 }
-PATCHES = tuple(f"checker-{name}" for name in _READ)  # in the order of the chart: rows from the top, left to right
+PATCHES = tuple(f"checker-{name}" for name in _REFLECTANCE_BEYOND)  # by rows from the top, left to right
 
 
 @cache
 def _curves() -> dict[str, FloatArray]:
+    """Reflectances 0..1 of all patches of the chart for scenes by name, each [wavelength]."""
     import colour
 
     curves: dict[str, FloatArray] = {}
-    for name, table, read in zip(PATCHES, colour.SDS_COLOURCHECKERS[TABLE].values(), _READ.values(), strict=True):
-        good = table.wavelengths <= TABLE_END_NM
-        places = np.concatenate([table.wavelengths[good], READ_AT_NM])
-        curves[name] = np.interp(WAVELENGTH_NM, places, np.concatenate([table.values[good], read]))
+    tables = colour.SDS_COLOURCHECKERS[TABLE].values()
+    for name, table, beyond in zip(PATCHES, tables, _REFLECTANCE_BEYOND.values(), strict=True):
+        inside = table.wavelengths <= TABLE_END_NM
+        wavelength_nm = np.concatenate([table.wavelengths[inside], BEYOND_NM])
+        curves[name] = np.interp(WAVELENGTH_NM, wavelength_nm, np.concatenate([table.values[inside], beyond]))
     return curves
 
 
 def curve(patch: str) -> FloatArray:
-    """Reflectance 0..1 of one of ``PATCHES``, [wavelength]."""
+    """Reflectance 0..1 of one of ``PATCHES`` of the chart for scenes, [wavelength]."""
     return _curves()[patch].copy()
 
 
 @cache
 def iso_17321_curves() -> FloatArray:
-    """Reflectances 0..1 of the 24 patches of ISO 17321-1, [24, wavelength], constant beyond the table; read-only."""
+    """Reflectances 0..1 of the 24 patches of ISO 17321-1, [24, wavelength], constant beyond their table; read-only."""
     import colour
 
     table = colour.SDS_COLOURCHECKERS["ISO 17321-1"]

@@ -1,10 +1,10 @@
 """Direct sun and clear sky from 400 to 830 nm: the simple spectral model SPCTRAL2.
 
 R. Bird and C. Riordan, Simple solar spectral model for direct and diffuse irradiance on horizontal and tilted planes
-at the earth's surface for cloudless atmospheres, J. Climate Appl. Meteorol. 25, 87-97 (1986); numbers of equations
-are those of the report SERI/TR-215-2436 (1984). The tests compare it with ``pvlib.spectrum.spectrl2``, which agrees
-within 0.22 % in the oxygen bands and 0.04 % elsewhere: it has two constants of a later program instead of the report's.
-pvlib itself is no dependency because it brings pandas and HDF5.
+at the earth's surface for cloudless atmospheres, J. Climate Appl. Meteorol. 25, 87-97 (1986). Equations are numbered
+as in the report SERI/TR-215-2436 (1984). The tests compare the model with ``pvlib.spectrum.spectrl2``; the two agree
+within 0.22 % in the oxygen bands and 0.04 % elsewhere, because pvlib uses two constants of a later program instead of
+those of the report. pvlib is not a dependency because it would add pandas and HDF5.
 """
 
 from __future__ import annotations
@@ -19,19 +19,25 @@ from dasim.typing import FloatArray
 
 _TABLE = Path(__file__).parents[1] / "data" / "spctral2.csv"
 
-# The atmosphere of ASTM G173, at the sun's mean distance and sea level; aerosol as in the report's rural model.
+# Atmosphere of ASTM G173 at sea level and the sun's mean distance, with the rural aerosol of the report.
 WATER_CM, OZONE_ATM_CM, TURBIDITY_500_NM = 1.42, 0.344, 0.084
 ANGSTROM_EXPONENT, ASYMMETRY, SCATTERING_ALBEDO_400_NM, SCATTERING_FALL = 1.14, 0.65, 0.945, 0.095
 GROUND_ALBEDO = 0.2
 OZONE_HEIGHT_RATIO = 22.0 / 6370.0  # height of the ozone layer over the earth's radius
-_DIFFUSE_AIR_MASS = 1.8  # path of light that comes from everywhere, eqs. 3-8 and 3-15
+_DIFFUSE_AIR_MASS = 1.8  # effective air mass of diffuse light, eqs. 3-8 and 3-15
 
 
 def sun_and_sky(elevation_deg: float) -> tuple[FloatArray, FloatArray]:
-    """Irradiance of the sun on a surface facing it and of the clear sky on level ground, W m^-2 nm^-1.
+    """Direct normal irradiance of the sun and diffuse horizontal irradiance of a clear sky, W m^-2 nm^-1.
 
-    The table's steps of 5 to 26 nm are joined by straight lines: the oxygen band at 760 nm and water at 720 and
-    820 nm keep their areas, not their fine structure.
+    The table has steps of 5 to 26 nm and is interpolated linearly: the bands of oxygen at 760 nm and of water at 720
+    and 820 nm have the correct area, but no fine structure.
+
+    Args:
+        elevation_deg: elevation of the sun above the horizon, degrees.
+
+    Returns:
+        Direct and diffuse irradiance, each [wavelength].
     """
     rows = _table()
     direct, diffuse = _spectra(elevation_deg)
@@ -40,7 +46,7 @@ def sun_and_sky(elevation_deg: float) -> tuple[FloatArray, FloatArray]:
 
 @cache
 def _table() -> FloatArray:
-    """Wavelength, extraterrestrial irradiance and absorption of water, ozone and mixed gases, [5, n]."""
+    """Wavelength, extraterrestrial irradiance and absorption coefficients of water, ozone and mixed gases, [5, n]."""
     return np.loadtxt(_TABLE, delimiter=",", comments=("#", "w")).T
 
 
@@ -54,27 +60,31 @@ def _spectra(elevation_deg: float) -> tuple[FloatArray, FloatArray]:
     rayleigh, aerosol, scattered, absorbed, gases = _transmittances(air_mass, ozone_mass)
     direct = outside * rayleigh * aerosol * gases
 
-    a = np.log(1 - ASYMMETRY)  # eqs. 3-11 to 3-15: the share of aerosol scattering that goes down
+    a = np.log(1 - ASYMMETRY)  # eqs. 3-11 to 3-15: downward share of aerosol scattering
     forward, along = a * (1.459 + a * (0.1595 + a * 0.4129)), a * (0.0783 + a * (-0.3824 - a * 0.5874))
-    down = 1 - 0.5 * np.exp((forward + along * cosine) * cosine)
-    down_diffuse = 1 - 0.5 * np.exp((forward + along / _DIFFUSE_AIR_MASS) / _DIFFUSE_AIR_MASS)
+    downward = 1 - 0.5 * np.exp((forward + along * cosine) * cosine)
+    downward_diffuse = 1 - 0.5 * np.exp((forward + along / _DIFFUSE_AIR_MASS) / _DIFFUSE_AIR_MASS)
 
-    arriving = outside * cosine * gases * absorbed
-    from_air = arriving * (1 - rayleigh**0.95) * 0.5  # eq. 3-5
-    from_aerosol = arriving * rayleigh**1.5 * (1 - scattered) * down  # eq. 3-6
-    # Between ground and sky, eqs. 3-7 and 3-8; ozone lies above that, and the ozone path does not count.
+    incident = outside * cosine * gases * absorbed
+    from_air = incident * (1 - rayleigh**0.95) * 0.5  # eq. 3-5
+    from_aerosol = incident * rayleigh**1.5 * (1 - scattered) * downward  # eq. 3-6
+    # Light between ground and sky, eqs. 3-7 and 3-8. Its path lies below the ozone layer.
     rayleigh_d, _, scattered_d, absorbed_d, gases_d = _transmittances(_DIFFUSE_AIR_MASS, 0.0)
-    sky_albedo = gases_d * absorbed_d * (0.5 * (1 - rayleigh_d) + (1 - down_diffuse) * rayleigh_d * (1 - scattered_d))
-    bounced = (direct * cosine + from_air + from_aerosol) * sky_albedo * GROUND_ALBEDO
-    bounced = bounced / (1 - sky_albedo * GROUND_ALBEDO)
+    aerosol_d = (1 - downward_diffuse) * rayleigh_d * (1 - scattered_d)
+    sky_albedo = gases_d * absorbed_d * (0.5 * (1 - rayleigh_d) + aerosol_d)
+    reflected = (direct * cosine + from_air + from_aerosol) * sky_albedo * GROUND_ALBEDO
+    reflected = reflected / (1 - sky_albedo * GROUND_ALBEDO)
     blue = np.where(wavelength_nm <= 450, ((wavelength_nm + 550) / 1000) ** 1.8, 1.0)  # eq. 3-17
-    return direct, (from_air + from_aerosol + bounced) * blue
+    return direct, (from_air + from_aerosol + reflected) * blue
 
 
 def _transmittances(
     air_mass: float, ozone_mass: float
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Transmittance by Rayleigh scattering, aerosol, its scattering and absorption alone, and gases."""
+    """Transmittances of Rayleigh scattering, aerosol, aerosol scattering alone, aerosol absorption alone, and gases.
+
+    ``air_mass`` and ``ozone_mass`` are path lengths in units of the vertical path. Each transmittance is [n].
+    """
     wavelength_nm, _, water, ozone, mixed = _table()
     um = wavelength_nm * 1e-3
     rayleigh = np.exp(-air_mass / (um**4 * (115.6406 - 1.335 / um**2)))  # eq. 2-4

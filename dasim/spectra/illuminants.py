@@ -1,7 +1,7 @@
 """Illuminants by name: spectral power on the wavelength grid, scaled to one lux.
 
-The CIE's tables of lamps end at 780 nm, inside the near-infrared band; :func:`description` states how each illuminant
-is continued beyond its table.
+The CIE's tables of lamps end at 780 nm, within the near-infrared band; :func:`description` states how each illuminant
+is extrapolated beyond its table.
 """
 
 from __future__ import annotations
@@ -46,11 +46,11 @@ _BLACKBODY = re.compile(r"blackbody-(\d{1,6})K")
 _DAYLIGHT = re.compile(r"(sun|sky|daylight)-(\d{1,3})deg")
 
 _TABLE_END_NM = 780.0  # of the CIE's fluorescent lamps and LEDs
-_MEAN_FROM_NM = 760.0  # lamps: constant beyond the table, at the mean from here to its end
-_TAIL_FROM_NM = 740.0  # LEDs: the exponential decay fitted from here to the table's end continues beyond it
+_MEAN_FROM_NM = 760.0  # lamps: beyond the table, the mean of the table from here to its end
+_TAIL_FROM_NM = 740.0  # LEDs: beyond the table, the exponential decay fitted from here to its end
 
-# Three-band compact fluorescent lamp [inferred]: the CIE's tables, plus what a measured three-band lamp of 3000 K has
-# above 700 nm (U30 of ISETCam): a weak continuum, and the unresolved lines of argon at 795 to 826 nm.
+# Three-band compact fluorescent lamp [inferred]: the CIE's tables, plus two parts that a measured three-band lamp of
+# 3000 K has above 700 nm (U30 of ISETCam): a weak continuum, and the unresolved lines of argon at 795 to 826 nm.
 _THREE_BAND = ("F12", "F11")  # 3000 K and 4000 K
 _THREE_BAND_CCT_K = 3500.0
 _CONTINUUM_W_M2_NM = 0.40e-6  # per lux
@@ -63,12 +63,12 @@ class Description(NamedTuple):
     name: str
     cct_k: float  # correlated colour temperature
     near_infrared: float  # photons within 650-810 nm, relative to D65 of the same illuminance
-    beyond: str  # how it is continued beyond the end of its table
+    beyond: str  # extrapolation beyond the end of its table
 
 
 @cache
 def luminous_efficiency() -> FloatArray:
-    """CIE 1924 photopic luminous efficiency V(lambda), 0..1, from colour-science."""
+    """CIE 1924 photopic luminous efficiency V(lambda), 0..1, [wavelength], from colour-science."""
     import colour
 
     table = colour.SDS_LEFS["CIE 1924 Photopic Standard Observer"]
@@ -76,7 +76,7 @@ def luminous_efficiency() -> FloatArray:
 
 
 def planckian(temperature_k: float) -> FloatArray:
-    """Relative spectral power of a blackbody, scaled to 1 at 560 nm (Planck's law)."""
+    """Relative spectral power of a blackbody by Planck's law, [wavelength], 1 at 560 nm."""
 
     def law(wavelength_nm: FloatArray | float) -> FloatArray:
         metres = np.asarray(wavelength_nm) * 1e-9
@@ -90,7 +90,7 @@ def planckian(temperature_k: float) -> FloatArray:
 def illuminant(name: str) -> FloatArray:
     """Spectral irradiance of an illuminant at 1 lux, [wavelength], W m^-2 nm^-1; the array is read-only.
 
-    ``name`` is one of ``ILLUMINANTS`` or of the form of one of ``PATTERNS``; InputError otherwise.
+    ``name`` is one of ``ILLUMINANTS`` or matches one of ``PATTERNS``; InputError otherwise.
     """
     if not isinstance(name, str):
         raise InputError(f"illuminant: a name such as 'D65' is needed, not {kind_of(name)}")
@@ -100,17 +100,17 @@ def illuminant(name: str) -> FloatArray:
 
 
 def lux(power: FloatArray) -> float:
-    """Illuminance in lux of a spectral irradiance in W m^-2 nm^-1."""
+    """Illuminance in lux of a spectral irradiance [wavelength] in W m^-2 nm^-1."""
     return float(MAX_LUMINOUS_EFFICACY_LM_W * integrate(power * luminous_efficiency()))
 
 
 def illuminant_names() -> list[str]:
-    """Names of the illuminants that are tabulated; ``blackbody-5000K`` and ``daylight-60deg`` are allowed as well."""
+    """Names of the illuminants that have a fixed name, without those of ``PATTERNS`` such as ``blackbody-5000K``."""
     return list(ILLUMINANTS)
 
 
 def description(name: str) -> Description:
-    """Colour temperature and near-infrared content of an illuminant, and its continuation beyond its table."""
+    """Colour temperature and near-infrared content of an illuminant, and its extrapolation beyond its table."""
     low, high = NEAR_INFRARED_NM
     band = (WAVELENGTH_NM >= low) & (WAVELENGTH_NM <= high)
     photons = [np.trapezoid((illuminant(n) * photons_per_joule())[band], WAVELENGTH_NM[band]) for n in (name, "D65")]
@@ -132,7 +132,7 @@ def _beyond(name: str) -> str:
 
 
 def _relative(name: str) -> FloatArray:
-    """Spectral power of a named illuminant at any scale, [wavelength]."""
+    """Spectral power of a named illuminant at an arbitrary scale, [wavelength]."""
     if name in _PLANCKIAN_K:
         return planckian(_PLANCKIAN_K[name])
     if name in _D_SERIES_CCT_K:
@@ -181,10 +181,10 @@ def _daylight(cct_k: float) -> FloatArray:
 
 
 def _table(name: str) -> FloatArray:
-    """A table of the CIE (CIE 015:2018) from colour-science, constant beyond 780 nm at the mean of its last 20 nm.
+    """A table of the CIE (CIE 015:2018) from colour-science, beyond 780 nm the mean of its last 20 nm, [wavelength].
 
-    Three measured fluorescent lamps have 0.93 to 1.0 of that mean up to 830 nm, where their phosphors are dark and the
-    lines of argon weak. The last value alone would not do: some tables round it to 0.
+    Three measured fluorescent lamps have 0.93 to 1.0 of that mean up to 830 nm, where their phosphors do not emit and
+    the lines of argon are weak. The last value alone is not used because some tables round it to 0.
     """
     import colour
 
@@ -194,7 +194,7 @@ def _table(name: str) -> FloatArray:
 
 
 def _led(name: str) -> FloatArray:
-    """An LED of the CIE (CIE 015:2018); the exponential decay of its phosphor continues beyond its table."""
+    """An LED of the CIE (CIE 015:2018), [wavelength]; the exponential decay of its phosphor continues beyond 780 nm."""
     curve = _table(name)
     curve = np.where(WAVELENGTH_NM > _TABLE_END_NM, curve[WAVELENGTH_NM == _TABLE_END_NM], curve)
     fall = (WAVELENGTH_NM >= _TAIL_FROM_NM) & (WAVELENGTH_NM <= _TABLE_END_NM)
@@ -205,9 +205,8 @@ def _led(name: str) -> FloatArray:
 def _energy_saving() -> FloatArray:
     """A three-band compact fluorescent lamp of 3500 K [inferred].
 
-    It is the mixture of the CIE's three-band lamps F12 (3000 K) and F11 (4000 K) with this colour temperature, plus the
-    continuum and the lines of argon above 700 nm that a measured three-band lamp has and the CIE's tables, which end at
-    780 nm, lack.
+    It is the mixture of the CIE's three-band lamps F12 (3000 K) and F11 (4000 K) that has this colour temperature, plus
+    the continuum and the argon lines above 700 nm of a measured three-band lamp, which the CIE's tables lack.
     """
     from scipy.optimize import brentq
 
@@ -223,7 +222,7 @@ def _energy_saving() -> FloatArray:
 
 
 def _cct_k(power: FloatArray) -> float:
-    """Correlated colour temperature in kelvin (Ohno 2013), by colour-science."""
+    """Correlated colour temperature in kelvin by the method of Ohno (2013), from colour-science."""
     import colour
 
     observer: Any = colour.MSDS_CMFS["CIE 1931 2 Degree Standard Observer"]

@@ -172,7 +172,7 @@ def _marginalised(information: FloatArray, texture: Texture) -> tuple[FloatArray
         by_ring = -np.einsum("pbr,pb->br", ratio, weights)
         direction[1] = (by_ring @ rings).reshape(information.shape[2:])
     left = np.einsum("ibyx,ijbyx,jbyx->b", direction, information, direction)
-    return np.where(left > cramer_rao.NOTHING * np.maximum(whole, np.finfo(float).tiny), left, 0.0), direction
+    return np.where(left > cramer_rao.ROUNDING * np.maximum(whole, np.finfo(float).tiny), left, 0.0), direction
 
 
 def _nuisance_direction(total: FloatArray, rest: range) -> FloatArray:

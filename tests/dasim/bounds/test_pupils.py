@@ -43,7 +43,7 @@ def round_stop(camera: dasim.Camera, stop: stops.Stop) -> np.ndarray:
 def test_transfer_functions_of_a_drawn_stop_are_those_of_its_radial_kernels(
     camera: dasim.Camera, stop: stops.Stop
 ) -> None:
-    amplitude = pupils.drawn(stop)
+    amplitude = pupils.stop_amplitude(stop)
     made = pupils.pupil(camera, stop, "D65", BLURS, len(amplitude), SHAPE, spacing_px=SPACING_PX)
     found = pupils.transfers(made, amplitude, stops.open_area(stop) * np.pi)
     infrared = cameras.channels(camera.sensor).index("IR")
@@ -56,7 +56,7 @@ def test_one_wavelength_is_hopkins_closed_form() -> None:
     """A single band of the grid against the integral, along an axis, without kernels or spectra."""
     scale_px, blur = 1.2, 20.0
     grid = pupils._grid(np.ones(1), scale_px, np.array([blur]), 256, 32, 2.0, 192)
-    disc = pupils.drawn(stops.Disc(name="disc", radius_ratio=0.5))
+    disc = pupils.stop_amplitude(stops.Disc(name="disc", radius_ratio=0.5))
     found = pupils.transfers(pupils.Pupil((grid,), (32, 32), np.ones(1)), disc, 0.25 * np.pi)[0, 0, 0]
     frequency = np.fft.rfftfreq(32, 2.0)
     exact = hopkins_otf(frequency * scale_px / 0.5, blur * 0.5 / (8 * scale_px / 0.5)) * np.sinc(frequency)
@@ -88,7 +88,7 @@ def test_discs_off_the_axis_have_the_pupils_transform() -> None:
     for stop in bando.stops:
         assert isinstance(stop, stops.Disc)
         assert stop.centre_ratio != (0.0, 0.0)
-        amplitude = pupils.drawn(stop)
+        amplitude = pupils.stop_amplitude(stop)
         made = pupils.pupil(bando, stop, "D65", BLURS, len(amplitude), SHAPE, spacing_px=SPACING_PX, fine_cells=192)
         drawn = pupils.transfers(made, amplitude, stops.open_area(stop) * np.pi)
         exact, electrons = pupils.disc_transfers(bando, stop, BLURS, "D65", SHAPE, SPACING_PX)

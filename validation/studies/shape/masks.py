@@ -41,7 +41,7 @@ def disc(cells: int, share: float, centre: tuple[float, float] = (0.0, 0.0)) -> 
     ``centre`` is (x, y) in radii of the lens.
     """
     stop = stops.Disc(name="disc", radius_ratio=float(np.sqrt(share)), centre_ratio=centre)
-    return _binary(pupils.drawn(stop, cells))
+    return _binary(pupils.stop_amplitude(stop, cells))
 
 
 def annulus(cells: int, share: float, inner: float) -> FloatArray:
@@ -55,7 +55,7 @@ def annulus(cells: int, share: float, inner: float) -> FloatArray:
             f"annulus: an inner radius of {inner:g} with a light budget of {share:g} extends outside the lens"
         )
     ring = stops.Annulus(name="ring", shape="annulus", inner_ratio=inner, outer_ratio=outer)
-    return _binary(pupils.drawn(ring, cells))
+    return _binary(pupils.stop_amplitude(ring, cells))
 
 
 def _binary(covered: FloatArray) -> FloatArray:
