@@ -1,4 +1,4 @@
-"""Scenes by name: a bundled scene, a member of a family, a random scene, a TOML file or a Mitsuba XML file.
+"""Loading of scenes by name: bundled scenes, members of a family, random scenes, TOML files and Mitsuba XML files.
 
 Tested in tests/dasim/random_scenes/test_specification.py and tests/dasim/dataset/test_specification.py.
 """
@@ -23,25 +23,27 @@ SUFFIX = ".xml"
 def load_scene(
     name_or_path: str | Path, *, camera: Camera | str | Path | None = None, **choices: Any
 ) -> Scene | MitsubaScene:
-    """The scene of a name or path; InputError lists everything that is wrong with it.
+    """Load a scene by its name or path; InputError lists all problems of the scene.
 
-    ``name_or_path`` is a bundled name (``dasim.scene_names()``), a member of a family (``staircase:14``, see
-    :mod:`dasim.scene.targets`), a random scene (``random:SEED:INDEX`` or ``random:FILE.toml:SEED:INDEX``), a TOML file,
-    or a Mitsuba XML file; only the last takes ``choices``, the fields of :class:`MitsubaScene`. The blur levels of a
-    family and the field of view of a random scene are those of ``camera``, cropped as it will be used; by default
-    da-mobile.
+    Args:
+        name_or_path: a bundled name (``dasim.scene_names()``), a member of a family (``staircase:14``, see
+            :mod:`dasim.scene.targets`), a random scene (``random:SEED:INDEX`` or ``random:FILE.toml:SEED:INDEX``), a
+            TOML file, or a Mitsuba XML file
+        camera: the camera that will photograph the scene, with its final crop; it defines the blur levels of a family
+            and the field of view of a random scene. Default: da-mobile
+        choices: fields of :class:`MitsubaScene`, for Mitsuba XML files only
     """
     if not isinstance(name_or_path, (str, Path)):
         raise InputError(f"scene: the name of a scene or a path is needed, not {kind_of(name_or_path)}")
-    chosen = None if camera is None else as_camera(camera)
+    loaded = None if camera is None else as_camera(camera)
     path = Path(name_or_path)
     if path.suffix.lower() != SUFFIX:
         if choices:
             raise InputError(f"scene '{name_or_path}': {', '.join(choices)} is for Mitsuba scenes (.xml) only")
         if targets.is_target(name_or_path):
-            return targets.target(name_or_path, chosen)
+            return targets.target(name_or_path, loaded)
         if random_scenes.is_random(name_or_path):
-            return random_scenes.named(str(name_or_path), chosen)[0]
+            return random_scenes.named(str(name_or_path), loaded)[0]
         return specification.load_scene(name_or_path)
     if not path.is_file():
         raise InputError(f"scene '{name_or_path}': no such file")
@@ -54,7 +56,7 @@ def load_scene(
 def as_scene(
     scene: Scene | MitsubaScene | str | Path, camera: Camera | str | Path | None = None
 ) -> Scene | MitsubaScene:
-    """The scene itself, or the one that a name or path stands for (see :func:`load_scene`); else InputError."""
+    """Return a scene unchanged, or load it by its name or path (see :func:`load_scene`); InputError for other types."""
     if isinstance(scene, (Scene, MitsubaScene)):
         return scene
     if isinstance(scene, (str, Path)):
@@ -63,9 +65,9 @@ def as_scene(
 
 
 def focused(camera: Camera | str | Path, scene: Scene | MitsubaScene | str | Path) -> Camera:
-    """The camera focused at the distance that the scene proposes (``focus_cm``), unchanged where it proposes none.
+    """The camera focused at the distance that the scene proposes (``focus_cm``), or unchanged where it proposes none.
 
-    Both may be given by name or path. A Mitsuba scene proposes no focus.
+    Both arguments may be names or paths. A Mitsuba scene proposes no focus.
     """
     camera = as_camera(camera)
     scene = as_scene(scene, camera)

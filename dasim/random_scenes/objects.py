@@ -238,7 +238,7 @@ def _measured(path: Path) -> OwnMesh:
     where = f"mesh {path}"
     parts = meshes.read(path, 1.0, where)
     if meshes.colour_kinds(parts):
-        meshes.joined_with_colours(parts, where)  # raises where some faces have none, or they are too many
+        meshes.merge_with_colours(parts, where)  # raises where some faces have none, or they are too many
     low = np.min([part.vertices.min(axis=0) for part in parts], axis=0)
     high = np.max([part.vertices.max(axis=0) for part in parts], axis=0)
     if not (high - low).max() > 0:

@@ -1,1 +1,1 @@
-"""Scenes as data: objects, lights, meshes and test targets; start with ``specification``."""
+"""Scenes as data: objects, lights, meshes and test targets. Start with ``specification``."""

@@ -1,4 +1,4 @@
-"""Whether an object has a likely size and leaves the lens free, with what is wrong in words for people.
+"""Checks of an object's size and of its clearance from the lens; each returns its problems as sentences for the user.
 
 Tested in tests/dasim/scene/test_shapes.py and tests/dasim/scene/test_specification.py.
 """
@@ -19,7 +19,7 @@ SMALLEST_M, LARGEST_M = 1e-5, 100.0
 
 
 def size_problems(item: Object, folder: Path) -> list[str]:
-    """What a mistake of units would look like."""
+    """Problems with the size of an object: outside ``SMALLEST_M`` to ``LARGEST_M``, most likely a mistake of units."""
     size_m = 2 * float(half_extent_m(item, folder)[1].max())
     if SMALLEST_M <= size_m <= LARGEST_M:
         return []
@@ -31,15 +31,22 @@ def size_problems(item: Object, folder: Path) -> list[str]:
 
 
 def placement_problems(item: Object, folder: Path, to_camera: FloatArray, pupil_radius_m: float = 0.0) -> list[str]:
-    """What stands against an object's place: behind the lens, on it, or around it."""
+    """Problems with the position of an object: behind the lens, in contact with it, or enclosing it.
+
+    Args:
+        item: the object
+        folder: where its mesh file lies
+        to_camera: transform of its local axes into camera axes, metres, [4, 4]
+        pupil_radius_m: radius of the lens opening around the origin, metres
+    """
     centre, half = half_extent_m(item, folder)
-    nearest_corner = centre + np.array(np.meshgrid(*[(-1, 1)] * 3)).reshape(3, -1).T * half
-    depths = nearest_corner @ to_camera[2, :3] + to_camera[2, 3]
+    corners = centre + np.array(np.meshgrid(*[(-1, 1)] * 3)).reshape(3, -1).T * half
+    depths = corners @ to_camera[2, :3] + to_camera[2, 3]
     if depths.max() <= 0:
         return [f"object '{item.name}': lies behind the lens (z up to {depths.max() * 100:.3g} cm, must be above 0)"]
-    # The pupil's centre and rim, seen from the object; its box is widened by the clearance.
-    turns = np.linspace(0.0, 2 * np.pi, PUPIL_POINTS, endpoint=False)
-    rim = np.stack([np.cos(turns), np.sin(turns), np.zeros(PUPIL_POINTS)], axis=-1) * pupil_radius_m
+    # Points of the pupil (centre, half radius, rim) in the object's axes, against its box enlarged by the clearance.
+    angles = np.linspace(0.0, 2 * np.pi, PUPIL_POINTS, endpoint=False)
+    rim = np.stack([np.cos(angles), np.sin(angles), np.zeros(PUPIL_POINTS)], axis=-1) * pupil_radius_m
     pupil = np.vstack([np.zeros(3), rim / 2, rim])
     to_local = np.linalg.inv(to_camera)
     offset = pupil @ to_local[:3, :3].T + to_local[:3, 3] - centre
@@ -49,21 +56,23 @@ def placement_problems(item: Object, folder: Path, to_camera: FloatArray, pupil_
         return []
     if isinstance(item, Mesh):
         return _mesh_clearance_problems(item, folder, to_camera, pupil_radius_m + LENS_CLEARANCE_M)
-    return [f"object '{item.name}': lies on the lens or around it; move it to z above 0"]
+    return [f"object '{item.name}': lies on the lens or encloses it; move it to z above 0"]
 
 
 def _mesh_clearance_problems(item: Mesh, folder: Path, to_camera: FloatArray, clearance_m: float) -> list[str]:
-    """A camera may stand in a mesh's box (a room, a canyon), but not in its surface or within a solid body.
+    """Problems of a camera that stands within the bounding box of a mesh: on its surface, or inside a solid body.
 
-    A room is a mesh whose faces point inwards; one with openings as wide as half of all directions is no body.
+    A room (faces that point inwards) or an open shape such as a canyon may surround the camera. A mesh counts as a
+    solid body where its winding number around the camera exceeds 0.5: its outward faces then cover more than half of
+    all directions.
     """
-    mesh = meshes.joined(mesh_parts(item, folder))
+    mesh = meshes.merge(mesh_parts(item, folder))
     corners = (mesh.vertices @ to_camera[:3, :3].T + to_camera[:3, 3])[mesh.faces]
     if meshes.distance_from_origin(corners) <= clearance_m:
-        return [f"object '{item.name}': lies on the lens or around it; move it to z above 0"]
-    if meshes.turns_around_origin(corners) > 0.5:
+        return [f"object '{item.name}': lies on the lens or encloses it; move it to z above 0"]
+    if meshes.winding_number(corners) > 0.5:
         return [
-            f"object '{item.name}': the camera is inside it; move one of them, or, where it is a room, "
-            f"turn the faces of {item.file} inwards"
+            f"object '{item.name}': the camera is inside it; move one of them or, if it is a room, "
+            f"reverse the faces of {item.file} so that they point inwards"
         ]
     return []

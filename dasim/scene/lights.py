@@ -1,7 +1,8 @@
-"""The lights of a scene as data: lengths in scene coordinates, centimetres; levels in lux.
+"""The lights of a scene as data. Lengths are centimetres in scene coordinates, levels are illuminances in lux.
 
-Directions in the sky are elevations above the horizon (up is -y) and azimuths from straight ahead (+z) towards the
-right (+x), in degrees: 0 is behind what the camera looks at, 90 to its right, 180 behind the camera.
+A direction in the sky is an elevation above the horizon (up is -y) and an azimuth from straight ahead (+z) towards the
+right (+x), both in degrees. A light at azimuth 0 stands behind the subject, at 90 to its right, at 180 behind the
+camera (for a camera that looks along z).
 
 Tested in tests/dasim/render/test_lights.py.
 """
@@ -19,15 +20,15 @@ from dasim.typing import FloatArray
 
 Vector = tuple[float, float, float]
 Positive = Annotated[float, Field(gt=0)]
-Lux = Annotated[float, Field(ge=1e-6, le=1e7)]  # from less than starlight to many suns
+Lux = Annotated[float, Field(ge=1e-6, le=1e7)]  # from below starlight to about 100 times sunlight
 Share = Annotated[float, Field(ge=0, le=1)]
-Azimuth = Annotated[float, Field(ge=-360, le=360, description="from straight ahead towards the right")]
+Azimuth = Annotated[float, Field(ge=-360, le=360, description="degrees from straight ahead towards the right")]
 
-SUN_DIAMETER_DEG = 0.53
+SUN_DIAMETER_DEG = 0.53  # angular diameter of the solar disc
 
 
 class Dome(Specification):
-    """Even light from everywhere; ``lux`` is what an unshadowed surface receives."""
+    """Uniform light from all directions; ``lux`` is the illuminance on an unshadowed surface of any orientation."""
 
     kind: Literal["dome"]
     illuminant: str
@@ -35,7 +36,7 @@ class Dome(Specification):
 
 
 class _Near(Specification):
-    """A light at a place; ``lux`` is what a surface at its target, facing it, receives."""
+    """A light at a finite distance; ``lux`` is the illuminance at ``target_cm`` on a surface that faces the light."""
 
     illuminant: str
     lux: Lux
@@ -57,14 +58,14 @@ class Lamp(_Near):
 
 
 class Panel(_Near):
-    """A flat rectangle that faces its target, ``size_cm`` wide (level) and high."""
+    """A flat rectangle that faces its target; ``size_cm`` is its width, which is horizontal, and its height."""
 
     kind: Literal["panel"]
     size_cm: tuple[Positive, Positive]
 
 
 class Bulb(_Near):
-    """A glowing sphere; light goes everywhere, ``target_cm`` is where it gives ``lux``."""
+    """A sphere that emits in all directions; ``target_cm`` is the point where it gives ``lux``."""
 
     kind: Literal["bulb"]
     radius_cm: Positive
@@ -80,7 +81,7 @@ class Bulb(_Near):
 
 
 class Sun(Specification):
-    """A disc of 0.53 degrees, far away; ``lux`` is what a surface facing it receives."""
+    """A disc at infinity, 0.53 degrees wide; ``lux`` is the illuminance on a surface that faces it."""
 
     kind: Literal["sun"]
     illuminant: str
@@ -90,11 +91,11 @@ class Sun(Specification):
 
 
 class Sky(Specification):
-    """The upper half of a dome; ``lux`` is what level ground receives. Without a sun, it is outdoor shade.
+    """Light from the upper hemisphere; ``lux`` is the illuminance on level ground. Without a sun it is outdoor shade.
 
-    ``overcast`` is three times as bright above as at the horizon, ``clear`` is brightest around the sun, which
-    stands at ``sun_elevation_deg`` and ``sun_azimuth_deg`` and is not part of it. Below the horizon it is black, or a
-    grey ground of ``ground_reflectance`` far below that the sky lights.
+    An ``overcast`` sky is three times as bright at the zenith as at the horizon. A ``clear`` sky is brightest around
+    the sun at ``sun_elevation_deg`` and ``sun_azimuth_deg``; the solar disc itself is a light of its own. Below the
+    horizon lies an infinitely distant grey ground of ``ground_reflectance`` that the sky illuminates (default: black).
     """
 
     kind: Literal["sky"]
@@ -107,25 +108,25 @@ class Sky(Specification):
 
 
 class Daylight(Specification):
-    """Sun and clear sky in their physical ratio for the sun's elevation; ``lux`` is what level ground receives.
+    """Sun and clear sky in their physical ratio for the sun's elevation; ``lux`` is their sum on level ground.
 
-    Both light the ground below the horizon, which is black unless it has a ``ground_reflectance``.
+    Both illuminate the ground below the horizon, which has ``ground_reflectance`` (default: black).
     """
 
     kind: Literal["daylight"]
     lux: Lux
-    elevation_deg: int = Field(ge=5, le=90, description="of the sun, whole degrees")
+    elevation_deg: int = Field(ge=5, le=90, description="elevation of the sun, whole degrees")
     azimuth_deg: Azimuth = 0.0
     ground_reflectance: Share = 0.0
 
     @property
     def illuminant(self) -> str:
-        """Name of the illuminant of sun and sky together."""
+        """Name of the illuminant that is the sum of sun and sky."""
         return f"daylight-{self.elevation_deg}deg"
 
 
 class Ground(Specification):
-    """The lower half of a dome, a part of outdoor lights; ``lux`` is what a level surface facing down receives."""
+    """Uniform light from the lower hemisphere, part of outdoor lights; ``lux`` is that on a surface that faces down."""
 
     kind: Literal["ground"]
     illuminant: str
@@ -133,11 +134,11 @@ class Ground(Specification):
 
 
 class Environment(Specification):
-    """A panorama (equirectangular, twice as wide as high) of what surrounds the scene, as a light.
+    """An equirectangular panorama (twice as wide as high) that surrounds the scene as a light.
 
-    Its colours say nothing of the near-infrared, so they are not used: its luminance modulates the illuminant's
-    spectrum. ``lux`` is what a level surface that faces straight up receives. The image's middle lies straight ahead
-    (+z) and its right half to the right; ``rotation_deg`` turns its middle towards the right.
+    Its luminance modulates the spectrum of ``illuminant``; its colours are ignored, since RGB does not determine the
+    near-infrared. ``lux`` is the illuminance on a level surface that faces straight up. The centre of the image lies
+    straight ahead (+z) and its right half to the right; ``rotation_deg`` rotates the centre towards the right.
     """
 
     kind: Literal["environment"]
@@ -154,19 +155,22 @@ Part = Near | Sun | Surrounding
 
 
 def direction(elevation_deg: float, azimuth_deg: float) -> FloatArray:
-    """Unit vector in scene coordinates towards a place in the sky, [3]."""
+    """Unit vector in scene coordinates towards a direction of the sky, [3]."""
     elevation, azimuth = np.radians((elevation_deg, azimuth_deg))
-    level = np.cos(elevation)
-    return np.array([level * np.sin(azimuth), -np.sin(elevation), level * np.cos(azimuth)])
+    horizontal = np.cos(elevation)
+    return np.array([horizontal * np.sin(azimuth), -np.sin(elevation), horizontal * np.cos(azimuth)])
 
 
 def parts(light: Light) -> tuple[Part, ...]:
-    """What a light is made of: daylight is a sun, a clear sky and the ground that they light."""
+    """Elementary lights that a light consists of: daylight is a sun, a clear sky and the ground that both illuminate.
+
+    All other lights are their own only part, apart from the ground below a sky.
+    """
     if not isinstance(light, (Sky, Daylight)):
         return (light,)
     ground: tuple[Part, ...] = ()
     if light.ground_reflectance > 0:
-        # Even ground of radiance rho E / pi fills the lower half: what faces down receives rho E.
+        # Ground of uniform radiance rho E / pi fills the lower hemisphere: a surface that faces down receives rho E.
         lux = light.lux * light.ground_reflectance
         ground = (Ground(kind="ground", illuminant=light.illuminant, lux=lux),)
     if isinstance(light, Sky):
@@ -176,7 +180,7 @@ def parts(light: Light) -> tuple[Part, ...]:
     facing, level = illuminants.lux(sun), illuminants.lux(sky)
     scale = light.lux / (facing * height + level)
     degrees = light.elevation_deg
-    # Not checked again: what is left of little light may be less than the least that a user may ask for.
+    # Built without validation: a part of a very weak light may lie below the smallest level that a user may set.
     disc = Sun.model_construct(
         kind="sun",
         illuminant=f"sun-{degrees}deg",
@@ -196,18 +200,19 @@ def parts(light: Light) -> tuple[Part, ...]:
 
 
 def radiance_per_lux(light: Near) -> float:
-    """Radiance of a lamp's surface over the irradiance that it gives at its target, facing it, 1/sr.
+    """Radiance of a light's surface per irradiance at its target, on a surface that faces it, 1/sr.
 
-    On its axis a disc gives E = pi L r^2 / (r^2 + d^2), a sphere pi L (r / d)^2, and a rectangle four times what
-    each of its quarters does (configuration factor of a rectangle over its corner, Howell's catalogue, B-3).
+    With radiance L, radius r and distance d, the irradiance is E = pi L r^2 / (r^2 + d^2) on the axis of a disc,
+    pi L (r / d)^2 of a sphere, and for a rectangle four times that of one quarter (configuration factor of an element
+    opposite the corner of a rectangle, Howell's catalogue, B-3).
     """
     distance = float(np.linalg.norm(np.subtract(light.target_cm, light.position_cm)))
     if isinstance(light, Lamp):
-        seen = light.radius_cm**2 / (light.radius_cm**2 + distance**2)
+        factor = light.radius_cm**2 / (light.radius_cm**2 + distance**2)
     elif isinstance(light, Bulb):
-        seen = (light.radius_cm / distance) ** 2
+        factor = (light.radius_cm / distance) ** 2
     else:
         x, y = (side / 2 / distance for side in light.size_cm)
         far_x, far_y = np.hypot(1.0, x), np.hypot(1.0, y)
-        seen = 2 / np.pi * (x / far_x * np.arctan(y / far_x) + y / far_y * np.arctan(x / far_y))
-    return float(1 / (np.pi * seen))
+        factor = 2 / np.pi * (x / far_x * np.arctan(y / far_x) + y / far_y * np.arctan(x / far_y))
+    return float(1 / (np.pi * factor))

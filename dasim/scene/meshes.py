@@ -1,8 +1,8 @@
-"""Mesh files: their triangles, and their own RGB colours as one texture.
+"""Mesh files: their triangles, and their RGB colours as a single texture.
 
-A file may hold several parts (GLB, OBJ with materials). Each keeps its geometry; their colours are put side by side in
-one picture, so that an object stays one mesh with one surface. RGB says nothing of the near-infrared: what the
-picture becomes there is the scene's choice (``dasim.materials.library.photograph_surface``).
+A file may hold several parts (GLB, OBJ with materials). Their geometry is merged and their colours are packed into one
+texture atlas, so that an object remains one mesh with one surface. RGB does not determine the near-infrared: the scene
+chooses the rule that extends it (``dasim.materials.library.photograph_surface``).
 
 Tested in tests/dasim/scene/test_shapes.py.
 """
@@ -21,16 +21,22 @@ from dasim.base.errors import InputError
 from dasim.typing import Float32Array, FloatArray
 
 FORMATS = "OBJ, PLY, GLB, STL, OFF"
-MOST_TEXELS = 1 << 24  # of all pictures of a mesh together: 200 MB in linear light, as much again as ink weights
+MOST_TEXELS = 1 << 24  # limit on the atlas of a mesh: 200 MB in linear light, and as much again for ink weights
 
 
-@dataclass(frozen=True, eq=False)  # compared as what it is, so that results can be kept
+@dataclass(frozen=True, eq=False)  # compared by identity, so that functions of parts can be cached
 class Part:
-    """A part of a mesh file: ``vertices`` [n, 3] metres, ``faces`` [m, 3], ``uv`` and ``normals`` [n, ...] or None.
+    """One part of a mesh file.
 
-    ``normals`` are those of the file; without, faces are flat, as the geometry is. ``paint`` is its colours in linear
-    light: a picture [h, w, 3] laid out by ``uv`` (bottom row at v = 0), or colours [n, 3] of the vertices, [m, 3] of
-    the faces, or one [3]; ``painted`` says which, and is None where the file has no colours.
+    Attributes:
+        vertices: [n, xyz], metres
+        faces: indices of vertices, [m, 3]
+        uv: texture coordinates [n, 2], or None
+        normals: unit vertex normals [n, xyz] of the file, or None: then shading uses the flat faces
+        paint: colours in linear light 0..1: a picture [h, w, rgb] mapped by ``uv`` (bottom row at v = 0), vertex
+            colours [n, rgb], face colours [m, rgb], or one colour [rgb]
+        paint_kind: which of these ``paint`` is ("texture image", "vertex colours", "face colours", "one colour");
+            None where the file has no colours
     """
 
     vertices: FloatArray
@@ -38,11 +44,15 @@ class Part:
     uv: FloatArray | None = None
     normals: FloatArray | None = None
     paint: Float32Array | None = None
-    painted: str | None = None
+    paint_kind: str | None = None
 
 
 def read(path: Path, unit_m: float, where: str) -> tuple[Part, ...]:
-    """The parts of a mesh file, ``unit_m`` the length of its unit; InputError where it is missing or broken."""
+    """Parts of a mesh file; InputError where it is missing, broken or without faces.
+
+    ``unit_m`` is the length of the file's unit in metres, ``where`` the name of the mesh in error messages. Results are
+    cached until the file changes.
+    """
     if not path.is_file():
         raise InputError(f"{where}: no such file")
     stamp = path.stat()
@@ -55,23 +65,23 @@ def _read(path: Path, unit_m: float, where: str, stamp: tuple[int, int]) -> tupl
 
     try:
         scene = _quick_off(path) or trimesh.load_scene(path, process=False)
-        # Not through trimesh's own transformed copies, which forget the file's normals.
-        placed = [scene.graph.get(node) for node in scene.graph.nodes_geometry]
-        found = [(scene.geometry[name], matrix) for matrix, name in placed]
-        parts = [_part(mesh, matrix, unit_m, path) for mesh, matrix in found if isinstance(mesh, trimesh.Trimesh)]
-    except Exception as error:  # trimesh raises whatever its parsers stumble over
+        # trimesh's own transformed copies lose the normals of the file, so transforms are applied here.
+        nodes = [scene.graph.get(node) for node in scene.graph.nodes_geometry]
+        geometries = [(scene.geometry[name], matrix) for matrix, name in nodes]
+        parts = [_part(mesh, matrix, unit_m, path) for mesh, matrix in geometries if isinstance(mesh, trimesh.Trimesh)]
+    except Exception as error:  # trimesh passes on any exception of its parsers
         raise InputError(f"{where}: does not load ({error}); allowed are {FORMATS}") from None
     parts = [part for part in parts if len(part.faces)]
     if not parts:
         raise InputError(f"{where}: has no faces")
     for part in parts:
         if not np.isfinite(part.vertices).all() or part.faces.max() >= len(part.vertices):
-            raise InputError(f"{where}: has vertices that are not finite, or faces without their vertices")
+            raise InputError(f"{where}: has vertices that are not finite, or faces that refer to missing vertices")
     return tuple(parts)
 
 
 def _quick_off(path: Path) -> Any:
-    """Trimesh's scene of a plain OFF file of triangles, five times faster than its reader; None for all others."""
+    """A trimesh scene of a plain triangle OFF file, five times faster than trimesh's reader; None for other files."""
     import trimesh
 
     if path.suffix.lower() != ".off":
@@ -90,26 +100,26 @@ def _quick_off(path: Path) -> Any:
 
 
 def _part(mesh: Any, matrix: FloatArray, unit_m: float, path: Path) -> Part:
-    """A part as it stands in its file's scene, by a transform [4, 4] of its own unit."""
-    turn = matrix[:3, :3]
-    vertices = (np.asarray(mesh.vertices, dtype=np.float64) @ turn.T + matrix[:3, 3]) * unit_m
+    """A part in the coordinates of its file's scene graph, in metres; ``matrix`` [4, 4] is its transform."""
+    linear_map = matrix[:3, :3]
+    vertices = (np.asarray(mesh.vertices, dtype=np.float64) @ linear_map.T + matrix[:3, 3]) * unit_m
     faces = np.asarray(mesh.faces, dtype=np.uint32)
-    if np.linalg.det(turn) < 0:  # a mirrored part would be inside out
+    if np.linalg.det(linear_map) < 0:  # a reflection turns a mesh inside out
         faces = faces[:, ::-1]
     uv = getattr(mesh.visual, "uv", None)
     normals = None
-    if "vertex_normals" in mesh._cache:  # those of the file; trimesh makes some up when asked for where it has none
-        normals = np.array(mesh.vertex_normals) @ np.linalg.inv(turn)
+    if "vertex_normals" in mesh._cache:  # normals of the file; trimesh would compute missing ones on access
+        normals = np.array(mesh.vertex_normals) @ np.linalg.inv(linear_map)
         normals /= np.maximum(np.linalg.norm(normals, axis=-1, keepdims=True), 1e-12)
-    painted, paint = _paint(mesh.visual, uv is not None, linear=path.suffix.lower() in (".glb", ".gltf"))
-    return Part(vertices, faces, None if uv is None else np.array(uv, dtype=np.float64), normals, paint, painted)
+    paint_kind, paint = _paint(mesh.visual, uv is not None, linear=path.suffix.lower() in (".glb", ".gltf"))
+    return Part(vertices, faces, None if uv is None else np.array(uv, dtype=np.float64), normals, paint, paint_kind)
 
 
 # --- colours -------------------------------------------------------------------------------------
 
 
-def decoded(encoded: NDArray[Any]) -> Float32Array:
-    """Linear light 0..1 of sRGB values, 8 bits or 0..1 (IEC 61966-2-1)."""
+def decode_srgb(encoded: NDArray[Any]) -> Float32Array:
+    """Linear light 0..1 of sRGB values, which are 8-bit integers or 0..1 (IEC 61966-2-1)."""
     values = np.asarray(encoded)
     if values.dtype == np.uint8:
         return _SRGB[values]
@@ -118,10 +128,13 @@ def decoded(encoded: NDArray[Any]) -> Float32Array:
 
 
 def _paint(visual: Any, has_uv: bool, *, linear: bool) -> tuple[str | None, Float32Array | None]:
-    """What the file says of colours. glTF's vertex colours and factors are linear light, all else is sRGB."""
+    """Kind and linear values of a part's colours, as ``Part.paint_kind`` and ``Part.paint``.
+
+    ``linear`` means glTF, whose vertex colours and factors are linear light; all other colours are sRGB.
+    """
     if visual.kind in ("vertex", "face"):
         colours = np.asarray(visual.vertex_colors if visual.kind == "vertex" else visual.face_colors)[:, :3]
-        paint = np.asarray(colours / 255, np.float32) if linear else decoded(colours)
+        paint = np.asarray(colours / 255, np.float32) if linear else decode_srgb(colours)
         if (colours == colours[0]).all():
             return "one colour", np.asarray(paint[0])
         return f"{visual.kind} colours", paint
@@ -131,33 +144,33 @@ def _paint(visual: Any, has_uv: bool, *, linear: bool) -> tuple[str | None, Floa
     image = getattr(material, "baseColorTexture", None) if linear else getattr(material, "image", None)
     factor = getattr(material, "baseColorFactor", None)
     share = np.ones(3, np.float32) if factor is None else np.asarray(np.divide(factor[:3], 255), np.float32)
-    made_up = not linear and not getattr(material, "kwargs", None)  # no line of a material library stands behind it
-    if made_up and image is not None and image.size == (2, 2):
-        return None, None  # trimesh's grey stand-in where a file has texture coordinates and no picture
+    placeholder = not linear and not getattr(material, "kwargs", None)  # trimesh's default, not from the file
+    if placeholder and image is not None and image.size == (2, 2):
+        return None, None  # trimesh's grey picture for a file with texture coordinates and no picture
     if image is not None and has_uv:
-        return "texture image", decoded(np.asarray(image.convert("RGB"))) * (share if linear else np.float32(1.0))
+        return "texture image", decode_srgb(np.asarray(image.convert("RGB"))) * (share if linear else np.float32(1.0))
     if linear:
         return "one colour", share
     diffuse = getattr(material, "diffuse", None)
-    # trimesh gives an OBJ without a material library its default grey, which is not a colour of the file.
-    if diffuse is None or made_up:
+    # The default grey that trimesh gives an OBJ without a material library is not a colour of the file.
+    if diffuse is None or placeholder:
         return None, None
-    return "one colour", decoded(np.asarray(diffuse, np.uint8)[:3])
+    return "one colour", decode_srgb(np.asarray(diffuse, np.uint8)[:3])
 
 
-_SRGB = decoded(np.arange(256) / 255)
+_SRGB = decode_srgb(np.arange(256) / 255)
 
 
 def colour_kinds(parts: tuple[Part, ...]) -> list[str]:
-    """How the parts are coloured, each kind once; empty where none is."""
-    return sorted({part.painted for part in parts if part.painted})
+    """Kinds of colours (``Part.paint_kind``) that the parts have, sorted and without repetition."""
+    return sorted({part.paint_kind for part in parts if part.paint_kind})
 
 
 # --- one mesh ------------------------------------------------------------------------------------
 
 
-def joined(parts: tuple[Part, ...]) -> Part:
-    """All parts as one without colours; ``uv`` and ``normals`` stay where all parts have them."""
+def merge(parts: tuple[Part, ...]) -> Part:
+    """Merge parts into one without colours; ``uv`` and ``normals`` survive only where all parts have them."""
     if len(parts) == 1:
         return parts[0]
     first = np.cumsum([0, *(len(part.vertices) for part in parts)])
@@ -172,36 +185,39 @@ def joined(parts: tuple[Part, ...]) -> Part:
 
 
 @lru_cache(maxsize=4)
-def joined_with_colours(parts: tuple[Part, ...], where: str) -> Part:
-    """All parts as one with a picture of their colours; InputError where a part has none or they are too many."""
-    if any(part.painted is None for part in parts):
-        raise InputError(f"{where}: has no colours of its own for some of its faces; give the object a material")
-    shown = [_with_picture(part, where) for part in parts]
-    pictures = [part.paint for part in shown if part.paint is not None]
-    whole = joined(tuple(shown))
+def merge_with_colours(parts: tuple[Part, ...], where: str) -> Part:
+    """Merge parts into one with a single picture of their colours.
+
+    InputError where a part has no colours, or where the picture would exceed ``MOST_TEXELS``.
+    """
+    if any(part.paint_kind is None for part in parts):
+        raise InputError(f"{where}: some of its faces have no colours; give the object a material")
+    textures = [_as_picture(part, where) for part in parts]
+    pictures = [part.paint for part in textures if part.paint is not None]
+    whole = merge(tuple(textures))
     if len(parts) == 1:
         return whole
-    atlas, placed = _stacked(pictures, [part.uv for part in shown if part.uv is not None], where)
-    return Part(whole.vertices, whole.faces, placed, whole.normals, atlas, "texture image")
+    atlas, uv = _atlas(pictures, [part.uv for part in textures if part.uv is not None], where)
+    return Part(whole.vertices, whole.faces, uv, whole.normals, atlas, "texture image")
 
 
-def _with_picture(part: Part, where: str) -> Part:
-    """The part with its colours as a picture, whatever they were."""
+def _as_picture(part: Part, where: str) -> Part:
+    """The part with its colours converted to a picture, of whichever kind they are."""
     assert part.paint is not None
-    if part.painted == "texture image":
-        return _within_picture(part, where)
-    if part.painted == "one colour":
+    if part.paint_kind == "texture image":
+        return _repeat_picture(part, where)
+    if part.paint_kind == "one colour":
         middle = np.full((len(part.vertices), 2), 0.5)
         return Part(part.vertices, part.faces, middle, part.normals, part.paint.reshape(1, 1, 3), "texture image")
-    corners = part.paint[part.faces] if part.painted == "vertex colours" else part.paint[:, None].repeat(3, axis=1)
-    return _with_blocks(part, corners, where)
+    corners = part.paint[part.faces] if part.paint_kind == "vertex colours" else part.paint[:, None].repeat(3, axis=1)
+    return _block_picture(part, corners, where)
 
 
-def _with_blocks(part: Part, corners: Float32Array, where: str) -> Part:
-    """A picture with a block of 2 x 2 texels a face, whose corner colours are ``corners`` [m, 3, rgb].
+def _block_picture(part: Part, corners: Float32Array, where: str) -> Part:
+    """The part with a picture that has one block of 2 x 2 texels per face, from corner colours [m, 3, rgb].
 
-    The face's corners lie at the centres of three texels; the fourth is c10 + c01 - c00, with which the bilinear
-    interpolation is linear over the triangle (but where it had to be clipped to 0..1).
+    The corners of a face lie at the centres of three texels. The fourth texel is c10 + c01 - c00, so that bilinear
+    interpolation is linear over the triangle, except where that value is clipped to 0..1.
     """
     count = len(part.faces)
     columns = int(np.ceil(np.sqrt(count)))
@@ -216,13 +232,13 @@ def _with_blocks(part: Part, corners: Float32Array, where: str) -> Part:
     origin = np.stack([2 * column, 2 * row], axis=-1)[:, None] + 0.5  # texels from the left and the top
     place = (origin + np.array([[0, 0], [1, 0], [0, 1]])).reshape(-1, 2) / (2 * columns, 2 * rows)
     place[:, 1] = 1 - place[:, 1]
-    return _unshared(part, place, picture.reshape(2 * rows, 2 * columns, 3))
+    return _split_vertices(part, place, picture.reshape(2 * rows, 2 * columns, 3))
 
 
-def _within_picture(part: Part, where: str) -> Part:
-    """A part whose texture coordinates lie within its picture, which is repeated where a face spans several copies.
+def _repeat_picture(part: Part, where: str) -> Part:
+    """The part with texture coordinates within 0..1; its picture is tiled where a face spans several copies.
 
-    Mesh files repeat a picture beyond 0..1; the renderer's mixtures mirror it, and pictures side by side cannot.
+    Mesh files repeat a picture beyond 0..1. The renderer's mixtures mirror it there, and an atlas cannot repeat it.
     """
     assert part.uv is not None and part.paint is not None
     if part.uv.min() >= 0 and part.uv.max() <= 1:
@@ -232,50 +248,54 @@ def _within_picture(part: Part, where: str) -> Part:
     copies = np.maximum(np.ceil(corners.max(axis=(0, 1)) - 1e-6), 1).astype(int)
     height, width = part.paint.shape[:2]
     _check_size(int(height * copies[1]) * int(width * copies[0]), where)
-    # v counts from the bottom, and so do the copies: all are whole, so that order does not matter.
-    return _unshared(part, corners.reshape(-1, 2) / copies, np.tile(part.paint, (copies[1], copies[0], 1)))
+    # All copies are whole, so it does not matter that v counts from the bottom and rows from the top.
+    return _split_vertices(part, corners.reshape(-1, 2) / copies, np.tile(part.paint, (copies[1], copies[0], 1)))
 
 
-def _unshared(part: Part, uv: FloatArray, picture: Float32Array) -> Part:
-    """The part with vertices of its own for every face."""
+def _split_vertices(part: Part, uv: FloatArray, picture: Float32Array) -> Part:
+    """The part with separate vertices for every face; ``uv`` [3 m, 2] and the picture are new."""
     order = part.faces.ravel()
     faces = np.arange(len(order), dtype=np.uint32).reshape(-1, 3)
     normals = None if part.normals is None else part.normals[order]
     return Part(part.vertices[order], faces, uv, normals, picture, "texture image")
 
 
-def _stacked(pictures: list[Float32Array], uv: list[FloatArray], where: str) -> tuple[Float32Array, FloatArray]:
-    """Pictures above each other, each with a rim of its own border, and where their coordinates went."""
+def _atlas(pictures: list[Float32Array], uv: list[FloatArray], where: str) -> tuple[Float32Array, FloatArray]:
+    """Stack pictures vertically into an atlas [h, w, rgb] and map their ``uv`` into it, [sum n, 2].
+
+    Each picture is padded by one texel of its own border, so that interpolation does not mix neighbours.
+    """
     width = max(picture.shape[1] for picture in pictures) + 2
     heights = [picture.shape[0] + 2 for picture in pictures]
     _check_size(width * sum(heights), where)
     atlas = np.zeros((sum(heights), width, 3), np.float32)
-    placed, top = [], 0
+    coordinates, top = [], 0
     for picture, place, height in zip(pictures, uv, heights, strict=True):
         rows, columns = picture.shape[:2]
         atlas[top : top + height, : columns + 2] = np.pad(picture, ((1, 1), (1, 1), (0, 0)), mode="edge")
         down = top + 1 + (1 - place[:, 1]) * rows
-        placed.append(np.stack([(1 + place[:, 0] * columns) / width, 1 - down / len(atlas)], axis=-1))
+        coordinates.append(np.stack([(1 + place[:, 0] * columns) / width, 1 - down / len(atlas)], axis=-1))
         top += height
-    return atlas, np.concatenate(placed)
+    return atlas, np.concatenate(coordinates)
 
 
 def _check_size(texels: int, where: str) -> None:
     if texels > MOST_TEXELS:
         raise InputError(
-            f"{where}: its colours take {texels / 1e6:.0f} million texels, {MOST_TEXELS / 1e6:.0f} are allowed; "
-            "reduce its pictures or faces, or give the object a material"
+            f"{where}: its colours need {texels / 1e6:.0f} million texels, "
+            f"{MOST_TEXELS / 1e6:.0f} million are allowed; use smaller pictures or fewer faces, "
+            "or give the object a material"
         )
 
 
 # --- inside or outside ---------------------------------------------------------------------------
 
 
-def turns_around_origin(corners: FloatArray) -> float:
-    """Winding number of triangles [m, 3, xyz] around the origin: 1 inside a closed mesh, -1 where it is inside out.
+def winding_number(corners: FloatArray) -> float:
+    """Winding number of triangles [m, 3, xyz] around the origin.
 
-    The triangles' solid angles over 4 pi, each by van Oosterom and Strackee (1983), eq. 8; a mesh with holes gives
-    a fraction.
+    It is the sum of the triangles' signed solid angles (van Oosterom and Strackee 1983, eq. 8) over 4 pi: 1 inside a
+    closed mesh, 0 outside, -1 inside a mesh that is inside out, and a fraction for a mesh with holes.
     """
     a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
     la, lb, lc = (np.linalg.norm(side, axis=-1) for side in (a, b, c))
@@ -287,11 +307,11 @@ def turns_around_origin(corners: FloatArray) -> float:
 
 
 def distance_from_origin(corners: FloatArray) -> float:
-    """Distance of the nearest point of any of the triangles [m, 3, xyz]."""
+    """Distance between the origin and the nearest point of the triangles [m, 3, xyz]."""
     from trimesh.triangles import closest_point
 
     reach = float(np.linalg.norm(corners, axis=-1).min())
     low, high = corners.min(axis=1), corners.max(axis=1)
-    gap = np.linalg.norm(np.maximum(np.maximum(low, -high), 0.0), axis=-1)  # to each triangle's box
+    gap = np.linalg.norm(np.maximum(np.maximum(low, -high), 0.0), axis=-1)  # distance of each triangle's bounding box
     close = corners[gap <= reach]
     return float(np.linalg.norm(closest_point(close, np.zeros((len(close), 3))), axis=-1).min())

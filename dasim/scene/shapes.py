@@ -1,6 +1,6 @@
-"""The objects of a scene as data, and where they stand.
+"""The objects of a scene as data, and their geometry.
 
-Lengths of a specification are centimetres and angles degrees; everything computed from it is in metres.
+Specifications are in centimetres and degrees; everything computed from them is in metres.
 """
 
 from __future__ import annotations
@@ -23,54 +23,54 @@ Vector = tuple[float, float, float]
 Positive = Annotated[float, Field(gt=0)]
 
 
-class _Placed(Specification):
+class _Body(Specification):
     name: str = Field(min_length=1)
     material: str
     position_cm: Vector = (0.0, 0.0, 0.0)
-    rotation_deg: Vector = Field(default=(0.0, 0.0, 0.0), description="about x, then y, then z")
+    rotation_deg: Vector = Field(default=(0.0, 0.0, 0.0), description="degrees about x, then y, then z")
 
 
-class Plane(_Placed):
-    """A rectangle that faces the camera (-z) when not rotated."""
+class Plane(_Body):
+    """A rectangle, ``size_cm`` along x and y, that faces the camera (-z) when not rotated."""
 
     shape: Literal["plane"]
     size_cm: tuple[Positive, Positive]
 
 
-class Disc(_Placed):
+class Disc(_Body):
     """A disc that faces the camera (-z) when not rotated."""
 
     shape: Literal["disc"]
     radius_cm: Positive
 
 
-class Box(_Placed):
+class Box(_Body):
     """A box, ``size_cm`` along x, y, z."""
 
     shape: Literal["box"]
     size_cm: tuple[Positive, Positive, Positive]
 
 
-class Sphere(_Placed):
-    """A sphere; its texture's poles are above and below."""
+class Sphere(_Body):
+    """A sphere; the poles of its texture lie at the top and the bottom."""
 
     shape: Literal["sphere"]
     radius_cm: Positive
 
 
-class Cylinder(_Placed):
-    """An open cylinder standing along y."""
+class Cylinder(_Body):
+    """A cylinder without caps; its axis is y."""
 
     shape: Literal["cylinder"]
     radius_cm: Positive
     height_cm: Positive
 
 
-class HeightField(_Placed):
-    """A relief that faces the camera (-z) when not rotated, seen and textured as a plane.
+class HeightField(_Body):
+    """A relief that faces the camera (-z) when not rotated, with the texture coordinates of a plane.
 
-    ``image`` is a grey picture; where it is white (its largest value, as written in the file) the surface lies
-    ``height_cm`` nearer than where it is black.
+    ``image`` is a grey picture whose values are heights without decoding: white (the largest value of its data type)
+    lies ``height_cm`` nearer to the camera than black.
     """
 
     shape: Literal["heightfield"]
@@ -79,17 +79,17 @@ class HeightField(_Placed):
     height_cm: Positive
 
 
-class Mesh(_Placed):
-    """A mesh file (OBJ, PLY, GLB, STL, OFF) or ``procedural:NAME``, ``unit_cm`` the length of its unit.
+class Mesh(_Body):
+    """A mesh file (OBJ, PLY, GLB, STL, OFF) or ``procedural:NAME``; ``unit_cm`` is the length of its unit.
 
-    Without a material the file's own RGB colours are used, and ``near_infrared`` says what they are in the
-    near-infrared (``dasim.materials.photographs.NEAR_INFRARED_RULES``), which RGB leaves open.
+    Without a material it has the RGB colours of its file, and ``near_infrared`` names the rule that extends them beyond
+    the visible (one of ``dasim.materials.photographs.NEAR_INFRARED_RULES``).
     """
 
     shape: Literal["mesh"]
     file: str = Field(description="a file beside the scene, procedural:NAME or procedural:NAME:SEED")
     unit_cm: Positive = 1.0
-    material: str | None = None  # type: ignore[assignment]  # the only object that may have colours of its own
+    material: str | None = None  # type: ignore[assignment]  # only meshes may have colours of their own
     near_infrared: str | None = None
 
     @model_validator(mode="after")
@@ -106,15 +106,15 @@ Object = Annotated[Plane | Disc | Box | Sphere | Cylinder | HeightField | Mesh, 
 
 
 def placement(item: Object) -> FloatArray:
-    """Transform of an object's unscaled local axes into scene coordinates, metres, [4, 4]."""
-    placed = np.eye(4)
-    placed[:3, :3] = rotation(item.rotation_deg)
-    placed[:3, 3] = np.multiply(item.position_cm, 1e-2)
-    return placed
+    """Rigid transform [4, 4] of an object's local axes into scene coordinates, both in metres."""
+    matrix = np.eye(4)
+    matrix[:3, :3] = rotation(item.rotation_deg)
+    matrix[:3, 3] = np.multiply(item.position_cm, 1e-2)
+    return matrix
 
 
 def rotation(degrees: Vector) -> FloatArray:
-    """Rotation about x, then y, then z, [3, 3]."""
+    """Rotation matrix [3, 3] about x, then y, then z, right-handed, of angles in degrees."""
     x, y, z = np.radians(degrees)
     about_x = np.array([[1, 0, 0], [0, np.cos(x), -np.sin(x)], [0, np.sin(x), np.cos(x)]])
     about_y = np.array([[np.cos(y), 0, np.sin(y)], [0, 1, 0], [-np.sin(y), 0, np.cos(y)]])
@@ -123,7 +123,7 @@ def rotation(degrees: Vector) -> FloatArray:
 
 
 def half_extent_m(item: Object, folder: Path) -> tuple[FloatArray, FloatArray]:
-    """Centre and half size of an object's box in its local axes, metres."""
+    """Centre [3] and half size [3] of an object's bounding box in its local axes, metres."""
     if isinstance(item, Mesh):
         parts = mesh_parts(item, folder)
         low = np.min([part.vertices.min(axis=0) for part in parts], axis=0)
@@ -147,32 +147,32 @@ def half_extent_m(item: Object, folder: Path) -> tuple[FloatArray, FloatArray]:
 
 
 def mesh_parts(item: Mesh, folder: Path) -> tuple[meshes.Part, ...]:
-    """What a mesh's file holds; InputError where it is missing, broken or has no faces."""
+    """Parts of a mesh object in its local axes, metres; InputError if its file is missing, broken or empty."""
     if item.file.startswith(PREFIX):
-        return _procedural_parts(item.file, item.unit_cm, item.name)
+        return _procedural_mesh(item.file, item.unit_cm, item.name)
     return meshes.read(folder / item.file, item.unit_cm * 1e-2, mesh_place(item, folder))
 
 
 @lru_cache(maxsize=32)
-def _procedural_parts(file: str, unit_cm: float, name: str) -> tuple[meshes.Part, ...]:
+def _procedural_mesh(file: str, unit_cm: float, name: str) -> tuple[meshes.Part, ...]:
     try:
-        made = procedural(file.removeprefix(PREFIX))
+        mesh = procedural(file.removeprefix(PREFIX))
     except InputError as error:
         raise InputError(f"object '{name}': {error}") from None
-    return (meshes.Part(made.vertices * (unit_cm * 1e-2), made.faces, made.uv, made.normals),)
+    return (meshes.Part(mesh.vertices * (unit_cm * 1e-2), mesh.faces, mesh.uv, mesh.normals),)
 
 
 def mesh_place(item: Mesh, folder: Path) -> str:
-    """How an error names a mesh and its file."""
+    """Name of a mesh object and its file for error messages."""
     where = item.file if item.file.startswith(PREFIX) else folder / item.file
     return f"object '{item.name}': mesh {where}"
 
 
 def relief(item: HeightField, heights: NDArray[np.float32]) -> meshes.Part:
-    """Triangles of a height field, from the values [rows, columns] 0..1 of its picture's pixels, top row first.
+    """Triangles of a height field from the pixel values [rows, columns] 0..1 of its picture, top row first.
 
-    A value stands at its pixel's centre; between, the surface is that of two triangles per cell, and beyond the
-    outermost centres it goes on level. Texture coordinates are a plane's.
+    Values stand at pixel centres, joined by two triangles per cell; from the outermost centres to the rim the surface
+    continues at constant height. Texture coordinates are those of a plane.
     """
     u, down = np.meshgrid(*(np.array([0, *(np.arange(n) + 0.5) / n, 1]) for n in heights.shape[::-1]))
     rows, columns = u.shape
@@ -180,7 +180,7 @@ def relief(item: HeightField, heights: NDArray[np.float32]) -> meshes.Part:
     z = -depth * np.pad(heights.astype(np.float64), 1, mode="edge")
     vertices = np.stack([(u - 0.5) * width, (down - 0.5) * height, z], axis=-1)
     first = (np.arange(rows - 1)[:, None] * columns + np.arange(columns - 1)).ravel()
-    # Corners run counter-clockwise as seen from the camera: normals towards -z.
+    # Corners run counter-clockwise as seen from the camera, so that normals point towards -z.
     right, below, across = first + 1, first + columns, first + columns + 1
     faces = np.concatenate([np.stack([first, across, right], -1), np.stack([first, below, across], -1)])
     uv = np.stack([u, 1 - down], axis=-1)

@@ -1,7 +1,7 @@
-"""The scene: objects, materials and lights as data, read from TOML.
+"""The scene as data, read from TOML: objects, materials, lights and the camera's position.
 
-Scene coordinates are x right, y down, z forward, in centimetres; angles in degrees. The camera stands at
-the origin and looks along z unless ``view`` says otherwise.
+Scene coordinates are x right, y down, z forward, in centimetres; angles are in degrees. By default the camera stands at
+the origin and looks along z; ``view`` changes that.
 """
 
 from __future__ import annotations
@@ -30,13 +30,13 @@ SCENE_DIR = _HERE / "scenes" if (_HERE / "scenes").is_dir() else _HERE.parent / 
 
 
 class View(Specification):
-    """Where the camera stands and what it looks at; the picture's down is as near to y as possible."""
+    """Position of the camera, and a point on its optical axis; there is no roll: the picture's x axis is horizontal."""
 
     position_cm: Vector = (0.0, 0.0, 0.0)
     look_at_cm: Vector = (0.0, 0.0, 1.0)
 
     @model_validator(mode="after")
-    def _looks_somewhere(self) -> View:
+    def _has_direction(self) -> View:
         forward = np.subtract(self.look_at_cm, self.position_cm)
         if np.linalg.norm(np.cross(forward, (0.0, 1.0, 0.0))) < 1e-9 * max(1.0, float(np.linalg.norm(forward))):
             raise ValueError("look_at_cm must differ from position_cm and not lie straight above or below it")
@@ -44,11 +44,11 @@ class View(Specification):
 
 
 class Scene(Specification):
-    """Objects and lights; ``folder`` is where its images and meshes lie."""
+    """A scene: its objects, lights and own materials; ``folder`` is where its images and meshes are looked up."""
 
     name: str
     description: str = ""
-    focus_cm: Positive | None = Field(default=None, description="proposed focus; the camera owns the focus")
+    focus_cm: Positive | None = Field(default=None, description="proposed focus distance; the camera's own decides")
     view: View = View()
     materials: dict[str, Texture] = Field(default_factory=dict)
     lights: tuple[Light, ...] = Field(min_length=1)
@@ -73,12 +73,12 @@ class Scene(Specification):
 
 
 def scene_names() -> list[str]:
-    """Names of the bundled scenes, sorted; each is accepted wherever a scene is."""
+    """Sorted names of the bundled scenes; each is accepted wherever a scene is."""
     return sorted(path.stem for path in SCENE_DIR.glob("*.toml"))
 
 
 def load_scene(name_or_path: str | Path) -> Scene:
-    """The scene of a bundled name or a TOML file; InputError names everything that is wrong with it."""
+    """Load a bundled scene or a TOML file; InputError lists all problems of the scene."""
     path = bundled_or_file(name_or_path, SCENE_DIR, "scene")
     scene = parse_toml(Scene, path).model_copy(update={"folder": path.parent.resolve()})
     _check(scene, str(path))
@@ -86,19 +86,19 @@ def load_scene(name_or_path: str | Path) -> Scene:
 
 
 def focused(camera: Camera, scene: Scene) -> Camera:
-    """The camera focused where the scene proposes, or unchanged where it proposes nothing."""
+    """The camera focused at the scene's ``focus_cm``, or unchanged where the scene has none."""
     return camera if scene.focus_cm is None else refocused(camera, scene.focus_cm * 1e-2)
 
 
 def main_illuminant(scene: Scene | MitsubaScene) -> str:
-    """Name of the illuminant with the most lux in all; for a Mitsuba scene, the one chosen for its RGB lights."""
+    """Name of the illuminant of the light with the highest ``lux``; for a Mitsuba scene, that of its RGB lights."""
     if isinstance(scene, MitsubaScene):
         return scene.illuminant
     return max(scene.lights, key=lambda light: light.lux).illuminant
 
 
 def light_spectrum(scene: Scene | MitsubaScene) -> FloatArray:
-    """Relative spectral power of all lights together, weighted by their lux, [wavelength]."""
+    """Relative spectral power of the sum of all lights, weighted by their ``lux``, [wavelength]."""
     if isinstance(scene, MitsubaScene):
         return illuminants.illuminant(scene.illuminant)
     parts = [light.lux * illuminants.illuminant(light.illuminant) for light in scene.lights]
@@ -109,44 +109,44 @@ def light_spectrum(scene: Scene | MitsubaScene) -> FloatArray:
 
 
 def material_of(item: Object) -> str:
-    """Name of an object's material; a mesh with colours of its own is a material of its own."""
+    """Name of an object's material; a mesh with its file's colours counts as a material ``colours of NAME``."""
     return item.material or f"colours of {item.name}"
 
 
 def surface_of(item: Object, scene: Scene) -> Surface:
-    """The surface of an object: its material's, or its mesh's own colours by the near-infrared rule it names."""
+    """Surface of an object: that of its material, or its mesh's own colours extended by its near-infrared rule."""
     if item.material is not None:
         return surface(scene.materials.get(item.material, item.material), scene.folder)
-    assert isinstance(item, Mesh) and item.near_infrared is not None  # checked where the scene was loaded
+    assert isinstance(item, Mesh) and item.near_infrared is not None  # checked when the scene is loaded
     picture = triangles(item, scene.folder).paint
     assert picture is not None
     return photograph_surface(picture, item.near_infrared)
 
 
 def triangles(item: Mesh, folder: Path) -> meshes.Part:
-    """A mesh's triangles; without a material also the picture of its colours, and where it lies on them."""
+    """Triangles of a mesh object; without a material they carry a picture of its colours and the matching ``uv``."""
     parts = mesh_parts(item, folder)
     if item.material is not None:
-        return meshes.joined(parts)
-    return meshes.joined_with_colours(parts, mesh_place(item, folder))
+        return meshes.merge(parts)
+    return meshes.merge_with_colours(parts, mesh_place(item, folder))
 
 
 def material_names_of(scene: Scene) -> list[str]:
-    """Names of the materials that a scene's objects have, in order of first use; number 1 is the first."""
+    """Names of the materials of a scene's objects in order of first use; material number 1 is the first."""
     return list(dict.fromkeys(material_of(item) for item in scene.objects))
 
 
 def material_number_of_object(scene: Scene) -> NDArray[np.uint32]:
-    """Number of each object's material (from 1, in ``material_names_of``) by ``object_id``; 0 is nothing."""
+    """Material number by ``object_id``, [1 + objects]: from 1 in the order of ``material_names_of``; 0 is no object."""
     names = material_names_of(scene)
     return np.array([0, *(names.index(material_of(item)) + 1 for item in scene.objects)], np.uint32)
 
 
 def colour_notes(scene: Scene) -> list[str]:
-    """What was made of RGB colours: one line for each mesh that has its own."""
+    """One line per mesh with RGB colours of its own: the kinds of colours and the near-infrared rule."""
     return [
         f"object '{item.name}': RGB of {item.file} ({', '.join(meshes.colour_kinds(mesh_parts(item, scene.folder)))}) "
-        f"became a matt material by the near-infrared rule '{item.near_infrared}'"
+        f"rendered as a matt material by the near-infrared rule '{item.near_infrared}'"
         for item in scene.objects
         if isinstance(item, Mesh) and item.material is None
     ]
@@ -156,15 +156,15 @@ def colour_notes(scene: Scene) -> list[str]:
 
 
 def object_to_camera(item: Object, scene: Scene) -> FloatArray:
-    """Transform of an object's unscaled local axes into camera axes, metres, [4, 4].
+    """Rigid transform [4, 4] of an object's local axes into camera axes, both in metres.
 
-    Local lengths are metres; a mesh's own units are scaled where it is read.
+    A mesh's own unit is converted to metres where its file is read.
     """
     return world_to_camera(scene) @ placement(item)
 
 
 def world_to_camera(scene: Scene) -> FloatArray:
-    """Transform of scene coordinates (metres) into camera axes, [4, 4]."""
+    """Rigid transform [4, 4] of scene coordinates into camera axes, both in metres."""
     position, target = np.multiply(scene.view.position_cm, 1e-2), np.multiply(scene.view.look_at_cm, 1e-2)
     forward = (target - position) / np.linalg.norm(target - position)
     right = np.cross((0.0, 1.0, 0.0), forward)
@@ -175,11 +175,11 @@ def world_to_camera(scene: Scene) -> FloatArray:
     return matrix
 
 
-# --- checks that need more than one key ----------------------------------------------------------
+# --- checks across several keys ------------------------------------------------------------------
 
 
 def _check(scene: Scene, where: str) -> None:
-    """Materials, illuminants, images and meshes exist, and no object is behind or on the lens."""
+    """Raise InputError with all problems of a scene: missing materials, illuminants, images, meshes; bad positions."""
     problems: list[str] = []
     for index, light in enumerate(scene.lights):
         problems += [f"lights.{index} ({light.kind}): {problem}" for problem in _light_problems(light, scene)]
@@ -217,35 +217,35 @@ def _material_problems(item: Object, scene: Scene) -> list[str]:
 
 
 def _glass_problems(item: Object, scene: Scene, own: dict[str, Surface]) -> list[str]:
-    """Light that enters glass has to come out again: solid glass on an open shape would fill the world."""
-    found = own.get(item.material or "")
-    solid = isinstance(found, Glass) and not found.thin if found else item.material == "glass"
+    """Solid glass needs a closed shape: on an open one, refracted light would never leave the glass again."""
+    material = own.get(item.material or "")
+    solid = isinstance(material, Glass) and not material.thin if material else item.material == "glass"
     if not solid or item.shape not in ("plane", "disc", "cylinder", "heightfield"):
         return []
     return [
         f"object '{item.name}': a {item.shape} is open and cannot be of solid glass (material '{item.material}'); "
-        "take 'glass-pane' (or thin = true), or a box, sphere or closed mesh"
+        "use 'glass-pane' (or thin = true), or a box, sphere or closed mesh"
     ]
 
 
 def _light_problems(light: Light, scene: Scene) -> list[str]:
-    """An unknown illuminant, a bad image, or a lamp inside a solid object, where nobody sees its light."""
-    found = []
+    """Problems of a light: an unknown illuminant, an unusable image, or a position inside a box or sphere."""
+    problems = []
     for check in (lambda: illuminants.illuminant(light.illuminant), lambda: panorama.check(light, scene.folder)):
         try:
             check()
         except InputError as error:
-            found.append(str(error))
+            problems.append(str(error))
     if not isinstance(light, Near):
-        return found
+        return problems
     for item in scene.objects:
         if isinstance(item, (Box, Sphere)):
             _, half = half_extent_m(item, scene.folder)
             place = np.linalg.inv(placement(item)) @ [*np.multiply(light.position_cm, 1e-2), 1.0]
             share = np.abs(place[:3]) / half
             if (np.linalg.norm(share) if isinstance(item, Sphere) else share.max()) < 1:
-                found.append(f"position_cm lies inside object '{item.name}'; move one of them")
-    return found
+                problems.append(f"position_cm lies inside object '{item.name}'; move one of them")
+    return problems
 
 
 def _texture_problems(item: Mesh, scene: Scene) -> list[str]:
@@ -253,7 +253,7 @@ def _texture_problems(item: Mesh, scene: Scene) -> list[str]:
         if any(part.uv is None for part in mesh_parts(item, scene.folder)):
             return [
                 f"object '{item.name}': mesh {item.file} has no texture coordinates "
-                f"for the material '{item.material}'; give it some, or one of the plain materials"
+                f"for the material '{item.material}'; add them to the file, or use a material without a texture"
             ]
     except InputError:
         pass  # reported with the placement
@@ -261,14 +261,14 @@ def _texture_problems(item: Mesh, scene: Scene) -> list[str]:
 
 
 def _colour_problems(item: Mesh, scene: Scene) -> list[str]:
-    """What stands against using a mesh's own colours."""
+    """Problems of a mesh without a material: no colours, too many of them, or no valid near-infrared rule."""
     kinds = meshes.colour_kinds(mesh_parts(item, scene.folder))
     rules = ", ".join(NEAR_INFRARED_RULES)
     if not kinds:
         return [f"object '{item.name}': mesh {item.file} has no colours of its own; give the object a material"]
     if item.near_infrared is None:
         return [
-            f"object '{item.name}': mesh {item.file} has RGB colours ({', '.join(kinds)}), which say nothing of the "
+            f"object '{item.name}': mesh {item.file} has RGB colours ({', '.join(kinds)}), which do not determine the "
             f"near-infrared; choose a rule, near_infrared = {rules}, or give the object a material"
         ]
     if item.near_infrared not in NEAR_INFRARED_RULES:
@@ -283,7 +283,7 @@ def _place_problems(item: Object, scene: Scene) -> list[str]:
 
 
 def check_clear(scene: Scene, pupil_radius_m: float) -> None:
-    """InputError where an object reaches into the lens of the camera that is going to be used."""
+    """Raise InputError if an object reaches into a lens opening of ``pupil_radius_m``, metres, or encloses it."""
     problems = [
         problem
         for item in scene.objects

@@ -15,4 +15,4 @@ def test_head_is_one_unit_high_symmetric_and_around_its_middle():
     assert front[:, 1].max() == pytest.approx(0.5, abs=0.05)  # the chin
     assert skin.vertices[:, 0].max() == pytest.approx(-skin.vertices[:, 0].min(), abs=1e-3)
     assert 20_000 <= len(skin.faces) <= 60_000
-    assert meshes.turns_around_origin(skin.vertices[skin.faces]) == pytest.approx(1.0, abs=0.1)  # open at the neck
+    assert meshes.winding_number(skin.vertices[skin.faces]) == pytest.approx(1.0, abs=0.1)  # open at the neck
