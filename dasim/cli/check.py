@@ -144,8 +144,8 @@ def list_(kind: str, *, verbose: Annotated[bool, Parameter(negative="")] = False
     from dasim.scene import specification as scenes
 
     if kind == "scenes":
-        for name in scenes.scene_names():
-            print(f"{name:<16}{scenes.load_scene(name).description}")
+        for name, description in scenes.scene_descriptions().items():
+            print(f"{name:<16}{description}")
     elif kind == "cameras":
         for name in cameras.camera_names():
             loaded = cameras.load_camera(name)

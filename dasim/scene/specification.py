@@ -6,6 +6,7 @@ the origin and looks along z; ``view`` changes that.
 
 from __future__ import annotations
 
+import tomllib
 from pathlib import Path
 
 import numpy as np
@@ -75,6 +76,12 @@ class Scene(Specification):
 def scene_names() -> list[str]:
     """Sorted names of the bundled scenes; each is accepted wherever a scene is."""
     return sorted(path.stem for path in SCENE_DIR.glob("*.toml"))
+
+
+def scene_descriptions() -> dict[str, str]:
+    """Description of each bundled scene by name, read from its file without building the scene."""
+    files = {name: SCENE_DIR / f"{name}.toml" for name in scene_names()}
+    return {name: str(tomllib.loads(file.read_text(encoding="utf-8"))["description"]) for name, file in files.items()}
 
 
 def load_scene(name_or_path: str | Path) -> Scene:

@@ -715,6 +715,7 @@ def environment(renderer):
     return os.environ | {"DASIM_VARIANT": renderer, "PYTHONUNBUFFERED": "1"}
 
 
+@pytest.mark.slow
 def test_interrupt_leaves_no_partial_capture(tmp_path, environment):
     arguments = ["render", "desk", "--size", "512x384", "--spp", "128", "--out", "photos/one"]
     status, printed = interrupted(arguments, tmp_path, environment, "rendering through stop")
@@ -723,6 +724,7 @@ def test_interrupt_leaves_no_partial_capture(tmp_path, environment):
     assert not list(tmp_path.rglob("*one*")), "a partial folder stays"
 
 
+@pytest.mark.slow
 def test_interrupt_leaves_no_partial_demo(tmp_path, environment):
     """Rationale: the demo's folder is filled from the first stage on, under a temporary name."""
     arguments = ["demo", "--spp", "64", "--out", "demo"]

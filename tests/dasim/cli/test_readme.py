@@ -28,6 +28,7 @@ def test_readme_has_python_to_run():
     assert BLOCKS, "README.md has no ```python block: it has to show five lines of Python that work"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", range(len(BLOCKS)))
 def test_python_of_the_readme_runs(number, tmp_path):
     """Expectation: each block runs as it stands, in a process and a folder of its own, without a warning."""

@@ -55,6 +55,7 @@ def free_port() -> int:
         return int(listener.getsockname()[1])
 
 
+@pytest.mark.slow
 def test_worker_and_node_die_in_the_middle(cluster, tmp_path, renderer):
     """The process of one sample dies, then the node of another leaves: no sample is lost, and none is made twice."""
     nodes, address = cluster
