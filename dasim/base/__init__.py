@@ -1,1 +1,1 @@
-"""What every room uses: errors, specifications from TOML, caches, fingerprints and processes; start with ``toml``."""
+"""Errors, specifications from TOML, caches, fingerprints and processes, for all packages; start with ``toml``."""

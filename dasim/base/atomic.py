@@ -1,4 +1,4 @@
-"""Files and folders that appear whole or not at all: written under a temporary name, then renamed."""
+"""Atomic writing of files and folders: under a temporary name, which is renamed when everything is written."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import IO
 
-PARTIAL = ".partial"  # how temporary names end
-ABANDONED_S = 24 * 3600.0  # age at which an unfinished file of another computer counts as abandoned
+PARTIAL = ".partial"  # ending of temporary names
+ABANDONED_S = 24 * 3600.0  # age at which an unfinished file of another computer is considered abandoned
 
 
 def write(path: Path, content: bytes | str) -> None:
-    """Write a file as a whole, text as UTF-8; missing parent folders are created."""
+    """Write a file atomically, text as UTF-8; missing parent folders are created."""
     with writing(path) as file:
         file.write(content.encode() if isinstance(content, str) else content)
 
@@ -61,24 +61,28 @@ def new_folder(path: Path) -> Iterator[Path]:
 
 
 def writer() -> str:
-    """Name of this writer, unique among all threads, processes and computers that write into a folder."""
+    """Name of this thread, unique among all threads, processes and computers that write into a folder."""
     return f"{threading.get_ident()}.{platform.node()}.{os.getpid()}"
 
 
 def sweep(folder: Path) -> None:
-    """Remove the unfinished files of dead writers below a folder; those of running writers stay."""
+    """Remove unfinished files below a folder whose writer has ended.
+
+    Processes of other computers cannot be looked up: their files are removed after ``ABANDONED_S``.
+    """
     for partial in folder.rglob(f".*{PARTIAL}"):
         computer, _, process = partial.name.removesuffix(PARTIAL).rpartition(".")
         with suppress(FileNotFoundError):
             if computer.endswith(f".{platform.node()}") and process.isdigit():
-                dead = not _runs(int(process))
+                abandoned = not _runs(int(process))
             else:
-                dead = time.time() - partial.stat().st_mtime > ABANDONED_S
-            if dead:
+                abandoned = time.time() - partial.stat().st_mtime > ABANDONED_S
+            if abandoned:
                 partial.unlink()
 
 
 def _runs(process: int) -> bool:
+    """Whether a process of this number exists on this computer."""
     try:
         os.kill(process, 0)
     except ProcessLookupError:

@@ -1,4 +1,4 @@
-"""Folder for results that are kept between runs and may be deleted at any time.
+"""Folder of results that are reused between runs; it may be deleted at any time.
 
 Tested in tests/dasim/cli/test_commands.py.
 """
@@ -12,6 +12,6 @@ import platformdirs
 
 
 def cache_dir() -> Path:
-    """The user's cache folder for dasim, not necessarily existing; the variable ``DASIM_CACHE_DIR`` overrides it."""
-    chosen = os.environ.get("DASIM_CACHE_DIR")
-    return Path(chosen) if chosen else Path(platformdirs.user_cache_dir("dasim"))
+    """Path of the user's cache folder, which need not exist; the variable ``DASIM_CACHE_DIR`` overrides the default."""
+    own = os.environ.get("DASIM_CACHE_DIR")
+    return Path(own) if own else Path(platformdirs.user_cache_dir("dasim"))

@@ -1,4 +1,4 @@
-"""The one exception a user's mistake raises.
+"""The exception for wrong input of the user, and errors in one line.
 
 Tested in tests/dasim/base/test_loading.py.
 """
@@ -7,8 +7,8 @@ Tested in tests/dasim/base/test_loading.py.
 class InputError(ValueError):
     """The user's input is wrong; the message is one line: what, where, what is allowed.
 
-    The command line prints the message and ends with status 2; every other exception is a
-    defect of the program and keeps its traceback.
+    The command line prints the message and ends with status 2. Every other exception is a defect of the program and
+    keeps its traceback.
     """
 
     def __init__(self, message: str) -> None:
@@ -16,10 +16,17 @@ class InputError(ValueError):
 
 
 def kind_of(value: object) -> str:
-    """A value of the wrong kind, for a message: ``None``, ``the int 3``, ``a Scene``."""
+    """Description of a value of the wrong type for a message: ``None``, ``the int 3``, ``a Scene``."""
     if value is None:
         return "None"
     name = type(value).__name__
     if isinstance(value, (bool, int, float, str)):
         return f"the {name} {value!r}"
     return f"{'an' if name[0] in 'AEIOUaeiou' else 'a'} {name}"
+
+
+def describe_error(error: BaseException) -> str:
+    """Message of an error as one line: type and text, or the text alone of an InputError or OSError."""
+    if isinstance(error, OSError) and error.strerror:
+        return error.strerror + (f" ({error.filename})" if error.filename else "")
+    return " ".join((str(error) if isinstance(error, InputError) else f"{type(error).__name__}: {error}").split())

@@ -1,7 +1,7 @@
-"""Executors: one function for many indices, in processes of this computer or by Ray on many computers.
+"""Executors: one function for many indices, in processes of this computer or on many computers by Ray.
 
-An executor takes indices from a queue until it is empty, and yields an outcome for each. The caller may put an index
-back into the queue meanwhile, to have it tried again.
+An executor takes indices from a queue until it is empty, and yields an outcome for each. While it runs, the caller may
+append an index to the queue again, to repeat its work.
 
 Tested in tests/dasim/dataset/test_make.py and tests/dasim/dataset/test_ray.py.
 """
@@ -22,13 +22,14 @@ from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import Any
 
-from dasim.base.errors import InputError
+from dasim.base.errors import InputError, describe_error
 
 RAY_ANSWER_S = 10.0
 RAY_TRIES = 3
-STOP_S = 5.0  # time for a process to end by itself
+RAY_ERROR_LENGTH = 300  # characters of a message of Ray that are shown
+STOP_S = 5.0  # time that a process has to end before it is killed
 POLL_S = 0.5
-ONE_THREAD = {  # also of linear algebra: sums over several threads may differ in their last bits
+ONE_THREAD = {  # for linear algebra: sums over several threads may differ in their last bits
     name: "1" for name in ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS", "NUMBA_NUM_THREADS")
 }
 
@@ -39,26 +40,19 @@ class Outcome:
 
     index: int
     error: str | None = None  # one line; None after success
-    fatal: bool = False  # every other index would fail in the same way
-    final: bool = False  # the executor has repeated it: not worth another try
+    fatal: bool = False  # every other index would fail for the same reason
+    final: bool = False  # the executor has already repeated the work: the caller need not
     seconds: float = 0.0
-    render_s: float = 0.0  # of these in the renderer
-    peak_mb: float = 0.0  # peak memory of the process so far
+    render_s: float = 0.0  # of ``seconds``, in the renderer
+    peak_mb: float = 0.0  # peak memory of the process since its start
     row: dict[str, Any] | None = None
 
 
 Work = Callable[[Any, int], Outcome]
-"""Works on one index of a job. The job can be pickled; an error is returned as an outcome, not raised."""
+"""Function of a job and an index. The job must be picklable; an error is returned as an outcome, not raised."""
 
 Executor = Callable[[Any, "deque[int]"], Generator[Outcome]]
-"""Works on all indices of a queue of a job."""
-
-
-def in_one_line(error: Exception) -> str:
-    """Message of an error as one line."""
-    if isinstance(error, OSError) and error.strerror:
-        return error.strerror + (f" ({error.filename})" if error.filename else "")
-    return " ".join((str(error) if isinstance(error, InputError) else f"{type(error).__name__}: {error}").split())
+"""Generator of the outcomes of all indices of a queue, for a job."""
 
 
 # --- processes of this computer ------------------------------------------------------------------
@@ -68,13 +62,16 @@ def in_one_line(error: Exception) -> str:
 class _Worker:
     process: BaseProcess
     connection: Connection
-    place: int  # 0 to the number of workers - 1; a replacement takes the place of the dead worker, and its GPU
+    place: int  # 0 to the number of workers - 1, which decides its GPU; a replacement inherits it
 
 
 def local(processes: int, work: Work, *, gpu: bool = False) -> Executor:
-    """Processes of this computer; a process that dies is replaced, and only its own index fails.
+    """Executor that runs processes of this computer; a process that dies is replaced, and only its own index fails.
 
-    ``gpu`` gives each process one graphics card, in turn.
+    Args:
+        processes: number of processes.
+        work: function of a job and an index.
+        gpu: whether each process uses one graphics card; the cards are assigned in turn.
     """
 
     def run(job: Any, queue: deque[int]) -> Generator[Outcome]:
@@ -84,9 +81,9 @@ def local(processes: int, work: Work, *, gpu: bool = False) -> Executor:
         try:
             while queue or busy:
                 while queue and len(busy) < processes:
-                    worker = idle.pop() if idle else _started(job, places.pop(), work, gpu)
+                    worker = idle.pop() if idle else _start(job, places.pop(), work, gpu)
                     index = queue.popleft()
-                    with contextlib.suppress(OSError):  # it died while idle: its connection is ready below
+                    with contextlib.suppress(OSError):  # it died while idle, and its connection is ready below
                         worker.connection.send(index)
                     busy[worker.connection] = (worker, index)
                 for ready in wait(list(busy), timeout=POLL_S):
@@ -99,7 +96,7 @@ def local(processes: int, work: Work, *, gpu: bool = False) -> Executor:
                         worker.process.join(STOP_S)
                         places.append(worker.place)
                         ready.close()
-                        outcome = Outcome(index, f"its process died ({_death(worker.process.exitcode)})")
+                        outcome = Outcome(index, f"its process died ({_exit_reason(worker.process.exitcode)})")
                     yield outcome
         finally:
             _stop([worker for worker, _ in busy.values()] + idle)
@@ -107,22 +104,23 @@ def local(processes: int, work: Work, *, gpu: bool = False) -> Executor:
     return run
 
 
-def _started(job: Any, place: int, work: Work, gpu: bool) -> _Worker:
+def _start(job: Any, place: int, work: Work, gpu: bool) -> _Worker:
+    """Start a process that serves one connection, with one thread of linear algebra and its own graphics card."""
     context = multiprocessing.get_context("spawn")
-    near, far = context.Pipe()
-    process = context.Process(target=_serve, args=(far, job, work), daemon=True)
+    own, remote = context.Pipe()
+    process = context.Process(target=_serve, args=(remote, job, work), daemon=True)
     variables = dict(ONE_THREAD)
     if gpu:
         variables["CUDA_VISIBLE_DEVICES"] = gpus()[place % len(gpus())]
-    with _variables(variables):  # libraries read them when they are loaded
+    with _environment(variables):  # libraries read them when they are imported
         process.start()
-    far.close()
-    return _Worker(process, near, place)
+    remote.close()
+    return _Worker(process, own, place)
 
 
 @contextlib.contextmanager
-def _variables(changes: dict[str, str]) -> Iterator[None]:
-    """Set environment variables for processes that the block starts."""
+def _environment(changes: dict[str, str]) -> Iterator[None]:
+    """Set environment variables for the processes that the block starts."""
     before = {name: os.environ.get(name) for name in changes}
     os.environ.update(changes)
     try:
@@ -136,15 +134,16 @@ def _variables(changes: dict[str, str]) -> Iterator[None]:
 
 
 def gpus() -> list[str]:
-    """Numbers by CUDA of the NVIDIA graphics cards that this process may use; "0" where they cannot be listed."""
-    given = os.environ.get("CUDA_VISIBLE_DEVICES")
-    if given:
-        return given.split(",")
-    found = [path.name for path in Path("/dev").glob("nvidia*") if re.fullmatch(r"nvidia\d+", path.name)]
-    return [str(number) for number in range(len(found))] or ["0"]
+    """CUDA numbers of the NVIDIA graphics cards that this process may use; "0" where they cannot be listed."""
+    visible = os.environ.get("CUDA_VISIBLE_DEVICES")
+    if visible:
+        return visible.split(",")
+    devices = [path.name for path in Path("/dev").glob("nvidia*") if re.fullmatch(r"nvidia\d+", path.name)]
+    return [str(number) for number in range(len(devices))] or ["0"]
 
 
 def _stop(workers: list[_Worker]) -> None:
+    """End processes, and kill those that do not end within ``STOP_S``."""
     for worker in workers:
         worker.connection.close()
         worker.process.terminate()
@@ -156,14 +155,15 @@ def _stop(workers: list[_Worker]) -> None:
 
 
 def _serve(connection: Connection, job: Any, work: Work) -> None:
-    """Work on the indices that come through a connection until it closes, as it does when the coordinator dies."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches all processes; the coordinator decides
+    """Work on the indices that arrive through a connection, until it closes or the coordinating process dies."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches all processes; the coordinator handles it
     with contextlib.suppress(EOFError, OSError, KeyboardInterrupt):
         while True:
             connection.send(work(job, connection.recv()))
 
 
-def _death(code: int | None) -> str:
+def _exit_reason(code: int | None) -> str:
+    """Name of the signal that ended a process, or its exit status."""
     if code is None:
         return "it does not answer"
     return signal.Signals(-code).name if code < 0 else f"exit status {code}"
@@ -173,15 +173,15 @@ def _death(code: int | None) -> str:
 
 
 def ray(address: str, work: Work, *, gpu: bool = False) -> Executor:
-    """The nodes of a Ray cluster.
+    """Executor that runs on the nodes of a Ray cluster.
 
-    Ray chooses the node of each index, and repeats the index after the death of a worker or node. Raises InputError
-    where Ray is not installed or does not answer.
+    Ray chooses the node of each index, and repeats the work on an index whose process or node dies, ``RAY_TRIES`` times
+    in all. Raises InputError where Ray is not installed or does not answer.
 
     Args:
-        address: ``auto`` for the cluster of this computer or of RAY_ADDRESS, or ``ray://host:port``.
-        work: works on one index.
-        gpu: whether each index needs a graphics card.
+        address: ``auto`` for the cluster of this computer or of the variable RAY_ADDRESS, or ``ray://host:port``.
+        work: function of a job and an index.
+        gpu: whether the work on an index needs a graphics card.
     """
     try:
         import ray as engine
@@ -192,31 +192,35 @@ def ray(address: str, work: Work, *, gpu: bool = False) -> Executor:
     try:
         engine.init(address=address, log_to_driver=False, logging_level="ERROR", ignore_reinit_error=True)
     except Exception as error:  # connection errors of Ray, grpc and the operating system
-        raise InputError(f"--address {address}: Ray does not answer: {in_one_line(error)[:300]}") from None
+        raise InputError(
+            f"--address {address}: Ray does not answer: {describe_error(error)[:RAY_ERROR_LENGTH]}"
+        ) from None
 
     def run(job: Any, queue: deque[int]) -> Generator[Outcome]:
         task = engine.remote(
             num_cpus=1,
             num_gpus=int(gpu),
             max_retries=RAY_TRIES - 1,
-            max_calls=0,  # a process serves many indices: kernels are compiled once
+            max_calls=0,  # a process works on many indices, and compiles its kernels once
             runtime_env={"env_vars": ONE_THREAD},
         )(work)
-        sent = engine.put(job)
+        shared_job = engine.put(job)
         pending: dict[Any, int] = {}
         try:
             while queue or pending:
                 most = 2 * max(int(engine.cluster_resources().get("CPU", 1)), 1)
                 while queue and len(pending) < most:
                     index = queue.popleft()
-                    pending[task.remote(sent, index)] = index
+                    pending[task.remote(shared_job, index)] = index
                 done, _ = engine.wait(list(pending), num_returns=1, timeout=POLL_S)
                 for reference in done:
                     index = pending.pop(reference)
                     try:
                         yield engine.get(reference)
                     except engine.exceptions.RayError as error:
-                        yield Outcome(index, f"{in_one_line(error)[:300]} (in {RAY_TRIES} tries)", final=True)
+                        yield Outcome(
+                            index, f"{describe_error(error)[:RAY_ERROR_LENGTH]} (in {RAY_TRIES} tries)", final=True
+                        )
         finally:
             for reference in pending:
                 engine.cancel(reference, force=True)
@@ -235,14 +239,14 @@ def _check_answers(address: str) -> None:
         raise InputError(f"--address '{address}': is neither auto nor of the form ray://host:port")
     import grpc
 
-    why = "no Ray is there"
+    why = "it is not a Ray server"
     try:
         socket.create_connection((host, int(port)), timeout=RAY_ANSWER_S / 2).close()
         with grpc.insecure_channel(f"{host}:{port}") as channel:
             grpc.channel_ready_future(channel).result(timeout=RAY_ANSWER_S / 2)
             return
     except OSError as error:
-        why = in_one_line(error)
+        why = describe_error(error)
     except grpc.FutureTimeoutError:
         pass
     raise InputError(

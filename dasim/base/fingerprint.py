@@ -1,8 +1,8 @@
-"""Fingerprint of everything that decides a cached result: code, bundled data, library versions, renderer variant.
+"""Fingerprint of everything that determines a cached result: code, bundled data, library versions and variant.
 
 The code is found by following imports from the functions that compute the result. A name taken from a package
 (``dasim.simulate``) is followed to the module that defines it, so that a result does not depend on the other names
-that the package offers. Modules are followed as a whole: a change anywhere in a file changes the fingerprint.
+of the package. Modules count as a whole: any change in a file changes the fingerprint.
 
 Tested in tests/recon/calibration/test_cached.py.
 """
@@ -25,8 +25,8 @@ from dasim.base.errors import InputError
 from dasim.base.references import Content, Reference
 
 PACKAGES = ("dasim", "recon", "validation")
-ROOT = Path(__file__).resolve().parents[2]  # holds the packages
-# Folders of bundled data below the root, the first that exists: a wheel holds the scenes inside of dasim.
+ROOT = Path(__file__).resolve().parents[2]  # folder of the packages
+# Folders of bundled data below the root, of which the first that exists counts: a wheel has the scenes in dasim.
 DATA_FOLDERS = {"cameras": ("dasim/cameras",), "data": ("dasim/data",), "scenes": ("dasim/scenes", "scenes")}
 RENDERERS = frozenset({"mitsuba", "drjit"})  # libraries whose results depend on the variant
 DISTRIBUTIONS = {
@@ -34,17 +34,17 @@ DISTRIBUTIONS = {
     **{"colour_demosaicing": "colour-demosaicing", "PIL": "pillow", "grpc": "grpcio"},
 }
 DIGITS = 24
-LONGEST_PATH = 1000  # characters; longer text names no file
+LONGEST_PATH = 1000  # characters; longer text cannot be the name of a file
 
 Source = Callable[..., Any] | str | Path
-"""Code to start from: a function or class, the dotted name of a module, or a Python file outside of the packages."""
+"""Code to start from: a function, a class, the dotted name of a module, or a Python file outside of the packages."""
 
 
 @dataclass(frozen=True)
 class Dependencies:
     """Files and libraries that a result depends on."""
 
-    files: dict[Path, str]  # with a name that does not depend on where the packages are installed
+    files: dict[Path, str]  # path, and a name that does not depend on the place of installation
     libraries: frozenset[str]  # top-level names of imported packages outside of the project and standard library
 
     @property
@@ -54,30 +54,30 @@ class Dependencies:
 
 
 def fingerprint(
-    *sources: Source, variant: str | None = None, values: Iterable[str] = (), given: Collection[str] = ()
+    *sources: Source, variant: str | None = None, values: Iterable[str] = (), excluding: Collection[str] = ()
 ) -> str:
-    """Hash of the content of everything that decides what ``sources`` compute.
+    """Hash of the content of everything that determines the results of ``sources``.
 
     Args:
         sources: functions, modules or files that compute the result.
-        variant: the renderer's variant; required where the code can render, without effect elsewhere.
+        variant: Mitsuba variant; required where the code can render, ignored otherwise.
         values: parameters of the result as text.
-        given: names of the ``DATA_FOLDERS`` whose content the result depends on through ``values`` alone. The key of a
-            bank holds its camera, for example, and the bank does not depend on the other bundled cameras.
+        excluding: names of the ``DATA_FOLDERS`` that are left out, because ``values`` contain all that the result takes
+            from them. Those of a PSF bank, for example, contain its camera: the other bundled cameras do not matter.
     """
-    found = dependencies(*sources, given=given)
+    needs = dependencies(*sources, excluding=excluding)
     text = [_name(source) for source in sources]
-    text += sorted(f"{name} {_digest(path)}" for path, name in found.files.items())
-    text += [f"{name} {library_version(name)}" for name in sorted(found.libraries)]
-    if found.renders:
+    text += sorted(f"{name} {_digest(path)}" for path, name in needs.files.items())
+    text += [f"{name} {library_version(name)}" for name in sorted(needs.libraries)]
+    if needs.renders:
         if variant is None:
             raise ValueError(f"{', '.join(text[: len(sources)])} can render: the result depends on the variant")
         text.append(variant)
-    return hashed([*text, *values])
+    return text_hash([*text, *values])
 
 
-def dependencies(*sources: Source, given: Collection[str] = ()) -> Dependencies:
-    """Files and libraries that ``sources`` depend on; see :func:`fingerprint`."""
+def dependencies(*sources: Source, excluding: Collection[str] = ()) -> Dependencies:
+    """Files and libraries that the results of ``sources`` depend on; parameters as in :func:`fingerprint`."""
     waiting = [_start(source) for source in sources]
     modules: dict[str, Path] = {}
     libraries: set[str] = set()
@@ -87,15 +87,15 @@ def dependencies(*sources: Source, given: Collection[str] = ()) -> Dependencies:
             continue
         modules[name] = path
         for reference in _content(path).references:
-            found, library = _resolved(reference, name, path)
-            waiting += found
+            targets, library = _resolve(reference, name, path)
+            waiting += targets
             libraries |= library
-    files = [*modules.values(), *(data for path in modules.values() for data in _data(path, given))]
+    files = [*modules.values(), *(data for path in modules.values() for data in _data(path, excluding))]
     return Dependencies({path: _file_name(path) for path in files}, frozenset(libraries))
 
 
-def hashed(text: Iterable[str]) -> str:
-    """Name for a sequence of texts, the same for the same texts only."""
+def text_hash(text: Iterable[str]) -> str:
+    """Hash of a sequence of texts, [``DIGITS``] hexadecimal digits; it depends on where each text ends."""
     digest = hashlib.sha256()
     for part in text:
         data = part.encode()
@@ -104,11 +104,11 @@ def hashed(text: Iterable[str]) -> str:
 
 
 def named_files(data: Any, folder: Path) -> list[str]:
-    """Content, as hashes, of the files below ``folder`` that plain data names anywhere, such as a scene's meshes."""
+    """SHA-256 of the files below ``folder`` whose names occur anywhere in plain data, such as a scene's meshes."""
     if isinstance(data, dict):
-        return [found for value in data.values() for found in named_files(value, folder)]
+        return [digest for value in data.values() for digest in named_files(value, folder)]
     if isinstance(data, (list, tuple)):
-        return [found for value in data for found in named_files(value, folder)]
+        return [digest for value in data for digest in named_files(value, folder)]
     if not isinstance(data, str) or not data or len(data) > LONGEST_PATH or "\0" in data:
         return []
     path = folder / data
@@ -122,8 +122,8 @@ def library_version(name: str) -> str:
         return metadata.version(DISTRIBUTIONS.get(name, name))
     except metadata.PackageNotFoundError:
         pass
-    provided = _distributions().get(name, [])
-    return ", ".join(f"{one} {metadata.version(one)}" for one in sorted(set(provided))) or "none"
+    providers = _distributions().get(name, [])
+    return ", ".join(f"{one} {metadata.version(one)}" for one in sorted(set(providers))) or "none"
 
 
 @cache
@@ -132,22 +132,24 @@ def _distributions() -> Mapping[str, list[str]]:
 
 
 def forget() -> None:
-    """Read all files again. Otherwise a process reads each file once, as it goes on running the code it has loaded."""
-    for cached in (_content, _digest, _module_below, _passed_on):
-        cached.cache_clear()
+    """Read all files anew at the next call; otherwise a process reads each once, as it runs the code it has loaded."""
+    for function in (_content, _digest, _module_below, _exports):
+        function.cache_clear()
 
 
-# --- where to start ------------------------------------------------------------------------------
+# --- sources -------------------------------------------------------------------------------------
 
 
-def _unwrapped(source: Source) -> Source:
+def _unwrap(source: Source) -> Source:
+    """The function inside of decorators and ``functools.partial``; other sources as they are."""
     while isinstance(source, functools.partial):
         source = source.func
     return inspect.unwrap(source) if callable(source) else source
 
 
 def _name(source: Source) -> str:
-    source = _unwrapped(source)
+    """Name of a source that does not depend on the place of installation."""
+    source = _unwrap(source)
     if isinstance(source, Path):
         return source.name
     if isinstance(source, str):
@@ -157,8 +159,8 @@ def _name(source: Source) -> str:
 
 
 def _start(source: Source) -> tuple[str, Path]:
-    """Module name, or path where the file lies outside of the packages, and file."""
-    source = _unwrapped(source)
+    """Name and file of a source's module; the name is the path where the file lies outside of the packages."""
+    source = _unwrap(source)
     if callable(source):
         if _is_own(source.__module__):
             source = source.__module__
@@ -166,7 +168,7 @@ def _start(source: Source) -> tuple[str, Path]:
             try:
                 source = Path(inspect.getfile(source)).resolve(strict=True)
             except (TypeError, OSError):
-                raise InputError(f"{source}: has no source file, so that results cannot be cached") from None
+                raise InputError(f"{source}: has no source file, so that its results cannot be cached") from None
     if isinstance(source, Path):
         return str(source.resolve()), source.resolve()
     path = _module(source)
@@ -182,8 +184,8 @@ def _is_own(module: str) -> bool:
 # --- from references to files --------------------------------------------------------------------
 
 
-def _resolved(reference: Reference, name: str, path: Path) -> tuple[list[tuple[str, Path]], set[str]]:
-    """Modules, as (name, file), and libraries that a reference in the module ``name`` leads to."""
+def _resolve(reference: Reference, name: str, path: Path) -> tuple[list[tuple[str, Path]], set[str]]:
+    """Modules (name, file) and libraries that a reference in the module ``name`` with the file ``path`` leads to."""
     foreign = name == str(path)
     dotted = reference.dotted if foreign else reference.absolute(name, package=path.name == "__init__.py")
     top = dotted.partition(".")[0]
@@ -195,7 +197,7 @@ def _resolved(reference: Reference, name: str, path: Path) -> tuple[list[tuple[s
 
 
 def _project(dotted: str, *, whole: bool) -> Iterator[tuple[str, Path]]:
-    """Modules that ``package.module.name`` leads to; of a package as a ``whole``, all that it offers."""
+    """Modules (name, file) that ``package.module.name`` leads to; with ``whole``, all that a package re-exports."""
     parts = dotted.split(".")
     for end in range(1, len(parts) + 1):
         name, rest = ".".join(parts[:end]), parts[end:]
@@ -205,14 +207,14 @@ def _project(dotted: str, *, whole: bool) -> Iterator[tuple[str, Path]]:
         if path.name != "__init__.py":
             yield name, path
             return
-        offered = _passed_on(path)
-        if offered is None:  # a package with code of its own
+        exports = _exports(path)
+        if exports is None:  # a package with code of its own
             yield name, path
-            offered = {}
-        if rest and (rest[0] not in offered or _module(f"{name}.{rest[0]}") is not None):
+            exports = {}
+        if rest and (rest[0] not in exports or _module(f"{name}.{rest[0]}") is not None):
             continue
-        wanted = [offered[rest[0]]] if rest else list(offered.values()) if whole else []
-        for reference in (one for several in wanted for one in several):
+        groups = [exports[rest[0]]] if rest else list(exports.values()) if whole else []
+        for reference in (one for group in groups for one in group):
             yield from _project(".".join([reference.absolute(name, package=True), *rest[1:]]), whole=False)
         return
 
@@ -232,9 +234,9 @@ def _module_below(folder: Path, name: str) -> Path | None:
 
 
 def _beside(path: Path, dotted: str, level: int) -> list[Path]:
-    """Modules that a file outside of the packages imports from its own folder, or from its own package.
+    """Files that a file outside of the packages imports from its own folder or its own package.
 
-    What an installed package imports from others is a library, though it may lie beside it.
+    Other installed packages lie in the same folder as an installed package, but count as libraries.
     """
     top = path.parent
     while (top / "__init__.py").is_file():
@@ -245,21 +247,21 @@ def _beside(path: Path, dotted: str, level: int) -> list[Path]:
         folders = [top] if path.relative_to(top).parts[0] == parts[0] else []
     for folder in folders:
         files = [_module_below(folder, ".".join(parts[:end])) for end in range(1, len(parts) + 1)]
-        found = [file.resolve() for file in files if file is not None]
-        if found:
-            return found
+        present = [file.resolve() for file in files if file is not None]
+        if present:
+            return present
     return []
 
 
-def _data(path: Path, given: Collection[str]) -> Iterator[Path]:
-    """Bundled data that a module names: single files of a folder, or else the folder as a whole."""
-    named = _content(path).path_parts
+def _data(path: Path, excluding: Collection[str]) -> Iterator[Path]:
+    """Bundled data that a module joins to paths: the files that it names, or all files of a folder that it names."""
+    parts = _content(path).path_parts
     for name, places in DATA_FOLDERS.items():
         folder = next((ROOT / place for place in places if (ROOT / place).is_dir()), None)
-        if name in given or name not in named or folder is None:
+        if name in excluding or name not in parts or folder is None:
             continue
         files = sorted(file for file in folder.rglob("*") if file.is_file())
-        yield from [file for file in files if file.name in named] or files
+        yield from [file for file in files if file.name in parts] or files
 
 
 def _file_name(path: Path) -> str:
@@ -276,8 +278,8 @@ def _content(path: Path) -> Content:
 
 
 @cache
-def _passed_on(path: Path) -> references.Names | None:
-    return references.passed_on(path, _content(path))
+def _exports(path: Path) -> references.Names | None:
+    return references.exports(path, _content(path))
 
 
 @cache

@@ -1,4 +1,4 @@
-"""Functions of the user's own, by name: ``package.module:function`` or ``file.py:function``."""
+"""Loading of the user's functions by name: ``package.module:function`` or ``file.py:function``."""
 
 from __future__ import annotations
 
@@ -12,21 +12,21 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-from dasim.base.errors import InputError
+from dasim.base.errors import InputError, describe_error
 
-_FILE_MODULE = "dasim_file_"  # begins the module name of a user's file, so that it shadows no installed module
+_FILE_MODULE = "dasim_file_"  # prefix of the module name of a user's file, which prevents clashes with other modules
 
 
 def load_function(name: str, kind: str) -> Callable[..., Any]:
-    """The function of a name; InputError in one line where it cannot be imported or is not callable.
+    """Function of a name; InputError where it cannot be imported or is not callable.
 
-    Modules are looked for among the installed ones and then in the current folder; a file may import modules that
-    lie beside it. A file is executed anew at each call. A function from a file cannot be pickled by reference: pass
-    its name to another process and load it there.
+    A module is searched among the installed ones and then in the working folder. A file may import modules from its
+    own folder, and is executed anew at each call. A function from a file cannot be pickled: pass its name to another
+    process and load it there.
 
     Args:
         name: ``package.module:function`` or ``file.py:function``.
-        kind: what the function is, for messages: ``noise model``, ``method``.
+        kind: what the function is for, in messages: ``noise model``, ``method``.
     """
     source, colon, attribute = name.rpartition(":")
     if not colon or not source or not attribute.isidentifier():
@@ -44,7 +44,7 @@ def load_function(name: str, kind: str) -> Callable[..., Any]:
 
 
 def function_name(function: Callable[..., Any]) -> str:
-    """``module:function`` or ``file.py:function`` of a function, as provenance and reports write it."""
+    """Name of a function for provenance and reports: ``module:function`` or ``file.py:function``."""
     module = getattr(function, "__module__", None) or type(function).__module__
     name = getattr(function, "__qualname__", None) or type(function).__qualname__
     if module == "__main__" or module.startswith(_FILE_MODULE):
@@ -52,16 +52,17 @@ def function_name(function: Callable[..., Any]) -> str:
     return f"{module}:{name}"
 
 
-def describe_error(error: BaseException) -> str:
-    """What a user's function raised, in one line: its kind, text, and the file and line where it was raised."""
-    text = " ".join(f"{type(error).__name__}: {error}".split())
+def locate_error(error: BaseException) -> str:
+    """Message of an error in a user's function as one line, with the file and line where it was raised."""
+    text = describe_error(error)
     frames = traceback.extract_tb(error.__traceback__)
-    if isinstance(error, SyntaxError) or not frames:  # a SyntaxError's text has its place
+    if isinstance(error, SyntaxError) or not frames:  # the text of a SyntaxError has its place
         return text
     return f"{text} ({Path(frames[-1].filename).name}, line {frames[-1].lineno})"
 
 
 def _module(name: str, where: str) -> ModuleType:
+    """Import a module by its dotted name; ``where`` begins the message of an InputError."""
     _add_to_path(Path.cwd())
     importlib.invalidate_caches()
     try:
@@ -69,15 +70,16 @@ def _module(name: str, where: str) -> ModuleType:
     except ModuleNotFoundError as error:
         if error.name is not None and (name == error.name or name.startswith(f"{error.name}.")):
             raise InputError(
-                f"{where}: there is no module '{error.name}' among the installed ones or in {Path.cwd()}; "
-                "a file is named with its ending: file.py:function"
+                f"{where}: there is no module '{error.name}', installed or in {Path.cwd()}; "
+                "a file is given with its ending, as file.py:function"
             ) from None
-        raise InputError(f"{where}: cannot be imported, {describe_error(error)}") from error
+        raise InputError(f"{where}: cannot be imported, {locate_error(error)}") from error
     except (Exception, SystemExit) as error:  # whatever the user's module raises
-        raise InputError(f"{where}: cannot be imported, {describe_error(error)}") from error
+        raise InputError(f"{where}: cannot be imported, {locate_error(error)}") from error
 
 
 def _file_module(path: Path, where: str) -> ModuleType:
+    """Execute a Python file as a module; ``where`` begins the message of an InputError."""
     path = path.resolve()
     try:
         source = path.read_bytes()
@@ -89,21 +91,22 @@ def _file_module(path: Path, where: str) -> ModuleType:
     assert spec is not None
     module = importlib.util.module_from_spec(spec)
     _add_to_path(path.parent)
-    sys.modules[name] = module  # dataclasses look their module up while it is executed
+    sys.modules[name] = module  # dataclasses look up their module while it is executed
     try:
-        # Compiled here rather than by the loader, whose bytecode cache takes a file edited twice in a second for old.
+        # The loader's bytecode cache would miss the second of two edits within a second: compile without it.
         exec(loader.source_to_code(source, str(path)), vars(module))
     except (Exception, SystemExit) as error:
         del sys.modules[name]
-        raise InputError(f"{where}: cannot be imported, {describe_error(error)}") from error
+        raise InputError(f"{where}: cannot be imported, {locate_error(error)}") from error
     return module
 
 
 def _add_to_path(folder: Path) -> None:
-    """Let modules of the folder be imported, after the installed ones."""
+    """Append a folder to the import path, after the installed modules."""
     if str(folder) not in sys.path:
         sys.path.append(str(folder))
 
 
 def _is_own(key: str, value: Any, module: ModuleType) -> bool:
+    """Whether a public name is defined in the module itself."""
     return not key.startswith("_") and getattr(value, "__module__", None) == module.__name__

@@ -1,4 +1,4 @@
-"""What a Python file refers to, from its syntax tree: nothing is imported.
+"""Names that a Python file refers to, from its syntax tree, without importing it.
 
 Tested in tests/recon/calibration/test_cached.py.
 """
@@ -16,7 +16,7 @@ class Reference:
     """A dotted name that a file refers to.
 
     ``level`` is the number of leading dots of a relative import. ``whole`` marks a name that is used as a value, so
-    that any part of it may be used.
+    that all of its attributes may be used.
     """
 
     dotted: str
@@ -24,7 +24,7 @@ class Reference:
     whole: bool = False
 
     def absolute(self, module: str, *, package: bool) -> str:
-        """The dotted name in a ``module``, which is a ``package`` where its file is ``__init__.py``."""
+        """Absolute dotted name of a reference in ``module``; ``package`` where its file is ``__init__.py``."""
         if not self.level:
             return self.dotted
         parts = module.split(".")
@@ -36,38 +36,41 @@ Names = dict[str, set[Reference]]
 
 @dataclass(frozen=True)
 class Content:
-    """What a file refers to."""
+    """Names that a file refers to."""
 
     references: frozenset[Reference]
-    path_parts: frozenset[str]  # names that are joined to paths: folder / "data"
-    passed_on: Names | None  # names that a package takes from its modules; None where the file has code of its own
+    path_parts: frozenset[str]  # text that is joined to paths, as in folder / "data"
+    exports: Names | None  # names that a package re-exports from its modules; None where the file has its own code
 
 
 @cache
 def content(source: bytes) -> Content:
-    """What a file of this source code refers to.
+    """Names that a file of this source code refers to.
 
-    Imports inside functions count as well. Imports under ``if TYPE_CHECKING`` do not, because they are never executed.
+    Imports inside functions are included. Imports under ``if TYPE_CHECKING`` are not, because they are never executed.
     """
     tree = ast.parse(source)
     imports = _Imports()
     imports.visit(tree)
     uses = _Uses(imports.names)
     uses.visit(tree)
-    passed_on = imports.names if all(map(_passes_on, tree.body)) else None
-    return Content(frozenset(imports.references | uses.references), frozenset(uses.path_parts), passed_on)
+    exports = imports.names if all(map(_is_export, tree.body)) else None
+    return Content(frozenset(imports.references | uses.references), frozenset(uses.path_parts), exports)
 
 
-def passed_on(init: Path, own: Content) -> Names | None:
-    """Names that a package takes from its modules, also by the stub that ``lazy_loader`` reads."""
+def exports(init: Path, own: Content) -> Names | None:
+    """Names that a package re-exports from its modules, including those of the stub that ``lazy_loader`` reads.
+
+    ``init`` is the package's ``__init__.py`` and ``own`` its content. None where the package has its own code.
+    """
     stub = init.with_suffix(".pyi")
-    if own.passed_on is None or not stub.is_file():
-        return own.passed_on
-    return own.passed_on | (content(stub.read_bytes()).passed_on or {})
+    if own.exports is None or not stub.is_file():
+        return own.exports
+    return own.exports | (content(stub.read_bytes()).exports or {})
 
 
-def _passes_on(node: ast.stmt) -> bool:
-    """Whether a statement is a docstring, an import, or lists the names of a package."""
+def _is_export(node: ast.stmt) -> bool:
+    """Whether a statement is a docstring, an import, or the list of a package's names."""
     if isinstance(node, ast.Assign):
         names = {part.id for target in node.targets for part in ast.walk(target) if isinstance(part, ast.Name)}
         return bool(names & {"__all__", "__getattr__"})
@@ -76,7 +79,7 @@ def _passes_on(node: ast.stmt) -> bool:
 
 
 class _Imports(ast.NodeVisitor):
-    """What a file imports, and the names that it gives to the imports."""
+    """Imports of a file, and the names that it binds to them."""
 
     def __init__(self) -> None:
         self.references: set[Reference] = set()
@@ -93,18 +96,17 @@ class _Imports(ast.NodeVisitor):
             if alias.name == "*":
                 self.references.add(Reference(node.module or "", node.level, whole=True))
                 continue
-            found = Reference(f"{node.module}.{alias.name}" if node.module else alias.name, node.level)
-            self.references.add(found)
-            self.names.setdefault(alias.asname or alias.name, set()).add(found)
+            reference = Reference(f"{node.module}.{alias.name}" if node.module else alias.name, node.level)
+            self.references.add(reference)
+            self.names.setdefault(alias.asname or alias.name, set()).add(reference)
 
     def visit_If(self, node: ast.If) -> None:
-        skipped = _is_type_checking(node.test)
-        for statement in node.orelse if skipped else (node.test, *node.body, *node.orelse):
+        for statement in node.orelse if _is_type_checking(node.test) else (node.test, *node.body, *node.orelse):
             self.visit(statement)
 
 
 class _Uses(ast.NodeVisitor):
-    """How a file uses the names of its imports, and which names it joins to paths."""
+    """Uses of a file's imports, and the text that it joins to paths."""
 
     def __init__(self, names: Names) -> None:
         self.names = names
@@ -120,12 +122,12 @@ class _Uses(ast.NodeVisitor):
         if not isinstance(inner, ast.Name):
             self.visit(inner)
             return
-        for found in self.names.get(inner.id, ()):
-            self.references.add(Reference(".".join([found.dotted, *chain]), found.level))
+        for reference in self.names.get(inner.id, ()):
+            self.references.add(Reference(".".join([reference.dotted, *chain]), reference.level))
 
     def visit_Name(self, node: ast.Name) -> None:
-        for found in self.names.get(node.id, ()):
-            self.references.add(Reference(found.dotted, found.level, whole=True))
+        for reference in self.names.get(node.id, ()):
+            self.references.add(Reference(reference.dotted, reference.level, whole=True))
 
     def visit_BinOp(self, node: ast.BinOp) -> None:
         if isinstance(node.op, ast.Div):
@@ -133,11 +135,11 @@ class _Uses(ast.NodeVisitor):
         self.generic_visit(node)
 
     def visit_Call(self, node: ast.Call) -> None:
-        called = node.func.attr if isinstance(node.func, ast.Attribute) else getattr(node.func, "id", None)
-        if called in ("Path", "joinpath", "join", "with_name"):
+        name = node.func.attr if isinstance(node.func, ast.Attribute) else getattr(node.func, "id", None)
+        if name in ("Path", "joinpath", "join", "with_name"):
             for argument in node.args:
                 self._join(argument)
-        if called in ("import_module", "__import__") and node.args and isinstance(node.args[0], ast.Constant):
+        if name in ("import_module", "__import__") and node.args and isinstance(node.args[0], ast.Constant):
             self.references.add(Reference(str(node.args[0].value), whole=True))
         self.generic_visit(node)
 

@@ -1,4 +1,4 @@
-"""Specifications: frozen values read from TOML, checked once, every problem named by its key.
+"""Specifications: frozen values that are read from TOML and validated, with all problems named by their keys.
 
 Tested in tests/dasim/scene/test_specification.py and tests/dasim/camera/test_specification.py.
 """
@@ -24,7 +24,10 @@ Model = TypeVar("Model", bound=BaseModel)
 
 
 def bundled_or_file(name_or_path: str | Path, folder: Path, kind: str) -> Path:
-    """Path of a bundled TOML file by its name, or of the user's own; InputError where there is neither."""
+    """Path of a bundled TOML file by its name, or of the user's file; InputError where there is neither.
+
+    ``folder`` holds the bundled files; ``kind`` is what they describe, for the message.
+    """
     path = Path(name_or_path)
     bundled = folder / f"{name_or_path}.toml"
     if path.parent == Path(".") and bundled.is_file():
@@ -36,9 +39,9 @@ def bundled_or_file(name_or_path: str | Path, folder: Path, kind: str) -> Path:
 
 
 def parse_toml(model: type[Model], path: Path) -> Model:
-    """Read a TOML file into a specification; every problem in one InputError, each with its key.
+    """Read a specification from a TOML file; all problems in one InputError, each with its key.
 
-    Files that it names are looked for beside it.
+    Names of files in it are relative to its folder.
     """
     try:
         data = tomllib.loads(path.read_text(encoding="utf-8"))
@@ -50,15 +53,22 @@ def parse_toml(model: type[Model], path: Path) -> Model:
 
 
 def parse(model: type[Model], data: Any, where: str, folder: Path = Path(".")) -> Model:
-    """Validate plain data into a specification; every problem in one InputError, each with its key."""
+    """Validate plain data as a specification; all problems in one InputError, each with its key.
+
+    Args:
+        model: class of the specification.
+        data: plain data, as TOML or JSON gives it.
+        where: name of the source, which begins the message.
+        folder: folder that names of files in ``data`` are relative to.
+    """
     try:
         return model.model_validate(data, context={"folder": folder})
     except ValidationError as error:
-        raise InputError(f"{where}: " + "; ".join(_problem(item, data) for item in _own(error.errors()))) from None
+        raise InputError(f"{where}: " + "; ".join(_problem(item, data) for item in _causes(error.errors()))) from None
 
 
-def _own(problems: list[Any]) -> list[Any]:
-    """Without complaints of a whole that only follow from those of its parts: a list whose one entry is wrong."""
+def _causes(problems: list[Any]) -> list[Any]:
+    """Problems without those that only follow from others: a list is too short where its one entry is wrong."""
     places = [item["loc"] for item in problems]
 
     def follows(item: Any) -> bool:
@@ -69,7 +79,7 @@ def _own(problems: list[Any]) -> list[Any]:
 
 
 def named_file(data: dict[str, Any], info: ValidationInfo) -> Path:
-    """Path of the file that ``data["file"]`` names, relative to the specification's own folder."""
+    """Path of the file ``data["file"]``, which is relative to the folder of the specification; ValueError otherwise."""
     name = data["file"]
     if not isinstance(name, str) or not name:
         raise ValueError("file must be the name of a file")
@@ -80,36 +90,37 @@ def named_file(data: dict[str, Any], info: ValidationInfo) -> Path:
 
 
 def _problem(item: Any, data: Any) -> str:
+    """A problem reported by pydantic, as text with its key."""
     location = item["loc"]
     if item["type"] == "value_error" and isinstance(item.get("input"), dict):
-        location = (*location, "")  # of a whole: a kind at the end is no key
+        location = (*location, "")  # the problem of a table: a kind at its end is not a key
     key = _key(location, data)
     message = item["msg"].removeprefix("Value error, ")
     if item["type"] == "extra_forbidden":
         return f"{key}: unknown key"
     if item["type"] == "missing":
         return f"{key}: is missing"
-    shown = item.get("input")
-    is_now = f" (is {shown!r})" if isinstance(shown, (str, int, float)) else ""
+    value = item.get("input")
+    is_now = f" (is {value!r})" if isinstance(value, (str, int, float)) else ""
     return (f"{key}: {message}" if key else message) + is_now
 
 
 def _key(location: tuple[int | str, ...], data: Any) -> str:
-    """Path of a problem as the user wrote it: without the kinds that pydantic puts in (stops.1.disc.radius_ratio)."""
+    """Key of a problem as in the user's file, without the kinds that pydantic inserts (stops.1.disc.radius_ratio)."""
     parts: list[str] = []
-    kind_seen = False
+    after_kind = False
     for place, part in enumerate(location):
         inside = isinstance(data, dict)
-        # The kind of a shape or light follows its place once, and may be called as one of its keys (mask).
-        if inside and not kind_seen and part in (data.get("shape"), data.get("kind")):
-            kind_seen = True
+        # The kind of a shape or light follows its index once, and may have the name of one of its keys (mask).
+        if inside and not after_kind and part in (data.get("shape"), data.get("kind")):
+            after_kind = True
             continue
         if inside and part not in data and place < len(location) - 1:
             continue
         if part == "":
             break
         parts.append(str(part))
-        kind_seen = False
+        after_kind = False
         try:
             data = data[part] if inside or isinstance(data, (list, tuple)) else None
         except (KeyError, IndexError, TypeError):

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from dasim.base.errors import InputError
-from dasim.base.loading import describe_error, function_name
+from dasim.base.loading import function_name, locate_error
 from dasim.base.toml import Specification
 from dasim.camera.specification import Camera, Sensor, mosaic_channels
 from dasim.typing import BoolArray, FloatArray
@@ -199,7 +199,7 @@ def apply(
     try:
         result: Any = model(mean_e, sensor, time_s, seed, gain)
     except Exception as error:  # whatever the user's function raises
-        raise InputError(f"{where}: raised {describe_error(error)}") from error
+        raise InputError(f"{where}: raised {locate_error(error)}") from error
     if not (isinstance(result, tuple) and len(result) == 2):
         kind = type(result).__name__
         kind = type(result).__name__

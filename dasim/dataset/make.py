@@ -12,8 +12,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from dasim.base.errors import InputError
-from dasim.base.executors import Executor, Outcome, in_one_line
+from dasim.base.errors import InputError, describe_error
+from dasim.base.executors import Executor, Outcome
 from dasim.dataset import card, plan, reading, storage
 from dasim.dataset.plan import Shard
 from dasim.dataset.sample import FILES, ROW, Job, add, key, packed, plain, unpacked
@@ -64,7 +64,7 @@ def make(
     try:
         return _make(job, executor, shard, retry, log, show)
     except OSError as error:
-        raise InputError(f"{job.out}: {in_one_line(error)}; {KEPT}") from None
+        raise InputError(f"{job.out}: {describe_error(error)}; {KEPT}") from None
     finally:
         storage.sweep(job.out)
 
@@ -155,7 +155,7 @@ def close(job: Job, group: Shard) -> None:
     except FileNotFoundError as error:
         if storage.exists(job.out, f"rows/{group.name}.json") or storage.exists(job.out, plan.SUMS):
             return  # another run has put it together
-        raise InputError(f"{job.out}: {in_one_line(error)}; is another run at work there? {KEPT}") from None
+        raise InputError(f"{job.out}: {describe_error(error)}; is another run at work there? {KEPT}") from None
     storage.write(job.out, f"rows/{group.name}.json", plain(rows))
     for index in made:
         storage.remove(job.out, PART.format(key(index)))

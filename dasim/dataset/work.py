@@ -10,7 +10,8 @@ import shutil
 import sys
 import tempfile
 
-from dasim.base.executors import Outcome, in_one_line
+from dasim.base.errors import describe_error
+from dasim.base.executors import Outcome
 from dasim.dataset import sample, storage
 from dasim.dataset.sample import Job
 
@@ -34,11 +35,11 @@ def work(job: Job, index: int) -> Outcome:
     except Exception as error:
         if shutil.disk_usage(tempfile.gettempdir()).free < SCRATCH_BYTES:
             return Outcome(index, f"the temporary folder {tempfile.gettempdir()} is full", fatal=True)
-        return Outcome(index, in_one_line(error))
+        return Outcome(index, describe_error(error))
     try:
         members = {**made.files, sample.ROW: sample.plain(made.row)}
         storage.write(job.out, PART.format(sample.key(index)), sample.packed(members))
     except Exception as error:  # stores raise errors of their own
-        return Outcome(index, f"cannot be written: {in_one_line(error)}", fatal=True)
+        return Outcome(index, f"cannot be written: {describe_error(error)}", fatal=True)
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / (1e6 if sys.platform == "darwin" else 1e3)
     return Outcome(index, None, False, False, made.seconds, made.render_s, peak, made.row)

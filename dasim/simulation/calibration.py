@@ -65,7 +65,7 @@ def calibration_captures(
         tuple(lights),
         diffraction,
         count=len(lights) * levels_count * positions * len(EXPOSURES),
-        fingerprint=fingerprint(_pictures, values=[decisive], given=("cameras", "scenes")),
+        fingerprint=fingerprint(_pictures, values=[decisive], excluding=("cameras", "scenes")),
         make=partial(_pictures, camera, tuple(lights), frames, seed, diffraction),
     )
 

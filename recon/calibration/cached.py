@@ -66,7 +66,7 @@ def calibrate(
 
 def bank_file(pictures: PointPictures) -> Path:
     """The bank of some pictures in the cache folder, existing or not."""
-    name = fingerprint(psf_bank.calibrate, save_bank, values=[pictures.fingerprint], given=("cameras", "scenes"))
+    name = fingerprint(psf_bank.calibrate, save_bank, values=[pictures.fingerprint], excluding=("cameras", "scenes"))
     return cache_dir() / "banks" / f"{name}.npz"
 
 

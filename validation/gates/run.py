@@ -118,12 +118,12 @@ def _key(job: Job, measurement: Measurement, variant: str) -> str:
     """What the result depends on, of a user's method also its name and code."""
     own = () if job.method is None else (function(job.method),)
     key = stored.key(measurement.run, variant, job.seed, uses=own)
-    return key if job.method is None else stored.hashed([key, job.method.name])
+    return key if job.method is None else stored.text_hash([key, job.method.name])
 
 
 def _file(job: Job) -> str:
     """Name under which a result is stored."""
-    return job.claim if job.method is None else f"{job.claim}-{stored.hashed([job.method.name])[:8]}"
+    return job.claim if job.method is None else f"{job.claim}-{stored.text_hash([job.method.name])[:8]}"
 
 
 def _side_by_side(

@@ -14,11 +14,11 @@ from typing import Any
 
 from dasim.base import atomic
 from dasim.base.cache import cache_dir
-from dasim.base.fingerprint import fingerprint, hashed
+from dasim.base.fingerprint import fingerprint, text_hash
 from validation.gates.claim import Evidence, plain_value
 from validation.scores.figures import Figure
 
-__all__ = ["hashed", "key", "load", "save"]
+__all__ = ["key", "load", "save", "text_hash"]
 
 SCHEMA = 4  # of the files
 

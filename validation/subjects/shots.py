@@ -14,7 +14,7 @@ from typing import Literal
 import dasim
 from dasim.base.cache import cache_dir
 from dasim.base.errors import InputError
-from dasim.base.fingerprint import fingerprint, hashed, named_files
+from dasim.base.fingerprint import fingerprint, named_files, text_hash
 from dasim.camera.noise import Exposure
 from dasim.camera.specification import Camera
 from dasim.files.captures import load_capture, load_truth
@@ -71,9 +71,9 @@ def _place(scene: Scene, camera: Camera, exposure: Exposure, seed: int, spp: int
     """Folder of a photograph: a name of what is photographed, and the fingerprint of what photographs."""
     described = scene.model_dump(mode="json", exclude={"folder"})
     parts = [json.dumps(described), camera.model_dump_json(), exposure.model_dump_json(), str(seed), str(spp)]
-    what = hashed([*parts, *named_files(described, scene.folder)])
+    what = text_hash([*parts, *named_files(described, scene.folder)])
     functions = (dasim.simulate, dasim.save_capture, dasim.load_truth)
-    how = fingerprint(*functions, variant=backend.choose().variant, given=("cameras", "scenes"))
+    how = fingerprint(*functions, variant=backend.choose().variant, excluding=("cameras", "scenes"))
     return _folder() / f"{what}.{how}"
 
 

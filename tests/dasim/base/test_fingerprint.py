@@ -232,7 +232,7 @@ def test_all_that_a_run_loads_is_in_the_fingerprint(name, renderer):
     loaded = {(HERE / file).resolve() for file in done.stdout.splitlines()[-1].split("|")}
     missing = loaded - set(fingerprint.dependencies(*sources).files)
     assert len(loaded) > 10
-    own = {path for path in missing if references.content(path.read_bytes()).passed_on is None}
+    own = {path for path in missing if references.content(path.read_bytes()).exports is None}
     assert not own, sorted(path.name for path in own)
 
 
@@ -361,7 +361,7 @@ def test_all_bundled_data_are_followed():
 
 def test_texts_are_told_apart():
     """Expectation: the boundary between texts counts."""
-    assert len({fingerprint.hashed(text) for text in (["ab", "c"], ["a", "bc"], ["abc"], ["ab", "c", ""])}) == 4
+    assert len({fingerprint.text_hash(text) for text in (["ab", "c"], ["a", "bc"], ["abc"], ["ab", "c", ""])}) == 4
 
 
 def test_files_that_a_scene_names_count_by_their_content(tmp_path):

@@ -16,7 +16,7 @@ def figures(key: Sequence[str], compute: Callable[[], dict[str, Any]]) -> dict[s
 
     ``key`` holds everything that the figures depend on.
     """
-    path = cache_dir() / "shape-study" / f"{stored.hashed(key)}.json"
+    path = cache_dir() / "shape-study" / f"{stored.text_hash(key)}.json"
     if not path.is_file():
         atomic.write(path, json.dumps(compute(), indent=1) + "\n")
     return {name: as_tuple(value) for name, value in json.loads(path.read_text()).items()}

@@ -17,9 +17,9 @@ from scipy import optimize, stats
 
 import dasim
 import recon
-from dasim.base.errors import InputError
-from dasim.base.executors import Outcome, in_one_line
-from dasim.base.fingerprint import fingerprint, hashed, named_files
+from dasim.base.errors import InputError, describe_error
+from dasim.base.executors import Outcome
+from dasim.base.fingerprint import fingerprint, named_files, text_hash
 from dasim.camera import geometry, noise, radiometry, stops
 from dasim.camera import specification as cameras
 from dasim.camera.specification import Camera
@@ -110,7 +110,7 @@ class Sweep:
 def code(spec: StudySpec, variant: str) -> str:
     """Fingerprint of the code that measures a unit, a user's depth methods among it, its data and libraries."""
     methods = (function(method) for method in own_methods(spec))
-    return fingerprint(measure, *methods, variant=variant, given=("cameras", "scenes"))
+    return fingerprint(measure, *methods, variant=variant, excluding=("cameras", "scenes"))
 
 
 def file_of(job: Sweep, unit: Unit) -> str:
@@ -123,7 +123,7 @@ def file_of(job: Sweep, unit: Unit) -> str:
     scene = described.model_dump(mode="json", exclude={"folder"})
     design = [camera_of(spec, unit.render).model_dump(mode="json"), scene, named_files(scene, described.folder)]
     fixed = [spec.preset, spec.size_px, spec.spp, unit, job.environment]
-    return f"points/{hashed([json.dumps([design, fixed], sort_keys=True, default=str), job.code])}.json"
+    return f"points/{text_hash([json.dumps([design, fixed], sort_keys=True, default=str), job.code])}.json"
 
 
 def work(job: Sweep, index: int) -> Outcome:
@@ -136,11 +136,11 @@ def work(job: Sweep, index: int) -> Outcome:
         sample.activate(job.environment["variant"])
         rows = measure(job.spec, unit)
     except Exception as error:
-        return Outcome(index, in_one_line(error))
+        return Outcome(index, describe_error(error))
     try:
         storage.write(job.out, file_of(job, unit), sample.plain(rows))
     except Exception as error:  # each store raises its own
-        return Outcome(index, f"cannot be written: {in_one_line(error)}", fatal=True)
+        return Outcome(index, f"cannot be written: {describe_error(error)}", fatal=True)
     return Outcome(index, seconds=time.perf_counter() - begin)
 
 
