@@ -63,10 +63,15 @@ class Settings(Specification):
 PAPER = Settings()
 PRESETS = {
     "paper": PAPER,
-    "likelihood": Settings(score="likelihood"),  # the paper's with levels scored by likelihood instead of NCC
-    # the paper's with levels from transfers band by band, of red too, in patches that follow the surface
+    "likelihood": Settings(score="likelihood"),
     "bands": Settings(score="bands", window_px=35, alike=True, edge_snr=0.0, fallback=False, least_confidence=0.6),
-    "chakrabarti-zickler": Settings(score="colour-line"),  # the closest prior work on the same bank and windows
+    "chakrabarti-zickler": Settings(score="colour-line"),
+}
+DESCRIPTIONS = {
+    "paper": "normalised cross-correlation of green and near-infrared, as in the paper",
+    "likelihood": "the paper's windows and bank; levels scored by likelihood",
+    "bands": "transfer from near-infrared to red and green in bands of frequency, in patches that follow the surface",
+    "chakrabarti-zickler": "colour lines, the closest prior work, with the same bank and windows",
 }
 
 

@@ -1,6 +1,6 @@
 """Scores of depth methods, run on a capture or on every sample of a split of a dataset.
 
-Tested in tests/validation/test_methods.py.
+Tested in tests/validation/test_methods.py and tests/validation/test_method_scores.py.
 """
 
 from __future__ import annotations

@@ -111,8 +111,9 @@ def reconstructed(
 
 
 def estimated(capture: Capture, bank: PsfBank, method: NamedMethod) -> DepthEstimate:
-    """The depth estimate of a method alone, checked as :func:`reconstructed` checks it."""
-    return run_method(_guarded(function(method)), capture, bank)
+    """The depth estimate of a method alone, with the same checks as :func:`reconstructed`."""
+    own = function(method)
+    return run_method(_guarded(own) if method.source else own, capture, bank)
 
 
 def _guarded(method: recon.Method) -> recon.Method:

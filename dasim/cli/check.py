@@ -136,8 +136,8 @@ def list_(kind: str, *, verbose: Annotated[bool, Parameter(negative="")] = False
     """List what is bundled.
 
     Args:
-        kind: scenes, cameras, materials, illuminants or claims
-        verbose: with more detail
+        kind: scenes, cameras, materials, illuminants, claims, studies or methods
+        verbose: print more detail
     """
     from dasim.camera import describe
     from dasim.camera import specification as cameras
@@ -160,8 +160,14 @@ def list_(kind: str, *, verbose: Annotated[bool, Parameter(negative="")] = False
         from validation.claims.table import CLAIMS
 
         _list_claims(list(CLAIMS), verbose=verbose)
+    elif kind == "studies":
+        _list_studies(verbose=verbose)
+    elif kind == "methods":
+        _list_methods(verbose=verbose)
     else:
-        raise InputError(f"list '{kind}' is unknown; allowed are scenes, cameras, materials, illuminants, claims")
+        raise InputError(
+            f"list '{kind}' is unknown; allowed are scenes, cameras, materials, illuminants, claims, studies, methods"
+        )
     return 0
 
 
@@ -199,6 +205,30 @@ def _list_illuminants(*, verbose: bool) -> None:
             "CCT: without what lies below 400 nm; near-IR: photons over 650-810 nm, over those of D65 at as many lux\n"
         )
         print("\n".join(f"also: {pattern}" for pattern in illuminants.PATTERNS))
+
+
+def _list_studies(*, verbose: bool) -> None:
+    from validation.studies.sweep.loading import load_study, names
+    from validation.studies.sweep.specification import points
+
+    for name in names():
+        spec = load_study(name)
+        print(f"{name:<20}{spec.question}")
+        if verbose:
+            print(f"{'':<20}{len(points(spec))} points, {spec.seeds} seeds, over {', '.join(spec.parameters)}")
+    print(f"{'bound':<20}Cramer-Rao bound of depth for one camera ('dasim study bound')")
+    print(f"{'shape':<20}search for the shape of the near-infrared stop ('dasim study shape')")
+
+
+def _list_methods(*, verbose: bool) -> None:
+    import recon
+    from recon.settings import DEFAULT_PRESET, DESCRIPTIONS
+
+    for name in recon.METHODS:
+        default = " (the default)" if name == DEFAULT_PRESET else ""
+        print(f"{name:<22}{DESCRIPTIONS[name]}{default}")
+    if verbose:
+        print("your own: package.module:function or file.py:function, from a Capture and a PsfBank to a DepthEstimate")
 
 
 def _list_claims(names: list[str], *, verbose: bool) -> None:

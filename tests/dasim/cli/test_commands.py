@@ -335,7 +335,16 @@ def test_recon_needs_no_truth(here):
 
 
 @pytest.mark.parametrize(
-    ("kind", "name"), [("scenes", "desk"), ("cameras", "da-mobile"), ("materials", "brick"), ("illuminants", "D65")]
+    ("kind", "name"),
+    [
+        ("scenes", "desk"),
+        ("cameras", "da-mobile"),
+        ("materials", "brick"),
+        ("illuminants", "D65"),
+        ("claims", "staircase-camera"),
+        ("studies", "hole-size"),
+        ("methods", "chakrabarti-zickler"),
+    ],
 )
 def test_list_names_what_is_bundled(kind, name, capsys):
     assert run(["list", kind]) == 0
@@ -376,7 +385,7 @@ RENDER = ("render", "desk", *TINY, "--out", "new")
         (("render", "--out", "new"), ("scene",)),
         ((*RENDER, "--bogus", "1"), ("--bogus",)),
         ((*RENDER, "extra"), ("extra",)),
-        (("list", "fruit"), ("fruit", "scenes", "cameras", "materials", "illuminants")),
+        (("list", "fruit"), ("fruit", "scenes", "cameras", "claims", "studies", "methods")),
         (("list",), ("kind",)),
         (("render", "attic", "--out", "new"), ("scene 'attic'", "desk")),
         (("render", "attic.toml", "--out", "new"), ("scene 'attic.toml'", "desk")),
