@@ -43,7 +43,7 @@ def load_scene(
         if targets.is_target(name_or_path):
             return targets.target(name_or_path, loaded)
         if random_scenes.is_random(name_or_path):
-            return random_scenes.named(str(name_or_path), loaded)[0]
+            return random_scenes.by_name(str(name_or_path), loaded)[0]
         return specification.load_scene(name_or_path)
     if not path.is_file():
         raise InputError(f"scene '{name_or_path}': no such file")

@@ -76,7 +76,7 @@ def render(
         chosen = dasim.cropped(whole, *options.size(size))
     described: dasim.Scene | dasim.MitsubaScene
     if specification.is_random(scene) and not given:
-        described, drawn = specification.named(scene, chosen)
+        described, drawn = specification.by_name(scene, chosen)
     else:
         described, drawn = dasim.load_scene(scene, camera=whole, **given), dasim.Exposure()
     chosen = dasim.focused(chosen, described) if focus is None else dasim.refocused(chosen, focus)

@@ -1,4 +1,4 @@
-"""Materials that are drawn: library names, blends of two, prints, dyed cloth, glosses, now and then metal or glass.
+"""Materials of random scenes: library materials, blends, prints, photographs, clear coats, a few metals and glass.
 
 Tested in tests/dasim/random_scenes/test_specification.py.
 """
@@ -31,8 +31,8 @@ PHOTOGRAPHS = (
 )
 STRUCTURES = ("skimage:brick", "skimage:grass", "skimage:gravel")
 PATTERNS = ("noise", "dead-leaves", "weave", "wood-grain", "petal", "skin", "leaf-veins", "stripes", "checkerboard")
-PATTERN_SEEDS = 8  # few, so that many scenes share what takes a second to make
-PALETTE = (3, 3)  # photographs and structures that a scene uses: what it shows twice is read once
+PATTERN_SEEDS = 8  # few, so that scenes share cached patterns, which take about a second each
+PALETTE = (3, 3)  # photographs and structures per scene; few, so that each is read once and shown several times
 
 FLOORS = (
     *("wood-light", "wood-dark", "cardboard", "concrete-light", "concrete-dark", "sand", "soil", "terracotta"),
@@ -47,7 +47,7 @@ METALS = ("aluminium", "chromium", "copper", "gold", "silver", "tungsten")
 
 
 class Shares(NamedTuple):
-    """How often a surface is textured, coated, metal and glass; the rest is plain and matt."""
+    """Probabilities 0..1 that an object's surface is textured, coated, metal or glass; the rest is plain and matt."""
 
     textured: float
     glossy: float
@@ -56,32 +56,35 @@ class Shares(NamedTuple):
 
 
 class Palette(NamedTuple):
-    """The images of a scene."""
+    """The image names of a scene: photographs, and structures without an obvious subject."""
 
     photographs: tuple[str, ...]
     structures: tuple[str, ...]
 
 
 class Surface(NamedTuple):
-    """A material by its name in the scene, or in the library where ``texture`` is None."""
+    """A material with its name in the scene; where ``texture`` is None, the name is that of a library material."""
 
     name: str
     texture: Texture | None
 
     @property
     def is_glass(self) -> bool:
-        """Whether only closed bodies may be made of it."""
+        """Whether the material is solid glass, which is for closed bodies only."""
         return isinstance(self.texture, GlassBody)
 
     @property
-    def textured(self) -> bool:
-        """Whether it needs texture coordinates."""
+    def needs_uv(self) -> bool:
+        """Whether the material needs texture coordinates."""
         base = self.texture.base if isinstance(self.texture, Coating) else self.texture
         return isinstance(base, Blend | Print | Photo | Mix)
 
 
 class Stock(NamedTuple):
-    """The surfaces that a scene's objects have; the first is plain and matt, so that there is one for every shape."""
+    """The surfaces and pictures that the objects of a scene share.
+
+    The first surface is plain and matt, so that every shape has a surface that suits it.
+    """
 
     surfaces: tuple[Surface, ...]
     pictures: tuple[Surface, ...]
@@ -92,15 +95,15 @@ class Stock(NamedTuple):
 
 
 def stock(generators: list[Random], images: Palette, shares: Shares) -> Stock:
-    """As many surfaces as generators, and a picture of each of the scene's photographs.
+    """Draw one surface per generator, and make one picture per photograph of the palette.
 
-    A scene has fewer surfaces than objects, as a room has: each one takes about 0.3 s of the renderer's preparation.
+    Objects share surfaces, since each surface costs the renderer about 0.3 s of preparation.
     """
-    drawn = [_thing(random, images, shares) for random in generators]
-    drawn[0] = str(generators[0].choice(diffuse_names()))
+    textures = [_object_surface(random, images, shares) for random in generators]
+    textures[0] = str(generators[0].choice(diffuse_names()))
     surfaces = [
-        Surface(found, None) if isinstance(found, str) else Surface(f"surface {number + 1}", found)
-        for number, found in enumerate(drawn)
+        Surface(texture, None) if isinstance(texture, str) else Surface(f"surface {number + 1}", texture)
+        for number, texture in enumerate(textures)
     ]
     pictures = [
         Surface(f"picture {number + 1}", _picture(generators[0], image))
@@ -110,26 +113,30 @@ def stock(generators: list[Random], images: Palette, shares: Shares) -> Stock:
 
 
 def palette(random: Random, own: tuple[str, ...]) -> Palette:
-    """Photographs (``own``, where there are some) and structures, drawn without putting back."""
+    """Draw the photographs (from ``own``, unless it is empty) and structures of a scene, without replacement."""
     photographs = own or PHOTOGRAPHS
     numbers = random.permutation(len(photographs))[: PALETTE[0]]
-    found = []
+    structures = []
     for name in random.choice([*STRUCTURES, *PATTERNS, *PATTERNS], PALETTE[1], replace=False):
-        plain = str(name).startswith("skimage:")
+        is_photograph = str(name).startswith("skimage:")
         number = {
             "stripes": int(random.integers(6, 40)),
             "checkerboard": int(random.integers(6, 24)),
             "weave": int(random.integers(24, 80)),
             "leaf-veins": int(random.integers(5, 14)),
         }.get(str(name), int(random.integers(PATTERN_SEEDS)))
-        found.append(str(name) if plain else f"pattern:{name}:{number}")
-    return Palette(tuple(photographs[number] for number in numbers), tuple(found))
+        structures.append(str(name) if is_photograph else f"pattern:{name}:{number}")
+    return Palette(tuple(photographs[number] for number in numbers), tuple(structures))
 
 
 def background(
     random: Random, names: tuple[str, ...], images: Palette, textured: float, copies: float
 ) -> Texture | str:
-    """A floor or wall: two materials of ``names`` mixed by a structure, ``copies`` of it along a side, or one."""
+    """Draw the material of a floor or wall.
+
+    With the probability ``textured`` it is a blend of two materials of ``names`` by a structure that repeats ``copies``
+    times along a side, otherwise one of them alone.
+    """
     first, second = (str(name) for name in random.choice(names, 2, replace=False))
     image = str(random.choice(images.structures))
     stretch = float(np.exp(random.uniform(-0.3, 0.3)))
@@ -140,14 +147,14 @@ def background(
 
 
 def _picture(random: Random, image: str) -> Texture:
-    """A poster or card: a print, sometimes laminated; the lamination is matt enough to show no lamp."""
-    printed = Print(kind="print", image=image, black_generation=_rounded(random.uniform(0.3, 0.9)))
+    """Draw a poster or card: a print, with a probability of 0.15 under a lamination too matt to mirror lamps."""
+    base = Print(kind="print", image=image, black_generation=_rounded(random.uniform(0.3, 0.9)))
     rough = _rounded(random.uniform(0.2, 0.4))
-    return Coating(kind="coated", base=printed, roughness=rough) if random.random() < 0.15 else printed
+    return Coating(kind="coated", base=base, roughness=rough) if random.random() < 0.15 else base
 
 
-def _thing(random: Random, images: Palette, shares: Shares) -> Texture | str:
-    """The surface of an object."""
+def _object_surface(random: Random, images: Palette, shares: Shares) -> Texture | str:
+    """Draw the surface of an object by the probabilities ``shares``."""
     kind, texture, which = random.random(3)
     first, other = (str(name) for name in random.choice(diffuse_names(), 2, replace=False))
     repeat = _rounded(float(np.exp(random.uniform(np.log(0.5), np.log(3.0)))))

@@ -1,8 +1,9 @@
-"""Random rooms and table tops from (seed, index) for data sets, each valid by construction.
+"""Random rooms and table tops for data sets, from a seed and an index; each is valid by construction.
 
-A sample depends on the specification, the picture (its field of view), the seed and the index alone, and each of its
-stages on a generator of its own: another number of objects leaves the lights as they are. How is in ``RandomScenes``,
-``random_layout`` (room and places) and ``random_materials``.
+A scene depends only on the specification, the camera's field of view, the seed and the index. Each stage of sampling
+has its own random generator, so that a change of one stage, such as the number of objects, leaves the others (such as
+the lights) unchanged. ``RandomScenes`` documents the distributions; ``layout`` positions objects, ``objects`` and
+``materials`` draw their shapes and surfaces.
 """
 
 from __future__ import annotations
@@ -36,8 +37,8 @@ Share = Annotated[float, Field(ge=0, le=1)]
 Positive = Annotated[float, Field(gt=0)]
 
 PREFIX = "random:"
-PICTURE_PX = (512, 384)  # of the default camera, da-mobile: what is seen decides where things are put
-LEAST_RATIO = 1.5  # of the ends of the depth range
+PICTURE_PX = (512, 384)  # crop of da-mobile, the default camera, whose field of view positions objects
+LEAST_RATIO = 1.5  # least ratio of the far to the near end of the depth range
 _STAGES = {
     "room": 1,
     "palette": 2,
@@ -50,7 +51,7 @@ _STAGES = {
     "surface": 9,
 }
 
-# Weights of the default. Daylight and incandescent light are rich in near-infrared; LEDs and tubes are the hard case.
+# Default weights. Daylight and incandescent light are rich in near-infrared; LEDs and fluorescent lamps emit little.
 ILLUMINANTS = {
     **{"D50": 1.0, "D55": 1.0, "D65": 1.5, "D75": 0.5},
     **{"A": 1.0, "incandescent-2800K": 1.0, "blackbody": 1.5},
@@ -60,41 +61,47 @@ ILLUMINANTS = {
 
 
 class RandomScenes(Specification):
-    """Distributions of random scenes: ranges are uniform unless stated otherwise, lengths are in centimetres."""
+    """Distributions of random scenes. Ranges are uniform unless stated otherwise; lengths are in centimetres."""
 
     room_share: Share = Field(
-        default=0.5, description="rooms (corner, hanging things, posters); the rest is table tops"
+        default=0.5, description="share of rooms (corner, hanging objects, posters); the rest are table tops"
     )
-    depth_cm: tuple[Positive, Positive] = Field(default=(20.0, 80.0), description="all that is seen lies in it")
-    objects: tuple[int, int] = Field(default=(5, 40), description="number beside floor and walls")
+    depth_cm: tuple[Positive, Positive] = Field(
+        default=(20.0, 80.0), description="range of the depths of all visible points"
+    )
+    objects: tuple[int, int] = Field(default=(5, 40), description="number of objects, without floor and walls")
     size: tuple[Positive, Positive] = Field(
-        default=(0.07, 0.32), description="of an object over the picture's width, log-uniform; less among many"
+        default=(0.07, 0.32), description="size of an object over the width of the picture, log-uniform; less in crowds"
     )
-    surfaces: int = Field(default=10, ge=1, le=100, description="different ones of the objects, beside pictures")
+    surfaces: int = Field(default=10, ge=1, le=100, description="number of different surfaces, without pictures")
     textured_share: Share = 0.65
     background_textured_share: Share = 0.95
     glossy_share: Share = 0.10
     metal_share: Share = 0.03
     glass_share: Share = 0.02
     mesh_folder: str | None = Field(default=None, description="OBJ, PLY, GLB, STL and OFF files, scaled to size")
-    mesh_share: Share = Field(default=0.4, description="of the objects, where there is a mesh_folder")
-    mesh_up: Literal["y", "z"] = Field(default="y", description="which axis of the files points up")
+    mesh_share: Share = Field(default=0.4, description="share of objects from mesh_folder, if given")
+    mesh_up: Literal["y", "z"] = Field(default="y", description="axis of the mesh files that points up")
     mesh_near_infrared: Literal["print", "dyed", "achromatic", "drawn"] = Field(
-        default="drawn", description="rule for meshes with RGB colours of their own"
+        default="drawn", description="rule for meshes with RGB colours of their own; 'drawn' chooses at random"
     )
     image_folder: str | None = Field(default=None, description="PNG and JPEG files instead of the bundled photographs")
-    lamps: tuple[int, int] = Field(default=(1, 3), description="of light by lamps")
-    window_share: Share = Field(default=0.2, description="light of a large panel on one side instead of lamps")
-    outdoor_share: Share = Field(default=0.1, description="light of sun and sky, or an overcast sky, instead of lamps")
-    lux: tuple[Lux, Lux] = Field(default=(100.0, 2000.0), description="of all lamps together, log-uniform")
-    fill_share: tuple[Share, Share] = Field(default=(0.1, 0.3), description="level of the dome over that of the lamps")
-    illuminants: dict[str, Positive] = Field(default=ILLUMINANTS, description="weights; 'blackbody' draws its mired")
-    blackbody_k: tuple[int, int] = (2300, 6500)
-    mixed_light_share: Share = Field(default=0.25, description="scenes whose lamps have an illuminant each")
-    focus: Literal["far", "near", "within"] = Field(
-        default="far", description="an end of the depth range, or uniform in dioptres between them"
+    lamps: tuple[int, int] = Field(default=(1, 3), description="number of lamps, in scenes lit by lamps")
+    window_share: Share = Field(default=0.2, description="share of scenes lit by a large panel on one side")
+    outdoor_share: Share = Field(default=0.1, description="share of scenes lit by sun and sky, or an overcast sky")
+    lux: tuple[Lux, Lux] = Field(default=(100.0, 2000.0), description="sum of all lamps, log-uniform")
+    fill_share: tuple[Share, Share] = Field(default=(0.1, 0.3), description="level of the dome relative to the lamps")
+    illuminants: dict[str, Positive] = Field(
+        default=ILLUMINANTS, description="weights; blackbodies are uniform in mired"
     )
-    auto_level: tuple[Share, Share] = Field(default=(0.6, 0.9), description="share of full scale that exposure aims at")
+    blackbody_k: tuple[int, int] = (2300, 6500)
+    mixed_light_share: Share = Field(default=0.25, description="share of scenes whose lamps have different illuminants")
+    focus: Literal["far", "near", "within"] = Field(
+        default="far", description="at one end of the depth range, or (within) uniform in dioptres between them"
+    )
+    auto_level: tuple[Share, Share] = Field(
+        default=(0.6, 0.9), description="share of full scale that the exposure aims at"
+    )
     gains: dict[float, Positive] = Field(default={1.0: 3.0, 2.0: 1.0, 4.0: 1.0}, description="weights")
     folder: Path = Path(".")
 
@@ -105,7 +112,7 @@ class RandomScenes(Specification):
             if low > high:
                 raise ValueError(f"{name} is [{low}, {high}]: the smaller number comes first")
         if self.depth_cm[1] < LEAST_RATIO * self.depth_cm[0]:
-            raise ValueError(f"depth_cm must reach to {LEAST_RATIO} times its nearer end at least")
+            raise ValueError(f"depth_cm must reach at least {LEAST_RATIO} times its nearer end")
         if self.depth_cm[0] < 3 or self.depth_cm[1] > 4000:
             raise ValueError("depth_cm must lie within 3 and 4000: nearer, the floor would touch the lens")
         if not 3 <= self.objects[0] <= self.objects[1] <= 200:
@@ -113,16 +120,18 @@ class RandomScenes(Specification):
         if not 1 <= self.lamps[0] <= self.lamps[1] <= 8:
             raise ValueError("lamps must lie within 1 and 8")
         if self.size[1] > 0.6:
-            raise ValueError("size must not be above 0.6 of the picture's width")
+            raise ValueError("size must not exceed 0.6 of the picture's width")
         if self.auto_level[0] <= 0 or not self.gains or not self.illuminants:
-            raise ValueError("auto_level must be above 0; gains and illuminants need one entry at least")
+            raise ValueError("auto_level must be above 0; gains and illuminants need at least one entry")
         if self.metal_share + self.glass_share + self.glossy_share > 1 or self.window_share + self.outdoor_share > 1:
-            raise ValueError("shares of materials, and of lights, must not be above 1 together")
+            raise ValueError(
+                "metal_share + glass_share + glossy_share and window_share + outdoor_share must not exceed 1"
+            )
         low_k, high_k = self.blackbody_k
         for name in self.illuminants:
-            for tried in (f"blackbody-{low_k}K", f"blackbody-{high_k}K") if name == "blackbody" else (name,):
+            for variant in (f"blackbody-{low_k}K", f"blackbody-{high_k}K") if name == "blackbody" else (name,):
                 try:
-                    illuminants.illuminant(tried)
+                    illuminants.illuminant(variant)
                 except InputError as error:
                     raise ValueError(f"illuminants: {error}") from None
         for gain in self.gains:
@@ -131,7 +140,7 @@ class RandomScenes(Specification):
 
 
 def load_random_scenes(path: str | Path) -> RandomScenes:
-    """A specification from a TOML file; InputError names everything that is wrong with it and its folders."""
+    """Load a specification from a TOML file; InputError lists all problems of the file and of its folders."""
     path = Path(path)
     if not path.is_file():
         raise InputError(f"random scenes '{path}': no such file")
@@ -141,11 +150,11 @@ def load_random_scenes(path: str | Path) -> RandomScenes:
 
 
 def check(spec: RandomScenes) -> None:
-    """InputError that names all broken meshes and pictures of the user's folders; what was read is not read again."""
+    """Raise InputError with all broken meshes and pictures of the user's folders; files read once are cached."""
     problems: list[str] = []
-    for found in (_own_meshes, _own_pictures):
+    for read in (_own_meshes, _own_pictures):
         try:
-            found(spec)
+            read(spec)
         except InputError as error:
             problems.append(str(error))
     if problems:
@@ -155,17 +164,22 @@ def check(spec: RandomScenes) -> None:
 def random_scene(
     seed: int, index: int, spec: RandomScenes | None = None, camera: Camera | str | Path | None = None
 ) -> Scene:
-    """Random scene number ``index`` of a seed, both 0 or above; the same numbers give the same scene.
+    """Random scene number ``index`` of a seed; the same numbers give the same scene.
 
-    ``spec`` gives the distributions (by default ``RandomScenes()``). Objects are placed within the field of view of
-    ``camera``, which is the one that will be used, cropped as it will be, or its name or path; by default the central
-    512 x 384 pixels of da-mobile. InputError where a file or folder of the specification is broken.
+    InputError where a file or folder of the specification is broken.
+
+    Args:
+        seed: 0 or above
+        index: 0 or above
+        spec: the distributions. Default: ``RandomScenes()``
+        camera: the camera that will photograph the scene, with its final crop, or its name or path; objects are placed
+            within its field of view. Default: the central 512 x 384 pixels of da-mobile
     """
     _check_numbers(seed, index)
     spec = spec or RandomScenes()
     meshes, pictures = _own_meshes(spec), _own_pictures(spec)
     focus_cm = _focus_cm(_generator(seed, index, "focus"), spec)
-    space, kind = _room(_generator(seed, index, "room"), spec, _seen(camera, focus_cm))
+    space, kind = _room(_generator(seed, index, "room"), spec, _field_of_view(camera, focus_cm))
     images = random_materials.palette(_generator(seed, index, "palette"), pictures)
     materials: dict[str, Texture] = {}
     objects = _background(_generator(seed, index, "background"), spec, space, images, materials)
@@ -196,8 +210,8 @@ def random_scene(
 def random_exposure(seed: int, index: int, spec: RandomScenes | None = None) -> Exposure:
     """Exposure of random scene number ``index`` of a seed: automatic, with a random level and gain.
 
-    ``spec`` gives the range of the level, a share of full scale that the 99.5th percentile of the pixels reaches, and
-    the weights of the gains (by default ``RandomScenes()``).
+    The level is the share of full scale that the 99.5th percentile of the pixels reaches. ``spec`` holds its range and
+    the weights of the gains (default: ``RandomScenes()``).
     """
     _check_numbers(seed, index)
     spec = spec or RandomScenes()
@@ -207,16 +221,19 @@ def random_exposure(seed: int, index: int, spec: RandomScenes | None = None) -> 
 
 
 def is_random(name: str | Path) -> bool:
-    """Whether a scene's name is one of a random scene."""
+    """Whether a name denotes a random scene."""
     return str(name).startswith(PREFIX)
 
 
-def named(name: str, camera: Camera | None = None) -> tuple[Scene, Exposure]:
-    """The scene and exposure of ``random:SEED:INDEX`` or ``random:FILE.toml:SEED:INDEX``."""
+def by_name(name: str, camera: Camera | None = None) -> tuple[Scene, Exposure]:
+    """Scene and exposure of a name ``random:SEED:INDEX`` or ``random:FILE.toml:SEED:INDEX``.
+
+    ``camera`` is that of :func:`random_scene`.
+    """
     path, colon, numbers = name.removeprefix(PREFIX).rpartition(":")
     file, _, first = path.rpartition(":")
     if not colon or not (first.isdecimal() and numbers.isdecimal()):
-        raise InputError(f"scene '{name}': random scenes are random:SEED:INDEX or random:FILE.toml:SEED:INDEX")
+        raise InputError(f"scene '{name}': a random scene is random:SEED:INDEX or random:FILE.toml:SEED:INDEX")
     spec = load_random_scenes(file) if file else None
     return random_scene(int(first), int(numbers), spec, camera), random_exposure(int(first), int(numbers), spec)
 
@@ -254,33 +271,36 @@ def _default_camera() -> Camera:
     return cameras.cropped(cameras.load_camera("da-mobile"), *PICTURE_PX)
 
 
-def _seen(camera: Camera | str | Path | None, focus_cm: float) -> tuple[float, float]:
-    """Tangents of half the width and height of what the camera sees at that focus."""
+def _field_of_view(camera: Camera | str | Path | None, focus_cm: float) -> tuple[float, float]:
+    """Tangents of half the width and half the height of the camera's field of view at a focus distance."""
     camera = cameras.refocused(camera or _default_camera(), focus_cm * 1e-2)
     pixels = np.array([camera.sensor.width_px, camera.sensor.height_px]) / 2
     half = pixels * camera.sensor.pixel_pitch_um * 1e-6 / geometry.image_distance_m(camera)
     return float(half[0]), float(half[1])
 
 
-def _room(random: Random, spec: RandomScenes, seen: tuple[float, float]) -> tuple[Room, str]:
+def _room(random: Random, spec: RandomScenes, field_of_view: tuple[float, float]) -> tuple[Room, str]:
     is_room = bool(random.random() < spec.room_share)
     corner = is_room and bool(random.random() < 0.8)
-    return layout.room(random, *seen, *spec.depth_cm, corner=corner), "room" if is_room else "table top"
+    return layout.room(random, *field_of_view, *spec.depth_cm, corner=corner), "room" if is_room else "table top"
 
 
 def _background(
     random: Random, spec: RandomScenes, space: Room, images: Palette, materials: dict[str, Texture]
 ) -> list[dict[str, Any]]:
-    """Floor and walls as objects, large enough to fill the picture and what its blur draws in."""
+    """Floor and walls as objects, large enough to fill the picture and the margin that blur mixes into it.
+
+    Their own materials are added to ``materials``.
+    """
     far = space.far
     result = []
 
     def add(name: str, names: tuple[str, ...], size: FloatArray, position: Any, rotation: tuple[float, ...]) -> None:
         tile = random.uniform(0.5, 1.2) * 2 * space.frame.half_width * far * 0.5
-        found = random_materials.background(random, names, images, spec.background_textured_share, size[0] / tile)
-        material = found if isinstance(found, str) else name
-        if not isinstance(found, str):
-            materials[name] = found
+        texture = random_materials.background(random, names, images, spec.background_textured_share, size[0] / tile)
+        material = texture if isinstance(texture, str) else name
+        if not isinstance(texture, str):
+            materials[name] = texture
         plane = {"shape": "plane", "name": name, "material": material, "size_cm": _rounded(size)}
         result.append(plane | {"position_cm": _rounded(position), "rotation_deg": _rounded(rotation)})
 
@@ -296,7 +316,7 @@ def _background(
 
 
 def _illuminant(random: Random, spec: RandomScenes) -> str:
-    """By the weights; a blackbody's temperature is uniform in mired, rounded to 50 K."""
+    """Draw an illuminant by its weight; the temperature of a blackbody is uniform in mired, rounded to 50 K."""
     name = str(_weighted(random, spec.illuminants))
     low, high = spec.blackbody_k
     kelvin = 1 / random.uniform(1 / high, 1 / low)
@@ -304,10 +324,11 @@ def _illuminant(random: Random, spec: RandomScenes) -> str:
 
 
 def _lights(seed: int, index: int, spec: RandomScenes, space: Room) -> list[dict[str, Any]]:
-    """Lamps (or a window, or daylight) and a weak dome of the first one's illuminant.
+    """Draw the lights: lamps or a window with a weak dome of the first one's illuminant, or daylight.
 
-    Lamps stand outside the picture, a third of the farthest depth off all that is seen at least, so that nothing near
-    them outshines the rest. Their levels are what a surface in the middle of the range, facing them, receives.
+    Lamps stand outside the picture, at least a third of the farthest depth from everything visible, so that no object
+    near a lamp is much brighter than the others. Their levels are illuminances on a surface that faces them, on the
+    optical axis at the middle of the range of inverse depth.
     """
     random = _generator(seed, index, "light")
     lux = float(np.exp(random.uniform(*np.log(spec.lux))))
@@ -332,24 +353,25 @@ def _lights(seed: int, index: int, spec: RandomScenes, space: Room) -> list[dict
         own = _generator(seed, index, "light", number + 1)
         radius = float(np.exp(own.uniform(np.log(0.02), np.log(0.12)))) * far
         place = _lamp_place(own, space, radius, (-75.0, 75.0), 1)
-        drawn = _illuminant(own, spec)
+        illuminant = _illuminant(own, spec)
         lamp = {"kind": "lamp", "radius_cm": round(radius, 4), "lux": round(lux * float(max(parts[number], 0.02)), 3)}
-        lamp |= {"illuminant": drawn if number and mixed < spec.mixed_light_share else main}
+        lamp |= {"illuminant": illuminant if number and mixed < spec.mixed_light_share else main}
         result.append(lamp | {"position_cm": _rounded(place), "target_cm": _rounded(target)})
     return [*result, dome]
 
 
 def _lamp_place(random: Random, space: Room, radius: float, turns: tuple[float, float], side: int) -> FloatArray:
-    """A place behind or beside what is seen, above the floor and before the walls.
+    """Draw the position [3], cm, of a lamp of ``radius``: outside the picture, above the floor, in front of the walls.
 
-    ``turns`` are the degrees between which it lies around the optical axis, from up to the right (``side`` 1) or left.
+    ``turns`` is the range of its angle around the optical axis in degrees: 0 is above it, 90 to its right (``side`` 1)
+    or left (``side`` -1).
     """
     far, frame = space.far, space.frame
     depth = random.uniform(-0.9, 0.3) * far
     turn = side * np.radians(random.uniform(*turns))
     away = random.uniform(0.1, 0.7) * far
     diagonal = float(np.hypot(frame.half_width, frame.half_height))
-    sideways = np.array([np.sin(turn), -np.cos(turn), 0.0])  # level: pitch is small, and up has to be up
+    sideways = np.array([np.sin(turn), -np.cos(turn), 0.0])  # in scene axes, without the camera's pitch
     for _ in range(2):
         least = max(depth, 0.0) * diagonal * 1.5 + radius + far / 3
         axis = frame.forward() * depth
@@ -359,12 +381,12 @@ def _lamp_place(random: Random, space: Room, radius: float, turns: tuple[float, 
         )
         if room_left > least:
             break
-        depth = -abs(depth)  # too narrow beside what is seen: behind the camera, where nothing is
+        depth = -abs(depth)  # no room beside the field of view: move behind the camera, where nothing is visible
     return axis + sideways * max(min(least + away, room_left), 0.0)
 
 
 def _outdoors(random: Random, lux: float) -> dict[str, Any]:
-    """Sun and sky from behind the camera, ten times the level of lamps, or shade under an overcast sky."""
+    """Draw sun and clear sky, with the sun behind the camera, or an overcast sky; ten times the level of lamps."""
     azimuth = float(random.uniform(110.0, 250.0))
     if random.random() < 0.5:
         sun = {"kind": "daylight", "elevation_deg": int(random.integers(25, 66)), "azimuth_deg": round(azimuth, 2)}
@@ -379,13 +401,13 @@ def _outdoors(random: Random, lux: float) -> dict[str, Any]:
 
 
 def _files(folder: Path, suffixes: tuple[str, ...], what: str) -> tuple[tuple[str, int, int], ...]:
-    """Names of a folder's files with their times and sizes, sorted."""
+    """Name, modification time (ns) and size (bytes) of a folder's files with these suffixes, sorted by name."""
     if not folder.is_dir():
         raise InputError(f"{what} '{folder}': no such folder")
-    found = sorted(path for path in folder.iterdir() if path.suffix.lower() in suffixes)
-    if not found:
+    paths = sorted(path for path in folder.iterdir() if path.suffix.lower() in suffixes)
+    if not paths:
         raise InputError(f"{what} '{folder}': holds none of {', '.join(suffixes)}")
-    return tuple((path.name, path.stat().st_mtime_ns, path.stat().st_size) for path in found)
+    return tuple((path.name, path.stat().st_mtime_ns, path.stat().st_size) for path in paths)
 
 
 def _own_meshes(spec: RandomScenes) -> random_objects.OwnMeshes | None:
@@ -393,8 +415,8 @@ def _own_meshes(spec: RandomScenes) -> random_objects.OwnMeshes | None:
         return None
     folder = spec.folder / spec.mesh_folder
     files = _files(folder, random_objects.MESH_SUFFIXES, "mesh_folder")
-    measured = random_objects.measured(folder, files)
-    return random_objects.OwnMeshes(spec.mesh_folder, measured, spec.mesh_share, spec.mesh_up, spec.mesh_near_infrared)
+    measures = random_objects.measure_meshes(folder, files)
+    return random_objects.OwnMeshes(spec.mesh_folder, measures, spec.mesh_share, spec.mesh_up, spec.mesh_near_infrared)
 
 
 def _own_pictures(spec: RandomScenes) -> tuple[str, ...]:

@@ -16,7 +16,7 @@ from dasim.base.toml import parse
 from dasim.camera import geometry
 from dasim.camera import specification as cameras
 from dasim.camera.specification import Camera
-from dasim.random_scenes.specification import PICTURE_PX, RandomScenes, named
+from dasim.random_scenes.specification import PICTURE_PX, RandomScenes, by_name
 from dasim.scene import shapes
 from dasim.scene import specification as scenes
 from dasim.scene.procedural import library
@@ -358,7 +358,7 @@ def test_a_specification_is_read_from_toml(tmp_path, mesh_folder):
     """Folders are looked up beside the file, and the scene says where they are as the file did."""
     path = tmp_path / "set.toml"
     path.write_text('depth_cm = [5, 40]\nobjects = [5, 6]\nmesh_folder = "meshes"\nmesh_share = 1\n[gains]\n"2" = 1\n')
-    scene, exposure = named(f"random:{path}:3:4")
+    scene, exposure = by_name(f"random:{path}:3:4")
     assert exposure.gain == 2.0 and scene.focus_cm == 40.0 and len(things(scene)) in (5, 6)
     files = {item.file for item in things(scene) if isinstance(item, shapes.Mesh)}
     assert files <= {"meshes/cone.ply", "meshes/painted.ply"} and files
@@ -385,7 +385,7 @@ def test_bad_specifications_are_named(tmp_path, text, message):
 def test_bad_names_and_numbers_are_named():
     for name in ("random:1", "random:a:2", "random:1:-2", "random:"):
         with pytest.raises(InputError, match="random:SEED:INDEX"):
-            named(name)
+            by_name(name)
     with pytest.raises(InputError, match="seed is -1"):
         dasim.random_scene(-1, 0)
 

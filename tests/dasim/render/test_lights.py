@@ -379,7 +379,7 @@ def test_all_problems_of_a_light_are_reported(tmp_path):
         ("mine.toml", ("lights.0 (environment)", "cannot be read as a picture")),
         ("broken.exr", ("lights.0 (environment)", "cannot be read as EXR")),
         ("square.png", ("lights.0 (environment)", "is 8 x 8", "twice as wide as high")),
-        ("black.png", ("lights.0 (environment)", "black", "without light")),
+        ("black.png", ("lights.0 (environment)", "black", "must contain light")),
         ("low.png", ("lights.0 (environment)", "upper half is black")),
     ],
 )
