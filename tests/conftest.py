@@ -1,6 +1,6 @@
-"""Fixtures and settings shared by all tests: number of threads, cameras, scenes from plain data, the renderer."""
+"""Fixtures and settings of all tests: number of threads, cameras, scenes from plain data, the renderer."""
 
-# ruff: noqa: E402  (numbers of threads are set before the libraries are loaded)
+# ruff: noqa: E402  (numbers of threads are set before libraries are imported)
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ REFERENCE = Path(__file__).parents[2] / "shared" / "reference"
 
 
 def pytest_configure(config):
-    """A folder for what the processes of this run share; they inherit the variable."""
+    """Create the folder that the processes of this run share; they inherit the environment variable with its name."""
     if WORKERS > 1 or getattr(config.option, "numprocesses", None) is None or FOLDER in os.environ:
         return
     folder = tempfile.TemporaryDirectory(prefix="dasim-tests-")
@@ -46,12 +46,12 @@ def pytest_configure(config):
 
 @pytest.fixture(scope="session")
 def reference():
-    """Columns of a measured curve by name, as {column: values}; the test is skipped where the file is missing."""
+    """Function that reads a measured curve by name, as {column: values}; skips the test where the file is missing."""
 
     def read(name: str) -> dict[str, np.ndarray]:
         path = REFERENCE / f"{name}.csv"
         if not path.is_file():
-            pytest.skip(f"measured data {path.name} is not here")
+            pytest.skip(f"measured data {path.name} is missing")
         lines = [line for line in path.read_text().splitlines() if line and not line.startswith("#")]
         values = np.array([[float(item) for item in line.split(",")] for line in lines[1:]])
         return dict(zip(lines[0].split(","), values.T, strict=True))
@@ -61,7 +61,7 @@ def reference():
 
 @pytest.fixture(scope="module", autouse=True)
 def threads():
-    """Each module starts with this process's number of threads; datasets set it to one."""
+    """Reset the number of threads for each module, because datasets set it to one."""
     cv2.setNumThreads(THREADS)
     if "drjit" in sys.modules:
         backend.use_threads(RENDER_THREADS)
@@ -74,7 +74,7 @@ def da_mobile() -> Camera:
 
 @pytest.fixture(scope="session")
 def wide(da_mobile):
-    """The lens of da-mobile before a coarse sensor: a wide view in few pixels."""
+    """Function that makes a camera with the lens of da-mobile and a coarse sensor: a wide view in few pixels."""
 
     def make(width: int = 48, height: int = 36, pitch_um: float = 50.0, focus_m: float = 0.4) -> Camera:
         data = da_mobile.model_dump()
@@ -86,7 +86,7 @@ def wide(da_mobile):
 
 
 DOME = {"kind": "dome", "illuminant": "A", "lux": 500.0}
-# Beside the lens and behind it: lights what faces the camera and is never in view, so that empty space stays dark.
+# Behind the lens plane, so that it illuminates surfaces that face the camera and is never visible itself.
 LAMP = {
     "kind": "lamp",
     "illuminant": "D65",
@@ -99,7 +99,7 @@ LAMP = {
 
 @pytest.fixture(scope="session")
 def make_scene():
-    """A scene from its objects (plain data), lit by a dome unless said otherwise."""
+    """Function that makes a scene from its objects (plain data), by default under a dome."""
 
     def make(*objects: dict, lights=(DOME,), folder: Path = Path("."), **others) -> Scene:
         data = {"name": "test", "lights": list(lights), "objects": list(objects), "folder": folder, **others}
@@ -115,7 +115,7 @@ def lamp() -> dict:
 
 @pytest.fixture(scope="session")
 def renderer() -> str:
-    """The variant of this process, the one that works best here."""
+    """Name of the fastest variant that works, which is activated in this process."""
     choice = backend.choose()
     backend.activate(choice)
     backend.use_threads(RENDER_THREADS)
@@ -124,7 +124,7 @@ def renderer() -> str:
 
 @pytest.fixture(scope="session")
 def loaded(renderer):
-    """Mitsuba's scene of a scene."""
+    """Function that translates a scene to Mitsuba."""
     import mitsuba as mi
 
     from dasim.render import translate
@@ -134,18 +134,18 @@ def loaded(renderer):
 
 @pytest.fixture(scope="session")
 def jit(renderer) -> str:
-    """The variant of this process, where it is one that renders wave-true; else the test is skipped."""
+    """Name of the variant of this process; skips the test for the scalar variant, which has no wave-optical blur."""
     if renderer.startswith("scalar"):
-        pytest.skip("only scalar_spectral works here, and it renders no wave-true blur")
+        pytest.skip("only scalar_spectral works on this computer, which has no wave-optical blur")
     return renderer
 
 
 @pytest.fixture(scope="session")
 def jit_variant() -> str:
-    """The name of a JIT variant that works here, for a process of its own."""
+    """Name of a JIT variant that works, for tests that start a process of their own."""
     for name in ("llvm_ad_spectral", "cuda_ad_spectral"):
         try:
             return backend.choose(name).variant
         except InputError:
             continue
-    pytest.skip("no JIT variant works here")
+    pytest.skip("no JIT variant works on this computer")

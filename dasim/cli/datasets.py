@@ -28,8 +28,8 @@ if TYPE_CHECKING:
 app = cyclopts.App(name="dataset", help="Make, check and describe datasets of many captures with their truth.")
 
 LINE_S = 30.0  # between lines of progress where there is no terminal
-TRIALS = 3  # small renders that the cost of a dataset is estimated from
-TRIAL_SHARE = 4  # of the frame's width and height
+TRIALS = 3  # small renders from which the cost of a dataset is estimated
+TRIAL_SHARE = 4  # width and height of the frame over those of a small render
 
 
 @app.command
@@ -45,17 +45,17 @@ def make(
     retry: Annotated[bool, Parameter(negative="")] = False,
     variant: str | None = None,
 ) -> int:
-    """Make a dataset from a specification, or go on with one that was stopped; exit status 1 where samples failed.
+    """Make a dataset from a specification, or continue one that was interrupted; exit status 1 where samples fail.
 
     Args:
         spec: a TOML file
         out: a folder, or an fsspec address such as s3://bucket/folder
-        dry_run: print what would be made and what it costs, from three small renders, and end
-        jobs: processes of the local executor; by default one for each core
-        executor: local, or ray for the nodes of a cluster (extra 'cluster')
-        address: of Ray: auto, or ray://host:port
-        shard: K/N makes the K-th of N parts of the shards, for batch schedulers; the last one to end finishes
-        retry: try samples again that failed in an earlier run
+        dry_run: print the plan and an estimate of its cost from three small renders, without making samples
+        jobs: processes of the local executor; by default one per graphics card, or one per core
+        executor: local, or ray for the nodes of a Ray cluster (needs the extra 'cluster')
+        address: address of Ray: auto, or ray://host:port
+        shard: K/N makes the K-th of N parts of the shards, for batch schedulers; the last to end finishes the dataset
+        retry: try again the samples that failed in earlier runs
         variant: Mitsuba variant, auto by default
     """
     from dasim.base import executors
@@ -70,7 +70,7 @@ def make(
     described = load_spec(spec)
     part = _part(shard)
     if retry and part != (1, 1):
-        raise InputError(f"--retry: takes finished shards apart, and goes without --shard {shard}")
+        raise InputError(f"--retry: changes finished shards, and cannot be used with --shard {shard}")
     parquet_library()
     choice = backend.choose(variant)
     gpu = choice.variant.startswith("cuda")
@@ -86,10 +86,10 @@ def make(
         run = executors.ray(address, work, gpu=gpu)
     plan.begin(out, plan.description(described, here))
     log = storage.local_path(out) / plan.log_name(part) if storage.is_local(out) else None
-    with _shown(described.name) as show:
+    with _progress_bar(described.name) as show:
         progress = make_dataset(Job(described, out, here), run, shard=part, retry=retry, log=log, show=show)
-    for index, said in sorted(progress.failed.items()):
-        print(f"sample {index} failed: {said}", file=sys.stderr)
+    for index, error in sorted(progress.failed.items()):
+        print(f"sample {index} failed: {error}", file=sys.stderr)
     print(f"dataset: {out} ({progress.before + progress.done} of {progress.total} samples)")
     if progress.failed:
         print(f"{len(progress.failed)} samples failed and are left out; --retry tries them again", file=sys.stderr)
@@ -98,7 +98,7 @@ def make(
 
 @app.command
 def verify(dataset: str) -> int:
-    """Read a dataset as a whole again: checksums, shapes, ranges, missing and extra samples; status 1 where it fails.
+    """Check a whole dataset: checksums, shapes, ranges, missing and extra samples; exit status 1 on problems.
 
     Args:
         dataset: its folder or fsspec address
@@ -110,13 +110,13 @@ def verify(dataset: str) -> int:
     for problem in verify.problems(dataset):
         count += 1
         print(problem)
-    print(f"{dataset}: {count} problems" if count else f"{dataset}: every file is as it was written")
+    print(f"{dataset}: {count} problems" if count else f"{dataset}: no problems")
     return 1 if count else 0
 
 
 @app.command
 def info(dataset: str, *, plot: Path | None = None) -> int:
-    """Print what is in a dataset.
+    """Print statistics of a dataset.
 
     Args:
         dataset: its folder or fsspec address
@@ -197,7 +197,7 @@ def _part(text: str) -> tuple[int, int]:
 
 
 def processes_of(jobs: int | None, gpus: int | None = None) -> int:
-    """As asked for; else one a graphics card, or one a core."""
+    """Number of processes: ``jobs``, or else one per graphics card, or one per core."""
     if jobs is not None and jobs < 1:
         raise InputError(f"--jobs {jobs}: must be 1 or more")
     allowed = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
@@ -205,7 +205,7 @@ def processes_of(jobs: int | None, gpus: int | None = None) -> int:
 
 
 def _print_plan(spec: DatasetSpec, out: str, processes: int, variant: str) -> None:
-    """What would be made, some samples as drawn, and the cost by small renders."""
+    """Print the splits, the random values of three samples, and the cost estimated from small renders."""
     from dasim.dataset import plan
     from dasim.dataset.draws import draft
     from dasim.dataset.make import estimate
@@ -216,13 +216,13 @@ def _print_plan(spec: DatasetSpec, out: str, processes: int, variant: str) -> No
     for split in spec.splits:
         own = [group for group in groups if group.split == split]
         print(f"{split}: {sum(len(group.indices) for group in own)} samples in {len(own)} shards")
-    shown = sorted({0, spec.samples // 2, spec.samples - 1})
-    for index in shown:
-        drafted = draft(spec, index)
+    examples = sorted({0, spec.samples // 2, spec.samples - 1})
+    for index in examples:
+        sample = draft(spec, index)
         drawn = ", ".join(f"{name} {value:.4g}" if isinstance(value, float) else f"{name} {value}"
-                          for name, value in drafted.drawn.items())  # fmt: skip
-        focus_m = drafted.camera.lens.focus_distance_m
-        print(f"sample {index}: {drafted.split}, {drafted.scene_key}, focus {focus_m:.3g} m, {drawn}")
+                          for name, value in sample.drawn.items())  # fmt: skip
+        focus_m = sample.camera.lens.focus_distance_m
+        print(f"sample {index}: {sample.split}, {sample.scene_key}, focus {focus_m:.3g} m, {drawn}")
     small = tuple(max(side // TRIAL_SHARE // 2 * 2, 32) for side in spec.size_px)
     margin = spec.truth.model_copy(update={"margin_px": 0})
     trial = spec.model_copy(update={"size_px": small, "truth": margin})
@@ -231,7 +231,7 @@ def _print_plan(spec: DatasetSpec, out: str, processes: int, variant: str) -> No
     costs = []
     for index in range(min(TRIALS, spec.samples)):
         times = []
-        for _ in range(2):  # the first time compiles, whatever the size; the second tells what pixels cost
+        for _ in range(2):  # the first includes compiling, which does not depend on the size
             begin = time.perf_counter()
             make_sample(trial, index, variant)
             times.append(time.perf_counter() - begin)
@@ -241,30 +241,31 @@ def _print_plan(spec: DatasetSpec, out: str, processes: int, variant: str) -> No
 
 
 @contextmanager
-def _shown(name: str) -> Iterator[Any]:
-    """A progress bar with rate, time left and failures on a terminal; elsewhere a line now and then."""
+def _progress_bar(name: str) -> Iterator[Any]:
+    """Progress bar with rate, time left and failures on a terminal; elsewhere a line every ``LINE_S`` seconds."""
     from rich import progress as bars
     from rich.console import Console
 
     console = Console(stderr=True)
-    text = (bars.TextColumn("{task.description}"), bars.BarColumn(), bars.TextColumn("{task.fields[said]}"))
-    printed = [0.0]
+    text = (bars.TextColumn("{task.description}"), bars.BarColumn(), bars.TextColumn("{task.fields[status]}"))
+    last_print = [0.0]
     with bars.Progress(*text, bars.TimeElapsedColumn(), console=console, disable=not console.is_terminal) as bar:
-        task = bar.add_task(name, total=None, said="")
+        task = bar.add_task(name, total=None, status="")
 
         def update(progress: Progress) -> None:
-            said = _said(progress)
-            bar.update(task, total=progress.total, completed=progress.before + progress.done, said=said)
-            if not console.is_terminal and time.monotonic() - printed[0] >= LINE_S:
-                printed[0] = time.monotonic()
-                print(f"{name}: {said}", file=sys.stderr, flush=True)
+            status = _status(progress)
+            bar.update(task, total=progress.total, completed=progress.before + progress.done, status=status)
+            if not console.is_terminal and time.monotonic() - last_print[0] >= LINE_S:
+                last_print[0] = time.monotonic()
+                print(f"{name}: {status}", file=sys.stderr, flush=True)
 
         yield update
 
 
-def _said(progress: Progress) -> str:
+def _status(progress: Progress) -> str:
+    """Samples, rate, time left and failures in one line."""
     left = progress.left_s
     time_left = "" if left != left else f", {left / 60:.0f} min left" if left > 90 else f", {left:.0f} s left"
     failed = f", {len(progress.failed)} failed" if progress.failed else ""
-    rate = f", {progress.rate:.0f} an hour" if progress.done else ""
+    rate = f", {progress.rate:.0f} per hour" if progress.done else ""
     return f"{progress.before + progress.done} of {progress.total}{rate}{time_left}{failed}"

@@ -1,4 +1,4 @@
-"""What completes a dataset: index, card with statistics and a contact sheet, checksums.
+"""Completion of a dataset: index, card with statistics, contact sheet and checksums.
 
 Tested in tests/dasim/dataset/test_specification.py.
 """
@@ -17,12 +17,12 @@ import numpy as np
 
 from dasim.dataset import plan, reading, storage
 from dasim.dataset.plan import INDEX, MANIFEST, SUMS
-from dasim.dataset.sample import BLUR_EDGES_PX, DEPTH_EDGES_M, plain
+from dasim.dataset.sample import BLUR_EDGES_PX, DEPTH_EDGES_M, json_bytes
 from dasim.dataset.specification import DatasetSpec
 
 CARD, SHEET = "README.md", "contact-sheet.jpg"
 SHEET_COLUMNS, SHEET_MOST = 8, 48
-CHUNK = 1 << 20
+CHUNK = 1 << 20  # bytes read at a time
 
 
 def finish(out: str, spec: DatasetSpec, failed: dict[int, str]) -> None:
@@ -31,17 +31,17 @@ def finish(out: str, spec: DatasetSpec, failed: dict[int, str]) -> None:
         rows = rows_of(out)
     except FileNotFoundError:
         rows = None
-    if storage.exists(out, SUMS):  # another run finishes, and removes the rows while they are read
+    if storage.exists(out, SUMS):  # another run has finished the dataset, and removed the rows meanwhile
         return
     if rows is None:
-        raise FileNotFoundError(None, "rows vanished while they were read", f"{out}/rows")
+        raise FileNotFoundError(None, "rows were removed while they were read", f"{out}/rows")
     storage.write(out, INDEX, table(rows))
     if rows:
         storage.write(out, SHEET, contact_sheet(rows))
     storage.write(out, CARD, card(spec, plan.manifest(out), rows, failed).encode())
-    known = [INDEX, CARD, MANIFEST, *([SHEET] if rows else []), *content(spec, rows)]
-    known += [name for name in storage.names(out, "failed")]
-    sums = "".join(f"{sha256(out, name)}  {name}\n" for name in sorted(known))
+    files = [INDEX, CARD, MANIFEST, *([SHEET] if rows else []), *content(spec, rows)]
+    files += [name for name in storage.names(out, "failed")]
+    sums = "".join(f"{sha256(out, name)}  {name}\n" for name in sorted(files))
     storage.write(out, SUMS, sums.encode())
     tidy(out)
 
@@ -52,21 +52,21 @@ def tidy(out: str) -> None:
         storage.remove(out, folder)
 
 
-def take_back(out: str, spec: DatasetSpec) -> None:
-    """Undo :func:`finish`: the rows of each shard as they were before the index was written."""
+def undo(out: str, spec: DatasetSpec) -> None:
+    """Undo :func:`finish`: write the rows of each shard, and remove index, card, contact sheet and checksums."""
     groups: dict[str, list[dict[str, Any]]] = {group.name: [] for group in plan.shards(spec)}
     for row in reading.index_rows(out):
         groups[row["shard"]].append(row | {"thumbnail": base64.b64encode(row["thumbnail"]).decode()})
     for name, rows in groups.items():
-        storage.write(out, f"rows/{name}.json", plain(rows))
+        storage.write(out, f"rows/{name}.json", json_bytes(rows))
     for name in (SUMS, INDEX, CARD, SHEET):
         storage.remove(out, name)
 
 
 def rows_of(out: str) -> list[dict[str, Any]]:
     """Rows of all finished shards in the order of the samples."""
-    found = [row for name in storage.names(out, "rows") for row in json.loads(storage.read(out, name))]
-    return sorted(found, key=lambda row: int(row["index"]))
+    rows = [row for name in storage.names(out, "rows") for row in json.loads(storage.read(out, name))]
+    return sorted(rows, key=lambda row: int(row["index"]))
 
 
 def content(spec: DatasetSpec, rows: list[dict[str, Any]]) -> list[str]:
@@ -77,7 +77,7 @@ def content(spec: DatasetSpec, rows: list[dict[str, Any]]) -> list[str]:
 
 
 def sha256(out: str, name: str) -> str:
-    """Checksum of a file of the dataset."""
+    """SHA-256 of a file of the dataset, as hexadecimal digits."""
     digest = hashlib.sha256()
     with storage.reading(out, name) as file:
         while chunk := file.read(CHUNK):
@@ -86,7 +86,7 @@ def sha256(out: str, name: str) -> str:
 
 
 def table(rows: list[dict[str, Any]]) -> bytes:
-    """The index as parquet: one row per sample, the same bytes for the same rows."""
+    """Index as parquet, with one row per sample; equal rows give equal bytes."""
     parquet = reading.parquet_library()
     import pyarrow
 
@@ -97,9 +97,9 @@ def table(rows: list[dict[str, Any]]) -> bytes:
 
 
 def contact_sheet(rows: list[dict[str, Any]]) -> bytes:
-    """Small pictures of samples spread over the dataset, as JPEG."""
-    chosen = [rows[k] for k in np.unique(np.linspace(0, len(rows) - 1, SHEET_MOST).astype(int))]
-    data = [row["thumbnail"] for row in chosen]
+    """JPEG of the thumbnails of at most ``SHEET_MOST`` samples, evenly spaced over the dataset."""
+    selection = [rows[k] for k in np.unique(np.linspace(0, len(rows) - 1, SHEET_MOST).astype(int))]
+    data = [row["thumbnail"] for row in selection]
     jpegs = [base64.b64decode(item) if isinstance(item, str) else item for item in data]
     small = [cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_COLOR) for jpeg in jpegs]
     height, width = (max(picture.shape[axis] for picture in small) for axis in (0, 1))
@@ -113,73 +113,75 @@ def contact_sheet(rows: list[dict[str, Any]]) -> bytes:
 
 
 def statistics(rows: list[dict[str, Any]]) -> list[str]:
-    """Lines of text about the samples: depth, blur, exposure, lights, cameras."""
+    """Statistics of the samples as lines of text: splits, cameras, lights, depth, blur, focus, exposure, size."""
     if not rows:
         return ["no samples"]
 
     def spread(name: str, unit: str, factor: float = 1.0) -> str:
         values = np.array([row[name] for row in rows if row[name] is not None]) * factor
         if not values.size:
-            return "not known"
+            return "unknown"
         low, middle, high = np.percentile(values, (5, 50, 95))
         return f"{middle:.3g} {unit} (90 %: {low:.3g} to {high:.3g})"
 
-    def counted(name: str) -> str:
+    def counts(name: str) -> str:
         return ", ".join(f"{value} {count}" for value, count in Counter(str(row[name]) for row in rows).most_common(12))
 
     depth, blur = (np.sum([row[f"{what}_histogram"] for row in rows], axis=0) for what in ("depth", "blur"))
     return [
-        f"samples: {len(rows)} of {len({row['scene'] for row in rows})} scenes; {counted('split')}",
-        f"cameras: {counted('camera')}",
-        f"lights: {counted('illuminant')}",
+        f"samples: {len(rows)} of {len({row['scene'] for row in rows})} scenes; {counts('split')}",
+        f"cameras: {counts('camera')}",
+        f"lights: {counts('illuminant')}",
         f"depth of all pixels: {_quantiles(depth, DEPTH_EDGES_M, 'm')}",
         f"visible blur of all pixels: {_quantiles(blur, BLUR_EDGES_PX, 'px')}",
         f"focus: {spread('focus_m', 'm')}; exposure: {spread('exposure_s', 'ms', 1e3)}; gain: {spread('gain', '')}",
         f"saturated pixels: {spread('saturated_share', '%', 100)}; "
-        f"behind the focus: {spread('far_side_share', '%', 100)}; at depth edges: {spread('boundary_share', '%', 100)}",
-        f"rendering noise over the sensor's own: {spread('noise_share', '')}",
+        f"behind the focus: {spread('far_side_share', '%', 100)}; "
+        f"near depth discontinuities: {spread('boundary_share', '%', 100)}",
+        f"standard deviation of rendering noise over that of sensor noise: {spread('noise_share', '')}",
         f"size: {sum(row['bytes'] for row in rows) / 1e9:.3g} GB",
     ]
 
 
 def _quantiles(histogram: np.ndarray, edges: np.ndarray, unit: str) -> str:
+    """Median and the central 90 % of a histogram [bin] with ``edges`` [bin + 1], as text."""
     share = np.concatenate([[0], np.cumsum(histogram) / max(histogram.sum(), 1)])
     low, middle, high = np.interp((0.05, 0.5, 0.95), share, edges)
     return f"{middle:.3g} {unit} (90 %: {low:.3g} to {high:.3g})"
 
 
 def card(spec: DatasetSpec, manifest: dict[str, Any], rows: list[dict[str, Any]], failed: dict[int, str]) -> str:
-    """The dataset card: what it is, how it was made, what is in it, how to read it."""
+    """Dataset card in Markdown: licence, origin, statistics, and how to read the files."""
     half = ", 16-bit floats but for depth" if spec.truth.half else ""
     margin = f", without {spec.truth.margin_px} px along every edge" if spec.truth.margin_px else ""
     inside = (
         "Shards `SPLIT-NUMBER.tar` in the WebDataset form: `KEY.raw.png`, `KEY.truth.exr`, `KEY.meta.json`."
         if spec.format == "webdataset"
-        else "A folder for each sample, `SPLIT/KEY/` with `raw.png`, `truth.exr`, `meta.json`."
+        else "One folder per sample, `SPLIT/KEY/` with `raw.png`, `truth.exr`, `meta.json`."
     )
-    given_up = "".join(f"- {key}: {reason}\n" for key, reason in list(failed.items())[:20])
+    failures = "".join(f"- {key}: {reason}\n" for key, reason in list(failed.items())[:20])
     lines = "\n".join(f"- {line}" for line in statistics(rows))
     return f"""# {spec.name} {spec.version}
 
 {spec.description or "Simulated dual-aperture captures with exact ground truth."}
 
 Licence: {spec.licence}. Made by dasim {manifest["libraries"]["dasim"]}, {manifest["variant"]}; the specification, the
-instruction set and all library versions are in `{MANIFEST}`: with the same ones every file comes out the same, byte for
+instruction set and all library versions are in `{MANIFEST}`. With the same ones, every file is reproduced byte for
 byte.
 
 ![Samples, through a pinhole]({SHEET})
 
-## What is in it
+## Content
 
 {lines}
 
-Truth kept: {", ".join(spec.truth.keep)}{half}{margin}. Scenes are split, so that none is in two splits.
+Parts of the truth: {", ".join(spec.truth.keep)}{half}{margin}. Each scene is in one split only.
 
 ## How to read it
 
-{inside} `raw.png` is the 16-bit mosaic as the sensor gives it; `truth.exr` has a part for each kind of truth, `Z` of
-the part `depth` is z in metres from the lens; `meta.json` describes camera, exposure and lights. `{INDEX}` has a row
-for each sample: parameters, checksums, statistics, thumbnail. `sha256sum -c {SUMS}` checks every file.
+{inside} `raw.png` is the 16-bit mosaic of the sensor. `truth.exr` has one part per kind of truth; `Z` of the part
+`depth` is z in metres from the lens. `meta.json` describes camera, exposure and lights. `{INDEX}` has one row per
+sample: parameters, checksums, statistics and a thumbnail. `sha256sum -c {SUMS}` checks every file.
 
 ```python
 import dasim
@@ -187,4 +189,4 @@ import dasim
 for sample in dasim.open_dataset(".", split="{next(iter(spec.splits))}"):
     sample.raw_dn, sample.truth, sample.meta
 ```
-""" + (f"\n## Not made\n\n{len(failed)} samples failed and are left out:\n\n{given_up}" if failed else "")
+""" + (f"\n## Failures\n\n{len(failed)} samples failed and are left out:\n\n{failures}" if failed else "")

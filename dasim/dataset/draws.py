@@ -1,4 +1,4 @@
-"""Sample i of a dataset: scene, camera, focus, light, exposure and split, from the specification and i alone.
+"""Sample i of a dataset: scene, camera, focus, light, exposure and split, which depend on the specification and i.
 
 Tested in tests/dasim/dataset/test_specification.py.
 """
@@ -16,18 +16,18 @@ from dasim.base.toml import Specification, parse
 from dasim.camera import specification as cameras
 from dasim.camera.noise import Exposure
 from dasim.camera.specification import Camera
-from dasim.dataset.specification import DatasetSpec, named_camera, random_spec, scene_count, scene_keys, varied
+from dasim.dataset.specification import DatasetSpec, named_camera, random_spec, scene_count, scene_keys, with_values
 from dasim.random_scenes import specification
 from dasim.scene.mitsuba_scene import MitsubaScene
 from dasim.scene.specification import Scene
 
-# Each part on a generator of its own: another distribution of one leaves the others as they are.
+# Each part has its own random generator: changing the distribution of one part does not change the others.
 _STAGES = {"camera": 1, "light": 2, "focus": 3, "exposure": 4, "capture": 5, "splits": 6}
 
 
 @dataclass(frozen=True)
 class Draft:
-    """A sample before it is photographed."""
+    """A sample before it is rendered."""
 
     index: int
     split: str
@@ -36,17 +36,17 @@ class Draft:
     camera: Camera
     exposure: Exposure
     seed: int  # of rendering and sensor noise
-    drawn: dict[str, Any] = field(default_factory=dict)  # what the specification's distributions gave
+    drawn: dict[str, Any] = field(default_factory=dict)  # values from the distributions, by dotted key
 
 
 def draft(spec: DatasetSpec, index: int) -> Draft:
-    """Sample ``index``, 0 to ``spec.samples`` - 1; InputError where what was drawn cannot be photographed."""
+    """Draft of sample ``index``, 0 to ``spec.samples`` - 1; InputError where its random values are not allowed."""
     number = scene_number(spec, index)
     drawn = values(spec, index)
     base = named_camera(spec, spec.cameras[_choice(spec, index)])
-    camera = cameras.cropped(varied(base, _below(drawn, "camera")), *spec.size_px)
+    camera = cameras.cropped(with_values(base, _below(drawn, "camera")), *spec.size_px)
     scene, exposure = _scene(spec, number, base)
-    scene = _lit(scene, **_below(drawn, "light"))
+    scene = _relight(scene, **_below(drawn, "light"))
     if "focus.distance_m" in drawn:
         camera = cameras.refocused(camera, float(drawn["focus.distance_m"]))
     else:
@@ -65,7 +65,7 @@ def draft(spec: DatasetSpec, index: int) -> Draft:
 
 
 def values(spec: DatasetSpec, index: int) -> dict[str, Any]:
-    """What the specification's distributions give for a sample; needs no files."""
+    """Random values of a sample from the specification's distributions, by dotted key; reads no files."""
     choice = spec.cameras[_choice(spec, index)]
     random = _generator(spec, index, "camera", 1)
     drawn: dict[str, Any] = {"camera": choice.name}
@@ -83,6 +83,7 @@ def values(spec: DatasetSpec, index: int) -> dict[str, Any]:
 
 
 def _below(drawn: dict[str, Any], stage: str) -> dict[str, Any]:
+    """Values whose keys begin with ``stage`` and a dot, by the rest of the key."""
     return {key.partition(".")[2]: value for key, value in drawn.items() if key.startswith(f"{stage}.")}
 
 
@@ -92,33 +93,33 @@ def capture_seed(spec: DatasetSpec, index: int) -> int:
 
 
 def scene_key(spec: DatasetSpec, number: int) -> str:
-    """What a scene is called in the index."""
+    """Name of scene ``number`` in the index."""
     return (scene_keys(spec) or {number: f"random:{spec.seed}:{number}"})[number]
 
 
 def scene_number(spec: DatasetSpec, index: int) -> int:
-    """Which scene a sample shows."""
+    """Number of the scene that a sample shows, from 0."""
     keys = scene_keys(spec)
     return index % len(keys) if keys else index // spec.scenes.captures_per_scene
 
 
 def split_of_scene(spec: DatasetSpec, number: int) -> str:
-    """The split of a scene and so of all its samples."""
+    """Name of the split that contains a scene and all its samples."""
     return _splits(scene_count(spec), spec.seed, tuple(spec.splits.items()))[number]
 
 
 @lru_cache(maxsize=4)
 def _splits(count: int, seed: int, shares: tuple[tuple[str, float], ...]) -> tuple[str, ...]:
-    """A split for each scene, in shuffled order; each split gets one scene at least, and else its share, rounded."""
+    """Split of each scene, at random; the splits have their shares of the scenes, rounded, and at least one each."""
     ends = np.rint(np.cumsum([share for _, share in shares]) / sum(share for _, share in shares) * count).astype(int)
-    for place in range(len(shares)):  # one scene each for this split and for those behind it
+    for place in range(len(shares)):  # leaves one scene at least for this split and for each later one
         ends[place] = max(ends[place], (ends[place - 1] if place else 0) + 1)
         ends[place] = min(ends[place], count - (len(shares) - 1 - place))
     names = np.repeat([name for name, _ in shares], np.diff([0, *ends]))
     order = np.random.default_rng(np.random.SeedSequence((seed, _STAGES["splits"]))).permutation(count)
-    found = np.empty(count, dtype=names.dtype)
-    found[order] = names
-    return tuple(map(str, found))
+    splits = np.empty(count, dtype=names.dtype)
+    splits[order] = names
+    return tuple(map(str, splits))
 
 
 def _generator(spec: DatasetSpec, index: int, stage: str, part: int = 0) -> np.random.Generator:
@@ -126,15 +127,15 @@ def _generator(spec: DatasetSpec, index: int, stage: str, part: int = 0) -> np.r
 
 
 def _choice(spec: DatasetSpec, index: int) -> int:
-    """Which of the cameras takes a sample."""
+    """Index of a sample's camera among those of the specification, drawn with their weights."""
     weights = np.array([choice.weight for choice in spec.cameras])
     return int(_generator(spec, index, "camera").choice(len(weights), p=weights / weights.sum()))
 
 
 def _scene(spec: DatasetSpec, number: int, camera: Camera) -> tuple[Scene | MitsubaScene, Exposure]:
-    """A scene, and how it wants to be exposed.
+    """Scene ``number`` and its exposure.
 
-    Random scenes fit the frame of the first camera, so that all captures of one show the same scene.
+    A random scene is laid out for the frame of the first camera, so that all captures of it show the same objects.
     """
     keys = scene_keys(spec)
     if not keys:
@@ -144,12 +145,11 @@ def _scene(spec: DatasetSpec, number: int, camera: Camera) -> tuple[Scene | Mits
         return scene, specification.random_exposure(spec.seed, number, source)
     name = keys[number]
     path = spec.folder / name
-    described = loading.load_scene(path if spec.scenes.family == "files" else name, camera=camera)
-    return described, Exposure()
+    return loading.load_scene(path if spec.scenes.family == "files" else name, camera=camera), Exposure()
 
 
-def _lit(scene: Scene | MitsubaScene, illuminant: str | None = None, scale: float = 1.0) -> Scene | MitsubaScene:
-    """The scene under another illuminant or level, where the specification says so."""
+def _relight(scene: Scene | MitsubaScene, illuminant: str | None = None, scale: float = 1.0) -> Scene | MitsubaScene:
+    """The scene with another illuminant in all lights and their illuminance times ``scale``; XML scenes unchanged."""
     if isinstance(scene, MitsubaScene) or (illuminant is None and scale == 1.0):
         return scene
     data = scene.model_dump(mode="json", exclude={"folder"})
@@ -157,5 +157,5 @@ def _lit(scene: Scene | MitsubaScene, illuminant: str | None = None, scale: floa
         light["lux"] *= scale
         if illuminant is not None and "illuminant" in light:
             light["illuminant"] = illuminant
-    changed = parse(Scene, data, f"scene {scene.name}, light", folder=scene.folder)
-    return changed.model_copy(update={"folder": scene.folder})
+    result = parse(Scene, data, f"scene {scene.name}, light", folder=scene.folder)
+    return result.model_copy(update={"folder": scene.folder})

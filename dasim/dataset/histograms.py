@@ -1,4 +1,4 @@
-"""Statistics of a dataset as a picture.
+"""Histograms of a dataset as a figure.
 
 Tested in tests/dasim/dataset/test_specification.py.
 """
@@ -15,7 +15,10 @@ from dasim.dataset.sample import BLUR_EDGES_PX, DEPTH_EDGES_M
 
 
 def plot(rows: list[dict[str, Any]], file: Path, title: str) -> None:
-    """Histograms of depth, visible blur, exposure and illuminants, to a PNG or SVG file."""
+    """Write histograms of depth, visible blur, exposure and illuminants to a PNG or SVG file.
+
+    ``rows`` are those of the index.
+    """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
     from matplotlib.ticker import NullFormatter

@@ -16,12 +16,12 @@ from dasim.base.errors import InputError, describe_error
 from dasim.base.executors import Executor, Outcome
 from dasim.dataset import card, plan, reading, storage
 from dasim.dataset.plan import Shard
-from dasim.dataset.sample import FILES, ROW, Job, add, key, packed, plain, unpacked
+from dasim.dataset.sample import FILES, ROW, Job, add, json_bytes, key, pack, unpack
 from dasim.dataset.specification import DatasetSpec
 from dasim.dataset.work import PART
 
 TRIES = 3
-KEPT = "nothing is lost: put it right, and run the same again"
+RESUME = "finished samples are stored: solve the problem, and run the same command again"
 
 
 @dataclass
@@ -29,16 +29,16 @@ class Progress:
     """Progress of a run, reported after each sample."""
 
     total: int  # samples of this run
-    before: int = 0  # of them made by earlier runs
+    before: int = 0  # of ``total``, made by earlier runs
     done: int = 0
     failed: dict[int, str] = field(default_factory=dict)
-    began: float = field(default_factory=time.monotonic)
-    last: str = ""  # one line on the last sample
+    start: float = field(default_factory=time.monotonic)
+    last: str = ""  # one line about the last sample
 
     @property
     def rate(self) -> float:
         """Samples per hour of this run."""
-        return 3600 * self.done / max(time.monotonic() - self.began, 1e-9)
+        return 3600 * self.done / max(time.monotonic() - self.start, 1e-9)
 
     @property
     def left_s(self) -> float:
@@ -58,13 +58,21 @@ def make(
 ) -> Progress:
     """Make the missing samples of a dataset, and finish it when none is missing.
 
-    ``shard`` is (k, n): the k-th of n parts of the shards, for n runs side by side; the last one finishes it. With
-    ``retry``, samples that failed in earlier runs are tried again. Raises InputError where nothing can be written.
+    Args:
+        job: specification, output and environment.
+        executor: where the samples are made.
+        shard: (k, n) for the k-th of n parts of the shards, from 1, for n simultaneous runs; the last one to end
+            finishes the dataset.
+        retry: whether samples that failed in earlier runs are tried again.
+        log: file that gets one line per sample.
+        show: function that is called after each sample.
+
+    Raises InputError where files cannot be written.
     """
     try:
         return _make(job, executor, shard, retry, log, show)
     except OSError as error:
-        raise InputError(f"{job.out}: {describe_error(error)}; {KEPT}") from None
+        raise InputError(f"{job.out}: {describe_error(error)}; {RESUME}") from None
     finally:
         storage.sweep(job.out)
 
@@ -77,24 +85,24 @@ def _make(
     log: Path | None,
     show: Callable[[Progress], None],
 ) -> Progress:
-    everyone = plan.shards(job.spec)
-    own = everyone[shard[0] - 1 :: shard[1]]
+    every = plan.shards(job.spec)
+    own = every[shard[0] - 1 :: shard[1]]
     storage.sweep(job.out)
     if retry:
         _reopen(job, own)
-    have, broken = parts(job.out), failures(job.out)
+    have, failed = parts(job.out), failures(job.out)
     closed = closed_shards(job.out)
-    if storage.exists(job.out, plan.SUMS):  # looked for last: another run may just have finished
+    if storage.exists(job.out, plan.SUMS):  # checked last, because another run may just have finished
         card.tidy(job.out)
-        return Progress(job.spec.samples, before=job.spec.samples - len(broken), failed=broken)
+        return Progress(job.spec.samples, before=job.spec.samples - len(failed), failed=failed)
     waiting = {group.name: group for group in own if group.name not in closed}
-    wanted = {index: group for group in waiting.values() for index in group.indices}
-    queue = deque(index for index in wanted if index not in have and index not in broken)
+    group_of = {index: group for group in waiting.values() for index in group.indices}
+    queue = deque(index for index in group_of if index not in have and index not in failed)
     total = sum(len(group.indices) for group in own)
-    progress = Progress(total, before=total - len(queue) - sum(i in broken for g in own for i in g.indices))
-    progress.failed |= {index: broken[index] for group in own for index in group.indices if index in broken}
+    progress = Progress(total, before=total - len(queue) - sum(i in failed for g in own for i in g.indices))
+    progress.failed |= {index: failed[index] for group in own for index in group.indices if index in failed}
     plan.check_space(job.spec, job.out, len(queue))
-    left = {name: sum(i not in have and i not in broken for i in group.indices) for name, group in waiting.items()}
+    left = {name: sum(i not in have and i not in failed for i in group.indices) for name, group in waiting.items()}
     for name, missing in left.items():
         if not missing:
             close(job, waiting[name])
@@ -103,7 +111,7 @@ def _make(
     with closing(executor(job, queue)) as outcomes:
         for outcome in outcomes:
             if outcome.fatal:
-                raise InputError(f"{job.out}: {outcome.error}; {KEPT}")
+                raise InputError(f"{job.out}: {outcome.error}; {RESUME}")
             tries[outcome.index] = tries.get(outcome.index, 0) + 1
             progress.last = _line(outcome, tries[outcome.index])
             _append(log, progress.last)
@@ -116,63 +124,63 @@ def _make(
                 storage.write(
                     job.out,
                     f"failed/{key(outcome.index)}.json",
-                    plain({"error": outcome.error}),
+                    json_bytes({"error": outcome.error}),
                 )
             else:
                 progress.done += 1
-            group = wanted[outcome.index]
+            group = group_of[outcome.index]
             left[group.name] -= 1
             if not left[group.name]:
                 close(job, group)
             show(progress)
-    if closed_shards(job.out) >= {group.name for group in everyone}:
+    if closed_shards(job.out) >= {group.name for group in every}:
         card.finish(job.out, job.spec, failures(job.out))
     return progress
 
 
 def parts(out: str) -> set[int]:
-    """Samples that are made and wait for their shard to be complete."""
+    """Indices of the samples that are made and whose shard is not complete."""
     return {int(Path(name).stem) for name in storage.names(out, "parts")}
 
 
 def failures(out: str) -> dict[int, str]:
-    """Samples that were given up, and why."""
+    """Error of each failed sample, by index."""
     names = storage.names(out, "failed")
     return {int(Path(name).stem): str(json.loads(storage.read(out, name))["error"]) for name in names}
 
 
 def closed_shards(out: str) -> set[str]:
-    """Names of the shards that are finished."""
+    """Names of the complete shards."""
     return {Path(name).stem for name in storage.names(out, "rows")}
 
 
 def close(job: Job, group: Shard) -> None:
     """Write a shard from its samples; failed samples are left out."""
-    given_up = failures(job.out)
-    made = [index for index in group.indices if index not in given_up]
+    failed = failures(job.out)
+    indices = [index for index in group.indices if index not in failed]
     try:
-        rows = _written(job, group, made)
+        rows = _write_shard(job, group, indices)
     except FileNotFoundError as error:
         if storage.exists(job.out, f"rows/{group.name}.json") or storage.exists(job.out, plan.SUMS):
-            return  # another run has put it together
-        raise InputError(f"{job.out}: {describe_error(error)}; is another run at work there? {KEPT}") from None
-    storage.write(job.out, f"rows/{group.name}.json", plain(rows))
-    for index in made:
+            return  # another run has written it
+        raise InputError(f"{job.out}: {describe_error(error)}; is another run writing there? {RESUME}") from None
+    storage.write(job.out, f"rows/{group.name}.json", json_bytes(rows))
+    for index in indices:
         storage.remove(job.out, PART.format(key(index)))
 
 
-def _written(job: Job, group: Shard, made: list[int]) -> list[dict[str, Any]]:
-    """Write the samples of a shard where they belong; their rows of the index."""
+def _write_shard(job: Job, group: Shard, indices: list[int]) -> list[dict[str, Any]]:
+    """Write the samples of a shard to its tar file or to their folders; returns their rows of the index."""
     rows = []
     with ExitStack() as stack:
         tar = None
-        if job.spec.format == "webdataset" and made:
+        if job.spec.format == "webdataset" and indices:
             file = stack.enter_context(storage.writing(job.out, f"{group.name}.tar"))
             tar = stack.enter_context(tarfile.open(fileobj=file, mode="w", format=tarfile.USTAR_FORMAT))
-        for index in made:
-            members = unpacked(storage.read(job.out, PART.format(key(index))))
+        for index in indices:
+            members = unpack(storage.read(job.out, PART.format(key(index))))
             rows.append(json.loads(members[ROW]) | {"shard": group.name})
-            for name in FILES:  # meta.json comes last: with it a capture is whole
+            for name in FILES:  # meta.json is last: its presence marks a complete capture
                 if tar is not None:
                     add(tar, f"{key(index)}.{name}", members[name])
                 else:
@@ -181,24 +189,25 @@ def _written(job: Job, group: Shard, made: list[int]) -> list[dict[str, Any]]:
 
 
 def _reopen(job: Job, own: tuple[Shard, ...]) -> None:
-    """Split shards with failed samples into their parts, so that these samples are tried again."""
-    broken = failures(job.out)
+    """Split shards with failed samples into their parts, and remove the failures, so that these are tried again."""
+    failed = failures(job.out)
     if storage.exists(job.out, plan.SUMS):
-        card.take_back(job.out, job.spec)
+        card.undo(job.out, job.spec)
     for group in own:
-        if not any(index in broken for index in group.indices):
+        if not any(index in failed for index in group.indices):
             continue
         if storage.exists(job.out, f"rows/{group.name}.json"):
             rows = {row["index"]: row for row in json.loads(storage.read(job.out, f"rows/{group.name}.json"))}
             for index, files in reading.samples_of(job.out, job.spec, group, list(rows)):
                 row = {name: value for name, value in rows[index].items() if name != "shard"}
-                storage.write(job.out, PART.format(key(index)), packed({**files, ROW: plain(row)}))
+                storage.write(job.out, PART.format(key(index)), pack({**files, ROW: json_bytes(row)}))
             storage.remove(job.out, f"rows/{group.name}.json")
         for index in group.indices:
             storage.remove(job.out, f"failed/{key(index)}.json")
 
 
 def _line(outcome: Outcome, tries: int) -> str:
+    """Line of the log about an outcome."""
     stamp = time.strftime("%Y-%m-%dT%H:%M:%S%z")
     if outcome.error:
         return f"{stamp} {key(outcome.index)} failed, try {tries}: {outcome.error}"
@@ -216,7 +225,7 @@ def _append(log: Path | None, line: str) -> None:
 
 
 def estimate(spec: DatasetSpec, seconds: float, processes: int) -> str:
-    """One line on what a dataset costs, where a sample takes ``seconds`` of one core."""
+    """Time and size of a dataset in one line, for ``seconds`` per sample on one core."""
     hours = spec.samples * seconds / processes / 3600
     size = spec.samples * plan.sample_bytes(spec) / 1e9
     return f"{spec.samples} samples, about {hours:.3g} hours on {processes} processes and {size:.3g} GB"

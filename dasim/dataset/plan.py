@@ -1,4 +1,4 @@
-"""What a dataset consists of before it is made: shards and their samples, size, and what a folder already holds.
+"""Plan of a dataset before it is made: shards, size, manifest, and whether the output fits.
 
 Tested in tests/dasim/dataset/test_make.py and tests/dasim/dataset/test_specification.py.
 """
@@ -13,15 +13,15 @@ from typing import Any, NamedTuple
 from dasim.base.errors import InputError
 from dasim.dataset import storage
 from dasim.dataset.draws import scene_number, split_of_scene
-from dasim.dataset.sample import plain
+from dasim.dataset.sample import json_bytes
 from dasim.dataset.specification import DatasetSpec
 
 SCHEMA = 1
 MANIFEST = "dataset.json"
 INDEX = "index.parquet"
 SUMS = "SHA256SUMS"
-LOGS = "make*.log"  # of several runs side by side one each
-# Bytes per pixel of each part of the truth after the EXR's ZIP, measured on random scenes; noise hardly compresses.
+LOGS = "make*.log"  # one per run of several simultaneous ones
+# Bytes per pixel of each part of the truth with EXR's ZIP compression, measured on random scenes.
 PART_BYTES = {
     "depth": 3.0,
     "normal": 5.0,
@@ -31,10 +31,10 @@ PART_BYTES = {
     "sharp_e": 14.0,
     "sharp_srgb": 11.0,
 }
-HALF_SHARE = 0.5
-RAW_BYTES = 1.5
+HALF_SHARE = 0.5  # size with half floats over that with single floats
+RAW_BYTES = 1.5  # per pixel of raw.png
 META_BYTES = 60_000
-SPARE = 1.1  # a shard exists twice for a moment, and sizes are estimated
+SPARE = 1.1  # safety factor: a shard exists twice while it is written, and sizes are estimates
 
 
 class Shard(NamedTuple):
@@ -46,32 +46,32 @@ class Shard(NamedTuple):
 
 
 def shards(spec: DatasetSpec) -> tuple[Shard, ...]:
-    """All shards, by split and in the order of their samples."""
+    """All shards, ordered by split and sample."""
     members: dict[str, list[int]] = {split: [] for split in spec.splits}
     for index in range(spec.samples):
         members[split_of_scene(spec, scene_number(spec, index))].append(index)
-    found = []
+    result = []
     for split, indices in members.items():
         for number, start in enumerate(range(0, len(indices), spec.samples_per_shard)):
             chunk = tuple(indices[start : start + spec.samples_per_shard])
-            found.append(Shard(f"{split}-{number:06d}", split, chunk))
-    return tuple(found)
+            result.append(Shard(f"{split}-{number:06d}", split, chunk))
+    return tuple(result)
 
 
 def sample_bytes(spec: DatasetSpec) -> float:
-    """Estimated size of a sample."""
+    """Estimated size of a sample in bytes."""
     pixels = spec.size_px[0] * spec.size_px[1]
     margin = 2 * spec.truth.margin_px
-    kept = (spec.size_px[0] - margin) * (spec.size_px[1] - margin)
+    inner_pixels = (spec.size_px[0] - margin) * (spec.size_px[1] - margin)
     per_pixel = sum(
         PART_BYTES[part] * (HALF_SHARE if spec.truth.half and part not in ("depth", "labels") else 1.0)
         for part in spec.truth.keep
     )
-    return pixels * RAW_BYTES + kept * per_pixel + META_BYTES
+    return pixels * RAW_BYTES + inner_pixels * per_pixel + META_BYTES
 
 
 def check_space(spec: DatasetSpec, out: str, samples: int) -> None:
-    """InputError where what is left to make will not fit."""
+    """InputError where ``samples`` further samples need more space than is free."""
     free, needed = storage.free_bytes(out), SPARE * samples * sample_bytes(spec)
     if free is not None and needed > free:
         raise InputError(
@@ -81,15 +81,15 @@ def check_space(spec: DatasetSpec, out: str, samples: int) -> None:
 
 
 def log_name(part: tuple[int, int]) -> str:
-    """Name of the log of a run, or of one of several side by side."""
+    """Name of the log of a run; ``part`` is (k, n) for the k-th of n simultaneous runs."""
     return LOGS.replace("*", "" if part == (1, 1) else f"-{part[0]}-of-{part[1]}")
 
 
 def description(spec: DatasetSpec, environment: dict[str, Any]) -> dict[str, Any]:
-    """The manifest: what the dataset is made of and with."""
-    plain = spec.model_dump(mode="json")
-    digest = hashlib.sha256(json.dumps(plain, sort_keys=True).encode()).hexdigest()
-    return {"schema": SCHEMA, "spec": plain, "spec_sha256": digest, **environment}
+    """Manifest of a dataset: schema, specification and its hash, and the environment that determines pixels."""
+    data = spec.model_dump(mode="json")
+    digest = hashlib.sha256(json.dumps(data, sort_keys=True).encode()).hexdigest()
+    return {"schema": SCHEMA, "spec": data, "spec_sha256": digest, **environment}
 
 
 def manifest(out: str) -> dict[str, Any]:
@@ -99,35 +99,35 @@ def manifest(out: str) -> dict[str, Any]:
     except (FileNotFoundError, NotADirectoryError):
         raise InputError(f"{out}: is no dataset, it has no {MANIFEST}") from None
     try:
-        found = json.loads(content)
-        schema = int(found["schema"])
+        data = json.loads(content)
+        schema = int(data["schema"])
     except (ValueError, KeyError, TypeError) as error:
         raise InputError(f"{out}/{MANIFEST}: is damaged ({error})") from None
     if schema > SCHEMA:
         raise InputError(f"{out}: is of schema {schema}, newer than this dasim knows ({SCHEMA}); update dasim")
-    return dict(found)
+    return dict(data)
 
 
-def begin(out: str, described: dict[str, Any]) -> None:
-    """Write the manifest of a new dataset; of one that exists, check that it is the same.
+def begin(out: str, new: dict[str, Any]) -> None:
+    """Write the manifest of a new dataset, or check that an existing one is the same.
 
-    Raises InputError that says what differs: the specification key by key, variant, instruction set or libraries.
+    Raises InputError with the differences in the specification, variant, instruction set or libraries.
     """
     if not storage.exists(out, MANIFEST):
         there = [name for name in storage.names(out) if not name.startswith(".")]
-        if there and not storage.exists(out, MANIFEST):  # another run may just have begun it
+        if there and not storage.exists(out, MANIFEST):  # another run may just have written it
             raise InputError(f"{out}: is no dataset and not empty ({there[0]}); choose another folder")
         storage.check_writable(out)
-        storage.write(out, MANIFEST, plain(described))
+        storage.write(out, MANIFEST, json_bytes(new))
         return
-    differing = list(differences(manifest(out), described))
-    if differing:
-        raise InputError(f"{out}: was made from something else: {'; '.join(differing[:8])}; choose another folder")
+    lines = differences(manifest(out), new)
+    if lines:
+        raise InputError(f"{out}: holds a different dataset: {'; '.join(lines[:8])}; choose another folder")
     storage.check_writable(out)
 
 
 def differences(old: Any, new: Any, place: Sequence[str] = ()) -> list[str]:
-    """Where two plain values differ, as sentences."""
+    """Differences between two plain values, one line per key; ``place`` are the keys of the values themselves."""
     if isinstance(old, dict) and isinstance(new, dict):
         keys = [key for key in (*old, *(key for key in new if key not in old)) if key != "spec_sha256"]
         return [text for key in keys for text in differences(old.get(key), new.get(key), (*place, key))]

@@ -1,4 +1,4 @@
-"""Read a dataset of either format.
+"""Reading of datasets, in either format.
 
 Tested in tests/dasim/dataset/test_specification.py.
 """
@@ -34,12 +34,12 @@ class Sample:
     index: int
     split: str
     raw_dn: NDArray[np.uint16]  # [h, w] the mosaic
-    truth: dict[str, Any]  # what was kept of dasim.values.Truth, by the names of its fields
-    meta: dict[str, Any]  # camera, exposure, levels, provenance; see meta.json of a capture
+    truth: dict[str, Any]  # the stored fields of dasim.values.Truth, by name
+    meta: dict[str, Any]  # content of meta.json: camera, exposure, levels, provenance
 
 
 class Dataset(Sequence[Sample]):
-    """Samples in the order of their indices; ``dataset[k]`` is the k-th that there is."""
+    """Samples in the order of their indices; ``dataset[k]`` is the k-th sample that exists."""
 
     def __init__(self, path: str, rows: list[dict[str, Any]], spec: DatasetSpec) -> None:
         self.path, self.rows, self.spec = path, rows, spec
@@ -56,7 +56,7 @@ class Dataset(Sequence[Sample]):
             return Dataset(self.path, self.rows[place], self.spec)
         row = self.rows[place]
         ((_, files),) = samples_of(self.path, self.spec, _shard(row), [row["index"]])
-        return decoded(row, files)
+        return decode(row, files)
 
     def __iter__(self) -> Iterator[Sample]:
         """All samples in order; each shard is read in one pass, which is faster than sample by sample."""
@@ -68,14 +68,14 @@ class Dataset(Sequence[Sample]):
                 end += 1
             some = {row["index"]: row for row in self.rows[start:end]}
             for index, files in samples_of(self.path, self.spec, _shard(self.rows[start]), list(some)):
-                yield decoded(some[index], files)
+                yield decode(some[index], files)
             start = end
 
 
 def open_dataset(path: str | Path, split: str | None = None) -> Dataset:
-    """A dataset on disk or at an fsspec address (``s3://...``), whole or one split of it.
+    """A dataset, or one split of it, in a folder or at an fsspec address (``s3://...``).
 
-    Raises InputError where there is none, it is not finished, or has no such split.
+    Raises InputError where there is no dataset, or it is not finished or has no such split.
     """
     where = str(path)
     spec = spec_of(where)
@@ -86,7 +86,7 @@ def open_dataset(path: str | Path, split: str | None = None) -> Dataset:
 
 
 def spec_of(where: str) -> DatasetSpec:
-    """The specification that a dataset was made from."""
+    """Specification of a dataset, from its manifest."""
     return parse(DatasetSpec, plan.manifest(where).get("spec"), f"{where}/{plan.MANIFEST}: spec")
 
 
@@ -97,7 +97,7 @@ def index_rows(where: str) -> list[dict[str, Any]]:
         table = parquet.read_table(io.BytesIO(storage.read(where, INDEX)))
     except FileNotFoundError:
         raise InputError(f"{where}: is not finished, it has no {INDEX}; run 'dasim dataset make' again") from None
-    except Exception as error:  # of the library, for damaged files
+    except Exception as error:  # the library raises many types for damaged files
         raise InputError(f"{where}/{INDEX}: cannot be read: {' '.join(str(error).split())}") from None
     return [dict(row) for row in table.to_pylist()]
 
@@ -114,32 +114,32 @@ def parquet_library() -> Any:
 def samples_of(
     where: str, spec: DatasetSpec, group: Shard, indices: Sequence[int]
 ) -> Iterator[tuple[int, dict[str, bytes]]]:
-    """Files of some samples of a shard, by name; FileNotFoundError or KeyError where one is missing."""
+    """Index and files (bytes by name) of samples of a shard; FileNotFoundError or KeyError where one is missing."""
     if not indices:
         return
     if spec.format == "folders":
         for index in indices:
             yield index, {name: storage.read(where, f"{group.split}/{key(index)}/{name}") for name in FILES}
         return
-    wanted = {key(index): index for index in indices}
+    missing = {key(index): index for index in indices}
     with storage.reading(where, f"{group.name}.tar") as file, tarfile.open(fileobj=file, mode="r:") as tar:
-        found: dict[str, dict[str, bytes]] = {}
+        members: dict[str, dict[str, bytes]] = {}
         for info in tar:
             name, _, part = info.name.partition(".")
-            member = tar.extractfile(info) if name in wanted else None
+            member = tar.extractfile(info) if name in missing else None
             if member is None:
                 continue
-            found.setdefault(name, {})[part] = member.read()
+            members.setdefault(name, {})[part] = member.read()
             if part == FILES[-1]:
-                yield wanted.pop(name), found.pop(name)
-                if not wanted:
+                yield missing.pop(name), members.pop(name)
+                if not missing:
                     return
-    if wanted:
-        raise KeyError(f"{group.name}.tar lacks {', '.join(wanted)}")
+    if missing:
+        raise KeyError(f"{group.name}.tar lacks {', '.join(missing)}")
 
 
-def decoded(row: dict[str, Any], files: dict[str, bytes]) -> Sample:
-    """A sample from its files."""
+def decode(row: dict[str, Any], files: dict[str, bytes]) -> Sample:
+    """A sample from its row of the index and its files (bytes by name)."""
     raw = cv2.imdecode(np.frombuffer(files["raw.png"], np.uint8), cv2.IMREAD_UNCHANGED)
     if raw is None:
         raise InputError(f"sample {row['key']}: raw.png cannot be read")
@@ -147,7 +147,10 @@ def decoded(row: dict[str, Any], files: dict[str, bytes]) -> Sample:
 
 
 def truth_of(content: bytes) -> dict[str, Any]:
-    """The parts of a truth file: its library reads from disk alone."""
+    """Fields of the truth in a truth file, by name.
+
+    The content is written to a temporary file, because OpenEXR reads from disk only.
+    """
     with tempfile.NamedTemporaryFile(suffix=".exr") as file:
         file.write(content)
         file.flush()

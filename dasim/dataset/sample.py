@@ -1,4 +1,4 @@
-"""One sample: photographed, described, and packed as the files of a capture.
+"""One sample of a dataset: simulation, description, and packing as the files of a capture.
 
 Tested in tests/dasim/dataset/test_make.py and tests/dasim/dataset/test_specification.py.
 """
@@ -32,12 +32,12 @@ from dasim.simulation.simulate import Shot, simulate
 from dasim.values import Truth
 
 FILES = ("raw.png", "truth.exr", "meta.json")  # of a sample, in this order
-ROW = "row.json"  # beside them until the sample is in the index
-DIGITS = 9
+ROW = "row.json"  # its row of the index, stored with the files until the index is written
+DIGITS = 9  # of a sample's name
 THUMBNAIL_PX, THUMBNAIL_QUALITY = 96, 80
 DEPTH_EDGES_M = np.geomspace(0.03, 100.0, 41)
 BLUR_EDGES_PX = np.linspace(-20.0, 60.0, 41)
-LIBRARIES = (  # what decides the bytes of pixels and files
+LIBRARIES = (  # that determine the bytes of pixels and files
     *("mitsuba", "drjit", "numpy", "scipy", "numba", "opencv-python-headless", "scikit-image", "colour-science"),
     *("trimesh", "OpenEXR", "pyarrow"),
 )
@@ -45,7 +45,7 @@ LIBRARIES = (  # what decides the bytes of pixels and files
 
 @dataclass(frozen=True)
 class Job:
-    """What a worker needs: the specification, the output, and the environment that all workers must share."""
+    """Specification, output, and the environment (:func:`environment`) that all workers must have."""
 
     spec: DatasetSpec
     out: str
@@ -53,23 +53,23 @@ class Job:
 
 
 @dataclass(frozen=True)
-class Made:
-    """A sample as bytes by file name, and its row of the index."""
+class PackedSample:
+    """Files of a sample (bytes by name), and its row of the index."""
 
     files: dict[str, bytes]
     row: dict[str, Any]
-    seconds: float  # in all
-    render_s: float  # of them in the renderer
+    seconds: float  # in total
+    render_s: float  # of ``seconds``, in the renderer
 
 
 def key(index: int) -> str:
-    """A sample's name."""
+    """Name of a sample: its index with leading zeros."""
     return f"{index:0{DIGITS}d}"
 
 
 @lru_cache(maxsize=1)
 def environment(variant: str) -> dict[str, Any]:
-    """What decides pixels beside the specification: renderer variant, compiler, instruction set, libraries."""
+    """Everything besides the specification that determines pixels: variant, LLVM, instruction set and libraries."""
     from numpy._core._multiarray_umath import __cpu_features__ as features  # type: ignore[import-not-found]
 
     return {
@@ -87,86 +87,87 @@ def _version(name: str) -> str:
         return "none"
 
 
-def make(spec: DatasetSpec, index: int, variant: str) -> Made:
-    """Photograph sample ``index`` and pack it; depends on the specification, the index and the variant alone."""
+def make(spec: DatasetSpec, index: int, variant: str) -> PackedSample:
+    """Simulate and pack sample ``index``; the result depends on the specification, the index and the variant only."""
     start = time.perf_counter()
-    drafted = draft(spec, index)
-    begun = time.perf_counter()
+    plan = draft(spec, index)
+    render_start = time.perf_counter()
     shot = simulate(
-        drafted.scene,
-        drafted.camera,
-        drafted.seed,
+        plan.scene,
+        plan.camera,
+        plan.seed,
         spp=spec.spp,
         noise_share=spec.noise_share,
-        exposure=drafted.exposure,
+        exposure=plan.exposure,
         diffraction=spec.diffraction,
         variant=variant,
     )
-    render_s = time.perf_counter() - begun
-    files = _files(spec, drafted, shot)
-    row = _row(drafted, shot, files)
-    del shot, drafted
+    render_s = time.perf_counter() - render_start
+    files = _files(spec, plan, shot)
+    row = _row(plan, shot, files)
+    del shot, plan
     backend.release_memory()
-    return Made(files, row, time.perf_counter() - start, render_s)
+    return PackedSample(files, row, time.perf_counter() - start, render_s)
 
 
 def one_thread() -> None:
-    """Render on one thread in this process: many processes share the computer, and the order of sums is fixed."""
+    """Render on one thread in this process: processes share the computer, and the order of sums is fixed."""
     backend.use_threads(1)
     cv2.setNumThreads(1)
 
 
 def activate(variant: str) -> None:
-    """Choose the renderer's variant in this process."""
+    """Activate a Mitsuba variant in this process, on one thread."""
     backend.activate(backend.choose(variant))
     one_thread()
 
 
-def _files(spec: DatasetSpec, drafted: Draft, shot: Shot) -> dict[str, bytes]:
+def _files(spec: DatasetSpec, plan: Draft, shot: Shot) -> dict[str, bytes]:
+    """Files of a sample, as bytes by name."""
     margin = spec.truth.margin_px
-    kept = inner(shot.truth, margin)
+    truth = inner(shot.truth, margin)
     with tempfile.TemporaryDirectory(prefix="dasim-") as name:
         folder = Path(name)
         write_png16(folder / "raw.png", shot.capture.raw_dn)
-        write_truth(folder / "truth.exr", kept, spec.truth.keep, half=spec.truth.half)
-        found = {file: (folder / file).read_bytes() for file in ("raw.png", "truth.exr")}
+        write_truth(folder / "truth.exr", truth, spec.truth.keep, half=spec.truth.half)
+        files = {file: (folder / file).read_bytes() for file in ("raw.png", "truth.exr")}
     meta = capture_meta(shot.capture) | {
         "sample": {
             "dataset": spec.name,
             "version": spec.version,
-            "index": drafted.index,
-            "split": drafted.split,
-            "scene": drafted.scene_key,
-            "drawn": drafted.drawn,
+            "index": plan.index,
+            "split": plan.split,
+            "scene": plan.scene_key,
+            "drawn": plan.drawn,
             "truth": {"keep": spec.truth.keep, "half": spec.truth.half, "offset_px": [margin, margin]},
         },
-        "file_bytes": {file: len(content) for file, content in found.items()},
+        "file_bytes": {file: len(content) for file, content in files.items()},
     }
-    return found | {"meta.json": plain(meta)}
+    return files | {"meta.json": json_bytes(meta)}
 
 
 def inner(truth: Truth, margin_px: int) -> Truth:
-    """The truth without a margin along every edge."""
+    """The truth without a margin of ``margin_px`` pixels along every edge."""
     if margin_px == 0:
         return truth
     part = slice(margin_px, -margin_px)
     arrays: dict[str, Any] = {f.name: getattr(truth, f.name) for f in fields(truth)}
-    cut: dict[str, Any] = {name: a[part, part] for name, a in arrays.items() if isinstance(a, np.ndarray)}
-    return replace(truth, **cut)
+    parts: dict[str, Any] = {name: a[part, part] for name, a in arrays.items() if isinstance(a, np.ndarray)}
+    return replace(truth, **parts)
 
 
-def _row(drafted: Draft, shot: Shot, files: dict[str, bytes]) -> dict[str, Any]:
-    """A sample's row of the index: parameters, checksums, statistics for plausibility checks, and a thumbnail."""
+def _row(plan: Draft, shot: Shot, files: dict[str, bytes]) -> dict[str, Any]:
+    """Row of the index: parameters, statistics for plausibility checks, checksums and a thumbnail."""
     capture, truth = shot.capture, shot.truth
     body = capture.camera.sensor
-    seen = truth.depth_m[truth.valid]
+    depth_m = truth.depth_m[truth.valid]
     share = capture.provenance.get("rendering_noise_share", {})
-    depth = np.percentile(seen, (0, 5, 50, 95, 100))
+    depth = np.percentile(depth_m, (0, 5, 50, 95, 100))
     return {
-        "index": drafted.index,
-        "key": key(drafted.index),
-        "split": drafted.split,
-        "scene": drafted.scene_key,
+        "index": plan.index,
+        "key": key(plan.index),
+        "split": plan.split,
+        "scene": plan.scene_key,
         "camera": capture.camera.name,
         "f_number": capture.camera.lens.f_number,
         "focal_length_mm": capture.camera.lens.focal_length_mm,
@@ -175,7 +176,7 @@ def _row(drafted: Draft, shot: Shot, files: dict[str, bytes]) -> dict[str, Any]:
         "exposure_s": capture.exposure_s,
         "gain": capture.gain,
         "seed": capture.seed,
-        "drawn": json.dumps(drafted.drawn),
+        "drawn": json.dumps(plan.drawn),
         "spp": json.dumps(capture.provenance["spp"]),
         "noise_share": max(share.values()) if share else None,
         "saturated_share": capture.provenance["saturated_pixels"] / capture.raw_dn.size,
@@ -184,7 +185,7 @@ def _row(drafted: Draft, shot: Shot, files: dict[str, bytes]) -> dict[str, Any]:
         "boundary_share": float(truth.boundary.mean()),
         **{f"depth_{name}_m": float(v) for name, v in zip(("min", "p05", "p50", "p95", "max"), depth, strict=True)},
         "far_side_share": float(np.mean(truth.level[truth.valid] < -0.5)),
-        "depth_histogram": np.histogram(seen, DEPTH_EDGES_M)[0].tolist(),
+        "depth_histogram": np.histogram(depth_m, DEPTH_EDGES_M)[0].tolist(),
         "blur_histogram": np.histogram(truth.blur_px[truth.valid], BLUR_EDGES_PX)[0].tolist(),
         "sha256": {file: hashlib.sha256(content).hexdigest() for file, content in files.items()},
         "bytes": sum(map(len, files.values())),
@@ -193,6 +194,7 @@ def _row(drafted: Draft, shot: Shot, files: dict[str, bytes]) -> dict[str, Any]:
 
 
 def _thumbnail(srgb: np.ndarray) -> bytes:
+    """JPEG of a picture [h, w, 3] in sRGB 0..1, scaled to a width of ``THUMBNAIL_PX``."""
     size = (THUMBNAIL_PX, max(round(THUMBNAIL_PX * srgb.shape[0] / srgb.shape[1]), 1))
     small = cv2.resize(np.ascontiguousarray(srgb[..., ::-1]), size, interpolation=cv2.INTER_AREA)
     small = np.rint(np.clip(small, 0, 1) * 255).astype(np.uint8)
@@ -204,14 +206,14 @@ def _thumbnail(srgb: np.ndarray) -> bytes:
 
 
 def add(tar: tarfile.TarFile, name: str, content: bytes) -> None:
-    """Append a member to a tar file: no times, owners or other traces of who wrote it."""
+    """Append a member to a tar file, without time or owner, so that equal content gives equal bytes."""
     info = tarfile.TarInfo(name)
     info.size, info.mode = len(content), 0o644
     tar.addfile(info, io.BytesIO(content))
 
 
-def packed(members: dict[str, bytes]) -> bytes:
-    """A tar file of members in their order."""
+def pack(members: dict[str, bytes]) -> bytes:
+    """Tar file of members (bytes by name) in their order."""
     buffer = io.BytesIO()
     with tarfile.open(fileobj=buffer, mode="w", format=tarfile.USTAR_FORMAT) as tar:
         for name, content in members.items():
@@ -219,17 +221,17 @@ def packed(members: dict[str, bytes]) -> bytes:
     return buffer.getvalue()
 
 
-def unpacked(data: bytes) -> dict[str, bytes]:
-    """Members of a tar file by name."""
-    found = {}
+def unpack(data: bytes) -> dict[str, bytes]:
+    """Members (bytes by name) of a tar file."""
+    members = {}
     with tarfile.open(fileobj=io.BytesIO(data), mode="r:") as tar:
         for info in tar:
             member = tar.extractfile(info)
             if member is not None:
-                found[info.name] = member.read()
-    return found
+                members[info.name] = member.read()
+    return members
 
 
-def plain(value: Any) -> bytes:
-    """JSON, the same for the same value."""
+def json_bytes(value: Any) -> bytes:
+    """A plain value as JSON; equal values give equal bytes."""
     return (json.dumps(value, indent=1) + "\n").encode()

@@ -1,4 +1,4 @@
-"""Specification of a dataset: scenes, cameras, light, focus and exposure with their distributions; splits, format."""
+"""Specification of a dataset: distributions of scenes, cameras, light, focus and exposure; splits and format."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ Scalar = bool | int | float | str
 
 
 class Draw(Specification):
-    """Distribution of a number or word over the samples: uniform, log-uniform, or a choice with equal probabilities."""
+    """Distribution of a number or text over the samples: uniform, log-uniform, or a choice of equal probabilities."""
 
     uniform: tuple[float, float] | None = None
     log_uniform: tuple[float, float] | None = None
@@ -35,18 +35,18 @@ class Draw(Specification):
 
     @model_validator(mode="after")
     def _one(self) -> Draw:
-        given = [name for name in ("uniform", "log_uniform", "choice") if getattr(self, name) is not None]
-        if len(given) != 1:
+        names = [name for name in ("uniform", "log_uniform", "choice") if getattr(self, name) is not None]
+        if len(names) != 1:
             raise ValueError("give one of uniform = [low, high], log_uniform = [low, high], choice = [...]")
         for low, high in (ends for ends in (self.uniform, self.log_uniform) if ends is not None):
             if low > high:
-                raise ValueError(f"{given[0]} is [{low:g}, {high:g}]: the smaller number comes first")
+                raise ValueError(f"{names[0]} is [{low:g}, {high:g}]: the smaller number comes first")
         if self.log_uniform is not None and self.log_uniform[0] <= 0:
             raise ValueError(f"log_uniform is {list(self.log_uniform)}: both ends must be above 0")
         return self
 
     def draw(self, random: np.random.Generator) -> Scalar:
-        """One value."""
+        """A random value of the distribution."""
         if self.choice is not None:
             return self.choice[int(random.integers(len(self.choice)))]
         if self.uniform is not None:
@@ -55,12 +55,12 @@ class Draw(Specification):
         return float(np.exp(random.uniform(*np.log(self.log_uniform))))
 
     def extremes(self) -> tuple[Scalar, ...]:
-        """Values that bound all others, to be checked beforehand."""
+        """Both ends of a range or all values of a choice: if they are allowed, every value is."""
         return self.choice or self.uniform or self.log_uniform or ()
 
 
 def _constant(value: Any) -> Any:
-    """A plain value stands for itself."""
+    """A plain value as the choice of this value."""
     return {"choice": [value]} if isinstance(value, (bool, int, float, str)) else value
 
 
@@ -75,7 +75,10 @@ SET_ELSEWHERE = {
 
 
 class CameraChoice(Specification):
-    """A camera, and which of its parameters vary: dotted keys as in its file, lists by number or by name."""
+    """A camera with the distributions of its varying parameters.
+
+    Keys of ``vary`` are those of the camera's file, joined by dots; an entry of a list is given by its index or name.
+    """
 
     name: str
     weight: float = Field(default=1.0, gt=0)
@@ -91,14 +94,14 @@ class CameraChoice(Specification):
 
 
 class SceneChoice(Specification):
-    """Where scenes come from."""
+    """Source of the scenes."""
 
     family: Literal["random", "bundled", "files", "meshes"] = "random"
-    names: tuple[str, ...] = Field(default=(), description="bundled: scenes to take in turn; all by default")
-    files: tuple[str, ...] = Field(default=(), description="files: TOML or Mitsuba XML, taken in turn")
-    folder: str | None = Field(default=None, description="meshes: OBJ, PLY, GLB, STL and OFF files")
+    names: tuple[str, ...] = Field(default=(), description="bundled: names of scenes, used in turn; all by default")
+    files: tuple[str, ...] = Field(default=(), description="files: TOML or Mitsuba XML files, used in turn")
+    folder: str | None = Field(default=None, description="meshes: folder of OBJ, PLY, GLB, STL and OFF files")
     random: RandomScenes = RandomScenes()
-    captures_per_scene: int = Field(default=1, ge=1, le=1000, description="random, meshes: captures of each scene")
+    captures_per_scene: int = Field(default=1, ge=1, le=1000, description="random, meshes: captures per scene")
 
     @model_validator(mode="after")
     def _fitting(self) -> SceneChoice:
@@ -106,9 +109,9 @@ class SceneChoice(Specification):
             if getattr(self, field) and self.family != family:
                 raise ValueError(f"{field} is for family = '{family}', not for '{self.family}'")
         if self.family == "files" and not self.files:
-            raise ValueError("files is missing: a list of TOML or Mitsuba XML scenes")
+            raise ValueError("files is missing: a list of TOML or Mitsuba XML files is needed")
         if self.family == "meshes" and not self.folder:
-            raise ValueError("folder is missing: one with OBJ, PLY, GLB, STL or OFF files")
+            raise ValueError("folder is missing: a folder of OBJ, PLY, GLB, STL or OFF files is needed")
         for listed in (self.names, self.files):
             for name in listed:
                 if listed.count(name) > 1:
@@ -121,20 +124,20 @@ class SceneChoice(Specification):
 
 
 class LightChoice(Specification):
-    """Changes of the scenes' lights; by default they stay as they are."""
+    """Distributions of the scenes' lights; by default the lights are those of the scene."""
 
-    illuminant: Drawn | None = Field(default=None, description="of all lights of the scene")
+    illuminant: Drawn | None = Field(default=None, description="illuminant of all lights of the scene")
     scale: Drawn | None = Field(default=None, description="factor on the illuminance of all lights")
 
 
 class FocusChoice(Specification):
-    """Focus distance; by default what the scene proposes."""
+    """Distribution of the focus distance; by default the one that the scene proposes."""
 
     distance_m: Drawn | None = None
 
 
 class ExposureChoice(Specification):
-    """Exposure; by default automatic, of random scenes as they draw it."""
+    """Distributions of the exposure; by default it is automatic, and random scenes have their own."""
 
     time_s: Drawn | None = None
     gain: Drawn | None = None
@@ -142,11 +145,11 @@ class ExposureChoice(Specification):
 
 
 class TruthChoice(Specification):
-    """Which ground truth is kept, and how."""
+    """Parts and format of the stored ground truth."""
 
     keep: tuple[str, ...] = Field(default=tuple(TRUTH_PARTS), min_length=1)
-    half: bool = Field(default=False, description="16-bit floats; depth and labels stay as they are")
-    margin_px: int = Field(default=0, ge=0, le=4096, description="left out along every edge of the frame")
+    half: bool = Field(default=False, description="16-bit floats, except for depth and labels")
+    margin_px: int = Field(default=0, ge=0, le=4096, description="pixels left out along every edge of the frame")
 
     @field_validator("keep")
     @classmethod
@@ -158,7 +161,7 @@ class TruthChoice(Specification):
 
 
 class DatasetSpec(Specification):
-    """A dataset, as ``dasim dataset make`` reads it from TOML."""
+    """Specification of a dataset, which ``dasim dataset make`` reads from TOML."""
 
     name: str = Field(min_length=1, max_length=100)
     version: str = "1.0"
@@ -170,7 +173,12 @@ class DatasetSpec(Specification):
     format: Literal["folders", "webdataset"] = "webdataset"
     samples_per_shard: int = Field(default=100, ge=1, le=100_000)
     spp: int | Literal["auto"] = Field(default="auto", description="samples per pixel and stop")
-    noise_share: float = Field(default=NOISE_SHARE, ge=0.01, le=10, description="that spp = 'auto' aims at")
+    noise_share: float = Field(
+        default=NOISE_SHARE,
+        ge=0.01,
+        le=10,
+        description="target of spp = 'auto': rendering noise over sensor noise",
+    )
     diffraction: Literal["wave", "airy", "off"] | None = None
     scenes: SceneChoice = SceneChoice()
     cameras: tuple[CameraChoice, ...] = Field(default=(CameraChoice(name="da-mobile"),), min_length=1)
@@ -185,29 +193,32 @@ class DatasetSpec(Specification):
     def _whole(self) -> DatasetSpec:
         for name, share in self.splits.items():
             if not name.isidentifier():
-                raise ValueError(f"splits: '{name}' is no name of letters, digits and underscores")
+                raise ValueError(f"splits: '{name}' is not a name of letters, digits and underscores")
             if share <= 0:
-                raise ValueError(f"splits.{name} is {share:g}: shares are above 0")
+                raise ValueError(f"splits.{name} is {share:g}: shares must be above 0")
         if abs(sum(self.splits.values()) - 1) > 1e-6:
             raise ValueError(f"splits sum to {sum(self.splits.values()):g}, not to 1")
         if isinstance(self.spp, int) and not 1 <= self.spp <= 65_536:
-            raise ValueError(f"spp is {self.spp}: 1 to 65536, or 'auto'")
+            raise ValueError(f"spp is {self.spp}: 1 to 65536 or 'auto' is allowed")
         if 2 * self.truth.margin_px >= min(self.size_px):
             raise ValueError(f"truth.margin_px is {self.truth.margin_px}: nothing of {self.size_px} is left")
         return self
 
 
 def load_spec(path: Path) -> DatasetSpec:
-    """A specification from a TOML file, checked as a whole; InputError names everything that is wrong."""
+    """Read and check a specification from a TOML file; all problems in one InputError."""
     if not path.is_file():
-        raise InputError(f"{path}: no such file; a specification of a dataset is a TOML file (see the README)")
+        raise InputError(f"{path}: no such file; the specification of a dataset is a TOML file (see the README)")
     spec = parse_toml(DatasetSpec, path).model_copy(update={"folder": path.parent.resolve()})
     check(spec, str(path))
     return spec
 
 
 def check(spec: DatasetSpec, where: str) -> None:
-    """InputError where something that the specification names is missing or out of range, all problems at once."""
+    """InputError with all problems: files that are missing, names that are unknown, values out of range.
+
+    ``where`` is the name of the specification, which begins the message.
+    """
     problems = []
     for number, choice in enumerate(spec.cameras):
         problems += [f"cameras.{number}: {problem}" for problem in _camera_problems(spec, choice)]
@@ -238,15 +249,15 @@ def _camera_problems(spec: DatasetSpec, choice: CameraChoice) -> list[str]:
         return [str(error)]
     problems = []
     for key, drawn in choice.vary.items():
-        problems += _refused(drawn, lambda value, key=key: varied(camera, {key: value}))  # type: ignore[misc]
+        problems += _use_problems(drawn, lambda value, key=key: with_values(camera, {key: value}))  # type: ignore[misc]
     if spec.focus.distance_m is not None:
-        problems += _refused(spec.focus.distance_m, lambda value: cameras.refocused(camera, float(value)))
+        problems += _use_problems(spec.focus.distance_m, lambda value: cameras.refocused(camera, float(value)))
     return problems
 
 
-def _refused(drawn: Draw, use: Callable[[Scalar], Any]) -> list[str]:
-    """Why the first of the extreme values cannot be used, if one cannot."""
-    for value in drawn.extremes():
+def _use_problems(draw: Draw, use: Callable[[Scalar], Any]) -> list[str]:
+    """Message of the first extreme value for which ``use`` raises an error; empty where there is none."""
+    for value in draw.extremes():
         try:
             use(value)
         except (InputError, ValueError) as error:
@@ -256,27 +267,27 @@ def _refused(drawn: Draw, use: Callable[[Scalar], Any]) -> list[str]:
 
 def _scene_problems(spec: DatasetSpec) -> list[str]:
     problems = []
-    chosen = spec.scenes
+    scenes = spec.scenes
     try:
-        if chosen.family in ("random", "meshes"):
+        if scenes.family in ("random", "meshes"):
             specification.check(random_spec(spec))
     except InputError as error:
         problems.append(f"scenes: {error}")
-    for name in chosen.files:
+    for name in scenes.files:
         if not (spec.folder / name).is_file():
             problems.append(f"scenes.files: {spec.folder / name}: no such file")
         elif Path(name).suffix.lower() == ".xml" and (spec.light.illuminant or spec.light.scale):
             problems.append(
-                f"scenes.files: {name} is a Mitsuba scene, whose lights stay as they are; leave [light] out"
+                f"scenes.files: {name} is a Mitsuba scene, whose lights cannot be changed; leave out [light]"
             )
     count = scene_count(spec)
     if count < len(spec.splits):
-        problems.append(f"splits: {len(spec.splits)} splits need as many scenes, there are {count}")
+        problems.append(f"splits: {len(spec.splits)} splits need {len(spec.splits)} scenes at least, there are {count}")
     return problems
 
 
 def random_spec(spec: DatasetSpec) -> RandomScenes:
-    """What random scenes are drawn from, their folders beside the specification."""
+    """Specification of the random scenes, with folders relative to that of the dataset's specification."""
     changes: dict[str, Any] = {"folder": spec.folder}
     if spec.scenes.family == "meshes":
         changes |= {"mesh_folder": spec.scenes.folder, "mesh_share": 1.0}
@@ -284,60 +295,61 @@ def random_spec(spec: DatasetSpec) -> RandomScenes:
 
 
 def scene_keys(spec: DatasetSpec) -> tuple[str, ...]:
-    """Names of the scenes of a family that has only so many; none for random ones."""
+    """Names of the scenes of a family of fixed scenes; empty for random scenes and meshes."""
     if spec.scenes.family == "bundled":
         return spec.scenes.names or tuple(scene_names())
     return spec.scenes.files
 
 
 def scene_count(spec: DatasetSpec) -> int:
-    """How many scenes the samples are taken of."""
+    """Number of scenes that the samples show."""
     keys = scene_keys(spec)
     return min(len(keys), spec.samples) if keys else -(-spec.samples // spec.scenes.captures_per_scene)
 
 
 def named_camera(spec: DatasetSpec, choice: CameraChoice) -> Camera:
-    """The camera of a choice: a bundled name, or a file beside the specification."""
+    """Camera of a choice, from a file beside the specification or by its bundled name."""
     beside = spec.folder / choice.name
     return cameras.load_camera(beside if beside.is_file() else choice.name)
 
 
-def varied(camera: Camera, changes: dict[str, Scalar]) -> Camera:
-    """A camera with other values at dotted keys; InputError where a key does not exist or a value is not allowed."""
+def with_values(camera: Camera, changes: dict[str, Scalar]) -> Camera:
+    """Camera with values changed at dotted keys; InputError where a key does not exist or a value is not allowed."""
     if not changes:
         return camera
     data = camera.model_dump(mode="json")
     for key, value in changes.items():
         place, parts = data, key.split(".")
         for depth, part in enumerate(parts):
-            found = _entry(place, part)
-            if found is None:
-                known = _names(place)
-                near = difflib.get_close_matches(part, known, 3) or known
+            entry = _entry(place, part)
+            if entry is None:
+                names = _names(place)
+                near = difflib.get_close_matches(part, names, 3) or names
                 raise InputError(
                     f"vary: '{key}' does not exist in camera '{camera.name}' ({'.'.join(parts[:depth]) or 'it'} has "
                     f"{', '.join(near)})"
                 )
             if depth == len(parts) - 1:
-                place[found] = value
+                place[entry] = value
             else:
-                place = place[found]
+                place = place[entry]
     return parse(Camera, data, "vary: " + ", ".join(f"{key} = {value!r}" for key, value in changes.items()))
 
 
 def _entry(place: Any, part: str) -> Any:
-    """Key or number of an entry by its key, number or name; None where there is none."""
+    """Key or index of an entry of a table or list by its key, index or name; None where there is none."""
     if isinstance(place, dict):
         return part if part in place else None
     if isinstance(place, list):
         if part.isdigit() and int(part) < len(place):
             return int(part)
-        named = [index for index, item in enumerate(place) if isinstance(item, dict) and item.get("name") == part]
-        return named[0] if named else None
+        matches = [index for index, item in enumerate(place) if isinstance(item, dict) and item.get("name") == part]
+        return matches[0] if matches else None
     return None
 
 
 def _names(place: Any) -> list[str]:
+    """Keys of a table, or names (or else indices) of the entries of a list, for a message."""
     if isinstance(place, dict):
         return list(place)
     if isinstance(place, list):

@@ -1,4 +1,4 @@
-"""Files of a dataset, in a folder or at any address of fsspec (``s3://...``); written whole or not at all.
+"""Files of a dataset in a folder or at any fsspec address (``s3://...``), written atomically.
 
 Tested in tests/dasim/dataset/test_make.py and tests/dasim/dataset/test_s3.py.
 """
@@ -21,14 +21,15 @@ from dasim.base.atomic import PARTIAL
 from dasim.base.errors import InputError
 
 
-def _opened(out: str) -> tuple[Any, str]:
-    return _opened_in(out, os.getpid())  # connections do not outlive a fork
+def _file_system(out: str) -> tuple[Any, str]:
+    """File system (fsspec) of an output, and the path of the output in it."""
+    return _file_system_of_process(out, os.getpid())  # a forked process cannot use the connections of its parent
 
 
 @lru_cache(maxsize=8)
-def _opened_in(out: str, process: int) -> tuple[Any, str]:
+def _file_system_of_process(out: str, process: int) -> tuple[Any, str]:
     try:
-        fs, root = fsspec.core.url_to_fs(out, use_listings_cache=False)  # other processes write there at the same time
+        fs, root = fsspec.core.url_to_fs(out, use_listings_cache=False)  # other processes write to it at the same time
     except (ImportError, ValueError) as error:
         raise InputError(f"{out}: cannot be opened: {error}") from None
     return fs, root.rstrip("/")
@@ -38,11 +39,11 @@ Result = TypeVar("Result")
 Others = ParamSpec("Others")
 
 
-def _asked(function: Callable[Concatenate[str, Others], Result]) -> Callable[Concatenate[str, Others], Result]:
-    """Turn errors of stores, which have types of their own, into OSError."""
+def _with_os_errors(function: Callable[Concatenate[str, Others], Result]) -> Callable[Concatenate[str, Others], Result]:
+    """Decorator that turns errors of remote stores, which have their own types, into OSError."""
 
     @wraps(function)
-    def ask(out: str, *arguments: Others.args, **options: Others.kwargs) -> Result:
+    def wrapper(out: str, *arguments: Others.args, **options: Others.kwargs) -> Result:
         try:
             return function(out, *arguments, **options)
         except (OSError, InputError):
@@ -53,23 +54,23 @@ def _asked(function: Callable[Concatenate[str, Others], Result]) -> Callable[Con
             message = " ".join(f"{type(error).__name__}: {error}".split())
             raise ConnectionError(errno.EIO, message, out) from None
 
-    return ask
+    return wrapper
 
 
 def is_local(out: str) -> bool:
-    """Whether it is a folder of this computer."""
-    return "local" in _opened(out)[0].protocol or "file" in _opened(out)[0].protocol
+    """Whether an output is a folder of this computer."""
+    return "local" in _file_system(out)[0].protocol or "file" in _file_system(out)[0].protocol
 
 
 def local_path(out: str) -> Path:
-    """The folder that it is on this computer."""
-    return Path(_opened(out)[1])
+    """Path of an output that is a folder of this computer."""
+    return Path(_file_system(out)[1])
 
 
 @contextmanager
 def writing(out: str, name: str) -> Iterator[IO[bytes]]:
-    """A file of the dataset to write into; it appears as a whole when all is written."""
-    fs, root = _opened(out)
+    """Open a binary file of the dataset for writing; it appears when the block ends."""
+    fs, root = _file_system(out)
     if not is_local(out):
         file = fs.open(f"{root}/{name}", "wb")
         try:
@@ -83,65 +84,65 @@ def writing(out: str, name: str) -> Iterator[IO[bytes]]:
         yield file
 
 
-@_asked
+@_with_os_errors
 def write(out: str, name: str, data: bytes) -> None:
-    """Write a file of the dataset as a whole."""
+    """Write a file of the dataset atomically."""
     if is_local(out):
         with writing(out, name) as file:
             file.write(data)
         return
-    fs, root = _opened(out)
+    fs, root = _file_system(out)
     fs.pipe_file(f"{root}/{name}", data)
 
 
 @contextmanager
 def reading(out: str, name: str) -> Iterator[IO[bytes]]:
-    """A file of the dataset to read from."""
-    fs, root = _opened(out)
+    """Open a binary file of the dataset for reading."""
+    fs, root = _file_system(out)
     with fs.open(f"{root}/{name}", "rb") as file:
         yield file
 
 
-@_asked
+@_with_os_errors
 def read(out: str, name: str) -> bytes:
-    """A file's content; FileNotFoundError where it is missing."""
-    fs, root = _opened(out)
+    """Content of a file; FileNotFoundError where it is missing."""
+    fs, root = _file_system(out)
     return bytes(fs.cat_file(f"{root}/{name}"))
 
 
-@_asked
+@_with_os_errors
 def exists(out: str, name: str = "") -> bool:
-    """Whether there is such a file or folder."""
-    fs, root = _opened(out)
+    """Whether a file or folder of the dataset exists; without ``name``, the dataset itself."""
+    fs, root = _file_system(out)
     return bool(fs.exists(f"{root}/{name}" if name else root))
 
 
-@_asked
+@_with_os_errors
 def names(out: str, folder: str = "") -> list[str]:
-    """Names of all files below a folder, relative to the dataset, sorted; without unfinished files."""
-    fs, root = _opened(out)
+    """Sorted names of all files below a folder, relative to the dataset, without unfinished files."""
+    fs, root = _file_system(out)
     below = f"{root}/{folder}" if folder else root
-    found = fs.find(below) if fs.exists(below) else []
-    return sorted(name[len(root) + 1 :] for name in found if not name.endswith(PARTIAL))
+    paths = fs.find(below) if fs.exists(below) else []
+    return sorted(name[len(root) + 1 :] for name in paths if not name.endswith(PARTIAL))
 
 
-@_asked
+@_with_os_errors
 def remove(out: str, name: str) -> None:
-    """Remove a file or a folder with all that is in it, if it is there."""
-    fs, root = _opened(out)
+    """Remove a file, or a folder with its content, if it exists."""
+    fs, root = _file_system(out)
     path = f"{root}/{name}"
     with suppress(FileNotFoundError):  # another run may remove it too
         fs.rm(path, recursive=True)
 
 
 def sweep(out: str) -> None:
-    """Remove the unfinished files of killed writers; those of running writers stay."""
+    """Remove unfinished files in a folder of this computer whose writer has ended."""
     if is_local(out):
         atomic.sweep(local_path(out))
 
 
 def free_bytes(out: str) -> int | None:
-    """Free space of the output, bytes; None where it is unknown."""
+    """Free space of an output in bytes; None where it is unknown."""
     if not is_local(out):
         return None
     path = local_path(out)
@@ -151,7 +152,7 @@ def free_bytes(out: str) -> int | None:
 
 
 def check_writable(out: str) -> None:
-    """InputError where nothing can be written."""
+    """InputError where files cannot be written to an output."""
     try:
         name = f".writable.{atomic.writer()}{PARTIAL}"
         write(out, name, b"")

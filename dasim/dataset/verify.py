@@ -1,4 +1,4 @@
-"""Check a dataset: checksums, shapes, ranges, specification, missing and surplus samples.
+"""Verification of a dataset: checksums, shapes, ranges, specification, missing and extra samples.
 
 Tested in tests/dasim/dataset/test_specification.py.
 """
@@ -19,18 +19,21 @@ from dasim.dataset.sample import FILES, key
 from dasim.dataset.specification import DatasetSpec
 
 RANGES = {"depth_m": (0.0, 1e6), "blur_px": (-1e4, 1e4), "mean_e": (0.0, 1e9), "sharp_e": (0.0, 1e9)}
-SHAPES = {"normal": 3, "mean_e": None, "sharp_e": None, "sharp_srgb": 3}  # last axis; None: a channel each
+SHAPES = {"normal": 3, "mean_e": None, "sharp_e": None, "sharp_srgb": 3}  # last axis; None: one per channel
 
 
 def problems(out: str, show: Callable[[float], None] = lambda share: None) -> Iterator[str]:
-    """Problems of a dataset, one line each, as they are found. InputError where the folder is not a dataset."""
-    described = plan.manifest(out)
+    """Problems of a dataset, one line each; ``show`` gets the share that is done.
+
+    Raises InputError where the folder is not a dataset.
+    """
+    manifest = plan.manifest(out)
     spec = reading.spec_of(out)
     if not storage.exists(out, SUMS):
         yield f"is not finished: {SUMS} is missing; run 'dasim dataset make' again"
         return
-    if plan.description(spec, {})["spec_sha256"] != described["spec_sha256"]:
-        yield f"{MANIFEST}: the specification is not the one that it was written with"
+    if plan.description(spec, {})["spec_sha256"] != manifest["spec_sha256"]:
+        yield f"{MANIFEST}: the specification was changed after the dataset was made"
     yield from _files(out)
     try:
         rows = reading.index_rows(out)
@@ -49,13 +52,13 @@ def problems(out: str, show: Callable[[float], None] = lambda share: None) -> It
                 yield from _sample(spec, own[index], files)
                 done += 1
                 show(done / max(len(rows), 1))
-        except Exception as error:  # of tar files, stores and decoders, for damaged files
+        except Exception as error:  # tar files, stores and decoders raise many types for damaged files
             yield f"{group.name}: cannot be read: {type(error).__name__}: {error}"
 
 
 def _files(out: str) -> Iterator[str]:
-    """Wrong checksums, and files that do not belong to the dataset."""
-    known = set()
+    """Problems with checksums, and files that are not part of the dataset."""
+    listed = set()
     *lines, rest = storage.read(out, SUMS).decode(errors="replace").split("\n")
     if rest:
         yield f"{SUMS}: is damaged at its end"
@@ -64,75 +67,76 @@ def _files(out: str) -> Iterator[str]:
         if len(digest) != 64 or not name:
             yield f"{SUMS}, line {number}: is damaged"
             continue
-        known.add(name)
+        listed.add(name)
         try:
             if card.sha256(out, name) != digest:
                 yield f"{name}: its checksum differs"
         except FileNotFoundError:
             yield f"{name}: is missing"
     for name in storage.names(out):
-        if name not in known and name != SUMS and not fnmatch(name, LOGS):
+        if name not in listed and name != SUMS and not fnmatch(name, LOGS):
             yield f"{name}: is not part of the dataset"
 
 
 def _membership(out: str, spec: DatasetSpec, rows: list[dict[str, Any]]) -> Iterator[str]:
-    """Samples that the specification asks for, once each and in their shards; scenes in one split each."""
-    asked = {index: group for group in plan.shards(spec) for index in group.indices}
-    given_up = {int(name.removeprefix("failed/").partition(".")[0]) for name in storage.names(out, "failed")}
-    seen: set[int] = set()
+    """Problems with the set of samples: each must occur once and in its shard, and each scene in one split."""
+    expected = {index: group for group in plan.shards(spec) for index in group.indices}
+    failed = {int(name.removeprefix("failed/").partition(".")[0]) for name in storage.names(out, "failed")}
+    present: set[int] = set()
     split_of: dict[str, str] = {}
     for row in rows:
         index = row["index"]
-        if index in seen:
+        if index in present:
             yield f"sample {key(index)}: is twice in the index"
-        seen.add(index)
-        group = asked.get(index)
+        present.add(index)
+        group = expected.get(index)
         if group is None:
-            yield f"sample {key(index)}: is not asked for by the specification"
+            yield f"sample {key(index)}: is not in the specification"
         elif (row["split"], row["shard"]) != (group.split, group.name):
             yield f"sample {key(index)}: is in {row['shard']}, not in {group.name}"
         if split_of.setdefault(row["scene"], row["split"]) != row["split"]:
             yield f"scene {row['scene']}: is in the splits {split_of[row['scene']]} and {row['split']}"
-    for index in sorted(set(asked) - seen - given_up):
+    for index in sorted(set(expected) - present - failed):
         yield f"sample {key(index)}: is missing"
 
 
 def _sample(spec: DatasetSpec, row: dict[str, Any], files: dict[str, bytes]) -> Iterator[str]:
+    """Problems of a sample with the row ``row`` of the index and ``files`` (bytes by name)."""
     name = f"sample {row['key']}"
     for file in FILES:
         if hashlib.sha256(files[file]).hexdigest() != row["sha256"][file]:
-            yield f"{name}: {file} is not what the index says"
+            yield f"{name}: {file} does not have the checksum of the index"
             return
-    found = reading.decoded(row, files)
+    sample = reading.decode(row, files)
     width, height = spec.size_px
-    if found.raw_dn.shape != (height, width) or found.raw_dn.dtype != np.uint16:
-        yield f"{name}: raw.png is {found.raw_dn.shape[1]} x {found.raw_dn.shape[0]} of {found.raw_dn.dtype}"
-    elif found.raw_dn.max() >= 2 ** found.meta["camera"]["sensor"]["adc_bits"]:
-        yield f"{name}: raw.png has numbers beyond the converter's"
+    if sample.raw_dn.shape != (height, width) or sample.raw_dn.dtype != np.uint16:
+        yield f"{name}: raw.png is {sample.raw_dn.shape[1]} x {sample.raw_dn.shape[0]} of {sample.raw_dn.dtype}"
+    elif sample.raw_dn.max() >= 2 ** sample.meta["camera"]["sensor"]["adc_bits"]:
+        yield f"{name}: raw.png has numbers beyond the range of the converter"
     margin = 2 * spec.truth.margin_px
-    channels = len(found.truth["channels"])
-    for field, array in found.truth.items():
+    channels = len(sample.truth["channels"])
+    for field, array in sample.truth.items():
         if not isinstance(array, np.ndarray):
             continue
-        wanted = (height - margin, width - margin)
+        expected = (height - margin, width - margin)
         if field in SHAPES:
-            wanted = (*wanted, SHAPES[field] or channels)  # type: ignore[assignment]
-        if array.shape != wanted:
-            yield f"{name}: truth {field} has the shape {array.shape}, not {wanted}"
+            expected = (*expected, SHAPES[field] or channels)  # type: ignore[assignment]
+        if array.shape != expected:
+            yield f"{name}: truth {field} has the shape {array.shape}, not {expected}"
         elif field in RANGES:
-            valid = found.truth.get("valid", np.isfinite(array if array.ndim == 2 else array[..., 0]))
+            valid = sample.truth.get("valid", np.isfinite(array if array.ndim == 2 else array[..., 0]))
             values = array[valid]
             low, high = RANGES[field]
             if values.size and not (np.isfinite(values).all() and low <= values.min() and values.max() <= high):
-                yield f"{name}: truth {field} is not within {low:g} and {high:g}"
-    about, index = found.meta["sample"], row["index"]
+                yield f"{name}: truth {field} is not between {low:g} and {high:g}"
+    about, index = sample.meta["sample"], row["index"]
     number = draws.scene_number(spec, index)
     facts: tuple[tuple[str, Any, Any], ...] = (
-        ("what was drawn", about["drawn"], draws.values(spec, index)),
-        ("seed", found.meta["seed"], draws.capture_seed(spec, index)),
+        ("drawn", about["drawn"], draws.values(spec, index)),
+        ("seed", sample.meta["seed"], draws.capture_seed(spec, index)),
         ("split", about["split"], draws.split_of_scene(spec, number)),
         ("scene", about["scene"], draws.scene_key(spec, number)),
     )
-    for what, is_now, should in facts:
-        if is_now != should:
-            yield f"{name}: {what} is not as the specification says"
+    for what, value, expectation in facts:
+        if value != expectation:
+            yield f"{name}: {what} differs from the specification"

@@ -1,4 +1,4 @@
-"""Work of one worker of a dataset: one sample, made and written.
+"""Work of an executor on one index of a dataset: making and writing one sample.
 
 Tested in tests/dasim/dataset/test_make.py.
 """
@@ -15,31 +15,31 @@ from dasim.base.executors import Outcome
 from dasim.dataset import sample, storage
 from dasim.dataset.sample import Job
 
-SCRATCH_BYTES = 200e6  # of the temporary folder, that writing a sample needs at most
-PART = "parts/{}.tar"  # a sample until its shard is closed
+SCRATCH_BYTES = 200e6  # most space in the temporary folder that writing a sample needs
+PART = "parts/{}.tar"  # file of a sample until its shard is complete
 
 
 def work(job: Job, index: int) -> Outcome:
-    """Make a sample in this process and write it as a part of the dataset; an error is an outcome, not raised.
+    """Make a sample in this process and write it to the dataset; errors are returned as outcomes, not raised.
 
-    An error of the simulation concerns this sample alone. A file that cannot be written is fatal: other samples could
-    not be written either.
+    An error of the simulation concerns this sample only. A file that cannot be written is fatal, because the files of
+    other samples could not be written either.
     """
     try:
         sample.activate(job.environment["variant"])
         here = sample.environment(job.environment["variant"])
         if here != job.environment:
-            differing = ", ".join(key for key in here if here[key] != job.environment.get(key))
-            return Outcome(index, f"this worker has another {differing} than the dataset: pixels would differ", True)
-        made = sample.make(job.spec, index, job.environment["variant"])
+            keys = ", ".join(key for key in here if here[key] != job.environment.get(key))
+            return Outcome(index, f"this worker has another {keys} than the dataset: pixels would differ", True)
+        result = sample.make(job.spec, index, job.environment["variant"])
     except Exception as error:
         if shutil.disk_usage(tempfile.gettempdir()).free < SCRATCH_BYTES:
             return Outcome(index, f"the temporary folder {tempfile.gettempdir()} is full", fatal=True)
         return Outcome(index, describe_error(error))
     try:
-        members = {**made.files, sample.ROW: sample.plain(made.row)}
-        storage.write(job.out, PART.format(sample.key(index)), sample.packed(members))
-    except Exception as error:  # stores raise errors of their own
+        members = {**result.files, sample.ROW: sample.json_bytes(result.row)}
+        storage.write(job.out, PART.format(sample.key(index)), sample.pack(members))
+    except Exception as error:  # stores raise errors of their own types
         return Outcome(index, f"cannot be written: {describe_error(error)}", fatal=True)
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / (1e6 if sys.platform == "darwin" else 1e3)
-    return Outcome(index, None, False, False, made.seconds, made.render_s, peak, made.row)
+    return Outcome(index, None, False, False, result.seconds, result.render_s, peak, result.row)

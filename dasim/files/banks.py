@@ -16,9 +16,7 @@ from dasim.camera.specification import Camera, channels
 from dasim.values import PsfBank
 
 BANK_SCHEMA = 2
-
-
-KERNEL_SUM_TOLERANCE = 1e-3
+KERNEL_SUM_TOLERANCE = 1e-3  # of unit sums after rounding to float32
 
 
 def bank_identity(bank: PsfBank) -> dict[str, Any]:
@@ -57,21 +55,21 @@ def save_bank(path: Path, bank: PsfBank) -> None:
 
 
 def load_bank(path: Path) -> PsfBank:
-    """Read a PSF bank; InputError where the file is missing, damaged or no bank."""
+    """Read a PSF bank; InputError where the file is missing, damaged or not a bank."""
     path = Path(path)
     if not path.is_file():
-        what = "is a folder, a bank is one .npz file" if path.is_dir() else "no such file"
+        what = "is a folder; a bank is a single .npz file" if path.is_dir() else "no such file"
         raise InputError(f"bank {path}: {what}; make one with 'dasim calibrate'")
     try:
         with path.open("rb") as file, np.load(file, allow_pickle=False) as data:
             about = dict(json.loads(str(data["about"])))
             arrays = {key: data[key] for key in ("kernel", "signature", "depth_m", "blur_px")}
-    except Exception as error:  # zip, npy and json errors of a damaged file are of many types
+    except Exception as error:  # damaged files raise many types of errors of zip, npy and json
         raise InputError(
-            f"bank {path}: is no bank, or is damaged ({type(error).__name__}); make one with 'dasim calibrate'"
+            f"bank {path}: is not a bank, or is damaged ({type(error).__name__}); make one with 'dasim calibrate'"
         ) from None
     if about.get("schema") != BANK_SCHEMA:
-        raise InputError(f"bank {path}: is no bank of schema {BANK_SCHEMA}; make a new one with 'dasim calibrate'")
+        raise InputError(f"bank {path}: is not a bank of schema {BANK_SCHEMA}; make a new one with 'dasim calibrate'")
     camera = parse(Camera, about.get("camera"), f"bank {path}: camera")
     lights, diffraction = tuple(about.get("lights", ())), str(about.get("diffraction", "measured"))
     kernel, levels = arrays["kernel"], len(np.atleast_1d(arrays["depth_m"]))

@@ -23,7 +23,7 @@ CAPTURE_SCHEMA = 3
 
 
 def level_table(camera: Camera) -> list[dict[str, float]]:
-    """Level, visible blur and depth of the camera's blur levels, for ``meta.json``."""
+    """Table of a camera's blur levels for ``meta.json``: level, visible blur in px and depth in metres."""
     blurs = level_blur_px(camera)
     depths = depth_of_blur_m(camera, blurs)
     return [
@@ -61,16 +61,19 @@ def capture_meta(capture: Capture) -> dict[str, Any]:
 
 
 def load_capture(path: Path) -> Capture:
-    """Read a capture folder; InputError where a file is missing, cut short or does not fit the others."""
+    """Read a capture folder; InputError where a file is missing, truncated or inconsistent with the others."""
     path = Path(path)
     meta = _read_meta(path)
     for name in {"raw.png", *meta.get("file_bytes", {})}:
-        _check_whole(path / name, meta)
+        _check_size(path / name, meta)
     return capture_of(meta, read_png16(path / "raw.png"), str(path))
 
 
 def capture_of(meta: dict[str, Any], raw: NDArray[np.uint16], where: str) -> Capture:
-    """A capture of the content of its ``meta.json`` and its raw picture; InputError where they do not fit."""
+    """Capture from the content of its ``meta.json`` and its raw picture [h, w]; InputError where they disagree.
+
+    ``where`` is the name of the folder, for messages.
+    """
     about = parse(_CaptureMeta, meta, f"{where}/meta.json")
     camera = about.camera
     capture = Capture(
@@ -92,14 +95,14 @@ def capture_of(meta: dict[str, Any], raw: NDArray[np.uint16], where: str) -> Cap
 
 
 def load_truth(path: Path) -> Truth:
-    """Read the ground truth of a capture folder; InputError where it is missing or cut short."""
+    """Read the ground truth of a capture folder; InputError where it is missing or truncated."""
     path = Path(path)
-    _check_whole(path / "truth.exr", _read_meta(path))
+    _check_size(path / "truth.exr", _read_meta(path))
     return read_truth(path / "truth.exr")
 
 
 class _CaptureMeta(Specification):
-    """The keys of ``meta.json`` that define a capture; the others inform readers."""
+    """The keys of ``meta.json`` that define a capture; all others are informative."""
 
     model_config = ConfigDict(frozen=True, extra="ignore", allow_inf_nan=False)
 
@@ -111,17 +114,20 @@ class _CaptureMeta(Specification):
     provenance: dict[str, Any]
 
 
-def _check_whole(file: Path, meta: dict[str, Any]) -> None:
-    """InputError where a file of a capture is missing, or shorter or longer than it was written."""
+def _check_size(file: Path, meta: dict[str, Any]) -> None:
+    """InputError where a file of a capture is missing or does not have the size that ``meta.json`` states."""
     if not file.is_file():
         raise InputError(f"{file}: is missing; a capture holds raw.png, truth.exr and meta.json")
     sizes = meta.get("file_bytes")
-    written = sizes.get(file.name) if isinstance(sizes, dict) else None
-    if written is not None and file.stat().st_size != written:
-        raise InputError(f"{file}: has {file.stat().st_size} bytes of {written}; it is truncated or was changed")
+    expected = sizes.get(file.name) if isinstance(sizes, dict) else None
+    if expected is not None and file.stat().st_size != expected:
+        raise InputError(
+            f"{file}: has {file.stat().st_size} bytes instead of {expected}; it is truncated or was changed"
+        )
 
 
 def _read_meta(path: Path) -> dict[str, Any]:
+    """Content of ``meta.json`` in a capture folder; InputError where there is none of our schema."""
     if path.is_file():
         raise InputError(f"capture {path}: is a file; give the folder that holds raw.png, truth.exr and meta.json")
     if not path.is_dir():
@@ -134,5 +140,5 @@ def _read_meta(path: Path) -> dict[str, Any]:
     except (OSError, ValueError) as error:
         raise InputError(f"{file}: cannot be read ({error})") from None
     if not isinstance(meta, dict) or meta.get("schema") != CAPTURE_SCHEMA:
-        raise InputError(f"{file}: is no capture of schema {CAPTURE_SCHEMA}")
+        raise InputError(f"{file}: is not a capture of schema {CAPTURE_SCHEMA}")
     return meta

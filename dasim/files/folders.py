@@ -1,4 +1,4 @@
-"""Result folders: written whole or not at all, and never over files that dasim did not write."""
+"""Result folders, which are written atomically and never replace files that dasim did not write."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ from dasim.base.errors import InputError
 
 def software_versions() -> dict[str, str]:
     """Versions of the software that determines the pixels of a capture."""
-    found = {}
+    versions = {}
     for name in ("dasim", "mitsuba", "drjit", "numpy", "scipy"):
         try:
-            found[name] = version(name)
+            versions[name] = version(name)
         except PackageNotFoundError:
-            found[name] = "unknown"
-    return found
+            versions[name] = "unknown"
+    return versions
 
 
 # --- folders -------------------------------------------------------------------------------------
 
-# What each kind of result folder holds; the first is the file that marks it.
+# Content of each kind of result folder; the first entry is the file that identifies it.
 RESULT_FILES = {
     "capture": ("meta.json", "raw.png", "truth.exr"),
     "reconstruction": (
@@ -43,10 +43,10 @@ RESULT_FILES = {
 
 @contextmanager
 def new_folder(path: Path, kind: str) -> Iterator[Path]:
-    """A temporary folder that becomes ``path`` when the block ends well, and vanishes when it does not.
+    """Create a temporary folder that becomes ``path`` when the block ends, and is removed when the block raises.
 
-    An earlier result of the same ``kind`` (of ``RESULT_FILES``) at ``path`` is replaced as a whole; a folder
-    that holds anything else is refused with InputError.
+    An earlier result of the same ``kind`` (a key of ``RESULT_FILES``) at ``path`` is replaced as a whole. Raises
+    InputError where ``path`` holds anything else.
     """
     check_output(path, kind)
     with atomic.new_folder(path) as folder:
@@ -54,30 +54,33 @@ def new_folder(path: Path, kind: str) -> Iterator[Path]:
 
 
 def check_output(path: Path, kind: str) -> None:
-    """InputError for an output folder that holds anything but an earlier result of this kind; called before work."""
-    shown, path = path, Path(path).resolve()
+    """InputError where an output folder holds anything but an earlier result of this kind, or cannot be written.
+
+    It is called before the work starts, so that no result is lost.
+    """
+    name, path = path, Path(path).resolve()
     if path == Path.cwd() or path in Path.cwd().parents:
-        raise InputError(f"output '{shown}': is the working folder or above it; name a new folder")
+        raise InputError(f"output '{name}': is the working folder or above it; name a new folder")
     if path.exists() and not path.is_dir():
-        raise InputError(f"output {shown}: is a file, a folder is needed")
+        raise InputError(f"output {name}: is a file; a folder is needed")
     if path.is_dir():
         entries = {entry.name for entry in path.iterdir()}
         files = RESULT_FILES[kind]
-        if entries and not (entries <= set(files) and _marked(path / files[0])):
-            strange = ", ".join(sorted(entries - set(files))[:3]) or files[0]
+        if entries and not (entries <= set(files) and _is_own(path / files[0])):
+            others = ", ".join(sorted(entries - set(files))[:3]) or files[0]
             raise InputError(
-                f"output {shown}: exists and holds what dasim did not write for a {kind} ({strange}); "
+                f"output {name}: exists and holds files that dasim did not write for a {kind} ({others}); "
                 "choose another folder"
             )
     parent = path if path.is_dir() else path.parent
     while not parent.exists():
         parent = parent.parent
     if not parent.is_dir() or not os.access(parent, os.W_OK):
-        raise InputError(f"output {shown}: {parent} is not a folder that can be written to")
+        raise InputError(f"output {name}: {parent} is not a folder that can be written to")
 
 
-def _marked(file: Path) -> bool:
-    """Whether a result's JSON file is dasim's own: it names the version that wrote it."""
+def _is_own(file: Path) -> bool:
+    """Whether dasim wrote a JSON file, which then states the version of dasim."""
     try:
         return "dasim" in json.loads(file.read_text(encoding="utf-8"))["software"]
     except (OSError, ValueError, KeyError, TypeError):

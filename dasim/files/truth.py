@@ -19,11 +19,9 @@ from dasim.values import Truth
 _XYZ = ("X", "Y", "Z")
 
 
-NAMES = "objectAndMaterialNames"  # header of the first part, JSON: numbers 1, 2, ... of the part ``labels``
-
-
-CHANNEL_ORDER = "channelOrder"  # header of the first part: EXR itself keeps channels in alphabetical order
-
+# Attributes in the header of the first part.
+NAMES = "objectAndMaterialNames"  # JSON: names of the numbers 1, 2, ... of the part ``labels``
+CHANNEL_ORDER = "channelOrder"  # names of the channels in our order; EXR stores them alphabetically
 
 TRUTH_PARTS = ("depth", "normal", "blur", "labels", "mean_e", "sharp_e", "sharp_srgb")
 
@@ -31,12 +29,16 @@ TRUTH_PARTS = ("depth", "normal", "blur", "labels", "mean_e", "sharp_e", "sharp_
 def write_truth(path: Path, truth: Truth, keep: Sequence[str] = TRUTH_PARTS, *, half: bool = False) -> None:
     """Write the ground truth as a multi-part EXR; ``Z`` of the part ``depth`` is the depth in metres.
 
-    ``keep`` chooses of ``TRUTH_PARTS``. With ``half`` all but depth and labels are 16-bit floats, of 11 bits.
+    Args:
+        path: the file.
+        truth: the ground truth.
+        keep: names of the parts to write, of ``TRUTH_PARTS``.
+        half: whether all parts except depth and labels are 16-bit floats, which have a precision of 11 bits.
     """
     import OpenEXR
 
-    kind = np.float16 if half else np.float32
-    most = np.finfo(kind).max
+    dtype = np.float16 if half else np.float32
+    largest = np.finfo(dtype).max
     arrays: dict[str, dict[str, np.ndarray]] = {
         "depth": {"Z": truth.depth_m},
         "normal": {axis: truth.normal[..., i] for i, axis in enumerate(_XYZ)},
@@ -55,7 +57,7 @@ def write_truth(path: Path, truth: Truth, keep: Sequence[str] = TRUTH_PARTS, *, 
     for name in keep:
         channels = arrays[name]
         if name not in ("depth", "labels"):
-            channels = {key: np.clip(value, -most, most).astype(kind) for key, value in channels.items()}
+            channels = {key: np.clip(value, -largest, largest).astype(dtype) for key, value in channels.items()}
         header = {"name": name, "type": OpenEXR.scanlineimage, "compression": OpenEXR.ZIP_COMPRESSION}
         parts.append(OpenEXR.Part(header, {key: np.ascontiguousarray(value) for key, value in channels.items()}))
     parts[0].header[CHANNEL_ORDER] = ",".join(truth.channels)
@@ -64,16 +66,16 @@ def write_truth(path: Path, truth: Truth, keep: Sequence[str] = TRUTH_PARTS, *, 
 
 
 def read_truth(path: Path) -> Truth:
-    """Read a ground-truth EXR; InputError where it is missing, cut short or lacks a part."""
-    found = read_truth_parts(path)
-    missing = [field.name for field in fields(Truth) if field.name not in found]
+    """Read a ground-truth EXR; InputError where it is missing, truncated or lacks a part."""
+    values = read_truth_parts(path)
+    missing = [field.name for field in fields(Truth) if field.name not in values]
     if missing:
         raise InputError(f"{path}: lacks {', '.join(missing)}; a truth file with all its parts is needed")
-    return Truth(**found)
+    return Truth(**values)
 
 
 def read_truth_parts(path: Path) -> dict[str, Any]:
-    """What a ground-truth EXR has of :class:`Truth`'s fields, by name; InputError where it cannot be read."""
+    """The fields of :class:`Truth` that a ground-truth EXR contains, by name; InputError where it cannot be read."""
     import OpenEXR
 
     if not path.is_file():
@@ -82,26 +84,26 @@ def read_truth_parts(path: Path) -> dict[str, Any]:
         with OpenEXR.File(str(path), separate_channels=True) as file:
             parts = {p.name(): {k: c.pixels for k, c in p.channels.items()} for p in file.parts}
             names = tuple(file.parts[0].header[CHANNEL_ORDER].split(","))
-            labelled = json.loads(file.parts[0].header[NAMES])
-        found: dict[str, Any] = {"channels": names}
-        found |= {key: tuple(labelled[key]) for key in ("objects", "materials")}
+            labels = json.loads(file.parts[0].header[NAMES])
+        values: dict[str, Any] = {"channels": names}
+        values |= {key: tuple(labels[key]) for key in ("objects", "materials")}
         if "depth" in parts:
-            found["depth_m"] = parts["depth"]["Z"]
+            values["depth_m"] = parts["depth"]["Z"]
         if "blur" in parts:
-            found |= {key: _single(parts["blur"][key]) for key in ("blur_px", "level")}
+            values |= {key: _single(parts["blur"][key]) for key in ("blur_px", "level")}
         if "labels" in parts:
-            found |= {key: parts["labels"][key] for key in ("object_id", "material_id")}
-            found |= {key: parts["labels"][key].astype(bool) for key in ("valid", "boundary")}
+            values |= {key: parts["labels"][key] for key in ("object_id", "material_id")}
+            values |= {key: parts["labels"][key].astype(bool) for key in ("valid", "boundary")}
         for part, order in (("normal", _XYZ), ("mean_e", names), ("sharp_e", names), ("sharp_srgb", "RGB")):
             if part in parts:
-                found[part] = np.stack([_single(parts[part][name]) for name in order], axis=-1)
-        return found
+                values[part] = np.stack([_single(parts[part][name]) for name in order], axis=-1)
+        return values
     except KeyError as error:
-        raise InputError(f"{path}: lacks {error}; a truth file of dasim is needed") from None
-    except Exception as error:  # the library raises bare RuntimeError and others for damaged files
-        raise InputError(f"{path}: cannot be read, or is cut short ({error})") from None
+        raise InputError(f"{path}: lacks {error}; it is not a truth file of dasim") from None
+    except Exception as error:  # the library raises RuntimeError and other types for damaged files
+        raise InputError(f"{path}: cannot be read, or is truncated ({error})") from None
 
 
 def _single(channel: np.ndarray) -> np.ndarray:
-    """Half floats as single ones, which numpy computes with."""
+    """A channel of half floats as single floats; single floats unchanged."""
     return channel.astype(np.float32, copy=False)

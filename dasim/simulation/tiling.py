@@ -1,4 +1,4 @@
-"""One capture from the central parts of several.
+"""Tiling: one capture from the central parts of several.
 
 Tested in tests/dasim/scene/test_targets.py.
 """
@@ -19,20 +19,24 @@ from dasim.values import Capture, Truth
 
 
 def margin_px(camera: Camera, blur_px: float) -> int:
-    """Reach of a blur in pixels: half the width of its kernel with the diffraction tail."""
+    """Radius in pixels of the kernel of a visible blur, including the diffraction tail."""
     return pointspread.kernel_size_px(camera, blur_px) // 2
 
 
 def tiled(tiles: Sequence[tuple[Capture, Truth]], width_px: int, height_px: int) -> tuple[Capture, Truth]:
     """One capture from the central parts of several, stacked with the first at the bottom (Fig. 10 of the paper).
 
-    ``tiles`` are captures with their truths, of one camera, focus and exposure; each part is ``width_px`` x
-    ``height_px``, multiples of the mosaic. A part keeps :func:`margin_px` of its own blur to the border of its capture,
-    so that it contains nothing of the border. The result's camera has a sensor of the result's size: its off-axis
-    angles are not those of the captures, and windows across a seam see two captures.
+    Every part is at least :func:`margin_px` of its largest blur away from the border of its capture, so that the blur
+    at the border does not affect it. The camera of the result has a sensor of the result's size: its off-axis angles
+    differ from those of the captures, and windows across a seam contain pixels of two captures.
+
+    Args:
+        tiles: captures with their truths, of the same camera, focus and exposure.
+        width_px: width of each part, a multiple of the mosaic's.
+        height_px: height of each part, a multiple of the mosaic's.
     """
     if not tiles:
-        raise InputError("tiles: none are given; at least one capture is needed")
+        raise InputError("tiles: at least one capture is needed")
     first = tiles[0][0]
     cell_height, cell_width = len(first.camera.sensor.mosaic), len(first.camera.sensor.mosaic[0])
     if height_px % cell_height or width_px % cell_width or min(width_px, height_px) <= 0:
@@ -46,12 +50,12 @@ def tiled(tiles: Sequence[tuple[Capture, Truth]], width_px: int, height_px: int)
     left = (width - width_px) // 2 // cell_width * cell_width
     part = (slice(top, top + height_px), slice(left, left + width_px))
 
-    def stacked(*images: np.ndarray) -> np.ndarray:
+    def stack(*images: np.ndarray) -> np.ndarray:
         return np.concatenate([image[part] for image in reversed(images)])
 
     size = {"width_px": width_px, "height_px": height_px * len(tiles)}
     sensor = parse(Sensor, first.camera.sensor.model_dump() | size, "tiles")
-    raw_dn = stacked(*(capture.raw_dn for capture, _ in tiles))
+    raw_dn = stack(*(capture.raw_dn for capture, _ in tiles))
     picture = replace(
         first,
         raw_dn=raw_dn,
@@ -65,16 +69,16 @@ def tiled(tiles: Sequence[tuple[Capture, Truth]], width_px: int, height_px: int)
         },
     )
     truths = [truth for _, truth in tiles]
-    exact: dict[str, Any] = {
-        name: stacked(*(getattr(truth, name) for truth in truths))
+    arrays: dict[str, Any] = {
+        name: stack(*(getattr(truth, name) for truth in truths))
         for name, value in vars(truths[0]).items()
         if isinstance(value, np.ndarray)
     }
-    return picture, replace(truths[0], **exact)
+    return picture, replace(truths[0], **arrays)
 
 
 def _check(number: int, capture: Capture, truth: Truth, first: Capture, width_px: int, height_px: int) -> None:
-    """InputError where a tile does not match the first, or its blur reaches from the border into its central part."""
+    """InputError where a tile differs from the first, or the blur of its border reaches its central part."""
     where = f"tile {number}"
     if capture.camera != first.camera:
         raise InputError(f"{where}: its camera, focus or size differs from that of tile 0")
@@ -85,10 +89,12 @@ def _check(number: int, capture: Capture, truth: Truth, first: Capture, width_px
         )
     height, width = capture.raw_dn.shape
     cell = max(len(first.camera.sensor.mosaic), len(first.camera.sensor.mosaic[0]))
-    needed = margin_px(capture.camera, float(np.abs(truth.blur_px).max())) + cell  # cutting may shift by a cell
+    needed = (
+        margin_px(capture.camera, float(np.abs(truth.blur_px).max())) + cell
+    )  # alignment with the mosaic may shift the part by a cell
     if min(height - height_px, width - width_px) // 2 < needed:
         smallest = f"{width_px + 2 * needed}x{height_px + 2 * needed}"
         raise InputError(
-            f"{where}: its blur reaches {needed} pixels in from the border; to keep {width_px}x{height_px} pixels, "
-            f"a capture must have {smallest} at least, not {width}x{height}"
+            f"{where}: its blur reaches {needed} pixels inwards from the border; for parts of {width_px}x{height_px} "
+            f"pixels, a capture must have at least {smallest}, not {width}x{height}"
         )

@@ -25,7 +25,7 @@ def test_a_capture_names_size_camera_exposure_and_light(da_mobile):
 def test_a_truth_and_a_reconstruction_name_their_depths(truth, da_mobile):
     depth = f"depth {truth.depth_m[0, 0]:.3g} to {truth.depth_m[0, 0]:.3g} m"
     assert repr(truth) == f"Truth(6 x 4 px, {depth}, 0 objects, channels R G B IR)"
-    result = dataclasses.replace(surfaces.told(truth, da_mobile), settings={"score": "bands"})
+    result = dataclasses.replace(surfaces.exact_reconstruction(truth, da_mobile), settings={"score": "bands"})
     assert depth in repr(result) and repr(result).endswith("light D55, score bands)")
     assert repr(dataclasses.replace(result, method="mine:f")).endswith("method mine:f)")
 

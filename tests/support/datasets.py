@@ -1,4 +1,4 @@
-"""Datasets for the tests: a wall under a lamp, small enough for twenty samples a second, and ways to run them."""
+"""Datasets for the tests (a wall under a lamp, which renders 20 samples per second), and executors for them."""
 
 from __future__ import annotations
 
@@ -64,16 +64,16 @@ WAIT_S = 60.0
 
 
 def spec_file(folder: Path, *, samples: int = 6, top: str = "", more: str = "", **changes) -> Path:
-    """A specification of a tiny dataset with its scene beside it."""
+    """Write the specification of a tiny dataset and its scene into a folder; returns the path of the specification."""
     (folder / "wall.toml").write_text(WALL)
-    given = {"samples_per_shard": 2, "format": "webdataset", "files": ["wall.toml"], **changes}
+    fields = {"samples_per_shard": 2, "format": "webdataset", "files": ["wall.toml"], **changes}
     path = folder / "spec.toml"
-    path.write_text(SPEC.format(samples=samples, top=top, more=more, **given))
+    path.write_text(SPEC.format(samples=samples, top=top, more=more, **fields))
     return path
 
 
 def job(spec: Path, out: Path | str) -> Job:
-    """What ``dasim dataset make`` hands to its workers, with the dataset begun."""
+    """Job of a dataset, whose manifest is written, as ``dasim dataset make`` passes it to its workers."""
     described = load_spec(spec)
     here = environment(backend.choose().variant)
     plan.begin(str(out), plan.description(described, here))
@@ -81,40 +81,41 @@ def job(spec: Path, out: Path | str) -> Job:
 
 
 def inline(job: Job, queue: deque[int]) -> Generator[Outcome]:
-    """An executor in this process, where nothing has to be started."""
+    """Executor in this process."""
     while queue:
         yield work(job, queue.popleft())
 
 
 def backwards(job: Job, queue: deque[int]) -> Generator[Outcome]:
-    """The same in another order."""
+    """Executor in this process that takes the samples in reverse order."""
     while queue:
         yield work(job, queue.pop())
 
 
-def made(spec: Path, out: Path | str, executor=inline, **options):
-    """Make a dataset, or go on with it; the last progress."""
+def make_dataset(spec: Path, out: Path | str, executor=inline, **options):
+    """Make or continue a dataset; returns the last progress."""
     return make(job(spec, out), executor, log=log_file(out), **options)
 
 
 def log_file(out: Path | str) -> Path | None:
+    """Log of a dataset in a folder; None for other addresses."""
     return storage.local_path(str(out)) / "make.log" if storage.is_local(str(out)) else None
 
 
 def sums(out: Path | str) -> dict[str, str]:
-    """Checksums by file."""
+    """SHA-256 of each file of a dataset by its name, from the list of checksums."""
     lines = storage.read(str(out), plan.SUMS).decode().splitlines()
     return {name: digest for digest, _, name in (line.partition("  ") for line in lines)}
 
 
-def logged(out: Path, start: int = 0) -> list[tuple[int, bool]]:
-    """Index and whether it was made, of each line of the log from one on."""
+def log_entries(out: Path, start: int = 0) -> list[tuple[int, bool]]:
+    """Index of the sample and whether it succeeded, for each line of the log from line ``start``."""
     lines = (out / "make.log").read_text().splitlines()[start:]
     return [(int(line.split()[1]), "failed" not in line) for line in lines]
 
 
 def spread(job: Job, index: int) -> Outcome:
-    """Work on two nodes of a cluster that tells which ones begin, waits for both, and is killed once at sample 3."""
+    """Work that waits until two nodes of a cluster have started, and whose process is killed once, at sample 3."""
     import ray
 
     folder = Path(job.out).parent / "nodes"
@@ -130,7 +131,7 @@ def spread(job: Job, index: int) -> Outcome:
 
 
 def deadly(job: Job, index: int) -> Outcome:
-    """Work that a crashing renderer ends: always of sample 23, once of sample 22."""
+    """Work whose process dies, as with a renderer that crashes: always at sample 23, once at sample 22."""
     marker = Path(job.out) / ".once"
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     if index == 22 and not marker.exists():

@@ -1,4 +1,4 @@
-"""Claims made up for the tests of limits and runs, in a module that a process of its own imports quickly."""
+"""Fake claims for the tests of limits and runs, in a module that a new process imports quickly."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def good(progress) -> Evidence:
 
 
 def bad(progress) -> Evidence:
-    """A claim that does not."""
+    """A claim that misses its limit."""
     return Evidence([Figure("size", 0.75, "px", "a size")], tables=[("Sizes", ["a", "b"], [["1", "2"]])])
 
 

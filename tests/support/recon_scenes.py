@@ -1,7 +1,7 @@
-"""Captures of layered scenes for the reconstruction's tests, made from photographs without a renderer.
+"""Captures of scenes with a given blur level per pixel, computed from photographs without a renderer.
 
-Each stop's own texture (visible light through the open lens, near-infrared through the hole) is blurred
-with that stop's wave-optics kernel of each level, so crosstalk, colour and blur go together as in a camera.
+The texture of each stop (visible light through the open lens, near-infrared through the hole) is blurred with the
+wave-optical kernels of that stop at each level, so that crosstalk, colour and blur are consistent as in a camera.
 """
 
 from __future__ import annotations
@@ -27,6 +27,8 @@ GAMMA = 2.2
 
 @dataclass(frozen=True)
 class Scene:
+    """A capture with its exact values."""
+
     capture: Capture
     level: np.ndarray  # [h, w]
     mean_e: np.ndarray  # [h, w, 4]
@@ -46,7 +48,7 @@ def bank(lights: tuple[str, ...] = ("D65", "A")) -> PsfBank:
 
 @shared
 def stop_kernels(light: str, step: float = 0.5) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Levels, kernels [stop, level, channel, y, x] and electrons [stop, channel] relative to all green."""
+    """Levels, kernels [stop, level, channel, y, x] and electrons [stop, channel] relative to green in total."""
     cam = da_mobile(512, 384)
     per_level = geometry.level_blur_px(cam)[1]
     levels = np.arange(0, 28 + step / 2, step)
@@ -67,14 +69,12 @@ def _photo(name: str, height: int, width: int, zoom: float) -> np.ndarray:
     image = np.repeat(image[..., None], 3, -1) if image.ndim == 2 else image[..., :3]
     image = ndimage.zoom(image, (zoom, zoom, 1), order=1) if zoom != 1 else image
     up = -(-height // image.shape[0]), -(-width // image.shape[1])
-    mirrored = np.pad(
-        image, ((0, (up[0] - 1) * image.shape[0]), (0, (up[1] - 1) * image.shape[1]), (0, 0)), "symmetric"
-    )
-    return mirrored[:height, :width] ** GAMMA
+    padded = np.pad(image, ((0, (up[0] - 1) * image.shape[0]), (0, (up[1] - 1) * image.shape[1]), (0, 0)), "symmetric")
+    return padded[:height, :width] ** GAMMA
 
 
 def textures(height: int, width: int, photo: str = "astronaut", zoom: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
-    """Reflectance-like visible [h, w, 4] and near-infrared [h, w] textures that correlate but differ."""
+    """Textures 0..1 in visible light [h, w, 4] and near-infrared [h, w], which are correlated but differ."""
     colour = _photo(photo, height, width, zoom)
     other = _photo("gravel", height, width, 1.0)[..., 0]
     visible = np.concatenate([colour, colour[..., :1]], axis=-1)
@@ -83,7 +83,7 @@ def textures(height: int, width: int, photo: str = "astronaut", zoom: float = 1.
 
 
 def blurred(visible: np.ndarray, infrared: np.ndarray, level: np.ndarray, light: str) -> np.ndarray:
-    """Mean electrons relative to white green, [h, w, 4]; inputs have a margin, the result has none."""
+    """Mean electrons relative to green of a white surface, [h, w, 4], without the margin that the textures have."""
     levels, kernels, signal = stop_kernels(light)
     shape = visible.shape[:2]
     size = [fft.next_fast_len(n + 75, real=True) for n in shape]
@@ -116,7 +116,7 @@ def make(
     noise: str = "on",
     seed: int = 1,
 ) -> Scene:
-    """A capture of a photograph with the blur level of each pixel given, [h, w]."""
+    """Capture of a photograph with the blur level [h, w] of each pixel."""
     height, width = level.shape
     cam = da_mobile(width, height)
     visible, infrared = textures(height + 2 * MARGIN_PX, width + 2 * MARGIN_PX, photo, zoom)
@@ -130,11 +130,11 @@ def make(
 
 
 def staircase(height: int, width: int, first: float, last: float, bands: int) -> np.ndarray:
-    """Levels in horizontal bands from ``first`` to ``last``."""
+    """Levels [h, w] in horizontal bands, from ``first`` at the top to ``last``."""
     steps = np.linspace(first, last, bands)
     return np.repeat(steps[np.minimum(np.arange(height) * bands // height, bands - 1)][:, None], width, 1)
 
 
 def slanted(height: int, width: int, first: float, last: float) -> np.ndarray:
-    """Levels rising linearly from left to right."""
+    """Levels [h, w] that change linearly from ``first`` at the left to ``last``."""
     return np.repeat(np.linspace(first, last, width)[None], height, 0)

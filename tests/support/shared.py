@@ -1,4 +1,4 @@
-"""Results that all processes of a test run share: the first process that needs one makes it, the others read it."""
+"""Results shared by all processes of a test run: the first process computes them, the others read them."""
 
 from __future__ import annotations
 
@@ -12,18 +12,19 @@ from pathlib import Path
 from typing import ParamSpec, TypeVar
 
 P, R = ParamSpec("P"), TypeVar("R")
-FOLDER = "DASIM_TESTS_SHARED"  # variable with the folder of this run, set by the first process
+FOLDER = "DASIM_TESTS_SHARED"  # environment variable with the folder of this run, set by the first process
 
 
 def shared(function: Callable[P, R]) -> Callable[P, R]:
-    """Remember results by arguments, in this process and for the others of the same run.
+    """Decorator that caches results by arguments, for all processes of a test run.
 
-    For functions that always give the same, whose arguments and results pickle. Other processes wait meanwhile.
+    The function must be deterministic, with arguments and results that can be pickled. While one process computes a
+    result, the others wait for it.
     """
 
     @cache
     @wraps(function)
-    def remembered(*arguments, **named):
+    def wrapper(*arguments, **named):
         folder = os.environ.get(FOLDER)
         if folder is None:
             return function(*arguments, **named)
@@ -37,4 +38,4 @@ def shared(function: Callable[P, R]) -> Callable[P, R]:
                 partial.rename(path)
             return pickle.loads(path.read_bytes())
 
-    return remembered
+    return wrapper

@@ -6,7 +6,7 @@ import numpy as np
 
 
 def area_vectors(part) -> np.ndarray:
-    """Area times normal of each face, [faces, 3]; their sum over a closed surface is zero."""
+    """Area times unit normal of each face, [face, 3]; the sum over a closed surface is zero."""
     a, b, c = (part.vertices[part.faces[:, corner]] for corner in range(3))
     return np.cross(b - a, c - a) / 2
 

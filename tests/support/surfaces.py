@@ -1,4 +1,4 @@
-"""Ground truth of frontal surfaces of known blur levels, for tests of scores."""
+"""Ground truth and reconstructions of frontal surfaces of known blur levels, for tests of scores."""
 
 import numpy as np
 
@@ -7,7 +7,7 @@ from dasim.values import Reconstruction, Truth
 
 
 def truth(camera, level, image, boundary=False) -> Truth:
-    """Surfaces at ``level`` [h, w], their picture ``image`` [h, w, 4] electrons through lens and pinhole alike."""
+    """Ground truth of blur levels [h, w], with ``image`` [h, w, 4] as mean electrons through the lens and a pinhole."""
     level = np.array(level, np.float32)
     image = np.array(image, np.float32)
     blur = level * geometry.level_blur_px(camera)[1]
@@ -27,8 +27,8 @@ def truth(camera, level, image, boundary=False) -> Truth:
     )
 
 
-def told(truth: Truth, camera) -> Reconstruction:
-    """A reconstruction that tells the truth's depths, and of whose pictures nothing matters."""
+def exact_reconstruction(truth: Truth, camera) -> Reconstruction:
+    """Reconstruction with the depths of the truth and arbitrary (constant) pictures."""
     shape = truth.level.shape
     colours, ones = np.ones((*shape, 3), np.float32), np.ones(shape, np.float32)
     return Reconstruction(

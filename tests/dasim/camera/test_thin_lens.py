@@ -8,7 +8,7 @@ import pytest
 from dasim.base.errors import InputError
 from dasim.camera import geometry, stops, thin_lens
 from dasim.camera import specification as cameras
-from dasim.dataset.specification import varied
+from dasim.dataset.specification import with_values
 from dasim.scene import targets
 from dasim.simulation.calibration import calibration_captures
 from dasim.spectra import grid as spectra
@@ -68,7 +68,9 @@ def test_levels_span_the_working_range(da_mobile):
 def test_a_camera_may_set_its_own_levels(da_mobile):
     """Expectation: levels of its own lie evenly from 0 to the given blur whatever the hole, and scenes follow them."""
     text = {"count": 7, "max_blur_px": 30.0}
-    wide = varied(da_mobile.model_copy(update={"levels": cameras.Levels(**text)}), {"stops.hole.radius_ratio": 0.9})
+    wide = with_values(
+        da_mobile.model_copy(update={"levels": cameras.Levels(**text)}), {"stops.hole.radius_ratio": 0.9}
+    )
     np.testing.assert_allclose(geometry.level_blur_px(wide), [0, 5, 10, 15, 20, 25, 30])
     board = targets.staircase(wide, 3).objects[0]
     assert geometry.blur_px(wide, board.position_cm[2] / 100) == pytest.approx(15.0)

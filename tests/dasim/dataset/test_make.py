@@ -21,7 +21,18 @@ from dasim.base.errors import InputError
 from dasim.cli import run
 from dasim.dataset import plan, sample, storage, verify, work
 from dasim.dataset.make import TRIES
-from tests.support.datasets import MESH, SQUARE, WALL, backwards, deadly, inline, logged, made, spec_file, sums
+from tests.support.datasets import (
+    MESH,
+    SQUARE,
+    WALL,
+    backwards,
+    deadly,
+    inline,
+    log_entries,
+    make_dataset,
+    spec_file,
+    sums,
+)
 
 SAMPLES = 24
 START_S = 100.0  # that a process gets to begin on a busy computer
@@ -36,7 +47,7 @@ def spec(renderer, tmp_path_factory) -> Path:
 def reference(spec, tmp_path_factory) -> dict[str, str]:
     """Checksums of a run in this process, one sample after the other."""
     out = tmp_path_factory.mktemp("reference") / "ds"
-    made(spec, out)
+    make_dataset(spec, out)
     assert list(verify.problems(str(out))) == []
     return sums(out)
 
@@ -67,13 +78,13 @@ def whole(out: Path) -> dict[str, str]:
 
 
 def test_another_order_makes_the_same_bytes(spec, reference, tmp_path):
-    made(spec, tmp_path / "ds", backwards)
+    make_dataset(spec, tmp_path / "ds", backwards)
     assert whole(tmp_path / "ds") == reference
 
 
 def test_runs_of_a_part_each_make_the_same_bytes(spec, reference, tmp_path, remembered):
     for part in (2, 3, 1):
-        done = made(spec, tmp_path / "ds", shard=(part, 3))
+        done = make_dataset(spec, tmp_path / "ds", shard=(part, 3))
         assert done.failed == {} and done.done == done.total
         assert (tmp_path / "ds" / plan.SUMS).exists() == (part == 1)
     assert whole(tmp_path / "ds") == reference
@@ -81,14 +92,14 @@ def test_runs_of_a_part_each_make_the_same_bytes(spec, reference, tmp_path, reme
 
 def test_runs_side_by_side_make_the_same_bytes(spec, reference, tmp_path, remembered):
     """All of them begin, write and finish at the same time; the sweep of one leaves the files of the others."""
-    made(spec, tmp_path / "first")  # fills what is remembered
+    make_dataset(spec, tmp_path / "first")  # fills what is remembered
     for attempt in range(4):
         out = tmp_path / f"ds{attempt}"
         errors = []
 
         def part(number, out=out, errors=errors):
             try:
-                made(spec, out, shard=(number, 5))
+                make_dataset(spec, out, shard=(number, 5))
             except BaseException as error:
                 errors.append(error)
 
@@ -104,17 +115,17 @@ def test_runs_side_by_side_make_the_same_bytes(spec, reference, tmp_path, rememb
 def test_workers_that_crash_cost_their_own_sample_alone(spec, reference, tmp_path):
     """Two processes; the renderer ends its process at the last sample always, at the one before once."""
     out = tmp_path / "ds"
-    done = made(spec, out, executors.local(2, deadly))
+    done = make_dataset(spec, out, executors.local(2, deadly))
     assert set(done.failed) == {23} and "SIGKILL" in done.failed[23]
-    tries = Counter(logged(out))
+    tries = Counter(log_entries(out))
     assert tries.pop((23, False)) == TRIES and tries.pop((22, False)) == 1
     assert tries == {(index, True): 1 for index in range(SAMPLES - 1)}
     assert "SIGABRT" in (out / "make.log").read_text()
     (out / ".once").unlink()
     assert list(verify.problems(str(out))) == []
-    again = made(spec, out)  # it was given up: not tried again unless asked for
+    again = make_dataset(spec, out)  # it was given up: not tried again unless asked for
     assert again.failed == done.failed and again.done == 0
-    repaired = made(spec, out, retry=True)
+    repaired = make_dataset(spec, out, retry=True)
     assert repaired.failed == {} and repaired.done == 1
     assert whole(out) == reference
 
@@ -138,9 +149,9 @@ def goes_on(spec: Path, out: Path) -> dict[str, str]:
     """Checksums after the run was taken up again; nothing that was made is made twice."""
     have = {int(path.stem) for path in out.glob("parts/[0-9]*.tar")}
     lines = len((out / "make.log").read_text().splitlines())
-    made(spec, out)
-    assert have and have.isdisjoint(index for index, _ in logged(out, lines))
-    assert all(done for _, done in logged(out)) and max(Counter(logged(out)).values()) == 1
+    make_dataset(spec, out)
+    assert have and have.isdisjoint(index for index, _ in log_entries(out, lines))
+    assert all(done for _, done in log_entries(out)) and max(Counter(log_entries(out)).values()) == 1
     return whole(out)
 
 
@@ -220,13 +231,13 @@ FULL = OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 def test_ends_at_any_change_of_the_files(form, end, tmp_path, interrupted, remembered, renderer):
     """Run until the n-th write or removal, for every n, and then to the end: the same bytes, no sample made twice."""
     spec = spec_file(tmp_path, samples=3, format=form)
-    made(spec, tmp_path / "reference")
+    make_dataset(spec, tmp_path / "reference")
     reference = whole(tmp_path / "reference")
     for changes in range(100):
         out = tmp_path / f"{changes}"
         interrupted(changes, end)
         try:
-            made(spec, out)
+            make_dataset(spec, out)
             break
         except Killed:
             pass
@@ -235,11 +246,11 @@ def test_ends_at_any_change_of_the_files(form, end, tmp_path, interrupted, remem
         finally:
             interrupted(None)
         have = {int(path.stem) for path in out.glob("parts/[0-9]*.tar")}
-        lines = len(logged(out)) if (out / "make.log").exists() else 0
-        made(spec, out)
+        lines = len(log_entries(out)) if (out / "make.log").exists() else 0
+        make_dataset(spec, out)
         assert whole(out) == reference, f"stopped before change {changes}"
-        assert have.isdisjoint(index for index, _ in logged(out, lines))
-        assert all(done for _, done in logged(out))
+        assert have.isdisjoint(index for index, _ in log_entries(out, lines))
+        assert all(done for _, done in log_entries(out))
     assert changes > 10
 
 
@@ -248,23 +259,23 @@ def test_retry_ends_at_any_change_of_the_files(tmp_path, interrupted, remembered
     (tmp_path / "mesh.toml").write_text(WALL + MESH)
     spec = spec_file(tmp_path, samples=4, files=["wall.toml", "mesh.toml"], samples_per_shard=3)
     (tmp_path / "thing.obj").write_text(SQUARE)
-    made(spec, tmp_path / "reference")
+    make_dataset(spec, tmp_path / "reference")
     reference = whole(tmp_path / "reference")
     (tmp_path / "thing.obj").write_text("no mesh")
-    made(spec, tmp_path / "poisoned", only_mesh_fails)
+    make_dataset(spec, tmp_path / "poisoned", only_mesh_fails)
     (tmp_path / "thing.obj").write_text(SQUARE)
     for changes in range(100):
         out = tmp_path / f"{changes}"
         shutil.copytree(tmp_path / "poisoned", out)
         interrupted(changes)
         try:
-            made(spec, out, retry=True)
+            make_dataset(spec, out, retry=True)
             break
         except Killed:
             pass
         finally:
             interrupted(None)
-        made(spec, out, retry=True)
+        make_dataset(spec, out, retry=True)
         assert whole(out) == reference, f"stopped before change {changes}"
     assert changes > 10
 
@@ -290,25 +301,25 @@ def test_poisoned_sample_is_left_out_until_it_is_repaired(tmp_path, monkeypatch,
         and "thing.obj" in message
         and "--retry" in message
     )
-    assert Counter(logged(out)) == {(0, True): 1, (2, True): 1, (1, False): TRIES, (3, False): TRIES}
+    assert Counter(log_entries(out)) == {(0, True): 1, (2, True): 1, (1, False): TRIES, (3, False): TRIES}
     assert "thing.obj" in (out / "README.md").read_text()
     assert run(["dataset", "verify", str(out)]) == 0
     assert run(["dataset", "make", str(spec), "--out", str(out)]) == 1  # nothing to do, and still not whole
     (tmp_path / "thing.obj").write_text(SQUARE)
     assert run(["dataset", "make", str(spec), "--out", str(out), "--retry"]) == 0
-    assert Counter(logged(out)) == {
+    assert Counter(log_entries(out)) == {
         **{(index, True): 1 for index in range(4)},
         **{(1, False): TRIES, (3, False): TRIES},
     }
-    made(spec, tmp_path / "straight")
+    make_dataset(spec, tmp_path / "straight")
     assert whole(out) == whole(tmp_path / "straight")
 
 
 def test_full_temporary_folder_is_nobodys_sample(spec, tmp_path, monkeypatch):
     monkeypatch.setattr(sample, "make", lambda *arguments: 1 / 0)
     monkeypatch.setattr(work, "SCRATCH_BYTES", 1e30)
-    with pytest.raises(InputError, match=r"temporary folder .* is full; nothing is lost"):
-        made(spec, tmp_path / "ds")
+    with pytest.raises(InputError, match=r"temporary folder .* is full; finished samples are stored"):
+        make_dataset(spec, tmp_path / "ds")
     assert not list((tmp_path / "ds").rglob("failed/*"))
 
 
@@ -316,15 +327,15 @@ def test_file_beyond_the_limit_of_a_process_is_a_full_disk(spec, reference, tmp_
     """The same by the operating system, which cuts writes short: RLIMIT_FSIZE at 40 kB."""
     out = tmp_path / "ds"
     program = (
-        "import resource, sys; from tests.support.datasets import made, inline; from pathlib import Path\n"
+        "import resource, sys; from tests.support.datasets import make_dataset, inline; from pathlib import Path\n"
         "import dasim.dataset.sample as s\n"
-        "real = s.packed\n"
-        "def packed(members):\n"
+        "real = s.pack\n"
+        "def pack(members):\n"
         "    resource.setrlimit(resource.RLIMIT_FSIZE, (40_000, resource.RLIM_INFINITY))\n"
         "    return real(members)\n"
         "import dasim.dataset.work as w\n"
-        "w.sample.packed = packed\n"
-        f"made(Path({str(spec)!r}), Path({str(out)!r}), inline)\n"
+        "w.sample.pack = pack\n"
+        f"make_dataset(Path({str(spec)!r}), Path({str(out)!r}), inline)\n"
     )
     done = subprocess.run(
         [sys.executable, "-c", program],
@@ -335,7 +346,7 @@ def test_file_beyond_the_limit_of_a_process_is_a_full_disk(spec, reference, tmp_
     )
     assert "InputError" in done.stderr.splitlines()[-1] and "File too large" in done.stderr.splitlines()[-1]
     assert not list(out.rglob("*.partial"))
-    made(spec, out)
+    make_dataset(spec, out)
     assert whole(out) == reference
 
 
@@ -343,5 +354,5 @@ def test_worker_with_other_libraries_makes_nothing(spec, tmp_path, monkeypatch):
     """Pixels would differ: the run ends before the first one is written."""
     monkeypatch.setattr(sample, "environment", lambda variant: {"variant": variant, "llvm": "0", "cpu": "abacus"})
     with pytest.raises(InputError, match="this worker has another llvm, cpu than the dataset"):
-        made(spec, tmp_path / "ds")
+        make_dataset(spec, tmp_path / "ds")
     assert not (tmp_path / "ds" / "parts").exists()

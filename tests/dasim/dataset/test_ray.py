@@ -13,7 +13,7 @@ import pytest
 from dasim.base import executors
 from dasim.base.errors import InputError
 from dasim.dataset import verify
-from tests.support.datasets import logged, made, spec_file, spread, sums
+from tests.support.datasets import log_entries, make_dataset, spec_file, spread, sums
 
 pytest.importorskip("ray", reason="Ray is not installed (extra 'cluster')")
 pytestmark = [
@@ -70,12 +70,12 @@ def test_worker_and_node_die_in_the_middle(cluster, tmp_path, renderer):
             removed.append(progress.done)
             nodes.remove_node(leaving, allow_graceful=False)
 
-    done = made(spec, out, executors.ray(address, spread), show=watch)
+    done = make_dataset(spec, out, executors.ray(address, spread), show=watch)
     assert removed and (tmp_path / "killed").exists()
     assert {path.name for path in (tmp_path / "nodes").iterdir()} == {kept.node_id, leaving.node_id}
-    assert done.failed == {} and Counter(logged(out)) == {(index, True): 1 for index in range(SAMPLES)}
+    assert done.failed == {} and Counter(log_entries(out)) == {(index, True): 1 for index in range(SAMPLES)}
     assert list(verify.problems(str(out))) == []
-    made(spec, tmp_path / "local")
+    make_dataset(spec, tmp_path / "local")
     assert sums(out) == sums(tmp_path / "local")
 
 

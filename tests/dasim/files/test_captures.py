@@ -138,9 +138,9 @@ def test_wrong_meta_is_refused(folder, change, message):
 
 def test_other_pictures_are_no_raw_pictures(folder):
     assert cv2.imwrite(str(folder / "raw.png"), np.zeros((H, W), np.uint8))
-    with pytest.raises(InputError, match=r"raw\.png: has \d+ bytes of \d+"):
+    with pytest.raises(InputError, match=r"raw\.png: has \d+ bytes instead of \d+"):
         captures.load_capture(folder)
-    with pytest.raises(InputError, match="no 16-bit grey PNG"):
+    with pytest.raises(InputError, match="not a 16-bit grey PNG"):
         png.read_png16(folder / "raw.png")
     (folder / "truth.exr").write_bytes((folder / "raw.png").read_bytes())
     with pytest.raises(InputError, match=r"truth\.exr"):

@@ -90,7 +90,7 @@ def measured(job: Sweep, index: int, broken=()) -> Outcome:
         own["depth-median"] *= 1 + 0.1 * unit.seed
         own |= {"depth-bound": own["depth-median"] ** 0.5, "depth-seen": own["depth-median"]}
         rows.append({"point": point, "seed": unit.seed, "light_chosen": "D55", "figures": own})
-    storage.write(job.out, file_of(job, unit), sample.plain(rows))
+    storage.write(job.out, file_of(job, unit), sample.json_bytes(rows))
     return Outcome(index)
 
 
@@ -498,9 +498,9 @@ def test_the_page_opens_in_a_browser_without_complaint(referred, tmp_path):
 
 @pytest.mark.parametrize("alpha", [0.3, 0.46, 0.9])
 def test_light_loss_is_that_of_eq_1(da_mobile, alpha):
-    from dasim.dataset.specification import varied
+    from dasim.dataset.specification import with_values
 
-    loss = light_loss(varied(da_mobile, {"stops.hole.radius_ratio": alpha}))
+    loss = light_loss(with_values(da_mobile, {"stops.hole.radius_ratio": alpha}))
     assert loss == pytest.approx((1 - alpha**2) / 4, abs=EDGES)
 
 
@@ -562,14 +562,14 @@ def test_half_a_pixel_is_worth_the_depth_of_fig_13(name, depth_m):
 
 @pytest.mark.parametrize(("level", "share"), [(10.0, 1.0), (-3.0, 0.0), (40.0, 0.0)])
 def test_depth_is_scored_where_the_bank_reaches(da_mobile, level, share):
-    """Set-up: a board at a level of the bank, behind the focus, and nearer than the bank's nearest; depth told exactly.
+    """Set-up: a board at a level of the bank, behind the focus, and nearer than the bank's nearest; exact depth.
 
     Expectation: no error; none is said where the pipeline has no such depth.
     """
     camera = cameras.cropped(cameras.refocused(da_mobile, 2.0), 64, 48)
     exact = surfaces.truth(camera, np.full((48, 64), level), np.ones((48, 64, 4)))
-    told = surfaces.told(exact, camera)
-    found = depth_figures(told, exact)
+    estimate = surfaces.exact_reconstruction(exact, camera)
+    found = depth_figures(estimate, exact)
     assert found["in-range"] == share
     assert found.get("depth-median", math.nan) == pytest.approx(0.0 if share else math.nan, abs=1e-9, nan_ok=True)
 

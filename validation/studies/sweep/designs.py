@@ -16,7 +16,7 @@ from dasim.base.errors import InputError
 from dasim.base.toml import parse
 from dasim.camera import geometry
 from dasim.camera.specification import Camera, Levels
-from dasim.dataset.specification import varied
+from dasim.dataset.specification import with_values
 from dasim.scene import targets
 from dasim.scene.mitsuba_scene import MitsubaScene
 from recon.settings import Settings
@@ -43,7 +43,7 @@ def camera_of(spec: StudySpec, point: dict[str, Value]) -> Camera:
         wide, hole = camera.stops[0].name, camera.stops[-1].name
         changes |= {f"stops.{wide}.passes_nm.0.1": point["disc_edge_nm"]}
         changes |= {f"stops.{hole}.passes_nm.0.0": point["disc_edge_nm"]}
-    return varied(camera, changes)
+    return with_values(camera, changes)
 
 
 def with_mosaic(camera: Camera, text: str) -> Camera:

@@ -138,7 +138,7 @@ def work(job: Sweep, index: int) -> Outcome:
     except Exception as error:
         return Outcome(index, describe_error(error))
     try:
-        storage.write(job.out, file_of(job, unit), sample.plain(rows))
+        storage.write(job.out, file_of(job, unit), sample.json_bytes(rows))
     except Exception as error:  # each store raises its own
         return Outcome(index, f"cannot be written: {describe_error(error)}", fatal=True)
     return Outcome(index, seconds=time.perf_counter() - begin)
