@@ -1,7 +1,8 @@
-"""Materials by name and from TOML, 400 to 830 nm, as surfaces for the renderer.
+"""Materials from 400 to 830 nm, by name or specified in TOML, as surfaces for the renderer.
 
-Near-infrared is never extrapolated from RGB: a photograph becomes a material by a rule that the scene names
-(:mod:`~dasim.materials.photographs`), which states what the surface is made of, so that its near-infrared is physical.
+The near-infrared is never extrapolated from RGB. A scene names the rule by which a photograph becomes a material
+(:mod:`~dasim.materials.photographs`); the rule states what the surface consists of, so that its near-infrared is
+physical.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ from dasim.materials.surfaces import (
     Metal,
     Mixture,
     Surface,
-    flipped,
+    flip_images,
     is_diffuse,
     is_textured,
 )
@@ -43,7 +44,7 @@ __all__ = [
     "Mixture",
     "Surface",
     "Texture",
-    "flipped",
+    "flip_images",
     "is_textured",
     "material_names",
     "photograph_surface",
@@ -54,9 +55,9 @@ __all__ = [
 # --- names ---------------------------------------------------------------------------------------
 
 CONDUCTORS = {"aluminium": "Al", "chromium": "Cr", "copper": "Cu", "gold": "Au", "silver": "Ag", "tungsten": "W"}
-_METAL_SOURCE = "complex index measured to 885 nm, as Mitsuba has it; GGX alpha 0.1"
+_METAL_SOURCE = "complex index measured to 885 nm, from Mitsuba's tables; GGX alpha 0.1"
 _GLASS_SOURCE = "clear crown glass, index 1.52 at all wavelengths"
-_GLOSSY = {  # base, roughness of the coat
+_GLOSSY = {  # base material, roughness of its coat
     "porcelain": ("ceramic-white", 0.0),
     "varnished-wood": ("wood-light", 0.08),
     "glossy-plastic-black": ("plastic-black", 0.05),
@@ -69,37 +70,40 @@ _GLOSSY = {  # base, roughness of the coat
 
 
 def diffuse_names() -> list[str]:
-    """Names of the Lambertian materials, those that have a reflectance."""
+    """Sorted names of the Lambertian materials, which are those with a reflectance."""
     return sorted([*reflectances.names(), *colour_checker.PATCHES])
 
 
 def material_names() -> list[str]:
-    """Names of the bundled materials, sorted; objects of a scene refer to them by name."""
+    """Sorted names of the bundled materials, by which the objects of a scene refer to them."""
     return sorted([*diffuse_names(), *CONDUCTORS, "glass", "glass-pane", *_GLOSSY])
 
 
 def reflectance(name: str) -> FloatArray:
-    """Reflectance 0..1 of a named Lambertian material on ``WAVELENGTH_NM``; InputError where there is none."""
+    """Reflectance 0..1 of a Lambertian material on ``WAVELENGTH_NM``, [wavelength].
+
+    InputError for an unknown name, and for metals, glass and coated materials.
+    """
     if name in colour_checker.PATCHES:
         return colour_checker.curve(name)
     if name in reflectances.names():
         return reflectances.curve(name)
     if name in material_names():
-        raise InputError(f"material '{name}' is not diffuse, so that it has no reflectance of its own; take another")
+        raise InputError(f"material '{name}' is not diffuse and has no reflectance of its own; use a diffuse material")
     raise InputError(unknown(name))
 
 
 def unknown(name: str, own: Iterable[str] = ()) -> str:
-    """What to tell who named a material that is neither in the library nor among a scene's ``own``."""
+    """Error message for a material name that is neither in the library nor among a scene's ``own`` materials."""
     known = [*own, *material_names()]
     near = get_close_matches(name, known, n=4, cutoff=0.5)
-    near += [item for item in own if item not in near]  # a scene has few
+    near += [item for item in own if item not in near]  # all of the scene's own, since there are few
     nearest = f"nearest are {', '.join(near)}; " if near else ""
     return f"material '{name}' is unknown; {nearest}all are in 'dasim list materials'"
 
 
 def kind_and_source(name: str) -> tuple[str, str]:
-    """What a named material is (diffuse, metal, glass, coated), and where its numbers are from."""
+    """Kind of a bundled material (diffuse, metal, glass, coated) and the source of its numbers, in one line."""
     if name in CONDUCTORS:
         return "metal", _METAL_SOURCE
     if name in ("glass", "glass-pane"):
@@ -110,7 +114,7 @@ def kind_and_source(name: str) -> tuple[str, str]:
     return "diffuse", colour_checker.SOURCE if name in colour_checker.PATCHES else reflectances.source(name)
 
 
-def _named(name: str) -> Surface:
+def _bundled(name: str) -> Surface:
     if name in CONDUCTORS:
         return Metal(CONDUCTORS[name])
     if name in ("glass", "glass-pane"):
@@ -121,22 +125,22 @@ def _named(name: str) -> Surface:
     return Diffuse(reflectance(name))
 
 
-# --- how a scene describes a material ------------------------------------------------------------
+# --- specifications in scenes --------------------------------------------------------------------
 
 
 Repeat = Annotated[float, Field(gt=0, le=1000)]
-Roughness = Annotated[float, Field(ge=0, le=1, description="GGX alpha; 0 is a mirror")]
+Roughness = Annotated[float, Field(ge=0, le=1, description="GGX alpha; 0 is perfectly smooth")]
 
 
 class _Textured(Specification):
     image: str = Field(description="a file beside the scene, skimage:NAME or pattern:NAME")
     repeat: tuple[Repeat, Repeat] = Field(
-        default=(1.0, 1.0), description="copies across and down, every other mirrored"
+        default=(1.0, 1.0), description="copies across and down, every other one mirrored"
     )
 
 
 class Blend(_Textured):
-    """Two materials mixed by the luminance of a picture: no colour of the picture's own."""
+    """Two materials mixed by the luminance of a picture, whose colours are ignored."""
 
     kind: Literal["blend"]
     dark: str
@@ -144,7 +148,7 @@ class Blend(_Textured):
 
 
 class Print(_Textured):
-    """A photograph printed with process inks: its near-infrared is that of paper and black ink alone."""
+    """A photograph printed with process inks; paper and black ink alone determine its near-infrared."""
 
     kind: Literal["print"]
     paper: str = photographs.PRINT_PAPER
@@ -164,12 +168,15 @@ class Photo(_Textured):
     def _has_a_rule(cls, data: Any) -> Any:
         if isinstance(data, dict) and "rule" not in data:
             rules = ", ".join(f"'{name}'" for name in NEAR_INFRARED_RULES)
-            raise ValueError(f"a 'photo' says nothing about the near-infrared: add rule = one of {rules}")
+            raise ValueError(f"a 'photo' does not determine the near-infrared: add rule = one of {rules}")
         return data
 
 
 class Spectrum(Specification):
-    """A Lambertian material of the user's own: a CSV file (wavelength_nm, reflectance) or points, 400 to 830 nm."""
+    """A Lambertian material with the user's own spectrum: a CSV file (wavelength_nm, reflectance) or points.
+
+    The spectrum must cover 400 to 830 nm.
+    """
 
     kind: Literal["spectrum"]
     file: str | None = Field(default=None, min_length=1)
@@ -183,7 +190,7 @@ class Spectrum(Specification):
 
 
 class MetalFinish(Specification):
-    """A bare metal with a roughness."""
+    """A bare metal with a rough or smooth surface."""
 
     kind: Literal["metal"]
     metal: Literal["aluminium", "chromium", "copper", "gold", "silver", "tungsten"]
@@ -191,7 +198,7 @@ class MetalFinish(Specification):
 
 
 class GlassBody(Specification):
-    """Clear glass: a closed body, or a thin pane (a plane or disc) that does not refract."""
+    """Clear glass: a closed body, or a thin pane (a plane or disc) that transmits without refraction."""
 
     kind: Literal["glass"]
     refractive_index: float = Field(default=CROWN_GLASS_INDEX, ge=1.01, le=2.5)
@@ -199,24 +206,24 @@ class GlassBody(Specification):
 
 
 class Coating(Specification):
-    """A clear coat over a diffuse material or texture: plastic, glaze, varnish, a laminated print."""
+    """A clear coat over a diffuse material or texture, as on plastic, glazed ceramics, varnish or laminated prints."""
 
     kind: Literal["coated"]
     base: Part
-    roughness: float = Field(default=0.1, ge=0, le=0.5, description="GGX alpha; rougher is matt: no coat")
+    roughness: float = Field(default=0.1, ge=0, le=0.5, description="GGX alpha; a rougher coat would look matt")
     refractive_index: float = Field(default=CLEAR_COAT_INDEX, ge=1.01, le=2.5)
 
 
 class Layer(Specification):
-    """A material that covers what is below where its mask is white."""
+    """A material that covers the layers below it where its mask is white."""
 
     material: Part
-    mask: str = Field(description="an image whose values are shares as they stand, or pattern:NAME")
+    mask: str = Field(description="an image whose values are shares 0..1 without decoding, or pattern:NAME")
     repeat: tuple[Repeat, Repeat] = (1.0, 1.0)
 
 
 class Mix(Specification):
-    """A base and layers over it, the last one on top."""
+    """A base material under layers, the last of them on top."""
 
     kind: Literal["mix"]
     base: Part
@@ -253,27 +260,30 @@ Layer.model_rebuild()
 Mix.model_rebuild()
 
 
-# --- what the renderer gets ----------------------------------------------------------------------
+# --- surfaces for the renderer -------------------------------------------------------------------
 
 
 def surface(texture: Any, folder: Path) -> Surface:
-    """Resolve a material's name or ``Texture``; its files are looked up in ``folder``."""
+    """Resolve the name of a material or a ``Texture`` to a surface; its files are looked up in ``folder``.
+
+    InputError for unknown names, unusable files, and combinations that the renderer does not support.
+    """
     match texture:
         case str():
-            return _named(texture)
+            return _bundled(texture)
         case Blend():
             share = photographs.luminance(photographs.linear_rgb(texture.image, folder))
             dark, bright = (_opaque(name, folder) for name in (texture.dark, texture.bright))
             return Mixture(np.clip(share, 0.0, 1.0), dark, bright, texture.repeat)
         case Print():
             image = photographs.linear_rgb(texture.image, folder)
-            return photographs.printed(image, reflectance(texture.paper), texture.black_generation, texture.repeat)
+            return photographs.halftone(image, reflectance(texture.paper), texture.black_generation, texture.repeat)
         case Photo():
             return photograph_surface(photographs.linear_rgb(texture.image, folder), texture.rule, texture.repeat)
         case Spectrum():
             where = "points" if texture.file is None else f"file '{texture.file}'"
             points = measured.read(folder / texture.file, where) if texture.file else np.array(texture.points, float)
-            return Diffuse(measured.checked(points, where))
+            return Diffuse(measured.resample(points, where))
         case MetalFinish():
             return Metal(CONDUCTORS[texture.metal], texture.roughness)
         case GlassBody():
@@ -290,16 +300,17 @@ def surface(texture: Any, folder: Path) -> Surface:
 
 
 def _opaque(part: Any, folder: Path) -> Surface:
-    found = surface(part, folder)
-    if isinstance(found, Glass):
-        raise InputError(f"material '{part}' is clear and cannot be mixed; mix opaque ones")
-    return found
+    """The surface of a part of a mixture; InputError for glass."""
+    opaque = surface(part, folder)
+    if isinstance(opaque, Glass):
+        raise InputError(f"material '{part}' is clear and cannot be mixed; mix opaque materials only")
+    return opaque
 
 
 def _coated(texture: Coating, folder: Path) -> Coated:
     base = surface(texture.base, folder)
     if not isinstance(base, Diffuse | Mixture) or not is_diffuse(base):
         raise InputError(
-            "base: a clear coat goes over diffuse materials and mixtures of them, not metal, glass or gloss"
+            "base: a clear coat needs diffuse materials or mixtures of them, not metal, glass or another coat"
         )
     return Coated(base, texture.roughness, texture.refractive_index)

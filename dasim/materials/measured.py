@@ -1,4 +1,4 @@
-"""Reflectances that a user measured: checked, never extrapolated.
+"""Reflectance spectra measured by the user: read, checked and resampled, never extrapolated.
 
 Tested in tests/dasim/materials/test_library.py.
 """
@@ -14,10 +14,11 @@ from dasim.spectra.grid import WAVELENGTH_NM
 from dasim.typing import FloatArray
 
 
-def checked(points: FloatArray, where: str) -> FloatArray:
-    """Reflectance on ``WAVELENGTH_NM`` through ``points`` [n, 2] of (wavelength in nm, reflectance 0..1).
+def resample(points: FloatArray, where: str) -> FloatArray:
+    """Reflectance [wavelength] on ``WAVELENGTH_NM``, by linear interpolation of points [n, 2].
 
-    InputError, which ``where`` begins, says what is wrong with them.
+    A point is a wavelength in nm and a reflectance 0..1; wavelengths must increase and cover the whole grid. InputError
+    names the first problem; ``where`` is the start of its message.
     """
     first, last = WAVELENGTH_NM[0], WAVELENGTH_NM[-1]
     if len(points) < 2 or (np.diff(points[:, 0]) <= 0).any():
@@ -26,22 +27,25 @@ def checked(points: FloatArray, where: str) -> FloatArray:
     if low > first or high < last:
         raise InputError(
             f"{where}: reaches from {low:g} to {high:g} nm, must cover {first:g} to {last:g} nm; "
-            "measure or choose what lies beyond, nothing is extrapolated"
+            "add measured or assumed values there; nothing is extrapolated"
         )
     ends = np.array([(nm, np.interp(nm, points[:, 0], points[:, 1])) for nm in (first, last)])
-    used = np.vstack([ends, points[(points[:, 0] >= first) & (points[:, 0] <= last)]])
-    if used[:, 1].max(initial=0.0) > 1:
-        peak = used[used[:, 1].argmax()]
+    inside = np.vstack([ends, points[(points[:, 0] >= first) & (points[:, 0] <= last)]])
+    if inside[:, 1].max(initial=0.0) > 1:
+        peak = inside[inside[:, 1].argmax()]
         hint = "; is it in percent?" if peak[1] > 1.5 else ""
-        raise InputError(f"{where}: reflects more than it receives ({peak[1]:g} at {peak[0]:g} nm, at most 1{hint})")
-    if used[:, 1].min(initial=0.0) < 0:
-        low = used[used[:, 1].argmin()]
-        raise InputError(f"{where}: reflects less than nothing ({low[1]:g} at {low[0]:g} nm, at least 0)")
+        raise InputError(f"{where}: reflectance {peak[1]:g} at {peak[0]:g} nm; at most 1 is possible{hint}")
+    if inside[:, 1].min(initial=0.0) < 0:
+        low = inside[inside[:, 1].argmin()]
+        raise InputError(f"{where}: reflectance {low[1]:g} at {low[0]:g} nm; it must not be negative")
     return np.clip(np.interp(WAVELENGTH_NM, points[:, 0], points[:, 1]), 0.0, 1.0)
 
 
 def read(path: Path, where: str) -> FloatArray:
-    """Points [n, 2] of a CSV file with the header ``wavelength_nm,reflectance``; lines from # on are remarks."""
+    """Points [n, 2] of a CSV file with the header ``wavelength_nm,reflectance``; lines that start with # are comments.
+
+    InputError where the file is missing or has another format; ``where`` is the start of its message.
+    """
     try:
         lines = [line for line in path.read_text(encoding="utf-8-sig").splitlines() if line.strip()]
     except (OSError, UnicodeDecodeError) as error:

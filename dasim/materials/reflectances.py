@@ -1,8 +1,8 @@
-"""Named Lambertian reflectances from 400 to 830 nm, parametric, each with its source.
+"""Parametric Lambertian reflectances from 400 to 830 nm, by name, each with its source.
 
-None is measured here: every curve is a few numbers drawn through what the named publication or database shows
-("in shape like"), so that a scene's near-infrared is right in kind and in size. Curves of real specimens scatter
-around them by 0.05 and more; who needs one specimen brings its own spectrum (``materials.Spectrum``).
+No curve is a measurement: each is a few parameters that follow the curves of the cited publication or database ("in
+shape like"), so that the near-infrared of a scene is realistic in kind and magnitude. Real specimens deviate by 0.05
+and more; for a particular specimen, supply its spectrum (``dasim.materials.library.Spectrum``).
 """
 
 from __future__ import annotations
@@ -25,30 +25,30 @@ PLASTICS = "in shape like the plastics of the USGS Spectral Library 7 (Kokaly et
 
 
 class Reflectance(NamedTuple):
-    """A curve 0..1 on ``WAVELENGTH_NM`` and where its numbers are from."""
+    """A reflectance curve 0..1 on ``WAVELENGTH_NM``, and the source of its numbers."""
 
     curve: FloatArray
     source: str
 
 
 def line(*points: tuple[float, float]) -> FloatArray:
-    """Straight lines through (wavelength, reflectance) points."""
+    """Linear interpolation of (wavelength in nm, reflectance) points, [wavelength]."""
     return np.interp(WAVELENGTH_NM, *np.transpose(points))
 
 
 def bell(centre_nm: float, sigma_nm: float) -> FloatArray:
-    """A Gaussian of height 1."""
+    """A Gaussian over wavelength with peak 1, [wavelength]."""
     return np.exp(-0.5 * ((WAVELENGTH_NM - centre_nm) / sigma_nm) ** 2)
 
 
-# --- pigments that dissolve: inks and dyes -------------------------------------------------------
+# --- transparent colorants: inks and dyes --------------------------------------------------------
 
 
 def ink_transmittances() -> dict[str, FloatArray]:
-    """Two-way transmittance of solid process inks on paper: transparent beyond 700 to 740 nm.
+    """Two-way transmittance of solid process inks on paper, by ink; transparent beyond 700 to 740 nm.
 
-    Edges and side absorptions are chosen so that solids on ``white-paper`` have about the colours of
-    ISO 12647-2 under D50 (CIELAB 56 -36 -51, 48 75 -4 and 89 -4 93).
+    Edges and side absorptions are chosen so that solids on ``white-paper`` approximate the colours of ISO 12647-2 under
+    D50 (CIELAB 56 -36 -51 for cyan, 48 75 -4 for magenta, 89 -4 93 for yellow).
     """
     return {
         "cyan": (1.0 - 0.94 * long_pass(530.0, 72.0) * short_pass(704.0, 40.0))
@@ -59,7 +59,7 @@ def ink_transmittances() -> dict[str, FloatArray]:
     }
 
 
-DYE_STRENGTH = 14.0  # peak K/S of a full dyeing: its band reflects about 0.03
+DYE_STRENGTH = 14.0  # peak K/S at full strength: the reflectance of the absorption band is then about 0.03
 
 
 def dye_absorptions() -> dict[str, FloatArray]:
@@ -71,8 +71,12 @@ def dye_absorptions() -> dict[str, FloatArray]:
     }
 
 
-def dyed(base: FloatArray, absorption: FloatArray) -> FloatArray:
-    """Reflectance of an opaque fabric with a dye: K/S adds to that of the undyed one (Kubelka and Munk 1931)."""
+def dyed_reflectance(base: FloatArray, absorption: FloatArray) -> FloatArray:
+    """Reflectance of an opaque dyed fabric (Kubelka and Munk 1931), [wavelength].
+
+    The K/S of the dye, ``absorption``, adds to that of the undyed fabric, (1 - R)^2 / (2 R) with its reflectance R,
+    ``base``.
+    """
     ratio = (1.0 - base) ** 2 / (2.0 * base) + absorption
     return 1.0 + ratio - np.sqrt(ratio**2 + 2.0 * ratio)
 
@@ -87,7 +91,7 @@ def _papers_and_inks() -> dict[str, Reflectance]:
         "white-paper": Reflectance(paper, "bleached pulp without brightener, " + USGS),
         "newsprint": Reflectance(
             line((400, 0.36), (450, 0.46), (500, 0.52), (600, 0.59), (700, 0.67), (830, 0.74)),
-            "lignin absorbs short waves; " + USGS,
+            "lignin absorbs short wavelengths; " + USGS,
         ),
         "cardboard": Reflectance(
             line((400, 0.12), (450, 0.16), (500, 0.22), (600, 0.37), (700, 0.50), (830, 0.62)), "unbleached; " + USGS
@@ -96,7 +100,7 @@ def _papers_and_inks() -> dict[str, Reflectance]:
             line((400, 0.030), (830, 0.035)), "carbon black in resin: flat to the near-infrared"
         ),
         "carbon-black": Reflectance(line((400, 0.035), (830, 0.04)), "soot absorbs broadband; " + USGS),
-        "grey-card": Reflectance(line((400, 0.18), (830, 0.185)), "nominal 18 % grey, its pigment neutral to 830 nm"),
+        "grey-card": Reflectance(line((400, 0.18), (830, 0.185)), "nominal 18 % grey, neutral to 830 nm"),
     }
 
 
@@ -124,7 +128,7 @@ def _plants() -> dict[str, Reflectance]:
     def petal(visible: FloatArray) -> Reflectance:
         return Reflectance(visible, FLOWERS)
 
-    # Petals hold no chlorophyll and scatter in air gaps: bright beyond the band of their pigment.
+    # Petals contain no chlorophyll and scatter light in air gaps: they are bright outside the band of their pigment.
     bright = line((400, 0.58), (600, 0.66), (830, 0.70))
     anthocyanin_red = short_pass(604.0, 40.0)
     anthocyanin_violet = bell(548.0, 44.0) + 0.6 * bell(600.0, 34.0)
@@ -147,11 +151,11 @@ def _plants() -> dict[str, Reflectance]:
 
 
 def _skin(melanin: float) -> Reflectance:
-    """Light from the dermis, filtered by haemoglobin there and twice by the epidermis' melanin.
+    """Skin: light scattered in the dermis, absorbed there by haemoglobin and twice in the epidermis by melanin.
 
-    ``melanin`` is the two-way optical density (natural) of the epidermis at 550 nm; it falls as wavelength^-3.33
-    (Jacques 2013). The bands of oxyhaemoglobin at 415, 542 and 577 nm make the W of blushing skin; it is
-    nearly transparent beyond 600 nm. The surface reflects 0.035 of its own (Fresnel, roughened).
+    ``melanin`` is the two-way natural optical density of the epidermis at 550 nm, which is proportional to
+    wavelength^-3.33 (Jacques 2013). Oxyhaemoglobin absorbs at 415, 542 and 577 nm, the last two in the W shape that is
+    typical of skin, and is nearly transparent beyond 600 nm. The rough surface adds a Fresnel reflectance of 0.035.
     """
     haemoglobin = 1.0 * bell(417.0, 24.0) + 0.30 * bell(542.0, 11.0) + 0.36 * bell(577.0, 8.0)
     haemoglobin = haemoglobin + 0.30 * short_pass(592.0, 26.0)
@@ -165,7 +169,7 @@ def _textiles() -> dict[str, Reflectance]:
     cyan, magenta, yellow = dye_absorptions().values()
 
     def cotton(*dyes: FloatArray) -> Reflectance:
-        return Reflectance(dyed(undyed, sum(dyes, np.zeros_like(undyed))), DYES)
+        return Reflectance(dyed_reflectance(undyed, sum(dyes, np.zeros_like(undyed))), DYES)
 
     indigo = 5.5 * bell(650.0, 44.0) + 2.0 * short_pass(640.0, 150.0) * long_pass(470.0, 60.0)
     return {
@@ -176,7 +180,9 @@ def _textiles() -> dict[str, Reflectance]:
         "cotton-green": cotton(0.45 * cyan, 0.06 * magenta, 0.25 * yellow),
         "cotton-blue": cotton(0.5 * cyan, 0.25 * magenta),
         "cotton-black": cotton(cyan, magenta, yellow),
-        "denim": Reflectance(dyed(undyed, indigo), "indigo absorbs around 650 nm; Kubelka-Munk on undyed cotton"),
+        "denim": Reflectance(
+            dyed_reflectance(undyed, indigo), "indigo absorbs around 650 nm; Kubelka-Munk on undyed cotton"
+        ),
         "wool-undyed": Reflectance(line((400, 0.24), (500, 0.46), (600, 0.58), (700, 0.65), (830, 0.70)), USGS),
         "polyester-black": Reflectance(
             0.04 + 0.50 * long_pass(715.0, 70.0), "disperse dyes, transparent in the near-infrared; " + USGS
@@ -196,7 +202,7 @@ def _plastics() -> dict[str, Reflectance]:
         "plastic-red": plastic(0.04 + 0.66 * long_pass(598.0, 34.0)),
         "plastic-yellow": plastic(0.05 + 0.68 * long_pass(512.0, 36.0)),
         "plastic-green": plastic(0.04 + 0.24 * bell(522.0, 30.0) + 0.40 * long_pass(762.0, 70.0)),
-        # Phthalocyanine and ultramarine: closed from 550 to 700 nm, open beyond.
+        # Phthalocyanine and ultramarine absorb from 550 to 700 nm and are transparent beyond.
         "plastic-blue": plastic(0.04 + 0.36 * bell(455.0, 36.0) + 0.50 * long_pass(745.0, 70.0)),
         "plastic-black": plastic(line((400, 0.045), (830, 0.05))),
         "rubber-black": plastic(line((400, 0.04), (830, 0.05))),
@@ -210,15 +216,15 @@ def _all() -> dict[str, Reflectance]:
 
 
 def names() -> list[str]:
-    """Names of the curves, in alphabetical order."""
+    """Sorted names of the curves."""
     return sorted(_all())
 
 
 def curve(name: str) -> FloatArray:
-    """Reflectance 0..1 of one of :func:`names` on ``WAVELENGTH_NM``."""
+    """Reflectance 0..1 on ``WAVELENGTH_NM`` of one of :func:`names`, [wavelength]."""
     return _all()[name].curve.copy()
 
 
 def source(name: str) -> str:
-    """Where the numbers of one of :func:`names` are from, in one line."""
+    """Source of the numbers of one of :func:`names`, in one line."""
     return _all()[name].source

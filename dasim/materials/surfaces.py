@@ -1,4 +1,4 @@
-"""What the renderer gets of a material: a surface as a value, without names or files.
+"""Surfaces: materials as plain values for the renderer, free of names and files.
 
 Tested in tests/dasim/materials/test_library.py.
 """
@@ -11,20 +11,20 @@ import numpy as np
 
 from dasim.typing import Float32Array, FloatArray
 
-CLEAR_COAT_INDEX = 1.5  # of resins, varnishes and glazes
-CROWN_GLASS_INDEX = 1.52
+CLEAR_COAT_INDEX = 1.5  # refractive index of resins, varnishes and glazes
+CROWN_GLASS_INDEX = 1.52  # refractive index
 
 
 @dataclass(frozen=True)
 class Diffuse:
-    """A Lambertian surface of one reflectance spectrum."""
+    """A Lambertian surface with one reflectance spectrum 0..1, [wavelength] on ``WAVELENGTH_NM``."""
 
     reflectance: FloatArray
 
 
 @dataclass(frozen=True)
 class Mixture:
-    """``first`` and ``second`` mixed by an image of the second's share, [h, w] 0..1, top row first."""
+    """Two surfaces mixed by an image: ``weight``, [h, w] 0..1, top row first, is the share of ``second``."""
 
     weight: Float32Array
     first: Surface
@@ -34,9 +34,9 @@ class Mixture:
 
 @dataclass(frozen=True)
 class Metal:
-    """A bare metal by its measured complex index of refraction; ``roughness`` is the GGX alpha, 0 is a mirror.
+    """A bare metal with its measured complex refractive index; ``roughness`` is the GGX alpha, 0 for a mirror.
 
-    Rough metals lose what would be reflected twice within the microfacets (some percent from alpha 0.3).
+    Multiple reflection between microfacets is not modelled: rough metals lose some percent of light from alpha 0.3.
     """
 
     conductor: str  # Mitsuba's name of the measured constants
@@ -45,10 +45,10 @@ class Metal:
 
 @dataclass(frozen=True)
 class Glass:
-    """Clear glass without absorption; ``thin`` is a pane of two parallel sides as one sheet, without refraction.
+    """Clear glass without absorption or dispersion; ``thin`` models a pane of two parallel faces as one sheet.
 
-    Its true depth is that of the glass: ground truth knows the first surface only, here as for mirrors. Blur that is
-    wave-true is that of the glass' own depth too. The index is the same at all wavelengths.
+    A thin pane does not refract. Ground truth holds the first visible surface only, so that the true depth is that of
+    the glass itself, not of objects behind it (likewise for mirrors); so is the depth for wave-optical blur.
     """
 
     refractive_index: float = CROWN_GLASS_INDEX
@@ -57,13 +57,13 @@ class Glass:
 
 @dataclass(frozen=True)
 class Coated:
-    """Diffuse paint, print or clay under a clear coat that adds a gloss; ``roughness`` 0 is a mirror gloss.
+    """A diffuse base (paint, print, clay) under a clear coat whose GGX alpha is ``roughness``, 0 for a mirror gloss.
 
-    The base's reflectance is the one seen through the coat (as a sphere measures it without its gloss), so what is
-    reflected twice inside the coat is in it already.
+    The reflectance of the base is that measured through the coat (with an integrating sphere, specular excluded), so
+    that it already contains multiple reflections inside the coat.
     """
 
-    base: Diffuse | Mixture  # of diffuse parts only
+    base: Diffuse | Mixture  # all leaves must be Diffuse
     roughness: float = 0.1
     refractive_index: float = CLEAR_COAT_INDEX
 
@@ -72,12 +72,12 @@ Surface = Diffuse | Mixture | Metal | Glass | Coated
 
 
 def leaves(surface: Surface) -> list[Surface]:
-    """The parts that a tree of mixtures ends in, first before second."""
+    """Leaves of a tree of mixtures, those of ``first`` before those of ``second``."""
     return [*leaves(surface.first), *leaves(surface.second)] if isinstance(surface, Mixture) else [surface]
 
 
 def is_diffuse(surface: Surface) -> bool:
-    """Whether all parts of a surface are Lambertian."""
+    """Whether all leaves of a surface are Lambertian."""
     return all(isinstance(leaf, Diffuse) for leaf in leaves(surface))
 
 
@@ -86,9 +86,9 @@ def is_textured(surface: Surface) -> bool:
     return isinstance(surface.base if isinstance(surface, Coated) else surface, Mixture)
 
 
-def flipped(surface: Surface) -> Surface:
-    """The surface with its images upside down."""
-    images: dict[int, Float32Array] = {}  # an image that a tree shares stays shared
+def flip_images(surface: Surface) -> Surface:
+    """Turn the images of a surface upside down."""
+    images: dict[int, Float32Array] = {}  # keeps images that the tree shares shared
 
     def turn(part: Surface) -> Surface:
         if not isinstance(part, Mixture):

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from dasim.materials.surfaces import Coated, Diffuse, Glass, Metal, Mixture, Surface, flipped, is_diffuse
+from dasim.materials.surfaces import Coated, Diffuse, Glass, Metal, Mixture, Surface, flip_images, is_diffuse
 from dasim.render.mixture import mixture_dict
 from dasim.render.plugin import spectrum_dict
 from dasim.spectra.grid import WAVELENGTH_NM
@@ -29,7 +29,7 @@ def surface_bsdf(surface: Surface, *, flip: bool) -> Any:
     """
     import mitsuba as mi
 
-    inner = bsdf_dict(flipped(surface) if flip else surface)
+    inner = bsdf_dict(flip_images(surface) if flip else surface)
     return mi.load_dict(inner if isinstance(surface, Glass) else {"type": "twosided", "bsdf": inner})
 
 

@@ -100,7 +100,7 @@ def test_dead_leaves_are_even_in_grey_and_alike_at_every_scale():
         ("dead-leafs", ["'pattern:dead-leafs'", "siemens-star", "did you mean 'dead-leaves'"]),
         ("stripes:0", ["'pattern:stripes:0'", "pairs of stripes", "from 1 to 256"]),
         ("stripes:", ["pairs of stripes"]),
-        ("stripes:4.5", ["whole one"]),
+        ("stripes:4.5", ["must be whole"]),
         ("noise:-1", ["seed"]),
         ("", ["there are"]),
     ],

@@ -92,12 +92,12 @@ def test_process_inks_have_their_colour_and_are_transparent_in_the_near_infrared
 
 def test_kubelka_munk_of_no_dye_is_the_fabric_and_more_dye_is_darker():
     fabric = curve("cotton-undyed")
-    np.testing.assert_allclose(reflectances.dyed(fabric, np.zeros_like(fabric)), fabric, rtol=1e-9)
+    np.testing.assert_allclose(reflectances.dyed_reflectance(fabric, np.zeros_like(fabric)), fabric, rtol=1e-9)
     cyan = reflectances.dye_absorptions()["cyan"]
-    once, twice = (reflectances.dyed(fabric, amount * cyan) for amount in (1, 2))
+    once, twice = (reflectances.dyed_reflectance(fabric, amount * cyan) for amount in (1, 2))
     assert (twice <= once).all() and (once <= fabric).all()
     # K/S of a perfect white with absorption 1: R = 2 - sqrt(3)
-    assert reflectances.dyed(np.array([1.0]), np.array([1.0]))[0] == pytest.approx(2 - np.sqrt(3))
+    assert reflectances.dyed_reflectance(np.array([1.0]), np.array([1.0]))[0] == pytest.approx(2 - np.sqrt(3))
 
 
 # --- the ColorChecker ----------------------------------------------------------------------------
