@@ -1,12 +1,12 @@
-"""Reconstruction: from a raw picture of a dual-aperture camera to colour, depth and an all-in-focus picture.
+"""Reconstruction of colour, depth and an all-in-focus picture from a raw picture of a dual-aperture camera.
 
 >>> import dasim, recon
 >>> bank = recon.calibrate(dasim.calibration_captures(camera))
 >>> result = recon.reconstruct(shot.capture, bank)
 
-``calibrate`` measures point-spread functions, ``reconstruct`` applies them; ``develop`` makes the colour picture
-alone; ``refocus`` focuses the result anew. Values and their files are shared with the simulator, its optics are not.
-The public names stand in ``__init__.pyi`` and are loaded on first use.
+``calibrate`` measures point-spread functions and ``reconstruct`` applies them. ``develop`` computes the colour picture
+alone, and ``refocus`` changes the focus of a result. The simulator shares its values and file formats with this
+package, but not its optics. Public names are declared in ``__init__.pyi`` and loaded on first use.
 """
 
 import lazy_loader

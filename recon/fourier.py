@@ -1,4 +1,4 @@
-"""Frames without borders for the Fourier domain, and kernels as transfer functions."""
+"""Fourier transforms: frames padded to periodic ones, and the transfer functions of kernels."""
 
 from __future__ import annotations
 
@@ -12,61 +12,60 @@ WORKERS = 2
 
 
 def fast_shape(shape: tuple[int, ...], margin: int, multiple: int = 1) -> tuple[int, int]:
-    """Frame [h, w] enlarged by at least ``margin`` pixels to sizes of fast transforms, multiples of ``multiple``."""
+    """Size [h, w] of a frame padded by at least ``margin`` pixels, fast to transform and a multiple of ``multiple``."""
     height, width = (multiple * fft.next_fast_len(-(-(n + margin) // multiple), real=True) for n in shape[:2])
     return height, width
 
 
 def pad_blended(image: Float32Array, shape: tuple[int, int]) -> Float32Array:
-    """Enlarge an image [h, w] at the bottom and right to ``shape`` so that opposite edges meet smoothly.
+    """Pad an image [h, w] at the bottom and right to ``shape``, so that its periodic continuation has no step.
 
-    The strip blends linearly from the mirror image at one edge to the mirror image at the opposite edge.
-    The frame's periodic continuation, which the Fourier domain assumes, then has no step.
+    The padding blends linearly from the mirror image at one edge to the mirror image at the opposite edge.
     """
     for axis in (0, 1):
         size, strip = image.shape[axis], shape[axis] - image.shape[axis]
         if strip <= 0:
             continue
         index = np.arange(strip)
-        ending = np.take(image, _mirror(size + index, size), axis=axis)
-        starting = np.take(image, _mirror(index - strip, size), axis=axis)
+        after_end = np.take(image, _mirror(size + index, size), axis=axis)
+        before_start = np.take(image, _mirror(index - strip, size), axis=axis)
         share = ((index + 1) / (strip + 1)).astype(np.float32)
         share = share[:, None] if axis == 0 else share[None, :]
-        image = np.concatenate([image, (1 - share) * ending + share * starting], axis=axis)
+        image = np.concatenate([image, (1 - share) * after_end + share * before_start], axis=axis)
     return image.astype(np.float32, copy=False)
 
 
 def _mirror(index: NDArray, size: int) -> NDArray:
-    """Index of the sample that position ``index`` mirrors, half-sample symmetric."""
+    """Index within ``size`` samples that a position outside maps to, half-sample symmetric."""
     folded = np.mod(index, 2 * size)
     return np.where(folded < size, folded, 2 * size - 1 - folded)
 
 
 def forward(image: Float32Array, workers: int = WORKERS) -> Complex64Array:
-    """Real two-dimensional transform of the last two axes."""
+    """Transform of a real image [..., h, w] along the last two axes, [..., h, w/2 + 1]."""
     return fft.rfft2(image, workers=workers)
 
 
 def inverse(spectrum: Complex64Array, shape: tuple[int, int], workers: int = WORKERS) -> Float32Array:
-    """Real two-dimensional inverse transform to [..., h, w]."""
+    """Real image [..., h, w] of a spectrum [..., h, w/2 + 1]; ``shape`` is [h, w]."""
     return fft.irfft2(spectrum, shape, workers=workers)
 
 
 def frequencies(shape: tuple[int, int], spacing_px: float = 1.0) -> tuple[NDArray, NDArray]:
-    """Frequencies (fy [h, 1], fx [1, w/2 + 1]) in cycles per pixel of a grid whose samples lie ``spacing_px`` apart."""
+    """Frequencies fy [h, 1] and fx [1, w/2 + 1] in cycles per pixel, of a grid with a spacing of ``spacing_px``."""
     return fft.fftfreq(shape[0], spacing_px)[:, None], fft.rfftfreq(shape[1], spacing_px)[None, :]
 
 
 def transfer(kernel: NDArray, shape: tuple[int, int], spacing_px: float = 1.0) -> Complex64Array:
     """Transfer function [h, w/2 + 1] of a kernel [..., size, size] centred on its middle pixel.
 
-    Evaluated at the frequencies of a grid of ``spacing_px``, as sum h(y, x) exp(-2 pi i (fy y + fx x)).
+    sum h(y, x) exp(-2 pi i (fy y + fx x)) at the frequencies of a grid with a spacing of ``spacing_px``, an integer.
     """
     step = round(spacing_px)
     if step != spacing_px:
-        raise ValueError(f"samples {spacing_px} pixels apart; a whole number is needed")
-    # The transform on a grid of pixels, and of that what the coarser grid holds, one axis after the other: no linear
-    # algebra, whose waiting threads take the other cores.
+        raise ValueError(f"a sample spacing of {spacing_px} pixels; a whole number is needed")
+    # The transform on the pixel grid, restricted to the frequencies of the coarser grid, one axis at a time. A matrix
+    # product would be shorter, but its idle threads occupy the other cores.
     half = (shape[0] + 1) // 2
     along_x = fft.rfft(_wrapped(kernel, shape[1] * step, -1), axis=-1)[..., : shape[1] // 2 + 1]
     both = fft.fft(_wrapped(along_x, shape[0] * step, -2), axis=-2)
@@ -76,7 +75,7 @@ def transfer(kernel: NDArray, shape: tuple[int, int], spacing_px: float = 1.0) -
 
 
 def _wrapped(kernel: NDArray, length: int, axis: int) -> NDArray:
-    """A kernel's axis enlarged to ``length``, or folded where it is longer, its middle at 0."""
+    """A kernel with one axis padded to ``length``, or wrapped around where it is longer, with its middle at index 0."""
     size = kernel.shape[axis]
     moved = np.moveaxis(kernel, axis, -1)
     padded = np.zeros((*moved.shape[:-1], -(-size // length) * length), np.result_type(kernel, np.float32))

@@ -1,4 +1,4 @@
-"""Blur levels and depths: levels are even steps in dioptres, in which blur is linear.
+"""Conversion between blur levels and depths. Levels are even steps in dioptres, because blur is linear in dioptres.
 
 Tested in tests/recon/depth/test_method.py and tests/recon/test_real_camera.py.
 """
@@ -12,10 +12,10 @@ from dasim.typing import Float32Array, FloatArray
 
 
 def level_of(depth_m: ArrayLike, level_depth_m: NDArray) -> FloatArray:
-    """Fractional level of depths in metres, from the depths ``level_depth_m`` [level] of a bank or a camera.
+    """Fractional level of depths in metres, from the depths ``level_depth_m`` [level] of a bank's levels.
 
-    Interpolated in dioptres; beyond the ends by the line through the first level and the last: negative farther than
-    the focus (level 0), above the last level nearer than its depth.
+    The interpolation is linear in dioptres. Outside the range, it is the line through the first and the last level:
+    levels are negative beyond the focus (level 0), and exceed the last level in front of it.
     """
     vergence, table = 1 / np.asarray(depth_m, np.float64), 1 / np.asarray(level_depth_m, np.float64)
     last = len(table) - 1
@@ -25,15 +25,15 @@ def level_of(depth_m: ArrayLike, level_depth_m: NDArray) -> FloatArray:
 
 
 def level_sd_of(sd_m: NDArray, depth_m: NDArray, level_depth_m: NDArray) -> FloatArray:
-    """Standard deviation in levels of depths with a standard deviation in metres: sd_m / z^2 dioptres."""
+    """Standard deviation in levels from one in metres: sd_m / z^2 is the standard deviation in dioptres."""
     return np.asarray(sd_m / depth_m.astype(np.float64) ** 2 / dioptres_per_level(level_depth_m))
 
 
 def dioptres_per_level(level_depth_m: NDArray) -> float:
-    """Mean difference of vergence between neighbouring levels, 1/m, from their depths [level]."""
+    """Mean vergence difference between neighbouring levels, 1/m, from their depths [level] in metres."""
     return (1 / float(level_depth_m[-1]) - 1 / float(level_depth_m[0])) / (len(level_depth_m) - 1)
 
 
 def depth_of(level: NDArray, level_depth_m: NDArray) -> Float32Array:
-    """Depth in metres of fractional levels, ``level_depth_m`` [level] interpolated in dioptres and held at its ends."""
+    """Depth in metres of levels: ``level_depth_m`` [level] interpolated in dioptres, clamped to its ends."""
     return (1 / np.interp(level, np.arange(len(level_depth_m)), 1 / level_depth_m)).astype(np.float32)

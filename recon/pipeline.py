@@ -1,4 +1,4 @@
-"""From a raw picture to colour, depth and an all-in-focus picture: Fig. 4 and section 5, one line per stage."""
+"""The reconstruction pipeline of Fig. 4 and sec. 5: colour, depth and an all-in-focus picture from a raw picture."""
 
 from __future__ import annotations
 
@@ -27,9 +27,9 @@ from recon.sharp import sharpen
 from recon.stages import stages
 
 STAGES = (*picture.STAGES[:-1], "depth", "regularise", "sharpen", "colour")
-INTERPOLATED_NOISE_SHARE = 0.7  # of the sensor's noise that interpolation leaves, standard deviation
-GRAINY_LEVEL = 3.0  # from here on, deconvolution starts from the picture before noise reduction alone
-CERTAIN = 0.05  # confidence below which the picture fades to that captured: there the level is a guess
+INTERPOLATED_NOISE_SHARE = 0.7  # noise after interpolation relative to the sensor's, standard deviations
+GRAINY_LEVEL = 3.0  # level from which on deconvolution uses the picture without noise reduction alone
+CERTAIN = 0.05  # confidence below which the all-in-focus picture fades to the captured one
 
 
 def reconstruct(
@@ -41,13 +41,18 @@ def reconstruct(
     flat: Capture | None = None,
     progress: Progress | None = None,
 ) -> Reconstruction:
-    """Everything the paper makes of one capture: picture, depth, all-in-focus picture.
+    """Reconstruct colour, depth and an all-in-focus picture from one capture.
 
-    With a ``method``, such as one of ``METHODS`` or your own, its estimate replaces the raw levels: regularisation
-    fills its gaps, and its standard deviation gives the confidence. By default ``settings.score`` chooses the method.
-    ``flat`` is a capture of an even surface, from which the lens shading is corrected in the pictures. ``progress``
-    is called with a stage's name and the share of stages before it. Raises InputError where capture and bank do not
-    belong together, or where the mosaic has no infrared.
+    Raises InputError if the bank does not match the capture, or if the mosaic has no infrared pixels.
+
+    Args:
+        capture: the raw picture.
+        bank: point-spread functions of the same camera at the same focus.
+        settings: by default the preset ``DEFAULT_PRESET``.
+        method: a depth method, one of ``METHODS`` or your own, whose estimate replaces the raw levels. Regularisation
+            fills its gaps, and its standard deviation gives the confidence. By default, ``settings.score`` selects it.
+        flat: a capture of a uniform surface, for the correction of the lens shading in the pictures.
+        progress: called with the name of each stage and the share of stages before it, 0..1.
     """
     check_fits(bank, capture)
     camera = capture.camera
@@ -61,8 +66,8 @@ def reconstruct(
     separation = infrared.separation(camera, light, settings)
     clipped = picture.clipped(linear.saturated, camera)
     linear_e, ir_e = picture.without_infrared(image, separation, clipped, white), image.ir_e
-    assert ir_e is not None  # checked above
-    del image, clean_e  # of large frames every plane counts
+    assert ir_e is not None  # check_fits requires infrared pixels
+    del image, clean_e  # limits the memory of large frames
     variances = raw_levels.variances(linear.raw_e, capture)
     notes = colour.light_notes(linear.raw_e, linear.saturated, camera, bank)
     with stage("depth"):
@@ -85,8 +90,8 @@ def reconstruct(
         del linear
         _soften_in_focus(stack, linear_e, ir_e, level)
         sharp_e = sharpen.sharpen(
-            stack, level, sharpen.visible_kernels(kernels, white, separation), noise_e, settings,
-            mosaic.sole_phases(camera),
+            stack, level, sharpen.visible_kernels(kernels, white, separation), noise_e, mosaic.sole_phases(camera),
+            steps=settings.sharpen_steps, strength=settings.sharpen_strength, guided=settings.sharpen_guide,
         )  # fmt: skip
         del stack
         _fade_to_captured(sharp_e, linear_e, confidence, clipped)
@@ -117,39 +122,39 @@ def reconstruct(
 
 
 def _range_notes(outside: float, name: str, bank: PsfBank) -> tuple[str, ...]:
-    """What a user should know of estimates that lie where the bank has no kernels."""
+    """A note on estimates out of the bank's range, whose share is ``outside``; none for 0."""
     if not outside:
         return ()
     return (
-        f"{outside:.1%} of the estimates of method '{name}' lie outside the bank's {bank.depth_m.min():.4g} to "
-        f"{bank.depth_m.max():.4g} m and count as its ends",
+        f"{outside:.1%} of the estimates of method '{name}' are outside the bank's range of "
+        f"{bank.depth_m.min():.4g} to {bank.depth_m.max():.4g} m and are clamped to it",
     )
 
 
 def _infrared_guide(ir_e: Float32Array, noise: Variance) -> Float32Array:
-    """Infrared [h, w] at the centres of the 2x2 blocks in units of its noise, the guide of eq. (14)."""
+    """Infrared on the 2x2 blocks in units of its noise, [h/2, w/2]: the guide of eq. (14)."""
     size = (ir_e.shape[1] // 2, ir_e.shape[0] // 2)
     blocks = np.asarray(cv2.resize(ir_e, size, interpolation=cv2.INTER_AREA), np.float32)
     return denoise.stabilise(blocks, noise)
 
 
 def _upsampled(blocks: Float32Array, shape: tuple[int, ...]) -> Float32Array:
-    """From blocks to pixels [h, w], linear between the blocks' centres."""
+    """A map of the 2x2 blocks at every pixel, [h, w], by linear interpolation between their centres."""
     return np.asarray(cv2.resize(blocks, (shape[1], shape[0]), interpolation=cv2.INTER_LINEAR), np.float32)
 
 
 def _noise_e(variances: dict[str, Float32Array]) -> NDArray:
-    """Standard deviation of the noise of R, G, B and IR in the full picture, its mean over the frame."""
+    """Standard deviation of the noise of R, G, B and IR after interpolation, frame mean, [channel] electrons."""
     return INTERPOLATED_NOISE_SHARE * np.sqrt([variances[name].mean() for name in CHANNELS])
 
 
 def _grainy(
     mosaic_e: Float32Array, camera: Camera, white: NDArray, separation: FloatArray, clipped: NDArray
 ) -> Float32Array:
-    """R, G, B without infrared, and infrared, [4, h, w], from the mosaic without noise reduction.
+    """R, G, B without infrared, and infrared, from the mosaic without noise reduction, [4, h, w] electrons.
 
-    Deviation from Fig. 4: deconvolution has its own prior against noise, and misses the texture that nonlocal means
-    remove with it (+0.1 to 0.6 dB on the bundled scenes).
+    Deviation from Fig. 4: the deconvolution has a prior against noise of its own, and benefits from the texture that
+    nonlocal means remove with the noise (0.1 to 0.6 dB on the bundled scenes).
     """
     image = picture.demosaiced(mosaic_e, camera, white, lambda name: nullcontext())
     assert image.ir_e is not None
@@ -158,9 +163,10 @@ def _grainy(
 
 
 def _soften_in_focus(stack: Float32Array, linear_e: Float32Array, ir_e: Float32Array, level: Float32Array) -> None:
-    """Replace in-focus parts of the grainy [4, h, w] by the denoised picture, in place.
+    """Blend the picture without noise reduction, [4, h, w], with the denoised one near focus, in place.
 
-    In focus, noise reduction does better than the prior of the deconvolution; from GRAINY_LEVEL on it has no part.
+    In focus, noise reduction gives smaller errors than the prior of the deconvolution. The weight of the denoised
+    picture is 1 at level 0 and 0 from ``GRAINY_LEVEL`` on.
     """
     grain = np.clip(level / GRAINY_LEVEL, 0, 1)
     for index, smooth_e in enumerate((*np.moveaxis(linear_e, -1, 0), ir_e)):
@@ -170,8 +176,8 @@ def _soften_in_focus(stack: Float32Array, linear_e: Float32Array, ir_e: Float32A
 def _fade_to_captured(
     sharp_e: Float32Array, linear_e: Float32Array, confidence: Float32Array, clipped: NDArray
 ) -> None:
-    """Fade the sharp picture [h, w, 3] to that captured where the level is a guess or light is clipped, in place."""
-    certain = np.clip(confidence / CERTAIN, 0, 1) * sharpen.away_from(
+    """Fade the sharp picture [h, w, 3] to the captured one at low confidence and near clipped pixels, in place."""
+    certain = np.clip(confidence / CERTAIN, 0, 1) * sharpen.ramp_around(
         clipped[..., 0] | clipped[..., 1] | clipped[..., 2]
     )
     sharp_e -= linear_e

@@ -1,4 +1,4 @@
-"""Every number of the reconstruction that a user may change."""
+"""Settings of the reconstruction, and the bundled presets."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ class Settings(Specification):
     """Settings of :func:`recon.reconstruct`; its own defaults are the preset ``PAPER``."""
 
     # sec. 4.1
-    denoise: bool = Field(default=True, description="nonlocal means before sec. 4's pictures")
-    denoise_bandwidth: float = Field(default=3.0, gt=0, le=100, description="tau of eq. (4), noise variances")
+    denoise: bool = Field(default=True, description="nonlocal means of the colour planes")
+    denoise_bandwidth: float = Field(default=3.0, gt=0, le=100, description="tau of eq. (4), in noise variances")
     denoise_patch_sigma_px: float = Field(default=1.0, gt=0, le=10, description="rho of eq. (5), plane pixels")
 
     # sec. 4.4
@@ -25,38 +25,44 @@ class Settings(Specification):
         default="coefficients", description="eq. (7), or a full 4x4 crosstalk matrix"
     )
     crosstalk: tuple[float, float, float] | None = Field(
-        default=None, description="alpha of eq. (8) for R, G, B as measured; by default from the response curves"
+        default=None, description="measured alpha of eq. (8) for R, G, B; by default from the response curves"
     )
 
     # sec. 5.2
     window_px: int = Field(default=31, ge=5, le=201, description="delta of eq. (11), side of the patch")
     window: Literal["gaussian", "box"] = "gaussian"
     alike: bool = Field(
-        default=False, description="average only samples of similar colour within the patch; for the score bands"
+        default=False, description="weight the samples of a patch by similarity of colour; for the score bands"
     )
     gradient: Literal["sum", "both"] = Field(
-        default="both", description="eq. (11): NCC of the sum of the derivatives, or of both taken together"
+        default="both", description="eq. (11): NCC of the sum of the two derivatives, or of both derivatives jointly"
     )
-    cutoff_cycles_px: float = Field(default=0.16, gt=0, le=0.25, description="edge of the band that is compared")
+    cutoff_cycles_px: float = Field(default=0.16, gt=0, le=0.25, description="upper limit of the frequency band")
     score: Literal["ncc", "likelihood", "bands", "colour-line"] = Field(
         default="ncc",
-        description="how a level is scored: eq. (11), its likelihood, transfer by bands, or Chakrabarti and Zickler's",
+        description="score of a level: eq. (11), likelihood, transfer in bands, or Chakrabarti and Zickler's",
     )
     prior_factor: float = Field(default=1.0, gt=0, le=1e4, description="factor on the measured beta of eq. (9)")
     diagonals: Literal["right", "published"] = Field(
-        default="right", description="diagonal gradients of the colour line: as meant, or as in the published code"
+        default="right", description="diagonal gradients of the colour line: orthogonal, or as in the published code"
     )
-    edge_snr: float = Field(default=0.5, ge=0, le=1000, description="gradient energy over noise that makes an edge")
-    fallback: bool = Field(default=True, description="red, then blue, where infrared shows no edge (sec. 5.3)")
-    saturated_share: float = Field(default=0.05, ge=0, le=1, description="of a window: above it, no estimate")
-    least_confidence: float = Field(default=0.0, ge=0, lt=1, description="of a raw level, 0..1; below it, no estimate")
-    regularise_bandwidth: float = Field(default=60.0, gt=0, description="tau of eq. (14), noise variances")
+    edge_snr: float = Field(default=0.5, ge=0, le=1000, description="least gradient energy over noise at an edge")
+    fallback: bool = Field(default=True, description="red, then blue, where infrared has no edge (sec. 5.3)")
+    saturated_share: float = Field(
+        default=0.05, ge=0, le=1, description="largest share of saturated pixels in a window with an estimate"
+    )
+    least_confidence: float = Field(
+        default=0.0, ge=0, lt=1, description="least confidence of a raw level, 0..1; below it, no estimate"
+    )
+    regularise_bandwidth: float = Field(default=60.0, gt=0, description="tau of eq. (14), in noise variances")
 
     # sec. 5.4
     sharpen_steps: int = Field(default=3, ge=1, le=50, description="iterations of half-quadratic splitting")
-    sharpen_strength: float = Field(default=6.0, gt=0, le=100, description="data weight of eq. (15), 1: the noise's")
+    sharpen_strength: float = Field(
+        default=6.0, gt=0, le=100, description="weight of the data in eq. (15); 1 is that of the noise"
+    )
     sharpen_guide: bool = Field(
-        default=True, description="eq. (16) about the gradients of sharp infrared, then of the mean"
+        default=True, description="prior of eq. (16) about the gradients of sharp infrared, then of the mean colour"
     )
 
 
@@ -75,7 +81,7 @@ DESCRIPTIONS = {
 }
 
 
-DEFAULT_PRESET = "bands"  # the best on scenes, and the paper's in all but the scores of levels
+DEFAULT_PRESET = "bands"  # has the smallest errors on scenes; differs from the paper's in the scores of levels alone
 DEFAULT = PRESETS[DEFAULT_PRESET]
 
 
@@ -86,22 +92,22 @@ def preset(name: str) -> Settings:
     return PRESETS[name]
 
 
-def chosen(name: str | None, file: Path | None) -> Settings:
+def select(name: str | None, file: Path | None) -> Settings:
     """The settings of a preset or of a TOML file; ``DEFAULT`` where neither is given."""
     if name is not None and file is not None:
-        raise InputError("--preset and --settings both say the settings; give one")
+        raise InputError("--preset and --settings exclude each other; give one of them")
     return parse_toml(Settings, file) if file is not None else preset(name or DEFAULT_PRESET)
 
 
 def preset_name(settings: Settings) -> str | None:
-    """Name of the preset that has these settings, None where there is none."""
-    return next((name for name, known in PRESETS.items() if known == settings), None)
+    """Name of the preset with these settings, None if no preset has them."""
+    return next((name for name, candidate in PRESETS.items() if candidate == settings), None)
 
 
 def to_toml(settings: Settings) -> str:
-    """The settings as TOML that :func:`dasim.base.toml.parse_toml` reads back, each with its description.
+    """The settings in TOML, each with its description; :func:`dasim.base.toml.parse_toml` reads them.
 
-    A setting without a value is written as a comment.
+    A setting without a value becomes a comment.
     """
     lines = [f"# Settings of 'dasim recon --settings FILE'; preset: {preset_name(settings) or 'none'}"]
     for name, field in Settings.model_fields.items():
@@ -114,4 +120,4 @@ def to_toml(settings: Settings) -> str:
 def _toml_value(value: Any) -> str:
     if isinstance(value, tuple):
         return f"[{', '.join(_toml_value(item) for item in value)}]"
-    return json.dumps(value)  # text, numbers and truth values are written alike in both
+    return json.dumps(value)  # strings, numbers and booleans have the same syntax in JSON and TOML

@@ -1,4 +1,4 @@
-"""Stages of a pipeline that report their progress and measure their time.
+"""Stages of a pipeline, with progress reports and timings.
 
 Tested in tests/recon/test_pipeline.py.
 """
@@ -15,10 +15,10 @@ Stage = Callable[[str], AbstractContextManager[None]]
 
 
 def stages(names: Sequence[str], timings_s: dict[str, float], progress: Progress | None) -> Stage:
-    """Context managers by stage name.
+    """A function that returns the context manager of a stage in ``names``.
 
-    On entry, ``progress`` is called with the name and the share of ``names`` before it; on exit, the wall time goes
-    to ``timings_s``.
+    On entry, ``progress`` is called with the name and the share of stages before it, 0..1. On exit, ``timings_s``
+    receives the wall time in seconds.
     """
 
     @contextmanager

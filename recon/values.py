@@ -1,4 +1,4 @@
-"""What the reconstruction shares with the simulator: values, and the files that hold them."""
+"""Values and file formats that the reconstruction shares with the simulator."""
 
 from dasim.base.errors import InputError
 from dasim.files.banks import load_bank, save_bank

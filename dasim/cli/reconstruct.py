@@ -65,7 +65,7 @@ def recon(
     from recon.files.reconstruction import check_extras, save_reconstruction
     from recon.picture.mosaic import grids
 
-    chosen = known.chosen(preset, settings)
+    chosen = known.select(preset, settings)
     if print_settings:
         print(known.to_toml(chosen), end="")
         return 0

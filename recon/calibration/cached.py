@@ -1,4 +1,4 @@
-"""Calibration whose result is kept in the user's cache folder where the pictures say what decides them."""
+"""Calibration with a cache: banks from simulated pictures are stored in the user's cache folder."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from dasim.typing import Progress
 from dasim.values import PointPicture, PointPictures, PsfBank
 from recon.calibration import psf_bank
 
-TAKING = "photographing a point source"
+STAGE = "photographing a point source"
 
 
 def calibrate(
@@ -27,50 +27,51 @@ def calibrate(
     cache: bool = True,
     progress: Progress = lambda stage, share: None,
 ) -> PsfBank:
-    """Measure the PSF bank of a camera from pictures of a point source, or find it in the cache.
+    """Measure the PSF bank of a camera from pictures of a point source, or load it from the cache.
 
     >>> bank = recon.calibrate(dasim.calibration_captures(camera))
 
-    A bank from simulated pictures is kept in the cache folder. It is measured again when anything that decides the
-    pictures or the calibration has changed: camera, lights, code, data, libraries.
+    A bank from simulated pictures is stored in the cache folder. Its key covers everything that determines the pictures
+    and the calibration: camera, lights, code, data and libraries.
 
     Args:
-        pictures: what ``dasim.calibration_captures`` gives, or pictures of your own; see
-            :func:`recon.calibration.psf_bank.calibrate` for what they have to cover.
-        camera: the camera of pictures of your own; simulated pictures bring theirs.
-        diffraction: a remark on pictures of your own; simulated pictures bring theirs.
+        pictures: those of ``dasim.calibration_captures``, or your own; for the required lights, levels and shifts see
+            :func:`recon.calibration.psf_bank.calibrate`.
+        camera: the camera of your own pictures; simulated pictures include theirs.
+        diffraction: a remark on your own pictures, stored with the bank; simulated pictures include theirs.
         cache: whether to use the cache.
-        progress: called with the stage and its share done.
+        progress: called with the name of the stage and the share of it that is done, 0..1.
     """
     if not isinstance(pictures, PointPictures):
         if camera is None:
-            raise InputError("calibrate: pictures of your own do not say their camera; give camera=...")
+            raise InputError("calibrate: your own pictures do not include their camera; give camera=...")
         return psf_bank.calibrate(pictures, camera, diffraction=diffraction, progress=progress)
     if camera is not None and camera != pictures.camera:
-        raise InputError("calibrate: camera is not the one of the simulated pictures; leave it out")
+        raise InputError("calibrate: camera differs from that of the simulated pictures; leave it out")
     path = bank_file(pictures)
     if cache and path.is_file():
         try:
             return replace(load_bank(path), camera=pictures.camera)
         except InputError:
             path.unlink(missing_ok=True)  # damaged
-    bank = psf_bank.calibrate(_counted(pictures, progress), pictures.camera, diffraction=pictures.diffraction)
-    progress(TAKING, 1.0)
+    bank = psf_bank.calibrate(_with_progress(pictures, progress), pictures.camera, diffraction=pictures.diffraction)
+    progress(STAGE, 1.0)
     if cache:
         try:
             save_bank(path, bank)
         except OSError as error:
-            warnings.warn(f"the PSF bank cannot be kept in the cache: {error}", stacklevel=2)
+            warnings.warn(f"the PSF bank cannot be stored in the cache: {error}", stacklevel=2)
     return bank
 
 
 def bank_file(pictures: PointPictures) -> Path:
-    """The bank of some pictures in the cache folder, existing or not."""
+    """Path of the bank of simulated pictures in the cache folder, whether or not it exists."""
     name = fingerprint(psf_bank.calibrate, save_bank, values=[pictures.fingerprint], excluding=("cameras", "scenes"))
     return cache_dir() / "banks" / f"{name}.npz"
 
 
-def _counted(pictures: PointPictures, progress: Progress) -> Iterator[PointPicture]:
+def _with_progress(pictures: PointPictures, progress: Progress) -> Iterator[PointPicture]:
+    """The pictures, with a progress report before each."""
     for index, picture in enumerate(pictures):
-        progress(TAKING, index / len(pictures))
+        progress(STAGE, index / len(pictures))
         yield picture

@@ -1,4 +1,4 @@
-"""Pictures of a point source: frames averaged to electrons, and where the source's image lies."""
+"""Pictures of a point source: average of the frames in electrons, and centre of the image."""
 
 from __future__ import annotations
 
@@ -10,21 +10,21 @@ from dasim.camera.specification import Camera, channels, mosaic_channels
 from dasim.typing import FloatArray
 from dasim.values import PointPicture
 
-SATURATION_SHARE = 0.9  # of a pixel: above it, a picture of a longer exposure tells nothing
-RIM_PX = 3  # width of the frame's rim that shows background alone
-CORE_SHARE = 0.02  # of the peak: a channel's core, where its centre is measured
+SATURATION_SHARE = 0.9  # share of saturation above which a pixel of a longer exposure is not used
+RIM_PX = 3  # width of the frame's rim for the background
+CORE_SHARE = 0.02  # share of the peak that bounds the core, from which the centre is measured
 CORE_MARGIN_PX = 2
-CENTRE_STEPS = 4  # the window of the centre of mass follows the centre; converges in two or three
+CENTRE_STEPS = 4  # iterations of the window about the centre of mass, which converges in two or three
 
 
 def averaged(
     group: list[PointPicture], camera: Camera, unit_s: float
 ) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
-    """Electrons of every channel at the pixels that see it, less background; their standard deviation; which do.
+    """Mean electrons of every channel without background, their standard deviation, and the mask of sampled pixels.
 
-    All are [channel, h, w], in electrons of an exposure of ``unit_s``. A pixel sums the exposures that do not saturate
-    it. Temporal noise of its frames is independent; the fixed patterns are the same in all frames of one position of
-    the source and add up there.
+    All are [channel, h, w]; electrons are those of an exposure of ``unit_s`` seconds. Each pixel sums the exposures
+    that do not saturate it. Temporal noise is independent between frames; fixed-pattern noise is the same in all frames
+    of one position of the source.
     """
     sensor = camera.sensor
     height, width = group[0].frames_dn.shape[1:]
@@ -34,46 +34,46 @@ def averaged(
     shape = (len(channels(sensor)), height, width)
     electrons, variance, exposed, count = np.zeros((4, *shape))  # sums over all frames that see a pixel
     for shift, pictures in _by_shift(group).items():
-        own_e, own_count = np.zeros((2, *shape))
+        shift_e, shift_count = np.zeros((2, *shape))
         back = tuple(-s for s in shift or (0, 0))
         for picture in pictures:
             frames = len(picture.frames_dn)
             full_e = noise.collected_e(picture.frames_dn.mean(axis=0), sensor, picture.gain)
-            # Judged by the mean of the frames: noise of a single one must not decide whether a pixel counts.
+            # By the mean of the frames, so that the noise of a single frame does not select pixels.
             usable = full_e < SATURATION_SHARE * noise.saturation_e(sensor, picture.gain)
             usable |= picture.exposure_s * picture.gain == least
             mean_e = np.roll(full_e - noise.dark_e(sensor, picture.exposure_s), back, axis=(0, 1))
             temporal = noise.temporal_variance(sensor, picture.exposure_s, picture.gain).at(mean_e)
             for index in np.unique(channel):
                 here = np.roll((channel == index) & usable, back, axis=(0, 1))
-                own_e[index][here] += frames * mean_e[here]
+                shift_e[index][here] += frames * mean_e[here]
                 variance[index][here] += frames * temporal[here]
                 exposed[index][here] += frames * picture.exposure_s / unit_s
-                own_count[index][here] += frames
-        variance += own_count**2 * noise.fixed_variance(sensor).at(own_e / np.maximum(own_count, 1))
-        electrons += own_e
-        count += own_count
-    seen = count > 0
-    known = np.where(seen, exposed, 1.0)
-    image, sigma = electrons / known, np.sqrt(variance) / known
+                shift_count[index][here] += frames
+        variance += shift_count**2 * noise.fixed_variance(sensor).at(shift_e / np.maximum(shift_count, 1))
+        electrons += shift_e
+        count += shift_count
+    sampled = count > 0
+    exposure = np.where(sampled, exposed, 1.0)
+    image, sigma = electrons / exposure, np.sqrt(variance) / exposure
     rim = np.ones((height, width), bool)
     rim[RIM_PX:-RIM_PX, RIM_PX:-RIM_PX] = False
-    background = np.array([np.median(plane[rim & here]) for plane, here in zip(image, seen, strict=True)])
-    return np.where(seen, image - background[:, None, None], 0.0), sigma, seen
+    background = np.array([np.median(plane[rim & here]) for plane, here in zip(image, sampled, strict=True)])
+    return np.where(sampled, image - background[:, None, None], 0.0), sigma, sampled
 
 
 def _by_shift(group: list[PointPicture]) -> dict[tuple[int, int] | None, list[PointPicture]]:
-    """Pictures by the source's shift, within which a pixel of the frame sees the same part of the source's image."""
-    found: dict[tuple[int, int] | None, list[PointPicture]] = {}
+    """Pictures by shift of the source; within a group, a pixel always samples the same part of the image."""
+    groups: dict[tuple[int, int] | None, list[PointPicture]] = {}
     for picture in group:
-        found.setdefault(picture.shift_px, []).append(picture)
-    return found
+        groups.setdefault(picture.shift_px, []).append(picture)
+    return groups
 
 
 def common_centre(image: FloatArray) -> FloatArray:
-    """Centre (y, x) in pixels of the point, from the centres of mass of all channels' cores together.
+    """Centre (y, x) of the point in pixels: centre of mass of the cores of all channels, weighted by their electrons.
 
-    Each channel counts with its electrons; one centre for all keeps lateral shifts between channels.
+    A common centre preserves lateral shifts between the channels. ``image`` is [channel, h, w] electrons.
     """
     total = np.maximum(image, 0).sum(axis=0)
     y, x = np.indices(total.shape)
@@ -83,7 +83,7 @@ def common_centre(image: FloatArray) -> FloatArray:
     extent = min(extent, min(total.shape) / 2 - 2)
     signal = image.sum(axis=0)
     for _ in range(CENTRE_STEPS):
-        # a soft rim: a pixel that enters or leaves the window must not move the centre by a step
+        # A window with a soft rim, so that the centre is a continuous function of the window.
         window = np.clip(extent + 0.5 - np.hypot(y - centre[0], x - centre[1]), 0, 1) * signal
         centre = np.array([(window * y).sum(), (window * x).sum()]) / window.sum()
     return centre

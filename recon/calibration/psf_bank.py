@@ -25,32 +25,39 @@ def calibrate(
 ) -> PsfBank:
     """Measure the camera's kernels from pictures of a point source, for every light and blur level.
 
-    ``pictures`` cover one period of the mosaic by whole-pixel shifts for each light and level, so that each
-    channel sees each pixel of its kernel. Frames are averaged; black level and background go; the positions
-    are interleaved; the common centre of the four channels moves to the middle pixel; each kernel is
-    normalised to unit sum. Pictures without ``shift_px`` stand anywhere, one position of the source is enough, and
-    each position's centre is measured: kernels of round stops only. ``diffraction`` is recorded as a remark.
-    Raises InputError where pictures lack.
+    Frames are averaged, black level and background subtracted, and the positions of the source interleaved. The common
+    centre of the channels is shifted to the middle pixel, and each kernel is normalised to unit sum. Raises InputError
+    if pictures are missing.
+
+    Args:
+        pictures: for each light and level, pictures whose whole-pixel shifts cover one period of the mosaic, so that
+            each channel samples each pixel of its kernel. Alternatively, pictures without ``shift_px``, with the source
+            at any positions (one is enough); the centres are then measured, and the stops must be round.
+        camera: the camera of the pictures.
+        diffraction: a remark that is stored with the bank.
+        progress: called with the name of the stage and the share of it that is done, 0..1.
     """
     groups: dict[tuple[str, int], list[PointPicture]] = {}
     for picture in pictures:
         groups.setdefault((picture.light, picture.level), []).append(picture)
     if not groups:
-        raise InputError("calibration: no pictures; one for each light, blur level and mosaic position is needed")
+        raise InputError("calibration: no pictures; give one per light, blur level and mosaic position")
     lights = tuple(dict.fromkeys(light for light, _ in groups))
     levels = sorted({level for _, level in groups})
     missing = [f"{light} level {level}" for light in lights for level in levels if (light, level) not in groups]
     if missing or levels != list(range(len(levels))):
-        raise InputError(f"calibration: pictures lack {', '.join(missing) or 'levels from 0 on without a gap'}")
+        raise InputError(
+            f"calibration: no pictures of {', '.join(missing) or 'lower levels'}; give all levels from 0 on"
+        )
     centred: dict[tuple[str, int], FloatArray] = {}
     for done, (key, group) in enumerate(groups.items()):
         if any(picture.shift_px is None for picture in group):
             centred[key] = scattered(group, camera)
         else:
             full, noise_e = _interleave(group, camera)
-            moved = _centre(full)
-            round_kernel = _round_kernels(full, noise_e, moved.shape[1] // 2)
-            centred[key] = np.where(np.isnan(round_kernel), moved, round_kernel)
+            shifted = _centre(full)
+            round_kernel = _round_kernels(full, noise_e, shifted.shape[1] // 2)
+            centred[key] = np.where(np.isnan(round_kernel), shifted, round_kernel)
         if progress:
             progress("calibrate", (done + 1) / len(groups))
     half = min(min(image.shape[1:]) for image in centred.values()) // 2
@@ -75,52 +82,52 @@ def calibrate(
 
 
 def _interleave(group: list[PointPicture], camera: Camera) -> tuple[FloatArray, FloatArray]:
-    """Electrons of every channel at every pixel, [channel, h, w], background removed, and their noise."""
-    image, noise, seen = averaged(group, camera, min(picture.exposure_s for picture in group))
-    if not seen.all():
-        where = f"{group[0].light} level {group[0].level}"
-        raise InputError(f"calibration: pictures of {where} do not cover one period of the mosaic by their shifts")
+    """Electrons of every channel at every pixel without background, and their standard deviation, [channel, h, w]."""
+    image, noise, sampled = averaged(group, camera, min(picture.exposure_s for picture in group))
+    if not sampled.all():
+        label = f"{group[0].light} level {group[0].level}"
+        raise InputError(f"calibration: the shifts of the pictures of {label} do not cover one period of the mosaic")
     return image, noise
 
 
 def _round_kernels(image: FloatArray, noise_e: FloatArray, half: int) -> FloatArray:
     """Kernels of round stops about the middle pixel, [channel, size, size], electrons; NaN where not round.
 
-    Least squares for the radial density (non-negative, linear between knots) that, integrated over the pixels
-    around the measured centre, gives the picture: pixels at many distances sample the profile more finely
-    than their pitch, so moving the centre costs no sharpness. From the first ring that drowns in
-    noise the profile goes on as r^-3, the mean diffraction tail of a round stop, on a constant background.
+    The radial density is non-negative and linear between knots; it is fitted by least squares so that its integrals
+    over the pixels around the measured centre give the picture. Pixels at many distances sample the profile more
+    finely than the pixel pitch, so a subpixel shift of the centre costs no sharpness. From the first ring below the
+    noise on, the profile is r^-3, the mean diffraction tail of a round stop, on a constant background.
     """
     centre = common_centre(image)
     size = 2 * half + 1
     measured = subpixel_radius(image.shape[1:], centre)
-    wanted = subpixel_radius((size, size), np.array([half, half], float))
+    target = subpixel_radius((size, size), np.array([half, half], float))
     kernels = np.full((len(image), size, size), np.nan)
     for index, (picture, sigma) in enumerate(zip(image, noise_e, strict=True)):
-        found = round_fit(measured, picture.ravel(), sigma.ravel(), int(min(picture.shape) // 2))
-        if found is not None:
-            kernels[index] = (basis_of(wanted, found[0]) @ found[1]).reshape(size, size)
+        fit = round_fit(measured, picture.ravel(), sigma.ravel(), int(min(picture.shape) // 2))
+        if fit is not None:
+            kernels[index] = (basis_of(target, fit[0]) @ fit[1]).reshape(size, size)
     return kernels
 
 
 def _centre(image: FloatArray) -> FloatArray:
-    """Move the common centre to the middle pixel of an odd frame, [channel, size, size], by the shift theorem."""
+    """Shift the common centre to the middle pixel of an odd frame, [channel, size, size], by the shift theorem."""
     centre = common_centre(image)
     middle = np.rint(centre).astype(int)
     half = int(min(*middle, *(np.array(image.shape[1:]) - 1 - middle))) - 1
     if half < 1:
-        raise InputError("calibration: the point source lies at the picture's edge; it must be near the middle")
+        raise InputError("calibration: the point source is at the picture's edge; it must be near the middle")
     odd = image[:, : image.shape[1] // 2 * 2, : image.shape[2] // 2 * 2]
     padded = np.pad(odd, ((0, 0), (8, 8), (8, 8)))
     fy = fft.fftfreq(padded.shape[1])[:, None]
     fx = fft.rfftfreq(padded.shape[2])[None, :]
     dy, dx = middle - centre
-    moved = fft.irfft2(fft.rfft2(padded) * np.exp(-2j * np.pi * (fy * dy + fx * dx)), s=padded.shape[1:])
+    shifted = fft.irfft2(fft.rfft2(padded) * np.exp(-2j * np.pi * (fy * dy + fx * dx)), s=padded.shape[1:])
     top, left = middle + 8
-    return moved[:, top - half : top + half + 1, left - half : left + half + 1]
+    return shifted[:, top - half : top + half + 1, left - half : left + half + 1]
 
 
 def _crop(image: FloatArray, half: int) -> FloatArray:
-    """The central [channel, 2 half + 1, 2 half + 1]."""
+    """The central part of a frame, [channel, 2 half + 1, 2 half + 1]."""
     middle = image.shape[1] // 2
     return image[:, middle - half : middle + half + 1, middle - half : middle + half + 1]

@@ -1,4 +1,4 @@
-"""The radial profile of a round stop's kernel, by least squares from pixels at known distances.
+"""Radial profile of a round stop's kernel: least-squares fit to pixels at known distances from the centre.
 
 Tested in tests/recon/calibration/test_psf_bank.py.
 """
@@ -12,47 +12,55 @@ from scipy.optimize import nnls
 
 from dasim.typing import FloatArray
 
-RING_SNR = 4.0  # a ring's mean over its standard error: from the first ring below it, the tail is modelled
+RING_SNR = 4.0  # ratio of a ring's mean to its standard error; the tail is modelled from the first ring below it
 MIN_TAIL_START_PX = 3.0
 RING_PX = 1.0
-FINE_PX = 4.0  # the profile's knots are closer within this radius, where in-focus kernels lie
+FINE_PX = 4.0  # radius within which the knots are closer, for kernels in focus
 SUBPIXELS = 5  # per pixel and axis, for integrals over the pixel
-NORMAL_REGULARISATION = 1e-6  # keeps knots that no pixel resolves from breaking the factorisation
-ROUNDING = 1e-12  # the same, where the profile's bends decide those knots
-ROUND_MISFIT = 0.15  # relative residual of the round model; above it the kernel is not round
+NORMAL_REGULARISATION = 1e-6  # relative ridge, for knots that no pixel resolves
+ROUNDING = 1e-12  # the same with smoothness, which determines those knots
+ROUND_MISFIT = 0.15  # largest relative residual of the round model; above it the kernel is not round
 
 
 def round_fit(
     radius: FloatArray, value: FloatArray, sigma: FloatArray, rings: int, smoothness: float = 0.0
 ) -> tuple[FloatArray, FloatArray] | None:
-    """Knots and density there of the round profile through pixels of :func:`subpixel_radius`; None if not round."""
+    """Knots in pixels and the density there of a round kernel; None if the picture is not round.
+
+    Args:
+        radius: distances of the subpixels of every pixel from the centre, [pixel, point] (:func:`subpixel_radius`).
+        value: electrons, [pixel].
+        sigma: their standard deviation, [pixel].
+        rings: number of rings of one pixel's width, the largest radius.
+        smoothness: weight of the second differences of the density against the pixels' noise.
+    """
     start = _tail_start(value, sigma, np.floor(radius.mean(axis=-1)).astype(int), rings)
     knots = knots_to(start)
     basis = sparse.hstack([basis_of(radius, knots), np.ones((len(radius), 1))], format="csr")
     weighted = sparse.diags_array(1 / sigma) @ basis
     normal = (weighted.T @ weighted).toarray()
     if smoothness:
-        outer = np.argsort(radius.min(axis=-1))
-        brightest = np.maximum.accumulate(value[outer][::-1])[::-1]
-        here = brightest[np.minimum(np.searchsorted(radius.min(axis=-1)[outer], knots[1:-1]), len(outer) - 1)]
-        bend = np.diff(np.eye(len(knots), len(normal)), 2, axis=0) / np.maximum(here, sigma.min())[:, None]
-        normal += smoothness * (bend.T @ bend)
+        order = np.argsort(radius.min(axis=-1))
+        envelope = np.maximum.accumulate(value[order][::-1])[::-1]
+        at_knots = envelope[np.minimum(np.searchsorted(radius.min(axis=-1)[order], knots[1:-1]), len(order) - 1)]
+        second = np.diff(np.eye(len(knots), len(normal)), 2, axis=0) / np.maximum(at_knots, sigma.min())[:, None]
+        normal += smoothness * (second.T @ second)
     normal[np.diag_indices_from(normal)] *= 1 + (ROUNDING if smoothness else NORMAL_REGULARISATION)
     profile = _non_negative(normal, weighted.T @ (value / sigma))
-    unexplained = np.sum((basis @ profile - value) ** 2) - np.sum(sigma**2)
-    if unexplained < ROUND_MISFIT**2 * np.sum((value - profile[-1]) ** 2):
+    residual = np.sum((basis @ profile - value) ** 2) - np.sum(sigma**2)
+    if residual < ROUND_MISFIT**2 * np.sum((value - profile[-1]) ** 2):
         return knots, profile[:-1]
     return None
 
 
 def knots_to(start: float) -> FloatArray:
-    """Radii in pixels of the profile's knots, to where the tail begins."""
+    """Radii in pixels of the profile's knots, up to the start of the tail."""
     fine = np.arange(0, min(FINE_PX, start), FINE_PX / 8)
     return np.concatenate([fine, np.arange(FINE_PX, start, RING_PX / 2), [start]])
 
 
 def subpixel_radius(shape: tuple[int, ...], centre: FloatArray) -> FloatArray:
-    """Distance in pixels of SUBPIXELS^2 points of every pixel from the centre, [pixel, point]."""
+    """Distance of the ``SUBPIXELS``^2 points of every pixel from the centre (y, x), [pixel, point], pixels."""
     fine = [(np.arange(n * SUBPIXELS) + 0.5) / SUBPIXELS - 0.5 - c for n, c in zip(shape, centre, strict=True)]
     radius = np.hypot(fine[0][:, None], fine[1][None, :])
     blocks = radius.reshape(shape[0], SUBPIXELS, shape[1], SUBPIXELS).swapaxes(1, 2)
@@ -60,19 +68,19 @@ def subpixel_radius(shape: tuple[int, ...], centre: FloatArray) -> FloatArray:
 
 
 def basis_of(radius: FloatArray, knots: FloatArray) -> sparse.csr_array:
-    """Integral over each pixel of every knot's hat function, [pixel, knot]; the last goes on as r^-3."""
+    """Integral over each pixel of every knot's hat function, [pixel, knot]; the last one continues as r^-3."""
     inside = np.minimum(radius, knots[-1])
     upper = np.clip(np.searchsorted(knots, inside, side="right"), 1, len(knots) - 1)
     share = (inside - knots[upper - 1]) / (knots[upper] - knots[upper - 1])
     falloff = np.maximum(radius / knots[-1], 1.0) ** -3
     pixel = np.repeat(np.arange(len(radius)), radius.shape[1])
     parts = np.concatenate([((1 - share) * falloff).ravel(), (share * falloff).ravel()]) / radius.shape[1]
-    place = (np.tile(pixel, 2), np.concatenate([upper.ravel() - 1, upper.ravel()]))
-    return sparse.coo_array((parts, place), shape=(len(radius), len(knots))).tocsr()
+    index = (np.tile(pixel, 2), np.concatenate([upper.ravel() - 1, upper.ravel()]))
+    return sparse.coo_array((parts, index), shape=(len(radius), len(knots))).tocsr()
 
 
 def _tail_start(value: FloatArray, sigma: FloatArray, ring: NDArray[np.int_], rings: int) -> float:
-    """Radius in pixels of the first ring whose mean does not stand out of its own noise."""
+    """Radius in pixels of the first ring whose mean is below ``RING_SNR`` standard errors."""
     count = np.bincount(ring, minlength=rings)[:rings]
     mean = np.bincount(ring, value, minlength=rings)[:rings] / np.maximum(count, 1)
     error = np.bincount(ring, sigma, minlength=rings)[:rings] / np.maximum(count, 1) ** 1.5
@@ -81,6 +89,6 @@ def _tail_start(value: FloatArray, sigma: FloatArray, ring: NDArray[np.int_], ri
 
 
 def _non_negative(normal: FloatArray, right: FloatArray) -> FloatArray:
-    """Non-negative least squares from its normal equations, through their Cholesky factor."""
+    """Non-negative least squares from the normal equations, by their Cholesky factor."""
     factor = np.linalg.cholesky(normal)
     return nnls(factor.T, np.linalg.solve(factor, right))[0]

@@ -1,4 +1,4 @@
-"""Find a point source in a raw picture: where it is, whether it is saturated, how far it stands out of the noise.
+"""Detection of a point source in a raw picture: position, saturation and signal-to-noise ratio.
 
 Tested in tests/recon/files/test_point_pictures.py.
 """
@@ -18,37 +18,38 @@ from dasim.typing import FloatArray
 from dasim.values import Capture, PointPicture
 from recon.calibration.pictures import RIM_PX, SATURATION_SHARE
 
-LEAST_SNR = 20.0  # of a channel's whole image of the source: its electrons over their noise
-DETECTED = 10.0  # the source's mean over a window, over the noise of such means elsewhere
-SATURATED_SHARE = 0.97  # of a pixel; an automatic exposure to 85 % stays below with its noise
-HOT_RATIO = (
-    20.0  # ratio of a pixel to the brightest of its eight neighbours, of any colour: no lens images such a point
-)
-MARGIN_PX = 18  # around the widest blur: its diffraction tail, and the rim that shows background
+LEAST_SNR = 20.0  # electrons of the source in a channel over their noise
+LEAST_CONTRAST = 10.0  # mean of a window about the source over the noise of such means elsewhere
+SATURATED_SHARE = 0.97  # share of saturation from which a pixel is saturated; automatic exposures reach 85 %
+HOT_RATIO = 20.0  # ratio of a hot pixel to the brightest of its eight neighbours; no lens images such a point
+MARGIN_PX = 18  # around the widest blur, for its diffraction tail and the background
 SEARCH_STEPS = 5
-MANY_WINDOWS = 16  # side by side in a frame, that tell how much their means differ without a source
+MANY_WINDOWS = 16  # windows per frame from which the spread of their means is measured
 
 
 def window_half_px(blur_px: float) -> int:
-    """Half the side of the window that holds a visible blur, its tail and some background."""
+    """Half the side in pixels of the window for a visible blur, its tail and background."""
     return int(np.ceil(blur_px / 2)) + MARGIN_PX
 
 
 def check(capture: Capture, camera: Camera, blur_px: float, *, shortest: bool) -> None:
-    """InputError where a picture shows no source, one that is cut off, or in its shortest exposure a saturated one."""
+    """InputError if a picture has no source, or one that is cut off or, in the shortest exposure, saturated.
+
+    ``blur_px`` is the diameter of the visible blur; ``shortest`` tells whether the exposure is the shortest one.
+    """
     electrons, sigma_e = _electrons(capture)
-    place, ratio = _found(electrons, sigma_e, camera, blur_px)
-    if ratio < DETECTED:
+    centre, ratio = _locate(electrons, sigma_e, camera, blur_px)
+    if ratio < LEAST_CONTRAST:
         raise InputError(
-            f"shows no point source (the brightest place stands {max(ratio, 0):.2g} standard deviations out, "
-            f"{DETECTED:g} are needed)"
+            f"shows no point source (the brightest spot exceeds its surroundings by {max(ratio, 0):.2g} standard "
+            f"deviations, {LEAST_CONTRAST:g} are needed)"
         )
-    room = min(*place, *(np.array(electrons.shape) - 1 - place))
+    room = min(*centre, *(np.array(electrons.shape) - 1 - centre))
     needed = blur_px / 2 + RIM_PX
     if room < needed:
         raise InputError(
-            f"the source at row {place[0]:.0f}, column {place[1]:.0f} is cut off at the edge: its blur needs "
-            f"{needed:.0f} pixels to each side, there are {max(room, 0):.0f}"
+            f"the source at row {centre[0]:.0f}, column {centre[1]:.0f} is cut off at the edge: its blur needs "
+            f"{needed:.0f} pixels on each side, the frame has {max(room, 0):.0f}"
         )
     if shortest:
         raw = without_hot_pixels(capture)
@@ -57,27 +58,27 @@ def check(capture: Capture, camera: Camera, blur_px: float, *, shortest: bool) -
         count = int(np.count_nonzero(raw >= sensor.black_level_dn + SATURATED_SHARE * full_dn))
         if count:
             raise InputError(
-                f"{count} pixel{'s are' if count > 1 else ' is'} saturated in the shortest exposure of its place "
-                f"({capture.exposure_s:g} s); add a shorter one"
+                f"{count} pixel{'s are' if count > 1 else ' is'} saturated in the shortest exposure of this "
+                f"position ({capture.exposure_s:g} s); add a shorter one"
             )
 
 
 def window(captures: Sequence[Capture], camera: Camera, blur_px: float, half_px: int) -> tuple[slice, slice]:
-    """The window about the source in pictures of one place, whole periods of the mosaic from the frame's corner."""
+    """The window about the source in pictures of one position, aligned to the period of the mosaic."""
     least = min(capture.exposure_s * capture.gain for capture in captures)
-    chosen = [_electrons(c) for c in captures if c.exposure_s * c.gain <= least]
-    electrons = np.mean([part[0] for part in chosen], axis=0)
-    place, _ = _found(electrons, np.mean([part[1] for part in chosen], axis=0), camera, blur_px)
+    shortest = [_electrons(c) for c in captures if c.exposure_s * c.gain <= least]
+    electrons = np.mean([part[0] for part in shortest], axis=0)
+    centre, _ = _locate(electrons, np.mean([part[1] for part in shortest], axis=0), camera, blur_px)
     spans = []
-    for centre, size, period in zip(place, electrons.shape, _period(camera), strict=True):
+    for middle, size, period in zip(centre, electrons.shape, _period(camera), strict=True):
         side = min(-(-2 * half_px // period) * period, size // period * period)
-        start = int(np.clip(round(centre - side / 2), 0, size - side)) // period * period
+        start = int(np.clip(round(middle - side / 2), 0, size - side)) // period * period
         spans.append(slice(start, start + side))
     return spans[0], spans[1]
 
 
 def without_hot_pixels(capture: Capture) -> NDArray[np.uint16]:
-    """The raw picture with pixels that stand alone replaced by the median of their neighbours of the same colour."""
+    """The raw picture with hot pixels replaced by the median of their neighbours of the same colour, [h, w]."""
     electrons, sigma_e = _electrons(capture)
     hot = _hot(electrons, sigma_e)
     if not hot.any():
@@ -90,7 +91,7 @@ def without_hot_pixels(capture: Capture) -> NDArray[np.uint16]:
 
 
 def signal_to_noise(pictures: Sequence[PointPicture], camera: Camera, blur_px: float) -> tuple[float, str]:
-    """Electrons of the source over their noise, of the channel where it is lowest, and which channel that is."""
+    """Lowest signal-to-noise ratio of the source among the channels, and the name of that channel."""
     sensor = camera.sensor
     names = channels(sensor)
     square = np.zeros(len(names))
@@ -105,9 +106,9 @@ def signal_to_noise(pictures: Sequence[PointPicture], camera: Camera, blur_px: f
         near = np.hypot(y - (height - 1) / 2, x - (width - 1) / 2) < blur_px / 2 + 2 * RIM_PX
         near &= full_e < SATURATION_SHARE * noise.saturation_e(sensor, picture.gain)
         for index in range(len(names)):
-            own = channel == index
-            used = near & own
-            signal = np.sum(mean_e[used] - np.median(mean_e[own]))
+            pixels = channel == index
+            used = near & pixels
+            signal = np.sum(mean_e[used] - np.median(mean_e[pixels]))
             variance = np.sum(temporal.at(mean_e[used]) / frames + noise.fixed_variance(sensor).at(mean_e[used]))
             if signal > 0 and variance > 0:
                 square[index] += signal**2 / variance
@@ -116,15 +117,15 @@ def signal_to_noise(pictures: Sequence[PointPicture], camera: Camera, blur_px: f
 
 
 def _period(camera: Camera) -> tuple[int, int]:
-    """Rows and columns after which the mosaic repeats."""
+    """Period of the mosaic in rows and columns."""
     return len(camera.sensor.mosaic), len(camera.sensor.mosaic[0])
 
 
 def _electrons(capture: Capture) -> tuple[FloatArray, FloatArray]:
-    """Electrons above each mosaic place's background, [h, w], and the standard deviation of the background there.
+    """Electrons above the background, and the standard deviation of the background, both [h, w].
 
-    The background is the median of the frame's border: a long exposure saturates most of a frame that is not much
-    larger than the blur.
+    The background is the median over the frame's border, for each position in the mosaic. The whole frame would not
+    do: a long exposure may saturate most of a frame that is little larger than the blur.
     """
     sensor = capture.camera.sensor
     variance = noise.variance(sensor, capture.exposure_s, capture.gain)
@@ -144,15 +145,15 @@ def _electrons(capture: Capture) -> tuple[FloatArray, FloatArray]:
 
 
 def _hot(electrons: FloatArray, sigma_e: FloatArray) -> NDArray[np.bool_]:
-    """Pixels far above all eight neighbours."""
+    """Mask of pixels that exceed all eight neighbours by ``HOT_RATIO``, [h, w]."""
     around = np.ones((3, 3), bool)
     around[1, 1] = False
     brightest = ndimage.maximum_filter(electrons, footprint=around, mode="mirror")
     return np.asarray(electrons > HOT_RATIO * np.maximum(brightest, sigma_e))
 
 
-def _found(electrons: FloatArray, sigma_e: FloatArray, camera: Camera, blur_px: float) -> tuple[FloatArray, float]:
-    """Place (y, x) of the source in pixels, and its mean over a window about as wide as its blur, over the noise."""
+def _locate(electrons: FloatArray, sigma_e: FloatArray, camera: Camera, blur_px: float) -> tuple[FloatArray, float]:
+    """Centre (y, x) of the source in pixels, and its mean over a window of the blur's width, relative to the noise."""
     period = max(_period(camera))
     width = max(2 * period + 1, int(blur_px) // 2 * 2 + 1)
     cold = np.where(_hot(electrons, sigma_e), 0.0, electrons)
@@ -160,14 +161,14 @@ def _found(electrons: FloatArray, sigma_e: FloatArray, camera: Camera, blur_px: 
     peak = np.unravel_index(int(mean.argmax()), mean.shape)
     noise_e = float(np.sqrt(np.mean(sigma_e**2))) / width
     elsewhere_e = 0.0
-    apart = mean[width // 2 :: width, width // 2 :: width]
-    if apart.size >= MANY_WINDOWS:  # uneven light that is no point
-        elsewhere_e = float(np.median(apart))
-        noise_e = max(noise_e, 1.4826 * float(np.median(np.abs(apart - elsewhere_e))))
-    place = np.array(peak, float)
+    disjoint = mean[width // 2 :: width, width // 2 :: width]
+    if disjoint.size >= MANY_WINDOWS:  # includes the spread of uneven light
+        elsewhere_e = float(np.median(disjoint))
+        noise_e = max(noise_e, 1.4826 * float(np.median(np.abs(disjoint - elsewhere_e))))
+    centre = np.array(peak, float)
     y, x = np.indices(mean.shape)
     for _ in range(SEARCH_STEPS):
-        near = np.maximum(cold, 0) * (np.hypot(y - place[0], x - place[1]) < width / 2 + period)
+        near = np.maximum(cold, 0) * (np.hypot(y - centre[0], x - centre[1]) < width / 2 + period)
         if near.sum() > 0:
-            place = np.array([(near * y).sum(), (near * x).sum()]) / near.sum()
-    return place, (float(mean[peak]) - elsewhere_e) / noise_e
+            centre = np.array([(near * y).sum(), (near * x).sum()]) / near.sum()
+    return centre, (float(mean[peak]) - elsewhere_e) / noise_e

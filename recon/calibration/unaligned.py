@@ -1,4 +1,4 @@
-"""Kernels from mosaic pictures of a point source that stood anywhere: nothing needs to move by whole pixels.
+"""Kernels from mosaic pictures of a point source at arbitrary positions, without whole-pixel shifts.
 
 Tested in tests/recon/files/test_point_pictures.py.
 """
@@ -17,26 +17,28 @@ from dasim.values import PointPicture
 from recon.calibration.pictures import CORE_SHARE, RIM_PX, averaged, common_centre
 from recon.calibration.round_kernel import basis_of, knots_to, round_fit, subpixel_radius
 
-SMALL_CORE_PX = 7.0  # one mosaic picture samples a core within this radius so coarsely that its centre of mass is off
-FIT_RADIUS_PX = 8.0  # by a tenth of a pixel: there the round model's misfit within this radius decides
+# One mosaic picture undersamples a core within this radius, and its centre of mass is off by a tenth of a pixel. Its
+# centre is that of the best fit of the round model instead.
+SMALL_CORE_PX = 7.0
+FIT_RADIUS_PX = 8.0  # radius of that fit
 CENTRE_TOLERANCE_PX = 0.005
-# Of the profile's bends, relative to the light at their place, against the pixels' noise: bends ten times as large
-# are likely, and what no pixel sees is straight.
+# Weight of the profile's second differences, relative to the local density, against the pixels' noise: their prior
+# standard deviation is ten times the density, and the profile is linear where no pixel samples it.
 SMOOTHNESS = 1e-2
 
 
 def scattered(group: list[PointPicture], camera: Camera) -> FloatArray:
-    """Kernels of round stops from mosaic pictures wherever the source stood, [channel, size, size], electrons.
+    """Kernels of round stops from mosaic pictures with the source at any positions, [channel, size, size], electrons.
 
-    Each position's centre is measured. Its pixels then lie at their own distances from it, so that one position
-    samples the radial profile already, and further ones more finely; nothing is interleaved. InputError where a
-    kernel is not round.
+    The centre of each position is measured. The pixels have different distances from it, so that one position samples
+    the radial profile, and further ones sample it more finely; no interleaving is needed. InputError if a kernel is not
+    round.
     """
-    places: dict[str, list[PointPicture]] = {}
+    positions: dict[str, list[PointPicture]] = {}
     for picture in group:
-        places.setdefault(picture.position, []).append(picture)
+        positions.setdefault(picture.position, []).append(picture)
     unit_s = min(picture.exposure_s for picture in group)
-    measured = [averaged(pictures, camera, unit_s) for pictures in places.values()]
+    measured = [averaged(pictures, camera, unit_s) for pictures in positions.values()]
     period = max(len(camera.sensor.mosaic), len(camera.sensor.mosaic[0]))
     centres = [_mosaic_centre(*part, period) for part in measured]
     reach = min(
@@ -45,36 +47,36 @@ def scattered(group: list[PointPicture], camera: Camera) -> FloatArray:
     )
     half = int(reach) - 1
     if half < RIM_PX:
-        raise InputError("calibration: the point source lies at the picture's edge; it must be near the middle")
-    wanted = subpixel_radius((2 * half + 1, 2 * half + 1), np.array([half, half], float))
+        raise InputError("calibration: the point source is at the picture's edge; it must be near the middle")
+    target = subpixel_radius((2 * half + 1, 2 * half + 1), np.array([half, half], float))
     radii = [subpixel_radius(part[0].shape[1:], centre) for centre, part in zip(centres, measured, strict=True)]
     kernels = np.empty((len(measured[0][0]), 2 * half + 1, 2 * half + 1))
     for index, name in enumerate(channels(camera.sensor)):
-        inside = [radius[seen[index].ravel()] for radius, (_, _, seen) in zip(radii, measured, strict=True)]
+        inside = [radius[sampled[index].ravel()] for radius, (_, _, sampled) in zip(radii, measured, strict=True)]
         value, sigma = (
             np.concatenate([part[what][index][part[2][index]] for part in measured]) for what in (0, 1)
         )  # fmt: skip
-        found = round_fit(np.concatenate(inside), value, sigma, int(reach), SMOOTHNESS)
-        if found is None:
+        fit = round_fit(np.concatenate(inside), value, sigma, int(reach), SMOOTHNESS)
+        if fit is None:
             raise InputError(
-                f"calibration: the picture of {name} of {group[0].light} level {group[0].level} is not round, and "
-                "needs pictures one whole pixel apart that cover the mosaic's period (shift_x_px, shift_y_px)"
+                f"calibration: the picture of {name} of {group[0].light} level {group[0].level} is not round; "
+                "give pictures with whole-pixel shifts that cover the mosaic's period (shift_x_px, shift_y_px)"
             )
-        kernels[index] = (basis_of(wanted, found[0]) @ found[1]).reshape(kernels.shape[1:])
+        kernels[index] = (basis_of(target, fit[0]) @ fit[1]).reshape(kernels.shape[1:])
     return kernels
 
 
-def _mosaic_centre(image: FloatArray, noise_e: FloatArray, seen: NDArray[np.bool_], period: int) -> FloatArray:
+def _mosaic_centre(image: FloatArray, noise_e: FloatArray, sampled: NDArray[np.bool_], period: int) -> FloatArray:
     """Centre (y, x) of the point in one mosaic picture, pixels.
 
-    Linear interpolation of each channel between its own pixels leaves the centre of mass in place where the kernel
-    is smooth on the mosaic's scale; a small one is placed where the round model fits best.
+    Linear interpolation between a channel's pixels preserves the centre of mass of a kernel that is smooth on the
+    mosaic's scale. The centre of a small kernel is that of the best fit of the round model.
     """
     hat = 1 - np.abs(np.arange(1 - period, period)) / period
     whole = image
     for axis in (1, 2):
         whole = ndimage.convolve1d(whole, hat, axis=axis, mode="constant")
-    weight = ndimage.convolve1d(ndimage.convolve1d(seen.astype(float), hat, axis=1), hat, axis=2)
+    weight = ndimage.convolve1d(ndimage.convolve1d(sampled.astype(float), hat, axis=1), hat, axis=2)
     whole = whole / np.maximum(weight, 1e-9)
     centre = common_centre(whole)
     y, x = np.indices(image.shape[1:])
@@ -87,10 +89,10 @@ def _mosaic_centre(image: FloatArray, noise_e: FloatArray, seen: NDArray[np.bool
     side = int(2 * FIT_RADIUS_PX) + 2
     window = (slice(top, top + side), slice(left, left + side))
 
-    def misfit(place: FloatArray) -> float:
-        radius = subpixel_radius(image[0][window].shape, place - np.array([top, left]))
+    def misfit(candidate: FloatArray) -> float:
+        radius = subpixel_radius(image[0][window].shape, candidate - np.array([top, left]))
         total = 0.0
-        for plane, sigma, here in zip(image, noise_e, seen, strict=True):
+        for plane, sigma, here in zip(image, noise_e, sampled, strict=True):
             used = here[window] & near[window]
             knots = knots_to(FIT_RADIUS_PX)
             basis = basis_of(radius[used.ravel()], knots).toarray() / sigma[window][used][:, None]

@@ -18,11 +18,11 @@ from recon import fourier
 Phase = tuple[int, int]
 
 PRIOR_POWER = 0.8  # eq. (16)
-BETA_FIRST, BETA_GROWTH = 0.03, 4.0  # of half-quadratic splitting (Krishnan and Fergus 2009, sec. 3, has 2 sqrt(2))
+BETA_FIRST, BETA_GROWTH = 0.03, 4.0  # coupling of the splitting; Krishnan and Fergus 2009, sec. 3, use 2 sqrt(2)
 TABLE_LIMIT, TABLE_SIZE = 64.0, 8193
-SMALLEST_GRADIENT = np.float32(1e-4)  # finite at frequency 0, where every kernel passes 1 and is certain
-MEAN_GRADIENT = np.float32(1e-6)  # at frequency 0, which differences do not see: the data alone decide there
-SMALLEST_POWER = np.float32(1e-9)  # keeps a division by zero out where neither kernel nor gradient passes anything
+SMALLEST_GRADIENT = np.float32(1e-4)  # keeps 1 / |D|^2 finite at frequency 0, where every transfer function is 1
+MEAN_GRADIENT = np.float32(1e-6)  # |D|^2 at frequency 0, where only the data determine the solution
+SMALLEST_POWER = np.float32(1e-9)  # against division by zero
 
 
 def half_quadratic(
@@ -35,12 +35,17 @@ def half_quadratic(
 ) -> Float32Array:
     """Minimise over f |h * f - I|^2 / 2 + kappa sum(|f_x - e_x|^0.8 + |f_y - e_y|^0.8), eq. (15)-(16), periodic.
 
-    ``image`` is [channel, h, w] with noise of standard deviation 1, ``transfer`` [channel, h, w/2 + 1], ``kappa``
-    [channel], ``expected`` the gradients (x, y) [channel, h, w] that the prior expects; none: 0, as in the paper.
-    ``trust`` [channel, h, w/2 + 1] weighs the data's frequencies (:func:`data_trust`).
-    Half-quadratic splitting: in turns, gradients shrunk towards the expected ones and f from the quadratic problem
-    with them, their coupling beta growing each step. The channels' differences shrink together, each in units of
-    its own: edges of the three colours coincide.
+    Half-quadratic splitting alternates between shrinking the gradients towards the expected ones and solving the
+    quadratic problem for f with these gradients; the coupling beta increases in each iteration. The channels' gradients
+    shrink together, each in its own unit, because edges of the colours coincide.
+
+    Args:
+        image: picture I with noise of standard deviation 1, [channel, h, w].
+        transfer: transfer functions of the kernels h, [channel, h, w/2 + 1].
+        kappa: weights of the prior, [channel].
+        steps: number of iterations.
+        expected: gradients e (x, y) that the prior expects, [channel, h, w] each; 0 without, as in the paper.
+        trust: weights of the data's frequencies (:func:`data_trust`), [channel, h, w/2 + 1].
     """
     shape = (image.shape[-2], image.shape[-1])
     gradient = gradient_power(shape)
@@ -49,30 +54,30 @@ def half_quadratic(
 
     def solve(spectrum: Complex64Array, beta: Float32Array) -> Float32Array:
         coupled = beta[:, None, None]
-        found = (data + coupled * spectrum) / (power + coupled * gradient + SMALLEST_POWER)
-        return fourier.inverse(found, shape, 1)
+        solution = (data + coupled * spectrum) / (power + coupled * gradient + SMALLEST_POWER)
+        return fourier.inverse(solution, shape, 1)
 
-    return _alternated(image, kappa, steps, expected, solve)
+    return _alternate(image, kappa, steps, expected, solve)
 
 
-def _alternated(
+def _alternate(
     image: Float32Array,
     kappa: NDArray,
     steps: int,
     expected: tuple[Float32Array, Float32Array] | None,
     solve: Callable[[Complex64Array, Float32Array], Float32Array],
 ) -> Float32Array:
-    """Shrinkage and the quadratic problem in turns.
+    """Alternate between shrinkage and the quadratic problem; returns f, [channel, h, w].
 
-    ``solve`` takes the transform of D^T w and the coupling beta [channel] and gives f.
+    ``solve`` returns f from the transform of D^T w [channel, h, w/2 + 1] and the coupling beta [channel].
     """
-    none = np.zeros((image.shape[0], 1, 1), np.float32)
-    wanted_x, wanted_y = expected or (none, none)
-    result, pull, factor = image, np.empty_like(image), BETA_FIRST
+    zero = np.zeros((image.shape[0], 1, 1), np.float32)
+    expected_x, expected_y = expected or (zero, zero)
+    result, divergence, factor = image, np.empty_like(image), BETA_FIRST
     for _ in range(steps):
         scale = _scale(kappa, factor).astype(np.float32)
-        _shrunk_divergence(result, wanted_x, wanted_y, shrink_table(), scale, np.float32(TABLE_LIMIT), pull)
-        result = solve(fourier.forward(pull, 1), (factor * np.asarray(kappa)).astype(np.float32))
+        _shrunk_divergence(result, expected_x, expected_y, shrink_table(), scale, np.float32(TABLE_LIMIT), divergence)
+        result = solve(fourier.forward(divergence, 1), (factor * np.asarray(kappa)).astype(np.float32))
         factor *= BETA_GROWTH
     return result
 
@@ -82,7 +87,8 @@ def quadratic(
 ) -> Float32Array:
     """Minimise over f |h * f - I|^2 + beta (|f_x|^2 + |f_y|^2), eq. (9)-(10), in closed form.
 
-    ``spectrum`` is the transform of I [channel, *shape]; the others as above.
+    ``spectrum`` is the transform of I, ``transfer`` that of the kernels, [channel, h, w/2 + 1]; ``beta`` is [channel],
+    ``shape`` [h, w].
     """
     weight = np.asarray(beta, np.float32)[:, None, None] * gradient_power(shape)
     spectrum = np.conj(transfer) * spectrum
@@ -98,36 +104,36 @@ def half_quadratic_samples(
     expected: tuple[Float32Array, Float32Array] | None = None,
     trust: Float32Array | None = None,
 ) -> Float32Array:
-    """:func:`half_quadratic` of what a mosaic samples: of each channel every second pixel in every second row counts.
+    """:func:`half_quadratic` with the samples of a mosaic as data: every second pixel in every second row.
 
-    ``phases`` are the places (row, column) of each channel's first sample; height and width are multiples of 4.
-    Blur and loss of samples are undone together: the prior resolves the aliasing. The quadratic problem
-    couples four frequencies alone, hence its closed form (Zhao et al. 2016, Fast single image super-resolution,
-    theorem 1, with the image's differences instead of the image).
+    Blur and subsampling are inverted together; the prior resolves the aliasing. The quadratic problem couples only four
+    frequencies at a time and so has a closed form (Zhao et al. 2016, Fast single image super-resolution, theorem 1,
+    with the image's differences instead of the image). ``phases`` are the positions (row, column) of each channel's
+    first sample; height and width are multiples of 4. For the other parameters see :func:`half_quadratic`.
     """
     shape = (image.shape[-2], image.shape[-1])
-    whiten = _inverse_gradient(shape)
-    seen = transfer * _phase_factors(tuple(phases), shape)
+    inverse_gradient = _inverse_gradient(shape)
+    sampling = transfer * _phase_factors(tuple(phases), shape)
     data = fourier.forward(np.stack([plane[y::2, x::2] for plane, (y, x) in zip(image, phases, strict=True)]), 1)
-    passed = np.empty(data.shape, np.float32)
-    _fold((seen.real**2 + seen.imag**2) * whiten, passed)
-    weight: Float32Array = np.ones_like(passed)
+    power = np.empty(data.shape, np.float32)
+    _fold((sampling.real**2 + sampling.imag**2) * inverse_gradient, power)
+    weight: Float32Array = np.ones_like(power)
     if trust is not None:
         _fold(1 / trust - 1, weight)
         weight = np.asarray(1 / (1 + weight), np.float32)
 
     def solve(spectrum: Complex64Array, beta: Float32Array) -> Float32Array:
-        _solve(spectrum, seen, whiten, data, weight, passed, beta, np.empty_like(data))
+        _solve(spectrum, sampling, inverse_gradient, data, weight, power, beta, np.empty_like(data))
         return fourier.inverse(spectrum, shape, 1)
 
-    return _alternated(image, kappa, steps, expected, solve)
+    return _alternate(image, kappa, steps, expected, solve)
 
 
 @njit(cache=True, nogil=True)
 def _fold(power: Float32Array, out: Float32Array) -> None:  # pragma: no cover - compiled
-    """Mean over the four frequencies that alias on every second sample, [c, h, w/2 + 1] -> [c, h/2, w/4 + 1].
+    """Mean of power spectra over the four frequencies that alias, [c, h, w/2 + 1] -> [c, h/2, w/4 + 1].
 
-    Of powers, which are the same at opposite frequencies.
+    The power is the same at opposite frequencies.
     """
     channels, height, width = out.shape
     last = power.shape[2] - 1
@@ -142,70 +148,76 @@ def _fold(power: Float32Array, out: Float32Array) -> None:  # pragma: no cover -
 @njit(cache=True, nogil=True)
 def _solve(  # pragma: no cover - compiled
     spectrum: Complex64Array,
-    seen: Complex64Array,
-    whiten: Float32Array,
+    sampling: Complex64Array,
+    inverse_gradient: Float32Array,
     data: Complex64Array,
     weight: Float32Array,
-    passed: Float32Array,
+    power: Float32Array,
     beta: Float32Array,
     misfit: Complex64Array,
 ) -> None:
-    """The quadratic problem in place: from the transform of D^T w to that of f, [c, h, w/2 + 1].
+    """Solve the quadratic problem in place: from the transform of D^T w to that of f, [c, h, w/2 + 1].
 
-    f = p + conj(S) / |D|^2 A^T q with p = D^T w / |D|^2, q = (data - A S p) / (beta / weight + A |S|^2 / |D|^2), where
-    S blurs and shifts to the samples and A adds up the frequencies that alias there.
+    f = p + conj(S) / |D|^2 A^T q with p = D^T w / |D|^2 and q = (data - A S p) / (beta / weight + A |S|^2 / |D|^2).
+    S (``sampling``) blurs and shifts to the samples; A averages the four frequencies that alias. ``power`` is
+    A |S|^2 / |D|^2, and ``misfit`` a buffer for q, [c, h/2, w/4 + 1].
     """
     channels, half, width = data.shape
     height, last = 2 * half, spectrum.shape[2] - 1
     for c in range(channels):
-        here, passing = spectrum[c], seen[c]
+        here, blur = spectrum[c], sampling[c]
         for y in range(height):
             for x in range(last + 1):
-                here[y, x] *= whiten[y, x]
+                here[y, x] *= inverse_gradient[y, x]
         here[0, 0] = 0
         for y in range(half):
             mirror = (half - y) % half
             for x in range(width):
                 far = last - x
-                near = here[y, x] * passing[y, x] + here[y + half, x] * passing[y + half, x]
-                other = here[mirror, far] * passing[mirror, far]
-                other += here[mirror + half, far] * passing[mirror + half, far]
-                found = data[c, y, x] - (near + np.conj(other)) * np.float32(0.25)
-                misfit[c, y, x] = found * (weight[c, y, x] / (beta[c] + weight[c, y, x] * passed[c, y, x]))
+                near = here[y, x] * blur[y, x] + here[y + half, x] * blur[y + half, x]
+                other = here[mirror, far] * blur[mirror, far]
+                other += here[mirror + half, far] * blur[mirror + half, far]
+                rest = data[c, y, x] - (near + np.conj(other)) * np.float32(0.25)
+                misfit[c, y, x] = rest * (weight[c, y, x] / (beta[c] + weight[c, y, x] * power[c, y, x]))
         for y in range(height):
             row = y % half
             mirror = (half - row) % half
             for x in range(width):
-                here[y, x] += np.conj(passing[y, x]) * misfit[c, row, x] * whiten[y, x]
+                here[y, x] += np.conj(blur[y, x]) * misfit[c, row, x] * inverse_gradient[y, x]
             for x in range(width, last + 1):
-                here[y, x] += np.conj(passing[y, x] * misfit[c, mirror, last - x]) * whiten[y, x]
+                here[y, x] += np.conj(blur[y, x] * misfit[c, mirror, last - x]) * inverse_gradient[y, x]
 
 
 def _scale(kappa: NDArray, factor: float) -> NDArray:
-    """Unit of each channel's differences in the shrinkage: their expected size for the weight kappa."""
+    """Unit of each channel's differences in the shrinkage, [channel]: their expected size for the weight kappa."""
     return factor ** (-1 / (2 - PRIOR_POWER)) * (np.mean(kappa) / np.asarray(kappa)) ** (1 / PRIOR_POWER)
 
 
 @lru_cache(maxsize=16)
 def _phase_factors(phases: tuple[Phase, ...], shape: tuple[int, int]) -> Complex64Array:
-    """Shift theorem's factors [channel, h, w/2 + 1] that bring each channel's first sample to the origin."""
+    """Phasors [channel, h, w/2 + 1] that shift each channel's first sample to the origin."""
     fy, fx = fourier.frequencies(shape)
     return np.stack([np.exp(2j * np.pi * (fy * y + fx * x)) for y, x in phases]).astype(np.complex64)
 
 
 @lru_cache(maxsize=16)
 def _inverse_gradient(shape: tuple[int, int]) -> Float32Array:
-    """1 / (|D_x|^2 + |D_y|^2), finite at frequency 0."""
+    """1 / (|D_x|^2 + |D_y|^2), finite at frequency 0, [h, w/2 + 1]."""
     gradient = gradient_power(shape).copy()
     gradient[0, 0] = MEAN_GRADIENT
     return np.asarray(1 / gradient, np.float32)
 
 
 def data_trust(variance: Float32Array, steps: NDArray, shape: tuple[int, int]) -> Float32Array:
-    """Weight 1 / (1 + var(H) S) of data whose transfer function is known up to ``variance`` [channel, h, w/2 + 1].
+    """Weight 1 / (1 + var(H) S) of each frequency of the data, for an uncertain transfer function H.
 
-    Noise has unit density, and what an uncertain kernel adds has var(H) S, with the scene's spectrum S of white
-    gradients whose mean squares along x and y add up to ``steps`` [channel].
+    The noise has unit spectral density; the uncertainty of H adds var(H) S, with the power spectrum S of a scene with
+    white gradients.
+
+    Args:
+        variance: var(H), [channel, h, w/2 + 1].
+        steps: mean square gradient of the scene along x plus that along y, [channel].
+        shape: size of the frame, [h, w].
     """
     scene = np.asarray(steps, np.float32)[:, None, None] / (gradient_power(shape) + SMALLEST_GRADIENT)
     return (1 / (1 + variance * scene)).astype(np.float32)
@@ -213,16 +225,16 @@ def data_trust(variance: Float32Array, steps: NDArray, shape: tuple[int, int]) -
 
 @lru_cache(maxsize=16)
 def gradient_power(shape: tuple[int, int]) -> Float32Array:
-    """|D_x|^2 + |D_y|^2 of differences on the half-plane of frequencies."""
+    """|D_x|^2 + |D_y|^2 of forward differences, [h, w/2 + 1]."""
     fy, fx = fourier.frequencies(shape)
     return (4 * np.sin(np.pi * fy) ** 2 + 4 * np.sin(np.pi * fx) ** 2).astype(np.float32)
 
 
 @lru_cache(maxsize=1)
 def shrink_table() -> Float32Array:
-    """Minimise over u |u|^0.8 + (u - v)^2 / 2 for v from 0 to ``TABLE_LIMIT``, [TABLE_SIZE].
+    """Minimum over u of |u|^0.8 + (u - v)^2 / 2 for v from 0 to ``TABLE_LIMIT``, [TABLE_SIZE].
 
-    The positive minimum from Newton's iteration started at v, used where its cost is below that of u = 0.
+    Newton's iteration from v gives the positive minimum, which is used where its cost is below that of u = 0.
     """
     v = np.linspace(0, TABLE_LIMIT, TABLE_SIZE)
     a = PRIOR_POWER
@@ -235,10 +247,13 @@ def shrink_table() -> Float32Array:
 
 
 @njit(cache=True, nogil=True)
-def _kept(  # pragma: no cover - compiled
+def _shrinkage(  # pragma: no cover - compiled
     energy: Float32Array, table: Float32Array, limit: np.float32, out: Float32Array
 ) -> None:
-    """Share of a difference that shrinkage leaves, from the mean square of its channels in units of their scale."""
+    """Factor by which shrinkage multiplies a difference, [w].
+
+    ``energy`` is the mean square over the channels, each in units of its scale; ``table`` is :func:`shrink_table`.
+    """
     per_step = np.float32((table.size - 1) / limit)
     last = np.float32(table.size - 2)
     for x in range(energy.size):
@@ -252,55 +267,57 @@ def _kept(  # pragma: no cover - compiled
 @njit(cache=True, nogil=True)
 def _shrunk_divergence(  # pragma: no cover - compiled
     image: Float32Array,
-    wanted_x: Float32Array,
-    wanted_y: Float32Array,
+    expected_x: Float32Array,
+    expected_y: Float32Array,
     table: Float32Array,
     scale: Float32Array,
     limit: np.float32,
     out: Float32Array,
 ) -> None:
-    """D_x^T w_x + D_y^T w_y of forward differences shrunk towards the wanted ones, periodic.
+    """D_x^T w_x + D_y^T w_y of forward differences of an image that are shrunk towards the expected ones, periodic.
 
-    The channels' differences shrink together, by their root mean square in units of each channel's ``scale``. Row by
-    row, in loops that the compiler turns into vectors; the row above the first is the last one.
+    ``image`` and ``out`` are [channel, h, w]; ``expected_x`` and ``expected_y`` as well, or [channel, 1, 1] for 0. The
+    channels shrink together, by their root mean square in units of each channel's ``scale``. All is one function with
+    loops over a row, which the compiler vectorises: cut in two, it takes 1.4 to 1.9 times as long. The row above the
+    first is the last one.
     """
     channels, height, width = image.shape
-    own = wanted_x.shape[1] == height and wanted_x.shape[2] == width
+    guided = expected_x.shape[1] == height and expected_x.shape[2] == width
     zero = np.zeros(width, np.float32)
-    energy, share = np.empty((2, width), np.float32)
+    energy, factor = np.empty((2, width), np.float32)
     along_x, along_y, above = np.empty((3, channels, width), np.float32)
     for row in range(-1, height):
         y = row if row >= 0 else height - 1
         down = y + 1 if y + 1 < height else 0
         energy[:] = 0
         for c in range(channels):
-            here, below, expected = image[c, y], image[c, down], wanted_y[c, y] if own else zero
+            here, below, expected = image[c, y], image[c, down], expected_y[c, y] if guided else zero
             step, per_unit = along_y[c], 1 / (scale[c] * scale[c] * channels)
             for x in range(width):
                 step[x] = below[x] - here[x] - expected[x]
                 energy[x] += step[x] * step[x] * per_unit
-        _kept(energy, table, limit, share)
+        _shrinkage(energy, table, limit, factor)
         for c in range(channels):
-            step, expected = along_y[c], wanted_y[c, y] if own else zero
+            step, expected = along_y[c], expected_y[c, y] if guided else zero
             for x in range(width):
-                step[x] = share[x] * step[x] + expected[x]
+                step[x] = factor[x] * step[x] + expected[x]
         if row >= 0:
             energy[:] = 0
             for c in range(channels):
-                here, expected = image[c, y], wanted_x[c, y] if own else zero
+                here, expected = image[c, y], expected_x[c, y] if guided else zero
                 step, per_unit = along_x[c], 1 / (scale[c] * scale[c] * channels)
                 for x in range(width - 1):
                     step[x] = here[x + 1] - here[x] - expected[x]
                 step[width - 1] = here[0] - here[width - 1] - expected[width - 1]
                 for x in range(width):
                     energy[x] += step[x] * step[x] * per_unit
-            _kept(energy, table, limit, share)
+            _shrinkage(energy, table, limit, factor)
             for c in range(channels):
-                step, expected = along_x[c], wanted_x[c, y] if own else zero
+                step, expected = along_x[c], expected_x[c, y] if guided else zero
                 for x in range(width):
-                    step[x] = share[x] * step[x] + expected[x]
-                found, up, left = out[c, y], above[c], along_y[c]
-                found[0] = step[width - 1] - step[0] + up[0] - left[0]
+                    step[x] = factor[x] * step[x] + expected[x]
+                total, up, left = out[c, y], above[c], along_y[c]
+                total[0] = step[width - 1] - step[0] + up[0] - left[0]
                 for x in range(1, width):
-                    found[x] = step[x - 1] - step[x] + up[x] - left[x]
+                    total[x] = step[x - 1] - step[x] + up[x] - left[x]
         above[:] = along_y

@@ -117,7 +117,7 @@ def test_a_bank_of_another_focus_or_camera_is_refused(scene):
         recon.reconstruct(moved, bank)
     sensor = scene.capture.camera.sensor.model_copy(update={"pixel_pitch_um": 3.0})
     other = dataclasses.replace(scene.capture, camera=scene.capture.camera.model_copy(update={"sensor": sensor}))
-    with pytest.raises(InputError, match=r"does not fit.*pixel_pitch_um"):
+    with pytest.raises(InputError, match=r"does not match.*pixel_pitch_um"):
         recon.reconstruct(other, bank)
     sensor = scene.capture.camera.sensor.model_copy(update={"cutoff_nm": 700.0})
     other = dataclasses.replace(scene.capture, camera=scene.capture.camera.model_copy(update={"sensor": sensor}))

@@ -73,7 +73,7 @@ def test_pictures_can_be_counted_and_taken_again(camera):
 def test_progress_counts_the_pictures(camera):
     shares = []
     pictures = dasim.calibration_captures(camera, ("D55",), frames=1, diffraction="off")
-    assert list(cached._counted(pictures, lambda stage, share: shares.append(share)))
+    assert list(cached._with_progress(pictures, lambda stage, share: shares.append(share)))
     assert shares[0] == 0.0 and max(shares) < 1.0 and len(shares) == len(pictures)
 
 
@@ -114,7 +114,7 @@ def test_cached_file_that_is_a_bank_of_something_else_is_made_anew(cache, camera
 def test_cache_that_cannot_be_written_is_no_error(cache, camera, measured):
     cache.mkdir()
     (cache / "banks").write_text("a file where the folder should be")
-    with pytest.warns(UserWarning, match="cannot be kept in the cache"):
+    with pytest.warns(UserWarning, match="cannot be stored in the cache"):
         assert found(camera).lights == ("D55",)
 
 

@@ -177,9 +177,9 @@ def test_what_a_blurred_surface_uncovers_is_filled_from_behind():
 
 
 @pytest.mark.parametrize(("depth_m", "f_number", "said"), [
-    (0.003, None, "depth of 0.003 m; more than the focal length of 0.0036 m"),
-    (float("nan"), None, "depth of nan"),
-    (0.2, 0.0, "f-number of 0; more than 0"),
+    (0.003, None, "depth 0.003 m is not allowed; give more than the focal length, 0.0036 m"),
+    (float("nan"), None, "depth nan m"),
+    (0.2, 0.0, "f-number 0 is not allowed; give more than 0"),
 ])  # fmt: skip
 def test_impossible_requests_are_refused(depth_m, f_number, said):
     with pytest.raises(InputError, match=said):

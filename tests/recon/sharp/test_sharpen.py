@@ -68,9 +68,9 @@ def kernels():
     return sharpen.visible_kernels(bank.kernel[0], bank.signature[0], separation())
 
 
-def sharpened(image, level, **settings):
-    changed = PAPER.model_copy(update=settings)
-    return sharpen.sharpen(np.moveaxis(image, -1, 0), level, kernels(), np.full(4, NOISE_E), changed)
+def sharpened(image, level, guided=PAPER.sharpen_guide):
+    numbers = {"steps": PAPER.sharpen_steps, "strength": PAPER.sharpen_strength, "guided": guided}
+    return sharpen.sharpen(np.moveaxis(image, -1, 0), level, kernels(), np.full(4, NOISE_E), **numbers)
 
 
 def decibel(image, truth):
@@ -105,7 +105,7 @@ def test_infrared_tells_the_colours_where_edges_are():
     """The prior about infrared's gradients beats the paper's about zero, on texture that both share in part."""
     level = np.full((192, 256), 5.0, np.float32)
     image, truth = captured(level)
-    guided, plain = (sharpened(image, level, sharpen_guide=guide) for guide in (True, False))
+    guided, plain = (sharpened(image, level, guided=guided) for guided in (True, False))
     assert decibel(guided[..., 1], truth[..., 1]) > decibel(plain[..., 1], truth[..., 1]) + 0.3
 
 
