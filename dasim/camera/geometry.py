@@ -6,8 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from dasim.camera import stops as aperture
-from dasim.camera import thin_lens
+from dasim.camera import stops, thin_lens
 from dasim.camera.specification import BLUR_LEVELS, Camera
 from dasim.spectra import grid
 from dasim.typing import FloatArray
@@ -59,9 +58,9 @@ def chromatic_blur_px(camera: Camera) -> FloatArray:
 
 def hole_ratio(camera: Camera) -> float:
     """Radius ratio of the smallest stop, alpha in the paper; for polygons and masks that of a disc of equal area."""
-    rings = [aperture.ring(stop) for stop in camera.stops]
+    rings = [stops.ring(stop) for stop in camera.stops]
     return min(
-        float(np.sqrt(aperture.open_area(stop))) if ring is None else ring.outer
+        float(np.sqrt(stops.open_area(stop))) if ring is None else ring.outer
         for stop, ring in zip(camera.stops, rings, strict=True)
     )
 

@@ -24,9 +24,8 @@ from numpy.typing import NDArray
 from scipy.special import j0, j1, roots_legendre
 
 from dasim.base.errors import InputError, kind_of
-from dasim.camera import geometry, radiometry
+from dasim.camera import geometry, radiometry, stops
 from dasim.camera import specification as cameras
-from dasim.camera import stops as aperture
 from dasim.camera.specification import Camera
 from dasim.camera.stops import Stop
 from dasim.spectra import grid, illuminants
@@ -149,12 +148,12 @@ def radial_profiles(
     spectrum: FloatArray,
     radius_px: FloatArray,
     diffraction: str = "wave",
-    stops: Sequence[Stop] | None = None,
+    group: Sequence[Stop] | None = None,
 ) -> tuple[FloatArray, FloatArray]:
     """Radial density of the kernels, [..., blur, channel, radius] per square pixel, before the pixel.
 
     ``blur_px`` are visible blur diameters, ``spectrum`` the spectral power of one light or several on the
-    wavelength grid, [..., wavelength]; ``stops`` are discs and rings about one centre, all of the camera's by
+    wavelength grid, [..., wavelength]; ``group`` are discs and rings about one centre, all of the camera's by
     default. Each density integrates to 1 over the plane. Also returns the electrons of each channel through these
     stops, relative, [..., channel].
     """
@@ -165,8 +164,8 @@ def radial_profiles(
     count = len(cameras.channels(camera.sensor))
     total = np.zeros((*lead, len(blur_px), count, len(radius_px)))
     signal = np.zeros((*lead, count))
-    for stop in camera.stops if stops is None else stops:
-        ring = aperture.ring(stop)
+    for stop in camera.stops if group is None else group:
+        ring = stops.ring(stop)
         if ring is None:
             raise ValueError(f"stop '{stop.name}' is not radial")
         weights = radiometry.stop_response(camera, stop) * spectrum[..., None, :]
@@ -211,11 +210,11 @@ def pupil_pattern(stop: Stop, waves: float, y: FloatArray, x: FloatArray) -> Flo
     lens's rim, positive for points nearer than the focus. U(u) = int P(rho) exp(2 pi i W20 rho^2 + pi i rho u),
     h = |U|^2 / (4 int |P|^2), as a product of matrices (Jurling et al., J. Opt. Soc. Am. A 35, 2018).
     """
-    transmitted, place = aperture.pupil(stop)
+    transmitted, place = stops.pupil(stop)
     cell = place[1] - place[0]
     phase = np.exp(2j * np.pi * waves * place**2)
     # A cell that a polygon covers by half passes half the amplitude; one of half the transmittance passes more.
-    drawn = np.sqrt(transmitted) if isinstance(stop, aperture.Mask) else transmitted
+    drawn = np.sqrt(transmitted) if isinstance(stop, stops.Mask) else transmitted
     amplitude = drawn * phase[:, None] * phase[None, :]
     field = np.exp(1j * np.pi * np.outer(y, place)) @ amplitude @ np.exp(1j * np.pi * np.outer(place, x)) * cell**2
     return np.abs(field) ** 2 / (4 * transmitted.sum() * cell**2)
@@ -245,7 +244,7 @@ def _pattern_kernel(
             density = pupil_pattern(stop, blur / (8 * scale), y, x) / scale**2
             kernel = density.reshape(size, SUBPIXELS, size, SUBPIXELS).mean(axis=(1, 3))
         else:
-            transmitted, place = aperture.pupil(stop)
+            transmitted, place = stops.pupil(stop)
             rows, columns = np.meshgrid(*(at - place * blur / 2 for at in offset_px), indexing="ij")
             edges = np.arange(size + 1) - size / 2
             drawn = np.histogram2d(rows.ravel(), columns.ravel(), bins=[edges, edges], weights=transmitted.ravel())
@@ -266,10 +265,10 @@ def kernels(
     """
     check_model(diffraction)
     blurs = np.asarray(blur_px, dtype=np.float64)
-    about: dict[aperture.Point, list[Stop]] = {}
+    about: dict[stops.Point, list[Stop]] = {}
     others: list[Stop] = []
     for stop in camera.stops:
-        ring = aperture.ring(stop)
+        ring = stops.ring(stop)
         if ring is None:
             others.append(stop)
         else:
@@ -278,8 +277,8 @@ def kernels(
     farthest = max((float(np.hypot(*centre)) for centre in about), default=0.0) * largest / 2
     radius = np.arange(0, size * 0.75 + 2 + farthest, RADIAL_STEP_PX)
     groups = [
-        (np.array(centre[::-1]), colour_px, *radial_profiles(camera, blurs, part, radius, diffraction, stops))
-        for centre, stops in about.items()
+        (np.array(centre[::-1]), colour_px, *radial_profiles(camera, blurs, part, radius, diffraction, group))
+        for centre, group in about.items()
         for colour_px, part in _moved_alike(camera, centre, spectrum)
     ]
 
@@ -301,7 +300,7 @@ def kernels(
     return at
 
 
-def _moved_alike(camera: Camera, centre: aperture.Point, spectrum: FloatArray) -> Iterator[tuple[float, FloatArray]]:
+def _moved_alike(camera: Camera, centre: stops.Point, spectrum: FloatArray) -> Iterator[tuple[float, FloatArray]]:
     """Parts of a spectrum that blur to the same place through a stop about ``centre``, each with its axial colour, px.
 
     Through a displaced stop axial colour moves the wavelengths apart: one part each 10 nm.
@@ -334,7 +333,7 @@ def pixel_kernels(
 
 def kernel_size_px(camera: Camera, blur_px: float) -> int:
     """Odd frame size that holds a kernel of a visible blur with its diffraction tail."""
-    widest = max(working_f_number(camera, aperture.breadth(stop)) for stop in camera.stops)
+    widest = max(working_f_number(camera, stops.breadth(stop)) for stop in camera.stops)
     tail_px = 3 * 0.7e-6 * widest / (camera.sensor.pixel_pitch_um * 1e-6)  # three rings at 700 nm
     colour_px = float(np.abs(geometry.chromatic_blur_px(camera)).max())
     return 2 * int(np.ceil((abs(blur_px) + colour_px) / 2 + tail_px)) + 1

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from dasim.camera import geometry as cameras
+from dasim.camera import geometry as camera_geometry
 from dasim.camera.specification import Camera
 from dasim.typing import FloatArray
 
@@ -27,7 +27,7 @@ class Geometry(NamedTuple):
 def field_of_view_deg(camera: Camera) -> float:
     """Horizontal field of view in degrees at the camera's focus, 2 atan(w / (2 s)) with the image distance s."""
     width_m = camera.sensor.width_px * camera.sensor.pixel_pitch_um * 1e-6
-    return float(np.degrees(2 * np.arctan(width_m / (2 * cameras.image_distance_m(camera)))))
+    return float(np.degrees(2 * np.arctan(width_m / (2 * camera_geometry.image_distance_m(camera)))))
 
 
 def camera_axes() -> Any:
@@ -93,7 +93,7 @@ def _object_ids(mitsuba_scene: Any, shape_index: NDArray[np.uint32]) -> NDArray[
 
 def signed_blur_px(depth_m: FloatArray, camera: Camera) -> FloatArray:
     """Signed visible blur in pixels, [h, w], of a depth map in which NaN stands for infinity."""
-    return cameras.blur_px(camera, np.where(np.isnan(depth_m), np.inf, depth_m))
+    return camera_geometry.blur_px(camera, np.where(np.isnan(depth_m), np.inf, depth_m))
 
 
 def boundary(blur_px: FloatArray) -> NDArray[np.bool_]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from dasim.camera import stops as aperture
+from dasim.camera import stops
 from validation.claims.cost import datasets, scenes
 from validation.claims.depth import ground_truth
 from validation.claims.light import electrons as light
@@ -92,10 +92,10 @@ def test_a_stop_of_another_size_changes_the_light_loss(jit, monkeypatch):
 
     def wrong(name):
         camera = true(name)
-        stops = [
+        parts = [
             stop.model_copy(update={"radius_ratio": 0.6 if stop.name == "green" else 1.0}) for stop in camera.stops
         ]
-        return camera.model_copy(update={"stops": tuple(stops)})
+        return camera.model_copy(update={"stops": tuple(parts)})
 
     monkeypatch.setattr(light, "REDUCTIONS", {"chakrabarti-zickler": ("chakrabarti-zickler", [(2, 0.59)])})
     monkeypatch.setattr(light, "LOSS_LIGHTS", ("D65",))
@@ -111,7 +111,7 @@ def test_limits_of_light_loss_lie_around_eq_1():
     gates = load_gates(GATES, CLAIMS)
     for name, (_, reductions) in light.REDUCTIONS.items():
         low, high = map(float, gate_of(f"light-loss.{name}", gates).limit.split(".."))
-        expected = aperture.light_loss(reductions, 4)
+        expected = stops.light_loss(reductions, 4)
         assert low == pytest.approx(expected - 0.005, abs=1e-4) and high == pytest.approx(expected + 0.005, abs=1e-4)
 
 

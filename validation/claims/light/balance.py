@@ -9,9 +9,8 @@ from numpy.typing import NDArray
 
 import dasim
 from dasim.bounds import cramer_rao
-from dasim.camera import geometry, noise
+from dasim.camera import geometry, noise, stops
 from dasim.camera import specification as cameras
-from dasim.camera import stops as aperture
 from dasim.camera.specification import Camera
 from dasim.spectra.grid import CHANNELS
 from dasim.typing import FloatArray, ShareDone
@@ -69,7 +68,7 @@ def balance(progress: ShareDone) -> Evidence:
                 part = (transfers[0][column], transfers[1][column])
                 error[row, column, number], snr[row, column, number] = depth_error(holed, light, level_lux, part)
         progress((number + 1) / len(ALPHAS))
-    loss = [aperture.light_loss([(1, alpha)], 4) for alpha in ALPHAS]
+    loss = [stops.light_loss([(1, alpha)], 4) for alpha in ALPHAS]
     own = ALPHAS.index(PAPERS)
     figures = [Figure("light-loss", loss[own], "1", "share of the light lost with a hole of 0.46, eq. (1)")]
     rows = []
@@ -108,8 +107,8 @@ def balance(progress: ShareDone) -> Evidence:
 
 def with_hole(camera: Camera, alpha: float) -> Camera:
     """The camera with its near-infrared hole changed to the radius ratio ``alpha``."""
-    stops = [stop.model_dump() | ({"radius_ratio": alpha} if stop.name == "hole" else {}) for stop in camera.stops]
-    return rendering.changed(camera, stops=stops)
+    parts = [stop.model_dump() | ({"radius_ratio": alpha} if stop.name == "hole" else {}) for stop in camera.stops]
+    return rendering.changed(camera, stops=parts)
 
 
 def depth_error(
