@@ -1,4 +1,4 @@
-"""The colour picture of a raw mosaic (sec. 4, Fig. 4): linear colours without infrared, and sRGB."""
+"""Development of a raw mosaic into a colour picture (sec. 4, Fig. 4): linear colours without infrared, and sRGB."""
 
 from __future__ import annotations
 
@@ -19,19 +19,19 @@ from recon.settings import DEFAULT, Settings
 from recon.stages import Stage, stages
 
 MIN_FRAME_PX = 32
-CLIPPED_NEAR_PX = 5  # side of the square in which a saturated pixel spoils the interpolated values
-LIGHTS = ("D65", "D55", "A", "energy-saving-3500K")  # sec. 5.1, that white balance chooses from without a bank
+CLIPPED_NEAR_PX = 5  # side of the square in which a saturated pixel affects interpolated values
+LIGHTS = ("D65", "D55", "A", "energy-saving-3500K")  # of sec. 5.1, for white balance without a bank
 STAGES = ("linearise", "light", "denoise", "infrared", "demosaic", "colour")
 
 
 @dataclass(frozen=True)
 class Linear:
-    """A linear mosaic, and what is measured on it once."""
+    """A linear mosaic with its light, saturation and lens shading."""
 
     raw_e: Float32Array  # [h, w] electrons
     saturated: BoolArray  # [h, w]
     light: int  # index of the light, by white balance
-    gain: Float32Array | None  # [h, w] that undoes the lens shading; None without a flat
+    gain: Float32Array | None  # [h, w] factor that corrects the lens shading; None without a flat
 
 
 @dataclass(frozen=True)
@@ -52,8 +52,12 @@ def develop(
 ) -> Developed:
     """The colour picture alone (sec. 4), of any supported mosaic, without a PSF bank.
 
-    White balance chooses among ``lights`` by the camera's response curves. ``flat`` is a capture of an even surface,
-    from which the lens shading is corrected.
+    Args:
+        capture: the raw picture.
+        settings: of noise reduction and infrared removal.
+        lights: candidates of the white balance, by the camera's response curves.
+        flat: a capture of a uniform surface, for the correction of the lens shading.
+        progress: called with the name of each stage and the share of stages before it, 0..1.
     """
     camera = capture.camera
     timings: dict[str, float] = {}
@@ -76,14 +80,16 @@ def develop(
 
 
 def linearised(capture: Capture, signature: NDArray, flat: Capture | None, stage: Stage) -> Linear:
-    """Electrons of a capture, and its light by white balance.
+    """The linear mosaic of a capture, with its light by white balance.
 
-    ``signature`` [light, channel] are electrons of a white point under each light.
+    ``signature`` [light, channel] is electrons of a white point under each light; for ``flat`` see :func:`develop`.
     """
     camera = capture.camera
     height, width = capture.raw_dn.shape
     if min(height, width) < MIN_FRAME_PX:
-        raise InputError(f"capture: {width} x {height} pixels; at least {MIN_FRAME_PX} x {MIN_FRAME_PX} are needed")
+        raise InputError(
+            f"capture: {width} x {height} pixels are too few; at least {MIN_FRAME_PX} x {MIN_FRAME_PX} are needed"
+        )
     with stage("linearise"):
         raw_e, saturated = mosaic.linearise(capture)
         gain = None if flat is None else shading.gain(flat, camera)
@@ -93,16 +99,17 @@ def linearised(capture: Capture, signature: NDArray, flat: Capture | None, stage
 
 
 def denoised(raw_e: Float32Array, capture: Capture, settings: Settings) -> Float32Array:
-    """Sec. 4.1 on each grid of the mosaic [h, w], with the sensor's noise model; unchanged where it is off.
+    """Noise reduction of sec. 4.1 on each grid of a mosaic [h, w] electrons; unchanged if the settings turn it off.
 
-    Two grids in a quincunx (green of a Bayer block, three channels of the 4x4 block) are denoised separately.
+    The noise model is that of the sensor. The two grids of a quincunx (green of a Bayer block, three channels of the
+    4x4 block) are denoised separately.
     """
     if not settings.denoise:
         return raw_e
     clean = np.empty_like(raw_e)
     variance = mosaic.noise_variance(capture)
-    for own in mosaic.grids(capture.camera).values():
-        for row, column, step in own:
+    for channel_grids in mosaic.grids(capture.camera).values():
+        for row, column, step in channel_grids:
             plane = np.ascontiguousarray(raw_e[row::step, column::step])
             guide = denoise.stabilise(plane, variance)
             clean[row::step, column::step] = denoise.nonlocal_means(
@@ -114,16 +121,16 @@ def denoised(raw_e: Float32Array, capture: Capture, settings: Settings) -> Float
 def shaded(mosaic_e: Float32Array, gain: Float32Array | None) -> Float32Array:
     """A mosaic [h, w] with the lens shading corrected.
 
-    Deviation from Fig. 4: after noise reduction, not before. The gain changes slowly, so the two commute, and the
-    noise model stays that of the sensor.
+    Deviation from Fig. 4: the correction follows noise reduction. The gain varies slowly, so the two commute, and the
+    sensor's noise model remains valid.
     """
     return mosaic_e if gain is None else mosaic_e * gain
 
 
 def demosaiced(mosaic_e: Float32Array, camera: Camera, white: NDArray, stage: Stage) -> Demosaiced:
-    """Sec. 4.2-4.3: infrared and colours at full resolution, from a mosaic [h, w] in electrons.
+    """Infrared and colours at full resolution (sec. 4.2-4.3), from a mosaic [h, w] in electrons.
 
-    ``white`` [channel] are electrons of a white point under the light.
+    ``white`` [channel] is electrons of a white point under the light.
     """
     with stage("infrared"):
         planes = mosaic.planes(mosaic_e, camera)
@@ -135,10 +142,10 @@ def demosaiced(mosaic_e: Float32Array, camera: Camera, white: NDArray, stage: St
 
 
 def without_infrared(image: Demosaiced, separation: FloatArray, clipped: NDArray, white: NDArray) -> Float32Array:
-    """Sec. 4.4 at full resolution, [h, w, 3]; values where ``clipped`` [h, w, 3] are lower bounds.
+    """Removal of infrared (sec. 4.4) at full resolution, [h, w, 3]; ``clipped`` [h, w, 3] marks saturated values.
 
-    A saturated channel has lost more than infrared: it is raised to the brightest channel's level, all relative to
-    ``white`` [channel], so that a highlight is white instead of pink (deviation: the paper does not treat them).
+    Saturated values are lower bounds. They are raised to the level of the brightest channel, relative to ``white``
+    [channel], so that a highlight is white instead of pink. Deviation: the paper does not treat highlights.
     """
     with_ir = image.full_e if image.ir_e is None else np.dstack([image.full_e, np.maximum(image.ir_e, 0)])
     clean = infrared.separate(with_ir, separation)
@@ -150,8 +157,8 @@ def without_infrared(image: Demosaiced, separation: FloatArray, clipped: NDArray
 
 
 def clipped(saturated: NDArray, camera: Camera) -> BoolArray:
-    """Where R, G and B are interpolated from a saturated pixel, [h, w, 3]."""
-    own = mosaic.grids(camera)
+    """Mask of values of R, G and B that are interpolated from a saturated pixel, [h, w, 3]."""
+    grids = mosaic.grids(camera)
     near = np.ones((CLIPPED_NEAR_PX, CLIPPED_NEAR_PX), np.uint8)
-    masks = [(saturated & mosaic.sites(own[name], saturated.shape)).astype(np.uint8) for name in "RGB"]
+    masks = [(saturated & mosaic.sites(grids[name], saturated.shape)).astype(np.uint8) for name in "RGB"]
     return np.dstack([cv2.dilate(mask, near) > 0 for mask in masks])

@@ -1,4 +1,4 @@
-"""The mosaic (sec. 4.3): where its channels lie, raw numbers to electrons, green replacement, demosaicing."""
+"""The mosaic (sec. 4.3): positions of the channels, linearisation, green replacement, demosaicing."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ from dasim.values import Capture
 
 Phase = tuple[int, int]
 
-SATURATION_SHARE = 0.98  # of full scale above black: noise and rounding can lower a full pixel by that much
-STRIP_PX = 256  # even, rows that are demosaiced at a time
-BORDER_PX = 8  # even, so that mirroring keeps the mosaic's phase; more than the demosaic's filters reach
+SATURATION_SHARE = 0.98  # of full scale, from which a pixel counts as saturated, with an allowance for noise
+STRIP_PX = 256  # rows per strip of the demosaicing, even
+BORDER_PX = 8  # border of a strip, wider than the filters' reach; even, so that mirroring preserves the mosaic's phase
 EXCESS_PATCH, EXCESS_PERCENTILE = 16, 2.0
 DIAGONAL = np.array([[1, 0, 1], [0, 0, 0], [1, 0, 1]], np.float32) / 4
 CROSS = np.array([[0, 1, 0], [1, 0, 1], [0, 1, 0]], np.float32) / 4
@@ -33,14 +33,14 @@ WIDE = np.full((7, 7), 1 / 49, np.float32)
 SMALLEST = np.float32(1e-6)
 
 PERIOD_PX = 4
-# Steps of the grids of each channel.
+# Steps of the grids of each channel, pixels.
 PAPER_BLOCK = {name: [2] for name in CHANNELS}
 BAYER_BLOCK = {"R": [2], "G": [2, 2], "B": [2]}
 SPARSE_BLOCK = {"R": [4, 4], "G": [2, 2], "B": [4, 4], "IR": [2]}
 
 
 class Grid(NamedTuple):
-    """Pixels (row + step i, column + step j) of the frame: a channel is one such grid, or two in a quincunx."""
+    """The pixels (row + step i, column + step j). A channel has one such grid, or two in a quincunx."""
 
     row: int
     column: int
@@ -50,38 +50,38 @@ class Grid(NamedTuple):
 def grids(camera: Camera) -> dict[str, tuple[Grid, ...]]:
     """The grids of each channel of the mosaic, in the order of ``camera.channels``; InputError for any other mosaic.
 
-    Known are the paper's 2x2 block (Fig. 2(b)), Bayer's, and the 4x4 block of RGB-IR sensors: green on every
-    second pixel, infrared on every fourth, red and blue in turns on the rest; each shifted or mirrored.
+    Supported are the paper's 2x2 block (Fig. 2(b)), the Bayer block, and the 4x4 block of RGB-IR sensors (green at
+    every second pixel, infrared at every fourth, red and blue alternating at the others), shifted or mirrored.
     """
     rows = camera.sensor.mosaic
-    place: dict[str, list[Grid]] = {}
+    by_name: dict[str, list[Grid]] = {}
     if max(len(rows), len(rows[0])) <= PERIOD_PX and PERIOD_PX % len(rows) == 0 == PERIOD_PX % len(rows[0]):
         for y, x in itertools.product((0, 1), repeat=2):
             here = [[rows[(y + dy) % len(rows)][(x + dx) % len(rows[0])] for dx in (0, 2)] for dy in (0, 2)]
             if len({name for row in here for name in row}) == 1:
-                place.setdefault(here[0][0], []).append(Grid(y, x, 2))
+                by_name.setdefault(here[0][0], []).append(Grid(y, x, 2))
             elif here[0] == here[1][::-1]:
                 for dx, name in zip((0, 2), here[0], strict=True):
-                    place.setdefault(name, []).extend([Grid(y, x + dx, 4), Grid(y + 2, x + 2 - dx, 4)])
-    shape = {name: sorted(grid.step for grid in found) for name, found in place.items()}
-    if shape not in (PAPER_BLOCK, BAYER_BLOCK, SPARSE_BLOCK) or not _green_on_a_diagonal(place):
+                    by_name.setdefault(name, []).extend([Grid(y, x + dx, 4), Grid(y + 2, x + 2 - dx, 4)])
+    shape = {name: sorted(grid.step for grid in channel) for name, channel in by_name.items()}
+    if shape not in (PAPER_BLOCK, BAYER_BLOCK, SPARSE_BLOCK) or not _green_on_a_diagonal(by_name):
         raise InputError(
-            f"camera '{camera.name}': the mosaic {[list(row) for row in rows]} cannot be reconstructed; needed is "
+            f"camera '{camera.name}': the mosaic {[list(row) for row in rows]} cannot be reconstructed; supported are "
             'a 2x2 block of R, G, B, IR with G diagonal to IR, as [["G", "R"], ["B", "IR"]], a Bayer block, or the '
             "4x4 block of camera 'da-4x4'"
         )
-    return {name: tuple(place[name]) for name in CHANNELS if name in place}
+    return {name: tuple(by_name[name]) for name in CHANNELS if name in by_name}
 
 
-def _green_on_a_diagonal(place: dict[str, list[Grid]]) -> bool:
-    """Whether green has a diagonal of each 2x2 block, alone or with infrared in the place of one green."""
-    diagonal = [*place["G"], *place.get("IR", [])][:2]
+def _green_on_a_diagonal(by_name: dict[str, list[Grid]]) -> bool:
+    """Whether green, or green and infrared, form a diagonal of each 2x2 block."""
+    diagonal = [*by_name["G"], *by_name.get("IR", [])][:2]
     return sum(grid.row + grid.column for grid in diagonal) % 2 == 0 and diagonal[0].row != diagonal[1].row
 
 
 def phases(camera: Camera) -> dict[str, Phase]:
     """Position (row, column) in the 2x2 block of each channel's half-resolution plane (:func:`planes`)."""
-    return {name: (found[0].row % 2, found[0].column % 2) for name, found in grids(camera).items()}
+    return {name: (g[0].row % 2, g[0].column % 2) for name, g in grids(camera).items()}
 
 
 def sole_phases(camera: Camera) -> list[Phase | None]:
@@ -90,9 +90,9 @@ def sole_phases(camera: Camera) -> list[Phase | None]:
 
 
 def linearise(capture: Capture) -> tuple[Float32Array, BoolArray]:
-    """Photo-electrons of a raw picture, float32 [h, w], and its saturated pixels.
+    """Photo-electrons of a raw picture, float32 [h, w], and the mask of its saturated pixels, [h, w].
 
-    (raw - black level) times the electrons per digital number, less the mean dark signal.
+    Electrons are (raw - black level) times electrons per digital number, minus the mean dark signal.
     """
     sensor = capture.camera.sensor
     raw = capture.raw_dn
@@ -108,19 +108,19 @@ def linearise(capture: Capture) -> tuple[Float32Array, BoolArray]:
 
 
 def planes(mosaic: NDArray, camera: Camera) -> dict[str, NDArray]:
-    """A colour plane of half resolution for each channel, [h/2, w/2], its pixels at :func:`phases`.
+    """A colour plane of half resolution for each channel, [h/2, w/2], with its pixels at :func:`phases`.
 
-    Of two greens it is the first. Red and blue of the 4x4 block have every second sample of it; each sample between
-    them is the mean of its four neighbours.
+    Of two greens, the plane is the first. Red and blue of the 4x4 block provide every second sample of their plane;
+    each sample between them is the mean of its four neighbours.
     """
-    found = {}
-    for name, own in grids(camera).items():
+    result = {}
+    for name, channel_grids in grids(camera).items():
         y, x = phases(camera)[name]
         plane = mosaic[y::2, x::2]
-        if own[0].step == PERIOD_PX:
-            plane = _filled(plane.astype(np.float32), sites(own, mosaic.shape)[y::2, x::2])
-        found[name] = plane
-    return found
+        if channel_grids[0].step == PERIOD_PX:
+            plane = _filled(plane.astype(np.float32), sites(channel_grids, mosaic.shape)[y::2, x::2])
+        result[name] = plane
+    return result
 
 
 def saturated_blocks(saturated: NDArray) -> NDArray:
@@ -128,23 +128,23 @@ def saturated_blocks(saturated: NDArray) -> NDArray:
     return saturated[::2, ::2] | saturated[1::2, ::2] | saturated[::2, 1::2] | saturated[1::2, 1::2]
 
 
-def sites(own: tuple[Grid, ...], shape: tuple[int, ...]) -> BoolArray:
-    """The pixels of a channel's grids, bool [h, w]."""
+def sites(channel_grids: tuple[Grid, ...], shape: tuple[int, ...]) -> BoolArray:
+    """Mask of the pixels of a channel's grids, [h, w]."""
     mask = np.zeros(shape[:2], bool)
-    for row, column, step in own:
+    for row, column, step in channel_grids:
         mask[row::step, column::step] = True
     return mask
 
 
 def _filled(plane: NDArray, known: BoolArray) -> Float32Array:
-    """A plane whose unknown samples are the mean of their known neighbours in row and column."""
+    """A plane [h, w] with each unknown sample replaced by the mean of its known neighbours in row and column."""
     return np.where(known, plane, _mean_of_known(plane, known, CROSS))
 
 
 def _mean_of_known(image: NDArray, known: BoolArray, kernel: NDArray) -> Float32Array:
-    """Mean of the known pixels under a kernel; mirrored at the borders, which keeps the grid.
+    """Mean of the known pixels under a kernel, [h, w]; mirrored at the borders, which preserves the grid.
 
-    Where no known pixel lies under the kernel, as in a corner of the frame, the mean of a wider square is used.
+    Without a known pixel under the kernel, as in a corner of the frame, it is the mean over a wider square.
     """
     share = known.astype(np.float32)
 
@@ -159,15 +159,16 @@ def _mean_of_known(image: NDArray, known: BoolArray, kernel: NDArray) -> Float32
 
 
 def noise_variance(capture: Capture) -> noise.Variance:
-    """Variance of a capture's pixels by the sensor's data sheet, as a function of their mean electrons."""
+    """Noise variance of a capture's pixels from the sensor's data sheet, as a function of their mean electrons."""
     return noise.variance(capture.camera.sensor, capture.exposure_s, capture.gain)
 
 
 def noise_excess(plane: Float32Array, variance: Float32Array) -> float:
-    """Factor of at least 1 by which a colour plane's noise exceeds the variance of the data sheet.
+    """Factor of at least 1 by which the noise variance of a colour plane exceeds that of the data sheet.
 
-    Mean square of the mixed second difference (x00 - x01 - x10 + x11) / 2, which has the noise's own variance and
-    sees no slopes, over patches; the quietest 2 % of them show noise, not texture.
+    It follows from the mean square over patches of the mixed second difference (x00 - x01 - x10 + x11) / 2, which has
+    the variance of the noise and is insensitive to slopes. The lowest 2 % of the patches show noise without texture.
+    ``variance`` is that of the data sheet, [h, w].
     """
     mixed = (plane[:-1, :-1] - plane[:-1, 1:] - plane[1:, :-1] + plane[1:, 1:]) / 2
     size = (max(plane.shape[1] // EXCESS_PATCH, 1), max(plane.shape[0] // EXCESS_PATCH, 1))
@@ -176,22 +177,22 @@ def noise_excess(plane: Float32Array, variance: Float32Array) -> float:
 
 
 def to_bayer(mosaic: Float32Array, infrared: Float32Array | None, camera: Camera, white: NDArray) -> Float32Array:
-    """A Bayer mosaic [h, w], the one that :func:`demosaic` takes: sec. 4.3 for each kind of mosaic.
+    """The Bayer mosaic for :func:`demosaic`, [h, w], from any supported mosaic (sec. 4.3).
 
-    ``infrared`` is the interpolated image [h, w], ``white`` the electrons of a white point in the channels' order.
+    ``infrared`` is the interpolated image [h, w], ``white`` the electrons of a white point, [channel].
     """
-    own = grids(camera)
-    if infrared is None or "IR" not in own:
+    channel_grids = grids(camera)
+    if infrared is None or "IR" not in channel_grids:
         return mosaic
-    if len(own["G"]) == 1:
+    if len(channel_grids["G"]) == 1:
         return replace_green(mosaic, infrared, camera)
     return replace_sparse(mosaic, camera, white)
 
 
 def replace_green(mosaic: Float32Array, infrared: Float32Array, camera: Camera) -> Float32Array:
-    """A Bayer mosaic [h, w]: every infrared pixel becomes green, G2 = IR + K, eq. (6).
+    """The Bayer mosaic [h, w] in which every infrared pixel is replaced by green, G2 = IR + K, eq. (6).
 
-    K is the mean over the four diagonal green pixels of G - IR, ``infrared`` the interpolated image [h, w].
+    K is the mean of G - IR over the four diagonal green pixels; ``infrared`` is the interpolated image [h, w].
     """
     y, x = phases(camera)["IR"]
     difference = cv2.filter2D(mosaic - infrared, -1, DIAGONAL, borderType=cv2.BORDER_REFLECT_101)
@@ -201,14 +202,14 @@ def replace_green(mosaic: Float32Array, infrared: Float32Array, camera: Camera) 
 
 
 def replace_sparse(mosaic: Float32Array, camera: Camera, white: NDArray) -> Float32Array:
-    """A Bayer mosaic [h, w] of the 4x4 block: infrared pixels become red, red ones blue, in the manner of eq. (6).
+    """The Bayer mosaic [h, w] of the 4x4 block: infrared pixels become red, and red pixels blue, as in eq. (6).
 
-    Deviation: the paper has no such mosaic. Its green lies as Bayer's already, so green, not infrared, is the image
-    whose differences K = R - G and B - G to a ``white`` of grey are interpolated: from the two red pixels diagonal
-    to an infrared one, from the four blue ones two pixels off a red one.
+    Deviation: the paper has no such mosaic. Its green pixels are those of a Bayer mosaic, so the differences R - G and
+    B - G are interpolated instead of G - IR, after balancing to ``white`` [channel]: R - G from the two red pixels
+    diagonal to an infrared one, B - G from the four blue pixels two pixels from a red one.
     """
-    own = grids(camera)
-    red, green, blue, infrared = (sites(own[name], mosaic.shape) for name in CHANNELS)
+    channel_grids = grids(camera)
+    red, green, blue, infrared = (sites(channel_grids[name], mosaic.shape) for name in CHANNELS)
     gain = (white[:3] / white[1]).astype(np.float32)
     balanced = mosaic / (gain[0] * red + gain[1] * (green | infrared) + gain[2] * blue)
     full = _green(balanced, green)
@@ -224,7 +225,7 @@ def replace_sparse(mosaic: Float32Array, camera: Camera, white: NDArray) -> Floa
 
 
 def _green(mosaic: NDArray, green: BoolArray) -> Float32Array:
-    """Green at every pixel [h, w] from its quincunx: along the row or the column, whichever changes less."""
+    """Green at every pixel [h, w] from its quincunx, weighted towards row or column by the smaller gradient."""
     wide = np.pad(mosaic, 1, mode="reflect")
     up, down, left, right = wide[:-2, 1:-1], wide[2:, 1:-1], wide[1:-1, :-2], wide[1:-1, 2:]
     around = np.full((3, 3), 1 / 9, np.float32)
@@ -235,11 +236,11 @@ def _green(mosaic: NDArray, green: BoolArray) -> Float32Array:
 
 
 def demosaic(bayer: Float32Array, camera: Camera, signature: NDArray) -> Float32Array:
-    """Full-resolution [h, w, 3] from the Bayer mosaic of :func:`to_bayer`.
+    """Full-resolution colours [h, w, 3] from the Bayer mosaic of :func:`to_bayer`.
 
-    Menon et al. 2007 (directional filtering, a posteriori decision), from colour-demosaicing: the paper keeps
-    this block as the camera has it. ``signature`` [channel], the electrons of a white point, balances the
-    mosaic beforehand, because the method assumes that colour differences are smooth; undone afterwards.
+    The method is that of Menon et al. 2007 (directional filtering with a posteriori decision), from colour-demosaicing;
+    the paper leaves this block to the camera. The method assumes smooth colour differences, so ``signature`` [channel],
+    the electrons of a white point, balances the mosaic before it and is reapplied after it.
     """
     with warnings.catch_warnings():  # the library imports from a deprecated scipy namespace
         warnings.simplefilter("ignore", DeprecationWarning)
@@ -256,20 +257,20 @@ def demosaic(bayer: Float32Array, camera: Camera, signature: NDArray) -> Float32
 
     def strip(top: int) -> None:
         rows = slice(top, min(top + STRIP_PX, bayer.shape[0]))
-        own = padded[rows.start : rows.stop + 2 * BORDER_PX]
-        colours = demosaicing_CFA_Bayer_Menon2007(own, pattern)[BORDER_PX:-BORDER_PX, BORDER_PX:-BORDER_PX]
+        part = padded[rows.start : rows.stop + 2 * BORDER_PX]
+        colours = demosaicing_CFA_Bayer_Menon2007(part, pattern)[BORDER_PX:-BORDER_PX, BORDER_PX:-BORDER_PX]
         image[rows] = colours * white
 
-    # in strips: a whole frame of 50 Mpx would take 10 GB, and the library works on one core
+    # in strips: a whole 50-megapixel frame would need 10 GB, and the library uses one core
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         list(pool.map(strip, range(0, bayer.shape[0], STRIP_PX)))
     return image
 
 
 def bayer_letters(camera: Camera) -> dict[Phase, str]:
-    """Colour at each place of the 2x2 block of :func:`to_bayer`."""
-    own = grids(camera)
-    letters = {(grid.row, grid.column): name for name, found in own.items() for grid in found if grid.step == 2}
-    if len(own["G"]) == 1:
+    """Colour at each position (row, column) of the 2x2 block of :func:`to_bayer`."""
+    channel_grids = grids(camera)
+    letters = {(g.row, g.column): name for name, channel in channel_grids.items() for g in channel if g.step == 2}
+    if len(channel_grids["G"]) == 1:
         return letters | {phases(camera)["IR"]: "G"}
-    return letters if "IR" not in own else letters | {phases(camera)["IR"]: "R", phases(camera)["B"]: "B"}
+    return letters if "IR" not in channel_grids else letters | {phases(camera)["IR"]: "R", phases(camera)["B"]: "B"}

@@ -1,4 +1,4 @@
-"""Lens shading: the fall-off of light towards the frame's corners, measured from a picture of an even surface.
+"""Lens shading: the fall-off towards the frame's corners, measured from a picture of a uniform surface.
 
 Tested in tests/recon/picture/test_develop.py.
 """
@@ -15,51 +15,51 @@ from dasim.typing import Float32Array
 from dasim.values import Capture
 from recon.picture import mosaic
 
-DEGREE = 4  # of the polynomial in row and column that is the gain: cos^-4 = (1 + r^2 / s^2)^2 is one, exactly
-SAMPLES = 64  # blocks along the longer side that the polynomial is fitted to
-MOST_SATURATED = 0.001  # of the pixels
-DIMMEST_SHARE = 0.02  # of full scale that the flat must have on average
+DEGREE = 4  # of the gain, a polynomial in row and column; cos^-4 = (1 + r^2 / s^2)^2 has exactly this degree
+SAMPLES = 64  # blocks along the longer side for the fit of the polynomial
+MOST_SATURATED = 0.001  # largest share of saturated pixels in a flat
+DIMMEST_SHARE = 0.02  # least mean of a flat, relative to full scale
 LEAST_BLOCK_PX = 8
-DARKEST_BLOCK = 0.02  # of the brightest: below, a gain would be a guess
+DARKEST_BLOCK = 0.02  # least mean of a block relative to the brightest one
 
 
 def gain(flat: Capture, camera: Camera) -> Float32Array:
-    """Factor on each pixel's electrons [h, w] that makes a capture of an even surface even, 1 at the brightest place.
+    """Factor on each pixel's electrons that corrects the lens shading, [h, w]; 1 at the brightest point.
 
-    ``flat`` is a capture of an even, evenly lit surface out of focus, by the same sensor at the same focus, with its
-    black level. A polynomial is fitted to the inverse of each channel, so that noise, dust and PRNU
-    are not mistaken for shading.
+    ``flat`` is a capture of a uniformly lit, uniform surface out of focus, by the same sensor at the same focus. The
+    factor is a polynomial fitted to the inverse of each channel, so that noise, dust and PRNU have no influence.
     """
     check_flat(flat, camera)
     electrons, saturated = mosaic.linearise(flat)
     if saturated.mean() > MOST_SATURATED:
-        raise InputError(f"flat: {saturated.mean():.1%} of its pixels are saturated; take it with a shorter exposure")
+        raise InputError(f"flat: {saturated.mean():.1%} of its pixels are saturated; use a shorter exposure")
     if electrons.mean() < DIMMEST_SHARE * camera.sensor.full_well_e / flat.gain:
-        raise InputError("flat: is too dark to show the lens shading; take it with a longer exposure")
-    found = np.empty_like(electrons)
-    for name, own in mosaic.grids(camera).items():
-        where = mosaic.sites(own, electrons.shape)
+        raise InputError("flat: too dark for a measurement of the lens shading; use a longer exposure")
+    factor = np.empty_like(electrons)
+    for name, grids in mosaic.grids(camera).items():
+        where = mosaic.sites(grids, electrons.shape)
         inverse = _inverse(electrons, where, name)
-        found[where] = (inverse / inverse.min())[where]
-    return found
+        factor[where] = (inverse / inverse.min())[where]
+    return factor
 
 
 def check_flat(flat: Capture, camera: Camera) -> None:
-    """InputError where a flat is of another sensor or size."""
-    mine, theirs = camera.sensor, flat.camera.sensor
+    """InputError if a flat has another sensor or size than the camera."""
+    sensor, flat_sensor = camera.sensor, flat.camera.sensor
     same = ("width_px", "height_px", "pixel_pitch_um", "mosaic")
-    wrong = [name for name in same if getattr(mine, name) != getattr(theirs, name)]
+    wrong = [name for name in same if getattr(sensor, name) != getattr(flat_sensor, name)]
     if wrong:
         raise InputError(
-            f"flat: its {wrong[0]} is {getattr(theirs, wrong[0])}, the capture's {getattr(mine, wrong[0])}; "
-            "take the flat with the same sensor and size"
+            f"flat: its {wrong[0]} is {getattr(flat_sensor, wrong[0])}, the capture's {getattr(sensor, wrong[0])}; "
+            "use a flat of the same sensor and size"
         )
 
 
 def _inverse(electrons: Float32Array, where: NDArray, name: str) -> NDArray[np.float64]:
-    """Polynomial of row and column, of total degree ``DEGREE``, for 1 / electrons of a channel's pixels, [h, w].
+    """Polynomial in row and column, of total degree ``DEGREE``, of 1 / electrons of a channel, [h, w].
 
-    Least squares over the means of square blocks, each weighted as its inverse is known.
+    ``where`` [h, w] marks the channel's pixels. The fit is least squares over the means of square blocks, weighted by
+    the standard errors of their inverses.
     """
     height, width = electrons.shape
     block = max(LEAST_BLOCK_PX, -(-max(height, width) // SAMPLES))
@@ -73,12 +73,12 @@ def _inverse(electrons: Float32Array, where: NDArray, name: str) -> NDArray[np.f
     count = total(where)
     mean = total(electrons * where) / count
     if mean.min() < DARKEST_BLOCK * mean.max():
-        raise InputError(f"flat: channel {name} is not lit everywhere; take an even surface that fills the frame")
-    # where a channel's pixels are on average in each block: their grid does not lie in its middle
+        raise InputError(f"flat: channel {name} is not lit everywhere; use a uniform surface that fills the frame")
+    # mean position of the channel's pixels in each block, which is off the block's centre
     at_y, at_x = (legvander((total(where * at) / count).ravel(), DEGREE) for at in (y[:, None], x[None, :]))
     powers = [(i, j) for i in range(DEGREE + 1) for j in range(DEGREE + 1 - i)]
     design = np.stack([at_y[:, i] * at_x[:, j] for i, j in powers], axis=1)
-    weight = (mean * np.sqrt(mean * count)).ravel()  # 1 over the standard error of 1 / mean, for photon noise
+    weight = (mean * np.sqrt(mean * count)).ravel()  # inverse standard error of 1 / mean for photon noise
     fitted, *_ = np.linalg.lstsq(design * weight[:, None], weight / mean.ravel(), rcond=None)
     table = np.zeros((DEGREE + 1, DEGREE + 1))
     for (i, j), value in zip(powers, fitted, strict=True):
