@@ -1,4 +1,4 @@
-"""The command ``dasim``: parses and prints; the work is done elsewhere.
+"""The command ``dasim``: parses arguments, calls the library and prints.
 
 Tested in tests/dasim/cli/test_commands.py.
 """
@@ -19,7 +19,7 @@ app = cyclopts.App(
     name="dasim",
     help="Simulate dual-aperture photography, reconstruct depth and an all-in-focus picture, and score both.",
     version_flags=["--version"],
-    suppress_keyboard_interrupt=False,  # run() says it, and main() knows which signal it was
+    suppress_keyboard_interrupt=False,  # run() reports it, and main() knows the signal
 )
 
 for command in (
@@ -41,7 +41,7 @@ _STOPPED = 130
 
 
 def main() -> None:
-    """Entry point: exit status 0 done, 1 a gate failed, 2 the user's input is wrong, 128 + signal when stopped."""
+    """Entry point; exit status 0: done, 1: a gate failed, 2: wrong input, 128 + signal: stopped."""
     stopped: list[int] = []
 
     def stop(number: int, frame: Any) -> None:
@@ -53,7 +53,7 @@ def main() -> None:
     try:
         status = run(sys.argv[1:])
     except Exception:
-        # A library that was stopped while it was loading may raise anything.
+        # A library interrupted while loading may raise any exception.
         if not stopped:
             raise
         status = _STOPPED
@@ -61,20 +61,20 @@ def main() -> None:
 
 
 def run(arguments: list[str]) -> int:
-    """Run one command; the exit status."""
+    """Run one command and return its exit status."""
     try:
         return app(arguments, exit_on_error=False, print_error=False, result_action="return_value") or 0
     except InputError as error:
         return _refuse(str(error))
     except cyclopts.CycloptsError as error:
         return _refuse(" ".join(str(error).split()) + " (see 'dasim --help')")
-    except BrokenPipeError:  # who reads the output has read enough
+    except BrokenPipeError:  # the reader of the output has closed it
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 128 + signal.SIGPIPE
     except OSError as error:
         return _refuse(f"{error.filename or 'file'}: {error.strerror or error}")
     except KeyboardInterrupt:
-        print("dasim: stopped; nothing half-written is left behind", file=sys.stderr)
+        print("dasim: stopped; no incomplete output is left", file=sys.stderr)
         return _STOPPED
 
 

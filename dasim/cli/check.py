@@ -1,4 +1,4 @@
-"""The commands that show and prove: demo, validate, list.
+"""The commands demo, validate and list.
 
 Tested in tests/dasim/cli/test_commands.py and tests/validation/gates/test_run.py.
 """
@@ -18,12 +18,12 @@ from dasim.cli.options import Out, Whole
 
 
 def demo(*, out: Out = Path("out/demo"), variant: str | None = None, spp: Whole | None = None) -> int:
-    """Run the whole chain on a bundled scene; writes report.html and results.json.
+    """Run the whole chain on a bundled scene and write report.html and results.json.
 
     Args:
-        out: folder to write; an earlier result there is replaced as a whole
+        out: output folder; an earlier result there is replaced
         variant: Mitsuba variant, auto by default
-        spp: samples a pixel and stop
+        spp: samples per pixel and stop
     """
     from dasim.files.folders import check_output
     from dasim.simulation.checks import check_options
@@ -56,25 +56,25 @@ def validate(
     fail_on_worse: Annotated[bool, Parameter(negative="")] = False,
     propose_gates: Path | None = None,
 ) -> int:
-    """Hold the simulator against closed forms and independent methods; writes results, a report and junit.xml.
+    """Test simulator and reconstruction against closed forms and independent methods; writes report and junit.xml.
 
-    A claim that an earlier run measured with the same code, data, libraries and renderer is not measured again.
+    A claim is not measured again if code, data, libraries and renderer are the same as in an earlier run.
 
     Args:
-        out: folder to write; an earlier result there is replaced as a whole
-        list_: list the claims and end
+        out: output folder; an earlier result there is replaced
+        list_: list the claims and exit
         only: ids of the claims to measure; all by default
-        quick: only claims that take less than about 20 s each
-        gates: a TOML file with limits that are added to the bundled ones, or replace them
+        quick: measure only claims that take less than about 20 s each
+        gates: a TOML file with limits, added to the bundled ones; a key that is bundled replaces the bundled limit
         fresh: measure every claim again
-        seeds: random numbers of claims that depend on them: with 3, each is measured with the seeds 0, 1 and 2, and its
-            figures are means with their spread
-        jobs: claims that are measured at once, each in a process of its own
-        method: a depth method that claims about depth and all-in-focus pictures measure beside their own: your function
-            as package.module:function or file.py:function, with a name for its figures as NAME=file.py:function
-        compare: results.json of an earlier run: prints what became better and worse
-        fail_on_worse: with --compare, exit status 1 where a figure became worse by more than its spread explains
-        propose_gates: a TOML file to write, for --gates: limits from the measured means and their spread over --seeds
+        seeds: number of seeds; with 3, each claim that uses random numbers is measured with the seeds 0, 1 and 2, and
+            its figures are means with their standard deviation
+        jobs: number of claims measured at the same time, each in its own process
+        method: a further depth method for the claims about depth and all-in-focus pictures: your function as
+            package.module:function or file.py:function, or NAME=file.py:function to name its figures
+        compare: results.json of an earlier run; prints which figures improved and which got worse
+        fail_on_worse: with --compare, exit status 1 if a figure got worse by more than its spread
+        propose_gates: write a TOML file for --gates, with limits from means and spread over --seeds
     """
     from dasim.files.folders import check_output
     from dasim.render import backend
@@ -95,16 +95,18 @@ def validate(
         _list_claims(names, verbose=False)
         return 0
     if out is None:
-        raise InputError("--out is missing; name a folder for the results")
+        raise InputError("--out is missing; give a folder for the results")
     for option, number in (("--jobs", jobs), ("--seeds", seeds)):
         if number < 1:
             raise InputError(f"{option} {number}: must be 1 or more")
     if propose_gates is not None:
         if seeds < 2:
-            raise InputError("--propose-gates: needs --seeds of 2 or more, since the margin comes from their spread")
+            raise InputError(
+                "--propose-gates: requires --seeds of at least 2, because the margin comes from their spread"
+            )
         options.check_new_file(propose_gates, "--propose-gates")
     if fail_on_worse and compare is None:
-        raise InputError("--fail-on-worse: needs --compare with the results.json of an earlier run")
+        raise InputError("--fail-on-worse: requires --compare with the results.json of an earlier run")
     earlier = None if compare is None else load_results(compare)
     check_output(out, "validation")
     options.say_variant(None)
@@ -119,21 +121,21 @@ def validate(
         print(of_claim(entry))
     again = sum(outcome.stored for outcome in outcomes)
     if again:
-        print(f"{again} of {len(outcomes)} claims are unchanged since an earlier run; --fresh measures them again")
+        print(f"{again} of {len(outcomes)} claims were taken from an earlier run; --fresh measures them again")
     if propose_gates is not None:
         figures = [(entry, outcome.seeds) for outcome in outcomes for entry in outcome.claims]
         propose_gates.write_text(gate_file(figures), encoding="utf-8")
         print(f"limits: {propose_gates}")
-    found = [] if earlier is None else changes(earlier, entries, set(names))
+    differences = [] if earlier is None else changes(earlier, entries, set(names))
     if earlier is not None:
-        print("\n".join(report(found)))
+        print("\n".join(report(differences)))
     print(f"report: {out / 'report.html'}")
-    worse = fail_on_worse and any(change.verdict == "worse" for change in found)
+    worse = fail_on_worse and any(change.verdict == "worse" for change in differences)
     return 1 if worse or failed(outcomes) else 0
 
 
 def list_(kind: str, *, verbose: Annotated[bool, Parameter(negative="")] = False) -> int:
-    """List what is bundled.
+    """List bundled scenes, cameras, materials, illuminants, claims, studies or depth methods.
 
     Args:
         kind: scenes, cameras, materials, illuminants, claims, studies or methods
@@ -176,16 +178,18 @@ def _list_materials(*, verbose: bool) -> None:
     from dasim.render.reflection import normal_reflectance
     from dasim.spectra.grid import WAVELENGTH_NM
 
-    shown_nm = (450, 550, 650, 750, 800)
+    columns_nm = (450, 550, 650, 750, 800)
     if verbose:
-        print(f"reflectance (metals, glass and coats: at normal incidence) at {', '.join(map(str, shown_nm))} nm")
+        print(
+            f"reflectance (of metals, glass and coatings at normal incidence) at {', '.join(map(str, columns_nm))} nm"
+        )
     for name in library.material_names():
         kind, source = library.kind_and_source(name)
         if not verbose:
             print(f"{name:<24}{kind}")
             continue
         curve = normal_reflectance(library.surface(name, Path(".")))
-        values = " ".join(f"{curve[WAVELENGTH_NM == nm][0]:.2f}" for nm in shown_nm)
+        values = " ".join(f"{curve[WAVELENGTH_NM == nm][0]:.2f}" for nm in columns_nm)
         print(f"{name:<24}{kind:<9}{values}  {source}")
 
 
@@ -193,7 +197,7 @@ def _list_illuminants(*, verbose: bool) -> None:
     from dasim.spectra import illuminants
 
     if verbose:
-        print("name                  CCT K  near-IR  beyond the end of the table")
+        print("name                  CCT K  near-IR  continuation beyond the table")
     for name in (*illuminants.ILLUMINANTS, *(illuminants.EXAMPLES if verbose else illuminants.PATTERNS)):
         if not verbose:
             print(name)
@@ -201,9 +205,7 @@ def _list_illuminants(*, verbose: bool) -> None:
         about = illuminants.description(name)
         print(f"{about.name:<20}{about.cct_k:>7.0f}{about.near_infrared:>9.2f}  {about.beyond}")
     if verbose:
-        print(
-            "CCT: without what lies below 400 nm; near-IR: photons over 650-810 nm, over those of D65 at as many lux\n"
-        )
+        print("CCT: of the spectrum above 400 nm; near-IR: 650-810 nm photons relative to D65 at equal illuminance\n")
         print("\n".join(f"also: {pattern}" for pattern in illuminants.PATTERNS))
 
 

@@ -23,13 +23,10 @@ from dasim.cli.options import Whole
 if TYPE_CHECKING:
     from dasim.base.executors import Executor
     from dasim.dataset.make import Progress
-    from dasim.dataset.specification import DatasetSpec
 
-app = cyclopts.App(name="dataset", help="Make, check and describe datasets of many captures with their truth.")
+app = cyclopts.App(name="dataset", help="Make, verify, describe and score datasets of captures with ground truth.")
 
-LINE_S = 30.0  # between lines of progress where there is no terminal
-TRIALS = 3  # small renders from which the cost of a dataset is estimated
-TRIAL_SHARE = 4  # width and height of the frame over those of a small render
+LINE_S = 30.0  # between lines of progress without a terminal
 
 
 @app.command
@@ -59,7 +56,7 @@ def make(
         variant: Mitsuba variant, auto by default
     """
     from dasim.base import executors
-    from dasim.dataset import plan, storage
+    from dasim.dataset import plan, preview, storage
     from dasim.dataset.make import make as make_dataset
     from dasim.dataset.reading import parquet_library
     from dasim.dataset.sample import Job, environment
@@ -77,7 +74,7 @@ def make(
     processes = processes_of(jobs, len(executors.gpus()) if gpu else None)
     here = environment(choice.variant)
     if dry_run:
-        _print_plan(described, out, processes, choice.variant)
+        print("\n".join(preview.lines(described, processes, choice.variant)))
         return 0
     run: Executor
     if executor == "local":
@@ -92,7 +89,7 @@ def make(
         print(f"sample {index} failed: {error}", file=sys.stderr)
     print(f"dataset: {out} ({progress.before + progress.done} of {progress.total} samples)")
     if progress.failed:
-        print(f"{len(progress.failed)} samples failed and are left out; --retry tries them again", file=sys.stderr)
+        print(f"{len(progress.failed)} samples failed and are missing; --retry tries them again", file=sys.stderr)
     return 1 if progress.failed else 0
 
 
@@ -120,12 +117,12 @@ def info(dataset: str, *, plot: Path | None = None) -> int:
 
     Args:
         dataset: its folder or fsspec address
-        plot: a PNG or SVG file to write, with histograms of depth, blur, exposure and illuminants
+        plot: write histograms of depth, blur, exposure and illuminants to this PNG or SVG file
     """
     from dasim.dataset import card, histograms, reading
 
     if plot is not None and (plot.suffix.lower() not in (".png", ".svg") or not plot.resolve().parent.is_dir()):
-        raise InputError(f"--plot {plot}: needs a name that ends in .png or .svg, in a folder that exists")
+        raise InputError(f"--plot {plot}: must end in .png or .svg, in a folder that exists")
     spec, rows = reading.spec_of(dataset), reading.index_rows(dataset)
     print(f"{spec.name} {spec.version}, {spec.format}, licence: {spec.licence}")
     print("\n".join(card.statistics(rows)))
@@ -147,17 +144,17 @@ def score(
     json_file: Annotated[Path | None, Parameter(name="--json")] = None,
     junit: Path | None = None,
 ) -> int:
-    """Score the depth estimates of methods on all samples of a split; exit status 1 where a limit of --gates is missed.
+    """Score depth methods on all samples of a split; the exit status is 1 if a figure violates a limit of --gates.
 
     Args:
         dataset: its folder or fsspec address
-        method: a depth method: a bundled name, or your function as package.module:function or file.py:function, with a
-            name for its figures as NAME=file.py:function
-        split: the samples that are scored
-        metric: your own function of a depth map in metres and the truth, named as a method is
-        bank: a PSF bank for all samples; by default one is calibrated for each camera and focus, and kept in the cache
-        gates: a TOML file with limits, whose keys are dataset.METHOD.FIGURE
-        json_file: also write the figures to this file, and each sample's
+        method: a depth method: a bundled name, or your function as package.module:function or file.py:function, or
+            NAME=file.py:function to name its figures
+        split: the split to score
+        metric: your own function of a depth map in metres and the truth, named like a method
+        bank: a PSF bank for all samples; by default one is calibrated per camera and focus, and stored in the cache
+        gates: a TOML file with limits; its keys are dataset.METHOD.FIGURE
+        json_file: also write the figures, overall and per sample, to this file
         junit: also write the verdicts to this file, as JUnit XML
     """
     from dasim.dataset.reading import open_dataset
@@ -200,44 +197,8 @@ def processes_of(jobs: int | None, gpus: int | None = None) -> int:
     """Number of processes: ``jobs``, or else one per graphics card, or one per core."""
     if jobs is not None and jobs < 1:
         raise InputError(f"--jobs {jobs}: must be 1 or more")
-    allowed = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    return jobs or gpus or allowed
-
-
-def _print_plan(spec: DatasetSpec, out: str, processes: int, variant: str) -> None:
-    """Print the splits, the random values of three samples, and the cost estimated from small renders."""
-    from dasim.dataset import plan
-    from dasim.dataset.draws import draft
-    from dasim.dataset.make import estimate
-    from dasim.dataset.sample import activate
-    from dasim.dataset.sample import make as make_sample
-
-    groups = plan.shards(spec)
-    for split in spec.splits:
-        own = [group for group in groups if group.split == split]
-        print(f"{split}: {sum(len(group.indices) for group in own)} samples in {len(own)} shards")
-    examples = sorted({0, spec.samples // 2, spec.samples - 1})
-    for index in examples:
-        sample = draft(spec, index)
-        drawn = ", ".join(f"{name} {value:.4g}" if isinstance(value, float) else f"{name} {value}"
-                          for name, value in sample.drawn.items())  # fmt: skip
-        focus_m = sample.camera.lens.focus_distance_m
-        print(f"sample {index}: {sample.split}, {sample.scene_key}, focus {focus_m:.3g} m, {drawn}")
-    small = tuple(max(side // TRIAL_SHARE // 2 * 2, 32) for side in spec.size_px)
-    margin = spec.truth.model_copy(update={"margin_px": 0})
-    trial = spec.model_copy(update={"size_px": small, "truth": margin})
-    factor = spec.size_px[0] * spec.size_px[1] / (small[0] * small[1])
-    activate(variant)
-    costs = []
-    for index in range(min(TRIALS, spec.samples)):
-        times = []
-        for _ in range(2):  # the first includes compiling, which does not depend on the size
-            begin = time.perf_counter()
-            make_sample(trial, index, variant)
-            times.append(time.perf_counter() - begin)
-        costs.append(max(times[0] - times[1], 0) + times[1] * factor)
-    print(f"estimate from {len(costs)} renders of {small[0]} x {small[1]} pixels on one core: "
-          + estimate(spec, sum(costs) / len(costs), processes))  # fmt: skip
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return jobs or gpus or cores
 
 
 @contextmanager

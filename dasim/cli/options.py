@@ -1,4 +1,4 @@
-"""What the commands share: options, the progress bar, checks of names of files to write.
+"""Options, progress bar and checks of output files that the commands share.
 
 Tested in tests/dasim/cli/test_commands.py.
 """
@@ -19,7 +19,7 @@ from dasim.typing import Progress
 
 @contextmanager
 def progress() -> Iterator[Progress]:
-    """A progress bar with the time left on a terminal; elsewhere one line a stage."""
+    """A progress bar with the time left on a terminal; elsewhere one line per stage."""
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
 
@@ -39,7 +39,7 @@ def progress() -> Iterator[Progress]:
 
 
 def whole(kind: Any, tokens: Any) -> int:
-    """A whole number, as written: 1.5 is none."""
+    """An option's integer; InputError for anything else, such as 1.5."""
     try:
         return int(tokens[0].value)
     except ValueError:
@@ -47,7 +47,7 @@ def whole(kind: Any, tokens: Any) -> int:
 
 
 def samples(kind: Any, tokens: Any) -> int | str:
-    """A whole number of samples, or auto."""
+    """Number of samples, or auto."""
     return "auto" if tokens[0].value == "auto" else whole(kind, tokens)
 
 
@@ -56,7 +56,7 @@ Out = Annotated[Path, Parameter(name="--out")]
 
 
 def check_new_file(path: Path, option: str) -> None:
-    """Refuse to overwrite anything, and a folder that is not there, before the work begins."""
+    """InputError if a file to be written exists already or its folder does not, before the work begins."""
     if path.exists():
         raise InputError(f"{option} {path}: exists; choose another name")
     if not path.resolve().parent.is_dir():
@@ -64,7 +64,7 @@ def check_new_file(path: Path, option: str) -> None:
 
 
 def size(text: str) -> tuple[int, int]:
-    """Width and height of WxH."""
+    """Width and height in px from WxH."""
     width, _, height = text.partition("x")
     try:
         return int(width), int(height)
@@ -73,7 +73,7 @@ def size(text: str) -> tuple[int, int]:
 
 
 def say_variant(variant: str | None) -> None:
-    """Say which renderer works, and why it was chosen."""
+    """Print which variant of the renderer is used, and why."""
     from dasim.render import backend
 
     print(f"renderer: {backend.choose(variant).reason}", file=sys.stderr, flush=True)

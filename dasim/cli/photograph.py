@@ -1,4 +1,4 @@
-"""The commands that photograph and calibrate: render, calibrate, emva.
+"""The commands render, calibrate and emva.
 
 Tested in tests/dasim/cli/test_commands.py.
 """
@@ -38,26 +38,26 @@ def render(
     near_infrared: str | None = None,
     illuminant: str | None = None,
 ) -> int:
-    """Photograph a scene: a capture folder with raw.png, truth.exr and meta.json.
+    """Render a capture of a scene: a folder with raw.png, truth.exr and meta.json.
 
     Args:
-        scene: a bundled name (see 'dasim list scenes', staircase:14 for one of a family), a TOML file, a Mitsuba XML
-            file, or a random scene: random:SEED:INDEX, or random:FILE.toml:SEED:INDEX with what it is drawn from; it
-            fits the picture's size
-        out: the capture folder
+        scene: a bundled name (see 'dasim list scenes'; staircase:14 is one of a family), a TOML file, a Mitsuba XML
+            file, or a random scene: random:SEED:INDEX, or random:FILE.toml:SEED:INDEX with the distributions in
+            FILE.toml; a random scene fills the field of view
+        out: output capture folder
         camera: a bundled name (see 'dasim list cameras') or a TOML file
-        focus: focus distance in metres; by default what the scene proposes, else the camera's own
-        seed: of all random numbers
+        focus: focus distance in metres; by default the scene's, else the camera's
+        seed: seed of all random numbers
         size: WxH pixels, a central crop of the sensor at unchanged pixel pitch
-        spp: samples a pixel and stop, or auto: until rendering noise is below --noise-share
-        noise_share: rendering noise over the sensor's own that auto aims at, at the median pixel of every channel
+        spp: samples per pixel and stop, or auto: as many as --noise-share requires
+        noise_share: target of --spp auto: ratio of rendering noise to sensor noise at the median pixel of each channel
         exposure: exposure time in seconds; automatic by default
         diffraction: wave, airy or off
-        noise: a noise model of your own, package.module:function or file.py:function; examples/noise_model.py is one
+        noise: your own noise model, package.module:function or file.py:function, such as examples/noise_model.py
         variant: Mitsuba variant: auto, cuda_ad_spectral, llvm_ad_spectral or scalar_spectral
-        unit_cm: of a Mitsuba XML file, the length of its unit; 100 by default
-        near_infrared: of a Mitsuba XML file, the rule for its RGB surfaces: print, dyed, or achromatic by default
-        illuminant: of a Mitsuba XML file, the spectrum of its RGB lights; D65 by default
+        unit_cm: for a Mitsuba XML file, the length of its unit in cm; 100 by default
+        near_infrared: for a Mitsuba XML file, the rule for its RGB surfaces: print, dyed or achromatic (the default)
+        illuminant: for a Mitsuba XML file, the spectrum of its RGB lights; D65 by default
     """
     import dasim
     from dasim.base.loading import load_function
@@ -104,7 +104,7 @@ def render(
     shares = shot.capture.provenance.get("rendering_noise_share", {})
     if shares:
         listed = ", ".join(f"{name} {share:.2f}" for name, share in shares.items())
-        print(f"rendering noise over the sensor's own: {listed} ({shot.capture.provenance['spp']} samples)")
+        print(f"rendering noise over sensor noise: {listed} ({shot.capture.provenance['spp']} samples)")
     print(f"capture: {out} ({shot.capture.exposure_s * 1e3:.3g} ms)")
     return 0
 
@@ -121,19 +121,19 @@ def calibrate(
     print_distances: Annotated[bool, Parameter(negative="")] = False,
     save_captures: Path | None = None,
 ) -> int:
-    """Measure a PSF bank from pictures of a point source, simulated ones or your own.
+    """Measure a PSF bank from pictures of a point source, simulated or your own.
 
     Args:
-        out: the bank, one .npz file
+        out: output file of the bank, .npz
         camera: a bundled name or a TOML file
-        focus: focus distance in metres; the camera's own by default
-        illuminant: of simulated pictures, lights of the bank; all by default
-        diffraction: of simulated pictures: wave (the default), airy or off; the same as that of the captures
-        captures: a folder with your own pictures: raw files, and captures.csv with a line for each (columns file,
-            light, depth_m, exposure_s; also gain, and position where the source stood at several places)
-        format_: of your own pictures: raw10, raw12, raw16 or left-aligned, as of 'dasim recon'
-        print_distances: print the distances from the lens at which to photograph the point source, and end
-        save_captures: write the simulated pictures to this folder, in the form that --captures reads, and end
+        focus: focus distance in metres; the camera's by default
+        illuminant: for simulated pictures, a light of the bank (may be repeated); all lights by default
+        diffraction: for simulated pictures: wave (the default), airy or off; use that of the captures
+        captures: a folder with your own pictures: raw files, and captures.csv with one line per file (columns file,
+            light, depth_m, exposure_s; optionally gain, and position if the source stood at several places)
+        format_: for your own pictures: raw10, raw12, raw16 or left-aligned, see 'dasim recon --help'
+        print_distances: print the distances from the lens at which to photograph the point source, and exit
+        save_captures: write the simulated pictures to this folder in the format that --captures reads, and exit
     """
     import dasim
     import recon
@@ -150,11 +150,11 @@ def calibrate(
     if print_distances:
         return _print_distances(chosen)
     if captures is not None and (illuminant or diffraction or save_captures):
-        raise InputError("--captures: your own pictures decide lights and diffraction; leave the other option out")
+        raise InputError("--captures: your own pictures determine lights and diffraction; omit the other option")
     if save_captures is not None and out is not None:
-        raise InputError("--save-captures: writes pictures and no bank; leave --out out")
+        raise InputError("--save-captures: writes pictures and no bank; omit --out")
     if captures is None and format_ is not None:
-        raise InputError("--format: is for your own pictures; name their folder with --captures")
+        raise InputError("--format: applies to your own pictures; give their folder with --captures")
     lights = tuple(dict.fromkeys(illuminant or CALIBRATION_LIGHTS))
     for light in lights:
         illuminants.illuminant(light)
@@ -163,7 +163,7 @@ def calibrate(
         check_output(save_captures, KIND)
         return _save_captures(save_captures, chosen, lights, diffraction or "wave")
     if out is None:
-        raise InputError("--out is missing; name the bank's file, such as bank.npz")
+        raise InputError("--out is missing; give a file for the bank, such as bank.npz")
     _check_bank_output(out)
     with options.progress() as progress:
         if captures is None:
@@ -190,7 +190,7 @@ def _print_distances(camera: Camera) -> int:
     print(
         f"# camera '{camera.name}' focused at {camera.lens.focus_distance_m:g} m: metres from the lens to the pinhole;"
     )
-    print("# a picture counts from from_m to to_m; you may stop after any level, and leave none out before it")
+    print("# a picture is assigned to a level from from_m to to_m; you may stop after any level, without gaps")
     print("level  distance_m   from_m     to_m  blur_px")
     for row in zip(range(len(depths)), depths, nearest, farthest, blurs, strict=True):
         print("{:>5}  {:>10.5f}  {:>7.5f}  {:>7.5f}  {:>7.1f}".format(*row))
@@ -209,20 +209,20 @@ def _save_captures(out: Path, camera: Camera, lights: tuple[str, ...], diffracti
 def _measured_bank(
     folder: Path, camera: Camera, kind: str | None, progress: Progress
 ) -> tuple[PsfBank, tuple[str, ...]]:
-    """A bank of a user's own pictures, and what is to be said of it."""
+    """A bank from a user's own pictures, and notes on it."""
     from dasim.simulation.calibration import levels
     from dasim.spectra import illuminants
-    from recon import calibrate as measured
+    from recon import calibrate as calibrate_bank
     from recon.files.point_pictures import read_point_pictures
 
-    found = read_point_pictures(
+    own = read_point_pictures(
         folder, camera, *levels(camera), known_light=illuminants.illuminant, kind=kind, progress=progress
     )
-    return measured(found.pictures, camera, progress=progress), found.notes
+    return calibrate_bank(own.pictures, camera, progress=progress), own.notes
 
 
 def _check_bank_output(out: Path) -> None:
-    """Refuse to overwrite anything but a bank."""
+    """InputError if the output exists and is not a bank."""
     from dasim.files.banks import load_bank
 
     if out.is_dir():
@@ -248,14 +248,14 @@ def emva(
     seed: Whole = 0,
     size: str = "256x256",
 ) -> int:
-    """Photograph an even light as EMVA 1288 measures a sensor: frames and the descriptor for its reference analyser.
+    """Write frames of a uniformly lit sensor, with the descriptor that the EMVA 1288 reference analyser reads.
 
     Args:
-        out: folder to write; an earlier measurement there is replaced as a whole
+        out: output folder; an earlier measurement there is replaced
         camera: a bundled name or a TOML file; its lens is not used
-        channel: whose pixels are measured: R, G, B or IR
-        gain: analogue gain; a higher one shows a read noise that rounding hides, but not the full well
-        seed: of all random numbers
+        channel: channel whose pixels are measured: R, G, B or IR
+        gain: analogue gain; a high gain resolves read noise below the rounding step, but clips before the full well
+        seed: seed of all random numbers
         size: WxH pixels of the frames
     """
     import dasim

@@ -1,4 +1,4 @@
-"""The commands that start from a capture: recon, refocus, score.
+"""The commands recon, refocus and score, which start from a capture.
 
 Tested in tests/dasim/cli/test_commands.py.
 """
@@ -36,26 +36,26 @@ def recon(
     flat: Path | None = None,
     also: Annotated[list[str] | None, Parameter(negative="", consume_multiple=True)] = None,
 ) -> int:
-    """Reconstruct a capture: picture, depth, all-in-focus picture. Of a camera without infrared, the picture alone.
+    """Reconstruct picture, depth and all-in-focus picture from a capture; without infrared pixels, the picture only.
 
     Args:
         capture: a capture folder, or with --camera a raw mosaic: a 16-bit PNG, TIFF or NPY file, or packed pixels
-        out: the reconstruction folder
-        camera: of a raw file: a bundled name or a TOML file with mosaic, bit depth, black level and noise; the
-            picture's own size counts
-        format_: of a raw file: raw10 or raw12 (MIPI packing), raw16 (two bytes, low first), all without header and of
-            the camera's size; left-aligned for PNG, TIFF or NPY values shifted up to 16 bits
-        exposure: of a raw file, in seconds, for the dark signal; 0.01 by default
-        gain: of a raw file, analogue, a factor on the camera's own; 1 by default
-        focus: of a raw file, focus distance in metres; the camera's own by default
-        bank: a PSF bank; by default one is calibrated for the capture's camera and focus, and kept in the cache
+        out: output folder of the reconstruction
+        camera: for a raw file: a bundled name or a TOML file with mosaic, bit depth, black level and noise; the file
+            sets the frame's size
+        format_: for a raw file: raw10 or raw12 (MIPI packing) or raw16 (little-endian), all without header and in the
+            camera's size; left-aligned for PNG, TIFF or NPY values shifted up to 16 bits
+        exposure: for a raw file, exposure time in seconds, for the dark signal; 0.01 by default
+        gain: for a raw file, analogue gain relative to the camera's; 1 by default
+        focus: for a raw file, focus distance in metres; the camera's by default
+        bank: a PSF bank; by default one is calibrated for the camera and focus of the capture and stored in the cache
         preset: bands (the default), paper, likelihood or chakrabarti-zickler
-        settings: a TOML file with settings that differ from the paper's preset, as --print-settings writes it
-        print_settings: print the settings as TOML, with what each means, and end
-        flat: a capture of an even surface that fills the frame, to undo the lens shading in the pictures; of the same
-            kind as the capture
-        also: further pictures of the all-in-focus one: anaglyph (red-cyan), stereo (side by side), ply or glb (textured
-            surface)
+        settings: a TOML file with settings that differ from the preset paper, as --print-settings writes it
+        print_settings: print the settings as TOML with their meanings, and exit
+        flat: a capture of a uniform surface that fills the frame, to correct lens shading in the pictures; in the
+            format of the capture
+        also: further output from the all-in-focus picture: anaglyph (red-cyan), stereo (side by side), ply or glb
+            (textured surface)
     """
     import dasim
     import recon as reconstruction
@@ -70,13 +70,13 @@ def recon(
         print(known.to_toml(chosen), end="")
         return 0
     if capture is None or out is None:
-        raise InputError("recon: needs a capture and --out FOLDER (see 'dasim recon --help')")
+        raise InputError("recon: a capture and --out FOLDER are required (see 'dasim recon --help')")
     check_output(out, "reconstruction")
     check_extras(also or ())
     model = None if camera is None else dasim.load_camera(camera)
     if focus is not None:
         if model is None:
-            raise InputError("--focus: is for raw files with --camera; a capture folder says it itself")
+            raise InputError("--focus: applies to raw files with --camera; a capture folder contains its focus")
         model = dasim.refocused(model, focus)
     shot, even = (
         None if path is None else load_input(path, model, kind=format_, exposure_s=exposure, gain=gain)
@@ -85,7 +85,7 @@ def recon(
     assert shot is not None
     if even is not None:
         reconstruction.check_flat(even, shot.camera)
-    if "IR" not in grids(shot.camera):  # a mosaic that cannot be reconstructed is refused before a bank is made
+    if "IR" not in grids(shot.camera):  # before a bank is calibrated
         return _picture_alone(shot, even, chosen, bank, out)
     with options.progress() as progress:
         kernels = _bank(bank, shot, progress)
@@ -107,14 +107,14 @@ def refocus(
     f_number: float | None = None,
     bank: Path | None = None,
 ) -> int:
-    """Focus a reconstructed picture after the shot, at any depth and aperture.
+    """Refocus a reconstruction at any depth and aperture.
 
     Args:
         reconstruction: a reconstruction folder
-        depth: distance in metres that becomes sharp
-        out: the picture to write, a PNG file; an earlier one is replaced
-        f_number: of the lens; the camera's own by default
-        bank: the PSF bank of the reconstruction; by default that of the camera's description
+        depth: distance in metres of the new focal plane
+        out: output picture, a PNG file; an earlier one is replaced
+        f_number: f-number of the lens; the camera's by default
+        bank: the PSF bank of the reconstruction; by default calibrated from the camera's description
     """
     import dasim
     import recon as pipeline
@@ -125,19 +125,19 @@ def refocus(
     for option, value in (("--depth", depth), ("--f-number", f_number)):
         if value is not None and not 0 < value < float("inf"):
             raise InputError(f"{option} {value:g}: must be above 0")
-    found = load_reconstruction(reconstruction)
+    rebuilt = load_reconstruction(reconstruction)
     with options.progress() as progress:
         if bank is not None:
             kernels = pipeline.load_bank(bank)
         else:
-            kernels = pipeline.calibrate(dasim.calibration_captures(found.camera), progress=progress)
-    write_picture(out, displayed(pipeline.refocus(found, kernels, depth, f_number), found))
-    print(f"picture: {out} (focused at {depth:g} m, f/{f_number or found.camera.lens.f_number:g})")
+            kernels = pipeline.calibrate(dasim.calibration_captures(rebuilt.camera), progress=progress)
+    write_picture(out, displayed(pipeline.refocus(rebuilt, kernels, depth, f_number), rebuilt))
+    print(f"picture: {out} (focused at {depth:g} m, f/{f_number or rebuilt.camera.lens.f_number:g})")
     return 0
 
 
 def _bank(path: Path | None, shot: Capture, progress: Progress) -> PsfBank:
-    """The bank of a file, or the one that the camera's own description gives."""
+    """The bank from a file, or calibrated from the camera's description."""
     import dasim
     import recon
 
@@ -145,8 +145,8 @@ def _bank(path: Path | None, shot: Capture, progress: Progress) -> PsfBank:
         return recon.load_bank(path)
     if "raw_file" in shot.provenance:
         print(
-            f"note: without --bank the kernels are those that the description of camera '{shot.camera.name}' predicts; "
-            "of a real camera, measure them (dasim calibrate --captures)"
+            f"note: without --bank the kernels are computed from the description of camera '{shot.camera.name}'; "
+            "for a real camera, measure them (dasim calibrate --captures)"
         )
     pictures = dasim.calibration_captures(shot.camera, diffraction=shot.provenance.get("diffraction", "wave"))
     return recon.calibrate(pictures, progress=progress)
@@ -157,10 +157,12 @@ def _picture_alone(shot: Capture, even: Capture | None, chosen: Settings, bank: 
     from recon.files.reconstruction import save_picture
 
     if bank is not None:
-        raise InputError(f"--bank: camera '{shot.camera.name}' has no infrared pixels and so no depth; leave it out")
+        raise InputError(
+            f"--bank: camera '{shot.camera.name}' has no infrared pixels and therefore no depth; omit --bank"
+        )
     picture = develop(shot, chosen, flat=even)
     save_picture(out, picture)
-    print(f"note: camera '{shot.camera.name}' has no infrared pixels: the picture alone, no depth")
+    print(f"note: camera '{shot.camera.name}' has no infrared pixels: picture only, no depth")
     print(f"picture: {out} (light by white balance: {picture.light})")
     return 0
 
@@ -178,23 +180,23 @@ def score(
     json_file: Annotated[Path | None, Parameter(name="--json")] = None,
     junit: Path | None = None,
 ) -> int:
-    """Score a reconstruction, a depth map, or the depth methods named, against the ground truth of the capture.
+    """Score a reconstruction, a depth map or depth methods against the ground truth of a capture.
 
-    Exit status 1 where a limit of --gates is missed.
+    The exit status is 1 if a figure violates a limit of --gates.
 
     Args:
-        result: a reconstruction folder, or a depth map: EXR or NPY in metres, 16-bit PNG with --scale; with --method
-            the capture folder, and nothing else
-        capture: the capture folder with truth.exr; or, for a reconstruction of a photograph of your own, the depths
-            that you measured: EXR or NPY in metres, 16-bit PNG with --scale, one for each pixel, NaN (0) where unknown
-        confidence: with a depth map, how sure it is of each pixel (same formats, any unit, more is surer)
-        scale: metres of one unit of the depth map, or of the measured depths
+        result: a reconstruction folder, or a depth map: EXR or NPY in metres, 16-bit PNG with --scale; with --method,
+            the capture folder
+        capture: the capture folder with truth.exr; or, for a reconstruction of your own photograph, measured depths:
+            EXR or NPY in metres, 16-bit PNG with --scale, one value per pixel, NaN (PNG: 0) where unknown
+        confidence: confidence of each pixel of a depth map (same formats, any unit, larger is more confident)
+        scale: metres per unit of the depth map, or of the measured depths
         method: a depth method to run and score: a bundled name, or your function as package.module:function or
-            file.py:function, with a name for its figures as NAME=file.py:function; figures are METHOD.FIGURE
-        metric: your own function of a depth map in metres and the truth, named as a method is; it returns a number or
+            file.py:function, or NAME=file.py:function to name its figures; figures are METHOD.FIGURE
+        metric: your own function of a depth map in metres and the truth, named like a method; it returns a number or
             a dict of numbers
-        bank: with --method, a PSF bank; by default that of the camera's description
-        gates: a TOML file with limits, whose keys are score.FIGURE
+        bank: with --method, a PSF bank; by default calibrated from the camera's description
+        gates: a TOML file with limits; its keys are score.FIGURE
         json_file: also write the figures to this file
         junit: also write the verdicts to this file, as JUnit XML
     """
@@ -210,35 +212,37 @@ def score(
     from validation.scores.metrics import load_metrics
 
     check_score_files(json_file, junit)
-    judged_score("score", [], gates)  # a file that cannot be read is refused before the work begins
+    judged_score("score", [], gates)  # raises for an unreadable file before the work begins
     methods, metrics = named(method or ()), load_metrics(metric or ())
     if methods:
         if capture is not None or confidence is not None or scale is not None:
-            raise InputError("--method: runs on a capture; give its folder, and no map, --confidence or --scale")
-        taken = load_capture(result)
+            raise InputError(
+                "--method: runs on a capture; give the capture folder alone, without map, --confidence or --scale"
+            )
+        photo = load_capture(result)
         truth = load_truth(result)
         with options.progress() as progress:
-            figures = score_methods(taken, truth, _bank(bank, taken, progress), methods, metrics)
+            figures = score_methods(photo, truth, _bank(bank, photo, progress), methods, metrics)
     elif capture is None or bank is not None:
-        raise InputError("score: needs a reconstruction or depth map and its capture; --bank is for --method")
+        raise InputError("score: needs a reconstruction or depth map and its capture; --bank applies to --method")
     elif capture.is_file() and capture.suffix.lower() in SUFFIXES:
         if confidence is not None or metrics or not result.is_dir():
             raise InputError(
-                f"{capture}: measured depths judge a reconstruction folder, which says its camera; --confidence and "
-                "--metric do not go with them"
+                f"{capture}: measured depths are compared with a reconstruction folder, which contains the camera; "
+                "omit --confidence and --metric"
             )
         figures = score_measured(load_reconstruction(result), read_depth(capture, scale))
     elif result.is_file() or result.suffix.lower() in SUFFIXES:
         depth_m = read_depth(result, scale)
         trust = None if confidence is None else read_map(confidence)
-        taken = load_capture(capture)
-        figures = scores.score_map(depth_m, taken, load_truth(capture), trust, metrics=metrics)
+        photo = load_capture(capture)
+        figures = scores.score_map(depth_m, photo, load_truth(capture), trust, metrics=metrics)
     else:
         if confidence is not None or scale is not None:
-            raise InputError("--confidence and --scale belong to a depth map; a reconstruction folder has its own")
-        found = load_reconstruction(result)
-        taken = load_capture(capture)  # a capture that is not whole is not scored
-        figures = scores.score(found, taken, load_truth(capture), metrics=metrics)
+            raise InputError("--confidence and --scale apply to a depth map; a reconstruction folder contains both")
+        rebuilt = load_reconstruction(result)
+        photo = load_capture(capture)  # also checks that the capture is complete
+        figures = scores.score(rebuilt, photo, load_truth(capture), metrics=metrics)
     for name in [f"{own}." for own in methods] or [""]:
         print(f"method {name[:-1]}" if name else "", end="\n" if name else "")
         print(scores.table([replace(f, id=f.id.removeprefix(name)) for f in figures if f.id.startswith(name)]))

@@ -1,4 +1,4 @@
-"""The commands ``dasim study``: parse and print.
+"""The commands ``dasim study``: parse arguments and print.
 
 Tested in tests/validation/studies/test_sweep.py.
 """
@@ -6,7 +6,6 @@ Tested in tests/validation/studies/test_sweep.py.
 from __future__ import annotations
 
 import sys
-import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -21,7 +20,9 @@ from dasim.cli.options import Out, Whole, progress
 if TYPE_CHECKING:
     from dasim.base.executors import Executor
 
-app = cyclopts.App(name="study", help="Compare aperture designs: by simulation, by bounds, by a search of shapes.")
+app = cyclopts.App(
+    name="study", help="Compare aperture designs by simulation, by bounds, or by a search for the stop's shape."
+)
 
 Texture = Literal["known", "spectrum", "free"]
 
@@ -39,19 +40,19 @@ def sweep(
     address: str = "auto",
     variant: str | None = None,
 ) -> int:
-    """Simulate, reconstruct and score designs over a grid; results.csv, results.parquet and report.html.
+    """Simulate, reconstruct and score designs over a grid; writes results.csv, results.parquet and report.html.
 
-    A sweep that was stopped goes on where it was; points that were measured are not measured again.
+    A stopped sweep resumes; points are not measured twice.
 
     Args:
-        study: hole-size, lens, cut-wavelengths, mosaic, stereo, or a TOML file
-        out: a folder, or an fsspec address such as s3://bucket/folder; out/NAME of the study by default
-        quick: the study's few most telling points
+        study: hole-size, lens, cut-wavelengths, mosaic, stereo (see 'dasim list studies'), or a TOML file
+        out: a folder, or an fsspec address such as s3://bucket/folder; out/STUDY by default
+        quick: measure only the study's most informative points
         method: a further depth method for the parameter recon.preset: a bundled name, or your function as
             package.module:function or file.py:function
-        jobs: processes of the local executor; by default one for each core
-        executor: local, or ray for the nodes of a cluster (extra 'cluster')
-        address: of Ray: auto, or ray://host:port
+        jobs: processes of the local executor; by default one per core
+        executor: local, or ray for a cluster (extra 'cluster')
+        address: address of Ray: auto, or ray://host:port
         variant: Mitsuba variant, auto by default
     """
     from dasim.base import executors
@@ -73,12 +74,12 @@ def sweep(
     else:
         run = executors.ray(address, work, gpu=gpu)
     job = Sweep(spec, place, here)
-    with _shown(spec.name) as show:
+    with _progress(spec.name) as show:
         failed = run_sweep(job, run, show)
     for line in summary(job):
         print(line)
-    for point, said in failed.items():
-        print(f"not measured: {point}: {said}")
+    for point, reason in failed.items():
+        print(f"not measured: {point}: {reason}")
     if len(failed) < len(units(spec)):
         print(f"report: {place}/{PAGE}")
     return 1 if failed else 0
@@ -97,22 +98,22 @@ def bound(
     texture: Texture = "free",
     channels: str = "G,IR",
 ) -> int:
-    """Print the least error of depth that an unbiased estimate from one patch can have, by distance.
+    """Print the Cramer-Rao bound of depth from one patch, the least error of an unbiased estimate, by distance.
 
     Args:
-        camera: a bundled name or a TOML file, with stops of any shape
+        camera: a bundled name or a TOML file, its stops may have any shape
         focus: distance in m; by default 0.4
-        near_cm: nearest distance
-        far_cm: farthest distance, on the near side of the focus
+        near_cm: nearest distance in cm
+        far_cm: farthest distance in cm, on the near side of the focus
         count: number of distances, evenly spaced in dioptres
         light: illuminant
-        lux: its strength
-        texture: what is known of the texture: all but its phases, its spectrum up to a factor, or nothing (free)
-        channels: planes of the mosaic that are compared, first the one with the sharp texture
+        lux: illuminance in lux
+        texture: knowledge of the texture: all but its phases (known), its spectrum up to a factor, or nothing (free)
+        channels: channels that are compared, the one with the sharp texture first
     """
     from dasim.spectra import illuminants
     from validation.studies import criteria
-    from validation.studies.bound import bound_lines
+    from validation.studies.bound import bound_lines, seconds_per_design
 
     wrong = _positive(("--near-cm", near_cm), ("--far-cm", far_cm), ("--lux", lux))
     if count < 1:
@@ -129,9 +130,8 @@ def bound(
     blurs = criteria.blurs_between(lens, near_cm / 100, far_cm / 100, count)
     for line in bound_lines(lens, blurs, light, lux, texture, names):
         print(line)
-    begin = time.perf_counter()  # of a second run: the first one also reads the tables of illuminants and others
-    list(bound_lines(lens, blurs, light, lux, texture, names))
-    print(f"{1000 * (time.perf_counter() - begin):.0f} ms per design")
+    seconds = seconds_per_design(lens, blurs, light, lux, texture, names)
+    print(f"{1000 * seconds:.0f} ms per design")
     return 0
 
 
@@ -154,24 +154,24 @@ def shape(
     quick: Annotated[bool, Parameter(negative="")] = False,
     render: Annotated[bool, Parameter(negative="")] = False,
 ) -> int:
-    """Search for the shape of the near-infrared stop, and compare it with a disc, rings and published codes.
+    """Search for the shape of the near-infrared stop and compare it with a disc, rings and published codes.
 
     Args:
         camera: a bundled name or a TOML file
-        out: a folder for table.csv, results.json, report.html and masks as PNG, SVG and TOML
+        out: output folder for table.csv, results.json, report.html and masks as PNG, SVG and TOML
         focus: distance in m; by default 0.4
-        budget: open area over the lens's, 0.46 squared by default
-        cells: of the mask across the lens
-        feature_um: diameter of the smallest feature, of what is open and of what is closed
-        seeds: starts of each kind of search
-        objective: the least error of depth, or of the sharp picture
-        near_cm: nearest distance
-        far_cm: farthest distance, on the near side of the focus
+        budget: open area relative to the lens's, 0.46 squared by default
+        cells: number of mask cells across the lens
+        feature_um: diameter in um of the smallest open or closed feature
+        seeds: number of starts of each kind of search
+        objective: minimise the error of depth or of the all-in-focus picture
+        near_cm: nearest distance in cm
+        far_cm: farthest distance in cm, on the near side of the focus
         light: illuminant
-        lux: its strength
-        texture: what is known of the texture, see 'dasim study bound'
-        quick: smaller masks and fewer starts, for a first look
-        render: put the best three and a disc at the rim through the whole pipeline, minutes each; goes on if stopped
+        lux: illuminance in lux
+        texture: knowledge of the texture, see 'dasim study bound --help'
+        quick: use smaller masks and fewer starts
+        render: also simulate and reconstruct the best three and a disc at the rim, minutes each; resumes if stopped
     """
     from dasim.files.folders import check_output
     from validation.studies.shape import files, report
@@ -205,9 +205,9 @@ def _focused(camera, focus, wrong):  # type: ignore[no-untyped-def]
     from dasim.camera import specification as cameras
 
     lens = cameras.load_camera(camera)
-    found = []
-    _collect(wrong, lambda: found.append(cameras.refocused(lens, DEFAULT_FOCUS_M if focus is None else focus)))
-    return found[0] if found else lens
+    focused = []
+    _collect(wrong, lambda: focused.append(cameras.refocused(lens, DEFAULT_FOCUS_M if focus is None else focus)))
+    return focused[0] if focused else lens
 
 
 def _positive(*options: tuple[str, float]) -> list[str]:
@@ -222,8 +222,8 @@ def _collect(wrong, check) -> None:  # type: ignore[no-untyped-def]
 
 
 @contextmanager
-def _shown(name: str) -> Iterator[Callable[[int, int, int], None]]:
-    """A progress bar with the time left on a terminal; elsewhere a line for each point."""
+def _progress(name: str) -> Iterator[Callable[[int, int, int], None]]:
+    """A progress bar with the time left on a terminal; elsewhere one line per point."""
     from rich import progress as bars
     from rich.console import Console
 
