@@ -1,6 +1,6 @@
-"""A folder with pictures of a point source, as a user takes them for calibration: raw files and their table.
+"""Calibration folders: a user's raw pictures of a point source, with a table of their exposures and distances.
 
-See :mod:`recon.files.point_table` for the table, ``captures.csv``.
+The table ``captures.csv`` is described in :mod:`recon.files.point_table`.
 """
 
 from __future__ import annotations
@@ -26,11 +26,11 @@ from recon.files.raw import load_raw
 from recon.levels import level_of
 
 KIND = "calibration pictures"
-MOST_PROBLEMS = 30  # that one message lists
+MOST_PROBLEMS = 30  # largest number of problems in one message
 
 
 @dataclass(frozen=True)
-class Found:
+class PicturesWithNotes:
     """Pictures of a folder, and notes for the user."""
 
     pictures: list[PointPicture]
@@ -46,12 +46,20 @@ def read_point_pictures(
     known_light: Callable[[str], object],
     kind: str | None = None,
     progress: Callable[[str, float], None] = lambda stage, share: None,
-) -> Found:
-    """Pictures of a calibration folder, cut to a window about the source, for :func:`recon.calibrate`.
+) -> PicturesWithNotes:
+    """Pictures of a calibration folder, cropped to a window about the source, for :func:`recon.calibrate`.
 
-    ``level_depth_m`` and ``level_blur_px`` [level] are the camera's table of levels; ``known_light`` raises InputError
-    for a light's name that is unknown; ``kind`` is the format of packed raw files. One InputError lists everything
-    that is wrong: lines, files, what shows no source or is saturated, lights and levels without pictures.
+    A single InputError lists all problems: in the lines of the table, in files, pictures without a source or with a
+    saturated one, and lights and levels without pictures.
+
+    Args:
+        folder: the folder with ``captures.csv``.
+        camera: the camera of the pictures.
+        level_depth_m: depth of each blur level, [level] metres.
+        level_blur_px: blur diameter of each level, [level] pixels.
+        known_light: raises InputError for an unknown light.
+        kind: format of packed raw files.
+        progress: called with the name of the stage and the share of it that is done, 0..1.
     """
     lines, problems = read_table(folder, level_depth_m, known_light)
     problems += incomplete(lines)
@@ -61,7 +69,7 @@ def read_point_pictures(
             capture = _load(line, camera, kind)
             groups.setdefault((line.light, line.level), []).append((line, capture))
         except InputError as error:
-            problems.append(f"{line.where}: {error}")
+            problems.append(f"{line.label}: {error}")
         progress("reading pictures", (number + 1) / len(lines))
     pictures: list[PointPicture] = []
     worst = (np.inf, "")
@@ -76,87 +84,92 @@ def read_point_pictures(
             worst = min(worst, (ratio, f"{channel} of {light} at {loaded[0][0].depth_m:g} m"))
             if ratio < source.LEAST_SNR:
                 problems.append(
-                    f"{light} at {loaded[0][0].depth_m:g} m: {channel} has a signal-to-noise ratio of {ratio:.2g}, at "
-                    f"least {source.LEAST_SNR:g} is needed; add longer exposures or more frames"
+                    f"{light} at {loaded[0][0].depth_m:g} m: {channel} has a signal-to-noise ratio of {ratio:.2g}, "
+                    f"less than {source.LEAST_SNR:g}; add longer exposures or more frames"
                 )
     if problems:
         shown = "; ".join(problems[:MOST_PROBLEMS])
         more = f"; and {len(problems) - MOST_PROBLEMS} more" if len(problems) > MOST_PROBLEMS else ""
         raise InputError(f"captures {folder}: {shown}{more}")
-    return Found(pictures, (f"signal-to-noise ratio at least {worst[0]:.3g} ({worst[1]})", *few_positions(lines)))
+    return PicturesWithNotes(
+        pictures, (f"signal-to-noise ratio at least {worst[0]:.3g} ({worst[1]})", *few_positions(lines))
+    )
 
 
 def write_point_pictures(folder: Path, pictures: Iterable[PointPicture], camera: Camera) -> int:
-    """Write pictures as such a folder, one 16-bit PNG per frame, with ``meta.json``; returns the number of frames."""
+    """Write a calibration folder with one 16-bit PNG per frame and ``meta.json``; returns the number of frames."""
     rows: list[list[object]] = []
     shifted = False
-    with new_folder(folder, KIND) as made:
-        (made / "pictures").mkdir()
+    with new_folder(folder, KIND) as new:
+        (new / "pictures").mkdir()
         for picture in pictures:
             shifted = shifted or picture.shift_px is not None
-            place = picture.position if picture.shift_px is None else ""
+            position = picture.position if picture.shift_px is None else ""
             shift = ("", "") if picture.shift_px is None else picture.shift_px[::-1]
             for frame in picture.frames_dn:
                 name = f"pictures/{picture.light}-{picture.level:02d}-{len(rows):05d}.png"
-                write_png16(made / name, frame)
-                said = (picture.light, repr(picture.depth_m), repr(picture.exposure_s), f"{picture.gain:g}")
-                rows.append([name, *said, *(shift if shifted else (place,))])
+                write_png16(new / name, frame)
+                cells = (picture.light, repr(picture.depth_m), repr(picture.exposure_s), f"{picture.gain:g}")
+                rows.append([name, *cells, *(shift if shifted else (position,))])
         last = SHIFTS if shifted else ("position",)
-        with (made / TABLE).open("w", encoding="utf-8", newline="") as file:
+        with (new / TABLE).open("w", encoding="utf-8", newline="") as file:
             writer = csv.writer(file, lineterminator="\n")
             writer.writerows([("file", "light", "depth_m", "exposure_s", "gain", *last), *rows])
         meta = {"camera": camera.model_dump(mode="json"), "software": software_versions()}
-        (made / "meta.json").write_text(json.dumps(meta, indent=1) + "\n", encoding="utf-8")
+        (new / "meta.json").write_text(json.dumps(meta, indent=1) + "\n", encoding="utf-8")
     return len(rows)
 
 
 def _blur_px(depth_m: float, level_depth_m: FloatArray, level_blur_px: FloatArray) -> float:
-    """Visible blur diameter of a depth, even steps of the levels' own."""
+    """Visible blur diameter in pixels at a depth, linear in its level."""
     return float(level_of(depth_m, level_depth_m) * level_blur_px[-1] / (len(level_blur_px) - 1))
 
 
 def _load(line: Line, camera: Camera, kind: str | None) -> Capture:
-    """One picture; of a capture folder, that of this camera and with the exposure of the table, if given."""
+    """The picture of a line; a capture folder must match the camera, and the exposure of the table if given."""
     if not line.path.is_dir():
         return load_raw(line.path, camera, kind=kind, exposure_s=line.exposure_s, gain=line.gain)
     capture = load_capture(line.path)
     size = {"width_px": camera.sensor.width_px, "height_px": camera.sensor.height_px}
     if capture.camera.sensor.model_copy(update=size) != camera.sensor:
-        raise InputError(f"is a capture of camera '{capture.camera.name}', whose sensor is another")
-    for name, said, own in (("exposure_s", line.exposure_s, capture.exposure_s), ("gain", line.gain, capture.gain)):
-        if said is not None and not np.isclose(said, own):
-            raise InputError(f"{name} is {said:g} in {TABLE} and {own:g} in the capture")
+        raise InputError(f"is a capture of camera '{capture.camera.name}', which has another sensor")
+    for name, in_table, in_capture in (
+        ("exposure_s", line.exposure_s, capture.exposure_s),
+        ("gain", line.gain, capture.gain),
+    ):
+        if in_table is not None and not np.isclose(in_table, in_capture):
+            raise InputError(f"{name} is {in_table:g} in {TABLE} and {in_capture:g} in the capture")
     return capture
 
 
 def _cut(
     loaded: list[tuple[Line, Capture]], camera: Camera, blur_px: float, half_px: int
 ) -> tuple[list[PointPicture], list[str]]:
-    """Pictures of one light and level, cut to windows about the source, and what is wrong with them."""
+    """Pictures of one light and level, cropped to windows about the source, and their problems."""
     problems: list[str] = []
-    places: dict[object, list[tuple[Line, Capture]]] = {}
+    positions: dict[object, list[tuple[Line, Capture]]] = {}
     for line, capture in loaded:
-        # Whole-pixel shifts are those of one window.
-        places.setdefault(line.position if line.shift_px is None else None, []).append((line, capture))
+        # Pictures with whole-pixel shifts share one window.
+        positions.setdefault(line.position if line.shift_px is None else None, []).append((line, capture))
     pictures: list[PointPicture] = []
-    for group in places.values():
+    for group in positions.values():
         shapes = {capture.raw_dn.shape for _, capture in group}
         if len(shapes) > 1:
-            problems.append(f"{', '.join(line.where for line, _ in group[:3])} ...: have different sizes")
+            problems.append(f"{', '.join(line.label for line, _ in group[:3])} ...: have different sizes")
             continue
         wrong = []
         for line, capture in group:
             try:
                 source.check(capture, camera, blur_px, shortest=_is_shortest(line, capture, group))
             except InputError as error:
-                wrong.append(f"{line.where}: {error}")
+                wrong.append(f"{line.label}: {error}")
         problems += wrong
         if wrong:
             continue
         try:
             window = source.window([capture for _, capture in group], camera, blur_px, half_px)
         except InputError as error:
-            problems.append(f"{group[0][0].where}: {error}")
+            problems.append(f"{group[0][0].label}: {error}")
             continue
         pictures += _stacked(group, window, blur_px)
     return pictures, problems
@@ -164,12 +177,12 @@ def _cut(
 
 def _is_shortest(line: Line, capture: Capture, group: list[tuple[Line, Capture]]) -> bool:
     """Whether a picture has the shortest exposure of its position, the only one that must not be saturated."""
-    own = [c.exposure_s * c.gain for other, c in group if other.shift_px == line.shift_px]
-    return capture.exposure_s * capture.gain <= min(own)
+    exposures = [c.exposure_s * c.gain for other, c in group if other.shift_px == line.shift_px]
+    return capture.exposure_s * capture.gain <= min(exposures)
 
 
 def _stacked(group: list[tuple[Line, Capture]], window: tuple[slice, slice], blur_px: float) -> list[PointPicture]:
-    """Frames of the same place and exposure as one picture each, in the table's order."""
+    """Pictures [frame, h, w] of the frames with the same position and exposure, in the order of the table."""
     frames: dict[tuple[object, ...], list[tuple[Line, Capture]]] = {}
     for line, capture in group:
         frames.setdefault((line.shift_px, capture.exposure_s, capture.gain), []).append((line, capture))

@@ -1,8 +1,8 @@
-"""Raw mosaics from real cameras: 16-bit PNG, TIFF and NPY files, and packed pixels as sensors deliver them.
+"""Raw mosaics from real cameras: 16-bit PNG, TIFF and NPY files, and packed pixels without a header.
 
-The camera's TOML file gives what a raw file does not contain: black level, bit depth, full well, noise, mosaic. The
-picture's top left pixel is the first of ``mosaic``. The size of the picture overrides that of the sensor; packed pixels
-have no header, so that their size is that of the camera.
+Black level, bit depth, full well, noise and mosaic are those of the camera's TOML file. The picture's top left pixel is
+the first of ``mosaic``. The size of the picture overrides that of the sensor, except for packed pixels, which have no
+header.
 """
 
 from __future__ import annotations
@@ -22,12 +22,12 @@ from dasim.values import Capture
 
 UInt16Array = NDArray[np.uint16]
 
-# Bits of a pixel, and pixels and bytes of a group, of files without a header. MIPI CSI-2, sec. "RAW10", "RAW12".
+# Files without a header: bits per pixel, pixels per group, bytes per group. MIPI CSI-2, sec. "RAW10", "RAW12".
 PACKED = {"raw10": (10, 4, 5), "raw12": (12, 2, 3), "raw16": (16, 1, 2)}
-LEFT_ALIGNED = "left-aligned"  # PNG, TIFF, NPY whose values are shifted to the top of 16 bits
+LEFT_ALIGNED = "left-aligned"  # PNG, TIFF or NPY with values shifted to the most significant of 16 bits
 FORMATS = (*PACKED, LEFT_ALIGNED)
-MOST_ROW_PADDING = 256  # bytes that a driver may add to each row
-USUAL_EXPOSURE_S = 0.01  # where it is unknown: only the dark signal depends on it
+MOST_ROW_PADDING = 256  # largest padding of a row by a driver, bytes
+DEFAULT_EXPOSURE_S = 0.01  # for an unknown exposure time, on which the dark signal alone depends
 
 
 def load_input(
@@ -38,19 +38,19 @@ def load_input(
     exposure_s: float | None = None,
     gain: float | None = None,
 ) -> Capture:
-    """A capture folder, or a raw file of a camera (see :func:`load_raw`)."""
-    told = {"--camera": camera, "--format": kind, "--exposure": exposure_s, "--gain": gain}
+    """A capture from its folder, or from a raw file and a camera (see :func:`load_raw`)."""
+    options = {"--camera": camera, "--format": kind, "--exposure": exposure_s, "--gain": gain}
     if path.is_file() and camera is not None:
         return load_raw(path, camera, kind=kind, exposure_s=exposure_s, gain=gain)
     if path.is_file():
         raise InputError(
-            f"capture {path}: is a file; name its camera with --camera (see 'dasim list cameras', or a TOML file), "
-            "or give a capture's folder"
+            f"capture {path}: is a file; give its camera with --camera (see 'dasim list cameras', or a TOML file), "
+            "or give the folder of a capture"
         )
     capture = load_capture(path)
-    extra = [name for name, value in told.items() if value is not None]
+    extra = [name for name, value in options.items() if value is not None]
     if extra:
-        raise InputError(f"{extra[0]}: capture {path} is a folder and says it itself; leave it out")
+        raise InputError(f"{extra[0]}: capture {path} is a folder that contains it; leave {extra[0]} out")
     return capture
 
 
@@ -64,10 +64,16 @@ def load_raw(
 ) -> Capture:
     """A capture from a raw mosaic file.
 
-    ``kind`` is one of ``FORMATS``: ``raw10``, ``raw12`` (MIPI packing) and ``raw16`` (two bytes, low first) for files
-    without header, ``left-aligned`` for values shifted up to 16 bits; by default the suffix says PNG, TIFF or NPY.
+    Args:
+        path: the file.
+        camera: gives black level, bit depth, full well, noise and mosaic.
+        kind: one of ``FORMATS``: ``raw10``, ``raw12`` (MIPI packing) and ``raw16`` (little-endian) for files without a
+            header, ``left-aligned`` for values shifted to the most significant of 16 bits. By default PNG, TIFF or NPY,
+            by the suffix.
+        exposure_s: exposure time, seconds.
+        gain: analogue gain, a factor on the camera's.
     """
-    given = {"time_s": USUAL_EXPOSURE_S if exposure_s is None else exposure_s, "gain": 1.0 if gain is None else gain}
+    given = {"time_s": DEFAULT_EXPOSURE_S if exposure_s is None else exposure_s, "gain": 1.0 if gain is None else gain}
     exposure = parse(Exposure, given, "--exposure or --gain")
     if kind is not None and kind not in FORMATS:
         raise InputError(f"--format '{kind}' is unknown; allowed are {', '.join(FORMATS)}")
@@ -92,37 +98,37 @@ def load_raw(
 
 
 def _decoded(path: Path) -> NDArray:
-    """Numbers of a PNG, TIFF or NPY file as they are."""
+    """Unprocessed values of a PNG, TIFF or NPY file."""
     suffix = path.suffix.lower()
     if suffix not in (".png", ".tif", ".tiff", ".npy"):
         raise InputError(
-            f"raw picture {path}: '{suffix}' files are not known; give .png, .tif or .npy, or say with --format "
-            f"{'|'.join(PACKED)} how its pixels are packed"
+            f"raw picture {path}: '{suffix}' files are not supported; give .png, .tif or .npy, or for packed pixels "
+            f"--format {'|'.join(PACKED)}"
         )
     try:
         if suffix == ".npy":
             return np.asarray(np.load(path, allow_pickle=False))
         if suffix == ".png":
             data = path.read_bytes()
-            # The decoder fills what a cut file lacks with zeros, so the end of the file is checked first.
+            # The decoder pads a truncated file with zeros, so the end of the file is checked first.
             image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED) if b"IEND" in data[-16:] else None
             if image is None:
-                raise ValueError("no PNG, or cut short")
+                raise ValueError("not a PNG, or truncated")
             return np.asarray(image)
         import tifffile
 
         return np.asarray(tifffile.imread(path))
-    except Exception as error:  # each library has its own
+    except Exception as error:  # each library raises exceptions of its own
         text = " ".join(str(error).split()) or type(error).__name__
         raise InputError(f"raw picture {path}: cannot be read ({text})") from None
 
 
 def _numbers(image: NDArray, path: Path, camera: Camera, *, left_aligned: bool) -> UInt16Array:
-    """Raw numbers within the camera's bit depth; InputError for anything else."""
+    """Raw values within the camera's bit depth; InputError for others."""
     bits = camera.sensor.adc_bits
     if image.ndim != 2:
         raise InputError(
-            f"raw picture {path}: has the shape {image.shape}; a raw mosaic has one number a pixel, rows and columns"
+            f"raw picture {path}: has the shape {image.shape}; a raw mosaic has one number per pixel, [rows, columns]"
         )
     if image.dtype.kind == "f":
         if not np.isfinite(image).all():
@@ -130,13 +136,13 @@ def _numbers(image: NDArray, path: Path, camera: Camera, *, left_aligned: bool) 
                 f"raw picture {path}: has NaN or infinite values; give whole numbers from 0 to {2**bits - 1}"
             )
         if (image != np.rint(image)).any():
-            raise InputError(f"raw picture {path}: has fractions; give raw numbers, whole ones from 0 to {2**bits - 1}")
+            raise InputError(f"raw picture {path}: has fractions; give whole numbers from 0 to {2**bits - 1}")
     elif image.dtype.kind not in "ui":
-        raise InputError(f"raw picture {path}: holds {image.dtype}; give whole numbers of 16 bits")
+        raise InputError(f"raw picture {path}: holds {image.dtype}; give 16-bit whole numbers")
     if image.dtype.itemsize == 1 and bits > 8:
         raise InputError(
-            f"raw picture {path}: has 8 bits, camera '{camera.name}' has {bits}; save raw numbers with 16 bits, "
-            "or name the camera that took it"
+            f"raw picture {path}: has 8 bits, camera '{camera.name}' has {bits}; save 16-bit raw values, "
+            "or give the right camera"
         )
     low, high = (image.min(), image.max()) if image.size else (0, 0)
     shift = 16 - bits
@@ -161,7 +167,7 @@ def _numbers(image: NDArray, path: Path, camera: Camera, *, left_aligned: bool) 
 
 
 def _unpacked(path: Path, camera: Camera, kind: str) -> UInt16Array:
-    """Raw numbers of a file without header, rows from the top, each perhaps with some bytes more."""
+    """Raw values of a file without a header, [h, w]; each row may have some bytes of padding."""
     bits, group, group_bytes = PACKED[kind]
     sensor = camera.sensor
     height, width = sensor.height_px, sensor.width_px
@@ -171,7 +177,7 @@ def _unpacked(path: Path, camera: Camera, kind: str) -> UInt16Array:
         )
     if width % group:
         raise InputError(
-            f"--format {kind}: a width of {width} px is no multiple of {group}; correct the camera's width_px"
+            f"--format {kind}: the width of {width} px is not a multiple of {group}; correct the camera's width_px"
         )
     row = width // group * group_bytes
     data = np.fromfile(path, np.uint8)
@@ -179,12 +185,12 @@ def _unpacked(path: Path, camera: Camera, kind: str) -> UInt16Array:
     if data.size % height or not row <= stride <= row + MOST_ROW_PADDING:
         raise InputError(
             f"raw picture {path}: has {data.size} bytes, {width} x {height} pixels of {kind} have {row * height} "
-            f"(or up to {MOST_ROW_PADDING} more a row); correct width_px and height_px of camera '{camera.name}'"
+            f"(or up to {MOST_ROW_PADDING} more per row); correct width_px and height_px of camera '{camera.name}'"
         )
     parts = data.reshape(height, stride)[:, :row].reshape(height, width // group, group_bytes).astype(np.uint16)
-    if kind == "raw10":  # four high bytes, then the four pairs of low bits, the first pixel's lowest
+    if kind == "raw10":  # four bytes of high bits, then one with four pairs of low bits, the first pixel in the lowest
         values = parts[..., :4] << 2 | parts[..., 4:] >> np.array([0, 2, 4, 6], np.uint16) & 3
-    elif kind == "raw12":  # two high bytes, then the two low halves
+    elif kind == "raw12":  # two bytes of high bits, then one with two low halves
         values = parts[..., :2] << 4 | parts[..., 2:] >> np.array([0, 4], np.uint16) & 15
     else:
         values = parts[..., :1] | parts[..., 1:] << 8

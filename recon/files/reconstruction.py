@@ -1,4 +1,4 @@
-"""A reconstruction on disk: pictures for people, one EXR with every number, and its settings.
+"""Reconstructions on disk: PNG pictures, an EXR file with all numbers, and the settings.
 
 Tested in tests/dasim/cli/test_commands.py.
 """
@@ -27,14 +27,14 @@ from recon.views import anaglyph, surface
 
 RECON_SCHEMA = 1
 EXTRAS = ("anaglyph", "stereo", "ply", "glb")
-STRONGEST_SHIFT = 0.02  # of the picture's width, between the eyes: comfortable on a screen at arm's length
+STRONGEST_SHIFT = 0.02  # largest shift between the eyes, relative to the width; comfortable on a screen
 _RGB = ("R", "G", "B")
 _COLOURS = ("rgb", "sharp_rgb", "linear_e", "sharp_e")
 _PLANES = ("ir_e", "level_raw", "level", "confidence")
 
 
 def check_extras(extras: Sequence[str]) -> None:
-    """InputError where an extra picture is unknown."""
+    """InputError for an unknown extra picture."""
     for name in extras:
         if name not in EXTRAS:
             raise InputError(f"--also '{name}' is unknown; allowed are {', '.join(EXTRAS)}")
@@ -43,8 +43,8 @@ def check_extras(extras: Sequence[str]) -> None:
 def save_reconstruction(path: Path, result: Reconstruction, extras: Sequence[str] = ()) -> None:
     """Write ``rgb.png``, ``sharp.png``, ``ir.png``, ``recon.exr`` (``Z`` is the depth in metres) and ``meta.json``.
 
-    ``extras`` of ``EXTRAS``: ``anaglyph.png``, ``stereo.png`` (left eye's picture to the left), ``surface.ply`` or
-    ``surface.glb``, all of the all-in-focus picture.
+    ``extras`` from ``EXTRAS`` adds ``anaglyph.png``, ``stereo.png`` (the left eye's picture on the left),
+    ``surface.ply`` or ``surface.glb``, all from the all-in-focus picture.
     """
     import OpenEXR
 
@@ -75,7 +75,7 @@ def _write_extras(folder: Path, result: Reconstruction, extras: Sequence[str]) -
 
 
 def save_picture(path: Path, picture: Developed) -> None:
-    """Write the colour picture of a camera without depth: ``rgb.png``, ``recon.exr`` and ``meta.json``."""
+    """Write a developed picture without depth: ``rgb.png``, ``recon.exr`` and ``meta.json``."""
     import OpenEXR
 
     colours = {"rgb": picture.rgb, "linear_e": picture.linear_e}
@@ -92,17 +92,19 @@ def save_picture(path: Path, picture: Developed) -> None:
 
 
 def load_reconstruction(path: Path) -> Reconstruction:
-    """Read a reconstruction folder; InputError where it is missing, damaged or of another kind."""
+    """Read a reconstruction folder; InputError if it is missing, damaged or of another kind."""
     import OpenEXR
 
     path = Path(path)
     for name in ("meta.json", "recon.exr"):
         if not (path / name).is_file():
-            raise InputError(f"reconstruction {path}: holds no {name}; make one with 'dasim recon CAPTURE --out DIR'")
+            raise InputError(f"reconstruction {path}: has no {name}; make one with 'dasim recon CAPTURE --out DIR'")
     try:
         about: dict[str, Any] = json.loads((path / "meta.json").read_text(encoding="utf-8"))
         if about.get("picture_only"):
-            raise InputError(f"reconstruction {path}: holds a picture alone, its camera has no depth")
+            raise InputError(
+                f"reconstruction {path}: is a colour picture without depth, because its camera has no infrared pixels"
+            )
         with OpenEXR.File(str(path / "recon.exr"), separate_channels=True) as file:
             parts = {p.name(): {k: c.pixels for k, c in p.channels.items()} for p in file.parts}
         arrays = {name: parts[name][name] for name in _PLANES}
@@ -120,7 +122,7 @@ def load_reconstruction(path: Path) -> Reconstruction:
         )
     except InputError:
         raise
-    except Exception as error:  # missing keys, JSON errors and the EXR library's own
+    except Exception as error:  # missing keys, JSON errors and those of the EXR library
         raise InputError(
             f"reconstruction {path}: is damaged ({type(error).__name__}: {error}); "
             "make one with 'dasim recon CAPTURE --out DIR'"
@@ -128,7 +130,7 @@ def load_reconstruction(path: Path) -> Reconstruction:
 
 
 def _about(result: Reconstruction | Developed) -> dict[str, Any]:
-    """Entries of ``meta.json`` that both kinds of result share."""
+    """Entries of ``meta.json`` that both kinds of result have."""
     return {
         "schema": RECON_SCHEMA,
         "camera": result.camera.model_dump(mode="json"),
@@ -145,14 +147,14 @@ def _preset(settings: dict[str, Any]) -> str | None:
 
 
 def displayed(linear_e: NDArray[Any], result: Reconstruction) -> NDArray[np.float32]:
-    """Display values 0..1 of linear camera colours [h, w, 3], with the colours and the exposure of ``result.rgb``."""
+    """Display values 0..1 of linear camera colours [h, w, 3], with the colour matrix and exposure of ``result.rgb``."""
     separation = infrared.separation(result.camera, result.light, Settings(**result.settings))
     matrix = colour.colour_matrix(result.camera, result.light, separation)
     return to_srgb(np.asarray(linear_e, np.float32), matrix, exposure_scale(result.linear_e, matrix))
 
 
 def grey(image: NDArray[Any]) -> NDArray[np.float64]:
-    """A linear picture as display grey 0..1: 99.5th percentile to white, gamma 2.2."""
+    """Display values 0..1 of a linear picture [h, w], with its 99.5th percentile as white and gamma 2.2."""
     white = float(np.percentile(image, 99.5))
     return np.clip(image / white, 0, 1) ** (1 / 2.2) if white > 0 else np.zeros(image.shape)
 

@@ -1,4 +1,4 @@
-"""Pairs for two eyes from one picture and its depth (Fig. 12): red-cyan anaglyph and side-by-side, in and out."""
+"""Stereo pairs from one picture and its depth (Fig. 12): red-cyan anaglyphs and side-by-side pictures."""
 
 from __future__ import annotations
 
@@ -11,24 +11,30 @@ from numpy.typing import NDArray
 from dasim.base.errors import InputError
 from dasim.typing import Float32Array
 
-OUTLIERS = 0.01  # share of the pixels at either end of the depths
+OUTLIERS = 0.01  # share of the pixels at either end of the depth range that is clamped
 
 Where = Literal["in", "out"]
 
 
 def disparity_px(depth_m: NDArray, strongest_px: float, where: Where = "in") -> Float32Array:
-    """Shift in pixels of every point between the right and the left eye's picture, x_right - x_left, [h, w].
+    """Disparity x_right - x_left in pixels between the pictures of the right and the left eye, [h, w].
 
-    In dioptres it is linear, as before two parallel cameras: b f / p (1 / z_0 - 1 / z), with the screen at z_0. ``in``:
-    the nearest point lies in the screen and the rest behind it (shift > 0); ``out``: the farthest lies in the screen
-    and the rest before it (shift < 0). ``strongest_px`` is the largest shift. Unknown depths (NaN) count as farthest.
-    The nearest and the farthest hundredth of the pixels count as one depth each: otherwise a few wrong ones would use
-    up the whole range of shifts.
+    As for two parallel cameras, it is linear in dioptres: b f / p (1 / z_0 - 1 / z), with the screen at z_0. The
+    nearest and the farthest hundredth of the pixels are clamped, so that a few wrong depths cannot occupy the range of
+    shifts.
+
+    Args:
+        depth_m: depth, metres, [h, w]; unknown depths (NaN) count as farthest.
+        strongest_px: largest shift, pixels.
+        where: ``in`` places the nearest point on the screen and the rest behind it (shift > 0), ``out`` the farthest
+            point on the screen and the rest in front of it (shift < 0).
     """
     if not (np.isfinite(strongest_px) and strongest_px >= 0):
-        raise InputError(f"stereo: a largest shift of {strongest_px:g} px; zero or more is allowed, such as 12")
+        raise InputError(f"stereo: a largest shift of {strongest_px:g} px is not allowed; give 0 or more, such as 12")
     if where not in ("in", "out"):
-        raise InputError(f"stereo: where '{where}'; 'in' (behind the screen) or 'out' (before it) is allowed")
+        raise InputError(
+            f"stereo: where '{where}' is unknown; allowed are 'in' (behind the screen) and 'out' (in front of it)"
+        )
     vergence = 1 / np.asarray(depth_m, np.float64)
     known = np.isfinite(vergence) & (vergence > 0)
     if not known.any():
@@ -44,9 +50,9 @@ def disparity_px(depth_m: NDArray, strongest_px: float, where: Where = "in") -> 
 def pair(
     image: NDArray, depth_m: NDArray, strongest_px: float, where: Where = "in"
 ) -> tuple[Float32Array, Float32Array]:
-    """Pictures [h, w, channel] for the left and the right eye, each displaced by half the shift.
+    """Pictures [h, w, channel] for the left and the right eye, each displaced by half the disparity.
 
-    Nearer points hide farther ones; what neither eye's camera saw is filled from the farther side of the gap.
+    Nearer points occlude farther ones; disocclusions are filled from the farther side of the gap.
     """
     shift = disparity_px(depth_m, strongest_px, where)
     picture = np.ascontiguousarray(image, np.float32)
@@ -58,12 +64,12 @@ def pair(
 
 
 def anaglyph(left: NDArray, right: NDArray) -> Float32Array:
-    """Red-cyan picture: red of the left eye's, green and blue of the right eye's, display values 0..1."""
+    """Red-cyan picture from red of the left and green and blue of the right eye's picture, display values 0..1."""
     return np.concatenate([left[..., :1], right[..., 1:]], axis=-1).astype(np.float32)
 
 
 def side_by_side(left: NDArray, right: NDArray) -> Float32Array:
-    """The left eye's picture to the left of the right eye's, [h, 2 w, channel]."""
+    """Both pictures side by side, the left eye's on the left, [h, 2 w, channel]."""
     return np.concatenate([left, right], axis=1).astype(np.float32)
 
 
@@ -71,9 +77,9 @@ def side_by_side(left: NDArray, right: NDArray) -> Float32Array:
 def _displace(
     image: Float32Array, shift: Float32Array, vergence: Float32Array, out: Float32Array
 ) -> None:  # pragma: no cover - compiled
-    """Render each row: strips between neighbouring pixels, near over far; gaps are filled from their farther side.
+    """Render each row from the segments between neighbouring pixels, near over far; gaps repeat their farther side.
 
-    Neighbours displaced apart by more than one pixel belong to different surfaces, with no strip between them.
+    Neighbours whose shifts differ by more than one pixel belong to different surfaces, without a segment between them.
     """
     height, width, channels = image.shape
     for y in prange(height):

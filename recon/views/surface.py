@@ -1,4 +1,4 @@
-"""The photographed surface in three dimensions (Fig. 8(e, f)): a textured mesh, cut where depth jumps."""
+"""The surface of the scene as a textured mesh (Fig. 8(e, f)), cut at depth discontinuities."""
 
 from __future__ import annotations
 
@@ -13,23 +13,23 @@ from dasim.base.errors import InputError
 from dasim.camera.specification import Camera
 from dasim.typing import FloatArray
 
-JUMP_SHARE = 0.02  # of depth per pixel: a face seen at 88 degrees through da-mobile rises by 1.3 %
+JUMP_SHARE = 0.02  # relative depth difference per pixel; a plane at 88 degrees to da-mobile has 1.3 %
 LARGEST_STRIDE_PX = 64
 GLTF_AXES = np.array([1.0, -1.0, -1.0])  # y up, z towards the viewer, from the camera's y down, z forward
 
 
 @dataclass(frozen=True)
 class Surface:
-    """Triangles before the camera."""
+    """A textured triangle mesh in camera coordinates."""
 
     vertex_m: FloatArray  # [n, 3] x right, y down, z forward from the lens
-    uv: FloatArray  # [n, 2] place in the picture, 0..1, origin at the bottom left
-    triangle: NDArray[np.int64]  # [m, 3] anticlockwise as the camera sees them
+    uv: FloatArray  # [n, 2] position in the picture, 0..1, origin at the bottom left
+    triangle: NDArray[np.int64]  # [m, 3] vertex indices, anticlockwise as seen by the camera
     picture: NDArray[np.uint8]  # [h, w, 3] texture
 
 
 def intrinsic_matrix(camera: Camera) -> FloatArray:
-    """Pinhole intrinsics K in pixels, [3, 3]; pixel centres at +0.5, the principal point in the frame's centre.
+    """Pinhole intrinsics K in pixels, [3, 3]; pixel centres are at +0.5, the principal point is the frame's centre.
 
     The focal length in pixels is the image distance s' = f s / (s - f) of the focus distance s over the pixel pitch.
     """
@@ -48,20 +48,31 @@ def surface(
     stride_px: int = 1,
     jump_share: float = JUMP_SHARE,
 ) -> Surface:
-    """Mesh of display values [h, w, 3], 0..1, at their depths [h, w], by the pinhole ``intrinsic`` [3, 3] in pixels.
+    """Textured mesh of a picture at its depths.
 
-    A vertex for each ``stride_px``-th pixel's centre, X = z K^-1 (u, v, 1); two triangles between four of them, left
-    out where a depth is unknown or where depth differs by more than ``jump_share`` of itself per pixel: the edge
-    between an object and what lies behind it is cut, not bridged.
+    The vertices are X = z K^-1 (u, v, 1) at the centres of every ``stride_px``-th pixel, with two triangles between
+    four neighbours. Triangles with an unknown depth, or with a depth difference above ``jump_share`` of the depth per
+    pixel, are omitted, so that objects are separated from the background.
+
+    Args:
+        image: display values 0..1, [h, w, 3].
+        depth_m: depth, metres, [h, w]; NaN where unknown.
+        intrinsic: the pinhole matrix K in pixels, [3, 3].
+        stride_px: distance between vertices, pixels.
+        jump_share: largest relative depth difference per pixel within a surface.
     """
     if not (isinstance(stride_px, int) and 1 <= stride_px <= LARGEST_STRIDE_PX):
-        raise InputError(f"surface: a stride of {stride_px} px; 1 to {LARGEST_STRIDE_PX} is allowed, such as 2")
+        raise InputError(
+            f"surface: a stride of {stride_px} px is not allowed; give 1 to {LARGEST_STRIDE_PX}, such as 2"
+        )
     if not jump_share > 0:
-        raise InputError(f"surface: a jump of {jump_share:g} of depth; more than 0 is allowed, such as {JUMP_SHARE:g}")
+        raise InputError(
+            f"surface: a jump of {jump_share:g} of depth is not allowed; give more than 0, such as {JUMP_SHARE:g}"
+        )
     height, width = depth_m.shape
     if image.shape[:2] != (height, width):
         raise InputError(
-            f"surface: a picture of {image.shape[1]} x {image.shape[0]} pixels does not fit depths of "
+            f"surface: a picture of {image.shape[1]} x {image.shape[0]} pixels does not match depths of "
             f"{width} x {height}"
         )
     rows, columns = np.arange(0, height, stride_px), np.arange(0, width, stride_px)
@@ -78,7 +89,7 @@ def surface(
 
 
 def _faces(depth: FloatArray, jump: float) -> NDArray[np.int64]:
-    """Triangles [m, 3] of a grid of depths [h, w], without those that a NaN or a jump touches."""
+    """Triangles [m, 3] of a grid of depths [h, w], without those at a NaN or a depth discontinuity."""
     index = np.arange(depth.size).reshape(depth.shape)
     a, b, c, d = index[:-1, :-1], index[1:, :-1], index[:-1, 1:], index[1:, 1:]
     triangles = np.concatenate([np.stack([a, b, c], -1).reshape(-1, 3), np.stack([c, b, d], -1).reshape(-1, 3)])
@@ -90,18 +101,18 @@ def _faces(depth: FloatArray, jump: float) -> NDArray[np.int64]:
 
 
 def save_surface(path: Path, mesh: Surface) -> None:
-    """Write a ``.ply`` with colours at its vertices, in the camera's axes, or a ``.glb`` with its texture.
+    """Write a ``.ply`` file with vertex colours in the camera's axes, or a ``.glb`` file with a texture, in metres.
 
-    GLB has its own axes (y up, z towards the viewer). Both are in metres.
+    The axes of GLB are y up and z towards the viewer.
     """
     import trimesh
     from PIL import Image
 
     path = Path(path)
     if path.suffix.lower() not in (".ply", ".glb"):
-        raise InputError(f"surface {path}: '{path.suffix}' cannot be written; '.ply' or '.glb' is allowed")
+        raise InputError(f"surface {path}: '{path.suffix}' files are not supported; give '.ply' or '.glb'")
     if not len(mesh.triangle):
-        raise InputError(f"surface {path}: no two neighbouring pixels have a depth; nothing to write")
+        raise InputError(f"surface {path}: no neighbouring pixels have a depth; nothing to write")
     if path.suffix.lower() == ".glb":
         material = trimesh.visual.material.PBRMaterial(
             baseColorTexture=Image.fromarray(mesh.picture), metallicFactor=0.0, roughnessFactor=1.0, doubleSided=True
@@ -110,8 +121,8 @@ def save_surface(path: Path, mesh: Surface) -> None:
         body = trimesh.Trimesh(mesh.vertex_m * GLTF_AXES, mesh.triangle, visual=look, process=False)
     else:
         height, width = mesh.picture.shape[:2]
-        place = np.floor([(1 - mesh.uv[:, 1]) * height, mesh.uv[:, 0] * width]).astype(int)
-        colours = mesh.picture[place[0], place[1]]
+        index = np.floor([(1 - mesh.uv[:, 1]) * height, mesh.uv[:, 0] * width]).astype(int)
+        colours = mesh.picture[index[0], index[1]]
         body = trimesh.Trimesh(mesh.vertex_m, mesh.triangle, vertex_colors=colours, process=False)
     data = body.export(file_type=path.suffix.lower()[1:])
     path.parent.mkdir(parents=True, exist_ok=True)

@@ -89,7 +89,7 @@ WRONG = {
     "negative": (np.full((64, 96), -1), "values of -1 to -1"),
     "too deep": (np.full((64, 96), 1025, np.uint16), "10 bits, 0 to 1023"),
     "8 bits": (np.full((64, 96), 100, np.uint8), "has 8 bits"),
-    "colour": (np.zeros((64, 96, 3), np.uint16), "one number a pixel"),
+    "colour": (np.zeros((64, 96, 3), np.uint16), "one number per pixel"),
     "odd": (np.zeros((63, 96), np.uint16), "not a multiple of the 2 x 2 mosaic"),
     "text": (np.full((64, 96), "a"), "whole numbers"),
     "empty": (np.zeros((0, 0), np.uint16), "height_px"),
@@ -113,7 +113,7 @@ def test_damaged_and_unknown_files(tmp_path, ten):
     (tmp_path / "no.npy").write_bytes(b"no array")
     (tmp_path / "photo.dng").write_bytes(b"x")
     for name, said in (
-        ("cut.png", "cut short"), ("eight.png", "8 bits"), ("no.tif", "cannot be read"), ("no.npy", "cannot be read"),
+        ("cut.png", "truncated"), ("eight.png", "8 bits"), ("no.tif", "cannot be read"), ("no.npy", "cannot be read"),
         ("photo.dng", "--format raw10"), ("none.png", "no such file"),
     ):  # fmt: skip
         with pytest.raises(InputError, match=said) as refused:
@@ -127,7 +127,7 @@ def test_packed_files_that_do_not_fit(tmp_path, ten):
         with pytest.raises(InputError, match=said):
             raw_files.load_raw(tmp_path / "photo.raw", ten, kind=kind)
     narrow = ten.model_copy(update={"sensor": ten.sensor.model_copy(update={"width_px": 98})})
-    with pytest.raises(InputError, match="no multiple of 4"):
+    with pytest.raises(InputError, match="not a multiple of 4"):
         raw_files.load_raw(tmp_path / "photo.raw", narrow, kind="raw10")
     with pytest.raises(InputError, match="gain"):
         raw_files.load_raw(tmp_path / "photo.raw", ten, kind="raw10", gain=-1.0)
