@@ -103,7 +103,7 @@ def load_reconstruction(path: Path) -> Reconstruction:
         about: dict[str, Any] = json.loads((path / "meta.json").read_text(encoding="utf-8"))
         if about.get("picture_only"):
             raise InputError(
-                f"reconstruction {path}: is a colour picture without depth, because its camera has no infrared pixels"
+                f"reconstruction {path}: is a colour picture with no depth, because its camera has no infrared pixels"
             )
         with OpenEXR.File(str(path / "recon.exr"), separate_channels=True) as file:
             parts = {p.name(): {k: c.pixels for k, c in p.channels.items()} for p in file.parts}

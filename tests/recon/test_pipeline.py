@@ -137,7 +137,7 @@ def test_a_bank_of_another_kind_of_sensor_is_refused(scene):
         recon.reconstruct(scene.capture, moved)
 
 
-def test_a_bank_of_another_light_is_said(scene, result):
+def test_a_bank_of_another_light_gives_a_note(scene, result):
     """A picture under D65, a bank of lamps alone: done, with a note; with both lights there is none."""
     bank = recon_scenes.bank()
     lamp = dataclasses.replace(bank, kernel=bank.kernel[1:], lights=bank.lights[1:], signature=bank.signature[1:])

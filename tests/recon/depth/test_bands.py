@@ -1,4 +1,4 @@
-"""Levels by bands: energies against a direct sum, no bias by noise, and a standard error that is one."""
+"""Levels by bands: energies of known noise, bias under noise, and the standard error of a known likelihood."""
 
 import numpy as np
 import pytest
@@ -32,14 +32,14 @@ def test_energies_of_white_noise_are_its_variances():
     noise = [s * random.standard_normal(shape).astype(np.float32) for s in (2, 3)]
     spectra = (fourier.forward(noise[0]), fourier.forward(noise[1]))
     variance = (np.full(shape, 4, np.float32), np.full(shape, 9, np.float32))
-    (found,) = bands.energies(spectra, variance, (shape, shape), WINDOW, 2.0)
-    values = 256**2 * found.values / (4 * np.pi * (BANDS.window_px / 2) ** 2 / 12)  # independent ones in the frame
+    (pair,) = bands.energies(spectra, variance, (shape, shape), WINDOW, 2.0)
+    values = 256**2 * pair.values / (4 * np.pi * (BANDS.window_px / 2) ** 2 / 12)  # independent ones in the frame
     for index, count in enumerate(values):
         # the bands' middles have at least 100 values; five standard deviations of a mean square
         slack = 5 * np.sqrt(2 / max(count, 1))
-        assert abs(found.sharper[index].mean() / 4 - 1) < slack
-        assert abs(found.green[index].mean() / 9 - 1) < slack
-        assert abs(found.product[index].mean() / 6) < slack
+        assert abs(pair.sharper[index].mean() / 4 - 1) < slack
+        assert abs(pair.green[index].mean() / 9 - 1) < slack
+        assert abs(pair.product[index].mean() / 6) < slack
 
 
 def planes(level, noise, size=224, seed=0):
@@ -69,7 +69,7 @@ def estimates(level, noise):
 
 
 @pytest.mark.parametrize("level", [0, 4, 8])
-def test_noise_does_not_pass_for_blur(level):
+def test_noise_causes_no_bias(level):
     """Noise of a tenth of the texture's contrast in both channels: the median level stays near the true one."""
     value, _ = estimates(level, 0.1)
     assert abs(np.median(value) - level) < WEAK_BIAS_LEVELS
@@ -80,8 +80,8 @@ def test_confidence_falls_with_noise():
     assert means[0] > means[1] > means[2]
 
 
-def test_the_leak_is_taken_off():
-    """Green with half of infrared in it, as told by the leak, gives the level of green without."""
+def test_infrared_leak_is_subtracted():
+    """Green with half of infrared added, and a leak that states it, gives the level of green without infrared."""
     infrared, green = planes(8, 0.02)
     mixed = channels.Channel(
         green.plane + 0.5 * infrared.plane,
@@ -102,14 +102,14 @@ def test_standard_error_of_a_parabola():
 
 
 def test_plane_mean_counts_both_halves():
-    """What the bands' shares rest on: a constant has its own mean for even and odd widths."""
+    """The mean of a constant is the constant, for even and odd widths."""
     for width in (8, 9):
         assert grid.plane_mean(np.ones((6, width // 2 + 1)), width) == pytest.approx(1)
 
 
 @pytest.mark.parametrize("fill", ["black", "saturated", "constant"])
 def test_frames_without_texture_end_with_no_confidence(fill):
-    """All black, all saturated, or one value everywhere: finished, nothing claimed, no NaN."""
+    """Frames that are black, saturated or constant: finite results and no confidence."""
     camera = recon_scenes.da_mobile(128, 96)
     sensor = camera.sensor
     value = {"black": sensor.black_level_dn, "saturated": 2**sensor.adc_bits - 1, "constant": 300}[fill]

@@ -39,14 +39,14 @@ def estimate(level, settings, noise=NOISE):
     return levels[inner, inner]
 
 
-def test_whole_pictures_at_focus_are_not_drawn_to_larger_levels():
-    """Infrared is the blurrier channel there: the likelihood knows what deblurring does to its noise."""
+def test_full_resolution_pictures_in_focus_are_not_biased_to_larger_levels():
+    """Infrared is the blurrier channel in focus; the likelihood accounts for the noise after deblurring."""
     assert estimate(0, PRESETS["likelihood"]).mean() < NEAR_FOCUS_LEVELS
 
 
 @pytest.mark.parametrize("preset", ["paper", "likelihood"])
 @pytest.mark.parametrize("level", [4, 14])
-def test_whole_pictures_have_no_bias(preset, level):
+def test_full_resolution_pictures_have_no_bias(preset, level):
     assert abs(estimate(level, PRESETS[preset]).mean() - level) < AWAY_LEVELS
 
 

@@ -5,7 +5,7 @@ import numpy as np
 from recon.depth import likelihood, ncc
 
 
-def test_green_given_infrared_varies_as_a_gaussian_pair_says():
+def test_conditional_variance_is_the_schur_complement():
     """Schur complement of the covariance of two noisy views of one texture, at a random frequency each."""
     random = np.random.default_rng(3)
     infrared, green = (random.uniform(0.05, 1, (8, 5)).astype(np.complex64) for _ in range(2))

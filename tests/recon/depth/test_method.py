@@ -61,7 +61,7 @@ def test_a_foreign_method_yields_an_all_in_focus_picture(scene, bank):
     assert result.method is not None and result.method.endswith("oracle")
 
 
-def test_levels_and_depths_are_two_ways_to_say_the_same(scene, bank):
+def test_levels_and_depths_give_equal_estimates(scene, bank):
     """A level map and the depths of those levels, with standard deviations of one level: equal levels and confidence.
 
     The depth's deviation is that of a level times z^2 times the dioptres per level.
@@ -150,7 +150,7 @@ ONES = np.ones((4, 6))
         ({"level": ONES, "sd": np.nan * ONES}, "sd is NaN or negative"),
     ],
 )
-def test_an_estimate_says_what_is_wrong_with_it(fields, problem):
+def test_invalid_estimates_are_named(fields, problem):
     with pytest.raises(InputError, match=f"depth estimate: .*{problem}"):
         recon.DepthEstimate(**fields)
 

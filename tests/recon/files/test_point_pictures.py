@@ -216,7 +216,7 @@ def test_uneven_light_is_no_source(light_e):
             check(9000.0)
 
 
-def test_everything_that_is_wrong_is_said_at_once(folder, camera):
+def test_all_problems_are_in_one_message(folder, camera):
     """Expectation: one line that names each file with its own fault, and nothing else."""
     rows = table(folder)
     short = [row for row in rows if row["exposure_s"] == "0.01"]

@@ -25,7 +25,7 @@ def white_capture(light):
 
 
 @pytest.mark.parametrize("light", ["D65", "A"])
-def test_the_light_of_a_grey_scene_is_found(light):
+def test_white_balance_selects_the_light_of_a_grey_scene(light):
     capture, bank = white_capture(light), recon_scenes.bank()
     electrons, saturated = mosaic.linearise(capture)
     chosen = colour.choose_light(mosaic.planes(electrons, capture.camera), saturated[::2, ::2], bank.signature)
@@ -33,7 +33,7 @@ def test_the_light_of_a_grey_scene_is_found(light):
 
 
 @pytest.mark.parametrize("light", ["D65", "A"])
-def test_white_is_kept(light):
+def test_white_stays_white(light):
     camera = recon_scenes.da_mobile(256, 192)
     electrons = spectra.integrate(radiometry.response(camera) * illuminants.illuminant(light))
     visible = electrons[:3] - specification.crosstalk(camera.sensor) * electrons[3]
