@@ -1,4 +1,4 @@
-"""Claim of the depth maps as pictures (Fig. 8): what regularisation makes of raw levels, and surfaces from aside."""
+"""Claim on depth maps (Fig. 8): raw and regularised levels compared, and surfaces in oblique view."""
 
 from __future__ import annotations
 
@@ -31,21 +31,21 @@ STRIDE_PX = 2  # of the surfaces: the levels' own grid
 
 
 def depth_maps(progress: ShareDone, seed: int = 0, methods: Sequence[NamedMethod] = METHODS) -> Evidence:
-    """Regularised depth is smoother than raw depth and no less right, and tells near from far.
+    """Regularised depth is smoother than raw depth, at least as accurate, and orders near and far.
 
-    Rationale: Fig. 8 shows a raw map that is noisy and has gaps, a regularised one without, and surfaces from aside.
-    Claim ``depth`` judges the errors of both maps; this one what leads from one to the other, and what one sees.
+    Rationale: Fig. 8 shows a noisy raw map with gaps, a regularised map without, and oblique views of surfaces. Claim
+    ``depth`` measures the errors of both maps; this claim measures the effect of regularisation.
 
     Set-up: the photographs of claim ``depth``: desk, flowers and adam, 512 x 384 px, da-mobile; preset bands (limits
     and pictures), preset paper beside. Order: random pairs of pixels at least 2 true levels apart. Roughness: the rms
     step between neighbouring samples of a map, over pairs that both have a raw level and lie on one object away from
-    boundaries. Maps share one scale, linear in dioptres. The surfaces are drawn in (x/z, y/z, 1/z), where planes stay
-    planes: in metres, a lens of 14 degrees sees a spike.
+    boundaries. Maps share one scale, linear in dioptres. Surfaces are drawn in (x/z, y/z, 1/z), where planes remain
+    planes; in metres the view of a lens of 14 degrees would be a spike.
 
-    Expectation: errors where there are raw levels no larger than theirs, by median and by rms: an average over what
-    looks alike takes noise and adds nothing. What is filled in where raw depth left out is reported beside the best
-    constant map of those pixels: there is no texture, neighbours at other depths lend theirs, and in flowers and adam
-    it is the worse of the two.
+    Expectation: where raw levels exist, median and rms errors are not larger than theirs, since averaging over similar
+    pixels reduces noise without bias. The error at pixels without a raw level is reported beside that of the best
+    constant map of those pixels. They have no texture and take depths from neighbours; in flowers and adam they are
+    worse than the constant map.
 
     Limit: both errors at most raw's; roughness at most 0.7 of raw's; at least 0.75 of the pairs in order.
 

@@ -1,4 +1,4 @@
-"""Claim of the yellow disks (Fig. 9): edges that infrared does not show, and what blue in its place tells of them."""
+"""Claim on the yellow disks (Fig. 9): edges without contrast in infrared, and the fall-back to blue."""
 
 from __future__ import annotations
 
@@ -41,8 +41,8 @@ METHODS = bundled("paper", "bands")
 def yellow_disks(progress: ShareDone, seed: int = 0, methods: Sequence[NamedMethod] = METHODS) -> Evidence:
     """Yellow disks on white paper have no edge in near-infrared: depth fails there, and blue in its place misleads.
 
-    Rationale: Fig. 9 is the paper's own counter-example; a simulator that does not show it is too kind, and a
-    reconstruction that does not is not the paper's.
+    Rationale: Fig. 9 is the paper's own counter-example. A simulation or reconstruction that does not reproduce it is
+    unrealistic.
 
     Set-up: the scene disks, two sheets with printed disks at 10 and 5 cm, D55, focus 12 cm, 512 x 384 px, da-mobile.
     Preset paper with its fall-back (red, then blue, in place of infrared, sec. 5.3), the same without it, and preset

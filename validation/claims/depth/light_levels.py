@@ -1,4 +1,4 @@
-"""Claim of sec. 6.2: depth under diverse lights, from a candle's light to a bright day's shade."""
+"""Claim on sec. 6.2: depth under four illuminants, from 10 to 10,000 lux."""
 
 from __future__ import annotations
 
@@ -36,10 +36,10 @@ COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7")
 
 
 def light_levels(progress: ShareDone, seed: int = 0, methods: Sequence[NamedMethod] = METHODS) -> Evidence:
-    """Depth is found under all four lights, and the error falls with light until the scene itself limits it.
+    """Depth is estimated under all four lights; its error falls with illuminance until the scene limits it.
 
-    Rationale: sec. 6.2 names outdoor shade, energy-saving lamps and incandescent light; lamps without near-infrared in
-    the dark are where this camera must fail, and a user wants to know where.
+    Rationale: sec. 6.2 names outdoor shade, energy-saving lamps and incandescent light; with lamps
+    that emit little near-infrared the camera fails in dim light, and users need to know at which level.
 
     Set-up: the scene desk, 256 x 192 px of da-mobile, rendered once under each light (D65, A, energy-saving lamps of
     3500 K, a white LED); its mean electrons scaled to 10 to 10,000 lux (lamp and dome together) and exposed by the

@@ -1,4 +1,4 @@
-"""Claim of depth on the bundled scenes: raw and regularised levels against the truth and the best constant map."""
+"""Claim on depth in the bundled scenes: raw and regularised levels against the truth and the best constant map."""
 
 from __future__ import annotations
 
@@ -28,19 +28,19 @@ COLOURS = "turbo"
 
 
 def depth(progress: ShareDone, seed: int = 0, methods: Sequence[NamedMethod] = METHODS) -> Evidence:
-    """On scenes, levels of blur are found to within a level or so, and far better than by any constant map.
+    """On scenes, blur levels are estimated to about one level, much better than by any constant map.
 
-    Rationale: Fig. 1(b), 8(c,d) and 11(c), measured: the staircase has one texture and no boundaries, scenes have.
+    Rationale: Fig. 1(b), 8(c,d) and 11(c). The staircase has one texture and no depth boundaries; scenes have many.
 
     Set-up: the bundled scenes desk, flowers and adam, 512 x 384 px, da-mobile focused as the scene proposes,
-    160 samples a pixel and stop. Reconstructed with a bank calibrated for the camera and focus; presets bands (the
-    limits), paper and chakrabarti-zickler (reported beside). Pixels behind the focal plane, which one picture cannot
-    tell from those before it, are left out. Textured pixels are those to which the reconstruction itself gave a raw
-    level; their share is reported.
+    160 samples per pixel and stop. Reconstructed with a bank calibrated for the camera and focus; presets bands (with
+    limits), paper and chakrabarti-zickler (reported). Pixels behind the focal plane are excluded, since one picture
+    cannot distinguish them from pixels in front of it. Textured pixels are those with a raw level; their share is
+    reported.
 
     Expectation: median absolute error of the raw levels of textured pixels away from boundaries, and of the regularised
-    levels of all pixels. The ratio to the best constant map, for which, as for the map, every bin of one level
-    that holds 2 % of the pixels counts the same.
+    levels of all pixels. The ratio to the best constant map weights every bin of one level with at least
+    2 % of the pixels equally.
 
     Limit: 0.8 levels raw, 1.2 levels regularised, each at most half the error of the best constant map;
     a raw level for at least 0.6 of the pixels away from boundaries.
