@@ -50,7 +50,7 @@ def load_input(
     capture = load_capture(path)
     extra = [name for name, value in options.items() if value is not None]
     if extra:
-        raise InputError(f"{extra[0]}: capture {path} is a folder that contains it; leave {extra[0]} out")
+        raise InputError(f"{extra[0]}: capture {path} is a folder that contains it; leave it out")
     return capture
 
 

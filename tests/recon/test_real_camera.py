@@ -207,14 +207,14 @@ def test_the_depth_is_scored(bench):
 @pytest.mark.parametrize(
     ("options", "said"),
     [
-        (("--captures", "pinhole", "--illuminant", "A"), "decide lights and diffraction"),
-        (("--captures", "pinhole", "--diffraction", "off"), "decide lights and diffraction"),
-        (("--captures", "pinhole", "--save-captures", "new"), "leave the other option out"),
-        (("--format", "raw12"), "name their folder with --captures"),
+        (("--captures", "pinhole", "--illuminant", "A"), "determine lights and diffraction"),
+        (("--captures", "pinhole", "--diffraction", "off"), "determine lights and diffraction"),
+        (("--captures", "pinhole", "--save-captures", "new"), "omit the other option"),
+        (("--format", "raw12"), "give their folder with --captures"),
         (("--captures", "none"), "no table captures.csv"),
         (("--captures", "pinhole", "--focus", "0.2"), "is not the distance of a level"),
         (("--captures", "pinhole", "--camera", "da-mobile"), "has values of"),
-        (("--save-captures", "new"), "leave --out out"),
+        (("--save-captures", "new"), "omit --out"),
     ],
 )
 def test_options_that_contradict_each_other(bench, options, said, capsys, monkeypatch):
