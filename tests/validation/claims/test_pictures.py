@@ -60,7 +60,7 @@ def test_a_regularised_map_with_noise_fails(slope):
     noise = np.random.default_rng(1).normal(0, 0.5, exact.level.shape).astype(np.float32)
     raw = exact.level + noise
     figures = {
-        name: depth_maps.judged("bands.x", "", dataclasses.replace(result, level_raw=raw, level=level), exact)
+        name: depth_maps.figures_of("bands.x", "", dataclasses.replace(result, level_raw=raw, level=level), exact)
         for name, level in {
             "right": exact.level + noise / 10,
             "noisy": raw + noise[::-1],
@@ -114,7 +114,7 @@ def test_without_the_fall_back_yellow_edges_have_no_level(printed, monkeypatch, 
     monkeypatch.setattr(disks, "SHEETS", {"near": "5 cm"})
     bank = recon_scenes.bank(("D65",))
     results = {name: recon.reconstruct(capture, bank, settings) for name, settings in disks.SETTINGS.items()}
-    found = failed("yellow-disks", disks.judged(results, exact))
+    found = failed("yellow-disks", disks.figures_of(results, exact))
     assert ("near.fallback" in found) is not fallback
     assert not found & {"near.infrared", "near.blue", "near.no-fallback", "near.black"}
 

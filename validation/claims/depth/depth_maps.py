@@ -62,7 +62,7 @@ def depth_maps(progress: ShareDone, seed: int = 0, methods: Sequence[NamedMethod
         bank = recon.calibrate(dasim.calibration_captures(camera, diffraction=shot.capture.provenance["diffraction"]))
         for method in methods:
             result = reconstructed(shot.capture, bank, method)
-            figures += judged(f"{method}.{name}", f"{name}, {method}", result, shot.truth, seed)
+            figures += figures_of(f"{method}.{name}", f"{name}, {method}", result, shot.truth, seed)
             if method == methods[0]:
                 maps.append(_maps(f"{name}, {method}", result, shot))
                 views.append(_aside(f"{name}, {method},", result, shot))
@@ -70,7 +70,7 @@ def depth_maps(progress: ShareDone, seed: int = 0, methods: Sequence[NamedMethod
     return Evidence(figures, pictures=[*maps, *views])
 
 
-def judged(name: str, said: str, result: Reconstruction, truth: Truth, seed: int = 0) -> list[Figure]:
+def figures_of(name: str, case: str, result: Reconstruction, truth: Truth, seed: int = 0) -> list[Figure]:
     """The figures of one reconstruction."""
     near = near_side(truth)
     known = np.isfinite(result.level_raw)
@@ -85,13 +85,13 @@ def judged(name: str, said: str, result: Reconstruction, truth: Truth, seed: int
     text = "error of regularised levels where there are raw ones, over theirs"
     gap = "median absolute error where raw levels were left out, bins balanced"
     return [
-        Figure(f"{name}.kept-median", medians[0] / medians[1], "1", f"{said}: median absolute {text}"),
-        Figure(f"{name}.kept-rms", rms[0] / rms[1], "1", f"{said}: rms {text}"),
-        Figure(f"{name}.roughness", steps[0] / steps[1], "1", f"{said}: rms step between samples, over that of raw"),
-        Figure(f"{name}.order", order, "1", f"{said}: share of pairs {APART_LEVELS:g} levels apart in the right order"),
-        Figure(f"{name}.left-out", share, "1", f"{said}: share of pixels without a raw level"),
-        Figure(f"{name}.filled", filled, "level", f"{said}: {gap}"),
-        Figure(f"{name}.filled-constant", constant, "level", f"{said}: {gap}, of the best constant map"),
+        Figure(f"{name}.kept-median", medians[0] / medians[1], "1", f"{case}: median absolute {text}"),
+        Figure(f"{name}.kept-rms", rms[0] / rms[1], "1", f"{case}: rms {text}"),
+        Figure(f"{name}.roughness", steps[0] / steps[1], "1", f"{case}: rms step between samples, over that of raw"),
+        Figure(f"{name}.order", order, "1", f"{case}: share of pairs {APART_LEVELS:g} levels apart in the right order"),
+        Figure(f"{name}.left-out", share, "1", f"{case}: share of pixels without a raw level"),
+        Figure(f"{name}.filled", filled, "level", f"{case}: {gap}"),
+        Figure(f"{name}.filled-constant", constant, "level", f"{case}: {gap}, of the best constant map"),
     ]
 
 
@@ -119,10 +119,10 @@ def roughness(level: NDArray, where: BoolArray, truth: Truth) -> float:
 def _maps(name: str, result: Reconstruction, shot: Shot) -> tuple[str, str]:
     """True, raw and regularised depth, with a caption."""
     truth = shot.truth
-    judged_ = np.where(near_side(truth), 1.0, np.nan)  # not behind the focus
+    near_only = np.where(near_side(truth), 1.0, np.nan)  # not behind the focus
     raw = depth_of_level(result.level_raw, result)
     maps = [("true", truth.depth_m), ("raw", raw), ("regularised", result.depth_m)]
-    address = pictures.depth_panels([(title, depth_m * judged_) for title, depth_m in maps], *_range_m(truth))
+    address = pictures.depth_panels([(title, depth_m * near_only) for title, depth_m in maps], *_range_m(truth))
     return f"{name}: true, raw and regularised depth on one scale, linear in dioptres; grey: no estimate", address
 
 

@@ -77,7 +77,7 @@ def yellow_disks(progress: ShareDone, seed: int = 0, methods: Sequence[NamedMeth
     for number, (name, settings) in enumerate(SETTINGS.items()):
         results[name] = recon.reconstruct(shot.capture, bank, settings)
         progress((number + 1) / len(SETTINGS))
-    figures = [*judged(results, shot.truth), *_radii(bank, results["paper"].light, shot.truth)]
+    figures = [*figures_of(results, shot.truth), *_radii(bank, results["paper"].light, shot.truth)]
     return Evidence(figures, pictures=_pictures(results, shot), tables=[_table(results, shot.truth)])
 
 
@@ -86,15 +86,15 @@ def edges_of(name: str, result: Reconstruction, truth: Truth) -> list[Figure]:
     figures = []
     for sheet, place in SHEETS.items():
         for ink in ("yellow", "black"):
-            rim, said = edge(f"{sheet}-{ink}", truth), f"{ink} edge at {place}, {name}"
+            rim, case = edge(f"{sheet}-{ink}", truth), f"{ink} edge at {place}, {name}"
             share = float(np.isfinite(result.level_raw[rim]).mean())
             after = float(np.median(np.abs(level_error(result.level, truth)[rim])))
             label = f"{name}.{sheet}.{ink}"
             error = _off(result.level_raw, truth, rim)
             figures += [
-                Figure(f"{label}-share", share, "1", f"{said}: share with a level"),
-                Figure(label, error, "level", f"{said}: median absolute error"),
-                Figure(f"{label}-regularised", after, "level", f"{said}: median absolute error after regularisation"),
+                Figure(f"{label}-share", share, "1", f"{case}: share with a level"),
+                Figure(label, error, "level", f"{case}: median absolute error"),
+                Figure(f"{label}-regularised", after, "level", f"{case}: median absolute error after regularisation"),
             ]
     return figures
 
@@ -104,28 +104,28 @@ def _table(results: dict[str, Reconstruction], truth: Truth) -> Table:
     return "Each edge: contrasts, share with a raw level, median error of these", head, _rows(results, truth)
 
 
-def judged(results: dict[str, Reconstruction], truth: Truth) -> list[Figure]:
+def figures_of(results: dict[str, Reconstruction], truth: Truth) -> list[Figure]:
     """Figures of the yellow and the black edges; ``results`` by the names of SETTINGS."""
     figures = []
     for sheet, place in SHEETS.items():
         yellow, black = edge(f"{sheet}-yellow", truth), edge(f"{sheet}-black", truth)
         contrast = contrasts(f"{sheet}-yellow", truth)
-        said = f"yellow edge at {place}"
+        case = f"yellow edge at {place}"
         share = {name: float(np.isfinite(result.level_raw[yellow]).mean()) for name, result in results.items()}
         paper = results["paper"]
         wrong, control = (_off(paper.level_raw, truth, rim) for rim in (yellow, black))
         after = float(np.median(np.abs(level_error(paper.level, truth)[yellow])))
         figures += [
-            Figure(f"{sheet}.infrared", abs(contrast[3]), "1", f"{said}: contrast in near-infrared, absolute"),
-            Figure(f"{sheet}.blue", contrast[2], "1", f"{said}: contrast in blue"),
-            Figure(f"{sheet}.no-fallback", share["no-fallback"], "1", f"{said}: share with a level, fall-back off"),
-            Figure(f"{sheet}.fallback", share["paper"], "1", f"{said}: share with a level, preset paper"),
-            Figure(f"{sheet}.bands", share["bands"], "1", f"{said}: share with a level, preset bands"),
+            Figure(f"{sheet}.infrared", abs(contrast[3]), "1", f"{case}: contrast in near-infrared, absolute"),
+            Figure(f"{sheet}.blue", contrast[2], "1", f"{case}: contrast in blue"),
+            Figure(f"{sheet}.no-fallback", share["no-fallback"], "1", f"{case}: share with a level, fall-back off"),
+            Figure(f"{sheet}.fallback", share["paper"], "1", f"{case}: share with a level, preset paper"),
+            Figure(f"{sheet}.bands", share["bands"], "1", f"{case}: share with a level, preset bands"),
             Figure(f"{sheet}.black", control, "level", f"black edge at {place}: median absolute error, preset paper"),
-            Figure(f"{sheet}.yellow", wrong, "level", f"{said}: median absolute error, preset paper"),
-            Figure(f"{sheet}.wrong", wrong / control, "1", f"{said}: the same over the black edge's"),
-            Figure(f"{sheet}.regularised", after, "level", f"{said}: median absolute error after regularisation"),
-            Figure(f"{sheet}.helps", after / wrong, "1", f"{said}: the same over that before"),
+            Figure(f"{sheet}.yellow", wrong, "level", f"{case}: median absolute error, preset paper"),
+            Figure(f"{sheet}.wrong", wrong / control, "1", f"{case}: the same over the black edge's"),
+            Figure(f"{sheet}.regularised", after, "level", f"{case}: median absolute error after regularisation"),
+            Figure(f"{sheet}.helps", after / wrong, "1", f"{case}: the same over that before"),
         ]
     return figures
 
@@ -140,8 +140,8 @@ def _radii(bank: PsfBank, light: str, truth: Truth) -> list[Figure]:
         radius = np.sqrt((bank.kernel[bank.lights.index(light), level] * square).sum(axis=(-1, -2)))
         for name in ("B", "R", "IR"):
             value = float(radius[CHANNELS.index(name)] / radius[CHANNELS.index("G")])
-            said = f"rms radius of the kernel of {name} at {place}, over green's"
-            figures.append(Figure(f"{sheet}.radius-{name}", value, "1", said))
+            case = f"rms radius of the kernel of {name} at {place}, over green's"
+            figures.append(Figure(f"{sheet}.radius-{name}", value, "1", case))
     return figures
 
 

@@ -72,9 +72,9 @@ def _figures(name: str, method: str, result: Reconstruction, shot: Shot) -> tupl
     near = near_side(truth)
     inner = near & np.isfinite(result.level_raw) & ~truth.boundary
     away = near & ~truth.boundary
-    label, said = f"{method}.{name}", f"{name}, {method}:"
+    label, case = f"{method}.{name}", f"{name}, {method}:"
     share = float(inner.sum()) / max(float(away.sum()), 1.0)
-    figures = [Figure(f"{label}.textured", share, "1", f"{said} share of pixels away from boundaries with a raw level")]
+    figures = [Figure(f"{label}.textured", share, "1", f"{case} share of pixels away from boundaries with a raw level")]
     rows: list[list[str]] = []
     for what, level, where, text in (
         ("raw", result.level_raw, inner, "raw level, textured pixels away from boundaries"),
@@ -85,11 +85,11 @@ def _figures(name: str, method: str, result: Reconstruction, shot: Shot) -> tupl
         own, constant, bins = depth_scores.balanced_error(error, true)
         figures += [
             Figure(
-                f"{label}.{what}", float(np.median(np.abs(error))), "level", f"{said} {text}, median absolute error"
+                f"{label}.{what}", float(np.median(np.abs(error))), "level", f"{case} {text}, median absolute error"
             ),
-            Figure(f"{label}.{what}-balanced", own, "level", f"{said} {text}, the same with occupied bins balanced"),
-            Figure(f"{label}.{what}-constant", constant, "level", f"{said} {text}, the same of the best constant map"),
-            Figure(f"{label}.{what}-ratio", own / constant, "1", f"{said} {text}, ratio of both, bins balanced"),
+            Figure(f"{label}.{what}-balanced", own, "level", f"{case} {text}, the same with occupied bins balanced"),
+            Figure(f"{label}.{what}-constant", constant, "level", f"{case} {text}, the same of the best constant map"),
+            Figure(f"{label}.{what}-ratio", own / constant, "1", f"{case} {text}, ratio of both, bins balanced"),
         ]
         if what == "raw":
             rows = [[str(k), f"{part:.3f}", f"{bias:+.2f}"] for k, part, bias in bins]

@@ -170,15 +170,15 @@ def staircase_camera(progress: ShareDone, seed: int = 0, methods: Sequence[Named
                 for level, pair in enumerate(scaled)
             ]
             drawn[TEXTURE, f"{white_e:g}", name] = found
-            label, said = f"{name}.white-{white_e:g}", f"white at {white_e:g} electrons, {name}"
-            own = _figures(label, said, found)
+            label, case = f"{name}.white-{white_e:g}", f"white at {white_e:g} electrons, {name}"
+            own = _figures(label, case, found)
             small = [float(np.abs(one.error).mean()) for one in found[:SMALL_BLUR] if one.error.size]
-            text = f"{said}: mean absolute error of levels below {SMALL_BLUR}"
+            text = f"{case}: mean absolute error of levels below {SMALL_BLUR}"
             own.append(Figure(f"{label}.error-small", float(np.mean(small)), "levels", text))
             means[name] = {one.id.rpartition(".")[2]: one.value for one in own}
             if ours or name != PRIOR:
                 figures += own
-                tables.append((said, *_rows(found)))
+                tables.append((case, *_rows(found)))
         prior = means[PRIOR]
         for name in OURS if ours else (method.name for method in methods):
             for key, error in (("ratio", "error"), ("ratio-small", "error-small")):
@@ -252,11 +252,11 @@ def _camera_bounds(camera: Camera, sharp_e: NDArray) -> FloatArray:
 # --- figures of strips ---------------------------------------------------------------------------
 
 
-def _figures(label: str, said: str, found: Sequence[Estimates]) -> list[Figure]:
+def _figures(label: str, case: str, found: Sequence[Estimates]) -> list[Figure]:
     """Bias, deviation and error over the levels that show enough edges, their share, and the error over the bound."""
     seen = [one for one in found if one.error.size >= FEWEST_PX]
     share = float(np.mean([one.coverage for one in found]))
-    what = f"{said}: mean over {len(seen)} of {len(found)} levels of the"
+    what = f"{case}: mean over {len(seen)} of {len(found)} levels of the"
     bias, deviation, error = (
         float(np.mean([measure(one.error) for one in seen])) if seen else float("nan")
         for measure in (lambda e: abs(e.mean()), np.std, lambda e: np.abs(e).mean())
@@ -265,9 +265,9 @@ def _figures(label: str, said: str, found: Sequence[Estimates]) -> list[Figure]:
         Figure(f"{label}.bias", bias, "levels", f"{what} absolute bias"),
         Figure(f"{label}.deviation", deviation, "levels", f"{what} standard deviation"),
         Figure(f"{label}.error", error, "levels", f"{what} absolute error"),
-        Figure(f"{label}.levels", len(seen) / len(found), "1", f"{said}: share of levels with {FEWEST_PX} edge pixels"),
-        Figure(f"{label}.edges", share, "1", f"{said}: share of pixels that show an edge"),
-        Figure(f"{label}.to-bound", to_bound(seen), "1", f"{said}: root mean square error over the Cramer-Rao bound"),
+        Figure(f"{label}.levels", len(seen) / len(found), "1", f"{case}: share of levels with {FEWEST_PX} edge pixels"),
+        Figure(f"{label}.edges", share, "1", f"{case}: share of pixels that show an edge"),
+        Figure(f"{label}.to-bound", to_bound(seen), "1", f"{case}: root mean square error over the Cramer-Rao bound"),
     ]
 
 
@@ -285,8 +285,8 @@ def _ratio(texture: str, noise: Noise, drawn: dict[tuple[str, str, str], list[Es
         float(np.mean([np.abs(e.error).mean() for e in drawn[texture, noise.name, name] if e.error.size >= FEWEST_PX]))
         for name in ("paper", "chakrabarti-zickler")
     )
-    said = f"{texture}, {noise.label}: mean absolute error of paper over that of chakrabarti-zickler"
-    return Figure(f"paper.{texture}.{noise.name}.ratio", own / prior, "1", said)
+    case = f"{texture}, {noise.label}: mean absolute error of paper over that of chakrabarti-zickler"
+    return Figure(f"paper.{texture}.{noise.name}.ratio", own / prior, "1", case)
 
 
 def _between(camera: Camera, kernels: NDArray, seed: int) -> list[Figure]:
@@ -298,8 +298,8 @@ def _between(camera: Camera, kernels: NDArray, seed: int) -> list[Figure]:
     for noise in (noise for noise in NOISES if noise.name in BETWEEN_NOISES):
         for name in OURS:
             found = made.estimates(noise, kernels, SCORES[name], seed)
-            said = f"{TEXTURE}, {noise.label}, {name}, {len(levels)} levels between the bank's"
-            text = f"{said}: root mean square error over the Cramer-Rao bound"
+            case = f"{TEXTURE}, {noise.label}, {name}, {len(levels)} levels between the bank's"
+            text = f"{case}: root mean square error over the Cramer-Rao bound"
             figures.append(Figure(f"{name}.between.{noise.name}.to-bound", to_bound(found), "1", text))
     return figures
 
@@ -322,7 +322,7 @@ def _fig_10(panels: dict[str, str], drawn: dict[tuple[str, str, str], list[Estim
     """Above mean and standard deviation against the true level, below the standard deviation and the bound."""
 
     def draw(axes: Any) -> None:
-        for column, (key, said) in enumerate(panels.items()):
+        for column, (key, case) in enumerate(panels.items()):
             above, below = axes[0][column], axes[1][column]
             above.plot([0, BLUR_LEVELS - 1], [0, BLUR_LEVELS - 1], "--", color="#888888", linewidth=0.8)
             for shift, name in zip((-0.2, 0.0, 0.2), COMPARED, strict=True):
@@ -341,7 +341,7 @@ def _fig_10(panels: dict[str, str], drawn: dict[tuple[str, str, str], list[Estim
             known = [e for e in drawn[texture, key, OURS[0]] if e.error.size >= FEWEST_PX and e.level >= 0.5]
             bound = [[e.level for e in known], [e.bound for e in known]]
             below.semilogy(*bound, color="black", linewidth=1.4, label="Cramer-Rao bound")
-            above.set(title=said.replace(", ", ",\n"), xlim=(-1, BLUR_LEVELS), ylim=(-3, BLUR_LEVELS + 2))
+            above.set(title=case.replace(", ", ",\n"), xlim=(-1, BLUR_LEVELS), ylim=(-3, BLUR_LEVELS + 2))
             below.set(xlabel="true level", xlim=(-1, BLUR_LEVELS), ylim=(5e-3, 12))
         axes[0][0].set(ylabel="estimated level, mean and std")
         axes[1][0].set(ylabel="standard deviation, levels")

@@ -85,14 +85,14 @@ def measured_steps(progress: ShareDone, seed: int = 0, methods: Sequence[NamedMe
         for preset, found in told.items():
             levels = threshold(STEPS, [one.right for one in found])
             measured = 100 * step_m(camera, depth_cm / 100, levels)
-            label, said = f"{preset}.{LENSES[name]}.{depth_cm:g}cm", f"{LENSES[name]} lens at {depth_cm:g} cm, {preset}"
+            label, case = f"{preset}.{LENSES[name]}.{depth_cm:g}cm", f"{LENSES[name]} lens at {depth_cm:g} cm, {preset}"
             ratios[preset].append(levels)
             by_order = threshold(STEPS, [one.ordered for one in found])
             figures += [
-                Figure(f"{label}.ordered", by_order, "level", f"{said}: step at which 75 % of pairs are in order"),
-                Figure(f"{label}.step", measured, "cm", f"{said}: step told apart at 75 % of textured pixels"),
-                Figure(f"{label}.levels", levels, "level", f"{said}: that step in blur levels"),
-                Figure(f"{label}.textured", min(one.textured for one in found), "1", f"{said}: pixels with raw level"),
+                Figure(f"{label}.ordered", by_order, "level", f"{case}: step at which 75 % of pairs are in order"),
+                Figure(f"{label}.step", measured, "cm", f"{case}: step told apart at 75 % of textured pixels"),
+                Figure(f"{label}.levels", levels, "level", f"{case}: that step in blur levels"),
+                Figure(f"{label}.textured", min(one.textured for one in found), "1", f"{case}: pixels with raw level"),
             ]
             cells += [_cell(levels, measured), _cell(by_order, 100 * step_m(camera, depth_cm / 100, by_order))]
             curves[label] = [one.right for one in found]

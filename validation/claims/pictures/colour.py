@@ -72,8 +72,8 @@ def colour(progress: ShareDone, seed: int = 0) -> Evidence:
             shown = ("da-mobile", pictures["da-mobile"]), (camera, pictures[camera])
             pairs.append((f"The ColorChecker under {light} (compare Fig. 6)", *shown))
             value = {figure.id: figure.value for figure in figures}
-            said = f"what da-mobile's mean CIEDE2000 is above {TWIN}'s under {light}"
-            figures.append(Figure(f"more.{light}", value[light] - value[name], "dE00", said))
+            case = f"what da-mobile's mean CIEDE2000 is above {TWIN}'s under {light}"
+            figures.append(Figure(f"more.{light}", value[light] - value[name], "dE00", case))
         progress((number + 1) / len(steps))
     head = ["", *(name.removeprefix("checker-") for name in colour_checker.PATCHES)]
     return Evidence(figures, tables=[("CIEDE2000 of each patch", head, rows)], pairs=pairs)

@@ -102,22 +102,22 @@ def edges(name: str, result: Reconstruction, truth: Truth) -> list[Figure]:
         blur = np.abs(truth.blur_px)
         where = truth.valid & ~truth.boundary & (blur >= low) & (blur < high)
         slopes = [slope(own, exact, where) for own in (before, after)]
-        said = f"{name}: slope of edges at {low:g} to {high:g} px of blur over the sharp truth's"
+        case = f"{name}: slope of edges at {low:g} to {high:g} px of blur over the sharp truth's"
         label = f"{name}.slope-{low:g}-{high:g}"
         figures += [
-            Figure(label, slopes[1], "1", f"{said}, all-in-focus picture"),
-            Figure(f"{label}.capture", slopes[0], "1", f"{said}, capture"),
-            Figure(f"{label}.gain", slopes[1] / slopes[0], "1", f"{said}, ratio of both"),
+            Figure(label, slopes[1], "1", f"{case}, all-in-focus picture"),
+            Figure(f"{label}.capture", slopes[0], "1", f"{case}, capture"),
+            Figure(f"{label}.gain", slopes[1] / slopes[0], "1", f"{case}, ratio of both"),
         ]
     images = (result.rgb, result.sharp_rgb, truth.sharp_srgb)
     blurred, sharp, best = (float(blur_effect(np.asarray(i, np.float64) @ np.array(LUMINANCE))) for i in images)
-    said = f"{name}: blur (Crete et al.)"
+    case = f"{name}: blur (Crete et al.)"
     return [
         *figures,
-        Figure(f"{name}.blur.capture", blurred, "1", f"{said}, capture"),
-        Figure(f"{name}.blur.sharp", sharp, "1", f"{said}, all-in-focus picture"),
-        Figure(f"{name}.blur.truth", best, "1", f"{said}, sharp truth"),
-        Figure(f"{name}.blur.way", (blurred - sharp) / (blurred - best), "1", f"{said}, share of the way to the truth"),
+        Figure(f"{name}.blur.capture", blurred, "1", f"{case}, capture"),
+        Figure(f"{name}.blur.sharp", sharp, "1", f"{case}, all-in-focus picture"),
+        Figure(f"{name}.blur.truth", best, "1", f"{case}, sharp truth"),
+        Figure(f"{name}.blur.way", (blurred - sharp) / (blurred - best), "1", f"{case}, share of the way to the truth"),
     ]
 
 
@@ -130,9 +130,9 @@ def sharpest(name: str, result: Reconstruction, bank: PsfBank, truth: Truth) -> 
         picture = recon.refocus(result, bank, depth_of(level, bank))[..., 1]
         energy.append(cv2.GaussianBlur((gradients(picture) ** 2).sum(axis=0), (0, 0), LOCAL_SIGMA_PX))
     best = levels[np.argmax(energy, axis=0)]
-    said = f"{name}: level at which a refocused picture is sharpest, textured pixels away from boundaries"
+    case = f"{name}: level at which a refocused picture is sharpest, textured pixels away from boundaries"
     return [
-        Figure(f"{name}.stack.{what}", float(np.median(np.abs(best - level)[where])), "level", f"{said}, {text}")
+        Figure(f"{name}.stack.{what}", float(np.median(np.abs(best - level)[where])), "level", f"{case}, {text}")
         for what, level, text in (
             ("own", result.level, "median distance from the reconstruction's own level"),
             ("true", truth.level, "median distance from the true level"),
@@ -156,17 +156,17 @@ def eyes(name: str, anaglyph: NDArray, depth_m: NDArray, where: str, truth: Trut
     off = np.abs(found - scale * (screen - vergence))[sure]
     off_true = np.abs(found - scale * (screen - 1 / truth.depth_m))[sure]
     side = found[sure] * (1 if where == "in" else -1)
-    said = f"{name.rpartition('.')[0]}, anaglyph, {where}"
+    case = f"{name.rpartition('.')[0]}, anaglyph, {where}"
     return [
-        Figure(f"{name}.shift", _median(off), "px", f"{said}: median error of the shift, expected from found depth"),
+        Figure(f"{name}.shift", _median(off), "px", f"{case}: median error of the shift, expected from found depth"),
         Figure(
             f"{name}.side",
             float(np.mean(side >= -SHIFT_STEP_PX)),
             "1",
-            f"{said}: share on the right side of the screen",
+            f"{case}: share on the right side of the screen",
         ),
-        Figure(f"{name}.shift-true", _median(off_true), "px", f"{said}: median error of the shift, from true depth"),
-        Figure(f"{name}.matched", float(sure.mean()), "1", f"{said}: share of pixels whose blocks match"),
+        Figure(f"{name}.shift-true", _median(off_true), "px", f"{case}: median error of the shift, from true depth"),
+        Figure(f"{name}.matched", float(sure.mean()), "1", f"{case}: share of pixels whose blocks match"),
     ]
 
 
@@ -236,11 +236,11 @@ def _pictures(name: str, result: Reconstruction, anaglyphs: dict[str, NDArray], 
     truth = shot.truth
     maps = [("true", truth.depth_m), ("found", result.depth_m)]
     near, far = float(np.nanmin(truth.depth_m)), float(np.nanmax(truth.depth_m))
-    said = {"in": "goes into the screen", "out": "comes out of the screen"}
+    case = {"in": "goes into the screen", "out": "comes out of the screen"}
     return [
         (f"{name}: depth, linear in dioptres; yellow is near", pictures.depth_panels(maps, near, far)),
         *(
-            (f"{name} for red-cyan glasses (red left): the scene {said[where]}", pictures.photo_address(image))
+            (f"{name} for red-cyan glasses (red left): the scene {case[where]}", pictures.photo_address(image))
             for where, image in anaglyphs.items()
         ),
     ]

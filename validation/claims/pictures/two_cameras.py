@@ -107,13 +107,13 @@ def colours(name: str, shots: dict[str, Shot], developed: dict[str, Developed], 
     between = differences(linear[ours], linear[twins], truth.valid)
     to_truth = {camera: float(differences(linear[camera], exact, focus).mean()) for camera in CAMERAS}
     balanced = " and ".join(dict.fromkeys(one.light for one in developed.values()))
-    name_, said = f"{name}, balanced for {balanced}", "CIEDE2000 of local means"
+    name_, case = f"{name}, balanced for {balanced}", "CIEDE2000 of local means"
     more = to_truth[ours] - to_truth[twins]
     return [
-        Figure(f"{name}.between{suffix}", float(between.mean()), "dE00", f"{name_}: {said} between both, mean"),
+        Figure(f"{name}.between{suffix}", float(between.mean()), "dE00", f"{name_}: {case} between both, mean"),
         Figure(f"{name}.between-90{suffix}", float(np.percentile(between, 90)), "dE00", f"{name_}: the same, 90 %"),
         *(
-            Figure(f"{name}.{camera}{suffix}", value, "dE00", f"{name_}: {said}, {camera} against the truth, mean")
+            Figure(f"{name}.{camera}{suffix}", value, "dE00", f"{name_}: {case}, {camera} against the truth, mean")
             for camera, value in to_truth.items()
         ),
         Figure(f"{name}.more{suffix}", more, "dE00", f"{name_}: what da-mobile is farther from the truth"),
