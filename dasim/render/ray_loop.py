@@ -1,7 +1,8 @@
 """A pass of the JIT variants: rays through a stop of any shape, or through a point, traced block by block of rows.
 
 A block is set up (``_Pass``), its rays are aimed (``_aim``), weighted for wave optics (``_wave_weights``), traced and
-summed per pixel (``_trace``), and the sums become electrons with a control variate (``_estimate``).
+summed per pixel (``_trace``), and the sums become electrons with a control variate. In pixels that see several depths,
+the sums are made again for each layer in depth (``_layered``, :mod:`dasim.render.layers`).
 
 Tested in tests/dasim/render/test_passes.py.
 """
@@ -14,11 +15,12 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dasim.camera import geometry, radiometry
 from dasim.camera.specification import Camera
 from dasim.camera.stops import Stop
-from dasim.render import pupil, transport, wave
+from dasim.render import layers, pupil, transport, wave
 from dasim.render.irradiance import Field
 from dasim.render.plugin import tensor
 from dasim.render.sobol import Sobol
@@ -28,7 +30,6 @@ from dasim.typing import BoolArray, FloatArray, ShareDone
 
 LANES = 1 << 21  # rays in flight: bounds the memory, and is fixed, because it decides the random numbers
 WAVE_BLUR_PX = 150.0  # visible blur up to which weights are tabulated; beyond, blur is that of the drawn rays
-SAME_BLUR_PX, SAME_BLUR_SHARE = 0.5, 0.05  # differences of blur on one surface, slanted ones included
 ONE_DEPTH_SHARE = 0.97  # of the weights of a pixel that sees one depth: tails of diffraction reach others everywhere
 HERO = 4  # wavelengths per ray
 
@@ -80,17 +81,22 @@ class _Rays(NamedTuple):
     ray: Any
     film: Any  # place on the sensor, pixels from the axis
     focus: Any  # vergence in focus at the ray's wavelengths, 1/m
+    first: Any  # uniform number that chose the wavelengths
     entries: list[Any]  # row of the table for each of the ray's wavelengths
+    rho: Any  # place on the lens, in radii
+    delta: Any  # offset by diffraction, pixels
     expected: Any  # vergence that the middle of the pixel sees, 1/m; None without wave optics
     drawn: Any  # weight of having drawn place and aim so
 
 
-class _Sums(NamedTuple):
-    """Sums over the samples of each pixel of a block."""
+class _Weighted(NamedTuple):
+    """What the weights of wave optics depend on, for each ray."""
 
-    signal: list[FloatArray]  # [channel][pixel]
-    control: list[FloatArray]  # [channel][pixel] of response x light x weight
-    one_depth: BoolArray | np.bool_  # [pixel] all of the pixel's light comes from about one depth
+    blur: Any  # signed visible blur where the ray ends, pixels
+    rho: Any
+    delta: Any
+    first: Any
+    drawn: Any
 
 
 def render(
@@ -124,8 +130,8 @@ def render(
     seeds = sampling.block_seeds(stop)
     for block, top in enumerate(range(0, height, rows_at_once)):
         rows = min(rows_at_once, height - top)
-        sums = _trace(shared, top, rows, seeds(block))
-        rate[top : top + rows] = _estimate(sums, mean_signal, HERO * sampling.spp).reshape(rows, width, -1)
+        ratio = _trace(shared, top, rows, seeds(block))
+        rate[top : top + rows] = mean_signal * ratio.reshape(rows, width, -1)
         sampling.progress((top + rows) / height)
     return rate
 
@@ -180,8 +186,12 @@ def _prepare(
     )
 
 
-def _trace(shared: _Pass, top: int, rows: int, seed: int) -> _Sums:
-    """Trace the rays of ``rows`` rows from ``top`` and sum them per pixel."""
+def _trace(shared: _Pass, top: int, rows: int, seed: int) -> FloatArray:
+    """Trace the rays of ``rows`` rows from ``top``; electrons over those of the lights' spectrum, [pixel, channel].
+
+    The control variate: response x light x weight has a known mean, and dividing by its sampled mean takes out the
+    noise of drawing wavelengths and weights.
+    """
     import drjit as dr
     import mitsuba as mi
 
@@ -200,21 +210,94 @@ def _trace(shared: _Pass, top: int, rows: int, seed: int) -> _Sums:
     si = shared.scene.ray_intersect(rays.ray, ray_flags=mi.RayFlags.All, coherent=True)
     weight: list[Any] = [mi.Float(1.0)] * HERO
     depth_share: list[Any] = []
+    weighted: _Weighted | None = None
     if shared.blur is not None:
-        weight, depth_share = _wave_weights(shared, shared.blur, rays, si)
+        weight, depth_share, blur_px = _wave_weights(shared, shared.blur, rays, si)
+        weighted = _Weighted(blur_px, rays.rho, rays.delta, rays.first, rays.drawn)
     radiance = transport.radiance(
         shared.scene, shared.integrator, shared.sampler, rays.ray, si, (aim_at, direction, lobe), shared.field
     )
 
-    sums, lit = list(depth_share), [entry[-1] for entry in rays.entries]
+    sums, lit = list(depth_share), _lit(rays.entries)
     for channel in range(shared.channels):
         share = [rays.entries[k][2 + channel] * weight[k] for k in range(HERO)]
         sums += [sum(share[k] * radiance[k] for k in range(HERO)), sum(share[k] * lit[k] for k in range(HERO))]
-    dr.eval(*sums)  # one kernel for all sums: summing first would trace the rays once per sum
+    dr.eval(*sums, *(weighted or ()))  # one kernel for all sums: summing first would trace the rays once per sum
     totals = [np.array(dr.block_sum(value, shared.spp), dtype=np.float64) for value in sums]
-    one_depth = totals[1] >= ONE_DEPTH_SHARE * totals[0] if depth_share else np.True_
     channels = totals[len(depth_share) :]
-    return _Sums(channels[0::2], channels[1::2], one_depth)
+    ratio = np.stack([_ratio(*pair) for pair in zip(channels[0::2], channels[1::2], strict=True)], axis=-1)
+    if weighted is None:
+        return ratio
+    several = np.flatnonzero(totals[1] < ONE_DEPTH_SHARE * totals[0])
+    if len(several):
+        ratio[several] = _layered(shared, weighted, sums[len(depth_share) :], several)
+    return ratio
+
+
+def _ratio(signal: FloatArray, control: FloatArray) -> FloatArray:
+    return np.divide(signal, control, out=np.zeros_like(signal), where=control > 0)
+
+
+def _layered(shared: _Pass, weighted: _Weighted, sums: list[Any], chosen: NDArray[np.intp]) -> FloatArray:
+    """The estimate for pixels that see several depths, [pixel, channel]; see :func:`layers.estimate`.
+
+    Args:
+        shared: what all blocks share.
+        weighted: all rays of the block.
+        sums: signal and control of all rays, alternating by channel.
+        chosen: numbers of the pixels.
+    """
+    import drjit as dr
+    import mitsuba as mi
+
+    shape = len(chosen), shared.spp
+    lanes = mi.UInt32((chosen[:, None] * shared.spp + np.arange(shared.spp)).astype(np.uint32).ravel())
+    blur_px, rho, delta, first, drawn = (dr.gather(type(value), value, lanes) for value in weighted)
+    values = [np.array(dr.gather(mi.Float, value, lanes), dtype=np.float64).reshape(shape) for value in sums]
+    entries = _entries(shared, first)
+
+    def beyond(depth_px: FloatArray, behind: BoolArray) -> list[FloatArray]:
+        return _beyond(shared, depth_px, mi.Bool(behind.ravel()), entries, (rho, delta, drawn))
+
+    return layers.estimate(values[0::2], values[1::2], np.array(blur_px, dtype=np.float64).reshape(shape), beyond)
+
+
+def _beyond(
+    shared: _Pass, depth_px: FloatArray, behind: Any, entries: list[Any], sampled: tuple[Any, Any, Any]
+) -> list[FloatArray]:
+    """Control of the rays that end ``behind`` a layer if they ended in it, [channel][pixel].
+
+    ``depth_px`` is the visible blur of the layer in each pixel; ``sampled`` is rho, delta and the weight of these.
+    """
+    import drjit as dr
+    import mitsuba as mi
+
+    rho, delta, drawn = sampled
+    assert shared.blur is not None
+    at = dr.repeat(mi.Float(depth_px.astype(np.float32)), shared.spp)
+    at -= shared.px_per_vergence * (entries[0][1] - shared.vergence) if shared.axial_colour else 0.0
+    ratios = shared.blur.weights(-delta - rho * (at / 2), at, [entry[0] for entry in entries])
+    lit = _lit(entries)
+    light = [dr.select(behind, drawn * ratios[k] * lit[k], 0.0) for k in range(HERO)]
+    sums = [sum(entries[k][2 + channel] * light[k] for k in range(HERO)) for channel in range(shared.channels)]
+    dr.eval(*sums)
+    return [np.array(dr.block_sum(value, shared.spp), dtype=np.float64) for value in sums]
+
+
+def _entries(shared: _Pass, first: Any) -> list[Any]:
+    """Row of the table for each wavelength of a ray."""
+    import drjit as dr
+    import mitsuba as mi
+
+    # With axial colour every wavelength has rays of its own; without, the wavelengths of a ray are spread evenly.
+    spacing = 0.0 if shared.axial_colour else 1 / HERO
+    shifted = [first + k * spacing for k in range(HERO)]
+    return [shared.table.eval(mi.Point1f(at - dr.floor(at))) for at in shifted]
+
+
+def _lit(entries: list[Any]) -> list[Any]:
+    """Spectrum of the lights at the wavelengths of a ray."""
+    return [entry[-1] for entry in entries]
 
 
 def _aim(shared: _Pass, pixel: Any, corner: Any, numbers: tuple[Any, Any, Any, Any], seed: int) -> _Rays:
@@ -224,30 +307,26 @@ def _aim(shared: _Pass, pixel: Any, corner: Any, numbers: tuple[Any, Any, Any, A
 
     lens, film, pattern, first = numbers
     film += corner - shared.middle  # pixels from the axis
-    # With axial colour every wavelength has rays of its own; without, the wavelengths of a ray are spread evenly.
-    spacing = 0.0 if shared.axial_colour else 1 / HERO
-    entries, wavelengths = [], mi.Spectrum(0.0)
+    entries, wavelengths = _entries(shared, first), mi.Spectrum(0.0)
     for k in range(HERO):
-        shifted = first + k * spacing
-        entries.append(shared.table.eval(mi.Point1f(shifted - dr.floor(shifted))))
         wavelengths[k] = entries[k][0]
     focus = entries[0][1] if shared.axial_colour else mi.Float(shared.vergence)
 
-    on_lens, delta, drawn, expected = mi.Point2f(0.0), mi.Point2f(0.0), mi.Float(1.0), None
+    rho, delta, drawn, expected = mi.Point2f(0.0), mi.Point2f(0.0), mi.Float(1.0), None
     if shared.blur is not None:
         expected = dr.gather(mi.Float, _middle_vergence(shared, corner), pixel)
         defocus = shared.px_per_vergence * (expected - focus)
-        on_lens, delta, drawn = shared.blur.draw(lens, pattern, defocus, dr.opaque(mi.UInt32, seed))
+        rho, delta, drawn = shared.blur.draw(lens, pattern, defocus, dr.opaque(mi.UInt32, seed))
     elif shared.draw_pupil is not None:
-        on_lens = shared.draw_pupil(lens)
-    on_lens *= shared.radius_m
+        rho = shared.draw_pupil(lens)
+    on_lens = rho * shared.radius_m
     aim = film + delta
     origin = mi.Point3f(on_lens.x, on_lens.y, 0.0)
     # Through the film position and its conjugate point in focus; beyond infinity that is behind the camera.
     slope = aim / shared.px_per_m - on_lens * focus
     ray = mi.RayDifferential3f(mi.Ray3f(origin, dr.normalize(mi.Vector3f(slope.x, slope.y, 1.0))))
     ray.wavelengths = wavelengths
-    return _Rays(ray, film, focus, entries, expected, drawn)
+    return _Rays(ray, film, focus, first, entries, rho, delta, expected, drawn)
 
 
 def _middle_vergence(shared: _Pass, corner: Any) -> Any:
@@ -267,8 +346,11 @@ def _middle_vergence(shared: _Pass, corner: Any) -> Any:
     return vergence
 
 
-def _wave_weights(shared: _Pass, blur: wave.Blur, rays: _Rays, si: Any) -> tuple[list[Any], list[Any]]:
-    """Weights of wave over geometric optics for each wavelength; their sum, and the part of it at the pixel's depth."""
+def _wave_weights(shared: _Pass, blur: wave.Blur, rays: _Rays, si: Any) -> tuple[list[Any], list[Any], Any]:
+    """Weights of wave over geometric optics where the rays end.
+
+    Returns those of each wavelength; their sum, and the part of it at the pixel's depth; the signed visible blur there.
+    """
     import drjit as dr
     import mitsuba as mi
 
@@ -278,21 +360,6 @@ def _wave_weights(shared: _Pass, blur: wave.Blur, rays: _Rays, si: Any) -> tuple
     ratios = blur.weights(u, shared.px_per_vergence * (1 / point.z - rays.focus), wavelengths)
     weight = [rays.drawn * ratio for ratio in ratios]
     seen, middle = (shared.px_per_vergence * (at - shared.vergence) for at in (1 / point.z, rays.expected))
-    near = dr.abs(seen - middle) <= SAME_BLUR_PX + SAME_BLUR_SHARE * dr.abs(middle)
+    near = dr.abs(seen - middle) <= layers.SAME_BLUR_PX + layers.SAME_BLUR_SHARE * dr.abs(middle)
     total = sum(weight)
-    return weight, [total, dr.select(near, total, 0.0)]
-
-
-def _estimate(sums: _Sums, mean_signal: FloatArray, count: int) -> FloatArray:
-    """Mean electrons per second, [pixel, channel], of sums over ``count`` wavelengths per pixel.
-
-    The control variate: response x light x weight has the known mean ``mean_signal`` where a pixel sees one depth, and
-    dividing by its sampled mean takes out the noise of drawing wavelengths and weights. Near a depth step the mean
-    weight is not 1, so there the plain mean stays.
-    """
-    rate = np.empty((len(sums.signal[0]), len(mean_signal)))
-    for channel, (signal, control) in enumerate(zip(sums.signal, sums.control, strict=True)):
-        divisor = np.where(sums.one_depth, control, count * mean_signal[channel])
-        part = np.divide(signal, divisor, out=np.zeros_like(signal), where=divisor > 0)
-        rate[:, channel] = mean_signal[channel] * part
-    return rate
+    return weight, [total, dr.select(near, total, 0.0)], seen

@@ -3,7 +3,8 @@
 A ray starts at rho on the stop, sampled uniformly, and leaves through the film position x + delta, with delta sampled
 from the in-focus diffraction pattern D. Where it meets a surface of blur c, the image of that point lies at u from x
 with density g(u; c) = (D * geometric blur). Wave optics has the density h(u; c, lambda) there, so the contribution of
-the ray is weighted by h / g. Exact for surfaces that face the camera; occlusion follows from the rays themselves.
+the ray is weighted by h / g. Exact for surfaces that face the camera and that nothing hides in part; what is seen
+beside a nearer object gets the light that this leaves (:mod:`dasim.render.layers`).
 
 Sampling rho and delta independently would leave u unstratified, although u determines what a pixel sees. For discs and
 rings, u is therefore sampled first, stratified, for the blur c0 at the middle of the pixel, with a density q close to
