@@ -10,7 +10,7 @@ from validation.claims.cost import datasets, scenes
 from validation.claims.depth import ground_truth
 from validation.claims.light import electrons as light
 from validation.claims.light import noise
-from validation.claims.optics import bank, camera, diffraction
+from validation.claims.optics import bank, camera, diffraction, edges
 from validation.claims.optics import blur as lens
 from validation.claims.pictures import colour
 from validation.claims.table import CLAIMS
@@ -62,6 +62,38 @@ def test_edges_of_geometry_fail_the_wave_claim(jit, monkeypatch, model):
     monkeypatch.setattr(diffraction, "EDGE_SEEDS", 2)
     found = verdicts("wave-sfr", diffraction.wave_sfr)
     assert found[3] is (model == "wave")
+
+
+@pytest.mark.parametrize("good", [True, False])
+def test_weights_by_the_own_depth_of_each_ray_draw_an_edge_in_the_furnace(jit, monkeypatch, good):
+    """Set-up: one step of 17 px; layers front to back, or each weighted by its own depth alone, without a rest."""
+    from dasim.render import layers
+
+    def plain_mean(signal, control, beyond):
+        return sum(signal) / np.maximum(control[0] + beyond[0], 1e-12)
+
+    if not good:
+        monkeypatch.setattr(layers, "front_to_back", plain_mean)
+    monkeypatch.setattr(edges, "STEPS_PX", (17.0,))
+    true = edges.furnaces
+    monkeypatch.setattr(edges, "furnaces", lambda: {"two-17px": true()["two-17px"]})
+    assert all(verdicts("depth-step-furnace", edges.depth_step_furnace)) is good
+
+
+@pytest.mark.parametrize("good", [True, False])
+def test_one_layer_for_all_depths_changes_silhouettes(jit, monkeypatch, good):
+    """Set-up: 17 px of blur, fewer seeds; layers as they are, or all rays of a pixel in one layer.
+
+    Expectation: one layer draws no edge in a furnace, but its dark silhouettes in the infrared are wrong.
+    """
+    from dasim.render import layers
+
+    if not good:
+        monkeypatch.setattr(layers, "split", lambda blur_px: np.zeros(blur_px.shape, dtype=np.int64))
+    monkeypatch.setattr(edges, "SILHOUETTE_BLUR_PX", (17.0,))
+    monkeypatch.setattr(edges, "SILHOUETTE_SEEDS", 3)
+    entry = next(e for e in entries("silhouette", edges.silhouette) if e.id.endswith("dark-on-bright.IR.worst"))
+    assert entry.passed is good
 
 
 @pytest.mark.parametrize(("ratio", "good"), [(0.46, True), (0.462, False)])
