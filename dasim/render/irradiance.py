@@ -5,6 +5,9 @@ most of the cost and the noise of a picture. It is traced once on a grid of poin
 directions each, and interpolated: Ward, Rubinstein and Clear, "A ray tracing solution for diffuse interreflection",
 SIGGRAPH 1988. Lamps are excluded: every ray samples them where it lands, so that shadows are sharp.
 
+Over wavelength it is smooth only relative to the spectrum of its source, so that the light of each spectrum has a grid
+of its own; all share the rays.
+
 A cell of the grid is used only where its four corners lie on one surface and agree to ``AGREEMENT``, so that linear
 interpolation is accurate to a fraction of that; elsewhere, and on surfaces that are not Lambertian, rays are traced by
 a path tracer. The claim ``interreflection`` compares pictures with those of the path tracer alone.
@@ -19,6 +22,9 @@ from typing import Any
 
 import numpy as np
 
+from dasim.render import light_spectra
+from dasim.render.light_paths import power_heuristic, radiance_by_light
+from dasim.render.light_spectra import NODES, Shares
 from dasim.render.plugin import tensor
 from dasim.render.sobol import Sobol
 from dasim.spectra import grid
@@ -28,7 +34,6 @@ STRIDE_PX = 3.0
 AGREEMENT = 0.15  # largest relative difference of irradiance between the corners of a cell
 SAME_NORMAL = 0.9  # cosine
 SAME_DEPTH = 0.02
-NODES = 32  # wavelengths at which irradiance over the lights' spectrum is stored
 DIRECTIONS_PER_SAMPLE = 4  # directions of a point per sample of a pixel
 FEWEST_DIRECTIONS, MOST_DIRECTIONS = 64, 1024
 LANES = 1 << 21
@@ -36,16 +41,17 @@ LANES = 1 << 21
 
 @dataclass(frozen=True)
 class Field:
-    """Irradiance over the lights' spectrum on a grid of film positions, seen from the middle of the lens."""
+    """Irradiance over each light's spectrum on a grid of film positions, seen from the middle of the lens."""
 
     start_px: tuple[float, float]  # of the first node, from the axis
     px_per_m: float
     shape: tuple[int, int]  # nodes, [y, x]
-    ratio: Any  # [wavelength, y, x] irradiance over the lights' spectrum
+    ratio: Any  # [wavelength, y, x] of a vector: irradiance of each light over its spectrum
     surface: Any  # [y, x, (1/z, normal)]
     usable: Any  # flat cells, 1 where corners agree
     light: FloatArray  # spectrum of all lights together, on the wavelength grid
-    spectrum: Any  # the same as a texture
+    spectra: Any  # of each light as a texture over wavelength
+    spectrum_nodes: int  # of that texture
     share: float  # of the cells that are usable
 
     def at(self, si: Any, active: Any) -> tuple[Any, Any]:
@@ -67,13 +73,14 @@ class Field:
         result = mi.Spectrum(0.0)
         for k in range(4):
             at = (si.wavelengths[k] - float(grid.WAVELENGTH_NM[0])) / _SPAN_NM
-            ratio = self.ratio.eval(mi.Point3f(place.x, place.y, (at * (NODES - 1) + 0.5) / NODES), known)[0]
-            lit = self.spectrum.eval(mi.Point1f((at * (_GRID - 1) + 0.5) / _GRID), known)[0]
-            result[k] = ratio * lit
+            ratio = self.ratio.eval(mi.Point3f(place.x, place.y, (at * (NODES - 1) + 0.5) / NODES), known)
+            lit = self.spectra.eval(mi.Point1f((at * (self.spectrum_nodes - 1) + 0.5) / self.spectrum_nodes), known)
+            result[k] = ratio[0] * lit[0]
+            for light in range(1, len(lit)):
+                result[k] = dr.fma(ratio[light], lit[light], result[k])
         return result, known
 
 
-_GRID = len(grid.WAVELENGTH_NM)
 _SPAN_NM = float(grid.WAVELENGTH_NM[-1] - grid.WAVELENGTH_NM[0])
 
 
@@ -113,8 +120,8 @@ def field(
         size_px: width and height of the frame.
         px_per_m: pixels on the sensor per metre at a distance of one metre.
         margin_px: width of the margin.
-        spectrum: of all lights together, on the wavelength grid; it carries spectral lines, which the ``NODES``
-            wavelengths of the field do not resolve.
+        spectrum: of all lights together, on the wavelength grid. Wavelengths are drawn by it; where all emitters have
+            one spectrum, it carries the spectral lines, which the ``NODES`` wavelengths of the field do not resolve.
         spp: samples per pixel of the picture, to which the number of directions is matched.
         seed: of the directions.
     """
@@ -126,10 +133,16 @@ def field(
     columns, rows = (int(np.ceil((extent + 2 * margin_px) / STRIDE_PX)) + 1 for extent in (width, height))
     directions = int(np.clip(DIRECTIONS_PER_SAMPLE * spp, FEWEST_DIRECTIONS, MOST_DIRECTIONS))
     directions = 1 << int(np.log2(directions))
-    floor = np.maximum(spectrum, 1e-3 * spectrum.mean())
-    lit = np.interp(_nodes_nm(), grid.WAVELENGTH_NM, floor)
+    lights = light_spectra.found(scene)
+    floor = light_spectra.above_zero(spectrum)
+    spectra, at_nm = floor[None], grid.WAVELENGTH_NM
+    if len(lights.spectra) > 1 or not light_spectra.on_grid(lights.spectra[0], floor):
+        spectra = np.stack([light_spectra.above_zero(curve) for curve in lights.spectra])
+        at_nm = light_spectra.FINE_NM
+    lit = np.stack([np.interp(light_spectra.nodes_nm(), at_nm, curve) for curve in spectra])
+    shares = lights.shares()
     count = rows * columns
-    received = np.zeros((count, NODES))
+    received = np.zeros((count, *lit.shape))
     met = np.zeros((count, 5))
     at_once = max(1, LANES // directions)
     across, each = dr.opaque(mi.UInt32, columns), dr.opaque(mi.UInt32, directions)
@@ -142,27 +155,26 @@ def field(
         row = index // across
         film = mi.Point2f(mi.Float(index - row * across), mi.Float(row)) * STRIDE_PX + corner
         key = mi.UInt32(np.random.SeedSequence((seed, first)).generate_state(1))
-        values, geometry = _traced(scene, integrator, film / scale, directions, index, dr.opaque(mi.UInt32, key[0]))
+        values, geometry = _traced(
+            scene, integrator, shares, film / scale, directions, index, dr.opaque(mi.UInt32, key[0])
+        )
         received[part] = values / lit
         met[part] = geometry
-    ratio, surface = received.reshape(rows, columns, NODES), met.reshape(rows, columns, 5)
-    ratio = _smoothed(ratio, surface)
-    usable = _agree(ratio, surface)
+    ratio, surface = received.reshape(rows, columns, *lit.shape), met.reshape(rows, columns, 5)
+    ratio = _smoothed(ratio, surface, spectra)
+    usable = _agree(ratio, surface, spectra)
     return Field(
         start_px=(start[0], start[1]),
         px_per_m=px_per_m,
         shape=(rows, columns),
-        ratio=mi.Texture3f(tensor(np.moveaxis(ratio, -1, 0)[..., None])),
+        ratio=mi.Texture3f(tensor(np.moveaxis(ratio, -1, 0))),
         surface=mi.Texture2f(tensor(surface[..., :4])),
         usable=mi.UInt32(usable.ravel().astype(np.uint32)),
         light=floor,
-        spectrum=mi.Texture1f(tensor(floor[:, None])),
+        spectra=mi.Texture1f(tensor(spectra.T)),
+        spectrum_nodes=len(at_nm),
         share=float(usable.mean()),
     )
-
-
-def _nodes_nm() -> FloatArray:
-    return np.linspace(grid.WAVELENGTH_NM[0], grid.WAVELENGTH_NM[-1], NODES)
 
 
 def _towards_camera(si: Any) -> Any:
@@ -173,11 +185,13 @@ def _towards_camera(si: Any) -> Any:
 
 
 def _traced(
-    scene: Any, integrator: Any, slope: Any, directions: int, index: Any, key: Any
+    scene: Any, integrator: Any, shares: Shares, slope: Any, directions: int, index: Any, key: Any
 ) -> tuple[FloatArray, FloatArray]:
-    """Irradiance where rays through the middle of the lens land, [point, node], and (1/z, normal, known), [point, 5].
+    """What is received where rays through the middle of the lens land.
 
     Each direction carries four of the wavelengths.
+
+    Returns the irradiance from each light, [point, light, node], and (1/z, normal, known), [point, 5].
     """
     import drjit as dr
     import mitsuba as mi
@@ -212,38 +226,40 @@ def _traced(
     density = local.z / dr.pi
     around = dr.select(aim > 0, power_heuristic(density, aim), 1.0)
     counted = dr.select(from_all_around(emitter), around, 0.0)
-    beyond, _, _ = integrator.sample(scene, sampler, mi.RayDifferential3f(onward), active=known)
-    received = dr.pi * (beyond - emitted * (1 - counted))
+    if shares.count == 1:
+        beyond = [integrator.sample(scene, sampler, mi.RayDifferential3f(onward), active=known)[0]]
+    else:
+        beyond = radiance_by_light(scene, sampler, mi.RayDifferential3f(onward), known, shares)
+    parts = shares.of(emitter, onward.d, wavelengths, known)
+    received = [dr.pi * (all_of - emitted * part * (1 - counted)) for all_of, part in zip(beyond, parts, strict=True)]
 
     aimed, light = scene.sample_emitter_direction(si, aim_at, True, known)
     cosine = dr.maximum(dr.dot(normal, aimed.d), 0.0)
     seen = known & (aimed.pdf > 0) & dr.isfinite(aimed.pdf) & from_all_around(aimed.emitter)
-    received += dr.select(seen, light * cosine * power_heuristic(aimed.pdf, cosine / dr.pi), 0.0)
+    direct = dr.select(seen, light * cosine * power_heuristic(aimed.pdf, cosine / dr.pi), 0.0)
+    parts = shares.of(aimed.emitter, aimed.d, wavelengths, seen)
+    received = [of_light + direct * part for of_light, part in zip(received, parts, strict=True)]
 
     valid = dr.select(known, 1.0, 0.0)
-    values = [dr.select(known, received[k], 0.0) for k in range(4)]
+    values = [dr.select(known, of_light[k], 0.0) for of_light in received for k in range(4)]
     first = dr.arange(mi.UInt32, lanes // directions) * directions
     about = [dr.select(known, dr.rcp(si.p.z), 0.0), normal.x, normal.y, normal.z, valid]
     dr.eval(values, about)
     sums = [np.array(dr.block_sum(value, block)).reshape(-1, groups) / block for value in values]
     geometry = np.stack([np.array(dr.gather(mi.Float, value, first)) for value in about], axis=-1)
-    return np.concatenate(sums, axis=1).astype(float), geometry.astype(float)
+    irradiance = np.concatenate(sums, axis=1).reshape(-1, shares.count, NODES)
+    return irradiance.astype(float), geometry.astype(float)
 
 
-def power_heuristic(own: Any, other: Any) -> Any:
-    """Weight of sampling with density ``own`` combined with sampling with density ``other`` (Veach 1997, sec. 9.2)."""
-    ratio = other / own  # squares of large densities would not be finite
-    return 1 / (1 + ratio * ratio)
-
-
-def _smoothed(ratio: FloatArray, surface: FloatArray) -> FloatArray:
-    """Irradiance of each node averaged with neighbours on the same surface that receive nearly the same.
+def _smoothed(ratio: FloatArray, surface: FloatArray, spectra: FloatArray) -> FloatArray:
+    """Irradiance of each node [y, x, light, node] averaged with neighbours on the same surface that receive the same.
 
     The noise of a node is common to all pixels near it, and more samples per pixel do not reduce it.
     """
     from scipy import ndimage
 
-    level = ndimage.uniform_filter(ratio.mean(axis=-1), 3)
+    weight_of_light = spectra.mean(axis=-1) / spectra.mean(axis=-1).sum()
+    level = ndimage.uniform_filter((ratio.mean(axis=-1) * weight_of_light).sum(axis=-1), 3)
     total, weight = 4 * ratio, np.full(level.shape, 4.0)
     for dy, dx in [(dy, dx) for dy in (-1, 0, 1) for dx in (-1, 0, 1) if dy or dx]:
         here = tuple(slice(max(-d, 0), n - max(d, 0)) for d, n in zip((dy, dx), level.shape, strict=True))
@@ -254,12 +270,12 @@ def _smoothed(ratio: FloatArray, surface: FloatArray) -> FloatArray:
         same &= np.abs(own[..., 0] - other[..., 0]) < SAME_DEPTH * own[..., 0]
         same &= np.abs(level[here] - level[there]) < AGREEMENT * level[here]
         share = same * (2.0 - abs(dy)) * (2.0 - abs(dx))
-        total[here] += share[..., None] * ratio[there]
+        total[here] += share[..., None, None] * ratio[there]
         weight[here] += share
-    return total / weight[..., None]
+    return total / weight[..., None, None]
 
 
-def _agree(ratio: FloatArray, surface: FloatArray) -> np.ndarray:
+def _agree(ratio: FloatArray, surface: FloatArray, spectra: FloatArray) -> np.ndarray:
     """Cells [y, x] whose four corners are known, face one way and receive nearly the same, in all wavelengths."""
 
     def corners(values: np.ndarray) -> np.ndarray:
@@ -268,8 +284,10 @@ def _agree(ratio: FloatArray, surface: FloatArray) -> np.ndarray:
     known = corners(surface[..., 4]).min(axis=0) > 0
     normal = corners(surface[..., 1:4])
     turned = np.min([np.sum(normal[i] * normal[j], axis=-1) for i in range(4) for j in range(i)], axis=0)
-    # Means of eight wavelengths: single ones are noisier.
-    light = corners(ratio.reshape(*ratio.shape[:2], 4, -1).mean(axis=-1))
+    # Means of eight wavelengths: single ones are noisier. Lights count by their power in each of these bands.
+    bands = ratio.reshape(*ratio.shape[:3], 4, -1).mean(axis=-1)
+    power = np.stack([part.mean(axis=-1) for part in np.array_split(spectra, 4, axis=-1)], axis=-1)
+    light = corners((bands * (power / power.sum(axis=0))).sum(axis=2))
     middle = light.mean(axis=0)
     spread = (light.max(axis=0) - light.min(axis=0)) / np.where(middle > 0, middle, 1.0)
     return known & (turned > SAME_NORMAL) & (spread.max(axis=-1) < AGREEMENT)

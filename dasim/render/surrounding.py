@@ -108,8 +108,16 @@ def _register() -> None:
             self.m_flags = mi.EmitterFlags.Infinite | mi.EmitterFlags.SpatiallyVarying
 
         def eval(self, si: Any, active: Any = True) -> Any:
-            parts = zip(self.maps, self.factors, strict=True)
-            return sum((m.eval(si, active) * f.eval(si, active) for m, f in parts), mi.Spectrum(0.0))
+            return sum(self.layer_radiances(si, active), mi.Spectrum(0.0))
+
+        def layer_radiances(self, si: Any, active: Any = True) -> list[Any]:
+            """Radiance of each layer in the direction -wi."""
+            return [m.eval(si, active) * f.eval(si, active) for m, f in zip(self.maps, self.factors, strict=True)]
+
+        def layer_spectra(self, si: Any) -> list[Any]:
+            """Spectrum of each layer, for a panorama that is 1 everywhere."""
+            even = _envmap(np.ones((2, 4)), np.eye(4))
+            return [even.eval(si) * factor.eval(si) for factor in self.factors]
 
         def sample_direction(self, it: Any, sample: Any, active: Any = True) -> Any:
             ds, _ = self.guide.sample_direction(it, sample, active)

@@ -10,7 +10,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from dasim.render.irradiance import Field, from_all_around, lambertian, power_heuristic
+from dasim.render.irradiance import Field, from_all_around, lambertian
+from dasim.render.light_paths import power_heuristic
 from dasim.render.translate import MAX_PATH_DEPTH
 
 

@@ -104,10 +104,8 @@ def main_illuminant(scene: Scene | MitsubaScene) -> str:
     return max(scene.lights, key=lambda light: light.lux).illuminant
 
 
-def light_spectrum(scene: Scene | MitsubaScene) -> FloatArray:
+def light_spectrum(scene: Scene) -> FloatArray:
     """Relative spectral power of the sum of all lights, weighted by their ``lux``, [wavelength]."""
-    if isinstance(scene, MitsubaScene):
-        return illuminants.illuminant(scene.illuminant)
     parts = [light.lux * illuminants.illuminant(light.illuminant) for light in scene.lights]
     return np.asarray(np.sum(parts, axis=0))
 

@@ -21,7 +21,7 @@ from dasim.camera import specification as cameras
 from dasim.camera.noise import Exposure, NoiseModel
 from dasim.camera.specification import Camera, as_camera
 from dasim.loading import as_scene
-from dasim.render import backend, translate, truth
+from dasim.render import backend, light_spectra, translate, truth
 from dasim.scene import specification as scenes
 from dasim.scene.mitsuba_scene import MitsubaScene
 from dasim.scene.specification import Scene
@@ -121,7 +121,7 @@ def prepare(
         geometry,
         blur_px,
         illuminant=scenes.main_illuminant(scene),
-        spectrum=scenes.light_spectrum(scene),
+        spectrum=light_spectra.total(scene, world.scene),
     )
 
 

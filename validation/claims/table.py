@@ -15,6 +15,7 @@ from validation.claims.depth.staircase import staircase, staircase_camera
 from validation.claims.depth.steps import measured_steps
 from validation.claims.light.balance import balance
 from validation.claims.light.electrons import absolute_electrons, eq8_flat_field, hole_alpha_squared, light_loss
+from validation.claims.light.mixed import mixed_lights
 from validation.claims.light.noise import photon_transfer
 from validation.claims.optics.bank import bank
 from validation.claims.optics.blur import blur_off
@@ -55,6 +56,7 @@ CLAIMS = {
     "ground-truth": Measurement(ground_truth, quick=True),
     "registration": Measurement(registration, quick=True),
     "interreflection": Measurement(interreflection, quick=False),
+    "mixed-lights": Measurement(mixed_lights, quick=False),
     "colour": Measurement(colour, quick=False),
     "scenes-speed": Measurement(scenes_speed, quick=False, alone=True),
     "bank": Measurement(bank, quick=True),

@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 
 from dasim.camera import stops
+from dasim.spectra import illuminants
 from validation.claims.cost import datasets, scenes
 from validation.claims.depth import ground_truth
 from validation.claims.light import electrons as light
-from validation.claims.light import noise
+from validation.claims.light import mixed, noise
 from validation.claims.optics import bank, camera, diffraction, edges
 from validation.claims.optics import blur as lens
 from validation.claims.pictures import colour
@@ -276,6 +277,34 @@ def test_infrared_half_a_pixel_off_fails(renderer, monkeypatch, shift_px):
     }
     assert found["mean_e.G"] and found["sharp_e.G"]
     assert found["mean_e.IR"] is (shift_px == 0)
+
+
+@pytest.mark.parametrize("good", [True, False])
+@pytest.mark.parametrize("case", ["D65-F11", mixed.MITSUBA])
+def test_one_irradiance_field_for_all_spectra_fails(jit, monkeypatch, good, case):
+    """Set-up: one case, fewer samples; a field for each spectrum of the emitters, or one field for all, over the
+    spectrum of all lights together, or for the Mitsuba scene over that of the colours of its lights, D65.
+    """
+    from dasim.render import light_spectra
+
+    true = light_spectra.found
+
+    def one(scene):
+        found = true(scene)
+        return light_spectra.Lights(found.spectra[:1], tuple((emitter, (0,)) for emitter, _ in found.emitters))
+
+    if not good:
+        monkeypatch.setattr(light_spectra, "found", one)
+        if case == mixed.MITSUBA:
+            monkeypatch.setattr(light_spectra, "total", lambda scene, world: illuminants.illuminant("D65"))
+    monkeypatch.setattr(mixed, "CASES", (case,))
+    monkeypatch.setattr(mixed, "TRACED_SPP", 512)
+    found = {
+        entry.id.removeprefix(f"mixed-lights.{case}."): entry.passed
+        for entry in entries("mixed-lights", mixed.mixed_lights)
+    }
+    assert len(found) == 8
+    assert all(found.values()) if good else not (found["mean.R"] or found["rms.R"] or found["mean.G"] or found["rms.G"])
 
 
 @pytest.mark.parametrize("good", [True, False])

@@ -1,0 +1,195 @@
+"""Spectra of a scene's emitters, and the share of each of them in the light of an emitter (JIT variants).
+
+Light from surroundings and from other surfaces is a smooth function of wavelength times the spectrum of its source.
+Where emitters have different spectra, each spectrum needs an irradiance field of its own: the sum of an F11 lamp and
+a D65 dome, divided by any single spectrum, keeps the spectral lines of the lamp where the lamp does not shine.
+
+Tested in tests/dasim/render/test_light_spectra.py.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from dasim.scene import specification as scenes
+from dasim.scene.mitsuba_scene import MitsubaScene
+from dasim.scene.specification import Scene
+from dasim.spectra import grid, illuminants
+from dasim.typing import FloatArray
+
+NODES = 32  # wavelengths at which irradiance over a light's spectrum is stored, and interpolated between
+# Spectra are read at this step, which has the nodes of tables at every nanometre or five.
+FINE_NM: FloatArray = np.arange(grid.WAVELENGTH_NM[0], grid.WAVELENGTH_NM[-1] + 0.25, 0.5)
+ONE_SPECTRUM = 1e-4  # of a spectrum's mean: largest error of one spectrum that is interpolated as a multiple of another
+BETWEEN_GRID = 0.02  # of a spectrum's peak: what a surrounding may be off by between the points of the wavelength grid
+_KEYS = ("radiance", "intensity", "irradiance")  # of a spectrum among the parameters of Mitsuba's emitters
+
+
+@dataclass(frozen=True)
+class Lights:
+    """Distinct spectra of a scene's emitters, and which emitter has which."""
+
+    spectra: FloatArray  # [light, FINE_NM]
+    emitters: tuple[tuple[Any, tuple[int, ...]], ...]  # each emitter with the light of each of its layers
+
+    def shares(self) -> Shares:
+        """The share of each light in the light of an emitter, for use in kernels."""
+        import drjit as dr
+        import mitsuba as mi
+
+        numbers = {_number(emitter): emitter_lights for emitter, emitter_lights in self.emitters}
+        table = np.full(max(numbers, default=0) + 1, len(self.spectra), np.uint32)
+        for number, emitter_lights in numbers.items():
+            table[number] = emitter_lights[0]
+        layered = next((entry for entry in self.emitters if len(set(entry[1])) > 1), None)
+        place = dr.opaque(mi.UInt32, _number(layered[0]) if layered else 0)
+        return Shares(len(self.spectra), mi.UInt32(table), layered, place)
+
+
+@dataclass(frozen=True)
+class Shares:
+    """Shares of the lights in the light of emitters."""
+
+    count: int
+    table: Any  # the light of each emitter by Mitsuba's number; ``count`` for none
+    layered: tuple[Any, tuple[int, ...]] | None  # the surrounding, where its layers have several spectra
+    layered_number: Any
+
+    def of(self, emitter: Any, direction: Any, wavelengths: Any, active: Any) -> list[Any]:
+        """Share 0..1 of each light in what ``emitter`` sends from ``direction`` (towards it), at each wavelength."""
+        import drjit as dr
+        import mitsuba as mi
+
+        if self.count == 1:
+            return [1.0]
+        number = dr.reinterpret_array(mi.UInt32, emitter)
+        light = dr.gather(mi.UInt32, self.table, number, active)
+        shares = [mi.Spectrum(dr.select(light == index, 1.0, 0.0)) for index in range(self.count)]
+        if self.layered is None:
+            return shares
+        surrounding, layer_lights = self.layered
+        here = active & (number == self.layered_number)
+        si = dr.zeros(mi.SurfaceInteraction3f)
+        si.wi, si.wavelengths = -direction, wavelengths
+        parts = surrounding.layer_radiances(si, here)
+        whole = sum(parts[1:], parts[0])
+        for index in range(self.count):
+            own = sum((p for p, k in zip(parts, layer_lights, strict=True) if k == index), mi.Spectrum(0.0))
+            shares[index] = mi.Spectrum(dr.select(here, dr.select(whole > 0, own / whole, 0.0), shares[index]))
+        return shares
+
+
+def found(mitsuba_scene: Any) -> Lights:
+    """The distinct spectra of the emitters of a Mitsuba scene.
+
+    Spectra are one light where each is a multiple of the other, or a multiple that changes so slowly with wavelength
+    that the ``NODES`` wavelengths of an irradiance field hold it (``ONE_SPECTRUM``).
+    """
+    spectra: list[FloatArray] = []
+    emitters = []
+    for emitter in mitsuba_scene.emitters():
+        own = _spectra(emitter)
+        emitters.append((emitter, tuple(_light(spectra, curve) for curve in own)))
+    return Lights(np.array(spectra or [np.ones_like(FINE_NM)]), tuple(emitters))
+
+
+def total(scene: Scene | MitsubaScene, mitsuba_scene: Any) -> FloatArray:
+    """Relative spectral power of all lights together, [wavelength].
+
+    Lights of a scene are weighted by their lux. What each light of a Mitsuba scene adds is not known beforehand, so
+    that its spectra have equal weights; they decide at which wavelengths the picture is sampled.
+    """
+    import mitsuba as mi
+
+    if isinstance(scene, Scene):
+        return scenes.light_spectrum(scene)
+    chosen = illuminants.illuminant(scene.illuminant)
+    if mi.variant().startswith("scalar"):  # does not draw wavelengths by the light's spectrum
+        return chosen
+    spectra = found(mitsuba_scene).spectra
+    fine = np.interp(FINE_NM, grid.WAVELENGTH_NM, chosen)
+    if len(spectra) == 1 and _same(fine, spectra[0], BETWEEN_GRID * spectra[0].max()):
+        return chosen
+    mean = np.mean([curve / curve.mean() for curve in spectra], axis=0)
+    return np.interp(grid.WAVELENGTH_NM, FINE_NM, mean)
+
+
+def above_zero(spectrum: FloatArray) -> FloatArray:
+    """A spectrum to divide by: at least a thousandth of its mean."""
+    return np.maximum(spectrum, 1e-3 * spectrum.mean())
+
+
+def nodes_nm() -> FloatArray:
+    """Wavelengths of an irradiance field."""
+    return np.linspace(grid.WAVELENGTH_NM[0], grid.WAVELENGTH_NM[-1], NODES)
+
+
+def on_grid(curve: FloatArray, spectrum: FloatArray) -> bool:
+    """Whether ``spectrum`` on the wavelength grid holds a light's ``curve``, lines of an author's table included."""
+    return _same(np.interp(FINE_NM, grid.WAVELENGTH_NM, spectrum), curve, BETWEEN_GRID * curve.max())
+
+
+def _number(emitter: Any) -> int:
+    """Mitsuba's number of an emitter."""
+    import drjit as dr
+    import mitsuba as mi
+
+    return int(np.ravel(np.array(dr.reinterpret_array(mi.UInt32, mi.EmitterPtr(emitter))))[0])
+
+
+def _light(spectra: list[FloatArray], curve: FloatArray) -> int:
+    """Place of a spectrum among ``spectra``, to which it is added where it is new."""
+    if not curve.any():
+        return 0
+    for index, known in enumerate(spectra):
+        if _same(known, curve, ONE_SPECTRUM * curve.mean()):
+            return index
+    spectra.append(curve)
+    return len(spectra) - 1
+
+
+def _same(known: FloatArray, curve: FloatArray, limit: float) -> bool:
+    """Whether ``curve`` is, but for errors up to ``limit``, a multiple of ``known`` that the nodes hold."""
+    divisor = above_zero(known)
+    ratio = np.interp(
+        FINE_NM, nodes_nm(), np.interp(nodes_nm(), FINE_NM, curve) / np.interp(nodes_nm(), FINE_NM, divisor)
+    )
+    return bool(np.abs(ratio * divisor - curve).max() <= limit)
+
+
+def _spectra(emitter: Any) -> list[FloatArray]:
+    """Spectra of an emitter, one for each layer of a surrounding, [``FINE_NM``]."""
+    import drjit as dr
+    import mitsuba as mi
+
+    si = dr.zeros(mi.SurfaceInteraction3f, len(FINE_NM))
+    si.wi, si.wavelengths = mi.Vector3f(0.0, 0.0, 1.0), mi.Spectrum(mi.Float(FINE_NM))
+    if hasattr(emitter, "layer_spectra"):
+        values = emitter.layer_spectra(si)
+    else:
+        parameters = _objects(emitter)
+        textures = [parameters[key] for key in _KEYS if isinstance(parameters.get(key), mi.Texture)]
+        values = [textures[0].eval(si)] if textures else [mi.Spectrum(1.0)]
+    return [np.broadcast_to(np.array(value[0], dtype=float), FINE_NM.shape) for value in values]
+
+
+def _objects(emitter: Any) -> dict[str, Any]:
+    """Objects that an emitter holds, by name."""
+    import mitsuba as mi
+
+    class Collect(mi.TraversalCallback):
+        def put_object(self, name: str, value: Any, *others: Any) -> None:
+            objects[name] = value
+
+        def put_value(self, *others: Any) -> None:
+            pass
+
+        def put(self, name: str, value: Any, *others: Any) -> None:
+            objects[name] = value
+
+    objects: dict[str, Any] = {}
+    emitter.traverse(Collect())
+    return objects

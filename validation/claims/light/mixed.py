@@ -1,0 +1,167 @@
+"""Claim on lights of different spectra: interpolated irradiance against traced light."""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import dasim
+from dasim.camera.specification import Camera, channels
+from dasim.scene.mitsuba_scene import MitsubaScene
+from dasim.scene.specification import Scene
+from dasim.typing import FloatArray, ShareDone
+from validation.gates.claim import Evidence
+from validation.scores.figures import Figure
+from validation.subjects import rendering
+
+SENSOR = {"width_px": 96, "height_px": 72, "pixel_pitch_um": 20.0}  # the whole view in few pixels
+SPP, TRACED_SPP = 256, 1024
+BLOCK_PX = 8
+
+DOME: dict[str, Any] = {"kind": "dome", "lux": 400.0}
+# It shines upwards at the ceiling, so that its light reaches what is seen by reflection only.
+LAMP: dict[str, Any] = {
+    "kind": "lamp",
+    "lux": 4000.0,
+    "position_cm": [0, -15, 30],
+    "target_cm": [0, -40, 30],
+    "radius_cm": 3,
+}
+LIGHTS: dict[str, tuple[dict[str, Any], ...]] = {
+    "D65-F11": (DOME | {"illuminant": "D65"}, LAMP | {"illuminant": "F11"}),
+    "energy-saving-D65": (DOME | {"illuminant": "energy-saving-3500K"}, LAMP | {"illuminant": "D65"}),
+    "D65-A": (DOME | {"illuminant": "D65"}, LAMP | {"illuminant": "A"}),
+    "daylight": ({"kind": "daylight", "lux": 1000.0, "elevation_deg": 35, "azimuth_deg": 200},),
+}
+OBJECTS: tuple[dict[str, Any], ...] = (
+    {"name": "wall", "shape": "plane", "size_cm": [90, 70], "position_cm": [0, 0, 45], "material": "wood-light"},
+    {
+        "name": "floor",
+        "shape": "plane",
+        "size_cm": [90, 60],
+        "position_cm": [0, 12, 30],
+        "rotation_deg": [90, 0, 0],
+        "material": "cotton-red",
+    },
+    {
+        "name": "ceiling",
+        "shape": "plane",
+        "size_cm": [90, 60],
+        "position_cm": [0, -40, 30],
+        "rotation_deg": [90, 0, 0],
+        "material": "white-paper",
+    },
+    {"name": "ball", "shape": "sphere", "radius_cm": 5, "position_cm": [-7, 6, 34], "material": "leaf-green"},
+    {"name": "card", "shape": "plane", "size_cm": [10, 9], "position_cm": [8, 5, 36], "material": "grey-card"},
+)
+MITSUBA = "mitsuba-F11"
+CASES = (*LIGHTS, MITSUBA)
+
+_XML = """<scene version="3.0.0">
+  <sensor type="perspective"/>
+  <bsdf type="diffuse" id="paper"><spectrum name="reflectance" value="0.8"/></bsdf>
+  <bsdf type="diffuse" id="wood"><spectrum name="reflectance" value="400:0.2, 550:0.45, 830:0.75"/></bsdf>
+  <bsdf type="diffuse" id="cloth"><spectrum name="reflectance" value="400:0.05, 580:0.06, 640:0.5, 830:0.7"/></bsdf>
+  <bsdf type="diffuse" id="leaf"><spectrum name="reflectance" value="400:0.05, 550:0.15, 680:0.06, 740:0.5, 830:0.5"/>
+  </bsdf>
+  <shape type="rectangle" id="wall"><ref id="wood"/><transform name="to_world">
+    <scale value="0.45"/><rotate y="1" angle="180"/><translate z="0.45"/></transform></shape>
+  <shape type="rectangle" id="floor"><ref id="cloth"/><transform name="to_world">
+    <scale value="0.45"/><rotate x="1" angle="-90"/><translate y="-0.12" z="0.3"/></transform></shape>
+  <shape type="sphere" id="ball"><ref id="leaf"/><point name="center" x="0.07" y="-0.06" z="0.34"/>
+    <float name="radius" value="0.05"/></shape>
+  <shape type="rectangle" id="ceiling"><ref id="paper"/><transform name="to_world">
+    <scale value="0.45"/><rotate x="1" angle="90"/><translate y="0.4" z="0.3"/></transform></shape>
+  <shape type="rectangle" id="lamp"><transform name="to_world">
+    <scale value="0.03"/><rotate x="1" angle="-90"/><translate y="0.15" z="0.3"/></transform>
+    <emitter type="area"><spectrum name="radiance" value="F11"/></emitter></shape>
+</scene>
+"""
+
+
+def mixed_lights(progress: ShareDone) -> Evidence:
+    """Lights of different spectra give the pictures that tracing all light gives.
+
+    Rationale: irradiance from domes and from other surfaces is interpolated over wavelength relative to the spectrum of
+    its source. If one spectrum served for all sources, the spectral lines of a lamp would stand in the light of a dome:
+    with a D65 dome and an F11 lamp, colours would be off by a tenth.
+
+    Set-up: a table before a wall below a ceiling, with a ball and a card, in four lights: a D65 dome with an F11 lamp
+    that shines at the ceiling, an energy-saving dome with a D65 lamp, a D65 dome with an A lamp, and daylight, whose
+    sun and sky differ; and a Mitsuba scene alike, whose only lamp has the F11 spectrum of the CIE's table at 5 nm. The
+    camera is da-mobile with 96 x 72 coarse pixels, diffraction off. Two captures of 256 samples per pixel (``mean_e``
+    of ``dasim.simulate``), and two renders of 1,024 samples without any interpolation.
+
+    Expectation: means over blocks of 8 x 8 pixels agree within rendering noise. The noise is estimated from the
+    difference within each pair, and its variance is subtracted from the mean square difference.
+
+    Limit: 0.5 % for the root mean square of the blocks' relative differences, 0.2 % for the mean of the picture.
+
+    Source: path tracing of the same scene.
+    """
+    if rendering.activate().startswith("scalar"):
+        raise rendering.NotRun("only scalar_spectral works here, which traces all light; install LLVM 17 or newer")
+    camera = rendering.changed(dasim.load_camera("da-mobile"), sensor=SENSOR)
+    figures: list[Figure] = []
+    with tempfile.TemporaryDirectory() as folder:
+        for number, name in enumerate(CASES):
+            figures += _figures(name, _scene(name, Path(folder)), camera)
+            progress((number + 1) / len(CASES))
+    return Evidence(figures)
+
+
+def _scene(name: str, folder: Path) -> Scene | MitsubaScene:
+    """The scene of a case; the Mitsuba scene is a file in ``folder``."""
+    if name != MITSUBA:
+        return rendering.make_scene(OBJECTS, LIGHTS[name])
+    (folder / "lamp.xml").write_text(_XML.replace("F11", _f11()))
+    return dasim.load_scene(folder / "lamp.xml")
+
+
+def _f11() -> str:
+    """CIE F11 as Mitsuba's files have spectra, constant from the table's end at 780 nm."""
+    import colour
+
+    table = colour.SDS_ILLUMINANTS["FL11"]
+    pairs = [*zip(table.wavelengths, table.values, strict=True), (830.0, table.values[-1])]
+    return ", ".join(f"{nm:g}:{value:g}" for nm, value in pairs)
+
+
+def _figures(name: str, scene: Scene | MitsubaScene, camera: Camera) -> list[Figure]:
+    """Differences of a scene's captures from its traced pictures."""
+    from dasim.render import translate
+
+    shots = [dasim.simulate(scene, camera, seed, spp=SPP, diffraction="off") for seed in (1, 2)]
+    ours, ours_noise = _pair([shot.truth.mean_e.astype(float) / shot.capture.exposure_s for shot in shots])
+    loaded = translate.world(scene, camera).scene
+    traced, traced_noise = _pair(
+        [
+            rendering.stop_pictures(loaded, camera, TRACED_SPP, seed, diffraction="off", max_blur_px=0.0).sum(axis=0)
+            for seed in (3, 4)
+        ]
+    )
+    difference = ours / traced - 1
+    noise = (ours_noise**2 + traced_noise**2) / traced**2
+    figures = []
+    for channel, colour in enumerate(channels(camera.sensor)):
+        rms = max(float(np.mean(difference[..., channel] ** 2 - noise[..., channel])), 0.0) ** 0.5
+        mean = float(ours[..., channel].mean() / traced[..., channel].mean() - 1)
+        rms_text = f"{name}, {colour}: RMS relative difference of block means, noise variance subtracted"
+        figures.append(Figure(f"{name}.rms.{colour}", rms, "1", rms_text))
+        mean_text = f"{name}, {colour}: relative difference of the picture's mean"
+        figures.append(Figure(f"{name}.mean.{colour}", mean, "1", mean_text))
+    return figures
+
+
+def _pair(pictures: list[FloatArray]) -> tuple[FloatArray, FloatArray]:
+    """Mean of two pictures over square blocks of ``BLOCK_PX``, and its noise, [block, block, channel]."""
+    first, second = (_blocks(picture) for picture in pictures)
+    return (first + second) / 2, (first - second) / 2
+
+
+def _blocks(picture: FloatArray) -> FloatArray:
+    height, width = (extent // BLOCK_PX for extent in picture.shape[:2])
+    return picture.reshape(height, BLOCK_PX, width, BLOCK_PX, -1).mean(axis=(1, 3))
