@@ -84,7 +84,7 @@ def test_a_dataset_on_disk_is_scored_in_both_formats(folder, form, capsys):
     if form == "webdataset":
         assert run(["dataset", "make", str(spec), "--out", str(folder / "set"), "--jobs", "1"]) == 0
     else:
-        datasets.made(spec, folder / "set")  # what the command runs, without starting a process
+        datasets.make_dataset(spec, folder / "set")  # what the command runs, without starting a process
     save_bank(folder / "bank.npz", recon_scenes.bank(("D65",)))
     content = scored(folder / "set", "--bank", "bank.npz")
     error = abs(true_level() - LEVEL)
@@ -97,7 +97,7 @@ def test_a_dataset_on_disk_is_scored_in_both_formats(folder, form, capsys):
 
 def test_the_bank_of_a_sample_is_calibrated_from_its_description(folder, monkeypatch):
     """Set-up: no ``--bank``; the calibration has one light, which is enough for these photographs."""
-    datasets.made(spec_file(folder), folder / "set")
+    datasets.make_dataset(spec_file(folder), folder / "set")
     one_light = functools.partial(dasim.calibration_captures, lights=("D65",))
     monkeypatch.setattr(dasim, "calibration_captures", one_light)
     content = scored(folder / "set")
@@ -105,7 +105,7 @@ def test_the_bank_of_a_sample_is_calibrated_from_its_description(folder, monkeyp
 
 
 def test_parts_of_the_truth_that_a_dataset_lacks_are_named(folder, capsys):
-    datasets.made(spec_file(folder, more='[truth]\nkeep = ["depth"]\n'), folder / "set")
+    datasets.make_dataset(spec_file(folder, more='[truth]\nkeep = ["depth"]\n'), folder / "set")
     (sample, _) = open_dataset(str(folder / "set"), "test")
     assert "level" not in sample.truth and np.isfinite(sample.truth["depth_m"]).all()
     assert run(["dataset", "score", str(folder / "set"), "--method", "flat=mine.py:constant"]) == 2

@@ -149,9 +149,9 @@ def test_a_hole_that_does_not_count_fails_the_balance(small_balance, monkeypatch
 
 def test_a_hole_of_another_size_fails_the_light_loss(small_balance, monkeypatch):
     """5 % more radius."""
-    honest = balance.aperture.light_loss
+    honest = balance.stops.light_loss
     monkeypatch.setattr(
-        balance.aperture, "light_loss", lambda found, pixels: honest([(n, 1.05 * a) for n, a in found], pixels)
+        balance.stops, "light_loss", lambda found, pixels: honest([(n, 1.05 * a) for n, a in found], pixels)
     )
     assert "balance.light-loss" in failed("balance", small_balance().figures)
 
