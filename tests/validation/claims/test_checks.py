@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from dasim.camera import stops
-from dasim.spectra import illuminants
+from dasim.spectra import grid, illuminants
 from validation.claims.cost import datasets, scenes
 from validation.claims.depth import ground_truth
 from validation.claims.light import electrons as light
@@ -282,8 +282,8 @@ def test_infrared_half_a_pixel_off_fails(renderer, monkeypatch, shift_px):
 @pytest.mark.parametrize("good", [True, False])
 @pytest.mark.parametrize("case", ["D65-F11", mixed.MITSUBA])
 def test_one_irradiance_field_for_all_spectra_fails(jit, monkeypatch, good, case):
-    """Set-up: one case, fewer samples; a field for each spectrum of the emitters, or one field for all, over the
-    spectrum of all lights together, or for the Mitsuba scene over that of the colours of its lights, D65.
+    """Set-up: one case; a field for each spectrum of the emitters, or one for all, over the spectrum of the first, or
+    for the Mitsuba scene over that of the colours of its lights, D65.
     """
     from dasim.render import light_spectra
 
@@ -291,14 +291,13 @@ def test_one_irradiance_field_for_all_spectra_fails(jit, monkeypatch, good, case
 
     def one(scene):
         found = true(scene)
-        return light_spectra.Lights(found.spectra[:1], tuple((emitter, (0,)) for emitter, _ in found.emitters))
+        d65 = np.interp(light_spectra.FINE_NM, grid.WAVELENGTH_NM, illuminants.illuminant("D65"))
+        spectrum = d65 if case == mixed.MITSUBA else found.spectra[0]
+        return light_spectra.Lights(spectrum[None], tuple((emitter, (0,)) for emitter, _ in found.emitters))
 
     if not good:
         monkeypatch.setattr(light_spectra, "found", one)
-        if case == mixed.MITSUBA:
-            monkeypatch.setattr(light_spectra, "total", lambda scene, world: illuminants.illuminant("D65"))
     monkeypatch.setattr(mixed, "CASES", (case,))
-    monkeypatch.setattr(mixed, "TRACED_SPP", 512)
     found = {
         entry.id.removeprefix(f"mixed-lights.{case}."): entry.passed
         for entry in entries("mixed-lights", mixed.mixed_lights)
