@@ -279,6 +279,7 @@ def test_infrared_half_a_pixel_off_fails(renderer, monkeypatch, shift_px):
     assert found["mean_e.IR"] is (shift_px == 0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("good", [True, False])
 @pytest.mark.parametrize("case", ["D65-F11", mixed.MITSUBA])
 def test_one_irradiance_field_for_all_spectra_fails(jit, monkeypatch, good, case):
