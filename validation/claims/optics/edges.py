@@ -63,6 +63,8 @@ def depth_step_furnace(progress: ShareDone, seed: int = 0) -> Evidence:
     over columns is corrected for their number (Sidak).
 
     Limit: 0.3 %, and p of at least 0.001.
+
+    Source: conservation of radiance along rays: a lens before surfaces of equal radiance receives an even picture.
     """
     rendering.needs_wave()
     figures, lines = [], {}
