@@ -2,10 +2,10 @@
 
 A pixel that collects a mean of x photo-electrons in a time t shows, in electrons, the variance
 
-    temporal   x + dark(t) + read^2 + K^2 / 12     from frame to frame: shot noise, dark current, read-out, rounding
+    temporal   x + dark(t) + read^2 + 1 / (12 K^2)     from frame to frame: shot noise, dark current, read-out, rounding
     fixed      DSNU^2 + (PRNU x)^2                 from pixel to pixel, the same in every frame
 
-with K the electrons per digital number (EMVA 1288 release 4.0, eqs. (15) and (16), and sec. 4.3). Whatever weighs
+with 1 / K electrons per digital number (EMVA 1288 release 4.0, eqs. (15) and (16), and sec. 4.3). Whatever weighs
 pixels by their noise takes it from here; :func:`expose` draws it.
 """
 
