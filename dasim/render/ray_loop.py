@@ -161,7 +161,7 @@ def _prepare(
     density = draw_density(radiometry.response(camera) if stop is not None else response, response, light)
     blur = None
     if stop is not None and max_blur_px is not None:
-        blur = wave.weigher(camera, stop, density, wave.blur_range_px(camera, max_blur_px, WAVE_BLUR_PX))
+        blur = wave.blur(camera, stop, density, wave.blur_range_px(camera, max_blur_px, WAVE_BLUR_PX))
     sampler = mi.load_dict({"type": "independent", "sample_count": spp})
     sampler.set_samples_per_wavefront(spp)
     return _Pass(

@@ -1,18 +1,16 @@
-"""Wave-true blur by weighted rays, against the camera's own kernels (no rays) and against its tables' statistics."""
+"""Wave-true blur by weighted rays, against the camera's own kernels, which know no rays."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from dasim.camera import geometry, pointspread, radiometry
+from dasim.camera import geometry, pointspread
 from dasim.camera import specification as cameras
-from dasim.render.wavelengths import draw_density
-from dasim.spectra import grid, illuminants
+from dasim.spectra import illuminants
 from dasim.spectra.grid import CHANNELS
 
 DEPTH_CM = 18  # 7.9 px of visible blur, 3.6 px of the hole's: neither geometric nor in focus
-MEAN_WEIGHT = 0.002  # a million weights of spread 0.3 to 0.8 average to 0.0003 to 0.0008
 ENERGY = 0.03  # encircled energy; 10,000 weighted hits are known to 0.01
 EDGE = 0.02  # of the step's height
 FLAT = 0.004
@@ -57,45 +55,6 @@ def within(picture: np.ndarray, radii) -> np.ndarray:
     centre = (len(picture) - 1) / 2
     distance = np.hypot(y - centre, x - centre)
     return np.array([picture[distance <= r].sum() for r in radii]) / picture.sum()
-
-
-@pytest.fixture(scope="module")
-def blurs(jit, da_mobile):
-    """Weights of both stops, with the density of their wavelengths."""
-    from dasim.render import wave
-
-    found = []
-    for stop in da_mobile.stops:
-        density = draw_density(radiometry.response(da_mobile), radiometry.stop_response(da_mobile, stop))
-        found.append((wave.weigher(da_mobile, stop, density, 25.0), density))
-    return found
-
-
-@pytest.mark.parametrize("stop", [0, 1])
-@pytest.mark.parametrize(("blur_px", "expected_px"), [(0, 0), (1.13, 1.13), (-8, -8), (20, 20), (3.07, 6), (20, 0)])
-def test_weights_average_one(blurs, da_mobile, stop, blur_px, expected_px):
-    """Rationale: an even area must not change, and light must not get lost where another depth is met than expected.
-
-    Set-up: a million draws at one depth. Expectation: mean weight 1 within 0.002 at the depth that was expected;
-    where another is met, what cannot be drawn (light beyond 36 lambda N, 2 / (36 pi^2) = 0.6 %) may lack. rho lies
-    on the stop, and the weighted displacement has the mean radius of the kernel within its noise.
-    """
-    import drjit as dr
-    import mitsuba as mi
-
-    blur, density = blurs[stop]
-    count = 1 << 20
-    rng = np.random.default_rng(20)
-    cdf = np.cumsum(density) / np.sum(density)
-    wavelength = np.interp(rng.random(count), cdf, grid.WAVELENGTH_NM).astype(np.float32)
-    numbers = mi.Point2f(rng.random((2, count), dtype=np.float32))
-    rho, delta, drawn = blur.draw(numbers, numbers, mi.Float(dr.full(mi.Float, expected_px, count)), mi.UInt32(3))
-    u = -delta - rho * (blur_px / 2)
-    weight = np.array(drawn * blur.weights(u, mi.Float(blur_px), [mi.Float(wavelength)])[0], dtype=np.float64)
-    assert float(dr.max(dr.norm(rho))[0]) <= da_mobile.stops[stop].radius_ratio * (1 + 1e-5)
-    lost = 0.006 if expected_px != blur_px else 0.0
-    assert 1 - lost - MEAN_WEIGHT < weight.mean() < 1 + MEAN_WEIGHT
-    assert (weight**2).mean() < 1.7, "the price in noise is small"
 
 
 def test_even_areas_stay_as_they_are(render, make_scene, camera, lamp):

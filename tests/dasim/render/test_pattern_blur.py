@@ -1,4 +1,4 @@
-"""Wave-true and geometric blur of stops of any shape: mean weights, and small sources against the camera's kernels."""
+"""Blur of polygons and masks beside that of rings: mean weights, and small sources against the camera's kernels."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def test_weights_average_one(jit, camera_of, shape):
 
     camera = camera_of(shape)
     density = draw_density(radiometry.response(camera), radiometry.stop_response(camera, camera.stops[0]))
-    blur = wave.weigher(camera, camera.stops[0], density, 12.5)
+    blur = wave.blur(camera, camera.stops[0], density, 12.5)
     rng = np.random.default_rng(20)
     wavelength = np.interp(rng.random(COUNT), np.cumsum(density) / np.sum(density), grid.WAVELENGTH_NM)
     first, second = (mi.Point2f(rng.random((2, COUNT), dtype=np.float32)) for _ in range(2))
@@ -77,28 +77,6 @@ def test_weights_average_one(jit, camera_of, shape):
         lost = 0.006 if blur_px != expected_px else 0.0
         mean = np.array(weight, dtype=np.float64).mean()
         assert -limit - lost < mean - 1 < limit + lost, (blur_px, expected_px, mean)
-
-
-def test_thin_ring_far_out_of_focus_is_drawn(jit, camera_of):
-    """Rationale: rho is drawn by rejection; where the blur's hole is wider than the in-focus pattern no rho leads to
-    its middle, and drawing would never end. Expectation: it does, with rho on the ring; up to 1 % of the light, which
-    diffraction throws into the middle of the hole, is not drawn.
-    """
-    import drjit as dr
-    import mitsuba as mi
-
-    from dasim.camera.stops import Annulus
-    from dasim.render import wave
-
-    count, blur_px = 1 << 18, 100.0
-    ring = Annulus(name="ring", shape="annulus", inner_ratio=0.9, outer_ratio=1.0)
-    blur = wave.radial_blur(camera_of("annulus"), ring, [(550.0, 1.0)], 550.0, 110.0)
-    numbers = mi.Point2f(np.random.default_rng(2).random((2, count), dtype=np.float32))
-    rho, delta, drawn = blur.draw(numbers, numbers, mi.Float(dr.full(mi.Float, blur_px, count)), mi.UInt32(3))
-    weight = drawn * blur.weights(-delta - rho * (blur_px / 2), mi.Float(blur_px), [mi.Float(550.0)])[0]
-    radius = np.array(dr.norm(rho))
-    assert 0.9 - 1e-5 < radius.min() and radius.max() < 1 + 1e-5
-    assert np.array(weight, dtype=np.float64).mean() == pytest.approx(0.995, abs=0.006)
 
 
 def lines(picture: np.ndarray) -> np.ndarray:

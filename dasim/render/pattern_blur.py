@@ -1,0 +1,138 @@
+"""Sampling and weights of wave optics for polygons and masks, from tables over the plane.
+
+rho and delta are sampled independently (see :mod:`dasim.render.wave`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy import signal
+
+from dasim.camera import pointspread, stops
+from dasim.camera.specification import Camera
+from dasim.camera.stops import Stop
+from dasim.render import pupil
+from dasim.render.blur_tables import FLOOR, texel, texture
+from dasim.typing import FloatArray
+
+PATTERN_TAIL = 12.0  # in lambda N of a disc of the same area
+PATTERN_STEP = 0.1  # of the table of h, in lambda N of the whole lens
+PATTERN_WAVES_STEP = 0.05
+PATTERN_DENSITY_STEP_PX = 0.15
+PATTERN_BLUR_STEP_PX = 0.5
+MOST_NODES = 48e6  # of a table of three dimensions; its steps grow where this is exceeded
+
+
+@dataclass(frozen=True)
+class PatternBlur:
+    """Tables of a polygon or mask in two directions, relative to the image through the middle of the lens."""
+
+    px_per_nm: float  # lambda N of the open lens in pixels per nanometre of lambda
+    max_blur_px: float
+    max_radius_px: float  # half a side of the tables
+    on_stop: pupil.Draw
+    offset_cells: Any
+    offset_step_px: float
+    offset_half_px: float
+    density: Any  # [c, y, x] g per square pixel
+    density_blur_step_px: float
+    wave: Any  # [waves, y, x] h in units of lambda N
+    wave_half: float
+    waves_step: float
+
+    def draw(self, first: Any, second: Any, blur_px: Any, key: Any) -> tuple[Any, Any, Any]:
+        """See :class:`Blur`; rho and delta are sampled independently."""
+        import mitsuba as mi
+
+        rho = self.on_stop(first)
+        cell, _, inside = self.offset_cells.sample(second)
+        return rho, (mi.Point2f(cell) + inside) * self.offset_step_px - self.offset_half_px, mi.Float(1.0)
+
+    def weights(self, u_px: Any, blur_px: Any, wavelengths_nm: list[Any]) -> list[Any]:
+        """See :class:`Blur`."""
+        import drjit as dr
+        import mitsuba as mi
+
+        # Behind the focus the pattern is rotated by 180 degrees.
+        u, blur = dr.select(blur_px < 0, -u_px, u_px), dr.abs(blur_px)
+        half = self.max_radius_px
+        inside = (blur <= self.max_blur_px) & (dr.abs(u.x) < half) & (dr.abs(u.y) < half)
+        depth = self.density.shape[0]
+        across = mi.Point2f(u / (2 * half) + 0.5)
+        g = self.density.eval(mi.Point3f(across.x, across.y, texel(blur, self.density_blur_step_px, depth)))[0]
+        depth = self.wave.shape[0]
+        ratios = []
+        for wavelength in wavelengths_nm:
+            scale = wavelength * self.px_per_nm
+            across = mi.Point2f(u / (2 * self.wave_half * scale) + 0.5)
+            place = mi.Point3f(across.x, across.y, texel(blur / (8 * scale), self.waves_step, depth))
+            ratios.append(dr.select(inside & (g > FLOOR), self.wave.eval(place)[0] / (scale * scale * g), 1.0))
+        return ratios
+
+
+def tables(
+    camera: Camera, stop: Stop, bands: list[tuple[float, float]], shortest_nm: float, max_blur_px: float
+) -> PatternBlur:
+    """Tables of a polygon or mask; ``bands`` are wavelengths (nm) with the shares of rays that have them."""
+    import mitsuba as mi
+
+    px_per_nm = pointspread.working_f_number(camera, 1.0) * 1e-3 / camera.sensor.pixel_pitch_um
+    longest_px, shortest_px = max(nm for nm, _ in bands) * px_per_nm, shortest_nm * px_per_nm
+    rings = PATTERN_TAIL / stops.open_area(stop) ** 0.5  # in lambda N of the whole lens
+    half = stops.reach(stop) * max_blur_px / 2 + rings * longest_px
+
+    blurs = np.arange(0.0, max_blur_px + 2 * PATTERN_BLUR_STEP_PX, PATTERN_BLUR_STEP_PX)
+    step = max(PATTERN_DENSITY_STEP_PX, 2 * half * (len(blurs) / MOST_NODES) ** 0.5)
+    count = int(np.ceil(2 * half / step))
+    step = 2 * half / count
+    place = (np.arange(count) + 0.5) * step - half
+    focus = np.zeros((count, count))
+    for nm, weight in bands:
+        scale = nm * px_per_nm
+        focus += weight * pointspread.pupil_pattern(stop, 0.0, place / scale, place / scale) / scale**2
+    density = np.stack([_spread(focus, stop, blur, step) for blur in blurs])
+
+    waves = np.arange(0.0, max_blur_px / (8 * shortest_px) + 2 * PATTERN_WAVES_STEP, PATTERN_WAVES_STEP)
+    wave_half = half / shortest_px
+    wave_step = max(PATTERN_STEP, 2 * wave_half * (len(waves) / MOST_NODES) ** 0.5)
+    wave_count = int(np.ceil(2 * wave_half / wave_step))
+    scaled = (np.arange(wave_count) + 0.5) * (2 * wave_half / wave_count) - wave_half
+    wave_step = 2 * wave_half / wave_count
+    wave = np.empty((len(waves), wave_count, wave_count), np.float32)
+    for row, w in zip(wave, waves, strict=True):
+        # As in the tables of rings, the light farther out is added within.
+        inside = np.abs(scaled) <= 4 * w * stops.reach(stop) + rings
+        pattern = pointspread.pupil_pattern(stop, w, scaled, scaled) * (inside[:, None] & inside)
+        row[:] = pattern / (pattern.sum() * wave_step**2)
+    return PatternBlur(
+        px_per_nm=px_per_nm,
+        max_blur_px=max_blur_px,
+        max_radius_px=half,
+        on_stop=pupil.drawer(stop),
+        offset_cells=mi.DiscreteDistribution2D(focus.astype(np.float32)),
+        offset_step_px=step,
+        offset_half_px=half,
+        density=texture(np.maximum(density, FLOOR)),
+        density_blur_step_px=PATTERN_BLUR_STEP_PX,
+        wave=texture(wave),
+        wave_half=wave_half,
+        waves_step=PATTERN_WAVES_STEP,
+    )
+
+
+def _spread(focus: FloatArray, stop: Stop, blur_px: float, step_px: float) -> FloatArray:
+    """The in-focus pattern convolved with the geometric blur, a density of unit integral on the same grid."""
+    transmitted, place = stops.pupil(stop)
+    reach = int(np.ceil(blur_px / 2 / step_px)) + 2
+    at = -place * blur_px / 2 / step_px + reach  # in cells of a small grid about the middle
+    low = np.floor(at).astype(int)
+    part = at - low
+    deposit = np.zeros((2 * reach + 1, 2 * reach + 1))
+    for dy, wy in ((0, 1 - part), (1, part)):
+        for dx, wx in ((0, 1 - part), (1, part)):
+            np.add.at(deposit, (low[:, None] + dy, low[None, :] + dx), transmitted * wy[:, None] * wx[None, :])
+    spread = np.asarray(signal.fftconvolve(focus, deposit / deposit.sum(), mode="same"))
+    return spread / (spread.sum() * step_px**2)

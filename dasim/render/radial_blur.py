@@ -1,0 +1,284 @@
+"""Sampling and weights of wave optics for discs and rings, from radial tables (:mod:`dasim.render.wave` has the idea).
+
+u is sampled first, stratified, for the blur c0 at the middle of the pixel, with a density q close to h; then rho by
+rejection with density D(delta), where delta = -u - rho c0 / 2 follows.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy import ndimage
+from scipy.special import j1
+
+from dasim.camera import pointspread, stops
+from dasim.camera.specification import Camera
+from dasim.camera.stops import Stop
+from dasim.render.blur_tables import FLOOR, texel, texture
+from dasim.typing import FloatArray
+
+OFFSET_NODES = 1 << 15  # of the inverse cumulative distribution of |delta|
+TAIL_RINGS = 40.0  # |delta| is sampled up to this many lambda N; 0.5 % of the light of an Airy pattern lies beyond
+KERNEL_RINGS = 16.0  # h ends this many lambda N beyond the geometric blur; the 1 % of light beyond is added within
+RADIUS_STEP = 0.05  # of the table of h, in lambda N
+WAVES_STEP = 0.02
+DENSITY_STEP_PX = 0.04  # of the table of g, along u
+DENSITY_BLUR_STEP_PX = 0.1  # of the table of g, along c
+GUIDE_NODES = 512  # steps of equal probability of q along |u|
+GUIDE_SHARE = 0.75  # of h in q; the rest is g, which bounds the weights of rays that meet another depth
+TAIL_BOOST = 0.25  # relative increase of q per width of D outside the blur: little light, but from other surfaces
+GUIDE_BANDS = 8  # wavelengths that represent h in q
+
+
+@dataclass(frozen=True)
+class RadialBlur:
+    """Radial tables of a disc or ring; blur and distances are relative to its own centre."""
+
+    outer: Any  # radius over that of the lens; numbers are opaque, so that stops and cameras share a compiled kernel
+    centre: Any
+    px_per_nm: Any  # lambda N in pixels per nanometre of lambda
+    max_blur_px: Any
+    max_radius_px: Any
+    inner: Any  # inner radius over the outer one
+    tail_px: Any
+    core_px: Any  # approximate width of D
+    rows: Any  # of the table of g
+    columns: Any
+    wave_rows: Any
+    wave_columns: Any
+    offsets: Any  # [OFFSET_NODES] |delta| at equal steps of probability, 0 to 1
+    light_inside: Any  # [u] the inverse: share of D's light within u
+    light_columns: Any
+    density: Any  # [c, u] g per square pixel; its first row is D
+    envelope: Any  # [u] maximum of D at u and beyond
+    guide: Any  # [c, GUIDE_NODES + 1], flat: |u| at equal steps of probability of q
+    wave: Any  # [waves, radius] h in units of lambda N
+
+    def draw(self, first: Any, second: Any, blur_px: Any, key: Any) -> tuple[Any, Any, Any]:
+        """See :class:`Blur`."""
+        import drjit as dr
+        import mitsuba as mi
+
+        rows = self.rows
+        expected = dr.abs(blur_px) * (self.outer / DENSITY_BLUR_STEP_PX)
+        row = dr.minimum(mi.UInt32(dr.round(dr.minimum(expected, 1e6))), rows - 1)
+        own = mi.Float(row) * DENSITY_BLUR_STEP_PX
+        place = first.x * GUIDE_NODES
+        index = dr.minimum(mi.UInt32(place), GUIDE_NODES - 1)
+        start = row * (GUIDE_NODES + 1) + index
+        low, high = dr.gather(mi.Float, self.guide, start), dr.gather(mi.Float, self.guide, start + 1)
+        length = dr.fma(place - mi.Float(index), high - low, low)
+        sampling_density = dr.rcp(GUIDE_NODES * (high - low) * 2 * dr.pi * dr.maximum(length, 1e-6))
+        g = self._density(length, own)
+        u = length * _direction(first.y)
+        side = dr.select(blur_px < 0, -own, own) / 2  # rho = 1 moves the image by -side
+        rho = self._on_stop(u, side, length, own, key)
+        delta = -u - rho * side
+        return self.centre + self.outer * rho, delta, g / sampling_density
+
+    def _on_stop(self, u: Any, side: Any, length: Any, own: Any, key: Any) -> Any:
+        """Sample rho with density D(-u - rho side), by rejection.
+
+        Where the blur is narrower than D, proposals are uniform on the ring and accepted with probability
+        proportional to D. Where it is wider, rho side + u is proposed from D: its length r among those for which part
+        of the circle of radius r lies on the lens, accepted with the share of that part, and its direction within that
+        part. Few proposals are rejected, which matters because all rays wait for the last one.
+        """
+        import drjit as dr
+        import mitsuba as mi
+
+        reach = own / 2
+        wide = own > self.core_px / 2
+        nearest = dr.maximum(dr.maximum(length - reach, self.inner * reach - length), 0)
+        columns = self.columns
+        highest = self.envelope.eval(mi.Point1f(texel(nearest, DENSITY_STEP_PX, columns)))[0]
+        # Wider by one step of the table on both sides; proposals that this adds are rejected.
+        low = self._inside(nearest - DENSITY_STEP_PX)
+        span = self._inside(length + reach + DENSITY_STEP_PX) - low
+        towards = -u / dr.maximum(length, 1e-6)
+        largest = dr.select(length > reach, dr.safe_asin(reach / length), dr.pi)  # half the angle of the widest part
+        random = mi.PCG32(initstate=mi.UInt64(key), initseq=mi.UInt64(dr.arange(mi.UInt32, dr.width(u))))
+
+        def again(random: Any, missing: Any, rho: Any) -> tuple[Any, Any, Any]:
+            first, second, third = random.next_float32(), random.next_float32(), random.next_float32()
+            place = dr.fma(first, span, low) * (OFFSET_NODES - 1)
+            node = dr.minimum(mi.UInt32(place), OFFSET_NODES - 2)
+            before, after = dr.gather(mi.Float, self.offsets, node), dr.gather(mi.Float, self.offsets, node + 1)
+            r = dr.fma(place - mi.Float(node), after - before, before)
+            cosine = (length * length + r * r - reach * reach) / dr.maximum(2 * length * r, 1e-12)
+            half = dr.safe_acos(cosine)
+            sine, cosine = dr.sincos(half * (2 * second - 1))
+            turned = mi.Point2f(towards.x * cosine - towards.y * sine, towards.x * sine + towards.y * cosine)
+            from_ring = dr.sqrt(dr.lerp(self.inner * self.inner, 1.0, first)) * _direction(second)
+            proposed = dr.select(wide, (r * turned + u) / -side, from_ring)
+            away = dr.norm(u + proposed * side)
+            chance = self._density(away, mi.Float(0.0), ~wide) / highest
+            accepted = dr.select(wide, third * largest < half, (third < chance) & (away <= self.tail_px))
+            radius = dr.norm(proposed)
+            accepted &= (radius >= self.inner) & (radius <= 1)
+            return random, missing & ~accepted, dr.select(missing & accepted, proposed, rho)
+
+        _, _, rho = dr.while_loop(
+            state=(random, mi.Bool(dr.full(mi.Bool, True, dr.width(u))), mi.Point2f(0.0)),
+            cond=lambda random, missing, rho: missing,
+            body=again,
+            labels=("random", "missing", "rho"),
+        )
+        return rho
+
+    def _inside(self, length: Any) -> Any:
+        """Share of D's light within a radius."""
+        import mitsuba as mi
+
+        return self.light_inside.eval(mi.Point1f(texel(length, DENSITY_STEP_PX, self.light_columns)))[0]
+
+    def _density(self, length: Any, own: Any, active: Any = True) -> Any:
+        import mitsuba as mi
+
+        rows, columns = self.rows, self.columns
+        place = mi.Point2f(texel(length, DENSITY_STEP_PX, columns), texel(own, DENSITY_BLUR_STEP_PX, rows))
+        return self.density.eval(place, active)[0]
+
+    def weights(self, u_px: Any, blur_px: Any, wavelengths_nm: list[Any]) -> list[Any]:
+        """See :class:`Blur`."""
+        import drjit as dr
+        import mitsuba as mi
+
+        u = dr.norm(u_px + self.centre * (blur_px / 2))
+        own = self.outer * dr.abs(blur_px)
+        g = self._density(u, own)
+        inside = (own <= self.max_blur_px) & (u <= self.max_radius_px)
+        rows, columns = self.wave_rows, self.wave_columns
+        ratios = []
+        for wavelength in wavelengths_nm:
+            scale = wavelength * self.px_per_nm
+            place = mi.Point2f(texel(u / scale, RADIUS_STEP, columns), texel(own / (8 * scale), WAVES_STEP, rows))
+            ratios.append(dr.select(inside, self.wave.eval(place)[0] / (scale * scale * g), 1.0))
+        return ratios
+
+
+def tables(
+    camera: Camera, stop: Stop, bands: list[tuple[float, float]], shortest_nm: float, max_blur_px: float
+) -> RadialBlur:
+    """Tables of a disc or ring; ``bands`` are wavelengths (nm) with the shares of rays that have them."""
+    import drjit as dr
+    import mitsuba as mi
+
+    ring = stops.ring(stop)
+    assert ring is not None
+    inner = ring.inner / ring.outer
+    px_per_nm = pointspread.working_f_number(camera, ring.outer) * 1e-3 / camera.sensor.pixel_pitch_um
+    scales = [(nm * px_per_nm, weight) for nm, weight in bands]
+    own_px = ring.outer * max_blur_px
+    tail = TAIL_RINGS * max(scale for scale, _ in scales)
+    reach = 0.9 * tail
+    radius = np.arange(0.0, own_px / 2 + tail + DENSITY_STEP_PX, DENSITY_STEP_PX)
+    blurs = np.arange(0.0, own_px + 2 * DENSITY_BLUR_STEP_PX, DENSITY_BLUR_STEP_PX)
+    density = pointspread.mixed_airy_profile(radius, blurs, scales, inner)
+    shortest_px = shortest_nm * px_per_nm
+    scaled = np.arange(0.0, radius[-1] / shortest_px + 2 * RADIUS_STEP, RADIUS_STEP)
+    waves = np.arange(0.0, own_px / (8 * shortest_px) + 2 * WAVES_STEP, WAVES_STEP)
+    density = np.maximum(density, FLOOR)
+    wave = _truncated(pointspread.wave_profile(scaled, waves, inner), scaled, waves)
+
+    def number(value: float) -> Any:
+        return dr.opaque(mi.Float, float(value))
+
+    lengths = np.arange(0.0, tail + 2 * DENSITY_STEP_PX, DENSITY_STEP_PX)
+    offsets, light_inside = _offsets(scales, tail, inner, lengths)
+    core = 2 * float(np.average([scale for scale, _ in scales], weights=[weight for _, weight in scales]))
+    return RadialBlur(
+        outer=number(ring.outer),
+        centre=mi.Point2f(number(ring.centre[0]), number(ring.centre[1])),
+        px_per_nm=number(px_per_nm),
+        max_blur_px=number(own_px),
+        max_radius_px=number(radius[-1]),
+        inner=number(inner),
+        tail_px=number(tail),
+        core_px=number(core),
+        rows=dr.opaque(mi.UInt32, len(blurs)),
+        columns=dr.opaque(mi.UInt32, len(radius)),
+        wave_rows=dr.opaque(mi.UInt32, len(waves)),
+        wave_columns=dr.opaque(mi.UInt32, len(scaled)),
+        offsets=mi.Float(offsets.astype(np.float32)),
+        light_inside=texture(light_inside),
+        light_columns=dr.opaque(mi.UInt32, len(lengths)),
+        density=texture(density),
+        envelope=texture(np.maximum.accumulate(density[0, ::-1])[::-1]),
+        guide=mi.Float(_guide(radius, blurs, density, wave, scales, reach, inner).astype(np.float32).ravel()),
+        wave=texture(wave),
+    )
+
+
+def _truncated(profiles: FloatArray, radius: FloatArray, waves: FloatArray) -> FloatArray:
+    """Profiles [waves, radius] cut off at a finite radius, with unit integral (linear between nodes) over the plane."""
+    profiles = np.where(radius <= 4 * waves[:, None] + KERNEL_RINGS, profiles, 0.0)
+    low, high = radius[:-1], radius[1:]
+    rings = profiles[:, :-1] * (2 * low + high) + profiles[:, 1:] * (low + 2 * high)
+    return profiles / (np.pi / 3 * rings * (high - low)).sum(axis=1, keepdims=True)
+
+
+def _guide(
+    radius: FloatArray,
+    blurs: FloatArray,
+    density: FloatArray,
+    wave: FloatArray,
+    scales: list[tuple[float, float]],
+    reach_px: float,
+    inner: float,
+) -> FloatArray:
+    """Radii |u| at equal steps of probability of q, a mixture of g and h at some wavelengths, [c, GUIDE_NODES + 1]."""
+    chosen = scales[:: max(1, len(scales) // GUIDE_BANDS)]
+    total = sum(weight for _, weight in chosen)
+    pattern = np.zeros_like(density)
+    for scale, weight in chosen:
+        rows = blurs / (8 * scale) / WAVES_STEP
+        columns = radius / scale / RADIUS_STEP
+        grid = np.meshgrid(rows, columns, indexing="ij")
+        pattern += weight / total * ndimage.map_coordinates(wave, grid, order=1, mode="nearest") / scale**2
+    # Short of the end of D, where hardly any rho is possible.
+    nearest, farthest = inner * blurs[:, None] / 2 - reach_px, blurs[:, None] / 2 + reach_px
+    near = (radius[None, :] >= nearest) & (radius[None, :] <= farthest)
+    core = float(np.average([scale for scale, _ in chosen], weights=[weight for _, weight in chosen]))
+    outside = np.maximum(radius[None, :] - blurs[:, None] / 2, 0.0) / core
+    q = (GUIDE_SHARE * pattern + (1 - GUIDE_SHARE) * density) * (1 + TAIL_BOOST * outside)
+    q = np.where(near, q, 0.0)
+    ring = np.pi * np.diff(radius**2)
+    inside = np.concatenate([np.zeros((len(blurs), 1)), np.cumsum((q[:, 1:] + q[:, :-1]) / 2 * ring, axis=1)], axis=1)
+    steps = np.linspace(0.0, 1.0, GUIDE_NODES + 1)
+    radii = np.stack([np.interp(steps, row / row[-1], radius) for row in inside])
+    return np.clip(radii, np.maximum(nearest, 0.0), farthest)
+
+
+def _offsets(
+    scales: list[tuple[float, float]], tail_px: float, inner: float, lengths: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Radii |delta| at equal steps of the light of the in-focus pattern D up to ``tail_px``, and the inverse.
+
+    D is the mean over ``scales`` (lambda N in pixels, weight). The radii are [OFFSET_NODES]; the inverse is the share
+    of light within each of ``lengths``.
+    """
+    radius = np.linspace(0.0, tail_px, 1 << 16)
+    middle = (radius[1:] + radius[:-1]) / 2
+
+    def lobe(x: FloatArray) -> FloatArray:
+        return np.where(x < 1e-9, 0.5, j1(x) / np.maximum(x, 1e-9))
+
+    light = np.zeros_like(middle)
+    for scale, weight in scales:
+        x = np.pi * middle / scale
+        light += weight * (lobe(x) - inner**2 * lobe(inner * x)) ** 2 / (scale**2 * (1 - inner**2)) * middle
+    inside = np.concatenate([[0.0], np.cumsum(light)])
+    inside /= inside[-1]
+    return np.interp(np.linspace(0.0, 1.0, OFFSET_NODES), inside, radius), np.interp(lengths, radius, inside)
+
+
+def _direction(turn: Any) -> Any:
+    """Unit vector at a fraction of a full turn."""
+    import drjit as dr
+    import mitsuba as mi
+
+    sine, cosine = dr.sincos(2 * dr.pi * turn)
+    return mi.Point2f(cosine, sine)

@@ -1,0 +1,73 @@
+"""Tables of discs and rings: mean weights, places on the stop, and drawing that ends."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from dasim.camera import radiometry
+from dasim.render.wavelengths import draw_density
+from dasim.spectra import grid
+
+MEAN_WEIGHT = 0.002  # a million weights of spread 0.3 to 0.8 average to 0.0003 to 0.0008
+
+
+@pytest.fixture(scope="module")
+def blurs(jit, da_mobile):
+    """Weights of both stops, with the density of their wavelengths."""
+    from dasim.render import wave
+
+    pairs = []
+    for stop in da_mobile.stops:
+        density = draw_density(radiometry.response(da_mobile), radiometry.stop_response(da_mobile, stop))
+        pairs.append((wave.blur(da_mobile, stop, density, 25.0), density))
+    return pairs
+
+
+@pytest.mark.parametrize("stop", [0, 1])
+@pytest.mark.parametrize(("blur_px", "expected_px"), [(0, 0), (1.13, 1.13), (-8, -8), (20, 20), (3.07, 6), (20, 0)])
+def test_weights_average_one(blurs, da_mobile, stop, blur_px, expected_px):
+    """Rationale: an even area must not change, and light must not get lost where another depth is met than expected.
+
+    Set-up: a million draws at one depth. Expectation: mean weight 1 within 0.002 at the depth that was expected;
+    where another is met, what cannot be drawn (light beyond 36 lambda N, 2 / (36 pi^2) = 0.6 %) may lack. rho lies
+    on the stop, and the weighted displacement has the mean radius of the kernel within its noise.
+    """
+    import drjit as dr
+    import mitsuba as mi
+
+    blur, density = blurs[stop]
+    count = 1 << 20
+    rng = np.random.default_rng(20)
+    cdf = np.cumsum(density) / np.sum(density)
+    wavelength = np.interp(rng.random(count), cdf, grid.WAVELENGTH_NM).astype(np.float32)
+    numbers = mi.Point2f(rng.random((2, count), dtype=np.float32))
+    rho, delta, drawn = blur.draw(numbers, numbers, mi.Float(dr.full(mi.Float, expected_px, count)), mi.UInt32(3))
+    u = -delta - rho * (blur_px / 2)
+    weight = np.array(drawn * blur.weights(u, mi.Float(blur_px), [mi.Float(wavelength)])[0], dtype=np.float64)
+    assert float(dr.max(dr.norm(rho))[0]) <= da_mobile.stops[stop].radius_ratio * (1 + 1e-5)
+    lost = 0.006 if expected_px != blur_px else 0.0
+    assert 1 - lost - MEAN_WEIGHT < weight.mean() < 1 + MEAN_WEIGHT
+    assert (weight**2).mean() < 1.7, "the price in noise is small"
+
+
+def test_thin_ring_far_out_of_focus_is_drawn(jit, da_mobile):
+    """Rationale: rho is drawn by rejection; where the blur's hole is wider than the in-focus pattern no rho leads to
+    its middle, and drawing would never end. Expectation: it does, with rho on the ring; up to 1 % of the light, which
+    diffraction throws into the middle of the hole, is not drawn.
+    """
+    import drjit as dr
+    import mitsuba as mi
+
+    from dasim.camera.stops import Annulus
+    from dasim.render import radial_blur
+
+    count, blur_px = 1 << 18, 100.0
+    ring = Annulus(name="ring", shape="annulus", inner_ratio=0.9, outer_ratio=1.0)
+    blur = radial_blur.tables(da_mobile, ring, [(550.0, 1.0)], 550.0, 110.0)
+    numbers = mi.Point2f(np.random.default_rng(2).random((2, count), dtype=np.float32))
+    rho, delta, drawn = blur.draw(numbers, numbers, mi.Float(dr.full(mi.Float, blur_px, count)), mi.UInt32(3))
+    weight = drawn * blur.weights(-delta - rho * (blur_px / 2), mi.Float(blur_px), [mi.Float(550.0)])[0]
+    radius = np.array(dr.norm(rho))
+    assert 0.9 - 1e-5 < radius.min() and radius.max() < 1 + 1e-5
+    assert np.array(weight, dtype=np.float64).mean() == pytest.approx(0.995, abs=0.006)
