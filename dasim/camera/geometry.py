@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from dasim.camera import stops, thin_lens
-from dasim.camera.specification import BLUR_LEVELS, Camera
+from dasim.camera.specification import BLUR_LEVELS, Camera, principal_point
 from dasim.spectra import grid
 from dasim.typing import FloatArray
 
@@ -79,7 +79,7 @@ def level_blur_px(camera: Camera) -> FloatArray:
 
 
 def intrinsic_matrix(camera: Camera) -> FloatArray:
-    """Pinhole intrinsics K in pixels, [3, 3]; pixel centres at +0.5, the principal point at the centre of the frame."""
+    """Pinhole intrinsics K in pixels, [3, 3]; pixel centres at +0.5, the principal point by default in the middle."""
     focal_px = image_distance_m(camera) / (camera.sensor.pixel_pitch_um * 1e-6)
-    centre = (camera.sensor.width_px / 2, camera.sensor.height_px / 2)
-    return np.array([[focal_px, 0, centre[0]], [0, focal_px, centre[1]], [0, 0, 1.0]])
+    x, y = principal_point(camera.sensor)
+    return np.array([[focal_px, 0, x], [0, focal_px, y], [0, 0, 1.0]])

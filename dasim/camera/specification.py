@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from pydantic import Field, ValidationError, ValidationInfo, field_validator, model_validator
@@ -22,6 +22,8 @@ BLUR_LEVELS = 29  # sec. 6.1
 NEAREST_FOCUS = 1.1  # in focal lengths: a magnification of 10
 SMALLEST_FRAME_PX = 8
 LARGEST_FOCAL_SHIFT = 0.1  # of the focal length; more is not a thin lens
+
+Offset = Annotated[float, Field(ge=-40_000, le=40_000)]  # pixels, a multiple of the largest sensor
 
 
 class Lens(Specification):
@@ -75,6 +77,9 @@ class Sensor(Specification):
     width_px: int = Field(ge=SMALLEST_FRAME_PX, le=20_000)
     height_px: int = Field(ge=SMALLEST_FRAME_PX, le=20_000)
     pixel_pitch_um: float = Field(gt=0.2, le=50)
+    principal_point_px: tuple[Offset, Offset] | None = Field(
+        default=None, description="(x, y) of the optical axis, in or outside of the frame; by default its middle"
+    )
     mosaic: tuple[tuple[str, ...], ...] = Field(description="rows of channel names, top left of the frame first")
     quantum_efficiency: Curves | None = None
     cutoff_nm: float = Field(default=810.0, ge=500, le=830, description="short-pass filter on the sensor")
@@ -216,11 +221,17 @@ def as_camera(camera: Camera | str | Path) -> Camera:
     raise InputError(f"camera: a Camera, a bundled name or a path is needed, not {kind_of(camera)}")
 
 
-def cropped(camera: Camera | str | Path, width_px: int, height_px: int) -> Camera:
-    """The camera with a central crop of its sensor, at unchanged pixel pitch.
+def cropped(
+    camera: Camera | str | Path, width_px: int, height_px: int, *, at_px: tuple[int, int] | None = None
+) -> Camera:
+    """The camera with a part of its sensor, at unchanged pixel pitch and with the optical axis where it was.
 
-    ``camera`` may be a bundled name or a path. ``width_px`` and ``height_px`` are multiples of the mosaic's width and
-    height, at least 8 and at most the sensor's; InputError otherwise.
+    Args:
+        camera: a Camera, a bundled name or a path
+        width_px: a multiple of the mosaic's width, at least 8 and at most the sensor's; InputError otherwise
+        height_px: a multiple of the mosaic's height, within the same limits
+        at_px: (x, y) of the part's top left pixel, multiples of the mosaic's width and height; by default the part is
+            central
     """
     camera = as_camera(camera)
     sensor = camera.sensor
@@ -233,8 +244,33 @@ def cropped(camera: Camera | str | Path, width_px: int, height_px: int) -> Camer
             f"size {width_px}x{height_px} is not within {low}x{low} to {sensor.width_px}x{sensor.height_px}, "
             f"the sensor of camera '{camera.name}'"
         )
-    changed = sensor.model_dump() | {"width_px": width_px, "height_px": height_px}
+    axis_px = sensor.principal_point_px
+    if at_px is not None:
+        _check_window(camera, (width_px, height_px), at_px)
+        x, y = principal_point(sensor)
+        axis_px = (x - at_px[0], y - at_px[1])
+    elif axis_px is not None:
+        axis_px = (axis_px[0] - (sensor.width_px - width_px) / 2, axis_px[1] - (sensor.height_px - height_px) / 2)
+    changed = sensor.model_dump() | {"width_px": width_px, "height_px": height_px, "principal_point_px": axis_px}
     return camera.model_copy(update={"sensor": parse(Sensor, changed, f"size {width_px}x{height_px}")})
+
+
+def _check_window(camera: Camera, size_px: tuple[int, int], at_px: tuple[int, int]) -> None:
+    """InputError where a window is not within the sensor or would begin within a cell of the mosaic."""
+    sensor = camera.sensor
+    cell = len(sensor.mosaic[0]), len(sensor.mosaic)
+    full = sensor.width_px, sensor.height_px
+    if any(not isinstance(value, (int, np.integer)) for value in at_px):
+        raise InputError(f"at_px: two whole numbers of pixels are needed, not {at_px}")
+    if any(
+        not 0 <= at <= whole - part or at % step
+        for at, whole, part, step in zip(at_px, full, size_px, cell, strict=True)
+    ):
+        raise InputError(
+            f"at_px {at_px[0]}, {at_px[1]}: on the sensor of camera '{camera.name}', a window of "
+            f"{size_px[0]}x{size_px[1]} begins at multiples of {cell[0]}, {cell[1]} "
+            f"from 0, 0 to {full[0] - size_px[0]}, {full[1] - size_px[1]}"
+        )
 
 
 def refocused(camera: Camera | str | Path, focus_distance_m: float) -> Camera:
@@ -258,9 +294,15 @@ def square_of_image_height_m2(camera: Camera) -> FloatArray:
     """Square of each pixel's distance from the optical axis, m^2, [h, w]."""
     sensor = camera.sensor
     pitch_m = sensor.pixel_pitch_um * 1e-6
-    x = (np.arange(sensor.width_px) + 0.5 - sensor.width_px / 2) * pitch_m
-    y = (np.arange(sensor.height_px) + 0.5 - sensor.height_px / 2) * pitch_m
+    axis_x, axis_y = principal_point(sensor)
+    x = (np.arange(sensor.width_px) + 0.5 - axis_x) * pitch_m
+    y = (np.arange(sensor.height_px) + 0.5 - axis_y) * pitch_m
     return np.asarray(x[None, :] ** 2 + y[:, None] ** 2)
+
+
+def principal_point(sensor: Sensor) -> tuple[float, float]:
+    """Where the optical axis meets the sensor, (x, y) in pixels from the frame's top left corner."""
+    return sensor.principal_point_px or (sensor.width_px / 2, sensor.height_px / 2)
 
 
 def channels(sensor: Sensor) -> tuple[str, ...]:

@@ -106,6 +106,7 @@ def field(
     integrator: Any,
     *,
     size_px: tuple[int, int],
+    axis_px: tuple[float, float],
     px_per_m: float,
     margin_px: float,
     spectrum: FloatArray,
@@ -118,6 +119,7 @@ def field(
         scene: a Mitsuba scene.
         integrator: continues paths, see :func:`dasim.render.transport.path_integrator`.
         size_px: width and height of the frame.
+        axis_px: where the optical axis meets the sensor, from the frame's corner.
         px_per_m: pixels on the sensor per metre at a distance of one metre.
         margin_px: width of the margin.
         spectrum: of all lights together, on the wavelength grid. Wavelengths are drawn by it; where all emitters have
@@ -129,7 +131,7 @@ def field(
     import mitsuba as mi
 
     width, height = size_px
-    start = tuple(-(extent / 2 + margin_px) for extent in (width, height))
+    start = tuple(-(axis + margin_px) for axis in axis_px)
     columns, rows = (int(np.ceil((extent + 2 * margin_px) / STRIDE_PX)) + 1 for extent in (width, height))
     directions = int(np.clip(DIRECTIONS_PER_SAMPLE * spp, FEWEST_DIRECTIONS, MOST_DIRECTIONS))
     directions = 1 << int(np.log2(directions))

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dasim.camera import geometry, radiometry
-from dasim.camera.specification import Camera
+from dasim.camera.specification import Camera, principal_point
 from dasim.camera.stops import Stop
 from dasim.render import layers, pupil, transport, wave
 from dasim.render.irradiance import Field
@@ -64,7 +64,7 @@ class _Pass:
     channels: int
     samples: Any  # opaque ``spp``
     columns: Any  # opaque ``width_px``
-    middle: Any  # of the frame, pixels
+    axis: Any  # where it meets the sensor, pixels
     px_per_m: Any  # pixels on the sensor per metre at a distance of one metre
     radius_m: Any  # of the lens
     px_per_vergence: Any  # pixels of visible blur per 1/m
@@ -155,7 +155,7 @@ def _prepare(
     import drjit as dr
     import mitsuba as mi
 
-    width, height = camera.sensor.width_px, camera.sensor.height_px
+    width = camera.sensor.width_px
     scale = dr.opaque(mi.Float, px_per_m(camera))
     radius_m = dr.opaque(mi.Float, geometry.aperture_m(camera) / 2)
     density = draw_density(radiometry.response(camera) if stop is not None else response, response, light)
@@ -174,7 +174,7 @@ def _prepare(
         channels=len(response),
         samples=dr.opaque(mi.UInt32, spp),
         columns=dr.opaque(mi.UInt32, width),
-        middle=mi.Point2f(dr.opaque(mi.Float, width / 2), dr.opaque(mi.Float, height / 2)),
+        axis=mi.Point2f(*(dr.opaque(mi.Float, value) for value in principal_point(camera.sensor))),
         px_per_m=scale,
         radius_m=radius_m,
         px_per_vergence=2 * radius_m * scale,
@@ -306,7 +306,7 @@ def _aim(shared: _Pass, pixel: Any, corner: Any, numbers: tuple[Any, Any, Any, A
     import mitsuba as mi
 
     lens, film, pattern, first = numbers
-    film += corner - shared.middle  # pixels from the axis
+    film += corner - shared.axis  # pixels from the axis
     entries, wavelengths = _entries(shared, first), mi.Spectrum(0.0)
     for k in range(HERO):
         wavelengths[k] = entries[k][0]
@@ -338,7 +338,7 @@ def _middle_vergence(shared: _Pass, corner: Any) -> Any:
     import mitsuba as mi
 
     first = dr.arange(mi.UInt32, dr.width(corner) // shared.spp) * shared.spp
-    at = dr.gather(mi.Point2f, corner, first) + 0.5 - shared.middle
+    at = dr.gather(mi.Point2f, corner, first) + 0.5 - shared.axis
     towards = mi.Vector3f(at.x / shared.px_per_m, at.y / shared.px_per_m, 1.0)
     hit = shared.scene.ray_intersect_preliminary(mi.Ray3f(mi.Point3f(0.0), towards), coherent=True)
     vergence = dr.select(hit.is_valid(), dr.rcp(hit.t), 0.0)  # the direction's z is 1, so t is depth

@@ -8,13 +8,13 @@ Tested in tests/dasim/render/test_passes.py.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from dasim.base.errors import InputError
 from dasim.camera import geometry, pointspread, radiometry, stops
-from dasim.camera.specification import Camera
+from dasim.camera.specification import Camera, principal_point
 from dasim.camera.stops import Stop
 from dasim.render import truth
 from dasim.render.plugin import spectrum_dict
@@ -29,6 +29,8 @@ PINHOLE_RATIO = 1e-4  # of the lens radius: the plugin needs a lens of some size
 def check(camera: Camera) -> None:
     """InputError where the camera has other stops than centred discs, or axial colour."""
     problems = [f"stop '{stop.name}' is no centred disc" for stop in camera.stops if not stops.is_plain_disc(stop)]
+    if any(value % 0.5 for value in principal_point(camera.sensor)):
+        problems.append("sensor.principal_point_px is no multiple of half a pixel")
     if camera.lens.focal_shift_um:
         problems.append("lens.focal_shift_um is set")
     if problems:
@@ -72,6 +74,7 @@ def _render(
     import mitsuba as mi
 
     width, height = camera.sensor.width_px, camera.sensor.height_px
+    columns, lines = (_centred(*each) for each in zip((width, height), principal_point(camera.sensor), strict=True))
     peaks = response.max(axis=1)
     names = [f"c{index:04d}" for index in range(len(response))]
     rate = np.zeros((height, width, len(names)))
@@ -80,10 +83,10 @@ def _render(
         rows = min(rows_at_once, height - top)
         film: dict[str, Any] = {
             "type": "specfilm",
-            "width": width,
-            "height": height,
-            "crop_offset_x": 0,
-            "crop_offset_y": top,
+            "width": columns.extent,
+            "height": lines.extent,
+            "crop_offset_x": columns.start,
+            "crop_offset_y": lines.start + top,
             "crop_width": width,
             "crop_height": rows,
             "rfilter": {"type": "box"},
@@ -96,7 +99,7 @@ def _render(
                 "type": "thinlens",
                 "aperture_radius": radius_m,
                 "focus_distance": camera.lens.focus_distance_m,
-                "fov": truth.field_of_view_deg(camera),
+                "fov": truth.field_of_view_deg(camera, columns.extent),
                 "fov_axis": "x",
                 "near_clip": 1e-4,
                 "far_clip": 1e5,
@@ -110,6 +113,19 @@ def _render(
         rate[top : top + rows] = np.array(image, dtype=np.float64) * peaks
         progress((top + rows) / height)
     return rate
+
+
+class _Film(NamedTuple):
+    """Extent of a film that is centred on the axis, and where the sensor's pixels begin on it."""
+
+    extent: int
+    start: int
+
+
+def _centred(pixels: int, axis_px: float) -> _Film:
+    """The smallest such film along x or y; the plugin's axis is in the middle of the film."""
+    half = max(axis_px, pixels - axis_px)
+    return _Film(round(2 * half), round(half - axis_px))
 
 
 def in_focus_diffraction(rate: FloatArray, camera: Camera, stop: Stop, illuminant: str) -> FloatArray:

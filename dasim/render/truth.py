@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from dasim.camera import geometry as camera_geometry
-from dasim.camera.specification import Camera
+from dasim.camera.specification import Camera, principal_point
 from dasim.typing import FloatArray
 
 BLUR_JUMP_PX = 0.5  # a larger difference in visible blur between neighbouring pixels is a depth discontinuity
@@ -24,9 +24,12 @@ class Geometry(NamedTuple):
     object_id: NDArray[np.uint32]  # [h, w] 1 for the scene's first object; 0 for lights and where the ray hits nothing
 
 
-def field_of_view_deg(camera: Camera) -> float:
-    """Horizontal field of view in degrees at the camera's focus, 2 atan(w / (2 s)) with the image distance s."""
-    width_m = camera.sensor.width_px * camera.sensor.pixel_pitch_um * 1e-6
+def field_of_view_deg(camera: Camera, width_px: int | None = None) -> float:
+    """Horizontal field of view in degrees at the camera's focus, 2 atan(w / (2 s)) with the image distance s.
+
+    It is that of a film centred on the axis, by default as wide as the frame.
+    """
+    width_m = (width_px or camera.sensor.width_px) * camera.sensor.pixel_pitch_um * 1e-6
     return float(np.degrees(2 * np.arctan(width_m / (2 * camera_geometry.image_distance_m(camera)))))
 
 
@@ -41,9 +44,13 @@ def geometry(mitsuba_scene: Any, camera: Camera) -> Geometry:
     """Geometry at the pixel centres, by one ray per pixel from the centre of the lens."""
     import mitsuba as mi
 
+    body = camera.sensor
+    x, y = principal_point(body)
     sensor = mi.load_dict(
         {
             "type": "perspective",
+            "principal_point_offset_x": 0.5 - x / body.width_px,
+            "principal_point_offset_y": 0.5 - y / body.height_px,
             "fov": field_of_view_deg(camera),
             "fov_axis": "x",
             "near_clip": 1e-4,
@@ -51,8 +58,8 @@ def geometry(mitsuba_scene: Any, camera: Camera) -> Geometry:
             "to_world": camera_axes(),
             "film": {
                 "type": "hdrfilm",
-                "width": camera.sensor.width_px,
-                "height": camera.sensor.height_px,
+                "width": body.width_px,
+                "height": body.height_px,
                 "rfilter": {"type": "box"},
                 "component_format": "float32",
             },

@@ -53,7 +53,7 @@ def tiled(tiles: Sequence[tuple[Capture, Truth]], width_px: int, height_px: int)
     def stack(*images: np.ndarray) -> np.ndarray:
         return np.concatenate([image[part] for image in reversed(images)])
 
-    size = {"width_px": width_px, "height_px": height_px * len(tiles)}
+    size = {"width_px": width_px, "height_px": height_px * len(tiles), "principal_point_px": None}
     sensor = parse(Sensor, first.camera.sensor.model_dump() | size, "tiles")
     raw_dn = stack(*(capture.raw_dn for capture, _ in tiles))
     picture = replace(

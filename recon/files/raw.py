@@ -85,6 +85,11 @@ def load_raw(
         raw = _numbers(_decoded(path), path, camera, left_aligned=kind == LEFT_ALIGNED)
     height, width = raw.shape
     changed = camera.sensor.model_dump() | {"width_px": width, "height_px": height}
+    if (width, height) != (camera.sensor.width_px, camera.sensor.height_px) and camera.sensor.principal_point_px:
+        raise InputError(
+            f"raw picture {path}: {width}x{height} pixels, but camera '{camera.name}' has its principal_point_px in a "
+            f"frame of {camera.sensor.width_px}x{camera.sensor.height_px}; correct both for pictures of this size"
+        )
     sensor = parse(Sensor, changed, f"raw picture {path} with camera '{camera.name}'")
     assert exposure.time_s is not None
     return Capture(

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dasim.base.errors import InputError
-from dasim.camera.specification import Camera
+from dasim.camera.specification import Camera, principal_point
 from dasim.typing import FloatArray
 
 JUMP_SHARE = 0.02  # relative depth difference per pixel; a plane at 88 degrees to da-mobile has 1.3 %
@@ -29,15 +29,14 @@ class Surface:
 
 
 def intrinsic_matrix(camera: Camera) -> FloatArray:
-    """Pinhole intrinsics K in pixels, [3, 3]; pixel centres are at +0.5, the principal point is the frame's centre.
+    """Pinhole intrinsics K in pixels, [3, 3]; pixel centres are at +0.5.
 
     The focal length in pixels is the image distance s' = f s / (s - f) of the focus distance s over the pixel pitch.
     """
     focal_m, focus_m = camera.lens.focal_length_mm * 1e-3, camera.lens.focus_distance_m
     focal_px = focal_m * focus_m / (focus_m - focal_m) / (camera.sensor.pixel_pitch_um * 1e-6)
-    return np.array(
-        [[focal_px, 0, camera.sensor.width_px / 2], [0, focal_px, camera.sensor.height_px / 2], [0, 0, 1.0]]
-    )
+    x, y = principal_point(camera.sensor)
+    return np.array([[focal_px, 0, x], [0, focal_px, y], [0, 0, 1.0]])
 
 
 def surface(

@@ -231,6 +231,32 @@ def test_crop_keeps_pitch_and_mosaic(da_mobile):
             cameras.cropped(da_mobile, *size)
 
 
+def test_windows_keep_the_optical_axis(da_mobile):
+    """Expectation: the intrinsic matrix of a window is that of the frame, moved by its corner, also for a window of a
+    window and the central part of one; illumination and shading are that part of the frame's.
+    """
+    lens = da_mobile.lens.model_copy(update={"shading_per_mm": (-0.05,)})
+    whole = da_mobile.model_copy(update={"lens": lens})
+    corner = cameras.cropped(whole, 64, 48, at_px=(1984, 1400))
+    assert corner.sensor.principal_point_px == (1024 - 1984, 768 - 1400)
+    moved = np.array([[1, 0, -1984], [0, 1, -1400], [0, 0, 1]])
+    np.testing.assert_array_equal(geometry.intrinsic_matrix(corner), moved @ geometry.intrinsic_matrix(whole))
+    part = radiometry.relative_illumination(whole)[1400:1448, 1984:]
+    np.testing.assert_array_equal(radiometry.relative_illumination(corner), part)
+    assert part.max() < 0.7
+    middle, again = cameras.cropped(corner, 32, 24), cameras.cropped(corner, 32, 24, at_px=(16, 12))
+    assert middle.sensor.principal_point_px == again.sensor.principal_point_px == (-976, -644)
+    assert cameras.cropped(whole, 64, 48).sensor.principal_point_px is None, "in the middle as before"
+    same = cameras.cropped(whole, 64, 48, at_px=(992, 744))
+    assert cameras.principal_point(same.sensor) == (32, 24)
+
+
+@pytest.mark.parametrize("at_px", [(1, 0), (0, 3), (-2, 0), (1986, 0), (0, 1490), (0.5, 0)])
+def test_windows_lie_within_the_sensor_and_on_the_mosaic(da_mobile, at_px):
+    with pytest.raises(InputError, match="at_px"):
+        cameras.cropped(da_mobile, 64, 48, at_px=at_px)
+
+
 def test_mosaic_starts_at_the_top_left(da_mobile):
     """Expectation: the preset's block, rows from above: G R over B IR, then again."""
     channels = cameras.mosaic_channels(cameras.cropped(da_mobile, 12, 8))

@@ -325,6 +325,19 @@ def test_field_of_view_and_matrix_agree(wide):
     assert truth.field_of_view_deg(camera) == pytest.approx(2 * np.degrees(np.arctan(-edge[0])), rel=1e-9)
 
 
+def test_window_has_the_geometry_of_that_part_of_the_frame(geometry, make_scene, wide):
+    """Set-up: all shapes side by side. Expectation: depth, normals and objects of a window off the axis are those of
+    the whole frame there, up to single precision.
+    """
+    scene = make_scene(*(thing(str(index), **shape) for index, shape in enumerate(SHAPES.values())))
+    whole, window = geometry(scene, wide()), geometry(scene, cameras.cropped(wide(), 20, 12, at_px=(26, 4)))
+    part = np.s_[4:16, 26:46]
+    np.testing.assert_array_equal(window.object_id, whole.object_id[part])
+    assert len(np.unique(window.object_id)) > 2
+    np.testing.assert_allclose(window.depth_m, whole.depth_m[part], rtol=DEPTH_LIMIT)
+    np.testing.assert_allclose(window.normal, whole.normal[part], atol=NORMAL_LIMIT)
+
+
 def test_no_ray_slips_between_the_triangles_of_a_mesh(geometry, make_scene, da_mobile, tmp_path):
     """Rationale: the diagonal of a quad runs through pixel centres, and rays could pass along it.
 

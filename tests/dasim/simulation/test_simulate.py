@@ -7,15 +7,19 @@ import pytest
 from scipy.ndimage import convolve
 
 from dasim.base.errors import InputError
+from dasim.base.toml import parse
 from dasim.camera import noise
 from dasim.camera import specification as cameras
 from dasim.camera.noise import Exposure
+from dasim.camera.specification import Camera
 from dasim.simulation.checks import diffraction_model
 from dasim.simulation.simulate import simulate
 from dasim.spectra.grid import CHANNELS
 
 RENDER_NOISE = 0.02  # 36 samples a pixel on smooth surfaces under a dome: below 1 %
 RAW_LIMIT = 0.12  # 3,072 pixels: a variance is known to 2.6 %
+SEEDS = 8  # pictures of a camera: 14 degrees of freedom for the difference of two means
+T_BEYOND_4 = 1.3e-3  # share of Student's t with 14 degrees of freedom beyond 4
 DOME = {"kind": "dome", "illuminant": "D55", "lux": 400.0}
 
 
@@ -47,6 +51,44 @@ def test_lens_and_pinhole_pictures_are_registered(shot):
     half = (blurred[:8].mean() + blurred[-8:].mean()) / 2
     assert (blurred[29] - half) * (blurred[34] - half) < 0
     assert np.abs(np.diff(blurred)).max() < 0.5 * np.abs(np.diff(green)).max(), "the lens blurs the near card's edge"
+
+
+def test_window_shows_what_the_frame_shows_there(jit, make_scene, da_mobile):
+    """Set-up: a lens of 0.4 mm, so that 48 x 36 pixels reach 8 degrees off the axis; a card before a wall with its edge
+    through the window, both out of focus; 8 seeds each, fixed exposure, the window in the frame's corner.
+
+    Expectation: mean electrons pixel by pixel by Welch's t, as for two renderers in test_passes (t^2 below 1.5 in the
+    mean, few beyond 4), the channels' sums within five standard deviations; depth is the same.
+    """
+    data = da_mobile.model_dump()
+    data["lens"] |= {"focal_length_mm": 0.4, "focus_distance_m": 0.01}
+    data["sensor"] |= {"width_px": 48, "height_px": 36}
+    whole = parse(Camera, data, "short lens")
+    window = cameras.cropped(whole, 20, 16, at_px=(28, 20))
+    wall = {"name": "wall", "shape": "plane", "size_cm": (9, 9), "position_cm": (0, 0, 2), "material": "sand"}
+    card = {
+        "name": "card",
+        "shape": "plane",
+        "size_cm": (0.06, 9),
+        "position_cm": (0, 0, 0.5),
+        "material": "leaf-green",
+    }
+    scene, exposure = make_scene(wall, card, lights=[DOME]), Exposure(time_s=1.0)
+
+    def pictures(camera):
+        shots = [simulate(scene, camera, seed, spp=32, exposure=exposure).truth for seed in range(SEEDS)]
+        return np.stack([truth.mean_e for truth in shots]).astype(float), shots[0].depth_m
+
+    (ours, depth_m), (full, full_depth_m) = pictures(window), pictures(whole)
+    full, full_depth_m = full[:, 20:, 28:], full_depth_m[20:, 28:]
+    np.testing.assert_allclose(depth_m, full_depth_m, rtol=1e-5)
+    assert 0.2 < (depth_m < 0.01).mean() < 0.8
+    variance = (ours.var(axis=0, ddof=1) + full.var(axis=0, ddof=1)) / SEEDS
+    difference = ours.mean(axis=0) - full.mean(axis=0)
+    t = difference / np.sqrt(variance)
+    assert np.mean(t**2) < 1.5
+    assert np.mean(np.abs(t) > 4) < 5 * T_BEYOND_4
+    assert (np.abs(difference.sum(axis=(0, 1))) < 5 * np.sqrt(variance.sum(axis=(0, 1)))).all()
 
 
 def test_truth_is_whole_and_consistent(shot, da_mobile):

@@ -60,6 +60,15 @@ def test_the_pictures_own_size_governs(tmp_path):
     assert (capture.camera.sensor.width_px, capture.camera.sensor.height_px) == (WIDTH, HEIGHT)
 
 
+def test_a_principal_point_is_that_of_one_size(tmp_path):
+    """Rationale: in a picture of another size the axis is elsewhere, and nobody knows where."""
+    np.save(tmp_path / "photo.npy", numbers(10))
+    window = cameras.cropped(cameras.load_camera("da-mobile"), WIDTH, HEIGHT, at_px=(0, 0))
+    assert raw_files.load_raw(tmp_path / "photo.npy", window).camera == window
+    with pytest.raises(InputError, match="principal_point_px"):
+        raw_files.load_raw(tmp_path / "photo.npy", cameras.cropped(window, WIDTH - 8, HEIGHT))
+
+
 @pytest.mark.parametrize("padding", [0, 8])
 @pytest.mark.parametrize("kind", ["raw10", "raw12", "raw16"])
 def test_packed_pixels(tmp_path, ten, twelve, kind, padding):

@@ -237,3 +237,6 @@ def test_flats_that_do_not_fit_are_refused():
     cut = dataclasses.replace(shaded(camera, even), camera=cameras.cropped(camera, 64, 48))
     with pytest.raises(InputError, match="width_px"):
         shading.gain(cut, camera)
+    elsewhere = cameras.cropped(cameras.load_camera("da-mobile"), *SIZE_PX, at_px=(0, 0))
+    with pytest.raises(InputError, match="principal_point_px"):
+        shading.gain(dataclasses.replace(shaded(camera, even), camera=elsewhere), camera)
