@@ -14,7 +14,7 @@ from scipy import signal
 from dasim.camera import pointspread, stops
 from dasim.camera.specification import Camera
 from dasim.camera.stops import Stop
-from dasim.render import pupil
+from dasim.render import field_angle, pupil
 from dasim.render.blur_tables import FLOOR, texel, texture
 from dasim.typing import FloatArray
 
@@ -51,11 +51,13 @@ class PatternBlur:
         cell, _, inside = self.offset_cells.sample(second)
         return rho, (mi.Point2f(cell) + inside) * self.offset_step_px - self.offset_half_px, mi.Float(1.0)
 
-    def weights(self, u_px: Any, blur_px: Any, wavelengths_nm: list[Any]) -> list[Any]:
+    def weights(self, u_px: Any, blur_px: Any, tangent: Any, wavelengths_nm: list[Any]) -> list[Any]:
         """See :class:`Blur`."""
         import drjit as dr
         import mitsuba as mi
 
+        scale_along = field_angle.scale_along(u_px, tangent)
+        u_px, blur_px = scale_along * u_px, scale_along * blur_px
         # Behind the focus the pattern is rotated by 180 degrees.
         u, blur = dr.select(blur_px < 0, -u_px, u_px), dr.abs(blur_px)
         half = self.max_radius_px

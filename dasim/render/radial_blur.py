@@ -16,6 +16,7 @@ from scipy.special import j1
 from dasim.camera import pointspread, stops
 from dasim.camera.specification import Camera
 from dasim.camera.stops import Stop
+from dasim.render import field_angle
 from dasim.render.blur_tables import FLOOR, texel, texture
 from dasim.typing import FloatArray
 
@@ -141,13 +142,15 @@ class RadialBlur:
         place = mi.Point2f(texel(length, DENSITY_STEP_PX, columns), texel(own, DENSITY_BLUR_STEP_PX, rows))
         return self.density.eval(place, active)[0]
 
-    def weights(self, u_px: Any, blur_px: Any, wavelengths_nm: list[Any]) -> list[Any]:
+    def weights(self, u_px: Any, blur_px: Any, tangent: Any, wavelengths_nm: list[Any]) -> list[Any]:
         """See :class:`Blur`."""
         import drjit as dr
         import mitsuba as mi
 
-        u = dr.norm(u_px + self.centre * (blur_px / 2))
-        own = self.outer * dr.abs(blur_px)
+        from_centre = u_px + self.centre * (blur_px / 2)
+        scale_along = field_angle.scale_along(from_centre, tangent)
+        u = scale_along * dr.norm(from_centre)
+        own = scale_along * self.outer * dr.abs(blur_px)
         g = self._density(u, own)
         inside = (own <= self.max_blur_px) & (u <= self.max_radius_px)
         rows, columns = self.wave_rows, self.wave_columns

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from dasim.camera import geometry, radiometry
 from dasim.camera.specification import Camera, principal_point
 from dasim.camera.stops import Stop
-from dasim.render import layers, pupil, transport, wave
+from dasim.render import field_angle, layers, pupil, transport, wave
 from dasim.render.irradiance import Field
 from dasim.render.plugin import tensor
 from dasim.render.sobol import Sobol
@@ -80,6 +80,7 @@ class _Rays(NamedTuple):
 
     ray: Any
     film: Any  # place on the sensor, pixels from the axis
+    tangent: Any  # of the field angle there, a vector
     focus: Any  # vergence in focus at the ray's wavelengths, 1/m
     first: Any  # uniform number that chose the wavelengths
     entries: list[Any]  # row of the table for each of the ray's wavelengths
@@ -95,6 +96,7 @@ class _Weighted(NamedTuple):
     blur: Any  # signed visible blur where the ray ends, pixels
     rho: Any
     delta: Any
+    tangent: Any
     first: Any
     drawn: Any
 
@@ -213,7 +215,7 @@ def _trace(shared: _Pass, top: int, rows: int, seed: int) -> FloatArray:
     weighted: _Weighted | None = None
     if shared.blur is not None:
         weight, depth_share, blur_px = _wave_weights(shared, shared.blur, rays, si)
-        weighted = _Weighted(blur_px, rays.rho, rays.delta, rays.first, rays.drawn)
+        weighted = _Weighted(blur_px, rays.rho, rays.delta, rays.tangent, rays.first, rays.drawn)
     radiance = transport.radiance(
         shared.scene, shared.integrator, shared.sampler, rays.ray, si, (aim_at, direction, lobe), shared.field
     )
@@ -252,31 +254,32 @@ def _layered(shared: _Pass, weighted: _Weighted, sums: list[Any], chosen: NDArra
 
     shape = len(chosen), shared.spp
     lanes = mi.UInt32((chosen[:, None] * shared.spp + np.arange(shared.spp)).astype(np.uint32).ravel())
-    blur_px, rho, delta, first, drawn = (dr.gather(type(value), value, lanes) for value in weighted)
+    blur_px, rho, delta, tangent, first, drawn = (dr.gather(type(value), value, lanes) for value in weighted)
     values = [np.array(dr.gather(mi.Float, value, lanes), dtype=np.float64).reshape(shape) for value in sums]
     entries = _entries(shared, first)
 
     def beyond(depth_px: FloatArray, behind: BoolArray) -> list[FloatArray]:
-        return _beyond(shared, depth_px, mi.Bool(behind.ravel()), entries, (rho, delta, drawn))
+        return _beyond(shared, depth_px, mi.Bool(behind.ravel()), entries, (rho, delta, tangent, drawn))
 
     return layers.estimate(values[0::2], values[1::2], np.array(blur_px, dtype=np.float64).reshape(shape), beyond)
 
 
 def _beyond(
-    shared: _Pass, depth_px: FloatArray, behind: Any, entries: list[Any], sampled: tuple[Any, Any, Any]
+    shared: _Pass, depth_px: FloatArray, behind: Any, entries: list[Any], sampled: tuple[Any, Any, Any, Any]
 ) -> list[FloatArray]:
     """Control of the rays that end ``behind`` a layer if they ended in it, [channel][pixel].
 
-    ``depth_px`` is the visible blur of the layer in each pixel; ``sampled`` is rho, delta and the weight of these.
+    ``depth_px`` is the visible blur of the layer in each pixel; ``sampled`` is rho, delta, the field angle's tangent
+    and the weight of rho and delta.
     """
     import drjit as dr
     import mitsuba as mi
 
-    rho, delta, drawn = sampled
+    rho, delta, tangent, drawn = sampled
     assert shared.blur is not None
     at = dr.repeat(mi.Float(depth_px.astype(np.float32)), shared.spp)
     at -= shared.px_per_vergence * (entries[0][1] - shared.vergence) if shared.axial_colour else 0.0
-    ratios = shared.blur.weights(-delta - rho * (at / 2), at, [entry[0] for entry in entries])
+    ratios = shared.blur.weights(-delta - rho * (at / 2), at, tangent, [entry[0] for entry in entries])
     lit = _lit(entries)
     light = [dr.select(behind, drawn * ratios[k] * lit[k], 0.0) for k in range(HERO)]
     sums = [sum(entries[k][2 + channel] * light[k] for k in range(HERO)) for channel in range(shared.channels)]
@@ -307,6 +310,7 @@ def _aim(shared: _Pass, pixel: Any, corner: Any, numbers: tuple[Any, Any, Any, A
 
     lens, film, pattern, first = numbers
     film += corner - shared.axis  # pixels from the axis
+    tangent = film / shared.px_per_m
     entries, wavelengths = _entries(shared, first), mi.Spectrum(0.0)
     for k in range(HERO):
         wavelengths[k] = entries[k][0]
@@ -316,7 +320,9 @@ def _aim(shared: _Pass, pixel: Any, corner: Any, numbers: tuple[Any, Any, Any, A
     if shared.blur is not None:
         expected = dr.gather(mi.Float, _middle_vergence(shared, corner), pixel)
         defocus = shared.px_per_vergence * (expected - focus)
+        defocus *= field_angle.mean_scale(tangent)
         rho, delta, drawn = shared.blur.draw(lens, pattern, defocus, dr.opaque(mi.UInt32, seed))
+        delta = field_angle.widened(delta, tangent)
     elif shared.draw_pupil is not None:
         rho = shared.draw_pupil(lens)
     on_lens = rho * shared.radius_m
@@ -326,7 +332,7 @@ def _aim(shared: _Pass, pixel: Any, corner: Any, numbers: tuple[Any, Any, Any, A
     slope = aim / shared.px_per_m - on_lens * focus
     ray = mi.RayDifferential3f(mi.Ray3f(origin, dr.normalize(mi.Vector3f(slope.x, slope.y, 1.0))))
     ray.wavelengths = wavelengths
-    return _Rays(ray, film, focus, first, entries, rho, delta, expected, drawn)
+    return _Rays(ray, film, tangent, focus, first, entries, rho, delta, expected, drawn)
 
 
 def _middle_vergence(shared: _Pass, corner: Any) -> Any:
@@ -357,7 +363,7 @@ def _wave_weights(shared: _Pass, blur: wave.Blur, rays: _Rays, si: Any) -> tuple
     point = dr.select(si.is_valid(), si.p, rays.ray(1e4))
     u = rays.film - mi.Point2f(point.x, point.y) / point.z * shared.px_per_m
     wavelengths = [entry[0] for entry in rays.entries]
-    ratios = blur.weights(u, shared.px_per_vergence * (1 / point.z - rays.focus), wavelengths)
+    ratios = blur.weights(u, shared.px_per_vergence * (1 / point.z - rays.focus), rays.tangent, wavelengths)
     weight = [rays.drawn * ratio for ratio in ratios]
     seen, middle = (shared.px_per_vergence * (at - shared.vergence) for at in (1 / point.z, rays.expected))
     near = dr.abs(seen - middle) <= layers.SAME_BLUR_PX + layers.SAME_BLUR_SHARE * dr.abs(middle)

@@ -6,6 +6,11 @@ with density g(u; c) = (D * geometric blur). Wave optics has the density h(u; c,
 the ray is weighted by h / g. Exact for surfaces that face the camera and that nothing hides in part; what is seen
 beside a nearer object gets the light that this leaves (:mod:`dasim.render.layers`).
 
+Off the axis (:mod:`dasim.render.field_angle`) delta is sampled from the pattern as it is there, D(T delta), and the
+weight in the direction of u is that of the axis for u and c scaled by t = |T u| / |u|: exact in focus, with the
+geometric edge in its place, and with the scale of diffraction that belongs to the edge's direction. The defocus itself
+is astigmatic there, rho T rho, which this neglects: encircled energies differ by at most 0.006 at 31 degrees.
+
 Sampling rho and delta independently would leave u unstratified, although u determines what a pixel sees. For discs and
 rings, u is therefore sampled first, stratified, for the blur c0 at the middle of the pixel, with a density q close to
 h; then rho by rejection with density D(delta), where delta = -u - rho c0 / 2 follows. This is the same joint density
@@ -44,8 +49,11 @@ class Blur(Protocol):
             key: seed of the random numbers for rejection.
         """
 
-    def weights(self, u_px: Any, blur_px: Any, wavelengths_nm: list[Any]) -> list[Any]:
-        """Ratios h / g for each wavelength; 1 outside the tables, where the blur is that of the sampled rays."""
+    def weights(self, u_px: Any, blur_px: Any, tangent: Any, wavelengths_nm: list[Any]) -> list[Any]:
+        """Ratios h / g for each wavelength; 1 outside the tables, where the blur is that of the sampled rays.
+
+        ``tangent`` is that of the field angle, as a vector in the picture.
+        """
 
 
 def blur(camera: Camera, stop: Stop, density: FloatArray, max_blur_px: float) -> Blur:

@@ -73,7 +73,9 @@ def test_weights_average_one(jit, camera_of, shape):
         expected = mi.Float(dr.full(mi.Float, expected_px, COUNT))
         rho, delta, drawn = blur.draw(first, second, expected, mi.UInt32(3))
         u = -delta - rho * (blur_px / 2)
-        weight = drawn * blur.weights(u, mi.Float(blur_px), [mi.Float(wavelength.astype(np.float32))])[0]
+        weight = (
+            drawn * blur.weights(u, mi.Float(blur_px), mi.Vector2f(0.0), [mi.Float(wavelength.astype(np.float32))])[0]
+        )
         lost = 0.006 if blur_px != expected_px else 0.0
         mean = np.array(weight, dtype=np.float64).mean()
         assert -limit - lost < mean - 1 < limit + lost, (blur_px, expected_px, mean)

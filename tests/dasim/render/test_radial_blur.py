@@ -44,7 +44,9 @@ def test_weights_average_one(blurs, da_mobile, stop, blur_px, expected_px):
     numbers = mi.Point2f(rng.random((2, count), dtype=np.float32))
     rho, delta, drawn = blur.draw(numbers, numbers, mi.Float(dr.full(mi.Float, expected_px, count)), mi.UInt32(3))
     u = -delta - rho * (blur_px / 2)
-    weight = np.array(drawn * blur.weights(u, mi.Float(blur_px), [mi.Float(wavelength)])[0], dtype=np.float64)
+    weight = np.array(
+        drawn * blur.weights(u, mi.Float(blur_px), mi.Vector2f(0.0), [mi.Float(wavelength)])[0], dtype=np.float64
+    )
     assert float(dr.max(dr.norm(rho))[0]) <= da_mobile.stops[stop].radius_ratio * (1 + 1e-5)
     lost = 0.006 if expected_px != blur_px else 0.0
     assert 1 - lost - MEAN_WEIGHT < weight.mean() < 1 + MEAN_WEIGHT
@@ -67,7 +69,9 @@ def test_thin_ring_far_out_of_focus_is_drawn(jit, da_mobile):
     blur = radial_blur.tables(da_mobile, ring, [(550.0, 1.0)], 550.0, 110.0)
     numbers = mi.Point2f(np.random.default_rng(2).random((2, count), dtype=np.float32))
     rho, delta, drawn = blur.draw(numbers, numbers, mi.Float(dr.full(mi.Float, blur_px, count)), mi.UInt32(3))
-    weight = drawn * blur.weights(-delta - rho * (blur_px / 2), mi.Float(blur_px), [mi.Float(550.0)])[0]
+    weight = (
+        drawn * blur.weights(-delta - rho * (blur_px / 2), mi.Float(blur_px), mi.Vector2f(0.0), [mi.Float(550.0)])[0]
+    )
     radius = np.array(dr.norm(rho))
     assert 0.9 - 1e-5 < radius.min() and radius.max() < 1 + 1e-5
     assert np.array(weight, dtype=np.float64).mean() == pytest.approx(0.995, abs=0.006)

@@ -36,6 +36,7 @@ FURNACE_SPP = 64
 STEPS_PX = (3.0, 10.0, 17.0, 40.0)
 SLANT_DEG, SLANTED_CM = 80.0, 3.0  # angle to the wall, width: 17 px at the edge, 21 px at the side of the frame
 BARS, BAR_PX = 3, 4.0  # of the fence, with gaps of two bars between them
+CORNER_PX = (2048 - 96, 1536 - 24)  # of the full frame, 31 degrees off the axis
 PLATEAU_PX = 12  # columns at each side of the frame; a blur of 40 px ends 16 px before them
 
 SILHOUETTE_SIZE_PX = (64, 96)
@@ -52,10 +53,11 @@ def depth_step_furnace(progress: ShareDone, seed: int = 0) -> Evidence:
 
     Set-up: matt black planes that face the camera, all lit by one sun at the same angle, so that all have the same
     radiance; the black keeps light between them below 0.02 %. A near plane covers the left half of the view in front
-    of another at -1 px of visible blur, and has 3, 10, 17 and 40 px; three depths (17, 6 and -1 px); a near plane
-    turned by 80 degrees, with its normal as far from the sun as the wall's (here light between the planes is 0.2 %); a
-    fence of bars 4 px wide at 12 px of blur; two planes behind the focus (-4 and -12 px); a hexagon as the open stop
-    and the step of 10 px. Pictures are those of dasim.simulate with diffraction 'wave', 64 samples per pixel.
+    of another at -1 px of visible blur, and has 3, 10, 17 and 40 px; 17 px in the corner of the full frame; three
+    depths (17, 6 and -1 px); a near plane turned by 80 degrees, with its normal as far from the sun as the wall's
+    (here light between the planes is 0.2 %); a fence of bars 4 px wide at 12 px of blur; two planes behind the focus
+    (-4 and -12 px); a hexagon as the open stop and the step of 10 px. Pictures are those of dasim.simulate with
+    diffraction 'wave', 64 samples per pixel.
 
     Expectation: the mean of each column, over that of columns far from the edge, is 1. For the Z-test, the picture is
     divided by one of another seed with diffraction 'off', which needs no weights and has the same light between the
@@ -93,6 +95,9 @@ def furnaces() -> dict[str, tuple[Camera, Scene]]:
     far = _plane("far", camera, FAR_BLUR_PX)
     found = {f"two-{blur:g}px": (camera, _lit([_plane("near", camera, blur, to_px=0.0), far])) for blur in STEPS_PX}
     middle = _plane("middle", camera, 6.0, to_px=12.0)
+    corner = cameras.cropped("da-mobile", *FURNACE_SIZE_PX, at_px=CORNER_PX)
+    edge_px = FURNACE_SIZE_PX[0] / 2 - cameras.principal_point(corner.sensor)[0]
+    found["corner"] = corner, _lit([_plane("near", corner, 17.0, to_px=edge_px), far])
     found["three"] = camera, _lit([_plane("near", camera, 17.0, to_px=-12.0), middle, far])
     # The sun stands between the two normals, so both planes receive the same.
     slanted = _plane("near", camera, 17.0, to_px=0.0, wide_cm=SLANTED_CM, turn_deg=-SLANT_DEG)
