@@ -24,10 +24,11 @@ from numpy.typing import NDArray
 from scipy.special import j0, j1, roots_legendre
 
 from dasim.base.errors import InputError, kind_of
-from dasim.camera import geometry, radiometry, stops
+from dasim.camera import geometry, radiometry, stops, wavefront
 from dasim.camera import specification as cameras
 from dasim.camera.specification import Camera
 from dasim.camera.stops import Stop
+from dasim.camera.wavefront import Phase
 from dasim.spectra import grid, illuminants
 from dasim.typing import FloatArray
 
@@ -42,19 +43,43 @@ AIRY_NODES = 800  # more, for mixtures of transfer functions with different cut-
 MIN_DISC_PX = 0.3  # a geometric disc smaller than this has no effect on a pixel's integral
 
 
-def wave_profile(radius: FloatArray, waves: FloatArray, inner: float = 0.0) -> FloatArray:
+def wave_profile(
+    radius: FloatArray, waves: FloatArray, inner: float = 0.0, phase: Phase | None = None, outer: float = 1.0
+) -> FloatArray:
     """Intensity of a defocused disc or ring, [waves, radius], of unit integral over the plane.
 
     ``radius`` is in units of lambda N (N the working f-number of the outer rim), ``waves`` the defocus W20 there,
     ``inner`` the ring's inner radius over its outer, e.
     h = pi/4 |U|^2 / (1 - e^2) with U = 2 int_e^1 exp(2 pi i W20 rho^2) J0(pi radius rho) rho d rho.
+    A ``phase`` of rotational symmetry multiplies the integrand; ``outer`` is the outer radius over that of the lens.
     """
+    if phase is not None:
+        return _aberrated_profile(radius, waves, inner, phase, outer)
     rho, weight = _unit_nodes(PUPIL_NODES)
     rho, weight = inner + (1 - inner) * rho, (1 - inner) * weight
     pupil = np.exp(2j * np.pi * np.outer(waves, rho**2)) * (2 * rho * weight)
     bessel = j0(np.pi * np.outer(rho, radius))
     # two real products instead of a complex one with a real matrix
     return np.pi / 4 * ((pupil.real @ bessel) ** 2 + (pupil.imag @ bessel) ** 2) / (1 - inner**2)
+
+
+def _aberrated_profile(radius: FloatArray, waves: FloatArray, inner: float, phase: Phase, outer: float) -> FloatArray:
+    """The same with a phase: amplitudes from inside and outside the opening, each by its own nodes."""
+    opening = None if phase.opening is None else stops.ring(phase.opening)
+    low, high = (0.0, 0.0) if opening is None else np.clip(np.array(opening[:2]) / outer, inner, 1.0)
+    parts = []
+    for spans in (((inner, low), (high, 1.0)), ((low, high),)):
+        amplitude = np.zeros((len(waves), len(radius)), dtype=complex)
+        for start, end in spans:
+            if end <= start:
+                continue
+            rho, weight = _unit_nodes(PUPIL_NODES)
+            rho, weight = start + (end - start) * rho, (end - start) * weight
+            pupil = np.exp(2j * np.pi * np.outer(waves, rho**2)) * (2 * rho * weight)
+            pupil = pupil * wavefront.factor(phase, 0.0, outer * rho)
+            amplitude += pupil @ j0(np.pi * np.outer(rho, radius))
+        parts.append(amplitude)
+    return np.pi / 4 * wavefront.two_parts(phase, *parts) / (1 - inner**2)
 
 
 def airy_profile(radius_px: FloatArray, blur_px: FloatArray, scale_px: float, inner: float = 0.0) -> FloatArray:
@@ -168,6 +193,8 @@ def radial_profiles(
         ring = stops.ring(stop)
         if ring is None:
             raise ValueError(f"stop '{stop.name}' is not radial")
+        if not is_radial(camera, stop, diffraction):
+            raise InputError(f"camera '{camera.name}': lens.wavefront_nm has terms without rotational symmetry here")
         weights = radiometry.stop_response(camera, stop) * spectrum[..., None, :]
         signal += grid.integrate(weights)
         f_number, inner = working_f_number(camera, ring.outer), ring.inner / ring.outer
@@ -175,7 +202,9 @@ def radial_profiles(
             scale_px = wavelength_nm * 1e-9 * f_number / pitch_m
             own_blur = ring.outer * (np.asarray(blur_px) + np.interp(wavelength_nm, grid.WAVELENGTH_NM, colour_px))
             if diffraction == "wave":
-                profile = wave_profile(radius_px / scale_px, own_blur / (8 * scale_px), inner) / scale_px**2
+                phase = wavefront.at(wavefront.of_stop(camera, stop), wavelength_nm, BAND_NM)
+                waves = own_blur / (8 * scale_px)
+                profile = wave_profile(radius_px / scale_px, waves, inner, phase, ring.outer) / scale_px**2
             elif diffraction == "airy":
                 profile = airy_profile(radius_px, own_blur, scale_px, inner)
             else:
@@ -203,21 +232,35 @@ def _band_index() -> NDArray[np.int_]:
     return np.minimum((grid.WAVELENGTH_NM - 400.0) // BAND_NM, (830.0 - 400.0) // BAND_NM - 1).astype(int)
 
 
-def pupil_pattern(stop: Stop, waves: float, y: FloatArray, x: FloatArray) -> FloatArray:
-    """Intensity of a defocused polygon or mask at places of the picture, [y, x], of unit integral over the plane.
+def pupil_pattern(stop: Stop, waves: float, y: FloatArray, x: FloatArray, phase: Phase | None = None) -> FloatArray:
+    """Intensity of a defocused stop at places of the picture, [y, x], of unit integral over the plane.
 
     Places are in units of lambda N, with N the working f-number of the whole lens, ``waves`` the defocus W20 at the
     lens's rim, positive for points nearer than the focus. U(u) = int P(rho) exp(2 pi i W20 rho^2 + pi i rho u),
-    h = |U|^2 / (4 int |P|^2), as a product of matrices (Jurling et al., J. Opt. Soc. Am. A 35, 2018).
+    h = |U|^2 / (4 int |P|^2), as a product of matrices (Jurling et al., J. Opt. Soc. Am. A 35, 2018). P has the phase
+    of ``phase``, if any.
     """
     transmitted, place = stops.pupil(stop)
     cell = place[1] - place[0]
-    phase = np.exp(2j * np.pi * waves * place**2)
+    defocus = np.exp(2j * np.pi * waves * place**2)
     # A cell that a polygon covers by half passes half the amplitude; one of half the transmittance passes more.
     drawn = np.sqrt(transmitted) if isinstance(stop, stops.Mask) else transmitted
-    amplitude = drawn * phase[:, None] * phase[None, :]
-    field = np.exp(1j * np.pi * np.outer(y, place)) @ amplitude @ np.exp(1j * np.pi * np.outer(place, x)) * cell**2
-    return np.abs(field) ** 2 / (4 * transmitted.sum() * cell**2)
+    amplitude = drawn * defocus[:, None] * defocus[None, :]
+
+    def field(amplitude: FloatArray) -> FloatArray:
+        left, right = np.exp(1j * np.pi * np.outer(y, place)), np.exp(1j * np.pi * np.outer(place, x))
+        return np.asarray(left @ amplitude @ right * cell**2)
+
+    norm = 4 * transmitted.sum() * cell**2
+    if phase is None:
+        return np.abs(field(amplitude)) ** 2 / norm
+    amplitude = amplitude * wavefront.factor(phase, place[:, None], place[None, :])
+    if phase.opening is None:
+        return np.abs(field(amplitude)) ** 2 / norm
+    opened, _ = stops.pupil(phase.opening)
+    index = ((place + 1) / 2 * len(opened)).astype(int)  # masks may have more cells than other stops
+    inside = opened[np.ix_(index, index)]
+    return wavefront.two_parts(phase, field(amplitude * (1 - inside)), field(amplitude * inside)) / norm
 
 
 def _pattern_kernel(
@@ -229,9 +272,10 @@ def _pattern_kernel(
     offset_px: tuple[float, float],
     diffraction: str,
 ) -> tuple[FloatArray, FloatArray]:
-    """Kernel of one polygon or mask over the pixels, times the electrons, [..., channel, y, x], and the electrons."""
+    """Kernel of one stop over the pixels, times the electrons, [..., channel, y, x], and the electrons."""
     if diffraction == "airy":
         raise InputError(f"stop '{stop.name}' is a {stop.shape}; diffraction 'airy' takes discs and rings only")
+    front = wavefront.of_stop(camera, stop)
     weights = radiometry.stop_response(camera, stop) * spectrum[..., None, :]
     fine = (np.arange(size * SUBPIXELS) + 0.5) / SUBPIXELS - size / 2
     f_number, colour_px = working_f_number(camera, 1.0), geometry.chromatic_blur_px(camera)
@@ -241,11 +285,14 @@ def _pattern_kernel(
         if diffraction == "wave":
             scale = wavelength_nm * 1e-3 * f_number / camera.sensor.pixel_pitch_um
             y, x = ((fine - at) / scale for at in offset_px)
-            density = pupil_pattern(stop, blur / (8 * scale), y, x) / scale**2
+            phase = wavefront.at(front, wavelength_nm, BAND_NM)
+            density = pupil_pattern(stop, blur / (8 * scale), y, x, phase) / scale**2
             kernel = density.reshape(size, SUBPIXELS, size, SUBPIXELS).mean(axis=(1, 3))
         else:
             transmitted, place = stops.pupil(stop)
-            rows, columns = np.meshgrid(*(at - place * blur / 2 for at in offset_px), indexing="ij")
+            pupil = place[:, None], place[None, :]
+            moved = wavefront.displacement_px(front, f_number, camera.sensor.pixel_pitch_um, *pupil)
+            rows, columns = (at - along * blur / 2 + by for at, along, by in zip(offset_px, pupil, moved, strict=True))
             edges = np.arange(size + 1) - size / 2
             drawn = np.histogram2d(rows.ravel(), columns.ravel(), bins=[edges, edges], weights=transmitted.ravel())
             kernel = drawn[0]
@@ -264,12 +311,16 @@ def kernels(
     spectrum, ``...`` for all. What all blurs share is computed once.
     """
     check_model(diffraction)
+    if diffraction == "airy" and not all(wavefront.is_flat(wavefront.of_stop(camera, stop)) for stop in camera.stops):
+        raise InputError(
+            f"camera '{camera.name}': diffraction 'airy' takes no lens.wavefront_nm and no phase_nm; 'wave' does"
+        )
     blurs = np.asarray(blur_px, dtype=np.float64)
     about: dict[stops.Point, list[Stop]] = {}
     others: list[Stop] = []
     for stop in camera.stops:
         ring = stops.ring(stop)
-        if ring is None:
+        if ring is None or not is_radial(camera, stop, diffraction):
             others.append(stop)
         else:
             about.setdefault(ring.centre, []).append(stop)
@@ -298,6 +349,16 @@ def kernels(
         return total / np.where(signal > 0, signal, 1.0)[..., None, None], signal
 
     return at
+
+
+def is_radial(camera: Camera, stop: Stop, diffraction: str = "wave") -> bool:
+    """Whether the kernel of a stop is radially symmetric about the image through the stop's centre."""
+    ring, front = stops.ring(stop), wavefront.of_stop(camera, stop)
+    if ring is None:
+        return False
+    if diffraction != "wave":  # rays take no notice of a step
+        return not any(front.zernike_nm)
+    return wavefront.is_flat(front) or (ring.centre == (0.0, 0.0) and wavefront.is_radial(front))
 
 
 def _moved_alike(camera: Camera, centre: stops.Point, spectrum: FloatArray) -> Iterator[tuple[float, FloatArray]]:
@@ -336,7 +397,9 @@ def kernel_size_px(camera: Camera, blur_px: float) -> int:
     widest = max(working_f_number(camera, stops.breadth(stop)) for stop in camera.stops)
     tail_px = 3 * 0.7e-6 * widest / (camera.sensor.pixel_pitch_um * 1e-6)  # three rings at 700 nm
     colour_px = float(np.abs(geometry.chromatic_blur_px(camera)).max())
-    return 2 * int(np.ceil((abs(blur_px) + colour_px) / 2 + tail_px)) + 1
+    front = wavefront.Wavefront(camera.lens.wavefront_nm.coefficients())
+    moved_px = wavefront.reach_px(front, working_f_number(camera, 1.0), camera.sensor.pixel_pitch_um)
+    return 2 * int(np.ceil((abs(blur_px) + colour_px) / 2 + moved_px + tail_px)) + 1
 
 
 def psf(

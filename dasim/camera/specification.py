@@ -14,6 +14,7 @@ from dasim.base.toml import Specification, bundled_or_file, parse, parse_toml
 from dasim.camera import datasheet, response_curves
 from dasim.camera.response_curves import Curves
 from dasim.camera.stops import Stop
+from dasim.camera.zernike import Wavefront
 from dasim.spectra import grid
 from dasim.typing import FloatArray
 
@@ -39,6 +40,7 @@ class Lens(Specification):
     focal_shift_um: tuple[tuple[float, float], ...] = Field(
         default=(), description="axial colour: [nm, um added to the focal length], linear between, constant beyond"
     )
+    wavefront_nm: Wavefront = Field(default=Wavefront(), description="Zernike coefficients, RMS over the open lens")
 
     @field_validator("focal_shift_um")
     @classmethod
@@ -180,6 +182,9 @@ class Camera(Specification):
         names = [stop.name for stop in stops]
         if len(set(names)) != len(names):
             raise ValueError(f"names must be unique, they are {', '.join(names)}")
+        steps = [stop.name for stop in stops if stop.phase_nm]
+        if len(steps) > 1:
+            raise ValueError(f"one stop may have a phase_nm, these have: {', '.join(steps)}")
         return stops
 
     @model_validator(mode="after")

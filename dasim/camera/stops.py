@@ -27,8 +27,9 @@ from dasim.typing import FloatArray
 Point = tuple[float, float]
 
 MOST_MASK_CELLS = 256  # per side
-PUPIL_CELLS = 256  # per side of the grid that represents polygons and masks
-_FINE_ROWS = 16  # in a cell, for the share of it that a polygon covers
+MOST_PHASE_NM = 10_000.0  # micrometres of coating
+PUPIL_CELLS = 256  # per side of the grid that represents the open area of a stop
+_FINE_ROWS = 16  # in a cell, for the share of it that a stop covers
 _ROUNDING = 1e-9
 
 
@@ -38,6 +39,12 @@ class _Stop(Specification):
         default=(WHOLE_GRID_NM,), min_length=1, description="bands that pass; 400 and 830 mean no edge"
     )
     edge_width_nm: float = Field(default=8.0, gt=0, le=100, description="10-90 % width of every edge")
+    phase_nm: float = Field(
+        default=0.0,
+        ge=-MOST_PHASE_NM,
+        le=MOST_PHASE_NM,
+        description="optical path through this opening less that through the coating around it, for the other stops",
+    )
 
     @field_validator("passes_nm")
     @classmethod
@@ -221,14 +228,18 @@ def cell_centres(count: int) -> FloatArray:
 
 @lru_cache(maxsize=16)
 def pupil(stop: Stop) -> tuple[FloatArray, FloatArray]:
-    """Transmittance of a polygon or mask on a grid, [y, x], and the centres of the cells along an axis.
+    """Transmittance of a stop on a grid, [y, x], and the centres of the cells along an axis.
 
-    At the rim of a polygon, a cell has the share that the polygon covers; the cells of a mask are repeated.
+    At the rim of a disc, ring or polygon, a cell has the share that is covered; the cells of a mask are repeated.
     """
     if isinstance(stop, Mask):
         repeat = -(-PUPIL_CELLS // len(stop.mask))
         values = np.kron(np.array(stop.mask), np.ones((repeat, repeat)))
         return values, cell_centres(len(values))
+    disc = ring(stop)
+    if disc is not None:
+        values = _covered_by_disc(disc.outer, disc.centre) - _covered_by_disc(disc.inner, disc.centre)
+        return values, cell_centres(PUPIL_CELLS)
     assert isinstance(stop, Polygon)
     # In each fine row, an edge adds or subtracts the coverage to its right, which is exact along x.
     y, left = cell_centres(PUPIL_CELLS * _FINE_ROWS)[:, None], np.arange(PUPIL_CELLS)
@@ -240,6 +251,15 @@ def pupil(stop: Stop) -> tuple[FloatArray, FloatArray]:
             covered[rows] += np.sign(by - ay) * np.clip(left + 1 - cell, 0.0, 1.0)
     values = np.abs(covered).reshape(PUPIL_CELLS, _FINE_ROWS, PUPIL_CELLS).mean(axis=1)
     return values, cell_centres(PUPIL_CELLS)
+
+
+def _covered_by_disc(radius: float, centre: Point) -> FloatArray:
+    """Share of each cell of the pupil's grid that a disc covers, [y, x]; exact along x in each fine row."""
+    y, left = cell_centres(PUPIL_CELLS * _FINE_ROWS)[:, None], np.arange(PUPIL_CELLS)
+    half = np.sqrt(np.maximum(radius**2 - (y - centre[1]) ** 2, 0.0))
+    low, high = ((centre[0] + side * half + 1) / 2 * PUPIL_CELLS for side in (-1, 1))
+    covered = np.clip(high - left, 0.0, 1.0) - np.clip(low - left, 0.0, 1.0)
+    return np.asarray(covered.reshape(PUPIL_CELLS, _FINE_ROWS, PUPIL_CELLS).mean(axis=1))
 
 
 def triangle_areas(corners: FloatArray) -> FloatArray:

@@ -1,4 +1,4 @@
-"""Sampling and weights of wave optics for polygons and masks, from tables over the plane.
+"""Sampling and weights of wave optics for polygons, masks and aberrated lenses, from tables over the plane.
 
 rho and delta are sampled independently (see :mod:`dasim.render.wave`).
 """
@@ -11,11 +11,12 @@ from typing import Any
 import numpy as np
 from scipy import signal
 
-from dasim.camera import pointspread, stops
+from dasim.camera import pointspread, stops, wavefront
 from dasim.camera.specification import Camera
 from dasim.camera.stops import Stop
+from dasim.camera.wavefront import Phase
 from dasim.render import field_angle, pupil
-from dasim.render.blur_tables import FLOOR, texel, texture
+from dasim.render.blur_tables import FLOOR, AberratedRows, aberrated, texel, texture
 from dasim.typing import FloatArray
 
 PATTERN_TAIL = 12.0  # in lambda N of a disc of the same area
@@ -28,7 +29,7 @@ MOST_NODES = 48e6  # of a table of three dimensions; its steps grow where this i
 
 @dataclass(frozen=True)
 class PatternBlur:
-    """Tables of a polygon or mask in two directions, relative to the image through the middle of the lens."""
+    """Tables of a stop in two directions, relative to the image through the middle of the lens."""
 
     px_per_nm: float  # lambda N of the open lens in pixels per nanometre of lambda
     max_blur_px: float
@@ -42,6 +43,7 @@ class PatternBlur:
     wave: Any  # [waves, y, x] h in units of lambda N
     wave_half: float
     waves_step: float
+    aberrated: AberratedRows | None = None  # rows of h with aberrations
 
     def draw(self, first: Any, second: Any, blur_px: Any, key: Any) -> tuple[Any, Any, Any]:
         """See :class:`Blur`; rho and delta are sampled independently."""
@@ -69,22 +71,34 @@ class PatternBlur:
         ratios = []
         for wavelength in wavelengths_nm:
             scale = wavelength * self.px_per_nm
-            across = mi.Point2f(u / (2 * self.wave_half * scale) + 0.5)
-            place = mi.Point3f(across.x, across.y, texel(blur / (8 * scale), self.waves_step, depth))
-            ratios.append(dr.select(inside & (g > FLOOR), self.wave.eval(place)[0] / (scale * scale * g), 1.0))
+            if self.aberrated is None:
+                across = mi.Point2f(u / (2 * self.wave_half * scale) + 0.5)
+                place = mi.Point3f(across.x, across.y, texel(blur / (8 * scale), self.waves_step, depth))
+                h = self.wave.eval(place)[0]
+            else:
+                across = mi.Point2f(u_px / (2 * self.wave_half * scale) + 0.5)
+
+                def read(row: Any, at: Any = across) -> Any:
+                    return self.wave.eval(mi.Point3f(at.x, at.y, (row + 0.5) / depth))
+
+                h = self.aberrated.evaluate(read, blur_px / (8 * scale), wavelength)
+            ratios.append(dr.select(inside & (g > FLOOR), h / (scale * scale * g), 1.0))
         return ratios
 
 
 def tables(
     camera: Camera, stop: Stop, bands: list[tuple[float, float]], shortest_nm: float, max_blur_px: float
 ) -> PatternBlur:
-    """Tables of a polygon or mask; ``bands`` are wavelengths (nm) with the shares of rays that have them."""
+    """Tables of a stop of any shape; ``bands`` are wavelengths (nm) with the shares of rays that have them."""
     import mitsuba as mi
 
+    front = wavefront.of_stop(camera, stop)
     px_per_nm = pointspread.working_f_number(camera, 1.0) * 1e-3 / camera.sensor.pixel_pitch_um
-    longest_px, shortest_px = max(nm for nm, _ in bands) * px_per_nm, shortest_nm * px_per_nm
+    longest_nm = max(nm for nm, _ in bands)
+    longest_px, shortest_px = longest_nm * px_per_nm, shortest_nm * px_per_nm
     rings = PATTERN_TAIL / stops.open_area(stop) ** 0.5  # in lambda N of the whole lens
-    half = stops.reach(stop) * max_blur_px / 2 + rings * longest_px
+    moved = 2 * wavefront.steepest(front)  # by aberrations, in nanometres times the f-number
+    half = stops.reach(stop) * max_blur_px / 2 + rings * longest_px + moved * px_per_nm
 
     blurs = np.arange(0.0, max_blur_px + 2 * PATTERN_BLUR_STEP_PX, PATTERN_BLUR_STEP_PX)
     step = max(PATTERN_DENSITY_STEP_PX, 2 * half * (len(blurs) / MOST_NODES) ** 0.5)
@@ -93,8 +107,10 @@ def tables(
     place = (np.arange(count) + 0.5) * step - half
     focus = np.zeros((count, count))
     for nm, weight in bands:
-        scale = nm * px_per_nm
-        focus += weight * pointspread.pupil_pattern(stop, 0.0, place / scale, place / scale) / scale**2
+        scale, phase = nm * px_per_nm, wavefront.at(front, nm, pointspread.BAND_NM)
+        focus += weight * pointspread.pupil_pattern(stop, 0.0, place / scale, place / scale, phase) / scale**2
+    # Aberrations may turn the pattern by 180 degrees behind the focus; sampling does not need to know.
+    focus = focus if phase is None else (focus + focus[::-1, ::-1]) / 2
     density = np.stack([_spread(focus, stop, blur, step) for blur in blurs])
 
     waves = np.arange(0.0, max_blur_px / (8 * shortest_px) + 2 * PATTERN_WAVES_STEP, PATTERN_WAVES_STEP)
@@ -103,12 +119,22 @@ def tables(
     wave_count = int(np.ceil(2 * wave_half / wave_step))
     scaled = (np.arange(wave_count) + 0.5) * (2 * wave_half / wave_count) - wave_half
     wave_step = 2 * wave_half / wave_count
-    wave = np.empty((len(waves), wave_count, wave_count), np.float32)
-    for row, w in zip(wave, waves, strict=True):
-        # As in the tables of rings, the light farther out is added within.
-        inside = np.abs(scaled) <= 4 * w * stops.reach(stop) + rings
-        pattern = pointspread.pupil_pattern(stop, w, scaled, scaled) * (inside[:, None] & inside)
-        row[:] = pattern / (pattern.sum() * wave_step**2)
+
+    def kernels(phase: Phase | None, waves: FloatArray) -> Any:
+        wave = np.empty((len(waves), wave_count, wave_count), np.float32)
+        for row, w in zip(wave, waves, strict=True):
+            # As in the tables of rings, the light farther out is added within.
+            inside = np.abs(scaled) <= 4 * abs(w) * stops.reach(stop) + rings + moved / shortest_nm
+            pattern = pointspread.pupil_pattern(stop, w, scaled, scaled, phase) * (inside[:, None] & inside)
+            row[:] = pattern / (pattern.sum() * wave_step**2)
+        return wave
+
+    rows = None
+    if wavefront.is_flat(front):
+        wave = kernels(None, waves)
+    else:
+        both_signs = np.concatenate([-waves[:0:-1], waves])
+        rows, wave = aberrated(front, (shortest_nm, longest_nm), both_signs, kernels)
     return PatternBlur(
         px_per_nm=px_per_nm,
         max_blur_px=max_blur_px,
@@ -119,9 +145,10 @@ def tables(
         offset_half_px=half,
         density=texture(np.maximum(density, FLOOR)),
         density_blur_step_px=PATTERN_BLUR_STEP_PX,
-        wave=texture(wave),
+        wave=texture(wave, channels=rows is not None),
         wave_half=wave_half,
         waves_step=PATTERN_WAVES_STEP,
+        aberrated=rows,
     )
 
 

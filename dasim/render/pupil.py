@@ -1,4 +1,4 @@
-"""Points on a stop, sampled uniformly over its open area, in the JIT variants."""
+"""Points on a stop, sampled uniformly over its open area, and aberrations of its rays, in the JIT variants."""
 
 from __future__ import annotations
 
@@ -7,8 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from dasim.camera import stops
+from dasim.camera import pointspread, stops, wavefront
+from dasim.camera.specification import Camera
 from dasim.camera.stops import Mask, Polygon, Stop
+from dasim.render.blur_tables import texture
 
 Draw = Callable[[Any], Any]  # two uniform numbers -> a place, in ratios of the lens's radius
 
@@ -68,3 +70,25 @@ def _on_cells(stop: Mask) -> Draw:
         return (mi.Point2f(cell) + inside) * (2 / len(cells)) - 1
 
     return draw
+
+
+def aberration(camera: Camera) -> Callable[[Any], Any] | None:
+    """Offset on the film, in pixels, through which a ray of a place on the lens leaves; None for a lens without errors.
+
+    It is the opposite of the displacement in the picture.
+    """
+    import mitsuba as mi
+
+    front = wavefront.Wavefront(camera.lens.wavefront_nm.coefficients())
+    if wavefront.is_flat(front):
+        return None
+    place = stops.cell_centres(stops.PUPIL_CELLS)
+    f_number, pitch_um = pointspread.working_f_number(camera, 1.0), camera.sensor.pixel_pitch_um
+    y, x = wavefront.displacement_px(front, f_number, pitch_um, place[:, None], place[None, :])
+    table = texture(np.stack([-x, -y], axis=-1).astype(np.float32), channels=True)
+
+    def offset(rho: Any) -> Any:
+        moved = table.eval(mi.Point2f(rho / 2 + 0.5))
+        return mi.Point2f(moved[0], moved[1])
+
+    return offset

@@ -13,11 +13,12 @@ import numpy as np
 from scipy import ndimage
 from scipy.special import j1
 
-from dasim.camera import pointspread, stops
+from dasim.camera import pointspread, stops, wavefront
 from dasim.camera.specification import Camera
 from dasim.camera.stops import Stop
+from dasim.camera.wavefront import Wavefront
 from dasim.render import field_angle
-from dasim.render.blur_tables import FLOOR, texel, texture
+from dasim.render.blur_tables import FLOOR, AberratedRows, aberrated, texel, texture
 from dasim.typing import FloatArray
 
 OFFSET_NODES = 1 << 15  # of the inverse cumulative distribution of |delta|
@@ -56,6 +57,7 @@ class RadialBlur:
     envelope: Any  # [u] maximum of D at u and beyond
     guide: Any  # [c, GUIDE_NODES + 1], flat: |u| at equal steps of probability of q
     wave: Any  # [waves, radius] h in units of lambda N
+    aberrated: AberratedRows | None = None  # rows of h with aberrations
 
     def draw(self, first: Any, second: Any, blur_px: Any, key: Any) -> tuple[Any, Any, Any]:
         """See :class:`Blur`."""
@@ -157,8 +159,16 @@ class RadialBlur:
         ratios = []
         for wavelength in wavelengths_nm:
             scale = wavelength * self.px_per_nm
-            place = mi.Point2f(texel(u / scale, RADIUS_STEP, columns), texel(own / (8 * scale), WAVES_STEP, rows))
-            ratios.append(dr.select(inside, self.wave.eval(place)[0] / (scale * scale * g), 1.0))
+            column = texel(u / scale, RADIUS_STEP, columns)
+            if self.aberrated is None:
+                h = self.wave.eval(mi.Point2f(column, texel(own / (8 * scale), WAVES_STEP, rows)))[0]
+            else:
+
+                def read(row: Any, column: Any = column) -> Any:
+                    return self.wave.eval(mi.Point2f(column, (row + 0.5) / rows))
+
+                h = self.aberrated.evaluate(read, dr.select(blur_px < 0, -own, own) / (8 * scale), wavelength)
+            ratios.append(dr.select(inside, h / (scale * scale * g), 1.0))
         return ratios
 
 
@@ -184,7 +194,13 @@ def tables(
     scaled = np.arange(0.0, radius[-1] / shortest_px + 2 * RADIUS_STEP, RADIUS_STEP)
     waves = np.arange(0.0, own_px / (8 * shortest_px) + 2 * WAVES_STEP, WAVES_STEP)
     density = np.maximum(density, FLOOR)
-    wave = _truncated(pointspread.wave_profile(scaled, waves, inner), scaled, waves)
+    front, rows = wavefront.of_stop(camera, stop), None
+    if wavefront.is_flat(front):
+        table = wave = _truncated(pointspread.wave_profile(scaled, waves, inner), scaled, waves)
+    else:
+        rows, table = _aberrated(front, ring, (shortest_nm, max(nm for nm, _ in bands)), scaled, waves)
+        by_wavelength = table[..., 0].reshape(-1, 2 * len(waves) - 1, len(scaled)).mean(axis=0, dtype=np.float64)
+        wave = (by_wavelength[len(waves) - 1 :] + by_wavelength[len(waves) - 1 :: -1]) / 2  # of either sign of defocus
 
     def number(value: float) -> Any:
         return dr.opaque(mi.Float, float(value))
@@ -203,7 +219,7 @@ def tables(
         core_px=number(core),
         rows=dr.opaque(mi.UInt32, len(blurs)),
         columns=dr.opaque(mi.UInt32, len(radius)),
-        wave_rows=dr.opaque(mi.UInt32, len(waves)),
+        wave_rows=dr.opaque(mi.UInt32, len(table)),
         wave_columns=dr.opaque(mi.UInt32, len(scaled)),
         offsets=mi.Float(offsets.astype(np.float32)),
         light_inside=texture(light_inside),
@@ -211,13 +227,30 @@ def tables(
         density=texture(density),
         envelope=texture(np.maximum.accumulate(density[0, ::-1])[::-1]),
         guide=mi.Float(_guide(radius, blurs, density, wave, scales, reach, inner).astype(np.float32).ravel()),
-        wave=texture(wave),
+        wave=texture(table, channels=rows is not None),
+        aberrated=rows,
     )
 
 
-def _truncated(profiles: FloatArray, radius: FloatArray, waves: FloatArray) -> FloatArray:
-    """Profiles [waves, radius] cut off at a finite radius, with unit integral (linear between nodes) over the plane."""
-    profiles = np.where(radius <= 4 * waves[:, None] + KERNEL_RINGS, profiles, 0.0)
+def _aberrated(
+    front: Wavefront, ring: stops.Ring, range_nm: tuple[float, float], radius: FloatArray, waves: FloatArray
+) -> tuple[AberratedRows, FloatArray]:
+    """The table of h of a disc or ring whose wavefront has aberrations; ``waves`` are one side's, from 0."""
+    moved = 2 * wavefront.steepest(front) * ring.outer / range_nm[0]  # in lambda N of the stop
+
+    def kernels(phase: wavefront.Phase, waves: FloatArray) -> FloatArray:
+        profiles = pointspread.wave_profile(radius, waves, ring.inner / ring.outer, phase, ring.outer)
+        return _truncated(profiles, radius, np.abs(waves), moved)
+
+    return aberrated(front, range_nm, np.concatenate([-waves[:0:-1], waves]), kernels)
+
+
+def _truncated(profiles: FloatArray, radius: FloatArray, waves: FloatArray, moved: float = 0.0) -> FloatArray:
+    """Profiles [waves, radius] cut off at a finite radius, with unit integral (linear between nodes) over the plane.
+
+    ``moved`` is what aberrations add to the radius of the geometric blur.
+    """
+    profiles = np.where(radius <= 4 * waves[:, None] + KERNEL_RINGS + moved, profiles, 0.0)
     low, high = radius[:-1], radius[1:]
     rings = profiles[:, :-1] * (2 * low + high) + profiles[:, 1:] * (low + 2 * high)
     return profiles / (np.pi / 3 * rings * (high - low)).sum(axis=1, keepdims=True)

@@ -73,6 +73,7 @@ class _Pass:
     axial_colour: bool
     draw_pupil: pupil.Draw | None  # None for a pinhole
     blur: wave.Blur | None  # None for geometric optics
+    aberration: Any | None  # geometric optics: the offset of a ray by its place on the lens, see :mod:`pupil`
 
 
 class _Rays(NamedTuple):
@@ -185,6 +186,7 @@ def _prepare(
         axial_colour=bool(camera.lens.focal_shift_um),
         draw_pupil=None if stop is None else pupil.drawer(stop),
         blur=blur,
+        aberration=pupil.aberration(camera) if stop is not None and blur is None else None,
     )
 
 
@@ -325,6 +327,7 @@ def _aim(shared: _Pass, pixel: Any, corner: Any, numbers: tuple[Any, Any, Any, A
         delta = field_angle.widened(delta, tangent)
     elif shared.draw_pupil is not None:
         rho = shared.draw_pupil(lens)
+        delta = shared.aberration(rho) if shared.aberration is not None else delta
     on_lens = rho * shared.radius_m
     aim = film + delta
     origin = mi.Point3f(on_lens.x, on_lens.y, 0.0)

@@ -1,6 +1,6 @@
 """Passes with the stock plugins of ``scalar_spectral``: a centred disc is a ``thinlens`` with a ``specfilm``.
 
-Other shapes and axial colour need the ray loop of a JIT variant.
+Other shapes, axial colour and aberrations need the ray loop of a JIT variant.
 
 Tested in tests/dasim/render/test_passes.py.
 """
@@ -27,12 +27,15 @@ PINHOLE_RATIO = 1e-4  # of the lens radius: the plugin needs a lens of some size
 
 
 def check(camera: Camera) -> None:
-    """InputError where the camera has other stops than centred discs, or axial colour."""
+    """InputError where the camera has other stops than centred discs, axial colour, or phase in its pupil."""
     problems = [f"stop '{stop.name}' is no centred disc" for stop in camera.stops if not stops.is_plain_disc(stop)]
     if any(value % 0.5 for value in principal_point(camera.sensor)):
         problems.append("sensor.principal_point_px is no multiple of half a pixel")
     if camera.lens.focal_shift_um:
         problems.append("lens.focal_shift_um is set")
+    if any(camera.lens.wavefront_nm.coefficients()):
+        problems.append("lens.wavefront_nm is set")
+    problems += [f"stop '{stop.name}' has a phase_nm" for stop in camera.stops if stop.phase_nm]
     if problems:
         raise InputError(
             f"camera '{camera.name}': {'; '.join(problems)}; scalar_spectral cannot render that, a JIT variant can: "

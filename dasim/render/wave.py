@@ -28,7 +28,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from dasim.camera import geometry, pointspread, stops
+from dasim.camera import geometry, pointspread
 from dasim.camera.specification import Camera
 from dasim.camera.stops import Stop
 from dasim.render import pattern_blur, radial_blur
@@ -69,7 +69,7 @@ def _blur(camera_json: str, stop: Stop, density_bytes: bytes, max_blur_px: float
     total = sum(weight for _, weight in bands)
     bands = [(nm, weight / total) for nm, weight in bands]
     shortest_nm = float(spectra.WAVELENGTH_NM[np.argmax(density > 0)])
-    if stops.ring(stop) is not None:
+    if pointspread.is_radial(camera, stop):
         return radial_blur.tables(camera, stop, bands, shortest_nm, max_blur_px)
     return pattern_blur.tables(camera, stop, bands, shortest_nm, max_blur_px)
 

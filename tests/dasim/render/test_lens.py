@@ -132,6 +132,7 @@ def test_shading_is_cos4_times_the_polynomial(passes, changed, make_scene, loade
         ({"shape": "annulus", "inner_ratio": 0.5, "outer_ratio": 1.0}, [], "stop 'one' is no centred disc"),
         ({"radius_ratio": 0.3, "centre_ratio": [0.1, 0.0]}, [], "stop 'one' is no centred disc"),
         ({"radius_ratio": 1.0}, [[400, 0], [830, 5]], "lens.focal_shift_um is set"),
+        ({"radius_ratio": 1.0, "phase_nm": 100}, [], "stop 'one' has a phase_nm"),
     ],
 )
 def test_stock_plugins_refuse_before_any_work(changed, make_scene, stop, curve, message):

@@ -1,0 +1,188 @@
+"""Zernike terms and a phase step: orthonormality, Strehl ratios and transfer functions in closed form."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from dasim.base.errors import InputError
+from dasim.base.toml import parse
+from dasim.camera import geometry, pointspread, radiometry, wavefront, zernike
+from dasim.camera.specification import Camera
+from dasim.camera.stops import Disc
+from dasim.camera.wavefront import Phase
+from dasim.spectra import grid, illuminants
+
+OPEN = Disc(name="open", radius_ratio=1.0)
+RATIO = 0.46
+HOLE = Disc(name="hole", radius_ratio=RATIO)
+MIDDLE = np.zeros(1)
+NONE = (0.0,) * len(zernike.TERMS)
+SMALL_WAVES = 0.05  # RMS, for which the Strehl ratio is exp(-(2 pi sigma)^2) to its third moment
+EXTENDED_MARECHAL = 1.2e-3
+GRID_OF_256 = 2e-5  # a disc on the pupil's grid
+TRANSFER = 6e-3  # kernels sampled ten times per pixel and cut at 45 px
+EDGES = 0.004  # of a kernel's light in a pixel, through both stops at 650 nm
+
+
+def strehl(phase: Phase, ring: bool) -> float:
+    """Peak of the open lens with a phase over its peak without."""
+    if ring:
+        return float(pointspread.wave_profile(MIDDLE, MIDDLE, 0.0, phase)[0, 0] / (np.pi / 4))
+    return float(pointspread.pupil_pattern(OPEN, 0.0, MIDDLE, MIDDLE, phase)[0, 0] / (np.pi / 4))
+
+
+def changed(camera: Camera, phase_nm: float = 0.0, **wavefront_nm: float) -> Camera:
+    data = camera.model_dump()
+    data["stops"][1]["phase_nm"] = phase_nm
+    data["lens"]["wavefront_nm"] = wavefront_nm
+    return parse(Camera, data, "changed")
+
+
+def test_polynomials_are_orthonormal():
+    """Set-up: integrals over the disc by Gauss-Legendre in radius and equal steps in angle. Expectation: identity."""
+    nodes, weights = np.polynomial.legendre.leggauss(12)
+    rho, angle = (nodes + 1) / 2, np.arange(24) * 2 * np.pi / 24
+    y, x = np.outer(rho, np.sin(angle)), np.outer(rho, np.cos(angle))
+    values = np.array([zernike.polynomial(n, m, y, x) for n, m in zernike.TERMS.values()])
+    share = np.outer(weights * rho, np.full(24, 1 / 24))
+    np.testing.assert_allclose(np.einsum("ayx,byx,yx->ab", values, values, share), np.eye(len(values)), atol=1e-12)
+
+
+@pytest.mark.parametrize("name", zernike.TERMS)
+def test_small_errors_cost_their_variance(name):
+    """Expectation: a Strehl ratio of exp(-(2 pi sigma)^2) (Mahajan 1982), by both ways that kernels are computed."""
+    turns = tuple(SMALL_WAVES if name == term else 0.0 for term in zernike.TERMS)
+    expected = np.exp(-((2 * np.pi * SMALL_WAVES) ** 2))
+    assert strehl(Phase(turns, None, 1.0), ring=False) == pytest.approx(expected, abs=EXTENDED_MARECHAL)
+    if zernike.is_radial(turns):
+        assert strehl(Phase(turns, None, 1.0), ring=True) == pytest.approx(expected, abs=EXTENDED_MARECHAL)
+
+
+@pytest.mark.parametrize("phase", [0.0, 1.0, np.pi, 5.0])
+def test_step_of_the_hole_costs_its_interference(phase):
+    """Expectation: a Strehl ratio of |1 - a^2 + a^2 exp(i phi)|^2; averaged over the phase, (1 - a^2)^2 + a^4."""
+    area = RATIO**2
+    expected = abs(1 - area + area * np.exp(1j * phase)) ** 2
+    for ring in (True, False):
+        assert strehl(Phase(NONE, HOLE, np.exp(1j * phase)), ring) == pytest.approx(expected, abs=GRID_OF_256)
+        assert strehl(Phase(NONE, HOLE, 0.0), ring) == pytest.approx((1 - area) ** 2 + area**2, abs=GRID_OF_256)
+
+
+def test_step_averages_over_a_band():
+    """Expectation: the mean of exp(2 pi i s / lambda) over 10 nm by 2,001 points."""
+    nm = np.linspace(545, 555, 2001)
+    front = wavefront.Wavefront(NONE, HOLE, 7000.0)
+    phase = wavefront.at(front, 550.0, 10.0)
+    assert phase is not None
+    assert phase.step == pytest.approx(np.exp(2j * np.pi * 7000.0 / nm).mean(), abs=0.01)
+
+
+def mtf(kernel: np.ndarray, frequency: float) -> float:
+    """The light beyond the frame is spread too wide to count at these frequencies."""
+    place = np.arange(len(kernel)) - len(kernel) // 2
+    return float(abs(kernel.sum(axis=0) @ np.exp(-2j * np.pi * frequency * place)))
+
+
+def test_transfer_of_green_with_a_thick_step(da_mobile):
+    """Rationale: a step of many waves averages over a channel's band: little is left of what ring and hole share.
+
+    Expectation: the transfer function of `dasim.psf` is that of ring and hole, each the overlap of two displaced pupils
+    in closed form, plus that of both times the cosine of the phase, summed over the wavelengths and times the pixel's.
+    At 0.3 cycles per pixel it loses 35 % and more.
+    """
+    focus, size = da_mobile.lens.focus_distance_m, 91
+    thick, plain = (dasim_psf(changed(da_mobile, nm), focus, size) for nm in (9000.0, 0.0))
+    weights = radiometry.stop_response(da_mobile, da_mobile.stops[0])[1] * illuminants.illuminant("D65")
+    scale = grid.WAVELENGTH_NM * 1e-3 * pointspread.working_f_number(da_mobile, 1.0) / 1.7
+    near_infrared = radiometry.stop_response(da_mobile, da_mobile.stops[1])[1] * illuminants.illuminant("D65")
+    electrons = grid.integrate(weights + near_infrared)
+    cosine = np.cos(2 * np.pi * 9000.0 / grid.WAVELENGTH_NM)
+
+    def transfer(frequency: float) -> np.ndarray:
+        """With the step and without."""
+        v, hole_v = scale * abs(frequency), scale * abs(frequency) / RATIO
+        hole = RATIO**2 * disc(hole_v)
+        ring = disc(v) + hole - 2 * shared(v)
+        stepped = ring + hole + (disc(v) - ring - hole) * cosine
+        infrared = grid.integrate(near_infrared * disc(hole_v))
+        both = np.array([grid.integrate(weights * stepped), grid.integrate(weights * disc(v))])
+        return (both + infrared) / electrons * np.sinc(frequency)
+
+    for frequency in (0.1, 0.2, 0.3):
+        expected = sum(transfer(frequency + alias) for alias in (-1, 0, 1))  # of the pixels' sampling
+        assert [mtf(thick, frequency), mtf(plain, frequency)] == pytest.approx(expected, abs=TRANSFER)
+    assert mtf(thick, 0.3) < 0.65 * mtf(plain, 0.3)
+
+
+def disc(v: np.ndarray) -> np.ndarray:
+    """Area that two discs displaced by 2 v share, over that of a disc."""
+    v = np.clip(v, 0, 1)
+    return np.asarray(2 / np.pi * (np.arccos(v) - v * np.sqrt(1 - v**2)))
+
+
+def dasim_psf(camera: Camera, depth_m: float, size: int) -> np.ndarray:
+    return pointspread.psf(camera, depth_m, "G", "D65", size=size)
+
+
+def shared(v: np.ndarray) -> np.ndarray:
+    """Area that the disc and the hole displaced by 2 v share, over that of the disc: two circular segments."""
+    d = np.clip(2 * v, 1 - RATIO + 1e-12, 1 + RATIO - 1e-12)
+    of_disc = np.arccos((d**2 + 1 - RATIO**2) / (2 * d))
+    of_hole = np.arccos((d**2 + RATIO**2 - 1) / (2 * d * RATIO))
+    lens = of_disc - np.sin(2 * of_disc) / 2 + RATIO**2 * (of_hole - np.sin(2 * of_hole) / 2)
+    return np.where(2 * v <= 1 - RATIO, RATIO**2, np.where(2 * v >= 1 + RATIO, 0.0, lens / np.pi))
+
+
+def test_the_hole_itself_has_no_step(da_mobile):
+    """Expectation: IR stays, but for light of both stops within the coating's edges; green does not."""
+    assert wavefront.is_flat(wavefront.of_stop(changed(da_mobile, 1234.0), da_mobile.stops[1]))
+    for channel, low, high in (("IR", 0.0, EDGES), ("G", 0.02, 1.0)):
+        before, after = (pointspread.psf(changed(da_mobile, nm), 0.3, channel, "D65") for nm in (0.0, 1234.0))
+        assert low <= np.abs(after - before).max() < high
+
+
+def test_defocus_term_is_a_shift_of_focus(da_mobile):
+    """Rationale: sqrt(3) (2 rho^2 - 1) c is W20 = 2 sqrt(3) c, the blur of a point at c_px = 8 N W20 / p.
+
+    Expectation: the kernel of the term at the focus is that of a nearer point.
+    """
+    nm = 150.0
+    f_number = pointspread.working_f_number(da_mobile, 1.0)
+    blur_px = 8 * f_number * 2 * 3**0.5 * nm * 1e-3 / da_mobile.sensor.pixel_pitch_um
+    nearer_m = float(geometry.depth_of_blur_m(da_mobile, blur_px))
+    assert nearer_m < da_mobile.lens.focus_distance_m
+    size = 41
+    term = dasim_psf(changed(da_mobile, defocus=nm), da_mobile.lens.focus_distance_m, size)
+    np.testing.assert_allclose(term, dasim_psf(da_mobile, nearer_m, size), atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("lens", "hole", "message"),
+    [
+        ({"wavefront_nm": {"spherical": 900}}, {}, "lens.wavefront_nm.spherical: Input should be less than or equal"),
+        ({"wavefront_nm": {"tilt": 9}}, {}, "lens.wavefront_nm.tilt: unknown key"),
+        ({}, {"phase_nm": 2e4}, "stops.1.phase_nm: Input should be less than or equal to 10000"),
+    ],
+)
+def test_refused_keys(da_mobile, lens, hole, message):
+    data = da_mobile.model_dump(mode="json")
+    data["lens"] |= lens
+    data["stops"][1] |= hole
+    with pytest.raises(InputError, match=": " + message.replace(".", r"\.")) as problem:
+        parse(Camera, data, "camera.toml")
+    assert "\n" not in str(problem.value)
+
+
+@pytest.mark.parametrize("phase_nm, errors", [(500.0, {}), (0.0, {"coma": 20.0})])
+def test_airy_takes_no_phase(da_mobile, phase_nm, errors):
+    with pytest.raises(InputError, match=r"diffraction .airy. takes no lens\.wavefront_nm and no phase_nm"):
+        pointspread.psf(changed(da_mobile, phase_nm, **errors), 0.3, "G", "D65", diffraction="airy")
+
+
+def test_one_step_per_camera(da_mobile):
+    data = da_mobile.model_dump(mode="json")
+    for stop in data["stops"]:
+        stop["phase_nm"] = 100.0
+    with pytest.raises(InputError, match="one stop may have a phase_nm, these have: open, hole"):
+        parse(Camera, data, "camera.toml")
