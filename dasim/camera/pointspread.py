@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from scipy.special import j0, j1, roots_legendre
 
 from dasim.base.errors import InputError, kind_of
-from dasim.camera import geometry, radiometry, stops, wavefront
+from dasim.camera import geometry, glare, radiometry, stops, wavefront
 from dasim.camera import specification as cameras
 from dasim.camera.specification import Camera
 from dasim.camera.stops import Stop
@@ -316,35 +316,37 @@ def kernels(
             f"camera '{camera.name}': diffraction 'airy' takes no lens.wavefront_nm and no phase_nm; 'wave' does"
         )
     blurs = np.asarray(blur_px, dtype=np.float64)
-    about: dict[stops.Point, list[Stop]] = {}
+    about: dict[tuple[stops.Point, float, float], list[Stop]] = {}
     others: list[Stop] = []
     for stop in camera.stops:
         ring = stops.ring(stop)
         if ring is None or not is_radial(camera, stop, diffraction):
             others.append(stop)
         else:
-            about.setdefault(ring.centre, []).append(stop)
+            about.setdefault((ring.centre, *_veil(camera, stop)), []).append(stop)
     largest = float(np.abs(blurs).max() + np.abs(geometry.chromatic_blur_px(camera)).max())
-    farthest = max((float(np.hypot(*centre)) for centre in about), default=0.0) * largest / 2
+    farthest = max((float(np.hypot(*centre)) for centre, *_ in about), default=0.0) * largest / 2
     radius = np.arange(0, size * 0.75 + 2 + farthest, RADIAL_STEP_PX)
     groups = [
-        (np.array(centre[::-1]), colour_px, *radial_profiles(camera, blurs, part, radius, diffraction, group))
-        for centre, group in about.items()
+        (np.array(centre[::-1]), veil, colour_px, *radial_profiles(camera, blurs, part, radius, diffraction, group))
+        for (centre, *veil), group in about.items()
         for colour_px, part in _moved_alike(camera, centre, spectrum)
     ]
 
     def at(index: int, offset_px: tuple[float, float], light: Any) -> tuple[FloatArray, FloatArray]:
         total: FloatArray = np.zeros(())
         signal: FloatArray = np.zeros(())
-        for centre, colour_px, profiles, electrons in groups:
+        for centre, veil, colour_px, profiles, electrons in groups:
             y, x = np.array(offset_px) - centre * (blurs[index] + colour_px) / 2
             shares = electrons[light]
             part = pixel_kernels(profiles[..., index, :, :][light], radius, size, (float(y), float(x)))
+            part = _veiled(part, np.ones_like(shares), veil, offset_px)
             total, signal = total + part * shares[..., None, None], signal + shares
         for stop in others:
             part, electrons = _pattern_kernel(
                 camera, stop, float(blurs[index]), spectrum[light], size, offset_px, diffraction
             )
+            part = _veiled(part, electrons, _veil(camera, stop), offset_px)
             total, signal = total + part, signal + electrons
         return total / np.where(signal > 0, signal, 1.0)[..., None, None], signal
 
@@ -359,6 +361,23 @@ def is_radial(camera: Camera, stop: Stop, diffraction: str = "wave") -> bool:
     if diffraction != "wave":  # rays take no notice of a step
         return not any(front.zernike_nm)
     return wavefront.is_flat(front) or (ring.centre == (0.0, 0.0) and wavefront.is_radial(front))
+
+
+def _veil(camera: Camera, stop: Stop) -> tuple[float, float]:
+    """Share and radius (px) of a stop's veiling glare; zeros where it has none."""
+    return (stop.glare_share, glare.radius_px(camera, stop)) if stop.glare_share else (0.0, 0.0)
+
+
+def _veiled(
+    kernels: FloatArray, light: FloatArray, veil: Sequence[float], offset_px: tuple[float, float]
+) -> FloatArray:
+    """Kernels [..., y, x] of total ``light`` [...] with a share of it spread over the veil."""
+    share, radius = veil
+    if share == 0:
+        return kernels
+    place = np.arange(kernels.shape[-1]) - kernels.shape[-1] // 2
+    distance = np.hypot(place[:, None] - offset_px[0], place[None, :] - offset_px[1])
+    return (1 - share) * kernels + share * light[..., None, None] * glare.veil(distance, radius)
 
 
 def _moved_alike(camera: Camera, centre: stops.Point, spectrum: FloatArray) -> Iterator[tuple[float, FloatArray]]:

@@ -45,6 +45,10 @@ class _Stop(Specification):
         le=MOST_PHASE_NM,
         description="optical path through this opening less that through the coating around it, for the other stops",
     )
+    glare_share: float = Field(default=0.0, ge=0, le=0.5, description="share of this stop's light that veils the frame")
+    glare_radius_mm: float | None = Field(
+        default=None, ge=0.02, le=1000, description="half of the veil lies within; by default twice the image distance"
+    )
 
     @field_validator("passes_nm")
     @classmethod

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from dasim.camera import radiometry
+from dasim.camera import glare, radiometry
 from dasim.camera.specification import Camera, principal_point
 from dasim.camera.stops import Stop
 from dasim.render import irradiance, ray_loop, stock, transport
@@ -48,7 +48,8 @@ def stop_pass(
         waves = max_blur_px if diffraction == "wave" else None
         response = radiometry.stop_response(camera, stop)
         rate = ray_loop.render(mitsuba_scene, camera, stop, sampling, waves, field, response)
-    return rate * radiometry.relative_illumination(camera)[..., None]
+    rate = rate * radiometry.relative_illumination(camera)[..., None]
+    return glare.spread(rate, stop.glare_share, glare.radius_px(camera, stop))
 
 
 def sample_count(spp: int) -> int:
