@@ -23,6 +23,7 @@ from validation.claims.optics.camera import depth_of_field, dynamic_range, kerne
 from validation.claims.optics.diffraction import airy_table, wave_energy, wave_sfr
 from validation.claims.optics.edges import depth_step_furnace, silhouette
 from validation.claims.optics.occlusion import occluding_edge
+from validation.claims.optics.off_axis import off_axis
 from validation.claims.optics.resolution import depth_resolution
 from validation.claims.pictures.all_in_focus import all_in_focus, refocus
 from validation.claims.pictures.colour import colour
@@ -48,6 +49,7 @@ CLAIMS = {
     "occluding-edge": Measurement(occluding_edge, quick=True),
     "depth-step-furnace": Measurement(depth_step_furnace, quick=False),
     "silhouette": Measurement(silhouette, quick=False),
+    "off-axis": Measurement(off_axis, quick=False),
     "airy-table": Measurement(airy_table, quick=True),
     "noise-slope-off": Measurement(noise_slope_off, quick=False),
     "noise-slope-wave": Measurement(noise_slope_wave, quick=False),

@@ -11,7 +11,7 @@ from validation.claims.cost import datasets, scenes
 from validation.claims.depth import ground_truth
 from validation.claims.light import electrons as light
 from validation.claims.light import mixed, noise
-from validation.claims.optics import bank, camera, diffraction, edges
+from validation.claims.optics import bank, camera, diffraction, edges, off_axis
 from validation.claims.optics import blur as lens
 from validation.claims.pictures import colour
 from validation.claims.table import CLAIMS
@@ -95,6 +95,21 @@ def test_one_layer_for_all_depths_changes_silhouettes(jit, monkeypatch, good):
     monkeypatch.setattr(edges, "SILHOUETTE_SEEDS", 3)
     entry = next(e for e in entries("silhouette", edges.silhouette) if e.id.endswith("dark-on-bright.IR.worst"))
     assert entry.passed is good
+
+
+@pytest.mark.parametrize("good", [True, False])
+def test_patterns_of_the_axis_fail_in_the_corner(jit, monkeypatch, good):
+    """Set-up: infrared in focus in the full frame's corner; the field angle as it is, or ignored."""
+    from dasim.render import field_angle
+
+    if not good:
+        monkeypatch.setattr(field_angle, "widened", lambda v, tangent: v)
+        monkeypatch.setattr(field_angle, "foreshortened", lambda v, tangent: v)
+        monkeypatch.setattr(field_angle, "mean_scale", lambda tangent: 1.0)
+    monkeypatch.setattr(off_axis, "PLACES", {"frame-corner": off_axis.PLACES["frame-corner"]})
+    monkeypatch.setattr(off_axis, "OWN_BLUR_PX", {"focus": 0.0})
+    monkeypatch.setattr(off_axis, "COMPARED", {"IR": 1})
+    assert verdicts("off-axis", off_axis.off_axis) == [good]
 
 
 @pytest.mark.parametrize(("ratio", "good"), [(0.46, True), (0.462, False)])
