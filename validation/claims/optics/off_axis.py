@@ -149,6 +149,7 @@ def _worst(one: FloatArray, other: FloatArray) -> float:
 
 def _plot(curves: dict[tuple[str, str, str], tuple[FloatArray, FloatArray]], place: str) -> str:
     def draw(axes):  # type: ignore[no-untyped-def]
+        axes = np.atleast_1d(axes)
         for panel, blur in zip(axes, OWN_BLUR_PX, strict=True):
             for channel in COMPARED:
                 rendered, expected = curves[place, blur, channel]
@@ -157,4 +158,4 @@ def _plot(curves: dict[tuple[str, str, str], tuple[FloatArray, FloatArray]], pla
             panel.set(title=f"own blur {OWN_BLUR_PX[blur]:g} px", xlabel="radius in px", ylim=(0, 1.05))
         axes[0].legend()
 
-    return plot(draw, columns=2, size=(3.4, 3.0))
+    return plot(draw, columns=len(OWN_BLUR_PX), size=(3.4, 3.0))
