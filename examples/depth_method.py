@@ -53,7 +53,7 @@ def _detail(plane: np.ndarray, sigma: float, capture: Capture) -> np.ndarray:
 
 def _plane(electrons: np.ndarray, mosaic: tuple[tuple[str, ...], ...], name: str) -> np.ndarray:
     """The pixels of one channel of a 2x2 mosaic, [h/2, w/2]; those of the first place where it has several."""
-    row, column = next((y, x) for y, names in enumerate(mosaic) for x, own in enumerate(names) if own == name)
+    row, column = next((y, x) for y, names in enumerate(mosaic) for x, cell in enumerate(names) if cell == name)
     return electrons[row :: len(mosaic), column :: len(mosaic[0])]
 
 
@@ -64,8 +64,8 @@ def _expected(bank: PsfBank, light: int) -> np.ndarray:
     square = (2 * np.pi) ** 2 * (fy**2 + fx**2)
     transfer = np.abs(np.fft.fft2(bank.kernel[light][:, [GREEN, INFRARED]], (size, size))) ** 2
     levels = np.arange(0, len(bank.depth_m) - 1 + STEP / 2, STEP)
-    found = []
+    responses = []
     for sigma in SIGMAS_PX:
         energy = (transfer * square * np.exp(-(sigma**2) * square)).sum(axis=(-2, -1))  # |LoG|^2 over frequency^2
-        found.append(np.interp(levels, np.arange(len(energy)), np.log(energy[:, 0] / energy[:, 1])))
-    return np.stack(found, axis=-1)
+        responses.append(np.interp(levels, np.arange(len(energy)), np.log(energy[:, 0] / energy[:, 1])))
+    return np.stack(responses, axis=-1)

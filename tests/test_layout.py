@@ -49,18 +49,18 @@ def own_tests(path: Path) -> Path:
 @cache
 def imports(path: Path) -> frozenset[str]:
     """Modules of the project that a file imports, anywhere in its code; of a lazy package those of its stub."""
-    found: set[str] = set()
+    modules: set[str] = set()
     stub = path.with_suffix(".pyi")
     for node in (*ast.walk(parsed(path)), *(ast.walk(parsed(stub)) if stub.is_file() else ())):
         if isinstance(node, ast.Import):
-            found.update(alias.name for alias in node.names)
+            modules.update(alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
             package = name_of(path).split(".") if path.stem == "__init__" else name_of(path).split(".")[:-1]
             above = package[: len(package) - node.level + 1] if node.level else []
             module = ".".join([*above, *([node.module] if node.module else [])])
-            found.add(module)
-            found.update(f"{module}.{alias.name}" for alias in node.names)
-    return frozenset(found & SOURCES.keys())
+            modules.add(module)
+            modules.update(f"{module}.{alias.name}" for alias in node.names)
+    return frozenset(modules & SOURCES.keys())
 
 
 def exercises(test: Path, module: str) -> bool:
@@ -94,8 +94,8 @@ def test_every_module_has_its_tests(module):
         assert exercises(own_tests(path), module), f"{own_tests(path)} does not import {module}"
         return
     statement = STATEMENT.search(re.sub(r"\s+", " ", ast.get_docstring(parsed(path)) or ""))
-    own = own_tests(path).relative_to(ROOT)
-    assert statement, f"{module} has no tests: write {own}, or name them in its docstring (Tested in tests/...)"
+    test_file = own_tests(path).relative_to(ROOT)
+    assert statement, f"{module} has no tests: write {test_file}, or name them in its docstring (Tested in tests/...)"
     for named in re.findall(r"tests/[\w/]+\.py", statement[1]):
         assert (ROOT / named).is_file(), f"{module} names {named}, which does not exist"
         assert exercises(ROOT / named, module), f"{module} names {named}, which does not import it"

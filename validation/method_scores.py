@@ -1,4 +1,4 @@
-"""Scores of depth methods, run on a capture or on every sample of a split of a dataset.
+"""Scores of depth methods on a capture or on every sample of a dataset split.
 
 Tested in tests/validation/test_methods.py and tests/validation/test_method_scores.py.
 """
@@ -35,7 +35,7 @@ NEEDED = {"depth": ("depth_m",), "blur": ("level",), "labels": ("valid", "bounda
 def score_methods(
     capture: Capture, truth: Truth, bank: PsfBank, methods: Sequence[NamedMethod], metrics: Sequence[Metric] = ()
 ) -> list[Figure]:
-    """Figures of :func:`validation.score` for each method's reconstruction of a capture, as METHOD.FIGURE."""
+    """Figures of :func:`validation.score` for the reconstruction of a capture by each method, named METHOD.FIGURE."""
     return [
         replace(figure, id=f"{method}.{figure.id}")
         for method in methods
@@ -45,7 +45,9 @@ def score_methods(
 
 @dataclass(frozen=True)
 class SampleScore:
-    """A method on one sample. Errors are absolute, in blur levels, of the pixels with an estimate before the focus."""
+    """Errors of a method on one sample: absolute, in blur levels, of the pixels with an estimate on the near side of
+    the focus.
+    """
 
     sample: str
     coverage: float  # share of the pixels before the focus with an estimate
@@ -55,22 +57,22 @@ class SampleScore:
     failed: str | None = None  # why there is no estimate at all
 
     def summary(self) -> dict[str, Any]:
-        """Plain values for JSON; null where there is no estimate."""
+        """Plain values for JSON; null if there is no estimate."""
         medians = {name: float(np.median(errors)) if errors.size else None
                    for name, errors in (("level-median", self.error), ("constant", self.constant))}  # fmt: skip
-        own = {figure.id: plain_value(figure.value) for figure in self.metrics}
+        metrics = {figure.id: plain_value(figure.value) for figure in self.metrics}
         return {
             "sample": self.sample,
             "coverage": self.coverage,
             **medians,
             "lost": self.lost,
             "failed": self.failed,
-            **own,
+            **metrics,
         }
 
     @property
     def lost(self) -> bool:
-        """Whether the method is no better than the best constant map, by the median."""
+        """Whether the median error is not below that of the best constant map."""
         return self.failed is not None or not np.median(self.error) < np.median(self.constant)
 
 
@@ -82,21 +84,21 @@ def score_split(
     bank_of: Callable[[Camera, str], PsfBank] | None = None,
     progress: Progress = lambda stage, share: None,
 ) -> dict[NamedMethod, list[SampleScore]]:
-    """Score the depth estimates of methods on samples; a method that fails on a sample has lost it.
+    """Score the depth estimates of methods on samples; a method that fails on a sample loses it.
 
-    ``bank_of`` gives the PSF bank of a camera and a kind of diffraction, by default the calibrated one. Raises
-    InputError where a sample lacks a part of the truth that is needed.
+    ``bank_of`` gives the PSF bank of a camera and a diffraction model, by default the calibrated one. Raises InputError
+    if a sample lacks a part of the truth that is needed.
     """
     count = len(samples) if isinstance(samples, Sequence) else 0
-    found: dict[NamedMethod, list[SampleScore]] = {method: [] for method in methods}
+    results: dict[NamedMethod, list[SampleScore]] = {method: [] for method in methods}
     for number, sample in enumerate(samples):
         name, truth = key(sample.index), _truth(sample)
         capture = capture_of(sample.meta, sample.raw_dn, f"sample {name}")
         bank = (bank_of or _calibrated)(capture.camera, capture.provenance.get("diffraction", "wave"))
         for method in methods:
-            found[method].append(_sample_score(name, capture, truth, bank, method, metrics))
+            results[method].append(_sample_score(name, capture, truth, bank, method, metrics))
         progress("scoring", (number + 1) / count if count else 0.0)
-    return found
+    return results
 
 
 def _calibrated(camera: Camera, diffraction: str) -> PsfBank:
@@ -104,7 +106,7 @@ def _calibrated(camera: Camera, diffraction: str) -> PsfBank:
 
 
 def _truth(sample: Sample) -> Truth:
-    """The sample's truth, what it does not hold as empty arrays; InputError where depth cannot be judged."""
+    """Ground truth of a sample, with empty arrays for missing parts; raises InputError if depth cannot be scored."""
     missing = [part for part, names in NEEDED.items() if any(name not in sample.truth for name in names)]
     if missing:
         raise InputError(
@@ -139,13 +141,15 @@ def _sample_score(
 
 
 def _central(image: FloatArray, shape: tuple[int, ...]) -> FloatArray:
-    """The middle of an image; a truth may leave out a margin of the frame."""
+    """The central part of an image; a truth may lack a margin of the frame."""
     top, left = ((have - want) // 2 for have, want in zip(image.shape, shape, strict=True))
     return image[top : top + shape[0], left : left + shape[1]]
 
 
 def sample_rows(method: NamedMethod, scores: Sequence[SampleScore]) -> list[str]:
-    """Lines for people: each sample's error beside its best constant map's, and the samples that lost."""
+    """Lines for the terminal: each sample's error beside that of its best constant map, and the samples
+    that were lost.
+    """
     lines = [f"{method}: {'sample':<14}{'coverage':>9}  {'median |l - l*|':>16}  {'best constant':>14}"]
     for one in scores:
         row = one.summary()
@@ -159,12 +163,17 @@ def sample_rows(method: NamedMethod, scores: Sequence[SampleScore]) -> list[str]
 
 
 def split_figures(method: NamedMethod, scores: Sequence[SampleScore]) -> list[Figure]:
-    """A method over all samples: errors of all pixels and of the samples, each beside the best constant map's."""
-    told = [one for one in scores if one.failed is None and one.error.size]
+    """Figures of a method over all samples: errors pooled over pixels and medians over samples, each beside those of
+    the best constant map.
+    """
+    judged = [one for one in scores if one.failed is None and one.error.size]
     figures = []
     for what, values in (
-        ("pixels", lambda name: np.concatenate([getattr(one, name) for one in told]) if told else np.full(1, np.nan)),
-        ("samples", lambda name: np.array([np.median(getattr(one, name)) for one in told] or [np.nan])),
+        (
+            "pixels",
+            lambda name: np.concatenate([getattr(one, name) for one in judged]) if judged else np.full(1, np.nan),
+        ),
+        ("samples", lambda name: np.array([np.median(getattr(one, name)) for one in judged] or [np.nan])),
     ):
         of = "pixels of all samples" if what == "pixels" else "samples' medians"
         for statistic in ("mean", "median"):
@@ -173,11 +182,15 @@ def split_figures(method: NamedMethod, scores: Sequence[SampleScore]) -> list[Fi
                 meaning = f"{text}{statistic} over the {of} of |l - l*|"
                 figures.append(Figure(f"{method}.{what}.level-{statistic}{suffix}", value, "level", meaning))
     share = float(np.mean([one.coverage for one in scores])) if scores else float("nan")
-    lost = float(sum(one.lost for one in scores))
+    failures = float(sum(one.lost for one in scores))
     figures.append(Figure(f"{method}.coverage", share, "1", "mean share of pixels with an estimate"))
-    figures.append(Figure(f"{method}.lost", lost, "samples", f"no better than the best constant map, of {len(scores)}"))
+    figures.append(
+        Figure(f"{method}.lost", failures, "samples", f"no better than the best constant map, of {len(scores)}")
+    )
     for name in dict.fromkeys(figure.id for one in scores for figure in one.metrics):
-        own = [figure for one in scores for figure in one.metrics if figure.id == name]
-        value = float(np.mean([figure.value for figure in own]))
-        figures.append(replace(own[0], value=value, meaning=f"{own[0].meaning}, mean over samples"))
+        metric_figures = [figure for one in scores for figure in one.metrics if figure.id == name]
+        value = float(np.mean([figure.value for figure in metric_figures]))
+        figures.append(
+            replace(metric_figures[0], value=value, meaning=f"{metric_figures[0].meaning}, mean over samples")
+        )
     return figures

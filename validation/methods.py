@@ -1,4 +1,4 @@
-"""Depth methods by name: the bundled ones and a user's own, which claims, studies and scores run side by side."""
+"""Depth methods by name, bundled or a user's, which claims, studies and scores run side by side."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ NAME = re.compile(r"[A-Za-z][A-Za-z0-9_-]*")  # that a user may give a method of
 
 @dataclass(frozen=True)
 class NamedMethod:
-    """A depth method and the name by which its figures are called; the name alone crosses to other processes.
+    """A depth method and the name that its figures carry; only the name is sent to other processes.
 
-    ``source`` is ``package.module:function`` or ``file.py:function`` of a user's method, and empty for a bundled one.
+    ``source`` is ``package.module:function`` or ``file.py:function`` for a user's method, and empty for a bundled one.
     """
 
     name: str
@@ -35,29 +35,29 @@ class NamedMethod:
 
 
 def bundled(*names: str) -> tuple[NamedMethod, ...]:
-    """Bundled methods by their names; all of them without any name."""
+    """Bundled methods of the given names; without names, all of them."""
     return tuple(NamedMethod(name) for name in names or recon.METHODS)
 
 
-def named(given: Sequence[str]) -> tuple[NamedMethod, ...]:
-    """Methods as a user names them: a bundled name, ``package.module:function``, ``file.py:function``, NAME=FUNCTION.
+def named(names: Sequence[str]) -> tuple[NamedMethod, ...]:
+    """Methods from a user's list: a bundled name, ``package.module:function``, ``file.py:function``, or NAME=FUNCTION.
 
-    Every function is loaded, so that what cannot be is refused before the work begins. Raises InputError for a name
-    that is unknown or clashes with another.
+    Every function is loaded at once, so that a wrong one is refused before the work begins. Raises InputError for a
+    name that is unknown or occurs twice.
     """
-    found: list[NamedMethod] = []
-    for text in given:
+    methods: list[NamedMethod] = []
+    for text in names:
         method = parsed(text)
-        if method.name in (other.name for other in found):
+        if method.name in (other.name for other in methods):
             raise InputError(f"method '{text}': two methods have the name '{method.name}'; give one as NAME={text}")
         if method.source:
             function(method)
-        found.append(method)
-    return tuple(found)
+        methods.append(method)
+    return tuple(methods)
 
 
 def parsed(text: str) -> NamedMethod:
-    """The method of one name, without loading its function; InputError where that is none."""
+    """The method of one name, without loading its function; raises InputError if the text is not a method."""
     if text in recon.METHODS:
         return NamedMethod(text)
     name, equals, source = text.partition("=")
@@ -85,12 +85,14 @@ def function(method: NamedMethod) -> Callable[[Capture, PsfBank], DepthEstimate]
 
 
 def prefix(method: NamedMethod, unnamed: Sequence[NamedMethod]) -> str:
-    """What begins the ids of a method's figures in a claim whose own figures name no method; none for these."""
+    """Beginning of the ids of a method's figures; empty for the methods ``unnamed``, whose figures carry no method
+    name.
+    """
     return "" if method in unnamed else f"{method}."
 
 
 def identity(method: NamedMethod, variant: str) -> list[str]:
-    """What a result by a method depends on: its name, and the code of a user's function with all that it imports.
+    """What a result depends on with this method: its name, and for a user's function the code with all of its imports.
 
     ``variant`` is the renderer's.
     """
@@ -100,10 +102,11 @@ def identity(method: NamedMethod, variant: str) -> list[str]:
 def reconstructed(
     capture: Capture, bank: PsfBank, method: NamedMethod, settings: recon.Settings | None = None
 ) -> Reconstruction:
-    """The reconstruction of a capture with the depth of a method; of a bundled method, with its own preset.
+    """Reconstruct a capture with the depth of a method; a bundled method uses its own preset.
 
-    ``settings`` replace those of the bundled method's preset, or the default ones, by which all other stages of a
-    user's method go. Raises InputError where a user's method raises or returns what is no estimate of this capture.
+    ``settings`` replace the preset of a bundled method, or the default preset, which the other stages use with a user's
+    method. Raises InputError if a user's method raises an exception or returns something other than an estimate of this
+    capture.
     """
     if not method.source:
         return recon.reconstruct(capture, bank, settings or recon.PRESETS[method.name])
@@ -111,13 +114,15 @@ def reconstructed(
 
 
 def estimated(capture: Capture, bank: PsfBank, method: NamedMethod) -> DepthEstimate:
-    """The depth estimate of a method alone, with the same checks as :func:`reconstructed`."""
-    own = function(method)
-    return run_method(_guarded(own) if method.source else own, capture, bank)
+    """Depth estimate of a method alone, with the checks of :func:`reconstructed`."""
+    run = function(method)
+    return run_method(_guarded(run) if method.source else run, capture, bank)
 
 
 def _guarded(method: recon.Method) -> recon.Method:
-    """The method with its exceptions as InputError of one line, which says where in the user's code they come from."""
+    """The method with its exceptions converted to an InputError of one line that states where in the user's code they
+    arise.
+    """
 
     @functools.wraps(method)
     def guarded(capture: Capture, bank: PsfBank) -> DepthEstimate:

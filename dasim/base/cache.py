@@ -13,5 +13,5 @@ import platformdirs
 
 def cache_dir() -> Path:
     """Path of the user's cache folder, which need not exist; the variable ``DASIM_CACHE_DIR`` overrides the default."""
-    own = os.environ.get("DASIM_CACHE_DIR")
-    return Path(own) if own else Path(platformdirs.user_cache_dir("dasim"))
+    chosen_dir = os.environ.get("DASIM_CACHE_DIR")
+    return Path(chosen_dir) if chosen_dir else Path(platformdirs.user_cache_dir("dasim"))

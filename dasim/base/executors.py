@@ -107,7 +107,7 @@ def local(processes: int, work: Work, *, gpu: bool = False) -> Executor:
 def _start(job: Any, place: int, work: Work, gpu: bool) -> _Worker:
     """Start a process that serves one connection, with one thread of linear algebra and its own graphics card."""
     context = multiprocessing.get_context("spawn")
-    own, remote = context.Pipe()
+    local, remote = context.Pipe()
     process = context.Process(target=_serve, args=(remote, job, work), daemon=True)
     variables = dict(ONE_THREAD)
     if gpu:
@@ -115,7 +115,7 @@ def _start(job: Any, place: int, work: Work, gpu: bool) -> _Worker:
     with _environment(variables):  # libraries read them when they are imported
         process.start()
     remote.close()
-    return _Worker(process, own, place)
+    return _Worker(process, local, place)
 
 
 @contextlib.contextmanager

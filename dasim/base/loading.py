@@ -35,8 +35,8 @@ def load_function(name: str, kind: str) -> Callable[..., Any]:
     module = _file_module(Path(source), where) if source.endswith(".py") else _module(source, where)
     function = getattr(module, attribute, None)
     if function is None:
-        own = [key for key, value in vars(module).items() if callable(value) and _is_own(key, value, module)]
-        has = f"it defines {', '.join(sorted(own))}" if own else "it defines no function"
+        functions = [key for key, value in vars(module).items() if callable(value) and _is_own(key, value, module)]
+        has = f"it defines {', '.join(sorted(functions))}" if functions else "it defines no function"
         raise InputError(f"{where}: {source} has no '{attribute}'; {has}")
     if not callable(function):
         raise InputError(f"{where}: is not a function but of type {type(function).__name__}")

@@ -58,15 +58,15 @@ def content(source: bytes) -> Content:
     return Content(frozenset(imports.references | uses.references), frozenset(uses.path_parts), exports)
 
 
-def exports(init: Path, own: Content) -> Names | None:
+def exports(init: Path, module: Content) -> Names | None:
     """Names that a package re-exports from its modules, including those of the stub that ``lazy_loader`` reads.
 
-    ``init`` is the package's ``__init__.py`` and ``own`` its content. None where the package has its own code.
+    ``init`` is the package's ``__init__.py`` and ``module`` its content. None where the package has its own code.
     """
     stub = init.with_suffix(".pyi")
-    if own.exports is None or not stub.is_file():
-        return own.exports
-    return own.exports | (content(stub.read_bytes()).exports or {})
+    if module.exports is None or not stub.is_file():
+        return module.exports
+    return module.exports | (content(stub.read_bytes()).exports or {})
 
 
 def _is_export(node: ast.stmt) -> bool:

@@ -137,8 +137,8 @@ def _grid(
     across = 2 * int(np.ceil(1 / side)) if side < 1 else 2
     place = (np.arange(across) + 0.5 - across / 2) * side
     edges = (np.arange(across + 1) - across / 2) * side
-    own = np.arange(cells + 1) * 2 / cells - 1
-    low, high = np.maximum(edges[:-1, None], own[None, :-1]), np.minimum(edges[1:, None], own[None, 1:])
+    cell_edge = np.arange(cells + 1) * 2 / cells - 1
+    low, high = np.maximum(edges[:-1, None], cell_edge[None, :-1]), np.minimum(edges[1:, None], cell_edge[None, 1:])
     average = np.clip(high - low, 0.0, None) / side
     defocus = np.exp(2j * np.pi * blurs[:, None] / (8 * scale_px) * place**2)
     fy, fx = cramer_rao.frequencies((count, count), spacing_px)

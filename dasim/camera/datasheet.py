@@ -94,11 +94,11 @@ def translated(data: dict[str, Any], green: Curve | None = None) -> dict[str, An
     """
     sheet = _Table(emva1288=data["emva1288"]).emva1288
     others = {key: value for key, value in data.items() if key != "emva1288"}
-    given = {key: value for key, value in sheet.model_dump().items() if value is not None}
-    both = [f"emva1288.{key} and {_FIELD[key]}" for key in given if _FIELD.get(key) in others]
+    values = {key: value for key, value in sheet.model_dump().items() if value is not None}
+    both = [f"emva1288.{key} and {_FIELD[key]}" for key in values if _FIELD.get(key) in others]
     if both:
         raise ValueError(f"{'; '.join(both)}: one quantity in two spellings, give one of them")
-    fields = {_FIELD[key]: value for key, value in given.items() if key in _FIELD}
+    fields = {_FIELD[key]: value for key, value in values.items() if key in _FIELD}
     if "prnu" in fields:
         fields["prnu"] /= 100
     if "full_well_e" in fields:

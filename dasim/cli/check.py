@@ -81,13 +81,13 @@ def validate(
     from validation.claims.table import CLAIMS
     from validation.gates.comparison import changes, load_results, report
     from validation.gates.limits import all_gates
-    from validation.gates.outcome import check_methods, chosen, failed
+    from validation.gates.outcome import check_methods, failed, select
     from validation.gates.proposal import gate_file
     from validation.methods import named
     from validation.reports.lines import of_claim
     from validation.validate import run_claims
 
-    names = chosen(CLAIMS, only or (), quick=quick)
+    names = select(CLAIMS, only or (), quick=quick)
     limits = all_gates(CLAIMS, gates)
     methods = named(method or ())
     check_methods(CLAIMS, names, methods)

@@ -171,10 +171,10 @@ def score(
     samples = open_dataset(dataset, split)
     if not len(samples):
         raise InputError(f"{dataset}: split '{split}' has no samples")
-    given = None if bank is None else load_bank(bank)
+    users_bank = None if bank is None else load_bank(bank)
     with options.progress() as show:
         scores = score_split(
-            samples, methods, metrics, bank_of=None if given is None else lambda *about: given, progress=show
+            samples, methods, metrics, bank_of=None if users_bank is None else lambda *about: users_bank, progress=show
         )
     entries = judged_score("dataset", [f for own in methods for f in split_figures(own, scores[own])], gates)
     for own in methods:

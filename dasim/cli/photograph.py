@@ -70,26 +70,26 @@ def render(
     check_output(out, "capture")
     check_options(spp, seed, diffraction, noise_share)
     choices = {"unit_cm": unit_cm, "near_infrared": near_infrared, "illuminant": illuminant}
-    given = {name: value for name, value in choices.items() if value is not None}
-    whole = chosen = dasim.load_camera(camera)
+    options_given = {name: value for name, value in choices.items() if value is not None}
+    whole = view = dasim.load_camera(camera)
     if size is not None:
-        chosen = dasim.cropped(whole, *options.size(size))
+        view = dasim.cropped(whole, *options.size(size))
     described: dasim.Scene | dasim.MitsubaScene
-    if specification.is_random(scene) and not given:
-        described, drawn = specification.by_name(scene, chosen)
+    if specification.is_random(scene) and not options_given:
+        described, exposure_drawn = specification.by_name(scene, view)
     else:
-        described, drawn = dasim.load_scene(scene, camera=whole, **given), dasim.Exposure()
-    chosen = dasim.focused(chosen, described) if focus is None else dasim.refocused(chosen, focus)
+        described, exposure_drawn = dasim.load_scene(scene, camera=whole, **options_given), dasim.Exposure()
+    view = dasim.focused(view, described) if focus is None else dasim.refocused(view, focus)
     chosen_options: dict[str, Any] = {} if spp is None else {"spp": spp}
     if noise is not None:
         chosen_options["noise"] = load_function(noise, "noise model")
-    times = drawn if exposure is None else parse(dasim.Exposure, {"time_s": exposure}, "--exposure")
-    check_camera(chosen, backend.choose(variant).variant)
+    times = exposure_drawn if exposure is None else parse(dasim.Exposure, {"time_s": exposure}, "--exposure")
+    check_camera(view, backend.choose(variant).variant)
     options.say_variant(variant)
     with options.progress() as progress:
         shot = dasim.simulate(
             described,
-            chosen,
+            view,
             seed,
             exposure=times,
             diffraction=diffraction,
@@ -144,11 +144,11 @@ def calibrate(
     from dasim.spectra import illuminants
     from recon.files.point_pictures import KIND
 
-    chosen = dasim.load_camera(camera)
+    model = dasim.load_camera(camera)
     if focus is not None:
-        chosen = dasim.refocused(chosen, focus)
+        model = dasim.refocused(model, focus)
     if print_distances:
-        return _print_distances(chosen)
+        return _print_distances(model)
     if captures is not None and (illuminant or diffraction or save_captures):
         raise InputError("--captures: your own pictures determine lights and diffraction; omit the other option")
     if save_captures is not None and out is not None:
@@ -161,16 +161,16 @@ def calibrate(
     check_options(None, 0, diffraction)
     if save_captures is not None:
         check_output(save_captures, KIND)
-        return _save_captures(save_captures, chosen, lights, diffraction or "wave")
+        return _save_captures(save_captures, model, lights, diffraction or "wave")
     if out is None:
         raise InputError("--out is missing; give a file for the bank, such as bank.npz")
     _check_bank_output(out)
     with options.progress() as progress:
         if captures is None:
-            pictures = dasim.calibration_captures(chosen, lights, diffraction=diffraction or "wave")
+            pictures = dasim.calibration_captures(model, lights, diffraction=diffraction or "wave")
             bank = recon.calibrate(pictures, progress=progress)
         else:
-            bank, notes = _measured_bank(captures, chosen, format_, progress)
+            bank, notes = _measured_bank(captures, model, format_, progress)
             for note in notes:
                 print(f"note: {note}")
     save_bank(out, bank)
@@ -215,10 +215,10 @@ def _measured_bank(
     from recon import calibrate as calibrate_bank
     from recon.files.point_pictures import read_point_pictures
 
-    own = read_point_pictures(
+    pictures = read_point_pictures(
         folder, camera, *levels(camera), known_light=illuminants.illuminant, kind=kind, progress=progress
     )
-    return calibrate_bank(own.pictures, camera, progress=progress), own.notes
+    return calibrate_bank(pictures.pictures, camera, progress=progress), pictures.notes
 
 
 def _check_bank_output(out: Path) -> None:
@@ -266,11 +266,11 @@ def emva(
 
     check_output(out, KIND)
     check_options(None, seed, None)
-    chosen = dasim.load_camera(camera)
+    model = dasim.load_camera(camera)
     gain = parse(dasim.Exposure, {"gain": gain}, "--gain").gain
     with options.progress() as progress:
         notes = write_measurement(
-            out, chosen, channel=channel, gain=gain, seed=seed, size_px=options.size(size), progress=progress
+            out, model, channel=channel, gain=gain, seed=seed, size_px=options.size(size), progress=progress
         )
     for note in notes:
         print(f"note: {note}")

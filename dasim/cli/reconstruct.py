@@ -65,9 +65,9 @@ def recon(
     from recon.files.reconstruction import check_extras, save_reconstruction
     from recon.picture.mosaic import grids
 
-    chosen = known.select(preset, settings)
+    parameters = known.select(preset, settings)
     if print_settings:
-        print(known.to_toml(chosen), end="")
+        print(known.to_toml(parameters), end="")
         return 0
     if capture is None or out is None:
         raise InputError("recon: a capture and --out FOLDER are required (see 'dasim recon --help')")
@@ -86,11 +86,11 @@ def recon(
     if even is not None:
         reconstruction.check_flat(even, shot.camera)
     if "IR" not in grids(shot.camera):  # before a bank is calibrated
-        return _picture_alone(shot, even, chosen, bank, out)
+        return _picture_alone(shot, even, parameters, bank, out)
     with options.progress() as progress:
         kernels = _bank(bank, shot, progress)
         result = reconstruction.reconstruct(
-            shot, kernels, chosen, flat=even, progress=lambda s, x: progress("reconstructing", x)
+            shot, kernels, parameters, flat=even, progress=lambda s, x: progress("reconstructing", x)
         )
         save_reconstruction(out, result, also or ())
     for note in result.notes:
@@ -152,7 +152,7 @@ def _bank(path: Path | None, shot: Capture, progress: Progress) -> PsfBank:
     return recon.calibrate(pictures, progress=progress)
 
 
-def _picture_alone(shot: Capture, even: Capture | None, chosen: Settings, bank: Path | None, out: Path) -> int:
+def _picture_alone(shot: Capture, even: Capture | None, parameters: Settings, bank: Path | None, out: Path) -> int:
     from recon import develop
     from recon.files.reconstruction import save_picture
 
@@ -160,7 +160,7 @@ def _picture_alone(shot: Capture, even: Capture | None, chosen: Settings, bank: 
         raise InputError(
             f"--bank: camera '{shot.camera.name}' has no infrared pixels and therefore no depth; omit --bank"
         )
-    picture = develop(shot, chosen, flat=even)
+    picture = develop(shot, parameters, flat=even)
     save_picture(out, picture)
     print(f"note: camera '{shot.camera.name}' has no infrared pixels: picture only, no depth")
     print(f"picture: {out} (light by white balance: {picture.light})")

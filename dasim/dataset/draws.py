@@ -42,16 +42,16 @@ class Draft:
 def draft(spec: DatasetSpec, index: int) -> Draft:
     """Draft of sample ``index``, 0 to ``spec.samples`` - 1; InputError where its random values are not allowed."""
     number = scene_number(spec, index)
-    drawn = values(spec, index)
+    settings = values(spec, index)
     base = named_camera(spec, spec.cameras[_choice(spec, index)])
-    camera = cameras.cropped(with_values(base, _below(drawn, "camera")), *spec.size_px)
+    camera = cameras.cropped(with_values(base, _below(settings, "camera")), *spec.size_px)
     scene, exposure = _scene(spec, number, base)
-    scene = _relight(scene, **_below(drawn, "light"))
-    if "focus.distance_m" in drawn:
-        camera = cameras.refocused(camera, float(drawn["focus.distance_m"]))
+    scene = _relight(scene, **_below(settings, "light"))
+    if "focus.distance_m" in settings:
+        camera = cameras.refocused(camera, float(settings["focus.distance_m"]))
     else:
         camera = loading.focused(camera, scene)
-    changes = _below(drawn, "exposure")
+    changes = _below(settings, "exposure")
     return Draft(
         index=index,
         split=split_of_scene(spec, number),
@@ -60,7 +60,7 @@ def draft(spec: DatasetSpec, index: int) -> Draft:
         camera=camera,
         exposure=parse(Exposure, exposure.model_dump() | changes, "exposure") if changes else exposure,
         seed=capture_seed(spec, index),
-        drawn=drawn,
+        drawn=settings,
     )
 
 
@@ -68,8 +68,8 @@ def values(spec: DatasetSpec, index: int) -> dict[str, Any]:
     """Random values of a sample from the specification's distributions, by dotted key; reads no files."""
     choice = spec.cameras[_choice(spec, index)]
     random = _generator(spec, index, "camera", 1)
-    drawn: dict[str, Any] = {"camera": choice.name}
-    drawn |= {f"camera.{key}": draw.draw(random) for key, draw in choice.vary.items()}
+    settings: dict[str, Any] = {"camera": choice.name}
+    settings |= {f"camera.{key}": draw.draw(random) for key, draw in choice.vary.items()}
     parts: tuple[tuple[str, Specification], ...] = (
         ("light", spec.light),
         ("focus", spec.focus),
@@ -78,13 +78,13 @@ def values(spec: DatasetSpec, index: int) -> dict[str, Any]:
     for stage, part in parts:
         random = _generator(spec, index, stage)
         draws = {key: getattr(part, key) for key in type(part).model_fields}
-        drawn |= {f"{stage}.{key}": draw.draw(random) for key, draw in draws.items() if draw is not None}
-    return drawn
+        settings |= {f"{stage}.{key}": draw.draw(random) for key, draw in draws.items() if draw is not None}
+    return settings
 
 
-def _below(drawn: dict[str, Any], stage: str) -> dict[str, Any]:
+def _below(settings: dict[str, Any], stage: str) -> dict[str, Any]:
     """Values whose keys begin with ``stage`` and a dot, by the rest of the key."""
-    return {key.partition(".")[2]: value for key, value in drawn.items() if key.startswith(f"{stage}.")}
+    return {key.partition(".")[2]: value for key, value in settings.items() if key.startswith(f"{stage}.")}
 
 
 def capture_seed(spec: DatasetSpec, index: int) -> int:

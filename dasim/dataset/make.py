@@ -86,21 +86,21 @@ def _make(
     show: Callable[[Progress], None],
 ) -> Progress:
     every = plan.shards(job.spec)
-    own = every[shard[0] - 1 :: shard[1]]
+    assigned = every[shard[0] - 1 :: shard[1]]
     storage.sweep(job.out)
     if retry:
-        _reopen(job, own)
+        _reopen(job, assigned)
     have, failed = parts(job.out), failures(job.out)
     closed = closed_shards(job.out)
     if storage.exists(job.out, plan.SUMS):  # checked last, because another run may just have finished
         card.tidy(job.out)
         return Progress(job.spec.samples, before=job.spec.samples - len(failed), failed=failed)
-    waiting = {group.name: group for group in own if group.name not in closed}
+    waiting = {group.name: group for group in assigned if group.name not in closed}
     group_of = {index: group for group in waiting.values() for index in group.indices}
     queue = deque(index for index in group_of if index not in have and index not in failed)
-    total = sum(len(group.indices) for group in own)
-    progress = Progress(total, before=total - len(queue) - sum(i in failed for g in own for i in g.indices))
-    progress.failed |= {index: failed[index] for group in own for index in group.indices if index in failed}
+    total = sum(len(group.indices) for group in assigned)
+    progress = Progress(total, before=total - len(queue) - sum(i in failed for g in assigned for i in g.indices))
+    progress.failed |= {index: failed[index] for group in assigned for index in group.indices if index in failed}
     plan.check_space(job.spec, job.out, len(queue))
     left = {name: sum(i not in have and i not in failed for i in group.indices) for name, group in waiting.items()}
     for name, missing in left.items():
@@ -188,12 +188,12 @@ def _write_shard(job: Job, group: Shard, indices: list[int]) -> list[dict[str, A
     return rows
 
 
-def _reopen(job: Job, own: tuple[Shard, ...]) -> None:
+def _reopen(job: Job, assigned: tuple[Shard, ...]) -> None:
     """Split shards with failed samples into their parts, and remove the failures, so that these are tried again."""
     failed = failures(job.out)
     if storage.exists(job.out, plan.SUMS):
         card.undo(job.out, job.spec)
-    for group in own:
+    for group in assigned:
         if not any(index in failed for index in group.indices):
             continue
         if storage.exists(job.out, f"rows/{group.name}.json"):

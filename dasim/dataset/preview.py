@@ -23,8 +23,8 @@ def lines(spec: DatasetSpec, processes: int, variant: str) -> Iterator[str]:
     """Samples and shards of each split, three samples as drawn, and the estimated cost, as text."""
     groups = plan.shards(spec)
     for split in spec.splits:
-        own = [group for group in groups if group.split == split]
-        yield f"{split}: {sum(len(group.indices) for group in own)} samples in {len(own)} shards"
+        split_groups = [group for group in groups if group.split == split]
+        yield f"{split}: {sum(len(group.indices) for group in split_groups)} samples in {len(split_groups)} shards"
     for index in sorted({0, spec.samples // 2, spec.samples - 1}):
         yield sample_line(spec, index)
     width, height = trial_size(spec)

@@ -222,14 +222,14 @@ def check(spec: DatasetSpec, where: str) -> None:
     problems = []
     for number, choice in enumerate(spec.cameras):
         problems += [f"cameras.{number}: {problem}" for problem in _camera_problems(spec, choice)]
-    for key, drawn, allowed in (
+    for key, distribution, allowed in (
         ("focus.distance_m", spec.focus.distance_m, (1e-3, 1e4)),
         ("exposure.time_s", spec.exposure.time_s, (1e-9, LONGEST_EXPOSURE_S)),
         ("exposure.gain", spec.exposure.gain, (1 / 16, 1024)),
         ("exposure.auto_level", spec.exposure.auto_level, (1e-6, 1)),
         ("light.scale", spec.light.scale, (1e-9, 1e9)),
     ):
-        for value in drawn.extremes() if drawn else ():
+        for value in distribution.extremes() if distribution else ():
             if isinstance(value, (str, bool)) or not allowed[0] <= value <= allowed[1]:
                 problems.append(f"{key} is {value!r}; a number from {allowed[0]:g} to {allowed[1]:g} is allowed")
     for value in spec.light.illuminant.extremes() if spec.light.illuminant else ():
@@ -248,8 +248,8 @@ def _camera_problems(spec: DatasetSpec, choice: CameraChoice) -> list[str]:
     except InputError as error:
         return [str(error)]
     problems = []
-    for key, drawn in choice.vary.items():
-        problems += _use_problems(drawn, lambda value, key=key: with_values(camera, {key: value}))  # type: ignore[misc]
+    for key, distribution in choice.vary.items():
+        problems += _use_problems(distribution, lambda value, key=key: with_values(camera, {key: value}))  # type: ignore[misc]
     if spec.focus.distance_m is not None:
         problems += _use_problems(spec.focus.distance_m, lambda value: cameras.refocused(camera, float(value)))
     return problems

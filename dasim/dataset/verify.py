@@ -46,10 +46,10 @@ def problems(out: str, show: Callable[[float], None] = lambda share: None) -> It
         groups.setdefault(row["shard"], []).append(row)
     done = 0
     for group in plan.shards(spec):
-        own = {row["index"]: row for row in groups.get(group.name, [])}
+        group_rows = {row["index"]: row for row in groups.get(group.name, [])}
         try:
-            for index, files in reading.samples_of(out, spec, group, list(own)) if own else ():
-                yield from _sample(spec, own[index], files)
+            for index, files in reading.samples_of(out, spec, group, list(group_rows)) if group_rows else ():
+                yield from _sample(spec, group_rows[index], files)
                 done += 1
                 show(done / max(len(rows), 1))
         except Exception as error:  # tar files, stores and decoders raise many types for damaged files

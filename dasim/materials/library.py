@@ -93,11 +93,11 @@ def reflectance(name: str) -> FloatArray:
     raise InputError(unknown(name))
 
 
-def unknown(name: str, own: Iterable[str] = ()) -> str:
-    """Error message for a material name that is neither in the library nor among a scene's ``own`` materials."""
-    known = [*own, *material_names()]
+def unknown(name: str, others: Iterable[str] = ()) -> str:
+    """Error message for a material name that is neither in the library nor among ``others``, the scene's materials."""
+    known = [*others, *material_names()]
     near = get_close_matches(name, known, n=4, cutoff=0.5)
-    near += [item for item in own if item not in near]  # all of the scene's own, since there are few
+    near += [item for item in others if item not in near]  # all of the scene's own, since there are few
     nearest = f"nearest are {', '.join(near)}; " if near else ""
     return f"material '{name}' is unknown; {nearest}all are in 'dasim list materials'"
 

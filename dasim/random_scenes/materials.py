@@ -112,9 +112,9 @@ def stock(generators: list[Random], images: Palette, shares: Shares) -> Stock:
     return Stock(tuple(surfaces), tuple(pictures))
 
 
-def palette(random: Random, own: tuple[str, ...]) -> Palette:
-    """Draw the photographs (from ``own``, unless it is empty) and structures of a scene, without replacement."""
-    photographs = own or PHOTOGRAPHS
+def palette(random: Random, images: tuple[str, ...]) -> Palette:
+    """Draw the photographs (from ``images``, unless it is empty) and structures of a scene, without replacement."""
+    photographs = images or PHOTOGRAPHS
     numbers = random.permutation(len(photographs))[: PALETTE[0]]
     structures = []
     for name in random.choice([*STRUCTURES, *PATTERNS, *PATTERNS], PALETTE[1], replace=False):

@@ -228,16 +228,16 @@ def _solid(name: str, turn: float) -> Prototype:
     return Prototype("solid", {"unit_cm": 1.0}, file, Outline(across, height), (0.0, turn, 0.0))
 
 
-def _own_mesh(random: Random, own: OwnMeshes) -> Prototype:
+def _own_mesh(random: Random, meshes: OwnMeshes) -> Prototype:
     """Draw one of the user's meshes, upright and scaled so that its longest side is 1."""
-    mesh = own.files[int(random.integers(len(own.files)))]
+    mesh = meshes.files[int(random.integers(len(meshes.files)))]
     low, high = np.array(mesh.low), np.array(mesh.high)
     unit = 1 / float((high - low).max())
     sides = (high - low) * unit
-    upright, across = (1, 2) if own.up == "y" else (2, 1)
+    upright, across = (1, 2) if meshes.up == "y" else (2, 1)
     outline = Outline(float(np.hypot(sides[0], sides[across])) / 2, float(sides[upright]))
-    rotation_deg = (180.0 if own.up == "y" else 90.0, float(random.uniform(-180.0, 180.0)), 0.0)
-    file = {"shape": "mesh", "file": str(Path(own.folder) / mesh.name)}
+    rotation_deg = (180.0 if meshes.up == "y" else 90.0, float(random.uniform(-180.0, 180.0)), 0.0)
+    file = {"shape": "mesh", "file": str(Path(meshes.folder) / mesh.name)}
     middle = (low + high) / 2 * unit
     return Prototype(
         "mesh",

@@ -350,10 +350,10 @@ def _lights(seed: int, index: int, spec: RandomScenes, space: Room) -> list[dict
     parts = np.sort(random.dirichlet(np.full(count, 2.0)))[::-1]
     result: list[dict[str, Any]] = []
     for number in range(count):
-        own = _generator(seed, index, "light", number + 1)
-        radius = float(np.exp(own.uniform(np.log(0.02), np.log(0.12)))) * far
-        place = _lamp_place(own, space, radius, (-75.0, 75.0), 1)
-        illuminant = _illuminant(own, spec)
+        generator = _generator(seed, index, "light", number + 1)
+        radius = float(np.exp(generator.uniform(np.log(0.02), np.log(0.12)))) * far
+        place = _lamp_place(generator, space, radius, (-75.0, 75.0), 1)
+        illuminant = _illuminant(generator, spec)
         lamp = {"kind": "lamp", "radius_cm": round(radius, 4), "lux": round(lux * float(max(parts[number], 0.02)), 3)}
         lamp |= {"illuminant": illuminant if number and mixed < spec.mixed_light_share else main}
         result.append(lamp | {"position_cm": _rounded(place), "target_cm": _rounded(target)})

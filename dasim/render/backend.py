@@ -110,14 +110,14 @@ def choose(variant: str | None = None) -> Choice:
     InputError where the name is unknown or the variant does not work on this computer.
     """
     where = "variant" if variant is not None else "DASIM_VARIANT"
-    wanted = variant if variant is not None else os.environ.get("DASIM_VARIANT") or "auto"
-    if wanted not in ("auto", *VARIANTS):
-        raise InputError(f"{where} '{wanted}' is unknown, allowed are auto, {', '.join(VARIANTS)}")
-    if _active is not None and wanted in ("auto", _active.variant):
+    request = variant if variant is not None else os.environ.get("DASIM_VARIANT") or "auto"
+    if request not in ("auto", *VARIANTS):
+        raise InputError(f"{where} '{request}' is unknown, allowed are auto, {', '.join(VARIANTS)}")
+    if _active is not None and request in ("auto", _active.variant):
         return _active
-    names = VARIANTS if wanted == "auto" else (wanted,)
+    names = VARIANTS if request == "auto" else (request,)
     results = _results(names)
-    name = names[-1] if wanted != "auto" else next((n for n in names if results.get(n, {}).get("works")), None)
+    name = names[-1] if request != "auto" else next((n for n in names if results.get(n, {}).get("works")), None)
     if name is None:
         why = "; ".join(f"{n}: {results[n]['why']}" for n in names)
         raise InputError(f"no variant of Mitsuba works on this computer ({why}); reinstall the package mitsuba")
@@ -126,7 +126,7 @@ def choose(variant: str | None = None) -> Choice:
             f"{where} '{name}' does not work on this computer ({results[name]['why']}); {_advice(name)}, or use 'auto'"
         )
     result = results[name]
-    reason = _reason(name, result, by_name=wanted != "auto")
+    reason = _reason(name, result, by_name=request != "auto")
     return Choice(name, reason, result.get("llvm_path"), result.get("llvm"))
 
 
@@ -215,14 +215,14 @@ def _try_llvm(libraries: list[str]) -> dict[str, Any]:
 
     Libraries older than ``OLDEST_LLVM`` are left out.
     """
-    own = os.environ.get("DRJIT_LIBLLVM_PATH")
+    users_path = os.environ.get("DRJIT_LIBLLVM_PATH")
     versions = {path: _llvm_version(path) for path in libraries}
     usable = [path for path in libraries if versions[path] >= (OLDEST_LLVM,)]
     problems = []
-    for path in sorted(usable, key=lambda path: (path == own, versions[path]), reverse=True):
+    for path in sorted(usable, key=lambda path: (path == users_path, versions[path]), reverse=True):
         result = _try("llvm_ad_spectral", path)
         if result["works"]:
-            ignored = own if own and path != own else None
+            ignored = users_path if users_path and path != users_path else None
             major, minor = versions[path][:2]
             return {"works": True, "llvm_path": path, "llvm": f"{major}.{minor}", "ignored": ignored}
         problems.append(f"{path}: {result['why']}")
@@ -232,9 +232,9 @@ def _try_llvm(libraries: list[str]) -> dict[str, Any]:
 def llvm_libraries() -> list[str]:
     """Distinct paths of LLVM libraries: that of ``DRJIT_LIBLLVM_PATH``, then those in the usual folders."""
     paths: dict[str, str] = {}
-    own = os.environ.get("DRJIT_LIBLLVM_PATH")
-    if own:
-        paths[os.path.realpath(own)] = own
+    users_path = os.environ.get("DRJIT_LIBLLVM_PATH")
+    if users_path:
+        paths[os.path.realpath(users_path)] = users_path
     for folder in LLVM_FOLDERS:
         for path in sorted(glob.glob(f"{folder}/libLLVM*")):
             if _LLVM_NAME.fullmatch(os.path.basename(path)):

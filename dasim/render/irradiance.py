@@ -135,7 +135,7 @@ def field(
     columns, rows = (int(np.ceil((extent + 2 * margin_px) / STRIDE_PX)) + 1 for extent in (width, height))
     directions = int(np.clip(DIRECTIONS_PER_SAMPLE * spp, FEWEST_DIRECTIONS, MOST_DIRECTIONS))
     directions = 1 << int(np.log2(directions))
-    lights = light_spectra.found(scene)
+    lights = light_spectra.lights_of(scene)
     floor = light_spectra.above_zero(spectrum)
     spectra, at_nm = floor[None], grid.WAVELENGTH_NM
     if len(lights.spectra) > 1 or not light_spectra.on_grid(lights.spectra[0], floor):
@@ -227,19 +227,21 @@ def _traced(
     aim = scene.pdf_emitter_direction(si, mi.DirectionSample3f(scene, met, si), known)
     density = local.z / dr.pi
     around = dr.select(aim > 0, power_heuristic(density, aim), 1.0)
-    counted = dr.select(from_all_around(emitter), around, 0.0)
+    surrounding = dr.select(from_all_around(emitter), around, 0.0)
     if shares.count == 1:
         beyond = [integrator.sample(scene, sampler, mi.RayDifferential3f(onward), active=known)[0]]
     else:
         beyond = radiance_by_light(scene, sampler, mi.RayDifferential3f(onward), known, shares)
     parts = shares.of(emitter, onward.d, wavelengths, known)
-    received = [dr.pi * (all_of - emitted * part * (1 - counted)) for all_of, part in zip(beyond, parts, strict=True)]
+    received = [
+        dr.pi * (all_of - emitted * part * (1 - surrounding)) for all_of, part in zip(beyond, parts, strict=True)
+    ]
 
     aimed, light = scene.sample_emitter_direction(si, aim_at, True, known)
     cosine = dr.maximum(dr.dot(normal, aimed.d), 0.0)
-    seen = known & (aimed.pdf > 0) & dr.isfinite(aimed.pdf) & from_all_around(aimed.emitter)
-    direct = dr.select(seen, light * cosine * power_heuristic(aimed.pdf, cosine / dr.pi), 0.0)
-    parts = shares.of(aimed.emitter, aimed.d, wavelengths, seen)
+    reachable = known & (aimed.pdf > 0) & dr.isfinite(aimed.pdf) & from_all_around(aimed.emitter)
+    direct = dr.select(reachable, light * cosine * power_heuristic(aimed.pdf, cosine / dr.pi), 0.0)
+    parts = shares.of(aimed.emitter, aimed.d, wavelengths, reachable)
     received = [of_light + direct * part for of_light, part in zip(received, parts, strict=True)]
 
     valid = dr.select(known, 1.0, 0.0)
@@ -266,10 +268,10 @@ def _smoothed(ratio: FloatArray, surface: FloatArray, spectra: FloatArray) -> Fl
     for dy, dx in [(dy, dx) for dy in (-1, 0, 1) for dx in (-1, 0, 1) if dy or dx]:
         here = tuple(slice(max(-d, 0), n - max(d, 0)) for d, n in zip((dy, dx), level.shape, strict=True))
         there = tuple(slice(max(d, 0), n - max(-d, 0)) for d, n in zip((dy, dx), level.shape, strict=True))
-        own, other = surface[here], surface[there]
-        same = (own[..., 4] > 0) & (other[..., 4] > 0)
-        same &= np.sum(own[..., 1:4] * other[..., 1:4], axis=-1) > SAME_NORMAL
-        same &= np.abs(own[..., 0] - other[..., 0]) < SAME_DEPTH * own[..., 0]
+        here_value, other = surface[here], surface[there]
+        same = (here_value[..., 4] > 0) & (other[..., 4] > 0)
+        same &= np.sum(here_value[..., 1:4] * other[..., 1:4], axis=-1) > SAME_NORMAL
+        same &= np.abs(here_value[..., 0] - other[..., 0]) < SAME_DEPTH * here_value[..., 0]
         same &= np.abs(level[here] - level[there]) < AGREEMENT * level[here]
         share = same * (2.0 - abs(dy)) * (2.0 - abs(dx))
         total[here] += share[..., None, None] * ratio[there]

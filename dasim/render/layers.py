@@ -72,8 +72,8 @@ def estimate(
         inside = layer == k
         # The mean depth of a slanted layer stands for its continuation behind its edge.
         depth_px = (blur_px * inside).sum(axis=1) / np.maximum(inside.sum(axis=1), 1)
-        own = [[(value * inside).sum(axis=1) for value in values] for values in (signal, control)]
-        parts.append((*own, beyond(depth_px, layer > k)))
+        sums = [[(value * inside).sum(axis=1) for value in values] for values in (signal, control)]
+        parts.append((*sums, beyond(depth_px, layer > k)))
     channels = range(len(signal))
     return np.stack([front_to_back(*([part[i][c] for part in parts] for i in range(3))) for c in channels], axis=-1)
 

@@ -49,18 +49,18 @@ def radiance_by_light(scene: Any, sampler: Any, ray: Any, active: Any, shares: S
         bsdf = si.bsdf(ray)
         smooth = active & mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth)
         aimed, light = scene.sample_emitter_direction(si, sampler.next_2d(), True, smooth)
-        seen = smooth & (aimed.pdf > 0) & dr.isfinite(aimed.pdf)
-        value, other = bsdf.eval_pdf(context, si, si.to_local(aimed.d), seen)
+        reachable = smooth & (aimed.pdf > 0) & dr.isfinite(aimed.pdf)
+        value, other = bsdf.eval_pdf(context, si, si.to_local(aimed.d), reachable)
         share = dr.select(aimed.delta, 1.0, power_heuristic(aimed.pdf, other))
-        sums = add(sums, throughput * value * light * share, aimed.emitter, aimed.d, seen)
+        sums = add(sums, throughput * value * light * share, aimed.emitter, aimed.d, reachable)
 
         lobe, place = sampler.next_1d(), sampler.next_2d()
-        drawn, weight = bsdf.sample(context, si, lobe, place, active)
-        onward = mi.RayDifferential3f(si.spawn_ray(si.to_world(drawn.wo)))
+        scattered, weight = bsdf.sample(context, si, lobe, place, active)
+        onward = mi.RayDifferential3f(si.spawn_ray(si.to_world(scattered.wo)))
         throughput = throughput * weight
         active = active & dr.any(throughput != 0)
-        delta = mi.has_flag(drawn.sampled_type, mi.BSDFFlags.Delta)
-        return active, depth + 1, onward, throughput, sums, si, mi.Float(drawn.pdf), delta, sampler
+        delta = mi.has_flag(scattered.sampled_type, mi.BSDFFlags.Delta)
+        return active, depth + 1, onward, throughput, sums, si, mi.Float(scattered.pdf), delta, sampler
 
     nothing = [mi.Spectrum(0.0) for _ in range(shares.count)]
     start = (
@@ -78,7 +78,7 @@ def radiance_by_light(scene: Any, sampler: Any, ray: Any, active: Any, shares: S
     return list(end[4])
 
 
-def power_heuristic(own: Any, other: Any) -> Any:
-    """Weight of sampling with density ``own`` combined with sampling with density ``other`` (Veach 1997, sec. 9.2)."""
-    ratio = other / own  # squares of large densities would not be finite
+def power_heuristic(density: Any, other: Any) -> Any:
+    """Weight of a sample of ``density`` that a sampler of density ``other`` could also give (Veach 1997, sec. 9.2)."""
+    ratio = other / density  # squares of large densities would not be finite
     return 1 / (1 + ratio * ratio)

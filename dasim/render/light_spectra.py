@@ -78,12 +78,12 @@ class Shares:
         parts = surrounding.layer_radiances(si, here)
         whole = sum(parts[1:], parts[0])
         for index in range(self.count):
-            own = sum((p for p, k in zip(parts, layer_lights, strict=True) if k == index), mi.Spectrum(0.0))
-            shares[index] = mi.Spectrum(dr.select(here, dr.select(whole > 0, own / whole, 0.0), shares[index]))
+            part = sum((p for p, k in zip(parts, layer_lights, strict=True) if k == index), mi.Spectrum(0.0))
+            shares[index] = mi.Spectrum(dr.select(here, dr.select(whole > 0, part / whole, 0.0), shares[index]))
         return shares
 
 
-def found(mitsuba_scene: Any) -> Lights:
+def lights_of(mitsuba_scene: Any) -> Lights:
     """The distinct spectra of the emitters of a Mitsuba scene.
 
     Spectra are one light where each is a multiple of the other, or a multiple that changes so slowly with wavelength
@@ -92,8 +92,8 @@ def found(mitsuba_scene: Any) -> Lights:
     spectra: list[FloatArray] = []
     emitters = []
     for emitter in mitsuba_scene.emitters():
-        own = _spectra(emitter)
-        emitters.append((emitter, tuple(_light(spectra, curve) for curve in own)))
+        curves = _spectra(emitter)
+        emitters.append((emitter, tuple(_light(spectra, curve) for curve in curves)))
     return Lights(np.array(spectra or [np.ones_like(FINE_NM)]), tuple(emitters))
 
 
@@ -107,13 +107,13 @@ def total(scene: Scene | MitsubaScene, mitsuba_scene: Any) -> FloatArray:
 
     if isinstance(scene, Scene):
         return scenes.light_spectrum(scene)
-    chosen = illuminants.illuminant(scene.illuminant)
+    illuminant = illuminants.illuminant(scene.illuminant)
     if mi.variant().startswith("scalar"):  # does not draw wavelengths by the light's spectrum
-        return chosen
-    spectra = found(mitsuba_scene).spectra
-    fine = np.interp(FINE_NM, grid.WAVELENGTH_NM, chosen)
+        return illuminant
+    spectra = lights_of(mitsuba_scene).spectra
+    fine = np.interp(FINE_NM, grid.WAVELENGTH_NM, illuminant)
     if len(spectra) == 1 and _same(fine, spectra[0], BETWEEN_GRID * spectra[0].max()):
-        return chosen
+        return illuminant
     mean = np.mean([curve / curve.mean() for curve in spectra], axis=0)
     return np.interp(grid.WAVELENGTH_NM, FINE_NM, mean)
 

@@ -26,7 +26,7 @@ def mesh(part: Part, to_camera: FloatArray, bsdf: Any, name: str) -> Any:
     props = mi.Properties()
     props["bsdf"] = bsdf
     props["face_normals"] = part.normals is None
-    made = mi.Mesh(
+    result = mi.Mesh(
         name,
         len(part.vertices),
         len(part.faces),
@@ -35,7 +35,7 @@ def mesh(part: Part, to_camera: FloatArray, bsdf: Any, name: str) -> Any:
         props=props,
     )
     vertices = part.vertices @ to_camera[:3, :3].T + to_camera[:3, 3]
-    parameters = mi.traverse(made)
+    parameters = mi.traverse(result)
     parameters["vertex_positions"] = np.ascontiguousarray(vertices, np.float32).ravel()
     parameters["faces"] = np.ascontiguousarray(part.faces, np.uint32).ravel()
     if part.uv is not None:
@@ -44,7 +44,7 @@ def mesh(part: Part, to_camera: FloatArray, bsdf: Any, name: str) -> Any:
         normals = part.normals @ to_camera[:3, :3].T
         parameters["vertex_normals"] = np.ascontiguousarray(normals, np.float32).ravel()
     parameters.update()
-    return made
+    return result
 
 
 def corners(shape: Any) -> FloatArray:

@@ -41,8 +41,8 @@ def tensor(values: np.ndarray) -> Any:
     import mitsuba as mi
 
     flat = mi.Float(np.ascontiguousarray(values, dtype=np.float32).ravel())
-    own = dr.zeros(mi.Float, values.size)
-    dr.make_opaque(own)
-    dr.scatter(own, flat, dr.arange(mi.UInt32, values.size))
-    dr.eval(own)
-    return mi.TensorXf(own, values.shape)
+    copy = dr.zeros(mi.Float, values.size)
+    dr.make_opaque(copy)
+    dr.scatter(copy, flat, dr.arange(mi.UInt32, values.size))
+    dr.eval(copy)
+    return mi.TensorXf(copy, values.shape)

@@ -55,18 +55,18 @@ def radiance(
 
     aimed, light = scene.sample_emitter_direction(si, aim_at, True, hit)
     # A lamp that samples itself gives infinities.
-    seen = hit & (aimed.pdf > 0) & dr.isfinite(aimed.pdf) & ~(known & from_all_around(aimed.emitter))
-    value, density = bsdf.eval_pdf(context, si, si.to_local(aimed.d), seen)
+    reachable = hit & (aimed.pdf > 0) & dr.isfinite(aimed.pdf) & ~(known & from_all_around(aimed.emitter))
+    value, density = bsdf.eval_pdf(context, si, si.to_local(aimed.d), reachable)
     share = dr.select(aimed.delta | known, 1.0, power_heuristic(aimed.pdf, density))
-    result += dr.select(seen, value * light * share, 0.0)
+    result += dr.select(reachable, value * light * share, 0.0)
 
-    drawn, weight = bsdf.sample(context, si, lobe, place, traced)
-    onward = si.spawn_ray(si.to_world(drawn.wo))
+    scattered, weight = bsdf.sample(context, si, lobe, place, traced)
+    onward = si.spawn_ray(si.to_world(scattered.wo))
     met = scene.ray_intersect(onward, traced)
     emitted = dr.select(traced, met.emitter(scene).eval(met), 0.0)
     aim = scene.pdf_emitter_direction(si, mi.DirectionSample3f(scene, met, si), traced)
-    smooth = ~mi.has_flag(drawn.sampled_type, mi.BSDFFlags.Delta)
-    share = dr.select(smooth & (aim > 0), power_heuristic(drawn.pdf, aim), 1.0)
+    smooth = ~mi.has_flag(scattered.sampled_type, mi.BSDFFlags.Delta)
+    share = dr.select(smooth & (aim > 0), power_heuristic(scattered.pdf, aim), 1.0)
     beyond, _, _ = integrator.sample(scene, sampler, mi.RayDifferential3f(onward), active=traced)
     result += dr.select(traced, weight * (beyond - emitted * (1 - share)), 0.0)
     return result

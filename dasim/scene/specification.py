@@ -188,10 +188,10 @@ def _check(scene: Scene, where: str) -> None:
     problems: list[str] = []
     for index, light in enumerate(scene.lights):
         problems += [f"lights.{index} ({light.kind}): {problem}" for problem in _light_problems(light, scene)]
-    own: dict[str, Surface] = {}
+    surfaces: dict[str, Surface] = {}
     for name, texture in scene.materials.items():
         try:
-            own[name] = surface(texture, scene.folder)
+            surfaces[name] = surface(texture, scene.folder)
         except InputError as error:
             problems.append(f"material '{name}': {error}")
     for item in scene.objects:
@@ -201,8 +201,8 @@ def _check(scene: Scene, where: str) -> None:
             except InputError as error:
                 if str(error) not in problems:
                     problems.append(str(error))
-        problems += _glass_problems(item, scene, own)
-        if isinstance(item, Mesh) and item.material in own and is_textured(own[item.material]):
+        problems += _glass_problems(item, scene, surfaces)
+        if isinstance(item, Mesh) and item.material in surfaces and is_textured(surfaces[item.material]):
             problems += _texture_problems(item, scene)
     if problems:
         raise InputError(f"{where}: " + "; ".join(problems))
@@ -221,9 +221,9 @@ def _material_problems(item: Object, scene: Scene) -> list[str]:
     return []
 
 
-def _glass_problems(item: Object, scene: Scene, own: dict[str, Surface]) -> list[str]:
+def _glass_problems(item: Object, scene: Scene, surfaces: dict[str, Surface]) -> list[str]:
     """Solid glass needs a closed shape: on an open one, refracted light would never leave the glass again."""
-    material = own.get(item.material or "")
+    material = surfaces.get(item.material or "")
     solid = isinstance(material, Glass) and not material.thin if material else item.material == "glass"
     if not solid or item.shape not in ("plane", "disc", "cylinder", "heightfield"):
         return []

@@ -60,10 +60,10 @@ def check_in_view(scene: Scene | MitsubaScene, depth_m: FloatArray) -> None:
         )
 
 
-def check_lit(scene: Scene | MitsubaScene, rate: FloatArray, seen: list[str]) -> None:
-    """InputError where no light at all reaches the sensor; ``seen`` are the names of the objects in view."""
+def check_lit(scene: Scene | MitsubaScene, rate: FloatArray, names_in_view: list[str]) -> None:
+    """Raise InputError if no light reaches the sensor; ``names_in_view`` are the objects in front of it."""
     if rate.max() <= 0:
-        names = ", ".join(f"'{name}'" for name in seen[:3]) + (" and others" if len(seen) > 3 else "")
+        names = ", ".join(f"'{name}'" for name in names_in_view[:3]) + (" and others" if len(names_in_view) > 3 else "")
         raise InputError(
             f"scene '{scene.name}': no light reaches the sensor, which looks at {names or 'a lamp from behind'}; is "
             "a light hidden or turned away, the camera inside an object, or a light so small as to need more samples?"

@@ -44,9 +44,9 @@ def exposed(
     """
     camera = shot.capture.camera
     rate = shot.truth.mean_e.astype(np.float64) * (times / shot.capture.exposure_s)
-    wanted = noise.auto_exposure_s(rate, camera, noise.Exposure())
-    time_s = min(wanted, longest_s)
-    gain = float(np.clip(wanted / time_s, 1.0, most_gain))
+    automatic_s = noise.auto_exposure_s(rate, camera, noise.Exposure())
+    time_s = min(automatic_s, longest_s)
+    gain = float(np.clip(automatic_s / time_s, 1.0, most_gain))
     collected = noise.electronic_crosstalk(noise.mosaic(rate * time_s, camera), camera.sensor)
     raw, _ = noise.expose(collected, camera.sensor, time_s, seed, gain=gain)
     return Capture(raw, camera, time_s, gain, seed)

@@ -137,11 +137,11 @@ def _adaptive_picture(view: View, sampling: Sampling, exposure: Exposure, progre
 def sharp_pictures(view: View, field: Any, seed: int, progress: Progress) -> SharpPictures:
     """Render through a pinhole, for the camera and its Bayer twin in one pass."""
     twin = cameras.load_camera(TWIN)
-    own = radiometry.response(view.camera)
+    camera_response = radiometry.response(view.camera)
     sampling = passes.Sampling(SHARP_SPP, seed, partial(progress, "rendering the pinhole picture"))
-    response = np.concatenate([own, radiometry.response(twin)])
+    response = np.concatenate([camera_response, radiometry.response(twin)])
     both = passes.pinhole_pass(view.world.scene, view.camera, sampling, field, response)
-    rate, twin_rate = np.split(both, [len(own)], axis=-1)
+    rate, twin_rate = np.split(both, [len(camera_response)], axis=-1)
     return SharpPictures(rate, twin_rate, twin)
 
 

@@ -88,9 +88,9 @@ def read_point_pictures(
                     f"less than {source.LEAST_SNR:g}; add longer exposures or more frames"
                 )
     if problems:
-        shown = "; ".join(problems[:MOST_PROBLEMS])
+        first = "; ".join(problems[:MOST_PROBLEMS])
         more = f"; and {len(problems) - MOST_PROBLEMS} more" if len(problems) > MOST_PROBLEMS else ""
-        raise InputError(f"captures {folder}: {shown}{more}")
+        raise InputError(f"captures {folder}: {first}{more}")
     return PicturesWithNotes(
         pictures, (f"signal-to-noise ratio at least {worst[0]:.3g} ({worst[1]})", *few_positions(lines))
     )

@@ -73,8 +73,8 @@ def load_raw(
         exposure_s: exposure time, seconds.
         gain: analogue gain, a factor on the camera's.
     """
-    given = {"time_s": DEFAULT_EXPOSURE_S if exposure_s is None else exposure_s, "gain": 1.0 if gain is None else gain}
-    exposure = parse(Exposure, given, "--exposure or --gain")
+    stated = {"time_s": DEFAULT_EXPOSURE_S if exposure_s is None else exposure_s, "gain": 1.0 if gain is None else gain}
+    exposure = parse(Exposure, stated, "--exposure or --gain")
     if kind is not None and kind not in FORMATS:
         raise InputError(f"--format '{kind}' is unknown; allowed are {', '.join(FORMATS)}")
     if not path.is_file():

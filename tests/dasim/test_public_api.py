@@ -125,12 +125,12 @@ def test_a_path_stands_for_its_file(tmp_path):
 
 def test_the_camera_owns_the_focus():
     """A scene's proposal counts only through ``focused``; flowers proposes another focus than da-mobile has."""
-    own = dasim.load_camera("da-mobile").lens.focus_distance_m
+    default_m = dasim.load_camera("da-mobile").lens.focus_distance_m
     scene = dasim.load_scene("flowers")
-    assert scene.focus_cm is not None and scene.focus_cm != own * 1e2
+    assert scene.focus_cm is not None and scene.focus_cm != default_m * 1e2
     assert dasim.focused("da-mobile", scene).lens.focus_distance_m == pytest.approx(scene.focus_cm * 1e-2)
     shot = dasim.simulate("flowers", dasim.cropped("da-mobile", 16, 12), spp=1)
-    assert shot.capture.camera.lens.focus_distance_m == own
+    assert shot.capture.camera.lens.focus_distance_m == default_m
 
 
 def test_random_scenes_and_families_are_names_too():

@@ -1,4 +1,4 @@
-"""Transforms against sums over the kernel written out, and padding against its definition."""
+"""Transforms, compared with explicit sums over the kernel, and padding, with its definition."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ SINGLE = 1e-5  # rounding of 32-bit numbers
 @pytest.mark.parametrize("spacing_px", [1, 2])
 @pytest.mark.parametrize("size", [5, 17])
 def test_transfer_is_the_sum_over_the_kernel(size, spacing_px):
-    """Set-up: kernels smaller and larger than the frame. Expectation: sum h(y, x) exp(-2 pi i (fy y + fx x))."""
+    """Set-up: kernels smaller and larger than the frame. Expectation: the sum of h(y, x) exp(-2 pi i (fy y + fx x))."""
     kernel = np.random.default_rng(0).random((size, size))
     shape = (12, 10)
-    found = fourier.transfer(kernel, shape, spacing_px)
+    transfer = fourier.transfer(kernel, shape, spacing_px)
     place = np.arange(size) - size // 2
     fy, fx = fourier.frequencies(shape, spacing_px)
     expected = np.exp(-2j * np.pi * fy * place) @ kernel @ np.exp(-2j * np.pi * place[:, None] * fx)
-    np.testing.assert_allclose(found, expected, atol=SINGLE * kernel.sum())
+    np.testing.assert_allclose(transfer, expected, atol=SINGLE * kernel.sum())
 
 
 def test_inverse_undoes_forward():
@@ -29,8 +29,8 @@ def test_inverse_undoes_forward():
 
 
 def test_padding_keeps_the_frame_and_has_no_step_at_its_edges():
-    """Set-up: a ramp. Expectation: the frame itself is unchanged; the largest step of the periodic picture is that of
-    a blend from end to start over the strip, not the ramp's whole height.
+    """Set-up: a ramp. Expectation: the frame is unchanged, and the largest step of the periodic picture is that of a
+    blend from end to start over the strip instead of the ramp's full height.
     """
     ramp = np.repeat(np.linspace(0, 1, 40, dtype=np.float32)[None], 30, axis=0)
     padded = fourier.pad_blended(ramp, (40, 60))

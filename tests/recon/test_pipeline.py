@@ -1,4 +1,4 @@
-"""The whole reconstruction of one capture: figures on a textured scene, and frames that hold nothing."""
+"""The complete reconstruction of one capture: figures on a textured scene, and frames without content."""
 
 import dataclasses
 
@@ -35,7 +35,9 @@ def decibel(image, truth, mask):
 
 @pytest.mark.parametrize(("preset", "lowest"), [("bands", 0), ("paper", 3)])
 def test_all_in_focus_gains_and_never_loses(scene, result, preset, lowest):
-    """The paper's NCC overestimates levels near focus, by three on median below 3 px of blur: judged from there on."""
+    """Above 3 px of blur the picture gains in every range; below, it loses at most MAX_LOSS_DB. The preset `paper` is
+    judged above 3 px only, because its NCC overestimates levels near focus by three in the median.
+    """
     if preset != DEFAULT_PRESET:
         result = recon.reconstruct(scene.capture, recon_scenes.bank(), recon.PRESETS[preset])
     alpha = specification.crosstalk(scene.capture.camera.sensor)
@@ -63,7 +65,9 @@ def test_levels_and_depths(scene, result):
 
 
 def test_the_4x4_mosaic_shows_the_same_levels():
-    """The same light through the 4x4 mosaic, the same bank (kernels do not know of mosaics): level and picture."""
+    """The same light sampled by the 4x4 mosaic, reconstructed with the same bank (kernels do not depend on the mosaic),
+    gives the same levels and picture.
+    """
     scene = recon_scenes.make(recon_scenes.slanted(128, 256, 2, 16), white_e=4000)
     four = cameras.cropped(cameras.load_camera("da-4x4"), 256, 128)
     raw, _ = sensor.expose(sensor.mosaic(scene.mean_e.astype(float), four), four.sensor, 0.02, 1)
@@ -88,19 +92,21 @@ def test_everything_is_finite_and_in_range(result):
 
 
 def test_the_simulator_cannot_leak_into_the_estimate(scene, result):
-    """Another name of the light, seed and provenance: the same result, bit for bit (also: deterministic)."""
+    """A capture with another light name, seed and provenance gives the same result, bit for bit; this also shows that
+    the reconstruction is deterministic.
+    """
     other = dataclasses.replace(scene.capture, illuminant="A", seed=99, provenance={"scene": "x"})
-    seen = []
-    again = recon.reconstruct(other, recon_scenes.bank(), progress=lambda name, share: seen.append((name, share)))
+    reports = []
+    again = recon.reconstruct(other, recon_scenes.bank(), progress=lambda name, share: reports.append((name, share)))
     np.testing.assert_array_equal(again.sharp_rgb, result.sharp_rgb)
     np.testing.assert_array_equal(again.level, result.level)
-    assert [name for name, _ in seen] == [*result.timings_s, "done"]
-    assert [share for _, share in seen] == sorted(share for _, share in seen)
+    assert [name for name, _ in reports] == [*result.timings_s, "done"]
+    assert [share for _, share in reports] == sorted(share for _, share in reports)
 
 
 @pytest.mark.parametrize("value", [0, 64, 300, 1023])
 def test_frames_without_any_texture(value):
-    """Black, constant and saturated frames: finite pictures, no confidence, no estimate."""
+    """Black, constant and saturated frames give finite pictures, no confidence and no estimate."""
     camera = recon_scenes.da_mobile(96, 64)
     capture = Capture(np.full((64, 96), value, np.uint16), camera, 0.01, 1.0, 0)
     result = recon.reconstruct(capture, recon_scenes.bank())
@@ -126,7 +132,7 @@ def test_a_bank_of_another_focus_or_camera_is_refused(scene):
 
 
 def test_a_bank_of_another_kind_of_sensor_is_refused(scene):
-    """Expectation: what differs is named: response curves, pixels, or the channels of a mosaic."""
+    """Expectation: the message names what differs: response curves, pixels, or the channels of the mosaic."""
     bank, mine = recon_scenes.bank(), scene.capture.camera
     sensor = bank.camera.sensor.model_copy(update={"cutoff_nm": 700.0})
     other = dataclasses.replace(bank, camera=bank.camera.model_copy(update={"sensor": sensor}))
@@ -138,7 +144,9 @@ def test_a_bank_of_another_kind_of_sensor_is_refused(scene):
 
 
 def test_a_bank_of_another_light_gives_a_note(scene, result):
-    """A picture under D65, a bank of lamps alone: done, with a note; with both lights there is none."""
+    """A picture under D65 is reconstructed with a bank of lamps only, and a note says so; a bank with both lights gives
+    no note.
+    """
     bank = recon_scenes.bank()
     lamp = dataclasses.replace(bank, kernel=bank.kernel[1:], lights=bank.lights[1:], signature=bank.signature[1:])
     small = crop(scene.capture, 128, 64)
@@ -153,7 +161,9 @@ def crop(capture, width, height):
 
 
 def test_a_frame_smaller_than_the_kernels(scene):
-    """64 x 64 pixels under kernels of 75 x 75: finished, in range, and levels where there is texture."""
+    """A frame of 64 x 64 pixels with kernels of 75 x 75 is reconstructed: values in range, and levels where there is
+    texture.
+    """
     small = crop(scene.capture, 64, 64)
     assert recon_scenes.bank().kernel.shape[-1] > 64
     result = recon.reconstruct(small, recon_scenes.bank())

@@ -33,5 +33,5 @@ def test_a_type_checker_sees_the_types(tmp_path):
     script = tmp_path / "script.py"
     script.write_text(USER_SCRIPT)
     command = [sys.executable, "-m", "mypy", "--follow-imports=silent", "--ignore-missing-imports", str(script)]
-    found = subprocess.run(command, capture_output=True, text=True).stdout
-    assert found.count("error:") == 1 and "Incompatible types in assignment" in found, found
+    output = subprocess.run(command, capture_output=True, text=True).stdout
+    assert output.count("error:") == 1 and "Incompatible types in assignment" in output, output

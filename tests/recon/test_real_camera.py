@@ -1,7 +1,7 @@
-"""From measurements of a camera to a scored depth map, as a user goes: files and commands alone.
+"""From measurements of a camera to a scored depth map, with files and commands only, as a user works.
 
-No camera of this kind is at hand. The "hardware" is a simulated one that differs from every bundled camera in what a
-user measures; the way from its files on knows nothing of it but those files.
+No real camera of this kind was available. The "hardware" is a simulated one that differs from every bundled camera in
+the quantities that a user measures; the test uses nothing of it but the files.
 """
 
 from __future__ import annotations
@@ -86,7 +86,7 @@ wavelength_nm = 540
 
 
 def curves() -> np.ndarray:
-    """Quantum efficiency of the hardware, [channel, wavelength]: reds that fall off towards the near-infrared."""
+    """Quantum efficiency of the hardware, [channel, wavelength]; red falls off towards the near-infrared."""
     ours = response_curves.rgb_ir_quantum_efficiency()
     fall = np.interp(grid.WAVELENGTH_NM, [600.0, 830.0], [1.0, 0.6])
     changed = ours * np.array([[0.8], [1.0], [1.25], [1.0]]) * fall
@@ -96,7 +96,7 @@ def curves() -> np.ndarray:
 
 @pytest.fixture(scope="module")
 def hardware():
-    """The camera itself, of which the user knows the files only."""
+    """The camera, of which the user has only the files."""
     data = cameras.load_camera("da-mobile").model_dump()
     for stop, band in zip(data["stops"], ((400.0, 655.0), (655.0, 830.0)), strict=True):
         stop |= {"passes_nm": (band,), "edge_width_nm": 10.0}
@@ -111,7 +111,7 @@ def hardware():
 
 
 def write_response(path):
-    """Relative to their peak, every 5 nm from 350 to 1,000 nm, as such tables are published."""
+    """Write response curves relative to their peak, every 5 nm from 350 to 1,000 nm, as they are usually published."""
     nm = np.arange(350.0, 1000.1, 5.0)
     rows = [np.interp(nm, grid.WAVELENGTH_NM, curve) / curves().max() for curve in curves()]
     with path.open("w", newline="") as file:
@@ -124,11 +124,11 @@ def write_response(path):
 
 
 def write_pictures(folder, hardware):
-    """A pinhole lit by one lamp at four places a level, raw 12-bit files."""
-    found = calibration.calibration_captures(hardware, (LIGHT,))
+    """Write raw 12-bit files of a pinhole lit by one lamp, at four places per level."""
+    captures = calibration.calibration_captures(hardware, (LIGHT,))
     rows = []
     folder.mkdir()
-    for number, picture in enumerate(itertools.takewhile(lambda p: p.level < LEVELS, found)):
+    for number, picture in enumerate(itertools.takewhile(lambda p: p.level < LEVELS, captures)):
         for frame, raw in enumerate(picture.frames_dn):
             name = f"p{number:04d}-{frame}.npy"
             np.save(folder / name, raw)
@@ -139,7 +139,7 @@ def write_pictures(folder, hardware):
 
 
 def packed12(raw):
-    """MIPI RAW12: two high bytes, then both low halves."""
+    """MIPI RAW12: two high bytes, then both low halves in one byte."""
     pairs = raw.reshape(-1, 2).astype(np.uint16)
     low = (pairs[:, 0] & 15) | (pairs[:, 1] & 15) << 4
     return np.stack([pairs[:, 0] >> 4, pairs[:, 1] >> 4, low], axis=1).astype(np.uint8).tobytes()
@@ -147,7 +147,9 @@ def packed12(raw):
 
 @pytest.fixture(scope="module")
 def bench(renderer, hardware, tmp_path_factory):
-    """A user's folder: sheet, response, pictures of a pinhole, a photograph; then what the commands make of it."""
+    """A user's folder with data sheet, response curves, pictures of a pinhole and a photograph, and the results of the
+    commands.
+    """
     folder = tmp_path_factory.mktemp("bench")
     model = "airy" if renderer.startswith("scalar") else "wave"
     (folder / "camera.toml").write_text(SHEET)
@@ -170,17 +172,21 @@ def bench(renderer, hardware, tmp_path_factory):
 
 
 def test_the_camera_file_is_the_hardware(bench, hardware):
-    """Rationale: every measured figure reaches the field that decides. Expectation: the hardware's own sensor."""
-    found, true = cameras.load_camera(bench / "camera.toml").sensor, hardware.sensor
+    """Expectation: every measured quantity is in the field of the camera file that uses it, and equals that of the
+    hardware.
+    """
+    stated, true = cameras.load_camera(bench / "camera.toml").sensor, hardware.sensor
     for name in ("dn_per_e", "read_noise_e", "full_well_e", "dsnu_e", "prnu", "dark_current_e_s", "black_level_dn"):
-        assert getattr(found, name) == pytest.approx(getattr(true, name), rel=SENSOR_TOLERANCE), name
+        assert getattr(stated, name) == pytest.approx(getattr(true, name), rel=SENSOR_TOLERANCE), name
     inside = grid.WAVELENGTH_NM < 810  # the cut-off's end
-    mine, own = (specification.quantum_efficiency(sensor)[:, inside] for sensor in (found, true))
-    np.testing.assert_allclose(mine, own, atol=CURVE_TOLERANCE * own.max())
+    mine, hardware_curve = (specification.quantum_efficiency(sensor)[:, inside] for sensor in (stated, true))
+    np.testing.assert_allclose(mine, hardware_curve, atol=CURVE_TOLERANCE * hardware_curve.max())
 
 
 def test_the_bank_is_measured_from_the_pictures(bench, hardware):
-    """Expectation: white is the hardware's under the lamp, from its spectra; depths are those of the table's lines."""
+    """Expectation: white equals that of the hardware under the lamp, computed from spectra; the depths are those of the
+    table.
+    """
     bank = load_bank(bench / "bank.npz")
     assert bank.lights == (LIGHT,) and bank.diffraction == "measured" and len(bank.depth_m) == LEVELS
     white = grid.integrate(radiometry.response(hardware) * illuminants.illuminant(LIGHT))
@@ -191,13 +197,17 @@ def test_the_bank_is_measured_from_the_pictures(bench, hardware):
 
 
 def test_electrons_are_those_of_the_sheet(bench):
-    """Rationale: gain and black level turn numbers into electrons. Expectation: infrared's mean is the truth's."""
+    """Rationale: gain and black level convert raw values to electrons. Expectation: the mean of infrared is that of the
+    truth.
+    """
     result, truth = load_reconstruction(bench / "result"), dasim.load_truth(bench / "truth")
     assert result.ir_e.mean() == pytest.approx(truth.mean_e[..., 3].mean(), rel=ELECTRONS_TOLERANCE)
 
 
 def test_the_depth_is_scored(bench):
-    """Set-up: two textured halves at 15 and 24 cm. Expectation: within a level, and better than any constant map."""
+    """Set-up: two textured halves at 15 and 24 cm. Expectation: an error below one level and below that of any constant
+    map.
+    """
     figures = json.loads((bench / "score.json").read_text())
     median = figures["regularised.textured.level-median"]["value"]
     assert median < MEDIAN_LEVELS
@@ -205,7 +215,7 @@ def test_the_depth_is_scored(bench):
 
 
 @pytest.mark.parametrize(
-    ("options", "said"),
+    ("options", "message"),
     [
         (("--captures", "pinhole", "--illuminant", "A"), "determine lights and diffraction"),
         (("--captures", "pinhole", "--diffraction", "off"), "determine lights and diffraction"),
@@ -217,33 +227,37 @@ def test_the_depth_is_scored(bench):
         (("--save-captures", "new"), "omit --out"),
     ],
 )
-def test_options_that_contradict_each_other(bench, options, said, capsys, monkeypatch):
-    """Expectation: status 2, one line, no bank; 12-bit pictures of a camera of 10 bits are refused too."""
+def test_options_that_contradict_each_other(bench, options, message, capsys, monkeypatch):
+    """Expectation: exit status 2, one line and no bank; also for 12-bit pictures with a camera of 10 bits."""
     monkeypatch.chdir(bench)
     camera = () if "--camera" in options else ("--camera", "camera.toml")
     assert run(["calibrate", *camera, "--out", "new.npz", *options]) == 2
     lines = capsys.readouterr().err.splitlines()
-    assert said in lines[-1], lines[-1]
+    assert message in lines[-1], lines[-1]
     assert not (bench / "new.npz").exists() and not (bench / "new").exists()
 
 
 def test_measured_depths_judge_a_photograph(bench, capsys, monkeypatch):
-    """Rationale: who took a photograph has no truth.exr, but may know depths. Set-up: those of the truth as NPY in
-    metres, and as 16-bit PNG in tenths of a millimetre; half of the picture unknown.
+    """Rationale: a photographer has no truth.exr, but may have measured depths.
 
-    Expectation: off the boundaries the figures of the simulated truth, where both judge the same pixels; from the PNG
-    the same to its rounding; a map of another size, and a depth map without its camera, are refused.
+    Set-up: those of the truth as NPY in metres and as 16-bit PNG in tenths of a millimetre, with half of the picture
+    unknown.
+
+    Expectation: away from boundaries, the figures equal those of the simulated truth where both judge the same pixels;
+    from the PNG, up to its rounding. A map of another size, and a depth map without its camera, are refused.
     """
     monkeypatch.chdir(bench)
     depth_m = dasim.load_truth(bench / "truth").depth_m
     np.save("measured.npy", depth_m)
     assert run(["score", "result", "measured.npy", "--json", "own.json"]) == 0
-    own, simulated = (json.loads((bench / name).read_text()) for name in ("own.json", "score.json"))
+    measured_score, simulated = (json.loads((bench / name).read_text()) for name in ("own.json", "score.json"))
     for region in ("all", "boundary"):
         for metric in ("share", "level-median", "rmse-dioptre", "level-median.constant"):
             key = f"regularised.{region}.{metric}"
-            assert own[key]["value"] == pytest.approx(simulated[key]["value"], rel=1e-4), key  # float32 levels
-    assert not any(".textured." in key or ".untextured." in key for key in own)
+            assert measured_score[key]["value"] == pytest.approx(simulated[key]["value"], rel=1e-4), (
+                key
+            )  # float32 levels
+    assert not any(".textured." in key or ".untextured." in key for key in measured_score)
     half = np.where(np.arange(SIZE[0]) < SIZE[0] // 2, depth_m, 0)
     write_png16(bench / "measured.png", np.rint(half * 1e4).astype(np.uint16))
     assert run(["score", "result", "measured.png", "--scale", "1e-4", "--json", "png.json"]) == 0
@@ -251,17 +265,17 @@ def test_measured_depths_judge_a_photograph(bench, capsys, monkeypatch):
     assert png["regularised.inner.level-median"]["value"] < MEDIAN_LEVELS
     np.save("small.npy", depth_m[:-2])
     capsys.readouterr()
-    for result, measured, said in (
+    for result, measured, label in (
         ("result", "small.npy", "is 160 x 112 pixels"),
         ("measured.npy", "measured.npy", "folder"),
     ):
         assert run(["score", result, measured]) == 2
-        assert said in capsys.readouterr().err
+        assert label in capsys.readouterr().err
 
 
 def test_distances_are_printed_and_simulated_pictures_saved(tmp_path, capsys, monkeypatch):
-    """Expectation: each printed distance is a level's own, and lies within its bounds; what --save-captures would
-    write is what --captures reads (that both make one bank is tested in test_point_files).
+    """Expectation: each printed distance is the depth of a level and lies within its bounds, and --captures accepts
+    what --save-captures writes.
     """
     assert run(["calibrate", "--camera", "da-mobile", "--focus", "0.5", "--print-distances"]) == 0
     rows = [line.split() for line in capsys.readouterr().out.splitlines() if not line.startswith("#")][1:]

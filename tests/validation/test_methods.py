@@ -55,11 +55,11 @@ def wrong_shape(capture, bank):
 @pytest.fixture(scope="module")
 def shot() -> Shot:
     """A slanted photograph without a renderer, with its truth."""
-    made = recon_scenes.make(recon_scenes.slanted(SIZE_PX[1], SIZE_PX[0], *LEVELS), white_e=4000)
-    truth = surfaces.truth(made.capture.camera, made.level, made.sharp_e)
-    truth = dataclasses.replace(truth, mean_e=made.mean_e, sharp_srgb=np.clip(truth.sharp_srgb, 0, 1), objects=("a",))
+    scene = recon_scenes.make(recon_scenes.slanted(SIZE_PX[1], SIZE_PX[0], *LEVELS), white_e=4000)
+    truth = surfaces.truth(scene.capture.camera, scene.level, scene.sharp_e)
+    truth = dataclasses.replace(truth, mean_e=scene.mean_e, sharp_srgb=np.clip(truth.sharp_srgb, 0, 1), objects=("a",))
     provenance = {"diffraction": "wave", "scene": {"name": "slanted"}}
-    return Shot(dataclasses.replace(made.capture, provenance=provenance), truth)
+    return Shot(dataclasses.replace(scene.capture, provenance=provenance), truth)
 
 
 @pytest.fixture(scope="module")
@@ -82,15 +82,15 @@ def mine(tmp_path, monkeypatch) -> Path:
 
 
 def test_methods_have_the_names_that_users_give(mine):
-    own, file, bundled = named(["flat=mine.py:constant", "mine.py:constant", "likelihood"])
-    assert (own.name, own.source) == ("flat", "mine.py:constant")
+    renamed, file, bundled = named(["flat=mine.py:constant", "mine.py:constant", "likelihood"])
+    assert (renamed.name, renamed.source) == ("flat", "mine.py:constant")
     assert (file.name, file.source) == ("mine.py:constant", "mine.py:constant")
     assert bundled == NamedMethod("likelihood")
     assert methods.function(bundled) is recon.METHODS["likelihood"]
 
 
 @pytest.mark.parametrize(
-    ("given", "said"),
+    ("names", "message"),
     [
         (["nothing"], ("'nothing' is unknown", "bands", "file.py:function")),
         (["bands=mine.py:constant"], ("'bands'", "bundled", "another name")),
@@ -101,10 +101,10 @@ def test_methods_have_the_names_that_users_give(mine):
         (["none.py:constant"], ("none.py",)),
     ],
 )
-def test_names_that_are_wrong_are_refused_in_one_line(mine, given, said):
+def test_names_that_are_wrong_are_refused_in_one_line(mine, names, message):
     with pytest.raises(InputError) as error:
-        named(given)
-    assert all(part in str(error.value) for part in said) and "\n" not in str(error.value)
+        named(names)
+    assert all(part in str(error.value) for part in message) and "\n" not in str(error.value)
 
 
 def test_a_methods_own_code_is_part_of_what_a_result_depends_on(mine):
@@ -207,8 +207,8 @@ def test_score_runs_methods_and_metrics_on_a_capture(capture, shot):
     assert content["flat.raw.all.level-median"]["value"] == pytest.approx(
         np.median(np.abs(shot.truth.level - 4)), abs=0.05
     )
-    own = levels.depth_of(np.full(shot.truth.level.shape, 4.0, np.float32), recon_scenes.bank(("D65",)).depth_m)
-    expected = np.mean(np.abs(own - shot.truth.depth_m) < 0.01)
+    constant_m = levels.depth_of(np.full(shot.truth.level.shape, 4.0, np.float32), recon_scenes.bank(("D65",)).depth_m)
+    expected = np.mean(np.abs(constant_m - shot.truth.depth_m) < 0.01)
     assert content["flat.raw.near"]["value"] == pytest.approx(expected, abs=0.01)
     assert content["flat.raw.ordinal-right"]["value"] == 0, "a constant map orders nothing"
     (failure,) = ElementTree.parse(capture / "score.xml").iter("failure")
@@ -227,7 +227,7 @@ def test_score_in_python_takes_a_metric(shot, bank):
 
 
 @pytest.mark.parametrize(
-    ("arguments", "said"),
+    ("arguments", "message"),
     [
         (["--method", "mine.py:broken"], ("mine.py:broken", "IndexError")),
         (["--method", "mine.py:wrong_shape"], ("mine.py:wrong_shape", "shape")),
@@ -238,11 +238,11 @@ def test_score_in_python_takes_a_metric(shot, bank):
         ([], ("needs", "capture")),
     ],
 )
-def test_wrong_scores_are_refused_in_one_line(capture, capsys, arguments, said):
+def test_wrong_scores_are_refused_in_one_line(capture, capsys, arguments, message):
     (capture / "claims.toml").write_text('["depth.bands.desk.raw"]\nlimit = "> 0"\n')
     assert run(["score", "shot", "--bank", "bank.npz", *arguments]) == 2
     lines = [line for line in capsys.readouterr().err.splitlines() if line.startswith("dasim: ")]
-    assert len(lines) == 1 and all(part in lines[0] for part in said), lines
+    assert len(lines) == 1 and all(part in lines[0] for part in message), lines
 
 
 # --- datasets ------------------------------------------------------------------------------------
@@ -263,11 +263,11 @@ def test_a_dataset_is_scored_by_pixels_and_by_samples(mine, shot, bank):
     methods_ = named(["flat=mine.py:constant", "mine.py:broken", "bands"])
     scores = score_split([sample_of(0, shot), flat], methods_, bank_of=lambda *about: bank)
     ours = {figure.id: figure.value for figure in split_figures(methods_[0], scores[methods_[0]])}
-    own = np.abs(shot.truth.level - 4.0)
+    error = np.abs(shot.truth.level - 4.0)
     near = shot.truth.valid & (shot.truth.level >= -0.5)
     assert ours["flat.coverage"] == 1
-    assert ours["flat.pixels.level-mean"] == pytest.approx(own[near].mean() / 2, rel=0.02)
-    assert ours["flat.samples.level-mean"] == pytest.approx(np.median(own[near]) / 2, rel=0.02)
+    assert ours["flat.pixels.level-mean"] == pytest.approx(error[near].mean() / 2, rel=0.02)
+    assert ours["flat.samples.level-mean"] == pytest.approx(np.median(error[near]) / 2, rel=0.02)
     assert ours["flat.samples.level-mean.constant"] <= ours["flat.samples.level-mean"] + 0.05
     assert [one.failed is None for one in scores[methods_[1]]] == [False, False]
     broken = {figure.id: figure.value for figure in split_figures(methods_[1], scores[methods_[1]])}
@@ -323,8 +323,8 @@ def test_a_study_measures_a_users_method_beside_the_preset(mine, shot, bank, mon
     monkeypatch.setattr("dasim.calibration_captures", lambda *args, **options: None)
     monkeypatch.setattr("recon.calibrate", lambda captures: bank)
     ours, theirs = (row["figures"] for row in point.measure(spec, unit))
-    own = levels.depth_of(np.full(shot.truth.level.shape, 4.0, np.float32), bank.depth_m)
-    expected = np.median(np.abs(1 / own - 1 / shot.truth.depth_m))
+    constant_m = levels.depth_of(np.full(shot.truth.level.shape, 4.0, np.float32), bank.depth_m)
+    expected = np.median(np.abs(1 / constant_m - 1 / shot.truth.depth_m))
     assert theirs["depth-median"] == pytest.approx(expected, rel=0.02) and theirs["coverage"] == 1
     assert ours["depth-median"] < 0.5 * theirs["depth-median"]
     assert ours["infrared-snr"] == pytest.approx(theirs["infrared-snr"], rel=0.01)

@@ -1,4 +1,4 @@
-"""What a claim measured, its figures compared with their limits, and the file ``results.json``.
+"""Figures of a claim compared with their limits, and the file ``results.json``.
 
 Tested in tests/validation/gates/test_run.py.
 """
@@ -38,8 +38,8 @@ class Claim:
 
 @dataclass(frozen=True)
 class Evidence:
-    """What a claim measured: figures; for the report also pictures (caption and data address), tables, and pairs of
-    pictures to be compared side by side.
+    """What a claim measured: figures, and for the report pictures (caption and data address), tables, and pairs of
+    pictures to compare side by side.
     """
 
     figures: list[Figure]
@@ -49,12 +49,12 @@ class Evidence:
 
 
 def plain_value(value: Any) -> Any:
-    """The value for JSON, which has no NaN and no infinity: those become null."""
+    """The value for JSON, which has neither NaN nor infinity; both become null."""
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def _peak_memory_mb() -> float:
-    """Largest resident set of this process so far."""
+    """Largest resident set of this process so far, in MB."""
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     return peak / 1e6 if sys.platform == "darwin" else peak / 1e3  # bytes there, kilobytes elsewhere
 

@@ -1,4 +1,4 @@
-"""What became better and worse since an earlier ``results.json``, beyond the spread over seeds.
+"""Changes of figures since an earlier ``results.json`` that exceed the spread over seeds.
 
 Tested in tests/validation/gates/test_run.py.
 """
@@ -19,7 +19,7 @@ ROUNDING = 1e-6  # relative, for figures of unknown spread: other thread counts 
 
 
 class Change(NamedTuple):
-    """A figure of both runs, or of one of them (the other's value is NaN)."""
+    """A figure of two runs; its value is NaN in a run that does not have it."""
 
     id: str
     old: float
@@ -29,7 +29,7 @@ class Change(NamedTuple):
 
 
 class Earlier(NamedTuple):
-    """What an earlier run says of a figure."""
+    """A figure in the results of an earlier run."""
 
     value: float
     spread: float | None
@@ -37,7 +37,7 @@ class Earlier(NamedTuple):
 
 
 def load_results(path: Path) -> dict[str, Earlier]:
-    """Figures of an earlier ``results.json`` by their id; InputError where it is none."""
+    """Figures of an earlier ``results.json`` by their id; raises InputError if the file is not one."""
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
@@ -58,17 +58,20 @@ def load_results(path: Path) -> dict[str, Earlier]:
 
 
 def changes(old: dict[str, Earlier], new: list[Claim], measured: set[str]) -> list[Change]:
-    """Each figure's change. Figures of claims that were not ``measured`` this time are no loss."""
-    found = []
+    """Compare the figures of two runs, by id.
+
+    Figures of claims that were not ``measured`` in the new run do not count as gone.
+    """
+    result = []
     for claim in new:
         before = old.get(claim.id)
         if before is None:
-            found.append(Change(claim.id, math.nan, claim.value, claim.unit, "new"))
+            result.append(Change(claim.id, math.nan, claim.value, claim.unit, "new"))
         else:
-            found.append(Change(claim.id, before.value, claim.value, claim.unit, _verdict(before, claim)))
+            result.append(Change(claim.id, before.value, claim.value, claim.unit, _verdict(before, claim)))
     here = {claim.id for claim in new}
     gone = [name for name in old if name not in here and name.partition(".")[0] in measured]
-    return found + [Change(name, old[name].value, math.nan, old[name].unit, "gone") for name in gone]
+    return result + [Change(name, old[name].value, math.nan, old[name].unit, "gone") for name in gone]
 
 
 def _verdict(before: Earlier, claim: Claim) -> str:
@@ -87,7 +90,7 @@ def _verdict(before: Earlier, claim: Claim) -> str:
 
 
 def _distance(limit: str | None):  # type: ignore[no-untyped-def]
-    """How far from good a value is, by its limit's direction; None without a limit."""
+    """Distance of a value from the good end of its limit, in the direction of the limit; None without a limit."""
     if limit is None:
         return None
     if ".." in limit:
@@ -97,14 +100,14 @@ def _distance(limit: str | None):  # type: ignore[no-untyped-def]
     return lambda value: sign * value
 
 
-def report(found: list[Change]) -> list[str]:
-    """Lines for people: what became worse first; what stayed is only counted."""
+def report(differences: list[Change]) -> list[str]:
+    """Lines for the terminal, figures that became worse first; unchanged figures are only counted."""
     order = ("worse", "better", "changed", "gone", "new")
     lines = [
         f"{change.verdict:<8}{change.id:<44}{change.old:>10.4g} -> {change.new:<10.4g} {change.unit}"
         for verdict in order
-        for change in found
+        for change in differences
         if change.verdict == verdict
     ]
-    counts = {verdict: sum(change.verdict == verdict for change in found) for verdict in (*order, "same")}
+    counts = {verdict: sum(change.verdict == verdict for change in differences) for verdict in (*order, "same")}
     return [*lines, "compared: " + ", ".join(f"{count} {verdict}" for verdict, count in counts.items())]

@@ -13,7 +13,9 @@ from validation.gates.outcome import Outcome
 
 
 def write_junit(path: Path, outcomes: Sequence[Outcome], name: str) -> None:
-    """Write the outcomes as JUnit XML: a suite a claim, a case a figure; figures without a limit are skipped cases."""
+    """Write the outcomes as JUnit XML: one suite per claim, one case per figure; figures without a limit are skipped
+    cases.
+    """
     root = ElementTree.Element("testsuites", name=name)
     for outcome in outcomes:
         cases = outcome.claims
@@ -29,11 +31,11 @@ def write_junit(path: Path, outcomes: Sequence[Outcome], name: str) -> None:
         )
         for claim in cases:
             case = ElementTree.SubElement(suite, "testcase", classname=outcome.id, name=claim.id)
-            said = f"{claim.value:.6g} {claim.unit}, limit {claim.limit}; {claim.source}"
+            statement = f"{claim.value:.6g} {claim.unit}, limit {claim.limit}; {claim.source}"
             if outcome.error:
                 ElementTree.SubElement(case, "error", message=claim.source).text = outcome.error
             elif claim.passed is False:
-                ElementTree.SubElement(case, "failure", message=said)
+                ElementTree.SubElement(case, "failure", message=statement)
             elif claim.passed is None:
                 reason = claim.source if outcome.not_run else f"reported, no limit: {claim.value:.6g} {claim.unit}"
                 ElementTree.SubElement(case, "skipped", message=reason)

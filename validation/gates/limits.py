@@ -1,4 +1,4 @@
-"""Limits of figures: how they are written, which figures each is for, and whether a figure keeps its own."""
+"""Limits of figures: their notation, the figures that each applies to, and whether a figure is within its limit."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _COMPARE = {"<=": operator.le, ">=": operator.ge, "<": operator.lt, ">": operato
 
 
 def within(value: float, limit: str) -> bool:
-    """Whether a value keeps a limit such as ``<= 0.02``, ``> 0`` or ``0.195..0.199``; NaN keeps none."""
+    """Whether a value is within a limit such as ``<= 0.02``, ``> 0`` or ``0.195..0.199``; NaN is within none."""
     if bounds := _RANGE.fullmatch(limit):
         return float(bounds[1]) <= value <= float(bounds[2])
     bound = _ONE_SIDED.fullmatch(limit)
@@ -45,11 +45,12 @@ def judged(figure: Figure, limit: str | None, *, claim: str, why: str = "") -> C
 
 @dataclass(frozen=True)
 class Gate:
-    """A limit and the figures that it is for.
+    """A limit and the figures that it applies to.
 
-    ``key`` has the form of a figure's id, CLAIM.FIGURE or CLAIM.METHOD.FIGURE. Between its dots stands a name, several
-    names as ``{D65,A}``, or ``*`` for any one name. A ``*`` never stands for two names with a dot between them, nor
-    for a part of a name: what a claim measures later, or of a user's method, is not limited by accident.
+    ``key`` has the form of a figure's id, CLAIM.FIGURE or CLAIM.METHOD.FIGURE. Each part between dots is a name,
+    several names as ``{D65,A}``, or ``*`` for any one name. A ``*`` matches neither two names with a dot between them
+    nor part of a name, so that no limit applies by accident to a figure that is added later or to that of a user's
+    method.
     """
 
     key: str
@@ -58,16 +59,16 @@ class Gate:
 
     @property
     def claim(self) -> str:
-        """The claim whose figures it limits."""
+        """The claim whose figures the gate limits."""
         return self.key.partition(".")[0]
 
     @property
     def exact(self) -> bool:
-        """Whether it is for one figure alone."""
+        """Whether the gate matches a single figure."""
         return not set(self.key) & set("*{")
 
     def matches(self, figure_id: str) -> bool:
-        """Whether it is for the figure of this id."""
+        """Whether the gate matches the figure of this id."""
         parts, names = self.key.split("."), figure_id.split(".")
         return len(parts) == len(names) and all(map(_part_matches, parts, names))
 
@@ -92,7 +93,7 @@ class _GateFile(RootModel[dict[str, _GateText]]):
 
 
 def load_gates(path: Path, claims: Iterable[str]) -> list[Gate]:
-    """Limits of a TOML file, those of a single figure first; InputError where a key is wrong."""
+    """Limits of a TOML file, those for a single figure first; raises InputError if a key is wrong."""
     known = sorted(claims)
     gates = [Gate(key, text.limit, text.why) for key, text in parse_toml(_GateFile, path).root.items()]
     for gate in gates:
@@ -110,18 +111,18 @@ def load_gates(path: Path, claims: Iterable[str]) -> list[Gate]:
 
 
 def all_gates(claims: Iterable[str], users: Path | None, bundled: Path = GATES) -> list[Gate]:
-    """The bundled limits behind the user's own, which win."""
-    own = [] if users is None else load_gates(users, claims)
-    return [*own, *load_gates(bundled, claims)]
+    """The user's limits followed by the bundled ones; the first that matches a figure applies."""
+    users_gates = [] if users is None else load_gates(users, claims)
+    return [*users_gates, *load_gates(bundled, claims)]
 
 
 def gate_of(figure_id: str, gates: Sequence[Gate]) -> Gate | None:
-    """The first gate that is for a figure."""
+    """The first gate that matches a figure."""
     return next((gate for gate in gates if gate.matches(figure_id)), None)
 
 
 def judged_all(claim: str, figures: Sequence[Figure], gates: Sequence[Gate]) -> list[Claim]:
-    """A claim's figures with their limits; a limit for which there is no figure is an entry that failed."""
+    """Compare a claim's figures with their limits; a limit for a figure that is missing gives an entry that failed."""
     entries = []
     for figure in figures:
         gate = gate_of(f"{claim}.{figure.id}", gates)

@@ -1,4 +1,4 @@
-"""A claim in the table, and what came of measuring it."""
+"""An entry of the table of claims, and the result of measuring it."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from validation.methods import NamedMethod
 
 
 class Measurement(NamedTuple):
-    """How a claim is measured, whether that takes less than about 20 s, and whether it is a time that is measured.
+    """How a claim is measured, whether that takes less than about 20 s, and whether it measures a time.
 
-    ``run`` takes ``progress``, also ``seed`` where what it measures depends on random numbers, and ``methods`` where it
-    measures depth methods: by default bundled ones, and a user's in their place.
+    ``run`` takes ``progress``; also ``seed`` if the claim depends on random numbers, and ``methods`` if it measures
+    depth methods, of which the defaults are bundled ones that a user's methods can replace.
     """
 
     run: Callable[..., Evidence]
@@ -26,19 +26,19 @@ class Measurement(NamedTuple):
 
     @property
     def seeded(self) -> bool:
-        """Whether another seed gives other figures."""
+        """Whether the figures depend on a seed."""
         return "seed" in inspect.signature(self.run).parameters
 
     @property
     def methods(self) -> tuple[NamedMethod, ...]:
-        """The bundled depth methods that it measures; none where it takes no methods."""
+        """The bundled depth methods that the claim measures; empty if it does not measure methods."""
         parameter = inspect.signature(self.run).parameters.get("methods")
         return () if parameter is None else tuple(parameter.default)
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """A claim that was measured, or could not be."""
+    """Result of a claim that was measured or could not be."""
 
     id: str
     text: str  # the docstring
@@ -59,8 +59,10 @@ def title(measurement: Measurement) -> str:
     return (inspect.getdoc(measurement.run) or "").split("\n\n")[0].replace("\n", " ")
 
 
-def chosen(table: Mapping[str, Measurement], only: Sequence[str], *, quick: bool) -> list[str]:
-    """Ids to measure, in the table's order; InputError where a name is unknown or nothing is left."""
+def select(table: Mapping[str, Measurement], only: Sequence[str], *, quick: bool) -> list[str]:
+    """Ids of the claims to measure, in the table's order; raises InputError if a name is unknown or no
+    claim is left.
+    """
     for name in only:
         if name not in table:
             raise InputError(f"claim '{name}' is unknown; allowed are {', '.join(table)}")
@@ -71,12 +73,12 @@ def chosen(table: Mapping[str, Measurement], only: Sequence[str], *, quick: bool
 
 
 def check_methods(table: Mapping[str, Measurement], names: Sequence[str], methods: Sequence[NamedMethod]) -> None:
-    """InputError where methods are given and none of the named claims measures methods."""
+    """Raise InputError if methods are given and none of the named claims measures methods."""
     if methods and not any(table[name].methods for name in names):
         able = ", ".join(name for name in table if table[name].methods)
         raise InputError(f"--method {methods[0]}: none of these claims measures depth methods; {able} do")
 
 
 def failed(outcomes: list[Outcome]) -> bool:
-    """Whether any gate failed."""
+    """Whether any figure failed its limit."""
     return any(entry.passed is False for outcome in outcomes for entry in outcome.claims)

@@ -1,4 +1,4 @@
-"""Limits proposed from what was measured: a mean over seeds and a margin that comes from their spread.
+"""Proposed limits: the mean over seeds and a margin that follows from the spread.
 
 Tested in tests/validation/gates/test_run.py.
 """
@@ -14,10 +14,10 @@ CONFIDENCE = 0.99  # that one more seed keeps the limit
 
 
 def proposed(claim: Claim, seeds: int) -> str | None:
-    """A limit that one more seed keeps with the probability ``CONFIDENCE``; None where no spread was measured.
+    """A limit that a further seed meets with the probability ``CONFIDENCE``; None if the spread is unknown.
 
-    The prediction interval of a normal variable, mean +- t s sqrt(1 + 1/n), with Student's t of n - 1 degrees of
-    freedom. One-sided as the claim's own limit is, two-sided without one or with a range.
+    The prediction interval of a normal variable is mean +- t s sqrt(1 + 1/n), with Student's t of n - 1 degrees of
+    freedom. It is one-sided if the claim's limit is, and two-sided for a range or no limit.
     """
     from scipy.stats import t as student
 
@@ -33,7 +33,9 @@ def proposed(claim: Claim, seeds: int) -> str | None:
 
 
 def gate_file(measured: Sequence[tuple[Claim, int]]) -> str:
-    """A file for ``--gates``: a limit for each figure (claim, seeds) whose spread is known, and where it comes from."""
+    """Text of a file for ``--gates``: a limit, with its origin, for each figure (claim, seeds) whose
+    spread is known.
+    """
     lines = ["# Limits from measured values and their spread over seeds, by dasim validate --propose-gates."]
     for claim, seeds in measured:
         limit = proposed(claim, seeds)

@@ -1,4 +1,4 @@
-"""Measure the claims and compare them with their limits."""
+"""Measurement of claims and comparison with their limits."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from validation.subjects.rendering import NotRun
 
 
 class Job(NamedTuple):
-    """A claim, a seed, and a user's depth method in place of the bundled ones."""
+    """A claim, a seed, and a user's depth method that replaces the bundled ones."""
 
     claim: str
     seed: int
@@ -36,13 +36,13 @@ class Job(NamedTuple):
 
     @property
     def stage(self) -> str:
-        """What progress calls it."""
-        own = "" if self.method is None else f", {self.method}"
-        return self.claim + own + (f", seed {self.seed}" if self.seed else "")
+        """Name of the job in the progress display."""
+        suffix = "" if self.method is None else f", {self.method}"
+        return self.claim + suffix + (f", seed {self.seed}" if self.seed else "")
 
 
 class Run(NamedTuple):
-    """A claim measured with one seed, or the reason why not."""
+    """A claim measured with one seed, or the reason why it was not measured."""
 
     evidence: Evidence = Evidence([])
     seconds: float = 0.0
@@ -67,9 +67,9 @@ def measured_claims(
     """Measure the named claims and compare their figures with the limits.
 
     Unless ``fresh``, a claim that an earlier run measured with the same code, data, libraries and renderer ``variant``
-    is not measured again. ``jobs`` claims are measured at once, each in a process of its own. A claim that depends on
-    random numbers is measured with each of the ``seeds`` 0, 1, ...: its figures are means with their spread. Claims
-    about depth methods measure each of ``methods`` beside their own.
+    is not measured again. ``jobs`` claims are measured at once, each in its own process. A claim that depends on random
+    numbers is measured with each of the ``seeds`` 0, 1, ...; its figures are the means, with their spread. Claims about
+    depth methods measure each of ``methods`` in addition to the bundled ones.
     """
     if fresh:
         shots.forget()
@@ -81,8 +81,12 @@ def measured_claims(
 
 
 def _jobs(name: str, measurement: Measurement, seeds: int, methods: Sequence[NamedMethod]) -> list[Job]:
-    own = [method for method in methods if measurement.methods and method not in measurement.methods]
-    return [Job(name, seed, method) for method in (None, *own) for seed in range(seeds if measurement.seeded else 1)]
+    users_methods = [method for method in methods if measurement.methods and method not in measurement.methods]
+    return [
+        Job(name, seed, method)
+        for method in (None, *users_methods)
+        for seed in range(seeds if measurement.seeded else 1)
+    ]
 
 
 def _runs(
@@ -94,7 +98,9 @@ def _runs(
     jobs: int,
     progress: Progress,
 ) -> Iterator[tuple[Job, Run]]:
-    """Each job, stored ones first, then those that share the computer, then those that want it alone."""
+    """Run the jobs: first those with stored results, then those that can share the computer, then those that need it
+    alone.
+    """
     keys = {job: _key(job, table[job.claim], variant) for job in planned}
     missing = []
     for job in planned:
@@ -115,21 +121,21 @@ def _runs(
 
 
 def _key(job: Job, measurement: Measurement, variant: str) -> str:
-    """What the result depends on, of a user's method also its name and code."""
-    own = () if job.method is None else (function(job.method),)
-    key = stored.key(measurement.run, variant, job.seed, uses=own)
+    """Hash of all that the result depends on, including the name and code of a user's method."""
+    functions = () if job.method is None else (function(job.method),)
+    key = stored.key(measurement.run, variant, job.seed, uses=functions)
     return key if job.method is None else stored.text_hash([key, job.method.name])
 
 
 def _file(job: Job) -> str:
-    """Name under which a result is stored."""
+    """Stem of the file that stores the result of a job."""
     return job.claim if job.method is None else f"{job.claim}-{stored.text_hash([job.method.name])[:8]}"
 
 
 def _side_by_side(
     planned: Sequence[Job], table: Mapping[str, Measurement], jobs: int, progress: Progress
 ) -> Iterator[tuple[Job, Run]]:
-    """Claims measured in ``jobs`` processes; one that dies is a claim that stopped."""
+    """Measure claims in ``jobs`` processes; a claim whose process dies has stopped."""
     if not planned:
         return
     context = multiprocessing.get_context("spawn")
@@ -152,14 +158,14 @@ def _silent(share: float) -> None:
 
 
 def _stored(job: Job, key: str, run: Run) -> Run:
-    """Store what was measured; what could not be run, or stopped, is tried again the next time."""
+    """Store a measured result; claims that could not be run or that stopped are run again next time."""
     if run.not_run is None and run.stopped_by is None:
         stored.save(_file(job), job.seed, key, run.evidence, run.seconds)
     return run
 
 
 def measured(job: Job, measurement: Measurement, progress: ShareDone) -> Run:
-    """Run one claim. What stops it is a claim that failed, and the others go on; Ctrl-C ends all."""
+    """Run one claim. An exception makes this claim fail and the others continue; Ctrl-C ends the run."""
     start = time.perf_counter()
     options: dict[str, Any] = {"seed": job.seed} if measurement.seeded else {}
     if job.method is not None:
@@ -184,17 +190,19 @@ def _stopped(seconds: float, error: BaseException, report: str) -> Run:
 
 
 def _outcome(name: str, measurement: Measurement, runs: Mapping[Job, Run], gates: list[Gate]) -> Outcome:
-    """A claim's runs as one: means and spreads over seeds, judged; with the pictures and tables of the first."""
+    """Combine the runs of a claim: figures averaged over seeds and compared with their limits, pictures and tables of
+    the first seed.
+    """
     text = inspect.getdoc(measurement.run) or ""
     seconds = sum(run.seconds for run in runs.values())
-    own = [run for job, run in runs.items() if job.method is None]
-    if reason := next((run.not_run for run in own if run.not_run), None):
+    without_method = [run for job, run in runs.items() if job.method is None]
+    if reason := next((run.not_run for run in without_method if run.not_run), None):
         entry = Claim(name, math.nan, None, "", None, f"not run: {reason}")
         return Outcome(name, text, [entry], seconds, not_run=reason)
-    if broken := next((run for run in own if run.stopped_by), None):
+    if broken := next((run for run in without_method if run.stopped_by), None):
         entry = Claim(name, math.nan, None, "", False, broken.stopped_by or "")
         return Outcome(name, text, [entry], seconds, error=broken.report)
-    evidence, failures = _over_seeds(own), []
+    evidence, failures = _over_seeds(without_method), []
     users = list(dict.fromkeys(job.method for job in runs if job.method is not None))
     for method in users:
         theirs = [run for job, run in runs.items() if job.method == method]
@@ -209,7 +217,7 @@ def _outcome(name: str, measurement: Measurement, runs: Mapping[Job, Run], gates
         seconds,
         evidence=evidence,
         gates=[gate for gate in gates if gate.claim == name],
-        seeds=len(own),
+        seeds=len(without_method),
         stored=all(run.stored for run in runs.values()),
         bundled=tuple(method.name for method in measurement.methods),
         users=tuple(method.name for method in users),
@@ -217,7 +225,7 @@ def _outcome(name: str, measurement: Measurement, runs: Mapping[Job, Run], gates
 
 
 def joined(first: Evidence, second: Evidence) -> Evidence:
-    """Evidence of both, one after the other."""
+    """Evidence of two runs, one after the other."""
     return Evidence(*(getattr(first, one.name) + getattr(second, one.name) for one in fields(Evidence)))
 
 
@@ -226,14 +234,14 @@ def _over_seeds(runs: Sequence[Run]) -> Evidence:
 
 
 def over_seeds(measured: Sequence[list[Figure]]) -> list[Figure]:
-    """Mean and standard deviation (of one measurement) of each figure over seeds; a single seed has no spread."""
+    """Mean and standard deviation (of a single measurement) of each figure over seeds; one seed gives no spread."""
     if len(measured) == 1:
         return measured[0]
-    found = []
+    results = []
     for figure in measured[0]:
         values = [other.value for figures in measured for other in figures if other.id == figure.id]
-        found.append(replace(figure, value=statistics.fmean(values), spread=_spread(values)))
-    return found
+        results.append(replace(figure, value=statistics.fmean(values), spread=_spread(values)))
+    return results
 
 
 def _spread(values: Sequence[float]) -> float | None:

@@ -1,4 +1,4 @@
-"""Figures of a score with limits of a user's own: the verdicts, and the files that ``dasim score`` writes.
+"""Figures of a score compared with a user's limits, and the files that ``dasim score`` writes.
 
 Tested in tests/validation/test_methods.py.
 """
@@ -22,7 +22,9 @@ FIGURE_KEYS = {"value", "unit"}  # of each figure in the file that ``--json`` na
 
 
 def judged_score(what: str, figures: Sequence[Figure], gates: Path | None) -> list[Claim]:
-    """The figures with the limits of a file, whose keys are WHAT.FIGURE, such as ``score.raw.all.level-median``."""
+    """Compare the figures with the limits of a file, whose keys are WHAT.FIGURE, such as
+    ``score.raw.all.level-median``.
+    """
     return judged_all(what, figures, [] if gates is None else load_gates(gates, [what]))
 
 
@@ -34,7 +36,7 @@ def write_score(
     junit: Path | None,
     more: dict[str, Any] | None = None,
 ) -> None:
-    """Write the figures as JSON, value and unit by id, with limits where there are any, and as JUnit XML."""
+    """Write the figures as JSON (value, unit and any limit by id) and as JUnit XML."""
     if json_file is not None:
         content: dict[str, Any] = {}
         for entry in entries:
@@ -50,7 +52,9 @@ def write_score(
 
 
 def check_score_files(json_file: Path | None, junit: Path | None) -> None:
-    """Refuse to overwrite anything but an earlier score, and a folder that is not there, before the work begins."""
+    """Refuse, before the work begins, to overwrite a file other than an earlier score or to write into a missing
+    folder.
+    """
     for option, out in (("--json", json_file), ("--junit", junit)):
         if out is None:
             continue

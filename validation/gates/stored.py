@@ -1,4 +1,4 @@
-"""Evidence of claims, kept between runs under a fingerprint of everything that decides it.
+"""Evidence of claims, stored between runs under a fingerprint of everything that it depends on.
 
 Tested in tests/validation/gates/test_run.py and tests/dasim/base/test_fingerprint.py.
 """
@@ -24,16 +24,16 @@ SCHEMA = 4  # of the files
 
 
 def key(run: Callable[..., Any], variant: str, seed: int = 0, *, uses: tuple[Callable[..., Any], ...] = ()) -> str:
-    """Hash of what a claim's evidence depends on: code, data, libraries, the renderer's variant, seed.
+    """Hash of everything that a claim's evidence depends on: code, data, libraries, the renderer's variant, seed.
 
-    ``uses`` are functions that are passed to the claim, such as a depth method of a user's own. Limits are not part
-    of the key: stored evidence is compared with the limits of the day.
+    ``uses`` are functions that are passed to the claim, such as a user's depth method. Limits are not part of the key:
+    stored evidence is compared with the current limits.
     """
     return fingerprint(run, *uses, variant=variant, values=[str(SCHEMA), str(seed)])
 
 
 def load(name: str, seed: int, key: str) -> tuple[Evidence, float] | None:
-    """Evidence of a claim and the seconds that measuring it took; None where there is none under this key."""
+    """Stored evidence of a claim and the seconds that measuring it took; None if nothing is stored under this key."""
     try:
         content = json.loads(_path(name, seed, key).read_text(encoding="utf-8"))
         figures = [Figure(**figure | {"value": _number(figure["value"])}) for figure in content["figures"]]
@@ -46,7 +46,9 @@ def load(name: str, seed: int, key: str) -> tuple[Evidence, float] | None:
 
 
 def save(name: str, seed: int, key: str, evidence: Evidence, seconds: float) -> None:
-    """Keep a claim's evidence in place of that under other keys; a cache folder that cannot be written is no error."""
+    """Store a claim's evidence, which replaces that under other keys; a cache folder that is not writable
+    is no error.
+    """
     content = asdict(evidence) | {"seconds": seconds}
     for figure in content["figures"]:
         figure["value"] = plain_value(figure["value"])

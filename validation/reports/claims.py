@@ -25,7 +25,9 @@ _VIEW = re.compile(rb'viewBox="0 0 ([\d.]+) ([\d.]+)"')  # of an SVG
 
 
 def claims_page(outcomes: Sequence[Outcome]) -> str:
-    """Summary table, then each claim's text, figures and pictures; one file, no outside request."""
+    """HTML page with a summary table, then the text, figures and pictures of each claim; one file that loads nothing
+    else.
+    """
     environment = jinja2.Environment(loader=jinja2.FileSystemLoader(TEMPLATE_DIR), autoescape=True)
     entries = [(outcome, entry) for outcome in outcomes for entry in outcome.claims]
     environment.filters["code"] = code
@@ -50,47 +52,50 @@ def claims_page(outcomes: Sequence[Outcome]) -> str:
 
 
 def sentence(text: str) -> str:
-    """A docstring's first paragraph, in one line."""
+    """First paragraph of a docstring, in one line."""
     return " ".join(text.split("\n\n")[0].split())
 
 
 def code(text: str) -> Markup:
-    """Escaped text with ``names`` set as code."""
+    """Escaped text with ``names`` marked up as code."""
     return Markup(re.sub(r"``([^`]+)``", r"<code>\1</code>", str(escape(text))))
 
 
 def meaning(claim: Claim) -> str:
-    """What a figure is, without where its limit comes from: that stands beside the gate, once."""
+    """Description of a figure, without the origin of its limit, which stands beside the gate."""
     return claim.source.partition(LIMIT_FROM)[0]
 
 
 def paragraphs(text: str) -> list[tuple[str, str]]:
-    """A docstring's paragraphs after the first, each with the label it begins with (or none)."""
-    found = []
+    """The paragraphs of a docstring after the first, each with its label (empty if it has none)."""
+    result = []
     for paragraph in text.split("\n\n")[1:]:
         line = " ".join(paragraph.split())
         label = _LABEL.match(line)
-        found.append((label[1], line[label.end() :]) if label else ("", line))
-    return found
+        result.append((label[1], line[label.end() :]) if label else ("", line))
+    return result
 
 
 def wide(address: str) -> bool:
-    """Whether a picture is a row of panels, more than WIDE times as wide as high: it gets the page's whole width."""
+    """Whether a picture is more than WIDE times as wide as high, as rows of panels are; it then gets the full width of
+    the page.
+    """
     head, _, data = address.partition(",")
     if head.startswith("data:image/png;base64"):
         width, height = struct.unpack(">II", base64.b64decode(data[:32])[16:24])  # the first chunk, IHDR
         return bool(width > WIDE * height)
-    found = _VIEW.search(base64.b64decode(data[:4096])) if head.startswith("data:image/svg+xml;base64") else None
-    return found is not None and float(found[1]) > WIDE * float(found[2])
+    view_box = _VIEW.search(base64.b64decode(data[:4096])) if head.startswith("data:image/svg+xml;base64") else None
+    return view_box is not None and float(view_box[1]) > WIDE * float(view_box[2])
 
 
 Beside = tuple[list[str], list[tuple[str, str, list[float | None]]]]
 
 
 def beside(outcome: Outcome) -> Beside | None:
-    """A user's methods beside the bundled ones: names of the methods; rows of figure, unit and a value for each.
+    """A user's methods beside the bundled ones: the names of the methods, and rows of figure, unit and one value per
+    method.
 
-    A figure is CLAIM.METHOD.FIGURE, and of claims that measure one bundled method alone CLAIM.FIGURE. None where no
+    The figures are named CLAIM.METHOD.FIGURE, or CLAIM.FIGURE in claims that measure one bundled method. None if no
     user's method was measured.
     """
     values = {claim.id.removeprefix(f"{outcome.id}."): claim for claim in outcome.claims}
@@ -109,16 +114,18 @@ def beside(outcome: Outcome) -> Beside | None:
 
     methods = [*outcome.bundled, *outcome.users]
     table = [(figure, unit, [value(method, figure) for method in methods]) for figure, unit in rows.items()]
-    seen = [place for place in range(len(methods)) if any(cells[place] is not None for *_, cells in table)]
-    return [methods[place] for place in seen], [(name, unit, [cells[p] for p in seen]) for name, unit, cells in table]
+    places = [place for place in range(len(methods)) if any(cells[place] is not None for *_, cells in table)]
+    return [methods[place] for place in places], [
+        (name, unit, [cells[p] for p in places]) for name, unit, cells in table
+    ]
 
 
 def number(value: float) -> str:
-    """Four significant digits."""
+    """The number with four significant digits."""
     return f"{value:.4g}"
 
 
 def verdict(claims: Sequence[Claim]) -> bool | None:
-    """False where one failed, True where some were judged and none failed, None where none was judged."""
+    """False if a figure failed, True if some had limits and none failed, None if none had a limit."""
     judged = [claim.passed for claim in claims if claim.passed is not None]
     return all(judged) if judged else None

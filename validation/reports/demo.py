@@ -29,9 +29,9 @@ ERROR_MAP = "PuOr"
 
 
 def demo_page(shot: Shot, result: Reconstruction, claims: list[Claim], timings_s: dict[str, float]) -> str:
-    """The demo's report."""
+    """HTML page with the report of the demo."""
     truth, camera = shot.truth, shot.capture.camera
-    shown = displayed(result, truth)
+    pictures = displayed(result, truth)
     near, far = float(np.nanmin(truth.depth_m)) * 100, float(np.nanmax(truth.depth_m)) * 100
 
     def depth(depth_m: NDArray[Any]) -> str:
@@ -62,9 +62,9 @@ def demo_page(shot: Shot, result: Reconstruction, claims: list[Claim], timings_s
         (
             "All in focus",
             [
-                ("Captured", png_address(shown["captured"])),
-                ("All in focus", png_address(shown["all-in-focus"])),
-                ("Truth, through a pinhole", png_address(shown["truth"])),
+                ("Captured", png_address(pictures["captured"])),
+                ("All in focus", png_address(pictures["all-in-focus"])),
+                ("Truth, through a pinhole", png_address(pictures["truth"])),
             ],
         ),
     ]
@@ -101,7 +101,7 @@ def overview(shot: Shot, result: Reconstruction) -> NDArray[np.uint8]:
 
 
 def _map(values: NDArray[Any], *, low: float, high: float, cmap: str, label: str) -> str:
-    """A false-colour picture with its colour bar, as a data address."""
+    """A false-colour picture with its colour bar, as a data URL."""
     import matplotlib
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure

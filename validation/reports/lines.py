@@ -11,7 +11,7 @@ MARKS = {None: "", True: "passed", False: "FAILED"}
 
 
 def of_claim(claim: Claim) -> str:
-    """A figure with its limit and verdict; what could not be measured with the reason."""
+    """A figure with its limit and verdict, or the reason why it could not be measured."""
     if claim.limit is None and not claim.unit:
         return f"{claim.id:<44}{claim.source}"
     spread = "" if claim.spread is None else f"+- {claim.spread:.2g}"

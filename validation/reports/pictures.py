@@ -55,13 +55,13 @@ def depth_panels(maps: Sequence[tuple[str, NDArray[Any]]], nearest_m: float, far
         axes = np.atleast_1d(figure.subplots(1, len(maps)))
         for one, (title, depth_m) in zip(axes, maps, strict=True):
             vergence = 1 / np.asarray(depth_m, np.float64)
-            shown = one.imshow(
+            image = one.imshow(
                 np.ma.masked_invalid(vergence), cmap=colours, vmin=1 / farthest_m, vmax=1 / nearest_m,
                 interpolation="nearest",
             )  # fmt: skip
             one.set_title(title)
             one.set_axis_off()
-        bar = figure.colorbar(shown, ax=list(axes), label="depth z (cm)", pad=0.01)
+        bar = figure.colorbar(image, ax=list(axes), label="depth z (cm)", pad=0.01)
         ticks = np.linspace(1 / farthest_m, 1 / nearest_m, TICKS)
         bar.set_ticks(list(ticks), labels=[f"{100 / tick:.3g}" for tick in ticks])
         buffer = io.BytesIO()

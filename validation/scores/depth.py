@@ -1,7 +1,7 @@
-"""Scores of a depth map, anybody's, against the ground truth of its capture.
+"""Scores of a depth map from any source, against the ground truth of its capture.
 
-Every score stands beside that of the best constant map, which knows one number of the truth and nothing of the
-picture: a method that is not clearly better has not seen depth.
+Every score is stated with that of the best constant map, which uses one number of the truth and no picture: a method
+that is not clearly better has not measured depth.
 """
 
 from __future__ import annotations
@@ -30,12 +30,12 @@ MIN_DEPTH_M, MAX_DEPTH_M = 1e-3, 1e6
 
 
 def near_side(truth: Truth) -> BoolArray:
-    """Pixels [h, w] on the near side of the focal plane, where a blur level stands for one depth."""
+    """Pixels [h, w] on the near side of the focal plane, where a blur level corresponds to one depth."""
     return np.asarray(truth.valid & (truth.level >= FAR_SIDE_LEVEL))
 
 
 class Metric(NamedTuple):
-    """A score of estimated depths d against true ones d*, in one number; ``best`` is the value of a perfect map."""
+    """A score of estimated depths d against true depths d*, in one number; ``best`` is its value for a perfect map."""
 
     unit: str
     meaning: str
@@ -44,7 +44,7 @@ class Metric(NamedTuple):
 
 
 class Errors(NamedTuple):
-    """Estimates and truth at the judged pixels, [n] each."""
+    """Estimates and truth at the scored pixels, [n] each."""
 
     level: FloatArray  # signed blur level of the estimate less that of the truth
     blur_px: FloatArray  # the same in pixels of visible blur diameter
@@ -79,7 +79,7 @@ METRICS: dict[str, Metric] = {
 
 
 class RegionScore(NamedTuple):
-    """Scores of one region: of the map, and of the best constant map for each score by itself."""
+    """Scores of the map in one region, and for each score that of the best constant map."""
 
     region: str
     share: float  # of the pixels that see something
@@ -89,7 +89,7 @@ class RegionScore(NamedTuple):
 
 
 def regions(truth: Truth, texture: BoolArray) -> dict[str, BoolArray]:
-    """Where depth is judged apart: everything on the near side, its parts, and what lies behind the focus.
+    """Regions that are scored separately: the near side, its parts, and what lies behind the focus.
 
     ``texture`` [h, w] comes from the capture (:func:`validation.scores.texture.textured`), never from the truth.
     """
@@ -105,47 +105,49 @@ def regions(truth: Truth, texture: BoolArray) -> dict[str, BoolArray]:
 
 
 def depth_scores(depth_m: NDArray[Any], truth: Truth, camera: Camera, texture: BoolArray) -> list[RegionScore]:
-    """Score a depth map [h, w] in metres, NaN (or not above 0) where there is no estimate, region by region.
+    """Score a depth map [h, w] in metres, region by region; NaN or values up to 0 are pixels without an estimate.
 
-    Estimates count where they are; ``coverage`` says how many there are. Raises InputError where the sizes differ.
+    Only pixels with an estimate are scored, and ``coverage`` is their share. Raises InputError if the sizes differ.
     """
     check_size(depth_m, truth)
     estimated = np.isfinite(depth_m) & (depth_m > 0)
-    found = []
+    scores = []
     for name, region in regions(truth, texture).items():
         where = region & estimated
         errors = _errors(np.clip(depth_m[where], MIN_DEPTH_M, MAX_DEPTH_M), truth.depth_m[where], camera)
         values = {key: metric.of(errors) if where.any() else float("nan") for key, metric in METRICS.items()}
         constant = _best_constants(truth.depth_m[where].astype(np.float64), camera)
-        found.append(RegionScore(name, _share(region, truth.valid), _share(where, region), values, constant))
-    return found
+        scores.append(RegionScore(name, _share(region, truth.valid), _share(where, region), values, constant))
+    return scores
 
 
 def by_level(
     depth_m: NDArray[Any], truth: Truth, camera: Camera, texture: BoolArray
 ) -> list[tuple[float, float, float]]:
-    """Median absolute error and bias in levels by true level, since a median over all hides where a map fails.
+    """Median absolute error and bias in levels by true level, because a median over all levels hides where a map fails.
 
-    Of the region "textured". For each interval of ``LEVEL_EDGES``: its lower end, the error, the bias; NaN where the
-    truth has none or the map no estimate.
+    Covers the region "textured". For each interval of ``LEVEL_EDGES``: its lower end, the error and the bias, both NaN
+    if the truth has no such level or the map no estimate.
     """
     where = regions(truth, texture)["textured"] & np.isfinite(depth_m) & (depth_m > 0)
     error = _errors(np.clip(depth_m[where], MIN_DEPTH_M, MAX_DEPTH_M), truth.depth_m[where], camera).level
-    found = []
+    rows = []
     for low, high in itertools.pairwise(LEVEL_EDGES):
         part = error[(truth.level[where] >= low) & (truth.level[where] < high)]
         median, bias = (float(np.median(e)) if e.size else float("nan") for e in (np.abs(part), part))
-        found.append((max(low, 0.0), median, bias))
-    return found
+        rows.append((max(low, 0.0), median, bias))
+    return rows
 
 
 def sparsification(
     depth_m: NDArray[Any], confidence: NDArray[Any], truth: Truth, camera: Camera
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Mean absolute level error of what is left as the least confident pixels go: kept shares, error, and oracle's.
+    """Mean absolute level error of the most confident pixels: shares of the pixels, the error by confidence, and the
+    oracle's.
 
-    The oracle leaves out the pixels of the largest error first (Ilg et al. 2018, sec. 5.1). Of pixels on the near
-    side with an estimate. Equal confidences go in an order that does not depend on the error.
+    Pixels on the near side with an estimate are removed in order of increasing confidence; the oracle removes those
+    with the largest error first (Ilg et al. 2018, sec. 5.1). Pixels of equal confidence are removed in an order that
+    does not depend on the error.
     """
     check_size(depth_m, truth)
     where = near_side(truth) & np.isfinite(depth_m) & (depth_m > 0)
@@ -155,15 +157,17 @@ def sparsification(
     trust = np.nan_to_num(confidence[where].astype(np.float64), nan=-np.inf)
     shuffle = np.random.default_rng(0).permutation(error.size)
     by_trust = error[shuffle][np.argsort(-trust[shuffle], kind="stable")]
-    kept = np.linspace(1, 1 / SPARSIFICATION_STEPS, SPARSIFICATION_STEPS)
-    count = np.maximum((kept * error.size).astype(int), 1)
+    share = np.linspace(1, 1 / SPARSIFICATION_STEPS, SPARSIFICATION_STEPS)
+    count = np.maximum((share * error.size).astype(int), 1)
     mean_of_first = [np.cumsum(order)[count - 1] / count for order in (by_trust, np.sort(error))]
-    return kept, mean_of_first[0], mean_of_first[1]
+    return share, mean_of_first[0], mean_of_first[1]
 
 
-def sparsification_area(kept: FloatArray, error: FloatArray, oracle: FloatArray) -> float:
-    """AUSE: area between the curves over the left-out share, in levels (Ilg et al. 2018); 0 is perfect confidence."""
-    return float(np.trapezoid((error - oracle)[::-1], kept[::-1]))
+def sparsification_area(share: FloatArray, error: FloatArray, oracle: FloatArray) -> float:
+    """AUSE, the area between both curves over the removed share, in levels (Ilg et al. 2018); 0 for a perfect
+    confidence.
+    """
+    return float(np.trapezoid((error - oracle)[::-1], share[::-1]))
 
 
 def level_error(level: NDArray[Any], truth: Truth) -> FloatArray:
@@ -172,10 +176,10 @@ def level_error(level: NDArray[Any], truth: Truth) -> FloatArray:
 
 
 def balanced_error(error: FloatArray, true: FloatArray) -> tuple[float, float, list[tuple[int, float, float]]]:
-    """Median absolute error with every occupied level counting the same; the best constant map's; the bins.
+    """Median absolute error with equal weight for every occupied level, that of the best constant map, and the bins.
 
-    ``error`` and ``true`` levels are [n]. A bin is one level of the bank, k - 1/2 to k + 1/2, occupied where it holds
-    OCCUPIED_SHARE of the pixels; each is (k, its share, its median error). NaN where no bin is.
+    ``error`` and ``true`` levels are [n]. A bin is one level of the bank, k - 1/2 to k + 1/2, and occupied if it holds
+    OCCUPIED_SHARE of the pixels; each entry is (k, its share, its median error). NaN without an occupied bin.
     """
     level = np.rint(true).astype(int)
     count = np.bincount(np.maximum(level, 0))
@@ -194,7 +198,7 @@ def balanced_error(error: FloatArray, true: FloatArray) -> tuple[float, float, l
 
 
 def constant_errors(true: FloatArray) -> FloatArray:
-    """Absolute errors of the constant map whose median error is least, for true levels [n]."""
+    """Absolute errors of the constant map with the least median error, for true levels [n]."""
     if not true.size:
         return true
     some = true[:: max(true.size // MOST_PIXELS, 1)]
@@ -204,27 +208,27 @@ def constant_errors(true: FloatArray) -> FloatArray:
 
 
 def weighted_median(values: FloatArray, weights: FloatArray) -> float:
-    """The value up to which half of the weight lies."""
+    """The value below which half of the weight lies."""
     order = np.argsort(values)
     total = np.cumsum(weights[order])
     return float(values[order][np.searchsorted(total, total[-1] / 2)])
 
 
 def check_size(image: NDArray[Any], truth: Truth, what: str = "depth map") -> None:
-    """Refuse a map of another size than the truth."""
+    """Raise InputError if a map has another size than the truth."""
     if image.shape != truth.depth_m.shape:
         mine, exact = (" x ".join(map(str, a.shape[::-1])) for a in (image, truth.depth_m))
         raise InputError(f"{what}: is {mine} pixels, the ground truth {exact}; score it at the capture's own size")
 
 
 def _errors(depth_m: NDArray[Any], exact_m: NDArray[Any], camera: Camera) -> Errors:
-    found, exact = depth_m.astype(np.float64), exact_m.astype(np.float64)
-    blur = np.asarray(geometry.blur_px(camera, found) - geometry.blur_px(camera, exact))
-    return Errors(blur / geometry.level_blur_px(camera)[1], blur, found, exact)
+    estimate, exact = depth_m.astype(np.float64), exact_m.astype(np.float64)
+    blur = np.asarray(geometry.blur_px(camera, estimate) - geometry.blur_px(camera, exact))
+    return Errors(blur / geometry.level_blur_px(camera)[1], blur, estimate, exact)
 
 
 def _best_constants(exact_m: FloatArray, camera: Camera) -> dict[str, float]:
-    """The best that a constant map reaches in each metric; NaN for an empty region."""
+    """Score of the best constant map in each metric; NaN for an empty region."""
     if not exact_m.size:
         return dict.fromkeys(METRICS, float("nan"))
     some = exact_m[:: max(exact_m.size // MOST_PIXELS, 1)]

@@ -19,46 +19,46 @@ EXR_CHANNELS = ("Z", "depth.Z", "depth", "Y", "R")  # that are tried, in this or
 
 
 def read_depth(path: Path, metres_per_unit: float | None = None) -> FloatArray:
-    """Depth z in metres, [h, w], NaN where the file has no estimate.
+    """Read depth z in metres, [h, w]; NaN where the file has no estimate.
 
-    EXR (channel Z, depth, Y or R) and NPY hold metres unless ``metres_per_unit`` says otherwise; 16-bit PNG needs it,
-    and 0 there is no estimate. Raises InputError for what cannot be read as one map.
+    EXR files (channel Z, depth, Y or R) and NPY files are in metres unless ``metres_per_unit`` is given; 16-bit PNG
+    files require it, and 0 in them means no estimate. Raises InputError for a file that is not a single map.
     """
     if metres_per_unit is not None and not metres_per_unit > 0:
         raise InputError(f"--scale {metres_per_unit:g}: must be above 0, the metres of one unit")
-    found = read_map(path)
+    depth = read_map(path)
     if path.suffix.lower() == ".png":
         if metres_per_unit is None:
             raise InputError(f"{path}: a PNG holds whole numbers; say with --scale how many metres one unit is")
-        found[found == 0] = np.nan
-    found = found * (metres_per_unit or 1.0)
-    found[~(np.isfinite(found) & (found > 0))] = np.nan
-    if np.isnan(found).all():
+        depth[depth == 0] = np.nan
+    depth = depth * (metres_per_unit or 1.0)
+    depth[~(np.isfinite(depth) & (depth > 0))] = np.nan
+    if np.isnan(depth).all():
         raise InputError(
             f"{path}: holds no depth at all; needed are metres above 0, NaN or 0 where there is no estimate"
         )
-    return found
+    return depth
 
 
 def read_map(path: Path) -> FloatArray:
-    """One number a pixel, [h, w], as the file has them."""
+    """Read one number per pixel, [h, w], without conversion."""
     if not path.is_file():
         raise InputError(f"{path}: does not exist, or is a folder that is no reconstruction")
     suffix = path.suffix.lower()
     if suffix == ".png":
         return read_png16(path).astype(np.float64)
     if suffix == ".npy":
-        found = _read_npy(path)
+        values = _read_npy(path)
     elif suffix == ".exr":
-        found = _read_exr(path)
+        values = _read_exr(path)
     else:
         raise InputError(f"{path}: unknown kind of file; allowed are {', '.join(SUFFIXES)}")
-    found = np.squeeze(found)
-    if found.ndim != 2 or not np.issubdtype(found.dtype, np.number) or np.iscomplexobj(found):
+    values = np.squeeze(values)
+    if values.ndim != 2 or not np.issubdtype(values.dtype, np.number) or np.iscomplexobj(values):
         raise InputError(
-            f"{path}: holds an array of shape {found.shape} and type {found.dtype}; needed is [h, w] of numbers"
+            f"{path}: holds an array of shape {values.shape} and type {values.dtype}; needed is [h, w] of numbers"
         )
-    return found.astype(np.float64)
+    return values.astype(np.float64)
 
 
 def _read_npy(path: Path) -> NDArray:

@@ -1,4 +1,4 @@
-"""How steep the edges of a picture are, against those of the sharp truth.
+"""Steepness of the edges of a picture relative to the sharp truth.
 
 Tested in tests/validation/claims/test_pictures.py.
 """
@@ -15,11 +15,13 @@ EDGE_SHARE = 0.1  # of the pixels, those with the steepest truth
 GRADIENT_SIGMA_PX = 0.7  # of the Gaussian before the differences
 
 
-def slope(found: FloatArray, exact: FloatArray, where: BoolArray) -> float:
-    """Regression of gradients [2, h, w] on exact ones, at the steepest of these within a mask [h, w]."""
+def slope(picture: FloatArray, exact: FloatArray, where: BoolArray) -> float:
+    """Slope of the regression of a picture's gradients [2, h, w] on exact ones, at the steepest of these within a mask
+    [h, w].
+    """
     steep = np.hypot(*exact)
     edge = where & (steep >= np.quantile(steep[where], 1 - EDGE_SHARE))
-    return float((found * exact)[:, edge].sum() / (exact**2)[:, edge].sum())
+    return float((picture * exact)[:, edge].sum() / (exact**2)[:, edge].sum())
 
 
 def gradients(image: NDArray) -> FloatArray:

@@ -1,4 +1,4 @@
-"""Named figures: what scores and claims consist of."""
+"""Named figures, of which scores and claims consist."""
 
 from __future__ import annotations
 

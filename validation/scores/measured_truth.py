@@ -1,4 +1,4 @@
-"""A ground truth that a user measured beside a photograph: a map of depths, and nothing else of the scene.
+"""Ground truth from a depth map that a user measured beside a photograph.
 
 Tested in tests/recon/test_real_camera.py.
 """
@@ -23,9 +23,9 @@ NOTHING = np.zeros((0, 0))
 
 
 def truth_of_depth(depth_m: NDArray[Any], camera: Camera) -> Truth:
-    """What follows from a depth map [h, w] in metres, NaN where nothing was measured: levels and boundaries.
+    """Levels and boundaries that follow from a depth map [h, w] in metres, NaN where nothing was measured.
 
-    Normals, labels and pictures stay empty.
+    Normals, labels and pictures are empty.
     """
     blur = np.asarray(geometry.blur_px(camera, depth_m.astype(np.float64)))
     empty = NOTHING.astype(np.float32)
@@ -45,17 +45,18 @@ def truth_of_depth(depth_m: NDArray[Any], camera: Camera) -> Truth:
     )
 
 
-def score_measured(found: Reconstruction, depth_m: NDArray[Any]) -> list[Figure]:
-    """Depth figures of a reconstruction, raw and regularised, against a measured depth map of its size.
+def score_measured(result: Reconstruction, depth_m: NDArray[Any]) -> list[Figure]:
+    """Depth figures of a reconstruction, raw and regularised, against a measured depth map of the same size.
 
-    Texture is told from the raw picture, which is not here: ``inner`` is all that lies off the boundaries.
+    Texture is determined from the raw picture, which is not available here, so that the region ``inner`` holds
+    everything away from boundaries.
     """
-    truth = truth_of_depth(depth_m, found.camera)
-    raw_m = np.where(np.isfinite(found.level_raw), depth_of_level(found.level_raw, found), np.nan)
+    truth = truth_of_depth(depth_m, result.camera)
+    raw_m = np.where(np.isfinite(result.level_raw), depth_of_level(result.level_raw, result), np.nan)
     whole = np.ones(truth.depth_m.shape, bool)
     figures = []
-    for name, estimate in (("raw", raw_m), ("regularised", found.depth_m)):
-        for figure in depth_figures(name, estimate, truth, found.camera, whole):
+    for name, estimate in (("raw", raw_m), ("regularised", result.depth_m)):
+        for figure in depth_figures(name, estimate, truth, result.camera, whole):
             if f"{name}.untextured." not in figure.id:
                 figures.append(replace(figure, id=figure.id.replace(f"{name}.textured.", f"{name}.inner.")))
-    return [*figures, *confidence_figures("regularised", found.depth_m, found.confidence, truth, found.camera)]
+    return [*figures, *confidence_figures("regularised", result.depth_m, result.confidence, truth, result.camera)]

@@ -1,4 +1,4 @@
-"""Metrics of one's own: functions of an estimated depth map and the truth.
+"""A user's metrics: functions of an estimated depth map and the truth.
 
 Tested in tests/validation/test_methods.py.
 """
@@ -21,10 +21,10 @@ Metric = Callable[[FloatArray, Truth], float | Mapping[str, float]]
 """From a depth map [h, w] in metres, NaN where there is no estimate, and the truth, to a number or named numbers."""
 
 
-def load_metrics(given: Sequence[str]) -> list[Metric]:
-    """Metrics as a user names them: ``package.module:function``, ``file.py:function``, or NAME=FUNCTION."""
-    found: list[Metric] = []
-    for text in given:
+def load_metrics(names: Sequence[str]) -> list[Metric]:
+    """Metrics from a user's list: ``package.module:function``, ``file.py:function``, or NAME=FUNCTION."""
+    metrics: list[Metric] = []
+    for text in names:
         name, equals, source = text.partition("=")
         if not equals or ":" in name:
             name, source = "", text
@@ -34,32 +34,34 @@ def load_metrics(given: Sequence[str]) -> list[Metric]:
                 raise InputError(f"metric '{text}': '{name}' is no name; allowed are letters, digits, - and _")
             metric = functools.partial(metric)
             metric.__name__ = name  # type: ignore[attr-defined]
-        if metric_name(metric) in map(metric_name, found):
+        if metric_name(metric) in map(metric_name, metrics):
             raise InputError(
                 f"metric '{text}': two metrics have the name '{metric_name(metric)}'; give one as NAME={text}"
             )
-        found.append(metric)
-    return found
+        metrics.append(metric)
+    return metrics
 
 
 def metric_name(metric: Metric) -> str:
-    """Name of the function, which its figures carry."""
+    """Name of the metric, used in the ids of its figures."""
     return str(getattr(metric, "__name__", type(metric).__name__))
 
 
 def metric_figures(depth_map: str, depth_m: NDArray, truth: Truth, metrics: Sequence[Metric]) -> list[Figure]:
-    """MAP.METRIC, or MAP.METRIC-KEY where a metric gives several numbers; InputError where it fails."""
+    """Figures MAP.METRIC, or MAP.METRIC-KEY if a metric returns several numbers; raises InputError if
+    a metric fails.
+    """
     figures: list[Figure] = []
     for metric in metrics:
         name = metric_name(metric)
         try:
-            found = metric(depth_m, truth)
+            values = metric(depth_m, truth)
         except Exception as error:
             raise InputError(
                 f"metric '{name}': stopped by {type(error).__name__}: {' '.join(str(error).split())}"
             ) from error
         named = (
-            {f"{name}-{key}": value for key, value in found.items()} if isinstance(found, Mapping) else {name: found}
+            {f"{name}-{key}": value for key, value in values.items()} if isinstance(values, Mapping) else {name: values}
         )
         for key, value in named.items():
             if not isinstance(value, numbers.Real):

@@ -1,7 +1,7 @@
-"""Scores of pictures, captured and all in focus, against the picture through a pinhole.
+"""Scores of the captured and the all-in-focus picture against the picture through a pinhole.
 
-PSNR of linear light: no display curve or clipping is graded. SSIM (Wang et al. 2004), colour difference CIEDE2000 and
-the blur effect (Crete et al. 2007) of what is displayed: sRGB, both pictures through the same matrix and exposure.
+PSNR is computed from linear light, without display curve or clipping. SSIM (Wang et al. 2004), colour difference
+CIEDE2000 and the blur effect (Crete et al. 2007) are computed from sRGB pictures with a common matrix and exposure.
 
 Tested in tests/validation/scores/test_score.py.
 """
@@ -41,7 +41,7 @@ class PictureScore(NamedTuple):
 
 
 def regions(truth: Truth) -> dict[str, BoolArray]:
-    """Where pictures are judged: blurred by 3 to 15 px, and everywhere; both away from boundaries."""
+    """Regions in which pictures are scored: those with a blur of 3 to 15 px, and all; both away from boundaries."""
     inner = truth.valid & ~truth.boundary
     low, high = VISIBLE_BLUR_PX
     blur = np.abs(truth.blur_px)
@@ -49,18 +49,18 @@ def regions(truth: Truth) -> dict[str, BoolArray]:
 
 
 def picture_scores(result: Reconstruction, truth: Truth) -> list[PictureScore]:
-    """Scores of both pictures, region by region; NaN where a region is empty."""
+    """Scores of both pictures, region by region; NaN if a region is empty."""
     exact = infrared_free(truth.sharp_e, result.camera)
-    shown = displayed(result, truth)
+    srgb = displayed(result, truth)
     total = max(float(truth.valid.sum()), 1.0)
-    found = []
+    scores = []
     for name, where in regions(truth).items():
         pair = [
-            {"psnr": psnr(linear, exact, where), **display_scores(picture, shown["truth"], where)}
-            for linear, picture in ((result.linear_e, shown["captured"]), (result.sharp_e, shown["all-in-focus"]))
+            {"psnr": psnr(linear, exact, where), **display_scores(picture, srgb["truth"], where)}
+            for linear, picture in ((result.linear_e, srgb["captured"]), (result.sharp_e, srgb["all-in-focus"]))
         ]
-        found.append(PictureScore(name, float(where.sum()) / total, pair[0], pair[1]))
-    return found
+        scores.append(PictureScore(name, float(where.sum()) / total, pair[0], pair[1]))
+    return scores
 
 
 def displayed(result: Reconstruction, truth: Truth) -> dict[str, FloatArray]:
@@ -79,9 +79,9 @@ def infrared_free(image_e: NDArray[Any], camera: Camera) -> FloatArray:
 
 
 def psnr(image: NDArray[Any], exact: FloatArray, where: BoolArray) -> float:
-    """Peak signal-to-noise ratio in dB over masked pixels and all channels; the peak is the truth's 99.9th percentile.
+    """Peak signal-to-noise ratio in dB over the pixels ``where`` and all channels, of linear light.
 
-    10 log10(peak^2 / mean squared error), linear light.
+    10 log10(peak^2 / mean squared error); the peak is the 99.9th percentile of all of ``exact``.
     """
     if not where.any():
         return float("nan")
@@ -91,9 +91,9 @@ def psnr(image: NDArray[Any], exact: FloatArray, where: BoolArray) -> float:
 
 
 def display_scores(image: NDArray[Any], exact: FloatArray, where: BoolArray) -> dict[str, float]:
-    """SSIM and CIEDE2000 of display pictures [h, w, 3], 0..1: means over masked pixels, NaN where there are none.
+    """Mean SSIM and CIEDE2000 over masked pixels of display pictures [h, w, 3], 0..1; NaN if the mask is empty.
 
-    SSIM is NaN also where the picture is smaller than its window.
+    SSIM is also NaN if the picture is smaller than its window.
     """
     import colour as science
     from skimage.metrics import structural_similarity
@@ -114,9 +114,10 @@ def display_scores(image: NDArray[Any], exact: FloatArray, where: BoolArray) -> 
 
 
 def blur_effect(image: NDArray[Any]) -> float:
-    """Blur of a display picture [h, w, 3], from 0 (sharp) to 1: how little a further blur takes from it.
+    """Blur of a display picture [h, w, 3], 0 (sharp) to 1, measured by how little it changes when it is blurred
+    further.
 
-    Crete et al. 2007, as scikit-image has it; without reference. Noise counts as sharpness.
+    Crete et al. 2007, as implemented in scikit-image; needs no reference. Noise counts as sharpness.
     """
     from skimage.measure import blur_effect as effect
 

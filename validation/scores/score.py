@@ -1,4 +1,4 @@
-"""Scores of a reconstruction or of any depth map against the ground truth, as figures and as tables for people."""
+"""Scores of a reconstruction or any depth map against the ground truth, as figures and as tables."""
 
 from __future__ import annotations
 
@@ -26,11 +26,10 @@ FLAT_LEVELS = 1e-3  # a scene with less depth than this has no best constant to 
 def score(result: Reconstruction, capture: Capture, truth: Truth, *, metrics: Sequence[Metric] = ()) -> list[Figure]:
     """Figures of a reconstruction: raw and regularised depth, confidence, and pictures against the sharp truth.
 
-    ``result``, ``capture`` and ``truth`` are of one picture [h, w]; the capture is needed because the regions with
-    texture are those of the raw picture. Depth figures are named MAP.REGION.METRIC (:mod:`validation.scores.depth`),
-    those of pictures PICTURE.REGION.METRIC (:mod:`validation.scores.pictures`). ``metrics`` are
-    functions of your own of a depth map in metres and the truth; their figures are MAP.NAME. InputError where the sizes
-    differ.
+    ``result``, ``capture`` and ``truth`` belong to one picture [h, w]; the capture determines which regions have
+    texture. Depth figures are named MAP.REGION.METRIC (:mod:`validation.scores.depth`), picture figures
+    PICTURE.REGION.METRIC (:mod:`validation.scores.pictures`). ``metrics`` are a user's functions of a depth map in
+    metres and the truth; their figures are named MAP.NAME. Raises InputError if the sizes differ.
     """
     _check_kinds((result, Reconstruction), (capture, Capture), (truth, Truth))
     camera, textured = result.camera, texture.textured(capture)
@@ -66,39 +65,41 @@ def score_map(
 
 
 def _check_kinds(*pairs: tuple[object, type]) -> None:
-    """InputError where an argument is not of its type, as where two are swapped."""
+    """Raise InputError if an argument has the wrong type, for example because two are swapped."""
     for value, kind in pairs:
         if not isinstance(value, kind):
             raise InputError(f"score: a {kind.__name__} is needed, not {kind_of(value)}; see help(validation.score)")
 
 
 def depth_of_level(level: NDArray[Any], result: Reconstruction) -> FloatArray:
-    """Depth of raw levels, by the relation of level and depth that the regularised map shows."""
+    """Depth of raw levels, from the relation between level and depth in the regularised map."""
     order = np.argsort(result.level, axis=None)
     levels, depths = result.level.ravel()[order], result.depth_m.ravel()[order]
     return np.interp(level, levels, depths, left=depths[0], right=depths[-1])
 
 
 def depth_figures(name: str, depth_m: NDArray[Any], truth: Truth, camera: Camera, textured: BoolArray) -> list[Figure]:
-    """Scores of a depth map: NAME.REGION.METRIC, and the same of the best constant map: NAME.REGION.METRIC.constant."""
+    """Scores of a depth map, named NAME.REGION.METRIC, and of the best constant map, NAME.REGION.METRIC.constant."""
     figures = []
-    for found in depth.depth_scores(depth_m, truth, camera, textured):
-        where = f"{name}.{found.region}"
-        figures.append(Figure(f"{where}.share", found.share, "1", "the region's share of the pixels"))
-        figures.append(Figure(f"{where}.coverage", found.coverage, "1", "share of the region with an estimate"))
+    for score_of_region in depth.depth_scores(depth_m, truth, camera, textured):
+        where = f"{name}.{score_of_region.region}"
+        figures.append(Figure(f"{where}.share", score_of_region.share, "1", "the region's share of the pixels"))
+        figures.append(
+            Figure(f"{where}.coverage", score_of_region.coverage, "1", "share of the region with an estimate")
+        )
         for key, metric in DEPTH_METRICS.items():
-            figures.append(Figure(f"{where}.{key}", found.values[key], metric.unit, metric.meaning))
+            figures.append(Figure(f"{where}.{key}", score_of_region.values[key], metric.unit, metric.meaning))
             best = f"best constant map: {metric.meaning}"
-            figures.append(Figure(f"{where}.{key}.constant", found.constant[key], metric.unit, best))
+            figures.append(Figure(f"{where}.{key}.constant", score_of_region.constant[key], metric.unit, best))
         text = "median |l - l*| over that of the best constant map"
-        constant = found.constant["level-median"]
-        ratio = found.values["level-median"] / constant if constant > FLAT_LEVELS else float("nan")
+        constant = score_of_region.constant["level-median"]
+        ratio = score_of_region.values["level-median"] / constant if constant > FLAT_LEVELS else float("nan")
         figures.append(Figure(f"{where}.level-ratio", ratio, "1", text))
     return figures
 
 
 def level_figures(name: str, depth_m: NDArray[Any], truth: Truth, camera: Camera, textured: BoolArray) -> list[Figure]:
-    """NAME.at-LEVEL.level-median and .level-bias: errors of textured pixels by true level, from LEVEL to the next."""
+    """Errors of textured pixels by true level, from LEVEL to the next: NAME.at-LEVEL.level-median and .level-bias."""
     figures = []
     for low, median, bias in depth.by_level(depth_m, truth, camera, textured):
         where = f"textured pixels of true levels from {low:g}"
@@ -108,15 +109,17 @@ def level_figures(name: str, depth_m: NDArray[Any], truth: Truth, camera: Camera
 
 
 def picture_figures(result: Reconstruction, truth: Truth) -> list[Figure]:
-    """PICTURE.REGION.METRIC of the captured and of the all-in-focus picture; gains; blur of each and of the truth."""
+    """Scores of the captured and the all-in-focus picture, PICTURE.REGION.METRIC, with gains and the blur of each
+    picture and of the truth.
+    """
     figures = []
-    for found in pictures.picture_scores(result, truth):
+    for picture_score in pictures.picture_scores(result, truth):
         for key, (unit, meaning) in pictures.METRICS.items():
-            for name, values in (("captured", found.captured), ("all-in-focus", found.sharpened)):
-                figures.append(Figure(f"{name}.{found.region}.{key}", values[key], unit, meaning))
-        gain = found.sharpened["psnr"] - found.captured["psnr"]
+            for name, values in (("captured", picture_score.captured), ("all-in-focus", picture_score.sharpened)):
+                figures.append(Figure(f"{name}.{picture_score.region}.{key}", values[key], unit, meaning))
+        gain = picture_score.sharpened["psnr"] - picture_score.captured["psnr"]
         text = "PSNR of the all-in-focus picture less that of the captured one"
-        figures.append(Figure(f"all-in-focus.{found.region}.psnr-gain", gain, "dB", text))
+        figures.append(Figure(f"all-in-focus.{picture_score.region}.psnr-gain", gain, "dB", text))
     for name, picture in pictures.displayed(result, truth).items():
         text = "blur effect, 0 sharp to 1, without reference"
         figures.append(Figure(f"{name}.blur-effect", pictures.blur_effect(picture), "1", text))
@@ -126,7 +129,7 @@ def picture_figures(result: Reconstruction, truth: Truth) -> list[Figure]:
 def confidence_figures(
     name: str, depth_m: NDArray[Any], confidence: NDArray[Any], truth: Truth, camera: Camera
 ) -> list[Figure]:
-    """How well a confidence tells which estimates are wrong."""
+    """How well a confidence map identifies wrong estimates."""
     check_size(confidence, truth, "confidence")
     curve = depth.sparsification(depth_m, confidence, truth, camera)
     area = depth.sparsification_area(*curve)
@@ -139,7 +142,9 @@ def confidence_figures(
 
 
 def table(figures: list[Figure]) -> str:
-    """Tables for people: depth maps by region, with the best constant map in brackets; by true level; pictures."""
+    """Tables for the terminal: depth maps by region, with the best constant map in brackets, by true level, and
+    pictures.
+    """
     values = {figure.id: figure.value for figure in figures}
     lines = [f"{f.id:<28}{f.value:>9.3f} {f.unit:<6}{f.meaning}" for f in figures if f.id.count(".") == 1]
     maps = dict.fromkeys(name.split(".")[0] for name in values if name.endswith(".constant"))
@@ -175,9 +180,9 @@ def table(figures: list[Figure]) -> str:
 
 
 def _second(values: dict[str, float], start: str, end: str) -> list[str]:
-    """The middle parts of ids of three parts that begin and end so."""
-    found = [key for key in values if key.startswith(start) and key.endswith(end) and key.count(".") == 2]
-    return [key.split(".")[1] for key in found]
+    """Middle parts of the ids of three parts that begin with ``start`` and end with ``end``."""
+    keys = [key for key in values if key.startswith(start) and key.endswith(end) and key.count(".") == 2]
+    return [key.split(".")[1] for key in keys]
 
 
 def _table(head: list[str], rows: dict[str, list[str]]) -> list[str]:

@@ -1,4 +1,5 @@
-"""Which pixels of a raw picture show texture: from the capture alone, the same for every method that is scored.
+"""Pixels of a raw picture that show texture, determined from the capture and thus equal for all methods that are
+scored.
 
 Tested in tests/validation/scores/test_depth.py.
 """
@@ -18,15 +19,15 @@ TEXTURE_SNR = 1.0  # gradient energy of the picture over that of its noise
 
 
 def textured(capture: Capture) -> NDArray[np.bool_]:
-    """Pixels in whose surrounding the energy of green's differences is more than twice that of noise, [h, w]."""
+    """Pixels [h, w] around which the energy of differences of green is more than twice that of noise."""
     return gradient_snr(capture) > TEXTURE_SNR
 
 
 def gradient_snr(capture: Capture) -> FloatArray:
-    """Energy of the raw green's differences over that of their noise, less 1, mean over ``WINDOW_PX``, [h, w].
+    """Energy of differences of raw green over that of their noise, less 1, averaged over ``WINDOW_PX``, [h, w].
 
-    Differences of green pixels one period of the mosaic apart, along both axes; their noise is twice the variance
-    that the data sheet gives for their mean. Around 0 without texture.
+    Differences are between green pixels one period of the mosaic apart, along both axes; the variance of their noise is
+    twice that which the data sheet gives for their mean. Without texture the result is around 0.
     """
     electrons, _ = mosaic.linearise(capture)
     energy, noise = np.zeros((2, *electrons.shape))

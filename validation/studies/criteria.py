@@ -183,7 +183,7 @@ def _nuisance_direction(total: FloatArray, rest: range) -> FloatArray:
 
 
 def _rings() -> FloatArray:
-    """1 for the frequencies of the half-plane that lie in each ring, else 0, [ring, h (w/2 + 1)]; without the mean."""
+    """Membership of the half-plane's frequencies in each ring, 1 or 0, [ring, h (w/2 + 1)]; frequency 0 is in none."""
     fy, fx = cramer_rao.frequencies(SHAPE, 1.0)
     ring = np.rint(np.hypot(fy, fx) * max(SHAPE)).astype(int).ravel()
     return (ring == np.arange(1, ring.max() + 1)[:, None]).astype(np.float64)

@@ -132,10 +132,10 @@ class Strips:
                 noisy = noise.add_to(picture, channel, random).astype(np.float32)
                 variance = noise.variance(cv2.GaussianBlur(noisy, (0, 0), 1.5), channel).astype(np.float32)
                 planes.append(Channel(noisy, (0, 0), variance, kernels[:, pair[channel]]))
-            seen, edge = levels_of(planes[0], planes[1], settings, 1.0)
+            score_map, edge = levels_of(planes[0], planes[1], settings, 1.0)
             inner = slice(BORDER_PX, -BORDER_PX)
             bound = bound_of(table[:, number], strength[inner, inner][edge])
-            estimates.append(Estimates(level, seen[edge] - level, bound, float(edge.mean())))
+            estimates.append(Estimates(level, score_map[edge] - level, bound, float(edge.mean())))
         return estimates
 
     def _bounds(self, noise: Noise) -> FloatArray:

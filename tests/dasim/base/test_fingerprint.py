@@ -136,18 +136,18 @@ def with_another_number(text: str, suffix: str) -> str:
 
 def changed(key, *paths: Path) -> list[str]:
     """Files, by name, of which a change of a number changes the key."""
-    before, found = key(), []
+    before, names = key(), []
     for path in paths:
         text = path.read_text(encoding="utf-8")
         try:
             path.write_text(with_another_number(text, path.suffix), encoding="utf-8")
             fingerprint.forget()
             if key() != before:
-                found.append(path.name)
+                names.append(path.name)
         finally:
             path.write_text(text, encoding="utf-8")
             fingerprint.forget()
-    return found
+    return names
 
 
 @pytest.mark.parametrize("name", CACHES)
@@ -173,13 +173,13 @@ def test_scenes_in_a_wheel_have_the_same_fingerprint(tree, tmp_path, monkeypatch
     """Rationale: a wheel holds the scenes inside of dasim."""
     shutil.copytree(tree, tmp_path / "wheel")
     shutil.move(tmp_path / "wheel" / "scenes", tmp_path / "wheel" / "dasim" / "scenes")
-    found = []
+    fingerprints = []
     for root in (tree, (tmp_path / "wheel").resolve()):
         monkeypatch.setattr(fingerprint, "ROOT", root)
         fingerprint.forget()
-        found.append(stored.key(CLAIMS["depth"].run, VARIANT))
+        fingerprints.append(stored.key(CLAIMS["depth"].run, VARIANT))
     fingerprint.forget()
-    assert found[0] == found[1]
+    assert fingerprints[0] == fingerprints[1]
 
 
 # --- two defects that caches had -----------------------------------------------------------------
@@ -232,8 +232,8 @@ def test_all_that_a_run_loads_is_in_the_fingerprint(name, renderer):
     loaded = {(HERE / file).resolve() for file in done.stdout.splitlines()[-1].split("|")}
     missing = loaded - set(fingerprint.dependencies(*sources).files)
     assert len(loaded) > 10
-    own = {path for path in missing if references.content(path.read_bytes()).exports is None}
-    assert not own, sorted(path.name for path in own)
+    plain_modules = {path for path in missing if references.content(path.read_bytes()).exports is None}
+    assert not plain_modules, sorted(path.name for path in plain_modules)
 
 
 # --- functions of a user's own -------------------------------------------------------------------
@@ -268,9 +268,9 @@ def test_function_of_a_users_own_is_followed_beside_its_file(method, tmp_path, w
     names = ("method.py", "helper.py", "inner/__init__.py", "inner/part.py", "inner/sibling.py")
     assert len(changed(key, *(tmp_path / name for name in names))) == len(names)
     assert not changed(key, tmp_path / "stranger.py")
-    found = fingerprint.dependencies(method)
-    assert {"numpy", "scipy"} <= found.libraries
-    assert HERE / "dasim/camera/noise.py" in found.files
+    followed = fingerprint.dependencies(method)
+    assert {"numpy", "scipy"} <= followed.libraries
+    assert HERE / "dasim/camera/noise.py" in followed.files
 
 
 def test_claim_depends_on_the_functions_that_are_passed_to_it(method, tmp_path):
@@ -287,10 +287,10 @@ def test_installed_libraries_count_by_their_version(tmp_path, monkeypatch):
         (folder / name / "__init__.py").write_text("")
     (folder / "mine" / "method.py").write_text("import other\nfrom mine import parts\ndef estimate(): ...\n")
     (folder / "mine" / "parts.py").write_text("")
-    found = fingerprint.dependencies(folder / "mine" / "method.py")
-    assert {path.name for path in found.files} == {"method.py", "parts.py", "__init__.py"}
-    assert found.libraries == {"other"}
-    assert not any("other" in path.parts for path in found.files)
+    followed = fingerprint.dependencies(folder / "mine" / "method.py")
+    assert {path.name for path in followed.files} == {"method.py", "parts.py", "__init__.py"}
+    assert followed.libraries == {"other"}
+    assert not any("other" in path.parts for path in followed.files)
     before = fingerprint.fingerprint(folder / "mine" / "method.py")
     monkeypatch.setattr(fingerprint, "library_version", lambda name: "2.0")
     assert fingerprint.fingerprint(folder / "mine" / "method.py") != before
@@ -328,8 +328,8 @@ def test_function_without_a_file_is_refused():
 )
 def test_forms_of_imports(code, followed, tmp_path):
     (tmp_path / "code.py").write_text(code)
-    found = fingerprint.dependencies(tmp_path / "code.py")
-    assert (HERE / "dasim/camera/noise.py" in found.files) == followed
+    result = fingerprint.dependencies(tmp_path / "code.py")
+    assert (HERE / "dasim/camera/noise.py" in result.files) == followed
 
 
 def test_package_with_code_of_its_own_counts_itself(copy):
@@ -354,9 +354,9 @@ def test_variant_decides_only_what_can_be_rendered():
 
 def test_all_bundled_data_are_followed():
     """Expectation: whatever lies in the folders of data is read by code that the follower finds."""
-    found = fingerprint.dependencies("validation.claims.table", "validation.studies.sweep.run").files
+    files = fingerprint.dependencies("validation.claims.table", "validation.studies.sweep.run").files
     data = [file for folder in ("dasim/data", "dasim/cameras", "scenes") for file in (HERE / folder).iterdir()]
-    assert len(data) > 10 and not {file for file in data if file.is_file()} - set(found)
+    assert len(data) > 10 and not {file for file in data if file.is_file()} - set(files)
 
 
 def test_texts_are_told_apart():

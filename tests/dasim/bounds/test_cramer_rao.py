@@ -57,22 +57,22 @@ def patches(blur, side, random):
     shape = (side, side)
     power, transfer = cramer_rao.natural_power(shape, contrast=CONTRAST), two_channels(blur, shape)[0]
     square = np.rint((np.hypot(np.fft.fftfreq(side)[:, None], np.fft.rfftfreq(side)[None]) * side) ** 2).astype(int)
-    seen = (power * transfer[0] ** 2 > BLIND * NOISE[0]) & (square > 0)
-    squares, ring = np.unique(square[seen], return_inverse=True)
-    twice = np.broadcast_to(cramer_rao.multiplicity(side), square.shape)[seen]
+    visible = (power * transfer[0] ** 2 > BLIND * NOISE[0]) & (square > 0)
+    squares, ring = np.unique(square[visible], return_inverse=True)
+    twice = np.broadcast_to(cramer_rao.multiplicity(side), square.shape)[visible]
     times = np.bincount(ring, twice)
     to_ring = sparse.csr_matrix((twice, (np.arange(ring.size), ring))) / times
-    found = []
+    rows = []
     for _ in range(0, PATCHES, CHUNK):
         white = random.standard_normal((3, CHUNK, *shape), np.float32)
-        texture, *noises = (fft.rfft2(picture, workers=2)[:, seen].astype(complex) / side for picture in white)
+        texture, *noises = (fft.rfft2(picture, workers=2)[:, visible].astype(complex) / side for picture in white)
         first, second = (
-            g * (np.sqrt(power) * h)[seen] * texture + np.sqrt(n) * own
-            for g, h, n, own in zip((1.0, GAIN), transfer, NOISE, noises, strict=True)
+            g * (np.sqrt(power) * h)[visible] * texture + np.sqrt(n) * noise
+            for g, h, n, noise in zip((1.0, GAIN), transfer, NOISE, noises, strict=True)
         )
         cross = (first * np.conj(second)).real
-        found.append([part @ to_ring for part in (np.abs(first) ** 2, np.abs(second) ** 2, cross)])
-    return np.concatenate(found, axis=1), np.sqrt(squares) / side, times
+        rows.append([part @ to_ring for part in (np.abs(first) ** 2, np.abs(second) ** 2, cross)])
+    return np.concatenate(rows, axis=1), np.sqrt(squares) / side, times
 
 
 def log_likelihood(theta, data, radius, times):
@@ -106,10 +106,10 @@ def most_likely(data, radius, times, start):
     for _ in range(7):
         gradient = np.stack([(shifted((i, 1)) - shifted((i, -1))) / (2 * step[i]) for i in range(3)], axis=1)
         move = np.linalg.solve(curvature, gradient.T).T
-        tried = log_likelihood(theta + share[:, None] * move, data, radius, times)
-        better = tried >= reached
+        likelihood = log_likelihood(theta + share[:, None] * move, data, radius, times)
+        better = likelihood >= reached
         theta = np.where(better[:, None], theta + share[:, None] * move, theta)
-        reached, share = np.maximum(tried, reached), np.where(better, np.minimum(1.5 * share, 1.0), share / 3)
+        reached, share = np.maximum(likelihood, reached), np.where(better, np.minimum(1.5 * share, 1.0), share / 3)
     assert np.abs(move[:, 0]).max() < 0.02 * start[0]  # everywhere at a maximum
     return theta
 
@@ -117,11 +117,11 @@ def most_likely(data, radius, times, start):
 def spread_over_bound(blur, side):
     """Standard deviation of the most likely blur over the bound, and the mean's error in standard errors."""
     data, radius, times = patches(blur, side, np.random.default_rng(3))
-    found = most_likely(data, radius, times, np.array([blur, 0.0, np.log(GAIN)]))[:, 0]
+    estimate = most_likely(data, radius, times, np.array([blur, 0.0, np.log(GAIN)]))[:, 0]
     transfer, slope = two_channels(blur, (side, side))
     power = cramer_rao.natural_power((side, side), contrast=CONTRAST)
     least = float(cramer_rao.blur_deviation(transfer, slope, power, NOISE, width=side, gain=(1.0, GAIN)))
-    return found.std() / least, abs(found.mean() - blur) / (found.std() / np.sqrt(PATCHES))
+    return estimate.std() / least, abs(estimate.mean() - blur) / (estimate.std() / np.sqrt(PATCHES))
 
 
 @pytest.mark.parametrize(("blur", "side"), [(3.0, 31), (6.0, 37), (9.0, 55), (20.0, 121)])
@@ -170,11 +170,11 @@ def test_the_periodic_patch_approximates_one_cut_from_a_picture():
     theta, step = np.array([blur, 0.0, np.log(GAIN)]), 1e-3
     inverse = np.linalg.inv(covariance(theta))
     parts = [inverse @ (covariance(theta + s) - covariance(theta - s)) / (2 * step) for s in step * np.eye(3)]
-    found = np.array([[0.5 * np.sum(a * b.T) for b in parts] for a in parts])
+    information = np.array([[0.5 * np.sum(a * b.T) for b in parts] for a in parts])
     transfer, slope = two_channels(blur, (side, side))
     power = cramer_rao.natural_power((side, side), contrast=CONTRAST)
     least = cramer_rao.blur_deviation(transfer, slope, power, NOISE, width=side, gain=(1.0, GAIN))
-    assert float(least) == pytest.approx(np.sqrt(np.linalg.inv(found)[0, 0]), rel=BOUNDARY)
+    assert float(least) == pytest.approx(np.sqrt(np.linalg.inv(information)[0, 0]), rel=BOUNDARY)
 
 
 # --- closed forms and symmetries -----------------------------------------------------------------
@@ -189,8 +189,8 @@ def test_one_known_white_texture_by_hand():
     h = gaussian(5.0, f)
     change = 2 * 0.3 * h * (-4 * 5.0 * (np.pi / 4 * f) ** 2 * h)
     expected = 0.5 * np.sum((change / (0.3 * h**2 + 0.01)) ** 2)
-    found = cramer_rao.blur_deviation(transfer, slope, power, [0.01], width=8, texture="known")
-    assert float(found) == pytest.approx(expected**-0.5, rel=EXACT)
+    deviation = cramer_rao.blur_deviation(transfer, slope, power, [0.01], width=8, texture="known")
+    assert float(deviation) == pytest.approx(expected**-0.5, rel=EXACT)
 
 
 def test_noise_and_texture_count_by_their_ratio_alone():
@@ -211,8 +211,8 @@ def test_strong_noise_counts_with_its_variance():
 
 
 def test_more_noise_tells_less():
-    found = [bound(5.0, noise=tuple(s * n for n in NOISE)) for s in (0.25, 1.0, 4.0)]
-    assert found[0] < found[1] < found[2]
+    bounds = [bound(5.0, noise=tuple(s * n for n in NOISE)) for s in (0.25, 1.0, 4.0)]
+    assert bounds[0] < bounds[1] < bounds[2]
 
 
 def test_deviation_falls_with_the_root_of_the_area():
@@ -266,9 +266,9 @@ def test_a_free_spectrum_by_hand():
     weight = power * transfer[0] ** 2 / (noise[1] + ratio**2 * noise[0])
     twice = np.r_[1.0, np.full(SIDE // 2, 2.0)]
     blur, gain, both = ((weight * a * b * twice).sum() for a, b in ((change,) * 2, (ratio,) * 2, (change, ratio)))
-    found = cramer_rao.blur_deviation(transfer, slope, power, noise, width=SIDE, texture="free")
+    deviation = cramer_rao.blur_deviation(transfer, slope, power, noise, width=SIDE, texture="free")
     # of each ring the power is learnt from both channels, which costs a part in a thousand here
-    assert float(found) == pytest.approx((blur - both**2 / gain) ** -0.5, rel=0.01)
+    assert float(deviation) == pytest.approx((blur - both**2 / gain) ** -0.5, rel=0.01)
 
 
 def test_with_equal_blur_in_both_channels_only_the_texture_informs():
@@ -303,8 +303,8 @@ def test_a_third_channel_never_harms():
 def test_levels_are_computed_together_as_one_by_one():
     stack = [np.stack(parts) for parts in zip(*(two_channels(b) for b in (2.0, 5.0, 9.0)), strict=True)]
     power = cramer_rao.natural_power(SHAPE, contrast=CONTRAST)
-    found = cramer_rao.blur_deviation(*stack, power, NOISE, width=SIDE, gain=(1.0, GAIN))
-    np.testing.assert_allclose(found, [bound(b) for b in (2.0, 5.0, 9.0)], rtol=EXACT)
+    together = cramer_rao.blur_deviation(*stack, power, NOISE, width=SIDE, gain=(1.0, GAIN))
+    np.testing.assert_allclose(together, [bound(b) for b in (2.0, 5.0, 9.0)], rtol=EXACT)
 
 
 # --- spectra and transfer functions --------------------------------------------------------------

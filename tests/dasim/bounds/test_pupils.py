@@ -44,12 +44,14 @@ def test_transfer_functions_of_a_drawn_stop_are_those_of_its_radial_kernels(
     camera: dasim.Camera, stop: stops.Stop
 ) -> None:
     amplitude = pupils.stop_amplitude(stop)
-    made = pupils.pupil(camera, stop, "D65", BLURS, len(amplitude), SHAPE, spacing_px=SPACING_PX)
-    found = pupils.transfers(made, amplitude, stops.open_area(stop) * np.pi)
+    pupil = pupils.pupil(camera, stop, "D65", BLURS, len(amplitude), SHAPE, spacing_px=SPACING_PX)
+    transfer = pupils.transfers(pupil, amplitude, stops.open_area(stop) * np.pi)
     infrared = cameras.channels(camera.sensor).index("IR")
     exact = round_stop(camera, stop)
-    found, exact = (one[:, infrared].reshape(len(BLURS), -1)[:, 1:] for one in (found, exact))  # without frequency 0
-    np.testing.assert_allclose(found, exact, atol=TRANSFER_TOLERANCE)
+    transfer, exact = (
+        one[:, infrared].reshape(len(BLURS), -1)[:, 1:] for one in (transfer, exact)
+    )  # without frequency 0
+    np.testing.assert_allclose(transfer, exact, atol=TRANSFER_TOLERANCE)
 
 
 def test_one_wavelength_is_hopkins_closed_form() -> None:
@@ -57,11 +59,11 @@ def test_one_wavelength_is_hopkins_closed_form() -> None:
     scale_px, blur = 1.2, 20.0
     grid = pupils._grid(np.ones(1), scale_px, np.array([blur]), 256, 32, 2.0, 192)
     disc = pupils.stop_amplitude(stops.Disc(name="disc", radius_ratio=0.5))
-    found = pupils.transfers(pupils.Pupil((grid,), (32, 32), np.ones(1)), disc, 0.25 * np.pi)[0, 0, 0]
+    transfer = pupils.transfers(pupils.Pupil((grid,), (32, 32), np.ones(1)), disc, 0.25 * np.pi)[0, 0, 0]
     frequency = np.fft.rfftfreq(32, 2.0)
     exact = hopkins_otf(frequency * scale_px / 0.5, blur * 0.5 / (8 * scale_px / 0.5)) * np.sinc(frequency)
     np.testing.assert_allclose(
-        found[1:], exact[1:], atol=2e-3
+        transfer[1:], exact[1:], atol=2e-3
     )  # the rim is drawn in cells of 1/128 of the lens's radius
 
 
@@ -74,12 +76,12 @@ def test_a_mask_off_the_axis_has_the_phase_of_the_simulators_kernel(camera: dasi
     depth_m = float(geometry.depth_of_blur_m(camera, 14.0))
     kernel = pointspread.psf(masked, depth_m, "IR", "D65", size=91)
     expected = kernel_transfer(kernel, SHAPE, spacing_px=SPACING_PX)
-    found, _ = pupils.stop_transfers(masked, np.array([14.0]), "D65", SHAPE, spacing_px=SPACING_PX)
+    transfer, _ = pupils.stop_transfers(masked, np.array([14.0]), "D65", SHAPE, spacing_px=SPACING_PX)
     infrared = cameras.channels(camera.sensor).index("IR")
-    lost = 1 - kernel.sum()  # light outside the frame
-    np.testing.assert_allclose(found[0, infrared], expected, atol=TRANSFER_TOLERANCE + lost)
-    mirrored = np.conj(found[0, infrared]) - expected
-    assert np.abs(mirrored).max() > 10 * (TRANSFER_TOLERANCE + lost)
+    outside = 1 - kernel.sum()  # light outside the frame
+    np.testing.assert_allclose(transfer[0, infrared], expected, atol=TRANSFER_TOLERANCE + outside)
+    mirrored = np.conj(transfer[0, infrared]) - expected
+    assert np.abs(mirrored).max() > 10 * (TRANSFER_TOLERANCE + outside)
 
 
 def test_discs_off_the_axis_have_the_pupils_transform() -> None:
@@ -89,9 +91,9 @@ def test_discs_off_the_axis_have_the_pupils_transform() -> None:
         assert isinstance(stop, stops.Disc)
         assert stop.centre_ratio != (0.0, 0.0)
         amplitude = pupils.stop_amplitude(stop)
-        made = pupils.pupil(bando, stop, "D65", BLURS, len(amplitude), SHAPE, spacing_px=SPACING_PX, fine_cells=192)
-        drawn = pupils.transfers(made, amplitude, stops.open_area(stop) * np.pi)
+        pupil = pupils.pupil(bando, stop, "D65", BLURS, len(amplitude), SHAPE, spacing_px=SPACING_PX, fine_cells=192)
+        transfer = pupils.transfers(pupil, amplitude, stops.open_area(stop) * np.pi)
         exact, electrons = pupils.disc_transfers(bando, stop, BLURS, "D65", SHAPE, SPACING_PX)
-        seen = electrons > 0.01 * electrons.max()
-        found, exact = (one[:, seen].reshape(len(BLURS), -1) for one in (drawn, exact))
-        np.testing.assert_allclose(found[:, 1:], exact[:, 1:], atol=DRAWN_TOLERANCE)
+        lit = electrons > 0.01 * electrons.max()
+        result, exact = (one[:, lit].reshape(len(BLURS), -1) for one in (transfer, exact))
+        np.testing.assert_allclose(result[:, 1:], exact[:, 1:], atol=DRAWN_TOLERANCE)

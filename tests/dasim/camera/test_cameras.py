@@ -134,9 +134,9 @@ def test_displaced_discs_are_refused_without_a_jit_variant(tmp_path):
 def test_list_describes_every_camera(capsys):
     """Expectation: a block a camera with its stops' shares; eq. (8) exactly where there are R, G, B and IR."""
     assert run(["list", "cameras", "--verbose"]) == 0
-    shown = capsys.readouterr().out
-    assert "{" not in shown and max(map(len, shown.splitlines())) < 140
-    blocks = dict(zip(NAMES, shown.strip().split("\n\n"), strict=True))
+    output = capsys.readouterr().out
+    assert "{" not in output and max(map(len, output.splitlines())) < 140
+    blocks = dict(zip(NAMES, output.strip().split("\n\n"), strict=True))
     for name, block in blocks.items():
         assert block.startswith(f"{name} ")
         assert block.count("    stop ") == len(cameras.load_camera(name).stops)

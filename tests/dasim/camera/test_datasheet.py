@@ -112,9 +112,11 @@ def test_curves_of_a_file_get_their_height_from_the_sheet(da_mobile, tmp_path):
     del data["sensor"]["quantum_efficiency_scale"]
     data["sensor"]["emva1288"] = {"quantum_efficiency_percent": 60.0, "wavelength_nm": 540.0}
     data["sensor"]["quantum_efficiency"] = {"file": "G.csv"}
-    found = specification.quantum_efficiency(cameras.parse(cameras.Camera, data, "mine.toml", folder=tmp_path).sensor)
+    efficiency = specification.quantum_efficiency(
+        cameras.parse(cameras.Camera, data, "mine.toml", folder=tmp_path).sensor
+    )
     green = np.interp(540.0, grid.WAVELENGTH_NM, ours[1])
-    np.testing.assert_allclose(found, ours * 0.6 / green, atol=1e-8)  # the file's nine digits
+    np.testing.assert_allclose(efficiency, ours * 0.6 / green, atol=1e-8)  # the file's nine digits
     data["sensor"] |= {"mosaic": [["L", "R"], ["B", "IR"]], "quantum_efficiency": {"file": "L.csv"}}
     with pytest.raises(InputError, match="quantum_efficiency has no column G"):
         cameras.parse(cameras.Camera, data, "mine.toml", folder=tmp_path)

@@ -93,11 +93,11 @@ def test_channels_of_da_mobile(da_mobile, blur_px):
     total = np.zeros(2)
     grid = spectra.WAVELENGTH_NM
     for stop, ratio in zip(da_mobile.stops, (1.0, 0.46), strict=True):
-        seen = (radiometry.stop_response(da_mobile, stop) * light)[[1, 3]]
+        spectrum = (radiometry.stop_response(da_mobile, stop) * light)[[1, 3]]
         for nm in np.arange(400 + STEP_NM / 2, 830, STEP_NM):
             band = np.abs(grid - nm) <= STEP_NM / 2
-            weight = seen[:, band].mean(axis=1)
-            if (weight > 1e-4 * seen.max(axis=1)).any():
+            weight = spectrum[:, band].mean(axis=1)
+            if (weight > 1e-4 * spectrum.max(axis=1)).any():
                 expected += weight[:, None, None] * pixels(ring(ratio), blur_px, nm / 1e3)
                 total += weight
     depth_m = float(geometry.depth_of_blur_m(da_mobile, blur_px))
@@ -139,10 +139,10 @@ def test_stops_of_any_shape(da_mobile, shape, blur_px):
     camera = with_stops(da_mobile, stop | NARROW, focus_distance_m=CLOSE_MM / 1e3)
     depth_m = float(geometry.depth_of_blur_m(camera, blur_px))
     expected = pixels(pupil, blur_px, NARROW_UM, 1 / (1 / FOCAL_MM - 1 / CLOSE_MM))
-    found = psf(camera, depth_m, "G", "D65", size=SIZE)
-    assert np.abs(found - expected).sum() < SHAPE
+    kernel = psf(camera, depth_m, "G", "D65", size=SIZE)
+    assert np.abs(kernel - expected).sum() < SHAPE
     if blur_px and shape != "annulus":
-        assert np.abs(found[::-1, ::-1] - expected).sum() > 10 * SHAPE
+        assert np.abs(kernel[::-1, ::-1] - expected).sum() > 10 * SHAPE
 
 
 @pytest.mark.parametrize("stop", [{"radius_ratio": 0.3, "centre_ratio": [0.5, -0.3]}, {"radius_ratio": 1.0}])
@@ -156,7 +156,7 @@ def test_axial_colour_moves_the_focus_of_each_wavelength(da_mobile, stop):
         da_mobile, stop | {"passes_nm": bands, "edge_width_nm": 1}, focal_shift_um=[[500, -20], [600, 20]]
     )
     depth_mm = 300.0
-    seen = (radiometry.stop_response(camera, camera.stops[0]) * illuminants.illuminant("D65"))[1]
+    spectrum = (radiometry.stop_response(camera, camera.stops[0]) * illuminants.illuminant("D65"))[1]
     pupil = ring(stop["radius_ratio"], 0, tuple(stop.get("centre_ratio", (0, 0))))
     expected, total = np.zeros((SIZE, SIZE)), 0.0
     for low, high in bands:
@@ -164,8 +164,8 @@ def test_axial_colour_moves_the_focus_of_each_wavelength(da_mobile, stop):
         focal_mm = FOCAL_MM + 1e-3 * (-20 + 40 * (nm - 500) / 100)
         diopters = 1 / depth_mm - (1 / focal_mm - 1 / IMAGE_MM)  # 1/mm
         blur_px = FOCAL_MM / F_NUMBER * IMAGE_MM * diopters / (PITCH_UM * 1e-3)
-        weight = seen[np.abs(spectra.WAVELENGTH_NM - nm) < 20].sum()
+        weight = spectrum[np.abs(spectra.WAVELENGTH_NM - nm) < 20].sum()
         expected += weight * pixels(pupil, blur_px, nm / 1e3)
         total += weight
-    found = psf(camera, depth_mm / 1e3, "G", "D65", size=SIZE)
-    assert np.abs(found - expected / total).sum() < SHAPE
+    kernel = psf(camera, depth_mm / 1e3, "G", "D65", size=SIZE)
+    assert np.abs(kernel - expected / total).sum() < SHAPE

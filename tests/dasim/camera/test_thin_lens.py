@@ -45,10 +45,10 @@ def test_blur_is_what_two_rim_rays_draw(focus_m, depth_m):
     """
     s = thin_lens.image_distance_m(F_M, focus_m)
     rim = A_M / 2 / depth_m
-    drawn = traced_height_m(0, rim, depth_m, F_M, s) - traced_height_m(0, -rim, depth_m, F_M, s)
+    diameter_m = traced_height_m(0, rim, depth_m, F_M, s) - traced_height_m(0, -rim, depth_m, F_M, s)
     blur = thin_lens.blur_diameter_m(depth_m, A_M, s, focus_m)
-    assert blur == pytest.approx(drawn, rel=1e-9, abs=1e-15)
-    assert thin_lens.depth_of_blur_m(drawn, A_M, s, focus_m) == pytest.approx(depth_m, rel=1e-9)
+    assert blur == pytest.approx(diameter_m, rel=1e-9, abs=1e-15)
+    assert thin_lens.depth_of_blur_m(diameter_m, A_M, s, focus_m) == pytest.approx(depth_m, rel=1e-9)
 
 
 def test_levels_span_the_working_range(da_mobile):

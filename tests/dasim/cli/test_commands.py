@@ -367,9 +367,9 @@ def test_list_names_what_is_bundled(kind, name, capsys):
 def test_help_explains_every_option(command, options, capsys):
     """Expectation: what the docstring says of an option stands in --help, with its unit."""
     assert run([command, "--help"]) == 0
-    shown = " ".join(capsys.readouterr().out.replace("│", " ").split())
+    output = " ".join(capsys.readouterr().out.replace("│", " ").split())
     for part in options:
-        assert part in shown, f"'{part}' is not in\n{shown}"
+        assert part in output, f"'{part}' is not in\n{output}"
 
 
 # --- what the user may get wrong -----------------------------------------------------------------
@@ -536,16 +536,16 @@ def test_wrong_cameras_are_refused(refused, here, old, new, message_part):
     )
 
 
-@pytest.mark.parametrize("kept", [None, 0.0, 0.5, 0.99])
+@pytest.mark.parametrize("length", [None, 0.0, 0.5, 0.99])
 @pytest.mark.parametrize("name", ["raw.png", "meta.json", "truth.exr"])
-def test_captures_with_missing_or_cut_files_are_refused(refused, here, name, kept):
+def test_captures_with_missing_or_cut_files_are_refused(refused, here, name, length):
     """Reconstruction needs raw.png and meta.json, scoring truth.exr."""
     file = here / "shot" / name
     data = file.read_bytes()
-    if kept is None:
+    if length is None:
         file.unlink()
     else:
-        file.write_bytes(data[: int(len(data) * kept)])
+        file.write_bytes(data[: int(len(data) * length)])
     command = ("score", "result", "shot") if name == "truth.exr" else ("recon", "shot", "--out", "new")
     refused(*command, message_part=(f"shot/{name}",))
 

@@ -43,8 +43,8 @@ def test_command_table_and_help_name_the_same_commands(capsys):
     table = commands_of_the_table()
     assert table, "README.md has no table of commands with rows as '| `dasim render ...` | ... |'"
     assert run(["--help"]) == 0
-    shown = capsys.readouterr().out
-    missing = sorted({name for name in table if not re.search(rf"\b{name}\b", shown)})
+    output = capsys.readouterr().out
+    missing = sorted({name for name in table if not re.search(rf"\b{name}\b", output)})
     assert not missing, f"in the README, but not in 'dasim --help': {', '.join(missing)}"
     unnamed = sorted({name for name in app if not name.startswith("-")} - set(table))
     assert not unnamed, f"in 'dasim --help', but not in the README: {', '.join(unnamed)}"
@@ -56,9 +56,9 @@ def test_options_of_the_command_table_exist(capsys):
         usage = re.findall(r"`([^`]*)`", row)[0]
         name = usage.split()[1]
         assert run([name, "--help"]) == 0
-        shown = capsys.readouterr().out
+        output = capsys.readouterr().out
         for option in re.findall(r"--[a-z][\w-]*", usage):
-            assert re.search(rf"{option}\b", shown), f"'dasim {name}' has no {option}"
+            assert re.search(rf"{option}\b", output), f"'dasim {name}' has no {option}"
 
 
 @pytest.mark.parametrize("address", sorted(set(re.findall(r"\]\(([^)#]+)\)", TEXT))))

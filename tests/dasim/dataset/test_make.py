@@ -55,13 +55,13 @@ def reference(spec, tmp_path_factory) -> dict[str, str]:
 @pytest.fixture
 def remembered(monkeypatch):
     """Each sample is rendered once; that rendering it again gives the same is shown by other tests."""
-    kept, render = {}, sample.make
+    memory, render = {}, sample.make
 
     def remember(spec, index, variant):
         key = (spec.model_dump_json(), index)
-        if key not in kept:
-            kept[key] = render(spec, index, variant)
-        return kept[key]
+        if key not in memory:
+            memory[key] = render(spec, index, variant)
+        return memory[key]
 
     monkeypatch.setattr(sample, "make", remember)
 

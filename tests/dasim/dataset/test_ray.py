@@ -41,12 +41,12 @@ def cluster(monkeypatch):
     monkeypatch.setenv("GRPC_ENABLE_FORK_SUPPORT", "false")  # else its client server may crash in a fork
     port = free_port()
     head = {"num_cpus": 0, "include_dashboard": False, "ray_client_server_port": port}
-    found = Cluster(initialize_head=True, head_node_args=head)
-    yield found, f"ray://127.0.0.1:{port}"
+    nodes = Cluster(initialize_head=True, head_node_args=head)
+    yield nodes, f"ray://127.0.0.1:{port}"
     import ray
 
     ray.shutdown()
-    found.shutdown()
+    nodes.shutdown()
 
 
 def free_port() -> int:
@@ -59,7 +59,7 @@ def free_port() -> int:
 def test_worker_and_node_die_in_the_middle(cluster, tmp_path, renderer):
     """The process of one sample dies, then the node of another leaves: no sample is lost, and none is made twice."""
     nodes, address = cluster
-    kept, leaving = (nodes.add_node(num_cpus=1, include_dashboard=False) for _ in range(2))
+    staying, leaving = (nodes.add_node(num_cpus=1, include_dashboard=False) for _ in range(2))
     spec = spec_file(tmp_path, samples=SAMPLES, samples_per_shard=5)
     out = tmp_path / "ray"
     (tmp_path / "nodes").mkdir()
@@ -72,7 +72,7 @@ def test_worker_and_node_die_in_the_middle(cluster, tmp_path, renderer):
 
     done = make_dataset(spec, out, executors.ray(address, spread), show=watch)
     assert removed and (tmp_path / "killed").exists()
-    assert {path.name for path in (tmp_path / "nodes").iterdir()} == {kept.node_id, leaving.node_id}
+    assert {path.name for path in (tmp_path / "nodes").iterdir()} == {staying.node_id, leaving.node_id}
     assert done.failed == {} and Counter(log_entries(out)) == {(index, True): 1 for index in range(SAMPLES)}
     assert list(verify.problems(str(out))) == []
     make_dataset(spec, tmp_path / "local")

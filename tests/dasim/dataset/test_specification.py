@@ -40,7 +40,7 @@ CAMERA = '[[cameras]]\nname = "da-mobile"\n[cameras.vary]\n'
 
 
 @pytest.mark.parametrize(
-    ("text", "message_part"),
+    ("text", "parts"),
     [
         ("colour = 3", ["colour: unknown key"]),
         ("samples = 0", ["samples", "greater than or equal to 1"]),
@@ -76,7 +76,7 @@ CAMERA = '[[cameras]]\nname = "da-mobile"\n[cameras.vary]\n'
         (CAMERA + "'sensor.width_px' = 64", ["set by size_px"]),
     ],
 )
-def test_impossible_specification_is_refused(text, message_part, tmp_path):
+def test_impossible_specification_is_refused(text, parts, tmp_path):
     """In one line, with the key and what is allowed."""
     data = 'name = "test"\n' + ("" if "samples =" in text else "samples = 4\n") + text
     (tmp_path / "spec.toml").write_text(data)
@@ -84,7 +84,7 @@ def test_impossible_specification_is_refused(text, message_part, tmp_path):
         load_spec(tmp_path / "spec.toml")
     message = str(refused.value)
     assert "\n" not in message and "spec.toml" in message
-    for words in message_part:
+    for words in parts:
         assert words in message
 
 
@@ -133,8 +133,8 @@ def test_no_scene_is_in_two_splits(count, captures):
     assert set(scenes) == set(shares)
     for name, share in shares.items():
         assert abs(scenes[name] - share * count) <= 1 + (count < 1 / min(shares.values()))
-    asked = [index for group in plan.shards(spec) for index in group.indices]
-    assert sorted(asked) == list(range(spec.samples))
+    indices = [index for group in plan.shards(spec) for index in group.indices]
+    assert sorted(indices) == list(range(spec.samples))
 
 
 def test_distributions_are_what_they_are_called():
@@ -145,17 +145,17 @@ def test_distributions_are_what_they_are_called():
         light={"illuminant": {"choice": ["A", "D65"]}},
         cameras=[{"name": "da-mobile", "weight": 3}, {"name": "da-focus-pair"}],
     )
-    drawn = [draws.values(spec, index) for index in range(COUNT)]
-    decades = np.log10([item["focus.distance_m"] for item in drawn])
-    gains = np.array([item["exposure.gain"] for item in drawn])
+    samples = [draws.values(spec, index) for index in range(COUNT)]
+    decades = np.log10([item["focus.distance_m"] for item in samples])
+    gains = np.array([item["exposure.gain"] for item in samples])
     for values, low, high in ((decades, -1.0, 1.0), (gains, 1.0, 3.0)):
         assert low <= values.min() and values.max() <= high
         spread = (high - low) / np.sqrt(12)
         assert abs(values.mean() - (low + high) / 2) < SIGMAS * spread / np.sqrt(COUNT)
         assert abs(values.std() - spread) < SIGMAS * spread * np.sqrt(0.8 / 4 / COUNT)  # kurtosis 1.8
     for key, value, share in (("light.illuminant", "A", 0.5), ("camera", "da-mobile", 0.75)):
-        found = np.mean([item[key] == value for item in drawn])
-        assert abs(found - share) < SIGMAS * np.sqrt(share * (1 - share) / COUNT)
+        measured_share = np.mean([item[key] == value for item in samples])
+        assert abs(measured_share - share) < SIGMAS * np.sqrt(share * (1 - share) / COUNT)
 
 
 def test_sample_depends_on_its_index_alone():
@@ -192,7 +192,7 @@ def test_varied_parameters_reach_camera_light_and_exposure(tmp_path):
 @pytest.fixture(scope="module")
 def both(renderer, tmp_path_factory) -> dict[str, Path]:
     """One specification in both formats, with splits: three scenes, two captures each."""
-    found = {}
+    folders = {}
     for form in ("webdataset", "folders"):
         folder = tmp_path_factory.mktemp(form)
         for name in ("second", "third"):
@@ -200,8 +200,8 @@ def both(renderer, tmp_path_factory) -> dict[str, Path]:
         files = ["wall.toml", "second.toml", "third.toml"]
         spec = spec_file(folder, files=files, format=form, top="splits = {train = 0.6, test = 0.4}")
         make_dataset(spec, folder / "ds")
-        found[form] = folder / "ds"
-    return found
+        folders[form] = folder / "ds"
+    return folders
 
 
 def same(one, other) -> bool:
@@ -305,7 +305,7 @@ def test_half_floats_without_a_margin(tmp_path, renderer):
 # --- verify --------------------------------------------------------------------------------------
 
 
-def found(out: Path) -> list[str]:
+def problems(out: Path) -> list[str]:
     """What verify finds, as the command would say it."""
     try:
         return list(verify.problems(str(out)))
@@ -318,7 +318,7 @@ def test_verify_finds_one_flipped_bit_in_any_file(both, form, tmp_path):
     """In the first and last byte, in the middle, and in what a tar file is padded with."""
     out = tmp_path / "ds"
     shutil.copytree(both[form], out)
-    assert found(out) == []
+    assert problems(out) == []
     files = [path for path in sorted(out.rglob("*")) if path.is_file() and path.name != "make.log"]
     assert len(files) == (5 + 3 if form == "webdataset" else 5 + 18)
     for path in files:
@@ -327,10 +327,10 @@ def test_verify_finds_one_flipped_bit_in_any_file(both, form, tmp_path):
             flipped = bytearray(content)
             flipped[place] ^= 1
             path.write_bytes(flipped)
-            message_part = found(out)
-            assert message_part and all("\n" not in line for line in message_part), (path.name, place)
+            messages = problems(out)
+            assert messages and all("\n" not in line for line in messages), (path.name, place)
         path.write_bytes(content)
-    assert found(out) == []
+    assert problems(out) == []
 
 
 @pytest.mark.parametrize("form", ["webdataset", "folders"])
@@ -338,11 +338,11 @@ def test_verify_finds_missing_and_extra_files(both, form, tmp_path):
     out = tmp_path / "ds"
     shutil.copytree(both[form], out)
     (out / "extra.txt").write_text("x")
-    assert found(out) == ["extra.txt: is not part of the dataset"]
+    assert problems(out) == ["extra.txt: is not part of the dataset"]
     (out / "extra.txt").unlink()
     name = next(name for name in sums(out) if name.endswith((".tar", "truth.exr")))
     (out / name).unlink()
-    assert any(name in line and "is missing" in line for line in found(out))
+    assert any(name in line and "is missing" in line for line in problems(out))
 
 
 def test_verify_reads_more_than_checksums(both, tmp_path):
@@ -356,10 +356,10 @@ def test_verify_reads_more_than_checksums(both, tmp_path):
         before = path.read_bytes()
         path.write_bytes(change(before))
         reseal(out, path, before)
-        message_part = found(out)
+        messages = problems(out)
         path.write_bytes(before)
         reseal(out, path, before)
-        return message_part
+        return messages
 
     def meta(**changes):
         return lambda content: json.dumps(json.loads(content) | changes).encode()
@@ -392,13 +392,13 @@ def test_verify_needs_no_sources(both, tmp_path, monkeypatch):
     """Far from the scenes that it was made of."""
     shutil.copytree(both["webdataset"], tmp_path / "elsewhere")
     monkeypatch.chdir(tmp_path)
-    assert found(Path("elsewhere")) == []
+    assert problems(Path("elsewhere")) == []
 
 
 def test_verify_of_an_unfinished_dataset(tmp_path, renderer):
     spec = spec_file(tmp_path)
     make_dataset(spec, tmp_path / "ds", shard=(1, 2))
-    assert "is not finished" in found(tmp_path / "ds")[0]
+    assert "is not finished" in problems(tmp_path / "ds")[0]
     with pytest.raises(InputError, match=r"is not finished, it has no index\.parquet"):
         dasim.open_dataset(tmp_path / "ds")
 
@@ -413,38 +413,38 @@ def command(monkeypatch, capsys, renderer):
 
     def call(*arguments) -> tuple[int, str, str]:
         status = run(["dataset", *map(str, arguments)])
-        message_part = capsys.readouterr()
-        return status, message_part.out, message_part.err
+        printed = capsys.readouterr()
+        return status, printed.out, printed.err
 
     return call
 
 
 def test_make_verify_info(command, tmp_path):
     spec, out = spec_file(tmp_path), tmp_path / "ds"
-    status, message_part, _ = command("make", spec, "--out", out)
-    assert status == 0 and "6 of 6 samples" in message_part
+    status, output, _ = command("make", spec, "--out", out)
+    assert status == 0 and "6 of 6 samples" in output
     assert command("make", spec, "--out", out)[0] == 0
-    status, message_part, _ = command("verify", out)
-    assert status == 0 and "no problems" in message_part
+    status, output, _ = command("verify", out)
+    assert status == 0 and "no problems" in output
     (out / "README.md").write_text("?")
-    status, message_part, _ = command("verify", out)
-    assert status == 1 and "README.md: its checksum differs" in message_part and "1 problems" in message_part
-    status, message_part, _ = command("info", out, "--plot", tmp_path / "plot.png")
-    assert status == 0 and "samples: 6 of 1 scenes" in message_part and "lights: D65 6" in message_part
+    status, output, _ = command("verify", out)
+    assert status == 1 and "README.md: its checksum differs" in output and "1 problems" in output
+    status, output, _ = command("info", out, "--plot", tmp_path / "plot.png")
+    assert status == 0 and "samples: 6 of 1 scenes" in output and "lights: D65 6" in output
     assert cv2.imread(str(tmp_path / "plot.png")).std() > 1
     assert command("info", out, "--plot", tmp_path / "plot.pdf")[0] == 2
 
 
 def test_dry_run_writes_nothing(command, tmp_path):
     spec = spec_file(tmp_path)
-    status, message_part, _ = command("make", spec, "--out", tmp_path / "ds", "--dry-run")
+    status, output, _ = command("make", spec, "--out", tmp_path / "ds", "--dry-run")
     assert status == 0 and not (tmp_path / "ds").exists()
-    assert "train: 6 samples in 3 shards" in message_part
-    assert "exposure.auto_level" in message_part and "estimate from 3 renders" in message_part and "GB" in message_part
+    assert "train: 6 samples in 3 shards" in output
+    assert "exposure.auto_level" in output and "estimate from 3 renders" in output and "GB" in output
 
 
 @pytest.mark.parametrize(
-    ("change", "message_part"),
+    ("change", "message"),
     [
         (lambda spec, out: spec.write_text(spec.read_text().replace("spp = 4", "spp = 8")), "spec.spp was 4, now 8"),
         (lambda spec, out: rewrite(out, schema=99), "newer than this dasim knows"),
@@ -454,13 +454,13 @@ def test_dry_run_writes_nothing(command, tmp_path):
         (lambda spec, out: (shutil.rmtree(out), out.write_text("")), "ds"),
     ],
 )
-def test_folder_of_something_else_is_refused(change, message_part, command, both, tmp_path):
+def test_folder_of_something_else_is_refused(change, message, command, both, tmp_path):
     out, spec = tmp_path / "ds", tmp_path / "spec.toml"
     shutil.copytree(both["webdataset"].parent, tmp_path, dirs_exist_ok=True)
     change(spec, out)
     before = {path: path.read_bytes() for path in out.rglob("*") if path.is_file()}
     status, _, error = command("make", spec, "--out", out)
-    assert status == 2 and message_part in error and len(error.splitlines()) == 1
+    assert status == 2 and message in error and len(error.splitlines()) == 1
     assert {path: path.read_bytes() for path in out.rglob("*") if path.is_file()} == before
 
 
@@ -479,7 +479,7 @@ def test_no_dataset_is_refused(task, command, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("options", "message_part"),
+    ("options", "message"),
     [
         (("--shard", "3/2"), "--shard '3/2'"),
         (("--shard", "0/2"), "--shard"),
@@ -489,9 +489,9 @@ def test_no_dataset_is_refused(task, command, tmp_path):
         (("--variant", "scalar_rgb"), "scalar_rgb"),
     ],
 )
-def test_impossible_options_are_refused(options, message_part, command, tmp_path):
+def test_impossible_options_are_refused(options, message, command, tmp_path):
     status, _, error = command("make", spec_file(tmp_path), "--out", tmp_path / "ds", *options)
-    assert status != 0 and message_part in error and not (tmp_path / "ds").exists()
+    assert status != 0 and message in error and not (tmp_path / "ds").exists()
 
 
 def test_folder_without_permission_is_refused(command, tmp_path):

@@ -95,11 +95,11 @@ def test_meta_states_what_a_reader_needs(folder, capture):
         assert list(file.parts[0].channels) == ["Z"]
 
 
-@pytest.mark.parametrize("kept", [0.0, 0.3, 0.9, 0.999])
+@pytest.mark.parametrize("length", [0.0, 0.3, 0.9, 0.999])
 @pytest.mark.parametrize("name", ["raw.png", "truth.exr", "meta.json"])
-def test_cut_files_are_refused(folder, name, kept):
+def test_cut_files_are_refused(folder, name, length):
     data = (folder / name).read_bytes()
-    (folder / name).write_bytes(data[: min(int(len(data) * kept), len(data) - 3)])
+    (folder / name).write_bytes(data[: min(int(len(data) * length), len(data) - 3)])
     load = captures.load_truth if name == "truth.exr" else captures.load_capture
     with pytest.raises(InputError, match=name):
         load(folder)

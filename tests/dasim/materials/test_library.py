@@ -55,10 +55,10 @@ def test_library_resolves_every_name(tmp_path):
     assert len(library.material_names()) == len(set(library.material_names())) >= 70
     for name in library.material_names():
         kind, source = library.kind_and_source(name)
-        found = library.surface(name, tmp_path)
-        assert isinstance(found, kinds[kind]) and len(source) > 10
+        surface = library.surface(name, tmp_path)
+        assert isinstance(surface, kinds[kind]) and len(source) > 10
         if kind == "diffuse":
-            np.testing.assert_array_equal(found.reflectance, library.reflectance(name))
+            np.testing.assert_array_equal(surface.reflectance, library.reflectance(name))
 
 
 def test_unknown_names_are_the_users_mistake(tmp_path):
@@ -156,7 +156,7 @@ CORNERS = np.array(list(itertools.product((0.0, 1.0), repeat=3)), np.float32)[No
 NEAR = WAVELENGTH_NM >= 720
 
 
-def seen(reflectance: np.ndarray) -> np.ndarray:
+def perceived(reflectance: np.ndarray) -> np.ndarray:
     """CIELAB under D65, 1931 observer, white the perfect diffuser."""
     observer = colour.MSDS_CMFS["CIE 1931 2 Degree Standard Observer"]
     matching = np.stack([np.interp(WAVELENGTH_NM, observer.wavelengths, column) for column in observer.values.T])
@@ -190,7 +190,7 @@ def test_achromatic_rule_keeps_the_colour_and_is_grey_beyond():
         surface = library.photograph_surface(pixels, "achromatic")
         for x in range(pixels.shape[1]):
             spectrum = colour_of(surface, 0, x)
-            assert colour.delta_E(seen(spectrum), screen(pixels[0, x]), method="CIE 2000") < limit, pixels[0, x]
+            assert colour.delta_E(perceived(spectrum), screen(pixels[0, x]), method="CIE 2000") < limit, pixels[0, x]
             luminance = pixels[0, x] @ [0.2126, 0.7152, 0.0722]
             np.testing.assert_allclose(spectrum[WAVELENGTH_NM >= 680], luminance, atol=2e-3)
 
@@ -208,7 +208,7 @@ def test_dyed_rule_hides_every_colour_in_the_near_infrared():
     assert spectra[0][WAVELENGTH_NM <= 670].max() < 0.06
     targets = [screen(corner) for corner in CORNERS[0]]
     for number, spectrum in enumerate(spectra):
-        distances = [colour.delta_E(seen(spectrum), target, method="CIE 2000") for target in targets]
+        distances = [colour.delta_E(perceived(spectrum), target, method="CIE 2000") for target in targets]
         assert np.argmin(distances) == number, distances
 
 
@@ -225,8 +225,8 @@ def test_rules_differ_where_it_matters():
     as a dyed fabric.
     """
     black = np.zeros((1, 1, 3), np.float32)
-    found = {rule: colour_of(library.photograph_surface(black, rule), 0, 0)[NEAR] for rule in NEAR_INFRARED_RULES}
-    assert found["achromatic"].max() < 0.01 < found["print"].mean() < 0.6 * found["dyed"].mean()
+    colours = {rule: colour_of(library.photograph_surface(black, rule), 0, 0)[NEAR] for rule in NEAR_INFRARED_RULES}
+    assert colours["achromatic"].max() < 0.01 < colours["print"].mean() < 0.6 * colours["dyed"].mean()
 
 
 @pytest.mark.parametrize(
@@ -292,8 +292,8 @@ def test_spectrum_of_ones_own(tmp_path):
     (tmp_path / "mine.csv").write_text(f"# my paint\nwavelength_nm, reflectance\n{rows}")
     expected = np.interp(WAVELENGTH_NM, *np.transpose(points))
     for source in ({"file": "mine.csv"}, {"points": points}):
-        found = library.surface(texture(kind="spectrum", **source), tmp_path)
-        np.testing.assert_allclose(found.reflectance, expected, rtol=1e-12)
+        surface = library.surface(texture(kind="spectrum", **source), tmp_path)
+        np.testing.assert_allclose(surface.reflectance, expected, rtol=1e-12)
 
 
 FULL = [(400, 0.5), (830, 0.5)]

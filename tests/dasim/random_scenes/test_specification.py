@@ -38,7 +38,7 @@ def samples() -> list[tuple[dasim.Scene, list[Measured]]]:
 
 
 @pytest.fixture(scope="module")
-def drawn(samples) -> list[dasim.Scene]:
+def all_scenes(samples) -> list[dasim.Scene]:
     return [scene for scene, _ in samples]
 
 
@@ -55,7 +55,7 @@ class Measured(NamedTuple):
 
 @pytest.fixture(scope="module")
 def measured(samples) -> list[list[Measured]]:
-    return [found for _, found in samples]
+    return [layout for _, layout in samples]
 
 
 def measure(item, scene: dasim.Scene) -> Measured:
@@ -102,8 +102,8 @@ def points_m(item, scene: dasim.Scene) -> np.ndarray:
         return matrix[:3, 3] + np.array([[0, 0, -1], [0, 0, 1]]) * item.radius_cm * 1e-2
     if isinstance(item, shapes.Mesh):
         if item.file.startswith(library.PREFIX):
-            made = library.procedural(item.file.removeprefix(library.PREFIX)).vertices * item.unit_cm * 1e-2
-            return made @ matrix[:3, :3].T + matrix[:3, 3]
+            vertices = library.procedural(item.file.removeprefix(library.PREFIX)).vertices * item.unit_cm * 1e-2
+            return vertices @ matrix[:3, :3].T + matrix[:3, 3]
         return scenes.triangles(item, scene.folder).vertices @ matrix[:3, :3].T + matrix[:3, 3]
     if isinstance(item, (shapes.Cylinder, shapes.Disc)):
         turn = np.linspace(0, 2 * np.pi, 48)
@@ -126,10 +126,10 @@ def test_every_object_lies_within_the_depth_range(measured):
         assert item.depth[1] <= far * 1e-2 + ROUNDING_M, item.name
 
 
-def test_visible_floor_and_walls_lie_within_the_range(drawn):
+def test_visible_floor_and_walls_lie_within_the_range(all_scenes):
     """Rays of the picture's border and inside against each plane, cut analytically, first hit."""
     near, far = RandomScenes().depth_cm
-    for scene in drawn:
+    for scene in all_scenes:
         depth = background_depth_m(scene)
         assert np.isfinite(depth).all(), scene.name
         assert depth.min() >= near * 1e-2 - ROUNDING_M, scene.name
@@ -137,12 +137,12 @@ def test_visible_floor_and_walls_lie_within_the_range(drawn):
 
 
 def background_depth_m(scene: dasim.Scene, camera: Camera | None = None) -> np.ndarray:
-    chosen = dasim.focused(camera or small_camera(), scene)
-    matrix = np.linalg.inv(geometry.intrinsic_matrix(chosen))
-    size = (chosen.sensor.width_px, chosen.sensor.height_px)
+    view = dasim.focused(camera or small_camera(), scene)
+    matrix = np.linalg.inv(geometry.intrinsic_matrix(view))
+    size = (view.sensor.width_px, view.sensor.height_px)
     x, y = np.meshgrid(*(np.linspace(0, side, 41) for side in size))
     rays = np.stack([x, y, np.ones_like(x)], axis=-1) @ matrix.T
-    found = np.full(x.shape, np.inf)
+    nearest = np.full(x.shape, np.inf)
     for item in scene.objects:
         if item.name in BACKGROUND:
             assert isinstance(item, shapes.Plane)
@@ -151,8 +151,8 @@ def background_depth_m(scene: dasim.Scene, camera: Camera | None = None) -> np.n
             depth = (normal @ origin) / (rays @ normal)
             place = (rays * depth[..., None] - origin) @ to_camera[:3, :2] / (np.array(item.size_cm) * 0.5e-2)
             hit = (depth > 0) & (np.abs(place) <= 1).all(axis=-1)
-            found = np.where(hit, np.minimum(found, depth), found)
-    return found
+            nearest = np.where(hit, np.minimum(nearest, depth), nearest)
+    return nearest
 
 
 @pytest.mark.parametrize(
@@ -173,7 +173,7 @@ def test_other_pictures_and_ranges_are_as_valid(size_px, depth_cm):
         assert np.concatenate(depth).max() <= depth_cm[1] * 1e-2 + ROUNDING_M
 
 
-def test_objects_are_in_view_and_their_blur_spans_the_range(drawn, measured):
+def test_objects_are_in_view_and_their_blur_spans_the_range(all_scenes, measured):
     """Middles of three or more within the picture; together they take up a good part of the range of blur.
 
     The first two objects are drawn from its outer 15 % each; the range that is left to them begins where the floor is
@@ -181,9 +181,9 @@ def test_objects_are_in_view_and_their_blur_spans_the_range(drawn, measured):
     """
     near, far = (value * 1e-2 for value in RandomScenes().depth_cm)
     spans = []
-    for scene, found in zip(drawn, measured, strict=True):
+    for scene, layout in zip(all_scenes, measured, strict=True):
         matrix = geometry.intrinsic_matrix(dasim.focused(small_camera(), scene))
-        pixels = np.array([item.middle for item in found]) @ matrix.T
+        pixels = np.array([item.middle for item in layout]) @ matrix.T
         depth, pixels = pixels[:, 2], pixels[:, :2] / pixels[:, 2:]
         assert ((pixels > 0) & (pixels < (64, 48))).all(axis=-1).sum() >= 3, scene.name
         share = (1 / depth - 1 / far) / (1 / near - 1 / far)
@@ -192,24 +192,24 @@ def test_objects_are_in_view_and_their_blur_spans_the_range(drawn, measured):
     assert np.median(spans) >= 0.5
 
 
-def test_standing_objects_touch_the_floor(drawn, measured):
+def test_standing_objects_touch_the_floor(all_scenes, measured):
     """On table tops nothing floats: the lowest point of each object is the floor's level (posters hang on the wall)."""
-    for scene, found in zip(drawn, measured, strict=True):
+    for scene, layout in zip(all_scenes, measured, strict=True):
         if not scene.description.startswith("table top"):
             continue
         floor = next(item for item in scene.objects if item.name == "floor").position_cm[1] * 1e-2
-        for item in found:
+        for item in layout:
             if not item.name.startswith("poster"):
                 lifted = 0.02 * item.item.radius_cm * 1e-2 if isinstance(item.item, shapes.Disc) else 0.0
                 assert item.lowest == pytest.approx(floor - lifted, abs=ROUNDING_M), (scene.name, item.name)
 
 
-def test_lamps_are_out_of_the_picture_and_away_from_all_objects(drawn, measured):
+def test_lamps_are_out_of_the_picture_and_away_from_all_objects(all_scenes, measured):
     """Nothing is nearer to a lamp's middle than a quarter of the far end of the range: no spot outshines the rest."""
     camera = small_camera()
     least_m = 0.25 * RandomScenes().depth_cm[1] * 1e-2
-    for scene, found in zip(drawn, measured, strict=True):
-        assert min(item.from_lamps for item in found) > least_m, scene.name
+    for scene, layout in zip(all_scenes, measured, strict=True):
+        assert min(item.from_lamps for item in layout) > least_m, scene.name
         for light in near_lights(scene):
             place = scenes.world_to_camera(scene)[:3, :3] @ np.multiply(light.position_cm, 1e-2)
             if place[2] > 0:
@@ -217,8 +217,8 @@ def test_lamps_are_out_of_the_picture_and_away_from_all_objects(drawn, measured)
                 assert not (np.abs(pixel[:2] / pixel[2] - (32, 24)) < (32, 24)).all(), scene.name
 
 
-def test_lamps_stand_within_the_room(drawn):
-    for scene in drawn:
+def test_lamps_stand_within_the_room(all_scenes):
+    for scene in all_scenes:
         floor = next(item for item in scene.objects if item.name == "floor")
         walls = [item for item in scene.objects if item.name.startswith("wall")]
         for light in near_lights(scene):
@@ -228,8 +228,8 @@ def test_lamps_stand_within_the_room(drawn):
                 assert outwards @ np.subtract(light.position_cm, wall.position_cm) < 0, scene.name
 
 
-def test_drawn_scenes_pass_the_checks_of_scenes_that_are_read(drawn):
-    for scene in drawn[:3]:
+def test_drawn_scenes_pass_the_checks_of_scenes_that_are_read(all_scenes):
+    for scene in all_scenes[:3]:
         scenes._check(scene, scene.name)
         scenes.check_clear(scene, geometry.aperture_m(small_camera()) / 2)
 
@@ -241,18 +241,18 @@ def share_error(share: float, count: int) -> float:
     return SIGMAS * float(np.sqrt(share * (1 - share) / count))
 
 
-def test_counts_are_uniform_from_5_to_40(drawn):
+def test_counts_are_uniform_from_5_to_40(all_scenes):
     """Mean and ends of 36 equally likely numbers; 200 draws miss an end's five numbers once in 10^13."""
-    counts = np.array([len(things(scene)) for scene in drawn])
+    counts = np.array([len(things(scene)) for scene in all_scenes])
     assert counts.min() in range(5, 10) and counts.max() in range(36, 41)
     assert counts.mean() == pytest.approx(22.5, abs=SIGMAS * np.sqrt((36**2 - 1) / 12 / DRAWS))
 
 
-def test_shares_of_rooms_and_of_outdoor_light(drawn):
+def test_shares_of_rooms_and_of_outdoor_light(all_scenes):
     spec = RandomScenes()
-    rooms = np.mean([scene.description.startswith("room") for scene in drawn])
+    rooms = np.mean([scene.description.startswith("room") for scene in all_scenes])
     assert rooms == pytest.approx(spec.room_share, abs=share_error(spec.room_share, DRAWS))
-    outdoors = np.mean([scene.lights[0].kind in ("daylight", "sky") for scene in drawn])
+    outdoors = np.mean([scene.lights[0].kind in ("daylight", "sky") for scene in all_scenes])
     assert outdoors == pytest.approx(spec.outdoor_share, abs=share_error(spec.outdoor_share, DRAWS))
 
 
@@ -282,19 +282,19 @@ def test_illuminants_follow_their_weights():
 
 
 def test_exposure_is_drawn_within_its_ranges():
-    found = [dasim.random_exposure(SEED, index) for index in range(100)]
-    assert {exposure.gain for exposure in found} == {1.0, 2.0, 4.0}
-    assert all(0.6 <= exposure.auto_level <= 0.9 and exposure.time_s is None for exposure in found)
+    exposures = [dasim.random_exposure(SEED, index) for index in range(100)]
+    assert {exposure.gain for exposure in exposures} == {1.0, 2.0, 4.0}
+    assert all(0.6 <= exposure.auto_level <= 0.9 and exposure.time_s is None for exposure in exposures)
 
 
 # --- the same numbers, the same scene ------------------------------------------------------------
 
 
-def test_a_sample_depends_on_seed_and_index_alone(drawn):
+def test_a_sample_depends_on_seed_and_index_alone(all_scenes):
     """In any order, and beside any others: the same bytes."""
     for index in (DRAWS - 1, 5, 0):
-        assert dasim.random_scene(SEED, index).model_dump_json() == drawn[index].model_dump_json()
-    assert len({scene.model_dump_json(exclude={"name"}) for scene in drawn}) == DRAWS
+        assert dasim.random_scene(SEED, index).model_dump_json() == all_scenes[index].model_dump_json()
+    assert len({scene.model_dump_json(exclude={"name"}) for scene in all_scenes}) == DRAWS
     assert dasim.random_scene(0, 1).objects != dasim.random_scene(1, 0).objects
 
 
@@ -325,16 +325,16 @@ def mesh_folder(tmp_path: Path) -> Path:
 def test_meshes_of_a_folder_are_used_and_stand_in_range(mesh_folder):
     """Both files appear, whatever their unit and origin; one has colours and gets the rule that was asked for."""
     spec = RandomScenes(mesh_folder=str(mesh_folder), mesh_share=1.0, mesh_up="z", mesh_near_infrared="dyed")
-    seen = set()
+    names = set()
     for index in range(4):
         scene = dasim.random_scene(SEED, index, spec)
         scenes._check(scene, scene.name)
         for item in things(scene):
             if isinstance(item, shapes.Mesh) and "procedural" not in item.file:
-                seen.add((Path(item.file).name, item.near_infrared))
+                names.add((Path(item.file).name, item.near_infrared))
                 depth = points_m(item, scene)[:, 2]
                 assert 0.2 - ROUNDING_M <= depth.min() and depth.max() <= 0.8 + ROUNDING_M
-    assert seen == {("cone.ply", None), ("painted.ply", "dyed")}
+    assert names == {("cone.ply", None), ("painted.ply", "dyed")}
 
 
 def test_all_broken_files_of_a_folder_are_named_at_once(mesh_folder):
@@ -417,8 +417,8 @@ def test_every_pixel_sees_something_in_range(renderer, index):
     spec = RandomScenes(textured_share=0.0, surfaces=2)
     scene = dasim.random_scene(SEED, index, spec)
     camera = dasim.focused(small_camera(), scene)
-    found = truth.geometry(translate.world(scene, camera).scene, camera)
-    check_truth(found.depth_m, found.object_id, spec)
+    maps = truth.geometry(translate.world(scene, camera).scene, camera)
+    check_truth(maps.depth_m, maps.object_id, spec)
 
 
 def test_a_rendered_sample_is_well_exposed(renderer):

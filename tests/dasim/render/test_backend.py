@@ -107,19 +107,19 @@ def test_a_broken_library_is_ignored_where_another_works(rubbish_llvm, monkeypat
 def test_newest_library_comes_first_but_the_users_own_before(monkeypatch):
     versions = {"/a": (17, 0, 6), "/b": (22, 1, 0), "/c": (16, 0, 0), "/d": (19, 1, 7)}
     monkeypatch.setattr(backend, "_llvm_version", versions.__getitem__)
-    tried: list[str | None] = []
+    attempts: list[str | None] = []
 
     def fail(program, llvm_path=None):
-        tried.append(llvm_path)
+        attempts.append(llvm_path)
         return "", "no"
 
     monkeypatch.setattr(backend, "_run", fail)
     assert not backend._try_llvm(list(versions))["works"]
-    assert tried == ["/b", "/d", "/a"]
-    tried.clear()
+    assert attempts == ["/b", "/d", "/a"]
+    attempts.clear()
     monkeypatch.setenv("DRJIT_LIBLLVM_PATH", "/a")
     backend._try_llvm(list(versions))
-    assert tried == ["/a", "/b", "/d"]
+    assert attempts == ["/a", "/b", "/d"]
 
 
 @pytest.mark.skipif(not OLD_LLVM, reason="needs LLVM 15 or 16 in the system")

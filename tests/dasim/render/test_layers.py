@@ -25,8 +25,8 @@ def test_shares_sum_to_one(sums):
 
 def test_one_layer_is_the_ratio(sums):
     signal, control, _ = sums
-    found = layers.front_to_back(signal[:1], control[:1], np.zeros((1, 50)))
-    np.testing.assert_allclose(found, signal[0] / control[0], rtol=1e-12)
+    value = layers.front_to_back(signal[:1], control[:1], np.zeros((1, 50)))
+    np.testing.assert_allclose(value, signal[0] / control[0], rtol=1e-12)
 
 
 def test_the_nearest_takes_its_share_by_reciprocity_and_the_farthest_the_rest(sums):
@@ -36,11 +36,11 @@ def test_the_nearest_takes_its_share_by_reciprocity_and_the_farthest_the_rest(su
     signal, control, beyond = sums
     for scale in (1.0, 5.0):
         near, far = control[0] / (control[0] + beyond[0]), signal[2] / control[2]
-        found = layers.front_to_back(
+        value = layers.front_to_back(
             [signal[0], scale * signal[2]], [control[0], scale * control[2]], [beyond[0], np.zeros(50)]
         )
         expected = near * signal[0] / control[0] + (1 - near) * far
-        np.testing.assert_allclose(found, expected, rtol=1e-12)
+        np.testing.assert_allclose(value, expected, rtol=1e-12)
 
 
 def test_a_surface_cut_into_layers_is_one_layer():

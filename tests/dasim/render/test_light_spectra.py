@@ -57,27 +57,27 @@ def test_each_emitter_has_its_light(jit, loaded, make_scene, lights, expected):
     """Expectation: as many lights as there are illuminants, and each emitter's or layer's curve is its illuminant's."""
     from dasim.render import light_spectra
 
-    found = light_spectra.found(loaded(make_scene(WALL, lights=lights)))
-    assert len(found.spectra) == len({name for names in expected for name in names})
-    seen = [tuple(found.spectra[light] for light in own) for _, own in found.emitters]
-    assert sorted(map(len, seen)) == sorted(map(len, expected))
+    result = light_spectra.lights_of(loaded(make_scene(WALL, lights=lights)))
+    assert len(result.spectra) == len({name for names in expected for name in names})
+    by_emitter = [tuple(result.spectra[light] for light in numbers) for _, numbers in result.emitters]
+    assert sorted(map(len, by_emitter)) == sorted(map(len, expected))
     curves = {name: illuminants.illuminant(name) for names in expected for name in names}
 
     def name_of(curve) -> str:
         at_grid = np.interp(grid.WAVELENGTH_NM, light_spectra.FINE_NM, curve)
-        errors = {name: np.abs(at_grid / at_grid.mean() - own / own.mean()).max() for name, own in curves.items()}
+        errors = {name: np.abs(at_grid / at_grid.mean() - exact / exact.mean()).max() for name, exact in curves.items()}
         close = [name for name, error in errors.items() if error < SINGLE * curves[name].max() / curves[name].mean()]
         assert len(close) == 1
         return close[0]
 
-    assert sorted(tuple(name_of(curve) for curve in own) for own in seen) == sorted(expected)
+    assert sorted(tuple(name_of(curve) for curve in numbers) for numbers in by_emitter) == sorted(expected)
 
 
 def test_daylight_is_sun_and_sky(jit, loaded, make_scene):
     from dasim.render import light_spectra
 
     daylight = {"kind": "daylight", "lux": 1000.0, "elevation_deg": 30, "azimuth_deg": 100}
-    assert len(light_spectra.found(loaded(make_scene(WALL, lights=[daylight]))).spectra) == 2
+    assert len(light_spectra.lights_of(loaded(make_scene(WALL, lights=[daylight]))).spectra) == 2
 
 
 def test_spectra_that_differ_smoothly_are_one(jit, loaded, make_scene):
@@ -85,7 +85,7 @@ def test_spectra_that_differ_smoothly_are_one(jit, loaded, make_scene):
     from dasim.render import light_spectra
 
     lights = [dome("blackbody-3000K"), lamp("blackbody-4000K")]
-    assert len(light_spectra.found(loaded(make_scene(WALL, lights=lights))).spectra) == 1
+    assert len(light_spectra.lights_of(loaded(make_scene(WALL, lights=lights))).spectra) == 1
 
 
 POINT = '<emitter type="point"><point name="position" x="0" y="0" z="-1"/>{}</emitter>'
@@ -111,16 +111,16 @@ def test_mitsuba_scenes_have_the_spectra_that_their_emitters_have(jit, xml, wide
 
     scene = xml(emitters, illuminant="F11")
     world = translate.world(scene, wide())
-    found = light_spectra.found(world.scene)
+    lights = light_spectra.lights_of(world.scene)
     nm = light_spectra.FINE_NM
     known = {name: np.interp(nm, grid.WAVELENGTH_NM, illuminants.illuminant(name)) for name in ("F11", "D65")}
     known |= {"line": np.interp(nm, [400, 545, 546, 547, 830], [1, 1, 9, 1, 1]), "even": np.ones_like(nm)}
-    assert len(found.spectra) == len(curves)
+    assert len(lights.spectra) == len(curves)
     total = light_spectra.total(scene, world.scene)
     for name in curves:
         if name == "D65":  # Mitsuba's own table
             continue
-        errors = [np.abs(c / c.mean() - known[name] / known[name].mean()).max() for c in found.spectra]
+        errors = [np.abs(c / c.mean() - known[name] / known[name].mean()).max() for c in lights.spectra]
         assert min(errors) < SINGLE * known[name].max() / known[name].mean(), (name, errors)
     np.testing.assert_equal(bool(np.all(total == illuminants.illuminant("F11"))), curves == ["F11"])
 
@@ -154,7 +154,7 @@ def test_light_by_light_adds_up_to_mitsubas_path_tracer(jit, loaded, make_scene,
     ray = mi.RayDifferential3f(mi.Ray3f(mi.Point3f(0, 0, 0.2), direction))
     ray.wavelengths = mi.Spectrum(436.0, 546.0, 640.0, 760.0)
     whole = transport.path_integrator().sample(scene, numbers, ray)[0]
-    shares = light_spectra.found(scene).shares()
+    shares = light_spectra.lights_of(scene).shares()
     parts = radiance_by_light(scene, numbers, ray, mi.Bool(True), shares)
     assert len(parts) == len(lights)
     assert all(dr.mean(part[1]).numpy().item() > 0 for part in parts)

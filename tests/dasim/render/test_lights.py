@@ -71,11 +71,11 @@ def radiance(scene: Scene, facing, rays: int = 0) -> np.ndarray:
     ray.wavelengths = mi.Spectrum(*AT_NM)
     if scalar:
         sampler.seed(0)
-        found = [np.array(integrator.sample(loaded, sampler, ray)[0]) for _ in range(rays)]
-        return np.mean(found, axis=0)
+        samples = [np.array(integrator.sample(loaded, sampler, ray)[0]) for _ in range(rays)]
+        return np.mean(samples, axis=0)
     sampler.seed(0, rays)
-    found = integrator.sample(loaded, sampler, ray)[0]
-    return np.array([dr.mean(found[k]).numpy().item() for k in range(4)])
+    samples = integrator.sample(loaded, sampler, ray)[0]
+    return np.array([dr.mean(samples[k]).numpy().item() for k in range(4)])
 
 
 def source(kind: str, folder: Path, lux: float = 700.0) -> dict:
@@ -206,8 +206,8 @@ def test_the_sun_stands_where_it_should(elevation_deg, azimuth_deg, facing, shar
     light = {"kind": "sun", "illuminant": "sun-30deg", "lux": 5e4}
     light |= {"elevation_deg": elevation_deg, "azimuth_deg": azimuth_deg}
     scene = lit(tmp_path, facing, light)
-    found = radiance(scene, facing, 1 << 10) / expected(light, scene)
-    np.testing.assert_allclose(found, share, atol=2e-3)  # the disc's edge, where a surface is edge-on
+    ratio = radiance(scene, facing, 1 << 10) / expected(light, scene)
+    np.testing.assert_allclose(ratio, share, atol=2e-3)  # the disc's edge, where a surface is edge-on
 
 
 def test_the_sun_is_half_a_degree_wide(tmp_path, renderer):
@@ -218,13 +218,13 @@ def test_the_sun_is_half_a_degree_wide(tmp_path, renderer):
     scene = lit(tmp_path, UP, light)
     loaded, axes = mi_scene(scene), scenes.world_to_camera(scene)
     power = np.interp(AT_NM, grid.WAVELENGTH_NM, 1e3 * illuminants.illuminant("A"))
-    for off_deg, seen in ((0.0, 1.0), (0.26, 1.0), (0.27, 0.0)):
+    for off_deg, share in ((0.0, 1.0), (0.26, 1.0), (0.27, 0.0)):
         towards = axes[:3, :3] @ direction(35 + off_deg, 20)
         ray = mi.RayDifferential3f(mi.Point3f(0, 0, 0), mi.Vector3f(*towards.tolist()))
         ray.wavelengths = mi.Spectrum(*AT_NM)
         si = loaded.ray_intersect(ray)
-        found = np.array(si.emitter(loaded).eval(si)).ravel() if si.is_valid() else np.zeros(4)
-        np.testing.assert_allclose(found, seen * power / (np.pi * np.sin(np.radians(0.265)) ** 2), rtol=1e-4)
+        value = np.array(si.emitter(loaded).eval(si)).ravel() if si.is_valid() else np.zeros(4)
+        np.testing.assert_allclose(value, share * power / (np.pi * np.sin(np.radians(0.265)) ** 2), rtol=1e-4)
 
 
 def mi_scene(scene: Scene):
@@ -243,8 +243,8 @@ def a_sky(distribution: str, **others) -> Sky:
 def test_levels_of_skies():
     """Expectation: level ground under a sky of zenith luminance 1 gets pi (uniform) or 7 pi / 9 (overcast)."""
     for distribution, level in (("uniform", np.pi), ("overcast", 7 * np.pi / 9)):
-        found = panorama.irradiance_from_above(panorama.sky(a_sky(distribution)))
-        assert found == pytest.approx(level, rel=QUADRATURE)
+        irradiance = panorama.irradiance_from_above(panorama.sky(a_sky(distribution)))
+        assert irradiance == pytest.approx(level, rel=QUADRATURE)
 
 
 def test_overcast_is_three_times_as_bright_above():
@@ -303,8 +303,8 @@ def test_a_picture_is_its_luminance_in_every_format(tmp_path):
         file.write(str(tmp_path / "a.exr"))
     expected_luminance = linear @ np.array([0.2126, 0.7152, 0.0722])
     for name, tolerance in (("a.png", 1e-9), ("a.exr", 1e-6), ("a.hdr", 0.01)):  # shared exponent of 8 bits
-        found = panorama.load(name, tmp_path)
-        assert np.abs(found - expected_luminance).max() < tolerance * expected_luminance.max()
+        image = panorama.load(name, tmp_path)
+        assert np.abs(image - expected_luminance).max() < tolerance * expected_luminance.max()
 
 
 @pytest.mark.parametrize("kind", ["sky", "daylight"])
@@ -338,12 +338,12 @@ def test_a_camera_sees_an_even_panorama_as_a_dome(make_scene, wide, tmp_path, re
     cv2.imwrite(str(tmp_path / "even.png"), np.full((4, 8, 3), 90, np.uint8))
     common = {"illuminant": "F11", "lux": 800.0}
     wall = {"name": "wall", "shape": "plane", "material": "brick", "size_cm": [60, 60], "position_cm": [30, 0, 40]}
-    camera, seen = wide(24, 18), []
+    camera, pictures = wide(24, 18), []
     for light in ({"kind": "dome"}, {"kind": "environment", "image": "even.png"}):
         scene = make_scene(wall, lights=[light | common], folder=tmp_path)
-        seen.append(passes.stop_pass(mi_scene(scene), camera, camera.stops[0], passes.Sampling(64, 3)))
+        pictures.append(passes.stop_pass(mi_scene(scene), camera, camera.stops[0], passes.Sampling(64, 3)))
     for half in (slice(None, 10), slice(14, None)):
-        dome, even = (rate[:, half].mean(axis=(0, 1)) for rate in seen)
+        dome, even = (rate[:, half].mean(axis=(0, 1)) for rate in pictures)
         np.testing.assert_allclose(even[dome > 0], dome[dome > 0], rtol=LEVEL)
 
 

@@ -26,11 +26,11 @@ def points(jit):
 
     from dasim.render import pupil
 
-    def drawn(stop: Stop) -> np.ndarray:
+    def points_of(stop: Stop) -> np.ndarray:
         numbers = np.random.default_rng(4).random((2, COUNT), dtype=np.float32)
         return np.array(pupil.drawer(stop)(mi.Point2f(numbers)), dtype=np.float64)
 
-    return drawn
+    return points_of
 
 
 @pytest.mark.parametrize(("inner", "outer"), [(0.0, 0.4), (0.25, 0.5)])
@@ -74,8 +74,8 @@ def test_concave_polygon_is_even(points):
         area = values.sum() * (place[1] - place[0]) ** 2
         assert area == pytest.approx(stem + foot, abs=SAMPLED)
         assert stops.open_area(letter) == pytest.approx((stem + foot) / np.pi, rel=1e-12)
-        found = [values.sum(axis=0) @ place, values.sum(axis=1) @ place]
-        np.testing.assert_allclose(np.array(found) / values.sum(), centroid, atol=SAMPLED)
+        moments = [values.sum(axis=0) @ place, values.sum(axis=1) @ place]
+        np.testing.assert_allclose(np.array(moments) / values.sum(), centroid, atol=SAMPLED)
 
 
 def test_grey_mask_is_drawn_by_its_transmittance(points):
@@ -83,8 +83,8 @@ def test_grey_mask_is_drawn_by_its_transmittance(points):
     mask = np.array([[0, 0, 0, 0], [0, 1.0, 0.5, 0], [0, 0, 0.25, 0], [0, 0, 0, 0]])
     grey = stop("mask", mask=mask.tolist())
     x, y = points(grey)
-    found, _, _ = np.histogram2d(y, x, bins=np.linspace(-1, 1, 5).tolist())
-    np.testing.assert_allclose(found / COUNT, mask / mask.sum(), atol=SHARE)
+    histogram, _, _ = np.histogram2d(y, x, bins=np.linspace(-1, 1, 5).tolist())
+    np.testing.assert_allclose(histogram / COUNT, mask / mask.sum(), atol=SHARE)
     cell = (x < 0) & (y < 0)
     np.testing.assert_allclose([x[cell].mean(), y[cell].mean()], -0.25, atol=SHARE)
     np.testing.assert_allclose([x[cell].var(), y[cell].var()], 0.5**2 / 12, atol=SHARE)

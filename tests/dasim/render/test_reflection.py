@@ -66,8 +66,8 @@ def test_textures_are_their_trees(here, name):
     """Expectation: reflectance cos / pi, each image bilinear with its own repeats, at pixel centres and between."""
     surface = bsdf_values.surfaces()[name]
     cosine = bsdf_values.directions()[0][2]
-    for (u, v), found in zip(bsdf_values.UV, here[name], strict=True):
-        np.testing.assert_allclose(found, by_hand(surface, u, v) * cosine / np.pi, rtol=SINGLE, atol=1e-7)
+    for (u, v), values in zip(bsdf_values.UV, here[name], strict=True):
+        np.testing.assert_allclose(values, by_hand(surface, u, v) * cosine / np.pi, rtol=SINGLE, atol=1e-7)
 
 
 def test_variants_agree_on_every_kind_of_mixture(here, jit):
@@ -132,17 +132,17 @@ def test_what_absorbs_nothing_vanishes_in_an_even_dome(make_scene, loaded, wide)
     from dasim.render import passes
 
     white = {"kind": "spectrum", "points": [(400, 1.0), (830, 1.0)]}
-    own = {"white": white}
-    own |= {f"coat-{alpha}": {"kind": "coated", "base": white, "roughness": alpha} for alpha in (0.0, 0.2)}
+    materials = {"white": white}
+    materials |= {f"coat-{alpha}": {"kind": "coated", "base": white, "roughness": alpha} for alpha in (0.0, 0.2)}
     balls = {"glass": (-9, -5), "white": (0, -5), "coat-0.0": (9, -5), "coat-0.2": (-9, 5)}
     things = [ball(name, x, y, name) for name, (x, y) in balls.items()]
     pane = {"name": "pane", "shape": "plane", "size_cm": (8, 8), "position_cm": (0, 5, 40), "rotation_deg": (0, 30, 0)}
-    scene = loaded(make_scene(*things, pane | {"material": "glass-pane"}, materials=own))
+    scene = loaded(make_scene(*things, pane | {"material": "glass-pane"}, materials=materials))
     camera = wide()
     rate = passes.pinhole_pass(scene, camera, passes.Sampling(256, 0))
     # cos^4 falls off towards the corners: an empty picture is the reference
     empty = passes.pinhole_pass(
-        loaded(make_scene(ball("far", 0, 900, "white"), materials=own)), camera, passes.Sampling(16, 0)
+        loaded(make_scene(ball("far", 0, 900, "white"), materials=materials)), camera, passes.Sampling(16, 0)
     )
     ratio = rate / empty
     assert (empty > 0).all()
@@ -212,8 +212,8 @@ def test_coats_keep_the_reflectance_of_their_base(reflection):
 
     for roughness, index in ((0.05, 1.5), (0.2, 1.5), (0.4, 1.5), (0.2, 1.33)):
         gloss = ((index - 1) / (index + 1)) ** 2
-        lost = 0.5 * gloss  # of the gloss itself, in rough coats
-        assert albedo(1.0, roughness, index) == pytest.approx(1.0, abs=VANISHES + lost)
+        gloss_loss = 0.5 * gloss  # of the gloss itself, in rough coats
+        assert albedo(1.0, roughness, index) == pytest.approx(1.0, abs=VANISHES + gloss_loss)
         diffuse = albedo(0.5, roughness, index) - albedo(0.0, roughness, index)
         assert diffuse == pytest.approx(0.5 * (1 - gloss), abs=VANISHES)
 

@@ -16,11 +16,11 @@ def points(jit):
 
     from dasim.render.sobol import DIMENSIONS, Sobol
 
-    def drawn(key: int) -> np.ndarray:
+    def points_of(key: int) -> np.ndarray:
         numbers = Sobol(COUNT, dr.arange(mi.UInt32, COUNT), mi.UInt32(key))
         return np.stack([np.array(numbers.next_1d(), dtype=np.float64) for _ in range(DIMENSIONS)], axis=-1)
 
-    return drawn
+    return points_of
 
 
 @pytest.mark.parametrize("key", [0, 1, 12345])

@@ -91,16 +91,16 @@ def test_depth_and_normals_are_those_of_the_shape(geometry, make_scene, wide, ex
     Expectation: z (not range) at the pixel centre within 0.01 %, unit normals towards the camera, nothing elsewhere.
     """
     camera = wide()
-    found = geometry(make_scene(thing(**SHAPES[expected])), camera)
+    maps = geometry(make_scene(thing(**SHAPES[expected])), camera)
     depth, normal = expected(pixel_rays(camera))
     inside = ~np.isnan(depth)
     assert inside.sum() > 100
-    np.testing.assert_allclose(found.depth_m[inside], depth[inside], rtol=DEPTH_LIMIT)
+    np.testing.assert_allclose(maps.depth_m[inside], depth[inside], rtol=DEPTH_LIMIT)
     normal = np.broadcast_to(normal, (*depth.shape, 3))[inside]
-    np.testing.assert_allclose(found.normal[inside], normal, atol=NORMAL_LIMIT)
-    assert (found.object_id[inside] == 1).all()
-    missed = np.isnan(found.depth_m)
-    assert missed[0, 0] and (found.object_id[missed] == 0).all() and (found.normal[missed] == 0).all()
+    np.testing.assert_allclose(maps.normal[inside], normal, atol=NORMAL_LIMIT)
+    assert (maps.object_id[inside] == 1).all()
+    missed = np.isnan(maps.depth_m)
+    assert missed[0, 0] and (maps.object_id[missed] == 0).all() and (maps.normal[missed] == 0).all()
 
 
 def test_labels_follow_the_order_of_the_scene_and_places_its_axes(geometry, make_scene, wide):
@@ -139,9 +139,9 @@ def test_labels_do_not_depend_on_earlier_scenes_or_on_the_kind_of_shape(geometry
 def test_nearer_hides_farther(geometry, make_scene, wide):
     wall = thing("wall", shape="plane", size_cm=(60, 60), position_cm=(0, 0, 30))
     card = thing("card", shape="plane", size_cm=(4, 4), position_cm=(0, 0, 20))
-    found = geometry(make_scene(wall, card), wide())
-    assert found.object_id[18, 24] == 2 and found.depth_m[18, 24] == pytest.approx(0.2, rel=DEPTH_LIMIT)
-    assert found.object_id[0, 0] == 1 and found.depth_m[0, 0] == pytest.approx(0.3, rel=DEPTH_LIMIT)
+    maps = geometry(make_scene(wall, card), wide())
+    assert maps.object_id[18, 24] == 2 and maps.depth_m[18, 24] == pytest.approx(0.2, rel=DEPTH_LIMIT)
+    assert maps.object_id[0, 0] == 1 and maps.depth_m[0, 0] == pytest.approx(0.3, rel=DEPTH_LIMIT)
 
 
 def test_view_moves_the_camera(geometry, make_scene, wide):
@@ -155,13 +155,13 @@ def test_view_moves_the_camera(geometry, make_scene, wide):
         for n, p in (("a", target), ("b", target - (0, 8, 0)))
     )
     scene = make_scene(ball, upper, view={"position_cm": tuple(stand), "look_at_cm": tuple(target)})
-    found = geometry(scene, wide(50, 38))
-    centre = np.argwhere(found.object_id == 1).mean(axis=0)
+    maps = geometry(scene, wide(50, 38))
+    centre = np.argwhere(maps.object_id == 1).mean(axis=0)
     np.testing.assert_allclose(centre, (18.5, 24.5), atol=0.6)
-    nearest = np.nanmin(np.where(found.object_id == 1, found.depth_m, np.nan))
+    nearest = np.nanmin(np.where(maps.object_id == 1, maps.depth_m, np.nan))
     # The middle lies between four pixels of 5.4 mm: their rays meet the ball 3.8 mm off its tip, 0.36 mm deeper.
     assert nearest == pytest.approx(np.linalg.norm(target - stand) / 100 - 0.02 + 3.6e-4, abs=1e-4)
-    above = np.argwhere(found.object_id == 2).mean(axis=0)
+    above = np.argwhere(maps.object_id == 2).mean(axis=0)
     assert above[0] < centre[0] - 5 and above[1] == pytest.approx(centre[1], abs=0.6)
 
 
@@ -262,11 +262,11 @@ def test_users_mesh_has_its_place_and_its_texture_upright(quarters, geometry, ma
     quad().export(corner_picture / f"quad.{suffix}")
     item = thing(material="corner", shape="mesh", file=f"quad.{suffix}", position_cm=(0, 0, 25))
     scene = make_scene(item, materials=CORNER, folder=corner_picture)
-    found = geometry(scene, wide())
+    maps = geometry(scene, wide())
     plane = thing(shape="plane", size_cm=(10, 10), position_cm=(0, 0, 25))
-    np.testing.assert_array_equal(found.object_id, geometry(make_scene(plane), wide()).object_id)
-    assert found.depth_m[18, 24] == pytest.approx(0.25, rel=DEPTH_LIMIT)
-    np.testing.assert_allclose(found.normal[18, 24], [0, 0, -1], atol=NORMAL_LIMIT)
+    np.testing.assert_array_equal(maps.object_id, geometry(make_scene(plane), wide()).object_id)
+    assert maps.depth_m[18, 24] == pytest.approx(0.25, rel=DEPTH_LIMIT)
+    np.testing.assert_allclose(maps.normal[18, 24], [0, 0, -1], atol=NORMAL_LIMIT)
     np.testing.assert_allclose(quarters(scene, wide(), 8), TOP_LEFT, atol=QUARTER_LIMIT)
 
 
@@ -306,12 +306,12 @@ def test_boundary_is_as_wide_as_the_blur_of_the_nearer_side(da_mobile):
 
     depth = np.where(np.arange(96) < 48, 0.1, 0.4) * np.ones((20, 1))
     blur = camera_geometry.blur_px(da_mobile, depth)
-    found = truth.boundary(blur)
+    boundary = truth.boundary(blur)
     radius = blur.max() / 2
     assert 9 < radius < 14
     distance = np.abs(np.arange(96) + 0.5 - 48)
-    assert found[:, distance <= radius].all()
-    assert not found[:, distance > radius + 3].any()
+    assert boundary[:, distance <= radius].all()
+    assert not boundary[:, distance > radius + 3].any()
     assert not truth.boundary(np.full((8, 8), 20.0)).any(), "no step, no boundary, however large the blur"
 
 
@@ -347,6 +347,6 @@ def test_no_ray_slips_between_the_triangles_of_a_mesh(geometry, make_scene, da_m
     wall = thing("wall", shape="plane", size_cm=[60, 60], position_cm=[0, 0, 20])
     quad = thing(shape="mesh", file="quad.obj", position_cm=[0, 0, 16])
     camera = cameras.refocused(cameras.cropped(da_mobile, 192, 144), 0.15)
-    found = geometry(make_scene(wall, quad, folder=tmp_path), camera)
-    assert (found.object_id == 2).all()
-    np.testing.assert_allclose(found.depth_m, 0.16, rtol=DEPTH_LIMIT)
+    maps = geometry(make_scene(wall, quad, folder=tmp_path), camera)
+    assert (maps.object_id == 2).all()
+    np.testing.assert_allclose(maps.depth_m, 0.16, rtol=DEPTH_LIMIT)

@@ -42,8 +42,8 @@ def view(loaded, wide):
 @pytest.mark.parametrize("name", sorted(RANGES_CM))
 def test_depths_in_view_span_the_range_and_the_focus_is_at_its_end(name, view):
     near, far = RANGES_CM[name]
-    scene, _, seen = view(name, CROP)
-    depth_cm = seen.depth_m * 100
+    scene, _, maps = view(name, CROP)
+    depth_cm = maps.depth_m * 100
     assert np.isfinite(depth_cm).all()
     assert near * (1 - WITHIN) <= depth_cm.min() <= near * (1 + WITHIN)
     assert depth_cm.max() == pytest.approx(far, rel=0.01)
@@ -53,28 +53,28 @@ def test_depths_in_view_span_the_range_and_the_focus_is_at_its_end(name, view):
 
 @pytest.mark.parametrize("name", ["flowers", "adam", "disks", "fence"])
 def test_the_whole_sensor_is_filled(name, view):
-    _, _, seen = view(name, WHOLE)
-    assert np.isfinite(seen.depth_m).mean() > 0.99
-    assert np.nanmax(seen.depth_m) * 100 == pytest.approx(RANGES_CM[name][1], rel=0.01)
+    _, _, maps = view(name, WHOLE)
+    assert np.isfinite(maps.depth_m).mean() > 0.99
+    assert np.nanmax(maps.depth_m) * 100 == pytest.approx(RANGES_CM[name][1], rel=0.01)
 
 
 def _shares(name, view) -> dict[str, float]:
     """Share of the central crop that each object fills."""
-    scene, _, seen = view(name, CROP)
-    return {item.name: float((seen.object_id == number).mean()) for number, item in enumerate(scene.objects, start=1)}
+    scene, _, maps = view(name, CROP)
+    return {item.name: float((maps.object_id == number).mean()) for number, item in enumerate(scene.objects, start=1)}
 
 
 def test_adam_is_in_the_middle_before_a_wall_in_focus(view):
     shares = _shares("adam", view)
     assert 0.05 < shares["skin"] and 0.15 < sum(shares[part] for part in ("skin", "hair", "shirt")) < 0.5
-    scene, _, seen = view("adam", CROP)
+    scene, _, maps = view("adam", CROP)
     numbers = {item.name: number for number, item in enumerate(scene.objects, start=1)}
-    wall = np.isin(seen.object_id, [numbers[part] for part in ("wall", "poster", "picture")])
+    wall = np.isin(maps.object_id, [numbers[part] for part in ("wall", "poster", "picture")])
     assert wall.mean() > 0.3
     full = cameras.refocused(cameras.load_camera("da-mobile"), scene.focus_cm * 1e-2)
-    blur_px = geometry.blur_px(full, seen.depth_m)
+    blur_px = geometry.blur_px(full, maps.depth_m)
     assert np.abs(blur_px[wall]).max() < 0.1
-    assert blur_px[seen.object_id == numbers["skin"]].min() > 5
+    assert blur_px[maps.object_id == numbers["skin"]].min() > 5
     assert {light.illuminant for light in scene.lights} == {"energy-saving-3500K"}
 
 
@@ -83,8 +83,8 @@ def test_fence_is_thin_and_its_boundaries_are_many(view, loaded):
     assert shares["wires"] > 0.05 and shares["wall"] + shares["lawn"] > 0.4
     scene, _, _ = view("fence", CROP)
     camera = cameras.cropped(cameras.refocused(cameras.load_camera("da-mobile"), 1.5), 512, 384)
-    seen = truth.geometry(loaded(scene), camera)
-    assert truth.boundary(truth.signed_blur_px(seen.depth_m, camera)).mean() > 0.3
+    maps = truth.geometry(loaded(scene), camera)
+    assert truth.boundary(truth.signed_blur_px(maps.depth_m, camera)).mean() > 0.3
     # A wire is about as wide as its blur.
     wire_px = 0.1e-2 * geometry.image_distance_m(camera) / (0.25 * 1.7e-6)
     assert 0.5 < geometry.blur_px(camera, 0.25) / wire_px < 2
@@ -132,19 +132,19 @@ def disks(wide, renderer):
 
 def _contrast(disks, sheet: str, ink: str) -> np.ndarray:
     """1 - disk / paper around it of R, G, B and IR, sharp."""
-    scene, _, seen = disks
+    scene, _, maps = disks
     numbers = {item.name: number for number, item in enumerate(scene.objects, start=1)}
-    disk = seen.object_id == numbers[f"{sheet}-{ink}"]
+    disk = maps.object_id == numbers[f"{sheet}-{ink}"]
     rows, columns = np.nonzero(disk)
     around = np.zeros_like(disk)
     around[rows.min() - 1 : rows.max() + 2, columns.min() - 1 : columns.max() + 2] = True
-    around &= seen.object_id == numbers[f"{sheet}-sheet"]
+    around &= maps.object_id == numbers[f"{sheet}-sheet"]
     inside = disk.copy()
     for axis in (0, 1):  # without its rim, which holds paper too
         inside &= np.roll(disk, 1, axis) & np.roll(disk, -1, axis)
         around &= ~np.roll(disk, 1, axis) & ~np.roll(disk, -1, axis)
-    channels = [seen.channels.index(name) for name in ("R", "G", "B", "IR")]
-    return 1 - (seen.sharp_e[inside].mean(axis=0) / seen.sharp_e[around].mean(axis=0))[channels]
+    channels = [maps.channels.index(name) for name in ("R", "G", "B", "IR")]
+    return 1 - (maps.sharp_e[inside].mean(axis=0) / maps.sharp_e[around].mean(axis=0))[channels]
 
 
 @pytest.mark.parametrize("sheet", ["near", "far"])

@@ -52,27 +52,27 @@ def test_height_field_is_a_ramp_where_its_picture_is(geometry, make_scene, wide,
     ramp = np.tile(np.rint(np.linspace(0, 2**bits - 1, columns)), (8, 1))
     assert cv2.imwrite(str(tmp_path / "relief.png"), ramp.astype(np.uint8 if bits == 8 else np.uint16))
     camera = wide()
-    found = geometry(make_scene(relief(), folder=tmp_path), camera)
+    maps = geometry(make_scene(relief(), folder=tmp_path), camera)
     sensor, lens = camera.sensor, camera.lens
     image_mm = 1 / (1 / lens.focal_length_mm - 1 / (lens.focus_distance_m * 1e3))
     x = (np.arange(sensor.width_px) - (sensor.width_px - 1) / 2) * sensor.pixel_pitch_um / 1e3 / image_mm
     # z = a - b X with X = x z, in cm
     b = 4 / 16 * columns / (columns - 1)
     z = 0.01 * (30 - 4 * (columns / 2 - 0.5) / (columns - 1)) / (1 + b * x)
-    inside = (np.abs(x * z) < 0.078) & ~np.isnan(found.depth_m[18])
+    inside = (np.abs(x * z) < 0.078) & ~np.isnan(maps.depth_m[18])
     assert inside.sum() > 25
-    np.testing.assert_allclose(found.depth_m[18, inside], z[inside], rtol=DEPTH_LIMIT)
-    assert (found.object_id[18, inside] == 1).all()
+    np.testing.assert_allclose(maps.depth_m[18, inside], z[inside], rtol=DEPTH_LIMIT)
+    assert (maps.object_id[18, inside] == 1).all()
 
 
 def test_height_field_reaches_as_far_as_a_plane_and_white_is_nearer(geometry, make_scene, wide, tmp_path):
     """Expectation: all black is the plane itself, all white a plane that much nearer; outlines agree."""
     for value, depth_cm in ((0, 30), (255, 26)):
         cv2.imwrite(str(tmp_path / "relief.png"), np.full((5, 7), value, np.uint8))
-        found = geometry(make_scene(relief(rotation_deg=(0, 0, 20)), folder=tmp_path), wide())
+        maps = geometry(make_scene(relief(rotation_deg=(0, 0, 20)), folder=tmp_path), wide())
         plane = {"name": "p", "shape": "plane", "size_cm": (16, 12), "material": "grey-card"}
         flat = make_scene(plane | {"position_cm": (0, 0, depth_cm), "rotation_deg": (0, 0, 20)})
-        np.testing.assert_allclose(found.depth_m, geometry(flat, wide()).depth_m, rtol=DEPTH_LIMIT)
+        np.testing.assert_allclose(maps.depth_m, geometry(flat, wide()).depth_m, rtol=DEPTH_LIMIT)
 
 
 def test_texture_lies_on_a_height_field_as_on_a_plane(loaded, make_scene, wide, tmp_path):
@@ -191,16 +191,16 @@ def test_parts_with_colours_of_all_kinds_keep_them_in_one_picture(tmp_path):
     assert mesh.paint is not None
     for _ in range(20):
         _, place, uv = inner_points(mesh, rng)
-        seen, place = at(mesh.paint, uv), 2 * place
+        values, place = at(mesh.paint, uv), 2 * place
         on_box = np.abs(place[:, 2] - 10) < 0.51
-        np.testing.assert_allclose(seen[on_box], np.tile([1, 0.2, 0], (on_box.sum(), 1)), atol=LINEAR_LIMIT)
+        np.testing.assert_allclose(values[on_box], np.tile([1, 0.2, 0], (on_box.sum(), 1)), atol=LINEAR_LIMIT)
         on_ball = np.abs(place[:, 2] - 20) < 1.1
-        np.testing.assert_allclose(seen[on_ball, 2] * 0.4, seen[on_ball, 1], atol=0.005)
+        np.testing.assert_allclose(values[on_ball, 2] * 0.4, values[on_ball, 1], atol=0.005)
         flat = np.abs(place[:, 2]) < 0.1
         tile = place[flat, :2] % 1
         away = (np.abs(tile - 0.5) < 0.42).all(axis=-1)  # a half texel from its border at least
         np.testing.assert_allclose(
-            seen[flat][away], at(meshes.decode_srgb(picture), tile[away]), atol=1e-4
+            values[flat][away], at(meshes.decode_srgb(picture), tile[away]), atol=1e-4
         )  # uv in single precision
 
 
@@ -212,18 +212,18 @@ def test_obj_with_a_material_library_shows_its_colours_and_pictures(tmp_path):
     cv2.imwrite(str(tmp_path / "own.png"), picture[..., ::-1])
     (tmp_path / "two.mtl").write_text("newmtl red\nKd 1 0 0.5\nnewmtl own\nKd 0.2 0.2 0.2\nmap_Kd own.png\n")
     corners = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nv 2 0 0\nv 2 1 0\nvt 0 0\nvt 1 0\nvt 1 1\nvt 0 1\n"
-    red, own = "f 1 2 3\nf 1 3 4\n", "f 2/1 5/2 6/3\nf 2/1 6/3 3/4\n"
-    (tmp_path / "two.obj").write_text(f"mtllib two.mtl\n{corners}usemtl red\n{red}usemtl own\n{own}")
+    red, textured = "f 1 2 3\nf 1 3 4\n", "f 2/1 5/2 6/3\nf 2/1 6/3 3/4\n"
+    (tmp_path / "two.obj").write_text(f"mtllib two.mtl\n{corners}usemtl red\n{red}usemtl own\n{textured}")
     mesh = meshes.merge_with_colours(meshes.read(tmp_path / "two.obj", 1.0, "two"), "two")
     assert mesh.paint is not None
     for seed in range(10):
         _, place, uv = inner_points(mesh, np.random.default_rng(seed))
-        seen = at(mesh.paint, uv)
+        values = at(mesh.paint, uv)
         left = place[:, 0] < 1
-        np.testing.assert_allclose(seen[left], np.tile([1, 0, 0.2122], (2, 1)), atol=0.005)  # Kd is kept in 8 bits
-        shown = at(meshes.decode_srgb(picture), place[~left, :2] - [1, 0])
-        np.testing.assert_allclose(seen[~left], shown, atol=1e-4)  # uv in single precision
-    (tmp_path / "bare.obj").write_text(corners + own)
+        np.testing.assert_allclose(values[left], np.tile([1, 0, 0.2122], (2, 1)), atol=0.005)  # Kd is kept in 8 bits
+        image = at(meshes.decode_srgb(picture), place[~left, :2] - [1, 0])
+        np.testing.assert_allclose(values[~left], image, atol=1e-4)  # uv in single precision
+    (tmp_path / "bare.obj").write_text(corners + textured)
     assert meshes.colour_kinds(meshes.read(tmp_path / "bare.obj", 1.0, "bare")) == []
 
 
@@ -404,8 +404,10 @@ def test_winding_number_and_distance_of_a_closed_surface():
     assert meshes.winding_number(five) == pytest.approx(5 / 6, abs=1e-9)
     rng = np.random.default_rng(0)
     for centre in rng.normal(0, 2, (5, 3)):
-        found = meshes.distance_from_origin(ball.triangles + centre)
-        assert found == pytest.approx(abs(np.linalg.norm(centre) - 1), abs=0.02), "flat triangles lie a little inside"
+        distance = meshes.distance_from_origin(ball.triangles + centre)
+        assert distance == pytest.approx(abs(np.linalg.norm(centre) - 1), abs=0.02), (
+            "flat triangles lie a little inside"
+        )
 
 
 # --- numbers of materials ------------------------------------------------------------------------

@@ -83,8 +83,8 @@ def far(da_mobile):
 def test_every_level_of_the_staircase_is_at_its_level(far, geometry):
     small = cameras.cropped(far, 8, 8)
     for level in range(cameras.BLUR_LEVELS):
-        found = geometry(dasim.load_scene(f"staircase:{level}"), small)
-        blur_px = camera_geometry.blur_px(small, found.depth_m)
+        maps = geometry(dasim.load_scene(f"staircase:{level}"), small)
+        blur_px = camera_geometry.blur_px(small, maps.depth_m)
         np.testing.assert_allclose(0.54 * blur_px, level, atol=LEVEL_LIMIT)  # (1 - alpha) c, sec. 6.1
 
 
@@ -238,9 +238,9 @@ def test_margin_holds_the_widest_kernel(far):
 @pytest.mark.parametrize(("depth_cm", "step_cm"), [(5.0, 0.05), (20.0, 1.0), (200.0, 75.0)])
 def test_depth_steps_are_at_their_depths_and_meet_in_the_middle(da_mobile, geometry, depth_cm, step_cm):
     scene = dasim.load_scene(f"depth-steps:{depth_cm}:{step_cm}")
-    found = geometry(scene, dasim.focused(cameras.cropped(da_mobile, 16, 8), scene))
-    np.testing.assert_allclose(found.depth_m[:, :8], depth_cm * 1e-2, rtol=DEPTH_LIMIT)
-    np.testing.assert_allclose(found.depth_m[:, 8:], (depth_cm + step_cm) * 1e-2, rtol=DEPTH_LIMIT)
+    maps = geometry(scene, dasim.focused(cameras.cropped(da_mobile, 16, 8), scene))
+    np.testing.assert_allclose(maps.depth_m[:, :8], depth_cm * 1e-2, rtol=DEPTH_LIMIT)
+    np.testing.assert_allclose(maps.depth_m[:, 8:], (depth_cm + step_cm) * 1e-2, rtol=DEPTH_LIMIT)
 
 
 def test_only_blur_tells_a_depth_step(da_mobile, pinhole):
@@ -271,8 +271,8 @@ def test_colour_checker_has_its_patches_in_order_with_their_colours(coarse, pinh
         x, y = int(32 + (column - 2.5) * pitch_px), int(24 + (row - 1.5) * pitch_px)
         assert scene.objects[labels.object_id[y, x] - 1].material == patch
         expected = integrate(spectrum * reflectance(patch)) / integrate(spectrum)
-        found = picture[y - 1 : y + 2, x - 1 : x + 2].mean(axis=(0, 1))
-        np.testing.assert_allclose(found, expected, rtol=PATCH_LIMIT, err_msg=patch)
+        patch_mean = picture[y - 1 : y + 2, x - 1 : x + 2].mean(axis=(0, 1))
+        np.testing.assert_allclose(patch_mean, expected, rtol=PATCH_LIMIT, err_msg=patch)
 
 
 def test_slanted_edges_are_turned_by_five_degrees(coarse, pinhole):
@@ -316,8 +316,8 @@ def test_flat_is_even_to_cos4_over_the_whole_frame(coarse, pinhole):
     camera = coarse(scene, 24, 84, 64)
     spectrum = radiometry.response(camera) * scenes.light_spectrum(scene)
     expected = integrate(spectrum * reflectance("grey-card")) / integrate(spectrum)
-    found = pinhole(scene, camera, 256) / radiometry.relative_illumination(camera)[..., None]
-    np.testing.assert_allclose(found, np.broadcast_to(expected, found.shape), rtol=EVEN_LIMIT)
+    flattened = pinhole(scene, camera, 256) / radiometry.relative_illumination(camera)[..., None]
+    np.testing.assert_allclose(flattened, np.broadcast_to(expected, flattened.shape), rtol=EVEN_LIMIT)
 
 
 @pytest.mark.parametrize("level", [0, 14, 28])
@@ -352,8 +352,8 @@ def test_point_shines_in_the_middle_with_the_light_that_it_says(far, renderer, l
         illuminant="A",
         field=None,
     )
-    seen = integrate(radiometry.stop_response(camera, stop) * scenes.light_spectrum(scene))
-    expected = seen * (hole.position_cm[2] / hole.radius_cm) ** 2 / np.pi * np.pi * radius_px**2
+    response = integrate(radiometry.stop_response(camera, stop) * scenes.light_spectrum(scene))
+    expected = response * (hole.position_cm[2] / hole.radius_cm) ** 2 / np.pi * np.pi * radius_px**2
     np.testing.assert_allclose(rate.sum(axis=(0, 1)), expected, rtol=limit)
     assert rate[3:5, 3:5].sum() == pytest.approx(rate.sum(), rel=1e-6)
     np.testing.assert_allclose(rate[3:5, 3:5].sum(axis=-1) / rate.sum(), 0.25, atol=limit / 2)

@@ -35,20 +35,20 @@ def test_the_noise_target_is_met_and_the_stated_noise_is_true():
     Expectation: below the share that was asked for; the error of the result, known here, is what is stated.
     """
     calls: list = []
-    found = render_to_noise_target(pictures((1.0, 0.5), calls), poisson, stops=STOPS)
-    assert max(found.share) <= adaptive_sampling.NOISE_SHARE
-    assert found.spp == tuple(np.sum([spp for _, spp in calls], axis=0))
-    assert found.spp[0] > found.spp[1], "the stop that gives more of the noise gets more samples"
+    result = render_to_noise_target(pictures((1.0, 0.5), calls), poisson, stops=STOPS)
+    assert max(result.share) <= adaptive_sampling.NOISE_SHARE
+    assert result.spp == tuple(np.sum([spp for _, spp in calls], axis=0))
+    assert result.spp[0] > result.spp[1], "the stop that gives more of the noise gets more samples"
     assert len({index for index, _ in calls}) == len(calls), "every picture has random numbers of its own"
-    truth = np.median(np.abs(found.rate - MEAN_E) / np.sqrt(MEAN_E), axis=(0, 1)) / 0.6745
-    np.testing.assert_allclose(found.share, truth, rtol=MEDIAN)
+    truth = np.median(np.abs(result.rate - MEAN_E) / np.sqrt(MEAN_E), axis=(0, 1)) / 0.6745
+    np.testing.assert_allclose(result.share, truth, rtol=MEDIAN)
 
 
 def test_a_quiet_scene_takes_the_first_pair_alone():
     calls: list = []
-    found = render_to_noise_target(pictures((0.01, 0.01), calls), poisson, stops=STOPS)
+    result = render_to_noise_target(pictures((0.01, 0.01), calls), poisson, stops=STOPS)
     pilot = (adaptive_sampling.PILOT_SPP,) * STOPS
-    assert calls == [(0, pilot), (1, pilot)] and found.spp == (2 * adaptive_sampling.PILOT_SPP,) * STOPS
+    assert calls == [(0, pilot), (1, pilot)] and result.spp == (2 * adaptive_sampling.PILOT_SPP,) * STOPS
 
 
 def test_a_smaller_share_takes_more_samples():
@@ -59,10 +59,10 @@ def test_a_smaller_share_takes_more_samples():
 
 
 def test_the_most_samples_end_it():
-    found = render_to_noise_target(pictures((50.0, 50.0), []), poisson, stops=STOPS, most_spp=500)
-    assert max(found.spp) <= 500 and max(found.share) > adaptive_sampling.NOISE_SHARE
+    result = render_to_noise_target(pictures((50.0, 50.0), []), poisson, stops=STOPS, most_spp=500)
+    assert max(result.spp) <= 500 and max(result.share) > adaptive_sampling.NOISE_SHARE
 
 
 def test_no_light_and_no_noise_need_no_more():
-    found = render_to_noise_target(lambda index, spp: StopPictures(np.zeros(SHAPE)), poisson, stops=STOPS)
-    assert found.share == (0, 0, 0, 0) and found.spp == (2 * adaptive_sampling.PILOT_SPP,) * STOPS
+    result = render_to_noise_target(lambda index, spp: StopPictures(np.zeros(SHAPE)), poisson, stops=STOPS)
+    assert result.share == (0, 0, 0, 0) and result.spp == (2 * adaptive_sampling.PILOT_SPP,) * STOPS

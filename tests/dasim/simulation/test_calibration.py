@@ -18,9 +18,9 @@ CHARGE_LIMIT = 0.01  # 1 % PRNU over 270 pixels is 0.06 %, the dark signal 0.1 %
 @pytest.fixture(scope="module")
 def pictures(da_mobile):
     """One light, all levels and positions, geometric kernels, automatic exposure: {(level, shift): picture}."""
-    found = list(calibration_captures(cameras.cropped(da_mobile, 64, 48), ("A",), seed=4, diffraction="off"))
-    assert len(found) == 29 * 4 * len(EXPOSURES)
-    return {(picture.level, picture.shift_px): picture for picture in found if picture.exposure_s == EXPOSURE_S}
+    captures = list(calibration_captures(cameras.cropped(da_mobile, 64, 48), ("A",), seed=4, diffraction="off"))
+    assert len(captures) == 29 * 4 * len(EXPOSURES)
+    return {(picture.level, picture.shift_px): picture for picture in captures if picture.exposure_s == EXPOSURE_S}
 
 
 def signal(picture, camera) -> np.ndarray:

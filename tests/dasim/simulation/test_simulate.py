@@ -160,11 +160,11 @@ def test_same_seed_same_bytes(scene, da_mobile, renderer):
 def test_electrons_follow_time_and_numbers_follow_gain(scene, da_mobile, renderer):
     camera = cameras.cropped(da_mobile, 16, 12)
 
-    def taken(time_s, gain):
+    def photograph(time_s, gain):
         exposure = Exposure(time_s=time_s, gain=gain)
         return simulate(scene, camera, spp=16, diffraction="off", exposure=exposure)
 
-    short, long, gained = taken(0.002, 1.0), taken(0.004, 1.0), taken(0.002, 4.0)
+    short, long, gained = photograph(0.002, 1.0), photograph(0.004, 1.0), photograph(0.002, 4.0)
     np.testing.assert_allclose(long.truth.mean_e, 2 * short.truth.mean_e, rtol=1e-6)
     np.testing.assert_array_equal(gained.truth.mean_e, short.truth.mean_e)
     ratio = (gained.capture.raw_dn - 64.0).mean() / (short.capture.raw_dn - 64.0).mean()
@@ -237,11 +237,11 @@ def test_crosstalk_reaches_the_raw_numbers_and_not_the_truth(shot, scene):
     camera = shot.capture.camera
     leaky = camera.model_copy(update={"sensor": camera.sensor.model_copy(update={**changes, "adc_bits": 16})})
     time = Exposure(time_s=shot.capture.exposure_s)
-    seen = simulate(scene, leaky, seed=3, spp=36, diffraction="off", exposure=time)
-    np.testing.assert_array_equal(seen.truth.mean_e, shot.truth.mean_e)
+    leaky_shot = simulate(scene, leaky, seed=3, spp=36, diffraction="off", exposure=time)
+    np.testing.assert_array_equal(leaky_shot.truth.mean_e, shot.truth.mean_e)
     kernel = [[0, 0.08, 0], [0.08, 1 - 4 * 0.08, 0.08], [0, 0.08, 0]]
-    mean = convolve(noise.mosaic(seen.truth.mean_e.astype(float), camera), kernel, mode="nearest")
-    electrons = (seen.capture.raw_dn.astype(float) - 64) * 6000 / (65535 - 64)
+    mean = convolve(noise.mosaic(leaky_shot.truth.mean_e.astype(float), camera), kernel, mode="nearest")
+    electrons = (leaky_shot.capture.raw_dn.astype(float) - 64) * 6000 / (65535 - 64)
     z = ((electrons - mean) / np.sqrt(mean))[mean < 5500]
     assert abs(z.mean()) < 5 / np.sqrt(z.size)
     assert z.var() == pytest.approx(1.0, abs=RAW_LIMIT)
@@ -270,10 +270,10 @@ def test_a_noise_model_of_ones_own_makes_the_raw_picture(renderer, scene, da_mob
         return (np.rint(mean_e / 10) + 64).astype(np.uint16), 5
 
     camera = cameras.cropped(da_mobile, 64, 48)
-    own = simulate(scene, camera, seed=3, spp=36, diffraction="off", noise=model)
-    mean = noise.mosaic(own.truth.mean_e.astype(float), camera)
-    np.testing.assert_allclose(own.capture.raw_dn, mean / 10 + 64, atol=0.51)
-    assert own.capture.provenance["saturated_pixels"] == 5
-    assert own.capture.provenance["noise"].endswith("makes_the_raw_picture.<locals>.model")
+    users_shot = simulate(scene, camera, seed=3, spp=36, diffraction="off", noise=model)
+    mean = noise.mosaic(users_shot.truth.mean_e.astype(float), camera)
+    np.testing.assert_allclose(users_shot.capture.raw_dn, mean / 10 + 64, atol=0.51)
+    assert users_shot.capture.provenance["saturated_pixels"] == 5
+    assert users_shot.capture.provenance["noise"].endswith("makes_the_raw_picture.<locals>.model")
     assert shot.capture.provenance["noise"] == "dasim.camera.noise:expose"
-    np.testing.assert_array_equal(own.truth.mean_e, shot.truth.mean_e)
+    np.testing.assert_array_equal(users_shot.truth.mean_e, shot.truth.mean_e)

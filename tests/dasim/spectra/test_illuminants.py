@@ -146,10 +146,10 @@ def test_lamps_beyond_the_end_of_their_table(reference, measured):
     last = energy[(wavelength_nm >= 760) & (wavelength_nm <= 780)].mean()
     beyond = np.trapezoid(*(a[(wavelength_nm >= 780) & (wavelength_nm <= 830)] for a in (energy, wavelength_nm))) / 50
     assert 0.92 < beyond / last < 1.01
-    held, table = illuminants.illuminant("F2"), colour.SDS_ILLUMINANTS["FL2"]
+    spectrum, table = illuminants.illuminant("F2"), colour.SDS_ILLUMINANTS["FL2"]
     mean = np.mean([table[nm] for nm in (760, 765, 770, 775, 780)])
-    ratio = held[GRID_NM == 560][0] / table[560]
-    np.testing.assert_allclose(held[GRID_NM > 780], ratio * mean, rtol=1e-12)
+    ratio = spectrum[GRID_NM == 560][0] / table[560]
+    np.testing.assert_allclose(spectrum[GRID_NM > 780], ratio * mean, rtol=1e-12)
 
 
 def test_leds_go_on_falling():

@@ -1,4 +1,4 @@
-"""PSF banks in the cache. That a bank is measured again after a change of code or data: tests/dasim/base."""
+"""PSF banks in the cache; tests/dasim/base checks that a bank is measured again after a change of code or data."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def bank(camera):
 
 @pytest.fixture
 def measured(bank, monkeypatch):
-    """Cameras of the banks that are measured; the measurement itself is done once for all tests."""
+    """List of the cameras whose banks were measured; all tests share one real measurement."""
     calls = []
 
     def measure(pictures, camera, *, diffraction):
@@ -50,7 +50,7 @@ def measured(bank, monkeypatch):
     return calls
 
 
-def found(camera, **changes):
+def cached_bank(camera, **changes):
     return recon.calibrate(dasim.calibration_captures(camera, **OPTIONS | changes))
 
 
@@ -62,7 +62,7 @@ def test_bank_is_of_the_camera(bank, camera):
 
 
 def test_pictures_can_be_counted_and_taken_again(camera):
-    """Expectation: as many pictures as are announced, the same in each iteration."""
+    """Expectation: the iteration yields the announced number of pictures, and the same ones each time."""
     pictures = dasim.calibration_captures(camera, ("D55",), frames=1, diffraction="off")
     first, second = list(pictures), list(pictures)
     assert len(first) == len(pictures) == cameras.BLUR_LEVELS * 4 * 3
@@ -78,9 +78,9 @@ def test_progress_counts_the_pictures(camera):
 
 
 def test_cached_bank_is_the_same_without_photographing_again(camera, bank, measured):
-    first = found(camera)
+    first = cached_bank(camera)
     assert len(measured) == 1
-    second = found(camera)
+    second = cached_bank(camera)
     assert len(measured) == 1
     for name in ("kernel", "signature", "depth_m", "blur_px"):
         np.testing.assert_array_equal(getattr(first, name), getattr(second, name))
@@ -91,23 +91,25 @@ def test_cached_bank_is_the_same_without_photographing_again(camera, bank, measu
 
 @pytest.mark.parametrize("content", [b"", b"rubbish", None])
 def test_damaged_cached_bank_is_made_anew(cache, camera, measured, content):
-    found(camera)
+    cached_bank(camera)
     (file,) = (cache / "banks").iterdir()
     file.write_bytes(file.read_bytes()[:5000] if content is None else content)
-    assert found(camera).kernel.shape[1] == cameras.BLUR_LEVELS and len(measured) == 2
-    found(camera)
+    assert cached_bank(camera).kernel.shape[1] == cameras.BLUR_LEVELS and len(measured) == 2
+    cached_bank(camera)
     assert len(measured) == 2, "the new one is kept"
 
 
 def test_cached_file_that_is_a_bank_of_something_else_is_made_anew(cache, camera, measured):
-    """Rationale: the cache is the user's folder, anything may stand there; its metadata alone may be damaged."""
-    found(camera)
+    """Rationale: the cache is a folder of the user's and may hold any file, also one of which only the metadata is
+    damaged.
+    """
+    cached_bank(camera)
     (file,) = (cache / "banks").iterdir()
     with np.load(file) as data:
         arrays = dict(data)
     about = json.loads(str(arrays["about"]))
     np.savez(file, **(arrays | {"about": np.array(json.dumps({"schema": about["schema"]}))}))
-    found(camera)
+    cached_bank(camera)
     assert len(measured) == 2
 
 
@@ -115,11 +117,11 @@ def test_cache_that_cannot_be_written_is_no_error(cache, camera, measured):
     cache.mkdir()
     (cache / "banks").write_text("a file where the folder should be")
     with pytest.warns(UserWarning, match="cannot be stored in the cache"):
-        assert found(camera).lights == ("D55",)
+        assert cached_bank(camera).lights == ("D55",)
 
 
 def changed(camera, **changes):
-    """The camera with changed values, ``part__name``."""
+    """The camera with new values for the keys given as ``part__name``."""
     data = camera.model_dump()
     for key, value in changes.items():
         part, name = key.split("__")
@@ -131,9 +133,11 @@ def changed(camera, **changes):
 
 
 def test_key_ignores_the_frame_and_nothing_that_decides_the_kernels(camera, measured):
-    """Expectation: another frame size finds the bank; another focus, hole, pixel, light or diffraction does not."""
-    found(camera)
-    found(cameras.cropped(camera, 64, 48))
+    """Expectation: a camera with another frame size finds the bank; one with another focus, hole, pixel, light or
+    diffraction model does not.
+    """
+    cached_bank(camera)
+    cached_bank(cameras.cropped(camera, 64, 48))
     assert len(measured) == 1
     others = [
         changed(camera, lens__focus_distance_m=0.41),
@@ -143,17 +147,17 @@ def test_key_ignores_the_frame_and_nothing_that_decides_the_kernels(camera, meas
         changed(camera, sensor__cutoff_nm=800.0),
     ]
     for count, other in enumerate(others, start=2):
-        found(other)
+        cached_bank(other)
         assert len(measured) == count, other
     others = ({"lights": ("D65",)}, {"diffraction": "wave"}, {"frames": 3}, {"seed": 1})
     for count, change in enumerate(others, start=len(measured) + 1):
-        found(camera, **change)
+        cached_bank(camera, **change)
         assert len(measured) == count, change
 
 
 def test_bank_from_the_cache_has_the_frame_of_the_pictures(camera, measured):
-    found(cameras.cropped(camera, 64, 48))
-    assert found(camera).camera == camera and len(measured) == 1
+    cached_bank(cameras.cropped(camera, 64, 48))
+    assert cached_bank(camera).camera == camera and len(measured) == 1
 
 
 def test_pictures_of_ones_own_need_a_camera(camera):

@@ -1,4 +1,4 @@
-"""Averages of point pictures: the noise that they state is the noise that they have."""
+"""Averages of point pictures: the stated noise is the noise that they have."""
 
 from __future__ import annotations
 
@@ -18,14 +18,16 @@ SIDE = 192
     "changes", [{"prnu": 0.05}, {"dsnu_e": 30.0, "prnu": 0.0}, {"read_noise_e": 30.0, "prnu": 0.0}]
 )
 def test_stated_noise_is_the_spread_of_a_flat_field(name, changes):
-    """Rationale: kernels are fitted with weights 1 / sigma^2, and called round by the misfit that sigma leaves.
+    """Rationale: the fit of the kernels weights pixels by 1 / sigma^2 and tests with sigma whether a kernel is round.
 
-    Set-up: a flat field of 300 electrons and one of 1,200 in four times the time, two frames each, at every position
-    of the mosaic's period; either fixed pattern or read noise large. A green pixel of the 4x4 mosaic is eight
-    pixels of the sensor, whose patterns are independent; the frames of one of them share theirs.
-    Expectation: the spread of each channel's average is the standard deviation that is stated. Limit: of n independent
-    pixels a standard deviation is known to 1 / sqrt(2 n), four of these; the fixed patterns of a channel repeat over
-    the mosaic's period, so n is the number of periods.
+    Set-up: a flat field of 300 electrons and one of 1,200 in four times the time, two frames each, at every position of
+    the mosaic's period; either the fixed pattern or the read noise is large. A green pixel of the 4x4 mosaic stands for
+    eight pixels of the sensor, whose patterns are independent; the frames at one position share them.
+
+    Expectation: the spread of each channel's average equals the stated standard deviation.
+
+    Limit: four standard errors; the standard deviation of n independent pixels is known to 1 / sqrt(2 n). The fixed
+    pattern of a channel repeats with the mosaic's period, so n is the number of periods.
     """
     camera = cameras.cropped(cameras.load_camera(name), SIDE, SIDE)
     camera = camera.model_copy(update={"sensor": camera.sensor.model_copy(update=changes)})
@@ -37,8 +39,8 @@ def test_stated_noise_is_the_spread_of_a_flat_field(name, changes):
             first = 4 * number + 2 * k
             frames = [noise.expose(mean_e, camera.sensor, 0.01 * times, 3, frame=first + i)[0] for i in (0, 1)]
             group.append(PointPicture(np.stack(frames), "D65", 0, 1.0, 0.0, shift, 0.01 * times))
-    image, sigma_e, seen = pictures.averaged(group, camera, 0.01)
-    assert seen.all()
+    image, sigma_e, visible = pictures.averaged(group, camera, 0.01)
+    assert visible.all()
     limit = 4 / np.sqrt(2 * SIDE**2 / (rows * columns))
     for plane, sigma in zip(image, sigma_e, strict=True):
         assert plane.std() == pytest.approx(np.sqrt(np.mean(sigma**2)), rel=limit)

@@ -1,4 +1,4 @@
-"""Calibration: kernels measured from noisy mosaic pictures against the camera's own wave-optics kernels."""
+"""Calibration: kernels measured from noisy mosaic pictures, compared with the camera's own wave-optics kernels."""
 
 import itertools
 
@@ -18,7 +18,7 @@ CENTRE_TOLERANCE_PX = 0.05  # noise of a centre of mass of a few thousand electr
 
 
 def encircled(kernel):
-    """Share of the light within whole-pixel radii of the middle."""
+    """Share of the light within each integer radius (in pixels) of the centre."""
     size = len(kernel)
     y, x = np.indices(kernel.shape) - size // 2
     radius = np.hypot(y, x)
@@ -36,9 +36,10 @@ def test_encircled_energy(level, channel):
 
 
 def test_a_longer_exposure_tells_what_the_short_one_cannot():
-    """Set-up: infrared under a lamp that has 6 % of it, in focus: 60 electrons at its peak in the automatic exposure.
+    """Set-up: infrared in focus under a lamp that emits 6 % of it: the automatic exposure gives 60 electrons at the
+    peak.
 
-    Expectation: the longer exposures, saturated in green, bring the error of encircled energy down to a third.
+    Expectation: the longer exposures, in which green is saturated, reduce the error of encircled energy to a third.
     """
     camera, light = recon_scenes.da_mobile(64, 48), "energy-saving-3500K"
     pictures = list(itertools.takewhile(lambda p: p.level == 0, calibration.calibration_captures(camera, (light,))))
@@ -62,7 +63,9 @@ def test_kernels_are_unit_sums_non_negative_and_centred():
 
 
 def test_signature_is_the_ratio_of_the_channels_responses():
-    """The electrons of each channel against green, from the spectra; 6 % covers the tails of weak pictures."""
+    """The signature is the ratio of each channel's electrons to those of green, computed from the spectra; a tolerance
+    of 6 % covers the tails that weak pictures lose.
+    """
     bank = recon_scenes.bank()
     for index, light in enumerate(bank.lights):
         _, _, signal = recon_scenes.stop_kernels(light)

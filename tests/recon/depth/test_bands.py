@@ -1,4 +1,6 @@
-"""Levels by bands: energies of known noise, bias under noise, and the standard error of a known likelihood."""
+"""Levels by frequency bands: energies of white noise, bias caused by noise, and the standard error of a known
+likelihood.
+"""
 
 import numpy as np
 import pytest
@@ -18,7 +20,7 @@ WEAK_BIAS_LEVELS = 0.5  # at a noise where the NCC's weight for the frame misses
 
 
 def test_rings_share_the_power():
-    """Squares of the rings add up to one between the middles of the first and the last."""
+    """The squared weights of the rings add up to one between the centres of the first and the last ring."""
     total = np.sum([ring**2 for ring in bands.filters((96, 128), 2.0)], axis=0)
     radius = np.hypot(*fourier.frequencies((96, 128), 2.0))
     inside = (radius > 0.04) & (radius < 0.2)
@@ -26,7 +28,9 @@ def test_rings_share_the_power():
 
 
 def test_energies_of_white_noise_are_its_variances():
-    """Independent noise of variance 4 and 9: energies are those in every band, the product zero, within 5 sigma."""
+    """Independent white noise of variance 4 and 9 has these energies in every band and no cross product, within 5
+    sigma.
+    """
     random = np.random.default_rng(5)
     shape = (256, 256)
     noise = [s * random.standard_normal(shape).astype(np.float32) for s in (2, 3)]
@@ -43,7 +47,9 @@ def test_energies_of_white_noise_are_its_variances():
 
 
 def planes(level, noise, size=224, seed=0):
-    """Planes of a natural texture at a level of the bank, one pixel apart, with noise relative to the contrast."""
+    """Infrared and green planes of a natural texture at a level of the bank, sampled at every pixel; ``noise`` is
+    relative to the contrast.
+    """
     bank = recon_scenes.bank()
     kernels = bank.kernel[bank.lights.index("D65")]
     random = np.random.default_rng(seed)
@@ -62,15 +68,15 @@ def planes(level, noise, size=224, seed=0):
 
 
 def estimates(level, noise):
-    found = scores.match(*planes(level, noise), BANDS, 1.0)
-    value, confidence = peak.best_level(found.score, found.ncc, found.offset, BANDS.window_px)
+    score = scores.match(*planes(level, noise), BANDS, 1.0)
+    value, confidence = peak.best_level(score.score, score.ncc, score.offset, BANDS.window_px)
     inner = slice(BORDER_PX, -BORDER_PX)
     return value[inner, inner], confidence[inner, inner]
 
 
 @pytest.mark.parametrize("level", [0, 4, 8])
 def test_noise_causes_no_bias(level):
-    """Noise of a tenth of the texture's contrast in both channels: the median level stays near the true one."""
+    """With noise of a tenth of the texture's contrast in both channels, the median level stays near the true one."""
     value, _ = estimates(level, 0.1)
     assert abs(np.median(value) - level) < WEAK_BIAS_LEVELS
 
@@ -81,7 +87,9 @@ def test_confidence_falls_with_noise():
 
 
 def test_infrared_leak_is_subtracted():
-    """Green with half of infrared added, and a leak that states it, gives the level of green without infrared."""
+    """Green that contains half of the infrared, and a leak that states this, give the same level as green without
+    infrared.
+    """
     infrared, green = planes(8, 0.02)
     mixed = channels.Channel(
         green.plane + 0.5 * infrared.plane,
@@ -89,27 +97,27 @@ def test_infrared_leak_is_subtracted():
         green.variance * 1.25,
         (green.kernels + 0.5 * infrared.kernels) / 1.5,
     )
-    found = scores.match(infrared, mixed, BANDS, 1.0, leak=channels.Leak(0.5, 1 / 1.5))
-    value, _ = peak.best_level(found.score, found.ncc, found.offset, BANDS.window_px)
+    score = scores.match(infrared, mixed, BANDS, 1.0, leak=channels.Leak(0.5, 1 / 1.5))
+    value, _ = peak.best_level(score.score, score.ncc, score.offset, BANDS.window_px)
     assert abs(np.median(value[45:-45, 45:-45]) - 8) < WEAK_BIAS_LEVELS
 
 
 def test_standard_error_of_a_parabola():
-    """A Gaussian likelihood of deviation 1.5 levels has that standard error."""
+    """A Gaussian likelihood with a deviation of 1.5 levels has a standard error of 1.5 levels."""
     k = np.arange(29, dtype=np.float32)[:, None, None]
     score = -((k - 14) ** 2) / (2 * 1.5**2) * np.ones((1, 2, 3), np.float32)
     np.testing.assert_allclose(bands.standard_error(score.astype(np.float32)), 1.5, rtol=1e-3)
 
 
 def test_plane_mean_counts_both_halves():
-    """The mean of a constant is the constant, for even and odd widths."""
+    """The mean of a constant spectrum is that constant, for even and odd widths."""
     for width in (8, 9):
         assert grid.plane_mean(np.ones((6, width // 2 + 1)), width) == pytest.approx(1)
 
 
 @pytest.mark.parametrize("fill", ["black", "saturated", "constant"])
 def test_frames_without_texture_end_with_no_confidence(fill):
-    """Frames that are black, saturated or constant: finite results and no confidence."""
+    """Black, saturated and constant frames give finite results and no confidence."""
     camera = recon_scenes.da_mobile(128, 96)
     sensor = camera.sensor
     value = {"black": sensor.black_level_dn, "saturated": 2**sensor.adc_bits - 1, "constant": 300}[fill]
@@ -121,10 +129,10 @@ def test_frames_without_texture_end_with_no_confidence(fill):
 
 
 def test_patches_end_where_the_material_does():
-    """Energies of 1 and 100 on two halves whose ratio of channels differs: each half keeps its own.
+    """Two halves of energy 1 and 100 that differ in their ratio of channels each keep their own energy.
 
-    What leaks comes through the blur of the taps alone (2.4 samples): at the border less than half of what the plain
-    patch (5 samples) takes over, and nothing far from it.
+    Only the blur of the guide (2.4 samples) lets energy across: at the border less than half of what a plain patch (5
+    samples) takes over, and nothing far from it.
     """
     left = np.arange(96) < 48
     stack = np.where(left, 1, 100).astype(np.float32) * np.ones((1, 64, 96), np.float32)

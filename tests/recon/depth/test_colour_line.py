@@ -6,7 +6,9 @@ from recon.depth import colour_line
 
 
 def test_the_four_derivatives_are_those_of_a_turned_grid():
-    """Both diagonals together hold the energy of x and y together, at every frequency; the published pair does not."""
+    """At every frequency the two diagonal derivatives together have the energy of those along x and y; the published
+    pair does not.
+    """
     shape = (32, 48)
     right = colour_line.directional(shape, "right")
     power = [np.abs(f) ** 2 for f in right]

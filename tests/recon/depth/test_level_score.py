@@ -1,4 +1,4 @@
-"""The score of one level: whole pictures as a case of planes, and near focus."""
+"""The score of one level, on full-resolution pictures and near focus."""
 
 import numpy as np
 import pytest
@@ -18,29 +18,31 @@ AWAY_LEVELS = 0.3  # bias on one small patch of texture; the claim staircase hol
 
 
 def strips(level, noise, seed=0):
-    """Infrared and green of a grey texture at a level, samples one pixel apart, no mosaic."""
+    """Infrared and green of a grey texture at a level, sampled at every pixel instead of on a mosaic."""
     kernels = recon_scenes.bank().kernel[0]
     sharp = grey(160 + 74, 192 + 74, seed)
     random = np.random.default_rng(seed)
     channels = []
     for name in ("IR", "G"):
-        own = kernels[:, CHANNELS.index(name)]
-        blurred = signal.fftconvolve(sharp, own[level].astype(float), mode="valid")
+        kernel = kernels[:, CHANNELS.index(name)]
+        blurred = signal.fftconvolve(sharp, kernel[level].astype(float), mode="valid")
         plane = (blurred + noise * random.standard_normal(blurred.shape)).astype(np.float32)
-        channels.append(Channel(plane, (0, 0), np.full(plane.shape, noise**2, np.float32), own))
+        channels.append(Channel(plane, (0, 0), np.full(plane.shape, noise**2, np.float32), kernel))
     return channels
 
 
 def estimate(level, settings, noise=NOISE):
     infrared, green = strips(level, noise)
-    found = scores.match(infrared, green, settings, 1.0)
-    levels, _ = peak.best_level(found.score, found.ncc, found.offset, settings.window_px)
+    score = scores.match(infrared, green, settings, 1.0)
+    levels, _ = peak.best_level(score.score, score.ncc, score.offset, settings.window_px)
     inner = slice(BORDER_PX, -BORDER_PX)
     return levels[inner, inner]
 
 
 def test_full_resolution_pictures_in_focus_are_not_biased_to_larger_levels():
-    """Infrared is the blurrier channel in focus; the likelihood accounts for the noise after deblurring."""
+    """In focus infrared is the blurrier channel, and the likelihood accounts for the noise
+    that deblurring amplifies.
+    """
     assert estimate(0, PRESETS["likelihood"]).mean() < NEAR_FOCUS_LEVELS
 
 

@@ -1,4 +1,4 @@
-"""Depth methods as plain functions: a user's own takes the bundled ones' place, and what it may return is checked."""
+"""Depth methods as plain functions: a user's method replaces the bundled one, and its result is checked."""
 
 import dataclasses
 
@@ -46,7 +46,9 @@ def test_bundled_methods_give_the_same_bytes_as_their_settings(scene, bank, name
 
 
 def test_a_foreign_method_yields_an_all_in_focus_picture(scene, bank):
-    """Exact depths at one pixel in twenty: the level map is filled from them, and the picture gains sharpness."""
+    """Set-up: a method that returns the exact depth at one pixel in twenty. Expectation: the level map is filled in
+    from these pixels, and the picture gains sharpness.
+    """
 
     def oracle(capture, own_bank):
         return recon.DepthEstimate(depth_m=sparse(levels.depth_of(scene.level, own_bank.depth_m)))
@@ -62,16 +64,17 @@ def test_a_foreign_method_yields_an_all_in_focus_picture(scene, bank):
 
 
 def test_levels_and_depths_give_equal_estimates(scene, bank):
-    """A level map and the depths of those levels, with standard deviations of one level: equal levels and confidence.
+    """A level map and the corresponding depths, both with a standard deviation of one level, give equal levels and
+    confidence.
 
-    The depth's deviation is that of a level times z^2 times the dioptres per level.
+    The standard deviation of the depth is that of the level times z^2 times the dioptres per level.
     """
     level = sparse(scene.level).astype(np.float64)
     depth_m = 1 / np.interp(level, np.arange(len(bank.depth_m)), 1 / bank.depth_m.astype(np.float64))
     per_level = (1 / float(bank.depth_m[-1]) - 1 / float(bank.depth_m[0])) / (len(bank.depth_m) - 1)
     by_level = recon.DepthEstimate(level=level, sd=np.ones_like(level))
     by_depth = recon.DepthEstimate(depth_m=depth_m, sd=per_level * depth_m**2)
-    first, second = (depth_method.on_blocks(found, bank) for found in (by_level, by_depth))
+    first, second = (depth_method.on_blocks(estimate, bank) for estimate in (by_level, by_depth))
     np.testing.assert_allclose(first[0], second[0], atol=1e-4)
     np.testing.assert_allclose(first[1], second[1], atol=1e-4)
     known = np.isfinite(first[0])
@@ -89,7 +92,7 @@ def test_a_block_has_the_mean_of_its_pixels_estimates(bank):
 
 
 def test_estimates_outside_the_bank_are_counted(scene, bank):
-    """Half of the frame farther than the focus: those pixels count as in focus, and a note says how many they are."""
+    """If half of the frame is farther than the focus, these pixels count as in focus and a note states their number."""
     focus_m = float(bank.depth_m[0])
 
     def half_behind(capture, own_bank):
@@ -104,10 +107,10 @@ def test_estimates_outside_the_bank_are_counted(scene, bank):
 
 
 def returns(value):
-    def own(capture, bank):
+    def method(capture, bank):
         return value(capture) if callable(value) else value
 
-    return own
+    return method
 
 
 WRONG = {
@@ -127,9 +130,9 @@ WRONG = {
 
 @pytest.mark.parametrize("case", WRONG)
 def test_what_a_method_must_not_return_is_named(scene, bank, case):
-    own, problem = WRONG[case]
-    with pytest.raises(InputError, match=rf"^method '.*own': .*{problem}"):
-        recon.reconstruct(scene.capture, bank, method=own)
+    method, problem = WRONG[case]
+    with pytest.raises(InputError, match=rf"^method '.*method': .*{problem}"):
+        recon.reconstruct(scene.capture, bank, method=method)
 
 
 ONES = np.ones((4, 6))
@@ -158,8 +161,8 @@ def test_invalid_estimates_are_named(fields, problem):
 def test_coverage_is_the_share_of_pixels_with_an_estimate():
     level = np.full((4, 6), np.nan)
     level[0] = 2.0
-    found = recon.DepthEstimate(level=level, sd=level)
-    assert found.coverage == 0.25 and found.shape == (4, 6)
+    estimate = recon.DepthEstimate(level=level, sd=level)
+    assert estimate.coverage == 0.25 and estimate.shape == (4, 6)
 
 
 def test_bundled_methods_refuse_a_bank_of_another_camera(scene, bank):

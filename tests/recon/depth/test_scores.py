@@ -1,4 +1,4 @@
-"""Raw levels: no bias on clean pictures, the planned error on noisy ones; and their regularisation."""
+"""Raw levels: no bias on clean pictures and the planned error on noisy ones; and regularisation of the level map."""
 
 import cv2
 import numpy as np
@@ -19,7 +19,7 @@ BORDER_BLOCKS = 24  # where the blur reaches beyond the frame
 
 
 def grey(height, width, seed=0):
-    """Texture with a natural 1/f amplitude, 0.1..1, the same in every channel."""
+    """A texture with a natural 1/f amplitude spectrum, values 0.1 to 1, equal in all channels."""
     random = np.random.default_rng(seed)
     fy, fx = np.fft.fftfreq(height)[:, None], np.fft.rfftfreq(width)[None, :]
     spectrum = np.fft.rfft2(random.standard_normal((height, width))) / np.maximum(np.hypot(fy, fx), 0.01)
@@ -29,7 +29,7 @@ def grey(height, width, seed=0):
 
 @pytest.mark.parametrize("level", [3.0, 8.0, 15.0, 24.0])
 def test_clean_pictures_have_no_bias(level):
-    """Noise-free planes of a grey texture at one level: the median level is the true one."""
+    """On noise-free planes of a grey texture at one level, the median level is the true one."""
     bank = recon_scenes.bank()
     margin = recon_scenes.MARGIN_PX
     texture = grey(256 + 2 * margin, 256 + 2 * margin)
@@ -42,17 +42,17 @@ def test_clean_pictures_have_no_bias(level):
         return Channel(plane, phase, np.full(plane.shape, 1.0, np.float32), bank.kernel[light, :, index])
 
     score, ncc, offset, snr, _ = scores.match(channel(3, (1, 1)), channel(1, (0, 0)), PAPER)
-    found, _ = peak.best_level(score, ncc, offset, PAPER.window_px)
+    estimate, _ = peak.best_level(score, ncc, offset, PAPER.window_px)
     textured = snr > 50
     textured[:BORDER_BLOCKS] = textured[-BORDER_BLOCKS:] = False
     textured[:, :BORDER_BLOCKS] = textured[:, -BORDER_BLOCKS:] = False
     assert textured.mean() > 0.25
-    assert abs(np.median(found[textured]) - level) < CLEAN_BIAS_LEVELS
+    assert abs(np.median(estimate[textured]) - level) < CLEAN_BIAS_LEVELS
 
 
 @pytest.fixture(scope="module")
 def noisy():
-    """A slanted plane over all levels and a staircase: level and estimate on blocks."""
+    """A slanted plane over all levels and a staircase: true level, estimate and confidence, one value per block."""
     bank = recon_scenes.bank()
     results = []
     for light, level in (
@@ -63,11 +63,11 @@ def noisy():
         raw, saturated = mosaic.linearise(scene.capture)
         index = bank.lights.index(light)
         variances = raw_levels.variances(raw, scene.capture)
-        found, confidence = raw_levels.raw_levels(
+        estimate, confidence = raw_levels.raw_levels(
             raw, variances, saturated, scene.capture.camera, bank.kernel[index], PAPER, bank.signature[index]
         )
-        true = cv2.resize(level.astype(np.float32), found.shape[::-1], interpolation=cv2.INTER_AREA)
-        results.append((true, found, confidence))
+        true = cv2.resize(level.astype(np.float32), estimate.shape[::-1], interpolation=cv2.INTER_AREA)
+        results.append((true, estimate, confidence))
     return results
 
 
@@ -77,34 +77,36 @@ def away_from_steps(true):
 
 
 def test_noisy_mosaics_keep_the_planned_error(noisy):
-    for true, found, _ in noisy:
-        good = np.isfinite(found) & away_from_steps(true)
+    for true, estimate, _ in noisy:
+        good = np.isfinite(estimate) & away_from_steps(true)
         assert good.mean() > 0.2
-        assert np.median(np.abs(found - true)[good]) < NOISY_MEDIAN_LEVELS
+        assert np.median(np.abs(estimate - true)[good]) < NOISY_MEDIAN_LEVELS
 
 
 def test_no_bin_of_levels_is_biased(noisy):
-    """Bins of six levels, from where blur is visible: the median signed error stays below the error's own limit."""
-    true, found, _ = noisy[0]
-    good = np.isfinite(found) & away_from_steps(true)
+    """In each bin of six levels, from where blur is visible, the median signed error stays below the limit of the
+    absolute error.
+    """
+    true, estimate, _ = noisy[0]
+    good = np.isfinite(estimate) & away_from_steps(true)
     for low in (2, 8, 14, 20):
         inside = good & (true >= low) & (true < low + 6)
         if inside.sum() > 300:
-            assert abs(np.median((found - true)[inside])) < NOISY_MEDIAN_LEVELS
+            assert abs(np.median((estimate - true)[inside])) < NOISY_MEDIAN_LEVELS
 
 
 def test_confidence_ranks_errors(noisy):
-    """The confident half has the smaller mean error, or confidence says nothing."""
-    for true, found, confidence in noisy:
-        good = np.isfinite(found) & away_from_steps(true)
-        error = np.minimum(np.abs(found - true)[good], 5)
+    """The more confident half of the pixels has the smaller mean error."""
+    for true, estimate, confidence in noisy:
+        good = np.isfinite(estimate) & away_from_steps(true)
+        error = np.minimum(np.abs(estimate - true)[good], 5)
         sure = confidence[good] > np.median(confidence[good])
         assert error[sure].mean() < error[~sure].mean()
         assert confidence.min() >= 0 and confidence.max() <= 1
 
 
 def test_blended_border_has_no_step():
-    """Across the added strip, neighbours differ by no more than the ramp from edge to edge needs."""
+    """Neighbouring pixels of the added strip differ by no more than a ramp between the opposite edges requires."""
     image = np.linspace(0, 100, 40, dtype=np.float32)[None, :].repeat(30, 0)
     padded = fourier.pad_blended(image, (45, 60))
     closed = np.concatenate([padded, padded[:, :1]], axis=1)
@@ -122,7 +124,7 @@ def test_regularisation_keeps_a_constant_and_fills_gaps():
 
 
 def test_regularisation_keeps_the_edges_of_the_guide():
-    """Two halves far apart in the guide (40 noise deviations): levels do not leak from one to the other."""
+    """Between two halves whose guide differs by 40 standard deviations of the noise, no level leaks across."""
     random = np.random.default_rng(4)
     left = np.arange(128) < 64
     true = np.where(left, 5.0, 20.0)[None, :].repeat(96, 0)

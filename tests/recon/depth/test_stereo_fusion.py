@@ -27,7 +27,7 @@ def camera(da_mobile):
 
 
 def scale(camera):
-    """Disparity in pixels per dioptre, b f / p."""
+    """Pixels of disparity per dioptre, b f / p."""
     return BASELINE_M * geometry.intrinsic_matrix(camera)[0, 0]
 
 
@@ -51,17 +51,19 @@ def texture(width: int) -> np.ndarray:
 
 @pytest.mark.parametrize("depth_m", [0.7, 1.4])
 def test_a_plane_has_its_distance(camera, depth_m):
-    """Set-up: a textured plane, moved by b f / (p z) pixels, interpolated. Expectation: z, to half a pixel."""
+    """Set-up: a textured plane, displaced by b f / (p z) pixels through interpolation. Expectation: z to
+    half a pixel.
+    """
     wide = texture(SIZE[1] + 200)
     shift = scale(camera) / depth_m
     columns = np.arange(SIZE[1])
     left = wide[:, 100 : 100 + SIZE[1]]
     right = np.stack([np.interp(columns + 100 + shift, np.arange(wide.shape[1]), row) for row in wide])
     pair = [coloured(picture) for picture in (left, right)]
-    found = stereo_fusion.stereo_depth_m(*pair, scale(camera), 0.4)[10:-10, 110:-10]
-    known = np.isfinite(found)
+    matched_m = stereo_fusion.stereo_depth_m(*pair, scale(camera), 0.4)[10:-10, 110:-10]
+    known = np.isfinite(matched_m)
     assert known.mean() > 0.9
-    error = scale(camera) / found[known] - shift
+    error = scale(camera) / matched_m[known] - shift
     assert np.median(np.abs(error)) < MATCH_PX
 
 
@@ -70,7 +72,9 @@ def combined(camera, depth_m, confidence, matched):
 
 
 def test_the_combination_is_nearer_to_the_better_one(camera):
-    """Set-up: z = 1 m; stereo is exact, defocus off by a fifth of a level. Expectation: less than defocus's error."""
+    """Set-up: z = 1 m, exact stereo and defocus that is off by a fifth of a level. Expectation: the combined error is
+    below that of defocus.
+    """
     step = float(geometry.level_blur_px(camera)[1])
     wrong = float(geometry.depth_of_blur_m(camera, geometry.blur_px(camera, 1.0) + 0.2 * step))
     both = combined(camera, everywhere(wrong), SURE, np.ones(SIZE))
@@ -85,8 +89,8 @@ def test_a_match_far_from_a_confident_level_is_rejected(camera):
 
 
 def test_an_uncertain_level_rejects_no_match(camera):
-    """Set-up: a match three levels from the depth by defocus. Expectation: a confident level rejects it; where the
-    level is a guess, the match is the result.
+    """Set-up: a match three levels from the depth by defocus. Expectation: a confident level rejects the match; if the
+    level is uncertain, the result is the match.
     """
     step = 3 * float(geometry.level_blur_px(camera)[1])
     matched = np.full(SIZE, float(geometry.depth_of_blur_m(camera, geometry.blur_px(camera, 1.0) + step)))
@@ -95,9 +99,9 @@ def test_an_uncertain_level_rejects_no_match(camera):
 
 
 def test_weights_are_those_of_least_variance(camera):
-    """Set-up: depths by defocus and by stereo with errors of the deviations that the weights assume.
+    """Set-up: depths by defocus and by stereo whose errors have the standard deviations that the weights assume.
 
-    Expectation: the combination has the variance 1 / (1/a + 1/b) of the best mean of two, below that of either.
+    Expectation: the combination has the variance 1 / (1/a + 1/b) of the best weighted mean, below both variances.
     """
     per_level = dioptres_per_level(camera)
     deviation = stereo_fusion.LEVEL_SIGMA * per_level
@@ -110,17 +114,22 @@ def test_weights_are_those_of_least_variance(camera):
 
 
 def test_what_is_hidden_has_no_match(camera):
-    """Set-up: a far wall, before it a near strip, each with its own texture; the right picture by their disparities.
+    """Set-up: a far wall behind a near strip, each with its own texture; the right picture is displaced by their
+    disparities.
 
-    Expectation: the wall beside the strip that the right camera does not see is not matched; wall and strip are.
+    Expectation: beside the strip, the part of the wall that the right camera does not see has no match; wall and strip
+    have one elsewhere.
     """
-    wide, own = texture(SIZE[1] + 200), texture(SIZE[1] + 300)[:, 100:]
+    wide, near_texture = texture(SIZE[1] + 200), texture(SIZE[1] + 300)[:, 100:]
     columns = np.arange(SIZE[1])
     shifts = [round(scale(camera) / z) for z in WALL_AND_STRIP_M]
     left, right = wide[:, columns + 100], wide[:, columns + 100 + shifts[0]]
     strip, moved = (columns >= 110) & (columns < 140), (columns + shifts[1] >= 110) & (columns + shifts[1] < 140)
-    left, right = np.where(strip, own[:, columns], left), np.where(moved, own[:, columns + shifts[1]], right)
+    left, right = (
+        np.where(strip, near_texture[:, columns], left),
+        np.where(moved, near_texture[:, columns + shifts[1]], right),
+    )
     pair = [coloured(picture) for picture in (left, right)]
-    found = np.isfinite(stereo_fusion.stereo_depth_m(*pair, scale(camera), 0.3))[10:-10]
+    matched = np.isfinite(stereo_fusion.stereo_depth_m(*pair, scale(camera), 0.3))[10:-10]
     shade = range(110 - (shifts[1] - shifts[0]) + HALF_BLOCK_PX, 110 - HALF_BLOCK_PX)
-    assert found[:, shade].mean() < FEW < MOST < min(found[:, 113:137].mean(), found[:, 50 : shade[0] - 5].mean())
+    assert matched[:, shade].mean() < FEW < MOST < min(matched[:, 113:137].mean(), matched[:, 50 : shade[0] - 5].mean())

@@ -1,4 +1,4 @@
-"""Frames in tiles: the same levels as in one piece."""
+"""Frames divided into tiles have the same levels as undivided ones."""
 
 import numpy as np
 import pytest
@@ -38,9 +38,9 @@ def test_levels_in_tiles_equal_those_of_the_whole(channels, preset):
 
 
 def test_tiles_cover_a_frame_once():
-    seen = np.zeros((333, 517), int)
-    for part in tiles.tiles(seen.shape, 100, 30):
-        seen[part.core] += 1
-        assert seen[part.box][part.inner].shape == seen[part.core].shape
+    count = np.zeros((333, 517), int)
+    for part in tiles.tiles(count.shape, 100, 30):
+        count[part.core] += 1
+        assert count[part.box][part.inner].shape == count[part.core].shape
         assert all(s.stop - s.start <= 100 for s in part.core)
-    assert (seen == 1).all()
+    assert (count == 1).all()

@@ -1,4 +1,6 @@
-"""A user's own pictures of a point source: what files give is what memory gives, and every mistake is named at once."""
+"""A user's own pictures of a point source: files give the same bank as arrays in memory, and one message lists all
+mistakes.
+"""
 
 from __future__ import annotations
 
@@ -38,8 +40,8 @@ def camera(da_mobile):
 
 @pytest.fixture(scope="module")
 def pictures(camera):
-    found = calibration.calibration_captures(camera, (LIGHT,))
-    return list(itertools.takewhile(lambda picture: picture.level < LEVELS, found))
+    captures = calibration.calibration_captures(camera, (LIGHT,))
+    return list(itertools.takewhile(lambda picture: picture.level < LEVELS, captures))
 
 
 @pytest.fixture(scope="module")
@@ -49,7 +51,7 @@ def bank(camera, pictures):
 
 @pytest.fixture
 def folder(tmp_path, camera, pictures):
-    """The first two levels' pictures as files."""
+    """A folder with the pictures of the first two levels."""
     point_files.write_point_pictures(tmp_path / "mine", [p for p in pictures if p.level < 2], camera)
     return tmp_path / "mine"
 
@@ -85,24 +87,24 @@ def energy_error(kernel, other):
 
 
 def test_a_bank_of_files_is_that_of_memory(tmp_path, camera, pictures, bank):
-    """Rationale: files add nothing and lose nothing: raw numbers are whole ones, and the table's are written in full.
+    """Rationale: the files are lossless: raw values are integers, and the table states its numbers in full.
 
-    Expectation: kernels, white and depths equal to the last bit.
+    Expectation: kernels, white and depths are equal to the last bit.
     """
     point_files.write_point_pictures(tmp_path / "mine", pictures, camera)
-    found = read(tmp_path / "mine", camera)
-    again = recon.calibrate(found.pictures, camera)
+    measurement = read(tmp_path / "mine", camera)
+    again = recon.calibrate(measurement.pictures, camera)
     for name in ("kernel", "signature", "depth_m"):
         np.testing.assert_array_equal(getattr(again, name), getattr(bank, name))
     np.testing.assert_allclose(again.blur_px, bank.blur_px, atol=1e-6)  # from the depth, float32
-    assert again.lights == (LIGHT,) and "signal-to-noise" in found.notes[0]
+    assert again.lights == (LIGHT,) and "signal-to-noise" in measurement.notes[0]
 
 
 def test_large_frames_with_the_source_aside_and_hot_pixels(tmp_path, camera, pictures, bank):
-    """Set-up: the same pictures inside frames of 240 x 200 pixels of background, below and right of the middle, with
-    three hot pixels of a third of all electrons and of all, one of them ten pixels from the source.
+    """Set-up: the same pictures within frames of 240 x 200 pixels of background, below and to the right of the centre,
+    with three hot pixels that hold from a third to all of the electrons, one of them ten pixels from the source.
 
-    Expectation: the kernels of the small frames, and hot pixels leave no trace.
+    Expectation: the kernels of the small frames; the hot pixels leave no trace.
     """
     rng = np.random.default_rng(1)
     black, per_e = camera.sensor.black_level_dn, 1 / noise.electrons_per_dn(camera.sensor)
@@ -119,13 +121,13 @@ def test_large_frames_with_the_source_aside_and_hot_pixels(tmp_path, camera, pic
         large.append(dataclasses.replace(picture, frames_dn=np.clip(np.rint(frames), 0, 1023).astype(np.uint16)))
     wide = cameras.cropped(cameras.load_camera("da-mobile"), 240, 200)
     point_files.write_point_pictures(tmp_path / "mine", large, wide)
-    found = recon.calibrate(read(tmp_path / "mine", wide).pictures, wide)
+    measured_bank = recon.calibrate(read(tmp_path / "mine", wide).pictures, wide)
     for level, channel in itertools.product(range(LEVELS), range(4)):
-        assert energy_error(found.kernel[0, level, channel], bank.kernel[0, level, channel]) < WINDOW_ENERGY
+        assert energy_error(measured_bank.kernel[0, level, channel], bank.kernel[0, level, channel]) < WINDOW_ENERGY
 
 
 def anywhere(camera, level, places, exposures, side=60):
-    """Pictures of a source of one brightness at places (y, x) in pixels from the middle, in several exposures."""
+    """Pictures, in several exposures, of a source of constant brightness at places (y, x) in pixels from the centre."""
     depths, blurs = calibration.levels(camera)
     local = cameras.cropped(cameras.load_camera(camera.name), side, side)
     local = local.model_copy(update={"sensor": camera.sensor.model_copy(update={"width_px": side, "height_px": side})})
@@ -151,22 +153,25 @@ def anywhere(camera, level, places, exposures, side=60):
 
 
 def test_a_source_that_stood_anywhere(tmp_path, camera):
-    """Rationale: nobody moves a pinhole by whole pixels. Set-up: four places of no pattern, two levels, two frames
-    of each exposure, at the second level one of them at twice the gain.
+    """Rationale: nobody moves a pinhole by whole pixels.
 
-    Expectation: the camera's own kernels, in encircled energy, for every channel; one place is said to be few.
+    Set-up: four irregular places, two levels and two frames of each exposure; at the second level one exposure has
+    twice the gain.
+
+    Expectation: the camera's own kernels, in encircled energy, for every channel; a single place gives a note that
+    there are too few.
     """
     exposures = (((64.0, 1.0), (1.0, 1.0)), ((64.0, 1.0), (2.0, 1.0), (1.0, 2.0)))
-    taken = [p for level in range(2) for p in anywhere(camera, level, PLACES, exposures[level])]
-    point_files.write_point_pictures(tmp_path / "mine", taken, camera)
-    found = read(tmp_path / "mine", camera)
-    assert len(found.notes) == 1
-    bank = recon.calibrate(found.pictures, camera)
+    photos = [p for level in range(2) for p in anywhere(camera, level, PLACES, exposures[level])]
+    point_files.write_point_pictures(tmp_path / "mine", photos, camera)
+    measurement = read(tmp_path / "mine", camera)
+    assert len(measurement.notes) == 1
+    bank = recon.calibrate(measurement.pictures, camera)
     for level, channel in itertools.product(range(2), cameras.channels(camera.sensor)):
         measured = bank.kernel[0, level, cameras.channels(camera.sensor).index(channel)]
         true = pointspread.psf(camera, float(bank.depth_m[level]), channel, LIGHT, size=len(measured))
         assert energy_error(measured, true) < SCATTERED_ENERGY, (level, channel)
-    few = [p for p in taken if p.position == "place 1"]
+    few = [p for p in photos if p.position == "place 1"]
     point_files.write_point_pictures(tmp_path / "few", few, camera)
     assert "1 position of the source" in read(tmp_path / "few", camera).notes[1]
 
@@ -178,15 +183,16 @@ def capture_of(picture, camera):
 
 
 def test_a_wide_blur_is_found_in_every_exposure(camera):
-    """Set-up: the widest blur in a frame hardly larger, the longest exposure saturated all over it.
+    """Set-up: the widest blur in a frame that is hardly larger; the longest exposure is saturated over all of it.
 
-    Expectation: no complaint of any, and the window, of whole periods, is about the source.
+    Expectation: no exposure is refused, and the window, whose sides are multiples of the mosaic's period, contains the
+    source.
     """
-    taken = list(anywhere(camera, 28, [(3.4, -2.2)], ((256.0, 1.0), (16.0, 1.0), (1.0, 1.0)), side=84))
-    captures = [capture_of(picture, camera) for picture in taken]
+    photos = list(anywhere(camera, 28, [(3.4, -2.2)], ((256.0, 1.0), (16.0, 1.0), (1.0, 1.0)), side=84))
+    captures = [capture_of(picture, camera) for picture in photos]
     for capture in captures:
-        source.check(capture, capture.camera, taken[0].blur_px, shortest=capture is captures[-1])
-    rows, columns = source.window(captures, captures[0].camera, taken[0].blur_px, 36)
+        source.check(capture, capture.camera, photos[0].blur_px, shortest=capture is captures[-1])
+    rows, columns = source.window(captures, captures[0].camera, photos[0].blur_px, 36)
     for span, at in ((rows, 41 + 3.4), (columns, 41 - 2.2)):
         assert span.stop - span.start == 72 and span.start % 2 == 0
         assert abs((span.start + span.stop - 1) / 2 - at) < 2  # the mosaic's period
@@ -194,9 +200,11 @@ def test_a_wide_blur_is_found_in_every_exposure(camera):
 
 @pytest.mark.parametrize("light_e", [300.0, 3000.0])
 def test_uneven_light_is_no_source(light_e):
-    """Set-up: an even surface whose corners have 60 % of the middle's light; then a point of 4 x 4 pixels on it.
+    """Set-up: an even surface whose corners receive 60 % of the light of its centre; then a point of 4 x 4 pixels on
+    it.
 
-    Expectation: the surface alone is refused, the point before the dimmer one is found, a full one is saturated.
+    Expectation: the surface alone is refused; the point is located in front of the dimmer surface, and reported as
+    saturated in front of the full one.
     """
     wide = cameras.cropped(cameras.load_camera("da-mobile"), 240, 200)
     y, x = np.indices((200, 240)) - np.array([100, 120])[:, None, None]
@@ -217,7 +225,7 @@ def test_uneven_light_is_no_source(light_e):
 
 
 def test_all_problems_are_in_one_message(folder, camera):
-    """Expectation: one line that names each file with its own fault, and nothing else."""
+    """Expectation: one line that names each faulty file with its own fault, and no other file."""
     rows = table(folder)
     short = [row for row in rows if row["exposure_s"] == "0.01"]
     dark, full, small, cut = (folder / row["file"] for row in (short[0], short[1], short[2], short[3]))
@@ -235,14 +243,14 @@ def test_all_problems_are_in_one_message(folder, camera):
     write_table(folder, rows)
     with pytest.raises(InputError) as refused:
         read(folder, camera)
-    said = str(refused.value)
+    message = str(refused.value)
     for part in (
         "occurs twice", "D55-lamp", "depth_m 0.36 is not the distance of a level", "0.4, 0.3151", "exposure_s '-1'",
         "must be whole numbers", "none.png: no such file", f"{short[0]['file']}: ", "saturated in the shortest",
         "truncated",
     ):  # fmt: skip
-        assert part in said, (part, said)
-    assert "\n" not in said and small.name not in said
+        assert part in message, (part, message)
+    assert "\n" not in message and small.name not in message
 
 
 def spoil(rows, case):
@@ -262,7 +270,7 @@ def spoil(rows, case):
 
 
 @pytest.mark.parametrize(
-    ("case", "said"),
+    ("case", "message"),
     [
         ("level", "two levels or more"),
         ("gap", "D55 has no pictures of level 1"),
@@ -273,9 +281,9 @@ def spoil(rows, case):
         ("no column", "no column 'light'"),
     ],
 )
-def test_tables_that_do_not_make_a_bank(folder, camera, case, said):
+def test_tables_that_do_not_make_a_bank(folder, camera, case, message):
     write_table(folder, spoil(table(folder), case))
-    with pytest.raises(InputError, match=said) as refused:
+    with pytest.raises(InputError, match=message) as refused:
         read(folder, camera)
     assert "\n" not in str(refused.value) and "mine" in str(refused.value)
 
@@ -291,7 +299,7 @@ def test_a_folder_without_table_and_frames_of_two_sizes(folder, camera):
 
 
 def test_light_that_drowns_in_noise_is_no_source(folder, camera):
-    """Set-up: a picture whose infrared pixels see none of the light. Expectation: the channel is named."""
+    """Set-up: a picture whose infrared pixels receive no light. Expectation: the message names the channel."""
     for row in table(folder):
         raw = read_png16(folder / row["file"])
         raw[1::2, 1::2] = camera.sensor.black_level_dn

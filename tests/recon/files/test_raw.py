@@ -1,4 +1,4 @@
-"""Raw files of real cameras: every format gives back the numbers that were packed, every mistake one line."""
+"""Raw files of real cameras: every format returns the packed numbers, and every mistake gives a message of one line."""
 
 import cv2
 import numpy as np
@@ -24,12 +24,14 @@ def twelve(ten):
 
 
 def numbers(bits):
-    """Every value that occurs, in no order."""
+    """Random values of ``bits`` bits, [h, w]."""
     return np.random.default_rng(bits).integers(0, 2**bits, (HEIGHT, WIDTH)).astype(np.uint16)
 
 
 def bit_packed(raw, bits, group):
-    """MIPI CSI-2's packing bit by bit: high bytes of a group, then the low bits, the first pixel's lowest."""
+    """MIPI CSI-2 packing written bit by bit: the high bytes of a group, then the low bits, those of the first pixel
+    lowest.
+    """
     data = bytearray()
     for start in range(0, raw.size, group):
         pixels = [int(value) for value in raw.ravel()[start : start + group]]
@@ -54,7 +56,9 @@ def test_files_with_a_header(tmp_path, ten, suffix):
 
 
 def test_the_pictures_own_size_governs(tmp_path):
-    """A camera of 2048 x 1536 pixels, a picture of 96 x 64."""
+    """Set-up: a camera file of 2048 x 1536 pixels and a picture of 96 x 64. Expectation: the capture has the picture's
+    size.
+    """
     np.save(tmp_path / "photo.npy", numbers(10))
     capture = raw_files.load_raw(tmp_path / "photo.npy", cameras.load_camera("da-mobile"))
     assert (capture.camera.sensor.width_px, capture.camera.sensor.height_px) == (WIDTH, HEIGHT)
@@ -107,9 +111,9 @@ WRONG = {
 
 @pytest.mark.parametrize("case", WRONG)
 def test_what_a_file_must_not_hold(tmp_path, ten, case):
-    values, said = WRONG[case]
+    values, message = WRONG[case]
     np.save(tmp_path / "photo.npy", values)
-    with pytest.raises(InputError, match=said) as refused:
+    with pytest.raises(InputError, match=message) as refused:
         raw_files.load_raw(tmp_path / "photo.npy", ten)
     assert "photo.npy" in str(refused.value) and "\n" not in str(refused.value)
 
@@ -121,19 +125,19 @@ def test_damaged_and_unknown_files(tmp_path, ten):
     (tmp_path / "no.tif").write_bytes(b"no picture")
     (tmp_path / "no.npy").write_bytes(b"no array")
     (tmp_path / "photo.dng").write_bytes(b"x")
-    for name, said in (
+    for name, message in (
         ("cut.png", "truncated"), ("eight.png", "8 bits"), ("no.tif", "cannot be read"), ("no.npy", "cannot be read"),
         ("photo.dng", "--format raw10"), ("none.png", "no such file"),
     ):  # fmt: skip
-        with pytest.raises(InputError, match=said) as refused:
+        with pytest.raises(InputError, match=message) as refused:
             raw_files.load_raw(tmp_path / name, ten)
         assert "\n" not in str(refused.value)
 
 
 def test_packed_files_that_do_not_fit(tmp_path, ten):
     (tmp_path / "photo.raw").write_bytes(bytes(1000))
-    for kind, said in (("raw10", "1000 bytes"), ("raw12", "has 12 bits"), ("raw8", "unknown")):
-        with pytest.raises(InputError, match=said):
+    for kind, message in (("raw10", "1000 bytes"), ("raw12", "has 12 bits"), ("raw8", "unknown")):
+        with pytest.raises(InputError, match=message):
             raw_files.load_raw(tmp_path / "photo.raw", ten, kind=kind)
     narrow = ten.model_copy(update={"sensor": ten.sensor.model_copy(update={"width_px": 98})})
     with pytest.raises(InputError, match="not a multiple of 4"):

@@ -1,4 +1,4 @@
-"""White balance and colour: against colour-science's own colorimetry, not the pipeline's."""
+"""White balance and colour, compared with colour-science's colorimetry instead of the pipeline's own."""
 
 import numpy as np
 import pytest
@@ -16,7 +16,7 @@ MEAN_COLOUR_DIFFERENCE = 3.5
 
 
 def white_capture(light):
-    """A grey ramp with noise under a light, exposed to 80 % of the full well in its brightest channel."""
+    """A noisy grey ramp under a light, exposed to 80 % of the full well in its brightest channel."""
     camera = recon_scenes.da_mobile(256, 192)
     signal = spectra.integrate(radiometry.response(camera) * illuminants.illuminant(light))
     ramp = np.linspace(0.1, 0.8, 256)[None, :, None] * np.ones((192, 1, 1))
@@ -28,8 +28,8 @@ def white_capture(light):
 def test_white_balance_selects_the_light_of_a_grey_scene(light):
     capture, bank = white_capture(light), recon_scenes.bank()
     electrons, saturated = mosaic.linearise(capture)
-    chosen = colour.choose_light(mosaic.planes(electrons, capture.camera), saturated[::2, ::2], bank.signature)
-    assert bank.lights[chosen] == light
+    estimate = colour.choose_light(mosaic.planes(electrons, capture.camera), saturated[::2, ::2], bank.signature)
+    assert bank.lights[estimate] == light
 
 
 @pytest.mark.parametrize("light", ["D65", "A"])
@@ -43,7 +43,9 @@ def test_white_stays_white(light):
 
 @pytest.mark.parametrize("light", ["D65", "A"])
 def test_colour_checker(light):
-    """CIEDE2000 of the 24 patches between the pipeline's sRGB and colour-science's, white at the same luminance."""
+    """CIEDE2000 of the 24 patches between the sRGB of the pipeline and of colour-science, with white at equal
+    luminance.
+    """
     import colour as science
 
     camera = recon_scenes.da_mobile(256, 192)
@@ -63,13 +65,13 @@ def test_colour_checker(light):
     xyz_white = spectra.integrate(power * curves)
     d65 = science.xy_to_XYZ(science.CCS_ILLUMINANTS["CIE 1931 2 Degree Standard Observer"]["D65"])
     adapted = science.chromatic_adaptation(xyz / xyz_white[1], xyz_white / xyz_white[1], d65, method="Von Kries")
-    wanted = science.XYZ_to_Lab(adapted)
-    found = science.XYZ_to_Lab(science.sRGB_to_XYZ(srgb))
-    assert science.delta_E(found, wanted, method="CIE 2000").mean() < MEAN_COLOUR_DIFFERENCE
+    exact_lab = science.XYZ_to_Lab(adapted)
+    lab = science.XYZ_to_Lab(science.sRGB_to_XYZ(srgb))
+    assert science.delta_E(lab, exact_lab, method="CIE 2000").mean() < MEAN_COLOUR_DIFFERENCE
 
 
 def test_exposure_puts_the_99th_percentile_at_its_place():
-    """A ramp of neutral light: its 99th percentile of luminance is 0.9 by definition."""
+    """Display exposure maps the 99th percentile of the luminance of a neutral ramp to 0.9, by definition."""
     camera = recon_scenes.da_mobile(256, 192)
     matrix = colour.colour_matrix(camera, "D65")
     white = np.linalg.solve(matrix, np.ones(3))

@@ -1,4 +1,4 @@
-"""Nonlocal means against a plain transcription of eq. (3)-(5), and its noise model against simulated noise."""
+"""Nonlocal means, compared with a plain transcription of eq. (3)-(5), and its noise model, with simulated noise."""
 
 import numpy as np
 
@@ -10,7 +10,7 @@ from tests.support import recon_scenes
 
 
 def transcription(plane, guide, bandwidth, sigma):
-    """Eq. (3)-(5), pixel by pixel, as they stand."""
+    """Eq. (3)-(5), evaluated pixel by pixel."""
     reach, half = 4, 1
     wide, wide_guide = (np.pad(a.astype(float), reach + half, "symmetric") for a in (plane, guide))
     t = np.arange(-half, half + 1)
@@ -32,7 +32,7 @@ def transcription(plane, guide, bandwidth, sigma):
 
 
 def test_equals_the_transcription():
-    """float32 against float64 over 81 terms: 1e-5 of the signal."""
+    """Limit: 1e-5 of the signal, for sums of 81 terms in float32 against float64."""
     random = np.random.default_rng(3)
     plane = random.uniform(100, 200, (14, 17)).astype(np.float32)
     guide = (plane / 20).astype(np.float32)
@@ -41,7 +41,7 @@ def test_equals_the_transcription():
 
 
 def test_equals_the_transcription_at_the_pipelines_strength():
-    """A noisy edge in electrons, the guide and the numbers of the preset: what `reconstruct` really computes."""
+    """Set-up: a noisy edge in electrons with the guide and the parameters of the preset, as in `reconstruct`."""
     camera = recon_scenes.da_mobile(32, 24)
     mean_e = np.where(np.arange(32) < 13, 300.0, 2500.0)[None, :].repeat(24, 0)
     raw, _ = noise.expose(mean_e, camera.sensor, 0.01, 4)
@@ -51,8 +51,8 @@ def test_equals_the_transcription_at_the_pipelines_strength():
     for row, column in ((0, 0), (0, 1), (1, 0), (1, 1)):
         plane = electrons[row::2, column::2]
         guide = denoise.stabilise(plane, mosaic.noise_variance(capture))
-        wanted = transcription(plane, guide, PAPER.denoise_bandwidth, PAPER.denoise_patch_sigma_px)
-        np.testing.assert_allclose(clean[row::2, column::2], wanted, rtol=1e-5)
+        expected = transcription(plane, guide, PAPER.denoise_bandwidth, PAPER.denoise_patch_sigma_px)
+        np.testing.assert_allclose(clean[row::2, column::2], expected, rtol=1e-5)
 
 
 def flat_capture(level_e, seed=0):
@@ -62,7 +62,9 @@ def flat_capture(level_e, seed=0):
 
 
 def test_stabilised_noise_has_unit_deviation():
-    """65,536 samples: the standard deviation is known to 0.3 %; 3 % allow for the curve's own curvature."""
+    """Limit: 3 %, for the curvature of the variance-stabilising curve; 65,536 samples give the standard deviation to
+    0.3 %.
+    """
     for level_e in (60.0, 500.0, 4000.0):
         capture = flat_capture(level_e)
         electrons, _ = mosaic.linearise(capture)
@@ -72,7 +74,7 @@ def test_stabilised_noise_has_unit_deviation():
 
 
 def test_flat_field_keeps_its_mean_and_loses_noise():
-    """81 samples of nearly equal weight: the noise must fall by far more than half, the mean stay."""
+    """An average of 81 samples of nearly equal weight reduces the noise by far more than half and keeps the mean."""
     capture = flat_capture(800.0)
     electrons, _ = mosaic.linearise(capture)
     guide = denoise.stabilise(electrons, mosaic.noise_variance(capture))
@@ -82,7 +84,7 @@ def test_flat_field_keeps_its_mean_and_loses_noise():
 
 
 def test_steps_far_above_the_noise_stay():
-    """A step of 20 standard deviations: weights across it are below exp(-100), so it stays exactly."""
+    """A step of 20 standard deviations remains exactly as it is: weights across it are below exp(-100)."""
     plane = np.where(np.arange(32) < 16, 100.0, 900.0)[None, :].repeat(32, 0).astype(np.float32)
     result = denoise.nonlocal_means(plane, plane / 30, 3.0)
     np.testing.assert_allclose(result, plane, rtol=1e-4)

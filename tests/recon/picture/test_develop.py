@@ -1,4 +1,4 @@
-"""The picture pipeline of sec. 4 as a whole, for each kind of mosaic; lens shading; crosstalk as measured."""
+"""The picture pipeline of sec. 4 for each kind of mosaic; lens shading; measured crosstalk."""
 
 import dataclasses
 
@@ -37,7 +37,9 @@ def small(name, **changed):
 
 
 def capture(camera, reflectance, light, *, share=0.8, noise="on", seed=0):
-    """A capture of an image of grey [h, w], 1 exposed to ``share`` of the full well in the brightest channel."""
+    """A capture of a grey image [h, w] whose value 1 is exposed to ``share`` of the full well in
+    the brightest channel.
+    """
     signal = grid.integrate(radiometry.response(camera) * illuminants.illuminant(light))
     mean_e = share * camera.sensor.full_well_e * reflectance[..., None] * signal / signal.max()
     raw, _ = sensor.expose(sensor.mosaic(mean_e, camera), camera.sensor, TIME_S, seed, noise=noise)
@@ -51,33 +53,35 @@ def ramp():
 @pytest.mark.parametrize("light", ["D65", "A"])
 @pytest.mark.parametrize("name", CAMERAS)
 def test_grey_is_grey(name, light):
-    """A grey ramp with noise: the white balance finds the light, and the linear colours after the matrix are equal."""
-    found = recon.develop(capture(small(name), ramp(), light))
-    assert found.light == light
-    linear = (found.linear_e.reshape(-1, 3) @ found.matrix.T).mean(axis=0)
+    """Set-up: a noisy grey ramp. Expectation: the white balance identifies the light, and the linear colours after the
+    matrix are equal.
+    """
+    picture = recon.develop(capture(small(name), ramp(), light))
+    assert picture.light == light
+    linear = (picture.linear_e.reshape(-1, 3) @ picture.matrix.T).mean(axis=0)
     np.testing.assert_allclose(linear / linear[1], 1, atol=FLAT_COLOUR)
-    assert (found.ir_e is None) == (name == "bayer-mobile")
-    assert found.rgb.shape == (SIZE_PX[1], SIZE_PX[0], 3) and found.rgb.dtype == np.float32
+    assert (picture.ir_e is None) == (name == "bayer-mobile")
+    assert picture.rgb.shape == (SIZE_PX[1], SIZE_PX[0], 3) and picture.rgb.dtype == np.float32
 
 
 @pytest.mark.parametrize("name", CAMERAS)
 def test_both_removals_leave_grey_grey(name):
     camera = small(name)
     settings = recon.PAPER.model_copy(update={"infrared_removal": "matrix"})
-    found = recon.develop(capture(camera, ramp(), "A"), settings)
-    linear = (found.linear_e.reshape(-1, 3) @ found.matrix.T).mean(axis=0)
+    picture = recon.develop(capture(camera, ramp(), "A"), settings)
+    linear = (picture.linear_e.reshape(-1, 3) @ picture.matrix.T).mean(axis=0)
     np.testing.assert_allclose(linear / linear[1], 1, atol=FLAT_COLOUR)
 
 
 @pytest.mark.parametrize("value", [0, 64, 300, 1023])
 @pytest.mark.parametrize("name", CAMERAS)
 def test_frames_that_hold_nothing_finish(name, value):
-    """Black, constant and saturated frames: finite pictures within their range."""
+    """Black, constant and saturated frames give finite pictures within their range."""
     camera = small(name)
-    found = recon.develop(Capture(np.full(SIZE_PX[::-1], value, np.uint16), camera, TIME_S, 1.0, 0))
-    for image in (found.rgb, found.linear_e):
+    picture = recon.develop(Capture(np.full(SIZE_PX[::-1], value, np.uint16), camera, TIME_S, 1.0, 0))
+    for image in (picture.rgb, picture.linear_e):
         assert np.isfinite(image).all() and image.min() >= 0
-    assert found.rgb.max() <= 1
+    assert picture.rgb.max() <= 1
 
 
 def test_a_camera_without_infrared_has_no_depth():
@@ -89,7 +93,7 @@ def test_a_camera_without_infrared_has_no_depth():
 
 @pytest.mark.parametrize("name", CAMERAS)
 def test_noise_reduction_is_that_of_each_grid(name):
-    """An even field: noise falls on every pixel of every channel, its mean stays."""
+    """On an even field, noise decreases on every pixel of every channel and the mean is unchanged."""
     camera = small(name)
     shot = capture(camera, np.full(SIZE_PX[::-1], 0.5), "D65")
     raw = recon.picture.mosaic.linearise(shot)[0]
@@ -107,10 +111,12 @@ def test_noise_reduction_is_that_of_each_grid(name):
 @pytest.mark.parametrize("light", ["D65", "A"])
 @pytest.mark.parametrize("name", CAMERAS)
 def test_highlights_of_grey_are_grey(name, light):
-    """A grey ramp to three times the full well: no pink where red is full and the others are not, nor where all are."""
+    """Set-up: a grey ramp up to three times the full well. Expectation: no pink where red is saturated and the others
+    are not, nor where all are.
+    """
     reflectance = np.linspace(0.2, 3.0, SIZE_PX[0])[None, :].repeat(SIZE_PX[1], 0)
-    found = recon.develop(capture(small(name), reflectance, light))
-    linear = np.maximum(found.linear_e @ found.matrix.T, 0)
+    picture = recon.develop(capture(small(name), reflectance, light))
+    linear = np.maximum(picture.linear_e @ picture.matrix.T, 0)
     columns = linear[16:-16].mean(axis=0)  # over the rows: noise of the darkest electrons does not count
     assert (np.ptp(columns, axis=1) / columns.max(axis=1))[8:].max() < HIGHLIGHT_CAST
     brightness = columns.mean(axis=1)
@@ -118,7 +124,7 @@ def test_highlights_of_grey_are_grey(name, light):
 
 
 def test_a_saturated_colour_keeps_its_hue():
-    """A red that fills its wells beside weak green and blue: taken as the lower bound that it is, and no white."""
+    """Saturated red beside weak green and blue is a lower bound, from which red stays red and does not turn white."""
     full = np.array([[[6000.0, 900, 500]]], np.float32)
     clipped = np.array([[[True, False, False]]])
     rows = infrared.separation(small("da-mobile"), "A", recon.PAPER)
@@ -131,7 +137,9 @@ def test_a_saturated_colour_keeps_its_hue():
 
 
 def near_infrared(camera, share=0.5):
-    """An even field under light of equal photons from 650 to 810 nm, through the sensor's filter, as LEDs make it."""
+    """An even field lit by equal numbers of photons per wavelength from 650 to 810 nm, as LEDs give behind the sensor's
+    filter.
+    """
     low, high = grid.NEAR_INFRARED_NM
     band = (grid.WAVELENGTH_NM >= low) & (grid.WAVELENGTH_NM <= high)
     curves = specification.quantum_efficiency(camera.sensor)
@@ -145,7 +153,9 @@ def near_infrared(camera, share=0.5):
 
 @pytest.mark.parametrize("name", ["da-mobile", "da-4x4"])
 def test_measured_crosstalk_is_that_of_the_curves(name):
-    """Light that is flat in photons: eq. (8)'s areas, within the noise of 768 pixels and more (five sigma, 0.5 %)."""
+    """Under light with a flat photon spectrum, crosstalk is the ratio of areas of eq. (8), within five standard errors
+    of at least 768 pixels (0.5 %).
+    """
     camera = small(name)
     np.testing.assert_allclose(
         infrared.measured_crosstalk(near_infrared(camera)), specification.crosstalk(camera.sensor), rtol=5e-3
@@ -171,7 +181,7 @@ def test_crosstalk_cannot_be_measured_everywhere():
 
 
 def test_crosstalk_matrix_separates_disjoint_bands_exactly():
-    """Signals that are known mixtures of four disjoint bands: the matrix is the inverse of the mixture."""
+    """If the signals are known mixtures of four disjoint bands, the crosstalk matrix is the inverse of the mixture."""
     nm = grid.WAVELENGTH_NM
     edges = [(400, 496), (496, 590), (590, 648), (652, 810)]
     blue, green, red, ir = (((nm >= low) & (nm <= high)).astype(float) for low, high in edges)
@@ -195,14 +205,14 @@ def shaded(camera, image, **options):
 
 
 def fall_off():
-    """cos^4 law of a wide lens, 0.38 in the corners."""
+    """The cos^4 law of a wide lens, 0.38 in the corners."""
     y, x = np.meshgrid(np.linspace(-1, 1, SIZE_PX[1]), np.linspace(-1, 1, SIZE_PX[0]), indexing="ij")
     return (1 + 0.4 * x**2 + 0.22 * y**2) ** -2
 
 
 @pytest.mark.parametrize("name", CAMERAS)
 def test_shading_is_measured(name):
-    """The gain is 1 over the law, each channel's by itself; without noise."""
+    """Without noise, the measured gain of each channel is 1 over the law."""
     camera = small(name)
     gain = shading.gain(shaded(camera, np.ones(SIZE_PX[::-1]), noise="off"), camera)
     np.testing.assert_allclose(gain, 1 / fall_off(), rtol=SHADING_TOLERANCE)
@@ -210,16 +220,16 @@ def test_shading_is_measured(name):
 
 @pytest.mark.parametrize("name", CAMERAS)
 def test_shading_is_undone(name):
-    """An even surface with noise in picture and flat: its corners come out as bright as its middle."""
+    """With noise in picture and flat field, the corners of an even surface come out as bright as its centre."""
     camera = small(name)
     flat = shaded(camera, np.ones(SIZE_PX[::-1]), seed=1)
     shot = shaded(camera, np.full(SIZE_PX[::-1], 0.7), seed=2)
-    before, after = (recon.develop(shot, flat=given).linear_e for given in (None, flat))
+    before, after = (recon.develop(shot, flat=field).linear_e for field in (None, flat))
     corners = [(y, x) for y in (slice(8), slice(-8, None)) for x in (slice(8), slice(-8, None))]
-    for image, wanted, tolerance in ((before, 0.45, 0.1), (after, 1.0, EVEN_TOLERANCE)):
+    for image, corner, tolerance in ((before, 0.45, 0.1), (after, 1.0, EVEN_TOLERANCE)):
         middle = image[40:56, 56:72].mean(axis=(0, 1))
         for place in corners:
-            np.testing.assert_allclose(image[place].mean(axis=(0, 1)) / middle, wanted, atol=tolerance)
+            np.testing.assert_allclose(image[place].mean(axis=(0, 1)) / middle, corner, atol=tolerance)
 
 
 def test_flats_that_do_not_fit_are_refused():

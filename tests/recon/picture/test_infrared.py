@@ -26,7 +26,7 @@ def sampled(function, phase, shape=(48, 64)):
 
 @pytest.mark.parametrize("phase", PHASES)
 def test_a_ramp_stays_where_it_is(phase):
-    """Cubic convolution reproduces a line exactly: a shift of half a pixel would be off by half its slope."""
+    """Cubic convolution reproduces a line exactly; a shift of half a pixel would change it by half its slope."""
     image, plane = sampled(lambda y, x: 3 * y - 2 * x + 100, phase)
     inner = slice(BORDER, -BORDER)
     np.testing.assert_allclose(infrared.interpolate(plane, phase)[inner, inner], image[inner, inner], atol=1e-3)
@@ -34,7 +34,7 @@ def test_a_ramp_stays_where_it_is(phase):
 
 @pytest.mark.parametrize("phase", PHASES)
 def test_a_shifted_pattern_comes_out_at_its_place(phase):
-    """The phase of a sinusoid of 16 px period, at a shift of 0.3 px, within 0.01 px (cubic error: (2/16)^3)."""
+    """A sinusoid with a period of 16 px, shifted by 0.3 px, keeps its phase within 0.01 px (cubic error: (2/16)^3)."""
     frequency = 1 / 16
     for axis in (0, 1):
         _, plane = sampled(lambda y, x: np.cos(2 * np.pi * frequency * ((y, x)[axis] - 0.3)), phase)  # noqa: B023
@@ -53,7 +53,7 @@ def test_samples_stay_as_they_are(phase):
 
 @pytest.mark.parametrize(("light", "residual"), [("equal photons", EDGES), ("D65", SPECTRA), ("A", SPECTRA)])
 def test_removal_leaves_the_visible_light_of_each_light(light, residual):
-    """A white scene: what eq. (7) leaves of R, G and B is their light below 650 nm, up to ``residual``."""
+    """In a white scene, eq. (7) leaves the light below 650 nm in R, G and B, up to ``residual``."""
     camera = recon_scenes.da_mobile(512, 384)
     visible = grid.WAVELENGTH_NM < grid.NEAR_INFRARED_NM[0]
     spectrum = 1 / grid.WAVELENGTH_NM if light == "equal photons" else illuminants.illuminant(light)

@@ -1,4 +1,4 @@
-"""Electrons from raw numbers, green replacement and demosaicing."""
+"""Electrons from raw values, green replacement and demosaicing."""
 
 import numpy as np
 import pytest
@@ -34,7 +34,7 @@ REGISTRATION_PX = 0.02
 
 
 def test_linearise_undoes_the_converter():
-    """Without noise, electrons come back within half a digital number."""
+    """Without noise, electrons are recovered within half a digital number."""
     camera = recon_scenes.da_mobile(64, 48)
     mean_e = np.random.default_rng(0).uniform(0, 5800, (48, 64))
     raw, _ = noise.expose(mean_e, camera.sensor, 1e-6, 0, noise="off")
@@ -55,7 +55,7 @@ def test_full_wells_are_marked():
 
 
 def test_noise_variance_is_that_of_the_sensor():
-    """12,288 pixels: the variance is known to 1.3 %; five standard errors."""
+    """Limit: five standard errors; the variance of 12,288 pixels is known to 1.3 %."""
     camera = recon_scenes.da_mobile(128, 96)
     for level_e in (20.0, 400.0, 4000.0):
         raw, _ = noise.expose(np.full((96, 128), level_e), camera.sensor, 0.02, 5)
@@ -82,7 +82,7 @@ def test_other_mosaics_are_refused(rows):
 
 
 def colours(four, camera, white=(1, 1, 1, 1)):
-    """Full-resolution colours [h, w, 3] and infrared, if any, of a picture [h, w, 4] through the camera's mosaic."""
+    """Full-resolution colours [h, w, 3] and infrared, if any, of a picture [h, w, 4] sampled by the camera's mosaic."""
     names = cameras.channels(camera.sensor)
     index = [sensor_names.index(name) for name in names]
     raw = noise.mosaic(four[..., index], camera).astype(np.float32)
@@ -94,19 +94,19 @@ def colours(four, camera, white=(1, 1, 1, 1)):
 
 @pytest.mark.parametrize("rows", ALL_LAYOUTS)
 def test_every_pixel_of_the_mosaic_has_its_place(rows):
-    """The grids of the channels cover each pixel once, and each with its own channel."""
+    """The grids of the channels cover each pixel once, each with the channel of its grid."""
     camera = with_mosaic(rows)
     names = cameras.channels(camera.sensor)
-    found = np.full((48, 64), -1)
-    for name, own in mosaic.grids(camera).items():
-        assert (found[mosaic.sites(own, found.shape)] == -1).all()
-        found[mosaic.sites(own, found.shape)] = names.index(name)
-    np.testing.assert_array_equal(found, cameras.mosaic_channels(camera))
+    channel = np.full((48, 64), -1)
+    for name, rows_columns in mosaic.grids(camera).items():
+        assert (channel[mosaic.sites(rows_columns, channel.shape)] == -1).all()
+        channel[mosaic.sites(rows_columns, channel.shape)] = names.index(name)
+    np.testing.assert_array_equal(channel, cameras.mosaic_channels(camera))
 
 
 @pytest.mark.parametrize("rows", ALL_LAYOUTS)
 def test_colours_that_differ_by_constants_come_back(rows):
-    """G, R and B that differ from a linear infrared by constants: eq. (6) is exact, and so is the demosaic."""
+    """Where G, R and B differ from a linear infrared by constants, eq. (6) and the demosaicing are exact."""
     y, x = np.indices((48, 64), dtype=float)
     ir = 500 + 4 * y + 3 * x
     four = np.stack([ir + 200, ir + 300, ir + 100, ir], axis=-1)
@@ -117,7 +117,7 @@ def test_colours_that_differ_by_constants_come_back(rows):
 
 @pytest.mark.parametrize("rows", LAYOUTS)
 def test_green_replacement_keeps_places(rows):
-    """Green that differs from a linear infrared by a constant: eq. (6) is exact."""
+    """Where green differs from a linear infrared by a constant, eq. (6) is exact."""
     camera = with_mosaic(rows)
     y, x = np.indices((48, 64), dtype=float)
     ir = 500 + 4 * y + 3 * x
@@ -130,14 +130,16 @@ def test_green_replacement_keeps_places(rows):
 
 @pytest.mark.parametrize("rows", ALL_LAYOUTS)
 def test_a_flat_colour_is_flat_after_demosaicing(rows):
-    """At the frame's borders too; the mosaic is balanced for another white than the colour's."""
+    """A constant colour stays constant up to the frame's borders, also if the mosaic is balanced for another white."""
     four = np.tile([900.0, 500.0, 200.0, 400.0], (48, 64, 1))
     rgb, _ = colours(four, with_mosaic(rows), (1.5, 1.0, 0.4, 0.8))
     np.testing.assert_allclose(rgb, four[..., :3], rtol=1e-5)
 
 
 def test_strips_leave_no_seams(monkeypatch):
-    """White noise, the hardest texture: demosaiced in strips and in one piece, to the last bit but float32's."""
+    """White noise, the hardest texture, demosaiced in strips equals that demosaiced in one piece, up to float32
+    rounding.
+    """
     camera = with_mosaic(BAYER[0])
     raw = np.random.default_rng(2).uniform(0, 1000, (48, 64)).astype(np.float32)
     whole = mosaic.demosaic(raw, camera, np.ones(3))
@@ -146,12 +148,12 @@ def test_strips_leave_no_seams(monkeypatch):
 
 
 def blob(y, x):
-    """A smooth point, 3 px wide, at a place between the pixels."""
+    """A smooth point, 3 px wide, at a sub-pixel position."""
     return np.exp(-((y - POINT[0]) ** 2 + (x - POINT[1]) ** 2) / (2 * 3.0**2))
 
 
 def edge(y, x):
-    """A smooth slanted edge through the same place."""
+    """A smooth slanted edge through the same position."""
     return 0.5 + 0.5 * np.tanh((x - POINT[1] + 0.2 * (y - POINT[0])) / 3.0)
 
 
@@ -162,7 +164,7 @@ def place_of_blob(image):
 
 
 def place_of_edge(image):
-    """Where the rows cross one half, reduced to the row of the point: mean over the rows in the middle."""
+    """Mean over the central rows of the position where each crosses one half, projected to the row of the point."""
     rows = np.arange(16, 32)
     crossing = []
     for row in rows:
@@ -176,9 +178,11 @@ def place_of_edge(image):
 @pytest.mark.parametrize("what", ["blob", "edge"])
 @pytest.mark.parametrize("rows", ALL_LAYOUTS)
 def test_the_channels_lie_on_each_other(rows, what, shift, monkeypatch):
-    """One smooth picture in every channel, of different brightness: each comes out of the mosaic at the same place.
+    """One smooth picture, with a different brightness in every channel, comes out of the mosaic at the same position in
+    each.
 
-    Half-pixel offsets of the planes would show as 0.5 px. The exact place is known, so that a common shift shows too.
+    A half-pixel offset of a plane would show as 0.5 px. The exact position is known, so that a common shift is detected
+    too.
     """
     monkeypatch.setattr(f"{__name__}.POINT", (24.0 + shift[0], 31.0 + shift[1]))
     picture, place = (blob, place_of_blob) if what == "blob" else (edge, place_of_edge)
@@ -186,15 +190,15 @@ def test_the_channels_lie_on_each_other(rows, what, shift, monkeypatch):
     white = np.array([0.8, 1.0, 0.5, 0.3])
     rgb, ir = colours(image[..., None] * white * 1000, with_mosaic(rows), white)
     channels = [*np.moveaxis(rgb, -1, 0), *([] if ir is None else [ir])]
-    wanted = np.array(POINT) if what == "blob" else np.array(POINT)[1:]
+    position = np.array(POINT) if what == "blob" else np.array(POINT)[1:]
     for channel, brightness in zip(channels, white, strict=False):
-        np.testing.assert_allclose(place(channel / (1000 * brightness)), wanted, atol=REGISTRATION_PX)
+        np.testing.assert_allclose(place(channel / (1000 * brightness)), position, atol=REGISTRATION_PX)
 
 
 @pytest.mark.parametrize("name", ["R", "G", "B", "IR"])
 @pytest.mark.parametrize("rows", RGB_IR_LAYOUTS)
 def test_each_plane_is_interpolated_to_its_place(rows, name):
-    """The half-resolution planes by themselves: the bicubic interpolation of sec. 4.2 with each plane's own phase."""
+    """The bicubic interpolation of sec. 4.2 alone, of half-resolution planes with their own phases."""
     camera = with_mosaic(rows)
     raw = blob(*np.indices((48, 64), dtype=float)).astype(np.float32)
     full = infrared.interpolate(mosaic.planes(raw, camera)[name], mosaic.phases(camera)[name])

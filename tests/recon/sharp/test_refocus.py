@@ -1,4 +1,4 @@
-"""Refocusing: closed forms of one plane, conservation of light, and who covers whom at an edge."""
+"""Refocusing: closed forms for one plane, conservation of light, and occlusion at edges."""
 
 from dataclasses import replace
 from functools import cache
@@ -28,7 +28,7 @@ def depth_of(level):
 
 
 def scene(sharp_e, level):
-    """A reconstruction whose all-in-focus picture and levels are given."""
+    """A reconstruction with a given all-in-focus picture and level map."""
     height, width = level.shape
     nothing = np.zeros((height, width), np.float32)
     return Reconstruction(
@@ -58,7 +58,7 @@ def texture(height=96, width=128):
 
 
 def convolved(image, level):
-    """By direct sums, mirrored at the border."""
+    """The blurred image by direct sums, mirrored at the border."""
     kernel = layers.cut(kernels()[level], KERNEL_SHARE)
     half = kernel.shape[-1] // 2
     padded = np.pad(image, ((half, half), (half, half), (0, 0)), "symmetric").astype(np.float64)
@@ -67,7 +67,9 @@ def convolved(image, level):
 
 
 def test_kernels_lose_the_pixels_area_alone():
-    """The kernel without the pixel, averaged over a pixel by its transfer function, is the measured one."""
+    """The kernel with the pixel's area removed, multiplied by the transfer function of a pixel, is
+    the measured kernel.
+    """
     bank = recon_scenes.bank()
     one = np.zeros((8, 8, 3)), np.zeros((8, 8))
     measured = sharpen.visible_kernels(
@@ -83,21 +85,21 @@ def test_kernels_lose_the_pixels_area_alone():
 
 
 def test_a_plane_in_focus_is_the_sharp_picture():
-    """One depth, focused there: nothing is blurred."""
+    """A single depth in focus is not blurred."""
     image = texture()
     result = recon.refocus(scene(image, np.full(image.shape[:2], 6.0)), recon_scenes.bank(), depth_of(6.0))
     np.testing.assert_allclose(result, image, rtol=SINGLE, atol=SINGLE * image.max())
 
 
-@pytest.mark.parametrize(("own", "focus", "blur"), [(0.0, 4.0, 4), (9.0, 4.0, 5), (14.0, 2.0, 12)])
-def test_a_plane_out_of_focus_is_convolved_with_its_levels_kernel(own, focus, blur):
+@pytest.mark.parametrize(("own_level", "focus", "blur"), [(0.0, 4.0, 4), (9.0, 4.0, 5), (14.0, 2.0, 12)])
+def test_a_plane_out_of_focus_is_convolved_with_its_levels_kernel(own_level, focus, blur):
     image = texture()
-    result = recon.refocus(scene(image, np.full(image.shape[:2], own)), recon_scenes.bank(), depth_of(focus))
+    result = recon.refocus(scene(image, np.full(image.shape[:2], own_level)), recon_scenes.bank(), depth_of(focus))
     np.testing.assert_allclose(result, convolved(image, blur), rtol=0, atol=SINGLE * image.max())
 
 
 def test_blur_is_as_one_over_the_f_number():
-    """At half the aperture eight levels blur as four."""
+    """At half the aperture, eight levels blur as four."""
     image, lens = texture(), recon_scenes.bank().camera.lens
     result = recon.refocus(
         scene(image, np.full(image.shape[:2], 8.0)), recon_scenes.bank(), depth_of(0.0), 2 * lens.f_number
@@ -106,7 +108,7 @@ def test_blur_is_as_one_over_the_f_number():
 
 
 def test_a_wider_aperture_than_the_banks_blurs_further():
-    """A point at 20 levels through twice the aperture has a blur of twice the bank's width at 20 levels."""
+    """A point at level 20, seen through twice the aperture, has twice the blur diameter of the bank's level 20."""
     image = np.zeros((201, 201, 3), np.float32)
     image[100, 100] = 1000
     lens = recon_scenes.bank().camera.lens
@@ -119,7 +121,7 @@ def test_a_wider_aperture_than_the_banks_blurs_further():
 
 
 def test_light_is_conserved():
-    """Points of light in the middle of one surface, flat or slanted, keep their sum under any focus."""
+    """Points of light in the middle of one surface, flat or slanted, keep their sum at any focus."""
     image = np.zeros((160, 160, 3), np.float32)
     image[70:90:4, 70:90:4] = (300, 500, 900)
     flat, slanted = np.full((160, 160), 8.0), recon_scenes.slanted(160, 160, 6.0, 8.0)
@@ -129,7 +131,7 @@ def test_light_is_conserved():
 
 
 def test_an_even_light_stays_even():
-    """Every layout of depth shows an evenly bright world evenly bright: coverage adds up to one everywhere."""
+    """A world of uniform radiance stays uniform for any layout of depths: coverage adds up to one everywhere."""
     image = np.full((96, 128, 3), 700, np.float32)
     step = np.where(np.arange(128) < 64, 3.0, 14.0)[None].repeat(96, 0)
     for level in (step, recon_scenes.slanted(96, 128, 0.0, 20.0)):
@@ -139,14 +141,16 @@ def test_an_even_light_stays_even():
 
 
 def edge(near_e, far_e):
-    """A near surface to the left at level 12, a far one to the right at level 2."""
+    """A near surface on the left at level 12 and a far one on the right at level 2."""
     left = np.arange(160) < 80
     image = np.where(left, near_e, far_e)[None, :, None].repeat(64, 0).repeat(3, 2).astype(np.float32)
     return scene(image, np.where(left, 12.0, 2.0)[None].repeat(64, 0))
 
 
 def test_a_blurred_near_surface_spreads_over_the_background():
-    """Focus behind: across the edge the far side takes near's light as a straight edge seen through the kernel."""
+    """With the focus behind, light of the near surface spreads over the far side as a straight edge seen through the
+    near kernel.
+    """
     result = recon.refocus(edge(1000, 0), recon_scenes.bank(), depth_of(2.0))
     profile = np.cumsum(kernels()[10, 1].sum(axis=0))[::-1]  # share of the near side at distances from the edge
     half = kernels().shape[-1] // 2
@@ -157,32 +161,34 @@ def test_a_blurred_near_surface_spreads_over_the_background():
 
 
 def test_the_background_does_not_bleed_onto_a_near_surface_in_focus():
-    """Focus on the near surface: its own side keeps its light alone, up to the last pixel, and so does its edge."""
+    """With the focus on the near surface, that surface receives no light of the background, up to its last pixel."""
     result = recon.refocus(edge(0, 1000), recon_scenes.bank(), depth_of(12.0))
     assert np.abs(result[:, :80]).max() < 1000 * BLEED
     np.testing.assert_allclose(result[:, 80:], 1000, rtol=BLEED)  # nor does the near one darken what is behind it
 
 
 def test_what_a_blurred_surface_uncovers_is_filled_from_behind():
-    """A background of stripes goes on behind a dark near surface, whose edge is thin: they show on its side too."""
+    """Set-up: a striped background continues behind a dark near surface, whose blurred edge is translucent.
+    Expectation: the stripes are visible on the near side too.
+    """
     stripes = np.where(np.arange(64) // 4 % 2 == 0, 1000, 0)[:, None, None]
     left = (np.arange(160) < 80)[None, :, None]
     image = np.where(left, 0, stripes).repeat(3, 2).astype(np.float32)
     both = replace(edge(0, 0), sharp_e=image)
     result = recon.refocus(both, recon_scenes.bank(), depth_of(2.0))[..., 1]
-    seen = result[:, 76].reshape(-1, 4).mean(axis=1)  # on the near side
+    stripe = result[:, 76].reshape(-1, 4).mean(axis=1)  # on the near side
     cover = np.cumsum(kernels()[10, 1].sum(axis=0))[::-1][kernels().shape[-1] // 2 + 77 - 80]
-    np.testing.assert_allclose(seen[::2], 1000 * (1 - cover), atol=1000 * BELOW)
-    np.testing.assert_allclose(seen[1::2], 0, atol=1000 * BELOW)
+    np.testing.assert_allclose(stripe[::2], 1000 * (1 - cover), atol=1000 * BELOW)
+    np.testing.assert_allclose(stripe[1::2], 0, atol=1000 * BELOW)
 
 
-@pytest.mark.parametrize(("depth_m", "f_number", "said"), [
+@pytest.mark.parametrize(("depth_m", "f_number", "message"), [
     (0.003, None, "depth 0.003 m is not allowed; give more than the focal length, 0.0036 m"),
     (float("nan"), None, "depth nan m"),
     (0.2, 0.0, "f-number 0 is not allowed; give more than 0"),
 ])  # fmt: skip
-def test_impossible_requests_are_refused(depth_m, f_number, said):
-    with pytest.raises(InputError, match=said):
+def test_impossible_requests_are_refused(depth_m, f_number, message):
+    with pytest.raises(InputError, match=message):
         recon.refocus(edge(0, 0), recon_scenes.bank(), depth_m, f_number)
 
 

@@ -1,4 +1,4 @@
-"""Deconvolution: its shrinkage against brute force, its gain on a known blur, and what it must leave alone."""
+"""Deconvolution: its shrinkage against brute force, its gain at a known blur, and what it must leave unchanged."""
 
 from functools import cache
 
@@ -23,25 +23,27 @@ EDGE_FACTOR = 2.0  # what replacing the other side's light gains at least; it is
 
 
 def test_shrinkage_is_the_minimum():
-    """The table against a bounded scalar search of |u|^0.8 + (u - v)^2 / 2."""
+    """The table of shrinkage agrees with a bounded scalar minimisation of |u|^0.8 + (u - v)^2 / 2."""
     table = deconvolution.shrink_table()
     step = deconvolution.TABLE_LIMIT / (len(table) - 1)
     for index in (0, 100, 180, 260, 700, 3000, len(table) - 1):
         v = index * step
         candidates = np.linspace(0, v + 1e-9, 4001)
         start = candidates[np.argmin(candidates**0.8 + (candidates - v) ** 2 / 2)]
-        found = minimize_scalar(
+        minimum = minimize_scalar(
             lambda u: abs(u) ** 0.8 + (u - v) ** 2 / 2,  # noqa: B023
             bounds=(max(start - 0.1, 0), start + 0.1),
             method="bounded",
             options={"xatol": 1e-7},
         )
-        best = found.x if found.fun < v**2 / 2 else 0.0
+        best = minimum.x if minimum.fun < v**2 / 2 else 0.0
         assert abs(table[index] - best) < 1e-3
 
 
 def captured(level, photo="astronaut"):
-    """Pictures of visible light alone and of infrared [h, w, 4] with noise, and the same sharp."""
+    """A noisy picture of visible light without crosstalk and of infrared [h, w, 4], and the same without blur and
+    noise.
+    """
     margin = recon_scenes.MARGIN_PX
     shape = level.shape
     visible, near = recon_scenes.textures(shape[0] + 2 * margin, shape[1] + 2 * margin, photo)
@@ -78,7 +80,9 @@ def decibel(image, truth):
 
 
 def test_kernels_without_infrared_are_those_of_the_open_stop_alone():
-    """White through both stops minus infrared's share against the open stop's own kernels, rendered apart."""
+    """White through both stops less the share of infrared has the kernels of the open stop, which are computed
+    separately.
+    """
     levels, alone, _ = recon_scenes.stop_kernels("D65")
     for level in (4, 10):
         mine = kernels()[level, 1]
@@ -92,7 +96,7 @@ def test_kernels_without_infrared_are_those_of_the_open_stop_alone():
 
 
 def test_a_known_blur_is_undone():
-    """Blur of 4 to 8 px, noise of 10 electrons: at least 2.5 dB in green, and every channel gains."""
+    """At a blur of 4 to 8 px and a noise of 10 electrons, green gains at least 2.5 dB and every channel gains."""
     for level_value in (2.0, 3.5, 4.5):
         level = np.full((192, 256), level_value, np.float32)
         image, truth = captured(level)
@@ -102,7 +106,9 @@ def test_a_known_blur_is_undone():
 
 
 def test_infrared_tells_the_colours_where_edges_are():
-    """The prior about infrared's gradients beats the paper's about zero, on texture that both share in part."""
+    """On texture that colours and infrared share in part, the prior centred on the gradients of infrared is better than
+    the paper's, centred on zero.
+    """
     level = np.full((192, 256), 5.0, np.float32)
     image, truth = captured(level)
     guided, plain = (sharpened(image, level, guided=guided) for guided in (True, False))
@@ -110,7 +116,7 @@ def test_infrared_tells_the_colours_where_edges_are():
 
 
 def test_layers_gain_on_both_sides_of_a_step():
-    """Two depths meet: each side's own pixels are sharper than captured, away from the step."""
+    """Set-up: two depths. Expectation: away from the step, both sides are sharper than captured."""
     level = np.where(np.arange(256) < 128, 3.0, 14.0)[None, :].repeat(192, 0).astype(np.float32)
     image, truth = captured(level)
     result = sharpened(image, level)
@@ -120,17 +126,17 @@ def test_layers_gain_on_both_sides_of_a_step():
 
 
 def test_a_flat_picture_stays_flat():
-    """Kernels have unit sum: a constant is its own deconvolution, up to float32."""
+    """Kernels have unit sum, so that a constant is unchanged by deconvolution, up to float32 rounding."""
     level = np.linspace(0, 28, 128, dtype=np.float32)[None, :].repeat(96, 0)
     image = np.full((96, 128, 4), 1000, np.float32)
     np.testing.assert_allclose(sharpened(image, level), 1000, rtol=1e-4)
 
 
 def test_tiles_leave_no_seams(monkeypatch):
-    """The picture in tiles against one tile for all, level 4 to 6: closer than the noise by far.
+    """Levels 4 to 6 in tiles differ from one tile for the frame by much less than the noise.
 
-    Away from the picture's rim, where a tile's frame is closed with other mirrors than the whole's: what lies outside
-    is unknown to both, and both are equally far from the truth there.
+    The rim of the frame is left out: a tile mirrors other pixels there than the full frame does. What lies outside is
+    unknown to both, and both are equally far from the truth.
     """
     level = np.linspace(4, 6, 320, dtype=np.float32)[None, :].repeat(256, 0)
     image, truth = captured(level)
@@ -140,12 +146,12 @@ def test_tiles_leave_no_seams(monkeypatch):
     whole = sharpened(image, level)
     inner, rim = slice(SEAM_RIM_PX, -SEAM_RIM_PX), slice(0, SEAM_RIM_PX // 2)
     assert np.sqrt(np.mean((tiled - whole)[inner, inner] ** 2)) < SEAM_NOISE_SHARE * NOISE_E
-    errors = [np.sqrt(np.mean((found - truth[..., :3])[rim] ** 2)) for found in (tiled, whole)]
+    errors = [np.sqrt(np.mean((picture - truth[..., :3])[rim] ** 2)) for picture in (tiled, whole)]
     assert errors[0] == pytest.approx(errors[1], rel=0.02)
 
 
 def test_transfer_of_a_kernel_is_its_dft():
-    """The DFT sums against a padded, rolled FFT of the same kernel."""
+    """The DFT written as sums agrees with the FFT of the padded and rolled kernel."""
     kernel = np.random.default_rng(0).random((9, 9))
     padded = np.zeros((32, 40))
     padded[:9, :9] = kernel
@@ -155,14 +161,16 @@ def test_transfer_of_a_kernel_is_its_dft():
 
 @pytest.mark.parametrize("phase", [(0, 0), (0, 1), (1, 0), (1, 1)])
 def test_deconvolution_of_samples_is_the_least_squares_solution(phase):
-    """A step from small gradients, all shrunk to 0, against a dense system of blur, samples and differences."""
+    """One iteration on small gradients, all of them shrunk to 0, solves the dense linear system of blur, sampling and
+    differences.
+    """
     generator = np.random.default_rng(2)
     picture = (5 + generator.standard_normal((1, 8, 12))).astype(np.float32)
     kernel = generator.random((3, 3)).astype(np.float32)
     kernel /= kernel.sum()
     kappa = 3.0
     transfer = fourier.transfer(kernel[None], (8, 12))
-    found = deconvolution.half_quadratic_samples(picture, [phase], transfer, np.array([kappa]), 1)
+    solution = deconvolution.half_quadratic_samples(picture, [phase], transfer, np.array([kappa]), 1)
     pixels = np.eye(96).reshape(96, 8, 12)
     shifts = [(dy, dx, kernel[dy + 1, dx + 1]) for dy in (-1, 0, 1) for dx in (-1, 0, 1)]
     blur = sum(w * np.roll(pixels, (dy, dx), (1, 2)) for dy, dx, w in shifts)
@@ -172,11 +180,11 @@ def test_deconvolution_of_samples_is_the_least_squares_solution(phase):
     system = np.concatenate([sampled, *(np.sqrt(beta) * step for step in steps)])
     data = np.concatenate([picture[0, phase[0] :: 2, phase[1] :: 2].ravel(), np.zeros(192)])
     exact = np.linalg.lstsq(system, data)[0].reshape(8, 12)
-    np.testing.assert_allclose(found[0], exact, atol=2e-4)
+    np.testing.assert_allclose(solution[0], exact, atol=2e-4)
 
 
 def rim_and_middle(level_value):
-    """Errors (rim, middle) of a picture that is bright to one side and dark to the other, root mean square."""
+    """Root mean square errors (rim, middle) of a picture that is bright on one side and dark on the other."""
     level = np.full((160, 224), level_value, np.float32)
     image, truth = captured(level)
     ramp = np.linspace(0.3, 1.5, 224, dtype=np.float32)[:, None]
@@ -187,7 +195,7 @@ def rim_and_middle(level_value):
 
 
 def test_no_ringing_at_the_frames_border(monkeypatch):
-    """The border's rim is about as true as the middle; a periodic frame, whose opposite sides differ, is not."""
+    """The rim is about as accurate as the middle; with periodic borders, where bright meets dark, it is not."""
     rim, middle = rim_and_middle(6.0)
     assert rim < RIM_FACTOR * middle
     monkeypatch.setattr(fourier, "pad_blended", periodic)
@@ -200,7 +208,7 @@ def periodic(image, shape):
 
 
 def edge_error():
-    """Root mean square error on both sides of a step of depth, and that of the capture."""
+    """Root mean square errors on both sides of a depth step, of the deconvolved picture and of the capture."""
     level = np.where(np.arange(224) < 112, 2.0, 12.0)[None, :].repeat(160, 0).astype(np.float32)
     image, truth = captured(level)
     near = (slice(16, -16), slice(112 - EDGE_PX, 112 + EDGE_PX))
@@ -209,7 +217,9 @@ def edge_error():
 
 
 def test_no_ringing_at_depth_edges(monkeypatch):
-    """Across a step of ten levels the picture gains; with the other side left as it is in each layer, it rings."""
+    """Across a step of ten levels the picture gains; it rings if each layer keeps the other side of the step as
+    captured.
+    """
     after, before = edge_error()
     assert after < before
     monkeypatch.setattr(sharpen, "FEATHER_LEVELS", 1e6)

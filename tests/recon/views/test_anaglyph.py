@@ -1,4 +1,4 @@
-"""Stereo pairs: the disparity formula, a plane moved by a known amount, who hides whom, colours to eyes."""
+"""Stereo pairs: the disparity formula, a displaced plane, occlusion, and the colours of both eyes."""
 
 import numpy as np
 import pytest
@@ -11,7 +11,9 @@ PLANE_ERROR = 1e-3  # linear interpolation of a linear ramp is exact up to float
 
 
 def test_shift_is_that_of_two_parallel_cameras():
-    """Shifts b f / p (1 / z_0 - 1 / z) with the baseline that gives the largest shift, to both sides of the screen."""
+    """Shifts are b f / p (1 / z_0 - 1 / z), on both sides of the screen, with the baseline that gives the stated
+    largest shift.
+    """
     depth = np.array([[0.1, 0.2, 0.4]], np.float32)
     per_dioptre = 12 / (1 / 0.1 - 1 / 0.4)
     np.testing.assert_allclose(
@@ -29,7 +31,9 @@ def test_into_and_out_of_the_screen_lie_on_its_two_sides():
 
 @pytest.mark.parametrize("where", ["in", "out"])
 def test_planes_are_displaced_by_half_the_shift_each(where):
-    """Two planes with a ramp each: away from their edge, the eyes see the ramp moved by plus and minus half."""
+    """Set-up: two planes with a ramp each. Expectation: away from their edge, the eyes see the ramp displaced by plus
+    and minus half the shift.
+    """
     x = np.arange(96, dtype=np.float32)
     image = np.repeat(x[None, :, None], 4, 0).repeat(3, 2)
     depth = np.where(x < 48, 0.1, 0.4)[None].repeat(4, 0)
@@ -40,7 +44,9 @@ def test_planes_are_displaced_by_half_the_shift_each(where):
 
 
 def test_near_hides_far_and_gaps_show_the_far_side():
-    """A near white bar on a far black ground: its width stays, nothing grey appears, gaps are ground."""
+    """Set-up: a near white bar in front of a far black ground. Expectation: the bar keeps its width, no grey appears,
+    and gaps show the ground.
+    """
     image = np.zeros((3, 64, 3), np.float32)
     image[:, 24:40] = 1
     depth = np.where(image[..., 0] > 0, 0.1, 0.5)
@@ -72,7 +78,9 @@ def test_what_cannot_be_is_refused():
 
 
 def test_a_few_wrong_depths_leave_the_others_their_shift():
-    """Set-up: a ramp in dioptres, half a percent of its pixels at 1 mm. Expectation: the ramp has the whole shift."""
+    """Set-up: a ramp in dioptres with half a percent of its pixels at 1 mm. Expectation: the ramp has
+    its full shift.
+    """
     vergence = np.linspace(2, 10, 4000).reshape(40, 100)
     wrong = vergence.copy()
     wrong.ravel()[::200] = 1000

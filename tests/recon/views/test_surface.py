@@ -15,7 +15,7 @@ FILE_PRECISION = 1e-6  # relative, float32 in files
 
 
 def test_the_pinhole_is_the_cameras(da_mobile):
-    """The simulator projects through the same pinhole, by its own formula."""
+    """The simulator's own formula projects through the same pinhole."""
     camera = cameras.refocused(cameras.cropped(da_mobile, 64, 48), 0.3)
     window = cameras.cropped(camera, 32, 24, at_px=(0, 24))
     for each in (camera, window):
@@ -32,7 +32,9 @@ def area(mesh):
 
 
 def test_a_plane_has_its_place_and_its_area():
-    """(w - 1) (h - 1) pixels of (z / f)^2 each; every vertex at z, its pixel's centre by similar triangles."""
+    """The area is (w - 1) (h - 1) pixels of (z / f)^2 each; every vertex is at depth z on the ray through its pixel's
+    centre.
+    """
     mesh = surface.surface(picture(), np.full((48, 64), 0.3), K)
     assert area(mesh) == pytest.approx(63 * 47 * (0.3 / 200) ** 2, rel=EXACT)
     np.testing.assert_allclose(mesh.vertex_m[0], [0.3 * (0.5 - 32) / 200, 0.3 * (0.5 - 24) / 200, 0.3], rtol=EXACT)
@@ -45,7 +47,7 @@ def test_triangles_face_the_camera():
 
 
 def test_a_tilted_plane_stays_a_plane():
-    """Depths of the plane n . X = 1 give vertices on it."""
+    """Depths of the plane n . X = 1 give vertices that satisfy the equation."""
     normal = np.array([2.0, 1.0, 3.0])
     y, x = np.indices((48, 64)) + 0.5
     ray = np.stack([(x - 32) / 200, (y - 24) / 200, np.ones_like(x)], -1)
@@ -54,7 +56,7 @@ def test_a_tilted_plane_stays_a_plane():
 
 
 def test_a_jump_is_cut_and_nothing_else():
-    """A near square before a far wall: two flat pieces, the cells across the edge are missing."""
+    """A near square in front of a far wall gives two flat pieces, without the cells across the edge."""
     depth = np.full((48, 64), 0.4)
     depth[10:30, 20:44] = 0.2
     mesh = surface.surface(picture(), depth, K)
@@ -77,7 +79,7 @@ def test_a_stride_keeps_place_and_thins_out():
 
 
 def test_files_read_back(tmp_path):
-    """PLY in the camera's axes with each pixel's colour, GLB y up with the picture as texture."""
+    """PLY files have the camera's axes and a colour per vertex, GLB files y up and the picture as texture."""
     image = picture()
     mesh = surface.surface(image, np.full((48, 64), 0.3), K)
     surface.save_surface(tmp_path / "a.ply", mesh)
@@ -92,16 +94,18 @@ def test_files_read_back(tmp_path):
 
 
 def test_the_cameras_matrix_fits(da_mobile):
-    """A pixel at the frame's edge lies where the field of view ends: x = z w p / (2 s)."""
+    """A pixel at the frame's edge lies at the limit of the field of view: x = z w p / (2 s)."""
     small = cameras.cropped(da_mobile, 64, 48)
     mesh = surface.surface(picture(), np.full((48, 64), 0.3), geometry.intrinsic_matrix(small))
     pitch_m = small.sensor.pixel_pitch_um * 1e-6
     assert np.ptp(mesh.vertex_m[:, 0]) == pytest.approx(0.3 * 63 * pitch_m / geometry.image_distance_m(small))
 
 
-@pytest.mark.parametrize(("arguments", "said"), [({"stride_px": 0}, "stride of 0"), ({"jump_share": 0.0}, "jump of 0")])
-def test_what_cannot_be_is_refused(arguments, said):
-    with pytest.raises(InputError, match=said):
+@pytest.mark.parametrize(
+    ("arguments", "message"), [({"stride_px": 0}, "stride of 0"), ({"jump_share": 0.0}, "jump of 0")]
+)
+def test_what_cannot_be_is_refused(arguments, message):
+    with pytest.raises(InputError, match=message):
         surface.surface(picture(), np.full((48, 64), 0.3), K, **arguments)
 
 

@@ -38,11 +38,11 @@ def test_blur_off_by_5_percent_fails(renderer, monkeypatch, factor):
     monkeypatch.setattr(lens, "LENSES_MM", (3.6,))
     monkeypatch.setattr(lens, "BLUR_OFF_PX", (-5.0, 10.0))
     monkeypatch.setattr(lens, "BLUR_OFF_SPP", 1024 if renderer != "scalar_spectral" else 256)
-    found = [
+    results = [
         entry.passed for entry in entries("blur-off", lens.blur_off) if entry.id.startswith("blur-off.lens-3.6mm.")
     ]
-    assert len(found) == 4
-    assert found == [True] * 4 if factor == 1 else not any(found)
+    assert len(results) == 4
+    assert results == [True] * 4 if factor == 1 else not any(results)
 
 
 @pytest.mark.parametrize("model", ["wave", "off"])
@@ -61,8 +61,8 @@ def test_edges_of_geometry_fail_the_wave_claim(jit, monkeypatch, model):
     monkeypatch.setattr(diffraction, "SFR_CYCLES_PX", np.linspace(0.05, 0.2, 7))
     monkeypatch.setattr(diffraction, "EDGE_SPP", 256)
     monkeypatch.setattr(diffraction, "EDGE_SEEDS", 2)
-    found = verdicts("wave-sfr", diffraction.wave_sfr)
-    assert found[3] is (model == "wave")
+    results = verdicts("wave-sfr", diffraction.wave_sfr)
+    assert results[3] is (model == "wave")
 
 
 @pytest.mark.parametrize("good", [True, False])
@@ -149,9 +149,9 @@ def test_a_stop_of_another_size_changes_the_light_loss(jit, monkeypatch):
     monkeypatch.setattr(light, "LOSS_LIGHTS", ("D65",))
     for load, good in ((true, True), (wrong, False)):
         monkeypatch.setattr(cameras, "load_camera", load)
-        found = light.light_loss(lambda share: None).figures[0]
-        gate = gate_of(f"light-loss.{found.id}", load_gates(GATES, CLAIMS))
-        assert within(found.value, gate.limit) is good
+        figure = light.light_loss(lambda share: None).figures[0]
+        gate = gate_of(f"light-loss.{figure.id}", load_gates(GATES, CLAIMS))
+        assert within(figure.value, gate.limit) is good
 
 
 def test_limits_of_light_loss_lie_around_eq_1():
@@ -286,12 +286,12 @@ def test_infrared_half_a_pixel_off_fails(renderer, monkeypatch, shift_px):
 
     monkeypatch.setattr(passes, "stop_pass", moved)
     monkeypatch.setattr(scenes, "GRID_BLURS_PX", (0.0,))
-    found = {
+    results = {
         entry.id.removeprefix("registration.blur-0."): entry.passed
         for entry in entries("registration", scenes.registration)
     }
-    assert found["mean_e.G"] and found["sharp_e.G"]
-    assert found["mean_e.IR"] is (shift_px == 0)
+    assert results["mean_e.G"] and results["sharp_e.G"]
+    assert results["mean_e.IR"] is (shift_px == 0)
 
 
 @pytest.mark.slow
@@ -303,23 +303,27 @@ def test_one_irradiance_field_for_all_spectra_fails(jit, monkeypatch, good, case
     """
     from dasim.render import light_spectra
 
-    true = light_spectra.found
+    true = light_spectra.lights_of
 
     def one(scene):
-        found = true(scene)
+        fields = true(scene)
         d65 = np.interp(light_spectra.FINE_NM, grid.WAVELENGTH_NM, illuminants.illuminant("D65"))
-        spectrum = d65 if case == mixed.MITSUBA else found.spectra[0]
-        return light_spectra.Lights(spectrum[None], tuple((emitter, (0,)) for emitter, _ in found.emitters))
+        spectrum = d65 if case == mixed.MITSUBA else fields.spectra[0]
+        return light_spectra.Lights(spectrum[None], tuple((emitter, (0,)) for emitter, _ in fields.emitters))
 
     if not good:
-        monkeypatch.setattr(light_spectra, "found", one)
+        monkeypatch.setattr(light_spectra, "lights_of", one)
     monkeypatch.setattr(mixed, "CASES", (case,))
-    found = {
+    results = {
         entry.id.removeprefix(f"mixed-lights.{case}."): entry.passed
         for entry in entries("mixed-lights", mixed.mixed_lights)
     }
-    assert len(found) == 8
-    assert all(found.values()) if good else not (found["mean.R"] or found["rms.R"] or found["mean.G"] or found["rms.G"])
+    assert len(results) == 8
+    assert (
+        all(results.values())
+        if good
+        else not (results["mean.R"] or results["rms.R"] or results["mean.G"] or results["rms.G"])
+    )
 
 
 @pytest.mark.parametrize("good", [True, False])
@@ -330,11 +334,11 @@ def test_near_infrared_removed_from_red_fails(monkeypatch, good):
     from dasim.spectra import grid
 
     true = specification.quantum_efficiency
-    seen = np.ones((4, len(grid.WAVELENGTH_NM)))
-    seen[0, grid.WAVELENGTH_NM > 650] = 1 if good else 0.01
-    monkeypatch.setattr(cameras, "quantum_efficiency", lambda body: true(body) * seen)
-    found = [entry for entry in entries("response-curves", camera.response_curves) if entry.id.endswith("alpha.R")]
-    assert [entry.passed for entry in found] == [good]
+    response = np.ones((4, len(grid.WAVELENGTH_NM)))
+    response[0, grid.WAVELENGTH_NM > 650] = 1 if good else 0.01
+    monkeypatch.setattr(cameras, "quantum_efficiency", lambda body: true(body) * response)
+    figures = [entry for entry in entries("response-curves", camera.response_curves) if entry.id.endswith("alpha.R")]
+    assert [entry.passed for entry in figures] == [good]
 
 
 @pytest.mark.parametrize("levels", [0, 1])
@@ -348,14 +352,14 @@ def test_the_kernel_of_the_next_level_fails(monkeypatch, levels):
     true = recon.calibrate
 
     def shifted(pictures, progress):
-        found = true(dasim.calibration_captures(pictures.camera, ("D65",)))
-        count = found.kernel.shape[1]
-        return replace(found, kernel=found.kernel[:, np.minimum(np.arange(count) + levels, count - 1)])
+        captures = true(dasim.calibration_captures(pictures.camera, ("D65",)))
+        count = captures.kernel.shape[1]
+        return replace(captures, kernel=captures.kernel[:, np.minimum(np.arange(count) + levels, count - 1)])
 
     monkeypatch.setattr(recon, "calibrate", shifted)
     monkeypatch.setattr(bank, "LEVELS", (1, 8))
-    found = verdicts("bank", bank.bank)
-    assert all(found) if levels == 0 else not any(found)
+    results = verdicts("bank", bank.bank)
+    assert all(results) if levels == 0 else not any(results)
 
 
 def test_dataset_claim_fails_what_is_slow_large_or_leaks():
@@ -367,8 +371,8 @@ def test_dataset_claim_fails_what_is_slow_large_or_leaks():
 
     def failing(tiny=(1000.0,) * 8, **runs) -> set[str]:
         ran = {"auto": run(), "two": run(), "one": run(seconds=20.5), "ray": run(seconds=26.6)} | runs
-        found = datasets.figures(ran, [row | {"peak_mb": peak} for peak in tiny])
-        judged = judged_all("dataset-speed", found, load_gates(GATES, CLAIMS))
+        figures = datasets.figures(ran, [row | {"peak_mb": peak} for peak in tiny])
+        judged = judged_all("dataset-speed", figures, load_gates(GATES, CLAIMS))
         return {entry.id.removeprefix("dataset-speed.") for entry in judged if entry.passed is False}
 
     assert failing() == set()

@@ -49,8 +49,8 @@ def failed(claim: str, figures) -> set[str]:
     return {entry.id for entry in entries if entry.passed is False and not np.isnan(entry.value)}
 
 
-def staircase_fails(found) -> set[str]:
-    return failed("staircase", staircase._figures("paper.gravel.1", "gravel", found))
+def staircase_fails(figures) -> set[str]:
+    return failed("staircase", staircase._figures("paper.gravel.1", "gravel", figures))
 
 
 def test_photographs_need_no_network(monkeypatch):
@@ -113,9 +113,9 @@ def test_bound_of_strips_scales_with_noise_and_texture(gravel):
     one, two = (gravel._bounds(Noise("", share)) for share in (0.01, 0.02))
     strengths = np.log(strips.STRENGTHS)
     for level in range(len(TRUE_LEVELS)):
-        own = np.exp(np.interp(np.log(0.25), strengths, np.log(one[:, level])))
+        bound = np.exp(np.interp(np.log(0.25), strengths, np.log(one[:, level])))
         other = np.exp(np.interp(0.0, strengths, np.log(two[:, level])))
-        assert own == pytest.approx(other, rel=0.02)  # a table's interpolation
+        assert bound == pytest.approx(other, rel=0.02)  # a table's interpolation
 
 
 def test_level_step_is_that_of_the_camera(da_mobile, gravel):
@@ -151,7 +151,7 @@ def test_a_hole_of_another_size_fails_the_light_loss(small_balance, monkeypatch)
     """5 % more radius."""
     honest = balance.stops.light_loss
     monkeypatch.setattr(
-        balance.stops, "light_loss", lambda found, pixels: honest([(n, 1.05 * a) for n, a in found], pixels)
+        balance.stops, "light_loss", lambda parts, pixels: honest([(n, 1.05 * a) for n, a in parts], pixels)
     )
     assert "balance.light-loss" in failed("balance", small_balance().figures)
 
@@ -166,36 +166,36 @@ def test_the_minimum_of_a_parabola():
 
 def two_planes(random, step, spread, bias=0.0, level=10.0):
     """Raw levels of two planes, the nearer on the left, a tenth of the pixels without one."""
-    found = np.where(np.arange(80) < 40, level, level - step) + bias + spread * random.standard_normal((60, 80))
-    found[random.random(found.shape) < 0.1] = np.nan
-    near = np.broadcast_to(np.arange(80) < 40, found.shape)
-    return steps.assigned(found, near, ~near, (level, level - step))
+    levels = np.where(np.arange(80) < 40, level, level - step) + bias + spread * random.standard_normal((60, 80))
+    levels[random.random(levels.shape) < 0.1] = np.nan
+    near = np.broadcast_to(np.arange(80) < 40, levels.shape)
+    return steps.assigned(levels, near, ~near, (level, level - step))
 
 
 @pytest.mark.parametrize("step", [0.2, 0.5, 1.0])
 def test_share_of_right_answers_is_that_of_normal_noise(step):
     from scipy.stats import norm
 
-    told = two_planes(np.random.default_rng(0), step, 0.4)
-    assert told.right == pytest.approx(norm.cdf(step / 2 / 0.4), abs=0.02)
-    assert told.ordered == pytest.approx(norm.cdf(step / 0.4 / np.sqrt(2)), abs=0.03)
-    assert told.textured == pytest.approx(0.9, abs=0.02)
+    assignment = two_planes(np.random.default_rng(0), step, 0.4)
+    assert assignment.right == pytest.approx(norm.cdf(step / 2 / 0.4), abs=0.02)
+    assert assignment.ordered == pytest.approx(norm.cdf(step / 0.4 / np.sqrt(2)), abs=0.03)
+    assert assignment.textured == pytest.approx(0.9, abs=0.02)
 
 
 def test_guessing_is_one_half():
     random = np.random.default_rng(0)
     near = np.broadcast_to(np.arange(80) < 40, (60, 80))
-    told = steps.assigned(np.full((60, 80), 9.9), near, ~near, (10.0, 9.8))
-    assert (told.right, told.ordered) == pytest.approx((0.5, 0.5))
-    told = steps.assigned(random.uniform(0, 28, (60, 80)), near, ~near, (10.0, 9.8))
-    assert told.right == pytest.approx(0.5, abs=0.03)
+    assignment = steps.assigned(np.full((60, 80), 9.9), near, ~near, (10.0, 9.8))
+    assert (assignment.right, assignment.ordered) == pytest.approx((0.5, 0.5))
+    assignment = steps.assigned(random.uniform(0, 28, (60, 80)), near, ~near, (10.0, 9.8))
+    assert assignment.right == pytest.approx(0.5, abs=0.03)
 
 
 def test_levels_of_the_next_kernel_are_not_right():
     """A bias of a whole level orders the planes, and assigns all pixels to one of them."""
-    told = two_planes(np.random.default_rng(0), 0.4, 0.1, bias=1.0)
-    assert told.right == pytest.approx(0.5, abs=0.02)
-    assert told.ordered > 0.98
+    assignment = two_planes(np.random.default_rng(0), 0.4, 0.1, bias=1.0)
+    assert assignment.right == pytest.approx(0.5, abs=0.02)
+    assert assignment.ordered > 0.98
 
 
 def test_threshold_is_interpolated_where_the_share_passes_it():
@@ -222,8 +222,8 @@ def test_depth_as_range_is_no_depth(da_mobile):
     step = float(geometry.level_blur_px(camera)[1])
     levels = np.where(np.arange(80) < 40, *(wrong / step)) * np.ones((60, 80))
     near = np.broadcast_to(np.arange(80) < 40, levels.shape)
-    told = steps.assigned(levels, near, ~near, (level[0] / step, level[1] / step))
-    assert told.right == pytest.approx(0.5)
+    assignment = steps.assigned(levels, near, ~near, (level[0] / step, level[1] / step))
+    assert assignment.right == pytest.approx(0.5)
 
 
 # --- levels of light -----------------------------------------------------------------------------

@@ -38,9 +38,11 @@ def failed(claim: str, figures) -> set[str]:
 
 def truth_of(scene: recon_scenes.Scene, **changes) -> Truth:
     """The truth of a capture without a renderer, one object if not said otherwise."""
-    made = surfaces.truth(scene.capture.camera, scene.level, scene.sharp_e)
-    made = dataclasses.replace(made, mean_e=scene.mean_e, sharp_srgb=np.clip(made.sharp_srgb, 0, 1), objects=("sheet",))
-    return dataclasses.replace(made, **changes)
+    truth = surfaces.truth(scene.capture.camera, scene.level, scene.sharp_e)
+    truth = dataclasses.replace(
+        truth, mean_e=scene.mean_e, sharp_srgb=np.clip(truth.sharp_srgb, 0, 1), objects=("sheet",)
+    )
+    return dataclasses.replace(truth, **changes)
 
 
 @pytest.fixture(scope="module")
@@ -77,8 +79,8 @@ def test_order_of_a_map_turned_over(slope):
     _, exact = slope
     noise = np.random.default_rng(2).normal(size=exact.level.shape)
     where = exact.valid
-    found = [depth_maps.in_order(level, exact.level, where) for level in (exact.level, -exact.level, noise)]
-    assert found[:2] == [1.0, 0.0] and found[2] == pytest.approx(0.5, abs=0.01)
+    order = [depth_maps.in_order(level, exact.level, where) for level in (exact.level, -exact.level, noise)]
+    assert order[:2] == [1.0, 0.0] and order[2] == pytest.approx(0.5, abs=0.01)
 
 
 # --- yellow disks --------------------------------------------------------------------------------
@@ -114,9 +116,9 @@ def test_without_the_fall_back_yellow_edges_have_no_level(printed, monkeypatch, 
     monkeypatch.setattr(disks, "SHEETS", {"near": "5 cm"})
     bank = recon_scenes.bank(("D65",))
     results = {name: recon.reconstruct(capture, bank, settings) for name, settings in disks.SETTINGS.items()}
-    found = failed("yellow-disks", disks.figures_of(results, exact))
-    assert ("near.fallback" in found) is not fallback
-    assert not found & {"near.infrared", "near.blue", "near.no-fallback", "near.black"}
+    failures = failed("yellow-disks", disks.figures_of(results, exact))
+    assert ("near.fallback" in failures) is not fallback
+    assert not failures & {"near.infrared", "near.blue", "near.no-fallback", "near.black"}
 
 
 def test_yellow_that_infrared_sees_fails(printed, monkeypatch):
@@ -124,8 +126,8 @@ def test_yellow_that_infrared_sees_fails(printed, monkeypatch):
     _, exact = printed
     sharp_e = exact.sharp_e.copy()
     sharp_e[..., 3][exact.object_id == 1] *= 0.95
-    seen = dataclasses.replace(exact, sharp_e=sharp_e)
-    assert [abs(disks.contrasts("near-yellow", one)[3]) <= 0.01 for one in (exact, seen)] == [True, False]
+    altered = dataclasses.replace(exact, sharp_e=sharp_e)
+    assert [abs(disks.contrasts("near-yellow", one)[3]) <= 0.01 for one in (exact, altered)] == [True, False]
 
 
 # --- pictures of scenes --------------------------------------------------------------------------
@@ -159,8 +161,8 @@ def test_swapped_eyes_fail(slope, where, swapped):
 def test_all_in_focus_that_is_the_capture_fails(slope):
     result, exact = slope
     same = dataclasses.replace(result, sharp_e=result.linear_e, sharp_rgb=result.rgb)
-    found = failed("scene-pictures", scene_pictures.edges("x", same, exact))
-    assert {"x.slope-0-3.gain", "x.slope-3-10.gain", "x.blur.way"} <= found
+    failures = failed("scene-pictures", scene_pictures.edges("x", same, exact))
+    assert {"x.slope-0-3.gain", "x.slope-3-10.gain", "x.blur.way"} <= failures
     assert not failed("scene-pictures", scene_pictures.edges("x", result, exact)) & {"x.slope-3-10.gain", "x.blur.way"}
 
 
@@ -170,8 +172,8 @@ def test_halos_fail(slope):
     sharp_e = infrared_free(exact.sharp_e, result.camera)
     for gain in (1.0, 1.21):
         steeper = dataclasses.replace(result, sharp_e=gain * sharp_e)
-        found = failed("scene-pictures", scene_pictures.edges("x", steeper, exact))
-        assert ("x.slope-0-3" in found) is (gain > 1.15)
+        failures = failed("scene-pictures", scene_pictures.edges("x", steeper, exact))
+        assert ("x.slope-0-3" in failures) is (gain > 1.15)
 
 
 # --- two cameras ---------------------------------------------------------------------------------
@@ -193,13 +195,13 @@ def test_noise_and_detail_follow_light_and_blur(printed):
     """
     capture, exact = printed
     developed = recon.develop(capture, lights=["D65"])
-    found = []
+    figures = []
     for share in (1.0, 0.5):
         mean_e = share * exact.mean_e
         raw, _ = sensor.expose(sensor.mosaic(mean_e, capture.camera), capture.camera.sensor, 0.02, 3)
         shot = Shot(dataclasses.replace(capture, raw_dn=raw), dataclasses.replace(exact, mean_e=mean_e))
-        found.append(two_cameras.noise(shot, recon.develop(shot.capture, lights=["D65"])))
-    assert 1.15 < found[1] / found[0] < 1.6
+        figures.append(two_cameras.noise(shot, recon.develop(shot.capture, lights=["D65"])))
+    assert 1.15 < figures[1] / figures[0] < 1.6
     in_focus = dataclasses.replace(exact, blur_px=np.zeros_like(exact.blur_px))
     smooth = dataclasses.replace(developed, linear_e=cv2.GaussianBlur(developed.linear_e, (0, 0), 1.0))
     edges = [two_cameras.detail(Shot(capture, in_focus), one) for one in (developed, smooth)]
@@ -252,8 +254,8 @@ def test_rows_of_panels_get_the_whole_width():
     assert not claims.wide(pictures.photo_address(row)) and not claims.wide("data:image/svg+xml;base64,AAAA")
 
 
-@pytest.mark.parametrize(("columns", "rows", "wanted"), [(5, 2, True), (1, 1, False), (2, 1, True)])
-def test_rows_of_plots_get_the_whole_width(columns, rows, wanted):
+@pytest.mark.parametrize(("columns", "rows", "full_width"), [(5, 2, True), (1, 1, False), (2, 1, True)])
+def test_rows_of_plots_get_the_whole_width(columns, rows, full_width):
     """Expectation: five panels in half the page's width are too small to read; one plot is not."""
     address = plot(lambda axes: None, columns=columns, rows=rows)
-    assert claims.wide(address) is wanted
+    assert claims.wide(address) is full_width

@@ -28,20 +28,20 @@ MODULES = (staircase, scenes, all_in_focus, steps, light_levels, depth_maps, dis
 def stand_in(level: np.ndarray) -> Shot:
     """Gravel at the given blur levels [h, w], without a renderer, with two round objects."""
     height, width = level.shape
-    made = recon_scenes.make(level, photo="gravel", white_e=4000)
-    truth = surfaces.truth(made.capture.camera, made.level, made.sharp_e)
+    scene = recon_scenes.make(level, photo="gravel", white_e=4000)
+    truth = surfaces.truth(scene.capture.camera, scene.level, scene.sharp_e)
     y, x = np.mgrid[:height, :width]
     number = np.zeros(level.shape, np.uint32)
     for count, place in enumerate(DISKS.values(), start=1):
         number[np.hypot(y - height / 2, x - place) < RADIUS_PX] = count
     truth = dataclasses.replace(
         truth,
-        mean_e=made.mean_e,
+        mean_e=scene.mean_e,
         sharp_srgb=np.clip(truth.sharp_srgb, 0, 1),
         object_id=number,
         objects=tuple(DISKS),
     )
-    return Shot(dataclasses.replace(made.capture, provenance={"diffraction": "wave"}), truth)
+    return Shot(dataclasses.replace(scene.capture, provenance={"diffraction": "wave"}), truth)
 
 
 @pytest.fixture(scope="module")

@@ -27,8 +27,8 @@ def figures() -> dict[str, str | None]:
 def test_every_figure_has_the_limit_that_is_listed(gates, figures):
     """A gate that is written anew limits what it limited before, and nothing else."""
     assert {name.partition(".")[0] for name in figures} == set(CLAIMS)
-    found = {name: gate_of(name, gates) for name in figures}
-    assert {name: gate and gate.limit for name, gate in found.items()} == figures
+    limits_found = {name: gate_of(name, gates) for name in figures}
+    assert {name: gate and gate.limit for name, gate in limits_found.items()} == figures
 
 
 def test_every_gate_limits_a_figure(gates, figures):
@@ -42,7 +42,7 @@ def test_no_bundled_limit_is_for_a_users_method(gates, figures, method):
     theirs = set()
     for name in figures:
         claim, first, *rest = name.split(".")
-        bundled = [own.name for own in CLAIMS[claim].methods]
+        bundled = [bundled_method.name for bundled_method in CLAIMS[claim].methods]
         if bundled:
             theirs.add(".".join([claim, method, *([] if first in bundled else [first]), *rest]))
     assert len(theirs) > 100

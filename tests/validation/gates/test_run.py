@@ -19,7 +19,7 @@ from validation.gates import stored
 from validation.gates.claim import Claim, Evidence
 from validation.gates.comparison import Earlier, changes
 from validation.gates.limits import GATES, Gate, all_gates, gate_of, judged_all, load_gates, within
-from validation.gates.outcome import Measurement, chosen
+from validation.gates.outcome import Measurement, select
 from validation.gates.proposal import proposed
 from validation.reports.page import png_address
 from validation.scores.figures import Figure
@@ -75,7 +75,7 @@ def test_unreadable_limits_are_refused(limit, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "message"),
     [
         ('["nothing.size"]\nlimit = "> 0"\n', r"nothing.size.*good, stopped"),
         ('["good"]\nlimit = "> 0"\n', r"'good'.*CLAIM.FIGURE"),
@@ -85,9 +85,9 @@ def test_unreadable_limits_are_refused(limit, tmp_path):
         ("[[[", "not valid TOML"),
     ],
 )
-def test_wrong_gates_are_refused(text, said, tmp_path):
+def test_wrong_gates_are_refused(text, message, tmp_path):
     (tmp_path / "gates.toml").write_text(text)
-    with pytest.raises(InputError, match=said):
+    with pytest.raises(InputError, match=message):
         load_gates(tmp_path / "gates.toml", FAKES)
 
 
@@ -221,7 +221,7 @@ def test_users_gates_decide(fakes):
 
 
 @pytest.mark.parametrize(
-    ("arguments", "said"),
+    ("arguments", "message"),
     [
         (("--only", "nothing", "--out", "new"), ("claim 'nothing'", "good", "absent")),
         (("--only", "bad", "--quick", "--out", "new"), ("bad", "--quick")),
@@ -241,12 +241,12 @@ def test_users_gates_decide(fakes):
         (("--only", "good", "--out", "foreign"), ("foreign", "dasim did not write")),
     ],
 )
-def test_wrong_input_is_refused_in_one_line(fakes, capsys, arguments, said):
+def test_wrong_input_is_refused_in_one_line(fakes, capsys, arguments, message):
     (fakes / "foreign").mkdir()
     (fakes / "foreign" / "results.json").write_text("{}")
     assert run(["validate", *arguments]) == 2
     (line,) = capsys.readouterr().err.splitlines()
-    assert line.startswith("dasim: ") and all(part in line for part in said), line
+    assert line.startswith("dasim: ") and all(part in line for part in message), line
     assert not (fakes / "new").exists()
 
 
@@ -259,11 +259,11 @@ def test_an_earlier_result_is_replaced(fakes):
 def test_lists(fakes, capsys):
     """Expectation: both list commands name all claims with their first sentence; --quick those that are quick."""
     assert run(["validate", "--list"]) == 0
-    shown = capsys.readouterr().out
+    output = capsys.readouterr().out
     assert run(["list", "claims"]) == 0
-    assert capsys.readouterr().out == shown
-    assert [line.split()[0] for line in shown.splitlines()] == list(FAKES)
-    assert re.search(r"^good +quick +A claim that keeps its limit\.$", shown, re.MULTILINE)
+    assert capsys.readouterr().out == output
+    assert [line.split()[0] for line in output.splitlines()] == list(FAKES)
+    assert re.search(r"^good +quick +A claim that keeps its limit\.$", output, re.MULTILINE)
     assert run(["validate", "--list", "--quick"]) == 0
     assert "bad" not in capsys.readouterr().out
     assert run(["list", "claims", "--verbose"]) == 0
@@ -271,8 +271,8 @@ def test_lists(fakes, capsys):
 
 
 def test_order_is_that_of_the_table():
-    assert chosen(FAKES, ("bad", "good"), quick=False) == ["good", "bad"]
-    assert "bad" not in chosen(FAKES, (), quick=True)
+    assert select(FAKES, ("bad", "good"), quick=False) == ["good", "bad"]
+    assert "bad" not in select(FAKES, (), quick=True)
 
 
 def test_junit_parses_and_counts(fakes):
@@ -344,8 +344,8 @@ def test_an_unchanged_claim_is_not_measured_again(fakes, monkeypatch, capsys):
     assert math.isnan(again.claims[1].value) and again.claims[1].spread == 0.5
     run_claims(fakes / "a", ["counted"], table, [], variant="y", fresh=False)
     assert len(calls) == 2
-    (kept,) = (stored.cache_dir() / "claims").glob("counted.*.json")
-    kept.write_text("{")
+    (stored_file,) = (stored.cache_dir() / "claims").glob("counted.*.json")
+    stored_file.write_text("{")
     run_claims(fakes / "a", ["counted"], table, [], variant="y", fresh=False)
     assert len(calls) == 3
     assert run(["validate", "--only", "counted", "--out", "new", "--fresh"]) == 0 and len(calls) == 4
@@ -396,8 +396,8 @@ def test_several_at_once_give_the_same(fakes):
 def test_changes_count_beyond_the_spread(limit, old, new, spread, verdict):
     """Expectation: three standard deviations of a difference, 4.2 spreads, are chance; a limit says what is better."""
     claim = Claim("good.size", new, limit, "px", None, "", spread)
-    (found,) = changes({"good.size": Earlier(old, None, "px")}, [claim], {"good"})
-    assert found.verdict == verdict
+    (change,) = changes({"good.size": Earlier(old, None, "px")}, [claim], {"good"})
+    assert change.verdict == verdict
 
 
 def test_compare_prints_what_changed(fakes, capsys):
@@ -409,12 +409,12 @@ def test_compare_prints_what_changed(fakes, capsys):
     (fakes / "old.json").write_text(json.dumps(content))
     capsys.readouterr()
     assert run(["validate", "--only", "good", "bad", "--out", "new", "--compare", "old.json"]) == 1
-    shown = capsys.readouterr().out
-    assert re.search(r"^worse +good\.size +0\.125 -> 0\.25 +px$", shown, re.MULTILINE)
-    assert re.search(r"^gone +good\.lost ", shown, re.MULTILINE) and re.search(
-        r"^new +good\.other", shown, re.MULTILINE
+    output = capsys.readouterr().out
+    assert re.search(r"^worse +good\.size +0\.125 -> 0\.25 +px$", output, re.MULTILINE)
+    assert re.search(r"^gone +good\.lost ", output, re.MULTILINE) and re.search(
+        r"^new +good\.other", output, re.MULTILINE
     )
-    assert "1 worse, 0 better, 0 changed, 1 gone, 1 new, 1 same" in shown
+    assert "1 worse, 0 better, 0 changed, 1 gone, 1 new, 1 same" in output
 
 
 def test_fail_on_worse_ends_with_status_1_where_a_figure_became_worse(fakes, capsys):
@@ -478,11 +478,11 @@ def test_proposed_limits_hold_for_one_more_seed():
     """
     values = np.random.default_rng(0).normal(7, 0.3, (10_000, 5))
     for limit, sign in (("<= 9", 1), (">= 5", -1)):
-        kept = 0
+        count = 0
         for four, fifth in zip(values[:, :4], values[:, 4], strict=True):
             claim = Claim("a.b", float(four.mean()), limit, "px", True, "", float(four.std(ddof=1)))
-            kept += within(fifth, proposed(claim, 4))
-        assert kept / len(values) == pytest.approx(0.99, abs=0.005), sign
+            count += within(fifth, proposed(claim, 4))
+        assert count / len(values) == pytest.approx(0.99, abs=0.005), sign
     assert ".." in proposed(Claim("a.b", 7.0, None, "px", None, "", 0.3), 4)
     assert proposed(Claim("a.b", 7.0, "<= 9", "px", True, "", None), 4) is None
 

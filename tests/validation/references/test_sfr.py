@@ -26,27 +26,27 @@ def blurred_edge(sigma_px: float, turn_deg: float, width: int, *, height: int = 
 @pytest.mark.parametrize("turn_deg", [5.0, -7.0])
 def test_sfr_of_a_gaussian_edge(sigma_px, turn_deg):
     """Expectation: exp(-2 (pi sigma f)^2), for edges that lean to either side."""
-    found = slanted_edge_sfr(blurred_edge(sigma_px, turn_deg, WIDE), FREQUENCY, blur_px=4 * sigma_px)
-    np.testing.assert_allclose(found, np.exp(-2 * (np.pi * sigma_px * FREQUENCY) ** 2), atol=CLOSED_FORM)
+    sfr = slanted_edge_sfr(blurred_edge(sigma_px, turn_deg, WIDE), FREQUENCY, blur_px=4 * sigma_px)
+    np.testing.assert_allclose(sfr, np.exp(-2 * (np.pi * sigma_px * FREQUENCY) ** 2), atol=CLOSED_FORM)
 
 
 def test_sfr_does_not_depend_on_contrast_or_side():
     """Expectation: the same for the negative, and for twice the light."""
     edge = blurred_edge(1.0, 5.0, 128)
-    found = [slanted_edge_sfr(image, FREQUENCY) for image in (edge, 200 - edge, 2 * edge)]
-    np.testing.assert_allclose(found[1], found[0], atol=1e-9)
-    np.testing.assert_allclose(found[2], found[0], atol=1e-9)
+    curves = [slanted_edge_sfr(image, FREQUENCY) for image in (edge, 200 - edge, 2 * edge)]
+    np.testing.assert_allclose(curves[1], curves[0], atol=1e-9)
+    np.testing.assert_allclose(curves[2], curves[0], atol=1e-9)
 
 
 def test_window_of_a_narrow_frame_is_known():
     """Rationale: in a narrow frame the standard's window raises the SFR of a wide blur; theory gets the same window."""
     sigma, step = 7.0, 1 / 512
-    found = slanted_edge_sfr(blurred_edge(sigma, 5.0, 128), FREQUENCY, blur_px=28)
+    sfr = slanted_edge_sfr(blurred_edge(sigma, 5.0, 128), FREQUENCY, blur_px=28)
     grid = np.arange(0, 1, step)
     mtf = np.exp(-2 * (np.pi * sigma * grid) ** 2)
     expected = windowed_response(mtf, step, (64, 128), np.tan(np.radians(5)), FREQUENCY)
-    np.testing.assert_allclose(found, expected, atol=1e-4)
-    assert np.abs(found - np.interp(FREQUENCY, grid, mtf)).max() > CLOSED_FORM
+    np.testing.assert_allclose(sfr, expected, atol=1e-4)
+    assert np.abs(sfr - np.interp(FREQUENCY, grid, mtf)).max() > CLOSED_FORM
 
 
 def test_hopkins_in_focus_is_the_closed_form():

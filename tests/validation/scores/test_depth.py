@@ -128,7 +128,7 @@ def test_regions_part_the_frame(camera):
     estimate = exact.depth_m.copy()
     estimate[:, :8] = np.nan
     score = scored(estimate, exact, camera, texture_mask)
-    shares = {name: found.share for name, found in score.items()}
+    shares = {name: region.share for name, region in score.items()}
     assert shares == pytest.approx(
         {"all": 0.75, "textured": 0.25, "untextured": 0.25, "boundary": 0.25, "far-side": 0.25}
     )
@@ -150,8 +150,8 @@ def test_maps_of_another_size_are_refused(camera):
 def test_errors_by_true_level(camera):
     """Set-up: true levels 2 and 8, half each; the map is right at 2 and two levels too near at 8."""
     exact = truth(camera, halves(2, 8))
-    found = depth_scores.by_level(at(camera, halves(2, 10)), exact, camera, ALL)
-    values = {low: (median, bias) for low, median, bias in found}
+    rows = depth_scores.by_level(at(camera, halves(2, 10)), exact, camera, ALL)
+    values = {low: (median, bias) for low, median, bias in rows}
     assert values[1.0] == pytest.approx((0, 0), abs=ROUNDING)
     assert values[6.0] == pytest.approx((2, 2), abs=ROUNDING)
     assert all(math.isnan(values[low][0]) for low in (0.0, 3.0, 12.0))
@@ -171,12 +171,12 @@ def test_sparsification(camera):
 
     assert area(-error) == pytest.approx(0, abs=1e-9)
     assert area(-error) < area(np.zeros(SIZE)) < area(error)
-    kept, left, oracle = depth_scores.sparsification(estimate, np.zeros(SIZE), exact, camera)
-    assert kept[0] == 1 and [left[0], oracle[0]] == pytest.approx([error.mean()] * 2, rel=1e-4)
+    share, remaining, oracle = depth_scores.sparsification(estimate, np.zeros(SIZE), exact, camera)
+    assert share[0] == 1 and [remaining[0], oracle[0]] == pytest.approx([error.mean()] * 2, rel=1e-4)
     # Without confidence what is left out is drawn by chance: of N exponential errors a share k has the mean of all but
     # for a deviation of sqrt((1 / k - 1) / N).
-    deviation = np.sqrt((1 / kept[:40] - 1) / error.size)
-    assert (np.abs(left[:40] / error.mean() - 1) < 5 * deviation + 1e-4).all()
+    deviation = np.sqrt((1 / share[:40] - 1) / error.size)
+    assert (np.abs(remaining[:40] / error.mean() - 1) < 5 * deviation + 1e-4).all()
 
 
 # --- texture ---------------------------------------------------------------------------------------
@@ -191,9 +191,9 @@ def photographed(camera, image, seed=0) -> Capture:
 @pytest.mark.parametrize("electrons", [0, 20, 1000, 4000])
 def test_noise_is_no_texture(da_mobile, electrons):
     large = cameras.cropped(da_mobile, 512, 512)
-    found = texture.gradient_snr(photographed(large, np.full((512, 512), electrons)))
-    assert abs(np.mean(found)) < NOISE_MISFIT
-    assert np.mean(found > texture.TEXTURE_SNR) <= FALSE_TEXTURE
+    snr = texture.gradient_snr(photographed(large, np.full((512, 512), electrons)))
+    assert abs(np.mean(snr)) < NOISE_MISFIT
+    assert np.mean(snr > texture.TEXTURE_SNR) <= FALSE_TEXTURE
 
 
 @pytest.mark.parametrize("name", ["da-mobile", "bayer-mobile", "da-4x4"])
@@ -204,8 +204,8 @@ def test_stripes_are_texture_where_they_are(name):
     stripes[:, 96:] = 800
     electrons = np.repeat(stripes[..., None], len(cameras.channels(camera.sensor)), axis=-1)
     raw, _ = noise.expose(noise.mosaic(electrons, camera), camera.sensor, 0.01, 0)
-    found = texture.textured(Capture(raw, camera, 0.01, 1.0, 0))
-    assert found[:, :80].all() and not found[:, 96 + 20 :].any()
+    mask = texture.textured(Capture(raw, camera, 0.01, 1.0, 0))
+    assert mask[:, :80].all() and not mask[:, 96 + 20 :].any()
 
 
 # --- files and the command -------------------------------------------------------------------------
@@ -229,13 +229,13 @@ def test_depth_is_read_from_each_kind_of_file(tmp_path, name):
     else:
         scale = 1e-4
         write_png16(path, np.rint(depth / scale).astype(np.uint16))
-    found = depth_files.read_depth(path, scale)
-    assert math.isnan(found[0, 0])
-    np.testing.assert_allclose(found.ravel()[1:], depth.ravel()[1:], rtol=1e-3)
+    result = depth_files.read_depth(path, scale)
+    assert math.isnan(result[0, 0])
+    np.testing.assert_allclose(result.ravel()[1:], depth.ravel()[1:], rtol=1e-3)
 
 
 @pytest.mark.parametrize(
-    ("name", "scale", "said"),
+    ("name", "scale", "message"),
     [
         ("none.npy", None, "does not exist"),
         ("text.npy", None, "cannot be read as NPY"),
@@ -248,7 +248,7 @@ def test_depth_is_read_from_each_kind_of_file(tmp_path, name):
         ("other.exr", None, r"has no channel Z.*it has q"),
     ],
 )
-def test_what_is_no_depth_map_is_refused(tmp_path, name, scale, said):
+def test_what_is_no_depth_map_is_refused(tmp_path, name, scale, message):
     for file in ("text.npy", "text.exr", "text.jpg"):
         (tmp_path / file).write_text("nothing")
     np.save(tmp_path / "colour.npy", np.ones((3, 4, 3)))
@@ -256,7 +256,7 @@ def test_what_is_no_depth_map_is_refused(tmp_path, name, scale, said):
     np.save(tmp_path / "good.npy", np.ones((3, 4)))
     write_png16(tmp_path / "good.png", np.ones((3, 4), np.uint16))
     write_exr(tmp_path / "other.exr", "q", np.ones((3, 4)))
-    with pytest.raises(InputError, match=said):
+    with pytest.raises(InputError, match=message):
         depth_files.read_depth(tmp_path / name, scale)
 
 
@@ -278,12 +278,12 @@ def test_the_command_scores_a_foreign_map(capture_folder, tmp_path, camera, caps
     assert content["depth.textured.level-median"]["value"] == pytest.approx(0.5, abs=1e-3)
     assert content["depth.textured.level-median.constant"]["value"] == pytest.approx(2, abs=0.05)
     assert content["depth.sparsification"]["value"] == pytest.approx(0, abs=1e-4), "the error is the same everywhere"
-    shown = capsys.readouterr().out
-    assert "level-median" in shown and "textured" in shown
+    output = capsys.readouterr().out
+    assert "level-median" in output and "textured" in output
 
 
 @pytest.mark.parametrize(
-    ("arguments", "said"),
+    ("arguments", "message"),
     [
         (["small.npy"], "64 x 48"),
         (["good.png"], "--scale"),
@@ -291,11 +291,11 @@ def test_the_command_scores_a_foreign_map(capture_folder, tmp_path, camera, caps
         (["good.npy", "--confidence", "small.npy"], "confidence: is 4 x 4"),
     ],
 )
-def test_the_command_refuses_in_one_line(capture_folder, tmp_path, monkeypatch, capsys, arguments, said):
+def test_the_command_refuses_in_one_line(capture_folder, tmp_path, monkeypatch, capsys, arguments, message):
     monkeypatch.chdir(tmp_path)
     np.save("small.npy", np.ones((4, 4)))
     np.save("good.npy", np.ones(SIZE))
     write_png16(tmp_path / "good.png", np.ones(SIZE, np.uint16))
     assert run(["score", arguments[0], str(capture_folder), *arguments[1:]]) == 2
     (line,) = capsys.readouterr().err.splitlines()
-    assert line.startswith("dasim: ") and said in line
+    assert line.startswith("dasim: ") and message in line

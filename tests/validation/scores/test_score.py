@@ -48,14 +48,14 @@ def truth(camera, level, **changes) -> Truth:
     """Ground truth of a fronto-parallel patch of given levels, its picture a checkerboard of 0 and 1000 electrons."""
     image = np.repeat((CHECKER * TEXTURE_E)[..., None], 4, axis=-1)
     image[..., 3] = 0
-    made = surfaces.truth(camera, np.broadcast_to(level, SIZE), image)
-    return replace(made, **changes)
+    result = surfaces.truth(camera, np.broadcast_to(level, SIZE), image)
+    return replace(result, **changes)
 
 
 def reconstruction(camera, exact: Truth, **changes) -> Reconstruction:
     """A reconstruction that is right in everything."""
     colours = exact.sharp_e[..., :3]
-    made = Reconstruction(
+    result = Reconstruction(
         rgb=colours / TEXTURE_E,
         sharp_rgb=colours / TEXTURE_E,
         linear_e=colours,
@@ -70,7 +70,7 @@ def reconstruction(camera, exact: Truth, **changes) -> Reconstruction:
         settings={},
         timings_s={},
     )
-    return replace(made, **changes)
+    return replace(result, **changes)
 
 
 def scored(result: Reconstruction, exact: Truth) -> list[Figure]:
@@ -88,13 +88,13 @@ def figures(result: Reconstruction, exact: Truth) -> dict[str, float]:
 
 def test_perfect_reconstruction_has_no_error(camera):
     exact = truth(camera, np.linspace(2, 8, SIZE[1]))
-    found = figures(reconstruction(camera, exact), exact)
-    assert found["raw.all.coverage"] == 1 and found["raw.far-side.share"] == 0
+    score = figures(reconstruction(camera, exact), exact)
+    assert score["raw.all.coverage"] == 1 and score["raw.far-side.share"] == 0
     for name in ("raw", "regularised"):
         for key in ("level-median", "level-bias", "level-bad-2", "level-ratio", "rmse-dioptre", "abs-rel"):
-            assert found[f"{name}.all.{key}"] == pytest.approx(0, abs=ROUNDING), key
-    assert found["all-in-focus.blurred.psnr"] == math.inf
-    assert found["all-in-focus.blurred.ciede2000"] == 0
+            assert score[f"{name}.all.{key}"] == pytest.approx(0, abs=ROUNDING), key
+    assert score["all-in-focus.blurred.psnr"] == math.inf
+    assert score["all-in-focus.blurred.ciede2000"] == 0
 
 
 def test_constant_offset_is_bias_and_median(camera):
@@ -108,10 +108,10 @@ def test_constant_offset_is_bias_and_median(camera):
         raw = exact.level + np.float32(offset)
         result = reconstruction(camera, exact, level_raw=raw, level=whole.level, depth_m=whole.depth_m)
         result = replace(result, level=np.sort(whole.level, axis=1), depth_m=-np.sort(-whole.depth_m, axis=1))
-        found = figures(result, exact)
-        assert found["raw.all.level-median"] == pytest.approx(3.0, abs=INTERPOLATED)
-        assert found["raw.all.level-bias"] == pytest.approx(offset, abs=INTERPOLATED)
-        assert found["raw.all.level-bad-2"] == 1
+        score = figures(result, exact)
+        assert score["raw.all.level-median"] == pytest.approx(3.0, abs=INTERPOLATED)
+        assert score["raw.all.level-bias"] == pytest.approx(offset, abs=INTERPOLATED)
+        assert score["raw.all.level-bad-2"] == 1
 
 
 def test_raw_levels_are_read_by_the_relation_of_the_regularised_map(camera):
@@ -119,10 +119,10 @@ def test_raw_levels_are_read_by_the_relation_of_the_regularised_map(camera):
     exact = truth(camera, np.linspace(0, 20, SIZE[1]))
     result = reconstruction(camera, exact)
     order = np.sort(exact.level[0])
-    found = depth_of_level(np.array([(order[3] + order[4]) / 2, order[7], np.nan]), result)
+    depth = depth_of_level(np.array([(order[3] + order[4]) / 2, order[7], np.nan]), result)
     depths = -np.sort(-exact.depth_m[0])
-    assert found[0] == pytest.approx((depths[3] + depths[4]) / 2)
-    assert found[1] == pytest.approx(depths[7]) and math.isnan(found[2])
+    assert depth[0] == pytest.approx((depths[3] + depths[4]) / 2)
+    assert depth[1] == pytest.approx(depths[7]) and math.isnan(depth[2])
 
 
 def test_ratio_is_against_the_best_constant(camera):
@@ -130,11 +130,11 @@ def test_ratio_is_against_the_best_constant(camera):
     exact = truth(camera, np.broadcast_to(np.linspace(4, 12, 12), SIZE))
     middle = truth(camera, 8.0)
     constant = reconstruction(camera, exact, depth_m=middle.depth_m)
-    found = figures(constant, exact)
-    assert found["regularised.all.level-ratio"] == pytest.approx(1, abs=0.02)  # constants are tried in steps
+    score = figures(constant, exact)
+    assert score["regularised.all.level-ratio"] == pytest.approx(1, abs=0.02)  # constants are tried in steps
     nearer = truth(camera, (exact.level + middle.level) / 2)
-    found = figures(reconstruction(camera, exact, depth_m=nearer.depth_m), exact)
-    assert found["regularised.all.level-ratio"] == pytest.approx(0.5, abs=0.02)
+    score = figures(reconstruction(camera, exact, depth_m=nearer.depth_m), exact)
+    assert score["regularised.all.level-ratio"] == pytest.approx(0.5, abs=0.02)
 
 
 @pytest.mark.parametrize("level", [0.0, 5.0, 5.3, 1 / 3])
@@ -155,17 +155,17 @@ def test_pixels_without_estimate_are_not_judged(camera):
     exact = truth(camera, np.linspace(5, 15, SIZE[1]))
     raw = exact.level.copy()
     raw[:, :3] = np.nan
-    found = figures(reconstruction(camera, exact, level_raw=raw), exact)
-    assert found["raw.all.coverage"] == pytest.approx(9 / 12)
-    assert found["raw.all.level-median"] == pytest.approx(0, abs=ROUNDING)
+    score = figures(reconstruction(camera, exact, level_raw=raw), exact)
+    assert score["raw.all.coverage"] == pytest.approx(9 / 12)
+    assert score["raw.all.level-median"] == pytest.approx(0, abs=ROUNDING)
 
 
 def test_capture_without_any_estimate(camera):
     exact = truth(camera, np.linspace(5, 15, SIZE[1]))
-    found = figures(reconstruction(camera, exact, level_raw=np.full(SIZE, np.nan, np.float32)), exact)
-    assert found["raw.all.coverage"] == 0
-    assert math.isnan(found["raw.all.level-median"])
-    assert found["regularised.all.level-median"] == pytest.approx(0, abs=ROUNDING)
+    score = figures(reconstruction(camera, exact, level_raw=np.full(SIZE, np.nan, np.float32)), exact)
+    assert score["raw.all.coverage"] == 0
+    assert math.isnan(score["raw.all.level-median"])
+    assert score["regularised.all.level-median"] == pytest.approx(0, abs=ROUNDING)
 
 
 def test_pixels_where_nothing_is_hit_do_not_count(camera):
@@ -174,22 +174,22 @@ def test_pixels_where_nothing_is_hit_do_not_count(camera):
     holes[0] = True
     depth, level = np.where(holes, np.nan, exact.depth_m), np.where(holes, np.nan, exact.level)
     holed = replace(exact, valid=~holes, depth_m=depth, level=level, blur_px=np.where(holes, np.nan, exact.blur_px))
-    found = figures(reconstruction(camera, exact), holed)
-    assert found["raw.all.level-median"] == pytest.approx(0, abs=ROUNDING) and found["raw.all.coverage"] == 1
+    score = figures(reconstruction(camera, exact), holed)
+    assert score["raw.all.level-median"] == pytest.approx(0, abs=ROUNDING) and score["raw.all.coverage"] == 1
     for key in (
         "captured.inner.psnr",
         "captured.inner.ciede2000",
         "regularised.all.rmse",
         "regularised.sparsification",
     ):
-        assert math.isfinite(found[key]) or found[key] == math.inf, key
+        assert math.isfinite(score[key]) or score[key] == math.inf, key
 
 
 def test_empty_view_is_scored_without_failing(camera):
     nothing = np.full(SIZE, np.nan, np.float32)
     empty = replace(truth(camera, 5.0), valid=np.zeros(SIZE, bool), depth_m=nothing, level=nothing, blur_px=nothing)
-    found = figures(reconstruction(camera, truth(camera, 5.0)), empty)
-    assert math.isnan(found["raw.all.level-median"]) and math.isnan(found["captured.inner.ssim"])
+    score = figures(reconstruction(camera, truth(camera, 5.0)), empty)
+    assert math.isnan(score["raw.all.level-median"]) and math.isnan(score["captured.inner.ssim"])
 
 
 def test_wrong_side_of_the_focus_is_judged_apart(camera):
@@ -199,10 +199,10 @@ def test_wrong_side_of_the_focus_is_judged_apart(camera):
     exact = truth(camera, level)
     found_level = exact.level.copy()
     found_level[:, :3] = 4  # what a method that cannot tell the sides finds
-    found = figures(reconstruction(camera, exact, depth_m=truth(camera, found_level).depth_m), exact)
-    assert found["regularised.far-side.share"] == pytest.approx(3 / 12)
-    assert found["regularised.all.level-median"] == pytest.approx(0, abs=ROUNDING)
-    assert found["regularised.all.level-bad-2"] == 0 and found["regularised.far-side.level-bad-2"] == 1
+    score = figures(reconstruction(camera, exact, depth_m=truth(camera, found_level).depth_m), exact)
+    assert score["regularised.far-side.share"] == pytest.approx(3 / 12)
+    assert score["regularised.all.level-median"] == pytest.approx(0, abs=ROUNDING)
+    assert score["regularised.all.level-bad-2"] == 0 and score["regularised.far-side.level-bad-2"] == 1
 
 
 @pytest.mark.parametrize(("error_e", "decibel"), [(100.0, 20.0), (10.0, 40.0), (1000.0, 0.0)])
@@ -236,12 +236,12 @@ def test_sharpness_is_judged_at_3_to_15_pixels_of_blur(camera):
     unjudged = (blur < 3) | (blur > 15)
     unjudged[5] = True
     worse = exact.sharp_e[..., :3] + 100.0 * unjudged[None, :, None].astype(np.float32)
-    found = figures(reconstruction(camera, exact, sharp_e=worse), exact)
-    assert found["all-in-focus.blurred.psnr"] == math.inf
+    score = figures(reconstruction(camera, exact, sharp_e=worse), exact)
+    assert score["all-in-focus.blurred.psnr"] == math.inf
     better = exact.sharp_e[..., :3] + np.float32(100)
-    found = figures(reconstruction(camera, exact, linear_e=better, sharp_e=better / 2 + worse / 2), exact)
-    assert found["captured.blurred.psnr"] == pytest.approx(20, abs=ROUNDING)
-    assert found["all-in-focus.blurred.psnr-gain"] == pytest.approx(20 * math.log10(2), abs=1e-4)
+    score = figures(reconstruction(camera, exact, linear_e=better, sharp_e=better / 2 + worse / 2), exact)
+    assert score["captured.blurred.psnr"] == pytest.approx(20, abs=ROUNDING)
+    assert score["all-in-focus.blurred.psnr-gain"] == pytest.approx(20 * math.log10(2), abs=1e-4)
 
 
 def test_sizes_that_differ_are_refused(camera):
@@ -267,10 +267,10 @@ def test_infrared_free_undoes_the_crosstalk(camera):
     band = (grid.WAVELENGTH_NM >= 650) & (grid.WAVELENGTH_NM <= 810)
     sensor = camera.sensor
     curves = response_curves.rgb_ir_quantum_efficiency() * grid.short_pass(sensor.cutoff_nm, sensor.cutoff_width_nm)
-    seen = np.trapezoid(curves[:, band], grid.WAVELENGTH_NM[band], axis=-1)
-    assert (seen[:3] > 0.05 * seen[3]).all(), "the colour pixels see infrared, or this test shows nothing"
-    left = infrared_free(seen[None, None], camera)[0, 0]
-    np.testing.assert_allclose(left, 0, atol=ROUNDING * seen[3])
+    response = np.trapezoid(curves[:, band], grid.WAVELENGTH_NM[band], axis=-1)
+    assert (response[:3] > 0.05 * response[3]).all(), "the colour pixels see infrared, or this test shows nothing"
+    left = infrared_free(response[None, None], camera)[0, 0]
+    np.testing.assert_allclose(left, 0, atol=ROUNDING * response[3])
     visible = np.array([[[10.0, 20.0, 30.0, 0.0]]])
     np.testing.assert_array_equal(infrared_free(visible, camera)[0, 0], [10, 20, 30])
 
@@ -343,10 +343,12 @@ class Page(HTMLParser):
 
     def handle_starttag(self, tag, attrs):
         self.tags.add(tag)
-        found = dict(attrs)
-        self.addresses += [found[k] for k in ("src", "href", "srcset", "data", "action", "poster") if found.get(k)]
+        attributes = dict(attrs)
+        self.addresses += [
+            attributes[k] for k in ("src", "href", "srcset", "data", "action", "poster") if attributes.get(k)
+        ]
         if tag == "img":
-            self.pictures.append(found)
+            self.pictures.append(attributes)
         if tag not in self.VOID:
             self.open.append(tag)
 
@@ -436,13 +438,13 @@ def test_balanced_error_counts_levels_not_pixels():
     """Levels 2, 5 and 8 of 800, 150 and 50 pixels, off by 0, 1 and 3: balanced, the median is the middle one's."""
     true = np.repeat([2.0, 5.0, 8.0], [800, 150, 50])
     error = np.repeat([0.0, 1.0, 3.0], [800, 150, 50])
-    own, constant, bins = balanced_error(error, true)
-    assert own == 1.0
+    map_error, constant, bins = balanced_error(error, true)
+    assert map_error == 1.0
     assert constant == pytest.approx(1.5, abs=0.05)  # between two of them
     assert bins == [(2, 0.8, 0.0), (5, 0.15, 1.0), (8, 0.05, 3.0)]
 
 
 def test_balanced_error_leaves_rare_levels_out():
     true = np.repeat([2.0, 8.0], [990, 10])
-    own, _, bins = balanced_error(np.where(true == 8, 5.0, 0.5), true)
-    assert own == 0.5 and len(bins) == 1
+    map_error, _, bins = balanced_error(np.where(true == 8, 5.0, 0.5), true)
+    assert map_error == 0.5 and len(bins) == 1

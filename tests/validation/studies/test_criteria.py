@@ -61,8 +61,8 @@ def test_the_bound_by_pupils_is_the_bound_by_kernels(camera: dasim.Camera) -> No
 def test_the_bound_of_a_camera_takes_less_than_50_ms(camera: dasim.Camera) -> None:
     """Processor time with tables loaded; the least of thirty runs, because other programs use the machine too."""
     displaced = cameras.refocused(dasim.load_camera("bando"), 0.4)
-    for own, planes in ((camera, criteria.PLANES), (displaced, ("G", "R"))):
-        bound = partial(criteria.camera_bound, own, np.linspace(3, 47, 8), planes=planes)
+    for model, planes in ((camera, criteria.PLANES), (displaced, ("G", "R"))):
+        bound = partial(criteria.camera_bound, model, np.linspace(3, 47, 8), planes=planes)
         assert min(_seconds(bound) for _ in range(30)) < LIMIT_S
 
 

@@ -86,27 +86,27 @@ def measured(job: Sweep, index: int, broken=()) -> Outcome:
     rows = []
     for point in unit.points:
         alpha, lux = point["camera.stops.hole.radius_ratio"], point["light.lux"]
-        own = dict.fromkeys(FIGURES, 1.0) | {"light-loss": (1 - alpha**2) / 4, "depth-median": 1 / alpha / lux}
-        own["depth-median"] *= 1 + 0.1 * unit.seed
-        own |= {"depth-bound": own["depth-median"] ** 0.5, "depth-seen": own["depth-median"]}
-        rows.append({"point": point, "seed": unit.seed, "light_chosen": "D55", "figures": own})
+        values = dict.fromkeys(FIGURES, 1.0) | {"light-loss": (1 - alpha**2) / 4, "depth-median": 1 / alpha / lux}
+        values["depth-median"] *= 1 + 0.1 * unit.seed
+        values |= {"depth-bound": values["depth-median"] ** 0.5, "depth-seen": values["depth-median"]}
+        rows.append({"point": point, "seed": unit.seed, "light_chosen": "D55", "figures": values})
     storage.write(job.out, file_of(job, unit), sample.json_bytes(rows))
     return Outcome(index)
 
 
-def inline(taken: list[int], broken=()):
+def inline(calls: list[int], broken=()):
     def run_all(job, queue: deque[int]):
         while queue:
-            taken.append(queue[0])
+            calls.append(queue[0])
             yield measured(job, queue.popleft(), broken)
 
     return run_all
 
 
 def swept(spec, out, broken=()) -> tuple[list[int], dict[str, str]]:
-    taken: list[int] = []
-    failed = sweep.sweep(Sweep(spec, str(out), {"variant": "any"}), inline(taken, broken), lambda *counts: None)
-    return taken, failed
+    calls: list[int] = []
+    failed = sweep.sweep(Sweep(spec, str(out), {"variant": "any"}), inline(calls, broken), lambda *counts: None)
+    return calls, failed
 
 
 @pytest.fixture
@@ -134,7 +134,7 @@ def test_bundled_studies_are_sound(name):
 
 
 @pytest.mark.parametrize(
-    ("parameters", "said"),
+    ("parameters", "message"),
     [
         ('"camera.stops.hole.radius_rato" = [0.3]', ("radius_rato", "radius_ratio")),
         ('"camera.lens.f_numbr" = [2]\n"light.luks" = [3]', ("light.luks", "light.lux")),
@@ -162,16 +162,16 @@ def test_bundled_studies_are_sound(name):
         ('mosaic = ["GI/RB"]', ("cannot be reconstructed", "diagonal")),
     ],
 )
-def test_wrong_studies_are_refused_before_the_first_render(tmp_path, capsys, parameters, said):
+def test_wrong_studies_are_refused_before_the_first_render(tmp_path, capsys, parameters, message):
     (tmp_path / "s.toml").write_text(f'name = "wrong"\n[parameters]\n{parameters}\n')
     assert run(["study", "sweep", str(tmp_path / "s.toml"), "--out", str(tmp_path / "new")]) == 2
     (line,) = capsys.readouterr().err.splitlines()
-    assert line.startswith("dasim: ") and all(part in line for part in said), line
+    assert line.startswith("dasim: ") and all(part in line for part in message), line
     assert not (tmp_path / "new").exists()
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "message"),
     [
         (
             '[[parameters]]\nfocus_m = [2]\n[[parameters]]\n"light.lux" = [9]',
@@ -183,11 +183,11 @@ def test_wrong_studies_are_refused_before_the_first_render(tmp_path, capsys, par
         ("[parameters]\nfocus_m = [2]\n[quick]\nfocus = [2]", ("quick.focus",)),
     ],
 )
-def test_wrong_grids_and_curves_are_refused(tmp_path, text, said):
+def test_wrong_grids_and_curves_are_refused(tmp_path, text, message):
     (tmp_path / "s.toml").write_text(f'name = "wrong"\n{text}\n')
     with pytest.raises(InputError) as refused:
         load_study(str(tmp_path / "s.toml"), quick=True)
-    assert all(part in str(refused.value) for part in said), refused.value
+    assert all(part in str(refused.value) for part in message), refused.value
 
 
 def test_several_grids_stand_about_one_design(tmp_path):
@@ -198,12 +198,12 @@ def test_several_grids_stand_about_one_design(tmp_path):
     (tmp_path / "s.toml").write_text(GRIDS)
     spec = load_study(str(tmp_path / "s.toml"))
     hole, light = HOLE, "light.illuminant"
-    found = [(point[hole], point[light]) for point in points(spec)]
-    assert found == [(0.3, "D65"), (0.46, "D65"), (0.6, "D65"), (0.46, "A")]
+    pairs = [(point[hole], point[light]) for point in points(spec)]
+    assert pairs == [(0.3, "D65"), (0.46, "D65"), (0.6, "D65"), (0.46, "A")]
     assert spec.parameters == {hole: (0.3, 0.46, 0.6), light: ("D65", "A")}
     rows = [dict(point, number=number) for number, point in enumerate(points(spec))]
-    shown = [report.about_design(Curve(x=x, y="psnr"), rows, spec) for x in (hole, light)]
-    assert [[row["number"] for row in own] for own in shown] == [[0, 1, 2], [1, 3]]
+    panels = [report.about_design(Curve(x=x, y="psnr"), rows, spec) for x in (hole, light)]
+    assert [[row["number"] for row in panel] for panel in panels] == [[0, 1, 2], [1, 3]]
     quick = load_study(str(tmp_path / "s.toml"), quick=True)
     assert [(point[hole], point[light]) for point in points(quick)] == [(0.6, "D65"), (0.46, "D65"), (0.46, "A")]
 
@@ -216,19 +216,19 @@ def test_all_problems_are_said_at_once(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "message"),
     [
         ('scene = "dask"\ncamera = "da-mobil"\npreset = "bandz"', ("'dask'", "'da-mobil'", "'bandz'")),
         ('camera = "bayer-mobile"', ("no infrared pixels",)),
         ("size_px = [0, 48]", ("size 0x48",)),
     ],
 )
-def test_what_no_point_can_be_made_of_is_said_once(tmp_path, text, said):
+def test_what_no_point_can_be_made_of_is_said_once(tmp_path, text, message):
     """Expectation: camera, scene, preset and size of the study itself, once, not for each value of a parameter."""
     (tmp_path / "s.toml").write_text(f'name = "wrong"\n{text}\n[parameters]\nfocus_m = [2, 3]\n')
     with pytest.raises(InputError) as refused:
         load_study(str(tmp_path / "s.toml"))
-    assert all(str(refused.value).count(part) == 1 for part in said), refused.value
+    assert all(str(refused.value).count(part) == 1 for part in message), refused.value
     assert "focus_m" not in str(refused.value)
 
 
@@ -260,8 +260,8 @@ def test_points_keep_their_names_in_another_installation(study, tmp_path, monkey
 
 
 def test_what_failed_is_said_and_tried_again(study, tmp_path):
-    taken, failed = swept(load_study(str(study)), tmp_path / "out", broken=(1,))
-    assert len(taken) == 4 and list(failed.values()) == ["no such luck"] and "0.46" in next(iter(failed))
+    calls, failed = swept(load_study(str(study)), tmp_path / "out", broken=(1,))
+    assert len(calls) == 4 and list(failed.values()) == ["no such luck"] and "0.46" in next(iter(failed))
     assert "no such luck" in (tmp_path / "out" / "report.html").read_text()
     assert swept(load_study(str(study)), tmp_path / "out") == ([1], {})
 
@@ -331,8 +331,8 @@ def test_curves_of_words_show_them_and_figures_stand_beside_a_curve(tmp_path):
 def rows_of(spec, errors, figure="depth-median"):
     """Rows with an error for each hole and seed: errors[hole][seed]."""
     rows = []
-    for hole, own in errors.items():
-        for seed, value in enumerate(own):
+    for hole, by_light in errors.items():
+        for seed, value in enumerate(by_light):
             row = dict.fromkeys(FIGURES, math.nan) | {figure: value, "seed": seed, "light.lux": 100.0}
             rows.append(row | {"camera.stops.hole.radius_ratio": hole})
     return rows
@@ -349,7 +349,7 @@ REFERENCE = '[reference]\n"camera.stops.hole.radius_ratio" = 0.46\n'
 
 
 @pytest.mark.parametrize(
-    ("errors", "best", "verdict", "said"),
+    ("errors", "best", "verdict", "sentence"),
     [
         # every seed has its own noise, far larger than the lead, and 0.65 leads in each of them
         (
@@ -376,10 +376,10 @@ REFERENCE = '[reference]\n"camera.stops.hole.radius_ratio" = 0.46\n'
     ],
     ids=["paired", "noise", "best", "shared level", "one seed"],
 )
-def test_where_the_reference_stands(referred, errors, best, verdict, said):
-    found = findings.findings(referred, rows_of(referred, errors))
-    assert [(one.figure, one.best, one.verdict) for one in found] == [("depth-median", best, verdict)]
-    assert findings.sentences(referred, found) == [f"depth-median: {said}"]
+def test_where_the_reference_stands(referred, errors, best, verdict, sentence):
+    results = findings.findings(referred, rows_of(referred, errors))
+    assert [(one.figure, one.best, one.verdict) for one in results] == [("depth-median", best, verdict)]
+    assert findings.sentences(referred, results) == [f"depth-median: {sentence}"]
 
 
 @pytest.mark.usefixtures("undrawn")
@@ -405,8 +405,8 @@ def test_figures_that_are_better_large_are_judged_so(referred):
 def test_a_cost_is_a_share_of_the_best(referred):
     """Set-up: a signal over noise of 60 where the best is 100. Expectation: 40 %, not 67 %."""
     rows = rows_of(referred, {0.3: (20.0, 20.0), 0.46: (60.0, 60.0), 0.65: (100.0, 100.0)}, "infrared-snr")
-    (said,) = (one.cost for one in findings.findings(referred, rows))
-    assert said == pytest.approx(0.4)
+    (cost,) = (one.cost for one in findings.findings(referred, rows))
+    assert cost == pytest.approx(0.4)
 
 
 def test_a_case_without_another_value_is_none(tmp_path):
@@ -428,9 +428,9 @@ def test_what_is_known_of_one_case_is_not_said_of_all(referred):
     """Set-up: errors at 100 lux; at 1,000 lux none were measured. Expectation: the finding keeps its level of light."""
     rows = rows_of(referred, {0.3: (3, 3), 0.46: (2, 2), 0.65: (1, 1)})
     rows += [row | {"light.lux": 1000.0, "depth-median": math.nan} for row in rows]
-    found = findings.findings(referred, rows)
-    assert [one.others for one in found] == [{"light.lux": 100.0}]
-    assert findings.sentences(referred, found) == ["depth-median: 0.65 is best for 100 lux, 0.46 is worse by 100 %"]
+    results = findings.findings(referred, rows)
+    assert [one.others for one in results] == [{"light.lux": 100.0}]
+    assert findings.sentences(referred, results) == ["depth-median: 0.65 is best for 100 lux, 0.46 is worse by 100 %"]
 
 
 def test_a_reference_must_be_a_value_of_the_study(study):
@@ -460,16 +460,16 @@ def test_the_ranking_is_also_told_within_each_light(referred):
         for lux in (100.0, 1000.0)
         for value in (0.3, 0.4, 0.46, 0.65)
     ]
-    found = findings.ranking(referred, rows)
-    assert found.within == (pytest.approx(1.0), pytest.approx(-1.0)) and "minimum -1.00" in found.sentence
+    ranking = findings.ranking(referred, rows)
+    assert ranking.within == (pytest.approx(1.0), pytest.approx(-1.0)) and "minimum -1.00" in ranking.sentence
 
 
 def test_the_median_of_normal_errors_of_several_spreads():
     """Expectation: 0.6745 of one spread; of two, what 400,000 drawn errors have."""
     assert median_error(np.full(7, 0.2)) == pytest.approx(0.6745 * 0.2, rel=1e-4)
     spreads = np.tile([0.1, 0.1, 3.0], 100)
-    drawn = np.random.default_rng(0).normal(size=(4000, 300)) * spreads
-    assert median_error(spreads) == pytest.approx(np.median(np.abs(drawn)), rel=0.01)
+    errors = np.random.default_rng(0).normal(size=(4000, 300)) * spreads
+    assert median_error(spreads) == pytest.approx(np.median(np.abs(errors)), rel=0.01)
 
 
 def test_every_design_of_a_study_is_calibrated_at_the_same_blurs(study):
@@ -552,10 +552,10 @@ def test_half_a_pixel_is_worth_the_depth_of_fig_13(name, depth_m):
     exact = surfaces.truth(
         camera, geometry.blur_px(camera, depth) / geometry.level_blur_px(camera)[1], np.ones((48, 64, 4))
     )
-    found = limits(Capture(np.zeros((48, 64), np.uint16), camera, 0.01, 1.0, 0), exact, "D65", 1000.0)
-    assert found["half-pixel-m"] == pytest.approx(half_pixel_m(camera, depth_m), rel=FIRST_ORDER)
+    figures = limits(Capture(np.zeros((48, 64), np.uint16), camera, 0.01, 1.0, 0), exact, "D65", 1000.0)
+    assert figures["half-pixel-m"] == pytest.approx(half_pixel_m(camera, depth_m), rel=FIRST_ORDER)
     deviation = criteria.camera_bound(camera, geometry.blur_px(camera, depth_m), light="D65", level_lux=1000.0)
-    assert found["depth-bound-m"] == pytest.approx(
+    assert figures["depth-bound-m"] == pytest.approx(
         0.6745 * float(deviation[0]) / criteria.dioptre_px(camera) * depth_m**2, rel=1e-4
     )
 
@@ -569,9 +569,9 @@ def test_depth_is_scored_where_the_bank_reaches(da_mobile, level, share):
     camera = cameras.cropped(cameras.refocused(da_mobile, 2.0), 64, 48)
     exact = surfaces.truth(camera, np.full((48, 64), level), np.ones((48, 64, 4)))
     estimate = surfaces.exact_reconstruction(exact, camera)
-    found = depth_figures(estimate, exact)
-    assert found["in-range"] == share
-    assert found.get("depth-median", math.nan) == pytest.approx(0.0 if share else math.nan, abs=1e-9, nan_ok=True)
+    figures = depth_figures(estimate, exact)
+    assert figures["in-range"] == share
+    assert figures.get("depth-median", math.nan) == pytest.approx(0.0 if share else math.nan, abs=1e-9, nan_ok=True)
 
 
 def test_a_point_is_photographed_and_scored(study, tmp_path, renderer):

@@ -170,12 +170,12 @@ def _outside(rows: list[dict[str, float]]) -> float:
 
 
 def _run(
-    folder: Path, kind: str, processes: int, changes: dict[str, Any], counted: int = COUNTED
+    folder: Path, kind: str, processes: int, changes: dict[str, Any], count: int = COUNTED
 ) -> list[dict[str, float]]:
-    """Time and memory of the first ``counted`` samples of a run, which has a process and a kernel cache of its own."""
+    """Time and memory of the first ``count`` samples of a run, which has a process and a kernel cache of its own."""
     home = Path(tempfile.mkdtemp(dir=folder))  # Dr.Jit caches compiled kernels in the home folder
-    data = {"name": "speed", "samples": 10 * counted, "seed": 7, "size_px": SIZE_PX} | changes
-    request = json.dumps([kind, processes, data, str(home / "out"), counted])
+    data = {"name": "speed", "samples": 10 * count, "seed": 7, "size_px": SIZE_PX} | changes
+    request = json.dumps([kind, processes, data, str(home / "out"), count])
     environment = os.environ | {"HOME": str(home), "DASIM_CACHE_DIR": str(cache_dir())}
     environment["PYTHONPATH"] = os.pathsep.join([str(Path(dasim.__file__).parents[1]), *sys.path])
     process = subprocess.run([sys.executable, "-c", _RUN, request], env=environment, capture_output=True, text=True)
@@ -185,8 +185,8 @@ def _run(
     return list(json.loads(process.stdout.splitlines()[-1]))
 
 
-def measured(kind: str, processes: int, data: dict[str, Any], out: str, counted: int) -> list[dict[str, float]]:
-    """Time and memory of the first ``counted`` samples of a dataset; see :func:`figures` for their keys."""
+def measured(kind: str, processes: int, data: dict[str, Any], out: str, count: int) -> list[dict[str, float]]:
+    """Time and memory of the first ``count`` samples of a dataset; see :func:`figures` for their keys."""
     from dasim.base.toml import parse
     from dasim.dataset.sample import environment
     from dasim.dataset.specification import DatasetSpec
@@ -200,9 +200,9 @@ def measured(kind: str, processes: int, data: dict[str, Any], out: str, counted:
             if outcome.error:
                 raise RuntimeError(f"sample {outcome.index}: {outcome.error}")
             samples[outcome.index] = dict(outcome.row or {})
-            if set(range(counted)) <= set(samples):
+            if set(range(count)) <= set(samples):
                 break
-    return [samples[index] for index in range(counted)]
+    return [samples[index] for index in range(count)]
 
 
 @contextlib.contextmanager

@@ -108,7 +108,7 @@ def banded_capture(camera: Camera, bank: PsfBank) -> NDArray[np.uint16]:
 
     height, width = camera.sensor.height_px, camera.sensor.width_px
     photo = skimage.data.astronaut().astype(np.float32) / 255
-    sides = [(0, max(n - own, 0)) for n, own in zip((height, width), photo.shape, strict=False)]
+    sides = [(0, max(n - size, 0)) for n, size in zip((height, width), photo.shape, strict=False)]
     colours = np.pad(photo, (*sides, (0, 0)), "symmetric")[:height, :width] ** GAMMA
     infrared = 0.12 + 0.55 * colours[..., 0] + 0.2 * colours[..., 1]
     scene = np.dstack([colours, infrared]) * (WHITE_E * bank.signature[0])

@@ -188,9 +188,9 @@ def render_cost(progress: ShareDone) -> Evidence:
     each is tested against the stops. Noise is the median over pixels of the relative standard deviation over three
     seeds (naive: twelve).
 
-    Expectation: compared is the processor time to 1 % noise in IR. For ours it follows from the power law through both
-    measured points, for the naive renderer from one measured run and the law of independent samples, noise^2 ~ 1 / N
-    and cost ~ N. The naive noise is at least that of the rejections at the stop alone, sqrt((1 / alpha^2 - 1) / N),
+    Expectation: the figure is the processor time to 1 % noise in IR. For ours it follows from the power law through
+    both measured points, for the naive renderer from one measured run and the law of independent samples, noise^2 ~ 1 /
+    N and cost ~ N. The naive noise is at least that of the rejections at the stop alone, sqrt((1 / alpha^2 - 1) / N),
     which is 0.48 at 16 samples.
 
     Limit: ours at least 50 times cheaper.

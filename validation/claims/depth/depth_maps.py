@@ -97,21 +97,25 @@ def figures_of(name: str, case: str, result: Reconstruction, truth: Truth, seed:
 
 def in_order(level: NDArray, true: NDArray, where: BoolArray, seed: int = 0) -> float:
     """Share of random pairs of pixels whose true levels are APART_LEVELS apart that a map has in the same order."""
-    chosen = np.random.default_rng(seed).choice(np.flatnonzero(where), (2, PAIRS))
-    difference = np.diff(true.ravel()[chosen].astype(np.float64), axis=0)[0]
-    found = np.diff(level.ravel()[chosen].astype(np.float64), axis=0)[0]
+    pairs = np.random.default_rng(seed).choice(np.flatnonzero(where), (2, PAIRS))
+    difference = np.diff(true.ravel()[pairs].astype(np.float64), axis=0)[0]
+    level_difference = np.diff(level.ravel()[pairs].astype(np.float64), axis=0)[0]
     apart = np.abs(difference) >= APART_LEVELS
-    return float(np.mean(difference[apart] * found[apart] > 0)) if apart.any() else float("nan")
+    return float(np.mean(difference[apart] * level_difference[apart] > 0)) if apart.any() else float("nan")
 
 
 def roughness(level: NDArray, where: BoolArray, truth: Truth) -> float:
-    """Root mean square step of a map between the neighbouring samples (2 px) of one object, levels."""
-    values, own, inside = (a[::2, ::2] for a in (level.astype(np.float64), truth.object_id, where))
+    """Root mean square step in levels between samples 2 px apart on one object."""
+    values, objects, inside = (a[::2, ::2] for a in (level.astype(np.float64), truth.object_id, where))
     steps = []
     for axis in (0, 1):
         size = values.shape[axis]
         a, b = (np.take(np.arange(size), np.arange(start, size - 1 + start)) for start in (0, 1))
-        both = np.take(inside, a, axis) & np.take(inside, b, axis) & (np.take(own, a, axis) == np.take(own, b, axis))
+        both = (
+            np.take(inside, a, axis)
+            & np.take(inside, b, axis)
+            & (np.take(objects, a, axis) == np.take(objects, b, axis))
+        )
         steps.append((np.take(values, b, axis) - np.take(values, a, axis))[both])
     return float(np.sqrt(np.mean(np.concatenate(steps) ** 2)))
 

@@ -39,28 +39,29 @@ METHODS = bundled("paper", "bands")
 
 
 def yellow_disks(progress: ShareDone, seed: int = 0, methods: Sequence[NamedMethod] = METHODS) -> Evidence:
-    """Yellow disks on white paper have no edge in near-infrared: depth fails there, and blue in its place misleads.
+    """Yellow disks on white paper have no edge in near-infrared: depth fails there, and blue as a substitute misleads.
 
     Rationale: Fig. 9 is the paper's own counter-example. A simulation or reconstruction that does not reproduce it is
     unrealistic.
 
     Set-up: the scene disks, two sheets with printed disks at 10 and 5 cm, D55, focus 12 cm, 512 x 384 px, da-mobile.
     Preset paper with its fall-back (red, then blue, in place of infrared, sec. 5.3), the same without it, and preset
-    bands, which has none. Judged are the edges of the disks, 15 px wide. Contrast is (paper - ink) / paper of the
-    noise-free ``sharp_e``. Black disks, which infrared shows, are the control; magenta ones fail as yellow ones do.
+    bands, which has none. The edges of the disks, 15 px wide, are scored. Contrast is (paper - ink) / paper of the
+    noise-free ``sharp_e``. Black disks, which are visible in infrared, are the control; magenta disks fail as yellow
+    ones do.
 
-    Expectation: without the fall-back no level along a yellow edge; with it a level at most of it, but a wrong one:
-    blue is blurred as green is, so that their comparison hardly tells levels apart (the rms radii of their kernels are
-    reported, with infrared's). Averaging over neighbours improves it, but cannot repair it at 5 cm, where the sheet
-    around has no texture.
+    Expectation: without the fall-back there is no level along a yellow edge. With it there is one at most of the edge,
+    but it is wrong: blue is blurred as green is, so that comparing them hardly distinguishes levels (the rms radii of
+    their kernels and of infrared's are reported). Regularisation improves it, but cannot repair it at 5 cm, where the
+    surrounding sheet has no texture.
 
-    Limit: contrast in infrared at most 0.01, where blue has at least 0.5; levels at no more than 0.05 of a yellow edge
-    without the fall-back, at 0.3 at least with it, off by at least 1.5 times as much as at a black edge, which is off
-    by 0.8 level at most; less after regularisation than before. Preset bands abstains: levels at no more than 0.1 of a
-    yellow edge.
+    Limit: contrast in infrared at most 0.01, and in blue at least 0.5. Levels at no more than 0.05 of a yellow edge
+    without the fall-back and at least 0.3 with it, with at least 1.5 times the error at a black edge, which is 0.8
+    level at most; a smaller error after regularisation than before. Preset bands abstains: levels at no more than 0.1
+    of a yellow edge.
 
-    Deviation: the paper fell back to red; yellow ink does not show there either (contrast 0.02), so that blue serves.
-    Its infrared was noisier, too: here D55 gives the infrared pixels a third of green's electrons on white.
+    Deviation: the paper fell back to red. Yellow ink has no contrast in red either (0.02), so that blue is used here.
+    The paper's infrared was also noisier: here D55 gives the infrared pixels a third of green's electrons on white.
 
     Source: sec. 5.3, Fig. 9.
     """
@@ -82,7 +83,7 @@ def yellow_disks(progress: ShareDone, seed: int = 0, methods: Sequence[NamedMeth
 
 
 def edges_of(name: str, result: Reconstruction, truth: Truth) -> list[Figure]:
-    """How often and how well a method of any kind estimates levels along the yellow and the black edges."""
+    """Share of the yellow and of the black edges where any depth method estimates levels, and its errors there."""
     figures = []
     for sheet, place in SHEETS.items():
         for ink in ("yellow", "black"):
@@ -105,7 +106,7 @@ def _table(results: dict[str, Reconstruction], truth: Truth) -> Table:
 
 
 def figures_of(results: dict[str, Reconstruction], truth: Truth) -> list[Figure]:
-    """Figures of the yellow and the black edges; ``results`` by the names of SETTINGS."""
+    """Figures of the yellow and black edges; the keys of ``results`` are the names of SETTINGS."""
     figures = []
     for sheet, place in SHEETS.items():
         yellow, black = edge(f"{sheet}-yellow", truth), edge(f"{sheet}-black", truth)
@@ -131,7 +132,7 @@ def figures_of(results: dict[str, Reconstruction], truth: Truth) -> list[Figure]
 
 
 def _radii(bank: PsfBank, light: str, truth: Truth) -> list[Figure]:
-    """Rms radii of the calibrated kernels over green's, at the two sheets' levels."""
+    """Rms radii of the calibrated kernels relative to green's, at the levels of the two sheets."""
     reach = np.arange(bank.kernel.shape[-1]) - bank.kernel.shape[-1] // 2
     square = reach[:, None] ** 2 + reach**2
     figures = []
@@ -147,8 +148,8 @@ def _radii(bank: PsfBank, light: str, truth: Truth) -> list[Figure]:
 
 def edge(name: str, truth: Truth) -> BoolArray:
     """Pixels within half of RIM_PX of an object's edge."""
-    own, around = _grown(name, truth, RIM_PX // 2)
-    return around & ~own
+    disk, around = _grown(name, truth, RIM_PX // 2)
+    return around & ~disk
 
 
 def contrasts(name: str, truth: Truth) -> NDArray[np.float64]:
@@ -160,16 +161,16 @@ def contrasts(name: str, truth: Truth) -> NDArray[np.float64]:
 
 
 def _grown(name: str, truth: Truth, by_px: int) -> tuple[BoolArray, BoolArray]:
-    """An object's pixels without and with a rim of ``by_px``."""
-    own = (truth.object_id == truth.objects.index(name) + 1).astype(np.uint8)
+    """Pixels of an object, eroded and dilated by ``by_px``."""
+    disk = (truth.object_id == truth.objects.index(name) + 1).astype(np.uint8)
     disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * by_px + 1, 2 * by_px + 1))
-    return cv2.erode(own, disc) > 0, cv2.dilate(own, disc) > 0
+    return cv2.erode(disk, disc) > 0, cv2.dilate(disk, disc) > 0
 
 
 def _off(level: NDArray, truth: Truth, where: BoolArray) -> float:
-    """Median absolute error of the raw levels that there are."""
-    found = where & np.isfinite(level)
-    return float(np.median(np.abs(level_error(level, truth)[found]))) if found.any() else float("nan")
+    """Median absolute error of the raw levels within a mask."""
+    judged = where & np.isfinite(level)
+    return float(np.median(np.abs(level_error(level, truth)[judged]))) if judged.any() else float("nan")
 
 
 def _rows(results: dict[str, Reconstruction], truth: Truth) -> list[list[str]]:

@@ -1,4 +1,4 @@
-"""Claim of the ground truth: depth, normals, labels and blur against geometry worked out by hand."""
+"""Claim on the ground truth: depth, normals, labels and blur compared with closed-form geometry."""
 
 from __future__ import annotations
 
@@ -27,16 +27,18 @@ RIM = 0.98  # of the ball's radius: at its very outline single precision decides
 def ground_truth(progress: ShareDone) -> Evidence:
     """Depth is z from the lens, and depth, normals, labels and blur are exact at every pixel.
 
-    Rationale: all scores rest on the truth, and its usual errors (range for z, a flipped axis, half a pixel, a blur
-    formula of another focus) leave pictures that look right.
+    Rationale: all scores depend on the truth, and its usual errors (range instead of z, a flipped axis, an offset of
+    half a pixel, blur for another focus) give pictures that look right.
 
-    Set-up: a ball before a wall that is turned by 35 degrees about the vertical; da-mobile with pixels of 12 um,
-    256 x 192 px, whose corner is 27 degrees off the axis, focused at 60 cm. No light path is needed.
+    Set-up: a ball in front of a wall that is rotated by 35 degrees about the vertical; da-mobile with pixels of 12 um,
+    256 x 192 px, whose corner is 27 degrees off the axis, focused at 60 cm. No light transport is involved.
 
-    Expectation: rays of a pinhole at the lens through the pixel centres, met with plane and sphere in closed form.
-    Signed blur c = A s' (1/z - 1/z_f) / p and level (1 - alpha) c from the data sheet, with s' from the thin lens.
+    Expectation: rays from a pinhole at the lens through the pixel centres, intersected with plane and sphere in closed
+    form. Signed blur c = A s' (1/z - 1/z_f) / p and level (1 - alpha) c follow from the data sheet, with s' of the thin
+    lens.
 
-    Limit: 1e-4 of depth at the worst pixel, 1e-3 for normals, labels of all pixels, .01 px for blur, .01 for levels.
+    Limit: at the worst pixel 1e-4 of the depth, 1e-3 for normals, 0.01 px for blur and 0.01 for levels; labels of all
+    pixels.
 
     Source: central projection; the thin lens; sec. 5.1 (levels).
     """
@@ -78,7 +80,9 @@ def ground_truth(progress: ShareDone) -> Evidence:
 
 
 def _by_hand(camera: Camera) -> tuple[FloatArray, FloatArray, NDArray[np.int64], NDArray[np.bool_]]:
-    """Z [h, w] in metres, normals [h, w, 3], labels [h, w] (1: ball, 2: wall), and where no outline is near."""
+    """Z [h, w] in metres, normals [h, w, 3], labels [h, w] (1: ball, 2: wall), and a mask of pixels
+    away from outlines.
+    """
     lens, body = camera.lens, camera.sensor
     image_m = 1 / (1e3 / lens.focal_length_mm - 1 / lens.focus_distance_m)
     width, height = body.width_px, body.height_px

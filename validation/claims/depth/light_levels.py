@@ -38,23 +38,25 @@ COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7")
 def light_levels(progress: ShareDone, seed: int = 0, methods: Sequence[NamedMethod] = METHODS) -> Evidence:
     """Depth is estimated under all four lights; its error falls with illuminance until the scene limits it.
 
-    Rationale: sec. 6.2 names outdoor shade, energy-saving lamps and incandescent light; with lamps
-    that emit little near-infrared the camera fails in dim light, and users need to know at which level.
+    Rationale: sec. 6.2 names outdoor shade, energy-saving lamps and incandescent light. With lamps that emit little
+    near-infrared the camera fails in dim light, and users need to know at which level.
 
     Set-up: the scene desk, 256 x 192 px of da-mobile, rendered once under each light (D65, A, energy-saving lamps of
-    3500 K, a white LED); its mean electrons scaled to 10 to 10,000 lux (lamp and dome together) and exposed by the
-    sensor model: automatic exposure up to 1/30 s, then analogue gain up to 16. Default preset; a bank of D65, D55, A,
-    3500 K: white balance chooses, also for the LED, which is not in it. Pixels behind the focus are left out.
+    3500 K, a white LED). Its mean electrons are scaled to 10 to 10,000 lux (lamp and dome together) and exposed by the
+    sensor model: automatic exposure up to 1/30 s, then analogue gain up to 16. Default preset; the bank holds D65, D55,
+    A and 3500 K, of which white balance chooses one, also for the LED, which the bank lacks. Pixels behind the focus
+    are excluded.
 
-    Expectation: median absolute error of the regularised level of all pixels; beside it that of the raw levels and the
-    share of pixels that have one, and the best constant map. Lamps are poorer in near-infrared than daylight: their
-    error in dim light is larger. The light from which on the error stays below half that of the best constant map
-    (0.6 of 1.2 levels). Above about 3,000 lux the exposure is shorter and nothing else changes.
+    Expectation: the figures are the median absolute error of the regularised level of all pixels, that of the raw
+    levels, the share of pixels with a raw level, and the error of the best constant map. Lamps have less near-infrared
+    than daylight, and thus a larger error in dim light. The error stays below half that of the best constant map (0.6
+    of 1.2 levels) from some illuminance on. Above about 3,000 lux only the exposure time changes.
 
-    Limit: below half of the constant map's from 1,000 lux on under D65 and A, from 3,000 lux on under the lamps; at
-    100 lux lamps are at least 1.5 times worse than daylight; error and light have a rank correlation of -0.85 or less.
+    Limit: below half of the constant map's error from 1,000 lux on under D65 and A, and from 3,000 lux on under the
+    lamps; at 100 lux at least 1.5 times the error of daylight under lamps; a rank correlation of error and illuminance
+    of -0.85 or less.
 
-    Source: sec. 6.2; the levels of light and the limits are the project's own.
+    Source: sec. 6.2; the light levels and limits are the project's own.
     """
     rendering.needs_wave()
     scene = load_scene(SCENE)
@@ -70,12 +72,12 @@ def light_levels(progress: ShareDone, seed: int = 0, methods: Sequence[NamedMeth
             capture = exposed(shot, level_lux / scene_lux, seed * len(LEVELS_LUX) + part)
             for method in methods:
                 result = reconstructed(capture, bank, method)
-                own = errors_of(result.level, result.level_raw, shot)
+                result_figures = errors_of(result.level, result.level_raw, shot)
                 label = f"{prefix(method, METHODS)}{light}"
-                errors[prefix(method, METHODS)].append(own[0])
-                figures += _level_figures(f"{label}.{level_lux:g}lux", f"{label}, {level_lux:g} lux", own)
+                errors[prefix(method, METHODS)].append(result_figures[0])
+                figures += _level_figures(f"{label}.{level_lux:g}lux", f"{label}, {level_lux:g} lux", result_figures)
                 exposure = f"1/{1 / capture.exposure_s:.0f}, gain {capture.gain:.3g}"
-                rows.append([label, f"{level_lux:g}", exposure, result.light, *(f"{v:.2f}" for v in own)])
+                rows.append([label, f"{level_lux:g}", exposure, result.light, *(f"{v:.2f}" for v in result_figures)])
             progress((number + (part + 1) / len(LEVELS_LUX)) / len(LIGHTS))
         constant = _constant(shot)
         for label, one in errors.items():
@@ -105,16 +107,22 @@ def _level_figures(label: str, where: str, errors: tuple[float, float, float]) -
 
 
 def errors_of(level: NDArray, raw: NDArray, shot: Shot) -> tuple[float, float, float]:
-    """Median absolute errors of regularised levels and of raw ones, and the share of pixels with a raw one."""
+    """Median absolute errors of the regularised levels and of the raw ones, and the share of pixels with
+    a raw level.
+    """
     near = near_side(shot.truth)
     error = np.abs(level[near].astype(np.float64) - shot.truth.level[near])
-    told = near & np.isfinite(raw)
-    raw_error = np.abs(raw[told].astype(np.float64) - shot.truth.level[told])
-    return float(np.median(error)), float(np.median(raw_error)) if told.any() else float("nan"), told.sum() / near.sum()
+    judged = near & np.isfinite(raw)
+    raw_error = np.abs(raw[judged].astype(np.float64) - shot.truth.level[judged])
+    return (
+        float(np.median(error)),
+        float(np.median(raw_error)) if judged.any() else float("nan"),
+        judged.sum() / near.sum(),
+    )
 
 
 def summary(light: str, errors: FloatArray, constant: float) -> list[Figure]:
-    """What the curve of one light says."""
+    """Figures that summarise the curve of one light."""
     order = float(spearmanr(LEVELS_LUX, errors).statistic)
     bad = np.flatnonzero(~(errors <= ENOUGH * constant))
     enough = LEVELS_LUX[0] if not bad.size else LEVELS_LUX[bad[-1] + 1] if bad[-1] + 1 < len(errors) else float("inf")
@@ -132,7 +140,7 @@ def summary(light: str, errors: FloatArray, constant: float) -> list[Figure]:
 
 
 def _constant(shot: Shot) -> float:
-    """Median absolute error of the best constant map: of the level that is the median."""
+    """Median absolute error of the best constant map, which is the median level everywhere."""
     level = shot.truth.level[near_side(shot.truth)].astype(np.float64)
     return min(float(np.median(np.abs(level - c))) for c in np.linspace(level.min(), level.max(), 200))
 

@@ -57,8 +57,8 @@ def depth(progress: ShareDone, seed: int = 0, methods: Sequence[NamedMethod] = M
         bank = recon.calibrate(dasim.calibration_captures(camera, diffraction=shot.capture.provenance["diffraction"]))
         for step, method in enumerate(methods):
             result = reconstructed(shot.capture, bank, method)
-            found, rows = _figures(name, method.name, result, shot)
-            figures += found
+            figures_of_scene, rows = _figures(name, method.name, result, shot)
+            figures += figures_of_scene
             tables.append((f"{name}, {method}: raw levels by true level", ["level", "share", "median error"], rows))
             if method == methods[0]:
                 caption = f"{name}, {method}: all in focus, true level, raw and regularised level"
@@ -82,14 +82,16 @@ def _figures(name: str, method: str, result: Reconstruction, shot: Shot) -> tupl
     ):
         true = truth.level[where].astype(np.float64)
         error = level[where].astype(np.float64) - true
-        own, constant, bins = depth_scores.balanced_error(error, true)
+        map_error, constant, bins = depth_scores.balanced_error(error, true)
         figures += [
             Figure(
                 f"{label}.{what}", float(np.median(np.abs(error))), "level", f"{case} {text}, median absolute error"
             ),
-            Figure(f"{label}.{what}-balanced", own, "level", f"{case} {text}, the same with occupied bins balanced"),
+            Figure(
+                f"{label}.{what}-balanced", map_error, "level", f"{case} {text}, the same with occupied bins balanced"
+            ),
             Figure(f"{label}.{what}-constant", constant, "level", f"{case} {text}, the same of the best constant map"),
-            Figure(f"{label}.{what}-ratio", own / constant, "1", f"{case} {text}, ratio of both, bins balanced"),
+            Figure(f"{label}.{what}-ratio", map_error / constant, "1", f"{case} {text}, ratio of both, bins balanced"),
         ]
         if what == "raw":
             rows = [[str(k), f"{part:.3f}", f"{bias:+.2f}"] for k, part, bias in bins]
@@ -97,7 +99,9 @@ def _figures(name: str, method: str, result: Reconstruction, shot: Shot) -> tupl
 
 
 def _picture(result: Reconstruction, shot: Shot) -> NDArray[np.float64]:
-    """Sharp truth, true level, raw and regularised level side by side, 0..1; black: not judged or no estimate."""
+    """Sharp truth, true level, raw and regularised level side by side, 0..1; black pixels are not scored or have no
+    estimate.
+    """
     truth = shot.truth
     near = near_side(truth)
     top = max(float(truth.level[near].max()), 1.0)

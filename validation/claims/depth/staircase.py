@@ -1,4 +1,6 @@
-"""Claims of depth: the staircase of Fig. 10, without a mosaic and through the whole camera, against prior work."""
+"""Claims on the staircase of Fig. 10: the depth code without a mosaic, and the complete camera, compared with prior
+work.
+"""
 
 from __future__ import annotations
 
@@ -65,81 +67,84 @@ METHODS = bundled(*COMPARED)
 def staircase(progress: ShareDone, seed: int = 0) -> Evidence:
     """Levels are estimated without bias, and with hardly more noise than the Cramer-Rao bound, on real textures.
 
-    Rationale: the paper's Fig. 10, the measure of its depth estimation; and how much better any estimator could be.
+    Rationale: Fig. 10 is the paper's measure of its depth estimation; the bound states how much better any estimator
+    could be.
 
     Set-up: five photographs that ship with scikit-image, gravel (at all 29 levels), brick, grass, chelsea (fur) and
-    coins (at every fourth), 1 at their full scale; green and infrared blurred with the kernels of the bank of
-    da-mobile under D65 by scipy's convolution, no mosaic; Gaussian noise of 0.5, 1, 2 and 4 % of full scale on both, or
-    photon noise with 2,500 electrons green, 750 infrared and 3 electrons read noise. The depth code of the pipeline
-    with samples one pixel apart; the estimate of every pixel that shows an edge, 45 px from a strip's borders. Presets
-    paper, likelihood (levels scored by likelihood, not NCC) and chakrabarti-zickler, at every fourth level of gravel
-    also with the diagonals of its published code. The bound is that of each pixel's patch for the camera's own kernels:
-    the texture's spectrum is known, its strength there and the channels' gain are not. "Between": levels that are
-    none of the bank's, blurred with the camera's own kernels.
+    coins (at every fourth), with full scale 1. Green and infrared are blurred with the kernels of the bank of da-mobile
+    under D65 by scipy's convolution, without a mosaic. Noise is Gaussian, 0.5, 1, 2 and 4 % of full scale in both
+    channels, or photon noise with 2,500 electrons in green, 750 in infrared and 3 electrons of read noise. The depth
+    code of the pipeline runs on samples one pixel apart and is scored at every pixel that shows an edge, 45 px from a
+    strip's borders. Presets paper, likelihood (levels scored by likelihood instead of NCC) and chakrabarti-zickler; at
+    every fourth level of gravel also the diagonals of the latter's published code. The bound is that of each pixel's
+    patch with the camera's own kernels, where the texture's spectrum is known and its strength and the gain of the
+    channels are unknown. "Between" denotes levels 0.2 and 0.4 off those of the bank, blurred with the camera's own
+    kernels.
 
-    Expectation: mean over the levels of the estimate's absolute bias and of its standard deviation; root mean square
-    error over the bound, from level 1 on (blur near 0 changes nothing to first order), both over the pixels that show
-    an edge. Below 1 would be a leak of the truth, unless the estimate prefers the bank's own levels, a bias between
-    them. Preset likelihood does: at low noise it is below the bound at the bank's levels and 1.6 times above between
-    them; so it is between levels that the bound is a limit. Textures are no Gaussian processes, and where few pixels
-    show an edge these are the best of a strip: errors a little below the bound are seen there too (4 %).
+    Expectation: the figures are means over the levels of the absolute bias and of the standard deviation, and the root
+    mean square error relative to the bound, from level 1 on (near 0 a change of blur has no first-order effect), all
+    over the pixels that show an edge. A ratio below 1 would mean that the truth leaks, or that the estimate prefers the
+    bank's own levels, which is a bias between them. Preset likelihood does the latter: at low noise its error is below
+    the bound at the bank's levels and 1.6 times the bound between them. Only between levels is the bound a limit.
+    Textures are not Gaussian processes, and where few pixels show an edge these are the best of a strip, so that errors
+    slightly below the bound (4 %) occur there too.
 
-    Limit: 0.05 / 0.1, 0.1 / 0.3 and 0.2 / 0.6 levels of bias / deviation at 0.5, 1 and 2 %, of the presets paper and
-    likelihood on gravel; error over bound of preset paper from 0.9 to 2.3 on gravel at 0.5 to 2 % and with photons;
-    between levels at least 0.9, of preset paper at most 2; less error than chakrabarti-zickler's everywhere.
+    Limit: 0.05 / 0.1, 0.1 / 0.3 and 0.2 / 0.6 levels of bias / deviation at 0.5, 1 and 2 %, for the presets paper and
+    likelihood on gravel; error over bound from 0.9 to 2.3 for preset paper on gravel at 0.5 to 2 % and with photon
+    noise; between levels at least 0.9, and at most 2 for preset paper; everywhere less error than chakrabarti-zickler.
 
-    Source: Fig. 10 and sec. 6.1; for the bound validation/bounds.py.
+    Source: Fig. 10 and sec. 6.1; for the bound dasim/bounds.
     """
     camera = dasim.load_camera("da-mobile")
     bank = recon.calibrate(dasim.calibration_captures(camera))
     kernels = bank.kernel[bank.lights.index(LIGHT)]
     figures: list[Figure] = []
     tables: list[Any] = []
-    drawn: dict[tuple[str, str, str], list[Estimates]] = {}
+    estimates_by_case: dict[tuple[str, str, str], list[Estimates]] = {}
     for number, texture in enumerate((TEXTURE, *TEXTURES)):
         levels = range(0, BLUR_LEVELS, 1 if texture == TEXTURE else EVERY)
-        made = Strips(texture, levels, kernels[list(levels)], camera, LIGHT)
+        subject = Strips(texture, levels, kernels[list(levels)], camera, LIGHT)
         for noise in NOISES:
             for name in COMPARED:
-                found = made.estimates(noise, kernels, SCORES[name], seed)
-                drawn[texture, noise.name, name] = found
-                figures += _figures(f"{name}.{texture}.{noise.name}", f"{texture}, {noise.label}, {name}", found)
+                estimates = subject.estimates(noise, kernels, SCORES[name], seed)
+                estimates_by_case[texture, noise.name, name] = estimates
+                figures += _figures(f"{name}.{texture}.{noise.name}", f"{texture}, {noise.label}, {name}", estimates)
                 if texture == TEXTURE:
-                    tables.append((f"{texture}, {noise.label}, {name}", *_rows(found)))
-            figures.append(_ratio(texture, noise, drawn))
+                    tables.append((f"{texture}, {noise.label}, {name}", *_rows(estimates)))
+            figures.append(_ratio(texture, noise, estimates_by_case))
         progress(0.85 * (number + 1) / (1 + len(TEXTURES)))
     levels = range(0, BLUR_LEVELS, EVERY)
-    made = Strips(TEXTURE, levels, kernels[list(levels)], camera, LIGHT)
+    subject = Strips(TEXTURE, levels, kernels[list(levels)], camera, LIGHT)
     for noise in (noise for noise in NOISES if noise.name in PUBLISHED):
-        found = made.estimates(noise, kernels, SCORES["published-diagonals"], seed)
+        estimates = subject.estimates(noise, kernels, SCORES["published-diagonals"], seed)
         label = f"published-diagonals.{TEXTURE}.{noise.name}"
-        figures += _figures(label, f"{TEXTURE}, {noise.label}, published diagonals", found)
+        figures += _figures(label, f"{TEXTURE}, {noise.label}, published diagonals", estimates)
     figures += _between(camera, kernels, seed)
     progress(1.0)
     caption = f"Mean and standard deviation of the estimated level against the true one, {TEXTURE} (compare Fig. 10)"
-    pictures = [(caption, _fig_10({noise.name: noise.label for noise in NOISES}, drawn))]
-    pictures.append(("Root mean square error over the Cramer-Rao bound, by texture", _by_texture(drawn)))
+    pictures = [(caption, _fig_10({noise.name: noise.label for noise in NOISES}, estimates_by_case))]
+    pictures.append(("Root mean square error over the Cramer-Rao bound, by texture", _by_texture(estimates_by_case)))
     return Evidence(figures, pictures=pictures, tables=tables)
 
 
 def staircase_camera(progress: ShareDone, seed: int = 0, methods: Sequence[NamedMethod] = METHODS) -> Evidence:
-    """Through the whole camera, levels are estimated better than by the closest prior work.
+    """With the complete camera, levels are estimated better than by the closest prior work.
 
-    Rationale: the second half of Fig. 10: a comparison with Chakrabarti and Zickler on equal terms.
+    Rationale: the second half of Fig. 10 is a comparison with Chakrabarti and Zickler on equal terms.
 
-    Set-up: the scene staircase:LEVEL (gravel) at each of the 29 levels, central 160 x 160 px of da-mobile focused at
-    2 m, rendered once for all seeds; exposed so that the texture's white paper gives 5,000, 2,500 and 1,250 green
-    electrons; sensor model with mosaic and photon noise. Raw levels of the colour planes' blocks, 45 px from the
-    border, that show an edge, the same for all; the same bank, patches and band of edges for all. Presets paper and
-    likelihood, and chakrabarti-zickler with the right and with the published diagonals. The Cramer-Rao bound is that
-    of the two planes' samples, green and infrared, from the sharp picture's spectrum and the data sheet's noise at its
-    mean; what green aliases near focus is left out.
+    Set-up: the scene staircase:LEVEL (gravel) at each of the 29 levels, central 160 x 160 px of da-mobile focused at 2
+    m, rendered once for all seeds. Exposures give 5,000, 2,500 and 1,250 green electrons on the texture's white paper;
+    the sensor model adds mosaic and photon noise. Raw levels of the blocks of the colour planes are scored where they
+    show an edge, 45 px from the border, at the same blocks for all methods; bank, patches and band of edges are the
+    same for all. Presets paper and likelihood, and chakrabarti-zickler with the correct and with the published
+    diagonals. The Cramer-Rao bound is that of the samples of two planes, green and infrared, from the spectrum of the
+    sharp picture and the noise of the data sheet at its mean; it neglects aliasing in green near focus.
 
-    Expectation: mean absolute error over the levels, and over those below 4, relative to chakrabarti-zickler's. Root
-    mean square error over the bound, from level 1 on.
+    Expectation: the figures are the mean absolute error over all levels, and over those below 4, relative to
+    chakrabarti-zickler, and the root mean square error over the bound, from level 1 on.
 
-    Limit: below 1 at every noise level; at small blur below 0.9 for the preset paper, below 0.7 for likelihood. Error
-    over bound of preset paper from 0.9 to 2.3.
+    Limit: below 1 at every noise level; at small blur below 0.9 for the preset paper and below 0.7 for likelihood.
+    Error over bound from 0.9 to 2.3 for preset paper.
 
     Source: sec. 6.1: more accurate, particularly when the blur is small, and more robust to noise.
     """
@@ -159,26 +164,26 @@ def staircase_camera(progress: ShareDone, seed: int = 0, methods: Sequence[Named
     estimators: dict[str, Settings | NamedMethod] = {**SCORES} if ours else {PRIOR: SCORES[PRIOR], **users}
     figures: list[Figure] = []
     tables: list[Any] = []
-    drawn: dict[tuple[str, str, str], list[Estimates]] = {}
+    estimates_by_case: dict[tuple[str, str, str], list[Estimates]] = {}
     for number, white_e in enumerate(WHITE_E):
         means = {}
         scaled = [(mean * white_e / white, sharp * white_e / white) for mean, sharp in rates]
         table = _camera_bounds(camera, np.stack([sharp for _, sharp in scaled]))
         for name, estimator in estimators.items():
-            found = [
+            estimates = [
                 _camera_levels(pair, camera, (level, seed), bank, estimator, table[:, level])
                 for level, pair in enumerate(scaled)
             ]
-            drawn[TEXTURE, f"{white_e:g}", name] = found
+            estimates_by_case[TEXTURE, f"{white_e:g}", name] = estimates
             label, case = f"{name}.white-{white_e:g}", f"white at {white_e:g} electrons, {name}"
-            own = _figures(label, case, found)
-            small = [float(np.abs(one.error).mean()) for one in found[:SMALL_BLUR] if one.error.size]
+            case_figures = _figures(label, case, estimates)
+            small = [float(np.abs(one.error).mean()) for one in estimates[:SMALL_BLUR] if one.error.size]
             text = f"{case}: mean absolute error of levels below {SMALL_BLUR}"
-            own.append(Figure(f"{label}.error-small", float(np.mean(small)), "levels", text))
-            means[name] = {one.id.rpartition(".")[2]: one.value for one in own}
+            case_figures.append(Figure(f"{label}.error-small", float(np.mean(small)), "levels", text))
+            means[name] = {one.id.rpartition(".")[2]: one.value for one in case_figures}
             if ours or name != PRIOR:
-                figures += own
-                tables.append((case, *_rows(found)))
+                figures += case_figures
+                tables.append((case, *_rows(estimates)))
         prior = means[PRIOR]
         for name in OURS if ours else (method.name for method in methods):
             for key, error in (("ratio", "error"), ("ratio-small", "error-small")):
@@ -187,7 +192,7 @@ def staircase_camera(progress: ShareDone, seed: int = 0, methods: Sequence[Named
         progress(0.7 + 0.3 * (number + 1) / len(WHITE_E))
     caption = "Mean and standard deviation of the estimated level against the true one, rendered (compare Fig. 10)"
     panels = {f"{white_e:g}": f"white at {white_e:g} electrons" for white_e in WHITE_E}
-    return Evidence(figures, pictures=[(caption, _fig_10(panels, drawn))] if ours else [], tables=tables)
+    return Evidence(figures, pictures=[(caption, _fig_10(panels, estimates_by_case))] if ours else [], tables=tables)
 
 
 def _camera_levels(
@@ -198,9 +203,10 @@ def _camera_levels(
     estimator: Settings | NamedMethod,
     table: FloatArray,
 ) -> Estimates:
-    """Raw levels of a noisy capture of mean electrons [h, w, channel]; the second picture is the sharp one.
+    """Raw levels of a noisy capture of mean electrons [h, w, channel]; the second of ``pictures`` is the sharp one.
 
-    Which pixels show an edge is told by the settings of the pipeline's own score, for a user's method by the paper's.
+    The settings of the pipeline's own score determine which pixels show an edge; a user's method takes those of the
+    paper.
     """
     kernels = bank.kernel[bank.lights.index(LIGHT)]
     (mean_e, sharp_e), (level, seed) = pictures, level_and_seed
@@ -217,17 +223,17 @@ def _camera_levels(
         variance = mosaic.noise_variance(capture).at(smooth)
         channels.append(Channel(plane, places[name], variance, kernels[:, CHANNELS.index(name)]))
     settings = estimator if isinstance(estimator, Settings) else SCORES[OURS[0]]
-    found, edge = strips.levels_of(channels[0], channels[1], settings, PLANE_SPACING_PX)
+    score_map, edge = strips.levels_of(channels[0], channels[1], settings, PLANE_SPACING_PX)
     green = sharp_e[..., CHANNELS.index("G")].astype(np.float64)
     spacing, border = round(PLANE_SPACING_PX), strips.BORDER_PX
     strength = strips.strength_of(green) * green.mean() / strips.patch_mean(green)  # shot noise rises with brightness
     # the planes' samples stand in the middle of blocks; the strength changes little over one
     inner = slice(round(border / spacing), -round(border / spacing))
     if isinstance(estimator, NamedMethod):
-        found = on_blocks(estimated(capture, bank, estimator), bank)[0][inner, inner].astype(np.float64)
-        edge = edge & np.isfinite(found)
+        score_map = on_blocks(estimated(capture, bank, estimator), bank)[0][inner, inner].astype(np.float64)
+        edge = edge & np.isfinite(score_map)
     near = strength[::spacing, ::spacing][inner, inner][edge]
-    return Estimates(float(level), found[edge] - level, strips.bound_of(table, near), float(edge.mean()))
+    return Estimates(float(level), score_map[edge] - level, strips.bound_of(table, near), float(edge.mean()))
 
 
 def _camera_bounds(camera: Camera, sharp_e: NDArray) -> FloatArray:
@@ -252,63 +258,74 @@ def _camera_bounds(camera: Camera, sharp_e: NDArray) -> FloatArray:
 # --- figures of strips ---------------------------------------------------------------------------
 
 
-def _figures(label: str, case: str, found: Sequence[Estimates]) -> list[Figure]:
-    """Bias, deviation and error over the levels that show enough edges, their share, and the error over the bound."""
-    seen = [one for one in found if one.error.size >= FEWEST_PX]
-    share = float(np.mean([one.coverage for one in found]))
-    what = f"{case}: mean over {len(seen)} of {len(found)} levels of the"
+def _figures(label: str, case: str, estimates: Sequence[Estimates]) -> list[Figure]:
+    """Bias, deviation and error over the levels with enough edges, the share of these levels, and the error over the
+    bound.
+    """
+    measurable = [one for one in estimates if one.error.size >= FEWEST_PX]
+    share = float(np.mean([one.coverage for one in estimates]))
+    what = f"{case}: mean over {len(measurable)} of {len(estimates)} levels of the"
     bias, deviation, error = (
-        float(np.mean([measure(one.error) for one in seen])) if seen else float("nan")
+        float(np.mean([measure(one.error) for one in measurable])) if measurable else float("nan")
         for measure in (lambda e: abs(e.mean()), np.std, lambda e: np.abs(e).mean())
     )
     return [
         Figure(f"{label}.bias", bias, "levels", f"{what} absolute bias"),
         Figure(f"{label}.deviation", deviation, "levels", f"{what} standard deviation"),
         Figure(f"{label}.error", error, "levels", f"{what} absolute error"),
-        Figure(f"{label}.levels", len(seen) / len(found), "1", f"{case}: share of levels with {FEWEST_PX} edge pixels"),
+        Figure(
+            f"{label}.levels",
+            len(measurable) / len(estimates),
+            "1",
+            f"{case}: share of levels with {FEWEST_PX} edge pixels",
+        ),
         Figure(f"{label}.edges", share, "1", f"{case}: share of pixels that show an edge"),
-        Figure(f"{label}.to-bound", to_bound(seen), "1", f"{case}: root mean square error over the Cramer-Rao bound"),
+        Figure(
+            f"{label}.to-bound", to_bound(measurable), "1", f"{case}: root mean square error over the Cramer-Rao bound"
+        ),
     ]
 
 
-def to_bound(found: Sequence[Estimates]) -> float:
-    """Mean over the levels from 1 on of the root mean square error, over the mean of the bound; NaN for none."""
-    seen = [one for one in found if one.error.size >= FEWEST_PX and one.level >= 0.5]
-    if not seen:
+def to_bound(estimates: Sequence[Estimates]) -> float:
+    """Root mean square error, averaged over the levels from 1 on, relative to the mean bound; NaN without any."""
+    measurable = [one for one in estimates if one.error.size >= FEWEST_PX and one.level >= 0.5]
+    if not measurable:
         return float("nan")
-    return float(np.mean([np.sqrt(np.mean(e.error**2)) for e in seen]) / np.mean([e.bound for e in seen]))
+    return float(np.mean([np.sqrt(np.mean(e.error**2)) for e in measurable]) / np.mean([e.bound for e in measurable]))
 
 
-def _ratio(texture: str, noise: Noise, drawn: dict[tuple[str, str, str], list[Estimates]]) -> Figure:
-    """Error of preset paper over that of chakrabarti-zickler."""
-    own, prior = (
-        float(np.mean([np.abs(e.error).mean() for e in drawn[texture, noise.name, name] if e.error.size >= FEWEST_PX]))
+def _ratio(texture: str, noise: Noise, estimates: dict[tuple[str, str, str], list[Estimates]]) -> Figure:
+    """Error of preset paper relative to that of chakrabarti-zickler."""
+    by_method, prior = (
+        float(
+            np.mean([np.abs(e.error).mean() for e in estimates[texture, noise.name, name] if e.error.size >= FEWEST_PX])
+        )
         for name in ("paper", "chakrabarti-zickler")
     )
     case = f"{texture}, {noise.label}: mean absolute error of paper over that of chakrabarti-zickler"
-    return Figure(f"paper.{texture}.{noise.name}.ratio", own / prior, "1", case)
+    return Figure(f"paper.{texture}.{noise.name}.ratio", by_method / prior, "1", case)
 
 
 def _between(camera: Camera, kernels: NDArray, seed: int) -> list[Figure]:
-    """Errors over the bound at levels that are none of the bank's."""
+    """Errors over the bound at levels between those of the bank."""
     levels = [level + off for level in BETWEEN_LEVELS for off in BETWEEN]
-    own = strips.own_kernels(camera, levels, LIGHT, kernels.shape[-1])
-    made = Strips(TEXTURE, levels, own, camera, LIGHT)
+    kernels_between = strips.own_kernels(camera, levels, LIGHT, kernels.shape[-1])
+    subject = Strips(TEXTURE, levels, kernels_between, camera, LIGHT)
     figures = []
     for noise in (noise for noise in NOISES if noise.name in BETWEEN_NOISES):
         for name in OURS:
-            found = made.estimates(noise, kernels, SCORES[name], seed)
+            estimates = subject.estimates(noise, kernels, SCORES[name], seed)
             case = f"{TEXTURE}, {noise.label}, {name}, {len(levels)} levels between the bank's"
             text = f"{case}: root mean square error over the Cramer-Rao bound"
-            figures.append(Figure(f"{name}.between.{noise.name}.to-bound", to_bound(found), "1", text))
+            figures.append(Figure(f"{name}.between.{noise.name}.to-bound", to_bound(estimates), "1", text))
     return figures
 
 
-def _rows(found: Sequence[Estimates]) -> tuple[list[str], list[list[str]]]:
-    """A table's head and rows: a level each."""
+def _rows(estimates: Sequence[Estimates]) -> tuple[list[str], list[list[str]]]:
+    """Head and rows of a table with one level per row."""
     head = ["level", "mean", "standard deviation", "bound", "share with an edge"]
     rows = []
-    for one in found:
+    for one in estimates:
         mean, deviation = (one.error.mean(), one.error.std()) if one.error.size else (np.nan, np.nan)
         bound = f"{one.bound:.3f}" if one.level >= 0.5 else "-"
         rows.append([f"{one.level:g}", f"{one.level + mean:.3f}", f"{deviation:.3f}", bound, f"{one.coverage:.2f}"])
@@ -318,27 +335,31 @@ def _rows(found: Sequence[Estimates]) -> tuple[list[str], list[list[str]]]:
 # --- pictures ------------------------------------------------------------------------------------
 
 
-def _fig_10(panels: dict[str, str], drawn: dict[tuple[str, str, str], list[Estimates]], texture: str = TEXTURE) -> str:
-    """Above mean and standard deviation against the true level, below the standard deviation and the bound."""
+def _fig_10(
+    panels: dict[str, str], estimates: dict[tuple[str, str, str], list[Estimates]], texture: str = TEXTURE
+) -> str:
+    """Plot of mean and standard deviation against the true level (above), and of standard deviation
+    and bound (below).
+    """
 
     def draw(axes: Any) -> None:
         for column, (key, case) in enumerate(panels.items()):
             above, below = axes[0][column], axes[1][column]
             above.plot([0, BLUR_LEVELS - 1], [0, BLUR_LEVELS - 1], "--", color="#888888", linewidth=0.8)
             for shift, name in zip((-0.2, 0.0, 0.2), COMPARED, strict=True):
-                seen = [e for e in drawn[texture, key, name] if e.error.size >= FEWEST_PX]
+                measurable = [e for e in estimates[texture, key, name] if e.error.size >= FEWEST_PX]
                 level, mean, deviation = (
                     np.array(part)
                     for part in (
-                        [e.level for e in seen],
-                        [e.level + e.error.mean() for e in seen],
-                        [e.error.std() for e in seen],
+                        [e.level for e in measurable],
+                        [e.level + e.error.mean() for e in measurable],
+                        [e.error.std() for e in measurable],
                     )
                 )
                 style: dict[str, Any] = {"color": COLOURS[name], "label": name, "markersize": 2.5}
                 above.errorbar(level + shift, mean, deviation, fmt=".", elinewidth=0.9, **style)
                 below.semilogy(level, np.maximum(deviation, 1e-3), ".-", linewidth=0.7, **style)
-            known = [e for e in drawn[texture, key, OURS[0]] if e.error.size >= FEWEST_PX and e.level >= 0.5]
+            known = [e for e in estimates[texture, key, OURS[0]] if e.error.size >= FEWEST_PX and e.level >= 0.5]
             bound = [[e.level for e in known], [e.bound for e in known]]
             below.semilogy(*bound, color="black", linewidth=1.4, label="Cramer-Rao bound")
             above.set(title=case.replace(", ", ",\n"), xlim=(-1, BLUR_LEVELS), ylim=(-3, BLUR_LEVELS + 2))
@@ -350,14 +371,14 @@ def _fig_10(panels: dict[str, str], drawn: dict[tuple[str, str, str], list[Estim
     return plot(draw, columns=len(panels), rows=2, size=(2.9, 2.7))
 
 
-def _by_texture(drawn: dict[tuple[str, str, str], list[Estimates]]) -> str:
-    """Error over bound of every texture and preset, a panel for each noise."""
+def _by_texture(estimates: dict[tuple[str, str, str], list[Estimates]]) -> str:
+    """Plot of error over bound for every texture and preset, with one panel per noise."""
 
     def draw(axes: Any) -> None:
         textures = (TEXTURE, *TEXTURES)
         for panel, noise in zip(axes, NOISES, strict=True):
             for shift, name in zip((-0.2, 0.0, 0.2), COMPARED, strict=True):
-                value = [to_bound(drawn[texture, noise.name, name]) for texture in textures]
+                value = [to_bound(estimates[texture, noise.name, name]) for texture in textures]
                 panel.semilogy(np.arange(len(textures)) + shift, value, "o", color=COLOURS[name], label=name)
             panel.axhline(1.0, color="black", linewidth=1.0)
             panel.set(title=noise.label.replace(", ", ",\n"), ylim=(0.2, 60))

@@ -1,4 +1,4 @@
-"""Claim of depth resolution, measured: the smallest step of depth that the pipeline tells apart (sec. 6.3, Fig. 13)."""
+"""Claim on measured depth resolution: the smallest depth step that the pipeline resolves (sec. 6.3, Fig. 13)."""
 
 from __future__ import annotations
 
@@ -36,8 +36,8 @@ WINDOW_PX = 35  # the widest patch of the presets
 COLOURS = ("#0072b2", "#d55e00")
 
 
-class Told(NamedTuple):
-    """How a preset tells two planes apart."""
+class Assignment(NamedTuple):
+    """How well a preset distinguishes two planes."""
 
     step_levels: float
     right: float  # share of pixels assigned to their plane
@@ -46,25 +46,29 @@ class Told(NamedTuple):
 
 
 def measured_steps(progress: ShareDone, seed: int = 0, methods: Sequence[NamedMethod] = METHODS) -> Evidence:
-    """Two planes a fraction of a blur level apart are told apart: the paper's method resolves finer than its ladder.
+    """Two planes a fraction of a blur level apart are distinguished: the paper's method resolves finer steps than its
+    levels.
 
-    Rationale: Fig. 13 says what levels can tell apart; whether the reconstruction does is another question.
+    Rationale: Fig. 13 states what levels can distinguish; whether the reconstruction achieves it is another question.
 
     Set-up: the scene depth-steps (gravel, two halves), 256 x 192 px of da-mobile and da-8mm focused at 100 m, at
-    distances within each lens's bank; steps of 0.2, 0.4, 0.8 and 1.6 blur levels. Raw levels of presets paper and bands
-    (the default), of pixels whose patch and blur see one plane alone. Each pixel is assigned to that of the two
-    known planes whose level is nearer to its own: two alternatives, the threshold in the middle, so that bias counts.
-    Guessing gives one half. The measured step is where three quarters of the textured pixels (those with a raw level)
-    are right, the two planes counting the same, by a straight line between the steps in the logarithm of the step. "In
-    order": where three quarters of all pairs, a pixel of each plane, are in the right order, which no bias harms.
+    distances within each lens's bank, with steps of 0.2, 0.4, 0.8 and 1.6 blur levels. Raw levels of presets paper and
+    bands (the default) are scored at pixels whose patch and blur contain one plane only. Each pixel is assigned to the
+    one of the two known planes whose level is nearer to its own: a choice of two alternatives with the threshold
+    halfway, so that bias counts. Guessing gives one half. The measured step is the one at which three quarters of the
+    textured pixels (those with a raw level) are right, with equal weight for both planes, by linear interpolation over
+    the logarithm of the step. "In order" is the step at which three quarters of all pairs, one pixel of each plane, are
+    in the right order; bias does not affect it.
 
-    Expectation: against Fig. 13's half pixel of blur (d^2 N p / 2 f^2); against half a level, 1.85 times coarser, the
-    definition that a measured resolution is held to; and one level, the step of the ladder. Preset bands is biased
-    here towards less blur (0.4 levels at level 3.7; at level 1.8 it sees focus), and at 40 cm with the 8 mm lens few
-    pixels get a level: it orders planes, and assigns them wrong. It is reported.
+    Expectation: the measured step is compared with the half pixel of blur of Fig. 13 (d^2 N p / 2 f^2); with half a
+    level, which is 1.85 times coarser and the definition for a measured resolution; and with one level, the spacing of
+    the bank. Preset bands is biased here towards less blur (0.4 levels at level 3.7; at level 1.8 it returns focus),
+    and few pixels have a level at 40 cm with the 8 mm lens: it orders the planes but assigns them wrongly. It is
+    reported without limit.
 
-    Limit: preset paper: at most one level at each distance, half a level on the median over lenses and distances. At
-    80 cm with the 3.6 mm lens the far plane of the largest step lies in focus, where no level is told well: reported.
+    Limit: for preset paper at most one level at each distance, and half a level in the median over lenses and
+    distances. At 80 cm with the 3.6 mm lens the far plane of the largest step is in focus, where levels are unreliable;
+    it is reported without limit.
 
     Source: Fig. 13, sec. 6.3; 75 % of a two-alternative choice is the usual threshold of psychophysics.
     """
@@ -75,27 +79,29 @@ def measured_steps(progress: ShareDone, seed: int = 0, methods: Sequence[NamedMe
     ratios: dict[str, list[float]] = {method.name: [] for method in methods}
     for number, (name, depth_cm) in enumerate(jobs):
         camera = cameras.refocused(dasim.cropped(dasim.load_camera(name), *SIZE_PX), FOCUS_M)
-        told: dict[str, list[Told]] = {method.name: [] for method in methods}
+        assignments: dict[str, list[Assignment]] = {method.name: [] for method in methods}
         for part, step in enumerate(STEPS):
             for preset, one in _photographed(camera, depth_cm / 100, step, seed, methods).items():
-                told[preset].append(one)
+                assignments[preset].append(one)
             progress((number + (part + 1) / len(STEPS)) / len(jobs))
         half_px, ladder = 100 * first_order_m(camera, depth_cm / 100), 100 * step_m(camera, depth_cm / 100, 1.0)
         cells = []
-        for preset, found in told.items():
-            levels = threshold(STEPS, [one.right for one in found])
+        for preset, by_step in assignments.items():
+            levels = threshold(STEPS, [one.right for one in by_step])
             measured = 100 * step_m(camera, depth_cm / 100, levels)
             label, case = f"{preset}.{LENSES[name]}.{depth_cm:g}cm", f"{LENSES[name]} lens at {depth_cm:g} cm, {preset}"
             ratios[preset].append(levels)
-            by_order = threshold(STEPS, [one.ordered for one in found])
+            by_order = threshold(STEPS, [one.ordered for one in by_step])
             figures += [
                 Figure(f"{label}.ordered", by_order, "level", f"{case}: step at which 75 % of pairs are in order"),
                 Figure(f"{label}.step", measured, "cm", f"{case}: step told apart at 75 % of textured pixels"),
                 Figure(f"{label}.levels", levels, "level", f"{case}: that step in blur levels"),
-                Figure(f"{label}.textured", min(one.textured for one in found), "1", f"{case}: pixels with raw level"),
+                Figure(
+                    f"{label}.textured", min(one.textured for one in by_step), "1", f"{case}: pixels with raw level"
+                ),
             ]
             cells += [_cell(levels, measured), _cell(by_order, 100 * step_m(camera, depth_cm / 100, by_order))]
-            curves[label] = [one.right for one in found]
+            curves[label] = [one.right for one in by_step]
         by_level = half_px / (1 - geometry.hole_ratio(camera))
         rows.append([LENSES[name], f"{depth_cm:g}", f"{half_px:.3g}", f"{by_level:.3g}", f"{ladder:.3g}", *cells])
     for preset, all_levels in ratios.items():
@@ -117,30 +123,33 @@ def _cell(levels: float, step_cm: float) -> str:
 
 
 def step_m(camera: Camera, depth_m: float, levels: float) -> float:
-    """Distance behind a depth at which blur is so many levels less; NaN beyond the focus."""
+    """Distance behind ``depth_m`` at which the blur is ``levels`` levels less; NaN beyond the focus."""
     blur = float(geometry.blur_px(camera, depth_m)) - levels * float(geometry.level_blur_px(camera)[1])
     return float(geometry.depth_of_blur_m(camera, blur)) - depth_m if blur > 0 else float("nan")
 
 
-def assigned(level: NDArray, near: NDArray[np.bool_], far: NDArray[np.bool_], known: tuple[float, float]) -> Told:
-    """How well raw levels [h, w] (NaN for none) tell two planes, given where each is and their known levels.
+def assigned(level: NDArray, near: NDArray[np.bool_], far: NDArray[np.bool_], known: tuple[float, float]) -> Assignment:
+    """How well raw levels [h, w] (NaN for none) distinguish two planes, given their masks and known levels.
 
-    A level exactly in the middle, and a pair of equal levels, count one half.
+    A level exactly halfway, and a pair of equal levels, count one half.
     """
     middle = (known[0] + known[1]) / 2
     first, second = level[near & np.isfinite(level)], level[far & np.isfinite(level)]
     textured = (first.size + second.size) / max(int(near.sum() + far.sum()), 1)
     if not first.size or not second.size:
-        return Told(known[0] - known[1], float("nan"), float("nan"), textured)
+        return Assignment(known[0] - known[1], float("nan"), float("nan"), textured)
     right = [np.mean(np.sign(first - middle)), np.mean(np.sign(middle - second))]
     below = np.searchsorted(np.sort(second), first, side="left") + np.searchsorted(np.sort(second), first, side="right")
-    return Told(known[0] - known[1], float(0.5 + np.mean(right) / 2), float(below.mean() / 2 / second.size), textured)
+    return Assignment(
+        known[0] - known[1], float(0.5 + np.mean(right) / 2), float(below.mean() / 2 / second.size), textured
+    )
 
 
 def threshold(steps: tuple[float, ...], right: list[float]) -> float:
-    """Smallest step from which on the share of right answers keeps to ``RIGHT_SHARE``, interpolated; NaN for none.
+    """Smallest step above which the share of right answers stays at ``RIGHT_SHARE`` or more, interpolated; NaN if there
+    is none.
 
-    The smallest step tried where that is enough already: an upper limit.
+    If the smallest step tried is sufficient, it is the result, and thus an upper limit.
     """
     enough = np.array(right) >= RIGHT_SHARE
     if not enough[-1]:
@@ -155,8 +164,8 @@ def threshold(steps: tuple[float, ...], right: list[float]) -> float:
 
 def _photographed(
     camera: Camera, depth_m: float, step: float, seed: int, methods: Sequence[NamedMethod]
-) -> dict[str, Told]:
-    """What each method tells of two planes ``step`` levels apart."""
+) -> dict[str, Assignment]:
+    """How well each method distinguishes two planes that are ``step`` levels apart."""
     scene = steps_scene(100 * depth_m, 100 * step_m(camera, depth_m, step))
     shot = photographed(scene, camera, seed, spp=SPP)
     bank = recon.calibrate(dasim.calibration_captures(camera, diffraction=shot.capture.provenance["diffraction"]))

@@ -69,8 +69,8 @@ def balance(progress: ShareDone) -> Evidence:
                 error[row, column, number], snr[row, column, number] = depth_error(holed, light, level_lux, part)
         progress((number + 1) / len(ALPHAS))
     loss = [stops.light_loss([(1, alpha)], 4) for alpha in ALPHAS]
-    own = ALPHAS.index(PAPERS)
-    figures = [Figure("light-loss", loss[own], "1", "share of the light lost with a hole of 0.46, eq. (1)")]
+    papers_place = ALPHAS.index(PAPERS)
+    figures = [Figure("light-loss", loss[papers_place], "1", "share of the light lost with a hole of 0.46, eq. (1)")]
     rows = []
     for row, (name, level_lux) in enumerate(LEVELS_LUX.items()):
         for column, light in enumerate(LIGHTS):
@@ -80,18 +80,26 @@ def balance(progress: ShareDone) -> Evidence:
             ratio_text = f"{case}: depth error at 0.46 over the minimum"
             figures += [
                 Figure(f"{label}.best-hole", best, "1", f"{case}: radius ratio with the least depth error"),
-                Figure(f"{label}.cost", float(curve[own] / least), "1", ratio_text),
-                Figure(f"{label}.error", float(curve[own]), "1/m", f"{case}: depth error at 0.46, Cramer-Rao bound"),
+                Figure(f"{label}.cost", float(curve[papers_place] / least), "1", ratio_text),
                 Figure(
-                    f"{label}.snr", float(snr[row, column, own]), "1", f"{case}: signal-to-noise ratio of IR at 0.46"
+                    f"{label}.error",
+                    float(curve[papers_place]),
+                    "1/m",
+                    f"{case}: depth error at 0.46, Cramer-Rao bound",
+                ),
+                Figure(
+                    f"{label}.snr",
+                    float(snr[row, column, papers_place]),
+                    "1",
+                    f"{case}: signal-to-noise ratio of IR at 0.46",
                 ),
             ]
             if name == "bright":
                 for key, index in (("small-hole", 0), ("large-hole", -1)):
                     text = f"{case}: depth error with a hole of {ALPHAS[index]} over that with 0.46"
-                    figures.append(Figure(f"{label}.{key}", float(curve[index] / curve[own]), "1", text))
-            cells = [f"{best:.2f}", f"{curve[own] / least:.2f}", f"{curve[own]:.3f}"]
-            rows.append([light, f"{level_lux:g}", *cells, f"{snr[row, column, own]:.1f}"])
+                    figures.append(Figure(f"{label}.{key}", float(curve[index] / curve[papers_place]), "1", text))
+            cells = [f"{best:.2f}", f"{curve[papers_place] / least:.2f}", f"{curve[papers_place]:.3f}"]
+            rows.append([light, f"{level_lux:g}", *cells, f"{snr[row, column, papers_place]:.1f}"])
     head = [
         "light",
         "lux",

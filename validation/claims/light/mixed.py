@@ -86,14 +86,14 @@ def mixed_lights(progress: ShareDone) -> Evidence:
     """Lights of different spectra give the pictures that tracing all light gives.
 
     Rationale: irradiance from domes and from other surfaces is interpolated over wavelength relative to the spectrum of
-    its source. If one spectrum served for all sources, the spectral lines of a lamp would stand in the light of a dome:
-    with a D65 dome and an F11 lamp, colours would be off by a tenth.
+    its source. If one spectrum served for all sources, the spectral lines of a lamp would appear in the light of a
+    dome: with a D65 dome and an F11 lamp, colours would be off by a tenth.
 
     Set-up: a table before a wall below a ceiling, with a ball and a card, in four lights: a D65 dome with an F11 lamp
     that shines at the ceiling, an energy-saving dome with a D65 lamp, a D65 dome with an A lamp, and daylight, whose
-    sun and sky differ; and a Mitsuba scene alike, whose only lamp has the F11 spectrum of the CIE's table at 5 nm. The
-    camera is da-mobile with 96 x 72 coarse pixels, diffraction off. Two captures of 256 samples per pixel (``mean_e``
-    of ``dasim.simulate``), and two renders of 2,048 samples without any interpolation.
+    sun and sky differ; and a similar Mitsuba scene, whose only lamp has the F11 spectrum of the CIE's table at 5 nm.
+    The camera is da-mobile with 96 x 72 coarse pixels, diffraction off. Two captures of 256 samples per pixel
+    (``mean_e`` of ``dasim.simulate``), and two renders of 2,048 samples without any interpolation.
 
     Expectation: means over blocks of 8 x 8 pixels agree within rendering noise. The noise is estimated from the
     difference within each pair, and its variance is subtracted from the mean square difference.

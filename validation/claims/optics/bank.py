@@ -62,8 +62,8 @@ def energy_errors(measured: PsfBank) -> FloatArray:
     error = np.empty((len(measured.lights), len(LEVELS), len(CHANNELS)))
     for number in range(len(measured.lights)):
         for place, level in enumerate(LEVELS):
-            own, _ = kernels_at(place, (0.0, 0.0), number)
-            true = own / own.sum(axis=(-1, -2), keepdims=True)
+            reference, _ = kernels_at(place, (0.0, 0.0), number)
+            true = reference / reference.sum(axis=(-1, -2), keepdims=True)
             estimate = measured.kernel[number, level].astype(np.float64)
             error[number, place] = np.abs(encircled(estimate) - encircled(true)).max(axis=-1)
     return error

@@ -72,8 +72,8 @@ def expected_moments(camera: Camera, blur_px: float) -> FloatArray:
     It follows from the lens's data sheet and from the share of electrons that each stop contributes.
     """
     share = rendering.stop_electrons(camera, illuminants.illuminant("D65") * library.reflectance("white-paper"))
-    own = np.array(STOP_RATIOS) * blur_px
-    return (share * (own**2)[:, None]).sum(axis=0) / 16 + SOURCE_RADIUS_PX**2 / 4 + 1 / 12
+    stop_blur_px = np.array(STOP_RATIOS) * blur_px
+    return (share * (stop_blur_px**2)[:, None]).sum(axis=0) / 16 + SOURCE_RADIUS_PX**2 / 4 + 1 / 12
 
 
 def _moments(camera: Camera, blur_px: float) -> tuple[FloatArray, FloatArray]:

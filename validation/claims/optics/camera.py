@@ -76,10 +76,10 @@ def response_curves(progress: ShareDone) -> Evidence:
     through = radiometry.response(camera) / radiometry.response(camera).max()
 
     def draw(axes):  # type: ignore[no-untyped-def]
-        for panel, shown, title in zip(
+        for panel, curves_of_panel, title in zip(
             axes, (curves, through), ("sensor with its cut-off filter", "whole camera"), strict=True
         ):
-            for name, curve in zip(CHANNELS, shown, strict=True):
+            for name, curve in zip(CHANNELS, curves_of_panel, strict=True):
                 panel.plot(grid.WAVELENGTH_NM, curve, color=CHANNEL_COLOURS[name], label=name)
             panel.axvspan(*grid.NEAR_INFRARED_NM, color="0.9", zorder=0)
             panel.set(title=title, xlabel="wavelength in nm", ylim=(0, None))
@@ -344,9 +344,9 @@ def _headroom_and_floor(camera: Camera, spectrum: FloatArray, alpha: FloatArray)
             low, high = (middle, high) if clipped[channel] <= CLIPPED_SHARE else (low, middle)
         brightest, _ = planes(signal / signal[channel] * noise.saturation_e(body) * low)
         headroom[channel] = brightest[channel].mean() * (1 - share[channel])
-        own, other = dark[channel], dark[3] if "IR" in names else dark[channel]
-        count = min(len(own), len(other))
-        floor[channel] = (own[:count] - infrared[channel] * other[:count]).std()
+        channel_floor, other = dark[channel], dark[3] if "IR" in names else dark[channel]
+        count = min(len(channel_floor), len(other))
+        floor[channel] = (channel_floor[:count] - infrared[channel] * other[:count]).std()
     return np.stack([headroom, floor])
 
 

@@ -93,21 +93,21 @@ def furnaces() -> dict[str, tuple[Camera, Scene]]:
     """Cameras and scenes of :func:`depth_step_furnace` by name."""
     camera = _camera("da-mobile", FURNACE_SIZE_PX)
     far = _plane("far", camera, FAR_BLUR_PX)
-    found = {f"two-{blur:g}px": (camera, _lit([_plane("near", camera, blur, to_px=0.0), far])) for blur in STEPS_PX}
+    scenes = {f"two-{blur:g}px": (camera, _lit([_plane("near", camera, blur, to_px=0.0), far])) for blur in STEPS_PX}
     middle = _plane("middle", camera, 6.0, to_px=12.0)
     corner = cameras.cropped("da-mobile", *FURNACE_SIZE_PX, at_px=CORNER_PX)
     edge_px = FURNACE_SIZE_PX[0] / 2 - cameras.principal_point(corner.sensor)[0]
-    found["corner"] = corner, _lit([_plane("near", corner, 17.0, to_px=edge_px), far])
-    found["three"] = camera, _lit([_plane("near", camera, 17.0, to_px=-12.0), middle, far])
+    scenes["corner"] = corner, _lit([_plane("near", corner, 17.0, to_px=edge_px), far])
+    scenes["three"] = camera, _lit([_plane("near", camera, 17.0, to_px=-12.0), middle, far])
     # The sun stands between the two normals, so both planes receive the same.
     slanted = _plane("near", camera, 17.0, to_px=0.0, wide_cm=SLANTED_CM, turn_deg=-SLANT_DEG)
-    found["slanted"] = camera, _lit([slanted, far], azimuth_deg=180.0 - SLANT_DEG / 2)
+    scenes["slanted"] = camera, _lit([slanted, far], azimuth_deg=180.0 - SLANT_DEG / 2)
     edges = (np.arange(BARS) - (BARS - 1) / 2) * 3 * BAR_PX
     bar_cm = BAR_PX * rendering.pixel_at_m(camera, rendering.depth_m(camera, 12.0)) * 100
     fence = [_plane(f"bar {k}", camera, 12.0, to_px=at + BAR_PX / 2, wide_cm=bar_cm) for k, at in enumerate(edges)]
-    found["fence"] = camera, _lit([*fence, far])
+    scenes["fence"] = camera, _lit([*fence, far])
     near = _camera("da-mobile", FURNACE_SIZE_PX, focus_distance_m=0.1)
-    found["behind-focus"] = near, _lit([_plane("near", near, -4.0, to_px=0.0), _plane("far", near, -12.0)])
+    scenes["behind-focus"] = near, _lit([_plane("near", near, -4.0, to_px=0.0), _plane("far", near, -12.0)])
     corners = [[float(np.sin(turn)), float(np.cos(turn))] for turn in np.arange(6) * np.pi / 3]
     hexagon = {
         "name": "hexagon",
@@ -117,8 +117,8 @@ def furnaces() -> dict[str, tuple[Camera, Scene]]:
         "edge_width_nm": 8,
     }
     shaped = rendering.changed(camera, stops=[hexagon, camera.stops[1].model_dump()])
-    found["hexagon"] = shaped, _lit([_plane("near", shaped, 10.0, to_px=0.0), _plane("far", shaped, FAR_BLUR_PX)])
-    return found
+    scenes["hexagon"] = shaped, _lit([_plane("near", shaped, 10.0, to_px=0.0), _plane("far", shaped, FAR_BLUR_PX)])
+    return scenes
 
 
 def furnace_figures(picture: FloatArray, plain: FloatArray) -> tuple[FloatArray, float]:

@@ -200,8 +200,8 @@ def reference_picture(camera: Camera) -> tuple[FloatArray, FloatArray, NDArray[n
         stripe = np.floor(on_far @ _normal(STRIPE_TURN_DEG) / stripe_m).astype(int) % 2
         far_light = np.where(stripe == 0, bright, dark) * _illuminance(on_far, far_m)
         near_light = near * _illuminance(on_near, near_m)
-        seen = np.where(hidden, near_light, far_light)
-        halves[:, y, x] = seen.reshape(2, -1).mean(axis=1)
+        visible = np.where(hidden, near_light, far_light)
+        halves[:, y, x] = visible.reshape(2, -1).mean(axis=1)
         covered[y, x] = hidden.mean()
         layered[y, x] = covered[y, x] * near_light.mean() + (1 - covered[y, x]) * far_light.mean()
     y, x = np.indices((height, width)) + 0.5

@@ -1,4 +1,4 @@
-"""Claims of the all-in-focus picture: what deconvolution gains over the capture, and what refocusing makes of it."""
+"""Claims on the all-in-focus picture: the gain of deconvolution over the capture, and the quality of refocusing."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ LEAST_PX = 1000  # of an object away from boundaries, for the focus to be set on
 
 
 def _shot(name: str, seed: int) -> tuple[Shot, PsfBank]:
-    """A bundled scene with its own focus, central part of the frame, with sensor noise; and the camera's bank."""
+    """Capture, with sensor noise, of the central part of a bundled scene at its own focus, and the camera's bank."""
     rendering.needs_wave()
     scene = dasim.load_scene(name)
     camera = dasim.focused(dasim.cropped(dasim.load_camera("da-mobile"), *SHARP_SIZE_PX), scene)
@@ -53,17 +53,17 @@ def _shot(name: str, seed: int) -> tuple[Shot, PsfBank]:
 def all_in_focus(progress: ShareDone, seed: int = 0, methods: Sequence[NamedMethod] = METHODS) -> Evidence:
     """The all-in-focus picture is nearer to the sharp truth than the capture is, at every blur.
 
-    Rationale: deconvolution by a kernel that depth has told must not only look sharp, it must be right.
+    Rationale: deconvolution with the kernel of an estimated depth must be right, not only look sharp.
 
     Set-up: desk, flowers and adam, central 384 x 288 px of da-mobile with sensor noise; the presets bands and paper,
-    which find levels in two ways, on the raw mosaic. PSNR of linear colours without infrared, capture and
-    all-in-focus picture, each against the pinhole's ``sharp_e``, over pixels away from boundaries. Boundaries are
-    reported apart.
+    which estimate levels in two ways, on the raw mosaic. PSNR is that of linear colours without infrared, of the
+    capture and of the all-in-focus picture, each against ``sharp_e`` of the pinhole, over pixels away from boundaries.
+    Boundaries are reported separately.
 
-    Expectation: a gain in dB in each bin of visible blur with at least 2 % of the frame's pixels.
+    Expectation: a gain in dB in each bin of visible blur that holds at least 2 % of the frame's pixels.
 
-    Limit: of the preset bands 2.5 dB at 3 to 10 px in all three scenes, 0.5 dB at 10 to 25 px in desk, no loss in
-    any bin of 5 px. The preset paper is reported: where its levels are wrong near the focus, it loses.
+    Limit: for the preset bands 2.5 dB at 3 to 10 px in all three scenes, 0.5 dB at 10 to 25 px in desk, and no loss in
+    any bin of 5 px. The preset paper is reported without limit: it loses where its levels are wrong near the focus.
 
     Source: sec. 5.4, Fig. 11.
     """
@@ -72,8 +72,8 @@ def all_in_focus(progress: ShareDone, seed: int = 0, methods: Sequence[NamedMeth
         shot, bank = _shot(name, seed)
         for method in methods:
             result = reconstructed(shot.capture, bank, method)
-            found, table = gains(f"{method}.{name}", result, shot.truth)
-            figures += found
+            gain_figures, table = gains(f"{method}.{name}", result, shot.truth)
+            figures += gain_figures
             rows += table
             if method == methods[0]:
                 pictures.append((f"{name}, captured", png_address(result.rgb)))
@@ -84,7 +84,9 @@ def all_in_focus(progress: ShareDone, seed: int = 0, methods: Sequence[NamedMeth
 
 
 def gains(name: str, result: Reconstruction, truth: Truth) -> tuple[list[Figure], list[list[str]]]:
-    """Figures of one scene: gains in dB in the judged ranges, the least of all bins, and at boundaries; rows."""
+    """Figures of one scene: gains in dB in the ranges with a limit, the least of all bins, and at boundaries; rows of a
+    table.
+    """
     exact = infrared_free(truth.sharp_e, result.camera)
     blur, inner = np.abs(truth.blur_px), truth.valid & ~truth.boundary
 
@@ -112,15 +114,16 @@ def gains(name: str, result: Reconstruction, truth: Truth) -> tuple[list[Figure]
 
 
 def refocus(progress: ShareDone, seed: int = 0, methods: Sequence[NamedMethod] = REFOCUSED) -> Evidence:
-    """Refocused after the shot, a picture looks as the same lens would have taken it, focused there.
+    """A picture refocused after the shot looks as if the same lens had been focused there.
 
-    Rationale: the paper shows refocused pictures (Fig. 1, 11); here the lens can be focused anew and compared.
+    Rationale: the paper shows refocused pictures (Fig. 1, 11); in simulation, the lens can be focused again for
+    comparison.
 
-    Set-up: desk, taken with its own focus on the wall, reconstructed by the preset bands, and refocused to the depth
-    of each object in view. Against it the noise-free ``mean_e`` of the same lens focused there, without infrared,
-    resampled for the breathing of focus: the image distance s' magnifies by s'/s about the principal point, and an
-    electron's share of the pupil's light falls by its square. Both through the same colour matrix to sRGB. Judged are
-    pixels away from the boundaries of either focus; the object itself is reported apart.
+    Set-up: desk, captured with its own focus on the wall, reconstructed by the preset bands, and refocused to the depth
+    of each object in view. The reference is the noise-free ``mean_e`` of the same lens focused there, without infrared,
+    resampled for focus breathing: an image distance s' magnifies by s'/s about the principal point, and the electrons
+    per pixel decrease with its square. Both pictures are converted to sRGB through the same colour matrix. Pixels away
+    from the boundaries of either focus are scored; the object itself is reported separately.
 
     Expectation: PSNR and SSIM (Gaussian window of 1.5 px) of the display values.
 
@@ -134,33 +137,35 @@ def refocus(progress: ShareDone, seed: int = 0, methods: Sequence[NamedMethod] =
     light, settings = (getattr(next(iter(results.values())), name) for name in ("light", "settings"))
     matrix = colour.colour_matrix(camera, light, infrared.separation(camera, light, recon.Settings(**settings)))
     inner = truth.valid & ~truth.boundary
-    chosen = [n for n in range(len(truth.objects)) if np.sum(inner & (truth.object_id == n + 1)) >= LEAST_PX]
+    numbers = [n for n in range(len(truth.objects)) if np.sum(inner & (truth.object_id == n + 1)) >= LEAST_PX]
     figures, pictures = [], []
-    for done, number in enumerate(chosen):
-        name, own = truth.objects[number], truth.object_id == number + 1
-        depth_m = float(np.median(truth.depth_m[own]))
+    for done, number in enumerate(numbers):
+        name, surface = truth.objects[number], truth.object_id == number + 1
+        depth_m = float(np.median(truth.depth_m[surface]))
         there = cameras.refocused(camera, depth_m)
         same = Exposure(time_s=shot.capture.exposure_s)
-        taken = photographed(scene, there, seed + REFERENCE_SEED, spp=FOCUSED_SPP, exposure=same)
-        exact, seen = _without_breathing(taken.truth, there, camera)
-        mask = inner & seen
+        reference = photographed(scene, there, seed + REFERENCE_SEED, spp=FOCUSED_SPP, exposure=same)
+        exact, visible = _without_breathing(reference.truth, there, camera)
+        mask = inner & visible
         scale = exposure_scale(exact[mask][None].astype(np.float32), matrix)
         by_lens = to_srgb(exact.astype(np.float32), matrix, scale)
         pictures.append((f"the lens focused on the {name}", png_address(by_lens)))
         for label, result in results.items():
             refocused = to_srgb(recon.refocus(result, bank, depth_m), matrix, scale)
-            for what, where, text in (("", mask, "all pixels"), ("-object", mask & own, "the object itself")):
+            for what, where, text in (("", mask, "all pixels"), ("-object", mask & surface, "the object itself")):
                 level, likeness = _likeness(refocused, by_lens, where)
                 text = f"{label}focused on the {name}, {100 * depth_m:.1f} cm, {text}"
                 figures.append(Figure(f"{label}{name}.psnr{what}", level, "dB", f"{text}: PSNR of sRGB"))
                 figures.append(Figure(f"{label}{name}.ssim{what}", likeness, "1", f"{text}: SSIM of sRGB"))
             pictures.append((f"{label}refocused to the {name}", png_address(refocused)))
-        progress((done + 1) / len(chosen))
+        progress((done + 1) / len(numbers))
     return Evidence(figures, pictures=pictures)
 
 
 def _without_breathing(truth: Truth, there: Camera, camera: Camera) -> tuple[FloatArray, BoolArray]:
-    """The lens's own picture without infrared at the magnification of another focus, and where it holds, [h, w]."""
+    """The lens's own picture without infrared at the magnification of another focus, and the mask [h, w] where it is
+    valid.
+    """
     ratio = geometry.image_distance_m(there) / geometry.image_distance_m(camera)
     height, width = truth.boundary.shape
     x, y = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
@@ -168,12 +173,12 @@ def _without_breathing(truth: Truth, there: Camera, camera: Camera) -> tuple[Flo
     inner = (truth.valid & ~truth.boundary).astype(np.float32)
     colours = infrared_free(truth.mean_e, there).astype(np.float32) * np.float32(ratio**2)
     moved = cv2.remap(colours, place[0], place[1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    seen = cv2.remap(inner, place[0], place[1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=0)
-    return np.asarray(moved, np.float64), np.asarray(seen) == 1
+    visible = cv2.remap(inner, place[0], place[1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=0)
+    return np.asarray(moved, np.float64), np.asarray(visible) == 1
 
 
 def _likeness(image: NDArray, exact: NDArray, where: BoolArray) -> tuple[float, float]:
-    """PSNR in dB and mean SSIM of display values over masked pixels; NaN where there are none."""
+    """PSNR in dB and mean SSIM of display values over masked pixels; NaN if the mask is empty."""
     if not where.any():
         return float("nan"), float("nan")
     error = float(np.mean((image[where].astype(np.float64) - exact[where]) ** 2))

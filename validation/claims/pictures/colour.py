@@ -1,4 +1,4 @@
-"""Claims of the reconstruction: the colours of its picture."""
+"""Claim on the colours of the developed picture."""
 
 from __future__ import annotations
 
@@ -31,21 +31,23 @@ NEUTRALS = tuple(f"checker-{name}" for name in ("white", "neutral-8", "neutral-6
 
 
 def colour(progress: ShareDone, seed: int = 0) -> Evidence:
-    """The picture of the ColorChecker has its colours.
+    """The picture of the ColorChecker has the right colours.
 
-    Rationale: near-infrared in red, green and blue, and a white point found by itself, must not show as a cast.
+    Rationale: near-infrared in red, green and blue, and an estimated white point, must not show as a colour cast.
 
     Set-up: the scene colour-checker at 512 x 384 pixels with sensor noise, under D65, D55, A, an energy-saving lamp of
-    3,500 K and light of 2,800 K; the whole picture pipeline on the raw mosaic, white balance by its own estimate. The
-    mean of each patch, its rim left out, as sRGB at the exposure that brings the luminance of the greys to their own (a
-    camera's exposure is no error of colour). The true colours are the patches' spectra under the light, CIE 1931
-    2 degrees, adapted to D65 (Bradford). The Bayer twin's figures stand beside; the 4x4 mosaic's are reported, and
-    da-mobile's with the full 4x4 crosstalk matrix and without any removal of infrared.
+    3,500 K and light of 2,800 K; the complete picture pipeline on the raw mosaic, with its own estimate of the white
+    balance. The mean of each patch without its rim is converted to sRGB, with the exposure at which the greys have
+    their true luminance (a camera's exposure is not a colour error). The true colours follow from the patches' spectra
+    under the light, CIE 1931 2 degrees, adapted to D65 (Bradford). The figures of the Bayer twin are measured in the
+    same way; those of the 4x4 mosaic, and of da-mobile with the full 4x4 crosstalk matrix and without any removal of
+    infrared, are reported without limit.
 
-    Expectation: a sensor whose responses are no linear combinations of the eye's is off by 1 to 3 units.
+    Expectation: a sensor whose responses are not linear combinations of those of the eye has an error of 1 to 3 units.
 
-    Limit: mean CIEDE2000 over the 24 patches below 3.0 under D65 and D55, below 4.5 under A and at 2,800 K, below 1.8
-    under the energy-saving lamp, and nowhere more than 1.0 above the Bayer twin's, which keeps the same limits.
+    Limit: mean CIEDE2000 over the 24 patches below 3.0 under D65 and D55, below 4.5 under A and at 2,800 K, and below
+    1.8 under the energy-saving lamp, both for da-mobile and for the Bayer twin; da-mobile exceeds the twin by at most
+    1.0.
 
     Source: sec. 4.4 and 4.5; Sharma et al. 2005 (CIEDE2000).
     """
@@ -69,8 +71,8 @@ def colour(progress: ShareDone, seed: int = 0) -> Evidence:
             rows.append([key, *(f"{value:.1f}" for value in difference)])
         pictures[camera] = photo_address(variants[name].rgb)
         if camera == TWIN:
-            shown = ("da-mobile", pictures["da-mobile"]), (camera, pictures[camera])
-            pairs.append((f"The ColorChecker under {light} (compare Fig. 6)", *shown))
+            panels = ("da-mobile", pictures["da-mobile"]), (camera, pictures[camera])
+            pairs.append((f"The ColorChecker under {light} (compare Fig. 6)", *panels))
             value = {figure.id: figure.value for figure in figures}
             case = f"what da-mobile's mean CIEDE2000 is above {TWIN}'s under {light}"
             figures.append(Figure(f"more.{light}", value[light] - value[name], "dE00", case))
@@ -97,8 +99,8 @@ def differences(developed: Developed, shot: Shot, light: str) -> FloatArray:
     true = true_xyz(light)
     linear = np.stack([developed.linear_e[mask].mean(axis=0) for mask in patches(shot)])
     grey = [colour_checker.PATCHES.index(name) for name in NEUTRALS]
-    seen, wanted = (linear @ developed.matrix.T @ grid.LUMINANCE)[grey], true[grey, 1]
-    scale = float(seen @ wanted / (seen @ seen))
+    measured, exact = (linear @ developed.matrix.T @ grid.LUMINANCE)[grey], true[grey, 1]
+    scale = float(measured @ exact / (measured @ measured))
     srgb = to_srgb(linear.astype(np.float32), developed.matrix, scale)
     white = science.CCS_ILLUMINANTS["CIE 1931 2 Degree Standard Observer"]["D65"]
     lab = [science.XYZ_to_Lab(xyz, white) for xyz in (science.sRGB_to_XYZ(srgb), true)]
@@ -106,14 +108,14 @@ def differences(developed: Developed, shot: Shot, light: str) -> FloatArray:
 
 
 def patches(shot: Shot) -> list[NDArray[np.bool_]]:
-    """The pixels of each patch without its rim, in the order of ``colour_checker.PATCHES``."""
+    """Mask [h, w] of each patch without its rim, in the order of ``colour_checker.PATCHES``."""
     rim = np.ones((2 * RIM_PX + 1, 2 * RIM_PX + 1), np.uint8)
-    found = []
+    masks = []
     for name in colour_checker.PATCHES:
         number = shot.truth.objects.index(name.removeprefix("checker-")) + 1
         mask = (shot.truth.object_id == number).astype(np.uint8)
-        found.append(cv2.erode(mask, rim, borderType=cv2.BORDER_CONSTANT, borderValue=0) > 0)
-    return found
+        masks.append(cv2.erode(mask, rim, borderType=cv2.BORDER_CONSTANT, borderValue=0) > 0)
+    return masks
 
 
 def true_xyz(light: str) -> FloatArray:

@@ -1,4 +1,6 @@
-"""Claim of what the paper shows of two scenes (Fig. 1, 11 and 12): all in focus, depth, refocused, for two eyes."""
+"""Claim on the pictures that the paper shows of two scenes (Fig. 1, 11 and 12): all in focus, depth, refocused,
+anaglyph.
+"""
 
 from __future__ import annotations
 
@@ -40,36 +42,40 @@ MATCHED = 0.9  # correlation between red of one eye and green of the other that 
 
 
 def scene_pictures(progress: ShareDone, seed: int = 0, methods: Sequence[NamedMethod] = METHODS) -> Evidence:
-    """All in focus has steeper edges, refocused is sharpest where it was focused, and two eyes see the depth.
+    """The all-in-focus picture has steeper edges, a refocused one is sharpest at its focus, and anaglyphs show the
+    depth.
 
-    Rationale: these pictures are what the camera is for. Claims ``all-in-focus`` and ``refocus`` compare them with the
-    truth pixel by pixel; this one asks what eyes ask, by measures that the reconstruction does not use itself.
+    Rationale: these pictures are the purpose of the camera. Claims ``all-in-focus`` and ``refocus`` compare them with
+    the truth pixel by pixel; this one measures what a viewer notices, by measures that the reconstruction does not use
+    itself.
 
-    Set-up: the photographs of adam and flowers of claim ``depth``, 512 x 384 px, da-mobile, preset bands. Edge slope:
-    gradients of green regressed on those of the sharp truth at its steepest tenth of pixels, away from boundaries (1:
-    as steep; noise does not count, for it knows nothing of the truth). Blur: Crete et al. 2007 on luminance, as the
-    share of the way from the capture to the sharp truth. Stack: the picture refocused to every level; a pixel's level
-    is that at which its patch has the largest energy of gradients. Anaglyph (12 px): its red is matched with its green,
-    block by block, for the shift between the eyes; expected is b (1/z_0 - 1/z) of the reconstructed depth.
+    Set-up: the captures of adam and flowers of claim ``depth``, 512 x 384 px, da-mobile, preset bands. Edge slope is
+    the regression of green's gradients on those of the sharp truth at its steepest tenth of pixels, away from
+    boundaries (1: equally steep; noise does not affect it, being independent of the truth). Blur is that of Crete et
+    al. 2007 on luminance, as the share of the difference between capture and sharp truth that is removed. The stack
+    holds the picture refocused to every level; a pixel's level is that at which its patch has the largest gradient
+    energy. In the anaglyph (12 px), red is matched with green, block by block, for the shift between the eyes; b (1/z_0
+    - 1/z) of the reconstructed depth is expected.
 
-    Expectation: slopes up, at most to one and the width of its error; the stack's levels those of the truth as far as
-    depth is; shifts those of depth, to the step of the search, behind the screen or before it as asked.
+    Expectation: slopes increase, to one at most within their error; the levels of the stack agree with the true ones as
+    far as depth does; the shifts agree with depth, to the step of the search, behind or in front of the screen as
+    requested.
 
-    Shifts are scaled to the range of the found depths, outliers included: in adam these take more than half of it, so
-    that the scene hardly comes out of the screen.
+    Shifts are scaled to the range of the estimated depths, including outliers. In adam these take more than half of the
+    range, so that the scene hardly leaves the screen.
 
-    What was in focus is where depth is worst: the brick wall of adam and the meadow of flowers, at level 0, come out
-    up to 3 levels nearer (table), and a picture refocused to them is blurred there.
+    Depth is worst at what was in focus: the brick wall of adam and the meadow of flowers, at level 0, are estimated up
+    to 3 levels nearer (table), and a picture refocused to them is blurred there.
 
-    Limit: slope at 3 to 10 px of blur 0.5 and 1.5 times the capture's at least, at 0 to 3 px 0.75 to 1.15; half of the
-    way in blur; stack off by 0.5 level from the reconstruction's own levels, 0.8 from the true ones (median); shifts
-    off by 0.5 px, 0.95 of them on the right side of the screen.
+    Limit: a slope of at least 0.5 and 1.5 times the capture's at 3 to 10 px of blur, and 0.75 to 1.15 at 0 to 3 px;
+    half of the blur removed; a median error of the stack of 0.5 level from the reconstruction's own levels and 0.8 from
+    the true ones; shifts within 0.5 px, 0.95 of them on the right side of the screen.
 
     Source: Fig. 1, 11 and 12, sec. 5.4 and 6.2.
     """
     rendering.needs_wave()
     figures: list[Figure] = []
-    shown: list[tuple[str, str]] = []
+    panels: list[tuple[str, str]] = []
     pairs: list[Pair] = []
     tables: list[Table] = []
     for number, name in enumerate(SCENES):
@@ -88,20 +94,20 @@ def scene_pictures(progress: ShareDone, seed: int = 0, methods: Sequence[NamedMe
             head = ["object", "pixels", "true", "estimated"]
             tables.append((f"{label}: levels of objects", head, _rows(result, shot.truth)))
             pairs += _pairs(label, SCENES[name], result, bank, shot)
-            shown += _pictures(label, result, anaglyphs, shot)
+            panels += _pictures(label, result, anaglyphs, shot)
         progress((number + 1) / len(SCENES))
-    return Evidence(figures, pictures=shown, tables=tables, pairs=pairs)
+    return Evidence(figures, pictures=panels, tables=tables, pairs=pairs)
 
 
 def edges(name: str, result: Reconstruction, truth: Truth) -> list[Figure]:
-    """How steep edges are, and how blurred the pictures look."""
+    """Figures of the steepness of edges and of the apparent blur of the pictures."""
     exact = gradients(infrared_free(truth.sharp_e, result.camera)[..., 1])
     before, after = gradients(result.linear_e[..., 1]), gradients(result.sharp_e[..., 1])
     figures = []
     for low, high in EDGE_BLUR_PX:
         blur = np.abs(truth.blur_px)
         where = truth.valid & ~truth.boundary & (blur >= low) & (blur < high)
-        slopes = [slope(own, exact, where) for own in (before, after)]
+        slopes = [slope(picture, exact, where) for picture in (before, after)]
         case = f"{name}: slope of edges at {low:g} to {high:g} px of blur over the sharp truth's"
         label = f"{name}.slope-{low:g}-{high:g}"
         figures += [
@@ -122,7 +128,9 @@ def edges(name: str, result: Reconstruction, truth: Truth) -> list[Figure]:
 
 
 def sharpest(name: str, result: Reconstruction, bank: PsfBank, truth: Truth) -> list[Figure]:
-    """At which level each place of a stack of refocused pictures is sharpest, against those found and the true ones."""
+    """Level at which each place in a stack of refocused pictures is sharpest, compared with estimated
+    and true levels.
+    """
     where = truth.valid & ~truth.boundary & np.isfinite(result.level_raw)
     levels = np.arange(0, np.ceil(float(np.nanmax(truth.level))) + 1 + STACK_STEP / 2, STACK_STEP)
     energy = []
@@ -141,21 +149,21 @@ def sharpest(name: str, result: Reconstruction, bank: PsfBank, truth: Truth) -> 
 
 
 def depth_of(level: float, bank: PsfBank) -> float:
-    """Depth of a level of blur, m: linear in dioptres through the bank's first and last."""
+    """Depth in m of a blur level: linear in dioptres between the first and the last level of the bank."""
     vergence = 1 / bank.depth_m.astype(np.float64)
     return float(1 / (vergence[0] + (vergence[-1] - vergence[0]) * level / (len(vergence) - 1)))
 
 
 def eyes(name: str, anaglyph: NDArray, depth_m: NDArray, where: str, truth: Truth) -> list[Figure]:
-    """Shifts between the eyes of a red-cyan anaglyph against those that depth asks for."""
-    found, match = shifts(anaglyph[..., 0], anaglyph[..., 1])
+    """Shifts between the eyes of a red-cyan anaglyph, compared with those that correspond to depth."""
+    shift, match = shifts(anaglyph[..., 0], anaglyph[..., 1])
     sure = (match > MATCHED) & truth.valid
     vergence = 1 / depth_m.astype(np.float64)
     screen = vergence.max() if where == "in" else vergence.min()
     scale = STRONGEST_PX / (vergence.max() - vergence.min())
-    off = np.abs(found - scale * (screen - vergence))[sure]
-    off_true = np.abs(found - scale * (screen - 1 / truth.depth_m))[sure]
-    side = found[sure] * (1 if where == "in" else -1)
+    off = np.abs(shift - scale * (screen - vergence))[sure]
+    off_true = np.abs(shift - scale * (screen - 1 / truth.depth_m))[sure]
+    side = shift[sure] * (1 if where == "in" else -1)
     case = f"{name.rpartition('.')[0]}, anaglyph, {where}"
     return [
         Figure(f"{name}.shift", _median(off), "px", f"{case}: median error of the shift, expected from found depth"),
@@ -175,9 +183,10 @@ def _median(values: NDArray) -> float:
 
 
 def shifts(left: NDArray, right: NDArray) -> tuple[FloatArray, FloatArray]:
-    """x_right - x_left of two pictures [h, w], px, and the correlation of the blocks that match best, [h, w].
+    """Displacement x_right - x_left between two pictures [h, w], px, and the correlation of the best-matching blocks,
+    [h, w].
 
-    Both are moved by half of each candidate shift, so that a shift is found at the place halfway between the two.
+    Both pictures are moved by half of each candidate shift, so that the result is located halfway between both places.
     """
     height, width = left.shape
     pictures_ = [
@@ -185,7 +194,7 @@ def shifts(left: NDArray, right: NDArray) -> tuple[FloatArray, FloatArray]:
         for p in (left, right)
     ]
     best = np.full((height, width), -np.inf)
-    found = np.zeros((height, width))
+    result = np.zeros((height, width))
 
     def mean(image: NDArray) -> NDArray:
         return np.asarray(cv2.GaussianBlur(image, (0, 0), PATCH_SIGMA_PX))
@@ -199,29 +208,35 @@ def shifts(left: NDArray, right: NDArray) -> tuple[FloatArray, FloatArray]:
         )
         match = mean(a * b) / np.sqrt(mean(a * a) * mean(b * b) + np.float32(1e-9))
         better = match > best
-        best[better], found[better] = match[better], shift
-    return found, best
+        best[better], result[better] = match[better], shift
+    return result, best
 
 
 def _rows(result: Reconstruction, truth: Truth) -> list[list[str]]:
-    """Name, pixels away from boundaries, true and found level (medians) of each larger object."""
+    """Name, number of pixels away from boundaries, and median true and estimated level of each larger object."""
     rows = []
     for number, name in enumerate(truth.objects):
-        own = (truth.object_id == number + 1) & ~truth.boundary
-        if own.sum() >= LEAST_PX:
+        surface = (truth.object_id == number + 1) & ~truth.boundary
+        if surface.sum() >= LEAST_PX:
             rows.append(
-                [name, str(own.sum()), *(f"{np.median(level[own]):.1f}" for level in (truth.level, result.level))]
+                [
+                    name,
+                    str(surface.sum()),
+                    *(f"{np.median(level[surface]):.1f}" for level in (truth.level, result.level)),
+                ]
             )
     return rows
 
 
 def _pairs(name: str, item: str, result: Reconstruction, bank: PsfBank, shot: Shot) -> list[Pair]:
-    """Capture and all-in-focus picture; refocused near, to the depth found at an object, and to where it was."""
+    """Two pairs for comparison: capture and all-in-focus picture; refocused to an object and to the focus of the
+    capture.
+    """
     separation = infrared.separation(result.camera, result.light, recon.Settings(**result.settings))
     matrix = colour.colour_matrix(result.camera, result.light, separation)
     scale = exposure_scale(result.linear_e, matrix)
-    own = shot.truth.object_id == shot.truth.objects.index(item) + 1
-    places = {f"depth estimated for the {item}": float(np.median(result.depth_m[own]))}
+    surface = shot.truth.object_id == shot.truth.objects.index(item) + 1
+    places = {f"depth estimated for the {item}": float(np.median(result.depth_m[surface]))}
     places["focus of the capture"] = result.camera.lens.focus_distance_m
     focused = []
     for text, depth_m in places.items():
@@ -234,7 +249,7 @@ def _pairs(name: str, item: str, result: Reconstruction, bank: PsfBank, shot: Sh
 
 def _pictures(name: str, result: Reconstruction, anaglyphs: dict[str, NDArray], shot: Shot) -> list[tuple[str, str]]:
     truth = shot.truth
-    maps = [("true", truth.depth_m), ("found", result.depth_m)]
+    maps = [("true", truth.depth_m), ("estimated", result.depth_m)]
     near, far = float(np.nanmin(truth.depth_m)), float(np.nanmax(truth.depth_m))
     case = {"in": "goes into the screen", "out": "comes out of the screen"}
     return [

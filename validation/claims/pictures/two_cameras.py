@@ -1,4 +1,4 @@
-"""Claim of Fig. 6: the same scenes through the dual-aperture camera and through its Bayer twin, side by side."""
+"""Claim on Fig. 6: the same scenes captured by the dual-aperture camera and by its Bayer twin, side by side."""
 
 from __future__ import annotations
 
@@ -40,27 +40,27 @@ DARKEST = 0.02  # of the display's white: below it, neither eye nor display show
 def two_cameras(progress: ShareDone, seed: int = 0) -> Evidence:
     """The dual-aperture camera has the colours of its Bayer twin on real scenes, and about its noise and detail.
 
-    Rationale: Fig. 6 and sec. 4.5: a green pixel given to infrared, and infrared taken off red, green and blue, must
-    not cost the picture. Claim ``colour`` has the ColorChecker; here are the scenes.
+    Rationale: Fig. 6 and sec. 4.5: replacing a green pixel by infrared, and removing infrared from red, green and blue,
+    must not degrade the picture. Claim ``colour`` covers the ColorChecker; this one covers the scenes.
 
-    Set-up: desk (D55), flowers (shade) and adam (energy-saving lamp), 512 x 384 px, photographed by da-mobile (as in
-    claim ``depth``) and by bayer-mobile with the same lens, focus, exposure time and pixels, both with sensor noise.
-    Developed twice: white balance by the camera's own estimate, as in Fig. 6 (pictures; reported), and for the scene's
-    light (limits), so that what is compared is the sensor. CIEDE2000 of local means (Gaussian of 3 px, linear light) at
-    one luminance, where it is at least 0.02: between both pictures everywhere, as the visible blur is the same; of each
-    against the twin's noise-free pinhole picture under the scene's light where the visible blur is below 1.5 px, away
-    from boundaries. Noise: rms of what differs in the linear sRGB picture that another sensor of the same type takes of
-    the same light, over sqrt(2) and the mean luminance: the sensor's alone, as noise reduction leaves it, not the
-    renderer's. Detail: slope of green's gradients on the sharp truth's, as in claim ``scene-pictures``, in focus.
+    Set-up: desk (D55), flowers (shade) and adam (energy-saving lamp), 512 x 384 px, captured by da-mobile (as in claim
+    ``depth``) and by bayer-mobile with the same lens, focus, exposure time and pixels, both with sensor noise. Each is
+    developed twice: with the camera's own estimate of the white balance, as in Fig. 6 (pictures; reported), and for the
+    scene's light (limits), so that only the sensors differ. CIEDE2000 is that of local means (Gaussian of 3 px, linear
+    light) at equal luminance of at least 0.02: between both pictures everywhere, because the visible blur is the same,
+    and of each against the twin's noise-free pinhole picture under the scene's light, where the visible blur is below
+    1.5 px, away from boundaries. Noise is the rms difference in linear sRGB from the picture that another sensor of the
+    same type takes of the same light, over sqrt(2) and the mean luminance: sensor noise after noise reduction, without
+    rendering noise. Detail is the slope of green's gradients on those of the sharp truth, as in claim
+    ``scene-pictures``, in focus.
 
-    Expectation: differences as between two cameras of the same make, 1 being just seen side by side. Infrared's noise
-    comes with its removal, but green interpolated from a quarter of the pixels instead of half has less of it, and a
-    little less detail.
-    White balance is another matter: infrared tells da-mobile the energy-saving lamp from a bulb, where the twin, that
-    has none, takes the bulb.
+    Expectation: colour differences as between two cameras of the same make; 1 is just visible side by side. The removal
+    of infrared adds its noise, but green interpolated from a quarter of the pixels instead of half has less noise and
+    slightly less detail. White balance differs: by infrared, da-mobile distinguishes the energy-saving lamp from a
+    bulb, whereas the twin, without infrared, chooses the bulb.
 
-    Limit: mean difference between the pictures at most 1.5, and da-mobile at most 0.6 farther from the truth than its
-    twin; noise at most 1.2 times the twin's, detail at least 0.8 of it.
+    Limit: a mean difference between the pictures of at most 1.5, and for da-mobile at most 0.6 more than for its twin
+    from the truth; at most 1.2 times the twin's noise and at least 0.8 of its detail.
 
     Source: sec. 4.5, Fig. 6; Sharma et al. 2005 (CIEDE2000).
     """
@@ -81,7 +81,7 @@ def two_cameras(progress: ShareDone, seed: int = 0) -> Evidence:
 
 
 def photographs(name: str, seed: int) -> dict[str, Shot]:
-    """A scene through both cameras, the second with the exposure time of the first."""
+    """Captures of a scene by both cameras, the second with the exposure time of the first."""
     scene = dasim.load_scene(name)
     shots: dict[str, Shot] = {}
     for camera_name in CAMERAS:
@@ -98,7 +98,9 @@ def _light(shot: Shot) -> str:
 
 
 def colours(name: str, shots: dict[str, Shot], developed: dict[str, Developed], suffix: str = "") -> list[Figure]:
-    """Colour differences of one scene, from shots and developed pictures by camera; ``suffix`` is of the ids."""
+    """Colour differences of one scene, from captures and developed pictures by camera; ``suffix`` is appended to the
+    ids.
+    """
     ours, twins = CAMERAS
     truth = shots[twins].truth
     exact = truth.sharp_e @ colour.colour_matrix(shots[twins].capture.camera, _light(shots[twins])).T
@@ -121,16 +123,16 @@ def colours(name: str, shots: dict[str, Shot], developed: dict[str, Developed], 
 
 
 def noises(name: str, shots: dict[str, Shot], developed: dict[str, Developed]) -> list[Figure]:
-    """Noise and detail of one scene's pictures, the first camera's over the second's."""
+    """Noise and detail of one scene's pictures, of the first camera relative to the second."""
     noisy = {camera: noise(shots[camera], developed[camera]) for camera in CAMERAS}
     fine = {camera: detail(shots[camera], developed[camera]) for camera in CAMERAS}
     figures = []
-    for what, found, text in (
+    for what, values, text in (
         ("noise", noisy, "noise over mean luminance"),
         ("detail", fine, "slope of edges in focus over the sharp truth's"),
     ):
-        figures += [Figure(f"{name}.{c}.{what}", value, "1", f"{name}, {c}: {text}") for c, value in found.items()]
-        ratio = found[CAMERAS[0]] / found[CAMERAS[1]]
+        figures += [Figure(f"{name}.{c}.{what}", value, "1", f"{name}, {c}: {text}") for c, value in values.items()]
+        ratio = values[CAMERAS[0]] / values[CAMERAS[1]]
         figures.append(Figure(f"{name}.{what}-ratio", ratio, "1", f"{name}: {text}, da-mobile's over bayer-mobile's"))
     return figures
 
@@ -142,29 +144,29 @@ def differences(image: NDArray, other: NDArray, where: BoolArray) -> FloatArray:
     means = [cv2.GaussianBlur(i.astype(np.float32), (0, 0), MEAN_SIGMA_PX).astype(np.float64) for i in (other, image)]
     light = [i @ np.array(LUMINANCE) for i in means]
     scale = exposure_scale(means[0].astype(np.float32), np.eye(3))
-    own = scale * float((light[0] * light[1])[where].sum() / (light[1] ** 2)[where].sum())
-    seen = where & (scale * light[0] >= DARKEST)
+    fitted_scale = scale * float((light[0] * light[1])[where].sum() / (light[1] ** 2)[where].sum())
+    bright = where & (scale * light[0] >= DARKEST)
     white = science.CCS_ILLUMINANTS["CIE 1931 2 Degree Standard Observer"]["D65"]
     lab = [
-        science.XYZ_to_Lab(science.sRGB_to_XYZ(to_srgb(i[seen].astype(np.float32), np.eye(3), s)), white)
-        for i, s in zip(means, (scale, own), strict=True)
+        science.XYZ_to_Lab(science.sRGB_to_XYZ(to_srgb(i[bright].astype(np.float32), np.eye(3), s)), white)
+        for i, s in zip(means, (scale, fitted_scale), strict=True)
     ]
     return np.asarray(science.delta_E(*lab, method="CIE 2000"))
 
 
 def noise(shot: Shot, developed: Developed) -> float:
-    """Rms by which a linear sRGB picture differs from another sensor's, over sqrt(2) and the mean luminance."""
+    """Rms difference between linear sRGB pictures of two sensors of one type, over sqrt(2) and the mean luminance."""
     capture = shot.capture
-    own = capture.camera.sensor
-    light = sensor.electronic_crosstalk(sensor.mosaic(shot.truth.mean_e.astype(np.float64), capture.camera), own)
-    raw_dn, _ = sensor.expose(light, own, capture.exposure_s, capture.seed + OTHER_SENSOR)
+    body = capture.camera.sensor
+    light = sensor.electronic_crosstalk(sensor.mosaic(shot.truth.mean_e.astype(np.float64), capture.camera), body)
+    raw_dn, _ = sensor.expose(light, body, capture.exposure_s, capture.seed + OTHER_SENSOR)
     again = recon.develop(replace(capture, raw_dn=raw_dn), lights=[developed.light])
     first, second = (one.linear_e @ developed.matrix.T for one in (developed, again))
     return float(np.sqrt(np.mean((first - second) ** 2) / 2) / np.mean(first @ np.array(LUMINANCE)))
 
 
 def detail(shot: Shot, developed: Developed) -> float:
-    """Gradients of green regressed on those of the sharp truth, where these are steepest and in focus."""
+    """Slope of green's gradients on those of the sharp truth, where these are steepest and in focus."""
     truth = shot.truth
     exact = truth.sharp_e if truth.sharp_e.shape[-1] == 3 else infrared_free(truth.sharp_e, developed.camera)
     where = truth.valid & ~truth.boundary & (np.abs(truth.blur_px) <= FOCUS_PX)

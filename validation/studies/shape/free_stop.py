@@ -55,18 +55,18 @@ def free_stop(
     stop = infrared_stop(camera)
     steps = np.concatenate([blur_px - cramer_rao.SLOPE_STEP_PX, blur_px + cramer_rao.SLOPE_STEP_PX])
     pupil = pupils.pupil(camera, stop, light, steps, cells, SHAPE, spacing_px=SPACING_PX, fine_cells=fine_cells)
-    own = pupil.electrons * budget
-    transfer: ComplexArray = np.zeros((len(steps), len(own), SHAPE[0], SHAPE[1] // 2 + 1), complex)
-    signal = np.zeros_like(own)
+    light_share = pupil.electrons * budget
+    transfer: ComplexArray = np.zeros((len(steps), len(light_share), SHAPE[0], SHAPE[1] // 2 + 1), complex)
+    signal = np.zeros_like(light_share)
     if others := tuple(one for one in camera.stops if one.name != stop.name):
         without = camera.model_copy(update={"stops": others})
         transfer, signal = pupils.stop_transfers(without, steps, light, SHAPE, spacing_px=SPACING_PX)
-    total = own + signal
+    total = light_share + signal
     index = tuple(cameras.channels(camera.sensor).index(name) for name in PLANES)
     return FreeStop(
         pupil,
         ((signal / total)[:, None, None] * transfer)[:, index],
-        (own / total)[list(index)],
+        (light_share / total)[list(index)],
         criteria.texture_patch(with_disc(camera, float(np.sqrt(budget))), light, level_lux),
         criteria.dioptre_px(camera),
         index,
@@ -115,6 +115,6 @@ def value_and_gradient(stop: FreeStop, amplitude: FloatArray) -> tuple[float, Fl
 
 def _plane_transfers(stop: FreeStop, amplitude: FloatArray) -> tuple[ComplexArray, ComplexArray]:
     """H and dH/dc of the planes with a mask in the stop, c the visible blur in px, [blur, plane, h, w/2 + 1]."""
-    own = pupils.transfers(stop.pupil, amplitude)[:, stop.planes]
-    below, above = np.split(stop.others + stop.share[:, None, None] * own, 2, axis=0)
+    transfer = pupils.transfers(stop.pupil, amplitude)[:, stop.planes]
+    below, above = np.split(stop.others + stop.share[:, None, None] * transfer, 2, axis=0)
     return (below + above) / 2, (above - below) / (2 * cramer_rao.SLOPE_STEP_PX)

@@ -42,11 +42,11 @@ def likelihood_errors(
     power = _power(patch)
     true = np.rint(blur_px / STEP_PX).astype(int) - 1
     errors = _simulated_errors(s, power.ravel(), patch.noise, candidates, true, patches)
-    own, slope = pupils.camera_transfers(
+    transfers, slope = pupils.camera_transfers(
         camera, candidates[true], light, SHAPE, spacing_px=SPACING_PX, fine_cells=CELLS
     )
     bound = cramer_rao.blur_deviation(
-        own[:, index], slope[:, index], power, patch.noise, width=SHAPE[1], gain=patch.gain, texture="known"
+        transfers[:, index], slope[:, index], power, patch.noise, width=SHAPE[1], gain=patch.gain, texture="known"
     )
     return errors, bound
 

@@ -139,9 +139,9 @@ def projected(latent: FloatArray, search: Search, beta: float) -> tuple[FloatArr
     h = 2 * beta * inner * (1 - inner)
 
     def back(slope: FloatArray) -> FloatArray:
-        own = slope[whole]
+        half_slope = slope[whole]
         by_filtered = np.zeros(whole.shape)
-        by_filtered[whole] = h * (own - (own * h).sum() / max((inner * h).sum(), 1e-300) * inner)
+        by_filtered[whole] = h * (half_slope - (half_slope * h).sum() / max((inner * h).sum(), 1e-300) * inner)
         return _filter_adjoint(by_filtered, search)
 
     return amplitude, back

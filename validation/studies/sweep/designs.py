@@ -90,13 +90,13 @@ def scene_of(spec: StudySpec, point: dict[str, Value]) -> dasim.Scene:
 def settings_of(spec: StudySpec, point: dict[str, Value]) -> Settings:
     """The settings of a point's reconstruction: those of its preset, with the point's changes."""
     method = method_of(spec, point)
-    own = recon.DEFAULT if method.source else recon.PRESETS[method.name]
+    preset = recon.DEFAULT if method.source else recon.PRESETS[method.name]
     changes = {
         key.removeprefix("recon."): value
         for key, value in point.items()
         if key.startswith("recon.") and key != "recon.preset"
     }
-    return parse(Settings, own.model_dump() | changes, "recon") if changes else own
+    return parse(Settings, preset.model_dump() | changes, "recon") if changes else preset
 
 
 def method_of(spec: StudySpec, point: dict[str, Value]) -> NamedMethod:

@@ -72,10 +72,20 @@ def findings(spec: StudySpec, rows: list[Row]) -> list[Finding]:
     for figure in FIGURES:
         if figure in WITHOUT_VERDICT or not any(math.isfinite(row[figure]) for row in rows):
             continue
-        own = [one for group in groups if (one := _finding(spec, figure, *group)) is not None]
-        if len(own) == len(groups) and len({(one.best, one.at_best, one.at_reference) for one in own}) == 1:
-            own = [Finding(figure, {}, own[0].best, own[0].at_best, own[0].at_reference, own[0].spread, own[0].clear)]
-        result += own
+        of_figure = [one for group in groups if (one := _finding(spec, figure, *group)) is not None]
+        if len(of_figure) == len(groups) and len({(one.best, one.at_best, one.at_reference) for one in of_figure}) == 1:
+            of_figure = [
+                Finding(
+                    figure,
+                    {},
+                    of_figure[0].best,
+                    of_figure[0].at_best,
+                    of_figure[0].at_reference,
+                    of_figure[0].spread,
+                    of_figure[0].clear,
+                )
+            ]
+        result += of_figure
     return result
 
 
@@ -87,9 +97,9 @@ def _groups(spec: StudySpec, rows: list[Row]) -> list[tuple[dict[str, Value], li
     for row in rows:
         groups.setdefault(tuple(row[name] for name in others), []).append(row)
     return [
-        (dict(zip(others, values, strict=True)), own)
-        for values, own in groups.items()
-        if any(row[key] != reference for row in own)
+        (dict(zip(others, values, strict=True)), group)
+        for values, group in groups.items()
+        if any(row[key] != reference for row in group)
     ]
 
 
@@ -123,21 +133,25 @@ def sentences(spec: StudySpec, all_findings: list[Finding]) -> list[str]:
         return []
     reference = next(iter(spec.reference.values()))
     lines = []
-    drawn = {curve.y for curve in spec.curves} | set(spec.pareto or ())
-    for figure in dict.fromkeys(one.figure for one in all_findings if one.figure in drawn):
-        own = [one for one in all_findings if one.figure == figure]
-        best = [one for one in own if one.cost == 0]
-        tied = [one for one in own if one.cost != 0 and not one.clear]
-        worse = [one for one in own if one.clear]
+    plotted = {curve.y for curve in spec.curves} | set(spec.pareto or ())
+    for figure in dict.fromkeys(one.figure for one in all_findings if one.figure in plotted):
+        of_figure = [one for one in all_findings if one.figure == figure]
+        best = [one for one in of_figure if one.cost == 0]
+        tied = [one for one in of_figure if one.cost != 0 and not one.clear]
+        worse = [one for one in of_figure if one.clear]
         parts = []
-        if len(own) == 1:
-            costs = f", {reference} is worse by {_cost(own[0])}" if worse else f", {reference} is statistically tied"
-            where = f" for {_where(own[0].others)}" if own[0].others else ""
-            parts.append(f"{own[0].best} is best{where}" + ("" if best else costs))
+        if len(of_figure) == 1:
+            costs = (
+                f", {reference} is worse by {_cost(of_figure[0])}" if worse else f", {reference} is statistically tied"
+            )
+            where = f" for {_where(of_figure[0].others)}" if of_figure[0].others else ""
+            parts.append(f"{of_figure[0].best} is best{where}" + ("" if best else costs))
         else:
-            parts += [f"{reference} is best in {len(best)} of {len(own)} cases"] if best else []
+            parts += [f"{reference} is best in {len(best)} of {len(of_figure)} cases"] if best else []
             parts += (
-                [f"{reference} is statistically tied with the best in {len(tied)} of {len(own)} cases"] if tied else []
+                [f"{reference} is statistically tied with the best in {len(tied)} of {len(of_figure)} cases"]
+                if tied
+                else []
             )
             for value in dict.fromkeys(one.best for one in worse):
                 own_cases = [one for one in worse if one.best == value]
@@ -191,7 +205,7 @@ def ranking(spec: StudySpec, averaged: list[Row]) -> Ranking | None:
         return None
     pairs = _pairs(averaged)
     groups = _groups(spec, averaged) if spec.reference else []
-    within = tuple(one for _, own in groups if (one := _spearman(own)) is not None)
+    within = tuple(one for _, rows_of_light in groups if (one := _spearman(rows_of_light)) is not None)
     over_bound = float(np.median(pairs[:, 1] / pairs[:, 0]))
     return Ranking(correlation, len(pairs), over_bound, within if len(within) > 1 else ())
 

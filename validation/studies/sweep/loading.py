@@ -92,7 +92,9 @@ def _parameter_problems(spec: StudySpec) -> list[str]:
     if not spec.parameters:
         problems.append("parameters: is empty; give at least one parameter")
     for number, grid in enumerate(spec.grids, 1):
-        problems += [f"parameters.{key}: is empty; give at least one value" for key, own in grid.items() if not own]
+        problems += [
+            f"parameters.{key}: is empty; give at least one value" for key, entries in grid.items() if not entries
+        ]
         problems += [
             f"parameters, table {number}: has no '{key}', which other tables vary; give its value here or in [design]"
             for key in spec.parameters

@@ -170,15 +170,15 @@ def measure(spec: StudySpec, unit: Unit) -> list[dict[str, Any]]:
         exact = truth_of(shot, capture, scene, point)
         method, settings = method_of(spec, point), settings_of(spec, point)
         result = reconstructed(capture, bank, method, settings)
-        own = figures(result, capture, exact)
-        own |= limits(capture, exact, shot.capture.illuminant, lux(scene, point))
+        values = figures(result, capture, exact)
+        values |= limits(capture, exact, shot.capture.illuminant, lux(scene, point))
         if other is not None:
-            seen = capture_of(other, scene, point, unit.seed * len(unit.points) + number + OTHER_SEED)
-            right = reconstructed(seen, bank, method, settings)
+            second = capture_of(other, scene, point, unit.seed * len(unit.points) + number + OTHER_SEED)
+            right = reconstructed(second, bank, method, settings)
             baseline_m = 1e-3 * float(unit.render[BASELINE])
-            own |= second_camera.errors(result, right, exact, other.truth, baseline_m, bank.depth_m)
-        own["seconds"] = shared + time.perf_counter() - begin
-        rows.append({"point": point, "seed": unit.seed, "light_chosen": result.light, "figures": own})
+            values |= second_camera.errors(result, right, exact, other.truth, baseline_m, bank.depth_m)
+        values["seconds"] = shared + time.perf_counter() - begin
+        rows.append({"point": point, "seed": unit.seed, "light_chosen": result.light, "figures": values})
     return rows
 
 
@@ -277,12 +277,12 @@ def depth_figures(result: Reconstruction, truth: Truth) -> dict[str, float]:
     }
     if share < 1 - MOST_BEYOND:
         return result_figures
-    exact, given = (1 / np.maximum(a[near].astype(np.float64), 1e-3) for a in (truth.depth_m, result.depth_m))
-    error, metres = given - exact, 1 / given - 1 / exact
-    seen = truth.blur_px[near] >= criteria.NEAREST_BLUR_PX
+    exact, estimate = (1 / np.maximum(a[near].astype(np.float64), 1e-3) for a in (truth.depth_m, result.depth_m))
+    error, metres = estimate - exact, 1 / estimate - 1 / exact
+    out_of_focus = truth.blur_px[near] >= criteria.NEAREST_BLUR_PX
     return result_figures | {
         "depth-median": float(np.median(np.abs(error))),
-        "depth-seen": float(np.median(np.abs(error[seen]))) if seen.any() else math.nan,
+        "depth-seen": float(np.median(np.abs(error[out_of_focus]))) if out_of_focus.any() else math.nan,
         "depth-rmse": float(np.sqrt(np.mean(error**2))),
         "depth-constant": float(np.median(np.abs(exact - np.median(exact)))),
         "depth-median-m": float(np.median(np.abs(metres))),

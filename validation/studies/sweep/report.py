@@ -90,11 +90,11 @@ def _curve(curve: Curve, averaged: list[Row], spec: StudySpec) -> str:
 
     def draw(axes: Any) -> None:
         for number, value in enumerate(lines):
-            own = [row for row in rows if curve.by is None or row[curve.by] == value]
+            group = [row for row in rows if curve.by is None or row[curve.by] == value]
             middle, spread = [], []
-            at = [place for place, tick in enumerate(ticks) if any(row[curve.x] == tick for row in own)]
+            at = [place for place, tick in enumerate(ticks) if any(row[curve.x] == tick for row in group)]
             for tick in (ticks[place] for place in at):
-                here = [row for row in own if row[curve.x] == tick]
+                here = [row for row in group if row[curve.x] == tick]
                 measured = np.array([row[curve.y] for row in here])
                 middle.append(np.nanmean(measured) if np.isfinite(measured).any() else np.nan)
                 within = np.sqrt(np.mean([row[f"{curve.y}:spread"] ** 2 for row in here])) if here else np.nan
@@ -106,11 +106,11 @@ def _curve(curve: Curve, averaged: list[Row], spec: StudySpec) -> str:
             style["linestyle"] = "" if words else "-"  # no interpolation between text values
             axes.errorbar(x, middle, spread, capsize=3, markersize=4, linewidth=1, label=label, **style)
             for kind, figure in enumerate(curve.beside):
-                drawn = [_mean([row[figure] for row in own if row[curve.x] == ticks[place]]) for place in at]
+                means = [_mean([row[figure] for row in group if row[curve.x] == ticks[place]]) for place in at]
                 if words:
-                    axes.plot(x, drawn, color=style["color"], linestyle="", marker="_x"[kind], markersize=9)
+                    axes.plot(x, means, color=style["color"], linestyle="", marker="_x"[kind], markersize=9)
                 else:
-                    axes.plot(x, drawn, color=style["color"], linestyle=("--", ":")[kind], linewidth=1)
+                    axes.plot(x, means, color=style["color"], linestyle=("--", ":")[kind], linewidth=1)
         axes.set(xlabel=curve.x, ylabel=f"{curve.y} ({FIGURES[curve.y][0]})")
         axes.set_yscale("log" if curve.log_y else "linear")
         if words:

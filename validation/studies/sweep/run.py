@@ -130,10 +130,10 @@ def means(rows: list[Row], spec: StudySpec) -> list[Row]:
     for row in rows:
         groups.setdefault(tuple(row[key] for key in spec.parameters), []).append(row)
     averaged = []
-    for values, own in groups.items():
+    for values, group in groups.items():
         one: Row = dict(zip(spec.parameters, values, strict=True))
         for key in FIGURES:
-            every = np.array([row[key] for row in own], float)
+            every = np.array([row[key] for row in group], float)
             known = every[np.isfinite(every)]
             one[key] = float(known.mean()) if known.size else math.nan
             one[f"{key}:spread"] = float(known.std(ddof=1)) if known.size > 1 else 0.0

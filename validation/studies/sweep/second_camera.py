@@ -66,11 +66,11 @@ def errors(
         exact, estimated = (1 / a[where].astype(np.float64) for a in (truth.depth_m, depth_m))
         return np.asarray(np.abs(estimated - exact) if where.any() else [math.nan])
 
-    seen, shade = near & ~hidden & matched, near & hidden
+    visible, shade = near & ~hidden & matched, near & hidden
     return {
-        "matched-defocus": float(np.median(error(left.depth_m, seen))),
-        "stereo-median": float(np.median(error(stereo, seen))),
-        "matched-combined": float(np.median(error(both, seen))),
+        "matched-defocus": float(np.median(error(left.depth_m, visible))),
+        "stereo-median": float(np.median(error(stereo, visible))),
+        "matched-combined": float(np.median(error(both, visible))),
         "stereo-coverage": float(matched[near].mean()),
         "combined-median": float(np.median(error(both, near))),
         "combined-rmse": float(np.sqrt(np.mean(error(both, near) ** 2))),

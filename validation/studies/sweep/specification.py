@@ -49,16 +49,16 @@ class Grid(Specification):
         return self
 
 
-def _values(given: Any) -> Any:
+def _values(value: Any) -> Any:
     """A list unchanged, a grid as its values, a single value as a list of one."""
-    if isinstance(given, dict):
-        return parse(Grid, given, "grid").values()
-    return given if isinstance(given, list | tuple) else [given]
+    if isinstance(value, dict):
+        return parse(Grid, value, "grid").values()
+    return value if isinstance(value, list | tuple) else [value]
 
 
-def _tables(given: Any) -> Any:
+def _tables(value: Any) -> Any:
     """One table or several, as a list."""
-    return [given] if isinstance(given, dict) else given
+    return [value] if isinstance(value, dict) else value
 
 
 Table = dict[str, Annotated[tuple[Value, ...], BeforeValidator(_values)]]
@@ -109,7 +109,7 @@ class StudySpec(Specification):
         parameters: dict[str, tuple[Value, ...]] = {}
         for key in dict.fromkeys(key for table in tables for key in table):
             lists = [table[key] for table in tables if key in table]
-            values = list(dict.fromkeys(value for own in lists for value in own))
+            values = list(dict.fromkeys(value for entries in lists for value in entries))
             if len(lists) > 1 and not any(isinstance(value, str) for value in values):
                 values.sort(key=float)
             parameters[key] = tuple(values)
@@ -141,4 +141,8 @@ def units(spec: StudySpec) -> list[Unit]:
     for point in points(spec):
         render = tuple((key, value) for key, value in point.items() if not key.startswith(AFTERWARDS))
         groups.setdefault(render, []).append(point)
-    return [Unit(dict(render), tuple(own), seed) for seed in range(spec.seeds) for render, own in groups.items()]
+    return [
+        Unit(dict(render), tuple(points_of_unit), seed)
+        for seed in range(spec.seeds)
+        for render, points_of_unit in groups.items()
+    ]

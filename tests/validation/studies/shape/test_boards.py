@@ -17,9 +17,9 @@ def test_ratios_are_paired_by_exposure() -> None:
 
 
 def test_boards_stand_at_their_levels_under_one_light(camera: dasim.Camera) -> None:
-    found = list(boards.lit_boards(camera))
-    assert len(found) == len(boards.LEVELS)
-    for scene, cropped in found:
+    lit = list(boards.lit_boards(camera))
+    assert len(lit) == len(boards.LEVELS)
+    for scene, cropped in lit:
         assert (cropped.sensor.width_px, cropped.sensor.height_px) == boards.BOARD_PX
         assert {light.illuminant for light in scene.lights} == {boards.LIGHT}
     blurs = geometry.level_blur_px(camera)[list(boards.LEVELS)]

@@ -17,11 +17,11 @@ def test_references_have_the_same_light_budget() -> None:
     every = designs.references(128, BUDGET)
     assert every[0].name == designs.disc_name(BUDGET) == "disc 0.46"
     for design in every:
-        own = masks.budget(design.amplitude)
+        budget = masks.budget(design.amplitude)
         if design.name.endswith("as large as fits"):
-            assert own > 1.05 * BUDGET
+            assert budget > 1.05 * BUDGET
         else:
-            assert own == pytest.approx(BUDGET, rel=CODE_CELLS), design.name
+            assert budget == pytest.approx(BUDGET, rel=CODE_CELLS), design.name
 
 
 def test_the_best_ring_is_at_least_as_good_as_the_disc(camera: dasim.Camera) -> None:

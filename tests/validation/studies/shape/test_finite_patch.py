@@ -30,16 +30,16 @@ def periodic(camera: dasim.Camera, blur: float) -> float:
 
 def test_a_patch_much_larger_than_the_blur_needs_no_surroundings(camera: dasim.Camera) -> None:
     """Two methods that share no formula: frequencies of a periodic patch, and covariances between all of its pixels."""
-    for own in (camera, windows(camera)):
-        bound = finite_patch.cut_deviation(own, np.array([SMALL_BLUR]), finite_patch.SIDE)[0]
-        assert bound == pytest.approx(periodic(own, SMALL_BLUR), rel=BOUNDARY)
+    for design in (camera, windows(camera)):
+        bound = finite_patch.cut_deviation(design, np.array([SMALL_BLUR]), finite_patch.SIDE)[0]
+        assert bound == pytest.approx(periodic(design, SMALL_BLUR), rel=BOUNDARY)
 
 
 def test_without_its_surroundings_a_patch_gains_nothing_from_two_windows(camera: dasim.Camera) -> None:
     """By the periodic bound two windows have at least 15 % less error than the disc; without surroundings, more."""
     two = windows(camera)
     assert periodic(two, 20.0) < 0.85 * periodic(camera, 20.0)
-    cut = [finite_patch.cut_deviation(own, np.array([WIDE_BLUR]), finite_patch.SIDE)[0] for own in (camera, two)]
+    cut = [finite_patch.cut_deviation(design, np.array([WIDE_BLUR]), finite_patch.SIDE)[0] for design in (camera, two)]
     assert cut[1] > cut[0] > 1.3 * periodic(camera, WIDE_BLUR)
 
 

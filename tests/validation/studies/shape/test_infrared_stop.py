@@ -21,15 +21,15 @@ def test_the_infrared_stop_is_the_hole_and_a_lens_for_visible_light_has_none(cam
 def test_another_shape_keeps_the_bands_and_the_other_stops(camera: dasim.Camera) -> None:
     hole = infrared_stop(camera)
     mask = masks.disc(32, 0.3)
-    for own, area in ((with_disc(camera, 0.3), 0.09), (with_mask(camera, mask), masks.budget(mask))):
-        changed = infrared_stop(own)
+    for variant, area in ((with_disc(camera, 0.3), 0.09), (with_mask(camera, mask), masks.budget(mask))):
+        changed = infrared_stop(variant)
         assert (changed.name, changed.passes_nm, changed.edge_width_nm) == (
             hole.name,
             hole.passes_nm,
             hole.edge_width_nm,
         )
         assert stops.open_area(changed) == pytest.approx(area, rel=1e-3)  # transmittances have four digits
-        assert [one for one in own.stops if one.name != hole.name] == [
+        assert [one for one in variant.stops if one.name != hole.name] == [
             one for one in camera.stops if one.name != hole.name
         ]
 

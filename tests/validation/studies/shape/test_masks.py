@@ -16,8 +16,8 @@ def test_shapes_have_their_light_budget(share: float) -> None:
     assert masks.budget(masks.disc(128, share)) == pytest.approx(share, abs=rim / 4)
     assert masks.budget(masks.annulus(128, share, 0.3)) == pytest.approx(share, abs=rim / 2)
     code = published_codes.zhou_nayar()
-    own = min(share, code.mean() * 2 / np.pi)
-    assert masks.budget(masks.square(code, 128, share)) == pytest.approx(own, rel=0.08)  # 13 cells on 128
+    code_budget = min(share, code.mean() * 2 / np.pi)
+    assert masks.budget(masks.square(code, 128, share)) == pytest.approx(code_budget, rel=0.08)  # 13 cells on 128
 
 
 def test_a_ring_that_does_not_fit_is_refused() -> None:

@@ -17,6 +17,6 @@ def test_the_likelihood_of_patches_reaches_its_bound(camera: dasim.Camera) -> No
     """
     half = masks.disc(32, BUDGET / 2, (0.67, 0.0)) + masks.disc(32, BUDGET / 2, (-0.67, 0.0))
     blurs = np.array([10.0])
-    for own in (camera, with_mask(camera, half)):
-        error, bound = patch_likelihood.likelihood_errors(own, blurs, patches=300)
+    for design in (camera, with_mask(camera, half)):
+        error, bound = patch_likelihood.likelihood_errors(design, blurs, patches=300)
         np.testing.assert_allclose(error, np.hypot(bound, 0.03), rtol=0.15)

@@ -17,24 +17,24 @@ GRADIENT_TOLERANCE = 1e-3  # relative; central differences of 1e-5 reach 1e-6
 @pytest.mark.parametrize("symmetry", ["none", "half-turn"])
 @pytest.mark.parametrize("beta", [2.0, 16.0])
 def test_the_projection_keeps_the_budget_and_its_gradient(symmetry: str, beta: float) -> None:
-    own = Search(CELLS, BUDGET, 3.0, symmetry=symmetry)  # type: ignore[arg-type]
+    task = Search(CELLS, BUDGET, 3.0, symmetry=symmetry)  # type: ignore[arg-type]
     random = np.random.default_rng(7)
     latent = random.uniform(0, 1, (CELLS, CELLS)) * masks.inside(CELLS)
     weight, direction = random.normal(size=(2, CELLS, CELLS))
     direction *= masks.inside(CELLS)
-    amplitude, back = search.projected(latent, own, beta)
+    amplitude, back = search.projected(latent, task, beta)
     assert masks.budget(amplitude) == pytest.approx(BUDGET, rel=1e-9)
     if symmetry == "half-turn":
         np.testing.assert_allclose(amplitude, amplitude[::-1, ::-1], atol=1e-12)
-    ends = [(search.projected(latent + sign * 1e-5 * direction, own, beta)[0] * weight).sum() for sign in (1, -1)]
+    ends = [(search.projected(latent + sign * 1e-5 * direction, task, beta)[0] * weight).sum() for sign in (1, -1)]
     assert (back(weight) * direction).sum() == pytest.approx((ends[0] - ends[1]) / 2e-5, rel=GRADIENT_TOLERANCE)
 
 
 @pytest.mark.parametrize("diameter", [3, 5])
 def test_thresholded_masks_have_their_budget_and_no_smaller_feature(diameter: int) -> None:
-    own = Search(48, BUDGET, diameter)
+    task = Search(48, BUDGET, diameter)
     for seed in (3, 4):
-        mask = search.thresholded(search.filtered(search.start(own, seed), own), own)
+        mask = search.thresholded(search.filtered(search.start(task, seed), task), task)
         assert set(np.unique(mask)) == {0.0, 1.0}
         assert masks.budget(mask) == pytest.approx(BUDGET, abs=0.02)  # one level may open or close a whole part
         assert masks.smallest_feature(mask) >= diameter
@@ -56,6 +56,6 @@ def objective(camera: dasim.Camera, mask: np.ndarray) -> float:
 
 def test_seeds_are_repeatable(camera: dasim.Camera) -> None:
     stop = free_stop.free_stop(camera, BLURS, CELLS, budget=BUDGET, fine_cells=32)
-    own = Search(CELLS, BUDGET, 2.0, iterations=2)
-    first, again = (search.optimised(stop, own, 3) for _ in range(2))
+    task = Search(CELLS, BUDGET, 2.0, iterations=2)
+    first, again = (search.optimised(stop, task, 3) for _ in range(2))
     np.testing.assert_array_equal(first.amplitude, again.amplitude)

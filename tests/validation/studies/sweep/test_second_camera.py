@@ -28,7 +28,7 @@ def level_depth_m(camera):
     return geometry.depth_of_blur_m(camera, geometry.level_blur_px(camera))
 
 
-def seen(camera, picture, depth_m) -> Reconstruction:
+def reconstruction_of(camera, picture, depth_m) -> Reconstruction:
     colours = coloured(picture)
     depth = np.broadcast_to(np.float32(depth_m), SIZE).copy()
     ones = np.ones(SIZE, np.float32)
@@ -59,15 +59,15 @@ def test_figures_compare_where_a_point_is_matched(camera):
     wide = texture(SIZE[1] + 200)
     shift = round(scale(camera) / 1.0)
     columns = np.arange(SIZE[1]) + 100
-    pair = [seen(camera, wide[:, columns + s], 1 / 1.1) for s in (0, shift)]
+    pair = [reconstruction_of(camera, wide[:, columns + s], 1 / 1.1) for s in (0, shift)]
     exact_m = scale(camera) / shift
     exact = truth(camera, exact_m)
-    found = second_camera.errors(*pair, exact, exact, BASELINE_M, level_depth_m(camera))
+    figures = second_camera.errors(*pair, exact, exact, BASELINE_M, level_depth_m(camera))
     off = abs(1.1 - 1 / exact_m)
-    assert found["matched-defocus"] == pytest.approx(off, rel=1e-3)
-    assert max(found["stereo-median"], found["matched-combined"]) < 0.1 * off
-    assert found["occluded-share"] == pytest.approx(shift / SIZE[1], abs=1 / SIZE[1])
-    assert found["occluded-median"] == pytest.approx(off, rel=1e-3) and found["occluded-matched"] < FEW
+    assert figures["matched-defocus"] == pytest.approx(off, rel=1e-3)
+    assert max(figures["stereo-median"], figures["matched-combined"]) < 0.1 * off
+    assert figures["occluded-share"] == pytest.approx(shift / SIZE[1], abs=1 / SIZE[1])
+    assert figures["occluded-median"] == pytest.approx(off, rel=1e-3) and figures["occluded-matched"] < FEW
 
 
 def test_what_a_near_square_hides_is_occluded(camera):
