@@ -56,7 +56,9 @@ def load_scene(
 def as_scene(
     scene: Scene | MitsubaScene | str | Path, camera: Camera | str | Path | None = None
 ) -> Scene | MitsubaScene:
-    """Return a scene unchanged, or load it by its name or path (see :func:`load_scene`); InputError for other types."""
+    """Return a scene unchanged, or load it by its name or path (see :func:`load_scene`); raises InputError for other
+    types.
+    """
     if isinstance(scene, (Scene, MitsubaScene)):
         return scene
     if isinstance(scene, (str, Path)):

@@ -86,7 +86,7 @@ DEFAULT = PRESETS[DEFAULT_PRESET]
 
 
 def preset(name: str) -> Settings:
-    """The settings of a preset; InputError for an unknown name."""
+    """The settings of a preset; raises InputError for an unknown name."""
     if name not in PRESETS:
         raise InputError(f"preset '{name}' is unknown; allowed are {', '.join(PRESETS)}")
     return PRESETS[name]

@@ -176,7 +176,7 @@ def ray(address: str, work: Work, *, gpu: bool = False) -> Executor:
     """Executor that runs on the nodes of a Ray cluster.
 
     Ray chooses the node of each index, and repeats the work on an index whose process or node dies, ``RAY_TRIES`` times
-    in all. Raises InputError where Ray is not installed or does not answer.
+    in all. Raises InputError if Ray is not installed or does not answer.
 
     Args:
         address: ``auto`` for the cluster of this computer or of the variable RAY_ADDRESS, or ``ray://host:port``.
@@ -229,7 +229,7 @@ def ray(address: str, work: Work, *, gpu: bool = False) -> Executor:
 
 
 def _check_answers(address: str) -> None:
-    """InputError where no Ray client server listens at an address."""
+    """Raise InputError if no Ray client server listens at an address."""
     if address == "auto":
         address = os.environ.get("RAY_ADDRESS", address)
     if address == "auto":

@@ -18,10 +18,10 @@ _FILE_MODULE = "dasim_file_"  # prefix of the module name of a user's file, whic
 
 
 def load_function(name: str, kind: str) -> Callable[..., Any]:
-    """Function of a name; InputError where it cannot be imported or is not callable.
+    """Function of a name; raises InputError if it cannot be imported or is not callable.
 
-    A module is searched among the installed ones and then in the working folder. A file may import modules from its
-    own folder, and is executed anew at each call. A function from a file cannot be pickled: pass its name to another
+    A module is searched among the installed ones and then in the working folder. A file may import modules from its own
+    folder, and is executed anew at each call. A function from a file cannot be pickled: pass its name to another
     process and load it there.
 
     Args:

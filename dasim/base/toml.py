@@ -24,7 +24,7 @@ Model = TypeVar("Model", bound=BaseModel)
 
 
 def bundled_or_file(name_or_path: str | Path, folder: Path, kind: str) -> Path:
-    """Path of a bundled TOML file by its name, or of the user's file; InputError where there is neither.
+    """Path of a bundled TOML file by its name, or of the user's file; raises InputError if there is neither.
 
     ``folder`` holds the bundled files; ``kind`` is what they describe, for the message.
     """

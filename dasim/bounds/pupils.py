@@ -130,7 +130,17 @@ def _bands(camera: Camera, stop: Stop, light: str) -> tuple[list[_Band], FloatAr
 def _grid(
     weight: FloatArray, scale_px: float, blurs: FloatArray, cells: int, count: int, spacing_px: float, fine: int
 ) -> Grid:
-    """Sampled pupil of a band for patches [count, count] and masks [cells, cells], at least ``fine`` cells across."""
+    """Sampled pupil of one band of wavelengths.
+
+    Args:
+        weight: share of each channel's light, [channel].
+        scale_px: lambda N / p of the open lens, in pixels.
+        blurs: visible blur diameters, [blur], in pixels.
+        cells: cells across the masks that will be placed in this pupil.
+        count: samples across the patches.
+        spacing_px: distance of the samples.
+        fine: least number of cells of the sampled pupil across the lens.
+    """
     first = 2 * scale_px / (count * spacing_px)  # shift of the lowest frequency, in radii
     step = max(1, int(np.ceil(fine * first / 2)))
     side = first / step

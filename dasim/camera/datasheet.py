@@ -89,8 +89,9 @@ _FIELD = {
 def translated(data: dict[str, Any], green: Curve | None = None) -> dict[str, Any]:
     """Plain data of a sensor with its table ``emva1288`` replaced by the fields of ``Sensor``, see `DataSheet`.
 
-    ``green`` is that of the sensor's own response curves, wavelengths in nm and efficiencies, if it has some.
-    Raises ValueError (pydantic's own for single keys) for unknown keys and for a quantity in both spellings.
+    ``green`` holds the wavelengths in nm and efficiencies of the green curve of the sensor's own response curves, if it
+    has any. Raises ValueError (pydantic's own for single keys) for unknown keys and for a quantity that is given in
+    both places.
     """
     sheet = _Table(emva1288=data["emva1288"]).emva1288
     others = {key: value for key, value in data.items() if key != "emva1288"}
@@ -120,7 +121,9 @@ def translated(data: dict[str, Any], green: Curve | None = None) -> dict[str, An
 
 
 def _number(data: dict[str, Any], key: str, default: float) -> float:
-    """A number of data that is not yet validated; what is no number is refused later, by its own field."""
+    """A number from data that are not yet validated; a value of another type gives ``default``, and its field refuses
+    it later.
+    """
     value = data.get(key, default)
     return float(value) if isinstance(value, (int, float)) and np.isfinite(value) else default
 
@@ -128,11 +131,11 @@ def _number(data: dict[str, Any], key: str, default: float) -> float:
 def saturation_capacity_e(full_well_e: float, prnu: float) -> float:
     """EMVA 1288's saturation capacity mu_e.sat of a pixel with a full well: where the temporal variance peaks.
 
-    A pixel of mean m collects Poisson electrons and keeps at most F = ``full_well_e``; its variance is m g(x) with
-    x = (F - m) / sqrt(m) and g the variance of a normal variable cut off above x:
-    g = Phi + x^2 Q - x phi - (x Q - phi)^2, Q = 1 - Phi. The camera's is the mean over pixels of mean m (1 + PRNU z),
-    z normal. It peaks about three standard deviations below F, at 0.956 F for 6,000 electrons and 1 %.
-    (The normal law stands for the Poisson law, for wells of some hundred electrons and more.)
+    A pixel of mean m collects Poisson electrons and keeps at most F = ``full_well_e``; its variance is m g(x) with x =
+    (F - m) / sqrt(m) and g the variance of a normal variable cut off above x: g = Phi + x^2 Q - x phi - (x Q - phi)^2,
+    Q = 1 - Phi. The variance of the camera is the mean over pixels of mean m (1 + PRNU z), with z normal. It peaks
+    about three standard deviations below F, at 0.956 F for 6,000 electrons and 1 %. (The normal law replaces the
+    Poisson law, which is accurate for wells of some hundred electrons and more.)
     """
     mean_e = np.linspace(_LOWEST_PEAK, 1.0, _PEAK_POINTS) * full_well_e
     z, weight = np.polynomial.hermite_e.hermegauss(31)

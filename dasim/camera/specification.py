@@ -218,7 +218,7 @@ def load_camera(name_or_path: str | Path) -> Camera:
 
 
 def as_camera(camera: Camera | str | Path) -> Camera:
-    """The camera itself, or the one that a name or path stands for; InputError for anything else."""
+    """The camera itself, or the one that a name or path stands for; raises InputError for anything else."""
     if isinstance(camera, Camera):
         return camera
     if isinstance(camera, (str, Path)):
@@ -261,7 +261,7 @@ def cropped(
 
 
 def _check_window(camera: Camera, size_px: tuple[int, int], at_px: tuple[int, int]) -> None:
-    """InputError where a window is not within the sensor or would begin within a cell of the mosaic."""
+    """Raise InputError if a window is not within the sensor or would begin within a cell of the mosaic."""
     sensor = camera.sensor
     cell = len(sensor.mosaic[0]), len(sensor.mosaic)
     full = sensor.width_px, sensor.height_px

@@ -42,7 +42,7 @@ def make(
     retry: Annotated[bool, Parameter(negative="")] = False,
     variant: str | None = None,
 ) -> int:
-    """Make a dataset from a specification, or continue one that was interrupted; exit status 1 where samples fail.
+    """Make a dataset from a specification, or continue one that was interrupted; the exit status is 1 if samples fail.
 
     Args:
         spec: a TOML file
@@ -95,7 +95,8 @@ def make(
 
 @app.command
 def verify(dataset: str) -> int:
-    """Check a whole dataset: checksums, shapes, ranges, missing and extra samples; exit status 1 on problems.
+    """Check a dataset: checksums, shapes, ranges, missing and extra samples; the exit status is 1 if there are
+    problems.
 
     Args:
         dataset: its folder or fsspec address

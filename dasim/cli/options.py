@@ -39,7 +39,7 @@ def progress() -> Iterator[Progress]:
 
 
 def whole(kind: Any, tokens: Any) -> int:
-    """An option's integer; InputError for anything else, such as 1.5."""
+    """An option's integer; raises InputError for anything else, such as 1.5."""
     try:
         return int(tokens[0].value)
     except ValueError:
@@ -56,7 +56,7 @@ Out = Annotated[Path, Parameter(name="--out")]
 
 
 def check_new_file(path: Path, option: str) -> None:
-    """InputError if a file to be written exists already or its folder does not, before the work begins."""
+    """Raise InputError if a file to be written exists already or its folder does not, before the work begins."""
     if path.exists():
         raise InputError(f"{option} {path}: exists; choose another name")
     if not path.resolve().parent.is_dir():

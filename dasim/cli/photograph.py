@@ -222,7 +222,7 @@ def _measured_bank(
 
 
 def _check_bank_output(out: Path) -> None:
-    """InputError if the output exists and is not a bank."""
+    """Raise InputError if the output exists and is not a bank."""
     from dasim.files.banks import load_bank
 
     if out.is_dir():

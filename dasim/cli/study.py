@@ -101,7 +101,7 @@ def bound(
     """Print the Cramer-Rao bound of depth from one patch, the least error of an unbiased estimate, by distance.
 
     Args:
-        camera: a bundled name or a TOML file, its stops may have any shape
+        camera: a bundled name or a TOML file; its stops may have any shape
         focus: distance in m; by default 0.4
         near_cm: nearest distance in cm
         far_cm: farthest distance in cm, on the near side of the focus

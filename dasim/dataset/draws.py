@@ -40,7 +40,7 @@ class Draft:
 
 
 def draft(spec: DatasetSpec, index: int) -> Draft:
-    """Draft of sample ``index``, 0 to ``spec.samples`` - 1; InputError where its random values are not allowed."""
+    """Draft of sample ``index``, 0 to ``spec.samples`` - 1; raises InputError if its random values are not allowed."""
     number = scene_number(spec, index)
     settings = values(spec, index)
     base = named_camera(spec, spec.cameras[_choice(spec, index)])

@@ -67,7 +67,7 @@ def make(
         log: file that gets one line per sample.
         show: function that is called after each sample.
 
-    Raises InputError where files cannot be written.
+    Raises InputError if files cannot be written.
     """
     try:
         return _make(job, executor, shard, retry, log, show)
@@ -144,7 +144,7 @@ def parts(out: str) -> set[int]:
 
 
 def failures(out: str) -> dict[int, str]:
-    """Error of each failed sample, by index."""
+    """Error message of each failed sample of the dataset ``out``, by index."""
     names = storage.names(out, "failed")
     return {int(Path(name).stem): str(json.loads(storage.read(out, name))["error"]) for name in names}
 

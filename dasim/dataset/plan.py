@@ -71,7 +71,7 @@ def sample_bytes(spec: DatasetSpec) -> float:
 
 
 def check_space(spec: DatasetSpec, out: str, samples: int) -> None:
-    """InputError where ``samples`` further samples need more space than is free."""
+    """Raise InputError if ``samples`` further samples need more space than is free."""
     free, needed = storage.free_bytes(out), SPARE * samples * sample_bytes(spec)
     if free is not None and needed > free:
         raise InputError(
@@ -93,7 +93,7 @@ def description(spec: DatasetSpec, environment: dict[str, Any]) -> dict[str, Any
 
 
 def manifest(out: str) -> dict[str, Any]:
-    """The manifest of a dataset; InputError where there is none, or one of a newer version."""
+    """The manifest of a dataset; raises InputError if there is none, or one of a newer version."""
     try:
         content = storage.read(out, MANIFEST)
     except (FileNotFoundError, NotADirectoryError):

@@ -75,7 +75,7 @@ class Dataset(Sequence[Sample]):
 def open_dataset(path: str | Path, split: str | None = None) -> Dataset:
     """A dataset, or one split of it, in a folder or at an fsspec address (``s3://...``).
 
-    Raises InputError where there is no dataset, or it is not finished or has no such split.
+    Raises InputError if there is no dataset, or it is not finished or has no such split.
     """
     where = str(path)
     spec = spec_of(where)
@@ -91,7 +91,7 @@ def spec_of(where: str) -> DatasetSpec:
 
 
 def index_rows(where: str) -> list[dict[str, Any]]:
-    """Rows of the index; InputError where it is missing."""
+    """Rows of the index; raises InputError if it is missing."""
     parquet = parquet_library()
     try:
         table = parquet.read_table(io.BytesIO(storage.read(where, INDEX)))
@@ -103,7 +103,7 @@ def index_rows(where: str) -> list[dict[str, Any]]:
 
 
 def parquet_library() -> Any:
-    """``pyarrow.parquet``; InputError where it is not installed."""
+    """``pyarrow.parquet``; raises InputError if it is not installed."""
     try:
         import pyarrow.parquet
     except ImportError:

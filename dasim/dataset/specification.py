@@ -314,7 +314,9 @@ def named_camera(spec: DatasetSpec, choice: CameraChoice) -> Camera:
 
 
 def with_values(camera: Camera, changes: dict[str, Scalar]) -> Camera:
-    """Camera with values changed at dotted keys; InputError where a key does not exist or a value is not allowed."""
+    """Camera with values changed at dotted keys; raises InputError if a key does not exist or a value
+    is not allowed.
+    """
     if not changes:
         return camera
     data = camera.model_dump(mode="json")

@@ -152,7 +152,7 @@ def free_bytes(out: str) -> int | None:
 
 
 def check_writable(out: str) -> None:
-    """InputError where files cannot be written to an output."""
+    """Raise InputError if files cannot be written to an output."""
     try:
         name = f".writable.{atomic.writer()}{PARTIAL}"
         write(out, name, b"")

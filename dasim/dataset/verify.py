@@ -25,7 +25,7 @@ SHAPES = {"normal": 3, "mean_e": None, "sharp_e": None, "sharp_srgb": 3}  # last
 def problems(out: str, show: Callable[[float], None] = lambda share: None) -> Iterator[str]:
     """Problems of a dataset, one line each; ``show`` gets the share that is done.
 
-    Raises InputError where the folder is not a dataset.
+    Raises InputError if the folder is not a dataset.
     """
     manifest = plan.manifest(out)
     spec = reading.spec_of(out)

@@ -55,7 +55,7 @@ def save_bank(path: Path, bank: PsfBank) -> None:
 
 
 def load_bank(path: Path) -> PsfBank:
-    """Read a PSF bank; InputError where the file is missing, damaged or not a bank."""
+    """Read a PSF bank; raises InputError if the file is missing, damaged or not a bank."""
     path = Path(path)
     if not path.is_file():
         what = "is a folder; a bank is a single .npz file" if path.is_dir() else "no such file"

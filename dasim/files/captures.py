@@ -61,7 +61,7 @@ def capture_meta(capture: Capture) -> dict[str, Any]:
 
 
 def load_capture(path: Path) -> Capture:
-    """Read a capture folder; InputError where a file is missing, truncated or inconsistent with the others."""
+    """Read a capture folder; raises InputError if a file is missing, truncated or inconsistent with the others."""
     path = Path(path)
     meta = _read_meta(path)
     for name in {"raw.png", *meta.get("file_bytes", {})}:
@@ -70,7 +70,7 @@ def load_capture(path: Path) -> Capture:
 
 
 def capture_of(meta: dict[str, Any], raw: NDArray[np.uint16], where: str) -> Capture:
-    """Capture from the content of its ``meta.json`` and its raw picture [h, w]; InputError where they disagree.
+    """Capture from the content of its ``meta.json`` and its raw picture [h, w]; raises InputError if they disagree.
 
     ``where`` is the name of the folder, for messages.
     """
@@ -95,7 +95,7 @@ def capture_of(meta: dict[str, Any], raw: NDArray[np.uint16], where: str) -> Cap
 
 
 def load_truth(path: Path) -> Truth:
-    """Read the ground truth of a capture folder; InputError where it is missing or truncated."""
+    """Read the ground truth of a capture folder; raises InputError if it is missing or truncated."""
     path = Path(path)
     _check_size(path / "truth.exr", _read_meta(path))
     return read_truth(path / "truth.exr")
@@ -115,7 +115,7 @@ class _CaptureMeta(Specification):
 
 
 def _check_size(file: Path, meta: dict[str, Any]) -> None:
-    """InputError where a file of a capture is missing or does not have the size that ``meta.json`` states."""
+    """Raise InputError if a file of a capture is missing or does not have the size that ``meta.json`` states."""
     if not file.is_file():
         raise InputError(f"{file}: is missing; a capture holds raw.png, truth.exr and meta.json")
     sizes = meta.get("file_bytes")
@@ -127,7 +127,7 @@ def _check_size(file: Path, meta: dict[str, Any]) -> None:
 
 
 def _read_meta(path: Path) -> dict[str, Any]:
-    """Content of ``meta.json`` in a capture folder; InputError where there is none of our schema."""
+    """Content of ``meta.json`` in a capture folder; raises InputError if there is none of our schema."""
     if path.is_file():
         raise InputError(f"capture {path}: is a file; give the folder that holds raw.png, truth.exr and meta.json")
     if not path.is_dir():

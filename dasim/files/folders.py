@@ -46,7 +46,7 @@ def new_folder(path: Path, kind: str) -> Iterator[Path]:
     """Create a temporary folder that becomes ``path`` when the block ends, and is removed when the block raises.
 
     An earlier result of the same ``kind`` (a key of ``RESULT_FILES``) at ``path`` is replaced as a whole. Raises
-    InputError where ``path`` holds anything else.
+    InputError if ``path`` holds anything else.
     """
     check_output(path, kind)
     with atomic.new_folder(path) as folder:
@@ -54,7 +54,7 @@ def new_folder(path: Path, kind: str) -> Iterator[Path]:
 
 
 def check_output(path: Path, kind: str) -> None:
-    """InputError where an output folder holds anything but an earlier result of this kind, or cannot be written.
+    """Raise InputError if an output folder holds anything but an earlier result of this kind, or cannot be written.
 
     It is called before the work starts, so that no result is lost.
     """

@@ -23,7 +23,7 @@ def write_png16(path: Path, image: NDArray[np.uint16]) -> None:
 
 
 def read_png16(path: Path) -> NDArray[np.uint16]:
-    """Image [h, w] of a 16-bit grey PNG; InputError where the file is missing, truncated or of another kind."""
+    """Image [h, w] of a 16-bit grey PNG; raises InputError if the file is missing, truncated or of another kind."""
     if not path.is_file():
         raise InputError(f"{path}: is missing")
     data = path.read_bytes()

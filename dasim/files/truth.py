@@ -66,7 +66,7 @@ def write_truth(path: Path, truth: Truth, keep: Sequence[str] = TRUTH_PARTS, *, 
 
 
 def read_truth(path: Path) -> Truth:
-    """Read a ground-truth EXR; InputError where it is missing, truncated or lacks a part."""
+    """Read a ground-truth EXR; raises InputError if it is missing, truncated or lacks a part."""
     values = read_truth_parts(path)
     missing = [field.name for field in fields(Truth) if field.name not in values]
     if missing:
@@ -75,7 +75,9 @@ def read_truth(path: Path) -> Truth:
 
 
 def read_truth_parts(path: Path) -> dict[str, Any]:
-    """The fields of :class:`Truth` that a ground-truth EXR contains, by name; InputError where it cannot be read."""
+    """The fields of :class:`Truth` that a ground-truth EXR contains, by name; raises InputError if it
+    cannot be read.
+    """
     import OpenEXR
 
     if not path.is_file():

@@ -82,7 +82,7 @@ def material_names() -> list[str]:
 def reflectance(name: str) -> FloatArray:
     """Reflectance 0..1 of a Lambertian material on ``WAVELENGTH_NM``, [wavelength].
 
-    InputError for an unknown name, and for metals, glass and coated materials.
+    Raises InputError for an unknown name, and for metals, glass and coated materials.
     """
     if name in colour_checker.PATCHES:
         return colour_checker.curve(name)
@@ -266,7 +266,7 @@ Mix.model_rebuild()
 def surface(texture: Any, folder: Path) -> Surface:
     """Resolve the name of a material or a ``Texture`` to a surface; its files are looked up in ``folder``.
 
-    InputError for unknown names, unusable files, and combinations that the renderer does not support.
+    Raises InputError for unknown names, unusable files, and combinations that the renderer does not support.
     """
     match texture:
         case str():
@@ -300,7 +300,7 @@ def surface(texture: Any, folder: Path) -> Surface:
 
 
 def _opaque(part: Any, folder: Path) -> Surface:
-    """The surface of a part of a mixture; InputError for glass."""
+    """The surface of a part of a mixture; raises InputError for glass."""
     opaque = surface(part, folder)
     if isinstance(opaque, Glass):
         raise InputError(f"material '{part}' is clear and cannot be mixed; mix opaque materials only")

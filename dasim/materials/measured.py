@@ -44,7 +44,7 @@ def resample(points: FloatArray, where: str) -> FloatArray:
 def read(path: Path, where: str) -> FloatArray:
     """Points [n, 2] of a CSV file with the header ``wavelength_nm,reflectance``; lines that start with # are comments.
 
-    InputError where the file is missing or has another format; ``where`` is the start of its message.
+    Raises InputError if the file is missing or has another format; ``where`` is the start of its message.
     """
     try:
         lines = [line for line in path.read_text(encoding="utf-8-sig").splitlines() if line.strip()]

@@ -177,7 +177,7 @@ PATTERNS = {
 def pattern(name: str) -> Float32Array:
     """The pattern ``NAME`` or ``NAME:NUMBER``: linear weights 0..1, [SIZE_PX, SIZE_PX], top row first, read-only.
 
-    InputError for an unknown name and for a number outside its limits.
+    Raises InputError for an unknown name and for a number outside its limits.
     """
     kind, colon, text = name.partition(":")
     if kind not in PATTERNS:

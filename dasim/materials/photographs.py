@@ -122,7 +122,7 @@ def _srgb_basis() -> FloatArray:
 
 
 def linear_rgb(image: str, folder: Path) -> Float32Array:
-    """A photograph in linear light, [h, w, rgb] 0..1; InputError where it is missing or unreadable.
+    """A photograph in linear light, [h, w, rgb] 0..1; raises InputError if it is missing or unreadable.
 
     ``image`` is a file in ``folder`` (sRGB of 8 or 16 bits), ``skimage:NAME`` for a photograph that ships with
     scikit-image, or ``pattern:NAME`` or ``pattern:NAME:NUMBER`` for a pattern, which is grey and already linear.

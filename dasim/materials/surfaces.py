@@ -87,7 +87,7 @@ def is_textured(surface: Surface) -> bool:
 
 
 def flip_images(surface: Surface) -> Surface:
-    """Turn the images of a surface upside down."""
+    """A surface whose images are mirrored top to bottom."""
     images: dict[int, Float32Array] = {}  # keeps images that the tree shares shared
 
     def turn(part: Surface) -> Surface:

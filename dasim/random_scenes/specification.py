@@ -166,7 +166,7 @@ def random_scene(
 ) -> Scene:
     """Random scene number ``index`` of a seed; the same numbers give the same scene.
 
-    InputError where a file or folder of the specification is broken.
+    Raises InputError if a file or folder of the specification is broken.
 
     Args:
         seed: 0 or above

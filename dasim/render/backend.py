@@ -107,7 +107,7 @@ def choose(variant: str | None = None) -> Choice:
     """The variant of a name, or the fastest variant that works for ``auto``.
 
     Without a name, the environment variable ``DASIM_VARIANT`` decides, and ``auto`` where it is not set. Raises
-    InputError where the name is unknown or the variant does not work on this computer.
+    InputError if the name is unknown or the variant does not work on this computer.
     """
     where = "variant" if variant is not None else "DASIM_VARIANT"
     request = variant if variant is not None else os.environ.get("DASIM_VARIANT") or "auto"
@@ -165,7 +165,7 @@ def release_memory() -> None:
 
 
 def activate(choice: Choice) -> None:
-    """Activate a variant in this process; InputError where another one is active already."""
+    """Activate a variant in this process; raises InputError if another one is active already."""
     global _active
     if _active is not None and _active.variant != choice.variant:
         raise InputError(

@@ -1,12 +1,12 @@
 """Irradiance from extended sources and from other surfaces, interpolated where it is smooth (JIT variants).
 
-The irradiance of a Lambertian surface by the sky and by its surroundings changes little from pixel to pixel, and makes
-most of the cost and the noise of a picture. It is traced once on a grid of points that the lens sees, with many
-directions each, and interpolated: Ward, Rubinstein and Clear, "A ray tracing solution for diffuse interreflection",
-SIGGRAPH 1988. Lamps are excluded: every ray samples them where it lands, so that shadows are sharp.
+The irradiance of a Lambertian surface by the sky and by its surroundings changes little from pixel to pixel, and
+accounts for most of the cost and the noise of a picture. It is traced once on a grid of points that the lens sees, with
+many directions each, and interpolated: Ward, Rubinstein and Clear, "A ray tracing solution for diffuse
+interreflection", SIGGRAPH 1988. Lamps are excluded: every ray samples them where it lands, so that shadows are sharp.
 
-Over wavelength it is smooth only relative to the spectrum of its source, so that the light of each spectrum has a grid
-of its own; all share the rays.
+Over wavelength, irradiance is smooth only relative to the spectrum of its source. Each distinct spectrum therefore has
+its own grid; all grids share the rays.
 
 A cell of the grid is used only where its four corners lie on one surface and agree to ``AGREEMENT``, so that linear
 interpolation is accurate to a fraction of that; elsewhere, and on surfaces that are not Lambertian, rays are traced by
@@ -85,7 +85,7 @@ _SPAN_NM = float(grid.WAVELENGTH_NM[-1] - grid.WAVELENGTH_NM[0])
 
 
 def lambertian(bsdf: Any) -> Any:
-    """Where a surface is a Lambertian reflector and transmits nothing."""
+    """Whether a surface is a Lambertian reflector and transmits nothing, for each ray."""
     import mitsuba as mi
 
     flags, kinds = bsdf.flags(), mi.BSDFFlags
@@ -94,7 +94,7 @@ def lambertian(bsdf: Any) -> Any:
 
 
 def from_all_around(emitter: Any) -> Any:
-    """Where an emitter surrounds the scene: a sky, not a lamp or the sun."""
+    """Whether an emitter surrounds the scene (a sky, not a lamp or the sun), for each ray."""
     import mitsuba as mi
 
     flags = emitter.flags()
@@ -189,7 +189,7 @@ def _towards_camera(si: Any) -> Any:
 def _traced(
     scene: Any, integrator: Any, shares: Shares, slope: Any, directions: int, index: Any, key: Any
 ) -> tuple[FloatArray, FloatArray]:
-    """What is received where rays through the middle of the lens land.
+    """Trace the irradiance at the points where rays through the middle of the lens land.
 
     Each direction carries four of the wavelengths.
 
@@ -256,9 +256,10 @@ def _traced(
 
 
 def _smoothed(ratio: FloatArray, surface: FloatArray, spectra: FloatArray) -> FloatArray:
-    """Irradiance of each node [y, x, light, node] averaged with neighbours on the same surface that receive the same.
+    """Irradiance of each node [y, x, light, node], averaged with neighbours on the same surface that receive nearly the
+    same.
 
-    The noise of a node is common to all pixels near it, and more samples per pixel do not reduce it.
+    The noise of a node affects all pixels near it, and more samples per pixel do not reduce it.
     """
     from scipy import ndimage
 

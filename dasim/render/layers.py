@@ -1,14 +1,13 @@
 """Pixels that see several depths: their layers, and the share of the light that each layer takes, front to back.
 
-By reciprocity, the light that a pixel takes from a surface is the integral of the surface's kernel h over what of it
-the lens sees first. This is exact for the nearest surface. A surface behind it shines through a part of the pupil
-alone, whose kernel is not h, and weighting its rays with h makes or loses light beside the edge: an edge between two
-surfaces of equal radiance would show. So each layer, from the nearest to the farthest, takes a share of what the nearer
-ones leave, and the farthest takes the rest (:func:`front_to_back`).
+By reciprocity, the light that a pixel takes from a surface is the integral of the surface's kernel h over the part of
+it that the lens sees first. This is exact for the nearest surface. A surface behind it is seen through a part of the
+pupil only, whose kernel is not h. Weighting its rays with h would create or lose light beside the edge, so that an edge
+between two surfaces of equal radiance would be visible. Therefore each layer, from the nearest to the farthest, takes a
+share of what the nearer ones leave, and the farthest takes the rest (:func:`front_to_back`).
 
-What stays approximate: the shape of a far kernel beside a near edge, which is that of the whole pupil here, while its
-amount of light is right; and what is seen by way of a mirror or through glass, which has the depth of the mirror or the
-glass.
+Two approximations remain. A far kernel beside a near edge has the right amount of light but the shape of the full
+pupil's kernel. What is seen in a mirror or through glass has the depth of the mirror or the glass.
 
 Tested in tests/dasim/render/test_layers.py.
 """
@@ -32,10 +31,10 @@ def same_blur_px(blur_px: FloatArray) -> FloatArray:
 
 
 def split(blur_px: FloatArray) -> NDArray[np.int64]:
-    """Layer that each ray of a pixel meets, 0 for the nearest, [pixel, ray].
+    """Number of the layer that each ray of a pixel hits, 0 for the nearest, [pixel, ray].
 
-    A layer ends where the next ray in depth is farther by more than one depth. A surface that recedes from the camera
-    is therefore one layer, however deep it is.
+    Rays are sorted by depth; a new layer begins where the next ray is farther by more than :func:`same_blur_px`. A
+    surface that recedes from the camera is therefore one layer, however deep it is.
 
     Args:
         blur_px: signed visible blur where each ray ends, positive nearer than the focus, [pixel, ray].

@@ -14,7 +14,7 @@ from dasim.render.translate import MAX_PATH_DEPTH
 
 
 def radiance_by_light(scene: Any, sampler: Any, ray: Any, active: Any, shares: Shares) -> list[Any]:
-    """Spectral radiance along ``ray``, which continues a path beyond its first surface, that comes from each light.
+    """Spectral radiance along ``ray`` from each light, where ``ray`` continues a path beyond its first surface.
 
     Emitters and scattering functions are sampled at every surface and combined by the power heuristic.
 
@@ -22,8 +22,8 @@ def radiance_by_light(scene: Any, sampler: Any, ray: Any, active: Any, shares: S
         scene: a Mitsuba scene.
         sampler: random numbers.
         ray: the ray, with its wavelengths.
-        active: where to trace at all.
-        shares: the lights and the emitters that have them.
+        active: mask of the rays to trace.
+        shares: the share of each light in the light of each emitter.
     """
     import drjit as dr
     import mitsuba as mi

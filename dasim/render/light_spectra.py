@@ -1,8 +1,9 @@
-"""Spectra of a scene's emitters, and the share of each of them in the light of an emitter (JIT variants).
+"""Distinct spectra ("lights") of a scene's emitters, and the share of each light in the light of an emitter (JIT
+variants).
 
 Light from surroundings and from other surfaces is a smooth function of wavelength times the spectrum of its source.
-Where emitters have different spectra, each spectrum needs an irradiance field of its own: the sum of an F11 lamp and
-a D65 dome, divided by any single spectrum, keeps the spectral lines of the lamp where the lamp does not shine.
+Where emitters have different spectra, each spectrum needs an irradiance field of its own: the sum of an F11 lamp and a
+D65 dome, divided by any single spectrum, keeps the spectral lines of the lamp where the lamp does not shine.
 
 Tested in tests/dasim/render/test_light_spectra.py.
 """
@@ -52,7 +53,7 @@ class Lights:
 
 @dataclass(frozen=True)
 class Shares:
-    """Shares of the lights in the light of emitters."""
+    """The share of each light in the light of each emitter."""
 
     count: int
     table: Any  # the light of each emitter by Mitsuba's number; ``count`` for none
@@ -60,7 +61,9 @@ class Shares:
     layered_number: Any  # None where it is the only emitter
 
     def of(self, emitter: Any, direction: Any, wavelengths: Any, active: Any) -> list[Any]:
-        """Share 0..1 of each light in what ``emitter`` sends from ``direction`` (towards it), at each wavelength."""
+        """Share 0..1 of each light in the radiance of ``emitter`` that arrives from ``direction`` (towards it), at each
+        wavelength.
+        """
         import drjit as dr
         import mitsuba as mi
 
@@ -86,8 +89,8 @@ class Shares:
 def lights_of(mitsuba_scene: Any) -> Lights:
     """The distinct spectra of the emitters of a Mitsuba scene.
 
-    Spectra are one light where each is a multiple of the other, or a multiple that changes so slowly with wavelength
-    that the ``NODES`` wavelengths of an irradiance field hold it (``ONE_SPECTRUM``).
+    Two spectra count as one light if their ratio is constant, or changes so slowly with wavelength that the ``NODES``
+    wavelengths of an irradiance field represent it to ``ONE_SPECTRUM``.
     """
     spectra: list[FloatArray] = []
     emitters = []
@@ -100,8 +103,9 @@ def lights_of(mitsuba_scene: Any) -> Lights:
 def total(scene: Scene | MitsubaScene, mitsuba_scene: Any) -> FloatArray:
     """Relative spectral power of all lights together, [wavelength].
 
-    Lights of a scene are weighted by their lux. What each light of a Mitsuba scene adds is not known beforehand, so
-    that its spectra have equal weights; they decide at which wavelengths the picture is sampled.
+    Lights of a scene are weighted by their lux. The contribution of each light of a Mitsuba scene is not known
+    beforehand, so that its spectra have equal weights. The result determines the wavelengths at which the picture is
+    sampled.
     """
     import mitsuba as mi
 
@@ -119,7 +123,7 @@ def total(scene: Scene | MitsubaScene, mitsuba_scene: Any) -> FloatArray:
 
 
 def above_zero(spectrum: FloatArray) -> FloatArray:
-    """A spectrum to divide by: at least a thousandth of its mean."""
+    """The spectrum raised to at least a thousandth of its mean, for use as a divisor."""
     return np.maximum(spectrum, 1e-3 * spectrum.mean())
 
 
@@ -129,7 +133,9 @@ def nodes_nm() -> FloatArray:
 
 
 def on_grid(curve: FloatArray, spectrum: FloatArray) -> bool:
-    """Whether ``spectrum`` on the wavelength grid holds a light's ``curve``, lines of an author's table included."""
+    """Whether ``spectrum``, given on the wavelength grid, represents ``curve`` including any narrow lines
+    of its table.
+    """
     return _same(np.interp(FINE_NM, grid.WAVELENGTH_NM, spectrum), curve, BETWEEN_GRID * curve.max())
 
 
@@ -142,7 +148,7 @@ def _number(emitter: Any) -> int:
 
 
 def _light(spectra: list[FloatArray], curve: FloatArray) -> int:
-    """Place of a spectrum among ``spectra``, to which it is added where it is new."""
+    """Index of ``curve`` among ``spectra``; a curve that is not yet represented is appended."""
     if not curve.any():
         return 0
     for index, known in enumerate(spectra):
@@ -153,7 +159,11 @@ def _light(spectra: list[FloatArray], curve: FloatArray) -> int:
 
 
 def _same(known: FloatArray, curve: FloatArray, limit: float) -> bool:
-    """Whether ``curve`` is, but for errors up to ``limit``, a multiple of ``known`` that the nodes hold."""
+    """Whether one irradiance field can represent both spectra.
+
+    It can if ``curve`` over ``known``, interpolated between the nodes of the field, reproduces ``curve`` up to
+    ``limit``.
+    """
     divisor = above_zero(known)
     ratio = np.interp(
         FINE_NM, nodes_nm(), np.interp(nodes_nm(), FINE_NM, curve) / np.interp(nodes_nm(), FINE_NM, divisor)

@@ -25,7 +25,7 @@ def surface_bsdf(surface: Surface, *, flip: bool) -> Any:
 
     Args:
         surface: the surface.
-        flip: whether its images are turned upside down, for shapes on which v runs the other way.
+        flip: whether its images are mirrored top to bottom, for shapes on which v runs the other way.
     """
     import mitsuba as mi
 

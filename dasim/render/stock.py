@@ -27,8 +27,8 @@ PINHOLE_RATIO = 1e-4  # of the lens radius: the plugin needs a lens of some size
 
 
 def check(camera: Camera) -> None:
-    """InputError where the camera has other stops than centred discs, axial colour, or phase in its pupil."""
-    problems = [f"stop '{stop.name}' is no centred disc" for stop in camera.stops if not stops.is_plain_disc(stop)]
+    """Raise InputError if the camera has stops other than centred discs, axial colour, or phase in its pupil."""
+    problems = [f"stop '{stop.name}' is not a centred disc" for stop in camera.stops if not stops.is_plain_disc(stop)]
     if any(value % 0.5 for value in principal_point(camera.sensor)):
         problems.append("sensor.principal_point_px is no multiple of half a pixel")
     if camera.lens.focal_shift_um:

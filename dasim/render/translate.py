@@ -35,7 +35,7 @@ def load(scene: Scene) -> Any:
 def world(scene: Scene | MitsubaScene, camera: Camera) -> World:
     """Mitsuba's scene of a dasim or Mitsuba XML scene, with its notes and names, for a camera at the origin.
 
-    Raises InputError where an object reaches into the lens.
+    Raises InputError if an object reaches into the lens.
     """
     pupil_radius_m = geometry.aperture_m(camera) / 2
     if isinstance(scene, MitsubaScene):

@@ -1,7 +1,7 @@
 """Radiance along a ray: a path tracer that uses an irradiance field where one is known.
 
 The rays of a pixel differ in their places on the lens and in their weights, so that stratified directions of incident
-light do not average out: light from extended sources and from other surfaces makes most of the noise and of the cost.
+light do not average out: light from extended sources and from other surfaces accounts for most of the noise and cost.
 
 Tested in tests/dasim/render/test_passes.py.
 """

@@ -48,7 +48,7 @@ class Part:
 
 
 def read(path: Path, unit_m: float, where: str) -> tuple[Part, ...]:
-    """Parts of a mesh file; InputError where it is missing, broken or without faces.
+    """Parts of a mesh file; raises InputError if it is missing, broken or without faces.
 
     ``unit_m`` is the length of the file's unit in metres, ``where`` the name of the mesh in error messages. Results are
     cached until the file changes.
@@ -188,7 +188,7 @@ def merge(parts: tuple[Part, ...]) -> Part:
 def merge_with_colours(parts: tuple[Part, ...], where: str) -> Part:
     """Merge parts into one with a single picture of their colours.
 
-    InputError where a part has no colours, or where the picture would exceed ``MOST_TEXELS``.
+    Raises InputError if a part has no colours, or if the picture would exceed ``MOST_TEXELS``.
     """
     if any(part.paint_kind is None for part in parts):
         raise InputError(f"{where}: some of its faces have no colours; give the object a material")

@@ -28,7 +28,7 @@ _QUADRATURE_ROWS = 1024  # elevations of the quadrature over the upper hemispher
 def radiance_per_lux(light: Surrounding, folder: Path) -> FloatArray:
     """Panorama [h, w] of radiance per unit of the irradiance that defines the light's level, 1/sr.
 
-    InputError where an image is missing, broken, or black in its upper half.
+    Raises InputError if an image is missing, broken, or black in its upper half.
     """
     if isinstance(light, Dome):
         return np.full((2, 4), 1 / np.pi)
@@ -98,7 +98,7 @@ def directions(rows: int) -> FloatArray:
 def load(image: str, folder: Path) -> FloatArray:
     """Luminance [h, w] of a panorama file in the scene's folder; EXR and HDR are linear, other formats sRGB.
 
-    InputError where the file is missing, unreadable, not 2:1, black, or has negative or non-finite pixels.
+    Raises InputError if the file is missing, unreadable, not 2:1, black, or has negative or non-finite pixels.
     """
     path = folder / image
     if not path.is_file():

@@ -59,7 +59,7 @@ class Sphere(_Body):
 
 
 class Cylinder(_Body):
-    """A cylinder without caps; its axis is y."""
+    """A cylinder without caps; its axis is y and its origin the middle of the axis."""
 
     shape: Literal["cylinder"]
     radius_cm: Positive
@@ -147,7 +147,7 @@ def half_extent_m(item: Object, folder: Path) -> tuple[FloatArray, FloatArray]:
 
 
 def mesh_parts(item: Mesh, folder: Path) -> tuple[meshes.Part, ...]:
-    """Parts of a mesh object in its local axes, metres; InputError if its file is missing, broken or empty."""
+    """Parts of a mesh object in its local axes, metres; raises InputError if its file is missing, broken or empty."""
     if item.file.startswith(PREFIX):
         return _procedural_mesh(item.file, item.unit_cm, item.name)
     return meshes.read(folder / item.file, item.unit_cm * 1e-2, mesh_place(item, folder))

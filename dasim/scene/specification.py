@@ -222,7 +222,9 @@ def _material_problems(item: Object, scene: Scene) -> list[str]:
 
 
 def _glass_problems(item: Object, scene: Scene, surfaces: dict[str, Surface]) -> list[str]:
-    """Solid glass needs a closed shape: on an open one, refracted light would never leave the glass again."""
+    """Problems of an object of solid glass, which must be closed: out of an open shape, refracted light would never
+    exit.
+    """
     material = surfaces.get(item.material or "")
     solid = isinstance(material, Glass) and not material.thin if material else item.material == "glass"
     if not solid or item.shape not in ("plane", "disc", "cylinder", "heightfield"):

@@ -135,7 +135,7 @@ _FAMILIES: dict[str, tuple[str, Callable[[Camera, str], Scene]]] = {
 
 
 def _at_level(template: Scene, camera: Camera, level: int) -> Scene:
-    """Move and scale a template so that its nearest object or lamp is at a blur level."""
+    """Move and scale a template so that its nearest object or lamp has the depth of a blur level."""
     blurs = level_blur_px(camera)
     if not 0 <= level < len(blurs):
         raise InputError(f"scene '{template.name}': level {level} is not one of 0 to {len(blurs) - 1}")

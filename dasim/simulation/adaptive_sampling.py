@@ -1,7 +1,7 @@
-"""As many samples as a noise level needs: rendering noise is measured between pictures and compared with the sensor's.
+"""Adaptive number of samples: rendering noise is measured between pictures and compared with the sensor's noise.
 
 Pictures are rendered in pairs with independent random numbers. Half the difference of a pair has the noise of its mean,
-so that the noise reached is measured, not predicted.
+so that the noise is measured, not predicted.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ _MEDIAN_OF_ABSOLUTE = 0.6745
 
 
 class StopPictures(NamedTuple):
-    """One picture through each stop, and the irradiance that they share."""
+    """One picture per stop, and the irradiance field with which they were rendered, for reuse by further renders."""
 
     rate: FloatArray  # [stop, h, w, channel] mean electrons per second
     field: Any = None  # see :func:`dasim.render.passes.irradiance_field`
@@ -33,7 +33,7 @@ class StopPictures(NamedTuple):
 
 @dataclass(frozen=True)
 class AdaptiveRender:
-    """The mean of several pictures, and the rendering noise that is left in it."""
+    """The mean of several pictures, and the rendering noise that remains in it."""
 
     rate: FloatArray  # [h, w, channel] mean electrons per second of all stops together
     spp: tuple[int, ...]  # samples per pixel of all pictures together, per stop
@@ -79,7 +79,9 @@ def render_to_noise_target(
 
 
 def _next_spp(total: tuple[int, ...], shares: FloatArray, target: float, most_spp: int) -> tuple[int, ...]:
-    """Samples per stop of the next two pictures: greedily more where they help the worst channel most."""
+    """Samples per stop of the next two pictures; each step increases those of the stop that helps the worst channel
+    most.
+    """
     spp = [PILOT_SPP for _ in total]
 
     def expected(counts: list[int]) -> FloatArray:

@@ -1,4 +1,4 @@
-"""What a simulation refuses: options that no variant takes, cameras that a variant cannot render, empty pictures.
+"""Checks of a simulation's input: options, cameras that a variant cannot render, and empty or dark pictures.
 
 Tested in tests/dasim/simulation/test_simulate.py.
 """
@@ -20,7 +20,9 @@ MOST_SPP = 65_536
 
 
 def check_options(spp: int | str | None, seed: int, diffraction: str | None, noise_share: float = NOISE_SHARE) -> None:
-    """InputError for samples, a seed, a diffraction model or a share of noise that no variant takes."""
+    """Raise InputError for a number of samples, seed, diffraction model or noise share that is not allowed with any
+    variant.
+    """
     if isinstance(spp, str) and spp != "auto":
         raise InputError(f"spp is '{spp}'; a whole number or 'auto' is needed")
     if isinstance(spp, int) and not 1 <= spp <= MOST_SPP:
@@ -34,13 +36,13 @@ def check_options(spp: int | str | None, seed: int, diffraction: str | None, noi
 
 
 def check_camera(camera: Camera, variant: str) -> None:
-    """InputError where the variant cannot render through the camera's stops and lens."""
+    """Raise InputError if the variant cannot render through the camera's stops and lens."""
     if variant.startswith("scalar"):
         stock.check(camera)
 
 
 def diffraction_model(name: str | None, variant: str) -> str:
-    """The diffraction model of a variant, its default for None; InputError where the variant does not have it."""
+    """The diffraction model of a variant, its default for None; raises InputError if the variant does not have it."""
     scalar = variant.startswith("scalar")
     if name is None:
         return "airy" if scalar else "wave"
@@ -51,7 +53,7 @@ def diffraction_model(name: str | None, variant: str) -> str:
 
 
 def check_in_view(scene: Scene | MitsubaScene, depth_m: FloatArray) -> None:
-    """InputError where no pixel's ray meets anything."""
+    """Raise InputError if the ray of no pixel hits a surface."""
     if np.isnan(depth_m).all():
         units = f"; unit_cm is {scene.unit_cm:g}" if isinstance(scene, MitsubaScene) else ""
         raise InputError(

@@ -51,7 +51,7 @@ class Plan:
 def plan(camera: Camera, channel: str = "G", gain: float = 1.0) -> Plan:
     """The measurement of one channel; EMVA 1288 characterises the planes of a mosaic one by one.
 
-    The light has the wavelength of the channel's peak sensitivity. InputError where the mosaic lacks the channel.
+    The light has the wavelength of the channel's peak sensitivity. Raises InputError if the mosaic lacks the channel.
     """
     sensor = camera.sensor
     wavelength_nm, efficiency = _quantum_efficiency(sensor, channel)
@@ -90,11 +90,11 @@ def write_measurement(
     size_px: tuple[int, int] = SIZE_PX,
     progress: Progress = lambda stage, share: None,
 ) -> list[str]:
-    """Write ``frames/*.png``, ``descriptor.txt`` and ``meta.json``; returns what a user should know of them.
+    """Write ``frames/*.png``, ``descriptor.txt`` and ``meta.json``; returns notes for the user.
 
-    A bright and a dark pair for each exposure time, then bright and dark stacks near half the saturation for the
-    spatial figures. ``size_px`` is [width, height] of the frames, which hold pixels of ``channel`` alone. All frames
-    share the fixed patterns of the seed.
+    The frames are a bright and a dark pair for each exposure time, then bright and dark stacks near half the saturation
+    for the spatial figures. ``size_px`` is [width, height] of the frames, which hold pixels of ``channel`` only. All
+    frames share the fixed patterns of the seed.
     """
     _check_size(camera, size_px)
     measurement = plan(camera, channel, gain)
@@ -129,7 +129,9 @@ def _write_frames(
     size_px: tuple[int, int],
     progress: Progress,
 ) -> tuple[list[str], list[dict[str, Any]], float]:
-    """Write all frames; lines of the descriptor, a description of each step, and the share of dark pixels at 0 DN."""
+    """Write all frames; returns the lines of the descriptor, a description of each step, and the share of dark pixels
+    at 0 DN.
+    """
     sets = [(step, 2) for step in range(STEPS)] + [(measurement.stack_step, STACK_FRAMES)]
     total, number = 2 * sum(count for _, count in sets), 0
     lines: list[str] = []
@@ -158,7 +160,7 @@ def _write_frames(
 
 
 def _check_size(camera: Camera, size_px: tuple[int, int]) -> None:
-    """InputError for frames larger than the sensor or too small for statistics."""
+    """Raise InputError for frames larger than the sensor or too small for statistics."""
     low, sensor = SMALLEST_FRAME_PX, camera.sensor
     if not (low <= size_px[0] <= sensor.width_px and low <= size_px[1] <= sensor.height_px):
         raise InputError(

@@ -22,9 +22,9 @@ LONGEST_S, MOST_GAIN = 1 / 30, 16.0  # of a hand-held picture
 
 
 def lit_by(scene: Scene | MitsubaScene | str | Path, illuminant: str) -> Scene:
-    """The scene with all of its lights of one illuminant, at unchanged lux.
+    """The scene with one illuminant in all of its lights, at unchanged lux.
 
-    ``scene`` may be given by name or path, but is no Mitsuba scene; ``illuminant`` is a name such as ``"D65"`` or
+    ``scene`` may be given by name or path, but not as a Mitsuba scene; ``illuminant`` is a name such as ``"D65"`` or
     ``"A"``.
     """
     scene = as_scene(scene)
@@ -38,7 +38,7 @@ def lit_by(scene: Scene | MitsubaScene | str | Path, illuminant: str) -> Scene:
 def exposed(
     shot: Shot, times: float, seed: int, *, longest_s: float = LONGEST_S, most_gain: float = MOST_GAIN
 ) -> Capture:
-    """A capture of a shot's scene at ``times`` its light level, with the sensor noise of ``seed``, without rendering.
+    """A new capture of a shot at ``times`` its light level, with the sensor noise of ``seed``, without rendering again.
 
     Automatic exposure sets the time, at most ``longest_s`` seconds, then the analogue gain, at most ``most_gain``.
     """

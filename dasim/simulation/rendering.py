@@ -31,7 +31,7 @@ BLUR_MARGIN = 1.1  # something nearer than all that is seen may lie just outside
 
 @dataclass(frozen=True)
 class View:
-    """A scene before a camera, ready to be rendered."""
+    """A scene in front of a camera, ready to be rendered."""
 
     scene: Scene | MitsubaScene
     camera: Camera
@@ -45,12 +45,12 @@ class View:
 
     @property
     def reach_px(self) -> float:
-        """Largest diameter of visible blur for which tables and margins are made."""
+        """Largest diameter of visible blur that tables and margins must cover."""
         return float(np.abs(self.blur_px).max()) * BLUR_MARGIN
 
     @property
     def objects_in_view(self) -> list[str]:
-        """Names of the objects that some pixel's centre sees."""
+        """Names of the objects that are visible at the centre of some pixel."""
         return [self.world.objects[number - 1] for number in np.unique(self.geometry.object_id) if number]
 
 
@@ -82,7 +82,7 @@ class SharpPictures:
 
 
 def lens_picture(view: View, sampling: Sampling, exposure: Exposure, progress: Progress) -> LensPicture:
-    """Render through every stop; InputError where no light reaches the sensor."""
+    """Render through every stop; raises InputError if no light reaches the sensor."""
     if sampling.spp == "auto":
         picture = _adaptive_picture(view, sampling, exposure, progress)
     else:
@@ -146,5 +146,5 @@ def sharp_pictures(view: View, field: Any, seed: int, progress: Progress) -> Sha
 
 
 def exposure_time_s(rate: FloatArray, camera: Camera, exposure: Exposure) -> float:
-    """The exposure time that is given, else the automatic one for [h, w, channel] mean electrons per second."""
+    """The given exposure time, or the automatic one for mean electrons per second [h, w, channel]."""
     return exposure.time_s or noise.auto_exposure_s(rate, camera, exposure)

@@ -181,7 +181,9 @@ def describe_truth(view: View, sharp: SharpPictures, frame: Frame) -> Truth:
 
 
 def srgb(rate: FloatArray, twin: Camera, illuminant: str) -> np.ndarray:
-    """SRGB 0..1 of electrons [h, w, 3] of a camera without near-infrared, white-balanced for the illuminant."""
+    """Picture in sRGB, 0..1, from electrons [h, w, 3] of a camera without near-infrared, white-balanced for the
+    illuminant.
+    """
     matrix = colour.fitted_matrix(radiometry.response(twin), illuminants.illuminant(illuminant))
     linear = rate.astype(np.float32)
     return colour.to_srgb(linear, matrix, colour.exposure_scale(linear, matrix))
@@ -195,13 +197,13 @@ def airy_errors(camera: Camera, illuminant: str) -> dict[str, Any]:
 
 
 def saturation_notes(frame: Frame) -> list[str]:
-    """A note where many pixels are saturated."""
+    """A note if many pixels are saturated."""
     share = frame.saturated / frame.raw_dn.size
     return [f"{share:.0%} of the pixels are saturated"] if share > NOTED_SATURATION else []
 
 
 def sampling_notes(sampling: dict[str, Any]) -> list[str]:
-    """Notes on an approximation, and where the target of rendering noise was not reached."""
+    """Notes on an approximation, and if the target of rendering noise was not reached."""
     notes = []
     if "airy_errors" in sampling:
         worst = {name: max(row) for name, row in sampling["airy_errors"]["encircled_energy"].items()}

@@ -78,7 +78,7 @@ def tiled(tiles: Sequence[tuple[Capture, Truth]], width_px: int, height_px: int)
 
 
 def _check(number: int, capture: Capture, truth: Truth, first: Capture, width_px: int, height_px: int) -> None:
-    """InputError where a tile differs from the first, or the blur of its border reaches its central part."""
+    """Raise InputError if a tile differs from the first, or the blur of its border reaches its central part."""
     where = f"tile {number}"
     if capture.camera != first.camera:
         raise InputError(f"{where}: its camera, focus or size differs from that of tile 0")

@@ -15,7 +15,10 @@ FOCUS_TOLERANCE = 0.01  # relative difference of the focus in dioptres between b
 
 
 def check_fits(bank: PsfBank, capture: Capture) -> None:
-    """InputError if the bank has another camera or focus, or the camera no infrared; frame sizes may differ."""
+    """Raise InputError if the bank was made for another camera or focus, or if the camera has no infrared pixels.
+
+    Frame sizes may differ, because kernels do not depend on them.
+    """
     camera = capture.camera
     if "IR" not in channels(camera.sensor):
         raise InputError(

@@ -33,7 +33,7 @@ def window_half_px(blur_px: float) -> int:
 
 
 def check(capture: Capture, camera: Camera, blur_px: float, *, shortest: bool) -> None:
-    """InputError if a picture has no source, or one that is cut off or, in the shortest exposure, saturated.
+    """Raise InputError if a picture has no source, or one that is cut off or, in the shortest exposure, saturated.
 
     ``blur_px`` is the diameter of the visible blur; ``shortest`` tells whether the exposure is the shortest one.
     """

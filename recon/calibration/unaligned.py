@@ -31,8 +31,8 @@ def scattered(group: list[PointPicture], camera: Camera) -> FloatArray:
     """Kernels of round stops from mosaic pictures with the source at any positions, [channel, size, size], electrons.
 
     The centre of each position is measured. The pixels have different distances from it, so that one position samples
-    the radial profile, and further ones sample it more finely; no interleaving is needed. InputError if a kernel is not
-    round.
+    the radial profile, and further ones sample it more finely; no interleaving is needed. Raises InputError if a kernel
+    is not round.
     """
     positions: dict[str, list[PointPicture]] = {}
     for picture in group:

@@ -87,7 +87,7 @@ def _expected(
     width: int,
     score: Score,
 ) -> float:
-    """Expected score of a level whose filters are given (:func:`level_filters`).
+    """Expected score of a level from its ``filters`` (the result of :func:`level_filters`).
 
     ``powers`` are the power spectra of the sharper channel and of green, and their cross spectrum, [h, w/2 + 1].
     """

@@ -101,7 +101,7 @@ def read_table(
 def _line(
     cells: dict[str, str], label: str, folder: Path, level_depth_m: FloatArray, known_light: Callable[[str], object]
 ) -> Line:
-    """A line of the table; InputError if it is invalid."""
+    """A line of the table; raises InputError if it is invalid."""
     if not cells["file"]:
         raise InputError("file is empty")
     if not (folder / cells["file"]).exists():

@@ -129,7 +129,7 @@ def _decoded(path: Path) -> NDArray:
 
 
 def _numbers(image: NDArray, path: Path, camera: Camera, *, left_aligned: bool) -> UInt16Array:
-    """Raw values within the camera's bit depth; InputError for others."""
+    """Raw values within the camera's bit depth; raises InputError for others."""
     bits = camera.sensor.adc_bits
     if image.ndim != 2:
         raise InputError(

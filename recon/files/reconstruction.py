@@ -34,7 +34,7 @@ _PLANES = ("ir_e", "level_raw", "level", "confidence")
 
 
 def check_extras(extras: Sequence[str]) -> None:
-    """InputError for an unknown extra picture."""
+    """Raise InputError for an unknown extra picture."""
     for name in extras:
         if name not in EXTRAS:
             raise InputError(f"--also '{name}' is unknown; allowed are {', '.join(EXTRAS)}")
@@ -92,7 +92,7 @@ def save_picture(path: Path, picture: Developed) -> None:
 
 
 def load_reconstruction(path: Path) -> Reconstruction:
-    """Read a reconstruction folder; InputError if it is missing, damaged or of another kind."""
+    """Read a reconstruction folder; raises InputError if it is missing, damaged or of another kind."""
     import OpenEXR
 
     path = Path(path)

@@ -48,7 +48,8 @@ class Grid(NamedTuple):
 
 
 def grids(camera: Camera) -> dict[str, tuple[Grid, ...]]:
-    """The grids of each channel of the mosaic, in the order of ``camera.channels``; InputError for any other mosaic.
+    """The grids of each channel of the mosaic, in the order of ``camera.channels``; raises InputError for any other
+    mosaic.
 
     Supported are the paper's 2x2 block (Fig. 2(b)), the Bayer block, and the 4x4 block of RGB-IR sensors (green at
     every second pixel, infrared at every fourth, red and blue alternating at the others), shifted or mirrored.

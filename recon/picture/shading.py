@@ -44,7 +44,7 @@ def gain(flat: Capture, camera: Camera) -> Float32Array:
 
 
 def check_flat(flat: Capture, camera: Camera) -> None:
-    """InputError if a flat has another sensor or size than the camera."""
+    """Raise InputError if a flat has another sensor or size than the camera."""
     sensor, flat_sensor = camera.sensor, flat.camera.sensor
     same = ("width_px", "height_px", "pixel_pitch_um", "mosaic", "principal_point_px")
     wrong = [name for name in same if getattr(sensor, name) != getattr(flat_sensor, name)]

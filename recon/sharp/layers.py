@@ -104,7 +104,9 @@ def transfers(kernels: NDArray, nodes: list[int]) -> tuple[Transfers, list[int]]
 
 
 def cut(kernels: NDArray, energy: float = KERNEL_SHARE) -> NDArray:
-    """Kernels [channel, size, size] cropped to the square with a share of each one's energy, normalised to unit sum."""
+    """Kernels [channel, size, size] cropped to the smallest square that holds the share ``energy`` of each, with unit
+    sum.
+    """
     middle = reach = kernels.shape[-1] // 2
     for reach in range(1, middle + 1):
         square = kernels[:, middle - reach : middle + reach + 1, middle - reach : middle + reach + 1]
@@ -114,7 +116,7 @@ def cut(kernels: NDArray, energy: float = KERNEL_SHARE) -> NDArray:
 
 
 def _between(kernels: NDArray, level: float) -> NDArray:
-    """Kernels of a fractional level, interpolated linearly and cropped to their reach."""
+    """Kernels of a fractional level, interpolated linearly and cropped by :func:`cut`."""
     low, share = divmod(min(max(level, 0.0), len(kernels) - 1.0), 1)
     high = min(int(low) + 1, len(kernels) - 1)
     return cut((1 - share) * kernels[int(low)] + share * kernels[high])

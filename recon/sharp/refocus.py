@@ -113,7 +113,7 @@ def layered(sharp_e: NDArray, steps: NDArray, kernels: NDArray) -> Float32Array:
 
 
 def _check(camera: Camera, bank: PsfBank, depth_m: float, f_number: float | None) -> None:
-    """InputError for an impossible depth or f-number, or a bank of another lens."""
+    """Raise InputError for an impossible depth or f-number, or a bank of another lens."""
     focal_m = camera.lens.focal_length_mm * 1e-3
     if not (np.isfinite(depth_m) and depth_m > focal_m):
         raise InputError(f"refocus: depth {depth_m:g} m is not allowed; give more than the focal length, {focal_m:g} m")

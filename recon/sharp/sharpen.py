@@ -215,7 +215,11 @@ def _captured_share(frame: Frame, tile: Tile, node: int) -> Float32Array:
 
 
 def _uniform(picture: Float32Array, blurred_draft: Float32Array, near: Float32Array) -> Float32Array:
-    """A picture [channel, h, w] of one level, with the blurred draft at pixels of other levels."""
+    """The captured picture of a tile, replaced by the blurred draft at pixels of other levels, [channel, h, w].
+
+    Deconvolution with the kernel of one level then sees a picture of that level everywhere. ``near`` [h, w] is the
+    weight of the captured picture, 0..1.
+    """
     height, width = near.shape
     return near * picture + (1 - near) * blurred_draft[:, :height, :width]
 

@@ -63,7 +63,7 @@ def texture_patch(camera: Camera, light: str, level_lux: float, planes: tuple[st
     """A patch of natural spectrum, mean 0.4 of white and contrast 15 % per octave, as in claim ``balance``.
 
     ``light`` is an illuminant's name, ``level_lux`` its illuminance, ``planes`` the channels, the first one with the
-    sharp texture. InputError for a channel that the camera lacks or that receives no light.
+    sharp texture. Raises InputError for a channel that the camera lacks or that receives no light.
     """
     names = cameras.channels(camera.sensor)
     missing = [name for name in planes if name not in names]

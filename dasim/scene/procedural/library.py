@@ -144,7 +144,9 @@ BODIES = ("superellipsoid", "vase", "twisted-box", "knot", "rock", *solids.MESHE
 
 
 def procedural(name: str) -> Triangles:
-    """The mesh called ``NAME`` or ``NAME:SEED`` (default: seed 0); InputError for an unknown name or a bad seed."""
+    """The mesh called ``NAME`` or ``NAME:SEED`` (default: seed 0); raises InputError for an unknown name or
+    a bad seed.
+    """
     kind, colon, text = name.partition(":")
     if kind not in MESHES:
         near = get_close_matches(kind, MESHES, n=1)

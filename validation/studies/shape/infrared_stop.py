@@ -42,7 +42,9 @@ def with_disc(camera: Camera, radius_ratio: float) -> Camera:
 
 
 def with_mask(camera: Camera, amplitude: FloatArray) -> Camera:
-    """The camera with a mask, [cells, cells], as its near-infrared stop; InputError for a mask without any opening."""
+    """The camera with a mask, [cells, cells], as its near-infrared stop; raises InputError for a mask without any
+    opening.
+    """
     transmittance = masks.transmittance(amplitude).round(4)
     if transmittance.max() <= 0:
         raise InputError("mask: is closed everywhere; no near-infrared light passes")

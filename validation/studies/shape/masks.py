@@ -47,7 +47,7 @@ def disc(cells: int, share: float, centre: tuple[float, float] = (0.0, 0.0)) -> 
 def annulus(cells: int, share: float, inner: float) -> FloatArray:
     """A ring of the light budget ``share`` and the inner radius ``inner``, in radii of the lens.
 
-    InputError for a ring that does not fit into the lens.
+    Raises InputError for a ring that does not fit into the lens.
     """
     outer = float(np.sqrt(share + inner**2))
     if outer > 1:

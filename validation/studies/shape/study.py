@@ -105,7 +105,7 @@ class Study:
 
 
 def check_plan(plan: Plan) -> None:
-    """InputError that lists everything wrong with a plan."""
+    """Raise InputError that lists everything wrong with a plan."""
     wrong = []
     if not 8 <= plan.cells <= stops.MOST_MASK_CELLS:
         wrong.append(f"cells {plan.cells}: must be 8 to {stops.MOST_MASK_CELLS} across the lens")

@@ -25,7 +25,7 @@ from validation.studies.sweep.specification import StudySpec, Value
 
 
 def camera_of(spec: StudySpec, point: dict[str, Value]) -> Camera:
-    """The camera of a point, with its whole frame; InputError if its parameters make no valid camera.
+    """The camera of a point, with its whole frame; raises InputError if its parameters make no valid camera.
 
     All designs derived from one camera have the blur levels of that camera. The default levels would be further apart
     for a larger hole, and this alone would worsen its reconstruction.

@@ -192,7 +192,7 @@ def _point_problems(spec: StudySpec, point: dict[str, Value]) -> list[str]:
 
 
 def _check_sees(camera: Camera) -> None:
-    """InputError if a channel receives no light, a stop passes none, or the mosaic cannot be reconstructed."""
+    """Raise InputError if a channel receives no light, a stop passes none, or the mosaic cannot be reconstructed."""
     names, parts = cameras.channels(camera.sensor), [radiometry.stop_response(camera, stop) for stop in camera.stops]
     whole = np.sum(parts, axis=(0, -1))
     dark = [name for name, light in zip(names, whole, strict=True) if light <= 0]
