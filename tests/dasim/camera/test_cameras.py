@@ -123,7 +123,7 @@ def test_displaced_discs_are_refused_without_a_jit_variant(tmp_path):
     )
     assert done.returncode == 2, done.stderr
     message = done.stderr.splitlines()[-1]
-    for part in ("dasim: camera 'bando'", "'red' is no centred disc", "scalar_spectral", "install LLVM"):
+    for part in ("dasim: camera 'bando'", "'red' is not a centred disc", "scalar_spectral", "install LLVM"):
         assert part in message, message
     assert "Traceback" not in done.stderr and not (tmp_path / "shot").exists()
     for name in NAMES:

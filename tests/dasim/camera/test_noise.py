@@ -114,7 +114,7 @@ def test_fixed_patterns_stay_and_noise_changes(quiet):
 
 
 def test_dark_signal_doubles_each_7_kelvin_and_grows_with_time(quiet):
-    """Expectation: 500 electrons a second at 25 C, twice at 32 C, four times at 39 C; Poisson, so five sigma."""
+    """Expectation: 500 electrons per second at 25 C, twice at 32 C, four times at 39 C; Poisson, so five sigma."""
     for temperature_c, time_s, expected in ((25, 1, 500), (25, 2, 1000), (32, 1, 1000), (39, 0.5, 1000)):
         model = quiet(dark_current_e_s=500.0, temperature_c=temperature_c)
         raw, _ = sensor.expose(flat(0), model, time_s, 5)

@@ -129,8 +129,8 @@ def test_shading_is_cos4_times_the_polynomial(passes, changed, make_scene, loade
 @pytest.mark.parametrize(
     ("stop", "curve", "message"),
     [
-        ({"shape": "annulus", "inner_ratio": 0.5, "outer_ratio": 1.0}, [], "stop 'one' is no centred disc"),
-        ({"radius_ratio": 0.3, "centre_ratio": [0.1, 0.0]}, [], "stop 'one' is no centred disc"),
+        ({"shape": "annulus", "inner_ratio": 0.5, "outer_ratio": 1.0}, [], "stop 'one' is not a centred disc"),
+        ({"radius_ratio": 0.3, "centre_ratio": [0.1, 0.0]}, [], "stop 'one' is not a centred disc"),
         ({"radius_ratio": 1.0}, [[400, 0], [830, 5]], "lens.focal_shift_um is set"),
         ({"radius_ratio": 1.0, "phase_nm": 100}, [], "stop 'one' has a phase_nm"),
     ],

@@ -330,7 +330,7 @@ def test_lights_from_all_around_add_up(tmp_path, renderer):
 
 def test_a_camera_sees_an_even_panorama_as_a_dome(make_scene, wide, tmp_path, renderer):
     """Rationale: the whole camera, not one ray. Set-up: a brick wall before an even panorama and before a dome of as
-    many lux, under a lamp of lines. Expectation: the same electrons a second in every channel, on the wall and in the
+    many lux, under a lamp of lines. Expectation: the same electrons per second in every channel, on the wall and in the
     empty space beside it, to within the noise of 64 samples in half a frame.
     """
     from dasim.render import passes

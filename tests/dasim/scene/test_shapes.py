@@ -366,7 +366,7 @@ def test_problems_of_an_object_are_one_line(files, item, message_part):
 def test_camera_may_stand_in_a_room_but_not_in_a_body(files):
     """Set-up: a ball of 40 cm around the camera: closed, inside out, half a shell; and one that touches the lens.
 
-    Expectation: the closed one is refused and told how a room looks; the others are rooms; the lens stays clear.
+    Expectation: the message for the closed one says how a room is oriented; the others are rooms; the lens stays clear.
     """
     ball = trimesh.creation.icosphere(subdivisions=3)
     ball.export(files / "body.ply")

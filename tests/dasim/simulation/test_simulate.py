@@ -16,7 +16,7 @@ from dasim.simulation.checks import diffraction_model
 from dasim.simulation.simulate import simulate
 from dasim.spectra.grid import CHANNELS
 
-RENDER_NOISE = 0.02  # 36 samples a pixel on smooth surfaces under a dome: below 1 %
+RENDER_NOISE = 0.02  # 36 samples per pixel on smooth surfaces under a dome: below 1 %
 RAW_LIMIT = 0.12  # 3,072 pixels: a variance is known to 2.6 %
 SEEDS = 8  # pictures of a camera: 14 degrees of freedom for the difference of two means
 T_BEYOND_4 = 1.3e-3  # share of Student's t with 14 degrees of freedom beyond 4

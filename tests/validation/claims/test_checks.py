@@ -49,7 +49,8 @@ def test_blur_off_by_5_percent_fails(renderer, monkeypatch, factor):
 def test_edges_of_geometry_fail_the_wave_claim(jit, monkeypatch, model):
     """Set-up: one blur, 8 px of the near-infrared's own, fewer samples; rays of wave optics, or of geometry.
 
-    Expectation: infrared is told apart: geometry is off by 0.2 there. Up to 0.2 cycles a pixel, where noise is low.
+    Expectation: infrared shows the difference, because geometry is off by 0.2 there. Frequencies up to 0.2 cycles per
+    pixel, where noise is low.
     """
     true = rendering.stop_pictures
 

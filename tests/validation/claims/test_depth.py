@@ -76,7 +76,7 @@ def test_kernels_of_the_next_level_fail(gravel, bank_kernels):
 
 
 def test_noise_that_is_more_than_said_fails(gravel, bank_kernels, monkeypatch):
-    """Twice the noise that the estimator and the bound are told."""
+    """The data have twice the noise that the estimator and the bound assume."""
     honest = Noise.add_to
     monkeypatch.setattr(
         Noise, "add_to", lambda self, picture, *rest: picture + 2 * (honest(self, picture, *rest) - picture)
@@ -214,7 +214,7 @@ def test_step_of_a_level_is_that_of_the_blur(da_mobile):
 
 
 def test_depth_as_range_is_no_depth(da_mobile):
-    """Planes whose places are taken for distances along the ray, 18 degrees off the axis: told wrong."""
+    """Planes 18 degrees off the axis whose depth is confused with the distance along the ray are assigned wrongly."""
     camera = cameras.refocused(da_mobile, 100.0)
     z, oblique = 0.1, 1 / np.cos(np.radians(18))
     level = np.array([float(geometry.blur_px(camera, d)) for d in (z, z + steps.step_m(camera, z, 0.4))])

@@ -24,7 +24,7 @@ from validation.subjects import rendering, scene_set
 from validation.subjects.shots import photographed
 
 METHODS = bundled("bands", "paper")  # the first has limits and pictures, the second is reported
-APART_LEVELS = 2.0  # true levels of two pixels whose order is judged: neighbouring levels are not told apart
+APART_LEVELS = 2.0  # true levels of two pixels whose order is judged: neighbouring levels are not distinguished
 PAIRS = 200_000  # drawn at random: the share of right ones is known to 0.1 %
 YAWS_DEG = (35.0, -35.0)
 STRIDE_PX = 2  # of the surfaces: the levels' own grid

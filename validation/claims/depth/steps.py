@@ -94,7 +94,7 @@ def measured_steps(progress: ShareDone, seed: int = 0, methods: Sequence[NamedMe
             by_order = threshold(STEPS, [one.ordered for one in by_step])
             figures += [
                 Figure(f"{label}.ordered", by_order, "level", f"{case}: step at which 75 % of pairs are in order"),
-                Figure(f"{label}.step", measured, "cm", f"{case}: step told apart at 75 % of textured pixels"),
+                Figure(f"{label}.step", measured, "cm", f"{case}: step resolved at 75 % of textured pixels"),
                 Figure(f"{label}.levels", levels, "level", f"{case}: that step in blur levels"),
                 Figure(
                     f"{label}.textured", min(one.textured for one in by_step), "1", f"{case}: pixels with raw level"
@@ -112,7 +112,7 @@ def measured_steps(progress: ShareDone, seed: int = 0, methods: Sequence[NamedMe
     head += [f"{method}, {how}, cm" for method in methods for how in ("assigned", "in order")]
     caption = "Share of textured pixels assigned to the right one of two planes; 75 % is the threshold"
     return Evidence(
-        figures, pictures=[(caption, _picture(curves, methods))], tables=[("Depth steps told apart", head, rows)]
+        figures, pictures=[(caption, _picture(curves, methods))], tables=[("Resolved depth steps", head, rows)]
     )
 
 
