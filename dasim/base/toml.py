@@ -95,14 +95,24 @@ def _problem(item: Any, data: Any) -> str:
     if item["type"] == "value_error" and isinstance(item.get("input"), dict):
         location = (*location, "")  # the problem of a table: a kind at its end is not a key
     key = _key(location, data)
-    message = item["msg"].removeprefix("Value error, ")
+    message = item["msg"].removeprefix("Value error, ").replace("Input should", "must")
     if item["type"] == "extra_forbidden":
         return f"{key}: unknown key"
     if item["type"] == "missing":
         return f"{key}: is missing"
+    if item["type"].startswith("union_tag_"):
+        return f"{key}: {_kind_problem(item['ctx'])}"
     value = item.get("input")
     is_now = f" (is {value!r})" if isinstance(value, (str, int, float)) else ""
     return (f"{key}: {message}" if key else message) + is_now
+
+
+def _kind_problem(context: dict[str, str]) -> str:
+    """Message for a table whose kind, such as the ``shape`` of an object, is missing or unknown."""
+    name = context["discriminator"].strip("'")
+    if "tag" not in context:
+        return f"{name} is missing"
+    return f"{name} '{context['tag']}' is unknown; allowed are {context['expected_tags'].replace(chr(39), '')}"
 
 
 def _key(location: tuple[int | str, ...], data: Any) -> str:

@@ -160,9 +160,9 @@ def test_defocus_term_is_a_shift_of_focus(da_mobile):
 @pytest.mark.parametrize(
     ("lens", "hole", "message"),
     [
-        ({"wavefront_nm": {"spherical": 900}}, {}, "lens.wavefront_nm.spherical: Input should be less than or equal"),
+        ({"wavefront_nm": {"spherical": 900}}, {}, "lens.wavefront_nm.spherical: must be less than or equal"),
         ({"wavefront_nm": {"tilt": 9}}, {}, "lens.wavefront_nm.tilt: unknown key"),
-        ({}, {"phase_nm": 2e4}, "stops.1.phase_nm: Input should be less than or equal to 10000"),
+        ({}, {"phase_nm": 2e4}, "stops.1.phase_nm: must be less than or equal to 10000"),
     ],
 )
 def test_refused_keys(da_mobile, lens, hole, message):

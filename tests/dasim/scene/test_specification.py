@@ -68,10 +68,10 @@ def test_good_scene_and_bundled_ones_load(tmp_path):
         ("lux = 500", "lux = 500\ncolor = 3", ["lights.0", "color: unknown key"]),
         ("focus_cm = 40", "focus_m = 0.4", ["focus_m: unknown key"]),
         ("radius_cm = 2", "radius = 2", ["objects.1", "radius_cm: is missing", "radius: unknown key"]),
-        ('shape = "sphere"', 'shape = "ball"', ["objects.1", "'ball'", "'sphere'"]),
-        ('kind = "dome"', 'kind = "star"', ["lights.0", "'star'", "'dome'"]),
+        ('shape = "sphere"', 'shape = "ball"', ["objects.1: shape 'ball' is unknown; allowed are plane, disc"]),
+        ('kind = "dome"', 'kind = "star"', ["lights.0: kind 'star' is unknown; allowed are dome, lamp"]),
         ('kind = "blend"', 'kind = "photo"', ["materials.pattern", "'photo'", "'print', 'dyed', 'achromatic'"]),
-        ('kind = "blend"', 'kind = "paint"', ["materials.pattern", "'paint'", "'coated'"]),
+        ('kind = "blend"', 'kind = "paint"', ["materials.pattern: kind 'paint' is unknown; allowed are", "coated"]),
         ('material = "brick"', 'material = "glass-pain"', ["material 'glass-pain' is unknown; nearest are glass-pane"]),
         (
             'material = "brick"',
