@@ -90,7 +90,7 @@ def tree(tmp_path_factory) -> Path:
 
 @pytest.fixture
 def copy(tree, monkeypatch):
-    """The copy as the tree that fingerprints are taken of; whole again after the test."""
+    """The copy as the tree from which fingerprints are computed; it is restored after the test."""
     monkeypatch.setattr(fingerprint, "ROOT", tree)
     monkeypatch.setattr(backend, "choose", functools.wraps(backend.choose)(lambda *_: backend.Choice(VARIANT, "")))
     fingerprint.forget()
@@ -100,7 +100,7 @@ def copy(tree, monkeypatch):
 
 @pytest.fixture(scope="module")
 def keys(da_mobile):
-    """For each cache, a function that gives the name under which a result is kept."""
+    """For each cache, a function that returns the key of a result."""
     scene = dasim.load_scene("desk")
     spec = load_study("hole-size", quick=True)
     unit = units(spec)[0]
@@ -186,12 +186,14 @@ def test_scenes_in_a_wheel_have_the_same_fingerprint(tree, tmp_path, monkeypatch
 
 
 def test_bank_does_not_survive_a_change_of_the_lights(copy, keys):
-    """The bank's key had a hand-written list of modules without the illuminants, the daylight model and its table."""
+    """A key from a list of modules without the illuminants, the daylight model and its table would miss this change."""
     assert len(changed(keys["bank"], *(copy / path for path in LIGHTS))) == len(LIGHTS)
 
 
 def test_study_point_does_not_survive_a_change_of_code_at_the_same_version(copy, keys, monkeypatch):
-    """Points were kept under the version of dasim alone, which stays the same while the code changes."""
+    """A key from the version of dasim alone would miss this change, because the version stays while
+    the code changes.
+    """
     monkeypatch.setattr(fingerprint, "library_version", lambda name: "0")
     assert changed(keys["point"], copy / "recon/depth/bands.py", copy / "dasim/spectra/illuminants.py")
 
@@ -221,8 +223,8 @@ RUNS = {
 
 @pytest.mark.parametrize("name", RUNS)
 def test_all_that_a_run_loads_is_in_the_fingerprint(name, renderer):
-    """Expectation: of the packages' modules that a process has loaded after a run, all are followed, but for the
-    package files that only pass names on.
+    """Expectation: every module of the packages that a process has loaded after a run is in the fingerprint, except for
+    package files that only re-export names.
     """
     program, sources = RUNS[name]
     listed = "import sys; print(*(m.__file__ for n, m in sys.modules.items() if n.partition('.')[0] in "
@@ -360,7 +362,7 @@ def test_all_bundled_data_are_followed():
 
 
 def test_texts_are_told_apart():
-    """Expectation: the boundary between texts counts."""
+    """Expectation: the hash depends on the boundary between texts."""
     assert len({fingerprint.text_hash(text) for text in (["ab", "c"], ["a", "bc"], ["abc"], ["ab", "c", ""])}) == 4
 
 

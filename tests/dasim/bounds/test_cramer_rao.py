@@ -49,10 +49,12 @@ def bound(blur, noise=NOISE, gain=(1.0, GAIN), **options):
 
 
 def patches(blur, side, random):
-    """Periodograms of infrared and green, real part of their cross-spectrum, each [patch, radius], of noisy pictures.
+    """Periodograms of noisy pictures in infrared and green, and the real part of their cross-spectrum, each [patch,
+    radius].
 
-    Model and texture are round, so that means over frequencies of one radius tell all; beyond ``BLIND`` of the noise
-    no channel shows any texture. Also these radii in cycles/px and how many frequencies each has.
+    Model and texture are round, so that means over the frequencies of one radius hold all information. Frequencies at
+    which the texture in infrared is below ``BLIND`` of the noise are left out. Also returned: the radii in cycles/px,
+    and the number of frequencies at each.
     """
     shape = (side, side)
     power, transfer = cramer_rao.natural_power(shape, contrast=CONTRAST), two_channels(blur, shape)[0]
@@ -76,7 +78,9 @@ def patches(blur, side, random):
 
 
 def log_likelihood(theta, data, radius, times):
-    """Of each patch, [patch], for (blur, ln strength, ln gain) [patch, 3]: two Gaussian channels, written out."""
+    """Log likelihood of each patch, [patch], for (blur, ln strength, ln gain) [patch, 3]: two Gaussian channels,
+    written out.
+    """
     blur, strength, gain = (t[:, None] for t in theta.T)
     side = int(np.rint(1 / radius[0]))
     natural = cramer_rao.natural_power((side, side), contrast=CONTRAST)[0, 1] * radius[0] ** 2 / radius**2
@@ -126,10 +130,10 @@ def spread_over_bound(blur, side):
 
 @pytest.mark.parametrize(("blur", "side"), [(3.0, 31), (6.0, 37), (9.0, 55), (20.0, 121)])
 def test_maximum_likelihood_reaches_the_bound(blur, side):
-    """Rationale: a bound is of use where an estimator reaches it; the issue wants 5 %.
+    """Rationale: a bound is of use only if an estimator reaches it.
 
-    Set-up: periodic patches of 31 px or six blurs a side, whichever is more: the bound is
-    asymptotic in the number of frequencies that blur leaves, which goes as (side / blur)^2. ``PATCHES`` of them.
+    Set-up: ``PATCHES`` periodic patches with sides of 31 px or six blurs, whichever is larger, because the bound is
+    asymptotic in the number of frequencies that blur leaves, which is proportional to (side / blur)^2. Limit: 5 %.
     """
     ratio, off = spread_over_bound(blur, side)
     assert ratio == pytest.approx(1, abs=MISFIT)
@@ -137,10 +141,11 @@ def test_maximum_likelihood_reaches_the_bound(blur, side):
 
 
 def test_what_is_above_the_bound_in_small_patches_goes_with_their_size():
-    """Of 9 px of blur, 31 px are 3.4 blurs and leave too few frequencies: 4 % above the bound, 63 px nothing.
+    """At 9 px of blur, patches of 31 px (3.4 blurs) leave too few frequencies: the error is 4 % above the bound; with
+    63 px it is not.
 
-    Measured with 6,400 and 3,200 patches: 4.0 +- 1.0 % in 31 px, -0.9 +- 1.2 % in 63 px. Of 20 px of blur there is
-    not always a maximum in 31 px, 4.2 +- 1.3 % in 63 px (3.2 blurs), 0.5 +- 2.0 % in 127 px.
+    Measured with 6,400 and 3,200 patches: 4.0 +- 1.0 % with 31 px, -0.9 +- 1.2 % with 63 px. At 20 px of blur, the
+    likelihood does not always have a maximum with 31 px; 4.2 +- 1.3 % with 63 px (3.2 blurs), 0.5 +- 2.0 % with 127 px.
     """
     small, large = (spread_over_bound(9.0, side)[0] for side in (31, 63))
     assert 1.0 < small < 1 + 2 * MISFIT
@@ -205,7 +210,9 @@ def test_noise_and_texture_count_by_their_ratio_alone():
 
 
 def test_strong_noise_counts_with_its_variance():
-    """Far above the signal, information falls with the square of the variance: the deviation rises with variance."""
+    """Far above the signal, information falls with the square of the noise variance, so that the deviation is
+    proportional to the variance.
+    """
     low, high = (bound(5.0, noise=(v, v)) for v in (1e3, 2e3))
     assert high / low == pytest.approx(2.0, rel=1e-3)
 
@@ -228,14 +235,14 @@ def test_area_of_a_gaussian_patch():
 
 
 def test_equal_kernels_tell_nothing_of_a_texture_of_unknown_colour_and_spectrum():
-    """Kernels that do not change with blur: infinite, and not a large number."""
+    """Kernels that do not change with blur give an infinite deviation, not a large number."""
     transfer, slope = two_channels(5.0)
     power = cramer_rao.natural_power(SHAPE)
     assert cramer_rao.blur_deviation(transfer, 0 * slope, power, NOISE, width=SIDE) == np.inf
 
 
 def test_a_change_of_brightness_is_no_blur():
-    """Kernels that change by a factor alone: the gain and the strength explain it."""
+    """Kernels that change by a factor only give an infinite deviation: gain and strength explain the change."""
     transfer, _ = two_channels(5.0)
     slope = transfer * np.array([0.3, -0.2])[:, None, None]
     power = cramer_rao.natural_power(SHAPE)
@@ -244,7 +251,7 @@ def test_a_change_of_brightness_is_no_blur():
 
 
 def test_a_free_spectrum_leaves_the_difference_of_blur_alone():
-    """Two channels of the same blur tell next to nothing (power is free from ring to ring, each a frequency wide)."""
+    """Two channels of equal blur give nearly no information, because power is free in each ring, one frequency wide."""
     power = cramer_rao.natural_power(SHAPE, contrast=CONTRAST)
     same = [np.repeat(part[1:], 2, axis=0) for part in two_channels(5.0)]
     free, spectrum = (

@@ -66,7 +66,9 @@ def test_mosaics():
 
 
 def test_stops():
-    """Expectation: the areas of the stated ratios; every wavelength passes one stop, edges add up to one."""
+    """Expectation: the areas of the stated ratios; each wavelength passes one stop, and at the edges two that add up to
+    one.
+    """
     assert areas("bayer-mobile") == [1.0]
     assert areas("chakrabarti-zickler") == pytest.approx([1.0, 0.59**2])
     assert areas("bando") == pytest.approx([0.25] * 3)
@@ -132,7 +134,7 @@ def test_displaced_discs_are_refused_without_a_jit_variant(tmp_path):
 
 
 def test_list_describes_every_camera(capsys):
-    """Expectation: a block a camera with its stops' shares; eq. (8) exactly where there are R, G, B and IR."""
+    """Expectation: one block per camera with the shares of its stops, and eq. (8) if it has R, G, B and IR."""
     assert run(["list", "cameras", "--verbose"]) == 0
     output = capsys.readouterr().out
     assert "{" not in output and max(map(len, output.splitlines())) < 140

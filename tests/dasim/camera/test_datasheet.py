@@ -53,10 +53,10 @@ def test_figures_in_their_units(da_mobile):
 
 
 def test_system_gain_sets_the_numbers(da_mobile):
-    """Set-up: 0.1 DN an electron, 10 electrons a number, 1,023 - 64 = 959 numbers above black: 9,590 electrons.
+    """Set-up: 0.1 DN per electron, or 10 electrons per DN; 1,023 - 64 = 959 DN above black are 9,590 electrons.
 
-    Expectation: 1,000 electrons are 100 numbers; the well of 6,000 is full first, at number 664, and from gain 2 on
-    the converter, at 4,795; automatic exposure aims below whichever comes first.
+    Expectation: 1,000 electrons are 100 DN. The well of 6,000 electrons is full first, at 664 DN, and from gain 2 on
+    the converter, at 4,795 electrons; automatic exposure aims below whichever comes first.
     """
     model = sheet(da_mobile, {"overall_system_gain_dn_per_e": 0.1}, without=("dn_per_e",)).sensor
     raw, full = noise.expose(np.array([[0.0, 1000.0, 6000.0, 9000.0]]), model, 1.0, 0, noise="off")

@@ -20,7 +20,7 @@ STACK = 48  # frames for fixed patterns: what of the temporal noise is left is s
 
 @pytest.fixture
 def quiet(da_mobile):
-    """A sensor without any noise of its own, and 4 electrons a digital number."""
+    """A sensor without noise, with 4 electrons per digital number."""
 
     def make(**changes):
         silent = {"read_noise_e": 0, "dark_current_e_s": 0, "dsnu_e": 0, "prnu": 0, "full_well_e": 4.0 * (1023 - 64)}
@@ -42,7 +42,8 @@ def stack_e(mean_e, model, frames=STACK, *, gain=4.0, seed=3, first=0) -> np.nda
 
 
 def test_without_noise_a_number_is_the_rounded_and_clipped_mean(quiet):
-    """Set-up: 4 electrons a digital number, in thirds of electrons, so that no number lies halfway.
+    """Set-up: 4 electrons per digital number, means in thirds of electrons, so that no value lies halfway between
+    numbers.
 
     Expectation: exactly the nearest whole number above black, at most 1,023; those at 1,023 are counted.
     """
@@ -58,11 +59,12 @@ def test_without_noise_a_number_is_the_rounded_and_clipped_mean(quiet):
 
 @pytest.mark.parametrize("gain", [1.0, 4.0])
 def test_photon_transfer(quiet, gain):
-    """Rationale: EMVA 1288's central measurement: of a Poisson process the variance grows with the mean by 1 / K.
+    """Rationale: the central measurement of EMVA 1288: the variance of a Poisson process grows with the mean by 1 / K.
 
     Set-up: eight levels up to 60 % of full scale, 62,500 pixels each, no other noise.
-    Expectation: slope gain / 4 numbers a number, intercept the 1/12 of rounding. The slope of eight variances of
-    0.57 % each is known to about 0.4 %; the limit is four times that.
+
+    Expectation: a slope of gain / 4 DN per electron, and the 1/12 of rounding as intercept. From eight variances of
+    0.57 % each, the slope is known to about 0.4 %; the limit is four times that.
     """
     levels = np.linspace(0.05, 0.6, 8) * 4 * 959 / gain
     frames = [sensor.expose(flat(level), quiet(), 1.0, 11 + k, gain=gain)[0] for k, level in enumerate(levels)]
@@ -172,11 +174,13 @@ def test_whole_variance_of_the_bundled_camera(da_mobile):
 
 
 def test_all_users_give_a_pixel_the_same_variance(da_mobile):
-    """Rationale: noise once stood in six places, which disagreed.
+    """Rationale: all parts that weigh pixels must use one noise model.
 
-    Set-up: a flat raw picture of da-mobile, 2 s long so that its dark current counts. Expectation: the reconstruction,
-    the calibration's pictures, its search for the source and its signal-to-noise ratio use the variance written out
-    here; so do the bounds of the claims and studies at their own mean, and the ladder of EMVA frames.
+    Set-up: a flat raw picture of da-mobile, exposed for 2 s so that its dark current counts.
+
+    Expectation: the reconstruction, the calibration's pictures, its search for the source and its signal-to-noise ratio
+    use the variance that is written out here; so do the bounds of the claims and studies at their own mean, and the
+    exposure steps of EMVA frames.
     """
     from dasim.simulation import emva
     from dasim.values import Capture, PointPicture
@@ -324,11 +328,13 @@ def test_crosstalk_conserves_charge_and_flat_fields(quiet):
 
 
 def test_crosstalk_before_the_shot_noise_is_that_of_single_electrons(quiet):
-    """Rationale: the way of every single electron, drawn after the shot noise, is the brute-force model.
+    """Rationale: the brute-force model moves every electron separately, after the shot noise.
 
-    Set-up: columns of 4,000 and 0 electrons in turn, c = 0.1; each electron stays or goes to one of four neighbours
-    by a multinomial draw. Expectation: means, variances and the covariance of neighbours (none) agree.
-    A variance of 31,250 pixels is known to 0.8 %; five of these. A covariance's sigma is the variance / sqrt(31,250).
+    Set-up: columns of 4,000 and 0 electrons in turn, c = 0.1; a multinomial draw decides for each electron whether it
+    stays or goes to one of four neighbours.
+
+    Expectation: means, variances and the covariance of neighbours (none) agree. A variance of 31,250 pixels is known to
+    0.8 %; the limit is five of these. The standard error of a covariance is the variance / sqrt(31,250).
     """
     share, side = 0.1, SIDE
     image = flat(0.0)

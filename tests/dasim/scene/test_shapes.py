@@ -14,7 +14,7 @@ from dasim.scene import meshes, shapes
 from dasim.scene import specification as scenes
 from dasim.spectra.grid import WAVELENGTH_NM
 
-DEPTH_LIMIT = 1e-4  # relative; the limit, rays and shapes are single precision
+DEPTH_LIMIT = 1e-4  # relative; rays and shapes are single precision
 LINEAR_LIMIT = 1e-5  # colours are single precision
 SRGB_188 = ((188 / 255 + 0.055) / 1.055) ** 2.4  # 0.5029
 

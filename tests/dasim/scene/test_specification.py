@@ -152,9 +152,9 @@ def test_mesh_that_is_missing_empty_or_broken(tmp_path, content, message_part):
 
 
 def test_mesh_on_disk_may_change_between_two_loads(tmp_path):
-    """Rationale: in a notebook one edits a mesh and loads the scene again: what is on disk then counts.
+    """Rationale: in a notebook, a user edits a mesh and loads the scene again; the new file must be read.
 
-    Expectation: half extents of the file as it is, in its unit: 1 cm, and 2.5 mm a unit.
+    Expectation: half extents of the file as it is, in its unit of 1 cm, and of 2.5 mm.
     """
     trimesh.creation.box((2, 2, 2)).export(tmp_path / "thing.obj")
     scene = load(tmp_path, GOOD + MESH)

@@ -276,7 +276,7 @@ def test_order_is_that_of_the_table():
 
 
 def test_junit_parses_and_counts(fakes):
-    """Expectation: one suite a claim, one case a figure; failures, errors and skipped ones as their figures say."""
+    """Expectation: one suite per claim, one case per figure; failures, errors and skipped ones as their figures say."""
     run(["validate", "--only", "good", "bad", "absent", "broken", "--out", "new"])
     root = ElementTree.parse(fakes / "new" / "junit.xml").getroot()
     suites = {suite.get("name"): suite for suite in root}
