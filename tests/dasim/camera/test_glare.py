@@ -119,6 +119,6 @@ def test_psf_has_the_veil(da_mobile):
 def test_refused_keys(da_mobile, key, value):
     data = da_mobile.model_dump(mode="json")
     data["stops"][1] |= {key: value}
-    with pytest.raises(InputError, match=rf"stops\.1\.{key}: Input should be") as problem:
+    with pytest.raises(InputError, match=rf"stops\.1\.{key}: must be") as problem:
         parse(Camera, data, "camera.toml")
     assert "\n" not in str(problem.value)
