@@ -50,11 +50,13 @@ class Truth:
     level: Float32Array  # [h, w] signed blur level, (1 - alpha) of the blur
     boundary: NDArray[np.bool_]  # [h, w] the blur disc crosses a depth discontinuity
     channels: tuple[str, ...]  # names of the last axis below
-    mean_e: Float32Array  # [h, w, channel] mean electrons of every channel as the lens sees the scene
+    mean_e: Float32Array  # [h, w, channel] mean electrons of every channel as the lens sees it, with rendering noise
     sharp_e: Float32Array  # [h, w, channel] the same through a pinhole of the same light
     sharp_srgb: Float32Array  # [h, w, 3] 0..1, through a pinhole onto a Bayer sensor without near-infrared
     objects: tuple[str, ...] = ()  # names
     materials: tuple[str, ...] = ()
+    mean_e_variance: Float32Array | None = None  # [h, w, channel] of ``mean_e`` by rendering noise; None: unknown
+    focus_e: Float32Array | None = None  # [h, w, channel] the geometry of ``sharp_e``, with diffraction in focus
 
     def __repr__(self) -> str:
         depths = _range(self.depth_m[self.valid])

@@ -30,6 +30,8 @@ def render(
     size: str | None = None,
     spp: Annotated[int | str | None, Parameter(converter=samples)] = None,
     noise_share: float = 0.2,
+    noise_at: float = 50.0,
+    independent_mean: Annotated[bool, Parameter(negative="")] = False,
     exposure: float | None = None,
     diffraction: str | None = None,
     noise: str | None = None,
@@ -50,7 +52,11 @@ def render(
         seed: seed of all random numbers
         size: WxH pixels, a central crop of the sensor at unchanged pixel pitch
         spp: samples per pixel and stop, or auto: as many as --noise-share requires
-        noise_share: target of --spp auto: ratio of rendering noise to sensor noise at the median pixel of each channel
+        noise_share: target of --spp auto: ratio of rendering noise to sensor noise in each channel
+        noise_at: percentile of the pixels at which --noise-share is meant: 50 is the median; at 95, one pixel in twenty
+            has more rendering noise
+        independent_mean: give mean_e samples of its own, so that its rendering noise is independent of that of raw.png;
+            takes about twice as long
         exposure: exposure time in seconds; automatic by default
         diffraction: wave, airy or off
         noise: your own noise model, package.module:function or file.py:function, such as examples/noise_model.py
@@ -68,7 +74,7 @@ def render(
     from dasim.simulation.checks import check_camera, check_options
 
     check_output(out, "capture")
-    check_options(spp, seed, diffraction, noise_share)
+    check_options(spp, seed, diffraction, noise_share, noise_at)
     choices = {"unit_cm": unit_cm, "near_infrared": near_infrared, "illuminant": illuminant}
     options_given = {name: value for name, value in choices.items() if value is not None}
     whole = view = dasim.load_camera(camera)
@@ -95,6 +101,8 @@ def render(
             diffraction=diffraction,
             variant=variant,
             noise_share=noise_share,
+            noise_at=noise_at,
+            independent_mean=independent_mean,
             progress=progress,
             **chosen_options,
         )
@@ -102,9 +110,9 @@ def render(
     for note in shot.capture.provenance["notes"]:
         print(f"note: {note}")
     shares = shot.capture.provenance.get("rendering_noise_share", {})
-    if shares:
-        listed = ", ".join(f"{name} {share:.2f}" for name, share in shares.items())
-        print(f"rendering noise over sensor noise: {listed} ({shot.capture.provenance['spp']} samples)")
+    for at, by_channel in shares.items():
+        listed = ", ".join(f"{name} {share:.2f}" for name, share in by_channel.items())
+        print(f"rendering noise over sensor noise, percentile {at:>4} of the pixels: {listed}")
     print(f"capture: {out} ({shot.capture.exposure_s * 1e3:.3g} ms)")
     return 0
 

@@ -138,7 +138,8 @@ def statistics(rows: list[dict[str, Any]]) -> list[str]:
         f"saturated pixels: {spread('saturated_share', '%', 100)}; "
         f"behind the focus: {spread('far_side_share', '%', 100)}; "
         f"near depth discontinuities: {spread('boundary_share', '%', 100)}",
-        f"standard deviation of rendering noise over that of sensor noise: {spread('noise_share', '')}",
+        f"standard deviation of rendering noise over that of sensor noise, worst channel: {spread('noise_share', '')} "
+        f"at a sample's median pixel, {spread('noise_share_p95', '')} at its percentile 95",
         f"size: {sum(row['bytes'] for row in rows) / 1e9:.3g} GB",
     ]
 

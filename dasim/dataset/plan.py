@@ -28,7 +28,9 @@ PART_BYTES = {
     "blur": 6.0,
     "labels": 0.5,
     "mean_e": 15.0,
+    "mean_e_variance": 14.0,
     "sharp_e": 14.0,
+    "focus_e": 14.0,
     "sharp_srgb": 11.0,
 }
 HALF_SHARE = 0.5  # size with half floats over that with single floats
@@ -88,8 +90,12 @@ def log_name(part: tuple[int, int]) -> str:
 def description(spec: DatasetSpec, environment: dict[str, Any]) -> dict[str, Any]:
     """Manifest of a dataset: schema, specification and its hash, and the environment that determines pixels."""
     data = spec.model_dump(mode="json")
-    digest = hashlib.sha256(json.dumps(data, sort_keys=True).encode()).hexdigest()
-    return {"schema": SCHEMA, "spec": data, "spec_sha256": digest, **environment}
+    return {"schema": SCHEMA, "spec": data, "spec_sha256": digest(data), **environment}
+
+
+def digest(data: Any) -> str:
+    """SHA-256 of a specification as plain values, with the keys that it was written with."""
+    return hashlib.sha256(json.dumps(data, sort_keys=True).encode()).hexdigest()
 
 
 def manifest(out: str) -> dict[str, Any]:

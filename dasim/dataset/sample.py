@@ -98,6 +98,8 @@ def make(spec: DatasetSpec, index: int, variant: str) -> PackedSample:
         plan.seed,
         spp=spec.spp,
         noise_share=spec.noise_share,
+        noise_at=spec.noise_at,
+        independent_mean=spec.truth.independent_mean,
         exposure=plan.exposure,
         diffraction=spec.diffraction,
         variant=variant,
@@ -161,7 +163,7 @@ def _row(plan: Draft, shot: Shot, files: dict[str, bytes]) -> dict[str, Any]:
     capture, truth = shot.capture, shot.truth
     body = capture.camera.sensor
     depth_m = truth.depth_m[truth.valid]
-    share = capture.provenance.get("rendering_noise_share", {})
+    shares = capture.provenance.get("rendering_noise_share", {})
     depth = np.percentile(depth_m, (0, 5, 50, 95, 100))
     return {
         "index": plan.index,
@@ -178,7 +180,8 @@ def _row(plan: Draft, shot: Shot, files: dict[str, bytes]) -> dict[str, Any]:
         "seed": capture.seed,
         "drawn": json.dumps(plan.drawn),
         "spp": json.dumps(capture.provenance["spp"]),
-        "noise_share": max(share.values()) if share else None,
+        "noise_share": max(shares["50"].values()) if shares else None,
+        "noise_share_p95": max(shares["95"].values()) if shares else None,
         "saturated_share": capture.provenance["saturated_pixels"] / capture.raw_dn.size,
         "mean_dn": float(capture.raw_dn.mean()) - body.black_level_dn,
         "valid_share": float(truth.valid.mean()),

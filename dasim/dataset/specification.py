@@ -19,7 +19,8 @@ from dasim.files.truth import TRUTH_PARTS
 from dasim.random_scenes import specification
 from dasim.random_scenes.specification import RandomScenes
 from dasim.scene.specification import scene_names
-from dasim.simulation.adaptive_sampling import NOISE_SHARE
+from dasim.simulation.adaptive_sampling import NOISE_AT, NOISE_SHARE
+from dasim.simulation.checks import PERCENTILE
 from dasim.spectra import illuminants
 
 MOST_SAMPLES = 10_000_000
@@ -150,6 +151,9 @@ class TruthChoice(Specification):
     keep: tuple[str, ...] = Field(default=tuple(TRUTH_PARTS), min_length=1)
     half: bool = Field(default=False, description="16-bit floats, except for depth and labels")
     margin_px: int = Field(default=0, ge=0, le=4096, description="pixels left out along every edge of the frame")
+    independent_mean: bool = Field(
+        default=False, description="mean_e of its own samples: its rendering noise is independent of that of raw.png"
+    )
 
     @field_validator("keep")
     @classmethod
@@ -178,6 +182,12 @@ class DatasetSpec(Specification):
         ge=0.01,
         le=10,
         description="target of spp = 'auto': rendering noise over sensor noise",
+    )
+    noise_at: float = Field(
+        default=NOISE_AT,
+        ge=PERCENTILE[0],
+        le=PERCENTILE[1],
+        description="percentile of the pixels at which noise_share is meant, 50 the median",
     )
     diffraction: Literal["wave", "airy", "off"] | None = None
     scenes: SceneChoice = SceneChoice()

@@ -17,9 +17,11 @@ from dasim.dataset import card, draws, plan, reading, storage
 from dasim.dataset.plan import LOGS, MANIFEST, SUMS
 from dasim.dataset.sample import FILES, key
 from dasim.dataset.specification import DatasetSpec
+from dasim.files.truth import PER_CHANNEL
 
-RANGES = {"depth_m": (0.0, 1e6), "blur_px": (-1e4, 1e4), "mean_e": (0.0, 1e9), "sharp_e": (0.0, 1e9)}
-SHAPES = {"normal": 3, "mean_e": None, "sharp_e": None, "sharp_srgb": 3}  # last axis; None: one per channel
+ELECTRONS = dict.fromkeys(PER_CHANNEL, (0.0, 1e9))
+RANGES = {"depth_m": (0.0, 1e6), "blur_px": (-1e4, 1e4), **ELECTRONS}
+SHAPES = {"normal": 3, "sharp_srgb": 3, **dict.fromkeys(PER_CHANNEL)}  # last axis; None: one per channel
 
 
 def problems(out: str, show: Callable[[float], None] = lambda share: None) -> Iterator[str]:
@@ -32,7 +34,7 @@ def problems(out: str, show: Callable[[float], None] = lambda share: None) -> It
     if not storage.exists(out, SUMS):
         yield f"is not finished: {SUMS} is missing; run 'dasim dataset make' again"
         return
-    if plan.description(spec, {})["spec_sha256"] != manifest["spec_sha256"]:
+    if plan.digest(manifest["spec"]) != manifest["spec_sha256"]:
         yield f"{MANIFEST}: the specification was changed after the dataset was made"
     yield from _files(out)
     try:

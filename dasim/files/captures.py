@@ -19,7 +19,11 @@ from dasim.files.png import read_png16, write_png16
 from dasim.files.truth import read_truth, write_truth
 from dasim.values import Capture, Truth
 
-CAPTURE_SCHEMA = 3
+CAPTURE_SCHEMA = 4
+READABLE_SCHEMAS = (
+    3,
+    CAPTURE_SCHEMA,
+)  # 3 lacks mean_e_variance and focus_e, and states the share of noise at the median alone
 
 
 def level_table(camera: Camera) -> list[dict[str, float]]:
@@ -139,6 +143,7 @@ def _read_meta(path: Path) -> dict[str, Any]:
         raise InputError(f"{file}: is missing; a capture holds raw.png, truth.exr and meta.json") from None
     except (OSError, ValueError) as error:
         raise InputError(f"{file}: cannot be read ({error})") from None
-    if not isinstance(meta, dict) or meta.get("schema") != CAPTURE_SCHEMA:
-        raise InputError(f"{file}: is not a capture of schema {CAPTURE_SCHEMA}")
+    if not isinstance(meta, dict) or meta.get("schema") not in READABLE_SCHEMAS:
+        readable = " or ".join(map(str, READABLE_SCHEMAS))
+        raise InputError(f"{file}: is not a capture of schema {readable}")
     return meta

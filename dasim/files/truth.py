@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from dataclasses import fields
+from dataclasses import MISSING, fields
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +23,8 @@ _XYZ = ("X", "Y", "Z")
 NAMES = "objectAndMaterialNames"  # JSON: names of the numbers 1, 2, ... of the part ``labels``
 CHANNEL_ORDER = "channelOrder"  # names of the channels in our order; EXR stores them alphabetically
 
-TRUTH_PARTS = ("depth", "normal", "blur", "labels", "mean_e", "sharp_e", "sharp_srgb")
+TRUTH_PARTS = ("depth", "normal", "blur", "labels", "mean_e", "mean_e_variance", "sharp_e", "focus_e", "sharp_srgb")
+PER_CHANNEL = ("mean_e", "mean_e_variance", "sharp_e", "focus_e")  # parts with one layer per channel of the camera
 
 
 def write_truth(path: Path, truth: Truth, keep: Sequence[str] = TRUTH_PARTS, *, half: bool = False) -> None:
@@ -32,7 +33,7 @@ def write_truth(path: Path, truth: Truth, keep: Sequence[str] = TRUTH_PARTS, *, 
     Args:
         path: the file.
         truth: the ground truth.
-        keep: names of the parts to write, of ``TRUTH_PARTS``.
+        keep: names of the parts to write, of ``TRUTH_PARTS``; those that the truth lacks are left out.
         half: whether all parts except depth and labels are 16-bit floats, which have a precision of 11 bits.
     """
     import OpenEXR
@@ -49,12 +50,14 @@ def write_truth(path: Path, truth: Truth, keep: Sequence[str] = TRUTH_PARTS, *, 
             "valid": truth.valid.astype(np.uint32),
             "boundary": truth.boundary.astype(np.uint32),
         },
-        "mean_e": {name: truth.mean_e[..., i] for i, name in enumerate(truth.channels)},
-        "sharp_e": {name: truth.sharp_e[..., i] for i, name in enumerate(truth.channels)},
         "sharp_srgb": {name: truth.sharp_srgb[..., i] for i, name in enumerate("RGB")},
     }
+    for part in PER_CHANNEL:
+        image = getattr(truth, part)
+        if image is not None:
+            arrays[part] = {name: image[..., i] for i, name in enumerate(truth.channels)}
     parts = []
-    for name in keep:
+    for name in (name for name in keep if name in arrays):
         channels = arrays[name]
         if name not in ("depth", "labels"):
             channels = {key: np.clip(value, -largest, largest).astype(dtype) for key, value in channels.items()}
@@ -68,7 +71,7 @@ def write_truth(path: Path, truth: Truth, keep: Sequence[str] = TRUTH_PARTS, *, 
 def read_truth(path: Path) -> Truth:
     """Read a ground-truth EXR; raises InputError if it is missing, truncated or lacks a part."""
     values = read_truth_parts(path)
-    missing = [field.name for field in fields(Truth) if field.name not in values]
+    missing = [field.name for field in fields(Truth) if field.default is MISSING and field.name not in values]
     if missing:
         raise InputError(f"{path}: lacks {', '.join(missing)}; a truth file with all its parts is needed")
     return Truth(**values)
@@ -96,7 +99,8 @@ def read_truth_parts(path: Path) -> dict[str, Any]:
         if "labels" in parts:
             values |= {key: parts["labels"][key] for key in ("object_id", "material_id")}
             values |= {key: parts["labels"][key].astype(bool) for key in ("valid", "boundary")}
-        for part, order in (("normal", _XYZ), ("mean_e", names), ("sharp_e", names), ("sharp_srgb", "RGB")):
+        orders: dict[str, Sequence[str]] = {"normal": _XYZ, "sharp_srgb": "RGB", **dict.fromkeys(PER_CHANNEL, names)}
+        for part, order in orders.items():
             if part in parts:
                 values[part] = np.stack([_single(parts[part][name]) for name in order], axis=-1)
         return values

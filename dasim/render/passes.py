@@ -52,6 +52,37 @@ def stop_pass(
     return glare.spread(rate, stop.glare_share, glare.radius_px(camera, stop))
 
 
+def in_focus_pass(
+    mitsuba_scene: Any,
+    camera: Camera,
+    stop: Stop,
+    sampling: Sampling,
+    *,
+    diffraction: str = "off",
+    max_blur_px: float = 0.0,
+    illuminant: str = "D65",
+    field: Field | None = None,
+) -> FloatArray:
+    """Mean electrons per second through one stop with every depth in focus, [h, w, channel].
+
+    Geometry is that of a pinhole in the middle of the lens; diffraction, aberrations and glare are those of the stop
+    in focus. Arguments are those of :func:`stop_pass`; with the same ``max_blur_px`` both share their tables.
+    """
+    import mitsuba as mi
+
+    response = radiometry.stop_response(camera, stop)
+    if mi.variant().startswith("scalar"):
+        seeds = sampling.block_seeds(None)
+        rate = stock.pinhole_pass(mitsuba_scene, camera, response, sampling.spp, seeds, sampling.progress)
+        if diffraction == "airy":
+            rate = stock.in_focus_diffraction(rate, camera, stop, illuminant)
+    else:
+        waves = max_blur_px if diffraction == "wave" else None
+        rate = ray_loop.render(mitsuba_scene, camera, stop, sampling, waves, field, response, in_focus=True)
+    rate = rate * radiometry.relative_illumination(camera)[..., None]
+    return glare.spread(rate, stop.glare_share, glare.radius_px(camera, stop))
+
+
 def sample_count(spp: int) -> int:
     """Samples per pixel that a pass actually takes: the sampler of ``scalar_spectral`` rounds up to a grid."""
     import mitsuba as mi

@@ -47,11 +47,14 @@ class PatternBlur:
 
     def draw(self, first: Any, second: Any, blur_px: Any, key: Any) -> tuple[Any, Any, Any]:
         """See :class:`Blur`; rho and delta are sampled independently."""
+        return self.on_stop(first), *self.draw_in_focus(first, second)
+
+    def draw_in_focus(self, first: Any, second: Any) -> tuple[Any, Any]:
+        """See :class:`Blur`."""
         import mitsuba as mi
 
-        rho = self.on_stop(first)
         cell, _, inside = self.offset_cells.sample(second)
-        return rho, (mi.Point2f(cell) + inside) * self.offset_step_px - self.offset_half_px, mi.Float(1.0)
+        return (mi.Point2f(cell) + inside) * self.offset_step_px - self.offset_half_px, mi.Float(1.0)
 
     def weights(self, u_px: Any, blur_px: Any, tangent: Any, wavelengths_nm: list[Any]) -> list[Any]:
         """See :class:`Blur`."""

@@ -64,22 +64,34 @@ class RadialBlur:
         import drjit as dr
         import mitsuba as mi
 
-        rows = self.rows
         expected = dr.abs(blur_px) * (self.outer / DENSITY_BLUR_STEP_PX)
-        row = dr.minimum(mi.UInt32(dr.round(dr.minimum(expected, 1e6))), rows - 1)
+        row = dr.minimum(mi.UInt32(dr.round(dr.minimum(expected, 1e6))), self.rows - 1)
         own = mi.Float(row) * DENSITY_BLUR_STEP_PX
+        length, u, weight = self._image_place(first, row, own)
+        side = dr.select(blur_px < 0, -own, own) / 2  # rho = 1 moves the image by -side
+        rho = self._on_stop(u, side, length, own, key)
+        delta = -u - rho * side
+        return self.centre + self.outer * rho, delta, weight
+
+    def draw_in_focus(self, first: Any, second: Any) -> tuple[Any, Any]:
+        """See :class:`Blur`."""
+        import mitsuba as mi
+
+        _, u, weight = self._image_place(first, mi.UInt32(0), mi.Float(0.0))
+        return -u, weight
+
+    def _image_place(self, first: Any, row: Any, own: Any) -> tuple[Any, Any, Any]:
+        """Length of u, u, and the weight g / q of having drawn it, for the blur ``own`` of a row of the tables."""
+        import drjit as dr
+        import mitsuba as mi
+
         place = first.x * GUIDE_NODES
         index = dr.minimum(mi.UInt32(place), GUIDE_NODES - 1)
         start = row * (GUIDE_NODES + 1) + index
         low, high = dr.gather(mi.Float, self.guide, start), dr.gather(mi.Float, self.guide, start + 1)
         length = dr.fma(place - mi.Float(index), high - low, low)
         sampling_density = dr.rcp(GUIDE_NODES * (high - low) * 2 * dr.pi * dr.maximum(length, 1e-6))
-        g = self._density(length, own)
-        u = length * _direction(first.y)
-        side = dr.select(blur_px < 0, -own, own) / 2  # rho = 1 moves the image by -side
-        rho = self._on_stop(u, side, length, own, key)
-        delta = -u - rho * side
-        return self.centre + self.outer * rho, delta, g / sampling_density
+        return length, length * _direction(first.y), self._density(length, own) / sampling_density
 
     def _on_stop(self, u: Any, side: Any, length: Any, own: Any, key: Any) -> Any:
         """Sample rho with density D(-u - rho side), by rejection.

@@ -74,6 +74,7 @@ class _Pass:
     draw_pupil: pupil.Draw | None  # None for a pinhole
     blur: wave.Blur | None  # None for geometric optics
     aberration: Any | None  # geometric optics: the offset of a ray by its place on the lens, see :mod:`pupil`
+    in_focus: bool  # whether every depth is, see :func:`render`
 
 
 class _Rays(NamedTuple):
@@ -110,6 +111,8 @@ def render(
     max_blur_px: float | None,
     field: Field | None,
     response: FloatArray,
+    *,
+    in_focus: bool = False,
 ) -> FloatArray:
     """Mean electrons per second through a stop, [h, w, channel], before the falloff of relative illumination.
 
@@ -121,6 +124,8 @@ def render(
         max_blur_px: largest visible blur in the scene; None for geometric optics.
         field: irradiance that is known beforehand.
         response: electrons per second per unit of spectral radiance, [channel, wavelength].
+        in_focus: whether all depths are in focus: the perspective of the middle of the lens, and the diffraction
+            pattern of the stop in focus.
     """
     width, height = camera.sensor.width_px, camera.sensor.height_px
     light = np.ones_like(grid.WAVELENGTH_NM) if field is None else field.light
@@ -128,7 +133,7 @@ def render(
     rate = np.zeros((height, width, len(response)))
     if mean_signal.max() <= 0:
         return rate
-    shared = _prepare(scene, camera, stop, sampling.spp, max_blur_px, field, response, light)
+    shared = _prepare(scene, camera, stop, sampling.spp, max_blur_px, field, response, light, in_focus)
     rows_at_once = max(1, LANES // (sampling.spp * width))
     seeds = sampling.block_seeds(stop)
     for block, top in enumerate(range(0, height, rows_at_once)):
@@ -153,6 +158,7 @@ def _prepare(
     field: Field | None,
     response: FloatArray,
     light: FloatArray,
+    in_focus: bool,
 ) -> _Pass:
     """Tables and constants of a pass."""
     import drjit as dr
@@ -187,6 +193,7 @@ def _prepare(
         draw_pupil=None if stop is None else pupil.drawer(stop),
         blur=blur,
         aberration=pupil.aberration(camera) if stop is not None and blur is None else None,
+        in_focus=in_focus,
     )
 
 
@@ -215,7 +222,11 @@ def _trace(shared: _Pass, top: int, rows: int, seed: int) -> FloatArray:
     weight: list[Any] = [mi.Float(1.0)] * HERO
     depth_share: list[Any] = []
     weighted: _Weighted | None = None
-    if shared.blur is not None:
+    if shared.blur is not None and shared.in_focus:
+        wavelengths = [entry[0] for entry in rays.entries]
+        ratios = shared.blur.weights(-rays.delta, mi.Float(0.0), rays.tangent, wavelengths)
+        weight = [rays.drawn * ratio for ratio in ratios]
+    elif shared.blur is not None:
         weight, depth_share, blur_px = _wave_weights(shared, shared.blur, rays, si)
         weighted = _Weighted(blur_px, rays.rho, rays.delta, rays.tangent, rays.first, rays.drawn)
     radiance = transport.radiance(
@@ -319,7 +330,10 @@ def _aim(shared: _Pass, pixel: Any, corner: Any, numbers: tuple[Any, Any, Any, A
     focus = entries[0][1] if shared.axial_colour else mi.Float(shared.vergence)
 
     rho, delta, drawn, expected = mi.Point2f(0.0), mi.Point2f(0.0), mi.Float(1.0), None
-    if shared.blur is not None:
+    if shared.blur is not None and shared.in_focus:
+        delta, drawn = shared.blur.draw_in_focus(lens, pattern)
+        delta = field_angle.widened(delta, tangent)
+    elif shared.blur is not None:
         expected = dr.gather(mi.Float, _middle_vergence(shared, corner), pixel)
         defocus = shared.px_per_vergence * (expected - focus)
         defocus *= field_angle.mean_scale(tangent)
@@ -328,7 +342,7 @@ def _aim(shared: _Pass, pixel: Any, corner: Any, numbers: tuple[Any, Any, Any, A
     elif shared.draw_pupil is not None:
         rho = shared.draw_pupil(lens)
         delta = shared.aberration(rho) if shared.aberration is not None else delta
-    on_lens = rho * shared.radius_m
+    on_lens = mi.Point2f(0.0) if shared.in_focus else rho * shared.radius_m
     aim = film + delta
     origin = mi.Point3f(on_lens.x, on_lens.y, 0.0)
     # Through the film position and its conjugate point in focus; beyond infinity that is behind the camera.

@@ -49,6 +49,9 @@ class Blur(Protocol):
             key: seed of the random numbers for rejection.
         """
 
+    def draw_in_focus(self, first: Any, second: Any) -> tuple[Any, Any]:
+        """Offset delta in pixels where the blur is zero, and its weight; ``first`` and ``second`` as for ``draw``."""
+
     def weights(self, u_px: Any, blur_px: Any, tangent: Any, wavelengths_nm: list[Any]) -> list[Any]:
         """Ratios h / g for each wavelength; 1 outside the tables, where the blur is that of the sampled rays.
 

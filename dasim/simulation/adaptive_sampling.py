@@ -1,7 +1,7 @@
 """Adaptive number of samples: rendering noise is measured between pictures and compared with the sensor's noise.
 
-Pictures are rendered in pairs with independent random numbers. Half the difference of a pair has the noise of its mean,
-so that the noise is measured, not predicted.
+Pictures are rendered in pairs with independent random numbers (:mod:`dasim.simulation.rendering_noise`), so that the
+noise is measured, not predicted.
 """
 
 from __future__ import annotations
@@ -12,16 +12,17 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from dasim.simulation.rendering_noise import Measured, Pair, measured, share, shares_at
 from dasim.typing import FloatArray
 
 NOISE_SHARE = 0.2  # of the sensor's noise: raises the noise of a capture by 2 %
+NOISE_AT = 50.0  # percentile of the pixels at which the share is meant: the median
 PILOT_SPP = 16  # samples per pixel and stop of each picture of the first pair
 MOST_SPP = 8192  # samples per pixel and stop of all pictures together
 # Noise falls about as samples ** -0.6 to -0.7 (claims noise-slope-*). Where a pair misses the target, another follows.
 SLOPE = 0.6
 MOST_ROUNDS = 4
-# Median of |x| for a normal x of standard deviation 1: turns a median difference into a standard deviation.
-_MEDIAN_OF_ABSOLUTE = 0.6745
+BAND = 0.1  # pixels whose share is within this of the percentile's tell which stop makes the noise there
 
 
 class StopPictures(NamedTuple):
@@ -36,20 +37,19 @@ class AdaptiveRender:
     """The mean of several pictures, and the rendering noise that remains in it."""
 
     rate: FloatArray  # [h, w, channel] mean electrons per second of all stops together
+    variance: FloatArray  # [h, w, channel] of ``rate``
     spp: tuple[int, ...]  # samples per pixel of all pictures together, per stop
-    share: tuple[float, ...]  # rendering noise over the sensor's at the median pixel, per channel
+    share: tuple[float, ...]  # rendering noise over the sensor's at the percentile, per channel
     field: Any  # irradiance of the last picture
-
-
-Pair = tuple[tuple[int, ...], FloatArray, FloatArray]  # samples of each stop in one picture, two pictures
 
 
 def render_to_noise_target(
     picture: Callable[[int, tuple[int, ...]], StopPictures],
-    sensor_noise: Callable[[FloatArray], FloatArray],
+    sensor_variance: Callable[[FloatArray], FloatArray],
     *,
     stops: int,
     target: float = NOISE_SHARE,
+    percentile: float = NOISE_AT,
     most_spp: int = MOST_SPP,
 ) -> AdaptiveRender:
     """Render pairs of pictures until their noise is below the share ``target`` of the sensor's.
@@ -60,22 +60,39 @@ def render_to_noise_target(
     Args:
         picture: ``picture(index, spp)`` renders through each stop with ``spp[stop]`` samples per pixel, its random
             numbers keyed by ``index``.
-        sensor_noise: standard deviation of the sensor's noise [h, w, channel] for a sum over stops, in its unit.
+        sensor_variance: variance of the sensor's noise [h, w, channel] for a sum over stops, in its unit squared.
         stops: how many stops the camera has.
-        target: rendering noise over the sensor's noise, at the median pixel of the worst channel.
+        target: rendering noise over the sensor's noise, at the percentile of the pixels, in the worst channel.
+        percentile: of the pixels: this share of them, in per cent, has at most ``target``.
         most_spp: bound on the samples per pixel of a stop.
     """
     pairs: list[Pair] = []
     spp = (PILOT_SPP,) * stops
     for number in range(MOST_ROUNDS):
         first, second = picture(2 * number, spp), picture(2 * number + 1, spp)
-        pairs.append((spp, first.rate, second.rate))
-        rate, total, shares = _combined(pairs, sensor_noise)
-        share = np.sqrt((shares**2).sum(axis=0))
-        if share.max() <= target or max(total) + 2 * PILOT_SPP > most_spp:
+        pairs.append(Pair((spp, spp), first.rate, second.rate))
+        result = measured(pairs)
+        shares = shares_by_stop(result, sensor_variance(result.rate), percentile)
+        reached = np.sqrt((shares**2).sum(axis=0))
+        if reached.max() <= target or max(result.spp) + 2 * PILOT_SPP > most_spp:
             break
-        spp = _next_spp(total, shares, target, most_spp)
-    return AdaptiveRender(rate, total, tuple(float(value) for value in share), second.field)
+        spp = _next_spp(result.spp, shares, target, most_spp)
+    variance = result.variance.sum(axis=0)
+    return AdaptiveRender(result.rate, variance, result.spp, tuple(float(value) for value in reached), second.field)
+
+
+def shares_by_stop(result: Measured, limit: FloatArray, percentile: float) -> FloatArray:
+    """Noise of each stop over the sensor's at a percentile of the pixels, [stop, channel]; squares sum to the whole's.
+
+    ``limit`` is the variance of the sensor's noise, [h, w, channel].
+    """
+    whole = share(result.variance.sum(axis=0), limit)
+    reached = shares_at(whole, [percentile])[0]
+    away = np.abs(whole - reached)
+    near = away <= np.maximum(BAND * reached, away.min(axis=(0, 1)))
+    part = np.where(near, result.variance / np.where(limit > 0, limit, 1.0), 0.0).sum(axis=(1, 2))
+    total = part.sum(axis=0)
+    return np.asarray(reached * np.sqrt(np.divide(part, total, out=np.zeros_like(part), where=total > 0)))
 
 
 def _next_spp(total: tuple[int, ...], shares: FloatArray, target: float, most_spp: int) -> tuple[int, ...]:
@@ -101,20 +118,3 @@ def _next_spp(total: tuple[int, ...], shares: FloatArray, target: float, most_sp
 def _more(spp: int) -> int:
     """The next of 16, 20, 24, 28, 32, 40, ...: quarters of powers of two, for which Sobol' points are even."""
     return spp + (1 << (spp.bit_length() - 3))
-
-
-def _combined(
-    pairs: list[Pair], sensor_noise: Callable[[FloatArray], FloatArray]
-) -> tuple[FloatArray, tuple[int, ...], FloatArray]:
-    """Mean picture, samples per stop, and noise over the sensor's at the median pixel, [stop, channel]."""
-    spp = np.array([pair[0] for pair in pairs], dtype=float)
-    part = spp / spp.sum(axis=0)
-    means = [(first + second) / 2 for _, first, second in pairs]
-    rate = np.sum([weight[:, None, None, None] * mean for weight, mean in zip(part, means, strict=True)], axis=(0, 1))
-    limit = sensor_noise(rate)
-    squares = np.zeros((spp.shape[1], rate.shape[-1]))
-    for weight, (_, first, second) in zip(part, pairs, strict=True):
-        ratio = np.divide(np.abs(first - second) / 2, limit, out=np.zeros_like(first), where=limit > 0)
-        median = np.median(ratio.reshape(len(first), -1, rate.shape[-1]), axis=1) / _MEDIAN_OF_ABSOLUTE
-        squares += (weight[:, None] * median) ** 2
-    return rate, tuple(int(2 * total) for total in spp.sum(axis=0)), np.sqrt(squares)

@@ -13,22 +13,30 @@ from dasim.camera.specification import Camera
 from dasim.render import stock
 from dasim.scene.mitsuba_scene import MitsubaScene
 from dasim.scene.specification import Scene
-from dasim.simulation.adaptive_sampling import NOISE_SHARE
+from dasim.simulation.adaptive_sampling import NOISE_AT, NOISE_SHARE
 from dasim.typing import FloatArray
 
 MOST_SPP = 65_536
+PERCENTILE = (1.0, 99.9)  # of the pixels, at which a target of noise may be meant
 
 
-def check_options(spp: int | str | None, seed: int, diffraction: str | None, noise_share: float = NOISE_SHARE) -> None:
-    """Raise InputError for a number of samples, seed, diffraction model or noise share that is not allowed with any
-    variant.
-    """
+def check_options(
+    spp: int | str | None,
+    seed: int,
+    diffraction: str | None,
+    noise_share: float = NOISE_SHARE,
+    noise_at: float = NOISE_AT,
+) -> None:
+    """Raise InputError for samples, a seed, a diffraction model or a target of noise that no variant allows."""
     if isinstance(spp, str) and spp != "auto":
         raise InputError(f"spp is '{spp}'; a whole number or 'auto' is needed")
     if isinstance(spp, int) and not 1 <= spp <= MOST_SPP:
         raise InputError(f"spp is {spp}; 1 to {MOST_SPP} samples per pixel are allowed")
     if not 0.01 <= noise_share <= 10:
         raise InputError(f"noise_share is {noise_share:g}; 0.01 to 10 of the sensor's own noise is allowed")
+    if not PERCENTILE[0] <= noise_at <= PERCENTILE[1]:
+        allowed = f"{PERCENTILE[0]:g} to {PERCENTILE[1]:g}"
+        raise InputError(f"noise_at is {noise_at:g}; a percentile of the pixels of {allowed} is allowed, 50 the median")
     if seed < 0:
         raise InputError(f"seed is {seed}; 0 or a positive whole number is needed")
     if diffraction is not None and diffraction not in DIFFRACTION_MODELS:

@@ -5,13 +5,13 @@ Tested in tests/dasim/simulation/test_simulate.py.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, Literal
 
 import numpy as np
 
-from dasim.camera import noise, radiometry
+from dasim.camera import noise, radiometry, wavefront
 from dasim.camera import specification as cameras
 from dasim.camera.noise import Exposure
 from dasim.camera.specification import Camera
@@ -20,12 +20,15 @@ from dasim.render.foreign.scene import World
 from dasim.render.truth import Geometry
 from dasim.scene.mitsuba_scene import MitsubaScene
 from dasim.scene.specification import Scene
+from dasim.simulation import rendering_noise
 from dasim.simulation.adaptive_sampling import StopPictures, render_to_noise_target
 from dasim.simulation.checks import check_lit
 from dasim.typing import FloatArray, Progress
 
 TWIN = "bayer-mobile"  # the camera whose colours ``sharp_srgb`` has
 SHARP_SPP = 64  # of the pinhole picture, which has no lens to sample
+FOCUS_SPP = 32  # of the picture in focus, per stop
+LENS, OWN_MEAN, IN_FOCUS = range(3)  # uses of a capture's seed
 BLUR_MARGIN = 1.1  # something nearer than all that is seen may lie just outside the frame
 
 
@@ -60,6 +63,7 @@ class Sampling:
 
     spp: int | Literal["auto"]
     noise_share: float
+    noise_at: float  # percentile of the pixels at which ``noise_share`` is meant
     seed: int
 
 
@@ -68,6 +72,8 @@ class LensPicture:
     """The picture through all stops together."""
 
     rate: FloatArray  # [h, w, channel] mean electrons per second
+    variance: FloatArray | None  # [h, w, channel] of ``rate`` by rendering noise; None for one sample per pixel
+    spp: tuple[int, ...]  # samples per pixel of each stop
     field: Any  # irradiance, for further passes of the same view
     sampling: dict[str, Any]  # for provenance: samples per pixel, and the rendering noise reached
 
@@ -86,11 +92,54 @@ def lens_picture(view: View, sampling: Sampling, exposure: Exposure, progress: P
     if sampling.spp == "auto":
         picture = _adaptive_picture(view, sampling, exposure, progress)
     else:
-        spp = passes.sample_count(sampling.spp)
-        pictures = stop_pictures(view, (spp,) * len(view.camera.stops), sampling.seed, progress)
-        picture = LensPicture(pictures.rate.sum(axis=0), pictures.field, {"spp": spp})
+        picture = _fixed_picture(view, sampling, exposure, progress)
     check_lit(view.scene, picture.rate, view.objects_in_view)
     return picture
+
+
+def independent_picture(view: View, like: LensPicture, seed: int, progress: Progress) -> LensPicture:
+    """A picture of as many samples and the same seed as another, with independent rendering noise.
+
+    Its random numbers and its irradiance are its own.
+    """
+    rate, variance, _, _ = _halves(view, like.spp, seed, OWN_MEAN, progress)
+    return replace(like, rate=rate, variance=variance)
+
+
+def _fixed_picture(view: View, sampling: Sampling, exposure: Exposure, progress: Progress) -> LensPicture:
+    """The lens picture with a given number of samples per pixel and stop."""
+    assert sampling.spp != "auto"
+    counts = (sampling.spp,) * len(view.camera.stops)
+    rate, variance, spp, field = _halves(view, counts, sampling.seed, LENS, progress)
+    described: dict[str, Any] = {"spp": spp[0]}
+    if variance is not None:
+        described["rendering_noise_share"] = described_shares(view.camera, rate, variance, exposure)
+    return LensPicture(rate, variance, spp, field, described)
+
+
+def _halves(
+    view: View, spp: tuple[int, ...], seed: int, stream: int, progress: Progress
+) -> tuple[FloatArray, FloatArray | None, tuple[int, ...], Any]:
+    """Mean of two independent pictures that share ``spp[stop]`` samples, its variance, actual samples, irradiance.
+
+    One sample per pixel cannot be halved: its variance is None.
+    """
+    parts = [tuple(n - n // 2 for n in spp), tuple(n // 2 for n in spp)] if min(spp) > 1 else [spp]
+    counts = [tuple(passes.sample_count(n) for n in part) for part in parts]
+    pictures = [
+        stop_pictures(view, part, picture_seed(seed, index, stream), progress, f", part {index + 1} of {len(parts)}")
+        for index, part in enumerate(counts)
+    ]
+    if len(pictures) == 1:
+        return pictures[0].rate.sum(axis=0), None, counts[0], pictures[0].field
+    pair = rendering_noise.Pair((counts[0], counts[1]), pictures[0].rate, pictures[1].rate)
+    mean = rendering_noise.measured([pair])
+    return mean.rate, mean.variance.sum(axis=0), mean.spp, pictures[1].field
+
+
+def picture_seed(seed: int, index: int, stream: int = LENS) -> int:
+    """Seed of a picture of a capture: the ``index``-th of the lens, or of another use of the seed."""
+    return int(np.random.SeedSequence((seed, index, stream)).generate_state(1)[0])
 
 
 def stop_pictures(view: View, spp: tuple[int, ...], seed: int, progress: Progress, label: str = "") -> StopPictures:
@@ -117,21 +166,67 @@ def _adaptive_picture(view: View, sampling: Sampling, exposure: Exposure, progre
     camera = view.camera
 
     def picture(index: int, spp: tuple[int, ...]) -> StopPictures:
-        seed = int(np.random.SeedSequence((sampling.seed, index)).generate_state(1)[0])
+        seed = picture_seed(sampling.seed, index)
         spp = tuple(passes.sample_count(count) for count in spp)
         return stop_pictures(view, spp, seed, progress, f", picture {index + 1} of {max(spp)} samples")
 
-    def sensor_noise(rate: FloatArray) -> FloatArray:
-        time_s = exposure_time_s(rate, camera, exposure)
-        return np.sqrt(noise.temporal_variance(camera.sensor, time_s, exposure.gain).at(rate * time_s)) / time_s
-
-    result = render_to_noise_target(picture, sensor_noise, stops=len(camera.stops), target=sampling.noise_share)
+    result = render_to_noise_target(
+        picture,
+        lambda rate: sensor_variance(rate, camera, exposure),
+        stops=len(camera.stops),
+        target=sampling.noise_share,
+        percentile=sampling.noise_at,
+    )
     described = {
         "spp": dict(zip((stop.name for stop in camera.stops), result.spp, strict=True)),
-        "rendering_noise_share": dict(zip(cameras.channels(camera.sensor), result.share, strict=True)),
+        "rendering_noise_share": described_shares(camera, result.rate, result.variance, exposure),
         "rendering_noise_share_wanted": sampling.noise_share,
+        "rendering_noise_at": sampling.noise_at,
+        "rendering_noise_share_reached": dict(zip(cameras.channels(camera.sensor), result.share, strict=True)),
     }
-    return LensPicture(result.rate, result.field, described)
+    return LensPicture(result.rate, result.variance, result.spp, result.field, described)
+
+
+def described_shares(
+    camera: Camera, rate: FloatArray, variance: FloatArray, exposure: Exposure
+) -> dict[str, dict[str, float]]:
+    """Rendering noise over the sensor's at percentiles of the pixels: {percentile: {channel: share}}."""
+    ratio = rendering_noise.share(variance, sensor_variance(rate, camera, exposure))
+    names = cameras.channels(camera.sensor)
+    rows = zip(rendering_noise.PERCENTILES, rendering_noise.shares_at(ratio), strict=True)
+    return {f"{at:g}": dict(zip(names, map(float, row), strict=True)) for at, row in rows}
+
+
+def sensor_variance(rate: FloatArray, camera: Camera, exposure: Exposure) -> FloatArray:
+    """Variance of the sensor's temporal noise by its data sheet, of [h, w, channel] mean electrons per second."""
+    time_s = exposure_time_s(rate, camera, exposure)
+    return noise.temporal_variance(camera.sensor, time_s, exposure.gain).at(rate * time_s) / time_s**2
+
+
+def focus_picture(view: View, sharp: FloatArray, field: Any, seed: int, progress: Progress) -> FloatArray:
+    """What the open lens would show with every depth in focus, mean electrons per second [h, w, channel].
+
+    Of a lens without diffraction, aberrations and glare that is the picture through a pinhole, ``sharp``.
+    """
+    flat = wavefront.is_flat(wavefront.Wavefront(view.camera.lens.wavefront_nm.coefficients()))
+    if view.diffraction == "off" and flat and not any(stop.glare_share for stop in view.camera.stops):
+        return sharp
+    seed = picture_seed(seed, 0, IN_FOCUS)
+    return np.asarray(
+        sum(
+            passes.in_focus_pass(
+                view.world.scene,
+                view.camera,
+                stop,
+                passes.Sampling(FOCUS_SPP, seed, partial(progress, f"rendering in focus, stop '{stop.name}'")),
+                diffraction=view.diffraction,
+                max_blur_px=view.reach_px,
+                illuminant=view.illuminant,
+                field=field,
+            )
+            for stop in view.camera.stops
+        )
+    )
 
 
 def sharp_pictures(view: View, field: Any, seed: int, progress: Progress) -> SharpPictures:

@@ -32,6 +32,7 @@ from dasim.typing import FloatArray, Progress
 from dasim.values import Capture, Truth
 
 DEFAULT_SPP = 64  # a power of two, for which Sobol' points are most even
+NOTED_NOISE = 0.5  # rendering noise over the sensor's own, in one pixel of twenty, from which a note says so
 NOTED_SATURATION = 0.05  # share of saturated pixels from which a note says so
 
 
@@ -49,7 +50,6 @@ class Frame:
 
     raw_dn: NDArray[np.uint16]  # [h, w]
     saturated: int  # pixels
-    mean_e: FloatArray  # [h, w, channel] as the lens sees the scene, before electronic crosstalk
     exposure: Exposure
     time_s: float
     noise: str  # name of the noise model
@@ -62,6 +62,8 @@ def simulate(
     *,
     spp: int | Literal["auto"] = DEFAULT_SPP,
     noise_share: float = adaptive_sampling.NOISE_SHARE,
+    noise_at: float = adaptive_sampling.NOISE_AT,
+    independent_mean: bool = False,
     exposure: Exposure | None = None,
     diffraction: str | None = None,
     variant: str | None = None,
@@ -78,7 +80,11 @@ def simulate(
         camera: a Camera, a bundled name or a path
         seed: of all random numbers, 0 or above
         spp: samples per pixel and stop, or ``auto``: as many as bring the rendering noise below ``noise_share``
-        noise_share: rendering noise over the sensor's own noise, at the median pixel of every channel
+        noise_share: rendering noise over the sensor's own noise, in every channel
+        noise_at: percentile of the pixels at which ``noise_share`` is meant, 1 to 99.9: the median by default; at 95,
+            one pixel in twenty has more rendering noise
+        independent_mean: whether ``truth.mean_e`` has samples of its own, so that its rendering noise is independent of
+            that of ``raw_dn``; costs a second picture
         exposure: exposure time and gain; automatic by default
         diffraction: ``wave`` (JIT variants only, their default), ``airy`` (default of ``scalar_spectral``) or ``off``
         variant: the Mitsuba variant; by default the fastest that works here
@@ -90,12 +96,15 @@ def simulate(
     camera = as_camera(camera)
     scene = as_scene(scene, camera)
     exposure = exposure or Exposure()
-    checks.check_options(spp, seed, diffraction, noise_share)
+    checks.check_options(spp, seed, diffraction, noise_share, noise_at)
     view = prepare(scene, camera, diffraction, variant, progress)
-    lens = rendering.lens_picture(view, Sampling(spp, noise_share, seed), exposure, progress)
+    lens = rendering.lens_picture(view, Sampling(spp, noise_share, noise_at, seed), exposure, progress)
+    mean = rendering.independent_picture(view, lens, seed, progress) if independent_mean else lens
     sharp = rendering.sharp_pictures(view, lens.field, seed, progress)
+    focus = rendering.focus_picture(view, sharp.rate, lens.field, seed, progress)
     frame = expose(lens.rate, camera, exposure, seed, noise)
-    return Shot(describe_capture(view, lens, frame, seed), describe_truth(view, sharp, frame))
+    capture = describe_capture(view, lens, frame, seed, independent_mean)
+    return Shot(capture, describe_truth(view, mean, sharp, focus, frame.time_s))
 
 
 def prepare(
@@ -128,13 +137,12 @@ def prepare(
 def expose(rate: FloatArray, camera: Camera, exposure: Exposure, seed: int, noise: NoiseModel) -> Frame:
     """Expose [h, w, channel] mean electrons per second through the mosaic with a noise model."""
     time_s = rendering.exposure_time_s(rate, camera, exposure)
-    mean_e = rate * time_s
-    collected_e = sensor_noise.electronic_crosstalk(sensor_noise.mosaic(mean_e, camera), camera.sensor)
+    collected_e = sensor_noise.electronic_crosstalk(sensor_noise.mosaic(rate * time_s, camera), camera.sensor)
     raw_dn, saturated = sensor_noise.apply(noise, collected_e, camera.sensor, time_s, seed, exposure.gain)
-    return Frame(raw_dn, saturated, mean_e, exposure, time_s, function_name(noise))
+    return Frame(raw_dn, saturated, exposure, time_s, function_name(noise))
 
 
-def describe_capture(view: View, lens: LensPicture, frame: Frame, seed: int) -> Capture:
+def describe_capture(view: View, lens: LensPicture, frame: Frame, seed: int, independent_mean: bool) -> Capture:
     """The capture, with the provenance and notes that ``meta.json`` holds."""
     sampling = dict(lens.sampling)
     if view.diffraction == "airy":
@@ -152,6 +160,7 @@ def describe_capture(view: View, lens: LensPicture, frame: Frame, seed: int) -> 
             "diffraction": view.diffraction,
             "noise": frame.noise,
             **sampling,
+            "independent_mean": independent_mean,
             "exposure": frame.exposure.model_dump(mode="json"),
             "saturated_pixels": frame.saturated,
             "notes": view.world.notes + saturation_notes(frame) + sampling_notes(sampling),
@@ -159,8 +168,8 @@ def describe_capture(view: View, lens: LensPicture, frame: Frame, seed: int) -> 
     )
 
 
-def describe_truth(view: View, sharp: SharpPictures, frame: Frame) -> Truth:
-    """The exact ground truth of a frame."""
+def describe_truth(view: View, mean: LensPicture, sharp: SharpPictures, focus: FloatArray, time_s: float) -> Truth:
+    """The ground truth of a frame of an exposure time; the pictures are mean electrons per second."""
     geometry, world = view.geometry, view.world
     return Truth(
         depth_m=geometry.depth_m.astype(np.float32),
@@ -172,11 +181,13 @@ def describe_truth(view: View, sharp: SharpPictures, frame: Frame) -> Truth:
         level=(view.blur_px / camera_geometry.level_blur_px(view.camera)[1]).astype(np.float32),
         boundary=truth.boundary(view.blur_px),
         channels=cameras.channels(view.camera.sensor),
-        mean_e=frame.mean_e.astype(np.float32),
-        sharp_e=(sharp.rate * frame.time_s).astype(np.float32),
+        mean_e=(mean.rate * time_s).astype(np.float32),
+        sharp_e=(sharp.rate * time_s).astype(np.float32),
         sharp_srgb=srgb(sharp.twin_rate, sharp.twin, view.illuminant),
         objects=tuple(world.objects),
         materials=tuple(world.materials),
+        mean_e_variance=None if mean.variance is None else (mean.variance * time_s**2).astype(np.float32),
+        focus_e=(focus * time_s).astype(np.float32),
     )
 
 
@@ -203,7 +214,7 @@ def saturation_notes(frame: Frame) -> list[str]:
 
 
 def sampling_notes(sampling: dict[str, Any]) -> list[str]:
-    """Notes on an approximation, and if the target of rendering noise was not reached."""
+    """Notes on an approximation, on much rendering noise, and where its target was not reached."""
     notes = []
     if "airy_errors" in sampling:
         worst = {name: max(row) for name, row in sampling["airy_errors"]["encircled_energy"].items()}
@@ -212,10 +223,28 @@ def sampling_notes(sampling: dict[str, Any]) -> list[str]:
             f"diffraction 'airy' is approximate: encircled energy is off by up to {listed} (by level in meta.json); "
             "a JIT variant renders 'wave'"
         )
-    shares = sampling.get("rendering_noise_share", {})
-    missed = {name: share for name, share in shares.items() if share > sampling["rendering_noise_share_wanted"]}
+    wanted = sampling.get("rendering_noise_share_wanted")
+    if wanted is None:
+        return notes + noise_notes(sampling)
+    missed = {name: share for name, share in sampling["rendering_noise_share_reached"].items() if share > wanted}
     if missed:
         listed = ", ".join(f"{name} {share:.2f}" for name, share in missed.items())
-        samples = max(sampling["spp"].values())
-        notes.append(f"{samples} samples were not enough: rendering noise over the sensor's own is {listed}")
+        samples, at = max(sampling["spp"].values()), sampling["rendering_noise_at"]
+        notes.append(
+            f"{samples} samples were not enough: rendering noise over the sensor's own is {listed} at percentile "
+            f"{at:g} of the pixels"
+        )
     return notes
+
+
+def noise_notes(sampling: dict[str, Any]) -> list[str]:
+    """A note where a given number of samples leaves rendering noise above half of the sensor's in many pixels."""
+    shares = sampling.get("rendering_noise_share", {})
+    high = {name: share for name, share in shares.get("95", {}).items() if share > NOTED_NOISE}
+    if not high:
+        return []
+    listed = ", ".join(f"{name} {share:.2f} (median {shares['50'][name]:.2f})" for name, share in high.items())
+    return [
+        f"rendering noise exceeds half of the sensor's own: {listed} of it at percentile 95 of the pixels with "
+        f"{sampling['spp']} samples; take more, or spp 'auto' with noise_at 95"
+    ]

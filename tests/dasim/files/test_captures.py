@@ -51,6 +51,8 @@ def truth():
         sharp_srgb=rng.uniform(0, 1, (H, W, 3)).astype(np.float32),
         objects=("wall, far", "cup"),
         materials=("white-paper",),
+        mean_e_variance=rng.uniform(0, 60, (H, W, 4)).astype(np.float32),
+        focus_e=rng.uniform(0, 6000, (H, W, 4)).astype(np.float32),
     )
 
 
@@ -82,7 +84,7 @@ def test_meta_states_what_a_reader_needs(folder, capture):
     raw picture as 16 bits and the depth as Z.
     """
     meta = json.loads((folder / "meta.json").read_text())
-    assert meta["schema"] == 3
+    assert meta["schema"] == 4
     assert [row[2] for row in meta["intrinsic_matrix_px"]] == [W / 2, H / 2, 1]
     assert [row["level"] for row in meta["levels"]] == list(range(29))
     assert meta["levels"][0]["depth_m"] == pytest.approx(capture.camera.lens.focus_distance_m)
@@ -93,6 +95,18 @@ def test_meta_states_what_a_reader_needs(folder, capture):
     with OpenEXR.File(str(folder / "truth.exr"), separate_channels=True) as file:
         assert file.parts[0].name() == "depth"
         assert list(file.parts[0].channels) == ["Z"]
+
+
+def test_captures_of_the_schema_before_are_read(folder, tmp_path, capture, truth):
+    """Set-up: no variance of ``mean_e``, no picture in focus. Expectation: all else is read, these two are None."""
+    before = dataclasses.replace(truth, mean_e_variance=None, focus_e=None)
+    captures.save_capture(tmp_path / "before", capture, before)
+    file = tmp_path / "before" / "meta.json"
+    file.write_text(json.dumps(json.loads(file.read_text()) | {"schema": 3}))
+    np.testing.assert_array_equal(captures.load_capture(tmp_path / "before").raw_dn, capture.raw_dn)
+    back = captures.load_truth(tmp_path / "before")
+    assert back.mean_e_variance is None and back.focus_e is None
+    np.testing.assert_array_equal(back.mean_e, truth.mean_e)
 
 
 @pytest.mark.parametrize("length", [0.0, 0.3, 0.9, 0.999])
@@ -118,8 +132,8 @@ def test_missing_files_are_named(folder, name):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (lambda meta: meta.pop("schema"), "schema 3"),
-        (lambda meta: meta.update(schema=99), "schema 3"),
+        (lambda meta: meta.pop("schema"), "schema 3 or 4"),
+        (lambda meta: meta.update(schema=99), "schema 3 or 4"),
         (lambda meta: meta.pop("gain"), "gain"),
         (lambda meta: meta.update(exposure_s=[1]), "meta.json"),
         (lambda meta: meta.update(exposure_s="long"), "meta.json"),

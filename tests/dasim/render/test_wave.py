@@ -124,3 +124,72 @@ def test_edge_is_the_step_spread_by_the_kernel(render, make_scene, camera, lamp,
     assert np.abs(rendered("wave") - step).max() < EDGE
     if channel == "IR":
         assert np.abs(rendered("off") - step).max() > EDGE
+
+
+# --- every depth in focus ------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def in_focus(jit, loaded):
+    """The picture of a scene through all stops, every depth in focus."""
+    from dasim.render import passes
+
+    def picture(scene, camera, spp):
+        mitsuba_scene = loaded(scene)
+        return sum(
+            passes.in_focus_pass(
+                mitsuba_scene, camera, stop, passes.Sampling(spp, 7), diffraction="wave", max_blur_px=9.0
+            )
+            for stop in camera.stops
+        )
+
+    return picture
+
+
+def test_in_focus_a_small_source_has_the_kernel_of_the_focal_plane(in_focus, make_scene, camera, lamp):
+    """Set-up: a bright disc of 1 px radius, out of focus by 7.9 px in the visible and 3.6 px in the infrared; kernels
+    of ``dasim.psf`` for a point in the focal plane at four places of the disc, summed. Expectation: encircled energies
+    within 0.03, and off by more than twice that for kernels of the disc's own depth.
+    """
+    small, radii = cameras.cropped(camera, 24, 24), np.arange(1.5, 9, 1.0)
+    radius_cm = 1.7e-3 * DEPTH_CM / (3.6 * 400 / 396.4)
+    disc = {"name": "spot", "shape": "disc", "radius_cm": radius_cm, "position_cm": (0, 0, DEPTH_CM)}
+    scene = make_scene(disc | {"material": "white-paper"}, lights=[lamp])
+    picture = in_focus(scene, small, 900)
+    places = [(0.71, 0.0), (-0.71, 0.0), (0.0, 0.71), (0.0, -0.71)]  # a ring with the second moment of the disc
+
+    def theory(depth_m, channel):
+        kernel = np.zeros((25, 25))
+        for y, x in places:
+            # The frame has 24 pixels, its centre between two: half a pixel off the middle of 25.
+            kernel += pointspread.psf(small, depth_m, channel, "D65", offset_px=(y - 0.5, x - 0.5), size=25)
+        return within(kernel[:24, :24], radii)
+
+    for channel in ("G", "IR"):
+        shares = within(picture[..., CHANNELS.index(channel)], radii)
+        assert np.abs(shares - theory(small.lens.focus_distance_m, channel)).max() < ENERGY
+        assert np.abs(shares - theory(DEPTH_CM / 100, channel)).max() > 2 * ENERGY
+
+
+@pytest.mark.parametrize("at_px", [None, (0, 0)], ids=["axis", "corner"])
+def test_in_focus_is_what_the_lens_sees_of_a_plane_in_focus(in_focus, render, make_scene, da_mobile, lamp, at_px):
+    """Set-up: an edge in the middle of a window of the sensor. Expectation: rows across an edge in the focal plane
+    agree to 2 % of the step, where a pinhole's picture differs by a third; out of focus the picture stays as it is, at
+    unchanged angles. The same in the corner, where diffraction is wider.
+    """
+    thin = cameras.cropped(da_mobile, 32, 16, at_px=at_px)
+    focus_cm = 100 * thin.lens.focus_distance_m
+    middle = np.array([0.0, 0.0] if at_px is None else [16 - 1024, 8 - 768])  # of the window, pixels from the axis
+    slope = middle * thin.sensor.pixel_pitch_um * 1e-6 / geometry.image_distance_m(thin)
+
+    def edge(cm):
+        sheet = {"name": "sheet", "shape": "plane", "size_cm": (cm, cm), "material": "white-paper"}
+        return make_scene(sheet | {"position_cm": (*(cm * (slope - (0.5, 0.0))), cm)}, lights=[lamp])
+
+    def row(picture):
+        return picture.mean(axis=0) / picture[:, :4].mean(axis=(0, 1))
+
+    focused, lens = row(in_focus(edge(focus_cm), thin, 256)), row(render(edge(focus_cm), thin, 256))
+    assert np.abs(focused - lens).max() < EDGE
+    assert np.abs(focused - row(in_focus(edge(DEPTH_CM), thin, 256))).max() < 2e-3
+    assert np.abs(focused - (np.arange(32) < 16)[:, None]).max() > 0.15

@@ -93,7 +93,7 @@ def test_window_shows_what_the_frame_shows_there(jit, make_scene, da_mobile):
 
 def test_truth_is_whole_and_consistent(shot, da_mobile):
     truth = shot.truth
-    for name in ("depth_m", "normal", "blur_px", "level", "mean_e", "sharp_e"):
+    for name in ("depth_m", "normal", "blur_px", "level", "mean_e", "mean_e_variance", "sharp_e", "focus_e"):
         assert np.isfinite(getattr(truth, name)).all(), name
     assert truth.valid.all()
     assert (truth.object_id[:, :32] == 2).all() and (truth.object_id[:, 32:] == 1).all()
@@ -252,15 +252,71 @@ def test_auto_takes_as_many_samples_as_the_sensor_needs(renderer, scene, da_mobi
     camera = cameras.cropped(da_mobile, 32, 24)
     auto = simulate(scene, camera, seed=1, spp="auto", noise_share=0.5, diffraction="off")
     about = auto.capture.provenance
-    assert set(about["rendering_noise_share"]) == set(CHANNELS)
+    assert set(about["rendering_noise_share"]) == {"50", "95", "99.5"}
+    assert all(set(shares) == set(CHANNELS) for shares in about["rendering_noise_share"].values())
     assert set(about["spp"]) == {stop.name for stop in camera.stops} and min(about["spp"].values()) >= 32
-    assert max(about["rendering_noise_share"].values()) <= about["rendering_noise_share_wanted"] == 0.5
+    assert max(about["rendering_noise_share_reached"].values()) <= about["rendering_noise_share_wanted"] == 0.5
+    assert about["rendering_noise_at"] == 50
     again = simulate(scene, camera, seed=1, spp="auto", noise_share=0.5, diffraction="off")
     np.testing.assert_array_equal(auto.capture.raw_dn, again.capture.raw_dn)
     with pytest.raises(InputError, match="'auto'"):
         simulate(scene, camera, spp="many")
     with pytest.raises(InputError, match="noise_share"):
         simulate(scene, camera, spp="auto", noise_share=0.0)
+    with pytest.raises(InputError, match=r"noise_at is 100; a percentile of the pixels of 1 to 99\.9"):
+        simulate(scene, camera, spp="auto", noise_at=100)
+
+
+def test_a_given_number_of_samples_states_its_noise_and_warns(scene, da_mobile, renderer):
+    """Expectation: shares by percentile and channel, as the map says; one line where they exceed a half, none where
+    the sensor is loud; one sample cannot tell.
+    """
+    camera = cameras.cropped(da_mobile, 32, 24)
+    few = simulate(scene, camera, spp=4, diffraction="off")
+    about, truth = few.capture.provenance, few.truth
+    sensor = noise.temporal_variance(camera.sensor, few.capture.exposure_s).at(truth.mean_e)
+    ratio = np.sqrt(truth.mean_e_variance / sensor)
+    for at, shares in about["rendering_noise_share"].items():
+        np.testing.assert_allclose(list(shares.values()), np.percentile(ratio, float(at), axis=(0, 1)), rtol=1e-4)
+    (note,) = [note for note in about["notes"] if "exceeds half" in note]
+    assert "\n" not in note and "noise_at 95" in note and "4 samples" in note
+    loud = camera.model_copy(update={"sensor": camera.sensor.model_copy(update={"read_noise_e": 2000.0})})
+    quiet = simulate(scene, loud, spp=4, diffraction="off")
+    assert not [note for note in quiet.capture.provenance["notes"] if "exceeds half" in note]
+    one = simulate(scene, camera, spp=1, diffraction="off")
+    assert "rendering_noise_share" not in one.capture.provenance
+    if not renderer.startswith("scalar"):
+        assert one.truth.mean_e_variance is None
+
+
+def test_an_independent_mean_shares_no_rendering_noise_with_the_raw_picture(scene, da_mobile, renderer):
+    """Rationale: a denoiser that is trained on raw and ``mean_e`` must not learn to keep rendering noise.
+
+    Set-up: few samples and no sensor noise, so that raw less the truth is rendering noise; the truth is ``mean_e`` of
+    1,024 samples. Expectation: ``mean_e`` that shares samples has the error of raw; that of its own samples has an
+    error of the same size and no correlation with it. All else is the same, byte for byte.
+    """
+    camera = cameras.cropped(da_mobile, 64, 48)
+    changes = {"read_noise_e": 0, "dsnu_e": 0, "prnu": 0, "dark_current_e_s": 0, "adc_bits": 16}
+    camera = camera.model_copy(update={"sensor": camera.sensor.model_copy(update=changes)})
+
+    def silent(mean_e, sensor, time_s, seed, gain):
+        return np.rint(mean_e * 8).astype(np.uint16), 0
+
+    def shot(spp, seed, **options):
+        exposure = Exposure(time_s=0.01)
+        return simulate(scene, camera, seed, spp=spp, diffraction="off", noise=silent, exposure=exposure, **options)
+
+    exact = noise.mosaic(shot(1024, 9).truth.mean_e.astype(float), camera)
+    shared, own = shot(4, 3), shot(4, 3, independent_mean=True)
+    np.testing.assert_array_equal(own.capture.raw_dn, shared.capture.raw_dn)
+    np.testing.assert_array_equal(own.truth.sharp_e, shared.truth.sharp_e)
+    assert own.capture.provenance["independent_mean"] and not shared.capture.provenance["independent_mean"]
+    errors = [own.capture.raw_dn / 8 - exact]
+    errors += [noise.mosaic(each.truth.mean_e.astype(float), camera) - exact for each in (shared, own)]
+    correlation = np.corrcoef([error.ravel() for error in errors])[0]
+    assert correlation[1] > 0.99 and abs(correlation[2]) < 4 / np.sqrt(errors[0].size)
+    assert errors[2].std() == pytest.approx(errors[1].std(), rel=0.15)
 
 
 def test_a_noise_model_of_ones_own_makes_the_raw_picture(renderer, scene, da_mobile, shot):

@@ -197,7 +197,7 @@ seconds, shot = render()
 peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1 if sys.platform == "darwin" else 1024)
 about = shot.capture.provenance
 print(json.dumps({"first_s": first, "s": seconds, "memory_gb": peak / 1e9, "spp": about["spp"],
-                  "share": max(about["rendering_noise_share"].values())}))
+                  "share": max(about["rendering_noise_share_reached"].values())}))
 """
 
 

@@ -1,0 +1,48 @@
+"""The variance of a mean of pictures, from pairs of known noise."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from dasim.simulation.rendering_noise import PERCENTILES, Pair, measured, share, shares_at
+
+SHAPE = (2, 120, 160, 3)  # 19,200 pixels: the mean of their squares is known to 1 %
+KNOWN = 0.03
+
+
+def pair(random, sd, spp):
+    """Two pictures of light 10, whose noise falls as samples ** -0.5; ``sd`` is that of one sample, by stop."""
+    sd = np.asarray(sd)[:, None, None, None]
+    first, second = (10 + sd / np.sqrt(n) * random.standard_normal(SHAPE) for n in spp)
+    return Pair(((spp[0],) * 2, (spp[1],) * 2), first, second)
+
+
+@pytest.mark.parametrize("spp", [[(32, 32)], [(3, 2)], [(16, 16), (40, 40), (64, 32)]])
+def test_the_variance_is_that_of_the_mean(spp):
+    """Expectation: the squared error of the mean, known here, and 1 / samples by stop; sums over stops add."""
+    random = np.random.default_rng(5)
+    found = measured([pair(random, (1.0, 2.0), counts) for counts in spp])
+    total = sum(map(sum, spp))
+    assert found.spp == (total, total)
+    np.testing.assert_allclose(found.variance.mean(axis=(1, 2)).T, np.tile([1 / total, 4 / total], (3, 1)), rtol=KNOWN)
+    np.testing.assert_allclose(np.mean((found.rate - 20) ** 2, axis=(0, 1)), 5 / total, rtol=KNOWN)
+
+
+def test_the_map_follows_the_noise_from_place_to_place():
+    """Set-up: the right half has three times the noise. Expectation: variances 1 : 9, with a border of 2 px between."""
+    random = np.random.default_rng(6)
+    even = pair(random, (1.0, 1.0), (8, 8))
+    scale = np.where(np.arange(SHAPE[2]) < 80, 1.0, 3.0)[:, None]
+    found = measured([Pair(even.spp, 10 + scale * (even.first - 10), 10 + scale * (even.second - 10))])
+    left, right = (found.variance[:, :, part].mean() for part in (slice(0, 78), slice(82, None)))
+    assert right / left == pytest.approx(9.0, rel=KNOWN)
+    assert found.variance[:, :, :78].std() / left == pytest.approx(np.sqrt(2 / 25), rel=0.15), "25 degrees of freedom"
+
+
+def test_shares_are_percentiles_of_standard_deviations():
+    """Expectation: rendering variance 1..100 % of the sensor's; no noise at all where neither has any."""
+    variance = np.linspace(0, 1, 201).reshape(1, 201, 1)
+    ratio = share(variance, np.ones_like(variance))
+    np.testing.assert_allclose(shares_at(ratio)[:, 0], np.sqrt(np.array(PERCENTILES) / 100))
+    assert not share(variance * 0, variance * 0).any()
