@@ -28,7 +28,7 @@ from dasim.camera import geometry, glare, radiometry, stops, wavefront
 from dasim.camera import specification as cameras
 from dasim.camera.specification import Camera
 from dasim.camera.stops import Stop
-from dasim.camera.wavefront import Phase
+from dasim.camera.wavefront import Phase, Wavefront
 from dasim.spectra import grid, illuminants
 from dasim.typing import FloatArray
 
@@ -291,7 +291,8 @@ def _pattern_kernel(
         else:
             transmitted, place = stops.pupil(stop)
             pupil = place[:, None], place[None, :]
-            moved = wavefront.displacement_px(front, f_number, camera.sensor.pixel_pitch_um, *pupil)
+            errors_nm = wavefront.coefficients(front, wavelength_nm)
+            moved = wavefront.displacement_px(errors_nm, f_number, camera.sensor.pixel_pitch_um, *pupil)
             rows, columns = (at - along * blur / 2 + by for at, along, by in zip(offset_px, pupil, moved, strict=True))
             edges = np.arange(size + 1) - size / 2
             drawn = np.histogram2d(rows.ravel(), columns.ravel(), bins=[edges, edges], weights=transmitted.ravel())
@@ -353,13 +354,16 @@ def kernels(
     return at
 
 
-def is_radial(camera: Camera, stop: Stop, diffraction: str = "wave") -> bool:
-    """Whether the kernel of a stop is radially symmetric about the image through the stop's centre."""
-    ring, front = stops.ring(stop), wavefront.of_stop(camera, stop)
+def is_radial(camera: Camera, stop: Stop, diffraction: str = "wave", front: Wavefront | None = None) -> bool:
+    """Whether the kernel of a stop is radially symmetric about the image through the stop's centre.
+
+    ``front`` is the wavefront, by default that on the axis.
+    """
+    ring, front = stops.ring(stop), front or wavefront.of_stop(camera, stop)
     if ring is None:
         return False
     if diffraction != "wave":  # rays take no notice of a step
-        return not any(front.zernike_nm)
+        return not wavefront.has_errors(front)
     return wavefront.is_flat(front) or (ring.centre == (0.0, 0.0) and wavefront.is_radial(front))
 
 
@@ -416,8 +420,8 @@ def kernel_size_px(camera: Camera, blur_px: float) -> int:
     widest = max(working_f_number(camera, stops.breadth(stop)) for stop in camera.stops)
     tail_px = 3 * 0.7e-6 * widest / (camera.sensor.pixel_pitch_um * 1e-6)  # three rings at 700 nm
     colour_px = float(np.abs(geometry.chromatic_blur_px(camera)).max())
-    front = wavefront.Wavefront(camera.lens.wavefront_nm.coefficients())
-    moved_px = wavefront.reach_px(front, working_f_number(camera, 1.0), camera.sensor.pixel_pitch_um)
+    f_number, pitch_um = working_f_number(camera, 1.0), camera.sensor.pixel_pitch_um
+    moved_px = wavefront.reach_px(wavefront.of_lens(camera), f_number, pitch_um)
     return 2 * int(np.ceil((abs(blur_px) + colour_px) / 2 + moved_px + tail_px)) + 1
 
 

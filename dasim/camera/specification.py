@@ -11,10 +11,10 @@ from pydantic import Field, ValidationError, ValidationInfo, field_validator, mo
 
 from dasim.base.errors import InputError, kind_of
 from dasim.base.toml import Specification, bundled_or_file, parse, parse_toml
-from dasim.camera import datasheet, response_curves
+from dasim.camera import datasheet, response_curves, stops, zernike
 from dasim.camera.response_curves import Curves
 from dasim.camera.stops import Stop
-from dasim.camera.zernike import Wavefront
+from dasim.camera.zernike import FieldWavefront, Wavefront
 from dasim.spectra import grid
 from dasim.typing import FloatArray
 
@@ -41,6 +41,9 @@ class Lens(Specification):
         default=(), description="axial colour: [nm, um added to the focal length], linear between, constant beyond"
     )
     wavefront_nm: Wavefront = Field(default=Wavefront(), description="Zernike coefficients, RMS over the open lens")
+    wavefront_by_field: tuple[FieldWavefront, ...] = Field(
+        default=(), description="further coefficients by angle and wavelength, relative to the direction off the axis"
+    )
 
     @field_validator("focal_shift_um")
     @classmethod
@@ -51,6 +54,18 @@ class Lens(Specification):
         if any(b <= a for (a, _), (b, _) in itertools.pairwise(curve)):
             raise ValueError("wavelengths must rise")
         return curve
+
+    @field_validator("wavefront_by_field")
+    @classmethod
+    def _is_table(cls, rows: tuple[FieldWavefront, ...]) -> tuple[FieldWavefront, ...]:
+        zernike.check_table(rows)
+        return rows
+
+    @model_validator(mode="after")
+    def _one_frame(self) -> Lens:
+        if self.wavefront_by_field and not zernike.is_radial(self.wavefront_nm.coefficients()):
+            raise ValueError("wavefront_nm may have defocus and spherical terms only beside wavefront_by_field")
+        return self
 
     @model_validator(mode="after")
     def _shift_is_small(self) -> Lens:
@@ -189,6 +204,9 @@ class Camera(Specification):
 
     @model_validator(mode="after")
     def _light_everywhere(self) -> Camera:
+        rings = [stops.ring(stop) for stop in self.stops]
+        if self.lens.wavefront_by_field and any(ring is None or ring.centre != (0.0, 0.0) for ring in rings):
+            raise ValueError("lens.wavefront_by_field: all stops must be discs or rings about the axis")
         if self.lens.shading_per_mm and shading(self).min() <= 0:
             raise ValueError("lens.shading_per_mm: falls to zero or below within the frame")
         return self

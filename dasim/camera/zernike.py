@@ -11,9 +11,10 @@ from math import factorial
 from typing import Any
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from dasim.base.toml import Specification
+from dasim.spectra.grid import WHOLE_GRID_NM
 from dasim.typing import FloatArray
 
 # Radial order n and azimuthal order m; sines for m < 0.
@@ -31,6 +32,7 @@ TERMS: dict[str, tuple[int, int]] = {
     "secondary_spherical": (6, 0),
 }
 LARGEST_NM = 500.0  # RMS of a term: beyond, the pupil's grid has too few cells per wave
+LARGEST_ANGLE_DEG = 80.0
 _GRADIENT_STEP = 1e-4  # of the lens's radius
 
 Coefficients = tuple[float, ...]  # by TERMS
@@ -54,6 +56,49 @@ class Wavefront(Specification):
     def coefficients(self) -> Coefficients:
         """The coefficients in the order of ``TERMS``."""
         return tuple(getattr(self, name) for name in TERMS)
+
+
+class FieldWavefront(Wavefront):
+    """The coefficients at an angle of the chief ray, and at a wavelength if they depend on it.
+
+    Angles in the pupil run from the direction away from the axis, in which the lens has mirror symmetry.
+    """
+
+    angle_deg: float = Field(ge=0, le=LARGEST_ANGLE_DEG)
+    wavelength_nm: float | None = Field(default=None, ge=WHOLE_GRID_NM[0], le=WHOLE_GRID_NM[1])
+
+    @model_validator(mode="after")
+    def _symmetric(self) -> FieldWavefront:
+        for name, (_, m) in TERMS.items():
+            if getattr(self, name) and (m < 0 or (m > 0 and self.angle_deg == 0)):
+                where = "on the axis" if self.angle_deg == 0 else "of a lens with mirror symmetry"
+                raise ValueError(f"{name} must be 0 {where}; errors of alignment belong into wavefront_nm")
+        return self
+
+
+def check_table(rows: Sequence[FieldWavefront]) -> None:
+    """ValueError unless the rows are a table: angles from 0, each with the same wavelengths, all in rising order."""
+    if not rows:
+        return
+    angles = sorted({row.angle_deg for row in rows})
+    wavelengths = sorted({row.wavelength_nm or 0.0 for row in rows})
+    places = [(row.angle_deg, row.wavelength_nm or 0.0) for row in rows]
+    if angles[0] != 0:
+        raise ValueError("angle_deg must begin at 0")
+    if places != [(angle, wavelength) for angle in angles for wavelength in wavelengths]:
+        raise ValueError("must be a table: rising angle_deg, and for each the same rising wavelength_nm, or none")
+    if len(wavelengths) > 1 and wavelengths[0] == 0:
+        raise ValueError("wavelength_nm must be in all rows or in none")
+
+
+def at_angle(rows: Sequence[FieldWavefront], angle_deg: float) -> dict[float, Coefficients]:
+    """Coefficients at an angle by wavelength (0 for all), linear between the angles and constant beyond."""
+    result = {}
+    for wavelength in dict.fromkeys(row.wavelength_nm or 0.0 for row in rows):
+        own = [row for row in rows if (row.wavelength_nm or 0.0) == wavelength]
+        angles, values = [row.angle_deg for row in own], np.array([row.coefficients() for row in own])
+        result[wavelength] = tuple(float(np.interp(angle_deg, angles, column)) for column in values.T)
+    return result
 
 
 def polynomial(n: int, m: int, y: Any, x: Any) -> FloatArray:

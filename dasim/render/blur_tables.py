@@ -5,7 +5,7 @@ Tested in tests/dasim/render/test_radial_blur.py and tests/dasim/render/test_abe
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -33,12 +33,23 @@ def texel(value: Any, step: float, nodes: Any) -> Any:
     return (value / step + 0.5) / nodes
 
 
+def away_from_axis(v: Any, tangent: Any) -> Any:
+    """A vector of the picture by its parts along and across the direction away from the axis."""
+    import drjit as dr
+    import mitsuba as mi
+
+    length = dr.norm(tangent)
+    along = dr.select(length > 0, tangent / dr.maximum(length, 1e-12), mi.Point2f(1.0, 0.0))
+    return mi.Point2f(dr.dot(v, along), v.y * along.x - v.x * along.y)
+
+
 @dataclass(frozen=True)
 class AberratedRows:
-    """Where a table of aberrated kernels h has a defocus and a wavelength.
+    """Where a table of aberrated kernels h has a field angle, a wavelength and a defocus.
 
-    Its rows are all values of defocus, of both signs, at one wavelength after another, at equal steps of 1 / lambda.
-    With a step of phase, its channels are h averaged over the phase, and the factors of its cosine and sine.
+    Its rows are all values of defocus, of both signs, at one wavelength after another at equal steps of 1 / lambda, and
+    these at one angle after another. With a step of phase, its channels are h averaged over the phase, and the factors
+    of its cosine and sine.
     """
 
     rows: Any  # for each wavelength
@@ -47,37 +58,58 @@ class AberratedRows:
     inverse_first: Any  # 1/nm
     inverse_step: Any
     wavelengths: int
+    angles: int
+    angle_step: Any  # radians
     step_nm: Any | None
 
-    def evaluate(self, read: Callable[[Any], Any], waves: Any, wavelength_nm: Any) -> Any:
-        """The kernel at a defocus; ``read`` gives the table's channels at a row."""
+    def evaluate(self, read: Callable[[Any], Any], waves: Any, wavelength_nm: Any, tangent: Any) -> Any:
+        """The kernel at a defocus and an angle; ``read`` gives the table's channels at a row."""
         import drjit as dr
         import mitsuba as mi
 
         row = dr.clip((waves - self.first_waves) / self.waves_step, 0, mi.Float(self.rows - 1))
-        values = read(row)
-        if self.wavelengths > 1:
-            at = dr.clip((dr.rcp(wavelength_nm) - self.inverse_first) / self.inverse_step, 0, self.wavelengths - 1)
-            node = dr.minimum(mi.UInt32(at), self.wavelengths - 2)
-            before = read(row + mi.Float(node * self.rows))
-            after = read(row + mi.Float((node + 1) * self.rows))
-            values = [dr.lerp(a, b, at - mi.Float(node)) for a, b in zip(before, after, strict=True)]
+        wavelength = (dr.rcp(wavelength_nm) - self.inverse_first) / self.inverse_step
+        angle = dr.atan(dr.norm(tangent)) / self.angle_step
+        values = self._between(
+            angle,
+            self.angles,
+            lambda a: self._between(
+                wavelength,
+                self.wavelengths,
+                lambda w: read(row + mi.Float((a * self.wavelengths + w) * self.rows)),
+            ),
+        )
         if self.step_nm is None:
             return values[0]
         sine, cosine = dr.sincos(2 * dr.pi * self.step_nm / wavelength_nm)
         return values[0] + cosine * values[1] + sine * values[2]
 
+    @staticmethod
+    def _between(place: Any, count: int, values: Callable[[Any], Any]) -> Any:
+        """Channels at a place between nodes, linear; ``values`` gives those of a node."""
+        import drjit as dr
+        import mitsuba as mi
+
+        if count == 1:
+            return values(mi.UInt32(0))
+        at = dr.clip(place, 0, count - 1)
+        node = dr.minimum(mi.UInt32(at), count - 2)
+        pairs = zip(values(node), values(node + 1), strict=True)
+        return [dr.lerp(before, after, at - mi.Float(node)) for before, after in pairs]
+
 
 def aberrated(
-    front: Wavefront,
+    fronts: Sequence[Wavefront],
+    angle_step_deg: float,
     range_nm: tuple[float, float],
     waves: FloatArray,
     kernels: Callable[[Phase, FloatArray], FloatArray],
 ) -> tuple[AberratedRows, FloatArray]:
-    """The table of a stop's aberrated kernels, [wavelength x waves, ..., channel], and where to find them in it.
+    """The table of a stop's aberrated kernels, [angle x wavelength x waves, ..., channel], and where things lie in it.
 
     Args:
-        front: the wavefront of the light through the stop.
+        fronts: wavefronts of the light through the stop, at equal steps of the field angle from 0.
+        angle_step_deg: these steps.
         range_nm: shortest and longest wavelength.
         waves: evenly spaced values of defocus.
         kernels: kernels [waves, ...] of unit integral for a phase and values of defocus.
@@ -86,23 +118,36 @@ def aberrated(
     import mitsuba as mi
 
     low, high = 1 / range_nm[1], 1 / range_nm[0]
-    count = 1 + int(np.ceil(np.hypot.reduce(front.zernike_nm) * (high - low) / TURNS_STEP))
+    inverses = _wavelengths(fronts, low, high)
     parts = []
-    for inverse in np.linspace(low, high, count) if count > 1 else [(low + high) / 2]:
-        phase = wavefront.at(front, 1 / inverse)
-        assert phase is not None
-        if front.opening is None:
-            parts.append(kernels(phase, waves)[..., None])
-            continue
-        mean, cosine, sine = (kernels(phase._replace(step=step), waves) for step in (0.0, 1.0, 1j))
-        parts.append(np.stack([mean, cosine - mean, sine - mean], axis=-1))
+    for front in fronts:
+        for inverse in inverses:
+            phase = wavefront.phase(front, 1 / inverse)
+            if front.opening is None:
+                parts.append(kernels(phase, waves)[..., None])
+                continue
+            mean, cosine, sine = (kernels(phase._replace(step=step), waves) for step in (0.0, 1.0, 1j))
+            parts.append(np.stack([mean, cosine - mean, sine - mean], axis=-1))
     place = AberratedRows(
         rows=dr.opaque(mi.UInt32, len(waves)),
         first_waves=dr.opaque(mi.Float, float(waves[0])),
         waves_step=float(waves[1] - waves[0]),
         inverse_first=dr.opaque(mi.Float, low),
-        inverse_step=dr.opaque(mi.Float, (high - low) / max(count - 1, 1)),
-        wavelengths=count,
-        step_nm=None if front.opening is None else dr.opaque(mi.Float, front.step_nm),
+        inverse_step=dr.opaque(mi.Float, (high - low) / max(len(inverses) - 1, 1)),
+        wavelengths=len(inverses),
+        angles=len(fronts),
+        angle_step=dr.opaque(mi.Float, float(np.radians(angle_step_deg))),
+        step_nm=None if fronts[0].opening is None else dr.opaque(mi.Float, fronts[0].step_nm),
     )
     return place, np.concatenate(parts).astype(np.float32)
+
+
+def _wavelengths(fronts: Sequence[Wavefront], low: float, high: float) -> FloatArray:
+    """Inverse wavelengths so close that the aberrations change by ``TURNS_STEP`` from one to the next."""
+    fine = np.linspace(low, high, 9)
+    change = 0.0
+    for front in fronts:
+        turns = np.array([np.array(wavefront.coefficients(front, 1 / inverse)) * inverse for inverse in fine])
+        change = max(change, 8 * float(np.linalg.norm(np.diff(turns, axis=0), axis=1).max()))
+    count = 1 + int(np.ceil(change / TURNS_STEP))
+    return np.linspace(low, high, count) if count > 1 else np.array([(low + high) / 2])

@@ -16,7 +16,7 @@ from dasim.camera.specification import Camera
 from dasim.camera.stops import Stop
 from dasim.camera.wavefront import Phase
 from dasim.render import field_angle, pupil
-from dasim.render.blur_tables import FLOOR, AberratedRows, aberrated, texel, texture
+from dasim.render.blur_tables import FLOOR, AberratedRows, aberrated, away_from_axis, texel, texture
 from dasim.typing import FloatArray
 
 PATTERN_TAIL = 12.0  # in lambda N of a disc of the same area
@@ -44,6 +44,7 @@ class PatternBlur:
     wave_half: float
     waves_step: float
     aberrated: AberratedRows | None = None  # rows of h with aberrations
+    turned: bool = False  # h in the frame of the direction away from the axis
 
     def draw(self, first: Any, second: Any, blur_px: Any, key: Any) -> tuple[Any, Any, Any]:
         """See :class:`Blur`; rho and delta are sampled independently."""
@@ -79,12 +80,13 @@ class PatternBlur:
                 place = mi.Point3f(across.x, across.y, texel(blur / (8 * scale), self.waves_step, depth))
                 h = self.wave.eval(place)[0]
             else:
-                across = mi.Point2f(u_px / (2 * self.wave_half * scale) + 0.5)
+                turned = away_from_axis(u_px, tangent) if self.turned else u_px
+                across = mi.Point2f(turned / (2 * self.wave_half * scale) + 0.5)
 
                 def read(row: Any, at: Any = across) -> Any:
                     return self.wave.eval(mi.Point3f(at.x, at.y, (row + 0.5) / depth))
 
-                h = self.aberrated.evaluate(read, blur_px / (8 * scale), wavelength)
+                h = self.aberrated.evaluate(read, blur_px / (8 * scale), wavelength, tangent)
             ratios.append(dr.select(inside & (g > FLOOR), h / (scale * scale * g), 1.0))
         return ratios
 
@@ -95,12 +97,12 @@ def tables(
     """Tables of a stop of any shape; ``bands`` are wavelengths (nm) with the shares of rays that have them."""
     import mitsuba as mi
 
-    front = wavefront.of_stop(camera, stop)
+    angle_step_deg, fronts = wavefront.over_field(camera, stop)
     px_per_nm = pointspread.working_f_number(camera, 1.0) * 1e-3 / camera.sensor.pixel_pitch_um
     longest_nm = max(nm for nm, _ in bands)
     longest_px, shortest_px = longest_nm * px_per_nm, shortest_nm * px_per_nm
     rings = PATTERN_TAIL / stops.open_area(stop) ** 0.5  # in lambda N of the whole lens
-    moved = 2 * wavefront.steepest(front)  # by aberrations, in nanometres times the f-number
+    moved = 2 * max(map(wavefront.steepest, fronts))  # by aberrations, in nanometres times the f-number
     half = stops.reach(stop) * max_blur_px / 2 + rings * longest_px + moved * px_per_nm
 
     blurs = np.arange(0.0, max_blur_px + 2 * PATTERN_BLUR_STEP_PX, PATTERN_BLUR_STEP_PX)
@@ -109,11 +111,15 @@ def tables(
     step = 2 * half / count
     place = (np.arange(count) + 0.5) * step - half
     focus = np.zeros((count, count))
+    flat = all(wavefront.is_flat(front) for front in fronts)
     for nm, weight in bands:
-        scale, phase = nm * px_per_nm, wavefront.at(front, nm, pointspread.BAND_NM)
-        focus += weight * pointspread.pupil_pattern(stop, 0.0, place / scale, place / scale, phase) / scale**2
-    # Aberrations may turn the pattern by 180 degrees behind the focus; sampling does not need to know.
-    focus = focus if phase is None else (focus + focus[::-1, ::-1]) / 2
+        scale = nm * px_per_nm
+        for front in fronts:
+            phase = None if flat else wavefront.phase(front, nm, pointspread.BAND_NM)
+            pattern = pointspread.pupil_pattern(stop, 0.0, place / scale, place / scale, phase) / scale**2
+            focus += weight * pattern / len(fronts)
+    if not flat:  # sampling need not know how behind the focus and around the axis the pattern is turned
+        focus = sum((np.rot90(focus, quarter) for quarter in range(4)), np.zeros_like(focus)) / 4
     density = np.stack([_spread(focus, stop, blur, step) for blur in blurs])
 
     waves = np.arange(0.0, max_blur_px / (8 * shortest_px) + 2 * PATTERN_WAVES_STEP, PATTERN_WAVES_STEP)
@@ -133,11 +139,11 @@ def tables(
         return wave
 
     rows = None
-    if wavefront.is_flat(front):
+    if flat:
         wave = kernels(None, waves)
     else:
         both_signs = np.concatenate([-waves[:0:-1], waves])
-        rows, wave = aberrated(front, (shortest_nm, longest_nm), both_signs, kernels)
+        rows, wave = aberrated(fronts, angle_step_deg, (shortest_nm, longest_nm), both_signs, kernels)
     return PatternBlur(
         px_per_nm=px_per_nm,
         max_blur_px=max_blur_px,
@@ -152,6 +158,7 @@ def tables(
         wave_half=wave_half,
         waves_step=PATTERN_WAVES_STEP,
         aberrated=rows,
+        turned=bool(camera.lens.wavefront_by_field),
     )
 
 

@@ -72,23 +72,33 @@ def _on_cells(stop: Mask) -> Draw:
     return draw
 
 
-def aberration(camera: Camera) -> Callable[[Any], Any] | None:
-    """Offset on the film, in pixels, through which a ray of a place on the lens leaves; None for a lens without errors.
+def aberration(camera: Camera, wavelength_nm: float) -> Callable[[Any, Any], Any] | None:
+    """Offset on the film, in pixels, through which a ray leaves; None for a lens without errors.
 
-    It is the opposite of the displacement in the picture.
+    A function of the place on the lens and of the field angle's tangent. The offset is the opposite of the displacement
+    in the picture.
     """
+    import drjit as dr
     import mitsuba as mi
 
-    front = wavefront.Wavefront(camera.lens.wavefront_nm.coefficients())
-    if wavefront.is_flat(front):
+    angle_step_deg, fronts = wavefront.over_field(camera, camera.stops[0])
+    if not any(wavefront.has_errors(front) for front in fronts):
         return None
     place = stops.cell_centres(stops.PUPIL_CELLS)
     f_number, pitch_um = pointspread.working_f_number(camera, 1.0), camera.sensor.pixel_pitch_um
-    y, x = wavefront.displacement_px(front, f_number, pitch_um, place[:, None], place[None, :])
-    table = texture(np.stack([-x, -y], axis=-1).astype(np.float32), channels=True)
+    tables = []
+    for front in fronts:
+        errors_nm = wavefront.coefficients(front, wavelength_nm)
+        y, x = wavefront.displacement_px(errors_nm, f_number, pitch_um, place[:, None], place[None, :])
+        tables.append(np.stack([-x, -y], axis=-1))
+    table = texture(np.array(tables, dtype=np.float32), channels=True)
+    step, turned = np.radians(angle_step_deg), bool(camera.lens.wavefront_by_field)
 
-    def offset(rho: Any) -> Any:
-        moved = table.eval(mi.Point2f(rho / 2 + 0.5))
-        return mi.Point2f(moved[0], moved[1])
+    def offset(rho: Any, tangent: Any) -> Any:
+        along = tangent / dr.maximum(dr.norm(tangent), 1e-12) if turned else mi.Point2f(1.0, 0.0)
+        own = mi.Point2f(dr.dot(rho, along), rho.y * along.x - rho.x * along.y) / 2 + 0.5
+        ring = (dr.atan(dr.norm(tangent)) / step + 0.5) / len(tables)
+        moved = table.eval(mi.Point3f(own.x, own.y, ring))
+        return mi.Point2f(moved[0] * along.x - moved[1] * along.y, moved[0] * along.y + moved[1] * along.x)
 
     return offset

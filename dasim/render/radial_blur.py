@@ -179,7 +179,7 @@ class RadialBlur:
                 def read(row: Any, column: Any = column) -> Any:
                     return self.wave.eval(mi.Point2f(column, (row + 0.5) / rows))
 
-                h = self.aberrated.evaluate(read, dr.select(blur_px < 0, -own, own) / (8 * scale), wavelength)
+                h = self.aberrated.evaluate(read, dr.select(blur_px < 0, -own, own) / (8 * scale), wavelength, tangent)
             ratios.append(dr.select(inside, h / (scale * scale * g), 1.0))
         return ratios
 
@@ -206,11 +206,12 @@ def tables(
     scaled = np.arange(0.0, radius[-1] / shortest_px + 2 * RADIUS_STEP, RADIUS_STEP)
     waves = np.arange(0.0, own_px / (8 * shortest_px) + 2 * WAVES_STEP, WAVES_STEP)
     density = np.maximum(density, FLOOR)
-    front, rows = wavefront.of_stop(camera, stop), None
-    if wavefront.is_flat(front):
+    (angle_step_deg, fronts), rows = wavefront.over_field(camera, stop), None
+    if all(wavefront.is_flat(front) for front in fronts):
         table = wave = _truncated(pointspread.wave_profile(scaled, waves, inner), scaled, waves)
     else:
-        rows, table = _aberrated(front, ring, (shortest_nm, max(nm for nm, _ in bands)), scaled, waves)
+        range_nm = shortest_nm, max(nm for nm, _ in bands)
+        rows, table = _aberrated(fronts, angle_step_deg, ring, range_nm, scaled, waves)
         by_wavelength = table[..., 0].reshape(-1, 2 * len(waves) - 1, len(scaled)).mean(axis=0, dtype=np.float64)
         wave = (by_wavelength[len(waves) - 1 :] + by_wavelength[len(waves) - 1 :: -1]) / 2  # of either sign of defocus
 
@@ -245,16 +246,21 @@ def tables(
 
 
 def _aberrated(
-    front: Wavefront, ring: stops.Ring, range_nm: tuple[float, float], radius: FloatArray, waves: FloatArray
+    fronts: list[Wavefront],
+    angle_step_deg: float,
+    ring: stops.Ring,
+    range_nm: tuple[float, float],
+    radius: FloatArray,
+    waves: FloatArray,
 ) -> tuple[AberratedRows, FloatArray]:
     """The table of h of a disc or ring whose wavefront has aberrations; ``waves`` are one side's, from 0."""
-    moved = 2 * wavefront.steepest(front) * ring.outer / range_nm[0]  # in lambda N of the stop
+    moved = 2 * max(map(wavefront.steepest, fronts)) * ring.outer / range_nm[0]  # in lambda N of the stop
 
     def kernels(phase: wavefront.Phase, waves: FloatArray) -> FloatArray:
         profiles = pointspread.wave_profile(radius, waves, ring.inner / ring.outer, phase, ring.outer)
         return _truncated(profiles, radius, np.abs(waves), moved)
 
-    return aberrated(front, range_nm, np.concatenate([-waves[:0:-1], waves]), kernels)
+    return aberrated(fronts, angle_step_deg, range_nm, np.concatenate([-waves[:0:-1], waves]), kernels)
 
 
 def _truncated(profiles: FloatArray, radius: FloatArray, waves: FloatArray, moved: float = 0.0) -> FloatArray:

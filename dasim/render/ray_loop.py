@@ -168,6 +168,7 @@ def _prepare(
     scale = dr.opaque(mi.Float, px_per_m(camera))
     radius_m = dr.opaque(mi.Float, geometry.aperture_m(camera) / 2)
     density = draw_density(radiometry.response(camera) if stop is not None else response, response, light)
+    mean_nm = float(np.average(grid.WAVELENGTH_NM, weights=density))
     blur = None
     if stop is not None and max_blur_px is not None:
         blur = wave.blur(camera, stop, density, wave.blur_range_px(camera, max_blur_px, WAVE_BLUR_PX))
@@ -192,7 +193,7 @@ def _prepare(
         axial_colour=bool(camera.lens.focal_shift_um),
         draw_pupil=None if stop is None else pupil.drawer(stop),
         blur=blur,
-        aberration=pupil.aberration(camera) if stop is not None and blur is None else None,
+        aberration=pupil.aberration(camera, mean_nm) if stop is not None and blur is None else None,
         in_focus=in_focus,
     )
 
@@ -341,7 +342,7 @@ def _aim(shared: _Pass, pixel: Any, corner: Any, numbers: tuple[Any, Any, Any, A
         delta = field_angle.widened(delta, tangent)
     elif shared.draw_pupil is not None:
         rho = shared.draw_pupil(lens)
-        delta = shared.aberration(rho) if shared.aberration is not None else delta
+        delta = shared.aberration(rho, tangent) if shared.aberration is not None else delta
     on_lens = mi.Point2f(0.0) if shared.in_focus else rho * shared.radius_m
     aim = film + delta
     origin = mi.Point3f(on_lens.x, on_lens.y, 0.0)

@@ -72,7 +72,7 @@ def test_step_of_the_hole_costs_its_interference(phase):
 def test_step_averages_over_a_band():
     """Expectation: the mean of exp(2 pi i s / lambda) over 10 nm by 2,001 points."""
     nm = np.linspace(545, 555, 2001)
-    front = wavefront.Wavefront(NONE, HOLE, 7000.0)
+    front = wavefront.Wavefront((NONE,), opening=HOLE, step_nm=7000.0)
     phase = wavefront.at(front, 550.0, 10.0)
     assert phase is not None
     assert phase.step == pytest.approx(np.exp(2j * np.pi * 7000.0 / nm).mean(), abs=0.01)
@@ -178,6 +178,58 @@ def test_refused_keys(da_mobile, lens, hole, message):
 def test_airy_takes_no_phase(da_mobile, phase_nm, errors):
     with pytest.raises(InputError, match=r"diffraction .airy. takes no lens\.wavefront_nm and no phase_nm"):
         pointspread.psf(changed(da_mobile, phase_nm, **errors), 0.3, "G", "D65", diffraction="airy")
+
+
+@pytest.mark.parametrize(
+    ("rows", "message"),
+    [
+        ([{"angle_deg": 5.0}], r"lens\.wavefront_by_field: angle_deg must begin at 0"),
+        ([{"angle_deg": 0.0, "coma": 9.0}], r"lens\.wavefront_by_field\.0: coma must be 0 on the axis"),
+        (
+            [{"angle_deg": 0.0}, {"angle_deg": 9.0, "vertical_coma": 9.0}],
+            r"vertical_coma must be 0 of a lens",
+        ),
+        ([{"angle_deg": 0.0}, {"angle_deg": 9.0, "wavelength_nm": 500.0}], r"must be a table"),
+        ([{"angle_deg": 0.0}] * 2, r"must be a table"),
+    ],
+)
+def test_refused_tables(da_mobile, rows, message):
+    data = da_mobile.model_dump(mode="json")
+    data["lens"]["wavefront_by_field"] = rows
+    with pytest.raises(InputError, match=message) as problem:
+        parse(Camera, data, "camera.toml")
+    assert "\n" not in str(problem.value)
+
+
+def test_tables_need_centred_stops_and_symmetric_errors(da_mobile):
+    data = da_mobile.model_dump(mode="json")
+    data["lens"] |= {"wavefront_by_field": [{"angle_deg": 0.0, "spherical": 10.0}], "wavefront_nm": {"coma": 10.0}}
+    with pytest.raises(InputError, match="defocus and spherical terms only beside wavefront_by_field"):
+        parse(Camera, data, "camera.toml")
+    data["lens"]["wavefront_nm"] = {}
+    data["stops"][1]["centre_ratio"] = [0.2, 0.0]
+    with pytest.raises(InputError, match="all stops must be discs or rings about the axis"):
+        parse(Camera, data, "camera.toml")
+
+
+def test_table_is_linear_in_angle_and_wavelength(da_mobile):
+    """Expectation: halfway between angles and a quarter between wavelengths, the terms' weighted means; on the axis the
+    kernel is that of the same coefficients for the whole field.
+    """
+    data = da_mobile.model_dump(mode="json")
+    data["lens"]["wavefront_by_field"] = [
+        {"angle_deg": angle, "wavelength_nm": nm, "spherical": 20.0 + nm / 10, "coma": 3.0 * angle}
+        for angle in (0.0, 20.0)
+        for nm in (450.0, 650.0)
+    ]
+    camera = parse(Camera, data, "table")
+    front = wavefront.of_stop(camera, camera.stops[0], 10.0)
+    values = dict(zip(zernike.TERMS, wavefront.coefficients(front, 500.0), strict=True))
+    assert values["spherical"] == pytest.approx(70.0) and values["coma"] == pytest.approx(30.0)
+    assert wavefront.coefficients(front, 800.0) == wavefront.coefficients(front, 650.0)
+    same = changed(da_mobile, spherical=70.0)
+    data["lens"]["wavefront_by_field"] = [{"angle_deg": 0.0, "spherical": 70.0}, {"angle_deg": 9.0, "coma": 50.0}]
+    np.testing.assert_allclose(dasim_psf(parse(Camera, data, "table"), 0.3, 31), dasim_psf(same, 0.3, 31), atol=1e-12)
 
 
 def test_one_step_per_camera(da_mobile):

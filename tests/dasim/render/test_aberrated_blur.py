@@ -137,8 +137,13 @@ def surface_nm(errors: dict[str, float], y: np.ndarray, x: np.ndarray) -> np.nda
     return sum((value * shapes[key] for key, value in errors.items()), np.zeros_like(square))
 
 
-def expected(camera: Camera, errors: dict[str, float], step_nm: float, blur_px: float, diffraction: str) -> np.ndarray:
-    """The picture [48, 48] of the source through the open lens, its light summing to 1."""
+def expected(
+    camera: Camera, errors: dict[str, float], step_nm: float, blur_px: float, diffraction: str, cosine: float = 1.0
+) -> np.ndarray:
+    """The picture [48, 48] of the source through the open lens, its light summing to 1.
+
+    ``cosine`` is that of the field angle, the source to the right of the axis and in focus.
+    """
     pitch_um = camera.sensor.pixel_pitch_um
     f_number = pointspread.working_f_number(camera, 1.0)
     if diffraction == "off":
@@ -169,10 +174,43 @@ def expected(camera: Camera, errors: dict[str, float], step_nm: float, blur_px: 
         fine_px = scale * ACROSS / SIZE
         spectrum = np.fft.fft2(np.abs(field) ** 2)
         frequency = np.fft.fftfreq(SIZE, fine_px)
-        whole = np.hypot(frequency[:, None], frequency)
-        argument = np.maximum(2 * np.pi * whole * SOURCE_PX, 1e-9)
-        spectrum *= 2 * j1(argument) / argument * np.sinc(frequency)[:, None] * np.sinc(frequency)
-        basis = np.exp(2j * np.pi * np.outer(np.arange(48) - 23.5, frequency))
-        part = (basis @ spectrum @ basis.T).real
+        across, along = cosine * frequency, cosine**3 * frequency  # in the picture: wider by 1 / cos and 1 / cos^3
+        argument = np.maximum(2 * np.pi * np.hypot(across[:, None], along) * SOURCE_PX, 1e-9)
+        spectrum *= 2 * j1(argument) / argument * np.sinc(across)[:, None] * np.sinc(along)
+        rows, columns = (np.exp(2j * np.pi * np.outer(np.arange(48) - 23.5, f)) for f in (across, along))
+        part = (rows @ spectrum @ columns.T).real
         total += part / part.sum()
     return total / total.sum()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("away", ["right", "down"])
+def test_coma_points_away_from_the_axis(jit, make_scene, da_mobile, lamp, away):
+    """Set-up: a table of coma from 0 to 90 nm at 30 degrees; a source in focus at 20 degrees, to the right of the axis
+    or below it, photographed by a sensor that lies there. Expectation: the Fourier transform of a pupil with 60 nm of
+    coma along the direction away from the axis, wider by 1 / cos^3 and 1 / cos.
+    """
+    import dasim
+
+    data = da_mobile.model_dump(mode="json") | {"stops": [GREEN]}
+    data["lens"] |= {
+        "focus_distance_m": 0.3,
+        "wavefront_by_field": [{"angle_deg": 0.0}, {"angle_deg": 30.0, "coma": 90.0}],
+    }
+    image_px = geometry.image_distance_m(parse(Camera, data, "axis")) / 1.7e-6
+    offset_px = round(image_px * np.tan(np.radians(20)))
+    data["sensor"] |= {
+        "width_px": 48,
+        "height_px": 48,
+        "principal_point_px": [24.0 - offset_px, 24.0] if away == "right" else [24.0, 24.0 - offset_px],
+    }
+    camera = parse(Camera, data, "coma")
+    beside_cm = 30 * offset_px / image_px
+    place = (beside_cm, 0, 30) if away == "right" else (0, beside_cm, 30)
+    disc = {"name": "spot", "shape": "disc", "radius_cm": 30 * SOURCE_PX / image_px, "position_cm": place}
+    scene = make_scene(disc | {"material": "white-paper"}, lights=[lamp])
+    picture = dasim.simulate(scene, camera, spp=1024, exposure=dasim.Exposure(time_s=0.01)).truth.mean_e[..., 1]
+    picture = picture / picture.sum() if away == "right" else picture.T / picture.sum()
+    cosine = float(np.cos(np.arctan(offset_px / image_px)))
+    assert difference(picture, expected(camera, {"coma": 60.0}, 0.0, 0.0, "wave", cosine)) < ENERGY
+    assert difference(picture, expected(camera, {"coma": -60.0}, 0.0, 0.0, "wave", cosine)) > 2 * ENERGY
