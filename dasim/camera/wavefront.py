@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from dasim.camera import geometry, specification, stops, zernike
-from dasim.camera.specification import Camera
+from dasim.camera.specification import Camera, Lens
 from dasim.camera.stops import Stop
 from dasim.camera.zernike import Coefficients
 from dasim.typing import FloatArray
@@ -41,6 +41,11 @@ class Phase(NamedTuple):
     turns: Coefficients  # Zernike coefficients in waves
     opening: Stop | None
     step: complex  # mean of exp(i phase) of the step
+
+
+def is_perfect(lens: Lens) -> bool:
+    """Whether the lens gives a sphere everywhere, with no coefficient other than 0."""
+    return not any(any(row.coefficients()) for row in (lens.wavefront_nm, *lens.wavefront_by_field))
 
 
 def of_lens(camera: Camera, angle_deg: float = 0.0) -> Wavefront:

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from dasim.base.errors import InputError
-from dasim.camera import geometry, pointspread, radiometry, stops
+from dasim.camera import geometry, pointspread, radiometry, stops, wavefront
 from dasim.camera.specification import Camera, principal_point
 from dasim.camera.stops import Stop
 from dasim.render import truth
@@ -33,8 +33,8 @@ def check(camera: Camera) -> None:
         problems.append("sensor.principal_point_px is no multiple of half a pixel")
     if camera.lens.focal_shift_um:
         problems.append("lens.focal_shift_um is set")
-    if any(camera.lens.wavefront_nm.coefficients()):
-        problems.append("lens.wavefront_nm is set")
+    if not wavefront.is_perfect(camera.lens):
+        problems.append("lens.wavefront_nm or lens.wavefront_by_field is set")
     problems += [f"stop '{stop.name}' has a phase_nm" for stop in camera.stops if stop.phase_nm]
     if problems:
         raise InputError(

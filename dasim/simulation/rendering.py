@@ -208,8 +208,8 @@ def focus_picture(view: View, sharp: FloatArray, field: Any, seed: int, progress
 
     Of a lens without diffraction, aberrations and glare that is the picture through a pinhole, ``sharp``.
     """
-    flat = wavefront.is_flat(wavefront.Wavefront(view.camera.lens.wavefront_nm.coefficients()))
-    if view.diffraction == "off" and flat and not any(stop.glare_share for stop in view.camera.stops):
+    perfect = wavefront.is_perfect(view.camera.lens)
+    if view.diffraction == "off" and perfect and not any(stop.glare_share for stop in view.camera.stops):
         return sharp
     seed = picture_seed(seed, 0, IN_FOCUS)
     return np.asarray(
