@@ -34,7 +34,7 @@ class DataSheet(BaseModel):
     | overall system gain K | ``dn_per_e``; without it the full well sits at the converter's full scale |
     | temporal dark noise sigma_d | ``read_noise_e``: both are of no exposure time and without rounding |
     | saturation capacity mu_e.sat | ``full_well_e``, by :func:`full_well_of_capacity_e` |
-    | DSNU1288, PRNU1288 | ``dsnu_e``, ``prnu``, taken as white patterns |
+    | DSNU1288, PRNU1288 | ``dsnu_e``, ``prnu``, taken as white patterns: ``row_noise_e``, ``column_noise_e`` are 0 |
     | dark current mu_I, at ``dark_current_temperature_c`` | ``dark_current_e_s``, carried to 25 C |
     | doubling temperature T_d | ``dark_doubling_k`` |
     | quantum efficiency of green, at ``wavelength_nm`` or its peak | ``quantum_efficiency_scale``, for all curves |
@@ -102,6 +102,8 @@ def translated(data: dict[str, Any], green: Curve | None = None) -> dict[str, An
     fields = {_FIELD[key]: value for key, value in values.items() if key in _FIELD}
     if "prnu" in fields:
         fields["prnu"] /= 100
+    if "dsnu_e" in fields:  # which holds the offsets of rows and columns
+        fields |= {name: 0.0 for name in ("row_noise_e", "column_noise_e") if name not in others}
     if "full_well_e" in fields:
         prnu = _number(fields | others, "prnu", DEFAULT_PRNU)
         fields["full_well_e"] = full_well_of_capacity_e(fields["full_well_e"], min(max(prnu, 0.0), 0.5))

@@ -3,10 +3,11 @@
 A pixel that collects a mean of x photo-electrons in a time t shows, in electrons, the variance
 
     temporal   x + dark(t) + read^2 + 1 / (12 K^2)     from frame to frame: shot noise, dark current, read-out, rounding
-    fixed      DSNU^2 + (PRNU x)^2                 from pixel to pixel, the same in every frame
+    fixed      DSNU^2 + row^2 + column^2           from pixel to pixel, the same in every frame of the camera
+               + (spread dark(t))^2 + (PRNU x)^2
 
 with 1 / K electrons per digital number (EMVA 1288 release 4.0, eqs. (15) and (16), and sec. 4.3). Whatever weighs
-pixels by their noise takes it from here; :func:`expose` draws it.
+pixels by their noise takes it from here; :func:`expose` draws it. Hot pixels are outliers, not part of these variances.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ from pydantic import Field
 from dasim.base.errors import InputError
 from dasim.base.loading import function_name, locate_error
 from dasim.base.toml import Specification
+from dasim.camera.fixed_pattern import dark_heat, fixed_pattern
 from dasim.camera.specification import Camera, Sensor, mosaic_channels
 from dasim.typing import BoolArray, FloatArray
 
@@ -28,14 +30,15 @@ LONGEST_EXPOSURE_S = 3600.0
 _MOST_E = 1e15  # electrons of a Poisson draw: more than any full well, and within the range of the generator
 
 # Randomness is keyed by (seed, stage): no stage depends on how many numbers another has drawn.
-_STAGES = {"shot": 1, "dark": 2, "read": 3, "dsnu": 4, "prnu": 5}
+_STAGES = {"shot": 1, "dark": 2, "read": 3}
 
 NoiseModel = Callable[[FloatArray, Sensor, float, int, float], tuple[NDArray[np.uint16], int]]
 """A noise model: ``model(mean_e, sensor, time_s, seed, gain)`` gives raw numbers and how many pixels are saturated.
 
 ``mean_e`` is [h, w] mean photo-electrons of the mosaic after electronic crosstalk, ``time_s`` the exposure time,
-``gain`` the analogue gain. The raw numbers are uint16 [h, w], black level included, at most
-2^``sensor.adc_bits`` - 1. The same arguments must give the same numbers. :func:`expose` is the bundled model,
+``gain`` the analogue gain. ``seed`` is that of the frame; ``sensor.sensor_seed`` is that of what all frames of a camera
+share, see :func:`dasim.camera.fixed_pattern.fixed_pattern`. The raw numbers are uint16 [h, w], black level included, at
+most 2^``sensor.adc_bits`` - 1. The same arguments must give the same numbers. :func:`expose` is the bundled model,
 ``examples/noise_model.py`` another.
 """
 
@@ -74,14 +77,21 @@ def temporal_variance(sensor: Sensor, time_s: float, gain: float = 1.0) -> Varia
     return Variance(sensor.read_noise_e**2 + dark_e(sensor, time_s) + rounding, 1.0, 0.0)
 
 
-def fixed_variance(sensor: Sensor) -> Variance:
-    """Variance of the fixed patterns from pixel to pixel: DSNU and PRNU, the same in every frame."""
-    return Variance(sensor.dsnu_e**2, 0.0, sensor.prnu**2)
+def fixed_variance(sensor: Sensor, time_s: float) -> Variance:
+    """Variance of the fixed pattern from pixel to pixel, the same in every frame: offsets, dark current, PRNU."""
+    offsets = sensor.dsnu_e**2 + sensor.row_noise_e**2 + sensor.column_noise_e**2
+    dark = float(dark_pattern_e(sensor, np.array(time_s)))
+    return Variance(offsets + dark**2, 0.0, sensor.prnu**2)
+
+
+def dark_pattern_e(sensor: Sensor, time_s: NDArray) -> FloatArray:
+    """Standard deviation of the pixels' mean dark electrons after exposures of any shape, without hot pixels."""
+    return np.asarray(sensor.dark_current_spread * np.minimum(dark_rate_e_s(sensor) * time_s, _MOST_E))
 
 
 def variance(sensor: Sensor, time_s: float, gain: float = 1.0) -> Variance:
     """Variance of the pixels of one frame, temporal noise and fixed patterns together."""
-    parts = zip(temporal_variance(sensor, time_s, gain), fixed_variance(sensor), strict=True)
+    parts = zip(temporal_variance(sensor, time_s, gain), fixed_variance(sensor, time_s), strict=True)
     return Variance(*(temporal + fixed for temporal, fixed in parts))
 
 
@@ -103,13 +113,12 @@ def electrons_per_dn(sensor: Sensor, gain: float = 1.0) -> float:
 
 
 def dark_rate_e_s(sensor: Sensor) -> float:
-    """Dark electrons per second at the sensor's temperature; they double every ``dark_doubling_k`` from 25 C."""
-    heat: float = 2.0 ** ((sensor.temperature_c - 25.0) / sensor.dark_doubling_k)
-    return sensor.dark_current_e_s * heat
+    """Mean dark electrons per second at the sensor's temperature; they double every ``dark_doubling_k`` from 25 C."""
+    return sensor.dark_current_e_s * dark_heat(sensor)
 
 
 def dark_e(sensor: Sensor, time_s: float) -> float:
-    """Mean dark electrons of an exposure, which are also their variance."""
+    """Mean dark electrons of an exposure, which are also their variance from frame to frame."""
     return min(dark_rate_e_s(sensor) * time_s, _MOST_E)
 
 
@@ -170,22 +179,21 @@ def expose(
 ) -> tuple[NDArray[np.uint16], int]:
     """Raw numbers of a frame, and how many of its pixels saturated (EMVA 1288 release 4.0, sec. 2).
 
-    ``mean_e`` is [h, w] photo-electrons of the mosaic. Shot noise and dark current are Poisson; DSNU (electrons) and
-    PRNU (relative) are fixed patterns of the seed, the same in every ``frame``. With noise off the result is the
-    rounded, clipped mean, without dark signal.
+    ``mean_e`` is [h, w] photo-electrons of the mosaic. Shot noise and dark current are Poisson, and differ in every
+    ``frame`` and for every ``seed``. The fixed pattern (:func:`dasim.camera.fixed_pattern.fixed_pattern`) is that of
+    the sensor, the same for all of them. With noise off the result is the rounded, clipped mean, without dark signal.
     """
     if noise == "off":
         well = np.minimum(mean_e, sensor.full_well_e)
         return _convert(well, sensor, gain, mean_e >= sensor.full_well_e)
     height_width = mean_e.shape
-    prnu = 1.0 + sensor.prnu * _generator(seed, "prnu").standard_normal(height_width)
-    dsnu = sensor.dsnu_e * _generator(seed, "dsnu").standard_normal(height_width)
-    dark = np.full(height_width, dark_e(sensor, time_s))
-    electrons = _generator(seed, "shot", frame).poisson(np.clip(mean_e * prnu, 0.0, _MOST_E)).astype(np.float64)
-    electrons += _generator(seed, "dark", frame).poisson(dark)
+    pattern = fixed_pattern(sensor, height_width)
+    light = np.clip(mean_e * pattern.sensitivity, 0.0, _MOST_E)
+    electrons = _generator(seed, "shot", frame).poisson(light).astype(np.float64)
+    electrons += _generator(seed, "dark", frame).poisson(np.minimum(pattern.dark_e_s * time_s, _MOST_E))
     full = electrons >= sensor.full_well_e
     electrons = np.minimum(electrons, sensor.full_well_e)
-    electrons += dsnu + sensor.read_noise_e * _generator(seed, "read", frame).standard_normal(height_width)
+    electrons += pattern.offset_e + sensor.read_noise_e * _generator(seed, "read", frame).standard_normal(height_width)
     return _convert(electrons, sensor, gain, full)
 
 
@@ -201,7 +209,6 @@ def apply(
     except Exception as error:  # whatever the user's function raises
         raise InputError(f"{where}: raised {locate_error(error)}") from error
     if not (isinstance(result, tuple) and len(result) == 2):
-        kind = type(result).__name__
         kind = type(result).__name__
         raise InputError(f"{where}: must return raw numbers and the count of saturated pixels, not one {kind}")
     raw_dn, saturated = result

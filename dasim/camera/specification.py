@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import zlib
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -105,9 +106,19 @@ class Sensor(Specification):
     read_noise_e: float = Field(default=3.0, ge=0)
     dark_current_e_s: float = Field(default=10.0, ge=0, description="at 25 C")
     dark_doubling_k: float = Field(default=datasheet.DEFAULT_DARK_DOUBLING_K, ge=1, le=100)
+    dark_current_spread: float = Field(
+        default=0.1, ge=0, le=10, description="standard deviation of the pixels' dark current over its mean"
+    )
+    hot_pixel_share: float = Field(default=1e-5, ge=0, le=0.1, description="share of the pixels that are hot")
+    hot_pixel_e_s: float = Field(default=500.0, ge=0, description="mean dark current of hot pixels at 25 C")
     temperature_c: float = Field(default=25.0, ge=-100, le=150)
     dsnu_e: float = Field(default=2.0, ge=0)
+    row_noise_e: float = Field(default=0.2, ge=0, description="standard deviation of the offsets of rows")
+    column_noise_e: float = Field(default=0.3, ge=0, description="standard deviation of the offsets of columns")
     prnu: float = Field(default=datasheet.DEFAULT_PRNU, ge=0, le=0.5)
+    sensor_seed: int | None = Field(
+        default=None, ge=0, lt=2**63, description="of the fixed pattern; by default it follows from the camera's name"
+    )
     adc_bits: int = Field(default=10, ge=6, le=16)
     black_level_dn: int = Field(default=64, ge=0)
     dn_per_e: float | None = Field(
@@ -183,6 +194,18 @@ class Camera(Specification):
     stops: tuple[Stop, ...] = Field(min_length=1)
     sensor: Sensor
     levels: Levels | None = Field(default=None, description="by default the paper's levels, see level_blur_px")
+
+    @model_validator(mode="before")
+    @classmethod
+    def _own_sensor(cls, data: Any) -> Any:
+        if not isinstance(data, dict) or not isinstance(data.get("name"), str):
+            return data
+        seed, sensor = zlib.crc32(data["name"].encode()), data.get("sensor")
+        if isinstance(sensor, dict) and sensor.get("sensor_seed") is None:
+            return data | {"sensor": sensor | {"sensor_seed": seed}}
+        if isinstance(sensor, Sensor) and sensor.sensor_seed is None:
+            return data | {"sensor": sensor.model_copy(update={"sensor_seed": seed})}
+        return data
 
     @field_validator("stops", mode="before")
     @classmethod

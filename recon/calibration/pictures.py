@@ -34,7 +34,7 @@ def averaged(
     shape = (len(channels(sensor)), height, width)
     electrons, variance, exposed, count = np.zeros((4, *shape))  # sums over all frames that see a pixel
     for shift, pictures in _by_shift(group).items():
-        shift_e, shift_count = np.zeros((2, *shape))
+        shift_e, shift_count, shift_s = np.zeros((3, *shape))
         back = tuple(-s for s in shift or (0, 0))
         for picture in pictures:
             frames = len(picture.frames_dn)
@@ -50,7 +50,10 @@ def averaged(
                 variance[index][here] += frames * temporal[here]
                 exposed[index][here] += frames * picture.exposure_s / unit_s
                 shift_count[index][here] += frames
-        variance += shift_count**2 * noise.fixed_variance(sensor).at(shift_e / np.maximum(shift_count, 1))
+                shift_s[index][here] += frames * picture.exposure_s
+        number = np.maximum(shift_count, 1)
+        fixed = noise.fixed_variance(sensor, 0.0).at(shift_e / number)
+        variance += shift_count**2 * (fixed + noise.dark_pattern_e(sensor, shift_s / number) ** 2)
         electrons += shift_e
         count += shift_count
     sampled = count > 0

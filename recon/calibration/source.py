@@ -100,6 +100,7 @@ def signal_to_noise(pictures: Sequence[PointPicture], camera: Camera, blur_px: f
         local = camera.model_copy(update={"sensor": sensor.model_copy(update={"height_px": height, "width_px": width})})
         channel = mosaic_channels(local)
         temporal = noise.temporal_variance(sensor, picture.exposure_s, picture.gain)
+        fixed = noise.fixed_variance(sensor, picture.exposure_s)
         full_e = noise.collected_e(picture.frames_dn.mean(axis=0), sensor, picture.gain)
         mean_e = full_e - noise.dark_e(sensor, picture.exposure_s)
         y, x = np.indices(mean_e.shape)
@@ -109,7 +110,7 @@ def signal_to_noise(pictures: Sequence[PointPicture], camera: Camera, blur_px: f
             pixels = channel == index
             used = near & pixels
             signal = np.sum(mean_e[used] - np.median(mean_e[pixels]))
-            variance = np.sum(temporal.at(mean_e[used]) / frames + noise.fixed_variance(sensor).at(mean_e[used]))
+            variance = np.sum(temporal.at(mean_e[used]) / frames + fixed.at(mean_e[used]))
             if signal > 0 and variance > 0:
                 square[index] += signal**2 / variance
     lowest = int(square.argmin())

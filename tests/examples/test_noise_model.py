@@ -31,7 +31,7 @@ def test_columns_have_offsets_of_their_own(model, da_mobile):
     left = np.sqrt(noise.temporal_variance(da_mobile.sensor, 0.01).at(500.0) / ROWS)
     spread = frame_e(model, da_mobile.sensor, 500.0).mean(axis=0).std()
     assert spread == pytest.approx(np.hypot(2.0, left), rel=0.14)
-    silent = da_mobile.sensor.model_copy(update={"prnu": 0.0, "dsnu_e": 0.0})
+    silent = da_mobile.sensor.model_copy(update={"prnu": 0.0, "dsnu_e": 0.0, "row_noise_e": 0.0, "column_noise_e": 0.0})
     assert frame_e(noise.expose, silent, 500.0).mean(axis=0).std() == pytest.approx(left, rel=0.14)
 
 

@@ -17,6 +17,7 @@ from validation.claims.light.balance import balance
 from validation.claims.light.electrons import absolute_electrons, eq8_flat_field, hole_alpha_squared, light_loss
 from validation.claims.light.mixed import mixed_lights
 from validation.claims.light.noise import photon_transfer
+from validation.claims.light.pattern import fixed_pattern
 from validation.claims.optics.bank import bank
 from validation.claims.optics.blur import blur_off
 from validation.claims.optics.camera import depth_of_field, dynamic_range, kernels, response_curves
@@ -35,6 +36,7 @@ from validation.gates.outcome import Measurement
 CLAIMS = {
     "radiometry": Measurement(absolute_electrons, quick=True),
     "photon-transfer": Measurement(photon_transfer, quick=True),
+    "fixed-pattern": Measurement(fixed_pattern, quick=True),
     "light-loss": Measurement(light_loss, quick=True),
     "response-curves": Measurement(response_curves, quick=True),
     "depth-of-field": Measurement(depth_of_field, quick=True),

@@ -23,7 +23,8 @@ def quiet(da_mobile):
     """A sensor without noise, with 4 electrons per digital number."""
 
     def make(**changes):
-        silent = {"read_noise_e": 0, "dark_current_e_s": 0, "dsnu_e": 0, "prnu": 0, "full_well_e": 4.0 * (1023 - 64)}
+        silent = {"read_noise_e": 0, "dark_current_e_s": 0, "hot_pixel_share": 0, "full_well_e": 4.0 * (1023 - 64)}
+        silent |= {"dsnu_e": 0, "row_noise_e": 0, "column_noise_e": 0, "prnu": 0, "dark_current_spread": 0}
         return da_mobile.sensor.model_copy(update=silent | changes)
 
     return make
@@ -100,19 +101,21 @@ def test_fixed_patterns_are_recovered_from_stacks(quiet):
 
 
 def test_fixed_patterns_stay_and_noise_changes(quiet):
-    """Expectation: two stacks of one seed share their pattern, those of two seeds have nothing in common.
+    """Expectation: two stacks of one sensor share their pattern, whatever their frames' seeds; those of two sensors
+    have nothing in common, although the seed of their frames is the same.
 
     The correlation of 62,500 independent pairs has a standard deviation of 1 / 250.
     """
-    model = quiet(dsnu_e=2.0, read_noise_e=3.0)
 
-    def pattern(seed, first=0):
+    def pattern(sensor_seed, seed, first=0):
+        model = quiet(dsnu_e=2.0, read_noise_e=3.0, sensor_seed=sensor_seed)
         return stack_e(flat(0), model, 12, seed=seed, first=first).mean(axis=0).ravel()
 
-    first = pattern(0)
+    first = pattern(0, 0)
     expected = 2.0**2 / (2.0**2 + (3.0**2 + 1.0 / 12) / 12)  # fixed over whole variance of a mean of 12 frames
-    assert np.corrcoef(first, pattern(0, first=12))[0, 1] == pytest.approx(expected, abs=5 / SIDE)
-    assert abs(np.corrcoef(first, pattern(1))[0, 1]) < 5 / SIDE
+    for other in (pattern(0, 0, first=12), pattern(0, 1)):
+        assert np.corrcoef(first, other)[0, 1] == pytest.approx(expected, abs=5 / SIDE)
+    assert abs(np.corrcoef(first, pattern(1, 0, first=12))[0, 1]) < 5 / SIDE
 
 
 def test_dark_signal_doubles_each_7_kelvin_and_grows_with_time(quiet):
@@ -141,6 +144,7 @@ def temporal_and_fixed(mean_e, model, time_s, gain):
         ("rounding", {}, 2000, 0.0, 1 / 16, 2000 + 64**2 / 12, 0),
         ("dsnu", {"dsnu_e": 30.0}, 400, 0.0, 1.0, 400 + 16 / 12, 900),
         ("prnu", {"prnu": 0.03}, 1500, 0.0, 1.0, 1500 + 16 / 12, 45**2),
+        ("spread", {"dark_current_e_s": 200.0, "dark_current_spread": 0.3}, 0, 1.0, 1.0, 200 + 16 / 12, 60**2),
     ],
 )
 def test_each_term_of_the_variance_is_that_of_frames(quiet, term, changes, mean_e, time_s, gain, temporal, fixed):
@@ -153,22 +157,22 @@ def test_each_term_of_the_variance_is_that_of_frames(quiet, term, changes, mean_
     law would miss by more than twice that.
     """
     model = quiet(**changes)
-    laws = sensor.temporal_variance(model, time_s, gain), sensor.fixed_variance(model)
+    laws = sensor.temporal_variance(model, time_s, gain), sensor.fixed_variance(model, time_s)
     np.testing.assert_allclose([law.at(float(mean_e)) for law in laws], [temporal, fixed], rtol=1e-12)
     whole = sensor.variance(model, time_s, gain).at(float(mean_e))
     assert whole == pytest.approx(temporal + fixed, rel=1e-12)
     seen_temporal, seen_fixed = temporal_and_fixed(float(mean_e), model, time_s, gain)
     assert seen_temporal == pytest.approx(temporal, rel=VARIANCE_LIMIT)
     assert seen_fixed == pytest.approx(fixed, abs=COVARIANCE_LIMIT * whole)
-    size = {"shot": 1500, "dark": 1600, "read": 900, "rounding": 64**2 / 12, "dsnu": 900, "prnu": 45**2}[term]
-    assert size > 2 * (COVARIANCE_LIMIT if term in ("dsnu", "prnu") else VARIANCE_LIMIT) * whole
+    size = {"shot": 1500, "dark": 1600, "read": 900, "rounding": 64**2 / 12}.get(term, fixed)
+    assert size > 2 * (COVARIANCE_LIMIT if fixed else VARIANCE_LIMIT) * whole
 
 
 def test_whole_variance_of_the_bundled_camera(da_mobile):
     """Set-up: da-mobile as it is, 1,500 electrons, 0.02 s. Expectation: variances add."""
     model, step = da_mobile.sensor, sensor.electrons_per_dn(da_mobile.sensor)
     raw, _ = sensor.expose(flat(1500), model, 0.02, 8)
-    expected = 1500 + 0.2 + 3.0**2 + 2.0**2 + (0.01 * 1500) ** 2 + step**2 / 12
+    expected = 1500 + 0.2 + 3.0**2 + 2.0**2 + 0.2**2 + 0.3**2 + 0.02**2 + (0.01 * 1500) ** 2 + step**2 / 12
     assert sensor.variance(model, 0.02).at(1500.0) == pytest.approx(expected, rel=1e-12)
     assert (raw * step).var() == pytest.approx(expected, rel=VARIANCE_LIMIT)
 
@@ -190,7 +194,8 @@ def test_all_users_give_a_pixel_the_same_variance(da_mobile):
     from validation.subjects import texture
 
     def by_hand(x, time_s):
-        return x + 10 * time_s + 3.0**2 + step**2 / 12 + 2.0**2 + (0.01 * x) ** 2
+        pattern = 2.0**2 + 0.2**2 + 0.3**2 + (0.1 * 10 * time_s) ** 2 + (0.01 * x) ** 2
+        return x + 10 * time_s + 3.0**2 + step**2 / 12 + pattern
 
     camera, time_s = cameras.cropped(da_mobile, 64, 48), 2.0
     step, raw = 6000 / 959, np.full((48, 64), 364, np.uint16)

@@ -33,7 +33,7 @@ SPP = {
 }  # the twin's picture is of one stop, and compared in means alone
 MEAN_SIGMA_PX = 3.0  # Gaussian of the local means whose colours are compared: noise is judged apart
 FOCUS_PX = 1.5  # visible blur up to which a pixel is in focus
-OTHER_SENSOR = 1000  # on the seed
+OTHER_SENSOR = 1000  # its seed, also on the capture's
 DARKEST = 0.02  # of the display's white: below it, neither eye nor display shows a colour
 
 
@@ -159,7 +159,8 @@ def noise(shot: Shot, developed: Developed) -> float:
     capture = shot.capture
     body = capture.camera.sensor
     light = sensor.electronic_crosstalk(sensor.mosaic(shot.truth.mean_e.astype(np.float64), capture.camera), body)
-    raw_dn, _ = sensor.expose(light, body, capture.exposure_s, capture.seed + OTHER_SENSOR)
+    other = body.model_copy(update={"sensor_seed": OTHER_SENSOR})
+    raw_dn, _ = sensor.expose(light, other, capture.exposure_s, capture.seed + OTHER_SENSOR)
     again = recon.develop(replace(capture, raw_dn=raw_dn), lights=[developed.light])
     first, second = (one.linear_e @ developed.matrix.T for one in (developed, again))
     return float(np.sqrt(np.mean((first - second) ** 2) / 2) / np.mean(first @ np.array(LUMINANCE)))
