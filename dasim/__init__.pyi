@@ -1,6 +1,6 @@
 from .base.errors import InputError
 from .camera.describe import describe
-from .camera.noise import Exposure
+from .camera.noise import Exposure, NoiseModel
 from .camera.pointspread import psf
 from .camera.specification import Camera, camera_names, cropped, load_camera, refocused
 from .dataset.reading import Dataset, Sample, open_dataset
@@ -28,6 +28,7 @@ __all__ = [
     "Exposure",
     "InputError",
     "MitsubaScene",
+    "NoiseModel",
     "PointPicture",
     "PointPictures",
     "PsfBank",

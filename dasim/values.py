@@ -92,7 +92,9 @@ class PointPictures:
     lights: tuple[str, ...]
     diffraction: str  # wave, airy or off
     count: int  # of pictures
-    fingerprint: str  # of everything that decides the pictures: pictures of the same fingerprint are the same
+    fingerprint: (
+        str | None
+    )  # equal for equal pictures, of all that determines them; None: unknown, banks are not cached
     make: Callable[[], Iterator[PointPicture]] = field(repr=False, compare=False)
 
     def __iter__(self) -> Iterator[PointPicture]:

@@ -1,12 +1,13 @@
 """The fixed pattern of a sensor: what differs from pixel to pixel and is the same in every frame of one camera.
 
 Sensitivity (PRNU), offset of pixels, rows and columns (DSNU), and dark current with its hot pixels belong to the sensor
-``sensor_seed``, not to a frame. They are drawn in tiles that are counted from the middle of the sensor, where the
-optical axis meets it, so that a central crop has the pattern of that part of the whole sensor.
+``sensor_seed``, not to a frame. They are drawn in tiles that are counted from the pixel that the optical axis meets, so
+that a window anywhere on the sensor has the pattern of that part of the whole.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from functools import lru_cache
 from typing import NamedTuple
@@ -14,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from dasim.camera.specification import Sensor
+from dasim.camera.specification import Sensor, principal_point
 from dasim.typing import Float32Array, FloatArray
 
 TILE_PX = 64
@@ -33,7 +34,7 @@ class FixedPattern(NamedTuple):
 
 
 def fixed_pattern(sensor: Sensor, shape: tuple[int, int]) -> FixedPattern:
-    """The fixed pattern of a frame of ``shape`` [h, w] in the middle of the sensor.
+    """The fixed pattern of the sensor, or of a frame of another ``shape`` [h, w] with the optical axis in its middle.
 
     Sensitivities are normal with the standard deviation ``prnu``, offsets normal with ``dsnu_e``, ``row_noise_e`` and
     ``column_noise_e``. Dark currents are log-normal about the sensor's mean, with the relative standard deviation
@@ -42,7 +43,8 @@ def fixed_pattern(sensor: Sensor, shape: tuple[int, int]) -> FixedPattern:
     """
     seed = sensor.sensor_seed or 0
     height, width = shape
-    top, left = -(height // 2), -(width // 2)
+    axis_px = principal_point(sensor) if shape == (sensor.height_px, sensor.width_px) else (width / 2, height / 2)
+    left, top = (-math.floor(place) for place in axis_px)
 
     def plane(stage: str, draw: Draw = np.random.Generator.standard_normal) -> Float32Array:
         return _drawn((seed, _STAGES[stage]), (top, left), (height, width), draw)

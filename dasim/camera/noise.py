@@ -12,8 +12,7 @@ pixels by their noise takes it from here; :func:`expose` draws it. Hot pixels ar
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,15 +31,22 @@ _MOST_E = 1e15  # electrons of a Poisson draw: more than any full well, and with
 # Randomness is keyed by (seed, stage): no stage depends on how many numbers another has drawn.
 _STAGES = {"shot": 1, "dark": 2, "read": 3}
 
-NoiseModel = Callable[[FloatArray, Sensor, float, int, float], tuple[NDArray[np.uint16], int]]
-"""A noise model: ``model(mean_e, sensor, time_s, seed, gain)`` gives raw numbers and how many pixels are saturated.
 
-``mean_e`` is [h, w] mean photo-electrons of the mosaic after electronic crosstalk, ``time_s`` the exposure time,
-``gain`` the analogue gain. ``seed`` is that of the frame; ``sensor.sensor_seed`` is that of what all frames of a camera
-share, see :func:`dasim.camera.fixed_pattern.fixed_pattern`. The raw numbers are uint16 [h, w], black level included, at
-most 2^``sensor.adc_bits`` - 1. The same arguments must give the same numbers. :func:`expose` is the bundled model,
-``examples/noise_model.py`` another.
-"""
+class NoiseModel(Protocol):
+    """A noise model: ``model(mean_e, sensor, time_s, seed, gain)`` gives raw numbers and how many pixels are saturated.
+
+    ``mean_e`` is [h, w] mean photo-electrons of the mosaic after electronic crosstalk, ``time_s`` the exposure time,
+    ``gain`` the analogue gain. ``seed`` is that of the frame; ``sensor.sensor_seed`` is that of what all frames of a
+    camera share, see :func:`dasim.camera.fixed_pattern.fixed_pattern`. The raw numbers are uint16 [h, w], black level
+    included, at most 2^``sensor.adc_bits`` - 1. The same arguments must give the same numbers. :func:`expose` is the
+    bundled model, ``examples/noise_model.py`` another.
+    """
+
+    def __call__(
+        self, mean_e: FloatArray, sensor: Sensor, time_s: float, seed: int, gain: float, /
+    ) -> tuple[NDArray[np.uint16], int]:
+        """Raw numbers [h, w] and the count of saturated pixels."""
+        ...
 
 
 class Exposure(Specification):

@@ -22,7 +22,7 @@ from dasim.scene.mitsuba_scene import MitsubaScene
 from dasim.scene.specification import Scene
 
 # Each part has its own random generator: changing the distribution of one part does not change the others.
-_STAGES = {"camera": 1, "light": 2, "focus": 3, "exposure": 4, "capture": 5, "splits": 6}
+_STAGES = {"camera": 1, "light": 2, "focus": 3, "exposure": 4, "capture": 5, "splits": 6, "sensor": 7}
 
 
 @dataclass(frozen=True)
@@ -44,7 +44,10 @@ def draft(spec: DatasetSpec, index: int) -> Draft:
     number = scene_number(spec, index)
     settings = values(spec, index)
     base = named_camera(spec, spec.cameras[_choice(spec, index)])
-    camera = cameras.cropped(with_values(base, _below(settings, "camera")), *spec.size_px)
+    changes = _below(settings, "camera")
+    if spec.sensor_per_sample:
+        changes["sensor.sensor_seed"] = _seed(spec, index, "sensor")
+    camera = cameras.cropped(with_values(base, changes), *spec.size_px)
     scene, exposure = _scene(spec, number, base)
     scene = _relight(scene, **_below(settings, "light"))
     if "focus.distance_m" in settings:
@@ -89,7 +92,11 @@ def _below(settings: dict[str, Any], stage: str) -> dict[str, Any]:
 
 def capture_seed(spec: DatasetSpec, index: int) -> int:
     """Seed of a sample's rendering and sensor noise."""
-    return int(np.random.SeedSequence((spec.seed, index, _STAGES["capture"])).generate_state(1)[0])
+    return _seed(spec, index, "capture")
+
+
+def _seed(spec: DatasetSpec, index: int, stage: str) -> int:
+    return int(np.random.SeedSequence((spec.seed, index, _STAGES[stage])).generate_state(1)[0])
 
 
 def scene_key(spec: DatasetSpec, number: int) -> str:

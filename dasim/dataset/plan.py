@@ -11,10 +11,11 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 from dasim.base.errors import InputError
+from dasim.base.fingerprint import fingerprint
 from dasim.dataset import storage
 from dasim.dataset.draws import scene_number, split_of_scene
 from dasim.dataset.sample import json_bytes
-from dasim.dataset.specification import DatasetSpec
+from dasim.dataset.specification import DatasetSpec, noise_model
 
 SCHEMA = 1
 MANIFEST = "dataset.json"
@@ -88,9 +89,13 @@ def log_name(part: tuple[int, int]) -> str:
 
 
 def description(spec: DatasetSpec, environment: dict[str, Any]) -> dict[str, Any]:
-    """Manifest of a dataset: schema, specification and its hash, and the environment that determines pixels."""
+    """Manifest of a dataset: schema, specification and its hash, and what else determines pixels.
+
+    That is the environment and, of a user's own noise model, the content of its files.
+    """
     data = spec.model_dump(mode="json")
-    return {"schema": SCHEMA, "spec": data, "spec_sha256": digest(data), **environment}
+    own = {} if spec.noise is None else {"noise": fingerprint(noise_model(spec), variant=environment["variant"])}
+    return {"schema": SCHEMA, "spec": data, "spec_sha256": digest(data), **own, **environment}
 
 
 def digest(data: Any) -> str:

@@ -23,7 +23,7 @@ import cv2
 import numpy as np
 
 from dasim.dataset.draws import Draft, draft
-from dasim.dataset.specification import DatasetSpec
+from dasim.dataset.specification import DatasetSpec, noise_model
 from dasim.files.captures import capture_meta
 from dasim.files.png import write_png16
 from dasim.files.truth import write_truth
@@ -103,6 +103,7 @@ def make(spec: DatasetSpec, index: int, variant: str) -> PackedSample:
         exposure=plan.exposure,
         diffraction=spec.diffraction,
         variant=variant,
+        noise=noise_model(spec),
     )
     render_s = time.perf_counter() - render_start
     files = _files(spec, plan, shot)

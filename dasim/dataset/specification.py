@@ -11,9 +11,10 @@ import numpy as np
 from pydantic import BeforeValidator, Field, field_validator, model_validator
 
 from dasim.base.errors import InputError
+from dasim.base.loading import load_function
 from dasim.base.toml import Specification, parse, parse_toml
 from dasim.camera import specification as cameras
-from dasim.camera.noise import LONGEST_EXPOSURE_S
+from dasim.camera.noise import LONGEST_EXPOSURE_S, NoiseModel, expose
 from dasim.camera.specification import Camera
 from dasim.files.truth import TRUTH_PARTS
 from dasim.random_scenes import specification
@@ -190,6 +191,12 @@ class DatasetSpec(Specification):
         description="percentile of the pixels at which noise_share is meant, 50 the median",
     )
     diffraction: Literal["wave", "airy", "off"] | None = None
+    noise: str | None = Field(
+        default=None, description="your own noise model: package.module:function or file.py:function, beside this file"
+    )
+    sensor_per_sample: bool = Field(
+        default=False, description="a sensor of its own for each sample; by default one per camera, see sensor_seed"
+    )
     scenes: SceneChoice = SceneChoice()
     cameras: tuple[CameraChoice, ...] = Field(default=(CameraChoice(name="da-mobile"),), min_length=1)
     light: LightChoice = LightChoice()
@@ -224,6 +231,14 @@ def load_spec(path: Path) -> DatasetSpec:
     return spec
 
 
+def noise_model(spec: DatasetSpec) -> NoiseModel:
+    """The noise model of the samples; InputError where the user's own cannot be loaded."""
+    if spec.noise is None:
+        return expose
+    source, colon, name = spec.noise.rpartition(":")
+    return load_function(f"{spec.folder / source if source.endswith('.py') else source}{colon}{name}", "noise model")
+
+
 def check(spec: DatasetSpec, where: str) -> None:
     """InputError with all problems: files that are missing, names that are unknown, values out of range.
 
@@ -248,6 +263,10 @@ def check(spec: DatasetSpec, where: str) -> None:
         except InputError as error:
             problems.append(f"light.illuminant: {error}")
     problems += _scene_problems(spec)
+    try:
+        noise_model(spec)
+    except InputError as error:
+        problems.append(f"noise: {error}")
     if problems:
         raise InputError(f"{where}: " + "; ".join(problems))
 

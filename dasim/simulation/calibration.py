@@ -11,8 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dasim.base.fingerprint import fingerprint
-from dasim.camera import geometry, noise, pointspread
-from dasim.camera.specification import Camera, as_camera
+from dasim.camera import geometry, pointspread
+from dasim.camera import noise as sensor_noise
+from dasim.camera.noise import Exposure, NoiseModel
+from dasim.camera.specification import Camera, Sensor, as_camera
 from dasim.spectra import illuminants
 from dasim.typing import FloatArray
 from dasim.values import PointPicture, PointPictures
@@ -23,6 +25,9 @@ CALIBRATION_LIGHTS = ("D65", "D55", "A", illuminants.ENERGY_SAVING)
 # hides the tails of a kernel, and near-infrared under a lamp with little of it.
 EXPOSURES = (256.0, 16.0, 1.0)
 EXPOSURE_S = 0.01
+# The source is put up anew for each light and level: its image lies this far from the axis, in periods of the mosaic,
+# on pixels of its own.
+_REACH = 32
 _BACKGROUND_SHARE = 1e-3  # of the peak: stray light, which the calibration must remove
 
 
@@ -39,13 +44,14 @@ def calibration_captures(
     frames: int = FRAMES,
     seed: int = 0,
     diffraction: str = "wave",
+    noise: NoiseModel = sensor_noise.expose,
 ) -> PointPictures:
     """Pictures of a point source for each light, blur level, mosaic position and exposure.
 
     The kernels are the camera's own (a path-traced point source converges too slowly to calibrate with), at an unknown
-    sub-pixel position for each light and level. They pass through the sensor model with automatic exposure to 85 % of
-    full scale and with longer ones (``EXPOSURES``). ``shift_px`` covers one period of the mosaic. The pictures do not
-    depend on the size of the camera's frame.
+    place within some tens of pixels of the axis for each light and level, where they meet the sensor's fixed pattern.
+    They pass through the sensor model with automatic exposure to 85 % of full scale and with longer ones
+    (``EXPOSURES``). ``shift_px`` covers one period of the mosaic. The pictures do not depend on the camera's frame.
 
     Args:
         camera: a Camera, a bundled name or a path; its own focus is used
@@ -53,44 +59,47 @@ def calibration_captures(
         frames: number of frames of each picture
         seed: of the positions and of the sensor noise
         diffraction: ``wave``, ``airy`` or ``off``
+        noise: the noise model, see :data:`dasim.camera.noise.NoiseModel`; a bank with another one than the bundled
+            is not stored in the cache
     """
     camera = as_camera(camera)
     levels_count, positions = len(levels(camera)[0]), len(camera.sensor.mosaic) * len(camera.sensor.mosaic[0])
     description = camera.model_dump(mode="json")
-    for size in ("width_px", "height_px"):
+    for size in ("width_px", "height_px", "principal_point_px"):
         del description["sensor"][size]
+    bundled = noise is sensor_noise.expose
     decisive = json.dumps([description, list(lights), frames, seed, diffraction], sort_keys=True)
     return PointPictures(
         camera,
         tuple(lights),
         diffraction,
         count=len(lights) * levels_count * positions * len(EXPOSURES),
-        fingerprint=fingerprint(_pictures, values=[decisive], excluding=("cameras", "scenes")),
-        make=partial(_pictures, camera, tuple(lights), frames, seed, diffraction),
+        fingerprint=fingerprint(_pictures, values=[decisive], excluding=("cameras", "scenes")) if bundled else None,
+        make=partial(_pictures, camera, tuple(lights), frames, seed, diffraction, noise),
     )
 
 
 def _pictures(
-    camera: Camera, lights: Sequence[str], frames: int, seed: int, diffraction: str
+    camera: Camera, lights: Sequence[str], frames: int, seed: int, diffraction: str, model: NoiseModel
 ) -> Iterator[PointPicture]:
     """The pictures, by level, light, shift and exposure."""
     depths, blurs = levels(camera)
     side = _frame_side_px(camera, float(blurs[-1]))
-    local = camera.sensor.model_copy(update={"width_px": side, "height_px": side})
-    frame_camera = camera.model_copy(update={"sensor": local})
     powers = np.stack([illuminants.illuminant(light) for light in lights])
     kernels_at = pointspread.kernels(camera, blurs, powers, side - 1, diffraction)
-    shifts = list(np.ndindex(len(local.mosaic), len(local.mosaic[0])))
+    shifts = list(np.ndindex(len(camera.sensor.mosaic), len(camera.sensor.mosaic[0])))
     for level, (blur, depth) in enumerate(zip(blurs, depths, strict=True)):
         for light_index, light in enumerate(lights):
             key = np.random.SeedSequence((seed, light_index, level))
-            place = np.random.Generator(np.random.Philox(key)).uniform(-0.5, 0.5, 2)
+            random = np.random.Generator(np.random.Philox(key))
+            place = random.uniform(-0.5, 0.5, 2)
             flux = _flux(*kernels_at(level, (place[0], place[1]), light_index))
             noise_seed = int(key.generate_state(1)[0])
+            window = camera.model_copy(update={"sensor": _window(camera.sensor, side, random)})
             for number, (dy, dx) in enumerate(shifts):
                 first = frames * number * len(EXPOSURES)
                 moved = np.roll(flux, (dy, dx), axis=(0, 1))
-                for time_s, frames_dn in _exposures(moved, frame_camera, frames, noise_seed, first):
+                for time_s, frames_dn in _exposures(moved, window, frames, noise_seed, first, model):
                     yield PointPicture(frames_dn, light, level, float(depth), float(blur), (dy, dx), time_s)
 
 
@@ -102,6 +111,14 @@ def _frame_side_px(camera: Camera, widest_blur_px: float) -> int:
     return needed // period * period + period
 
 
+def _window(sensor: Sensor, side: int, random: np.random.Generator) -> Sensor:
+    """A square of the sensor at a random place near the axis, in whole periods of the mosaic."""
+    periods = len(sensor.mosaic[0]), len(sensor.mosaic)
+    offset = [period * int(random.integers(-_REACH, _REACH + 1)) for period in periods]
+    axis_px = (side / 2 - offset[0], side / 2 - offset[1])
+    return sensor.model_copy(update={"width_px": side, "height_px": side, "principal_point_px": axis_px})
+
+
 def _flux(kernel: FloatArray, signal: FloatArray) -> FloatArray:
     """Relative flux of every channel on a frame of even side, [side, side, channel], with a little stray light."""
     side = kernel.shape[-1] + 1
@@ -111,20 +128,19 @@ def _flux(kernel: FloatArray, signal: FloatArray) -> FloatArray:
 
 
 def _exposures(
-    flux: FloatArray, camera: Camera, frames: int, seed: int, first: int
+    flux: FloatArray, camera: Camera, frames: int, seed: int, first: int, model: NoiseModel
 ) -> Iterator[tuple[float, NDArray[np.uint16]]]:
-    """Exposure time and frames [frame, h, w] of each of ``EXPOSURES``; their noise is numbered from ``first``.
+    """Exposure time and frames [frame, h, w] of each of ``EXPOSURES``; their seeds are numbered from ``first``.
 
     The strongest channel, seen by a pixel of the mosaic or not, sets the exposure, so that it is the same for all
     shifts.
     """
-    scale = noise.Exposure().auto_level * noise.saturation_e(camera.sensor) / flux.max()
-    mean_e = scale * noise.mosaic(flux, camera)
+    scale = Exposure().auto_level * sensor_noise.saturation_e(camera.sensor) / flux.max()
+    mean_e = scale * sensor_noise.mosaic(flux, camera)
     for number, times in enumerate(EXPOSURES):
         time_s = times * EXPOSURE_S
-        collected_e = noise.electronic_crosstalk(times * mean_e, camera.sensor)
-        shots = [
-            noise.expose(collected_e, camera.sensor, time_s, seed, frame=first + number * frames + frame)[0]
-            for frame in range(frames)
-        ]
+        collected_e = sensor_noise.electronic_crosstalk(times * mean_e, camera.sensor)
+        keys = [np.random.SeedSequence((seed, first + number * frames + frame)) for frame in range(frames)]
+        seeds = [int(key.generate_state(1)[0]) for key in keys]
+        shots = [sensor_noise.apply(model, collected_e, camera.sensor, time_s, each, 1.0)[0] for each in seeds]
         yield time_s, np.stack(shots)

@@ -48,6 +48,7 @@ def calibrate(
         return psf_bank.calibrate(pictures, camera, diffraction=diffraction, progress=progress)
     if camera is not None and camera != pictures.camera:
         raise InputError("calibrate: camera differs from that of the simulated pictures; leave it out")
+    cache = cache and pictures.fingerprint is not None
     path = bank_file(pictures)
     if cache and path.is_file():
         try:
@@ -66,7 +67,8 @@ def calibrate(
 
 def bank_file(pictures: PointPictures) -> Path:
     """Path of the bank of simulated pictures in the cache folder, whether or not it exists."""
-    name = fingerprint(psf_bank.calibrate, save_bank, values=[pictures.fingerprint], excluding=("cameras", "scenes"))
+    values = [str(pictures.fingerprint)]
+    name = fingerprint(psf_bank.calibrate, save_bank, values=values, excluding=("cameras", "scenes"))
     return cache_dir() / "banks" / f"{name}.npz"
 
 

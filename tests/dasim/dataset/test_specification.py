@@ -67,6 +67,8 @@ CAMERA = '[[cameras]]\nname = "da-mobile"\n[cameras.vary]\n'
         ("scenes = {family = 'files', files = ['a', 'a']}", ["'a' is twice"]),
         ("scenes = {family = 'files'}", ["files is missing"]),
         ("scenes = {family = 'bundled', names = ['dessk']}", ["'dessk' is unknown", "desk"]),
+        ("noise = 'own.py:model'", ["noise: noise model", "own.py cannot be read"]),
+        ("noise = 'own'", ["package.module:function or file.py:function is needed"]),
         ("scenes = {files = ['a.toml']}", ["files is for family = 'files'"]),
         ("cameras = [{name = 'da-mobil'}]", ["cameras.0", "da-mobil", "da-mobile"]),
         ("size_px = [100000, 384]", ["cameras.0", "100000"]),
@@ -548,3 +550,17 @@ def test_webdataset_library(both):
     done = subprocess.run([sys.executable, "-c", program, *shards], capture_output=True, text=True, check=True)
     rows = dasim.open_dataset(both["webdataset"]).rows
     assert dict(map(json.loads, done.stdout.splitlines())) == {row["key"]: row["sha256"] for row in rows}
+
+
+# --- sensors -------------------------------------------------------------------------------------
+
+
+def test_samples_share_a_sensor_unless_each_has_its_own():
+    """Expectation: the frames' seeds differ; the sensor is the camera's, or another for each sample, the same again."""
+    shared, own = (
+        [draws.draft(spec_of(sensor_per_sample=each), index) for index in range(3)] for each in (False, True)
+    )
+    assert {plan.camera.sensor.sensor_seed for plan in shared} == {dasim.load_camera("da-mobile").sensor.sensor_seed}
+    assert len({plan.camera.sensor.sensor_seed for plan in own}) == len({plan.seed for plan in shared}) == 3
+    again = draws.draft(spec_of(sensor_per_sample=True), 1)
+    assert again.camera == own[1].camera and [plan.seed for plan in own] == [plan.seed for plan in shared]

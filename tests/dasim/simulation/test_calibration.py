@@ -134,3 +134,40 @@ def test_frames_hold_the_pictures_of_displaced_stops(da_mobile, centre):
         blur = pictures[level, (0, 0)].blur_px
         np.testing.assert_allclose((place / total)[::-1], -np.array(centre) * blur / 2, atol=0.5 + PLACE_LIMIT_PX)
         assert max(rim) == 0
+
+
+def test_a_noise_model_of_ones_own_makes_the_pictures(da_mobile):
+    """Expectation: it is called once per frame, with a seed of its own, and its numbers are the frames; the pictures
+    have no fingerprint, so that their bank is not cached.
+    """
+    seeds = []
+
+    def model(mean_e, sensor, time_s, seed, gain):
+        seeds.append(seed)
+        return np.full(mean_e.shape, 70 + len(seeds), np.uint16), 0
+
+    pictures = calibration_captures(cameras.cropped(da_mobile, 64, 48), ("A",), diffraction="off", noise=model)
+    first = next(iter(pictures))
+    assert first.frames_dn.shape[0] == FRAMES == len(set(seeds)) and set(np.unique(first.frames_dn)) == {71, 72}
+    assert pictures.fingerprint is None
+
+
+def test_pictures_of_two_levels_meet_other_pixels_of_one_sensor(da_mobile):
+    """Rationale: the fixed pattern is the sensor's; the image of a source that is put up anew lies elsewhere on it.
+
+    Expectation: one sensor in all pictures, one window on it for all pictures of a level, others for other levels (29
+    of 4,225 windows at random).
+    """
+    places = []
+
+    def model(mean_e, sensor, time_s, seed, gain):
+        places.append((sensor.sensor_seed, sensor.principal_point_px))
+        return np.zeros(mean_e.shape, np.uint16), 0
+
+    small = cameras.cropped(da_mobile, 64, 48)
+    pictures = list(calibration_captures(small, ("A",), diffraction="off", noise=model))
+    assert {seed for seed, _ in places} == {da_mobile.sensor.sensor_seed}
+    per_level = len(places) // 29
+    levels = [set(places[k * per_level : (k + 1) * per_level]) for k in range(29)]
+    assert len(pictures) == 29 * 4 * len(EXPOSURES) and all(len(level) == 1 for level in levels)
+    assert len(set.union(*levels)) > 20

@@ -10,7 +10,7 @@ from dasim.spectra import grid, illuminants
 from validation.claims.cost import datasets, scenes
 from validation.claims.depth import ground_truth
 from validation.claims.light import electrons as light
-from validation.claims.light import mixed, noise
+from validation.claims.light import mixed, noise, pattern
 from validation.claims.optics import bank, camera, diffraction, edges, off_axis
 from validation.claims.optics import blur as lens
 from validation.claims.pictures import colour
@@ -228,6 +228,27 @@ def test_noise_doubled_fails(monkeypatch, factor):
     monkeypatch.setattr(noise, "SIZE_PX", (256, 256))
     slope, _, ratio, _ = verdicts("photon-transfer", noise.photon_transfer)
     assert (slope, ratio) == ((True, True) if factor == 1 else (False, False))
+
+
+@pytest.mark.parametrize("good", [pytest.param(True, marks=pytest.mark.slow), False])
+def test_pattern_of_the_frames_seed_fails(renderer, monkeypatch, good):
+    """Set-up: the sensor as it is, or, in smaller frames, with a fixed pattern that is drawn anew for each frame.
+
+    Expectation: then the stacks share nothing, the variance from frame to frame is too large, and no flat corrects.
+    """
+    import itertools
+
+    from dasim.camera import noise as sensor
+
+    if not good:
+        true, seeds = sensor.fixed_pattern, itertools.count()
+        monkeypatch.setattr(
+            sensor, "fixed_pattern", lambda s, shape: true(s.model_copy(update={"sensor_seed": next(seeds)}), shape)
+        )
+        monkeypatch.setattr(pattern, "SIZE_PX", (96, 72))
+    verdict = {e.id: e.passed for e in entries("fixed-pattern", pattern.fixed_pattern)}
+    assert len(verdict) == 6 and (all(verdict.values()) if good else True)
+    assert [verdict[f"fixed-pattern.{name}"] for name in ("pattern", "temporal", "corrected")] == [good] * 3
 
 
 @pytest.mark.parametrize("good", [True, False])
