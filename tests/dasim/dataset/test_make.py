@@ -54,7 +54,7 @@ def reference(spec, tmp_path_factory) -> dict[str, str]:
 
 @pytest.fixture
 def remembered(monkeypatch):
-    """Each sample is rendered once; that rendering it again gives the same is shown by other tests."""
+    """Render each sample once and reuse it; other tests show that rendering it again gives the same bytes."""
     memory, render = {}, sample.make
 
     def remember(spec, index, variant):
@@ -91,7 +91,7 @@ def test_runs_of_a_part_each_make_the_same_bytes(spec, reference, tmp_path, reme
 
 
 def test_runs_side_by_side_make_the_same_bytes(spec, reference, tmp_path, remembered):
-    """All of them begin, write and finish at the same time; the sweep of one leaves the files of the others."""
+    """Several runs begin, write and finish at the same time; the sweep of one leaves the files of the others."""
     make_dataset(spec, tmp_path / "first")  # fills what is remembered
     for attempt in range(4):
         out = tmp_path / f"ds{attempt}"
@@ -113,7 +113,7 @@ def test_runs_side_by_side_make_the_same_bytes(spec, reference, tmp_path, rememb
 
 
 def test_workers_that_crash_cost_their_own_sample_alone(spec, reference, tmp_path):
-    """Two processes; the renderer ends its process at the last sample always, at the one before once."""
+    """Set-up: two processes; the renderer ends its process at the last sample always, and once at the one before."""
     out = tmp_path / "ds"
     done = make_dataset(spec, out, executors.local(2, deadly))
     assert set(done.failed) == {23} and "SIGKILL" in done.failed[23]
@@ -134,7 +134,7 @@ def test_workers_that_crash_cost_their_own_sample_alone(spec, reference, tmp_pat
 
 
 def started(spec: Path, out: Path, jobs: str) -> subprocess.Popen:
-    """A run of the command in a process of its own, of which two samples at least are made."""
+    """A run of the command in a separate process that has made at least two samples."""
     program = "from dasim.cli import main; main()"
     command = [sys.executable, "-c", program, "dataset", "make", str(spec), "--out", str(out), "--jobs", jobs]
     process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
@@ -146,7 +146,7 @@ def started(spec: Path, out: Path, jobs: str) -> subprocess.Popen:
 
 
 def goes_on(spec: Path, out: Path) -> dict[str, str]:
-    """Checksums after the run was taken up again; nothing that was made is made twice."""
+    """Checksums after the run was resumed; nothing is made twice."""
     have = {int(path.stem) for path in out.glob("parts/[0-9]*.tar")}
     lines = len((out / "make.log").read_text().splitlines())
     make_dataset(spec, out)
@@ -176,7 +176,9 @@ def test_killed_run_goes_on(spec, reference, tmp_path):
 
 
 def test_half_written_files_of_the_dead_are_swept(tmp_path):
-    """Those of another computer stay until they are a day old."""
+    """Unfinished files of processes that have ended are removed; those of another computer stay until they are a day
+    old.
+    """
     dead = subprocess.Popen(["true"])
     dead.wait()
     here = platform.node()
@@ -195,12 +197,12 @@ def test_half_written_files_of_the_dead_are_swept(tmp_path):
 
 
 class Killed(BaseException):
-    """What nothing catches."""
+    """An exception that no code catches."""
 
 
 @pytest.fixture
 def interrupted(monkeypatch):
-    """Ends a run before its n-th change of the files, or with a full disk; None lets it be."""
+    """A function that makes a run end before its n-th change of the files, or with a full disk; None lets it finish."""
     left: list[int | None] = [None]
     error: list[BaseException] = [Killed()]
 
@@ -229,7 +231,9 @@ FULL = OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 @pytest.mark.parametrize("form", ["webdataset", "folders"])
 @pytest.mark.parametrize("end", [None, FULL], ids=["killed", "full"])
 def test_ends_at_any_change_of_the_files(form, end, tmp_path, interrupted, remembered, renderer):
-    """Run until the n-th write or removal, for every n, and then to the end: the same bytes, no sample made twice."""
+    """A run that is ended at the n-th write or removal, for every n, and then resumed gives the same bytes; no sample
+    is made twice.
+    """
     spec = spec_file(tmp_path, samples=3, format=form)
     make_dataset(spec, tmp_path / "reference")
     reference = whole(tmp_path / "reference")
@@ -255,7 +259,7 @@ def test_ends_at_any_change_of_the_files(form, end, tmp_path, interrupted, remem
 
 
 def test_retry_ends_at_any_change_of_the_files(tmp_path, interrupted, remembered, renderer):
-    """As above, with the run that tries a failed sample again after its mesh was repaired."""
+    """The same for a run that tries a failed sample again after its mesh was repaired."""
     (tmp_path / "mesh.toml").write_text(WALL + MESH)
     spec = spec_file(tmp_path, samples=4, files=["wall.toml", "mesh.toml"], samples_per_shard=3)
     (tmp_path / "thing.obj").write_text(SQUARE)
@@ -281,7 +285,7 @@ def test_retry_ends_at_any_change_of_the_files(tmp_path, interrupted, remembered
 
 
 def only_mesh_fails(job, queue):
-    """The samples of the broken mesh were rendered before it broke; here they fail."""
+    """The samples of the broken mesh, which were rendered before it broke, fail here."""
     while queue:
         index = queue.popleft()
         yield executors.Outcome(index, "broken") if index % 2 else work.work(job, index)
@@ -324,7 +328,7 @@ def test_full_temporary_folder_is_nobodys_sample(spec, tmp_path, monkeypatch):
 
 
 def test_file_beyond_the_limit_of_a_process_is_a_full_disk(spec, reference, tmp_path):
-    """The same by the operating system, which cuts writes short: RLIMIT_FSIZE at 40 kB."""
+    """The operating system cuts writes short (RLIMIT_FSIZE of 40 kB), which counts as a full disk."""
     out = tmp_path / "ds"
     program = (
         "import resource, sys; from tests.support.datasets import make_dataset, inline; from pathlib import Path\n"
@@ -351,7 +355,7 @@ def test_file_beyond_the_limit_of_a_process_is_a_full_disk(spec, reference, tmp_
 
 
 def test_worker_with_other_libraries_makes_nothing(spec, tmp_path, monkeypatch):
-    """Pixels would differ: the run ends before the first one is written."""
+    """Pixels would differ, so that the run ends before the first sample is written."""
     monkeypatch.setattr(sample, "environment", lambda variant: {"variant": variant, "llvm": "0", "cpu": "abacus"})
     with pytest.raises(InputError, match="this worker has another llvm, cpu than the dataset"):
         make_dataset(spec, tmp_path / "ds")

@@ -30,7 +30,7 @@ SLACK_S = 2.0  # beyond the ten seconds that an address gets
 
 @pytest.fixture
 def cluster(monkeypatch):
-    """A head without processors, and two nodes of one each that can be removed."""
+    """A head without processors, and two removable nodes with one processor each."""
     from ray.cluster_utils import Cluster
 
     before = os.environ.get("PYTHONPATH")
@@ -81,7 +81,7 @@ def test_worker_and_node_die_in_the_middle(cluster, tmp_path, renderer):
 
 @pytest.mark.parametrize("kind", ["closed", "silent", "variable", "no address", "nobody"])
 def test_address_that_does_not_answer(kind, monkeypatch):
-    """Within ten seconds, in one line that says what to do."""
+    """Expectation: within ten seconds, a message of one line that says what to do."""
     monkeypatch.delenv("RAY_ADDRESS", raising=False)
     port = free_port()
     address = f"ray://127.0.0.1:{port}"

@@ -22,7 +22,7 @@ pytestmark = [
 
 @pytest.fixture(scope="module")
 def address(renderer):
-    """A bucket of a server on this computer, found by the variables that the AWS tools know."""
+    """A bucket of a server on this computer, configured by the variables of the AWS tools."""
     server = moto_server.ThreadedMotoServer(ip_address="127.0.0.1", port=0, verbose=False)
     server.start()
     host, port = server.get_host_and_port()
@@ -38,7 +38,7 @@ def address(renderer):
 
 @pytest.mark.parametrize("form", ["webdataset", "folders"])
 def test_same_bytes_as_in_a_folder(form, address, tmp_path):
-    """By two runs of a half each; nothing of the way there is left behind."""
+    """Two runs make one half each; no intermediate file remains."""
     spec = spec_file(tmp_path, format=form)
     out = f"{address}/{form}/ds"
     for part in (2, 1):
@@ -73,7 +73,7 @@ def test_command_by_processes_of_their_own(address, tmp_path, capsys):
 
 
 def test_store_that_refuses_ends_the_run_and_nothing_is_lost(address, tmp_path, monkeypatch):
-    """As a full disk does: no sample is blamed, and the run goes on where it was."""
+    """A store that refuses counts as a full disk: no sample fails, and the run can be resumed."""
     spec, out = spec_file(tmp_path), f"{address}/refused"
     write, count = storage.write, [0]
 
@@ -103,7 +103,7 @@ def test_bucket_that_is_not_there(address, tmp_path, capsys, monkeypatch):
 
 
 def test_store_that_does_not_answer(address, tmp_path, capsys, monkeypatch):
-    """In one line, after the tries of its library."""
+    """Expectation: a message of one line, after the library's own attempts."""
     monkeypatch.setenv("AWS_ENDPOINT_URL", "http://127.0.0.1:9")
     monkeypatch.setenv("AWS_MAX_ATTEMPTS", "1")
     storage._file_system_of_process.cache_clear()

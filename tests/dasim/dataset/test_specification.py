@@ -79,7 +79,7 @@ CAMERA = '[[cameras]]\nname = "da-mobile"\n[cameras.vary]\n'
     ],
 )
 def test_impossible_specification_is_refused(text, parts, tmp_path):
-    """In one line, with the key and what is allowed."""
+    """Expectation: one line with the key and what is allowed."""
     data = 'name = "test"\n' + ("" if "samples =" in text else "samples = 4\n") + text
     (tmp_path / "spec.toml").write_text(data)
     with pytest.raises(InputError) as refused:
@@ -123,7 +123,7 @@ def test_unreadable_specification_is_refused(content, tmp_path):
 @pytest.mark.parametrize("count", [3, 10, 101])
 @pytest.mark.parametrize("captures", [1, 3])
 def test_no_scene_is_in_two_splits(count, captures):
-    """Each split gets its share of the scenes, to the rounding, and one at least."""
+    """Each split gets its share of the scenes, rounded, and at least one scene."""
     shares = {"train": 0.8, "val": 0.19, "test": 0.01}
     spec = spec_of(samples=count * captures, splits=shares, scenes={"captures_per_scene": captures})
     split_of: dict[int, set[str]] = {}
@@ -140,7 +140,7 @@ def test_no_scene_is_in_two_splits(count, captures):
 
 
 def test_distributions_are_what_they_are_called():
-    """Means and shares of many draws, within five standard deviations."""
+    """Limit: five standard deviations, for means and shares of many samples."""
     spec = spec_of(
         focus={"distance_m": {"log_uniform": [0.1, 10]}},
         exposure={"gain": {"uniform": [1, 3]}},
@@ -161,7 +161,7 @@ def test_distributions_are_what_they_are_called():
 
 
 def test_sample_depends_on_its_index_alone():
-    """More samples, another shard size or other distributions of one part leave the others as they are."""
+    """More samples, another shard size, or other distributions of one part leave the other parts unchanged."""
     base = {"focus": {"distance_m": {"uniform": [1, 2]}}, "exposure": {"gain": {"uniform": [1, 2]}}}
     first = spec_of(**base)
     more = spec_of(**base, samples_per_shard=7, light={"scale": {"uniform": [1, 2]}}).model_copy(
@@ -226,7 +226,7 @@ def test_both_formats_hold_the_same(both):
 
 @pytest.mark.parametrize("form", ["webdataset", "folders"])
 def test_dataset_is_a_sequence(both, form):
-    """By number, from the end, in slices, one after the other: each is the sample that the index says."""
+    """Each sample is the one that the index names, whether read by number, from the end, in slices, or in sequence."""
     dataset = dasim.open_dataset(str(both[form]))
     samples = list(dataset)
     assert [sample.index for sample in samples] == list(range(6))
@@ -243,7 +243,7 @@ def test_dataset_is_a_sequence(both, form):
 
 
 def test_folders_are_captures(both):
-    """Each is read by what reads captures, apart from the datasets."""
+    """Each folder is read by the functions for captures."""
     sample = dasim.open_dataset(both["folders"])[0]
     folder = both["folders"] / sample.split / "000000000"
     capture, truth = dasim.load_capture(folder), dasim.load_truth(folder)
@@ -252,7 +252,7 @@ def test_folders_are_captures(both):
 
 
 def test_shards_are_in_the_webdataset_form(both):
-    """Members of a sample follow each other, called KEY.raw.png and so on; nothing tells who wrote them."""
+    """The members of a sample follow each other with the names KEY.raw.png and so on; they do not state an owner."""
     for path in sorted(both["webdataset"].glob("*.tar")):
         with tarfile.open(path) as tar:
             infos = tar.getmembers()
@@ -287,7 +287,9 @@ def test_card_says_what_is_in_it(both):
 
 
 def test_half_floats_without_a_margin(tmp_path, renderer):
-    """Half floats are off by half of their last bit, depth and labels by nothing; a margin is cut from the truth."""
+    """Half floats are off by at most half of their last bit, depth and labels are exact, and the truth lacks its
+    margin.
+    """
     base = spec_file(tmp_path, samples=1)
     make_dataset(base, tmp_path / "whole")
     base.write_text(base.read_text() + "[truth]\nhalf = true\nmargin_px = 4\nkeep = ['depth', 'mean_e', 'labels']\n")
@@ -308,7 +310,7 @@ def test_half_floats_without_a_margin(tmp_path, renderer):
 
 
 def problems(out: Path) -> list[str]:
-    """What verify finds, as the command would say it."""
+    """The problems that verify reports, one line each."""
     try:
         return list(verify.problems(str(out)))
     except InputError as error:
@@ -317,7 +319,7 @@ def problems(out: Path) -> list[str]:
 
 @pytest.mark.parametrize("form", ["webdataset", "folders"])
 def test_verify_finds_one_flipped_bit_in_any_file(both, form, tmp_path):
-    """In the first and last byte, in the middle, and in what a tar file is padded with."""
+    """Set-up: one bit flipped in the first or last byte, in the middle, or in the padding of a tar file."""
     out = tmp_path / "ds"
     shutil.copytree(both[form], out)
     assert problems(out) == []
@@ -348,7 +350,9 @@ def test_verify_finds_missing_and_extra_files(both, form, tmp_path):
 
 
 def test_verify_reads_more_than_checksums(both, tmp_path):
-    """A dataset whose checksums were written anew after a change: rows, seeds and pixels are looked at themselves."""
+    """Set-up: a dataset that was changed and whose checksums were then rewritten. Expectation: rows, seeds and pixels
+    are checked too.
+    """
     out = tmp_path / "ds"
     shutil.copytree(both["folders"], out)
     (folder,) = out.glob("*/000000002")
@@ -375,7 +379,7 @@ def test_verify_reads_more_than_checksums(both, tmp_path):
 
 
 def reseal(out: Path, path: Path, before: bytes) -> None:
-    """Write the index and the checksums for the files as they are now, as somebody who cheats would."""
+    """Rewrite the index and the checksums for the files as they are now, as in a forgery."""
     import hashlib
 
     import pyarrow
@@ -391,7 +395,7 @@ def reseal(out: Path, path: Path, before: bytes) -> None:
 
 
 def test_verify_needs_no_sources(both, tmp_path, monkeypatch):
-    """Far from the scenes that it was made of."""
+    """A dataset can be verified where the files of its scenes are missing."""
     shutil.copytree(both["webdataset"], tmp_path / "elsewhere")
     monkeypatch.chdir(tmp_path)
     assert problems(Path("elsewhere")) == []
@@ -410,7 +414,7 @@ def test_verify_of_an_unfinished_dataset(tmp_path, renderer):
 
 @pytest.fixture
 def command(monkeypatch, capsys, renderer):
-    """``dasim dataset`` in this process: exit status, and what it prints."""
+    """Run ``dasim dataset`` in this process; returns exit status, stdout and stderr."""
     monkeypatch.setattr(executors, "local", lambda *_, **options: inline)
 
     def call(*arguments) -> tuple[int, str, str]:
@@ -497,7 +501,7 @@ def test_impossible_options_are_refused(options, message, command, tmp_path):
 
 
 def test_folder_without_permission_is_refused(command, tmp_path):
-    """A folder that cannot be written to: one without permission, or one of the system's where root may do anything."""
+    """Set-up: a folder without write permission, or a system folder if the user is root."""
     closed = tmp_path / "closed"
     closed.mkdir(mode=0o500)
     out = Path("/proc/dasim") if os.access(closed, os.W_OK) else closed / "ds"
@@ -506,7 +510,7 @@ def test_folder_without_permission_is_refused(command, tmp_path):
 
 
 def test_a_disk_that_is_too_small_is_reported_before_the_start(command, tmp_path, monkeypatch):
-    """The estimate is above what comes out, and not many times."""
+    """The estimate of the size is above the actual size, but not many times."""
     spec = spec_file(tmp_path)
     described = load_spec(spec)
     monkeypatch.setattr(storage, "free_bytes", lambda out: 1000)
@@ -538,7 +542,7 @@ def test_torch_loader(both):
 
 
 def test_webdataset_library(both):
-    """Another reader of the format finds the same samples, without ours but for the truth's file."""
+    """The library webdataset reads the same samples, without dasim except for the file of the truth."""
     pytest.importorskip("webdataset", reason="webdataset is not installed")
     shards = sorted(str(path) for path in both["webdataset"].glob("*.tar"))
     program = (

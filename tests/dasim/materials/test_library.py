@@ -24,7 +24,7 @@ INK_LIMIT = 0.03  # of the paper, from 760 nm: cyan's long tail
 
 
 def weighted(surface, y: int, x: int) -> list[tuple[float, np.ndarray]]:
-    """Shares and reflectances of everything a pixel of a texture is made of."""
+    """Shares and reflectances of all components at a pixel of a texture."""
     if isinstance(surface, Diffuse):
         return [(1.0, surface.reflectance)]
     assert isinstance(surface, Mixture)
@@ -39,7 +39,7 @@ def colour_of(surface, y: int, x: int) -> np.ndarray:
 
 @pytest.fixture
 def photograph(tmp_path):
-    """A picture of given 8-bit sRGB colours, one a column."""
+    """A picture of given 8-bit sRGB colours, one per column."""
 
     def write(*rgb: tuple[int, int, int]) -> Path:
         data = np.array([rgb, rgb], np.uint8)[..., ::-1]
@@ -157,7 +157,7 @@ NEAR = WAVELENGTH_NM >= 720
 
 
 def perceived(reflectance: np.ndarray) -> np.ndarray:
-    """CIELAB under D65, 1931 observer, white the perfect diffuser."""
+    """CIELAB of a reflectance under D65, 1931 observer; white is the perfect diffuser."""
     observer = colour.MSDS_CMFS["CIE 1931 2 Degree Standard Observer"]
     matching = np.stack([np.interp(WAVELENGTH_NM, observer.wavelengths, column) for column in observer.values.T])
     power = illuminants.illuminant("D65")
@@ -262,9 +262,9 @@ def texture(**data) -> Texture:
 
 
 def test_mix_lays_materials_over_each_other(tmp_path):
-    """Set-up: a mask of 0, 128 and 255; a second, even one of 51 (a fifth) on top.
+    """Set-up: a mask of 0, 128 and 255; a second layer with a uniform mask of 51 (a fifth) on top.
 
-    Expectation: masks are shares as they stand, without decoding; the last layer covers a fifth of everything.
+    Expectation: mask values are shares, without sRGB decoding; the last layer covers a fifth of everything.
     """
     cv2.imwrite(str(tmp_path / "mask.png"), np.array([[0, 128, 255]], np.uint8))
     cv2.imwrite(str(tmp_path / "even.png"), np.full((1, 3), 51, np.uint8))
@@ -286,7 +286,9 @@ def test_parts_may_be_described_in_place(tmp_path):
 
 
 def test_spectrum_of_ones_own(tmp_path):
-    """Expectation: straight lines between its points, from a file or in place; what lies outside is not used."""
+    """Expectation: linear interpolation between the points, from a file or in place; points outside the band are
+    ignored.
+    """
     points = [(380.0, 1.7), (390.0, 0.2), (600.0, 0.8), (900.0, 0.2)]
     rows = "".join(f"{nm}, {value}\n" for nm, value in points)
     (tmp_path / "mine.csv").write_text(f"# my paint\nwavelength_nm, reflectance\n{rows}")

@@ -32,7 +32,7 @@ SIGMAS = 5.0  # a share over n draws: misses one in two million right generators
 
 @pytest.fixture(scope="module")
 def samples() -> list[tuple[dasim.Scene, list[Measured]]]:
-    """Scenes and all their objects, each measured while its meshes are at hand."""
+    """Scenes with all of their objects, each measured while its meshes are loaded."""
     scenes_drawn = (dasim.random_scene(SEED, index) for index in range(DRAWS))
     return [(scene, [measure(item, scene) for item in things(scene)]) for scene in scenes_drawn]
 
@@ -76,7 +76,7 @@ def near_lights(scene: dasim.Scene) -> list:
 
 
 def small_camera(width: int = 64, height: int = 48) -> Camera:
-    """What the default picture shows, in few and large pixels."""
+    """A camera with the field of view of the default picture, in few and large pixels."""
     data = cameras.load_camera("da-mobile").model_dump()
     pitch_um = data["sensor"]["pixel_pitch_um"] * PICTURE_PX[0] / width
     data["sensor"] |= {"width_px": width, "height_px": height, "pixel_pitch_um": pitch_um}
@@ -96,7 +96,7 @@ def corners_m(item, scene: dasim.Scene) -> np.ndarray:
 
 
 def points_m(item, scene: dasim.Scene) -> np.ndarray:
-    """Points whose hull holds an object, in camera axes: of a mesh its vertices, of a ball its ends along z."""
+    """Points whose hull contains an object, in camera axes: the vertices of a mesh, the ends of a ball along z."""
     matrix = scenes.object_to_camera(item, scene)
     if isinstance(item, shapes.Sphere):
         return matrix[:3, 3] + np.array([[0, 0, -1], [0, 0, 1]]) * item.radius_cm * 1e-2
@@ -119,7 +119,7 @@ def points_m(item, scene: dasim.Scene) -> np.ndarray:
 
 
 def test_every_object_lies_within_the_depth_range(measured):
-    """Objects, by their own points: between the ends of the range (and so never in the lens)."""
+    """The points of all objects lie within the depth range, and thus never in the lens."""
     near, far = RandomScenes().depth_cm
     for item in (item for scene in measured for item in scene):
         assert item.depth[0] >= near * 1e-2 - ROUNDING_M, item.name
@@ -127,7 +127,7 @@ def test_every_object_lies_within_the_depth_range(measured):
 
 
 def test_visible_floor_and_walls_lie_within_the_range(all_scenes):
-    """Rays of the picture's border and inside against each plane, cut analytically, first hit."""
+    """Rays through the picture and its border are intersected analytically with each plane; the first hit counts."""
     near, far = RandomScenes().depth_cm
     for scene in all_scenes:
         depth = background_depth_m(scene)
@@ -174,10 +174,12 @@ def test_other_pictures_and_ranges_are_as_valid(size_px, depth_cm):
 
 
 def test_objects_are_in_view_and_their_blur_spans_the_range(all_scenes, measured):
-    """Middles of three or more within the picture; together they take up a good part of the range of blur.
+    """At least three objects have their middle within the picture, and together they cover a large part of the range of
+    blur.
 
-    The first two objects are drawn from its outer 15 % each; the range that is left to them begins where the floor is
-    seen (1.4 times the near end at most, where 60 % of the blur is left) and ends before the wall.
+    The first two objects are drawn from the outer 15 % at each end of the range. The range that is left to them begins
+    where the floor becomes visible (at most 1.4 times the near end, where 60 % of the blur is left) and ends in front
+    of the wall.
     """
     near, far = (value * 1e-2 for value in RandomScenes().depth_cm)
     spans = []
@@ -193,7 +195,7 @@ def test_objects_are_in_view_and_their_blur_spans_the_range(all_scenes, measured
 
 
 def test_standing_objects_touch_the_floor(all_scenes, measured):
-    """On table tops nothing floats: the lowest point of each object is the floor's level (posters hang on the wall)."""
+    """On table tops, the lowest point of each object is at the level of the floor (posters hang on the wall)."""
     for scene, layout in zip(all_scenes, measured, strict=True):
         if not scene.description.startswith("table top"):
             continue
@@ -242,7 +244,7 @@ def share_error(share: float, count: int) -> float:
 
 
 def test_counts_are_uniform_from_5_to_40(all_scenes):
-    """Mean and ends of 36 equally likely numbers; 200 draws miss an end's five numbers once in 10^13."""
+    """Mean and extremes of 36 equally likely numbers; 200 draws miss the five numbers at one end once in 10^13."""
     counts = np.array([len(things(scene)) for scene in all_scenes])
     assert counts.min() in range(5, 10) and counts.max() in range(36, 41)
     assert counts.mean() == pytest.approx(22.5, abs=SIGMAS * np.sqrt((36**2 - 1) / 12 / DRAWS))
@@ -291,7 +293,7 @@ def test_exposure_is_drawn_within_its_ranges():
 
 
 def test_a_sample_depends_on_seed_and_index_alone(all_scenes):
-    """In any order, and beside any others: the same bytes."""
+    """The same bytes in any order, and with any other samples."""
     for index in (DRAWS - 1, 5, 0):
         assert dasim.random_scene(SEED, index).model_dump_json() == all_scenes[index].model_dump_json()
     assert len({scene.model_dump_json(exclude={"name"}) for scene in all_scenes}) == DRAWS
@@ -422,7 +424,7 @@ def test_every_pixel_sees_something_in_range(renderer, index):
 
 
 def test_a_rendered_sample_is_well_exposed(renderer):
-    """In range as above, few pixels clip, and most are well lit."""
+    """A sample lies within its range, few of its pixels clip, and most are well lit."""
     # Preparing surfaces is what takes time; those with textures are rendered with the bundled scenes.
     spec = RandomScenes(objects=(5, 8), surfaces=2, textured_share=0.0, background_textured_share=0.0)
     scene = dasim.random_scene(SEED, 8, spec)

@@ -36,7 +36,7 @@ def no_system_llvm(monkeypatch):
 
 @pytest.fixture
 def rubbish_llvm(tmp_path, monkeypatch):
-    """A file that calls itself LLVM 99, named by the user."""
+    """A file that is named LLVM 99 but is not a library, chosen by the user."""
     path = tmp_path / "libLLVM.so.99"
     path.write_bytes(b"\x7fELF rubbish" * 100)
     monkeypatch.setenv("DRJIT_LIBLLVM_PATH", str(path))
@@ -45,7 +45,7 @@ def rubbish_llvm(tmp_path, monkeypatch):
 
 @pytest.fixture
 def started(monkeypatch):
-    """The programs started so far, and an answer for each without starting one: only the scalar variant works."""
+    """List of the programs that were started; each answers without running, and only the scalar variant works."""
     programs: list[tuple[str, ...]] = []
 
     def answer(program, llvm_path=None):
@@ -133,7 +133,7 @@ def test_old_llvm_of_the_user_aborts_nothing(monkeypatch):
 
 @pytest.mark.skipif(not OLD_LLVM, reason="needs LLVM 15 or 16 in the system")
 def test_probe_shows_the_fault_of_old_llvm():
-    """Were its version not looked at, the trial itself would find an old LLVM out."""
+    """Rationale: if its version were not checked, the trial render would still detect an old LLVM."""
     result = backend._try("llvm_ad_spectral", OLD_LLVM[0])
     assert result == {"works": False, "why": "the process crashed with signal 6"}
 

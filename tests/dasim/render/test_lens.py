@@ -35,14 +35,16 @@ def changed(da_mobile):
 
 @pytest.fixture(scope="module")
 def disc(loaded, make_scene, lamp):
-    """A disc of 4 px radius before nothing, 20 cm away."""
+    """A disc of 4 px radius in front of nothing, 20 cm away."""
     radius_cm = 4 * 1.7e-3 * 20 / (3.6 * 400 / 396.4)
     thing = {"name": "disc", "shape": "disc", "radius_cm": radius_cm, "position_cm": (0, 0, 20)}
     return loaded(make_scene(thing | {"material": "white-paper"}, lights=[lamp]))
 
 
 def blur_px(nm: float) -> float:
-    """Signed blur of the open lens at 20 cm: the film at 1/s = 1/f - 1/d_f of no shift, 1/d_f = 1/f(lambda) - 1/s."""
+    """Signed blur of the open lens at 20 cm, from 1/s = 1/f - 1/d_f at the unshifted focal length and 1/d_f =
+    1/f(lambda) - 1/s.
+    """
     image_mm = 1 / (1 / 3.6 - 1 / 400)
     focal_mm = 3.6 + 1e-3 * np.interp(nm, *np.transpose(SHIFT))
     in_focus = 1 / focal_mm - 1 / image_mm
@@ -52,9 +54,10 @@ def blur_px(nm: float) -> float:
 @pytest.mark.parametrize("centre", [(0.0, 0.0), (0.4, -0.2)])
 @pytest.mark.parametrize("nm", [504, 554, 604])
 def test_blur_follows_the_wavelength(passes, changed, disc, nm, centre):
-    """Set-up: a narrow band of green through a disc of 0.5, rays alone; the blur is 14.4, 7.1 and 0.1 px or so.
+    """Set-up: a narrow band of green through a disc of 0.5, diffraction off; the blur is about 14.4, 7.1 and 0.1 px.
 
-    Expectation: variance of c^2 / 16, source and pixel as in a lens without colour, and the centroid at -rho c / 2.
+    Expectation: a variance of c^2 / 16 plus source and pixel, as in a lens without axial colour, and the centroid at
+    -rho c / 2.
     """
     stop = {"name": "stop", "radius_ratio": 0.5, "centre_ratio": centre}
     stop |= {"passes_nm": [[nm - 4, nm + 4]], "edge_width_nm": 1}
