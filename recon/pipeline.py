@@ -13,14 +13,14 @@ from dasim.camera.specification import Camera
 from dasim.files.banks import bank_identity
 from dasim.spectra.colour import exposure_scale, to_srgb
 from dasim.spectra.grid import CHANNELS
-from dasim.typing import Float32Array, FloatArray, Progress
+from dasim.typing import Float32Array, Progress
 from dasim.values import Capture, PsfBank, Reconstruction
 from recon import levels
 from recon.calibration.fit import check_fits
 from recon.depth import raw_levels
 from recon.depth.method import Method, method_name, on_blocks, run_method
 from recon.depth.regularise import regularise
-from recon.picture import colour, denoise, infrared, mosaic
+from recon.picture import colour, denoise, field, mosaic
 from recon.picture import develop as picture
 from recon.settings import DEFAULT, Settings
 from recon.sharp import sharpen
@@ -58,12 +58,12 @@ def reconstruct(
     camera = capture.camera
     timings: dict[str, float] = {}
     stage = stages(STAGES, timings, progress)
-    linear = picture.linearised(capture, bank.signature, flat, stage)
+    linear = picture.linearised(capture, bank.lights, bank.signature, flat, stage)
     kernels, white, light = bank.kernel[linear.light], bank.signature[linear.light], bank.lights[linear.light]
     with stage("denoise"):
         clean_e = picture.shaded(picture.denoised(linear.raw_e, capture, settings), linear.gain)
     image = picture.demosaiced(clean_e, camera, white, stage)
-    separation = infrared.separation(camera, light, settings)
+    separation = field.separation(camera, light, settings)
     clipped = picture.clipped(linear.saturated, camera)
     linear_e, ir_e = picture.without_infrared(image, separation, clipped, white), image.ir_e
     assert ir_e is not None  # check_fits requires infrared pixels
@@ -82,21 +82,22 @@ def reconstruct(
         guide = _infrared_guide(ir_e, mosaic.noise_variance(capture))
         smooth = regularise(raw, trust, guide, settings.regularise_bandwidth)
         level, confidence = (_upsampled(blocks, ir_e.shape) for blocks in smooth)
-    ir_e = np.maximum(ir_e, 0)
-    noise_e = sharpen.visible_noise(_noise_e(variances), separation)
+    ir_e = np.maximum(field.infrared_as_on_axis(ir_e, separation), 0)
+    noise_e = sharpen.visible_noise(_noise_e(variances), separation.on_axis)
     del variances, guide, smooth
+    visible_kernels = sharpen.visible_kernels(kernels, white, separation.on_axis)
     with stage("sharpen"):
         stack = _grainy(picture.shaded(linear.raw_e, linear.gain), camera, white, separation, clipped)
         del linear
         _soften_in_focus(stack, linear_e, ir_e, level)
         sharp_e = sharpen.sharpen(
-            stack, level, sharpen.visible_kernels(kernels, white, separation), noise_e, mosaic.sole_phases(camera),
+            stack, level, visible_kernels, noise_e, mosaic.sole_phases(camera),
             steps=settings.sharpen_steps, strength=settings.sharpen_strength, guided=settings.sharpen_guide,
         )  # fmt: skip
         del stack
         _fade_to_captured(sharp_e, linear_e, confidence, clipped)
     with stage("colour"):
-        matrix = colour.colour_matrix(camera, light, separation)
+        matrix = colour.colour_matrix(camera, light, separation.on_axis)
         scale = exposure_scale(linear_e, matrix)
         rgb, sharp_rgb = to_srgb(linear_e, matrix, scale), to_srgb(sharp_e, matrix, scale)
     if progress:
@@ -149,7 +150,7 @@ def _noise_e(variances: dict[str, Float32Array]) -> NDArray:
 
 
 def _grainy(
-    mosaic_e: Float32Array, camera: Camera, white: NDArray, separation: FloatArray, clipped: NDArray
+    mosaic_e: Float32Array, camera: Camera, white: NDArray, separation: field.Separation, clipped: NDArray
 ) -> Float32Array:
     """R, G, B without infrared, and infrared, from the mosaic without noise reduction, [4, h, w] electrons.
 
@@ -159,7 +160,7 @@ def _grainy(
     image = picture.demosaiced(mosaic_e, camera, white, lambda name: nullcontext())
     assert image.ir_e is not None
     visible = picture.without_infrared(image, separation, clipped, white)
-    return np.concatenate([np.moveaxis(visible, -1, 0), image.ir_e[None]])
+    return np.concatenate([np.moveaxis(visible, -1, 0), field.infrared_as_on_axis(image.ir_e, separation)[None]])
 
 
 def _soften_in_focus(stack: Float32Array, linear_e: Float32Array, ir_e: Float32Array, level: Float32Array) -> None:

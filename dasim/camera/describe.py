@@ -39,7 +39,7 @@ def describe(camera: Camera | str | Path) -> str:
         f"read noise {sensor.read_noise_e:g} e-, {sensor.adc_bits} bits",
     ]
     if set(CHANNELS) <= set(cameras.channels(sensor)):
-        alpha = ", ".join(f"{name} {value:.3f}" for name, value in zip("RGB", cameras.crosstalk(sensor), strict=True))
+        alpha = ", ".join(f"{name} {value:.3f}" for name, value in zip("RGB", cameras.crosstalk(camera), strict=True))
         low, high = grid.NEAR_INFRARED_NM
         lines.append(f"eq. (8)  near-infrared in {alpha} of that in IR ({low:g}-{high:g} nm, equal photons)")
     return "\n".join(lines)

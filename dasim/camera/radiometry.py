@@ -7,9 +7,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from dasim.camera import stops
+from dasim.camera import coatings, stops
 from dasim.camera.geometry import aperture_m, image_distance_m
-from dasim.camera.specification import Camera, quantum_efficiency, shading, square_of_image_height_m2
+from dasim.camera.specification import Camera, cutoff, quantum_efficiency, shading, square_of_image_height_m2
 from dasim.spectra import grid
 from dasim.typing import FloatArray
 
@@ -20,20 +20,21 @@ def relative_illumination(camera: Camera) -> FloatArray:
     return (s2 / (s2 + square_of_image_height_m2(camera))) ** 2 * shading(camera)
 
 
-def stop_response(camera: Camera, stop: stops.Stop) -> FloatArray:
+def stop_response(camera: Camera, stop: stops.Stop, angle_deg: float = 0.0) -> FloatArray:
     """Electrons per second and pixel through one stop, per W m^-2 sr^-1 nm^-1 of radiance, [channel, wavelength].
 
     On the axis this is p^2 pi (r/s)^2 T_lens T_stop T_cutoff QE lambda / (h c), from E = pi L (r/s)^2 of an Abbe lens,
-    with pi r^2 the open area of the stop. Off the axis it decreases as :func:`relative_illumination`.
+    with pi r^2 the open area of the stop. At the angle ``angle_deg`` of the chief ray, the edges of the coatings are
+    shifted (:mod:`dasim.camera.coatings`); the decrease by :func:`relative_illumination` is not included.
     """
     sensor = camera.sensor
     square_of_radius = stops.open_area(stop) * (aperture_m(camera) / 2) ** 2
     etendue = (sensor.pixel_pitch_um * 1e-6) ** 2 * np.pi * square_of_radius / image_distance_m(camera) ** 2
-    passed = camera.lens.transmittance * stops.transmittance(stop)
-    passed = passed * grid.short_pass(sensor.cutoff_nm, sensor.cutoff_width_nm)
+    factor = coatings.edge_factor(camera.lens.coating_index, angle_deg)
+    passed = camera.lens.transmittance * stops.transmittance(stop, factor) * cutoff(sensor, angle_deg)
     return etendue * passed * quantum_efficiency(sensor) * grid.photons_per_joule()
 
 
-def response(camera: Camera) -> FloatArray:
+def response(camera: Camera, angle_deg: float = 0.0) -> FloatArray:
     """Spectral response of the whole camera, the sum of :func:`stop_response` over its stops, [channel, wavelength]."""
-    return np.sum([stop_response(camera, stop) for stop in camera.stops], axis=0)
+    return np.sum([stop_response(camera, stop, angle_deg) for stop in camera.stops], axis=0)

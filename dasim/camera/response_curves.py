@@ -143,13 +143,13 @@ def rgb_ir_quantum_efficiency() -> FloatArray:
     return clear * np.stack([red, green, blue, infrared])
 
 
-def ir_crosstalk(response: FloatArray) -> FloatArray:
+def ir_crosstalk(response: FloatArray, band_nm: tuple[float, float] = NEAR_INFRARED_NM) -> FloatArray:
     """Near-infrared crosstalk of R, G and B relative to IR, [3], eq. (8): ratios of areas over 650-810 nm.
 
     ``response`` is [4, wavelength] in electrons per photon (f_i of the paper), so that the areas are the signals of
     light with the same photon flux at each wavelength.
     """
-    low, high = NEAR_INFRARED_NM
-    band = (WAVELENGTH_NM >= low) & (WAVELENGTH_NM <= high)
-    areas = np.trapezoid(response[:, band], WAVELENGTH_NM[band], axis=-1)
-    return np.asarray(areas)[:3] / np.asarray(areas)[3]
+    low, high = band_nm
+    nm = np.concatenate([[low], WAVELENGTH_NM[(WAVELENGTH_NM > low) & (WAVELENGTH_NM < high)], [high]])
+    areas = [np.trapezoid(np.interp(nm, WAVELENGTH_NM, row), nm) for row in response]
+    return np.array(areas[:3]) / areas[3]

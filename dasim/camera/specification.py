@@ -12,7 +12,7 @@ from pydantic import Field, ValidationError, ValidationInfo, field_validator, mo
 
 from dasim.base.errors import InputError, kind_of
 from dasim.base.toml import Specification, bundled_or_file, parse, parse_toml
-from dasim.camera import datasheet, response_curves, stops, zernike
+from dasim.camera import coatings, datasheet, response_curves, stops, zernike
 from dasim.camera.response_curves import Curves
 from dasim.camera.stops import Stop
 from dasim.camera.zernike import FieldWavefront, Wavefront
@@ -44,6 +44,9 @@ class Lens(Specification):
     wavefront_nm: Wavefront = Field(default=Wavefront(), description="Zernike coefficients, RMS over the open lens")
     wavefront_by_field: tuple[FieldWavefront, ...] = Field(
         default=(), description="further coefficients by angle and wavelength, relative to the direction off the axis"
+    )
+    coating_index: coatings.Index = Field(
+        default=coatings.DEFAULT_INDEX, description="effective index of the stops' coatings; 0: edges do not move"
     )
 
     @field_validator("focal_shift_um")
@@ -102,6 +105,9 @@ class Sensor(Specification):
     quantum_efficiency: Curves | None = None
     cutoff_nm: float = Field(default=810.0, ge=500, le=830, description="short-pass filter on the sensor")
     cutoff_width_nm: float = Field(default=8.0, gt=0, le=100)
+    coating_index: coatings.Index = Field(
+        default=coatings.DEFAULT_INDEX, description="effective index of the short-pass filter; 0: it does not move"
+    )
     full_well_e: float = Field(default=6000.0, gt=0, le=1e9)
     read_noise_e: float = Field(default=3.0, ge=0)
     dark_current_e_s: float = Field(default=10.0, ge=0, description="at 25 C")
@@ -358,15 +364,32 @@ def channels(sensor: Sensor) -> tuple[str, ...]:
     return tuple(name for name in dict.fromkeys((*grid.CHANNELS, *others)) if name in used)
 
 
-def crosstalk(sensor: Sensor) -> FloatArray:
-    """Shares alpha of the IR channel's near-infrared signal in R, G and B, eq. (8), [3].
+def cutoff(sensor: Sensor, angle_deg: float = 0.0) -> FloatArray:
+    """Transmittance of the filter on the sensor for light at an angle, [wavelength]."""
+    factor = coatings.edge_factor(sensor.coating_index, angle_deg)
+    return grid.short_pass(sensor.cutoff_nm * factor, sensor.cutoff_width_nm)
+
+
+def crosstalk(camera: Camera, angle_deg: float = 0.0) -> FloatArray:
+    """Shares alpha of the IR channel's near-infrared signal in R, G and B, eq. (8), [3], at a chief ray's angle.
 
     The areas are those of the sensor's response behind its cut-off filter, so that light blocked by the filter does
-    not count.
+    not count. Off the axis, the near-infrared band starts and ends where the shifted coatings of disc and filter do.
     """
-    curves = quantum_efficiency(sensor) * grid.short_pass(sensor.cutoff_nm, sensor.cutoff_width_nm)
-    names = channels(sensor)
-    return response_curves.ir_crosstalk(curves[[names.index(name) for name in grid.CHANNELS]])
+    curves = quantum_efficiency(camera.sensor) * cutoff(camera.sensor, angle_deg)
+    names = channels(camera.sensor)
+    band_nm = near_infrared_nm(camera, angle_deg)
+    return response_curves.ir_crosstalk(curves[[names.index(name) for name in grid.CHANNELS]], band_nm)
+
+
+def near_infrared_nm(camera: Camera, angle_deg: float = 0.0) -> tuple[float, float]:
+    """Ends of the near-infrared band at a chief ray's angle: 650 and 810 nm, shifted as the coatings that set them."""
+    low_nm, high_nm = grid.NEAR_INFRARED_NM
+    lens, sensor = camera.lens, camera.sensor
+    return (
+        low_nm * coatings.edge_factor(lens.coating_index, angle_deg),
+        high_nm * coatings.edge_factor(sensor.coating_index, angle_deg),
+    )
 
 
 def mosaic_channels(camera: Camera) -> np.ndarray:

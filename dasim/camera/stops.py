@@ -174,15 +174,16 @@ def is_plain_disc(stop: Stop) -> bool:
     return isinstance(stop, Disc) and stop.centre_ratio == (0.0, 0.0)
 
 
-def transmittance(stop: Stop) -> FloatArray:
+def transmittance(stop: Stop, edge_factor: float = 1.0) -> FloatArray:
     """Spectral transmittance 0..1 of the open area of a stop, [wavelength].
 
     The edges at the ends of ``passes_nm`` are logistic; two bands that share an edge, of one stop or two, sum to 1.
+    ``edge_factor`` multiplies their wavelengths, see :func:`dasim.camera.coatings.edge_factor`.
     """
     passed = np.zeros_like(grid.WAVELENGTH_NM)
     for low, high in stop.passes_nm:
-        rise = 1.0 if low <= WHOLE_GRID_NM[0] else grid.long_pass(low, stop.edge_width_nm)
-        fall = 0.0 if high >= WHOLE_GRID_NM[1] else grid.long_pass(high, stop.edge_width_nm)
+        rise = 1.0 if low <= WHOLE_GRID_NM[0] else grid.long_pass(low * edge_factor, stop.edge_width_nm)
+        fall = 0.0 if high >= WHOLE_GRID_NM[1] else grid.long_pass(high * edge_factor, stop.edge_width_nm)
         passed = passed + (rise - fall)
     return np.clip(passed, 0.0, 1.0)
 

@@ -16,6 +16,7 @@ from dasim.camera.stops import Stop
 from dasim.render import irradiance, ray_loop, stock, transport
 from dasim.render.irradiance import Field
 from dasim.render.ray_loop import Sampling
+from dasim.render.wavelengths import pinhole_responses, stop_responses
 from dasim.typing import FloatArray
 
 MOST_MARGIN_PX = 300.0
@@ -39,15 +40,15 @@ def stop_pass(
     """
     import mitsuba as mi
 
+    responses = stop_responses(camera, stop)
     if mi.variant().startswith("scalar"):
         stock.check(camera)
-        rate = stock.stop_pass(mitsuba_scene, camera, stop, sampling.spp, sampling.block_seeds(stop), sampling.progress)
+        rate = stock.stop_pass(mitsuba_scene, camera, stop, responses, sampling)
         if diffraction == "airy":
             rate = stock.in_focus_diffraction(rate, camera, stop, illuminant)
     else:
         waves = max_blur_px if diffraction == "wave" else None
-        response = radiometry.stop_response(camera, stop)
-        rate = ray_loop.render(mitsuba_scene, camera, stop, sampling, waves, field, response)
+        rate = ray_loop.render(mitsuba_scene, camera, stop, sampling, waves, field, responses)
     rate = rate * radiometry.relative_illumination(camera)[..., None]
     return glare.spread(rate, stop.glare_share, glare.radius_px(camera, stop))
 
@@ -121,19 +122,18 @@ def pinhole_pass(
     camera: Camera,
     sampling: Sampling,
     field: Field | None = None,
-    response: FloatArray | None = None,
+    also: Camera | None = None,
 ) -> FloatArray:
     """Mean electrons per second with every stop shrunk to a point at unchanged light, [h, w, channel].
 
-    All stops see the same rays through a point, so that one pass serves them all. ``response`` [channel, wavelength] is
-    that of the camera if None.
+    All stops see the same rays through a point, so that one pass serves them all. The channels of ``also``, another
+    camera behind the same lens, follow those of the camera.
     """
     import mitsuba as mi
 
-    response = radiometry.response(camera) if response is None else response
+    responses = pinhole_responses(camera, also)
     if mi.variant().startswith("scalar"):
-        seeds = sampling.block_seeds(None)
-        rate = stock.pinhole_pass(mitsuba_scene, camera, response, sampling.spp, seeds, sampling.progress)
+        rate = stock.pinhole_pass(mitsuba_scene, camera, responses, sampling)
     else:
-        rate = ray_loop.render(mitsuba_scene, camera, None, sampling, None, field, response)
+        rate = ray_loop.render(mitsuba_scene, camera, None, sampling, None, field, responses)
     return rate * radiometry.relative_illumination(camera)[..., None]

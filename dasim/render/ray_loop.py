@@ -17,14 +17,14 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from dasim.camera import geometry, radiometry
+from dasim.camera import geometry
 from dasim.camera.specification import Camera, principal_point
 from dasim.camera.stops import Stop
 from dasim.render import field_angle, layers, pupil, transport, wave
 from dasim.render.irradiance import Field
 from dasim.render.plugin import tensor
 from dasim.render.sobol import Sobol
-from dasim.render.wavelengths import draw_density, draw_table
+from dasim.render.wavelengths import Responses, draw_table, frame_density
 from dasim.spectra import grid
 from dasim.typing import BoolArray, FloatArray, ShareDone
 
@@ -70,6 +70,8 @@ class _Pass:
     px_per_vergence: Any  # pixels of visible blur per 1/m
     vergence: Any  # of the focus distance, 1/m
     table: Any  # see ``draw_table``
+    rings: Any  # opaque number of rings in the table
+    place: Any  # fractional ring of each pixel of the frame, row by row
     axial_colour: bool
     draw_pupil: pupil.Draw | None  # None for a pinhole
     blur: wave.Blur | None  # None for geometric optics
@@ -85,6 +87,7 @@ class _Rays(NamedTuple):
     tangent: Any  # of the field angle there, a vector
     focus: Any  # vergence in focus at the ray's wavelengths, 1/m
     first: Any  # uniform number that chose the wavelengths
+    ring: Any  # fractional ring of the pixel
     entries: list[Any]  # row of the table for each of the ray's wavelengths
     rho: Any  # place on the lens, in radii
     delta: Any  # offset by diffraction, pixels
@@ -100,6 +103,7 @@ class _Weighted(NamedTuple):
     delta: Any
     tangent: Any
     first: Any
+    ring: Any
     drawn: Any
 
 
@@ -110,7 +114,7 @@ def render(
     sampling: Sampling,
     max_blur_px: float | None,
     field: Field | None,
-    response: FloatArray,
+    responses: Responses,
     *,
     in_focus: bool = False,
 ) -> FloatArray:
@@ -123,23 +127,23 @@ def render(
         sampling: samples per pixel and seed.
         max_blur_px: largest visible blur in the scene; None for geometric optics.
         field: irradiance that is known beforehand.
-        response: electrons per second per unit of spectral radiance, [channel, wavelength].
+        responses: of the channels, with the frame's rings.
         in_focus: whether all depths are in focus: the perspective of the middle of the lens, and the diffraction
             pattern of the stop in focus.
     """
     width, height = camera.sensor.width_px, camera.sensor.height_px
     light = np.ones_like(grid.WAVELENGTH_NM) if field is None else field.light
-    mean_signal = grid.integrate(response * light)
-    rate = np.zeros((height, width, len(response)))
+    mean_signal = responses.mean_signal(light)
+    rate = np.zeros((height, width, responses.channels))
     if mean_signal.max() <= 0:
         return rate
-    shared = _prepare(scene, camera, stop, sampling.spp, max_blur_px, field, response, light, in_focus)
+    shared = _prepare(scene, camera, stop, sampling.spp, max_blur_px, field, responses, light, in_focus)
     rows_at_once = max(1, LANES // (sampling.spp * width))
     seeds = sampling.block_seeds(stop)
     for block, top in enumerate(range(0, height, rows_at_once)):
         rows = min(rows_at_once, height - top)
         ratio = _trace(shared, top, rows, seeds(block))
-        rate[top : top + rows] = mean_signal * ratio.reshape(rows, width, -1)
+        rate[top : top + rows] = mean_signal[top : top + rows] * ratio.reshape(rows, width, -1)
         sampling.progress((top + rows) / height)
     return rate
 
@@ -156,7 +160,7 @@ def _prepare(
     spp: int,
     max_blur_px: float | None,
     field: Field | None,
-    response: FloatArray,
+    responses: Responses,
     light: FloatArray,
     in_focus: bool,
 ) -> _Pass:
@@ -167,7 +171,8 @@ def _prepare(
     width = camera.sensor.width_px
     scale = dr.opaque(mi.Float, px_per_m(camera))
     radius_m = dr.opaque(mi.Float, geometry.aperture_m(camera) / 2)
-    density = draw_density(radiometry.response(camera) if stop is not None else response, response, light)
+    density = frame_density(responses, light)
+    table = draw_table(camera, responses.of_pass, light, density)
     mean_nm = float(np.average(grid.WAVELENGTH_NM, weights=density))
     blur = None
     if stop is not None and max_blur_px is not None:
@@ -181,7 +186,7 @@ def _prepare(
         sampler=sampler,
         spp=spp,
         width_px=width,
-        channels=len(response),
+        channels=responses.channels,
         samples=dr.opaque(mi.UInt32, spp),
         columns=dr.opaque(mi.UInt32, width),
         axis=mi.Point2f(*(dr.opaque(mi.Float, value) for value in principal_point(camera.sensor))),
@@ -189,7 +194,9 @@ def _prepare(
         radius_m=radius_m,
         px_per_vergence=2 * radius_m * scale,
         vergence=dr.opaque(mi.Float, 1.0 / camera.lens.focus_distance_m),
-        table=mi.Texture1f(tensor(draw_table(camera, response, light, density))),
+        table=mi.Texture2f(tensor(table)),
+        rings=dr.opaque(mi.Float, len(table)),
+        place=mi.Float(responses.place.astype(np.float32).ravel()),
         axial_colour=bool(camera.lens.focal_shift_um),
         draw_pupil=None if stop is None else pupil.drawer(stop),
         blur=blur,
@@ -212,13 +219,14 @@ def _trace(shared: _Pass, top: int, rows: int, seed: int) -> FloatArray:
     pixel = dr.arange(mi.UInt32, lanes) // shared.samples
     row = pixel // shared.columns
     corner = mi.Point2f(mi.Float(pixel - row * shared.columns), mi.Float(row + dr.opaque(mi.UInt32, top)))
+    ring = dr.gather(mi.Float, shared.place, pixel + dr.opaque(mi.UInt32, top * shared.width_px))
     sample = dr.arange(mi.UInt32, lanes) % shared.samples
     numbers = Sobol(shared.spp, sample, pixel + dr.opaque(mi.UInt32, seed))
     # The first dimensions are the most even: they go to what matters most.
     lens, film, aim_at, direction = (numbers.next_2d() for _ in range(4))
     first, pattern, lobe = numbers.next_1d(), numbers.next_2d(), numbers.next_1d()
 
-    rays = _aim(shared, pixel, corner, (lens, film, pattern, first), seed)
+    rays = _aim(shared, pixel, corner, ring, (lens, film, pattern, first), seed)
     si = shared.scene.ray_intersect(rays.ray, ray_flags=mi.RayFlags.All, coherent=True)
     weight: list[Any] = [mi.Float(1.0)] * HERO
     depth_share: list[Any] = []
@@ -229,7 +237,7 @@ def _trace(shared: _Pass, top: int, rows: int, seed: int) -> FloatArray:
         weight = [rays.drawn * ratio for ratio in ratios]
     elif shared.blur is not None:
         weight, depth_share, blur_px = _wave_weights(shared, shared.blur, rays, si)
-        weighted = _Weighted(blur_px, rays.rho, rays.delta, rays.tangent, rays.first, rays.drawn)
+        weighted = _Weighted(blur_px, rays.rho, rays.delta, rays.tangent, rays.first, rays.ring, rays.drawn)
     radiance = transport.radiance(
         shared.scene, shared.integrator, shared.sampler, rays.ray, si, (aim_at, direction, lobe), shared.field
     )
@@ -268,9 +276,9 @@ def _layered(shared: _Pass, weighted: _Weighted, sums: list[Any], chosen: NDArra
 
     shape = len(chosen), shared.spp
     lanes = mi.UInt32((chosen[:, None] * shared.spp + np.arange(shared.spp)).astype(np.uint32).ravel())
-    blur_px, rho, delta, tangent, first, drawn = (dr.gather(type(value), value, lanes) for value in weighted)
+    blur_px, rho, delta, tangent, first, ring, drawn = (dr.gather(type(value), value, lanes) for value in weighted)
     values = [np.array(dr.gather(mi.Float, value, lanes), dtype=np.float64).reshape(shape) for value in sums]
-    entries = _entries(shared, first)
+    entries = _entries(shared, first, ring)
 
     def beyond(depth_px: FloatArray, behind: BoolArray) -> list[FloatArray]:
         return _beyond(shared, depth_px, mi.Bool(behind.ravel()), entries, (rho, delta, tangent, drawn))
@@ -301,15 +309,15 @@ def _beyond(
     return [np.array(dr.block_sum(value, shared.spp), dtype=np.float64) for value in sums]
 
 
-def _entries(shared: _Pass, first: Any) -> list[Any]:
-    """Row of the table for each wavelength of a ray."""
+def _entries(shared: _Pass, first: Any, ring: Any) -> list[Any]:
+    """Row of the table for each wavelength of a ray, at its pixel's fractional ring."""
     import drjit as dr
     import mitsuba as mi
 
     # With axial colour every wavelength has rays of its own; without, the wavelengths of a ray are spread evenly.
     spacing = 0.0 if shared.axial_colour else 1 / HERO
     shifted = [first + k * spacing for k in range(HERO)]
-    return [shared.table.eval(mi.Point1f(at - dr.floor(at))) for at in shifted]
+    return [shared.table.eval(mi.Point2f(at - dr.floor(at), (ring + 0.5) / shared.rings)) for at in shifted]
 
 
 def _lit(entries: list[Any]) -> list[Any]:
@@ -317,7 +325,7 @@ def _lit(entries: list[Any]) -> list[Any]:
     return [entry[-1] for entry in entries]
 
 
-def _aim(shared: _Pass, pixel: Any, corner: Any, numbers: tuple[Any, Any, Any, Any], seed: int) -> _Rays:
+def _aim(shared: _Pass, pixel: Any, corner: Any, ring: Any, numbers: tuple[Any, Any, Any, Any], seed: int) -> _Rays:
     """Rays from their places on the lens through the film; ``numbers`` for lens, film, diffraction and wavelength."""
     import drjit as dr
     import mitsuba as mi
@@ -325,7 +333,7 @@ def _aim(shared: _Pass, pixel: Any, corner: Any, numbers: tuple[Any, Any, Any, A
     lens, film, pattern, first = numbers
     film += corner - shared.axis  # pixels from the axis
     tangent = film / shared.px_per_m
-    entries, wavelengths = _entries(shared, first), mi.Spectrum(0.0)
+    entries, wavelengths = _entries(shared, first, ring), mi.Spectrum(0.0)
     for k in range(HERO):
         wavelengths[k] = entries[k][0]
     focus = entries[0][1] if shared.axial_colour else mi.Float(shared.vergence)
@@ -350,7 +358,7 @@ def _aim(shared: _Pass, pixel: Any, corner: Any, numbers: tuple[Any, Any, Any, A
     slope = aim / shared.px_per_m - on_lens * focus
     ray = mi.RayDifferential3f(mi.Ray3f(origin, dr.normalize(mi.Vector3f(slope.x, slope.y, 1.0))))
     ray.wavelengths = wavelengths
-    return _Rays(ray, film, tangent, focus, first, entries, rho, delta, expected, drawn)
+    return _Rays(ray, film, tangent, focus, first, ring, entries, rho, delta, expected, drawn)
 
 
 def _middle_vergence(shared: _Pass, corner: Any) -> Any:

@@ -7,7 +7,6 @@ Tested in tests/dasim/render/test_passes.py.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -18,7 +17,9 @@ from dasim.camera.specification import Camera, principal_point
 from dasim.camera.stops import Stop
 from dasim.render import truth
 from dasim.render.plugin import spectrum_dict
+from dasim.render.ray_loop import Sampling
 from dasim.render.translate import MAX_PATH_DEPTH
+from dasim.render.wavelengths import Responses
 from dasim.spectra import illuminants
 from dasim.typing import FloatArray
 
@@ -43,45 +44,30 @@ def check(camera: Camera) -> None:
         )
 
 
-def stop_pass(
-    scene: Any, camera: Camera, stop: Stop, spp: int, seeds: Callable[[int], int], progress: Callable[[float], None]
-) -> FloatArray:
-    """Mean electrons per second through a centred disc, [h, w, channel], as on the axis at every pixel."""
+def stop_pass(scene: Any, camera: Camera, stop: Stop, responses: Responses, sampling: Sampling) -> FloatArray:
+    """Mean electrons per second through a centred disc, [h, w, channel], before the falloff of illumination."""
     assert isinstance(stop, stops.Disc)
     radius_m = stop.radius_ratio * geometry.aperture_m(camera) / 2
-    return _render(scene, camera, radius_m, radiometry.stop_response(camera, stop), spp, seeds, progress)
+    return _render(scene, camera, radius_m, responses, sampling, stop)
 
 
-def pinhole_pass(
-    scene: Any,
-    camera: Camera,
-    response: FloatArray,
-    spp: int,
-    seeds: Callable[[int], int],
-    progress: Callable[[float], None],
-) -> FloatArray:
-    """Mean electrons per second through a pinhole, for the channels of ``response`` [channel, wavelength]."""
+def pinhole_pass(scene: Any, camera: Camera, responses: Responses, sampling: Sampling) -> FloatArray:
+    """Mean electrons per second through a pinhole."""
     point_m = PINHOLE_RATIO * geometry.aperture_m(camera) / 2
-    return _render(scene, camera, point_m, response, spp, seeds, progress)
+    return _render(scene, camera, point_m, responses, sampling, None)
 
 
 def _render(
-    scene: Any,
-    camera: Camera,
-    radius_m: float,
-    response: FloatArray,
-    spp: int,
-    seeds: Callable[[int], int],
-    progress: Callable[[float], None],
+    scene: Any, camera: Camera, radius_m: float, responses: Responses, sampling: Sampling, stop: Stop | None
 ) -> FloatArray:
+    """Render blocks of rows; every ring that a block touches has film channels of its own."""
     import mitsuba as mi
 
+    seeds = sampling.block_seeds(stop)
     width, height = camera.sensor.width_px, camera.sensor.height_px
     columns, lines = (_centred(*each) for each in zip((width, height), principal_point(camera.sensor), strict=True))
-    peaks = response.max(axis=1)
-    names = [f"c{index:04d}" for index in range(len(response))]
-    rate = np.zeros((height, width, len(names)))
-    rows_at_once = max(1, RAYS // (spp * width))
+    rate = np.zeros((height, width, responses.channels))
+    rows_at_once = max(1, RAYS // (sampling.spp * width))
     for block, top in enumerate(range(0, height, rows_at_once)):
         rows = min(rows_at_once, height - top)
         film: dict[str, Any] = {
@@ -95,8 +81,12 @@ def _render(
             "rfilter": {"type": "box"},
             "component_format": "float32",
         }
-        for name, row, peak in zip(names, response, peaks, strict=True):
-            film[name] = spectrum_dict(row / peak if peak > 0 else row)
+        place = responses.place[top : top + rows]
+        first, last = int(place.min()), min(int(place.max()) + 1, len(responses.of_pass) - 1)
+        curves = responses.of_pass[first : last + 1]
+        peaks = curves.max(axis=-1)
+        for number, (row, peak) in enumerate(zip(curves.reshape(-1, curves.shape[-1]), peaks.ravel(), strict=True)):
+            film[f"c{number:04d}"] = spectrum_dict(row / peak if peak > 0 else row)
         sensor = mi.load_dict(
             {
                 "type": "thinlens",
@@ -108,13 +98,16 @@ def _render(
                 "far_clip": 1e5,
                 "to_world": truth.camera_axes(),
                 "film": film,
-                "sampler": {"type": "multijitter", "sample_count": spp},
+                "sampler": {"type": "multijitter", "sample_count": sampling.spp},
             }
         )
         integrator = mi.load_dict({"type": "path", "max_depth": MAX_PATH_DEPTH})
         image = mi.render(scene, sensor=sensor, integrator=integrator, spp=0, seed=seeds(block))
-        rate[top : top + rows] = np.array(image, dtype=np.float64) * peaks
-        progress((top + rows) / height)
+        by_ring = np.array(image, dtype=np.float64).reshape(rows, width, *peaks.shape) * peaks
+        for ring in range(first, last + 1):
+            share = np.maximum(1 - np.abs(place - ring), 0.0)
+            rate[top : top + rows] += share[..., None] * by_ring[:, :, ring - first]
+        sampling.progress((top + rows) / height)
     return rate
 
 

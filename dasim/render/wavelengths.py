@@ -1,19 +1,55 @@
-"""Wavelengths of a pass: how densely they are drawn, and the table that turns a uniform number into one.
+"""Wavelengths of a pass: the responses on the rings of the field, and how densely wavelengths are drawn for them.
 
 Tested in tests/dasim/render/test_passes.py.
 """
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
-from dasim.camera import geometry
+from dasim.camera import geometry, radiometry
+from dasim.camera.rings import at_pixels, rings
 from dasim.camera.specification import Camera
+from dasim.camera.stops import Stop
 from dasim.spectra import grid
 from dasim.typing import FloatArray
 
 DRAW_NODES = 4096  # of the table that turns a uniform number into a wavelength
 EVEN_SHARE = 0.1  # of the wavelengths is drawn as under a light of even spectrum
+
+
+class Responses(NamedTuple):
+    """Electrons per second per unit of spectral radiance on the rings of a frame (:mod:`dasim.camera.rings`)."""
+
+    of_pass: FloatArray  # [ring, channel, wavelength]
+    of_camera: FloatArray  # [ring, channel, wavelength] all stops together
+    place: FloatArray  # [h, w] fractional ring of each pixel
+
+    @property
+    def channels(self) -> int:
+        """Number of channels."""
+        return self.of_pass.shape[1]
+
+    def mean_signal(self, light: FloatArray) -> FloatArray:
+        """Electrons of each pixel for a radiance of spectrum ``light`` [wavelength], [h, w, channel]."""
+        return at_pixels(grid.integrate_product(self.of_pass, light), self.place)
+
+
+def stop_responses(camera: Camera, stop: Stop) -> Responses:
+    """Responses of a pass through one stop."""
+    angles, place = rings(camera)
+    whole = np.stack([radiometry.response(camera, angle) for angle in angles])
+    return Responses(np.stack([radiometry.stop_response(camera, stop, angle) for angle in angles]), whole, place)
+
+
+def pinhole_responses(camera: Camera, also: Camera | None = None) -> Responses:
+    """Responses of a pass through a pinhole: those of all stops, followed by those of another camera's sensor."""
+    cameras = (camera,) if also is None else (camera, also)
+    angles, place = rings(*cameras)
+    whole = np.stack([np.concatenate([radiometry.response(each, angle) for each in cameras]) for angle in angles])
+    return Responses(whole, whole, place)
 
 
 def draw_density(whole: FloatArray, response: FloatArray, light: FloatArray | None = None) -> FloatArray:
@@ -37,11 +73,24 @@ def draw_density(whole: FloatArray, response: FloatArray, light: FloatArray | No
     return density
 
 
-def draw_table(camera: Camera, response: FloatArray, light: FloatArray, density: FloatArray) -> FloatArray:
-    """What depends on a drawn wavelength, at equal steps of probability, [DRAW_NODES, 3 + channel].
+def frame_density(responses: Responses, light: FloatArray) -> FloatArray:
+    """Relative density of drawn wavelengths that serves all rings of a frame, [wavelength].
 
-    Columns are the wavelength in nm, its focus vergence in 1/m, response / density of each channel, and the light's
-    spectrum. The mean of response x light over the rows is its integral, so that an even surface is exact.
+    Each ring counts by its largest share in a pixel, so that a small frame about the axis is drawn as for the axis.
+    """
+    number = np.arange(len(responses.of_pass))
+    nearest = np.abs(responses.place.reshape(-1, 1) - number).min(axis=0)
+    density: FloatArray = np.zeros_like(grid.WAVELENGTH_NM)
+    for share, whole, own in zip(np.maximum(1 - nearest, 0.0), responses.of_camera, responses.of_pass, strict=True):
+        density = density + share * draw_density(whole, own, light)
+    return density
+
+
+def draw_table(camera: Camera, response: FloatArray, light: FloatArray, density: FloatArray) -> FloatArray:
+    """What depends on a drawn wavelength, at equal steps of probability, [ring, DRAW_NODES, 3 + channel].
+
+    ``response`` is [ring, channel, wavelength]. Columns are the wavelength in nm, its focus vergence in 1/m,
+    response / density of each channel, and the light's spectrum.
     """
     fine = np.linspace(grid.WAVELENGTH_NM[0], grid.WAVELENGTH_NM[-1], 20_001)
     step = fine[1] - fine[0]
@@ -50,11 +99,12 @@ def draw_table(camera: Camera, response: FloatArray, light: FloatArray, density:
     total = cdf[-1]
     nodes = (np.arange(DRAW_NODES) + 0.5) / DRAW_NODES
     wavelength = np.interp(nodes, cdf / total, fine)
-    at = np.interp(wavelength, grid.WAVELENGTH_NM, density)
-    lit = np.interp(wavelength, grid.WAVELENGTH_NM, light)
-    columns = [wavelength, np.interp(wavelength, grid.WAVELENGTH_NM, geometry.focus_vergence(camera))]
-    for row in response:
-        ratio = np.interp(wavelength, grid.WAVELENGTH_NM, row) * total / at
-        mean = (ratio * lit).mean()
-        columns.append(ratio * (grid.integrate(row * light) / mean if mean > 0 else 0.0))
-    return np.stack([*columns, lit], axis=-1)
+
+    def drawn(curve: FloatArray) -> FloatArray:
+        return np.interp(wavelength, grid.WAVELENGTH_NM, curve)
+
+    weight = total / drawn(density)
+    focus, lit = drawn(geometry.focus_vergence(camera)), drawn(light)
+    return np.stack(
+        [np.stack([wavelength, focus, *(drawn(row) * weight for row in ring), lit], axis=-1) for ring in response]
+    )

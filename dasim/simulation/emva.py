@@ -15,7 +15,7 @@ import numpy as np
 
 from dasim.base.errors import InputError
 from dasim.camera import noise as sensors
-from dasim.camera.specification import SMALLEST_FRAME_PX, Camera, Sensor, channels, quantum_efficiency
+from dasim.camera.specification import SMALLEST_FRAME_PX, Camera, Sensor, channels, cutoff, quantum_efficiency
 from dasim.files.folders import new_folder, software_versions
 from dasim.files.png import write_png16
 from dasim.spectra import grid
@@ -71,7 +71,7 @@ def _quantum_efficiency(sensor: Sensor, channel: str) -> tuple[float, float]:
     block = np.array([[names.index(name) for name in row] for row in sensor.mosaic])
     if channel not in names:
         raise InputError(f"--channel '{channel}' is not in the camera's mosaic, allowed are {', '.join(names)}")
-    curves = quantum_efficiency(sensor) * grid.short_pass(sensor.cutoff_nm, sensor.cutoff_width_nm)
+    curves = quantum_efficiency(sensor) * cutoff(sensor)
     index = names.index(channel)
     peak = int(np.argmax(curves[index]))
     rows, columns = block.shape

@@ -11,7 +11,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from dasim.camera import noise, radiometry, wavefront
+from dasim.camera import noise, wavefront
 from dasim.camera import specification as cameras
 from dasim.camera.noise import Exposure
 from dasim.camera.specification import Camera
@@ -232,11 +232,9 @@ def focus_picture(view: View, sharp: FloatArray, field: Any, seed: int, progress
 def sharp_pictures(view: View, field: Any, seed: int, progress: Progress) -> SharpPictures:
     """Render through a pinhole, for the camera and its Bayer twin in one pass."""
     twin = cameras.load_camera(TWIN)
-    camera_response = radiometry.response(view.camera)
     sampling = passes.Sampling(SHARP_SPP, seed, partial(progress, "rendering the pinhole picture"))
-    response = np.concatenate([camera_response, radiometry.response(twin)])
-    both = passes.pinhole_pass(view.world.scene, view.camera, sampling, field, response)
-    rate, twin_rate = np.split(both, [len(camera_response)], axis=-1)
+    both = passes.pinhole_pass(view.world.scene, view.camera, sampling, field, also=twin)
+    rate, twin_rate = np.split(both, [len(cameras.channels(view.camera.sensor))], axis=-1)
     return SharpPictures(rate, twin_rate, twin)
 
 

@@ -19,6 +19,7 @@ from dasim.camera import noise as sensor_noise
 from dasim.camera import pointspread, radiometry
 from dasim.camera import specification as cameras
 from dasim.camera.noise import Exposure, NoiseModel
+from dasim.camera.rings import at_pixels, rings
 from dasim.camera.specification import Camera, as_camera
 from dasim.loading import as_scene
 from dasim.render import backend, light_spectra, translate, truth
@@ -27,7 +28,7 @@ from dasim.scene.mitsuba_scene import MitsubaScene
 from dasim.scene.specification import Scene
 from dasim.simulation import adaptive_sampling, checks, rendering
 from dasim.simulation.rendering import LensPicture, Sampling, SharpPictures, View
-from dasim.spectra import colour, illuminants
+from dasim.spectra import colour, grid, illuminants
 from dasim.typing import FloatArray, Progress
 from dasim.values import Capture, Truth
 
@@ -183,7 +184,7 @@ def describe_truth(view: View, mean: LensPicture, sharp: SharpPictures, focus: F
         channels=cameras.channels(view.camera.sensor),
         mean_e=(mean.rate * time_s).astype(np.float32),
         sharp_e=(sharp.rate * time_s).astype(np.float32),
-        sharp_srgb=srgb(sharp.twin_rate, sharp.twin, view.illuminant),
+        sharp_srgb=srgb(sharp.twin_rate, view.camera, sharp.twin, view.illuminant),
         objects=tuple(world.objects),
         materials=tuple(world.materials),
         mean_e_variance=None if mean.variance is None else (mean.variance * time_s**2).astype(np.float32),
@@ -191,12 +192,14 @@ def describe_truth(view: View, mean: LensPicture, sharp: SharpPictures, focus: F
     )
 
 
-def srgb(rate: FloatArray, twin: Camera, illuminant: str) -> np.ndarray:
+def srgb(rate: FloatArray, camera: Camera, twin: Camera, illuminant: str) -> np.ndarray:
     """Picture in sRGB, 0..1, from electrons [h, w, 3] of a camera without near-infrared, white-balanced for the
-    illuminant.
+    illuminant on each ring of the frame of ``camera``.
     """
-    matrix = colour.fitted_matrix(radiometry.response(twin), illuminants.illuminant(illuminant))
-    linear = rate.astype(np.float32)
+    power, (angles, place) = illuminants.illuminant(illuminant), rings(camera, twin)
+    matrix = colour.fitted_matrix(radiometry.response(twin), power)
+    white = np.stack([grid.integrate(radiometry.response(twin, angle) * power) for angle in angles])
+    linear = (rate * at_pixels(white[0] / white, place)).astype(np.float32)
     return colour.to_srgb(linear, matrix, colour.exposure_scale(linear, matrix))
 
 

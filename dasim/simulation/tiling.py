@@ -28,7 +28,8 @@ def tiled(tiles: Sequence[tuple[Capture, Truth]], width_px: int, height_px: int)
 
     Every part is at least :func:`margin_px` of its largest blur away from the border of its capture, so that the blur
     at the border does not affect it. The camera of the result has a sensor of the result's size: its off-axis angles
-    differ from those of the captures, and windows across a seam contain pixels of two captures.
+    differ from those of the captures, and windows across a seam contain pixels of two captures. Its coatings do not
+    shift with the angle, because all parts are from near the axis.
 
     Args:
         tiles: captures with their truths, of the same camera, focus and exposure.
@@ -54,12 +55,13 @@ def tiled(tiles: Sequence[tuple[Capture, Truth]], width_px: int, height_px: int)
         return np.concatenate([image[part] for image in reversed(images)])
 
     size = {"width_px": width_px, "height_px": height_px * len(tiles), "principal_point_px": None}
-    sensor = parse(Sensor, first.camera.sensor.model_dump() | size, "tiles")
+    sensor = parse(Sensor, first.camera.sensor.model_dump() | size | {"coating_index": 0.0}, "tiles")
+    lens = first.camera.lens.model_copy(update={"coating_index": 0.0})
     raw_dn = stack(*(capture.raw_dn for capture, _ in tiles))
     picture = replace(
         first,
         raw_dn=raw_dn,
-        camera=first.camera.model_copy(update={"sensor": sensor}),
+        camera=first.camera.model_copy(update={"lens": lens, "sensor": sensor}),
         provenance=first.provenance
         | {
             "scene": {"name": "tiles", "tiles": [capture.provenance.get("scene", {}) for capture, _ in tiles]},

@@ -33,6 +33,16 @@ def integrate(values: FloatArray) -> Any:
     return np.trapezoid(values, WAVELENGTH_NM, axis=-1)
 
 
+def integrate_product(first: FloatArray, second: FloatArray) -> Any:
+    """Integral over wavelength of the product of two curves [..., wavelength] that are linear between grid points.
+
+    The trapezoidal rule on the products is off where both change within a step: by h/6 times the product of their
+    changes, which is 0.4 % for the infrared channel under the spectral lines of F11.
+    """
+    changes = np.diff(first, axis=-1) * np.diff(second, axis=-1)
+    return integrate(first * second) - WAVELENGTH_STEP_NM / 6 * changes.sum(axis=-1)
+
+
 def long_pass(edge_nm: float, width_nm: float) -> FloatArray:
     """Transmittance 0..1 of a long-pass filter: a logistic edge, 0.5 at ``edge_nm``, 10-90 % within ``width_nm``."""
     return np.asarray(expit(_LOGISTIC_10_90 * (WAVELENGTH_NM - edge_nm) / width_nm))

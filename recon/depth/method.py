@@ -31,7 +31,7 @@ def estimate(capture: Capture, bank: PsfBank, settings: Settings) -> DepthEstima
     check_fits(bank, capture)
     raw_e, saturated = mosaic.linearise(capture)
     camera = capture.camera
-    light = colour.choose_light(mosaic.planes(raw_e, camera), mosaic.saturated_blocks(saturated), bank.signature)
+    light = colour.choose_light(raw_e, saturated, camera, bank.lights, bank.signature)
     level, confidence = raw_levels(
         raw_e, variances(raw_e, capture), saturated, camera, bank.kernel[light], settings, bank.signature[light]
     )

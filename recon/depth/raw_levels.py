@@ -54,8 +54,9 @@ def raw_levels(
         settings: score, window and thresholds.
         white: electrons of a white point under the light, [channel].
     """
-    phases, planes = mosaic.phases(camera), mosaic.planes(raw_e, camera)
-    alpha = infrared.crosstalk(camera.sensor, settings.crosstalk)
+    phases = mosaic.phases(camera)
+    planes, variances = _with_crosstalk_of_the_axis(mosaic.planes(raw_e, camera), variances, camera)
+    alpha = infrared.crosstalk(camera, settings.crosstalk)
 
     def channel(name: str, box: tuple[slice, slice]) -> Channel:
         plane = np.ascontiguousarray(planes[name][box])
@@ -83,6 +84,25 @@ def raw_levels(
         confidence[box][new] = (trust if name == "IR" else FALLBACK_TRUST * trust)[new]
         unresolved[box] &= (snr <= settings.edge_snr) & (green_snr > settings.edge_snr)
     return level, confidence
+
+
+def _with_crosstalk_of_the_axis(
+    planes: dict[str, NDArray], variances: dict[str, Float32Array], camera: Camera
+) -> tuple[dict[str, NDArray], dict[str, Float32Array]]:
+    """Planes and noise variances of R, G and B, scaled so that alpha of eq. (8) is that of the axis everywhere.
+
+    The scores do not depend on a smooth factor of a channel. The kernels remain those of the bank, for which white has
+    the axis' share of infrared.
+    """
+    relative, place = infrared.crosstalk_over_field(camera)
+    if len(relative) == 1:
+        return planes, variances
+    place = place[::2, ::2]
+    for name, row in zip("RGB", relative.T, strict=True):
+        factor = np.interp(place, np.arange(len(row)), 1 / row).astype(np.float32)
+        planes = planes | {name: planes[name] * factor}
+        variances = variances | {name: variances[name] * factor**2}
+    return planes, variances
 
 
 def _around(mask: NDArray, margin: int) -> tuple[slice, slice] | None:

@@ -10,12 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dasim.camera.radiometry import response
+from dasim.camera.rings import rings
 from dasim.camera.specification import Camera, channels
 from dasim.spectra import grid
 from dasim.spectra.colour import fitted_matrix
 from dasim.typing import Float32Array, FloatArray
 from dasim.values import PsfBank
-from recon.picture import infrared, mosaic
+from recon.picture import field, infrared, mosaic
 from recon.picture.infrared import light_power
 from recon.settings import PAPER
 
@@ -25,35 +26,51 @@ FAR_LIGHT = 1.0  # log-chromaticity distance of a note; D65 and A differ by 1.46
 BLOCK_PX = 8  # side of the blocks of a plane, whose average suppresses noise and clipped points
 
 
-def choose_light(planes: dict[str, NDArray], saturated: NDArray, signature: NDArray) -> int:
+def choose_light(
+    raw_e: Float32Array, saturated: NDArray, camera: Camera, lights: Sequence[str], signature: NDArray
+) -> int:
     """Index of the light of a raw picture, by automatic white balance (sec. 5.1).
 
     The light is the nearest in log-chromaticity (R, B and IR relative to G) to the Minkowski mean over unsaturated
-    blocks. Infrared separates lamps from daylight.
+    blocks. Infrared separates lamps from daylight. What white of each light loses off the axis is made up for.
 
     Args:
-        planes: colour planes, [h/2, w/2] electrons each, in the order of the channels.
-        saturated: mask of blocks with saturated pixels, [h/2, w/2].
-        signature: electrons of white relative to green, [light, channel], of a bank or :func:`signatures`.
+        raw_e: linear mosaic, [h, w] electrons.
+        saturated: mask of saturated pixels, [h, w].
+        camera: gives mosaic and response curves.
+        lights: names of the lights.
+        signature: electrons of white on the axis relative to green, [light, channel], of a bank or :func:`signatures`.
     """
-    distance = light_distances(planes, saturated, signature)
+    distance = light_distances(raw_e, saturated, camera, lights, signature)
     return 0 if distance is None else int(distance.argmin())
 
 
-def light_distances(planes: dict[str, NDArray], saturated: NDArray, signature: NDArray) -> FloatArray | None:
+def light_distances(
+    raw_e: Float32Array, saturated: NDArray, camera: Camera, lights: Sequence[str], signature: NDArray
+) -> FloatArray | None:
     """Log-chromaticity distance of a picture's white from every light, [light]; None for a picture without light."""
-    mean = np.array([_minkowski(plane, saturated) for plane in planes.values()])
-    if not np.all(mean > 0):
-        return None
-    green = list(planes).index("G")
-    measured = np.log(mean / mean[green])
-    expected = np.log(np.maximum(signature, np.finfo(np.float32).tiny))
-    return np.asarray(np.sqrt(((expected - measured) ** 2).sum(axis=1)))
+    planes = mosaic.planes(raw_e, camera)
+    unsaturated = (~mosaic.saturated_blocks(saturated)).astype(np.float32)
+    whole = _averaged(unsaturated) > 1 - 1e-3
+    blocks = {name: _averaged(plane.astype(np.float32) * unsaturated)[whole] for name, plane in planes.items()}
+    angles, place = rings(camera)
+    place = _averaged(place[::2, ::2])[whole]
+    distances = []
+    for light, white in zip(lights, signature, strict=True):
+        relative = field.relative_white(camera, light, angles)
+        shares = [field.on_grid(row, place) for row in relative]
+        mean = np.array([_minkowski(block / share) for block, share in zip(blocks.values(), shares, strict=True)])
+        if not np.all(mean > 0):
+            return None
+        measured = np.log(mean / mean[list(planes).index("G")])
+        expected = np.log(np.maximum(white, np.finfo(np.float32).tiny))
+        distances.append(np.sqrt(((expected - measured) ** 2).sum()))
+    return np.array(distances)
 
 
 def light_notes(raw_e: Float32Array, saturated: NDArray, camera: Camera, bank: PsfBank) -> tuple[str, ...]:
     """A note if the picture's white is far from every light of the bank, or cannot be measured."""
-    distance = light_distances(mosaic.planes(raw_e, camera), mosaic.saturated_blocks(saturated), bank.signature)
+    distance = light_distances(raw_e, saturated, camera, bank.lights, bank.signature)
     if distance is None:
         return (f"the picture is too dark or too bright to measure its light; {bank.lights[0]} is assumed",)
     nearest = int(distance.argmin())
@@ -65,15 +82,17 @@ def light_notes(raw_e: Float32Array, saturated: NDArray, camera: Camera, bank: P
     )
 
 
-def _minkowski(plane: NDArray, saturated: NDArray) -> float:
-    """Minkowski mean (mean x^p)^(1/p) over blocks without saturated pixels; 0 without light."""
-    share = (~saturated).astype(np.float32)
+def _averaged(plane: NDArray) -> NDArray:
+    """A plane averaged over square blocks of ``BLOCK_PX``."""
     size = (max(plane.shape[1] // BLOCK_PX, 1), max(plane.shape[0] // BLOCK_PX, 1))
-    block = cv2.resize(plane.astype(np.float32) * share, size, interpolation=cv2.INTER_AREA)
-    unsaturated = cv2.resize(share, size, interpolation=cv2.INTER_AREA) > 1 - 1e-3
-    if not unsaturated.any():
+    return np.asarray(cv2.resize(plane, size, interpolation=cv2.INTER_AREA))
+
+
+def _minkowski(blocks: NDArray) -> float:
+    """Minkowski mean (mean x^p)^(1/p) of values, without the dark ones; 0 without light."""
+    if not blocks.size:
         return 0.0
-    value = np.maximum(block[unsaturated].astype(np.float64), 0)
+    value = np.maximum(blocks.astype(np.float64), 0)
     bright = value[value > DARK_SHARE * value.max()]
     return float(np.mean(bright**MINKOWSKI) ** (1 / MINKOWSKI)) if bright.size else 0.0
 

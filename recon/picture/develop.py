@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from dasim.base.errors import InputError
 from dasim.camera.specification import Camera
 from dasim.spectra.colour import exposure_scale, to_srgb
-from dasim.typing import BoolArray, Float32Array, FloatArray, Progress
+from dasim.typing import BoolArray, Float32Array, Progress
 from dasim.values import Capture, Developed
-from recon.picture import colour, denoise, infrared, mosaic, shading
+from recon.picture import colour, denoise, field, infrared, mosaic, shading
 from recon.settings import DEFAULT, Settings
 from recon.stages import Stage, stages
 
@@ -63,23 +63,25 @@ def develop(
     timings: dict[str, float] = {}
     stage = stages(STAGES, timings, progress)
     signature = colour.signatures(camera, lights)
-    linear = linearised(capture, signature, flat, stage)
+    linear = linearised(capture, lights, signature, flat, stage)
     with stage("denoise"):
         clean_e = shaded(denoised(linear.raw_e, capture, settings), linear.gain)
     image = demosaiced(clean_e, camera, signature[linear.light], stage)
     light = lights[linear.light]
     with stage("colour"):
-        separation = infrared.separation(camera, light, settings)
+        separation = field.separation(camera, light, settings)
         linear_e = without_infrared(image, separation, clipped(linear.saturated, camera), signature[linear.light])
-        matrix = colour.colour_matrix(camera, light, separation)
+        matrix = colour.colour_matrix(camera, light, separation.on_axis)
         rgb = to_srgb(linear_e, matrix, exposure_scale(linear_e, matrix))
     if progress:
         progress("done", 1.0)
-    ir_e = None if image.ir_e is None else np.maximum(image.ir_e, 0)
+    ir_e = None if image.ir_e is None else np.maximum(field.infrared_as_on_axis(image.ir_e, separation), 0)
     return Developed(rgb, linear_e, ir_e, matrix, camera, light, settings.model_dump(), timings)
 
 
-def linearised(capture: Capture, signature: NDArray, flat: Capture | None, stage: Stage) -> Linear:
+def linearised(
+    capture: Capture, lights: Sequence[str], signature: NDArray, flat: Capture | None, stage: Stage
+) -> Linear:
     """The linear mosaic of a capture, with its light by white balance.
 
     ``signature`` [light, channel] is electrons of a white point under each light; for ``flat`` see :func:`develop`.
@@ -92,9 +94,9 @@ def linearised(capture: Capture, signature: NDArray, flat: Capture | None, stage
         )
     with stage("linearise"):
         raw_e, saturated = mosaic.linearise(capture)
-        gain = None if flat is None else shading.gain(flat, camera)
+        gain = None if flat is None else shading.gain(flat, camera, lights, signature)
     with stage("light"):
-        light = colour.choose_light(mosaic.planes(raw_e, camera), mosaic.saturated_blocks(saturated), signature)
+        light = colour.choose_light(raw_e, saturated, camera, lights, signature)
     return Linear(raw_e, saturated, light, gain)
 
 
@@ -141,17 +143,18 @@ def demosaiced(mosaic_e: Float32Array, camera: Camera, white: NDArray, stage: St
     return Demosaiced(full_e, ir_e)
 
 
-def without_infrared(image: Demosaiced, separation: FloatArray, clipped: NDArray, white: NDArray) -> Float32Array:
+def without_infrared(image: Demosaiced, separation: field.Separation, clipped: NDArray, white: NDArray) -> Float32Array:
     """Removal of infrared (sec. 4.4) at full resolution, [h, w, 3]; ``clipped`` [h, w, 3] marks saturated values.
 
     Saturated values are lower bounds. They are raised to the level of the brightest channel, relative to ``white``
     [channel], so that a highlight is white instead of pink. Deviation: the paper does not treat highlights.
     """
     with_ir = image.full_e if image.ir_e is None else np.dstack([image.full_e, np.maximum(image.ir_e, 0)])
-    clean = infrared.separate(with_ir, separation)
+    clean = field.separate(with_ir, separation)
     if not clipped.any():
         return clean
-    neutral = (separation @ white[: separation.shape[1]]).astype(np.float32)
+    rows = separation.on_axis
+    neutral = (rows @ white[: rows.shape[1]]).astype(np.float32)
     level = (clean / neutral).max(axis=-1, keepdims=True)
     return np.asarray(np.where(clipped, np.maximum(clean, level * neutral), clean), np.float32)
 

@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 from dasim.base.errors import InputError
 from dasim.camera import specification
 from dasim.camera.radiometry import response
-from dasim.camera.specification import Camera, Sensor, channels
+from dasim.camera.rings import rings
+from dasim.camera.specification import Camera, channels
 from dasim.spectra import colour_checker, grid, illuminants
 from dasim.typing import Float32Array, FloatArray
 from dasim.values import Capture
@@ -37,18 +38,30 @@ def interpolate(plane: Float32Array, phase: Phase) -> Float32Array:
     return np.asarray(full, np.float32)
 
 
-def crosstalk(sensor: Sensor, measured: tuple[float, float, float] | None) -> FloatArray:
-    """Ratios alpha of the infrared in R, G and B to the IR signal, [3]: ``measured``, or eq. (8)."""
+def crosstalk(camera: Camera, measured: tuple[float, float, float] | None, angle_deg: float = 0.0) -> FloatArray:
+    """Ratios alpha of the infrared in R, G and B to the IR signal, [3], at an angle of the field: eq. (8).
+
+    ``measured`` are those of the axis; they change over the field as eq. (8) does.
+    """
+    alpha = specification.crosstalk(camera, angle_deg)
     if measured is not None:
-        return np.asarray(measured, np.float64)
-    return specification.crosstalk(sensor).astype(np.float32).astype(np.float64)
+        return np.asarray(measured, np.float64) * (alpha / specification.crosstalk(camera))
+    return alpha.astype(np.float32).astype(np.float64)
+
+
+def crosstalk_over_field(camera: Camera) -> tuple[FloatArray, FloatArray]:
+    """Eq. (8) on the rings of the frame relative to the axis, [ring, 3], and each pixel's fractional ring, [h, w]."""
+    angles, place = rings(camera)
+    alpha = np.stack([specification.crosstalk(camera, angle) for angle in angles])
+    return alpha / alpha[0], place
 
 
 def measured_crosstalk(capture: Capture) -> tuple[float, float, float]:
-    """Measured alpha of eq. (8) for R, G and B, from a capture under near-infrared light alone.
+    """Measured alpha of eq. (8) for R, G and B on the axis, from a capture under near-infrared light alone.
 
-    The results, for ``Settings.crosstalk``, are ratios of the channels' means. Unlike the areas of the response curves,
-    they hold for the spectrum of this light. Suitable are infrared LEDs, or a lamp behind a filter without transmission
+    The results, for ``Settings.crosstalk``, are ratios of the channels' means; how alpha changes over the field is
+    known from the data sheet. Unlike the areas of the response curves, they hold for the spectrum of this light.
+    Suitable are infrared LEDs, or a lamp behind a filter without transmission
     below 650 nm, on a uniform surface.
     """
     electrons, saturated = mosaic.linearise(capture)
@@ -62,12 +75,17 @@ def measured_crosstalk(capture: Capture) -> tuple[float, float, float]:
     mean = {name: float(electrons[mosaic.sites(g, electrons.shape)].mean()) for name, g in grids.items()}
     if mean["IR"] < LEAST_SIGNAL * capture.camera.sensor.full_well_e / capture.gain:
         raise InputError("capture: too little infrared for the measurement of crosstalk; use more light")
-    red, green, blue = (max(mean[name] / mean["IR"], 0.0) for name in grid.CHANNELS[:3])
+    where = mosaic.sites(grids["IR"], electrons.shape)
+    relative, place = crosstalk_over_field(capture.camera)
+    expected = [
+        float((electrons[where] * np.interp(place[where], np.arange(len(relative)), row)).mean()) for row in relative.T
+    ]
+    red, green, blue = (max(mean[name] / of_infrared, 0.0) for name, of_infrared in zip("RGB", expected, strict=True))
     return red, green, blue
 
 
-def separation(camera: Camera, light: str, settings: Settings) -> FloatArray:
-    """Matrix [3, channel] that removes infrared from R, G and B, for :func:`separate`.
+def separation(camera: Camera, light: str, settings: Settings, angle_deg: float = 0.0) -> FloatArray:
+    """Matrix [3, channel] that removes infrared from R, G and B at an angle of the field, for :func:`separate`.
 
     For eq. (7), it has ones on the diagonal and -alpha in the column of infrared, with alpha from the settings or
     eq. (8). With ``infrared_removal = "matrix"``, it is the first three rows of :func:`crosstalk_matrix`. For a camera
@@ -76,19 +94,19 @@ def separation(camera: Camera, light: str, settings: Settings) -> FloatArray:
     if "IR" not in channels(camera.sensor):
         return np.eye(3)
     if settings.infrared_removal == "matrix":
-        return crosstalk_matrix(camera, light)[:3]
-    return np.hstack([np.eye(3), -crosstalk(camera.sensor, settings.crosstalk)[:, None]])
+        return crosstalk_matrix(camera, light, angle_deg)[:3]
+    return np.hstack([np.eye(3), -crosstalk(camera, settings.crosstalk, angle_deg)[:, None]])
 
 
-def crosstalk_matrix(camera: Camera, light: str) -> FloatArray:
+def crosstalk_matrix(camera: Camera, light: str, angle_deg: float = 0.0) -> FloatArray:
     """Full crosstalk matrix [4, 4]: from captured (R, G, B, IR) to the signal of each channel in its own band.
 
     A least-squares fit over the 24 patches of the ColorChecker and white under the light, each weighted by 1 / green.
     The response curves are split at 650 nm: visible light for R, G and B, the rest for IR. Deviation: eq. (7) removes
     infrared alone; this matrix also removes visible light from the infrared pixel.
     """
-    curves = response(camera)
-    visible = grid.WAVELENGTH_NM < grid.NEAR_INFRARED_NM[0]
+    curves = response(camera, angle_deg)
+    visible = grid.WAVELENGTH_NM < specification.near_infrared_nm(camera, angle_deg)[0]
     band_curves = curves * np.vstack([visible, visible, visible, ~visible])
     patches = np.vstack([colour_checker.curve(name) for name in colour_checker.PATCHES])
     patches = np.vstack([patches, np.ones_like(grid.WAVELENGTH_NM)])[:, None, :] * light_power(light)

@@ -5,15 +5,18 @@ Tested in tests/recon/picture/test_develop.py.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.polynomial.legendre import legvander
 from numpy.typing import NDArray
 
 from dasim.base.errors import InputError
+from dasim.camera.rings import rings
 from dasim.camera.specification import Camera
 from dasim.typing import Float32Array
 from dasim.values import Capture
-from recon.picture import mosaic
+from recon.picture import colour, field, mosaic
 
 DEGREE = 4  # of the gain, a polynomial in row and column; cos^-4 = (1 + r^2 / s^2)^2 has exactly this degree
 SAMPLES = 64  # blocks along the longer side for the fit of the polynomial
@@ -23,11 +26,16 @@ LEAST_BLOCK_PX = 8
 DARKEST_BLOCK = 0.02  # least mean of a block relative to the brightest one
 
 
-def gain(flat: Capture, camera: Camera) -> Float32Array:
+def gain(flat: Capture, camera: Camera, lights: Sequence[str], signature: NDArray) -> Float32Array:
     """Factor on each pixel's electrons that corrects the lens shading, [h, w]; 1 at the brightest point.
 
     ``flat`` is a capture of a uniformly lit, uniform surface out of focus, by the same sensor at the same focus. The
     factor is a polynomial fitted to the inverse of each channel, so that noise, dust and PRNU have no influence.
+
+    The colour shading that the data sheet explains, under the light of the flat, is left in: the removal of infrared
+    takes it out for the light of the picture (:mod:`recon.picture.field`). What the data sheet does not know, such as
+    the vignetting of single channels, is corrected as the flat shows it. The light of the flat is the nearest of
+    ``lights``, whose white ``signature`` is [light, channel].
     """
     check_flat(flat, camera)
     electrons, saturated = mosaic.linearise(flat)
@@ -35,11 +43,14 @@ def gain(flat: Capture, camera: Camera) -> Float32Array:
         raise InputError(f"flat: {saturated.mean():.1%} of its pixels are saturated; use a shorter exposure")
     if electrons.mean() < DIMMEST_SHARE * camera.sensor.full_well_e / flat.gain:
         raise InputError("flat: too dark for a measurement of the lens shading; use a longer exposure")
+    light = lights[colour.choose_light(electrons, saturated, flat.camera, lights, signature)]
+    angles, place = rings(flat.camera)
+    known = field.relative_white(flat.camera, light, angles)
     factor = np.empty_like(electrons)
-    for name, grids in mosaic.grids(camera).items():
+    for (name, grids), relative in zip(mosaic.grids(camera).items(), known, strict=True):
         where = mosaic.sites(grids, electrons.shape)
         inverse = _inverse(electrons, where, name)
-        factor[where] = (inverse / inverse.min())[where]
+        factor[where] = (inverse / inverse.min())[where] * field.on_grid(relative, place[where])
     return factor
 
 

@@ -40,7 +40,7 @@ def test_all_in_focus_gains_and_never_loses(scene, result, preset, lowest):
     """
     if preset != DEFAULT_PRESET:
         result = recon.reconstruct(scene.capture, recon_scenes.bank(), recon.PRESETS[preset])
-    alpha = specification.crosstalk(scene.capture.camera.sensor)
+    alpha = specification.crosstalk(scene.capture.camera)
     truth = np.maximum(scene.sharp_e[..., :3] - alpha * scene.sharp_e[..., 3:], 0)
     inner = np.zeros(scene.level.shape, bool)
     inner[16:-16, 16:-16] = True
@@ -75,7 +75,7 @@ def test_the_4x4_mosaic_shows_the_same_levels():
     sure = np.isfinite(result.level_raw)
     assert sure.mean() > 0.25
     assert np.median(np.abs(result.level_raw - scene.level)[sure]) < 0.8
-    alpha = specification.crosstalk(four.sensor)
+    alpha = specification.crosstalk(four)
     exact = scene.mean_e[..., :3] - alpha * scene.mean_e[..., 3:]
     inner = np.zeros(scene.level.shape, bool)
     inner[16:-16, 16:-16] = True

@@ -13,12 +13,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from dasim.camera.specification import Camera, crosstalk
+from dasim.camera.rings import at_pixels
+from dasim.camera.specification import Camera
 from dasim.spectra.colour import exposure_scale, to_srgb
 from dasim.typing import BoolArray, FloatArray
 from dasim.values import Reconstruction, Truth
-from recon.picture import colour, infrared
-from recon.settings import Settings
+from recon.picture import colour, field, infrared
+from recon.settings import PAPER, Settings
 
 VISIBLE_BLUR_PX = (3.0, 15.0)  # where sharpening is judged
 PEAK_PERCENTILE = 99.9  # of the truth: a single highlight is no peak
@@ -50,7 +51,7 @@ def regions(truth: Truth) -> dict[str, BoolArray]:
 
 def picture_scores(result: Reconstruction, truth: Truth) -> list[PictureScore]:
     """Scores of both pictures, region by region; NaN if a region is empty."""
-    exact = infrared_free(truth.sharp_e, result.camera)
+    exact = infrared_free(truth.sharp_e, result.camera, result.light)
     srgb = displayed(result, truth)
     total = max(float(truth.valid.sum()), 1.0)
     scores = []
@@ -68,14 +69,23 @@ def displayed(result: Reconstruction, truth: Truth) -> dict[str, FloatArray]:
     separation = infrared.separation(result.camera, result.light, Settings(**result.settings))
     matrix = colour.colour_matrix(result.camera, result.light, separation)
     scale = exposure_scale(result.linear_e, matrix)
-    exact = infrared_free(truth.sharp_e, result.camera)
+    exact = infrared_free(truth.sharp_e, result.camera, result.light)
     linear: dict[str, NDArray[Any]] = {"captured": result.linear_e, "all-in-focus": result.sharp_e, "truth": exact}
     return {name: to_srgb(e.astype(np.float32), matrix, scale).astype(np.float64) for name, e in linear.items()}
 
 
-def infrared_free(image_e: NDArray[Any], camera: Camera) -> FloatArray:
-    """Linear colours without infrared, eq. (7) on exact signals: [h, w, 4] -> [h, w, 3] electrons."""
-    return image_e[..., :3].astype(np.float64) - crosstalk(camera.sensor) * image_e[..., 3:]
+def infrared_free(image_e: NDArray[Any], camera: Camera, light: str) -> FloatArray:
+    """Linear colours without infrared as the axis records them, [h, w, 3]: eq. (7) on exact signals [h, w, channel].
+
+    ``light`` is that for which white off the axis is balanced (:mod:`recon.picture.field`).
+    """
+    over_field = field.separation(camera, light, PAPER)
+    planes = np.moveaxis(image_e, -1, 0).astype(np.float64)
+    rows = [
+        sum(at_pixels(column, over_field.place) * plane for column, plane in zip(colour_rows, planes, strict=True))
+        for colour_rows in np.moveaxis(over_field.matrices, 0, -1)
+    ]
+    return np.stack(rows, axis=-1)
 
 
 def psnr(image: NDArray[Any], exact: FloatArray, where: BoolArray) -> float:

@@ -55,7 +55,8 @@ def test_cameras_differ_from_da_mobile_where_they_say_so(da_mobile):
     assert other_mosaic.stops == da_mobile.stops and other_mosaic.lens == da_mobile.lens
     for name in ("bayer-mobile", "chakrabarti-zickler", "bando"):
         camera = cameras.load_camera(name)
-        assert camera.lens == da_mobile.lens and camera.sensor.cutoff_nm == 650
+        dyes = {"coating_index": 0.0} if name != "bayer-mobile" else {}  # colour filters in the lens
+        assert camera.lens == da_mobile.lens.model_copy(update=dyes) and camera.sensor.cutoff_nm == 650
         changes = other | {"mosaic": da_mobile.sensor.mosaic, "cutoff_nm": 810.0}
         assert camera.sensor.model_copy(update=changes) == da_mobile.sensor
 

@@ -56,7 +56,7 @@ def test_a_foreign_method_yields_an_all_in_focus_picture(scene, bank):
     result = recon.reconstruct(scene.capture, bank, method=oracle)
     inner = (slice(16, -16), slice(64, -16))
     assert np.median(np.abs(result.level - scene.level)[inner]) < FILLED_MEDIAN_LEVELS
-    separation = np.hstack([np.eye(3), -specification.crosstalk(scene.capture.camera.sensor)[:, None]])
+    separation = np.hstack([np.eye(3), -specification.crosstalk(scene.capture.camera)[:, None]])
     truth = np.maximum(scene.sharp_e @ separation.T, 0)
     before, after = (np.mean((image - truth)[inner] ** 2) for image in (result.linear_e, result.sharp_e))
     assert 10 * np.log10(before / after) > MIN_GAIN_DB

@@ -197,7 +197,7 @@ def test_colours_that_are_wrong_fail(checker_under_a, monkeypatch, broken):
     monkeypatch.setattr(colour, "CHECKER_CAMERAS", ("da-mobile",))
     monkeypatch.setattr(colour, "checker", lambda *arguments: checker_under_a)
     if broken == "white balance":
-        monkeypatch.setattr(recon_colour, "choose_light", lambda planes, saturated, signature: 0)
+        monkeypatch.setattr(recon_colour, "choose_light", lambda *picture: 0)
     if broken == "gamma":
         true = colour.to_srgb
         monkeypatch.setattr(colour, "to_srgb", lambda e, matrix, scale: true(true(e, matrix, scale), np.eye(3), 1.0))

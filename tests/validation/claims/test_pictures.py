@@ -169,7 +169,7 @@ def test_all_in_focus_that_is_the_capture_fails(slope):
 def test_halos_fail(slope):
     """Set-up: the sharp truth, and with every gradient a fifth steeper."""
     result, exact = slope
-    sharp_e = infrared_free(exact.sharp_e, result.camera)
+    sharp_e = infrared_free(exact.sharp_e, result.camera, result.light)
     for gain in (1.0, 1.21):
         steeper = dataclasses.replace(result, sharp_e=gain * sharp_e)
         failures = failed("scene-pictures", scene_pictures.edges("x", steeper, exact))

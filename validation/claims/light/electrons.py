@@ -143,7 +143,7 @@ def eq8_flat_field(progress: ShareDone) -> Evidence:
     moved = rendering.changed(
         as_built, stops=[stop.model_dump() | {"passes_nm": below[stop.name]} for stop in as_built.stops]
     )
-    expected = specification.crosstalk(as_built.sensor)
+    expected = specification.crosstalk(as_built)
     equal = walls.sharp_light(grid.NEAR_INFRARED_NM, 1 / grid.photons_per_joule())
     runs: list[tuple[str, Camera, dict[str, Any], str]] = [
         ("", moved, equal, "equal photons, all through the hole"),

@@ -56,7 +56,7 @@ def response_curves(progress: ShareDone) -> Evidence:
     camera = cameras.load_camera("da-mobile")
     body = camera.sensor
     curves = specification.quantum_efficiency(body) * grid.short_pass(body.cutoff_nm, body.cutoff_width_nm)
-    alpha = specification.crosstalk(camera.sensor)
+    alpha = specification.crosstalk(camera)
     peak_nm = [float(grid.WAVELENGTH_NM[curve.argmax()]) for curve in curves]
     figures = [
         Figure(f"alpha.{name}", float(value), "1", f"alpha_{name} of eq. (8): near-infrared in {name} over that in IR")
@@ -259,7 +259,7 @@ def dynamic_range(progress: ShareDone) -> Evidence:
     Source: sec. 4.5.1.
     """
     cams = [cameras.load_camera(name) for name in RANGE_CAMERAS]
-    alpha = np.array(specification.crosstalk(cams[0].sensor))
+    alpha = np.array(specification.crosstalk(cams[0]))
     rows, figures = [], []
     errors, poor, red_most = {"headroom": 0.0, "floor": 0.0}, 0.0, True
     shares = []

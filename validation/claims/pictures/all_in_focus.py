@@ -87,7 +87,7 @@ def gains(name: str, result: Reconstruction, truth: Truth) -> tuple[list[Figure]
     """Figures of one scene: gains in dB in the ranges with a limit, the least of all bins, and at boundaries; rows of a
     table.
     """
-    exact = infrared_free(truth.sharp_e, result.camera)
+    exact = infrared_free(truth.sharp_e, result.camera, result.light)
     blur, inner = np.abs(truth.blur_px), truth.valid & ~truth.boundary
 
     def measured(where: BoolArray) -> tuple[float, float]:
@@ -145,7 +145,7 @@ def refocus(progress: ShareDone, seed: int = 0, methods: Sequence[NamedMethod] =
         there = cameras.refocused(camera, depth_m)
         same = Exposure(time_s=shot.capture.exposure_s)
         reference = photographed(scene, there, seed + REFERENCE_SEED, spp=FOCUSED_SPP, exposure=same)
-        exact, visible = _without_breathing(reference.truth, there, camera)
+        exact, visible = _without_breathing(reference.truth, there, camera, light)
         mask = inner & visible
         scale = exposure_scale(exact[mask][None].astype(np.float32), matrix)
         by_lens = to_srgb(exact.astype(np.float32), matrix, scale)
@@ -162,7 +162,7 @@ def refocus(progress: ShareDone, seed: int = 0, methods: Sequence[NamedMethod] =
     return Evidence(figures, pictures=pictures)
 
 
-def _without_breathing(truth: Truth, there: Camera, camera: Camera) -> tuple[FloatArray, BoolArray]:
+def _without_breathing(truth: Truth, there: Camera, camera: Camera, light: str) -> tuple[FloatArray, BoolArray]:
     """The lens's own picture without infrared at the magnification of another focus, and the mask [h, w] where it is
     valid.
     """
@@ -171,7 +171,7 @@ def _without_breathing(truth: Truth, there: Camera, camera: Camera) -> tuple[Flo
     x, y = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
     place = [(((p - n / 2) * ratio + n / 2) - 0.5).astype(np.float32) for p, n in ((x, width), (y, height))]
     inner = (truth.valid & ~truth.boundary).astype(np.float32)
-    colours = infrared_free(truth.mean_e, there).astype(np.float32) * np.float32(ratio**2)
+    colours = infrared_free(truth.mean_e, there, light).astype(np.float32) * np.float32(ratio**2)
     moved = cv2.remap(colours, place[0], place[1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     visible = cv2.remap(inner, place[0], place[1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=0)
     return np.asarray(moved, np.float64), np.asarray(visible) == 1

@@ -101,7 +101,7 @@ def scene_pictures(progress: ShareDone, seed: int = 0, methods: Sequence[NamedMe
 
 def edges(name: str, result: Reconstruction, truth: Truth) -> list[Figure]:
     """Figures of the steepness of edges and of the apparent blur of the pictures."""
-    exact = gradients(infrared_free(truth.sharp_e, result.camera)[..., 1])
+    exact = gradients(infrared_free(truth.sharp_e, result.camera, result.light)[..., 1])
     before, after = gradients(result.linear_e[..., 1]), gradients(result.sharp_e[..., 1])
     figures = []
     for low, high in EDGE_BLUR_PX:

@@ -103,7 +103,8 @@ def colours(name: str, shots: dict[str, Shot], developed: dict[str, Developed], 
     """
     ours, twins = CAMERAS
     truth = shots[twins].truth
-    exact = truth.sharp_e @ colour.colour_matrix(shots[twins].capture.camera, _light(shots[twins])).T
+    camera, light = shots[twins].capture.camera, _light(shots[twins])
+    exact = infrared_free(truth.sharp_e, camera, light) @ colour.colour_matrix(camera, light).T
     linear = {camera: one.linear_e @ one.matrix.T for camera, one in developed.items()}
     focus = truth.valid & ~truth.boundary & (np.abs(truth.blur_px) <= FOCUS_PX)
     between = differences(linear[ours], linear[twins], truth.valid)
@@ -169,6 +170,6 @@ def noise(shot: Shot, developed: Developed) -> float:
 def detail(shot: Shot, developed: Developed) -> float:
     """Slope of green's gradients on those of the sharp truth, where these are steepest and in focus."""
     truth = shot.truth
-    exact = truth.sharp_e if truth.sharp_e.shape[-1] == 3 else infrared_free(truth.sharp_e, developed.camera)
+    exact = infrared_free(truth.sharp_e, developed.camera, developed.light)
     where = truth.valid & ~truth.boundary & (np.abs(truth.blur_px) <= FOCUS_PX)
     return slope(gradients(developed.linear_e[..., 1]), gradients(exact[..., 1]), where)

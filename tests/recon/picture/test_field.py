@@ -1,0 +1,132 @@
+"""Colour over the field: flat fields of a phone's whole angle of view, by integrals of their own, stay grey."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+import recon
+from dasim.camera import noise, response_curves
+from dasim.camera import specification as cameras
+from dasim.spectra import grid, illuminants
+from dasim.values import Capture
+from recon.picture import colour, develop, field
+
+FINE_NM = np.arange(400.0, 830.01, 0.1)
+SIZE_PX = (256, 192)  # of 8 x 8 binned pixels: the angles of the full frame
+PITCH_UM = 13.6
+TIME_S = 0.01
+CAST = 0.006  # of balanced colours against the middle: rounding to 6 electrons of 400 and more, averaged over blocks
+BLOCK_PX = 16
+
+
+@pytest.fixture(scope="module")
+def camera():
+    """da-mobile with large pixels, so that few of them cover its field; 14 bits, so that rounding does not show."""
+    whole = cameras.load_camera("da-mobile")
+    size = {"width_px": SIZE_PX[0], "height_px": SIZE_PX[1], "pixel_pitch_um": PITCH_UM, "adc_bits": 14}
+    return whole.model_copy(update={"sensor": whole.sensor.model_copy(update=size)})
+
+
+def flat_capture(camera, light, *, vignetting=None):
+    """A noise-free flat field under a light: shifted edges and cos^4 from the data sheet, at 0.1 nm.
+
+    ``vignetting`` [channel] is a loss in the corner that the data sheet does not know.
+    """
+    focal_mm, focus_mm = 3.6, 400.0
+    image_mm = 1 / (1 / focal_mm - 1 / focus_mm)
+    y, x = ((np.arange(n) + 0.5 - n / 2) * PITCH_UM * 1e-3 for n in SIZE_PX[::-1])
+    square = x[None, :] ** 2 + y[:, None] ** 2
+    sine2 = square / (square + image_mm**2)
+    nodes = np.linspace(0, sine2.max(), 60)
+    curves = np.stack(
+        [np.interp(FINE_NM, grid.WAVELENGTH_NM, row) for row in response_curves.rgb_ir_quantum_efficiency()]
+    )
+    power = np.interp(FINE_NM, grid.WAVELENGTH_NM, illuminants.illuminant(light)) * FINE_NM
+
+    def signal(at):
+        def beyond(edge_nm):
+            return 1 / (1 + np.exp(-np.log(81) * (FINE_NM - edge_nm * np.sqrt(1 - at / 1.8**2)) / 8))
+
+        return (curves * (1 - beyond(650) + 0.46**2 * beyond(650)) * (1 - beyond(810)) * power).sum(axis=1)
+
+    signals = np.stack([signal(at) for at in nodes])
+    signals /= signals[0].max()
+    mean = np.stack([np.interp(sine2, nodes, row) for row in signals.T], axis=-1) * (1 - sine2[..., None]) ** 2
+    if vignetting is not None:
+        mean = mean * (1 - np.array(vignetting) * (sine2 / sine2.max())[..., None])
+    mean_e = 0.8 * camera.sensor.full_well_e * mean
+    raw, _ = noise.expose(noise.mosaic(mean_e, camera), camera.sensor, TIME_S, 0, noise="off")
+    return Capture(raw, camera, TIME_S, 1.0, 0)
+
+
+def cast(developed):
+    """Largest difference of the blocks' balanced colours from neutral, and the blocks' luminance over the largest."""
+    linear = developed.linear_e @ developed.matrix.T
+    height, width = (n // BLOCK_PX for n in linear.shape[:2])
+    blocks = linear.reshape(height, BLOCK_PX, width, BLOCK_PX, 3).mean(axis=(1, 3))
+    return np.abs(blocks / blocks[..., 1:2] - 1).max(), blocks[..., 1] / blocks[..., 1].max()
+
+
+@pytest.mark.parametrize("removal", ["coefficients", "matrix"])
+@pytest.mark.parametrize("light", ["D65", "A", "energy-saving-3500K"])
+def test_a_flat_field_has_no_radial_cast(camera, light, removal):
+    """Expectation: grey to the corners at 31 degrees, and what is left of the brightness is cos^4."""
+    settings = recon.PAPER.model_copy(update={"infrared_removal": removal, "denoise": False})
+    found = recon.develop(flat_capture(camera, light), settings)
+    assert found.light == light
+    off, brightness = cast(found)
+    assert off < CAST
+    assert brightness[0, 0] == pytest.approx(0.575, abs=0.01), "cos^4 over the corner block, at 29.4 degrees"
+
+
+def test_coatings_that_shift_unknown_to_the_data_sheet_give_a_cast(camera):
+    """Rationale: the check above must be able to fail. Expectation: red is off by a fifth and more in the corners."""
+    still = camera.model_copy(
+        update={
+            "lens": camera.lens.model_copy(update={"coating_index": 0.0}),
+            "sensor": camera.sensor.model_copy(update={"coating_index": 0.0}),
+        }
+    )
+    capture = dataclasses.replace(flat_capture(camera, "D65"), camera=still)
+    assert cast(recon.develop(capture, recon.PAPER))[0] > 0.2
+
+
+@pytest.mark.parametrize("flat_light", ["D65", "A"])
+def test_a_flat_of_any_light_leaves_neither_cast_nor_shading(camera, flat_light):
+    """Expectation: an even picture under D65, whose flat shows the colour shading of its own light."""
+    off = recon.PAPER.model_copy(update={"denoise": False})
+    found = recon.develop(flat_capture(camera, "D65"), off, flat=flat_capture(camera, flat_light))
+    most, brightness = cast(found)
+    assert most < 2 * CAST and brightness.min() > 1 - 2 * CAST
+
+
+def test_a_flat_corrects_what_the_data_sheet_does_not_know(camera):
+    """Set-up: a vignetting that takes more red than blue and infrared. Expectation: even and grey all the same."""
+    vignetting = (0.15, 0.1, 0.05, 0.08)
+    off = recon.PAPER.model_copy(update={"denoise": False})
+    picture, flat = (flat_capture(camera, "A", vignetting=vignetting) for _ in range(2))
+    most, brightness = cast(recon.develop(picture, off, flat=flat))
+    assert most < 2 * CAST and brightness.min() > 1 - 2 * CAST
+
+
+def test_white_balance_knows_the_field(camera):
+    """Set-up: grey in the corners alone, as much red and infrared lost as there. Expectation: the distance to the light
+    is that of noise; without the field it would be 0.2 and more.
+    """
+    capture = flat_capture(camera, "D65")
+    signature = colour.signatures(camera, develop.LIGHTS)
+    raw_e = (capture.raw_dn - 64.0).astype(np.float32)
+    raw_e[48:144] = 0  # blocks of the middle are dark, and do not count
+    distance = colour.light_distances(raw_e, np.zeros(raw_e.shape, bool), camera, develop.LIGHTS, signature)
+    assert distance is not None and distance[0] < 0.02
+
+
+def test_on_the_axis_nothing_changes(camera):
+    """Expectation: the first ring has the matrix of the axis, exactly."""
+    over_field = field.separation(camera, "A", recon.PAPER)
+    expected = np.hstack([np.eye(3), -cameras.crosstalk(camera).astype(np.float32).astype(float)[:, None]])
+    np.testing.assert_array_equal(over_field.on_axis, expected)
+    assert over_field.infrared_gain[0] == 1 and len(over_field.infrared_gain) == 10
