@@ -17,6 +17,7 @@ from dasim.spectra import grid
 
 WALL_LUX = 500.0  # illuminance of the wall under illuminant A
 GLASS_NM, CUTOFF_NM, EDGE_NM = 650.0, 810.0, 8.0  # spectral edges of disc and sensor, and their 10-90 % width
+COATING_INDEX = 1.8  # effective index of both coatings
 
 
 def wall_electrons(camera: Camera, channel: int, column_px: float, row_px: float, ratio: float, side: str) -> float:
@@ -27,28 +28,30 @@ def wall_electrons(camera: Camera, channel: int, column_px: float, row_px: float
     that it passes: "open" up to 650 nm, "hole" beyond.
 
     The irradiance is E = pi L (r/s)^2 cos^4 (Abbe lens) with L = rho E_wall / pi, integrated over wavelength with
-    CODATA constants and Planck's law.
+    CODATA constants and Planck's law. Off the axis both edges move to lambda_0 sqrt(1 - (sin theta / n)^2).
     """
     lens, sensor = camera.lens, camera.sensor
     image_mm = 1 / (1 / lens.focal_length_mm - 1 / (1e3 * lens.focus_distance_m))
     radius_mm = ratio * lens.focal_length_mm / lens.f_number / 2
     off_axis_mm = np.hypot(column_px, row_px) * sensor.pixel_pitch_um / 1e3
     cosine = image_mm / np.hypot(image_mm, off_axis_mm)
+    moved = np.sqrt(1 - (1 - cosine**2) / COATING_INDEX**2)
+    glass_nm, cutoff_nm = GLASS_NM * moved, CUTOFF_NM * moved
     lumens = _lumens_of_planck()
 
     def rate(nm: float) -> float:
         irradiance = WALL_LUX * _planck(nm) / lumens  # W m^-2 nm^-1 on the wall
         reflectance = np.interp(nm, [400, 830], [0.18, 0.185])
         on_pixel = np.pi * (radius_mm / image_mm) ** 2 * cosine**4 * irradiance * reflectance / np.pi
-        glass = _edge(nm, GLASS_NM) if side == "hole" else 1 - _edge(nm, GLASS_NM)
+        glass = _edge(nm, glass_nm) if side == "hole" else 1 - _edge(nm, glass_nm)
         photon_j = constants.h * constants.c / (nm * 1e-9)
         efficiency = np.interp(nm, grid.WAVELENGTH_NM, response_curves.rgb_ir_quantum_efficiency()[channel])
         area = (sensor.pixel_pitch_um * 1e-6) ** 2
-        passed = lens.transmittance * glass * (1 - _edge(nm, CUTOFF_NM))
+        passed = lens.transmittance * glass * (1 - _edge(nm, cutoff_nm))
         return float(on_pixel * passed * efficiency / photon_j * area)
 
     # Gauss-Legendre between the spectral edges: adaptive quadrature converges badly on tabulated curves.
-    corners = [400, 640, 660, 800, 820, 830]
+    corners = [400, glass_nm - 10, glass_nm + 10, cutoff_nm - 10, cutoff_nm + 10, 830]
     parts = (integrate.fixed_quad(np.vectorize(rate), a, b, n=60)[0] for a, b in itertools.pairwise(corners))
     return float(sum(parts))
 

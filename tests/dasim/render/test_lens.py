@@ -105,14 +105,14 @@ def test_axial_colour_keeps_even_areas(passes, changed, make_scene, loaded, lamp
 
 
 def test_shading_is_cos4_times_the_polynomial(passes, changed, make_scene, loaded):
-    """Set-up: an even dome and wall, a view that reaches 1.5 mm from the axis; a_1 = -0.1 and a_2 = 0.02.
+    """Set-up: an even dome and wall, a view to 1.5 mm from the axis; a_1 = -0.1 and a_2 = 0.02; coatings that stay.
 
     Expectation: corner over middle is cos^4 times 1 + a_1 r^2 + a_2 r^4 at the patches' radius in millimetres; a
     central crop has the very values of the whole frame.
     """
     wall = {"name": "wall", "shape": "plane", "size_cm": (400, 400), "position_cm": (0, 0, 40), "material": "grey-card"}
     scene = loaded(make_scene(wall))
-    data = changed(shading_per_mm=[-0.1, 0.02]).model_dump()
+    data = changed(shading_per_mm=[-0.1, 0.02], coating_index=0).model_dump()
     data["sensor"] |= {"width_px": 48, "height_px": 36, "pixel_pitch_um": 50.0}
     camera = parse(Camera, data, "camera")
     picture = passes.stop_pass(scene, camera, camera.stops[0], passes.Sampling(64, 1))[..., 1]

@@ -38,7 +38,8 @@ def coarse(da_mobile):
 
     def make(scene, factor: int, width: int, height: int) -> Camera:
         data = da_mobile.model_dump()
-        data["sensor"] |= {"width_px": width, "height_px": height, "pixel_pitch_um": 1.7 * factor}
+        data["sensor"] |= {"width_px": width, "height_px": height, "pixel_pitch_um": 1.7 * factor, "coating_index": 0}
+        data["lens"]["coating_index"] = 0  # what is measured here are targets, not coatings off the axis
         return dasim.focused(parse(Camera, data, "coarse camera"), scene)
 
     return make
