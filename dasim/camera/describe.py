@@ -7,8 +7,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
+
+from dasim.camera import rings, stops
 from dasim.camera import specification as cameras
-from dasim.camera import stops
 from dasim.camera.specification import Camera
 from dasim.spectra import grid
 from dasim.spectra.grid import CHANNELS
@@ -39,10 +41,19 @@ def describe(camera: Camera | str | Path) -> str:
         f"read noise {sensor.read_noise_e:g} e-, {sensor.adc_bits} bits",
     ]
     if set(CHANNELS) <= set(cameras.channels(sensor)):
-        alpha = ", ".join(f"{name} {value:.3f}" for name, value in zip("RGB", cameras.crosstalk(camera), strict=True))
-        low, high = grid.NEAR_INFRARED_NM
-        lines.append(f"eq. (8)  near-infrared in {alpha} of that in IR ({low:g}-{high:g} nm, equal photons)")
+        lines.append(f"eq. (8)  near-infrared in {_crosstalk(camera, 0.0)}, equal photons")
+        if np.isfinite(rings.spacing_of(camera)):
+            corner_deg = float(np.degrees(np.arcsin(np.sqrt(rings.square_of_sine(camera).max()))))
+            lines.append(f"         in the corner, at {corner_deg:.1f} degrees: {_crosstalk(camera, corner_deg)}")
     return "\n".join(lines)
+
+
+def _crosstalk(camera: Camera, angle_deg: float) -> str:
+    """Coefficients of eq. (8) and their band at an angle of the field."""
+    alpha = zip("RGB", cameras.crosstalk(camera, angle_deg), strict=True)
+    low_nm, high_nm = cameras.near_infrared_nm(camera, angle_deg)
+    listed = ", ".join(f"{name} {value:.3f}" for name, value in alpha)
+    return f"{listed} of that in IR ({low_nm:.0f}-{high_nm:.0f} nm)"
 
 
 def _shape(stop: stops.Stop) -> str:
