@@ -71,15 +71,14 @@ def in_focus_pass(
     """
     import mitsuba as mi
 
-    response = radiometry.stop_response(camera, stop)
+    responses = stop_responses(camera, stop)
     if mi.variant().startswith("scalar"):
-        seeds = sampling.block_seeds(None)
-        rate = stock.pinhole_pass(mitsuba_scene, camera, response, sampling.spp, seeds, sampling.progress)
+        rate = stock.pinhole_pass(mitsuba_scene, camera, responses, sampling)
         if diffraction == "airy":
             rate = stock.in_focus_diffraction(rate, camera, stop, illuminant)
     else:
         waves = max_blur_px if diffraction == "wave" else None
-        rate = ray_loop.render(mitsuba_scene, camera, stop, sampling, waves, field, response, in_focus=True)
+        rate = ray_loop.render(mitsuba_scene, camera, stop, sampling, waves, field, responses, in_focus=True)
     rate = rate * radiometry.relative_illumination(camera)[..., None]
     return glare.spread(rate, stop.glare_share, glare.radius_px(camera, stop))
 
