@@ -13,11 +13,9 @@ from dasim.base.toml import parse
 from dasim.camera.specification import Camera, as_camera
 from dasim.random_scenes import specification as random_scenes
 from dasim.scene import specification, targets
-from dasim.scene.mitsuba_scene import MitsubaScene
+from dasim.scene.mitsuba_scene import MitsubaScene, is_mitsuba
 from dasim.scene.specification import Scene
 from dasim.spectra import illuminants
-
-SUFFIX = ".xml"
 
 
 def load_scene(
@@ -31,13 +29,14 @@ def load_scene(
             TOML file, or a Mitsuba XML file
         camera: the camera that will photograph the scene, with its final crop; it defines the blur levels of a family
             and the field of view of a random scene. Default: da-mobile
-        choices: fields of :class:`MitsubaScene`, for Mitsuba XML files only
+        choices: fields of :class:`~dasim.scene.mitsuba_scene.MitsubaChoices`, for Mitsuba XML files only: ``unit_cm``,
+            ``near_infrared``, ``illuminant``, and ``define``, the values of the file's ``$parameters`` by name
     """
     if not isinstance(name_or_path, (str, Path)):
         raise InputError(f"scene: the name of a scene or a path is needed, not {kind_of(name_or_path)}")
     loaded = None if camera is None else as_camera(camera)
     path = Path(name_or_path)
-    if path.suffix.lower() != SUFFIX:
+    if not is_mitsuba(path):
         if choices:
             raise InputError(f"scene '{name_or_path}': {', '.join(choices)} is for Mitsuba scenes (.xml) only")
         if targets.is_target(name_or_path):

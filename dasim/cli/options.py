@@ -72,6 +72,19 @@ def size(text: str) -> tuple[int, int]:
         raise InputError(f"--size '{text}' is not of the form WxH, such as 768x576") from None
 
 
+def definitions(texts: list[str]) -> dict[str, str]:
+    """Values by name from texts of the form name=value."""
+    values: dict[str, str] = {}
+    for text in texts:
+        name, equals, value = text.partition("=")
+        if not name or not equals:
+            raise InputError(f"--define '{text}' is not of the form name=value, such as spp=64")
+        if name in values:
+            raise InputError(f"--define {name}: has two values, '{values[name]}' and '{value}'; give one")
+        values[name] = value
+    return values
+
+
 def say_variant(variant: str | None) -> None:
     """Print which variant of the renderer is used, and why."""
     from dasim.render import backend

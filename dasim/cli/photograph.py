@@ -39,6 +39,7 @@ def render(
     unit_cm: float | None = None,
     near_infrared: str | None = None,
     illuminant: str | None = None,
+    define: Annotated[list[str] | None, Parameter(name=("--define", "-D"), negative="")] = None,
 ) -> int:
     """Render a capture of a scene: a folder with raw.png, truth.exr and meta.json.
 
@@ -64,6 +65,7 @@ def render(
         unit_cm: for a Mitsuba XML file, the length of its unit in cm; 100 by default
         near_infrared: for a Mitsuba XML file, the rule for its RGB surfaces: print, dyed or achromatic (the default)
         illuminant: for a Mitsuba XML file, the spectrum of its RGB lights; D65 by default
+        define: for a Mitsuba XML file, name=value: the value of its parameter $name (may be repeated)
     """
     import dasim
     from dasim.base.loading import load_function
@@ -75,7 +77,8 @@ def render(
 
     check_output(out, "capture")
     check_options(spp, seed, diffraction, noise_share, noise_at)
-    choices = {"unit_cm": unit_cm, "near_infrared": near_infrared, "illuminant": illuminant}
+    choices: dict[str, Any] = {"unit_cm": unit_cm, "near_infrared": near_infrared, "illuminant": illuminant}
+    choices["define"] = None if define is None else options.definitions(define)
     options_given = {name: value for name, value in choices.items() if value is not None}
     whole = view = dasim.load_camera(camera)
     if size is not None:

@@ -18,7 +18,7 @@ from dasim.camera.noise import Exposure
 from dasim.camera.specification import Camera
 from dasim.dataset.specification import DatasetSpec, named_camera, random_spec, scene_count, scene_keys, with_values
 from dasim.random_scenes import specification
-from dasim.scene.mitsuba_scene import MitsubaScene
+from dasim.scene.mitsuba_scene import MitsubaScene, is_mitsuba
 from dasim.scene.specification import Scene
 
 # Each part has its own random generator: changing the distribution of one part does not change the others.
@@ -151,8 +151,10 @@ def _scene(spec: DatasetSpec, number: int, camera: Camera) -> tuple[Scene | Mits
         scene = specification.random_scene(spec.seed, number, source, first)
         return scene, specification.random_exposure(spec.seed, number, source)
     name = keys[number]
-    path = spec.folder / name
-    return loading.load_scene(path if spec.scenes.family == "files" else name, camera=camera), Exposure()
+    if spec.scenes.family != "files":
+        return loading.load_scene(name, camera=camera), Exposure()
+    choices = spec.scenes.mitsuba.model_dump() if is_mitsuba(name) else {}
+    return loading.load_scene(spec.folder / name, camera=camera, **choices), Exposure()
 
 
 def _relight(scene: Scene | MitsubaScene, illuminant: str | None = None, scale: float = 1.0) -> Scene | MitsubaScene:

@@ -19,6 +19,7 @@ from dasim.camera.specification import Camera
 from dasim.files.truth import TRUTH_PARTS
 from dasim.random_scenes import specification
 from dasim.random_scenes.specification import RandomScenes
+from dasim.scene.mitsuba_scene import MitsubaChoices, is_mitsuba
 from dasim.scene.specification import scene_names
 from dasim.simulation.adaptive_sampling import NOISE_AT, NOISE_SHARE
 from dasim.simulation.checks import PERCENTILE
@@ -101,6 +102,10 @@ class SceneChoice(Specification):
     family: Literal["random", "bundled", "files", "meshes"] = "random"
     names: tuple[str, ...] = Field(default=(), description="bundled: names of scenes, used in turn; all by default")
     files: tuple[str, ...] = Field(default=(), description="files: TOML or Mitsuba XML files, used in turn")
+    mitsuba: MitsubaChoices = Field(
+        default=MitsubaChoices(),
+        description="files: choices for Mitsuba XML files",
+    )
     folder: str | None = Field(default=None, description="meshes: folder of OBJ, PLY, GLB, STL and OFF files")
     random: RandomScenes = RandomScenes()
     captures_per_scene: int = Field(default=1, ge=1, le=1000, description="random, meshes: captures per scene")
@@ -110,6 +115,8 @@ class SceneChoice(Specification):
         for field, family in (("names", "bundled"), ("files", "files"), ("folder", "meshes")):
             if getattr(self, field) and self.family != family:
                 raise ValueError(f"{field} is for family = '{family}', not for '{self.family}'")
+        if self.mitsuba != MitsubaChoices() and not any(map(is_mitsuba, self.files)):
+            raise ValueError("mitsuba is for Mitsuba XML files; files lists none")
         if self.family == "files" and not self.files:
             raise ValueError("files is missing: a list of TOML or Mitsuba XML files is needed")
         if self.family == "meshes" and not self.folder:
@@ -302,10 +309,14 @@ def _scene_problems(spec: DatasetSpec) -> list[str]:
             specification.check(random_spec(spec))
     except InputError as error:
         problems.append(f"scenes: {error}")
+    try:
+        illuminants.illuminant(scenes.mitsuba.illuminant)
+    except InputError as error:
+        problems.append(f"scenes.mitsuba.illuminant: {error}")
     for name in scenes.files:
         if not (spec.folder / name).is_file():
             problems.append(f"scenes.files: {spec.folder / name}: no such file")
-        elif Path(name).suffix.lower() == ".xml" and (spec.light.illuminant or spec.light.scale):
+        elif is_mitsuba(name) and (spec.light.illuminant or spec.light.scale):
             problems.append(
                 f"scenes.files: {name} is a Mitsuba scene, whose lights cannot be changed; leave out [light]"
             )

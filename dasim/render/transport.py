@@ -61,6 +61,8 @@ def radiance(
     result += dr.select(reachable, value * light * share, 0.0)
 
     scattered, weight = bsdf.sample(context, si, lobe, place, traced)
+    # An invalid sample, as below a surface's horizon, has weight 0 and no direction. NaN is not 0, and not hidden.
+    traced &= ~dr.all(weight == 0)
     onward = si.spawn_ray(si.to_world(scattered.wo))
     met = scene.ray_intersect(onward, traced)
     emitted = dr.select(traced, met.emitter(scene).eval(met), 0.0)

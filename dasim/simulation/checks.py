@@ -5,7 +5,10 @@ Tested in tests/dasim/simulation/test_simulate.py.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
+from numpy.typing import NDArray
 
 from dasim.base.errors import InputError
 from dasim.camera.pointspread import DIFFRACTION_MODELS
@@ -70,11 +73,32 @@ def check_in_view(scene: Scene | MitsubaScene, depth_m: FloatArray) -> None:
         )
 
 
+def check_finite(
+    scene: Scene | MitsubaScene, rate: FloatArray, objects_at: Callable[[NDArray[np.bool_]], list[str]]
+) -> None:
+    """Raise InputError if the light of a picture, [h, w, channel], is infinite or NaN.
+
+    ``objects_at`` gives the names of the objects in some pixels, [h, w].
+    """
+    wrong = np.asarray(~np.isfinite(rate).all(axis=-1))
+    if wrong.any():
+        raise InputError(
+            f"scene '{scene.name}': light is infinite or not a number in {np.count_nonzero(wrong)} of {wrong.size} "
+            f"pixels, which look at {_listed(objects_at(wrong)) or 'the background'}; give materials, textures, lights "
+            "and transforms finite values"
+        )
+
+
 def check_lit(scene: Scene | MitsubaScene, rate: FloatArray, names_in_view: list[str]) -> None:
     """Raise InputError if no light reaches the sensor; ``names_in_view`` are the objects in front of it."""
     if rate.max() <= 0:
-        names = ", ".join(f"'{name}'" for name in names_in_view[:3]) + (" and others" if len(names_in_view) > 3 else "")
+        looks_at = _listed(names_in_view) or "a lamp from behind"
         raise InputError(
-            f"scene '{scene.name}': no light reaches the sensor, which looks at {names or 'a lamp from behind'}; is "
+            f"scene '{scene.name}': no light reaches the sensor, which looks at {looks_at}; is "
             "a light hidden or turned away, the camera inside an object, or a light so small as to need more samples?"
         )
+
+
+def _listed(names: list[str]) -> str:
+    """The first three names."""
+    return ", ".join(f"'{name}'" for name in names[:3]) + (" and others" if len(names) > 3 else "")

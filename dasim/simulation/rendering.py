@@ -10,6 +10,7 @@ from functools import partial
 from typing import Any, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dasim.camera import noise, wavefront
 from dasim.camera import specification as cameras
@@ -22,7 +23,7 @@ from dasim.scene.mitsuba_scene import MitsubaScene
 from dasim.scene.specification import Scene
 from dasim.simulation import rendering_noise
 from dasim.simulation.adaptive_sampling import StopPictures, render_to_noise_target
-from dasim.simulation.checks import check_lit
+from dasim.simulation.checks import check_finite, check_lit
 from dasim.typing import FloatArray, Progress
 
 TWIN = "bayer-mobile"  # the camera whose colours ``sharp_srgb`` has
@@ -51,10 +52,10 @@ class View:
         """Largest diameter of visible blur that tables and margins must cover."""
         return float(np.abs(self.blur_px).max()) * BLUR_MARGIN
 
-    @property
-    def objects_in_view(self) -> list[str]:
-        """Names of the objects that are visible at the centre of some pixel."""
-        return [self.world.objects[number - 1] for number in np.unique(self.geometry.object_id) if number]
+    def objects_at(self, pixels: NDArray[np.bool_]) -> list[str]:
+        """Names of the objects that are visible at the centres of some of the ``pixels``, [h, w]."""
+        numbers = np.unique(self.geometry.object_id[pixels])
+        return [self.world.objects[number - 1] for number in numbers if number]
 
 
 @dataclass(frozen=True)
@@ -93,7 +94,7 @@ def lens_picture(view: View, sampling: Sampling, exposure: Exposure, progress: P
         picture = _adaptive_picture(view, sampling, exposure, progress)
     else:
         picture = _fixed_picture(view, sampling, exposure, progress)
-    check_lit(view.scene, picture.rate, view.objects_in_view)
+    check_lit(view.scene, picture.rate, view.objects_at(np.ones(picture.rate.shape[:2], bool)))
     return picture
 
 
@@ -158,6 +159,8 @@ def stop_pictures(view: View, spp: tuple[int, ...], seed: int, progress: Progres
         )
         for stop, count in zip(view.camera.stops, spp, strict=True)
     ]
+    for picture in pictures:
+        check_finite(view.scene, picture, view.objects_at)
     return StopPictures(np.stack(pictures), field)
 
 
@@ -234,6 +237,7 @@ def sharp_pictures(view: View, field: Any, seed: int, progress: Progress) -> Sha
     twin = cameras.load_camera(TWIN)
     sampling = passes.Sampling(SHARP_SPP, seed, partial(progress, "rendering the pinhole picture"))
     both = passes.pinhole_pass(view.world.scene, view.camera, sampling, field, also=twin)
+    check_finite(view.scene, both, view.objects_at)
     rate, twin_rate = np.split(both, [len(cameras.channels(view.camera.sensor))], axis=-1)
     return SharpPictures(rate, twin_rate, twin)
 

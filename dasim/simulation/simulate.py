@@ -23,6 +23,7 @@ from dasim.camera.rings import at_pixels, rings
 from dasim.camera.specification import Camera, as_camera
 from dasim.loading import as_scene
 from dasim.render import backend, light_spectra, translate, truth
+from dasim.render.foreign.reading import render_error
 from dasim.scene import specification as scenes
 from dasim.scene.mitsuba_scene import MitsubaScene
 from dasim.scene.specification import Scene
@@ -98,14 +99,37 @@ def simulate(
     scene = as_scene(scene, camera)
     exposure = exposure or Exposure()
     checks.check_options(spp, seed, diffraction, noise_share, noise_at)
-    view = prepare(scene, camera, diffraction, variant, progress)
-    lens = rendering.lens_picture(view, Sampling(spp, noise_share, noise_at, seed), exposure, progress)
-    mean = rendering.independent_picture(view, lens, seed, progress) if independent_mean else lens
-    sharp = rendering.sharp_pictures(view, lens.field, seed, progress)
-    focus = rendering.focus_picture(view, sharp.rate, lens.field, seed, progress)
+    sampling = Sampling(spp, noise_share, noise_at, seed)
+    try:
+        view, lens, mean, sharp, focus = _rendered(
+            scene, camera, sampling, independent_mean, exposure, diffraction, variant, progress
+        )
+    except RuntimeError as error:  # Mitsuba's
+        if isinstance(scene, MitsubaScene):
+            raise render_error(scene, error) from None
+        raise
     frame = expose(lens.rate, camera, exposure, seed, noise)
     capture = describe_capture(view, lens, frame, seed, independent_mean)
     return Shot(capture, describe_truth(view, mean, sharp, focus, frame.time_s))
+
+
+def _rendered(
+    scene: Scene | MitsubaScene,
+    camera: Camera,
+    sampling: Sampling,
+    independent_mean: bool,
+    exposure: Exposure,
+    diffraction: str | None,
+    variant: str | None,
+    progress: Progress,
+) -> tuple[View, LensPicture, LensPicture, SharpPictures, FloatArray]:
+    """The view, its pictures through the lens for ``raw_dn`` and ``mean_e``, through a pinhole, and in focus."""
+    view = prepare(scene, camera, diffraction, variant, progress)
+    lens = rendering.lens_picture(view, sampling, exposure, progress)
+    mean = rendering.independent_picture(view, lens, sampling.seed, progress) if independent_mean else lens
+    sharp = rendering.sharp_pictures(view, lens.field, sampling.seed, progress)
+    focus = rendering.focus_picture(view, sharp.rate, lens.field, sampling.seed, progress)
+    return view, lens, mean, sharp, focus
 
 
 def prepare(

@@ -1,11 +1,10 @@
-"""Spectra up to 830 nm in place of the RGB colours and lights of a Mitsuba scene, on the nodes of Mitsuba's parser.
+"""Spectra up to 830 nm in place of the RGB colours of a Mitsuba scene's surfaces, on the nodes of Mitsuba's parser.
 
 Tested in tests/dasim/render/foreign/test_scene.py.
 """
 
 from __future__ import annotations
 
-from collections import Counter
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -16,12 +15,11 @@ from dasim.base.errors import InputError
 from dasim.materials.photographs import photograph_surface
 from dasim.materials.surfaces import Diffuse, Mixture, Surface
 from dasim.render import reflection
+from dasim.render.foreign import conductors
+from dasim.render.foreign.notes import Notes, check_values, note_range
 from dasim.render.mixture import mixture_dict
 from dasim.render.plugin import spectrum_dict
-from dasim.render.surrounding import Layer, surrounding_dict
 from dasim.scene.mitsuba_scene import MitsubaScene
-from dasim.spectra import illuminants
-from dasim.spectra.grid import LUMINANCE, WAVELENGTH_NM, integrate
 from dasim.typing import FloatArray
 
 # Parameters whose texture is a colour. All others (roughness, weights, opacity, bumps) are data and stay unchanged.
@@ -35,25 +33,6 @@ COLOURS = (
     "base_color",
 )
 TOO_BRIGHT = "reflectances above 1: clipped to 1"
-NO_INFRARED = ("sunsky", "sun", "sky", "timed_sunsky")  # Mitsuba's tables end at 720 nm
-
-
-class Notes:
-    """Changes made to a scene, with their counts, in the order of their first occurrence."""
-
-    def __init__(self) -> None:
-        self.counts: Counter[str] = Counter()
-
-    def add(self, what: str) -> None:
-        """Count one more change of the kind ``what``."""
-        self.counts[what] += 1
-
-    def lines(self) -> list[str]:
-        """One line per kind of change."""
-        return [what if count == 1 else f"{what} ({count} times)" for what, count in self.counts.items()]
-
-
-# --- surfaces ------------------------------------------------------------------------------------
 
 
 def replace_surface_colours(nodes: Any, scene: MitsubaScene, notes: Notes) -> None:
@@ -68,31 +47,29 @@ def replace_surface_colours(nodes: Any, scene: MitsubaScene, notes: Notes) -> No
         props = node.props
         if node.type not in (mi.ObjectType.BSDF, mi.ObjectType.Texture):
             continue
+        if props.plugin_name() in conductors.PLUGINS:
+            conductors.continue_material(props, notes)
         for key in list(props.keys()):
             kind = props.type(key)
             what = f"{props.plugin_name()}.{key}"
             if kind == kinds.Color and props.plugin_name() not in ("d65",):
-                _check_values(list(props[key]), what, scene)
+                check_values(list(props[key]), what, scene)
                 props[key] = _colour(key, list(props[key]), scene, notes)
             elif kind == kinds.Spectrum:
-                _check_values(props[key].values, what, scene)
+                check_values(props[key].values, what, scene)
                 if key in COLOURS:
                     props[key] = _clip_to_one(props[key], notes)
+                if key in conductors.INDICES:
+                    conductors.continue_index(props, key, notes)
                 if props.type(key) == kinds.Spectrum:
-                    _note_range(props[key], what, notes)
+                    note_range(props[key], what, notes)
             elif kind == kinds.Float and key in COLOURS:
-                _check_values([props[key]], what, scene)
+                check_values([props[key]], what, scene)
                 if props[key] > 1:
                     notes.add(TOO_BRIGHT)
                     props[key] = 1.0
             elif kind == kinds.ResolvedReference and node.type == mi.ObjectType.BSDF and key in COLOURS:
                 _texture(nodes, index, key, scene, notes)
-
-
-def _check_values(values: Any, what: str, scene: MitsubaScene) -> None:
-    """InputError where values are negative, infinite or NaN, as those of no surface or light are."""
-    if not np.isfinite(values).all() or min(values) < 0:
-        raise InputError(f"{scene.file}: {what} has values that are negative or not finite; 0 or more is allowed")
 
 
 def _clip_to_one(spectrum: Any, notes: Notes) -> Any:
@@ -154,8 +131,8 @@ def _texture(nodes: Any, index: int, key: str, scene: MitsubaScene, notes: Notes
         notes.add("colours of mesh attributes: not supported, replaced by grey 0.5")
     if plugin != "bitmap":
         return
-    picture = _picture(texture, scene.file)
-    _check_values([picture.min(), picture.max(), picture.mean()], f"picture {texture['filename']}", scene)
+    picture = read_picture(texture, scene.file)
+    check_values([picture.min(), picture.max(), picture.mean()], f"picture {texture['filename']}", scene)
     if "filter_type" in texture and texture["filter_type"] != "bilinear":
         notes.add(f"pictures with the filter '{texture['filter_type']}': read bilinearly")
     if picture.max() > 1:
@@ -169,14 +146,14 @@ def _texture(nodes: Any, index: int, key: str, scene: MitsubaScene, notes: Notes
     if jit:
         parent[key] = mi.load_dict(_layout_dict(texture, mixture_dict(surface), picture.shape))
     elif parent.plugin_name() == "diffuse" and "to_uv" not in texture:
-        _replace(nodes, index, mi.load_dict(reflection.bsdf_dict(surface)))
+        replace(nodes, index, mi.load_dict(reflection.bsdf_dict(surface)))
     else:
         mean = spectrum_of(np.clip(picture, 0, 1).mean(axis=(0, 1)), scene.near_infrared)
         parent[key] = mi.load_dict(spectrum_dict(mean))
         notes.add("pictures on glossy or scaled surfaces: replaced by their mean colour (JIT variants show them)")
 
 
-def _replace(nodes: Any, index: int, substitute: Any) -> None:
+def replace(nodes: Any, index: int, substitute: Any) -> None:
     """Replace every reference to the node ``index`` by an object."""
     import mitsuba as mi
 
@@ -186,13 +163,13 @@ def _replace(nodes: Any, index: int, substitute: Any) -> None:
                 node.props[key] = substitute
 
 
-def _picture(texture: Any, file: Path) -> Any:
+def read_picture(texture: Any, file: Path) -> Any:
     """Picture of a bitmap texture in linear RGB, [h, w, 3], as Mitsuba reads it."""
     import mitsuba as mi
 
     if "filename" not in texture:
         raise InputError(f"{file}: a bitmap names no file; its filename is needed")
-    path = file.parent / texture["filename"]
+    path = Path(texture["filename"])
     try:
         bitmap = mi.Bitmap(str(path))
         if texture.get("raw"):
@@ -260,123 +237,3 @@ def _register() -> None:
             return "LayoutTexture[]"
 
     mi.register_texture("dasim_layout", lambda props: LayoutTexture(props))
-
-
-def _note_range(spectrum: Any, what: str, notes: Notes) -> None:
-    """Note where the scene's own spectrum does not cover the band from 400 to 830 nm."""
-    if spectrum.is_uniform():
-        return
-    low, high = min(spectrum.wavelengths), max(spectrum.wavelengths)
-    if high < WAVELENGTH_NM[-1]:
-        notes.add(f"spectrum {what} ends at {high:g} nm: it is zero from there to 830 nm")
-    if low > WAVELENGTH_NM[0]:
-        notes.add(f"spectrum {what} begins at {low:g} nm: it is zero from 400 nm to there")
-
-
-# --- lights --------------------------------------------------------------------------------------
-
-
-def replace_light_colours(nodes: Any, scene: MitsubaScene, to_camera: FloatArray, notes: Notes) -> None:
-    """Replace the spectrum of every RGB light by the scene's illuminant, at the same luminance.
-
-    Intensities of point and spot lights are converted from the scene's units of length to metres. ``nodes`` are edited
-    in place; ``to_camera`` [4, 4] is the transform from the scene's axes and units to camera axes and metres.
-    """
-    import mitsuba as mi
-
-    for index, node in enumerate(nodes):
-        if node.type != mi.ObjectType.Emitter:
-            continue
-        plugin = node.props.plugin_name()
-        if plugin in NO_INFRARED:
-            raise InputError(
-                f"{scene.file}: emitter '{plugin}' has no light beyond 720 nm in Mitsuba, so that the near-infrared "
-                "would be black; use an envmap or a constant emitter instead"
-            )
-        # The irradiance of a point light goes with 1 / distance^2, so that its intensity scales with the unit squared.
-        factor = (scene.unit_cm * 1e-2) ** 2 if plugin in ("point", "spot") else 1.0
-        if plugin == "envmap":
-            _replace(nodes, index, mi.load_dict(_environment(node.props, scene, to_camera, notes)))
-            continue
-        for key in ("radiance", "intensity", "irradiance"):
-            if key in node.props:
-                _light(nodes, node.props, key, factor, scene, notes)
-
-
-def one_unit(name: str) -> FloatArray:
-    """Spectrum of an illuminant with the luminance of a spectrum that is 1 everywhere, on ``WAVELENGTH_NM``."""
-    power = illuminants.illuminant(name)
-    efficiency = illuminants.luminous_efficiency()
-    return power * integrate(efficiency) / integrate(power * efficiency)
-
-
-def _light(nodes: Any, props: Any, key: str, factor: float, scene: MitsubaScene, notes: Notes) -> None:
-    """Replace the spectrum ``key`` of an emitter: RGB by the illuminant, the scene's own spectra times ``factor``."""
-    import mitsuba as mi
-
-    kinds = mi.Properties.Type
-    kind, value = props.type(key), props[key]
-    if kind == kinds.ResolvedReference:
-        inner = nodes[value.index()].props
-        if inner.plugin_name() == "bitmap":
-            picture = _picture(inner, scene.file)
-            notes.add("pictures on lights: replaced by their mean luminance")
-            _set_illuminant(props, key, float(picture.mean(axis=(0, 1)) @ LUMINANCE) * factor, scene, notes)
-        elif "color" in inner and inner.type("color") == kinds.Color:
-            _set_illuminant(props, key, float(np.dot(list(inner["color"]), LUMINANCE)) * factor, scene, notes)
-        elif factor != 1:
-            props[key] = _spectrum_times(inner, factor)
-    elif kind == kinds.Color:
-        _set_illuminant(props, key, float(np.dot(list(value), LUMINANCE)) * factor, scene, notes)
-    elif kind == kinds.Spectrum:
-        _check_values(value.values, f"{props.plugin_name()}.{key}", scene)
-        _note_range(value, f"{props.plugin_name()}.{key}", notes)
-        if value.is_uniform():
-            props[key] = mi.load_dict({"type": "uniform", "value": float(value.values[0]) * factor})
-        elif factor != 1:
-            table = {"wavelengths": value.wavelengths, "values": [v * factor for v in value.values]}
-            text = {name: ", ".join(f"{v:.9g}" for v in row) for name, row in table.items()}
-            props[key] = mi.load_dict({"type": "irregular", **text})
-    elif kind == kinds.Float:
-        _check_values([value], f"{props.plugin_name()}.{key}", scene)
-        props[key] = mi.load_dict({"type": "uniform", "value": float(value) * factor})
-
-
-def _spectrum_times(inner: Any, factor: float) -> Any:
-    """The scene's own nested spectrum (a blackbody, a table) times a factor, sampled on ``WAVELENGTH_NM``."""
-    import drjit as dr
-    import mitsuba as mi
-
-    spectrum = mi.load_dict({"type": inner.plugin_name(), **{key: inner[key] for key in inner.keys()}})
-    values = []
-    for wavelength_nm in WAVELENGTH_NM:
-        si = dr.zeros(mi.SurfaceInteraction3f)
-        si.wavelengths = mi.Spectrum(float(wavelength_nm))
-        values.append(float(np.ravel(spectrum.eval(si))[0]))
-    return mi.load_dict(spectrum_dict(factor * np.array(values)))
-
-
-def _set_illuminant(props: Any, key: str, luminance: float, scene: MitsubaScene, notes: Notes) -> None:
-    """Set the spectrum ``key`` of a light to the scene's illuminant at a luminance, in the scene's units."""
-    import mitsuba as mi
-
-    _check_values([luminance], f"{props.plugin_name()}.{key}", scene)
-    props[key] = mi.load_dict(spectrum_dict(luminance * one_unit(scene.illuminant)))
-    notes.add(f"RGB lights: the spectrum of {scene.illuminant} at the same luminance, without their tint")
-
-
-def _environment(props: Any, scene: MitsubaScene, to_camera: FloatArray, notes: Notes) -> dict[str, Any]:
-    """Mitsuba's description of an environment map that has the illuminant's spectrum in place of its colours."""
-    luminance = np.asarray(_picture(props, scene.file) @ np.array(LUMINANCE), np.float64)
-    luminance *= float(props["scale"]) if "scale" in props else 1.0
-    own = np.array(props["to_world"].matrix) if "to_world" in props else np.eye(4)
-    turn = np.eye(4)
-    turn[:3, :3] = _rotation(to_camera) @ _rotation(own)
-    notes.add(f"environment map: the spectrum of {scene.illuminant} at the same luminance, without its colours")
-    layer = Layer(luminance, one_unit(scene.illuminant), turn @ np.diag([-1.0, -1.0, 1.0, 1.0]))
-    return surrounding_dict((layer,))
-
-
-def _rotation(matrix: FloatArray) -> FloatArray:
-    """Rotation [3, 3] of a similarity transform [4, 4]."""
-    return matrix[:3, :3] / np.cbrt(abs(np.linalg.det(matrix[:3, :3])))

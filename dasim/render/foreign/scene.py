@@ -1,7 +1,7 @@
 """A Mitsuba XML scene in camera axes and metres, with our camera in place of its sensor.
 
 Mitsuba's own parser reads the file, and the parsed nodes are edited before the scene is instantiated. Parameters,
-includes and relative file names therefore have the same meaning as in Mitsuba.
+includes, ``<path>`` elements and relative file names therefore have the same meaning as in Mitsuba.
 """
 
 from __future__ import annotations
@@ -11,7 +11,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from dasim.base.errors import InputError
-from dasim.render.foreign.colours import Notes, replace_light_colours, replace_surface_colours
+from dasim.render.foreign import reading
+from dasim.render.foreign.colours import replace_surface_colours
+from dasim.render.foreign.lights import replace_light_colours
+from dasim.render.foreign.notes import Notes
 from dasim.render.mesh_parameters import corners
 from dasim.render.plugin import transform
 from dasim.scene.clearance import LARGEST_M, SMALLEST_M
@@ -37,31 +40,23 @@ def load(scene: MitsubaScene, fov_deg: float) -> World:
     """Mitsuba's scene of an XML file, in camera axes and metres and with spectral surfaces and lights.
 
     Args:
-        scene: the file, the unit of length, the illuminant and the near-infrared rule.
+        scene: the file, its parameters, the unit of length, the illuminant and the near-infrared rule.
         fov_deg: horizontal field of view of our camera, for the notes.
 
     Raises InputError where Mitsuba cannot load the file, or it has no sensor, shapes or lights.
     """
-    import mitsuba as mi
+    with reading.search_folders(scene.file):
+        return _load(scene, fov_deg)
 
-    config = mi.parser.ParserConfig(mi.variant())
-    config.merge_equivalent = config.merge_meshes = False  # merging shapes would lose their names
+
+def _load(scene: MitsubaScene, fov_deg: float) -> World:
+    """``load`` within :func:`reading.search_folders`."""
     notes = Notes()
-    before, resolver = mi.file_resolver(), mi.FileResolver(mi.file_resolver())
-    resolver.prepend(str(scene.file.parent))
-    mi.set_file_resolver(resolver)  # files of spectra are read while parsing
-    try:
-        state = mi.parser.parse_file(config, str(scene.file))
-        mi.parser.transform_all(config, state)
-    except Exception as error:
-        raise _load_error(scene, error) from None
-    finally:
-        mi.set_file_resolver(before)
+    config, state = reading.parse(scene)
     nodes = state.nodes
     nodes[0].props["embree_use_robust_intersections"] = True  # keeps rays from slipping between triangles
     to_camera = _drop_sensor(nodes, scene, fov_deg, notes)
     _drop_media(nodes, notes)
-    _find_files(nodes, scene)
     objects = _place_shapes(nodes, to_camera, scene)
     materials, numbers = _materials(nodes, [members for _, members in objects])
     _place_lights(nodes, to_camera, notes)
@@ -70,32 +65,10 @@ def load(scene: MitsubaScene, fov_deg: float) -> World:
     for place, (_, members) in enumerate(objects):
         for member in members:
             nodes[member].props.set_id(f"object_{place:04d}")
-    world = _instance(config, state, scene)
+    world = reading.instance(config, state, scene)
     if not world.emitters():
         raise InputError(f"{scene.file}: has no lights that are supported; the picture would be black")
     return World(world, notes.lines(), [name for name, _ in objects], materials, numbers)
-
-
-def _instance(config: Any, state: Any, scene: MitsubaScene) -> Any:
-    """Mitsuba's scene of the parsed nodes."""
-    import mitsuba as mi
-
-    try:
-        result = mi.parser.instantiate(config, state)
-    except Exception as error:
-        load_error = _load_error(scene, error)
-        # The objects instantiated so far must be deleted: kernels of the next scene would call a light that outlives
-        # its shape. The traceback refers to them as well.
-        state.nodes.clear()
-        error.__traceback__ = None
-        raise load_error from None
-    return result[0] if isinstance(result, list) else result
-
-
-def _load_error(scene: MitsubaScene, error: Exception) -> InputError:
-    """Mitsuba's error message in one line, without the place in Mitsuba's source."""
-    text = " ".join(str(error).split())
-    return InputError(f"{scene.file}: does not load in Mitsuba ({text.partition('] ')[2] or text})")
 
 
 def _children(nodes: Any) -> dict[str, int]:
@@ -149,7 +122,7 @@ def _drop_sensor(nodes: Any, scene: MitsubaScene, fov_deg: float, notes: Notes) 
     return np.diag([metre, metre, metre, 1.0]) @ matrix
 
 
-# --- shapes, media and files ---------------------------------------------------------------------
+# --- shapes and media ----------------------------------------------------------------------------
 
 
 def _drop_media(nodes: Any, notes: Notes) -> None:
@@ -164,18 +137,6 @@ def _drop_media(nodes: Any, notes: Notes) -> None:
             if nodes[index].type in kinds:
                 del node.props[key]
                 notes.add("participating media: not supported, removed")
-
-
-def _find_files(nodes: Any, scene: MitsubaScene) -> None:
-    """Make relative file names absolute, because Mitsuba resolves them against the working folder."""
-    import mitsuba as mi
-
-    for node in nodes:
-        for key in ("filename", "file"):
-            if key in node.props and node.props.type(key) == mi.Properties.Type.String:
-                path = scene.file.parent / node.props[key]
-                if path.is_file():
-                    node.props[key] = str(path)
 
 
 def _place_shapes(nodes: Any, to_camera: FloatArray, scene: MitsubaScene) -> list[tuple[str, list[int]]]:
@@ -198,6 +159,8 @@ def _place_shapes(nodes: Any, to_camera: FloatArray, scene: MitsubaScene) -> lis
             del nodes[0].props[key]
         if plugin == "shapegroup":
             continue
+        if not np.isfinite(_to_world(nodes[index].props)).all():
+            raise InputError(f"{scene.file}: object '{name}': its to_world has values that are not finite")
         if plugin != "instance":
             _move(nodes[index].props, to_camera)
             objects.append((name, [index]))

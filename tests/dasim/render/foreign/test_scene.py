@@ -12,6 +12,7 @@ import trimesh
 
 import dasim
 from dasim.base.errors import InputError
+from dasim.camera import radiometry
 from dasim.scene.mitsuba_scene import MitsubaScene
 from dasim.spectra import illuminants
 from dasim.spectra.grid import WAVELENGTH_NM, integrate
@@ -355,6 +356,32 @@ def test_files_of_spectra_are_found_beside_the_scene(xml, world, wide, monkeypat
     assert world(scene, wide()).objects
 
 
+def test_rough_metal_with_a_pattern_of_roughness_has_finite_light(xml, world, wide, jit, tmp_path):
+    """Rationale: a smooth mesh shows some rays its back, where a pattern of roughness has no value and a sampled
+    direction is NaN with the weight 0. Such samples must not count.
+
+    Set-up: a coarse mesh of a ball with a checkerboard of roughness, of amorphous carbon, before even light.
+    Expectation: every pixel is finite, and the mean of all is that of Mitsuba's own path tracer.
+    """
+    from dasim.render import passes, stock
+
+    trimesh.creation.icosphere(subdivisions=1, radius=1.0).export(tmp_path / "ball.ply")
+    carbon = (
+        '<bsdf type="roughconductor"><string name="material" value="a-C"/><texture name="alpha" type="checkerboard">'
+        '<float name="color0" value="0.3"/><float name="color1" value="0.5"/></texture></bsdf>'
+    )
+    shape = f'<shape type="ply"><string name="filename" value="ball.ply"/>{carbon}</shape>'
+    light = '<emitter type="constant"><spectrum name="radiance" value="1"/></emitter>'
+    scene = xml(f'<scene version="3.0.0">{ASLANT}{shape}{light}</scene>')
+    camera = wide(48, 36)
+    ours = world(scene, camera).scene
+    rate = passes.pinhole_pass(ours, camera, passes.Sampling(64, 0))
+    assert np.isfinite(rate).all()
+    theirs = stock.pinhole_pass(ours, camera, radiometry.response(camera), 64, lambda block: block, lambda share: None)
+    theirs *= radiometry.relative_illumination(camera)[..., None]
+    np.testing.assert_allclose(rate.mean(axis=(0, 1)), theirs.mean(axis=(0, 1)), rtol=LEVEL_LIMIT)
+
+
 def test_sizes_beyond_likely_units_are_noted(xml, world, wide):
     found = world(xml(wall(), unit_cm=1e4), wide())
     assert any("1e+04 m large" in line and "unit_cm is 10000" in line for line in found.notes), found.notes
@@ -382,16 +409,75 @@ def test_sizes_beyond_likely_units_are_noted(xml, world, wide):
         (wall("", '<emitter type="constant"><rgb name="radiance" value="-1,-1,-1"/></emitter>'), ["constant.radiance"]),
         (wall("", '<emitter type="point"><spectrum name="intensity" value="-1"/></emitter>'), ["point.intensity"]),
         (wall().replace("</scene>", '<shape type="instance"/></scene>'), ["no shapegroup"]),
+        (
+            wall("", '<emitter type="envmap"><string name="filename" value="nan.exr"/></emitter>'),
+            ["nan.exr of a light"],
+        ),
+        (wall().replace('<scale value="50"/>', '<scale value="nan"/>'), ["object 'rectangle-1'", "not finite"]),
         (wall(z=-0.0005), ["object 'rectangle-1'", "reaches into the lens", "unit_cm is 100"]),
     ],
 )
-def test_what_is_wrong_is_one_line(xml, world, wide, text, message_part):
+def test_what_is_wrong_is_one_line(xml, world, wide, tmp_path, text, message_part):
+    import mitsuba as mi
+
+    mi.Bitmap(np.full((8, 16, 3), np.nan, np.float32)).write(str(tmp_path / "nan.exr"))
     with pytest.raises(InputError) as caught:
         world(xml(text), wide())
     message = str(caught.value)
     assert "\n" not in message and "scene.xml" in message
     for part in message_part:
         assert part in message, message
+
+
+@pytest.mark.parametrize(
+    ("material", "light", "message_part"),
+    [
+        (
+            '<bsdf type="conductor"><spectrum name="eta" value="1e30"/><spectrum name="k" value="1e30"/></bsdf>',
+            "",
+            "look at 'rectangle-1'",
+        ),
+        ("", '<emitter type="constant"><rgb name="radiance" value="1e38"/></emitter>', "of 192 pixels"),
+        (
+            '<bsdf type="normalmap"><texture type="bitmap" name="normalmap"><string name="filename" value="one.exr"/>'
+            '</texture><bsdf type="diffuse"/></bsdf>',
+            "",
+            "does not render in Mitsuba",
+        ),
+    ],
+)
+def test_light_that_is_not_finite_or_not_rendered_is_one_line(
+    xml, wide, renderer, tmp_path, material, light, message_part
+):
+    """Set-up: an index of refraction and light beyond single precision, a colour picture as a map of normals."""
+    import mitsuba as mi
+
+    mi.Bitmap(np.ones((8, 16, 3), np.float32)).write(str(tmp_path / "one.exr"))
+    with pytest.raises(InputError) as caught:
+        dasim.simulate(xml(wall(material, light)), wide(16, 12), spp=2)
+    assert message_part in str(caught.value) and "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("material", ["Li", "MgO"])
+def test_metals_continue_beyond_their_tables(xml, world, wide, material):
+    """Rationale: Mitsuba's tables of lithium and magnesium oxide end at 751 and 768 nm, and their index is zero beyond:
+    a perfect mirror.
+
+    Expectation: at normal incidence and 820 nm the reflectance is that of the last value of the table,
+    |(n - 1) / (n + 1)|^2, and a note says so.
+    """
+    import mitsuba as mi
+
+    index = complex(*(mi.spectrum_from_file(str(mi.file_resolver().resolve(f"data/ior/{material}.{part}.spd")))[1][-1]
+                      for part in ("eta", "k")))  # fmt: skip
+    inside = f'<bsdf type="conductor"><string name="material" value="{material}"/></bsdf>'
+    found = world(xml(wall(inside)), wide())
+    ray = mi.RayDifferential3f(mi.Ray3f(mi.Point3f(0.0), mi.Vector3f(0.0, 0.0, 1.0)))
+    ray.wavelengths = mi.Spectrum(820.0)
+    si = found.scene.ray_intersect(ray)
+    _, weight = si.bsdf(ray).sample(mi.BSDFContext(), si, 0.5, mi.Point2f(0.5))
+    assert np.ravel(weight)[0] == pytest.approx(abs((index - 1) / (index + 1)) ** 2, rel=SINGLE)
+    assert any(f"spectrum {material}.eta covers" in note for note in found.notes)
 
 
 @pytest.mark.parametrize(
@@ -501,7 +587,7 @@ def test_environment_map_keeps_its_directions_and_gets_the_illuminant(xml, world
     import drjit as dr
     import mitsuba as mi
 
-    from dasim.render.foreign.colours import one_unit
+    from dasim.render.foreign.lights import one_unit
 
     rng = np.random.default_rng(5)
     small = rng.uniform(0.2, 1.0, (5, 8, 3)).astype(np.float32)
