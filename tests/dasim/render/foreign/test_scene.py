@@ -363,7 +363,7 @@ def test_rough_metal_with_a_pattern_of_roughness_has_finite_light(xml, world, wi
     Set-up: a coarse mesh of a ball with a checkerboard of roughness, of amorphous carbon, before even light.
     Expectation: every pixel is finite, and the mean of all is that of Mitsuba's own path tracer.
     """
-    from dasim.render import passes, stock
+    from dasim.render import passes, stock, wavelengths
 
     trimesh.creation.icosphere(subdivisions=1, radius=1.0).export(tmp_path / "ball.ply")
     carbon = (
@@ -375,9 +375,10 @@ def test_rough_metal_with_a_pattern_of_roughness_has_finite_light(xml, world, wi
     scene = xml(f'<scene version="3.0.0">{ASLANT}{shape}{light}</scene>')
     camera = wide(48, 36)
     ours = world(scene, camera).scene
-    rate = passes.pinhole_pass(ours, camera, passes.Sampling(64, 0))
+    sampling = passes.Sampling(64, 0)
+    rate = passes.pinhole_pass(ours, camera, sampling)
     assert np.isfinite(rate).all()
-    theirs = stock.pinhole_pass(ours, camera, radiometry.response(camera), 64, lambda block: block, lambda share: None)
+    theirs = stock.pinhole_pass(ours, camera, wavelengths.pinhole_responses(camera), sampling)
     theirs *= radiometry.relative_illumination(camera)[..., None]
     np.testing.assert_allclose(rate.mean(axis=(0, 1)), theirs.mean(axis=(0, 1)), rtol=LEVEL_LIMIT)
 
