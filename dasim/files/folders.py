@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-import os
+import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from importlib.metadata import PackageNotFoundError, version
@@ -75,8 +75,10 @@ def check_output(path: Path, kind: str) -> None:
     parent = path if path.is_dir() else path.parent
     while not parent.exists():
         parent = parent.parent
-    if not parent.is_dir() or not os.access(parent, os.W_OK):
-        raise InputError(f"output {name}: {parent} is not a folder that can be written to")
+    try:
+        tempfile.TemporaryDirectory(dir=parent).cleanup()
+    except OSError as error:  # permissions alone do not decide: read-only and virtual file systems
+        raise InputError(f"output {name}: {parent} is not a folder that can be written to") from error
 
 
 def _is_own(file: Path) -> bool:

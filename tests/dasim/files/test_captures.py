@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -184,6 +185,9 @@ def test_own_results_are_replaced_and_foreign_files_kept(tmp_path, capture):
         captures.save_capture(tmp_path / "holiday" / "beach.jpg", capture, None)
     with pytest.raises(InputError, match="not a folder that can be written to"):
         folders.check_output(tmp_path / "holiday" / "beach.jpg" / "below", "capture")
+    if Path("/proc").is_dir():  # root has permission there, but the file system takes no folders
+        with pytest.raises(InputError, match="/proc is not a folder that can be written to"):
+            folders.check_output(Path("/proc/shot"), "capture")
     (tmp_path / "empty").mkdir()
     captures.save_capture(tmp_path / "empty", capture, None)
     assert (tmp_path / "empty" / "raw.png").is_file()
