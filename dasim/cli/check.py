@@ -28,15 +28,14 @@ def demo(*, out: Out = Path("out/demo"), variant: str | None = None, spp: Whole 
     from dasim.files.folders import check_output
     from dasim.simulation.checks import check_options
     from validation.demo import run_demo
-    from validation.reports.lines import of_claim
+    from validation.reports.lines import of_claims
 
     check_output(out, "demo")
     check_options(spp, 0, None)
     options.say_variant(variant)
     with options.progress() as progress:
         entries = run_demo(out, variant=variant, spp=spp, progress=progress)
-    for entry in entries:
-        print(of_claim(entry))
+    print("\n".join(of_claims(entries)))
     print(f"report: {out / 'report.html'}")
     return 1 if any(entry.passed is False for entry in entries) else 0
 
@@ -84,7 +83,7 @@ def validate(
     from validation.gates.outcome import check_methods, failed, select
     from validation.gates.proposal import gate_file
     from validation.methods import named
-    from validation.reports.lines import of_claim
+    from validation.reports.lines import of_claims
     from validation.validate import run_claims
 
     names = select(CLAIMS, only or (), quick=quick)
@@ -117,8 +116,7 @@ def validate(
             variant=variant, seeds=seeds, fresh=fresh, jobs=jobs, methods=methods, progress=progress,
         )  # fmt: skip
     entries = [entry for outcome in outcomes for entry in outcome.claims]
-    for entry in entries:
-        print(of_claim(entry))
+    print("\n".join(of_claims(entries)))
     again = sum(outcome.stored for outcome in outcomes)
     if again:
         print(f"{again} of {len(outcomes)} claims were taken from an earlier run; --fresh measures them again")

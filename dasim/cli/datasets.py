@@ -163,7 +163,7 @@ def score(
     from validation.gates.scored import check_score_files, judged_score, write_score
     from validation.method_scores import sample_rows, score_split, split_figures
     from validation.methods import named
-    from validation.reports.lines import of_claim
+    from validation.reports.lines import of_claims
     from validation.scores.metrics import load_metrics
 
     check_score_files(json_file, junit)
@@ -180,8 +180,7 @@ def score(
     entries = judged_score("dataset", [f for own in methods for f in split_figures(own, scores[own])], gates)
     for own in methods:
         print("\n".join(sample_rows(own, scores[own])))
-    for entry in entries:
-        print(of_claim(entry))
+    print("\n".join(of_claims(entries)))
     details = {own.name: [one.summary() for one in scores[own]] for own in methods}
     write_score("dataset", entries, json_file=json_file, junit=junit, more={"samples": details})
     return 1 if any(entry.passed is False for entry in entries) else 0

@@ -205,7 +205,7 @@ def score(
     from validation.gates.scored import check_score_files, judged_score, write_score
     from validation.method_scores import score_methods
     from validation.methods import named
-    from validation.reports.lines import of_claim
+    from validation.reports.lines import of_claims
     from validation.scores import score as scores
     from validation.scores.depth_files import SUFFIXES, read_depth, read_map
     from validation.scores.measured_truth import score_measured
@@ -247,8 +247,7 @@ def score(
         print(f"method {name[:-1]}" if name else "", end="\n" if name else "")
         print(scores.table([replace(f, id=f.id.removeprefix(name)) for f in figures if f.id.startswith(name)]))
     entries = judged_score("score", figures, gates)
-    for entry in entries:
-        if entry.limit is not None:
-            print(of_claim(entry))
+    if limited := [entry for entry in entries if entry.limit is not None]:
+        print("\n".join(of_claims(limited)))
     write_score("score", entries, json_file=json_file, junit=junit)
     return 1 if any(entry.passed is False for entry in entries) else 0
