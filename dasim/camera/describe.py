@@ -35,6 +35,7 @@ def describe(camera: Camera | str | Path) -> str:
         lines.append(f"stop     {stop.name}: {_shape(stop)}, {share}, passes {_bands(stop)}")
     rows = " / ".join(" ".join(row) for row in sensor.mosaic)
     curves = "synthetic curves" if sensor.quantum_efficiency is None else "its own curves"
+    curves += f" in {sensor.silicon_um:g} um of silicon" if sensor.silicon_um is not None else ""
     lines += [
         f"sensor   {sensor.width_px} x {sensor.height_px} pixels of {sensor.pixel_pitch_um:g} um, mosaic {rows}",
         f"         {curves}, cut at {sensor.cutoff_nm:g} nm; full well {sensor.full_well_e:g} e-, "

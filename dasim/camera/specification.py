@@ -103,6 +103,9 @@ class Sensor(Specification):
     )
     mosaic: tuple[tuple[str, ...], ...] = Field(description="rows of channel names, top left of the frame first")
     quantum_efficiency: Curves | None = None
+    silicon_um: float | None = Field(
+        default=None, gt=0.1, le=1000, description="thickness of silicon that limits the bundled response curves"
+    )
     cutoff_nm: float = Field(default=810.0, ge=500, le=830, description="short-pass filter on the sensor")
     cutoff_width_nm: float = Field(default=8.0, gt=0, le=100)
     coating_index: coatings.Index = Field(
@@ -158,6 +161,10 @@ class Sensor(Specification):
         if not 1 <= len(rows) <= 8 or any(len(row) != len(rows[0]) for row in rows) or not 1 <= len(rows[0]) <= 8:
             raise ValueError("mosaic must be 1 to 8 rows of equal length, 1 to 8 channels each")
         curves = self.quantum_efficiency
+        if curves is not None and self.silicon_um is not None:
+            raise ValueError(
+                "silicon_um limits the bundled response curves, but quantum_efficiency gives others; keep one of them"
+            )
         known = grid.CHANNELS if curves is None else tuple(curves.channels)
         for name in sorted({name for row in rows for name in row}):
             if name not in known:
@@ -404,7 +411,8 @@ def quantum_efficiency(sensor: Sensor) -> FloatArray:
     """Electrons per photon of each of :func:`channels`, [channel, wavelength], without the cut-off filter."""
     curves = sensor.quantum_efficiency
     if curves is None:
-        bundled = dict(zip(grid.CHANNELS, response_curves.rgb_ir_quantum_efficiency(), strict=True))
+        curves_of_four = response_curves.rgb_ir_quantum_efficiency(sensor.silicon_um)
+        bundled = dict(zip(grid.CHANNELS, curves_of_four, strict=True))
         selected = [bundled[name] for name in channels(sensor)]
     else:
         nm = curves.wavelength_nm

@@ -18,7 +18,7 @@ from dasim.render import stock
 
 ROOT = Path(__file__).parents[3]
 
-NAMES = ["bando", "bayer-mobile", "chakrabarti-zickler", "da-4x4", "da-8mm", "da-mobile"]
+NAMES = ["bando", "bayer-mobile", "chakrabarti-zickler", "da-4x4", "da-8mm", "da-mobile", "da-mobile-thin"]
 COMPARED = [name for name in NAMES if name != "da-mobile"]
 
 
