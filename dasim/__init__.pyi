@@ -2,6 +2,7 @@ from .base.errors import InputError
 from .camera.describe import describe
 from .camera.noise import Exposure, NoiseModel
 from .camera.pointspread import psf
+from .camera.prescription import camera_from_lens
 from .camera.specification import Camera, camera_names, cropped, load_camera, refocused
 from .dataset.reading import Dataset, Sample, open_dataset
 from .files.banks import load_bank, save_bank
@@ -39,6 +40,7 @@ __all__ = [
     "Shot",
     "Truth",
     "calibration_captures",
+    "camera_from_lens",
     "camera_names",
     "cropped",
     "depth_steps",

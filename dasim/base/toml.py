@@ -5,6 +5,7 @@ Tested in tests/dasim/scene/test_specification.py and tests/dasim/camera/test_sp
 
 from __future__ import annotations
 
+import json
 import tomllib
 from pathlib import Path
 from typing import Any, TypeVar
@@ -65,6 +66,24 @@ def parse(model: type[Model], data: Any, where: str, folder: Path = Path(".")) -
         return model.model_validate(data, context={"folder": folder})
     except ValidationError as error:
         raise InputError(f"{where}: " + "; ".join(_problem(item, data) for item in _causes(error.errors()))) from None
+
+
+def to_toml(data: dict[str, Any], table: str = "") -> str:
+    """Plain data as TOML text that :func:`parse_toml` reads: values, then tables and lists of tables, without None."""
+
+    def is_tables(value: Any) -> bool:
+        return isinstance(value, (list, tuple)) and len(value) > 0 and all(isinstance(item, dict) for item in value)
+
+    given = {key: value for key, value in data.items() if value is not None}
+    nested = {key: value for key, value in given.items() if isinstance(value, dict) or is_tables(value)}
+    # Strings, numbers, booleans and lists have the same syntax in JSON and TOML.
+    text = "".join(f"{key} = {json.dumps(value)}\n" for key, value in given.items() if key not in nested)
+    for key, value in nested.items():
+        name = f"{table}.{key}" if table else key
+        for item in [value] if isinstance(value, dict) else value:
+            heading = f"[{name}]" if isinstance(value, dict) else f"[[{name}]]"
+            text += f"\n{heading}\n{to_toml(item, name)}"
+    return text
 
 
 def _causes(problems: list[Any]) -> list[Any]:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from dasim.camera import rings, stops
+from dasim.camera import rings, stops, wavefront
 from dasim.camera import specification as cameras
 from dasim.camera.specification import Camera
 from dasim.spectra import grid
@@ -26,6 +26,7 @@ def describe(camera: Camera | str | Path) -> str:
     extras = [f"transmittance {lens.transmittance:g}"] if lens.transmittance != 1 else []
     extras += ["radial shading"] if lens.shading_per_mm else []
     extras += ["axial colour"] if lens.focal_shift_um else []
+    extras += [] if wavefront.is_perfect(lens) else ["wavefront errors"]
     lines = [
         f"lens     {lens.focal_length_mm:g} mm f/{lens.f_number:g}, focused at {lens.focus_distance_m * 100:g} cm"
         + "".join(f", {extra}" for extra in extras)

@@ -32,6 +32,7 @@ for command in (
     datasets.app,
     study.app,
     check.validate,
+    photograph.lens,
     photograph.emva,
 ):
     app.command(command)

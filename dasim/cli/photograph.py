@@ -1,4 +1,4 @@
-"""The commands render, calibrate and emva.
+"""The commands render, calibrate, lens and emva.
 
 Tested in tests/dasim/cli/test_commands.py.
 """
@@ -248,6 +248,34 @@ def _check_bank_output(out: Path) -> None:
             if not parent.is_dir():
                 raise InputError(f"output {out}: {parent} is a file, not a folder")
             break
+
+
+def lens(
+    prescription: Path,
+    *,
+    out: Out,
+    camera: str = "da-mobile",
+) -> int:
+    """Turn a lens prescription into a camera file: wavefront by field, axial colour, vignetting.
+
+    Args:
+        prescription: a Zemax file (.zmx) or one of Optiland (.json); the extra 'lens' of dasim reads it
+        out: camera file (TOML) to be written
+        camera: a bundled name or a TOML file: stops, sensor and focus
+    """
+    import dasim
+    from dasim.base.toml import to_toml
+
+    options.check_new_file(out, "--out")
+    result = dasim.camera_from_lens(prescription, camera)
+    data = result.model_dump(mode="json", exclude_defaults=True)
+    data["stops"] = [
+        stop.model_dump(mode="json", exclude_defaults=True) | {"shape": stop.shape} for stop in result.stops
+    ]
+    out.write_text(f"# Lens of {prescription.name}\n{to_toml(data)}", encoding="utf-8")
+    print(dasim.describe(result))
+    print(f"camera: {out}")
+    return 0
 
 
 def emva(

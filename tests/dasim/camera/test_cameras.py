@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 import dasim
+from dasim.base.toml import to_toml
 from dasim.camera import specification as cameras
 from dasim.camera import stops
 from dasim.cli import run
@@ -36,6 +37,15 @@ def test_all_are_listed():
     for name in NAMES:
         camera = cameras.load_camera(name)
         assert camera.name == name and camera.description
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_camera_written_as_toml_is_the_same_camera(name, tmp_path):
+    """Expectation: nested tables, lists of tables and text with quotes come back; so do default values left out."""
+    camera = cameras.load_camera(name).model_copy(update={"description": 'a "quoted" one\nwith é'})
+    path = tmp_path / "camera.toml"
+    path.write_text(to_toml(camera.model_dump(mode="json")), encoding="utf-8")
+    assert cameras.load_camera(path) == camera
 
 
 @pytest.mark.parametrize("name", NAMES)

@@ -1,0 +1,188 @@
+"""Lens prescriptions: Seidel's sums, a stigmatic lens, two apertures one behind the other, real rays, refused files."""
+
+from __future__ import annotations
+
+from importlib.util import find_spec
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import dasim
+from dasim.base.errors import InputError
+from dasim.camera import prescription, zernike
+from dasim.camera.prescription import camera_from_lens
+from dasim.camera.specification import Camera
+
+optiland = pytest.mark.skipif(find_spec("optiland") is None, reason="Optiland is not installed (extra lens)")
+quiet = pytest.mark.filterwarnings("ignore")  # of Optiland and of what it compiles
+INDEX = 1.5
+FOCAL_MM = 20.0
+STIGMATIC_NM = 0.05
+SEIDEL = 0.03  # of the third order: the fifth at f/8, and the fit's
+REAL_RAYS = 0.02  # of the range: slopes are small angles
+OVERLAP = 0.02  # a polynomial of three powers of r^2
+FAR = 1.2  # degrees: where astigmatism is far below coma
+
+
+def write(path: Path, surfaces: list[dict], aperture_mm: float) -> Path:
+    """A prescription in Optiland's format: object at infinity, surfaces, image."""
+    from optiland.fileio import save_optiland_file
+    from optiland.optic import Optic
+
+    optic = Optic()
+    optic.surfaces.add(index=0, radius=np.inf, thickness=np.inf)
+    for number, surface in enumerate(surfaces, 1):
+        optic.surfaces.add(index=number, **surface)
+    optic.surfaces.add(index=len(surfaces) + 1)
+    optic.set_aperture("EPD", aperture_mm)
+    optic.fields.set_type("angle")
+    optic.fields.add(y=0)
+    optic.wavelengths.add(value=0.55, is_primary=True)
+    save_optiland_file(optic, str(path))
+    return path
+
+
+def glass() -> object:
+    from optiland.materials import IdealMaterial
+
+    return IdealMaterial(n=INDEX)
+
+
+def plano_convex(path: Path, aperture_mm: float, conic: float = 0.0) -> Path:
+    """Flat side first, 2 mm thick, with the stop there, and the image at the paraxial focus."""
+    flat = {"radius": np.inf, "thickness": 2.0, "material": glass(), "is_stop": True}
+    curved = {"radius": -FOCAL_MM * (INDEX - 1), "thickness": FOCAL_MM, "conic": conic}
+    return write(path, [flat, curved], aperture_mm)
+
+
+def framed(camera: Camera, corner_deg: float) -> Camera:
+    """A square crop whose corner lies at an angle of a lens of 20 mm focal length."""
+    half_px = FOCAL_MM * np.tan(np.radians(corner_deg)) / 1.7e-3 / 2**0.5
+    return dasim.cropped(camera, *[2 * int(half_px)] * 2)
+
+
+def rows(camera: Camera, nm: float = 550.0) -> list[dict[str, float]]:
+    return [row.model_dump() for row in camera.lens.wavefront_by_field if row.wavelength_nm == nm]
+
+
+@optiland
+@quiet
+def test_stigmatic_lens_has_no_error_on_the_axis(tmp_path, da_mobile):
+    """Rationale: a plane and a hyperboloid of conic constant -n^2 focus light along the axis in a point (Descartes).
+
+    Expectation: f/3.3, no coefficient on the axis at any wavelength; without dispersion no axial colour; focal length
+    and f-number of the prescription.
+    """
+    path = plano_convex(tmp_path / "hyperbolic.json", 6.0, conic=-(INDEX**2))
+    camera = camera_from_lens(path, framed(da_mobile, FAR))
+    assert camera.lens.focal_length_mm == pytest.approx(FOCAL_MM)
+    assert camera.lens.f_number == pytest.approx(FOCAL_MM / 6)
+    for nm in prescription.WAVELENGTHS_NM:
+        axis = rows(camera, nm)[0]
+        assert max(abs(axis[name]) for name in zernike.TERMS) < STIGMATIC_NM
+    assert max(abs(um) for _, um in camera.lens.focal_shift_um) < 0.01
+    assert camera.sensor == framed(da_mobile, FAR).sensor and camera.stops == da_mobile.stops
+
+
+@optiland
+@quiet
+@pytest.mark.parametrize("aperture_mm", [2.5, 1.25])
+def test_singlet_has_the_sums_of_seidel(tmp_path, da_mobile, aperture_mm):
+    """Set-up: a plano-convex singlet at f/8 and f/16, traced by y-n-u. Expectation: spherical aberration
+    W040 = S_I / 8 = 6 sqrt(5) c, coma W131 = S_II / 2 = 3 sqrt(8) c at the corner, in proportion to the angle.
+    """
+    path = plano_convex(tmp_path / "singlet.json", aperture_mm)
+    camera = camera_from_lens(path, framed(da_mobile, FAR))
+    corner = rows(camera)[-1]
+    # (height, slope) of the marginal and of the chief ray behind the flat stop; only the curved side adds.
+    h, u = aperture_mm / 2, 0.0
+    chief_slope = np.tan(np.radians(corner["angle_deg"])) / INDEX
+    chief_h = 2.0 * chief_slope
+    curvature = -1 / (FOCAL_MM * (INDEX - 1))
+    refraction, chief_refraction = INDEX * (h * curvature + u), INDEX * (chief_h * curvature + chief_slope)
+    after = INDEX * u - h * curvature * (1 - INDEX)
+    change = after / 1.0 - u / INDEX
+    spherical_nm = -(refraction**2) * h * change / 8 * 1e6
+    coma_nm = -refraction * chief_refraction * h * change / 2 * 1e6
+    assert abs(rows(camera)[0]["spherical"]) == pytest.approx(abs(spherical_nm) / (6 * 5**0.5), rel=SEIDEL)
+    assert abs(corner["coma"]) == pytest.approx(abs(coma_nm) / (3 * 8**0.5), rel=SEIDEL)
+    assert np.sign(corner["coma"]) == np.sign(rows(camera)[0]["spherical"]) * np.sign(-coma_nm * spherical_nm)
+    middle = rows(camera)[3]
+    assert middle["coma"] == pytest.approx(corner["coma"] * middle["angle_deg"] / corner["angle_deg"], rel=SEIDEL)
+
+
+@optiland
+@quiet
+def test_slopes_are_those_of_real_rays(tmp_path, da_mobile):
+    """Rationale: sign and direction, by rays. Set-up: the singlet at f/8 and 1.2 degrees. Expectation: rays through the
+    pupil meet the image where u = -2 N grad W says, of both signs, up to the tilt that is left out.
+    """
+    path = plano_convex(tmp_path / "ray.json", 2.5)
+    optic = prescription._read(path)
+    prescription._prepare(optic, FAR)
+    traced = prescription._traced(optic, FAR, path, FAR)
+    errors = tuple(traced.coefficients_nm[550.0])
+    heights = np.array([-0.9, -0.5, 0.0, 0.5, 0.9])
+    real = np.array([float(optic.trace_generic(0.0, 1.0, 0.0, at, 0.55).y[0]) for at in heights]) * 1e3
+    # The direction away from the axis is -y of the pupil, and the upright picture is upside down on the sensor.
+    slope = np.array([float(zernike.gradient(errors, 0.0, -at)[1]) for at in heights])
+    expected = -2 * FOCAL_MM / 2.5 * slope * 1e-3
+    np.testing.assert_allclose(real - real.mean(), expected - expected.mean(), atol=REAL_RAYS * np.ptp(real))
+    assert np.ptp(expected) > 10
+
+
+@optiland
+@quiet
+def test_two_apertures_vignette_by_their_overlap(tmp_path, da_mobile):
+    """Set-up: a ring of the stop's radius 8 mm before the stop. Expectation: the share of light that passes both is the
+    overlap of two discs displaced by 8 mm tan(angle), beside cos^4.
+    """
+    ring = {"radius": np.inf, "thickness": 8.0, "aperture": 5.0}
+    flat = {"radius": np.inf, "thickness": 2.0, "material": glass(), "is_stop": True, "aperture": 5.0}
+    curved = {"radius": -FOCAL_MM * (INDEX - 1), "thickness": FOCAL_MM, "conic": -(INDEX**2)}
+    camera = framed(da_mobile, 4.0)
+    lens = camera_from_lens(write(tmp_path / "vignette.json", [ring, flat, curved], 5.0), camera).lens
+    for angle in (1.5, 3.0, 4.0):
+        height = FOCAL_MM * np.tan(np.radians(angle))
+        shading = 1 + sum(a * height ** (2 * k) for k, a in enumerate(lens.shading_per_mm, 1))
+        half = 8.0 * np.tan(np.radians(angle)) / 2 / 2.5
+        overlap = 2 / np.pi * (np.arccos(half) - half * np.sqrt(1 - half**2))
+        assert shading == pytest.approx(overlap, abs=OVERLAP)
+
+
+@optiland
+@quiet
+def test_command_writes_a_camera_file(tmp_path, capsys):
+    """Expectation: `dasim lens` writes what `camera_from_lens` returns."""
+    from dasim.cli import run
+
+    path = plano_convex(tmp_path / "slow.json", 1.25)
+    small = framed(dasim.load_camera("da-mobile"), FAR)
+    base = tmp_path / "base.toml"
+    from dasim.base.toml import to_toml
+
+    base.write_text(to_toml(small.model_dump(mode="json")))
+    assert dasim.load_camera(base) == small
+    assert run(["lens", str(path), "--camera", str(base), "--out", str(tmp_path / "new.toml")]) == 0
+    assert dasim.load_camera(tmp_path / "new.toml") == camera_from_lens(path, small)
+    assert "20 mm f/16" in capsys.readouterr().out
+
+
+def test_refused_files(tmp_path):
+    """Expectation: one line each, without Optiland too."""
+    with pytest.raises(InputError, match=r"lens .*none\.zmx: no such file"):
+        camera_from_lens(tmp_path / "none.zmx")
+    (tmp_path / "lens.seq").write_text("RDY")
+    with pytest.raises(InputError, match=r"a Zemax file \(\.zmx\) or one of Optiland"):
+        camera_from_lens(tmp_path / "lens.seq")
+
+
+@optiland
+@quiet
+@pytest.mark.parametrize("name", ["lens.zmx", "lens.json"])
+def test_damaged_files_are_one_line(tmp_path, name):
+    (tmp_path / name).write_text("{}")
+    with pytest.raises(InputError) as problem:
+        camera_from_lens(tmp_path / name)
+    assert "\n" not in str(problem.value)
