@@ -59,7 +59,7 @@ def make(
     from dasim.dataset import plan, preview, storage
     from dasim.dataset.make import make as make_dataset
     from dasim.dataset.reading import parquet_library
-    from dasim.dataset.sample import Job, environment
+    from dasim.dataset.sample import Job, provenance
     from dasim.dataset.specification import load_spec
     from dasim.dataset.work import work
     from dasim.render import backend
@@ -72,7 +72,7 @@ def make(
     choice = backend.choose(variant)
     gpu = choice.variant.startswith("cuda")
     processes = processes_of(jobs, len(executors.gpus()) if gpu else None)
-    here = environment(choice.variant)
+    here = provenance(choice.variant)
     if dry_run:
         print("\n".join(preview.lines(described, processes, choice.variant)))
         return 0

@@ -167,8 +167,8 @@ def card(spec: DatasetSpec, manifest: dict[str, Any], rows: list[dict[str, Any]]
 {spec.description or "Simulated dual-aperture captures with exact ground truth."}
 
 Licence: {spec.licence}. Made by dasim {manifest["libraries"]["dasim"]}, {manifest["variant"]}; the specification, the
-instruction set and all library versions are in `{MANIFEST}`. With the same ones, every file is reproduced byte for
-byte.
+instruction set, all library versions and a fingerprint of the code are in `{MANIFEST}`. With the same ones, every file
+is reproduced byte for byte.
 
 ![Samples, through a pinhole]({SHEET})
 

@@ -122,7 +122,7 @@ def manifest(out: str) -> dict[str, Any]:
 def begin(out: str, new: dict[str, Any]) -> None:
     """Write the manifest of a new dataset, or check that an existing one is the same.
 
-    Raises InputError with the differences in the specification, variant, instruction set or libraries.
+    Raises InputError with the differences in the specification, variant, instruction set, libraries or code.
     """
     if not storage.exists(out, MANIFEST):
         there = [name for name in storage.names(out) if not name.startswith(".")]
@@ -131,7 +131,12 @@ def begin(out: str, new: dict[str, Any]) -> None:
         storage.check_writable(out)
         storage.write(out, MANIFEST, json_bytes(new))
         return
-    lines = differences(manifest(out), new)
+    old = manifest(out)
+    lines = differences(old, new)
+    if lines and not differences(old | {"code": new.get("code")}, new):
+        raise InputError(
+            f"{out}: was begun by other code than this dasim's; continue it with that code, or choose another folder"
+        )
     if lines:
         raise InputError(f"{out}: holds a different dataset: {'; '.join(lines[:8])}; choose another folder")
     storage.check_writable(out)

@@ -22,6 +22,7 @@ from typing import Any
 import cv2
 import numpy as np
 
+from dasim.base.fingerprint import fingerprint
 from dasim.dataset.draws import Draft, draft
 from dasim.dataset.specification import DatasetSpec, noise_model
 from dasim.files.captures import capture_meta
@@ -45,7 +46,7 @@ LIBRARIES = (  # that determine the bytes of pixels and files
 
 @dataclass(frozen=True)
 class Job:
-    """Specification, output, and the environment (:func:`environment`) that all workers must have."""
+    """Specification, output, and the environment and code (:func:`provenance`) that all workers must have."""
 
     spec: DatasetSpec
     out: str
@@ -69,7 +70,7 @@ def key(index: int) -> str:
 
 @lru_cache(maxsize=1)
 def environment(variant: str) -> dict[str, Any]:
-    """Everything besides the specification that determines pixels: variant, LLVM, instruction set and libraries."""
+    """Software and hardware that determine pixels: variant, LLVM, instruction set and libraries."""
     from numpy._core._multiarray_umath import __cpu_features__ as features  # type: ignore[import-not-found]
 
     return {
@@ -78,6 +79,15 @@ def environment(variant: str) -> dict[str, Any]:
         "cpu": f"{platform.machine()} " + " ".join(sorted(name for name, on in features.items() if on)),
         "libraries": {name: _version(name) for name in ("dasim", *LIBRARIES)},
     }
+
+
+@lru_cache(maxsize=1)
+def provenance(variant: str) -> dict[str, Any]:
+    """Everything besides the specification that determines pixels: the environment, and a fingerprint of the code.
+
+    The fingerprint covers bundled scenes, cameras and tables too.
+    """
+    return environment(variant) | {"code": fingerprint(make, variant=variant)}
 
 
 def _version(name: str) -> str:

@@ -23,11 +23,12 @@ from dasim.base.errors import InputError
 
 def _file_system(out: str) -> tuple[Any, str]:
     """File system (fsspec) of an output, and the path of the output in it."""
-    return _file_system_of_process(out, os.getpid())  # a forked process cannot use the connections of its parent
+    # A relative path depends on the working folder. A forked process cannot use the connections of its parent.
+    return _file_system_of_process(out, os.getpid(), os.getcwd())
 
 
 @lru_cache(maxsize=8)
-def _file_system_of_process(out: str, process: int) -> tuple[Any, str]:
+def _file_system_of_process(out: str, process: int, folder: str) -> tuple[Any, str]:
     try:
         fs, root = fsspec.core.url_to_fs(out, use_listings_cache=False)  # other processes write to it at the same time
     except (ImportError, ValueError) as error:

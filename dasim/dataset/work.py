@@ -27,7 +27,7 @@ def work(job: Job, index: int) -> Outcome:
     """
     try:
         sample.activate(job.environment["variant"])
-        here = sample.environment(job.environment["variant"])
+        here = sample.provenance(job.environment["variant"])
         if here != job.environment:
             keys = ", ".join(key for key in here if here[key] != job.environment.get(key))
             return Outcome(index, f"this worker has another {keys} than the dataset: pixels would differ", True)

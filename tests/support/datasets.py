@@ -13,7 +13,7 @@ from pathlib import Path
 from dasim.base.executors import Outcome
 from dasim.dataset import plan, storage
 from dasim.dataset.make import make
-from dasim.dataset.sample import Job, environment
+from dasim.dataset.sample import Job, provenance
 from dasim.dataset.specification import load_spec
 from dasim.dataset.work import work
 from dasim.render import backend
@@ -75,7 +75,7 @@ def spec_file(folder: Path, *, samples: int = 6, top: str = "", more: str = "", 
 def job(spec: Path, out: Path | str) -> Job:
     """Job of a dataset, whose manifest is written, as ``dasim dataset make`` passes it to its workers."""
     described = load_spec(spec)
-    here = environment(backend.choose().variant)
+    here = provenance(backend.choose().variant)
     plan.begin(str(out), plan.description(described, here))
     return Job(described, str(out), here)
 

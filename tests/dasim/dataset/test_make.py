@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import json
 import os
 import platform
 import shutil
@@ -21,6 +22,8 @@ from dasim.base.errors import InputError
 from dasim.cli import run
 from dasim.dataset import plan, sample, storage, verify, work
 from dasim.dataset.make import TRIES
+from dasim.dataset.specification import load_spec
+from dasim.render import backend
 from tests.support.datasets import (
     MESH,
     SQUARE,
@@ -356,7 +359,37 @@ def test_file_beyond_the_limit_of_a_process_is_a_full_disk(spec, reference, tmp_
 
 def test_worker_with_other_libraries_makes_nothing(spec, tmp_path, monkeypatch):
     """Pixels would differ, so that the run ends before the first sample is written."""
-    monkeypatch.setattr(sample, "environment", lambda variant: {"variant": variant, "llvm": "0", "cpu": "abacus"})
+    monkeypatch.setattr(sample, "provenance", lambda variant: {"variant": variant, "llvm": "0", "cpu": "abacus"})
     with pytest.raises(InputError, match="this worker has another llvm, cpu than the dataset"):
         make_dataset(spec, tmp_path / "ds")
     assert not (tmp_path / "ds" / "parts").exists()
+
+
+def test_dataset_is_not_continued_by_other_code(spec, tmp_path, monkeypatch, capsys):
+    """Set-up: a dataset that was begun, whose manifest has the fingerprint of other code, or of a version without one.
+
+    Expectation: the command that continues it makes nothing, and says why in one line; with the same code it goes on.
+    """
+    out = tmp_path / "ds"
+    out.mkdir()
+    plan.begin(str(out), plan.description(load_spec(spec), sample.provenance(backend.choose().variant)))
+    manifest = json.loads((out / plan.MANIFEST).read_text())
+    for other in ({"code": "0" * 24}, {}):
+        changed = {key: value for key, value in manifest.items() if key != "code"} | other
+        (out / plan.MANIFEST).write_text(json.dumps(changed))
+        assert run(["dataset", "make", str(spec), "--out", str(out)]) == 2
+        assert "was begun by other code than this dasim's" in capsys.readouterr().err.splitlines()[-1]
+        assert [path.name for path in out.iterdir()] == [plan.MANIFEST]
+    (out / plan.MANIFEST).write_text(json.dumps(manifest))
+    plan.begin(str(out), manifest)
+
+
+def test_relative_folder_follows_the_working_folder(tmp_path, monkeypatch):
+    """Expectation: the same name in another working folder is another dataset."""
+    for name in ("one", "two"):
+        (tmp_path / name / "ds").mkdir(parents=True)
+        monkeypatch.chdir(tmp_path / name)
+        storage.write("ds", "name.txt", name.encode())
+        assert storage.read("ds", "name.txt") == name.encode()
+        assert storage.local_path("ds") == tmp_path / name / "ds"
+    assert (tmp_path / "one" / "ds" / "name.txt").read_text() == "one"

@@ -188,11 +188,11 @@ def _run(
 def measured(kind: str, processes: int, data: dict[str, Any], out: str, count: int) -> list[dict[str, float]]:
     """Time and memory of the first ``count`` samples of a dataset; see :func:`figures` for their keys."""
     from dasim.base.toml import parse
-    from dasim.dataset.sample import environment
+    from dasim.dataset.sample import provenance
     from dasim.dataset.specification import DatasetSpec
     from dasim.render import backend
 
-    job = Job(parse(DatasetSpec, data, "speed"), out, environment(backend.choose().variant))
+    job = Job(parse(DatasetSpec, data, "speed"), out, provenance(backend.choose().variant))
     Path(out).mkdir()
     samples: dict[int, dict[str, float]] = {}
     with _executor(kind, processes) as run, contextlib.closing(run(job, deque(range(job.spec.samples)))) as outcomes:
