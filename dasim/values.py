@@ -91,6 +91,7 @@ class PointPictures:
     camera: Camera
     lights: tuple[str, ...]
     diffraction: str  # wave, airy or off
+    field_px: tuple[float, float]  # (x, y) of the source's image from the optical axis
     count: int  # of pictures
     fingerprint: (
         str | None
@@ -115,6 +116,7 @@ class PsfBank:
     blur_px: Float32Array  # [level] visible blur diameter
     camera: Camera
     diffraction: str  # how the pictures were made: wave, airy, off, or measured
+    field_px: tuple[float, float] = (0.0, 0.0)  # (x, y) from the optical axis, where the kernels were measured
 
     def __repr__(self) -> str:
         levels = f"{len(self.depth_m)} levels, {_range(self.depth_m)}"

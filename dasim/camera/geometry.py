@@ -78,6 +78,29 @@ def level_blur_px(camera: Camera) -> FloatArray:
     return np.arange(BLUR_LEVELS, dtype=np.float64) * (1.0 / relative if relative > 0 else 2.0)
 
 
+def frame_field_px(camera: Camera) -> tuple[float, float]:
+    """The middle of the frame, (x, y) in pixels from the optical axis."""
+    x, y = principal_point(camera.sensor)
+    return camera.sensor.width_px / 2 - x, camera.sensor.height_px / 2 - y
+
+
+def field_angle_deg(camera: Camera, field_px: tuple[float, float]) -> float:
+    """Angle of the chief ray to a place of the sensor (x, y) in pixels from the axis, in degrees."""
+    height_m = float(np.hypot(*field_px)) * camera.sensor.pixel_pitch_um * 1e-6
+    return float(np.degrees(np.arctan(height_m / image_distance_m(camera))))
+
+
+def foreshortening(camera: Camera, field_px: tuple[float, float]) -> FloatArray:
+    """T at a place of the sensor (x, y) in pixels from the axis, [2, 2] in the order (y, x).
+
+    T = cos (1 - t t^T cos^2), with t the tangent of the field angle as a vector: cos^3 along t and cos across it, see
+    :mod:`dasim.camera.pupil_pattern`.
+    """
+    tangent = np.array(field_px[::-1]) * camera.sensor.pixel_pitch_um * 1e-6 / image_distance_m(camera)
+    square_of_cosine = 1 / (1 + tangent @ tangent)
+    return np.asarray(np.sqrt(square_of_cosine) * (np.eye(2) - np.outer(tangent, tangent) * square_of_cosine))
+
+
 def intrinsic_matrix(camera: Camera) -> FloatArray:
     """Pinhole intrinsics K in pixels, [3, 3]; pixel centres at +0.5, the principal point by default in the middle."""
     focal_px = image_distance_m(camera) / (camera.sensor.pixel_pitch_um * 1e-6)

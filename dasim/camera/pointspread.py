@@ -1,8 +1,9 @@
 """Point-spread functions of a camera: wave optics per stop and wavelength, integrated over the pixels.
 
 A kernel is the sum over the stops, weighted by the channel's spectral response through each, integrated over square
-pixels. Discs and rings are radially symmetric about their own centre and need one profile per wavelength; polygons and
-masks are transformed on a grid. There are three models of diffraction:
+pixels. On the axis discs and rings are radially symmetric about their own centre and need one profile per wavelength;
+other stops, and all off the axis, are transformed on a grid (:mod:`dasim.camera.pupil_pattern`). There are three models
+of diffraction:
 
 ``wave``  |FT of the defocused pupil|^2, the true kernel (Goodman, Introduction to Fourier Optics, ch. 6)
 ``airy``  the geometric blur convolved with the in-focus pattern, an approximation
@@ -26,6 +27,7 @@ from scipy.special import j0, j1, roots_legendre
 from dasim.base.errors import InputError, kind_of
 from dasim.camera import geometry, glare, radiometry, stops, wavefront
 from dasim.camera import specification as cameras
+from dasim.camera.pupil_pattern import pupil_pattern, turned
 from dasim.camera.specification import Camera
 from dasim.camera.stops import Stop
 from dasim.camera.wavefront import Phase, Wavefront
@@ -33,11 +35,14 @@ from dasim.spectra import grid, illuminants
 from dasim.typing import FloatArray
 
 Diffraction = Literal["wave", "airy", "off"]
+Field = tuple[float, float]  # (x, y) in pixels from the optical axis
+AXIS: Field = (0.0, 0.0)
 DIFFRACTION_MODELS: tuple[str, ...] = get_args(Diffraction)
 
 BAND_NM = 10.0  # profiles vary slowly with wavelength: one per 10 nm
 RADIAL_STEP_PX = 0.05
 SUBPIXELS = 10  # per pixel and axis, for the integral over the pixel
+PIXEL_NODES = 5  # Gauss-Legendre nodes per pixel and axis off the axis
 PUPIL_NODES = 400  # Gauss-Legendre nodes over the pupil's radius: enough for 100 rings and 20 waves
 AIRY_NODES = 800  # more, for mixtures of transfer functions with different cut-off frequencies
 MIN_DISC_PX = 0.3  # a geometric disc smaller than this has no effect on a pixel's integral
@@ -174,13 +179,14 @@ def radial_profiles(
     radius_px: FloatArray,
     diffraction: str = "wave",
     group: Sequence[Stop] | None = None,
+    angle_deg: float = 0.0,
 ) -> tuple[FloatArray, FloatArray]:
     """Radial density of the kernels, [..., blur, channel, radius] per square pixel, before the pixel.
 
-    ``blur_px`` are visible blur diameters, ``spectrum`` the spectral power of one light or several on the
-    wavelength grid, [..., wavelength]; ``group`` are discs and rings about one centre, all of the camera's by
-    default. Each density integrates to 1 over the plane. Also returns the electrons of each channel through these
-    stops, relative, [..., channel].
+    ``blur_px`` are visible blur diameters, ``spectrum`` the spectral power of one light or several on the wavelength
+    grid, [..., wavelength]; ``group`` are discs and rings about one centre, all of the camera's by default,
+    ``angle_deg`` is that of the chief ray, for their responses. Each density integrates to 1 over the plane. Also
+    returns the electrons of each channel through these stops, relative, [..., channel].
     """
     check_model(diffraction)
     pitch_m = camera.sensor.pixel_pitch_um * 1e-6
@@ -195,7 +201,7 @@ def radial_profiles(
             raise ValueError(f"stop '{stop.name}' is not radial")
         if not is_radial(camera, stop, diffraction):
             raise InputError(f"camera '{camera.name}': lens.wavefront_nm has terms without rotational symmetry here")
-        weights = radiometry.stop_response(camera, stop) * spectrum[..., None, :]
+        weights = radiometry.stop_response(camera, stop, angle_deg) * spectrum[..., None, :]
         signal += grid.integrate(weights)
         f_number, inner = working_f_number(camera, ring.outer), ring.inner / ring.outer
         for wavelength_nm, weight in bands(weights):
@@ -232,37 +238,6 @@ def _band_index() -> NDArray[np.int_]:
     return np.minimum((grid.WAVELENGTH_NM - 400.0) // BAND_NM, (830.0 - 400.0) // BAND_NM - 1).astype(int)
 
 
-def pupil_pattern(stop: Stop, waves: float, y: FloatArray, x: FloatArray, phase: Phase | None = None) -> FloatArray:
-    """Intensity of a defocused stop at places of the picture, [y, x], of unit integral over the plane.
-
-    Places are in units of lambda N, with N the working f-number of the whole lens, ``waves`` the defocus W20 at the
-    lens's rim, positive for points nearer than the focus. U(u) = int P(rho) exp(2 pi i W20 rho^2 + pi i rho u),
-    h = |U|^2 / (4 int |P|^2), as a product of matrices (Jurling et al., J. Opt. Soc. Am. A 35, 2018). P has the phase
-    of ``phase``, if any.
-    """
-    transmitted, place = stops.pupil(stop)
-    cell = place[1] - place[0]
-    defocus = np.exp(2j * np.pi * waves * place**2)
-    # A cell that a polygon covers by half passes half the amplitude; one of half the transmittance passes more.
-    drawn = np.sqrt(transmitted) if isinstance(stop, stops.Mask) else transmitted
-    amplitude = drawn * defocus[:, None] * defocus[None, :]
-
-    def field(amplitude: FloatArray) -> FloatArray:
-        left, right = np.exp(1j * np.pi * np.outer(y, place)), np.exp(1j * np.pi * np.outer(place, x))
-        return np.asarray(left @ amplitude @ right * cell**2)
-
-    norm = 4 * transmitted.sum() * cell**2
-    if phase is None:
-        return np.abs(field(amplitude)) ** 2 / norm
-    amplitude = amplitude * wavefront.factor(phase, place[:, None], place[None, :])
-    if phase.opening is None:
-        return np.abs(field(amplitude)) ** 2 / norm
-    opened, _ = stops.pupil(phase.opening)
-    index = ((place + 1) / 2 * len(opened)).astype(int)  # masks may have more cells than other stops
-    inside = opened[np.ix_(index, index)]
-    return wavefront.two_parts(phase, field(amplitude * (1 - inside)), field(amplitude * inside)) / norm
-
-
 def _pattern_kernel(
     camera: Camera,
     stop: Stop,
@@ -271,14 +246,22 @@ def _pattern_kernel(
     size: int,
     offset_px: tuple[float, float],
     diffraction: str,
+    field_px: Field,
 ) -> tuple[FloatArray, FloatArray]:
     """Kernel of one stop over the pixels, times the electrons, [..., channel, y, x], and the electrons."""
     if diffraction == "airy":
         raise InputError(f"stop '{stop.name}' is a {stop.shape}; diffraction 'airy' takes discs and rings only")
-    front = wavefront.of_stop(camera, stop)
-    weights = radiometry.stop_response(camera, stop) * spectrum[..., None, :]
-    fine = (np.arange(size * SUBPIXELS) + 0.5) / SUBPIXELS - size / 2
+    angle_deg = geometry.field_angle_deg(camera, field_px)
+    # Tabulated aberrations have their x away from the axis.
+    turn_rad = float(np.arctan2(field_px[1], field_px[0])) if camera.lens.wavefront_by_field else 0.0
+    front = wavefront.of_stop(camera, stop, angle_deg)
+    weights = radiometry.stop_response(camera, stop, angle_deg) * spectrum[..., None, :]
     f_number, colour_px = working_f_number(camera, 1.0), geometry.chromatic_blur_px(camera)
+    oblique = None if field_px == AXIS else geometry.foreshortening(camera, field_px)
+    fine, share = (np.arange(size * SUBPIXELS) + 0.5) / SUBPIXELS - size / 2, np.full(SUBPIXELS, 1 / SUBPIXELS)
+    if oblique is not None:  # here all stops are transformed: Gauss-Legendre nodes, of which fewer do
+        nodes, share = _unit_nodes(PIXEL_NODES)
+        fine = (np.arange(size)[:, None] + nodes).ravel() - size / 2
     total = np.zeros((*weights.shape[:-1], size, size))
     for wavelength_nm, weight in bands(weights):
         blur = blur_px + float(np.interp(wavelength_nm, grid.WAVELENGTH_NM, colour_px))
@@ -286,14 +269,17 @@ def _pattern_kernel(
             scale = wavelength_nm * 1e-3 * f_number / camera.sensor.pixel_pitch_um
             y, x = ((fine - at) / scale for at in offset_px)
             phase = wavefront.at(front, wavelength_nm, BAND_NM)
-            density = pupil_pattern(stop, blur / (8 * scale), y, x, phase) / scale**2
-            kernel = density.reshape(size, SUBPIXELS, size, SUBPIXELS).mean(axis=(1, 3))
+            density = pupil_pattern(stop, blur / (8 * scale), y, x, phase, oblique, turn_rad) / scale**2
+            density = density.reshape(size, len(share), size, len(share))
+            kernel = density.mean(axis=(1, 3)) if oblique is None else np.einsum("iajb,a,b", density, share, share)
         else:
             transmitted, place = stops.pupil(stop)
             pupil = place[:, None], place[None, :]
             errors_nm = wavefront.coefficients(front, wavelength_nm)
-            moved = wavefront.displacement_px(errors_nm, f_number, camera.sensor.pixel_pitch_um, *pupil)
-            rows, columns = (at - along * blur / 2 + by for at, along, by in zip(offset_px, pupil, moved, strict=True))
+            along = turned(*pupil, turn_rad)
+            moved = wavefront.displacement_px(errors_nm, f_number, camera.sensor.pixel_pitch_um, *along)
+            moved = turned(*moved, -turn_rad)
+            rows, columns = (at - rho * blur / 2 + by for at, rho, by in zip(offset_px, pupil, moved, strict=True))
             edges = np.arange(size + 1) - size / 2
             drawn = np.histogram2d(rows.ravel(), columns.ravel(), bins=[edges, edges], weights=transmitted.ravel())
             kernel = drawn[0]
@@ -303,25 +289,34 @@ def _pattern_kernel(
 
 
 def kernels(
-    camera: Camera, blur_px: Sequence[float] | FloatArray, spectrum: FloatArray, size: int, diffraction: str = "wave"
+    camera: Camera,
+    blur_px: Sequence[float] | FloatArray,
+    spectrum: FloatArray,
+    size: int,
+    diffraction: str = "wave",
+    field_px: Field = AXIS,
 ) -> Callable[[int, tuple[float, float], Any], tuple[FloatArray, FloatArray]]:
     """The camera's kernels for visible blurs, as a function of (index of the blur, offset (y, x) in pixels, light).
 
     The function gives kernels [..., channel, size, size] (see :func:`psf`), for ``spectrum`` [..., wavelength],
     and the electrons of each channel, relative, [..., channel]; ``light`` is an index into the leading axes of the
-    spectrum, ``...`` for all. What all blurs share is computed once.
+    spectrum, ``...`` for all. What all blurs share is computed once. ``field_px`` is the place of the point's image,
+    (x, y) from the axis; the shape of off-axis diffraction is that of ``wave`` alone.
     """
     check_model(diffraction)
-    if diffraction == "airy" and not all(wavefront.is_flat(wavefront.of_stop(camera, stop)) for stop in camera.stops):
+    angle_deg = geometry.field_angle_deg(camera, field_px)
+    fronts = [wavefront.of_stop(camera, stop, angle_deg) for stop in camera.stops]
+    if diffraction == "airy" and not all(wavefront.is_flat(front) for front in fronts):
         raise InputError(
             f"camera '{camera.name}': diffraction 'airy' takes no lens.wavefront_nm and no phase_nm; 'wave' does"
         )
     blurs = np.asarray(blur_px, dtype=np.float64)
     about: dict[tuple[stops.Point, float, float], list[Stop]] = {}
     others: list[Stop] = []
-    for stop in camera.stops:
+    for stop, front in zip(camera.stops, fronts, strict=True):
         ring = stops.ring(stop)
-        if ring is None or not is_radial(camera, stop, diffraction):
+        off_axis = diffraction == "wave" and field_px != AXIS
+        if ring is None or off_axis or not is_radial(camera, stop, diffraction, front):
             others.append(stop)
         else:
             about.setdefault((ring.centre, *_veil(camera, stop)), []).append(stop)
@@ -329,7 +324,12 @@ def kernels(
     farthest = max((float(np.hypot(*centre)) for centre, *_ in about), default=0.0) * largest / 2
     radius = np.arange(0, size * 0.75 + 2 + farthest, RADIAL_STEP_PX)
     groups = [
-        (np.array(centre[::-1]), veil, colour_px, *radial_profiles(camera, blurs, part, radius, diffraction, group))
+        (
+            np.array(centre[::-1]),
+            veil,
+            colour_px,
+            *radial_profiles(camera, blurs, part, radius, diffraction, group, angle_deg),
+        )
         for (centre, *veil), group in about.items()
         for colour_px, part in _moved_alike(camera, centre, spectrum)
     ]
@@ -345,7 +345,7 @@ def kernels(
             total, signal = total + part * shares[..., None, None], signal + shares
         for stop in others:
             part, electrons = _pattern_kernel(
-                camera, stop, float(blurs[index]), spectrum[light], size, offset_px, diffraction
+                camera, stop, float(blurs[index]), spectrum[light], size, offset_px, diffraction, field_px
             )
             part = _veiled(part, electrons, _veil(camera, stop), offset_px)
             total, signal = total + part, signal + electrons
@@ -434,8 +434,9 @@ def psf(
     offset_px: tuple[float, float] = (0.0, 0.0),
     size: int | None = None,
     diffraction: str = "wave",
+    field_px: Field | None = None,
 ) -> FloatArray:
-    """Point-spread function of a channel for a white point on the axis, [size, size] in pixels, y down, x right.
+    """Point-spread function of a channel for a white point, [size, size] in pixels, y down, x right.
 
     Each value is the share of the point's light in that pixel; the sum is 1 less the light outside the frame.
 
@@ -448,8 +449,11 @@ def psf(
             middle of the lens meets the sensor
         size: odd number of pixels per side; by default large enough for the blur and its diffraction tail
         diffraction: ``wave``, ``airy`` or ``off``
+        field_px: (x, y) of the point's image from the optical axis, which widens the pattern of ``wave``; by default
+            the middle of the camera's frame, which is on the axis unless ``sensor.principal_point_px`` is elsewhere
     """
     camera = cameras.as_camera(camera)
+    field_px = geometry.frame_field_px(camera) if field_px is None else field_px
     names = cameras.channels(camera.sensor)
     if channel not in names:
         raise InputError(f"channel '{channel}' is unknown; allowed are {', '.join(names)}")
@@ -457,9 +461,9 @@ def psf(
         raise InputError(f"depth_m: a distance above 0, in metres, is needed, not {kind_of(depth_m)}")
     blur = float(geometry.blur_px(camera, depth_m))
     size = size or kernel_size_px(camera, blur)
-    return kernels(camera, [blur], illuminants.illuminant(illuminant), size, diffraction)(0, offset_px, ...)[0][
-        names.index(channel)
-    ]
+    return kernels(camera, [blur], illuminants.illuminant(illuminant), size, diffraction, field_px)(0, offset_px, ...)[
+        0
+    ][names.index(channel)]
 
 
 def airy_errors(camera: Camera, illuminant: str) -> tuple[FloatArray, FloatArray]:

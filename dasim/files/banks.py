@@ -32,6 +32,7 @@ def bank_identity(bank: PsfBank) -> dict[str, Any]:
         "levels": len(bank.depth_m),
         "depths_m": [float(bank.depth_m.min()), float(bank.depth_m.max())],
         "diffraction": bank.diffraction,
+        "field_px": list(bank.field_px),
     }
 
 
@@ -41,6 +42,7 @@ def save_bank(path: Path, bank: PsfBank) -> None:
         "schema": BANK_SCHEMA,
         "lights": bank.lights,
         "diffraction": bank.diffraction,
+        "field_px": bank.field_px,
         "camera": bank.camera.model_dump(mode="json"),
     }
     with atomic.writing(path) as file:
@@ -64,6 +66,7 @@ def load_bank(path: Path) -> PsfBank:
         with path.open("rb") as file, np.load(file, allow_pickle=False) as data:
             about = dict(json.loads(str(data["about"])))
             arrays = {key: data[key] for key in ("kernel", "signature", "depth_m", "blur_px")}
+            x, y = (float(value) for value in about.get("field_px", (0.0, 0.0)))
     except Exception as error:  # damaged files raise many types of errors of zip, npy and json
         raise InputError(
             f"bank {path}: is not a bank, or is damaged ({type(error).__name__}); make one with 'dasim calibrate'"
@@ -84,4 +87,4 @@ def load_bank(path: Path) -> PsfBank:
         raise InputError(f"bank {path}: has values that are not finite")
     if np.abs(kernel.sum(axis=(3, 4)) - 1).max() > KERNEL_SUM_TOLERANCE or (arrays["depth_m"] <= 0).any():
         raise InputError(f"bank {path}: its kernels are not of unit sum, or its depths not above 0")
-    return PsfBank(lights=lights, diffraction=diffraction, camera=camera, **arrays)
+    return PsfBank(lights=lights, diffraction=diffraction, camera=camera, field_px=(x, y), **arrays)

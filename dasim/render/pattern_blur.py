@@ -12,6 +12,7 @@ import numpy as np
 from scipy import signal
 
 from dasim.camera import pointspread, stops, wavefront
+from dasim.camera.pupil_pattern import pupil_pattern
 from dasim.camera.specification import Camera
 from dasim.camera.stops import Stop
 from dasim.camera.wavefront import Phase
@@ -116,7 +117,7 @@ def tables(
         scale = nm * px_per_nm
         for front in fronts:
             phase = None if flat else wavefront.phase(front, nm, pointspread.BAND_NM)
-            pattern = pointspread.pupil_pattern(stop, 0.0, place / scale, place / scale, phase) / scale**2
+            pattern = pupil_pattern(stop, 0.0, place / scale, place / scale, phase) / scale**2
             focus += weight * pattern / len(fronts)
     if not flat:  # sampling need not know how behind the focus and around the axis the pattern is turned
         focus = sum((np.rot90(focus, quarter) for quarter in range(4)), np.zeros_like(focus)) / 4
@@ -134,7 +135,7 @@ def tables(
         for row, w in zip(wave, waves, strict=True):
             # As in the tables of rings, the light farther out is added within.
             inside = np.abs(scaled) <= 4 * abs(w) * stops.reach(stop) + rings + moved / shortest_nm
-            pattern = pointspread.pupil_pattern(stop, w, scaled, scaled, phase) * (inside[:, None] & inside)
+            pattern = pupil_pattern(stop, w, scaled, scaled, phase) * (inside[:, None] & inside)
             row[:] = pattern / (pattern.sum() * wave_step**2)
         return wave
 

@@ -25,8 +25,8 @@ CALIBRATION_LIGHTS = ("D65", "D55", "A", illuminants.ENERGY_SAVING)
 # hides the tails of a kernel, and near-infrared under a lamp with little of it.
 EXPOSURES = (256.0, 16.0, 1.0)
 EXPOSURE_S = 0.01
-# The source is put up anew for each light and level: its image lies this far from the axis, in periods of the mosaic,
-# on pixels of its own.
+# The source is put up anew for each light and level: its image lies this far from its place in the field, in periods of
+# the mosaic, on pixels of its own.
 _REACH = 32
 _BACKGROUND_SHARE = 1e-3  # of the peak: stray light, which the calibration must remove
 
@@ -45,13 +45,15 @@ def calibration_captures(
     seed: int = 0,
     diffraction: str = "wave",
     noise: NoiseModel = sensor_noise.expose,
+    field_px: tuple[float, float] | None = None,
 ) -> PointPictures:
     """Pictures of a point source for each light, blur level, mosaic position and exposure.
 
     The kernels are the camera's own (a path-traced point source converges too slowly to calibrate with), at an unknown
-    place within some tens of pixels of the axis for each light and level, where they meet the sensor's fixed pattern.
-    They pass through the sensor model with automatic exposure to 85 % of full scale and with longer ones
-    (``EXPOSURES``). ``shift_px`` covers one period of the mosaic. The pictures do not depend on the camera's frame.
+    place within some tens of pixels of ``field_px`` for each light and level, where they meet the sensor's fixed
+    pattern. They pass through the sensor model with automatic exposure to 85 % of full scale and with longer ones
+    (``EXPOSURES``). ``shift_px`` covers one period of the mosaic. The pictures do not depend on the camera's frame,
+    except by ``field_px``.
 
     Args:
         camera: a Camera, a bundled name or a path; its own focus is used
@@ -61,32 +63,41 @@ def calibration_captures(
         diffraction: ``wave``, ``airy`` or ``off``
         noise: the noise model, see :data:`dasim.camera.noise.NoiseModel`; a bank with another one than the bundled
             is not stored in the cache
+        field_px: (x, y) of the source's image from the optical axis; by default the middle of the camera's frame
     """
     camera = as_camera(camera)
+    field_px = geometry.frame_field_px(camera) if field_px is None else (float(field_px[0]), float(field_px[1]))
     levels_count, positions = len(levels(camera)[0]), len(camera.sensor.mosaic) * len(camera.sensor.mosaic[0])
     description = camera.model_dump(mode="json")
     for size in ("width_px", "height_px", "principal_point_px"):
         del description["sensor"][size]
     bundled = noise is sensor_noise.expose
-    decisive = json.dumps([description, list(lights), frames, seed, diffraction], sort_keys=True)
+    decisive = json.dumps([description, list(lights), frames, seed, diffraction, field_px], sort_keys=True)
     return PointPictures(
         camera,
         tuple(lights),
         diffraction,
+        field_px,
         count=len(lights) * levels_count * positions * len(EXPOSURES),
         fingerprint=fingerprint(_pictures, values=[decisive], excluding=("cameras", "scenes")) if bundled else None,
-        make=partial(_pictures, camera, tuple(lights), frames, seed, diffraction, noise),
+        make=partial(_pictures, camera, tuple(lights), frames, seed, diffraction, field_px, noise),
     )
 
 
 def _pictures(
-    camera: Camera, lights: Sequence[str], frames: int, seed: int, diffraction: str, model: NoiseModel
+    camera: Camera,
+    lights: Sequence[str],
+    frames: int,
+    seed: int,
+    diffraction: str,
+    field_px: tuple[float, float],
+    model: NoiseModel,
 ) -> Iterator[PointPicture]:
     """The pictures, by level, light, shift and exposure."""
     depths, blurs = levels(camera)
     side = _frame_side_px(camera, float(blurs[-1]))
     powers = np.stack([illuminants.illuminant(light) for light in lights])
-    kernels_at = pointspread.kernels(camera, blurs, powers, side - 1, diffraction)
+    kernels_at = pointspread.kernels(camera, blurs, powers, side - 1, diffraction, field_px)
     shifts = list(np.ndindex(len(camera.sensor.mosaic), len(camera.sensor.mosaic[0])))
     for level, (blur, depth) in enumerate(zip(blurs, depths, strict=True)):
         for light_index, light in enumerate(lights):
@@ -95,7 +106,7 @@ def _pictures(
             place = random.uniform(-0.5, 0.5, 2)
             flux = _flux(*kernels_at(level, (place[0], place[1]), light_index))
             noise_seed = int(key.generate_state(1)[0])
-            window = camera.model_copy(update={"sensor": _window(camera.sensor, side, random)})
+            window = camera.model_copy(update={"sensor": _window(camera.sensor, side, field_px, random)})
             for number, (dy, dx) in enumerate(shifts):
                 first = frames * number * len(EXPOSURES)
                 moved = np.roll(flux, (dy, dx), axis=(0, 1))
@@ -111,10 +122,13 @@ def _frame_side_px(camera: Camera, widest_blur_px: float) -> int:
     return needed // period * period + period
 
 
-def _window(sensor: Sensor, side: int, random: np.random.Generator) -> Sensor:
-    """A square of the sensor at a random place near the axis, in whole periods of the mosaic."""
+def _window(sensor: Sensor, side: int, field_px: tuple[float, float], random: np.random.Generator) -> Sensor:
+    """A square of the sensor at a random place near one of the field, in whole periods of the mosaic from the axis."""
     periods = len(sensor.mosaic[0]), len(sensor.mosaic)
-    offset = [period * int(random.integers(-_REACH, _REACH + 1)) for period in periods]
+    offset = [
+        period * (round(at / period) + int(random.integers(-_REACH, _REACH + 1)))
+        for at, period in zip(field_px, periods, strict=True)
+    ]
     axis_px = (side / 2 - offset[0], side / 2 - offset[1])
     return sensor.model_copy(update={"width_px": side, "height_px": side, "principal_point_px": axis_px})
 

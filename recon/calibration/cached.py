@@ -24,6 +24,7 @@ def calibrate(
     camera: Camera | None = None,
     *,
     diffraction: str = "measured",
+    field_px: tuple[float, float] = (0.0, 0.0),
     cache: bool = True,
     progress: Progress = lambda stage, share: None,
 ) -> PsfBank:
@@ -39,13 +40,15 @@ def calibrate(
             :func:`recon.calibration.psf_bank.calibrate`.
         camera: the camera of your own pictures; simulated pictures include theirs.
         diffraction: a remark on your own pictures, stored with the bank; simulated pictures include theirs.
+        field_px: (x, y) of the source in your own pictures from the optical axis, stored with the bank; simulated
+            pictures include theirs.
         cache: whether to use the cache.
         progress: called with the name of the stage and the share of it that is done, 0..1.
     """
     if not isinstance(pictures, PointPictures):
         if camera is None:
             raise InputError("calibrate: your own pictures do not include their camera; give camera=...")
-        return psf_bank.calibrate(pictures, camera, diffraction=diffraction, progress=progress)
+        return psf_bank.calibrate(pictures, camera, diffraction=diffraction, field_px=field_px, progress=progress)
     if camera is not None and camera != pictures.camera:
         raise InputError("calibrate: camera differs from that of the simulated pictures; leave it out")
     cache = cache and pictures.fingerprint is not None
@@ -55,7 +58,8 @@ def calibrate(
             return replace(load_bank(path), camera=pictures.camera)
         except InputError:
             path.unlink(missing_ok=True)  # damaged
-    bank = psf_bank.calibrate(_with_progress(pictures, progress), pictures.camera, diffraction=pictures.diffraction)
+    shown = _with_progress(pictures, progress)
+    bank = psf_bank.calibrate(shown, pictures.camera, diffraction=pictures.diffraction, field_px=pictures.field_px)
     progress(STAGE, 1.0)
     if cache:
         try:

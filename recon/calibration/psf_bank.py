@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 import numpy as np
-from scipy import fft
+from scipy import fft, ndimage
 
 from dasim.base.errors import InputError
 from dasim.camera.specification import Camera, channels
 from dasim.typing import FloatArray, Progress
 from dasim.values import PointPicture, PsfBank
 from recon.calibration.pictures import averaged, common_centre
-from recon.calibration.round_kernel import basis_of, round_fit, subpixel_radius
+from recon.calibration.round_kernel import RING_SNR, basis_of, round_fit, subpixel_radius
 from recon.calibration.unaligned import scattered
 
 
@@ -21,6 +21,7 @@ def calibrate(
     camera: Camera,
     *,
     diffraction: str = "measured",
+    field_px: tuple[float, float] = (0.0, 0.0),
     progress: Progress | None = None,
 ) -> PsfBank:
     """Measure the camera's kernels from pictures of a point source, for every light and blur level.
@@ -35,6 +36,7 @@ def calibrate(
             at any positions (one is enough); the centres are then measured, and the stops must be round.
         camera: the camera of the pictures.
         diffraction: a remark that is stored with the bank.
+        field_px: (x, y) of the source's image from the optical axis, stored with the bank.
         progress: called with the name of the stage and the share of it that is done, 0..1.
     """
     groups: dict[tuple[str, int], list[PointPicture]] = {}
@@ -55,8 +57,11 @@ def calibrate(
             centred[key] = scattered(group, camera)
         else:
             full, noise_e = _interleave(group, camera)
-            shifted = _centre(full)
-            round_kernel = _round_kernels(full, noise_e, shifted.shape[1] // 2)
+            centre = common_centre(full)
+            shifted = _centred(full, centre)
+            round_kernel, rest = _round_kernels(full, noise_e, centre, shifted.shape[1] // 2)
+            if field_px != (0.0, 0.0):  # diffraction is not round off the axis
+                round_kernel += _interpolated(rest, centre, round_kernel.shape[1] // 2)
             centred[key] = np.where(np.isnan(round_kernel), shifted, round_kernel)
         if progress:
             progress("calibrate", (done + 1) / len(groups))
@@ -78,6 +83,7 @@ def calibrate(
         blur_px=np.array([picture.blur_px for picture in first], np.float32),
         camera=camera,
         diffraction=diffraction,
+        field_px=field_px,
     )
 
 
@@ -90,29 +96,40 @@ def _interleave(group: list[PointPicture], camera: Camera) -> tuple[FloatArray, 
     return image, noise
 
 
-def _round_kernels(image: FloatArray, noise_e: FloatArray, half: int) -> FloatArray:
+def _round_kernels(
+    image: FloatArray, noise_e: FloatArray, centre: FloatArray, half: int
+) -> tuple[FloatArray, FloatArray]:
     """Kernels of round stops about the middle pixel, [channel, size, size], electrons; NaN where not round.
+
+    Also returns what they leave of the image where it is brighter than its noise, 0 elsewhere and where not round.
 
     The radial density is non-negative and linear between knots; it is fitted by least squares so that its integrals
     over the pixels around the measured centre give the picture. Pixels at many distances sample the profile more
     finely than the pixel pitch, so a subpixel shift of the centre costs no sharpness. From the first ring below the
     noise on, the profile is r^-3, the mean diffraction tail of a round stop, on a constant background.
     """
-    centre = common_centre(image)
     size = 2 * half + 1
     measured = subpixel_radius(image.shape[1:], centre)
     target = subpixel_radius((size, size), np.array([half, half], float))
-    kernels = np.full((len(image), size, size), np.nan)
+    kernels, rest = np.full((len(image), size, size), np.nan), np.zeros_like(image)
     for index, (picture, sigma) in enumerate(zip(image, noise_e, strict=True)):
         fit = round_fit(measured, picture.ravel(), sigma.ravel(), int(min(picture.shape) // 2))
         if fit is not None:
             kernels[index] = (basis_of(target, fit[0]) @ fit[1]).reshape(size, size)
-    return kernels
+            model = (basis_of(measured, fit[0]) @ fit[1]).reshape(picture.shape)
+            rest[index] = np.where(model > RING_SNR * sigma, picture - model, 0.0)
+    return kernels, rest
 
 
-def _centre(image: FloatArray) -> FloatArray:
-    """Shift the common centre to the middle pixel of an odd frame, [channel, size, size], by the shift theorem."""
-    centre = common_centre(image)
+def _interpolated(image: FloatArray, centre: FloatArray, half: int) -> FloatArray:
+    """The surroundings of the centre by cubic splines, [channel, 2 half + 1, 2 half + 1]."""
+    place = np.arange(-half, half + 1)
+    places = np.meshgrid(centre[0] + place, centre[1] + place, indexing="ij")
+    return np.stack([ndimage.map_coordinates(channel, places, order=3) for channel in image])
+
+
+def _centred(image: FloatArray, centre: FloatArray) -> FloatArray:
+    """Shift the centre to the middle pixel of an odd frame, [channel, size, size], by the shift theorem."""
     middle = np.rint(centre).astype(int)
     half = int(min(*middle, *(np.array(image.shape[1:]) - 1 - middle))) - 1
     if half < 1:

@@ -24,6 +24,7 @@ def bank(da_mobile):
         blur_px=np.array([0, 2, 4], np.float32),
         camera=da_mobile,
         diffraction="wave",
+        field_px=(900.0, -20.5),
     )
 
 

@@ -41,9 +41,9 @@ def measured(bank, monkeypatch):
     """List of the cameras whose banks were measured; all tests share one real measurement."""
     calls = []
 
-    def measure(pictures, camera, *, diffraction):
+    def measure(pictures, camera, *, diffraction, field_px):
         calls.append(camera)
-        return replace(bank, camera=camera)
+        return replace(bank, camera=camera, field_px=field_px)
 
     measure.__module__, measure.__qualname__ = psf_bank.__name__, "calibrate"
     monkeypatch.setattr(psf_bank, "calibrate", measure)
@@ -133,11 +133,13 @@ def changed(camera, **changes):
 
 
 def test_key_ignores_the_frame_and_nothing_that_decides_the_kernels(camera, measured):
-    """Expectation: a camera with another frame size finds the bank; one with another focus, hole, pixel, light or
-    diffraction model does not.
+    """Expectation: a camera with another frame size finds the bank, also a window off the axis for the same place; one
+    with another focus, hole, pixel, light, diffraction model or place does not.
     """
     cached_bank(camera)
     cached_bank(cameras.cropped(camera, 64, 48))
+    window = cameras.cropped(camera, 64, 48, at_px=(1892, 1244))
+    cached_bank(window, field_px=(0.0, 0.0))
     assert len(measured) == 1
     others = [
         changed(camera, lens__focus_distance_m=0.41),
@@ -149,7 +151,9 @@ def test_key_ignores_the_frame_and_nothing_that_decides_the_kernels(camera, meas
     for count, other in enumerate(others, start=2):
         cached_bank(other)
         assert len(measured) == count, other
-    others = ({"lights": ("D65",)}, {"diffraction": "wave"}, {"frames": 3}, {"seed": 1})
+    assert cached_bank(window).field_px == (900.0, 500.0)
+    cached_bank(camera, field_px=(900.0, 500.0))
+    others = ({"lights": ("D65",)}, {"diffraction": "wave"}, {"frames": 3}, {"seed": 1}, {"field_px": (900.0, 501.0)})
     for count, change in enumerate(others, start=len(measured) + 1):
         cached_bank(camera, **change)
         assert len(measured) == count, change

@@ -110,9 +110,10 @@ def reference(camera: Camera, depth_m: float, tangent: FloatArray, channel: str)
     image_m = 1 / (1 / focal_m - 1 / lens.focus_distance_m)
     count = (FRAME_PX + 2 * MARGIN_PX) * FINE
     offset_px = (np.arange(count) + 0.5) / FINE - count / FINE / 2
+    angle_deg = float(np.degrees(np.arctan(np.hypot(*tangent))))
     total = np.zeros((count, count))
     for stop, ratio, cells in zip(camera.stops, STOP_RATIOS, CELLS, strict=True):
-        response = radiometry.stop_response(camera, stop)[CHANNELS.index(channel)]
+        response = radiometry.stop_response(camera, stop, angle_deg)[CHANNELS.index(channel)]
         weights, centres = _bands(response * illuminants.illuminant("D65") * library.reflectance(WHITE))
         radius_m = ratio * focal_m / lens.f_number / 2
         bench = Bench(radius_m, image_m, lens.focus_distance_m, depth_m, (float(tangent[0]), float(tangent[1])))
