@@ -95,7 +95,10 @@ def furnaces() -> dict[str, tuple[Camera, Scene]]:
     far = _plane("far", camera, FAR_BLUR_PX)
     scenes = {f"two-{blur:g}px": (camera, _lit([_plane("near", camera, blur, to_px=0.0), far])) for blur in STEPS_PX}
     middle = _plane("middle", camera, 6.0, to_px=12.0)
-    corner = cameras.cropped("da-mobile", *FURNACE_SIZE_PX, at_px=CORNER_PX)
+    still = {"coating_index": 0.0}  # coatings that shift with the angle would shade the columns
+    corner = rendering.changed(
+        cameras.cropped("da-mobile", *FURNACE_SIZE_PX, at_px=CORNER_PX), lens=still, sensor=still
+    )
     edge_px = FURNACE_SIZE_PX[0] / 2 - cameras.principal_point(corner.sensor)[0]
     scenes["corner"] = corner, _lit([_plane("near", corner, 17.0, to_px=edge_px), far])
     scenes["three"] = camera, _lit([_plane("near", camera, 17.0, to_px=-12.0), middle, far])
