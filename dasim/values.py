@@ -9,7 +9,7 @@ Tested in tests/dasim/files/test_captures.py.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -57,6 +57,14 @@ class Truth:
     materials: tuple[str, ...] = ()
     mean_e_variance: Float32Array | None = None  # [h, w, channel] of ``mean_e`` by rendering noise; None: unknown
     focus_e: Float32Array | None = None  # [h, w, channel] the geometry of ``sharp_e``, with diffraction in focus
+
+    def scaled(self, factor: float) -> Truth:
+        """The truth of the same view with ``factor`` times the electrons: another exposure time, or light level."""
+        parts = {name: getattr(self, name) for name in ("mean_e", "sharp_e", "focus_e")}
+        scaled: dict[str, Any] = {k: None if part is None else part * np.float32(factor) for k, part in parts.items()}
+        variance = self.mean_e_variance
+        scaled["mean_e_variance"] = None if variance is None else variance * np.float32(factor**2)
+        return replace(self, **scaled)
 
     def __repr__(self) -> str:
         depths = _range(self.depth_m[self.valid])

@@ -18,6 +18,7 @@ from validation.claims.light.electrons import absolute_electrons, eq8_flat_field
 from validation.claims.light.mixed import mixed_lights
 from validation.claims.light.noise import photon_transfer
 from validation.claims.light.pattern import fixed_pattern
+from validation.claims.light.truth_noise import truth_noise
 from validation.claims.optics.bank import bank
 from validation.claims.optics.blur import blur_off
 from validation.claims.optics.camera import depth_of_field, dynamic_range, kernels, response_curves
@@ -60,6 +61,7 @@ CLAIMS = {
     "ground-truth": Measurement(ground_truth, quick=True),
     "registration": Measurement(registration, quick=True),
     "interreflection": Measurement(interreflection, quick=False),
+    "truth-noise": Measurement(truth_noise, quick=True),
     "mixed-lights": Measurement(mixed_lights, quick=False),
     "colour": Measurement(colour, quick=False),
     "scenes-speed": Measurement(scenes_speed, quick=False, alone=True),

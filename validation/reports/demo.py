@@ -65,6 +65,7 @@ def demo_page(shot: Shot, result: Reconstruction, claims: list[Claim], timings_s
                 ("Captured", png_address(pictures["captured"])),
                 ("All in focus", png_address(pictures["all-in-focus"])),
                 ("Truth, through a pinhole", png_address(pictures["truth"])),
+                ("Truth, in focus with diffraction", png_address(pictures["truth-focus"])),
             ],
         ),
     ]

@@ -1,5 +1,7 @@
-"""Scores of the captured and the all-in-focus picture against the picture through a pinhole.
+"""Scores of the captured and the all-in-focus picture against the pictures through a pinhole and in focus.
 
+The pinhole's picture has no diffraction, which no lens can reach. The picture in focus has the same geometry with the
+diffraction of the lens: the best that an all-in-focus picture can be without inventing detail.
 PSNR is computed from linear light, without display curve or clipping. SSIM (Wang et al. 2004), colour difference
 CIEDE2000 and the blur effect (Crete et al. 2007) are computed from sRGB pictures with a common matrix and exposure.
 
@@ -32,8 +34,15 @@ METRICS = {
 }
 
 
+# What pictures are scored against, by what the names of the figures end in.
+REFERENCES = {"": "the sharp truth, through a pinhole", "-focus": "the truth in focus, with diffraction"}
+
+
 class PictureScore(NamedTuple):
-    """Scores of the captured and of the all-in-focus picture in one region."""
+    """Scores of the captured and of the all-in-focus picture in one region.
+
+    Keys are those of ``METRICS``, each followed by those of ``REFERENCES`` that the truth has.
+    """
 
     region: str
     share: float  # of the pixels that see something
@@ -51,26 +60,39 @@ def regions(truth: Truth) -> dict[str, BoolArray]:
 
 def picture_scores(result: Reconstruction, truth: Truth) -> list[PictureScore]:
     """Scores of both pictures, region by region; NaN if a region is empty."""
-    exact = infrared_free(truth.sharp_e, result.camera, result.light)
     srgb = displayed(result, truth)
+    pictures = (result.linear_e, srgb["captured"]), (result.sharp_e, srgb["all-in-focus"])
     total = max(float(truth.valid.sum()), 1.0)
     scores = []
     for name, where in regions(truth).items():
-        pair = [
-            {"psnr": psnr(linear, exact, where), **display_scores(picture, srgb["truth"], where)}
-            for linear, picture in ((result.linear_e, srgb["captured"]), (result.sharp_e, srgb["all-in-focus"]))
-        ]
+        pair: list[dict[str, float]] = [{}, {}]
+        for suffix, exact in references(result, truth).items():
+            for of_picture, (linear, picture) in zip(pair, pictures, strict=True):
+                values = {"psnr": psnr(linear, exact, where)}
+                values |= display_scores(picture, srgb[f"truth{suffix}"], where)
+                of_picture |= {f"{key}{suffix}": value for key, value in values.items()}
         scores.append(PictureScore(name, float(where.sum()) / total, pair[0], pair[1]))
     return scores
 
 
+def references(result: Reconstruction, truth: Truth) -> dict[str, FloatArray]:
+    """Linear colours without infrared, [h, w, 3] electrons, that pictures are scored against; see ``REFERENCES``."""
+    exact = {"": infrared_free(truth.sharp_e, result.camera, result.light)}
+    if truth.focus_e is not None:
+        exact["-focus"] = infrared_free(truth.focus_e, result.camera, result.light)
+    return exact
+
+
 def displayed(result: Reconstruction, truth: Truth) -> dict[str, FloatArray]:
-    """The captured, the all-in-focus and the true picture in sRGB through one matrix and exposure, [h, w, 3] each."""
+    """The captured, the all-in-focus and the true pictures in sRGB through one matrix and exposure, [h, w, 3] each.
+
+    The true ones are ``truth``, through a pinhole, and ``truth-focus``, where the truth has it.
+    """
     separation = infrared.separation(result.camera, result.light, Settings(**result.settings))
     matrix = colour.colour_matrix(result.camera, result.light, separation)
     scale = exposure_scale(result.linear_e, matrix)
-    exact = infrared_free(truth.sharp_e, result.camera, result.light)
-    linear: dict[str, NDArray[Any]] = {"captured": result.linear_e, "all-in-focus": result.sharp_e, "truth": exact}
+    linear: dict[str, NDArray[Any]] = {"captured": result.linear_e, "all-in-focus": result.sharp_e}
+    linear |= {f"truth{suffix}": exact for suffix, exact in references(result, truth).items()}
     return {name: to_srgb(e.astype(np.float32), matrix, scale).astype(np.float64) for name, e in linear.items()}
 
 

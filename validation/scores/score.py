@@ -113,13 +113,17 @@ def picture_figures(result: Reconstruction, truth: Truth) -> list[Figure]:
     picture and of the truth.
     """
     figures = []
-    for picture_score in pictures.picture_scores(result, truth):
-        for key, (unit, meaning) in pictures.METRICS.items():
-            for name, values in (("captured", picture_score.captured), ("all-in-focus", picture_score.sharpened)):
-                figures.append(Figure(f"{name}.{picture_score.region}.{key}", values[key], unit, meaning))
-        gain = picture_score.sharpened["psnr"] - picture_score.captured["psnr"]
-        text = "PSNR of the all-in-focus picture less that of the captured one"
-        figures.append(Figure(f"all-in-focus.{picture_score.region}.psnr-gain", gain, "dB", text))
+    suffixes = pictures.references(result, truth)
+    for one in pictures.picture_scores(result, truth):
+        for suffix in suffixes:
+            against = f", against {pictures.REFERENCES[suffix]}" if suffix else ""
+            for key, (unit, meaning) in pictures.METRICS.items():
+                for name, values in (("captured", one.captured), ("all-in-focus", one.sharpened)):
+                    value = values[f"{key}{suffix}"]
+                    figures.append(Figure(f"{name}.{one.region}.{key}{suffix}", value, unit, meaning + against))
+            gain = one.sharpened[f"psnr{suffix}"] - one.captured[f"psnr{suffix}"]
+            text = f"PSNR of the all-in-focus picture less that of the captured one{against}"
+            figures.append(Figure(f"all-in-focus.{one.region}.psnr-gain{suffix}", gain, "dB", text))
     for name, picture in pictures.displayed(result, truth).items():
         text = "blur effect, 0 sharp to 1, without reference"
         figures.append(Figure(f"{name}.blur-effect", pictures.blur_effect(picture), "1", text))
@@ -167,14 +171,19 @@ def table(figures: list[Figure]) -> str:
                 f"{name} depth of textured pixels by true level, from",
                 *_table([a[3:] for a in levels], rows),
             ]
-    if regions := _second(values, "captured.", ".psnr"):
+    for suffix, against in pictures.REFERENCES.items():
+        regions = _second(values, "captured.", f".psnr{suffix}")
+        if not regions:
+            continue
         rows = {
-            f"{key:<15}{unit}": [f"{values[f'{name}.{region}.{key}']:.3f}" for region in regions for name in PICTURES]
+            f"{key:<15}{unit}": [
+                f"{values[f'{name}.{region}.{key}{suffix}']:.3f}" for region in regions for name in PICTURES
+            ]
             for key, (unit, _) in pictures.METRICS.items()
         }
-        gains = [f"{values[f'all-in-focus.{region}.psnr-gain']:+.3f}" for region in regions]
+        gains = [f"{values[f'all-in-focus.{region}.psnr-gain{suffix}']:+.3f}" for region in regions]
         rows[f"{'psnr-gain':<15}dB"] = [cell for gain in gains for cell in ("", gain)]
-        lines += ["", "pictures against the sharp truth, away from boundaries"]
+        lines += ["", f"pictures against {against}, away from boundaries"]
         lines += _table([f"{region} {name}" for region in regions for name in ("captured", "sharpened")], rows)
     return "\n".join(lines)
 

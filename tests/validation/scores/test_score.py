@@ -247,6 +247,24 @@ def test_sharpness_is_judged_at_3_to_15_pixels_of_blur(camera):
     assert score["all-in-focus.blurred.psnr-gain"] == pytest.approx(20 * math.log10(2), abs=1e-4)
 
 
+def test_pictures_are_scored_against_both_truths(camera):
+    """Set-up: a truth in focus that is 100 electrons above the pinhole's, an all-in-focus picture that is the former.
+
+    Expectation: it is exact against the one and 20 dB against the other; a truth without the part has no such figures.
+    """
+    exact = truth(camera, 5.0)
+    focus_e = exact.sharp_e + np.float32([100, 100, 100, 0])
+    score = figures(reconstruction(camera, exact, sharp_e=focus_e[..., :3]), replace(exact, focus_e=focus_e))
+    assert score["all-in-focus.blurred.psnr-focus"] == math.inf
+    assert score["all-in-focus.blurred.psnr"] == pytest.approx(20, abs=ROUNDING)
+    assert score["captured.blurred.psnr"] == math.inf
+    assert score["captured.blurred.psnr-focus"] == pytest.approx(20 * math.log10(11), abs=1e-4), "its peak is 1,100"
+    assert {"captured.inner.ssim-focus", "all-in-focus.inner.ciede2000-focus", "truth-focus.blur-effect"} <= set(score)
+    assert not [
+        name for name in figures(reconstruction(camera, exact), exact) if "focus." in name and "-focus" in name[12:]
+    ]
+
+
 def test_sizes_that_differ_are_refused(camera):
     exact = truth(camera, 5.0)
     result = reconstruction(camera, exact)
@@ -409,8 +427,8 @@ def test_report_asks_for_nothing_from_outside(page, page_text):
 
 
 def test_report_shows_the_pictures_it_promises(page, small_demo):
-    """Expectation: ten whole PNG pictures with a text for those who do not see them; capture and truth side by side."""
-    assert len(page.pictures) == 10
+    """Expectation: eleven whole PNG pictures with a text for those who do not see them; capture and truth adjacent."""
+    assert len(page.pictures) == 11
     for picture in page.pictures:
         assert picture["alt"]
         data = base64.b64decode(picture["src"].removeprefix("data:image/png;base64,"), validate=True)

@@ -8,7 +8,7 @@ from __future__ import annotations
 import json
 import math
 import time
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -248,9 +248,9 @@ def median_error(deviation: FloatArray) -> float:
 
 
 def truth_of(shot: Shot, capture: Capture, scene: Scene, point: dict[str, Value]) -> Truth:
-    """The truth, with its mean electrons scaled to the light level and exposure time of a capture."""
-    factor = np.float32(light_ratio(scene, point) * capture.exposure_s / shot.capture.exposure_s)
-    return replace(shot.truth, mean_e=shot.truth.mean_e * factor, sharp_e=shot.truth.sharp_e * factor)
+    """The truth, with its electrons scaled to the light level and exposure time of a capture."""
+    factor = light_ratio(scene, point) * capture.exposure_s / shot.capture.exposure_s
+    return shot.truth.scaled(factor)
 
 
 def figures(result: Reconstruction, capture: Capture, truth: Truth) -> dict[str, float]:
