@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from contextlib import nullcontext
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -13,7 +14,7 @@ from dasim.camera.specification import Camera
 from dasim.files.banks import bank_identity
 from dasim.spectra.colour import exposure_scale, to_srgb
 from dasim.spectra.grid import CHANNELS
-from dasim.typing import Float32Array, Progress
+from dasim.typing import Float32Array, FloatArray, Progress
 from dasim.values import Capture, PsfBank, Reconstruction
 from recon import levels
 from recon.calibration.fit import check_fits
@@ -22,9 +23,10 @@ from recon.depth.method import Method, method_name, on_blocks, run_method
 from recon.depth.regularise import regularise
 from recon.picture import colour, denoise, field, mosaic
 from recon.picture import develop as picture
+from recon.picture.field import Separation
 from recon.settings import DEFAULT, Settings
 from recon.sharp import sharpen
-from recon.stages import stages
+from recon.stages import Stage, stages
 
 STAGES = (*picture.STAGES[:-1], "depth", "regularise", "sharpen", "colour")
 INTERPOLATED_NOISE_SHARE = 0.7  # noise after interpolation relative to the sensor's, standard deviations
@@ -60,54 +62,37 @@ def reconstruct(
     stage = stages(STAGES, timings, progress)
     linear = picture.linearised(capture, bank.lights, bank.signature, flat, stage)
     kernels, white, light = bank.kernel[linear.light], bank.signature[linear.light], bank.lights[linear.light]
-    with stage("denoise"):
-        clean_e = picture.shaded(picture.denoised(linear.raw_e, capture, settings), linear.gain)
-    image = picture.demosaiced(clean_e, camera, white, stage)
     separation = field.separation(camera, light, settings)
-    clipped = picture.clipped(linear.saturated, camera)
-    linear_e, ir_e = picture.without_infrared(image, separation, clipped, white), image.ir_e
-    assert ir_e is not None  # check_fits requires infrared pixels
-    del image, clean_e  # limits the memory of large frames
+    captured = _captured(linear, capture, white, separation, settings, stage)
     variances = raw_levels.variances(linear.raw_e, capture)
     notes = colour.light_notes(linear.raw_e, linear.saturated, camera, bank)
     with stage("depth"):
-        if method is None:
-            raw, trust = raw_levels.raw_levels(
-                linear.raw_e, variances, linear.saturated, camera, kernels, settings, white
-            )
-        else:
-            raw, trust, outside = on_blocks(run_method(method, capture, bank), bank)
-            notes += _range_notes(outside, method_name(method), bank)
+        raw, trust, remarks = _raw_levels(capture, bank, linear, variances, settings, method)
     with stage("regularise"):
-        guide = _infrared_guide(ir_e, mosaic.noise_variance(capture))
-        smooth = regularise(raw, trust, guide, settings.regularise_bandwidth)
-        level, confidence = (_upsampled(blocks, ir_e.shape) for blocks in smooth)
-    ir_e = np.maximum(field.infrared_as_on_axis(ir_e, separation), 0)
-    noise_e = sharpen.visible_noise(_noise_e(variances), separation.on_axis)
-    del variances, guide, smooth
-    visible_kernels = sharpen.visible_kernels(kernels, white, separation.on_axis)
+        guide = _infrared_guide(captured.ir_e, mosaic.noise_variance(capture))
+        level, confidence = _regularised(raw, trust, guide, settings.regularise_bandwidth, captured.ir_e.shape)
+    captured = captured._replace(ir_e=np.maximum(field.infrared_as_on_axis(captured.ir_e, separation), 0))
     with stage("sharpen"):
-        stack = _grainy(picture.shaded(linear.raw_e, linear.gain), camera, white, separation, clipped)
-        del linear
-        _soften_in_focus(stack, linear_e, ir_e, level)
+        noise_e = sharpen.visible_noise(_noise_e(variances), separation.on_axis)
+        stack = _stack(linear, captured, level, camera, white, separation)
+        del linear, variances, guide  # limits the memory of large frames
+        visible_kernels = sharpen.visible_kernels(kernels, white, separation.on_axis)
         sharp_e = sharpen.sharpen(
             stack, level, visible_kernels, noise_e, mosaic.sole_phases(camera),
             steps=settings.sharpen_steps, strength=settings.sharpen_strength, guided=settings.sharpen_guide,
         )  # fmt: skip
         del stack
-        _fade_to_captured(sharp_e, linear_e, confidence, clipped)
+        _fade_to_captured(sharp_e, captured.linear_e, confidence, captured.clipped)
     with stage("colour"):
-        matrix = colour.colour_matrix(camera, light, separation.on_axis)
-        scale = exposure_scale(linear_e, matrix)
-        rgb, sharp_rgb = to_srgb(linear_e, matrix, scale), to_srgb(sharp_e, matrix, scale)
+        rgb, sharp_rgb = _coloured(captured.linear_e, sharp_e, colour.colour_matrix(camera, light, separation.on_axis))
     if progress:
         progress("done", 1.0)
     return Reconstruction(
         rgb=rgb,
         sharp_rgb=sharp_rgb,
-        linear_e=linear_e,
+        linear_e=captured.linear_e,
         sharp_e=sharp_e,
-        ir_e=ir_e,
+        ir_e=captured.ir_e,
         level_raw=raw.repeat(2, axis=0).repeat(2, axis=1),
         level=level,
         depth_m=levels.depth_of(level, bank.depth_m),
@@ -117,9 +102,48 @@ def reconstruct(
         settings=settings.model_dump(),
         timings_s=timings,
         bank=bank_identity(bank),
-        notes=notes,
+        notes=(*notes, *remarks),
         method=None if method is None else method_name(method),
     )
+
+
+class _Captured(NamedTuple):
+    """The captured picture after section 4, electrons."""
+
+    linear_e: Float32Array  # [h, w, 3] without infrared
+    ir_e: Float32Array  # [h, w]
+    clipped: NDArray  # [h, w, 3] pixels near saturation
+
+
+def _captured(
+    linear: picture.Linear, capture: Capture, white: NDArray, separation: Separation, settings: Settings, stage: Stage
+) -> _Captured:
+    """Reduce the noise of the mosaic, interpolate it, and remove infrared from R, G and B."""
+    with stage("denoise"):
+        clean_e = picture.shaded(picture.denoised(linear.raw_e, capture, settings), linear.gain)
+    image = picture.demosaiced(clean_e, capture.camera, white, stage)
+    clipped = picture.clipped(linear.saturated, capture.camera)
+    assert image.ir_e is not None  # check_fits requires infrared pixels
+    return _Captured(picture.without_infrared(image, separation, clipped, white), image.ir_e, clipped)
+
+
+def _raw_levels(
+    capture: Capture,
+    bank: PsfBank,
+    linear: picture.Linear,
+    variances: dict[str, Float32Array],
+    settings: Settings,
+    method: Method | None,
+) -> tuple[Float32Array, Float32Array, tuple[str, ...]]:
+    """Level and confidence of the 2x2 blocks by a method, or by the score of the settings for None; and notes."""
+    if method is not None:
+        raw, trust, outside = on_blocks(run_method(method, capture, bank), bank)
+        return raw, trust, _range_notes(outside, method_name(method), bank)
+    kernels, white = bank.kernel[linear.light], bank.signature[linear.light]
+    raw, trust = raw_levels.raw_levels(
+        linear.raw_e, variances, linear.saturated, capture.camera, kernels, settings, white
+    )
+    return raw, trust, ()
 
 
 def _range_notes(outside: float, name: str, bank: PsfBank) -> tuple[str, ...]:
@@ -139,9 +163,16 @@ def _infrared_guide(ir_e: Float32Array, noise: Variance) -> Float32Array:
     return denoise.stabilise(blocks, noise)
 
 
-def _upsampled(blocks: Float32Array, shape: tuple[int, ...]) -> Float32Array:
-    """A map of the 2x2 blocks at every pixel, [h, w], by linear interpolation between their centres."""
-    return np.asarray(cv2.resize(blocks, (shape[1], shape[0]), interpolation=cv2.INTER_LINEAR), np.float32)
+def _regularised(
+    raw: Float32Array, trust: Float32Array, guide: Float32Array, bandwidth: float, shape: tuple[int, ...]
+) -> tuple[Float32Array, Float32Array]:
+    """Level and confidence of every pixel, [h, w], from the 2x2 blocks by linear interpolation."""
+    size = (shape[1], shape[0])
+    level, confidence = (
+        np.asarray(cv2.resize(blocks, size, interpolation=cv2.INTER_LINEAR), np.float32)
+        for blocks in regularise(raw, trust, guide, bandwidth)
+    )
+    return level, confidence
 
 
 def _noise_e(variances: dict[str, Float32Array]) -> NDArray:
@@ -149,18 +180,28 @@ def _noise_e(variances: dict[str, Float32Array]) -> NDArray:
     return INTERPOLATED_NOISE_SHARE * np.sqrt([variances[name].mean() for name in CHANNELS])
 
 
-def _grainy(
-    mosaic_e: Float32Array, camera: Camera, white: NDArray, separation: field.Separation, clipped: NDArray
+def _stack(
+    linear: picture.Linear,
+    captured: _Captured,
+    level: Float32Array,
+    camera: Camera,
+    white: NDArray,
+    separation: Separation,
 ) -> Float32Array:
-    """R, G, B without infrared, and infrared, from the mosaic without noise reduction, [4, h, w] electrons.
+    """R, G, B without infrared, and infrared, as the deconvolution takes them, [4, h, w] electrons.
 
-    Deviation from Fig. 4: the deconvolution has a prior against noise of its own, and benefits from the texture that
-    nonlocal means remove with the noise (0.1 to 0.6 dB on the bundled scenes).
+    Deviation from Fig. 4: the mosaic is interpolated without noise reduction. The deconvolution has a prior against
+    noise of its own, and benefits from the texture that nonlocal means remove with the noise (0.1 to 0.6 dB on the
+    bundled scenes). Near focus the denoised picture takes over.
     """
-    image = picture.demosaiced(mosaic_e, camera, white, lambda name: nullcontext())
+    grainy_e = picture.shaded(linear.raw_e, linear.gain)
+    image = picture.demosaiced(grainy_e, camera, white, lambda name: nullcontext())
     assert image.ir_e is not None
-    visible = picture.without_infrared(image, separation, clipped, white)
-    return np.concatenate([np.moveaxis(visible, -1, 0), field.infrared_as_on_axis(image.ir_e, separation)[None]])
+    visible = picture.without_infrared(image, separation, captured.clipped, white)
+    infrared_e = field.infrared_as_on_axis(image.ir_e, separation)
+    stack = np.concatenate([np.moveaxis(visible, -1, 0), infrared_e[None]])
+    _soften_in_focus(stack, captured.linear_e, captured.ir_e, level)
+    return stack
 
 
 def _soften_in_focus(stack: Float32Array, linear_e: Float32Array, ir_e: Float32Array, level: Float32Array) -> None:
@@ -184,3 +225,9 @@ def _fade_to_captured(
     sharp_e -= linear_e
     sharp_e *= certain[..., None]
     sharp_e += linear_e
+
+
+def _coloured(linear_e: Float32Array, sharp_e: Float32Array, matrix: FloatArray) -> tuple[Float32Array, Float32Array]:
+    """The captured and the all-in-focus picture [h, w, 3] in sRGB 0..1, exposed alike."""
+    scale = exposure_scale(linear_e, matrix)
+    return to_srgb(linear_e, matrix, scale), to_srgb(sharp_e, matrix, scale)
