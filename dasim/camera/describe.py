@@ -25,6 +25,7 @@ def describe(camera: Camera | str | Path) -> str:
     lens, sensor = camera.lens, camera.sensor
     extras = [f"transmittance {lens.transmittance:g}"] if lens.transmittance != 1 else []
     extras += ["radial shading"] if lens.shading_per_mm else []
+    extras += ["distortion"] if lens.distortion_per_mm else []
     extras += ["axial colour"] if lens.focal_shift_um else []
     extras += [] if wavefront.is_perfect(lens) else ["wavefront errors"]
     lines = [

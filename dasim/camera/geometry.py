@@ -102,7 +102,10 @@ def foreshortening(camera: Camera, field_px: tuple[float, float]) -> FloatArray:
 
 
 def intrinsic_matrix(camera: Camera) -> FloatArray:
-    """Pinhole intrinsics K in pixels, [3, 3]; pixel centres at +0.5, the principal point by default in the middle."""
+    """Pinhole intrinsics K in pixels, [3, 3]; pixel centres at +0.5, the principal point by default in the middle.
+
+    With distortion, K holds for the places of :func:`dasim.camera.distortion.to_pinhole_px`.
+    """
     focal_px = image_distance_m(camera) / (camera.sensor.pixel_pitch_um * 1e-6)
     x, y = principal_point(camera.sensor)
     return np.array([[focal_px, 0, x], [0, focal_px, y], [0, 0, 1.0]])

@@ -1,4 +1,4 @@
-"""From the prescription of a lens to a camera: wavefront by field and wavelength, axial colour and vignetting.
+"""From the prescription of a lens to a camera: wavefront by field and wavelength, axial colour, distortion, vignetting.
 
 Optiland (extra ``lens``) reads the file and traces rays from infinity. The sensor is moved to where the wavefront on
 the axis has no defocus at ``PRIMARY_NM``, as an autofocus would; what other wavelengths have there becomes axial
@@ -58,6 +58,7 @@ def camera_from_lens(path: str | Path, camera: Camera | str | Path = "da-mobile"
         if not (np.isfinite(focal_mm) and np.isfinite(f_number) and focal_mm > 0):
             raise InputError(f"{path}: has no finite focal length and f-number at infinity")
         ideal = {"focal_length_mm": focal_mm, "f_number": f_number, "focal_shift_um": (), "shading_per_mm": ()}
+        ideal["distortion_per_mm"] = ()
         ideal |= {"wavefront_nm": {}, "wavefront_by_field": ()}
         changed = camera.lens.model_dump() | ideal
         camera = camera.model_copy(update={"lens": parse(specification.Lens, changed, str(path))})
@@ -158,26 +159,31 @@ def _keys(camera: Camera, angles_deg: FloatArray, traced: list[_Traced], f_numbe
             }
             rows.append({"angle_deg": round(float(angle), _ROUNDED), "wavelength_nm": nm} | kept)
     image_mm = geometry.image_distance_m(camera) * 1e3
+    pinhole_mm = image_mm * np.tan(np.radians(angles_deg))
+    height_mm = np.array([at.height_mm for at in traced]) * image_mm / camera.lens.focal_length_mm
+    bend = _polynomial(height_mm[1:], pinhole_mm[1:] / height_mm[1:])
+    passed = np.array([at.passed for at in traced]) / traced[0].passed
     return {
         "focal_shift_um": [[nm, round(um - shift[PRIMARY_NM], _ROUNDED)] for nm, um in shift.items()],
         "wavefront_by_field": rows,
-        "shading_per_mm": _shading(angles_deg, traced, camera.lens.focal_length_mm, image_mm),
+        "distortion_per_mm": bend,
+        "shading_per_mm": _polynomial(height_mm, passed * _area(bend, height_mm)),
     }
 
 
-def _shading(angles_deg: FloatArray, traced: list[_Traced], focal_mm: float, image_mm: float) -> list[float]:
-    """Polynomial of the illumination beside cos^4 of the pinhole's angle at the same image height.
+def _polynomial(height_mm: FloatArray, values: FloatArray) -> list[float]:
+    """The a_k of 1 + sum a_k r^(2k) for values in proportion to it, by least squares."""
+    powers = np.stack([height_mm ** (2 * k) for k in range(POWERS + 1)], axis=1)
+    fit = np.linalg.lstsq(powers, values, rcond=None)[0]
+    return [round(float(value / fit[0]), 2 * _ROUNDED) for value in fit[1:]]
 
-    Light from an even plane fills the entrance pupil as cos^4 of the field angle; ``passed`` of it reaches the sensor,
-    on the area that the chief rays' images span: f^2 tan d(tan) over r dr of an ideal lens.
+
+def _area(bend: list[float], height_mm: FloatArray) -> FloatArray:
+    """Area of a pinhole's picture per area of the lens's, d(r_p^2) / d(r^2).
+
+    Light from an even plane fills the entrance pupil as cos^4 of the field angle, which every camera has; what passes
+    the lens falls on the area that the distortion leaves it.
     """
-    tangent = np.tan(np.radians(angles_deg))
-    height = np.array([at.height_mm for at in traced])
-    passed = np.array([at.passed for at in traced]) / traced[0].passed
-    r2, t2 = height**2, (focal_mm * tangent) ** 2
-    area = np.gradient(t2, r2, edge_order=2)
-    cosine = np.cos(np.radians(angles_deg))
-    pinhole = np.cos(np.arctan(height / image_mm))
-    ratio = passed * area * (cosine / pinhole) ** 4
-    powers = np.stack([r2**k for k in range(1, POWERS + 1)], axis=1)
-    return [round(float(value), 2 * _ROUNDED) for value in np.linalg.lstsq(powers, ratio / ratio[0] - 1, rcond=None)[0]]
+    square = np.polynomial.Polynomial([0.0, 1.0])
+    stretched = square * np.polynomial.Polynomial([1.0, *bend]) ** 2
+    return np.asarray(stretched.deriv()(height_mm**2))

@@ -7,9 +7,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from dasim.camera import coatings, stops
+from dasim.camera import coatings, distortion, stops
 from dasim.camera.geometry import aperture_m, image_distance_m
-from dasim.camera.specification import Camera, cutoff, quantum_efficiency, shading, square_of_image_height_m2
+from dasim.camera.specification import Camera, cutoff, quantum_efficiency, shading
 from dasim.spectra import grid
 from dasim.typing import FloatArray
 
@@ -17,7 +17,7 @@ from dasim.typing import FloatArray
 def relative_illumination(camera: Camera) -> FloatArray:
     """Illumination of each pixel relative to the axis, [h, w]: cos^4 of the chief ray's angle times the shading."""
     s2 = image_distance_m(camera) ** 2
-    return (s2 / (s2 + square_of_image_height_m2(camera))) ** 2 * shading(camera)
+    return (s2 / (s2 + distortion.square_of_pinhole_height_m2(camera))) ** 2 * shading(camera)
 
 
 def stop_response(camera: Camera, stop: stops.Stop, angle_deg: float = 0.0) -> FloatArray:

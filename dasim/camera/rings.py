@@ -14,8 +14,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from dasim.camera.distortion import square_of_pinhole_height_m2
 from dasim.camera.geometry import image_distance_m
-from dasim.camera.specification import Camera, square_of_image_height_m2
+from dasim.camera.specification import Camera
 from dasim.spectra import grid
 from dasim.typing import FloatArray
 
@@ -61,7 +62,7 @@ def _edges(camera: Camera) -> Iterator[tuple[float, float, float]]:
 
 def square_of_sine(camera: Camera) -> FloatArray:
     """Square of the sine of the chief ray's angle at each pixel, [h, w]: r^2 / (r^2 + s^2)."""
-    r2 = square_of_image_height_m2(camera)
+    r2 = square_of_pinhole_height_m2(camera)
     return r2 / (r2 + image_distance_m(camera) ** 2)
 
 

@@ -38,6 +38,11 @@ class Lens(Specification):
     shading_per_mm: tuple[float, ...] = Field(
         default=(), max_length=6, description="a_k of 1 + sum a_k r^(2k), r in mm on the sensor, times cos^4"
     )
+    distortion_per_mm: tuple[float, ...] = Field(
+        default=(),
+        max_length=6,
+        description="a_k of 1 + sum a_k r^(2k), r in mm on the sensor: a pinhole's image height over the lens's",
+    )
     focal_shift_um: tuple[tuple[float, float], ...] = Field(
         default=(), description="axial colour: [nm, um added to the focal length], linear between, constant beyond"
     )
@@ -243,6 +248,8 @@ class Camera(Specification):
         rings = [stops.ring(stop) for stop in self.stops]
         if self.lens.wavefront_by_field and any(ring is None or ring.centre != (0.0, 0.0) for ring in rings):
             raise ValueError("lens.wavefront_by_field: all stops must be discs or rings about the axis")
+        if self.lens.distortion_per_mm and not _one_to_one(self):
+            raise ValueError("lens.distortion_per_mm: two places of the frame show the same direction")
         if self.lens.shading_per_mm and shading(self).min() <= 0:
             raise ValueError("lens.shading_per_mm: falls to zero or below within the frame")
         return self
@@ -347,6 +354,13 @@ def shading(camera: Camera) -> FloatArray:
     return np.asarray(
         np.polynomial.Polynomial((1.0, *camera.lens.shading_per_mm))(square_of_image_height_m2(camera) * 1e6)
     )
+
+
+def _one_to_one(camera: Camera) -> bool:
+    """Whether the pinhole's image height rises with the lens's over the frame."""
+    height_mm = np.linspace(0.0, float(np.sqrt(square_of_image_height_m2(camera).max())) * 1e3, 513)
+    ratio = np.polynomial.Polynomial((1.0, *camera.lens.distortion_per_mm))(height_mm**2)
+    return bool((np.diff(height_mm * ratio) > 0).all())
 
 
 def square_of_image_height_m2(camera: Camera) -> FloatArray:

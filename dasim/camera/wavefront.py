@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from dasim.camera import geometry, specification, stops, zernike
+from dasim.camera import distortion, geometry, stops, zernike
 from dasim.camera.specification import Camera, Lens
 from dasim.camera.stops import Stop
 from dasim.camera.zernike import Coefficients
@@ -69,7 +69,7 @@ def over_field(camera: Camera, stop: Stop) -> tuple[float, list[Wavefront]]:
     """
     if not camera.lens.wavefront_by_field:
         return 1.0, [of_stop(camera, stop)]
-    height_m = float(np.sqrt(specification.square_of_image_height_m2(camera).max()))
+    height_m = float(np.sqrt(distortion.square_of_pinhole_height_m2(camera).max()))
     corner_deg = float(np.degrees(np.arctan(height_m / geometry.image_distance_m(camera))))
     fine = [np.array(of_lens(camera, angle).zernike_nm) for angle in np.linspace(0, corner_deg, 33)]
     change = 32 * max(float(np.linalg.norm(b - a, axis=-1).max()) for a, b in itertools.pairwise(fine))

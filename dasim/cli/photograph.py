@@ -256,7 +256,7 @@ def lens(
     out: Out,
     camera: str = "da-mobile",
 ) -> int:
-    """Turn a lens prescription into a camera file: wavefront by field, axial colour, vignetting.
+    """Turn a lens prescription into a camera file: wavefront by field, axial colour, distortion and vignetting.
 
     Args:
         prescription: a Zemax file (.zmx) or one of Optiland (.json); the extra 'lens' of dasim reads it

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from dasim.camera import glare, radiometry
+from dasim.camera import distortion, glare, radiometry
 from dasim.camera.specification import Camera, principal_point
 from dasim.camera.stops import Stop
 from dasim.render import irradiance, ray_loop, stock, transport
@@ -109,7 +109,7 @@ def irradiance_field(
         size_px=(camera.sensor.width_px, camera.sensor.height_px),
         axis_px=principal_point(camera.sensor),
         px_per_m=ray_loop.px_per_m(camera),
-        margin_px=min(max_blur_px, MOST_MARGIN_PX) / 2 + irradiance.STRIDE_PX,
+        margin_px=min(max_blur_px, MOST_MARGIN_PX) / 2 + irradiance.STRIDE_PX + distortion.most_outwards_px(camera),
         spectrum=spectrum,
         spp=spp,
         seed=seed,

@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from dasim.camera import geometry
+from dasim.camera import distortion, geometry
 from dasim.camera.specification import Camera, principal_point
 from dasim.camera.stops import Stop
 from dasim.render import field_angle, layers, pupil, transport, wave
@@ -66,6 +66,7 @@ class _Pass:
     columns: Any  # opaque ``width_px``
     axis: Any  # where it meets the sensor, pixels
     px_per_m: Any  # pixels on the sensor per metre at a distance of one metre
+    pinhole: Callable[[Any], Any]  # from a place on the sensor to that in a pinhole's picture, pixels from the axis
     radius_m: Any  # of the lens
     px_per_vergence: Any  # pixels of visible blur per 1/m
     vergence: Any  # of the focus distance, 1/m
@@ -83,7 +84,7 @@ class _Rays(NamedTuple):
     """Rays of a block from the lens to the scene."""
 
     ray: Any
-    film: Any  # place on the sensor, pixels from the axis
+    film: Any  # place in a pinhole's picture, pixels from the axis
     tangent: Any  # of the field angle there, a vector
     focus: Any  # vergence in focus at the ray's wavelengths, 1/m
     first: Any  # uniform number that chose the wavelengths
@@ -148,6 +149,18 @@ def render(
     return rate
 
 
+def _to_pinhole(camera: Camera) -> Callable[[Any], Any]:
+    """The lens's distortion, from pixels to pixels from the axis."""
+    import drjit as dr
+    import mitsuba as mi
+
+    if not camera.lens.distortion_per_mm:
+        return lambda place: place
+    per_mm = [dr.opaque(mi.Float, value) for value in camera.lens.distortion_per_mm]
+    pitch2 = dr.opaque(mi.Float, (camera.sensor.pixel_pitch_um * 1e-3) ** 2)
+    return lambda place: place * distortion.factor(per_mm, dr.squared_norm(place) * pitch2)
+
+
 def px_per_m(camera: Camera) -> float:
     """Pixels on the sensor per metre at a distance of one metre."""
     return geometry.image_distance_m(camera) / (camera.sensor.pixel_pitch_um * 1e-6)
@@ -191,6 +204,7 @@ def _prepare(
         columns=dr.opaque(mi.UInt32, width),
         axis=mi.Point2f(*(dr.opaque(mi.Float, value) for value in principal_point(camera.sensor))),
         px_per_m=scale,
+        pinhole=_to_pinhole(camera),
         radius_m=radius_m,
         px_per_vergence=2 * radius_m * scale,
         vergence=dr.opaque(mi.Float, 1.0 / camera.lens.focus_distance_m),
@@ -331,7 +345,7 @@ def _aim(shared: _Pass, pixel: Any, corner: Any, ring: Any, numbers: tuple[Any, 
     import mitsuba as mi
 
     lens, film, pattern, first = numbers
-    film += corner - shared.axis  # pixels from the axis
+    film = shared.pinhole(film + (corner - shared.axis))
     tangent = film / shared.px_per_m
     entries, wavelengths = _entries(shared, first, ring), mi.Spectrum(0.0)
     for k in range(HERO):
@@ -370,7 +384,7 @@ def _middle_vergence(shared: _Pass, corner: Any) -> Any:
     import mitsuba as mi
 
     first = dr.arange(mi.UInt32, dr.width(corner) // shared.spp) * shared.spp
-    at = dr.gather(mi.Point2f, corner, first) + 0.5 - shared.axis
+    at = shared.pinhole(dr.gather(mi.Point2f, corner, first) + 0.5 - shared.axis)
     towards = mi.Vector3f(at.x / shared.px_per_m, at.y / shared.px_per_m, 1.0)
     hit = shared.scene.ray_intersect_preliminary(mi.Ray3f(mi.Point3f(0.0), towards), coherent=True)
     vergence = dr.select(hit.is_valid(), dr.rcp(hit.t), 0.0)  # the direction's z is 1, so t is depth

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from dasim.camera import distortion
 from dasim.camera import geometry as camera_geometry
 from dasim.camera.specification import Camera, principal_point
 from dasim.typing import FloatArray
@@ -44,6 +45,8 @@ def geometry(mitsuba_scene: Any, camera: Camera) -> Geometry:
     """Geometry at the pixel centres, by one ray per pixel from the centre of the lens."""
     import mitsuba as mi
 
+    if camera.lens.distortion_per_mm:
+        return _bent_geometry(mitsuba_scene, camera)
     body = camera.sensor
     x, y = principal_point(body)
     sensor = mi.load_dict(
@@ -69,13 +72,34 @@ def geometry(mitsuba_scene: Any, camera: Camera) -> Geometry:
     )
     integrator = mi.load_dict({"type": "aov", "aovs": "pos:position,nn:geo_normal,id:shape_index,t:depth"})
     values = np.array(mi.render(mitsuba_scene, sensor=sensor, integrator=integrator, spp=1), dtype=np.float64)
-    position, normal = values[..., 0:3], values[..., 3:6]
-    hit = values[..., 7] > 0
+    return _geometry(mitsuba_scene, values[..., 0:3], values[..., 3:6], values[..., 6], values[..., 7] > 0)
+
+
+def _bent_geometry(mitsuba_scene: Any, camera: Camera) -> Geometry:
+    """The same through a lens with distortion, in the JIT variants."""
+    import drjit as dr
+    import mitsuba as mi
+
+    body = camera.sensor
+    y, x = np.indices((body.height_px, body.width_px)) + 0.5
+    place = distortion.to_pinhole_px(camera, np.stack([x, y], axis=-1) - principal_point(body))
+    slope = place.reshape(-1, 2) * (body.pixel_pitch_um * 1e-6 / camera_geometry.image_distance_m(camera))
+    ray = mi.Ray3f(mi.Point3f(0.0), dr.normalize(mi.Vector3f(*map(mi.Float, slope.T.astype(np.float32)), 1.0)))
+    si = mitsuba_scene.ray_intersect(ray, ray_flags=mi.RayFlags.All, coherent=True)
+    position, normal = (np.array(vector, dtype=np.float64).T.reshape(*x.shape, 3) for vector in (si.p, si.n))
+    index, hit = np.array(dr.reinterpret_array(mi.UInt32, si.shape)), np.array(si.is_valid())
+    return _geometry(mitsuba_scene, position, normal, index.reshape(x.shape), hit.reshape(x.shape))
+
+
+def _geometry(
+    mitsuba_scene: Any, position: FloatArray, normal: FloatArray, shape_index: NDArray[Any], hit: NDArray[np.bool_]
+) -> Geometry:
+    """Geometry from positions and normals [h, w, 3] and Mitsuba's shape numbers [h, w] where rays hit something."""
     towards_camera = np.where(np.sum(normal * position, axis=-1, keepdims=True) > 0, -normal, normal)
     return Geometry(
         depth_m=np.where(hit, position[..., 2], np.nan),
         normal=np.where(hit[..., None], towards_camera, 0.0),
-        object_id=_object_ids(mitsuba_scene, np.where(hit, values[..., 6], 0).astype(np.uint32)),
+        object_id=_object_ids(mitsuba_scene, np.where(hit, shape_index, 0).astype(np.uint32)),
     )
 
 

@@ -10,7 +10,7 @@ import pytest
 
 import dasim
 from dasim.base.errors import InputError
-from dasim.camera import prescription, zernike
+from dasim.camera import distortion, geometry, prescription, zernike
 from dasim.camera.prescription import camera_from_lens
 from dasim.camera.specification import Camera
 
@@ -21,6 +21,7 @@ FOCAL_MM = 20.0
 STIGMATIC_NM = 0.05
 SEIDEL = 0.03  # of the third order: the fifth at f/8, and the fit's
 REAL_RAYS = 0.02  # of the range: slopes are small angles
+DISTORTION = 3e-4  # the plane of the image is not quite the same
 OVERLAP = 0.02  # a polynomial of three powers of r^2
 FAR = 1.2  # degrees: where astigmatism is far below coma
 
@@ -149,6 +150,31 @@ def test_two_apertures_vignette_by_their_overlap(tmp_path, da_mobile):
         half = 8.0 * np.tan(np.radians(angle)) / 2 / 2.5
         overlap = 2 / np.pi * (np.arccos(half) - half * np.sqrt(1 - half**2))
         assert shading == pytest.approx(overlap, abs=OVERLAP)
+
+
+@optiland
+@quiet
+def test_distortion_puts_chief_rays_where_they_go(tmp_path, da_mobile):
+    """Set-up: the singlet with its stop 6 mm before it, up to 5 degrees. Expectation: at
+    angles between those that were fitted, the chief ray meets the image where a pinhole's direction is bent to, within
+    0.03 %.
+    """
+    stop = {"radius": np.inf, "thickness": 6.0, "is_stop": True}
+    curved = {"radius": FOCAL_MM * (INDEX - 1), "thickness": 2.0, "material": glass()}
+    path = write(tmp_path / "bent.json", [stop, curved, {"radius": np.inf, "thickness": FOCAL_MM - 2.0 / INDEX}], 1.25)
+    camera = camera_from_lens(path, framed(da_mobile, 5.0))
+    optic = prescription._read(path)
+    prescription._prepare(optic, 5.0)
+    image_mm = geometry.image_distance_m(camera) * 1e3
+    angles, ratio = [0.4, 2.0, 3.3, 4.6], []
+    for angle in angles:
+        chief = optic.trace_generic(0.0, angle / 5.0, 0.0, 0.0, 0.55)
+        ratio.append(abs(float(chief.y[0])) / np.tan(np.radians(angle)))
+    real = np.array(ratio) / ratio[0]
+    heights = image_mm * np.tan(np.radians(angles)) * real
+    bent = 1 / distortion.factor(camera.lens.distortion_per_mm, heights**2)
+    np.testing.assert_allclose(bent / bent[0], real, rtol=DISTORTION)
+    assert abs(real[-1] - 1) > 10 * DISTORTION
 
 
 @optiland
