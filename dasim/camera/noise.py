@@ -21,6 +21,7 @@ from pydantic import Field
 from dasim.base.errors import InputError
 from dasim.base.loading import function_name, locate_error
 from dasim.base.toml import Specification
+from dasim.camera.crosstalk import electronic_crosstalk
 from dasim.camera.fixed_pattern import dark_heat, fixed_pattern
 from dasim.camera.specification import Camera, Sensor, mosaic_channels
 from dasim.typing import BoolArray, FloatArray
@@ -140,7 +141,7 @@ def auto_exposure_s(rate_e_s: FloatArray, camera: Camera, exposure: Exposure) ->
     as a camera would. Scenes without light get 1 s.
     """
     channels = mosaic_channels(camera)
-    collected = electronic_crosstalk(mosaic(rate_e_s, camera), camera.sensor)
+    collected = electronic_crosstalk(mosaic(rate_e_s, camera), camera)
     brightest = max(
         float(np.percentile(collected[channels == index], exposure.auto_percentile)) for index in np.unique(channels)
     )
@@ -152,25 +153,6 @@ def auto_exposure_s(rate_e_s: FloatArray, camera: Camera, exposure: Exposure) ->
 def mosaic(image: FloatArray, camera: Camera) -> FloatArray:
     """Each pixel's own channel of an image: [h, w, channel] -> [h, w]."""
     return np.take_along_axis(image, mosaic_channels(camera)[..., None], axis=-1)[..., 0]
-
-
-def electronic_crosstalk(mean_e: FloatArray, sensor: Sensor) -> FloatArray:
-    """Mean electrons after diffusion between pixels: [h, w] of the mosaic -> [h, w], same sum.
-
-    Each of a pixel's four edge neighbours collects the share c = ``sensor.electronic_crosstalk`` of its electrons:
-    m + c * sum over neighbours of (their m - m). Nothing crosses the border of the frame: a pixel there keeps what
-    would leave it, so that charge is conserved and a flat field stays flat. Electrons diffuse independently of one
-    another; a Poisson process split in this way, and sums of such parts, are Poisson processes again, independent from
-    pixel to pixel. Applied to the mean before the shot noise, the statistics are therefore exact.
-    """
-    if sensor.electronic_crosstalk == 0:
-        return mean_e
-    spread = mean_e.astype(np.float64)
-    for axis in (0, 1):
-        flow = sensor.electronic_crosstalk * np.diff(mean_e, axis=axis)
-        none = np.zeros_like(np.take(mean_e, [0], axis=axis))
-        spread += np.diff(np.concatenate([none, flow, none], axis=axis), axis=axis)
-    return spread
 
 
 def expose(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import zlib
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import Field, ValidationError, ValidationInfo, field_validator, model_validator
@@ -139,12 +139,11 @@ class Sensor(Specification):
         default=None, ge=1e-6, le=1e6, description="EMVA 1288's K at gain 1; by default, full well gives full scale"
     )
     quantum_efficiency_scale: float = Field(default=1.0, gt=0, description="factor on the response curves")
-    electronic_crosstalk: float = Field(
+    electronic_crosstalk: Annotated[float, Field(ge=0, le=0.2)] | Literal["silicon"] = Field(
         default=0.0,
-        ge=0,
-        le=0.2,
-        description="share of a pixel's electrons that each edge neighbour receives",
+        description="share of a pixel's electrons that each edge neighbour receives, or 'silicon': by absorption depth",
     )
+    depletion_um: float = Field(default=2.0, ge=0, le=1000, description="depth from which a pixel loses no electrons")
 
     @model_validator(mode="before")
     @classmethod

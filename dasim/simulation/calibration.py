@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from dasim.base.fingerprint import fingerprint
 from dasim.camera import geometry, pointspread
 from dasim.camera import noise as sensor_noise
+from dasim.camera.crosstalk import electronic_crosstalk
 from dasim.camera.noise import Exposure, NoiseModel
 from dasim.camera.specification import Camera, Sensor, as_camera
 from dasim.spectra import illuminants
@@ -153,7 +154,7 @@ def _exposures(
     mean_e = scale * sensor_noise.mosaic(flux, camera)
     for number, times in enumerate(EXPOSURES):
         time_s = times * EXPOSURE_S
-        collected_e = sensor_noise.electronic_crosstalk(times * mean_e, camera.sensor)
+        collected_e = electronic_crosstalk(times * mean_e, camera)
         keys = [np.random.SeedSequence((seed, first + number * frames + frame)) for frame in range(frames)]
         seeds = [int(key.generate_state(1)[0]) for key in keys]
         shots = [sensor_noise.apply(model, collected_e, camera.sensor, time_s, each, 1.0)[0] for each in seeds]

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from dasim.base.errors import InputError
+from dasim.camera import crosstalk
 from dasim.camera import noise as sensors
 from dasim.camera.specification import SMALLEST_FRAME_PX, Camera, Sensor, channels, cutoff, quantum_efficiency
 from dasim.files.folders import new_folder, software_versions
@@ -75,7 +76,9 @@ def _quantum_efficiency(sensor: Sensor, channel: str) -> tuple[float, float]:
     index = names.index(channel)
     peak = int(np.argmax(curves[index]))
     rows, columns = block.shape
-    collected = sensors.electronic_crosstalk(np.tile(curves[block, peak], (3, 3)), sensor)
+    alone = np.tile(curves[block, peak], (3, 3))
+    shares = (np.full(alone.shape, share[peak]) for share in crosstalk.spectral_shares(sensor))
+    collected = crosstalk.spread(alone, *shares)
     inner = collected[rows : 2 * rows, columns : 2 * columns]  # a block away from the border
     return float(grid.WAVELENGTH_NM[peak]), float(inner[block == index][0])
 

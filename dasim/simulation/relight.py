@@ -11,6 +11,7 @@ import numpy as np
 
 from dasim.base.errors import InputError
 from dasim.camera import noise
+from dasim.camera.crosstalk import electronic_crosstalk
 from dasim.loading import as_scene
 from dasim.scene.mitsuba_scene import MitsubaScene
 from dasim.scene.specification import Scene
@@ -47,6 +48,6 @@ def exposed(
     automatic_s = noise.auto_exposure_s(rate, camera, noise.Exposure())
     time_s = min(automatic_s, longest_s)
     gain = float(np.clip(automatic_s / time_s, 1.0, most_gain))
-    collected = noise.electronic_crosstalk(noise.mosaic(rate * time_s, camera), camera.sensor)
+    collected = electronic_crosstalk(noise.mosaic(rate * time_s, camera), camera)
     raw, _ = noise.expose(collected, camera.sensor, time_s, seed, gain=gain)
     return Capture(raw, camera, time_s, gain, seed)

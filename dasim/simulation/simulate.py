@@ -18,6 +18,7 @@ from dasim.camera import geometry as camera_geometry
 from dasim.camera import noise as sensor_noise
 from dasim.camera import pointspread, radiometry
 from dasim.camera import specification as cameras
+from dasim.camera.crosstalk import electronic_crosstalk
 from dasim.camera.noise import Exposure, NoiseModel
 from dasim.camera.rings import at_pixels, rings
 from dasim.camera.specification import Camera, as_camera
@@ -162,7 +163,7 @@ def prepare(
 def expose(rate: FloatArray, camera: Camera, exposure: Exposure, seed: int, noise: NoiseModel) -> Frame:
     """Expose [h, w, channel] mean electrons per second through the mosaic with a noise model."""
     time_s = rendering.exposure_time_s(rate, camera, exposure)
-    collected_e = sensor_noise.electronic_crosstalk(sensor_noise.mosaic(rate * time_s, camera), camera.sensor)
+    collected_e = electronic_crosstalk(sensor_noise.mosaic(rate * time_s, camera), camera)
     raw_dn, saturated = sensor_noise.apply(noise, collected_e, camera.sensor, time_s, seed, exposure.gain)
     return Frame(raw_dn, saturated, exposure, time_s, function_name(noise))
 

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dasim.camera import noise
+from dasim.camera.crosstalk import corrected
 from dasim.camera.specification import Camera, channels, mosaic_channels
 from dasim.typing import FloatArray
 from dasim.values import PointPicture
@@ -23,8 +24,8 @@ def averaged(
     """Mean electrons of every channel without background, their standard deviation, and the mask of sampled pixels.
 
     All are [channel, h, w]; electrons are those of an exposure of ``unit_s`` seconds. Each pixel sums the exposures
-    that do not saturate it. Temporal noise is independent between frames; fixed-pattern noise is the same in all frames
-    of one position of the source.
+    that do not saturate it, and the crosstalk between pixels that the data sheet states is taken back. Temporal noise
+    is independent between frames; fixed-pattern noise is the same in all frames of one position of the source.
     """
     sensor = camera.sensor
     height, width = group[0].frames_dn.shape[1:]
@@ -32,31 +33,30 @@ def averaged(
     channel = mosaic_channels(local)
     least = min(picture.exposure_s * picture.gain for picture in group)
     shape = (len(channels(sensor)), height, width)
-    electrons, variance, exposed, count = np.zeros((4, *shape))  # sums over all frames that see a pixel
+    electrons, variance, exposed = np.zeros((3, *shape))  # sums over all frames that see a pixel
     for shift, pictures in _by_shift(group).items():
-        shift_e, shift_count, shift_s = np.zeros((3, *shape))
-        back = tuple(-s for s in shift or (0, 0))
+        shift_e, shift_variance, shift_s, count = np.zeros((4, height, width))
         for picture in pictures:
             frames = len(picture.frames_dn)
             full_e = noise.collected_e(picture.frames_dn.mean(axis=0), sensor, picture.gain)
             # By the mean of the frames, so that the noise of a single frame does not select pixels.
             usable = full_e < SATURATION_SHARE * noise.saturation_e(sensor, picture.gain)
             usable |= picture.exposure_s * picture.gain == least
-            mean_e = np.roll(full_e - noise.dark_e(sensor, picture.exposure_s), back, axis=(0, 1))
+            mean_e = full_e - noise.dark_e(sensor, picture.exposure_s)
             temporal = noise.temporal_variance(sensor, picture.exposure_s, picture.gain).at(mean_e)
-            for index in np.unique(channel):
-                here = np.roll((channel == index) & usable, back, axis=(0, 1))
-                shift_e[index][here] += frames * mean_e[here]
-                variance[index][here] += frames * temporal[here]
-                exposed[index][here] += frames * picture.exposure_s / unit_s
-                shift_count[index][here] += frames
-                shift_s[index][here] += frames * picture.exposure_s
-        number = np.maximum(shift_count, 1)
+            shift_e += usable * frames * mean_e
+            shift_variance += usable * frames * temporal
+            shift_s += usable * frames * picture.exposure_s
+            count += usable * frames
+        number, seconds = np.maximum(count, 1), np.where(count > 0, shift_s, 1.0)
         fixed = noise.fixed_variance(sensor, 0.0).at(shift_e / number)
-        variance += shift_count**2 * (fixed + noise.dark_pattern_e(sensor, shift_s / number) ** 2)
-        electrons += shift_e
-        count += shift_count
-    sampled = count > 0
+        shift_variance += count**2 * (fixed + noise.dark_pattern_e(sensor, shift_s / number) ** 2)
+        shift_e = shift_s * corrected(shift_e / seconds, local)
+        back = tuple(-s for s in shift or (0, 0))
+        for total, part in ((electrons, shift_e), (variance, shift_variance), (exposed, shift_s / unit_s)):
+            for index in np.unique(channel):
+                total[index] += np.roll(np.where(channel == index, part, 0.0), back, axis=(0, 1))
+    sampled = exposed > 0
     exposure = np.where(sampled, exposed, 1.0)
     image, sigma = electrons / exposure, np.sqrt(variance) / exposure
     rim = np.ones((height, width), bool)

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from dasim.base.errors import InputError
 from dasim.camera import noise
+from dasim.camera.crosstalk import corrected, noise_gain
 from dasim.camera.specification import Camera
 from dasim.spectra.grid import CHANNELS
 from dasim.typing import BoolArray, Float32Array
@@ -93,7 +94,8 @@ def sole_phases(camera: Camera) -> list[Phase | None]:
 def linearise(capture: Capture) -> tuple[Float32Array, BoolArray]:
     """Photo-electrons of a raw picture, float32 [h, w], and the mask of its saturated pixels, [h, w].
 
-    Electrons are (raw - black level) times electrons per digital number, minus the mean dark signal.
+    Electrons are (raw - black level) times electrons per digital number, minus the mean dark signal. The crosstalk
+    between pixels that the data sheet states is taken back.
     """
     sensor = capture.camera.sensor
     raw = capture.raw_dn
@@ -105,6 +107,7 @@ def linearise(capture: Capture) -> tuple[Float32Array, BoolArray]:
     electrons = noise.collected_e(raw.astype(np.float32), sensor, capture.gain)
     electrons -= noise.dark_e(sensor, capture.exposure_s)
     full_dn = noise.saturation_e(sensor, capture.gain) / noise.electrons_per_dn(sensor, capture.gain)
+    electrons = np.asarray(corrected(electrons, capture.camera), np.float32)
     return electrons, raw >= sensor.black_level_dn + SATURATION_SHARE * full_dn
 
 
@@ -160,8 +163,10 @@ def _mean_of_known(image: NDArray, known: BoolArray, kernel: NDArray) -> Float32
 
 
 def noise_variance(capture: Capture) -> noise.Variance:
-    """Noise variance of a capture's pixels from the sensor's data sheet, as a function of their mean electrons."""
-    return noise.variance(capture.camera.sensor, capture.exposure_s, capture.gain)
+    """Noise variance of the pixels of :func:`linearise` by the data sheet, as a function of their mean electrons."""
+    raw = noise.variance(capture.camera.sensor, capture.exposure_s, capture.gain)
+    gain = noise_gain(capture.camera)
+    return noise.Variance(*(gain * term for term in raw))
 
 
 def noise_excess(plane: Float32Array, variance: Float32Array) -> float:

@@ -290,7 +290,7 @@ def test_automatic_exposure_ignores_a_few_highlights(da_mobile):
     assert sensor.auto_exposure_s(rate, camera, sensor.Exposure()) == pytest.approx(plain / 100)
 
 
-# --- impossible but legal, crosstalk -------------------------------------------------------------
+# --- impossible but legal ------------------------------------------------------------------------
 
 
 def test_no_light_and_far_too_much_finish(da_mobile):
@@ -305,57 +305,6 @@ def test_no_light_and_far_too_much_finish(da_mobile):
         assert full == 50 * 50 and raw.min() >= 1023 - 5
     hot = model.model_copy(update={"dark_current_e_s": 1e300, "temperature_c": 150.0, "dark_doubling_k": 1.0})
     assert sensor.expose(flat(0, 50), hot, 3600.0, 0)[1] == 50 * 50
-
-
-def test_crosstalk_of_a_point(quiet):
-    """Expectation: a pixel of 1,000 electrons keeps 600 and gives 100 to each edge neighbour; at the frame's corner it
-    has two neighbours and keeps 800.
-    """
-    image = np.zeros((5, 6))
-    image[2, 3] = image[0, 0] = 1000.0
-    expected = np.zeros((5, 6))
-    expected[2, 3], expected[0, 0] = 600.0, 800.0
-    expected[[1, 3, 2, 2, 0, 1], [3, 3, 2, 4, 1, 0]] = 100.0
-    np.testing.assert_allclose(sensor.electronic_crosstalk(image, quiet(electronic_crosstalk=0.1)), expected, atol=1e-9)
-
-
-def test_crosstalk_conserves_charge_and_flat_fields(quiet):
-    """Expectation: the sum of any frame stays, border included, down to a single row; an even field does not change;
-    a share of 0 gives back the very same array, so that nothing else changes.
-    """
-    model = quiet(electronic_crosstalk=0.2)
-    for shape in ((12, 9), (1, 7), (7, 1), (1, 1)):
-        image = np.random.default_rng(0).uniform(0, 5000, shape)
-        spread = sensor.electronic_crosstalk(image, model)
-        assert spread.sum() == pytest.approx(image.sum(), rel=1e-12) and spread.min() >= 0
-        np.testing.assert_allclose(sensor.electronic_crosstalk(np.full(shape, 7.0), model), 7.0, rtol=1e-12)
-    assert sensor.electronic_crosstalk(image, quiet()) is image
-
-
-def test_crosstalk_before_the_shot_noise_is_that_of_single_electrons(quiet):
-    """Rationale: the brute-force model moves every electron separately, after the shot noise.
-
-    Set-up: columns of 4,000 and 0 electrons in turn, c = 0.1; a multinomial draw decides for each electron whether it
-    stays or goes to one of four neighbours.
-
-    Expectation: means, variances and the covariance of neighbours (none) agree. A variance of 31,250 pixels is known to
-    0.8 %; the limit is five of these. The standard error of a covariance is the variance / sqrt(31,250).
-    """
-    share, side = 0.1, SIDE
-    image = flat(0.0)
-    image[:, ::2] = 4000.0
-    rng = np.random.default_rng(1)
-    ways = rng.multinomial(rng.poisson(image), [1 - 4 * share, *[share] * 4])
-    single = ways[..., 0].copy()
-    for way, (axis, shift) in enumerate(((0, 1), (0, -1), (1, 1), (1, -1)), start=1):
-        single += np.roll(ways[..., way], shift, axis=axis)
-    ours = rng.poisson(sensor.electronic_crosstalk(image, quiet(electronic_crosstalk=share)))
-    for start in (0, 1):
-        columns = np.s_[1:-1, 2 + start : side - 2 : 2]
-        assert ours[columns].mean() == pytest.approx(single[columns].mean(), rel=1e-3)
-        assert ours[columns].var() == pytest.approx(single[columns].var(), rel=0.04)
-    first, second = single[1:-1, 2:-3:2].ravel(), single[1:-1, 3:-2:2].ravel()
-    assert abs(np.corrcoef(first, second)[0, 1]) < 5 / np.sqrt(first.size)
 
 
 # --- a noise model of one's own -------------------------------------------------------------------

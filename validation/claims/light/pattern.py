@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 import dasim
 from dasim.camera import noise
+from dasim.camera.crosstalk import electronic_crosstalk
 from dasim.camera.specification import Camera, Sensor, channels, mosaic_channels
 from dasim.typing import FloatArray, ShareDone
 from validation.gates.claim import Evidence
@@ -110,10 +111,9 @@ def _stack(shots: list[dasim.Shot]) -> Stack:
     captures = [shot.capture for shot in shots]
     sensor = captures[0].camera.sensor
     electrons = [noise.collected_e(capture.raw_dn.astype(np.float64), sensor, capture.gain) for capture in captures]
-    light = [
-        noise.electronic_crosstalk(noise.mosaic(shot.truth.mean_e.astype(np.float64), shot.capture.camera), sensor)
-        for shot in shots
-    ]
+    camera = captures[0].camera
+    mosaics = [noise.mosaic(shot.truth.mean_e.astype(np.float64), camera) for shot in shots]
+    light = [electronic_crosstalk(mosaic, camera) for mosaic in mosaics]
     return Stack(np.array(electrons), np.array(light), captures[0].exposure_s)
 
 

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 import dasim
 import recon
 from dasim.camera import noise as sensor
+from dasim.camera.crosstalk import electronic_crosstalk
 from dasim.camera.noise import Exposure
 from dasim.simulation.simulate import Shot
 from dasim.spectra.colour import exposure_scale, to_srgb
@@ -159,7 +160,7 @@ def noise(shot: Shot, developed: Developed) -> float:
     """Rms difference between linear sRGB pictures of two sensors of one type, over sqrt(2) and the mean luminance."""
     capture = shot.capture
     body = capture.camera.sensor
-    light = sensor.electronic_crosstalk(sensor.mosaic(shot.truth.mean_e.astype(np.float64), capture.camera), body)
+    light = electronic_crosstalk(sensor.mosaic(shot.truth.mean_e.astype(np.float64), capture.camera), capture.camera)
     other = body.model_copy(update={"sensor_seed": OTHER_SENSOR})
     raw_dn, _ = sensor.expose(light, other, capture.exposure_s, capture.seed + OTHER_SENSOR)
     again = recon.develop(replace(capture, raw_dn=raw_dn), lights=[developed.light])

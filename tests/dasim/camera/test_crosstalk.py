@@ -1,0 +1,222 @@
+"""Crosstalk between pixels: charge, single electrons, diffusion in silicon, and its correction."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy import integrate
+
+from dasim.camera import crosstalk, radiometry, silicon
+from dasim.camera import specification as cameras
+from dasim.spectra import colour_checker, grid, illuminants
+
+SIDE = 250
+WALKS = 200_000  # electrons of the random walk: a share of 5 % is known to 1 %
+
+
+@pytest.fixture
+def make(da_mobile):
+    """Da-mobile with changed values of its sensor."""
+
+    def camera(**changes):
+        return da_mobile.model_copy(update={"sensor": da_mobile.sensor.model_copy(update=changes)})
+
+    return camera
+
+
+def sized(camera, shape):
+    """The camera with a frame of any shape [h, w], also smaller than a cell of the mosaic; all its pixels are green."""
+    changes = {"height_px": shape[0], "width_px": shape[1], "mosaic": (("G",),)}
+    return camera.model_copy(update={"sensor": camera.sensor.model_copy(update=changes)})
+
+
+# --- a number for all wavelengths ----------------------------------------------------------------
+
+
+def test_crosstalk_of_a_point(make):
+    """Expectation: a pixel of 1,000 electrons keeps 600 and gives 100 to each edge neighbour; at the frame's corner it
+    has two neighbours and keeps 800.
+    """
+    image = np.zeros((5, 6))
+    image[2, 3] = image[0, 0] = 1000.0
+    expected = np.zeros((5, 6))
+    expected[2, 3], expected[0, 0] = 600.0, 800.0
+    expected[[1, 3, 2, 2, 0, 1], [3, 3, 2, 4, 1, 0]] = 100.0
+    camera = sized(make(electronic_crosstalk=0.1), image.shape)
+    np.testing.assert_allclose(crosstalk.electronic_crosstalk(image, camera), expected, atol=1e-9)
+
+
+def test_crosstalk_conserves_charge_and_flat_fields(make):
+    """Expectation: the sum of any frame stays, border included, down to a single row; an even field does not change;
+    a share of 0 gives back the very same array, so that nothing else changes.
+    """
+    for value in (0.2, "silicon"):
+        for shape in ((12, 9), (1, 7), (7, 1), (1, 1)):
+            camera = sized(make(electronic_crosstalk=value), shape)
+            image = np.random.default_rng(0).uniform(0, 5000, shape)
+            spread = crosstalk.electronic_crosstalk(image, camera)
+            assert spread.sum() == pytest.approx(image.sum(), rel=1e-12) and spread.min() >= 0
+            even = crosstalk.electronic_crosstalk(np.full(shape, 7.0), camera)
+            np.testing.assert_allclose(even, 7.0, rtol=1e-12)
+    assert crosstalk.electronic_crosstalk(image, sized(make(electronic_crosstalk=0.0), shape)) is image
+
+
+def test_crosstalk_before_the_shot_noise_is_that_of_single_electrons(make):
+    """Rationale: the way of every single electron, drawn after the shot noise, is the brute-force model.
+
+    Set-up: columns of 4,000 and 0 electrons in turn, c = 0.1; each electron stays or goes to one of four neighbours
+    by a multinomial draw. Expectation: means, variances and the covariance of neighbours (none) agree.
+    A variance of 31,250 pixels is known to 0.8 %; five of these. A covariance's sigma is the variance / sqrt(31,250).
+    """
+    share, side = 0.1, SIDE
+    image = np.zeros((side, side))
+    image[:, ::2] = 4000.0
+    rng = np.random.default_rng(1)
+    ways = rng.multinomial(rng.poisson(image), [1 - 4 * share, *[share] * 4])
+    single = ways[..., 0].copy()
+    for way, (axis, shift) in enumerate(((0, 1), (0, -1), (1, 1), (1, -1)), start=1):
+        single += np.roll(ways[..., way], shift, axis=axis)
+    camera = sized(make(electronic_crosstalk=share), image.shape)
+    ours = rng.poisson(crosstalk.electronic_crosstalk(image, camera))
+    for start in (0, 1):
+        columns = np.s_[1:-1, 2 + start : side - 2 : 2]
+        assert ours[columns].mean() == pytest.approx(single[columns].mean(), rel=1e-3)
+        assert ours[columns].var() == pytest.approx(single[columns].var(), rel=0.04)
+    first, second = single[1:-1, 2:-3:2].ravel(), single[1:-1, 3:-2:2].ravel()
+    assert abs(np.corrcoef(first, second)[0, 1]) < 5 / np.sqrt(first.size)
+
+
+# --- by absorption depth -------------------------------------------------------------------------
+
+
+def test_transfer_function_is_the_integral_over_depth():
+    """Expectation: at several frequencies the closed form is the quadrature of what it stands for; at 0 it is the share
+    of light that is absorbed below the depleted layer.
+    """
+    alpha, thickness, depletion = 0.3, 3.0, 2.0
+    w = thickness - depletion
+    total = 1 - np.exp(-alpha * thickness)
+    for q in (0.0, 0.05, 0.3, 1.0, 4.0):
+
+        def arriving(h, q=q):
+            return alpha * np.exp(-alpha * (depletion + h)) * np.cosh(q * (w - h)) / np.cosh(q * w)
+
+        expected = integrate.quad(arriving, 0, w)[0] / total
+        value = crosstalk.transfer_below(np.array([[q]]), alpha, thickness, depletion)[0, 0]
+        assert value == pytest.approx(expected, rel=1e-5)
+    below = (np.exp(-alpha * depletion) - np.exp(-alpha * thickness)) / total
+    assert crosstalk.transfer_below(np.zeros((1, 1)), alpha, thickness, depletion)[0, 0] == pytest.approx(below)
+
+
+def test_shares_are_those_of_electrons_that_walk_at_random(make):
+    """Rationale: diffusion is the random walk of single electrons; no formula is shared.
+
+    Set-up: 200,000 electrons at 730 nm start on the pixel's axis at depths drawn from the absorption law, and walk in
+    steps of 0.05 um in each direction, reflected at 3 um, until they reach the depleted layer at 2 um. Expectation:
+    the shares of edge and corner neighbours, what goes further shared out in proportion. A share of 8 % of the
+    electrons is known to 0.8 %, an edge neighbour's to 1.6 %, a corner's to 3 %; the finite step takes the
+    electrons 0.58 of itself beyond the absorbing plane on average, so that it stands as much higher here. Limit: 5 and
+    10 %.
+    """
+    rng = np.random.default_rng(2)
+    alpha = float(np.interp(730.0, grid.WAVELENGTH_NM, silicon.absorption_per_um()))
+    depth = -np.log1p(-rng.random(WALKS) * -np.expm1(-3 * alpha)) / alpha
+    step = 0.05
+    depth = depth[depth > 2.0] - 2.0
+    place = np.zeros((2, depth.size))
+    moving = np.arange(depth.size)
+    while moving.size:
+        depth[moving] += step * rng.standard_normal(moving.size)
+        over = depth[moving] > 1.0
+        depth[moving] = np.where(over, 2.0 - depth[moving], depth[moving])
+        place[:, moving] += step * rng.standard_normal((2, moving.size))
+        moving = moving[depth[moving] > 0.5826 * step]
+    pixel = np.abs(np.rint(place / 1.7)).astype(int)
+    away = pixel.sum(axis=0) > 0
+    edge = (pixel.sum(axis=0) == 1).sum()
+    corner = ((pixel[0] == 1) & (pixel[1] == 1)).sum()
+    leaving = away.sum() / WALKS
+    expected = leaving / 4 * np.array([edge, corner]) / (edge + corner)
+    shares = crosstalk.spectral_shares(make(electronic_crosstalk="silicon").sensor)
+    ours = [float(np.interp(730.0, grid.WAVELENGTH_NM, share)) for share in shares]
+    assert ours[0] == pytest.approx(expected[0], rel=0.05)
+    assert ours[1] == pytest.approx(expected[1], rel=0.10)
+
+
+def test_shares_grow_with_wavelength_and_fall_with_pitch_and_depletion(make):
+    """Expectation: 0.2, 5, 8 and 10 % leave their pixel at 450, 550, 650 and 730 nm; fewer at a larger pitch and with a
+    deeper depletion; none where all silicon is depleted.
+    """
+
+    def leaving(**changes):
+        edge, corner = crosstalk.spectral_shares(make(electronic_crosstalk="silicon", **changes).sensor)
+        return 4 * edge + 4 * corner
+
+    ours = leaving()
+    for nm, share in ((450, 0.002), (550, 0.05), (650, 0.083), (730, 0.097)):
+        assert np.interp(nm, grid.WAVELENGTH_NM, ours) == pytest.approx(share, abs=0.0007)
+    assert (np.diff(ours) > 0).all()
+    seen = ours > 1e-4
+    assert (leaving(pixel_pitch_um=3.4) < 0.6 * ours)[seen].all() and (leaving(depletion_um=2.5) < ours)[seen].all()
+    assert (leaving(depletion_um=3.0) == 0).all()
+
+
+def test_shares_of_channels_against_the_full_spectra(make):
+    """Rationale: pictures hold the electrons of a channel, not their wavelengths.
+
+    Set-up: even patches of the ColorChecker; electrons at each place of the mosaic with the shares of every wavelength,
+    and with those of the channels. Expectation: what the docstring states.
+    """
+    camera = make(electronic_crosstalk="silicon")
+    names = cameras.channels(camera.sensor)
+    block = np.array([[names.index(name) for name in row] for row in camera.sensor.mosaic])
+    spectral, response = crosstalk.spectral_shares(camera.sensor), radiometry.response(camera)
+    area = np.tile(block, (3, 3))
+
+    def at_places(per_channel, edge, corner):
+        spread = crosstalk.spread(per_channel[area], edge[area], corner[area])[2:4, 2:4]
+        return np.array([spread[block == index].mean() for index in range(len(names))])
+
+    channel = crosstalk.channel_shares(camera)
+    for light, limits in (("D65", (0.025, 0.032)), ("A", (0.025, 0.015)), ("energy-saving-3500K", (0.025, 0.10))):
+        worst = np.zeros(4)
+        for patch in colour_checker.PATCHES:
+            electrons = response * illuminants.illuminant(light) * colour_checker.curve(patch)
+            by_wavelength = [
+                at_places(electrons[:, k], *(np.full(4, share[k]) for share in spectral))
+                for k in range(electrons.shape[1])
+            ]
+            full = grid.integrate(np.array(by_wavelength).T)
+            worst = np.maximum(worst, np.abs(at_places(grid.integrate(electrons), *channel) / full - 1))
+        assert worst[:3].max() < limits[0] and worst[3] < limits[1], light
+
+
+# --- correction ----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("value", [0.03, "silicon"])
+def test_correction_is_the_inverse(make, value):
+    """Expectation: electrons before crosstalk, to (2 s)^7 of their range, with s = 12 % leaving at most; a share of 0
+    changes nothing.
+    """
+    camera = cameras.cropped(make(electronic_crosstalk=value), 64, 48)
+    image = np.random.default_rng(0).uniform(0, 5000, (48, 64))
+    back = crosstalk.corrected(crosstalk.electronic_crosstalk(image, camera), camera)
+    np.testing.assert_allclose(back, image, atol=0.24**7 * 5000)
+    plain = cameras.cropped(make(electronic_crosstalk=0.0), 64, 48)
+    assert crosstalk.corrected(image, plain) is image
+
+
+def test_noise_gain_is_that_of_corrected_noise(make):
+    """Set-up: white noise of one spread in all raw pixels. Expectation: after the correction its variance, mean of the
+    channels, is larger by the gain, which leaves out what neighbours add: 1 % of it.
+    """
+    camera = cameras.cropped(make(electronic_crosstalk="silicon"), 512, 512)
+    noise = np.random.default_rng(0).standard_normal((512, 512))
+    assert crosstalk.corrected(noise, camera).var() == pytest.approx(crosstalk.noise_gain(camera), rel=0.02)
+
+
+def test_unknown_words_are_refused(da_mobile):
+    data = da_mobile.sensor.model_dump() | {"electronic_crosstalk": "much"}
+    with pytest.raises(Exception, match="electronic_crosstalk"):
+        cameras.parse(cameras.Sensor, data, "test")
