@@ -9,11 +9,13 @@ from scipy import fft, ndimage
 
 from dasim.base.errors import InputError
 from dasim.camera.specification import Camera, channels
-from dasim.typing import FloatArray, Progress
+from dasim.typing import Float32Array, FloatArray, Progress
 from dasim.values import PointPicture, PsfBank
 from recon.calibration.pictures import averaged, common_centre
 from recon.calibration.round_kernel import RING_SNR, basis_of, round_fit, subpixel_radius
 from recon.calibration.unaligned import scattered
+
+Key = tuple[str, int]  # light and blur level
 
 
 def calibrate(
@@ -39,7 +41,39 @@ def calibrate(
         field_px: (x, y) of the source's image from the optical axis, stored with the bank.
         progress: called with the name of the stage and the share of it that is done, 0..1.
     """
-    groups: dict[tuple[str, int], list[PointPicture]] = {}
+    groups, lights, levels = _grouped(pictures)
+    centred: dict[Key, FloatArray] = {}
+    for done, (key, group) in enumerate(groups.items()):
+        if any(picture.shift_px is None for picture in group):
+            centred[key] = scattered(group, camera)
+        else:
+            centred[key] = _interleaved_kernel(*_interleave(group, camera), on_axis=field_px == (0.0, 0.0))
+        if progress:
+            progress("calibrate", (done + 1) / len(groups))
+    half = min(min(image.shape[1:]) for image in centred.values()) // 2
+    stacked = np.stack([[_crop(centred[light, level], half) for level in levels] for light in lights])
+    kernel, signature = _normalised(stacked, channels(camera.sensor))
+    first = [groups[lights[0], level][0] for level in levels]
+    return PsfBank(
+        kernel=kernel,
+        lights=lights,
+        signature=signature,
+        depth_m=np.array([picture.depth_m for picture in first], np.float32),
+        blur_px=np.array([picture.blur_px for picture in first], np.float32),
+        camera=camera,
+        diffraction=diffraction,
+        field_px=field_px,
+    )
+
+
+def _grouped(
+    pictures: Iterable[PointPicture],
+) -> tuple[dict[Key, list[PointPicture]], tuple[str, ...], range]:
+    """Pictures by light and level, the lights in their order, and the levels from 0.
+
+    Raises InputError if pictures of a light or level are missing.
+    """
+    groups: dict[Key, list[PointPicture]] = {}
     for picture in pictures:
         groups.setdefault((picture.light, picture.level), []).append(picture)
     if not groups:
@@ -51,40 +85,34 @@ def calibrate(
         raise InputError(
             f"calibration: no pictures of {', '.join(missing) or 'lower levels'}; give all levels from 0 on"
         )
-    centred: dict[tuple[str, int], FloatArray] = {}
-    for done, (key, group) in enumerate(groups.items()):
-        if any(picture.shift_px is None for picture in group):
-            centred[key] = scattered(group, camera)
-        else:
-            full, noise_e = _interleave(group, camera)
-            centre = common_centre(full)
-            shifted = _centred(full, centre)
-            round_kernel, rest = _round_kernels(full, noise_e, centre, shifted.shape[1] // 2)
-            if field_px != (0.0, 0.0):  # diffraction is not round off the axis
-                round_kernel += _interpolated(rest, centre, round_kernel.shape[1] // 2)
-            centred[key] = np.where(np.isnan(round_kernel), shifted, round_kernel)
-        if progress:
-            progress("calibrate", (done + 1) / len(groups))
-    half = min(min(image.shape[1:]) for image in centred.values()) // 2
-    stacked = np.stack([[_crop(centred[light, level], half) for level in levels] for light in lights])
-    electrons = np.maximum(stacked, 0.0)
-    total = electrons.sum(axis=(-1, -2), keepdims=True)
+    return groups, lights, range(len(levels))
+
+
+def _interleaved_kernel(full: FloatArray, noise_e: FloatArray, *, on_axis: bool) -> FloatArray:
+    """Kernel about the middle pixel, [channel, size, size] electrons, of a picture [channel, h, w] and its noise.
+
+    Channels whose kernel is not round are shifted, not fitted.
+    """
+    centre = common_centre(full)
+    shifted = _centred(full, centre)
+    round_kernel, rest = _round_kernels(full, noise_e, centre, shifted.shape[1] // 2)
+    if not on_axis:  # diffraction is not round off the axis
+        round_kernel += _interpolated(rest, centre, round_kernel.shape[1] // 2)
+    return np.where(np.isnan(round_kernel), shifted, round_kernel)
+
+
+def _normalised(electrons: FloatArray, names: tuple[str, ...]) -> tuple[Float32Array, Float32Array]:
+    """Kernels [light, level, channel, y, x] of unit sum, and the signature of the lights, [light, channel].
+
+    The signature is the channels' sum relative to G (else to the first channel), averaged over the levels.
+    """
+    positive = np.maximum(electrons, 0.0)
+    total = positive.sum(axis=(-1, -2), keepdims=True)
     if not np.all(total > 0):
         raise InputError("calibration: a channel of a picture shows no point source above its background")
-    names = channels(camera.sensor)
     reference = names.index("G") if "G" in names else 0
     ratio = (total / total[:, :, reference : reference + 1])[..., 0, 0].mean(axis=1)
-    first = [groups[lights[0], level][0] for level in levels]
-    return PsfBank(
-        kernel=(electrons / total).astype(np.float32),
-        lights=lights,
-        signature=ratio.astype(np.float32),
-        depth_m=np.array([picture.depth_m for picture in first], np.float32),
-        blur_px=np.array([picture.blur_px for picture in first], np.float32),
-        camera=camera,
-        diffraction=diffraction,
-        field_px=field_px,
-    )
+    return (positive / total).astype(np.float32), ratio.astype(np.float32)
 
 
 def _interleave(group: list[PointPicture], camera: Camera) -> tuple[FloatArray, FloatArray]:
