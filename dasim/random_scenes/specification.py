@@ -272,9 +272,10 @@ def _default_camera() -> Camera:
 
 
 def _field_of_view(camera: Camera | str | Path | None, focus_cm: float) -> tuple[float, float]:
-    """Tangents of half the width and half the height of the camera's field of view at a focus distance."""
+    """Tangents of half the width and height of the field of view at a focus distance, centred on the axis."""
     camera = cameras.refocused(camera or _default_camera(), focus_cm * 1e-2)
-    pixels = np.array([camera.sensor.width_px, camera.sensor.height_px]) / 2
+    axis = np.array(cameras.principal_point(camera.sensor))
+    pixels = np.maximum(axis, [camera.sensor.width_px, camera.sensor.height_px] - axis)
     half = pixels * camera.sensor.pixel_pitch_um * 1e-6 / geometry.image_distance_m(camera)
     return float(half[0]), float(half[1])
 

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dasim.camera import geometry, radiometry
-from dasim.camera.specification import Camera
+from dasim.camera.specification import Camera, principal_point
 from dasim.render.translate import MAX_PATH_DEPTH
 from dasim.spectra import grid
 
@@ -47,7 +47,7 @@ def naive_picture(scene: Any, camera: Camera, stop_ratios: Sequence[float], spp:
     index = dr.arange(mi.UInt32, width * height * spp) // spp
     row = index // width
     film = mi.Point2f(mi.Float(index - row * width), mi.Float(row)) + sampler.next_2d()
-    film -= mi.Point2f(width / 2, height / 2)
+    film -= mi.Point2f(*principal_point(camera.sensor))
     pupil = mi.warp.square_to_uniform_disk_concentric(sampler.next_2d())
     origin = mi.Point3f(radius_m * pupil.x, radius_m * pupil.y, 0.0)
     in_focus = mi.Point3f(film.x * (pitch_m / image_m), film.y * (pitch_m / image_m), 1.0) * focus_m
