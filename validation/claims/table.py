@@ -15,6 +15,7 @@ from validation.claims.depth.staircase import staircase, staircase_camera
 from validation.claims.depth.steps import measured_steps
 from validation.claims.light.balance import balance
 from validation.claims.light.electrons import absolute_electrons, eq8_flat_field, hole_alpha_squared, light_loss
+from validation.claims.light.field_colour import field_colour
 from validation.claims.light.mixed import mixed_lights
 from validation.claims.light.noise import photon_transfer
 from validation.claims.light.pattern import fixed_pattern
@@ -63,6 +64,7 @@ CLAIMS = {
     "interreflection": Measurement(interreflection, quick=False),
     "truth-noise": Measurement(truth_noise, quick=True),
     "mixed-lights": Measurement(mixed_lights, quick=False),
+    "field-colour": Measurement(field_colour, quick=False),
     "colour": Measurement(colour, quick=False),
     "scenes-speed": Measurement(scenes_speed, quick=False, alone=True),
     "bank": Measurement(bank, quick=True),

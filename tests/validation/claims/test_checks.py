@@ -10,13 +10,14 @@ from dasim.spectra import grid, illuminants
 from validation.claims.cost import datasets, scenes
 from validation.claims.depth import ground_truth
 from validation.claims.light import electrons as light
-from validation.claims.light import mixed, noise, pattern
+from validation.claims.light import field_colour, mixed, noise, pattern
 from validation.claims.optics import bank, camera, diffraction, edges, off_axis
 from validation.claims.optics import blur as lens
 from validation.claims.pictures import colour
 from validation.claims.table import CLAIMS
 from validation.gates.claim import Claim
 from validation.gates.limits import GATES, gate_of, judged_all, load_gates, within
+from validation.scores.figures import Figure
 from validation.subjects import rendering
 
 
@@ -348,6 +349,39 @@ def test_one_irradiance_field_for_all_spectra_fails(jit, monkeypatch, good, case
         if good
         else not (results["mean.R"] or results["rms.R"] or results["mean.G"] or results["rms.G"])
     )
+
+
+@pytest.mark.parametrize("broken", [None, "reconstruction", "renderer"])
+def test_coatings_that_shift_in_one_of_two_places_fail(renderer, monkeypatch, broken):
+    """Set-up: the field of the full frame in few large pixels, without the whole reconstruction; coatings that shift in
+    the renderer and in the reconstruction, in the renderer alone, or in the reconstruction alone. A flat in the light
+    of the picture corrects coatings that shift in the reconstruction's data sheet alone.
+    """
+    from dasim.camera import rings
+    from dasim.render import wavelengths
+    from recon.picture import field
+
+    true = rings.rings
+
+    def axis(*cameras):
+        angles, place = true(*cameras)
+        return rings.Rings(angles[:1], np.zeros_like(place))
+
+    if broken:
+        still = {"reconstruction": field, "renderer": wavelengths}[broken]
+        monkeypatch.setattr(still, "rings", axis)
+    size = {"width_px": 256, "height_px": 192, "pixel_pitch_um": 13.6}
+    monkeypatch.setattr(field_colour, "SENSOR", size)
+    monkeypatch.setattr(field_colour, "BLOCK_PX", 32)
+    monkeypatch.setattr(field_colour, "LIGHTS", ("D65",))
+    monkeypatch.setattr(field_colour, "_reconstructed", lambda shot, light: Figure("D65.reconstruct", 0.0, "dE00", ""))
+    passed = {
+        entry.id.removeprefix("field-colour."): entry.passed
+        for entry in entries("field-colour", field_colour.field_colour)
+    }
+    lost = [passed[f"D65.{place}.{channel}"] for place in ("side", "corner") for channel in ("R", "IR")]
+    assert lost == [broken != "renderer"] * 4
+    assert passed["D65.cast"] is (broken is None) and passed["D65.flat"] is (broken != "reconstruction")
 
 
 @pytest.mark.parametrize("good", [True, False])
