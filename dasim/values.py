@@ -209,7 +209,7 @@ class Reconstruction:
 
     rgb: Float32Array  # [h, w, 3] sRGB 0..1, the picture as taken
     sharp_rgb: Float32Array  # [h, w, 3] sRGB 0..1, all in focus
-    linear_e: Float32Array  # [h, w, 3] linear camera colours, infrared removed, electrons
+    linear_e: Float32Array  # [h, w, 3] linear colours as the axis records them, infrared removed, electrons
     sharp_e: Float32Array  # [h, w, 3] the same, all in focus
     ir_e: Float32Array  # [h, w] infrared, electrons
     level_raw: Float32Array  # [h, w] eq. (12), NaN where there is no edge
@@ -235,7 +235,7 @@ class Developed:
     """The colour picture of a capture alone, without depth."""
 
     rgb: Float32Array  # [h, w, 3] sRGB 0..1
-    linear_e: Float32Array  # [h, w, 3] linear camera colours, infrared removed, electrons
+    linear_e: Float32Array  # [h, w, 3] linear colours as the axis records them, infrared removed, electrons
     ir_e: Float32Array | None  # [h, w] infrared, electrons; None for a mosaic without
     matrix: NDArray[np.float64]  # [3, 3] from ``linear_e`` to linear sRGB, white-balanced
     camera: Camera

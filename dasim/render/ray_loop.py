@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dasim.camera import distortion, geometry
+from dasim.camera.rings import at_pixels
 from dasim.camera.specification import Camera, principal_point
 from dasim.camera.stops import Stop
 from dasim.render import field_angle, layers, pupil, transport, wave
@@ -143,8 +144,9 @@ def render(
     seeds = sampling.block_seeds(stop)
     for block, top in enumerate(range(0, height, rows_at_once)):
         rows = min(rows_at_once, height - top)
-        ratio = _trace(shared, top, rows, seeds(block))
-        rate[top : top + rows] = mean_signal[top : top + rows] * ratio.reshape(rows, width, -1)
+        here = slice(top, top + rows)
+        ratio = _trace(shared, top, rows, seeds(block)).reshape(rows, width, -1)
+        rate[here] = ratio * at_pixels(mean_signal, responses.place[here])
         sampling.progress((top + rows) / height)
     return rate
 

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from dasim.camera import geometry, radiometry
-from dasim.camera.rings import at_pixels, rings
+from dasim.camera.rings import rings
 from dasim.camera.specification import Camera
 from dasim.camera.stops import Stop
 from dasim.spectra import grid
@@ -33,8 +33,8 @@ class Responses(NamedTuple):
         return self.of_pass.shape[1]
 
     def mean_signal(self, light: FloatArray) -> FloatArray:
-        """Electrons of each pixel for a radiance of spectrum ``light`` [wavelength], [h, w, channel]."""
-        return at_pixels(grid.integrate_product(self.of_pass, light), self.place)
+        """Electrons on each ring for a radiance of spectrum ``light`` [wavelength], [ring, channel]."""
+        return np.asarray(grid.integrate_product(self.of_pass, light))
 
 
 def stop_responses(camera: Camera, stop: Stop) -> Responses:

@@ -20,6 +20,7 @@ from recon.settings import Settings
 
 MOST_SATURATED = 0.001  # largest share of saturated pixels in a capture for the measurement of crosstalk
 LEAST_SIGNAL = 0.02  # least mean of its infrared pixels, relative to full scale
+MIDDLE_RINGS = 0.5  # of the field around the axis: 7 degrees, within which a coating shifts by a quarter of its edge
 
 # Cubic convolution (Keys 1981, a = -1/2) on a grid of twice the density: weights at the samples and halfway between.
 BICUBIC = np.array([-1, 0, 9, 16, 9, 0, -1], np.float32) / 16
@@ -45,7 +46,7 @@ def crosstalk(camera: Camera, measured: tuple[float, float, float] | None, angle
     """
     alpha = specification.crosstalk(camera, angle_deg)
     if measured is not None:
-        return np.asarray(measured, np.float64) * (alpha / specification.crosstalk(camera))
+        return np.asarray(measured, np.float64) * _relative(alpha, specification.crosstalk(camera))
     return alpha.astype(np.float32).astype(np.float64)
 
 
@@ -53,16 +54,21 @@ def crosstalk_over_field(camera: Camera) -> tuple[FloatArray, FloatArray]:
     """Eq. (8) on the rings of the frame relative to the axis, [ring, 3], and each pixel's fractional ring, [h, w]."""
     angles, place = rings(camera)
     alpha = np.stack([specification.crosstalk(camera, angle) for angle in angles])
-    return alpha / alpha[0], place
+    return _relative(alpha, alpha[0]), place
+
+
+def _relative(alpha: FloatArray, on_axis: FloatArray) -> FloatArray:
+    """Coefficients over those of the axis; 1 for a channel that sees no infrared there."""
+    return np.divide(alpha, on_axis, out=np.ones_like(alpha), where=on_axis > 0)
 
 
 def measured_crosstalk(capture: Capture) -> tuple[float, float, float]:
     """Measured alpha of eq. (8) for R, G and B on the axis, from a capture under near-infrared light alone.
 
-    The results, for ``Settings.crosstalk``, are ratios of the channels' means; how alpha changes over the field is
-    known from the data sheet. Unlike the areas of the response curves, they hold for the spectrum of this light.
-    Suitable are infrared LEDs, or a lamp behind a filter without transmission
-    below 650 nm, on a uniform surface.
+    The results, for ``Settings.crosstalk``, are ratios of the channels' means in the middle of the field; how alpha
+    changes over the field is known from the data sheet. Unlike the areas of the response curves, they hold for the
+    spectrum of this light. Suitable are infrared LEDs, or a lamp behind a filter without transmission below 650 nm, on
+    a uniform surface.
     """
     electrons, saturated = mosaic.linearise(capture)
     grids = mosaic.grids(capture.camera)
@@ -72,15 +78,12 @@ def measured_crosstalk(capture: Capture) -> tuple[float, float, float]:
     if max(clipped.values()) > MOST_SATURATED:
         name = max(clipped, key=lambda key: clipped[key])
         raise InputError(f"capture: {clipped[name]:.1%} of channel {name} is saturated; use less light")
-    mean = {name: float(electrons[mosaic.sites(g, electrons.shape)].mean()) for name, g in grids.items()}
+    place = rings(capture.camera).place
+    middle = place <= place.min() + MIDDLE_RINGS
+    mean = {name: float(electrons[mosaic.sites(g, electrons.shape) & middle].mean()) for name, g in grids.items()}
     if mean["IR"] < LEAST_SIGNAL * capture.camera.sensor.full_well_e / capture.gain:
         raise InputError("capture: too little infrared for the measurement of crosstalk; use more light")
-    where = mosaic.sites(grids["IR"], electrons.shape)
-    relative, place = crosstalk_over_field(capture.camera)
-    expected = [
-        float((electrons[where] * np.interp(place[where], np.arange(len(relative)), row)).mean()) for row in relative.T
-    ]
-    red, green, blue = (max(mean[name] / of_infrared, 0.0) for name, of_infrared in zip("RGB", expected, strict=True))
+    red, green, blue = (max(mean[name] / mean["IR"], 0.0) for name in grid.CHANNELS[:3])
     return red, green, blue
 
 

@@ -10,9 +10,10 @@ import pytest
 import recon
 from dasim.camera import noise, response_curves
 from dasim.camera import specification as cameras
+from dasim.camera.rings import rings, square_of_sine
 from dasim.spectra import grid, illuminants
 from dasim.values import Capture
-from recon.picture import colour, develop, field
+from recon.picture import colour, develop, field, infrared
 
 FINE_NM = np.arange(400.0, 830.01, 0.1)
 SIZE_PX = (256, 192)  # of 8 x 8 binned pixels: the angles of the full frame
@@ -122,6 +123,21 @@ def test_white_balance_knows_the_field(camera):
     raw_e[48:144] = 0  # blocks of the middle are dark, and do not count
     distance = colour.light_distances(raw_e, np.zeros(raw_e.shape, bool), camera, develop.LIGHTS, signature)
     assert distance is not None and distance[0] < 0.02
+
+
+def test_crosstalk_is_measured_on_the_axis(camera):
+    """Set-up: a flat field of an LED of 700 to 760 nm, which no edge crosses, with cos^4. Expectation: the ratios of
+    the curves in that band; what the corners lose in other light does not enter.
+    """
+    inside = (grid.WAVELENGTH_NM >= 700) & (grid.WAVELENGTH_NM <= 760)
+    signal = response_curves.rgb_ir_quantum_efficiency()[:, inside].sum(axis=1)
+    mean_e = 0.5 * camera.sensor.full_well_e * signal / signal.max() * (1 - square_of_sine(camera)[..., None]) ** 2
+    raw, _ = noise.expose(noise.mosaic(mean_e, camera), camera.sensor, TIME_S, 0, noise="off")
+    measured = recon.measured_crosstalk(Capture(raw, camera, TIME_S, 1.0, 0))
+    np.testing.assert_allclose(measured, signal[:3] / signal[3], rtol=2e-3)
+    relative, _ = infrared.crosstalk_over_field(camera)
+    used = infrared.crosstalk(camera, measured, rings(camera).angle_deg[-1])
+    np.testing.assert_allclose(used, np.array(measured) * relative[-1])
 
 
 def test_on_the_axis_nothing_changes(camera):
