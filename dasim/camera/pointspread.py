@@ -16,21 +16,21 @@ with c the signed visible blur. Kernels are those of the upright picture, x righ
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from functools import cache
 from pathlib import Path
 from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import j0, j1, roots_legendre
+from scipy.special import j0
 
 from dasim.base.errors import InputError, kind_of
-from dasim.camera import geometry, glare, radiometry, stops, wavefront
+from dasim.camera import geometry, glare, radial_pattern, radiometry, stops, wavefront
 from dasim.camera import specification as cameras
 from dasim.camera.pupil_pattern import pupil_pattern, turned
+from dasim.camera.radial_pattern import SUBPIXELS
 from dasim.camera.specification import Camera
 from dasim.camera.stops import Stop
-from dasim.camera.wavefront import Phase, Wavefront
+from dasim.camera.wavefront import Wavefront
 from dasim.spectra import grid, illuminants
 from dasim.typing import FloatArray
 
@@ -41,124 +41,7 @@ DIFFRACTION_MODELS: tuple[str, ...] = get_args(Diffraction)
 
 BAND_NM = 10.0  # profiles vary slowly with wavelength: one per 10 nm
 RADIAL_STEP_PX = 0.05
-SUBPIXELS = 10  # per pixel and axis, for the integral over the pixel
 PIXEL_NODES = 5  # Gauss-Legendre nodes per pixel and axis off the axis
-PUPIL_NODES = 400  # Gauss-Legendre nodes over the pupil's radius: enough for 100 rings and 20 waves
-AIRY_NODES = 800  # more, for mixtures of transfer functions with different cut-off frequencies
-MIN_DISC_PX = 0.3  # a geometric disc smaller than this has no effect on a pixel's integral
-
-
-def wave_profile(
-    radius: FloatArray, waves: FloatArray, inner: float = 0.0, phase: Phase | None = None, outer: float = 1.0
-) -> FloatArray:
-    """Intensity of a defocused disc or ring, [waves, radius], of unit integral over the plane.
-
-    ``radius`` is in units of lambda N (N the working f-number of the outer rim), ``waves`` the defocus W20 there,
-    ``inner`` the ring's inner radius over its outer, e.
-    h = pi/4 |U|^2 / (1 - e^2) with U = 2 int_e^1 exp(2 pi i W20 rho^2) J0(pi radius rho) rho d rho.
-    A ``phase`` of rotational symmetry multiplies the integrand; ``outer`` is the outer radius over that of the lens.
-    """
-    if phase is not None:
-        return _aberrated_profile(radius, waves, inner, phase, outer)
-    rho, weight = _unit_nodes(PUPIL_NODES)
-    rho, weight = inner + (1 - inner) * rho, (1 - inner) * weight
-    pupil = np.exp(2j * np.pi * np.outer(waves, rho**2)) * (2 * rho * weight)
-    bessel = j0(np.pi * np.outer(rho, radius))
-    # two real products instead of a complex one with a real matrix
-    return np.pi / 4 * ((pupil.real @ bessel) ** 2 + (pupil.imag @ bessel) ** 2) / (1 - inner**2)
-
-
-def _aberrated_profile(radius: FloatArray, waves: FloatArray, inner: float, phase: Phase, outer: float) -> FloatArray:
-    """The same with a phase: amplitudes from inside and outside the opening, each by its own nodes."""
-    opening = None if phase.opening is None else stops.ring(phase.opening)
-    low, high = (0.0, 0.0) if opening is None else np.clip(np.array(opening[:2]) / outer, inner, 1.0)
-    parts = []
-    for spans in (((inner, low), (high, 1.0)), ((low, high),)):
-        amplitude = np.zeros((len(waves), len(radius)), dtype=complex)
-        for start, end in spans:
-            if end <= start:
-                continue
-            rho, weight = _unit_nodes(PUPIL_NODES)
-            rho, weight = start + (end - start) * rho, (end - start) * weight
-            pupil = np.exp(2j * np.pi * np.outer(waves, rho**2)) * (2 * rho * weight)
-            pupil = pupil * wavefront.factor(phase, 0.0, outer * rho)
-            amplitude += pupil @ j0(np.pi * np.outer(rho, radius))
-        parts.append(amplitude)
-    return np.pi / 4 * wavefront.two_parts(phase, *parts) / (1 - inner**2)
-
-
-def airy_profile(radius_px: FloatArray, blur_px: FloatArray, scale_px: float, inner: float = 0.0) -> FloatArray:
-    """Geometric blur of a disc or ring convolved with its in-focus pattern, [blur, radius], of unit integral.
-
-    ``blur_px`` are diameters of the outer rim, ``scale_px`` is lambda N in pixels.
-    """
-    return mixed_airy_profile(radius_px, blur_px, [(scale_px, 1.0)], inner)
-
-
-def mixed_airy_profile(
-    radius_px: FloatArray, blur_px: FloatArray, scales: Sequence[tuple[float, float]], inner: float = 0.0
-) -> FloatArray:
-    """The same for light of several wavelengths: ``scales`` are pairs of lambda N in pixels and a share, of sum 1.
-
-    Computed from the product of the two transfer functions, which ends at the diffraction limit of 1 / lambda N
-    cycles a pixel.
-    """
-    nodes, weight = _unit_nodes(AIRY_NODES)
-    end = 1 / min(scale for scale, _ in scales)
-    frequency, weight = nodes * end, weight * end
-    focus = sum(share * ring_mtf(frequency * scale, inner) for scale, share in scales)
-    geometric = _jinc(np.outer(blur_px, frequency)) - inner**2 * _jinc(inner * np.outer(blur_px, frequency))
-    transfer = focus * geometric / (1 - inner**2)
-    return (transfer * (2 * np.pi * frequency * weight)) @ j0(2 * np.pi * np.outer(frequency, radius_px))
-
-
-@cache
-def _unit_nodes(count: int) -> tuple[FloatArray, FloatArray]:
-    """Gauss-Legendre nodes and weights on 0..1."""
-    nodes, weights = roots_legendre(count)
-    return (nodes + 1) / 2, weights / 2
-
-
-def ring_mtf(v: FloatArray, inner: float = 0.0) -> FloatArray:
-    """In-focus incoherent MTF of a disc or ring at v = lambda N f, 0 beyond v = 1: the autocorrelation of the pupil.
-
-    ``inner`` is the inner radius over the outer (O'Neill, J. Opt. Soc. Am. 46, 1956).
-    """
-    shift = 2 * np.clip(v, 0.0, 1.0)
-    overlap = _overlap(1.0, 1.0, shift) - 2 * _overlap(1.0, inner, shift) + _overlap(inner, inner, shift)
-    return overlap / (np.pi * (1 - inner**2))
-
-
-def _overlap(a: float, b: float, distance: FloatArray) -> FloatArray:
-    """Area of the intersection of two discs of radii a >= b, by the distance of their centres."""
-    if b == 0:
-        return np.zeros_like(distance)
-    d = np.clip(distance, a - b + 1e-12, a + b)
-    angle_a = np.arccos(np.clip((d**2 + a**2 - b**2) / (2 * d * a), -1, 1))
-    angle_b = np.arccos(np.clip((d**2 + b**2 - a**2) / (2 * d * b), -1, 1))
-    return a**2 * (angle_a - np.sin(2 * angle_a) / 2) + b**2 * (angle_b - np.sin(2 * angle_b) / 2)
-
-
-def _jinc(x: FloatArray) -> FloatArray:
-    """Transfer function of a disc, 2 J1(pi x) / (pi x) with x = diameter * frequency."""
-    safe = np.where(np.abs(x) < 1e-9, 1.0, x)
-    return np.where(np.abs(x) < 1e-9, 1.0, 2 * j1(np.pi * safe) / (np.pi * safe))
-
-
-def _geometric_profile(radius_px: FloatArray, blur_px: FloatArray, inner: float) -> FloatArray:
-    """A disc or ring with edges one sub-pixel wide, so that its sampled integral over the plane stays 1."""
-    outer = np.maximum(np.abs(blur_px), MIN_DISC_PX)[:, None] / 2
-    edge = 1.0 / SUBPIXELS
-
-    def inside(half: FloatArray) -> FloatArray:
-        return np.clip((half - radius_px[None, :]) / edge + 0.5, 0.0, 1.0)
-
-    def area(half: FloatArray) -> FloatArray:
-        return np.pi * (half**2 + edge**2 / 12)
-
-    if inner == 0:
-        return inside(outer) / area(outer)
-    return (inside(outer) - inside(inner * outer)) / (area(outer) - area(inner * outer))
 
 
 def working_f_number(camera: Camera, radius_ratio: float) -> float:
@@ -210,11 +93,13 @@ def radial_profiles(
             if diffraction == "wave":
                 phase = wavefront.at(wavefront.of_stop(camera, stop), wavelength_nm, BAND_NM)
                 waves = own_blur / (8 * scale_px)
-                profile = wave_profile(radius_px / scale_px, waves, inner, phase, ring.outer) / scale_px**2
+                profile = (
+                    radial_pattern.wave_profile(radius_px / scale_px, waves, inner, phase, ring.outer) / scale_px**2
+                )
             elif diffraction == "airy":
-                profile = airy_profile(radius_px, own_blur, scale_px, inner)
+                profile = radial_pattern.airy_profile(radius_px, own_blur, scale_px, inner)
             else:
-                profile = _geometric_profile(radius_px, own_blur, inner)
+                profile = radial_pattern.geometric_profile(radius_px, own_blur, inner)
             total += weight[..., None, :, None] * profile[:, None, :]
     return total / np.where(signal > 0, signal, 1.0)[..., None, :, None], signal
 
@@ -260,7 +145,7 @@ def _pattern_kernel(
     oblique = None if field_px == AXIS else geometry.foreshortening(camera, field_px)
     fine, share = (np.arange(size * SUBPIXELS) + 0.5) / SUBPIXELS - size / 2, np.full(SUBPIXELS, 1 / SUBPIXELS)
     if oblique is not None:  # here all stops are transformed: Gauss-Legendre nodes, of which fewer do
-        nodes, share = _unit_nodes(PIXEL_NODES)
+        nodes, share = radial_pattern.unit_nodes(PIXEL_NODES)
         fine = (np.arange(size)[:, None] + nodes).ravel() - size / 2
     total = np.zeros((*weights.shape[:-1], size, size))
     for wavelength_nm, weight in bands(weights):

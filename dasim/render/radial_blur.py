@@ -13,7 +13,7 @@ import numpy as np
 from scipy import ndimage
 from scipy.special import j1
 
-from dasim.camera import pointspread, stops, wavefront
+from dasim.camera import pointspread, radial_pattern, stops, wavefront
 from dasim.camera.specification import Camera
 from dasim.camera.stops import Stop
 from dasim.camera.wavefront import Wavefront
@@ -201,14 +201,14 @@ def tables(
     reach = 0.9 * tail
     radius = np.arange(0.0, own_px / 2 + tail + DENSITY_STEP_PX, DENSITY_STEP_PX)
     blurs = np.arange(0.0, own_px + 2 * DENSITY_BLUR_STEP_PX, DENSITY_BLUR_STEP_PX)
-    density = pointspread.mixed_airy_profile(radius, blurs, scales, inner)
+    density = radial_pattern.mixed_airy_profile(radius, blurs, scales, inner)
     shortest_px = shortest_nm * px_per_nm
     scaled = np.arange(0.0, radius[-1] / shortest_px + 2 * RADIUS_STEP, RADIUS_STEP)
     waves = np.arange(0.0, own_px / (8 * shortest_px) + 2 * WAVES_STEP, WAVES_STEP)
     density = np.maximum(density, FLOOR)
     (angle_step_deg, fronts), rows = wavefront.over_field(camera, stop), None
     if all(wavefront.is_flat(front) for front in fronts):
-        table = wave = _truncated(pointspread.wave_profile(scaled, waves, inner), scaled, waves)
+        table = wave = _truncated(radial_pattern.wave_profile(scaled, waves, inner), scaled, waves)
     else:
         range_nm = shortest_nm, max(nm for nm, _ in bands)
         rows, table = _aberrated(fronts, angle_step_deg, ring, range_nm, scaled, waves)
@@ -257,7 +257,7 @@ def _aberrated(
     moved = 2 * max(map(wavefront.steepest, fronts)) * ring.outer / range_nm[0]  # in lambda N of the stop
 
     def kernels(phase: wavefront.Phase, waves: FloatArray) -> FloatArray:
-        profiles = pointspread.wave_profile(radius, waves, ring.inner / ring.outer, phase, ring.outer)
+        profiles = radial_pattern.wave_profile(radius, waves, ring.inner / ring.outer, phase, ring.outer)
         return _truncated(profiles, radius, np.abs(waves), moved)
 
     return aberrated(fronts, angle_step_deg, range_nm, np.concatenate([-waves[:0:-1], waves]), kernels)

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from dasim.base.errors import InputError
-from dasim.camera import geometry, pointspread, radiometry, stops, wavefront
+from dasim.camera import geometry, pointspread, radial_pattern, radiometry, stops, wavefront
 from dasim.camera.specification import Camera, principal_point
 from dasim.camera.stops import Stop
 from dasim.render import truth
@@ -143,7 +143,7 @@ def in_focus_diffraction(rate: FloatArray, camera: Camera, stop: Stop, illuminan
         transfer, total = np.zeros_like(frequency), 0.0
         for wavelength_nm, weight in pointspread.bands(weights[channel : channel + 1]):
             scale_px = wavelength_nm * 1e-3 * f_number / camera.sensor.pixel_pitch_um
-            transfer += weight[0] * pointspread.ring_mtf(frequency * scale_px)
+            transfer += weight[0] * radial_pattern.ring_mtf(frequency * scale_px)
             total += weight[0]
         if total > 0:
             blurred = fft.idctn(fft.dctn(rate[..., channel], type=2) * (transfer / total), type=2)

@@ -8,8 +8,9 @@ from scipy.special import j0, j1
 
 from dasim.base.errors import InputError
 from dasim.base.toml import parse
-from dasim.camera import geometry, pointspread, radiometry
-from dasim.camera.pointspread import pixel_kernels, psf, radial_profiles, wave_profile
+from dasim.camera import geometry, pointspread, radial_pattern, radiometry
+from dasim.camera.pointspread import pixel_kernels, psf, radial_profiles
+from dasim.camera.radial_pattern import wave_profile
 from dasim.camera.specification import Camera
 from dasim.spectra import grid as spectra
 from dasim.spectra.grid import CHANNELS
@@ -65,7 +66,7 @@ def test_in_focus_transfer_is_the_overlap_of_two_discs():
         shared = np.count_nonzero((np.hypot(x - v, y) <= 1) & (np.hypot(x + v, y) <= 1))
         overlap = shared / np.count_nonzero(np.hypot(x, y) <= 1)
         assert transfer == pytest.approx(overlap, abs=3e-3)
-        assert pointspread.ring_mtf(np.array([v]))[0] == pytest.approx(overlap, abs=2e-3)
+        assert radial_pattern.ring_mtf(np.array([v]))[0] == pytest.approx(overlap, abs=2e-3)
 
 
 def test_defocus_on_the_axis_is_a_sinc():
@@ -115,7 +116,7 @@ def test_airy_and_disc_in_the_middle(blur_px, scale_px):
     disc, Airy's peak pi / 4 over the unit's area. The rest of the plane brings the integral to 1.
     """
     radius = np.arange(0, 60 * scale_px, 0.05)
-    profile = pointspread.airy_profile(radius, np.array([blur_px]), scale_px)[0]
+    profile = radial_pattern.airy_profile(radius, np.array([blur_px]), scale_px)[0]
     x = np.pi * blur_px / 2 / scale_px
     inside = 1 - j0(x) ** 2 - j1(x) ** 2
     expected = inside / (np.pi * blur_px**2 / 4) if blur_px else np.pi / 4 / scale_px**2
@@ -251,7 +252,7 @@ def test_ring_transfer_is_the_overlap_of_two_rings(inner):
 
     for v in (0.0, 0.02, 0.3, 0.5, 0.8, 0.95, 1.1):
         overlap = np.count_nonzero(ring(-v) & ring(v)) / np.count_nonzero(ring(0))
-        assert pointspread.ring_mtf(np.array([v]), inner)[0] == pytest.approx(overlap, abs=0.01), v
+        assert radial_pattern.ring_mtf(np.array([v]), inner)[0] == pytest.approx(overlap, abs=0.01), v
 
 
 @pytest.mark.parametrize("inner", [0.3, 0.6, 0.9])

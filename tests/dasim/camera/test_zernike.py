@@ -7,7 +7,7 @@ import pytest
 
 from dasim.base.errors import InputError
 from dasim.base.toml import parse
-from dasim.camera import geometry, pointspread, radiometry, wavefront, zernike
+from dasim.camera import geometry, pointspread, radial_pattern, radiometry, wavefront, zernike
 from dasim.camera.pupil_pattern import pupil_pattern
 from dasim.camera.specification import Camera
 from dasim.camera.stops import Disc
@@ -29,7 +29,7 @@ EDGES = 0.004  # of a kernel's light in a pixel, through both stops at 650 nm
 def strehl(phase: Phase, ring: bool) -> float:
     """Peak of the open lens with a phase over its peak without."""
     if ring:
-        return float(pointspread.wave_profile(MIDDLE, MIDDLE, 0.0, phase)[0, 0] / (np.pi / 4))
+        return float(radial_pattern.wave_profile(MIDDLE, MIDDLE, 0.0, phase)[0, 0] / (np.pi / 4))
     return float(pupil_pattern(OPEN, 0.0, MIDDLE, MIDDLE, phase)[0, 0] / (np.pi / 4))
 
 
