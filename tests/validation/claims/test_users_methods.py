@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import dataclasses
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from dasim.simulation.simulate import Shot
-from tests.support import recon_scenes, surfaces
+from tests.support import recon_scenes
+from tests.support.stand_ins import stand_in
 from validation.claims.depth import depth_maps, disks, light_levels, scenes, staircase, steps
 from validation.claims.pictures import all_in_focus, scene_pictures
 from validation.claims.table import CLAIMS
@@ -17,31 +17,10 @@ from validation.gates.claim import Evidence
 from validation.methods import named
 
 HEIGHT, WIDTH = 192, 256
-DISKS = {"near-yellow": 64, "near-black": 192}  # objects of the stand-in and where they are, x in px
-RADIUS_PX = 44
 NEAR_LEVEL = 7.34  # of a plane at 20 cm with the focus at 100 m: 3.6^2 mm^2 / 2.8 / 1.7 um / 20 cm (1 - 0.46)
 STEP_LEVELS = 2.0
 EXAMPLE = f"laplacian={Path(__file__).parents[3] / 'examples' / 'depth_method.py'}:laplacian_ratio"
 MODULES = (staircase, scenes, all_in_focus, steps, light_levels, depth_maps, disks, scene_pictures)
-
-
-def stand_in(level: np.ndarray) -> Shot:
-    """Gravel at the given blur levels [h, w], without a renderer, with two round objects."""
-    height, width = level.shape
-    scene = recon_scenes.make(level, photo="gravel", white_e=4000)
-    truth = surfaces.truth(scene.capture.camera, scene.level, scene.sharp_e)
-    y, x = np.mgrid[:height, :width]
-    number = np.zeros(level.shape, np.uint32)
-    for count, place in enumerate(DISKS.values(), start=1):
-        number[np.hypot(y - height / 2, x - place) < RADIUS_PX] = count
-    truth = dataclasses.replace(
-        truth,
-        mean_e=scene.mean_e,
-        sharp_srgb=np.clip(truth.sharp_srgb, 0, 1),
-        object_id=number,
-        objects=tuple(DISKS),
-    )
-    return Shot(dataclasses.replace(scene.capture, provenance={"diffraction": "wave"}), truth)
 
 
 @pytest.fixture(scope="module")
