@@ -119,7 +119,7 @@ class PsfBank:
 
     kernel: Float32Array  # [light, level, channel, y, x], odd size, each of unit sum, centred
     lights: tuple[str, ...]
-    signature: Float32Array  # [light, channel] electrons of a white source, relative to green
+    signature: Float32Array  # [light, channel] electrons of a white source on the axis, relative to green
     depth_m: Float32Array  # [level]
     blur_px: Float32Array  # [level] visible blur diameter
     camera: Camera

@@ -14,6 +14,7 @@ from dasim.values import PointPicture, PsfBank
 from recon.calibration.pictures import averaged, common_centre
 from recon.calibration.round_kernel import RING_SNR, basis_of, round_fit, subpixel_radius
 from recon.calibration.unaligned import scattered
+from recon.calibration.white import relative_to_axis
 
 Key = tuple[str, int]  # light and blur level
 
@@ -38,7 +39,8 @@ def calibrate(
             at any positions (one is enough); the centres are then measured, and the stops must be round.
         camera: the camera of the pictures.
         diffraction: a remark that is stored with the bank.
-        field_px: (x, y) of the source's image from the optical axis, stored with the bank.
+        field_px: (x, y) of the source's image from the optical axis, stored with the bank. The signature is that of
+            the axis all the same.
         progress: called with the name of the stage and the share of it that is done, 0..1.
     """
     groups, lights, levels = _grouped(pictures)
@@ -53,6 +55,8 @@ def calibrate(
     half = min(min(image.shape[1:]) for image in centred.values()) // 2
     stacked = np.stack([[_crop(centred[light, level], half) for level in levels] for light in lights])
     kernel, signature = _normalised(stacked, channels(camera.sensor))
+    if field_px != (0.0, 0.0):
+        signature = (signature / relative_to_axis(camera, lights, field_px)).astype(np.float32)
     first = [groups[lights[0], level][0] for level in levels]
     return PsfBank(
         kernel=kernel,
