@@ -60,14 +60,15 @@ def reconstruct(
     camera = capture.camera
     timings: dict[str, float] = {}
     stage = stages(STAGES, timings, progress)
-    linear = picture.linearised(capture, bank.lights, bank.signature, flat, stage)
-    kernels, white, light = bank.kernel[linear.light], bank.signature[linear.light], bank.lights[linear.light]
+    on_axis = field.with_white_of_axis(bank)
+    linear = picture.linearised(capture, bank.lights, on_axis.signature, flat, stage)
+    kernels, white, light = on_axis.kernel[linear.light], on_axis.signature[linear.light], bank.lights[linear.light]
     separation = field.separation(camera, light, settings)
     captured = _captured(linear, capture, white, separation, settings, stage)
     variances = raw_levels.variances(linear.raw_e, capture)
-    notes = colour.light_notes(linear.raw_e, linear.saturated, camera, bank)
+    notes = colour.light_notes(linear.raw_e, linear.saturated, camera, on_axis)
     with stage("depth"):
-        raw, trust, remarks = _raw_levels(capture, bank, linear, variances, settings, method)
+        raw, trust, remarks = _raw_levels(capture, bank if method else on_axis, linear, variances, settings, method)
     with stage("regularise"):
         guide = _infrared_guide(captured.ir_e, mosaic.noise_variance(capture))
         level, confidence = _regularised(raw, trust, guide, settings.regularise_bandwidth, captured.ir_e.shape)

@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from dasim.camera.distortion import square_of_pinhole_height_m2
+from dasim.camera.geometry import field_angle_deg as field_angle_deg
 from dasim.camera.geometry import image_distance_m
 from dasim.camera.specification import Camera
 from dasim.spectra import grid

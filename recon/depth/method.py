@@ -15,7 +15,7 @@ from recon import levels
 from recon.calibration.fit import check_fits
 from recon.depth.peak import REFERENCE_ERROR
 from recon.depth.raw_levels import raw_levels, variances
-from recon.picture import colour, mosaic
+from recon.picture import colour, field, mosaic
 from recon.settings import PRESETS, Settings
 
 Method = Callable[[Capture, PsfBank], DepthEstimate]
@@ -29,6 +29,7 @@ def estimate(capture: Capture, bank: PsfBank, settings: Settings) -> DepthEstima
     White balance selects the light among those of the bank. Each 2x2 block of the mosaic has one value.
     """
     check_fits(bank, capture)
+    bank = field.with_white_of_axis(bank)
     raw_e, saturated = mosaic.linearise(capture)
     camera = capture.camera
     light = colour.choose_light(raw_e, saturated, camera, bank.lights, bank.signature)

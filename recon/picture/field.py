@@ -12,6 +12,7 @@ Tested in tests/recon/picture/test_field.py.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -19,10 +20,11 @@ from numba import njit, prange
 from numpy.typing import NDArray
 
 from dasim.camera.radiometry import response
-from dasim.camera.rings import rings
+from dasim.camera.rings import field_angle_deg, rings
 from dasim.camera.specification import Camera, channels
 from dasim.spectra import grid
 from dasim.typing import Float32Array, FloatArray
+from dasim.values import PsfBank
 from recon.picture import infrared
 from recon.settings import Settings
 
@@ -60,6 +62,32 @@ def _white(camera: Camera, light: str, angles_deg: FloatArray) -> FloatArray:
     """Relative electrons of white under a light, [ring, channel]."""
     power = infrared.light_power(light)
     return np.stack([grid.integrate(response(camera, angle) * power) for angle in angles_deg])
+
+
+def with_white_of_axis(bank: PsfBank) -> PsfBank:
+    """The bank with the colours of white on the axis, where it was measured elsewhere in the field.
+
+    The kernels keep the shape of their place. Those of R, G and B contain infrared of white in the share alpha_i w_IR /
+    w_i, which becomes that of the axis, as do the ratios of the channels (``signature``).
+    """
+    angles = np.array([0.0, field_angle_deg(bank.camera, bank.field_px)])
+    if angles[1] == 0 or "IR" not in channels(bank.camera.sensor):
+        return bank
+    kernel, signature = bank.kernel.astype(np.float64), bank.signature.astype(np.float64)
+    alpha = np.stack([infrared.crosstalk(bank.camera, None, angle) for angle in angles])
+    for index, light in enumerate(bank.lights):
+        signature[index] /= relative_white(bank.camera, light, angles)[:, 1]
+        here, axis = (
+            coefficients * white[3] / white[:3]
+            for coefficients, white in zip(alpha[::-1], (bank.signature[index], signature[index]), strict=True)
+        )
+        for channel in range(3):
+            visible = (kernel[index, :, channel] - here[channel] * kernel[index, :, 3]) / (1 - here[channel])
+            kernel[index, :, channel] = (1 - axis[channel]) * visible + axis[channel] * kernel[index, :, 3]
+    kernel = np.maximum(kernel, 0)
+    kernel /= kernel.sum(axis=(-1, -2), keepdims=True)
+    signature /= signature[:, 1:2]
+    return replace(bank, kernel=kernel.astype(np.float32), signature=signature.astype(np.float32))
 
 
 def separate(image: Float32Array, over_field: Separation) -> Float32Array:
