@@ -41,7 +41,7 @@ DIFFRACTION_MODELS: tuple[str, ...] = get_args(Diffraction)
 
 BAND_NM = 10.0  # profiles vary slowly with wavelength: one per 10 nm
 RADIAL_STEP_PX = 0.05
-PIXEL_NODES = 5  # Gauss-Legendre nodes per pixel and axis off the axis
+PIXEL_NODES = 5  # Gauss-Legendre nodes per pixel and axis off the axis and with aberrations
 
 
 def working_f_number(camera: Camera, radius_ratio: float) -> float:
@@ -144,7 +144,8 @@ def _pattern_kernel(
     f_number, colour_px = working_f_number(camera, 1.0), geometry.chromatic_blur_px(camera)
     oblique = None if field_px == AXIS else geometry.foreshortening(camera, field_px)
     fine, share = (np.arange(size * SUBPIXELS) + 0.5) / SUBPIXELS - size / 2, np.full(SUBPIXELS, 1 / SUBPIXELS)
-    if oblique is not None:  # here all stops are transformed: Gauss-Legendre nodes, of which fewer do
+    few = oblique is not None or not wavefront.is_flat(front)
+    if few:  # here all stops are transformed: Gauss-Legendre nodes, of which fewer do
         nodes, share = radial_pattern.unit_nodes(PIXEL_NODES)
         fine = (np.arange(size)[:, None] + nodes).ravel() - size / 2
     total = np.zeros((*weights.shape[:-1], size, size))
@@ -156,7 +157,7 @@ def _pattern_kernel(
             phase = wavefront.at(front, wavelength_nm, BAND_NM)
             density = pupil_pattern(stop, blur / (8 * scale), y, x, phase, oblique, turn_rad) / scale**2
             density = density.reshape(size, len(share), size, len(share))
-            kernel = density.mean(axis=(1, 3)) if oblique is None else np.einsum("iajb,a,b", density, share, share)
+            kernel = np.einsum("iajb,a,b", density, share, share) if few else density.mean(axis=(1, 3))
         else:
             transmitted, place = stops.pupil(stop)
             pupil = place[:, None], place[None, :]

@@ -142,6 +142,12 @@ def aberrated(
     return place, np.concatenate(parts).astype(np.float32)
 
 
+def aberrated_slices(fronts: Sequence[Wavefront], range_nm: tuple[float, float]) -> int:
+    """Kernels per value of defocus in the table of :func:`aberrated`."""
+    wavelengths = len(_wavelengths(fronts, 1 / range_nm[1], 1 / range_nm[0]))
+    return len(fronts) * wavelengths * (1 if fronts[0].opening is None else 3)
+
+
 def _wavelengths(fronts: Sequence[Wavefront], low: float, high: float) -> FloatArray:
     """Inverse wavelengths so close that the aberrations change by ``TURNS_STEP`` from one to the next."""
     fine = np.linspace(low, high, 9)

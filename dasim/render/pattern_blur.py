@@ -17,11 +17,12 @@ from dasim.camera.specification import Camera
 from dasim.camera.stops import Stop
 from dasim.camera.wavefront import Phase
 from dasim.render import field_angle, pupil
-from dasim.render.blur_tables import FLOOR, AberratedRows, aberrated, away_from_axis, texel, texture
+from dasim.render.blur_tables import FLOOR, AberratedRows, aberrated, aberrated_slices, away_from_axis, texel, texture
 from dasim.typing import FloatArray
 
 PATTERN_TAIL = 12.0  # in lambda N of a disc of the same area
 PATTERN_STEP = 0.1  # of the table of h, in lambda N of the whole lens
+PATTERN_LARGEST_STEP = 0.25  # half of what the picture's highest frequency needs
 PATTERN_WAVES_STEP = 0.05
 PATTERN_DENSITY_STEP_PX = 0.15
 PATTERN_BLUR_STEP_PX = 0.5
@@ -125,7 +126,9 @@ def tables(
 
     waves = np.arange(0.0, max_blur_px / (8 * shortest_px) + 2 * PATTERN_WAVES_STEP, PATTERN_WAVES_STEP)
     wave_half = half / shortest_px
-    wave_step = max(PATTERN_STEP, 2 * wave_half * (len(waves) / MOST_NODES) ** 0.5)
+    both_signs = np.concatenate([-waves[:0:-1], waves])
+    slices = len(waves) if flat else len(both_signs) * aberrated_slices(fronts, (shortest_nm, longest_nm))
+    wave_step = max(PATTERN_STEP, min(2 * wave_half * (slices / MOST_NODES) ** 0.5, PATTERN_LARGEST_STEP))
     wave_count = int(np.ceil(2 * wave_half / wave_step))
     scaled = (np.arange(wave_count) + 0.5) * (2 * wave_half / wave_count) - wave_half
     wave_step = 2 * wave_half / wave_count
@@ -143,7 +146,6 @@ def tables(
     if flat:
         wave = kernels(None, waves)
     else:
-        both_signs = np.concatenate([-waves[:0:-1], waves])
         rows, wave = aberrated(fronts, angle_step_deg, (shortest_nm, longest_nm), both_signs, kernels)
     return PatternBlur(
         px_per_nm=px_per_nm,

@@ -158,6 +158,43 @@ def test_defocus_term_is_a_shift_of_focus(da_mobile):
     np.testing.assert_allclose(term, dasim_psf(da_mobile, nearer_m, size), atol=1e-6)
 
 
+@pytest.mark.parametrize("name", ["coma", "vertical_coma"])
+def test_coma_moves_the_centroid(da_mobile, name):
+    """Expectation: the centroid of a kernel is -2 N times the mean slope over the stop, by the theorem of Gauss
+    sqrt(8) c for coma: 0.47 px for 50 nm, to the left or upwards, and none across.
+    """
+    one = da_mobile.model_copy(update={"stops": da_mobile.stops[:1]})
+    data = one.model_dump(mode="json")
+    data["lens"]["wavefront_nm"] = {name: 50.0}
+    kernel = dasim_psf(parse(Camera, data, "coma"), 0.4, 61)
+    place = np.arange(61) - 30
+    x, y = (float(kernel.sum(axis=axis) @ place / kernel.sum()) for axis in (0, 1))
+    expected = -2 * pointspread.working_f_number(one, 1.0) * 8**0.5 * 50e-3 / 1.7
+    along, across = (x, y) if name == "coma" else (y, x)
+    assert along == pytest.approx(expected, rel=0.1)
+    assert across == pytest.approx(0.0, abs=1e-4)
+
+
+@pytest.mark.parametrize("down", [False, True])
+def test_coma_of_the_field_points_away_from_the_axis(da_mobile, down):
+    """Expectation: at 20 degrees to the right of the axis or below it, the centroid is moved along that direction by
+    the slope's mean as on the axis, wider by 1 / cos^3.
+    """
+    data = da_mobile.model_dump(mode="json")
+    data["stops"] = data["stops"][:1]
+    data["lens"]["wavefront_by_field"] = [{"angle_deg": 0.0}, {"angle_deg": 40.0, "coma": -100.0}]
+    camera = parse(Camera, data, "field")
+    away = round(geometry.image_distance_m(camera) / 1.7e-6 * np.tan(np.radians(20)))
+    field_px = (0.0, float(away)) if down else (float(away), 0.0)
+    kernel = pointspread.psf(camera, 0.4, "G", "D65", size=61, field_px=field_px)
+    place = np.arange(61) - 30
+    x, y = (float(kernel.sum(axis=axis) @ place / kernel.sum()) for axis in (0, 1))
+    expected = 2 * pointspread.working_f_number(camera, 1.0) * 8**0.5 * 50e-3 / 1.7 / np.cos(np.radians(20)) ** 3
+    along, across = (y, x) if down else (x, y)
+    assert along == pytest.approx(expected, rel=0.1)
+    assert across == pytest.approx(0.0, abs=2e-3)
+
+
 @pytest.mark.parametrize(
     ("lens", "hole", "message"),
     [
