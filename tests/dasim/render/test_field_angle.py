@@ -7,7 +7,7 @@ import pytest
 
 COUNT = 1 << 20
 THETA = np.radians(31.0)
-ENERGY = 0.01  # a million draws are known to 0.001; the astigmatism of defocus is neglected, up to 0.006
+ENERGY = 0.01  # a million draws are known to 0.001, the rest is the astigmatism of defocus
 NM = 730.0
 
 
