@@ -60,13 +60,13 @@ def reconstruct(
     camera = capture.camera
     timings: dict[str, float] = {}
     stage = stages(STAGES, timings, progress)
-    on_axis = field.with_white_of_axis(bank)
-    linear = picture.linearised(capture, bank.lights, on_axis.signature, flat, stage)
-    kernels, white, light = on_axis.kernel[linear.light], on_axis.signature[linear.light], bank.lights[linear.light]
+    on_axis = field.with_infrared_of_axis(bank)
+    linear = picture.linearised(capture, bank.lights, bank.signature, flat, stage)
+    kernels, white, light = on_axis.kernel[linear.light], bank.signature[linear.light], bank.lights[linear.light]
     separation = field.separation(camera, light, settings)
     captured = _captured(linear, capture, white, separation, settings, stage)
     variances = raw_levels.variances(linear.raw_e, capture)
-    notes = colour.light_notes(linear.raw_e, linear.saturated, camera, on_axis)
+    notes = colour.light_notes(linear.raw_e, linear.saturated, camera, bank)
     with stage("depth"):
         raw, trust, remarks = _raw_levels(capture, bank if method else on_axis, linear, variances, settings, method)
     with stage("regularise"):

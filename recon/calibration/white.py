@@ -9,6 +9,7 @@ import numpy as np
 
 from dasim.base.errors import InputError
 from dasim.camera.radiometry import response
+from dasim.camera.rings import field_angle_deg
 from dasim.camera.specification import Camera, channels
 from dasim.spectra import grid, illuminants
 from dasim.typing import FloatArray
@@ -22,10 +23,8 @@ def relative_to_axis(camera: Camera, lights: tuple[str, ...], field_px: tuple[fl
         lights: names of illuminants; D65 stands for unknown ones.
         field_px: (x, y) of a place of the sensor from the optical axis.
     """
-    lens, names = camera.lens, channels(camera.sensor)
-    image_m = 1 / (1e3 / lens.focal_length_mm - 1 / lens.focus_distance_m)
-    height_m = np.hypot(*field_px) * camera.sensor.pixel_pitch_um * 1e-6
-    there, axis = response(camera, float(np.degrees(np.arctan(height_m / image_m)))), response(camera)
+    names = channels(camera.sensor)
+    there, axis = response(camera, field_angle_deg(camera, field_px)), response(camera)
     ratio = np.stack([grid.integrate(there * _power(name)) / grid.integrate(axis * _power(name)) for name in lights])
     reference = names.index("G") if "G" in names else 0
     return np.asarray(ratio / ratio[:, reference : reference + 1])

@@ -29,7 +29,7 @@ def estimate(capture: Capture, bank: PsfBank, settings: Settings) -> DepthEstima
     White balance selects the light among those of the bank. Each 2x2 block of the mosaic has one value.
     """
     check_fits(bank, capture)
-    bank = field.with_white_of_axis(bank)
+    bank = field.with_infrared_of_axis(bank)
     raw_e, saturated = mosaic.linearise(capture)
     camera = capture.camera
     light = colour.choose_light(raw_e, saturated, camera, bank.lights, bank.signature)

@@ -25,6 +25,7 @@ from dasim.camera.specification import Camera, channels
 from dasim.spectra import grid
 from dasim.typing import Float32Array, FloatArray
 from dasim.values import PsfBank
+from recon.calibration.white import relative_to_axis
 from recon.picture import infrared
 from recon.settings import Settings
 
@@ -64,30 +65,26 @@ def _white(camera: Camera, light: str, angles_deg: FloatArray) -> FloatArray:
     return np.stack([grid.integrate(response(camera, angle) * power) for angle in angles_deg])
 
 
-def with_white_of_axis(bank: PsfBank) -> PsfBank:
-    """The bank with the colours of white on the axis, where it was measured elsewhere in the field.
+def with_infrared_of_axis(bank: PsfBank) -> PsfBank:
+    """The bank with kernels that contain as much infrared of white as on the axis, whose white is its ``signature``.
 
-    The kernels keep the shape of their place. Those of R, G and B contain infrared of white in the share alpha_i w_IR /
-    w_i, which becomes that of the axis, as do the ratios of the channels (``signature``).
+    Where the bank was measured elsewhere in the field, kernels of R, G and B contain infrared in the share alpha_i w_IR
+    / w_i of that place. The kernels of visible light and of infrared keep their shape.
     """
-    angles = np.array([0.0, field_angle_deg(bank.camera, bank.field_px)])
-    if angles[1] == 0 or "IR" not in channels(bank.camera.sensor):
+    angle_deg = field_angle_deg(bank.camera, bank.field_px)
+    if angle_deg == 0 or "IR" not in channels(bank.camera.sensor):
         return bank
-    kernel, signature = bank.kernel.astype(np.float64), bank.signature.astype(np.float64)
-    alpha = np.stack([infrared.crosstalk(bank.camera, None, angle) for angle in angles])
-    for index, light in enumerate(bank.lights):
-        signature[index] /= relative_white(bank.camera, light, angles)[:, 1]
-        here, axis = (
-            coefficients * white[3] / white[:3]
-            for coefficients, white in zip(alpha[::-1], (bank.signature[index], signature[index]), strict=True)
-        )
-        for channel in range(3):
-            visible = (kernel[index, :, channel] - here[channel] * kernel[index, :, 3]) / (1 - here[channel])
-            kernel[index, :, channel] = (1 - axis[channel]) * visible + axis[channel] * kernel[index, :, 3]
+    there = bank.signature * relative_to_axis(bank.camera, bank.lights, bank.field_px)
+    shares = [
+        infrared.crosstalk(bank.camera, None, angle) * white[:, 3:] / white[:, :3]
+        for angle, white in ((angle_deg, there), (0.0, bank.signature))
+    ]
+    share, wanted = (each[:, None, :, None, None] for each in shares)
+    kernel = bank.kernel.astype(np.float64)
+    of_infrared = kernel[:, :, 3:]
+    kernel[:, :, :3] = (1 - wanted) * (kernel[:, :, :3] - share * of_infrared) / (1 - share) + wanted * of_infrared
     kernel = np.maximum(kernel, 0)
-    kernel /= kernel.sum(axis=(-1, -2), keepdims=True)
-    signature /= signature[:, 1:2]
-    return replace(bank, kernel=kernel.astype(np.float32), signature=signature.astype(np.float32))
+    return replace(bank, kernel=(kernel / kernel.sum(axis=(-1, -2), keepdims=True)).astype(np.float32))
 
 
 def separate(image: Float32Array, over_field: Separation) -> Float32Array:

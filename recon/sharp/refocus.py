@@ -55,7 +55,7 @@ def refocus(
 
 def colour_kernels(reconstruction: Reconstruction, bank: PsfBank) -> Float32Array:
     """Kernels of R, G, B without infrared and without the pixel's area, [level, 3, size, size]; level 0 is a point."""
-    bank = field.with_white_of_axis(bank)
+    bank = field.with_infrared_of_axis(bank)
     light = bank.lights.index(reconstruction.light)
     separation = infrared.separation(reconstruction.camera, reconstruction.light, Settings(**reconstruction.settings))
     visible = sharpen.visible_kernels(bank.kernel[light], bank.signature[light], separation)[:, :3]

@@ -129,11 +129,11 @@ def test_white_balance_knows_the_field(camera):
 
 
 @pytest.mark.parametrize("light", ["D65", "A"])
-def test_a_bank_from_the_corner_has_the_white_of_the_axis(light):
-    """Rationale: white and infrared's share in the kernels are those of the place where a bank is measured.
+def test_a_bank_from_the_side_has_the_infrared_of_the_axis(light):
+    """Rationale: infrared's share in the kernels is that of the place where a bank is measured.
 
-    Set-up: kernels of da-mobile at 25.6 degrees by geometric optics, which are those of the axis but for the shares.
-    Expectation: the electrons of white are those of the axis, and the kernels are.
+    Set-up: kernels of da-mobile at 25.6 degrees by geometric optics, which are those of the axis but for the shares,
+    and the white of the axis, as a bank holds it. Expectation: the kernels of the axis.
     """
     whole = cameras.load_camera("da-mobile")
     field_px = (1024.0, 0.0)
@@ -145,18 +145,17 @@ def test_a_bank_from_the_corner_has_the_white_of_the_axis(light):
     bank = PsfBank(
         kernels[1][None, None].astype(np.float32),
         (light,),
-        (signals[1] / signals[1][1])[None].astype(np.float32),
+        (signals[0] / signals[0][1])[None].astype(np.float32),
         np.array([0.4], np.float32),
         np.array([20.0], np.float32),
         whole,
         "off",
         field_px,
     )
-    seen = field.with_white_of_axis(bank)
-    np.testing.assert_allclose(seen.signature[0], signals[0] / signals[0][1], rtol=1e-3)
+    seen = field.with_infrared_of_axis(bank)
     assert np.abs(bank.kernel[0, 0] - kernels[0]).sum(axis=(1, 2)).max() > 0.1, "the place matters"
     assert np.abs(seen.kernel[0, 0] - kernels[0]).sum(axis=(1, 2)).max() < DARK_RED
-    np.testing.assert_array_equal(field.with_white_of_axis(replace(bank, field_px=(0.0, 0.0))).kernel, bank.kernel)
+    np.testing.assert_array_equal(field.with_infrared_of_axis(replace(bank, field_px=(0.0, 0.0))).kernel, bank.kernel)
 
 
 def test_crosstalk_is_measured_on_the_axis(camera):
