@@ -9,7 +9,8 @@ from .files.banks import load_bank, save_bank
 from .files.captures import load_capture, load_truth, save_capture
 from .loading import focused, load_scene
 from .materials.library import material_names
-from .random_scenes.specification import RandomScenes, load_random_scenes, random_exposure, random_scene
+from .random_scenes.scene import random_exposure, random_scene
+from .random_scenes.specification import RandomScenes, load_random_scenes
 from .scene.mitsuba_scene import MitsubaScene
 from .scene.specification import Scene, scene_names
 from .scene.targets import depth_steps, point_source, staircase

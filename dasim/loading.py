@@ -11,7 +11,7 @@ from typing import Any
 from dasim.base.errors import InputError, kind_of
 from dasim.base.toml import parse
 from dasim.camera.specification import Camera, as_camera
-from dasim.random_scenes import specification as random_scenes
+from dasim.random_scenes.scene import by_name, is_random
 from dasim.scene import specification, targets
 from dasim.scene.mitsuba_scene import MitsubaScene, is_mitsuba
 from dasim.scene.specification import Scene
@@ -41,8 +41,8 @@ def load_scene(
             raise InputError(f"scene '{name_or_path}': {', '.join(choices)} is for Mitsuba scenes (.xml) only")
         if targets.is_target(name_or_path):
             return targets.target(name_or_path, loaded)
-        if random_scenes.is_random(name_or_path):
-            return random_scenes.by_name(str(name_or_path), loaded)[0]
+        if is_random(name_or_path):
+            return by_name(str(name_or_path), loaded)[0]
         return specification.load_scene(name_or_path)
     if not path.is_file():
         raise InputError(f"scene '{name_or_path}': no such file")

@@ -71,7 +71,7 @@ def render(
     from dasim.base.loading import load_function
     from dasim.base.toml import parse
     from dasim.files.folders import check_output
-    from dasim.random_scenes import specification
+    from dasim.random_scenes.scene import by_name, is_random
     from dasim.render import backend
     from dasim.simulation.checks import check_camera, check_options
 
@@ -84,8 +84,8 @@ def render(
     if size is not None:
         view = dasim.cropped(whole, *options.size(size))
     described: dasim.Scene | dasim.MitsubaScene
-    if specification.is_random(scene) and not options_given:
-        described, exposure_drawn = specification.by_name(scene, view)
+    if is_random(scene) and not options_given:
+        described, exposure_drawn = by_name(scene, view)
     else:
         described, exposure_drawn = dasim.load_scene(scene, camera=whole, **options_given), dasim.Exposure()
     view = dasim.focused(view, described) if focus is None else dasim.refocused(view, focus)

@@ -17,7 +17,7 @@ from dasim.camera import specification as cameras
 from dasim.camera.noise import Exposure
 from dasim.camera.specification import Camera
 from dasim.dataset.specification import DatasetSpec, named_camera, random_spec, scene_count, scene_keys, with_values
-from dasim.random_scenes import specification
+from dasim.random_scenes.scene import random_exposure, random_scene
 from dasim.scene.mitsuba_scene import MitsubaScene, is_mitsuba
 from dasim.scene.specification import Scene
 
@@ -148,8 +148,8 @@ def _scene(spec: DatasetSpec, number: int, camera: Camera) -> tuple[Scene | Mits
     if not keys:
         first = cameras.cropped(named_camera(spec, spec.cameras[0]), *spec.size_px)
         source = random_spec(spec)
-        scene = specification.random_scene(spec.seed, number, source, first)
-        return scene, specification.random_exposure(spec.seed, number, source)
+        scene = random_scene(spec.seed, number, source, first)
+        return scene, random_exposure(spec.seed, number, source)
     name = keys[number]
     if spec.scenes.family != "files":
         return loading.load_scene(name, camera=camera), Exposure()

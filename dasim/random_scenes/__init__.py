@@ -1,1 +1,1 @@
-"""Random rooms and table tops from a seed and an index. Start with ``specification``."""
+"""Random rooms and table tops from a seed and an index. Start with ``scene``."""

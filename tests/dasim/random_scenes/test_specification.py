@@ -16,7 +16,8 @@ from dasim.base.toml import parse
 from dasim.camera import geometry
 from dasim.camera import specification as cameras
 from dasim.camera.specification import Camera
-from dasim.random_scenes.specification import PICTURE_PX, RandomScenes, by_name
+from dasim.random_scenes.scene import PICTURE_PX, by_name
+from dasim.random_scenes.specification import RandomScenes
 from dasim.scene import shapes
 from dasim.scene import specification as scenes
 from dasim.scene.procedural import library
