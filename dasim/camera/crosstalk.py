@@ -126,6 +126,8 @@ def noise_gain(camera: Camera) -> float:
 
     The shares that are subtracted from neighbours add less than 1 % of it.
     """
+    if camera.sensor.electronic_crosstalk == 0:
+        return 1.0
     edge, corner = channel_shares(camera)
     return float(np.mean((1 - 4 * edge - 4 * corner) ** -2.0))
 

@@ -10,6 +10,7 @@ from dasim.base.errors import InputError
 from dasim.camera import geometry, specification
 from dasim.camera import noise as sensor
 from dasim.camera import specification as cameras
+from dasim.camera.crosstalk import electronic_crosstalk
 from dasim.values import Capture
 from recon.settings import DEFAULT_PRESET
 from tests.support import recon_scenes
@@ -70,7 +71,9 @@ def test_the_4x4_mosaic_shows_the_same_levels():
     """
     scene = recon_scenes.make(recon_scenes.slanted(128, 256, 2, 16), white_e=4000)
     four = cameras.cropped(cameras.load_camera("da-4x4"), 256, 128)
-    raw, _ = sensor.expose(sensor.mosaic(scene.mean_e.astype(float), four), four.sensor, 0.02, 1)
+    raw, _ = sensor.expose(
+        electronic_crosstalk(sensor.mosaic(scene.mean_e.astype(float), four), four), four.sensor, 0.02, 1
+    )
     result = recon.reconstruct(Capture(raw, four, 0.02, 1.0, 1), recon_scenes.bank())
     sure = np.isfinite(result.level_raw)
     assert sure.mean() > 0.25

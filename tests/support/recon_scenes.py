@@ -16,6 +16,7 @@ from scipy import fft, ndimage
 import recon
 from dasim.camera import geometry, pointspread, specification
 from dasim.camera import noise as sensor
+from dasim.camera.crosstalk import electronic_crosstalk
 from dasim.simulation import calibration
 from dasim.spectra import illuminants
 from dasim.values import Capture, PsfBank
@@ -124,7 +125,8 @@ def make(
     mean_e = white_e * blurred(visible, infrared, level, light)
     inner = slice(MARGIN_PX, -MARGIN_PX)
     sharp = signal[0] * visible[inner, inner] + signal[1] * infrared[inner, inner, None]
-    raw, _ = sensor.expose(sensor.mosaic(mean_e, cam), cam.sensor, 0.02, seed, noise=noise)
+    collected_e = electronic_crosstalk(sensor.mosaic(mean_e, cam), cam)
+    raw, _ = sensor.expose(collected_e, cam.sensor, 0.02, seed, noise=noise)
     capture = Capture(raw, cam, 0.02, 1.0, seed)
     return Scene(capture, level, mean_e.astype(np.float32), (white_e * sharp).astype(np.float32))
 

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from dasim.camera import noise, radiometry, specification
+from dasim.camera.crosstalk import electronic_crosstalk
 from dasim.spectra import grid as spectra
 from dasim.spectra import illuminants
 from dasim.spectra.colour import exposure_scale, to_srgb
@@ -20,7 +21,9 @@ def white_capture(light):
     camera = recon_scenes.da_mobile(256, 192)
     signal = spectra.integrate(radiometry.response(camera) * illuminants.illuminant(light))
     ramp = np.linspace(0.1, 0.8, 256)[None, :, None] * np.ones((192, 1, 1))
-    raw, _ = noise.expose(noise.mosaic(6000 * ramp * signal / signal.max(), camera), camera.sensor, 0.01, 0)
+    raw, _ = noise.expose(
+        electronic_crosstalk(noise.mosaic(6000 * ramp * signal / signal.max(), camera), camera), camera.sensor, 0.01, 0
+    )
     return Capture(raw, camera, 0.01, 1.0, 0)
 
 

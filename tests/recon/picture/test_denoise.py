@@ -3,6 +3,7 @@
 import numpy as np
 
 from dasim.camera import noise
+from dasim.camera.crosstalk import electronic_crosstalk
 from dasim.values import Capture
 from recon import PAPER
 from recon.picture import denoise, develop, mosaic
@@ -57,7 +58,8 @@ def test_equals_the_transcription_at_the_pipelines_strength():
 
 def flat_capture(level_e, seed=0):
     camera = recon_scenes.da_mobile(256, 256)
-    raw, _ = noise.expose(np.full((256, 256), level_e), camera.sensor, 0.01, seed)
+    mean_e = electronic_crosstalk(np.full((256, 256), level_e), camera)
+    raw, _ = noise.expose(mean_e, camera.sensor, 0.01, seed)
     return Capture(raw, camera, 0.01, 1.0, seed)
 
 

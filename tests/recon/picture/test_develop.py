@@ -10,6 +10,7 @@ from dasim.base.errors import InputError
 from dasim.camera import noise as sensor
 from dasim.camera import radiometry, response_curves, specification
 from dasim.camera import specification as cameras
+from dasim.camera.crosstalk import electronic_crosstalk
 from dasim.spectra import grid, illuminants
 from dasim.values import Capture
 from recon.picture import colour, develop, field, infrared, shading
@@ -42,7 +43,9 @@ def capture(camera, reflectance, light, *, share=0.8, noise="on", seed=0):
     """
     signal = grid.integrate(radiometry.response(camera) * illuminants.illuminant(light))
     mean_e = share * camera.sensor.full_well_e * reflectance[..., None] * signal / signal.max()
-    raw, _ = sensor.expose(sensor.mosaic(mean_e, camera), camera.sensor, TIME_S, seed, noise=noise)
+    raw, _ = sensor.expose(
+        electronic_crosstalk(sensor.mosaic(mean_e, camera), camera), camera.sensor, TIME_S, seed, noise=noise
+    )
     return Capture(raw, camera, TIME_S, 1.0, seed)
 
 
@@ -148,7 +151,8 @@ def near_infrared(camera, share=0.5):
     nm = grid.WAVELENGTH_NM[band]
     signal = np.trapezoid((curves * passed)[:, band], nm, axis=-1)
     mean_e = share * camera.sensor.full_well_e * np.ones((*SIZE_PX[::-1], 1)) * signal / signal.max()
-    raw, _ = sensor.expose(sensor.mosaic(mean_e, camera), camera.sensor, TIME_S, 0)
+    collected_e = electronic_crosstalk(sensor.mosaic(mean_e, camera), camera)
+    raw, _ = sensor.expose(collected_e, camera.sensor, TIME_S, 0)
     return Capture(raw, camera, TIME_S, 1.0, 0)
 
 

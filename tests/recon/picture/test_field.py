@@ -10,6 +10,7 @@ import pytest
 import recon
 from dasim.camera import noise, pointspread, response_curves
 from dasim.camera import specification as cameras
+from dasim.camera.crosstalk import electronic_crosstalk
 from dasim.camera.rings import rings, square_of_sine
 from dasim.spectra import grid, illuminants
 from dasim.values import Capture, PsfBank
@@ -62,7 +63,9 @@ def flat_capture(camera, light, *, vignetting=None):
     if vignetting is not None:
         mean = mean * (1 - np.array(vignetting) * (sine2 / sine2.max())[..., None])
     mean_e = 0.8 * camera.sensor.full_well_e * mean
-    raw, _ = noise.expose(noise.mosaic(mean_e, camera), camera.sensor, TIME_S, 0, noise="off")
+    raw, _ = noise.expose(
+        electronic_crosstalk(noise.mosaic(mean_e, camera), camera), camera.sensor, TIME_S, 0, noise="off"
+    )
     return Capture(raw, camera, TIME_S, 1.0, 0)
 
 

@@ -11,6 +11,7 @@ import pytest
 
 import recon
 from dasim.camera import noise as sensor
+from dasim.camera.crosstalk import electronic_crosstalk
 from dasim.simulation.simulate import Shot
 from dasim.values import Capture, Reconstruction, Truth
 from recon.depth import raw_levels
@@ -101,7 +102,8 @@ def printed() -> tuple[Capture, Truth]:
     signal = recon_scenes.stop_kernels("D65")[2]
     inner = slice(margin, -margin)
     sharp_e = white_e * (signal[0] * visible[inner, inner] + signal[1] * infrared[inner, inner, None])
-    raw, _ = sensor.expose(sensor.mosaic(mean_e, camera), camera.sensor, 0.02, 3)
+    collected_e = electronic_crosstalk(sensor.mosaic(mean_e, camera), camera)
+    raw, _ = sensor.expose(collected_e, camera.sensor, 0.02, 3)
     capture = Capture(raw, camera, 0.02, 1.0, 3)
     scene = recon_scenes.Scene(capture, level, mean_e.astype(np.float32), sharp_e.astype(np.float32))
     numbers = (inside[0] + 2 * inside[1])[inner, inner].astype(np.uint32)
@@ -198,7 +200,9 @@ def test_noise_and_detail_follow_light_and_blur(printed):
     figures = []
     for share in (1.0, 0.5):
         mean_e = share * exact.mean_e
-        raw, _ = sensor.expose(sensor.mosaic(mean_e, capture.camera), capture.camera.sensor, 0.02, 3)
+        raw, _ = sensor.expose(
+            electronic_crosstalk(sensor.mosaic(mean_e, capture.camera), capture.camera), capture.camera.sensor, 0.02, 3
+        )
         shot = Shot(dataclasses.replace(capture, raw_dn=raw), dataclasses.replace(exact, mean_e=mean_e))
         figures.append(two_cameras.noise(shot, recon.develop(shot.capture, lights=["D65"])))
     assert 1.15 < figures[1] / figures[0] < 1.6

@@ -13,6 +13,7 @@ import pytest
 from dasim.base.errors import InputError
 from dasim.camera import geometry, noise
 from dasim.camera import specification as cameras
+from dasim.camera.crosstalk import electronic_crosstalk
 from dasim.cli import run
 from dasim.files.captures import save_capture
 from dasim.files.png import write_png16
@@ -184,7 +185,8 @@ def test_sparsification(camera):
 
 def photographed(camera, image, seed=0) -> Capture:
     electrons = np.repeat(np.asarray(image, float)[..., None], 4, axis=-1)
-    raw, _ = noise.expose(noise.mosaic(electrons, camera), camera.sensor, 0.01, seed)
+    collected_e = electronic_crosstalk(noise.mosaic(electrons, camera), camera)
+    raw, _ = noise.expose(collected_e, camera.sensor, 0.01, seed)
     return Capture(raw, camera, 0.01, 1.0, seed)
 
 
@@ -203,7 +205,8 @@ def test_stripes_are_texture_where_they_are(name):
     stripes = np.where(np.arange(192) // 8 % 2 == 0, 600.0, 1000.0) * np.ones((96, 1))
     stripes[:, 96:] = 800
     electrons = np.repeat(stripes[..., None], len(cameras.channels(camera.sensor)), axis=-1)
-    raw, _ = noise.expose(noise.mosaic(electrons, camera), camera.sensor, 0.01, 0)
+    collected_e = electronic_crosstalk(noise.mosaic(electrons, camera), camera)
+    raw, _ = noise.expose(collected_e, camera.sensor, 0.01, 0)
     mask = texture.textured(Capture(raw, camera, 0.01, 1.0, 0))
     assert mask[:, :80].all() and not mask[:, 96 + 20 :].any()
 

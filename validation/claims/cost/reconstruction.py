@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 import dasim
 import recon
+from dasim.camera.crosstalk import electronic_crosstalk
 from dasim.camera.noise import expose
 from dasim.camera.specification import Camera
 from dasim.files.banks import save_bank
@@ -124,5 +125,6 @@ def banded_capture(camera: Camera, bank: PsfBank) -> NDArray[np.uint16]:
             kernel = bank.kernel[0, FIRST_LEVEL + LEVEL_STEP * band, index]
             blurred = fourier.inverse(fourier.forward(part) * fourier.transfer(kernel, shape), shape)
             mean_e[y::2, left + x : right : 2] = blurred[y:height:2, left - start + x : right - start : 2]
-    raw, _ = expose(np.maximum(mean_e, 0), camera.sensor, EXPOSURE_S, seed=0)
+    collected_e = electronic_crosstalk(np.maximum(mean_e, 0), camera)
+    raw, _ = expose(collected_e, camera.sensor, EXPOSURE_S, seed=0)
     return raw

@@ -15,6 +15,7 @@ import dasim
 import recon
 from dasim.bounds import cramer_rao
 from dasim.camera import noise as sensor
+from dasim.camera.crosstalk import electronic_crosstalk
 from dasim.camera.geometry import level_blur_px
 from dasim.camera.specification import BLUR_LEVELS, Camera
 from dasim.spectra.grid import CHANNELS
@@ -211,7 +212,10 @@ def _camera_levels(
     kernels = bank.kernel[bank.lights.index(LIGHT)]
     (mean_e, sharp_e), (level, seed) = pictures, level_and_seed
     raw, _ = sensor.expose(
-        sensor.mosaic(mean_e.astype(np.float64), camera), camera.sensor, EXPOSURE_S, level + BLUR_LEVELS * seed
+        electronic_crosstalk(sensor.mosaic(mean_e.astype(np.float64), camera), camera),
+        camera.sensor,
+        EXPOSURE_S,
+        level + BLUR_LEVELS * seed,
     )
     capture = Capture(raw, camera, EXPOSURE_S, 1.0, seed)
     electrons, _ = mosaic.linearise(capture)

@@ -44,7 +44,7 @@ FOCUS_BLUR_PX = 0.5  # least visible blur for the bound: nearer to focus, blur c
 MOST_BEYOND = 0.5  # largest share of pixels outside the bank's depth range for which a median error is reported
 BASELINE = "stereo.baseline_mm"
 QUANTILES = 200  # number of quantiles that represent the deviations of all pixels
-OTHER_SEED = 1_000_000  # added to the seed for the second camera, which has independent noise
+OTHER_SEED = 1_000_000  # added to the seed for the second camera, which has independent noise; also its sensor's
 FIGURES = {
     "light-loss": ("1", "share of the light lost to the stops, eq. (1) for the camera's mosaic"),
     "infrared-snr": ("1", "median signal-to-noise ratio of the infrared pixels"),
@@ -161,7 +161,9 @@ def measure(spec: StudySpec, unit: Unit) -> list[dict[str, Any]]:
     other = None
     if BASELINE in unit.render:
         moved = second_camera.other_view(scene, 1e-3 * float(unit.render[BASELINE]))
-        other = dasim.simulate(moved, camera, unit.seed + OTHER_SEED, spp=spec.spp)
+        sensor = camera.sensor.model_copy(update={"sensor_seed": OTHER_SEED})
+        second_body = camera.model_copy(update={"sensor": sensor})
+        other = dasim.simulate(moved, second_body, unit.seed + OTHER_SEED, spp=spec.spp)
     shared = (time.perf_counter() - begin) / len(unit.points)
     rows = []
     for number, point in enumerate(unit.points):
