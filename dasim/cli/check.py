@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import inspect
 import textwrap
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -82,9 +83,10 @@ def validate(
     from validation.gates.limits import all_gates
     from validation.gates.outcome import check_methods, failed, select
     from validation.gates.proposal import gate_file
+    from validation.gates.run import measured_claims
     from validation.methods import named
     from validation.reports.lines import of_claims
-    from validation.validate import run_claims
+    from validation.validate import write_claims
 
     names = select(CLAIMS, only or (), quick=quick)
     limits = all_gates(CLAIMS, gates)
@@ -111,10 +113,11 @@ def validate(
     options.say_variant(None)
     variant = backend.choose().variant
     with options.progress() as progress:
-        outcomes = run_claims(
-            out, names, CLAIMS, limits,
+        measure = partial(
+            measured_claims, names, CLAIMS, limits,
             variant=variant, seeds=seeds, fresh=fresh, jobs=jobs, methods=methods, progress=progress,
         )  # fmt: skip
+        outcomes = write_claims(out, measure)
     entries = [entry for outcome in outcomes for entry in outcome.claims]
     print("\n".join(of_claims(entries)))
     again = sum(outcome.stored for outcome in outcomes)

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
@@ -25,13 +26,15 @@ MEAN_GRADIENT = np.float32(1e-6)  # |D|^2 at frequency 0, where only the data de
 SMALLEST_POWER = np.float32(1e-9)  # against division by zero
 
 
+class Prior(NamedTuple):
+    """The prior of eq. (16): kappa sum(|f_x - e_x|^0.8 + |f_y - e_y|^0.8) with expected gradients e."""
+
+    kappa: NDArray  # [channel]
+    expected: tuple[Float32Array, Float32Array] | None = None  # e (x, y), [channel, h, w] each; 0 without, as the paper
+
+
 def half_quadratic(
-    image: Float32Array,
-    transfer: Complex64Array,
-    kappa: NDArray,
-    steps: int,
-    expected: tuple[Float32Array, Float32Array] | None = None,
-    trust: Float32Array | None = None,
+    image: Float32Array, transfer: Complex64Array, prior: Prior, steps: int, trust: Float32Array | None = None
 ) -> Float32Array:
     """Minimise over f |h * f - I|^2 / 2 + kappa sum(|f_x - e_x|^0.8 + |f_y - e_y|^0.8), eq. (15)-(16), periodic.
 
@@ -42,9 +45,8 @@ def half_quadratic(
     Args:
         image: picture I with noise of standard deviation 1, [channel, h, w].
         transfer: transfer functions of the kernels h, [channel, h, w/2 + 1].
-        kappa: weights of the prior, [channel].
+        prior: weights of the prior, and the gradients that it expects.
         steps: number of iterations.
-        expected: gradients e (x, y) that the prior expects, [channel, h, w] each; 0 without, as in the paper.
         trust: weights of the data's frequencies (:func:`data_trust`), [channel, h, w/2 + 1].
     """
     shape = (image.shape[-2], image.shape[-1])
@@ -57,14 +59,13 @@ def half_quadratic(
         solution = (data + coupled * spectrum) / (power + coupled * gradient + SMALLEST_POWER)
         return fourier.inverse(solution, shape, 1)
 
-    return _alternate(image, kappa, steps, expected, solve)
+    return _alternate(image, prior, steps, solve)
 
 
 def _alternate(
     image: Float32Array,
-    kappa: NDArray,
+    prior: Prior,
     steps: int,
-    expected: tuple[Float32Array, Float32Array] | None,
     solve: Callable[[Complex64Array, Float32Array], Float32Array],
 ) -> Float32Array:
     """Alternate between shrinkage and the quadratic problem; returns f, [channel, h, w].
@@ -72,12 +73,12 @@ def _alternate(
     ``solve`` returns f from the transform of D^T w [channel, h, w/2 + 1] and the coupling beta [channel].
     """
     zero = np.zeros((image.shape[0], 1, 1), np.float32)
-    expected_x, expected_y = expected or (zero, zero)
+    expected_x, expected_y = prior.expected or (zero, zero)
     result, divergence, factor = image, np.empty_like(image), BETA_FIRST
     for _ in range(steps):
-        scale = _scale(kappa, factor).astype(np.float32)
+        scale = _scale(prior.kappa, factor).astype(np.float32)
         _shrunk_divergence(result, expected_x, expected_y, shrink_table(), scale, np.float32(TABLE_LIMIT), divergence)
-        result = solve(fourier.forward(divergence, 1), (factor * np.asarray(kappa)).astype(np.float32))
+        result = solve(fourier.forward(divergence, 1), (factor * np.asarray(prior.kappa)).astype(np.float32))
         factor *= BETA_GROWTH
     return result
 
@@ -99,9 +100,8 @@ def half_quadratic_samples(
     image: Float32Array,
     phases: Sequence[Phase],
     transfer: Complex64Array,
-    kappa: NDArray,
+    prior: Prior,
     steps: int,
-    expected: tuple[Float32Array, Float32Array] | None = None,
     trust: Float32Array | None = None,
 ) -> Float32Array:
     """:func:`half_quadratic` with the samples of a mosaic as data: every second pixel in every second row.
@@ -126,7 +126,7 @@ def half_quadratic_samples(
         _solve(spectrum, sampling, inverse_gradient, data, weight, power, beta, np.empty_like(data))
         return fourier.inverse(spectrum, shape, 1)
 
-    return _alternate(image, kappa, steps, expected, solve)
+    return _alternate(image, prior, steps, solve)
 
 
 @njit(cache=True, nogil=True)

@@ -203,7 +203,8 @@ def _deconvolve_tile(frame: Frame, task: Pass, tile: Tile) -> Float32Array:
         if guide is not None and guide_spectrum is not None:
             expected = _expected_gradients(uniform, guide, fourier.inverse(guide_spectrum * transfer, tile.shape, 1))
         trust = deconvolution.data_trust(variance, gradients, tile.shape)
-        sharp = _deconvolve_level(uniform, transfer, task.kappa[node], task.steps, phases, expected, trust)
+        prior = deconvolution.Prior(task.kappa[node], expected)
+        sharp = _deconvolve_level(uniform, transfer, prior, task.steps, phases, trust)
         total += tile.share(index) * sharp[:, *tile.inner]
     return total * unit
 
@@ -227,16 +228,16 @@ def _uniform(picture: Float32Array, blurred_draft: Float32Array, near: Float32Ar
 def _deconvolve_level(
     picture: Float32Array,
     transfer: Complex64Array,
-    kappa: Float32Array,
+    prior: deconvolution.Prior,
     steps: int,
     phases: list[tuple[int, int]] | None,
-    expected: tuple[Float32Array, Float32Array] | None,
     trust: Float32Array,
 ) -> Float32Array:
     """The deconvolution of one level, [channel, h, w]: from the samples at ``phases``, or from all pixels without."""
     if phases is None:
-        return deconvolution.half_quadratic(picture, transfer, kappa / INTERPOLATED_WEIGHT, steps, expected, trust)
-    return deconvolution.half_quadratic_samples(picture, phases, transfer, kappa, steps, expected, trust)
+        weaker = prior._replace(kappa=prior.kappa / INTERPOLATED_WEIGHT)
+        return deconvolution.half_quadratic(picture, transfer, weaker, steps, trust)
+    return deconvolution.half_quadratic_samples(picture, phases, transfer, prior, steps, trust)
 
 
 def _phases_in_box(phases: Phases, box: tuple[slice, slice]) -> list[tuple[int, int]]:

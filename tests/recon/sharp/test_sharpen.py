@@ -170,7 +170,9 @@ def test_deconvolution_of_samples_is_the_least_squares_solution(phase):
     kernel /= kernel.sum()
     kappa = 3.0
     transfer = fourier.transfer(kernel[None], (8, 12))
-    solution = deconvolution.half_quadratic_samples(picture, [phase], transfer, np.array([kappa]), 1)
+    solution = deconvolution.half_quadratic_samples(
+        picture, [phase], transfer, deconvolution.Prior(np.array([kappa])), 1
+    )
     pixels = np.eye(96).reshape(96, 8, 12)
     shifts = [(dy, dx, kernel[dy + 1, dx + 1]) for dy in (-1, 0, 1) for dx in (-1, 0, 1)]
     blur = sum(w * np.roll(pixels, (dy, dx), (1, 2)) for dy, dx, w in shifts)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import re
+from functools import partial
 from xml.etree import ElementTree
 
 import numpy as np
@@ -21,9 +22,10 @@ from validation.gates.comparison import Earlier, changes
 from validation.gates.limits import GATES, Gate, all_gates, gate_of, judged_all, load_gates, within
 from validation.gates.outcome import Measurement, select
 from validation.gates.proposal import proposed
+from validation.gates.run import measured_claims
 from validation.reports.page import png_address
 from validation.scores.figures import Figure
-from validation.validate import run_claims
+from validation.validate import write_claims
 
 LIMITS = '["good.size"]\nlimit = "<= 0.5"\nwhy = "half"\n["bad.*"]\nlimit = "<= 0.5"\n["absent.size"]\nlimit = "> 0"\n'
 
@@ -326,6 +328,11 @@ def counted(progress) -> Evidence:
     calls.append(1)
     return Evidence([Figure("calls", float(len(calls)), "1", "calls"), Figure("none", math.nan, "1", "nothing", 0.5)],
                     pictures=[("a picture", "data:,")], tables=[("t", ["a"], [["1"]])])  # fmt: skip
+
+
+def run_claims(out, *arguments, **options):
+    """Measure claims and write their folder."""
+    return write_claims(out, partial(measured_claims, *arguments, **options))
 
 
 calls: list[int] = []
