@@ -54,6 +54,8 @@ def camera_from_lens(path: str | Path, camera: Camera | str | Path = "da-mobile"
     with warnings.catch_warnings(), np.errstate(all="ignore"):
         warnings.simplefilter("ignore")  # of Optiland and of what it compiles
         optic = _read(path)
+        if not optic.object_surface.is_infinite:
+            raise InputError(f"lens {path}: its object lies at a finite distance; infinity is needed")
         focal_mm, f_number = abs(float(optic.paraxial.f2())), abs(float(optic.paraxial.FNO()))
         if not (np.isfinite(focal_mm) and np.isfinite(f_number) and focal_mm > 0):
             raise InputError(f"{path}: has no finite focal length and f-number at infinity")

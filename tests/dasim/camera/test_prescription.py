@@ -27,8 +27,8 @@ FAR = 1.2  # degrees: where astigmatism is far below coma
 
 
 def write(path: Path, surfaces: list[dict], aperture_mm: float) -> Path:
-    """A prescription in Optiland's format: object at infinity, surfaces, image."""
-    from optiland.fileio import save_optiland_file
+    """A prescription in the format of the file's name: object at infinity, surfaces, image."""
+    from optiland.fileio import save_optiland_file, save_zemax_file
     from optiland.optic import Optic
 
     optic = Optic()
@@ -40,7 +40,7 @@ def write(path: Path, surfaces: list[dict], aperture_mm: float) -> Path:
     optic.fields.set_type("angle")
     optic.fields.add(y=0)
     optic.wavelengths.add(value=0.55, is_primary=True)
-    save_optiland_file(optic, str(path))
+    (save_zemax_file if path.suffix == ".zmx" else save_optiland_file)(optic, str(path))
     return path
 
 
@@ -179,6 +179,27 @@ def test_distortion_puts_chief_rays_where_they_go(tmp_path, da_mobile):
 
 @optiland
 @quiet
+def test_zemax_files_are_read(tmp_path, da_mobile):
+    """Expectation: a singlet of N-BK7 from a Zemax file is the camera that Optiland's format gives, with the axial
+    colour of the catalogue's glass: f dn / (n - 1) from 550 to 750 nm, n = 1.51852 and 1.51177 (Schott).
+    """
+    curved = {"radius": -FOCAL_MM * 0.51852, "thickness": FOCAL_MM}
+    flat = {"radius": np.inf, "thickness": 1.0, "material": "N-BK7", "is_stop": True}
+    small = framed(da_mobile, FAR)
+    paths = (write(tmp_path / name, [flat, curved], 1.25) for name in ("bk7.json", "bk7.zmx"))
+    lens, same = (camera_from_lens(path, small).lens for path in paths)
+    assert same.focal_length_mm == pytest.approx(lens.focal_length_mm, rel=1e-6)
+    np.testing.assert_allclose(
+        [row.coefficients() for row in same.wavefront_by_field],
+        [row.coefficients() for row in lens.wavefront_by_field],
+        atol=0.01,
+    )
+    shift_um = dict(lens.focal_shift_um)[750.0]
+    assert shift_um == pytest.approx(FOCAL_MM * 1e3 * (1.51852 - 1.51177) / 0.51852, rel=0.02)
+
+
+@optiland
+@quiet
 def test_command_writes_a_camera_file(tmp_path, capsys):
     """Expectation: `dasim lens` writes what `camera_from_lens` returns."""
     from dasim.cli import run
@@ -202,6 +223,21 @@ def test_refused_files(tmp_path):
     (tmp_path / "lens.seq").write_text("RDY")
     with pytest.raises(InputError, match=r"a Zemax file \(\.zmx\) or one of Optiland"):
         camera_from_lens(tmp_path / "lens.seq")
+
+
+@optiland
+@quiet
+def test_near_objects_are_refused(tmp_path):
+    path = plano_convex(tmp_path / "near.json", 1.25)
+    near = tmp_path / "finite.json"
+    from optiland.fileio import load_optiland_file, save_optiland_file
+
+    optic = load_optiland_file(str(path))
+    optic.set_thickness(80.0, 0)
+    save_optiland_file(optic, str(near))
+    with pytest.raises(InputError, match=r"finite\.json: its object lies at a finite distance") as problem:
+        camera_from_lens(near)
+    assert "\n" not in str(problem.value)
 
 
 @optiland
