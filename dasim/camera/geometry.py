@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from dasim.camera import stops, thin_lens
+from dasim.camera import distortion, stops, thin_lens
 from dasim.camera.specification import BLUR_LEVELS, Camera, principal_point
 from dasim.spectra import grid
 from dasim.typing import FloatArray
@@ -86,8 +86,13 @@ def frame_field_px(camera: Camera) -> tuple[float, float]:
 
 def field_angle_deg(camera: Camera, field_px: tuple[float, float]) -> float:
     """Angle of the chief ray to a place of the sensor (x, y) in pixels from the axis, in degrees."""
-    height_m = float(np.hypot(*field_px)) * camera.sensor.pixel_pitch_um * 1e-6
-    return float(np.degrees(np.arctan(height_m / image_distance_m(camera))))
+    return float(np.degrees(np.arctan(np.hypot(*_tangent(camera, field_px)))))
+
+
+def _tangent(camera: Camera, field_px: tuple[float, float]) -> FloatArray:
+    """Tangent of the field angle at a place of the sensor, as a vector (x, y), distortion included."""
+    place_px = distortion.to_pinhole_px(camera, np.array(field_px, dtype=np.float64))
+    return place_px * camera.sensor.pixel_pitch_um * 1e-6 / image_distance_m(camera)
 
 
 def foreshortening(camera: Camera, field_px: tuple[float, float]) -> FloatArray:
@@ -96,7 +101,7 @@ def foreshortening(camera: Camera, field_px: tuple[float, float]) -> FloatArray:
     T = cos (1 - t t^T cos^2), with t the tangent of the field angle as a vector: cos^3 along t and cos across it, see
     :mod:`dasim.camera.pupil_pattern`.
     """
-    tangent = np.array(field_px[::-1]) * camera.sensor.pixel_pitch_um * 1e-6 / image_distance_m(camera)
+    tangent = _tangent(camera, field_px)[::-1]
     square_of_cosine = 1 / (1 + tangent @ tangent)
     return np.asarray(np.sqrt(square_of_cosine) * (np.eye(2) - np.outer(tangent, tangent) * square_of_cosine))
 

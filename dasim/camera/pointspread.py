@@ -10,7 +10,8 @@ of diffraction:
 ``off``   the geometric blur
 
 A point nearer than the focus projects the pupil upside down: light through the lens at rho is displaced by -rho c / 2,
-with c the signed visible blur. Kernels are those of the upright picture, x right, y down.
+with c the signed visible blur. Kernels are those of the upright picture, x right, y down; with distortion their lengths
+are those of the pinhole's picture.
 """
 
 from __future__ import annotations
@@ -42,6 +43,7 @@ DIFFRACTION_MODELS: tuple[str, ...] = get_args(Diffraction)
 BAND_NM = 10.0  # profiles vary slowly with wavelength: one per 10 nm
 RADIAL_STEP_PX = 0.05
 PIXEL_NODES = 5  # Gauss-Legendre nodes per pixel and axis off the axis and with aberrations
+LARGEST_FIELD_DEG = 60.0  # beyond, the foreshortened pupil has less than 32 cells of its grid across
 
 
 def working_f_number(camera: Camera, radius_ratio: float) -> float:
@@ -190,7 +192,7 @@ def kernels(
     (x, y) from the axis; the shape of off-axis diffraction is that of ``wave`` alone.
     """
     check_model(diffraction)
-    angle_deg = geometry.field_angle_deg(camera, field_px)
+    angle_deg = _checked_angle_deg(camera, field_px)
     fronts = [wavefront.of_stop(camera, stop, angle_deg) for stop in camera.stops]
     if diffraction == "airy" and not all(wavefront.is_flat(front) for front in fronts):
         raise InputError(
@@ -238,6 +240,28 @@ def kernels(
         return total / np.where(signal > 0, signal, 1.0)[..., None, None], signal
 
     return at
+
+
+def pair(name: str, value: Any) -> tuple[float, float]:
+    """Two finite numbers from what a user gives for ``name``, or InputError."""
+    try:
+        first, second = (float(number) for number in value)
+    except (TypeError, ValueError):
+        raise InputError(f"{name}: two numbers of pixels are needed, not {value!r}") from None
+    if not np.isfinite([first, second]).all():
+        raise InputError(f"{name}: two finite numbers of pixels are needed, not {value!r}")
+    return first, second
+
+
+def _checked_angle_deg(camera: Camera, field_px: Field) -> float:
+    """Angle of the chief ray to a place of the field; InputError where kernels cannot be computed."""
+    angle_deg = geometry.field_angle_deg(camera, field_px)
+    if angle_deg > LARGEST_FIELD_DEG:
+        raise InputError(
+            f"field_px {field_px[0]:g}, {field_px[1]:g}: lies at {angle_deg:.4g} degrees from the axis of camera "
+            f"'{camera.name}'; kernels are computed up to {LARGEST_FIELD_DEG:g} degrees"
+        )
+    return angle_deg
 
 
 def is_radial(camera: Camera, stop: Stop, diffraction: str = "wave", front: Wavefront | None = None) -> bool:
@@ -301,13 +325,15 @@ def pixel_kernels(
     return kernels.reshape(*profiles.shape[:-1], size, size)
 
 
-def kernel_size_px(camera: Camera, blur_px: float) -> int:
-    """Odd frame size that holds a kernel of a visible blur with its diffraction tail."""
+def kernel_size_px(camera: Camera, blur_px: float, field_px: Field = AXIS) -> int:
+    """Odd frame size that holds a kernel of a visible blur with its diffraction tail, at a place of the field."""
+    angle_deg = geometry.field_angle_deg(camera, field_px)
     widest = max(working_f_number(camera, stops.breadth(stop)) for stop in camera.stops)
+    widest /= np.cos(np.radians(angle_deg)) ** 3
     tail_px = 3 * 0.7e-6 * widest / (camera.sensor.pixel_pitch_um * 1e-6)  # three rings at 700 nm
     colour_px = float(np.abs(geometry.chromatic_blur_px(camera)).max())
     f_number, pitch_um = working_f_number(camera, 1.0), camera.sensor.pixel_pitch_um
-    moved_px = wavefront.reach_px(wavefront.of_lens(camera), f_number, pitch_um)
+    moved_px = wavefront.reach_px(wavefront.of_lens(camera, angle_deg), f_number, pitch_um)
     return 2 * int(np.ceil((abs(blur_px) + colour_px) / 2 + moved_px + tail_px)) + 1
 
 
@@ -339,17 +365,21 @@ def psf(
             the middle of the camera's frame, which is on the axis unless ``sensor.principal_point_px`` is elsewhere
     """
     camera = cameras.as_camera(camera)
-    field_px = geometry.frame_field_px(camera) if field_px is None else field_px
+    field_px = geometry.frame_field_px(camera) if field_px is None else pair("field_px", field_px)
+    offset_px = pair("offset_px", offset_px)
     names = cameras.channels(camera.sensor)
     if channel not in names:
         raise InputError(f"channel '{channel}' is unknown; allowed are {', '.join(names)}")
     if not isinstance(depth_m, (int, float, np.number)) or not depth_m > 0:
         raise InputError(f"depth_m: a distance above 0, in metres, is needed, not {kind_of(depth_m)}")
     blur = float(geometry.blur_px(camera, depth_m))
-    size = size or kernel_size_px(camera, blur)
-    return kernels(camera, [blur], illuminants.illuminant(illuminant), size, diffraction, field_px)(0, offset_px, ...)[
-        0
-    ][names.index(channel)]
+    if size is None:
+        _checked_angle_deg(camera, field_px)
+        size = kernel_size_px(camera, blur, field_px)
+    elif not isinstance(size, (int, np.integer)) or size < 1 or size % 2 == 0:
+        raise InputError(f"size: an odd number of pixels per side is needed, such as 31, not {size!r}")
+    at = kernels(camera, [blur], illuminants.illuminant(illuminant), size, diffraction, field_px)
+    return at(0, offset_px, ...)[0][names.index(channel)]
 
 
 def airy_errors(camera: Camera, illuminant: str) -> tuple[FloatArray, FloatArray]:

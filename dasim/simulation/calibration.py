@@ -67,7 +67,7 @@ def calibration_captures(
         field_px: (x, y) of the source's image from the optical axis; by default the middle of the camera's frame
     """
     camera = as_camera(camera)
-    field_px = geometry.frame_field_px(camera) if field_px is None else (float(field_px[0]), float(field_px[1]))
+    field_px = geometry.frame_field_px(camera) if field_px is None else pointspread.pair("field_px", field_px)
     levels_count, positions = len(levels(camera)[0]), len(camera.sensor.mosaic) * len(camera.sensor.mosaic[0])
     description = camera.model_dump(mode="json")
     for size in ("width_px", "height_px", "principal_point_px"):
@@ -96,7 +96,7 @@ def _pictures(
 ) -> Iterator[PointPicture]:
     """The pictures, by level, light, shift and exposure."""
     depths, blurs = levels(camera)
-    side = _frame_side_px(camera, float(blurs[-1]))
+    side = _frame_side_px(camera, float(blurs[-1]), field_px)
     powers = np.stack([illuminants.illuminant(light) for light in lights])
     kernels_at = pointspread.kernels(camera, blurs, powers, side - 1, diffraction, field_px)
     shifts = list(np.ndindex(len(camera.sensor.mosaic), len(camera.sensor.mosaic[0])))
@@ -115,11 +115,11 @@ def _pictures(
                     yield PointPicture(frames_dn, light, level, float(depth), float(blur), (dy, dx), time_s)
 
 
-def _frame_side_px(camera: Camera, widest_blur_px: float) -> int:
+def _frame_side_px(camera: Camera, widest_blur_px: float, field_px: tuple[float, float]) -> int:
     """Side of a square frame that holds the widest kernel at every shift, in whole periods of the mosaic."""
     rows, columns = len(camera.sensor.mosaic), len(camera.sensor.mosaic[0])
     period = 2 * rows * columns
-    needed = pointspread.kernel_size_px(camera, widest_blur_px) + 2 * max(rows, columns) + 6
+    needed = pointspread.kernel_size_px(camera, widest_blur_px, field_px) + 2 * max(rows, columns) + 6
     return needed // period * period + period
 
 

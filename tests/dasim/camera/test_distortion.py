@@ -111,3 +111,18 @@ def test_refused(da_mobile, make_scene, lamp):
     card = {"name": "card", "shape": "plane", "size_cm": (4, 4), "position_cm": (0, 0, 20), "material": "grey-card"}
     with pytest.raises(InputError, match=r"lens\.distortion_per_mm is set"):
         dasim.simulate(make_scene(card, lights=[lamp]), bent(da_mobile, BARREL), variant="scalar_spectral")
+
+
+def test_kernels_have_the_angle_of_the_light(da_mobile):
+    """Expectation: the kernel of a place on a bent picture is that of the pinhole's place, at the same angle."""
+    data = da_mobile.model_dump(mode="json")
+    data["lens"]["distortion_per_mm"] = (0.03,)  # 16 % at 1360 px
+    camera, place_px = parse(Camera, data, "bent"), np.array([1088.0, 816.0])
+    bend = 1 + 0.03 * (1360 * 1.7e-3) ** 2
+    there, straight = (
+        dasim.psf(of, 0.4, "IR", "D65", size=21, field_px=tuple(at))
+        for of, at in ((camera, place_px), (da_mobile, bend * place_px))
+    )
+    np.testing.assert_allclose(there, straight, atol=1e-9)
+    unbent = dasim.psf(da_mobile, 0.4, "IR", "D65", size=21, field_px=tuple(place_px))
+    assert np.abs(there - unbent).max() > 0.1 * unbent.max()

@@ -105,6 +105,17 @@ def test_kernels_turn_with_the_field(da_mobile):
     assert corner.max() < 0.8 * kernel(None).max()
 
 
+def test_automatic_frame_holds_the_kernel_of_the_corner(da_mobile):
+    """Set-up: 100 nm of coma and astigmatism each in the corner, on the axis none. Expectation: no more light lies
+    outside the frame than on the axis, where it is diffraction's alone.
+    """
+    data = da_mobile.model_dump(mode="json")
+    data["lens"]["wavefront_by_field"] = [{"angle_deg": 0.0}, {"angle_deg": 31.0, "coma": 100.0, "astigmatism": 100.0}]
+    camera = parse(Camera, data, "camera")
+    axis, corner = (pointspread.psf(camera, 0.5, "G", "D65", field_px=at) for at in ((0, 0), FIELD_PX))
+    assert 0.98 < axis.sum() < corner.sum() + 0.005 and len(corner) > len(axis)
+
+
 @pytest.mark.parametrize("field_px", [(1.0, 0.0), (200.0, -100.0)])
 def test_kernels_near_the_axis_are_those_of_the_axis(da_mobile, field_px):
     """Rationale: on the axis radial profiles are used, beside it transforms of the pupil. Expectation: the peak differs
