@@ -44,7 +44,7 @@ def check_fits(bank: PsfBank, capture: Capture) -> None:
 
 
 def _kernel_properties(camera: Camera, other: Camera) -> list[tuple[str, Any, Any]]:
-    """Camera properties, other than the lens, that determine the PSFs: name, and the value in each camera."""
+    """What determines the PSFs, but for focal length, f-number and focus: name, and the value in each camera."""
     stops, other_stops = ([stop.model_dump() for stop in each.stops] for each in (camera, other))
     first, second = camera.sensor, other.sensor
     return [
@@ -52,5 +52,10 @@ def _kernel_properties(camera: Camera, other: Camera) -> list[tuple[str, Any, An
         ("pixel_pitch_um", first.pixel_pitch_um, second.pixel_pitch_um),
         ("channels", channels(first), channels(second)),
         ("quantum_efficiency", first.quantum_efficiency, second.quantum_efficiency),
+        ("silicon_um", first.silicon_um, second.silicon_um),
         ("cutoff_nm", first.cutoff_nm, second.cutoff_nm),
+        ("cutoff_width_nm", first.cutoff_width_nm, second.cutoff_width_nm),
+        ("focal_shift_um", camera.lens.focal_shift_um, other.lens.focal_shift_um),
+        ("wavefront_nm", camera.lens.wavefront_nm, other.lens.wavefront_nm),
+        ("wavefront_by_field", camera.lens.wavefront_by_field, other.lens.wavefront_by_field),
     ]

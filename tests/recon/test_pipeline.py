@@ -11,6 +11,7 @@ from dasim.camera import geometry, specification
 from dasim.camera import noise as sensor
 from dasim.camera import specification as cameras
 from dasim.camera.crosstalk import electronic_crosstalk
+from dasim.camera.zernike import Wavefront
 from dasim.values import Capture
 from recon.settings import DEFAULT_PRESET
 from tests.support import recon_scenes
@@ -144,6 +145,12 @@ def test_a_bank_of_another_kind_of_sensor_is_refused(scene):
     moved = dataclasses.replace(bank, camera=bank.camera.model_copy(update={"stops": mine.stops[:1]}))
     with pytest.raises(InputError, match="differ in stops"):
         recon.reconstruct(scene.capture, moved)
+    thin = bank.camera.sensor.model_copy(update={"silicon_um": 3.0})
+    blurred = bank.camera.lens.model_copy(update={"wavefront_nm": Wavefront(coma=50.0)})
+    for changed, name in (({"sensor": thin}, "silicon_um"), ({"lens": blurred}, "wavefront_nm")):
+        other = dataclasses.replace(bank, camera=bank.camera.model_copy(update=changed))
+        with pytest.raises(InputError, match=f"differ in {name};"):
+            recon.reconstruct(scene.capture, other)
 
 
 def test_a_bank_of_another_light_gives_a_note(scene, result):
