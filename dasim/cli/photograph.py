@@ -29,7 +29,7 @@ def render(
     seed: Whole = 0,
     size: str | None = None,
     spp: Annotated[int | str | None, Parameter(converter=samples)] = None,
-    noise_share: float = 0.2,
+    noise_share: float = 0.25,
     noise_at: float = 50.0,
     independent_mean: Annotated[bool, Parameter(negative="")] = False,
     exposure: float | None = None,

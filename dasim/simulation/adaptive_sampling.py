@@ -15,12 +15,12 @@ import numpy as np
 from dasim.simulation.rendering_noise import Measured, Pair, measured, share, shares_at
 from dasim.typing import FloatArray
 
-NOISE_SHARE = 0.2  # of the sensor's noise: raises the noise of a capture by 2 %
+NOISE_SHARE = 0.25  # of the sensor's noise: raises the noise of a capture by 3 %
 NOISE_AT = 50.0  # percentile of the pixels at which the share is meant: the median
 PILOT_SPP = 16  # samples per pixel and stop of each picture of the first pair
 MOST_SPP = 8192  # samples per pixel and stop of all pictures together
-# Noise falls about as samples ** -0.6 to -0.7 (claims noise-slope-*). Where a pair misses the target, another follows.
-SLOPE = 0.6
+# Noise falls about as samples ** -0.6 to -0.7 (claims noise-slope-*). If a pair misses the target, another follows.
+SLOPE = 0.64
 MOST_ROUNDS = 4
 BAND = 0.1  # pixels whose share is within this of the percentile's tell which stop makes the noise there
 

@@ -207,7 +207,7 @@ def scenes_speed(progress: ShareDone) -> Evidence:
     Rationale: datasets consist of thousands of pictures.
 
     Set-up: every bundled scene at 512 x 384 px with da-mobile at the default noise target (``--spp auto``: rendering
-    noise is a fifth of the sensor noise at the median pixel). Each scene is rendered twice in a separate process, and
+    noise is a quarter of the sensor noise at the median pixel). Each scene is rendered twice in a separate process, and
     the second render counts, since kernels are compiled once and cached. The time to load a mesh is that of a scene
     with a mesh of 500,000 triangles less that of the same scene with a disc in its place.
 
