@@ -215,7 +215,7 @@ def focus_picture(view: View, sharp: FloatArray, field: Any, seed: int, progress
     if view.diffraction == "off" and perfect and not any(stop.glare_share for stop in view.camera.stops):
         return sharp
     seed = picture_seed(seed, 0, IN_FOCUS)
-    return np.asarray(
+    rate = np.asarray(
         sum(
             passes.in_focus_pass(
                 view.world.scene,
@@ -230,6 +230,8 @@ def focus_picture(view: View, sharp: FloatArray, field: Any, seed: int, progress
             for stop in view.camera.stops
         )
     )
+    check_finite(view.scene, rate, view.objects_at)
+    return rate
 
 
 def sharp_pictures(view: View, field: Any, seed: int, progress: Progress) -> SharpPictures:
