@@ -71,7 +71,7 @@ def camera_from_lens(path: str | Path, camera: Camera | str | Path = "da-mobile"
         optic.image_surface.geometry.cs.z = optic.image_surface.geometry.cs.z + axis[PRIMARY_NM] * 1e-3
         traced = [_traced(optic, float(angle), path, corner_deg) for angle in angles]
     lens = changed | _keys(camera, angles, traced, f_number)
-    return camera.model_copy(update={"lens": parse(specification.Lens, lens, str(path))})
+    return parse(Camera, camera.model_dump() | {"lens": lens}, str(path))
 
 
 def _read(path: Path) -> Any:

@@ -11,11 +11,12 @@ from typing import Any
 import numpy as np
 from scipy import signal
 
+from dasim.base.errors import InputError
 from dasim.camera import pointspread, stops, wavefront
 from dasim.camera.pupil_pattern import pupil_pattern
 from dasim.camera.specification import Camera
 from dasim.camera.stops import Stop
-from dasim.camera.wavefront import Phase
+from dasim.camera.wavefront import Phase, Wavefront
 from dasim.render import field_angle, pupil
 from dasim.render.blur_tables import FLOOR, AberratedRows, aberrated, aberrated_slices, away_from_axis, texel, texture
 from dasim.typing import FloatArray
@@ -27,6 +28,7 @@ PATTERN_WAVES_STEP = 0.05
 PATTERN_DENSITY_STEP_PX = 0.15
 PATTERN_BLUR_STEP_PX = 0.5
 MOST_NODES = 48e6  # of a table of three dimensions; its steps grow where this is exceeded
+MOST_ABERRATED_NODES = 1e9  # of one whose steps cannot grow any more: 4 GB, and twice as much while it is made
 
 
 @dataclass(frozen=True)
@@ -107,23 +109,7 @@ def tables(
     moved = 2 * max(map(wavefront.steepest, fronts))  # by aberrations, in nanometres times the f-number
     half = stops.reach(stop) * max_blur_px / 2 + rings * longest_px + moved * px_per_nm
 
-    blurs = np.arange(0.0, max_blur_px + 2 * PATTERN_BLUR_STEP_PX, PATTERN_BLUR_STEP_PX)
-    step = max(PATTERN_DENSITY_STEP_PX, 2 * half * (len(blurs) / MOST_NODES) ** 0.5)
-    count = int(np.ceil(2 * half / step))
-    step = 2 * half / count
-    place = (np.arange(count) + 0.5) * step - half
-    focus = np.zeros((count, count))
     flat = all(wavefront.is_flat(front) for front in fronts)
-    for nm, weight in bands:
-        scale = nm * px_per_nm
-        for front in fronts:
-            phase = None if flat else wavefront.phase(front, nm, pointspread.BAND_NM)
-            pattern = pupil_pattern(stop, 0.0, place / scale, place / scale, phase) / scale**2
-            focus += weight * pattern / len(fronts)
-    if not flat:  # sampling need not know how behind the focus and around the axis the pattern is turned
-        focus = sum((np.rot90(focus, quarter) for quarter in range(4)), np.zeros_like(focus)) / 4
-    density = np.stack([_spread(focus, stop, blur, step) for blur in blurs])
-
     waves = np.arange(0.0, max_blur_px / (8 * shortest_px) + 2 * PATTERN_WAVES_STEP, PATTERN_WAVES_STEP)
     wave_half = half / shortest_px
     both_signs = np.concatenate([-waves[:0:-1], waves])
@@ -132,6 +118,15 @@ def tables(
     wave_count = int(np.ceil(2 * wave_half / wave_step))
     scaled = (np.arange(wave_count) + 0.5) * (2 * wave_half / wave_count) - wave_half
     wave_step = 2 * wave_half / wave_count
+    _check_size(camera, slices * wave_count**2)
+
+    blurs = np.arange(0.0, max_blur_px + 2 * PATTERN_BLUR_STEP_PX, PATTERN_BLUR_STEP_PX)
+    step = max(PATTERN_DENSITY_STEP_PX, 2 * half * (len(blurs) / MOST_NODES) ** 0.5)
+    count = int(np.ceil(2 * half / step))
+    step = 2 * half / count
+    place = (np.arange(count) + 0.5) * step - half
+    focus = _in_focus(stop, fronts, [(nm * px_per_nm, nm, weight) for nm, weight in bands], place)
+    density = np.stack([_spread(focus, stop, blur, step) for blur in blurs])
 
     def kernels(phase: Phase | None, waves: FloatArray) -> Any:
         wave = np.empty((len(waves), wave_count, wave_count), np.float32)
@@ -163,6 +158,33 @@ def tables(
         aberrated=rows,
         turned=bool(camera.lens.wavefront_by_field),
     )
+
+
+def _check_size(camera: Camera, nodes: int) -> None:
+    """InputError where a table of aberrated kernels would not fit into memory."""
+    if nodes > MOST_ABERRATED_NODES:
+        raise InputError(
+            f"camera '{camera.name}': the tables of its blur would take {4e-9 * nodes:.0f} GB, "
+            f"{4e-9 * MOST_ABERRATED_NODES:.0f} GB are allowed; take smaller coefficients in lens.wavefront_nm or "
+            "lens.wavefront_by_field, a smaller frame about the axis, or diffraction 'off'"
+        )
+
+
+def _in_focus(
+    stop: Stop, fronts: list[Wavefront], bands: list[tuple[float, float, float]], place_px: FloatArray
+) -> FloatArray:
+    """Mean pattern in focus, [y, x] per square pixel; ``bands`` are lambda N in pixels, wavelength in nm and weight."""
+    flat = all(wavefront.is_flat(front) for front in fronts)
+    focus = np.zeros((len(place_px), len(place_px)))
+    for scale, nm, weight in bands:
+        for front in fronts:
+            phase = None if flat else wavefront.phase(front, nm, pointspread.BAND_NM)
+            pattern = pupil_pattern(stop, 0.0, place_px / scale, place_px / scale, phase) / scale**2
+            focus += weight * pattern / len(fronts)
+    if flat:
+        return focus
+    # Sampling need not know how behind the focus and around the axis the pattern is turned.
+    return sum((np.rot90(focus, quarter) for quarter in range(4)), np.zeros_like(focus)) / 4
 
 
 def _spread(focus: FloatArray, stop: Stop, blur_px: float, step_px: float) -> FloatArray:

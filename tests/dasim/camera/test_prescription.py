@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from importlib.util import find_spec
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -223,6 +224,26 @@ def test_refused_files(tmp_path):
     (tmp_path / "lens.seq").write_text("RDY")
     with pytest.raises(InputError, match=r"a Zemax file \(\.zmx\) or one of Optiland"):
         camera_from_lens(tmp_path / "lens.seq")
+
+
+def test_stops_that_the_table_does_not_allow_are_refused(tmp_path, monkeypatch):
+    """Set-up: tracing that finds no error at all, and `bando`, whose discs are displaced. Expectation: the message of a
+    camera file with these keys gets, instead of a camera that cannot be rendered.
+    """
+    axis = SimpleNamespace(geometry=SimpleNamespace(cs=SimpleNamespace(z=0.0)))
+    paraxial = SimpleNamespace(f2=lambda: 3.6, FNO=lambda: 2.8)
+    optic = SimpleNamespace(object_surface=SimpleNamespace(is_infinite=True), paraxial=paraxial, image_surface=axis)
+    terms = {nm: np.zeros(len(zernike.TERMS)) for nm in prescription.WAVELENGTHS_NM}
+
+    def traced(optic, angle_deg, path, corner_deg):
+        return prescription._Traced(terms, 3.6 * np.tan(np.radians(angle_deg)), 1.0)
+
+    monkeypatch.setattr(prescription, "_read", lambda path: optic)
+    monkeypatch.setattr(prescription, "_prepare", lambda optic, corner_deg: None)
+    monkeypatch.setattr(prescription, "_traced", traced)
+    assert camera_from_lens(tmp_path / "perfect.json").lens.f_number == 2.8
+    with pytest.raises(InputError, match="all stops must be discs or rings about the axis"):
+        camera_from_lens(tmp_path / "perfect.json", "bando")
 
 
 @optiland

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.special import j1
 
+from dasim.base.errors import InputError
 from dasim.base.toml import parse
 from dasim.camera import geometry, pointspread, radiometry
 from dasim.camera import specification as cameras
@@ -214,3 +215,17 @@ def test_coma_points_away_from_the_axis(jit, make_scene, da_mobile, lamp, away):
     cosine = float(np.cos(np.arctan(offset_px / image_px)))
     assert difference(picture, expected(camera, {"coma": 60.0}, 0.0, 0.0, "wave", cosine)) < ENERGY
     assert difference(picture, expected(camera, {"coma": -60.0}, 0.0, 0.0, "wave", cosine)) > 2 * ENERGY
+
+
+def test_tables_beyond_all_memory_are_refused(jit, da_mobile):
+    """Set-up: 500 nm of coma at the corner of the full frame, 20 px of blur. Expectation: one line, before the work."""
+    from dasim.render import wave
+
+    data = da_mobile.model_dump(mode="json")
+    data["lens"]["wavefront_by_field"] = [{"angle_deg": 0.0}, {"angle_deg": 31.0, "coma": 500.0}]
+    camera = parse(Camera, data, "far too strong")
+    density = radiometry.stop_response(camera, camera.stops[0]).sum(axis=0)
+    with pytest.raises(
+        InputError, match=r"the tables of its blur would take \d+ GB, 4 GB are allowed; .*diffraction 'off'"
+    ):
+        wave.blur(camera, camera.stops[0], density, 20.0)
