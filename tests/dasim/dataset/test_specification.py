@@ -45,6 +45,7 @@ CAMERA = '[[cameras]]\nname = "da-mobile"\n[cameras.vary]\n'
         ("colour = 3", ["colour: unknown key"]),
         ("samples = 0", ["samples", "greater than or equal to 1"]),
         ("spp = 0", ["spp is 0", "auto"]),
+        ("noise_at = 100", ["noise_at", "99.9"]),
         ("size_px = [32]", ["size_px"]),
         ("truth = {keep = ['z']}", ["'z' is unknown", *TRUTH_PARTS]),
         ("truth = {margin_px = 192}", ["margin_px is 192", "nothing"]),
@@ -222,6 +223,25 @@ def test_both_formats_hold_the_same(both):
     for one, other in zip(first, second, strict=True):
         assert same(one, other)
     assert {row["key"]: row["sha256"] for row in first.rows} == {row["key"]: row["sha256"] for row in second.rows}
+
+
+def test_an_independent_mean_leaves_the_raw_picture_as_it_is(renderer, tmp_path):
+    """Expectation: same raw numbers, another realisation of ``mean_e`` with its variance, all else the same."""
+    samples = []
+    for own in ("false", "true"):
+        folder = tmp_path / own
+        folder.mkdir()
+        make_dataset(spec_file(folder, samples=1, more=f"[truth]\nindependent_mean = {own}"), folder / "ds")
+        samples += dasim.open_dataset(folder / "ds")
+    shared, own = samples
+    np.testing.assert_array_equal(own.raw_dn, shared.raw_dn)
+    different = {
+        name
+        for name, part in shared.truth.items()
+        if isinstance(part, np.ndarray) and not np.array_equal(part, own.truth[name], equal_nan=part.dtype.kind == "f")
+    }
+    assert different == {"mean_e", "mean_e_variance"}
+    assert own.meta["provenance"]["independent_mean"] and not shared.meta["provenance"]["independent_mean"]
 
 
 @pytest.mark.parametrize("form", ["webdataset", "folders"])
