@@ -393,7 +393,7 @@ RENDER = ("render", "desk", *TINY, "--out", "new")
         ((*RENDER, "--camera", "leica"), ("camera 'leica'", "da-mobile")),
         ((*RENDER, "--variant", "gpu"), ("variant 'gpu'", "auto", "scalar_spectral")),
         ((*RENDER, "--diffraction", "ray"), ("diffraction 'ray'", "off")),
-        ((*RENDER, "--spp", "auto", "--noise-at", "100"), ("noise_at is 100", "1 to 99.9")),
+        ((*RENDER, "--noise-at", "100"), ("noise_at is 100", "1 to 99.9")),
         ((*RENDER, "--noise", "column"), ("noise model 'column'", "file.py:function")),
         ((*RENDER, "--noise", "no.py:column"), ("noise model 'no.py:column'", "no.py cannot be read")),
         ((*RENDER, "--noise", "dasim.camera.noise:columns"), ("has no 'columns'", "expose")),
