@@ -18,7 +18,7 @@ from validation.scores.figures import Figure
 from validation.subjects import rendering
 
 SENSOR = {"width_px": 96, "height_px": 72, "pixel_pitch_um": 20.0}  # the whole view in few pixels
-SPP, TRACED_SPP = 256, 2048
+SPP, TRACED_SPP = 1024, 2048
 BLOCK_PX = 8
 
 DOME: dict[str, Any] = {"kind": "dome", "lux": 400.0}
@@ -92,7 +92,7 @@ def mixed_lights(progress: ShareDone) -> Evidence:
     Set-up: a table before a wall below a ceiling, with a ball and a card, in four lights: a D65 dome with an F11 lamp
     that shines at the ceiling, an energy-saving dome with a D65 lamp, a D65 dome with an A lamp, and daylight, whose
     sun and sky differ; and a similar Mitsuba scene, whose only lamp has the F11 spectrum of the CIE's table at 5 nm.
-    The camera is da-mobile with 96 x 72 coarse pixels, diffraction off. Two captures of 256 samples per pixel
+    The camera is da-mobile with 96 x 72 coarse pixels, diffraction off. Two captures of 1,024 samples per pixel
     (``mean_e`` of ``dasim.simulate``), and two renders of 2,048 samples without any interpolation.
 
     Expectation: means over blocks of 8 x 8 pixels agree within rendering noise. The noise is estimated from the
