@@ -5,6 +5,7 @@ Tested in tests/dasim/render/test_radial_blur.py and tests/dasim/render/test_abe
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -119,15 +120,17 @@ def aberrated(
 
     low, high = 1 / range_nm[1], 1 / range_nm[0]
     inverses = _wavelengths(fronts, low, high)
-    parts = []
-    for front in fronts:
-        for inverse in inverses:
-            phase = wavefront.phase(front, 1 / inverse)
-            if front.opening is None:
-                parts.append(kernels(phase, waves)[..., None])
-                continue
+    table: FloatArray = np.zeros(0)
+    for number, (front, inverse) in enumerate(itertools.product(fronts, inverses)):
+        phase = wavefront.phase(front, 1 / inverse)
+        if front.opening is None:
+            part = kernels(phase, waves)[..., None]
+        else:
             mean, cosine, sine = (kernels(phase._replace(step=step), waves) for step in (0.0, 1.0, 1j))
-            parts.append(np.stack([mean, cosine - mean, sine - mean], axis=-1))
+            part = np.stack([mean, cosine - mean, sine - mean], axis=-1)
+        if number == 0:  # in one piece: tables may have gigabytes
+            table = np.empty((len(fronts) * len(inverses), *part.shape), np.float32)
+        table[number] = part
     place = AberratedRows(
         rows=dr.opaque(mi.UInt32, len(waves)),
         first_waves=dr.opaque(mi.Float, float(waves[0])),
@@ -139,7 +142,7 @@ def aberrated(
         angle_step=dr.opaque(mi.Float, float(np.radians(angle_step_deg))),
         step_nm=None if fronts[0].opening is None else dr.opaque(mi.Float, fronts[0].step_nm),
     )
-    return place, np.concatenate(parts).astype(np.float32)
+    return place, table.reshape(-1, *table.shape[2:])
 
 
 def aberrated_slices(fronts: Sequence[Wavefront], range_nm: tuple[float, float]) -> int:

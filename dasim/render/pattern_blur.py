@@ -28,7 +28,7 @@ PATTERN_WAVES_STEP = 0.05
 PATTERN_DENSITY_STEP_PX = 0.15
 PATTERN_BLUR_STEP_PX = 0.5
 MOST_NODES = 48e6  # of a table of three dimensions; its steps grow where this is exceeded
-MOST_ABERRATED_NODES = 1e9  # of one whose steps cannot grow any more: 4 GB, and twice as much while it is made
+MOST_ABERRATED_NODES = 2e9  # of one whose steps cannot grow any more: 8 GB
 
 
 @dataclass(frozen=True)

@@ -226,6 +226,6 @@ def test_tables_beyond_all_memory_are_refused(jit, da_mobile):
     camera = parse(Camera, data, "far too strong")
     density = radiometry.stop_response(camera, camera.stops[0]).sum(axis=0)
     with pytest.raises(
-        InputError, match=r"the tables of its blur would take \d+ GB, 4 GB are allowed; .*diffraction 'off'"
+        InputError, match=r"the tables of its blur would take \d+ GB, 8 GB are allowed; .*diffraction 'off'"
     ):
         wave.blur(camera, camera.stops[0], density, 20.0)
