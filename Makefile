@@ -10,12 +10,13 @@ IS_NEW := import sys; sys.exit(sys.version_info < (3, 11))
 PIP := $(BIN)/python -m pip --disable-pip-version-check --quiet
 APT := env DEBIAN_FRONTEND=noninteractive apt-get -q -y -o Acquire::Retries=0 -o Acquire::http::Timeout=20
 
-.PHONY: help demo test test-slow lint validate environment test-environment
+.PHONY: help demo test test-slow test-lens lint validate environment test-environment
 
 help:
 	@echo "make demo   the whole chain on a bundled scene; report in out/demo/report.html"
 	@echo "make test   the tests, without the slow ones, on up to four processor cores"
 	@echo "make test-slow   the slow tests, one after the other, since some measure time"
+	@echo "make test-lens   the tests of lens prescriptions, with Optiland"
 	@echo "make lint   style, formatting, import contracts, types"
 	@echo "make validate   the quick claims against their limits; report in out/validate/report.html"
 
@@ -27,6 +28,9 @@ test: test-environment
 
 test-slow: test-environment
 	$(BIN)/python -m pytest -m slow
+
+test-lens: test-environment $(VENV)/.installed-lens
+	$(BIN)/python -m pytest tests/dasim/camera/test_prescription.py
 
 lint: test-environment
 	$(BIN)/ruff check .
@@ -65,6 +69,11 @@ $(VENV)/.installed: pyproject.toml constraints.txt
 $(VENV)/.installed-test: $(VENV)/.installed
 	@echo "Installing what the tests need besides (some minutes the first time)"
 	@$(PIP) install -c constraints.txt -e '.[test]'
+	@touch $@
+
+$(VENV)/.installed-lens: $(VENV)/.installed-test
+	@echo "Installing Optiland for lens prescriptions (some minutes the first time)"
+	@$(PIP) install -c constraints.txt -e '.[test,lens]'
 	@touch $@
 
 # Rendering is about four times faster with LLVM 17 or newer. Without it everything works all the same,

@@ -22,6 +22,7 @@ from dasim.typing import FloatArray
 CAMERA_DIR = Path(__file__).parents[1] / "cameras"
 BLUR_LEVELS = 29  # sec. 6.1
 NEAREST_FOCUS = 1.1  # in focal lengths: a magnification of 10
+SMALLEST_GLARE_PX = 3.0
 SMALLEST_FRAME_PX = 8
 LARGEST_FOCAL_SHIFT = 0.1  # of the focal length; more is not a thin lens
 
@@ -247,6 +248,13 @@ class Camera(Specification):
         rings = [stops.ring(stop) for stop in self.stops]
         if self.lens.wavefront_by_field and any(ring is None or ring.centre != (0.0, 0.0) for ring in rings):
             raise ValueError("lens.wavefront_by_field: all stops must be discs or rings about the axis")
+        for number, stop in enumerate(self.stops):
+            radius_px = (stop.glare_radius_mm or np.inf) * 1e3 / self.sensor.pixel_pitch_um
+            if radius_px < SMALLEST_GLARE_PX:
+                raise ValueError(
+                    f"stops.{number}.glare_radius_mm: must be at least {SMALLEST_GLARE_PX:g} pixels "
+                    f"(is {radius_px:.2g}); narrower veils are not resolved by the sensor"
+                )
         if self.lens.distortion_per_mm and not _one_to_one(self):
             raise ValueError("lens.distortion_per_mm: two places of the frame show the same direction")
         if self.lens.shading_per_mm and shading(self).min() <= 0:
