@@ -76,14 +76,19 @@ def draw_density(whole: FloatArray, response: FloatArray, light: FloatArray | No
 def frame_density(responses: Responses, light: FloatArray) -> FloatArray:
     """Relative density of drawn wavelengths that serves all rings of a frame, [wavelength].
 
-    Each ring counts by its largest share in a pixel, so that a small frame about the axis is drawn as for the axis.
+    The largest of the densities of the rings, each by its largest share in a pixel, so that a small frame about the
+    axis is drawn as for the axis. The sum of them would draw too few at the ends of the near-infrared, which only the
+    rings near the axis see: under incandescent light the noise of blue on the axis was 2.5 times as large.
     """
     number = np.arange(len(responses.of_pass))
     nearest = np.abs(responses.place.reshape(-1, 1) - number).min(axis=0)
-    density: FloatArray = np.zeros_like(grid.WAVELENGTH_NM)
-    for share, whole, own in zip(np.maximum(1 - nearest, 0.0), responses.of_camera, responses.of_pass, strict=True):
-        density = density + share * draw_density(whole, own, light)
-    return density
+    weighted = [
+        share * draw_density(whole, response, light)
+        for share, whole, response in zip(
+            np.maximum(1 - nearest, 0.0), responses.of_camera, responses.of_pass, strict=True
+        )
+    ]
+    return np.asarray(np.max(weighted, axis=0))
 
 
 def draw_table(camera: Camera, response: FloatArray, light: FloatArray, density: FloatArray) -> FloatArray:

@@ -105,7 +105,8 @@ def test_each_photographs_the_desk(renderer, name, tmp_path):
         pytest.skip("displaced discs need a JIT variant; that they are refused is tested in a process of its own")
     shot = dasim.simulate(scene, camera, seed=1, spp=16, diffraction="off")
     assert shot.truth.channels == cameras.channels(camera.sensor)
-    assert shot.capture.provenance["notes"] == []
+    # 16 samples per pixel are noisy, which a note says; one on saturated pixels would be another.
+    assert all(note.startswith("rendering noise exceeds") for note in shot.capture.provenance["notes"])
     assert (shot.truth.mean_e.mean(axis=(0, 1)) > 100).all()
     dasim.save_capture(tmp_path / "shot", shot.capture, shot.truth)
     assert dasim.load_capture(tmp_path / "shot").camera == camera
