@@ -53,6 +53,7 @@ def test_lens_and_pinhole_pictures_are_registered(shot):
     assert np.abs(np.diff(blurred)).max() < 0.5 * np.abs(np.diff(green)).max(), "the lens blurs the near card's edge"
 
 
+@pytest.mark.slow
 def test_window_shows_what_the_frame_shows_there(jit, make_scene, da_mobile):
     """Set-up: a lens of 0.4 mm, so that 48 x 36 pixels reach 8 degrees off the axis; a card before a wall with its edge
     through the window, both out of focus; 8 seeds each, fixed exposure, the window in the frame's corner.
@@ -186,6 +187,7 @@ def test_camera_that_looks_at_nothing_is_refused(make_scene, da_mobile, lamp, re
     assert set(stages) == {"geometry"}
 
 
+@pytest.mark.slow
 def test_default_model_of_diffraction_spreads_light_and_keeps_it(make_scene, da_mobile, lamp, renderer):
     """Rationale: the default is wave-true in JIT variants, Airy in scalar_spectral; both conserve light.
 
@@ -247,6 +249,7 @@ def test_crosstalk_reaches_the_raw_numbers_and_not_the_truth(shot, scene):
     assert z.var() == pytest.approx(1.0, abs=RAW_LIMIT)
 
 
+@pytest.mark.slow
 def test_auto_takes_as_many_samples_as_the_sensor_needs(renderer, scene, da_mobile):
     """Expectation: the share of noise reached is stated for every channel, and is below what was asked."""
     camera = cameras.cropped(da_mobile, 32, 24)
@@ -289,6 +292,7 @@ def test_a_given_number_of_samples_states_its_noise_and_warns(scene, da_mobile, 
         assert one.truth.mean_e_variance is None
 
 
+@pytest.mark.slow
 def test_an_independent_mean_shares_no_rendering_noise_with_the_raw_picture(scene, da_mobile, renderer):
     """Rationale: a denoiser that is trained on raw and ``mean_e`` must not learn to keep rendering noise.
 
