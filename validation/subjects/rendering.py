@@ -5,7 +5,7 @@ Tested in tests/validation/claims/test_checks.py.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -61,9 +61,14 @@ def needs_wave() -> None:
         raise NotRun("only scalar_spectral works here, which has no wave-true blur; install LLVM 17 or newer")
 
 
-def make_scene(objects: Sequence[dict[str, Any]], lights: Sequence[dict[str, Any]] = LAMP) -> Scene:
-    """A scene from tables of objects and lights, as scene files have them."""
-    return parse(Scene, {"name": "claim", "lights": list(lights), "objects": list(objects)}, "scene of a claim")
+def make_scene(
+    objects: Sequence[dict[str, Any]],
+    lights: Sequence[dict[str, Any]] = LAMP,
+    materials: Mapping[str, dict[str, Any]] | None = None,
+) -> Scene:
+    """A scene from tables of objects, lights and own materials by name, as scene files have them."""
+    tables = {"lights": list(lights), "objects": list(objects), "materials": dict(materials or {})}
+    return parse(Scene, {"name": "claim", **tables}, "scene of a claim")
 
 
 def changed(
