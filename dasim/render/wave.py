@@ -7,9 +7,12 @@ the ray is weighted by h / g. Exact for surfaces that face the camera and that n
 beside a nearer object gets the light that this leaves (:mod:`dasim.render.layers`).
 
 Off the axis (:mod:`dasim.render.field_angle`) delta is sampled from the pattern as it is there, D(T delta), and the
-weight in the direction of u is that of the axis for u and c scaled by t = |T u| / |u|: exact in focus, with the
-geometric edge in its place, and with the scale of diffraction that belongs to the edge's direction. The defocus itself
-is astigmatic there, rho T rho, which this neglects: encircled energies differ by less than 0.01 at 31 degrees.
+weight in the direction of u is that of the axis for u and c scaled by t = |T u| / |u|: with the geometric edge in its
+place, and with the scale of diffraction that belongs to the edge's direction. For discs and rings about the axis, whose
+D depends on |T u| alone, that is exact in focus. The pattern of other stops there is D(T u), and the weight takes D at
+the same distance in the direction of u, which differs from that of T u by up to 9 degrees at 31 degrees of field. The
+defocus itself is astigmatic off the axis, rho T rho, which is neglected: encircled energies of discs differ by less
+than 0.01 at 31 degrees.
 
 Sampling rho and delta independently would leave u unstratified, although u determines what a pixel sees. For discs and
 rings, u is therefore sampled first, stratified, for the blur c0 at the middle of the pixel, with a density q close to
