@@ -17,7 +17,7 @@ from dasim.spectra.grid import CHANNELS
 from dasim.typing import Float32Array, FloatArray, Progress
 from dasim.values import Capture, PsfBank, Reconstruction
 from recon import levels
-from recon.calibration.fit import check_fits
+from recon.calibration.fit import check_fits, place_notes
 from recon.depth import raw_levels
 from recon.depth.method import Method, method_name, on_blocks, run_method
 from recon.depth.regularise import regularise
@@ -66,7 +66,7 @@ def reconstruct(
     separation = field.separation(camera, light, settings)
     captured = _captured(linear, capture, white, separation, settings, stage)
     variances = raw_levels.variances(linear.raw_e, capture)
-    notes = colour.light_notes(linear.raw_e, linear.saturated, camera, bank)
+    notes = (*place_notes(bank, camera), *colour.light_notes(linear.raw_e, linear.saturated, camera, bank))
     with stage("depth"):
         raw, trust, remarks = _raw_levels(capture, bank if method else on_axis, linear, variances, settings, method)
     with stage("regularise"):

@@ -1,4 +1,4 @@
-"""Check that a PSF bank matches a capture: same sensor, stops and lens, focused at the same distance.
+"""Check that a PSF bank matches a capture: same sensor, stops and lens, focused at the same distance, and its place.
 
 Tested in tests/recon/calibration/test_psf_bank.py.
 """
@@ -7,10 +7,16 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
+
 from dasim.base.errors import InputError
-from dasim.camera.specification import Camera, channels
+from dasim.camera.rings import field_angle_deg
+from dasim.camera.specification import Camera, channels, principal_point
 from dasim.values import Capture, PsfBank
 
+PLACE_TOLERANCE = (
+    0.05  # relative difference of the width of diffraction between the bank's place and the frame's middle
+)
 FOCUS_TOLERANCE = 0.01  # relative difference of the focus in dioptres between bank and capture
 
 
@@ -41,6 +47,24 @@ def check_fits(bank: PsfBank, capture: Capture) -> None:
             f"{bank_focus:g} m, the capture has {camera.lens.focal_length_mm:g} mm f/{camera.lens.f_number:g} at "
             f"{focus:g} m; make a bank with 'dasim calibrate --focus {focus:g}'"
         )
+
+
+def place_notes(bank: PsfBank, camera: Camera) -> list[str]:
+    """A note if the bank's kernels belong to another place of the field than the middle of the camera's frame.
+
+    Diffraction is wider by 1/cos^3 of the field angle, so that both angles tell whether the kernels differ.
+    """
+    x, y = principal_point(camera.sensor)
+    middle_px = camera.sensor.width_px / 2 - x, camera.sensor.height_px / 2 - y
+    there, here = (field_angle_deg(camera, place) for place in (bank.field_px, middle_px))
+    wider = (np.cos(np.radians(there)) / np.cos(np.radians(here))) ** 3 - 1
+    if abs(wider) <= PLACE_TOLERANCE:
+        return []
+    return [
+        f"the bank's kernels are those at {there:.1f} degrees off the axis, the frame's middle is at {here:.1f}, where "
+        f"diffraction is {abs(wider):.0%} {'wider' if wider > 0 else 'narrower'}; make a bank with the camera of this "
+        f"frame, or with field_px = ({middle_px[0]:g}, {middle_px[1]:g})"
+    ]
 
 
 def _kernel_properties(camera: Camera, other: Camera) -> list[tuple[str, Any, Any]]:

@@ -70,7 +70,9 @@ def _write_extras(folder: Path, result: Reconstruction, extras: Sequence[str]) -
         if "stereo" in extras:
             write_picture(folder / "stereo.png", anaglyph.side_by_side(left, right))
     for suffix in {"ply", "glb"} & set(extras):
-        mesh = surface.surface(picture, depth_m, surface.intrinsic_matrix(result.camera))
+        distortion = surface.distortion_per_px(result.camera)
+        intrinsic = surface.intrinsic_matrix(result.camera)
+        mesh = surface.surface(picture, depth_m, intrinsic, distortion_per_px=distortion)
         surface.save_surface(folder / f"surface.{suffix}", mesh)
 
 

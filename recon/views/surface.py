@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -39,24 +40,33 @@ def intrinsic_matrix(camera: Camera) -> FloatArray:
     return np.array([[focal_px, 0, x], [0, focal_px, y], [0, 0, 1.0]])
 
 
+def distortion_per_px(camera: Camera) -> tuple[float, ...]:
+    """Coefficients a_k of the lens's distortion 1 + sum a_k r^(2k) with r in pixels, from those of the camera's mm."""
+    pitch_mm = camera.sensor.pixel_pitch_um * 1e-3
+    return tuple(value * pitch_mm ** (2 * k) for k, value in enumerate(camera.lens.distortion_per_mm, start=1))
+
+
 def surface(
     image: NDArray[Any],
     depth_m: NDArray[Any],
     intrinsic: FloatArray,
     *,
+    distortion_per_px: Sequence[float] = (),
     stride_px: int = 1,
     jump_share: float = JUMP_SHARE,
 ) -> Surface:
     """Textured mesh of a picture at its depths.
 
     The vertices are X = z K^-1 (u, v, 1) at the centres of every ``stride_px``-th pixel, with two triangles between
-    four neighbours. Triangles with an unknown depth, or with a depth difference above ``jump_share`` of the depth per
-    pixel, are omitted, so that objects are separated from the background.
+    four neighbours. With distortion, (u, v) is where a pinhole shows what the pixel shows: at 1 + sum a_k r^(2k) times
+    the pixel's distance r from the principal point. Triangles with an unknown depth, or with a depth difference above
+    ``jump_share`` of the depth per pixel, are omitted, so that objects are separated from the background.
 
     Args:
         image: display values 0..1, [h, w, 3].
         depth_m: depth, metres, [h, w]; NaN where unknown.
         intrinsic: the pinhole matrix K in pixels, [3, 3].
+        distortion_per_px: a_k of the lens's distortion, r in pixels; none by default.
         stride_px: distance between vertices, pixels.
         jump_share: largest relative depth difference per pixel within a surface.
     """
@@ -78,13 +88,23 @@ def surface(
     depth = depth_m[np.ix_(rows, columns)].astype(np.float64)
     known = np.isfinite(depth) & (depth > 0)
     x, y = np.meshgrid(columns + 0.5, rows + 0.5)
-    ray = np.stack([x, y, np.ones_like(x)], axis=-1) @ np.linalg.inv(intrinsic).T
+    ray = np.stack([*_at_pinhole(x, y, intrinsic, distortion_per_px), np.ones_like(x)], axis=-1)
+    ray = ray @ np.linalg.inv(intrinsic).T
     faces = _faces(np.where(known, depth, np.nan), jump_share * stride_px)
     used, index = np.unique(faces, return_inverse=True)
     vertices = (np.where(known, depth, 0)[..., None] * ray).reshape(-1, 3)[used]
     uv = np.stack([x / width, 1 - y / height], axis=-1).reshape(-1, 2)[used]
     picture = np.rint(np.clip(np.nan_to_num(image), 0, 1) * 255).astype(np.uint8)
     return Surface(vertices, uv, index.reshape(-1, 3), picture)
+
+
+def _at_pinhole(
+    x: FloatArray, y: FloatArray, intrinsic: FloatArray, distortion_per_px: Sequence[float]
+) -> tuple[FloatArray, FloatArray]:
+    """Where a pinhole shows what the lens shows at places of the picture, both in pixels."""
+    right, down = x - intrinsic[0, 2], y - intrinsic[1, 2]
+    factor = np.polynomial.polynomial.polyval(right**2 + down**2, [1.0, *distortion_per_px])
+    return intrinsic[0, 2] + factor * right, intrinsic[1, 2] + factor * down
 
 
 def _faces(depth: FloatArray, jump: float) -> NDArray[np.int64]:

@@ -165,6 +165,20 @@ def test_a_bank_of_another_light_gives_a_note(scene, result):
     assert "far from every light of the bank (A)" in note and "--illuminant" in note
 
 
+def test_a_bank_of_another_place_gives_a_note(scene):
+    """Set-up: a frame about the axis; kernels of the axis, of a place 5 degrees off it and of 31 degrees.
+
+    Expectation: a note at 31 degrees alone, where 1/cos^3 is 1.59.
+    """
+    bank, small = recon_scenes.bank(), crop(scene.capture, 64, 64)
+    focal_px = geometry.intrinsic_matrix(small.camera)[0, 0]
+    for angle_deg, expected in ((0, 0), (5, 0), (31, 1)):
+        place = (float(focal_px * np.tan(np.radians(angle_deg))), 0.0)
+        notes = recon.reconstruct(small, dataclasses.replace(bank, field_px=place)).notes
+        assert len(notes) == expected, notes
+    assert "at 31.0 degrees off the axis" in notes[0] and "37% narrower" in notes[0] and "field_px = (0, 0)" in notes[0]
+
+
 def crop(capture, width, height):
     camera = recon_scenes.da_mobile(width, height)
     return dataclasses.replace(capture, raw_dn=capture.raw_dn[:height, :width], camera=camera)
