@@ -70,7 +70,7 @@ def reconstruct(
     with stage("depth"):
         raw, trust, remarks = _raw_levels(capture, bank if method else on_axis, linear, variances, settings, method)
     with stage("regularise"):
-        guide = _infrared_guide(captured.ir_e, mosaic.noise_variance(capture))
+        guide = _infrared_guide(captured.ir_e, mosaic.noise_variance(capture, "IR"))
         level, confidence = _regularised(raw, trust, guide, settings.regularise_bandwidth, captured.ir_e.shape)
     captured = captured._replace(ir_e=np.maximum(field.infrared_as_on_axis(captured.ir_e, separation), 0))
     with stage("sharpen"):
@@ -158,7 +158,7 @@ def _range_notes(outside: float, name: str, bank: PsfBank) -> tuple[str, ...]:
 
 
 def _infrared_guide(ir_e: Float32Array, noise: Variance) -> Float32Array:
-    """Infrared on the 2x2 blocks in units of its noise, [h/2, w/2]: the guide of eq. (14)."""
+    """Infrared on the 2x2 blocks in units of its noise, about, [h/2, w/2]: the guide of eq. (14)."""
     size = (ir_e.shape[1] // 2, ir_e.shape[0] // 2)
     blocks = np.asarray(cv2.resize(ir_e, size, interpolation=cv2.INTER_AREA), np.float32)
     return denoise.stabilise(blocks, noise)

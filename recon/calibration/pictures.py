@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dasim.camera import noise
-from dasim.camera.crosstalk import corrected, noise_gain
+from dasim.camera.crosstalk import corrected, noise_gains
 from dasim.camera.specification import Camera, channels, mosaic_channels
 from dasim.typing import FloatArray
 from dasim.values import PointPicture
@@ -58,7 +58,7 @@ def averaged(
                 total[index] += np.roll(np.where(channel == index, part, 0.0), back, axis=(0, 1))
     sampled = exposed > 0
     exposure = np.where(sampled, exposed, 1.0)
-    image, sigma = electrons / exposure, np.sqrt(variance * noise_gain(camera)) / exposure
+    image, sigma = electrons / exposure, np.sqrt(variance * noise_gains(camera)[:, None, None]) / exposure
     rim = np.ones((height, width), bool)
     rim[RIM_PX:-RIM_PX, RIM_PX:-RIM_PX] = False
     background = np.array([np.median(plane[rim & here]) for plane, here in zip(image, sampled, strict=True)])

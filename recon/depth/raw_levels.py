@@ -1,6 +1,6 @@
 """Raw blur levels of a capture (sec. 5.2-5.3): infrared against green, or red or blue where infrared has no edge.
 
-Tested in tests/recon/depth/test_tiles.py and tests/recon/depth/test_scores.py.
+Tested also in tests/recon/depth/test_tiles.py and tests/recon/depth/test_scores.py.
 """
 
 from __future__ import annotations
@@ -27,9 +27,10 @@ FALLBACK_TRUST = 0.25  # factor on the confidence of red and blue, whose blur di
 def variances(raw_e: Float32Array, capture: Capture) -> dict[str, Float32Array]:
     """Noise variance of each colour plane, [h/2, w/2]: from the data sheet, or higher where the picture is noisier."""
     variances = {}
+    collected = mosaic.planes(mosaic.collected(raw_e, capture.camera), capture.camera)
     for name, plane in mosaic.planes(raw_e, capture.camera).items():
-        smooth = cv2.GaussianBlur(plane, (0, 0), NOISE_BLUR_PX)
-        variance: Float32Array = mosaic.noise_variance(capture).at(smooth)
+        smooth = cv2.GaussianBlur(collected[name], (0, 0), NOISE_BLUR_PX)
+        variance: Float32Array = mosaic.noise_variance(capture, name).at(smooth)
         variances[name] = variance * mosaic.noise_excess(plane, variance)
     return variances
 

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dasim.base.errors import InputError
+from dasim.camera import noise
 from dasim.camera.specification import Camera
 from dasim.spectra.colour import exposure_scale, to_srgb
 from dasim.typing import BoolArray, Float32Array, Progress
@@ -103,17 +104,18 @@ def linearised(
 def denoised(raw_e: Float32Array, capture: Capture, settings: Settings) -> Float32Array:
     """Noise reduction of sec. 4.1 on each grid of a mosaic [h, w] electrons; unchanged if the settings turn it off.
 
-    The noise model is that of the sensor. The two grids of a quincunx (green of a Bayer block, three channels of the
-    4x4 block) are denoised separately.
+    Electrons as the pixels collected them, whose noise the sensor's model gives, guide it. The two grids of a quincunx
+    (green of a Bayer block, three channels of the 4x4 block) are denoised separately.
     """
     if not settings.denoise:
         return raw_e
-    clean = np.empty_like(raw_e)
-    variance = mosaic.noise_variance(capture)
-    for channel_grids in mosaic.grids(capture.camera).values():
+    camera = capture.camera
+    clean, collected = np.empty_like(raw_e), mosaic.collected(raw_e, camera)
+    variance = noise.variance(camera.sensor, capture.exposure_s, capture.gain)
+    for channel_grids in mosaic.grids(camera).values():
         for row, column, step in channel_grids:
             plane = np.ascontiguousarray(raw_e[row::step, column::step])
-            guide = denoise.stabilise(plane, variance)
+            guide = denoise.stabilise(collected[row::step, column::step], variance)
             clean[row::step, column::step] = denoise.nonlocal_means(
                 plane, guide, settings.denoise_bandwidth, settings.denoise_patch_sigma_px
             )

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from dasim.base.errors import InputError
 from dasim.camera import noise
-from dasim.camera.crosstalk import corrected, noise_gain
-from dasim.camera.specification import Camera
+from dasim.camera.crosstalk import corrected, electronic_crosstalk, noise_gains
+from dasim.camera.specification import Camera, channels
 from dasim.spectra.grid import CHANNELS
 from dasim.typing import BoolArray, Float32Array
 from dasim.values import Capture
@@ -162,11 +162,21 @@ def _mean_of_known(image: NDArray, known: BoolArray, kernel: NDArray) -> Float32
     return near if weight.min() > SMALLEST else np.where(weight > SMALLEST, near, mean(WIDE)[0])
 
 
-def noise_variance(capture: Capture) -> noise.Variance:
-    """Noise variance of the pixels of :func:`linearise` by the data sheet, as a function of their mean electrons."""
-    raw = noise.variance(capture.camera.sensor, capture.exposure_s, capture.gain)
-    gain = noise_gain(capture.camera)
-    return noise.Variance(*(gain * term for term in raw))
+def collected(electrons: Float32Array, camera: Camera) -> Float32Array:
+    """Electrons that the pixels collected, [h, w], from those of :func:`linearise`: with the crosstalk between pixels.
+
+    The data sheet gives the noise of these.
+    """
+    return np.asarray(electronic_crosstalk(electrons.astype(np.float64), camera), np.float32)
+
+
+def noise_variance(capture: Capture, channel: str) -> noise.Variance:
+    """Noise variance of a channel's pixels in :func:`linearise` by the data sheet, as a function of the mean electrons
+    that they :func:`collected`.
+    """
+    camera = capture.camera
+    gain = float(noise_gains(camera)[channels(camera.sensor).index(channel)])
+    return noise.Variance(*(gain * term for term in noise.variance(camera.sensor, capture.exposure_s, capture.gain)))
 
 
 def noise_excess(plane: Float32Array, variance: Float32Array) -> float:

@@ -30,15 +30,22 @@ def gradient_snr(capture: Capture) -> FloatArray:
     twice that which the data sheet gives for their mean. Without texture the result is around 0.
     """
     electrons, _ = mosaic.linearise(capture)
+    collected = mosaic.collected(electrons, capture.camera)
+    variance = mosaic.noise_variance(capture, "G")
     energy, noise = np.zeros((2, *electrons.shape))
     block = np.array(capture.camera.sensor.mosaic)
     for row, column in zip(*np.nonzero(block == "G"), strict=True):
         grid = (slice(row, None, block.shape[0]), slice(column, None, block.shape[1]))
-        green = electrons[grid].astype(np.float64)
         for axis in (0, 1):
-            near, far = (np.take(green, range(start, green.shape[axis] - 1 + start), axis) for start in (0, 1))
+            near, far = _neighbours(electrons[grid], axis)
             part = (slice(near.shape[0]), slice(near.shape[1]))
             energy[grid][part] += (far - near) ** 2
-            noise[grid][part] += 2 * mosaic.noise_variance(capture).at((near + far) / 2)
+            noise[grid][part] += 2 * variance.at(sum(_neighbours(collected[grid], axis)) / 2)
     signal, floor = (cv2.boxFilter(a, -1, (WINDOW_PX, WINDOW_PX), normalize=False) for a in (energy, noise))
     return np.asarray(signal / np.maximum(floor, 1e-9) - 1)
+
+
+def _neighbours(plane: NDArray, axis: int) -> tuple[FloatArray, FloatArray]:
+    """All samples but the last and all but the first along an axis."""
+    whole = np.moveaxis(plane.astype(np.float64), axis, 0)
+    return np.moveaxis(whole[:-1], 0, axis), np.moveaxis(whole[1:], 0, axis)

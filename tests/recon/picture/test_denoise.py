@@ -49,9 +49,10 @@ def test_equals_the_transcription_at_the_pipelines_strength():
     capture = Capture(raw, camera, 0.01, 1.0, 4)
     electrons, _ = mosaic.linearise(capture)
     clean = develop.denoised(electrons, capture, PAPER)
+    collected = mosaic.collected(electrons, camera)
     for row, column in ((0, 0), (0, 1), (1, 0), (1, 1)):
         plane = electrons[row::2, column::2]
-        guide = denoise.stabilise(plane, mosaic.noise_variance(capture))
+        guide = denoise.stabilise(collected[row::2, column::2], noise.variance(camera.sensor, 0.01))
         expected = transcription(plane, guide, PAPER.denoise_bandwidth, PAPER.denoise_patch_sigma_px)
         np.testing.assert_allclose(clean[row::2, column::2], expected, rtol=1e-5)
 
@@ -70,7 +71,8 @@ def test_stabilised_noise_has_unit_deviation():
     for level_e in (60.0, 500.0, 4000.0):
         capture = flat_capture(level_e)
         electrons, _ = mosaic.linearise(capture)
-        guide = denoise.stabilise(electrons, mosaic.noise_variance(capture))
+        collected = mosaic.collected(electrons, capture.camera)
+        guide = denoise.stabilise(collected, noise.variance(capture.camera.sensor, capture.exposure_s))
         assert abs(guide.std() - 1) < 0.03
         assert abs(electrons.mean() / level_e - 1) < 0.003
 
@@ -79,7 +81,7 @@ def test_flat_field_keeps_its_mean_and_loses_noise():
     """An average of 81 samples of nearly equal weight reduces the noise by far more than half and keeps the mean."""
     capture = flat_capture(800.0)
     electrons, _ = mosaic.linearise(capture)
-    guide = denoise.stabilise(electrons, mosaic.noise_variance(capture))
+    guide = denoise.stabilise(electrons, noise.variance(capture.camera.sensor, capture.exposure_s))
     result = denoise.nonlocal_means(electrons, guide, 3.0)
     assert result.std() < 0.4 * electrons.std()
     assert abs(result.mean() - electrons.mean()) < 0.002 * 800

@@ -220,11 +220,12 @@ def _camera_levels(
     capture = Capture(raw, camera, EXPOSURE_S, 1.0, seed)
     electrons, _ = mosaic.linearise(capture)
     places, planes = mosaic.phases(camera), mosaic.planes(electrons, camera)
+    collected = mosaic.planes(mosaic.collected(electrons, camera), camera)
     channels = []
     for name in strips.PAIR:
         plane = np.ascontiguousarray(planes[name])
-        smooth = cv2.GaussianBlur(plane, (0, 0), 1.5)
-        variance = mosaic.noise_variance(capture).at(smooth)
+        smooth = cv2.GaussianBlur(collected[name], (0, 0), 1.5)
+        variance = mosaic.noise_variance(capture, name).at(smooth)
         channels.append(Channel(plane, places[name], variance, kernels[:, CHANNELS.index(name)]))
     settings = estimator if isinstance(estimator, Settings) else SCORES[OURS[0]]
     score_map, edge = strips.levels_of(channels[0], channels[1], settings, PLANE_SPACING_PX)

@@ -109,7 +109,8 @@ def _log_likelihoods(capture: Capture, shot: Shot, candidates: FloatArray) -> li
     height, width = planes["G"].shape
     side = fourier.fast_shape((max(height, width),) * 2, MARGIN)[0]
     spectra = [transform(np.ascontiguousarray(planes[n]), places[n], (side, side)) for n in PLANES]
-    noise = [float(mosaic.noise_variance(capture).at(planes[name]).mean()) for name in PLANES]
+    collected = mosaic.planes(mosaic.collected(electrons, camera), camera)
+    noise = [float(mosaic.noise_variance(capture, name).at(collected[name]).mean()) for name in PLANES]
     gain = float(planes["IR"].mean() / planes["G"].mean())  # the board's white and black are the same in both
     power = _power(shot, side)
     transfer, _ = pupils.stop_transfers(
