@@ -1,44 +1,22 @@
-"""Crosstalk between neighbouring pixels: electrons that diffuse sideways before a pixel collects them.
+"""Crosstalk between neighbouring pixels of a camera, as a picture shows it, and its correction.
 
-A photodiode depletes its silicon to the depth ``depletion_um``. An electron from there is collected by its own pixel.
-One from below, down to the thickness of the silicon, diffuses, and some reach a neighbour. The longer the wavelength,
-the deeper light is absorbed, and the more electrons leave: at a pitch of 1.7 um, 0.2 % at 450 nm, 5 % at 550 nm, 8 % at
-650 nm and 10 % at 730 nm, of which each edge neighbour gets a fifth and each corner neighbour a twentieth.
-
-The law is that of Seib (IEEE Trans. Electron Devices 21, 210-217, 1974) for a layer of finite thickness (Stevens and
-Lavine, IEEE Trans. Electron Devices 41, 1753-1760, 1994) without recombination: electrons that are generated h below
-the depleted layer, in a layer of thickness w with a reflecting floor, arrive with the transfer function
-cosh(q (w - h)) / cosh(q w), q = 2 pi f. The microlens is assumed to send all light through the middle of the pixel.
-Thickness (3 um) and depth (2 um) are inferred for a front-illuminated pixel of 1.7 um. Measured crosstalk also contains
-light that enters the wrong pixel (Agranov et al., IEEE Trans. Electron Devices 50, 4-11, 2003; Blockstein and
-Yadid-Pecht, Appl. Opt. 49, 4483-4488, 2010), which is left out here.
+How many electrons change pixels, and why, is told in :mod:`dasim.camera.diffusion`.
 """
 
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import NamedTuple
 
 import numpy as np
 
-from dasim.camera import radiometry, silicon
-from dasim.camera.specification import Camera, Sensor, channels, mosaic_channels
+from dasim.camera import radiometry
+from dasim.camera.diffusion import Shares, spread, undone
+from dasim.camera.specification import Camera, channel_block, channels, mosaic_channels, spectral_shares
 from dasim.spectra import grid, illuminants
 from dasim.typing import FloatArray
 
-THICKNESS_UM = 3.0  # of the silicon, unless silicon_um says otherwise
 REFERENCE_LIGHT = "D65"  # on a white surface: the light whose mean the shares of a channel are
-_SUBPIXELS = 8  # per pixel and axis
-_WINDOW_PX = 32
 _REACH_PX = 6  # of the inverse of a spread: what is beyond is below 1e-6 of it, with 10 % leaving a pixel
-_NODES_NM = np.arange(400.0, 831.0, 10.0)  # the shares vary slowly with wavelength
-
-
-class Shares(NamedTuple):
-    """Share of a pixel's electrons that each of its four edge neighbours and four corner neighbours receives."""
-
-    edge: FloatArray
-    corner: FloatArray
 
 
 def channel_shares(camera: Camera) -> Shares:
@@ -51,51 +29,6 @@ def channel_shares(camera: Camera) -> Shares:
     electrons = radiometry.response(camera) * illuminants.illuminant(REFERENCE_LIGHT)
     total = grid.integrate(electrons)
     return Shares(*(grid.integrate(electrons * share) / total for share in spectral))
-
-
-def spectral_shares(sensor: Sensor) -> Shares:
-    """Shares of electrons that light of each wavelength generates, [wavelength].
-
-    A number for ``electronic_crosstalk`` is the share of each edge neighbour at all wavelengths.
-    """
-    if sensor.electronic_crosstalk != "silicon":
-        return Shares(
-            np.full(grid.WAVELENGTH_NM.shape, sensor.electronic_crosstalk), np.zeros(grid.WAVELENGTH_NM.shape)
-        )
-    return _diffusion(sensor.pixel_pitch_um, sensor.silicon_um or THICKNESS_UM, sensor.depletion_um)
-
-
-@lru_cache(maxsize=32)
-def _diffusion(pitch_um: float, thickness_um: float, depletion_um: float) -> Shares:
-    """Shares by diffusion; what goes further than the eight neighbours is added to theirs in proportion."""
-    if thickness_um <= depletion_um:
-        return Shares(*np.zeros((2, len(grid.WAVELENGTH_NM))))
-    frequency = np.fft.fftfreq(_WINDOW_PX * _SUBPIXELS, pitch_um / _SUBPIXELS)
-    q = 2 * np.pi * np.hypot(frequency[:, None], frequency[None, :])
-    pixel = np.outer(np.sinc(frequency * pitch_um), np.sinc(frequency * pitch_um)) * _SUBPIXELS**2
-    edge, corner = np.empty((2, len(_NODES_NM)))
-    alphas = np.interp(_NODES_NM, grid.WAVELENGTH_NM, silicon.absorption_per_um())
-    for index, alpha in enumerate(alphas):
-        diffused = np.fft.ifft2(transfer_below(q, float(alpha), thickness_um, depletion_um) * pixel).real
-        own, near, diagonal = (diffused[_SUBPIXELS * y, _SUBPIXELS * x] for y, x in ((0, 0), (0, 1), (1, 1)))
-        leaving = diffused[::_SUBPIXELS, ::_SUBPIXELS].sum() - own
-        scale = leaving / (4 * (near + diagonal))
-        edge[index], corner[index] = scale * near, scale * diagonal
-    return Shares(*(np.interp(grid.WAVELENGTH_NM, _NODES_NM, shares) for shares in (edge, corner)))
-
-
-def transfer_below(q: FloatArray, alpha: float, thickness_um: float, depletion_um: float) -> FloatArray:
-    """Transfer function, at q = 2 pi f per um, of the electrons from below the depleted layer, at 0 their share of all.
-
-    The integral of alpha exp(-alpha z) cosh(q (w - h)) / cosh(q w) over the depth z = d + h from d to d + w, over the
-    electrons of the whole thickness, 1 - exp(-alpha (d + w)); alpha is the absorption per um.
-    """
-    w = thickness_um - depletion_um
-    q = np.where(np.abs(q - alpha) < 1e-5 * alpha, (1 + 1e-5) * alpha, q)  # a removable singularity
-    inverse_cosh = 1 / np.cosh(np.minimum(q * w, 300.0))
-    generated = alpha - q * np.tanh(q * w) - alpha * np.exp(-alpha * w) * inverse_cosh
-    share = alpha * np.exp(-alpha * depletion_um) * generated / (alpha**2 - q**2)
-    return np.asarray(share / -np.expm1(-alpha * thickness_um))
 
 
 def electronic_crosstalk(mean_e: FloatArray, camera: Camera) -> FloatArray:
@@ -132,8 +65,7 @@ def noise_gains(camera: Camera) -> FloatArray:
     sensor = camera.sensor
     if sensor.electronic_crosstalk == 0:
         return np.ones(len(channels(sensor)))
-    names = channels(sensor)
-    block = tuple(tuple(names.index(name) for name in row) for row in sensor.mosaic)
+    block = tuple(map(tuple, channel_block(sensor).tolist()))
     return np.array(_noise_gains(block, *(tuple(share.tolist()) for share in channel_shares(camera))))
 
 
@@ -158,35 +90,3 @@ def pixel_shares(camera: Camera) -> Shares:
     """Shares of each pixel of the frame, [h, w]."""
     channel = mosaic_channels(camera)
     return Shares(*(share[channel] for share in channel_shares(camera)))
-
-
-def spread(electrons: FloatArray, edge: FloatArray, corner: FloatArray) -> FloatArray:
-    """Electrons after diffusion between pixels: [h, w] -> [h, w], same sum and precision.
-
-    ``edge`` and ``corner`` [h, w] are the shares of each pixel's electrons that go to an edge and to a corner
-    neighbour. Nothing crosses the border of the frame: a pixel there keeps what would leave it.
-    """
-    result = electrons.copy()
-    height, width = electrons.shape
-    for dy in (-1, 0, 1):
-        for dx in (-1, 0, 1):
-            share = edge if dy * dx == 0 else corner
-            if dy == dx == 0 or not share.any():
-                continue
-            source = np.s_[max(0, -dy) : height - max(0, dy), max(0, -dx) : width - max(0, dx)]
-            target = np.s_[max(0, dy) : height - max(0, -dy), max(0, dx) : width - max(0, -dx)]
-            moved = share[source] * electrons[source]
-            result[source] -= moved
-            result[target] += moved
-    return result
-
-
-def undone(electrons: FloatArray, edge: FloatArray, corner: FloatArray, *, steps: int = 6) -> FloatArray:
-    """The inverse of :func:`spread`: electrons before diffusion, [h, w], by ``steps`` of Jacobi's iteration.
-
-    At most a share s of a pixel's electrons leaves it, so that the error is below (2 s)^(steps + 1): 1e-5 at 10 %.
-    """
-    result = electrons
-    for _ in range(steps):
-        result = electrons + (result - spread(result, edge, corner))
-    return result

@@ -5,17 +5,14 @@ A camera's TOML file takes it as a table ``[sensor.emva1288]`` beside the geomet
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 from scipy.optimize import brentq
 from scipy.special import ndtr
 
-from dasim.camera import response_curves
 from dasim.spectra import grid
-
-Curve = tuple[tuple[float, ...], tuple[float, ...]]
 
 # What the fields of Sensor are where a camera's file gives neither spelling.
 DEFAULT_PRNU = 0.01
@@ -39,8 +36,10 @@ class DataSheet(BaseModel):
     | doubling temperature T_d | ``dark_doubling_k`` |
     | quantum efficiency of green, at ``wavelength_nm`` or its peak | ``quantum_efficiency_scale``, for all curves |
 
-    The curves are the table ``quantum_efficiency`` where the camera's file has one: then they count relative to each
-    other, and the sheet says how high they are.
+    A quantum efficiency is measured under even light. It lacks the electrons that leave a pixel for its neighbours and
+    contains those that they lose to it, so the curves are scaled to what green pixels collect. They are the table
+    ``quantum_efficiency`` where the camera's file has one: then they count relative to each other, and the sheet says
+    how high they are.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
@@ -67,6 +66,13 @@ class DataSheet(BaseModel):
         return self
 
 
+class Green(NamedTuple):
+    """What a data sheet says of the quantum efficiency of green pixels."""
+
+    share: float  # electrons per photon
+    wavelength_nm: float | None  # None: at the peak
+
+
 class _Table(BaseModel):
     """Gives the errors of the data sheet their path."""
 
@@ -86,12 +92,11 @@ _FIELD = {
 }
 
 
-def translated(data: dict[str, Any], green: Curve | None = None) -> dict[str, Any]:
+def translated(data: dict[str, Any]) -> tuple[dict[str, Any], Green | None]:
     """Plain data of a sensor with its table ``emva1288`` replaced by the fields of ``Sensor``, see `DataSheet`.
 
-    ``green`` holds the wavelengths in nm and efficiencies of the green curve of the sensor's own response curves, if it
-    has any. Raises ValueError (pydantic's own for single keys) for unknown keys and for a quantity that is given in
-    both places.
+    The quantum efficiency, if the sheet has one, stands beside them: its field follows from the whole sensor. Raises
+    ValueError (pydantic's own for single keys) for unknown keys and for a quantity that is given in both places.
     """
     sheet = _Table(emva1288=data["emva1288"]).emva1288
     others = {key: value for key, value in data.items() if key != "emva1288"}
@@ -99,6 +104,7 @@ def translated(data: dict[str, Any], green: Curve | None = None) -> dict[str, An
     both = [f"emva1288.{key} and {_FIELD[key]}" for key in values if _FIELD.get(key) in others]
     if both:
         raise ValueError(f"{'; '.join(both)}: one quantity in two spellings, give one of them")
+    percent = values.pop("quantum_efficiency_percent", None)
     fields = {_FIELD[key]: value for key, value in values.items() if key in _FIELD}
     if "prnu" in fields:
         fields["prnu"] /= 100
@@ -110,16 +116,7 @@ def translated(data: dict[str, Any], green: Curve | None = None) -> dict[str, An
     if sheet.dark_current_temperature_c is not None:
         doubling_k = max(_number(fields | others, "dark_doubling_k", DEFAULT_DARK_DOUBLING_K), 1.0)
         fields["dark_current_e_s"] *= 2.0 ** ((25.0 - sheet.dark_current_temperature_c) / doubling_k)
-    if sheet.quantum_efficiency_percent is not None:
-        if green is None and others.get("quantum_efficiency") is not None:
-            raise ValueError("emva1288.quantum_efficiency_percent: the table quantum_efficiency has no column G")
-        bundled = response_curves.rgb_ir_quantum_efficiency()[grid.CHANNELS.index("G")]
-        nm, curve = green or (tuple(grid.WAVELENGTH_NM), tuple(bundled))
-        peak = max(curve) if sheet.wavelength_nm is None else float(np.interp(sheet.wavelength_nm, nm, curve))
-        if not peak > 0:
-            raise ValueError(f"emva1288.quantum_efficiency_percent: green is 0 at {sheet.wavelength_nm} nm")
-        fields["quantum_efficiency_scale"] = sheet.quantum_efficiency_percent / 100 / float(peak)
-    return others | fields
+    return others | fields, None if percent is None else Green(percent / 100, sheet.wavelength_nm)
 
 
 def _number(data: dict[str, Any], key: str, default: float) -> float:

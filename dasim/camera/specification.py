@@ -8,11 +8,12 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field, ValidationError, ValidationInfo, field_validator, model_validator
 
 from dasim.base.errors import InputError, kind_of
 from dasim.base.toml import Specification, bundled_or_file, parse, parse_toml
-from dasim.camera import coatings, datasheet, response_curves, stops, zernike
+from dasim.camera import coatings, datasheet, diffusion, response_curves, stops, zernike
 from dasim.camera.response_curves import Curves
 from dasim.camera.stops import Stop
 from dasim.camera.zernike import FieldWavefront, Wavefront
@@ -24,6 +25,7 @@ BLUR_LEVELS = 29  # sec. 6.1
 NEAREST_FOCUS = 1.1  # in focal lengths: a magnification of 10
 SMALLEST_GLARE_PX = 3.0
 SMALLEST_FRAME_PX = 8
+SILICON_UM = 3.0  # thickness of the silicon that crosstalk assumes, unless silicon_um says otherwise
 LARGEST_FOCAL_SHIFT = 0.1  # of the focal length; more is not a thin lens
 
 Offset = Annotated[float, Field(ge=-40_000, le=40_000)]  # pixels, a multiple of the largest sensor
@@ -151,14 +153,14 @@ class Sensor(Specification):
     def _from_data_sheet(cls, data: Any, info: ValidationInfo) -> Any:
         if not isinstance(data, dict) or "emva1288" not in data:
             return data
-        green = None
-        if data.get("quantum_efficiency") is not None:
-            try:
-                curves = Curves.model_validate(data["quantum_efficiency"], context=info.context)
-                green = curves.wavelength_nm, curves.channels["G"]
-            except (ValidationError, KeyError):
-                pass  # reported for the table itself
-        return datasheet.translated(data, green)
+        fields, green = datasheet.translated(data)
+        if green is None:
+            return fields
+        try:
+            unscaled = cls.model_validate(fields, context=info.context)
+        except ValidationError:
+            return fields  # whose own validation reports it
+        return fields | {"quantum_efficiency_scale": green.share / _green_efficiency(unscaled, green.wavelength_nm)}
 
     @model_validator(mode="after")
     def _consistent(self) -> Sensor:
@@ -420,12 +422,17 @@ def near_infrared_nm(camera: Camera, angle_deg: float = 0.0) -> tuple[float, flo
     )
 
 
-def mosaic_channels(camera: Camera) -> np.ndarray:
+def mosaic_channels(camera: Camera) -> NDArray[np.int_]:
     """Channel index (into :func:`channels`) of every pixel, int [height, width]."""
     sensor = camera.sensor
-    names = channels(sensor)
-    block = np.array([[names.index(name) for name in row] for row in sensor.mosaic])
+    block = channel_block(sensor)
     return np.tile(block, (sensor.height_px // block.shape[0], sensor.width_px // block.shape[1]))
+
+
+def channel_block(sensor: Sensor) -> NDArray[np.int_]:
+    """Channel index (into :func:`channels`) of every pixel of a period of the mosaic, [row, column]."""
+    names = channels(sensor)
+    return np.array([[names.index(name) for name in row] for row in sensor.mosaic])
 
 
 def quantum_efficiency(sensor: Sensor) -> FloatArray:
@@ -439,3 +446,37 @@ def quantum_efficiency(sensor: Sensor) -> FloatArray:
         nm = curves.wavelength_nm
         selected = [np.interp(grid.WAVELENGTH_NM, nm, curves.channels[n], right=0.0) for n in channels(sensor)]
     return sensor.quantum_efficiency_scale * np.stack(selected)
+
+
+def collected_efficiency(sensor: Sensor) -> FloatArray:
+    """Electrons per photon that pixels collect under even light, [channel, wavelength], without the cut-off filter.
+
+    It is :func:`quantum_efficiency` after crosstalk between pixels, and what a measurement of the sensor shows.
+    """
+    return diffusion.collected_evenly(quantum_efficiency(sensor), channel_block(sensor), spectral_shares(sensor))
+
+
+def spectral_shares(sensor: Sensor) -> diffusion.Shares:
+    """Shares of the electrons of a pixel that its neighbours receive, [wavelength].
+
+    A number for ``electronic_crosstalk`` is the share of each edge neighbour at all wavelengths.
+    """
+    if sensor.electronic_crosstalk != "silicon":
+        none = np.zeros(grid.WAVELENGTH_NM.shape)
+        return diffusion.Shares(none + sensor.electronic_crosstalk, none)
+    return diffusion.by_depth(sensor.pixel_pitch_um, sensor.silicon_um or SILICON_UM, sensor.depletion_um)
+
+
+def _green_efficiency(sensor: Sensor, wavelength_nm: float | None) -> float:
+    """Electrons per photon that green pixels collect at a wavelength, by default that of the peak of their own curve;
+    ValueError where there are none.
+    """
+    if "G" not in channels(sensor):
+        raise ValueError("emva1288.quantum_efficiency_percent is that of green pixels, but the mosaic has no channel G")
+    index = channels(sensor).index("G")
+    if wavelength_nm is None:
+        wavelength_nm = float(grid.WAVELENGTH_NM[np.argmax(quantum_efficiency(sensor)[index])])
+    efficiency = float(np.interp(wavelength_nm, grid.WAVELENGTH_NM, collected_efficiency(sensor)[index]))
+    if not efficiency > 0:
+        raise ValueError(f"emva1288.quantum_efficiency_percent: green is 0 at {wavelength_nm:g} nm")
+    return efficiency

@@ -14,9 +14,16 @@ from typing import Any
 import numpy as np
 
 from dasim.base.errors import InputError
-from dasim.camera import crosstalk
 from dasim.camera import noise as sensors
-from dasim.camera.specification import SMALLEST_FRAME_PX, Camera, Sensor, channels, cutoff, quantum_efficiency
+from dasim.camera.specification import (
+    SMALLEST_FRAME_PX,
+    Camera,
+    Sensor,
+    channels,
+    collected_efficiency,
+    cutoff,
+    quantum_efficiency,
+)
 from dasim.files.folders import new_folder, software_versions
 from dasim.files.png import write_png16
 from dasim.spectra import grid
@@ -69,18 +76,12 @@ def plan(camera: Camera, channel: str = "G", gain: float = 1.0) -> Plan:
 def _quantum_efficiency(sensor: Sensor, channel: str) -> tuple[float, float]:
     """Wavelength of the channel's peak, and the efficiency of its pixels there, crosstalk in the mosaic included."""
     names = channels(sensor)
-    block = np.array([[names.index(name) for name in row] for row in sensor.mosaic])
     if channel not in names:
         raise InputError(f"--channel '{channel}' is not in the camera's mosaic, allowed are {', '.join(names)}")
-    curves = quantum_efficiency(sensor) * cutoff(sensor)
     index = names.index(channel)
-    peak = int(np.argmax(curves[index]))
-    rows, columns = block.shape
-    alone = np.tile(curves[block, peak], (3, 3))
-    shares = (np.full(alone.shape, share[peak]) for share in crosstalk.spectral_shares(sensor))
-    collected = crosstalk.spread(alone, *shares)
-    inner = collected[rows : 2 * rows, columns : 2 * columns]  # a block away from the border
-    return float(grid.WAVELENGTH_NM[peak]), float(inner[block == index][0])
+    peak = int(np.argmax((quantum_efficiency(sensor) * cutoff(sensor))[index]))
+    efficiency = (collected_efficiency(sensor) * cutoff(sensor))[index, peak]
+    return float(grid.WAVELENGTH_NM[peak]), float(efficiency)
 
 
 def write_measurement(

@@ -1,17 +1,15 @@
-"""Crosstalk between pixels: charge, single electrons, diffusion in silicon, and its correction."""
+"""Crosstalk between pixels: charge, single electrons, shares of channels, and its correction."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy import integrate
 
-from dasim.camera import crosstalk, radiometry, silicon
+from dasim.camera import crosstalk, diffusion, radiometry
 from dasim.camera import specification as cameras
 from dasim.spectra import colour_checker, grid, illuminants
 
 SIDE = 250
-WALKS = 200_000  # electrons of the random walk: a share of 5 % is known to 1 %
 
 
 @pytest.fixture
@@ -89,78 +87,6 @@ def test_crosstalk_before_the_shot_noise_is_that_of_single_electrons(make):
 # --- by absorption depth -------------------------------------------------------------------------
 
 
-def test_transfer_function_is_the_integral_over_depth():
-    """Expectation: at several frequencies the closed form is the quadrature of what it stands for; at 0 it is the share
-    of light that is absorbed below the depleted layer.
-    """
-    alpha, thickness, depletion = 0.3, 3.0, 2.0
-    w = thickness - depletion
-    total = 1 - np.exp(-alpha * thickness)
-    for q in (0.0, 0.05, 0.3, 1.0, 4.0):
-
-        def arriving(h, q=q):
-            return alpha * np.exp(-alpha * (depletion + h)) * np.cosh(q * (w - h)) / np.cosh(q * w)
-
-        expected = integrate.quad(arriving, 0, w)[0] / total
-        value = crosstalk.transfer_below(np.array([[q]]), alpha, thickness, depletion)[0, 0]
-        assert value == pytest.approx(expected, rel=1e-5)
-    below = (np.exp(-alpha * depletion) - np.exp(-alpha * thickness)) / total
-    assert crosstalk.transfer_below(np.zeros((1, 1)), alpha, thickness, depletion)[0, 0] == pytest.approx(below)
-
-
-def test_shares_are_those_of_electrons_that_walk_at_random(make):
-    """Rationale: diffusion is the random walk of single electrons; no formula is shared.
-
-    Set-up: 200,000 electrons at 730 nm start on the pixel's axis at depths drawn from the absorption law, and walk in
-    steps of 0.05 um in each direction, reflected at 3 um, until they reach the depleted layer at 2 um. Expectation:
-    the shares of edge and corner neighbours, what goes further shared out in proportion. A share of 8 % of the
-    electrons is known to 0.8 %, an edge neighbour's to 1.6 %, a corner's to 3 %; the finite step takes the
-    electrons 0.58 of itself beyond the absorbing plane on average, so that it stands as much higher here. Limit: 5 and
-    10 %.
-    """
-    rng = np.random.default_rng(2)
-    alpha = float(np.interp(730.0, grid.WAVELENGTH_NM, silicon.absorption_per_um()))
-    depth = -np.log1p(-rng.random(WALKS) * -np.expm1(-3 * alpha)) / alpha
-    step = 0.05
-    depth = depth[depth > 2.0] - 2.0
-    place = np.zeros((2, depth.size))
-    moving = np.arange(depth.size)
-    while moving.size:
-        depth[moving] += step * rng.standard_normal(moving.size)
-        over = depth[moving] > 1.0
-        depth[moving] = np.where(over, 2.0 - depth[moving], depth[moving])
-        place[:, moving] += step * rng.standard_normal((2, moving.size))
-        moving = moving[depth[moving] > 0.5826 * step]
-    pixel = np.abs(np.rint(place / 1.7)).astype(int)
-    away = pixel.sum(axis=0) > 0
-    edge = (pixel.sum(axis=0) == 1).sum()
-    corner = ((pixel[0] == 1) & (pixel[1] == 1)).sum()
-    leaving = away.sum() / WALKS
-    expected = leaving / 4 * np.array([edge, corner]) / (edge + corner)
-    shares = crosstalk.spectral_shares(make(electronic_crosstalk="silicon").sensor)
-    ours = [float(np.interp(730.0, grid.WAVELENGTH_NM, share)) for share in shares]
-    assert ours[0] == pytest.approx(expected[0], rel=0.05)
-    assert ours[1] == pytest.approx(expected[1], rel=0.10)
-
-
-def test_shares_grow_with_wavelength_and_fall_with_pitch_and_depletion(make):
-    """Expectation: 0.2, 5, 8 and 10 % leave their pixel at 450, 550, 650 and 730 nm; fewer at a larger pitch and with a
-    deeper depletion; none where all silicon is depleted.
-    """
-
-    def leaving(**changes):
-        edge, corner = crosstalk.spectral_shares(make(electronic_crosstalk="silicon", **changes).sensor)
-        return 4 * edge + 4 * corner
-
-    ours = leaving()
-    for nm, share in ((450, 0.002), (550, 0.05), (650, 0.083), (730, 0.097)):
-        assert np.interp(nm, grid.WAVELENGTH_NM, ours) == pytest.approx(share, abs=0.0007)
-    assert (np.diff(ours) > 0).all()
-    seen = ours > 1e-4
-    assert (leaving(pixel_pitch_um=3.4) < 0.6 * ours)[seen].all() and (leaving(depletion_um=2.5) < ours)[seen].all()
-    assert (leaving(depletion_um=3.0) == 0).all()
-
-
 def test_shares_of_channels_against_the_full_spectra(make):
     """Rationale: pictures hold the electrons of a channel, not their wavelengths.
 
@@ -170,11 +96,11 @@ def test_shares_of_channels_against_the_full_spectra(make):
     camera = make(electronic_crosstalk="silicon")
     names = cameras.channels(camera.sensor)
     block = np.array([[names.index(name) for name in row] for row in camera.sensor.mosaic])
-    spectral, response = crosstalk.spectral_shares(camera.sensor), radiometry.response(camera)
+    spectral, response = cameras.spectral_shares(camera.sensor), radiometry.response(camera)
     area = np.tile(block, (3, 3))
 
     def at_places(per_channel, edge, corner):
-        spread = crosstalk.spread(per_channel[area], edge[area], corner[area])[2:4, 2:4]
+        spread = diffusion.spread(per_channel[area], edge[area], corner[area])[2:4, 2:4]
         return np.array([spread[block == index].mean() for index in range(len(names))])
 
     channel = crosstalk.channel_shares(camera)

@@ -8,7 +8,7 @@ from scipy.special import ndtr
 from scipy.stats import norm
 
 from dasim.base.errors import InputError
-from dasim.camera import datasheet, noise, radiometry, response_curves, specification
+from dasim.camera import datasheet, diffusion, noise, radiometry, response_curves, specification
 from dasim.camera import specification as cameras
 from dasim.spectra import grid
 
@@ -50,6 +50,26 @@ def test_figures_in_their_units(da_mobile):
     assert loaded.sensor.dark_current_e_s == pytest.approx(10.0)
     assert loaded.sensor.quantum_efficiency_scale == pytest.approx(0.6 / green)
     np.testing.assert_allclose(radiometry.response(loaded), radiometry.response(da_mobile) * 0.6 / green, rtol=1e-12)
+
+
+@pytest.mark.parametrize("value", ["silicon", 0.05])
+def test_quantum_efficiency_is_that_of_pixels_among_their_neighbours(da_mobile, value):
+    """Rationale: a bench measures what pixels collect, after some of their electrons have changed places.
+
+    Set-up: crosstalk between pixels, and a sheet with 48 % for green at 560 nm; 1,000 photons of that wavelength on
+    each pixel of the sensor, and electrons that move. Expectation: green pixels hold 480 electrons.
+    """
+    table = {"quantum_efficiency_percent": 48.0, "wavelength_nm": 560.0}
+    changed = da_mobile.model_copy(
+        update={"sensor": da_mobile.sensor.model_copy(update={"electronic_crosstalk": value})}
+    )
+    camera = specification.cropped(sheet(changed, table, without=("quantum_efficiency_scale",)), 16, 16)
+    index = int(np.argmin(np.abs(grid.WAVELENGTH_NM - 560.0)))
+    channel = specification.mosaic_channels(camera)
+    generated = 1000 * specification.quantum_efficiency(camera.sensor)[channel, index]
+    shares = (np.full(channel.shape, share[index]) for share in specification.spectral_shares(camera.sensor))
+    green = diffusion.spread(generated, *shares)[2:-2:2, 2:-2:2]
+    np.testing.assert_allclose(green, 480.0, rtol=1e-9)
 
 
 def test_system_gain_sets_the_numbers(da_mobile):
@@ -100,7 +120,7 @@ def test_what_is_wrong_in_a_data_sheet_is_named(da_mobile, table, without, messa
 def test_curves_of_a_file_get_their_height_from_the_sheet(da_mobile, tmp_path):
     """Set-up: the bundled curves, relative to the highest, in a CSV file from 350 to 1,000 nm, beside a sheet with 60 %
     for green at 540 nm. Expectation: green has 60 % there, all channels keep their ratios, and what the file says
-    beyond the simulated band plays no part; without a column for green the sheet's figure is refused.
+    beyond the simulated band plays no part; without green pixels the sheet's figure is refused.
     """
     ours = response_curves.rgb_ir_quantum_efficiency()
     nm = np.concatenate([[350.0, 380.0], grid.WAVELENGTH_NM, [850.0, 1000.0]])
@@ -118,5 +138,5 @@ def test_curves_of_a_file_get_their_height_from_the_sheet(da_mobile, tmp_path):
     green = np.interp(540.0, grid.WAVELENGTH_NM, ours[1])
     np.testing.assert_allclose(efficiency, ours * 0.6 / green, atol=1e-8)  # the file's nine digits
     data["sensor"] |= {"mosaic": [["L", "R"], ["B", "IR"]], "quantum_efficiency": {"file": "L.csv"}}
-    with pytest.raises(InputError, match="quantum_efficiency has no column G"):
+    with pytest.raises(InputError, match="the mosaic has no channel G"):
         cameras.parse(cameras.Camera, data, "mine.toml", folder=tmp_path)

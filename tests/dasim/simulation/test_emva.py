@@ -57,7 +57,9 @@ def with_sensor(camera, **changes):
 
 @pytest.fixture(scope="module")
 def cases(da_mobile):
-    """The paper's camera, and a large pixel behind a better converter, warm, with crosstalk, seen through its IR."""
+    """The paper's camera; a large pixel behind a better converter, warm, with crosstalk, seen through its IR; and the
+    paper's with crosstalk by the depth of absorption.
+    """
     large = with_sensor(
         da_mobile,
         full_well_e=20_000,
@@ -72,7 +74,8 @@ def cases(da_mobile):
         quantum_efficiency_scale=1.2,
         electronic_crosstalk=0.03,
     )
-    return {"da-mobile": (da_mobile, "G"), "large": (large, "IR")}
+    deep = with_sensor(da_mobile, electronic_crosstalk="silicon")
+    return {"da-mobile": (da_mobile, "G"), "large": (large, "IR"), "deep": (deep, "G")}
 
 
 @pytest.fixture(scope="module")
@@ -152,13 +155,15 @@ def test_gain_shows_a_read_noise_that_rounding_hides(da_mobile, analyse, tmp_pat
     assert result.K == pytest.approx(8 * 959 / 6000, rel=GAIN_LIMIT)
 
 
-def test_data_sheet_round_trip(cases, measured, tmp_path):
+@pytest.mark.parametrize("name", ["da-mobile", "deep"])
+def test_data_sheet_round_trip(cases, measured, tmp_path, name):
     """Rationale: a data sheet is a way to describe one's own sensor.
 
-    Set-up: the analyser's figures of da-mobile, to four digits as sheets print them, in a table [sensor.emva1288]
-    instead of the electrical values; dark current as if measured at 25 C. Expectation: the same sensor.
+    Set-up: the analyser's figures of da-mobile, without and with crosstalk between pixels, to four digits as sheets
+    print them, in a table [sensor.emva1288] instead of the electrical values; dark current as if measured at 25 C.
+    Expectation: the same sensor.
     """
-    result, (camera, _) = measured("da-mobile"), cases["da-mobile"]
+    result, (camera, _) = measured(name), cases[name]
     figures = {
         "overall_system_gain_dn_per_e": result.K,
         "temporal_dark_noise_e": result.sigma_d,
@@ -171,6 +176,7 @@ def test_data_sheet_round_trip(cases, measured, tmp_path):
     }
     electrical = ("full_well_e", "read_noise_e", "dark_", "dsnu_e", "prnu")  # DSNU1288 is that of rows and columns too
     lines = (cameras.CAMERA_DIR / "da-mobile.toml").read_text().splitlines()
+    lines += [f"electronic_crosstalk = {json.dumps(camera.sensor.electronic_crosstalk)}"]
     table = ["[sensor.emva1288]", *(f"{key} = {value:.4g}" for key, value in figures.items())]
     path = tmp_path / "mine.toml"
     path.write_text("\n".join([line for line in lines if not line.startswith(electrical)] + table))
