@@ -15,8 +15,9 @@ from .scene.mitsuba_scene import MitsubaScene
 from .scene.specification import Scene, scene_names
 from .scene.targets import depth_steps, point_source, staircase
 from .simulation.calibration import calibration_captures
+from .simulation.exposure import Shot, expose, expose_series
 from .simulation.relight import exposed, lit_by
-from .simulation.simulate import Shot, simulate
+from .simulation.simulate import simulate
 from .simulation.tiling import tiled
 from .spectra.illuminants import illuminant_names
 from .values import Capture, DepthEstimate, Developed, PointPicture, PointPictures, PsfBank, Reconstruction, Truth
@@ -46,6 +47,8 @@ __all__ = [
     "cropped",
     "depth_steps",
     "describe",
+    "expose",
+    "expose_series",
     "exposed",
     "focused",
     "illuminant_names",

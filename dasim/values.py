@@ -60,10 +60,9 @@ class Truth:
 
     def scaled(self, factor: float) -> Truth:
         """The truth of the same view with ``factor`` times the electrons: another exposure time, or light level."""
-        parts = {name: getattr(self, name) for name in ("mean_e", "sharp_e", "focus_e")}
-        scaled: dict[str, Any] = {k: None if part is None else part * np.float32(factor) for k, part in parts.items()}
-        variance = self.mean_e_variance
-        scaled["mean_e_variance"] = None if variance is None else variance * np.float32(factor**2)
+        powers = {"mean_e": 1, "sharp_e": 1, "focus_e": 1, "mean_e_variance": 2}
+        parts = {name: (getattr(self, name), np.float64(factor) ** power) for name, power in powers.items()}
+        scaled: dict[str, Any] = {k: None if a is None else (a * by).astype(np.float32) for k, (a, by) in parts.items()}
         return replace(self, **scaled)
 
     def __repr__(self) -> str:

@@ -13,7 +13,7 @@ from typing import Any
 import cyclopts
 
 from dasim.base.errors import InputError
-from dasim.cli import check, datasets, photograph, reconstruct, study
+from dasim.cli import check, datasets, expose, photograph, reconstruct, study
 
 app = cyclopts.App(
     name="dasim",
@@ -25,6 +25,7 @@ app = cyclopts.App(
 for command in (
     check.demo,
     photograph.render,
+    expose.expose,
     photograph.calibrate,
     reconstruct.recon,
     reconstruct.refocus,

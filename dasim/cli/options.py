@@ -1,4 +1,4 @@
-"""Options, progress bar and checks of output files that the commands share.
+"""Options, progress bar, checks of output files and lines on captures that the commands share.
 
 Tested in tests/dasim/cli/test_commands.py.
 """
@@ -9,12 +9,15 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
 from dasim.base.errors import InputError
 from dasim.typing import Progress
+
+if TYPE_CHECKING:
+    from dasim.values import Capture
 
 
 @contextmanager
@@ -90,3 +93,13 @@ def say_variant(variant: str | None) -> None:
     from dasim.render import backend
 
     print(f"renderer: {backend.choose(variant).reason}", file=sys.stderr, flush=True)
+
+
+def print_capture(capture: Capture, out: Path) -> None:
+    """Print the notes on a simulated capture, its rendering noise, and where it was written."""
+    for note in capture.provenance["notes"]:
+        print(f"note: {note}")
+    for at, by_channel in capture.provenance.get("rendering_noise_share", {}).items():
+        listed = ", ".join(f"{name} {share:.2f}" for name, share in by_channel.items())
+        print(f"rendering noise over sensor noise, percentile {at:>4} of the pixels: {listed}")
+    print(f"capture: {out} ({capture.exposure_s * 1e3:.3g} ms)")

@@ -110,13 +110,7 @@ def render(
             **chosen_options,
         )
     dasim.save_capture(out, shot.capture, shot.truth)
-    for note in shot.capture.provenance["notes"]:
-        print(f"note: {note}")
-    shares = shot.capture.provenance.get("rendering_noise_share", {})
-    for at, by_channel in shares.items():
-        listed = ", ".join(f"{name} {share:.2f}" for name, share in by_channel.items())
-        print(f"rendering noise over sensor noise, percentile {at:>4} of the pixels: {listed}")
-    print(f"capture: {out} ({shot.capture.exposure_s * 1e3:.3g} ms)")
+    options.print_capture(shot.capture, out)
     return 0
 
 

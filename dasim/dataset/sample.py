@@ -29,7 +29,8 @@ from dasim.files.captures import capture_meta
 from dasim.files.png import write_png16
 from dasim.files.truth import write_truth
 from dasim.render import backend
-from dasim.simulation.simulate import Shot, simulate
+from dasim.simulation.exposure import Shot
+from dasim.simulation.simulate import simulate
 from dasim.values import Truth
 
 FILES = ("raw.png", "truth.exr", "meta.json")  # of a sample, in this order

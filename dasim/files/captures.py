@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -47,6 +48,19 @@ def save_capture(path: Path, capture: Capture, truth: Truth | None) -> None:
             "file_bytes": {file.name: file.stat().st_size for file in sorted(folder.iterdir())},
         }
         (folder / "meta.json").write_text(json.dumps(meta, indent=1) + "\n", encoding="utf-8")
+
+
+def save_series(path: Path, shots: Iterable[tuple[Capture, Truth | None]]) -> None:
+    """Write captures to the numbered folders ``000``, ``001``, ... of a folder, and a list of them, ``series.json``."""
+    with new_folder(path, "series of captures") as folder:
+        rows = []
+        for number, (capture, truth) in enumerate(shots):
+            name = f"{number:03d}"
+            save_capture(folder / name, capture, truth)
+            row = {"folder": name, "exposure_s": capture.exposure_s, "gain": capture.gain, "seed": capture.seed}
+            rows.append(row | {"saturated_pixels": capture.provenance.get("saturated_pixels")})
+        content = {"captures": rows, "software": software_versions()}
+        (folder / "series.json").write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
 
 
 def capture_meta(capture: Capture) -> dict[str, Any]:

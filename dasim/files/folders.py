@@ -26,9 +26,12 @@ def software_versions() -> dict[str, str]:
 
 # --- folders -------------------------------------------------------------------------------------
 
+MOST_IN_SERIES = 1000  # captures
+
 # Content of each kind of result folder; the first entry is the file that identifies it.
 RESULT_FILES = {
     "capture": ("meta.json", "raw.png", "truth.exr"),
+    "series of captures": ("series.json", *(f"{number:03d}" for number in range(MOST_IN_SERIES))),
     "reconstruction": (
         *("meta.json", "recon.exr", "rgb.png", "sharp.png", "ir.png"),
         *("anaglyph.png", "stereo.png", "surface.ply", "surface.glb"),

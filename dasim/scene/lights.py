@@ -20,7 +20,8 @@ from dasim.typing import FloatArray
 
 Vector = tuple[float, float, float]
 Positive = Annotated[float, Field(gt=0)]
-Lux = Annotated[float, Field(ge=1e-6, le=1e7)]  # from below starlight to about 100 times sunlight
+LUX_RANGE = (1e-6, 1e7)  # from below starlight to about 100 times sunlight
+Lux = Annotated[float, Field(ge=LUX_RANGE[0], le=LUX_RANGE[1])]
 Share = Annotated[float, Field(ge=0, le=1)]
 Azimuth = Annotated[float, Field(ge=-360, le=360, description="degrees from straight ahead towards the right")]
 

@@ -11,11 +11,10 @@ import numpy as np
 
 from dasim.base.errors import InputError
 from dasim.camera import noise
-from dasim.camera.crosstalk import electronic_crosstalk
 from dasim.loading import as_scene
 from dasim.scene.mitsuba_scene import MitsubaScene
 from dasim.scene.specification import Scene
-from dasim.simulation.simulate import Shot
+from dasim.simulation.exposure import Shot, expose
 from dasim.spectra import illuminants
 from dasim.values import Capture
 
@@ -43,11 +42,13 @@ def exposed(
 
     Automatic exposure sets the time, at most ``longest_s`` seconds, then the analogue gain, at most ``most_gain``.
     """
-    camera = shot.capture.camera
+    exposure = hand_held(shot, times, longest_s, most_gain)
+    return expose(shot, scale=times, exposure=exposure, seed=seed, noise=noise.expose).capture
+
+
+def hand_held(shot: Shot, times: float, longest_s: float, most_gain: float) -> noise.Exposure:
+    """The automatic exposure of a shot at ``times`` its light level: the time first, then the gain."""
     rate = shot.truth.mean_e.astype(np.float64) * (times / shot.capture.exposure_s)
-    automatic_s = noise.auto_exposure_s(rate, camera, noise.Exposure())
+    automatic_s = noise.auto_exposure_s(rate, shot.capture.camera, noise.Exposure())
     time_s = min(automatic_s, longest_s)
-    gain = float(np.clip(automatic_s / time_s, 1.0, most_gain))
-    collected = electronic_crosstalk(noise.mosaic(rate * time_s, camera), camera)
-    raw, _ = noise.expose(collected, camera.sensor, time_s, seed, gain=gain)
-    return Capture(raw, camera, time_s, gain, seed)
+    return noise.Exposure(time_s=time_s, gain=float(np.clip(automatic_s / time_s, 1.0, most_gain)))

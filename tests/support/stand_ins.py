@@ -6,7 +6,7 @@ import dataclasses
 
 import numpy as np
 
-from dasim.simulation.simulate import Shot
+from dasim.simulation.exposure import Shot
 from tests.support import recon_scenes, surfaces
 
 DISKS = {"near-yellow": 64, "near-black": 192}  # objects of the stand-in and where they are, x in px

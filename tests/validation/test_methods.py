@@ -18,7 +18,7 @@ from dasim.cli import run
 from dasim.dataset.reading import Sample
 from dasim.files.banks import save_bank
 from dasim.files.captures import capture_meta, save_capture
-from dasim.simulation.simulate import Shot
+from dasim.simulation.exposure import Shot
 from recon import levels
 from tests.support import recon_scenes, surfaces
 from validation import methods

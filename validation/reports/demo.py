@@ -14,7 +14,7 @@ import jinja2
 import numpy as np
 from numpy.typing import NDArray
 
-from dasim.simulation.simulate import Shot
+from dasim.simulation.exposure import Shot
 from dasim.values import Reconstruction
 from recon.files.reconstruction import grey
 from validation.gates.claim import Claim

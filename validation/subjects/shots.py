@@ -21,7 +21,7 @@ from dasim.files.captures import load_capture, load_truth
 from dasim.render import backend
 from dasim.scene.mitsuba_scene import MitsubaScene
 from dasim.scene.specification import Scene
-from dasim.simulation.simulate import Shot
+from dasim.simulation.exposure import Shot
 from dasim.typing import Progress
 
 

@@ -11,7 +11,7 @@ from dasim.bounds import cramer_rao
 from dasim.camera import geometry
 from dasim.camera import specification as cameras
 from dasim.simulation import relight
-from dasim.simulation.simulate import Shot
+from dasim.simulation.exposure import Shot
 from dasim.values import Capture
 from recon.picture import mosaic
 from recon.settings import PRESETS

@@ -12,7 +12,7 @@ import pytest
 import recon
 from dasim.camera import noise as sensor
 from dasim.camera.crosstalk import electronic_crosstalk
-from dasim.simulation.simulate import Shot
+from dasim.simulation.exposure import Shot
 from dasim.values import Capture, Reconstruction, Truth
 from recon.depth import raw_levels
 from recon.views import anaglyph

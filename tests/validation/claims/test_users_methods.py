@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dasim.simulation.simulate import Shot
+from dasim.simulation.exposure import Shot
 from tests.support import recon_scenes
 from tests.support.stand_ins import stand_in
 from validation.claims.depth import depth_maps, disks, light_levels, scenes, staircase, steps

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 import dasim
 import recon
 from dasim.camera.geometry import intrinsic_matrix
-from dasim.simulation.simulate import Shot
+from dasim.simulation.exposure import Shot
 from dasim.typing import BoolArray, ShareDone
 from dasim.values import Reconstruction, Truth
 from recon.views.surface import surface

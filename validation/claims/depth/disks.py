@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 import dasim
 import recon
-from dasim.simulation.simulate import Shot
+from dasim.simulation.exposure import Shot
 from dasim.spectra.grid import CHANNELS
 from dasim.typing import BoolArray, ShareDone
 from dasim.values import PsfBank, Reconstruction, Truth

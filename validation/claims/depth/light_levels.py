@@ -12,8 +12,8 @@ from scipy.stats import spearmanr
 import dasim
 import recon
 from dasim.scene.specification import load_scene
+from dasim.simulation.exposure import Shot
 from dasim.simulation.relight import exposed, lit_by
-from dasim.simulation.simulate import Shot
 from dasim.typing import FloatArray, ShareDone
 from recon.settings import DEFAULT_PRESET
 from validation.gates.claim import Evidence

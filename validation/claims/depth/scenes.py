@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 import dasim
 import recon
-from dasim.simulation.simulate import Shot
+from dasim.simulation.exposure import Shot
 from dasim.typing import ShareDone
 from dasim.values import Reconstruction
 from validation.gates.claim import Evidence

@@ -11,7 +11,7 @@ import recon
 from dasim.camera import response_curves
 from dasim.camera.specification import Camera, crosstalk
 from dasim.materials import library
-from dasim.simulation.simulate import Shot
+from dasim.simulation.exposure import Shot
 from dasim.spectra import grid, illuminants
 from dasim.spectra.grid import CHANNELS
 from dasim.typing import FloatArray, ShareDone

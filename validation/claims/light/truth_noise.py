@@ -17,7 +17,7 @@ from dasim.camera.noise import Exposure
 from dasim.camera.specification import Camera, mosaic_channels
 from dasim.scene import specification as scenes
 from dasim.scene.specification import Scene
-from dasim.simulation.simulate import Shot
+from dasim.simulation.exposure import Shot
 from dasim.spectra.grid import CHANNELS
 from dasim.typing import BoolArray, FloatArray, ShareDone
 from validation.gates.claim import Evidence

@@ -14,7 +14,7 @@ from dasim.camera import geometry
 from dasim.camera import specification as cameras
 from dasim.camera.noise import Exposure
 from dasim.camera.specification import Camera
-from dasim.simulation.simulate import Shot
+from dasim.simulation.exposure import Shot
 from dasim.spectra.colour import exposure_scale, to_srgb
 from dasim.typing import BoolArray, FloatArray, ShareDone
 from dasim.values import PsfBank, Reconstruction, Truth

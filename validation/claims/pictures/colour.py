@@ -10,7 +10,7 @@ import dasim
 import recon
 from dasim.base.toml import parse
 from dasim.scene.specification import Scene
-from dasim.simulation.simulate import Shot
+from dasim.simulation.exposure import Shot
 from dasim.spectra import colour_checker, grid, illuminants
 from dasim.spectra.colour import to_srgb
 from dasim.typing import FloatArray, ShareDone

@@ -13,7 +13,7 @@ from skimage.measure import blur_effect
 
 import dasim
 import recon
-from dasim.simulation.simulate import Shot
+from dasim.simulation.exposure import Shot
 from dasim.spectra.colour import exposure_scale, to_srgb
 from dasim.spectra.grid import LUMINANCE
 from dasim.typing import FloatArray, ShareDone

@@ -13,7 +13,7 @@ import recon
 from dasim.camera import noise as sensor
 from dasim.camera.crosstalk import electronic_crosstalk
 from dasim.camera.noise import Exposure
-from dasim.simulation.simulate import Shot
+from dasim.simulation.exposure import Shot
 from dasim.spectra.colour import exposure_scale, to_srgb
 from dasim.spectra.grid import LUMINANCE
 from dasim.typing import BoolArray, FloatArray, ShareDone

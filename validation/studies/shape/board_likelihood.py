@@ -23,7 +23,7 @@ from dasim.bounds import cramer_rao, pupils
 from dasim.camera import geometry
 from dasim.camera import specification as cameras
 from dasim.camera.specification import Camera
-from dasim.simulation.simulate import Shot
+from dasim.simulation.exposure import Shot
 from dasim.typing import FloatArray
 from dasim.values import Capture
 from recon import fourier

@@ -11,8 +11,8 @@ from dasim.camera import specification as cameras
 from dasim.camera.specification import Camera
 from dasim.scene import targets
 from dasim.scene.specification import Scene
+from dasim.simulation.exposure import Shot
 from dasim.simulation.relight import exposed
-from dasim.simulation.simulate import Shot
 from dasim.typing import FloatArray
 from dasim.values import Capture
 

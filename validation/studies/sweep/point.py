@@ -25,8 +25,8 @@ from dasim.camera import specification as cameras
 from dasim.camera.specification import Camera
 from dasim.dataset import sample, storage
 from dasim.scene.specification import Scene
+from dasim.simulation.exposure import Shot
 from dasim.simulation.relight import LONGEST_S, MOST_GAIN, exposed, lit_by
-from dasim.simulation.simulate import Shot
 from dasim.spectra import grid as spectra
 from dasim.typing import FloatArray
 from dasim.values import Capture, Reconstruction, Truth

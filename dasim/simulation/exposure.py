@@ -1,0 +1,317 @@
+"""From the light that reaches a sensor to a capture and its ground truth, as often as wanted for one rendering.
+
+The light is known per second, rounded to ``SIGNIFICANT_BITS``. A capture's ``mean_e`` is that rate times its exposure
+time in single precision, whose error is less than half a step of the rate: the rate of a kept capture is found again
+exactly. What :func:`expose` makes of it is therefore, byte for byte, what a rendering with the other time gives.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from dasim.base.errors import InputError
+from dasim.base.loading import function_name
+from dasim.base.toml import parse
+from dasim.camera import noise as sensor_noise
+from dasim.camera import specification as cameras
+from dasim.camera.crosstalk import electronic_crosstalk
+from dasim.camera.noise import Exposure, NoiseModel
+from dasim.camera.specification import Camera
+from dasim.files.captures import load_capture, load_truth
+from dasim.scene.lights import LUX_RANGE
+from dasim.simulation import rendering, rendering_noise
+from dasim.typing import Float32Array, FloatArray
+from dasim.values import Capture, Truth
+
+# A rate of 22 bits has steps of at least 2^-22 of it; a product in single precision, of 24 bits, is known to 2^-24.
+SIGNIFICANT_BITS = 22
+NOTED_NOISE = 0.5  # rendering noise over the sensor's own, in one pixel of twenty, from which a note says so
+NOTED_SATURATION = 0.05  # share of saturated pixels from which a note says so
+SCALE_RANGE = (1e-9, 1e9)  # of a factor on the light level
+OF_A_FRAME = (  # entries of the provenance that the exposure decides
+    *("rendering_noise_share", "rendering_noise_share_reached"),
+    *("noise", "exposure", "saturated_pixels", "notes"),
+)
+SHARED_NOISE = (
+    "mean_e had samples of its own when it was rendered, those of raw.png are not kept: raw.png repeats the rendering "
+    "noise of mean_e"
+)
+
+
+@dataclass(frozen=True)
+class Shot:
+    """A simulated capture and its ground truth."""
+
+    capture: Capture
+    truth: Truth
+
+
+@dataclass(frozen=True)
+class SensorLight:
+    """The light that reaches the sensor of a camera, and what is known of it: all that an exposure needs."""
+
+    camera: Camera
+    rate: Float32Array  # [h, w, channel] mean electrons per second, of ``SIGNIFICANT_BITS``
+    variance: Float32Array | None  # [h, w, channel] of ``rate`` by rendering noise; None: unknown
+    truth: Truth  # of one second
+    illuminant: str | None
+    origin: dict[str, Any]  # provenance, except for ``OF_A_FRAME``
+    notes: list[str]  # on the scene
+
+
+def expose(
+    shot: Shot | str | Path,
+    *,
+    lux: float | None = None,
+    scale: float = 1.0,
+    exposure: Exposure | None = None,
+    seed: int | None = None,
+    noise: NoiseModel | None = None,
+) -> Shot:
+    """Expose a kept shot again, without rendering: another light level, exposure, noise seed or noise model.
+
+    Byte for byte what ``simulate`` gives with the same exposure, noise seed and number of samples. Another light level
+    is the same to the renderer's single precision, in which other numbers round elsewhere. Samples that
+    ``spp = "auto"`` chose stay as they are: a brighter exposure shows more of their noise beside the sensor's, which
+    the provenance states and a note says. Of a shot with ``independent_mean`` the new raw picture repeats the noise of
+    ``mean_e``.
+
+    Args:
+        shot: a shot, or the folder of a capture
+        lux: illuminance in lux of all lights of the scene together, each by the same factor; as it was by default
+        scale: instead of ``lux``, the factor on all lights, also those of a Mitsuba scene
+        exposure: exposure time and gain; by default those of the capture, where an automatic time is chosen anew
+        seed: of the sensor's temporal noise, 0 or above; that of the capture by default. The fixed pattern is the
+            camera's, and stays
+        noise: the noise model; the bundled one by default
+
+    Raises InputError for a capture without its truth, or with that of a part of its frame, and for values that are not
+    allowed.
+    """
+    (result,) = expose_series(shot, [exposure], lux=lux, scale=scale, seed=seed, noise=noise)
+    return result
+
+
+def expose_series(
+    shot: Shot | str | Path,
+    exposures: Sequence[Exposure | None],
+    *,
+    frames: int = 1,
+    lux: float | None = None,
+    scale: float = 1.0,
+    seed: int | None = None,
+    noise: NoiseModel | None = None,
+) -> Iterator[Shot]:
+    """Expose a kept shot several times: a bracket, and of each of its exposures a burst; see :func:`expose`.
+
+    Args:
+        shot: a shot, or the folder of a capture
+        exposures: those of the bracket; None for that of the capture
+        frames: frames of the burst, with independent noise and the same fixed pattern
+        lux: illuminance in lux of all lights together, or ``scale``: the factor on them
+        scale: see ``lux``
+        seed: of the first frame's noise; those of the others follow from it and their number in the series
+        noise: the noise model; the bundled one by default
+    """
+    where = "capture" if isinstance(shot, Shot) else f"capture {shot}"
+    if not isinstance(shot, Shot):
+        shot = Shot(load_capture(Path(shot)), load_truth(Path(shot)))
+    seed = shot.capture.seed if seed is None else seed
+    if seed < 0:
+        raise InputError(f"seed is {seed}; 0 or a positive whole number is needed")
+    if frames < 1:
+        raise InputError(f"frames is {frames}; 1 or more is needed")
+    light, model = _relit(sensor_light_of(shot, where), lux, scale, where), noise or _noise_model(shot.capture, where)
+    for number in range(len(exposures) * frames):
+        exposure = exposures[number // frames] or exposure_of(shot.capture)
+        yield photograph(light, exposure, frame_seed(seed, number), model)
+
+
+def photograph(light: SensorLight, exposure: Exposure, seed: int, noise: NoiseModel) -> Shot:
+    """A capture of the light through the mosaic, with the sensor noise of ``seed``, and its ground truth."""
+    camera, rate = light.camera, light.rate.astype(np.float64)
+    time_s = rendering.exposure_time_s(rate, camera, exposure)
+    collected_e = electronic_crosstalk(sensor_noise.mosaic(rate * time_s, camera), camera)
+    raw_dn, saturated = sensor_noise.apply(noise, collected_e, camera.sensor, time_s, seed, exposure.gain)
+    shares = _noise_shares(light, Exposure(time_s=time_s, gain=exposure.gain))
+    provenance = {
+        **light.origin,
+        **shares,
+        "noise": function_name(noise),
+        "exposure": exposure.model_dump(mode="json"),
+        "saturated_pixels": saturated,
+        "notes": light.notes + frame_notes(light.origin | shares, saturated / raw_dn.size),
+    }
+    capture = Capture(raw_dn, camera, time_s, exposure.gain, seed, light.illuminant, provenance)
+    return Shot(capture, light.truth.scaled(time_s))
+
+
+def frame_seed(seed: int, number: int) -> int:
+    """Noise seed of frame ``number`` of a series: ``seed`` itself for frame 0, independent ones for the others."""
+    return seed if number == 0 else int(np.random.SeedSequence(seed, spawn_key=(number,)).generate_state(1)[0])
+
+
+def exposure_of(capture: Capture) -> Exposure:
+    """The exposure of a capture, automatic or not; that of a capture without provenance is its time and gain."""
+    data = capture.provenance.get("exposure", {"time_s": capture.exposure_s, "gain": capture.gain})
+    return parse(Exposure, data, "exposure in meta.json")
+
+
+# --- the light of a kept capture -----------------------------------------------------------------
+
+
+def to_precision(values: FloatArray) -> Float32Array:
+    """Values of any shape, rounded to ``SIGNIFICANT_BITS``, of which single precision has more."""
+    fraction, exponent = np.frexp(values)
+    return np.ldexp(np.rint(np.ldexp(fraction, SIGNIFICANT_BITS)), exponent - SIGNIFICANT_BITS).astype(np.float32)
+
+
+def sensor_light_of(shot: Shot, where: str) -> SensorLight:
+    """The light that reached the sensor in a kept shot; ``where`` begins the message of an InputError."""
+    capture, truth = shot.capture, shot.truth
+    names, size = cameras.channels(capture.camera.sensor), capture.raw_dn.shape
+    if truth.mean_e.shape != (*size, len(names)):
+        height, width, count = truth.mean_e.shape
+        raise InputError(
+            f"{where}: mean_e is {width} x {height} pixels of {count} channels, raw.png {size[1]} x {size[0]} of "
+            f"{len(names)}; the truth of the whole frame is needed"
+        )
+    origin = {key: value for key, value in capture.provenance.items() if key not in OF_A_FRAME}
+    origin.setdefault("rendering_seed", capture.seed)
+    own = frame_notes(capture.provenance, capture.provenance.get("saturated_pixels", 0) / capture.raw_dn.size)
+    notes = [note for note in capture.provenance.get("notes", []) if note not in own]
+    if origin.get("independent_mean"):
+        origin["independent_mean"] = False
+        notes.append(SHARED_NOISE)
+    one_second = times(truth, 1 / capture.exposure_s)
+    rate, variance = one_second.mean_e, one_second.mean_e_variance
+    return SensorLight(capture.camera, rate, variance, one_second, capture.illuminant, origin, notes)
+
+
+def times(truth: Truth, factor: float) -> Truth:
+    """The truth with ``factor`` times the electrons, rounded to ``SIGNIFICANT_BITS``."""
+
+    def part(image: Float32Array | None, by: float) -> Any:
+        return None if image is None else to_precision(image * np.float64(by))
+
+    return replace(
+        truth,
+        mean_e=part(truth.mean_e, factor),
+        mean_e_variance=part(truth.mean_e_variance, factor**2),
+        sharp_e=part(truth.sharp_e, factor),
+        focus_e=part(truth.focus_e, factor),
+    )
+
+
+def _relit(light: SensorLight, lux: float | None, scale: float, where: str) -> SensorLight:
+    """The light of a kept shot at another level: ``lux`` of all lights together, or ``scale`` times as much."""
+    scene = light.origin.get("scene", {})
+    lights = scene.get("lights", [])
+    if lux is not None:
+        if scale != 1.0:
+            raise InputError("lux and scale: give one of them")
+        if not lux > 0:
+            raise InputError(f"lux is {lux:g}; a number above 0 is needed")
+        if not lights:
+            raise InputError(f"{where}: its lights have no level in lux; give a factor, scale")
+        scale = lux / sum(item["lux"] for item in lights)
+    if not SCALE_RANGE[0] <= scale <= SCALE_RANGE[1]:
+        raise InputError(f"the factor on the light is {scale:g}; {SCALE_RANGE[0]:g} to {SCALE_RANGE[1]:g} is allowed")
+    levels = [item["lux"] * scale for item in lights]
+    if levels and not LUX_RANGE[0] <= min(levels) <= max(levels) <= LUX_RANGE[1]:
+        allowed = f"{LUX_RANGE[0]:g} to {LUX_RANGE[1]:g}"
+        raise InputError(f"the lights would have {min(levels):g} to {max(levels):g} lux; {allowed} is allowed")
+    if scale == 1.0:
+        return light
+    if lights:
+        relit = [item | {"lux": level} for item, level in zip(lights, levels, strict=True)]
+        origin = light.origin | {"scene": scene | {"lights": relit}}
+    else:
+        origin = light.origin | {"light_scale": light.origin.get("light_scale", 1.0) * scale}
+    truth = times(light.truth, scale)
+    return replace(light, rate=truth.mean_e, variance=truth.mean_e_variance, truth=truth, origin=origin)
+
+
+def _noise_model(capture: Capture, where: str) -> NoiseModel:
+    """The bundled noise model, if it is that of the capture."""
+    bundled = function_name(sensor_noise.expose)
+    name = capture.provenance.get("noise", bundled)
+    if name != bundled:
+        raise InputError(f"{where}: has the noise model '{name}'; give it again, or the bundled one, {bundled}")
+    return sensor_noise.expose
+
+
+# --- provenance ----------------------------------------------------------------------------------
+
+
+def _noise_shares(light: SensorLight, exposure: Exposure) -> dict[str, Any]:
+    """Rendering noise over the sensor's of this exposure, for the provenance; empty where it is unknown."""
+    if light.variance is None or "spp" not in light.origin:
+        return {}
+    rate, variance = (np.asarray(image, dtype=float) for image in (light.rate, light.variance))
+    ratio = rendering_noise.share(variance, rendering.sensor_variance(rate, light.camera, exposure))
+    names = cameras.channels(light.camera.sensor)
+
+    def by_channel(percentiles: tuple[float, ...]) -> list[dict[str, float]]:
+        rows = rendering_noise.shares_at(ratio, percentiles)
+        return [dict(zip(names, map(float, row), strict=True)) for row in rows]
+
+    at = rendering_noise.PERCENTILES
+    shares: dict[str, Any] = {
+        "rendering_noise_share": dict(zip((f"{percentile:g}" for percentile in at), by_channel(at), strict=True))
+    }
+    if "rendering_noise_share_wanted" in light.origin:
+        (shares["rendering_noise_share_reached"],) = by_channel((light.origin["rendering_noise_at"],))
+    return shares
+
+
+def frame_notes(about: dict[str, Any], saturated: float) -> list[str]:
+    """Notes on a frame: the share ``saturated`` of its pixels, approximations, and rendering noise beside the sensor's.
+
+    ``about`` has the entries of the provenance on sampling.
+    """
+    notes = [f"{saturated:.0%} of the pixels are saturated"] if saturated > NOTED_SATURATION else []
+    return notes + sampling_notes(about)
+
+
+def sampling_notes(sampling: dict[str, Any]) -> list[str]:
+    """Notes on an approximation, on much rendering noise, and where its target was not reached."""
+    notes = []
+    if "airy_errors" in sampling:
+        worst = {name: max(row) for name, row in sampling["airy_errors"]["encircled_energy"].items()}
+        listed = ", ".join(f"{name} {value:.2f}" for name, value in worst.items())
+        notes.append(
+            f"diffraction 'airy' is approximate: encircled energy is off by up to {listed} (by level in meta.json); "
+            "a JIT variant renders 'wave'"
+        )
+    wanted = sampling.get("rendering_noise_share_wanted")
+    if wanted is None:
+        return notes + noise_notes(sampling)
+    reached = sampling.get("rendering_noise_share_reached", {})
+    missed = {name: share for name, share in reached.items() if share > wanted}
+    if missed:
+        listed = ", ".join(f"{name} {share:.2f}" for name, share in missed.items())
+        samples, at = max(sampling["spp"].values()), sampling["rendering_noise_at"]
+        notes.append(
+            f"{samples} samples were not enough: rendering noise over the sensor's own is {listed} at percentile "
+            f"{at:g} of the pixels"
+        )
+    return notes
+
+
+def noise_notes(sampling: dict[str, Any]) -> list[str]:
+    """A note where a given number of samples leaves rendering noise above half of the sensor's in many pixels."""
+    shares = sampling.get("rendering_noise_share", {})
+    high = {name: share for name, share in shares.get("95", {}).items() if share > NOTED_NOISE}
+    if not high:
+        return []
+    listed = ", ".join(f"{name} {share:.2f} (median {shares['50'][name]:.2f})" for name, share in high.items())
+    return [
+        f"rendering noise exceeds half of the sensor's own: {listed} of it at percentile 95 of the pixels with "
+        f"{sampling['spp']} samples; take more, or spp 'auto' with noise_at 95"
+    ]
