@@ -20,6 +20,7 @@ from dasim.dataset.specification import DatasetSpec, named_camera, random_spec, 
 from dasim.random_scenes.scene import random_exposure, random_scene
 from dasim.scene.mitsuba_scene import MitsubaScene, is_mitsuba
 from dasim.scene.specification import Scene
+from dasim.simulation.exposure import frame_seed
 
 # Each part has its own random generator: changing the distribution of one part does not change the others.
 _STAGES = {"camera": 1, "light": 2, "focus": 3, "exposure": 4, "capture": 5, "splits": 6, "sensor": 7}
@@ -93,6 +94,11 @@ def _below(settings: dict[str, Any], stage: str) -> dict[str, Any]:
 def capture_seed(spec: DatasetSpec, index: int) -> int:
     """Seed of a sample's rendering and sensor noise."""
     return _seed(spec, index, "capture")
+
+
+def frame_seeds(spec: DatasetSpec, index: int) -> list[int]:
+    """Seed of the sensor noise of each frame of a sample."""
+    return [frame_seed(capture_seed(spec, index), number) for number in range(spec.frames.count)]
 
 
 def _seed(spec: DatasetSpec, index: int, stage: str) -> int:

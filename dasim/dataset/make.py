@@ -16,7 +16,7 @@ from dasim.base.errors import InputError, describe_error
 from dasim.base.executors import Executor, Outcome
 from dasim.dataset import card, plan, reading, storage
 from dasim.dataset.plan import Shard
-from dasim.dataset.sample import FILES, ROW, Job, add, json_bytes, key, pack, unpack
+from dasim.dataset.sample import ROW, Job, add, file_names, json_bytes, key, pack, unpack
 from dasim.dataset.specification import DatasetSpec
 from dasim.dataset.work import PART
 
@@ -180,7 +180,7 @@ def _write_shard(job: Job, group: Shard, indices: list[int]) -> list[dict[str, A
         for index in indices:
             members = unpack(storage.read(job.out, PART.format(key(index))))
             rows.append(json.loads(members[ROW]) | {"shard": group.name})
-            for name in FILES:  # meta.json is last: its presence marks a complete capture
+            for name in file_names(job.spec):
                 if tar is not None:
                     add(tar, f"{key(index)}.{name}", members[name])
                 else:

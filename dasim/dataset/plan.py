@@ -70,7 +70,7 @@ def sample_bytes(spec: DatasetSpec) -> float:
         PART_BYTES[part] * (HALF_SHARE if spec.truth.half and part not in ("depth", "labels") else 1.0)
         for part in spec.truth.keep
     )
-    return pixels * RAW_BYTES + inner_pixels * per_pixel + META_BYTES
+    return pixels * RAW_BYTES * spec.frames.count + inner_pixels * per_pixel + META_BYTES
 
 
 def check_space(spec: DatasetSpec, out: str, samples: int) -> None:

@@ -22,7 +22,7 @@ from dasim.base.errors import InputError
 from dasim.base.toml import parse
 from dasim.dataset import plan, storage
 from dasim.dataset.plan import INDEX, Shard
-from dasim.dataset.sample import FILES, key
+from dasim.dataset.sample import file_names, frame_name, key
 from dasim.dataset.specification import DatasetSpec
 from dasim.files.truth import read_truth_parts
 
@@ -33,9 +33,10 @@ class Sample:
 
     index: int
     split: str
-    raw_dn: NDArray[np.uint16]  # [h, w] the mosaic
+    raw_dn: NDArray[np.uint16]  # [h, w] the mosaic, the first frame
     truth: dict[str, Any]  # the stored fields of dasim.values.Truth, by name
     meta: dict[str, Any]  # content of meta.json: camera, exposure, levels, provenance
+    frames_dn: tuple[NDArray[np.uint16], ...] = ()  # all frames of a bracket or burst, ``raw_dn`` first
 
 
 class Dataset(Sequence[Sample]):
@@ -119,7 +120,8 @@ def samples_of(
         return
     if spec.format == "folders":
         for index in indices:
-            yield index, {name: storage.read(where, f"{group.split}/{key(index)}/{name}") for name in FILES}
+            files = file_names(spec)
+            yield index, {name: storage.read(where, f"{group.split}/{key(index)}/{name}") for name in files}
         return
     missing = {key(index): index for index in indices}
     with storage.reading(where, f"{group.name}.tar") as file, tarfile.open(fileobj=file, mode="r:") as tar:
@@ -130,7 +132,7 @@ def samples_of(
             if member is None:
                 continue
             members.setdefault(name, {})[part] = member.read()
-            if part == FILES[-1]:
+            if part == file_names(spec)[-1]:
                 yield missing.pop(name), members.pop(name)
                 if not missing:
                     return
@@ -140,10 +142,13 @@ def samples_of(
 
 def decode(row: dict[str, Any], files: dict[str, bytes]) -> Sample:
     """A sample from its row of the index and its files (bytes by name)."""
-    raw = cv2.imdecode(np.frombuffer(files["raw.png"], np.uint8), cv2.IMREAD_UNCHANGED)
-    if raw is None:
-        raise InputError(f"sample {row['key']}: raw.png cannot be read")
-    return Sample(row["index"], row["split"], raw, truth_of(files["truth.exr"]), json.loads(files["meta.json"]))
+    frames = []
+    for name in map(frame_name, range(row.get("frames", 1))):
+        frames.append(cv2.imdecode(np.frombuffer(files[name], np.uint8), cv2.IMREAD_UNCHANGED))
+        if frames[-1] is None:
+            raise InputError(f"sample {row['key']}: {name} cannot be read")
+    truth, meta = truth_of(files["truth.exr"]), json.loads(files["meta.json"])
+    return Sample(row["index"], row["split"], frames[0], truth, meta, tuple(frames))
 
 
 def truth_of(content: bytes) -> dict[str, Any]:

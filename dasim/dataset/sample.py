@@ -13,6 +13,7 @@ import platform
 import tarfile
 import tempfile
 import time
+from collections.abc import Iterator
 from dataclasses import dataclass, fields, replace
 from functools import lru_cache
 from importlib.metadata import PackageNotFoundError, version
@@ -29,11 +30,10 @@ from dasim.files.captures import capture_meta
 from dasim.files.png import write_png16
 from dasim.files.truth import write_truth
 from dasim.render import backend
-from dasim.simulation.exposure import Shot
-from dasim.simulation.simulate import simulate
-from dasim.values import Truth
+from dasim.simulation.exposure import SensorLight, Shot, bracketed, frame_seed, photograph
+from dasim.simulation.simulate import sensor_light
+from dasim.values import Capture, Truth
 
-FILES = ("raw.png", "truth.exr", "meta.json")  # of a sample, in this order
 ROW = "row.json"  # its row of the index, stored with the files until the index is written
 DIGITS = 9  # of a sample's name
 THUMBNAIL_PX, THUMBNAIL_QUALITY = 96, 80
@@ -62,6 +62,16 @@ class PackedSample:
     row: dict[str, Any]
     seconds: float  # in total
     render_s: float  # of ``seconds``, in the renderer
+
+
+def frame_name(number: int) -> str:
+    """File of a frame of a sample, from 0."""
+    return f"raw-{number}.png" if number else "raw.png"
+
+
+def file_names(spec: DatasetSpec) -> tuple[str, ...]:
+    """Files of a sample in their order; meta.json is last: its presence marks a complete capture."""
+    return (*map(frame_name, range(spec.frames.count)), "truth.exr", "meta.json")
 
 
 def key(index: int) -> str:
@@ -103,7 +113,7 @@ def make(spec: DatasetSpec, index: int, variant: str) -> PackedSample:
     start = time.perf_counter()
     plan = draft(spec, index)
     render_start = time.perf_counter()
-    shot = simulate(
+    light = sensor_light(
         plan.scene,
         plan.camera,
         plan.seed,
@@ -114,12 +124,13 @@ def make(spec: DatasetSpec, index: int, variant: str) -> PackedSample:
         exposure=plan.exposure,
         diffraction=spec.diffraction,
         variant=variant,
-        noise=noise_model(spec),
     )
+    shots = list(_frames(spec, plan, light))
     render_s = time.perf_counter() - render_start
-    files = _files(spec, plan, shot)
-    row = _row(plan, shot, files)
-    del shot, plan
+    captures, truth = [shot.capture for shot in shots], shots[0].truth
+    files = _files(spec, plan, captures, truth)
+    row = _row(plan, captures, truth, files)
+    del light, shots, captures, truth, plan
     backend.release_memory()
     return PackedSample(files, row, time.perf_counter() - start, render_s)
 
@@ -136,16 +147,25 @@ def activate(variant: str) -> None:
     one_thread()
 
 
-def _files(spec: DatasetSpec, plan: Draft, shot: Shot) -> dict[str, bytes]:
-    """Files of a sample, as bytes by name."""
+def _frames(spec: DatasetSpec, plan: Draft, light: SensorLight) -> Iterator[Shot]:
+    """The frames of a sample: bursts of each exposure of the bracket."""
+    model = noise_model(spec)
+    for number, factor in enumerate(np.repeat(spec.frames.bracket, spec.frames.burst)):
+        exposure = bracketed(light, plan.exposure, float(factor))
+        yield photograph(light, exposure, frame_seed(plan.seed, number), model)
+
+
+def _files(spec: DatasetSpec, plan: Draft, frames: list[Capture], truth: Truth) -> dict[str, bytes]:
+    """Files of a sample, as bytes by name: its frames, and the truth of the first."""
     margin = spec.truth.margin_px
-    truth = inner(shot.truth, margin)
+    *pictures, exact, about = file_names(spec)
     with tempfile.TemporaryDirectory(prefix="dasim-") as name:
         folder = Path(name)
-        write_png16(folder / "raw.png", shot.capture.raw_dn)
-        write_truth(folder / "truth.exr", truth, spec.truth.keep, half=spec.truth.half)
-        files = {file: (folder / file).read_bytes() for file in ("raw.png", "truth.exr")}
-    meta = capture_meta(shot.capture) | {
+        for file, frame in zip(pictures, frames, strict=True):
+            write_png16(folder / file, frame.raw_dn)
+        write_truth(folder / exact, inner(truth, margin), spec.truth.keep, half=spec.truth.half)
+        files = {file: (folder / file).read_bytes() for file in (*pictures, exact)}
+    meta = capture_meta(frames[0]) | {
         "sample": {
             "dataset": spec.name,
             "version": spec.version,
@@ -154,10 +174,23 @@ def _files(spec: DatasetSpec, plan: Draft, shot: Shot) -> dict[str, bytes]:
             "scene": plan.scene_key,
             "drawn": plan.drawn,
             "truth": {"keep": spec.truth.keep, "half": spec.truth.half, "offset_px": [margin, margin]},
+            "frames": [_frame(file, frame) for file, frame in zip(pictures, frames, strict=True)],
         },
         "file_bytes": {file: len(content) for file, content in files.items()},
     }
-    return files | {"meta.json": json_bytes(meta)}
+    return files | {about: json_bytes(meta)}
+
+
+def _frame(file: str, frame: Capture) -> dict[str, Any]:
+    """Entry of ``meta.json`` on a frame; its mean electrons are the truth's times the ratio of exposure times."""
+    return {
+        "file": file,
+        "exposure_s": frame.exposure_s,
+        "gain": frame.gain,
+        "seed": frame.seed,
+        "saturated_pixels": frame.provenance["saturated_pixels"],
+        "rendering_noise_share": frame.provenance.get("rendering_noise_share", {}),
+    }
 
 
 def inner(truth: Truth, margin_px: int) -> Truth:
@@ -170,9 +203,9 @@ def inner(truth: Truth, margin_px: int) -> Truth:
     return replace(truth, **parts)
 
 
-def _row(plan: Draft, shot: Shot, files: dict[str, bytes]) -> dict[str, Any]:
-    """Row of the index: parameters, statistics for plausibility checks, checksums and a thumbnail."""
-    capture, truth = shot.capture, shot.truth
+def _row(plan: Draft, frames: list[Capture], truth: Truth, files: dict[str, bytes]) -> dict[str, Any]:
+    """Row of the index: parameters and statistics of the first frame, checksums and a thumbnail."""
+    capture = frames[0]
     body = capture.camera.sensor
     depth_m = truth.depth_m[truth.valid]
     shares = capture.provenance.get("rendering_noise_share", {})
@@ -190,6 +223,7 @@ def _row(plan: Draft, shot: Shot, files: dict[str, bytes]) -> dict[str, Any]:
         "exposure_s": capture.exposure_s,
         "gain": capture.gain,
         "seed": capture.seed,
+        "frames": len(frames),
         "drawn": json.dumps(plan.drawn),
         "spp": json.dumps(capture.provenance["spp"]),
         "noise_share": max(shares["50"].values()) if shares else None,

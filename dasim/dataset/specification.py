@@ -26,6 +26,8 @@ from dasim.simulation.checks import PERCENTILE
 from dasim.spectra import illuminants
 
 MOST_SAMPLES = 10_000_000
+MOST_FRAMES = 1000  # of a sample
+BRACKET = (1e-6, 1e6)  # of factors on an exposure time
 Scalar = bool | int | float | str
 
 
@@ -153,6 +155,29 @@ class ExposureChoice(Specification):
     auto_level: Drawn | None = None
 
 
+class FrameChoice(Specification):
+    """Frames of each sample: several exposures of one rendering, with independent noise."""
+
+    bracket: tuple[float, ...] = Field(
+        default=(1.0,), min_length=1, description="factors on the exposure time; the first is that of raw.png"
+    )
+    burst: int = Field(default=1, ge=1, description="frames at each of these times")
+
+    @model_validator(mode="after")
+    def _whole(self) -> FrameChoice:
+        for factor in self.bracket:
+            if not BRACKET[0] <= factor <= BRACKET[1]:
+                raise ValueError(f"bracket: {factor:g} is no factor from {BRACKET[0]:g} to {BRACKET[1]:g}")
+        if self.count > MOST_FRAMES:
+            raise ValueError(f"bracket and burst: {self.count} frames per sample; {MOST_FRAMES} are allowed")
+        return self
+
+    @property
+    def count(self) -> int:
+        """Frames of a sample."""
+        return len(self.bracket) * self.burst
+
+
 class TruthChoice(Specification):
     """Parts and format of the stored ground truth."""
 
@@ -209,6 +234,7 @@ class DatasetSpec(Specification):
     light: LightChoice = LightChoice()
     focus: FocusChoice = FocusChoice()
     exposure: ExposureChoice = ExposureChoice()
+    frames: FrameChoice = FrameChoice()
     truth: TruthChoice = TruthChoice()
     splits: dict[str, float] = Field(default={"train": 1.0}, min_length=1)
     folder: Path = Field(default=Path("."), exclude=True)

@@ -15,7 +15,7 @@ import numpy as np
 from dasim.base.errors import InputError
 from dasim.dataset import card, draws, plan, reading, storage
 from dasim.dataset.plan import LOGS, MANIFEST, SUMS
-from dasim.dataset.sample import FILES, key
+from dasim.dataset.sample import file_names, frame_name, key
 from dasim.dataset.specification import DatasetSpec
 from dasim.files.truth import PER_CHANNEL
 
@@ -105,16 +105,17 @@ def _membership(out: str, spec: DatasetSpec, rows: list[dict[str, Any]]) -> Iter
 def _sample(spec: DatasetSpec, row: dict[str, Any], files: dict[str, bytes]) -> Iterator[str]:
     """Problems of a sample with the row ``row`` of the index and ``files`` (bytes by name)."""
     name = f"sample {row['key']}"
-    for file in FILES:
+    for file in file_names(spec):
         if hashlib.sha256(files[file]).hexdigest() != row["sha256"][file]:
             yield f"{name}: {file} does not have the checksum of the index"
             return
     sample = reading.decode(row, files)
     width, height = spec.size_px
-    if sample.raw_dn.shape != (height, width) or sample.raw_dn.dtype != np.uint16:
-        yield f"{name}: raw.png is {sample.raw_dn.shape[1]} x {sample.raw_dn.shape[0]} of {sample.raw_dn.dtype}"
-    elif sample.raw_dn.max() >= 2 ** sample.meta["camera"]["sensor"]["adc_bits"]:
-        yield f"{name}: raw.png has numbers beyond the range of the converter"
+    for number, raw in enumerate(sample.frames_dn):
+        if raw.shape != (height, width) or raw.dtype != np.uint16:
+            yield f"{name}: {frame_name(number)} is {raw.shape[1]} x {raw.shape[0]} of {raw.dtype}"
+        elif raw.max() >= 2 ** sample.meta["camera"]["sensor"]["adc_bits"]:
+            yield f"{name}: {frame_name(number)} has numbers beyond the range of the converter"
     margin = 2 * spec.truth.margin_px
     channels = len(sample.truth["channels"])
     for field, array in sample.truth.items():
@@ -132,10 +133,11 @@ def _sample(spec: DatasetSpec, row: dict[str, Any], files: dict[str, bytes]) -> 
             if values.size and not (np.isfinite(values).all() and low <= values.min() and values.max() <= high):
                 yield f"{name}: truth {field} is not between {low:g} and {high:g}"
     about, index = sample.meta["sample"], row["index"]
-    number = draws.scene_number(spec, index)
+    number, seeds = draws.scene_number(spec, index), draws.frame_seeds(spec, index)
     facts: tuple[tuple[str, Any, Any], ...] = (
         ("drawn", about["drawn"], draws.values(spec, index)),
         ("seed", sample.meta["seed"], draws.capture_seed(spec, index)),
+        ("seeds of frames", [frame["seed"] for frame in about.get("frames", [sample.meta])], seeds),
         ("split", about["split"], draws.split_of_scene(spec, number)),
         ("scene", about["scene"], draws.scene_key(spec, number)),
     )

@@ -156,6 +156,14 @@ def frame_seed(seed: int, number: int) -> int:
     return seed if number == 0 else int(np.random.SeedSequence(seed, spawn_key=(number,)).generate_state(1)[0])
 
 
+def bracketed(light: SensorLight, exposure: Exposure, factor: float) -> Exposure:
+    """The exposure with ``factor`` times its exposure time, which is that of the light where it is automatic."""
+    if factor == 1.0:
+        return exposure
+    time_s = rendering.exposure_time_s(light.rate.astype(np.float64), light.camera, exposure)
+    return parse(Exposure, exposure.model_dump() | {"time_s": factor * time_s}, "exposure of a bracket")
+
+
 def exposure_of(capture: Capture) -> Exposure:
     """The exposure of a capture, automatic or not; that of a capture without provenance is its time and gain."""
     data = capture.provenance.get("exposure", {"time_s": capture.exposure_s, "gain": capture.gain})
