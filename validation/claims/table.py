@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from validation.claims.cost.datasets import dataset_speed
+from validation.claims.cost.exposure import exposure
 from validation.claims.cost.reconstruction import recon_speed
 from validation.claims.cost.sampling import desk_noise, noise_slope_off, noise_slope_wave, render_cost
 from validation.claims.cost.scenes import interreflection, registration, scenes_speed
@@ -81,5 +82,6 @@ CLAIMS = {
     "yellow-disks": Measurement(yellow_disks, quick=False),
     "scene-pictures": Measurement(scene_pictures, quick=False),
     "two-cameras": Measurement(two_cameras, quick=False),
+    "exposure": Measurement(exposure, quick=False, alone=True),
     "dataset-speed": Measurement(dataset_speed, quick=False, alone=True),
 }
