@@ -12,7 +12,7 @@ from dasim.typing import FloatArray
 from dasim.values import PointPicture
 
 SATURATION_SHARE = 0.9  # share of saturation above which a pixel of a longer exposure is not used
-RIM_PX = 3  # width of the frame's rim for the background
+RIM_PX = 3  # distance to the frame's border of the pixels that give the background
 CORE_SHARE = 0.02  # share of the peak that bounds the core, from which the centre is measured
 CORE_MARGIN_PX = 2
 CENTRE_STEPS = 4  # iterations of the window about the centre of mass, which converges in two or three
@@ -61,6 +61,7 @@ def averaged(
     image, sigma = electrons / exposure, np.sqrt(variance * noise_gains(camera)[:, None, None]) / exposure
     rim = np.ones((height, width), bool)
     rim[RIM_PX:-RIM_PX, RIM_PX:-RIM_PX] = False
+    rim[[0, -1]] = rim[:, [0, -1]] = False  # what these get from pixels outside of the frame is unknown
     background = np.array([np.median(plane[rim & here]) for plane, here in zip(image, sampled, strict=True)])
     return np.where(sampled, image - background[:, None, None], 0.0), sigma, sampled
 

@@ -46,7 +46,9 @@ def round_fit(
         second = np.diff(np.eye(len(knots), len(normal)), 2, axis=0) / np.maximum(at_knots, sigma.min())[:, None]
         normal += smoothness * (second.T @ second)
     normal[np.diag_indices_from(normal)] *= 1 + (ROUNDING if smoothness else NORMAL_REGULARISATION)
-    profile = _non_negative(normal, weighted.T @ (value / sigma))
+    lift = np.zeros(len(normal))  # the densities are not negative; the background, of which noise is left, may be
+    lift[-1] = sigma.max()
+    profile = _non_negative(normal, weighted.T @ (value / sigma) + normal @ lift) - lift
     residual = np.sum((basis @ profile - value) ** 2) - np.sum(sigma**2)
     if residual < ROUND_MISFIT**2 * np.sum((value - profile[-1]) ** 2):
         return knots, profile[:-1]

@@ -22,6 +22,7 @@ from recon.calibration.round_kernel import basis_of, knots_to, round_fit, subpix
 SMALL_CORE_PX = 7.0
 FIT_RADIUS_PX = 8.0  # radius of that fit
 CENTRE_TOLERANCE_PX = 0.005
+STEPS_PER_KNOT = 300  # of non-negative least squares; three, the library's limit, are too few for some pictures
 # Weight of the profile's second differences, relative to the local density, against the pixels' noise: their prior
 # standard deviation is ten times the density, and the profile is linear where no pixel samples it.
 SMOOTHNESS = 1e-2
@@ -96,7 +97,7 @@ def _mosaic_centre(image: FloatArray, noise_e: FloatArray, sampled: NDArray[np.b
             used = here[window] & near[window]
             knots = knots_to(FIT_RADIUS_PX)
             basis = basis_of(radius[used.ravel()], knots).toarray() / sigma[window][used][:, None]
-            total += nnls(basis, plane[window][used] / sigma[window][used])[1] ** 2
+            total += nnls(basis, plane[window][used] / sigma[window][used], maxiter=STEPS_PER_KNOT * len(knots))[1] ** 2
         return total
 
     simplex = centre + 0.3 * np.array([[0.0, 0.0], [1.0, 0.2], [-0.2, 1.0]])

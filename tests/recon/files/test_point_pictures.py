@@ -26,7 +26,8 @@ LIGHT = "D55"
 LEVELS = 3  # with which the tests make do; the camera has 29
 # Positions of the source, in pixels from the frame's middle: anywhere.
 PLACES = ((0.31, -1.72), (-2.43, 0.64), (1.18, 2.07), (-0.83, -0.26))
-# Encircled energy from four positions: six draws of four had at most 0.016, and one position up to 0.1.
+# Encircled energy from four positions: the worst channel of six draws of four had 0.014 at the median and 0.026 at most
+# (infrared had 0.036 where the background could not be negative), one position up to 0.1.
 SCATTERED_ENERGY = 0.025
 # Kernels of a window about an off-centre source against those of the whole small frame: the background comes from
 # other pixels, and the tail's begin may move by a ring.
@@ -102,7 +103,8 @@ def test_a_bank_of_files_is_that_of_memory(tmp_path, camera, pictures, bank):
 
 def test_large_frames_with_the_source_aside_and_hot_pixels(tmp_path, camera, pictures, bank):
     """Set-up: the same pictures within frames of 240 x 200 pixels of background, below and to the right of the centre,
-    with three hot pixels that hold from a third to all of the electrons, one of them ten pixels from the source.
+    with three hot pixels that hold from a third to all of the electrons, one of them ten pixels from the source. The
+    pixels at the border of the small frames are left out: they keep the electrons that those inside lose to others.
 
     Expectation: the kernels of the small frames; the hot pixels leave no trace.
     """
@@ -113,9 +115,9 @@ def test_large_frames_with_the_source_aside_and_hot_pixels(tmp_path, camera, pic
         count, side, _ = picture.frames_dn.shape
         frames = np.empty((count, 200, 240))
         for row, column in itertools.product(range(2), range(2)):  # stray light goes on
-            edge = picture.frames_dn[:, row::2, column::2][:, [0, -1]]
+            edge = picture.frames_dn[:, row::2, column::2][:, [1, -2], 1:-1]
             frames[:, row::2, column::2] = rng.choice(edge.ravel(), (count, 100, 120))
-        frames[:, 98 : 98 + side, 120 : 120 + side] = picture.frames_dn
+        frames[:, 100 : 96 + side, 122 : 118 + side] = picture.frames_dn[:, 2:-2, 2:-2]
         for place, electrons in (((98 + side // 2 + 10, 120 + side // 2), 6000), ((3, 9), 6000), ((101, 30), 2000)):
             frames[(slice(None), *place)] = black + electrons * per_e
         large.append(dataclasses.replace(picture, frames_dn=np.clip(np.rint(frames), 0, 1023).astype(np.uint16)))
