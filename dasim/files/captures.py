@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
@@ -40,23 +41,38 @@ def level_table(camera: Camera) -> list[dict[str, float]]:
 def save_capture(path: Path, capture: Capture, truth: Truth | None) -> None:
     """Write a capture folder: ``raw.png`` (16 bits), ``truth.exr`` (multi-part) and ``meta.json``."""
     with new_folder(path, "capture") as folder:
-        write_png16(folder / "raw.png", capture.raw_dn)
         if truth is not None:
             write_truth(folder / "truth.exr", truth)
-        meta = capture_meta(capture) | {
-            "software": software_versions(),
-            "file_bytes": {file.name: file.stat().st_size for file in sorted(folder.iterdir())},
-        }
-        (folder / "meta.json").write_text(json.dumps(meta, indent=1) + "\n", encoding="utf-8")
+        _write_picture(folder, capture)
+
+
+def _write_picture(folder: Path, capture: Capture) -> None:
+    """Write ``raw.png``, and ``meta.json`` with the sizes of all files of the folder."""
+    write_png16(folder / "raw.png", capture.raw_dn)
+    meta = capture_meta(capture) | {
+        "software": software_versions(),
+        "file_bytes": {file.name: file.stat().st_size for file in sorted(folder.iterdir())},
+    }
+    (folder / "meta.json").write_text(json.dumps(meta, indent=1) + "\n", encoding="utf-8")
 
 
 def save_series(path: Path, shots: Iterable[tuple[Capture, Truth | None]]) -> None:
-    """Write captures to the numbered folders ``000``, ``001``, ... of a folder, and a list of them, ``series.json``."""
+    """Write captures to the numbered folders ``000``, ``001``, ... of a folder, and a list of them, ``series.json``.
+
+    The file of a truth that two successive captures share is copied.
+    """
     with new_folder(path, "series of captures") as folder:
-        rows = []
+        rows: list[dict[str, Any]] = []
+        last: Truth | None = None
         for number, (capture, truth) in enumerate(shots):
             name = f"{number:03d}"
-            save_capture(folder / name, capture, truth)
+            (folder / name).mkdir()
+            if truth is not None and truth is last:
+                shutil.copyfile(folder / rows[-1]["folder"] / "truth.exr", folder / name / "truth.exr")
+            elif truth is not None:
+                write_truth(folder / name / "truth.exr", truth)
+            _write_picture(folder / name, capture)
+            last = truth
             row = {"folder": name, "exposure_s": capture.exposure_s, "gain": capture.gain, "seed": capture.seed}
             rows.append(row | {"saturated_pixels": capture.provenance.get("saturated_pixels")})
         content = {"captures": rows, "software": software_versions()}

@@ -127,9 +127,14 @@ def expose_series(
     if frames < 1:
         raise InputError(f"frames is {frames}; 1 or more is needed")
     light, model = _relit(sensor_light_of(shot, where), lux, scale, where), noise or _noise_model(shot.capture, where)
+    last: Shot | None = None
     for number in range(len(exposures) * frames):
         exposure = exposures[number // frames] or exposure_of(shot.capture)
-        yield photograph(light, exposure, frame_seed(seed, number), model)
+        result = photograph(light, exposure, frame_seed(seed, number), model)
+        if last is not None and last.capture.exposure_s == result.capture.exposure_s:
+            result = replace(result, truth=last.truth)  # a burst has one truth
+        yield result
+        last = result
 
 
 def photograph(light: SensorLight, exposure: Exposure, seed: int, noise: NoiseModel) -> Shot:

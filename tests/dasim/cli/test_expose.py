@@ -117,6 +117,8 @@ def test_bracket_and_burst(here, capsys):
     assert rows[0]["seed"] == 4 and len({row["seed"] for row in rows}) == 6
     assert run(["expose", "shot", "--time", "0.01", "--seed", str(rows[5]["seed"]), "--out", "alone"]) == 0
     assert files(here / "alone") == files(here / "series" / "005")
+    contents = [(here / "series" / row["folder"] / "truth.exr").read_bytes() for row in rows]
+    assert contents[::2] == contents[1::2] and len(set(contents)) == 3
     first, second = (load_capture(here / "series" / name).raw_dn for name in ("002", "003"))
     assert (first != second).mean() > 0.5
     np.testing.assert_array_equal(load_truth(here / "series" / "002").mean_e, load_truth(here / "shot").mean_e)
