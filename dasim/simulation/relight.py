@@ -40,7 +40,8 @@ def exposed(
 ) -> Capture:
     """A new capture of a shot at ``times`` its light level, held by hand, with the sensor noise of ``seed``.
 
-    It is that of :func:`dasim.expose` with the bundled noise model. Automatic exposure sets the time, at most ``longest_s`` seconds, then the analogue gain, at most ``most_gain``.
+    It is that of :func:`dasim.expose` with the bundled noise model. Automatic exposure sets the time, at most
+    ``longest_s`` seconds, then the analogue gain, at most ``most_gain``.
     """
     exposure = hand_held(shot, times, longest_s, most_gain)
     return expose(shot, scale=times, exposure=exposure, seed=seed, noise=noise.expose).capture
