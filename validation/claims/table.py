@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from validation.claims.cost.cycles import against_cycles
 from validation.claims.cost.datasets import dataset_speed
 from validation.claims.cost.exposure import exposure
 from validation.claims.cost.reconstruction import recon_speed
@@ -60,6 +61,7 @@ CLAIMS = {
     "noise-slope-wave": Measurement(noise_slope_wave, quick=False),
     "desk-noise": Measurement(desk_noise, quick=False),
     "render-cost": Measurement(render_cost, quick=False, alone=True),
+    "against-cycles": Measurement(against_cycles, quick=False, alone=True),
     "ground-truth": Measurement(ground_truth, quick=True),
     "registration": Measurement(registration, quick=True),
     "interreflection": Measurement(interreflection, quick=False),

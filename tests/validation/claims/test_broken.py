@@ -9,7 +9,7 @@ import pytest
 
 from tests.support import recon_scenes
 from tests.support.stand_ins import stand_in
-from validation.claims.cost import reconstruction, sampling
+from validation.claims.cost import cycles, reconstruction, sampling
 from validation.claims.depth import scenes
 from validation.claims.optics import occlusion
 from validation.claims.pictures import all_in_focus
@@ -166,6 +166,33 @@ def test_rays_as_costly_as_naive_ones_fail_the_cost_of_rendering(jit, monkeypatc
     )
     monkeypatch.setattr(sampling.time, "process_time", lambda: clock[0])
     assert failed("render-cost", sampling.render_cost(lambda share: None)) == (set() if good else {"ratio"})
+
+
+@pytest.mark.parametrize(("rays", "good"), [(4.0, True), (2.0, False)])
+def test_three_times_faster_than_cycles_is_less_noise_or_less_time(renderer, monkeypatch, rays, good):
+    """Set-up: both need the same time for a sample, and ours 2 s in addition; noise falls as N^-0.75.
+
+    Ours has the noise of four times as many samples, or of twice as many; at 64 samples of Cycles it therefore needs
+    2 + 64 / 4 s or 2 + 64 / 2 s, against 64 s.
+    """
+
+    def renders(fixed_s, gain):
+        def render(spp):
+            noise = np.random.default_rng(spp).standard_normal((cycles.SEEDS, 192, 256, 3))
+            return cycles.Renders(1 + 0.1 * (gain * spp) ** -0.75 * noise, np.full(cycles.SEEDS, fixed_s + spp))
+
+        return lambda scene, camera: render
+
+    monkeypatch.setattr(cycles.blender, "is_installed", lambda: True)
+    monkeypatch.setattr(cycles, "_by_cycles", renders(0.0, 1.0))
+    monkeypatch.setattr(cycles, "_by_simulate", renders(2.0, rays))
+    evidence = cycles.against_cycles(lambda share: None)
+    value = {figure.id: figure.value for figure in evidence.figures}
+    assert value["board.faster.median.G"] == pytest.approx(64 / (2 + 64 / rays), rel=0.03)
+    expected = {
+        f"{scene}.faster.{at}.{colour}" for scene in cycles.SCENES for at in cycles.PERCENTILES for colour in "RGB"
+    }
+    assert failed("against-cycles", evidence) == (set() if good else expected)
 
 
 def test_a_slow_reconstruction_fails(monkeypatch):
