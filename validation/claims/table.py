@@ -27,6 +27,7 @@ from validation.claims.optics.blur import blur_off
 from validation.claims.optics.camera import depth_of_field, dynamic_range, kernels, response_curves
 from validation.claims.optics.diffraction import airy_table, wave_energy, wave_sfr
 from validation.claims.optics.edges import depth_step_furnace, silhouette
+from validation.claims.optics.lens_errors import lens_errors
 from validation.claims.optics.occlusion import occluding_edge
 from validation.claims.optics.off_axis import off_axis
 from validation.claims.optics.resolution import depth_resolution
@@ -56,6 +57,7 @@ CLAIMS = {
     "depth-step-furnace": Measurement(depth_step_furnace, quick=False),
     "silhouette": Measurement(silhouette, quick=False),
     "off-axis": Measurement(off_axis, quick=False),
+    "lens-errors": Measurement(lens_errors, quick=True),
     "airy-table": Measurement(airy_table, quick=True),
     "noise-slope-off": Measurement(noise_slope_off, quick=False),
     "noise-slope-wave": Measurement(noise_slope_wave, quick=False),

@@ -11,7 +11,7 @@ from validation.claims.cost import datasets, scenes
 from validation.claims.depth import ground_truth
 from validation.claims.light import electrons as light
 from validation.claims.light import field_colour, mixed, noise, pattern
-from validation.claims.optics import bank, camera, diffraction, edges, off_axis
+from validation.claims.optics import bank, camera, diffraction, edges, lens_errors, off_axis
 from validation.claims.optics import blur as lens
 from validation.claims.pictures import colour
 from validation.claims.table import CLAIMS
@@ -114,6 +114,31 @@ def test_patterns_of_the_axis_fail_in_the_corner(jit, monkeypatch, good):
     passed = {entry.id: entry.passed for entry in entries("off-axis", off_axis.off_axis)}
     assert passed["off-axis.frame-corner.focus.IR.energy"] is good
     assert passed["off-axis.fwhm.frame-corner.tangential"], "the widths are those of dasim.psf, without rays"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("good", [True, False])
+def test_lens_errors_that_do_nothing_or_too_much_fail(jit, monkeypatch, good):
+    """Set-up: one Zernike term, one step and the veil; or a wavefront of three quarters of its size, a hole without its
+    step, and a veil of a tenth more light.
+    """
+    from dasim.camera import glare, wavefront
+    from dasim.render import wave
+
+    true_errors, true_spread = wavefront.coefficients, glare.spread
+    if not good:
+        wave._blur.cache_clear()
+        monkeypatch.setattr(wavefront, "coefficients", lambda *at: tuple(0.75 * value for value in true_errors(*at)))
+        monkeypatch.setattr(
+            wavefront, "of_stop", lambda camera, stop, angle_deg=0.0: wavefront.of_lens(camera, angle_deg)
+        )
+        monkeypatch.setattr(glare, "spread", lambda picture, share, *radius: true_spread(picture, 1.1 * share, *radius))
+    cases = lens_errors._cases()
+    monkeypatch.setattr(lens_errors, "_cases", lambda: {name: cases[name] for name in ("spherical", "half-wave")})
+    found = {entry.id: entry.passed for entry in entries("lens-errors", lens_errors.lens_errors) if "*" not in entry.id}
+    wave._blur.cache_clear()
+    failed = {name.removeprefix("lens-errors.") for name, passed in found.items() if passed is False}
+    assert failed == (set() if good else {"strehl.spherical", "strehl.half-wave", "glare"})
 
 
 @pytest.mark.parametrize(("ratio", "good"), [(0.46, True), (0.462, False)])
