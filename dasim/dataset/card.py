@@ -160,6 +160,8 @@ def card(spec: DatasetSpec, manifest: dict[str, Any], rows: list[dict[str, Any]]
         if spec.format == "webdataset"
         else "One folder per sample, `SPLIT/KEY/` with `raw.png`, `truth.exr`, `meta.json`."
     )
+    others = f", `raw-1.png` to `raw-{spec.frames.count - 1}.png` further frames, which `meta.json` lists"
+    frames = others if spec.frames.count > 1 else ""
     failures = "".join(f"- {key}: {reason}\n" for key, reason in list(failed.items())[:20])
     lines = "\n".join(f"- {line}" for line in statistics(rows))
     return f"""# {spec.name} {spec.version}
@@ -180,8 +182,8 @@ Parts of the truth: {", ".join(spec.truth.keep)}{half}{margin}. Each scene is in
 
 ## How to read it
 
-{inside} `raw.png` is the 16-bit mosaic of the sensor. `truth.exr` has one part per kind of truth; `Z` of the part
-`depth` is z in metres from the lens. `meta.json` describes camera, exposure and lights. `{INDEX}` has one row per
+{inside} `raw.png` is the 16-bit mosaic of the sensor{frames}. `truth.exr` has one part per kind of truth; `Z` of the
+part `depth` is z in metres from the lens. `meta.json` describes camera, exposure and lights. `{INDEX}` has one row per
 sample: parameters, checksums, statistics and a thumbnail. `sha256sum -c {SUMS}` checks every file.
 
 ```python

@@ -13,7 +13,6 @@ import platform
 import tarfile
 import tempfile
 import time
-from collections.abc import Iterator
 from dataclasses import dataclass, fields, replace
 from functools import lru_cache
 from importlib.metadata import PackageNotFoundError, version
@@ -125,12 +124,14 @@ def make(spec: DatasetSpec, index: int, variant: str) -> PackedSample:
         diffraction=spec.diffraction,
         variant=variant,
     )
-    shots = list(_frames(spec, plan, light))
+    factors = [factor for factor in spec.frames.bracket for _ in range(spec.frames.burst)]
+    shot = _exposed(spec, plan, light, 0, factors[0])
+    others = (_exposed(spec, plan, light, number, factor) for number, factor in enumerate(factors[1:], 1))
+    captures, truth = [shot.capture, *(other.capture for other in others)], shot.truth
     render_s = time.perf_counter() - render_start
-    captures, truth = [shot.capture for shot in shots], shots[0].truth
     files = _files(spec, plan, captures, truth)
     row = _row(plan, captures, truth, files)
-    del light, shots, captures, truth, plan
+    del light, shot, captures, truth, plan
     backend.release_memory()
     return PackedSample(files, row, time.perf_counter() - start, render_s)
 
@@ -147,12 +148,10 @@ def activate(variant: str) -> None:
     one_thread()
 
 
-def _frames(spec: DatasetSpec, plan: Draft, light: SensorLight) -> Iterator[Shot]:
-    """The frames of a sample: bursts of each exposure of the bracket."""
-    model = noise_model(spec)
-    for number, factor in enumerate(np.repeat(spec.frames.bracket, spec.frames.burst)):
-        exposure = bracketed(light, plan.exposure, float(factor))
-        yield photograph(light, exposure, frame_seed(plan.seed, number), model)
+def _exposed(spec: DatasetSpec, plan: Draft, light: SensorLight, number: int, factor: float) -> Shot:
+    """Frame ``number`` of a sample, at ``factor`` times its exposure time."""
+    exposure = bracketed(light, plan.exposure, factor)
+    return photograph(light, exposure, frame_seed(plan.seed, number), noise_model(spec))
 
 
 def _files(spec: DatasetSpec, plan: Draft, frames: list[Capture], truth: Truth) -> dict[str, bytes]:

@@ -293,6 +293,7 @@ def test_frames_do_not_depend_on_order_or_format(bursts):
     first, second = (dasim.open_dataset(bursts[form]) for form in ("webdataset", "folders"))
     assert {row["key"]: row["sha256"] for row in first.rows} == {row["key"]: row["sha256"] for row in second.rows}
     assert all(row["frames"] == 6 and len(row["sha256"]) == 8 for row in first.rows)
+    assert "`raw-1.png` to `raw-5.png` further frames" in (bursts["folders"] / "README.md").read_text()
     for one, other in zip(first, second, strict=True):
         assert same(one, other) and len(one.frames_dn) == 6
         assert all(map(np.array_equal, one.frames_dn, other.frames_dn))
