@@ -24,7 +24,10 @@ from validation.scores.figures import Figure
 from validation.subjects import rendering
 
 SIZE_PX = (512, 384)
-SPP = {"Cycles": (16, 64), "ours": (32, 128)}  # two counts each, of about the same noise
+CYCLES_SPP = (16, 64)
+OUR_SPP = 32  # and a second count, at which the noise should be that of Cycles
+MOST_SPP = 512
+USUAL_SLOPE = 0.65  # of log noise against log samples, to choose that count
 SEEDS = 8
 BLOCK_PX = 32  # of the means that must agree
 PERCENTILES = {"median": 50, "p95": 95}
@@ -91,12 +94,12 @@ def against_cycles(progress: ShareDone) -> Evidence:
     processor time of all threads per picture, in both after a first picture that loads or compiles. Noise is the
     standard deviation of a pixel over eight seeds, relative to its mean.
 
-    Expectation: the median and the 95th percentile of noise over the pixels are taken at two numbers of samples each
-    (Cycles 16 and 64, ours 32 and 128). The figure is the processor time of Cycles at 64 samples, divided by the time
-    in which ours has the same noise: by a power of the number of samples through both points, because both renderers
-    sample evenly and their noise falls faster than N^-0.5, with a time that is linear in the number of samples. The
-    means over blocks of 32 x 32 px agree, since both render the same scene; Cycles' have been multiplied by cos^4 of
-    the field angle, which a pinhole camera lacks.
+    Expectation: the median and the 95th percentile of noise over the pixels are taken at two numbers of samples each:
+    Cycles 16 and 64, ours 32 and the power of two at which it should have the noise of Cycles with 64. The figure is
+    the processor time of Cycles at 64 samples, divided by the time in which ours has the same noise: by a power of the
+    number of samples through both points, because both renderers sample evenly and their noise falls faster than
+    N^-0.5, with a time that is linear in the number of samples. The means over blocks of 32 x 32 px agree, since both
+    render the same scene; those of Cycles have been multiplied by cos^4 of the field angle, which its camera lacks.
 
     Limit: three times faster in each channel, at the median and at the 95th percentile; block means within 2 %, and
     the picture's mean within 0.5 %.
@@ -111,21 +114,26 @@ def against_cycles(progress: ShareDone) -> Evidence:
     tables: list[Table] = []
     pairs = []
     for number, (name, boards) in enumerate(SCENES.items()):
-        scene = scene_of(boards)
-        renderers = {"Cycles": _by_cycles(scene, camera), "ours": _by_simulate(scene, camera)}
-        points: dict[str, list[Point]] = {}
-        last: dict[str, FloatArray] = {}
-        for part, (who, render) in enumerate(renderers.items()):
-            results = [render(spp) for spp in SPP[who]]
-            points[who] = [point(spp, result) for spp, result in zip(SPP[who], results, strict=True)]
-            last[who] = results[-1].pictures.mean(axis=0)
-            progress((2 * number + part + 1) / (2 * len(SCENES)))
+        points, last = _measured(scene_of(boards), camera)
+        progress((number + 1) / len(SCENES))
         figures += _agreement(name, last["ours"], last["Cycles"]) + _costs(name, points)
         tables.append(_table(name, points))
         white = np.percentile(last["Cycles"], 99.5, axis=(0, 1))
         shown = [(who, photo_address((picture / white) ** (1 / 2.2))) for who, picture in last.items()]
         pairs.append((f"{name}: mean of {SEEDS} pictures, each channel by its own white", shown[0], shown[1]))
     return Evidence(figures, tables=tables, pairs=pairs)
+
+
+def _measured(scene: Scene, camera: Camera) -> tuple[dict[str, list[Point]], dict[str, FloatArray]]:
+    """Two points of each renderer, and the mean of its pictures at the second one, by the renderer's name."""
+    by_cycles, by_simulate = _by_cycles(scene, camera), _by_simulate(scene, camera)
+    theirs = [by_cycles(spp) for spp in CYCLES_SPP]
+    their_points = [point(spp, result) for spp, result in zip(CYCLES_SPP, theirs, strict=True)]
+    first = point(OUR_SPP, by_simulate(OUR_SPP))
+    spp = second_count(first, their_points[-1])
+    ours = by_simulate(spp)
+    points = {"ours": [first, point(spp, ours)], "Cycles": their_points}
+    return points, {"ours": ours.pictures.mean(axis=0), "Cycles": theirs[-1].pictures.mean(axis=0)}
 
 
 def _by_cycles(scene: Scene, camera: Camera) -> Callable[[int], Renders]:
@@ -170,6 +178,14 @@ def point(spp: int, result: Renders) -> Point:
     bias = float(np.sqrt(chi2.ppf(0.5, count - 1) / (count - 1)))
     noise = {name: np.percentile(relative, share, axis=(0, 1)) / bias for name, share in PERCENTILES.items()}
     return Point(spp, float(result.processor_s.mean()), noise)
+
+
+def second_count(first: Point, goal: Point) -> int:
+    """The power of two at which a renderer should have the noise of ``goal``, other than its ``first`` count."""
+    ratio = float(np.median(first.noise["median"] / goal.noise["median"]))
+    count = 2 ** round(float(np.log2(first.spp * ratio ** (1 / USUAL_SLOPE))))
+    count = min(max(count, 4), MOST_SPP)
+    return count if count != first.spp else 2 * count
 
 
 def seconds_to(noise: float, points: Sequence[Point], percentile: str, channel: int) -> float:
