@@ -25,13 +25,12 @@ from dasim.camera.specification import Camera
 from dasim.files.captures import load_capture, load_truth
 from dasim.scene.lights import LUX_RANGE
 from dasim.simulation import rendering, rendering_noise
+from dasim.simulation.notes import frame_notes
 from dasim.typing import Float32Array, FloatArray
 from dasim.values import Capture, Truth
 
 # A rate of 22 bits has steps of at least 2^-22 of it; a product in single precision, of 24 bits, is known to 2^-24.
 SIGNIFICANT_BITS = 22
-NOTED_NOISE = 0.5  # rendering noise over the sensor's own, in one pixel of twenty, from which a note says so
-NOTED_SATURATION = 0.05  # share of saturated pixels from which a note says so
 SCALE_RANGE = (1e-9, 1e9)  # of a factor on the light level
 OF_A_FRAME = (  # entries of the provenance that the exposure decides
     *("rendering_noise_share", "rendering_noise_share_reached"),
@@ -281,50 +280,3 @@ def _noise_shares(light: SensorLight, exposure: Exposure) -> dict[str, Any]:
     if "rendering_noise_share_wanted" in light.origin:
         (shares["rendering_noise_share_reached"],) = by_channel((light.origin["rendering_noise_at"],))
     return shares
-
-
-def frame_notes(about: dict[str, Any], saturated: float) -> list[str]:
-    """Notes on a frame: the share ``saturated`` of its pixels, approximations, and rendering noise beside the sensor's.
-
-    ``about`` has the entries of the provenance on sampling.
-    """
-    notes = [f"{saturated:.0%} of the pixels are saturated"] if saturated > NOTED_SATURATION else []
-    return notes + sampling_notes(about)
-
-
-def sampling_notes(sampling: dict[str, Any]) -> list[str]:
-    """Notes on an approximation, on much rendering noise, and where its target was not reached."""
-    notes = []
-    if "airy_errors" in sampling:
-        worst = {name: max(row) for name, row in sampling["airy_errors"]["encircled_energy"].items()}
-        listed = ", ".join(f"{name} {value:.2f}" for name, value in worst.items())
-        notes.append(
-            f"diffraction 'airy' is approximate: encircled energy is off by up to {listed} (by level in meta.json); "
-            "a JIT variant renders 'wave'"
-        )
-    wanted = sampling.get("rendering_noise_share_wanted")
-    if wanted is None:
-        return notes + noise_notes(sampling)
-    reached = sampling.get("rendering_noise_share_reached", {})
-    missed = {name: share for name, share in reached.items() if share > wanted}
-    if missed:
-        listed = ", ".join(f"{name} {share:.2f}" for name, share in missed.items())
-        samples, at = max(sampling["spp"].values()), sampling["rendering_noise_at"]
-        notes.append(
-            f"{samples} samples were not enough: rendering noise over the sensor's own is {listed} at percentile "
-            f"{at:g} of the pixels"
-        )
-    return notes
-
-
-def noise_notes(sampling: dict[str, Any]) -> list[str]:
-    """A note where a given number of samples leaves rendering noise above half of the sensor's in many pixels."""
-    shares = sampling.get("rendering_noise_share", {})
-    high = {name: share for name, share in shares.get("95", {}).items() if share > NOTED_NOISE}
-    if not high:
-        return []
-    listed = ", ".join(f"{name} {share:.2f} (median {shares['50'][name]:.2f})" for name, share in high.items())
-    return [
-        f"rendering noise exceeds half of the sensor's own: {listed} of it at percentile 95 of the pixels with "
-        f"{sampling['spp']} samples; take more, or spp 'auto' with noise_at 95"
-    ]

@@ -358,6 +358,7 @@ def test_list_names_what_is_bundled(kind, name, capsys):
     [
         ("demo", ["--out", "folder"]),
         ("render", ["--size", "central crop", "--spp", "samples", "--focus", "metres", "--seed"]),
+        ("expose", ["--time", "1/60", "--lux", "--scale", "--seed", "--frames", "burst"]),
         ("calibrate", ["--illuminant", "--focus", "metres"]),
         ("recon", ["--bank", "cache", "--settings", "preset"]),
         ("score", ["--json", "figures"]),
