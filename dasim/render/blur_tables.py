@@ -34,6 +34,38 @@ def texel(value: Any, step: float, nodes: Any) -> Any:
     return (value / step + 0.5) / nodes
 
 
+def cut_off(
+    profiles: FloatArray, radius: FloatArray, end: FloatArray, rings: float = 0.0, like: FloatArray | None = None
+) -> FloatArray:
+    """Profiles [waves, radius] that end at a radius, with unit integral (linear between nodes) over the plane.
+
+    What lies farther out is added within, in proportion. With ``like``, profiles of the same pupil without its step of
+    phase, the middle keeps its scale relative to theirs: a step sends several times as much light beyond ``end``, which
+    is added where the light that was cut off is nearest, in the outer half of the ``rings`` beyond the geometric blur.
+
+    Args:
+        profiles: intensity, [waves, radius].
+        radius: radii of the nodes, [radius].
+        end: where each profile ends, [waves].
+        rings: how far ``end`` lies beyond the geometric blur.
+        like: profiles without the step, [waves, radius].
+    """
+    inside = radius <= end[:, None]
+    profiles = np.where(inside, profiles, 0.0)
+    if like is None:
+        return profiles / _light(profiles, radius)
+    profiles = profiles / _light(np.where(inside, like, 0.0), radius)
+    outer = np.where(radius > end[:, None] - rings / 2, profiles, 0.0)
+    return np.asarray(profiles + outer * (1 - _light(profiles, radius)) / _light(outer, radius))
+
+
+def _light(profiles: FloatArray, radius: FloatArray) -> FloatArray:
+    """Integral over the plane of profiles [waves, radius] that are linear between nodes, [waves, 1]."""
+    low, high = radius[:-1], radius[1:]
+    rings = profiles[:, :-1] * (2 * low + high) + profiles[:, 1:] * (low + 2 * high)
+    return np.asarray((np.pi / 3 * rings * (high - low)).sum(axis=1, keepdims=True))
+
+
 def away_from_axis(v: Any, tangent: Any) -> Any:
     """A vector of the picture by its parts along and across the direction away from the axis."""
     import drjit as dr

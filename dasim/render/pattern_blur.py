@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import signal
 
 from dasim.base.errors import InputError
@@ -132,9 +133,16 @@ def tables(
         wave = np.empty((len(waves), wave_count, wave_count), np.float32)
         for row, w in zip(wave, waves, strict=True):
             # As in the tables of rings, the light farther out is added within.
-            inside = np.abs(scaled) <= 4 * abs(w) * stops.reach(stop) + rings + moved / shortest_nm
-            pattern = pupil_pattern(stop, w, scaled, scaled, phase) * (inside[:, None] & inside)
-            row[:] = pattern / (pattern.sum() * wave_step**2)
+            end = 4 * abs(w) * stops.reach(stop) + rings + moved / shortest_nm
+            inside, middle = (_square(scaled, limit) for limit in (end, end - rings / 2))
+            pattern = pupil_pattern(stop, w, scaled, scaled, phase) * inside
+            if phase is None or phase.opening is None:
+                row[:] = pattern / (pattern.sum() * wave_step**2)
+                continue
+            without_step = pupil_pattern(stop, w, scaled, scaled, phase._replace(opening=None)) * inside
+            pattern /= without_step.sum() * wave_step**2
+            missing, outer = 1 - pattern.sum() * wave_step**2, np.where(middle, 0.0, pattern)
+            row[:] = pattern + outer * (missing / (outer.sum() * wave_step**2))
         return wave
 
     rows = None
@@ -158,6 +166,12 @@ def tables(
         aberrated=rows,
         turned=bool(camera.lens.wavefront_by_field),
     )
+
+
+def _square(place: FloatArray, limit: float) -> NDArray[np.bool_]:
+    """Whether places [y, x] lie within a square about the middle."""
+    inside = np.abs(place) <= limit
+    return inside[:, None] & inside
 
 
 def _check_size(camera: Camera, nodes: int) -> None:

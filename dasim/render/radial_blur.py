@@ -18,7 +18,7 @@ from dasim.camera.specification import Camera
 from dasim.camera.stops import Stop
 from dasim.camera.wavefront import Wavefront
 from dasim.render import field_angle
-from dasim.render.blur_tables import FLOOR, AberratedRows, aberrated, texel, texture
+from dasim.render.blur_tables import FLOOR, AberratedRows, aberrated, cut_off, texel, texture
 from dasim.typing import FloatArray
 
 OFFSET_NODES = 1 << 15  # of the inverse cumulative distribution of |delta|
@@ -208,7 +208,7 @@ def tables(
     density = np.maximum(density, FLOOR)
     (angle_step_deg, fronts), rows = wavefront.over_field(camera, stop), None
     if all(wavefront.is_flat(front) for front in fronts):
-        table = wave = _truncated(radial_pattern.wave_profile(scaled, waves, inner), scaled, waves)
+        table = wave = cut_off(radial_pattern.wave_profile(scaled, waves, inner), scaled, 4 * waves + KERNEL_RINGS)
     else:
         range_nm = shortest_nm, max(nm for nm, _ in bands)
         rows, table = _aberrated(fronts, angle_step_deg, ring, range_nm, scaled, waves)
@@ -256,22 +256,18 @@ def _aberrated(
     """The table of h of a disc or ring whose wavefront has aberrations; ``waves`` are one side's, from 0."""
     moved = 2 * max(map(wavefront.steepest, fronts)) * ring.outer / range_nm[0]  # in lambda N of the stop
 
+    def end(waves: FloatArray) -> FloatArray:
+        return 4 * np.abs(waves) + KERNEL_RINGS + moved
+
     def kernels(phase: wavefront.Phase, waves: FloatArray) -> FloatArray:
-        profiles = radial_pattern.wave_profile(radius, waves, ring.inner / ring.outer, phase, ring.outer)
-        return _truncated(profiles, radius, np.abs(waves), moved)
+        inner, turns = ring.inner / ring.outer, phase._replace(opening=None)
+        profiles = radial_pattern.wave_profile(radius, waves, inner, turns, ring.outer)
+        if phase.opening is None:
+            return cut_off(profiles, radius, end(waves))
+        stepped = radial_pattern.wave_profile(radius, waves, inner, phase, ring.outer)
+        return cut_off(stepped, radius, end(waves), KERNEL_RINGS, like=profiles)
 
     return aberrated(fronts, angle_step_deg, range_nm, np.concatenate([-waves[:0:-1], waves]), kernels)
-
-
-def _truncated(profiles: FloatArray, radius: FloatArray, waves: FloatArray, moved: float = 0.0) -> FloatArray:
-    """Profiles [waves, radius] cut off at a finite radius, with unit integral (linear between nodes) over the plane.
-
-    ``moved`` is what aberrations add to the radius of the geometric blur.
-    """
-    profiles = np.where(radius <= 4 * waves[:, None] + KERNEL_RINGS + moved, profiles, 0.0)
-    low, high = radius[:-1], radius[1:]
-    rings = profiles[:, :-1] * (2 * low + high) + profiles[:, 1:] * (low + 2 * high)
-    return profiles / (np.pi / 3 * rings * (high - low)).sum(axis=1, keepdims=True)
 
 
 def _guide(

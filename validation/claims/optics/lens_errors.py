@@ -24,7 +24,7 @@ PITCH_UM = 0.5
 SENSOR = {"width_px": 8, "height_px": 8, "pixel_pitch_um": PITCH_UM, "cutoff_width_nm": 1.0, "principal_point_px": None}
 SOURCE_PX = 1.0  # radius; the visible pattern is 7 px across, the infrared one 22
 PEAK_PX = slice(3, 5)
-SPP = 16384
+SPP = 32768
 GREEN_NM, INFRARED_NM = 530.0, 730.0  # middles of bands of 20 nm
 
 Polynomial = Callable[[Any, Any], Any]  # of (rho, theta) in the open lens
@@ -62,9 +62,8 @@ def lens_errors(progress: ShareDone) -> Evidence:
     mean over all phases. The light 40 px beside the square's middle is the veiled share times the integral over the
     square of the density of a diffuser before a mirror, k(r) = R^2 / (pi (R^2 + r^2)^2).
 
-    Limit: Strehl ratios within 0.02 of the integral's: 0.005 are rendering noise, and the renderer's kernels end 16
-    lambda N from the geometric blur, so that what a step sends farther, 4 % of the light for a half wave, is added
-    within. The point's ratios are reported. Glare within 1 %.
+    Limit: Strehl ratios within 0.01 of the integral's, three times the rendering noise, and glare within 1 %. The
+    ratios of a point are reported.
 
     Source: Mahajan, J. Opt. Soc. Am. 72 (1982), for Marechal's ratio; ISO 24157 for the terms.
     """
