@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from dasim.render.plugin import spectrum_dict, transform
+from dasim.render.plugin import instance, spectrum_dict, transform
 from dasim.render.surrounding import Layer, surrounding_dict
 from dasim.scene import lights as lighting
 from dasim.scene import panorama
@@ -17,6 +17,7 @@ from dasim.scene import specification as scenes
 from dasim.scene.lights import SUN_DIAMETER_DEG, Bulb, Dome, Environment, Near, Panel, Sky, Sun, Surrounding
 from dasim.scene.specification import Scene
 from dasim.spectra import illuminants
+from dasim.spectra.grid import WAVELENGTH_NM
 from dasim.typing import FloatArray
 
 SUN_DISTANCE_M = 1e4  # over 10 m of scene the sun's direction changes by a tenth of its angular diameter
@@ -25,23 +26,35 @@ SUN_DISTANCE_M = 1e4  # over 10 m of scene the sun's direction changes by a tent
 def emitters(scene: Scene) -> dict[str, Any]:
     """Mitsuba's emitters of a scene's lights, by name.
 
-    All lights that surround the scene become one emitter, because Mitsuba allows a single environment.
+    All lights that surround the scene become one emitter, because Mitsuba allows a single environment. It is made
+    first, because its number is compiled into kernels: so it is the lowest that is free.
     """
-    result: dict[str, Any] = {}
     parts = [(index, part) for index, light in enumerate(scene.lights) for part in lighting.parts(light)]
     distant = [(index, part) for index, part in parts if isinstance(part, Surrounding)]
     local = [(index, part) for index, part in parts if not isinstance(part, Surrounding)]
+    around = _around([part for _, part in distant], [part for _, part in local], scene) if distant else None
+    result: dict[str, Any] = {}
     for index, part in local:
         result[f"light_{index:04d}"] = _sun(part, scene) if isinstance(part, Sun) else _near_light(part, scene)
-    if distant:
-        sun = any(isinstance(part, Sun) for _, part in local)
-        uneven = sum(part.lux for _, part in distant if _is_uneven(part, sun))
-        # Emitter sampling chooses the surroundings in proportion to the illuminance of their uneven part. Without other
-        # lights the weight stays 1, because Mitsuba needs an emitter to sample.
-        weight = {"sampling_weight": float(uneven / np.mean([part.lux for _, part in local]))} if local else {}
+    if around is not None:
         name = f"light_{distant[0][0]:04d}"
-        result[f"{name}_sky" if name in result else name] = _environment([part for _, part in distant], scene) | weight
-    return result
+        result[f"{name}_sky" if name in result else name] = around
+    return result if len(result) > 1 else result | {"dark": dark_emitter()}
+
+
+def _around(distant: list[Surrounding], local: list[Any], scene: Scene) -> Any:
+    """The emitter of all surrounding lights, beside the ``local`` ones."""
+    sun = any(isinstance(part, Sun) for part in local)
+    uneven = sum(part.lux for part in distant if _is_uneven(part, sun))
+    # Emitter sampling chooses the surroundings in proportion to the illuminance of their uneven part. Without other
+    # lights the weight stays 1, because Mitsuba needs an emitter to sample.
+    weight = {"sampling_weight": float(uneven / np.mean([part.lux for part in local]))} if local else {}
+    return instance(_environment(distant, scene) | weight)
+
+
+def dark_emitter() -> dict[str, Any]:
+    """An emitter without light that is never sampled: beside it, one light is sampled by the code for several."""
+    return {"type": "point", "intensity": spectrum_dict(np.zeros_like(WAVELENGTH_NM)), "sampling_weight": 0.0}
 
 
 def _is_uneven(light: Surrounding, sun: bool) -> bool:
@@ -96,7 +109,7 @@ def _near_light(light: Near, scene: Scene) -> dict[str, Any]:
     return _area_light("disk", _look_at(position, target) @ np.diag([radius, radius, 1.0, 1.0]), radiance, scene)
 
 
-def _area_light(shape: str, to_scene: FloatArray, radiance: FloatArray, scene: Scene) -> dict[str, Any]:
+def _area_light(shape: str, to_scene: FloatArray, radiance: FloatArray, scene: Scene) -> Any:
     """An area light that emits on its +z side.
 
     Args:
@@ -105,11 +118,29 @@ def _area_light(shape: str, to_scene: FloatArray, radiance: FloatArray, scene: S
         radiance: [wavelength], W m^-2 sr^-1 nm^-1.
         scene: the scene, for its camera pose.
     """
-    return {
+    return area_light(shape, scenes.world_to_camera(scene) @ to_scene, radiance)
+
+
+def area_light(shape: str, to_camera: FloatArray, radiance: FloatArray) -> Any:
+    """Mitsuba's shape, or its description, of an area light in camera axes; arguments as in :func:`_area_light`."""
+    import drjit as dr
+    import mitsuba as mi
+
+    light = {
         "type": shape,
-        "to_world": transform(scenes.world_to_camera(scene) @ to_scene),
+        "to_world": transform(to_camera),
         "emitter": {"type": "area", "radiance": spectrum_dict(radiance)},
     }
+    if shape != "rectangle" or mi.variant().startswith("scalar"):
+        return light
+    # Mitsuba compiles the place of a rectangle into kernels, unlike that of other shapes.
+    rectangle = mi.load_dict(light)
+    parameters = mi.traverse(rectangle)
+    place = parameters["to_world"]
+    dr.make_opaque(place)
+    parameters["to_world"] = place
+    parameters.update()
+    return rectangle
 
 
 def _look_at(position: np.ndarray, target: np.ndarray) -> np.ndarray:

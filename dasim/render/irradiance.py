@@ -160,11 +160,13 @@ def field(
         values, geometry = _traced(
             scene, integrator, shares, film / scale, directions, index, dr.opaque(mi.UInt32, key[0])
         )
-        received[part] = values / lit
+        received[part] = values[:, : len(lit)] / lit
         met[part] = geometry
     ratio, surface = received.reshape(rows, columns, *lit.shape), met.reshape(rows, columns, 5)
     ratio = _smoothed(ratio, surface, spectra)
     usable = _agree(ratio, surface, spectra)
+    empty = lights.slots - len(spectra) if len(spectra) > 1 else 0
+    ratio = np.pad(ratio, ((0, 0), (0, 0), (0, empty), (0, 0)))
     return Field(
         start_px=(start[0], start[1]),
         px_per_m=px_per_m,
@@ -173,7 +175,7 @@ def field(
         surface=mi.Texture2f(tensor(surface[..., :4])),
         usable=mi.UInt32(usable.ravel().astype(np.uint32)),
         light=floor,
-        spectra=mi.Texture1f(tensor(spectra.T)),
+        spectra=mi.Texture1f(tensor(np.pad(spectra.T, ((0, 0), (0, empty))))),
         spectrum_nodes=len(at_nm),
         share=float(usable.mean()),
     )

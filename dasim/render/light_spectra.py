@@ -21,6 +21,7 @@ from dasim.scene.specification import Scene
 from dasim.spectra import grid, illuminants
 from dasim.typing import FloatArray
 
+FEWEST_SLOTS = 4  # where a scene has several lights
 NODES = 32  # wavelengths at which irradiance over a light's spectrum is stored, and interpolated between
 # Spectra are read at this step, which has the nodes of tables at every nanometre or five.
 FINE_NM: FloatArray = np.arange(grid.WAVELENGTH_NM[0], grid.WAVELENGTH_NM[-1] + 0.25, 0.5)
@@ -36,26 +37,32 @@ class Lights:
     spectra: FloatArray  # [light, FINE_NM]
     emitters: tuple[tuple[Any, tuple[int, ...]], ...]  # each emitter with the light of each of its layers
 
+    @property
+    def slots(self) -> int:
+        """Number of lights for which kernels are compiled: one, or a power of two from ``FEWEST_SLOTS``."""
+        count = len(self.spectra)
+        return 1 if count == 1 else max(FEWEST_SLOTS, 1 << (count - 1).bit_length())
+
     def shares(self) -> Shares:
         """The share of each light in the light of an emitter, for use in kernels."""
         import drjit as dr
         import mitsuba as mi
 
         numbers = {_number(emitter): emitter_lights for emitter, emitter_lights in self.emitters}
-        table = np.full(max(numbers, default=0) + 1, len(self.spectra), np.uint32)
+        table = np.full(max(numbers, default=0) + 1, self.slots, np.uint32)
         for number, emitter_lights in numbers.items():
             table[number] = emitter_lights[0]
         layered = next((entry for entry in self.emitters if len(set(entry[1])) > 1), None)
         # Without others, samples of the surrounding name the map that they are drawn from as their emitter.
         place = dr.opaque(mi.UInt32, _number(layered[0])) if layered and len(self.emitters) > 1 else None
-        return Shares(len(self.spectra), mi.UInt32(table), layered, place)
+        return Shares(self.slots, mi.UInt32(table), layered, place)
 
 
 @dataclass(frozen=True)
 class Shares:
     """The share of each light in the light of each emitter."""
 
-    count: int
+    count: int  # slots, of which the last may be empty
     table: Any  # the light of each emitter by Mitsuba's number; ``count`` for none
     layered: tuple[Any, tuple[int, ...]] | None  # the surrounding, where its layers have several spectra
     layered_number: Any  # None where it is the only emitter
@@ -87,7 +94,7 @@ class Shares:
 
 
 def lights_of(mitsuba_scene: Any) -> Lights:
-    """The distinct spectra of the emitters of a Mitsuba scene.
+    """The distinct spectra of the emitters of a Mitsuba scene; emitters without light are left out.
 
     Two spectra count as one light if their ratio is constant, or changes so slowly with wavelength that the ``NODES``
     wavelengths of an irradiance field represent it to ``ONE_SPECTRUM``.
@@ -96,7 +103,8 @@ def lights_of(mitsuba_scene: Any) -> Lights:
     emitters = []
     for emitter in mitsuba_scene.emitters():
         curves = _spectra(emitter)
-        emitters.append((emitter, tuple(_light(spectra, curve) for curve in curves)))
+        if any(curve.any() for curve in curves):
+            emitters.append((emitter, tuple(_light(spectra, curve) for curve in curves)))
     return Lights(np.array(spectra or [np.ones_like(FINE_NM)]), tuple(emitters))
 
 

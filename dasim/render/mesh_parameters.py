@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from dasim.render.plugin import aligned
 from dasim.scene.meshes import Part
 from dasim.typing import FloatArray
 
@@ -36,13 +37,13 @@ def mesh(part: Part, to_camera: FloatArray, bsdf: Any, name: str) -> Any:
     )
     vertices = part.vertices @ to_camera[:3, :3].T + to_camera[:3, 3]
     parameters = mi.traverse(result)
-    parameters["vertex_positions"] = np.ascontiguousarray(vertices, np.float32).ravel()
+    parameters["vertex_positions"] = aligned(vertices)
     parameters["faces"] = np.ascontiguousarray(part.faces, np.uint32).ravel()
     if part.uv is not None:
-        parameters["vertex_texcoords"] = np.ascontiguousarray(part.uv, np.float32).ravel()
+        parameters["vertex_texcoords"] = aligned(part.uv)
     if part.normals is not None:
         normals = part.normals @ to_camera[:3, :3].T
-        parameters["vertex_normals"] = np.ascontiguousarray(normals, np.float32).ravel()
+        parameters["vertex_normals"] = aligned(normals)
     parameters.update()
     return result
 

@@ -33,8 +33,16 @@ def mixture_dict(surface: Mixture, gain: float = 1.0) -> dict[str, Any]:
     """Mitsuba's description of a texture with the reflectance of a mixture of diffuse parts, times ``gain``."""
     _register()
     number = next(_numbers)
-    _surfaces[number] = surface, gain
+    _surfaces[number] = _as_print(surface), gain
     return {"type": "dasim_mixture", "number": number}
+
+
+def _as_print(surface: Mixture) -> Mixture:
+    """A photograph in the form of a print, which has a fourth image, so that both share compiled kernels."""
+    images = [image for image, _ in _weight_images(surface)]
+    if len(images) != 3 or len({image.shape for image in images}) > 1:
+        return surface
+    return Mixture(np.zeros_like(images[0]), surface, leaves(surface)[-1], surface.repeat)
 
 
 def _weight_images(surface: Surface) -> list[tuple[Float32Array, tuple[float, float]]]:

@@ -11,6 +11,8 @@ import numpy as np
 
 from dasim.spectra import grid
 
+_ALIGNMENT = 64  # bytes, of the widest vectors
+
 
 def spectrum_dict(values: grid.FloatArray) -> dict[str, Any]:
     """Mitsuba's description of a spectral curve [wavelength] on the wavelength grid."""
@@ -31,18 +33,28 @@ def transform(matrix: np.ndarray) -> Any:
     return mi.ScalarTransform4f(matrix)
 
 
-def tensor(values: np.ndarray) -> Any:
-    """Mitsuba's float32 tensor of an array, copied into memory that Dr.Jit allocates.
+def instance(description: dict[str, Any]) -> Any:
+    """A plugin of a description in the JIT variants; the description in the scalar ones."""
+    import mitsuba as mi
+
+    return description if mi.variant().startswith("scalar") else mi.load_dict(description)
+
+
+def aligned(values: np.ndarray) -> np.ndarray:
+    """A copy of an array, flat, as float32, at an address that is a multiple of 64 bytes.
 
     The alignment of memory that numpy allocates varies, and Dr.Jit compiles different code for different alignments: a
     kernel that was compiled for one picture might not be reused for the next.
     """
-    import drjit as dr
+    memory = np.empty(values.size + _ALIGNMENT // 4, np.float32)
+    start = -memory.ctypes.data % _ALIGNMENT // 4
+    copy = memory[start : start + values.size]
+    copy[:] = values.ravel()
+    return copy
+
+
+def tensor(values: np.ndarray) -> Any:
+    """Mitsuba's float32 tensor of an array, at an aligned address."""
     import mitsuba as mi
 
-    flat = mi.Float(np.ascontiguousarray(values, dtype=np.float32).ravel())
-    copy = dr.zeros(mi.Float, values.size)
-    dr.make_opaque(copy)
-    dr.scatter(copy, flat, dr.arange(mi.UInt32, values.size))
-    dr.eval(copy)
-    return mi.TensorXf(copy, values.shape)
+    return mi.TensorXf(mi.Float(aligned(values)), values.shape)

@@ -82,7 +82,9 @@ def bsdf_dict(surface: Surface) -> dict[str, Any]:
         case Mixture():
             return _blend_dict(surface, bsdf_dict(surface.first), bsdf_dict(surface.second))
         case Metal():
-            return {"material": surface.conductor, **_microfacet_dict("conductor", surface.roughness)}
+            # Not Mitsuba's names of the tables: kernels would depend on the number of their entries.
+            index = {part: spectrum_dict(_measured_index(surface.conductor, part)) for part in ("eta", "k")}
+            return index | _microfacet_dict("conductor", surface.roughness)
         case Glass():
             plugin = "thindielectric" if surface.thin else "dielectric"
             return {"type": plugin, "int_ior": surface.refractive_index, "ext_ior": 1.0}

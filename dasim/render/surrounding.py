@@ -72,12 +72,13 @@ def _d65() -> FloatArray:
     import mitsuba as mi
 
     emitter = _envmap(np.ones((2, 4)), np.eye(4))
+    scalar = mi.variant().startswith("scalar")
     values = []
-    for wavelength_nm in WAVELENGTH_NM:
-        si = dr.zeros(mi.SurfaceInteraction3f)
-        si.wi, si.wavelengths = mi.Vector3f(0, 0, 1), mi.Spectrum(float(wavelength_nm))
-        values.append(emitter.eval(si)[0])
-    return np.array([np.array(value).item() for value in values])
+    for wavelengths_nm in WAVELENGTH_NM if scalar else [WAVELENGTH_NM]:
+        si = dr.zeros(mi.SurfaceInteraction3f, np.size(wavelengths_nm))
+        si.wi, si.wavelengths = mi.Vector3f(0, 0, 1), mi.Spectrum(mi.Float(wavelengths_nm))
+        values.append(np.array(emitter.eval(si)[0]))
+    return np.ravel(values)
 
 
 def _guide(layers: tuple[Layer, ...]) -> Any:
@@ -106,6 +107,9 @@ def _register() -> None:
             self.factors = [mi.load_dict(spectrum_dict(layer.power / _d65())) for layer in layers]
             self.guide = self.maps[0] if len(layers) == 1 else _guide(layers)
             self.m_flags = mi.EmitterFlags.Infinite | mi.EmitterFlags.SpatiallyVarying
+            if not mi.variant().startswith("scalar"):
+                self.number = dr.reinterpret_array(mi.UInt32, mi.EmitterPtr(self))
+                dr.make_opaque(self.number)
 
         def eval(self, si: Any, active: Any = True) -> Any:
             return sum(self.layer_radiances(si, active), mi.Spectrum(0.0))
@@ -121,6 +125,8 @@ def _register() -> None:
 
         def sample_direction(self, it: Any, sample: Any, active: Any = True) -> Any:
             ds, _ = self.guide.sample_direction(it, sample, active)
+            if not mi.variant().startswith("scalar"):
+                ds.emitter = dr.reinterpret_array(mi.EmitterPtr, self.number)
             ds.dist = FAR_M
             ds.p = it.p + ds.d * FAR_M
             return ds, self.eval_direction(it, ds, active) * dr.select(ds.pdf > 0, dr.rcp(ds.pdf), 0.0)

@@ -12,7 +12,7 @@ from typing import Any
 
 from dasim.camera import geometry
 from dasim.camera.specification import Camera
-from dasim.render import backend, truth
+from dasim.render import backend, shared_kernels, truth
 from dasim.render.emitters import emitters
 from dasim.render.foreign import scene as foreign
 from dasim.render.foreign.scene import World
@@ -29,6 +29,8 @@ def load(scene: Scene) -> Any:
     """Mitsuba's scene in the active variant."""
     import mitsuba as mi
 
+    if not mi.variant().startswith("scalar"):
+        shared_kernels.hold()
     return mi.load_dict(scene_dict(scene), optimize=False)  # merging shapes would lose their numbers
 
 

@@ -1,0 +1,99 @@
+"""Kernels that all scenes share, in the JIT variants.
+
+Dr.Jit compiles into a kernel the code of every plugin that is alive in the process, equal code once, and the place of
+each plugin's data in a table, which depends on the highest number of a plugin. Scenes therefore share a kernel only if
+they have the same kinds of plugins and equally high numbers. So one plugin of every kind that random scenes have is
+kept alive, in scenes that are never rendered, with numbers above those of all others: what a scene adds is data.
+
+Tested in tests/dasim/render/test_shared_kernels.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cache
+from typing import Any
+
+import numpy as np
+
+from dasim.materials.photographs import photograph_surface
+from dasim.materials.surfaces import Coated, Diffuse, Glass, Metal, Mixture, Surface
+from dasim.render.emitters import area_light, dark_emitter
+from dasim.render.mesh_parameters import mesh
+from dasim.render.plugin import spectrum_dict
+from dasim.render.reflection import bsdf_dict, surface_bsdf
+from dasim.render.surrounding import Layer, surrounding_dict
+from dasim.scene.meshes import Part
+from dasim.scene.panorama import SKY_ROWS
+from dasim.spectra.grid import WAVELENGTH_NM
+from dasim.typing import FloatArray
+
+SHAPES, SURFACES, EMITTERS = 512, 512, 64  # highest numbers: 200 objects, in two scenes at a time
+_EVEN = np.ones(len(WAVELENGTH_NM))
+
+
+@cache
+def hold() -> tuple[Any, ...]:
+    """Keep one plugin of every kind of random scenes alive until the process ends.
+
+    They have low numbers, because the order in which plugins are met matters too; a last one has the highest.
+    """
+    import mitsuba as mi
+
+    things = _objects() | _lamps(), _sky()
+    scenes = [mi.load_dict({"type": "scene"} | each, optimize=False) for each in things]
+    below = _below(SURFACES, mi.BSDFPtr, lambda: mi.load_dict({"type": "null"}))
+    surface = mi.load_dict(bsdf_dict(Diffuse(_EVEN / 2)))
+    below += _below(EMITTERS, mi.EmitterPtr, lambda: mi.load_dict({"type": "area"}))
+    emitter = mi.load_dict(dark_emitter())
+    props = mi.Properties()
+    props["bsdf"] = surface
+    below += _below(SHAPES, mi.ShapePtr, lambda: mi.Mesh("", 3, 1, props=props))
+    shape = mi.Mesh("", 3, 1, props=props)
+    del below
+    return (*scenes, surface, emitter, shape)
+
+
+def _below(number: int, pointer: Any, make: Callable[[], Any]) -> list[Any]:
+    """Instances of a plugin that take the numbers below one, as far as they are free."""
+    import drjit as dr
+    import mitsuba as mi
+
+    first = make()
+    lowest = np.array(dr.reinterpret_array(mi.UInt32, pointer(first))).item()
+    return [first, *(make() for _ in range(lowest + 1, number))]
+
+
+def _objects() -> dict[str, Any]:
+    """A shape of every kind, and a surface of every kind on one of them."""
+    corner = np.eye(3)
+    faces = np.array([[0, 1, 2]], np.uint32)
+    uses = [
+        Part(corner, faces, uv, normals)
+        for uv in (None, np.eye(3)[:, :2])
+        for normals in (None, np.tile([0.0, 0.0, 1.0], (3, 1)))
+    ]
+    bsdfs = [surface_bsdf(surface, flip=False) for surface in _surfaces()]
+    meshes: dict[str, Any] = {f"mesh_{n}": mesh(part, np.eye(4), bsdfs[0], f"mesh_{n}") for n, part in enumerate(uses)}
+    plain = {kind: {"type": kind, "bsdf": bsdfs[0]} for kind in ("rectangle", "disk", "sphere", "cylinder")}
+    return meshes | plain | {f"surface_{n}": {"type": "rectangle", "bsdf": bsdf} for n, bsdf in enumerate(bsdfs)}
+
+
+def _surfaces() -> list[Surface]:
+    plain = Diffuse(_EVEN / 2)
+    weight = np.full((2, 2), 0.5, np.float32)
+    blend = Mixture(weight, plain, plain)
+    photograph = photograph_surface(np.full((2, 2, 3), 0.5, np.float32), "print")
+    assert isinstance(photograph, Mixture)
+    matt: list[Diffuse | Mixture] = [plain, blend, photograph]
+    return [*matt, *(Coated(base) for base in matt), Metal("Al"), Glass()]
+
+
+def _lamps() -> dict[str, Any]:
+    lamps = {f"lamp_{kind}": area_light(kind, np.eye(4), _EVEN) for kind in ("rectangle", "disk", "sphere")}
+    return lamps | {"dark": dark_emitter(), "dome": {"type": "constant", "radiance": spectrum_dict(_EVEN)}}
+
+
+def _sky() -> dict[str, Any]:
+    panorama: FloatArray = np.ones((SKY_ROWS, 2 * SKY_ROWS))
+    return {"sky": surrounding_dict((Layer(panorama, _EVEN, np.eye(4)),) * 2)}

@@ -1,0 +1,62 @@
+"""Kernels that random scenes share: none is compiled for one of them alone."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import pytest
+
+import dasim
+
+SIZE_PX = (32, 24)
+SPP = 2
+FEWEST = 3  # rays through the lens, through a pinhole, and to the irradiance field
+
+
+@pytest.fixture(scope="module")
+def kernels_of(jit) -> Callable[[dasim.Scene], set[str]]:
+    """Function that gives the hashes of a picture's kernels that have code of shapes, surfaces or lights."""
+    import drjit as dr
+
+    camera = dasim.cropped(dasim.load_camera("da-mobile"), *SIZE_PX)
+
+    def hashes(scene: dasim.Scene) -> set[str]:
+        with dr.scoped_set_flag(dr.JitFlag.KernelHistory):
+            dr.kernel_history_clear()
+            dasim.simulate(scene, dasim.focused(camera, scene), spp=SPP)
+            kernels = [kernel for kernel in dr.kernel_history() if "hash" in kernel]
+            return {kernel["hash"] for kernel in kernels if "Call: " in kernel["ir"].getvalue()}
+
+    return hashes
+
+
+def test_two_random_scenes_have_the_same_kernels(kernels_of):
+    """Set-up: a lamp before blends, layers and prints of two rules; a window before prints, a coat and glass.
+
+    Expectation: the second needs no kernel that the first has not needed.
+    """
+    first, second = (kernels_of(dasim.random_scene(0, number)) for number in (2, 11))
+    assert len(first) >= FEWEST
+    assert second <= first
+
+
+@pytest.mark.slow
+def test_random_scenes_have_few_sets_of_kernels(kernels_of):
+    """Set-up: lamps before metal and coats, two overcast skies; two scenes whose lamps have several spectra.
+
+    Expectation: beside one scene under a lamp and one under a sky, and one of several spectra, none needs a kernel.
+    """
+    one, sky, several = (kernels_of(dasim.random_scene(0, number)) for number in (2, 0, 14))
+    for number in (7, 10, 13):
+        assert kernels_of(dasim.random_scene(0, number)) <= one | sky, f"random:0:{number}"
+    assert kernels_of(dasim.random_scene(0, 29)) <= one | several
+
+
+@pytest.mark.slow
+def test_a_surface_that_random_scenes_lack_needs_other_kernels(kernels_of, make_scene):
+    """Rationale: the comparison above can fail. Set-up: two plain discs, one under a smooth coat."""
+    disc = {"name": "disc", "shape": "disc", "radius_cm": 5, "position_cm": (0, 0, 40)}
+    gloss = {"kind": "coated", "base": "sand", "roughness": 0.0}
+    matt = make_scene(disc | {"material": "sand"})
+    glossy = make_scene(disc | {"material": "gloss"}, materials={"gloss": gloss})
+    assert kernels_of(glossy) - kernels_of(matt)
