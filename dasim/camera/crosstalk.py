@@ -11,7 +11,14 @@ import numpy as np
 
 from dasim.camera import radiometry
 from dasim.camera.diffusion import Shares, spread, undone
-from dasim.camera.specification import Camera, channel_block, channels, mosaic_channels, spectral_shares
+from dasim.camera.specification import (
+    Camera,
+    channel_block,
+    channels,
+    mosaic_channels,
+    pixel_crosstalk,
+    spectral_shares,
+)
 from dasim.spectra import grid, illuminants
 from dasim.typing import FloatArray
 
@@ -23,11 +30,11 @@ def channel_shares(camera: Camera) -> Shares:
     """Shares of each channel, [channel] in the order of ``specification.channels``.
 
     They are means of the spectral shares over the channel's electrons from a white surface under D65, since pictures
-    hold the electrons of a channel and not their wavelengths.
+    hold the electrons of a channel and not their wavelengths; 0 for a channel without light.
     """
     spectral = spectral_shares(camera.sensor)
     electrons = radiometry.response(camera) * illuminants.illuminant(REFERENCE_LIGHT)
-    total = grid.integrate(electrons)
+    total = np.maximum(grid.integrate(electrons), np.finfo(float).tiny)
     return Shares(*(grid.integrate(electrons * share) / total for share in spectral))
 
 
@@ -40,7 +47,7 @@ def electronic_crosstalk(mean_e: FloatArray, camera: Camera) -> FloatArray:
     the ColorChecker, the electrons of red, green and blue pixels are within 2.5 %, those of infrared pixels within 3 %
     under D65, 1.5 % under A and 10 % under an energy-saving lamp, where up to half of what they hold is crosstalk.
     """
-    if camera.sensor.electronic_crosstalk == 0:
+    if pixel_crosstalk(camera.sensor) == 0:
         return mean_e
     return spread(mean_e.astype(np.float64), *pixel_shares(camera))
 
@@ -50,7 +57,7 @@ def corrected(electrons: FloatArray, camera: Camera) -> FloatArray:
 
     Pixels beside a saturated one, of which more has leaked than its number says, come out too bright.
     """
-    if camera.sensor.electronic_crosstalk == 0:
+    if pixel_crosstalk(camera.sensor) == 0:
         return electrons
     return undone(electrons, *(share.astype(electrons.dtype) for share in pixel_shares(camera)))
 
@@ -63,7 +70,7 @@ def noise_gains(camera: Camera) -> FloatArray:
     the result is theirs, so that other neighbours hardly change it.
     """
     sensor = camera.sensor
-    if sensor.electronic_crosstalk == 0:
+    if pixel_crosstalk(sensor) == 0:
         return np.ones(len(channels(sensor)))
     block = tuple(map(tuple, channel_block(sensor).tolist()))
     return np.array(_noise_gains(block, *(tuple(share.tolist()) for share in channel_shares(camera))))

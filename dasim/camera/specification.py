@@ -142,9 +142,10 @@ class Sensor(Specification):
         default=None, ge=1e-6, le=1e6, description="EMVA 1288's K at gain 1; by default, full well gives full scale"
     )
     quantum_efficiency_scale: float = Field(default=1.0, gt=0, description="factor on the response curves")
-    electronic_crosstalk: Annotated[float, Field(ge=0, le=0.2)] | Literal["silicon"] = Field(
-        default=0.0,
-        description="share of a pixel's electrons that each edge neighbour receives, or 'silicon': by absorption depth",
+    electronic_crosstalk: Annotated[float, Field(ge=0, le=0.2)] | Literal["silicon"] | None = Field(
+        default=None,
+        description="share of a pixel's electrons that each edge neighbour receives, or 'silicon': by absorption "
+        "depth, the default; with a table of response curves 0, since those of a measured sensor hold its crosstalk",
     )
     depletion_um: float = Field(default=2.0, ge=0, le=1000, description="depth from which a pixel loses no electrons")
 
@@ -456,14 +457,22 @@ def collected_efficiency(sensor: Sensor) -> FloatArray:
     return diffusion.collected_evenly(quantum_efficiency(sensor), channel_block(sensor), spectral_shares(sensor))
 
 
+def pixel_crosstalk(sensor: Sensor) -> float | Literal["silicon"]:
+    """The crosstalk between pixels: ``electronic_crosstalk``, or the default of the sensor's response curves."""
+    if sensor.electronic_crosstalk is None:
+        return "silicon" if sensor.quantum_efficiency is None else 0.0
+    return sensor.electronic_crosstalk
+
+
 def spectral_shares(sensor: Sensor) -> diffusion.Shares:
     """Shares of the electrons of a pixel that its neighbours receive, [wavelength].
 
     A number for ``electronic_crosstalk`` is the share of each edge neighbour at all wavelengths.
     """
-    if sensor.electronic_crosstalk != "silicon":
+    crosstalk_of_pixels = pixel_crosstalk(sensor)
+    if crosstalk_of_pixels != "silicon":
         none = np.zeros(grid.WAVELENGTH_NM.shape)
-        return diffusion.Shares(none + sensor.electronic_crosstalk, none)
+        return diffusion.Shares(none + crosstalk_of_pixels, none)
     return diffusion.by_depth(sensor.pixel_pitch_um, sensor.silicon_um or SILICON_UM, sensor.depletion_um)
 
 

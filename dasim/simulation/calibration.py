@@ -108,11 +108,14 @@ def _pictures(
             flux = _flux(*kernels_at(level, (place[0], place[1]), light_index))
             noise_seed = int(key.generate_state(1)[0])
             window = camera.model_copy(update={"sensor": _window(camera.sensor, side, field_px, random)})
-            for number, (dy, dx) in enumerate(shifts):
+            moved = (np.roll(flux, shift, axis=(0, 1)) for shift in shifts)
+            collected = [electronic_crosstalk(sensor_noise.mosaic(image, window), window) for image in moved]
+            brightest = max(image.max() for image in collected)  # the exposure is the same for all shifts
+            scale = Exposure().auto_level * sensor_noise.saturation_e(camera.sensor) / brightest
+            for number, (shift, image) in enumerate(zip(shifts, collected, strict=True)):
                 first = frames * number * len(EXPOSURES)
-                moved = np.roll(flux, (dy, dx), axis=(0, 1))
-                for time_s, frames_dn in _exposures(moved, window, frames, noise_seed, first, model):
-                    yield PointPicture(frames_dn, light, level, float(depth), float(blur), (dy, dx), time_s)
+                for time_s, frames_dn in _exposures(scale * image, window.sensor, frames, noise_seed, first, model):
+                    yield PointPicture(frames_dn, light, level, float(depth), float(blur), shift, time_s)
 
 
 def _frame_side_px(camera: Camera, widest_blur_px: float, field_px: tuple[float, float]) -> int:
@@ -143,19 +146,15 @@ def _flux(kernel: FloatArray, signal: FloatArray) -> FloatArray:
 
 
 def _exposures(
-    flux: FloatArray, camera: Camera, frames: int, seed: int, first: int, model: NoiseModel
+    collected_e: FloatArray, sensor: Sensor, frames: int, seed: int, first: int, model: NoiseModel
 ) -> Iterator[tuple[float, NDArray[np.uint16]]]:
     """Exposure time and frames [frame, h, w] of each of ``EXPOSURES``; their seeds are numbered from ``first``.
 
-    The strongest channel, seen by a pixel of the mosaic or not, sets the exposure, so that it is the same for all
-    shifts.
+    ``collected_e`` [h, w] are the mean electrons of the shortest exposure.
     """
-    scale = Exposure().auto_level * sensor_noise.saturation_e(camera.sensor) / flux.max()
-    mean_e = scale * sensor_noise.mosaic(flux, camera)
     for number, times in enumerate(EXPOSURES):
         time_s = times * EXPOSURE_S
-        collected_e = electronic_crosstalk(times * mean_e, camera)
         keys = [np.random.SeedSequence((seed, first + number * frames + frame)) for frame in range(frames)]
         seeds = [int(key.generate_state(1)[0]) for key in keys]
-        shots = [sensor_noise.apply(model, collected_e, camera.sensor, time_s, each, 1.0)[0] for each in seeds]
+        shots = [sensor_noise.apply(model, times * collected_e, sensor, time_s, each, 1.0)[0] for each in seeds]
         yield time_s, np.stack(shots)

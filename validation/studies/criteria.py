@@ -28,12 +28,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from dasim.base.errors import InputError
 from dasim.bounds import cramer_rao, pupils
-from dasim.camera import geometry, noise
+from dasim.camera import geometry
 from dasim.camera import specification as cameras
 from dasim.camera.specification import Camera
 from dasim.typing import ComplexArray, FloatArray
 from validation.subjects import strips
-from validation.subjects.texture import CONTRAST, MEAN_SHARE, white_electrons
+from validation.subjects.texture import CONTRAST, MEAN_SHARE, noise_variance, white_electrons
 
 Texture = Literal["known", "spectrum", "free"]
 
@@ -71,13 +71,14 @@ def texture_patch(camera: Camera, light: str, level_lux: float, planes: tuple[st
         raise InputError(f"camera '{camera.name}' has no channel {', '.join(missing)}; it has {', '.join(names)}")
     index = [names.index(name) for name in planes]
     white, time_s = white_electrons(camera, light, level_lux)
+    variance = noise_variance(camera, MEAN_SHARE * white, time_s)[index]
     mean = MEAN_SHARE * white[index]
     if mean.min() <= 0:
         dark = [name for name, value in zip(planes, mean, strict=True) if value <= 0]
         raise InputError(f"camera '{camera.name}': no light of {light} reaches {', '.join(dark)}")
     power = cramer_rao.natural_power(SHAPE, spacing_px=SPACING_PX, contrast=CONTRAST * mean[0])
     area = cramer_rao.window_area_px(strips.WINDOW_PX) / (SHAPE[0] * SHAPE[1] * SPACING_PX**2)
-    return TexturePatch(power, noise.variance(camera.sensor, time_s).at(mean), mean / mean[0], area)
+    return TexturePatch(power, variance, mean / mean[0], area)
 
 
 def blur_variance(

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from dasim.camera import noise, radiometry
+from dasim.camera import crosstalk, diffusion, noise, radiometry, specification
 from dasim.camera.specification import Camera
 from dasim.materials import library
 from dasim.simulation.relight import LONGEST_S
@@ -16,6 +16,16 @@ from dasim.typing import FloatArray
 
 MEAN_SHARE = 0.4  # mean of the texture over white
 CONTRAST = 0.15  # standard deviation of the texture within an octave of spatial frequency, over its mean
+
+
+def noise_variance(camera: Camera, mean_e: FloatArray, time_s: float) -> FloatArray:
+    """Noise variance of the pixels of each channel on an even surface, [channel], crosstalk between them corrected.
+
+    ``mean_e`` [channel] are mean electrons without crosstalk, ``time_s`` is the exposure time.
+    """
+    shares = crosstalk.channel_shares(camera)
+    collected = diffusion.collected_evenly(mean_e, specification.channel_block(camera.sensor), shares)
+    return crosstalk.noise_gains(camera) * noise.variance(camera.sensor, time_s).at(collected)
 
 
 def white_electrons(camera: Camera, light: str, level_lux: float) -> tuple[FloatArray, float]:

@@ -39,12 +39,14 @@ def sheet(camera, table, *, without=()):
 
 def test_figures_in_their_units(da_mobile):
     """Expectation: percent become shares, a dark current of 80 e-/s at 46 C is 10 at 25 C (three doublings of 7 K),
-    a quantum efficiency at 560 nm scales all curves by its ratio to green there, and the response with them.
+    a quantum efficiency at 560 nm scales all curves by its ratio to green there, without crosstalk between pixels, and
+    the response with them.
     """
     table = {"prnu1288_percent": 0.4, "dark_current_e_s": 80.0, "dark_current_temperature_c": 46.0}
     table |= {"quantum_efficiency_percent": 60.0, "wavelength_nm": 560.0}
     others = ("prnu", "dark_current_e_s", "quantum_efficiency_scale")
-    loaded = sheet(da_mobile, table, without=others)
+    apart = da_mobile.model_copy(update={"sensor": da_mobile.sensor.model_copy(update={"electronic_crosstalk": 0.0})})
+    loaded = sheet(apart, table, without=others)
     green = np.interp(560.0, grid.WAVELENGTH_NM, response_curves.rgb_ir_quantum_efficiency()[1])
     assert loaded.sensor.prnu == pytest.approx(0.004)
     assert loaded.sensor.dark_current_e_s == pytest.approx(10.0)
@@ -79,6 +81,7 @@ def test_system_gain_sets_the_numbers(da_mobile):
     the converter, at 4,795 electrons; automatic exposure aims below whichever comes first.
     """
     model = sheet(da_mobile, {"overall_system_gain_dn_per_e": 0.1}, without=("dn_per_e",)).sensor
+    model = model.model_copy(update={"electronic_crosstalk": 0.0})
     raw, full = noise.expose(np.array([[0.0, 1000.0, 6000.0, 9000.0]]), model, 1.0, 0, noise="off")
     assert raw.tolist() == [[64, 164, 664, 664]] and full == 2
     assert noise.saturation_e(model) == 6000 and noise.saturation_e(model, 2.0) == pytest.approx(4795)

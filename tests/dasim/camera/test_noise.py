@@ -10,6 +10,7 @@ import pytest
 from dasim.base.errors import InputError
 from dasim.camera import noise as sensor
 from dasim.camera import specification as cameras
+from dasim.camera.crosstalk import electronic_crosstalk, noise_gains
 
 SIDE = 250  # 62,500 pixels: a standard deviation is known to 1 / sqrt(2 n) = 0.28 %, a variance to 0.57 %
 VARIANCE_LIMIT = 5 * np.sqrt(2) / SIDE  # five standard errors of a variance, relative to it
@@ -201,14 +202,17 @@ def test_all_users_give_a_pixel_the_same_variance(da_mobile):
     step, raw = 6000 / 959, np.full((48, 64), 364, np.uint16)
     mean_e = 300 * step - 10 * time_s
     capture = Capture(raw, camera, time_s, 1.0, 0)
-    for name in cameras.channels(camera.sensor):
-        assert mosaic.noise_variance(capture, name).at(mean_e) == pytest.approx(by_hand(mean_e, time_s), rel=1e-9)
+    gains = noise_gains(camera)  # of the correction of crosstalk, for R, G, B, IR; tested in test_crosstalk.py
+    for name, gain in zip(cameras.channels(camera.sensor), gains, strict=True):
+        expected = gain * by_hand(mean_e, time_s)
+        assert mosaic.noise_variance(capture, name).at(mean_e) == pytest.approx(expected, rel=1e-9)
 
     def point(raw_dn):
         return PointPicture(raw_dn[None], "D65", 0, 1.0, 0.0, (0, 0), time_s)
 
     _, sigma_e, seen = pictures.averaged([point(raw)], camera, time_s)
-    np.testing.assert_allclose(sigma_e[seen] ** 2, by_hand(mean_e, time_s), rtol=1e-9)
+    gain_of_seen = np.repeat(gains, raw.size // 4)  # each pixel is seen in its own channel
+    np.testing.assert_allclose(sigma_e[seen] ** 2, gain_of_seen * by_hand(mean_e, time_s), rtol=1e-9)
     np.testing.assert_allclose(source._electrons(capture)[1] ** 2, by_hand(mean_e, time_s), rtol=1e-9)
 
     y, x = np.indices(raw.shape)
@@ -219,8 +223,10 @@ def test_all_users_give_a_pixel_the_same_variance(da_mobile):
 
     white, short_s = texture.white_electrons(da_mobile, "D65", 500.0)
     patch = criteria.texture_patch(da_mobile, "D65", 500.0)
-    green_and_infrared = criteria.MEAN_SHARE * white[[1, 3]]
-    np.testing.assert_allclose(patch.noise, by_hand(green_and_infrared, short_s), rtol=1e-9)
+    even = np.full((48, 64, 4), criteria.MEAN_SHARE * white)
+    collected = electronic_crosstalk(sensor.mosaic(even, camera), camera)[2:4, 2:4]  # a cell away from the border
+    green_and_infrared = np.array([collected[0, 0], collected[1, 1]])
+    np.testing.assert_allclose(patch.noise, gains[[1, 3]] * by_hand(green_and_infrared, short_s), rtol=1e-9)
 
     ladder = emva.plan(da_mobile)
     assert ladder.mean_e[-1] == pytest.approx(6000 + 3 * np.sqrt(by_hand(6000, ladder.exposure_s[-1])), rel=1e-9)

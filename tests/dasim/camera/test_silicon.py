@@ -74,10 +74,9 @@ def test_curves_of_ones_own_have_their_limit(da_mobile):
 
 
 def test_thin_camera_is_da_mobile_in_other_silicon(da_mobile):
-    """Expectation: the camera differs in silicon and crosstalk, and is another sensor; in nothing else."""
+    """Expectation: the camera differs in silicon, and is another sensor; in nothing else."""
     thin = dasim.load_camera("da-mobile-thin")
-    keys = ("silicon_um", "depletion_um", "electronic_crosstalk", "sensor_seed")
+    keys = ("silicon_um", "depletion_um", "sensor_seed")
     changes = {key: getattr(da_mobile.sensor, key) for key in keys}
     assert thin.sensor.model_copy(update=changes) == da_mobile.sensor
     assert (thin.lens, thin.stops, thin.levels) == (da_mobile.lens, da_mobile.stops, da_mobile.levels)
-    assert thin.sensor.electronic_crosstalk == "silicon"

@@ -7,6 +7,7 @@ import pytest
 
 from dasim.camera import geometry, noise, radiometry
 from dasim.camera import specification as cameras
+from dasim.camera.crosstalk import corrected
 from dasim.simulation.calibration import EXPOSURE_S, EXPOSURES, FRAMES, calibration_captures
 from dasim.spectra import grid, illuminants
 
@@ -52,13 +53,16 @@ def test_each_level_and_position_of_the_mosaic_is_taken_once(da_mobile, pictures
 def test_charge_of_the_channels_is_that_of_the_light(da_mobile, pictures):
     """Rationale: calibration recovers white balance from the pictures alone.
 
-    Set-up: over the four positions every channel sees every part of the kernel, so its numbers sum to its light.
+    Set-up: over the four positions every channel sees every part of the kernel, so its numbers sum to its light, once
+    the crosstalk between pixels is taken back.
     Expectation: relative to green, the integral of illuminant times response, on a grid of 1 nm.
     """
     total = np.zeros(4)
     for shift in ((0, 0), (0, 1), (1, 0), (1, 1)):
         values = signal(pictures[LEVEL, shift], da_mobile)
-        channels = channel_at(values.shape, da_mobile)
+        size = {"width_px": values.shape[1], "height_px": values.shape[0]}
+        local = da_mobile.model_copy(update={"sensor": da_mobile.sensor.model_copy(update=size)})
+        values, channels = corrected(values, local), channel_at(values.shape, da_mobile)
         total += [values[channels == index].sum() for index in range(4)]
     nm = np.arange(400.0, 830.5, 1.0)
     light = np.interp(nm, grid.WAVELENGTH_NM, illuminants.illuminant("A"))

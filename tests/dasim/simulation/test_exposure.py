@@ -11,6 +11,7 @@ import dasim
 from dasim.base.errors import InputError
 from dasim.camera import noise
 from dasim.camera import specification as cameras
+from dasim.camera.crosstalk import electronic_crosstalk
 from dasim.camera.noise import Exposure
 from dasim.simulation.exposure import Shot, expose, expose_series, frame_seed, to_precision
 from dasim.simulation.simulate import simulate
@@ -147,7 +148,7 @@ def test_another_seed_is_other_noise_of_the_same_sensor(shot, camera):
     np.testing.assert_array_equal(frames[0].truth.mean_e, shot.truth.mean_e)
     step = noise.electrons_per_dn(camera.sensor)
     raw = np.stack([frame.capture.raw_dn for frame in frames]) * step
-    mean = noise.mosaic(shot.truth.mean_e, camera)
+    mean = electronic_crosstalk(noise.mosaic(shot.truth.mean_e.astype(float), camera), camera)
     unsaturated = mean < 5500
     temporal = noise.temporal_variance(camera.sensor, shot.capture.exposure_s).at(mean)
     ratio = raw.var(axis=0, ddof=1) / temporal

@@ -10,6 +10,7 @@ from dasim.base.errors import InputError
 from dasim.base.toml import parse
 from dasim.camera import noise
 from dasim.camera import specification as cameras
+from dasim.camera.crosstalk import electronic_crosstalk
 from dasim.camera.noise import Exposure
 from dasim.camera.specification import Camera
 from dasim.simulation.checks import diffraction_model
@@ -34,6 +35,11 @@ def scene(make_scene, lamp):
 @pytest.fixture(scope="module")
 def shot(renderer, scene, da_mobile):
     return simulate(scene, cameras.cropped(da_mobile, 64, 48), seed=3, spp=36, diffraction="off")
+
+
+def collected_e(truth, camera):
+    """Mean electrons that the pixels collect, [h, w], after crosstalk between them."""
+    return electronic_crosstalk(noise.mosaic(truth.mean_e.astype(float), camera), camera)
 
 
 def test_lens_and_pinhole_pictures_are_registered(shot):
@@ -105,12 +111,12 @@ def test_truth_is_whole_and_consistent(shot, da_mobile):
 
 
 def test_raw_numbers_scatter_around_the_mean_as_the_sensor_says(shot):
-    """Set-up: each pixel's number against the mean electrons of its own channel.
+    """Set-up: each pixel's number against the mean electrons that it collects.
 
     Expectation: standardised by shot, dark, read, pattern and rounding noise, mean 0 and variance 1.
     """
     camera = shot.capture.camera
-    mean = noise.mosaic(shot.truth.mean_e.astype(float), camera)
+    mean = collected_e(shot.truth, camera)
     step = 6000 / 959
     electrons = (shot.capture.raw_dn.astype(float) - 64) * step
     dark = 10.0 * shot.capture.exposure_s
@@ -311,13 +317,13 @@ def test_an_independent_mean_shares_no_rendering_noise_with_the_raw_picture(scen
         exposure = Exposure(time_s=0.01)
         return simulate(scene, camera, seed, spp=spp, diffraction="off", noise=silent, exposure=exposure, **options)
 
-    exact = noise.mosaic(shot(1024, 9).truth.mean_e.astype(float), camera)
+    exact = collected_e(shot(1024, 9).truth, camera)
     shared, own = shot(4, 3), shot(4, 3, independent_mean=True)
     np.testing.assert_array_equal(own.capture.raw_dn, shared.capture.raw_dn)
     np.testing.assert_array_equal(own.truth.sharp_e, shared.truth.sharp_e)
     assert own.capture.provenance["independent_mean"] and not shared.capture.provenance["independent_mean"]
     errors = [own.capture.raw_dn / 8 - exact]
-    errors += [noise.mosaic(each.truth.mean_e.astype(float), camera) - exact for each in (shared, own)]
+    errors += [collected_e(each.truth, camera) - exact for each in (shared, own)]
     correlation = np.corrcoef([error.ravel() for error in errors])[0]
     assert correlation[1] > 0.99 and abs(correlation[2]) < 4 / np.sqrt(errors[0].size)
     assert errors[2].std() == pytest.approx(errors[1].std(), rel=0.15)
@@ -331,7 +337,7 @@ def test_a_noise_model_of_ones_own_makes_the_raw_picture(renderer, scene, da_mob
 
     camera = cameras.cropped(da_mobile, 64, 48)
     users_shot = simulate(scene, camera, seed=3, spp=36, diffraction="off", noise=model)
-    mean = noise.mosaic(users_shot.truth.mean_e.astype(float), camera)
+    mean = collected_e(users_shot.truth, camera)
     np.testing.assert_allclose(users_shot.capture.raw_dn, mean / 10 + 64, atol=0.51)
     assert users_shot.capture.provenance["saturated_pixels"] == 5
     assert users_shot.capture.provenance["noise"].endswith("makes_the_raw_picture.<locals>.model")

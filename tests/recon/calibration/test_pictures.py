@@ -7,6 +7,7 @@ import pytest
 
 from dasim.camera import noise
 from dasim.camera import specification as cameras
+from dasim.camera.crosstalk import electronic_crosstalk
 from dasim.values import PointPicture
 from recon.calibration import pictures
 
@@ -35,7 +36,7 @@ def test_stated_noise_is_the_spread_of_a_flat_field(name, changes):
     group = []
     for number, shift in enumerate(np.ndindex(rows, columns)):
         for k, times in enumerate((1, 4)):
-            mean_e = np.full((SIDE, SIDE), 300.0 * times)
+            mean_e = electronic_crosstalk(np.full((SIDE, SIDE), 300.0 * times), camera)
             first = 4 * number + 2 * k
             frames = [noise.expose(mean_e, camera.sensor, 0.01 * times, 3, frame=first + i)[0] for i in (0, 1)]
             group.append(PointPicture(np.stack(frames), "D65", 0, 1.0, 0.0, shift, 0.01 * times))

@@ -15,6 +15,7 @@ import recon
 from dasim.base.errors import InputError
 from dasim.camera import noise, pointspread
 from dasim.camera import specification as cameras
+from dasim.camera.crosstalk import electronic_crosstalk
 from dasim.files.png import read_png16, write_png16
 from dasim.simulation import calibration
 from dasim.spectra import illuminants
@@ -142,7 +143,7 @@ def anywhere(camera, level, places, exposures, side=60):
         flux = np.zeros((side, side, 4))
         flux[:-1, :-1] = np.moveaxis(kernel * signal[:, None, None], 0, -1) / brightest
         mean_e = 0.8 * noise.saturation_e(local.sensor, max(gain for _, gain in exposures))
-        mean_e = mean_e * (noise.mosaic(np.roll(flux, whole, axis=(0, 1)), local) + 1e-3)
+        mean_e = electronic_crosstalk(mean_e * (noise.mosaic(np.roll(flux, whole, axis=(0, 1)), local) + 1e-3), local)
         for step, (times, gain) in enumerate(exposures):
             frames = [
                 noise.expose(times * mean_e, local.sensor, 0.01 * times, 3, gain=gain, frame=100 * number + shot)[0]

@@ -65,15 +65,17 @@ def flat_capture(level_e, seed=0):
 
 
 def test_stabilised_noise_has_unit_deviation():
-    """Limit: 3 %, for the curvature of the variance-stabilising curve; 65,536 samples give the standard deviation to
-    0.3 %.
+    """Set-up: a flat mosaic, of which each plane is flat, since crosstalk takes more from red than from blue.
+
+    Limit: 3 %, for the curvature of the variance-stabilising curve; 16,384 samples give the deviation to 0.6 %.
     """
     for level_e in (60.0, 500.0, 4000.0):
         capture = flat_capture(level_e)
         electrons, _ = mosaic.linearise(capture)
         collected = mosaic.collected(electrons, capture.camera)
         guide = denoise.stabilise(collected, noise.variance(capture.camera.sensor, capture.exposure_s))
-        assert abs(guide.std() - 1) < 0.03
+        for row, column in ((0, 0), (0, 1), (1, 0), (1, 1)):
+            assert abs(guide[row::2, column::2].std() - 1) < 0.03
         assert abs(electrons.mean() / level_e - 1) < 0.003
 
 

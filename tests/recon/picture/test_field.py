@@ -168,7 +168,8 @@ def test_crosstalk_is_measured_on_the_axis(camera):
     inside = (grid.WAVELENGTH_NM >= 700) & (grid.WAVELENGTH_NM <= 760)
     signal = response_curves.rgb_ir_quantum_efficiency()[:, inside].sum(axis=1)
     mean_e = 0.5 * camera.sensor.full_well_e * signal / signal.max() * (1 - square_of_sine(camera)[..., None]) ** 2
-    raw, _ = noise.expose(noise.mosaic(mean_e, camera), camera.sensor, TIME_S, 0, noise="off")
+    collected_e = electronic_crosstalk(noise.mosaic(mean_e, camera), camera)
+    raw, _ = noise.expose(collected_e, camera.sensor, TIME_S, 0, noise="off")
     measured = recon.measured_crosstalk(Capture(raw, camera, TIME_S, 1.0, 0))
     np.testing.assert_allclose(measured, signal[:3] / signal[3], rtol=2e-3)
     relative, _ = infrared.crosstalk_over_field(camera)

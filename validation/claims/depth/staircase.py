@@ -33,6 +33,7 @@ from validation.scores.figures import Figure
 from validation.subjects import rendering, strips
 from validation.subjects.shots import photographed
 from validation.subjects.strips import Estimates, Noise, Strips
+from validation.subjects.texture import noise_variance
 
 LIGHT = "D65"
 TEXTURE = "gravel"  # at every level, and the one that has limits
@@ -252,8 +253,7 @@ def _camera_bounds(camera: Camera, sharp_e: NDArray) -> FloatArray:
     # of the finer grid's frequencies those of the planes; samples further apart see less of the density each
     power = np.concatenate([whole[: side // 2], whole[-side // 2 :]])[:, : side // 2 + 1] / spacing**2
     texture = [float(np.std(sharp_e[..., index])) for index in pair]
-    means = np.array([float(sharp_e[..., index].mean()) for index in pair])
-    variance = sensor.variance(camera.sensor, EXPOSURE_S).at(means)
+    variance = noise_variance(camera, sharp_e.mean(axis=(0, 1, 2)).astype(float), EXPOSURE_S)[pair]
     table = strips.bound_table(
         transfer[:, pair], slope[:, pair], power, variance, gain=(1.0, texture[1] / texture[0]), spacing_px=spacing
     )
