@@ -24,6 +24,7 @@ import cv2
 import numpy as np
 import pytest
 
+from dasim.base.cache import cache_dir
 from dasim.base.errors import InputError
 from dasim.base.toml import parse
 from dasim.camera import specification as cameras
@@ -32,6 +33,8 @@ from dasim.render import backend
 from dasim.scene.specification import Scene
 from tests.support.shared import FOLDER
 
+# Tests with a cache folder of their own find the kernels that were compiled before.
+os.environ.setdefault("DRJIT_CACHE_DIR", str(cache_dir() / "kernels"))
 REFERENCE = Path(__file__).parents[2] / "shared" / "reference"
 
 

@@ -33,6 +33,7 @@ OLDEST_LLVM = 17  # with Dr.Jit 1.5, LLVM 15 and 16 abort, 19 and 22 work
 PROBE_TIMEOUT_S = 60.0  # a test takes below 1 s, with a graphics driver that starts some seconds
 # After this time a failed variant is tested again: a driver may have been installed, or a high load be over.
 FAILURE_LIFETIME_S = 24 * 3600.0
+KERNELS_SIZE = "512M"  # a set of kernels has below 10 MB
 
 LLVM_FOLDERS = (
     str(Path(sys.prefix) / "lib"),  # conda
@@ -174,6 +175,7 @@ def activate(choice: Choice) -> None:
         )
     if choice.llvm_path is not None and _active is None:
         os.environ["DRJIT_LIBLLVM_PATH"] = choice.llvm_path  # Dr.Jit reads it in the first set_variant
+    keep_kernels()
     import drjit as dr
     import mitsuba as mi
 
@@ -182,6 +184,19 @@ def activate(choice: Choice) -> None:
         mi.set_variant(choice.variant)
     mi.set_log_level(mi.LogLevel.Error)
     _active = choice
+
+
+def keep_kernels() -> None:
+    """Keep compiled kernels in the cache folder, ``KERNELS_SIZE`` at most; the user's own variables of Dr.Jit count.
+
+    Dr.Jit reads them at its start, and then removes the kernels that have not been used for the longest time, in one
+    process per hour. Where the folder cannot be written to, Dr.Jit's own is used.
+    """
+    folder = cache_dir() / "kernels"
+    with contextlib.suppress(OSError):
+        folder.mkdir(parents=True, exist_ok=True)
+        os.environ.setdefault("DRJIT_CACHE_DIR", str(folder))
+    os.environ.setdefault("DRJIT_CACHE_MAXSIZE", KERNELS_SIZE)
 
 
 def _results(names: tuple[str, ...]) -> dict[str, dict[str, Any]]:

@@ -10,9 +10,10 @@ Tested in tests/dasim/render/test_shared_kernels.py.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import contextlib
+from collections.abc import Callable, Iterator
 from functools import cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -97,3 +98,28 @@ def _lamps() -> dict[str, Any]:
 def _sky() -> dict[str, Any]:
     panorama: FloatArray = np.ones((SKY_ROWS, 2 * SKY_ROWS))
     return {"sky": surrounding_dict((Layer(panorama, _EVEN, np.eye(4)),) * 2)}
+
+
+class Kernel(NamedTuple):
+    """A kernel that was launched."""
+
+    name: str  # hash of its code
+    is_new: bool  # compiled for this launch, found neither in memory nor on disk
+    compilation_s: float  # elapsed time
+    has_plugins: bool  # whether it has code of shapes, surfaces or lights
+
+
+@contextlib.contextmanager
+def recorded() -> Iterator[list[Kernel]]:
+    """Fill the list that it gives with the kernels that are launched in the block, at its end."""
+    import drjit as dr
+
+    result: list[Kernel] = []
+    with dr.scoped_set_flag(dr.JitFlag.KernelHistory):
+        dr.kernel_history_clear()
+        yield result
+        for entry in dr.kernel_history():
+            if "hash" in entry:
+                is_new = not (entry["cache_hit"] or entry["cache_disk"])
+                seconds = entry["backend_time"] / 1e3 if is_new else 0.0
+                result.append(Kernel(entry["hash"], is_new, seconds, "Call: " in entry["ir"].getvalue()))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from validation.claims.cost.compilation import compiled_kernels
 from validation.claims.cost.cycles import against_cycles
 from validation.claims.cost.datasets import dataset_speed
 from validation.claims.cost.exposure import exposure
@@ -87,5 +88,6 @@ CLAIMS = {
     "scene-pictures": Measurement(scene_pictures, quick=False),
     "two-cameras": Measurement(two_cameras, quick=False),
     "exposure": Measurement(exposure, quick=False, alone=True),
+    "compiled-kernels": Measurement(compiled_kernels, quick=False),
     "dataset-speed": Measurement(dataset_speed, quick=False, alone=True),
 }

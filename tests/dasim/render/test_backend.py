@@ -6,6 +6,7 @@ import glob
 import os
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -25,6 +26,9 @@ def alone(tmp_path, monkeypatch):
     # Set before deleting, so that what a test sets meanwhile is undone too.
     monkeypatch.setenv("DRJIT_LIBLLVM_PATH", "")
     monkeypatch.delenv("DRJIT_LIBLLVM_PATH")
+    for name in ("DRJIT_CACHE_DIR", "DRJIT_CACHE_MAXSIZE"):
+        monkeypatch.setenv(name, "")
+        monkeypatch.delenv(name)
     monkeypatch.setattr(backend, "_active", None)
 
 
@@ -232,6 +236,51 @@ def test_active_variant_renders_and_is_the_only_one(library):
     assert done.returncode == 0, done.stderr
     assert done.stdout.split() == ["OK"]
     assert done.stderr == ""
+
+
+_SWEEP = """
+import os, sys, time
+from pathlib import Path
+from dasim.render import backend
+backend.activate(backend.choose(sys.argv[1]))
+old = Path(sys.argv[2])
+end = time.monotonic() + 20
+while old.exists() and time.monotonic() < end:
+    time.sleep(0.05)
+print(os.environ["DRJIT_CACHE_MAXSIZE"], *sorted(path.stem for path in old.parent.glob("*.bin")))
+"""
+
+
+@pytest.mark.parametrize(("size", "left"), [("1M", ["new"]), (None, ["new", "old"])])
+def test_kernels_beyond_a_size_are_removed_the_oldest_first(jit_variant, tmp_path, monkeypatch, size, left):
+    """Set-up: two files of 0.8 MB in the folder of kernels, one a day older; a new process.
+
+    Expectation: with a limit of 1 MB the older one is gone; with the default both stay.
+    """
+    folder = tmp_path / "cache" / "kernels"
+    folder.mkdir(parents=True)
+    for name, age_s in (("old", 86400), ("new", 0)):
+        (folder / f"{name}.bin").write_bytes(bytes(800_000))
+        os.utime(folder / f"{name}.bin", (time.time() - age_s,) * 2)
+    if size is not None:
+        monkeypatch.setenv("DRJIT_CACHE_MAXSIZE", size)
+    wait_for = folder / ("old.bin" if size else "none.bin")
+    done = subprocess.run(
+        [sys.executable, "-c", _SWEEP, jit_variant, str(wait_for)],
+        capture_output=True,
+        text=True,
+        timeout=120,
+        cwd=Path(__file__).parents[3],
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.split() == [size or backend.KERNELS_SIZE, *left]
+
+
+def test_kernels_of_a_cache_that_cannot_be_written_to_go_elsewhere(tmp_path, monkeypatch):
+    (tmp_path / "file").write_text("no folder")
+    monkeypatch.setenv("DASIM_CACHE_DIR", str(tmp_path / "file" / "below"))
+    backend.keep_kernels()
+    assert "DRJIT_CACHE_DIR" not in os.environ
 
 
 def test_main_tells_fast_from_slow(started, capsys):

@@ -7,6 +7,7 @@ from collections.abc import Callable
 import pytest
 
 import dasim
+from dasim.render import shared_kernels
 
 SIZE_PX = (32, 24)
 SPP = 2
@@ -16,16 +17,12 @@ FEWEST = 3  # rays through the lens, through a pinhole, and to the irradiance fi
 @pytest.fixture(scope="module")
 def kernels_of(jit) -> Callable[[dasim.Scene], set[str]]:
     """Function that gives the hashes of a picture's kernels that have code of shapes, surfaces or lights."""
-    import drjit as dr
-
     camera = dasim.cropped(dasim.load_camera("da-mobile"), *SIZE_PX)
 
     def hashes(scene: dasim.Scene) -> set[str]:
-        with dr.scoped_set_flag(dr.JitFlag.KernelHistory):
-            dr.kernel_history_clear()
+        with shared_kernels.recorded() as kernels:
             dasim.simulate(scene, dasim.focused(camera, scene), spp=SPP)
-            kernels = [kernel for kernel in dr.kernel_history() if "hash" in kernel]
-            return {kernel["hash"] for kernel in kernels if "Call: " in kernel["ir"].getvalue()}
+        return {kernel.name for kernel in kernels if kernel.has_plugins}
 
     return hashes
 
