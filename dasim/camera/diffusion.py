@@ -26,6 +26,9 @@ from dasim.camera import silicon
 from dasim.spectra import grid
 from dasim.typing import FloatArray
 
+LARGEST_EDGE_SHARE = 0.1  # of a pixel's electrons, for each edge neighbour; from 1/8 on it cannot be undone
+UNDONE = 1e-5  # of the largest electrons, error of the inverse
+_MOST_STEPS = 100  # 52 are needed at the largest share
 _SUBPIXELS = 8  # per pixel and axis
 _WINDOW_PX = 32
 _NODES_NM = np.arange(400.0, 831.0, 10.0)  # the shares vary slowly with wavelength
@@ -100,14 +103,19 @@ def spread(electrons: FloatArray, edge: FloatArray, corner: FloatArray) -> Float
     return result
 
 
-def undone(electrons: FloatArray, edge: FloatArray, corner: FloatArray, *, steps: int = 6) -> FloatArray:
-    """The inverse of :func:`spread`: electrons before diffusion, [h, w], by ``steps`` of Jacobi's iteration.
+def undone(electrons: FloatArray, edge: FloatArray, corner: FloatArray) -> FloatArray:
+    """The inverse of :func:`spread`: electrons before diffusion, [h, w], by Jacobi's iteration.
 
-    At most a share s of a pixel's electrons leaves it, so that the error is below (2 s)^(steps + 1): 1e-5 at 10 %.
+    Electrons that spread from the result differ from the given ones by at most 1e-5 of the largest. An error of the
+    finest checkerboard falls by 8 e with each step, e the edge share: 7 steps where 10 % of the electrons leave a
+    pixel, and no convergence from e = 1/8 on, where :func:`spread` has no inverse.
     """
-    result = electrons
-    for _ in range(steps):
-        result = electrons + (result - spread(result, edge, corner))
+    result, enough = electrons, UNDONE * float(np.abs(electrons).max(initial=0.0))
+    for _ in range(_MOST_STEPS):
+        missing = electrons - spread(result, edge, corner)
+        result = result + missing
+        if float(np.abs(missing).max(initial=0.0)) <= enough:
+            break
     return result
 
 

@@ -142,10 +142,12 @@ class Sensor(Specification):
         default=None, ge=1e-6, le=1e6, description="EMVA 1288's K at gain 1; by default, full well gives full scale"
     )
     quantum_efficiency_scale: float = Field(default=1.0, gt=0, description="factor on the response curves")
-    electronic_crosstalk: Annotated[float, Field(ge=0, le=0.2)] | Literal["silicon"] | None = Field(
-        default=None,
-        description="share of a pixel's electrons that each edge neighbour receives, or 'silicon': by absorption "
-        "depth, the default; with a table of response curves 0, since those of a measured sensor hold its crosstalk",
+    electronic_crosstalk: Annotated[float, Field(ge=0, le=diffusion.LARGEST_EDGE_SHARE)] | Literal["silicon"] | None = (
+        Field(
+            default=None,
+            description="share of a pixel's electrons that each edge neighbour receives, or 'silicon': by absorption "
+            "depth, the default; with a table of response curves 0, since those of a sensor hold its crosstalk",
+        )
     )
     depletion_um: float = Field(default=2.0, ge=0, le=1000, description="depth from which a pixel loses no electrons")
 
@@ -190,6 +192,13 @@ class Sensor(Specification):
             )
         if self.black_level_dn >= 2**self.adc_bits - 1:
             raise ValueError(f"black_level_dn must be below {2**self.adc_bits - 1}")
+        edge = float(spectral_shares(self).edge.max())
+        if edge > diffusion.LARGEST_EDGE_SHARE:
+            raise ValueError(
+                f"silicon of {self.silicon_um or SILICON_UM:g} um that is depleted to depletion_um = "
+                f"{self.depletion_um:g} loses up to {edge:.2g} of a pixel's electrons to each edge neighbour, must be "
+                f"at most {diffusion.LARGEST_EDGE_SHARE:g}; deplete it deeper, or give electronic_crosstalk"
+            )
         peak = float(quantum_efficiency(self).max())
         if peak > 1:
             raise ValueError(
