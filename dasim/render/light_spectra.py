@@ -53,8 +53,7 @@ class Lights:
         for number, emitter_lights in numbers.items():
             table[number] = emitter_lights[0]
         layered = next((entry for entry in self.emitters if len(set(entry[1])) > 1), None)
-        # Without others, samples of the surrounding name the map that they are drawn from as their emitter.
-        place = dr.opaque(mi.UInt32, _number(layered[0])) if layered and len(self.emitters) > 1 else None
+        place = dr.opaque(mi.UInt32, _number(layered[0])) if layered else None
         return Shares(self.slots, mi.UInt32(table), layered, place)
 
 
@@ -65,7 +64,7 @@ class Shares:
     count: int  # slots, of which the last may be empty
     table: Any  # the light of each emitter by Mitsuba's number; ``count`` for none
     layered: tuple[Any, tuple[int, ...]] | None  # the surrounding, where its layers have several spectra
-    layered_number: Any  # None where it is the only emitter
+    layered_number: Any  # Mitsuba's number of it
 
     def of(self, emitter: Any, direction: Any, wavelengths: Any, active: Any) -> list[Any]:
         """Share 0..1 of each light in the radiance of ``emitter`` that arrives from ``direction`` (towards it), at each
@@ -82,7 +81,7 @@ class Shares:
         if self.layered is None:
             return shares
         surrounding, layer_lights = self.layered
-        here = mi.Bool(active) if self.layered_number is None else active & (number == self.layered_number)
+        here = active & (number == self.layered_number)
         si = dr.zeros(mi.SurfaceInteraction3f)
         si.wi, si.wavelengths = -direction, wavelengths
         parts = surrounding.layer_radiances(si, here)

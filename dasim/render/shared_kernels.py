@@ -1,9 +1,10 @@
 """Kernels that all scenes share, in the JIT variants.
 
-Dr.Jit compiles into a kernel the code of every plugin that is alive in the process, equal code once, and the place of
-each plugin's data in a table, which depends on the highest number of a plugin. Scenes therefore share a kernel only if
-they have the same kinds of plugins and equally high numbers. So one plugin of every kind that random scenes have is
-kept alive, in scenes that are never rendered, with numbers above those of all others: what a scene adds is data.
+Dr.Jit compiles into a kernel the code of every plugin that is alive in the process, in the order of their numbers and
+equal code once, and the length of the tables of their data, which is the highest number. Scenes therefore share a kernel
+only if they have the same kinds of plugins and equally high numbers. So one plugin of every kind that random scenes have
+is kept alive, with low numbers and in scenes that are never rendered, and a last one with a high number: what a scene
+adds between them is data.
 
 Tested in tests/dasim/render/test_shared_kernels.py.
 """
@@ -29,16 +30,13 @@ from dasim.scene.panorama import SKY_ROWS
 from dasim.spectra.grid import WAVELENGTH_NM
 from dasim.typing import FloatArray
 
-SHAPES, SURFACES, EMITTERS = 512, 512, 64  # highest numbers: 200 objects, in two scenes at a time
+SHAPES, SURFACES, EMITTERS = 512, 512, 64  # highest numbers: enough for 200 objects in each of two scenes
 _EVEN = np.ones(len(WAVELENGTH_NM))
 
 
 @cache
 def hold() -> tuple[Any, ...]:
-    """Keep one plugin of every kind of random scenes alive until the process ends.
-
-    They have low numbers, because the order in which plugins are met matters too; a last one has the highest.
-    """
+    """Keep one plugin of every kind of random scenes, and a last one, alive until the process ends."""
     import mitsuba as mi
 
     things = _objects() | _lamps(), _sky()
