@@ -1,10 +1,10 @@
 """Kernels that all scenes share, in the JIT variants.
 
 Dr.Jit compiles into a kernel the code of every plugin that is alive in the process, in the order of their numbers and
-equal code once, and the length of the tables of their data, which is the highest number. Scenes therefore share a kernel
-only if they have the same kinds of plugins and equally high numbers. So one plugin of every kind that random scenes have
-is kept alive, with low numbers and in scenes that are never rendered, and a last one with a high number: what a scene
-adds between them is data.
+equal code once, and the length of the tables of their data, which is the highest number. Scenes therefore share a
+kernel only if they have the same kinds of plugins and equally high numbers. So one plugin of every kind that random
+scenes have is kept alive, with low numbers and in scenes that are never rendered, and a last one with a high number:
+what a scene adds between them is data.
 
 Tested in tests/dasim/render/test_shared_kernels.py.
 """
