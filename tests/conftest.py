@@ -29,12 +29,14 @@ from dasim.base.errors import InputError
 from dasim.base.toml import parse
 from dasim.camera import specification as cameras
 from dasim.camera.specification import Camera
-from dasim.render import backend
+from dasim.render import backend, shared_kernels
 from dasim.scene.specification import Scene
 from tests.support.shared import FOLDER
 
 # Tests with a cache folder of their own find the kernels that were compiled before.
 os.environ.setdefault("DRJIT_CACHE_DIR", str(cache_dir() / "kernels"))
+# Tests render many small scenes, whose kernels are on disk: the plugins that scenes share would only cost them time.
+shared_kernels.FEW_SCENES = 10**9
 REFERENCE = Path(__file__).parents[2] / "shared" / "reference"
 
 

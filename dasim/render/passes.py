@@ -32,53 +32,36 @@ def stop_pass(
     max_blur_px: float = 0.0,
     illuminant: str = "D65",
     field: Field | None = None,
+    in_focus: bool = False,
 ) -> FloatArray:
     """Mean electrons per second through one stop, [h, w, channel].
 
-    ``max_blur_px`` is the largest visible blur in the scene, for the wave tables; ``illuminant`` weights the
-    in-focus kernel of ``airy``; ``field`` is the irradiance where it is known (see :func:`irradiance_field`).
+    Args:
+        mitsuba_scene: a Mitsuba scene.
+        camera: the camera.
+        stop: one of its stops.
+        sampling: samples per pixel and seed.
+        diffraction: ``wave``, ``airy`` or ``off``.
+        max_blur_px: largest visible blur in the scene, for the wave tables; passes of equal value share them.
+        illuminant: weights the in-focus kernel of ``airy``.
+        field: the irradiance where it is known, see :func:`irradiance_field`.
+        in_focus: whether every depth is in focus: the geometry of a pinhole in the middle of the lens, with the
+            diffraction, the aberrations and the glare of the stop in focus.
     """
     import mitsuba as mi
 
     responses = stop_responses(camera, stop)
     if mi.variant().startswith("scalar"):
         stock.check(camera)
-        rate = stock.stop_pass(mitsuba_scene, camera, stop, responses, sampling)
+        if in_focus:
+            rate = stock.pinhole_pass(mitsuba_scene, camera, responses, sampling)
+        else:
+            rate = stock.stop_pass(mitsuba_scene, camera, stop, responses, sampling)
         if diffraction == "airy":
             rate = stock.in_focus_diffraction(rate, camera, stop, illuminant)
     else:
         waves = max_blur_px if diffraction == "wave" else None
-        rate = ray_loop.render(mitsuba_scene, camera, stop, sampling, waves, field, responses)
-    rate = rate * radiometry.relative_illumination(camera)[..., None]
-    return glare.spread(rate, stop.glare_share, glare.radius_px(camera, stop))
-
-
-def in_focus_pass(
-    mitsuba_scene: Any,
-    camera: Camera,
-    stop: Stop,
-    sampling: Sampling,
-    *,
-    diffraction: str = "off",
-    max_blur_px: float = 0.0,
-    illuminant: str = "D65",
-    field: Field | None = None,
-) -> FloatArray:
-    """Mean electrons per second through one stop with every depth in focus, [h, w, channel].
-
-    Geometry is that of a pinhole in the middle of the lens; diffraction, aberrations and glare are those of the stop
-    in focus. Arguments are those of :func:`stop_pass`; with the same ``max_blur_px`` both share their tables.
-    """
-    import mitsuba as mi
-
-    responses = stop_responses(camera, stop)
-    if mi.variant().startswith("scalar"):
-        rate = stock.pinhole_pass(mitsuba_scene, camera, responses, sampling)
-        if diffraction == "airy":
-            rate = stock.in_focus_diffraction(rate, camera, stop, illuminant)
-    else:
-        waves = max_blur_px if diffraction == "wave" else None
-        rate = ray_loop.render(mitsuba_scene, camera, stop, sampling, waves, field, responses, in_focus=True)
+        rate = ray_loop.render(mitsuba_scene, camera, stop, sampling, waves, field, responses, in_focus=in_focus)
     rate = rate * radiometry.relative_illumination(camera)[..., None]
     return glare.spread(rate, stop.glare_share, glare.radius_px(camera, stop))
 

@@ -6,6 +6,10 @@ kernel only if they have the same kinds of plugins and equally high numbers. So 
 scenes have is kept alive, with low numbers and in scenes that are never rendered, and a last one with a high number:
 what a scene adds between them is data.
 
+These plugins cost a picture about half a processor second of tracing, and the first kernels of a machine three times as
+much to compile. They pay in a process that renders many scenes: in that of a dataset, and otherwise from the third
+scene on.
+
 Tested in tests/dasim/render/test_shared_kernels.py.
 """
 
@@ -31,7 +35,16 @@ from dasim.spectra.grid import WAVELENGTH_NM
 from dasim.typing import FloatArray
 
 SHAPES, SURFACES, EMITTERS = 512, 512, 64  # highest numbers: enough for 200 objects in each of two scenes
+FEW_SCENES = 2  # in a process, which compile kernels of their own
 _EVEN = np.ones(len(WAVELENGTH_NM))
+_names: set[str] = set()  # of the scenes of this process
+
+
+def hold_for_many(name: str) -> None:
+    """Count the scene ``name`` as one of this process; from the third on, :func:`hold`."""
+    _names.add(name)
+    if len(_names) > FEW_SCENES:
+        hold()
 
 
 @cache

@@ -30,7 +30,7 @@ def load(scene: Scene) -> Any:
     import mitsuba as mi
 
     if not mi.variant().startswith("scalar"):
-        shared_kernels.hold()
+        shared_kernels.hold_for_many(scene.name)
     return mi.load_dict(scene_dict(scene), optimize=False)  # merging shapes would lose their numbers
 
 

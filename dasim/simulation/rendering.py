@@ -16,6 +16,7 @@ from dasim.camera import noise, wavefront
 from dasim.camera import specification as cameras
 from dasim.camera.noise import Exposure
 from dasim.camera.specification import Camera
+from dasim.camera.stops import Stop
 from dasim.render import passes
 from dasim.render.foreign.scene import World
 from dasim.render.truth import Geometry
@@ -76,7 +77,7 @@ class LensPicture:
     variance: FloatArray | None  # [h, w, channel] of ``rate`` by rendering noise; None for one sample per pixel
     spp: tuple[int, ...]  # samples per pixel of each stop
     field: Any  # irradiance, for further passes of the same view
-    sampling: dict[str, Any]  # for provenance: samples per pixel, and the rendering noise reached
+    sampling: dict[str, Any]  # for provenance: samples per pixel, and the target of rendering noise
 
 
 @dataclass(frozen=True)
@@ -93,7 +94,7 @@ def lens_picture(view: View, sampling: Sampling, exposure: Exposure, progress: P
     if sampling.spp == "auto":
         picture = _adaptive_picture(view, sampling, exposure, progress)
     else:
-        picture = _fixed_picture(view, sampling, exposure, progress)
+        picture = _fixed_picture(view, sampling, progress)
     check_lit(view.scene, picture.rate, view.objects_at(np.ones(picture.rate.shape[:2], bool)))
     return picture
 
@@ -107,15 +108,12 @@ def independent_picture(view: View, like: LensPicture, seed: int, progress: Prog
     return replace(like, rate=rate, variance=variance)
 
 
-def _fixed_picture(view: View, sampling: Sampling, exposure: Exposure, progress: Progress) -> LensPicture:
+def _fixed_picture(view: View, sampling: Sampling, progress: Progress) -> LensPicture:
     """The lens picture with a given number of samples per pixel and stop."""
     assert sampling.spp != "auto"
     counts = (sampling.spp,) * len(view.camera.stops)
     rate, variance, spp, field = _halves(view, counts, sampling.seed, LENS, progress)
-    described: dict[str, Any] = {"spp": spp[0]}
-    if variance is not None:
-        described["rendering_noise_share"] = described_shares(view.camera, rate, variance, exposure)
-    return LensPicture(rate, variance, spp, field, described)
+    return LensPicture(rate, variance, spp, field, {"spp": spp[0]})
 
 
 def _halves(
@@ -147,21 +145,32 @@ def stop_pictures(view: View, spp: tuple[int, ...], seed: int, progress: Progres
     """One picture through each stop with ``spp[stop]`` samples per pixel, and the irradiance that they share."""
     field = passes.irradiance_field(view.world.scene, view.camera, view.spectrum, view.reach_px, max(spp), seed)
     pictures = [
-        passes.stop_pass(
-            view.world.scene,
-            view.camera,
+        _through(
+            view,
             stop,
             passes.Sampling(count, seed, partial(progress, f"rendering through stop '{stop.name}'{label}")),
-            diffraction=view.diffraction,
-            max_blur_px=view.reach_px,
-            illuminant=view.illuminant,
-            field=field,
+            field,
         )
         for stop, count in zip(view.camera.stops, spp, strict=True)
     ]
     for picture in pictures:
         check_finite(view.scene, picture, view.objects_at)
     return StopPictures(np.stack(pictures), field)
+
+
+def _through(view: View, stop: Stop, sampling: passes.Sampling, field: Any, *, in_focus: bool = False) -> FloatArray:
+    """Mean electrons per second of a view through one stop, [h, w, channel]; see :func:`passes.stop_pass`."""
+    return passes.stop_pass(
+        view.world.scene,
+        view.camera,
+        stop,
+        sampling,
+        diffraction=view.diffraction,
+        max_blur_px=view.reach_px,
+        illuminant=view.illuminant,
+        field=field,
+        in_focus=in_focus,
+    )
 
 
 def _adaptive_picture(view: View, sampling: Sampling, exposure: Exposure, progress: Progress) -> LensPicture:
@@ -182,22 +191,10 @@ def _adaptive_picture(view: View, sampling: Sampling, exposure: Exposure, progre
     )
     described = {
         "spp": dict(zip((stop.name for stop in camera.stops), result.spp, strict=True)),
-        "rendering_noise_share": described_shares(camera, result.rate, result.variance, exposure),
         "rendering_noise_share_wanted": sampling.noise_share,
         "rendering_noise_at": sampling.noise_at,
-        "rendering_noise_share_reached": dict(zip(cameras.channels(camera.sensor), result.share, strict=True)),
     }
     return LensPicture(result.rate, result.variance, result.spp, result.field, described)
-
-
-def described_shares(
-    camera: Camera, rate: FloatArray, variance: FloatArray, exposure: Exposure
-) -> dict[str, dict[str, float]]:
-    """Rendering noise over the sensor's at percentiles of the pixels: {percentile: {channel: share}}."""
-    ratio = rendering_noise.share(variance, sensor_variance(rate, camera, exposure))
-    names = cameras.channels(camera.sensor)
-    rows = zip(rendering_noise.PERCENTILES, rendering_noise.shares_at(ratio), strict=True)
-    return {f"{at:g}": dict(zip(names, map(float, row), strict=True)) for at, row in rows}
 
 
 def sensor_variance(rate: FloatArray, camera: Camera, exposure: Exposure) -> FloatArray:
@@ -215,21 +212,10 @@ def focus_picture(view: View, sharp: FloatArray, field: Any, seed: int, progress
     if view.diffraction == "off" and perfect and not any(stop.glare_share for stop in view.camera.stops):
         return sharp
     seed = picture_seed(seed, 0, IN_FOCUS)
-    rate = np.asarray(
-        sum(
-            passes.in_focus_pass(
-                view.world.scene,
-                view.camera,
-                stop,
-                passes.Sampling(FOCUS_SPP, seed, partial(progress, f"rendering in focus, stop '{stop.name}'")),
-                diffraction=view.diffraction,
-                max_blur_px=view.reach_px,
-                illuminant=view.illuminant,
-                field=field,
-            )
-            for stop in view.camera.stops
-        )
-    )
+    rate = np.zeros_like(sharp)
+    for stop in view.camera.stops:
+        sampling = passes.Sampling(FOCUS_SPP, seed, partial(progress, f"rendering in focus, stop '{stop.name}'"))
+        rate += _through(view, stop, sampling, field, in_focus=True)
     check_finite(view.scene, rate, view.objects_at)
     return rate
 

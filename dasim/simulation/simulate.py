@@ -26,7 +26,7 @@ from dasim.scene import specification as scenes
 from dasim.scene.mitsuba_scene import MitsubaScene
 from dasim.scene.specification import Scene
 from dasim.simulation import adaptive_sampling, checks, rendering
-from dasim.simulation.exposure import OF_A_FRAME, SensorLight, Shot, photograph, to_precision
+from dasim.simulation.exposure import SensorLight, Shot, photograph, to_precision
 from dasim.simulation.rendering import LensPicture, Sampling, SharpPictures, View
 from dasim.spectra import colour, grid, illuminants
 from dasim.typing import FloatArray, Progress
@@ -155,7 +155,7 @@ def prepare(
 
 def describe_origin(view: View, lens: LensPicture, seed: int, independent_mean: bool) -> dict[str, Any]:
     """The provenance that ``meta.json`` holds, except for what the exposure decides."""
-    sampling = {key: value for key, value in lens.sampling.items() if key not in OF_A_FRAME}
+    sampling = dict(lens.sampling)
     if view.diffraction == "airy":
         sampling["airy_errors"] = airy_errors(view.camera, view.illuminant)
     return {

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from collections.abc import Callable
 
 import pytest
@@ -11,6 +13,19 @@ from dasim.render import shared_kernels
 
 SIZE_PX = (32, 24)
 SPP = 2
+SAME = """
+import dasim
+from dasim.render import shared_kernels
+shared_kernels.FEW_SCENES = 99
+camera = dasim.cropped(dasim.load_camera("da-mobile"), 32, 24)
+scenes = [dasim.random_scene(0, number) for number in (2, 7, 8)]
+def pictures():
+    shots = [dasim.simulate(scene, dasim.focused(camera, scene), spp=2) for scene in scenes]
+    return [getattr(shot.truth, name).tobytes() for shot in shots for name in ("mean_e", "sharp_e", "focus_e")]
+before = pictures()
+shared_kernels.hold()
+assert pictures() == before
+"""
 FEWEST = 3  # rays through the lens, through a pinhole, and to the irradiance field
 
 
@@ -18,6 +33,7 @@ FEWEST = 3  # rays through the lens, through a pinhole, and to the irradiance fi
 def kernels_of(jit) -> Callable[[dasim.Scene], set[str]]:
     """Function that gives the hashes of a picture's kernels that have code of shapes, surfaces or lights."""
     camera = dasim.cropped(dasim.load_camera("da-mobile"), *SIZE_PX)
+    shared_kernels.hold()
 
     def hashes(scene: dasim.Scene) -> set[str]:
         with shared_kernels.recorded() as kernels:
@@ -27,6 +43,27 @@ def kernels_of(jit) -> Callable[[dasim.Scene], set[str]]:
     return hashes
 
 
+def test_the_plugins_are_held_from_the_third_scene_on(monkeypatch):
+    """Expectation: two scenes, however often they are rendered, do without."""
+    held = []
+    monkeypatch.setattr(shared_kernels, "FEW_SCENES", 2)
+    monkeypatch.setattr(shared_kernels, "_names", set())
+    monkeypatch.setattr(shared_kernels, "hold", lambda: held.append(True))
+    for name, times in (("one", 0), ("two", 0), ("one", 0), ("three", 1)):
+        shared_kernels.hold_for_many(name)
+        assert len(held) == times
+
+
+@pytest.mark.slow
+def test_the_plugins_that_are_held_change_no_bit(jit_variant):
+    """Rationale: a scene has the same bytes as the first of a process and as its hundredth.
+
+    Set-up: random scenes under a lamp, before metal and of several spectra, before and after.
+    """
+    assert subprocess.run([sys.executable, "-c", SAME], check=False).returncode == 0
+
+
+@pytest.mark.slow
 def test_two_random_scenes_have_the_same_kernels(kernels_of):
     """Set-up: a lamp before blends, layers and prints of two rules; a window before prints, a coat and glass.
 

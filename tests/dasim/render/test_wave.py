@@ -137,8 +137,14 @@ def in_focus(jit, loaded):
     def picture(scene, camera, spp):
         mitsuba_scene = loaded(scene)
         return sum(
-            passes.in_focus_pass(
-                mitsuba_scene, camera, stop, passes.Sampling(spp, 7), diffraction="wave", max_blur_px=9.0
+            passes.stop_pass(
+                mitsuba_scene,
+                camera,
+                stop,
+                passes.Sampling(spp, 7),
+                diffraction="wave",
+                max_blur_px=9.0,
+                in_focus=True,
             )
             for stop in camera.stops
         )
