@@ -32,7 +32,7 @@ def wall(light: str | dict[str, Any], *, material: str = "white-paper", lux: flo
         dome = dome | {"illuminant": light, "lux": lux}
     described = translate.scene_dict(rendering.make_scene([WALL | {"material": material}], [dome, lamp]))
     if not isinstance(light, str):
-        described["light_0000"]["radiance"] = light
+        described["light_0000"] = {"type": "constant", "radiance": light, "sampling_weight": 0.0}
     return mi.load_dict(described, optimize=False)
 
 
