@@ -18,7 +18,8 @@ from validation.methods import named
 
 HEIGHT, WIDTH = 192, 256
 NEAR_LEVEL = 7.34  # of a plane at 20 cm with the focus at 100 m: 3.6^2 mm^2 / 2.8 / 1.7 um / 20 cm (1 - 0.46)
-STEP_LEVELS = 4.0  # the example finds too little blur: noise that the correction of crosstalk leaves is fine texture to it
+# The example finds too little blur: the noise that the correction of crosstalk leaves is fine texture to it.
+STEP_LEVELS = 4.0
 EXAMPLE = f"laplacian={Path(__file__).parents[3] / 'examples' / 'depth_method.py'}:laplacian_ratio"
 MODULES = (staircase, scenes, all_in_focus, steps, light_levels, depth_maps, disks, scene_pictures)
 
