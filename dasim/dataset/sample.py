@@ -28,7 +28,7 @@ from dasim.dataset.specification import DatasetSpec, noise_model
 from dasim.files.captures import capture_meta
 from dasim.files.png import write_png16
 from dasim.files.truth import write_truth
-from dasim.render import backend, shared_kernels
+from dasim.render import backend
 from dasim.simulation.exposure import SensorLight, Shot, bracketed, frame_seed, photograph
 from dasim.simulation.simulate import sensor_light
 from dasim.values import Capture, Truth
@@ -143,10 +143,8 @@ def one_thread() -> None:
 
 
 def activate(variant: str) -> None:
-    """Activate a Mitsuba variant in this process, on one thread, with the kernels that all scenes share."""
+    """Activate a Mitsuba variant in this process, on one thread."""
     backend.activate(backend.choose(variant))
-    if not variant.startswith("scalar"):
-        shared_kernels.hold()
     one_thread()
 
 

@@ -210,6 +210,7 @@ def test_camera_that_looks_at_nothing_is_refused(here, capsys):
     assert not (here / "photo").exists()
 
 
+@pytest.mark.slow
 def test_mitsuba_scene_through_our_camera(here, capsys):
     """Expectation: `dasim render scene.xml` with a unit and a rule of one's own; what was done is printed and kept."""
     (here / "wall.xml").write_text(

@@ -158,6 +158,7 @@ def goes_on(spec: Path, out: Path) -> dict[str, str]:
     return whole(out)
 
 
+@pytest.mark.slow
 def test_interrupt_ends_the_run_and_it_goes_on(spec, reference, tmp_path):
     out = tmp_path / "ds"
     process = started(spec, out, "1")
@@ -330,6 +331,7 @@ def test_full_temporary_folder_is_nobodys_sample(spec, tmp_path, monkeypatch):
     assert not list((tmp_path / "ds").rglob("failed/*"))
 
 
+@pytest.mark.slow
 def test_file_beyond_the_limit_of_a_process_is_a_full_disk(spec, reference, tmp_path):
     """The operating system cuts writes short (RLIMIT_FSIZE of 40 kB), which counts as a full disk."""
     out = tmp_path / "ds"

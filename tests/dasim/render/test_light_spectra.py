@@ -126,7 +126,11 @@ def test_mitsuba_scenes_have_the_spectra_that_their_emitters_have(jit, xml, wide
 
 
 @pytest.mark.parametrize(
-    "lights", [[dome("D65"), lamp("F11")], [SKY, dome("F11"), lamp("A")]], ids=["dome and lamp", "sky, dome and lamp"]
+    "lights",
+    [
+        pytest.param([dome("D65"), lamp("F11")], id="dome and lamp"),
+        pytest.param([SKY, dome("F11"), lamp("A")], id="sky, dome and lamp", marks=pytest.mark.slow),
+    ],
 )
 def test_light_by_light_adds_up_to_mitsubas_path_tracer(jit, loaded, make_scene, lights):
     """Rationale: Mitsuba's own integrator knows nothing of lights that are kept apart.
@@ -168,8 +172,11 @@ def test_light_by_light_adds_up_to_mitsubas_path_tracer(jit, loaded, make_scene,
 
 @pytest.mark.parametrize(
     ("first", "second"),
-    [([dome("D65")], [lamp("F11")]), ([dome("F11")], [SKY]), ([SKY, lamp("D75")], [lamp("F11")])],
-    ids=["dome and lamp", "dome and sky", "sky and lamps"],
+    [
+        pytest.param([dome("D65")], [lamp("F11")], id="dome and lamp"),
+        pytest.param([dome("F11")], [SKY], id="dome and sky", marks=pytest.mark.slow),
+        pytest.param([SKY, lamp("D75")], [lamp("F11")], id="sky and lamps", marks=pytest.mark.slow),
+    ],
 )
 def test_pictures_of_lights_add_up(jit, loaded, make_scene, wide, first, second):
     """Rationale: light adds. A picture under one spectrum needs one field, and is checked elsewhere.

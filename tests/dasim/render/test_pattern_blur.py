@@ -113,7 +113,7 @@ def spot(jit, loaded, make_scene, camera_of, lamp):
         ("displaced disc", "near"),
         ("displaced disc", "far"),
         ("letter L", "near"),
-        ("grey mask", "far"),
+        pytest.param("grey mask", "far", marks=pytest.mark.slow),
     ],
 )
 def test_small_source_is_spread_by_the_kernel(spot, shape, side):

@@ -103,6 +103,7 @@ def test_the_cameras_matrix_fits(da_mobile):
     assert np.ptp(mesh.vertex_m[:, 0]) == pytest.approx(0.3 * 63 * pitch_m / geometry.image_distance_m(small))
 
 
+@pytest.mark.slow
 def test_a_distorted_wall_is_straight(renderer, da_mobile):
     """Set-up: the true depths of a wall at an angle, through a lens of 5 % barrel distortion at the corner.
 

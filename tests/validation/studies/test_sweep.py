@@ -574,6 +574,7 @@ def test_depth_is_scored_where_the_bank_reaches(da_mobile, level, share):
     assert figures.get("depth-median", math.nan) == pytest.approx(0.0 if share else math.nan, abs=1e-9, nan_ok=True)
 
 
+@pytest.mark.slow
 def test_a_point_is_photographed_and_scored(study, tmp_path, renderer):
     """Set-up: one design, two levels of light, tiny. Expectation: the same picture in more light has less noise."""
     from validation.studies.sweep.point import measure

@@ -73,6 +73,7 @@ def refused(capfd):
     return check
 
 
+@pytest.mark.slow
 def test_scene_of_several_folders_and_parameters_is_photographed(gallery, renderer):
     """Set-up: the command, in another folder. Expectation: mesh, picture and spectrum are found in the folder of the
     <path> element, the definition moves the camera, and ``meta.json`` records it.
