@@ -8,7 +8,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -19,6 +19,18 @@ from dasim.typing import FloatArray
 
 FLOOR = 1e-12  # of a density per square pixel that others are divided by
 TURNS_STEP = 0.03  # RMS of the aberrations' change between two tabulated wavelengths, in waves
+
+
+class Drawn(NamedTuple):
+    """A sampled ray of a pixel."""
+
+    rho: Any  # place on the stop, in radii of the lens
+    delta: Any  # offset of the aim on the film, pixels
+    weight: Any  # of having sampled both so
+    u: Any = (
+        None  # the place in the blur that was sampled first, about the image of the stop's centre; None if none was
+    )
+    per_density: Any = None  # inverse of its density, square pixels
 
 
 def texture(values: Any, channels: bool = False) -> Any:

@@ -110,7 +110,7 @@ def field(
     px_per_m: float,
     margin_px: float,
     spectrum: FloatArray,
-    spp: int,
+    spp: float,
     seed: int,
 ) -> Field:
     """Trace the irradiance on a grid over the frame and a margin around it.

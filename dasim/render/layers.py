@@ -19,7 +19,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from dasim.typing import BoolArray, FloatArray
+from dasim.typing import FloatArray
 
 SAME_BLUR_PX, SAME_BLUR_SHARE = 0.5, 0.05  # differences of visible blur within one layer, between neighbours in depth
 MOST_LAYERS = 6  # per pixel; more are joined where they are closest
@@ -54,7 +54,7 @@ def estimate(
     signal: Sequence[FloatArray],
     control: Sequence[FloatArray],
     blur_px: FloatArray,
-    beyond: Callable[[FloatArray, BoolArray], Sequence[FloatArray]],
+    beyond: Callable[[NDArray[np.intp], FloatArray], FloatArray],
 ) -> FloatArray:
     """Ratio of signal to light of pixels that see several depths, [pixel, channel].
 
@@ -62,19 +62,33 @@ def estimate(
         signal: response x light x weight x radiance of each ray, [channel][pixel, ray].
         control: the same without radiance.
         blur_px: signed visible blur where each ray ends, [pixel, ray].
-        beyond: the sum of control, [channel][pixel], that the rays of a mask [pixel, ray] would have at a depth of
-            visible blur [pixel].
+        beyond: the control of rays, [ray, channel], by their numbers in the flat order of [pixel, ray], that they would
+            have at depths of visible blur [ray].
     """
     layer = split(blur_px)
-    parts = []
-    for k in range(int(layer.max()) + 1):
+    count = int(layer.max()) + 1
+    sums = np.zeros((3, len(signal), count, len(layer)))  # signal, control, control beyond
+    at: list[NDArray[np.intp]] = []
+    depth: list[FloatArray] = []
+    into: list[NDArray[np.intp]] = []
+    for k in range(count):
         inside = layer == k
         # The mean depth of a slanted layer stands for its continuation behind its edge.
         depth_px = (blur_px * inside).sum(axis=1) / np.maximum(inside.sum(axis=1), 1)
-        sums = [[(value * inside).sum(axis=1) for value in values] for values in (signal, control)]
-        parts.append((*sums, beyond(depth_px, layer > k)))
-    channels = range(len(signal))
-    return np.stack([front_to_back(*([part[i][c] for part in parts] for i in range(3))) for c in channels], axis=-1)
+        for row, part in enumerate((signal, control)):
+            sums[row, :, k] = [(value * inside).sum(axis=1) for value in part]
+        behind = np.flatnonzero(layer > k)
+        pixel = behind // layer.shape[1]
+        at.append(behind)
+        depth.append(depth_px[pixel])
+        into.append(k * len(layer) + pixel)
+    chosen = np.concatenate(at)
+    if len(chosen):
+        light, place = beyond(chosen, np.concatenate(depth)), np.concatenate(into)
+        for channel, column in enumerate(light.T):
+            total = np.bincount(place, column, count * len(layer))
+            sums[2, channel] = total.reshape(count, len(layer))
+    return np.stack([front_to_back(*sums[:, channel]) for channel in range(len(signal))], axis=-1)
 
 
 def front_to_back(

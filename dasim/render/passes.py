@@ -8,18 +8,25 @@ E = pi L (r/s)^2 cos^4 summed over the spectrum.
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
 from typing import Any
 
-from dasim.camera import distortion, glare, radiometry
+import numpy as np
+
+from dasim.camera import distortion, glare, radiometry, wavefront
+from dasim.camera.rings import at_pixels
 from dasim.camera.specification import Camera, principal_point
-from dasim.camera.stops import Stop
-from dasim.render import irradiance, ray_loop, stock, transport
+from dasim.camera.stops import Stop, ring
+from dasim.render import control_variate, irradiance, ray_loop, stock, transport
+from dasim.render.control_variate import Control, Fine
 from dasim.render.irradiance import Field
-from dasim.render.ray_loop import Sampling
-from dasim.render.wavelengths import pinhole_responses, stop_responses
+from dasim.render.ray_loop import Ratios, Sampling
+from dasim.render.wavelengths import pinhole_responses, separate_responses, stop_responses
+from dasim.spectra import grid
 from dasim.typing import FloatArray
 
 MOST_MARGIN_PX = 300.0
+SHARP_MARGIN_PX, MOST_SHARP_MARGIN_PX = 12.0, 60.0  # of the pinhole's picture: beyond the largest blur's half
 
 
 def stop_pass(
@@ -33,6 +40,7 @@ def stop_pass(
     illuminant: str = "D65",
     field: Field | None = None,
     in_focus: bool = False,
+    control: Control | None = None,
 ) -> FloatArray:
     """Mean electrons per second through one stop, [h, w, channel].
 
@@ -47,11 +55,48 @@ def stop_pass(
         field: the irradiance where it is known, see :func:`irradiance_field`.
         in_focus: whether every depth is in focus: the geometry of a pinhole in the middle of the lens, with the
             diffraction, the aberrations and the glare of the stop in focus.
+        control: the control variate, see :func:`control_of`.
     """
+    picture = stop_ratios(
+        mitsuba_scene,
+        camera,
+        stop,
+        sampling,
+        diffraction=diffraction,
+        max_blur_px=max_blur_px,
+        illuminant=illuminant,
+        field=field,
+        in_focus=in_focus,
+        control=control,
+    )
+    return with_glare(np.maximum(picture.value - picture.variate, 0.0), camera, stop)
+
+
+def with_glare(rate: FloatArray, camera: Camera, stop: Stop) -> FloatArray:
+    """A picture through a stop with the glare of the stop."""
+    return glare.spread(rate, stop.glare_share, glare.radius_px(camera, stop))
+
+
+def stop_ratios(
+    mitsuba_scene: Any,
+    camera: Camera,
+    stop: Stop,
+    sampling: Sampling,
+    *,
+    diffraction: str,
+    max_blur_px: float,
+    illuminant: str,
+    field: Field | None,
+    in_focus: bool = False,
+    control: Control | None = None,
+) -> Ratios:
+    """The picture of :func:`stop_pass` before glare, and its control variate, mean electrons per second."""
     import mitsuba as mi
 
     responses = stop_responses(camera, stop)
+    falloff = radiometry.relative_illumination(camera)[..., None]
     if mi.variant().startswith("scalar"):
+        assert isinstance(sampling.spp, int)
         stock.check(camera)
         if in_focus:
             rate = stock.pinhole_pass(mitsuba_scene, camera, responses, sampling)
@@ -59,11 +104,34 @@ def stop_pass(
             rate = stock.stop_pass(mitsuba_scene, camera, stop, responses, sampling)
         if diffraction == "airy":
             rate = stock.in_focus_diffraction(rate, camera, stop, illuminant)
-    else:
-        waves = max_blur_px if diffraction == "wave" else None
-        rate = ray_loop.render(mitsuba_scene, camera, stop, sampling, waves, field, responses, in_focus=in_focus)
-    rate = rate * radiometry.relative_illumination(camera)[..., None]
-    return glare.spread(rate, stop.glare_share, glare.radius_px(camera, stop))
+        return Ratios(rate * falloff, np.zeros_like(rate), np.ones_like(rate))
+    waves = max_blur_px if diffraction == "wave" else None
+    picture = ray_loop.render(
+        mitsuba_scene, camera, stop, sampling, waves, field, responses, in_focus=in_focus, control=control
+    )
+    return Ratios(picture.value * falloff, picture.variate * falloff, picture.control)
+
+
+def control_of(
+    mitsuba_scene: Any,
+    camera: Camera,
+    stop: Stop,
+    sharp: Sharp,
+    *,
+    max_blur_px: float,
+    field: Field | None,
+    in_focus: bool = False,
+) -> Control | None:
+    """The control variate of a stop from a pinhole's picture; None where there is none for its shape."""
+    if sharp.fine is None:
+        return None
+    names = [other.name for other in camera.stops]
+    responses = stop_responses(camera, stop)
+    first = names.index(stop.name) * responses.channels
+    channels = slice(first, first + responses.channels)
+    return ray_loop.control_of(
+        mitsuba_scene, camera, stop, max_blur_px, field, responses, sharp.fine, channels, in_focus=in_focus
+    )
 
 
 def sample_count(spp: int) -> int:
@@ -76,7 +144,7 @@ def sample_count(spp: int) -> int:
 
 
 def irradiance_field(
-    mitsuba_scene: Any, camera: Camera, spectrum: FloatArray, max_blur_px: float, spp: int, seed: int
+    mitsuba_scene: Any, camera: Camera, spectrum: FloatArray, max_blur_px: float, spp: float, seed: int
 ) -> Field | None:
     """The irradiance that all passes of a picture share; None in ``scalar_spectral``.
 
@@ -117,5 +185,56 @@ def pinhole_pass(
     if mi.variant().startswith("scalar"):
         rate = stock.pinhole_pass(mitsuba_scene, camera, responses, sampling)
     else:
-        rate = ray_loop.render(mitsuba_scene, camera, None, sampling, None, field, responses)
+        rate = ray_loop.render(mitsuba_scene, camera, None, sampling, None, field, responses).value
     return rate * radiometry.relative_illumination(camera)[..., None]
+
+
+@dataclass(frozen=True)
+class Sharp:
+    """Pictures through a pinhole."""
+
+    rate: FloatArray  # [h, w, channel] of the camera and of another one, mean electrons per second
+    fine: Fine | None  # of each stop's channels, stop by stop; None where no stop has a control variate
+
+
+def sharp_pass(
+    mitsuba_scene: Any,
+    camera: Camera,
+    sampling: Sampling,
+    field: Field | None,
+    also: Camera,
+    *,
+    diffraction: str,
+    max_blur_px: float,
+) -> Sharp:
+    """The pictures of :func:`pinhole_pass`, and those of each stop on a finer grid with a margin, from the same rays.
+
+    ``sampling`` is that of a pixel; a node of the grid takes its share, one at least.
+    """
+    radial = any(ring(stop) is not None for stop in camera.stops) and wavefront.is_perfect(camera.lens)
+    if diffraction != "wave" or not radial:
+        return Sharp(pinhole_pass(mitsuba_scene, camera, sampling, field, also), None)
+    cells = control_variate.cells_of(camera)
+    margin = int(np.ceil(min(max_blur_px / 2 + SHARP_MARGIN_PX, MOST_SHARP_MARGIN_PX)))
+    finer = control_variate.finer(camera, margin)
+    assert isinstance(sampling.spp, int)
+    sampling = replace(sampling, spp=max(1, sampling.spp // cells**2))
+    nodes = ray_loop.ratios(mitsuba_scene, finer, None, sampling, None, field, separate_responses(finer, also))
+    border = cells * margin
+    height, width = camera.sensor.height_px, camera.sensor.width_px
+
+    def total(picture: FloatArray) -> FloatArray:
+        """Sum over the nodes of each pixel."""
+        inside = picture[border : len(picture) - border, border : picture.shape[1] - border]
+        return np.asarray(inside.reshape(height, cells, width, cells, -1).sum(axis=(1, 3)))
+
+    # A ratio of few samples is biased: that of a pixel is made of all of its samples.
+    control = total(nodes.control)
+    mean = np.divide(total(nodes.value * nodes.control), control, out=np.zeros_like(control), where=control > 0)
+    responses = separate_responses(camera, also)
+    light = np.ones_like(grid.WAVELENGTH_NM) if field is None else field.light
+    rate = mean * at_pixels(responses.mean_signal(light), responses.place)
+    last = len(camera.stops) * stop_responses(camera, camera.stops[0]).channels
+    whole_lens = rate[..., :last].reshape(height, width, len(camera.stops), -1).sum(axis=2)
+    rate = np.concatenate([whole_lens, rate[..., last:]], axis=-1) * radiometry.relative_illumination(camera)[..., None]
+    return Sharp(rate, Fine(cells, nodes.value[..., :last].astype(np.float32), margin))

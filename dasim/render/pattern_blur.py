@@ -19,7 +19,16 @@ from dasim.camera.specification import Camera
 from dasim.camera.stops import Stop
 from dasim.camera.wavefront import Phase, Wavefront
 from dasim.render import field_angle, pupil
-from dasim.render.blur_tables import FLOOR, AberratedRows, aberrated, aberrated_slices, away_from_axis, texel, texture
+from dasim.render.blur_tables import (
+    FLOOR,
+    AberratedRows,
+    Drawn,
+    aberrated,
+    aberrated_slices,
+    away_from_axis,
+    texel,
+    texture,
+)
 from dasim.typing import FloatArray
 
 PATTERN_TAIL = 12.0  # in lambda N of a disc of the same area
@@ -51,16 +60,17 @@ class PatternBlur:
     aberrated: AberratedRows | None = None  # rows of h with aberrations
     turned: bool = False  # h in the frame of the direction away from the axis
 
-    def draw(self, first: Any, second: Any, blur_px: Any, key: Any) -> tuple[Any, Any, Any]:
+    def draw(self, first: Any, second: Any, blur_px: Any, slope: Any, key: Any) -> Drawn:
         """See :class:`Blur`; rho and delta are sampled independently."""
-        return self.on_stop(first), *self.draw_in_focus(first, second)
+        return self.draw_in_focus(first, second)._replace(rho=self.on_stop(first))
 
-    def draw_in_focus(self, first: Any, second: Any) -> tuple[Any, Any]:
+    def draw_in_focus(self, first: Any, second: Any) -> Drawn:
         """See :class:`Blur`."""
         import mitsuba as mi
 
         cell, _, inside = self.offset_cells.sample(second)
-        return (mi.Point2f(cell) + inside) * self.offset_step_px - self.offset_half_px, mi.Float(1.0)
+        delta = (mi.Point2f(cell) + inside) * self.offset_step_px - self.offset_half_px
+        return Drawn(mi.Point2f(0.0), delta, mi.Float(1.0))
 
     def weights(self, u_px: Any, blur_px: Any, tangent: Any, wavelengths_nm: list[Any]) -> list[Any]:
         """See :class:`Blur`."""

@@ -7,7 +7,7 @@ rejection with density D(delta), where delta = -u - rho c0 / 2 follows.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy import ndimage
@@ -17,8 +17,10 @@ from dasim.camera import pointspread, radial_pattern, stops, wavefront
 from dasim.camera.specification import Camera
 from dasim.camera.stops import Stop
 from dasim.camera.wavefront import Wavefront
-from dasim.render import field_angle
-from dasim.render.blur_tables import FLOOR, AberratedRows, aberrated, cut_off, texel, texture
+from dasim.render import control_variate, field_angle
+from dasim.render.blur_tables import FLOOR, AberratedRows, Drawn, aberrated, cut_off, texel, texture
+from dasim.render.control_variate import Control, Fine
+from dasim.spectra import grid
 from dasim.typing import FloatArray
 
 OFFSET_NODES = 1 << 15  # of the inverse cumulative distribution of |delta|
@@ -31,7 +33,19 @@ DENSITY_BLUR_STEP_PX = 0.1  # of the table of g, along c
 GUIDE_NODES = 512  # steps of equal probability of q along |u|
 GUIDE_SHARE = 0.75  # of h in q; the rest is g, which bounds the weights of rays that meet another depth
 TAIL_BOOST = 0.25  # relative increase of q per width of D outside the blur: little light, but from other surfaces
+MOST_CHANGE = 0.15  # of blur over the plane that rays are aimed for, over the width of D
+CONTROL_EVERY = 4  # of the wavelength grid, in the kernels of the control variate
 GUIDE_BANDS = 8  # wavelengths that represent h in q
+
+
+class Plain(NamedTuple):
+    """What the control variate's kernels are made from."""
+
+    profiles: FloatArray  # [waves, radius] h in units of lambda N, without aberrations' turns
+    px_per_nm: float
+    outer: float
+    centre: tuple[float, float]
+    core_px: float
 
 
 @dataclass(frozen=True)
@@ -57,9 +71,10 @@ class RadialBlur:
     envelope: Any  # [u] maximum of D at u and beyond
     guide: Any  # [c, GUIDE_NODES + 1], flat: |u| at equal steps of probability of q
     wave: Any  # [waves, radius] h in units of lambda N
+    plain: Plain
     aberrated: AberratedRows | None = None  # rows of h with aberrations
 
-    def draw(self, first: Any, second: Any, blur_px: Any, key: Any) -> tuple[Any, Any, Any]:
+    def draw(self, first: Any, second: Any, blur_px: Any, slope: Any, key: Any) -> Drawn:
         """See :class:`Blur`."""
         import drjit as dr
         import mitsuba as mi
@@ -67,21 +82,40 @@ class RadialBlur:
         expected = dr.abs(blur_px) * (self.outer / DENSITY_BLUR_STEP_PX)
         row = dr.minimum(mi.UInt32(dr.round(dr.minimum(expected, 1e6))), self.rows - 1)
         own = mi.Float(row) * DENSITY_BLUR_STEP_PX
-        length, u, weight = self._image_place(first, row, own)
-        side = dr.select(blur_px < 0, -own, own) / 2  # rho = 1 moves the image by -side
+        length, u, per_density = self._image_place(first, row)
+        there, change = self._plane(dr.select(blur_px < 0, -own, own), self.outer * slope, u, length)
+        side, own = there / 2, dr.abs(there)  # rho = 1 moves the image by -side
         rho = self._on_stop(u, side, length, own, key)
         delta = -u - rho * side
-        return self.centre + self.outer * rho, delta, weight
+        volume = dr.abs(1 + dr.dot(rho, change) / 2)  # of d delta over d u
+        weight = self._density(length, own) * per_density * volume
+        return Drawn(self.centre + self.outer * rho, delta, weight, u, per_density)
 
-    def draw_in_focus(self, first: Any, second: Any) -> tuple[Any, Any]:
+    def _plane(self, blur: Any, slope: Any, u: Any, length: Any) -> tuple[Any, Any]:
+        """The stop's signed blur where the image at u lies, if the surface is a plane; its gradient over u.
+
+        The plane goes on as far as the geometric blur, and no farther than ``MOST_CHANGE`` of the in-focus pattern
+        allows, since some rho must lead to u; beyond, blur is that of the border in the same direction.
+        """
+        import drjit as dr
+
+        steep = dr.norm(slope)
+        border = dr.minimum(dr.abs(blur) / 2 + self.core_px, MOST_CHANGE * self.tail_px / dr.maximum(steep, 1e-6))
+        inside = length <= border
+        towards = u / dr.maximum(length, 1e-6)
+        along = dr.dot(slope, towards)
+        around = (slope - towards * along) * (border / dr.maximum(length, 1e-6))
+        return blur - along * dr.minimum(length, border), -dr.select(inside, slope, around)
+
+    def draw_in_focus(self, first: Any, second: Any) -> Drawn:
         """See :class:`Blur`."""
         import mitsuba as mi
 
-        _, u, weight = self._image_place(first, mi.UInt32(0), mi.Float(0.0))
-        return -u, weight
+        length, u, per_density = self._image_place(first, mi.UInt32(0))
+        return Drawn(mi.Point2f(0.0), -u, self._density(length, mi.Float(0.0)) * per_density, u, per_density)
 
-    def _image_place(self, first: Any, row: Any, own: Any) -> tuple[Any, Any, Any]:
-        """Length of u, u, and the weight g / q of having drawn it, for the blur ``own`` of a row of the tables."""
+    def _image_place(self, first: Any, row: Any) -> tuple[Any, Any, Any]:
+        """Length of u, u, and 1 / q of having drawn it, for the blur of a row of the tables."""
         import drjit as dr
         import mitsuba as mi
 
@@ -90,8 +124,42 @@ class RadialBlur:
         start = row * (GUIDE_NODES + 1) + index
         low, high = dr.gather(mi.Float, self.guide, start), dr.gather(mi.Float, self.guide, start + 1)
         length = dr.fma(place - mi.Float(index), high - low, low)
-        sampling_density = dr.rcp(GUIDE_NODES * (high - low) * 2 * dr.pi * dr.maximum(length, 1e-6))
-        return length, length * _direction(first.y), self._density(length, own) / sampling_density
+        per_density = GUIDE_NODES * (high - low) * 2 * dr.pi * dr.maximum(length, 1e-6)
+        return length, length * _direction(first.y), per_density
+
+    def control(
+        self, fine: Fine, channels: slice, blur_px: FloatArray, spectra: FloatArray, colour_px: FloatArray
+    ) -> Control:
+        """The control variate of a frame with these kernels, see :func:`control_variate.control`.
+
+        Args:
+            fine: the pinhole's picture.
+            channels: those of the stop in it.
+            blur_px: signed visible blur at the middle of each pixel, [h, w].
+            spectra: response x light of each channel on the wavelength grid, [channel, wavelength].
+            colour_px: what axial colour takes from the visible blur, on the wavelength grid.
+        """
+        bands = len(grid.WAVELENGTH_NM) // CONTROL_EVERY
+        nm, moved, *weights = (
+            np.stack([part.sum() for part in np.array_split(curve, bands)])
+            for curve in (grid.WAVELENGTH_NM, colour_px, *spectra)
+        )
+        count = np.array([len(part) for part in np.array_split(grid.WAVELENGTH_NM, bands)])
+        used = np.flatnonzero(np.sum(weights, axis=0) > 0)
+
+        def profiles(levels: FloatArray, radius: FloatArray) -> FloatArray:
+            total = np.zeros((len(levels), len(radius), len(spectra)))
+            for band in used:
+                scale = nm[band] / count[band] * self.plain.px_per_nm
+                own = self.plain.outer * np.abs(levels - moved[band] / count[band])
+                rows, columns = own / (8 * scale) / WAVES_STEP, radius / scale / RADIUS_STEP
+                at = np.meshgrid(rows, columns, indexing="ij")
+                kernel = ndimage.map_coordinates(self.plain.profiles, at, order=1, mode="nearest") / scale**2
+                total += kernel[..., None] * [weight[band] for weight in weights]
+            return total
+
+        tail = control_variate.TAIL_RINGS * self.plain.core_px / 2
+        return control_variate.control(fine, channels, blur_px, self.plain.outer, self.plain.centre, tail, profiles)
 
     def _on_stop(self, u: Any, side: Any, length: Any, own: Any, key: Any) -> Any:
         """Sample rho with density D(-u - rho side), by rejection.
@@ -156,6 +224,16 @@ class RadialBlur:
         place = mi.Point2f(texel(length, DENSITY_STEP_PX, columns), texel(own, DENSITY_BLUR_STEP_PX, rows))
         return self.density.eval(place, active)[0]
 
+    def kernel(self, length: Any, own: Any, wavelength: Any) -> Any:
+        """H per square pixel at a distance ``length`` from the centre for the blur ``own`` of the stop."""
+        import mitsuba as mi
+
+        scale = wavelength * self.px_per_nm
+        column = texel(length / scale, RADIUS_STEP, self.wave_columns)
+        return self.wave.eval(mi.Point2f(column, texel(own / (8 * scale), WAVES_STEP, self.wave_rows)))[0] / (
+            scale * scale
+        )
+
     def weights(self, u_px: Any, blur_px: Any, tangent: Any, wavelengths_nm: list[Any]) -> list[Any]:
         """See :class:`Blur`."""
         import drjit as dr
@@ -170,17 +248,18 @@ class RadialBlur:
         rows, columns = self.wave_rows, self.wave_columns
         ratios = []
         for wavelength in wavelengths_nm:
-            scale = wavelength * self.px_per_nm
-            column = texel(u / scale, RADIUS_STEP, columns)
             if self.aberrated is None:
-                h = self.wave.eval(mi.Point2f(column, texel(own / (8 * scale), WAVES_STEP, rows)))[0]
+                h = self.kernel(u, own, wavelength)
             else:
+                scale = wavelength * self.px_per_nm
+                column = texel(u / scale, RADIUS_STEP, columns)
 
                 def read(row: Any, column: Any = column) -> Any:
                     return self.wave.eval(mi.Point2f(column, (row + 0.5) / rows))
 
-                h = self.aberrated.evaluate(read, dr.select(blur_px < 0, -own, own) / (8 * scale), wavelength, tangent)
-            ratios.append(dr.select(inside, h / (scale * scale * g), 1.0))
+                waves = dr.select(blur_px < 0, -own, own) / (8 * scale)
+                h = self.aberrated.evaluate(read, waves, wavelength, tangent) / (scale * scale)
+            ratios.append(dr.select(inside, h / g, 1.0))
         return ratios
 
 
@@ -241,6 +320,7 @@ def tables(
         envelope=texture(np.maximum.accumulate(density[0, ::-1])[::-1]),
         guide=mi.Float(_guide(radius, blurs, density, wave, scales, reach, inner).astype(np.float32).ravel()),
         wave=texture(table, channels=rows is not None),
+        plain=Plain(wave.astype(np.float32), px_per_nm, ring.outer, ring.centre, core),
         aberrated=rows,
     )
 

@@ -1,8 +1,9 @@
-"""A pass of the JIT variants: rays through a stop of any shape, or through a point, traced block by block of rows.
+"""A pass of the JIT variants: rays through a stop of any shape, or through a point, traced block by block of pixels.
 
-A block is set up (``_Pass``), its rays are aimed (``_aim``), weighted for wave optics (``_wave_weights``), traced and
-summed per pixel (``_trace``), and the sums become electrons with a control variate. In pixels that see several depths,
-the sums are made again for each layer in depth (``_layered``, :mod:`dasim.render.layers`).
+A pass is set up (``_Pass``), the rays of a block are aimed (``_aim``), weighted for wave optics (``_wave_weights``),
+traced and summed per pixel (``_trace``), and the sums become electrons as a ratio whose denominator is known. In pixels
+that see several depths, the sums are made again for each layer in depth (``_layered``, :mod:`dasim.render.layers`).
+A picture through a pinhole takes out most of the noise (:mod:`dasim.render.control_variate`).
 
 Tested in tests/dasim/render/test_passes.py.
 """
@@ -10,7 +11,7 @@ Tested in tests/dasim/render/test_passes.py.
 from __future__ import annotations
 
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -22,16 +23,20 @@ from dasim.camera.rings import at_pixels
 from dasim.camera.specification import Camera, principal_point
 from dasim.camera.stops import Stop
 from dasim.render import field_angle, layers, pupil, transport, wave
+from dasim.render.control_variate import Control, Fine
 from dasim.render.irradiance import Field
 from dasim.render.plugin import tensor
+from dasim.render.radial_blur import RadialBlur
 from dasim.render.sobol import Sobol
 from dasim.render.wavelengths import Responses, draw_table, frame_density
 from dasim.spectra import grid
-from dasim.typing import BoolArray, FloatArray, ShareDone
+from dasim.typing import FloatArray, ShareDone
 
 LANES = 1 << 21  # rays in flight: bounds the memory, and is fixed, because it decides the random numbers
 WAVE_BLUR_PX = 150.0  # visible blur up to which weights are tabulated; beyond, blur is that of the drawn rays
 ONE_DEPTH_SHARE = 0.97  # of the weights of a pixel that sees one depth: tails of diffraction reach others everywhere
+MOST_SLOPE = 0.5  # of visible blur over the picture, pixels per pixel, that rays are aimed for
+MOST_CHUNK = 16  # rays of a pixel that are summed at once
 HERO = 4  # wavelengths per ray
 
 
@@ -39,7 +44,7 @@ HERO = 4  # wavelengths per ray
 class Sampling:
     """How a pass is sampled: samples per pixel, seed, and a callback for the share that is done."""
 
-    spp: int
+    spp: int | NDArray[np.int32]  # of all pixels, or of each, [h, w]
     seed: int
     progress: ShareDone = lambda share: None
 
@@ -59,12 +64,8 @@ class _Pass:
     scene: Any
     field: Field | None
     integrator: Any
-    sampler: Any  # random numbers deeper in the paths
-    spp: int
-    width_px: int
     channels: int
-    samples: Any  # opaque ``spp``
-    columns: Any  # opaque ``width_px``
+    columns: Any  # opaque width of the frame in pixels
     axis: Any  # where it meets the sensor, pixels
     px_per_m: Any  # pixels on the sensor per metre at a distance of one metre
     pinhole: Callable[[Any], Any]  # from a place on the sensor to that in a pinhole's picture, pixels from the axis
@@ -73,12 +74,52 @@ class _Pass:
     vergence: Any  # of the focus distance, 1/m
     table: Any  # see ``draw_table``
     rings: Any  # opaque number of rings in the table
+    middle_ring: Any  # see :func:`_middle_ring`
     place: Any  # fractional ring of each pixel of the frame, row by row
+    middle: Any  # inverse depth that the middle of each pixel sees, 1/m; None where it does not matter
+    slope: Any  # its change along x and y, 1/m per pixel
     axial_colour: bool
     draw_pupil: pupil.Draw | None  # None for a pinhole
     blur: wave.Blur | None  # None for geometric optics
     aberration: Any | None  # geometric optics: the offset of a ray by its place on the lens, see :mod:`pupil`
     in_focus: bool  # whether every depth is, see :func:`render`
+    control: Control | None
+
+
+class Ratios(NamedTuple):
+    """A picture, its control variate, whose expectation is 0, and its denominator, [h, w, channel]."""
+
+    value: FloatArray
+    variate: FloatArray  # zeros where there is no control
+    control: FloatArray  # sum of response x light x weight over the rays of each pixel
+
+
+class _Block(NamedTuple):
+    """Rays that are traced together: those of each pixel are consecutive, in chunks of one size."""
+
+    pixels: NDArray[np.intp]  # of the frame, row by row
+    counts: NDArray[np.int64]  # samples of each
+    chunk: int  # rays; divides all ``counts``
+    pixel: Any  # number in the frame of each ray's pixel
+    sample: Any  # number of each ray in its pixel
+    sampler: Any  # random numbers deeper in the paths
+    corner: Any  # of the pixel, from the corner of the frame
+    ring: Any  # fractional ring of the pixel
+    seed: int
+
+    def sums(self, values: Any) -> FloatArray:
+        """Sums of the rays of each pixel, [pixel]."""
+        import drjit as dr
+
+        chunks = np.array(dr.block_sum(values, self.chunk), dtype=np.float64)
+        each = self.counts[0] // self.chunk
+        if len(chunks) == each * len(self.counts):  # as many of every pixel
+            return chunks.reshape(-1, each).sum(axis=1) if each > 1 else chunks
+        return np.add.reduceat(chunks, self.starts() // self.chunk)
+
+    def starts(self) -> NDArray[np.int64]:
+        """Number of the first ray of each pixel."""
+        return np.cumsum(self.counts) - self.counts
 
 
 class _Rays(NamedTuple):
@@ -89,12 +130,12 @@ class _Rays(NamedTuple):
     tangent: Any  # of the field angle there, a vector
     focus: Any  # vergence in focus at the ray's wavelengths, 1/m
     first: Any  # uniform number that chose the wavelengths
-    ring: Any  # fractional ring of the pixel
     entries: list[Any]  # row of the table for each of the ray's wavelengths
     rho: Any  # place on the lens, in radii
     delta: Any  # offset by diffraction, pixels
     expected: Any  # vergence that the middle of the pixel sees, 1/m; None without wave optics
     drawn: Any  # weight of having drawn place and aim so
+    variate: tuple[list[Any], list[Any]] | None  # see :func:`_variate`
 
 
 class _Weighted(NamedTuple):
@@ -119,7 +160,8 @@ def render(
     responses: Responses,
     *,
     in_focus: bool = False,
-) -> FloatArray:
+    control: Control | None = None,
+) -> Ratios:
     """Mean electrons per second through a stop, [h, w, channel], before the falloff of relative illumination.
 
     Args:
@@ -132,23 +174,93 @@ def render(
         responses: of the channels, with the frame's rings.
         in_focus: whether all depths are in focus: the perspective of the middle of the lens, and the diffraction
             pattern of the stop in focus.
+        control: the control variate, see :func:`control_of`.
     """
-    width, height = camera.sensor.width_px, camera.sensor.height_px
-    light = np.ones_like(grid.WAVELENGTH_NM) if field is None else field.light
-    mean_signal = responses.mean_signal(light)
-    rate = np.zeros((height, width, responses.channels))
+    mean_signal = responses.mean_signal(_light(field))
     if mean_signal.max() <= 0:
-        return rate
-    shared = _prepare(scene, camera, stop, sampling.spp, max_blur_px, field, responses, light, in_focus)
-    rows_at_once = max(1, LANES // (sampling.spp * width))
-    seeds = sampling.block_seeds(stop)
-    for block, top in enumerate(range(0, height, rows_at_once)):
-        rows = min(rows_at_once, height - top)
-        here = slice(top, top + rows)
-        ratio = _trace(shared, top, rows, seeds(block)).reshape(rows, width, -1)
-        rate[here] = ratio * at_pixels(mean_signal, responses.place[here])
-        sampling.progress((top + rows) / height)
-    return rate
+        nothing = np.zeros((*responses.place.shape, responses.channels))
+        return Ratios(nothing, nothing, nothing)
+    picture = ratios(scene, camera, stop, sampling, max_blur_px, field, responses, in_focus=in_focus, control=control)
+    signal = at_pixels(mean_signal, responses.place)
+    return Ratios(picture.value * signal, picture.variate * signal, picture.control)
+
+
+def ratios(
+    scene: Any,
+    camera: Camera,
+    stop: Stop | None,
+    sampling: Sampling,
+    max_blur_px: float | None,
+    field: Field | None,
+    responses: Responses,
+    *,
+    in_focus: bool = False,
+    control: Control | None = None,
+) -> Ratios:
+    """Electrons over those of a surface of the lights' spectral radiance, see :func:`render`."""
+    height, width = camera.sensor.height_px, camera.sensor.width_px
+    shared = _prepare(scene, camera, stop, max_blur_px, field, responses, in_focus, control)
+    result, variate, total = np.zeros((3, height * width, responses.channels))
+    counts = np.broadcast_to(np.asarray(sampling.spp, dtype=np.int64), (height, width)).ravel()
+    pixels, seeds, done = np.flatnonzero(counts), sampling.block_seeds(stop), 0
+    for number, part in enumerate(_parts(pixels, counts[pixels])):
+        block = _block(shared, part, counts[part], seeds(number))
+        result[part], variate[part], total[part] = _trace(shared, block)
+        done += int(counts[part].sum())
+        sampling.progress(done / counts.sum())
+    return Ratios(*(part.reshape(height, width, -1) for part in (result, variate, total)))
+
+
+def _parts(pixels: NDArray[np.intp], counts: NDArray[np.int64]) -> Iterator[NDArray[np.intp]]:
+    """Consecutive pixels whose rays are ``LANES`` at most, or one pixel."""
+    ends = np.cumsum(counts)
+    first = 0
+    while first < len(pixels):
+        before = ends[first] - counts[first]
+        last = max(first + 1, int(np.searchsorted(ends, before + LANES, side="right")))
+        yield pixels[first:last]
+        first = last
+
+
+def _light(field: Field | None) -> FloatArray:
+    """Spectrum by which wavelengths are drawn."""
+    return np.ones_like(grid.WAVELENGTH_NM) if field is None else field.light
+
+
+def control_of(
+    scene: Any,
+    camera: Camera,
+    stop: Stop,
+    max_blur_px: float | None,
+    field: Field | None,
+    responses: Responses,
+    fine: Fine,
+    channels: slice,
+    *,
+    in_focus: bool = False,
+) -> Control | None:
+    """The control variate of a stop from a pinhole's picture; None for a stop whose kernels are not radial.
+
+    Arguments are those of :func:`render`; ``channels`` are those of ``fine`` that belong to the stop.
+    """
+    mean_signal = responses.mean_signal(_light(field))
+    if mean_signal.max() <= 0:
+        return None
+    shared = _prepare(scene, camera, stop, max_blur_px, field, responses, in_focus, None)
+    if not isinstance(shared.blur, RadialBlur) or shared.blur.aberrated is not None:
+        return None
+    px_per_vergence, vergence = 2 * geometry.aperture_m(camera) / 2 * px_per_m(camera), 1 / camera.lens.focus_distance_m
+    blur_px = np.zeros(responses.place.shape)
+    if not in_focus:
+        blur_px = px_per_vergence * (np.array(shared.middle, dtype=float).reshape(blur_px.shape) - vergence)
+    colour_px = px_per_vergence * (geometry.focus_vergence(camera) - vergence) * (not in_focus)
+    spectra = responses.of_pass[_middle_ring(responses)] * _light(field)
+    return shared.blur.control(fine, channels, blur_px, spectra, colour_px)
+
+
+def _middle_ring(responses: Responses) -> int:
+    """The ring whose responses stand for the frame's in the control variate."""
+    return round(float(np.median(responses.place)))
 
 
 def _to_pinhole(camera: Camera) -> Callable[[Any], Any]:
@@ -172,18 +284,17 @@ def _prepare(
     scene: Any,
     camera: Camera,
     stop: Stop | None,
-    spp: int,
     max_blur_px: float | None,
     field: Field | None,
     responses: Responses,
-    light: FloatArray,
     in_focus: bool,
+    control: Control | None,
 ) -> _Pass:
     """Tables and constants of a pass."""
     import drjit as dr
     import mitsuba as mi
 
-    width = camera.sensor.width_px
+    light = _light(field)
     scale = dr.opaque(mi.Float, px_per_m(camera))
     radius_m = dr.opaque(mi.Float, geometry.aperture_m(camera) / 2)
     density = frame_density(responses, light)
@@ -192,137 +303,202 @@ def _prepare(
     blur = None
     if stop is not None and max_blur_px is not None:
         blur = wave.blur(camera, stop, density, wave.blur_range_px(camera, max_blur_px, WAVE_BLUR_PX))
-    sampler = mi.load_dict({"type": "independent", "sample_count": spp})
-    sampler.set_samples_per_wavefront(spp)
+    pinhole = _to_pinhole(camera)
+    axis = mi.Point2f(*(dr.opaque(mi.Float, value) for value in principal_point(camera.sensor)))
+    columns = dr.opaque(mi.UInt32, camera.sensor.width_px)
+    middle, slope = None, None
+    if blur is not None and not in_focus:
+        pixels = dr.arange(mi.UInt32, responses.place.size)
+        middle = _middle_vergence(scene, pinhole(_corner(pixels, columns) + 0.5 - axis) / scale)
+        steepest = MOST_SLOPE / (px_per_m(camera) * geometry.aperture_m(camera))
+        along = _slopes(np.array(middle).reshape(responses.place.shape), steepest)
+        slope = mi.Point2f(*(mi.Float(part.astype(np.float32).ravel()) for part in along))
     return _Pass(
         scene=scene,
         field=field,
         integrator=transport.path_integrator(),
-        sampler=sampler,
-        spp=spp,
-        width_px=width,
         channels=responses.channels,
-        samples=dr.opaque(mi.UInt32, spp),
-        columns=dr.opaque(mi.UInt32, width),
-        axis=mi.Point2f(*(dr.opaque(mi.Float, value) for value in principal_point(camera.sensor))),
+        columns=columns,
+        axis=axis,
         px_per_m=scale,
-        pinhole=_to_pinhole(camera),
+        pinhole=pinhole,
         radius_m=radius_m,
         px_per_vergence=2 * radius_m * scale,
         vergence=dr.opaque(mi.Float, 1.0 / camera.lens.focus_distance_m),
         table=mi.Texture2f(tensor(table)),
         rings=dr.opaque(mi.Float, len(table)),
+        middle_ring=dr.opaque(mi.Float, _middle_ring(responses)),
         place=mi.Float(responses.place.astype(np.float32).ravel()),
+        middle=middle,
+        slope=slope,
         axial_colour=bool(camera.lens.focal_shift_um),
         draw_pupil=None if stop is None else pupil.drawer(stop),
         blur=blur,
         aberration=pupil.aberration(camera, mean_nm) if stop is not None and blur is None else None,
         in_focus=in_focus,
+        control=control,
     )
 
 
-def _trace(shared: _Pass, top: int, rows: int, seed: int) -> FloatArray:
-    """Trace the rays of ``rows`` rows from ``top``; electrons over those of the lights' spectrum, [pixel, channel].
+def _corner(pixel: Any, columns: Any) -> Any:
+    """Corner of a pixel of the frame, by its number row by row."""
+    import mitsuba as mi
 
-    The control variate: response x light x weight has a known mean, and dividing by its sampled mean takes out the
-    noise of drawing wavelengths and weights.
+    row = pixel // columns
+    return mi.Point2f(mi.Float(pixel - row * columns), mi.Float(row))
+
+
+def _middle_vergence(scene: Any, slope: Any) -> Any:
+    """Inverse depth that rays through the middle of the lens meet first, 1/m; 0 for nothing."""
+    import drjit as dr
+    import mitsuba as mi
+
+    ray = mi.Ray3f(mi.Point3f(0.0), mi.Vector3f(slope.x, slope.y, 1.0))
+    hit = scene.ray_intersect_preliminary(ray, coherent=True)
+    vergence = dr.select(hit.is_valid(), dr.rcp(hit.t), 0.0)  # the direction's z is 1, so t is depth
+    dr.eval(vergence)
+    return vergence
+
+
+def _slopes(vergence: NDArray[np.float32], steepest: float) -> tuple[FloatArray, FloatArray]:
+    """Change of the inverse depth along x and y, [h, w] per pixel: that of a surface, and 0 beside a step in depth.
+
+    The smaller of the differences to both sides, 0 where their signs differ; ``steepest`` bounds it.
+    """
+
+    def smaller(axis: int) -> FloatArray:
+        step = np.diff(vergence, axis=axis)
+        first, last = (np.take(step, [place], axis=axis) for place in (0, -1))
+        before, after = np.concatenate([first, step], axis=axis), np.concatenate([step, last], axis=axis)
+        least = np.where(np.abs(before) < np.abs(after), before, after)
+        return np.clip(np.where(before * after > 0, least, 0.0), -steepest, steepest)
+
+    if min(vergence.shape) < 2:
+        return np.zeros(vergence.shape), np.zeros(vergence.shape)
+    return smaller(1), smaller(0)
+
+
+def _block(shared: _Pass, pixels: NDArray[np.intp], counts: NDArray[np.int64], seed: int) -> _Block:
+    """Rays of some pixels of the frame, ``counts`` for each."""
+    import drjit as dr
+    import mitsuba as mi
+
+    chunk = int(np.gcd.reduce(np.append(counts, MOST_CHUNK)))
+    chunks = counts // chunk
+    number = np.repeat(pixels, chunks)
+    first = (np.arange(len(number)) - np.repeat(np.cumsum(chunks) - chunks, chunks)) * chunk
+    lane = dr.arange(mi.UInt32, int(counts.sum()))
+    size = dr.opaque(mi.UInt32, chunk)
+    own = lane // size
+    pixel = dr.gather(mi.UInt32, mi.UInt32(number.astype(np.uint32)), own)
+    sample = dr.gather(mi.UInt32, mi.UInt32(first.astype(np.uint32)), own) + lane % size
+    sampler = mi.load_dict({"type": "independent"})
+    sampler.seed(dr.opaque(mi.UInt32, seed), dr.width(lane))
+    ring = dr.gather(mi.Float, shared.place, pixel)
+    return _Block(pixels, counts, chunk, pixel, sample, sampler, _corner(pixel, shared.columns), ring, seed)
+
+
+def _trace(shared: _Pass, block: _Block) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Trace the rays of a block; ratio, control variate and denominator, [pixel, channel].
+
+    Response x light x weight has a known mean, and dividing by its sampled mean takes out the noise of drawing
+    wavelengths and weights.
     """
     import drjit as dr
     import mitsuba as mi
 
-    lanes = rows * shared.width_px * shared.spp
-    shared.sampler.seed(dr.opaque(mi.UInt32, seed), lanes)
-    pixel = dr.arange(mi.UInt32, lanes) // shared.samples
-    row = pixel // shared.columns
-    corner = mi.Point2f(mi.Float(pixel - row * shared.columns), mi.Float(row + dr.opaque(mi.UInt32, top)))
-    ring = dr.gather(mi.Float, shared.place, pixel + dr.opaque(mi.UInt32, top * shared.width_px))
-    sample = dr.arange(mi.UInt32, lanes) % shared.samples
-    numbers = Sobol(shared.spp, sample, pixel + dr.opaque(mi.UInt32, seed))
+    numbers = Sobol(int(block.counts.max()), block.sample, block.pixel + dr.opaque(mi.UInt32, block.seed))
     # The first dimensions are the most even: they go to what matters most.
     lens, film, aim_at, direction = (numbers.next_2d() for _ in range(4))
     first, pattern, lobe = numbers.next_1d(), numbers.next_2d(), numbers.next_1d()
 
-    rays = _aim(shared, pixel, corner, ring, (lens, film, pattern, first), seed)
+    rays = _aim(shared, block, (lens, film, pattern, first))
     si = shared.scene.ray_intersect(rays.ray, ray_flags=mi.RayFlags.All, coherent=True)
     weight: list[Any] = [mi.Float(1.0)] * HERO
     depth_share: list[Any] = []
     weighted: _Weighted | None = None
     if shared.blur is not None and shared.in_focus:
         wavelengths = [entry[0] for entry in rays.entries]
-        ratios = shared.blur.weights(-rays.delta, mi.Float(0.0), rays.tangent, wavelengths)
-        weight = [rays.drawn * ratio for ratio in ratios]
+        weights = shared.blur.weights(-rays.delta, mi.Float(0.0), rays.tangent, wavelengths)
+        weight = [rays.drawn * value for value in weights]
     elif shared.blur is not None:
         weight, depth_share, blur_px = _wave_weights(shared, shared.blur, rays, si)
-        weighted = _Weighted(blur_px, rays.rho, rays.delta, rays.tangent, rays.first, rays.ring, rays.drawn)
+        weighted = _Weighted(blur_px, rays.rho, rays.delta, rays.tangent, rays.first, block.ring, rays.drawn)
     radiance = transport.radiance(
-        shared.scene, shared.integrator, shared.sampler, rays.ray, si, (aim_at, direction, lobe), shared.field
+        shared.scene, shared.integrator, block.sampler, rays.ray, si, (aim_at, direction, lobe), shared.field
     )
 
-    sums, lit = list(depth_share), _lit(rays.entries)
+    values, lit = [], _lit(rays.entries)
     for channel in range(shared.channels):
         share = [rays.entries[k][2 + channel] * weight[k] for k in range(HERO)]
-        sums += [sum(share[k] * radiance[k] for k in range(HERO)), sum(share[k] * lit[k] for k in range(HERO))]
-    dr.eval(*sums, *(weighted or ()))  # one kernel for all sums: summing first would trace the rays once per sum
-    totals = [np.array(dr.block_sum(value, shared.spp), dtype=np.float64) for value in sums]
-    channels = totals[len(depth_share) :]
-    ratio = np.stack([_ratio(*pair) for pair in zip(channels[0::2], channels[1::2], strict=True)], axis=-1)
-    if weighted is None:
-        return ratio
-    several = np.flatnonzero(totals[1] < ONE_DEPTH_SHARE * totals[0])
-    if len(several):
-        ratio[several] = _layered(shared, weighted, sums[len(depth_share) :], several)
-    return ratio
+        values += [sum(share[k] * radiance[k] for k in range(HERO)), sum(share[k] * lit[k] for k in range(HERO))]
+    seen, kernel = rays.variate or ([], [])
+    # One kernel for all: summing first would trace the rays once per sum.
+    dr.eval(*depth_share, *values, *seen, *kernel, *(weighted or ()))
+    sums = [block.sums(value) for value in values]
+    control = np.stack(sums[1::2], axis=-1)
+    ratio = _ratio(np.stack(sums[0::2], axis=-1), control)
+    if weighted is not None:
+        total, near = (block.sums(value) for value in depth_share)
+        several = np.flatnonzero(near < ONE_DEPTH_SHARE * total)
+        if len(several):
+            ratio[several] = _layered(shared, block, weighted, values, several)
+    variate = np.zeros_like(ratio)
+    if shared.control is not None:
+        expected = shared.control.expected[block.pixels]
+        totals = [np.stack([block.sums(value) for value in part], axis=-1) for part in (seen, kernel)]
+        variate = _ratio(totals[0] - expected * totals[1], totals[1])
+    return ratio, variate, control
 
 
 def _ratio(signal: FloatArray, control: FloatArray) -> FloatArray:
     return np.divide(signal, control, out=np.zeros_like(signal), where=control > 0)
 
 
-def _layered(shared: _Pass, weighted: _Weighted, sums: list[Any], chosen: NDArray[np.intp]) -> FloatArray:
+def _layered(
+    shared: _Pass, block: _Block, weighted: _Weighted, values: list[Any], chosen: NDArray[np.intp]
+) -> FloatArray:
     """The estimate for pixels that see several depths, [pixel, channel]; see :func:`layers.estimate`.
 
     Args:
         shared: what all blocks share.
-        weighted: all rays of the block.
-        sums: signal and control of all rays, alternating by channel.
-        chosen: numbers of the pixels.
+        block: the rays of the block.
+        weighted: what their weights depend on.
+        values: signal and control of all rays, alternating by channel.
+        chosen: numbers of the pixels in the block.
     """
+    starts, result = block.starts(), np.zeros((len(chosen), shared.channels))
+    blur_px = np.array(weighted.blur)
+    rays = [np.array(value) for value in values]
+    for spp in np.unique(block.counts[chosen]):
+        here = np.flatnonzero(block.counts[chosen] == spp)
+        lanes = starts[chosen[here], None] + np.arange(spp)
+        signal, control = ([value[lanes].astype(float) for value in rays[part::2]] for part in (0, 1))
+
+        def beyond(at: NDArray[np.intp], depth_px: FloatArray, lanes: NDArray[np.int64] = lanes) -> FloatArray:
+            return _beyond(shared, depth_px, lanes.ravel()[at], weighted)
+
+        result[here] = layers.estimate(signal, control, blur_px[lanes].astype(float), beyond)
+    return result
+
+
+def _beyond(shared: _Pass, depth_px: FloatArray, lanes: NDArray[np.int64], weighted: _Weighted) -> FloatArray:
+    """Control of some rays if they ended where the visible blur is ``depth_px``, [ray, channel]."""
     import drjit as dr
     import mitsuba as mi
 
-    shape = len(chosen), shared.spp
-    lanes = mi.UInt32((chosen[:, None] * shared.spp + np.arange(shared.spp)).astype(np.uint32).ravel())
-    blur_px, rho, delta, tangent, first, ring, drawn = (dr.gather(type(value), value, lanes) for value in weighted)
-    values = [np.array(dr.gather(mi.Float, value, lanes), dtype=np.float64).reshape(shape) for value in sums]
-    entries = _entries(shared, first, ring)
-
-    def beyond(depth_px: FloatArray, behind: BoolArray) -> list[FloatArray]:
-        return _beyond(shared, depth_px, mi.Bool(behind.ravel()), entries, (rho, delta, tangent, drawn))
-
-    return layers.estimate(values[0::2], values[1::2], np.array(blur_px, dtype=np.float64).reshape(shape), beyond)
-
-
-def _beyond(
-    shared: _Pass, depth_px: FloatArray, behind: Any, entries: list[Any], sampled: tuple[Any, Any, Any, Any]
-) -> list[FloatArray]:
-    """Control of the rays that end ``behind`` a layer if they ended in it, [channel][pixel].
-
-    ``depth_px`` is the visible blur of the layer in each pixel; ``sampled`` is rho, delta, the field angle's tangent
-    and the weight of rho and delta.
-    """
-    import drjit as dr
-    import mitsuba as mi
-
-    rho, delta, tangent, drawn = sampled
     assert shared.blur is not None
-    at = dr.repeat(mi.Float(depth_px.astype(np.float32)), shared.spp)
+    index = mi.UInt32(lanes.astype(np.uint32))
+    _, rho, delta, tangent, first, ring, drawn = (dr.gather(type(value), value, index) for value in weighted)
+    entries = _entries(shared, first, ring)
+    at = mi.Float(depth_px.astype(np.float32))
     at -= shared.px_per_vergence * (entries[0][1] - shared.vergence) if shared.axial_colour else 0.0
     ratios = shared.blur.weights(-delta - rho * (at / 2), at, tangent, [entry[0] for entry in entries])
     lit = _lit(entries)
-    light = [dr.select(behind, drawn * ratios[k] * lit[k], 0.0) for k in range(HERO)]
+    light = [drawn * ratios[k] * lit[k] for k in range(HERO)]
     sums = [sum(entries[k][2 + channel] * light[k] for k in range(HERO)) for channel in range(shared.channels)]
     dr.eval(*sums)
-    return [np.array(dr.block_sum(value, shared.spp), dtype=np.float64) for value in sums]
+    return np.stack([np.array(value, dtype=np.float64) for value in sums], axis=-1)
 
 
 def _entries(shared: _Pass, first: Any, ring: Any) -> list[Any]:
@@ -341,29 +517,36 @@ def _lit(entries: list[Any]) -> list[Any]:
     return [entry[-1] for entry in entries]
 
 
-def _aim(shared: _Pass, pixel: Any, corner: Any, ring: Any, numbers: tuple[Any, Any, Any, Any], seed: int) -> _Rays:
+def _aim(shared: _Pass, block: _Block, numbers: tuple[Any, Any, Any, Any]) -> _Rays:
     """Rays from their places on the lens through the film; ``numbers`` for lens, film, diffraction and wavelength."""
     import drjit as dr
     import mitsuba as mi
 
     lens, film, pattern, first = numbers
-    film = shared.pinhole(film + (corner - shared.axis))
+    place = film + block.corner
+    film = shared.pinhole(place - shared.axis)
     tangent = film / shared.px_per_m
-    entries, wavelengths = _entries(shared, first, ring), mi.Spectrum(0.0)
+    entries, wavelengths = _entries(shared, first, block.ring), mi.Spectrum(0.0)
     for k in range(HERO):
         wavelengths[k] = entries[k][0]
     focus = entries[0][1] if shared.axial_colour else mi.Float(shared.vergence)
 
-    rho, delta, drawn, expected = mi.Point2f(0.0), mi.Point2f(0.0), mi.Float(1.0), None
-    if shared.blur is not None and shared.in_focus:
-        delta, drawn = shared.blur.draw_in_focus(lens, pattern)
-        delta = field_angle.widened(delta, tangent)
-    elif shared.blur is not None:
-        expected = dr.gather(mi.Float, _middle_vergence(shared, corner), pixel)
-        defocus = shared.px_per_vergence * (expected - focus)
-        defocus *= field_angle.mean_scale(tangent)
-        rho, delta, drawn = shared.blur.draw(lens, pattern, defocus, dr.opaque(mi.UInt32, seed))
-        delta = field_angle.widened(delta, tangent)
+    rho, delta, drawn, expected, variate = mi.Point2f(0.0), mi.Point2f(0.0), mi.Float(1.0), None, None
+    if shared.blur is not None:
+        if shared.in_focus:
+            sample = shared.blur.draw_in_focus(lens, pattern)
+        else:
+            expected = dr.gather(mi.Float, shared.middle, block.pixel)
+            defocus = shared.px_per_vergence * (expected - focus)
+            defocus *= field_angle.mean_scale(tangent)
+            slope = shared.px_per_vergence * dr.gather(mi.Point2f, shared.slope, block.pixel)
+            sample = shared.blur.draw(lens, pattern, defocus, slope, dr.opaque(mi.UInt32, block.seed))
+        rho, drawn = sample.rho, sample.weight
+        delta = field_angle.widened(sample.delta, tangent)
+        if shared.control is not None:
+            wider = dr.rcp(field_angle.mean_scale(tangent))
+            w, per_density = sample.u * wider, sample.per_density * wider * wider
+            variate = _variate(shared, shared.control, (block.pixel, place, w), per_density, first)
     elif shared.draw_pupil is not None:
         rho = shared.draw_pupil(lens)
         delta = shared.aberration(rho, tangent) if shared.aberration is not None else delta
@@ -374,24 +557,29 @@ def _aim(shared: _Pass, pixel: Any, corner: Any, ring: Any, numbers: tuple[Any, 
     slope = aim / shared.px_per_m - on_lens * focus
     ray = mi.RayDifferential3f(mi.Ray3f(origin, dr.normalize(mi.Vector3f(slope.x, slope.y, 1.0))))
     ray.wavelengths = wavelengths
-    return _Rays(ray, film, tangent, focus, first, ring, entries, rho, delta, expected, drawn)
+    return _Rays(ray, film, tangent, focus, first, entries, rho, delta, expected, drawn, variate)
 
 
-def _middle_vergence(shared: _Pass, corner: Any) -> Any:
-    """Inverse depth that the ray through the middle of each pixel and of the lens meets first, 1/m; 0 for nothing.
-
-    ``corner`` are the corners of the pixels, repeated for each sample.
-    """
+def _variate(
+    shared: _Pass, control: Control, at: tuple[Any, Any, Any], per_density: Any, first: Any
+) -> tuple[list[Any], list[Any]]:
+    """C s and C of the control variate for each channel; ``at`` are the arguments of :meth:`Control.at`."""
     import drjit as dr
     import mitsuba as mi
 
-    first = dr.arange(mi.UInt32, dr.width(corner) // shared.spp) * shared.spp
-    at = shared.pinhole(dr.gather(mi.Point2f, corner, first) + 0.5 - shared.axis)
-    towards = mi.Vector3f(at.x / shared.px_per_m, at.y / shared.px_per_m, 1.0)
-    hit = shared.scene.ray_intersect_preliminary(mi.Ray3f(mi.Point3f(0.0), towards), coherent=True)
-    vergence = dr.select(hit.is_valid(), dr.rcp(hit.t), 0.0)  # the direction's z is 1, so t is depth
-    dr.eval(vergence)
-    return vergence
+    assert isinstance(shared.blur, RadialBlur)
+    seen, blur_px, reach_px = control.at(*at)
+    length = dr.norm(at[2])
+    entries = _entries(shared, first, mi.Float(shared.middle_ring))
+    weight = []
+    for entry in entries:
+        own = blur_px
+        if shared.axial_colour and not shared.in_focus:
+            own -= shared.px_per_vergence * (entry[1] - shared.vergence)
+        h = shared.blur.kernel(length, shared.blur.outer * dr.abs(own), entry[0])
+        weight.append(dr.select(length <= reach_px, h * per_density * entry[-1], 0.0))
+    light = [sum(entries[k][2 + channel] * weight[k] for k in range(HERO)) for channel in range(shared.channels)]
+    return [c * s for c, s in zip(light, seen, strict=True)], light
 
 
 def _wave_weights(shared: _Pass, blur: wave.Blur, rays: _Rays, si: Any) -> tuple[list[Any], list[Any], Any]:

@@ -69,7 +69,7 @@ def _render(
     width, height = camera.sensor.width_px, camera.sensor.height_px
     columns, lines = (_centred(*each) for each in zip((width, height), principal_point(camera.sensor), strict=True))
     rate = np.zeros((height, width, responses.channels))
-    rows_at_once = max(1, RAYS // (sampling.spp * width))
+    rows_at_once = max(1, RAYS // (int(sampling.spp) * width))
     for block, top in enumerate(range(0, height, rows_at_once)):
         rows = min(rows_at_once, height - top)
         film: dict[str, Any] = {
@@ -100,7 +100,7 @@ def _render(
                 "far_clip": 1e5,
                 "to_world": truth.camera_axes(),
                 "film": film,
-                "sampler": {"type": "multijitter", "sample_count": sampling.spp},
+                "sampler": {"type": "multijitter", "sample_count": int(sampling.spp)},
             }
         )
         integrator = mi.load_dict({"type": "path", "max_depth": MAX_PATH_DEPTH})

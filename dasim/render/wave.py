@@ -16,8 +16,9 @@ than 0.01 at 31 degrees.
 
 Sampling rho and delta independently would leave u unstratified, although u determines what a pixel sees. For discs and
 rings, u is therefore sampled first, stratified, for the blur c0 at the middle of the pixel, with a density q close to
-h; then rho by rejection with density D(delta), where delta = -u - rho c0 / 2 follows. This is the same joint density
-apart from the factor g(u; c0) / q(u; c0), which multiplies the weight: no approximation, wherever the ray ends.
+h; then rho by rejection with density D(delta), where delta = -u - rho c1 / 2 follows. Here c1 is the blur at u of the
+plane that continues the surface in the middle. This is the same joint density apart from the factor g(u; c1) / q(u; c0)
+and the volume |d delta / d u|, which multiply the weight: no approximation, wherever the ray ends.
 
 Discs and rings are radial and need tables of two dimensions. Polygons and masks need two tables of three dimensions,
 and sample rho and delta independently.
@@ -35,6 +36,7 @@ from dasim.camera import geometry, pointspread, wavefront
 from dasim.camera.specification import Camera
 from dasim.camera.stops import Stop
 from dasim.render import pattern_blur, radial_blur
+from dasim.render.blur_tables import Drawn
 from dasim.spectra import grid as spectra
 from dasim.typing import FloatArray
 
@@ -42,18 +44,19 @@ from dasim.typing import FloatArray
 class Blur(Protocol):
     """Sampling of the lens and weights of wave optics for one stop."""
 
-    def draw(self, first: Any, second: Any, blur_px: Any, key: Any) -> tuple[Any, Any, Any]:
-        """Place rho on the stop (in radii of the lens), offset delta in pixels, and their weight.
+    def draw(self, first: Any, second: Any, blur_px: Any, slope: Any, key: Any) -> Drawn:
+        """A ray for an expected blur.
 
         Args:
             first: two uniform numbers.
             second: two uniform numbers.
-            blur_px: expected signed blur of the open lens.
+            blur_px: expected signed blur of the open lens in the middle of the pixel.
+            slope: its change along x and y of the picture, pixels per pixel.
             key: seed of the random numbers for rejection.
         """
 
-    def draw_in_focus(self, first: Any, second: Any) -> tuple[Any, Any]:
-        """Offset delta in pixels where the blur is zero, and its weight; ``first`` and ``second`` as for ``draw``."""
+    def draw_in_focus(self, first: Any, second: Any) -> Drawn:
+        """A ray through the middle of the lens, where the blur is zero; ``first`` and ``second`` as for ``draw``."""
 
     def weights(self, u_px: Any, blur_px: Any, tangent: Any, wavelengths_nm: list[Any]) -> list[Any]:
         """Ratios h / g for each wavelength; 1 outside the tables, where the blur is that of the sampled rays.

@@ -52,6 +52,17 @@ def pinhole_responses(camera: Camera, also: Camera | None = None) -> Responses:
     return Responses(whole, whole, place)
 
 
+def separate_responses(camera: Camera, also: Camera) -> Responses:
+    """Responses of a pass through a pinhole with those of each stop apart, stop by stop, then another camera's."""
+    angles, place = rings(camera, also)
+    parts = [
+        [radiometry.stop_response(camera, stop, angle) for stop in camera.stops] + [radiometry.response(also, angle)]
+        for angle in angles
+    ]
+    of_pass = np.stack([np.concatenate(part) for part in parts])
+    return Responses(of_pass, of_pass, place)
+
+
 def draw_density(whole: FloatArray, response: FloatArray, light: FloatArray | None = None) -> FloatArray:
     """Relative density of drawn wavelengths on the grid: the sum over channels of signal over the whole signal.
 

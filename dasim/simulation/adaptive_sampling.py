@@ -1,120 +1,106 @@
 """Adaptive number of samples: rendering noise is measured between pictures and compared with the sensor's noise.
 
 Pictures are rendered in pairs with independent random numbers (:mod:`dasim.simulation.rendering_noise`), so that the
-noise is measured, not predicted.
+noise is measured, not predicted. The first pair, the pilot, gives all pixels a few samples; then each gets as many
+more as the pilot's noise around it asks for. A pixel's own samples have no part in that decision, which would make
+their mean biased: a bright outlier that brought itself more samples would count less. Later noise has none either,
+since a pixel's samples decide its neighbours' numbers, and these would decide its own. If the target is missed, all
+numbers grow by one factor.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from dasim.simulation.rendering_noise import Measured, Pair, measured, share, shares_at
+from dasim.simulation.rendering_noise import Measured, Picture, around, measured, share, shares_at
 from dasim.typing import FloatArray
 
 NOISE_SHARE = 0.25  # of the sensor's noise: raises the noise of a capture by 3 %
 NOISE_AT = 50.0  # percentile of the pixels at which the share is meant: the median
-PILOT_SPP = 16  # samples per pixel and stop of each picture of the first pair
-MOST_SPP = 8192  # samples per pixel and stop of all pictures together
-# Noise falls about as samples ** -0.6 to -0.7 (claims noise-slope-*). If a pair misses the target, another follows.
-SLOPE = 0.64
+PILOT_SPP = 8  # samples per pixel and stop of each picture of the first pair
+FEWEST_SPP, MOST_SPP = 4, 4096  # samples per pixel and stop of each further picture
+# What they may be: powers of two, which Sobol's numbers cover most evenly, and the middles between them.
+STEPS = np.array(sorted({*(4 << k for k in range(11)), *(12 << k for k in range(9))}))
 MOST_ROUNDS = 4
-BAND = 0.1  # pixels whose share is within this of the percentile's tell which stop makes the noise there
-
-
-class StopPictures(NamedTuple):
-    """One picture per stop, and the irradiance field with which they were rendered, for reuse by further renders."""
-
-    rate: FloatArray  # [stop, h, w, channel] mean electrons per second
-    field: Any = None  # see :func:`dasim.render.passes.irradiance_field`
+SLOPE = 1.1  # variance falls about as samples ** -1.0 to -1.2 (claim control-variate)
+MORE = 1.2  # least factor of a further round
+AIM = 1.0  # of the target, in the first choice of samples
 
 
 @dataclass(frozen=True)
 class AdaptiveRender:
     """The mean of several pictures, and the rendering noise that remains in it."""
 
-    rate: FloatArray  # [h, w, channel] mean electrons per second of all stops together
-    variance: FloatArray  # [h, w, channel] of ``rate``
-    spp: tuple[int, ...]  # samples per pixel of all pictures together, per stop
+    measured: Measured
     share: tuple[float, ...]  # rendering noise over the sensor's at the percentile, per channel
-    field: Any  # irradiance of the last picture
 
 
 def render_to_noise_target(
-    picture: Callable[[int, tuple[int, ...]], StopPictures],
+    picture: Callable[[int, NDArray[np.int64]], Picture],
     sensor_variance: Callable[[FloatArray], FloatArray],
     *,
-    stops: int,
+    shape: tuple[int, int, int],
     target: float = NOISE_SHARE,
     percentile: float = NOISE_AT,
     most_spp: int = MOST_SPP,
 ) -> AdaptiveRender:
     """Render pairs of pictures until their noise is below the share ``target`` of the sensor's.
 
-    The first pair is small; its noise decides the size of the next. All pairs count in the result, weighted by their
-    samples.
+    All pairs count in the result, weighted by their samples.
 
     Args:
-        picture: ``picture(index, spp)`` renders through each stop with ``spp[stop]`` samples per pixel, its random
-            numbers keyed by ``index``.
+        picture: ``picture(index, spp)`` renders ``spp`` samples, [stop, h, w], with random numbers keyed by ``index``.
         sensor_variance: variance of the sensor's noise [h, w, channel] for a sum over stops, in its unit squared.
-        stops: how many stops the camera has.
+        shape: number of stops, height and width.
         target: rendering noise over the sensor's noise, at the percentile of the pixels, in the worst channel.
         percentile: of the pixels: this share of them, in per cent, has at most ``target``.
-        most_spp: bound on the samples per pixel of a stop.
+        most_spp: bound on the samples per pixel and stop of a picture.
     """
-    pairs: list[Pair] = []
-    spp = (PILOT_SPP,) * stops
+    pairs: list[tuple[Picture, Picture]] = []
+    spp = np.full(shape, PILOT_SPP, dtype=np.int64)
+    factor = 1.0
     for number in range(MOST_ROUNDS):
-        first, second = picture(2 * number, spp), picture(2 * number + 1, spp)
-        pairs.append(Pair((spp, spp), first.rate, second.rate))
+        pairs.append((picture(2 * number, spp), picture(2 * number + 1, spp)))
         result = measured(pairs)
-        shares = shares_by_stop(result, sensor_variance(result.rate), percentile)
-        reached = np.sqrt((shares**2).sum(axis=0))
-        if reached.max() <= target or max(result.spp) + 2 * PILOT_SPP > most_spp:
+        limit = sensor_variance(result.rate.sum(axis=0))
+        reached = shares_at(share(result.variance.sum(axis=0), limit), [percentile])[0]
+        if reached.max() <= target:
             break
-        spp = _next_spp(result.spp, shares, target, most_spp)
-    variance = result.variance.sum(axis=0)
-    return AdaptiveRender(result.rate, variance, result.spp, tuple(float(value) for value in reached), second.field)
-
-
-def shares_by_stop(result: Measured, limit: FloatArray, percentile: float) -> FloatArray:
-    """Noise of each stop over the sensor's at a percentile of the pixels, [stop, channel]; squares sum to the whole's.
-
-    ``limit`` is the variance of the sensor's noise, [h, w, channel].
-    """
-    whole = share(result.variance.sum(axis=0), limit)
-    reached = shares_at(whole, [percentile])[0]
-    away = np.abs(whole - reached)
-    near = away <= np.maximum(BAND * reached, away.min(axis=(0, 1)))
-    part = np.where(near, result.variance / np.where(limit > 0, limit, 1.0), 0.0).sum(axis=(1, 2))
-    total = part.sum(axis=0)
-    return np.asarray(reached * np.sqrt(np.divide(part, total, out=np.zeros_like(part), where=total > 0)))
-
-
-def _next_spp(total: tuple[int, ...], shares: FloatArray, target: float, most_spp: int) -> tuple[int, ...]:
-    """Samples per stop of the next two pictures; each step increases those of the stop that helps the worst channel
-    most.
-    """
-    spp = [PILOT_SPP for _ in total]
-
-    def expected(counts: list[int]) -> FloatArray:
-        grown = np.array([(have + 2 * more) / have for have, more in zip(total, counts, strict=True)])
-        return (shares * grown[:, None] ** -SLOPE) ** 2
-
-    while (expected(spp).sum(axis=0) > target**2).any():
-        worst = int(expected(spp).sum(axis=0).argmax())
-        free = [i for i, have in enumerate(total) if have + 2 * _more(spp[i]) <= most_spp]
-        if not free:
+        if number:
+            factor *= max(MORE, (reached.max() / target) ** (2 / SLOPE))
+        wanted = factor * wanted_spp(measured(pairs[:1]), sensor_variance, target, percentile)
+        spp = next_spp(wanted - result.spp, most_spp)
+        if not spp.any():
             break
-        stop = max(free, key=lambda i: float(expected(spp)[i, worst]) / spp[i])
-        spp[stop] = _more(spp[stop])
-    return tuple(spp)
+    return AdaptiveRender(result, tuple(float(value) for value in reached))
 
 
-def _more(spp: int) -> int:
-    """The next of 16, 20, 24, 28, 32, 40, ...: quarters of powers of two, for which Sobol' points are even."""
-    return spp + (1 << (spp.bit_length() - 3))
+def wanted_spp(
+    pilot: Measured,
+    sensor_variance: Callable[[FloatArray], FloatArray],
+    target: float,
+    percentile: float,
+) -> FloatArray:
+    """Samples that bring each pixel to the target, [stop, h, w], by the noise of a pilot around it.
+
+    With v_s the variance of a stop and N_s its samples, n_s samples have v_s (N_s / n_s)^p. The fewest samples whose
+    variances sum to the limit have n_s in proportion to (v_s N_s^p)^(1 / (p + 1)). The pixels beyond the percentile get
+    no more than those at it.
+    """
+    limit = (target * AIM) ** 2 * sensor_variance(np.maximum(around(pilot.rate).sum(axis=0), 0.0))
+    part = (pilot.around * pilot.spp[..., None] ** SLOPE) ** (1 / (SLOPE + 1))
+    scale = np.divide(part.sum(axis=0), limit, out=np.zeros_like(limit), where=limit > 0) ** (1 / SLOPE)
+    wanted = (part * scale).max(axis=-1)
+    return np.minimum(wanted, np.percentile(wanted, percentile, axis=(1, 2), keepdims=True))
+
+
+def next_spp(missing: FloatArray, most_spp: int) -> NDArray[np.int64]:
+    """Samples of each of the next two pictures where some are missing: one of ``STEPS``, or none where few are."""
+    more = missing / 2
+    steps = STEPS[STEPS <= most_spp]
+    chosen = steps[np.minimum(np.searchsorted(steps, more), len(steps) - 1)]
+    return np.where(more > FEWEST_SPP / 2, chosen, 0)

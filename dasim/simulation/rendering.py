@@ -16,21 +16,24 @@ from dasim.camera import noise, wavefront
 from dasim.camera import specification as cameras
 from dasim.camera.noise import Exposure
 from dasim.camera.specification import Camera
-from dasim.camera.stops import Stop
 from dasim.render import passes
+from dasim.render.control_variate import Control
 from dasim.render.foreign.scene import World
+from dasim.render.passes import Sharp
 from dasim.render.truth import Geometry
 from dasim.scene.mitsuba_scene import MitsubaScene
 from dasim.scene.specification import Scene
 from dasim.simulation import rendering_noise
-from dasim.simulation.adaptive_sampling import StopPictures, render_to_noise_target
+from dasim.simulation.adaptive_sampling import render_to_noise_target
 from dasim.simulation.checks import check_finite, check_lit
+from dasim.simulation.rendering_noise import Picture
 from dasim.typing import FloatArray, Progress
 
 TWIN = "bayer-mobile"  # the camera whose colours ``sharp_srgb`` has
-SHARP_SPP = 64  # of the pinhole picture, which has no lens to sample
-FOCUS_SPP = 32  # of the picture in focus, per stop
-LENS, OWN_MEAN, IN_FOCUS = range(3)  # uses of a capture's seed
+SHARP_SPP = 32  # of the pinhole picture, which has no lens to sample
+FOCUS_SPP = 16  # of the picture in focus, per stop
+FIELD_SPP = 16  # that the irradiance is traced for where samples per pixel are chosen: its noise is far below theirs
+LENS, OWN_MEAN, IN_FOCUS, SHARP = range(4)  # uses of a capture's seed
 BLUR_MARGIN = 1.1  # something nearer than all that is seen may lie just outside the frame
 
 
@@ -75,8 +78,7 @@ class LensPicture:
 
     rate: FloatArray  # [h, w, channel] mean electrons per second
     variance: FloatArray | None  # [h, w, channel] of ``rate`` by rendering noise; None for one sample per pixel
-    spp: tuple[int, ...]  # samples per pixel of each stop
-    field: Any  # irradiance, for further passes of the same view
+    spp: NDArray[np.int64]  # [stop, h, w] or [stop, 1, 1] samples per pixel of each stop
     sampling: dict[str, Any]  # for provenance: samples per pixel, and the target of rendering noise
 
 
@@ -87,53 +89,81 @@ class SharpPictures:
     rate: FloatArray  # [h, w, channel] of the camera
     twin_rate: FloatArray  # [h, w, 3] of a Bayer camera without near-infrared
     twin: Camera
+    field: Any  # irradiance, which half of the lens picture shares
+    controls: list[Control | None]  # of each stop, see :mod:`dasim.render.control_variate`
+    fine: Sharp
 
 
-def lens_picture(view: View, sampling: Sampling, exposure: Exposure, progress: Progress) -> LensPicture:
+def lens_picture(
+    view: View, sharp: SharpPictures, sampling: Sampling, exposure: Exposure, progress: Progress
+) -> LensPicture:
     """Render through every stop; raises InputError if no light reaches the sensor."""
+    fields = sharp.field, irradiance(view, sampling, 1)
     if sampling.spp == "auto":
-        picture = _adaptive_picture(view, sampling, exposure, progress)
+        picture = _adaptive_picture(view, sharp, fields, sampling, exposure, progress)
     else:
-        picture = _fixed_picture(view, sampling, progress)
+        spp = np.full((len(view.camera.stops), 1, 1), sampling.spp)
+        rate, variance = _halves(view, sharp, fields, spp, sampling.seed, LENS, progress)
+        picture = LensPicture(rate, variance, spp, {"spp": sampling.spp})
     check_lit(view.scene, picture.rate, view.objects_at(np.ones(picture.rate.shape[:2], bool)))
     return picture
 
 
-def independent_picture(view: View, like: LensPicture, seed: int, progress: Progress) -> LensPicture:
+def independent_picture(
+    view: View, sharp: SharpPictures, like: LensPicture, sampling: Sampling, progress: Progress
+) -> LensPicture:
     """A picture of as many samples and the same seed as another, with independent rendering noise.
 
     Its random numbers and its irradiance are its own.
     """
-    rate, variance, _, _ = _halves(view, like.spp, seed, OWN_MEAN, progress)
+    fields = irradiance(view, sampling, 0, OWN_MEAN), irradiance(view, sampling, 1, OWN_MEAN)
+    rate, variance = _halves(view, sharp, fields, like.spp, sampling.seed, OWN_MEAN, progress)
     return replace(like, rate=rate, variance=variance)
 
 
-def _fixed_picture(view: View, sampling: Sampling, progress: Progress) -> LensPicture:
-    """The lens picture with a given number of samples per pixel and stop."""
-    assert sampling.spp != "auto"
-    counts = (sampling.spp,) * len(view.camera.stops)
-    rate, variance, spp, field = _halves(view, counts, sampling.seed, LENS, progress)
-    return LensPicture(rate, variance, spp, field, {"spp": spp[0]})
+def irradiance(view: View, sampling: Sampling, index: int, stream: int = SHARP) -> Any:
+    """One of the two irradiance fields of the lens picture, one for each of its halves."""
+    spp = FIELD_SPP if sampling.spp == "auto" else max(1, sampling.spp // 2)
+    seed = picture_seed(sampling.seed, index, stream)
+    return passes.irradiance_field(view.world.scene, view.camera, view.spectrum, view.reach_px, spp, seed)
 
 
 def _halves(
-    view: View, spp: tuple[int, ...], seed: int, stream: int, progress: Progress
-) -> tuple[FloatArray, FloatArray | None, tuple[int, ...], Any]:
-    """Mean of two independent pictures that share ``spp[stop]`` samples, its variance, actual samples, irradiance.
+    view: View,
+    sharp: SharpPictures,
+    fields: tuple[Any, Any],
+    spp: NDArray[np.int64],
+    seed: int,
+    stream: int,
+    progress: Progress,
+) -> tuple[FloatArray, FloatArray | None]:
+    """Mean of two independent pictures that share ``spp`` samples, and its variance.
 
     One sample per pixel cannot be halved: its variance is None.
     """
-    parts = [tuple(n - n // 2 for n in spp), tuple(n // 2 for n in spp)] if min(spp) > 1 else [spp]
-    counts = [tuple(passes.sample_count(n) for n in part) for part in parts]
+    parts = [spp - spp // 2, spp // 2] if spp.min() > 1 else [spp]
     pictures = [
-        stop_pictures(view, part, picture_seed(seed, index, stream), progress, f", part {index + 1} of {len(parts)}")
-        for index, part in enumerate(counts)
+        stop_pictures(
+            view, sharp, field, part, picture_seed(seed, index, stream), progress, f", part {index + 1} of {len(parts)}"
+        )
+        for index, (part, field) in enumerate(zip(parts, fields, strict=False))
     ]
     if len(pictures) == 1:
-        return pictures[0].rate.sum(axis=0), None, counts[0], pictures[0].field
-    pair = rendering_noise.Pair((counts[0], counts[1]), pictures[0].rate, pictures[1].rate)
-    mean = rendering_noise.measured([pair])
-    return mean.rate, mean.variance.sum(axis=0), mean.spp, pictures[1].field
+        rate = pictures[0].rate - pictures[0].variate
+        return _glared(view.camera, rate, np.zeros_like(rate))[0], None
+    mean = rendering_noise.measured([(pictures[0], pictures[1])])
+    return _glared(view.camera, mean.rate, mean.variance)
+
+
+def _glared(camera: Camera, rate: FloatArray, variance: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Sum over stops of pictures with their glare, and of their variances.
+
+    Glare spreads a share of the light widely: its noise is that of a mean over many pixels.
+    """
+    pairs = list(zip(rate, variance, camera.stops, strict=True))
+    # Where few samples leave more noise than light, the control variate may take away more than there is.
+    together = sum(passes.with_glare(np.maximum(part, 0.0), camera, stop) for part, _, stop in pairs)
+    return np.asarray(together), np.asarray(sum((1 - stop.glare_share) ** 2 * part for _, part, stop in pairs))
 
 
 def picture_seed(seed: int, index: int, stream: int = LENS) -> int:
@@ -141,60 +171,65 @@ def picture_seed(seed: int, index: int, stream: int = LENS) -> int:
     return int(np.random.SeedSequence((seed, index, stream)).generate_state(1)[0])
 
 
-def stop_pictures(view: View, spp: tuple[int, ...], seed: int, progress: Progress, label: str = "") -> StopPictures:
-    """One picture through each stop with ``spp[stop]`` samples per pixel, and the irradiance that they share."""
-    field = passes.irradiance_field(view.world.scene, view.camera, view.spectrum, view.reach_px, max(spp), seed)
+def stop_pictures(
+    view: View, sharp: SharpPictures, field: Any, spp: NDArray[np.int64], seed: int, progress: Progress, label: str = ""
+) -> Picture:
+    """One picture through each stop, before glare."""
     pictures = [
-        _through(
-            view,
+        passes.stop_ratios(
+            view.world.scene,
+            view.camera,
             stop,
-            passes.Sampling(count, seed, partial(progress, f"rendering through stop '{stop.name}'{label}")),
-            field,
+            passes.Sampling(
+                counts if counts.size > 1 else int(counts[0, 0]),
+                seed,
+                partial(progress, f"rendering through stop '{stop.name}'{label}"),
+            ),
+            diffraction=view.diffraction,
+            max_blur_px=view.reach_px,
+            illuminant=view.illuminant,
+            field=field,
+            control=control,
         )
-        for stop, count in zip(view.camera.stops, spp, strict=True)
+        for stop, counts, control in zip(view.camera.stops, spp, sharp.controls, strict=True)
     ]
     for picture in pictures:
-        check_finite(view.scene, picture, view.objects_at)
-    return StopPictures(np.stack(pictures), field)
-
-
-def _through(view: View, stop: Stop, sampling: passes.Sampling, field: Any, *, in_focus: bool = False) -> FloatArray:
-    """Mean electrons per second of a view through one stop, [h, w, channel]; see :func:`passes.stop_pass`."""
-    return passes.stop_pass(
-        view.world.scene,
-        view.camera,
-        stop,
-        sampling,
-        diffraction=view.diffraction,
-        max_blur_px=view.reach_px,
-        illuminant=view.illuminant,
-        field=field,
-        in_focus=in_focus,
+        check_finite(view.scene, picture.value, view.objects_at)
+    return Picture(
+        spp, np.stack([picture.value for picture in pictures]), np.stack([picture.variate for picture in pictures])
     )
 
 
-def _adaptive_picture(view: View, sampling: Sampling, exposure: Exposure, progress: Progress) -> LensPicture:
+def _adaptive_picture(
+    view: View,
+    sharp: SharpPictures,
+    fields: tuple[Any, Any],
+    sampling: Sampling,
+    exposure: Exposure,
+    progress: Progress,
+) -> LensPicture:
     """The lens picture with rendering noise below a share of the sensor's temporal noise by its data sheet."""
     camera = view.camera
 
-    def picture(index: int, spp: tuple[int, ...]) -> StopPictures:
-        seed = picture_seed(sampling.seed, index)
-        spp = tuple(passes.sample_count(count) for count in spp)
-        return stop_pictures(view, spp, seed, progress, f", picture {index + 1} of {max(spp)} samples")
+    def picture(index: int, spp: NDArray[np.int64]) -> Picture:
+        label = f", picture {index + 1}"
+        return stop_pictures(view, sharp, fields[index % 2], spp, picture_seed(sampling.seed, index), progress, label)
 
     result = render_to_noise_target(
         picture,
         lambda rate: sensor_variance(rate, camera, exposure),
-        stops=len(camera.stops),
+        shape=(len(camera.stops), camera.sensor.height_px, camera.sensor.width_px),
         target=sampling.noise_share,
         percentile=sampling.noise_at,
     )
+    rate, variance = _glared(camera, result.measured.rate, result.measured.variance)
+    mean_spp = result.measured.spp.mean(axis=(1, 2)).round(2)
     described = {
-        "spp": dict(zip((stop.name for stop in camera.stops), result.spp, strict=True)),
+        "spp": dict(zip((stop.name for stop in camera.stops), mean_spp.tolist(), strict=True)),
         "rendering_noise_share_wanted": sampling.noise_share,
         "rendering_noise_at": sampling.noise_at,
     }
-    return LensPicture(result.rate, result.variance, result.spp, result.field, described)
+    return LensPicture(rate, variance, result.measured.spp, described)
 
 
 def sensor_variance(rate: FloatArray, camera: Camera, exposure: Exposure) -> FloatArray:
@@ -203,31 +238,57 @@ def sensor_variance(rate: FloatArray, camera: Camera, exposure: Exposure) -> Flo
     return noise.temporal_variance(camera.sensor, time_s, exposure.gain).at(rate * time_s) / time_s**2
 
 
-def focus_picture(view: View, sharp: FloatArray, field: Any, seed: int, progress: Progress) -> FloatArray:
+def focus_picture(view: View, sharp: SharpPictures, seed: int, progress: Progress) -> FloatArray:
     """What the open lens would show with every depth in focus, mean electrons per second [h, w, channel].
 
-    Of a lens without diffraction, aberrations and glare that is the picture through a pinhole, ``sharp``.
+    Of a lens without diffraction, aberrations and glare that is the picture through a pinhole.
     """
     perfect = wavefront.is_perfect(view.camera.lens)
     if view.diffraction == "off" and perfect and not any(stop.glare_share for stop in view.camera.stops):
-        return sharp
+        return sharp.rate
     seed = picture_seed(seed, 0, IN_FOCUS)
-    rate = np.zeros_like(sharp)
-    for stop in view.camera.stops:
-        sampling = passes.Sampling(FOCUS_SPP, seed, partial(progress, f"rendering in focus, stop '{stop.name}'"))
-        rate += _through(view, stop, sampling, field, in_focus=True)
+    scene, camera, reach_px = view.world.scene, view.camera, view.reach_px
+    rate = np.zeros_like(sharp.rate)
+    for stop in camera.stops:
+        rate += passes.stop_pass(
+            scene,
+            camera,
+            stop,
+            passes.Sampling(FOCUS_SPP, seed, partial(progress, f"rendering in focus, stop '{stop.name}'")),
+            diffraction=view.diffraction,
+            max_blur_px=reach_px,
+            illuminant=view.illuminant,
+            field=sharp.field,
+            in_focus=True,
+            control=passes.control_of(
+                scene, camera, stop, sharp.fine, max_blur_px=reach_px, field=sharp.field, in_focus=True
+            ),
+        )
     check_finite(view.scene, rate, view.objects_at)
     return rate
 
 
-def sharp_pictures(view: View, field: Any, seed: int, progress: Progress) -> SharpPictures:
-    """Render through a pinhole, for the camera and its Bayer twin in one pass."""
+def sharp_pictures(view: View, sampling: Sampling, progress: Progress) -> SharpPictures:
+    """Render through a pinhole, for the camera and its Bayer twin in one pass, and prepare the control variates."""
     twin = cameras.load_camera(TWIN)
-    sampling = passes.Sampling(SHARP_SPP, seed, partial(progress, "rendering the pinhole picture"))
-    both = passes.pinhole_pass(view.world.scene, view.camera, sampling, field, also=twin)
-    check_finite(view.scene, both, view.objects_at)
-    rate, twin_rate = np.split(both, [len(cameras.channels(view.camera.sensor))], axis=-1)
-    return SharpPictures(rate, twin_rate, twin)
+    scene, camera = view.world.scene, view.camera
+    seed, report = picture_seed(sampling.seed, 0, SHARP), partial(progress, "rendering the pinhole picture")
+    field = irradiance(view, sampling, 0)
+    fine = passes.sharp_pass(
+        scene,
+        camera,
+        passes.Sampling(SHARP_SPP, seed, report),
+        field,
+        twin,
+        diffraction=view.diffraction,
+        max_blur_px=view.reach_px,
+    )
+    check_finite(view.scene, fine.rate, view.objects_at)
+    controls = [
+        passes.control_of(scene, camera, stop, fine, max_blur_px=view.reach_px, field=field) for stop in camera.stops
+    ]
+    rate, twin_rate = np.split(fine.rate, [len(cameras.channels(camera.sensor))], axis=-1)
+    return SharpPictures(rate, twin_rate, twin, field, controls, fine)
 
 
 def exposure_time_s(rate: FloatArray, camera: Camera, exposure: Exposure) -> float:

@@ -5,6 +5,10 @@ Half the difference of a pair has the noise of its mean, whatever makes it: the 
 wavelengths, lamps, the irradiance field, and the ratio estimators of wave optics and of layers. No formula of the
 variance is needed, and none is assumed.
 
+Beside each picture S goes its control variate T, whose expectation is 0 (:mod:`dasim.render.control_variate`): S - b T
+has the expectation of S for every factor b that does not depend on the samples of the pixel. The best factor,
+cov(S, T) / var(T), comes from the differences of the pairs at the pixels around it.
+
 Tested in tests/dasim/simulation/test_adaptive_sampling.py.
 """
 
@@ -14,6 +18,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import ndimage
 
 from dasim.typing import FloatArray
@@ -22,37 +27,57 @@ from dasim.typing import FloatArray
 # the mean over a window of this width has 25, and a standard deviation that is known to 14 %.
 WINDOW_PX = 5
 PERCENTILES = (50.0, 95.0, 99.5)  # of the pixels, at which the share of the sensor's noise is stated
+MOST_FACTOR = 1.5  # of the control variate
 
 
-class Pair(NamedTuple):
-    """Two independent pictures of a view, through each stop."""
+class Picture(NamedTuple):
+    """A picture of a view through each stop."""
 
-    spp: tuple[tuple[int, ...], tuple[int, ...]]  # samples per pixel of each stop, of the first and of the second
-    first: FloatArray  # [stop, h, w, channel] mean electrons per second
-    second: FloatArray
+    spp: NDArray[np.int64]  # [stop, h, w] or [stop, 1, 1] samples per pixel of each stop
+    rate: FloatArray  # [stop, h, w, channel] mean electrons per second
+    variate: FloatArray  # the control variate
 
 
 class Measured(NamedTuple):
-    """The mean of pairs of pictures, and its variance."""
+    """The mean of pictures, and its variance."""
 
-    rate: FloatArray  # [h, w, channel] mean electrons per second of all stops together
-    variance: FloatArray  # [stop, h, w, channel] of each stop's part of ``rate``
-    spp: tuple[int, ...]  # samples per pixel of all pictures together, per stop
+    rate: FloatArray  # [stop, h, w, channel] mean electrons per second through each stop
+    variance: FloatArray  # [stop, h, w, channel] of ``rate``, mean over ``WINDOW_PX``
+    around: FloatArray  # the same from the pixels around each, without its own
+    spp: NDArray[np.int64]  # [stop, h, w] or [stop, 1, 1] samples per pixel of all pictures together
 
 
-def measured(pairs: Sequence[Pair]) -> Measured:
-    """The mean of all pictures, weighted by their samples, and its variance.
+def measured(pairs: Sequence[tuple[Picture, Picture]]) -> Measured:
+    """The mean of all pictures, weighted by their samples, with the best factor of the control variate; its variance.
 
     Two pictures a, b of m and n samples have the mean (m a + n b) / (m + n), whose variance is the expectation of
     (a - b)^2 m n / (m + n)^2. It is averaged over ``WINDOW_PX``.
     """
-    spp = np.array([pair.spp for pair in pairs], dtype=float)[..., None, None, None]  # [pair, 2, stop, 1, 1, 1]
-    total = spp.sum(axis=(0, 1))
-    rate = sum((s[0] * pair.first + s[1] * pair.second) / total for s, pair in zip(spp, pairs, strict=True))
-    squares = sum(s[0] * s[1] * ((p.first - p.second) / total) ** 2 for s, p in zip(spp, pairs, strict=True))
-    window = (1, WINDOW_PX, WINDOW_PX, 1)
-    variance = np.maximum(ndimage.uniform_filter(np.asarray(squares), window), 0.0)
-    return Measured(np.asarray(rate).sum(axis=0), variance, tuple(int(n) for n in total.ravel()))
+    total = np.asarray(sum(first.spp + second.spp for first, second in pairs))
+    weight = np.maximum(total, 1)[..., None]
+    shape = np.broadcast_shapes(pairs[0][0].rate.shape, weight.shape)
+    rate, variate, square, cross, variate_square = (np.zeros(shape) for _ in range(5))
+    for first, second in pairs:
+        a, b = first.spp[..., None] / weight, second.spp[..., None] / weight
+        rate += a * first.rate + b * second.rate
+        variate += a * first.variate + b * second.variate
+        difference, other = first.rate - second.rate, first.variate - second.variate
+        square += a * b * difference**2
+        cross += a * b * difference * other
+        variate_square += a * b * other**2
+    above, below = around(cross), around(variate_square)
+    factor = np.clip(np.divide(above, below, out=np.zeros(shape), where=below > 0), 0.0, MOST_FACTOR)
+    left = square - 2 * factor * cross + factor**2 * variate_square
+    variance = np.maximum(ndimage.uniform_filter(left, (1, WINDOW_PX, WINDOW_PX, 1)), 0.0)
+    return Measured(rate - factor * variate, variance, np.maximum(around(left), 0.0), total)
+
+
+def around(values: FloatArray) -> FloatArray:
+    """Mean over a window of ``WINDOW_PX`` without its middle and within the frame, [stop, h, w, channel]."""
+    window = (WINDOW_PX, WINDOW_PX)
+    inside = ndimage.uniform_filter(np.ones(values.shape[1:3]), window, mode="constant") * WINDOW_PX**2 - 1
+    total = ndimage.uniform_filter(values, (1, *window, 1), mode="constant") * WINDOW_PX**2 - values
+    return np.asarray(total / np.maximum(inside, 1)[..., None])
 
 
 def share(variance: FloatArray, sensor_variance: FloatArray) -> FloatArray:

@@ -113,10 +113,10 @@ def sensor_light(
     sampling = Sampling(spp, noise_share, noise_at, seed)
     try:
         view = prepare(scene, camera, diffraction, variant, progress)
-        lens = rendering.lens_picture(view, sampling, exposure or Exposure(), progress)
-        mean = rendering.independent_picture(view, lens, seed, progress) if independent_mean else lens
-        sharp = rendering.sharp_pictures(view, lens.field, seed, progress)
-        focus = rendering.focus_picture(view, sharp.rate, lens.field, seed, progress)
+        sharp = rendering.sharp_pictures(view, sampling, progress)
+        lens = rendering.lens_picture(view, sharp, sampling, exposure or Exposure(), progress)
+        mean = rendering.independent_picture(view, sharp, lens, sampling, progress) if independent_mean else lens
+        focus = rendering.focus_picture(view, sharp, seed, progress)
     except RuntimeError as error:  # Mitsuba's
         if isinstance(scene, MitsubaScene):
             raise render_error(scene, error) from None

@@ -6,6 +6,7 @@ from validation.claims.cost.compilation import compiled_kernels
 from validation.claims.cost.cycles import against_cycles
 from validation.claims.cost.datasets import dataset_speed
 from validation.claims.cost.exposure import exposure
+from validation.claims.cost.fewer_rays import fewer_rays
 from validation.claims.cost.reconstruction import recon_speed
 from validation.claims.cost.sampling import desk_noise, noise_slope_off, noise_slope_wave, render_cost
 from validation.claims.cost.scenes import interreflection, registration, scenes_speed
@@ -62,6 +63,7 @@ CLAIMS = {
     "airy-table": Measurement(airy_table, quick=True),
     "noise-slope-off": Measurement(noise_slope_off, quick=False),
     "noise-slope-wave": Measurement(noise_slope_wave, quick=False),
+    "fewer-rays": Measurement(fewer_rays, quick=False),
     "desk-noise": Measurement(desk_noise, quick=False),
     "render-cost": Measurement(render_cost, quick=False, alone=True),
     "against-cycles": Measurement(against_cycles, quick=False, alone=True),

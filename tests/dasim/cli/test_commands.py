@@ -107,7 +107,8 @@ def refused(here, capfd):
         before = tree(here, cache_dir())
         capfd.readouterr()
         with pytest.MonkeyPatch.context() as patch:
-            patch.setattr("dasim.render.passes.stop_pass", begun)
+            patch.setattr("dasim.render.passes.stop_ratios", begun)
+            patch.setattr("dasim.render.passes.sharp_pass", begun)
             patch.setattr("dasim.camera.pointspread.pixel_kernels", begun)
             status = run(list(arguments))
         printed = capfd.readouterr()

@@ -64,7 +64,8 @@ def test_weights_average_one(jit, da_mobile, name):
     first, second = (mi.Point2f(rng.random((2, COUNT), dtype=np.float32)) for _ in range(2))
     limit = RINGS if pointspread.is_radial(camera, camera.stops[0]) else PATTERNS
     for blur_px in (0.0, 1.13, -1.13, -7.0, 7.5):
-        rho, delta, drawn = blur.draw(first, second, mi.Float(dr.full(mi.Float, blur_px, COUNT)), mi.UInt32(3))
+        expected = mi.Float(dr.full(mi.Float, blur_px, COUNT))
+        rho, delta, drawn, *_ = blur.draw(first, second, expected, mi.Vector2f(0.0), mi.UInt32(3))
         u = -delta - rho * (blur_px / 2)
         weight = (
             drawn * blur.weights(u, mi.Float(blur_px), mi.Vector2f(0.0), [mi.Float(wavelength.astype(np.float32))])[0]

@@ -71,7 +71,7 @@ def test_weights_average_one(jit, camera_of, shape):
     limit = RINGS if shape in ("annulus", "displaced disc", "displaced ring") else PATTERNS
     for blur_px, expected_px in ((0.0, 0.0), (1.13, 1.13), (-8.0, -8.0), (12.0, 12.0), (3.07, 6.0), (12.0, 0.0)):
         expected = mi.Float(dr.full(mi.Float, expected_px, COUNT))
-        rho, delta, drawn = blur.draw(first, second, expected, mi.UInt32(3))
+        rho, delta, drawn, *_ = blur.draw(first, second, expected, mi.Vector2f(0.0), mi.UInt32(3))
         u = -delta - rho * (blur_px / 2)
         weight = (
             drawn * blur.weights(u, mi.Float(blur_px), mi.Vector2f(0.0), [mi.Float(wavelength.astype(np.float32))])[0]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from dasim.simulation.rendering_noise import PERCENTILES, Pair, measured, share, shares_at
+from dasim.simulation.rendering_noise import PERCENTILES, Picture, measured, share, shares_at
 
 SHAPE = (2, 120, 160, 3)  # 19,200 pixels: the mean of their squares is known to 1 %
 KNOWN = 0.03
@@ -14,8 +14,12 @@ KNOWN = 0.03
 def pair(random, sd, spp):
     """Two pictures of light 10, whose noise falls as samples ** -0.5; ``sd`` is that of one sample, by stop."""
     sd = np.asarray(sd)[:, None, None, None]
-    first, second = (10 + sd / np.sqrt(n) * random.standard_normal(SHAPE) for n in spp)
-    return Pair(((spp[0],) * 2, (spp[1],) * 2), first, second)
+    rates = [10 + sd / np.sqrt(n) * random.standard_normal(SHAPE) for n in spp]
+    return tuple(picture(n, rate) for n, rate in zip(spp, rates, strict=True))
+
+
+def picture(spp, rate, variate=None):
+    return Picture(np.full((SHAPE[0], 1, 1), spp), rate, np.zeros(SHAPE) if variate is None else variate)
 
 
 @pytest.mark.parametrize("spp", [[(32, 32)], [(3, 2)], [(16, 16), (40, 40), (64, 32)]])
@@ -24,9 +28,9 @@ def test_the_variance_is_that_of_the_mean(spp):
     random = np.random.default_rng(5)
     found = measured([pair(random, (1.0, 2.0), counts) for counts in spp])
     total = sum(map(sum, spp))
-    assert found.spp == (total, total)
+    np.testing.assert_array_equal(found.spp.ravel(), (total, total))
     np.testing.assert_allclose(found.variance.mean(axis=(1, 2)).T, np.tile([1 / total, 4 / total], (3, 1)), rtol=KNOWN)
-    np.testing.assert_allclose(np.mean((found.rate - 20) ** 2, axis=(0, 1)), 5 / total, rtol=KNOWN)
+    np.testing.assert_allclose(np.mean((found.rate.sum(axis=0) - 20) ** 2, axis=(0, 1)), 5 / total, rtol=KNOWN)
 
 
 def test_the_map_follows_the_noise_from_place_to_place():
@@ -34,10 +38,27 @@ def test_the_map_follows_the_noise_from_place_to_place():
     random = np.random.default_rng(6)
     even = pair(random, (1.0, 1.0), (8, 8))
     scale = np.where(np.arange(SHAPE[2]) < 80, 1.0, 3.0)[:, None]
-    found = measured([Pair(even.spp, 10 + scale * (even.first - 10), 10 + scale * (even.second - 10))])
+    found = measured([tuple(picture(8, 10 + scale * (each.rate - 10)) for each in even)])
     left, right = (found.variance[:, :, part].mean() for part in (slice(0, 78), slice(82, None)))
     assert right / left == pytest.approx(9.0, rel=KNOWN)
     assert found.variance[:, :, :78].std() / left == pytest.approx(np.sqrt(2 / 25), rel=0.15), "25 degrees of freedom"
+
+
+def test_the_variate_takes_out_what_it_shares_with_the_picture():
+    """Set-up: noise of 1 beside noise of 3 that the variate repeats with the factor 1.25. Expectation: what is left is
+    the noise of 1, and its stated variance; the mean stays 10.
+    """
+    random = np.random.default_rng(7)
+
+    def one():
+        shared = 3 * random.standard_normal(SHAPE)
+        return picture(1, 10 + random.standard_normal(SHAPE) + shared, 1.25 * shared)
+
+    found = measured([(one(), one())])
+    expected = 0.5 * (1 + 1 / 23)  # the factor comes from 24 pixels, each of one degree of freedom
+    assert found.variance.mean() == pytest.approx(expected, rel=KNOWN)
+    assert np.mean((found.rate - 10) ** 2) == pytest.approx(expected, rel=KNOWN)
+    assert found.rate.mean() == pytest.approx(10.0, abs=4 * np.sqrt(0.5 / found.rate.size))
 
 
 def test_shares_are_percentiles_of_standard_deviations():

@@ -326,15 +326,15 @@ def test_infrared_half_a_pixel_off_fails(renderer, monkeypatch, shift_px):
 
     from dasim.render import passes
 
-    true = passes.stop_pass
+    true = passes.stop_ratios
 
     def moved(loaded, camera_, stop, *arguments, **options):
         picture = true(loaded, camera_, stop, *arguments, **options)
         if stop.name != camera_.stops[-1].name or shift_px == 0:
             return picture
-        return ndimage.shift(picture, (0, shift_px, 0), order=1, mode="nearest")
+        return type(picture)(*(ndimage.shift(part, (0, shift_px, 0), order=1, mode="nearest") for part in picture))
 
-    monkeypatch.setattr(passes, "stop_pass", moved)
+    monkeypatch.setattr(passes, "stop_ratios", moved)
     monkeypatch.setattr(scenes, "GRID_BLURS_PX", (0.0,))
     results = {
         entry.id.removeprefix("registration.blur-0."): entry.passed

@@ -22,9 +22,13 @@ def failed(figures) -> set[str]:
 
 @pytest.fixture
 def measured(jit, monkeypatch):
-    """Function that measures the claim at a size that a test affords."""
+    """Function that measures the claim at a size that a test affords.
+
+    With eight samples per pixel: with two, the control variate leaves some pixels so close to zero that the rounding of
+    single precision is a large part of them.
+    """
     monkeypatch.setattr(exposure, "SIZE_PX", (64, 48))
-    monkeypatch.setattr(exposure, "SPP", 2)
+    monkeypatch.setattr(exposure, "SPP", 8)
     return lambda: failed(exposure.exposure(lambda share: None).figures)
 
 

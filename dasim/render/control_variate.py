@@ -1,0 +1,231 @@
+"""A control variate for pictures through the lens: the picture through a pinhole, blurred without rays.
+
+Nearly all noise of a textured surface comes from the texel that a ray meets. Let s be a pinhole's picture of the
+surroundings of a pixel, w the place in the blur for which a ray was drawn, with density q, and h the kernel at the
+ray's wavelengths of a surface at one depth. Then, with C the sum over wavelengths of response x light x h(w) / q(w),
+
+    f = C (s(x - w) - F) / sum of C,    F = mean of s over the pixel, blurred by K, the mean of h over the wavelengths,
+
+has the mean 0, and follows what the ray contributes where the depth is about that of the surface and s about the
+picture. The estimate less the sum of f over the pixel's rays has the same expectation, whatever the rays meet, and less
+noise. (Both are ratios of sums, whose bias falls as 1 / samples.) Neither s nor the depth need be right for that, but F
+must belong to them: f reads s linearly between its nodes, and F is the integral of just that. s comes from other rays
+than those it is compared with.
+
+The depth is that which the middle of the pixel sees, rounded to one of a few levels of blur, so that F is a convolution
+per level.
+
+Tested in tests/dasim/render/test_control_variate.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage, signal
+
+from dasim.camera.specification import Camera, principal_point
+from dasim.render.plugin import tensor
+from dasim.typing import FloatArray
+
+CELLS, FEWER_CELLS = 4, 2  # nodes of s per pixel, along each axis, even; fewer in large frames
+LARGE_FRAME_PX = 600_000
+LEVEL_STEP_PX, LEVEL_SHARE = 0.5, 0.04  # between levels of blur: the larger of a length and a share of the blur
+FINE_BLUR_PX = 6.0  # blur of the stop up to which F is integrated at half pixels, and beyond at pixels
+TAIL_RINGS = 16.0  # K ends this many lambda N beyond the geometric blur
+RADIUS_STEP_PX = 0.05  # of the table of K
+
+
+@dataclass(frozen=True)
+class Fine:
+    """A pinhole's picture of a frame and a margin around it, on a grid finer than the pixels."""
+
+    cells: int  # nodes per pixel, along each axis
+    ratio: NDArray[np.float32]  # [y, x, channel] radiance over the lights' spectrum, as the channel weights it
+    margin_px: int
+
+
+def cells_of(camera: Camera) -> int:
+    """Nodes per pixel and axis for the frame of a camera."""
+    return CELLS if camera.sensor.width_px * camera.sensor.height_px <= LARGE_FRAME_PX else FEWER_CELLS
+
+
+def finer(camera: Camera, margin_px: int) -> Camera:
+    """A camera whose pixels are the nodes of :class:`Fine`: those of the frame and of a margin."""
+    sensor, cells = camera.sensor, cells_of(camera)
+    size = {side: cells * (getattr(sensor, side) + 2 * margin_px) for side in ("width_px", "height_px")}
+    x, y = principal_point(sensor)
+    place = {"principal_point_px": (cells * (x + margin_px), cells * (y + margin_px))}
+    changes = size | place | {"pixel_pitch_um": sensor.pixel_pitch_um / cells}
+    return camera.model_copy(update={"sensor": sensor.model_copy(update=changes)})
+
+
+@dataclass(frozen=True)
+class Control:
+    """The control variate of a stop."""
+
+    picture: Any  # texture of s, a channel per channel
+    extent: Any  # of the picture in pixels, along x and y
+    margin_px: Any
+    level: Any  # of each pixel of the frame, row by row
+    blur_px: Any  # signed visible blur of each level
+    reach_px: Any  # of its kernel
+    centre: Any  # of the stop, in radii of the lens
+    expected: FloatArray  # F, [pixel, channel]
+
+    def at(self, pixel: Any, place: Any, w: Any) -> tuple[list[Any], Any, Any]:
+        """S at the places w in the blurs of pixels, a value per channel; the level's visible blur, and its reach.
+
+        Args:
+            pixel: number of the pixel in the frame.
+            place: of the ray on the film, in pixels from the frame's corner.
+            w: place in the blur for which the ray was drawn, about the image of the stop's centre, in pixels.
+        """
+        import drjit as dr
+        import mitsuba as mi
+
+        level = dr.gather(mi.UInt32, self.level, pixel)
+        blur = dr.gather(mi.Float, self.blur_px, level)
+        seen = self.picture.eval((place - w + self.centre * (blur / 2) + self.margin_px) / self.extent)
+        return list(seen), blur, dr.gather(mi.Float, self.reach_px, level)
+
+
+def control(
+    fine: Fine,
+    channels: slice,
+    blur_px: FloatArray,
+    outer: float,
+    centre: tuple[float, float],
+    tail_px: float,
+    profiles: Callable[[FloatArray, FloatArray], FloatArray],
+) -> Control:
+    """The control variate of a stop whose kernels are radial about its centre.
+
+    Args:
+        fine: the pinhole's picture.
+        channels: those of the stop in it.
+        blur_px: signed visible blur of the open lens at the middle of each pixel, [h, w].
+        outer: radius of the stop over that of the lens.
+        centre: of the stop, in radii of the lens.
+        tail_px: how far K reaches beyond the geometric blur.
+        profiles: kernels [level, radius, channel] of any scale for visible blurs [level] at radii [radius], in pixels.
+    """
+    import drjit as dr
+    import mitsuba as mi
+
+    number, level = np.unique(_level(blur_px), return_inverse=True)
+    levels = _blur_of(number)
+    reach = outer * np.abs(levels) / 2 + tail_px
+    radius = np.arange(0.0, reach.max() + 2 * RADIUS_STEP_PX, RADIUS_STEP_PX)
+    table = profiles(levels, radius) * (radius[:, None] <= reach[:, None, None])
+    picture = fine.ratio[..., channels]
+    shift = np.multiply.outer(levels / 2, centre)
+    expected = _expected(
+        replace(fine, ratio=picture), level.reshape(blur_px.shape), table, radius, reach, shift, outer * levels
+    )
+    height, width = (extent / fine.cells for extent in picture.shape[:2])
+    return Control(
+        # Without the hardware's interpolation, which has 8 bits.
+        picture=mi.Texture2f(tensor(picture), use_accel=False, wrap_mode=dr.WrapMode.Clamp),
+        extent=mi.Point2f(dr.opaque(mi.Float, width), dr.opaque(mi.Float, height)),
+        margin_px=dr.opaque(mi.Float, fine.margin_px),
+        level=mi.UInt32(level.astype(np.uint32).ravel()),
+        blur_px=mi.Float(levels.astype(np.float32)),
+        reach_px=mi.Float(reach.astype(np.float32)),
+        centre=mi.Point2f(*(dr.opaque(mi.Float, value) for value in centre)),
+        expected=expected,
+    )
+
+
+def _level(blur_px: FloatArray) -> NDArray[np.int64]:
+    """Number of the level of a signed blur: 0 for none, opposite for the other side of the focus."""
+    bend = LEVEL_STEP_PX / LEVEL_SHARE
+    size = np.abs(blur_px)
+    beyond = np.log(np.maximum(size, bend) / bend) / LEVEL_SHARE
+    number = np.round(np.minimum(size, bend) / LEVEL_STEP_PX + beyond)
+    return np.asarray(np.sign(blur_px) * number, dtype=np.int64)
+
+
+def _blur_of(number: NDArray[np.int64]) -> FloatArray:
+    """Signed blur of a level."""
+    bend = LEVEL_STEP_PX / LEVEL_SHARE
+    size = np.abs(number).astype(float)
+    straight = np.minimum(size, bend / LEVEL_STEP_PX)
+    return np.asarray(np.sign(number) * straight * LEVEL_STEP_PX * np.exp(LEVEL_SHARE * (size - straight)))
+
+
+def _expected(
+    fine: Fine,
+    level: NDArray[np.intp],
+    table: FloatArray,
+    radius: FloatArray,
+    reach: FloatArray,
+    shift: FloatArray,
+    blur_px: FloatArray,
+) -> FloatArray:
+    """F for every pixel, [pixel, channel].
+
+    The integral over w is a sum over a grid, exact for kernels without frequencies beyond its own: at half pixels where
+    blur is small, otherwise at pixels, because large blur has no fine frequencies.
+
+    Args:
+        fine: s, with the channels of the stop.
+        level: of each pixel, [h, w].
+        table: K, [level, radius, channel].
+        radius: of the table's nodes, pixels.
+        reach: of each level, pixels.
+        shift: of the image of the stop's centre by blur, [level, (x, y)] pixels.
+        blur_px: of the stop at each level.
+    """
+    most = int(np.ceil(reach.max() + np.abs(shift).max())) + 2
+    spare = max(0, most - fine.margin_px)  # the picture goes on as at its border, as the texture does
+    around = fine.margin_px + spare
+    means = [_pixel_means(channel, fine.cells, spare) for channel in np.moveaxis(fine.ratio, -1, 0)]
+    by_grid = {1: np.stack([part[::2, ::2] for part in means]), 2: np.stack(means)}
+    result = np.zeros((*level.shape, len(means)))
+    for number in range(len(table)):
+        here = level == number
+        rows, columns = (np.flatnonzero(here.any(axis=axis)) for axis in (1, 0))
+        top, bottom, left, right = rows[0], rows[-1] + 1, columns[0], columns[-1] + 1
+        cells = 2 if abs(blur_px[number]) < FINE_BLUR_PX else 1
+        half = int(np.ceil((reach[number] + np.abs(shift[number]).max()) * cells))
+        kernel = _sampled(table[number], radius, half, cells, shift[number])
+        part = by_grid[cells][
+            :,
+            (top + around) * cells - half : (bottom - 1 + around) * cells + half + 1,
+            (left + around) * cells - half : (right - 1 + around) * cells + half + 1,
+        ]
+        blurred = signal.oaconvolve(part, kernel, mode="valid", axes=(1, 2))[:, ::cells, ::cells]
+        inside = here[top:bottom, left:right]
+        result[top:bottom, left:right][inside] = np.moveaxis(blurred, 0, -1)[inside]
+    return result.reshape(-1, len(means))
+
+
+def _pixel_means(picture: NDArray[np.float32], cells: int, spare_px: int) -> NDArray[np.float32]:
+    """Means over a pixel's square of a picture [y, x] that is linear between nodes, at half pixels; even ones are about
+    the middles of pixels. ``spare_px`` are added around it.
+    """
+    # Linear between nodes, the mean over ``cells`` distances about a midpoint has these weights of the nodes there.
+    weights = np.array([0.125, 0.875, *np.ones(cells - 2), 0.875, 0.125]) / cells
+    padded = np.pad(picture, spare_px * cells + 1, mode="edge")
+    for axis in (0, 1):
+        padded = ndimage.correlate1d(padded, weights, axis=axis, mode="nearest")
+    # Result i is about the midpoint of nodes i - 1 and i; the middle of the first pixel is that of cells / 2 - 1 and
+    # cells / 2, which have moved by one.
+    first, step = cells // 2 + 1, cells // 2
+    return np.ascontiguousarray(padded[first : -first + 1 : step, first : -first + 1 : step])
+
+
+def _sampled(profile: FloatArray, radius: FloatArray, half: int, cells: int, shift: FloatArray) -> FloatArray:
+    """The kernel of a profile [radius, channel] on a grid of ``cells`` per pixel, of unit sum, [channel, y, x].
+
+    Its centre lies at - ``shift``, see :meth:`Control.values`.
+    """
+    at = np.arange(-half, half + 1) / cells
+    distance = np.hypot(at[None, :] + shift[0], at[:, None] + shift[1])
+    kernel = np.stack([np.interp(distance, radius, channel, right=0.0) for channel in profile.T])
+    return np.asarray(kernel / kernel.sum(axis=(1, 2), keepdims=True), dtype=np.float32)
