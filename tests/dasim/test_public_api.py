@@ -96,6 +96,7 @@ def _mypy(script: str, folder: Path) -> subprocess.CompletedProcess[str]:
     )
 
 
+@pytest.mark.slow
 def test_a_type_checker_accepts_a_script_and_finds_its_mistakes(tmp_path):
     """Expectation: a correct script passes mypy --strict; swapped arguments and unknown names are errors."""
     done = _mypy(USER_SCRIPT, tmp_path)

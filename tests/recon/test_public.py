@@ -3,6 +3,8 @@
 import subprocess
 import sys
 
+import pytest
+
 import recon
 
 USER_SCRIPT = """
@@ -29,6 +31,7 @@ def test_importing_recon_loads_no_heavy_library():
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stdout.strip() == "[]"
 
 
+@pytest.mark.slow
 def test_a_type_checker_sees_the_types(tmp_path):
     script = tmp_path / "script.py"
     script.write_text(USER_SCRIPT)

@@ -74,6 +74,7 @@ def scored(dataset: Path, *options: str) -> dict:
     return json.loads(Path("s.json").read_text())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("form", ["folders", "webdataset"])
 def test_a_dataset_on_disk_is_scored_in_both_formats(folder, form, capsys):
     """Expectation: a constant map is off by the distance of its level from the wall's, on every pixel of every sample.
@@ -95,6 +96,7 @@ def test_a_dataset_on_disk_is_scored_in_both_formats(folder, form, capsys):
     assert "000000001" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_the_bank_of_a_sample_is_calibrated_from_its_description(folder, monkeypatch):
     """Set-up: no ``--bank``; the calibration has one light, which is enough for these photographs."""
     datasets.make_dataset(spec_file(folder), folder / "set")

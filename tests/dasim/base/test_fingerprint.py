@@ -221,6 +221,7 @@ RUNS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", RUNS)
 def test_all_that_a_run_loads_is_in_the_fingerprint(name, renderer):
     """Expectation: every module of the packages that a process has loaded after a run is in the fingerprint, except for

@@ -128,6 +128,7 @@ def spread_over_bound(blur, side):
     return estimate.std() / least, abs(estimate.mean() - blur) / (estimate.std() / np.sqrt(PATCHES))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("blur", "side"), [(3.0, 31), (6.0, 37), (9.0, 55), (20.0, 121)])
 def test_maximum_likelihood_reaches_the_bound(blur, side):
     """Rationale: a bound is of use only if an estimator reaches it.

@@ -36,6 +36,7 @@ def lands_at(camera: Camera, pinhole_px: float) -> float:
     return float(real[real > 0].min() / pitch_mm)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("per_mm", [BARREL, PINCUSHION])
 def test_sources_land_by_the_inverse(jit, make_scene, da_mobile, lamp, per_mm):
     """Set-up: three small discs in focus, along a row, a column and a diagonal, through `dasim.simulate`.
@@ -65,6 +66,7 @@ def test_sources_land_by_the_inverse(jit, make_scene, da_mobile, lamp, per_mm):
             np.testing.assert_allclose(centroid, away_px * along, atol=limit)
 
 
+@pytest.mark.slow
 def test_truth_of_a_straight_lens_comes_from_the_same_rays(jit, make_scene, da_mobile, lamp):
     """Rationale: two ways to the geometry: Mitsuba's pinhole sensor, and rays of our own.
 

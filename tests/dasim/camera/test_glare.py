@@ -81,6 +81,7 @@ def test_light_is_kept_and_even_pictures_stay_even():
         np.testing.assert_allclose(glare.spread(np.ones((9, 16, 2)), 0.3, radius), 1.0, rtol=ROUNDING)
 
 
+@pytest.mark.slow
 def test_small_source_in_a_capture(da_mobile, make_scene, lamp, jit):
     """Set-up: a bright disc of 2 px before nothing, with and without glare of 10 %, the same random numbers.
 

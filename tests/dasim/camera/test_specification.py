@@ -165,6 +165,7 @@ def test_broken_tables_of_curves_are_refused(tmp_path, table, message_part):
     assert "sensor.quantum_efficiency: file " in message and "c.csv" in message and message_part in message, message
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mosaic", [[["R", "G", "W"], ["B", "IR", "G"]], [["W", "G"] * 4, ["R", "IR"] * 4] * 4])
 def test_curves_of_ones_own_travel_to_the_truth(renderer, tmp_path, mosaic):
     """Set-up: a 3x2 and an 8x8 mosaic with a clear channel W, of our own curves in a CSV file with a comment.

@@ -115,6 +115,7 @@ def test_runs_side_by_side_make_the_same_bytes(spec, reference, tmp_path, rememb
         assert whole(out) == reference
 
 
+@pytest.mark.slow
 def test_workers_that_crash_cost_their_own_sample_alone(spec, reference, tmp_path):
     """Set-up: two processes; the renderer ends its process at the last sample always, and once at the one before."""
     out = tmp_path / "ds"
@@ -145,6 +146,7 @@ def started(spec: Path, out: Path, jobs: str) -> subprocess.Popen:
     while len(list(out.glob("parts/*.tar"))) < 2 and process.poll() is None:
         assert time.monotonic() - begin < START_S
         time.sleep(0.005)
+    assert process.poll() is None, process.communicate(timeout=START_S)[1]
     return process
 
 
@@ -170,6 +172,7 @@ def test_interrupt_ends_the_run_and_it_goes_on(spec, reference, tmp_path):
     assert goes_on(spec, out) == reference
 
 
+@pytest.mark.slow
 def test_killed_run_goes_on(spec, reference, tmp_path):
     out = tmp_path / "ds"
     process = started(spec, out, "2")

@@ -79,6 +79,7 @@ def test_worker_and_node_die_in_the_middle(cluster, tmp_path, renderer):
     assert sums(out) == sums(tmp_path / "local")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["closed", "silent", "variable", "no address", "nobody"])
 def test_address_that_does_not_answer(kind, monkeypatch):
     """Expectation: within ten seconds, a message of one line that says what to do."""

@@ -63,6 +63,7 @@ def test_verify_finds_a_flipped_bit_and_an_extra_file(address, tmp_path):
     assert "train-000001.tar: its checksum differs" in message and "extra: is not part of the dataset" in message
 
 
+@pytest.mark.slow
 def test_command_by_processes_of_their_own(address, tmp_path, capsys):
     """Each process opens the store for itself."""
     out = f"{address}/command"

@@ -424,6 +424,7 @@ def test_every_pixel_sees_something_in_range(renderer, index):
     check_truth(maps.depth_m, maps.object_id, spec)
 
 
+@pytest.mark.slow
 def test_a_rendered_sample_is_well_exposed(renderer):
     """A sample lies within its range, few of its pixels clip, and most are well lit."""
     # Preparing surfaces is what takes time; those with textures are rendered with the bundled scenes.

@@ -121,7 +121,7 @@ def spot(jit, loaded, make_scene, da_mobile, lamp):
     [
         ("spherical", "near", "wave"),
         pytest.param("spherical", "far", "wave", marks=pytest.mark.slow),
-        ("phase step", "focus", "wave"),
+        pytest.param("phase step", "focus", "wave", marks=pytest.mark.slow),
         pytest.param("step and spherical", "near", "wave", marks=pytest.mark.slow),
         pytest.param("coma", "focus", "wave", marks=pytest.mark.slow),
         ("coma", "near", "off"),

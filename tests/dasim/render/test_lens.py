@@ -88,6 +88,7 @@ def test_a_curve_of_zeros_changes_nothing(passes, changed, disc, diffraction):
         np.testing.assert_allclose(*running, atol=0.01)
 
 
+@pytest.mark.slow
 def test_axial_colour_keeps_even_areas(passes, changed, make_scene, loaded, lamp):
     """Expectation: a wall without pattern is as bright with strong axial colour as without, in every channel."""
     wall = {"name": "wall", "shape": "plane", "size_cm": (40, 40), "position_cm": (0, 0, 20), "material": "grey-card"}

@@ -125,11 +125,12 @@ def test_mitsuba_scenes_have_the_spectra_that_their_emitters_have(jit, xml, wide
     np.testing.assert_equal(bool(np.all(total == illuminants.illuminant("F11"))), curves == ["F11"])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "lights",
     [
         pytest.param([dome("D65"), lamp("F11")], id="dome and lamp"),
-        pytest.param([SKY, dome("F11"), lamp("A")], id="sky, dome and lamp", marks=pytest.mark.slow),
+        pytest.param([SKY, dome("F11"), lamp("A")], id="sky, dome and lamp"),
     ],
 )
 def test_light_by_light_adds_up_to_mitsubas_path_tracer(jit, loaded, make_scene, lights):
@@ -170,12 +171,13 @@ def test_light_by_light_adds_up_to_mitsubas_path_tracer(jit, loaded, make_scene,
         assert limit < RESOLVED * theirs.mean()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("first", "second"),
     [
         pytest.param([dome("D65")], [lamp("F11")], id="dome and lamp"),
-        pytest.param([dome("F11")], [SKY], id="dome and sky", marks=pytest.mark.slow),
-        pytest.param([SKY, lamp("D75")], [lamp("F11")], id="sky and lamps", marks=pytest.mark.slow),
+        pytest.param([dome("F11")], [SKY], id="dome and sky"),
+        pytest.param([SKY, lamp("D75")], [lamp("F11")], id="sky and lamps"),
     ],
 )
 def test_pictures_of_lights_add_up(jit, loaded, make_scene, wide, first, second):

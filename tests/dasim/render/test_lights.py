@@ -310,6 +310,7 @@ def test_a_picture_is_its_luminance_in_every_format(tmp_path):
         assert np.abs(image - expected_luminance).max() < tolerance * expected_luminance.max()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["sky", "daylight"])
 def test_ground_outside_the_picture(kind, tmp_path, renderer):
     """Expectation: level ground of reflectance 0.4 under E lux gives 0.4 E to what faces down, the level above it is

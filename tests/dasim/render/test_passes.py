@@ -151,6 +151,7 @@ np.save(sys.argv[2], np.stack(pictures))
 """
 
 
+@pytest.mark.slow
 def test_ray_loop_agrees_with_the_stock_plugins(jit_variant, tmp_path):
     """Rationale: two independent ways to render a pass: our loop over rays, and Mitsuba's thinlens with specfilm.
 

@@ -111,8 +111,8 @@ def spot(jit, loaded, make_scene, camera_of, lamp):
     [
         ("annulus", "near"),
         ("displaced disc", "near"),
-        ("displaced disc", "far"),
-        ("letter L", "near"),
+        pytest.param("displaced disc", "far", marks=pytest.mark.slow),
+        pytest.param("letter L", "near", marks=pytest.mark.slow),
         pytest.param("grey mask", "far", marks=pytest.mark.slow),
     ],
 )

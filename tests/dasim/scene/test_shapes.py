@@ -256,6 +256,7 @@ def test_half_a_million_triangles_load_in_three_seconds(loaded, make_scene, tmp_
     assert time.perf_counter() - start <= 3.0
 
 
+@pytest.mark.slow
 def test_colours_become_a_material_by_the_named_rule_and_the_capture_says_so(make_scene, wide, tmp_path, renderer):
     """Set-up: a blue square under the achromatic rule, beside the rule's own surface of that blue.
 

@@ -94,6 +94,7 @@ def measured(cases, analyse, tmp_path_factory):
     return of
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["da-mobile", "large"])
 def test_reference_analyser_recovers_the_sensor(cases, measured, name):
     """Rationale: the sensor's noise, judged by a tool that shares no line with it.

@@ -25,6 +25,7 @@ def redrawn(shot, sensor_seed):
     return dasim.exposed(dataclasses.replace(shot, capture=other), 1.0, sensor_seed)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("light", ["D65", "energy-saving-3500K"])
 def test_assumed_noise_is_the_spread_between_simulated_frames(light):
     """Rationale: the correction of crosstalk raises the noise of each channel by another factor, and the noise is that

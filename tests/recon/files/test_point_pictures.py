@@ -155,6 +155,7 @@ def anywhere(camera, level, places, exposures, side=60):
             )  # fmt: skip
 
 
+@pytest.mark.slow
 def test_a_source_that_stood_anywhere(tmp_path, camera):
     """Rationale: nobody moves a pinhole by whole pixels.
 

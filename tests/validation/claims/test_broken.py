@@ -195,6 +195,7 @@ def test_three_times_faster_than_cycles_is_less_noise_or_less_time(renderer, mon
     assert failed("against-cycles", evidence) == (set() if good else expected)
 
 
+@pytest.mark.slow
 def test_a_slow_reconstruction_fails(monkeypatch):
     """Set-up: a small frame in the claim's own process, whose clock was read 25 s too early.
 

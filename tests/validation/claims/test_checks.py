@@ -46,6 +46,7 @@ def test_blur_off_by_5_percent_fails(renderer, monkeypatch, factor):
     assert results == [True] * 4 if factor == 1 else not any(results)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("model", ["wave", "off"])
 def test_edges_of_geometry_fail_the_wave_claim(jit, monkeypatch, model):
     """Set-up: one blur, 8 px of the near-infrared's own, fewer samples; rays of wave optics, or of geometry.
@@ -67,6 +68,7 @@ def test_edges_of_geometry_fail_the_wave_claim(jit, monkeypatch, model):
     assert results[3] is (model == "wave")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("good", [True, False])
 def test_weights_by_the_own_depth_of_each_ray_draw_an_edge_in_the_furnace(jit, monkeypatch, good):
     """Set-up: one step of 17 px; layers front to back, or each weighted by its own depth alone, without a rest."""
@@ -83,6 +85,7 @@ def test_weights_by_the_own_depth_of_each_ray_draw_an_edge_in_the_furnace(jit, m
     assert all(verdicts("depth-step-furnace", edges.depth_step_furnace)) is good
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("good", [True, False])
 def test_one_layer_for_all_depths_changes_silhouettes(jit, monkeypatch, good):
     """Set-up: 17 px of blur, fewer seeds; layers as they are, or all rays of a pixel in one layer.
@@ -99,6 +102,7 @@ def test_one_layer_for_all_depths_changes_silhouettes(jit, monkeypatch, good):
     assert entry.passed is good
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("good", [True, False])
 def test_patterns_of_the_axis_fail_in_the_corner(jit, monkeypatch, good):
     """Set-up: infrared in focus in the full frame's corner; the field angle as it is, or ignored."""
@@ -258,7 +262,8 @@ def test_noise_doubled_fails(monkeypatch, factor):
     assert (slope, ratio) == ((True, True) if factor == 1 else (False, False))
 
 
-@pytest.mark.parametrize("good", [pytest.param(True, marks=pytest.mark.slow), False])
+@pytest.mark.slow
+@pytest.mark.parametrize("good", [True, False])
 def test_pattern_of_the_frames_seed_fails(renderer, monkeypatch, good):
     """Set-up: the sensor as it is, or, in smaller frames, with a fixed pattern that is drawn anew for each frame.
 
@@ -319,6 +324,7 @@ def test_a_mirrored_truth_fails(renderer, monkeypatch, flip):
     assert all(verdicts("ground-truth", ground_truth.ground_truth)) is not flip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("shift_px", [0.0, 0.5])
 def test_infrared_half_a_pixel_off_fails(renderer, monkeypatch, shift_px):
     """Set-up: the light that comes through the hole alone moved along x, as a film of its own could be."""
@@ -376,6 +382,7 @@ def test_one_irradiance_field_for_all_spectra_fails(jit, monkeypatch, good, case
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("broken", [None, "reconstruction", "renderer"])
 def test_coatings_that_shift_in_one_of_two_places_fail(renderer, monkeypatch, broken):
     """Set-up: the field of the full frame in few large pixels, without the whole reconstruction; coatings that shift in
@@ -424,6 +431,7 @@ def test_near_infrared_removed_from_red_fails(monkeypatch, good):
     assert [entry.passed for entry in figures] == [good]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("levels", [0, 1])
 def test_the_kernel_of_the_next_level_fails(monkeypatch, levels):
     """Set-up: a bank whose kernels are those of the level asked for, or of the next."""

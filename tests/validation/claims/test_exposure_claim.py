@@ -32,16 +32,19 @@ def measured(jit, monkeypatch):
     return lambda: failed(exposure.exposure(lambda share: None).figures)
 
 
+@pytest.mark.slow
 def test_the_claim_holds(measured):
     assert measured() == set()
 
 
+@pytest.mark.slow
 def test_rates_of_full_precision_are_not_found_again(measured, monkeypatch):
     monkeypatch.setattr("dasim.simulation.simulate.to_precision", np.float32)
     monkeypatch.setattr("dasim.simulation.exposure.to_precision", np.float32)
     assert "time.truth" in measured()
 
 
+@pytest.mark.slow
 def test_light_that_the_full_well_clips_fails(measured, monkeypatch):
     def clipped(shot, where):
         light = whole(shot, where)

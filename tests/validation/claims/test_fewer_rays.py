@@ -32,10 +32,12 @@ def failed(jit, monkeypatch):
     return run
 
 
+@pytest.mark.slow
 def test_the_means_are_the_same(failed):
     assert not [name for name in failed() if name.startswith("bias")]
 
 
+@pytest.mark.slow
 def test_an_expectation_that_is_off_fails(failed, monkeypatch):
     true = rendering.sharp_pictures
 
@@ -48,6 +50,7 @@ def test_an_expectation_that_is_off_fails(failed, monkeypatch):
     assert "bias.p.G" in failed()
 
 
+@pytest.mark.slow
 def test_rays_without_a_control_variate_are_not_fewer(failed, monkeypatch):
     true = rendering.sharp_pictures
     monkeypatch.setattr(rendering, "sharp_pictures", lambda *arguments: fewer_rays._without(true(*arguments)))

@@ -373,6 +373,7 @@ def test_key_depends_on_variant_and_seed():
     assert len(set(keys)) == 3 and stored.key(claim, "x") == keys[0]
 
 
+@pytest.mark.slow
 def test_several_at_once_give_the_same(fakes):
     """Set-up: two processes; one claim that stops. Expectation: order, figures and failures as one after the other."""
     names = ["good", "bad", "free", "absent", "broken"]
