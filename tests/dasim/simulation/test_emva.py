@@ -124,6 +124,7 @@ def test_reference_analyser_recovers_the_sensor(cases, measured, name):
     assert result.u_I_var == pytest.approx(model.dark_current_e_s * warm, rel=DARK_CURRENT_LIMIT)
 
 
+@pytest.mark.slow
 def test_quantum_efficiency_is_that_of_the_pixel_among_its_neighbours(cases, measured):
     """Expectation: green at its peak as the curve says, where nothing leaves a pixel; the infrared pixel of the large
     sensor, at its peak, keeps 88 % of its own electrons and gets 3 % of each neighbour's: red above and below, blue

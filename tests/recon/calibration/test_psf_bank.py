@@ -38,6 +38,7 @@ def test_encircled_energy(level, channel):
         assert np.abs(encircled(measured) - encircled(true / true.sum())).max() < ENERGY_TOLERANCE
 
 
+@pytest.mark.slow
 def test_bank_of_a_window_off_the_axis_has_its_kernels():
     """Set-up: three levels of a camera whose window lies in the corner of the full frame, 31 degrees off the axis.
 

@@ -218,6 +218,7 @@ def checker_under_a(renderer):
     return colour.checker("da-mobile", "A")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("broken", [None, "white balance", "gamma"])
 def test_colours_that_are_wrong_fail(checker_under_a, monkeypatch, broken):
     """Set-up: the ColorChecker under A as da-mobile has it; white balance that always finds daylight, or the display's
