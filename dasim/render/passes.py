@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 
 from dasim.camera import distortion, glare, radiometry, wavefront
-from dasim.camera.rings import at_pixels
 from dasim.camera.specification import Camera, principal_point
 from dasim.camera.stops import Stop, ring
 from dasim.render import control_variate, irradiance, ray_loop, stock, transport
@@ -22,10 +21,10 @@ from dasim.render.control_variate import Control, Fine
 from dasim.render.irradiance import Field
 from dasim.render.ray_loop import Ratios, Sampling
 from dasim.render.wavelengths import pinhole_responses, separate_responses, stop_responses
-from dasim.spectra import grid
 from dasim.typing import FloatArray
 
 MOST_MARGIN_PX = 300.0
+FINE_SPP = 2  # samples per node of the finer grid of a pinhole's picture
 SHARP_MARGIN_PX, MOST_SHARP_MARGIN_PX = 12.0, 60.0  # of the pinhole's picture: beyond the largest blur's half
 
 
@@ -104,12 +103,12 @@ def stop_ratios(
             rate = stock.stop_pass(mitsuba_scene, camera, stop, responses, sampling)
         if diffraction == "airy":
             rate = stock.in_focus_diffraction(rate, camera, stop, illuminant)
-        return Ratios(rate * falloff, np.zeros_like(rate), np.ones_like(rate))
+        return Ratios(rate * falloff, np.zeros_like(rate))
     waves = max_blur_px if diffraction == "wave" else None
     picture = ray_loop.render(
         mitsuba_scene, camera, stop, sampling, waves, field, responses, in_focus=in_focus, control=control
     )
-    return Ratios(picture.value * falloff, picture.variate * falloff, picture.control)
+    return Ratios(picture.value * falloff, picture.variate * falloff)
 
 
 def control_of(
@@ -207,34 +206,17 @@ def sharp_pass(
     diffraction: str,
     max_blur_px: float,
 ) -> Sharp:
-    """The pictures of :func:`pinhole_pass`, and those of each stop on a finer grid with a margin, from the same rays.
-
-    ``sampling`` is that of a pixel; a node of the grid takes its share, one at least.
-    """
+    """The pictures of :func:`pinhole_pass`, and those of each stop on a finer grid with a margin."""
     radial = any(ring(stop) is not None for stop in camera.stops) and wavefront.is_perfect(camera.lens)
     if diffraction != "wave" or not radial:
         return Sharp(pinhole_pass(mitsuba_scene, camera, sampling, field, also), None)
     cells = control_variate.cells_of(camera)
     margin = int(np.ceil(min(max_blur_px / 2 + SHARP_MARGIN_PX, MOST_SHARP_MARGIN_PX)))
     finer = control_variate.finer(camera, margin)
-    assert isinstance(sampling.spp, int)
-    sampling = replace(sampling, spp=max(1, sampling.spp // cells**2))
-    nodes = ray_loop.ratios(mitsuba_scene, finer, None, sampling, None, field, separate_responses(finer, also))
-    border = cells * margin
-    height, width = camera.sensor.height_px, camera.sensor.width_px
-
-    def total(picture: FloatArray) -> FloatArray:
-        """Sum over the nodes of each pixel."""
-        inside = picture[border : len(picture) - border, border : picture.shape[1] - border]
-        return np.asarray(inside.reshape(height, cells, width, cells, -1).sum(axis=(1, 3)))
-
-    # A ratio of few samples is biased: that of a pixel is made of all of its samples.
-    control = total(nodes.control)
-    mean = np.divide(total(nodes.value * nodes.control), control, out=np.zeros_like(control), where=control > 0)
-    responses = separate_responses(camera, also)
-    light = np.ones_like(grid.WAVELENGTH_NM) if field is None else field.light
-    rate = mean * at_pixels(responses.mean_signal(light), responses.place)
-    last = len(camera.stops) * stop_responses(camera, camera.stops[0]).channels
-    whole_lens = rate[..., :last].reshape(height, width, len(camera.stops), -1).sum(axis=2)
-    rate = np.concatenate([whole_lens, rate[..., last:]], axis=-1) * radiometry.relative_illumination(camera)[..., None]
-    return Sharp(rate, Fine(cells, nodes.value[..., :last].astype(np.float32), margin))
+    rate = pinhole_pass(mitsuba_scene, camera, sampling, field, also)
+    # The control variate may have colours that are off, but its noise adds to that of the pictures. The channels of the
+    # other camera move the wavelengths towards visible light, where there are most channels.
+    even = replace(sampling, spp=FINE_SPP, even_wavelengths=True)
+    nodes = ray_loop.ratios(mitsuba_scene, finer, None, even, None, field, separate_responses(finer, also))
+    channels = len(camera.stops) * stop_responses(camera, camera.stops[0]).channels
+    return Sharp(rate, Fine(cells, nodes.value[..., :channels].astype(np.float32), margin))

@@ -47,6 +47,7 @@ class Sampling:
     spp: int | NDArray[np.int32]  # of all pixels, or of each, [h, w]
     seed: int
     progress: ShareDone = lambda share: None
+    even_wavelengths: bool = False  # the same ones for all pixels: no noise, but colours that are a little off
 
     def block_seeds(self, stop: Stop | None) -> Callable[[int], int]:
         """Seed of each block of rows, independent between stops (by their names)."""
@@ -87,11 +88,10 @@ class _Pass:
 
 
 class Ratios(NamedTuple):
-    """A picture, its control variate, whose expectation is 0, and its denominator, [h, w, channel]."""
+    """A picture and its control variate, whose expectation is 0, [h, w, channel]."""
 
     value: FloatArray
     variate: FloatArray  # zeros where there is no control
-    control: FloatArray  # sum of response x light x weight over the rays of each pixel
 
 
 class _Block(NamedTuple):
@@ -179,10 +179,10 @@ def render(
     mean_signal = responses.mean_signal(_light(field))
     if mean_signal.max() <= 0:
         nothing = np.zeros((*responses.place.shape, responses.channels))
-        return Ratios(nothing, nothing, nothing)
+        return Ratios(nothing, nothing)
     picture = ratios(scene, camera, stop, sampling, max_blur_px, field, responses, in_focus=in_focus, control=control)
     signal = at_pixels(mean_signal, responses.place)
-    return Ratios(picture.value * signal, picture.variate * signal, picture.control)
+    return Ratios(picture.value * signal, picture.variate * signal)
 
 
 def ratios(
@@ -200,15 +200,15 @@ def ratios(
     """Electrons over those of a surface of the lights' spectral radiance, see :func:`render`."""
     height, width = camera.sensor.height_px, camera.sensor.width_px
     shared = _prepare(scene, camera, stop, max_blur_px, field, responses, in_focus, control)
-    result, variate, total = np.zeros((3, height * width, responses.channels))
+    result, variate = np.zeros((2, height * width, responses.channels))
     counts = np.broadcast_to(np.asarray(sampling.spp, dtype=np.int64), (height, width)).ravel()
     pixels, seeds, done = np.flatnonzero(counts), sampling.block_seeds(stop), 0
     for number, part in enumerate(_parts(pixels, counts[pixels])):
         block = _block(shared, part, counts[part], seeds(number))
-        result[part], variate[part], total[part] = _trace(shared, block)
+        result[part], variate[part] = _trace(shared, block, sampling.even_wavelengths)
         done += int(counts[part].sum())
         sampling.progress(done / counts.sum())
-    return Ratios(*(part.reshape(height, width, -1) for part in (result, variate, total)))
+    return Ratios(*(part.reshape(height, width, -1) for part in (result, variate)))
 
 
 def _parts(pixels: NDArray[np.intp], counts: NDArray[np.int64]) -> Iterator[NDArray[np.intp]]:
@@ -398,8 +398,8 @@ def _block(shared: _Pass, pixels: NDArray[np.intp], counts: NDArray[np.int64], s
     return _Block(pixels, counts, chunk, pixel, sample, sampler, _corner(pixel, shared.columns), ring, seed)
 
 
-def _trace(shared: _Pass, block: _Block) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Trace the rays of a block; ratio, control variate and denominator, [pixel, channel].
+def _trace(shared: _Pass, block: _Block, even_wavelengths: bool) -> tuple[FloatArray, FloatArray]:
+    """Trace the rays of a block; ratio and control variate, [pixel, channel].
 
     Response x light x weight has a known mean, and dividing by its sampled mean takes out the noise of drawing
     wavelengths and weights.
@@ -411,6 +411,8 @@ def _trace(shared: _Pass, block: _Block) -> tuple[FloatArray, FloatArray, FloatA
     # The first dimensions are the most even: they go to what matters most.
     lens, film, aim_at, direction = (numbers.next_2d() for _ in range(4))
     first, pattern, lobe = numbers.next_1d(), numbers.next_2d(), numbers.next_1d()
+    if even_wavelengths:
+        first = (mi.Float(block.sample) + 0.5) * dr.opaque(mi.Float, 1 / (HERO * int(block.counts.max())))
 
     rays = _aim(shared, block, (lens, film, pattern, first))
     si = shared.scene.ray_intersect(rays.ray, ray_flags=mi.RayFlags.All, coherent=True)
@@ -436,8 +438,7 @@ def _trace(shared: _Pass, block: _Block) -> tuple[FloatArray, FloatArray, FloatA
     # One kernel for all: summing first would trace the rays once per sum.
     dr.eval(*depth_share, *values, *seen, *kernel, *(weighted or ()))
     sums = [block.sums(value) for value in values]
-    control = np.stack(sums[1::2], axis=-1)
-    ratio = _ratio(np.stack(sums[0::2], axis=-1), control)
+    ratio = _ratio(np.stack(sums[0::2], axis=-1), np.stack(sums[1::2], axis=-1))
     if weighted is not None:
         total, near = (block.sums(value) for value in depth_share)
         several = np.flatnonzero(near < ONE_DEPTH_SHARE * total)
@@ -448,7 +449,7 @@ def _trace(shared: _Pass, block: _Block) -> tuple[FloatArray, FloatArray, FloatA
         expected = shared.control.expected[block.pixels]
         totals = [np.stack([block.sums(value) for value in part], axis=-1) for part in (seen, kernel)]
         variate = _ratio(totals[0] - expected * totals[1], totals[1])
-    return ratio, variate, control
+    return ratio, variate
 
 
 def _ratio(signal: FloatArray, control: FloatArray) -> FloatArray:

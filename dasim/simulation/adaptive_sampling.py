@@ -26,7 +26,7 @@ FEWEST_SPP, MOST_SPP = 4, 4096  # samples per pixel and stop of each further pic
 # What they may be: powers of two, which Sobol's numbers cover most evenly, and the middles between them.
 STEPS = np.array(sorted({*(4 << k for k in range(11)), *(12 << k for k in range(9))}))
 MOST_ROUNDS = 4
-SLOPE = 1.1  # variance falls about as samples ** -1.0 to -1.2 (claim control-variate)
+SLOPE = 1.1  # variance falls about as samples ** -1.0 to -1.2 (claim fewer-rays)
 MORE = 1.2  # least factor of a further round
 AIM = 1.0  # of the target, in the first choice of samples
 
