@@ -15,7 +15,7 @@ APT := env DEBIAN_FRONTEND=noninteractive apt-get -q -y -o Acquire::Retries=0 -o
 help:
 	@echo "make demo   the whole chain on a bundled scene; report in out/demo/report.html"
 	@echo "make test   the tests, without the slow ones, on up to four processor cores"
-	@echo "make test-slow   the slow tests, one after the other, since some measure time"
+	@echo "make test-slow   the slow tests, on as many"
 	@echo "make test-lens   the tests of lens prescriptions, with Optiland"
 	@echo "make lint   style, formatting, import contracts, types"
 	@echo "make validate   the quick claims against their limits; report in out/validate/report.html"
@@ -27,7 +27,7 @@ test: test-environment
 	$(BIN)/python -m pytest -n auto --maxprocesses 4 --dist loadfile
 
 test-slow: test-environment
-	$(BIN)/python -m pytest -m slow
+	$(BIN)/python -m pytest -m slow -n auto --maxprocesses 4 --dist loadfile
 
 test-lens: test-environment $(VENV)/.installed-lens
 	$(BIN)/python -m pytest tests/dasim/camera/test_prescription.py

@@ -232,7 +232,7 @@ def test_obj_with_a_material_library_shows_its_colours_and_pictures(tmp_path):
     "name", ["plain.ply", "plain.off", "plain.obj", "coloured.ply", "coloured.glb", "coloured.obj"]
 )
 def test_half_a_million_triangles_load_in_three_seconds(loaded, make_scene, tmp_path, name):
-    """Expectation: reading, checks and Mitsuba's mesh take at most 3 s (measured 0.2 to 2.4 s on 2 cores)."""
+    """Expectation: reading, checks and Mitsuba's mesh take at most 3 processor s (measured 0.2 to 2.4 s on 2 cores)."""
     import time
 
     steps = np.linspace(-5, 5, 501)
@@ -250,10 +250,10 @@ def test_half_a_million_triangles_load_in_three_seconds(loaded, make_scene, tmp_
     look = {"near_infrared": "print"} if name.startswith("coloured") else {"material": "brick"}
     item = {"name": "thing", "shape": "mesh", "file": name, "position_cm": (0, 0, 30)} | look
     scene = make_scene(item, folder=tmp_path)
-    start = time.perf_counter()
+    start = time.process_time()
     scenes.check_clear(scene, 1e-3)
     loaded(scene)
-    assert time.perf_counter() - start <= 3.0
+    assert time.process_time() - start <= 3.0
 
 
 @pytest.mark.slow
