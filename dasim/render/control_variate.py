@@ -134,8 +134,9 @@ def control(
         extent=mi.Point2f(dr.opaque(mi.Float, width), dr.opaque(mi.Float, height)),
         margin_px=dr.opaque(mi.Float, fine.margin_px),
         level=mi.UInt32(level.astype(np.uint32).ravel()),
-        blur_px=mi.Float(levels.astype(np.float32)),
-        reach_px=mi.Float(reach.astype(np.float32)),
+        # Two at least: the compiler reads an array of one number without looking up, which would be another kernel.
+        blur_px=mi.Float(np.append(levels, levels[-1]).astype(np.float32)),
+        reach_px=mi.Float(np.append(reach, reach[-1]).astype(np.float32)),
         centre=mi.Point2f(*(dr.opaque(mi.Float, value) for value in centre)),
         expected=expected,
     )
