@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from dasim.simulation import rendering, rendering_noise
+from dasim.simulation import adaptive_sampling, rendering, rendering_noise
 from validation.claims.light import truth_noise
 from validation.claims.table import CLAIMS
 from validation.gates.limits import GATES, judged_all, load_gates
@@ -50,11 +50,12 @@ def test_a_wrong_variance_or_share_fails(stated, shares):
 @pytest.mark.slow
 @pytest.mark.parametrize("heeded", [True, False])
 def test_auto_that_aims_at_the_median_fails_at_the_percentile(small, monkeypatch, heeded):
+    """Set-up: a share that the pilot alone does not reach."""
+    monkeypatch.setattr(truth_noise, "AUTO_SHARE", 0.4)
     if not heeded:
-        true = rendering_noise.shares_at
-        monkeypatch.setattr(
-            "dasim.simulation.adaptive_sampling.shares_at", lambda ratio, percentiles: true(ratio, [30.0])
-        )
+        true, wanted = rendering_noise.shares_at, adaptive_sampling.wanted_spp
+        monkeypatch.setattr(adaptive_sampling, "shares_at", lambda ratio, percentiles: true(ratio, [30.0]))
+        monkeypatch.setattr(adaptive_sampling, "wanted_spp", lambda *others: wanted(*others[:-1], 30.0))
     options = {"spp": "auto", "noise_share": truth_noise.AUTO_SHARE, "noise_at": 95.0}
     shots = [truth_noise._shot(*small, seed, **options) for seed in range(4)]
     assert bool(failed([truth_noise.auto_figure(95.0, truth_noise.scatter(shots))])) is not heeded
