@@ -224,7 +224,7 @@ def _pixel_means(picture: NDArray[np.float32], cells: int, spare_px: int) -> NDA
 def _sampled(profile: FloatArray, radius: FloatArray, half: int, cells: int, shift: FloatArray) -> FloatArray:
     """The kernel of a profile [radius, channel] on a grid of ``cells`` per pixel, of unit sum, [channel, y, x].
 
-    Its centre lies at - ``shift``, see :meth:`Control.values`.
+    Its centre lies at - ``shift``, see :meth:`Control.at`.
     """
     at = np.arange(-half, half + 1) / cells
     distance = np.hypot(at[None, :] + shift[0], at[:, None] + shift[1])

@@ -28,7 +28,6 @@ STEPS = np.array(sorted({*(4 << k for k in range(11)), *(12 << k for k in range(
 MOST_ROUNDS = 4
 SLOPE = 1.1  # variance falls about as samples ** -1.0 to -1.2 (claim fewer-rays)
 MORE = 1.2  # least factor of a further round
-AIM = 1.0  # of the target, in the first choice of samples
 
 
 @dataclass(frozen=True)
@@ -91,7 +90,7 @@ def wanted_spp(
     variances sum to the limit have n_s in proportion to (v_s N_s^p)^(1 / (p + 1)). The pixels beyond the percentile get
     no more than those at it.
     """
-    limit = (target * AIM) ** 2 * sensor_variance(np.maximum(around(pilot.rate).sum(axis=0), 0.0))
+    limit = target**2 * sensor_variance(np.maximum(around(pilot.rate).sum(axis=0), 0.0))
     part = (pilot.around * pilot.spp[..., None] ** SLOPE) ** (1 / (SLOPE + 1))
     scale = np.divide(part.sum(axis=0), limit, out=np.zeros_like(limit), where=limit > 0) ** (1 / SLOPE)
     wanted = (part * scale).max(axis=-1)
