@@ -103,12 +103,13 @@ def stop_ratios(
             rate = stock.stop_pass(mitsuba_scene, camera, stop, responses, sampling)
         if diffraction == "airy":
             rate = stock.in_focus_diffraction(rate, camera, stop, illuminant)
-        return Ratios(rate * falloff, np.zeros_like(rate))
+        even = np.ones_like(rate, dtype=np.float32)
+        return Ratios(rate * falloff, np.zeros_like(rate), even, even)
     waves = max_blur_px if diffraction == "wave" else None
     picture = ray_loop.render(
         mitsuba_scene, camera, stop, sampling, waves, field, responses, in_focus=in_focus, control=control
     )
-    return Ratios(picture.value * falloff, picture.variate * falloff)
+    return picture._replace(value=picture.value * falloff, variate=picture.variate * falloff)
 
 
 def control_of(

@@ -38,6 +38,7 @@ ONE_DEPTH_SHARE = 0.97  # of the weights of a pixel that sees one depth: tails o
 MOST_SLOPE = 0.5  # of visible blur over the picture, pixels per pixel, that rays are aimed for
 MOST_CHUNK = 16  # rays of a pixel that are summed at once
 HERO = 4  # wavelengths per ray
+_STARTS = (0.0, np.float64), (0.0, np.float64), (1.0, np.float32), (1.0, np.float32)  # of :class:`Ratios`
 
 
 @dataclass(frozen=True)
@@ -88,10 +89,16 @@ class _Pass:
 
 
 class Ratios(NamedTuple):
-    """A picture and its control variate, whose expectation is 0, [h, w, channel]."""
+    """A picture and its control variate, whose expectation is 0, [h, w, channel].
+
+    Both are ratios of sums over the rays, whose bias :func:`dasim.simulation.rendering_noise.measured` takes out by the
+    denominators.
+    """
 
     value: FloatArray
     variate: FloatArray  # zeros where there is no control
+    light: NDArray[np.float32]  # denominator of ``value`` over its expectation; 1 where layers are joined
+    variate_light: NDArray[np.float32]  # of ``variate``
 
 
 class _Block(NamedTuple):
@@ -179,10 +186,11 @@ def render(
     mean_signal = responses.mean_signal(_light(field))
     if mean_signal.max() <= 0:
         nothing = np.zeros((*responses.place.shape, responses.channels))
-        return Ratios(nothing, nothing)
+        even = np.ones_like(nothing, dtype=np.float32)
+        return Ratios(nothing, nothing, even, even)
     picture = ratios(scene, camera, stop, sampling, max_blur_px, field, responses, in_focus=in_focus, control=control)
     signal = at_pixels(mean_signal, responses.place)
-    return Ratios(picture.value * signal, picture.variate * signal)
+    return picture._replace(value=picture.value * signal, variate=picture.variate * signal)
 
 
 def ratios(
@@ -200,15 +208,18 @@ def ratios(
     """Electrons over those of a surface of the lights' spectral radiance, see :func:`render`."""
     height, width = camera.sensor.height_px, camera.sensor.width_px
     shared = _prepare(scene, camera, stop, max_blur_px, field, responses, in_focus, control)
-    result, variate = np.zeros((2, height * width, responses.channels))
+    result = [np.full((height * width, responses.channels), start, dtype) for start, dtype in _STARTS]
+    signal = HERO * at_pixels(responses.mean_signal(_light(field)), responses.place).reshape(result[0].shape)
     counts = np.broadcast_to(np.asarray(sampling.spp, dtype=np.int64), (height, width)).ravel()
     pixels, seeds, done = np.flatnonzero(counts), sampling.block_seeds(stop), 0
     for number, part in enumerate(_parts(pixels, counts[pixels])):
         block = _block(shared, part, counts[part], seeds(number))
-        result[part], variate[part] = _trace(shared, block, sampling.even_wavelengths)
+        traced = _trace(shared, block, signal[part], sampling.even_wavelengths)
+        for whole, values in zip(result, traced, strict=True):
+            whole[part] = values
         done += int(counts[part].sum())
         sampling.progress(done / counts.sum())
-    return Ratios(*(part.reshape(height, width, -1) for part in (result, variate)))
+    return Ratios(*(whole.reshape(height, width, -1) for whole in result))
 
 
 def _parts(pixels: NDArray[np.intp], counts: NDArray[np.int64]) -> Iterator[NDArray[np.intp]]:
@@ -398,11 +409,11 @@ def _block(shared: _Pass, pixels: NDArray[np.intp], counts: NDArray[np.int64], s
     return _Block(pixels, counts, chunk, pixel, sample, sampler, _corner(pixel, shared.columns), ring, seed)
 
 
-def _trace(shared: _Pass, block: _Block, even_wavelengths: bool) -> tuple[FloatArray, FloatArray]:
-    """Trace the rays of a block; ratio and control variate, [pixel, channel].
+def _trace(shared: _Pass, block: _Block, signal: FloatArray, even_wavelengths: bool) -> Ratios:
+    """Trace the rays of a block; all results are [pixel, channel].
 
-    Response x light x weight has a known mean, and dividing by its sampled mean takes out the noise of drawing
-    wavelengths and weights.
+    Response x light x weight has a known mean, ``signal``, and dividing by its sampled mean takes out the noise of
+    drawing wavelengths and weights.
     """
     import drjit as dr
     import mitsuba as mi
@@ -438,22 +449,27 @@ def _trace(shared: _Pass, block: _Block, even_wavelengths: bool) -> tuple[FloatA
     # One kernel for all: summing first would trace the rays once per sum.
     dr.eval(*depth_share, *values, *seen, *kernel, *(weighted or ()))
     sums = [block.sums(value) for value in values]
-    ratio = _ratio(np.stack(sums[0::2], axis=-1), np.stack(sums[1::2], axis=-1))
+    control = np.stack(sums[1::2], axis=-1)
+    ratio = _ratio(np.stack(sums[0::2], axis=-1), control)
+    expected_light = block.counts[:, None] * signal
+    light = _ratio(control, expected_light, 1.0)
     if weighted is not None:
         total, near = (block.sums(value) for value in depth_share)
         several = np.flatnonzero(near < ONE_DEPTH_SHARE * total)
         if len(several):
             ratio[several] = _layered(shared, block, weighted, values, several)
-    variate = np.zeros_like(ratio)
+            light[several] = 1.0
+    variate, variate_light = np.zeros_like(ratio), np.ones_like(ratio)
     if shared.control is not None:
         expected = shared.control.expected[block.pixels]
         totals = [np.stack([block.sums(value) for value in part], axis=-1) for part in (seen, kernel)]
         variate = _ratio(totals[0] - expected * totals[1], totals[1])
-    return ratio, variate
+        variate_light = _ratio(totals[1], expected_light, 1.0)
+    return Ratios(ratio, variate, light, variate_light)
 
 
-def _ratio(signal: FloatArray, control: FloatArray) -> FloatArray:
-    return np.divide(signal, control, out=np.zeros_like(signal), where=control > 0)
+def _ratio(signal: FloatArray, control: FloatArray, otherwise: float = 0.0) -> FloatArray:
+    return np.divide(signal, control, out=np.full_like(signal, otherwise), where=control > 0)
 
 
 def _layered(

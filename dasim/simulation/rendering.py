@@ -195,9 +195,7 @@ def stop_pictures(
     ]
     for picture in pictures:
         check_finite(view.scene, picture.value, view.objects_at)
-    return Picture(
-        spp, np.stack([picture.value for picture in pictures]), np.stack([picture.variate for picture in pictures])
-    )
+    return Picture(spp, *(np.stack(parts) for parts in zip(*pictures, strict=True)))
 
 
 def _adaptive_picture(

@@ -3,13 +3,14 @@
 Every picture through the lens is the mean of pictures with independent random numbers and irradiance fields, in pairs.
 Half the difference of a pair has the noise of its mean, whatever makes it: the places on the lens and in the pixel,
 wavelengths, lamps, the irradiance field, and the ratio estimators of wave optics and of layers. No formula of the
-variance is needed, and none is assumed.
+variance is needed, and none is assumed. Their denominators take out the bias of these ratios (``_joined``), except in
+pixels that see several depths.
 
 Beside each picture S goes its control variate T, whose expectation is 0 (:mod:`dasim.render.control_variate`): S - b T
 has the expectation of S for every factor b that does not depend on the samples of the pixel. The best factor,
 cov(S, T) / var(T), comes from the differences of the pairs at the pixels around it.
 
-Tested in tests/dasim/simulation/test_adaptive_sampling.py.
+Tested in tests/dasim/simulation/test_rendering_noise.py.
 """
 
 from __future__ import annotations
@@ -36,6 +37,8 @@ class Picture(NamedTuple):
     spp: NDArray[np.int64]  # [stop, h, w] or [stop, 1, 1] samples per pixel of each stop
     rate: FloatArray  # [stop, h, w, channel] mean electrons per second
     variate: FloatArray  # the control variate
+    light: NDArray[np.float32] | float = 1.0  # denominator of the ratio ``rate``, over its expectation
+    variate_light: NDArray[np.float32] | float = 1.0  # of ``variate``
 
 
 class Measured(NamedTuple):
@@ -59,8 +62,8 @@ def measured(pairs: Sequence[tuple[Picture, Picture]]) -> Measured:
     rate, variate, square, cross, variate_square = (np.zeros(shape) for _ in range(5))
     for first, second in pairs:
         a, b = first.spp[..., None] / weight, second.spp[..., None] / weight
-        rate += a * first.rate + b * second.rate
-        variate += a * first.variate + b * second.variate
+        rate += _joined((a, first.rate, first.light), (b, second.rate, second.light))
+        variate += _joined((a, first.variate, first.variate_light), (b, second.variate, second.variate_light))
         difference, other = first.rate - second.rate, first.variate - second.variate
         square += a * b * difference**2
         cross += a * b * difference * other
@@ -70,6 +73,21 @@ def measured(pairs: Sequence[tuple[Picture, Picture]]) -> Measured:
     left = square - 2 * factor * cross + factor**2 * variate_square
     variance = np.maximum(ndimage.uniform_filter(left, (1, WINDOW_PX, WINDOW_PX, 1)), 0.0)
     return Measured(rate - factor * variate, variance, np.maximum(around(left), 0.0), total)
+
+
+def _joined(*parts: tuple[FloatArray, FloatArray, NDArray[np.float32] | float]) -> FloatArray:
+    """Sum of two ratios, weighted by their samples, without the bias that falls as 1 / samples.
+
+    ``parts`` are the weight, the ratio and its denominator. Ratios of sums over m and n samples have the biases c / m
+    and c / n; their mean, weighted by samples, has 2 c / (m + n), the ratio of the sums over all samples c / (m + n).
+    Twice the latter less the former has none (Quenouille, Biometrika 43, 1956).
+    """
+    total = sum(weight for weight, _, _ in parts)
+    mean = sum(weight * ratio for weight, ratio, _ in parts)
+    light = sum(weight * light for weight, _, light in parts)
+    above = sum(weight * light * ratio for weight, ratio, light in parts)
+    of_all = np.divide(total * above, light, out=np.array(mean), where=light > 0)
+    return np.asarray(2 * of_all - mean)
 
 
 def around(values: FloatArray) -> FloatArray:

@@ -44,6 +44,24 @@ def test_the_map_follows_the_noise_from_place_to_place():
     assert found.variance[:, :, :78].std() / left == pytest.approx(np.sqrt(2 / 25), rel=0.15), "25 degrees of freedom"
 
 
+def test_a_ratio_of_sums_has_no_bias():
+    """Rationale: a ratio of sums over n samples is off by c / n, which a picture of few samples would show.
+
+    Set-up: ratios of the sums of w z and of w over 8 and over 4 samples; w has the mean 1 and a standard deviation of
+    0.5, and z = 1 + 0.4 (w - 1). Expectation: the mean of w z, which is 1.1; the mean of the ratios is off by ten times
+    as much.
+    """
+    random = np.random.default_rng(9)
+    parts = []
+    for spp in (8, 4):
+        w = random.gamma(4.0, 0.25, (spp, *SHAPE))
+        rate = (w * (1 + 0.4 * (w - 1))).mean(axis=0) / w.mean(axis=0)
+        parts.append(Picture(np.full((SHAPE[0], 1, 1), spp), rate, np.zeros(SHAPE), w.mean(axis=0).astype(np.float32)))
+    plain = sum(part.spp[..., None] * part.rate for part in parts) / 12
+    assert plain.mean() - 1.1 < -30 * plain.std() / np.sqrt(plain.size)
+    assert abs(measured([tuple(parts)]).rate.mean() - 1.1) < 0.1 * abs(plain.mean() - 1.1)
+
+
 def test_the_variate_takes_out_what_it_shares_with_the_picture():
     """Set-up: noise of 1 beside noise of 3 that the variate repeats with the factor 1.25. Expectation: what is left is
     the noise of 1, and its stated variance; the mean stays 10.
