@@ -465,7 +465,7 @@ def _trace(shared: _Pass, block: _Block, signal: FloatArray, even_wavelengths: b
         totals = [np.stack([block.sums(value) for value in part], axis=-1) for part in (seen, kernel)]
         variate = _ratio(totals[0] - expected * totals[1], totals[1])
         variate_light = _ratio(totals[1], expected_light, 1.0)
-    return Ratios(ratio, variate, light, variate_light)
+    return Ratios(ratio, variate, light.astype(np.float32), variate_light.astype(np.float32))
 
 
 def _ratio(signal: FloatArray, control: FloatArray, otherwise: float = 0.0) -> FloatArray:
