@@ -14,7 +14,7 @@ import numpy as np
 
 from dasim.camera import wavefront
 from dasim.camera.wavefront import Phase, Wavefront
-from dasim.render.plugin import tensor
+from dasim.render import plugin
 from dasim.typing import FloatArray
 
 FLOOR = 1e-12  # of a density per square pixel that others are divided by
@@ -35,10 +35,7 @@ class Drawn(NamedTuple):
 
 def texture(values: Any, channels: bool = False) -> Any:
     """A texture of one to three dimensions, linear between its nodes; ``channels``: the last axis holds channels."""
-    import mitsuba as mi
-
-    kinds = {1: mi.Texture1f, 2: mi.Texture2f, 3: mi.Texture3f}
-    return kinds[values.ndim - channels](tensor(values if channels else values[..., None]))
+    return plugin.texture(values if channels else values[..., None])
 
 
 def texel(value: Any, step: float, nodes: Any) -> Any:

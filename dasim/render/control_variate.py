@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 from scipy import ndimage, signal
 
 from dasim.camera.specification import Camera, principal_point
-from dasim.render.plugin import tensor
+from dasim.render.plugin import texture
 from dasim.typing import FloatArray
 
 CELLS, FEWER_CELLS = 4, 2  # nodes of s per pixel, along each axis, even; fewer in large frames
@@ -126,8 +126,7 @@ def control(
     expected = _expected(replace(fine, ratio=picture), level.reshape(blur_px.shape), table, radius, reach, shift)
     height, width = (extent / fine.cells for extent in picture.shape[:2])
     return Control(
-        # Without the hardware's interpolation, which has 8 bits.
-        picture=mi.Texture2f(tensor(picture), use_accel=False, wrap_mode=dr.WrapMode.Clamp),
+        picture=texture(picture, wrap_mode=dr.WrapMode.Clamp),
         extent=mi.Point2f(dr.opaque(mi.Float, width), dr.opaque(mi.Float, height)),
         margin_px=dr.opaque(mi.Float, fine.margin_px),
         level=mi.UInt32(level.astype(np.uint32).ravel()),

@@ -25,7 +25,7 @@ import numpy as np
 from dasim.render import light_spectra
 from dasim.render.light_paths import power_heuristic, radiance_by_light
 from dasim.render.light_spectra import NODES, Shares
-from dasim.render.plugin import tensor
+from dasim.render.plugin import texture
 from dasim.render.sobol import Sobol
 from dasim.spectra import grid
 from dasim.typing import FloatArray
@@ -171,11 +171,11 @@ def field(
         start_px=(start[0], start[1]),
         px_per_m=px_per_m,
         shape=(rows, columns),
-        ratio=mi.Texture3f(tensor(np.moveaxis(ratio, -1, 0))),
-        surface=mi.Texture2f(tensor(surface[..., :4])),
+        ratio=texture(np.moveaxis(ratio, -1, 0)),
+        surface=texture(surface[..., :4]),
         usable=mi.UInt32(usable.ravel().astype(np.uint32)),
         light=floor,
-        spectra=mi.Texture1f(tensor(np.pad(spectra.T, ((0, 0), (0, empty))))),
+        spectra=texture(np.pad(spectra.T, ((0, 0), (0, empty)))),
         spectrum_nodes=len(at_nm),
         share=float(usable.mean()),
     )

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from dasim.materials.surfaces import Diffuse, Mixture, Surface, leaves
-from dasim.render.plugin import tensor
+from dasim.render.plugin import texture
 from dasim.spectra.grid import WAVELENGTH_NM
 from dasim.typing import Float32Array
 
@@ -85,8 +85,7 @@ def _register() -> None:
             self.surface, gain = _surfaces.pop(props["number"])  # Mitsuba reads each description once
             self.average = gain * _mean(self.surface)
             self.images = _weight_images(self.surface)
-            # Images of the same size and repetition share one lookup. use_accel is off because the texture units of
-            # graphics cards interpolate with 8 bits.
+            # Images of the same size and repetition share one lookup.
             groups: dict[Any, list[int]] = {}
             for number, (image, repeat) in enumerate(self.images):
                 groups.setdefault((image.shape, repeat), []).append(number)
@@ -97,17 +96,17 @@ def _register() -> None:
             ]
             spectra = [leaf.reflectance for leaf in leaves(self.surface) if isinstance(leaf, Diffuse)]
             table = np.stack([gain * np.interp(_FINE_NM, WAVELENGTH_NM, curve) for curve in spectra], axis=-1)
-            self.spectra = mi.Texture1f(tensor(table), use_accel=False, filter_mode=dr.FilterMode.Nearest)
+            self.spectra = texture(table, filter_mode=dr.FilterMode.Nearest)
 
         def _weights(self, numbers: list[int]) -> Any:
             # v = 0 is the bottom row, as for shapes
             stack = np.stack([self.images[number][0][::-1] for number in numbers], axis=-1)
-            return mi.Texture2f(tensor(stack), use_accel=False, wrap_mode=dr.WrapMode.Clamp)
+            return texture(stack, wrap_mode=dr.WrapMode.Clamp)
 
         def eval(self, si: Any, active: Any = True) -> Any:
             weights: list[Any] = [None] * len(self.images)
-            for repeat, numbers, texture in self.groups:
-                values = texture.eval(mi.Point2f(mirror(si.uv.x * repeat[0]), mirror(si.uv.y * repeat[1])), active)
+            for repeat, numbers, stack in self.groups:
+                values = stack.eval(mi.Point2f(mirror(si.uv.x * repeat[0]), mirror(si.uv.y * repeat[1])), active)
                 for number, value in zip(numbers, values, strict=True):
                     weights[number] = value
             shares = self._shares(self.surface, mi.Float(1.0), weights)

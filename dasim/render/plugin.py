@@ -1,4 +1,4 @@
-"""Spectra, transforms and tensors for Mitsuba.
+"""Spectra, transforms, tensors and textures for Mitsuba.
 
 Tested in tests/dasim/render/test_reflection.py.
 """
@@ -58,3 +58,19 @@ def tensor(values: np.ndarray) -> Any:
     import mitsuba as mi
 
     return mi.TensorXf(mi.Float(aligned(values)), values.shape)
+
+
+def texture(values: np.ndarray, **modes: Any) -> Any:
+    """Texture of one to three dimensions of an array whose last axis holds channels, linear between its nodes.
+
+    The texture units of graphics cards are not used: they interpolate in 256 steps between nodes (documentation of
+    ``Texture`` in Dr.Jit), and bound the size of tables. On processors there are none.
+
+    Args:
+        values: [..., channel].
+        modes: ``filter_mode`` and ``wrap_mode`` of Dr.Jit's textures.
+    """
+    import mitsuba as mi
+
+    kinds = {1: mi.Texture1f, 2: mi.Texture2f, 3: mi.Texture3f}
+    return kinds[values.ndim - 1](tensor(values), use_accel=False, **modes)

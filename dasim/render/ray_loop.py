@@ -25,7 +25,7 @@ from dasim.camera.stops import Stop
 from dasim.render import field_angle, layers, pupil, transport, wave
 from dasim.render.control_variate import Control, Fine
 from dasim.render.irradiance import Field
-from dasim.render.plugin import tensor
+from dasim.render.plugin import texture
 from dasim.render.radial_blur import RadialBlur
 from dasim.render.sobol import Sobol
 from dasim.render.wavelengths import Responses, draw_table, frame_density
@@ -336,7 +336,7 @@ def _prepare(
         radius_m=radius_m,
         px_per_vergence=2 * radius_m * scale,
         vergence=dr.opaque(mi.Float, 1.0 / camera.lens.focus_distance_m),
-        table=mi.Texture2f(tensor(table)),
+        table=texture(table),
         rings=dr.opaque(mi.Float, len(table)),
         middle_ring=dr.opaque(mi.Float, _middle_ring(responses)),
         place=mi.Float(responses.place.astype(np.float32).ravel()),

@@ -156,9 +156,11 @@ def _blend_dict(surface: Mixture, first: dict[str, Any], second: dict[str, Any])
     # v = 0 is the top row of Mitsuba's bitmaps, and the bottom of shapes and of mesh files.
     weight = np.ascontiguousarray(surface.weight[::-1, :, None], dtype=np.float32)
     uv = mi.ScalarTransform4f().scale([*surface.repeat, 1.0])
+    # "accel" as in :func:`dasim.render.plugin.texture`.
+    bitmap = {"type": "bitmap", "bitmap": mi.Bitmap(weight), "raw": True, "accel": False}
     return {
         "type": "blendbsdf",
-        "weight": {"type": "bitmap", "bitmap": mi.Bitmap(weight), "raw": True, "wrap_mode": "mirror", "to_uv": uv},
+        "weight": bitmap | {"wrap_mode": "mirror", "to_uv": uv},
         "first": first,
         "second": second,
     }
