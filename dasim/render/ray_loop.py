@@ -11,7 +11,7 @@ Tested in tests/dasim/render/test_passes.py.
 from __future__ import annotations
 
 import zlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -114,11 +114,15 @@ class _Block(NamedTuple):
     ring: Any  # fractional ring of the pixel
     seed: int
 
-    def sums(self, values: Any) -> FloatArray:
-        """Sums of the rays of each pixel, [pixel]."""
+    def sums(self, values: Sequence[Any]) -> list[FloatArray]:
+        """Sums of the rays of each pixel, [pixel], of each of some values; all are under way before one is read."""
         import drjit as dr
 
-        chunks = np.array(dr.block_sum(values, self.chunk), dtype=np.float64)
+        parts = [dr.block_sum(value, self.chunk) for value in values]
+        return [self._of_pixels(np.array(part, dtype=np.float64)) for part in parts]
+
+    def _of_pixels(self, chunks: FloatArray) -> FloatArray:
+        """Sums of the chunks of each pixel, [pixel]."""
         each = self.counts[0] // self.chunk
         if len(chunks) == each * len(self.counts):  # as many of every pixel
             return chunks.reshape(-1, each).sum(axis=1) if each > 1 else chunks
@@ -448,13 +452,13 @@ def _trace(shared: _Pass, block: _Block, signal: FloatArray, even_wavelengths: b
     seen, kernel = rays.variate or ([], [])
     # One kernel for all: summing first would trace the rays once per sum.
     dr.eval(*depth_share, *values, *seen, *kernel, *(weighted or ()))
-    sums = [block.sums(value) for value in values]
+    sums = block.sums(values)
     control = np.stack(sums[1::2], axis=-1)
     ratio = _ratio(np.stack(sums[0::2], axis=-1), control)
     expected_light = block.counts[:, None] * signal
     light = _ratio(control, expected_light, 1.0)
     if weighted is not None:
-        total, near = (block.sums(value) for value in depth_share)
+        total, near = block.sums(depth_share)
         several = np.flatnonzero(near < ONE_DEPTH_SHARE * total)
         if len(several):
             ratio[several] = _layered(shared, block, weighted, values, several)
@@ -462,7 +466,7 @@ def _trace(shared: _Pass, block: _Block, signal: FloatArray, even_wavelengths: b
     variate, variate_light = np.zeros_like(ratio), np.ones_like(ratio)
     if shared.control is not None:
         expected = shared.control.expected[block.pixels]
-        totals = [np.stack([block.sums(value) for value in part], axis=-1) for part in (seen, kernel)]
+        totals = [np.stack(block.sums(part), axis=-1) for part in (seen, kernel)]
         variate = _ratio(totals[0] - expected * totals[1], totals[1])
         variate_light = _ratio(totals[1], expected_light, 1.0)
     return Ratios(ratio, variate, light.astype(np.float32), variate_light.astype(np.float32))
@@ -485,18 +489,28 @@ def _layered(
         chosen: numbers of the pixels in the block.
     """
     starts, result = block.starts(), np.zeros((len(chosen), shared.channels))
-    blur_px = np.array(weighted.blur)
-    rays = [np.array(value) for value in values]
     for spp in np.unique(block.counts[chosen]):
         here = np.flatnonzero(block.counts[chosen] == spp)
         lanes = starts[chosen[here], None] + np.arange(spp)
-        signal, control = ([value[lanes].astype(float) for value in rays[part::2]] for part in (0, 1))
+        blur_px, *rays = (value.reshape(lanes.shape) for value in _read([weighted.blur, *values], lanes))
+        signal, control = rays[0::2], rays[1::2]
 
         def beyond(at: NDArray[np.intp], depth_px: FloatArray, lanes: NDArray[np.int64] = lanes) -> FloatArray:
             return _beyond(shared, depth_px, lanes.ravel()[at], weighted)
 
-        result[here] = layers.estimate(signal, control, blur_px[lanes].astype(float), beyond)
+        result[here] = layers.estimate(signal, control, blur_px, beyond)
     return result
+
+
+def _read(values: Sequence[Any], lanes: NDArray[np.int64]) -> list[FloatArray]:
+    """Values of some rays alone, in double precision."""
+    import drjit as dr
+    import mitsuba as mi
+
+    index = mi.UInt32(lanes.astype(np.uint32).ravel())
+    parts = [dr.gather(mi.Float, value, index) for value in values]
+    dr.eval(parts)
+    return [np.array(part, dtype=np.float64) for part in parts]
 
 
 def _beyond(shared: _Pass, depth_px: FloatArray, lanes: NDArray[np.int64], weighted: _Weighted) -> FloatArray:
