@@ -18,14 +18,15 @@ MEAN_SHARE = 0.4  # mean of the texture over white
 CONTRAST = 0.15  # standard deviation of the texture within an octave of spatial frequency, over its mean
 
 
-def noise_variance(camera: Camera, mean_e: FloatArray, time_s: float) -> FloatArray:
+def noise_variance(camera: Camera, mean_e: FloatArray, time_s: float, gain: float = 1.0) -> FloatArray:
     """Noise variance of the pixels of each channel on an even surface, [channel], crosstalk between them corrected.
 
-    ``mean_e`` [channel] are mean electrons without crosstalk, ``time_s`` is the exposure time.
+    ``mean_e`` [channel] are mean electrons without crosstalk, ``time_s`` is the exposure time, ``gain`` the analogue
+    gain.
     """
     shares = crosstalk.channel_shares(camera)
     collected = diffusion.collected_evenly(mean_e, specification.channel_block(camera.sensor), shares)
-    return crosstalk.noise_gains(camera) * noise.variance(camera.sensor, time_s).at(collected)
+    return crosstalk.noise_gains(camera) * noise.variance(camera.sensor, time_s, gain).at(collected)
 
 
 def white_electrons(camera: Camera, light: str, level_lux: float) -> tuple[FloatArray, float]:
