@@ -34,6 +34,9 @@ PROBE_TIMEOUT_S = 60.0  # a test takes below 1 s, with a graphics driver that st
 # After this time a failed variant is tested again: a driver may have been installed, or a high load be over.
 FAILURE_LIFETIME_S = 24 * 3600.0
 KERNELS_SIZE = "512M"  # a set of kernels has below 10 MB
+LANES = 1 << 21  # rays that are traced at once: they bound the memory, some 120 bytes each
+# A batch costs 30 to 60 ms of Python, however few its rays, which a graphics card should trace faster. 1 GB there.
+GPU_LANES = 1 << 23
 
 LLVM_FOLDERS = (
     str(Path(sys.prefix) / "lib"),  # conda
@@ -129,6 +132,13 @@ def choose(variant: str | None = None) -> Choice:
     result = results[name]
     reason = _reason(name, result, by_name=request != "auto")
     return Choice(name, reason, result.get("llvm_path"), result.get("llvm"))
+
+
+def lanes() -> int:
+    """Rays that are traced at once in the active variant; fixed for each, because they decide the random numbers."""
+    import mitsuba as mi
+
+    return GPU_LANES if mi.variant().startswith("cuda") else LANES
 
 
 def use_threads(count: int) -> None:

@@ -22,7 +22,7 @@ from typing import Any
 
 import numpy as np
 
-from dasim.render import light_spectra
+from dasim.render import backend, light_spectra
 from dasim.render.light_paths import power_heuristic, radiance_by_light
 from dasim.render.light_spectra import NODES, Shares
 from dasim.render.plugin import texture
@@ -36,7 +36,6 @@ SAME_NORMAL = 0.9  # cosine
 SAME_DEPTH = 0.02
 DIRECTIONS_PER_SAMPLE = 4  # directions of a point per sample of a pixel
 FEWEST_DIRECTIONS, MOST_DIRECTIONS = 64, 1024
-LANES = 1 << 21
 
 
 @dataclass(frozen=True)
@@ -146,7 +145,7 @@ def field(
     count = rows * columns
     received = np.zeros((count, *lit.shape))
     met = np.zeros((count, 5))
-    at_once = max(1, LANES // directions)
+    at_once = max(1, backend.lanes() // directions)
     across, each = dr.opaque(mi.UInt32, columns), dr.opaque(mi.UInt32, directions)
     corner = mi.Point2f(*(dr.opaque(mi.Float, value) for value in start))
     scale = dr.opaque(mi.Float, px_per_m)

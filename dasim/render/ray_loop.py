@@ -5,7 +5,7 @@ traced and summed per pixel (``_trace``), and the sums become electrons as a rat
 that see several depths, the sums are made again for each layer in depth (``_layered``, :mod:`dasim.render.layers`).
 A picture through a pinhole takes out most of the noise (:mod:`dasim.render.control_variate`).
 
-Tested in tests/dasim/render/test_passes.py.
+Tested in tests/dasim/render/test_passes.py and tests/dasim/render/test_ray_loop.py.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from dasim.camera import distortion, geometry
 from dasim.camera.rings import at_pixels
 from dasim.camera.specification import Camera, principal_point
 from dasim.camera.stops import Stop
-from dasim.render import field_angle, layers, pupil, transport, wave
+from dasim.render import backend, field_angle, layers, pupil, transport, wave
 from dasim.render.control_variate import Control, Fine
 from dasim.render.irradiance import Field
 from dasim.render.plugin import texture
@@ -32,7 +32,6 @@ from dasim.render.wavelengths import Responses, draw_table, frame_density
 from dasim.spectra import grid
 from dasim.typing import FloatArray, ShareDone
 
-LANES = 1 << 21  # rays in flight: bounds the memory, and is fixed, because it decides the random numbers
 WAVE_BLUR_PX = 150.0  # visible blur up to which weights are tabulated; beyond, blur is that of the drawn rays
 ONE_DEPTH_SHARE = 0.97  # of the weights of a pixel that sees one depth: tails of diffraction reach others everywhere
 MOST_SLOPE = 0.5  # of visible blur over the picture, pixels per pixel, that rays are aimed for
@@ -227,12 +226,12 @@ def ratios(
 
 
 def _parts(pixels: NDArray[np.intp], counts: NDArray[np.int64]) -> Iterator[NDArray[np.intp]]:
-    """Consecutive pixels whose rays are ``LANES`` at most, or one pixel."""
-    ends = np.cumsum(counts)
+    """Consecutive pixels whose rays are traced at once, :func:`backend.lanes` at most, or one pixel."""
+    ends, most = np.cumsum(counts), backend.lanes()
     first = 0
     while first < len(pixels):
         before = ends[first] - counts[first]
-        last = max(first + 1, int(np.searchsorted(ends, before + LANES, side="right")))
+        last = max(first + 1, int(np.searchsorted(ends, before + most, side="right")))
         yield pixels[first:last]
         first = last
 

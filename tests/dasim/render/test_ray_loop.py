@@ -1,0 +1,188 @@
+"""The ray loop by what it calls: all of it runs on graphics cards, in few launches, and the host reads little.
+
+No test needs a graphics card. They show that the loop has no step that needs a processor, neither speed nor pictures.
+"""
+
+from __future__ import annotations
+
+import ast
+import re
+from collections import Counter
+from importlib.util import find_spec
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+import dasim
+from dasim.render import backend, irradiance, plugin, ray_loop, shared_kernels
+from tests.support.called import Batch, Record, recorded
+
+RENDER = Path(ray_loop.__file__).parent
+# Modules whose functions trace rays, or are called where plugins of ours meet them.
+LOOP = """blur_tables control_variate field_angle irradiance light_paths light_spectra mixture pattern_blur plugin pupil
+radial_blur ray_loop sobol surrounding transport foreign/colours""".split()
+# Of Dr.Jit, all of which both kinds of arrays have; and of Mitsuba, whose types are those of the variant.
+DRJIT = """abs all any arange atan block_sum brev clip cos dot eval floor fma full gather isfinite lerp make_opaque
+maximum minimum norm normalize opaque pi rcp reinterpret_array round rsqrt safe_acos safe_asin select sin sincos sqrt
+squared_norm while_loop width zeros FilterMode WrapMode""".split()
+MITSUBA = """BSDFContext BSDFFlags Bool DirectionSample3f DiscreteDistribution DiscreteDistribution2D Emitter
+EmitterFlags EmitterPtr Float Frame3f PCG32 Point1f Point2f Point3f Ray3f RayDifferential3f RayFlags Spectrum
+SurfaceInteraction3f TensorXf Texture Texture1f Texture2f Texture3f UInt32 UInt64 Vector3f has_flag sample_tea_32
+warp""".split()
+# What prepares scenes and tables, on the host in every variant.
+PREPARATION = """Bitmap ObjectType Properties ScalarBoundingBox3f ScalarTransform4f Struct TraversalCallback load_dict
+register_emitter register_texture traverse variant""".split()
+OURS = {"dasim_mixture", "dasim_surrounding", "dasim_layout"}
+PLUGINS = OURS | set(
+    """scene path aov independent stratified multijitter perspective hdrfilm box rectangle disk sphere cylinder
+    twosided diffuse plastic roughplastic conductor roughconductor dielectric thindielectric null blendbsdf bitmap
+    uniform regular irregular area point constant envmap""".split()
+)
+# Most arrays that the host reads per batch, by function: sums of two for each of 11 channels (of four: also of two for
+# the control variate, and two for depth); of pixels that see several depths two for each channel and the depth, and the
+# light of four channels; of the irradiance, four wavelengths, and five numbers of the surface.
+READS = {"_Block.sums": 22, "_read": 9, "_beyond": 4, "_traced": 9}
+RAYS_PER_NUMBER = 2  # at least, of each array that is read: at 4 samples per pixel a picture's halves have 2
+KEPT = 30  # numbers per ray that a launch leaves in memory: 120 bytes
+LAUNCHES = 40  # of all kinds per batch
+LANES = 1 << 16  # a picture is one batch, and the finer pinhole's with 122,496 rays two
+
+
+def faults(record: Record) -> list[str]:
+    """What a record has that is not allowed, in one line each."""
+    import drjit as dr
+    import mitsuba as mi
+
+    found = [f"plugin {name}" for name in sorted(record.plugins - PLUGINS)]
+    own = {mi.Float.__module__, mi.Point2f.__module__}
+    found += [
+        f"array of {kind.__module__}.{kind.__name__}"
+        for kind in record.classes
+        if kind.__module__ not in own or dr.backend_v(kind) != dr.backend_v(mi.Float)
+    ]
+    found += ["texture of the graphics card"] * any(texture.use_accel() for texture in record.textures)
+    for batch in record.batches:
+        if len(batch.traced) != 1:
+            found.append(f"{batch.function} traces {len(batch.traced)} times")
+        rays, kept = max(batch.traced, default=(0, 0))
+        if rays > backend.lanes() or kept > KEPT or batch.launches.total() > LAUNCHES:
+            found.append(f"{batch.function}: {rays} rays, {kept} numbers per ray, {batch.launches.total()} launches")
+        for (reader, size), _ in batch.reads.items():
+            if reader not in READS or size * RAYS_PER_NUMBER > rays:
+                found.append(f"{reader} reads {size} numbers of {rays} rays")
+        for reader, most in READS.items():
+            if sum(times for (name, _), times in batch.reads.items() if name == reader) > most:
+                found.append(f"{reader} reads more than {most} arrays")
+    return found
+
+
+def test_a_capture_runs_on_graphics_cards(jit, monkeypatch):
+    """Rationale: what a processor alone can do would stop the loop on a graphics card, or slow it to the host's pace.
+
+    Set-up: all that a capture of ``desk`` traces: two stops twice, in focus, through a pinhole, and the irradiance.
+    Expectation: plugins and arrays of every variant; a batch traces its rays in one launch, and as many as memory is
+    planned for; the host reads sums of pixels, and rays only of pixels that see several depths. There are some.
+    """
+    monkeypatch.setattr(backend, "LANES", LANES)
+    monkeypatch.setattr(backend, "GPU_LANES", LANES)
+    camera, scene = dasim.cropped(dasim.load_camera("da-mobile"), 32, 24), dasim.load_scene("desk")
+    with recorded((ray_loop, "_trace"), (irradiance, "_traced")) as record:
+        dasim.simulate(scene, dasim.focused(camera, scene), spp=4)
+    assert faults(record) == []
+    assert Counter(batch.function for batch in record.batches) == {"_trace": 1 + 2 + 4 + 2, "_traced": 2}
+    assert {name for batch in record.batches for name, _ in batch.reads} == READS.keys()
+    assert {"path", "dasim_mixture", "twosided"} < record.plugins
+
+
+def test_surfaces_and_lights_of_random_scenes_are_plugins_of_every_variant(jit):
+    """Set-up: one of each kind that random scenes have."""
+    import mitsuba as mi
+
+    with recorded() as record:
+        for things in (shared_kernels._objects() | shared_kernels._lamps(), shared_kernels._sky()):
+            mi.load_dict({"type": "scene"} | things, optimize=False)
+    assert faults(record) == []
+    assert {"dasim_surrounding", "envmap", "roughplastic", "roughconductor", "dielectric"} < record.plugins
+
+
+def test_what_is_not_allowed_is_seen(jit):
+    """Set-up: a loop with everything that is not allowed, and one that traces twice."""
+    import drjit as dr
+    import mitsuba as mi
+
+    def loop(values, others):
+        np.array(values)
+        if dr.all(values > 0):
+            mi.load_dict({"type": "volpath"})
+        return values[0]
+
+    steps = SimpleNamespace(loop=loop)
+    with recorded((steps, "loop")) as record:
+        texture = mi.Texture1f(mi.TensorXf(mi.Float([0, 1]), (2, 1)))
+        steps.loop(dr.arange(mi.Float, 64) + 1, (texture, dr.scalar.Array2f(1, 2)))
+    found = "; ".join(faults(record))
+    for part in ("plugin volpath", "drjit.scalar.Array2f", "texture of the", "loop traces 0 times", "loop reads 64 "):
+        assert part in found
+    assert sorted(size for _, size in record.batches[0].reads.elements()) == [1, 64, 64]
+    twice = Batch("trace", traced=[(64, 1)] * 2)
+    assert faults(Record(batches=[twice])) == ["trace traces 2 times"]
+    assert faults(Record(batches=[Batch("trace", traced=[(64, KEPT)])])) == []
+    assert len(faults(Record(batches=[Batch("trace", traced=[(64, KEPT + 1)])]))) == 1
+
+
+def calls(source: str) -> set[str]:
+    """Names of Mitsuba (``mi.``) and Dr.Jit (``dr.``) in a module, and its other imports of them."""
+    names = set()
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name) and node.value.id in ("mi", "dr"):
+            names.add(f"{node.value.id}.{node.attr}")
+        if isinstance(node, ast.Import):
+            names |= {f"import {n.name} as {n.asname}" for n in node.names if n.name.startswith(("drjit", "mitsuba"))}
+        if isinstance(node, ast.ImportFrom) and (node.module or "").startswith(("drjit", "mitsuba")):
+            names.add(f"from {node.module}")
+    return names
+
+
+def test_modules_of_the_loop_call_what_every_variant_has():
+    """Expectation: no name beyond the list, in branches that a capture does not take either; no list beyond the names.
+
+    Explicit classes of one kind of arrays (``drjit.llvm``, ``dr.scalar``) are none of them.
+    """
+    allowed = {f"dr.{name}" for name in DRJIT} | {f"mi.{name}" for name in MITSUBA + PREPARATION}
+    allowed |= {"import drjit as dr", "import mitsuba as mi"}
+    assert set.union(*(calls((RENDER / f"{name}.py").read_text()) for name in LOOP)) == allowed
+    for line in ("from drjit.llvm import Float", "import drjit.llvm.ad as a", "dr.llvm.Float(1)", "dr.sync_thread()"):
+        assert not calls(line) <= allowed
+
+
+def test_plugins_are_built_for_cuda():
+    """Set-up: Mitsuba's files of all plugins that the renderer names, but for those of :mod:`stock`, which is for
+    ``scalar_spectral``. Every file holds the names of the variants that it was built for.
+    """
+    import mitsuba as mi
+
+    if "cuda_ad_spectral" not in mi.variants():
+        pytest.skip("this Mitsuba has no variants for graphics cards")
+    sources = [path.read_text() for path in RENDER.rglob("*.py") if path.stem not in ("stock", "backend")]
+    assert {name for source in sources for name in re.findall(r'"type": "(\w+)"', source)} <= PLUGINS
+    folder = Path(find_spec("mitsuba").origin).parent / "plugins"
+    for name in PLUGINS - OURS - {"scene"}:
+        assert b"cuda_ad_spectral\0" in (folder / f"{name}.so").read_bytes(), name
+
+
+@pytest.mark.parametrize("dimensions", [1, 2, 3])
+def test_tables_are_read_in_single_precision(jit, dimensions):
+    """Rationale: the texture units of graphics cards interpolate in 256 steps."""
+    assert not plugin.texture(np.zeros((2,) * dimensions + (1,))).use_accel()
+
+
+@pytest.mark.parametrize(("variant", "most"), [("cuda_ad_spectral", 1 << 23), ("llvm_ad_spectral", 1 << 21)])
+def test_memory_is_bounded_by_the_rays_at_once(jit, monkeypatch, variant, most):
+    """Expectation: batches of as many rays as the variant takes at once; a small frame has one."""
+    monkeypatch.setattr("mitsuba.variant", lambda: variant)
+    for pixels, batches in ((100, 1), (5 * most // 16, 5)):
+        parts = list(ray_loop._parts(np.arange(pixels), np.full(pixels, 16)))
+        assert len(parts) == batches
+        assert max(16 * len(part) for part in parts) <= most
