@@ -50,7 +50,7 @@ def sweep(
         quick: measure only the study's most informative points
         method: a further depth method for the parameter recon.preset: a bundled name, or your function as
             package.module:function or file.py:function
-        jobs: processes of the local executor; by default one per core
+        jobs: processes of the local executor; by default one per graphics card, or one per core
         executor: local, or ray for a cluster (extra 'cluster')
         address: address of Ray: auto, or ray://host:port
         variant: Mitsuba variant, auto by default
@@ -70,7 +70,7 @@ def sweep(
     gpu = here["variant"].startswith("cuda")
     run: Executor
     if executor == "local":
-        run = executors.local(processes_of(jobs), work, gpu=gpu)
+        run = executors.local(processes_of(jobs, len(executors.gpus()) if gpu else None), work, gpu=gpu)
     else:
         run = executors.ray(address, work, gpu=gpu)
     job = Sweep(spec, place, here)

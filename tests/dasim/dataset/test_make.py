@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import json
+import multiprocessing
 import os
 import platform
 import shutil
@@ -14,12 +15,14 @@ import threading
 import time
 from collections import Counter
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
 from dasim.base import atomic, executors
 from dasim.base.errors import InputError
 from dasim.cli import run
+from dasim.cli.datasets import processes_of
 from dasim.dataset import plan, sample, storage, verify, work
 from dasim.dataset.make import TRIES
 from dasim.dataset.specification import load_spec
@@ -398,3 +401,43 @@ def test_relative_folder_follows_the_working_folder(tmp_path, monkeypatch):
         assert storage.read("ds", "name.txt") == name.encode()
         assert storage.local_path("ds") == tmp_path / name / "ds"
     assert (tmp_path / "one" / "ds" / "name.txt").read_text() == "one"
+
+
+def test_one_process_per_graphics_card(monkeypatch):
+    """Set-up: three processes, of which only the variables are made, where two cards may be used.
+
+    Expectation: each has one card, in turn; the commands start as many processes as there are cards.
+    """
+    seen: list[str] = []
+
+    class Process:
+        def __init__(self, **described):
+            pass
+
+        def start(self):
+            seen.append(os.environ["CUDA_VISIBLE_DEVICES"])
+
+    context = SimpleNamespace(Pipe=multiprocessing.Pipe, Process=Process)
+    monkeypatch.setattr(executors.multiprocessing, "get_context", lambda kind: context)
+    monkeypatch.setenv("CUDA_VISIBLE_DEVICES", "2,5")
+    for place in range(3):
+        executors._start(None, place, inline, gpu=True)
+    assert seen == ["2", "5", "2"]
+    assert os.environ["CUDA_VISIBLE_DEVICES"] == "2,5"
+    assert processes_of(None, len(executors.gpus())) == 2
+    assert processes_of(3, len(executors.gpus())) == 3
+
+
+def test_graphics_cards_and_driver_are_part_of_the_environment(tmp_path, monkeypatch):
+    """Expectation: their models and driver with CUDA, where the driver tells; nothing with LLVM."""
+    monkeypatch.setattr(backend, "choose", lambda variant: backend.Choice(variant, "a test"))
+    monkeypatch.setattr(sample, "NVIDIA", tmp_path)
+    of = sample.environment.__wrapped__
+    assert of("cuda_ad_spectral")["gpu"] == []
+    (tmp_path / "version").write_text("NVRM version: NVIDIA Kernel Module  1.2\nGCC version: 3\n")
+    for number in range(2):
+        folder = tmp_path / "gpus" / str(number)
+        folder.mkdir(parents=True)
+        (folder / "information").write_text("Model: \t\t NVIDIA Abacus\nIRQ:   \t\t 7\n")
+    assert of("cuda_ad_spectral")["gpu"] == ["NVIDIA Abacus", "NVRM version: NVIDIA Kernel Module  1.2"]
+    assert "gpu" not in of("llvm_ad_spectral")
