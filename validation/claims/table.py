@@ -13,6 +13,7 @@ from validation.claims.cost.scenes import interreflection, registration, scenes_
 from validation.claims.depth.depth_maps import depth_maps
 from validation.claims.depth.disks import yellow_disks
 from validation.claims.depth.ground_truth import ground_truth
+from validation.claims.depth.held_out import depth_held_out
 from validation.claims.depth.light_levels import light_levels
 from validation.claims.depth.scenes import depth
 from validation.claims.depth.staircase import staircase, staircase_camera
@@ -80,6 +81,7 @@ CLAIMS = {
     "staircase-camera": Measurement(staircase_camera, quick=False),
     "recon-speed": Measurement(recon_speed, quick=False, alone=True),
     "depth": Measurement(depth, quick=False),
+    "depth-held-out": Measurement(depth_held_out, quick=False),
     "all-in-focus": Measurement(all_in_focus, quick=False),
     "refocus": Measurement(refocus, quick=False),
     "depth-steps": Measurement(measured_steps, quick=False),

@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from dasim.typing import FloatArray
+from dasim.typing import BoolArray, FloatArray
 from recon.views.surface import Surface
 from validation.reports.page import MAP, NO_ESTIMATE
 
@@ -22,6 +22,10 @@ JPEG_QUALITY = 92  # a fifth of the size of PNG for a noisy photograph, without 
 PANEL_INCH = 3.2  # width of a map
 DPI = 130
 TICKS = 5
+LEVEL_PANEL_INCH = 2.4  # width of a map in a row with those of several methods
+ERROR_MAP, ERROR_TOP = "magma", 2.0  # colours of errors, from 0 to this many levels
+SCALE_PERCENTILE = 99.5  # of the true levels: the top of the colours
+BEHIND_FOCUS = "///"
 BACKGROUND = 255
 SUPERSAMPLING = 2
 RELIEF_SHARE = 0.7  # depth of a relief as a share of the frame's width
@@ -64,6 +68,49 @@ def depth_panels(maps: Sequence[tuple[str, NDArray[Any]]], nearest_m: float, far
         bar = figure.colorbar(image, ax=list(axes), label="depth z (cm)", pad=0.01)
         ticks = np.linspace(1 / farthest_m, 1 / nearest_m, TICKS)
         bar.set_ticks(list(ticks), labels=[f"{100 / tick:.3g}" for tick in ticks])
+        buffer = io.BytesIO()
+        figure.savefig(buffer, format="png", facecolor="white")
+    return "data:image/png;base64," + base64.b64encode(buffer.getvalue()).decode()
+
+
+def level_panels(photo: NDArray[Any], maps: Sequence[tuple[str, NDArray[Any]]], near: BoolArray) -> str:
+    """A photograph, maps of levels with one colour bar, and the error of the second map against the first.
+
+    Args:
+        photo: display values 0..1, [h, w, 3].
+        maps: titles and levels [h, w], the true levels first. NaN is grey.
+        near: pixels [h, w] on the near side of the focal plane; the others are grey and hatched.
+    """
+    import matplotlib
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    height, width = near.shape
+    true = maps[0][1]
+    top = max(float(np.percentile(true[near], SCALE_PERCENTILE)), 1.0) if near.any() else 1.0
+    errors = [(f"|error|, {title}", np.abs(level - true)) for title, level in maps[1:2]]
+    panels = [(title, level, MAP, top) for title, level in maps]
+    panels += [(title, error, ERROR_MAP, ERROR_TOP) for title, error in errors]
+    size = (LEVEL_PANEL_INCH * (len(panels) + 1) + 1.6, LEVEL_PANEL_INCH * height / width + 0.35)
+    with matplotlib.rc_context({"font.size": 8, "hatch.linewidth": 0.5}):
+        figure = Figure(figsize=size, dpi=DPI, layout="constrained")
+        FigureCanvasAgg(figure)
+        axes = np.atleast_1d(figure.subplots(1, len(panels) + 1))
+        axes[0].imshow(np.clip(np.nan_to_num(photo), 0, 1), interpolation="nearest")
+        axes[0].set_title("all in focus, truth")
+        for one, (title, level, colours, end) in zip(axes[1:], panels, strict=True):
+            image = one.imshow(
+                np.ma.masked_invalid(np.where(near, level, np.nan)), vmin=0, vmax=end, interpolation="nearest",
+                cmap=matplotlib.colormaps[colours].with_extremes(bad=NO_ESTIMATE),
+            )  # fmt: skip
+            if not near.all():
+                one.contourf(~near, levels=[0.5, 1.5], colors="none", hatches=[BEHIND_FOCUS])
+            one.set_title(title)
+            if title in (maps[-1][0], *(name for name, _ in errors)):
+                label = "level" if colours == MAP else "|error|, levels"
+                figure.colorbar(image, ax=one, label=label, pad=0.02, extend="max")
+        for one in axes:
+            one.set_axis_off()
         buffer = io.BytesIO()
         figure.savefig(buffer, format="png", facecolor="white")
     return "data:image/png;base64," + base64.b64encode(buffer.getvalue()).decode()

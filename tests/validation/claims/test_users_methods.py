@@ -10,7 +10,7 @@ import pytest
 from dasim.simulation.exposure import Shot
 from tests.support import recon_scenes
 from tests.support.stand_ins import stand_in
-from validation.claims.depth import depth_maps, disks, light_levels, scenes, staircase, steps
+from validation.claims.depth import depth_maps, disks, held_out, light_levels, scenes, staircase, steps
 from validation.claims.pictures import all_in_focus, scene_pictures
 from validation.claims.table import CLAIMS
 from validation.gates.claim import Evidence
@@ -36,6 +36,10 @@ def small(monkeypatch, slope):
     for module in MODULES:
         monkeypatch.setattr(module.rendering, "needs_wave", lambda: None)
         monkeypatch.setattr(module, "photographed", lambda *args, **options: slope)
+    recipe = held_out.sets.Recipe("far", None, slope.capture.camera, None)
+    monkeypatch.setattr(held_out.rendering, "needs_wave", lambda: None)
+    monkeypatch.setattr(held_out.sets, "recipes", lambda name: [recipe])
+    monkeypatch.setattr(held_out.sets, "capture", lambda one: slope)
     flat = [stand_in(np.full(staircase.CAMERA_PX, float(level))) for level in range(3)]
     monkeypatch.setattr(staircase, "photographed", lambda scene, camera, level, **options: flat[level])
     monkeypatch.setattr(staircase, "BLUR_LEVELS", len(flat))
@@ -61,7 +65,7 @@ def small(monkeypatch, slope):
 @pytest.mark.parametrize("claim", [name for name, measurement in CLAIMS.items() if measurement.methods])
 def test_a_users_method_passes_through_the_claim(small, claim):
     """Expectation: figures of the user's method alone, each by its name, with numbers, and a table or a picture."""
-    evidence = CLAIMS[claim].run(lambda share: None, 0, named([EXAMPLE]))
+    evidence = CLAIMS[claim].run(lambda share: None, methods=named([EXAMPLE]))
     assert isinstance(evidence, Evidence) and (evidence.tables or evidence.pictures)
     assert evidence.figures and all(figure.id.startswith("laplacian.") for figure in evidence.figures)
     assert len({figure.id for figure in evidence.figures}) == len(evidence.figures)
