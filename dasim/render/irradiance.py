@@ -250,9 +250,9 @@ def _traced(
     first = dr.arange(mi.UInt32, lanes // directions) * directions
     about = [dr.select(known, dr.rcp(si.p.z), 0.0), normal.x, normal.y, normal.z, valid]
     dr.eval(values, about)
-    parts, about = [dr.block_sum(value, block) for value in values], [dr.gather(mi.Float, at, first) for at in about]
+    about = [dr.gather(mi.Float, value, first) for value in about]
     dr.eval(about)
-    sums = [np.array(part).reshape(-1, groups) / block for part in parts]
+    sums = [np.array(dr.block_sum(value, block)).reshape(-1, groups) / block for value in values]
     geometry = np.stack([np.array(at) for at in about], axis=-1)
     irradiance = np.concatenate(sums, axis=1).reshape(-1, shares.count, NODES)
     return irradiance.astype(float), geometry.astype(float)

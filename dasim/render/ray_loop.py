@@ -113,15 +113,11 @@ class _Block(NamedTuple):
     ring: Any  # fractional ring of the pixel
     seed: int
 
-    def sums(self, values: Sequence[Any]) -> list[FloatArray]:
-        """Sums of the rays of each pixel, [pixel], of each of some values; all are under way before one is read."""
+    def sums(self, values: Any) -> FloatArray:
+        """Sums of the rays of each pixel, [pixel]."""
         import drjit as dr
 
-        parts = [dr.block_sum(value, self.chunk) for value in values]
-        return [self._of_pixels(np.array(part, dtype=np.float64)) for part in parts]
-
-    def _of_pixels(self, chunks: FloatArray) -> FloatArray:
-        """Sums of the chunks of each pixel, [pixel]."""
+        chunks = np.array(dr.block_sum(values, self.chunk), dtype=np.float64)
         each = self.counts[0] // self.chunk
         if len(chunks) == each * len(self.counts):  # as many of every pixel
             return chunks.reshape(-1, each).sum(axis=1) if each > 1 else chunks
@@ -451,13 +447,13 @@ def _trace(shared: _Pass, block: _Block, signal: FloatArray, even_wavelengths: b
     seen, kernel = rays.variate or ([], [])
     # One kernel for all: summing first would trace the rays once per sum.
     dr.eval(*depth_share, *values, *seen, *kernel, *(weighted or ()))
-    sums = block.sums(values)
+    sums = [block.sums(value) for value in values]
     control = np.stack(sums[1::2], axis=-1)
     ratio = _ratio(np.stack(sums[0::2], axis=-1), control)
     expected_light = block.counts[:, None] * signal
     light = _ratio(control, expected_light, 1.0)
     if weighted is not None:
-        total, near = block.sums(depth_share)
+        total, near = (block.sums(value) for value in depth_share)
         several = np.flatnonzero(near < ONE_DEPTH_SHARE * total)
         if len(several):
             ratio[several] = _layered(shared, block, weighted, values, several)
@@ -465,7 +461,7 @@ def _trace(shared: _Pass, block: _Block, signal: FloatArray, even_wavelengths: b
     variate, variate_light = np.zeros_like(ratio), np.ones_like(ratio)
     if shared.control is not None:
         expected = shared.control.expected[block.pixels]
-        totals = [np.stack(block.sums(part), axis=-1) for part in (seen, kernel)]
+        totals = [np.stack([block.sums(value) for value in part], axis=-1) for part in (seen, kernel)]
         variate = _ratio(totals[0] - expected * totals[1], totals[1])
         variate_light = _ratio(totals[1], expected_light, 1.0)
     return Ratios(ratio, variate, light.astype(np.float32), variate_light.astype(np.float32))
