@@ -23,7 +23,7 @@ PANEL_INCH = 3.2  # width of a map
 DPI = 130
 TICKS = 5
 LEVEL_PANEL_INCH = 2.4  # width of a map in a row with those of several methods
-ERROR_MAP, ERROR_TOP = "magma", 2.0  # colours of errors, from 0 to this many levels
+ERROR_MAP, ERROR_SHARE = "magma", 0.25  # colours of errors, and their top as a share of that of the levels
 SCALE_PERCENTILE = 99.5  # of the true levels: the top of the colours
 BEHIND_FOCUS = "///"
 BACKGROUND = 255
@@ -68,9 +68,7 @@ def depth_panels(maps: Sequence[tuple[str, NDArray[Any]]], nearest_m: float, far
         bar = figure.colorbar(image, ax=list(axes), label="depth z (cm)", pad=0.01)
         ticks = np.linspace(1 / farthest_m, 1 / nearest_m, TICKS)
         bar.set_ticks(list(ticks), labels=[f"{100 / tick:.3g}" for tick in ticks])
-        buffer = io.BytesIO()
-        figure.savefig(buffer, format="png", facecolor="white")
-    return "data:image/png;base64," + base64.b64encode(buffer.getvalue()).decode()
+        return _png_address(figure)
 
 
 def level_panels(photo: NDArray[Any], maps: Sequence[tuple[str, NDArray[Any]]], near: BoolArray) -> str:
@@ -85,34 +83,43 @@ def level_panels(photo: NDArray[Any], maps: Sequence[tuple[str, NDArray[Any]]], 
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    height, width = near.shape
-    true = maps[0][1]
+    (_, true), (title, first) = maps[:2]
     top = max(float(np.percentile(true[near], SCALE_PERCENTILE)), 1.0) if near.any() else 1.0
-    errors = [(f"|error|, {title}", np.abs(level - true)) for title, level in maps[1:2]]
-    panels = [(title, level, MAP, top) for title, level in maps]
-    panels += [(title, error, ERROR_MAP, ERROR_TOP) for title, error in errors]
-    size = (LEVEL_PANEL_INCH * (len(panels) + 1) + 1.6, LEVEL_PANEL_INCH * height / width + 0.35)
+    error = f"|error|, {title}", np.abs(first - true)
+    size = (LEVEL_PANEL_INCH * (len(maps) + 2) + 1.6, LEVEL_PANEL_INCH * near.shape[0] / near.shape[1] + 0.35)
     with matplotlib.rc_context({"font.size": 8, "hatch.linewidth": 0.5}):
         figure = Figure(figsize=size, dpi=DPI, layout="constrained")
         FigureCanvasAgg(figure)
-        axes = np.atleast_1d(figure.subplots(1, len(panels) + 1))
+        axes = figure.subplots(1, len(maps) + 2)
         axes[0].imshow(np.clip(np.nan_to_num(photo), 0, 1), interpolation="nearest")
         axes[0].set_title("all in focus, truth")
-        for one, (title, level, colours, end) in zip(axes[1:], panels, strict=True):
-            image = one.imshow(
-                np.ma.masked_invalid(np.where(near, level, np.nan)), vmin=0, vmax=end, interpolation="nearest",
-                cmap=matplotlib.colormaps[colours].with_extremes(bad=NO_ESTIMATE),
-            )  # fmt: skip
-            if not near.all():
-                one.contourf(~near, levels=[0.5, 1.5], colors="none", hatches=[BEHIND_FOCUS])
-            one.set_title(title)
-            if title in (maps[-1][0], *(name for name, _ in errors)):
-                label = "level" if colours == MAP else "|error|, levels"
-                figure.colorbar(image, ax=one, label=label, pad=0.02, extend="max")
+        for one, title_and_map in zip(axes[1:-1], maps, strict=True):
+            image = _level_map(one, *title_and_map, near, top, MAP)
+        figure.colorbar(image, ax=axes[-2], label="level", pad=0.02, extend="max")
+        image = _level_map(axes[-1], *error, near, max(ERROR_SHARE * top, 1.0), ERROR_MAP)
+        figure.colorbar(image, ax=axes[-1], label="|error|, levels", pad=0.02, extend="max")
         for one in axes:
             one.set_axis_off()
-        buffer = io.BytesIO()
-        figure.savefig(buffer, format="png", facecolor="white")
+        return _png_address(figure)
+
+
+def _level_map(axes: Any, title: str, level: NDArray[Any], near: BoolArray, top: float, colours: str) -> Any:
+    """Draw a map of levels from 0 to ``top``, hatched where it is not ``near``; the image, for a colour bar."""
+    import matplotlib
+
+    shown = np.ma.masked_invalid(np.where(near, level, np.nan))
+    colour_map = matplotlib.colormaps[colours].with_extremes(bad=NO_ESTIMATE)
+    image = axes.imshow(shown, cmap=colour_map, vmin=0, vmax=top, interpolation="nearest")
+    if not near.all():
+        axes.contourf(~near, levels=[0.5, 1.5], colors="none", hatches=[BEHIND_FOCUS])
+    axes.set_title(title)
+    return image
+
+
+def _png_address(figure: Any) -> str:
+    """A matplotlib figure as a data URL (PNG)."""
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", facecolor="white")
     return "data:image/png;base64," + base64.b64encode(buffer.getvalue()).decode()
 
 

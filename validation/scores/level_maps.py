@@ -19,7 +19,12 @@ from dasim.typing import BoolArray, FloatArray
 from dasim.values import Truth
 from validation.scores.depth import OCCUPIED_SHARE, check_size, regions
 
-REGIONS = ("all", "textured", "untextured", "boundary")  # of validation.scores.depth.regions
+REGIONS = {  # of validation.scores.depth.regions
+    "all": "all pixels",
+    "textured": "textured pixels away from boundaries",
+    "untextured": "untextured pixels away from boundaries",
+    "boundary": "pixels whose blur crosses a boundary",
+}
 FLAT_LEVELS = 1e-3  # a region with less spread than this has no best constant to compare with
 NEAR_FOCUS_LEVELS = (0.0, 2.0)  # where blur hardly changes with depth
 LARGEST_SD = 28.0  # levels: a standard deviation above the range of a bank says no more than one of this size
@@ -42,10 +47,14 @@ IN_REGION = {
     "error": Meaning("level", "mean |l - l*|"),
     "error-constant": Meaning("level", "mean |l - l*| of the constant map with the least"),
     "error-median": Meaning("level", "median |l - l*|"),
-    "within-sd": Meaning("1", "share with |l - l*| up to the stated standard deviation (normal errors: 0.68)"),
+    "within-sd": Meaning("1", "share with |l - l*| up to the stated standard deviation"),
 }
 MEANINGS = {
-    **{f"{region}.{name}": value for region in REGIONS for name, value in IN_REGION.items()},
+    **{
+        f"{region}.{name}": Meaning(unit, f"{text}, {where}")
+        for region, where in REGIONS.items()
+        for name, (unit, text) in IN_REGION.items()
+    },
     "half.error-median": Meaning("level", "median |l - l*| of the half with the least stated standard deviation"),
     "near-focus.share": Meaning("1", "share of the near side with a true level of 0 to 2"),
     "near-focus.bias": Meaning("level", "mean(l - l*) where the true level is 0 to 2"),

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import base64
 import dataclasses
 
+import cv2
 import numpy as np
 import pytest
 
@@ -18,6 +20,7 @@ from validation.claims.depth import held_out
 from validation.claims.table import CLAIMS
 from validation.gates.limits import GATES, judged_all, load_gates
 from validation.methods import bundled
+from validation.reports import page, pictures
 from validation.reports.claims import wide
 
 SIZE = (128, 160)
@@ -143,6 +146,16 @@ def test_the_report_states_the_set_and_shows_every_capture(claim, shot):
     assert held_out.sets.HASHES["test"] in evidence.tables[0][0]
     assert [caption.partition(":")[0] for caption, _ in evidence.pictures] == list(NAMES)
     assert all(wide(address) for _, address in evidence.pictures)
+
+
+def test_what_lies_behind_the_focus_is_grey():
+    """Set-up: a quarter of the frame lies behind the focus. Expectation: grey in the maps alone."""
+    level = np.broadcast_to(np.where(np.arange(160) < 40, -3.0, 8.0), (120, 160))
+    address = pictures.level_panels(np.ones((120, 160, 3)), [("true", level), ("first", level)], level >= 0)
+    picture = cv2.imdecode(np.frombuffer(base64.b64decode(address.partition(",")[2]), np.uint8), cv2.IMREAD_COLOR)
+    grey = (picture == int(page.NO_ESTIMATE[1:3], 16)).all(axis=-1).mean()
+    panel = pictures.LEVEL_PANEL_INCH**2 * 0.75 / np.prod(np.array(picture.shape[:2]) / pictures.DPI)
+    assert 0.6 < grey / (3 * panel / 4) < 1, "panels are a little smaller than planned, and hatches are black"
 
 
 def test_the_standard_deviation_is_that_of_the_confidence():
