@@ -176,9 +176,7 @@ def method_figures(method: NamedMethod, judged: Sequence[Judged], caption: str) 
         Figure(f"{label}lost", len(lost) / len(judged), "1", text),
         Figure(f"{label}failed", refused, "captures", f"{method}: without a reconstruction, of {of}"),
     ]
-    text = (
-        f"{method}: root of the sum of squares over all captures, of the error in dioptres over that of the constants"
-    )
+    text = f"{method}: RMSE in dioptres of the pixels of all captures together, over that of the best constant maps"
     figures.append(Figure(f"{label}{RATIO}.pooled", pooled_ratio(judged), "1", text))
     for key, (unit, meaning) in ALL_MEANINGS.items():
         values = np.array([one.value(key) for one in judged])
