@@ -218,6 +218,6 @@ def sharp_pass(
     # The control variate may have colours that are off, but its noise adds to that of the pictures. The channels of the
     # other camera move the wavelengths towards visible light, where there are most channels.
     even = replace(sampling, spp=FINE_SPP, even_wavelengths=True)
-    nodes = ray_loop.ratios(mitsuba_scene, finer, None, even, None, field, separate_responses(finer, also))
     channels = len(camera.stops) * stop_responses(camera, camera.stops[0]).channels
-    return Sharp(rate, Fine(cells, nodes.value[..., :channels].astype(np.float32), margin))
+    nodes = ray_loop.pinhole_ratios(mitsuba_scene, finer, even, field, separate_responses(finer, also), channels)
+    return Sharp(rate, Fine(cells, nodes, margin))

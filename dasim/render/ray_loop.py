@@ -205,20 +205,39 @@ def ratios(
     control: Control | None = None,
 ) -> Ratios:
     """Electrons over those of a surface of the lights' spectral radiance, see :func:`render`."""
-    height, width = camera.sensor.height_px, camera.sensor.width_px
+    place = responses.place
     shared = _prepare(scene, camera, stop, max_blur_px, field, responses, in_focus, control)
-    result = [np.full((height * width, responses.channels), start, dtype) for start, dtype in _STARTS]
-    signal = HERO * at_pixels(responses.mean_signal(_light(field)), responses.place).reshape(result[0].shape)
-    counts = np.broadcast_to(np.asarray(sampling.spp, dtype=np.int64), (height, width)).ravel()
-    pixels, seeds, done = np.flatnonzero(counts), sampling.block_seeds(stop), 0
-    for number, part in enumerate(_parts(pixels, counts[pixels])):
-        block = _block(shared, part, counts[part], seeds(number))
-        traced = _trace(shared, block, signal[part], sampling.even_wavelengths)
+    result = [np.full((place.size, responses.channels), start, dtype) for start, dtype in _STARTS]
+    for part, traced in _batches(shared, sampling, sampling.block_seeds(stop), responses):
         for whole, values in zip(result, traced, strict=True):
             whole[part] = values
+    return Ratios(*(whole.reshape(*place.shape, -1) for whole in result))
+
+
+def pinhole_ratios(
+    scene: Any, camera: Camera, sampling: Sampling, field: Field | None, responses: Responses, channels: int
+) -> NDArray[np.float32]:
+    """The value of :func:`ratios` through a pinhole for the first channels alone, [h, w, channel]."""
+    place = responses.place
+    shared = _prepare(scene, camera, None, None, field, responses, False, None)
+    result = np.zeros((place.size, channels), dtype=np.float32)
+    for part, traced in _batches(shared, sampling, sampling.block_seeds(None), responses):
+        result[part] = traced.value[:, :channels]
+    return result.reshape(*place.shape, channels)
+
+
+def _batches(
+    shared: _Pass, sampling: Sampling, seeds: Callable[[int], int], responses: Responses
+) -> Iterator[tuple[NDArray[np.intp], Ratios]]:
+    """Pixels of the frame, batch by batch, with their ratios, [pixel, channel]."""
+    place, mean_signal = responses.place.ravel(), responses.mean_signal(_light(shared.field))
+    counts = np.broadcast_to(np.asarray(sampling.spp, dtype=np.int64), responses.place.shape).ravel()
+    pixels, done = np.flatnonzero(counts), 0
+    for number, part in enumerate(_parts(pixels, counts[pixels])):
+        block = _block(shared, part, counts[part], seeds(number))
+        yield part, _trace(shared, block, HERO * at_pixels(mean_signal, place[part]), sampling.even_wavelengths)
         done += int(counts[part].sum())
         sampling.progress(done / counts.sum())
-    return Ratios(*(whole.reshape(height, width, -1) for whole in result))
 
 
 def _parts(pixels: NDArray[np.intp], counts: NDArray[np.int64]) -> Iterator[NDArray[np.intp]]:
@@ -447,24 +466,36 @@ def _trace(shared: _Pass, block: _Block, signal: FloatArray, even_wavelengths: b
     seen, kernel = rays.variate or ([], [])
     # One kernel for all: summing first would trace the rays once per sum.
     dr.eval(*depth_share, *values, *seen, *kernel, *(weighted or ()))
-    sums = [block.sums(value) for value in values]
-    control = np.stack(sums[1::2], axis=-1)
-    ratio = _ratio(np.stack(sums[0::2], axis=-1), control)
-    expected_light = block.counts[:, None] * signal
-    light = _ratio(control, expected_light, 1.0)
+    ratio, light = np.empty_like(signal), np.empty_like(signal, dtype=np.float32)
+    for channel in range(shared.channels):
+        ratio[:, channel], light[:, channel] = _sum_ratio(block, values[2 * channel :], signal[:, channel])
     if weighted is not None:
         total, near = (block.sums(value) for value in depth_share)
         several = np.flatnonzero(near < ONE_DEPTH_SHARE * total)
         if len(several):
             ratio[several] = _layered(shared, block, weighted, values, several)
             light[several] = 1.0
-    variate, variate_light = np.zeros_like(ratio), np.ones_like(ratio)
-    if shared.control is not None:
-        expected = shared.control.expected[block.pixels]
-        totals = [np.stack([block.sums(value) for value in part], axis=-1) for part in (seen, kernel)]
-        variate = _ratio(totals[0] - expected * totals[1], totals[1])
-        variate_light = _ratio(totals[1], expected_light, 1.0)
-    return Ratios(ratio, variate, light.astype(np.float32), variate_light.astype(np.float32))
+    if shared.control is None:
+        return Ratios(ratio, np.broadcast_to(0.0, ratio.shape), light, np.broadcast_to(np.float32(1.0), ratio.shape))
+    variate, variate_light = np.empty_like(ratio), np.empty_like(light)
+    expected = shared.control.expected[block.pixels]
+    for channel, sums in enumerate(zip(seen, kernel, strict=True)):
+        variate[:, channel], variate_light[:, channel] = _sum_ratio(
+            block, sums, signal[:, channel], expected[:, channel]
+        )
+    return Ratios(ratio, variate, light, variate_light)
+
+
+def _sum_ratio(
+    block: _Block, values: Sequence[Any], light: FloatArray, less: FloatArray | float = 0.0
+) -> tuple[FloatArray, FloatArray]:
+    """Ratio of the sums of two values, less ``less``, and the sum of the second over its expectation, [pixel].
+
+    ``light`` is that expectation per ray. A channel at a time: the finer picture through a pinhole has a million pixels
+    in a batch, and many channels.
+    """
+    signal, control = (block.sums(value) for value in values[:2])
+    return _ratio(signal - less * control, control), _ratio(control, block.counts * light, 1.0)
 
 
 def _ratio(signal: FloatArray, control: FloatArray, otherwise: float = 0.0) -> FloatArray:

@@ -17,6 +17,7 @@ import pytest
 
 import dasim
 from dasim.render import backend, irradiance, plugin, ray_loop, shared_kernels
+from dasim.render.wavelengths import pinhole_responses
 from tests.support.called import Batch, Record, recorded
 
 RENDER = Path(ray_loop.__file__).parent
@@ -186,3 +187,15 @@ def test_memory_is_bounded_by_the_rays_at_once(jit, monkeypatch, variant, most):
         parts = list(ray_loop._parts(np.arange(pixels), np.full(pixels, 16)))
         assert len(parts) == batches
         assert max(16 * len(part) for part in parts) <= most
+
+
+def test_the_picture_of_a_pinhole_has_its_first_channels(make_scene, loaded, wide, jit):
+    """Expectation: the values of the picture of all channels, in single precision."""
+    wall = {"name": "wall", "shape": "plane", "size_cm": (400, 400), "position_cm": (0, 0, 40), "material": "grey-card"}
+    scene, camera, sampling = loaded(make_scene(wall)), wide(12, 8), ray_loop.Sampling(4, 1)
+    responses = pinhole_responses(camera)
+    whole = ray_loop.ratios(scene, camera, None, sampling, None, None, responses)
+    first = ray_loop.pinhole_ratios(scene, camera, sampling, None, responses, 2)
+    assert first.dtype == np.float32
+    np.testing.assert_array_equal(first, whole.value[..., :2].astype(np.float32))
+    assert first.min() > 0 and not whole.variate.any() and (whole.variate_light == 1).all()
