@@ -57,6 +57,26 @@ def measured(pairs: Sequence[tuple[Picture, Picture]]) -> Measured:
     (a - b)^2 m n / (m + n)^2. It is averaged over ``WINDOW_PX``.
     """
     total = np.asarray(sum(first.spp + second.spp for first, second in pairs))
+    shape = np.broadcast_shapes(pairs[0][0].rate.shape, (*total.shape, 1))
+    rate, variance, beside = (np.empty(shape) for _ in range(3))
+    for stop, channel in np.ndindex(shape[0], shape[3]):  # apart: large frames would take gigabytes
+        at = (slice(stop, stop + 1), slice(None), slice(None), slice(channel, channel + 1))
+        rate[at], variance[at], beside[at] = _measured([(_part(a, at), _part(b, at)) for a, b in pairs], total[at[:3]])
+    return Measured(rate, variance, beside, total)
+
+
+def _part(picture: Picture, at: tuple[slice, ...]) -> Picture:
+    """A stop and a channel of a picture."""
+    light, variate_light = (
+        each if isinstance(each, float) else each[at] for each in (picture.light, picture.variate_light)
+    )
+    return Picture(picture.spp[at[:3]], picture.rate[at], picture.variate[at], light, variate_light)
+
+
+def _measured(
+    pairs: Sequence[tuple[Picture, Picture]], total: NDArray[np.int64]
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Mean, variance, and variance from the pixels around each, of parts of pictures; ``total`` are their samples."""
     weight = np.maximum(total, 1)[..., None]
     shape = np.broadcast_shapes(pairs[0][0].rate.shape, weight.shape)
     rate, variate, square, cross, variate_square = (np.zeros(shape) for _ in range(5))
@@ -72,7 +92,7 @@ def measured(pairs: Sequence[tuple[Picture, Picture]]) -> Measured:
     factor = np.clip(np.divide(above, below, out=np.zeros(shape), where=below > 0), 0.0, MOST_FACTOR)
     left = square - 2 * factor * cross + factor**2 * variate_square
     variance = np.maximum(ndimage.uniform_filter(left, (1, WINDOW_PX, WINDOW_PX, 1)), 0.0)
-    return Measured(rate - factor * variate, variance, np.maximum(around(left), 0.0), total)
+    return rate - factor * variate, variance, np.maximum(around(left), 0.0)
 
 
 def _joined(*parts: tuple[FloatArray, FloatArray, NDArray[np.float32] | float]) -> FloatArray:
