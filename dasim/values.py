@@ -141,6 +141,7 @@ class DepthEstimate:
     level: NDArray[np.floating] | None = None  # [h, w] blur level of the bank, fractional; 0 in focus, larger nearer
     depth_m: NDArray[np.floating] | None = None  # [h, w] z from the lens plane in metres, never range
     sd: NDArray[np.floating] | None = None  # [h, w] standard deviation, in levels or metres as the map; None: unknown
+    joined: bool = False  # whether the map has joined neighbours: regularisation leaves it then, unless it has gaps
 
     def __post_init__(self) -> None:
         """Refuse what is no estimate."""

@@ -20,6 +20,7 @@ from recon import levels
 from recon.calibration.fit import check_fits, place_notes
 from recon.depth import raw_levels
 from recon.depth.method import Method, method_name, on_blocks, run_method
+from recon.depth.peak import confidence_of
 from recon.depth.regularise import regularise
 from recon.picture import colour, denoise, field, mosaic
 from recon.picture import develop as picture
@@ -68,15 +69,18 @@ def reconstruct(
     variances = raw_levels.variances(linear.raw_e, capture)
     notes = (*place_notes(bank, camera), *colour.light_notes(linear.raw_e, linear.saturated, camera, bank))
     with stage("depth"):
-        raw, trust, remarks = _raw_levels(capture, bank if method else on_axis, linear, variances, settings, method)
+        found = _levels(capture, bank if method else on_axis, linear, variances, settings, method)
     with stage("regularise"):
-        guide = _infrared_guide(captured.ir_e, mosaic.noise_variance(capture, "IR"))
-        level, confidence = _regularised(raw, trust, guide, settings.regularise_bandwidth, captured.ir_e.shape)
+        if not found.joined:
+            guide = _infrared_guide(captured.ir_e, mosaic.noise_variance(capture, "IR"))
+            smooth = regularise(found.level, found.confidence, guide, settings.regularise_bandwidth)
+            found = found._replace(level=smooth[0], confidence=smooth[1])
+        level, confidence = _on_pixels(found.level, found.confidence, captured.ir_e.shape)
     captured = captured._replace(ir_e=np.maximum(field.infrared_as_on_axis(captured.ir_e, separation), 0))
     with stage("sharpen"):
         noise_e = sharpen.visible_noise(_noise_e(variances), separation.on_axis)
         stack = _stack(linear, captured, level, camera, white, separation)
-        del linear, variances, guide  # limits the memory of large frames
+        del linear, variances  # limits the memory of large frames
         visible_kernels = sharpen.visible_kernels(kernels, white, separation.on_axis)
         sharp_e = sharpen.sharpen(
             stack, level, visible_kernels, noise_e, mosaic.sole_phases(camera),
@@ -94,7 +98,7 @@ def reconstruct(
         linear_e=captured.linear_e,
         sharp_e=sharp_e,
         ir_e=captured.ir_e,
-        level_raw=raw.repeat(2, axis=0).repeat(2, axis=1),
+        level_raw=found.raw.repeat(2, axis=0).repeat(2, axis=1),
         level=level,
         depth_m=levels.depth_of(level, bank.depth_m),
         confidence=confidence,
@@ -103,7 +107,7 @@ def reconstruct(
         settings=settings.model_dump(),
         timings_s=timings,
         bank=bank_identity(bank),
-        notes=(*notes, *remarks),
+        notes=(*notes, *found.notes),
         method=None if method is None else method_name(method),
     )
 
@@ -128,23 +132,41 @@ def _captured(
     return _Captured(picture.without_infrared(image, separation, clipped, white), image.ir_e, clipped)
 
 
-def _raw_levels(
+class _Levels(NamedTuple):
+    """Levels of the 2x2 blocks, [h/2, w/2]."""
+
+    raw: Float32Array  # NaN without an estimate
+    level: Float32Array
+    confidence: Float32Array  # of ``level``
+    joined: bool  # whether ``level`` has joined neighbours already, and has no gaps
+    notes: tuple[str, ...] = ()
+
+
+def _levels(
     capture: Capture,
     bank: PsfBank,
     linear: picture.Linear,
     variances: dict[str, Float32Array],
     settings: Settings,
     method: Method | None,
-) -> tuple[Float32Array, Float32Array, tuple[str, ...]]:
-    """Level and confidence of the 2x2 blocks by a method, or by the score of the settings for None; and notes."""
+) -> _Levels:
+    """Levels by a method, or by the score of the settings for None."""
     if method is not None:
-        raw, trust, outside = on_blocks(run_method(method, capture, bank), bank)
-        return raw, trust, _range_notes(outside, method_name(method), bank)
+        estimate = run_method(method, capture, bank)
+        raw, trust, outside = on_blocks(estimate, bank)
+        joined = estimate.joined and bool(np.isfinite(raw).all())
+        return _Levels(raw, raw, trust, joined, _range_notes(outside, method_name(method), bank))
     kernels, white = bank.kernel[linear.light], bank.signature[linear.light]
-    raw, trust = raw_levels.raw_levels(
-        linear.raw_e, variances, linear.saturated, capture.camera, kernels, settings, white
-    )
-    return raw, trust, ()
+    arguments = (linear.raw_e, variances, linear.saturated, capture.camera, kernels, settings, white)
+    if settings.score == "joint":
+        found = raw_levels.joint_levels(*arguments)
+        known = confidence_of(found.window_sd) >= settings.least_confidence
+        raw = np.where(known, found.window_level, np.float32(np.nan))
+        # In double precision and rounded once, as the estimate of a method is.
+        trust = confidence_of(found.sd.astype(np.float64)).astype(np.float32)
+        return _Levels(raw, found.level, trust, True)
+    raw, trust = raw_levels.raw_levels(*arguments)
+    return _Levels(raw, raw, trust, False)
 
 
 def _range_notes(outside: float, name: str, bank: PsfBank) -> tuple[str, ...]:
@@ -164,16 +186,15 @@ def _infrared_guide(ir_e: Float32Array, noise: Variance) -> Float32Array:
     return denoise.stabilise(blocks, noise)
 
 
-def _regularised(
-    raw: Float32Array, trust: Float32Array, guide: Float32Array, bandwidth: float, shape: tuple[int, ...]
+def _on_pixels(
+    level: Float32Array, confidence: Float32Array, shape: tuple[int, ...]
 ) -> tuple[Float32Array, Float32Array]:
     """Level and confidence of every pixel, [h, w], from the 2x2 blocks by linear interpolation."""
     size = (shape[1], shape[0])
-    level, confidence = (
-        np.asarray(cv2.resize(blocks, size, interpolation=cv2.INTER_LINEAR), np.float32)
-        for blocks in regularise(raw, trust, guide, bandwidth)
+    return (
+        np.asarray(cv2.resize(level, size, interpolation=cv2.INTER_LINEAR), np.float32),
+        np.asarray(cv2.resize(confidence, size, interpolation=cv2.INTER_LINEAR), np.float32),
     )
-    return level, confidence
 
 
 def _noise_e(variances: dict[str, Float32Array]) -> NDArray:

@@ -38,9 +38,10 @@ class Settings(Specification):
         default="both", description="eq. (11): NCC of the sum of the two derivatives, or of both derivatives jointly"
     )
     cutoff_cycles_px: float = Field(default=0.16, gt=0, le=0.25, description="upper limit of the frequency band")
-    score: Literal["ncc", "likelihood", "bands", "colour-line"] = Field(
+    score: Literal["ncc", "likelihood", "bands", "colour-line", "joint"] = Field(
         default="ncc",
-        description="score of a level: eq. (11), likelihood, transfer in bands, or Chakrabarti and Zickler's",
+        description="score of a level: eq. (11), likelihood, transfer in bands, Chakrabarti and Zickler's, or joint: "
+        "of all of a channel's spectrum, joined over smooth surfaces before a level is chosen",
     )
     prior_factor: float = Field(default=1.0, gt=0, le=1e4, description="factor on the measured beta of eq. (9)")
     diagonals: Literal["right", "published"] = Field(
@@ -70,12 +71,14 @@ PAPER = Settings()
 PRESETS = {
     "paper": PAPER,
     "likelihood": Settings(score="likelihood"),
+    "best": Settings(score="joint", window_px=35, alike=True, least_confidence=0.4),
     "bands": Settings(score="bands", window_px=35, alike=True, edge_snr=0.0, fallback=False, least_confidence=0.6),
     "chakrabarti-zickler": Settings(score="colour-line"),
 }
 DESCRIPTIONS = {
     "paper": "normalised cross-correlation of green and near-infrared, as in the paper",
     "likelihood": "the paper's windows and bank; levels scored by likelihood",
+    "best": "joint likelihood of green and near-infrared in windows of two sizes, joined over smooth surfaces",
     "bands": "transfer from near-infrared to red and green in bands of frequency, in patches that follow the surface",
     "chakrabarti-zickler": "colour lines, the closest prior work, with the same bank and windows",
 }

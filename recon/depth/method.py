@@ -13,8 +13,8 @@ from dasim.typing import Float32Array
 from dasim.values import Capture, DepthEstimate, PsfBank
 from recon import levels
 from recon.calibration.fit import check_fits
-from recon.depth.peak import REFERENCE_ERROR
-from recon.depth.raw_levels import raw_levels, variances
+from recon.depth.peak import REFERENCE_ERROR, confidence_of
+from recon.depth.raw_levels import joint_levels, raw_levels, variances
 from recon.picture import colour, field, mosaic
 from recon.settings import PRESETS, Settings
 
@@ -26,6 +26,8 @@ UNKNOWN_SD = REFERENCE_ERROR  # levels; for estimates without a standard deviati
 def estimate(capture: Capture, bank: PsfBank, settings: Settings) -> DepthEstimate:
     """Raw levels of eq. (12) and their standard deviation, without regularisation, with the score of the settings.
 
+    The score ``joint`` joins neighbours before a level is chosen: its levels are smooth already, and without gaps.
+
     White balance selects the light among those of the bank. Each 2x2 block of the mosaic has one value.
     """
     check_fits(bank, capture)
@@ -33,9 +35,13 @@ def estimate(capture: Capture, bank: PsfBank, settings: Settings) -> DepthEstima
     raw_e, saturated = mosaic.linearise(capture)
     camera = capture.camera
     light = colour.choose_light(raw_e, saturated, camera, bank.lights, bank.signature)
-    level, confidence = raw_levels(
+    arguments = (
         raw_e, variances(raw_e, capture), saturated, camera, bank.kernel[light], settings, bank.signature[light]
-    )
+    )  # fmt: skip
+    if settings.score == "joint":
+        joined = joint_levels(*arguments)
+        return DepthEstimate(level=_on_pixels(joined.level), sd=_on_pixels(joined.sd), joined=True)
+    level, confidence = raw_levels(*arguments)
     known = np.isfinite(level)
     share = np.where(known, confidence, 1).astype(np.float64)
     sd = np.where(known, REFERENCE_ERROR * np.sqrt(1 / share - 1), np.nan)
@@ -84,7 +90,7 @@ def on_blocks(estimate: DepthEstimate, bank: PsfBank) -> tuple[Float32Array, Flo
     known = np.isfinite(level)
     inside = np.clip(level, 0, len(bank.depth_m) - 1)
     deviation = np.full(level.shape, UNKNOWN_SD) if sd is None else sd.astype(np.float64)
-    confidence = REFERENCE_ERROR**2 / (REFERENCE_ERROR**2 + deviation**2)
+    confidence = confidence_of(deviation)
     count = _block_sums(known)
     with np.errstate(invalid="ignore"):  # 0 / 0 gives NaN, a block without estimates
         blocks = [(_block_sums(np.where(known, a, 0)) / count).astype(np.float32) for a in (inside, confidence)]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from dasim.typing import Complex64Array, Float32Array
+from dasim.typing import Complex64Array, Float32Array, FloatArray
 from recon import fourier
 from recon.depth import bands
 from recon.depth.grid import PLANE_SPACING_PX, Grid, plane_mean
@@ -44,14 +44,18 @@ def best_level(
     expected_vertex = np.maximum.accumulate(np.arange(levels) + offset)
     level = np.interp(vertex, expected_vertex, np.arange(levels)).astype(np.float32)
     if ncc is None:
-        error = bands.standard_error(score)
-        return level, np.asarray(REFERENCE_ERROR**2 / (REFERENCE_ERROR**2 + error**2), np.float32)
+        return level, confidence_of(bands.standard_error(score)).astype(np.float32)
     top = np.clip(ncc, 0, 1)
     samples = INDEPENDENT_SHARE * (window_px / PLANE_SPACING_PX) ** 2
     information = samples * np.maximum(curvature, 0) * top
     residual = np.maximum(1 - top**2, 1e-3)
     confidence = REFERENCE_ERROR**2 * information / (REFERENCE_ERROR**2 * information + residual)
     return level, np.nan_to_num(confidence).astype(np.float32)
+
+
+def confidence_of(sd: FloatArray | Float32Array) -> NDArray[np.floating]:
+    """Confidence 0..1 of a standard deviation in levels, s^2 / (s^2 + sd^2) with s of one level."""
+    return np.asarray(REFERENCE_ERROR**2 / (REFERENCE_ERROR**2 + sd**2))
 
 
 def peak_offset(

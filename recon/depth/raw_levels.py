@@ -13,7 +13,7 @@ from dasim.camera.specification import Camera
 from dasim.spectra.grid import CHANNELS
 from dasim.typing import Float32Array
 from dasim.values import Capture
-from recon.depth import tiles
+from recon.depth import best, tiles
 from recon.depth.channels import Also, Channel, Leak
 from recon.depth.grid import PLANE_SPACING_PX, window_mean
 from recon.depth.scores import window_of
@@ -76,15 +76,42 @@ def raw_levels(
         also: Also = []
         if name == "IR":
             also = [(channel(n, box), _leak(n, alpha, white)) for n in further]
-        best, trust, snr, green_snr = tiles.best_levels(
+        sharpest, trust, snr, green_snr = tiles.best_levels(
             channel(name, box), channel("G", box), settings, leak if name == "IR" else None, also
         )
         edge = unresolved[box] & (snr > settings.edge_snr) & (green_snr > settings.edge_snr)
         new = edge & (trust > 0) & (trust >= settings.least_confidence)
-        level[box][new] = best[new]
+        level[box][new] = sharpest[new]
         confidence[box][new] = (trust if name == "IR" else FALLBACK_TRUST * trust)[new]
         unresolved[box] &= (snr <= settings.edge_snr) & (green_snr > settings.edge_snr)
     return level, confidence
+
+
+def joint_levels(
+    raw_e: Float32Array,
+    variances: dict[str, Float32Array],
+    saturated: NDArray,
+    camera: Camera,
+    kernels: NDArray,
+    settings: Settings,
+    white: NDArray,
+) -> best.Map:
+    """Levels of every 2x2 block by the score ``joint``; arguments are those of :func:`raw_levels`."""
+    phases = mosaic.phases(camera)
+    planes, variances = _with_crosstalk_of_the_axis(mosaic.planes(raw_e, camera), variances, camera)
+    alpha = infrared.crosstalk(camera, settings.crosstalk)
+    names = ["IR", "G", *(["R"] if "R" in _fallbacks(camera) else [])]
+    channels = [
+        Channel(np.ascontiguousarray(planes[name]), phases[name], variances[name], kernels[:, CHANNELS.index(name)])
+        for name in names
+    ]
+    leaks = [_leak(name, alpha, white) for name in names[1:]]
+
+    def bands(rows: NDArray[np.intp], columns: NDArray[np.intp]) -> Float32Array:
+        return tiles.scores_at(channels, leaks, settings, rows, columns)
+
+    clipped = mosaic.saturated_blocks(saturated)
+    return best.estimate(channels[1], channels[0], leaks[0], clipped, settings.saturated_share, bands)
 
 
 def _with_crosstalk_of_the_axis(

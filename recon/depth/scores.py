@@ -103,7 +103,7 @@ def frame_weights(
     signal: Signals, kernels: NDArray, green_kernels: NDArray, settings: Settings, spacing_px: float = PLANE_SPACING_PX
 ) -> FrameWeights:
     """Weights of eq. (9) and offsets of the peak, from the signals of a whole frame and the kernels [level, y, x]."""
-    if settings.score == "bands":  # needs no weights, and its peak no correction
+    if settings.score == "bands" or settings.score == "joint":  # needs no weights, and its peak no correction
         return FrameWeights([], np.zeros(len(kernels)))
     shape = (WEIGHT_GRID, WEIGHT_GRID)
     grid = make_grid(shape, shape, spacing_px, settings.cutoff_cycles_px, settings.gradient)
@@ -131,7 +131,7 @@ def scores(
     """
     grid, spectra = _spectra(sharper, green, settings, spacing_px)
     window = window_of(settings)
-    if settings.score == "bands":
+    if settings.score == "bands" or settings.score == "joint":  # the second adds to the first (:mod:`recon.depth.best`)
         channels = [(green, leak or Leak(0.0, 0.0)), *also]
         return bands.scored(sharper, channels, spectra[0], grid, window, alike=settings.alike), None
     observed = filtered(spectra[1], grid.filters, grid) if settings.score == "ncc" else None

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from recon.depth import raw_levels, tiles
-from recon.depth.channels import Channel
+from recon.depth.channels import Channel, Leak
 from recon.picture import mosaic
 from recon.settings import PRESETS
 from tests.support import recon_scenes
@@ -26,7 +26,7 @@ def channels():
     return [Channel(planes[n], phases[n], variances[n], bank.kernel[0, :, i]) for n, i in (("IR", 3), ("G", 1))]
 
 
-@pytest.mark.parametrize("preset", PRESETS)
+@pytest.mark.parametrize("preset", [name for name in PRESETS if PRESETS[name].score != "joint"])
 def test_levels_in_tiles_equal_those_of_the_whole(channels, preset):
     whole = tiles.best_levels(*channels, PRESETS[preset])
     parts = tiles.best_levels(*channels, PRESETS[preset], size=100, halo=96)
@@ -35,6 +35,19 @@ def test_levels_in_tiles_equal_those_of_the_whole(channels, preset):
     level, share = SAME.get(preset, SAME["paper"])
     assert (np.abs(parts.level - whole.level)[sure] < level).mean() > share
     np.testing.assert_allclose(parts.snr[sure], whole.snr[sure], rtol=SAME_SIGNAL, atol=SAME_SIGNAL)
+
+
+def test_scores_at_chosen_samples_are_those_of_the_whole_frame(channels):
+    """Rationale: frames beyond one tile must give the preset ``best`` what small frames give it."""
+    rows, columns = np.arange(2, 192, 4), np.arange(2, 256, 4)
+    leaks = [Leak(0.1, 0.5)]
+    whole, parts = (
+        tiles.scores_at(channels, leaks, PRESETS["best"], rows, columns, size=size, halo=96) for size in (1024, 100)
+    )
+    assert whole.shape == (48, 64, len(channels[0].kernels))
+    difference = (parts - parts.max(axis=-1, keepdims=True)) - (whole - whole.max(axis=-1, keepdims=True))
+    assert np.median(np.abs(difference)) < 0.1  # of a natural logarithm
+    assert (parts.argmax(axis=-1) == whole.argmax(axis=-1)).mean() > 0.95
 
 
 def test_tiles_cover_a_frame_once():

@@ -1,0 +1,65 @@
+"""The preset ``best`` on captures with known levels: a ramp, a capture without texture, clipped pixels."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+import recon
+from recon.depth import best
+from tests.support import recon_scenes
+
+BEST, BANDS = recon.PRESETS["best"], recon.PRESETS["bands"]
+
+
+def test_levels_are_even_near_focus_and_even_in_ratio_beyond():
+    levels = best.level_grid(28)
+    assert (levels[0], levels[-1], len(levels) % 2) == (0.0, 28.0, 1)
+    steps = np.diff(levels)
+    assert steps[0] == pytest.approx(best.FINEST, rel=0.15)  # the grid is stretched to end at the last level
+    np.testing.assert_allclose(steps[-5:] / levels[-6:-1], best.RELATIVE, rtol=0.1)
+    assert len(levels) < 60
+
+
+@pytest.fixture(scope="module")
+def ramp():
+    return recon_scenes.make(recon_scenes.slanted(256, 320, 0.5, 9), white_e=3000)
+
+
+@pytest.fixture(scope="module")
+def result(ramp):
+    return recon.reconstruct(ramp.capture, recon_scenes.bank(), BEST)
+
+
+def test_a_slanted_surface_is_followed(ramp, result):
+    """Expectation: a median error below 0.4 levels, a mean error below that of ``bands``, and no gap."""
+    error = np.abs(result.level - ramp.level)
+    other = np.abs(recon.reconstruct(ramp.capture, recon_scenes.bank(), BANDS).level - ramp.level)
+    assert np.isfinite(result.level).all()
+    assert np.median(error) < 0.4
+    assert error.mean() < other.mean()
+
+
+def test_the_standard_deviation_holds_most_errors(ramp, result):
+    sd = np.sqrt(1 / result.confidence - 1)
+    share = (np.abs(result.level - ramp.level) <= sd).mean()
+    assert share > 0.6
+    assert np.median(sd) < 1.5
+
+
+def test_raw_levels_are_those_of_windows_that_know(result):
+    known = np.isfinite(result.level_raw)
+    assert 0.5 < known.mean() <= 1
+    assert np.median(np.abs(result.level_raw - result.level)[known]) < 1
+
+
+def test_clipped_pixels_take_the_level_of_their_neighbours(ramp):
+    """Set-up: a square of 60 px is saturated. Expectation: no level there differs from the surface's by more than 3."""
+    raw = ramp.capture.raw_dn.copy()
+    box = (slice(100, 160), slice(120, 180))
+    raw[box] = 2**ramp.capture.camera.sensor.adc_bits - 1
+    capture = dataclasses.replace(ramp.capture, raw_dn=raw)
+    found = recon.reconstruct(capture, recon_scenes.bank(), BEST)
+    assert np.abs(found.level - ramp.level)[box].max() < 3
