@@ -28,6 +28,7 @@ WINDOWS = (Window(10.0, 4), Window(28.0, 8))
 WINDOW_WEIGHT, BANDS_WEIGHT = 0.6, 0.2
 NODE = 4  # samples of the planes between the nodes at which levels are estimated
 FINEST, RELATIVE = 0.25, 1 / 16  # spacing of levels: the larger of a number of levels and a share of the level
+LEAST_RANGE = 10.0  # of a score over the levels: windows of noise alone stay below it
 FAR = 0.5  # exponent of the prior (1 + level / 2)^-FAR: random rooms hold more at small blur
 GUIDE_BLUR = 1.0  # standard deviation in samples
 GUIDE_FLOOR = 2.0  # noise standard deviations that are added before the logarithm
@@ -43,9 +44,9 @@ class Map(NamedTuple):
     """Levels and their standard deviations at the planes' samples, [h, w]."""
 
     level: Float32Array
-    sd: Float32Array
+    sd: Float32Array  # infinite in a frame without texture
     window_level: Float32Array  # from the windows alone, before neighbours are joined
-    window_sd: Float32Array
+    window_sd: Float32Array  # infinite without texture
 
 
 def estimate(
@@ -73,12 +74,16 @@ def estimate(
     shares = [_share(clipped, window.sigma_px) for window in WINDOWS]
     score[shares[0][np.ix_(*nodes)] >= most_clipped] = 0
     score += _window_scores(channels, leak, [share >= most_clipped for share in shares], nodes, levels)
+    knows = np.ptp(score, axis=-1) >= LEAST_RANGE
     score = np.asarray(score - FAR * np.log(1 + levels / 2), np.float32)
-    window = _moments(_normalised(score, levels), levels)
+    window_level, window_sd = _moments(_normalised(score, levels), levels)
+    window_sd[~knows] = np.inf
     across, down = surfaces.step_probability(_guide(channels)[:, nodes[0][:, None], nodes[1]])
     level, sd = _moments(surfaces.posterior(score, levels, across, down), levels)
     sd = np.hypot(SD_FACTOR * sd, np.minimum(SD_SHARE * level, SD_MOST))
-    return Map(*(_on_samples(image, nodes, shape) for image in (level, sd, *window)))
+    if not knows.any():  # neighbours can tell only what some window knows
+        sd[:] = np.inf
+    return Map(*(_on_samples(image, nodes, shape) for image in (level, sd, window_level, window_sd)))
 
 
 def level_grid(last: int) -> FloatArray:
@@ -169,5 +174,6 @@ def _on_samples(
 ) -> Float32Array:
     """An image of the nodes at all samples of the planes."""
     for axis in (0, 1):
-        image = _resampled(image, nodes[axis], np.arange(shape[axis]), axis)
-    return image
+        with np.errstate(invalid="ignore"):  # 0 times infinity beside a sample that is unknown: unknown too
+            image = _resampled(image, nodes[axis], np.arange(shape[axis]), axis)
+    return np.where(np.isnan(image), np.float32(np.inf), image)

@@ -40,7 +40,9 @@ def estimate(capture: Capture, bank: PsfBank, settings: Settings) -> DepthEstima
     )  # fmt: skip
     if settings.score == "joint":
         joined = joint_levels(*arguments)
-        return DepthEstimate(level=_on_pixels(joined.level), sd=_on_pixels(joined.sd), joined=True)
+        known = np.isfinite(joined.sd)
+        level, sd = (_on_pixels(np.where(known, image, np.float32(np.nan))) for image in (joined.level, joined.sd))
+        return DepthEstimate(level=level, sd=sd, joined=True)
     level, confidence = raw_levels(*arguments)
     known = np.isfinite(level)
     share = np.where(known, confidence, 1).astype(np.float64)

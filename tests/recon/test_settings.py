@@ -17,7 +17,7 @@ def test_settings_survive_a_round_trip_through_toml(tmp_path, name):
 
 
 def test_presets_are_selected_by_name(tmp_path):
-    assert known.select(None, None) == PRESETS["bands"]
+    assert known.select(None, None) == PRESETS["best"]
     assert known.select("chakrabarti-zickler", None) == PRESETS["chakrabarti-zickler"]
     with pytest.raises(InputError, match="'mine' is unknown; allowed are paper, "):
         known.select("mine", None)

@@ -124,13 +124,13 @@ def test_a_methods_own_code_is_part_of_what_a_result_depends_on(mine):
 
 @pytest.fixture
 def small_claim(mine, shot, bank, monkeypatch):
-    """The claim depth on one small capture that needs no renderer, with the bundled method bands alone."""
+    """The claim depth on one small capture that needs no renderer, with the bundled method best alone."""
     monkeypatch.setattr(scenes, "SCENES", ("desk",))
     monkeypatch.setattr(scenes.rendering, "needs_wave", lambda: None)
     monkeypatch.setattr(scenes, "photographed", lambda *args, **options: shot)
     monkeypatch.setattr("dasim.calibration_captures", lambda *args, **options: None)
     monkeypatch.setattr("recon.calibrate", lambda captures: bank)
-    monkeypatch.setattr(scenes.depth, "__defaults__", (0, methods.bundled("bands")))
+    monkeypatch.setattr(scenes.depth, "__defaults__", (0, methods.bundled("best")))
     (mine / "gates.toml").write_text(
         '["depth.laplacian.desk.raw-ratio"]\nlimit = "<= 0.9"\n["depth.flat.*.raw"]\nlimit = "<= 0.1"\n'
     )
@@ -148,14 +148,14 @@ def test_claims_measure_a_users_methods_beside_ours(small_claim):
     assert run([*command, *theirs, "--out", "out"]) == 1, "the constant map misses its limit"
     content = json.loads((small_claim / "out" / "results.json").read_text())
     entries = {entry["id"]: entry for entry in content["claims"] if "*" not in entry["id"]}
-    figures = [name.removeprefix("depth.bands.") for name in entries if name.startswith("depth.bands.")]
+    figures = [name.removeprefix("depth.best.") for name in entries if name.startswith("depth.best.")]
     assert len(figures) == 9
     assert set(entries) >= {f"depth.{name}.{figure}" for name in ("laplacian", "flat") for figure in figures}
     exact = np.linspace(*LEVELS, SIZE_PX[0])
     assert entries["depth.flat.desk.raw"]["value"] == pytest.approx(np.median(np.abs(exact - 4)), abs=0.05)
     assert entries["depth.flat.desk.raw"]["passed"] is False
     assert entries["depth.laplacian.desk.raw-ratio"]["passed"] is True
-    assert entries["depth.laplacian.desk.raw"]["limit"] is None and entries["depth.bands.desk.raw"]["passed"] is True
+    assert entries["depth.laplacian.desk.raw"]["limit"] is None and entries["depth.best.desk.raw"]["passed"] is True
     cases = {case.get("name") for case in ElementTree.parse(small_claim / "out" / "junit.xml").iter("testcase")}
     assert set(entries) <= cases
     page = (small_claim / "out" / "report.html").read_text()
@@ -169,7 +169,7 @@ def test_a_method_that_raises_fails_its_claim_in_one_line(small_claim, capsys):
     entries = {entry["id"]: entry for entry in content["claims"]}
     failed = entries["depth.mine.py:broken"]
     assert failed["passed"] is False and "IndexError" in failed["source"] and "mine.py, line 11" in failed["source"]
-    assert entries["depth.bands.desk.raw"]["value"] is not None
+    assert entries["depth.best.desk.raw"]["value"] is not None
     printed = capsys.readouterr()
     assert "Traceback" not in printed.err and "IndexError" in printed.err
 

@@ -271,10 +271,10 @@ def test_recon_of_a_raw_file_equals_that_of_its_capture(here, capfd):
     assert run([*raw, "--exposure", exposure, "--out", "plain"]) == 0
     np.testing.assert_array_equal(load_reconstruction(here / "plain").level, load_reconstruction(here / "result").level)
     about = json.loads((here / "plain" / "meta.json").read_text())
-    assert (about["preset"], about["light"]) == ("bands", "D55")
+    assert (about["preset"], about["light"]) == ("best", "D55")
     assert about["bank"] == bank_identity(load_bank(here / "bank.npz"))
     assert set(about["timings_s"]) >= {"denoise", "depth", "sharpen"}
-    assert Settings.model_validate(about["settings"]) == PRESETS["bands"]
+    assert Settings.model_validate(about["settings"]) == PRESETS["best"]
 
 
 def test_stereo_pictures_and_surfaces_beside_the_result(here):
@@ -304,7 +304,7 @@ def test_settings_are_printed_changed_and_found_again(here, capfd):
         (("shot/raw.png", "--camera", "camera.toml", "--format", "raw10"), ("raw.png", "bytes", "2048 x 1536")),
         (("shot", "--camera", "camera.toml"), ("--camera", "leave it out")),
         (("shot", "--focus", "0.3"), ("--focus", "raw files")),
-        (("shot", "--preset", "best"), ("'best'", "chakrabarti-zickler")),
+        (("shot", "--preset", "finest"), ("'finest'", "chakrabarti-zickler")),
         (("shot", "--preset", "paper", "--settings", "mine.toml"), ("--preset and --settings",)),
         (("--preset", "paper"), ("capture",)),
         (("shot", "--also", "hologram"), ("'hologram'", "anaglyph, stereo, ply, glb")),

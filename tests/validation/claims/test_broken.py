@@ -85,8 +85,8 @@ def test_kernels_of_other_levels_fail_the_depth_of_scenes(photographs, monkeypat
     kernel = photographs.kernel[:, np.minimum(np.arange(photographs.kernel.shape[1]) + levels, 28)]
     moved = dataclasses.replace(photographs, kernel=kernel)
     monkeypatch.setattr("recon.calibrate", lambda captures: moved)
-    failures = failed("depth", scenes.depth(lambda share: None, 0, bundled("bands")))
-    assert failures == set() if levels == 0 else {"bands.desk.raw", "bands.desk.regularised"} <= failures
+    failures = failed("depth", scenes.depth(lambda share: None, 0, bundled("best")))
+    assert failures == set() if levels == 0 else {"best.desk.raw", "best.desk.regularised"} <= failures
 
 
 @pytest.mark.parametrize("sharpened", [True, False])
@@ -99,8 +99,8 @@ def test_a_capture_that_is_not_sharpened_fails_all_in_focus(photographs, monkeyp
         return result if sharpened else dataclasses.replace(result, sharp_e=result.linear_e)
 
     monkeypatch.setattr(all_in_focus, "reconstructed", reconstructed)
-    failures = failed("all-in-focus", all_in_focus.all_in_focus(lambda share: None, 0, bundled("bands")))
-    assert failures == (set() if sharpened else {"bands.desk.3-10", "bands.desk.10-25"})
+    failures = failed("all-in-focus", all_in_focus.all_in_focus(lambda share: None, 0, bundled("best")))
+    assert failures == (set() if sharpened else {"best.desk.3-10", "best.desk.10-25"})
 
 
 # --- cost ----------------------------------------------------------------------------------------

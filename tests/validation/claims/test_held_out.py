@@ -28,7 +28,7 @@ MEAN_E = np.array([800.0, 1500.0, 700.0, 600.0])
 CONTRAST = 0.1
 SD = 0.1  # levels, of an estimator near the bound
 NAMES = ("one", "two")
-METHOD = bundled("bands")
+METHOD = bundled("best")
 
 
 @pytest.fixture(scope="module")
