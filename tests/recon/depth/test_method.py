@@ -46,6 +46,31 @@ def test_bundled_methods_give_the_same_bytes_as_their_settings(scene, bank, name
     assert (by_settings.method, by_method.method) == (None, name)
 
 
+def test_a_map_that_has_joined_neighbours_is_not_regularised(scene, bank):
+    """Set-up: a noisy map without gaps, with and without ``joined``; one with a gap. Expectation: the first is kept
+    within 2x2 blocks, the others are smoothed.
+    """
+    noisy = np.clip(scene.level + np.random.default_rng(1).normal(0, 1, scene.level.shape), 0, 28)
+    noisy = noisy[::2, ::2].repeat(2, axis=0).repeat(2, axis=1)
+    gap = noisy.copy()
+    gap[10:12, 10:12] = np.nan
+
+    def result(level, joined):
+        estimate = recon.DepthEstimate(level=level, joined=joined)
+        return recon.reconstruct(scene.capture, bank, method=lambda capture, own: estimate).level
+
+    inner = (slice(16, -16), slice(16, -16))
+
+    def rough(level):
+        return np.std(np.diff(level[inner], axis=1))
+
+    kept, smoothed, filled = result(noisy, True), result(noisy, False), result(gap, True)
+    blocks = [level.reshape(level.shape[0] // 2, 2, -1, 2).mean(axis=(1, 3)) for level in (kept, noisy)]
+    assert np.corrcoef(*(block.ravel() for block in blocks))[0, 1] > 0.99
+    assert rough(kept) > 2 * rough(smoothed)
+    assert rough(kept) > 2 * rough(filled)
+
+
 def test_a_foreign_method_yields_an_all_in_focus_picture(scene, bank):
     """Set-up: a method that returns the exact depth at one pixel in twenty. Expectation: the level map is filled in
     from these pixels, and the picture gains sharpness.
