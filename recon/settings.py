@@ -71,7 +71,7 @@ PAPER = Settings()
 PRESETS = {
     "paper": PAPER,
     "likelihood": Settings(score="likelihood"),
-    "best": Settings(score="joint", window_px=35, alike=True, least_confidence=0.4),
+    "best": Settings(score="joint", window_px=35, alike=True, least_confidence=0.6),
     "bands": Settings(score="bands", window_px=35, alike=True, edge_snr=0.0, fallback=False, least_confidence=0.6),
     "chakrabarti-zickler": Settings(score="colour-line"),
 }

@@ -27,7 +27,7 @@ from recon.picture.mosaic import Phase
 
 EDGES = np.array([0.010, 0.022, 0.036, 0.055, 0.08, 0.11, 0.145, 0.19, 0.24])  # cycles per pixel, evenly in log f
 LEAST_SPAN = 0.30  # standard deviation of a window, pixels, times the width of a band: at least this
-TABLE_SIDE = 160  # of the grid of planes on which A is summed
+TABLE_SIDE = 96  # of the grid of planes on which A is summed
 TEXTURE_EXPONENT = 2.0
 MARGIN = 48  # samples of padding
 

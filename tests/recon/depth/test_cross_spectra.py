@@ -12,7 +12,7 @@ from recon.depth.cross_spectra import EDGES, Window
 
 SIDE = 512  # planes
 PHASES = ((0, 1), (1, 0))
-WHOLE = Window(200.0, 16)
+WHOLE = Window(100.0, 16)
 
 
 def test_squares_of_the_filters_sum_to_one_between_the_middles_of_the_first_and_the_last_band():
@@ -26,7 +26,7 @@ def test_noise_of_the_channels_is_predicted_with_the_infrared_that_is_subtracted
     its scatter, also its cross term -0.6 x 5.
     """
     random = np.random.default_rng(1)
-    variances = [np.full((SIDE, SIDE), value, np.float32) for value in (3.0, 5.0)]
+    variances = [np.full((SIDE // 2, SIDE // 2), value, np.float32) for value in (3.0, 5.0)]
     planes = [100 + np.sqrt(v) * random.standard_normal(v.shape).astype(np.float32) for v in variances]
     (found,) = cross_spectra.measured(planes, PHASES, variances, [0.6], [WHOLE])
     middle = (found.energy.shape[0] // 2, found.energy.shape[1] // 2)

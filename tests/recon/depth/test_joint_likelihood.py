@@ -7,7 +7,7 @@ import numpy as np
 from recon.depth.cross_spectra import Spectra
 from recon.depth.joint_likelihood import NU, log_likelihood
 
-BANDS, LEVELS, WINDOWS = 8, 12, 300
+BANDS, LEVELS, WINDOWS = 8, 12, 100
 
 
 def table():
