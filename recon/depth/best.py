@@ -54,8 +54,7 @@ def estimate(
 ) -> Map:
     """Levels of every sample of the planes, from green and infrared.
 
-    Red and blue would add information in theory; on captures they made the estimate worse (their texture differs more
-    from infrared's, and the law of their noise is known less well beside lamps with narrow lines).
+    Red and blue would add information in theory; on the captures of the set ``tune`` they made the estimate worse.
 
     Args:
         visible: the visible channel, green.

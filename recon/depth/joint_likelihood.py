@@ -1,4 +1,4 @@
-"""Log likelihood of each blur level from the cross-spectra of all channels together (a complex Wishart law).
+"""Log likelihood of each blur level from the cross-spectra of all channels together (a Wishart law).
 
 At each level the texture's covariance Sigma and the free powers q_b of :mod:`recon.depth.cross_spectra` are fitted to a
 window. With C_b the fitted matrix and n_b the number of independent values of the window, tempered because neighbouring
@@ -27,14 +27,14 @@ SLACK = 0.02  # of the model's diagonal: errors of kernels and of noise
 ITERATIONS = 4
 
 
-def log_likelihood(spectra: Spectra, table: FloatArray, temper: float = TEMPER, nu: float = NU) -> Float32Array:
+def log_likelihood(spectra: Spectra, table: FloatArray, nu: float = NU) -> Float32Array:
     """Score of each level, [h, w, level]; ``table`` is :func:`cross_spectra.expected`, [level, band, d, d]."""
     height, width, bands, count = spectra.energy.shape
     d = table.shape[-1]
     energy = spectra.energy.reshape(-1, bands, count).astype(np.float64)
     noise = spectra.noise.reshape(-1, bands, count).astype(np.float64)
     result = np.empty((len(energy), len(table)), np.float32)
-    _fit(energy, noise, temper * spectra.number.astype(np.float64), np.ascontiguousarray(table), d, nu, result)
+    _fit(energy, noise, TEMPER * spectra.number.astype(np.float64), np.ascontiguousarray(table), d, nu, result)
     return result.reshape(height, width, -1)
 
 

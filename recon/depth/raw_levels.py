@@ -100,6 +100,7 @@ def joint_levels(
     phases = mosaic.phases(camera)
     planes, variances = _with_crosstalk_of_the_axis(mosaic.planes(raw_e, camera), variances, camera)
     alpha = infrared.crosstalk(camera, settings.crosstalk)
+    # The score ``bands`` compares red too; the joint likelihood does not.
     names = ["IR", "G", *(["R"] if "R" in _fallbacks(camera) else [])]
     channels = [
         Channel(np.ascontiguousarray(planes[name]), phases[name], variances[name], kernels[:, CHANNELS.index(name)])
