@@ -10,10 +10,12 @@ from typing import Any
 
 import numpy as np
 
+import dasim
 from dasim.base.toml import parse
 from dasim.camera import radiometry
 from dasim.camera.specification import Camera
 from dasim.render import backend
+from dasim.scene.mitsuba_scene import MitsubaScene
 from dasim.scene.specification import Scene
 from dasim.typing import FloatArray
 
@@ -123,6 +125,14 @@ def stop_pictures(
         )
         progress((index + 1) / len(camera.stops))
     return np.stack(pictures)
+
+
+def capture_rate(
+    scene: Scene | MitsubaScene, camera: Camera, spp: int, seed: int, *, diffraction: str | None = None
+) -> FloatArray:
+    """Mean electrons per second of a capture (``mean_e`` of ``dasim.simulate``), [h, w, channel]."""
+    shot = dasim.simulate(scene, camera, seed, spp=spp, diffraction=diffraction)
+    return shot.truth.mean_e.astype(np.float64) / shot.capture.exposure_s
 
 
 def stop_electrons(camera: Camera, spectrum: FloatArray) -> FloatArray:

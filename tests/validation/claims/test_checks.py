@@ -54,12 +54,12 @@ def test_edges_of_geometry_fail_the_wave_claim(jit, monkeypatch, model):
     Expectation: infrared shows the difference, because geometry is off by 0.2 there. Frequencies up to 0.2 cycles per
     pixel, where noise is low.
     """
-    true = rendering.stop_pictures
+    true = rendering.capture_rate
 
-    def pictures(*arguments, diffraction, **options):
+    def rate(*arguments, diffraction, **options):
         return true(*arguments, diffraction=model, **options)
 
-    monkeypatch.setattr(rendering, "stop_pictures", pictures)
+    monkeypatch.setattr(rendering, "capture_rate", rate)
     monkeypatch.setattr(diffraction, "SFR_BLUR_PX", (17.4, 17.4))
     monkeypatch.setattr(diffraction, "SFR_CYCLES_PX", np.linspace(0.05, 0.2, 7))
     monkeypatch.setattr(diffraction, "EDGE_SPP", 256)

@@ -137,8 +137,8 @@ def _figures(name: str, scene: Scene | MitsubaScene, camera: Camera) -> list[Fig
     """Differences of a scene's captures from its traced pictures."""
     from dasim.render import translate
 
-    shots = [dasim.simulate(scene, camera, seed, spp=SPP, diffraction="off") for seed in SEEDS]
-    ours, ours_noise = _mean([shot.truth.mean_e.astype(float) / shot.capture.exposure_s for shot in shots])
+    captures = [rendering.capture_rate(scene, camera, SPP, seed, diffraction="off") for seed in SEEDS]
+    ours, ours_noise = _mean(captures)
     loaded = translate.world(scene, camera).scene
     traced, traced_noise = _mean(
         [

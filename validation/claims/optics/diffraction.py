@@ -48,7 +48,7 @@ def wave_sfr(progress: ShareDone) -> Evidence:
 
     Set-up: white paper beside black ink at one depth in even light, with the edge between them turned by 5 degrees.
     da-mobile is focused at 40 cm; the visible blur diameter is 0, 2, 5, 10 and 17.4 px in front of the focal plane and
-    5 px behind it. The picture is the mean of the electrons through both stops over 4 seeds of 784 samples per pixel,
+    5 px behind it. The picture is the mean of 4 captures of 784 samples per pixel (``mean_e`` of ``dasim.simulate``),
     divided by cos^4, 128 x 64 px. Its spatial frequency response (SFR) is measured as ISO 12233 measures a chart.
 
     Expectation: at 0.05 to 0.4 cycles per pixel the SFR equals |OTF| of the defocused pupil by Hopkins's integral,
@@ -67,17 +67,15 @@ def wave_sfr(progress: ShareDone) -> Evidence:
     mean, expected = np.empty(measured.shape[1:]), np.empty(measured.shape[1:])
     for index, blur in enumerate(SFR_BLUR_PX):
         scene = edge_scene(camera, blur)
-        pictures = []
+        captures = []
         for seed in range(EDGE_SEEDS):
-            stops = rendering.stop_pictures(
-                scene, camera, EDGE_SPP, seed, diffraction="wave", max_blur_px=abs(blur) + 1
-            )
-            pictures.append(stops.sum(axis=0) / cos4(camera)[..., None])
+            rate = rendering.capture_rate(scene, camera, EDGE_SPP, seed, diffraction="wave")
+            captures.append(rate / cos4(camera)[..., None])
             progress((index + (seed + 1) / EDGE_SEEDS) / len(SFR_BLUR_PX))
         for channel in range(4):
-            for seed, picture in enumerate(pictures):
+            for seed, picture in enumerate(captures):
                 measured[seed, index, channel] = slanted_edge_sfr(picture[..., channel], SFR_CYCLES_PX, blur_px=blur)
-            picture = np.mean(pictures, axis=0)[..., channel]
+            picture = np.mean(captures, axis=0)[..., channel]
             mean[index, channel] = slanted_edge_sfr(picture, SFR_CYCLES_PX, blur_px=blur)
         mtf = wave_mtf(camera, blur, edge_contrast(), np.arange(0, MTF_END, MTF_STEP), EDGE_DEG)
         slope = np.tan(np.radians(EDGE_DEG))

@@ -42,10 +42,10 @@ def occluding_edge(progress: ShareDone) -> Evidence:
 
     Set-up: a grey half-plane with a blur diameter of 4 px in front of black and white stripes with 1.5 px on the other
     side of the focal plane, both turned, lit by a distant lamp. The lens is 12 mm f/2.8 and the pixels measure 50 um,
-    so that lambda N is 0.03 px and the picture is nearly geometric. The render uses diffraction 'wave', 12 seeds of
-    1,024 samples per pixel, green through the open stop. The reference uses numpy and thin-lens geometry alone: 40,000
-    rays per pixel (Roberts's R4 sequence over pixel area and pupil), each intersected with the half-plane and the
-    stripes.
+    so that lambda N is 0.03 px and the picture is nearly geometric. The render is ``mean_e`` of ``dasim.simulate`` for
+    a camera with the open stop alone, green, diffraction 'wave', 12 seeds of 1,024 samples per pixel. The reference
+    uses numpy and thin-lens geometry alone: 40,000 rays per pixel (Roberts's R4 sequence over pixel area and pupil),
+    each intersected with the half-plane and the stripes.
 
     Expectation: in pixels that see both planes, render and reference differ by noise alone. Student's t of their
     difference divides by the variance over seeds plus the square of the reference's error, which has two parts: that of
@@ -108,11 +108,9 @@ def occluding_edge(progress: ShareDone) -> Evidence:
 
 def _renders(scene: dasim.Scene, camera: Camera, model: str) -> FloatArray:
     """Electrons per second in ``CHANNEL`` through ``STOP`` alone, [seed, h, w]."""
-    pictures = []
-    for seed in range(SEEDS):
-        stops = rendering.stop_pictures(scene, camera, SPP, seed, diffraction=model, max_blur_px=NEAR_BLUR_PX + 1)
-        pictures.append(stops[STOP, ..., CHANNELS.index(CHANNEL)])
-    return np.stack(pictures)
+    camera = rendering.changed(camera, stops=[camera.stops[STOP].model_dump()])
+    pictures = [rendering.capture_rate(scene, camera, SPP, seed, diffraction=model) for seed in range(SEEDS)]
+    return np.stack(pictures)[..., CHANNELS.index(CHANNEL)]
 
 
 def edge_camera() -> Camera:
