@@ -160,6 +160,17 @@ def test_swapped_eyes_fail(slope, where, swapped):
     assert failed("scene-pictures", figures) == ({f"x.{where}.shift", f"x.{where}.side"} if swapped else set())
 
 
+@pytest.mark.parametrize("where", ["in", "out"])
+def test_a_few_wild_depths_do_not_change_the_expected_shifts(slope, where):
+    """Set-up: one pixel in 200 has twice the vergence of the nearest or half that of the farthest."""
+    _, exact = slope
+    depth_m = exact.depth_m.copy()
+    depth_m[::20, ::20], depth_m[10::20, ::20] = exact.depth_m.min() / 2, exact.depth_m.max() * 2
+    left, right = anaglyph.pair(exact.sharp_srgb, depth_m, scene_pictures.STRONGEST_PX, where)
+    figures = scene_pictures.eyes(f"x.{where}", anaglyph.anaglyph(left, right), depth_m, where, exact)
+    assert not failed("scene-pictures", figures)
+
+
 def test_all_in_focus_that_is_the_capture_fails(slope):
     result, exact = slope
     same = dataclasses.replace(result, sharp_e=result.linear_e, sharp_rgb=result.rgb)

@@ -35,6 +35,7 @@ EDGE_BLUR_PX = ((0.0, 3.0), (3.0, 10.0))  # visible blur
 STACK_STEP = 1.0  # levels between the pictures of a stack, beyond both ends by one
 LOCAL_SIGMA_PX = 8.0  # of the patch in which sharpness is compared
 STRONGEST_PX = 12.0  # largest shift between the two eyes
+CLAMPED = 0.01  # share of the pixels at either end of the depths whose shifts are those of the range's ends
 SHIFT_STEP_PX = 0.5
 PATCH_SIGMA_PX, SHADING_SIGMA_PX = 5.0, 6.0  # of the blocks that are matched, and of the shading taken off before
 LEAST_PX = 2000  # of an object in the table
@@ -61,8 +62,8 @@ def scene_pictures(progress: ShareDone, seed: int = 0, methods: Sequence[NamedMe
     far as depth does; the shifts agree with depth, to the step of the search, behind or in front of the screen as
     requested.
 
-    Shifts are scaled to the range of the estimated depths, including outliers. In adam these take more than half of the
-    range, so that the scene hardly leaves the screen.
+    Shifts are scaled to the range of the estimated depths without the nearest and the farthest hundredth of the pixels,
+    whose shifts are those of the range's ends.
 
     Depth is worst at what was in focus: the brick wall of adam and the meadow of flowers, at level 0, are estimated up
     to 3 levels nearer (table), and a picture refocused to them is blurred there.
@@ -158,11 +159,12 @@ def eyes(name: str, anaglyph: NDArray, depth_m: NDArray, where: str, truth: Trut
     """Shifts between the eyes of a red-cyan anaglyph, compared with those that correspond to depth."""
     shift, match = shifts(anaglyph[..., 0], anaglyph[..., 1])
     sure = (match > MATCHED) & truth.valid
-    vergence = 1 / depth_m.astype(np.float64)
-    screen = vergence.max() if where == "in" else vergence.min()
-    scale = STRONGEST_PX / (vergence.max() - vergence.min())
-    off = np.abs(shift - scale * (screen - vergence))[sure]
-    off_true = np.abs(shift - scale * (screen - 1 / truth.depth_m))[sure]
+    low, high = np.quantile(1 / depth_m.astype(np.float64), (CLAMPED, 1 - CLAMPED))
+    screen, scale = high if where == "in" else low, STRONGEST_PX / (high - low)
+    off, off_true = (
+        np.abs(shift - scale * (screen - np.clip(1 / depth.astype(np.float64), low, high)))[sure]
+        for depth in (depth_m, truth.depth_m)
+    )
     side = shift[sure] * (1 if where == "in" else -1)
     case = f"{name.rpartition('.')[0]}, anaglyph, {where}"
     return [
