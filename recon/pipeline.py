@@ -157,15 +157,15 @@ def _levels(
         joined = estimate.joined and bool(np.isfinite(raw).all())
         return _Levels(raw, raw, trust, joined, _range_notes(outside, method_name(method), bank))
     kernels, white = bank.kernel[linear.light], bank.signature[linear.light]
-    arguments = (linear.raw_e, variances, linear.saturated, capture.camera, kernels, settings, white)
+    frame = raw_levels.Frame(linear.raw_e, variances, linear.saturated, capture.camera, kernels, white)
     if settings.score == "joint":
-        found = raw_levels.joint_levels(*arguments)
+        found = raw_levels.joint_levels(frame, settings)
         known = confidence_of(found.window_sd) >= settings.least_confidence
         raw = np.where(known, found.window_level, np.float32(np.nan))
         # In double precision and rounded once, as the estimate of a method is.
         trust = confidence_of(found.sd.astype(np.float64)).astype(np.float32)
         return _Levels(raw, found.level, trust, True)
-    raw, trust = raw_levels.raw_levels(*arguments)
+    raw, trust = raw_levels.raw_levels(frame, settings)
     return _Levels(raw, raw, trust, False)
 
 

@@ -41,7 +41,7 @@ class Settings(Specification):
     score: Literal["ncc", "likelihood", "bands", "colour-line", "joint"] = Field(
         default="ncc",
         description="score of a level: eq. (11), likelihood, transfer in bands, Chakrabarti and Zickler's, or joint: "
-        "of all of a channel's spectrum, joined over smooth surfaces before a level is chosen",
+        "of all of a channel's spectrum, joined over surfaces before a level is chosen",
     )
     prior_factor: float = Field(default=1.0, gt=0, le=1e4, description="factor on the measured beta of eq. (9)")
     diagonals: Literal["right", "published"] = Field(
@@ -78,7 +78,7 @@ PRESETS = {
 DESCRIPTIONS = {
     "paper": "normalised cross-correlation of green and near-infrared, as in the paper",
     "likelihood": "the paper's windows and bank; levels scored by likelihood",
-    "best": "joint likelihood of green and near-infrared in windows of two sizes, joined over smooth surfaces",
+    "best": "joint likelihood of green and near-infrared in windows of two sizes, joined over surfaces",
     "bands": "transfer from near-infrared to red and green in bands of frequency, in patches that follow the surface",
     "chakrabarti-zickler": "colour lines, the closest prior work, with the same bank and windows",
 }

@@ -125,8 +125,8 @@ def _means(images: Sequence[Float32Array], sigma: float, step: int) -> Float32Ar
 
 
 def nodes(shape: Sequence[int], step: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Rows and columns of the windows' centres, in the middle of blocks of ``step`` samples."""
-    rows, columns = (np.arange(min(step // 2, length - 1), length, step) for length in shape[:2])
+    """Rows and columns of the windows' centres, in the middle of blocks of ``step`` samples; the last may be cut."""
+    rows, columns = (np.minimum(np.arange(-(-length // step)) * step + step // 2, length - 1) for length in shape[:2])
     return rows, columns
 
 

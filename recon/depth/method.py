@@ -14,7 +14,7 @@ from dasim.values import Capture, DepthEstimate, PsfBank
 from recon import levels
 from recon.calibration.fit import check_fits
 from recon.depth.peak import REFERENCE_ERROR, confidence_of
-from recon.depth.raw_levels import joint_levels, raw_levels, variances
+from recon.depth.raw_levels import Frame, joint_levels, raw_levels, variances
 from recon.picture import colour, field, mosaic
 from recon.settings import PRESETS, Settings
 
@@ -33,17 +33,16 @@ def estimate(capture: Capture, bank: PsfBank, settings: Settings) -> DepthEstima
     check_fits(bank, capture)
     bank = field.with_infrared_of_axis(bank)
     raw_e, saturated = mosaic.linearise(capture)
-    camera = capture.camera
-    light = colour.choose_light(raw_e, saturated, camera, bank.lights, bank.signature)
-    arguments = (
-        raw_e, variances(raw_e, capture), saturated, camera, bank.kernel[light], settings, bank.signature[light]
-    )  # fmt: skip
+    light = colour.choose_light(raw_e, saturated, capture.camera, bank.lights, bank.signature)
+    frame = Frame(
+        raw_e, variances(raw_e, capture), saturated, capture.camera, bank.kernel[light], bank.signature[light]
+    )
     if settings.score == "joint":
-        joined = joint_levels(*arguments)
+        joined = joint_levels(frame, settings)
         known = np.isfinite(joined.sd)
         level, sd = (_on_pixels(np.where(known, image, np.float32(np.nan))) for image in (joined.level, joined.sd))
         return DepthEstimate(level=level, sd=sd, joined=True)
-    level, confidence = raw_levels(*arguments)
+    level, confidence = raw_levels(frame, settings)
     known = np.isfinite(level)
     share = np.where(known, confidence, 1).astype(np.float64)
     sd = np.where(known, REFERENCE_ERROR * np.sqrt(1 / share - 1), np.nan)

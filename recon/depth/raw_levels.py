@@ -5,16 +5,19 @@ Tested also in tests/recon/depth/test_tiles.py and tests/recon/depth/test_scores
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from dasim.camera.specification import Camera
 from dasim.spectra.grid import CHANNELS
-from dasim.typing import Float32Array
+from dasim.typing import BoolArray, Float32Array
 from dasim.values import Capture
 from recon.depth import best, tiles
 from recon.depth.channels import Also, Channel, Leak
+from recon.depth.evidence import Evidence, evidence
 from recon.depth.grid import PLANE_SPACING_PX, window_mean
 from recon.depth.scores import window_of
 from recon.picture import infrared, mosaic
@@ -35,49 +38,41 @@ def variances(raw_e: Float32Array, capture: Capture) -> dict[str, Float32Array]:
     return variances
 
 
-def raw_levels(
-    raw_e: Float32Array,
-    variances: dict[str, Float32Array],
-    saturated: NDArray,
-    camera: Camera,
-    kernels: NDArray,
-    settings: Settings,
-    white: NDArray,
-) -> tuple[Float32Array, Float32Array]:
-    """Level of eq. (12) and its confidence 0..1 for every 2x2 block of the mosaic, [h/2, w/2]; NaN without an edge.
+class Frame(NamedTuple):
+    """What levels are estimated from."""
 
-    Args:
-        raw_e: linear mosaic, [h, w] electrons.
-        variances: noise variance of each colour plane, [h/2, w/2].
-        saturated: mask of saturated pixels, [h, w].
-        camera: gives mosaic and response curves.
-        kernels: kernels under the light, [level, channel, y, x].
-        settings: score, window and thresholds.
-        white: electrons of a white point under the light, [channel].
-    """
-    phases = mosaic.phases(camera)
-    planes, variances = _with_crosstalk_of_the_axis(mosaic.planes(raw_e, camera), variances, camera)
-    alpha = infrared.crosstalk(camera, settings.crosstalk)
+    raw_e: Float32Array  # linear mosaic, [h, w] electrons
+    variances: dict[str, Float32Array]  # noise variance of each colour plane, [h/2, w/2]
+    saturated: BoolArray  # mask of saturated pixels, [h, w]
+    camera: Camera  # gives mosaic and response curves
+    kernels: Float32Array  # under the light, [level, channel, y, x]
+    white: NDArray[np.floating]  # electrons of a white point under the light, [channel]
+
+
+def raw_levels(frame: Frame, settings: Settings) -> tuple[Float32Array, Float32Array]:
+    """Level of eq. (12) and its confidence 0..1 for every 2x2 block of the mosaic, [h/2, w/2]; NaN without an edge."""
+    channels, leaks = _channels(frame, settings)
+    fallbacks = _fallbacks(frame.camera)
 
     def channel(name: str, box: tuple[slice, slice]) -> Channel:
-        plane = np.ascontiguousarray(planes[name][box])
-        return Channel(plane, phases[name], variances[name][box], kernels[:, CHANNELS.index(name)])
+        whole = channels[name]
+        return whole._replace(plane=np.ascontiguousarray(whole.plane[box]), variance=whole.variance[box])
 
-    leak = _leak("G", alpha, white)
-    further = ["R"] if settings.score == "bands" and "R" in _fallbacks(camera) else []
-    clipped_share = window_mean(mosaic.saturated_blocks(saturated).astype(np.float32), window_of(settings))
-    level = np.full(planes["G"].shape, np.nan, np.float32)
+    further = ["R"] if settings.score == "bands" and "R" in fallbacks else []
+    clipped = mosaic.saturated_blocks(frame.saturated).astype(np.float32)
+    level = np.full(clipped.shape, np.nan, np.float32)
     confidence = np.zeros_like(level)
-    unresolved = clipped_share < settings.saturated_share  # blocks in which no channel has had an edge yet
-    for name in ["IR", *(_fallbacks(camera) if settings.fallback else [])]:
+    # Blocks in which no channel has had an edge yet.
+    unresolved = window_mean(clipped, window_of(settings)) < settings.saturated_share
+    for name in ["IR", *(fallbacks if settings.fallback else [])]:
         box = _around(unresolved, round(settings.window_px / PLANE_SPACING_PX) * 2)
         if box is None:
             break
         also: Also = []
         if name == "IR":
-            also = [(channel(n, box), _leak(n, alpha, white)) for n in further]
+            also = [(channel(n, box), leaks[n]) for n in further]
         sharpest, trust, snr, green_snr = tiles.best_levels(
-            channel(name, box), channel("G", box), settings, leak if name == "IR" else None, also
+            channel(name, box), channel("G", box), settings, leaks["G"] if name == "IR" else None, also
         )
         edge = unresolved[box] & (snr > settings.edge_snr) & (green_snr > settings.edge_snr)
         new = edge & (trust > 0) & (trust >= settings.least_confidence)
@@ -87,32 +82,38 @@ def raw_levels(
     return level, confidence
 
 
-def joint_levels(
-    raw_e: Float32Array,
-    variances: dict[str, Float32Array],
-    saturated: NDArray,
-    camera: Camera,
-    kernels: NDArray,
-    settings: Settings,
-    white: NDArray,
-) -> best.Map:
-    """Levels of every 2x2 block by the score ``joint``; arguments are those of :func:`raw_levels`."""
-    phases = mosaic.phases(camera)
-    planes, variances = _with_crosstalk_of_the_axis(mosaic.planes(raw_e, camera), variances, camera)
-    alpha = infrared.crosstalk(camera, settings.crosstalk)
+def joint_levels(frame: Frame, settings: Settings) -> best.Map:
+    """Levels of every 2x2 block by the score ``joint``."""
+    return best.estimate(joint_evidence(frame, settings), len(frame.kernels) - 1, frame.variances["IR"].shape)
+
+
+def joint_evidence(frame: Frame, settings: Settings) -> Evidence:
+    """What the windows say of their levels, for the score ``joint``."""
+    channels, leaks = _channels(frame, settings)
     # The score ``bands`` compares red too; the joint likelihood does not.
-    names = ["IR", "G", *(["R"] if "R" in _fallbacks(camera) else [])]
-    channels = [
-        Channel(np.ascontiguousarray(planes[name]), phases[name], variances[name], kernels[:, CHANNELS.index(name)])
-        for name in names
-    ]
-    leaks = [_leak(name, alpha, white) for name in names[1:]]
+    names = ["G", *(["R"] if "R" in _fallbacks(frame.camera) else [])]
 
     def bands(rows: NDArray[np.intp], columns: NDArray[np.intp]) -> Float32Array:
-        return tiles.scores_at(channels, leaks, settings, rows, columns)
+        ordered = [channels[name] for name in ["IR", *names]]
+        return tiles.scores_at(ordered, [leaks[name] for name in names], settings, rows, columns)
 
-    clipped = mosaic.saturated_blocks(saturated)
-    return best.estimate(channels[1], channels[0], leaks[0], clipped, settings.saturated_share, bands)
+    clipped = mosaic.saturated_blocks(frame.saturated)
+    return evidence(channels["G"], channels["IR"], leaks["G"], clipped, settings.saturated_share, bands)
+
+
+def _channels(frame: Frame, settings: Settings) -> tuple[dict[str, Channel], dict[str, Leak]]:
+    """Every channel, and infrared's share in the visible ones, by name."""
+    phases = mosaic.phases(frame.camera)
+    planes = mosaic.planes(frame.raw_e, frame.camera)
+    planes, variances = _with_crosstalk_of_the_axis(planes, frame.variances, frame.camera)
+    alpha = infrared.crosstalk(frame.camera, settings.crosstalk)
+    channels = {
+        name: Channel(
+            np.ascontiguousarray(plane), phases[name], variances[name], frame.kernels[:, CHANNELS.index(name)]
+        )
+        for name, plane in planes.items()
+    }
+    return channels, {name: _leak(name, alpha, frame.white) for name in "RGB" if name in planes}
 
 
 def _with_crosstalk_of_the_axis(

@@ -8,19 +8,9 @@ import numpy as np
 import pytest
 
 import recon
-from recon.depth import best
 from tests.support import recon_scenes
 
 BEST, BANDS = recon.PRESETS["best"], recon.PRESETS["bands"]
-
-
-def test_levels_are_even_near_focus_and_even_in_ratio_beyond():
-    levels = best.level_grid(28)
-    assert (levels[0], levels[-1], len(levels) % 2) == (0.0, 28.0, 1)
-    steps = np.diff(levels)
-    assert steps[0] == pytest.approx(best.FINEST, rel=0.15)  # the grid is stretched to end at the last level
-    np.testing.assert_allclose(steps[-5:] / levels[-6:-1], best.RELATIVE, rtol=0.1)
-    assert len(levels) < 60
 
 
 @pytest.fixture(scope="module")

@@ -63,9 +63,9 @@ def noisy():
         raw, saturated = mosaic.linearise(scene.capture)
         index = bank.lights.index(light)
         variances = raw_levels.variances(raw, scene.capture)
-        estimate, confidence = raw_levels.raw_levels(
-            raw, variances, saturated, scene.capture.camera, bank.kernel[index], PAPER, bank.signature[index]
-        )
+        kernels, white = bank.kernel[index], bank.signature[index]
+        frame = raw_levels.Frame(raw, variances, saturated, scene.capture.camera, kernels, white)
+        estimate, confidence = raw_levels.raw_levels(frame, PAPER)
         true = cv2.resize(level.astype(np.float32), estimate.shape[::-1], interpolation=cv2.INTER_AREA)
         results.append((true, estimate, confidence))
     return results

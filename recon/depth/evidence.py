@@ -1,0 +1,196 @@
+"""What the windows around each node say of its level: the inputs of :mod:`recon.depth.surface_net`.
+
+Per node: the scores of the joint likelihood in windows of two sizes and that of :mod:`recon.depth.bands`, each less its
+largest value and compressed; the logarithm of their posterior on smooth surfaces (:mod:`recon.depth.surfaces`); signal
+over noise and coherence of green and infrared in bands of frequency; and the picture around it in samples, so that
+edges can be found between nodes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from dasim.typing import BoolArray, Float32Array, FloatArray
+from recon.depth import cross_spectra, surfaces
+from recon.depth.channels import Channel, Leak
+from recon.depth.cross_spectra import Spectra, Window
+from recon.depth.grid import PLANE_SPACING_PX
+from recon.depth.joint_likelihood import log_likelihood
+
+WINDOWS = (Window(10.0, 4), Window(28.0, 8))
+NODE = 4  # samples of the planes between nodes, and per side of the block of samples around each
+FINEST, RELATIVE, LAST = 0.5, 1 / 8, 28.0  # spacing of levels: the larger of a number and a share of the level
+SCORE_UNIT = 10.0  # score from which on differences count by their logarithm
+WEIGHTS = (0.6, 0.6, 0.2)  # of the scores of both windows and of ``bands`` in their sum: they share samples
+FAR = 0.5  # exponent of the prior (1 + level / 2)^-FAR: random rooms hold more at small blur
+EXCLUDED = 1e4  # below the best score: of levels that the bank does not have
+GUIDE_BLUR = 0.6  # standard deviation in samples
+GUIDE_FLOOR = 2.0  # noise standard deviations that are added before the logarithm
+SURROUNDINGS_PX = 40.0  # window of the mean that the picture is relative to
+LEAST_LOG = -14.0  # of the posterior, relative to its largest value
+# Inputs: SCORES scores of every level, of which the last is the posterior, SIGNALS, and a BLOCK of the picture.
+SCORES = len(WINDOWS) + 2
+SIGNALS = 3 * (len(cross_spectra.EDGES) - 1)
+BLOCK = 2 * NODE**2
+
+Scores = Callable[[NDArray[np.intp], NDArray[np.intp]], Float32Array]
+"""Log likelihood of each level of the bank at rows and columns of the planes, [row, column, level]."""
+Nodes = tuple[NDArray[np.intp], NDArray[np.intp]]
+
+
+class Evidence(NamedTuple):
+    """Inputs per node, [h, w, input], and the levels that the scores are about."""
+
+    inputs: Float32Array
+    levels: FloatArray
+    score: Float32Array  # [h, w, level] weighted sum of the scores, and a prior
+    nodes: Nodes  # rows and columns of the nodes, samples of the planes
+
+
+def level_grid(last: int) -> FloatArray:
+    """Levels from 0 to ``LAST``, or to the bank's ``last`` where that is more; always as many."""
+    grid = [0.0]
+    while grid[-1] < LAST:
+        grid.append(grid[-1] + max(FINEST, RELATIVE * grid[-1]))
+    return np.asarray(np.array(grid) * (max(LAST, last) / grid[-1]))
+
+
+def evidence(
+    visible: Channel, infrared: Channel, leak: Leak, clipped: BoolArray, most_clipped: float, bands: Scores
+) -> Evidence:
+    """Evidence of green and infrared.
+
+    Red and blue would add information in theory; on the captures of the set ``tune`` they made the estimate worse.
+
+    Args:
+        visible: the visible channel, green.
+        infrared: the infrared channel.
+        leak: infrared in the visible channel.
+        clipped: samples that are clipped, [h, w].
+        most_clipped: share of them in a window from which on the window says nothing.
+        bands: score of :mod:`recon.depth.bands`.
+    """
+    channels = (visible, infrared)
+    shape = infrared.variance.shape
+    nodes = cross_spectra.nodes(shape, NODE)
+    last = len(infrared.kernels) - 1
+    levels = level_grid(last)
+    shares = [_share(clipped, window.sigma_px) for window in WINDOWS]
+    unusable = [share >= most_clipped for share in shares]
+    found = _spectra(channels, leak)
+    scores = [*_window_scores(channels, leak, found, unusable, nodes, levels)]
+    of_bands = resampled(bands(*nodes), np.arange(last + 1), levels, 2)
+    of_bands[unusable[0][np.ix_(*nodes)]] = 0
+    scores.append(of_bands)
+    parts = []
+    for score in scores:
+        below = score.max(axis=-1, keepdims=True) - score
+        below[..., levels > last + 1e-6] = EXCLUDED
+        parts.append(-np.log1p(below / SCORE_UNIT))
+    total = sum(np.float32(weight) * score for weight, score in zip(WEIGHTS, scores, strict=True))
+    total = np.asarray(total - FAR * np.log(1 + levels / 2), np.float32)
+    total[..., levels > last + 1e-6] = total.min(axis=-1, keepdims=True) - EXCLUDED
+    picture = _picture(channels)
+    across, down = surfaces.step_probability(picture[:, nodes[0][:, None], nodes[1]])
+    joined = np.log(_joined(total, levels, across, down))
+    parts.append(np.maximum(joined - joined.max(axis=-1, keepdims=True), LEAST_LOG))
+    parts += [_signal(found[0]), _blocks(picture, nodes)]
+    return Evidence(np.concatenate(parts, axis=-1).astype(np.float32), levels, total, nodes)
+
+
+def _spectra(channels: tuple[Channel, Channel], leak: Leak) -> list[Spectra]:
+    planes, variances = [channel.plane for channel in channels], [channel.variance for channel in channels]
+    return cross_spectra.measured(planes, [channel.phase for channel in channels], variances, [leak.alpha], WINDOWS)
+
+
+def _window_scores(
+    channels: tuple[Channel, Channel],
+    leak: Leak,
+    found: Sequence[Spectra],
+    unusable: Sequence[BoolArray],
+    nodes: Nodes,
+    levels: FloatArray,
+) -> list[Float32Array]:
+    """Scores of each size of window at the nodes, [row, column, level]; ``unusable`` says nothing."""
+    visible, infrared = channels
+    share = leak.alpha * leak.white
+    clean = (visible.kernels - share * infrared.kernels) / (1 - share)
+    kernels = np.stack([clean, infrared.kernels], axis=1).astype(np.float32)
+    table = _between(cross_spectra.expected(kernels, [channel.phase for channel in channels]), levels)
+    result = []
+    for spectra, window, without in zip(found, WINDOWS, unusable, strict=True):
+        rows, columns = cross_spectra.nodes(infrared.variance.shape, window.step)
+        score = log_likelihood(spectra, table)
+        score[without[np.ix_(rows, columns)]] = 0
+        result.append(resampled(resampled(score, rows, nodes[0], 0), columns, nodes[1], 1))
+    return result
+
+
+def _joined(score: Float32Array, levels: FloatArray, across: Float32Array, down: Float32Array) -> Float32Array:
+    """Posterior on smooth surfaces, [h, w, level]: found with levels between ``levels`` too, and of the same mean."""
+    count = len(levels)
+    between = np.interp(np.arange(0, count - 0.5, 0.5), np.arange(count), levels)
+    fine = surfaces.posterior(resampled(score, levels, between, 2), between, across, down)
+    posterior = fine[..., ::2].copy()
+    posterior[..., :-1] += fine[..., 1::2] / 2
+    posterior[..., 1:] += fine[..., 1::2] / 2
+    return posterior
+
+
+def _signal(spectra: Spectra) -> Float32Array:
+    """Signal over noise of both channels (logarithm) and their coherence in each band, [h, w, 3 band]."""
+    energy, noise = spectra.energy, np.maximum(spectra.noise, 1e-9)
+    ratio = np.log1p(np.maximum(energy[..., [0, 2]] / noise[..., [0, 2]] - 1, 0))
+    coherence = energy[..., 1] / np.sqrt(np.maximum(energy[..., 0] * energy[..., 2], 1e-12))
+    return np.concatenate([ratio[..., 0], ratio[..., 1], coherence], axis=-1)
+
+
+def _picture(channels: Sequence[Channel]) -> Float32Array:
+    """Logarithms of the channels, lifted above their noise, relative to their surroundings, [channel, h, w]."""
+    parts = []
+    for channel in channels:
+        plane, variance = (
+            cv2.GaussianBlur(np.ascontiguousarray(image, np.float32), (0, 0), GUIDE_BLUR)
+            for image in (channel.plane, channel.variance)
+        )
+        noise = np.sqrt(variance)
+        log = np.log(np.maximum(plane, noise) + GUIDE_FLOOR * noise + np.float32(1e-6))
+        around = cv2.GaussianBlur(log, (0, 0), SURROUNDINGS_PX / PLANE_SPACING_PX, borderType=cv2.BORDER_REFLECT)
+        parts.append(log - around)
+    return np.stack(parts)
+
+
+def _blocks(image: Float32Array, nodes: Nodes) -> Float32Array:
+    """The NODE x NODE samples around each node, [row, column, channel NODE NODE]; the border is repeated."""
+    channels, height, width = image.shape
+    rows, columns = len(nodes[0]), len(nodes[1])
+    padded = np.pad(image, ((0, 0), (0, rows * NODE - height), (0, columns * NODE - width)), mode="edge")
+    split = padded.reshape(channels, rows, NODE, columns, NODE)
+    return split.transpose(1, 3, 0, 2, 4).reshape(rows, columns, -1)
+
+
+def _share(mask: BoolArray, sigma_px: float) -> Float32Array:
+    """Share of a mask of samples in the window around each of them, [h, w]."""
+    sigma = sigma_px / PLANE_SPACING_PX
+    return np.asarray(cv2.GaussianBlur(mask.astype(np.float32), (0, 0), sigma, borderType=cv2.BORDER_REFLECT))
+
+
+def _between(table: FloatArray, levels: FloatArray) -> FloatArray:
+    """Tables of fractional levels, linear between those of the bank, constant beyond its last."""
+    low = np.clip(levels.astype(int), 0, len(table) - 2)
+    share = np.clip(levels - low, 0, 1)[:, None, None, None]
+    return np.asarray(table[low] * (1 - share) + table[low + 1] * share)
+
+
+def resampled(image: Float32Array, old: NDArray, new: NDArray, axis: int) -> Float32Array:
+    """Linear interpolation along an axis from places ``old`` to ``new``; constant beyond the ends."""
+    place = np.interp(new, old, np.arange(len(old)))
+    low = np.minimum(place.astype(int), len(old) - 1)
+    high = np.minimum(low + 1, len(old) - 1)
+    share = (place - low).astype(np.float32).reshape([-1 if a == axis else 1 for a in range(image.ndim)])
+    return np.asarray(np.take(image, low, axis) * (1 - share) + np.take(image, high, axis) * share, np.float32)

@@ -1,0 +1,83 @@
+"""The inputs of the network of the preset ``best``: shapes, clipped windows, levels that the bank lacks."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import recon
+from recon.depth import evidence, raw_levels
+from recon.picture import mosaic
+from tests.support import recon_scenes
+
+LEVELS = evidence.level_grid(28)
+COUNT = len(LEVELS)
+
+
+def found_of(level, last=None, clipped=None):
+    """Evidence of a capture of known levels, with the bank's first ``last + 1`` levels."""
+    scene = recon_scenes.make(level, white_e=3000)
+    bank = recon_scenes.bank()
+    raw_e, saturated = mosaic.linearise(scene.capture)
+    if clipped is not None:
+        saturated = saturated.copy()
+        saturated[clipped] = True
+    index = bank.lights.index("D65")
+    kernels = bank.kernel[index][: None if last is None else last + 1]
+    variances = raw_levels.variances(raw_e, scene.capture)
+    frame = raw_levels.Frame(raw_e, variances, saturated, scene.capture.camera, kernels, bank.signature[index])
+    return raw_levels.joint_evidence(frame, recon.PRESETS["best"])
+
+
+@pytest.fixture(scope="module")
+def board():
+    return found_of(np.full((150, 198), 6.0))
+
+
+def test_levels_are_as_many_for_every_bank_and_reach_its_last():
+    assert all(len(evidence.level_grid(last)) == COUNT for last in (5, 28, 60))
+    assert evidence.level_grid(60)[-1] == pytest.approx(60)
+    assert evidence.level_grid(5)[-1] == pytest.approx(evidence.LAST)
+    steps = np.diff(LEVELS)
+    assert steps[0] == pytest.approx(evidence.FINEST, rel=0.15)  # the grid is stretched to end at its last level
+
+
+def test_a_frame_has_a_node_per_block_also_at_its_end(board):
+    """Set-up: planes of 75 x 99 samples, no multiples of a block."""
+    inputs = evidence.SCORES * COUNT + evidence.SIGNALS + evidence.BLOCK
+    assert board.inputs.shape == (19, 25, inputs)
+    assert np.isfinite(board.inputs).all()
+
+
+def test_every_score_is_largest_near_the_level_of_a_board(board):
+    """Expectation: of each of the four scores, the median of the windows' best levels is within 1 level of 6."""
+    middle = board.inputs[5:-5, 5:-5, : evidence.SCORES * COUNT]
+    for score in np.split(middle, evidence.SCORES, axis=-1):
+        assert np.median(LEVELS[score.argmax(axis=-1)]) == pytest.approx(6, abs=1)
+
+
+def test_levels_beyond_the_bank_are_excluded():
+    """Set-up: a bank of levels 0 to 12. Expectation: larger ones have no posterior, and the lowest scores."""
+    found = found_of(np.full((150, 198), 6.0), last=12)
+    beyond = found.levels > 12
+    scores = found.inputs[..., : evidence.SCORES * COUNT].reshape(*found.inputs.shape[:2], evidence.SCORES, COUNT)
+    assert beyond.any()
+    assert (scores[..., :-1, beyond] == -np.log1p(np.float32(evidence.EXCLUDED / evidence.SCORE_UNIT))).all()
+    assert (np.exp(scores[..., -1, beyond]) < 0.02).all()
+
+
+def test_clipped_windows_say_nothing():
+    """Set-up: a quarter of the frame is clipped. Expectation: there, the windows' scores are equal for all levels."""
+    found = found_of(np.full((150, 198), 6.0), clipped=(slice(0, 75), slice(0, 99)))
+    windows = found.inputs[..., : 3 * COUNT].reshape(*found.inputs.shape[:2], 3, COUNT)
+    assert (np.ptp(windows[:6, :8], axis=-1) == 0).all()
+    assert (np.ptp(windows[14:, 20:], axis=-1) > 0).all()
+
+
+def test_a_block_holds_the_picture_around_its_node():
+    """Expectation: the blocks side by side are the picture."""
+    image = np.random.default_rng(0).normal(size=(2, 12, 10)).astype(np.float32)
+    nodes = evidence.cross_spectra.nodes((12, 10), evidence.NODE)
+    blocks = evidence._blocks(image, nodes).reshape(len(nodes[0]), len(nodes[1]), 2, evidence.NODE, evidence.NODE)
+    whole = blocks.transpose(2, 0, 3, 1, 4).reshape(2, 12, 12)
+    np.testing.assert_array_equal(whole[:, :, :10], image)

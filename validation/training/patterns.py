@@ -1,0 +1,113 @@
+"""Random surface patterns in green and infrared, of which the learned part of the depth estimate knows no other.
+
+A pattern is periodic, of mean 1 about, and has a contrast in each of four channels. Near-infrared need not repeat what
+visible light shows: dyes that differ in colour are often alike in infrared.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable
+
+import cv2
+import numpy as np
+
+from dasim.typing import Float32Array
+
+SIDE = 512  # of a pattern, samples
+LEAST_REFLECTANCE = 0.02
+
+
+def pattern(random: np.random.Generator) -> Float32Array:
+    """A periodic pattern, [channel, SIDE, SIDE], in the order R, G, B, IR; between LEAST_REFLECTANCE and about 1."""
+    colours = _colour(random)
+    draw = KINDS[random.choice(len(KINDS), p=SHARES)]
+    shared, infrared = draw(random), draw(random)
+    contrast = np.exp(random.uniform(np.log(0.02), np.log(0.6)))
+    follows = random.choice([1.0, random.uniform(0.3, 1.0), 0.0], p=[0.35, 0.5, 0.15])
+    strength = contrast * random.choice([1.0, random.uniform(0.2, 1.2), 0.02], p=[0.4, 0.5, 0.1])
+    mixed = follows * shared + np.sqrt(1 - follows**2) * infrared
+    tint = 1 + 0.3 * random.standard_normal(3)
+    parts = [colours[i] * (1 + contrast * tint[i] * shared) for i in range(3)]
+    parts.append(colours[3] * (1 + strength * mixed))
+    return np.maximum(np.stack(parts), LEAST_REFLECTANCE).astype(np.float32)
+
+
+def _colour(random: np.random.Generator) -> Float32Array:
+    """Mean reflectance of R, G, B and IR; infrared is brighter on average."""
+    grey = random.uniform(0.05, 0.8)
+    visible = np.clip(grey * np.exp(0.4 * random.standard_normal(3)), 0.03, 0.95)
+    infrared = random.uniform(0.3, 0.9) if random.random() < 0.7 else visible.max()
+    return np.array([*visible, infrared], np.float32)
+
+
+def _unit(image: np.ndarray) -> Float32Array:
+    image = image - image.mean()
+    return np.asarray(image / max(float(image.std()), 1e-6), np.float32)
+
+
+def _noise(random: np.random.Generator) -> Float32Array:
+    """Gaussian noise of power 1 / f^(2 x), x in 0.5 to 1.8, sometimes stretched, like wood."""
+    fy, fx = np.meshgrid(np.fft.fftfreq(SIDE), np.fft.rfftfreq(SIDE), indexing="ij")
+    stretch = np.exp(random.uniform(0, 2.5)) if random.random() < 0.3 else 1.0
+    amplitude = np.maximum(np.hypot(fy * stretch, fx), 2 / SIDE) ** -random.uniform(0.5, 1.8)
+    spectrum = np.fft.rfft2(random.standard_normal((SIDE, SIDE))) * amplitude
+    return _unit(np.fft.irfft2(spectrum, (SIDE, SIDE)))
+
+
+def _leaves(random: np.random.Generator) -> Float32Array:
+    """Discs over one another, of radii with a density r^-3 (dead leaves)."""
+    image = np.zeros((SIDE, SIDE), np.float32)
+    least = np.exp(random.uniform(np.log(2), np.log(10)))
+    for radius in np.minimum(least / np.sqrt(random.uniform(0.001, 1, 1500)), SIDE / 5):
+        centre = random.integers(0, SIDE, 2)
+        grey = float(random.standard_normal())
+        for x, y in itertools.product(*([at + turn * SIDE for turn in (-1, 0, 1)] for at in centre)):
+            if max(abs(x - SIDE / 2), abs(y - SIDE / 2)) <= SIDE / 2 + radius:
+                cv2.circle(image, (int(x), int(y)), round(radius), grey, -1)
+    return _unit(image)
+
+
+def _squares(random: np.random.Generator) -> Float32Array:
+    """Checks or stripes."""
+    period = SIDE // int(random.choice([4, 8, 16, 32, 64]))
+    y, x = np.indices((SIDE, SIDE)) // max(period // 2, 1)
+    image = ((y + x) if random.random() < 0.5 else x) % 2
+    return _unit(image + 0.1 * _noise(random))
+
+
+def _print(random: np.random.Generator) -> Float32Array:
+    """Lines of strokes, like text."""
+    image = np.zeros((SIDE, SIDE), np.float32)
+    height = int(random.integers(6, 28))
+    thick = max(1, height // 7)
+    for top in range(height, SIDE - height, int(height * 1.7)):
+        at = 0
+        while at < SIDE:
+            width = int(random.integers(max(2, height // 3), height + 1))
+            for _ in range(int(random.integers(1, 4))):
+                ends = random.integers(0, [width, height], (2, 2)) + np.array([at, top])
+                cv2.line(image, ends[0].tolist(), ends[1].tolist(), 1.0, thick)
+            at += width + (height if random.random() < 0.15 else thick + 1)
+    return -_unit(image)
+
+
+def _dots(random: np.random.Generator) -> Float32Array:
+    """Sparse dots."""
+    image = np.zeros((SIDE, SIDE), np.float32)
+    radius = int(random.integers(1, 8))
+    for x, y in random.integers(0, SIDE, (int(random.integers(30, 600)), 2)):
+        cv2.circle(image, (int(x), int(y)), radius, float(random.choice([-1, 1])), -1)
+    return _unit(image)
+
+
+def _plain(random: np.random.Generator) -> Float32Array:
+    """Almost no pattern: slow changes."""
+    fy, fx = np.meshgrid(np.fft.fftfreq(SIDE), np.fft.rfftfreq(SIDE), indexing="ij")
+    amplitude = np.maximum(np.hypot(fy, fx), 1 / SIDE) ** -3
+    amplitude[0, 0] = 0
+    return 0.1 * _unit(np.fft.irfft2(np.fft.rfft2(random.standard_normal((SIDE, SIDE))) * amplitude, (SIDE, SIDE)))
+
+
+KINDS: tuple[Callable[[np.random.Generator], Float32Array], ...] = (_noise, _leaves, _squares, _print, _dots, _plain)
+SHARES = (0.32, 0.14, 0.12, 0.1, 0.06, 0.26)
