@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import dataclasses
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 import recon
+from dasim.base.loading import load_function
+from recon.depth.method import METHODS
 from tests.support import recon_scenes
 
+ABLATIONS = Path(__file__).parents[3] / "examples" / "ablations.py"
 BEST, BANDS = recon.PRESETS["best"], recon.PRESETS["bands"]
 
 
@@ -53,3 +57,12 @@ def test_clipped_pixels_take_the_level_of_their_neighbours(ramp):
     capture = dataclasses.replace(ramp.capture, raw_dn=raw)
     found = recon.reconstruct(capture, recon_scenes.bank(), BEST)
     assert np.abs(found.level - ramp.level)[box].max() < 3
+
+
+@pytest.mark.parametrize("name", ["without_network", "without_small_windows", "without_large_windows", "without_bands"])
+def test_the_estimate_without_an_ingredient_differs(ramp, name):
+    """Expectation: of each example of an ablation, a map that is not the default's, and not far from it."""
+    method = load_function(f"{ABLATIONS}:{name}", "method")
+    found = method(ramp.capture, recon_scenes.bank()).level
+    default = METHODS["best"](ramp.capture, recon_scenes.bank()).level
+    assert 0.005 < np.abs(found - default).mean() < 2

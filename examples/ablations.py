@@ -1,0 +1,69 @@
+"""The default depth estimate with one ingredient off, as methods: what does each of them add?
+
+    dasim score CAPTURE --method examples/ablations.py:without_network best
+
+README.md lists their figures on the set ``test``.
+"""
+
+from __future__ import annotations
+
+from unittest import mock
+
+from dasim.typing import Float32Array, FloatArray
+from dasim.values import Capture, DepthEstimate, PsfBank
+from recon.depth import evidence, surface_net
+from recon.depth.method import METHODS
+from recon.depth.surface_net import Moments
+
+SMALL, LARGE, BANDS = range(3)  # the scores in recon.depth.evidence
+
+
+def without_network(capture: Capture, bank: PsfBank) -> DepthEstimate:
+    """Neighbours are joined on smooth surfaces alone."""
+    with mock.patch.object(surface_net, "SHARE", 0.0):
+        return _best(capture, bank)
+
+
+def network_alone(capture: Capture, bank: PsfBank) -> DepthEstimate:
+    """The network's posterior, not mixed with that of smooth surfaces."""
+    with mock.patch.object(surface_net, "SHARE", 1.0):
+        return _best(capture, bank)
+
+
+def without_small_windows(capture: Capture, bank: PsfBank) -> DepthEstimate:
+    """No likelihood in windows of 10 px."""
+    return _without({SMALL}, capture, bank)
+
+
+def without_large_windows(capture: Capture, bank: PsfBank) -> DepthEstimate:
+    """No likelihood in windows of 28 px."""
+    return _without({LARGE}, capture, bank)
+
+
+def without_bands(capture: Capture, bank: PsfBank) -> DepthEstimate:
+    """No score of the preset ``bands``."""
+    return _without({BANDS}, capture, bank)
+
+
+def bands_alone(capture: Capture, bank: PsfBank) -> DepthEstimate:
+    """The score of the preset ``bands`` alone, joined as the default joins."""
+    return _without({SMALL, LARGE}, capture, bank)
+
+
+def _best(capture: Capture, bank: PsfBank) -> DepthEstimate:
+    return METHODS["best"](capture, bank)
+
+
+def _without(scores: set[int], capture: Capture, bank: PsfBank) -> DepthEstimate:
+    """The default without some scores: neither in the sum that smooth surfaces join nor among the network's inputs."""
+    posterior = surface_net.posterior
+
+    def blind(inputs: Float32Array, levels: FloatArray, last: float) -> Moments:
+        inputs = inputs.copy()
+        for index in scores:
+            inputs[..., index * len(levels) : (index + 1) * len(levels)] = 0
+        return posterior(inputs, levels, last)
+
+    weights = tuple(0.0 if index in scores else weight for index, weight in enumerate(evidence.WEIGHTS))
+    with mock.patch.object(evidence, "WEIGHTS", weights), mock.patch.object(surface_net, "posterior", blind):
+        return _best(capture, bank)
