@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +18,8 @@ from numpy.typing import NDArray
 from dasim.base.errors import InputError
 from dasim.camera.specification import Camera
 from dasim.typing import Float32Array
+
+Side = Literal["assumed", "estimated"]
 
 
 @dataclass(frozen=True, repr=False)
@@ -82,9 +84,9 @@ class PointPicture:
 
     frames_dn: NDArray[np.uint16]  # [frame, h, w]
     light: str
-    level: int
+    level: int  # negative behind the focus
     depth_m: float
-    blur_px: float  # visible blur diameter at this depth
+    blur_px: float  # visible blur diameter at this depth, negative behind the focus
     shift_px: tuple[int, int] | None
     exposure_s: float
     gain: float = 1.0  # analogue
@@ -113,6 +115,15 @@ class PointPictures:
 
 
 @dataclass(frozen=True, repr=False)
+class LevelsBehind:
+    """Measured point-spread functions behind the focus; level 0 is the focus, level k lies at the signed level -k."""
+
+    kernel: Float32Array  # [light, level, channel, y, x], as those of the bank
+    depth_m: Float32Array  # [level], rising
+    blur_px: Float32Array  # [level] signed visible blur diameter, 0 and below
+
+
+@dataclass(frozen=True, repr=False)
 class PsfBank:
     """Measured point-spread functions of a camera at one focus."""
 
@@ -124,9 +135,11 @@ class PsfBank:
     camera: Camera
     diffraction: str  # how the pictures were made: wave, airy, off, or measured
     field_px: tuple[float, float] = (0.0, 0.0)  # (x, y) from the optical axis, where the kernels were measured
+    behind: LevelsBehind | None = None  # where axial colour tells the sides of the focus apart
 
     def __repr__(self) -> str:
         levels = f"{len(self.depth_m)} levels, {_range(self.depth_m)}"
+        levels += f", {len(self.behind.depth_m) - 1} behind the focus" if self.behind else ""
         kernels = f"lights {', '.join(self.lights)}, kernels of {self.kernel.shape[-1]} px, {self.diffraction}"
         return f"PsfBank({_name(self.camera)}, {levels}, {kernels})"
 
@@ -138,16 +151,20 @@ class DepthEstimate:
     Give exactly one of ``level`` and ``depth_m``, each of the raw frame's shape; InputError for anything else.
     """
 
-    level: NDArray[np.floating] | None = None  # [h, w] blur level of the bank, fractional; 0 in focus, larger nearer
+    # [h, w] blur level of the bank, fractional; 0 in focus, larger nearer, negative behind the focus
+    level: NDArray[np.floating] | None = None
     depth_m: NDArray[np.floating] | None = None  # [h, w] z from the lens plane in metres, never range
     sd: NDArray[np.floating] | None = None  # [h, w] standard deviation, in levels or metres as the map; None: unknown
     joined: bool = False  # whether the map has joined neighbours: regularisation leaves it then, unless it has gaps
+    side: Side = "assumed"  # of the focus: all is taken to be nearer than it, or the picture tells which side is seen
 
     def __post_init__(self) -> None:
         """Refuse what is no estimate."""
         if (self.level is None) == (self.depth_m is None):
             given = "neither" if self.level is None else "both"
             raise InputError(f"depth estimate: {given} of level and depth_m given; give one of them")
+        if self.side not in get_args(Side):
+            raise InputError(f"depth estimate: side is {self.side!r}; allowed are {', '.join(get_args(Side))}")
         name = "depth_m" if self.level is None else "level"
         estimate = _map(getattr(self, name), name)
         if np.isinf(estimate).any():
@@ -182,7 +199,7 @@ class DepthEstimate:
     def __repr__(self) -> str:
         values = _range(self._map) if self.level is None else _range(self._map, "level", "")
         sd = "unknown sd" if self.sd is None else "sd"
-        return f"DepthEstimate({_size(self._map)}, {values}, coverage {self.coverage:.1%}, {sd})"
+        return f"DepthEstimate({_size(self._map)}, {values}, coverage {self.coverage:.1%}, {sd}, side {self.side})"
 
     @property
     def _map(self) -> NDArray[np.floating]:
@@ -213,7 +230,7 @@ class Reconstruction:
     sharp_e: Float32Array  # [h, w, 3] the same, all in focus
     ir_e: Float32Array  # [h, w] infrared, electrons
     level_raw: Float32Array  # [h, w] eq. (12), NaN where there is no edge
-    level: Float32Array  # [h, w] eq. (13), everywhere
+    level: Float32Array  # [h, w] eq. (13), everywhere; negative behind the focus
     depth_m: Float32Array  # [h, w] from ``level``
     confidence: Float32Array  # [h, w] 0..1
     camera: Camera
@@ -223,6 +240,7 @@ class Reconstruction:
     bank: dict[str, Any] = field(default_factory=dict)  # identity of the bank, see dasim.files.banks.bank_identity
     notes: tuple[str, ...] = ()  # what a user should know of this result
     method: str | None = None  # name of the depth method, where ``settings`` did not choose it
+    side: Side = "assumed"  # of the focus, see ``DepthEstimate``
 
     def __repr__(self) -> str:
         made = f"method {self.method}" if self.method else f"score {self.settings.get('score', 'unknown')}"

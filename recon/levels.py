@@ -1,6 +1,6 @@
 """Conversion between blur levels and depths. Levels are even steps in dioptres, because blur is linear in dioptres.
 
-Tested in tests/recon/depth/test_method.py and tests/recon/test_real_camera.py.
+Tested in tests/recon/depth/test_method.py, tests/recon/depth/test_side.py and tests/recon/test_real_camera.py.
 """
 
 from __future__ import annotations
@@ -34,6 +34,12 @@ def dioptres_per_level(level_depth_m: NDArray) -> float:
     return (1 / float(level_depth_m[-1]) - 1 / float(level_depth_m[0])) / (len(level_depth_m) - 1)
 
 
-def depth_of(level: NDArray, level_depth_m: NDArray) -> Float32Array:
-    """Depth in metres of levels: ``level_depth_m`` [level] interpolated in dioptres, clamped to its ends."""
-    return (1 / np.interp(level, np.arange(len(level_depth_m)), 1 / level_depth_m)).astype(np.float32)
+def depth_of(level: NDArray, level_depth_m: NDArray, behind_depth_m: NDArray | None = None) -> Float32Array:
+    """Depth in metres of levels: ``level_depth_m`` [level] interpolated in dioptres, clamped to its ends.
+
+    ``behind_depth_m`` [level] are the depths of the levels behind the focus, from it outwards, which level -1, -2 and
+    so on denote.
+    """
+    behind = level_depth_m[:0] if behind_depth_m is None else behind_depth_m[:0:-1]
+    depth_m = np.concatenate([behind, level_depth_m])
+    return (1 / np.interp(level, np.arange(len(depth_m)) - len(behind), 1 / depth_m)).astype(np.float32)

@@ -15,13 +15,14 @@ from dasim.files.banks import bank_identity
 from dasim.spectra.colour import exposure_scale, to_srgb
 from dasim.spectra.grid import CHANNELS
 from dasim.typing import Float32Array, FloatArray, Progress
-from dasim.values import Capture, PsfBank, Reconstruction
+from dasim.values import Capture, PsfBank, Reconstruction, Side
 from recon import levels
 from recon.calibration.fit import check_fits, place_notes
 from recon.depth import raw_levels
 from recon.depth.method import Method, method_name, on_blocks, run_method
 from recon.depth.peak import confidence_of
 from recon.depth.regularise import regularise
+from recon.depth.side import side_note
 from recon.picture import colour, denoise, field, mosaic
 from recon.picture import develop as picture
 from recon.picture.field import Separation
@@ -63,7 +64,7 @@ def reconstruct(
     stage = stages(STAGES, timings, progress)
     on_axis = field.with_infrared_of_axis(bank)
     linear = picture.linearised(capture, bank.lights, bank.signature, flat, stage)
-    kernels, white, light = on_axis.kernel[linear.light], bank.signature[linear.light], bank.lights[linear.light]
+    white, light = bank.signature[linear.light], bank.lights[linear.light]
     separation = field.separation(camera, light, settings)
     captured = _captured(linear, capture, white, separation, settings, stage)
     variances = raw_levels.variances(linear.raw_e, capture)
@@ -81,9 +82,10 @@ def reconstruct(
         noise_e = sharpen.visible_noise(_noise_e(variances), separation.on_axis)
         stack = _stack(linear, captured, level, camera, white, separation)
         del linear, variances  # limits the memory of large frames
+        kernels, focus = _of_both_sides(on_axis, light)
         visible_kernels = sharpen.visible_kernels(kernels, white, separation.on_axis)
         sharp_e = sharpen.sharpen(
-            stack, level, visible_kernels, noise_e, mosaic.sole_phases(camera),
+            stack, level + np.float32(focus), visible_kernels, noise_e, mosaic.sole_phases(camera), focus=focus,
             steps=settings.sharpen_steps, strength=settings.sharpen_strength, guided=settings.sharpen_guide,
         )  # fmt: skip
         del stack
@@ -100,15 +102,16 @@ def reconstruct(
         ir_e=captured.ir_e,
         level_raw=found.raw.repeat(2, axis=0).repeat(2, axis=1),
         level=level,
-        depth_m=levels.depth_of(level, bank.depth_m),
+        depth_m=levels.depth_of(level, bank.depth_m, None if bank.behind is None else bank.behind.depth_m),
         confidence=confidence,
         camera=camera,
         light=light,
         settings=settings.model_dump(),
         timings_s=timings,
         bank=bank_identity(bank),
-        notes=(*notes, *found.notes),
+        notes=(*notes, *found.notes, side_note(found.side, level, bank)),
         method=None if method is None else method_name(method),
+        side=found.side,
     )
 
 
@@ -139,6 +142,7 @@ class _Levels(NamedTuple):
     level: Float32Array
     confidence: Float32Array  # of ``level``
     joined: bool  # whether ``level`` has joined neighbours already, and has no gaps
+    side: Side = "assumed"
     notes: tuple[str, ...] = ()
 
 
@@ -155,28 +159,40 @@ def _levels(
         estimate = run_method(method, capture, bank)
         raw, trust, outside = on_blocks(estimate, bank)
         joined = estimate.joined and bool(np.isfinite(raw).all())
-        return _Levels(raw, raw, trust, joined, _range_notes(outside, method_name(method), bank))
+        notes = _range_notes(outside, method_name(method), bank, estimate.side)
+        return _Levels(raw, raw, trust, joined, estimate.side, notes)
     kernels, white = bank.kernel[linear.light], bank.signature[linear.light]
     frame = raw_levels.Frame(linear.raw_e, variances, linear.saturated, capture.camera, kernels, white)
     if settings.score == "joint":
-        found = raw_levels.joint_levels(frame, settings)
+        behind = None if bank.behind is None else bank.behind.kernel[linear.light]
+        found = raw_levels.joint_levels(frame, settings, behind)
         known = confidence_of(found.window_sd) >= settings.least_confidence
         raw = np.where(known, found.window_level, np.float32(np.nan))
         # In double precision and rounded once, as the estimate of a method is.
         trust = confidence_of(found.sd.astype(np.float64)).astype(np.float32)
-        return _Levels(raw, found.level, trust, True)
+        return _Levels(raw, found.level, trust, True, "assumed" if behind is None else "estimated")
     raw, trust = raw_levels.raw_levels(frame, settings)
     return _Levels(raw, raw, trust, False)
 
 
-def _range_notes(outside: float, name: str, bank: PsfBank) -> tuple[str, ...]:
+def _range_notes(outside: float, name: str, bank: PsfBank, side: Side) -> tuple[str, ...]:
     """A note on estimates out of the bank's range, whose share is ``outside``; none for 0."""
     if not outside:
         return ()
+    farthest = bank.behind if bank.behind and side == "estimated" else bank
     return (
         f"{outside:.1%} of the estimates of method '{name}' are outside the bank's range of "
-        f"{bank.depth_m.min():.4g} to {bank.depth_m.max():.4g} m and are clamped to it",
+        f"{bank.depth_m.min():.4g} to {farthest.depth_m.max():.4g} m and are clamped to it",
     )
+
+
+def _of_both_sides(bank: PsfBank, light: str) -> tuple[Float32Array, int]:
+    """Kernels under a light from the last level behind the focus to the nearest, and the index of the focus."""
+    kernels = bank.kernel[bank.lights.index(light)]
+    if bank.behind is None:
+        return kernels, 0
+    behind = bank.behind.kernel[bank.lights.index(light)][:0:-1]
+    return np.concatenate([behind, kernels]), len(behind)
 
 
 def _infrared_guide(ir_e: Float32Array, noise: Variance) -> Float32Array:
@@ -232,7 +248,7 @@ def _soften_in_focus(stack: Float32Array, linear_e: Float32Array, ir_e: Float32A
     In focus, noise reduction gives smaller errors than the prior of the deconvolution. The weight of the denoised
     picture is 1 at level 0 and 0 from ``GRAINY_LEVEL`` on.
     """
-    grain = np.clip(level / GRAINY_LEVEL, 0, 1)
+    grain = np.clip(np.abs(level) / GRAINY_LEVEL, 0, 1)
     for index, smooth_e in enumerate((*np.moveaxis(linear_e, -1, 0), ir_e)):
         stack[index] = smooth_e + grain * (stack[index] - smooth_e)
 

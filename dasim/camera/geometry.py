@@ -11,6 +11,8 @@ from dasim.camera.specification import BLUR_LEVELS, Camera, principal_point
 from dasim.spectra import grid
 from dasim.typing import FloatArray
 
+SIDES_DIFFER_PX = 0.5  # least range of axial colour, visible blur: half of it is too little to be seen in a window
+
 
 def image_distance_m(camera: Camera) -> float:
     """Distance from lens to sensor, in metres."""
@@ -76,6 +78,18 @@ def level_blur_px(camera: Camera) -> FloatArray:
         return np.linspace(0.0, camera.levels.max_blur_px, camera.levels.count)
     relative = 1.0 - hole_ratio(camera)
     return np.arange(BLUR_LEVELS, dtype=np.float64) * (1.0 / relative if relative > 0 else 2.0)
+
+
+def behind_blur_px(camera: Camera) -> FloatArray:
+    """Visible blur diameters of the blur levels behind the focus, in pixels, [level], from 0 downwards.
+
+    They are as far apart as those in front of it, end before infinity, and are as many at most. Without axial colour
+    that tells the sides apart there is level 0 alone.
+    """
+    blurs = level_blur_px(camera)
+    if np.ptp(chromatic_blur_px(camera)) < SIDES_DIFFER_PX:
+        return np.zeros(1)
+    return -blurs[-blurs > float(blur_px(camera, np.inf))]
 
 
 def frame_field_px(camera: Camera) -> tuple[float, float]:

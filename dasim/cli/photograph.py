@@ -185,19 +185,24 @@ def calibrate(
 
 
 def _print_distances(camera: Camera) -> int:
+    import numpy as np
+
     from dasim.camera.geometry import depth_of_blur_m
-    from dasim.simulation.calibration import levels
+    from dasim.simulation.calibration import levels, levels_behind
     from recon.files.point_table import DEPTH_TOLERANCE
 
-    depths, blurs = levels(camera)
-    margin = DEPTH_TOLERANCE * blurs[1]
+    (depths, blurs), (behind_m, behind_px) = levels(camera), levels_behind(camera)
+    numbers = range(1 - len(behind_m), len(depths))
+    depths, blurs = np.append(behind_m[:0:-1], depths), np.append(behind_px[:0:-1], blurs)
+    margin = DEPTH_TOLERANCE * (blurs[-1] - blurs[-2])
     nearest, farthest = (depth_of_blur_m(camera, blurs + side * margin) for side in (1, -1))
+    farthest = np.where(farthest > 0, farthest, np.inf)
     print(
         f"# camera '{camera.name}' focused at {camera.lens.focus_distance_m:g} m: metres from the lens to the pinhole;"
     )
     print("# a picture is assigned to a level from from_m to to_m; you may stop after any level, without gaps")
     print("level  distance_m   from_m     to_m  blur_px")
-    for row in zip(range(len(depths)), depths, nearest, farthest, blurs, strict=True):
+    for row in zip(numbers, depths, nearest, farthest, blurs, strict=True):
         print("{:>5}  {:>10.5f}  {:>7.5f}  {:>7.5f}  {:>7.1f}".format(*row))
     return 0
 
@@ -215,13 +220,14 @@ def _measured_bank(
     folder: Path, camera: Camera, kind: str | None, progress: Progress
 ) -> tuple[PsfBank, tuple[str, ...]]:
     """A bank from a user's own pictures, and notes on it."""
-    from dasim.simulation.calibration import levels
+    from dasim.simulation.calibration import levels, levels_behind
     from dasim.spectra import illuminants
     from recon import calibrate as calibrate_bank
     from recon.files.point_pictures import read_point_pictures
 
+    behind = len(levels_behind(camera)[0]) - 1
     pictures = read_point_pictures(
-        folder, camera, *levels(camera), known_light=illuminants.illuminant, kind=kind, progress=progress
+        folder, camera, *levels(camera), known_light=illuminants.illuminant, behind=behind, kind=kind, progress=progress
     )
     return calibrate_bank(pictures.pictures, camera, progress=progress), pictures.notes
 

@@ -8,21 +8,25 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dasim.base import atomic
 from dasim.base.errors import InputError
 from dasim.base.toml import parse
 from dasim.camera.specification import Camera, channels
-from dasim.values import PsfBank
+from dasim.values import LevelsBehind, PsfBank
 
 BANK_SCHEMA = 2
+_TABLES = ("kernel", "depth_m", "blur_px")  # of levels
+_BEHIND = "behind_"  # prefix of the tables of levels behind the focus, where a bank has them
 KERNEL_SUM_TOLERANCE = 1e-3  # of unit sums after rounding to float32
 
 
 def bank_identity(bank: PsfBank) -> dict[str, Any]:
     """Identity of a bank as plain data: SHA-256 of its arrays, camera, focus, lights, levels."""
     digest = hashlib.sha256()
-    for array in (bank.kernel, bank.signature, bank.depth_m, bank.blur_px):
+    behind = () if bank.behind is None else (bank.behind.kernel, bank.behind.depth_m, bank.behind.blur_px)
+    for array in (bank.kernel, bank.signature, bank.depth_m, bank.blur_px, *behind):
         digest.update(np.ascontiguousarray(array, np.float32).tobytes())
     return {
         "sha256": digest.hexdigest(),
@@ -30,7 +34,8 @@ def bank_identity(bank: PsfBank) -> dict[str, Any]:
         "focus_distance_m": bank.camera.lens.focus_distance_m,
         "lights": list(bank.lights),
         "levels": len(bank.depth_m),
-        "depths_m": [float(bank.depth_m.min()), float(bank.depth_m.max())],
+        "levels_behind": 0 if bank.behind is None else len(bank.behind.depth_m) - 1,
+        "depths_m": [float(bank.depth_m.min()), float((bank.behind or bank).depth_m.max())],
         "diffraction": bank.diffraction,
         "field_px": list(bank.field_px),
     }
@@ -53,6 +58,7 @@ def save_bank(path: Path, bank: PsfBank) -> None:
             signature=bank.signature,
             depth_m=bank.depth_m,
             blur_px=bank.blur_px,
+            **{} if bank.behind is None else {_BEHIND + name: getattr(bank.behind, name) for name in _TABLES},
         )
 
 
@@ -65,7 +71,8 @@ def load_bank(path: Path) -> PsfBank:
     try:
         with path.open("rb") as file, np.load(file, allow_pickle=False) as data:
             about = dict(json.loads(str(data["about"])))
-            arrays = {key: data[key] for key in ("kernel", "signature", "depth_m", "blur_px")}
+            arrays = {key: data[key] for key in ("signature", *_TABLES)}
+            beyond = {key: data[_BEHIND + key] for key in _TABLES} if f"{_BEHIND}kernel" in data else None
             x, y = (float(value) for value in about.get("field_px", (0.0, 0.0)))
     except Exception as error:  # damaged files raise many types of errors of zip, npy and json
         raise InputError(
@@ -75,16 +82,26 @@ def load_bank(path: Path) -> PsfBank:
         raise InputError(f"bank {path}: is not a bank of schema {BANK_SCHEMA}; make a new one with 'dasim calibrate'")
     camera = parse(Camera, about.get("camera"), f"bank {path}: camera")
     lights, diffraction = tuple(about.get("lights", ())), str(about.get("diffraction", "measured"))
-    kernel, levels = arrays["kernel"], len(np.atleast_1d(arrays["depth_m"]))
     count = len(channels(camera.sensor))
-    shapes = {"signature": (len(lights), count), "depth_m": (levels,), "blur_px": (levels,)}
+    _check_tables(path, arrays, (len(lights), count))
+    if arrays["signature"].shape != (len(lights), count) or not np.isfinite(arrays["signature"]).all():
+        raise InputError(f"bank {path}: its signature does not fit its lights and channels, or is not finite")
+    if beyond is not None:
+        _check_tables(path, beyond, (len(lights), count))
+    behind = None if beyond is None else LevelsBehind(**beyond)
+    return PsfBank(lights=lights, diffraction=diffraction, camera=camera, field_px=(x, y), behind=behind, **arrays)
+
+
+def _check_tables(path: Path, arrays: dict[str, NDArray], lights_and_channels: tuple[int, int]) -> None:
+    """Raise InputError if kernels, depths and blurs of levels do not fit each other, or are none."""
+    kernel, levels = arrays["kernel"], len(np.atleast_1d(arrays["depth_m"]))
+    lights, count = lights_and_channels
     square = kernel.ndim == 5 and kernel.shape[3] == kernel.shape[4] and kernel.shape[3] % 2 == 1
-    if not square or kernel.shape[:3] != (len(lights), levels, count) or 0 in kernel.shape:
+    if not square or kernel.shape[:3] != (lights, levels, count) or 0 in kernel.shape:
         raise InputError(f"bank {path}: its kernels do not fit its lights, levels and channels")
-    if any(arrays[name].shape != shape for name, shape in shapes.items()):
+    if any(arrays[name].shape != (levels,) for name in ("depth_m", "blur_px")):
         raise InputError(f"bank {path}: its tables do not fit its lights and levels")
     if not all(np.isfinite(array).all() for array in arrays.values()):
         raise InputError(f"bank {path}: has values that are not finite")
     if np.abs(kernel.sum(axis=(3, 4)) - 1).max() > KERNEL_SUM_TOLERANCE or (arrays["depth_m"] <= 0).any():
         raise InputError(f"bank {path}: its kernels are not of unit sum, or its depths not above 0")
-    return PsfBank(lights=lights, diffraction=diffraction, camera=camera, field_px=(x, y), **arrays)

@@ -38,6 +38,12 @@ def levels(camera: Camera) -> tuple[FloatArray, FloatArray]:
     return np.asarray(geometry.depth_of_blur_m(camera, blurs)), blurs
 
 
+def levels_behind(camera: Camera) -> tuple[FloatArray, FloatArray]:
+    """The same behind the focus, from it outwards, with negative blur; without axial colour, the focus alone."""
+    blurs = geometry.behind_blur_px(camera)
+    return np.asarray(geometry.depth_of_blur_m(camera, blurs)), blurs
+
+
 def calibration_captures(
     camera: Camera | str | Path,
     lights: Sequence[str] = CALIBRATION_LIGHTS,
@@ -49,6 +55,8 @@ def calibration_captures(
     field_px: tuple[float, float] | None = None,
 ) -> PointPictures:
     """Pictures of a point source for each light, blur level, mosaic position and exposure.
+
+    Where axial colour tells the sides of the focus apart, levels behind it follow, with negative numbers.
 
     The kernels are the camera's own (a path-traced point source converges too slowly to calibrate with), at an unknown
     place within some tens of pixels of ``field_px`` for each light and level, where they meet the sensor's fixed
@@ -68,7 +76,8 @@ def calibration_captures(
     """
     camera = as_camera(camera)
     field_px = geometry.frame_field_px(camera) if field_px is None else pointspread.pair("field_px", field_px)
-    levels_count, positions = len(levels(camera)[0]), len(camera.sensor.mosaic) * len(camera.sensor.mosaic[0])
+    levels_count = len(levels(camera)[0]) + len(levels_behind(camera)[0]) - 1
+    positions = len(camera.sensor.mosaic) * len(camera.sensor.mosaic[0])
     description = camera.model_dump(mode="json")
     for size in ("width_px", "height_px", "principal_point_px"):
         del description["sensor"][size]
@@ -95,17 +104,19 @@ def _pictures(
     model: NoiseModel,
 ) -> Iterator[PointPicture]:
     """The pictures, by level, light, shift and exposure."""
-    depths, blurs = levels(camera)
-    side = _frame_side_px(camera, float(blurs[-1]), field_px)
+    (near_m, near_px), (behind_m, behind_px) = levels(camera), levels_behind(camera)
+    depths, blurs = np.append(near_m, behind_m[1:]), np.append(near_px, behind_px[1:])
+    numbers = [*range(len(near_m)), *(-k for k in range(1, len(behind_m)))]
+    side = _frame_side_px(camera, float(near_px[-1]), field_px)
     powers = np.stack([illuminants.illuminant(light) for light in lights])
     kernels_at = pointspread.kernels(camera, blurs, powers, side - 1, diffraction, field_px)
     shifts = list(np.ndindex(len(camera.sensor.mosaic), len(camera.sensor.mosaic[0])))
-    for level, (blur, depth) in enumerate(zip(blurs, depths, strict=True)):
+    for index, (level, blur, depth) in enumerate(zip(numbers, blurs, depths, strict=True)):
         for light_index, light in enumerate(lights):
-            key = np.random.SeedSequence((seed, light_index, level))
+            key = np.random.SeedSequence((seed, light_index, index))
             random = np.random.Generator(np.random.Philox(key))
             place = random.uniform(-0.5, 0.5, 2)
-            flux = _flux(*kernels_at(level, (place[0], place[1]), light_index))
+            flux = _flux(*kernels_at(index, (place[0], place[1]), light_index))
             noise_seed = int(key.generate_state(1)[0])
             window = camera.model_copy(update={"sensor": _window(camera.sensor, side, field_px, random)})
             moved = (np.roll(flux, shift, axis=(0, 1)) for shift in shifts)

@@ -10,7 +10,7 @@ from scipy import fft, ndimage
 from dasim.base.errors import InputError
 from dasim.camera.specification import Camera, channels
 from dasim.typing import Float32Array, FloatArray, Progress
-from dasim.values import PointPicture, PsfBank
+from dasim.values import LevelsBehind, PointPicture, PsfBank
 from recon.calibration.pictures import averaged, common_centre
 from recon.calibration.round_kernel import RING_SNR, basis_of, round_fit, subpixel_radius
 from recon.calibration.unaligned import scattered
@@ -58,22 +58,29 @@ def calibrate(
     if field_px != (0.0, 0.0):
         signature = (signature / relative_to_axis(camera, lights, field_px)).astype(np.float32)
     first = [groups[lights[0], level][0] for level in levels]
+    depth_m = np.array([picture.depth_m for picture in first], np.float32)
+    blur_px = np.array([picture.blur_px for picture in first], np.float32)
+    focus = -levels[0]  # index of level 0
+    behind = None
+    if focus:
+        behind = LevelsBehind(kernel[:, focus::-1], depth_m[focus::-1], blur_px[focus::-1])
     return PsfBank(
-        kernel=kernel,
+        kernel=kernel[:, focus:],
         lights=lights,
         signature=signature,
-        depth_m=np.array([picture.depth_m for picture in first], np.float32),
-        blur_px=np.array([picture.blur_px for picture in first], np.float32),
+        depth_m=depth_m[focus:],
+        blur_px=blur_px[focus:],
         camera=camera,
         diffraction=diffraction,
         field_px=field_px,
+        behind=behind,
     )
 
 
 def _grouped(
     pictures: Iterable[PointPicture],
 ) -> tuple[dict[Key, list[PointPicture]], tuple[str, ...], range]:
-    """Pictures by light and level, the lights in their order, and the levels from 0.
+    """Pictures by light and level, the lights in their order, and the levels, from 0 or from one behind the focus.
 
     Raises InputError if pictures of a light or level are missing.
     """
@@ -85,11 +92,12 @@ def _grouped(
     lights = tuple(dict.fromkeys(light for light, _ in groups))
     levels = sorted({level for _, level in groups})
     missing = [f"{light} level {level}" for light in lights for level in levels if (light, level) not in groups]
-    if missing or levels != list(range(len(levels))):
+    known = range(min(levels[0], 0), len(levels) + min(levels[0], 0))
+    if missing or levels != list(known):
         raise InputError(
             f"calibration: no pictures of {', '.join(missing) or 'lower levels'}; give all levels from 0 on"
         )
-    return groups, lights, range(len(levels))
+    return groups, lights, known
 
 
 def _interleaved_kernel(full: FloatArray, noise_e: FloatArray, *, on_axis: bool) -> FloatArray:

@@ -4,7 +4,7 @@ Small windows show where objects end, large ones read weak texture; the score of
 the texture's spectrum to be natural, and is better at large blur (:mod:`recon.depth.evidence`). Neighbours are joined
 before a level is chosen (:mod:`recon.depth.surface_net`): the level is the mean of the posterior.
 
-The side of the focus is not estimated: blur is taken to come from nearer than the focus.
+The kernels are those of one side of the focus; :mod:`recon.depth.side` chooses between both.
 """
 
 from __future__ import annotations

@@ -80,7 +80,7 @@ def evidence(
     nodes = cross_spectra.nodes(shape, NODE)
     last = len(infrared.kernels) - 1
     levels = level_grid(last)
-    shares = [_share(clipped, window.sigma_px) for window in WINDOWS]
+    shares = [share_in_window(clipped, window.sigma_px) for window in WINDOWS]
     unusable = [share >= most_clipped for share in shares]
     found = _spectra(channels, leak)
     scores = [*_window_scores(channels, leak, found, unusable, nodes, levels)]
@@ -174,7 +174,7 @@ def _blocks(image: Float32Array, nodes: Nodes) -> Float32Array:
     return split.transpose(1, 3, 0, 2, 4).reshape(rows, columns, -1)
 
 
-def _share(mask: BoolArray, sigma_px: float) -> Float32Array:
+def share_in_window(mask: BoolArray, sigma_px: float) -> Float32Array:
     """Share of a mask of samples in the window around each of them, [h, w]."""
     sigma = sigma_px / PLANE_SPACING_PX
     return np.asarray(cv2.GaussianBlur(mask.astype(np.float32), (0, 0), sigma, borderType=cv2.BORDER_REFLECT))

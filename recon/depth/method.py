@@ -38,10 +38,11 @@ def estimate(capture: Capture, bank: PsfBank, settings: Settings) -> DepthEstima
         raw_e, variances(raw_e, capture), saturated, capture.camera, bank.kernel[light], bank.signature[light]
     )
     if settings.score == "joint":
-        joined = joint_levels(frame, settings)
+        behind = None if bank.behind is None else bank.behind.kernel[light]
+        joined = joint_levels(frame, settings, behind)
         known = np.isfinite(joined.sd)
         level, sd = (_on_pixels(np.where(known, image, np.float32(np.nan))) for image in (joined.level, joined.sd))
-        return DepthEstimate(level=level, sd=sd, joined=True)
+        return DepthEstimate(level=level, sd=sd, joined=True, side="assumed" if behind is None else "estimated")
     level, confidence = raw_levels(frame, settings)
     known = np.isfinite(level)
     share = np.where(known, confidence, 1).astype(np.float64)
@@ -79,8 +80,9 @@ def run_method(method: Method, capture: Capture, bank: PsfBank) -> DepthEstimate
 def on_blocks(estimate: DepthEstimate, bank: PsfBank) -> tuple[Float32Array, Float32Array, float]:
     """Levels of the mosaic's 2x2 blocks and their confidence, [h/2, w/2]; share of the estimates out of range, 0..1.
 
-    A block's level is the mean of its pixels' estimates, NaN without any. Estimates farther than the bank's focus or
-    nearer than its last level are clamped to the bank's ends, because it has no kernels there; the share counts them.
+    A block's level is the mean of its pixels' estimates, NaN without any. Estimates nearer than the last level or
+    farther than the focus, or than the last level behind it where a method tells the sides apart, are clamped, because
+    the bank has no kernels there; the share counts them.
     The confidence is s^2 / (s^2 + sd^2) with s of one level.
     """
     level, sd = estimate.level, estimate.sd
@@ -89,7 +91,8 @@ def on_blocks(estimate: DepthEstimate, bank: PsfBank) -> tuple[Float32Array, Flo
         sd = None if sd is None else levels.level_sd_of(sd, estimate.depth_m, bank.depth_m)
     assert level is not None  # DepthEstimate has a level or a depth
     known = np.isfinite(level)
-    inside = np.clip(level, 0, len(bank.depth_m) - 1)
+    farthest = 0 if bank.behind is None or estimate.side == "assumed" else 1 - len(bank.behind.depth_m)
+    inside = np.clip(level, farthest, len(bank.depth_m) - 1)
     deviation = np.full(level.shape, UNKNOWN_SD) if sd is None else sd.astype(np.float64)
     confidence = confidence_of(deviation)
     count = _block_sums(known)

@@ -20,6 +20,7 @@ from recon.depth.channels import Also, Channel, Leak
 from recon.depth.evidence import Evidence, evidence
 from recon.depth.grid import PLANE_SPACING_PX, window_mean
 from recon.depth.scores import window_of
+from recon.depth.side import probability_behind, signed
 from recon.picture import infrared, mosaic
 from recon.settings import Settings
 
@@ -82,8 +83,20 @@ def raw_levels(frame: Frame, settings: Settings) -> tuple[Float32Array, Float32A
     return level, confidence
 
 
-def joint_levels(frame: Frame, settings: Settings) -> best.Map:
-    """Levels of every 2x2 block by the score ``joint``."""
+def joint_levels(frame: Frame, settings: Settings, behind: NDArray | None = None) -> best.Map:
+    """Levels of every 2x2 block by the score ``joint``.
+
+    With kernels ``behind`` the focus, from it outwards, levels have a sign, negative behind the focus.
+    """
+    if behind is not None:
+        sides = [frame, frame._replace(kernels=behind)]
+        channels, leaks = zip(*(_channels(side, settings) for side in sides), strict=True)
+        names = [name for name in "RGB" if name == "G" or name in _fallbacks(frame.camera)]
+        near, far = ([of_side[name] for name in [*names, "IR"]] for of_side in channels)
+        clipped = mosaic.saturated_blocks(frame.saturated)
+        where = probability_behind(near, far, [leaks[0][name] for name in names], clipped, settings.saturated_share)
+        maps = [joint_levels(side, settings) for side in sides]
+        return signed(maps[0], maps[1], where)
     return best.estimate(joint_evidence(frame, settings), len(frame.kernels) - 1, frame.variances["IR"].shape)
 
 

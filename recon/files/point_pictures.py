@@ -44,6 +44,7 @@ def read_point_pictures(
     level_blur_px: FloatArray,
     *,
     known_light: Callable[[str], object],
+    behind: int = 0,
     kind: str | None = None,
     progress: Callable[[str, float], None] = lambda stage, share: None,
 ) -> PicturesWithNotes:
@@ -58,10 +59,11 @@ def read_point_pictures(
         level_depth_m: depth of each blur level, [level] metres.
         level_blur_px: blur diameter of each level, [level] pixels.
         known_light: raises InputError for an unknown light.
+        behind: number of levels behind the focus, as far apart as those in front of it.
         kind: format of packed raw files.
         progress: called with the name of the stage and the share of it that is done, 0..1.
     """
-    lines, problems = read_table(folder, level_depth_m, known_light)
+    lines, problems = read_table(folder, level_depth_m, known_light, behind)
     problems += incomplete(lines)
     groups: dict[tuple[str, int], list[tuple[Line, Capture]]] = {}
     for number, line in enumerate(lines):
@@ -80,7 +82,7 @@ def read_point_pictures(
         problems += wrong
         if not wrong:
             pictures += group
-            ratio, channel = source.signal_to_noise(group, camera, blur_px)
+            ratio, channel = source.signal_to_noise(group, camera, abs(blur_px))
             worst = min(worst, (ratio, f"{channel} of {light} at {loaded[0][0].depth_m:g} m"))
             if ratio < source.LEAST_SNR:
                 problems.append(
@@ -121,7 +123,7 @@ def write_point_pictures(folder: Path, pictures: Iterable[PointPicture], camera:
 
 
 def _blur_px(depth_m: float, level_depth_m: FloatArray, level_blur_px: FloatArray) -> float:
-    """Visible blur diameter in pixels at a depth, linear in its level."""
+    """Visible blur diameter in pixels at a depth, linear in its level, negative behind the focus."""
     return float(level_of(depth_m, level_depth_m) * level_blur_px[-1] / (len(level_blur_px) - 1))
 
 
@@ -160,14 +162,14 @@ def _cut(
         wrong = []
         for line, capture in group:
             try:
-                source.check(capture, camera, blur_px, shortest=_is_shortest(line, capture, group))
+                source.check(capture, camera, abs(blur_px), shortest=_is_shortest(line, capture, group))
             except InputError as error:
                 wrong.append(f"{line.label}: {error}")
         problems += wrong
         if wrong:
             continue
         try:
-            window = source.window([capture for _, capture in group], camera, blur_px, half_px)
+            window = source.window([capture for _, capture in group], camera, abs(blur_px), half_px)
         except InputError as error:
             problems.append(f"{group[0][0].label}: {error}")
             continue

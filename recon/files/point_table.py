@@ -58,9 +58,9 @@ class Line:
 
 
 def read_table(
-    folder: Path, level_depth_m: FloatArray, known_light: Callable[[str], object]
+    folder: Path, level_depth_m: FloatArray, known_light: Callable[[str], object], behind: int = 0
 ) -> tuple[list[Line], list[str]]:
-    """Valid lines of the table, and the problems of the others."""
+    """Valid lines of the table, and the problems of the others; ``behind`` is the number of levels behind the focus."""
     path = folder / TABLE
     if not path.is_file():
         raise InputError(f"captures {folder}: no table {TABLE}; it needs the columns {', '.join(COLUMNS[:4])}")
@@ -92,14 +92,19 @@ def read_table(
             continue
         seen.add(cells["file"])
         try:
-            lines.append(_line(cells, label, folder, level_depth_m, known_light))
+            lines.append(_line(cells, label, folder, level_depth_m, known_light, behind))
         except InputError as error:
             problems.append(f"{label}: {error}")
     return lines, problems
 
 
 def _line(
-    cells: dict[str, str], label: str, folder: Path, level_depth_m: FloatArray, known_light: Callable[[str], object]
+    cells: dict[str, str],
+    label: str,
+    folder: Path,
+    level_depth_m: FloatArray,
+    known_light: Callable[[str], object],
+    behind: int,
 ) -> Line:
     """A line of the table; raises InputError if it is invalid."""
     if not cells["file"]:
@@ -114,10 +119,12 @@ def _line(
     if exposure_s is None and not (folder / cells["file"]).is_dir():
         raise InputError("exposure_s is missing")
     exact = float(level_of(depth_m, level_depth_m))
-    level = int(np.clip(round(exact), 0, len(level_depth_m) - 1))
+    last = len(level_depth_m) - 1
+    level = int(np.clip(round(exact), -behind, last))
     if abs(exact - level) > DEPTH_TOLERANCE:
-        near = sorted({max(level - 1, 0), level, min(level + 1, len(level_depth_m) - 1)})
-        listed = ", ".join(f"{level_depth_m[k]:.4g}" for k in near)
+        near = np.array(sorted({max(level - 1, -behind), level, min(level + 1, last)}))
+        ends = 1 / level_depth_m[0], 1 / level_depth_m[-1]
+        listed = ", ".join(f"{1 / (ends[0] + k / last * (ends[1] - ends[0])):.4g}" for k in near)
         raise InputError(
             f"depth_m {depth_m:g} is not the distance of a level; the nearest are {listed} m {_DISTANCES_HINT}"
         )
@@ -148,15 +155,17 @@ def _number(cells: dict[str, str], name: str) -> float | None:
 def incomplete(lines: Sequence[Line]) -> list[str]:
     """Problems of the whole table: missing levels of a light, and different depths within a level."""
     lights = list(dict.fromkeys(line.light for line in lines))
-    last = max((line.level for line in lines), default=0)
+    numbers = [line.level for line in lines]
+    first, last = min(numbers, default=0), max(numbers, default=0)
+    all_levels = range(min(first, 0), last + 1)
     problems = []
     for light in lights:
-        absent = [str(k) for k in range(last + 1) if not any(li.light == light and li.level == k for li in lines)]
+        absent = [str(k) for k in all_levels if not any(li.light == light and li.level == k for li in lines)]
         if absent:
             problems.append(f"{light} has no pictures of level {', '.join(absent)} {_DISTANCES_HINT}")
     if lines and last == 0:
         problems.append(f"pictures of two levels or more are needed {_DISTANCES_HINT}")
-    for level in range(last + 1):
+    for level in all_levels:
         depths = sorted({line.depth_m for line in lines if line.level == level})
         if len(depths) > 1:
             problems.append(f"level {level} has the depths {', '.join(f'{d:g}' for d in depths)} m, but must have one")

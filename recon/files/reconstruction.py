@@ -51,7 +51,8 @@ def save_reconstruction(path: Path, result: Reconstruction, extras: Sequence[str
     parts = [_part("depth", {"Z": result.depth_m})]
     parts += [_part(name, {name: getattr(result, name)}) for name in _PLANES]
     parts += [_part(name, {c: getattr(result, name)[..., i] for i, c in enumerate(_RGB)}) for name in _COLOURS]
-    about = _about(result) | {"bank": result.bank, "notes": list(result.notes), "method": result.method}
+    about = _about(result) | {"bank": result.bank, "notes": list(result.notes)}
+    about |= {"method": result.method, "side": result.side}
     with new_folder(path, "reconstruction") as folder:
         write_picture(folder / "rgb.png", result.rgb)
         write_picture(folder / "sharp.png", result.sharp_rgb)
@@ -121,6 +122,7 @@ def load_reconstruction(path: Path) -> Reconstruction:
             bank=about.get("bank", {}),
             notes=tuple(about.get("notes", ())),
             method=about.get("method"),
+            side=about.get("side", "assumed"),
         )
     except InputError:
         raise

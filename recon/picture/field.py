@@ -80,11 +80,20 @@ def with_infrared_of_axis(bank: PsfBank) -> PsfBank:
         for angle, white in ((angle_deg, there), (0.0, bank.signature))
     ]
     share, wanted = (each[:, None, :, None, None] for each in shares)
-    kernel = bank.kernel.astype(np.float64)
+    kernel = _with_share(bank.kernel, share, wanted)
+    if bank.behind is None:
+        return replace(bank, kernel=kernel)
+    behind = replace(bank.behind, kernel=_with_share(bank.behind.kernel, share, wanted))
+    return replace(bank, kernel=kernel, behind=behind)
+
+
+def _with_share(measured: Float32Array, share: FloatArray, wanted: FloatArray) -> Float32Array:
+    """Kernels [light, level, channel, y, x] of R, G, B with a share of infrared, replaced by a ``wanted`` one; IR."""
+    kernel = measured.astype(np.float64)
     of_infrared = kernel[:, :, 3:]
     kernel[:, :, :3] = (1 - wanted) * (kernel[:, :, :3] - share * of_infrared) / (1 - share) + wanted * of_infrared
     kernel = np.maximum(kernel, 0)
-    return replace(bank, kernel=(kernel / kernel.sum(axis=(-1, -2), keepdims=True)).astype(np.float32))
+    return np.asarray(kernel / kernel.sum(axis=(-1, -2), keepdims=True), np.float32)
 
 
 def separate(image: Float32Array, over_field: Separation) -> Float32Array:

@@ -46,10 +46,14 @@ class Tile:
         return np.maximum(1 - np.abs(self.position - index), 0).astype(np.float32)
 
 
-def levels_of_nodes(levels: int) -> list[int]:
-    """Levels of a bank that are deconvolved; fewer at large levels, where relative steps are small."""
+def levels_of_nodes(levels: int, focus: int = 0) -> list[int]:
+    """Indices of the levels of a bank that are deconvolved; fewer far from the ``focus``, where relative steps are
+    small.
+    """
     dense = list(range(min(DENSE_LEVELS, levels)))
-    return dense + list(range(DENSE_LEVELS, levels, SPARSE_STEP))
+    away = dense + list(range(DENSE_LEVELS, levels, SPARSE_STEP))
+    behind = [focus - step for step in reversed(away) if 0 < step <= focus]
+    return behind + [focus + step for step in away if step < levels - focus]
 
 
 def tiles(position: Float32Array, reach_px: list[int]) -> Iterator[Tile]:

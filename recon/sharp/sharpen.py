@@ -68,6 +68,7 @@ def sharpen(
     steps: int,
     strength: float,
     guided: bool,
+    focus: int = 0,
 ) -> Float32Array:
     """All-in-focus colours without infrared, [h, w, 3] electrons.
 
@@ -81,7 +82,7 @@ def sharpen(
 
     Args:
         stack: linear R, G, B without infrared, and IR, [4, h, w] electrons.
-        level: level of every pixel, [h, w].
+        level: level of every pixel, [h, w], fractional index into the kernels.
         kernels: kernels of these channels (:func:`visible_kernels`), [level, channel, size, size].
         noise_e: standard deviation of the noise, [channel] electrons.
         phases: positions (row, column) of each channel's samples in the 2x2 block of the mosaic, None for a channel
@@ -89,8 +90,9 @@ def sharpen(
         steps: iterations of half-quadratic splitting.
         strength: weight of the data in eq. (15); 1 is that of the noise.
         guided: whether the prior expects the gradients of a guide.
+        focus: index of the kernels in focus; those before it are behind the focus.
     """
-    nodes = layers.levels_of_nodes(len(kernels))
+    nodes = layers.levels_of_nodes(len(kernels), focus)
     transfers, reach_px = layers.transfers(kernels, nodes)
     position = np.interp(level, nodes, np.arange(len(nodes))).astype(np.float32)
     tiles = list(layers.tiles(position, reach_px))

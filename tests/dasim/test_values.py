@@ -37,7 +37,10 @@ def test_a_truth_without_surfaces_has_no_depth(truth):
 
 def test_an_estimate_names_its_coverage():
     level = np.array([[1.0, np.nan], [3.0, 2.5]])
-    assert repr(DepthEstimate(level=level)) == "DepthEstimate(2 x 2 px, level 1 to 3, coverage 75.0%, unknown sd)"
+    assert (
+        repr(DepthEstimate(level=level))
+        == "DepthEstimate(2 x 2 px, level 1 to 3, coverage 75.0%, unknown sd, side assumed)"
+    )
 
 
 def test_a_bank_names_levels_and_lights(da_mobile):

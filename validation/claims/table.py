@@ -16,6 +16,7 @@ from validation.claims.depth.ground_truth import ground_truth
 from validation.claims.depth.held_out import depth_held_out
 from validation.claims.depth.light_levels import light_levels
 from validation.claims.depth.scenes import depth
+from validation.claims.depth.side_of_focus import side_of_focus
 from validation.claims.depth.staircase import staircase, staircase_camera
 from validation.claims.depth.steps import measured_steps
 from validation.claims.light.balance import balance
@@ -81,6 +82,7 @@ CLAIMS = {
     "staircase-camera": Measurement(staircase_camera, quick=False),
     "recon-speed": Measurement(recon_speed, quick=False, alone=True),
     "depth": Measurement(depth, quick=False),
+    "side-of-focus": Measurement(side_of_focus, quick=False),
     "depth-held-out": Measurement(depth_held_out, quick=False),
     "all-in-focus": Measurement(all_in_focus, quick=False),
     "refocus": Measurement(refocus, quick=False),

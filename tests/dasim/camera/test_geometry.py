@@ -55,6 +55,22 @@ def test_levels_are_a_pixel_of_relative_diameter_apart(da_mobile):
     np.testing.assert_allclose(blur - 0.46 * blur, np.arange(29), atol=1e-9)
 
 
+def test_levels_behind_the_focus_end_before_infinity(da_mobile):
+    """Set-up: focus at 20 cm, so that infinity has the blur A s / (p d_f), and at 2 m, where it is below one level.
+
+    Expectation: whole levels up to there with axial colour of 15 um, none for a lens as short at all wavelengths.
+    """
+    lens = da_mobile.lens
+    for focus_m, shift, levels in ((0.2, 15, 7), (2.0, 15, 0), (0.2, 0.1, 0)):
+        update = {"focus_distance_m": focus_m, "focal_shift_um": ((500.0, 0.0), (750.0, shift))}
+        camera = da_mobile.model_copy(update={"lens": lens.model_copy(update=update)})
+        infinity_px = geometry.aperture_m(camera) * geometry.image_distance_m(camera) / focus_m / 1.7e-6
+        blur = geometry.behind_blur_px(camera)
+        np.testing.assert_allclose(blur, -np.arange(levels + 1) / 0.54, atol=1e-9)
+        assert -blur[-1] < infinity_px
+        assert shift < 1 or infinity_px <= (levels + 1) / 0.54
+
+
 def test_intrinsic_matrix_projects_as_the_pinhole_does(da_mobile):
     """Expectation: similar triangles, x s / (z p) pixels from the middle of the frame."""
     sensor_m = 1 / (1 / 3.6e-3 - 1 / da_mobile.lens.focus_distance_m)

@@ -9,7 +9,7 @@ import pytest
 
 from dasim.base.errors import InputError
 from dasim.files import banks
-from dasim.values import PsfBank
+from dasim.values import LevelsBehind, PsfBank
 
 
 @pytest.fixture
@@ -39,6 +39,23 @@ def test_bank_comes_back_as_it_was(tmp_path, bank):
         else:
             assert ours == theirs, field.name
     assert [path.name for path in (tmp_path / "banks").iterdir()] == ["b.npz"]
+
+
+def test_levels_behind_the_focus_come_back(tmp_path, bank):
+    """They count in the bank's identity, and are refused where they do not fit."""
+    behind = LevelsBehind(bank.kernel[:, :2], np.array([0.4, 0.6], np.float32), np.array([0, -2], np.float32))
+    both = dataclasses.replace(bank, behind=behind)
+    banks.save_bank(tmp_path / "b.npz", both)
+    back = banks.load_bank(tmp_path / "b.npz").behind
+    for name in ("kernel", "depth_m", "blur_px"):
+        np.testing.assert_array_equal(getattr(back, name), getattr(behind, name))
+    identities = banks.bank_identity(bank), banks.bank_identity(both)
+    assert identities[0]["sha256"] != identities[1]["sha256"]
+    assert [each["levels_behind"] for each in identities] == [0, 1] and identities[1]["depths_m"][1] == np.float32(0.6)
+    short = dataclasses.replace(behind, depth_m=behind.depth_m[:1])
+    banks.save_bank(tmp_path / "b.npz", dataclasses.replace(bank, behind=short))
+    with pytest.raises(InputError, match="do not fit"):
+        banks.load_bank(tmp_path / "b.npz")
 
 
 def test_damaged_banks_are_refused(tmp_path, bank):

@@ -60,6 +60,32 @@ def test_bank_of_a_window_off_the_axis_has_its_kernels():
             assert np.abs(measured - encircled(axis / axis.sum())).max() > 3 * ENERGY_TOLERANCE
 
 
+def test_with_axial_colour_a_bank_has_levels_behind_the_focus():
+    """Set-up: three levels on either side, focus at 20 cm, infrared focused farther and blue nearer.
+
+    Expectation: encircled energies of the kernels at the depth of each level; blue behind the focus differs from
+    that in front of it by more (0.3; infrared, through the hole, by 0.07 at most). Both sides share the focus, and
+    without axial colour there is the near one alone.
+    """
+    plain = recon_scenes.da_mobile(64, 48).model_copy(update={"levels": cameras.Levels(count=3, max_blur_px=6.0)})
+    plain = cameras.refocused(plain, 0.2)
+    shift = {"focal_shift_um": ((450.0, -8.0), (550.0, 0.0), (750.0, 15.0))}
+    camera = plain.model_copy(update={"lens": plain.lens.model_copy(update=shift)})
+    bank = recon.calibrate(calibration.calibration_captures(camera, ("D65",)), cache=False)
+    assert bank.behind is not None and len(calibration.calibration_captures(camera, ("D65",))) == 5 * 4 * 3
+    np.testing.assert_array_equal(bank.behind.blur_px, -bank.blur_px)
+    np.testing.assert_array_equal(bank.behind.kernel[:, 0], bank.kernel[:, 0])
+    assert bank.behind.depth_m[0] == bank.depth_m[0] and (np.diff(bank.behind.depth_m) > 0).all()
+    for level, channel in itertools.product((1, 2), ("B", "IR")):
+        index = CHANNELS.index(channel)
+        measured, near = (encircled(side.kernel[0, level, index]) for side in (bank.behind, bank))
+        depth_m, size = float(bank.behind.depth_m[level]), bank.kernel.shape[-1]
+        true = pointspread.psf(camera, depth_m, channel, "D65", size=size)
+        assert np.abs(measured - encircled(true / true.sum())).max() < ENERGY_TOLERANCE
+        assert channel == "IR" or np.abs(measured - near).max() > 3 * ENERGY_TOLERANCE
+    assert len(calibration.levels_behind(plain)[0]) == 1
+
+
 def test_a_longer_exposure_tells_what_the_short_one_cannot():
     """Set-up: infrared in focus under a lamp that emits 6 % of it: the automatic exposure gives 60 electrons at the
     peak.

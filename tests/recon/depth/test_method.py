@@ -127,8 +127,9 @@ def test_estimates_outside_the_bank_are_counted(scene, bank):
         return recon.DepthEstimate(depth_m=depth_m)
 
     result = recon.reconstruct(scene.capture, bank, method=half_behind)
-    (note,) = result.notes
+    note, side = result.notes
     assert note.startswith("50.0% of the estimates of method ") and "half_behind" in note
+    assert side.startswith("the side of the focus is assumed") and result.side == "assumed"
     assert np.all(result.level_raw[:, : result.level_raw.shape[1] // 2] == 0)
 
 

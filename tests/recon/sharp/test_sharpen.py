@@ -22,6 +22,15 @@ EDGE_PX = 16
 EDGE_FACTOR = 2.0  # what replacing the other side's light gains at least; it is 4.6
 
 
+def test_deconvolved_levels_are_as_far_from_the_focus_on_both_sides():
+    """Expectation: those of a bank of one side, and their mirror image as far as the other side goes."""
+    near = layers.levels_of_nodes(29)
+    for behind in (0, 1, 5, 9):
+        signed = [node - behind for node in layers.levels_of_nodes(29 + behind, behind)]
+        assert [node for node in signed if node >= 0] == near
+        assert [-node for node in signed if node < 0][::-1] == [node for node in near if 0 < node <= behind]
+
+
 def test_shrinkage_is_the_minimum():
     """The table of shrinkage agrees with a bounded scalar minimisation of |u|^0.8 + (u - v)^2 / 2."""
     table = deconvolution.shrink_table()

@@ -1,0 +1,133 @@
+"""Which side of the focus a surface lies on, where axial colour makes the blur of both sides differ.
+
+With a focal length that rises with the wavelength, red and infrared are blurred more than green in front of the focus
+and less behind it, blue the other way round. So the joint likelihood of all four channels
+(:mod:`recon.depth.joint_likelihood`) is taken at the levels of either side; the difference of the best of both is the
+evidence for a side. A window alone has little of it, a surface enough: evidence is joined over neighbours
+(:mod:`recon.depth.surfaces`, with two states that differ by a step) before a side is chosen. Compare the ranking of
+blur in the colour channels by Trouve et al. (Applied Optics 52, 2013).
+
+Without axial colour, through stops about the axis, both sides have the same kernels, and nearer is assumed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import map_coordinates
+
+from dasim.typing import BoolArray, Float32Array, FloatArray
+from dasim.values import PsfBank, Side
+from recon.depth import cross_spectra, evidence, surfaces
+from recon.depth.best import Map
+from recon.depth.channels import Channel, Leak
+from recon.depth.cross_spectra import Window
+from recon.depth.joint_likelihood import log_likelihood
+
+WINDOW = Window(28.0, 8)
+# Of the evidence, over that of a level: windows are farther apart than those whose levels surfaces joins. Chosen on
+# boards of other textures at levels -6 to 10, whole and side by side.
+WEIGHT = 3.0
+APART = 1e3  # distance of the two states, levels: nothing is between them
+GUIDE_BLUR = 1.0  # standard deviation in samples
+PRIOR_BEHIND = 0.2  # cameras are focused at what is near; a surface without evidence is in front
+
+
+def probability_behind(
+    near: Sequence[Channel], far: Sequence[Channel], leaks: Sequence[Leak], clipped: BoolArray, most: float
+) -> Float32Array:
+    """Probability that each sample of the planes lies behind the focus, [h, w].
+
+    Args:
+        near: R, G, B and IR with the kernels in front of the focus.
+        far: with those behind it, from the focus outwards.
+        leaks: infrared in R, G and B.
+        clipped: samples that are clipped, [h, w].
+        most: share of them in a window from which on the window says nothing.
+    """
+    planes, phases = [channel.plane for channel in near], [channel.phase for channel in near]
+    variances, alpha = [channel.variance for channel in near], [leak.alpha for leak in leaks]
+    (spectra,) = cross_spectra.measured(planes, phases, variances, alpha, [WINDOW])
+    rows, columns = nodes = cross_spectra.nodes(near[-1].variance.shape, WINDOW.step)
+    sides = [log_likelihood(spectra, _table(side, leaks)).max(axis=-1) for side in (near, far)]
+    found = np.float32(WEIGHT) * np.stack(sides, axis=-1)
+    found[evidence.share_in_window(clipped, WINDOW.sigma_px)[np.ix_(*nodes)] >= most] = 0
+    across, down = surfaces.step_probability(_guide(near)[:, rows[:, None], columns])
+    joined = surfaces.posterior(found, np.array([0.0, APART]), across, down)
+    behind = PRIOR_BEHIND * joined[..., 1]
+    behind /= behind + (1 - PRIOR_BEHIND) * joined[..., 0]
+    return _on_samples(behind, near[-1].variance.shape)
+
+
+def signed(near: Map, far: Map, behind: Float32Array) -> Map:
+    """Signed levels, from the maps of either side and the probability ``behind`` of the far one, [h, w].
+
+    The standard deviation holds the doubt about the side: with the probability q of the other side, at a distance d of
+    levels, its square is (1 - q) sd^2 + q (sd'^2 + d^2).
+    """
+    level, sd = _chosen(near.level, near.sd, far.level, far.sd, behind)
+    return Map(level, sd, *_chosen(near.window_level, near.window_sd, far.window_level, far.window_sd, behind))
+
+
+def side_note(side: Side, level: NDArray, bank: PsfBank) -> str:
+    """A sentence for the user on how the side of the focus is known."""
+    focus_m = bank.camera.lens.focus_distance_m
+    if side == "estimated":
+        share = float((level < 0).mean())
+        return f"the side of the focus at {focus_m:g} m is estimated from axial colour: {share:.1%} of pixels behind it"
+    why = "the bank has no levels behind it; only axial colour tells the sides apart"
+    if bank.behind is not None:
+        why = "this method does not tell the sides apart"
+    return f"the side of the focus is assumed: everything is taken to be nearer than {focus_m:g} m ({why})"
+
+
+def _table(channels: Sequence[Channel], leaks: Sequence[Leak]) -> FloatArray:
+    """Expected cross-spectra at the levels of a side, and between them where they are few."""
+    *visible, infrared = channels
+    clean = []
+    for channel, leak in zip(visible, leaks, strict=True):
+        share = leak.alpha * leak.white
+        clean.append((channel.kernels - share * infrared.kernels) / (1 - share))
+    kernels = np.stack([*clean, infrared.kernels], axis=1).astype(np.float32)
+    levels = evidence.level_grid(len(kernels) - 1)
+    levels = levels[levels <= len(kernels) - 1]
+    low = np.minimum(levels.astype(int), len(kernels) - 2)
+    part = (levels - low)[:, None, None, None].astype(np.float32)
+    mixed = (1 - part) * kernels[low] + part * kernels[low + 1]
+    return cross_spectra.expected(mixed, [channel.phase for channel in channels])
+
+
+def _guide(channels: Sequence[Channel]) -> Float32Array:
+    """Logarithms of the channels, lifted above their noise, [channel, h, w]: their edges may be steps in depth."""
+    parts = []
+    for channel in channels:
+        plane, variance = (
+            cv2.GaussianBlur(np.ascontiguousarray(image, np.float32), (0, 0), GUIDE_BLUR)
+            for image in (channel.plane, channel.variance)
+        )
+        noise = np.sqrt(variance)
+        parts.append(np.log(np.maximum(plane, noise) + evidence.GUIDE_FLOOR * noise + np.float32(1e-6)))
+    return np.stack(parts)
+
+
+def _chosen(
+    near: Float32Array, near_sd: Float32Array, far: Float32Array, far_sd: Float32Array, behind: Float32Array
+) -> tuple[Float32Array, Float32Array]:
+    """Signed level of the likelier side, and its standard deviation with that doubt."""
+    is_far = behind > 0.5
+    level = np.where(is_far, -far, near)
+    sd, other = np.where(is_far, far_sd, near_sd), np.where(is_far, near_sd, far_sd)
+    doubt = np.minimum(behind, 1 - behind)
+    unknown = ~np.isfinite(sd) | ~np.isfinite(other)
+    with np.errstate(invalid="ignore"):
+        spread = np.sqrt((1 - doubt) * sd**2 + doubt * (other**2 + (near + far) ** 2))
+    return level, np.where(unknown, np.float32(np.inf), spread)
+
+
+def _on_samples(image: Float32Array, shape: Sequence[int]) -> Float32Array:
+    """An image of the nodes at all samples of the planes, [h, w]; linear between nodes."""
+    at = [(np.arange(length) - min(WINDOW.step // 2, length - 1)) / WINDOW.step for length in shape]
+    return np.asarray(map_coordinates(image, np.meshgrid(*at, indexing="ij"), order=1, mode="nearest"), np.float32)
