@@ -10,7 +10,7 @@ import pytest
 from dasim.simulation.exposure import Shot
 from tests.support import recon_scenes
 from tests.support.stand_ins import stand_in
-from validation.claims.depth import depth_maps, disks, held_out, light_levels, scenes, staircase, steps
+from validation.claims.depth import depth_maps, disks, held_out, light_levels, scenes, side_of_focus, staircase, steps
 from validation.claims.pictures import all_in_focus, scene_pictures
 from validation.claims.table import CLAIMS
 from validation.gates.claim import Evidence
@@ -21,7 +21,7 @@ NEAR_LEVEL = 7.34  # of a plane at 20 cm with the focus at 100 m: 3.6^2 mm^2 / 2
 # The example finds too little blur: the noise that the correction of crosstalk leaves is fine texture to it.
 STEP_LEVELS = 4.0
 EXAMPLE = f"laplacian={Path(__file__).parents[3] / 'examples' / 'depth_method.py'}:laplacian_ratio"
-MODULES = (staircase, scenes, all_in_focus, steps, light_levels, depth_maps, disks, scene_pictures)
+MODULES = (staircase, scenes, all_in_focus, steps, light_levels, depth_maps, disks, scene_pictures, side_of_focus)
 
 
 @pytest.fixture(scope="module")
