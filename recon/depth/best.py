@@ -12,12 +12,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import NamedTuple
 
+import cv2
 import numpy as np
 
 from dasim.typing import Float32Array, FloatArray
 from recon.depth import surface_net
 from recon.depth.evidence import Evidence, Nodes, resampled
 
+COMB_BLUR = 1.0  # standard deviation in samples
 LEAST_RANGE = 10.0  # of a score over the levels: windows of noise alone stay below it
 
 
@@ -37,7 +39,8 @@ def estimate(evidence: Evidence, last: int, shape: Sequence[int]) -> Map:
     knows = np.ptp(evidence.score[..., levels <= last + 1e-6], axis=-1) >= LEAST_RANGE
     window_sd[~knows] = np.inf
     found = surface_net.posterior(evidence.inputs, levels, last)
-    level, sd = (image[: shape[0], : shape[1]] for image in found)  # the last blocks may reach beyond the frame
+    # The last blocks may reach beyond the frame, and steps are combed at the blocks.
+    level, sd = (cv2.GaussianBlur(image[: shape[0], : shape[1]], (0, 0), COMB_BLUR) for image in found)
     if not knows.any():  # neighbours can tell only what some window knows
         sd = np.full_like(sd, np.inf)
     return Map(level, sd, *(_on_samples(image, evidence.nodes, shape) for image in (window_level, window_sd)))
