@@ -93,17 +93,20 @@ def measured(
     noise_images = _noise(variances, alpha)
     which = pairs(len(clean))
     parts: list[list[tuple[Float32Array, Float32Array, float]]] = [[] for _ in windows]
+    noise: dict[tuple[float, int], Float32Array] = {}
     for band, ring in enumerate(rings(np.hypot(*fourier.frequencies(shape, PLANE_SPACING_PX)))):
         share = plane_mean(ring**2, shape[1])
         images = [fourier.inverse(np.asarray(s * ring, np.complex64), shape)[:height, :width] for s in clean]
         products = [images[i] * images[j] / np.float32(share) for i, j in which]
         for part, window in zip(parts, windows, strict=True):
             sigma = max(window.sigma_px, LEAST_SPAN / (EDGES[band + 1] - EDGES[band])) / PLANE_SPACING_PX
-            energy, noise = (_means(group, sigma, window.step) for group in (products, noise_images))
-            part.append((energy, noise, 4 * np.pi * sigma**2 * share))
+            if (sigma, window.step) not in noise:  # most bands have the same window
+                noise[sigma, window.step] = _means(noise_images, sigma, window.step)
+            energy = _means(products, sigma, window.step)
+            part.append((energy, noise[sigma, window.step], 4 * np.pi * sigma**2 * share))
     return [
-        Spectra(np.stack(energy, axis=-2), np.stack(noise, axis=-2), np.array(number, np.float32))
-        for energy, noise, number in (zip(*part, strict=True) for part in parts)
+        Spectra(np.stack(energies, axis=-2), np.stack(noises, axis=-2), np.array(number, np.float32))
+        for energies, noises, number in (zip(*part, strict=True) for part in parts)
     ]
 
 
