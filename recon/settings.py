@@ -43,6 +43,9 @@ class Settings(Specification):
         description="score of a level: eq. (11), likelihood, transfer in bands, Chakrabarti and Zickler's, or joint: "
         "of all of a channel's spectrum, joined over surfaces before a level is chosen",
     )
+    windows: Literal["all", "large"] = Field(
+        default="all", description="of the score joint: two sizes and the score bands, or the large ones alone"
+    )
     prior_factor: float = Field(default=1.0, gt=0, le=1e4, description="factor on the measured beta of eq. (9)")
     diagonals: Literal["right", "published"] = Field(
         default="right", description="diagonal gradients of the colour line: orthogonal, or as in the published code"
@@ -72,6 +75,7 @@ PRESETS = {
     "paper": PAPER,
     "likelihood": Settings(score="likelihood"),
     "best": Settings(score="joint", window_px=35, alike=True, least_confidence=0.6),
+    "fast": Settings(score="joint", windows="large", window_px=35, alike=True, least_confidence=0.6),
     "bands": Settings(score="bands", window_px=35, alike=True, edge_snr=0.0, fallback=False, least_confidence=0.6),
     "chakrabarti-zickler": Settings(score="colour-line"),
 }
@@ -79,6 +83,7 @@ DESCRIPTIONS = {
     "paper": "normalised cross-correlation of green and near-infrared, as in the paper",
     "likelihood": "the paper's windows and bank; levels scored by likelihood",
     "best": "joint likelihood of green and near-infrared in windows of two sizes, joined over surfaces",
+    "fast": "as best, with the likelihood in large windows alone: less accurate, and three times as fast",
     "bands": "transfer from near-infrared to red and green in bands of frequency, in patches that follow the surface",
     "chakrabarti-zickler": "colour lines, the closest prior work, with the same bank and windows",
 }

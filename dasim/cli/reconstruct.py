@@ -49,7 +49,7 @@ def recon(
         gain: for a raw file, analogue gain relative to the camera's; 1 by default
         focus: for a raw file, focus distance in metres; the camera's by default
         bank: a PSF bank; by default one is calibrated for the camera and focus of the capture and stored in the cache
-        preset: bands (the default), paper, likelihood or chakrabarti-zickler
+        preset: best (the default), fast, bands, paper, likelihood or chakrabarti-zickler
         settings: a TOML file with settings that differ from the preset paper, as --print-settings writes it
         print_settings: print the settings as TOML with their meanings, and exit
         flat: a capture of a uniform surface that fills the frame, to correct lens shading in the pictures; in the

@@ -61,7 +61,7 @@ def level_grid(last: int) -> FloatArray:
 
 
 def evidence(
-    visible: Channel, infrared: Channel, leak: Leak, clipped: BoolArray, most_clipped: float, bands: Scores
+    visible: Channel, infrared: Channel, leak: Leak, clipped: BoolArray, most_clipped: float, bands: Scores | None
 ) -> Evidence:
     """Evidence of green and infrared.
 
@@ -73,7 +73,7 @@ def evidence(
         leak: infrared in the visible channel.
         clipped: samples that are clipped, [h, w].
         most_clipped: share of them in a window from which on the window says nothing.
-        bands: score of :mod:`recon.depth.bands`.
+        bands: score of :mod:`recon.depth.bands`; None for the large windows alone, which is three times as fast.
     """
     channels = (visible, infrared)
     shape = infrared.variance.shape
@@ -83,8 +83,9 @@ def evidence(
     shares = [share_in_window(clipped, window.sigma_px) for window in WINDOWS]
     unusable = [share >= most_clipped for share in shares]
     found = _spectra(channels, leak)
-    scores = [*_window_scores(channels, leak, found, unusable, nodes, levels)]
-    of_bands = resampled(bands(*nodes), np.arange(last + 1), levels, 2)
+    wanted = [True, True] if bands else [False, True]
+    scores = _window_scores(channels, leak, found, unusable, wanted, nodes, levels)
+    of_bands = np.zeros_like(scores[0]) if bands is None else resampled(bands(*nodes), np.arange(last + 1), levels, 2)
     of_bands[unusable[0][np.ix_(*nodes)]] = 0
     scores.append(of_bands)
     parts = []
@@ -113,17 +114,23 @@ def _window_scores(
     leak: Leak,
     found: Sequence[Spectra],
     unusable: Sequence[BoolArray],
+    wanted: Sequence[bool],
     nodes: Nodes,
     levels: FloatArray,
 ) -> list[Float32Array]:
-    """Scores of each size of window at the nodes, [row, column, level]; ``unusable`` says nothing."""
+    """Scores of each size of window at the nodes, [row, column, level]; ``unusable`` windows, and sizes that are not
+    ``wanted``, say nothing.
+    """
     visible, infrared = channels
     share = leak.alpha * leak.white
     clean = (visible.kernels - share * infrared.kernels) / (1 - share)
     kernels = np.stack([clean, infrared.kernels], axis=1).astype(np.float32)
     table = _between(cross_spectra.expected(kernels, [channel.phase for channel in channels]), levels)
     result = []
-    for spectra, window, without in zip(found, WINDOWS, unusable, strict=True):
+    for spectra, window, without, want in zip(found, WINDOWS, unusable, wanted, strict=True):
+        if not want:
+            result.append(np.zeros((len(nodes[0]), len(nodes[1]), len(levels)), np.float32))
+            continue
         rows, columns = cross_spectra.nodes(infrared.variance.shape, window.step)
         score = log_likelihood(spectra, table)
         score[without[np.ix_(rows, columns)]] = 0

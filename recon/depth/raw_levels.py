@@ -111,7 +111,8 @@ def joint_evidence(frame: Frame, settings: Settings) -> Evidence:
         return tiles.scores_at(ordered, [leaks[name] for name in names], settings, rows, columns)
 
     clipped = mosaic.saturated_blocks(frame.saturated)
-    return evidence(channels["G"], channels["IR"], leaks["G"], clipped, settings.saturated_share, bands)
+    of_bands = bands if settings.windows == "all" else None
+    return evidence(channels["G"], channels["IR"], leaks["G"], clipped, settings.saturated_share, of_bands)
 
 
 def _channels(frame: Frame, settings: Settings) -> tuple[dict[str, Channel], dict[str, Leak]]:

@@ -59,6 +59,12 @@ def test_clipped_pixels_take_the_level_of_their_neighbours(ramp):
     assert np.abs(found.level - ramp.level)[box].max() < 3
 
 
+def test_large_windows_alone_follow_the_surface_too(ramp):
+    """Expectation: of ``fast``, the error of ``best`` or little more, with other levels."""
+    found = recon.reconstruct(ramp.capture, recon_scenes.bank(), recon.PRESETS["fast"])
+    assert 0.05 < np.median(np.abs(found.level - ramp.level)) < 0.6
+
+
 @pytest.mark.parametrize("name", ["without_network", "without_small_windows", "without_large_windows", "without_bands"])
 def test_the_estimate_without_an_ingredient_differs(ramp, name):
     """Expectation: of each example of an ablation, a map that is not the default's, and not far from it."""

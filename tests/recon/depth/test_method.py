@@ -40,8 +40,8 @@ def test_bundled_methods_give_the_same_bytes_as_their_settings(scene, bank, name
     settings = recon.PRESETS[name]
     by_settings = recon.reconstruct(scene.capture, bank, settings)
     by_method = recon.reconstruct(scene.capture, bank, settings, method=recon.METHODS[name])
-    # The windows alone, which the settings of ``best`` show as raw levels, are no part of its estimate.
-    for image in [image for image in IMAGES if (name, image) != ("best", "level_raw")]:
+    # The windows alone, which the settings of ``best`` and ``fast`` show as raw levels, are no part of its estimate.
+    for image in [image for image in IMAGES if (name, image) not in (("best", "level_raw"), ("fast", "level_raw"))]:
         np.testing.assert_array_equal(getattr(by_method, image), getattr(by_settings, image), err_msg=image)
     assert (by_settings.method, by_method.method) == (None, name)
 
