@@ -157,19 +157,25 @@ def _signal(spectra: Spectra) -> Float32Array:
     return np.concatenate([ratio[..., 0], ratio[..., 1], coherence], axis=-1)
 
 
-def _picture(channels: Sequence[Channel]) -> Float32Array:
-    """Logarithms of the channels, lifted above their noise, relative to their surroundings, [channel, h, w]."""
+def log_channels(channels: Sequence[Channel], blur: float) -> Float32Array:
+    """Logarithms of the channels, lifted above their noise, [channel, h, w]; ``blur`` is a sigma in samples."""
     parts = []
     for channel in channels:
         plane, variance = (
-            cv2.GaussianBlur(np.ascontiguousarray(image, np.float32), (0, 0), GUIDE_BLUR)
+            cv2.GaussianBlur(np.ascontiguousarray(image, np.float32), (0, 0), blur)
             for image in (channel.plane, channel.variance)
         )
         noise = np.sqrt(variance)
-        log = np.log(np.maximum(plane, noise) + GUIDE_FLOOR * noise + np.float32(1e-6))
-        around = cv2.GaussianBlur(log, (0, 0), SURROUNDINGS_PX / PLANE_SPACING_PX, borderType=cv2.BORDER_REFLECT)
-        parts.append(log - around)
+        parts.append(np.log(np.maximum(plane, noise) + GUIDE_FLOOR * noise + np.float32(1e-6)))
     return np.stack(parts)
+
+
+def _picture(channels: Sequence[Channel]) -> Float32Array:
+    """:func:`log_channels`, relative to their surroundings."""
+    sigma = SURROUNDINGS_PX / PLANE_SPACING_PX
+    logs = log_channels(channels, GUIDE_BLUR)
+    around = [cv2.GaussianBlur(log, (0, 0), sigma, borderType=cv2.BORDER_REFLECT) for log in logs]
+    return np.asarray(logs - np.stack(around), np.float32)
 
 
 def _blocks(image: Float32Array, nodes: Nodes) -> Float32Array:

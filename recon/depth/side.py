@@ -14,7 +14,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates
@@ -55,7 +54,7 @@ def probability_behind(
     sides = [log_likelihood(spectra, _table(side, leaks)).max(axis=-1) for side in (near, far)]
     found = np.float32(WEIGHT) * np.stack(sides, axis=-1)
     found[evidence.share_in_window(clipped, WINDOW.sigma_px)[np.ix_(*nodes)] >= most] = 0
-    across, down = surfaces.step_probability(_guide(near)[:, rows[:, None], columns])
+    across, down = surfaces.step_probability(evidence.log_channels(near, GUIDE_BLUR)[:, rows[:, None], columns])
     joined = surfaces.posterior(found, np.array([0.0, APART]), across, down)
     behind = PRIOR_BEHIND * joined[..., 1]
     behind /= behind + (1 - PRIOR_BEHIND) * joined[..., 0]
@@ -98,19 +97,6 @@ def _table(channels: Sequence[Channel], leaks: Sequence[Leak]) -> FloatArray:
     part = (levels - low)[:, None, None, None].astype(np.float32)
     mixed = (1 - part) * kernels[low] + part * kernels[low + 1]
     return cross_spectra.expected(mixed, [channel.phase for channel in channels])
-
-
-def _guide(channels: Sequence[Channel]) -> Float32Array:
-    """Logarithms of the channels, lifted above their noise, [channel, h, w]: their edges may be steps in depth."""
-    parts = []
-    for channel in channels:
-        plane, variance = (
-            cv2.GaussianBlur(np.ascontiguousarray(image, np.float32), (0, 0), GUIDE_BLUR)
-            for image in (channel.plane, channel.variance)
-        )
-        noise = np.sqrt(variance)
-        parts.append(np.log(np.maximum(plane, noise) + evidence.GUIDE_FLOOR * noise + np.float32(1e-6)))
-    return np.stack(parts)
 
 
 def _chosen(

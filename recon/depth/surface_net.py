@@ -28,7 +28,7 @@ from recon.depth.evidence import NODE, SCORES
 FILE = "surface_net.npz"
 DILATIONS = (1, 2, 4, 8, 16, 1, 2, 4)
 AROUND = 9  # nodes that a sample's posterior is a mean of
-SHARE = 0.3  # of the network in the posterior of a node; the rest is that of smooth surfaces, which nothing misleads
+SHARE = 0.3  # of the network in the posterior of a node; the rest is that of smooth surfaces. Chosen on ``tune``
 
 
 class Moments(NamedTuple):
