@@ -21,7 +21,7 @@ Tested in tests/dasim/render/test_control_variate.py.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -74,7 +74,7 @@ class Control:
     blur_px: Any  # signed visible blur of each level
     reach_px: Any  # of its kernel
     centre: Any  # of the stop, in radii of the lens
-    expected: FloatArray  # F, [pixel, channel]
+    expected: NDArray[np.float32]  # F, [pixel, channel]
 
     def at(self, pixel: Any, place: Any, w: Any) -> tuple[list[Any], Any, Any]:
         """S at the places w in the blurs of pixels, a value per channel; the level's visible blur, and its reach.
@@ -95,7 +95,6 @@ class Control:
 
 def control(
     fine: Fine,
-    channels: slice,
     blur_px: FloatArray,
     outer: float,
     centre: tuple[float, float],
@@ -105,8 +104,7 @@ def control(
     """The control variate of a stop whose kernels are radial about its centre.
 
     Args:
-        fine: the pinhole's picture.
-        channels: those of the stop in it.
+        fine: the pinhole's picture, of the stop's channels.
         blur_px: signed visible blur of the open lens at the middle of each pixel, [h, w].
         outer: radius of the stop over that of the lens.
         centre: of the stop, in radii of the lens.
@@ -121,12 +119,11 @@ def control(
     reach = outer * np.abs(levels) / 2 + tail_px
     radius = np.arange(0.0, reach.max() + 2 * RADIUS_STEP_PX, RADIUS_STEP_PX)
     table = profiles(levels, radius) * (radius[:, None] <= reach[:, None, None])
-    picture = fine.ratio[..., channels]
     shift = np.multiply.outer(levels / 2, centre)
-    expected = _expected(replace(fine, ratio=picture), level.reshape(blur_px.shape), table, radius, reach, shift)
-    height, width = (extent / fine.cells for extent in picture.shape[:2])
+    expected = _expected(fine, level.reshape(blur_px.shape), table, radius, reach, shift)
+    height, width = (extent / fine.cells for extent in fine.ratio.shape[:2])
     return Control(
-        picture=texture(picture, wrap_mode=dr.WrapMode.Clamp),
+        picture=texture(fine.ratio, wrap_mode=dr.WrapMode.Clamp),
         extent=mi.Point2f(dr.opaque(mi.Float, width), dr.opaque(mi.Float, height)),
         margin_px=dr.opaque(mi.Float, fine.margin_px),
         level=mi.UInt32(level.astype(np.uint32).ravel()),
@@ -162,14 +159,14 @@ def _expected(
     radius: FloatArray,
     reach: FloatArray,
     shift: FloatArray,
-) -> FloatArray:
+) -> NDArray[np.float32]:
     """F for every pixel, [pixel, channel].
 
     The integral over w is a sum over a grid of half pixels, exact for kernels without frequencies beyond its own. A
     grid of pixels leaves 0.1 % of bias in the means over 8 x 8 pixels of a fine texture, even where blur is large.
 
     Args:
-        fine: s, with the channels of the stop.
+        fine: s.
         level: of each pixel, [h, w].
         table: K, [level, radius, channel].
         radius: of the table's nodes, pixels.
@@ -179,23 +176,23 @@ def _expected(
     most = int(np.ceil(reach.max() + np.abs(shift).max())) + 2
     spare = max(0, most - fine.margin_px)  # the picture goes on as at its border, as the texture does
     around = fine.margin_px + spare
-    means = np.stack([_pixel_means(channel, fine.cells, spare) for channel in np.moveaxis(fine.ratio, -1, 0)])
-    result = np.zeros((*level.shape, len(means)))
-    for number in range(len(table)):
-        here = level == number
-        rows, columns = (np.flatnonzero(here.any(axis=axis)) for axis in (1, 0))
-        top, bottom, left, right = rows[0], rows[-1] + 1, columns[0], columns[-1] + 1
-        half = int(np.ceil((reach[number] + np.abs(shift[number]).max()) * 2))
-        kernel = _sampled(table[number], radius, half, shift[number])
-        part = means[
-            :,
-            (top + around) * 2 - half : (bottom - 1 + around) * 2 + half + 1,
-            (left + around) * 2 - half : (right - 1 + around) * 2 + half + 1,
-        ]
-        blurred = signal.oaconvolve(part, kernel, mode="valid", axes=(1, 2))[:, ::2, ::2]
-        inside = here[top:bottom, left:right]
-        result[top:bottom, left:right][inside] = np.moveaxis(blurred, 0, -1)[inside]
-    return result.reshape(-1, len(means))
+    result = np.zeros((*level.shape, fine.ratio.shape[-1]), np.float32)
+    for channel in range(fine.ratio.shape[-1]):  # apart: the means of all would take as much memory as s
+        means = _pixel_means(fine.ratio[..., channel], fine.cells, spare)
+        for number in range(len(table)):
+            here = level == number
+            rows, columns = (np.flatnonzero(here.any(axis=axis)) for axis in (1, 0))
+            top, bottom, left, right = rows[0], rows[-1] + 1, columns[0], columns[-1] + 1
+            half = int(np.ceil((reach[number] + np.abs(shift[number]).max()) * 2))
+            kernel = _sampled(table[number, :, channel], radius, half, shift[number])
+            part = means[
+                (top + around) * 2 - half : (bottom - 1 + around) * 2 + half + 1,
+                (left + around) * 2 - half : (right - 1 + around) * 2 + half + 1,
+            ]
+            inside = here[top:bottom, left:right]
+            blurred = signal.oaconvolve(part, kernel, mode="valid")[::2, ::2]
+            result[top:bottom, left:right, channel][inside] = blurred[inside]
+    return result.reshape(-1, result.shape[-1])
 
 
 def _pixel_means(picture: NDArray[np.float32], cells: int, spare_px: int) -> NDArray[np.float32]:
@@ -214,11 +211,11 @@ def _pixel_means(picture: NDArray[np.float32], cells: int, spare_px: int) -> NDA
 
 
 def _sampled(profile: FloatArray, radius: FloatArray, half: int, shift: FloatArray) -> FloatArray:
-    """The kernel of a profile [radius, channel] on a grid of half pixels, of unit sum, [channel, y, x].
+    """The kernel of a profile [radius] on a grid of half pixels, of unit sum, [y, x].
 
     Its centre lies at - ``shift``, see :meth:`Control.at`.
     """
     at = np.arange(-half, half + 1) / 2
     distance = np.hypot(at[None, :] + shift[0], at[:, None] + shift[1])
-    kernel = np.stack([np.interp(distance, radius, channel, right=0.0) for channel in profile.T])
-    return np.asarray(kernel / kernel.sum(axis=(1, 2), keepdims=True), dtype=np.float32)
+    kernel = np.interp(distance, radius, profile, right=0.0)
+    return np.asarray(kernel / kernel.sum(), dtype=np.float32)

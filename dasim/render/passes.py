@@ -15,6 +15,7 @@ import numpy as np
 
 from dasim.camera import distortion, glare, radiometry, wavefront
 from dasim.camera.specification import Camera, principal_point
+from dasim.camera.specification import channels as channel_names
 from dasim.camera.stops import Stop, ring
 from dasim.render import control_variate, irradiance, ray_loop, stock, transport
 from dasim.render.control_variate import Control, Fine
@@ -68,7 +69,9 @@ def stop_pass(
         in_focus=in_focus,
         control=control,
     )
-    return with_glare(np.maximum(picture.value - picture.variate, 0.0), camera, stop)
+    rate = picture.value
+    rate -= picture.variate
+    return with_glare(np.maximum(rate, 0.0, out=rate), camera, stop)
 
 
 def with_glare(rate: FloatArray, camera: Camera, stop: Stop) -> FloatArray:
@@ -109,29 +112,28 @@ def stop_ratios(
     picture = ray_loop.render(
         mitsuba_scene, camera, stop, sampling, waves, field, responses, in_focus=in_focus, control=control
     )
-    return picture._replace(value=picture.value * falloff, variate=picture.variate * falloff)
+    value, variate = picture.value, picture.variate
+    value *= falloff
+    if control is not None:
+        variate *= falloff
+    return picture
 
 
 def control_of(
     mitsuba_scene: Any,
     camera: Camera,
     stop: Stop,
-    sharp: Sharp,
+    fine: dict[str, Fine] | None,
     *,
     max_blur_px: float,
     field: Field | None,
     in_focus: bool = False,
 ) -> Control | None:
     """The control variate of a stop from a pinhole's picture; None where there is none for its shape."""
-    if sharp.fine is None:
+    if fine is None:
         return None
-    names = [other.name for other in camera.stops]
-    responses = stop_responses(camera, stop)
-    first = names.index(stop.name) * responses.channels
-    channels = slice(first, first + responses.channels)
-    return ray_loop.control_of(
-        mitsuba_scene, camera, stop, max_blur_px, field, responses, sharp.fine, channels, in_focus=in_focus
-    )
+    responses, own = stop_responses(camera, stop), fine[stop.name]
+    return ray_loop.control_of(mitsuba_scene, camera, stop, max_blur_px, field, responses, own, in_focus=in_focus)
 
 
 def sample_count(spp: int) -> int:
@@ -186,7 +188,8 @@ def pinhole_pass(
         rate = stock.pinhole_pass(mitsuba_scene, camera, responses, sampling)
     else:
         rate = ray_loop.render(mitsuba_scene, camera, None, sampling, None, field, responses).value
-    return rate * radiometry.relative_illumination(camera)[..., None]
+    rate *= radiometry.relative_illumination(camera)[..., None]
+    return rate
 
 
 @dataclass(frozen=True)
@@ -194,7 +197,7 @@ class Sharp:
     """Pictures through a pinhole."""
 
     rate: FloatArray  # [h, w, channel] of the camera and of another one, mean electrons per second
-    fine: Fine | None  # of each stop's channels, stop by stop; None where no stop has a control variate
+    fine: dict[str, Fine] | None  # by the stops' names; None where no stop has a control variate
 
 
 def sharp_pass(
@@ -218,6 +221,7 @@ def sharp_pass(
     # The control variate may have colours that are off, but its noise adds to that of the pictures. The channels of the
     # other camera move the wavelengths towards visible light, where there are most channels.
     even = replace(sampling, spp=FINE_SPP, even_wavelengths=True)
-    channels = len(camera.stops) * stop_responses(camera, camera.stops[0]).channels
+    channels = [len(channel_names(camera.sensor))] * len(camera.stops)
     nodes = ray_loop.pinhole_ratios(mitsuba_scene, finer, even, field, separate_responses(finer, also), channels)
-    return Sharp(rate, Fine(cells, nodes, margin))
+    fine = {stop.name: Fine(cells, part, margin) for stop, part in zip(camera.stops, nodes, strict=True)}
+    return Sharp(rate, fine)

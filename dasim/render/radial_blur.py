@@ -127,14 +127,11 @@ class RadialBlur:
         per_density = GUIDE_NODES * (high - low) * 2 * dr.pi * dr.maximum(length, 1e-6)
         return length, length * _direction(first.y), per_density
 
-    def control(
-        self, fine: Fine, channels: slice, blur_px: FloatArray, spectra: FloatArray, colour_px: FloatArray
-    ) -> Control:
+    def control(self, fine: Fine, blur_px: FloatArray, spectra: FloatArray, colour_px: FloatArray) -> Control:
         """The control variate of a frame with these kernels, see :func:`control_variate.control`.
 
         Args:
-            fine: the pinhole's picture.
-            channels: those of the stop in it.
+            fine: the pinhole's picture, of the stop's channels.
             blur_px: signed visible blur at the middle of each pixel, [h, w].
             spectra: response x light of each channel on the wavelength grid, [channel, wavelength].
             colour_px: what axial colour takes from the visible blur, on the wavelength grid.
@@ -159,7 +156,7 @@ class RadialBlur:
             return total
 
         tail = control_variate.TAIL_RINGS * self.plain.core_px / 2
-        return control_variate.control(fine, channels, blur_px, self.plain.outer, self.plain.centre, tail, profiles)
+        return control_variate.control(fine, blur_px, self.plain.outer, self.plain.centre, tail, profiles)
 
     def _on_stop(self, u: Any, side: Any, length: Any, own: Any, key: Any) -> Any:
         """Sample rho with density D(-u - rho side), by rejection.

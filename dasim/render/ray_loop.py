@@ -12,7 +12,8 @@ from __future__ import annotations
 
 import zlib
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -22,7 +23,7 @@ from dasim.camera import distortion, geometry
 from dasim.camera.rings import at_pixels
 from dasim.camera.specification import Camera, principal_point
 from dasim.camera.stops import Stop
-from dasim.render import backend, field_angle, layers, pupil, transport, wave
+from dasim.render import backend, field_angle, layers, plugin, pupil, transport, wave
 from dasim.render.control_variate import Control, Fine
 from dasim.render.irradiance import Field
 from dasim.render.plugin import texture
@@ -37,14 +38,15 @@ ONE_DEPTH_SHARE = 0.97  # of the weights of a pixel that sees one depth: tails o
 MOST_SLOPE = 0.5  # of visible blur over the picture, pixels per pixel, that rays are aimed for
 MOST_CHUNK = 16  # rays of a pixel that are summed at once
 HERO = 4  # wavelengths per ray
-_STARTS = (0.0, np.float64), (0.0, np.float64), (1.0, np.float32), (1.0, np.float32)  # of :class:`Ratios`
+
+Pixels = NDArray[np.intp] | slice  # numbers in the frame, row by row; a slice where they are consecutive
 
 
 @dataclass(frozen=True)
 class Sampling:
     """How a pass is sampled: samples per pixel, seed, and a callback for the share that is done."""
 
-    spp: int | NDArray[np.int32]  # of all pixels, or of each, [h, w]
+    spp: int | NDArray[np.int64]  # of all pixels, or of each, [h, w]
     seed: int
     progress: ShareDone = lambda share: None
     even_wavelengths: bool = False  # the same ones for all pixels: no noise, but colours that are a little off
@@ -97,13 +99,13 @@ class Ratios(NamedTuple):
     value: FloatArray
     variate: FloatArray  # zeros where there is no control
     light: NDArray[np.float32]  # denominator of ``value`` over its expectation; 1 where layers are joined
-    variate_light: NDArray[np.float32]  # of ``variate``
+    variate_light: NDArray[np.float32]  # of ``variate``; both 1 through a pinhole
 
 
 class _Block(NamedTuple):
     """Rays that are traced together: those of each pixel are consecutive, in chunks of one size."""
 
-    pixels: NDArray[np.intp]  # of the frame, row by row
+    pixels: Pixels
     counts: NDArray[np.int64]  # samples of each
     chunk: int  # rays; divides all ``counts``
     pixel: Any  # number in the frame of each ray's pixel
@@ -188,8 +190,12 @@ def render(
         even = np.ones_like(nothing, dtype=np.float32)
         return Ratios(nothing, nothing, even, even)
     picture = ratios(scene, camera, stop, sampling, max_blur_px, field, responses, in_focus=in_focus, control=control)
-    signal = at_pixels(mean_signal, responses.place)
-    return picture._replace(value=picture.value * signal, variate=picture.variate * signal)
+    for channel in range(responses.channels):  # apart, in place: arrays of large frames are gigabytes
+        signal = at_pixels(mean_signal[:, channel], responses.place)
+        picture.value[..., channel] *= signal
+        if control is not None:
+            picture.variate[..., channel] *= signal
+    return picture
 
 
 def ratios(
@@ -205,50 +211,79 @@ def ratios(
     control: Control | None = None,
 ) -> Ratios:
     """Electrons over those of a surface of the lights' spectral radiance, see :func:`render`."""
-    place = responses.place
+    shape = (*responses.place.shape, responses.channels)
     shared = _prepare(scene, camera, stop, max_blur_px, field, responses, in_focus, control)
-    result = [np.full((place.size, responses.channels), start, dtype) for start, dtype in _STARTS]
-    for part, traced in _batches(shared, sampling, sampling.block_seeds(stop), responses):
-        for whole, values in zip(result, traced, strict=True):
-            whole[part] = values
-    return Ratios(*(whole.reshape(*place.shape, -1) for whole in result))
+    none, even = np.broadcast_to(0.0, shape), np.broadcast_to(np.float32(1.0), shape)
+    light = even if stop is None else np.ones(shape, np.float32)
+    variates = (none, even) if control is None else (np.zeros(shape), np.ones(shape, np.float32))
+    result = Ratios(np.zeros(shape), variates[0], light, variates[1])
+    wanted: list[Any] = [part.reshape(-1, shape[-1]) if part.flags.writeable else None for part in result]
+
+    def keep(pixels: Pixels, channel: int, traced: Ratios) -> None:
+        for whole, values in zip(wanted, traced, strict=True):
+            if whole is not None:
+                whole[pixels, channel] = values
+
+    _trace_all(shared, sampling, sampling.block_seeds(stop), responses, keep)
+    return result
 
 
 def pinhole_ratios(
-    scene: Any, camera: Camera, sampling: Sampling, field: Field | None, responses: Responses, channels: int
-) -> NDArray[np.float32]:
-    """The value of :func:`ratios` through a pinhole for the first channels alone, [h, w, channel]."""
-    place = responses.place
-    shared = _prepare(scene, camera, None, None, field, responses, False, None)
-    result = np.zeros((place.size, channels), dtype=np.float32)
-    for part, traced in _batches(shared, sampling, sampling.block_seeds(None), responses):
-        result[part] = traced.value[:, :channels]
-    return result.reshape(*place.shape, channels)
+    scene: Any, camera: Camera, sampling: Sampling, field: Field | None, responses: Responses, parts: Sequence[int]
+) -> list[NDArray[np.float32]]:
+    """The value of :func:`ratios` through a pinhole for the first channels alone.
+
+    ``parts`` are how many of them each of the results has, [h, w, channel], from which textures need no copies.
+    """
+    shape = responses.place.shape
+    shared = replace(_prepare(scene, camera, None, None, field, responses, False, None), channels=sum(parts))
+    result = [plugin.aligned_zeros((*shape, count)) for count in parts]
+    columns = [column for part in result for column in part.reshape(-1, part.shape[-1]).T]
+
+    def keep(pixels: Pixels, channel: int, traced: Ratios) -> None:
+        columns[channel][pixels] = traced.value
+
+    _trace_all(shared, sampling, sampling.block_seeds(None), responses, keep)
+    return result
 
 
-def _batches(
-    shared: _Pass, sampling: Sampling, seeds: Callable[[int], int], responses: Responses
-) -> Iterator[tuple[NDArray[np.intp], Ratios]]:
-    """Pixels of the frame, batch by batch, with their ratios, [pixel, channel]."""
+def _trace_all(
+    shared: _Pass,
+    sampling: Sampling,
+    seeds: Callable[[int], int],
+    responses: Responses,
+    keep: Callable[[Pixels, int, Ratios], None],
+) -> None:
+    """Trace the frame batch by batch; ``keep`` gets pixels, a channel, and the ratios of the channel there, [pixel]."""
     place, mean_signal = responses.place.ravel(), responses.mean_signal(_light(shared.field))
-    counts = np.broadcast_to(np.asarray(sampling.spp, dtype=np.int64), responses.place.shape).ravel()
-    pixels, done = np.flatnonzero(counts), 0
-    for number, part in enumerate(_parts(pixels, counts[pixels])):
-        block = _block(shared, part, counts[part], seeds(number))
-        yield part, _trace(shared, block, HERO * at_pixels(mean_signal, place[part]), sampling.even_wavelengths)
-        done += int(counts[part].sum())
-        sampling.progress(done / counts.sum())
+    total, done = float(np.broadcast_to(sampling.spp, responses.place.shape).sum(dtype=float)), 0
+    for number, (pixels, counts) in enumerate(_parts(sampling.spp, place.size)):
+        block = _block(shared, pixels, counts, seeds(number))
+        signal = HERO * mean_signal, place[block.pixels]
+        _trace(shared, block, signal, sampling.even_wavelengths, partial(keep, block.pixels))
+        done += int(counts.sum())
+        sampling.progress(done / total)
 
 
-def _parts(pixels: NDArray[np.intp], counts: NDArray[np.int64]) -> Iterator[NDArray[np.intp]]:
-    """Consecutive pixels whose rays are traced at once, :func:`backend.lanes` at most, or one pixel."""
-    ends, most = np.cumsum(counts), backend.lanes()
-    first = 0
-    while first < len(pixels):
-        before = ends[first] - counts[first]
-        last = max(first + 1, int(np.searchsorted(ends, before + most, side="right")))
-        yield pixels[first:last]
-        first = last
+def _parts(spp: int | NDArray[np.int64], size: int) -> Iterator[tuple[NDArray[np.intp], NDArray[np.int64]]]:
+    """Consecutive pixels of ``size`` whose rays are traced at once, and the samples of each, of all or [h, w].
+
+    The rays are :func:`backend.lanes` at most, or those of one pixel.
+    """
+    most = backend.lanes()
+    if isinstance(spp, int):
+        step = max(1, most // spp)
+        for first in range(0, size, step):
+            pixels = np.arange(first, min(first + step, size))
+            yield pixels, np.full(len(pixels), spp)
+        return
+    ends, first, done = np.cumsum(spp), 0, 0
+    while done < ends[-1]:
+        own, others = np.searchsorted(ends, (done, done + most), side="right")
+        last = max(int(own) + 1, int(others))
+        pixels = first + np.flatnonzero(spp.ravel()[first:last])
+        yield pixels, spp.ravel()[pixels]
+        first, done = last, int(ends[last - 1])
 
 
 def _light(field: Field | None) -> FloatArray:
@@ -264,13 +299,12 @@ def control_of(
     field: Field | None,
     responses: Responses,
     fine: Fine,
-    channels: slice,
     *,
     in_focus: bool = False,
 ) -> Control | None:
     """The control variate of a stop from a pinhole's picture; None for a stop whose kernels are not radial.
 
-    Arguments are those of :func:`render`; ``channels`` are those of ``fine`` that belong to the stop.
+    Arguments are those of :func:`render`; ``fine`` has the channels of the stop.
     """
     mean_signal = responses.mean_signal(_light(field))
     if mean_signal.max() <= 0:
@@ -284,7 +318,7 @@ def control_of(
         blur_px = px_per_vergence * (np.array(shared.middle, dtype=float).reshape(blur_px.shape) - vergence)
     colour_px = px_per_vergence * (geometry.focus_vergence(camera) - vergence) * (not in_focus)
     spectra = responses.of_pass[_middle_ring(responses)] * _light(field)
-    return shared.blur.control(fine, channels, blur_px, spectra, colour_px)
+    return shared.blur.control(fine, blur_px, spectra, colour_px)
 
 
 def _middle_ring(responses: Responses) -> int:
@@ -424,14 +458,22 @@ def _block(shared: _Pass, pixels: NDArray[np.intp], counts: NDArray[np.int64], s
     sampler = mi.load_dict({"type": "independent"})
     sampler.seed(dr.opaque(mi.UInt32, seed), dr.width(lane))
     ring = dr.gather(mi.Float, shared.place, pixel)
-    return _Block(pixels, counts, chunk, pixel, sample, sampler, _corner(pixel, shared.columns), ring, seed)
+    is_whole = pixels[-1] - pixels[0] + 1 == len(pixels)
+    where = slice(int(pixels[0]), int(pixels[-1]) + 1) if is_whole else pixels
+    return _Block(where, counts, chunk, pixel, sample, sampler, _corner(pixel, shared.columns), ring, seed)
 
 
-def _trace(shared: _Pass, block: _Block, signal: FloatArray, even_wavelengths: bool) -> Ratios:
-    """Trace the rays of a block; all results are [pixel, channel].
+def _trace(
+    shared: _Pass,
+    block: _Block,
+    signal: tuple[FloatArray, FloatArray],
+    even_wavelengths: bool,
+    keep: Callable[[int, Ratios], None],
+) -> None:
+    """Trace the rays of a block; ``keep`` gets each channel with the ratios of the block's pixels, [pixel].
 
     Response x light x weight has a known mean, ``signal``, and dividing by its sampled mean takes out the noise of
-    drawing wavelengths and weights.
+    drawing wavelengths and weights. ``signal`` is that mean on the rings, [ring, channel], and the pixels' places.
     """
     import drjit as dr
     import mitsuba as mi
@@ -466,36 +508,32 @@ def _trace(shared: _Pass, block: _Block, signal: FloatArray, even_wavelengths: b
     seen, kernel = rays.variate or ([], [])
     # One kernel for all: summing first would trace the rays once per sum.
     dr.eval(*depth_share, *values, *seen, *kernel, *(weighted or ()))
-    ratio, light = np.empty_like(signal), np.empty_like(signal, dtype=np.float32)
-    for channel in range(shared.channels):
-        ratio[:, channel], light[:, channel] = _sum_ratio(block, values[2 * channel :], signal[:, channel])
+    several, layered = np.empty(0, dtype=np.intp), np.empty((0, shared.channels))
     if weighted is not None:
         total, near = (block.sums(value) for value in depth_share)
         several = np.flatnonzero(near < ONE_DEPTH_SHARE * total)
         if len(several):
-            ratio[several] = _layered(shared, block, weighted, values, several)
-            light[several] = 1.0
-    if shared.control is None:
-        return Ratios(ratio, np.broadcast_to(0.0, ratio.shape), light, np.broadcast_to(np.float32(1.0), ratio.shape))
-    variate, variate_light = np.empty_like(ratio), np.empty_like(light)
-    expected = shared.control.expected[block.pixels]
-    for channel, sums in enumerate(zip(seen, kernel, strict=True)):
-        variate[:, channel], variate_light[:, channel] = _sum_ratio(
-            block, sums, signal[:, channel], expected[:, channel]
-        )
-    return Ratios(ratio, variate, light, variate_light)
+            layered = _layered(shared, block, weighted, values, several)
+    for channel in range(shared.channels):
+        expected_light = at_pixels(signal[0][:, channel], signal[1])
+        ratio, light = _sum_ratio(block, values[2 * channel :], expected_light)
+        ratio[several], light[several] = layered[:, channel], 1.0
+        variate, variate_light = np.broadcast_to(0.0, ratio.shape), np.broadcast_to(np.float32(1.0), ratio.shape)
+        if shared.control is not None:
+            expected = shared.control.expected[block.pixels, channel]
+            variate, variate_light = _sum_ratio(block, (seen[channel], kernel[channel]), expected_light, expected)
+        keep(channel, Ratios(ratio, variate, light, variate_light))
 
 
 def _sum_ratio(
-    block: _Block, values: Sequence[Any], light: FloatArray, less: FloatArray | float = 0.0
-) -> tuple[FloatArray, FloatArray]:
+    block: _Block, values: Sequence[Any], light: FloatArray, less: NDArray[np.floating] | float = 0.0
+) -> tuple[FloatArray, NDArray[np.float32]]:
     """Ratio of the sums of two values, less ``less``, and the sum of the second over its expectation, [pixel].
 
-    ``light`` is that expectation per ray. A channel at a time: the finer picture through a pinhole has a million pixels
-    in a batch, and many channels.
+    ``light`` is that expectation per ray.
     """
     signal, control = (block.sums(value) for value in values[:2])
-    return _ratio(signal - less * control, control), _ratio(control, block.counts * light, 1.0)
+    return _ratio(signal - less * control, control), _ratio(control, block.counts * light, 1.0).astype(np.float32)
 
 
 def _ratio(signal: FloatArray, control: FloatArray, otherwise: float = 0.0) -> FloatArray:

@@ -11,7 +11,7 @@ from scipy import ndimage
 from dasim.camera import distortion
 from dasim.camera import geometry as camera_geometry
 from dasim.camera.specification import Camera, principal_point
-from dasim.typing import FloatArray
+from dasim.typing import Float32Array, FloatArray
 
 BLUR_JUMP_PX = 0.5  # a larger difference in visible blur between neighbouring pixels is a depth discontinuity
 _RADIUS_BINS_PX = 1.0  # radii of boundary discs are rounded up to multiples of this
@@ -21,7 +21,7 @@ class Geometry(NamedTuple):
     """First intersection of the pinhole ray through the centre of each pixel."""
 
     depth_m: FloatArray  # [h, w] z from the lens plane, NaN where the ray hits nothing
-    normal: FloatArray  # [h, w, 3] unit vectors, turned towards the camera; 0 where the ray hits nothing
+    normal: Float32Array  # [h, w, 3] unit vectors, turned towards the camera; 0 where the ray hits nothing
     object_id: NDArray[np.uint32]  # [h, w] 1 for the scene's first object; 0 for lights and where the ray hits nothing
 
 
@@ -98,7 +98,7 @@ def _geometry(
     towards_camera = np.where(np.sum(normal * position, axis=-1, keepdims=True) > 0, -normal, normal)
     return Geometry(
         depth_m=np.where(hit, position[..., 2], np.nan),
-        normal=np.where(hit[..., None], towards_camera, 0.0),
+        normal=np.where(hit[..., None], towards_camera, 0.0).astype(np.float32),
         object_id=_object_ids(mitsuba_scene, np.where(hit, shape_index, 0).astype(np.uint32)),
     )
 

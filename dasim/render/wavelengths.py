@@ -91,8 +91,7 @@ def frame_density(responses: Responses, light: FloatArray) -> FloatArray:
     axis is drawn as for the axis. The sum of them would draw too few at the ends of the near-infrared, which only the
     rings near the axis see: under incandescent light the noise of blue on the axis was 2.5 times as large.
     """
-    number = np.arange(len(responses.of_pass))
-    nearest = np.abs(responses.place.reshape(-1, 1) - number).min(axis=0)
+    nearest = np.array([np.abs(responses.place - number).min() for number in range(len(responses.of_pass))])
     weighted = [
         share * draw_density(whole, response, light)
         for share, whole, response in zip(

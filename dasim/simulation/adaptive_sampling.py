@@ -61,21 +61,22 @@ def render_to_noise_target(
     """
     pairs: list[tuple[Picture, Picture]] = []
     spp = np.full(shape, PILOT_SPP, dtype=np.int64)
-    factor = 1.0
-    for number in range(MOST_ROUNDS):
+    factor, number, pilot_wants = 1.0, 0, np.zeros(shape)
+    while True:
         pairs.append((picture(2 * number, spp), picture(2 * number + 1, spp)))
         result = measured(pairs)
         limit = sensor_variance(result.rate.sum(axis=0))
         reached = shares_at(share(result.variance.sum(axis=0), limit), [percentile])[0]
-        if reached.max() <= target:
-            break
+        is_last = reached.max() <= target or number == MOST_ROUNDS - 1
         if number:
             factor *= max(MORE, (reached.max() / target) ** (2 / SLOPE))
-        wanted = factor * wanted_spp(measured(pairs[:1]), sensor_variance, target, percentile)
-        spp = next_spp(wanted - result.spp, most_spp)
-        if not spp.any():
-            break
-    return AdaptiveRender(result, tuple(float(value) for value in reached))
+        elif not is_last:
+            pilot_wants = wanted_spp(result, sensor_variance, target, percentile)
+        spp = next_spp(factor * pilot_wants - result.spp, most_spp)
+        if is_last or not spp.any():
+            return AdaptiveRender(result, tuple(float(value) for value in reached))
+        del result  # before the next pictures are made: of large frames it takes half a gigabyte
+        number += 1
 
 
 def wanted_spp(

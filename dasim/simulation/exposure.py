@@ -265,18 +265,19 @@ def _noise_shares(light: SensorLight, exposure: Exposure) -> dict[str, Any]:
     """Rendering noise over the sensor's of this exposure, for the provenance; empty where it is unknown."""
     if light.variance is None or "spp" not in light.origin:
         return {}
-    rate, variance = (np.asarray(image, dtype=float) for image in (light.rate, light.variance))
-    ratio = rendering_noise.share(variance, rendering.sensor_variance(rate, light.camera, exposure))
     names = cameras.channels(light.camera.sensor)
-
-    def by_channel(percentiles: tuple[float, ...]) -> list[dict[str, float]]:
-        rows = rendering_noise.shares_at(ratio, percentiles)
-        return [dict(zip(names, map(float, row), strict=True)) for row in rows]
-
-    at = rendering_noise.PERCENTILES
-    shares: dict[str, Any] = {
-        "rendering_noise_share": dict(zip((f"{percentile:g}" for percentile in at), by_channel(at), strict=True))
-    }
+    at = list(rendering_noise.PERCENTILES)
     if "rendering_noise_share_wanted" in light.origin:
-        (shares["rendering_noise_share_reached"],) = by_channel((light.origin["rendering_noise_at"],))
+        at.append(light.origin["rendering_noise_at"])
+    by_percentile: list[dict[str, float]] = [{} for _ in at]
+    for channel, name in enumerate(names):  # apart: of all, large frames take gigabytes
+        rate, variance = (image[..., [channel]].astype(float) for image in (light.rate, light.variance))
+        ratio = rendering_noise.share(variance, rendering.sensor_variance(rate, light.camera, exposure))
+        for row, value in zip(by_percentile, rendering_noise.shares_at(ratio, at), strict=True):
+            row[name] = float(value[0])
+    count = len(rendering_noise.PERCENTILES)
+    stated = zip((f"{percentile:g}" for percentile in at), by_percentile[:count], strict=False)
+    shares: dict[str, Any] = {"rendering_noise_share": dict(stated)}
+    if len(at) > count:
+        shares["rendering_noise_share_reached"] = by_percentile[-1]
     return shares

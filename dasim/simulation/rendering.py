@@ -5,6 +5,7 @@ Tested in tests/dasim/simulation/test_simulate.py.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, Literal
@@ -12,14 +13,15 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from dasim.camera import noise, wavefront
+from dasim.camera import noise, radiometry, wavefront
 from dasim.camera import specification as cameras
 from dasim.camera.noise import Exposure
+from dasim.camera.rings import at_pixels, rings
 from dasim.camera.specification import Camera
 from dasim.render import passes
-from dasim.render.control_variate import Control
+from dasim.render.control_variate import Control, Fine
 from dasim.render.foreign.scene import World
-from dasim.render.passes import Sharp
+from dasim.render.ray_loop import Ratios
 from dasim.render.truth import Geometry
 from dasim.scene.mitsuba_scene import MitsubaScene
 from dasim.scene.specification import Scene
@@ -27,7 +29,8 @@ from dasim.simulation import rendering_noise
 from dasim.simulation.adaptive_sampling import render_to_noise_target
 from dasim.simulation.checks import check_finite, check_lit
 from dasim.simulation.rendering_noise import Picture
-from dasim.typing import FloatArray, Progress
+from dasim.spectra import colour, grid, illuminants
+from dasim.typing import Float32Array, FloatArray, Progress
 
 TWIN = "bayer-mobile"  # the camera whose colours ``sharp_srgb`` has
 SHARP_SPP = 32  # of the pinhole picture, which has no lens to sample
@@ -76,8 +79,8 @@ class Sampling:
 class LensPicture:
     """The picture through all stops together."""
 
-    rate: FloatArray  # [h, w, channel] mean electrons per second
-    variance: FloatArray | None  # [h, w, channel] of ``rate`` by rendering noise; None for one sample per pixel
+    rate: NDArray[Any]  # [h, w, channel] mean electrons per second, in double precision until they are rounded
+    variance: NDArray[Any] | None  # of ``rate`` by rendering noise; None for one sample per pixel
     spp: NDArray[np.int64]  # [stop, h, w] or [stop, 1, 1] samples per pixel of each stop
     sampling: dict[str, Any]  # for provenance: samples per pixel, and the target of rendering noise
 
@@ -86,12 +89,11 @@ class LensPicture:
 class SharpPictures:
     """The pictures through a pinhole that admits as much light as the lens, mean electrons per second."""
 
-    rate: FloatArray  # [h, w, channel] of the camera
-    twin_rate: FloatArray  # [h, w, 3] of a Bayer camera without near-infrared
-    twin: Camera
+    rate: NDArray[Any]  # [h, w, channel] of the camera, in double precision until it is rounded
+    srgb: Float32Array  # [h, w, 3] of a Bayer camera without near-infrared, see :func:`srgb`
     field: Any  # irradiance, which half of the lens picture shares
     controls: list[Control | None]  # of each stop, see :mod:`dasim.render.control_variate`
-    fine: Sharp
+    fine: dict[str, Fine] | None  # the picture of each stop's channels on a finer grid, by the stops' names
 
 
 def lens_picture(
@@ -139,31 +141,39 @@ def _halves(
 ) -> tuple[FloatArray, FloatArray | None]:
     """Mean of two independent pictures that share ``spp`` samples, and its variance.
 
-    One sample per pixel cannot be halved: its variance is None.
+    One sample per pixel cannot be halved: its variance is None. Stop by stop: large frames take gigabytes.
     """
     parts = [spp - spp // 2, spp // 2] if spp.min() > 1 else [spp]
-    pictures = [
-        stop_pictures(
-            view, sharp, field, part, picture_seed(seed, index, stream), progress, f", part {index + 1} of {len(parts)}"
-        )
-        for index, (part, field) in enumerate(zip(parts, fields, strict=False))
-    ]
-    if len(pictures) == 1:
-        rate = pictures[0].rate - pictures[0].variate
-        return _glared(view.camera, rate, np.zeros_like(rate))[0], None
-    mean = rendering_noise.measured([(pictures[0], pictures[1])])
-    return _glared(view.camera, mean.rate, mean.variance)
+
+    def mean_of(number: int) -> tuple[FloatArray, FloatArray]:
+        pictures = []
+        for index, (part, field) in enumerate(zip(parts, fields, strict=False)):
+            label, own = f", part {index + 1} of {len(parts)}", picture_seed(seed, index, stream)
+            ratios = stop_picture(view, sharp, number, field, part[number], own, progress, label)
+            arrays: list[Any] = [each[None] for each in ratios]
+            pictures.append(Picture(part[[number]], *arrays))
+        if len(pictures) == 1:
+            return pictures[0].rate[0] - pictures[0].variate[0], np.zeros(1)
+        rate, variance = rendering_noise.mean_and_variance(*pictures)
+        return rate[0], variance[0]
+
+    rate, variance = _glared(view.camera, mean_of)
+    return rate, variance if len(parts) > 1 else None
 
 
-def _glared(camera: Camera, rate: FloatArray, variance: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Sum over stops of pictures with their glare, and of their variances.
+def _glared(camera: Camera, picture: Callable[[int], tuple[FloatArray, FloatArray]]) -> tuple[FloatArray, FloatArray]:
+    """Sum over stops of pictures with their glare, and of their variances; ``picture`` makes both for a stop's number.
 
     Glare spreads a share of the light widely: its noise is that of a mean over many pixels.
     """
-    pairs = list(zip(rate, variance, camera.stops, strict=True))
-    # Where few samples leave more noise than light, the control variate may take away more than there is.
-    together = sum(passes.with_glare(np.maximum(part, 0.0), camera, stop) for part, _, stop in pairs)
-    return np.asarray(together), np.asarray(sum((1 - stop.glare_share) ** 2 * part for _, part, stop in pairs))
+    together, noise = np.zeros(()), np.zeros(())
+    for number, stop in enumerate(camera.stops):
+        rate, variance = picture(number)
+        # Where few samples leave more noise than light, the control variate may take away more than there is.
+        together = together + passes.with_glare(np.maximum(rate, 0.0), camera, stop)
+        noise = noise + (1 - stop.glare_share) ** 2 * variance
+        del rate, variance  # before the next stop's picture is made
+    return together, noise
 
 
 def picture_seed(seed: int, index: int, stream: int = LENS) -> int:
@@ -175,27 +185,42 @@ def stop_pictures(
     view: View, sharp: SharpPictures, field: Any, spp: NDArray[np.int64], seed: int, progress: Progress, label: str = ""
 ) -> Picture:
     """One picture through each stop, before glare."""
-    pictures = [
-        passes.stop_ratios(
-            view.world.scene,
-            view.camera,
-            stop,
-            passes.Sampling(
-                counts if counts.size > 1 else int(counts[0, 0]),
-                seed,
-                partial(progress, f"rendering through stop '{stop.name}'{label}"),
-            ),
-            diffraction=view.diffraction,
-            max_blur_px=view.reach_px,
-            illuminant=view.illuminant,
-            field=field,
-            control=control,
-        )
-        for stop, counts, control in zip(view.camera.stops, spp, sharp.controls, strict=True)
-    ]
-    for picture in pictures:
-        check_finite(view.scene, picture.value, view.objects_at)
-    return Picture(spp, *(np.stack(parts) for parts in zip(*pictures, strict=True)))
+    sensor, stops = view.camera.sensor, len(view.camera.stops)
+    shape = stops, sensor.height_px, sensor.width_px, len(cameras.channels(sensor))
+    whole: list[Any] = [np.empty(shape, kind) for kind in (float, float, np.float32, np.float32)]
+    for number in range(stops):
+        ratios = stop_picture(view, sharp, number, field, spp[number], seed, progress, label)
+        for part, values in zip(whole, ratios, strict=True):
+            part[number] = values
+    return Picture(spp, *whole)
+
+
+def stop_picture(
+    view: View,
+    sharp: SharpPictures,
+    number: int,
+    field: Any,
+    spp: NDArray[np.int64],
+    seed: int,
+    progress: Progress,
+    label: str = "",
+) -> Ratios:
+    """The picture through a stop, by its number, of ``spp`` samples, [h, w] or [1, 1], before glare."""
+    stop = view.camera.stops[number]
+    report = partial(progress, f"rendering through stop '{stop.name}'{label}")
+    picture = passes.stop_ratios(
+        view.world.scene,
+        view.camera,
+        stop,
+        passes.Sampling(spp if spp.size > 1 else int(spp[0, 0]), seed, report),
+        diffraction=view.diffraction,
+        max_blur_px=view.reach_px,
+        illuminant=view.illuminant,
+        field=field,
+        control=sharp.controls[number],
+    )
+    check_finite(view.scene, picture.value, view.objects_at)
+    return picture
 
 
 def _adaptive_picture(
@@ -220,7 +245,8 @@ def _adaptive_picture(
         target=sampling.noise_share,
         percentile=sampling.noise_at,
     )
-    rate, variance = _glared(camera, result.measured.rate, result.measured.variance)
+    done = result.measured
+    rate, variance = _glared(camera, lambda number: (done.rate[number], done.variance[number]))
     mean_spp = result.measured.spp.mean(axis=(1, 2)).round(2)
     described = {
         "spp": dict(zip((stop.name for stop in camera.stops), mean_spp.tolist(), strict=True)),
@@ -246,7 +272,7 @@ def focus_picture(view: View, sharp: SharpPictures, seed: int, progress: Progres
         return sharp.rate
     seed = picture_seed(seed, 0, IN_FOCUS)
     scene, camera, reach_px = view.world.scene, view.camera, view.reach_px
-    rate = np.zeros_like(sharp.rate)
+    rate = np.zeros(sharp.rate.shape)
     for stop in camera.stops:
         rate += passes.stop_pass(
             scene,
@@ -272,7 +298,7 @@ def sharp_pictures(view: View, sampling: Sampling, progress: Progress) -> SharpP
     scene, camera = view.world.scene, view.camera
     seed, report = picture_seed(sampling.seed, 0, SHARP), partial(progress, "rendering the pinhole picture")
     field = irradiance(view, sampling, 0)
-    fine = passes.sharp_pass(
+    sharp = passes.sharp_pass(
         scene,
         camera,
         passes.Sampling(SHARP_SPP, seed, report),
@@ -281,12 +307,26 @@ def sharp_pictures(view: View, sampling: Sampling, progress: Progress) -> SharpP
         diffraction=view.diffraction,
         max_blur_px=view.reach_px,
     )
-    check_finite(view.scene, fine.rate, view.objects_at)
+    check_finite(view.scene, sharp.rate, view.objects_at)
+    channels = len(cameras.channels(camera.sensor))
+    colours = srgb(sharp.rate[..., channels:], camera, twin, view.illuminant)
+    rate, fine = sharp.rate[..., :channels].copy(), sharp.fine
+    del sharp
     controls = [
         passes.control_of(scene, camera, stop, fine, max_blur_px=view.reach_px, field=field) for stop in camera.stops
     ]
-    rate, twin_rate = np.split(fine.rate, [len(cameras.channels(camera.sensor))], axis=-1)
-    return SharpPictures(rate, twin_rate, twin, field, controls, fine)
+    return SharpPictures(rate, colours, field, controls, fine)
+
+
+def srgb(rate: FloatArray, camera: Camera, twin: Camera, illuminant: str) -> Float32Array:
+    """Picture in sRGB, 0..1, from electrons [h, w, 3] of a camera without near-infrared, white-balanced for the
+    illuminant on each ring of the frame of ``camera``.
+    """
+    power, (angles, place) = illuminants.illuminant(illuminant), rings(camera, twin)
+    matrix = colour.fitted_matrix(radiometry.response(twin), power)
+    white = np.stack([grid.integrate(radiometry.response(twin, angle) * power) for angle in angles])
+    linear = (rate * at_pixels(white[0] / white, place)).astype(np.float32)
+    return colour.to_srgb(linear, matrix, colour.exposure_scale(linear, matrix))
 
 
 def exposure_time_s(rate: FloatArray, camera: Camera, exposure: Exposure) -> float:

@@ -15,7 +15,7 @@ Tested in tests/dasim/simulation/test_rendering_noise.py.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -57,12 +57,34 @@ def measured(pairs: Sequence[tuple[Picture, Picture]]) -> Measured:
     (a - b)^2 m n / (m + n)^2. It is averaged over ``WINDOW_PX``.
     """
     total = np.asarray(sum(first.spp + second.spp for first, second in pairs))
-    shape = np.broadcast_shapes(pairs[0][0].rate.shape, (*total.shape, 1))
-    rate, variance, beside = (np.empty(shape) for _ in range(3))
-    for stop, channel in np.ndindex(shape[0], shape[3]):  # apart: large frames would take gigabytes
-        at = (slice(stop, stop + 1), slice(None), slice(None), slice(channel, channel + 1))
-        rate[at], variance[at], beside[at] = _measured([(_part(a, at), _part(b, at)) for a, b in pairs], total[at[:3]])
+    rate, variance, beside = (np.empty(_shape(pairs, total)) for _ in range(3))
+    for at, part in _by_channel(pairs, total):
+        rate[at], variance[at], beside[at] = part
     return Measured(rate, variance, beside, total)
+
+
+def mean_and_variance(first: Picture, second: Picture) -> tuple[FloatArray, FloatArray]:
+    """``rate`` and ``variance`` of :func:`measured` alone, of one pair."""
+    pairs, total = [(first, second)], first.spp + second.spp
+    rate, variance = (np.empty(_shape(pairs, total)) for _ in range(2))
+    for at, part in _by_channel(pairs, total):
+        rate[at], variance[at], _ = part
+    return rate, variance
+
+
+def _shape(pairs: Sequence[tuple[Picture, Picture]], total: NDArray[np.int64]) -> tuple[int, ...]:
+    """[stop, h, w, channel]."""
+    return np.broadcast_shapes(pairs[0][0].rate.shape, (*total.shape, 1))
+
+
+def _by_channel(
+    pairs: Sequence[tuple[Picture, Picture]], total: NDArray[np.int64]
+) -> Iterator[tuple[tuple[slice, ...], tuple[FloatArray, FloatArray, FloatArray]]]:
+    """Results of :func:`_measured` of each stop and channel, and their places: of all, large frames take gigabytes."""
+    stops, _, _, channels = _shape(pairs, total)
+    for stop, channel in np.ndindex(stops, channels):
+        at = (slice(stop, stop + 1), slice(None), slice(None), slice(channel, channel + 1))
+        yield at, _measured([(_part(a, at), _part(b, at)) for a, b in pairs], total[at[:3]])
 
 
 def _part(picture: Picture, at: tuple[slice, ...]) -> Picture:

@@ -7,17 +7,17 @@ per second through the lens and through a pinhole), expose (raw numbers, capture
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 
 from dasim.camera import geometry as camera_geometry
 from dasim.camera import noise as sensor_noise
-from dasim.camera import pointspread, radiometry
+from dasim.camera import pointspread
 from dasim.camera import specification as cameras
 from dasim.camera.noise import Exposure, NoiseModel
-from dasim.camera.rings import at_pixels, rings
 from dasim.camera.specification import Camera, as_camera
 from dasim.loading import as_scene
 from dasim.render import backend, light_spectra, translate, truth
@@ -28,10 +28,10 @@ from dasim.scene.specification import Scene
 from dasim.simulation import adaptive_sampling, checks, rendering
 from dasim.simulation.exposure import SensorLight, Shot, photograph, to_precision
 from dasim.simulation.rendering import LensPicture, Sampling, SharpPictures, View
-from dasim.spectra import colour, grid, illuminants
-from dasim.typing import FloatArray, Progress
+from dasim.typing import Float32Array, Progress
 from dasim.values import Truth
 
+Pictures = TypeVar("Pictures", LensPicture, SharpPictures)
 DEFAULT_SPP = 64  # a power of two, for which Sobol' points are most even
 
 
@@ -113,17 +113,26 @@ def sensor_light(
     sampling = Sampling(spp, noise_share, noise_at, seed)
     try:
         view = prepare(scene, camera, diffraction, variant, progress)
-        sharp = rendering.sharp_pictures(view, sampling, progress)
-        lens = rendering.lens_picture(view, sharp, sampling, exposure or Exposure(), progress)
-        mean = rendering.independent_picture(view, sharp, lens, sampling, progress) if independent_mean else lens
-        focus = rendering.focus_picture(view, sharp, seed, progress)
+        sharp = _rounded(rendering.sharp_pictures(view, sampling, progress))
+        lens = mean = _rounded(rendering.lens_picture(view, sharp, sampling, exposure or Exposure(), progress))
+        if independent_mean:
+            mean = _rounded(rendering.independent_picture(view, sharp, lens, sampling, progress))
+        focus = to_precision(rendering.focus_picture(view, sharp, seed, progress))
     except RuntimeError as error:  # Mitsuba's
         if isinstance(scene, MitsubaScene):
             raise render_error(scene, error) from None
         raise
-    variance = None if lens.variance is None else to_precision(lens.variance)
     exact, origin = describe_truth(view, mean, sharp, focus), describe_origin(view, lens, seed, independent_mean)
-    return SensorLight(camera, to_precision(lens.rate), variance, exact, view.illuminant, origin, view.world.notes)
+    return SensorLight(camera, lens.rate, lens.variance, exact, view.illuminant, origin, view.world.notes)
+
+
+def _rounded(pictures: Pictures) -> Pictures:
+    """Pictures in single precision, see :mod:`dasim.simulation.exposure`, as soon as they are sums no more."""
+    rounded: dict[str, Any] = {"rate": to_precision(pictures.rate)}
+    if isinstance(pictures, LensPicture) and pictures.variance is not None:
+        rounded["variance"] = to_precision(pictures.variance)
+    backend.release_memory()
+    return replace(pictures, **rounded)
 
 
 def prepare(
@@ -168,38 +177,27 @@ def describe_origin(view: View, lens: LensPicture, seed: int, independent_mean: 
     }
 
 
-def describe_truth(view: View, mean: LensPicture, sharp: SharpPictures, focus: FloatArray) -> Truth:
-    """The ground truth of a frame of one second; the pictures are mean electrons per second."""
+def describe_truth(view: View, mean: LensPicture, sharp: SharpPictures, focus: Float32Array) -> Truth:
+    """The ground truth of a frame of one second; the pictures are mean electrons per second, rounded."""
     geometry, world = view.geometry, view.world
     return Truth(
         depth_m=geometry.depth_m.astype(np.float32),
         valid=~np.isnan(geometry.depth_m),
-        normal=geometry.normal.astype(np.float32),
+        normal=geometry.normal,
         object_id=geometry.object_id,
         material_id=world.material_number[geometry.object_id],
         blur_px=view.blur_px.astype(np.float32),
         level=(view.blur_px / camera_geometry.level_blur_px(view.camera)[1]).astype(np.float32),
         boundary=truth.boundary(view.blur_px),
         channels=cameras.channels(view.camera.sensor),
-        mean_e=to_precision(mean.rate),
-        sharp_e=to_precision(sharp.rate),
-        sharp_srgb=srgb(sharp.twin_rate, view.camera, sharp.twin, view.illuminant),
+        mean_e=mean.rate,
+        sharp_e=sharp.rate,
+        sharp_srgb=sharp.srgb,
         objects=tuple(world.objects),
         materials=tuple(world.materials),
-        mean_e_variance=None if mean.variance is None else to_precision(mean.variance),
-        focus_e=to_precision(focus),
+        mean_e_variance=mean.variance,
+        focus_e=focus,
     )
-
-
-def srgb(rate: FloatArray, camera: Camera, twin: Camera, illuminant: str) -> np.ndarray:
-    """Picture in sRGB, 0..1, from electrons [h, w, 3] of a camera without near-infrared, white-balanced for the
-    illuminant on each ring of the frame of ``camera``.
-    """
-    power, (angles, place) = illuminants.illuminant(illuminant), rings(camera, twin)
-    matrix = colour.fitted_matrix(radiometry.response(twin), power)
-    white = np.stack([grid.integrate(radiometry.response(twin, angle) * power) for angle in angles])
-    linear = (rate * at_pixels(white[0] / white, place)).astype(np.float32)
-    return colour.to_srgb(linear, matrix, colour.exposure_scale(linear, matrix))
 
 
 def airy_errors(camera: Camera, illuminant: str) -> dict[str, Any]:

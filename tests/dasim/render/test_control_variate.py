@@ -38,7 +38,7 @@ def test_the_mean_is_the_integral_of_the_kernel_over_the_picture_between_its_nod
         )
 
     blur = np.full(SIZE, blur_px)
-    made = control_variate.control(picture, slice(0, 2), blur, 0.5, (0.25, 0.0), 2.2 * width, profiles)
+    made = control_variate.control(picture, blur, 0.5, (0.25, 0.0), 2.2 * width, profiles)
     row, column = 4, 7
     steps = (np.arange(-120, 120) + 0.5) / 120 * 3.2 * width  # w along y
     x, y = np.meshgrid(steps, steps)
@@ -65,7 +65,6 @@ def test_the_mean_is_exact_where_blur_is_large_and_its_edge_sharp(jit, picture):
 
     made = control_variate.control(
         picture,
-        slice(0, 2),
         np.full(SIZE, 9.0),
         1.0,
         (0.0, 0.0),
@@ -109,7 +108,7 @@ def pictures(jit, loaded, make_scene, lamp):
     sharp = passes.sharp_pass(scene, camera, passes.Sampling(32, 5), None, also, diffraction="wave", max_blur_px=26.0)
     values, variates = [], []
     for stop in camera.stops:
-        control = passes.control_of(scene, camera, stop, sharp, max_blur_px=26.0, field=None)
+        control = passes.control_of(scene, camera, stop, sharp.fine, max_blur_px=26.0, field=None)
         parts = [
             passes.stop_ratios(
                 scene, camera, stop, passes.Sampling(SPP, seed), illuminant="D65", control=control, **optics

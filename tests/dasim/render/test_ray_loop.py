@@ -41,10 +41,10 @@ PLUGINS = OURS | set(
     twosided diffuse plastic roughplastic conductor roughconductor dielectric thindielectric null blendbsdf bitmap
     uniform regular irregular area point constant envmap""".split()
 )
-# Most arrays that the host reads per batch, by function: sums of two for each of 11 channels (of four: also of two for
-# the control variate, and two for depth); of pixels that see several depths two for each channel and the depth, and the
-# light of four channels; of the irradiance, four wavelengths, and five numbers of the surface.
-READS = {"_Block.sums": 22, "_read": 9, "_beyond": 4, "_traced": 9}
+# Most arrays that the host reads per batch, by function: sums of two for each of eight channels (of four: also of two
+# for the control variate, and two for depth); of pixels that see several depths two for each channel and the depth, and
+# the light of four channels; of the irradiance, four wavelengths, and five numbers of the surface.
+READS = {"_Block.sums": 18, "_read": 9, "_beyond": 4, "_traced": 9}
 RAYS_PER_NUMBER = 2  # at least, of each array that is read: at 4 samples per pixel a picture's halves have 2
 KEPT = 30  # numbers per ray that a launch leaves in memory: 120 bytes
 LAUNCHES = 40  # of all kinds per batch
@@ -179,14 +179,29 @@ def test_tables_are_read_in_single_precision(jit, dimensions):
     assert not plugin.texture(np.zeros((2,) * dimensions + (1,))).use_accel()
 
 
+def test_textures_share_the_memory_of_aligned_arrays(jit):
+    """Rationale: the finer picture through a pinhole of a frame of 3 Mpx takes half a gigabyte."""
+    if jit.startswith("cuda"):
+        pytest.skip("textures are in the memory of the graphics card")
+    values = plugin.aligned_zeros((3, 4, 2))
+    table = plugin.texture(values)
+    values += 5
+    assert (np.array(table.tensor()) == 5).all()
+    copy = plugin.aligned(values[:, 1:])
+    assert copy.ctypes.data % 64 == 0 and not np.shares_memory(copy, values)
+
+
 @pytest.mark.parametrize(("variant", "most"), [("cuda_ad_spectral", 1 << 23), ("llvm_ad_spectral", 1 << 21)])
 def test_memory_is_bounded_by_the_rays_at_once(jit, monkeypatch, variant, most):
     """Expectation: batches of as many rays as the variant takes at once; a small frame has one."""
     monkeypatch.setattr("mitsuba.variant", lambda: variant)
     for pixels, batches in ((100, 1), (5 * most // 16, 5)):
-        parts = list(ray_loop._parts(np.arange(pixels), np.full(pixels, 16)))
-        assert len(parts) == batches
-        assert max(16 * len(part) for part in parts) <= most
+        for spp in (16, np.full((1, pixels), 16)):
+            parts = list(ray_loop._parts(spp, pixels))
+            assert len(parts) == batches
+            assert max(counts.sum() for _, counts in parts) <= most
+            np.testing.assert_array_equal(np.concatenate([part for part, _ in parts]), np.arange(pixels))
+            assert all((counts == 16).all() for _, counts in parts)
 
 
 def test_the_picture_of_a_pinhole_has_its_first_channels(make_scene, loaded, wide, jit):
@@ -195,7 +210,8 @@ def test_the_picture_of_a_pinhole_has_its_first_channels(make_scene, loaded, wid
     scene, camera, sampling = loaded(make_scene(wall)), wide(12, 8), ray_loop.Sampling(4, 1)
     responses = pinhole_responses(camera)
     whole = ray_loop.ratios(scene, camera, None, sampling, None, None, responses)
-    first = ray_loop.pinhole_ratios(scene, camera, sampling, None, responses, 2)
-    assert first.dtype == np.float32
-    np.testing.assert_array_equal(first, whole.value[..., :2].astype(np.float32))
+    parts = ray_loop.pinhole_ratios(scene, camera, sampling, None, responses, (2, 1))
+    first = np.concatenate(parts, axis=-1)
+    assert first.dtype == np.float32 and [part.shape[-1] for part in parts] == [2, 1]
+    np.testing.assert_array_equal(first, whole.value[..., :3].astype(np.float32))
     assert first.min() > 0 and not whole.variate.any() and (whole.variate_light == 1).all()

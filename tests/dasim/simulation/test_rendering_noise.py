@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import tracemalloc
+
 import numpy as np
 import pytest
 
-from dasim.simulation.rendering_noise import PERCENTILES, Picture, measured, share, shares_at
+from dasim.simulation.rendering_noise import PERCENTILES, Picture, mean_and_variance, measured, share, shares_at
 
 SHAPE = (2, 120, 160, 3)  # 19,200 pixels: the mean of their squares is known to 1 %
 KNOWN = 0.03
@@ -77,6 +79,24 @@ def test_the_variate_takes_out_what_it_shares_with_the_picture():
     assert found.variance.mean() == pytest.approx(expected, rel=KNOWN)
     assert np.mean((found.rate - 10) ** 2) == pytest.approx(expected, rel=KNOWN)
     assert found.rate.mean() == pytest.approx(10.0, abs=4 * np.sqrt(0.5 / found.rate.size))
+
+
+def test_a_pair_is_measured_in_little_memory():
+    """Rationale: the pictures of a frame of 3 Mpx take 100 MB per stop and array.
+
+    Expectation: the figures of ``measured``; beside two results, some twenty intermediate arrays, each of one channel
+    of one stop: a sixth of a result.
+    """
+    random = np.random.default_rng(8)
+    two = [picture(2, 10 + random.standard_normal(SHAPE), random.standard_normal(SHAPE)) for _ in range(2)]
+    tracemalloc.start()
+    rate, variance = mean_and_variance(*two)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < (2 + 24 / 6) * rate.nbytes
+    whole = measured([tuple(two)])
+    np.testing.assert_array_equal(rate, whole.rate)
+    np.testing.assert_array_equal(variance, whole.variance)
 
 
 def test_shares_are_percentiles_of_standard_deviations():
