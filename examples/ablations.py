@@ -9,6 +9,8 @@ from __future__ import annotations
 
 from unittest import mock
 
+import numpy as np
+
 from dasim.typing import Float32Array, FloatArray
 from dasim.values import Capture, DepthEstimate, PsfBank
 from recon.depth import evidence, surface_net
@@ -16,18 +18,29 @@ from recon.depth.method import METHODS
 from recon.depth.surface_net import Moments
 
 SMALL, LARGE, BANDS = range(3)  # the scores in recon.depth.evidence
+POSTERIOR = surface_net.posterior
 
 
 def without_network(capture: Capture, bank: PsfBank) -> DepthEstimate:
     """Neighbours are joined on smooth surfaces alone."""
     with mock.patch.object(surface_net, "SHARE", 0.0):
-        return _best(capture, bank)
+        return METHODS["best"](capture, bank)
 
 
 def network_alone(capture: Capture, bank: PsfBank) -> DepthEstimate:
-    """The network's posterior, not mixed with that of smooth surfaces."""
+    """The network's posterior, not mixed with that of smooth surfaces, which it sees among its inputs."""
     with mock.patch.object(surface_net, "SHARE", 1.0):
-        return _best(capture, bank)
+        return METHODS["best"](capture, bank)
+
+
+def without_picture(capture: Capture, bank: PsfBank) -> DepthEstimate:
+    """The network sees the scores of the windows alone."""
+
+    def blind(inputs: Float32Array, picture: Float32Array, levels: FloatArray, last: float) -> Moments:
+        return POSTERIOR(inputs, np.zeros_like(picture), levels, last)
+
+    with mock.patch.object(surface_net, "posterior", blind):
+        return METHODS["best"](capture, bank)
 
 
 def without_small_windows(capture: Capture, bank: PsfBank) -> DepthEstimate:
@@ -50,20 +63,15 @@ def bands_alone(capture: Capture, bank: PsfBank) -> DepthEstimate:
     return _without({SMALL, LARGE}, capture, bank)
 
 
-def _best(capture: Capture, bank: PsfBank) -> DepthEstimate:
-    return METHODS["best"](capture, bank)
-
-
 def _without(scores: set[int], capture: Capture, bank: PsfBank) -> DepthEstimate:
     """The default without some scores: neither in the sum that smooth surfaces join nor among the network's inputs."""
-    posterior = surface_net.posterior
 
-    def blind(inputs: Float32Array, levels: FloatArray, last: float) -> Moments:
+    def blind(inputs: Float32Array, picture: Float32Array, levels: FloatArray, last: float) -> Moments:
         inputs = inputs.copy()
         for index in scores:
             inputs[..., index * len(levels) : (index + 1) * len(levels)] = 0
-        return posterior(inputs, levels, last)
+        return POSTERIOR(inputs, picture, levels, last)
 
     weights = tuple(0.0 if index in scores else weight for index, weight in enumerate(evidence.WEIGHTS))
     with mock.patch.object(evidence, "WEIGHTS", weights), mock.patch.object(surface_net, "posterior", blind):
-        return _best(capture, bank)
+        return METHODS["best"](capture, bank)

@@ -83,7 +83,7 @@ DESCRIPTIONS = {
     "paper": "normalised cross-correlation of green and near-infrared, as in the paper",
     "likelihood": "the paper's windows and bank; levels scored by likelihood",
     "best": "joint likelihood of green and near-infrared in windows of two sizes, joined over surfaces",
-    "fast": "as best, with the likelihood in large windows alone: less accurate, and three times as fast",
+    "fast": "as best, in large windows alone and without the network: less accurate, and four times as fast",
     "bands": "transfer from near-infrared to red and green in bands of frequency, in patches that follow the surface",
     "chakrabarti-zickler": "colour lines, the closest prior work, with the same bank and windows",
 }

@@ -12,14 +12,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import NamedTuple
 
-import cv2
 import numpy as np
 
 from dasim.typing import Float32Array, FloatArray
 from recon.depth import surface_net
-from recon.depth.evidence import Evidence, Nodes, resampled
+from recon.depth.evidence import Evidence, on_samples
 
-COMB_BLUR = 1.0  # standard deviation in samples
 LEAST_RANGE = 10.0  # of a score over the levels: windows of noise alone stay below it
 
 
@@ -32,18 +30,23 @@ class Map(NamedTuple):
     window_sd: Float32Array  # infinite without texture
 
 
-def estimate(evidence: Evidence, last: int, shape: Sequence[int]) -> Map:
-    """Levels of every sample of planes of a ``shape`` from the evidence; ``last`` is the bank's largest level."""
+def estimate(evidence: Evidence, last: int, shape: Sequence[int], network: bool = True) -> Map:
+    """Levels of every sample of planes of a ``shape`` from the evidence; ``last`` is the bank's largest level.
+
+    Without the ``network``, neighbours are joined on smooth surfaces alone.
+    """
     levels = evidence.levels
     window_level, window_sd = _moments(_normalised(evidence.score, levels), levels)
     knows = np.ptp(evidence.score[..., levels <= last + 1e-6], axis=-1) >= LEAST_RANGE
     window_sd[~knows] = np.inf
-    found = surface_net.posterior(evidence.inputs, levels, last)
-    # The last blocks may reach beyond the frame, and steps are combed at the blocks.
-    level, sd = (cv2.GaussianBlur(image[: shape[0], : shape[1]], (0, 0), COMB_BLUR) for image in found)
+    if network:
+        found = surface_net.posterior(evidence.inputs, evidence.picture, levels, last)
+    else:
+        found = surface_net.smooth_posterior(evidence.inputs, levels, last)
+    level, sd = (image[: shape[0], : shape[1]] for image in found)  # the last nodes may reach beyond the frame
     if not knows.any():  # neighbours can tell only what some window knows
         sd = np.full_like(sd, np.inf)
-    return Map(level, sd, *(_on_samples(image, evidence.nodes, shape) for image in (window_level, window_sd)))
+    return Map(level, sd, *(on_samples(image, evidence.nodes, shape) for image in (window_level, window_sd)))
 
 
 def _normalised(score: Float32Array, levels: FloatArray) -> Float32Array:
@@ -57,11 +60,3 @@ def _moments(probability: Float32Array, levels: FloatArray) -> tuple[Float32Arra
     mean = probability @ levels.astype(np.float32)
     square = probability @ (levels**2).astype(np.float32)
     return mean, np.sqrt(np.maximum(square - mean**2, 0))
-
-
-def _on_samples(image: Float32Array, nodes: Nodes, shape: Sequence[int]) -> Float32Array:
-    """An image of the nodes at all samples of the planes."""
-    for axis in (0, 1):
-        with np.errstate(invalid="ignore"):  # 0 times infinity beside a sample that is unknown: unknown too
-            image = resampled(image, nodes[axis], np.arange(shape[axis]), axis)
-    return np.where(np.isnan(image), np.float32(np.inf), image)

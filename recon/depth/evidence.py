@@ -2,7 +2,7 @@
 
 Per node: the scores of the joint likelihood in windows of two sizes and that of :mod:`recon.depth.bands`, each less its
 largest value and compressed; the logarithm of their posterior on smooth surfaces (:mod:`recon.depth.surfaces`); signal
-over noise and coherence of green and infrared in bands of frequency; and the picture around it in samples, so that
+over noise and coherence of green and infrared in bands of frequency. Beside the nodes, the picture in samples, so that
 edges can be found between nodes.
 """
 
@@ -17,13 +17,13 @@ from numpy.typing import NDArray
 
 from dasim.typing import BoolArray, Float32Array, FloatArray
 from recon.depth import cross_spectra, surfaces
-from recon.depth.channels import Channel, Leak
+from recon.depth.channels import Channel, Leak, without_infrared
 from recon.depth.cross_spectra import Spectra, Window
 from recon.depth.grid import PLANE_SPACING_PX
 from recon.depth.joint_likelihood import log_likelihood
 
 WINDOWS = (Window(10.0, 4), Window(28.0, 8))
-NODE = 4  # samples of the planes between nodes, and per side of the block of samples around each
+NODE = 4  # samples of the planes between nodes
 FINEST, RELATIVE, LAST = 0.5, 1 / 8, 28.0  # spacing of levels: the larger of a number and a share of the level
 SCORE_UNIT = 10.0  # score from which on differences count by their logarithm
 WEIGHTS = (0.6, 0.6, 0.2)  # of the scores of both windows and of ``bands`` in their sum: they share samples
@@ -33,10 +33,9 @@ GUIDE_BLUR = 0.6  # standard deviation in samples
 GUIDE_FLOOR = 2.0  # noise standard deviations that are added before the logarithm
 SURROUNDINGS_PX = 40.0  # window of the mean that the picture is relative to
 LEAST_LOG = -14.0  # of the posterior, relative to its largest value
-# Inputs: SCORES scores of every level, of which the last is the posterior, SIGNALS, and a BLOCK of the picture.
+# Inputs: SCORES scores of every level, of which the last is the posterior, and SIGNALS.
 SCORES = len(WINDOWS) + 2
 SIGNALS = 3 * (len(cross_spectra.EDGES) - 1)
-BLOCK = 2 * NODE**2
 
 Scores = Callable[[NDArray[np.intp], NDArray[np.intp]], Float32Array]
 """Log likelihood of each level of the bank at rows and columns of the planes, [row, column, level]."""
@@ -47,6 +46,7 @@ class Evidence(NamedTuple):
     """Inputs per node, [h, w, input], and the levels that the scores are about."""
 
     inputs: Float32Array
+    picture: Float32Array  # [NODE h, NODE w, channel] logarithms of green, infrared, red and blue
     levels: FloatArray
     score: Float32Array  # [h, w, level] weighted sum of the scores, and a prior
     nodes: Nodes  # rows and columns of the nodes, samples of the planes
@@ -61,7 +61,13 @@ def level_grid(last: int) -> FloatArray:
 
 
 def evidence(
-    visible: Channel, infrared: Channel, leak: Leak, clipped: BoolArray, most_clipped: float, bands: Scores | None
+    visible: Channel,
+    infrared: Channel,
+    guides: Sequence[Channel],
+    leak: Leak,
+    clipped: BoolArray,
+    most_clipped: float,
+    bands: Scores | None,
 ) -> Evidence:
     """Evidence of green and infrared.
 
@@ -70,6 +76,7 @@ def evidence(
     Args:
         visible: the visible channel, green.
         infrared: the infrared channel.
+        guides: red and blue, for the picture alone.
         leak: infrared in the visible channel.
         clipped: samples that are clipped, [h, w].
         most_clipped: share of them in a window from which on the window says nothing.
@@ -96,12 +103,12 @@ def evidence(
     total = sum(np.float32(weight) * score for weight, score in zip(WEIGHTS, scores, strict=True))
     total = np.asarray(total - FAR * np.log(1 + levels / 2), np.float32)
     total[..., levels > last + 1e-6] = total.min(axis=-1, keepdims=True) - EXCLUDED
-    picture = _picture(channels)
-    across, down = surfaces.step_probability(picture[:, nodes[0][:, None], nodes[1]])
+    picture = _picture([*channels, *guides])
+    across, down = surfaces.step_probability(picture[:2, nodes[0][:, None], nodes[1]])
     joined = np.log(_joined(total, levels, across, down))
     parts.append(np.maximum(joined - joined.max(axis=-1, keepdims=True), LEAST_LOG))
-    parts += [_signal(found[0]), _blocks(picture, nodes)]
-    return Evidence(np.concatenate(parts, axis=-1).astype(np.float32), levels, total, nodes)
+    parts.append(_signal(found[0]))
+    return Evidence(np.concatenate(parts, axis=-1).astype(np.float32), _whole(picture, nodes), levels, total, nodes)
 
 
 def _spectra(channels: tuple[Channel, Channel], leak: Leak) -> list[Spectra]:
@@ -122,9 +129,7 @@ def _window_scores(
     ``wanted``, say nothing.
     """
     visible, infrared = channels
-    share = leak.alpha * leak.white
-    clean = (visible.kernels - share * infrared.kernels) / (1 - share)
-    kernels = np.stack([clean, infrared.kernels], axis=1).astype(np.float32)
+    kernels = np.stack([without_infrared(visible, leak, infrared), infrared.kernels], axis=1).astype(np.float32)
     table = _between(cross_spectra.expected(kernels, [channel.phase for channel in channels]), levels)
     result = []
     for spectra, window, without, want in zip(found, WINDOWS, unusable, wanted, strict=True):
@@ -178,13 +183,12 @@ def _picture(channels: Sequence[Channel]) -> Float32Array:
     return np.asarray(logs - np.stack(around), np.float32)
 
 
-def _blocks(image: Float32Array, nodes: Nodes) -> Float32Array:
-    """The NODE x NODE samples around each node, [row, column, channel NODE NODE]; the border is repeated."""
-    channels, height, width = image.shape
+def _whole(image: Float32Array, nodes: Nodes) -> Float32Array:
+    """Samples around all nodes, [NODE row, NODE column, channel]; beyond the frame, its border is repeated."""
+    _, height, width = image.shape
     rows, columns = len(nodes[0]), len(nodes[1])
     padded = np.pad(image, ((0, 0), (0, rows * NODE - height), (0, columns * NODE - width)), mode="edge")
-    split = padded.reshape(channels, rows, NODE, columns, NODE)
-    return split.transpose(1, 3, 0, 2, 4).reshape(rows, columns, -1)
+    return np.ascontiguousarray(padded.transpose(1, 2, 0))
 
 
 def share_in_window(mask: BoolArray, sigma_px: float) -> Float32Array:
@@ -198,6 +202,14 @@ def _between(table: FloatArray, levels: FloatArray) -> FloatArray:
     low = np.clip(levels.astype(int), 0, len(table) - 2)
     share = np.clip(levels - low, 0, 1)[:, None, None, None]
     return np.asarray(table[low] * (1 - share) + table[low + 1] * share)
+
+
+def on_samples(image: Float32Array, nodes: Nodes, shape: Sequence[int]) -> Float32Array:
+    """An image of the nodes at all samples of the planes, [h, w]; samples beside an infinite one are infinite."""
+    for axis in (0, 1):
+        with np.errstate(invalid="ignore"):  # 0 times infinity
+            image = resampled(image, nodes[axis], np.arange(shape[axis]), axis)
+    return np.where(np.isnan(image), np.float32(np.inf), image)
 
 
 def resampled(image: Float32Array, old: NDArray, new: NDArray, axis: int) -> Float32Array:

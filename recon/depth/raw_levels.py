@@ -97,7 +97,9 @@ def joint_levels(frame: Frame, settings: Settings, behind: NDArray | None = None
         where = probability_behind(near, far, [leaks[0][name] for name in names], clipped, settings.saturated_share)
         maps = [joint_levels(side, settings) for side in sides]
         return signed(maps[0], maps[1], where)
-    return best.estimate(joint_evidence(frame, settings), len(frame.kernels) - 1, frame.variances["IR"].shape)
+    found = joint_evidence(frame, settings)
+    shape = frame.variances["IR"].shape
+    return best.estimate(found, len(frame.kernels) - 1, shape, network=settings.windows == "all")
 
 
 def joint_evidence(frame: Frame, settings: Settings) -> Evidence:
@@ -112,7 +114,8 @@ def joint_evidence(frame: Frame, settings: Settings) -> Evidence:
 
     clipped = mosaic.saturated_blocks(frame.saturated)
     of_bands = bands if settings.windows == "all" else None
-    return evidence(channels["G"], channels["IR"], leaks["G"], clipped, settings.saturated_share, of_bands)
+    guides = [channels[name] for name in "RB"]
+    return evidence(channels["G"], channels["IR"], guides, leaks["G"], clipped, settings.saturated_share, of_bands)
 
 
 def _channels(frame: Frame, settings: Settings) -> tuple[dict[str, Channel], dict[str, Leak]]:

@@ -16,13 +16,12 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import map_coordinates
 
 from dasim.typing import BoolArray, Float32Array, FloatArray
 from dasim.values import PsfBank, Side
 from recon.depth import cross_spectra, evidence, surfaces
 from recon.depth.best import Map
-from recon.depth.channels import Channel, Leak
+from recon.depth.channels import Channel, Leak, without_infrared
 from recon.depth.cross_spectra import Window
 from recon.depth.joint_likelihood import log_likelihood
 
@@ -58,7 +57,7 @@ def probability_behind(
     joined = surfaces.posterior(found, np.array([0.0, APART]), across, down)
     behind = PRIOR_BEHIND * joined[..., 1]
     behind /= behind + (1 - PRIOR_BEHIND) * joined[..., 0]
-    return _on_samples(behind, near[-1].variance.shape)
+    return evidence.on_samples(behind, nodes, near[-1].variance.shape)
 
 
 def signed(near: Map, far: Map, behind: Float32Array) -> Map:
@@ -86,10 +85,7 @@ def side_note(side: Side, level: NDArray, bank: PsfBank) -> str:
 def _table(channels: Sequence[Channel], leaks: Sequence[Leak]) -> FloatArray:
     """Expected cross-spectra at the levels of a side, and between them where they are few."""
     *visible, infrared = channels
-    clean = []
-    for channel, leak in zip(visible, leaks, strict=True):
-        share = leak.alpha * leak.white
-        clean.append((channel.kernels - share * infrared.kernels) / (1 - share))
+    clean = [without_infrared(channel, leak, infrared) for channel, leak in zip(visible, leaks, strict=True)]
     kernels = np.stack([*clean, infrared.kernels], axis=1).astype(np.float32)
     levels = evidence.level_grid(len(kernels) - 1)
     levels = levels[levels <= len(kernels) - 1]
@@ -111,9 +107,3 @@ def _chosen(
     with np.errstate(invalid="ignore"):
         spread = np.sqrt((1 - doubt) * sd**2 + doubt * (other**2 + (near + far) ** 2))
     return level, np.where(unknown, np.float32(np.inf), spread)
-
-
-def _on_samples(image: Float32Array, shape: Sequence[int]) -> Float32Array:
-    """An image of the nodes at all samples of the planes, [h, w]; linear between nodes."""
-    at = [(np.arange(length) - min(WINDOW.step // 2, length - 1)) / WINDOW.step for length in shape]
-    return np.asarray(map_coordinates(image, np.meshgrid(*at, indexing="ij"), order=1, mode="nearest"), np.float32)

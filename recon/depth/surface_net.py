@@ -1,34 +1,40 @@
-"""Levels of surfaces from the evidence of windows, by a small convolutional network.
+"""Levels of surfaces from the evidence of windows and the picture, by a small convolutional network.
 
 A window knows little near the focus and mixes surfaces at steps. Across the picture, surfaces are smooth and end where
 the picture has edges. The network has learned this from random rooms (:mod:`validation.training`), which no bundled and
 no random scene of the simulator is part of. It needs numpy alone.
 
-The hidden image h of C channels starts as a linear map of the inputs; block i adds
+It has the shape of a U-Net (Ronneberger, Fischer, Brox, MICCAI 2015) of three resolutions: samples of the planes, pairs
+of them, and nodes. The picture is convolved at the first two; at the nodes its features are added to a linear map of
+the evidence, and block i adds to the hidden image h
 
     h <- h + B_i relu(A_i * relu(h) + a_i) + b_i
 
-with a 3 x 3 convolution A_i of dilation ``DILATIONS[i]``. Of relu(h), linear maps give the log probabilities of each
-node's levels, to which a linear map of the scores is added, and 9 weights for each of the node's samples: a sample's
-posterior is the mean of those of the 3 x 3 nodes around it by the softmax of these weights (convex upsampling, Teed and
-Deng, ECCV 2020).
+with a 3 x 3 convolution A_i of dilation ``DILATIONS[i]``. On the way back to the samples, the picture's features are
+added again. The log probabilities of a sample's levels are those of the nodes, interpolated, plus a linear map of the
+sample's own features.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import cache
 from importlib.resources import files
 from typing import NamedTuple
 
+import cv2
 import numpy as np
 
 from dasim.typing import Float32Array, FloatArray
 from recon.depth.evidence import NODE, SCORES
 
 FILE = "surface_net.npz"
-DILATIONS = (1, 2, 4, 8, 16, 1, 2, 4)
-AROUND = 9  # nodes that a sample's posterior is a mean of
-SHARE = 0.3  # of the network in the posterior of a node; the rest is that of smooth surfaces. Chosen on ``tune``
+DILATIONS = (1, 2, 4, 8, 16, 1, 2, 4, 8, 1)
+SHARE = 0.5  # of the network in the posterior; the rest is that of smooth surfaces. Chosen on ``tune``
+# Factor on the standard deviation on smooth surfaces alone, which take the windows of neighbours as less alike than
+# they are; chosen on ``tune``.
+SMOOTH_SD = 2.5
+STRIP = 2**16  # pixels that are convolved at a time, so that they stay in the processor's cache
 
 
 class Moments(NamedTuple):
@@ -45,65 +51,107 @@ def weights() -> dict[str, Float32Array]:
         return {name: stored[name].astype(np.float32) for name in stored.files if name != "about"}
 
 
-def posterior(inputs: Float32Array, levels: FloatArray, last: float) -> Moments:
+def posterior(inputs: Float32Array, picture: Float32Array, levels: FloatArray, last: float) -> Moments:
     """Posterior of each sample of the planes; the last rows and columns of samples may lie outside of the frame.
 
     Args:
         inputs: evidence per node, [h, w, input].
+        picture: logarithms of the channels, [NODE h, NODE w, channel].
         levels: values of the levels.
         last: largest level of the bank; larger ones get no probability.
     """
-    scores = SCORES * len(levels)
     net = weights()
-    hidden = _linear((inputs - net["mean"]) / net["sd"], net, "in")
+    fine = _convolved((picture - net["picture_mean"]) / net["picture_sd"], net, "fine")
+    fine = _convolved(_relu(fine), net, "fine_in")
+    middle = _linear(_gathered(_relu(fine)), net, "middle")
+    middle = _relu(_convolved(_relu(middle), net, "middle_in"))
+    hidden = _linear((inputs - net["mean"]) / net["sd"], net, "in") + _linear(_gathered(middle), net, "picture_in")
     for index, dilation in enumerate(DILATIONS):
-        inner = np.maximum(_convolved(np.maximum(hidden, 0), net, f"a{index}", dilation), 0)
+        inner = _relu(_convolved(_relu(hidden.copy()), net, f"a{index}", dilation))
         hidden += _linear(inner, net, f"b{index}")
-    hidden = np.maximum(hidden, 0)
-    logits = _linear(hidden, net, "level") + inputs[..., :scores] @ net["skip"]
-    smooth = inputs[..., scores - len(levels) : scores].copy()
-    for log in (logits, smooth):
-        log[..., levels > last + 1e-6] = -np.inf
-    probability = SHARE * _softmax(logits) + (1 - SHARE) * _softmax(smooth)
-    grid = levels.astype(np.float32)
-    moments = np.stack([probability @ grid, probability @ grid**2], axis=-1)
-    level, square = np.moveaxis(_upsampled(moments, _linear(hidden, net, "mix")), -1, 0)
+    hidden = _relu(hidden)
+    nodes = _linear(hidden, net, "level") + inputs[..., : SCORES * len(levels)] @ net["skip"]
+    middle = _refined(_relu(_spread(_linear(hidden, net, "middle_back")) + middle), net, "middle_out")
+    fine = _refined(_relu(_spread(_linear(middle, net, "fine_back")) + fine), net, "fine_out")
+    logits = _linear(fine, net, "sample")
+    size = logits.shape[1::-1]
+    logits += cv2.resize(nodes, size, interpolation=cv2.INTER_LINEAR)
+    return _moments(SHARE * _powers(logits, levels, last) + (1 - SHARE) * _of_smooth(inputs, size, levels, last))
+
+
+def smooth_posterior(inputs: Float32Array, levels: FloatArray, last: float) -> Moments:
+    """Posterior of each sample on smooth surfaces alone, as :func:`posterior` without the network."""
+    size = NODE * inputs.shape[1], NODE * inputs.shape[0]
+    level, sd = _moments(_of_smooth(inputs, size, levels, last))
+    return Moments(level, SMOOTH_SD * sd)
+
+
+def _moments(powers: Float32Array) -> Moments:
+    level, square = np.moveaxis(powers, -1, 0)
     return Moments(level, np.sqrt(np.maximum(square - level**2, 0)))
 
 
+def _of_smooth(inputs: Float32Array, size: Sequence[int], levels: FloatArray, last: float) -> Float32Array:
+    """Powers of the level on smooth surfaces at samples, of which ``size`` gives columns and rows."""
+    logits = inputs[..., (SCORES - 1) * len(levels) : SCORES * len(levels)].copy()
+    return np.asarray(cv2.resize(_powers(logits, levels, last), size, interpolation=cv2.INTER_LINEAR), np.float32)
+
+
+def _powers(logits: Float32Array, levels: FloatArray, last: float) -> Float32Array:
+    """Mean level and mean square of it, [h, w, 2], from log probabilities [h, w, level], which are overwritten."""
+    logits[..., levels > last + 1e-6] = -np.inf
+    logits -= logits.max(axis=-1, keepdims=True)
+    probability = np.exp(logits, out=logits).reshape(-1, len(levels))
+    powers = np.stack([levels**0, levels, levels**2], axis=-1).astype(np.float32)
+    found = (probability @ powers).reshape(*logits.shape[:2], 3)
+    return found[..., 1:] / found[..., :1]
+
+
+def _refined(image: Float32Array, net: dict[str, Float32Array], name: str) -> Float32Array:
+    """A residual convolution."""
+    return _relu(image + _linear(_relu(_convolved(image, net, f"{name}_a")), net, f"{name}_b"))
+
+
+def _relu(image: Float32Array) -> Float32Array:
+    return np.maximum(image, 0, out=image)
+
+
 def _linear(image: Float32Array, net: dict[str, Float32Array], name: str) -> Float32Array:
-    return np.asarray(image @ net[name] + net[f"{name}_bias"], np.float32)
+    height, width, channels = image.shape
+    result = image.reshape(-1, channels) @ net[name]  # one product is faster than one per row
+    result += net[f"{name}_bias"]
+    return np.asarray(result, np.float32).reshape(height, width, -1)
 
 
-def _convolved(image: Float32Array, net: dict[str, Float32Array], name: str, dilation: int) -> Float32Array:
+def _convolved(image: Float32Array, net: dict[str, Float32Array], name: str, dilation: int = 1) -> Float32Array:
     """A 3 x 3 convolution, [h, w, channel]; beyond the frame, its border is repeated."""
-    height, width, _ = image.shape
+    height, width, channels = image.shape
+    kernels = net[name].reshape(3, 3 * channels, -1)
     padded = np.pad(image, ((dilation, dilation), (dilation, dilation), (0, 0)), mode="edge")
-    result = np.empty((height, width, net[name].shape[-1]), np.float32)
-    result[:] = net[f"{name}_bias"]
-    for row in range(3):
-        for column in range(3):
-            part = padded[row * dilation : row * dilation + height, column * dilation : column * dilation + width]
-            result += part @ net[name][row, column]
-    return result
+    result = np.empty((height * width, kernels.shape[-1]), np.float32)
+    rows = max(STRIP // width, 1)
+    for top in range(0, height, rows):
+        end = min(top + rows, height)
+        part = padded[top : end + 2 * dilation]
+        beside = np.concatenate([part[:, i * dilation : i * dilation + width] for i in range(3)], axis=-1)
+        flat = beside.reshape(-1, 3 * channels)
+        strip = result[top * width : end * width]
+        strip[:] = net[f"{name}_bias"]
+        for row, kernel in enumerate(kernels):
+            first = row * dilation * width
+            strip += flat[first : first + len(strip)] @ kernel
+    return result.reshape(height, width, -1)
 
 
-def _softmax(logits: Float32Array) -> Float32Array:
-    weight = np.exp(logits - logits.max(axis=-1, keepdims=True))
-    return np.asarray(weight / weight.sum(axis=-1, keepdims=True))
+def _gathered(image: Float32Array) -> Float32Array:
+    """The four pixels of each 2 x 2 block as channels: half as high and wide."""
+    height, width, channels = image.shape
+    blocks = image.reshape(height // 2, 2, width // 2, 2, channels).transpose(0, 2, 4, 1, 3)
+    return blocks.reshape(height // 2, width // 2, 4 * channels)
 
 
-def _upsampled(moments: Float32Array, mix: Float32Array) -> Float32Array:
-    """Means over the 3 x 3 nodes around each sample by the weights ``mix`` [h, w, 9 NODE NODE]; [NODE h, NODE w, 2]."""
-    height, width, _ = moments.shape
-    share = mix.reshape(height, width, AROUND, NODE * NODE)
-    share = np.exp(share - share.max(axis=2, keepdims=True))
-    share /= share.sum(axis=2, keepdims=True)
-    padded = np.pad(moments, ((1, 1), (1, 1), (0, 0)), mode="edge")
-    total = np.zeros((height, width, NODE * NODE, moments.shape[-1]), np.float32)
-    for index in range(AROUND):
-        row, column = divmod(index, 3)
-        part = padded[row : row + height, column : column + width]
-        total += share[:, :, index, :, None] * part[:, :, None, :]
-    blocks = total.reshape(height, width, NODE, NODE, -1).transpose(0, 2, 1, 3, 4)
-    return blocks.reshape(height * NODE, width * NODE, -1)
+def _spread(image: Float32Array) -> Float32Array:
+    """Inverse of :func:`_gathered`."""
+    height, width, channels = image.shape
+    blocks = image.reshape(height, width, channels // 4, 2, 2).transpose(0, 3, 1, 4, 2)
+    return blocks.reshape(2 * height, 2 * width, channels // 4)

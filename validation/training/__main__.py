@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 
 from recon.depth.surface_net import FILE
-from validation.training.examples import make
+from validation.training.examples import CONDITIONS, PARTS, make
 
-EXAMPLES, EPOCHS, HELD_OUT = 956, 11, 40
+EPOCHS, HELD_OUT = 12, 20  # passes; examples of each family that the loss is measured with
 
 
 def main() -> None:
@@ -21,20 +21,15 @@ def main() -> None:
     steps = parser.add_subparsers(dest="step", required=True)
     examples = steps.add_parser("examples", help="make examples; several processes may each make a part")
     examples.add_argument("folder", type=Path)
-    examples.add_argument("--first", type=int, default=0)
-    examples.add_argument("--last", type=int, default=EXAMPLES, help="number after the last example")
+    examples.add_argument("--part", type=int, choices=range(PARTS), help="one part alone; default all")
     fitting = steps.add_parser("fit", help="fit the network; needs the extra 'learn'")
     fitting.add_argument("folder", type=Path)
     fitting.add_argument("--epochs", type=int, default=EPOCHS)
     fitting.add_argument("--out", type=Path, default=Path(FILE))
     options = parser.parse_args()
     if options.step == "examples":
-        make(
-            options.folder,
-            options.first,
-            options.last,
-            lambda _, share: print(f"\r{share:4.0%}", end="", file=sys.stderr),
-        )
+        for part in range(PARTS) if options.part is None else [options.part]:
+            make(options.folder, part, progress=_show)
     else:
         _fit(options.folder, options.epochs, options.out)
 
@@ -46,8 +41,11 @@ def _show(_: str, share: float) -> None:
 def _fit(folder: Path, epochs: int, out: Path) -> None:
     from validation.training import fit  # PyTorch is of an extra
 
-    files = sorted(folder.glob("[0-9]*.npz"), key=lambda file: int(file.stem))
-    train, held_out = fit.load(files[:-HELD_OUT]), fit.load(files[-HELD_OUT:])
+    families = [
+        sorted(folder.glob(f"{name}-*[0-9].npz"), key=lambda file: int(file.stem.split("-")[1])) for name in CONDITIONS
+    ]
+    train = fit.load([file for files in families for file in files[HELD_OUT:]])
+    held_out = fit.load([file for files in families for file in files[:HELD_OUT]])
 
     def report(epoch: int, loss: float, net: fit.Net) -> None:
         print(f"pass {epoch + 1} of {epochs}: loss {loss:.3f}, held out {fit.mean_loss(net, held_out):.3f}", flush=True)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -18,14 +19,30 @@ SIDE = 512  # of a pattern, samples
 LEAST_REFLECTANCE = 0.02
 
 
-def pattern(random: np.random.Generator) -> Float32Array:
+class Look(NamedTuple):
+    """What patterns of a family of rooms are like."""
+
+    contrast: tuple[float, float]  # least and largest standard deviation over the mean
+    shares: tuple[float, ...]  # of ``KINDS``
+    smoothest: float  # exponent x of a power 1 / f^(2 x)
+    follows: tuple[float, float, float]  # shares of infrared that repeats green's pattern, partly, not at all
+    least_follows: float  # correlation, where partly
+    strengths: tuple[float, float, float]  # shares of infrared with green's contrast, another, hardly any
+    least_scale: float  # samples of a pattern per fine sample of the picture
+
+
+PLAIN = Look((0.04, 0.8), (0.34, 0.18, 0.12, 0.12, 0.08, 0.16), 1.8, (0.4, 0.5, 0.1), 0.3, (0.5, 0.42, 0.08), 0.15)
+TEXTURED = Look((0.08, 0.9), (0.37, 0.19, 0.12, 0.14, 0.08, 0.1), 1.4, (0.55, 0.38, 0.07), 0.4, (0.6, 0.35, 0.05), 0.35)
+
+
+def pattern(random: np.random.Generator, look: Look) -> Float32Array:
     """A periodic pattern, [channel, SIDE, SIDE], in the order R, G, B, IR; between LEAST_REFLECTANCE and about 1."""
     colours = _colour(random)
-    draw = KINDS[random.choice(len(KINDS), p=SHARES)]
-    shared, infrared = draw(random), draw(random)
-    contrast = np.exp(random.uniform(np.log(0.02), np.log(0.6)))
-    follows = random.choice([1.0, random.uniform(0.3, 1.0), 0.0], p=[0.35, 0.5, 0.15])
-    strength = contrast * random.choice([1.0, random.uniform(0.2, 1.2), 0.02], p=[0.4, 0.5, 0.1])
+    draw = KINDS[random.choice(len(KINDS), p=look.shares)]
+    shared, infrared = draw(random, look), draw(random, look)
+    contrast = np.exp(random.uniform(*np.log(look.contrast)))
+    follows = random.choice([1.0, random.uniform(look.least_follows, 1.0), 0.0], p=look.follows)
+    strength = contrast * random.choice([1.0, random.uniform(0.2, 1.2), 0.02], p=look.strengths)
     mixed = follows * shared + np.sqrt(1 - follows**2) * infrared
     tint = 1 + 0.3 * random.standard_normal(3)
     parts = [colours[i] * (1 + contrast * tint[i] * shared) for i in range(3)]
@@ -46,16 +63,16 @@ def _unit(image: np.ndarray) -> Float32Array:
     return np.asarray(image / max(float(image.std()), 1e-6), np.float32)
 
 
-def _noise(random: np.random.Generator) -> Float32Array:
-    """Gaussian noise of power 1 / f^(2 x), x in 0.5 to 1.8, sometimes stretched, like wood."""
+def _noise(random: np.random.Generator, look: Look) -> Float32Array:
+    """Gaussian noise of power 1 / f^(2 x), x from 0.5, sometimes stretched, like wood."""
     fy, fx = np.meshgrid(np.fft.fftfreq(SIDE), np.fft.rfftfreq(SIDE), indexing="ij")
     stretch = np.exp(random.uniform(0, 2.5)) if random.random() < 0.3 else 1.0
-    amplitude = np.maximum(np.hypot(fy * stretch, fx), 2 / SIDE) ** -random.uniform(0.5, 1.8)
+    amplitude = np.maximum(np.hypot(fy * stretch, fx), 2 / SIDE) ** -random.uniform(0.5, look.smoothest)
     spectrum = np.fft.rfft2(random.standard_normal((SIDE, SIDE))) * amplitude
     return _unit(np.fft.irfft2(spectrum, (SIDE, SIDE)))
 
 
-def _leaves(random: np.random.Generator) -> Float32Array:
+def _leaves(random: np.random.Generator, _: Look) -> Float32Array:
     """Discs over one another, of radii with a density r^-3 (dead leaves)."""
     image = np.zeros((SIDE, SIDE), np.float32)
     least = np.exp(random.uniform(np.log(2), np.log(10)))
@@ -68,15 +85,15 @@ def _leaves(random: np.random.Generator) -> Float32Array:
     return _unit(image)
 
 
-def _squares(random: np.random.Generator) -> Float32Array:
+def _squares(random: np.random.Generator, look: Look) -> Float32Array:
     """Checks or stripes."""
     period = SIDE // int(random.choice([4, 8, 16, 32, 64]))
     y, x = np.indices((SIDE, SIDE)) // max(period // 2, 1)
     image = ((y + x) if random.random() < 0.5 else x) % 2
-    return _unit(image + 0.1 * _noise(random))
+    return _unit(image + 0.1 * _noise(random, look))
 
 
-def _print(random: np.random.Generator) -> Float32Array:
+def _print(random: np.random.Generator, _look: Look) -> Float32Array:
     """Lines of strokes, like text."""
     image = np.zeros((SIDE, SIDE), np.float32)
     height = int(random.integers(6, 28))
@@ -92,7 +109,7 @@ def _print(random: np.random.Generator) -> Float32Array:
     return -_unit(image)
 
 
-def _dots(random: np.random.Generator) -> Float32Array:
+def _dots(random: np.random.Generator, _: Look) -> Float32Array:
     """Sparse dots."""
     image = np.zeros((SIDE, SIDE), np.float32)
     radius = int(random.integers(1, 8))
@@ -101,7 +118,7 @@ def _dots(random: np.random.Generator) -> Float32Array:
     return _unit(image)
 
 
-def _plain(random: np.random.Generator) -> Float32Array:
+def _plain(random: np.random.Generator, _: Look) -> Float32Array:
     """Almost no pattern: slow changes."""
     fy, fx = np.meshgrid(np.fft.fftfreq(SIDE), np.fft.rfftfreq(SIDE), indexing="ij")
     amplitude = np.maximum(np.hypot(fy, fx), 1 / SIDE) ** -3
@@ -109,5 +126,11 @@ def _plain(random: np.random.Generator) -> Float32Array:
     return 0.1 * _unit(np.fft.irfft2(np.fft.rfft2(random.standard_normal((SIDE, SIDE))) * amplitude, (SIDE, SIDE)))
 
 
-KINDS: tuple[Callable[[np.random.Generator], Float32Array], ...] = (_noise, _leaves, _squares, _print, _dots, _plain)
-SHARES = (0.32, 0.14, 0.12, 0.1, 0.06, 0.26)
+KINDS: tuple[Callable[[np.random.Generator, Look], Float32Array], ...] = (
+    _noise,
+    _leaves,
+    _squares,
+    _print,
+    _dots,
+    _plain,
+)

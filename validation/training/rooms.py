@@ -14,10 +14,25 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dasim.typing import BoolArray, Float32Array
-from validation.training.patterns import SIDE, pattern
+from validation.training.patterns import PLAIN, SIDE, TEXTURED, Look, pattern
 
 FINE = 2  # samples per pixel and axis
 MOST_OBJECTS = 22
+
+
+class Family(NamedTuple):
+    """Rooms that are alike."""
+
+    look: Look
+    objects: tuple[float, ...]  # shares of ``OBJECTS``
+    lattice: float  # share of the bars that cross
+
+
+OBJECTS = ("ball", "card", "disc", "box", "leaves", "bars")
+FAMILIES = {
+    "plain": Family(PLAIN, (0.25, 0.22, 0.1, 0.25, 0.13, 0.05), 0.0),
+    "textured": Family(TEXTURED, (0.24, 0.21, 0.1, 0.24, 0.13, 0.08), 0.4),
+}
 
 
 class Room(NamedTuple):
@@ -33,16 +48,16 @@ class _Surface(NamedTuple):
     shading: Float32Array | None = None  # [h, w] of a ball: 0..1
 
 
-def room(random: np.random.Generator, height: int, width: int, most_level: float) -> Room:
-    """A random scene of levels from 0 to ``most_level``, for a picture of [height, width] pixels."""
+def room(random: np.random.Generator, height: int, width: int, most_level: float, family: Family) -> Room:
+    """A random scene of a family, of levels from 0 to ``most_level``, for a picture of [height, width] pixels."""
     shape = (FINE * height, FINE * width)
     back = most_level * random.uniform(0, 0.3) if random.random() < 0.6 else 0.0
     surfaces = [_Surface(_tilted(random, shape, back, 0.15 * most_level), np.ones(shape, bool))]
     floor = _floor(random, shape, back, most_level) if random.random() < 0.75 else None
     if floor is not None:
         surfaces.append(floor)
-    for _ in range(int(random.integers(0, MOST_OBJECTS))):
-        surfaces.extend(_object(random, shape, back, most_level, floor if random.random() < 0.75 else None))
+    for _ in range(int(random.integers(2, MOST_OBJECTS))):
+        surfaces.extend(_object(random, shape, back, most_level, floor if random.random() < 0.75 else None, family))
     focus = np.exp(random.uniform(np.log(1.5), np.log(12)))  # in levels: of the dioptres at level 0
     nearest = np.full(shape, -1.0, np.float32)
     radiance = np.zeros((4, *shape), np.float32)
@@ -51,7 +66,7 @@ def room(random: np.random.Generator, height: int, width: int, most_level: float
         if not in_front.any():
             continue
         nearest[in_front] = surface.level[in_front]
-        radiance[:, in_front] = _painted(random, surface, in_front, focus)
+        radiance[:, in_front] = _painted(random, surface, in_front, focus, family.look)
     return Room(radiance * _light(random, shape), np.maximum(nearest, 0))
 
 
@@ -78,9 +93,14 @@ def _floor(random: np.random.Generator, shape: tuple[int, int], back: float, mos
 
 
 def _object(
-    random: np.random.Generator, shape: tuple[int, int], back: float, most: float, floor: _Surface | None
+    random: np.random.Generator,
+    shape: tuple[int, int],
+    back: float,
+    most: float,
+    floor: _Surface | None,
+    family: Family,
 ) -> list[_Surface]:
-    """A ball, a card, a box of three faces, leaves or bars, which stands on the floor or floats."""
+    """A ball, a card, a box of three faces, leaves, bars or a lattice, which stands on the floor or floats."""
     y, x = _coordinates(shape)
     level = back + (most - back) * random.uniform(0, 1)
     size = np.exp(random.uniform(np.log(0.05), np.log(0.5)))
@@ -94,7 +114,7 @@ def _object(
     v = (np.cos(turn) * (y - cy) - np.sin(turn) * (x - cx)) / size
     tilt = random.uniform(-0.3, 0.3, 2) * min(level + 0.5, most) * (random.random() < 0.5)
     plane = np.asarray(np.maximum(level + tilt[0] * u + tilt[1] * v, 0), np.float32)
-    kind = random.choice(["ball", "card", "disc", "box", "leaves", "bars"], p=[0.25, 0.22, 0.1, 0.25, 0.13, 0.05])
+    kind = random.choice(OBJECTS, p=family.objects)
     if kind == "ball":
         inside = u**2 + v**2 < 1
         height = np.sqrt(np.maximum(1 - u**2 - v**2, 0))
@@ -111,7 +131,11 @@ def _object(
     if kind == "leaves":
         return _leaves(random, y, x, (cy, cx), size, level)
     period, width = random.uniform(0.1, 0.4), random.uniform(0.15, 0.6)
-    return [_Surface(plane, (np.mod(v * size, period) < width * period) & (np.abs(u) < 2) & (np.abs(v) < 2))]
+    bars = np.mod(v * size, period) < width * period
+    if family.lattice and random.random() < family.lattice:
+        bars, crossing = (np.mod(axis * size, period) < 0.4 * width * period for axis in (v, u))
+        bars |= crossing
+    return [_Surface(plane, bars & (np.abs(u) < 2) & (np.abs(v) < 2))]
 
 
 def _box(random: np.random.Generator, y: NDArray, x: NDArray, level: float, most: float) -> list[_Surface]:
@@ -144,16 +168,20 @@ def _leaves(
     return result
 
 
-def _painted(random: np.random.Generator, surface: _Surface, where: BoolArray, focus: float) -> Float32Array:
+def _painted(
+    random: np.random.Generator, surface: _Surface, where: BoolArray, focus: float, look: Look
+) -> Float32Array:
     """Reflectance of a surface at the samples ``where``, [channel, sample], in perspective.
 
     Dioptres are proportional to the level plus ``focus``, and places on a plane to those in the picture over dioptres.
     """
-    tile = pattern(random)
+    tile = pattern(random, look)
     y, x = np.nonzero(where)
     level = surface.level[where]
     turn = random.uniform(0, np.pi)
-    scale = np.exp(random.uniform(np.log(0.15), np.log(1.2)))  # samples of the pattern per fine sample, in the middle
+    scale = np.exp(
+        random.uniform(np.log(look.least_scale), np.log(1.2))
+    )  # samples of the pattern per fine sample, in the middle
     near = (level + focus) / (np.median(level) + focus)
     along, across = y / near, (x - where.shape[1] / 2) / near
     u = (np.cos(turn) * across + np.sin(turn) * along) * scale + random.uniform(0, SIDE)
@@ -181,11 +209,11 @@ def _light(random: np.random.Generator, shape: tuple[int, int]) -> Float32Array:
     small = random.standard_normal((6, 8)).astype(np.float32)
     smooth = cv2.resize(small, shape[::-1], interpolation=cv2.INTER_CUBIC)
     shading = np.exp(random.uniform(0, 0.5) * smooth)
-    for _ in range(int(random.integers(0, 4))):
+    for _ in range(int(random.integers(0, 3))):
         shadow = np.zeros(shape, np.float32)
         corners = random.uniform(-0.2, 1.2, (4, 2)) * shape[::-1]
         cv2.fillPoly(shadow, [corners.astype(np.int32)], 1.0)
         soft = np.exp(random.uniform(0, 4))
         shadow = cv2.GaussianBlur(shadow, (0, 0), soft)
-        shading *= 1 - random.uniform(0.2, 0.8) * shadow
+        shading *= 1 - random.uniform(0.1, 0.6) * shadow
     return shading

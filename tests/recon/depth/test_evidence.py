@@ -44,9 +44,10 @@ def test_levels_are_as_many_for_every_bank_and_reach_its_last():
 
 def test_a_frame_has_a_node_per_block_also_at_its_end(board):
     """Set-up: planes of 75 x 99 samples, no multiples of a block."""
-    inputs = evidence.SCORES * COUNT + evidence.SIGNALS + evidence.BLOCK
+    inputs = evidence.SCORES * COUNT + evidence.SIGNALS
     assert board.inputs.shape == (19, 25, inputs)
-    assert np.isfinite(board.inputs).all()
+    assert board.picture.shape == (76, 100, 4)
+    assert np.isfinite(board.inputs).all() and np.isfinite(board.picture).all()
 
 
 def test_every_score_is_largest_near_the_level_of_a_board(board):
@@ -74,10 +75,10 @@ def test_clipped_windows_say_nothing():
     assert (np.ptp(windows[14:, 20:], axis=-1) > 0).all()
 
 
-def test_a_block_holds_the_picture_around_its_node():
-    """Expectation: the blocks side by side are the picture."""
+def test_the_picture_reaches_to_the_end_of_the_last_nodes():
+    """Set-up: 12 x 10 samples, no multiple of a node's. Expectation: the last columns repeat the frame's."""
     image = np.random.default_rng(0).normal(size=(2, 12, 10)).astype(np.float32)
     nodes = evidence.cross_spectra.nodes((12, 10), evidence.NODE)
-    blocks = evidence._blocks(image, nodes).reshape(len(nodes[0]), len(nodes[1]), 2, evidence.NODE, evidence.NODE)
-    whole = blocks.transpose(2, 0, 3, 1, 4).reshape(2, 12, 12)
-    np.testing.assert_array_equal(whole[:, :, :10], image)
+    whole = evidence._whole(image, nodes)
+    np.testing.assert_array_equal(whole[:, :10], image.transpose(1, 2, 0))
+    np.testing.assert_array_equal(whole[:, 10:], np.repeat(whole[:, 9:10], 2, axis=1))

@@ -1,4 +1,4 @@
-"""The network in numpy: its convolution and mean over nodes against direct sums, and what it must not break."""
+"""The network in numpy: its convolution against direct sums, its changes of resolution, and what it must not break."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from scipy import ndimage
 from recon.depth import evidence, surface_net
 
 LEVELS = evidence.level_grid(28)
-INPUTS = evidence.SCORES * len(LEVELS) + evidence.SIGNALS + evidence.BLOCK
+INPUTS = evidence.SCORES * len(LEVELS) + evidence.SIGNALS
 
 
 def inputs_at(level, shape=(12, 16)):
@@ -22,7 +22,9 @@ def inputs_at(level, shape=(12, 16)):
 
 
 def posterior(inputs, last=28):
-    return surface_net.posterior(inputs, LEVELS, last)
+    net, (height, width, _) = surface_net.weights(), inputs.shape
+    picture = np.tile(net["picture_mean"], (evidence.NODE * height, evidence.NODE * width, 1))
+    return surface_net.posterior(inputs, picture, LEVELS, last)
 
 
 @pytest.mark.parametrize("dilation", [1, 3])
@@ -40,14 +42,22 @@ def test_a_dilated_convolution_repeats_the_border(dilation):
         np.testing.assert_allclose(found[..., out], expected, atol=1e-4)
 
 
-def test_a_sample_is_a_mean_of_the_nodes_around_it():
-    """Set-up: all weight on one of the nine nodes. Expectation: the image of the nodes, shifted by one, in blocks."""
-    moments = np.random.default_rng(1).normal(size=(5, 6, 2)).astype(np.float32)
-    mix = np.full((5, 6, surface_net.AROUND, evidence.NODE**2), -50.0, np.float32)
-    mix[:, :, 5] = 50  # row in the middle, column to the right
-    found = surface_net._upsampled(moments, mix.reshape(5, 6, -1))
-    shifted = moments[:, [1, 2, 3, 4, 5, 5]]
-    np.testing.assert_allclose(found, shifted.repeat(evidence.NODE, 0).repeat(evidence.NODE, 1), atol=1e-5)
+def test_strips_of_a_convolution_meet_without_a_seam(monkeypatch):
+    """Expectation: strips of one row give the same as the whole image."""
+    random = np.random.default_rng(1)
+    image = random.normal(size=(7, 6, 2)).astype(np.float32)
+    net = {"a": random.normal(size=(3, 3, 2, 3)).astype(np.float32), "a_bias": np.zeros(3, np.float32)}
+    whole = surface_net._convolved(image, net, "a", 2)
+    monkeypatch.setattr(surface_net, "STRIP", 1)
+    np.testing.assert_allclose(surface_net._convolved(image, net, "a", 2), whole, atol=1e-6)
+
+
+def test_spreading_undoes_gathering():
+    image = np.random.default_rng(2).normal(size=(6, 4, 3)).astype(np.float32)
+    gathered = surface_net._gathered(image)
+    assert gathered.shape == (3, 2, 12)
+    np.testing.assert_array_equal(np.sort(gathered[1, 1]), np.sort(image[2:4, 2:4].ravel()))
+    np.testing.assert_array_equal(surface_net._spread(gathered), image)
 
 
 def test_the_weights_state_their_source():
@@ -56,7 +66,7 @@ def test_the_weights_state_their_source():
     with np.load(files("recon.depth").joinpath(surface_net.FILE), allow_pickle=False) as stored:
         assert "Own data of the project" in str(stored["about"])
     assert surface_net.weights()["in"].shape[0] == INPUTS
-    assert surface_net.weights()["level"].shape[1] == len(LEVELS)
+    assert surface_net.weights()["sample"].shape[1] == len(LEVELS)
 
 
 def test_evidence_of_a_larger_level_gives_a_larger_level():

@@ -11,7 +11,8 @@ torch = pytest.importorskip("torch", reason="PyTorch is not installed; it comes 
 from validation.training import fit  # noqa: E402 - needs PyTorch
 
 LEVELS = evidence.level_grid(28)
-INPUTS = evidence.SCORES * len(LEVELS) + evidence.SIGNALS + evidence.BLOCK
+INPUTS = evidence.SCORES * len(LEVELS) + evidence.SIGNALS
+CHANNELS = 4
 
 
 def made(count=16, shape=(6, 8)):
@@ -21,22 +22,28 @@ def made(count=16, shape=(6, 8)):
     inputs = 0.1 * random.standard_normal((count, *shape, INPUTS))
     ends = (evidence.SCORES - 1) * len(LEVELS), evidence.SCORES * len(LEVELS)
     inputs[..., ends[0] : ends[1]] -= np.abs(LEVELS - level[:, None, None, None] * 0.5)  # wrong by a factor of two
-    truth = np.ones((count, evidence.NODE * shape[0], evidence.NODE * shape[1])) * level[:, None, None]
-    return fit.Examples(inputs.astype(np.float16), truth.astype(np.float16))
+    samples = (count, evidence.NODE * shape[0], evidence.NODE * shape[1])
+    picture = random.standard_normal((*samples, CHANNELS))
+    truth = np.ones(samples) * level[:, None, None]
+    return fit.Examples(*(array.astype(np.float16) for array in (inputs, picture, truth)))
 
 
 def test_prediction_and_training_compute_the_same(monkeypatch):
     torch.manual_seed(3)
     data = made(2)
-    net = fit.Net(np.zeros(INPUTS, np.float32), np.ones(INPUTS, np.float32))
+    zeros, ones = (np.full(INPUTS, value, np.float32) for value in (0, 1))
+    net = fit.Net(zeros, ones, zeros[:CHANNELS], ones[:CHANNELS])
     arrays = {name: array.astype(np.float32) for name, array in net.arrays().items()}
     monkeypatch.setattr(surface_net, "weights", lambda: arrays)
     monkeypatch.setattr(surface_net, "SHARE", 1.0)
-    inputs = data.inputs[0].astype(np.float32)
-    found = surface_net.posterior(inputs, LEVELS, 28)
+    inputs, picture = (part[0].astype(np.float32) for part in (data.inputs, data.picture))
+    found = surface_net.posterior(inputs, picture, LEVELS, 28)
     with torch.no_grad():
-        probability = fit._posterior(*net(torch.tensor(inputs).permute(2, 0, 1)[None]))[0].numpy()
-    np.testing.assert_allclose(found.level, np.tensordot(probability, LEVELS, (0, 0)), atol=0.02)
+        logits = net(fit._tensor(data.inputs[:1]), fit._tensor(data.picture[:1]))
+    probability = torch.softmax(logits, 1)[0].numpy()
+    level = np.tensordot(LEVELS, probability, (0, 0))
+    np.testing.assert_allclose(found.level, level, atol=0.02)
+    np.testing.assert_allclose(found.sd**2, np.tensordot(LEVELS**2, probability, (0, 0)) - level**2, rtol=0.01)
 
 
 def test_training_lowers_the_loss():
@@ -46,15 +53,10 @@ def test_training_lowers_the_loss():
     assert losses[-1] < 0.7 * losses[0]
 
 
-def test_mirrors_and_turns_keep_inputs_and_levels_together():
-    """Set-up: a picture block and its level hold the same numbers. Expectation: so they do after every turn."""
-    shape = (3, 5)
-    level = torch.rand(2, evidence.NODE * shape[0], evidence.NODE * shape[1])
-    blocks = level.reshape(2, shape[0], evidence.NODE, shape[1], evidence.NODE).permute(0, 2, 4, 1, 3)
-    inputs = torch.cat([torch.zeros(2, 4, *shape), *[blocks.reshape(2, -1, *shape)] * 2], 1)
+def test_mirrors_and_turns_keep_pictures_and_levels_together():
+    """Set-up: a channel of the picture and its level hold the same numbers. Expectation: after every turn too."""
+    level = torch.rand(2, 3, 5)
+    picture = torch.stack([torch.zeros_like(level), level], 1)
     for across, down, transpose in np.ndindex(2, 2, 2):
-        turned, found = fit._turned(inputs, level, bool(across), bool(down), bool(transpose))
-        height, width = turned.shape[2:]
-        part = turned[:, -evidence.BLOCK :].reshape(2, 2, evidence.NODE, evidence.NODE, height, width)[:, 1]
-        whole = part.permute(0, 3, 1, 4, 2).reshape(2, evidence.NODE * height, evidence.NODE * width)
-        torch.testing.assert_close(whole, found)
+        turn = bool(across), bool(down), bool(transpose)
+        torch.testing.assert_close(fit._turned(picture, *turn)[:, 1], fit._turned(level, *turn))

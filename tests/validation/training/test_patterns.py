@@ -8,7 +8,7 @@ from validation.training import patterns
 
 
 def drawn(count=24):
-    return [patterns.pattern(np.random.default_rng(seed)) for seed in range(count)]
+    return [patterns.pattern(np.random.default_rng(seed), patterns.PLAIN) for seed in range(count)]
 
 
 def test_patterns_are_reflectances_of_four_channels():
@@ -25,9 +25,10 @@ def test_infrared_follows_green_in_some_patterns_and_not_in_others():
 
 
 def test_every_kind_has_a_share_and_unit_deviation():
-    assert np.isclose(sum(patterns.SHARES), 1)
-    assert len(patterns.SHARES) == len(patterns.KINDS)
+    for look in (patterns.PLAIN, patterns.TEXTURED):
+        assert all(np.isclose(sum(shares), 1) for shares in (look.shares, look.follows, look.strengths))
+        assert len(look.shares) == len(patterns.KINDS)
     for kind in patterns.KINDS:
-        image = kind(np.random.default_rng(5))
+        image = kind(np.random.default_rng(5), patterns.TEXTURED)
         assert abs(float(image.mean())) < 1e-3
         assert float(image.std()) <= 1.001

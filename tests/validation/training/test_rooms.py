@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from validation.training import rooms
-from validation.training.rooms import FINE, room
+from validation.training.rooms import FAMILIES, FINE, room
 
 
-def test_a_room_has_light_and_a_level_everywhere():
+@pytest.mark.parametrize("family", FAMILIES)
+def test_a_room_has_light_and_a_level_everywhere(family):
     for seed in range(4):
-        made = room(np.random.default_rng(seed), 40, 60, 12.0)
+        made = room(np.random.default_rng(seed), 40, 60, 12.0, FAMILIES[family])
         assert made.radiance.shape == (4, FINE * 40, FINE * 60)
         assert (made.radiance > 0).all()
         assert made.level.min() >= 0
@@ -18,9 +20,9 @@ def test_a_room_has_light_and_a_level_everywhere():
 
 
 def test_a_seed_gives_the_same_room():
-    first, second = (room(np.random.default_rng(7), 30, 40, 6.0) for _ in range(2))
+    first, second = (room(np.random.default_rng(7), 30, 40, 6.0, FAMILIES["textured"]) for _ in range(2))
     np.testing.assert_array_equal(first.radiance, second.radiance)
-    assert not np.array_equal(first.level, room(np.random.default_rng(8), 30, 40, 6.0).level)
+    assert not np.array_equal(first.level, room(np.random.default_rng(8), 30, 40, 6.0, FAMILIES["textured"]).level)
 
 
 def test_a_floor_comes_nearer_towards_the_bottom():
