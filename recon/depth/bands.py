@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 
 from dasim.typing import Complex64Array, Float32Array, FloatArray
 from recon import fourier
-from recon.depth.channels import Also, Channel, without_infrared
+from recon.depth.channels import Also, Channel, kernels_without_infrared
 from recon.depth.grid import Grid, Window, plane_mean, transform, window_mean
 
 BANDS = 7  # a band's impulse response reaches about 1 / width = 33 px, the patch; narrower bands mix objects
@@ -89,7 +89,9 @@ def scored(
     pairs = energies(spectra, noise, (grid.shape, grid.frame), window, spacing_px, leaks, likeness)
     score = np.zeros((len(sharper.kernels), height, width), np.float32)
     for pair, (channel, leak) in zip(pairs, visible, strict=True):
-        score += log_likelihood(pair, transfers(sharper.kernels, without_infrared(channel, leak, sharper), spacing_px))
+        score += log_likelihood(
+            pair, transfers(sharper.kernels, kernels_without_infrared(channel, leak, sharper), spacing_px)
+        )
     return score
 
 

@@ -27,7 +27,7 @@ class Leak(NamedTuple):
     white: float  # infrared electrons of a white point, relative to the channel's
 
 
-def without_infrared(visible: Channel, leak: Leak, infrared: Channel) -> NDArray:
+def kernels_without_infrared(visible: Channel, leak: Leak, infrared: Channel) -> NDArray:
     """Kernels of a visible channel less infrared, [level, y, x], of sum 1 as its own."""
     share = leak.alpha * leak.white
     return (visible.kernels - share * infrared.kernels) / (1 - share)

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from dasim.typing import BoolArray, Float32Array, FloatArray
 from recon.depth import cross_spectra, surfaces
-from recon.depth.channels import Channel, Leak, without_infrared
+from recon.depth.channels import Channel, Leak, kernels_without_infrared
 from recon.depth.cross_spectra import Spectra, Window
 from recon.depth.grid import PLANE_SPACING_PX
 from recon.depth.joint_likelihood import log_likelihood
@@ -129,7 +129,7 @@ def _window_scores(
     ``wanted``, say nothing.
     """
     visible, infrared = channels
-    kernels = np.stack([without_infrared(visible, leak, infrared), infrared.kernels], axis=1).astype(np.float32)
+    kernels = np.stack([kernels_without_infrared(visible, leak, infrared), infrared.kernels], axis=1).astype(np.float32)
     table = _between(cross_spectra.expected(kernels, [channel.phase for channel in channels]), levels)
     result = []
     for spectra, window, without, want in zip(found, WINDOWS, unusable, wanted, strict=True):

@@ -21,7 +21,7 @@ from dasim.typing import BoolArray, Float32Array, FloatArray
 from dasim.values import PsfBank, Side
 from recon.depth import cross_spectra, evidence, surfaces
 from recon.depth.best import Map
-from recon.depth.channels import Channel, Leak, without_infrared
+from recon.depth.channels import Channel, Leak, kernels_without_infrared
 from recon.depth.cross_spectra import Window
 from recon.depth.joint_likelihood import log_likelihood
 
@@ -85,7 +85,7 @@ def side_note(side: Side, level: NDArray, bank: PsfBank) -> str:
 def _table(channels: Sequence[Channel], leaks: Sequence[Leak]) -> FloatArray:
     """Expected cross-spectra at the levels of a side, and between them where they are few."""
     *visible, infrared = channels
-    clean = [without_infrared(channel, leak, infrared) for channel, leak in zip(visible, leaks, strict=True)]
+    clean = [kernels_without_infrared(channel, leak, infrared) for channel, leak in zip(visible, leaks, strict=True)]
     kernels = np.stack([*clean, infrared.kernels], axis=1).astype(np.float32)
     levels = evidence.level_grid(len(kernels) - 1)
     levels = levels[levels <= len(kernels) - 1]

@@ -34,7 +34,7 @@ SHARE = 0.5  # of the network in the posterior; the rest is that of smooth surfa
 # Factor on the standard deviation on smooth surfaces alone, which take the windows of neighbours as less alike than
 # they are; chosen on ``tune``.
 SMOOTH_SD = 2.5
-STRIP = 2**16  # pixels that are convolved at a time, so that they stay in the processor's cache
+STRIP = 2**16  # pixels that are convolved at a time: more take more memory and no less time
 
 
 class Moments(NamedTuple):

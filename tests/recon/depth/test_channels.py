@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from recon.depth.channels import Channel, Leak, without_infrared
+from recon.depth.channels import Channel, Leak, kernels_without_infrared
 
 
 def channel(kernels):
@@ -18,6 +18,6 @@ def test_infrared_is_taken_out_of_a_visible_channel():
     visible, infrared = np.random.default_rng(0).random((2, 3, 5, 5))
     visible, infrared = (each / each.sum(axis=(1, 2), keepdims=True) for each in (visible, infrared))
     green = 0.8 * visible + 0.2 * infrared
-    found = without_infrared(channel(green), Leak(alpha=0.4, white=0.5), channel(infrared))
+    found = kernels_without_infrared(channel(green), Leak(alpha=0.4, white=0.5), channel(infrared))
     np.testing.assert_allclose(found, visible)
     np.testing.assert_allclose(found.sum(axis=(1, 2)), 1)
