@@ -21,6 +21,7 @@ from dasim.render import control_variate, irradiance, ray_loop, stock, transport
 from dasim.render.control_variate import Control, Fine
 from dasim.render.irradiance import Field
 from dasim.render.ray_loop import Ratios, Sampling
+from dasim.render.ray_pass import px_per_m
 from dasim.render.wavelengths import pinhole_responses, separate_responses, stop_responses
 from dasim.typing import FloatArray
 
@@ -161,7 +162,7 @@ def irradiance_field(
         transport.path_integrator(),
         size_px=(camera.sensor.width_px, camera.sensor.height_px),
         axis_px=principal_point(camera.sensor),
-        px_per_m=ray_loop.px_per_m(camera),
+        px_per_m=px_per_m(camera),
         margin_px=min(max_blur_px, MOST_MARGIN_PX) / 2 + irradiance.STRIDE_PX + distortion.most_outwards_px(camera),
         spectrum=spectrum,
         spp=spp,

@@ -23,7 +23,7 @@ from tests.support.called import Batch, Record, recorded
 RENDER = Path(ray_loop.__file__).parent
 # Modules whose functions trace rays, or are called where plugins of ours meet them.
 LOOP = """blur_tables control_variate field_angle irradiance light_paths light_spectra mixture pattern_blur plugin pupil
-radial_blur ray_loop sobol surrounding transport foreign/colours""".split()
+radial_blur ray_block ray_loop ray_pass sobol surrounding transport foreign/colours""".split()
 # Of Dr.Jit, all of which both kinds of arrays have; and of Mitsuba, whose types are those of the variant.
 DRJIT = """abs all any arange atan block_sum brev clip cos dot eval floor fma full gather isfinite lerp make_opaque
 maximum minimum norm normalize opaque pi rcp reinterpret_array round rsqrt safe_acos safe_asin select sin sincos sqrt
@@ -44,7 +44,7 @@ PLUGINS = OURS | set(
 # Most arrays that the host reads per batch, by function: sums of two for each of eight channels (of four: also of two
 # for the control variate, and two for depth); of pixels that see several depths two for each channel and the depth, and
 # the light of four channels; of the irradiance, four wavelengths, and five numbers of the surface.
-READS = {"_Block.sums": 18, "_read": 9, "_beyond": 4, "_traced": 9}
+READS = {"Block.sums": 18, "_read": 9, "_beyond": 4, "_traced": 9}
 RAYS_PER_NUMBER = 2  # at least, of each array that is read: at 4 samples per pixel a picture's halves have 2
 KEPT = 30  # numbers per ray that a launch leaves in memory: 120 bytes
 LAUNCHES = 40  # of all kinds per batch

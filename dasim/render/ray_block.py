@@ -1,0 +1,188 @@
+"""Rays of a block of pixels: from their places on the lens through the film, and their weights for wave optics.
+
+Tested in tests/dasim/render/test_passes.py and tests/dasim/render/test_ray_loop.py.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dasim.render import field_angle, layers, wave
+from dasim.render.control_variate import Control
+from dasim.render.radial_blur import RadialBlur
+from dasim.render.ray_pass import Pass, corner_of
+from dasim.typing import FloatArray
+
+MOST_CHUNK = 16  # rays of a pixel that are summed at once
+HERO = 4  # wavelengths per ray
+
+Pixels = NDArray[np.intp] | slice  # numbers in the frame, row by row; a slice where they are consecutive
+
+
+class Block(NamedTuple):
+    """Rays that are traced together: those of each pixel are consecutive, in chunks of one size."""
+
+    pixels: Pixels
+    counts: NDArray[np.int64]  # samples of each
+    chunk: int  # rays; divides all ``counts``
+    pixel: Any  # number in the frame of each ray's pixel
+    sample: Any  # number of each ray in its pixel
+    sampler: Any  # random numbers deeper in the paths
+    corner: Any  # of the pixel, from the corner of the frame
+    ring: Any  # fractional ring of the pixel
+    seed: int
+
+    def sums(self, values: Any) -> FloatArray:
+        """Sums of the rays of each pixel, [pixel]."""
+        import drjit as dr
+
+        chunks = np.array(dr.block_sum(values, self.chunk), dtype=np.float64)
+        each = self.counts[0] // self.chunk
+        if len(chunks) == each * len(self.counts):  # as many of every pixel
+            return chunks.reshape(-1, each).sum(axis=1) if each > 1 else chunks
+        return np.add.reduceat(chunks, self.starts() // self.chunk)
+
+    def starts(self) -> NDArray[np.int64]:
+        """Number of the first ray of each pixel."""
+        return np.cumsum(self.counts) - self.counts
+
+
+class Rays(NamedTuple):
+    """Rays of a block from the lens to the scene."""
+
+    ray: Any
+    film: Any  # place in a pinhole's picture, pixels from the axis
+    tangent: Any  # of the field angle there, a vector
+    focus: Any  # vergence in focus at the ray's wavelengths, 1/m
+    first: Any  # uniform number that chose the wavelengths
+    entries: list[Any]  # row of the table for each of the ray's wavelengths
+    rho: Any  # place on the lens, in radii
+    delta: Any  # offset by diffraction, pixels
+    expected: Any  # vergence that the middle of the pixel sees, 1/m; None without wave optics
+    drawn: Any  # weight of having drawn place and aim so
+    variate: tuple[list[Any], list[Any]] | None  # see :func:`_variate`
+
+
+def block_of(shared: Pass, pixels: NDArray[np.intp], counts: NDArray[np.int64], seed: int) -> Block:
+    """Rays of some pixels of the frame, ``counts`` for each."""
+    import drjit as dr
+    import mitsuba as mi
+
+    chunk = int(np.gcd.reduce(np.append(counts, MOST_CHUNK)))
+    chunks = counts // chunk
+    number = np.repeat(pixels, chunks)
+    first = (np.arange(len(number)) - np.repeat(np.cumsum(chunks) - chunks, chunks)) * chunk
+    lane = dr.arange(mi.UInt32, int(counts.sum()))
+    size = dr.opaque(mi.UInt32, chunk)
+    own = lane // size
+    pixel = dr.gather(mi.UInt32, mi.UInt32(number.astype(np.uint32)), own)
+    sample = dr.gather(mi.UInt32, mi.UInt32(first.astype(np.uint32)), own) + lane % size
+    sampler = mi.load_dict({"type": "independent"})
+    sampler.seed(dr.opaque(mi.UInt32, seed), dr.width(lane))
+    ring = dr.gather(mi.Float, shared.place, pixel)
+    is_whole = pixels[-1] - pixels[0] + 1 == len(pixels)
+    where = slice(int(pixels[0]), int(pixels[-1]) + 1) if is_whole else pixels
+    return Block(where, counts, chunk, pixel, sample, sampler, corner_of(pixel, shared.columns), ring, seed)
+
+
+def aim(shared: Pass, block: Block, numbers: tuple[Any, Any, Any, Any]) -> Rays:
+    """Rays from their places on the lens through the film; ``numbers`` for lens, film, diffraction and wavelength."""
+    import drjit as dr
+    import mitsuba as mi
+
+    lens, film, pattern, first = numbers
+    place = film + block.corner
+    film = shared.pinhole(place - shared.axis)
+    tangent = film / shared.px_per_m
+    entries, wavelengths = entries_of(shared, first, block.ring), mi.Spectrum(0.0)
+    for k in range(HERO):
+        wavelengths[k] = entries[k][0]
+    focus = entries[0][1] if shared.axial_colour else mi.Float(shared.vergence)
+
+    rho, delta, drawn, expected, variate = mi.Point2f(0.0), mi.Point2f(0.0), mi.Float(1.0), None, None
+    if shared.blur is not None:
+        if shared.in_focus:
+            sample = shared.blur.draw_in_focus(lens, pattern)
+        else:
+            expected = dr.gather(mi.Float, shared.middle, block.pixel)
+            defocus = shared.px_per_vergence * (expected - focus)
+            defocus *= field_angle.mean_scale(tangent)
+            slope = shared.px_per_vergence * dr.gather(mi.Point2f, shared.slope, block.pixel)
+            sample = shared.blur.draw(lens, pattern, defocus, slope, dr.opaque(mi.UInt32, block.seed))
+        rho, drawn = sample.rho, sample.weight
+        delta = field_angle.widened(sample.delta, tangent)
+        if shared.control is not None:
+            wider = dr.rcp(field_angle.mean_scale(tangent))
+            w, per_density = sample.u * wider, sample.per_density * wider * wider
+            variate = _variate(shared, shared.control, (block.pixel, place, w), per_density, first)
+    elif shared.draw_pupil is not None:
+        rho = shared.draw_pupil(lens)
+        delta = shared.aberration(rho, tangent) if shared.aberration is not None else delta
+    on_lens = mi.Point2f(0.0) if shared.in_focus else rho * shared.radius_m
+    aim = film + delta
+    origin = mi.Point3f(on_lens.x, on_lens.y, 0.0)
+    # Through the film position and its conjugate point in focus; beyond infinity that is behind the camera.
+    slope = aim / shared.px_per_m - on_lens * focus
+    ray = mi.RayDifferential3f(mi.Ray3f(origin, dr.normalize(mi.Vector3f(slope.x, slope.y, 1.0))))
+    ray.wavelengths = wavelengths
+    return Rays(ray, film, tangent, focus, first, entries, rho, delta, expected, drawn, variate)
+
+
+def _variate(
+    shared: Pass, control: Control, at: tuple[Any, Any, Any], per_density: Any, first: Any
+) -> tuple[list[Any], list[Any]]:
+    """C s and C of the control variate for each channel; ``at`` are the arguments of :meth:`Control.at`."""
+    import drjit as dr
+    import mitsuba as mi
+
+    assert isinstance(shared.blur, RadialBlur)
+    seen, blur_px, reach_px = control.at(*at)
+    length = dr.norm(at[2])
+    entries = entries_of(shared, first, mi.Float(shared.middle_ring))
+    weight = []
+    for entry in entries:
+        own = blur_px
+        if shared.axial_colour and not shared.in_focus:
+            own -= shared.px_per_vergence * (entry[1] - shared.vergence)
+        h = shared.blur.kernel(length, shared.blur.outer * dr.abs(own), entry[0])
+        weight.append(dr.select(length <= reach_px, h * per_density * entry[-1], 0.0))
+    light = [sum(entries[k][2 + channel] * weight[k] for k in range(HERO)) for channel in range(shared.channels)]
+    return [c * s for c, s in zip(light, seen, strict=True)], light
+
+
+def wave_weights(shared: Pass, blur: wave.Blur, rays: Rays, si: Any) -> tuple[list[Any], list[Any], Any]:
+    """Weights of wave over geometric optics where the rays end.
+
+    Returns those of each wavelength; their sum, and the part of it at the pixel's depth; the signed visible blur there.
+    """
+    import drjit as dr
+    import mitsuba as mi
+
+    point = dr.select(si.is_valid(), si.p, rays.ray(1e4))
+    u = rays.film - mi.Point2f(point.x, point.y) / point.z * shared.px_per_m
+    wavelengths = [entry[0] for entry in rays.entries]
+    ratios = blur.weights(u, shared.px_per_vergence * (1 / point.z - rays.focus), rays.tangent, wavelengths)
+    weight = [rays.drawn * ratio for ratio in ratios]
+    seen, middle = (shared.px_per_vergence * (at - shared.vergence) for at in (1 / point.z, rays.expected))
+    near = dr.abs(seen - middle) <= layers.SAME_BLUR_PX + layers.SAME_BLUR_SHARE * dr.abs(middle)
+    total = sum(weight)
+    return weight, [total, dr.select(near, total, 0.0)], seen
+
+
+def entries_of(shared: Pass, first: Any, ring: Any) -> list[Any]:
+    """Row of the table for each wavelength of a ray, at its pixel's fractional ring."""
+    import drjit as dr
+    import mitsuba as mi
+
+    # With axial colour every wavelength has rays of its own; without, the wavelengths of a ray are spread evenly.
+    spacing = 0.0 if shared.axial_colour else 1 / HERO
+    shifted = [first + k * spacing for k in range(HERO)]
+    return [shared.table.eval(mi.Point2f(at - dr.floor(at), (ring + 0.5) / shared.rings)) for at in shifted]
+
+
+def lit_by(entries: list[Any]) -> list[Any]:
+    """Spectrum of the lights at the wavelengths of a ray."""
+    return [entry[-1] for entry in entries]
