@@ -13,7 +13,7 @@ import numpy as np
 
 from dasim.typing import Float32Array, FloatArray
 from dasim.values import Capture, DepthEstimate, PsfBank
-from recon.depth import evidence, surface_net
+from recon.depth import evidence, surface_net, weighted_median
 from recon.depth.method import METHODS
 from recon.depth.surface_net import Moments
 
@@ -30,6 +30,12 @@ def without_network(capture: Capture, bank: PsfBank) -> DepthEstimate:
 def network_alone(capture: Capture, bank: PsfBank) -> DepthEstimate:
     """The network's posterior, not mixed with that of smooth surfaces, which it sees among its inputs."""
     with mock.patch.object(surface_net, "SHARE", 1.0):
+        return METHODS["best"](capture, bank)
+
+
+def without_weighted_median(capture: Capture, bank: PsfBank) -> DepthEstimate:
+    """The mean of the posterior, whose steps are blurred."""
+    with mock.patch.object(weighted_median, "filtered", lambda level, sd, picture: level):
         return METHODS["best"](capture, bank)
 
 

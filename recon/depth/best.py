@@ -2,7 +2,8 @@
 
 Small windows show where objects end, large ones read weak texture; the score of :mod:`recon.depth.bands` does not ask
 the texture's spectrum to be natural, and is better at large blur (:mod:`recon.depth.evidence`). Neighbours are joined
-before a level is chosen (:mod:`recon.depth.surface_net`): the level is the mean of the posterior.
+before a level is chosen (:mod:`recon.depth.surface_net`): the level is the mean of the posterior, whose blurred steps
+then move to edges of the picture (:mod:`recon.depth.weighted_median`).
 
 The kernels are those of one side of the focus; :mod:`recon.depth.side` chooses between both.
 """
@@ -15,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from dasim.typing import Float32Array, FloatArray
-from recon.depth import surface_net
+from recon.depth import surface_net, weighted_median
 from recon.depth.evidence import Evidence, on_samples
 
 LEAST_RANGE = 10.0  # of a score over the levels: windows of noise alone stay below it
@@ -41,6 +42,7 @@ def estimate(evidence: Evidence, last: int, shape: Sequence[int], network: bool 
     window_sd[~knows] = np.inf
     if network:
         found = surface_net.posterior(evidence.inputs, evidence.picture, levels, last)
+        found = found._replace(level=weighted_median.filtered(found.level, found.sd, evidence.picture))
     else:
         found = surface_net.smooth_posterior(evidence.inputs, levels, last)
     level, sd = (image[: shape[0], : shape[1]] for image in found)  # the last nodes may reach beyond the frame

@@ -65,7 +65,9 @@ def test_large_windows_alone_follow_the_surface_too(ramp):
     assert 0.05 < np.median(np.abs(found.level - ramp.level)) < 0.6
 
 
-@pytest.mark.parametrize("name", ["without_network", "without_picture", "without_small_windows", "without_bands"])
+@pytest.mark.parametrize(
+    "name", ["without_network", "without_weighted_median", "without_picture", "without_small_windows", "without_bands"]
+)
 def test_the_estimate_without_an_ingredient_differs(ramp, name):
     """Expectation: of each example of an ablation, a map that is not the default's, and not far from it."""
     method = load_function(f"{ABLATIONS}:{name}", "method")

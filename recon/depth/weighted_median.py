@@ -1,0 +1,82 @@
+"""Weighted median filter of levels, guided by the picture: steps in depth move to edges of the picture.
+
+The mean of a posterior is blurred where it is not known on which side of a step a sample is. Each sample takes the
+median of the levels around it, weighted by likeness in the picture, by nearness, and by how well they are known (Ma,
+He, Wei, Sun, Wu, "Constant time weighted median filtering for stereo matching and beyond", ICCV 2013). A few rounds
+turn ramps between two surfaces into steps; planes stay as they are, since the median of a plane is its middle.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit, prange
+
+from dasim.typing import Float32Array
+
+# Chosen on the set ``tune``.
+# Of each round, in samples: radius of the surroundings, and distance between those of them that count. The places
+# differ from round to round, since a grid that stays leaves its pattern.
+ROUNDS = ((20, 4), (18, 4), (10, 2))
+NEARNESS = 0.6  # standard deviation of the weight by distance, over the radius
+CONTRAST = 0.1  # of the weight by likeness, root mean square over the picture's channels
+LEAST_SD = 0.3  # levels: surer ones have no more weight
+LEAST_EXPONENT = -12.0  # of a weight; smaller ones do not count
+BINS = 128  # of a histogram, evenly in the square root of the level
+
+
+def filtered(level: Float32Array, sd: Float32Array, picture: Float32Array) -> Float32Array:
+    """Filtered levels, [h, w].
+
+    Args:
+        level: levels from 0, [h, w].
+        sd: their standard deviations, [h, w].
+        picture: logarithms of the channels, [h, w, channel].
+    """
+    weight = np.asarray(1 / np.hypot(sd, LEAST_SD), np.float32)
+    for radius, stride in ROUNDS:
+        level = _round(level, weight, np.ascontiguousarray(picture, np.float32), radius, stride)
+    return level
+
+
+@njit(fastmath=True, cache=True, parallel=True)
+def _round(  # pragma: no cover - compiled
+    level: Float32Array, weight: Float32Array, picture: Float32Array, radius: int, stride: int
+) -> Float32Array:
+    """One round; a median is interpolated in the histogram's bin that it lies in."""
+    height, width, channels = picture.shape
+    result = np.empty_like(level)
+    top = level.max() + 1e-3
+    of_contrast = np.float32(-1 / (2 * CONTRAST * CONTRAST * channels))
+    of_distance = np.float32(-1 / (2 * NEARNESS * NEARNESS * radius * radius))
+    places = np.sqrt(level / top) * np.float32(BINS - 1)
+    for y in prange(height):
+        histogram = np.empty(BINS, np.float32)
+        for x in range(width):
+            histogram[:] = 0
+            for dy in range(-radius, radius + 1, stride):
+                for dx in range(-radius, radius + 1, stride):
+                    row, column, distance = y + dy, x + dx, dy * dy + dx * dx
+                    if row < 0 or row >= height or column < 0 or column >= width or distance > radius * radius:
+                        continue
+                    exponent = of_distance * np.float32(distance)
+                    for channel in range(channels):
+                        exponent += of_contrast * (picture[row, column, channel] - picture[y, x, channel]) ** 2
+                    if exponent < LEAST_EXPONENT:
+                        continue
+                    own = weight[row, column] * np.exp(exponent)
+                    place = places[row, column]
+                    low = int(place)
+                    share = place - low
+                    histogram[low] += own * (1 - share)
+                    if low + 1 < BINS:
+                        histogram[low + 1] += own * share
+            half, below, bin_ = histogram.sum() / 2, np.float32(0), 0
+            if half == 0:  # nothing around is alike
+                result[y, x] = level[y, x]
+                continue
+            while bin_ < BINS - 1 and below + histogram[bin_] < half:
+                below += histogram[bin_]
+                bin_ += 1
+            middle = (bin_ - 0.5 + (half - below) / histogram[bin_]) / (BINS - 1)
+            result[y, x] = max(middle, 0) ** 2 * top
+    return result
