@@ -56,7 +56,9 @@ def _round(  # pragma: no cover - compiled
             for dy in range(-radius, radius + 1, stride):
                 for dx in range(-radius, radius + 1, stride):
                     row, column, distance = y + dy, x + dx, dy * dy + dx * dx
-                    if row < 0 or row >= height or column < 0 or column >= width or distance > radius * radius:
+                    # At the frame's border the surroundings stay symmetric, so that a plane stays a plane.
+                    inside = abs(dy) <= min(y, height - 1 - y) and abs(dx) <= min(x, width - 1 - x)
+                    if not inside or distance > radius * radius:
                         continue
                     exponent = of_distance * np.float32(distance)
                     for channel in range(channels):
