@@ -127,22 +127,33 @@ def display_scores(image: NDArray[Any], exact: FloatArray, where: BoolArray) -> 
 
     SSIM is also NaN if the picture is smaller than its window.
     """
-    import colour as science
-    from skimage.metrics import structural_similarity
-
     if not where.any():
         return {"ssim": float("nan"), "ciede2000": float("nan")}
-    likeness = np.full(image.shape, np.nan)
-    if min(where.shape) >= SSIM_WINDOW_PX:
-        _, likeness = structural_similarity(
-            exact, np.asarray(image, np.float64), channel_axis=-1, data_range=1.0, full=True, gaussian_weights=True,
-            sigma=SSIM_SIGMA_PX, use_sample_covariance=False,
-        )  # fmt: skip
-    lab = [science.XYZ_to_Lab(science.sRGB_to_XYZ(picture[where])) for picture in (image, exact)]
     return {
-        "ssim": float(likeness[where].mean()),
-        "ciede2000": float(np.mean(science.delta_E(*lab, method="CIE 2000"))),
+        "ssim": float(likeness(image, exact)[where].mean()),
+        "ciede2000": float(colour_difference(image[where], exact[where]).mean()),
     }
+
+
+def likeness(image: NDArray[Any], exact: FloatArray) -> FloatArray:
+    """SSIM of each pixel and channel of display pictures [h, w, 3], 0..1; NaN if they are smaller than its window."""
+    from skimage.metrics import structural_similarity
+
+    if min(image.shape[:2]) < SSIM_WINDOW_PX:
+        return np.full(image.shape, np.nan)
+    _, values = structural_similarity(
+        exact, np.asarray(image, np.float64), channel_axis=-1, data_range=1.0, full=True, gaussian_weights=True,
+        sigma=SSIM_SIGMA_PX, use_sample_covariance=False,
+    )  # fmt: skip
+    return np.asarray(values)
+
+
+def colour_difference(image: NDArray[Any], exact: FloatArray) -> FloatArray:
+    """CIEDE2000 of display pictures of any shape [..., 3], 0..1."""
+    import colour as science
+
+    lab = [science.XYZ_to_Lab(science.sRGB_to_XYZ(picture)) for picture in (image, exact)]
+    return np.asarray(science.delta_E(*lab, method="CIE 2000"))
 
 
 def blur_effect(image: NDArray[Any]) -> float:
