@@ -38,6 +38,7 @@ from validation.claims.optics.resolution import depth_resolution
 from validation.claims.pictures.all_in_focus import all_in_focus, refocus
 from validation.claims.pictures.colour import colour
 from validation.claims.pictures.scene_pictures import scene_pictures
+from validation.claims.pictures.sharp_held_out import sharp_held_out
 from validation.claims.pictures.two_cameras import two_cameras
 from validation.gates.outcome import Measurement
 
@@ -85,6 +86,7 @@ CLAIMS = {
     "side-of-focus": Measurement(side_of_focus, quick=False),
     "depth-held-out": Measurement(depth_held_out, quick=False),
     "all-in-focus": Measurement(all_in_focus, quick=False),
+    "sharp-held-out": Measurement(sharp_held_out, quick=False),
     "refocus": Measurement(refocus, quick=False),
     "depth-steps": Measurement(measured_steps, quick=False),
     "balance": Measurement(balance, quick=True),
