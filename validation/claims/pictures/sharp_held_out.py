@@ -81,8 +81,9 @@ def sharp_held_out(
     the overshoot of the picture beyond the range of the truth near a silhouette (both averaged along it), relative to
     the step there: the percentile 95 over edge pixels (``validation/scores/sharpness.py``). With a tenth of the noise,
     the same ``mean_e`` is exposed 100 times as long on a sensor with 100 times the full well and 16 bits, and with a
-    tenth of PRNU, read noise and offsets relative to the signal; its own rendering noise stays. A capture that a method
-    refuses is lost.
+    tenth of PRNU, read noise and offsets relative to the signal; the rendering noise of ``mean_e`` stays. That of
+    ``focus_e``, a few percent, is an error of every picture, and bounds the gains. A capture that a method refuses is
+    lost.
 
     Expectation: a gain at every blur, none of it paid for in focus; more with less noise.
 
