@@ -22,7 +22,7 @@ from recon.sharp import layers, sharpen
 
 KERNEL_SHARE = 0.999  # share of a kernel's energy in its cropped form
 DENSE_STEPS, SPARSE_STEP = 12, 2  # layers are one level of the bank apart up to here, then two
-BEHIND_LEVELS = 1.0  # smallest difference in level between a surface and another one behind it
+BEHIND_LEVELS = 2.0  # smallest difference in blur, in levels, of two surfaces with one behind the other: two layers
 LARGEST_KERNEL_PX = 401
 PAD_FACTOR = 2  # padding of a kernel for its division by the pixel's transfer function, relative to its size
 
@@ -38,6 +38,17 @@ def refocus(
     Blur in levels is linear in dioptres, so that a point at level l has |l - l_0| levels of blur with the focus at l_0,
     and is proportional to 1/N. Sec. 5.4 gives no formula. The layers use the wave-optics kernels of the bank, whose
     diffraction is that of its own f-number N.
+
+    Approximate are:
+
+    - what a near surface hides: it is unknown, and continued with the colours at its rim;
+    - two surfaces out of focus: the share of the aperture that the nearer one hides is the same for all light of the
+      farther one, whatever point of the aperture it comes through. A point at the rim is up to a tenth of its light
+      too bright with the focus between both, too dark with the focus beyond either; exact if either is in focus;
+    - surfaces at most ``BEHIND_LEVELS`` of blur apart, which blend as one without hiding one another;
+    - blur between two levels, a mixture of both kernels: below one level a point keeps a sharp core with a halo;
+    - diffraction: what the all-in-focus picture still has of it acts twice where blur is added;
+    - pixels that see both surfaces of a silhouette, which belong to one of them.
 
     Args:
         reconstruction: all-in-focus picture and level map.
@@ -84,7 +95,7 @@ def layered(sharp_e: NDArray, steps: NDArray, kernels: NDArray) -> Float32Array:
     Each pixel is split between the two nearest layers. The light and the coverage of each layer are blurred by its
     kernel, and the layers are composited from near to far, each into the part of the aperture that is still free.
     Coverages add instead of multiplying, because neighbouring layers mostly belong to one surface without gaps. The
-    farther surface is continued behind the rim of every nearer one, mirrored at the rim. ``kernels`` is
+    farther surface is continued behind the rim of every nearer one, with its colours at the rim. ``kernels`` is
     [level, 3, size, size].
     """
     nodes = _nodes(float(steps.min()), float(steps.max()))
@@ -159,13 +170,11 @@ def _behind(
 ) -> tuple[Float32Array, Float32Array]:
     """Colour [h, w, 3] and position [h, w] of the surface behind each pixel; position NaN without one in reach.
 
-    The surface is that of the closest pixel in the frame that is farther by ``BEHIND_LEVELS``. Its colour is mirrored
-    at the rim where the mirror image belongs to the same surface.
+    The surface is that of the closest pixel in the frame that is farther by more than ``BEHIND_LEVELS``, with the
+    colour of that pixel. Mirrored colours would show what is bright beside a rim twice.
     """
-    height, width = position.shape
     steps = np.interp(position, np.arange(len(nodes)), nodes)
     colour, behind = np.zeros_like(picture), np.full(position.shape, np.nan, np.float32)
-    rows, columns = np.mgrid[:height, :width]
     nearest = np.rint(position).astype(int)
     for node in range(len(nodes)):
         far = steps < nodes[node] - BEHIND_LEVELS
@@ -179,10 +188,7 @@ def _behind(
         source[labels[far]] = np.argwhere(far)
         front &= (distance <= reach) & ~far
         y, x = source[labels[front]].T
-        mirror_y = np.clip(2 * y - rows[front], 0, height - 1)
-        mirror_x = np.clip(2 * x - columns[front], 0, width - 1)
-        same = np.abs(steps[mirror_y, mirror_x] - steps[y, x]) < BEHIND_LEVELS
-        colour[front] = picture[np.where(same, mirror_y, y), np.where(same, mirror_x, x)]
+        colour[front] = picture[y, x]
         behind[front] = position[y, x]
     return colour, behind
 

@@ -3,6 +3,7 @@
 from dataclasses import replace
 from functools import cache
 
+import cv2
 import numpy as np
 import pytest
 from scipy import signal
@@ -13,12 +14,14 @@ from dasim.values import Reconstruction
 from recon.picture import infrared
 from recon.settings import PAPER
 from recon.sharp import layers, sharpen
-from recon.sharp.refocus import KERNEL_SHARE, colour_kernels
+from recon.sharp.refocus import KERNEL_SHARE, colour_kernels, layered
 from tests.support import recon_scenes
 
 SINGLE = 2e-4  # of the value: sums of some thousand terms in float32
 PIXEL_SHARE = 0.02  # of a kernel's light that its non-negative form without the pixel's area misplaces
 BLEED = 2e-3  # of the brighter side's light: float32, and a kernel's tail that is cut
+MOMENT = 0.03  # of a diameter: noise of a measured kernel's tail, and its cut
+PASSED = 0.01  # of a point's light
 BELOW = 0.01  # of the stripes: what of their blur of two levels that nobody asked for would exceed
 
 
@@ -130,14 +133,66 @@ def test_light_is_conserved():
         np.testing.assert_allclose(result.sum((0, 1)), image.sum((0, 1)), rtol=bound)
 
 
-def test_an_even_light_stays_even():
+def uneven_levels():
+    """Level maps [64, 96] by name: a step, a slant, noise from pixel to pixel, and thin bars in front of a wall."""
+    columns, rows = np.arange(96), np.arange(64)[:, None]
+    return {
+        "step": np.where(columns < 48, 3.0, 14.0)[None].repeat(64, 0),
+        "slant": recon_scenes.slanted(64, 96, 0.0, 20.0),
+        "noise": np.random.default_rng(2).uniform(0, 20, (64, 96)),
+        "bars": np.where((columns % 9 < 2) | (rows % 31 < 3), 17.0, 1.5),
+    }
+
+
+@pytest.mark.parametrize("level", uneven_levels().values(), ids=uneven_levels())
+@pytest.mark.parametrize("stops", [0.5, 1.0, 2.0])
+def test_an_even_light_stays_even(level, stops):
     """A world of uniform radiance stays uniform for any layout of depths: coverage adds up to one everywhere."""
-    image = np.full((96, 128, 3), 700, np.float32)
-    step = np.where(np.arange(128) < 64, 3.0, 14.0)[None].repeat(96, 0)
-    for level in (step, recon_scenes.slanted(96, 128, 0.0, 20.0)):
-        for focus in (0.0, 3.0, 14.0):
-            result = recon.refocus(scene(image, level), recon_scenes.bank(), depth_of(focus))
-            np.testing.assert_allclose(result, 700, rtol=SINGLE)
+    image, f_number = np.full((64, 96, 3), 700, np.float32), stops * recon_scenes.bank().camera.lens.f_number
+    for focus in (3.0, 14.0):
+        result = recon.refocus(scene(image, level), recon_scenes.bank(), depth_of(focus), f_number)
+        np.testing.assert_allclose(result, 700, rtol=SINGLE)
+
+
+def point(level, focus):
+    """Picture of a point of light in the middle of one surface, as a share of its light, [161, 161]."""
+    image = np.zeros((161, 161, 3), np.float32)
+    image[80, 80] = 1000
+    return recon.refocus(scene(image, np.full((161, 161), level)), recon_scenes.bank(), depth_of(focus))[..., 1] / 1000
+
+
+@pytest.mark.parametrize(("level", "focus"), [(14.0, 2.0), (2.0, 14.0), (20.0, 0.0), (0.0, 20.0)])
+def test_a_point_looks_as_the_kernel_on_either_side_of_the_focus(level, focus):
+    picture, kernel = point(level, focus), layers.cut(kernels()[int(abs(level - focus))], KERNEL_SHARE)[1]
+    half = kernel.shape[-1] // 2
+    np.testing.assert_allclose(picture[80 - half : 81 + half, 80 - half : 81 + half], kernel, atol=SINGLE)
+    assert picture.sum() == pytest.approx(1, rel=SINGLE)
+
+
+@pytest.mark.parametrize("blur", [8, 12, 16])
+@pytest.mark.parametrize("stops", [1.0, 0.5])
+def test_the_size_of_a_point_is_that_of_a_thin_lens(blur, stops):
+    """A disc of diameter c has the second moment c^2 / 8 about its centre. That of the lens in focus is added to it, by
+    diffraction, less the 1/6 of a pixel.
+    """
+    bank = recon_scenes.bank()
+    separation = infrared.separation(bank.camera, "D65", PAPER)
+    in_focus = layers.cut(sharpen.visible_kernels(bank.kernel[0], bank.signature[0], separation)[0, :3], KERNEL_SHARE)
+
+    def moment(image):
+        y, x = np.indices(image.shape) - image.shape[0] // 2
+        return np.sum((x**2 + y**2) * image)
+
+    level = blur * stops
+    image = np.zeros((161, 161, 3), np.float32)
+    image[80, 80] = 1
+    for own, focus in ((level, 0.0), (0.0, level)):  # in front of and behind the focus
+        result = recon.refocus(
+            scene(image, np.full((161, 161), own)), bank, depth_of(focus), stops * bank.camera.lens.f_number
+        )
+        diameter = blur * float(bank.blur_px[1])
+        measured = np.sqrt(8 * (moment(result[..., 1]) - moment(in_focus[1]) + 1 / 6))
+        assert measured == pytest.approx(diameter, rel=MOMENT)
 
 
 def edge(near_e, far_e):
@@ -147,17 +202,73 @@ def edge(near_e, far_e):
     return scene(image, np.where(left, 12.0, 2.0)[None].repeat(64, 0))
 
 
-def test_a_blurred_near_surface_spreads_over_the_background():
-    """With the focus behind, light of the near surface spreads over the far side as a straight edge seen through the
-    near kernel.
+@pytest.mark.parametrize(("near_e", "far_e"), [(1000, 0), (100, 1000)])
+@pytest.mark.parametrize("focus", [0.0, 2.0, 7.0, 12.0])
+def test_a_silhouette_is_the_edge_of_the_near_kernel(near_e, far_e, focus):
+    """At any focus, a sensor pixel sees of two even surfaces as much of the near one as that covers of the aperture:
+    bright or dark, its blur spreads over the far one as the edge-spread of its own kernel, and the far one adds none.
     """
-    result = recon.refocus(edge(1000, 0), recon_scenes.bank(), depth_of(2.0))
-    profile = np.cumsum(kernels()[10, 1].sum(axis=0))[::-1]  # share of the near side at distances from the edge
+    result = recon.refocus(edge(near_e, far_e), recon_scenes.bank(), depth_of(focus))
+    profile = np.cumsum(kernels()[int(12 - focus), 1].sum(axis=0))[::-1]  # share of the near side, by distance
     half = kernels().shape[-1] // 2
     columns = np.arange(80 - 20, 80 + 20)
-    expected = 1000 * profile[np.clip(columns - 80 + half + 1, 0, 2 * half)]
-    np.testing.assert_allclose(result[32, columns, 1], expected, atol=1000 * BLEED)
-    assert result[32, 85, 1] > 50
+    cover = profile[np.clip(columns - 80 + half + 1, 0, 2 * half)]
+    np.testing.assert_allclose(result[32, columns, 1], near_e * cover + far_e * (1 - cover), atol=1000 * BLEED)
+
+
+def disc(diameter_px, size=41, finer=8):
+    """Even disc of unit sum, averaged over pixels, [size, size]; a point if it is smaller than a pixel."""
+    if diameter_px < 1:
+        diameter_px = 0.5
+    place = (np.arange(size * finer) + 0.5) / finer - size / 2
+    inside = np.hypot(*np.meshgrid(place, place)) <= diameter_px / 2
+    return inside.reshape(size, finer, size, finer).mean(axis=(1, 3)) / (inside.sum() / finer**2)
+
+
+def passed(distance_px, blur_levels):
+    """Share of a disc-shaped aperture through which a point is seen past a rim at a distance from its centre."""
+    reach = distance_px / (blur_levels * float(recon_scenes.bank().blur_px[1]) / 2)
+    reach = min(reach, 1.0)
+    return 0.5 + (np.arcsin(reach) + reach * np.sqrt(1 - reach**2)) / np.pi
+
+
+@pytest.mark.parametrize("focus", [2.0, 12.0])
+@pytest.mark.parametrize("beyond_px", [1, 3, 6, 14])
+def test_a_point_beside_a_near_surface_is_hidden_in_part(focus, beyond_px):
+    """The near surface hides a segment of the aperture from a point behind its rim; a disc without diffraction
+    is the kernel. Expectation: the light of the point that is left is that of the free part of the disc.
+    """
+    discs = np.stack([disc(level * float(recon_scenes.bank().blur_px[1])) for level in range(13)])
+    image = edge(0, 0).sharp_e.copy()
+    image[32, 80 + beyond_px] = 1000
+    result = layered(image, edge(0, 0).level - np.float32(focus), discs[:, None].repeat(3, 1))
+    share = result[..., 1].sum() / 1000
+    assert share == pytest.approx(passed(beyond_px + 0.5, 10), abs=PASSED)
+
+
+def test_a_point_on_the_near_surface_keeps_its_light():
+    """A point at the rim of the near surface loses nothing to the far one, in focus or out of it."""
+    image = edge(0, 0).sharp_e.copy()
+    image[32, 78] = 1000
+    for focus in (2.0, 7.0, 12.0):
+        result = recon.refocus(replace(edge(0, 0), sharp_e=image), recon_scenes.bank(), depth_of(focus))
+        assert result[..., 1].sum() == pytest.approx(1000, rel=PASSED)
+
+
+def test_each_depth_in_focus_is_the_all_in_focus_picture():
+    """Set-up: a wall and two plates in front of it. Expectation: focused on each, what lies there is the sharp
+    picture, the plates up to their rim, the wall away from the blur of the plates.
+    """
+    image = texture(160, 200)
+    level = np.full(image.shape[:2], 1.0)
+    level[20:70, 20:80], level[80:150, 120:190] = 6.0, 13.0
+    for focus in (1.0, 6.0, 13.0):
+        result = recon.refocus(scene(image, level), recon_scenes.bank(), depth_of(focus))
+        nearer = (level > focus).astype(np.uint8)
+        reach = layers.cut(kernels()[12], KERNEL_SHARE).shape[-1] // 2
+        free = (level == focus) & (cv2.dilate(nearer, np.ones((2 * reach + 1,) * 2)) == 0)
+        np.testing.assert_allclose(result[free], image[free], rtol=BLEED, atol=BLEED * image.max())
+        assert free.sum() > 1000
 
 
 def test_the_background_does_not_bleed_onto_a_near_surface_in_focus():
