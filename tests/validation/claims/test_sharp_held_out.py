@@ -52,6 +52,7 @@ def claim(monkeypatch, shot):
     monkeypatch.setattr(sharp_held_out, "quiet", lambda shot: shot)
     monkeypatch.setattr("dasim.calibration_captures", lambda *args, **options: None)
     monkeypatch.setattr("recon.calibrate", lambda captures: None)
+    monkeypatch.setattr(sharp_held_out, "RIVALS", {"rival.": ("a rival", lambda result, bank: result.linear_e)})
 
     def run(method, methods=METHOD):
         monkeypatch.setattr(sharp_held_out, "reconstructed", method)
@@ -122,11 +123,24 @@ def test_the_capture_as_picture_has_a_gain_of_zero(claim, shot):
 
 
 def test_true_levels_and_less_noise_are_reported_apart(claim, shot):
-    """Set-up: the capture as picture, but the truth with true levels. Expectation: three times the same figures."""
+    """Set-up: the capture as picture, but the truth with true levels. Expectation: three times the same figures, and
+    those of a rival.
+    """
     figures = {figure.id: figure.value for figure in claim(lambda *args: picture(shot, "captured")).figures}
     assert figures["true-levels.gain.all.mean"] > 60 and figures["tenth-noise.gain.all.mean"] == 0
-    plain = [name for name in figures if not name.startswith(("true-levels.", "tenth-noise."))]
-    assert len(figures) == 3 * len(plain)
+    plain = [name for name in figures if not name.startswith(("true-levels.", "tenth-noise.", "rival."))]
+    assert len(figures) == 4 * len(plain)
+
+
+def test_pictures_of_rivals_stand_beside_without_limits(claim, shot):
+    """Set-up: the truth as picture, and a rival that leaves the captured one. Expectation: the rival has no gain, no
+    gate judges it, and the picture beside it keeps its own.
+    """
+    evidence = claim(lambda *args: picture(shot, "truth"))
+    figures = {figure.id: figure.value for figure in evidence.figures}
+    assert figures["rival.gain.all.mean"] == 0 and figures["gain.all.mean"] > 60
+    assert failed(evidence) == set()
+    assert any(label == "a rival, levels of best" for label, *_ in evidence.tables[0][2])
 
 
 def test_other_methods_stand_beside_without_conditions(claim, shot):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import NamedTuple
 
@@ -17,6 +17,7 @@ from dasim.typing import ShareDone
 from dasim.values import PsfBank, Reconstruction, Truth
 from validation.gates.claim import Evidence, Table
 from validation.methods import NamedMethod, bundled, prefix, reconstructed
+from validation.references import layered_deconvolution
 from validation.reports import crops
 from validation.scores import sharpness as scores
 from validation.scores.depth_edges import edges
@@ -32,11 +33,19 @@ METHODS = bundled("best", "bands", "paper")  # the first has limits, and figures
 OVERALL, IN_FOCUS = "gain.all", "gain.0-1"
 EDGE_CROP = "depth edge"
 
+# Pictures by library functions from the captured one and the levels of the first method, by the beginning of their ids.
+RIVALS: dict[str, tuple[str, layered_deconvolution.Picture]] = {
+    "layered-wiener.": ("scikit-image's Wiener filter by level", layered_deconvolution.layered_wiener),
+    "denoised.": ("scikit-image's total variation, no sharpening", layered_deconvolution.denoised),
+}
+
 Run = Callable[[Shot, PsfBank], tuple[Reconstruction, Truth]]
 
 
 class Column(NamedTuple):
-    """A method as it is, or the first one under another condition; ``prefix`` begins the ids of its figures."""
+    """A method as it is, the first one under another condition, or another picture with its levels; ``prefix`` begins
+    the ids of its figures.
+    """
 
     label: str
     prefix: str
@@ -71,7 +80,9 @@ def sharp_held_out(
 
     Set-up: the 40 captures of the set test (``validation/subjects/held_out.toml``), see the claim depth-held-out. Each
     is reconstructed by every method with a bank calibrated for its camera and focus, and by the first also with true
-    levels, and from a capture with a tenth of the noise. The gain of the all-in-focus picture over the captured one is
+    levels, and from a capture with a tenth of the noise. Beside them stand two pictures by functions of scikit-image
+    (``validation/references/layered_deconvolution.py``): the captured one deconvolved by a Wiener filter at each of the
+    first method's levels, and with less noise alone. The gain of the all-in-focus picture over the captured one is
     that in PSNR of linear colours without infrared, over all pixels, by visible blur away from boundaries, and within
     3 px on either side of depth edges; a region counts in a capture that has 2 % of the pixels in it. Limits are
     against the truth in focus (``focus_e``), which is all that a lens in focus shows; the sharp truth (``sharp_e``) has
@@ -89,7 +100,8 @@ def sharp_held_out(
 
     Limit: for the first method, as means over the captures: 3 dB over all pixels and no capture that loses; 0 dB below
     1 px in every capture; 4.5 dB at 3 to 8 px, 4 dB at 8 to 20 px, 2 dB beyond, 2.5 dB at boundaries; halos up to 5 %.
-    With a tenth of the noise, a gain in each region. With true levels all is reported without limit.
+    With a tenth of the noise, a gain in each region. With true levels, and of other methods and pictures, all is
+    reported without limit.
 
     Source: the project's own.
     """
@@ -134,7 +146,9 @@ def _columns(method: NamedMethod, *, first: bool) -> list[Column]:
         as_it_is,
         Column(f"{method}, true levels", f"{label}true-levels.", partial(_with_true_levels, method)),
         Column(f"{method}, a tenth of the noise", f"{label}tenth-noise.", partial(_quiet, method)),
-    ]
+        *(Column(f"{name}, levels of {method}", start, partial(_rival, method, picture))
+          for start, (name, picture) in RIVALS.items()),
+    ]  # fmt: skip
 
 
 def _as_taken(method: NamedMethod, shot: Shot, bank: PsfBank) -> tuple[Reconstruction, Truth]:
@@ -148,6 +162,13 @@ def _with_true_levels(method: NamedMethod, shot: Shot, bank: PsfBank) -> tuple[R
 
 def _quiet(method: NamedMethod, shot: Shot, bank: PsfBank) -> tuple[Reconstruction, Truth]:
     return _as_taken(method, quiet(shot), bank)
+
+
+def _rival(
+    method: NamedMethod, picture: layered_deconvolution.Picture, shot: Shot, bank: PsfBank
+) -> tuple[Reconstruction, Truth]:
+    result, truth = _as_taken(method, shot, bank)
+    return replace(result, sharp_e=picture(result, bank)), truth
 
 
 def column_figures(column: Column, judged: Sequence[Judged], caption: str) -> list[Figure]:
