@@ -10,7 +10,7 @@ IS_NEW := import sys; sys.exit(sys.version_info < (3, 11))
 PIP := $(BIN)/python -m pip --disable-pip-version-check --quiet
 APT := env DEBIAN_FRONTEND=noninteractive apt-get -q -y -o Acquire::Retries=0 -o Acquire::http::Timeout=20
 
-.PHONY: help demo test test-slow test-lens lint validate environment test-environment
+.PHONY: help demo test test-slow test-lens lint docs validate environment test-environment
 
 help:
 	@echo "make demo   the whole chain on a bundled scene; report in out/demo/report.html"
@@ -18,6 +18,7 @@ help:
 	@echo "make test-slow   the slow tests, on as many"
 	@echo "make test-lens   the tests of lens prescriptions, with Optiland"
 	@echo "make lint   style, formatting, import contracts, types"
+	@echo "make docs   the documentation, its reference made from the code; open out/docs/index.html"
 	@echo "make validate   the quick claims against their limits; report in out/validate/report.html"
 
 demo: environment
@@ -37,6 +38,9 @@ lint: test-environment
 	$(BIN)/ruff format --check .
 	$(BIN)/lint-imports --no-logo
 	$(BIN)/mypy
+
+docs: environment $(VENV)/.installed-docs
+	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict
 
 validate: test-environment
 	$(BIN)/dasim validate --quick --out out/validate
@@ -69,6 +73,11 @@ $(VENV)/.installed: pyproject.toml constraints.txt
 $(VENV)/.installed-test: $(VENV)/.installed
 	@echo "Installing what the tests need besides (some minutes the first time)"
 	@$(PIP) install -c constraints.txt -e '.[test]'
+	@touch $@
+
+$(VENV)/.installed-docs: $(VENV)/.installed
+	@echo "Installing MkDocs for the documentation"
+	@$(PIP) install -c constraints.txt -e '.[docs]'
 	@touch $@
 
 $(VENV)/.installed-lens: $(VENV)/.installed-test

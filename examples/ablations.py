@@ -2,7 +2,7 @@
 
     dasim score CAPTURE --method examples/ablations.py:without_network best
 
-README.md lists their figures on the set ``test``.
+docs/results/accuracy.md lists their figures on the set ``test``.
 """
 
 from __future__ import annotations
