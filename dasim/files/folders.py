@@ -38,7 +38,7 @@ RESULT_FILES = {
     ),
     "EMVA 1288 measurement": ("meta.json", "descriptor.txt", "frames"),
     "calibration pictures": ("meta.json", "captures.csv", "pictures"),
-    "demo": ("results.json", "report.html", "overview.jpg", "capture", "recon"),
+    "demo": ("results.json", "report.html", "view.html", "overview.jpg", "capture", "recon"),
     "validation": ("results.json", "report.html", "junit.xml"),
     "study": ("results.json", "report.html", "table.csv", "masks"),
 }
