@@ -29,6 +29,7 @@ for command in (
     photograph.calibrate,
     reconstruct.recon,
     reconstruct.refocus,
+    reconstruct.view,
     reconstruct.score,
     datasets.app,
     study.app,

@@ -19,7 +19,7 @@ from dasim.cli.options import Out, Whole
 
 
 def demo(*, out: Out = Path("out/demo"), variant: str | None = None, spp: Whole | None = None) -> int:
-    """Run the whole chain on a bundled scene and write report.html and results.json.
+    """Run the whole chain on a bundled scene and write report.html, view.html and results.json.
 
     Args:
         out: output folder; an earlier result there is replaced
