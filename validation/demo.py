@@ -19,6 +19,7 @@ from recon.files.reconstruction import save_reconstruction
 from validation.gates.claim import Claim, write_results
 from validation.gates.limits import judged
 from validation.reports.demo import demo_page, overview
+from validation.reports.view.page import reconstruction_page
 from validation.scores.figures import Figure
 from validation.scores.score import score
 
@@ -48,7 +49,7 @@ def run_demo(
     size_px: tuple[int, int] = DEMO_SIZE_PX,
     progress: Progress = lambda stage, share: None,
 ) -> list[Claim]:
-    """Run the chain; ``out`` gets ``capture``, ``recon``, ``report.html``, ``results.json`` and ``overview.jpg``."""
+    """Run the chain; ``out`` gets ``capture``, ``recon``, ``report.html``, ``view.html``, ``results.json`` and more."""
     with new_folder(out, "demo") as folder:
         start = time.perf_counter()
         timings: dict[str, float] = {}
@@ -74,6 +75,9 @@ def run_demo(
         (folder / "report.html").write_text(demo_page(shot, result, entries, timings), encoding="utf-8")
         cv2.imwrite(str(folder / "overview.jpg"), overview(shot, result), [cv2.IMWRITE_JPEG_QUALITY, 88])
         lap("report")
+        view = reconstruction_page(result, bank, shot.capture, shot.truth, progress=progress)
+        (folder / "view.html").write_text(view, encoding="utf-8")
+        lap("view")
         write_results(folder / "results.json", entries, timings)
         progress("writing the report", 1.0)
     return entries
