@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from contextlib import nullcontext
 from typing import NamedTuple
 
 import cv2
@@ -10,10 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dasim.camera.noise import Variance
-from dasim.camera.specification import Camera
 from dasim.files.banks import bank_identity
 from dasim.spectra.colour import exposure_scale, to_srgb
-from dasim.spectra.grid import CHANNELS
 from dasim.typing import Float32Array, FloatArray, Progress
 from dasim.values import Capture, PsfBank, Reconstruction, Side
 from recon import levels
@@ -27,13 +24,10 @@ from recon.picture import colour, denoise, field, mosaic
 from recon.picture import develop as picture
 from recon.picture.field import Separation
 from recon.settings import DEFAULT, Settings
-from recon.sharp import sharpen
+from recon.sharp import all_in_focus
 from recon.stages import Stage, stages
 
 STAGES = (*picture.STAGES[:-1], "depth", "regularise", "sharpen", "colour")
-INTERPOLATED_NOISE_SHARE = 0.7  # noise after interpolation relative to the sensor's, standard deviations
-GRAINY_LEVEL = 3.0  # level from which on deconvolution uses the picture without noise reduction alone
-CERTAIN = 0.05  # confidence below which the all-in-focus picture fades to the captured one
 
 
 def reconstruct(
@@ -79,17 +73,13 @@ def reconstruct(
         level, confidence = _on_pixels(found.level, found.confidence, captured.ir_e.shape)
     captured = captured._replace(ir_e=np.maximum(field.infrared_as_on_axis(captured.ir_e, separation), 0))
     with stage("sharpen"):
-        noise_e = sharpen.visible_noise(_noise_e(variances), separation.on_axis)
-        stack = _stack(linear, captured, level, camera, white, separation)
-        del linear, variances  # limits the memory of large frames
-        kernels, focus = _of_both_sides(on_axis, light)
-        visible_kernels = sharpen.visible_kernels(kernels, white, separation.on_axis)
-        sharp_e = sharpen.sharpen(
-            stack, level + np.float32(focus), visible_kernels, noise_e, mosaic.sole_phases(camera), focus=focus,
-            steps=settings.sharpen_steps, strength=settings.sharpen_strength, guided=settings.sharpen_guide,
+        frame = all_in_focus.Frame(
+            picture.shaded(linear.raw_e, linear.gain), captured.linear_e, captured.ir_e, captured.clipped,
+            variances, level, confidence, separation, camera, white,
         )  # fmt: skip
-        del stack
-        _fade_to_captured(sharp_e, captured.linear_e, confidence, captured.clipped)
+        del linear, variances  # limits the memory of large frames
+        sharp_e = all_in_focus.all_in_focus(frame, on_axis, light, settings)
+        del frame
     with stage("colour"):
         rgb, sharp_rgb = _coloured(captured.linear_e, sharp_e, colour.colour_matrix(camera, light, separation.on_axis))
     if progress:
@@ -186,15 +176,6 @@ def _range_notes(outside: float, name: str, bank: PsfBank, side: Side) -> tuple[
     )
 
 
-def _of_both_sides(bank: PsfBank, light: str) -> tuple[Float32Array, int]:
-    """Kernels under a light from the last level behind the focus to the nearest, and the index of the focus."""
-    kernels = bank.kernel[bank.lights.index(light)]
-    if bank.behind is None:
-        return kernels, 0
-    behind = bank.behind.kernel[bank.lights.index(light)][:0:-1]
-    return np.concatenate([behind, kernels]), len(behind)
-
-
 def _infrared_guide(ir_e: Float32Array, noise: Variance) -> Float32Array:
     """Infrared on the 2x2 blocks in units of its noise, about, [h/2, w/2]: the guide of eq. (14)."""
     size = (ir_e.shape[1] // 2, ir_e.shape[0] // 2)
@@ -211,58 +192,6 @@ def _on_pixels(
         np.asarray(cv2.resize(level, size, interpolation=cv2.INTER_LINEAR), np.float32),
         np.asarray(cv2.resize(confidence, size, interpolation=cv2.INTER_LINEAR), np.float32),
     )
-
-
-def _noise_e(variances: dict[str, Float32Array]) -> NDArray:
-    """Standard deviation of the noise of R, G, B and IR after interpolation, frame mean, [channel] electrons."""
-    return INTERPOLATED_NOISE_SHARE * np.sqrt([variances[name].mean() for name in CHANNELS])
-
-
-def _stack(
-    linear: picture.Linear,
-    captured: _Captured,
-    level: Float32Array,
-    camera: Camera,
-    white: NDArray,
-    separation: Separation,
-) -> Float32Array:
-    """R, G, B without infrared, and infrared, as the deconvolution takes them, [4, h, w] electrons.
-
-    Deviation from Fig. 4: the mosaic is interpolated without noise reduction. The deconvolution has a prior against
-    noise of its own, and benefits from the texture that nonlocal means remove with the noise (0.1 to 0.6 dB on the
-    bundled scenes). Near focus the denoised picture takes over.
-    """
-    grainy_e = picture.shaded(linear.raw_e, linear.gain)
-    image = picture.demosaiced(grainy_e, camera, white, lambda name: nullcontext())
-    assert image.ir_e is not None
-    visible = picture.without_infrared(image, separation, captured.clipped, white)
-    infrared_e = field.infrared_as_on_axis(image.ir_e, separation)
-    stack = np.concatenate([np.moveaxis(visible, -1, 0), infrared_e[None]])
-    _soften_in_focus(stack, captured.linear_e, captured.ir_e, level)
-    return stack
-
-
-def _soften_in_focus(stack: Float32Array, linear_e: Float32Array, ir_e: Float32Array, level: Float32Array) -> None:
-    """Blend the picture without noise reduction, [4, h, w], with the denoised one near focus, in place.
-
-    In focus, noise reduction gives smaller errors than the prior of the deconvolution. The weight of the denoised
-    picture is 1 at level 0 and 0 from ``GRAINY_LEVEL`` on.
-    """
-    grain = np.clip(np.abs(level) / GRAINY_LEVEL, 0, 1)
-    for index, smooth_e in enumerate((*np.moveaxis(linear_e, -1, 0), ir_e)):
-        stack[index] = smooth_e + grain * (stack[index] - smooth_e)
-
-
-def _fade_to_captured(
-    sharp_e: Float32Array, linear_e: Float32Array, confidence: Float32Array, clipped: NDArray
-) -> None:
-    """Fade the sharp picture [h, w, 3] to the captured one at low confidence and near clipped pixels, in place."""
-    certain = np.clip(confidence / CERTAIN, 0, 1) * sharpen.ramp_around(
-        clipped[..., 0] | clipped[..., 1] | clipped[..., 2]
-    )
-    sharp_e -= linear_e
-    sharp_e *= certain[..., None]
-    sharp_e += linear_e
 
 
 def _coloured(linear_e: Float32Array, sharp_e: Float32Array, matrix: FloatArray) -> tuple[Float32Array, Float32Array]:

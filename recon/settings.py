@@ -61,6 +61,9 @@ class Settings(Specification):
     regularise_bandwidth: float = Field(default=60.0, gt=0, description="tau of eq. (14), in noise variances")
 
     # sec. 5.4
+    sharpen_prior: Literal["gradients", "network"] = Field(
+        default="gradients", description="all-in-focus picture: eq. (15)-(17), or Wiener filters and a network"
+    )
     sharpen_steps: int = Field(default=3, ge=1, le=50, description="iterations of half-quadratic splitting")
     sharpen_strength: float = Field(
         default=6.0, gt=0, le=100, description="weight of the data in eq. (15); 1 is that of the noise"
@@ -74,8 +77,10 @@ PAPER = Settings()
 PRESETS = {
     "paper": PAPER,
     "likelihood": Settings(score="likelihood"),
-    "best": Settings(score="joint", window_px=35, alike=True, least_confidence=0.6),
-    "fast": Settings(score="joint", windows="large", window_px=35, alike=True, least_confidence=0.6),
+    "best": Settings(score="joint", window_px=35, alike=True, least_confidence=0.6, sharpen_prior="network"),
+    "fast": Settings(
+        score="joint", windows="large", window_px=35, alike=True, least_confidence=0.6, sharpen_prior="network"
+    ),
     "bands": Settings(score="bands", window_px=35, alike=True, edge_snr=0.0, fallback=False, least_confidence=0.6),
     "chakrabarti-zickler": Settings(score="colour-line"),
 }

@@ -58,6 +58,12 @@ def confidence_of(sd: FloatArray | Float32Array) -> NDArray[np.floating]:
     return np.asarray(REFERENCE_ERROR**2 / (REFERENCE_ERROR**2 + sd**2))
 
 
+def sd_of(confidence: NDArray[np.floating]) -> NDArray[np.floating]:
+    """Standard deviation in levels that a confidence 0..1 stands for, infinite for 0: :func:`confidence_of` undone."""
+    with np.errstate(divide="ignore"):
+        return np.asarray(REFERENCE_ERROR * np.sqrt(np.maximum(1 / confidence - 1, 0)))
+
+
 def peak_offset(
     kernels: NDArray, green_kernels: NDArray, weights: Weights, score: Score, grid: Grid
 ) -> NDArray[np.float64]:

@@ -19,13 +19,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import cache
-from importlib.resources import files
 from typing import NamedTuple
 
 import cv2
 import numpy as np
 
 from dasim.typing import Float32Array, FloatArray
+from recon.convolution import Net, convolved, gathered, linear, load, refined, relu, spread
 from recon.depth.evidence import NODE, SCORES
 
 FILE = "surface_net.npz"
@@ -34,7 +34,6 @@ SHARE = 0.5  # of the network in the posterior; the rest is that of smooth surfa
 # Factor on the standard deviation on smooth surfaces alone, which take the windows of neighbours as less alike than
 # they are; chosen on ``tune``.
 SMOOTH_SD = 2.5
-STRIP = 2**16  # pixels that are convolved at a time: more take more memory and no less time
 
 
 class Moments(NamedTuple):
@@ -45,10 +44,9 @@ class Moments(NamedTuple):
 
 
 @cache
-def weights() -> dict[str, Float32Array]:
+def weights() -> Net:
     """Arrays of the network by name; ``about`` of the file says what they were trained with."""
-    with files("recon.depth").joinpath(FILE).open("rb") as file, np.load(file, allow_pickle=False) as stored:
-        return {name: stored[name].astype(np.float32) for name in stored.files if name != "about"}
+    return load("recon.depth", FILE)
 
 
 def posterior(inputs: Float32Array, picture: Float32Array, levels: FloatArray, last: float) -> Moments:
@@ -61,19 +59,19 @@ def posterior(inputs: Float32Array, picture: Float32Array, levels: FloatArray, l
         last: largest level of the bank; larger ones get no probability.
     """
     net = weights()
-    fine = _convolved((picture - net["picture_mean"]) / net["picture_sd"], net, "fine")
-    fine = _convolved(_relu(fine), net, "fine_in")
-    middle = _linear(_gathered(_relu(fine)), net, "middle")
-    middle = _relu(_convolved(_relu(middle), net, "middle_in"))
-    hidden = _linear((inputs - net["mean"]) / net["sd"], net, "in") + _linear(_gathered(middle), net, "picture_in")
+    fine = convolved((picture - net["picture_mean"]) / net["picture_sd"], net, "fine")
+    fine = convolved(relu(fine), net, "fine_in")
+    middle = linear(gathered(relu(fine)), net, "middle")
+    middle = relu(convolved(relu(middle), net, "middle_in"))
+    hidden = linear((inputs - net["mean"]) / net["sd"], net, "in") + linear(gathered(middle), net, "picture_in")
     for index, dilation in enumerate(DILATIONS):
-        inner = _relu(_convolved(_relu(hidden.copy()), net, f"a{index}", dilation))
-        hidden += _linear(inner, net, f"b{index}")
-    hidden = _relu(hidden)
-    nodes = _linear(hidden, net, "level") + inputs[..., : SCORES * len(levels)] @ net["skip"]
-    middle = _refined(_relu(_spread(_linear(hidden, net, "middle_back")) + middle), net, "middle_out")
-    fine = _refined(_relu(_spread(_linear(middle, net, "fine_back")) + fine), net, "fine_out")
-    logits = _linear(fine, net, "sample")
+        inner = relu(convolved(relu(hidden.copy()), net, f"a{index}", dilation))
+        hidden += linear(inner, net, f"b{index}")
+    hidden = relu(hidden)
+    nodes = linear(hidden, net, "level") + inputs[..., : SCORES * len(levels)] @ net["skip"]
+    middle = refined(relu(spread(linear(hidden, net, "middle_back")) + middle), net, "middle_out")
+    fine = refined(relu(spread(linear(middle, net, "fine_back")) + fine), net, "fine_out")
+    logits = linear(fine, net, "sample")
     size = logits.shape[1::-1]
     logits += cv2.resize(nodes, size, interpolation=cv2.INTER_LINEAR)
     return _moments(SHARE * _powers(logits, levels, last) + (1 - SHARE) * _of_smooth(inputs, size, levels, last))
@@ -105,53 +103,3 @@ def _powers(logits: Float32Array, levels: FloatArray, last: float) -> Float32Arr
     powers = np.stack([levels**0, levels, levels**2], axis=-1).astype(np.float32)
     found = (probability @ powers).reshape(*logits.shape[:2], 3)
     return found[..., 1:] / found[..., :1]
-
-
-def _refined(image: Float32Array, net: dict[str, Float32Array], name: str) -> Float32Array:
-    """A residual convolution."""
-    return _relu(image + _linear(_relu(_convolved(image, net, f"{name}_a")), net, f"{name}_b"))
-
-
-def _relu(image: Float32Array) -> Float32Array:
-    return np.maximum(image, 0, out=image)
-
-
-def _linear(image: Float32Array, net: dict[str, Float32Array], name: str) -> Float32Array:
-    height, width, channels = image.shape
-    result = image.reshape(-1, channels) @ net[name]  # one product is faster than one per row
-    result += net[f"{name}_bias"]
-    return np.asarray(result, np.float32).reshape(height, width, -1)
-
-
-def _convolved(image: Float32Array, net: dict[str, Float32Array], name: str, dilation: int = 1) -> Float32Array:
-    """A 3 x 3 convolution, [h, w, channel]; beyond the frame, its border is repeated."""
-    height, width, channels = image.shape
-    kernels = net[name].reshape(3, 3 * channels, -1)
-    padded = np.pad(image, ((dilation, dilation), (dilation, dilation), (0, 0)), mode="edge")
-    result = np.empty((height * width, kernels.shape[-1]), np.float32)
-    rows = max(STRIP // width, 1)
-    for top in range(0, height, rows):
-        end = min(top + rows, height)
-        part = padded[top : end + 2 * dilation]
-        beside = np.concatenate([part[:, i * dilation : i * dilation + width] for i in range(3)], axis=-1)
-        flat = beside.reshape(-1, 3 * channels)
-        strip = result[top * width : end * width]
-        strip[:] = net[f"{name}_bias"]
-        for row, kernel in enumerate(kernels):
-            first = row * dilation * width
-            strip += flat[first : first + len(strip)] @ kernel
-    return result.reshape(height, width, -1)
-
-
-def _gathered(image: Float32Array) -> Float32Array:
-    """The four pixels of each 2 x 2 block as channels: half as high and wide."""
-    height, width, channels = image.shape
-    blocks = image.reshape(height // 2, 2, width // 2, 2, channels).transpose(0, 2, 4, 1, 3)
-    return blocks.reshape(height // 2, width // 2, 4 * channels)
-
-
-def _spread(image: Float32Array) -> Float32Array:
-    """Inverse of :func:`_gathered`."""
-    height, width, channels = image.shape
-    blocks = image.reshape(height, width, channels // 4, 2, 2).transpose(0, 3, 1, 4, 2)
-    return blocks.reshape(2 * height, 2 * width, channels // 4)

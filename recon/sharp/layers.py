@@ -5,7 +5,8 @@ Tested in tests/recon/sharp/test_sharpen.py and tests/recon/sharp/test_refocus.p
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -28,6 +29,8 @@ RARE_SHARE = 0.02  # share of a tile's pixels below which a level is not deconvo
 LEVEL_DEVIATION = 0.6  # standard deviation of the level map, including the rounding to deconvolved levels
 SPREAD_LEVELS = np.sqrt(3.0) * LEVEL_DEVIATION  # outer nodes of the Gauss-Hermite rule
 CACHED_TRANSFERS = 48
+FEATHER_LEVELS = 1.0  # levels, beyond a layer's own, over which the captured picture fades into the blurred draft
+BORDER_SHARE = 0.2  # width of the frame's rim that fades into the draft, relative to the kernel's reach
 
 
 @dataclass(frozen=True)
@@ -86,6 +89,43 @@ def _occurring(position: Float32Array) -> tuple[int, ...]:
         np.append(weight, 0.0) + np.bincount(low.ravel() + 1, part.ravel(), minlength=len(weight) + 1) / position.size
     )
     return tuple(int(node) for node in np.flatnonzero(weight >= min(RARE_SHARE, weight.max())))
+
+
+def padded(stack: Float32Array, shape: Shape) -> Float32Array:
+    """A stack [channel, h, w] padded to ``shape``, periodic without steps."""
+    return np.stack([fourier.pad_blended(plane, shape) for plane in stack])
+
+
+def by_tiles(
+    channels: int, shape: tuple[int, ...], tiles: Sequence[Tile], work: Callable[[Tile], Float32Array]
+) -> Float32Array:
+    """A picture [channel, h, w] whose tiles are the results of ``work``, two at a time."""
+    result = np.empty((channels, *shape), np.float32)
+    with ThreadPoolExecutor(fourier.WORKERS) as pool:
+        for tile, part in zip(tiles, pool.map(work, tiles), strict=True):
+            result[:, *tile.core] = part
+    return result
+
+
+def own_share(position: Float32Array, tile: Tile, node: int, reach_px: int) -> Float32Array:
+    """Weight of the captured picture against the blurred draft at a level, 0..1, in a tile's box [h, w].
+
+    ``position`` [h, w] is that of the frame, ``reach_px`` half the side of the level's kernel.
+    """
+    near = np.clip(1 - (np.abs(position[tile.box] - node) - 1) / FEATHER_LEVELS, 0, 1).astype(np.float32)
+    return near * _inside_frame(tile.box, position.shape, BORDER_SHARE * reach_px)
+
+
+def _inside_frame(box: tuple[slice, slice], frame: tuple[int, ...], ramp_px: float) -> Float32Array:
+    """1 in a box [h, w], falling to 0 over ``ramp_px`` towards the frame's border.
+
+    Near the border, the blur mixes in light from outside the frame, which no periodic continuation contains.
+    """
+    sides = []
+    for part, size in zip(box, frame, strict=True):
+        index = np.arange(part.start, part.stop)
+        sides.append(np.clip((np.minimum(index, size - 1 - index) + 0.5) / max(ramp_px, 0.5), 0, 1))
+    return np.outer(*sides).astype(np.float32)
 
 
 def transfers(kernels: NDArray, nodes: list[int]) -> tuple[Transfers, list[int]]:

@@ -6,8 +6,7 @@ it, and each level is deconvolved only in tiles where it occurs.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 
@@ -22,17 +21,16 @@ from recon.sharp.layers import Tile
 
 Phases = Sequence[tuple[int, int] | None]
 
-FEATHER_LEVELS = 1.0  # levels, beyond a layer's own, over which the captured picture fades into the blurred draft
 GUIDE_WINDOW_PX = 5.0  # sigma of the window in which the guide's gradients are fitted to a channel's
 GUIDE_FLOOR = 1e-3  # regularisation of that fit, relative to the mean gradient energy
 CLIPPED_NEAR_PX = 3.0
 SUFFICIENT_PX = 2000.0  # pixels of a level at which its own gradients and the frame's mean have equal weight
-BORDER_SHARE = 0.2  # width of the frame's rim that fades into the draft, relative to the kernel's reach
 DRAFT_PRIOR = 2.0  # factor on the measured beta of the draft
 INTERPOLATED_WEIGHT = 0.25  # weight of the data without phases, where one pixel in four is a sample
 COLOURS, INFRARED = slice(0, 3), slice(3, 4)
-PLAIN_PASSES = ((COLOURS, None),)
-PASSES = ((INFRARED, None), (COLOURS, INFRARED), (COLOURS, COLOURS))  # channels of a pass, and channels of its guide
+Passes = Sequence[tuple[slice, slice | None]]  # channels of a pass, and channels of its guide
+PLAIN_PASSES: Passes = ((COLOURS, None),)
+PASSES: Passes = ((INFRARED, None), (COLOURS, INFRARED), (COLOURS, COLOURS))
 
 
 @dataclass(frozen=True)
@@ -67,18 +65,18 @@ def sharpen(
     *,
     steps: int,
     strength: float,
-    guided: bool,
+    passes: Passes = PASSES,
     focus: int = 0,
 ) -> Float32Array:
-    """All-in-focus colours without infrared, [h, w, 3] electrons.
+    """All-in-focus channels without infrared, [4, h, w] electrons.
 
     Each pixel is interpolated between the two nearest deconvolved levels, eq. (17).
 
     Deviations from the paper: infrared is removed first, since the kernel of a mixed channel holds for one reflectance
     only. The level map is the regularised one with fractions instead of the raw one, which avoids seams. Pixels at
     other levels are replaced beforehand by a draft blurred to the layer's level, because each deconvolution assumes
-    uniform blur. With ``guided``, the prior of the colours expects the gradients of the sharp infrared picture, scaled
-    to each colour, and in a second pass those of the mean of the sharp colours.
+    uniform blur. With a guide, the prior of the colours expects the gradients of the sharp infrared picture, scaled to
+    each colour, and in a last pass those of the mean of the sharp colours.
 
     Args:
         stack: linear R, G, B without infrared, and IR, [4, h, w] electrons.
@@ -89,7 +87,8 @@ def sharpen(
             with others. Only samples count as data; the pixels between them have interpolation errors.
         steps: iterations of half-quadratic splitting.
         strength: weight of the data in eq. (15); 1 is that of the noise.
-        guided: whether the prior expects the gradients of a guide.
+        passes: channels of each pass, and channels of the guide whose gradients its prior expects. Channels of no pass
+            are 0.
         focus: index of the kernels in focus; those before it are behind the focus.
     """
     nodes = layers.levels_of_nodes(len(kernels), focus)
@@ -99,13 +98,13 @@ def sharpen(
     noise = np.maximum(np.asarray(noise_e, np.float32), np.float32(1e-3))
     frame = Frame(stack, _draft(stack, tiles, transfers, noise), noise, position, transfers, reach_px)
     sharp = np.zeros_like(stack)
-    for part, guide_part in PASSES if guided else PLAIN_PASSES:
+    for part, guide_part in passes:
         guide = None if guide_part is None else (sharp[guide_part] / noise[guide_part, None, None]).mean(axis=0)
         kappa = _prior_weights(frame.draft[part], noise[part], position, len(nodes)) / strength
         part_phases = None if phases is None or None in phases[part] else phases[part]
         work = partial(_deconvolve_tile, frame, Pass(part, kappa, steps, guide, part_phases))
-        sharp[part] = np.maximum(_by_tiles(len(stack[part]), position.shape, tiles, work), 0)
-    return np.ascontiguousarray(np.moveaxis(sharp[COLOURS], 0, -1))
+        sharp[part] = np.maximum(layers.by_tiles(len(stack[part]), position.shape, tiles, work), 0)
+    return sharp
 
 
 def visible_kernels(kernels: NDArray, signature: NDArray, separation: NDArray) -> Float32Array:
@@ -134,18 +133,13 @@ def ramp_around(mask: NDArray) -> Float32Array:
     return np.clip(distance / CLIPPED_NEAR_PX - 1, 0, 1).astype(np.float32)
 
 
-def _padded(stack: Float32Array, shape: layers.Shape) -> Float32Array:
-    """A stack [channel, h, w] padded to ``shape``, periodic without steps."""
-    return np.stack([fourier.pad_blended(plane, shape) for plane in stack])
-
-
 def _draft(stack: Float32Array, tiles: list[Tile], transfers: layers.Transfers, noise: Float32Array) -> Float32Array:
     """All-in-focus estimate with the quadratic prior of eq. (10), in closed form, [channel, h, w]."""
     steps = 0.5 * (np.mean(np.diff(stack, axis=1) ** 2, (1, 2)) + np.mean(np.diff(stack, axis=2) ** 2, (1, 2)))
     beta = DRAFT_PRIOR * noise**2 / np.maximum(steps, 1e-3 * noise**2)
 
     def work(tile: Tile) -> Float32Array:
-        spectrum = fourier.forward(_padded(stack[:, *tile.box], tile.shape), 1)
+        spectrum = fourier.forward(layers.padded(stack[:, *tile.box], tile.shape), 1)
         total = np.zeros((len(stack), *tile.position.shape), np.float32)
         for index, node in enumerate(tile.nodes):
             transfer, _ = transfers(node, tile.shape)
@@ -153,18 +147,7 @@ def _draft(stack: Float32Array, tiles: list[Tile], transfers: layers.Transfers, 
             total += tile.share(index) * sharp[:, *tile.inner]
         return total
 
-    return np.maximum(_by_tiles(len(stack), stack.shape[1:], tiles, work), 0)
-
-
-def _by_tiles(
-    channels: int, shape: tuple[int, ...], tiles: list[Tile], work: Callable[[Tile], Float32Array]
-) -> Float32Array:
-    """A picture [channel, h, w] whose tiles are the results of ``work``, two at a time."""
-    result = np.empty((channels, *shape), np.float32)
-    with ThreadPoolExecutor(fourier.WORKERS) as pool:
-        for tile, part in zip(tiles, pool.map(work, tiles), strict=True):
-            result[:, *tile.core] = part
-    return result
+    return np.maximum(layers.by_tiles(len(stack), stack.shape[1:], tiles, work), 0)
 
 
 def _prior_weights(draft: Float32Array, noise: Float32Array, position: Float32Array, nodes: int) -> Float32Array:
@@ -191,8 +174,8 @@ def _deconvolve_tile(frame: Frame, task: Pass, tile: Tile) -> Float32Array:
     unit = frame.noise[task.part, None, None]
     picture, draft = (image[task.part, *tile.box] / unit for image in (frame.stack, frame.draft))
     gradients = np.asarray(sum(np.mean(np.diff(draft, axis=axis) ** 2, axis=(1, 2)) for axis in (1, 2)))
-    spectrum = fourier.forward(_padded(draft, tile.shape), 1)
-    guide = None if task.guide is None else _padded(task.guide[None, *tile.box], tile.shape)
+    spectrum = fourier.forward(layers.padded(draft, tile.shape), 1)
+    guide = None if task.guide is None else layers.padded(task.guide[None, *tile.box], tile.shape)
     guide_spectrum = None if guide is None else fourier.forward(guide, 1)
     phases = None if task.phases is None else _phases_in_box(task.phases, tile.box)
     total = np.zeros((len(unit), *tile.position.shape), np.float32)
@@ -200,7 +183,8 @@ def _deconvolve_tile(frame: Frame, task: Pass, tile: Tile) -> Float32Array:
         transfers, variances = frame.transfers(node, tile.shape)
         transfer, variance = transfers[task.part], variances[task.part]
         blurred_draft = fourier.inverse(spectrum * transfer, tile.shape, 1)
-        uniform = _padded(_uniform(picture, blurred_draft, _captured_share(frame, tile, node)), tile.shape)
+        own = layers.own_share(frame.position, tile, node, frame.reach_px[node])
+        uniform = layers.padded(_uniform(picture, blurred_draft, own), tile.shape)
         expected = None
         if guide is not None and guide_spectrum is not None:
             expected = _expected_gradients(uniform, guide, fourier.inverse(guide_spectrum * transfer, tile.shape, 1))
@@ -209,12 +193,6 @@ def _deconvolve_tile(frame: Frame, task: Pass, tile: Tile) -> Float32Array:
         sharp = _deconvolve_level(uniform, transfer, prior, task.steps, phases, trust)
         total += tile.share(index) * sharp[:, *tile.inner]
     return total * unit
-
-
-def _captured_share(frame: Frame, tile: Tile, node: int) -> Float32Array:
-    """Weight of the captured picture against the blurred draft at a level, 0..1, in a tile's box [h, w]."""
-    near = np.clip(1 - (np.abs(frame.position[tile.box] - node) - 1) / FEATHER_LEVELS, 0, 1).astype(np.float32)
-    return near * _inside_frame(tile.box, frame.position.shape, BORDER_SHARE * frame.reach_px[node])
 
 
 def _uniform(picture: Float32Array, blurred_draft: Float32Array, near: Float32Array) -> Float32Array:
@@ -245,18 +223,6 @@ def _deconvolve_level(
 def _phases_in_box(phases: Phases, box: tuple[slice, slice]) -> list[tuple[int, int]]:
     """Positions (row, column) of each channel's first sample in a box, from those in the frame."""
     return [((p[0] - box[0].start) % 2, (p[1] - box[1].start) % 2) for p in phases if p is not None]
-
-
-def _inside_frame(box: tuple[slice, slice], frame: tuple[int, ...], ramp_px: float) -> Float32Array:
-    """1 in a box [h, w], falling to 0 over ``ramp_px`` towards the frame's border.
-
-    Near the border, the blur mixes in light from outside the frame, which no periodic continuation contains.
-    """
-    sides = []
-    for part, size in zip(box, frame, strict=True):
-        index = np.arange(part.start, part.stop)
-        sides.append(np.clip((np.minimum(index, size - 1 - index) + 0.5) / max(ramp_px, 0.5), 0, 1))
-    return np.outer(*sides).astype(np.float32)
 
 
 def _expected_gradients(

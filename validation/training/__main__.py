@@ -1,4 +1,6 @@
-"""Train the network of the preset ``best``: ``python -m validation.training examples DIR``, then ``fit DIR``."""
+"""Train the networks of the preset ``best``: ``python -m validation.training examples levels DIR``, then ``fit levels
+DIR`` for the depth estimate; the same with ``pictures`` for the all-in-focus picture.
+"""
 
 from __future__ import annotations
 
@@ -9,51 +11,64 @@ from typing import Any
 
 import numpy as np
 
-from recon.depth.surface_net import FILE
-from validation.training.examples import CONDITIONS, PARTS, make
+from recon.depth import surface_net
+from recon.sharp import restoration
+from validation.training import level_examples, picture_examples
+from validation.training.files import PARTS, families, make
 
-EPOCHS, HELD_OUT = 12, 20  # passes; examples of each family that the loss is measured with
+EPOCHS = {"levels": 12, "pictures": 18}  # passes over the examples
+HELD_OUT = {"levels": 20, "pictures": 12}  # examples of each family that the loss is measured with
+FILES = {"levels": surface_net.FILE, "pictures": restoration.FILE}
+READERS = {"levels": "recon.depth.surface_net", "pictures": "recon.sharp.restoration"}
+MAKERS = {
+    "levels": (level_examples.example, level_examples.CONDITIONS),
+    "pictures": (picture_examples.example, picture_examples.CONDITIONS),
+}
 
 
 def main() -> None:
-    """Make examples, or fit the network to those in a folder and write its arrays."""
+    """Make examples, or fit a network to those in a folder and write its arrays."""
     parser = argparse.ArgumentParser(prog="python -m validation.training", description=__doc__)
     steps = parser.add_subparsers(dest="step", required=True)
     examples = steps.add_parser("examples", help="make examples; several processes may each make a part")
+    examples.add_argument("network", choices=FILES)
     examples.add_argument("folder", type=Path)
     examples.add_argument("--part", type=int, choices=range(PARTS), help="one part alone; default all")
-    fitting = steps.add_parser("fit", help="fit the network; needs the extra 'learn'")
+    fitting = steps.add_parser("fit", help="fit a network; needs the extra 'learn'")
+    fitting.add_argument("network", choices=FILES)
     fitting.add_argument("folder", type=Path)
-    fitting.add_argument("--epochs", type=int, default=EPOCHS)
-    fitting.add_argument("--out", type=Path, default=Path(FILE))
+    fitting.add_argument("--epochs", type=int)
+    fitting.add_argument("--out", type=Path)
     options = parser.parse_args()
     if options.step == "examples":
         for part in range(PARTS) if options.part is None else [options.part]:
-            make(options.folder, part, progress=_show)
+            make(options.folder, *MAKERS[options.network], part, progress=_show)
     else:
-        _fit(options.folder, options.epochs, options.out)
+        network = options.network
+        _fit(network, options.folder, options.epochs or EPOCHS[network], options.out or Path(FILES[network]))
 
 
 def _show(_: str, share: float) -> None:
     print(f"\r{share:4.0%}", end="", file=sys.stderr)
 
 
-def _fit(folder: Path, epochs: int, out: Path) -> None:
-    from validation.training import fit  # PyTorch is of an extra
+def _fit(network: str, folder: Path, epochs: int, out: Path) -> None:
+    from validation.training import fit_levels, fit_pictures  # PyTorch is of an extra
 
-    families = [
-        sorted(folder.glob(f"{name}-*[0-9].npz"), key=lambda file: int(file.stem.split("-")[1])) for name in CONDITIONS
-    ]
-    train = fit.load([file for files in families for file in files[HELD_OUT:]])
-    held_out = fit.load([file for files in families for file in files[:HELD_OUT]])
+    trainer: Any = {"levels": fit_levels, "pictures": fit_pictures}[network]
+    _, conditions = MAKERS[network]
+    held = HELD_OUT[network]
+    train = trainer.load([file for files in families(folder, conditions) for file in files[held:]])
+    held_out = trainer.load([file for files in families(folder, conditions) for file in files[:held]])
 
-    def report(epoch: int, loss: float, net: fit.Net) -> None:
-        print(f"pass {epoch + 1} of {epochs}: loss {loss:.3f}, held out {fit.mean_loss(net, held_out):.3f}", flush=True)
+    def report(epoch: int, loss: float, net: Any) -> None:
+        held_loss = trainer.mean_loss(net, held_out)
+        print(f"pass {epoch + 1} of {epochs}: loss {loss:.3f}, held out {held_loss:.3f}", flush=True)
 
-    net = fit.fit(train, epochs, report=report)
+    net = trainer.fit(train, epochs, report=report)
     about = (
-        "Own data of the project, under its licence: weights of recon.depth.surface_net, without unit, from "
-        f"{len(train.level)} examples of validation.training in {epochs} passes."
+        f"Own data of the project, under its licence: weights of {READERS[network]}, without unit, from "
+        f"{trainer.count(train)} examples of validation.training in {epochs} passes."
     )
     arrays: dict[str, Any] = net.arrays()
     np.savez(out, about=about, **arrays)

@@ -46,6 +46,13 @@ def optics(bank: PsfBank, light: int, alpha: FloatArray, height: int, width: int
     return Optics(np.ascontiguousarray(fft.rfft2(padded).real), white, alpha)
 
 
+def without_pixel(lens: Optics) -> Optics:
+    """Transfer functions of the lens alone; those of measured kernels contain the pixel's area, as rooms do."""
+    height, width = lens.transfer.shape[2], 2 * (lens.transfer.shape[3] - 1)
+    pixel = np.sinc(np.fft.fftfreq(height))[:, None] * np.sinc(np.fft.rfftfreq(width))
+    return lens._replace(transfer=(lens.transfer / pixel).astype(np.float32))
+
+
 def photographed(room: Room, lens: Optics, camera: Camera, green_e: float, time_s: float, seed: int) -> Capture:
     """A raw capture of a room with ``green_e`` electrons of white in green."""
     mean = _blurred(room, lens)

@@ -1,10 +1,8 @@
-"""The network in numpy: its convolution against direct sums, its changes of resolution, and what it must not break."""
+"""The network of levels in numpy: evidence that it follows, and levels that it must not give."""
 
 from __future__ import annotations
 
 import numpy as np
-import pytest
-from scipy import ndimage
 
 from recon.depth import evidence, surface_net
 
@@ -25,39 +23,6 @@ def posterior(inputs, last=28):
     net, (height, width, _) = surface_net.weights(), inputs.shape
     picture = np.tile(net["picture_mean"], (evidence.NODE * height, evidence.NODE * width, 1))
     return surface_net.posterior(inputs, picture, LEVELS, last)
-
-
-@pytest.mark.parametrize("dilation", [1, 3])
-def test_a_dilated_convolution_repeats_the_border(dilation):
-    random = np.random.default_rng(0)
-    image, kernel = random.normal(size=(9, 11, 2)), random.normal(size=(3, 3, 2, 4))
-    net = {"a": kernel.astype(np.float32), "a_bias": np.arange(4, dtype=np.float32)}
-    found = surface_net._convolved(image.astype(np.float32), net, "a", dilation)
-    spread = np.zeros((2 * dilation + 1, 2 * dilation + 1, 2, 4))
-    spread[::dilation, ::dilation] = kernel
-    for out in range(4):
-        expected = out + sum(
-            ndimage.correlate(image[..., part], spread[..., part, out], mode="nearest") for part in range(2)
-        )
-        np.testing.assert_allclose(found[..., out], expected, atol=1e-4)
-
-
-def test_strips_of_a_convolution_meet_without_a_seam(monkeypatch):
-    """Expectation: strips of one row give the same as the whole image."""
-    random = np.random.default_rng(1)
-    image = random.normal(size=(7, 6, 2)).astype(np.float32)
-    net = {"a": random.normal(size=(3, 3, 2, 3)).astype(np.float32), "a_bias": np.zeros(3, np.float32)}
-    whole = surface_net._convolved(image, net, "a", 2)
-    monkeypatch.setattr(surface_net, "STRIP", 1)
-    np.testing.assert_allclose(surface_net._convolved(image, net, "a", 2), whole, atol=1e-6)
-
-
-def test_spreading_undoes_gathering():
-    image = np.random.default_rng(2).normal(size=(6, 4, 3)).astype(np.float32)
-    gathered = surface_net._gathered(image)
-    assert gathered.shape == (3, 2, 12)
-    np.testing.assert_array_equal(np.sort(gathered[1, 1]), np.sort(image[2:4, 2:4].ravel()))
-    np.testing.assert_array_equal(surface_net._spread(gathered), image)
 
 
 def test_the_weights_state_their_source():

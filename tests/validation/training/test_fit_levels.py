@@ -8,7 +8,7 @@ import pytest
 from recon.depth import evidence, surface_net
 
 torch = pytest.importorskip("torch", reason="PyTorch is not installed; it comes with the extra 'learn'")
-from validation.training import fit  # noqa: E402 - needs PyTorch
+from validation.training import fit_levels  # noqa: E402 - needs PyTorch
 
 LEVELS = evidence.level_grid(28)
 INPUTS = evidence.SCORES * len(LEVELS) + evidence.SIGNALS
@@ -25,21 +25,21 @@ def made(count=16, shape=(6, 8)):
     samples = (count, evidence.NODE * shape[0], evidence.NODE * shape[1])
     picture = random.standard_normal((*samples, CHANNELS))
     truth = np.ones(samples) * level[:, None, None]
-    return fit.Examples(*(array.astype(np.float16) for array in (inputs, picture, truth)))
+    return fit_levels.Examples(*(array.astype(np.float16) for array in (inputs, picture, truth)))
 
 
 def test_prediction_and_training_compute_the_same(monkeypatch):
     torch.manual_seed(3)
     data = made(2)
     zeros, ones = (np.full(INPUTS, value, np.float32) for value in (0, 1))
-    net = fit.Net(zeros, ones, zeros[:CHANNELS], ones[:CHANNELS])
+    net = fit_levels.Net(zeros, ones, zeros[:CHANNELS], ones[:CHANNELS])
     arrays = {name: array.astype(np.float32) for name, array in net.arrays().items()}
     monkeypatch.setattr(surface_net, "weights", lambda: arrays)
     monkeypatch.setattr(surface_net, "SHARE", 1.0)
     inputs, picture = (part[0].astype(np.float32) for part in (data.inputs, data.picture))
     found = surface_net.posterior(inputs, picture, LEVELS, 28)
     with torch.no_grad():
-        logits = net(fit._tensor(data.inputs[:1]), fit._tensor(data.picture[:1]))
+        logits = net(fit_levels._tensor(data.inputs[:1]), fit_levels._tensor(data.picture[:1]))
     probability = torch.softmax(logits, 1)[0].numpy()
     level = np.tensordot(LEVELS, probability, (0, 0))
     np.testing.assert_allclose(found.level, level, atol=0.02)
@@ -49,7 +49,7 @@ def test_prediction_and_training_compute_the_same(monkeypatch):
 def test_training_lowers_the_loss():
     data = made()
     losses = []
-    fit.fit(data, 16, report=lambda epoch, loss, net: losses.append(fit.mean_loss(net, data)))
+    fit_levels.fit(data, 16, report=lambda epoch, loss, net: losses.append(fit_levels.mean_loss(net, data)))
     assert losses[-1] < 0.7 * losses[0]
 
 
@@ -59,4 +59,4 @@ def test_mirrors_and_turns_keep_pictures_and_levels_together():
     picture = torch.stack([torch.zeros_like(level), level], 1)
     for across, down, transpose in np.ndindex(2, 2, 2):
         turn = bool(across), bool(down), bool(transpose)
-        torch.testing.assert_close(fit._turned(picture, *turn)[:, 1], fit._turned(level, *turn))
+        torch.testing.assert_close(fit_levels._turned(picture, *turn)[:, 1], fit_levels._turned(level, *turn))

@@ -18,6 +18,7 @@ from torch.nn import functional
 
 from recon.depth.evidence import LAST, NODE, SCORES, SIGNALS, level_grid
 from recon.depth.surface_net import DILATIONS
+from validation.training.network import constant, constant_arrays, convolution, layer_arrays
 
 FINE, MIDDLE, WIDE = 24, 48, 80  # channels at samples, pairs of samples and nodes
 BATCH = 8
@@ -39,9 +40,14 @@ class Examples(NamedTuple):
 
 
 def load(files: Sequence[Path]) -> Examples:
-    """Examples of :mod:`validation.training.examples`."""
+    """Examples of :mod:`validation.training.level_examples`."""
     parts = [np.load(file, allow_pickle=False) for file in files]
     return Examples(*(np.stack([part[name] for part in parts]) for name in Examples._fields))
+
+
+def count(examples: Examples) -> int:
+    """Number of examples."""
+    return len(examples.level)
 
 
 class Net(nn.Module):
@@ -50,16 +56,16 @@ class Net(nn.Module):
     def __init__(self, mean: NDArray, sd: NDArray, picture_mean: NDArray, picture_sd: NDArray) -> None:
         super().__init__()
         levels = len(LEVELS)
-        self.mean, self.sd = _constant(mean), _constant(sd)
-        self.picture_mean, self.picture_sd = _constant(picture_mean), _constant(picture_sd)
-        layers = {"fine": _conv(len(picture_mean), FINE), "fine_in": _conv(FINE, FINE)}
-        layers |= {"middle": nn.Conv2d(4 * FINE, MIDDLE, 1), "middle_in": _conv(MIDDLE, MIDDLE)}
+        self.mean, self.sd = constant(mean), constant(sd)
+        self.picture_mean, self.picture_sd = constant(picture_mean), constant(picture_sd)
+        layers = {"fine": convolution(len(picture_mean), FINE), "fine_in": convolution(FINE, FINE)}
+        layers |= {"middle": nn.Conv2d(4 * FINE, MIDDLE, 1), "middle_in": convolution(MIDDLE, MIDDLE)}
         layers |= {"in": nn.Conv2d(len(mean), WIDE, 1), "picture_in": nn.Conv2d(4 * MIDDLE, WIDE, 1)}
         for index, dilation in enumerate(DILATIONS):
-            layers |= {f"a{index}": _conv(WIDE, WIDE, dilation), f"b{index}": nn.Conv2d(WIDE, WIDE, 1)}
+            layers |= {f"a{index}": convolution(WIDE, WIDE, dilation), f"b{index}": nn.Conv2d(WIDE, WIDE, 1)}
         layers |= {"middle_back": nn.Conv2d(WIDE, 4 * MIDDLE, 1), "fine_back": nn.Conv2d(MIDDLE, 4 * FINE, 1)}
         for name, channels in (("middle_out", MIDDLE), ("fine_out", FINE)):
-            layers |= {f"{name}_a": _conv(channels, channels), f"{name}_b": nn.Conv2d(channels, channels, 1)}
+            layers |= {f"{name}_a": convolution(channels, channels), f"{name}_b": nn.Conv2d(channels, channels, 1)}
         layers |= {"level": nn.Conv2d(WIDE, levels, 1), "sample": nn.Conv2d(FINE, levels, 1)}
         self.layers = nn.ModuleDict(layers)
         self.skip = nn.Conv2d(SCORES * levels, levels, 1, bias=False)
@@ -92,22 +98,9 @@ class Net(nn.Module):
 
     def arrays(self) -> dict[str, NDArray]:
         """The arrays that :mod:`recon.depth.surface_net` reads, float16 but for means and deviations."""
-        exact = {name: getattr(self, name).flatten() for name in ("mean", "sd", "picture_mean", "picture_sd")}
-        found = {"skip": self.skip.weight[..., 0, 0].T}
-        for name, layer in self.layers.items():
-            weight = layer.weight.permute(2, 3, 1, 0)
-            found |= {name: weight[0, 0] if weight.shape[:2] == (1, 1) else weight, f"{name}_bias": layer.bias}
-        arrays = {name: value.detach().numpy().astype(np.float16) for name, value in found.items()}
-        return arrays | {name: value.numpy().astype(np.float32) for name, value in exact.items()}
-
-
-def _conv(inputs: int, outputs: int, dilation: int = 1) -> nn.Conv2d:
-    """A 3 x 3 convolution that repeats the border."""
-    return nn.Conv2d(inputs, outputs, 3, dilation=dilation, padding=dilation, padding_mode="replicate")
-
-
-def _constant(values: NDArray) -> nn.Buffer:
-    return nn.Buffer(torch.tensor(values).view(1, -1, 1, 1))
+        exact = {name: getattr(self, name) for name in ("mean", "sd", "picture_mean", "picture_sd")}
+        skip = self.skip.weight[..., 0, 0].T.detach().numpy().astype(np.float16)
+        return {"skip": skip} | layer_arrays(self.layers) | constant_arrays(exact)
 
 
 def fit(

@@ -1,0 +1,145 @@
+"""The stage of the all-in-focus picture: its channels, its kernels, and where it fades to the captured picture.
+
+Tested in tests/recon/sharp/test_restoration.py.
+"""
+
+from __future__ import annotations
+
+from contextlib import nullcontext
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dasim.camera.specification import Camera
+from dasim.spectra.grid import CHANNELS
+from dasim.typing import BoolArray, Float32Array
+from dasim.values import PsfBank
+from recon.depth.peak import sd_of
+from recon.picture import develop, field, mosaic
+from recon.picture.field import Separation
+from recon.settings import Settings
+from recon.sharp import restoration, sharpen
+
+INTERPOLATED_NOISE_SHARE = 0.7  # noise after interpolation relative to the sensor's, standard deviations
+GRAINY_LEVEL = 3.0  # level from which on eq. (15) is solved for the picture without noise reduction alone
+DRAFT_PASSES = sharpen.PASSES[:2]  # that the network starts from: colours guided by infrared
+CERTAIN = 0.05  # confidence below which the solution of eq. (15) fades to the captured picture
+
+
+class Frame(NamedTuple):
+    """A captured frame and its levels."""
+
+    raw_e: Float32Array  # [h, w] linear mosaic with the lens shading corrected, electrons
+    linear_e: Float32Array  # [h, w, 3] captured picture without infrared, its noise reduced
+    ir_e: Float32Array  # [h, w] captured infrared, likewise
+    clipped: BoolArray  # [h, w, 3] pixels near saturation
+    variances: dict[str, Float32Array]  # of each colour plane, [h/2, w/2]
+    level: Float32Array  # [h, w], negative behind the focus
+    confidence: Float32Array  # [h, w] of the level
+    separation: Separation
+    camera: Camera
+    white: NDArray  # electrons of a white point, [channel]
+
+
+def all_in_focus(frame: Frame, bank: PsfBank, light: str, settings: Settings) -> Float32Array:
+    """All-in-focus colours without infrared, [h, w, 3] electrons; ``bank`` has the infrared of the axis."""
+    on_axis = frame.separation.on_axis
+    measured, focus = of_both_sides(bank, light)
+    kernels = sharpen.visible_kernels(measured, frame.white, on_axis)
+    noise_e = sharpen.visible_noise(interpolated_noise_e(frame.variances), on_axis)
+    stack = channels(frame)
+    network = settings.sharpen_prior == "network"
+    seen_e = stack.copy() if network else stack
+    _soften_in_focus(stack, frame.linear_e, frame.ir_e, frame.level)
+    passes = DRAFT_PASSES if network else sharpen.PASSES if settings.sharpen_guide else sharpen.PLAIN_PASSES
+    sharp = deconvolved(stack, frame, kernels, noise_e, focus, settings, passes)
+    if network:
+        sharp_e = restoration.restored(seen(frame, seen_e, sharp, noise_e), mosaic.phases(frame.camera))
+        _fade_to_captured(sharp_e, frame)
+    else:
+        sharp_e = np.ascontiguousarray(np.moveaxis(sharp[sharpen.COLOURS], 0, -1))
+        _fade_to_captured(sharp_e, frame, np.clip(frame.confidence / CERTAIN, 0, 1))
+    return sharp_e
+
+
+def seen(frame: Frame, stack: Float32Array, draft: Float32Array, noise_e: NDArray) -> restoration.Picture:
+    """What the network sees of a frame, from its :func:`channels` and their deconvolution.
+
+    It was trained on deconvolutions of the channels as they are; near focus, those of channels with less noise are
+    better (0.1 to 0.5 dB below 3 px of blur).
+    """
+    on_axis = frame.separation.on_axis
+    white = np.append(on_axis @ frame.white, frame.white[3])
+    sparse = mosaic.grids(frame.camera)["R"][0].step == mosaic.PERIOD_PX
+    sd = sd_of(frame.confidence).astype(np.float32)
+    return restoration.Picture(stack, draft, frame.level, sd, noise_e, restoration.units(stack, white), sparse)
+
+
+def deconvolved(
+    stack: Float32Array,
+    frame: Frame,
+    kernels: Float32Array,
+    noise_e: NDArray,
+    focus: int,
+    settings: Settings,
+    passes: sharpen.Passes,
+) -> Float32Array:
+    """:func:`recon.sharp.sharpen.sharpen` of the channels of a frame by its levels, [4, h, w] electrons.
+
+    ``kernels`` [level, channel, size, size] are in focus at the index ``focus``.
+    """
+    return sharpen.sharpen(
+        stack, frame.level + np.float32(focus), kernels, noise_e, mosaic.sole_phases(frame.camera),
+        steps=settings.sharpen_steps, strength=settings.sharpen_strength, passes=passes, focus=focus,
+    )  # fmt: skip
+
+
+def of_both_sides(bank: PsfBank, light: str) -> tuple[Float32Array, int]:
+    """Kernels under a light from the last level behind the focus to the nearest, and the index of the focus."""
+    kernels = bank.kernel[bank.lights.index(light)]
+    if bank.behind is None:
+        return kernels, 0
+    behind = bank.behind.kernel[bank.lights.index(light)][:0:-1]
+    return np.concatenate([behind, kernels]), len(behind)
+
+
+def interpolated_noise_e(variances: dict[str, Float32Array]) -> NDArray:
+    """Standard deviation of the noise of R, G, B and IR after interpolation, frame mean, [channel] electrons."""
+    return INTERPOLATED_NOISE_SHARE * np.sqrt([variances[name].mean() for name in CHANNELS])
+
+
+def channels(frame: Frame) -> Float32Array:
+    """R, G, B without infrared, and infrared, of the mosaic without noise reduction, [4, h, w] electrons.
+
+    Deviation from Fig. 4: the deconvolution has a prior against noise of its own, and benefits from the texture that
+    nonlocal means remove with the noise (0.1 to 0.6 dB on the bundled scenes).
+    """
+    image = develop.demosaiced(frame.raw_e, frame.camera, frame.white, lambda name: nullcontext())
+    assert image.ir_e is not None  # check_fits requires infrared pixels
+    visible = develop.without_infrared(image, frame.separation, frame.clipped, frame.white)
+    infrared_e = field.infrared_as_on_axis(image.ir_e, frame.separation)
+    return np.concatenate([np.moveaxis(visible, -1, 0), infrared_e[None]])
+
+
+def _soften_in_focus(stack: Float32Array, linear_e: Float32Array, ir_e: Float32Array, level: Float32Array) -> None:
+    """Blend the picture without noise reduction, [4, h, w], with the denoised one near focus, in place.
+
+    In focus, noise reduction gives smaller errors than the prior of the deconvolution. The weight of the denoised
+    picture is 1 at level 0 and 0 from ``GRAINY_LEVEL`` on.
+    """
+    grain = np.clip(np.abs(level) / GRAINY_LEVEL, 0, 1)
+    for index, smooth_e in enumerate((*np.moveaxis(linear_e, -1, 0), ir_e)):
+        stack[index] = smooth_e + grain * (stack[index] - smooth_e)
+
+
+def _fade_to_captured(sharp_e: Float32Array, frame: Frame, certain: Float32Array | None = None) -> None:
+    """Fade the sharp picture [h, w, 3] to the captured one near clipped pixels, and where ``certain`` [h, w], 0..1, is
+    low, in place.
+    """
+    linear_e = frame.linear_e
+    unclipped = sharpen.ramp_around(frame.clipped[..., 0] | frame.clipped[..., 1] | frame.clipped[..., 2])
+    certain = unclipped if certain is None else certain * unclipped
+    sharp_e -= linear_e
+    sharp_e *= certain[..., None]
+    sharp_e += linear_e

@@ -1,0 +1,166 @@
+"""The all-in-focus picture by a convolutional network, from the captured picture and its deconvolution.
+
+Deconvolution with the kernel of an estimated level is right where the level is, and amplifies noise. The network sees
+the captured channels, infrared among them, which is sharper where blur is large, their deconvolution
+(:mod:`recon.sharp.sharpen`), the level and its standard deviation, and the noise, and adds to the deconvolution what it
+lacks, so that noise, false levels, steps of depth and the interpolation of the mosaic are treated together. It has
+learned from random rooms through layered lenses (:mod:`validation.training`), with levels as the preset ``best``
+estimates them; no bundled and no random scene of the simulator is among them. It needs numpy alone.
+
+It has the shape of a U-Net (Ronneberger, Fischer, Brox, MICCAI 2015) of three resolutions, 2, 4 and 8 pixels, of
+residual blocks h <- h + B relu(A * relu(h) + a) + b with 3 x 3 convolutions A. Electrons x enter and leave it
+compressed, asinh(10 x / x_1) / 3, with x_1 those of a bright white surface.
+
+Deviation from the paper: sec. 5.4 ends with the deconvolution.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cache, partial
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dasim.typing import Float32Array
+from recon import convolution
+from recon.convolution import Net, convolved, gathered, linear, relu, spread
+
+FILE = "restoration.npz"
+BLOCKS = {"fine": 1, "middle": 2, "coarse": 3, "middle_up": 1, "fine_up": 1}  # residual blocks on the way down and up
+COMPRESSION, RANGE = np.float32(10), np.float32(3)
+BRIGHT_PERCENTILE = 99.0
+LARGEST = np.float32(2.5)  # compressed value, about 90 times white; keeps the exponential finite
+LEAST_SD, LARGEST_SD = 0.05, 30.0  # levels
+MULTIPLE_PX = 8  # that the network's coarsest pixels span
+# Where blur is large the network hedges, and the mean with the draft is nearer to the truth, on rooms held out too.
+DRAFT_SHARE, DRAFT_LEVELS = 0.5, (2.0, 6.0)  # of the draft in the result, and the levels between which it rises to that
+BAND_PX, HALO_PX = 1024, 64  # rows that are restored at a time, and rows around them that the network sees
+
+
+class Picture(NamedTuple):
+    """What the network sees of a frame, whose block begins with green, red on its right or (4x4) infrared."""
+
+    stack: Float32Array  # linear R, G, B without infrared, and IR, [4, h, w] electrons
+    draft: Float32Array  # their deconvolution, [4, h, w]
+    level: Float32Array  # [h, w]
+    sd: Float32Array  # standard deviation of the level, [h, w]
+    noise_e: NDArray  # standard deviation of the noise of the channels, [4] electrons
+    unit_e: Float32Array  # electrons of bright white, [4]
+    sparse: bool  # whether the mosaic is the 4x4 block
+
+
+MAPS = ("stack", "draft", "level", "sd")  # of a picture, [..., h, w]
+
+
+@cache
+def weights() -> Net:
+    """Arrays of the network by name; ``about`` of the file says what they were trained with."""
+    return convolution.load("recon.sharp", FILE)
+
+
+def units(stack: Float32Array, white: NDArray) -> Float32Array:
+    """Electrons of bright white in a picture [channel, h, w], [channel]; ``white`` [channel] are those of any white."""
+    balanced = stack[:3, ::2, ::2] / np.asarray(white[:3], np.float32)[:, None, None]
+    bright = float(np.percentile(balanced.mean(axis=0), BRIGHT_PERCENTILE))
+    return np.asarray(white * max(bright, 1e-6), np.float32)
+
+
+def restored(picture: Picture, phases: dict[str, tuple[int, int]]) -> Float32Array:
+    """All-in-focus colours without infrared, [h, w, 3] electrons.
+
+    ``phases`` are the positions (row, column) of green, of red or infrared, and so on in the 2x2 block of the mosaic,
+    as :func:`recon.picture.mosaic.phases` gives them.
+    """
+    top, left = phases["G"]
+    after = phases["IR" if picture.sparse else "R"]
+    turned = ((after[0] - top) % 2, (after[1] - left) % 2) == (1, 0)
+    height, width = picture.level.shape
+    rows, columns = -(-(height + top) // 2) * 2, -(-(width + left) // 2) * 2
+
+    def there(image: Float32Array) -> Float32Array:
+        rim = ((top, rows - height - top), (left, columns - width - left))
+        wide = np.pad(image, (*[(0, 0)] * (image.ndim - 2), *rim), mode="reflect")
+        return wide.swapaxes(-2, -1) if turned else wide
+
+    sharp = _by_bands(_changed(picture, there))
+    if turned:
+        sharp = sharp.swapaxes(0, 1)
+    return np.ascontiguousarray(sharp[top : top + height, left : left + width])
+
+
+def _changed(picture: Picture, change: Callable[[Float32Array], Float32Array]) -> Picture:
+    """A picture with its ``MAPS`` changed."""
+    stack, draft, level, sd = (change(image) for image in (picture.stack, picture.draft, picture.level, picture.sd))
+    return picture._replace(stack=stack, draft=draft, level=level, sd=sd)
+
+
+def _by_bands(picture: Picture) -> Float32Array:
+    """:func:`restored` for an aligned picture, in bands of rows, which see ``HALO_PX`` rows around them."""
+    height, width = picture.level.shape
+    result = np.empty((height, width, 3), np.float32)
+    for top in range(0, height, BAND_PX):
+        end = min(top + BAND_PX, height)
+        first, last = max(top - HALO_PX, 0), min(end + HALO_PX, height)
+        rows = partial(_rows, first=first, last=last)
+        result[top:end] = _band(_changed(picture, rows))[top - first : end - first]
+    return result
+
+
+def _rows(image: Float32Array, first: int, last: int) -> Float32Array:
+    return image[..., first:last, :]
+
+
+def _band(picture: Picture) -> Float32Array:
+    """The sharp picture of a band of rows, [h, w, 3] electrons."""
+    height, width = picture.level.shape
+    base = compressed(np.moveaxis(picture.draft[:3] / picture.unit_e[:3, None, None], 0, -1))
+    inputs = inputs_of(picture)
+    across, down = (-(-n // MULTIPLE_PX) * MULTIPLE_PX - n for n in (width, height))
+    inputs = np.pad(inputs, ((0, down // 2), (0, across // 2), (0, 0)), mode="edge")
+    added = _network(inputs, weights())[:height, :width]
+    sharp = np.maximum(expanded(np.minimum(base + added, LARGEST)), 0) * picture.unit_e[:3]
+    share = (DRAFT_SHARE * np.interp(np.abs(picture.level), DRAFT_LEVELS, (0, 1))).astype(np.float32)
+    draft = np.maximum(np.moveaxis(picture.draft[:3], 0, -1), 0)
+    return np.asarray(sharp + share[..., None] * (draft - sharp), np.float32)
+
+
+def inputs_of(picture: Picture) -> Float32Array:
+    """What the network sees per 2x2 block, [h/2, w/2, input]."""
+    unit = picture.unit_e[:, None, None]
+    parts = [gathered(compressed(np.moveaxis(part / unit, 0, -1))) for part in (picture.stack, picture.draft)]
+    sd = np.clip(picture.sd, 0, LARGEST_SD)
+    maps = np.stack([np.log1p(np.abs(picture.level)), np.log(LEAST_SD + sd)], axis=-1)
+    height, width, _ = parts[0].shape
+    of_blocks = gathered(maps.astype(np.float32)).reshape(height, width, 2, 4).mean(axis=-1)
+    frame = np.append(np.log(picture.noise_e / picture.unit_e), float(picture.sparse)).astype(np.float32)
+    return np.concatenate([*parts, of_blocks, np.broadcast_to(frame, (height, width, len(frame)))], axis=-1)
+
+
+def compressed(relative: Float32Array) -> Float32Array:
+    """asinh(10 x) / 3 of electrons relative to bright white: linear in the dark, logarithmic in the bright."""
+    return np.asarray(np.arcsinh(COMPRESSION * relative) / RANGE, np.float32)
+
+
+def expanded(values: Float32Array) -> Float32Array:
+    """Inverse of :func:`compressed`."""
+    return np.asarray(np.sinh(RANGE * values) / COMPRESSION, np.float32)
+
+
+def _network(inputs: Float32Array, net: Net) -> Float32Array:
+    """What the network adds to the compressed draft, [2 h, 2 w, 3], from inputs per block, [h, w, input]."""
+    fine = _blocks(convolved((inputs - net["mean"]) / net["sd"], net, "in"), net, "fine")
+    middle = _blocks(linear(gathered(relu(fine.copy())), net, "down1"), net, "middle")
+    coarse = _blocks(linear(gathered(relu(middle.copy())), net, "down2"), net, "coarse")
+    middle = _blocks(spread(linear(relu(coarse), net, "up2")) + middle, net, "middle_up")
+    fine = _blocks(spread(linear(relu(middle), net, "up1")) + fine, net, "fine_up")
+    return spread(convolved(relu(fine), net, "out"))
+
+
+def _blocks(image: Float32Array, net: Net, name: str) -> Float32Array:
+    """The residual blocks of one resolution, in place."""
+    for index in range(BLOCKS[name]):
+        inner = convolved(relu(image.copy()), net, f"{name}{index}_a")
+        image += linear(relu(inner), net, f"{name}{index}_b")
+    return image

@@ -1,0 +1,132 @@
+"""The network of the all-in-focus picture: photographs that it has not seen, mosaics in any position, bands of rows."""
+
+from __future__ import annotations
+
+import dataclasses
+from functools import cache
+
+import numpy as np
+import pytest
+
+import recon
+from dasim.camera import noise as sensor
+from dasim.camera import specification
+from dasim.camera.crosstalk import electronic_crosstalk
+from dasim.values import Capture
+from recon.settings import PRESETS
+from recon.sharp import restoration
+from tests.support import recon_scenes
+
+RIM_PX = 16
+PEAK_DB = 20 * np.log10(4000)
+
+
+def exact(scene):
+    """True colours without infrared, [h, w, 3] electrons."""
+    alpha = specification.crosstalk(scene.capture.camera)
+    return np.maximum(scene.sharp_e[..., :3] - alpha * scene.sharp_e[..., 3:], 0)
+
+
+def gains(scene, result):
+    """DB per colour."""
+    inner, truth = (slice(RIM_PX, -RIM_PX),) * 2, exact(scene)
+    errors = [np.mean((image - truth)[inner] ** 2, axis=(0, 1)) for image in (result.linear_e, result.sharp_e)]
+    return 10 * np.log10(errors[0] / errors[1])
+
+
+@cache
+def scene(level=4.0, photo="astronaut", white_e=4000.0):
+    return recon_scenes.make(np.full((160, 192), level), photo=photo, white_e=white_e)
+
+
+def test_the_weights_state_their_source():
+    from importlib.resources import files
+
+    with np.load(files("recon.sharp").joinpath(restoration.FILE), allow_pickle=False) as stored:
+        assert "Own data of the project" in str(stored["about"])
+
+
+def test_compression_is_undone():
+    electrons = np.linspace(-0.5, 20, 99, dtype=np.float32)
+    np.testing.assert_allclose(restoration.expanded(restoration.compressed(electrons)), electrons, rtol=1e-4, atol=1e-6)
+
+
+@pytest.mark.parametrize("photo", ["astronaut", "coffee", "chelsea"])
+@pytest.mark.parametrize(("level", "gain"), [(0.0, 0.0), (4.0, 1.0), (12.0, 2.5)])
+def test_photographs_gain(photo, level, gain):
+    """Set-up: photographs at one level, which a network of random rooms has never seen; the level is estimated.
+    Expectation: every colour gains, in focus, where noise and the interpolation of the mosaic are all there is to
+    mend, at 7 px and at 20 px of blur.
+    """
+    there = scene(level, photo)
+    assert gains(there, recon.reconstruct(there.capture, recon_scenes.bank())).min() > gain
+
+
+def test_less_noise_never_costs_quality():
+    """Set-up: the same photograph with 6,000 electrons of white, and with 100 times as many in a sensor that holds
+    them. Expectation: relative to white, the all-in-focus picture is nearer to the truth with less noise.
+    """
+    errors = []
+    for well in (1, 100):
+        there = scene(4.0)
+        camera = there.capture.camera
+        larger = camera.sensor.model_copy(update={"full_well_e": 6000.0 * well, "adc_bits": 16})
+        camera = camera.model_copy(update={"sensor": larger})
+        mean_e = well * electronic_crosstalk(sensor.mosaic(there.mean_e.astype(float), camera), camera)
+        raw, _ = sensor.expose(mean_e, camera.sensor, 0.02, 1)
+        result = recon.reconstruct(Capture(raw, camera, 0.02, 1.0, 1), recon_scenes.bank())
+        inner = (slice(RIM_PX, -RIM_PX),) * 2
+        errors.append(np.mean((result.sharp_e / well - exact(there))[inner] ** 2))
+    assert errors[1] < errors[0]
+
+
+def aligned():
+    """What the network sees of a capture."""
+    there = scene()
+    seen = []
+    original = restoration.restored
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(restoration, "restored", lambda *call: (seen.append(call), original(*call))[1])
+        recon.reconstruct(there.capture, recon_scenes.bank())
+    return seen[0]
+
+
+def test_bands_of_rows_meet_without_a_seam(monkeypatch):
+    """Expectation: the same picture, bit for bit up to rounding, since bands see as far as the network does."""
+    picture, phases = aligned()
+    whole = restoration.restored(picture, phases)
+    monkeypatch.setattr(restoration, "BAND_PX", 32)
+    np.testing.assert_allclose(restoration.restored(picture, phases), whole, rtol=1e-4, atol=1e-2)
+
+
+@pytest.mark.parametrize("turned", [False, True])
+@pytest.mark.parametrize("shift", [(0, 1), (1, 0), (1, 1)])
+def test_the_mosaic_may_begin_with_any_pixel(shift, turned):
+    """Set-up: rows or columns of a frame cut off, so that its block begins with another pixel, and its mirror image
+    about the diagonal. Expectation: the same picture away from the border.
+    """
+    picture, phases = aligned()
+    whole = restoration.restored(picture, phases)
+    top, left = shift
+    maps = {name: getattr(picture, name)[..., top:, left:] for name in restoration.MAPS}
+    moved = {name: ((y - top) % 2, (x - left) % 2) for name, (y, x) in phases.items()}
+    if turned:
+        maps = {name: image.swapaxes(-2, -1) for name, image in maps.items()}
+        moved = {name: (x, y) for name, (y, x) in moved.items()}
+    found = restoration.restored(picture._replace(**maps), moved)
+    found = found.swapaxes(0, 1) if turned else found
+    inner = (slice(64, -64),) * 2
+    np.testing.assert_allclose(found[inner], whole[top:, left:][inner], rtol=1e-3, atol=0.5)
+
+
+def test_the_prior_of_gradients_is_a_setting():
+    """Expectation: of the settings, the prior alone decides which picture is made."""
+    there = scene()
+    settings = PRESETS["best"].model_copy(update={"sharpen_prior": "gradients"})
+    by_gradients, by_network = (
+        recon.reconstruct(there.capture, recon_scenes.bank(), one) for one in (settings, PRESETS["best"])
+    )
+    np.testing.assert_array_equal(by_gradients.level, by_network.level)
+    np.testing.assert_array_equal(by_gradients.linear_e, by_network.linear_e)
+    assert np.abs(by_gradients.sharp_e - by_network.sharp_e).max() > 1
+    assert dataclasses.replace(by_network).settings["sharpen_prior"] == "network"

@@ -1,0 +1,42 @@
+"""Layers of networks in numpy: the convolution against direct sums, and changes of resolution."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy import ndimage
+
+from recon import convolution
+
+
+@pytest.mark.parametrize("dilation", [1, 3])
+def test_a_dilated_convolution_repeats_the_border(dilation):
+    random = np.random.default_rng(0)
+    image, kernel = random.normal(size=(9, 11, 2)), random.normal(size=(3, 3, 2, 4))
+    net = {"a": kernel.astype(np.float32), "a_bias": np.arange(4, dtype=np.float32)}
+    found = convolution.convolved(image.astype(np.float32), net, "a", dilation)
+    spread = np.zeros((2 * dilation + 1, 2 * dilation + 1, 2, 4))
+    spread[::dilation, ::dilation] = kernel
+    for out in range(4):
+        expected = out + sum(
+            ndimage.correlate(image[..., part], spread[..., part, out], mode="nearest") for part in range(2)
+        )
+        np.testing.assert_allclose(found[..., out], expected, atol=1e-4)
+
+
+def test_strips_of_a_convolution_meet_without_a_seam(monkeypatch):
+    """Expectation: strips of one row give the same as the whole image."""
+    random = np.random.default_rng(1)
+    image = random.normal(size=(7, 6, 2)).astype(np.float32)
+    net = {"a": random.normal(size=(3, 3, 2, 3)).astype(np.float32), "a_bias": np.zeros(3, np.float32)}
+    whole = convolution.convolved(image, net, "a", 2)
+    monkeypatch.setattr(convolution, "STRIP", 1)
+    np.testing.assert_allclose(convolution.convolved(image, net, "a", 2), whole, atol=1e-6)
+
+
+def test_spreading_undoes_gathering():
+    image = np.random.default_rng(2).normal(size=(6, 4, 3)).astype(np.float32)
+    gathered = convolution.gathered(image)
+    assert gathered.shape == (3, 2, 12)
+    np.testing.assert_array_equal(np.sort(gathered[1, 1]), np.sort(image[2:4, 2:4].ravel()))
+    np.testing.assert_array_equal(convolution.spread(gathered), image)

@@ -1,0 +1,52 @@
+"""Examples of the training for all-in-focus pictures: what the network sees, and the picture in focus."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from validation.training import captures, files, layered, picture_examples
+
+MAPS = {"stack": 4, "draft": 4, "truth": 3}
+
+
+@pytest.mark.slow
+def test_an_example_is_a_capture_with_its_picture_in_focus(tmp_path):
+    """Expectation: a second run gives the same file; the draft is nearer to the truth than the capture is, in linear
+    light, over both families; the levels with mistakes are others.
+    """
+    files.make(tmp_path, picture_examples.example, picture_examples.CONDITIONS, 0, count=1)
+    errors = []
+    for file in (tmp_path / "textured-0.npz", tmp_path / "plain-0.npz"):
+        with np.load(file) as stored:
+            example = dict(stored)
+        for name, channels in MAPS.items():
+            assert example[name].shape == (channels, 288, 384)
+            assert np.isfinite(example[name].astype(float)).all()
+        for name in ("level", "mistaken_level", "sd", "clipped"):
+            assert example[name].shape == (288, 384)
+        assert np.abs(example["mistaken_level"] - example["level"]).max() > 0
+        counts = ~example["clipped"]
+        truth = example["truth"].astype(float)
+        errors.append([np.mean((example[name][:3] - truth)[:, counts] ** 2) for name in ("stack", "draft")])
+    captured, draft = np.sum(errors, axis=0)
+    assert draft < captured
+    before = (tmp_path / "textured-0.npz").read_bytes()
+    (tmp_path / "textured-0.npz").unlink()
+    files.make(tmp_path, picture_examples.example, picture_examples.CONDITIONS, 0, count=1)
+    assert (tmp_path / "textured-0.npz").read_bytes() == before
+
+
+@pytest.mark.slow
+def test_a_room_in_focus_is_its_own_truth():
+    """Set-up: a room at level 0 without noise. Expectation: the layered picture equals the picture in focus."""
+    setup = captures.setups()[0]
+    random = np.random.default_rng(3)
+    conditions = picture_examples.CONDITIONS["plain"]
+    shot = captures.drawn(random, "plain", conditions, (1.0, 0.0, 0.0, 0.0), [setup] * 3)
+    shot = shot._replace(scene=shot.scene._replace(level=np.zeros_like(shot.scene.level)))
+    lens = layered.without_pixel(setup.lenses[0])
+    truth = picture_examples.in_focus(shot, lens, 1000.0)
+    mean = layered._blurred(shot.scene, lens)[:3, layered.MARGIN : -layered.MARGIN, layered.MARGIN : -layered.MARGIN]
+    visible = (lens.white[:3] - lens.leak * lens.white[3])[:, None, None] * mean
+    np.testing.assert_allclose(1000 * visible, truth, rtol=1e-3, atol=0.5)
