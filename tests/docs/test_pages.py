@@ -13,7 +13,7 @@ import pytest
 
 from dasim.dataset.specification import DatasetSpec
 from dasim.scene.specification import Scene
-from tests.support.pages import DOCS, ROOT, blocks, pages
+from tests.support.pages import DOCS, ROOT, blocks, pages, script
 from validation.studies.sweep.specification import StudySpec
 
 DEADLINE_S = 600.0
@@ -69,14 +69,15 @@ def test_toml_of_the_guides_is_accepted(name, model):
 
 @pytest.mark.parametrize("name", NAMES)
 def test_links_lead_to_pages_that_exist_or_are_made(name):
-    """Expectation: a link is a web address, a file, or a page of the reference, which is made."""
+    """Expectation: a link is a web address, a file, a page of the reference, which is made, or a figure that is."""
     page = ROOT / name
     text = re.sub(r"```.*?```", "", page.read_text(encoding="utf-8"), flags=re.DOTALL)
     for address in re.findall(r"\]\(([^)#]+)[^)]*\)", text):
         if re.match(r"[a-z]+:", address):
             continue
         target = (page.parent / address).resolve()
-        made = target.is_relative_to(DOCS / "reference") or target.is_relative_to(DOCS / "notebooks")
+        figure = target.parent == DOCS / "how" and target.stem in script("figures").FIGURES
+        made = target.is_relative_to(DOCS / "reference") or figure
         assert target.exists() or made, f"{name}: {address}"
 
 

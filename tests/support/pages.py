@@ -12,6 +12,8 @@ ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
 FENCE = re.compile(r"(?:<!-- (run(?: slow)?) -->\n)?^( *)```(\w*)\n(.*?)^\2```", flags=re.MULTILINE | re.DOTALL)
 
+INCLUDED = re.compile(r'^--8<-- "(.+)"\n', flags=re.MULTILINE)
+
 
 class Block(NamedTuple):
     """A block of code: its mark (run, run slow or none), its language and its text."""
@@ -27,9 +29,14 @@ def pages() -> list[Path]:
 
 
 def blocks(page: Path) -> list[Block]:
-    """The blocks of a page in order."""
-    text = page.read_text(encoding="utf-8")
+    """The blocks of a page in order, with the files that they include."""
+    text = INCLUDED.sub(lambda m: example(m[1]).read_text(encoding="utf-8"), page.read_text(encoding="utf-8"))
     return [Block(m[1] or "", m[3], re.sub(f"(?m)^{m[2]}", "", m[4])) for m in FENCE.finditer(text)]
+
+
+def example(name: str) -> Path:
+    """A file of the examples that a page includes."""
+    return next(path for path in (ROOT / "examples" / name, ROOT / "examples" / "ci" / name) if path.is_file())
 
 
 def script(name: str) -> ModuleType:
