@@ -791,7 +791,7 @@ def test_view_writes_a_page(shop, tmp_path, capfd):
     assert '"f_number":2.8' in alone and '"mosaic":null' in alone
     assert run([*arguments, "--capture", str(shop / "shot")]) == 0
     whole = out.read_text(encoding="utf-8")
-    assert '"e_per_dn"' in whole and '"truth"' in whole
+    assert '"e_per_dn"' in whole and '"true_depth"' in whole
     assert [file.name for file in tmp_path.iterdir()] == ["view.html"]
 
 

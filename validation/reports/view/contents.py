@@ -17,6 +17,7 @@ from dasim.values import Capture, Developed, PsfBank, Reconstruction, Truth
 from recon.depth.peak import REFERENCE_ERROR
 from recon.files.reconstruction import grey
 from recon.levels import dioptres_per_level
+from recon.settings import Settings, preset_name
 from recon.views.surface import JUMP_SHARE, distortion_per_px, intrinsic_matrix
 from validation.reports.view.focal_stack import Slice
 from validation.reports.view.packing import lossless, packed_map
@@ -77,7 +78,7 @@ def of_reconstruction(
         exposed |= {name: image for name, image in pictures.displayed(result, truth).items() if name in TRUTHS}
     labels = {"captured": "Captured", "all-in-focus": "All in focus"} | TRUTHS
     maps = {"depth": _vergence(result.depth_m), "confidence": packed_map(result.confidence)}
-    facts = {"Light, by white balance": result.light, "Depth by": result.method or f"score {result.settings['score']}"}
+    facts = {"Light, by white balance": result.light, "Depth by": result.method or _made(result.settings)}
     return replace(
         shown,
         title=f"Reconstruction: {shown.title}",
@@ -113,6 +114,12 @@ def of_capture(capture: Capture, developed: Developed, truth: Truth | None) -> C
     )
 
 
+def _made(settings: dict[str, Any]) -> str:
+    """Preset of the settings of a reconstruction, or its score where they are no preset's."""
+    preset = preset_name(Settings.model_validate(settings))
+    return f"preset {preset}" if preset else f"score {settings.get('score', 'unknown')}"
+
+
 def check_same(result: Reconstruction, capture: Capture, where: str) -> None:
     """Raise InputError if a capture cannot be the one that was reconstructed."""
     if capture.camera != result.camera:
@@ -139,7 +146,7 @@ def _of_camera(camera: Camera, capture: Capture | None, truth: Truth | None) -> 
         title=str(name or camera.name),
         camera=camera,
         facts=facts,
-        maps={} if truth is None else {"truth": _vergence(truth.depth_m)},
+        maps={} if truth is None else {"true_depth": _vergence(truth.depth_m)},
         mosaic=None if capture is None else _mosaic(capture),
     )
 

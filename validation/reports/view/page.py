@@ -10,6 +10,7 @@ import jinja2
 import numpy as np
 
 from dasim.base.errors import InputError
+from dasim.camera.specification import Camera
 from dasim.files.captures import load_capture, load_truth
 from dasim.typing import Progress
 from dasim.values import Capture, PsfBank, Reconstruction, Truth
@@ -19,7 +20,7 @@ from validation.reports.view.contents import Contents, check_same, of_capture, o
 from validation.reports.view.focal_stack import focal_stack
 from validation.reports.view.packing import lossy
 
-MOST_BYTES = 15_000_000  # of a page
+MOST_BYTES, AT_PIXELS = 15_000_000, 768 * 576  # largest page of frames up to this size; larger in proportion beyond
 QUALITIES = (92, 85, 75)  # of WebP, the first that the page has room for
 PARTS = Path(__file__).parent / "parts"
 SCRIPTS = ("codec.js", "painter.js", "solid.js", "maps.js", "app.js")  # in this order
@@ -72,8 +73,17 @@ def capture_beside(reconstruction: Path, result: Reconstruction) -> Path | None:
     return folder
 
 
-def page(contents: Contents, most_bytes: int = MOST_BYTES) -> str:
-    """The page in the best quality that fits; raises InputError if none does."""
+def most_bytes_of(camera: Camera) -> int:
+    """Largest size of a page in bytes."""
+    return int(MOST_BYTES * max(1.0, camera.sensor.width_px * camera.sensor.height_px / AT_PIXELS))
+
+
+def page(contents: Contents, most_bytes: int | None = None) -> str:
+    """The page in the best quality that fits; raises InputError if none does.
+
+    ``most_bytes`` is that of the frame by default.
+    """
+    most_bytes = most_bytes_of(contents.camera) if most_bytes is None else most_bytes
     size = 0
     for quality in QUALITIES:
         text = _page(contents, quality)

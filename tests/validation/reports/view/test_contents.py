@@ -26,10 +26,16 @@ def values(packed):
     return packed["low"] + (numbers - 1) * packed["step"]
 
 
+def test_names_of_pictures_and_maps_differ(shown):
+    """Rationale: menus of the page list both."""
+    names = [p.id for p in shown.pictures] + [*shown.maps, "sd", "error", "refocused"]
+    assert len(set(names)) == len(names)
+
+
 def test_maps_hold_depth_and_confidence(shown):
     example = viewed.example()
     assert 1 / values(shown.maps["depth"]) == pytest.approx(example.result.depth_m, rel=1e-4)
-    assert 1 / values(shown.maps["truth"]) == pytest.approx(example.truth.depth_m, rel=1e-4)
+    assert 1 / values(shown.maps["true_depth"]) == pytest.approx(example.truth.depth_m, rel=1e-4)
     assert values(shown.maps["confidence"]) == pytest.approx(example.result.confidence, abs=1e-5)
 
 
@@ -64,7 +70,7 @@ def test_capture_alone():
     shown = contents.of_capture(example.capture, develop(example.capture), example.truth)
     assert [p.id for p in shown.pictures] == ["captured", "truth"]
     assert [p.id for p in shown.channels] == ["R", "G", "B", "IR"]
-    assert set(shown.maps) == {"truth"} and not shown.stack and shown.sd is None
+    assert set(shown.maps) == {"true_depth"} and not shown.stack and shown.sd is None
     assert contents.of_capture(example.capture, develop(example.capture), None).maps == {}
 
 

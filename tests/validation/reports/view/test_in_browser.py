@@ -5,6 +5,7 @@ Exercises ``validation.reports.view.page`` and the scripts in its ``parts``. Ski
 
 from __future__ import annotations
 
+import base64
 import re
 
 import cv2
@@ -15,8 +16,11 @@ import recon
 from recon.files.reconstruction import displayed
 from tests.support import devtools, viewed
 from validation.reports.view import page as pages
+from validation.reports.view.packing import lossy
+from validation.scores.pictures import displayed as shown_pictures
 
 PAINTED_DB = 35.0  # of a painted slice against what was computed: WebP, nothing else
+DECODED_DB = 45.0  # of one WebP file decoded by two libraries
 DEPTH_CM = 0.006  # the probe has two decimals
 READY = "document.body.dataset.ready === 'yes'"
 SHOWN = "document.getElementById('stage').dataset.shown"
@@ -160,13 +164,17 @@ def test_split_view_has_both_pictures(page):
     page.drag((x, y), at(page, 71.5, 36))
     assert page.run("document.getElementById('split').value") == "75"
     choose(page, "left", "truth")
+    choose(page, "split", 100)
     page.until(f"{SHOWN} === 'truth | all-in-focus'")
+    stored = lossy(shown_pictures(example.result, example.truth)["truth"], pages.QUALITIES[0])
+    truth = cv2.imdecode(np.frombuffer(base64.b64decode(stored), np.uint8), cv2.IMREAD_COLOR)
+    assert cv2.PSNR(page.canvas("#stage"), truth) > DECODED_DB
 
 
 def test_all_maps_and_channels_are_shown(page):
     enter(page, "depth")
     seen = []
-    for name in ("depth", "truth", "confidence", "sd", "error"):
+    for name in ("depth", "true_depth", "confidence", "sd", "error"):
         choose(page, "map", name)
         page.until(f"{SHOWN} === '{name}'")
         seen.append(page.canvas("#stage").tobytes())

@@ -74,7 +74,8 @@ def test_size_is_limited(text):
     example = viewed.example()
     contents = of_reconstruction(example.result, example.bank, [], example.capture, example.truth)
     best, low = len(pages.page(contents).encode()), len(pages._page(contents, pages.QUALITIES[-1]).encode())
-    assert low < best <= pages.MOST_BYTES
+    assert low < best <= pages.MOST_BYTES == pages.most_bytes_of(example.result.camera)
+    assert pages.most_bytes_of(recon_scenes.da_mobile(1536, 1152)) == 4 * pages.MOST_BYTES
     assert len(pages.page(contents, low).encode()) == low
     with pytest.raises(InputError, match=r"MB, more than .*--slices"):
         pages.page(contents, low - 1)
@@ -96,4 +97,4 @@ def test_capture_beside_a_reconstruction(tmp_path):
 def test_page_of_a_capture():
     example = viewed.example()
     data = data_of(pages.capture_page(example.capture, example.truth))
-    assert data["stack"] == [] and set(data["maps"]) == {"truth"} and data["mosaic"]
+    assert data["stack"] == [] and set(data["maps"]) == {"true_depth"} and data["mosaic"]

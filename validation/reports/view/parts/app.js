@@ -16,7 +16,7 @@ const state = {
   mode: "", aperture: 0, wanted: 1, split: 0.5, left: "captured", right: "all-in-focus", map: "", channel: "", shown: "tinted",
   point: [width >> 1, height >> 1], view: { zoom: 1, x: 0.5, y: 0.5 }, turned: { ...TURNED }, least: 0.05,
 };
-const numbers = {};  // decoded: depth, truth (dioptres), confidence, raw
+const numbers = {};  // decoded: depth, true_depth (dioptres), confidence, raw
 
 // --- painting --------------------------------------------------------------------------------------
 
@@ -132,12 +132,12 @@ function showFocus() {
 
 const derived = remembered(3, (name) => ({
   sd: () => numbers.depth.map((near, i) => sdMetres(i) * 100),
-  error: () => numbers.depth.map((near, i) => 100 / near - 100 / numbers.truth[i]),
+  error: () => numbers.depth.map((near, i) => 100 / near - 100 / numbers.true_depth[i]),
 }[name]()));
 const sdLevels = (i) => data.sd.at_half * Math.sqrt(1 / numbers.confidence[i] - 1);
 const sdMetres = (i) => sdLevels(i) * data.sd.dioptres_per_level / numbers.depth[i] ** 2;
 const range = remembered(6, (key) => {
-  const both = ["depth", "truth"].filter((name) => numbers[name]);
+  const both = ["depth", "true_depth"].filter((name) => numbers[name]);
   if (key !== "depth") return quantile(key === "sd" ? derived("sd") : derived("error").map(Math.abs), 0.95);
   return { low: Math.min(...both.map((name) => quantile(numbers[name], 0.005))),
     high: Math.max(...both.map((name) => quantile(numbers[name], 0.995))) };
@@ -145,10 +145,10 @@ const range = remembered(6, (key) => {
 const asDepth = () => ({ ...range("depth"), colours: VIRIDIS, label: (near) => centimetres(1 / near) });
 const MAPS = {};
 function listMaps() {
-  const { depth, truth, confidence } = numbers;
+  const { depth, true_depth: truth, confidence } = numbers;
   if (depth) MAPS.depth = { label: "Estimated depth", values: () => depth, scale: asDepth,
     hint: "Colours are even in dioptres, in which blur is linear." };
-  if (truth) MAPS.truth = { label: "True depth", values: () => truth, scale: asDepth,
+  if (truth) MAPS.true_depth = { label: "True depth", values: () => truth, scale: asDepth,
     hint: "Colours are even in dioptres. Grey: nothing is there." };
   if (depth && confidence) {
     MAPS.confidence = { label: "Confidence", values: () => confidence,
@@ -177,7 +177,7 @@ function probed([x, y]) {
     const sd = sdMetres(i) * 100;
     said.push(["Depth", `${(100 / near).toFixed(2)} ± ${digits(sd, sd)} cm`], ["Confidence", numbers.confidence[i].toFixed(3)]);
   }
-  if (numbers.truth) said.push(["True depth", numbers.truth[i] > 0 ? `${(100 / numbers.truth[i]).toFixed(2)} cm` : "nothing there"]);
+  if (numbers.true_depth) said.push(["True depth", numbers.true_depth[i] > 0 ? `${(100 / numbers.true_depth[i]).toFixed(2)} cm` : "nothing there"]);
   if (numbers.raw) {
     const { pattern, black_dn: black, e_per_dn: each, full_dn: full } = data.mosaic, dn = numbers.raw[i];
     const electrons = `${((dn - black) * each).toFixed(0)} e⁻`;
@@ -335,7 +335,7 @@ function controls() {
   fill($("left"), both, state.left);
   fill($("right"), both, state.right);
   fill($("map"), maps, state.map = maps[0]?.[0] ?? "");
-  const depths = maps.filter(([id]) => id === "depth" || id === "truth");
+  const depths = maps.filter(([id]) => id === "depth" || id === "true_depth");
   fill($("solid-depth"), depths, depths[0]?.[0]);
   fill($("solid-picture"), kinds, state.right === "depth" ? "captured" : state.right);
   if (data.mosaic) {
