@@ -41,7 +41,7 @@ class Outcome:
     index: int
     error: str | None = None  # one line; None after success
     fatal: bool = False  # every other index would fail for the same reason
-    final: bool = False  # the executor has already repeated the work: the caller need not
+    final: bool = False  # another try would end in the same way, or the executor has made them already
     seconds: float = 0.0
     render_s: float = 0.0  # of ``seconds``, in the renderer
     peak_mb: float = 0.0  # peak memory of the process since its start

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from dasim.base import atomic
 from dasim.dataset.sample import BLUR_EDGES_PX, DEPTH_EDGES_M
 
 
@@ -45,4 +46,5 @@ def plot(rows: list[dict[str, Any]], file: Path, title: str) -> None:
     axes[3].set(xlabel="samples by illuminant")
     axes[3].tick_params(axis="y", labelsize=7)
     figure.suptitle(f"{title}: {len(rows)} samples")
-    figure.savefig(file)
+    with atomic.writing(file) as stream:
+        figure.savefig(stream, format=file.suffix[1:].lower())

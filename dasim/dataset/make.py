@@ -67,14 +67,22 @@ def make(
         log: file that gets one line per sample.
         show: function that is called after each sample.
 
-    Raises InputError if files cannot be written.
+    Raises InputError if files cannot be written, or if another process is making one of the shards.
     """
+    numbers = range(len(plan.shards(job.spec)))[shard[0] - 1 :: shard[1]]
     try:
-        return _make(job, executor, shard, retry, log, show)
+        with storage.claimed(job.out, plan.CLAIMS, numbers) as free:
+            if not free:
+                raise InputError(
+                    f"{job.out}: another run is making the same samples; wait for its end, or give each run its own "
+                    "part with --shard K/N"
+                )
+            try:
+                return _make(job, executor, shard, retry, log, show)
+            finally:
+                storage.sweep(job.out)
     except OSError as error:
         raise InputError(f"{job.out}: {describe_error(error)}; {RESUME}") from None
-    finally:
-        storage.sweep(job.out)
 
 
 def _make(
@@ -135,6 +143,8 @@ def _make(
             show(progress)
     if closed_shards(job.out) >= {group.name for group in every}:
         card.finish(job.out, job.spec, failures(job.out))
+    if storage.exists(job.out, plan.SUMS):  # finished by another run, which may have removed less than is there now
+        card.tidy(job.out)
     return progress
 
 

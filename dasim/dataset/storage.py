@@ -6,10 +6,11 @@ Tested in tests/dasim/dataset/test_make.py and tests/dasim/dataset/test_s3.py.
 from __future__ import annotations
 
 import errno
+import fcntl
 import os
 import shutil
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from functools import lru_cache, wraps
 from pathlib import Path
 from typing import IO, Any, Concatenate, ParamSpec, TypeVar
@@ -19,6 +20,8 @@ import fsspec
 from dasim.base import atomic
 from dasim.base.atomic import PARTIAL
 from dasim.base.errors import InputError
+
+REMOVALS = 20  # tries to remove a folder that other runs change
 
 
 def _file_system(out: str) -> tuple[Any, str]:
@@ -132,14 +135,49 @@ def remove(out: str, name: str) -> None:
     """Remove a file, or a folder with its content, if it exists."""
     fs, root = _file_system(out)
     path = f"{root}/{name}"
-    with suppress(FileNotFoundError):  # another run may remove it too
-        fs.rm(path, recursive=True)
+    for _ in range(REMOVALS):
+        try:
+            fs.rm(path, recursive=True)
+            return
+        except FileNotFoundError:  # another run may remove it too
+            if not fs.exists(path):
+                return
+        except OSError as error:
+            if error.errno not in (errno.ENOTEMPTY, errno.EEXIST):  # a file appeared meanwhile
+                raise
 
 
 def sweep(out: str) -> None:
     """Remove unfinished files in a folder of this computer whose writer has ended."""
     if is_local(out):
         atomic.sweep(local_path(out))
+
+
+@contextmanager
+def claimed(out: str, name: str, places: Sequence[int]) -> Iterator[bool]:
+    """Claim numbered places of a folder of this computer against all other processes, through locks of a file.
+
+    The operating system releases them when the process ends, however it ends. Yields False where another process has
+    one of them, and True without locks where the file system has none or ``out`` is a remote store.
+
+    Args:
+        out: the dataset.
+        name: file whose bytes are locked; it is made, and nothing else may open, remove or replace it.
+        places: numbers from 0, in ascending order.
+    """
+    if not is_local(out):
+        yield True
+        return
+    path = local_path(out) / name
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with path.open("ab") as file:
+        free = True
+        try:
+            for place in places:
+                fcntl.lockf(file, fcntl.LOCK_EX | fcntl.LOCK_NB, 1, place)
+        except OSError as error:
+            free = error.errno not in (errno.EACCES, errno.EAGAIN)
+        yield free
 
 
 def free_bytes(out: str) -> int | None:

@@ -10,9 +10,10 @@ import shutil
 import sys
 import tempfile
 
-from dasim.base.errors import describe_error
+from dasim.base.errors import InputError, describe_error
 from dasim.base.executors import Outcome
 from dasim.dataset import sample, storage
+from dasim.dataset.plan import SUMS
 from dasim.dataset.sample import Job
 
 SCRATCH_BYTES = 200e6  # most space in the temporary folder that writing a sample needs
@@ -32,13 +33,18 @@ def work(job: Job, index: int) -> Outcome:
             keys = ", ".join(key for key in here if here[key] != job.environment.get(key))
             return Outcome(index, f"this worker has another {keys} than the dataset: pixels would differ", True)
         result = sample.make(job.spec, index, job.environment["variant"])
+    except InputError as error:  # the same at every try
+        return Outcome(index, describe_error(error), final=True)
     except Exception as error:
         if shutil.disk_usage(tempfile.gettempdir()).free < SCRATCH_BYTES:
             return Outcome(index, f"the temporary folder {tempfile.gettempdir()} is full", fatal=True)
         return Outcome(index, describe_error(error))
     try:
         members = {**result.files, sample.ROW: sample.json_bytes(result.row)}
-        storage.write(job.out, PART.format(sample.key(index)), sample.pack(members))
+        part = PART.format(sample.key(index))
+        storage.write(job.out, part, sample.pack(members))
+        if storage.exists(job.out, SUMS):  # its run was killed, and another finished the dataset meanwhile
+            storage.remove(job.out, part)
     except Exception as error:  # stores raise errors of their own types
         return Outcome(index, f"cannot be written: {describe_error(error)}", fatal=True)
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / (1e6 if sys.platform == "darwin" else 1e3)
