@@ -128,7 +128,8 @@ def _bundled(name: str) -> Surface:
 # --- specifications in scenes --------------------------------------------------------------------
 
 
-Repeat = Annotated[float, Field(gt=0, le=1000)]
+MOST_REPEATS = 1000
+Repeat = Annotated[float, Field(gt=0, le=MOST_REPEATS)]
 Roughness = Annotated[float, Field(ge=0, le=1, description="GGX alpha; 0 is perfectly smooth")]
 
 

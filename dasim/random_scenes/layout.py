@@ -85,6 +85,18 @@ class Room(NamedTuple):
         return np.asarray(1 / np.max([ray @ normal / distance for normal, distance in self.planes()], axis=0))
 
 
+def is_clear(space: Room, radius: float, gap: float) -> bool:
+    """Whether floor and walls keep a ``gap`` to the lens opening, a disc of ``radius`` at the origin; centimetres.
+
+    The rim comes as near to a plane as the radius times the sine of the angle between its normal and the optical axis.
+    """
+    forward = space.frame.forward()
+    return all(
+        distance - radius * np.sqrt(max(1 - float(normal @ forward) ** 2, 0.0)) > gap
+        for normal, distance in space.planes()
+    )
+
+
 def room(random: Random, half_width: float, half_height: float, near: float, far: float, *, corner: bool) -> Room:
     """Draw a room with one wall, or two that meet in a ``corner``; its visible part lies between ``near`` and ``far``.
 

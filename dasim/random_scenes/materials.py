@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from dasim.materials.library import (
+    MOST_REPEATS,
     Blend,
     Coating,
     GlassBody,
@@ -135,14 +136,14 @@ def background(
     """Draw the material of a floor or wall.
 
     With the probability ``textured`` it is a blend of two materials of ``names`` by a structure that repeats ``copies``
-    times along a side, otherwise one of them alone.
+    times along a side, or as often as a texture can, otherwise one of them alone.
     """
     first, second = (str(name) for name in random.choice(names, 2, replace=False))
     image = str(random.choice(images.structures))
     stretch = float(np.exp(random.uniform(-0.3, 0.3)))
     if random.random() >= textured:
         return first
-    repeat = (_rounded(copies * stretch), _rounded(copies / stretch))
+    repeat = (_rounded(min(copies * stretch, MOST_REPEATS)), _rounded(min(copies / stretch, MOST_REPEATS)))
     return Blend(kind="blend", image=image, repeat=repeat, dark=first, bright=second)
 
 

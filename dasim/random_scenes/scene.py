@@ -31,10 +31,13 @@ from dasim.random_scenes.layout import Room
 from dasim.random_scenes.lights import lights
 from dasim.random_scenes.materials import Palette, Shares
 from dasim.random_scenes.specification import RandomScenes, load_random_scenes, own_meshes, own_pictures
+from dasim.scene.clearance import LENS_CLEARANCE_M
 from dasim.scene.specification import Scene
 from dasim.typing import FloatArray
 
 PREFIX = "random:"
+CLEARANCE = 1.001  # safety factor of the least gap to the lens, for positions that are rounded
+WIDENING, MOST_WIDENINGS = 1.25, 40  # factor of each step to a wider field of view
 PICTURE_PX = (512, 384)  # crop of da-mobile, the default camera, whose field of view positions objects
 
 
@@ -56,7 +59,7 @@ def random_scene(
     spec = spec or RandomScenes()
     meshes, pictures = own_meshes(spec), own_pictures(spec)
     focus_cm = _focus_cm(generator(seed, index, "focus"), spec)
-    space, kind = _room(generator(seed, index, "room"), spec, _field_of_view(camera, focus_cm))
+    space, kind = _clear_room(seed, index, spec, cameras.refocused(camera or _default_camera(), focus_cm * 1e-2))
     images = random_materials.palette(generator(seed, index, "palette"), pictures)
     materials: dict[str, Texture] = {}
     objects = _background(generator(seed, index, "background"), spec, space, images, materials)
@@ -132,13 +135,28 @@ def _default_camera() -> Camera:
     return cameras.cropped(cameras.load_camera("da-mobile"), *PICTURE_PX)
 
 
-def _field_of_view(camera: Camera | str | Path | None, focus_cm: float) -> tuple[float, float]:
-    """Tangents of half the width and height of the field of view at a focus distance, centred on the axis."""
-    camera = cameras.refocused(camera or _default_camera(), focus_cm * 1e-2)
+def _field_of_view(camera: Camera) -> tuple[float, float]:
+    """Tangents of half the width and height of the field of view, centred on the axis."""
     axis = np.array(cameras.principal_point(camera.sensor))
     pixels = np.maximum(axis, [camera.sensor.width_px, camera.sensor.height_px] - axis)
     half = pixels * camera.sensor.pixel_pitch_um * 1e-6 / geometry.image_distance_m(camera)
     return float(half[0]), float(half[1])
+
+
+def _clear_room(seed: int, index: int, spec: RandomScenes, camera: Camera) -> tuple[Room, str]:
+    """Draw a room for a focused camera, whose floor and walls do not touch its lens, and its kind.
+
+    In a very small field of view the floor would rise to the lens. The room is then drawn for a wider one, of which the
+    picture shows the middle.
+    """
+    width, height = _field_of_view(camera)
+    radius, gap = 50 * geometry.aperture_m(camera), CLEARANCE * 100 * LENS_CLEARANCE_M
+    for step in range(MOST_WIDENINGS):
+        wider = (width * WIDENING**step, height * WIDENING**step)
+        space, kind = _room(generator(seed, index, "room"), spec, wider)
+        if layout.is_clear(space, radius, gap):
+            break
+    return space, kind
 
 
 def _room(random: Random, spec: RandomScenes, field_of_view: tuple[float, float]) -> tuple[Room, str]:

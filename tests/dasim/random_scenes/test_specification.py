@@ -435,3 +435,14 @@ def test_a_rendered_sample_is_well_exposed(renderer):
     check_truth(shot.truth.depth_m, shot.truth.object_id, spec)
     assert shot.capture.provenance["saturated_pixels"] <= CLIPPED_SHARE * shot.capture.raw_dn.size
     assert np.median(shot.truth.mean_e, axis=(0, 1)).max() > 10 * NOISE_FLOOR_E
+
+
+@pytest.mark.parametrize("count", [2, pytest.param(1000, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("camera", ["da-mobile", "da-8mm"])
+@pytest.mark.parametrize("size", [(8, 8), (16, 12), (48, 36), (8, 200), (200, 8)])
+def test_frames_of_any_size_have_valid_scenes(size, camera, count):
+    """Expectation: textures repeat no more often than they can, and the floor does not touch the lens."""
+    view = cameras.cropped(cameras.load_camera(camera), *size)
+    for index in range(count):
+        scene = dasim.random_scene(1, index, camera=view)
+        scenes.check_clear(scene, geometry.aperture_m(dasim.focused(view, scene)) / 2)
