@@ -13,6 +13,7 @@ import cv2
 
 import dasim
 import recon
+from dasim.base import atomic
 from dasim.files.folders import new_folder
 from dasim.typing import Progress
 from recon.files.reconstruction import save_reconstruction
@@ -73,7 +74,8 @@ def run_demo(
         lap("score")
         progress("writing the report", 0.0)
         (folder / "report.html").write_text(demo_page(shot, result, entries, timings), encoding="utf-8")
-        cv2.imwrite(str(folder / "overview.jpg"), overview(shot, result), [cv2.IMWRITE_JPEG_QUALITY, 88])
+        _, picture = cv2.imencode(".jpg", overview(shot, result), [cv2.IMWRITE_JPEG_QUALITY, 88])
+        atomic.write(folder / "overview.jpg", picture.tobytes())
         lap("report")
         view = reconstruction_page(result, bank, shot.capture, shot.truth, progress=progress)
         (folder / "view.html").write_text(view, encoding="utf-8")

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import IO
 
 PARTIAL = ".partial"  # ending of temporary names
+TEMPORARY = (PARTIAL, ".old-")  # parts of the names of temporary files and folders
 ABANDONED_S = 24 * 3600.0  # age at which an unfinished file of another computer is considered abandoned
 
 
@@ -30,9 +31,10 @@ def writing(path: Path) -> Iterator[IO[bytes]]:
     path.parent.mkdir(parents=True, exist_ok=True)
     partial = path.with_name(f".{path.name}.{writer()}{PARTIAL}")
     try:
-        with partial.open("wb") as file:
-            yield file
-        partial.replace(path)
+        with _named(path):
+            with partial.open("wb") as file:
+                yield file
+            partial.replace(path)
     finally:
         partial.unlink(missing_ok=True)
 
@@ -48,16 +50,33 @@ def new_folder(path: Path) -> Iterator[Path]:
     temporary = Path(tempfile.mkdtemp(prefix=f".{path.name}.partial-", dir=path.parent))
     retired = temporary.with_name(temporary.name.replace("partial", "old"))
     try:
-        yield temporary
-        temporary.chmod(0o755)
-        if path.exists():
-            os.rename(path, retired)
-        os.rename(temporary, path)
+        with _named(path):
+            yield temporary
+            temporary.chmod(0o755)
+            if path.exists():
+                os.rename(path, retired)
+            os.rename(temporary, path)
         shutil.rmtree(retired, ignore_errors=True)
     finally:
         shutil.rmtree(temporary, ignore_errors=True)
         if retired.exists() and not path.exists():  # interrupted between the two renames
             os.rename(retired, path)
+
+
+@contextmanager
+def _named(path: Path) -> Iterator[None]:
+    """Give errors of writing the name of the output, where they have none or that of a temporary file.
+
+    A write to a full disk fails without a name, because the operating system knows the file by its number.
+    """
+    try:
+        yield
+    except OSError as error:
+        if error.filename is None and error.errno is not None:
+            error.filename = str(path)
+        elif isinstance(error.filename, str) and any(mark in error.filename for mark in TEMPORARY):
+            error.filename, error.filename2 = str(path), None
+        raise
 
 
 def writer() -> str:

@@ -8,6 +8,7 @@ from __future__ import annotations
 import os
 import signal
 import sys
+from contextlib import suppress
 from typing import Any
 
 import cyclopts
@@ -66,19 +67,29 @@ def main() -> None:
 def run(arguments: list[str]) -> int:
     """Run one command and return its exit status."""
     try:
-        return app(arguments, exit_on_error=False, print_error=False, result_action="return_value") or 0
+        status = app(arguments, exit_on_error=False, print_error=False, result_action="return_value") or 0
+        sys.stdout.flush()  # here, where a full disk can be reported
+        return status
     except InputError as error:
         return _refuse(str(error))
     except cyclopts.CycloptsError as error:
         return _refuse(" ".join(str(error).split()) + " (see 'dasim --help')")
     except BrokenPipeError:  # the reader of the output has closed it
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        _discard_output()
         return 128 + signal.SIGPIPE
     except OSError as error:
-        return _refuse(f"{error.filename or 'file'}: {error.strerror or error}")
+        if error.filename is None:
+            _discard_output()  # that could not be written
+        return _refuse(f"{error.filename or 'output'}: {error.strerror or error}")
     except KeyboardInterrupt:
         print("dasim: stopped; no incomplete output is left", file=sys.stderr)
         return _STOPPED
+
+
+def _discard_output() -> None:
+    """Let what is still to be printed go nowhere, so that the interpreter ends without a message of its own."""
+    with suppress(OSError, ValueError):  # a captured output has no number
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _refuse(message: str) -> int:

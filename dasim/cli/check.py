@@ -13,6 +13,7 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
+from dasim.base import atomic
 from dasim.base.errors import InputError
 from dasim.cli import options
 from dasim.cli.options import Out, Whole
@@ -125,7 +126,7 @@ def validate(
         print(f"{again} of {len(outcomes)} claims were taken from an earlier run; --fresh measures them again")
     if propose_gates is not None:
         figures = [(entry, outcome.seeds) for outcome in outcomes for entry in outcome.claims]
-        propose_gates.write_text(gate_file(figures), encoding="utf-8")
+        atomic.write(propose_gates, gate_file(figures))
         print(f"limits: {propose_gates}")
     differences = [] if earlier is None else changes(earlier, entries, set(names))
     if earlier is not None:

@@ -264,6 +264,7 @@ def lens(
         camera: a bundled name or a TOML file: stops, sensor and focus
     """
     import dasim
+    from dasim.base import atomic
     from dasim.base.toml import to_toml
 
     options.check_new_file(out, "--out")
@@ -272,7 +273,7 @@ def lens(
     data["stops"] = [
         stop.model_dump(mode="json", exclude_defaults=True) | {"shape": stop.shape} for stop in result.stops
     ]
-    out.write_text(f"# Lens of {prescription.name}\n{to_toml(data)}", encoding="utf-8")
+    atomic.write(out, f"# Lens of {prescription.name}\n{to_toml(data)}")
     print(dasim.describe(result))
     print(f"camera: {out}")
     return 0

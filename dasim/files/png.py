@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from dasim.base import atomic
 from dasim.base.errors import InputError
 
 
@@ -19,7 +20,7 @@ def write_png16(path: Path, image: NDArray[np.uint16]) -> None:
     success, data = cv2.imencode(".png", np.ascontiguousarray(image, dtype=np.uint16))
     if not success:
         raise OSError(f"{path}: the PNG encoder failed")
-    path.write_bytes(data.tobytes())
+    atomic.write(path, data.tobytes())
 
 
 def read_png16(path: Path) -> NDArray[np.uint16]:

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from dasim.base.errors import InputError
+from dasim.files.exr import write_exr
 from dasim.values import Truth
 
 _XYZ = ("X", "Y", "Z")
@@ -65,7 +66,7 @@ def write_truth(path: Path, truth: Truth, keep: Sequence[str] = TRUTH_PARTS, *, 
         parts.append(OpenEXR.Part(header, {key: np.ascontiguousarray(value) for key, value in channels.items()}))
     parts[0].header[CHANNEL_ORDER] = ",".join(truth.channels)
     parts[0].header[NAMES] = json.dumps({"objects": truth.objects, "materials": truth.materials})
-    OpenEXR.File(parts).write(str(path))
+    write_exr(path, parts)
 
 
 def read_truth(path: Path) -> Truth:

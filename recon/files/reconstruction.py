@@ -18,6 +18,7 @@ from dasim.base import atomic
 from dasim.base.errors import InputError
 from dasim.base.toml import parse
 from dasim.camera.specification import Camera
+from dasim.files.exr import write_exr
 from dasim.files.folders import new_folder, software_versions
 from dasim.spectra.colour import exposure_scale, to_srgb
 from dasim.values import Developed, Reconstruction
@@ -46,8 +47,6 @@ def save_reconstruction(path: Path, result: Reconstruction, extras: Sequence[str
     ``extras`` from ``EXTRAS`` adds ``anaglyph.png``, ``stereo.png`` (the left eye's picture on the left),
     ``surface.ply`` or ``surface.glb``, all from the all-in-focus picture.
     """
-    import OpenEXR
-
     parts = [_part("depth", {"Z": result.depth_m})]
     parts += [_part(name, {name: getattr(result, name)}) for name in _PLANES]
     parts += [_part(name, {c: getattr(result, name)[..., i] for i, c in enumerate(_RGB)}) for name in _COLOURS]
@@ -57,7 +56,7 @@ def save_reconstruction(path: Path, result: Reconstruction, extras: Sequence[str
         write_picture(folder / "rgb.png", result.rgb)
         write_picture(folder / "sharp.png", result.sharp_rgb)
         write_picture(folder / "ir.png", grey(result.ir_e))
-        OpenEXR.File(parts).write(str(folder / "recon.exr"))
+        write_exr(folder / "recon.exr", parts)
         _write_extras(folder, result, extras)
         (folder / "meta.json").write_text(json.dumps(about, indent=1) + "\n", encoding="utf-8")
 
@@ -79,8 +78,6 @@ def _write_extras(folder: Path, result: Reconstruction, extras: Sequence[str]) -
 
 def save_picture(path: Path, picture: Developed) -> None:
     """Write a developed picture without depth: ``rgb.png``, ``recon.exr`` and ``meta.json``."""
-    import OpenEXR
-
     colours = {"rgb": picture.rgb, "linear_e": picture.linear_e}
     parts = [_part(name, {c: image[..., i] for i, c in enumerate(_RGB)}) for name, image in colours.items()]
     if picture.ir_e is not None:
@@ -90,7 +87,7 @@ def save_picture(path: Path, picture: Developed) -> None:
         write_picture(folder / "rgb.png", picture.rgb)
         if picture.ir_e is not None:
             write_picture(folder / "ir.png", grey(picture.ir_e))
-        OpenEXR.File(parts).write(str(folder / "recon.exr"))
+        write_exr(folder / "recon.exr", parts)
         (folder / "meta.json").write_text(json.dumps(about, indent=1) + "\n", encoding="utf-8")
 
 

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from dasim.base import atomic
 from dasim.base.errors import InputError
 from dasim.camera.specification import Camera, principal_point
 from dasim.typing import FloatArray
@@ -144,5 +145,4 @@ def save_surface(path: Path, mesh: Surface) -> None:
         colours = mesh.picture[index[0], index[1]]
         body = trimesh.Trimesh(mesh.vertex_m, mesh.triangle, vertex_colors=colours, process=False)
     data = body.export(file_type=path.suffix.lower()[1:])
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_bytes(data)
+    atomic.write(path, data)

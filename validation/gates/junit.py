@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from xml.etree import ElementTree
 
+from dasim.base import atomic
 from validation.gates.outcome import Outcome
 
 
@@ -40,4 +41,5 @@ def write_junit(path: Path, outcomes: Sequence[Outcome], name: str) -> None:
                 reason = claim.source if outcome.not_run else f"reported, no limit: {claim.value:.6g} {claim.unit}"
                 ElementTree.SubElement(case, "skipped", message=reason)
     ElementTree.indent(root)
-    ElementTree.ElementTree(root).write(path, encoding="utf-8", xml_declaration=True)
+    with atomic.writing(path) as file:
+        ElementTree.ElementTree(root).write(file, encoding="utf-8", xml_declaration=True)

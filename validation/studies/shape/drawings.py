@@ -5,12 +5,12 @@ from __future__ import annotations
 import itertools
 from pathlib import Path
 
-import cv2
 import numpy as np
 
 from dasim.camera import stops
 from dasim.camera.geometry import aperture_m
 from dasim.camera.specification import Camera
+from dasim.files.png import write_png16
 from dasim.typing import FloatArray
 from validation.studies.shape import masks
 
@@ -25,7 +25,7 @@ def save_png(path: Path, amplitude: FloatArray) -> None:
     repeat = max(1, stops.MOST_MASK_CELLS // len(amplitude))
     picture = np.kron(masks.transmittance(amplitude), np.ones((repeat, repeat)))
     picture = np.where(masks.inside(len(picture)), picture, 0.0)
-    cv2.imwrite(str(path), np.rint(picture * 65535).astype(np.uint16))
+    write_png16(path, np.rint(picture * 65535).astype(np.uint16))
 
 
 def svg(camera: Camera, amplitude: FloatArray, title: str) -> str:
