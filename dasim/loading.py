@@ -12,7 +12,7 @@ from dasim.base.errors import InputError, kind_of
 from dasim.base.toml import parse
 from dasim.camera.specification import Camera, as_camera
 from dasim.random_scenes.scene import by_name, is_random
-from dasim.scene import specification, targets
+from dasim.scene import mitsuba_xml, specification, targets
 from dasim.scene.mitsuba_scene import MitsubaScene, is_mitsuba
 from dasim.scene.specification import Scene
 from dasim.spectra import illuminants
@@ -48,6 +48,9 @@ def load_scene(
         raise InputError(f"scene '{name_or_path}': no such file")
     data = {"name": path.stem, "file": path.resolve(), **choices}
     scene = parse(MitsubaScene, data, str(name_or_path))
+    mitsuba_xml.check(scene.file, str(name_or_path))
+    for name, value in scene.define.items():
+        mitsuba_xml.check_number(name, value, f"{name_or_path}: --define")
     illuminants.illuminant(scene.illuminant)
     return scene
 

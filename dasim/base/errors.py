@@ -3,6 +3,8 @@
 Tested in tests/dasim/base/test_loading.py.
 """
 
+LONGEST, LONGEST_VALUE = 6000, 60  # characters of a message, and of a value in it
+
 
 class InputError(ValueError):
     """The user's input is wrong; the message is one line: what, where, what is allowed.
@@ -12,7 +14,22 @@ class InputError(ValueError):
     """
 
     def __init__(self, message: str) -> None:
-        super().__init__(" ".join(message.split()))
+        super().__init__(one_line(message))
+
+
+def one_line(message: str) -> str:
+    """A message as one line that a terminal can show: control characters escaped, and cut in its middle if long."""
+    text = " ".join(message.split())
+    text = "".join(c if c.isprintable() else c.encode("unicode_escape", "backslashreplace").decode() for c in text)
+    if len(text) <= LONGEST:
+        return text
+    return f"{text[: LONGEST * 2 // 3]} ... {text[-LONGEST // 3 :]}"
+
+
+def shortened(value: object) -> str:
+    """A value for a message, at most ``LONGEST_VALUE`` characters."""
+    text = repr(value) if not isinstance(value, int) or abs(value) < 10**LONGEST_VALUE else "a longer number"
+    return text if len(text) <= LONGEST_VALUE else f"{text[: LONGEST_VALUE - 3]}..."
 
 
 def kind_of(value: object) -> str:
@@ -21,7 +38,7 @@ def kind_of(value: object) -> str:
         return "None"
     name = type(value).__name__
     if isinstance(value, (bool, int, float, str)):
-        return f"the {name} {value!r}"
+        return f"the {name} {shortened(value)}"
     return f"{'an' if name[0] in 'AEIOUaeiou' else 'a'} {name}"
 
 

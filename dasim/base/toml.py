@@ -6,19 +6,57 @@ Tested in tests/dasim/scene/test_specification.py and tests/dasim/camera/test_sp
 from __future__ import annotations
 
 import json
-import tomllib
+from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Annotated, Any, TypeVar, get_args, get_origin
 
-from pydantic import BaseModel, ConfigDict, ValidationError, ValidationInfo
+from pydantic import BaseModel, ConfigDict, ValidationError, ValidationInfo, model_validator
 
-from dasim.base.errors import InputError
+from dasim.base import untrusted
+from dasim.base.errors import InputError, shortened
 
 
 class Specification(BaseModel):
     """A frozen value that refuses unknown keys, NaN and infinity."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _numbers_are_numbers(cls, data: Any) -> Any:
+        """Refuse true, false and text where numbers are needed, which pydantic would convert."""
+        for name in data if isinstance(data, dict) else ():
+            leaves = _leaves_of(cls).get(name, frozenset())
+            if leaves and leaves <= {int, float, type(None)}:
+                _check_numbers(name, data[name])
+        return data
+
+
+@cache
+def _leaves_of(model: type[BaseModel]) -> dict[str, frozenset[Any]]:
+    """Types that the values of a model's fields are made of, by the name of the field."""
+    return {name: frozenset(_leaves(field.annotation)) for name, field in model.model_fields.items()}
+
+
+def _leaves(annotation: Any) -> Iterator[Any]:
+    """Types within an annotation, without its tuples, unions and limits."""
+    if get_origin(annotation) is Annotated:
+        yield from _leaves(get_args(annotation)[0])
+    elif parts := [part for part in get_args(annotation) if part is not Ellipsis]:
+        for part in parts:
+            yield from _leaves(part)
+    else:
+        yield annotation
+
+
+def _check_numbers(key: str, value: Any) -> None:
+    """ValueError where a value, or one of those in lists, is true, false or text."""
+    if isinstance(value, (list, tuple)):
+        for number, item in enumerate(value):
+            _check_numbers(f"{key}.{number}", item)
+    elif isinstance(value, (bool, str)):
+        raise ValueError(f"{key}: must be a number (is {shortened(value)})")
 
 
 Model = TypeVar("Model", bound=BaseModel)
@@ -44,13 +82,7 @@ def parse_toml(model: type[Model], path: Path) -> Model:
 
     Names of files in it are relative to its folder.
     """
-    try:
-        data = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: cannot be read ({error})") from None
-    except tomllib.TOMLDecodeError as error:
-        raise InputError(f"{path}: not valid TOML ({error})") from None
-    return parse(model, data, str(path), folder=path.parent)
+    return parse(model, untrusted.toml(path, str(path)), str(path), folder=path.parent)
 
 
 def parse(model: type[Model], data: Any, where: str, folder: Path = Path(".")) -> Model:
@@ -122,7 +154,7 @@ def _problem(item: Any, data: Any) -> str:
     if item["type"].startswith("union_tag_"):
         return f"{key}: {_kind_problem(item['ctx'])}"
     value = item.get("input")
-    is_now = f" (is {value!r})" if isinstance(value, (str, int, float)) else ""
+    is_now = f" (is {shortened(value)})" if isinstance(value, (str, int, float)) else ""
     return (f"{key}: {message}" if key else message) + is_now
 
 
@@ -131,7 +163,7 @@ def _kind_problem(context: dict[str, str]) -> str:
     name = context["discriminator"].strip("'")
     if "tag" not in context:
         return f"{name} is missing"
-    return f"{name} '{context['tag']}' is unknown; allowed are {context['expected_tags'].replace(chr(39), '')}"
+    return f"{name} {shortened(context['tag'])} is unknown; allowed are {context['expected_tags'].replace(chr(39), '')}"
 
 
 def _key(location: tuple[int | str, ...], data: Any) -> str:

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from pydantic import Field, ValidationInfo, model_validator
 
+from dasim.base import untrusted
 from dasim.base.toml import Specification, named_file
 from dasim.camera.silicon import absorptance
 from dasim.spectra import grid
@@ -69,9 +70,9 @@ class Curves(Specification):
 def _csv_columns(path: Path) -> tuple[list[str], list[tuple[float, ...]]]:
     """Names and columns of a table of response curves; ValueError names the line that is wrong."""
     try:
-        lines = [line for line in path.read_text(encoding="utf-8-sig").splitlines() if line.strip()]
+        lines = [line for line in untrusted.text(path, f"file {path}").splitlines() if line.strip()]
         rows = list(csv.reader(line for line in lines if not line.startswith("#")))
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
+    except csv.Error as error:
         raise ValueError(f"file {path}: cannot be read as a table ({error})") from None
     names = [name.strip() for name in rows[0]] if rows else []
     if len(names) < 2 or names[0] != "wavelength_nm" or len(set(names)) != len(names) or "" in names:

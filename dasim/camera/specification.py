@@ -26,6 +26,8 @@ NEAREST_FOCUS = 1.1  # in focal lengths: a magnification of 10
 SMALLEST_GLARE_PX = 3.0
 SMALLEST_FRAME_PX = 8
 SILICON_UM = 3.0  # thickness of the silicon that crosstalk assumes, unless silicon_um says otherwise
+MOST_NOISE_E = 1e6  # electrons; sensors have 0.2 to 100
+MOST_DARK_E_S = 1e9  # electrons per second
 LARGEST_FOCAL_SHIFT = 0.1  # of the focal length; more is not a thin lens
 
 Offset = Annotated[float, Field(ge=-40_000, le=40_000)]  # pixels, a multiple of the largest sensor
@@ -119,19 +121,25 @@ class Sensor(Specification):
     coating_index: coatings.Index = Field(
         default=coatings.DEFAULT_INDEX, description="effective index of the short-pass filter; 0: it does not move"
     )
-    full_well_e: float = Field(default=6000.0, gt=0, le=1e9)
-    read_noise_e: float = Field(default=3.0, ge=0)
-    dark_current_e_s: float = Field(default=10.0, ge=0, description="at 25 C")
+    full_well_e: float = Field(default=6000.0, ge=1, le=1e9)
+    read_noise_e: float = Field(default=3.0, ge=0, le=MOST_NOISE_E)
+    dark_current_e_s: float = Field(default=10.0, ge=0, le=MOST_DARK_E_S, description="at 25 C")
     dark_doubling_k: float = Field(default=datasheet.DEFAULT_DARK_DOUBLING_K, ge=1, le=100)
     dark_current_spread: float = Field(
         default=0.1, ge=0, le=10, description="standard deviation of the pixels' dark current over its mean"
     )
     hot_pixel_share: float = Field(default=1e-5, ge=0, le=0.1, description="share of the pixels that are hot")
-    hot_pixel_e_s: float = Field(default=500.0, ge=0, description="mean dark current of hot pixels at 25 C")
+    hot_pixel_e_s: float = Field(
+        default=500.0, ge=0, le=MOST_DARK_E_S, description="mean dark current of hot pixels at 25 C"
+    )
     temperature_c: float = Field(default=25.0, ge=-100, le=150)
-    dsnu_e: float = Field(default=2.0, ge=0)
-    row_noise_e: float = Field(default=0.2, ge=0, description="standard deviation of the offsets of rows")
-    column_noise_e: float = Field(default=0.3, ge=0, description="standard deviation of the offsets of columns")
+    dsnu_e: float = Field(default=2.0, ge=0, le=MOST_NOISE_E)
+    row_noise_e: float = Field(
+        default=0.2, ge=0, le=MOST_NOISE_E, description="standard deviation of the offsets of rows"
+    )
+    column_noise_e: float = Field(
+        default=0.3, ge=0, le=MOST_NOISE_E, description="standard deviation of the offsets of columns"
+    )
     prnu: float = Field(default=datasheet.DEFAULT_PRNU, ge=0, le=0.5)
     sensor_seed: int | None = Field(
         default=None, ge=0, lt=2**63, description="of the fixed pattern; by default it follows from the camera's name"
@@ -141,7 +149,7 @@ class Sensor(Specification):
     dn_per_e: float | None = Field(
         default=None, ge=1e-6, le=1e6, description="EMVA 1288's K at gain 1; by default, full well gives full scale"
     )
-    quantum_efficiency_scale: float = Field(default=1.0, gt=0, description="factor on the response curves")
+    quantum_efficiency_scale: float = Field(default=1.0, gt=0, le=1e6, description="factor on the response curves")
     electronic_crosstalk: Annotated[float, Field(ge=0, le=diffusion.LARGEST_EDGE_SHARE)] | Literal["silicon"] | None = (
         Field(
             default=None,

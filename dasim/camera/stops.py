@@ -19,6 +19,7 @@ import cv2
 import numpy as np
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
+from dasim.base import untrusted
 from dasim.base.toml import Specification, named_file
 from dasim.spectra import grid
 from dasim.spectra.grid import WHOLE_GRID_NM
@@ -122,9 +123,9 @@ class Mask(_Stop):
         if "mask" in data:
             raise ValueError("file and mask both say what is open; give one")
         path = named_file(data, info)
-        picture = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH)
-        if picture is None:
-            raise ValueError(f"file {path}: is no picture")
+        picture = untrusted.picture(path, f"file {path}", cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH)
+        if max(picture.shape) > MOST_MASK_CELLS or picture.dtype not in (np.uint8, np.uint16):
+            raise ValueError(f"file {path}: must have 8 or 16 bits, and at most {MOST_MASK_CELLS} cells across")
         rows = (picture / np.iinfo(picture.dtype).max).round(4).tolist()
         return {key: value for key, value in data.items() if key != "file"} | {"mask": rows}
 

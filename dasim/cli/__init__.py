@@ -13,7 +13,7 @@ from typing import Any
 
 import cyclopts
 
-from dasim.base.errors import InputError
+from dasim.base.errors import InputError, one_line
 from dasim.cli import check, datasets, expose, photograph, reconstruct, study
 
 app = cyclopts.App(
@@ -93,5 +93,5 @@ def _discard_output() -> None:
 
 
 def _refuse(message: str) -> int:
-    print(f"dasim: {message}", file=sys.stderr)
+    print(f"dasim: {one_line(message)}", file=sys.stderr)
     return 2

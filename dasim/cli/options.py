@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
-from dasim.base.errors import InputError
+from dasim.base.errors import InputError, shortened
 from dasim.typing import Progress
 
 if TYPE_CHECKING:
@@ -54,6 +54,7 @@ def samples(kind: Any, tokens: Any) -> int | str:
     return "auto" if tokens[0].value == "auto" else whole(kind, tokens)
 
 
+Size = Annotated[str, Parameter(allow_leading_hyphen=True)]  # so that -8x8 is understood, and refused
 Whole = Annotated[int, Parameter(converter=whole)]
 Out = Annotated[Path, Parameter(name="--out")]
 
@@ -69,10 +70,9 @@ def check_new_file(path: Path, option: str) -> None:
 def size(text: str) -> tuple[int, int]:
     """Width and height in px from WxH."""
     width, _, height = text.partition("x")
-    try:
-        return int(width), int(height)
-    except ValueError:
-        raise InputError(f"--size '{text}' is not of the form WxH, such as 768x576") from None
+    if not all(number.isascii() and number.isdecimal() and len(number) < 10 for number in (width, height)):
+        raise InputError(f"--size {shortened(text)} is not of the form WxH with whole numbers above 0, such as 768x576")
+    return int(width), int(height)
 
 
 def definitions(texts: list[str]) -> dict[str, str]:

@@ -12,7 +12,7 @@ from cyclopts import Parameter
 
 from dasim.base.errors import InputError
 from dasim.cli import options
-from dasim.cli.options import Out, Whole, samples
+from dasim.cli.options import Out, Size, Whole, samples
 from dasim.typing import Progress
 
 if TYPE_CHECKING:
@@ -27,7 +27,7 @@ def render(
     camera: str = "da-mobile",
     focus: float | None = None,
     seed: Whole = 0,
-    size: str | None = None,
+    size: Size | None = None,
     spp: Annotated[int | str | None, Parameter(converter=samples)] = None,
     noise_share: float = 0.25,
     noise_at: float = 50.0,
@@ -286,7 +286,7 @@ def emva(
     channel: str = "G",
     gain: float = 1.0,
     seed: Whole = 0,
-    size: str = "256x256",
+    size: Size = "256x256",
 ) -> int:
     """Write frames of a uniformly lit sensor, with the descriptor that the EMVA 1288 reference analyser reads.
 

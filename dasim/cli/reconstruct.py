@@ -122,9 +122,9 @@ def refocus(
 
     if out.suffix.lower() != ".png" or out.is_dir() or not out.resolve().parent.is_dir():
         raise InputError(f"--out {out}: is not a PNG file in a folder that exists")
-    for option, value in (("--depth", depth), ("--f-number", f_number)):
-        if value is not None and not 0 < value < float("inf"):
-            raise InputError(f"{option} {value:g}: must be above 0")
+    for option, value, most in (("--depth", depth, 1e6), ("--f-number", f_number, 1000)):
+        if value is not None and not 0 < value <= most:
+            raise InputError(f"{option} {value:g}: must be above 0, and at most {most:g}")
     rebuilt = load_reconstruction(reconstruction)
     with options.progress() as progress:
         if bank is not None:

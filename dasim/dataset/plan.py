@@ -113,7 +113,7 @@ def manifest(out: str) -> dict[str, Any]:
     try:
         data = json.loads(content)
         schema = int(data["schema"])
-    except (ValueError, KeyError, TypeError) as error:
+    except (ValueError, KeyError, TypeError, RecursionError) as error:
         raise InputError(f"{out}/{MANIFEST}: is damaged ({error})") from None
     if schema > SCHEMA:
         raise InputError(f"{out}: is of schema {schema}, newer than this dasim knows ({SCHEMA}); update dasim")

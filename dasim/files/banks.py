@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dasim.base import atomic
+from dasim.base import atomic, untrusted
 from dasim.base.errors import InputError
 from dasim.base.toml import parse
 from dasim.camera.specification import Camera, channels
@@ -19,6 +19,7 @@ from dasim.values import LevelsBehind, PsfBank
 BANK_SCHEMA = 2
 _TABLES = ("kernel", "depth_m", "blur_px")  # of levels
 _BEHIND = "behind_"  # prefix of the tables of levels behind the focus, where a bank has them
+LARGEST_KERNEL = 2.0  # 1 for all light in one pixel, and as much again for the noise of measured kernels
 KERNEL_SUM_TOLERANCE = 1e-3  # of unit sums after rounding to float32
 
 
@@ -69,25 +70,35 @@ def load_bank(path: Path) -> PsfBank:
         what = "is a folder; a bank is a single .npz file" if path.is_dir() else "no such file"
         raise InputError(f"bank {path}: {what}; make one with 'dasim calibrate'")
     try:
-        with path.open("rb") as file, np.load(file, allow_pickle=False) as data:
-            about = dict(json.loads(str(data["about"])))
-            arrays = {key: data[key] for key in ("signature", *_TABLES)}
-            beyond = {key: data[_BEHIND + key] for key in _TABLES} if f"{_BEHIND}kernel" in data else None
-            x, y = (float(value) for value in about.get("field_px", (0.0, 0.0)))
-    except Exception as error:  # damaged files raise many types of errors of zip, npy and json
+        data = untrusted.arrays(path, f"bank {path}")
+        about = untrusted.json_values(str(data["about"]), f"bank {path}: about")
+        arrays = {key: data[key] for key in ("signature", *_TABLES)}
+        beyond = {key: data[_BEHIND + key] for key in _TABLES} if f"{_BEHIND}kernel" in data else None
+        x, y = (float(value) for value in about.get("field_px", (0.0, 0.0)))
+        lights = tuple(str(light) for light in about.get("lights", ()))
+    except InputError as error:
+        raise InputError(f"{error}; make one with 'dasim calibrate'") from None
+    except (KeyError, TypeError, ValueError, OverflowError) as error:  # entries that are missing or of another type
         raise InputError(
             f"bank {path}: is not a bank, or is damaged ({type(error).__name__}); make one with 'dasim calibrate'"
         ) from None
     if about.get("schema") != BANK_SCHEMA:
         raise InputError(f"bank {path}: is not a bank of schema {BANK_SCHEMA}; make a new one with 'dasim calibrate'")
     camera = parse(Camera, about.get("camera"), f"bank {path}: camera")
-    lights, diffraction = tuple(about.get("lights", ())), str(about.get("diffraction", "measured"))
+    diffraction = str(about.get("diffraction", "measured"))
+    if not np.isfinite([x, y]).all():
+        raise InputError(f"bank {path}: its field_px is not finite")
     count = len(channels(camera.sensor))
     _check_tables(path, arrays, (len(lights), count))
     if arrays["signature"].shape != (len(lights), count) or not np.isfinite(arrays["signature"]).all():
         raise InputError(f"bank {path}: its signature does not fit its lights and channels, or is not finite")
+    if (arrays["signature"] < 0).any() or not (arrays["signature"].sum(axis=1) > 0).all():
+        raise InputError(f"bank {path}: its signature has negative numbers, or a light without any response")
     if beyond is not None:
         _check_tables(path, beyond, (len(lights), count))
+    _check_order(path, arrays, nearer=True)
+    if beyond is not None:
+        _check_order(path, beyond, nearer=False)
     behind = None if beyond is None else LevelsBehind(**beyond)
     return PsfBank(lights=lights, diffraction=diffraction, camera=camera, field_px=(x, y), behind=behind, **arrays)
 
@@ -101,7 +112,19 @@ def _check_tables(path: Path, arrays: dict[str, NDArray], lights_and_channels: t
         raise InputError(f"bank {path}: its kernels do not fit its lights, levels and channels")
     if any(arrays[name].shape != (levels,) for name in ("depth_m", "blur_px")):
         raise InputError(f"bank {path}: its tables do not fit its lights and levels")
+    if any(array.dtype.kind not in "iuf" for array in arrays.values()):
+        raise InputError(f"bank {path}: has values that are no numbers")
     if not all(np.isfinite(array).all() for array in arrays.values()):
         raise InputError(f"bank {path}: has values that are not finite")
+    if np.abs(kernel).max() > LARGEST_KERNEL:
+        raise InputError(f"bank {path}: has kernels beyond {LARGEST_KERNEL:g}; a kernel of unit sum has smaller values")
     if np.abs(kernel.sum(axis=(3, 4)) - 1).max() > KERNEL_SUM_TOLERANCE or (arrays["depth_m"] <= 0).any():
         raise InputError(f"bank {path}: its kernels are not of unit sum, or its depths not above 0")
+
+
+def _check_order(path: Path, arrays: dict[str, NDArray], *, nearer: bool) -> None:
+    """Raise InputError unless blur grows from level to level, and depth falls (``nearer``) or grows with it."""
+    blur, depth = np.diff(np.abs(arrays["blur_px"])), np.diff(arrays["depth_m"])
+    if (blur <= 0).any() or ((depth >= 0) if nearer else (depth <= 0)).any():
+        way = "nearer" if nearer else "farther"
+        raise InputError(f"bank {path}: its levels are out of order; each must be blurred more, and lie {way}")

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import ConfigDict, Field
 
+from dasim.base import untrusted
 from dasim.base.errors import InputError
 from dasim.base.toml import Specification, parse
 from dasim.camera.geometry import depth_of_blur_m, intrinsic_matrix, level_blur_px
@@ -98,7 +99,10 @@ def load_capture(path: Path) -> Capture:
     """Read a capture folder; raises InputError if a file is missing, truncated or inconsistent with the others."""
     path = Path(path)
     meta = _read_meta(path)
-    for name in {"raw.png", *meta.get("file_bytes", {})}:
+    sizes = meta.get("file_bytes", {})
+    if not isinstance(sizes, dict) or any(Path(name).name != name for name in sizes):
+        raise InputError(f"{path}/meta.json: file_bytes must be a table of the names of files in the folder")
+    for name in {"raw.png", *sizes}:
         _check_size(path / name, meta)
     return capture_of(meta, read_png16(path / "raw.png"), str(path))
 
@@ -167,13 +171,10 @@ def _read_meta(path: Path) -> dict[str, Any]:
     if not path.is_dir():
         raise InputError(f"capture {path}: no such folder (a capture holds raw.png, truth.exr and meta.json)")
     file = path / "meta.json"
-    try:
-        meta = json.loads(file.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise InputError(f"{file}: is missing; a capture holds raw.png, truth.exr and meta.json") from None
-    except (OSError, ValueError) as error:
-        raise InputError(f"{file}: cannot be read ({error})") from None
-    if not isinstance(meta, dict) or meta.get("schema") not in READABLE_SCHEMAS:
+    if not file.exists():
+        raise InputError(f"{file}: is missing; a capture holds raw.png, truth.exr and meta.json")
+    meta = untrusted.json_object(file, str(file))
+    if meta.get("schema") not in READABLE_SCHEMAS:
         readable = " or ".join(map(str, READABLE_SCHEMAS))
         raise InputError(f"{file}: is not a capture of schema {readable}")
     return meta

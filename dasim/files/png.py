@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from dasim.base import atomic
+from dasim.base import atomic, untrusted
 from dasim.base.errors import InputError
 
 
@@ -25,13 +25,9 @@ def write_png16(path: Path, image: NDArray[np.uint16]) -> None:
 
 def read_png16(path: Path) -> NDArray[np.uint16]:
     """Image [h, w] of a 16-bit grey PNG; raises InputError if the file is missing, truncated or of another kind."""
-    if not path.is_file():
+    if not path.exists():
         raise InputError(f"{path}: is missing")
-    data = path.read_bytes()
-    # The decoder fills the missing part of a truncated file with zeros: check the end of the file first.
-    if b"IEND" not in data[-16:]:
-        raise InputError(f"{path}: is not a PNG, or is truncated")
-    image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
-    if image is None or image.ndim != 2 or image.dtype != np.uint16:
+    image = untrusted.picture(path, str(path), cv2.IMREAD_UNCHANGED)
+    if image.ndim != 2 or image.dtype != np.uint16:
         raise InputError(f"{path}: is not a 16-bit grey PNG")
     return image.astype(np.uint16, copy=False)

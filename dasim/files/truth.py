@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from dasim.base import untrusted
 from dasim.base.errors import InputError
 from dasim.files.exr import write_exr
 from dasim.values import Truth
@@ -84,8 +85,9 @@ def read_truth_parts(path: Path) -> dict[str, Any]:
     """
     import OpenEXR
 
-    if not path.is_file():
+    if not path.exists():
         raise InputError(f"{path}: is missing")
+    untrusted.check_exr(path, str(path))
     try:
         with OpenEXR.File(str(path), separate_channels=True) as file:
             parts = {p.name(): {k: c.pixels for k, c in p.channels.items()} for p in file.parts}

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from dasim.base import untrusted
 from dasim.base.errors import InputError
 from dasim.spectra.grid import WAVELENGTH_NM
 from dasim.typing import FloatArray
@@ -46,10 +47,7 @@ def read(path: Path, where: str) -> FloatArray:
 
     Raises InputError if the file is missing or has another format; ``where`` is the start of its message.
     """
-    try:
-        lines = [line for line in path.read_text(encoding="utf-8-sig").splitlines() if line.strip()]
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{where}: cannot be read from {path.parent} ({type(error).__name__})") from None
+    lines = [line for line in untrusted.text(path, where).splitlines() if line.strip()]
     rows = [line for line in lines if not line.lstrip().startswith("#")]
     try:
         values = np.array([[float(cell) for cell in row.split(",")] for row in rows[1:]], float)

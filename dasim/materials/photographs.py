@@ -20,6 +20,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from dasim.base import untrusted
 from dasim.base.errors import InputError
 from dasim.materials import patterns, reflectances
 from dasim.materials.surfaces import Diffuse, Mixture, Surface
@@ -155,9 +156,7 @@ def _read(image: str, folder: Path, how: int) -> Float32Array:
         path = folder / image
         if not path.is_file():
             raise InputError(f"image '{image}': no such file in {folder} (or 'skimage:NAME', or 'pattern:NAME')")
-    data = cv2.imread(str(path), how | cv2.IMREAD_ANYDEPTH)
-    if data is None:
-        raise InputError(f"image '{image}': {path} cannot be read as a picture")
+    data = untrusted.picture(path, f"image '{image}'", how | cv2.IMREAD_ANYDEPTH)
     if data.dtype not in (np.uint8, np.uint16):
         raise InputError(f"image '{image}': {path} has values of type {data.dtype}; allowed are 8 or 16 bits")
     return data.astype(np.float32) / np.float32(np.iinfo(data.dtype).max)

@@ -9,6 +9,7 @@ Tested in tests/dasim/scene/test_shapes.py.
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -17,10 +18,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from dasim.base import untrusted
 from dasim.base.errors import InputError
 from dasim.typing import Float32Array, FloatArray
 
 FORMATS = "OBJ, PLY, GLB, STL, OFF"
+FARTHEST_M = 1e4  # of a vertex from the origin of its file
+MOST_COPIES = 1e4  # of a texture along u or v
+_INDEX_0 = re.compile(rb"^[ \t]*f[ \t](?:[^\n#]*[ \t])?0+(?:/[^\s]*)?(?=\s|$)[^\n]*", re.MULTILINE)
 MOST_TEXELS = 1 << 24  # limit on the atlas of a mesh: 200 MB in linear light, and as much again for ink weights
 
 
@@ -53,8 +58,9 @@ def read(path: Path, unit_m: float, where: str) -> tuple[Part, ...]:
     ``unit_m`` is the length of the file's unit in metres, ``where`` the name of the mesh in error messages. Results are
     cached until the file changes.
     """
-    if not path.is_file():
+    if not path.exists():
         raise InputError(f"{where}: no such file")
+    untrusted.check_file(path, where)
     stamp = path.stat()
     return _read(path, unit_m, where, (stamp.st_mtime_ns, stamp.st_size))
 
@@ -64,11 +70,14 @@ def _read(path: Path, unit_m: float, where: str, stamp: tuple[int, int]) -> tupl
     import trimesh
 
     try:
-        scene = _quick_off(path) or trimesh.load_scene(path, process=False)
+        _check_indices(path, where)
+        scene = _quick_off(path) or trimesh.load_scene(path, process=False, resolver=_beside(path, where))
         # trimesh's own transformed copies lose the normals of the file, so transforms are applied here.
         nodes = [scene.graph.get(node) for node in scene.graph.nodes_geometry]
         geometries = [(scene.geometry[name], matrix) for matrix, name in nodes]
         parts = [_part(mesh, matrix, unit_m, path) for mesh, matrix in geometries if isinstance(mesh, trimesh.Trimesh)]
+    except InputError:
+        raise
     except Exception as error:  # trimesh passes on any exception of its parsers
         raise InputError(f"{where}: does not load ({error}); allowed are {FORMATS}") from None
     parts = [part for part in parts if len(part.faces)]
@@ -77,7 +86,32 @@ def _read(path: Path, unit_m: float, where: str, stamp: tuple[int, int]) -> tupl
     for part in parts:
         if not np.isfinite(part.vertices).all() or part.faces.max() >= len(part.vertices):
             raise InputError(f"{where}: has vertices that are not finite, or faces that refer to missing vertices")
+        if np.abs(part.vertices).max() > FARTHEST_M:
+            raise InputError(f"{where}: has vertices beyond {FARTHEST_M:g} m; correct them, or unit_cm")
+        if part.uv is not None and not (np.abs(part.uv) <= MOST_COPIES).all():
+            raise InputError(f"{where}: has texture coordinates that are not finite, or beyond {MOST_COPIES:g}")
     return tuple(parts)
+
+
+def _beside(path: Path, where: str) -> Any:
+    """Resolver of trimesh for the files that a mesh names, such as pictures: those in its folder, and no pipes."""
+    from trimesh.resolvers import FilePathResolver
+
+    class Beside(FilePathResolver):
+        def get(self, name: str) -> bytes:
+            file = (path.parent / str(name).strip()).resolve()
+            if not file.is_relative_to(path.parent.resolve()):
+                raise InputError(f"{where}: names the file {name}, which lies outside its folder")
+            return untrusted.content(file, f"{where}: {name}") if file.exists() else super().get(name)
+
+    return Beside(str(path))
+
+
+def _check_indices(path: Path, where: str) -> None:
+    """Raise InputError for an OBJ file with an index 0: its indices begin at 1, and trimesh would take the last."""
+    if path.suffix.lower() == ".obj" and (found := _INDEX_0.search(untrusted.content(path, where))):
+        line = found.group(0).decode(errors="replace").strip()
+        raise InputError(f"{where}: has a face '{line[:40]}' with the index 0; indices of OBJ begin at 1")
 
 
 def _quick_off(path: Path) -> Any:
@@ -147,6 +181,8 @@ def _paint(visual: Any, has_uv: bool, *, linear: bool) -> tuple[str | None, Floa
     placeholder = not linear and not getattr(material, "kwargs", None)  # trimesh's default, not from the file
     if placeholder and image is not None and image.size == (2, 2):
         return None, None  # trimesh's grey picture for a file with texture coordinates and no picture
+    if image is not None and image.size[0] * image.size[1] > MOST_TEXELS:  # before it is decoded
+        raise ValueError(f"its picture has {image.size[0]} x {image.size[1]} pixels, {MOST_TEXELS} are allowed")
     if image is not None and has_uv:
         return "texture image", decode_srgb(np.asarray(image.convert("RGB"))) * (share if linear else np.float32(1.0))
     if linear:

@@ -25,7 +25,7 @@ class MitsubaChoices(Specification):
     precedence over its ``<default>`` elements, as with Mitsuba's own option ``--define``.
     """
 
-    unit_cm: float = Field(default=100.0, gt=0, description="length of the scene's unit, centimetres")
+    unit_cm: float = Field(default=100.0, ge=1e-4, le=1e6, description="length of the scene's unit, centimetres")
     near_infrared: Literal["print", "dyed", "achromatic"] = "achromatic"
     illuminant: str = "D65"
     define: dict[str, str] = Field(default={}, description="values of the file's $parameters")

@@ -14,6 +14,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from dasim.base import untrusted
 from dasim.base.errors import InputError
 from dasim.scene.lights import Dome, Environment, Ground, Light, Sky, Surrounding, direction
 from dasim.spectra.grid import LUMINANCE
@@ -118,12 +119,7 @@ def load(image: str, folder: Path) -> FloatArray:
 
 
 def _picture(path: Path, image: str) -> FloatArray:
-    try:
-        data = cv2.imread(str(path), cv2.IMREAD_ANYDEPTH | cv2.IMREAD_COLOR)
-    except cv2.error:  # raised above OpenCV's limit on the number of pixels
-        data = None
-    if data is None:
-        raise InputError(f"image '{image}': {path} cannot be read as a picture (EXR, HDR, PNG or JPEG)")
+    data = untrusted.picture(path, f"image '{image}'", cv2.IMREAD_ANYDEPTH | cv2.IMREAD_COLOR)
     colours = data[..., ::-1].astype(np.float64)
     if np.issubdtype(data.dtype, np.floating):
         return colours
@@ -134,6 +130,7 @@ def _picture(path: Path, image: str) -> FloatArray:
 def _exr(path: Path, image: str) -> FloatArray:
     import OpenEXR
 
+    untrusted.check_exr(path, f"image '{image}'")
     try:
         channels = OpenEXR.File(str(path)).channels()
     except Exception as error:  # OpenEXR raises various exception types

@@ -27,6 +27,7 @@ from pathlib import Path
 
 import numpy as np
 
+from dasim.base import untrusted
 from dasim.base.errors import InputError
 from dasim.typing import FloatArray
 from recon.levels import level_of
@@ -65,9 +66,9 @@ def read_table(
     if not path.is_file():
         raise InputError(f"captures {folder}: no table {TABLE}; it needs the columns {', '.join(COLUMNS[:4])}")
     try:
-        text = [line for line in path.read_text(encoding="utf-8-sig").splitlines() if line.strip()]
+        text = [line for line in untrusted.text(path, f"captures {path}").splitlines() if line.strip()]
         rows = list(csv.reader(line for line in text if not line.lstrip().startswith("#")))
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
+    except csv.Error as error:
         raise InputError(f"captures {path}: cannot be read as a table ({error})") from None
     names = [name.strip() for name in rows[0]] if rows else []
     unknown = [name for name in names if name not in COLUMNS]

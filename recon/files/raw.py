@@ -13,6 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from dasim.base import untrusted
 from dasim.base.errors import InputError
 from dasim.base.toml import parse
 from dasim.camera.noise import Exposure
@@ -112,17 +113,18 @@ def _decoded(path: Path) -> NDArray:
         )
     try:
         if suffix == ".npy":
-            return np.asarray(np.load(path, allow_pickle=False))
+            return untrusted.array(path, f"raw picture {path}")
         if suffix == ".png":
-            data = path.read_bytes()
-            # The decoder pads a truncated file with zeros, so the end of the file is checked first.
-            image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED) if b"IEND" in data[-16:] else None
-            if image is None:
-                raise ValueError("not a PNG, or truncated")
-            return np.asarray(image)
+            return untrusted.picture(path, f"raw picture {path}", cv2.IMREAD_UNCHANGED)
         import tifffile
 
-        return np.asarray(tifffile.imread(path))
+        untrusted.check_file(path, f"raw picture {path}")
+        with tifffile.TiffFile(path) as file:
+            for page in file.pages:
+                untrusted.check_pixels((page.imagewidth, page.imagelength), f"raw picture {path}")
+            return np.asarray(file.asarray())
+    except InputError:
+        raise
     except Exception as error:  # each library raises exceptions of its own
         text = " ".join(str(error).split()) or type(error).__name__
         raise InputError(f"raw picture {path}: cannot be read ({text})") from None

@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from dasim.base import atomic
+from dasim.base import atomic, untrusted
 from dasim.base.errors import InputError
 from dasim.base.toml import parse
 from dasim.camera.specification import Camera
@@ -100,7 +100,8 @@ def load_reconstruction(path: Path) -> Reconstruction:
         if not (path / name).is_file():
             raise InputError(f"reconstruction {path}: has no {name}; make one with 'dasim recon CAPTURE --out DIR'")
     try:
-        about: dict[str, Any] = json.loads((path / "meta.json").read_text(encoding="utf-8"))
+        about = untrusted.json_object(path / "meta.json", str(path / "meta.json"))
+        untrusted.check_exr(path / "recon.exr", str(path / "recon.exr"))
         if about.get("picture_only"):
             raise InputError(
                 f"reconstruction {path}: is a colour picture with no depth, because its camera has no infrared pixels"

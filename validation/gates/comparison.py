@@ -5,12 +5,12 @@ Tested in tests/validation/gates/test_run.py.
 
 from __future__ import annotations
 
-import json
 import math
 import re
 from pathlib import Path
 from typing import NamedTuple
 
+from dasim.base import untrusted
 from dasim.base.errors import InputError
 from validation.gates.claim import RESULTS_SCHEMA, Claim
 
@@ -38,12 +38,9 @@ class Earlier(NamedTuple):
 
 def load_results(path: Path) -> dict[str, Earlier]:
     """Figures of an earlier ``results.json`` by their id; raises InputError if the file is not one."""
-    try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise InputError(f"--compare {path}: does not exist; give the results.json of an earlier run") from None
-    except (OSError, ValueError) as error:
-        raise InputError(f"--compare {path}: cannot be read as JSON: {error}") from None
+    if not path.exists():
+        raise InputError(f"--compare {path}: does not exist; give the results.json of an earlier run")
+    content = untrusted.json_object(path, f"--compare {path}")
     try:
         if content["schema"] > RESULTS_SCHEMA:
             raise InputError(f"--compare {path}: schema {content['schema']} is newer than this dasim; update dasim")

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from dasim.base import untrusted
 from dasim.base.errors import InputError
 from dasim.files.png import read_png16
 from dasim.typing import FloatArray
@@ -42,7 +43,7 @@ def read_depth(path: Path, metres_per_unit: float | None = None) -> FloatArray:
 
 def read_map(path: Path) -> FloatArray:
     """Read one number per pixel, [h, w], without conversion."""
-    if not path.is_file():
+    if not path.exists() or path.is_dir():
         raise InputError(f"{path}: does not exist, or is a folder that is no reconstruction")
     suffix = path.suffix.lower()
     if suffix == ".png":
@@ -62,15 +63,16 @@ def read_map(path: Path) -> FloatArray:
 
 
 def _read_npy(path: Path) -> NDArray:
-    try:
-        return np.asarray(np.load(path, allow_pickle=False))
-    except (OSError, ValueError) as error:
-        raise InputError(f"{path}: cannot be read as NPY: {error}") from None
+    values = untrusted.array(path, str(path))
+    if values.ndim:
+        untrusted.check_pixels((values.size, 1), str(path))
+    return values
 
 
 def _read_exr(path: Path) -> NDArray:
     import OpenEXR
 
+    untrusted.check_exr(path, str(path))
     try:
         with OpenEXR.File(str(path), separate_channels=True) as file:
             channels = {name: channel.pixels for part in file.parts for name, channel in part.channels.items()}

@@ -106,7 +106,7 @@ def test_removal_of_a_folder_that_fills_meanwhile(tmp_path):
             number += 1
             try:
                 storage.write(str(tmp_path), f"parts/{number}.tar", b"part")
-            except FileNotFoundError:  # its folder was removed between two calls
+            except (FileNotFoundError, FileExistsError):  # its folder was removed between two calls
                 time.sleep(0)
             except BaseException as error:
                 errors.append(error)

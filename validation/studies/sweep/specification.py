@@ -6,12 +6,14 @@ Tested in tests/validation/studies/test_sweep.py.
 from __future__ import annotations
 
 import itertools
+import math
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 from pydantic import BeforeValidator, Field, model_validator
 
+from dasim.base.errors import InputError
 from dasim.base.toml import Specification, parse
 
 Value = bool | int | float | str
@@ -20,6 +22,9 @@ Value = bool | int | float | str
 AFTERWARDS = ("light.lux", "exposure.", "recon.")
 
 MOST_VALUES = 10_000  # largest number of values of a grid
+
+
+MOST_POINTS = 100_000  # of a study, with all seeds
 
 
 class Grid(Specification):
@@ -126,6 +131,11 @@ class Unit(NamedTuple):
 
 def points(spec: StudySpec) -> list[dict[str, Value]]:
     """All combinations of each grid's values, the last parameter fastest; a point of several grids occurs once."""
+    count = sum(math.prod(len(values) for values in grid.values()) for grid in spec.grids)
+    if count * spec.seeds > MOST_POINTS:
+        raise InputError(
+            f"grids: make {count * spec.seeds:.3g} points with all seeds, at most {MOST_POINTS} are allowed"
+        )
     distinct: dict[tuple[Value, ...], dict[str, Value]] = {}
     for grid in spec.grids:
         for values in itertools.product(*grid.values()):
