@@ -10,13 +10,17 @@ IS_NEW := import sys; sys.exit(sys.version_info < (3, 11))
 PIP := $(BIN)/python -m pip --disable-pip-version-check --quiet
 APT := env DEBIAN_FRONTEND=noninteractive apt-get -q -y -o Acquire::Retries=0 -o Acquire::http::Timeout=20
 
-.PHONY: help demo test test-slow test-lens lint docs validate environment test-environment
+FUZZ_CASES := 2000
+FUZZ_SEED := 0
+
+.PHONY: help demo test test-slow test-lens fuzz lint docs validate environment test-environment
 
 help:
 	@echo "make demo   the whole chain on a bundled scene; report in out/demo/report.html"
 	@echo "make test   the tests, without the slow ones, on up to four processor cores"
 	@echo "make test-slow   the slow tests, on as many"
 	@echo "make test-lens   the tests of lens prescriptions, with Optiland"
+	@echo "make fuzz   2,000 damaged files (FUZZ_CASES), each of which must end well; FUZZ_SEED draws others"
 	@echo "make lint   style, formatting, import contracts, types"
 	@echo "make docs   the documentation, its reference made from the code; open out/docs/index.html"
 	@echo "make validate   the quick claims against their limits; report in out/validate/report.html"
@@ -32,6 +36,9 @@ test-slow: test-environment
 
 test-lens: test-environment $(VENV)/.installed-lens
 	$(BIN)/python -m pytest tests/dasim/camera/test_prescription.py
+
+fuzz: test-environment
+	$(BIN)/python -m tests.fuzz --cases $(FUZZ_CASES) --seed $(FUZZ_SEED)
 
 lint: test-environment
 	$(BIN)/ruff check .

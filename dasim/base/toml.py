@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Annotated, Any, TypeVar, get_args, get_origin
 
 from pydantic import BaseModel, ConfigDict, ValidationError, ValidationInfo, model_validator
+from pydantic_core import PydanticCustomError
 
 from dasim.base import untrusted
 from dasim.base.errors import InputError, shortened
@@ -51,14 +52,16 @@ def _leaves(annotation: Any) -> Iterator[Any]:
 
 
 def _check_numbers(key: str, value: Any) -> None:
-    """ValueError where a value, or one of those in lists, is true, false or text."""
+    """Refuse a value, or one of those in lists, that is true, false or text."""
     if isinstance(value, (list, tuple)):
         for number, item in enumerate(value):
             _check_numbers(f"{key}.{number}", item)
     elif isinstance(value, (bool, str)):
-        raise ValueError(f"{key}: must be a number (is {shortened(value)})")
+        about = {"place": key, "value": shortened(value)}
+        raise PydanticCustomError(_NO_NUMBER, "{place}: must be a number (is {value})", about)
 
 
+_NO_NUMBER = "no_number"  # type of the problem that a number is true, false or text
 Model = TypeVar("Model", bound=BaseModel)
 
 
@@ -143,10 +146,12 @@ def named_file(data: dict[str, Any], info: ValidationInfo) -> Path:
 def _problem(item: Any, data: Any) -> str:
     """A problem reported by pydantic, as text with its key."""
     location = item["loc"]
-    if item["type"] == "value_error" and isinstance(item.get("input"), dict):
+    if item["type"] in ("value_error", _NO_NUMBER) and isinstance(item.get("input"), dict):
         location = (*location, "")  # the problem of a table: a kind at its end is not a key
     key = _key(location, data)
     message = item["msg"].removeprefix("Value error, ").replace("Input should", "must")
+    if item["type"] == _NO_NUMBER:
+        return f"{key}.{message}" if key else message
     if item["type"] == "extra_forbidden":
         return f"{key}: unknown key"
     if item["type"] == "missing":

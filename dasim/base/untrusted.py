@@ -10,15 +10,18 @@ from __future__ import annotations
 
 import io
 import json
+import logging
 import math
 import os
 import re
 import stat
+import sys
 import tomllib
 import warnings
 import zipfile
 import zlib
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -92,12 +95,34 @@ def check_file(path: Path, where: str) -> None:
         )
 
 
+@contextmanager
+def quiet() -> Iterator[None]:
+    """Discard what libraries print or log about a damaged file while the block runs: its error says enough."""
+    sys.stderr.flush()
+    try:
+        kept = os.dup(2)
+    except OSError:  # there is no standard error
+        yield
+        return
+    log = logging.getLogger("tifffile")
+    level, nowhere = log.level, os.open(os.devnull, os.O_WRONLY)
+    try:
+        os.dup2(nowhere, 2)
+        log.setLevel(logging.CRITICAL + 1)
+        yield
+    finally:
+        os.dup2(kept, 2)
+        log.setLevel(level)
+        os.close(kept)
+        os.close(nowhere)
+
+
 def text(path: Path, where: str) -> str:
     """Text of a UTF-8 file, with or without a byte order mark."""
     try:
         return content(path, where, TEXT_BYTES).decode("utf-8-sig")
     except UnicodeDecodeError as error:
-        raise InputError(f"{where}: is not UTF-8 text (byte {error.start}); save it as UTF-8") from None
+        raise InputError(f"{where}: cannot be read, is not UTF-8 text (byte {error.start}); save it as UTF-8") from None
 
 
 def toml(path: Path, where: str) -> dict[str, Any]:
@@ -149,7 +174,8 @@ def decoded(data: bytes, where: str, flags: int) -> NDArray[Any]:
     if data.startswith(_PNG):
         check_png(data, where)
     try:
-        image = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
+        with quiet():
+            image = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
     except cv2.error:
         image = None
     if image is None:
@@ -187,7 +213,8 @@ def _size_px(data: bytes, where: str) -> tuple[int, int]:
 
 def check_png(data: bytes, where: str) -> None:
     """Raise InputError where a PNG is truncated or damaged: a decoder would fill what is missing with zeros."""
-    place, inflate, kinds = len(_PNG), zlib.decompressobj(), []
+    place, inflate = len(_PNG), zlib.decompressobj()
+    kinds: list[bytes] = []
     try:
         while not kinds or kinds[-1] != b"IEND":
             length = int.from_bytes(data[place : place + 4])
@@ -213,7 +240,7 @@ def check_exr(path: Path, where: str) -> None:
 
     check_file(path, where)
     try:
-        with OpenEXR.File(str(path), header_only=True) as file:
+        with quiet(), OpenEXR.File(str(path), header_only=True) as file:
             windows = [part.header["dataWindow"] for part in file.parts]
     except Exception as error:  # the library raises many types for damaged files
         raise InputError(f"{where}: cannot be read as EXR, or is truncated ({error})") from None
@@ -260,9 +287,9 @@ def _array(data: bytes, where: str, kinds: str = _NUMBERS) -> NDArray[Any]:
             read = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}[version]
             shape, column_major, dtype = read(header)
     except Exception as error:  # the header is an expression of Python, which fails in many ways
-        raise InputError(f"{where}: is no NPY array ({type(error).__name__})") from None
+        raise InputError(f"{where}: cannot be read as an NPY array ({type(error).__name__})") from None
     if dtype.kind not in kinds:
-        raise InputError(f"{where}: holds {dtype}; numbers are needed")
+        raise InputError(f"{where}: holds {dtype}; whole numbers or fractions are needed")
     if math.prod(shape) * dtype.itemsize != len(data) - header.tell() or min(shape, default=0) < 0:
         raise InputError(f"{where}: its header promises {shape} of {dtype}, which its content does not fit")
     values = np.frombuffer(data, dtype, offset=header.tell()) if math.prod(shape) else np.empty(0, dtype)

@@ -89,7 +89,7 @@ def read_truth_parts(path: Path) -> dict[str, Any]:
         raise InputError(f"{path}: is missing")
     untrusted.check_exr(path, str(path))
     try:
-        with OpenEXR.File(str(path), separate_channels=True) as file:
+        with untrusted.quiet(), OpenEXR.File(str(path), separate_channels=True) as file:
             parts = {p.name(): {k: c.pixels for k, c in p.channels.items()} for p in file.parts}
             names = tuple(file.parts[0].header[CHANNEL_ORDER].split(","))
             labels = json.loads(file.parts[0].header[NAMES])

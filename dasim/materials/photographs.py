@@ -156,7 +156,7 @@ def _read(image: str, folder: Path, how: int) -> Float32Array:
         path = folder / image
         if not path.is_file():
             raise InputError(f"image '{image}': no such file in {folder} (or 'skimage:NAME', or 'pattern:NAME')")
-    data = untrusted.picture(path, f"image '{image}'", how | cv2.IMREAD_ANYDEPTH)
+    data = untrusted.picture(path, f"image '{image}': {path}", how | cv2.IMREAD_ANYDEPTH)
     if data.dtype not in (np.uint8, np.uint16):
         raise InputError(f"image '{image}': {path} has values of type {data.dtype}; allowed are 8 or 16 bits")
     return data.astype(np.float32) / np.float32(np.iinfo(data.dtype).max)

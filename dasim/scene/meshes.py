@@ -75,7 +75,10 @@ def _read(path: Path, unit_m: float, where: str, stamp: tuple[int, int]) -> tupl
         # trimesh's own transformed copies lose the normals of the file, so transforms are applied here.
         nodes = [scene.graph.get(node) for node in scene.graph.nodes_geometry]
         geometries = [(scene.geometry[name], matrix) for matrix, name in nodes]
-        parts = [_part(mesh, matrix, unit_m, path) for mesh, matrix in geometries if isinstance(mesh, trimesh.Trimesh)]
+        with np.errstate(invalid="ignore", over="ignore"):  # values that are not finite are refused below
+            parts = [
+                _part(mesh, matrix, unit_m, path) for mesh, matrix in geometries if isinstance(mesh, trimesh.Trimesh)
+            ]
     except InputError:
         raise
     except Exception as error:  # trimesh passes on any exception of its parsers

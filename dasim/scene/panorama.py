@@ -119,7 +119,7 @@ def load(image: str, folder: Path) -> FloatArray:
 
 
 def _picture(path: Path, image: str) -> FloatArray:
-    data = untrusted.picture(path, f"image '{image}'", cv2.IMREAD_ANYDEPTH | cv2.IMREAD_COLOR)
+    data = untrusted.picture(path, f"image '{image}': {path}", cv2.IMREAD_ANYDEPTH | cv2.IMREAD_COLOR)
     colours = data[..., ::-1].astype(np.float64)
     if np.issubdtype(data.dtype, np.floating):
         return colours
@@ -130,9 +130,10 @@ def _picture(path: Path, image: str) -> FloatArray:
 def _exr(path: Path, image: str) -> FloatArray:
     import OpenEXR
 
-    untrusted.check_exr(path, f"image '{image}'")
+    untrusted.check_exr(path, f"image '{image}': {path}")
     try:
-        channels = OpenEXR.File(str(path)).channels()
+        with untrusted.quiet():
+            channels = OpenEXR.File(str(path)).channels()
     except Exception as error:  # OpenEXR raises various exception types
         raise InputError(f"image '{image}': {path} cannot be read as EXR ({error})") from None
     for name in ("RGB", "RGBA", "Y"):

@@ -119,7 +119,7 @@ def _decoded(path: Path) -> NDArray:
         import tifffile
 
         untrusted.check_file(path, f"raw picture {path}")
-        with tifffile.TiffFile(path) as file:
+        with untrusted.quiet(), tifffile.TiffFile(path) as file:
             for page in file.pages:
                 untrusted.check_pixels((page.imagewidth, page.imagelength), f"raw picture {path}")
             return np.asarray(file.asarray())

@@ -106,7 +106,7 @@ def load_reconstruction(path: Path) -> Reconstruction:
             raise InputError(
                 f"reconstruction {path}: is a colour picture with no depth, because its camera has no infrared pixels"
             )
-        with OpenEXR.File(str(path / "recon.exr"), separate_channels=True) as file:
+        with untrusted.quiet(), OpenEXR.File(str(path / "recon.exr"), separate_channels=True) as file:
             parts = {p.name(): {k: c.pixels for k, c in p.channels.items()} for p in file.parts}
         arrays = {name: parts[name][name] for name in _PLANES}
         arrays |= {name: np.stack([parts[name][c] for c in _RGB], axis=-1) for name in _COLOURS}

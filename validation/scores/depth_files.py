@@ -74,7 +74,7 @@ def _read_exr(path: Path) -> NDArray:
 
     untrusted.check_exr(path, str(path))
     try:
-        with OpenEXR.File(str(path), separate_channels=True) as file:
+        with untrusted.quiet(), OpenEXR.File(str(path), separate_channels=True) as file:
             channels = {name: channel.pixels for part in file.parts for name, channel in part.channels.items()}
     except (OSError, ValueError, RuntimeError) as error:
         raise InputError(f"{path}: cannot be read as EXR: {error}") from None

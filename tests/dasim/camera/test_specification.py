@@ -97,7 +97,7 @@ def test_problems_are_named_in_one_line(tmp_path, old, new, message_part):
         ('shape = "mask"\nmask = [[0, 0], [0, 0]]', "stops.1.mask: is closed everywhere"),
         ('shape = "mask"\nmask = [[0, 2], [0, 0]]', "stops.1.mask: must be transmittances from 0 to 1"),
         ('shape = "mask"\nfile = "none.png"', "none.png: no such file"),
-        ('shape = "mask"\nfile = "mine.toml"', "mine.toml: is no picture"),
+        ('shape = "mask"\nfile = "mine.toml"', "mine.toml: cannot be read as a picture"),
         ('shape = "star"', "stops.1: "),
     ],
 )
@@ -155,7 +155,7 @@ def test_impossible_curves_are_refused(tmp_path, curves, message_part):
         ("wavelength_nm,R,G,B,IR\n400,0.1,0.1,x,0.1\n", "line 2 of the table: 'x' is not a number"),
         ("wavelength_nm,R,G,B,IR\n400,0.1,0.1,nan,0.1\n", "line 2 of the table: 'nan' is not a number"),
         ("wavelength_nm,R,G,B,IR\n", "two or more lines of numbers are needed"),
-        (b"\xff\xfe\x00", "cannot be read as a table"),
+        (b"\xff\xfe\x00", "cannot be read, is not UTF-8"),
     ],
 )
 def test_broken_tables_of_curves_are_refused(tmp_path, table, message_part):
