@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import faulthandler
 import io
 import os
 import resource
@@ -101,6 +102,7 @@ def _child(subject: Subject, folder: Path, report: int) -> None:
     code = TRACEBACK
     os.dup2(report, 2)  # for libraries of C, too
     sys.stderr = os.fdopen(2, "w", buffering=1, errors="replace", closefd=False)
+    faulthandler.disable()  # the status says enough
     try:
         for number, handler in ((signal.SIGINT, signal.SIG_DFL), (signal.SIGTERM, signal.SIG_DFL)):
             signal.signal(number, handler)
