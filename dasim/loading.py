@@ -48,9 +48,7 @@ def load_scene(
         raise InputError(f"scene '{name_or_path}': no such file")
     data = {"name": path.stem, "file": path.resolve(), **choices}
     scene = parse(MitsubaScene, data, str(name_or_path))
-    mitsuba_xml.check(scene.file, str(name_or_path))
-    for name, value in scene.define.items():
-        mitsuba_xml.check_number(name, value, f"{name_or_path}: --define")
+    mitsuba_xml.check(scene.file, str(name_or_path), scene.define)
     illuminants.illuminant(scene.illuminant)
     return scene
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Mapping
 from pathlib import Path
 from xml.parsers import expat
 
@@ -15,21 +16,16 @@ from dasim.base.errors import InputError
 
 DEEPEST = 64  # levels of elements; scenes have less than ten
 MOST_FILES = 1000  # that include each other
-LARGEST = 1e12  # of numbers, in any unit
-_NUMERIC = {
-    *("float", "integer", "point", "vector", "rgb", "spectrum", "translate", "rotate", "scale", "lookat", "matrix")
-}
-_VALUES = ("value", "x", "y", "z", "angle", "origin", "target", "up")
 _SHARES = {"alpha", "alpha_u", "alpha_v", "roughness"}  # numbers from 0 to 1
 _LENGTHS = {"radius"}  # above 0
-_SEPARATOR = re.compile(r"[\s,]+")
 
 
-def check(file: Path, where: str) -> None:
+def check(file: Path, where: str, define: Mapping[str, str]) -> None:
     """Raise InputError where an XML file, or one that it includes, is malformed for Mitsuba.
 
-    It must be UTF-8, without entities of its own, at most ``DEEPEST`` elements deep, and have finite numbers within
-    ``LARGEST``. Parameters (``$name``) are checked where their values are given, by :func:`check_number`.
+    It must be UTF-8, without entities of its own and at most ``DEEPEST`` elements deep; radii must be above 0, and
+    roughnesses from 0 to 1. ``define`` has the values of its ``$parameters``. What else is wrong, such as a
+    transformation that is not finite, is found when the scene is loaded.
     """
     waiting, seen = [(file, where)], set()
     while waiting:
@@ -39,10 +35,10 @@ def check(file: Path, where: str) -> None:
         seen.add(path.resolve())
         if len(seen) > MOST_FILES:
             raise InputError(f"{where}: includes more than {MOST_FILES} files")
-        waiting += [(path.parent / part, f"{name}, <include> {part}") for part in _check_one(path, name)]
+        waiting += [(path.parent / part, f"{name}, <include> {part}") for part in _check_one(path, name, define)]
 
 
-def _check_one(path: Path, where: str) -> list[str]:
+def _check_one(path: Path, where: str, define: Mapping[str, str]) -> list[str]:
     """Check a single file; returns the names of the files that it includes, which lie beside it."""
     parser, depth, included = expat.ParserCreate("UTF-8"), 0, []
 
@@ -55,10 +51,9 @@ def _check_one(path: Path, where: str) -> list[str]:
         if tag == "include" and "$" not in attributes.get("filename", "$"):
             if (path.parent / attributes["filename"]).is_file():  # what is elsewhere is found by Mitsuba alone
                 included.append(attributes["filename"])
-        if tag in _NUMERIC:
-            for key in _VALUES:
-                for item in _SEPARATOR.split(attributes.get(key, "")):
-                    check_number(attributes.get("name", tag), item.rpartition(":")[2], line)
+        if tag == "float":
+            text = attributes.get("value", "")
+            _check_number(attributes.get("name", ""), define.get(text.removeprefix("$"), text), line)
 
     def end(tag: str) -> None:
         nonlocal depth
@@ -75,19 +70,17 @@ def _check_one(path: Path, where: str) -> list[str]:
     try:
         parser.Parse(written.encode(), True)
     except expat.ExpatError as error:
-        raise InputError(f"{where}: is no well-formed XML ({error})") from None
+        raise InputError(f"{where}: does not load, it is no well-formed XML ({error})") from None
     return included
 
 
-def check_number(name: str, text: str, where: str) -> None:
-    """Raise InputError where a text is a number that no scene can have; other texts are left to Mitsuba."""
+def _check_number(name: str, text: str, where: str) -> None:
+    """Raise InputError where a radius or roughness is a number that no scene can have; Mitsuba refuses other texts."""
     try:
         value = float(text)
     except ValueError:
         return
-    if not math.isfinite(value) or abs(value) > LARGEST:
-        raise InputError(f"{where}: {name} is {text[:30]}; a finite number up to {LARGEST:g} is needed")
     if name in _SHARES and not 0 <= value <= 1:
         raise InputError(f"{where}: {name} is {text[:30]}; a roughness from 0 to 1 is needed")
-    if name in _LENGTHS and value <= 0:
-        raise InputError(f"{where}: {name} is {text[:30]}; a length above 0 is needed")
+    if name in _LENGTHS and not 0 < value < math.inf:
+        raise InputError(f"{where}: {name} is {text[:30]}; a finite length above 0 is needed")
