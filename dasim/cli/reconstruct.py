@@ -19,6 +19,8 @@ if TYPE_CHECKING:
     from dasim.values import Capture, PsfBank
     from recon.settings import Settings
 
+LARGEST = 1e6  # distance in metres, and f-number, of a refocused picture: beyond all depth of field
+
 
 def recon(
     capture: Path | None = None,
@@ -122,9 +124,9 @@ def refocus(
 
     if out.suffix.lower() != ".png" or out.is_dir() or not out.resolve().parent.is_dir():
         raise InputError(f"--out {out}: is not a PNG file in a folder that exists")
-    for option, value, most in (("--depth", depth, 1e6), ("--f-number", f_number, 1000)):
-        if value is not None and not 0 < value <= most:
-            raise InputError(f"{option} {value:g}: must be above 0, and at most {most:g}")
+    for option, value in (("--depth", depth), ("--f-number", f_number)):
+        if value is not None and not 0 < value <= LARGEST:
+            raise InputError(f"{option} {value:g}: must be above 0, and at most {LARGEST:g}")
     rebuilt = load_reconstruction(reconstruction)
     with options.progress() as progress:
         if bank is not None:
