@@ -337,8 +337,13 @@ def signature(name: str, function: Any) -> list[str]:
         if parameter.kind is parameter.KEYWORD_ONLY and not star:
             parts.append("*")
             star = True
-        shown = str(parameter)
-        parts.append(re.sub(r" = <(function|class) .*", " = ...", shown).replace("'", ""))
+        shown = f"{'*' if parameter.kind is parameter.VAR_POSITIONAL else ''}{parameter.name}"
+        if parameter.annotation is not parameter.empty:
+            shown += f": {parameter.annotation}"
+        if parameter.default is not parameter.empty:
+            default = "..." if callable(parameter.default) else repr(parameter.default)
+            shown += f" = {default}" if "<" not in default else " = ..."
+        parts.append(shown)
     returned = inspect.signature(function).return_annotation
     end = f") -> {returned}" if isinstance(returned, str) else ")"
     line = f"{name}({', '.join(parts)}{end}"
@@ -351,7 +356,10 @@ def fields(kind: type) -> list[str]:
     body = "\n".join(lines)
     body = re.sub(r'"""(.|\n)*?"""\n?', "", body, count=1)
     head = re.split(r"\n    (?:@|def )", body, maxsplit=1)[0]
-    if not is_dataclass(kind) and not issubclass(kind, BaseModel):
+    if issubclass(kind, BaseModel):
+        types = inspect.get_annotations(kind)
+        return [f"class {kind.__name__}:", *(f"    {name}: {types[name]}" for name in kind.model_fields if name in types)]
+    if not is_dataclass(kind):
         return [line for line in head.splitlines() if line.startswith("class")]
     return [line for line in head.rstrip().splitlines() if line.strip() and not line.startswith("@")]
 
