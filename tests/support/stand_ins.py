@@ -25,6 +25,7 @@ def stand_in(level: np.ndarray) -> Shot:
     truth = dataclasses.replace(
         truth,
         mean_e=scene.mean_e,
+        focus_e=truth.sharp_e,
         sharp_srgb=np.clip(truth.sharp_srgb, 0, 1),
         object_id=number,
         objects=tuple(DISKS),

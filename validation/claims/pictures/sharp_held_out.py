@@ -146,7 +146,7 @@ def _columns(method: NamedMethod, *, first: bool) -> list[Column]:
         as_it_is,
         Column(f"{method}, true levels", f"{label}true-levels.", partial(_with_true_levels, method)),
         Column(f"{method}, a tenth of the noise", f"{label}tenth-noise.", partial(_quiet, method)),
-        *(Column(f"{name}, levels of {method}", start, partial(_rival, method, picture))
+        *(Column(f"{name}, levels of {method}", f"{label}{start}", partial(_rival, method, picture))
           for start, (name, picture) in RIVALS.items()),
     ]  # fmt: skip
 
