@@ -239,9 +239,9 @@ def test_wrong_options_are_refused(tmp_path, capsys, options, message):
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"dark_current_e_s": 1e300, "temperature_c": 150.0}, None),
+        ({"dark_current_e_s": 1e9, "temperature_c": 150.0}, None),
         ({"black_level_dn": 0}, "dark pixels are clipped at 0 DN"),
-        ({"full_well_e": 0.5}, None),
+        ({"full_well_e": 1.0}, None),
         ({"prnu": 0.5, "read_noise_e": 1e6}, "dark pixels are clipped"),
         ({"prnu": 0, "dsnu_e": 0, "read_noise_e": 0, "dark_current_e_s": 0}, "rounding hides"),
     ],

@@ -241,7 +241,7 @@ def test_depth_is_read_from_each_kind_of_file(tmp_path, name):
     ("name", "scale", "message"),
     [
         ("none.npy", None, "does not exist"),
-        ("text.npy", None, "cannot be read as NPY"),
+        ("text.npy", None, "cannot be read as an NPY array"),
         ("text.exr", None, "cannot be read as EXR"),
         ("text.jpg", None, r"allowed are \.exr, \.npy, \.png"),
         ("colour.npy", None, r"shape \(3, 4, 3\)"),
