@@ -34,7 +34,8 @@ def log_likelihood(spectra: Spectra, table: FloatArray, nu: float = NU) -> Float
     energy = spectra.energy.reshape(-1, bands, count).astype(np.float64)
     noise = spectra.noise.reshape(-1, bands, count).astype(np.float64)
     result = np.empty((len(energy), len(table)), np.float32)
-    _fit(energy, noise, TEMPER * spectra.number.astype(np.float64), np.ascontiguousarray(table), d, nu, result)
+    number = TEMPER * spectra.number.astype(np.float64)
+    _fit(energy, noise, number, np.ascontiguousarray(table), tuple(range(d)), nu, result)
     return result.reshape(height, width, -1)
 
 
@@ -76,14 +77,19 @@ def _fit(  # pragma: no cover - compiled
     noise: FloatArray,
     number: FloatArray,
     table: FloatArray,
-    d: int,
+    channels: tuple[int, ...],
     nu: float,
     result: Float32Array,
 ) -> None:
-    """:func:`log_likelihood` of each window; ``result`` is [window, level]."""
+    """:func:`log_likelihood` of each window; ``result`` is [window, level].
+
+    The length of the tuple ``channels`` is known to the compiler, which unrolls the loops over channels: with two of
+    them twice as fast as a number.
+    """
     windows, bands, _ = energy.shape
     levels = table.shape[0]
     for p in prange(windows):
+        d = len(channels)
         s = np.empty((bands, d, d))
         n = np.empty((bands, d, d))
         log_det = np.empty(bands)
