@@ -89,7 +89,9 @@ def sweep(folder: Path) -> None:
 
     Processes of other computers cannot be looked up: their files are removed after ``ABANDONED_S``.
     """
-    for partial in folder.rglob(f".*{PARTIAL}"):
+    # Other runs may remove folders meanwhile, which os.walk passes over.
+    found = (Path(place) / name for place, _, names in os.walk(folder) for name in names)
+    for partial in (path for path in found if path.name.startswith(".") and path.name.endswith(PARTIAL)):
         computer, _, process = partial.name.removesuffix(PARTIAL).rpartition(".")
         with suppress(FileNotFoundError):
             if computer.endswith(f".{platform.node()}") and process.isdigit():

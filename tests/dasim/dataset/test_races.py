@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import random
+import shutil
 import subprocess
 import sys
 import threading
@@ -120,6 +121,24 @@ def test_removal_of_a_folder_that_fills_meanwhile(tmp_path):
     assert errors == []
 
 
+def test_sweep_of_folders_that_vanish(tmp_path):
+    """Set-up: a thread makes and removes folders while unfinished files are swept. Expectation: no error."""
+    end = time.monotonic() + 0.3
+
+    def change() -> None:
+        while time.monotonic() < end:
+            for number in range(20):
+                (tmp_path / f"{number}" / "inner").mkdir(parents=True, exist_ok=True)
+            for number in range(20):
+                shutil.rmtree(tmp_path / f"{number}", ignore_errors=True)
+
+    thread = threading.Thread(target=change)
+    thread.start()
+    while time.monotonic() < end:
+        storage.sweep(str(tmp_path))
+    thread.join()
+
+
 PROGRAM = """
 import os, random, signal, sys, time
 from pathlib import Path
@@ -139,6 +158,7 @@ def child(out, part, seed):
         t.run_of(spec, out, shard=part)
         os._exit(0)
     except InputError as error:
+        print(error, file=sys.stderr, flush=True)
         os._exit(2 if "another run" in str(error) else 3)
     except BaseException:
         import traceback
