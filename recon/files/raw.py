@@ -122,7 +122,10 @@ def _decoded(path: Path) -> NDArray:
         with untrusted.quiet(), tifffile.TiffFile(path) as file:
             for page in file.pages:
                 untrusted.check_pixels((page.imagewidth, page.imagelength), f"raw picture {path}")
-            return np.asarray(file.asarray())
+            if file.pages.first.compression == tifffile.COMPRESSION.NONE:
+                return np.asarray(file.asarray())
+        # tifffile alone reads no LZW and no predictors; OpenCV does
+        return untrusted.picture(path, f"raw picture {path}", cv2.IMREAD_UNCHANGED)
     except InputError:
         raise
     except Exception as error:  # each library raises exceptions of its own

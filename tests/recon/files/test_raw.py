@@ -41,11 +41,15 @@ def bit_packed(raw, bits, group):
     return bytes(data)
 
 
-@pytest.mark.parametrize("suffix", ["png", "tif", "npy", "float.npy"])
+@pytest.mark.parametrize("suffix", ["png", "tif", "lzw.tif", "deflate.tif", "npy", "float.npy"])
 def test_files_with_a_header(tmp_path, ten, suffix):
     raw, path = numbers(10), tmp_path / f"photo.{suffix}"
     if suffix == "png":
         write_png16(path, raw)
+    elif suffix == "lzw.tif":
+        cv2.imwrite(str(path), raw, [cv2.IMWRITE_TIFF_COMPRESSION, cv2.IMWRITE_TIFF_COMPRESSION_LZW])
+    elif suffix == "deflate.tif":
+        tifffile.imwrite(path, raw, photometric="minisblack", compression="zlib")
     elif suffix == "tif":
         tifffile.imwrite(path, raw, photometric="minisblack")
     else:
