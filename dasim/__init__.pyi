@@ -11,6 +11,7 @@ from .loading import focused, load_scene
 from .materials.library import material_names
 from .random_scenes.scene import random_exposure, random_scene
 from .random_scenes.specification import RandomScenes, load_random_scenes
+from .scene.classes import CLASSES
 from .scene.mitsuba_scene import MitsubaScene
 from .scene.specification import Scene, scene_names
 from .scene.targets import depth_steps, point_source, staircase
@@ -23,6 +24,7 @@ from .spectra.illuminants import illuminant_names
 from .values import Capture, DepthEstimate, Developed, PointPicture, PointPictures, PsfBank, Reconstruction, Truth
 
 __all__ = [
+    "CLASSES",
     "Camera",
     "Capture",
     "Dataset",

@@ -58,6 +58,7 @@ class Truth:
     objects: tuple[str, ...] = ()  # names
     materials: tuple[str, ...] = ()
     mean_e_variance: Float32Array | None = None  # [h, w, channel] of ``mean_e`` by rendering noise; None: unknown
+    class_id: NDArray[np.uint32] | None = None  # [h, w] 0 is nothing, then ``dasim.CLASSES``; None in older files
     focus_e: Float32Array | None = None  # [h, w, channel] the geometry of ``sharp_e``, with diffraction in focus
 
     def scaled(self, factor: float) -> Truth:

@@ -29,6 +29,7 @@ from dasim.files.captures import capture_meta
 from dasim.files.png import write_png16
 from dasim.files.truth import write_truth
 from dasim.render import backend
+from dasim.scene.classes import CLASSES
 from dasim.simulation.exposure import SensorLight, Shot, bracketed, frame_seed, photograph
 from dasim.simulation.simulate import sensor_light
 from dasim.values import Capture, Truth
@@ -244,6 +245,7 @@ def _row(plan: Draft, frames: list[Capture], truth: Truth, files: dict[str, byte
         "mean_dn": float(capture.raw_dn.mean()) - body.black_level_dn,
         "valid_share": float(truth.valid.mean()),
         "boundary_share": float(truth.boundary.mean()),
+        "class_share": class_shares(truth),
         **{f"depth_{name}_m": float(v) for name, v in zip(("min", "p05", "p50", "p95", "max"), depth, strict=True)},
         "far_side_share": float(np.mean(truth.level[truth.valid] < -0.5)),
         "depth_histogram": np.histogram(depth_m, DEPTH_EDGES_M)[0].tolist(),
@@ -252,6 +254,13 @@ def _row(plan: Draft, frames: list[Capture], truth: Truth, files: dict[str, byte
         "bytes": sum(map(len, files.values())),
         "thumbnail": base64.b64encode(_thumbnail(truth.sharp_srgb)).decode(),
     }
+
+
+def class_shares(truth: Truth) -> dict[str, float]:
+    """Share 0..1 of the pixels that show each class of ``CLASSES``; what is left shows no object."""
+    assert truth.class_id is not None  # of a truth that was just rendered
+    counts = np.bincount(truth.class_id.ravel(), minlength=len(CLASSES) + 1)[1:]
+    return {name: float(count / truth.class_id.size) for name, count in zip(CLASSES, counts, strict=True)}
 
 
 def _thumbnail(srgb: np.ndarray) -> bytes:

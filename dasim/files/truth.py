@@ -16,13 +16,14 @@ import numpy as np
 from dasim.base import untrusted
 from dasim.base.errors import InputError
 from dasim.files.exr import write_exr
+from dasim.scene.classes import CLASSES
 from dasim.values import Truth
 
 _XYZ = ("X", "Y", "Z")
 
 
 # Attributes in the header of the first part.
-NAMES = "objectAndMaterialNames"  # JSON: names of the numbers 1, 2, ... of the part ``labels``
+NAMES = "objectAndMaterialNames"  # JSON: names of the numbers 1, 2, ... of objects, materials, classes in ``labels``
 CHANNEL_ORDER = "channelOrder"  # names of the channels in our order; EXR stores them alphabetically
 
 TRUTH_PARTS = ("depth", "normal", "blur", "labels", "mean_e", "mean_e_variance", "sharp_e", "focus_e", "sharp_srgb")
@@ -58,6 +59,8 @@ def write_truth(path: Path, truth: Truth, keep: Sequence[str] = TRUTH_PARTS, *, 
         image = getattr(truth, part)
         if image is not None:
             arrays[part] = {name: image[..., i] for i, name in enumerate(truth.channels)}
+    if truth.class_id is not None:
+        arrays["labels"]["class_id"] = truth.class_id
     parts = []
     for name in (name for name in keep if name in arrays):
         channels = arrays[name]
@@ -66,7 +69,7 @@ def write_truth(path: Path, truth: Truth, keep: Sequence[str] = TRUTH_PARTS, *, 
         header = {"name": name, "type": OpenEXR.scanlineimage, "compression": OpenEXR.ZIP_COMPRESSION}
         parts.append(OpenEXR.Part(header, {key: np.ascontiguousarray(value) for key, value in channels.items()}))
     parts[0].header[CHANNEL_ORDER] = ",".join(truth.channels)
-    parts[0].header[NAMES] = json.dumps({"objects": truth.objects, "materials": truth.materials})
+    parts[0].header[NAMES] = json.dumps({"objects": truth.objects, "materials": truth.materials, "classes": CLASSES})
     write_exr(path, parts)
 
 
@@ -101,6 +104,8 @@ def read_truth_parts(path: Path) -> dict[str, Any]:
             values |= {key: _single(parts["blur"][key]) for key in ("blur_px", "level")}
         if "labels" in parts:
             values |= {key: parts["labels"][key] for key in ("object_id", "material_id")}
+            if "class_id" in parts["labels"]:
+                values["class_id"] = parts["labels"]["class_id"]
             values |= {key: parts["labels"][key].astype(bool) for key in ("valid", "boundary")}
         orders: dict[str, Sequence[str]] = {"normal": _XYZ, "sharp_srgb": "RGB", **dict.fromkeys(PER_CHANNEL, names)}
         for part, order in orders.items():

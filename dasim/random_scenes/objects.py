@@ -172,7 +172,7 @@ def _poster(random: Random, number: int, setting: Setting, share: float) -> dict
     pictures = setting.stock.pictures
     material = pictures[int(random.integers(len(pictures)))].name
     return {
-        **{"name": f"poster {number + 1}", "shape": "plane", "material": material},
+        **{"name": f"poster {number + 1}", "shape": "plane", "class": "print", "material": material},
         "size_cm": [float(f"{place.size * side:.6g}") for side in (width, height)],
         **{"position_cm": _rounded(place.position), "rotation_deg": _rounded((0.0, np.degrees(wall.turn), 0.0))},
     }
@@ -217,7 +217,12 @@ def _prototype(random: Random, setting: Setting) -> Prototype:
     sine, cosine = np.sin(np.radians(lean)), np.cos(np.radians(lean))
     outline = Outline(float(np.hypot(width, height * sine)) / 2, float(height * cosine))
     return Prototype(
-        kind, {"size_cm": (width, height)}, {"shape": "plane"}, outline, (-float(lean), float(turn), 0.0), closed=False
+        kind,
+        {"size_cm": (width, height)},
+        {"shape": "plane", "class": "print"},
+        outline,
+        (-float(lean), float(turn), 0.0),
+        closed=False,
     )
 
 

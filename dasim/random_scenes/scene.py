@@ -181,8 +181,9 @@ def _background(
         material = texture if isinstance(texture, str) else name
         if not isinstance(texture, str):
             materials[name] = texture
-        plane = {"shape": "plane", "name": name, "material": material, "size_cm": rounded(size)}
-        result.append(plane | {"position_cm": rounded(position), "rotation_deg": rounded(rotation)})
+        plane: dict[str, Any] = {"shape": "plane", "name": name, "class": name.partition(" ")[0], "material": material}
+        pose = {"position_cm": rounded(position), "rotation_deg": rounded(rotation)}
+        result.append(plane | {"size_cm": rounded(size)} | pose)
 
     add("floor", random_materials.FLOORS, np.array([2.4, 1.6]) * far, (0, space.height, 0.5 * far), (-90, 0, 0))
     for number, wall in enumerate(space.walls):

@@ -52,6 +52,7 @@ def world(scene: Scene | MitsubaScene, camera: Camera) -> World:
         [item.name for item in scene.objects],
         scenes.material_names_of(scene),
         scenes.material_number_of_object(scene),
+        scenes.class_names_of(scene),
     )
 
 

@@ -11,11 +11,12 @@ from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, model_validator
+from pydantic import ConfigDict, Field, model_validator
 
 from dasim.base.errors import InputError
 from dasim.base.toml import Specification
 from dasim.scene import meshes
+from dasim.scene.classes import ClassName
 from dasim.scene.procedural.library import PREFIX, procedural
 from dasim.typing import FloatArray
 
@@ -24,8 +25,13 @@ Positive = Annotated[float, Field(gt=0)]
 
 
 class _Body(Specification):
+    model_config = ConfigDict(serialize_by_alias=True)
+
     name: str = Field(min_length=1)
     material: str
+    class_name: ClassName | None = Field(
+        default=None, alias="class", description="class in labels; by default that of the shape, or print for a print"
+    )
     position_cm: Vector = (0.0, 0.0, 0.0)
     rotation_deg: Vector = Field(default=(0.0, 0.0, 0.0), description="degrees about x, then y, then z")
 

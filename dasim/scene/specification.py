@@ -19,6 +19,7 @@ from dasim.camera.specification import Camera, refocused
 from dasim.materials.library import Glass, Surface, Texture, is_textured, material_names, surface, unknown
 from dasim.materials.photographs import NEAR_INFRARED_RULES, mask, photograph_surface
 from dasim.scene import meshes, panorama
+from dasim.scene.classes import class_of
 from dasim.scene.clearance import placement_problems, size_problems
 from dasim.scene.lights import Light, Near, Positive, Vector
 from dasim.scene.mitsuba_scene import MitsubaScene
@@ -145,6 +146,11 @@ def material_number_of_object(scene: Scene) -> NDArray[np.uint32]:
     """Material number by ``object_id``, [1 + objects]: from 1 in the order of ``material_names_of``; 0 is no object."""
     names = material_names_of(scene)
     return np.array([0, *(names.index(material_of(item)) + 1 for item in scene.objects)], np.uint32)
+
+
+def class_names_of(scene: Scene) -> list[str]:
+    """Class of each of a scene's objects, in their order."""
+    return [class_of(item, scene.materials) for item in scene.objects]
 
 
 def colour_notes(scene: Scene) -> list[str]:

@@ -23,6 +23,7 @@ from dasim.loading import as_scene
 from dasim.render import backend, light_spectra, translate, truth
 from dasim.render.foreign.reading import render_error
 from dasim.scene import specification as scenes
+from dasim.scene.classes import class_numbers
 from dasim.scene.mitsuba_scene import MitsubaScene
 from dasim.scene.specification import Scene
 from dasim.simulation import adaptive_sampling, checks, rendering
@@ -174,6 +175,10 @@ def describe_origin(view: View, lens: LensPicture, seed: int, independent_mean: 
         "rendering_seed": seed,
         **sampling,
         "independent_mean": independent_mean,
+        "objects": [
+            {"object_id": number, "name": name, "class": kind}
+            for number, (name, kind) in enumerate(zip(view.world.objects, view.world.classes, strict=True), 1)
+        ],
     }
 
 
@@ -193,6 +198,7 @@ def describe_truth(view: View, mean: LensPicture, sharp: SharpPictures, focus: F
         mean_e=mean.rate,
         sharp_e=sharp.rate,
         sharp_srgb=sharp.srgb,
+        class_id=class_numbers(world.classes)[geometry.object_id],
         objects=tuple(world.objects),
         materials=tuple(world.materials),
         mean_e_variance=mean.variance,

@@ -23,6 +23,7 @@ from dasim.scene.mitsuba_scene import MitsubaScene
 from dasim.typing import FloatArray
 
 MOST_COPIES = 5000  # most shapes of all instances: each is copied
+_CLASSES = {"rectangle": "sheet", "disk": "sheet", "cube": "box", "sphere": "sphere", "cylinder": "cylinder"}
 RIGID = 1e-3  # largest cosine between two axes of a sensor
 
 
@@ -34,6 +35,7 @@ class World(NamedTuple):
     objects: list[str]  # names; entry 0 is number 1 of ``object_id``
     materials: list[str]  # names of BSDFs in the order of their first use
     material_number: np.ndarray  # by ``object_id``, from 1; 0 for no object
+    classes: list[str]  # of the objects, in their order
 
 
 def load(scene: MitsubaScene, fov_deg: float) -> World:
@@ -68,7 +70,8 @@ def _load(scene: MitsubaScene, fov_deg: float) -> World:
     world = reading.instance(config, state, scene)
     if not world.emitters():
         raise InputError(f"{scene.file}: has no lights that are supported; the picture would be black")
-    return World(world, notes.lines(), [name for name, _ in objects], materials, numbers)
+    classes = [_CLASSES.get(nodes[members[0]].props.plugin_name(), "solid") for _, members in objects]
+    return World(world, notes.lines(), [name for name, _ in objects], materials, numbers, classes)
 
 
 def _children(nodes: Any) -> dict[str, int]:
