@@ -16,7 +16,15 @@ from dasim.base.toml import Specification, parse
 from dasim.camera import specification as cameras
 from dasim.camera.noise import Exposure
 from dasim.camera.specification import Camera
-from dasim.dataset.specification import DatasetSpec, named_camera, random_spec, scene_count, scene_keys, with_values
+from dasim.dataset.specification import (
+    DatasetSpec,
+    Draw,
+    named_camera,
+    random_spec,
+    scene_count,
+    scene_keys,
+    with_values,
+)
 from dasim.random_scenes.scene import random_exposure, random_scene
 from dasim.scene.mitsuba_scene import MitsubaScene, is_mitsuba
 from dasim.scene.specification import Scene
@@ -73,7 +81,9 @@ def values(spec: DatasetSpec, index: int) -> dict[str, Any]:
     choice = spec.cameras[_choice(spec, index)]
     random = _generator(spec, index, "camera", 1)
     settings: dict[str, Any] = {"camera": choice.name}
-    settings |= {f"camera.{key}": draw.draw(random) for key, draw in choice.vary.items()}
+    turn = capture_number(spec, index)
+    for key, draw in choice.vary.items():
+        settings[f"camera.{key}"], turn = draw.draw(random, turn), _left(draw, turn)
     parts: tuple[tuple[str, Specification], ...] = (
         ("light", spec.light),
         ("focus", spec.focus),
@@ -82,8 +92,15 @@ def values(spec: DatasetSpec, index: int) -> dict[str, Any]:
     for stage, part in parts:
         random = _generator(spec, index, stage)
         draws = {key: getattr(part, key) for key in type(part).model_fields}
-        settings |= {f"{stage}.{key}": draw.draw(random) for key, draw in draws.items() if draw is not None}
+        for key, draw in draws.items():
+            if draw is not None:
+                settings[f"{stage}.{key}"], turn = draw.draw(random, turn), _left(draw, turn)
     return settings
+
+
+def _left(draw: Draw, turn: int) -> int:
+    """The turn of the next ``each``, which changes when this one has had all its values."""
+    return turn if draw.each is None else turn // len(draw.each)
 
 
 def _below(settings: dict[str, Any], stage: str) -> dict[str, Any]:
@@ -114,6 +131,12 @@ def scene_number(spec: DatasetSpec, index: int) -> int:
     """Number of the scene that a sample shows, from 0."""
     keys = scene_keys(spec)
     return index % len(keys) if keys else index // spec.scenes.captures_per_scene
+
+
+def capture_number(spec: DatasetSpec, index: int) -> int:
+    """Number of a sample among the captures of its scene, from 0."""
+    keys = scene_keys(spec)
+    return index // len(keys) if keys else index % spec.scenes.captures_per_scene
 
 
 def split_of_scene(spec: DatasetSpec, number: int) -> str:

@@ -24,6 +24,7 @@ from dasim.dataset import plan, storage
 from dasim.dataset.plan import INDEX, Shard
 from dasim.dataset.sample import file_names, frame_name, key
 from dasim.dataset.specification import DatasetSpec
+from dasim.files.captures import unscaled
 from dasim.files.truth import read_truth_parts
 
 
@@ -59,6 +60,10 @@ class Dataset(Sequence[Sample]):
         ((_, files),) = samples_of(self.path, self.spec, _shard(row), [row["index"]])
         return decode(row, files)
 
+    def arrays(self) -> Arrays:
+        """The samples as flat tables of arrays, numbers and texts, which PyTorch's own collate function batches."""
+        return Arrays(self)
+
     def __iter__(self) -> Iterator[Sample]:
         """All samples in order; each shard is read in one pass, which is faster than sample by sample."""
         start = 0
@@ -71,6 +76,55 @@ class Dataset(Sequence[Sample]):
             for index, files in samples_of(self.path, self.spec, _shard(self.rows[start]), list(some)):
                 yield decode(some[index], files)
             start = end
+
+
+class Arrays(Sequence[dict[str, Any]]):
+    """The samples of a dataset as :func:`arrays_of` flattens them, for ``torch.utils.data.DataLoader`` as it is."""
+
+    def __init__(self, dataset: Dataset) -> None:
+        self.dataset = dataset
+
+    def __len__(self) -> int:
+        return len(self.dataset)
+
+    @overload
+    def __getitem__(self, place: int) -> dict[str, Any]: ...
+    @overload
+    def __getitem__(self, place: slice) -> Arrays: ...
+    def __getitem__(self, place: int | slice) -> dict[str, Any] | Arrays:
+        return Arrays(self.dataset[place]) if isinstance(place, slice) else arrays_of(self.dataset[place])
+
+    def __iter__(self) -> Iterator[dict[str, Any]]:
+        return map(arrays_of, self.dataset)
+
+
+def arrays_of(sample: Sample) -> dict[str, Any]:
+    """A sample as a flat table of arrays, numbers and texts, without None, lists or tables in it.
+
+    Whole numbers have a sign, because PyTorch computes with few unsigned types: raw numbers are int32, labels int64.
+    Samples of one camera and one size have equal keys and shapes; names of objects and materials are left out.
+    """
+    camera = sample.meta["camera"]
+    signed = {"u2": np.int32, "u4": np.int64}
+    arrays = {"raw_dn": sample.raw_dn, "frames_dn": np.stack(sample.frames_dn or (sample.raw_dn,))}
+    arrays |= {name: value for name, value in sample.truth.items() if isinstance(value, np.ndarray)}
+    return {
+        "index": sample.index,
+        "key": key(sample.index),
+        "split": sample.split,
+        "scene": sample.meta["sample"]["scene"],
+        "camera": camera["name"],
+        "channels": ",".join(sample.truth["channels"]),
+        "illuminant": sample.meta["illuminant"] or "",
+        "exposure_s": sample.meta["exposure_s"],
+        "gain": sample.meta["gain"],
+        "f_number": camera["lens"]["f_number"],
+        "focal_length_mm": camera["lens"]["focal_length_mm"],
+        "focus_m": camera["lens"]["focus_distance_m"],
+        "black_level_dn": camera["sensor"]["black_level_dn"],
+        "intrinsic_matrix_px": np.array(sample.meta["intrinsic_matrix_px"]),
+        **{name: value.astype(signed.get(value.dtype.str[1:], value.dtype)) for name, value in arrays.items()},
+    }
 
 
 def open_dataset(path: str | Path, split: str | None = None) -> Dataset:
@@ -142,12 +196,13 @@ def samples_of(
 
 def decode(row: dict[str, Any], files: dict[str, bytes]) -> Sample:
     """A sample from its row of the index and its files (bytes by name)."""
-    frames = []
+    frames, meta = [], json.loads(files["meta.json"])
     for name in map(frame_name, range(row.get("frames", 1))):
-        frames.append(cv2.imdecode(np.frombuffer(files[name], np.uint8), cv2.IMREAD_UNCHANGED))
-        if frames[-1] is None:
+        stored = cv2.imdecode(np.frombuffer(files[name], np.uint8), cv2.IMREAD_UNCHANGED)
+        if stored is None:
             raise InputError(f"sample {row['key']}: {name} cannot be read")
-    truth, meta = truth_of(files["truth.exr"]), json.loads(files["meta.json"])
+        frames.append(unscaled(stored, meta, f"sample {row['key']}: {name}"))
+    truth = truth_of(files["truth.exr"])
     return Sample(row["index"], row["split"], frames[0], truth, meta, tuple(frames))
 
 

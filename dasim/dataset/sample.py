@@ -174,11 +174,13 @@ def _files(spec: DatasetSpec, plan: Draft, frames: list[Capture], truth: Truth) 
     *pictures, exact, about = file_names(spec)
     with tempfile.TemporaryDirectory(prefix="dasim-") as name:
         folder = Path(name)
+        scale = 2 ** (16 - frames[0].camera.sensor.adc_bits) if spec.raw_scale == "full" else 1
         for file, frame in zip(pictures, frames, strict=True):
-            write_png16(folder / file, frame.raw_dn)
+            write_png16(folder / file, frame.raw_dn * np.uint16(scale))
         write_truth(folder / exact, inner(truth, margin), spec.truth.keep, half=spec.truth.half)
         files = {file: (folder / file).read_bytes() for file in (*pictures, exact)}
     meta = capture_meta(frames[0]) | {
+        "raw_scale": scale,
         "sample": {
             "dataset": spec.name,
             "version": spec.version,

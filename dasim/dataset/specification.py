@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import math
 from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -32,17 +33,25 @@ Scalar = bool | int | float | str
 
 
 class Draw(Specification):
-    """Distribution of a number or text over the samples: uniform, log-uniform, or a choice of equal probabilities."""
+    """Distribution of a number or text over the samples: uniform, log-uniform, a choice of equal probabilities, or each
+    of some values in turn over the captures of a scene.
+
+    Several ``each`` of a specification make a grid: those of the camera vary fastest, in their order, then light, focus
+    and exposure.
+    """
 
     uniform: tuple[float, float] | None = None
     log_uniform: tuple[float, float] | None = None
     choice: tuple[Scalar, ...] | None = Field(default=None, min_length=1)
+    each: tuple[Scalar, ...] | None = Field(default=None, min_length=1, description="in turn, by capture of a scene")
 
     @model_validator(mode="after")
     def _one(self) -> Draw:
-        names = [name for name in ("uniform", "log_uniform", "choice") if getattr(self, name) is not None]
+        names = [name for name in ("uniform", "log_uniform", "choice", "each") if getattr(self, name) is not None]
         if len(names) != 1:
-            raise ValueError("give one of uniform = [low, high], log_uniform = [low, high], choice = [...]")
+            raise ValueError(
+                "give one of uniform = [low, high], log_uniform = [low, high], choice = [...], each = [...]"
+            )
         for low, high in (ends for ends in (self.uniform, self.log_uniform) if ends is not None):
             if low > high:
                 raise ValueError(f"{names[0]} is [{low:g}, {high:g}]: the smaller number comes first")
@@ -50,8 +59,10 @@ class Draw(Specification):
             raise ValueError(f"log_uniform is {list(self.log_uniform)}: both ends must be above 0")
         return self
 
-    def draw(self, random: np.random.Generator) -> Scalar:
-        """A random value of the distribution."""
+    def draw(self, random: np.random.Generator, turn: int) -> Scalar:
+        """A random value of the distribution; of ``each`` the value of a turn, counted from 0."""
+        if self.each is not None:
+            return self.each[turn % len(self.each)]
         if self.choice is not None:
             return self.choice[int(random.integers(len(self.choice)))]
         if self.uniform is not None:
@@ -61,7 +72,7 @@ class Draw(Specification):
 
     def extremes(self) -> tuple[Scalar, ...]:
         """Both ends of a range or all values of a choice: if they are allowed, every value is."""
-        return self.choice or self.uniform or self.log_uniform or ()
+        return self.choice or self.each or self.uniform or self.log_uniform or ()
 
 
 def _constant(value: Any) -> Any:
@@ -208,6 +219,11 @@ class DatasetSpec(Specification):
     seed: int = Field(default=0, ge=0, lt=2**63)
     size_px: tuple[int, int] = Field(default=(512, 384), description="width and height, a central crop of the sensor")
     format: Literal["folders", "webdataset"] = "webdataset"
+    raw_scale: Literal["dn", "full"] = Field(
+        default="dn",
+        description="numbers in raw.png: those of the converter, or times 2^(16 - bits), so that they fill 16 bits; "
+        "raw_scale in meta.json states the factor",
+    )
     samples_per_shard: int = Field(default=100, ge=1, le=100_000)
     spp: int | Literal["auto"] = Field(default="auto", description="samples per pixel and stop")
     noise_share: float = Field(
@@ -295,7 +311,7 @@ def check(spec: DatasetSpec, where: str) -> None:
             illuminants.illuminant(str(value))
         except InputError as error:
             problems.append(f"light.illuminant: {error}")
-    problems += _scene_problems(spec)
+    problems += _scene_problems(spec) + _each_problems(spec)
     try:
         noise_model(spec)
     except InputError as error:
@@ -349,6 +365,31 @@ def _scene_problems(spec: DatasetSpec) -> list[str]:
     count = scene_count(spec)
     if count < len(spec.splits):
         problems.append(f"splits: {len(spec.splits)} splits need {len(spec.splits)} scenes at least, there are {count}")
+    return problems
+
+
+def each_counts(spec: DatasetSpec, choice: CameraChoice) -> tuple[int, ...]:
+    """Number of values of every ``each`` of a camera and of light, focus and exposure, in the order of the grid."""
+    parts = (spec.light, spec.focus, spec.exposure)
+    draws = (*choice.vary.values(), *(getattr(part, key) for part in parts for key in type(part).model_fields))
+    return tuple(len(draw.each) for draw in draws if draw is not None and draw.each is not None)
+
+
+def _each_problems(spec: DatasetSpec) -> list[str]:
+    """Problems of grids of ``each``: every scene must have whole grids of captures."""
+    scenes = len(scene_keys(spec))
+    captures = spec.samples / scenes if scenes else spec.scenes.captures_per_scene
+    problems = []
+    for number, choice in enumerate(spec.cameras):
+        size = math.prod(each_counts(spec, choice))
+        if size > 1 and len(spec.cameras) > 1:
+            problems.append("each: makes a grid of captures by one camera; give one camera, or choice instead of each")
+        elif size > 1 and (captures % size or spec.samples % size):
+            problems.append(
+                f"each: the values of camera {number} make a grid of {size} captures, but a scene has {captures:g} of "
+                f"{spec.samples} samples; choose " + ("samples" if scenes else "scenes.captures_per_scene and samples")
+                + f" so that every scene has a multiple of {size}"
+            )  # fmt: skip
     return problems
 
 

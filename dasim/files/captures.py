@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from pydantic import ConfigDict, Field
 
 from dasim.base import untrusted
-from dasim.base.errors import InputError
+from dasim.base.errors import InputError, shortened
 from dasim.base.toml import Specification, parse
 from dasim.camera.geometry import depth_of_blur_m, intrinsic_matrix, level_blur_px
 from dasim.camera.specification import Camera
@@ -23,6 +23,7 @@ from dasim.files.truth import read_truth, write_truth
 from dasim.values import Capture, Truth
 
 CAPTURE_SCHEMA = 4
+RAW_SCALES = tuple(2**power for power in range(11))  # factors on stored numbers: to 16 bits from 16 down to 6
 READABLE_SCHEMAS = (
     3,
     CAPTURE_SCHEMA,
@@ -104,7 +105,24 @@ def load_capture(path: Path) -> Capture:
         raise InputError(f"{path}/meta.json: file_bytes must be a table of the names of files in the folder")
     for name in {"raw.png", *sizes}:
         _check_size(path / name, meta)
-    return capture_of(meta, read_png16(path / "raw.png"), str(path))
+    return capture_of(meta, unscaled(read_png16(path / "raw.png"), meta, f"{path}/raw.png"), str(path))
+
+
+def unscaled(stored: NDArray[np.uint16], meta: dict[str, Any], where: str) -> NDArray[np.uint16]:
+    """Raw numbers [h, w] of a stored picture, divided by the ``raw_scale`` of its ``meta.json`` (1 where it has none).
+
+    Raises InputError where the scale is no power of two up to 1024, or the picture has numbers between its multiples.
+    """
+    scale = meta.get("raw_scale", 1)
+    if scale not in RAW_SCALES or isinstance(scale, bool):
+        raise InputError(
+            f"{where}: meta.json states raw_scale {shortened(scale)}; a power of two, 1 to 1024, is allowed"
+        )
+    if scale == 1:
+        return stored
+    if np.any(stored % np.uint16(scale)):
+        raise InputError(f"{where}: has numbers that are no multiples of {scale}, the raw_scale in meta.json")
+    return np.asarray(stored // np.uint16(scale), np.uint16)
 
 
 def capture_of(meta: dict[str, Any], raw: NDArray[np.uint16], where: str) -> Capture:

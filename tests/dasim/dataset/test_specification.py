@@ -78,6 +78,12 @@ CAMERA = '[[cameras]]\nname = "da-mobile"\n[cameras.vary]\n'
         ("scenes = {files = ['a.toml']}", ["files is for family = 'files'"]),
         ("cameras = [{name = 'da-mobil'}]", ["cameras.0", "da-mobil", "da-mobile"]),
         ("size_px = [100000, 384]", ["cameras.0", "100000"]),
+        (
+            "focus = {distance_m = {each = [0.2, 0.4, 0.8]}}",
+            ["each", "grid of 3 captures", "a scene has 1 of 4 samples"],
+        ),
+        ("focus = {distance_m = {each = [1, 2]}}\ncameras = [{name = 'bando'}, {name = 'da-8mm'}]", ["one camera"]),
+        ("raw_scale = 'half'", ["raw_scale", "'dn' or 'full'"]),
         (CAMERA + "'lens.f_numbr' = 2", ["'lens.f_numbr' does not exist", "f_number"]),
         (CAMERA + "'lens.f_number' = {uniform = [-1, 2]}", ["lens.f_number = -1"]),
         (CAMERA + "'lens.focus_distance_m' = 1", ["set by [focus] distance_m"]),
@@ -639,6 +645,79 @@ def test_torch_loader(both):
     loader = torch.utils.data.DataLoader(train, batch_size=2, shuffle=True, num_workers=2, collate_fn=batch)
     shapes = [(tuple(raw.shape), tuple(depth.shape)) for raw, depth in loader]
     assert shapes == [((2, 24, 32), (2, 24, 32))] * 2
+
+
+def test_torch_batches_arrays_by_itself(both):
+    """PyTorch's own collate function stacks the arrays: [batch, ...], the same numbers; texts become lists."""
+    torch = pytest.importorskip("torch", reason="PyTorch is not installed")
+    samples = dasim.open_dataset(both["webdataset"], split="train")
+    batches = list(torch.utils.data.DataLoader(samples.arrays(), batch_size=2))
+    assert sum(len(batch["key"]) for batch in batches) == len(samples)
+    for place, batch in enumerate(batches):
+        for number in range(2):
+            sample = samples[2 * place + number]
+            assert batch["index"][number] == sample.index and batch["scene"][number] == sample.meta["sample"]["scene"]
+            np.testing.assert_array_equal(batch["raw_dn"][number].numpy(), sample.raw_dn)
+            for name in ("depth_m", "object_id", "valid", "mean_e"):
+                np.testing.assert_array_equal(batch[name][number].numpy(), sample.truth[name])
+
+
+def test_arrays_have_equal_keys_and_plain_values(both):
+    """Rationale: default collate functions batch arrays, numbers and texts of equal keys and shapes, nothing else."""
+    dataset = dasim.open_dataset(both["folders"]).arrays()
+    rows = list(dataset)
+    assert len(dataset) == len(rows) == len(dataset[:4]) + 2 and dataset[1]["index"] == rows[1]["index"] == 1
+    for row in rows:
+        assert row.keys() == rows[0].keys()
+        for name, value in row.items():
+            assert isinstance(value, (np.ndarray, int, float, str)), name
+            if isinstance(value, np.ndarray):
+                assert value.shape == rows[0][name].shape and value.dtype.kind in "bif", name
+
+
+# --- how numbers are stored ----------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("form", ["webdataset", "folders"])
+def test_raw_numbers_that_fill_16_bits(form, renderer, tmp_path):
+    """Set-up: the same sample with both scales. Expectation: the picture on disk has 64 times the numbers of the 10-bit
+    sensor, and every reader gives the sensor's own.
+    """
+    made, stored = {}, {}
+    for scale in ("dn", "full"):
+        (tmp_path / scale).mkdir()
+        spec = spec_file(tmp_path / scale, samples=1, format=form, top=f'raw_scale = "{scale}"')
+        out = tmp_path / scale / "ds"
+        make_dataset(spec, out)
+        assert list(verify.problems(str(out))) == []
+        made[scale] = dasim.open_dataset(out)[0]
+        if form == "folders":
+            stored[scale] = cv2.imread(str(out / "train" / "000000000" / "raw.png"), cv2.IMREAD_UNCHANGED)
+            loaded = dasim.load_capture(out / "train" / "000000000")
+            np.testing.assert_array_equal(loaded.raw_dn, made[scale].raw_dn)
+    np.testing.assert_array_equal(made["dn"].raw_dn, made["full"].raw_dn)
+    assert (made["dn"].meta["raw_scale"], made["full"].meta["raw_scale"]) == (1, 64)
+    if form == "folders":
+        np.testing.assert_array_equal(stored["full"], 64 * stored["dn"])
+        meta = tmp_path / "full" / "ds" / "train" / "000000000" / "meta.json"
+        for wrong, message in (("128", "no multiples of 128"), ("3", "raw_scale 3"), ('"a"', "raw_scale 'a'")):
+            meta.write_text(json.dumps(made["full"].meta).replace('"raw_scale": 64', f'"raw_scale": {wrong}'))
+            with pytest.raises(InputError, match=message):
+                dasim.load_capture(meta.parent)
+
+
+def test_each_makes_a_grid_of_captures():
+    """Expectation: the captures of every scene have all pairs of f-number and focus, the f-number varying fastest."""
+    spec = spec_of(
+        samples=12,
+        cameras=[{"name": "da-mobile", "vary": {"lens.f_number": {"each": [1.8, 4]}}}],
+        focus={"distance_m": {"each": [0.2, 0.4, 0.8]}},
+        scenes={"captures_per_scene": 6},
+    )
+    grid = [(n, d) for d in (0.2, 0.4, 0.8) for n in (1.8, 4)]
+    for scene in (0, 1):
+        lenses = [draws.draft(spec, 6 * scene + number).camera.lens for number in range(6)]
+        assert [(lens.f_number, lens.focus_distance_m) for lens in lenses] == grid
 
 
 def test_webdataset_library(both):
