@@ -1,6 +1,6 @@
 """Folder of results that are reused between runs; it may be deleted at any time.
 
-Tested in tests/dasim/cli/test_commands.py.
+Tested in tests/dasim/cli/test_recon.py.
 """
 
 from __future__ import annotations

@@ -1,7 +1,4 @@
-"""The command ``dasim``: parses arguments, calls the library and prints.
-
-Tested in tests/dasim/cli/test_commands.py.
-"""
+"""The command ``dasim``: parses arguments, calls the library and prints."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 """The commands demo, validate and list.
 
-Tested in tests/dasim/cli/test_commands.py and tests/validation/gates/test_run.py.
+Tested in tests/dasim/cli/test_list.py and tests/validation/gates/test_run.py.
 """
 
 from __future__ import annotations

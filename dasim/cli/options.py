@@ -1,6 +1,6 @@
 """Options, progress bar, checks of output files and lines on captures that the commands share.
 
-Tested in tests/dasim/cli/test_commands.py.
+Tested in tests/dasim/cli/test_render.py.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """The commands render, calibrate, lens and emva.
 
-Tested in tests/dasim/cli/test_commands.py.
+Tested in tests/dasim/cli/test_render.py.
 """
 
 from __future__ import annotations

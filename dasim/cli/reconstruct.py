@@ -1,6 +1,7 @@
 """The commands recon, refocus, view and score, which start from a capture.
 
-Tested in tests/dasim/cli/test_commands.py.
+Tested in tests/dasim/cli/test_recon.py, tests/dasim/cli/test_refocus.py, tests/dasim/cli/test_view.py and
+tests/dasim/cli/test_score.py.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Reconstructions on disk: PNG pictures, an EXR file with all numbers, and the settings.
 
-Tested in tests/dasim/cli/test_commands.py.
+Tested in tests/dasim/cli/test_recon.py.
 """
 
 from __future__ import annotations
