@@ -9,6 +9,7 @@ from typing import Any, Literal
 from pydantic import Field
 
 from dasim.base.errors import InputError
+from dasim.base.suggestions import did_you_mean
 from dasim.base.toml import Specification, parse_toml
 
 
@@ -101,7 +102,7 @@ DEFAULT = PRESETS[DEFAULT_PRESET]
 def preset(name: str) -> Settings:
     """The settings of a preset; raises InputError for an unknown name."""
     if name not in PRESETS:
-        raise InputError(f"preset '{name}' is unknown; allowed are {', '.join(PRESETS)}")
+        raise InputError(f"preset '{name}' is unknown; allowed are {', '.join(PRESETS)}{did_you_mean(name, PRESETS)}")
     return PRESETS[name]
 
 

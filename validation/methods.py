@@ -13,6 +13,7 @@ import recon
 from dasim.base.errors import InputError
 from dasim.base.fingerprint import fingerprint
 from dasim.base.loading import load_function
+from dasim.base.suggestions import did_you_mean
 from dasim.values import Capture, DepthEstimate, PsfBank, Reconstruction
 from recon.depth.method import run_method
 
@@ -73,7 +74,7 @@ def parsed(text: str) -> NamedMethod:
     if ":" not in source:
         raise InputError(
             f"method '{text}' is unknown; allowed are {', '.join(recon.METHODS)}, or your own as "
-            "package.module:function or file.py:function"
+            f"package.module:function or file.py:function{did_you_mean(text, recon.METHODS)}"
         )
     return NamedMethod(name, source)
 

@@ -13,6 +13,7 @@ from types import ModuleType
 from typing import Any
 
 from dasim.base.errors import InputError, describe_error
+from dasim.base.suggestions import did_you_mean
 
 _FILE_MODULE = "dasim_file_"  # prefix of the module name of a user's file, which prevents clashes with other modules
 
@@ -37,7 +38,7 @@ def load_function(name: str, kind: str) -> Callable[..., Any]:
     if function is None:
         functions = [key for key, value in vars(module).items() if callable(value) and _is_own(key, value, module)]
         has = f"it defines {', '.join(sorted(functions))}" if functions else "it defines no function"
-        raise InputError(f"{where}: {source} has no '{attribute}'; {has}")
+        raise InputError(f"{where}: {source} has no '{attribute}'; {has}{did_you_mean(attribute, functions)}")
     if not callable(function):
         raise InputError(f"{where}: is not a function but of type {type(function).__name__}")
     return function

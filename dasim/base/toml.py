@@ -6,16 +6,19 @@ Tested in tests/dasim/scene/test_specification.py and tests/dasim/camera/test_sp
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
-from typing import Annotated, Any, TypeVar, get_args, get_origin
+from typing import Annotated, Any, Literal, TypeVar, get_args, get_origin
 
-from pydantic import BaseModel, ConfigDict, ValidationError, ValidationInfo, model_validator
+from pydantic import BaseModel, ConfigDict, RootModel, ValidationError, ValidationInfo, model_validator
+from pydantic.fields import FieldInfo
 from pydantic_core import PydanticCustomError
 
 from dasim.base import untrusted
 from dasim.base.errors import InputError, shortened
+from dasim.base.suggestions import did_you_mean
 
 
 class Specification(BaseModel):
@@ -76,8 +79,9 @@ def bundled_or_file(name_or_path: str | Path, folder: Path, kind: str) -> Path:
         return bundled
     if path.is_file():
         return path
-    names = ", ".join(sorted(p.stem for p in folder.glob("*.toml")))
-    raise InputError(f"{kind} '{name_or_path}' is neither a bundled name ({names}) nor a file")
+    names = sorted(p.stem for p in folder.glob("*.toml"))
+    hint = did_you_mean(str(name_or_path).removesuffix(".toml").partition(":")[0], names)
+    raise InputError(f"{kind} '{name_or_path}' is neither a bundled name ({', '.join(names)}) nor a file{hint}")
 
 
 def parse_toml(model: type[Model], path: Path) -> Model:
@@ -100,7 +104,8 @@ def parse(model: type[Model], data: Any, where: str, folder: Path = Path(".")) -
     try:
         return model.model_validate(data, context={"folder": folder})
     except ValidationError as error:
-        raise InputError(f"{where}: " + "; ".join(_problem(item, data) for item in _causes(error.errors()))) from None
+        problems = [_problem(item, data, model) for item in _causes(error.errors())]
+        raise InputError(f"{where}: " + "; ".join(problems)) from None
 
 
 def to_toml(data: dict[str, Any], table: str = "") -> str:
@@ -143,8 +148,8 @@ def named_file(data: dict[str, Any], info: ValidationInfo) -> Path:
     return path
 
 
-def _problem(item: Any, data: Any) -> str:
-    """A problem reported by pydantic, as text with its key."""
+def _problem(item: Any, data: Any, model: type[BaseModel]) -> str:
+    """A problem reported by pydantic, as text with its key, and with the nearest name where one is mistyped."""
     location = item["loc"]
     if item["type"] in ("value_error", _NO_NUMBER) and isinstance(item.get("input"), dict):
         location = (*location, "")  # the problem of a table: a kind at its end is not a key
@@ -153,13 +158,15 @@ def _problem(item: Any, data: Any) -> str:
     if item["type"] == _NO_NUMBER:
         return f"{key}.{message}" if key else message
     if item["type"] == "extra_forbidden":
-        return f"{key}: unknown key"
+        return f"{key}: unknown key{did_you_mean(item['loc'][-1], _keys(model, item['loc'][:-1]))}"
     if item["type"] == "missing":
         return f"{key}: is missing"
     if item["type"].startswith("union_tag_"):
         return f"{key}: {_kind_problem(item['ctx'])}"
     value = item.get("input")
     is_now = f" (is {shortened(value)})" if isinstance(value, (str, int, float)) else ""
+    if item["type"] == "literal_error":
+        is_now += did_you_mean(value, re.findall(r"'([^']*)'", item["ctx"]["expected"]))
     return (f"{key}: {message}" if key else message) + is_now
 
 
@@ -168,7 +175,37 @@ def _kind_problem(context: dict[str, str]) -> str:
     name = context["discriminator"].strip("'")
     if "tag" not in context:
         return f"{name} is missing"
-    return f"{name} {shortened(context['tag'])} is unknown; allowed are {context['expected_tags'].replace(chr(39), '')}"
+    allowed = context["expected_tags"].replace("'", "")
+    hint = did_you_mean(context["tag"], allowed.split(", "))
+    return f"{name} {shortened(context['tag'])} is unknown; allowed are {allowed}{hint}"
+
+
+def _keys(model: type[BaseModel], location: tuple[int | str, ...]) -> list[str]:
+    """Keys that are allowed at a location of pydantic's, which names kinds of tables and numbers entries of lists."""
+    inside = list(_models(model))
+    for part in location:
+        fields = [field for place in inside for key, field in _fields(place) if key == part]
+        of_kind = [place for place in inside if part in _literals(place)]
+        inside = [table for field in fields for table in _models(field.annotation)] or of_kind or inside
+    return list(dict.fromkeys(key for place in inside for key, _ in _fields(place)))
+
+
+def _fields(model: type[BaseModel]) -> list[tuple[str, FieldInfo]]:
+    """Keys of a table as its files name them, with their types."""
+    return [(field.alias or name, field) for name, field in model.model_fields.items()]
+
+
+def _literals(model: type[BaseModel]) -> set[Any]:
+    """Values of the literals among a table's keys, its kind among them."""
+    of_fields = (field.annotation for field in model.model_fields.values())
+    return {value for kind in of_fields if get_origin(kind) is Literal for value in get_args(kind)}
+
+
+def _models(annotation: Any) -> Iterator[type[BaseModel]]:
+    """Tables within an annotation."""
+    for leaf in _leaves(annotation):
+        if isinstance(leaf, type) and issubclass(leaf, BaseModel):
+            yield from _models(leaf.model_fields["root"].annotation) if issubclass(leaf, RootModel) else (leaf,)
 
 
 def _key(location: tuple[int | str, ...], data: Any) -> str:

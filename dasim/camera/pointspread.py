@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 from scipy.special import j0
 
 from dasim.base.errors import InputError, kind_of
+from dasim.base.suggestions import did_you_mean
 from dasim.camera import geometry, glare, radial_pattern, radiometry, stops, wavefront
 from dasim.camera import specification as cameras
 from dasim.camera.pupil_pattern import pupil_pattern, turned
@@ -54,7 +55,8 @@ def working_f_number(camera: Camera, radius_ratio: float) -> float:
 def check_model(diffraction: str) -> None:
     """InputError where the diffraction model is unknown."""
     if diffraction not in DIFFRACTION_MODELS:
-        raise InputError(f"diffraction '{diffraction}' is unknown; allowed are {', '.join(DIFFRACTION_MODELS)}")
+        hint = did_you_mean(diffraction, DIFFRACTION_MODELS)
+        raise InputError(f"diffraction '{diffraction}' is unknown; allowed are {', '.join(DIFFRACTION_MODELS)}{hint}")
 
 
 def radial_profiles(

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dasim.base.errors import InputError
+from dasim.base.suggestions import did_you_mean
 from dasim.base.toml import parse
 from dasim.dataset import plan, storage
 from dasim.dataset.plan import INDEX, Shard
@@ -135,7 +136,8 @@ def open_dataset(path: str | Path, split: str | None = None) -> Dataset:
     where = str(path)
     spec = spec_of(where)
     if split is not None and split not in spec.splits:
-        raise InputError(f"{where}: has no split '{split}'; it has {', '.join(spec.splits)}")
+        hint = did_you_mean(split, spec.splits)
+        raise InputError(f"{where}: has no split '{split}'; it has {', '.join(spec.splits)}{hint}")
     rows = [row for row in index_rows(where) if split in (None, row["split"])]
     return Dataset(where, rows, spec)
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import math
 from collections.abc import Callable
 from pathlib import Path
@@ -13,6 +12,7 @@ from pydantic import BeforeValidator, Field, field_validator, model_validator
 
 from dasim.base.errors import InputError
 from dasim.base.loading import load_function
+from dasim.base.suggestions import did_you_mean
 from dasim.base.toml import Specification, parse, parse_toml
 from dasim.camera import specification as cameras
 from dasim.camera.noise import LONGEST_EXPOSURE_S, NoiseModel, expose
@@ -140,8 +140,9 @@ class SceneChoice(Specification):
                     raise ValueError(f"'{name}' is twice in the list")
         for name in self.names:
             if name not in scene_names():
-                near = difflib.get_close_matches(name, scene_names(), 3) or scene_names()
-                raise ValueError(f"names: scene '{name}' is unknown; did you mean {', '.join(near)}?")
+                listed_names = ", ".join(scene_names())
+                hint = did_you_mean(name, scene_names())
+                raise ValueError(f"names: scene '{name}' is unknown; allowed are {listed_names}{hint}")
         return self
 
 
@@ -204,7 +205,8 @@ class TruthChoice(Specification):
     def _known(cls, keep: tuple[str, ...]) -> tuple[str, ...]:
         for name in keep:
             if name not in TRUTH_PARTS:
-                raise ValueError(f"'{name}' is unknown; allowed are {', '.join(TRUTH_PARTS)}")
+                hint = did_you_mean(name, TRUTH_PARTS)
+                raise ValueError(f"'{name}' is unknown; allowed are {', '.join(TRUTH_PARTS)}{hint}")
         return tuple(part for part in TRUTH_PARTS if part in keep)
 
 
@@ -433,10 +435,9 @@ def with_values(camera: Camera, changes: dict[str, Scalar]) -> Camera:
             entry = _entry(place, part)
             if entry is None:
                 names = _names(place)
-                near = difflib.get_close_matches(part, names, 3) or names
                 raise InputError(
-                    f"vary: '{key}' does not exist in camera '{camera.name}' ({'.'.join(parts[:depth]) or 'it'} has "
-                    f"{', '.join(near)})"
+                    f"vary: '{key}' does not exist in camera '{camera.name}'; {'.'.join(parts[:depth]) or 'it'} has "
+                    f"{', '.join(names)}{did_you_mean(part, names)}"
                 )
             if depth == len(parts) - 1:
                 place[entry] = value

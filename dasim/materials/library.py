@@ -7,8 +7,7 @@ physical.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from difflib import get_close_matches
+from collections.abc import Collection
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -16,6 +15,7 @@ import numpy as np
 from pydantic import Discriminator, Field, Tag, model_validator
 
 from dasim.base.errors import InputError
+from dasim.base.suggestions import did_you_mean
 from dasim.base.toml import Specification
 from dasim.materials import measured, photographs, reflectances
 from dasim.materials.photographs import NEAR_INFRARED_RULES, photograph_surface
@@ -93,13 +93,11 @@ def reflectance(name: str) -> FloatArray:
     raise InputError(unknown(name))
 
 
-def unknown(name: str, others: Iterable[str] = ()) -> str:
+def unknown(name: str, others: Collection[str] = ()) -> str:
     """Error message for a material name that is neither in the library nor among ``others``, the scene's materials."""
-    known = [*others, *material_names()]
-    near = get_close_matches(name, known, n=4, cutoff=0.5)
-    near += [item for item in others if item not in near]  # all of the scene's own, since there are few
-    nearest = f"nearest are {', '.join(near)}; " if near else ""
-    return f"material '{name}' is unknown; {nearest}all are in 'dasim list materials'"
+    own = f", the scene's own are {', '.join(others)}" if others else ""
+    hint = did_you_mean(name, [*others, *material_names()], 3)
+    return f"material '{name}' is unknown; 'dasim list materials' prints all{own}{hint}"
 
 
 def kind_and_source(name: str) -> tuple[str, str]:

@@ -7,7 +7,6 @@ number. Edges of geometric patterns are averages of ``OVERSAMPLING`` squared sam
 from __future__ import annotations
 
 from collections.abc import Callable
-from difflib import get_close_matches
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -15,6 +14,7 @@ import cv2
 import numpy as np
 
 from dasim.base.errors import InputError
+from dasim.base.suggestions import did_you_mean
 from dasim.typing import Float32Array
 
 SIZE_PX = 1024
@@ -181,9 +181,7 @@ def pattern(name: str) -> Float32Array:
     """
     kind, colon, text = name.partition(":")
     if kind not in PATTERNS:
-        near = get_close_matches(kind, PATTERNS, n=1)
-        hint = f"; did you mean '{near[0]}'" if near else ""
-        raise InputError(f"image 'pattern:{name}': there are {', '.join(PATTERNS)}{hint}")
+        raise InputError(f"image 'pattern:{name}': there are {', '.join(PATTERNS)}{did_you_mean(kind, PATTERNS)}")
     entry = PATTERNS[kind]
     low, high = entry.limits
     number = int(text) if text.isdecimal() else entry.default if not colon else -1

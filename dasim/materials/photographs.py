@@ -22,6 +22,7 @@ import numpy as np
 
 from dasim.base import untrusted
 from dasim.base.errors import InputError
+from dasim.base.suggestions import did_you_mean
 from dasim.materials import patterns, reflectances
 from dasim.materials.surfaces import Diffuse, Mixture, Surface
 from dasim.spectra.grid import LUMINANCE, WAVELENGTH_NM, long_pass
@@ -45,7 +46,8 @@ def photograph_surface(image: Float32Array, rule: str, repeat: tuple[float, floa
     """
     if rule not in NEAR_INFRARED_RULES:
         rules = ", ".join(f"'{name}'" for name in NEAR_INFRARED_RULES)
-        raise InputError(f"near-infrared rule '{rule}' is unknown; allowed are {rules}")
+        hint = did_you_mean(rule, NEAR_INFRARED_RULES)
+        raise InputError(f"near-infrared rule '{rule}' is unknown; allowed are {rules}{hint}")
     image = np.asarray(image, np.float32)
     if image.ndim != 3 or image.shape[2] != 3 or not np.isfinite(image).all() or image.min() < 0 or image.max() > 1:
         raise InputError("a photograph must be an array of linear RGB [h, w, 3] with values from 0 to 1")

@@ -27,6 +27,7 @@ from dasim.base import atomic
 from dasim.base.cache import cache_dir
 from dasim.base.errors import InputError
 from dasim.base.fingerprint import fingerprint
+from dasim.base.suggestions import did_you_mean
 
 VARIANTS = ("cuda_ad_spectral", "llvm_ad_spectral", "scalar_spectral")  # fastest first
 OLDEST_LLVM = 17  # with Dr.Jit 1.5, LLVM 15 and 16 abort, 19 and 22 work
@@ -116,7 +117,8 @@ def choose(variant: str | None = None) -> Choice:
     where = "variant" if variant is not None else "DASIM_VARIANT"
     request = variant if variant is not None else os.environ.get("DASIM_VARIANT") or "auto"
     if request not in ("auto", *VARIANTS):
-        raise InputError(f"{where} '{request}' is unknown, allowed are auto, {', '.join(VARIANTS)}")
+        hint = did_you_mean(request, ("auto", *VARIANTS))
+        raise InputError(f"{where} '{request}' is unknown; allowed are auto, {', '.join(VARIANTS)}{hint}")
     if _active is not None and request in ("auto", _active.variant):
         return _active
     names = VARIANTS if request == "auto" else (request,)

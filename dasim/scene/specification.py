@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from pydantic import Field, field_validator, model_validator
 
 from dasim.base.errors import InputError
+from dasim.base.suggestions import did_you_mean
 from dasim.base.toml import Specification, bundled_or_file, parse_toml
 from dasim.camera.specification import Camera, refocused
 from dasim.materials.library import Glass, Surface, Texture, is_textured, material_names, surface, unknown
@@ -285,7 +286,8 @@ def _colour_problems(item: Mesh, scene: Scene) -> list[str]:
             f"near-infrared; choose a rule, near_infrared = {rules}, or give the object a material"
         ]
     if item.near_infrared not in NEAR_INFRARED_RULES:
-        return [f"object '{item.name}': near_infrared '{item.near_infrared}' is unknown; allowed are {rules}"]
+        hint = did_you_mean(item.near_infrared, NEAR_INFRARED_RULES)
+        return [f"object '{item.name}': near_infrared '{item.near_infrared}' is unknown; allowed are {rules}{hint}"]
     triangles(item, scene.folder)  # raises where the colours are too many
     return []
 

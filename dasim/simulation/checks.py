@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dasim.base.errors import InputError
+from dasim.base.suggestions import did_you_mean
 from dasim.camera.pointspread import DIFFRACTION_MODELS
 from dasim.camera.specification import Camera
 from dasim.render import stock
@@ -43,7 +44,8 @@ def check_options(
     if seed < 0:
         raise InputError(f"seed is {seed}; 0 or a positive whole number is needed")
     if diffraction is not None and diffraction not in DIFFRACTION_MODELS:
-        raise InputError(f"diffraction '{diffraction}' is unknown; allowed are {', '.join(DIFFRACTION_MODELS)}")
+        hint = did_you_mean(diffraction, DIFFRACTION_MODELS)
+        raise InputError(f"diffraction '{diffraction}' is unknown; allowed are {', '.join(DIFFRACTION_MODELS)}{hint}")
 
 
 def check_camera(camera: Camera, variant: str) -> None:

@@ -6,7 +6,6 @@ is extrapolated beyond its table.
 
 from __future__ import annotations
 
-import difflib
 import re
 from functools import cache
 from typing import Any, NamedTuple
@@ -14,6 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from dasim.base.errors import InputError, kind_of
+from dasim.base.suggestions import did_you_mean
 from dasim.spectra import daylight
 from dasim.spectra.grid import (
     LIGHT_SPEED_M_S,
@@ -150,11 +150,9 @@ def _relative(name: str) -> FloatArray:
         sun, sky = daylight.sun_and_sky(elevation_deg)
         level = np.sin(np.radians(elevation_deg))
         return {"sun": sun, "sky": sky, "daylight": sun * level + sky}[match[1]]
-    near = difflib.get_close_matches(name.lower(), [n.lower() for n in ILLUMINANTS], n=3, cutoff=0.4)
-    nearest = [n for n in ILLUMINANTS if n.lower() in near] or list(ILLUMINANTS[:5])
     raise InputError(
-        f"illuminant '{name}' is unknown; nearest are {', '.join(nearest)}; there are also {', '.join(PATTERNS)} "
-        "(see 'dasim list illuminants')"
+        f"illuminant '{name}' is unknown; 'dasim list illuminants' prints all; there are also {', '.join(PATTERNS)}"
+        f"{did_you_mean(name, ILLUMINANTS, 3)}"
     )
 
 

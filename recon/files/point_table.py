@@ -29,6 +29,7 @@ import numpy as np
 
 from dasim.base import untrusted
 from dasim.base.errors import InputError
+from dasim.base.suggestions import did_you_mean
 from dasim.typing import FloatArray
 from recon.levels import level_of
 
@@ -74,7 +75,9 @@ def read_table(
     unknown = [name for name in names if name not in COLUMNS]
     missing = [name for name in NEEDED if name not in names]
     if unknown or missing or len(set(names)) != len(names) or not rows[1:]:
-        wrong = [f"unknown column '{name}'" for name in unknown] + [f"no column '{name}'" for name in missing]
+        wrong = [f"unknown column '{name}'{did_you_mean(name, COLUMNS)}" for name in unknown] + [
+            f"no column '{name}'" for name in missing
+        ]
         raise InputError(
             f"captures {path}: {'; '.join(wrong) or 'a column twice, or no lines'}; columns are {', '.join(COLUMNS)}"
         )

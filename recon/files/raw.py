@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from dasim.base import untrusted
 from dasim.base.errors import InputError
+from dasim.base.suggestions import did_you_mean
 from dasim.base.toml import parse
 from dasim.camera.noise import Exposure
 from dasim.camera.specification import Camera, Sensor
@@ -77,7 +78,7 @@ def load_raw(
     stated = {"time_s": DEFAULT_EXPOSURE_S if exposure_s is None else exposure_s, "gain": 1.0 if gain is None else gain}
     exposure = parse(Exposure, stated, "--exposure or --gain")
     if kind is not None and kind not in FORMATS:
-        raise InputError(f"--format '{kind}' is unknown; allowed are {', '.join(FORMATS)}")
+        raise InputError(f"--format '{kind}' is unknown; allowed are {', '.join(FORMATS)}{did_you_mean(kind, FORMATS)}")
     if not path.is_file():
         raise InputError(f"raw picture {path}: no such file")
     if kind in PACKED:

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from dasim.base import atomic, untrusted
 from dasim.base.errors import InputError
+from dasim.base.suggestions import did_you_mean
 from dasim.base.toml import parse
 from dasim.camera.specification import Camera
 from dasim.files.exr import write_exr
@@ -38,7 +39,7 @@ def check_extras(extras: Sequence[str]) -> None:
     """Raise InputError for an unknown extra picture."""
     for name in extras:
         if name not in EXTRAS:
-            raise InputError(f"--also '{name}' is unknown; allowed are {', '.join(EXTRAS)}")
+            raise InputError(f"--also '{name}' is unknown; allowed are {', '.join(EXTRAS)}{did_you_mean(name, EXTRAS)}")
 
 
 def save_reconstruction(path: Path, result: Reconstruction, extras: Sequence[str] = ()) -> None:

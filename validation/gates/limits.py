@@ -12,6 +12,7 @@ from pathlib import Path
 from pydantic import RootModel, field_validator
 
 from dasim.base.errors import InputError
+from dasim.base.suggestions import did_you_mean
 from dasim.base.toml import Specification, parse_toml
 from validation.gates.claim import Claim
 from validation.scores.figures import Figure
@@ -100,7 +101,7 @@ def load_gates(path: Path, claims: Iterable[str]) -> list[Gate]:
         if gate.claim not in known or gate.key == gate.claim:
             raise InputError(
                 f"{path}: '{gate.key}' is no figure of a claim; its form is CLAIM.FIGURE or CLAIM.METHOD.FIGURE, "
-                f"with CLAIM one of {', '.join(known)}"
+                f"with CLAIM one of {', '.join(known)}{did_you_mean(gate.claim, known)}"
             )
         for part in gate.key.split("."):
             if not _PART.fullmatch(part):

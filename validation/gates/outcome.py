@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from dasim.base.errors import InputError
+from dasim.base.suggestions import did_you_mean
 from validation.gates.claim import Claim, Evidence
 from validation.gates.limits import Gate
 from validation.methods import NamedMethod
@@ -65,7 +66,8 @@ def select(table: Mapping[str, Measurement], only: Sequence[str], *, quick: bool
     """
     for name in only:
         if name not in table:
-            raise InputError(f"claim '{name}' is unknown; allowed are {', '.join(table)}")
+            hint = did_you_mean(name, table, 3) or f"; allowed are {', '.join(table)}"
+            raise InputError(f"claim '{name}' is unknown; 'dasim list claims' prints all{hint}")
     names = [name for name in table if (not only or name in only) and (not quick or table[name].quick)]
     if not names:
         raise InputError(f"of {', '.join(only) or 'all claims'} none is quick; leave --quick out")

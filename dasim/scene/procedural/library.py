@@ -8,12 +8,12 @@ is 1. The units of plants and of the head are stated in :mod:`~dasim.scene.proce
 from __future__ import annotations
 
 from collections.abc import Callable
-from difflib import get_close_matches
 from functools import lru_cache
 
 import numpy as np
 
 from dasim.base.errors import InputError
+from dasim.base.suggestions import did_you_mean
 from dasim.scene.procedural import mannequin, plants, solids
 from dasim.scene.procedural.triangles import Triangles, ball, fit_unit_cube, merge, sheet, tube
 from dasim.typing import FloatArray
@@ -149,9 +149,7 @@ def procedural(name: str) -> Triangles:
     """
     kind, colon, text = name.partition(":")
     if kind not in MESHES:
-        near = get_close_matches(kind, MESHES, n=1)
-        hint = f"; did you mean '{near[0]}'" if near else ""
-        raise InputError(f"mesh '{PREFIX}{name}': there are {', '.join(MESHES)}{hint}")
+        raise InputError(f"mesh '{PREFIX}{name}': there are {', '.join(MESHES)}{did_you_mean(kind, MESHES)}")
     seed = int(text) if text.isdecimal() else -1 if colon else 0
     if not 0 <= seed <= LARGEST_SEED:
         raise InputError(f"mesh '{PREFIX}{name}': the seed is a whole number from 0 to {LARGEST_SEED}")

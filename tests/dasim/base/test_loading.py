@@ -75,7 +75,7 @@ def test_missing_module_file_and_function_are_told_apart(path_kept):
     assert "no module 'no_such_package'" in message("no_such_package.noise:f")
     assert "no module 'json.noise'" in message("json.noise:f")
     assert "none.py cannot be read" in message("none.py:f")
-    assert message("own.py:colum").endswith("own.py has no 'colum'; it defines column")
+    assert message("own.py:colum").endswith("own.py has no 'colum'; it defines column; did you mean 'column'?")
     assert "is not a function but of type int" in message("own.py:WIDTH")
 
 

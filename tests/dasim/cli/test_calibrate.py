@@ -8,10 +8,10 @@ import pytest
 @pytest.mark.parametrize(
     ("arguments", "message_part"),
     [
-        (("calibrate", "--illuminant", "F99", "--out", "new"), ("illuminant 'F99'", "nearest are")),
+        (("calibrate", "--illuminant", "F99", "--out", "new"), ("illuminant 'F99'", "did you mean 'F9'")),
         (
             ("calibrate", "--illuminant", "D55", "--illuminant", "F99", "--out", "new"),
-            ("illuminant 'F99'", "nearest are"),
+            ("illuminant 'F99'", "did you mean 'F9'"),
         ),
         (("calibrate", "--illuminant", "D55", "--diffraction", "x", "--out", "new"), ("diffraction 'x'", "wave")),
         (("calibrate", "--focus", "nan", "--out", "new"), ("focus", "nan")),

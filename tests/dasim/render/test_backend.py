@@ -66,7 +66,7 @@ def test_scalar_variant_works_everywhere():
 
 
 def test_unknown_variant_is_the_users_mistake(monkeypatch):
-    with pytest.raises(InputError, match=r"variant 'llvm_rgb' is unknown, allowed are auto, cuda_ad_spectral, "):
+    with pytest.raises(InputError, match=r"variant 'llvm_rgb' is unknown; allowed are auto, cuda_ad_spectral, "):
         backend.choose("llvm_rgb")
     monkeypatch.setenv("DASIM_VARIANT", "fast")
     with pytest.raises(InputError, match=r"DASIM_VARIANT 'fast' is unknown"):

@@ -5,7 +5,6 @@ Tested in tests/validation/studies/test_sweep.py.
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
@@ -13,6 +12,7 @@ import numpy as np
 
 import dasim
 from dasim.base.errors import InputError
+from dasim.base.suggestions import did_you_mean
 from dasim.base.toml import parse_toml
 from dasim.camera import radiometry
 from dasim.camera import specification as cameras
@@ -23,6 +23,7 @@ from validation.methods import function
 from validation.studies.sweep.designs import camera_of, method_of, scene_of, settings_of, with_methods
 from validation.studies.sweep.specification import StudySpec, Value, points
 
+OTHERS = ("sweep", "bound", "shape")  # commands of ``dasim study`` beside the names of studies
 BUNDLED = Path(__file__).parents[1] / "bundled"
 LEAST_SHARE = 1e-3  # least share of a channel's light that passes a stop which counts as open
 # Groups of parameters whose combinations have to be checked; every other parameter is checked alone.
@@ -55,15 +56,15 @@ def load_study(name_or_path: str, *, quick: bool = False, methods: Sequence[str]
     bundled = BUNDLED / f"{name_or_path}.toml"
     path = bundled if bundled.is_file() else Path(name_or_path)
     if not path.is_file():
-        near = difflib.get_close_matches(name_or_path, names(), 3) or names()
-        raise InputError(f"study '{name_or_path}' is neither bundled nor a file; did you mean {', '.join(near)}?")
+        hint = did_you_mean(name_or_path, (*names(), *OTHERS))
+        raise InputError(f"study '{name_or_path}' is neither a bundled name ({', '.join(names())}) nor a file{hint}")
     spec = parse_toml(StudySpec, path).model_copy(update={"folder": path.parent.resolve()})
     if quick:
         unknown = [key for key in spec.quick if key not in spec.parameters]
         if unknown:
             raise InputError(
                 f"{path}: quick.{unknown[0]} is not a parameter of the study; its parameters are "
-                f"{', '.join(spec.parameters)}"
+                f"{', '.join(spec.parameters)}{did_you_mean(unknown[0], spec.parameters)}"
             )
         grids = tuple({key: spec.quick.get(key, values) for key, values in grid.items()} for grid in spec.grids)
         spec = spec.model_copy(update={"grids": grids, "seeds": min(spec.seeds, 2)})
@@ -106,8 +107,8 @@ def _parameter_problems(spec: StudySpec) -> list[str]:
     for key in spec.parameters:
         if key not in PLAIN and not key.startswith(("camera.", "recon.")):
             known = [*PLAIN, "camera.<key of a camera file>", "recon.<setting>"]
-            near = difflib.get_close_matches(key, known, 3) or known
-            problems.append(f"parameters.{key}: does not exist; did you mean {', '.join(near)}?")
+            hint = did_you_mean(key, known)
+            problems.append(f"parameters.{key}: does not exist; allowed are {', '.join(known)}{hint}")
     return problems
 
 
@@ -152,11 +153,11 @@ def _picture_problems(spec: StudySpec) -> list[str]:
     problems = []
     for name in (*(curve.x for curve in spec.curves), *(curve.by for curve in spec.curves if curve.by)):
         if name not in spec.parameters:
-            problems.append(f"curves: '{name}' is not a parameter of this study ({', '.join(spec.parameters)})")
+            hint = did_you_mean(name, spec.parameters)
+            problems.append(f"curves: '{name}' is not a parameter of this study ({', '.join(spec.parameters)}){hint}")
     for name in (*(name for curve in spec.curves for name in (curve.y, *curve.beside)), *(spec.pareto or ())):
         if name not in FIGURES:
-            near = difflib.get_close_matches(name, FIGURES, 3) or list(FIGURES)
-            problems.append(f"'{name}' is not a figure; did you mean {', '.join(near)}?")
+            problems.append(f"'{name}' is not a figure; allowed are {', '.join(FIGURES)}{did_you_mean(name, FIGURES)}")
     return problems
 
 
