@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 import dasim
+import recon
 from dasim.base.errors import InputError
 from dasim.base.fingerprint import text_hash
 from dasim.base.toml import Specification, parse_toml
@@ -15,7 +17,8 @@ from dasim.random_scenes.scene import random_exposure
 from dasim.random_scenes.specification import RandomScenes
 from dasim.scene.specification import Scene, load_scene
 from dasim.simulation.exposure import Shot
-from dasim.typing import Progress
+from dasim.typing import Progress, ShareDone
+from dasim.values import PsfBank
 from validation.subjects.shots import photographed
 
 FILE = Path(__file__).with_name("held_out.toml")
@@ -74,6 +77,18 @@ def set_hash(name: SetName, file: Path = FILE) -> str:
 def capture(recipe: Recipe, progress: Progress = lambda stage, share: None) -> Shot:
     """The capture and the truth of a recipe, with rendering noise below its default share of the sensor's."""
     return photographed(recipe.scene, recipe.camera, SEED, spp="auto", exposure=recipe.exposure, progress=progress)
+
+
+def calibrated(recipes: Sequence[Recipe], progress: ShareDone) -> Iterator[tuple[Recipe, Shot, PsfBank]]:
+    """Each recipe with its capture and truth, and a bank calibrated for its camera and focus; rendered when asked for.
+
+    ``progress`` gets the share of the captures that are done with.
+    """
+    for number, recipe in enumerate(recipes):
+        shot = capture(recipe)
+        diffraction = shot.capture.provenance["diffraction"]
+        yield recipe, shot, recon.calibrate(dasim.calibration_captures(recipe.camera, diffraction=diffraction))
+        progress((number + 1) / len(recipes))
 
 
 def _entries(name: SetName, file: Path) -> tuple[_Entry, ...]:

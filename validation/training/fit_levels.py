@@ -18,11 +18,19 @@ from torch.nn import functional
 
 from recon.depth.evidence import LAST, NODE, SCORES, SIGNALS, level_grid
 from recon.depth.surface_net import DILATIONS
-from validation.training.network import constant, constant_arrays, convolution, layer_arrays
+from validation.training.network import (
+    REDUCED,
+    Training,
+    constant,
+    constant_arrays,
+    convolution,
+    layer_arrays,
+    train,
+)
 
 FINE, MIDDLE, WIDE = 24, 48, 80  # channels at samples, pairs of samples and nodes
 BATCH = 8
-RATE, DECAY, WARM_UP = 2e-3, 1e-2, 0.1
+TRAINING = Training(rate=2e-3, decay=1e-2, warm_up=0.1)
 MEAN_WEIGHT, LEAST_SPREAD = 0.5, 0.3
 MISSING = 0.1  # probability that a part of the evidence is left out
 LONE = 0.15  # that the large windows are the only scores, as in the preset ``fast``
@@ -110,25 +118,14 @@ def fit(
     torch.manual_seed(seed)
     random = np.random.default_rng(seed)
     net = Net(*_statistics(examples.inputs[::7]), *_statistics(examples.picture[::7]))
-    net = net.to(memory_format=torch.channels_last)
-    optimiser = torch.optim.AdamW(net.parameters(), RATE, weight_decay=DECAY)
-    steps = epochs * (len(examples.level) // BATCH)
-    schedule = torch.optim.lr_scheduler.OneCycleLR(optimiser, RATE, total_steps=steps, pct_start=WARM_UP)
-    for epoch in range(epochs):
-        net.train()
-        losses = []
-        for inputs, picture, level in _batches(examples, random):
-            with torch.autocast("cpu", dtype=torch.bfloat16):
-                output = net(inputs, picture)
-            value = loss(output, level)
-            optimiser.zero_grad()
-            value.backward()
-            nn.utils.clip_grad_norm_(net.parameters(), 1.0)
-            optimiser.step()
-            schedule.step()
-            losses.append(float(value.detach()))
-        net.eval()
-        report(epoch, float(np.mean(losses)), net)
+
+    def loss_of(inputs: Tensor, picture: Tensor, level: Tensor) -> Tensor:
+        with REDUCED:
+            output = net(inputs, picture)
+        return loss(output, level)
+
+    passes = (_batches(examples, random) for _ in range(epochs))
+    train(net, TRAINING, passes, epochs * (len(examples.level) // BATCH), loss_of, report)
     return net
 
 

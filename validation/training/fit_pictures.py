@@ -17,11 +17,19 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from recon.sharp.restoration import BLOCKS, COMPRESSION, LARGEST, LEAST_SD, RANGE
-from validation.training.network import constant, constant_arrays, convolution, layer_arrays
+from validation.training.network import (
+    REDUCED,
+    Training,
+    constant,
+    constant_arrays,
+    convolution,
+    layer_arrays,
+    train,
+)
 
 WIDTHS = {"fine": 40, "middle": 72, "coarse": 96}  # channels at 2, 4 and 8 pixels
 PATCH_PX, PATCHES, BATCH = 128, 6, 16  # side, number per example and pass, and per step
-RATE, DECAY, WARM_UP = 2e-3, 1e-3, 0.05
+TRAINING = Training(rate=2e-3, decay=1e-3, warm_up=0.05)
 FLOOR = 1e-6  # mean squared error of a patch below which it hardly counts, relative to bright white
 CLIPPED_NEAR_PX = 3  # pixels around clipped ones that do not count
 STATISTICS = 200  # patches that means and deviations of the inputs are taken from
@@ -104,26 +112,15 @@ def fit(
     random = np.random.default_rng(seed)
     sample, _ = inputs_of(_batch(examples, random.integers(0, len(examples), STATISTICS), random))
     net = Net(sample.mean((0, 2, 3)).numpy(), sample.std((0, 2, 3)).numpy() + np.float32(1e-3))
-    net = net.to(memory_format=torch.channels_last)
-    optimiser = torch.optim.AdamW(net.parameters(), RATE, weight_decay=DECAY)
-    steps = epochs * (len(examples) * PATCHES // BATCH)
-    schedule = torch.optim.lr_scheduler.OneCycleLR(optimiser, RATE, total_steps=steps, pct_start=WARM_UP)
-    for epoch in range(epochs):
-        net.train()
-        losses = []
-        for batch in _batches(examples, random):
-            inputs, base = inputs_of(batch)
-            with torch.autocast("cpu", dtype=torch.bfloat16):
-                output = net(inputs.contiguous(memory_format=torch.channels_last), base)
-            value = loss(output, batch)
-            optimiser.zero_grad()
-            value.backward()
-            nn.utils.clip_grad_norm_(net.parameters(), 1.0)
-            optimiser.step()
-            schedule.step()
-            losses.append(float(value.detach()))
-        net.eval()
-        report(epoch, float(np.mean(losses)), net)
+
+    def loss_of(batch: Batch) -> Tensor:
+        inputs, base = inputs_of(batch)
+        with REDUCED:
+            output = net(inputs.contiguous(memory_format=torch.channels_last), base)
+        return loss(output, batch)
+
+    passes = (((batch,) for batch in _batches(examples, random)) for _ in range(epochs))
+    train(net, TRAINING, passes, epochs * (len(examples) * PATCHES // BATCH), loss_of, report)
     return net
 
 

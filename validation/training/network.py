@@ -5,12 +5,71 @@ Tested in tests/validation/training/test_fit_levels.py.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Mapping
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
+
+REDUCED = torch.autocast("cpu", dtype=torch.bfloat16)  # the layers' precision in training
+LARGEST_GRADIENT = 1.0  # norm of a step's gradient
+
+
+N = TypeVar("N", bound=nn.Module)
+
+
+class Training(NamedTuple):
+    """AdamW with one cycle of the rate (Smith and Topin, 2019).
+
+    Attributes:
+        rate: largest learning rate.
+        decay: of the weights.
+        warm_up: share of the steps in which the rate rises.
+    """
+
+    rate: float
+    decay: float
+    warm_up: float
+
+
+def train(
+    net: N,
+    training: Training,
+    passes: Iterable[Iterable[tuple[Any, ...]]],
+    steps: int,
+    loss_of: Callable[..., Tensor],
+    report: Callable[[int, float, N], None],
+) -> None:
+    """Fit a network in place.
+
+    Args:
+        net: the network.
+        training: rates.
+        passes: the batches of each pass over the examples.
+        steps: number of all batches.
+        loss_of: loss of a batch, whose parts are the arguments.
+        report: gets the number of the pass from 0, its mean loss and the network after it, which is set to evaluation.
+    """
+    net.to(memory_format=torch.channels_last)
+    optimiser = torch.optim.AdamW(net.parameters(), training.rate, weight_decay=training.decay)
+    schedule = torch.optim.lr_scheduler.OneCycleLR(
+        optimiser, training.rate, total_steps=steps, pct_start=training.warm_up
+    )
+    for number, batches in enumerate(passes):
+        net.train()
+        losses = []
+        for batch in batches:
+            value = loss_of(*batch)
+            optimiser.zero_grad()
+            value.backward()
+            nn.utils.clip_grad_norm_(net.parameters(), LARGEST_GRADIENT)
+            optimiser.step()
+            schedule.step()
+            losses.append(float(value.detach()))
+        net.eval()
+        report(number, float(np.mean(losses)), net)
 
 
 def convolution(inputs: int, outputs: int, dilation: int = 1) -> nn.Conv2d:

@@ -9,13 +9,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-import dasim
-import recon
 from dasim.base.errors import InputError
 from dasim.simulation.exposure import Shot
 from dasim.typing import BoolArray, FloatArray, ShareDone
 from dasim.values import Reconstruction
 from recon.depth.peak import REFERENCE_ERROR
+from validation.gates.captures import capture_table, cell, known, loss_table, losses, mean_cell
 from validation.gates.claim import Evidence, Table
 from validation.methods import NamedMethod, bundled, prefix, reconstructed
 from validation.reports import pictures
@@ -29,6 +28,7 @@ from validation.subjects import rendering
 from validation.subjects.window_bound import level_bounds
 
 METHODS = bundled("best", "bands", "paper", "chakrabarti-zickler")  # the first has limits, and figures without its name
+LOST = "RMSE in dioptres not below that of the best constant map"
 TIE = 1e-3  # relative difference of errors up to which a map is as good as the constant one
 MEASURED_LEVELS = 1.0  # a window whose bound is larger does not tell the level; its error is not compared with it
 
@@ -62,8 +62,13 @@ class Judged:
         return self.failed is not None or self.scores[RATIO] > 1 - TIE
 
     def value(self, key: str) -> float:
-        """A score; without a reconstruction NaN, and the error of the best constant map as that over it."""
-        return self.scores[key] if self.failed is None else 1.0 if key == RATIO else float("nan")
+        """A score, NaN where it is not finite; without a reconstruction NaN, and the error of the best constant map as
+        that over it.
+        """
+        if self.failed is not None:
+            return 1.0 if key == RATIO else float("nan")
+        score = self.scores[key]
+        return score if np.isfinite(score) else float("nan")
 
 
 def depth_held_out(
@@ -106,11 +111,7 @@ def compared(
     """Figures, tables and pictures of methods side by side on captures; ``caption`` names the captures."""
     judged: dict[NamedMethod, list[Judged]] = {method: [] for method in methods}
     rows = []
-    for number, recipe in enumerate(recipes):
-        shot = sets.capture(recipe)
-        bank = recon.calibrate(
-            dasim.calibration_captures(recipe.camera, diffraction=shot.capture.provenance["diffraction"])
-        )
+    for recipe, shot, bank in sets.calibrated(recipes, progress):
         windows = measured_windows(shot)
         maps: list[tuple[str, NDArray]] = []
         for method in methods:
@@ -123,7 +124,6 @@ def compared(
             judged[method].append(Judged(recipe.name, scores_of(result, shot, windows)))
             maps.append((method.name, result.level))
         rows.append((_picture_caption(recipe.name, judged), _picture(shot, maps)))
-        progress((number + 1) / len(recipes))
     figures = [figure for method in methods for figure in method_figures(method, judged[method], caption)]
     return Evidence(figures, pictures=rows, tables=_tables(judged, caption))
 
@@ -167,25 +167,15 @@ def stated_sd(confidence: NDArray) -> FloatArray:
 def method_figures(method: NamedMethod, judged: Sequence[Judged], caption: str) -> list[Figure]:
     """Figures of a method: over all captures, and some of each; ``caption`` names the captures."""
     label = prefix(method, METHODS[:1])
-    lost = [one.capture for one in judged if one.lost]
-    names = f": {', '.join(lost)}" if lost else ""
-    of = f"{len(judged)} captures ({caption})"
-    text = f"{method}: share of {of} that are lost: RMSE in dioptres not below the best constant map's{names}"
-    refused = float(sum(one.failed is not None for one in judged))
-    figures = [
-        Figure(f"{label}lost", len(lost) / len(judged), "1", text),
-        Figure(f"{label}failed", refused, "captures", f"{method}: without a reconstruction, of {of}"),
-    ]
+    figures = losses(method.name, label, judged, caption, LOST)
     text = f"{method}: RMSE in dioptres of the pixels of all captures together, over that of the best constant maps"
     figures.append(Figure(f"{label}{RATIO}.pooled", pooled_ratio(judged), "1", text))
     for key, (unit, meaning) in ALL_MEANINGS.items():
-        values = np.array([one.value(key) for one in judged])
-        known = values[np.isfinite(values)]
+        values = known(judged, key)
         for name, statistic in (("mean", np.mean), ("median", np.median)):
-            value = float(statistic(known)) if known.size else float("nan")
-            figures.append(
-                Figure(f"{label}{key}.{name}", value, unit, f"{method}: {name} over {known.size} captures of {meaning}")
-            )
+            value = float(statistic(values)) if values.size else float("nan")
+            text = f"{method}: {name} over {values.size} captures of {meaning}"
+            figures.append(Figure(f"{label}{key}.{name}", value, unit, text))
         if key in PER_CAPTURE:
             figures += [
                 Figure(f"{label}{key}.{one.capture}", one.value(key), unit, f"{one.capture}, {method}: {meaning}")
@@ -206,37 +196,22 @@ def pooled_ratio(judged: Sequence[Judged]) -> float:
 
 def _tables(judged: Mapping[NamedMethod, Sequence[Judged]], caption: str) -> list[Table]:
     """What was lost, means and medians of the methods side by side, and every capture."""
-    lost = {method: [one.capture for one in captures if one.lost] for method, captures in judged.items()}
-    means = []
-    for key in MAIN:
-        row = [f"{ALL_MEANINGS[key].text} ({ALL_MEANINGS[key].unit})"]
-        for captures in judged.values():
-            values = np.array([one.value(key) for one in captures])
-            known = values[np.isfinite(values)]
-            row.append(f"{np.mean(known):.3g} ({np.median(known):.3g})" if known.size else "-")
-        means.append(row)
-    tables: list[Table] = [
-        (
-            f"Captures that are lost, with an RMSE in dioptres not below that of the best constant map; {caption}",
-            ["method", "number", "captures"],
-            [[method.name, str(len(names)), ", ".join(names)] for method, names in lost.items()],
-        ),
-        (f"Means over the captures, in brackets medians; {caption}", ["figure", *map(str, judged)], means),
+    by_name = {str(method): captures for method, captures in judged.items()}
+    means = [
+        [f"{ALL_MEANINGS[key].text} ({ALL_MEANINGS[key].unit})",
+         *(mean_cell(known(captures, key)) for captures in by_name.values())]
+        for key in MAIN
+    ]  # fmt: skip
+    return [
+        loss_table(by_name, LOST, caption),
+        (f"Means over the captures, in brackets medians; {caption}", ["figure", *by_name], means),
+        *(capture_table(name, captures, MAIN) for name, captures in by_name.items()),
     ]
-    for method, captures in judged.items():
-        rows = [[one.capture, *(_cell(one.value(key)) for key in MAIN), one.failed or ("lost" if one.lost else "")]
-                for one in captures]  # fmt: skip
-        tables.append((f"{method}: every capture", ["capture", *MAIN, ""], rows))
-    return tables
-
-
-def _cell(value: float) -> str:
-    return f"{value:.3g}" if np.isfinite(value) else "-"
 
 
 def _picture_caption(name: str, judged: Mapping[NamedMethod, Sequence[Judged]]) -> str:
     ratios = ", ".join(
-        f"{method} {_cell(captures[-1].value(RATIO))}{' (lost)' if captures[-1].lost else ''}"
+        f"{method} {cell(captures[-1].value(RATIO))}{' (lost)' if captures[-1].lost else ''}"
         for method, captures in judged.items()
     )
     return f"{name}: levels on one scale, hatched behind the focus; RMSE over the best constant map's: {ratios}"

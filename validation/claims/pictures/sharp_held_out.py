@@ -9,12 +9,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-import dasim
 import recon
 from dasim.base.errors import InputError
 from dasim.simulation.exposure import Shot
 from dasim.typing import ShareDone
 from dasim.values import PsfBank, Reconstruction, Truth
+from validation.gates.captures import capture_table, cell, known, loss_table, losses, mean_cell
 from validation.gates.claim import Evidence, Table
 from validation.methods import NamedMethod, bundled, prefix, reconstructed
 from validation.references import layered_deconvolution
@@ -31,6 +31,7 @@ from validation.subjects.conditions import quiet, true_levels
 
 METHODS = bundled("best", "bands", "paper")  # the first has limits, and figures without its name
 OVERALL, IN_FOCUS = "gain.all", "gain.0-1"
+LOST = "all in focus worse than captured, in PSNR over all pixels"
 EDGE_CROP = "depth edge"
 
 # Pictures by library functions from the captured one and the levels of the first method, by the beginning of their ids.
@@ -117,11 +118,7 @@ def compared(
     columns = [one for method in methods for one in _columns(method, first=method == methods[0])]
     judged: dict[str, list[Judged]] = {column.label: [] for column in columns}
     rows = []
-    for number, recipe in enumerate(recipes):
-        shot = sets.capture(recipe)
-        bank = recon.calibrate(
-            dasim.calibration_captures(recipe.camera, diffraction=shot.capture.provenance["diffraction"])
-        )
+    for recipe, shot, bank in sets.calibrated(recipes, progress):
         for column in columns:
             try:
                 result, truth = column.run(shot, bank)
@@ -131,7 +128,6 @@ def compared(
             judged[column.label].append(Judged(recipe.name, scores.sharpness(result, truth)))
             if column is columns[0]:
                 rows += _picture(recipe.name, result, truth, judged[column.label][-1])
-        progress((number + 1) / len(recipes))
     figures = [figure for column in columns for figure in column_figures(column, judged[column.label], caption)]
     return Evidence(figures, pictures=rows, tables=_tables(judged, caption))
 
@@ -174,37 +170,23 @@ def _rival(
 def column_figures(column: Column, judged: Sequence[Judged], caption: str) -> list[Figure]:
     """Figures over all captures, and the gain of each; ``caption`` names the captures."""
     label, start = column.label, column.prefix
-    lost = [one.capture for one in judged if one.lost]
-    names = f": {', '.join(lost)}" if lost else ""
-    of = f"{len(judged)} captures ({caption})"
-    text = f"{label}: share of {of} that are lost: all in focus worse than captured, in PSNR over all pixels{names}"
-    refused = float(sum(one.failed is not None for one in judged))
-    figures = [
-        Figure(f"{start}lost", len(lost) / len(judged), "1", text),
-        Figure(f"{start}failed", refused, "captures", f"{label}: without a reconstruction, of {of}"),
-    ]
+    figures = losses(label, start, judged, caption, LOST)
     meanings = {f"{quantity}.{region}": (unit, f"{text}, {_where(region)}")
                 for quantity, (unit, text) in QUANTITIES.items() for region in REGIONS}  # fmt: skip
     for key, (unit, meaning) in (meanings | {HALO: ("1", HALO_TEXT)}).items():
-        known = _known(judged, key)
+        values = known(judged, key)
         statistics: list[tuple[str, Callable]] = [("mean", np.mean), ("median", np.median)]
         if key.startswith("gain."):
             statistics.append(("least", np.min))
         for name, statistic in statistics:
-            value = float(statistic(known)) if known.size else float("nan")
-            text = f"{label}: {name} over {known.size} captures of the {meaning}"
+            value = float(statistic(values)) if values.size else float("nan")
+            text = f"{label}: {name} over {values.size} captures of the {meaning}"
             figures.append(Figure(f"{start}{key}.{name}", value, unit, text))
     unit, meaning = meanings[OVERALL]
     return figures + [
         Figure(f"{start}{OVERALL}.{one.capture}", one.value(OVERALL), unit, f"{one.capture}, {label}: {meaning}")
         for one in judged
     ]
-
-
-def _known(judged: Sequence[Judged], key: str) -> np.ndarray:
-    """Values of the captures that have one; those of an exact picture are infinite."""
-    values = np.array([one.value(key) for one in judged])
-    return values[~np.isnan(values)]
 
 
 def _where(region: str) -> str:
@@ -218,22 +200,17 @@ def _where(region: str) -> str:
 
 def _tables(judged: Mapping[str, Sequence[Judged]], caption: str) -> list[Table]:
     """What was lost, means and medians side by side, widths of edges, and every capture."""
-    lost = {label: [one.capture for one in captures if one.lost] for label, captures in judged.items()}
     means = [
         [
             f"{text}, {_where(region)} ({unit})",
-            *(_mean(_known(captures, f"{quantity}.{region}")) for captures in judged.values()),
+            *(mean_cell(known(captures, f"{quantity}.{region}")) for captures in judged.values()),
         ]
         for quantity, (unit, text) in QUANTITIES.items()
         for region in REGIONS
     ]
-    means.append([f"{HALO_TEXT} (1)", *(_mean(_known(captures, HALO)) for captures in judged.values())])
+    means.append([f"{HALO_TEXT} (1)", *(mean_cell(known(captures, HALO)) for captures in judged.values())])
     tables: list[Table] = [
-        (
-            f"Captures that are lost: all in focus worse than captured, in PSNR over all pixels; {caption}",
-            ["method", "number", "captures"],
-            [[label, str(len(names)), ", ".join(names)] for label, names in lost.items()],
-        ),
+        loss_table(judged, LOST, caption),
         (f"Means over the captures, in brackets medians; {caption}", ["figure", *judged], means),
         (
             f"Edge width (px), captured and all in focus: means over the captures; {caption}",
@@ -244,25 +221,13 @@ def _tables(judged: Mapping[str, Sequence[Judged]], caption: str) -> list[Table]
     ]  # fmt: skip
     main = [*(f"gain.{region}" for region in REGIONS), *(f"{name}.all" for name in ("gain-sharp", "ssim", "ciede2000")),
             "width.boundary", HALO]  # fmt: skip
-    for label, captures in judged.items():
-        rows = [[one.capture, *(_cell(one.value(key)) for key in main), one.failed or ("lost" if one.lost else "")]
-                for one in captures]  # fmt: skip
-        tables.append((f"{label}: every capture", ["capture", *main, ""], rows))
-    return tables
-
-
-def _mean(known: np.ndarray) -> str:
-    return f"{np.mean(known):.3g} ({np.median(known):.3g})" if known.size else "-"
+    return tables + [capture_table(label, captures, main) for label, captures in judged.items()]
 
 
 def _before_after(judged: Sequence[Judged], key: str) -> str:
     pairs = np.array([(one.scores.captured[key], one.scores.sharpened[key]) for one in judged if one.failed is None])
     pairs = pairs.reshape(-1, 2)[~np.isnan(pairs.reshape(-1, 2)).any(axis=1)]
     return f"{pairs[:, 0].mean():.2f}, {pairs[:, 1].mean():.2f}" if pairs.size else "-"
-
-
-def _cell(value: float) -> str:
-    return "-" if np.isnan(value) else f"{value:.3g}"
 
 
 def _picture(name: str, result: Reconstruction, truth: Truth, judged: Judged) -> list[tuple[str, str]]:
@@ -276,7 +241,7 @@ def _picture(name: str, result: Reconstruction, truth: Truth, judged: Judged) ->
     found = crops.places({EDGE_CROP: jump} | details)
     if not found:
         return []
-    gains = ", ".join(f"{_where(key)} {_cell(judged.value(f'gain.{key}'))}" for key in REGIONS)
+    gains = ", ".join(f"{_where(key)} {cell(judged.value(f'gain.{key}'))}" for key in REGIONS)
     columns = ", ".join(key if key == EDGE_CROP else f"{key} px" for key in found)
     caption = (
         f"{name}: captured, all in focus, truth in focus, from above, with one exposure, each pixel as "
