@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import inspect
 import textwrap
+import time
 from functools import partial
 from pathlib import Path
 from typing import Annotated
@@ -30,14 +31,17 @@ def demo(*, out: Out = Path("out/demo"), variant: str | None = None, spp: Whole 
     from dasim.files.folders import check_output
     from dasim.simulation.checks import check_options
     from validation.demo import run_demo
-    from validation.reports.lines import of_claims
+    from validation.reports.headlines import headlines
+    from validation.reports.lines import of_headlines
 
     check_output(out, "demo")
     check_options(spp, 0, None)
     options.say_variant(variant)
+    start = time.monotonic()
     with options.progress() as progress:
         entries = run_demo(out, variant=variant, spp=spp, progress=progress)
-    print("\n".join(of_claims(entries)))
+    print("\n".join(of_headlines(headlines(entries), time.monotonic() - start)))
+    print(f"all {len(entries)} figures: {out / 'results.json'}")
     print(f"report: {out / 'report.html'}")
     return 1 if any(entry.passed is False for entry in entries) else 0
 
@@ -56,6 +60,7 @@ def validate(
     compare: Path | None = None,
     fail_on_worse: Annotated[bool, Parameter(negative="")] = False,
     propose_gates: Path | None = None,
+    verbose: Annotated[bool, Parameter(negative="")] = False,
 ) -> int:
     """Test simulator and reconstruction against closed forms and independent methods; writes report and junit.xml.
 
@@ -76,6 +81,7 @@ def validate(
         compare: results.json of an earlier run; prints which figures improved and which got worse
         fail_on_worse: with --compare, exit status 1 if a figure got worse by more than its spread
         propose_gates: write a TOML file for --gates, with limits from means and spread over --seeds
+        verbose: print every figure, not only those that are not within their limits
     """
     from dasim.files.folders import check_output
     from dasim.render import backend
@@ -84,9 +90,9 @@ def validate(
     from validation.gates.limits import all_gates
     from validation.gates.outcome import check_methods, failed, select
     from validation.gates.proposal import gate_file
-    from validation.gates.run import measured_claims
+    from validation.gates.run import earlier_durations, measured_claims
     from validation.methods import named
-    from validation.reports.lines import of_claims
+    from validation.reports.lines import of_outcomes, total
     from validation.validate import write_claims
 
     names = select(CLAIMS, only or (), quick=quick)
@@ -113,14 +119,16 @@ def validate(
     check_output(out, "validation")
     options.say_variant(None)
     variant = backend.choose().variant
-    with options.progress() as progress:
+    start = time.monotonic()
+    with options.stages("claims", earlier_durations(names, CLAIMS, seeds, methods)) as progress:
         measure = partial(
             measured_claims, names, CLAIMS, limits,
             variant=variant, seeds=seeds, fresh=fresh, jobs=jobs, methods=methods, progress=progress,
         )  # fmt: skip
         outcomes = write_claims(out, measure)
     entries = [entry for outcome in outcomes for entry in outcome.claims]
-    print("\n".join(of_claims(entries)))
+    print("\n".join(of_outcomes(outcomes, every_figure=verbose)))
+    print(total(outcomes, time.monotonic() - start))
     again = sum(outcome.stored for outcome in outcomes)
     if again:
         print(f"{again} of {len(outcomes)} claims were taken from an earlier run; --fresh measures them again")

@@ -6,13 +6,15 @@ Tested in tests/dasim/cli/test_render.py.
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator
+import time
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
+from dasim.base.durations import left_s, words
 from dasim.base.errors import InputError, shortened
 from dasim.typing import Progress
 
@@ -39,6 +41,66 @@ def progress() -> Iterator[Progress]:
             bar.update(tasks[stage], completed=share)
 
         yield update
+
+
+@contextmanager
+def stages(name: str, expected_s: Mapping[str, float | None]) -> Iterator[Progress]:
+    """One progress bar over stages that took ``expected_s`` before, with the time left where all of that is known.
+
+    Elsewhere than on a terminal, one line per stage. A stage that ends before it began was taken from an earlier run.
+    """
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
+
+    console = Console(stderr=True)
+    columns = (TextColumn(name), BarColumn(), MofNCompleteColumn(), TextColumn("{task.description}"))
+    start, share, remaining = time.monotonic(), dict[str, float](), dict(expected_s)
+    with Progress(*columns, console=console, disable=not console.is_terminal) as bar:
+        task = bar.add_task("", total=len(expected_s))
+
+        def update(stage: str, part: float) -> None:
+            begins = stage not in share
+            if begins and part >= 1:
+                remaining.pop(stage, None)
+            share[stage] = part
+            elapsed = time.monotonic() - start
+            done = sum(part >= 1 for part in share.values())
+            left = left_s(remaining, share, elapsed) if done < len(expected_s) else None
+            times = f"{words(elapsed)} so far" + ("" if left is None else f", about {words(left)} left")
+            running = ", ".join(stage for stage, part in share.items() if part < 1)
+            bar.update(task, completed=done, description=f"{times}; {running}")
+            if begins and not console.is_terminal:
+                print(f"{stage} ({done} of {len(expected_s)} {name} done, {times})", file=sys.stderr, flush=True)
+
+        yield update
+
+
+@contextmanager
+def counted(name: str) -> Iterator[Callable[[int, int, int], None]]:
+    """A progress bar over equal pieces of work, done, all and failed, with the time left at the pace of this run.
+
+    Elsewhere than on a terminal, one line per piece. What is done at the first call was done before.
+    """
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
+
+    console = Console(stderr=True)
+    columns = (TextColumn(name), BarColumn(), MofNCompleteColumn(), TextColumn("{task.description}"))
+    start, before = time.monotonic(), list[int]()
+    with Progress(*columns, console=console, disable=not console.is_terminal) as bar:
+        task = bar.add_task("", total=None)
+
+        def show(done: int, total: int, failed: int) -> None:
+            ended, elapsed = done + failed, time.monotonic() - start
+            before[:] = before or [ended]
+            new = ended - before[0]
+            times = f", about {words(elapsed / new * (total - ended))} left" if new and ended < total else ""
+            status = (f"{words(elapsed)} so far" if new else "") + times + (f", {failed} failed" if failed else "")
+            bar.update(task, completed=ended, total=total, description=status)
+            if not console.is_terminal:
+                print(f"{name}: {done} of {total}" + (f", {status}" if status else ""), file=sys.stderr, flush=True)
+
+        yield show
 
 
 def whole(kind: Any, tokens: Any) -> int:

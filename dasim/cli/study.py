@@ -5,17 +5,16 @@ Tested in tests/validation/studies/test_sweep.py.
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+import time
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import cyclopts
 from cyclopts import Parameter
 
+from dasim.base.durations import words
 from dasim.base.errors import InputError
 from dasim.cli.datasets import processes_of
-from dasim.cli.options import Out, Whole, progress
+from dasim.cli.options import Out, Whole, counted, progress
 
 if TYPE_CHECKING:
     from dasim.base.executors import Executor
@@ -74,13 +73,16 @@ def sweep(
     else:
         run = executors.ray(address, work, gpu=gpu)
     job = Sweep(spec, place, here)
-    with _progress(spec.name) as show:
+    start = time.monotonic()
+    with counted(spec.name) as show:
         failed = run_sweep(job, run, show)
     for line in summary(job):
         print(line)
     for point, reason in failed.items():
         print(f"not measured: {point}: {reason}")
-    if len(failed) < len(units(spec)):
+    pictures = len(units(spec))
+    print(f"{pictures - len(failed)} of {pictures} pictures measured, in {words(time.monotonic() - start)}")
+    if len(failed) < pictures:
         print(f"report: {place}/{PAGE}")
     return 1 if failed else 0
 
@@ -189,11 +191,13 @@ def shape(
         _collect(wrong, check)
     if wrong:
         raise InputError("; ".join(wrong))
+    start = time.monotonic()
     with progress() as show:
         study = run_study(plan, render=render, progress=show)
     files.write_study(study, out)
     for line in report.lines(study):
         print(line)
+    print(f"{len(study.rows)} designs in {words(time.monotonic() - start)}")
     print(f"report: {out / 'report.html'}")
     return 0
 
@@ -219,22 +223,3 @@ def _collect(wrong, check) -> None:  # type: ignore[no-untyped-def]
         check()
     except InputError as error:
         wrong.append(str(error))
-
-
-@contextmanager
-def _progress(name: str) -> Iterator[Callable[[int, int, int], None]]:
-    """A progress bar with the time left on a terminal; elsewhere one line per point."""
-    from rich import progress as bars
-    from rich.console import Console
-
-    console = Console(stderr=True)
-    text = (bars.TextColumn("{task.description}"), bars.BarColumn(), bars.MofNCompleteColumn())
-    with bars.Progress(*text, bars.TimeRemainingColumn(), console=console, disable=not console.is_terminal) as bar:
-        task = bar.add_task(name, total=None)
-
-        def show(done: int, total: int, failed: int) -> None:
-            bar.update(task, completed=done + failed, total=total)
-            if not console.is_terminal:
-                print(f"{name}: {done} of {total}" + (f", {failed} failed" if failed else ""), file=sys.stderr)
-
-        yield show

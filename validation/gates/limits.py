@@ -29,12 +29,20 @@ _COMPARE = {"<=": operator.le, ">=": operator.ge, "<": operator.lt, ">": operato
 
 def within(value: float, limit: str) -> bool:
     """Whether a value is within a limit such as ``<= 0.02``, ``> 0`` or ``0.195..0.199``; NaN is within none."""
-    if bounds := _RANGE.fullmatch(limit):
-        return float(bounds[1]) <= value <= float(bounds[2])
+    low, high = bounds(limit)
+    bound = _ONE_SIDED.fullmatch(limit)
+    return bool(_COMPARE[bound[1]](value, float(bound[2]))) if bound else low <= value <= high
+
+
+def bounds(limit: str) -> tuple[float, float]:
+    """The lowest and the highest value of a limit, infinite where it has none; raises InputError if unreadable."""
+    if both := _RANGE.fullmatch(limit):
+        return float(both[1]), float(both[2])
     bound = _ONE_SIDED.fullmatch(limit)
     if not bound:
         raise InputError(f"limit '{limit}' is not of the form '<= 0.02', '> 0' or '0.195..0.199'")
-    return bool(_COMPARE[bound[1]](value, float(bound[2])))
+    value = float(bound[2])
+    return (-math.inf, value) if bound[1].startswith("<") else (value, math.inf)
 
 
 def judged(figure: Figure, limit: str | None, *, claim: str, why: str = "") -> Claim:

@@ -81,6 +81,21 @@ def check_methods(table: Mapping[str, Measurement], names: Sequence[str], method
         raise InputError(f"--method {methods[0]}: none of these claims measures depth methods; {able} do")
 
 
+def verdict(claims: Sequence[Claim]) -> bool | None:
+    """False if a figure failed, True if some had limits and none failed, None if none had a limit."""
+    judged = [claim.passed for claim in claims if claim.passed is not None]
+    return all(judged) if judged else None
+
+
+def by_verdict(outcomes: Sequence[Outcome]) -> list[Outcome]:
+    """The outcomes in the order that a reader needs: failed, passed, without a limit, not run; else unchanged."""
+
+    def place(outcome: Outcome) -> int:
+        return 3 if outcome.not_run else (False, True, None).index(verdict(outcome.claims))
+
+    return sorted(outcomes, key=place)
+
+
 def failed(outcomes: list[Outcome]) -> bool:
     """Whether any figure failed its limit."""
     return any(entry.passed is False for outcome in outcomes for entry in outcome.claims)

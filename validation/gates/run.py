@@ -80,6 +80,14 @@ def measured_claims(
     ]
 
 
+def earlier_durations(
+    names: Sequence[str], table: Mapping[str, Measurement], seeds: int = 1, methods: Sequence[NamedMethod] = ()
+) -> dict[str, float | None]:
+    """Seconds that each stage of :func:`measured_claims` took when it was measured last; None if that is not known."""
+    planned = [job for name in names for job in _jobs(name, table[name], seeds, methods)]
+    return {job.stage: stored.earlier_seconds(_file(job), job.seed) for job in planned}
+
+
 def _jobs(name: str, measurement: Measurement, seeds: int, methods: Sequence[NamedMethod]) -> list[Job]:
     users_methods = [method for method in methods if measurement.methods and method not in measurement.methods]
     return [

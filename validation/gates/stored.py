@@ -18,7 +18,7 @@ from dasim.base.fingerprint import fingerprint, text_hash
 from validation.gates.claim import Evidence, plain_value
 from validation.scores.figures import Figure
 
-__all__ = ["key", "load", "save", "text_hash"]
+__all__ = ["earlier_seconds", "key", "load", "save", "text_hash"]
 
 SCHEMA = 4  # of the files
 
@@ -43,6 +43,15 @@ def load(name: str, seed: int, key: str) -> tuple[Evidence, float] | None:
         return Evidence(figures, pictures, tables, pairs), float(content["seconds"])
     except (OSError, ValueError, KeyError, TypeError):
         return None  # missing or damaged
+
+
+def earlier_seconds(name: str, seed: int) -> float | None:
+    """How long a claim took when it was measured last, whatever it depends on now; None if that is not known."""
+    try:
+        newest = max((cache_dir() / "claims").glob(f"{name}.{seed}.*.json"), key=lambda path: path.stat().st_mtime)
+        return float(json.loads(newest.read_text(encoding="utf-8"))["seconds"])
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
 
 
 def save(name: str, seed: int, key: str, evidence: Evidence, seconds: float) -> None:

@@ -13,9 +13,10 @@ from collections.abc import Sequence
 import jinja2
 from markupsafe import Markup, escape
 
+from dasim.base.durations import words
 from validation.gates.claim import Claim
 from validation.gates.limits import LIMIT_FROM
-from validation.gates.outcome import Outcome
+from validation.gates.outcome import Outcome, by_verdict, verdict
 from validation.reports.page import TEMPLATE_DIR
 
 WIDE = 1.9
@@ -25,8 +26,8 @@ _VIEW = re.compile(rb'viewBox="0 0 ([\d.]+) ([\d.]+)"')  # of an SVG
 
 
 def claims_page(outcomes: Sequence[Outcome]) -> str:
-    """HTML page with a summary table, then the text, figures and pictures of each claim; one file that loads nothing
-    else.
+    """HTML page with the figures outside their limits, then one line per claim, failed ones first, which opens to its
+    text, figures and pictures; one file that loads nothing else.
     """
     environment = jinja2.Environment(loader=jinja2.FileSystemLoader(TEMPLATE_DIR), autoescape=True)
     entries = [(outcome, entry) for outcome in outcomes for entry in outcome.claims]
@@ -39,12 +40,15 @@ def claims_page(outcomes: Sequence[Outcome]) -> str:
         "not_run": sum(bool(outcome.not_run) for outcome in outcomes),
     }
     return environment.get_template("claims.html").render(
-        outcomes=outcomes,
+        outcomes=by_verdict(outcomes),
+        missed=[entry for entry in judged if not entry.passed],
         counts=counts,
         sentence=sentence,
         paragraphs=paragraphs,
         number=number,
         verdict=verdict,
+        words=words,
+        judged_first=judged_first,
         meaning=meaning,
         wide=wide,
         beside=beside,
@@ -59,6 +63,11 @@ def sentence(text: str) -> str:
 def code(text: str) -> Markup:
     """Escaped text with ``names`` marked up as code."""
     return Markup(re.sub(r"``([^`]+)``", r"<code>\1</code>", str(escape(text))))
+
+
+def judged_first(claims: Sequence[Claim]) -> list[Claim]:
+    """The figures in the order that a reader needs: failed, passed, without a limit; else unchanged."""
+    return sorted(claims, key=lambda claim: (False, True, None).index(claim.passed))
 
 
 def meaning(claim: Claim) -> str:
@@ -123,9 +132,3 @@ def beside(outcome: Outcome) -> Beside | None:
 def number(value: float) -> str:
     """The number with four significant digits."""
     return f"{value:.4g}"
-
-
-def verdict(claims: Sequence[Claim]) -> bool | None:
-    """False if a figure failed, True if some had limits and none failed, None if none had a limit."""
-    judged = [claim.passed for claim in claims if claim.passed is not None]
-    return all(judged) if judged else None

@@ -6,7 +6,6 @@ Tested in tests/validation/claims/test_pictures.py.
 from __future__ import annotations
 
 import base64
-import io
 from collections.abc import Sequence
 from typing import Any
 
@@ -17,6 +16,7 @@ from numpy.typing import NDArray
 from dasim.typing import BoolArray, FloatArray
 from recon.views.surface import Surface
 from validation.reports.page import MAP, NO_ESTIMATE
+from validation.reports.plots import svg_address
 
 JPEG_QUALITY = 92  # a fifth of the size of PNG for a noisy photograph, without a visible difference
 PANEL_INCH = 3.2  # width of a map
@@ -47,7 +47,7 @@ def depth_panels(maps: Sequence[tuple[str, NDArray[Any]]], nearest_m: float, far
     Colours are linear in dioptres, as blur is, from ``farthest_m`` to ``nearest_m``; NaN is grey.
     """
     import matplotlib
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.backends.backend_svg import FigureCanvasSVG
     from matplotlib.figure import Figure
 
     height, width = maps[0][1].shape
@@ -55,7 +55,7 @@ def depth_panels(maps: Sequence[tuple[str, NDArray[Any]]], nearest_m: float, far
     size = (PANEL_INCH * len(maps) + 0.9, PANEL_INCH * height / width + 0.35)
     with matplotlib.rc_context({"font.size": 9}):
         figure = Figure(figsize=size, dpi=DPI, layout="constrained")
-        FigureCanvasAgg(figure)
+        FigureCanvasSVG(figure)
         axes = np.atleast_1d(figure.subplots(1, len(maps)))
         for one, (title, depth_m) in zip(axes, maps, strict=True):
             vergence = 1 / np.asarray(depth_m, np.float64)
@@ -68,7 +68,7 @@ def depth_panels(maps: Sequence[tuple[str, NDArray[Any]]], nearest_m: float, far
         bar = figure.colorbar(image, ax=list(axes), label="depth z (cm)", pad=0.01)
         ticks = np.linspace(1 / farthest_m, 1 / nearest_m, TICKS)
         bar.set_ticks(list(ticks), labels=[f"{100 / tick:.3g}" for tick in ticks])
-        return _png_address(figure)
+        return svg_address(figure, DPI)
 
 
 def level_panels(photo: NDArray[Any], maps: Sequence[tuple[str, NDArray[Any]]], near: BoolArray) -> str:
@@ -80,7 +80,7 @@ def level_panels(photo: NDArray[Any], maps: Sequence[tuple[str, NDArray[Any]]], 
         near: pixels [h, w] on the near side of the focal plane; the others are grey and hatched.
     """
     import matplotlib
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.backends.backend_svg import FigureCanvasSVG
     from matplotlib.figure import Figure
 
     (_, true), (title, first) = maps[:2]
@@ -89,7 +89,7 @@ def level_panels(photo: NDArray[Any], maps: Sequence[tuple[str, NDArray[Any]]], 
     size = (LEVEL_PANEL_INCH * (len(maps) + 2) + 1.6, LEVEL_PANEL_INCH * near.shape[0] / near.shape[1] + 0.35)
     with matplotlib.rc_context({"font.size": 8, "hatch.linewidth": 0.5}):
         figure = Figure(figsize=size, dpi=DPI, layout="constrained")
-        FigureCanvasAgg(figure)
+        FigureCanvasSVG(figure)
         axes = figure.subplots(1, len(maps) + 2)
         axes[0].imshow(np.clip(np.nan_to_num(photo), 0, 1), interpolation="nearest")
         axes[0].set_title("all in focus, truth")
@@ -100,7 +100,7 @@ def level_panels(photo: NDArray[Any], maps: Sequence[tuple[str, NDArray[Any]]], 
         figure.colorbar(image, ax=axes[-1], label="|error|, levels", pad=0.02, extend="max")
         for one in axes:
             one.set_axis_off()
-        return _png_address(figure)
+        return svg_address(figure, DPI)
 
 
 def _level_map(axes: Any, title: str, level: NDArray[Any], near: BoolArray, top: float, colours: str) -> Any:
@@ -114,13 +114,6 @@ def _level_map(axes: Any, title: str, level: NDArray[Any], near: BoolArray, top:
         axes.contourf(~near, levels=[0.5, 1.5], colors="none", hatches=[BEHIND_FOCUS])
     axes.set_title(title)
     return image
-
-
-def _png_address(figure: Any) -> str:
-    """A matplotlib figure as a data URL (PNG)."""
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", facecolor="white")
-    return "data:image/png;base64," + base64.b64encode(buffer.getvalue()).decode()
 
 
 def relief(

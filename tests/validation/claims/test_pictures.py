@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import dataclasses
+import re
 
 import cv2
 import numpy as np
@@ -240,12 +241,13 @@ def test_maps_share_a_scale_and_gaps_are_grey():
     """Expectation: one depth has one colour in both maps; what has none is grey, as dark as its red, green and blue."""
     first = np.full((30, 40), 0.2)
     second = np.where(np.arange(40) < 20, 0.2, np.nan)[None].repeat(30, axis=0)
-    image = decoded(pictures.depth_panels([("a", first), ("b", second)], 0.1, 0.4))
-    row = image[image.shape[0] // 2]
-    colour = row[image.shape[1] // 8]
-    grey = int(np.argmin(np.abs(row - 127 / 255).max(axis=1)))
-    assert np.abs(row[grey] - 127 / 255).max() < 0.01
-    assert (np.abs(row - colour).max(axis=1) < 0.01).mean() > 0.5  # three of four halves, less margins and bar
+    svg = base64.b64decode(pictures.depth_panels([("a", first), ("b", second)], 0.1, 0.4).split(",")[1]).decode()
+    one, other = (decoded("," + data) for data in re.findall(r"image/png;base64,([A-Za-z0-9+/=\s]+)", svg)[:2])
+    middle = other.shape[1] // 2
+    colour = one[one.shape[0] // 2, one.shape[1] // 4]
+    assert np.abs(colour - 127 / 255).max() > 0.1
+    assert np.abs(one[5:-5, 5:-5] - colour).max() < 0.01 and np.abs(other[5:-5, 5 : middle - 5] - colour).max() < 0.01
+    assert np.abs(other[5:-5, middle + 5 : -5] - 127 / 255).max() < 0.01
 
 
 def test_relief_from_the_right_shows_near_things_to_the_left():

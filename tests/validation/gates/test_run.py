@@ -167,6 +167,10 @@ def test_kept_limits_end_with_status_0(fakes, capsys):
         "spread": None,
     }
     assert entries["good.other"]["passed"] is None and entries["good.other"]["limit"] is None
+    output = capsys.readouterr().out
+    assert output.startswith("passed") and "good.size" not in output
+    assert "1 claim in " in output and "1 of 1 figures within their limits" in output
+    assert run(["validate", "--only", "good", "--out", "new", "--verbose"]) == 0
     assert "good.size" in capsys.readouterr().out
 
 
@@ -314,6 +318,7 @@ def test_pairs_show_both_pictures_with_a_slider(fakes, monkeypatch):
         run(["validate", "--only", "paired", "--out", "new"])
         page = (fakes / "new" / "report.html").read_text()
         assert "Left: one; right: other" in page and 'type="range"' in page
+    (fakes / "new" / "report.html").write_text(page.replace("<details", "<details open"))
     shot = browser.screenshot(fakes / "new" / "report.html", 800, 1600).astype(int)
     red, blue = (np.nonzero((shot == colour).all(axis=-1))[1] for colour in ([0, 0, 255], [255, 0, 0]))
     assert len(red) > 1000 and len(blue) == pytest.approx(len(red), rel=0.1)
