@@ -203,7 +203,7 @@ def _size_px(data: bytes, where: str) -> tuple[int, int]:
     if data.startswith(_PNG) and len(data) >= 24:
         return int.from_bytes(data[16:20]), int.from_bytes(data[20:24])
     try:
-        with warnings.catch_warnings(action="ignore"), Image.open(io.BytesIO(data)) as opened:
+        with quiet(), warnings.catch_warnings(action="ignore"), Image.open(io.BytesIO(data)) as opened:
             return opened.size
     except Image.DecompressionBombError:
         raise InputError(f"{where}: has more pixels than any camera; give a smaller picture") from None

@@ -276,7 +276,7 @@ class DatasetSpec(Specification):
 def load_spec(path: Path) -> DatasetSpec:
     """Read and check a specification from a TOML file; all problems in one InputError."""
     if not path.is_file():
-        raise InputError(f"{path}: no such file; the specification of a dataset is a TOML file (see the README)")
+        raise InputError(f"{path}: no such file; a dataset is specified by a TOML file (see docs/guides/datasets.md)")
     spec = parse_toml(DatasetSpec, path).model_copy(update={"folder": path.parent.resolve()})
     check(spec, str(path))
     return spec

@@ -8,6 +8,7 @@ header.
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -29,6 +30,7 @@ PACKED = {"raw10": (10, 4, 5), "raw12": (12, 2, 3), "raw16": (16, 1, 2)}
 LEFT_ALIGNED = "left-aligned"  # PNG, TIFF or NPY with values shifted to the most significant of 16 bits
 FORMATS = (*PACKED, LEFT_ALIGNED)
 MOST_ROW_PADDING = 256  # largest padding of a row by a driver, bytes
+ONE_NUMBER = "a raw mosaic has one number per pixel, [rows, columns]"
 DEFAULT_EXPOSURE_S = 0.01  # for an unknown exposure time, on which the dark signal alone depends
 
 
@@ -117,16 +119,7 @@ def _decoded(path: Path) -> NDArray:
             return untrusted.array(path, f"raw picture {path}")
         if suffix == ".png":
             return untrusted.picture(path, f"raw picture {path}", cv2.IMREAD_UNCHANGED)
-        import tifffile
-
-        untrusted.check_file(path, f"raw picture {path}")
-        with untrusted.quiet(), tifffile.TiffFile(path) as file:
-            for page in file.pages:
-                untrusted.check_pixels((page.imagewidth, page.imagelength), f"raw picture {path}")
-            if file.pages.first.compression == tifffile.COMPRESSION.NONE:
-                return np.asarray(file.asarray())
-        # tifffile alone reads no LZW and no predictors; OpenCV does
-        return untrusted.picture(path, f"raw picture {path}", cv2.IMREAD_UNCHANGED)
+        return _tiff(path, f"raw picture {path}")
     except InputError:
         raise
     except Exception as error:  # each library raises exceptions of its own
@@ -134,13 +127,38 @@ def _decoded(path: Path) -> NDArray:
         raise InputError(f"raw picture {path}: cannot be read ({text})") from None
 
 
+def _tiff(path: Path, where: str) -> NDArray:
+    """Unprocessed values of a TIFF file with one picture, or with smaller ones after it."""
+    import tifffile
+
+    untrusted.check_file(path, where)
+    with untrusted.quiet(), tifffile.TiffFile(path) as file:
+        page = file.pages.first
+        for size_px in ((page.imagewidth, page.imagelength), (page.tilewidth, page.tilelength)):
+            untrusted.check_pixels(size_px, where)
+        if len(page.shape) != 2:
+            raise InputError(f"{where}: has the shape {page.shape}; {ONE_NUMBER}")
+        if _second(file) == page.shape:
+            raise InputError(f"{where}: holds several pictures; {ONE_NUMBER}")
+        if page.compression == tifffile.COMPRESSION.NONE:
+            return np.asarray(page.asarray())
+    # tifffile alone reads no LZW and no predictors; OpenCV does
+    return untrusted.picture(path, where, cv2.IMREAD_UNCHANGED)
+
+
+def _second(file: Any) -> tuple[int, ...] | None:
+    """Shape of the second picture of a TIFF file, if it has one; the others are not visited: they may be a circle."""
+    try:
+        return tuple(file.pages[1].shape)
+    except IndexError:
+        return None
+
+
 def _numbers(image: NDArray, path: Path, camera: Camera, *, left_aligned: bool) -> UInt16Array:
     """Raw values within the camera's bit depth; raises InputError for others."""
     bits = camera.sensor.adc_bits
     if image.ndim != 2:
-        raise InputError(
-            f"raw picture {path}: has the shape {image.shape}; a raw mosaic has one number per pixel, [rows, columns]"
-        )
+        raise InputError(f"raw picture {path}: has the shape {image.shape}; {ONE_NUMBER}")
     if image.dtype.kind == "f":
         if not np.isfinite(image).all():
             raise InputError(

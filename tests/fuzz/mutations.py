@@ -108,6 +108,27 @@ def png(random: Random, data: bytes) -> bytes:
     return data[:12] + bytes(head) + struct.pack(">I", zlib.crc32(bytes(head))) + data[33:]
 
 
+def glb(random: Random, data: bytes) -> bytes:
+    """The JSON or the numbers of a GLB file damaged, with the right lengths in its header, or bytes anywhere.
+
+    A GLB file has a header of 12 bytes, a chunk of JSON and one of numbers (glTF 2.0 specification, sec. 4.4).
+    """
+    if random.random() < 0.2 or len(data) < 20:
+        return BYTES[int(random.integers(len(BYTES)))](random, data)
+    end = 20 + int.from_bytes(data[12:16], "little")
+    head, numbers = data[20:end], bytearray(data[end + 8 :])
+    if random.random() < 0.7:
+        head = TEXT[int(random.integers(len(TEXT)))](random, head)
+    else:
+        for place in random.integers(max(len(numbers) // 4, 1), size=3):
+            value = random.choice([np.nan, np.inf, -1e30, 1e38, 3.4e-39])
+            numbers[4 * int(place) : 4 * int(place) + 4] = struct.pack("<f", value)
+    chunks = b""
+    for kind, chunk in ((b"JSON", head + b" " * (-len(head) % 4)), (b"BIN\0", bytes(numbers))):
+        chunks += struct.pack("<I", len(chunk)) + kind + chunk
+    return b"glTF" + struct.pack("<II", 2, 12 + len(chunks)) + chunks
+
+
 def archive(random: Random, data: bytes) -> bytes:
     """A member of a zip file damaged, missing, twice or empty, or bytes of the archive itself."""
     if random.random() < 0.3:
@@ -140,6 +161,8 @@ def damaged(random: Random, name: str, data: bytes) -> bytes:
     for _ in range(int(random.choice([1, 1, 2]))):
         if suffix == "png":
             data = png(random, data)
+        elif suffix == "glb":
+            data = glb(random, data)
         elif suffix == "npz":
             try:
                 data = archive(random, data)

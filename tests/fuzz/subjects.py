@@ -10,6 +10,8 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+import trimesh
+from PIL import Image
 
 import dasim
 from dasim.camera import specification as cameras
@@ -69,6 +71,7 @@ SUBJECTS = (
     Subject("scene", ("scene.toml",), lambda folder: dasim.load_scene(folder / "scene.toml")),
     Subject("mitsuba", ("scene.xml",), lambda folder: dasim.load_scene(folder / "scene.xml")),
     Subject("mesh", ("mesh.obj",), lambda folder: meshes.read(folder / "mesh.obj", 0.01, str(folder / "mesh.obj"))),
+    Subject("glb", ("mesh.glb",), lambda folder: meshes.read(folder / "mesh.glb", 0.01, str(folder / "mesh.glb"))),
     Subject("random", ("random.toml",), lambda folder: load_random_scenes(folder / "random.toml")),
     Subject("dataset", ("spec.toml", "wall.toml"), lambda folder: load_spec(folder / "spec.toml")),
     Subject("study", ("study.toml",), _points),
@@ -82,6 +85,7 @@ SUBJECTS = (
     Subject("raw-png", ("raw.png",), lambda folder: raw.load_raw(folder / "raw.png", dasim.load_camera("da-mobile"))),
     Subject("raw-npy", ("raw.npy",), lambda folder: raw.load_raw(folder / "raw.npy", dasim.load_camera("da-mobile"))),
     Subject("raw-tiff", ("raw.tif",), lambda folder: raw.load_raw(folder / "raw.tif", dasim.load_camera("da-mobile"))),
+    Subject("raw-lzw", ("raw.tif",), lambda folder: raw.load_raw(folder / "raw.tif", dasim.load_camera("da-mobile"))),
     Subject("map", ("map.npy",), lambda folder: read_depth(folder / "map.npy")),
 )
 
@@ -97,6 +101,7 @@ def write(folder: Path) -> None:
         shutil.copy(picture, folder / "scene")
     (folder / "mitsuba" / "scene.xml").write_text(XML)
     (folder / "mesh" / "mesh.obj").write_text("vt 0 0\nvt 1 0\nvt 1 1\n" + SQUARE.replace("f 1 3 2", "f 1/1 3/2 2/3"))
+    _write_glb(folder / "glb" / "mesh.glb", random)
     (folder / "random" / "random.toml").write_text("depth_cm = [20, 80]\nobjects = [5, 9]\nlux = [100, 2000.0]\n")
     fields = {"samples": 4, "samples_per_shard": 2, "format": "webdataset", "files": '["wall.toml"]'}
     (folder / "dataset" / "spec.toml").write_text(SPEC.format(top="", more="", **fields))
@@ -124,8 +129,18 @@ def write(folder: Path) -> None:
     mosaic = random.integers(64, 1024, (SIDE, SIDE)).astype(np.uint16)
     cv2.imwrite(str(folder / "raw-png" / "raw.png"), mosaic)
     cv2.imwrite(str(folder / "raw-tiff" / "raw.tif"), mosaic)
+    compressed = [cv2.IMWRITE_TIFF_COMPRESSION, cv2.IMWRITE_TIFF_COMPRESSION_LZW]
+    cv2.imwrite(str(folder / "raw-lzw" / "raw.tif"), mosaic, compressed)
     np.save(folder / "raw-npy" / "raw.npy", mosaic)
     np.save(folder / "map" / "map.npy", random.random((SIDE, SIDE)))
+
+
+def _write_glb(path: Path, random: np.random.Generator) -> None:
+    """A square with a picture as its texture."""
+    picture = Image.fromarray(random.integers(0, 256, (8, 8, 3)).astype(np.uint8))
+    square = trimesh.Trimesh([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]], [[0, 2, 1], [0, 3, 2]], process=False)
+    square.visual = trimesh.visual.TextureVisuals(uv=[[0, 0], [1, 0], [1, 1], [0, 1]], image=picture)
+    path.write_bytes(square.export(file_type="glb"))
 
 
 def _write_captures(folder: Path, camera: cameras.Camera, random: np.random.Generator) -> None:

@@ -13,7 +13,7 @@ from dasim.base.errors import InputError
 from tests.fuzz import runner, subjects
 from tests.fuzz.subjects import SUBJECTS, Subject
 
-CASES = 36
+CASES = 40
 
 
 @pytest.fixture(scope="module")

@@ -1,5 +1,8 @@
 """Raw files of real cameras: every format returns the packed numbers, and every mistake gives a message of one line."""
 
+import struct
+import zlib
+
 import cv2
 import numpy as np
 import pytest
@@ -57,6 +60,50 @@ def test_files_with_a_header(tmp_path, ten, suffix):
     capture = raw_files.load_raw(path, ten, exposure_s=0.02, gain=2.0)
     np.testing.assert_array_equal(capture.raw_dn, raw)
     assert capture.raw_dn.dtype == np.uint16 and (capture.exposure_s, capture.gain) == (0.02, 2.0)
+
+
+def tiff(width: int, height: int, kind: int, strip: bytes, *, next_page: int = 0, **changes: int) -> bytes:
+    """A TIFF file of one strip of 16 bits, as its specification (revision 6.0, sec. 2 and 8) lays it out.
+
+    ``kind`` is its compression: 1 none, 5 LZW, 8 deflate; ``changes`` are further tags by ``t`` and number.
+    """
+    about = {256: width, 257: height, 258: 16, 259: kind, 262: 1, 273: 8, 277: 1, 278: height, 279: len(strip)}
+    about |= {int(name[1:]): value for name, value in changes.items()}
+    place = 8 + len(strip)
+    entries = b"".join(struct.pack("<HHII", tag, 4, 1, about[tag]) for tag in sorted(about))
+    return (
+        struct.pack("<2sHI", b"II", 42, place)
+        + strip
+        + struct.pack("<H", len(about))
+        + entries
+        + struct.pack("<I", place if next_page < 0 else next_page)
+    )
+
+
+@pytest.mark.parametrize(
+    ("file", "message"),
+    [
+        (tiff(100_000, 100_000, 8, zlib.compress(bytes(512))), "100000 x 100000 pixels, at most 100 million"),
+        (tiff(100_000, 100_000, 1, bytes(512)), "100000 x 100000 pixels, at most 100 million"),
+        (tiff(9000, 9000, 5, bytes(512)), "cannot be read"),
+        (tiff(9000, 9000, 1, bytes(512)), "cannot be read"),
+        (tiff(16, 16, 8, zlib.compress(bytes(512)), t322=60_000, t323=60_000, t324=8, t325=20), "60000 x 60000"),
+        (tiff(16, 16, 8, zlib.compress(bytes(512)), t277=60_000), "one number per pixel"),
+        (tiff(16, 16, 1, bytes(512), t32997=10**9), "one number per pixel"),
+        (tiff(16, 16, 8, zlib.compress(bytes(512)), next_page=-1), "several pictures"),
+    ],
+    ids=["header", "header-plain", "lzw-short", "short", "tiles", "samples", "depth", "circle"],
+)
+def test_tiff_bombs_are_refused(tmp_path, ten, file, message, capfd):
+    """Set-up: headers that promise far more than the file has, and directories in a circle. The function that writes
+    them makes a valid file, too.
+    """
+    (tmp_path / "a.tif").write_bytes(file)
+    with pytest.raises(InputError, match=message):
+        raw_files.load_raw(tmp_path / "a.tif", ten)
+    assert capfd.readouterr().err == ""
+    (tmp_path / "a.tif").write_bytes(tiff(16, 16, 8, zlib.compress(bytes(range(2)) * 256)))
+    assert (raw_files.load_raw(tmp_path / "a.tif", ten).raw_dn == 256).all()
 
 
 def test_the_pictures_own_size_governs(tmp_path):
