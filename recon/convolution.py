@@ -58,8 +58,9 @@ def convolved(image: Float32Array, net: Net, name: str, dilation: int = 1) -> Fl
 
 
 def refined(image: Float32Array, net: Net, name: str) -> Float32Array:
-    """A residual convolution of an image that :func:`relu` has clipped."""
-    return relu(image + linear(relu(convolved(image, net, f"{name}_a")), net, f"{name}_b"))
+    """A residual convolution of an image that :func:`relu` has clipped, in place."""
+    image += linear(relu(convolved(image, net, f"{name}_a")), net, f"{name}_b")
+    return relu(image)
 
 
 def gathered(image: Float32Array) -> Float32Array:

@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 from dasim.typing import Complex64Array, Float32Array, FloatArray
 from recon import fourier
 from recon.depth.channels import Also, Channel, kernels_without_infrared
-from recon.depth.grid import Grid, Window, plane_mean, transform, window_mean
+from recon.depth.grid import Grid, Window, gaussian_means, plane_mean, transform, window_mean
 
 BANDS = 7  # a band's impulse response reaches about 1 / width = 33 px, the patch; narrower bands mix objects
 LOWEST_CYCLES_PX = 0.025  # at lower frequencies, shading differs between channels
@@ -184,7 +184,7 @@ def _means(stack: Float32Array, window: Window, spacing_px: float, likeness: Flo
         return np.stack([window_mean(image, window, spacing_px) for image in stack])
     step = max(round(TAP_PX / spacing_px), 1)
     sigma = window.side_px / spacing_px / np.sqrt(12)
-    taps = np.stack([cv2.GaussianBlur(i, (0, 0), TAP_BLUR * step, borderType=cv2.BORDER_REFLECT) for i in stack])
+    taps = np.stack(gaussian_means(stack, TAP_BLUR * step))
     result = np.empty_like(taps)
     _bilateral(taps, likeness, int(np.ceil(2 * sigma / step)), step, np.float32(sigma), result)
     return result

@@ -16,13 +16,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import NamedTuple
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from dasim.typing import Complex64Array, Float32Array, FloatArray
 from recon import fourier
-from recon.depth.grid import PLANE_SPACING_PX, plane_mean, transform
+from recon.depth.grid import PLANE_SPACING_PX, gaussian_means, plane_mean, transform
 from recon.picture.mosaic import Phase
 
 EDGES = np.array([0.010, 0.022, 0.036, 0.055, 0.08, 0.11, 0.145, 0.19, 0.24])  # cycles per pixel, evenly in log f
@@ -123,8 +122,7 @@ def _noise(variances: Sequence[Float32Array], alpha: Sequence[float]) -> list[Fl
 def _means(images: Sequence[Float32Array], sigma: float, step: int) -> Float32Array:
     """Means of images [h, w] over windows of ``sigma`` samples, at the nodes, [row, column, image]."""
     rows, columns = nodes(images[0].shape, step)
-    means = [cv2.GaussianBlur(image, (0, 0), sigma, borderType=cv2.BORDER_REFLECT) for image in images]
-    return np.stack([mean[np.ix_(rows, columns)] for mean in means], axis=-1)
+    return np.stack([mean[np.ix_(rows, columns)] for mean in gaussian_means(images, sigma)], axis=-1)
 
 
 def nodes(shape: Sequence[int], step: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:

@@ -108,7 +108,8 @@ def evidence(
     joined = np.log(_joined(total, levels, across, down))
     parts.append(np.maximum(joined - joined.max(axis=-1, keepdims=True), LEAST_LOG))
     parts.append(_signal(found[0]))
-    return Evidence(np.concatenate(parts, axis=-1).astype(np.float32), _whole(picture, nodes), levels, total, nodes)
+    inputs = np.concatenate(parts, axis=-1).astype(np.float32, copy=False)
+    return Evidence(inputs, _whole(picture, nodes), levels, total, nodes)
 
 
 def _spectra(channels: tuple[Channel, Channel], leak: Leak) -> list[Spectra]:

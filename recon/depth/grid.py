@@ -5,6 +5,8 @@ The sample spacing ``spacing_px`` is 2 raw pixels for the colour planes of a mos
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from concurrent.futures import ThreadPoolExecutor
 from typing import Literal, NamedTuple
 
 import cv2
@@ -100,6 +102,16 @@ def window_mean(image: Float32Array, window: Window, spacing_px: float = PLANE_S
         odd = 2 * int(side / 2) + 1
         return np.asarray(cv2.boxFilter(image, -1, (odd, odd), borderType=border), np.float32)
     return np.asarray(cv2.GaussianBlur(image, (0, 0), side / np.sqrt(12), borderType=border), np.float32)
+
+
+def gaussian_means(images: Iterable[Float32Array], sigma: float) -> list[Float32Array]:
+    """Each image [h, w] averaged over a Gaussian of ``sigma`` samples, mirrored at the border; two at a time."""
+
+    def mean(image: Float32Array) -> Float32Array:
+        return np.asarray(cv2.GaussianBlur(image, (0, 0), sigma, borderType=cv2.BORDER_REFLECT), np.float32)
+
+    with ThreadPoolExecutor(fourier.WORKERS) as pool:
+        return list(pool.map(mean, images))
 
 
 def transform(

@@ -99,6 +99,7 @@ def _fit(  # pragma: no cover - compiled
         g = np.empty((d, d))
         sigma = np.empty((d, d))
         q = np.empty(bands)
+        power = np.empty(bands)  # e^q
         own = np.empty((bands, d))
         for b in range(bands):
             index = 0
@@ -114,7 +115,7 @@ def _fit(  # pragma: no cover - compiled
         for a in range(levels):
             total = 0.0
             for b in range(bands):
-                q[b] = 0.0
+                q[b], power[b] = 0.0, 1.0
                 for i in range(d):
                     own[b, i] = max(s[b, i, i], n[b, i, i])
             for step in range(ITERATIONS):
@@ -122,7 +123,7 @@ def _fit(  # pragma: no cover - compiled
                     for j in range(i, d):
                         top, bottom = 0.0, 1e-30
                         for b in range(bands):
-                            e = np.exp(q[b]) * table[a, b, i, j]
+                            e = power[b] * table[a, b, i, j]
                             weight = number[b] / (own[b, i] * own[b, j] + 1e-20)
                             top += weight * e * (s[b, i, j] - n[b, i, j])
                             bottom += weight * e * e
@@ -136,10 +137,9 @@ def _fit(  # pragma: no cover - compiled
                             sigma[i, j] = min(max(sigma[i, j], -most), most)
                 total = 0.0
                 for b in range(bands):
-                    power = np.exp(q[b])
                     for i in range(d):
                         for j in range(d):
-                            g[i, j] = power * sigma[i, j] * table[a, b, i, j]
+                            g[i, j] = power[b] * sigma[i, j] * table[a, b, i, j]
                             c[i, j] = g[i, j] + n[b, i, j]
                         own[b, i] = c[i, i]
                         c[i, i] *= 1 + SLACK
@@ -163,6 +163,7 @@ def _fit(  # pragma: no cover - compiled
                     if step < ITERATIONS - 1:
                         gradient = 0.5 * number[b] * (cross - slope) - q[b] / (POWER_SD * POWER_SD)
                         q[b] += min(max(gradient / fisher, -1.0), 1.0)
+                        power[b] = np.exp(q[b])
                     else:
                         divergence = max(0.5 * number[b] * (det + trace - log_det[b] - d), 0.0)
                         total -= nu * np.log(1 + divergence / nu)

@@ -20,6 +20,7 @@ from recon.settings import DEFAULT, Settings
 from recon.stages import Stage, stages
 
 MIN_FRAME_PX = 32
+STRIP_PX = 256  # rows from which infrared is removed at a time: limits the memory of large frames
 CLIPPED_NEAR_PX = 5  # side of the square in which a saturated pixel affects interpolated values
 LIGHTS = ("D65", "D55", "A", "energy-saving-3500K")  # of sec. 5.1, for white balance without a bank
 STAGES = ("linearise", "light", "denoise", "infrared", "demosaic", "colour")
@@ -151,14 +152,20 @@ def without_infrared(image: Demosaiced, separation: field.Separation, clipped: N
     Saturated values are lower bounds. They are raised to the level of the brightest channel, relative to ``white``
     [channel], so that a highlight is white instead of pink. Deviation: the paper does not treat highlights.
     """
-    with_ir = image.full_e if image.ir_e is None else np.dstack([image.full_e, np.maximum(image.ir_e, 0)])
-    clean = field.separate(with_ir, separation)
-    if not clipped.any():
-        return clean
-    rows = separation.on_axis
-    neutral = (rows @ white[: rows.shape[1]]).astype(np.float32)
-    level = (clean / neutral).max(axis=-1, keepdims=True)
-    return np.asarray(np.where(clipped, np.maximum(clean, level * neutral), clean), np.float32)
+    on_axis = separation.on_axis
+    neutral = (on_axis @ white[: on_axis.shape[1]]).astype(np.float32)
+    result = np.empty(image.full_e.shape, np.float32)
+    for top in range(0, len(result), STRIP_PX):
+        rows = slice(top, top + STRIP_PX)
+        strip = image.full_e[rows]
+        if image.ir_e is not None:
+            strip = np.dstack([strip, np.maximum(image.ir_e[rows], 0)])
+        clean = field.separate(strip, separation._replace(place=separation.place[rows]))
+        if clipped[rows].any():
+            level = (clean / neutral).max(axis=-1, keepdims=True)
+            clean = np.where(clipped[rows], np.maximum(clean, level * neutral), clean)
+        result[rows] = clean
+    return result
 
 
 def clipped(saturated: NDArray, camera: Camera) -> BoolArray:

@@ -96,15 +96,14 @@ def padded(stack: Float32Array, shape: Shape) -> Float32Array:
     return np.stack([fourier.pad_blended(plane, shape) for plane in stack])
 
 
-def by_tiles(
-    channels: int, shape: tuple[int, ...], tiles: Sequence[Tile], work: Callable[[Tile], Float32Array]
-) -> Float32Array:
-    """A picture [channel, h, w] whose tiles are the results of ``work``, two at a time."""
-    result = np.empty((channels, *shape), np.float32)
+def by_tiles(result: Float32Array, tiles: Sequence[Tile], work: Callable[[Tile], Float32Array]) -> None:
+    """Fill a picture [channel, h, w] with what ``work`` gives for its tiles, at least 0; two tiles at a time."""
+
+    def fill(tile: Tile) -> None:
+        np.maximum(work(tile), 0, out=result[:, *tile.core])
+
     with ThreadPoolExecutor(fourier.WORKERS) as pool:
-        for tile, part in zip(tiles, pool.map(work, tiles), strict=True):
-            result[:, *tile.core] = part
-    return result
+        list(pool.map(fill, tiles))
 
 
 def own_share(position: Float32Array, tile: Tile, node: int, reach_px: int) -> Float32Array:

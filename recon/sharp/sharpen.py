@@ -97,13 +97,14 @@ def sharpen(
     tiles = list(layers.tiles(position, reach_px))
     noise = np.maximum(np.asarray(noise_e, np.float32), np.float32(1e-3))
     frame = Frame(stack, _draft(stack, tiles, transfers, noise), noise, position, transfers, reach_px)
+    # Before the result has memory: they need as much for a while.
+    kappas = [_prior_weights(frame.draft[part], noise[part], position, len(nodes)) / strength for part, _ in passes]
     sharp = np.zeros_like(stack)
-    for part, guide_part in passes:
+    for (part, guide_part), kappa in zip(passes, kappas, strict=True):
         guide = None if guide_part is None else (sharp[guide_part] / noise[guide_part, None, None]).mean(axis=0)
-        kappa = _prior_weights(frame.draft[part], noise[part], position, len(nodes)) / strength
         part_phases = None if phases is None or None in phases[part] else phases[part]
         work = partial(_deconvolve_tile, frame, Pass(part, kappa, steps, guide, part_phases))
-        sharp[part] = np.maximum(layers.by_tiles(len(stack[part]), position.shape, tiles, work), 0)
+        layers.by_tiles(sharp[part], tiles, work)
     return sharp
 
 
@@ -147,7 +148,9 @@ def _draft(stack: Float32Array, tiles: list[Tile], transfers: layers.Transfers, 
             total += tile.share(index) * sharp[:, *tile.inner]
         return total
 
-    return np.maximum(layers.by_tiles(len(stack), stack.shape[1:], tiles, work), 0)
+    draft = np.empty(stack.shape, np.float32)
+    layers.by_tiles(draft, tiles, work)
+    return draft
 
 
 def _prior_weights(draft: Float32Array, noise: Float32Array, position: Float32Array, nodes: int) -> Float32Array:
@@ -163,7 +166,13 @@ def _prior_weights(draft: Float32Array, noise: Float32Array, position: Float32Ar
     for index, (plane, unit) in enumerate(zip(draft, noise, strict=True)):
         steps = np.zeros_like(plane)
         for axis in (0, 1):
-            steps += np.abs(np.diff(plane, axis=axis, append=np.take(plane, [-1], axis)) / unit) ** power / 2
+            gradient = np.diff(plane, axis=axis, append=np.take(plane, [-1], axis))
+            gradient /= unit  # in place: large frames have no memory to spare
+            np.abs(gradient, out=gradient)
+            gradient **= power
+            gradient /= 2
+            steps += gradient
+        del gradient
         spread = (np.bincount(nearest, steps.ravel(), nodes) + SUFFICIENT_PX * steps.mean()) / (count + SUFFICIENT_PX)
         kappa[:, index] = 1 / (power * np.maximum(spread, 1e-6))
     return kappa

@@ -137,6 +137,19 @@ def test_a_saturated_colour_keeps_its_hue():
     np.testing.assert_allclose(clean, full - 1500 * specification.crosstalk(small("da-mobile")), rtol=1e-5)
 
 
+def test_infrared_is_removed_alike_in_strips(monkeypatch):
+    """Set-up: random channels of which a few are clipped, in strips whose last is cut. Expectation: the same bytes."""
+    random = np.random.default_rng(0)
+    over_field = field.separation(small("da-mobile"), "D65", recon.PAPER)
+    height, width = over_field.place.shape
+    image = develop.Demosaiced(*(random.uniform(0, 6000, (height, width, *c)).astype(np.float32) for c in ((3,), ())))
+    clipped, white = random.uniform(size=(height, width, 3)) < 0.01, np.array([2.0, 1.0, 0.5, 1.4])
+    whole = develop.without_infrared(image, over_field, clipped, white)
+    monkeypatch.setattr(develop, "STRIP_PX", 40)
+    assert height % 40
+    np.testing.assert_array_equal(develop.without_infrared(image, over_field, clipped, white), whole)
+
+
 # --- infrared ------------------------------------------------------------------------------------
 
 
