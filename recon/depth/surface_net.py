@@ -27,6 +27,7 @@ import numpy as np
 from dasim.typing import Float32Array, FloatArray
 from recon.convolution import Net, convolved, gathered, linear, load, refined, relu, spread
 from recon.depth.evidence import NODE, SCORES
+from recon.depth.tiles import tiles
 
 FILE = "surface_net.npz"
 DILATIONS = (1, 2, 4, 8, 16, 1, 2, 4, 8, 1)
@@ -34,6 +35,8 @@ SHARE = 0.5  # of the network in the posterior; the rest is that of smooth surfa
 # Factor on the standard deviation on smooth surfaces alone, which take the windows of neighbours as less alike than
 # they are; chosen on ``tune``.
 SMOOTH_SD = 2.5
+TILE = 512  # nodes per side: frames of up to 4096 pixels per side are one tile
+HALO = 50  # nodes around a tile: the sum of ``DILATIONS``, and what the layers of the picture and of the samples see
 
 
 class Moments(NamedTuple):
@@ -49,15 +52,32 @@ def weights() -> Net:
     return load("recon.depth", FILE)
 
 
-def posterior(inputs: Float32Array, picture: Float32Array, levels: FloatArray, last: float) -> Moments:
+def posterior(
+    inputs: Float32Array, picture: Float32Array, levels: FloatArray, last: float, tile: int = TILE, halo: int = HALO
+) -> Moments:
     """Posterior of each sample of the planes; the last rows and columns of samples may lie outside of the frame.
+
+    Large frames are processed in tiles, whose halo holds all that the network sees.
 
     Args:
         inputs: evidence per node, [h, w, input].
         picture: logarithms of the channels, [NODE h, NODE w, channel].
         levels: values of the levels.
         last: largest level of the bank; larger ones get no probability.
+        tile: largest side of a tile, nodes.
+        halo: around it, nodes.
     """
+    result = Moments(*np.empty((2, *picture.shape[:2]), np.float32))
+    for nodes in tiles(inputs.shape, tile, halo):
+        samples = nodes.finer(NODE)
+        found = _of_tile(inputs[nodes.box], picture[samples.box], levels, last)
+        for image, of_tile in zip(result, found, strict=True):
+            image[samples.core] = of_tile[samples.inner]
+    return result
+
+
+def _of_tile(inputs: Float32Array, picture: Float32Array, levels: FloatArray, last: float) -> Moments:
+    """:func:`posterior` without regard to what is around."""
     net = weights()
     fine = convolved((picture - net["picture_mean"]) / net["picture_sd"], net, "fine")
     fine = convolved(relu(fine), net, "fine_in")
@@ -69,9 +89,12 @@ def posterior(inputs: Float32Array, picture: Float32Array, levels: FloatArray, l
         hidden += linear(inner, net, f"b{index}")
     hidden = relu(hidden)
     nodes = linear(hidden, net, "level") + inputs[..., : SCORES * len(levels)] @ net["skip"]
-    middle = refined(relu(spread(linear(hidden, net, "middle_back")) + middle), net, "middle_out")
-    fine = refined(relu(spread(linear(middle, net, "fine_back")) + fine), net, "fine_out")
+    middle += spread(linear(hidden, net, "middle_back"))
+    middle = refined(relu(middle), net, "middle_out")
+    fine += spread(linear(middle, net, "fine_back"))
+    fine = refined(relu(fine), net, "fine_out")
     logits = linear(fine, net, "sample")
+    del fine, middle, hidden
     size = logits.shape[1::-1]
     logits += cv2.resize(nodes, size, interpolation=cv2.INTER_LINEAR)
     return _moments(SHARE * _powers(logits, levels, last) + (1 - SHARE) * _of_smooth(inputs, size, levels, last))

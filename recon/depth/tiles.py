@@ -42,6 +42,14 @@ class Tile(NamedTuple):
     box: tuple[slice, slice]  # the tile with its halo in the frame
     inner: tuple[slice, slice]  # the tile in the box
 
+    def finer(self, factor: int) -> Tile:
+        """The tile on a grid with ``factor`` times as many rows and columns."""
+        core, box, inner = (
+            (slice(factor * rows.start, factor * rows.stop), slice(factor * columns.start, factor * columns.stop))
+            for rows, columns in self
+        )
+        return Tile(core, box, inner)
+
 
 def tiles(shape: tuple[int, ...], size: int = TILE, halo: int = HALO) -> Iterator[Tile]:
     """Tiles of about equal size, at most ``size`` samples per side, that cover a frame [h, w] once."""

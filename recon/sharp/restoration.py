@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 from dasim.typing import Float32Array
 from recon import convolution
 from recon.convolution import Net, convolved, gathered, linear, relu, spread
+from recon.depth.tiles import tiles
 
 FILE = "restoration.npz"
 BLOCKS = {"fine": 1, "middle": 2, "coarse": 3, "middle_up": 1, "fine_up": 1}  # residual blocks on the way down and up
@@ -36,7 +37,10 @@ LEAST_SD, LARGEST_SD = 0.05, 30.0  # levels
 MULTIPLE_PX = 8  # that the network's coarsest pixels span
 # Where blur is large the network hedges, and the mean with the draft is nearer to the truth, on rooms held out too.
 DRAFT_SHARE, DRAFT_LEVELS = 0.5, (2.0, 6.0)  # of the draft in the result, and the levels between which it rises to that
-BAND_PX, HALO_PX = 1024, 64  # rows that are restored at a time, and rows around them that the network sees
+TILE_PX = 2048  # largest side of what is restored at a time
+# Around a tile. Beyond the 8 x 8 pixels that it is in, a pixel depends on 44: convolutions of 3 x 3 reach 2 pixels four
+# times, 4 three times and 8 three times.
+HALO_PX = 56
 
 
 class Picture(NamedTuple):
@@ -67,12 +71,28 @@ def units(stack: Float32Array, white: NDArray) -> Float32Array:
     return np.asarray(white * max(bright, 1e-6), np.float32)
 
 
-def restored(picture: Picture, phases: dict[str, tuple[int, int]]) -> Float32Array:
+def restored(picture: Picture, phases: dict[str, tuple[int, int]], tile_px: int = TILE_PX) -> Float32Array:
     """All-in-focus colours without infrared, [h, w, 3] electrons.
 
-    ``phases`` are the positions (row, column) of green, of red or infrared, and so on in the 2x2 block of the mosaic,
-    as :func:`recon.picture.mosaic.phases` gives them.
+    Frames larger than ``tile_px`` per side are restored in tiles, with a halo of all that the network sees. ``phases``
+    are the positions (row, column) of green, of red or infrared, and so on in the 2x2 block of the mosaic, as
+    :func:`recon.picture.mosaic.phases` gives them.
     """
+    height, width = picture.level.shape
+    result = np.empty((height, width, 3), np.float32)
+    cells = (-(-height // MULTIPLE_PX), -(-width // MULTIPLE_PX))
+    for of_cells in tiles(cells, tile_px // MULTIPLE_PX, HALO_PX // MULTIPLE_PX):
+        tile = of_cells.finer(MULTIPLE_PX)
+        result[tile.core] = _tile(_changed(picture, partial(_cut, box=tile.box)), phases)[tile.inner]
+    return result
+
+
+def _cut(image: Float32Array, box: tuple[slice, slice]) -> Float32Array:
+    return image[..., *box]
+
+
+def _tile(picture: Picture, phases: dict[str, tuple[int, int]]) -> Float32Array:
+    """:func:`restored` for the whole of a picture."""
     top, left = phases["G"]
     after = phases["IR" if picture.sparse else "R"]
     turned = ((after[0] - top) % 2, (after[1] - left) % 2) == (1, 0)
@@ -84,7 +104,7 @@ def restored(picture: Picture, phases: dict[str, tuple[int, int]]) -> Float32Arr
         wide = np.pad(image, (*[(0, 0)] * (image.ndim - 2), *rim), mode="reflect")
         return wide.swapaxes(-2, -1) if turned else wide
 
-    sharp = _by_bands(_changed(picture, there))
+    sharp = _aligned(_changed(picture, there))
     if turned:
         sharp = sharp.swapaxes(0, 1)
     return np.ascontiguousarray(sharp[top : top + height, left : left + width])
@@ -96,24 +116,8 @@ def _changed(picture: Picture, change: Callable[[Float32Array], Float32Array]) -
     return picture._replace(stack=stack, draft=draft, level=level, sd=sd)
 
 
-def _by_bands(picture: Picture) -> Float32Array:
-    """:func:`restored` for an aligned picture, in bands of rows, which see ``HALO_PX`` rows around them."""
-    height, width = picture.level.shape
-    result = np.empty((height, width, 3), np.float32)
-    for top in range(0, height, BAND_PX):
-        end = min(top + BAND_PX, height)
-        first, last = max(top - HALO_PX, 0), min(end + HALO_PX, height)
-        rows = partial(_rows, first=first, last=last)
-        result[top:end] = _band(_changed(picture, rows))[top - first : end - first]
-    return result
-
-
-def _rows(image: Float32Array, first: int, last: int) -> Float32Array:
-    return image[..., first:last, :]
-
-
-def _band(picture: Picture) -> Float32Array:
-    """The sharp picture of a band of rows, [h, w, 3] electrons."""
+def _aligned(picture: Picture) -> Float32Array:
+    """:func:`restored` for a picture that begins with green and, on its right, red or (4x4) infrared."""
     height, width = picture.level.shape
     base = compressed(np.moveaxis(picture.draft[:3] / picture.unit_e[:3, None, None], 0, -1))
     inputs = inputs_of(picture)

@@ -1,6 +1,7 @@
 """The complete reconstruction of one capture: figures on a textured scene, and frames without content."""
 
 import dataclasses
+from functools import partial
 
 import numpy as np
 import pytest
@@ -13,11 +14,15 @@ from dasim.camera import specification as cameras
 from dasim.camera.crosstalk import electronic_crosstalk
 from dasim.camera.zernike import Wavefront
 from dasim.values import Capture
+from recon.depth import surface_net
+from recon.picture import develop
 from recon.settings import DEFAULT_PRESET
+from recon.sharp import restoration
 from tests.support import recon_scenes
 
 MIN_GAIN_DB = 1.0  # of the all-in-focus picture, with the estimated levels, mosaic and photon noise
 MIN_PICTURE_DB = 35.0  # captured against exact colours, white as peak; a picture off by one pixel has some 25
+SEAM_LEVELS, SEAM_DN = 0.1, 0.5  # the project's own limits, of 8-bit digital numbers
 MAX_LOSS_DB = 0.5  # near focus, where nothing is to gain
 
 
@@ -53,6 +58,23 @@ def test_all_in_focus_gains_and_never_loses(scene, result, preset, lowest):
             continue
         before = decibel(result.linear_e, truth, mask)
         assert decibel(result.sharp_e, truth, mask) > before + gain, (low, high)
+
+
+@pytest.mark.slow
+def test_a_large_frame_in_tiles_has_no_seams(monkeypatch):
+    """Set-up: a frame of an odd number of nodes, beyond the network's reach, and tiles of a few of them.
+
+    Expectation: levels and pictures are those of the whole frame everywhere, not at the borders of tiles alone.
+    """
+    capture = recon_scenes.make(recon_scenes.slanted(98, 1010, 1, 20), white_e=4000).capture
+    whole = recon.reconstruct(capture, recon_scenes.bank())
+    monkeypatch.setattr(surface_net, "posterior", partial(surface_net.posterior, tile=30))
+    monkeypatch.setattr(restoration, "restored", partial(restoration.restored, tile_px=200))
+    monkeypatch.setattr(develop, "STRIP_PX", 40)
+    tiled = recon.reconstruct(capture, recon_scenes.bank())
+    assert np.abs(tiled.level - whole.level).max() <= SEAM_LEVELS
+    np.testing.assert_array_equal(tiled.rgb, whole.rgb)
+    assert 255 * np.abs(tiled.sharp_rgb - whole.sharp_rgb).max() <= SEAM_DN
 
 
 def test_levels_and_depths(scene, result):

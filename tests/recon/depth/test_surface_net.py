@@ -7,6 +7,7 @@ import numpy as np
 from recon.depth import evidence, surface_net
 
 LEVELS = evidence.level_grid(28)
+ROUNDING_LEVELS = 0.005  # of products in single precision through twenty layers
 INPUTS = evidence.SCORES * len(LEVELS) + evidence.SIGNALS
 
 
@@ -49,3 +50,22 @@ def test_evidence_that_says_nothing_is_uncertain():
     nothing = inputs_at(5.0)
     nothing[..., : evidence.SCORES * len(LEVELS)] = 0
     assert posterior(nothing).sd.min() > 2 * posterior(inputs_at(5.0)).sd.max()
+
+
+def test_large_frames_in_tiles_have_the_levels_of_the_whole():
+    """Set-up: inputs at random, which change from node to node more than any evidence does.
+
+    Expectation: the halo holds all that the network sees, so that single precision alone tells tiles from the whole.
+    """
+    random = np.random.default_rng(0)
+    net, (height, width) = surface_net.weights(), (5, 131)
+    inputs = (net["mean"] + net["sd"] * random.normal(size=(height, width, INPUTS))).astype(np.float32)
+    shape = evidence.NODE * height, evidence.NODE * width, 4
+    picture = (net["picture_mean"] + net["picture_sd"] * random.normal(size=shape)).astype(np.float32)
+    whole = surface_net.posterior(inputs, picture, LEVELS, 28)
+    parts = surface_net.posterior(inputs, picture, LEVELS, 28, 20)
+    assert whole.level.std() > 0.5
+    np.testing.assert_allclose(parts.level, whole.level, atol=ROUNDING_LEVELS)
+    np.testing.assert_allclose(parts.sd, whole.sd, atol=ROUNDING_LEVELS)
+    cut = surface_net.posterior(inputs, picture, LEVELS, 28, 20, surface_net.HALO // 2)
+    assert np.abs(cut.level - whole.level).max() > 2 * np.abs(parts.level - whole.level).max()

@@ -50,6 +50,16 @@ def test_scores_at_chosen_samples_are_those_of_the_whole_frame(channels):
     assert (parts.argmax(axis=-1) == whole.argmax(axis=-1)).mean() > 0.95
 
 
+def test_tiles_of_a_finer_grid_cover_it_once():
+    count = np.zeros((33 * 8, 51 * 8), int)
+    for part in tiles.tiles((33, 51), 10, 3):
+        finer = part.finer(8)
+        count[finer.core] += 1
+        assert count[finer.box][finer.inner].shape == count[finer.core].shape
+        assert finer.core[0].start == 8 * part.core[0].start
+    assert (count == 1).all()
+
+
 def test_tiles_cover_a_frame_once():
     count = np.zeros((333, 517), int)
     for part in tiles.tiles(count.shape, 100, 30):
