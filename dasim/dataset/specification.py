@@ -399,7 +399,7 @@ def random_spec(spec: DatasetSpec) -> RandomScenes:
     """Specification of the random scenes, with folders relative to that of the dataset's specification."""
     changes: dict[str, Any] = {"folder": spec.folder}
     if spec.scenes.family == "meshes":
-        changes |= {"mesh_folder": spec.scenes.folder, "mesh_share": 1.0}
+        changes |= {"meshes": (spec.scenes.folder,), "mesh_share": 1.0}
     return spec.scenes.random.model_copy(update=changes)
 
 

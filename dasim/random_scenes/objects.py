@@ -1,65 +1,36 @@
-"""Objects of random scenes: their shapes and orientations, and the user's own meshes and pictures.
+"""Objects of random scenes: their shapes, sizes and orientations, and what they rest on.
 
 Tested in tests/dasim/random_scenes/test_specification.py.
 """
 
 from __future__ import annotations
 
-from functools import lru_cache
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from dasim.base.errors import InputError
 from dasim.materials import photographs
-from dasim.random_scenes import layout
-from dasim.random_scenes.layout import Occupied, Outline, Room
+from dasim.random_scenes import places
+from dasim.random_scenes.layout import Room
 from dasim.random_scenes.materials import Stock
-from dasim.scene import meshes, shapes
+from dasim.random_scenes.own_files import OwnMeshes
+from dasim.random_scenes.places import Occupied, Outline, Place, Top
+from dasim.scene import shapes
 from dasim.scene.procedural import library
 from dasim.typing import FloatArray
 
 Random = np.random.Generator
 
-MESH_SUFFIXES = (".obj", ".ply", ".glb", ".stl", ".off")
 SOLID_SEEDS = 2**20
 
 # Weights of the kinds of objects.
 KINDS = {"solid": 0.45, "box": 0.18, "sphere": 0.13, "cylinder": 0.06, "card": 0.13, "disc": 0.05}
-HANGING_SHARE = 0.3  # probability that a sphere, box, solid or mesh of a room hangs in the air
+RAISED = ("solid", "box", "sphere", "mesh")  # kinds that may stand on another object, or float
+RAISED_SHARE = 0.3  # probability that one of them does so in a room
 POSTER_SHARE = {True: 0.12, False: 0.04}  # probability that an object is a poster: in rooms, behind table tops
 BANDS = ((0.85, 1.0), (0.0, 0.15))  # of inverse depth, for the first two objects: blur then spans its whole range
 CROWD = 16  # above this number, objects shrink so that together they cover about the same area
 SPECIAL = 0.6  # factor on the size of metal and glass, whose highlights are noisy
-
-
-class OwnMesh(NamedTuple):
-    """A mesh file of the user: its bounding box in its own unit, and whether it has texture coordinates and colours."""
-
-    name: str
-    low: tuple[float, float, float]
-    high: tuple[float, float, float]
-    has_uv: bool
-    has_colours: bool
-
-
-class OwnMeshes(NamedTuple):
-    """The user's folder of meshes and how they are used.
-
-    Attributes:
-        folder: its path, relative to the specification
-        files: its meshes
-        share: probability 0..1 that an object is one of them
-        up: axis of the files that points up, "y" or "z"
-        near_infrared: rule for meshes with colours of their own, or "drawn" for a random one
-    """
-
-    folder: str
-    files: tuple[OwnMesh, ...]
-    share: float
-    up: str
-    near_infrared: str
 
 
 class Setting(NamedTuple):
@@ -72,6 +43,7 @@ class Setting(NamedTuple):
         number: of objects
         stock: surfaces and pictures
         meshes: the user's own, or None
+        floating: whether objects may float in the air instead of resting on something
     """
 
     space: Room
@@ -80,6 +52,14 @@ class Setting(NamedTuple):
     number: int
     stock: Stock
     meshes: OwnMeshes | None
+    floating: bool
+
+
+class Taken(NamedTuple):
+    """What the objects that have been placed take up, and the tops of boxes that are still free."""
+
+    occupied: list[Occupied]
+    tops: list[Top]
 
 
 class Prototype(NamedTuple):
@@ -110,12 +90,11 @@ class Prototype(NamedTuple):
 
 def objects(generators: list[Random], setting: Setting) -> list[dict[str, Any]]:
     """Specifications of the objects of a scene, each drawn from its own generator."""
-    occupied: list[Occupied] = []
-    return [_object(random, number, setting, occupied) for number, random in enumerate(generators)]
+    taken = Taken([], [])
+    return [_object(random, number, setting, taken) for number, random in enumerate(generators)]
 
 
-def _object(random: Random, number: int, setting: Setting, occupied: list[Occupied]) -> dict[str, Any]:
-    space = setting.space
+def _object(random: Random, number: int, setting: Setting, taken: Taken) -> dict[str, Any]:
     low, high = np.log(setting.size)
     share = float(np.exp(random.uniform(low, high))) * min(1.0, (CROWD / setting.number) ** 0.5)
     band = BANDS[number] if number < len(BANDS) else (0.0, 1.0)
@@ -125,21 +104,46 @@ def _object(random: Random, number: int, setting: Setting, occupied: list[Occupi
     surface = _surface(random, prototype, setting)
     if surface.get("material") in setting.stock.special():
         share *= SPECIAL
-    hangs = setting.is_room and prototype.kind in ("solid", "box", "sphere", "mesh") and random.random() < HANGING_SHARE
-    if hangs:
-        place = layout.place_in_air(random, space, prototype.outline, share, band, occupied)
+    raised = setting.is_room and prototype.kind in RAISED and random.random() < RAISED_SHARE
+    if raised and setting.floating:
+        place = places.place_in_air(random, setting.space, prototype.outline, share, band, taken.occupied)
         rotation_deg = tuple(random.uniform(-180.0, 180.0, 3))
         middle, radius = place.position, prototype.outline.reach() * place.size
     else:
-        place = layout.place_on_floor(random, space, prototype.outline, share, band, occupied)
+        place = _standing_place(random, setting, prototype, share, band, taken, raised=raised)
         rotation_deg = prototype.rotation_deg
         middle = place.position - (0.0, prototype.outline.height * place.size / 2, 0.0)
         radius = prototype.outline.radius * place.size
-    occupied.append(Occupied(middle, radius, prototype.outline.reach() * place.size))
+    taken.occupied.append(Occupied(middle, radius, prototype.outline.reach() * place.size))
     position = middle - shapes.rotation(rotation_deg) @ prototype.middle * place.size
     lengths = {key: _rounded(np.multiply(value, place.size)) for key, value in prototype.lengths.items()}
     pose = {"position_cm": _rounded(position), "rotation_deg": _rounded(rotation_deg)}
     return {"name": f"{prototype.kind} {number + 1}", **prototype.others, **lengths, **pose, **surface}
+
+
+def _standing_place(
+    random: Random,
+    setting: Setting,
+    prototype: Prototype,
+    share: float,
+    band: tuple[float, float],
+    taken: Taken,
+    *,
+    raised: bool,
+) -> Place:
+    """Draw a place on the floor, or, if the object is ``raised``, on the top of a box that is large enough."""
+    place = None
+    if raised and taken.tops:
+        number = int(random.integers(len(taken.tops)))
+        place = places.place_on_top(setting.space, prototype.outline, share, taken.tops[number])
+        if place is not None:
+            del taken.tops[number]
+    if place is None:
+        place = places.place_on_floor(random, setting.space, prototype.outline, share, band, taken.occupied)
+    if prototype.kind == "box":
+        sides = np.multiply(prototype.lengths["size_cm"], place.size)
+        taken.tops.append(Top(place.position - (0.0, sides[1], 0.0), float(min(sides[0], sides[2])) / 2))
+    return place
 
 
 def _rounded(values: Any) -> Any:
@@ -168,7 +172,7 @@ def _poster(random: Random, number: int, setting: Setting, share: float) -> dict
     """Draw a picture on a wall; the gap to the wall grows with its number, so that no two pictures coincide."""
     width, height = _sides(random)
     off = (2e-3 + 3e-4 * number) * setting.space.far
-    place, wall = layout.place_on_wall(random, setting.space, width, height, 1.5 * share, off)
+    place, wall = places.place_on_wall(random, setting.space, width, height, 1.5 * share, off)
     pictures = setting.stock.pictures
     material = pictures[int(random.integers(len(pictures)))].name
     return {
@@ -242,7 +246,7 @@ def _own_mesh(random: Random, meshes: OwnMeshes) -> Prototype:
     upright, across = (1, 2) if meshes.up == "y" else (2, 1)
     outline = Outline(float(np.hypot(sides[0], sides[across])) / 2, float(sides[upright]))
     rotation_deg = (180.0 if meshes.up == "y" else 90.0, float(random.uniform(-180.0, 180.0)), 0.0)
-    file = {"shape": "mesh", "file": str(Path(meshes.folder) / mesh.name)}
+    file = {"shape": "mesh", "file": mesh.name}
     middle = (low + high) / 2 * unit
     return Prototype(
         "mesh",
@@ -255,50 +259,3 @@ def _own_mesh(random: Random, meshes: OwnMeshes) -> Prototype:
         closed=False,
         has_colours=mesh.has_colours,
     )
-
-
-# --- folders of the user -------------------------------------------------------------------------
-
-
-@lru_cache(maxsize=4)
-def measure_meshes(folder: Path, files: tuple[tuple[str, int, int], ...]) -> tuple[OwnMesh, ...]:
-    """Read and measure the meshes of a folder; InputError lists all that are broken.
-
-    ``files`` holds name, modification time and size of each, so that the cached result follows changes of the files.
-    """
-    results, problems = [], []
-    for name, _, _ in files:
-        try:
-            results.append(_measure_mesh(folder / name))
-        except InputError as error:
-            problems.append(str(error))
-    if problems:
-        raise InputError("; ".join(problems))
-    return tuple(results)
-
-
-def _measure_mesh(path: Path) -> OwnMesh:
-    where = f"mesh {path}"
-    parts = meshes.read(path, 1.0, where)
-    if meshes.colour_kinds(parts):
-        meshes.merge_with_colours(parts, where)  # raises InputError for missing or too many colours
-    low = np.min([part.vertices.min(axis=0) for part in parts], axis=0)
-    high = np.max([part.vertices.max(axis=0) for part in parts], axis=0)
-    if not (high - low).max() > 0:
-        raise InputError(f"{where}: all its vertices coincide")
-    corners = tuple(tuple(float(value) for value in corner) for corner in (low, high))
-    has_uv = all(part.uv is not None for part in parts)
-    return OwnMesh(path.name, corners[0], corners[1], has_uv, bool(meshes.colour_kinds(parts)))  # type: ignore[arg-type]
-
-
-@lru_cache(maxsize=4)
-def check_pictures(folder: Path, files: tuple[tuple[str, int, int], ...]) -> None:
-    """Raise InputError with all pictures of a folder that cannot be read; arguments as in :func:`measure_meshes`."""
-    problems = []
-    for name, _, _ in files:
-        try:
-            photographs.linear_rgb(name, folder)
-        except InputError as error:
-            problems.append(str(error))
-    if problems:
-        raise InputError("; ".join(problems))

@@ -2,8 +2,8 @@
 
 A scene depends only on the specification, the camera's field of view, the seed and the index. Each stage of sampling
 has its own random generator, so that a change of one stage, such as the number of objects, leaves the others (such as
-the lights) unchanged. ``layout`` positions objects, ``objects`` and ``materials`` draw their shapes and surfaces,
-``lights`` their light.
+the lights) unchanged. ``layout`` draws the room and ``places`` positions objects in it, ``objects`` and ``materials``
+draw their shapes and surfaces, ``lights`` their light.
 
 Tested in tests/dasim/random_scenes/test_specification.py.
 """
@@ -46,7 +46,7 @@ def random_scene(
 ) -> Scene:
     """Random scene number ``index`` of a seed; the same numbers give the same scene.
 
-    Raises InputError if a file or folder of the specification is broken.
+    Raises InputError if a file that the specification names is missing or broken.
 
     Args:
         seed: 0 or above
@@ -67,7 +67,7 @@ def random_scene(
     surfaces = [generator(seed, index, "surface", number) for number in range(spec.surfaces)]
     stock = random_materials.stock(surfaces, images, shares)
     count = int(generator(seed, index, "count").integers(spec.objects[0], spec.objects[1] + 1))
-    setting = random_objects.Setting(space, kind == "room", spec.size, count, stock, meshes)
+    setting = random_objects.Setting(space, kind == "room", spec.size, count, stock, meshes, spec.floating)
     objects += random_objects.objects([generator(seed, index, "object", number) for number in range(count)], setting)
     used = {item.get("material") for item in objects}
     materials |= {

@@ -1,4 +1,4 @@
-"""Distributions of random rooms and table tops, and the user's folders of meshes and pictures for them.
+"""Distributions of random rooms and table tops, and the user's meshes and pictures for them.
 
 Every scene is valid by construction. ``RandomScenes`` documents the distributions; ``scene`` draws from them.
 """
@@ -13,7 +13,8 @@ from pydantic import Field, model_validator
 from dasim.base.errors import InputError
 from dasim.base.toml import Specification, parse_toml
 from dasim.camera.noise import Exposure
-from dasim.random_scenes import objects as random_objects
+from dasim.random_scenes import own_files
+from dasim.random_scenes.own_files import OwnMeshes
 from dasim.scene.lights import Lux
 from dasim.spectra import illuminants
 
@@ -50,13 +51,20 @@ class RandomScenes(Specification):
     glossy_share: Share = 0.10
     metal_share: Share = 0.03
     glass_share: Share = 0.02
-    mesh_folder: str | None = Field(default=None, description="OBJ, PLY, GLB, STL and OFF files, scaled to size")
-    mesh_share: Share = Field(default=0.4, description="share of objects from mesh_folder, if given")
+    floating: bool = Field(
+        default=False, description="whether some objects of rooms float in the air; by default they stand on boxes"
+    )
+    meshes: tuple[str, ...] = Field(
+        default=(), description="your own OBJ, PLY, GLB, STL and OFF files, scaled to size: files, folders or patterns"
+    )
+    mesh_share: Share = Field(default=0.4, description="share of objects from meshes, if given")
     mesh_up: Literal["y", "z"] = Field(default="y", description="axis of the mesh files that points up")
     mesh_near_infrared: Literal["print", "dyed", "achromatic", "drawn"] = Field(
         default="drawn", description="rule for meshes with RGB colours of their own; 'drawn' chooses at random"
     )
-    image_folder: str | None = Field(default=None, description="PNG and JPEG files instead of the bundled photographs")
+    textures: tuple[str, ...] = Field(
+        default=(), description="PNG and JPEG files instead of the bundled photographs: files, folders or patterns"
+    )
     lamps: tuple[int, int] = Field(default=(1, 3), description="number of lamps, in scenes lit by lamps")
     window_share: Share = Field(default=0.2, description="share of scenes lit by a large panel on one side")
     outdoor_share: Share = Field(default=0.1, description="share of scenes lit by sun and sky, or an overcast sky")
@@ -111,7 +119,7 @@ class RandomScenes(Specification):
 
 
 def load_random_scenes(path: str | Path) -> RandomScenes:
-    """Load a specification from a TOML file; InputError lists all problems of the file and of its folders."""
+    """Load a specification from a TOML file; InputError lists all problems of the file and of those that it names."""
     path = Path(path)
     if not path.is_file():
         raise InputError(f"random scenes '{path}': no such file")
@@ -121,7 +129,7 @@ def load_random_scenes(path: str | Path) -> RandomScenes:
 
 
 def check(spec: RandomScenes) -> None:
-    """Raise InputError with all broken meshes and pictures of the user's folders; files read once are cached."""
+    """Raise InputError with all broken meshes and pictures of the user; files read once are cached."""
     problems: list[str] = []
     for read in (own_meshes, own_pictures):
         try:
@@ -132,31 +140,19 @@ def check(spec: RandomScenes) -> None:
         raise InputError("; ".join(problems))
 
 
-def own_meshes(spec: RandomScenes) -> random_objects.OwnMeshes | None:
-    """The meshes of the user's folder, measured; None without a folder. Raises InputError if some are broken."""
-    if spec.mesh_folder is None:
+def own_meshes(spec: RandomScenes) -> OwnMeshes | None:
+    """The user's meshes, measured; None without any. Raises InputError if some are missing or broken."""
+    if not spec.meshes:
         return None
-    folder = spec.folder / spec.mesh_folder
-    files = _files(folder, random_objects.MESH_SUFFIXES, "mesh_folder")
-    measures = random_objects.measure_meshes(folder, files)
-    return random_objects.OwnMeshes(spec.mesh_folder, measures, spec.mesh_share, spec.mesh_up, spec.mesh_near_infrared)
+    files = own_files.found(spec.folder, spec.meshes, own_files.MESH_SUFFIXES, "meshes")
+    measured = own_files.measured_meshes(spec.folder, files)
+    return OwnMeshes(measured, spec.mesh_share, spec.mesh_up, spec.mesh_near_infrared)
 
 
 def own_pictures(spec: RandomScenes) -> tuple[str, ...]:
-    """Names of the pictures of the user's folder; empty without a folder. Raises InputError if some are broken."""
-    if spec.image_folder is None:
+    """Names of the user's pictures; empty without any. Raises InputError if some are missing or broken."""
+    if not spec.textures:
         return ()
-    folder = spec.folder / spec.image_folder
-    files = _files(folder, (".png", ".jpg", ".jpeg"), "image_folder")
-    random_objects.check_pictures(folder, files)
-    return tuple(str(Path(spec.image_folder) / name) for name, _, _ in files)
-
-
-def _files(folder: Path, suffixes: tuple[str, ...], what: str) -> tuple[tuple[str, int, int], ...]:
-    """Name, modification time (ns) and size (bytes) of a folder's files with these suffixes, sorted by name."""
-    if not folder.is_dir():
-        raise InputError(f"{what} '{folder}': no such folder")
-    paths = sorted(path for path in folder.iterdir() if path.suffix.lower() in suffixes)
-    if not paths:
-        raise InputError(f"{what} '{folder}': holds none of {', '.join(suffixes)}")
-    return tuple((path.name, path.stat().st_mtime_ns, path.stat().st_size) for path in paths)
+    files = own_files.found(spec.folder, spec.textures, own_files.PICTURE_SUFFIXES, "textures")
+    own_files.check_pictures(spec.folder, files)
+    return tuple(name for name, _, _ in files)

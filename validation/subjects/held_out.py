@@ -99,7 +99,9 @@ def _entries(name: SetName, file: Path) -> tuple[_Entry, ...]:
 def _recipe(entry: _Entry) -> Recipe:
     camera = dasim.cropped(dasim.load_camera(entry.camera), *SIZE_PX)
     if entry.scene == "random":
-        spec = RandomScenes() if entry.depth_cm is None else RandomScenes(depth_cm=entry.depth_cm)
+        # Both sets were fixed when objects of rooms floated by default.
+        depth_cm = entry.depth_cm or RandomScenes().depth_cm
+        spec = RandomScenes(floating=True, depth_cm=depth_cm)
         scene = dasim.random_scene(entry.seed, entry.number, spec, camera)
         exposure = random_exposure(entry.seed, entry.number, spec)
     else:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import NamedTuple
 
+import cv2
 import numpy as np
 import pytest
 import trimesh
@@ -195,16 +197,45 @@ def test_objects_are_in_view_and_their_blur_spans_the_range(all_scenes, measured
     assert np.median(spans) >= 0.5
 
 
-def test_standing_objects_touch_the_floor(all_scenes, measured):
-    """On table tops, the lowest point of each object is at the level of the floor (posters hang on the wall)."""
+def test_objects_rest_on_the_floor_or_on_a_box(all_scenes, measured):
+    """The lowest point of each object is at the level of the floor, or at that of a box below it (posters hang).
+
+    Set-up: rooms and table tops. Where an object stands on a box, its own points, seen from above, lie within the
+    rectangle of the box, so that nothing of it protrudes. On table tops, nothing stands on anything else.
+    """
+    raised = 0
     for scene, layout in zip(all_scenes, measured, strict=True):
-        if not scene.description.startswith("table top"):
-            continue
         floor = next(item for item in scene.objects if item.name == "floor").position_cm[1] * 1e-2
-        for item in layout:
-            if not item.name.startswith("poster"):
-                lifted = 0.02 * item.item.radius_cm * 1e-2 if isinstance(item.item, shapes.Disc) else 0.0
-                assert item.lowest == pytest.approx(floor - lifted, abs=ROUNDING_M), (scene.name, item.name)
+        for item in (item for item in layout if not item.name.startswith("poster")):
+            lifted = 0.02 * item.item.radius_cm * 1e-2 if isinstance(item.item, shapes.Disc) else 0.0
+            if item.lowest == pytest.approx(floor - lifted, abs=ROUNDING_M):
+                continue
+            assert any(stands_on(item, box, scene) for box in layout if isinstance(box.item, shapes.Box)), item.name
+            assert scene.description.startswith("room")
+            raised += 1
+    assert raised >= DRAWS / 2  # one for each room at least; half of the scenes are rooms
+
+
+def stands_on(item: Measured, box: Measured, scene: dasim.Scene) -> bool:
+    """Whether the lowest point of an object lies on the top of a box, and the object within the box's rectangle."""
+    top = (box.item.position_cm[1] - box.item.size_cm[1] / 2) * 1e-2
+    if box is item or item.lowest != pytest.approx(top, abs=2 * ROUNDING_M):
+        return False
+    to_box = np.linalg.inv(scenes.object_to_camera(box.item, scene))
+    points = points_m(item.item, scene) @ to_box[:3, :3].T + to_box[:3, 3]
+    return bool((np.abs(points[:, ::2]) <= np.array(box.item.size_cm)[::2] * 0.5e-2 + ROUNDING_M).all())
+
+
+def test_objects_of_rooms_float_where_the_key_says_so():
+    """Expectation: some objects are above the floor and on no box, and tilted; only rooms differ from those at rest."""
+    spec = RandomScenes(floating=True)
+    free = [dasim.random_scene(SEED, index, spec) for index in range(20)]
+    tilted = [item for scene in free for item in things(scene) if item.rotation_deg[2] != 0]
+    assert len(tilted) >= 10
+    for index, scene in enumerate(free):
+        at_rest = dasim.random_scene(SEED, index)
+        assert not any(item.rotation_deg[2] for item in things(at_rest))
+        assert (scene == at_rest) or scene.description.startswith("room")
 
 
 def test_lamps_are_out_of_the_picture_and_away_from_all_objects(all_scenes, measured):
@@ -327,7 +358,7 @@ def mesh_folder(tmp_path: Path) -> Path:
 
 def test_meshes_of_a_folder_are_used_and_stand_in_range(mesh_folder):
     """Both files appear, whatever their unit and origin; one has colours and gets the rule that was asked for."""
-    spec = RandomScenes(mesh_folder=str(mesh_folder), mesh_share=1.0, mesh_up="z", mesh_near_infrared="dyed")
+    spec = RandomScenes(meshes=(str(mesh_folder),), mesh_share=1.0, mesh_up="z", mesh_near_infrared="dyed")
     names = set()
     for index in range(4):
         scene = dasim.random_scene(SEED, index, spec)
@@ -340,27 +371,48 @@ def test_meshes_of_a_folder_are_used_and_stand_in_range(mesh_folder):
     assert names == {("cone.ply", None), ("painted.ply", "dyed")}
 
 
+def test_files_and_patterns_name_meshes_and_textures(mesh_folder, tmp_path):
+    """Expectation: of a folder with two meshes, the one that a pattern or path names is drawn, and only it; the
+    pictures of a scene are those of the pattern, in folders below as well, and a scene that is drawn can be loaded.
+    """
+    (tmp_path / "pictures" / "deep").mkdir(parents=True)
+    for name in ("a.png", "deep/b.png", "deep/c.jpg"):
+        cv2.imwrite(str(tmp_path / "pictures" / name), np.full((4, 4, 3), 90, np.uint8))
+    for meshes, textures, files, images in (
+        (["meshes/c*.ply"], ["pictures/**/*.png"], {"meshes/cone.ply"}, {"pictures/a.png", "pictures/deep/b.png"}),
+        (["meshes/painted.ply"], ["pictures/a.png"], {"meshes/painted.ply"}, {"pictures/a.png"}),
+    ):
+        spec = RandomScenes(meshes=meshes, mesh_share=0.3, textures=textures, folder=tmp_path, objects=(30, 30))
+        drawn = [dasim.random_scene(SEED, index, spec) for index in range(4)]
+        assert {item.file for scene in drawn for item in things(scene) if item.name.startswith("mesh")} == files
+        assert set(re.findall(r'"(pictures/[^"]+)"', "".join(scene.model_dump_json() for scene in drawn))) == images
+        scenes._check(drawn[0], drawn[0].name)
+
+
 def test_all_broken_files_of_a_folder_are_named_at_once(mesh_folder):
     (mesh_folder / "broken.obj").write_text("v 1 2\nf 1 2 9\n")
     (mesh_folder / "empty.stl").write_bytes(b"")
     with pytest.raises(InputError, match=r"broken\.obj(.|\n)*empty\.stl"):
-        dasim.random_scene(0, 0, RandomScenes(mesh_folder=str(mesh_folder)))
+        dasim.random_scene(0, 0, RandomScenes(meshes=(str(mesh_folder),)))
 
 
 def test_folders_without_files_and_broken_pictures_are_errors(tmp_path):
-    with pytest.raises(InputError, match="no such folder"):
-        dasim.random_scene(0, 0, RandomScenes(mesh_folder=str(tmp_path / "none")))
-    with pytest.raises(InputError, match="holds none of"):
-        dasim.random_scene(0, 0, RandomScenes(mesh_folder=str(tmp_path)))
+    for places, message in (
+        ([str(tmp_path / "none")], "no such file or folder"),
+        ([str(tmp_path)], "holds none of"),
+        ([f"{tmp_path}/*.ply"], "holds none of"),
+    ):
+        with pytest.raises(InputError, match=f"meshes .*{message}"):
+            dasim.random_scene(0, 0, RandomScenes(meshes=places))
     (tmp_path / "bad.png").write_bytes(b"no picture")
     with pytest.raises(InputError, match=r"bad\.png"):
-        dasim.random_scene(0, 0, RandomScenes(image_folder=str(tmp_path)))
+        dasim.random_scene(0, 0, RandomScenes(textures=(str(tmp_path),)))
 
 
 def test_a_specification_is_read_from_toml(tmp_path, mesh_folder):
     """Folders are looked up beside the file, and the scene says where they are as the file did."""
     path = tmp_path / "set.toml"
-    path.write_text('depth_cm = [5, 40]\nobjects = [5, 6]\nmesh_folder = "meshes"\nmesh_share = 1\n[gains]\n"2" = 1\n')
+    path.write_text('depth_cm = [5, 40]\nobjects = [5, 6]\nmeshes = ["meshes"]\nmesh_share = 1\n[gains]\n"2" = 1\n')
     scene, exposure = by_name(f"random:{path}:3:4")
     assert exposure.gain == 2.0 and scene.focus_cm == 40.0 and len(things(scene)) in (5, 6)
     files = {item.file for item in things(scene) if isinstance(item, shapes.Mesh)}

@@ -108,7 +108,7 @@ def measured(number: int) -> Cost:
 
     rendering.activate()
     camera = dasim.cropped(dasim.load_camera("da-mobile"), *SIZE_PX)
-    scene = dasim.random_scene(0, number)
+    scene = dasim.random_scene(0, number, dasim.RandomScenes(floating=True))
     begin = time.process_time()
     with recorded() as kernels:
         dasim.simulate(scene, dasim.focused(camera, scene), spp=SPP)

@@ -175,7 +175,8 @@ def _run(
 ) -> list[dict[str, float]]:
     """Time and memory of the first ``count`` samples of a run, which has a process of its own."""
     home = Path(tempfile.mkdtemp(dir=folder))
-    data = {"name": "speed", "samples": 10 * count, "seed": 7, "size_px": SIZE_PX} | changes
+    random = {"random": {"floating": True}}  # the scenes that the figures were measured on
+    data = {"name": "speed", "samples": 10 * count, "seed": 7, "size_px": SIZE_PX, "scenes": random} | changes
     request = json.dumps([kind, processes, data, str(home / "out"), count])
     environment = os.environ | {"DRJIT_CACHE_DIR": str(folder / "kernels")}
     environment["PYTHONPATH"] = os.pathsep.join([str(Path(dasim.__file__).parents[1]), *sys.path])

@@ -51,7 +51,8 @@ def fewer_rays(progress: ShareDone) -> Evidence:
     """
     needs_wave()
     scenes: dict[str, Scene | MitsubaScene] = {name: dasim.load_scene(name) for name in SCENES}
-    scenes |= {f"random-{index}": dasim.random_scene(RANDOM_SEED, index) for index in range(RANDOM_SCENES)}
+    spec = dasim.RandomScenes(floating=True)  # the scenes that the figures were measured on
+    scenes |= {f"random-{index}": dasim.random_scene(RANDOM_SEED, index, spec) for index in range(RANDOM_SCENES)}
     figures = []
     for number, (name, scene) in enumerate(scenes.items()):
         figures += ray_figures(name, scene)
