@@ -10,16 +10,19 @@ IS_NEW := import sys; sys.exit(sys.version_info < (3, 11))
 PIP := $(BIN)/python -m pip --disable-pip-version-check --quiet
 APT := env DEBIAN_FRONTEND=noninteractive apt-get -q -y -o Acquire::Retries=0 -o Acquire::http::Timeout=20
 
+LEARN_TESTS := tests/dasim/differentiable tests/examples/test_learned_ring.py tests/validation/training
+
 FUZZ_CASES := 2000
 FUZZ_SEED := 0
 
-.PHONY: help demo test test-slow test-lens fuzz lint docs validate environment test-environment
+.PHONY: help demo test test-slow test-lens test-learn fuzz lint docs validate environment test-environment
 
 help:
 	@echo "make demo   the whole chain on a bundled scene; report in out/demo/report.html"
 	@echo "make test   the tests, without the slow ones, on up to four processor cores"
 	@echo "make test-slow   the slow tests, on as many"
 	@echo "make test-lens   the tests of lens prescriptions, with Optiland"
+	@echo "make test-learn   the tests of training and of optics with gradients, with PyTorch (3 GB)"
 	@echo "make fuzz   2,000 damaged files (FUZZ_CASES), each of which must end well; FUZZ_SEED draws others"
 	@echo "make lint   style, formatting, import contracts, types"
 	@echo "make docs   the documentation, its reference made from the code; open out/docs/index.html"
@@ -36,6 +39,9 @@ test-slow: test-environment
 
 test-lens: test-environment $(VENV)/.installed-lens
 	$(BIN)/python -m pytest tests/dasim/camera/test_prescription.py
+
+test-learn: test-environment $(VENV)/.installed-learn
+	$(BIN)/python -m pytest -m '' $(LEARN_TESTS)
 
 fuzz: test-environment
 	$(BIN)/python -m tests.fuzz --cases $(FUZZ_CASES) --seed $(FUZZ_SEED)
@@ -90,6 +96,11 @@ $(VENV)/.installed-docs: $(VENV)/.installed
 $(VENV)/.installed-lens: $(VENV)/.installed-test
 	@echo "Installing Optiland for lens prescriptions (some minutes the first time)"
 	@$(PIP) install -c constraints.txt -e '.[test,lens]'
+	@touch $@
+
+$(VENV)/.installed-learn: $(VENV)/.installed-test
+	@echo "Installing PyTorch (3 GB on Linux, where its wheel brings CUDA)"
+	@$(PIP) install -c constraints.txt -e '.[test,learn]'
 	@touch $@
 
 # Rendering is about four times faster with LLVM 17 or newer. Without it everything works all the same,
