@@ -16,15 +16,9 @@ from dasim.base.toml import Specification, parse
 from dasim.camera import specification as cameras
 from dasim.camera.noise import Exposure
 from dasim.camera.specification import Camera
-from dasim.dataset.specification import (
-    DatasetSpec,
-    Draw,
-    named_camera,
-    random_spec,
-    scene_count,
-    scene_keys,
-    with_values,
-)
+from dasim.dataset.choices import Draw
+from dasim.dataset.dotted_keys import with_values
+from dasim.dataset.specification import DatasetSpec, named_camera, random_spec, scene_count, scene_keys
 from dasim.random_scenes.scene import random_exposure, random_scene
 from dasim.scene.mitsuba_scene import MitsubaScene, is_mitsuba
 from dasim.scene.specification import Scene

@@ -1,0 +1,200 @@
+"""The parts of a dataset's specification: distributions of values, scenes, cameras, light, focus, exposure and truth.
+
+Tested in tests/dasim/dataset/test_specification.py.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import BeforeValidator, Field, field_validator, model_validator
+
+from dasim.base.suggestions import did_you_mean
+from dasim.base.toml import Specification
+from dasim.files.truth import TRUTH_PARTS
+from dasim.random_scenes.specification import RandomScenes
+from dasim.scene.mitsuba_scene import MitsubaChoices, is_mitsuba
+from dasim.scene.specification import scene_names
+
+MOST_FRAMES = 1000  # of a sample
+BRACKET = (1e-6, 1e6)  # of factors on an exposure time
+Scalar = bool | int | float | str
+
+
+class Draw(Specification):
+    """Distribution of a number or text over the samples: uniform, log-uniform, a choice of equal probabilities, or each
+    of some values in turn over the captures of a scene.
+
+    Several ``each`` of a specification make a grid: those of the camera vary fastest, in their order, then light, focus
+    and exposure.
+    """
+
+    uniform: tuple[float, float] | None = None
+    log_uniform: tuple[float, float] | None = None
+    choice: tuple[Scalar, ...] | None = Field(default=None, min_length=1)
+    each: tuple[Scalar, ...] | None = Field(default=None, min_length=1, description="in turn, by capture of a scene")
+
+    @model_validator(mode="after")
+    def _one(self) -> Draw:
+        names = [name for name in ("uniform", "log_uniform", "choice", "each") if getattr(self, name) is not None]
+        if len(names) != 1:
+            raise ValueError(
+                "give one of uniform = [low, high], log_uniform = [low, high], choice = [...], each = [...]"
+            )
+        for low, high in (ends for ends in (self.uniform, self.log_uniform) if ends is not None):
+            if low > high:
+                raise ValueError(f"{names[0]} is [{low:g}, {high:g}]: the smaller number comes first")
+        if self.log_uniform is not None and self.log_uniform[0] <= 0:
+            raise ValueError(f"log_uniform is {list(self.log_uniform)}: both ends must be above 0")
+        return self
+
+    def draw(self, random: np.random.Generator, turn: int) -> Scalar:
+        """A random value of the distribution; of ``each`` the value of a turn, counted from 0."""
+        if self.each is not None:
+            return self.each[turn % len(self.each)]
+        if self.choice is not None:
+            return self.choice[int(random.integers(len(self.choice)))]
+        if self.uniform is not None:
+            return float(random.uniform(*self.uniform))
+        assert self.log_uniform is not None
+        return float(np.exp(random.uniform(*np.log(self.log_uniform))))
+
+    def extremes(self) -> tuple[Scalar, ...]:
+        """Both ends of a range or all values of a choice: if they are allowed, every value is."""
+        return self.choice or self.each or self.uniform or self.log_uniform or ()
+
+
+def _constant(value: Any) -> Any:
+    """A plain value as the choice of this value."""
+    return {"choice": [value]} if isinstance(value, (bool, int, float, str)) else value
+
+
+Drawn = Annotated[Draw, BeforeValidator(_constant)]
+
+
+SET_ELSEWHERE = {
+    "lens.focus_distance_m": "[focus] distance_m",
+    "sensor.width_px": "size_px",
+    "sensor.height_px": "size_px",
+}
+
+
+class CameraChoice(Specification):
+    """A camera with the distributions of its varying parameters.
+
+    Keys of ``vary`` are those of the camera's file, joined by dots; an entry of a list is given by its index or name.
+    """
+
+    name: str
+    weight: float = Field(default=1.0, gt=0)
+    vary: dict[str, Drawn] = Field(default_factory=dict)
+
+    @field_validator("vary")
+    @classmethod
+    def _own(cls, vary: dict[str, Draw]) -> dict[str, Draw]:
+        for key in vary:
+            if key in SET_ELSEWHERE:
+                raise ValueError(f"'{key}' is set by {SET_ELSEWHERE[key]}, not here")
+        return vary
+
+
+class SceneChoice(Specification):
+    """Source of the scenes."""
+
+    family: Literal["random", "bundled", "files", "meshes"] = "random"
+    names: tuple[str, ...] = Field(default=(), description="bundled: names of scenes, used in turn; all by default")
+    files: tuple[str, ...] = Field(default=(), description="files: TOML or Mitsuba XML files, used in turn")
+    mitsuba: MitsubaChoices = Field(
+        default=MitsubaChoices(),
+        description="files: choices for Mitsuba XML files",
+    )
+    folder: str | None = Field(default=None, description="meshes: folder of OBJ, PLY, GLB, STL and OFF files")
+    random: RandomScenes = RandomScenes()
+    captures_per_scene: int = Field(default=1, ge=1, le=1000, description="random, meshes: captures per scene")
+
+    @model_validator(mode="after")
+    def _fitting(self) -> SceneChoice:
+        for field, family in (("names", "bundled"), ("files", "files"), ("folder", "meshes")):
+            if getattr(self, field) and self.family != family:
+                raise ValueError(f"{field} is for family = '{family}', not for '{self.family}'")
+        if self.mitsuba != MitsubaChoices() and not any(map(is_mitsuba, self.files)):
+            raise ValueError("mitsuba is for Mitsuba XML files; files lists none")
+        if self.family == "files" and not self.files:
+            raise ValueError("files is missing: a list of TOML or Mitsuba XML files is needed")
+        if self.family == "meshes" and not self.folder:
+            raise ValueError("folder is missing: a folder of OBJ, PLY, GLB, STL or OFF files is needed")
+        for listed in (self.names, self.files):
+            for name in listed:
+                if listed.count(name) > 1:
+                    raise ValueError(f"'{name}' is twice in the list")
+        for name in self.names:
+            if name not in scene_names():
+                listed_names = ", ".join(scene_names())
+                hint = did_you_mean(name, scene_names())
+                raise ValueError(f"names: scene '{name}' is unknown; allowed are {listed_names}{hint}")
+        return self
+
+
+class LightChoice(Specification):
+    """Distributions of the scenes' lights; by default the lights are those of the scene."""
+
+    illuminant: Drawn | None = Field(default=None, description="illuminant of all lights of the scene")
+    scale: Drawn | None = Field(default=None, description="factor on the illuminance of all lights")
+
+
+class FocusChoice(Specification):
+    """Distribution of the focus distance; by default the one that the scene proposes."""
+
+    distance_m: Drawn | None = None
+
+
+class ExposureChoice(Specification):
+    """Distributions of the exposure; by default it is automatic, and random scenes have their own."""
+
+    time_s: Drawn | None = None
+    gain: Drawn | None = None
+    auto_level: Drawn | None = None
+
+
+class FrameChoice(Specification):
+    """Frames of each sample: several exposures of one rendering, with independent noise."""
+
+    bracket: tuple[float, ...] = Field(
+        default=(1.0,), min_length=1, description="factors on the exposure time; the first is that of raw.png"
+    )
+    burst: int = Field(default=1, ge=1, description="frames at each of these times")
+
+    @model_validator(mode="after")
+    def _whole(self) -> FrameChoice:
+        for factor in self.bracket:
+            if not BRACKET[0] <= factor <= BRACKET[1]:
+                raise ValueError(f"bracket: {factor:g} is no factor from {BRACKET[0]:g} to {BRACKET[1]:g}")
+        if self.count > MOST_FRAMES:
+            raise ValueError(f"bracket and burst: {self.count} frames per sample; {MOST_FRAMES} are allowed")
+        return self
+
+    @property
+    def count(self) -> int:
+        """Frames of a sample."""
+        return len(self.bracket) * self.burst
+
+
+class TruthChoice(Specification):
+    """Parts and format of the stored ground truth."""
+
+    keep: tuple[str, ...] = Field(default=tuple(TRUTH_PARTS), min_length=1)
+    half: bool = Field(default=False, description="16-bit floats, except for depth and labels")
+    margin_px: int = Field(default=0, ge=0, le=4096, description="pixels left out along every edge of the frame")
+    independent_mean: bool = Field(
+        default=False, description="mean_e of its own samples: its rendering noise is independent of that of raw.png"
+    )
+
+    @field_validator("keep")
+    @classmethod
+    def _known(cls, keep: tuple[str, ...]) -> tuple[str, ...]:
+        for name in keep:
+            if name not in TRUTH_PARTS:
+                hint = did_you_mean(name, TRUTH_PARTS)
+                raise ValueError(f"'{name}' is unknown; allowed are {', '.join(TRUTH_PARTS)}{hint}")
+        return tuple(part for part in TRUTH_PARTS if part in keep)

@@ -1,0 +1,61 @@
+"""A camera with values changed at keys that are joined by dots, such as ``lens.f_number``.
+
+Tested in tests/dasim/dataset/test_specification.py.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from dasim.base.errors import InputError
+from dasim.base.suggestions import did_you_mean
+from dasim.base.toml import parse
+from dasim.camera.specification import Camera
+from dasim.dataset.choices import Scalar
+
+
+def with_values(camera: Camera, changes: dict[str, Scalar]) -> Camera:
+    """Camera with values changed at dotted keys; raises InputError if a key does not exist or a value
+    is not allowed.
+    """
+    if not changes:
+        return camera
+    data = camera.model_dump(mode="json")
+    for key, value in changes.items():
+        place, parts = data, key.split(".")
+        for depth, part in enumerate(parts):
+            entry = _entry(place, part)
+            if entry is None:
+                names = _names(place)
+                raise InputError(
+                    f"vary: '{key}' does not exist in camera '{camera.name}'; {'.'.join(parts[:depth]) or 'it'} has "
+                    f"{', '.join(names)}{did_you_mean(part, names)}"
+                )
+            if depth == len(parts) - 1:
+                place[entry] = value
+            else:
+                place = place[entry]
+    return parse(Camera, data, "vary: " + ", ".join(f"{key} = {value!r}" for key, value in changes.items()))
+
+
+def _entry(place: Any, part: str) -> Any:
+    """Key or index of an entry of a table or list by its key, index or name; None where there is none."""
+    if isinstance(place, dict):
+        return part if part in place else None
+    if isinstance(place, list):
+        if part.isdigit() and int(part) < len(place):
+            return int(part)
+        matches = [index for index, item in enumerate(place) if isinstance(item, dict) and item.get("name") == part]
+        return matches[0] if matches else None
+    return None
+
+
+def _names(place: Any) -> list[str]:
+    """Keys of a table, or names (or else indices) of the entries of a list, for a message."""
+    if isinstance(place, dict):
+        return list(place)
+    if isinstance(place, list):
+        return [
+            str(item.get("name", index)) if isinstance(item, dict) else str(index) for index, item in enumerate(place)
+        ]
+    return ["no parts"]
