@@ -72,7 +72,7 @@ def run_demo(
         bank = recon.calibrate(pictures, progress=progress)
         lap("calibrate")
         result = recon.reconstruct(shot.capture, bank, progress=lambda s, x: progress("reconstructing", x))
-        save_reconstruction(folder / "recon", result)
+        save_reconstruction(folder / "recon", result, raw_dn=shot.capture.raw_dn)
         lap("reconstruct")
         entries = claims(score(result, shot.capture, shot.truth))
         lap("score")

@@ -95,7 +95,7 @@ def recon(
         result = reconstruction.reconstruct(
             shot, kernels, parameters, flat=even, progress=lambda s, x: progress("reconstructing", x)
         )
-        save_reconstruction(out, result, also or ())
+        save_reconstruction(out, result, also or (), raw_dn=shot.raw_dn)
     for note in result.notes:
         print(f"note: {note}")
     print(f"reconstruction: {out} (light by white balance: {result.light})")
@@ -238,7 +238,7 @@ def _picture_alone(shot: Capture, even: Capture | None, parameters: Settings, ba
             f"--bank: camera '{shot.camera.name}' has no infrared pixels and therefore no depth; omit --bank"
         )
     picture = develop(shot, parameters, flat=even)
-    save_picture(out, picture)
+    save_picture(out, picture, raw_dn=shot.raw_dn)
     print(f"note: camera '{shot.camera.name}' has no infrared pixels: picture only, no depth")
     print(f"picture: {out} (light by white balance: {picture.light})")
     return 0

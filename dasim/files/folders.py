@@ -33,7 +33,7 @@ RESULT_FILES = {
     "capture": ("meta.json", "raw.png", "truth.exr"),
     "series of captures": ("series.json", *(f"{number:03d}" for number in range(MOST_IN_SERIES))),
     "reconstruction": (
-        *("meta.json", "recon.exr", "rgb.png", "sharp.png", "ir.png"),
+        *("meta.json", "recon.exr", "rgb.png", "sharp.png", "ir.png", "depth.png", "confidence.png", "mosaic.png"),
         *("anaglyph.png", "stereo.png", "surface.ply", "surface.glb"),
     ),
     "EMVA 1288 measurement": ("meta.json", "descriptor.txt", "frames"),

@@ -25,7 +25,7 @@ from dasim.spectra.colour import exposure_scale, to_srgb
 from dasim.values import Developed, Reconstruction
 from recon.picture import colour, infrared
 from recon.settings import Settings, preset_name
-from recon.views import anaglyph, surface
+from recon.views import anaglyph, maps, surface
 
 RECON_SCHEMA = 1
 EXTRAS = ("anaglyph", "stereo", "ply", "glb")
@@ -42,9 +42,13 @@ def check_extras(extras: Sequence[str]) -> None:
             raise InputError(f"--also '{name}' is unknown; allowed are {', '.join(EXTRAS)}{did_you_mean(name, EXTRAS)}")
 
 
-def save_reconstruction(path: Path, result: Reconstruction, extras: Sequence[str] = ()) -> None:
+def save_reconstruction(
+    path: Path, result: Reconstruction, extras: Sequence[str] = (), *, raw_dn: NDArray[Any] | None = None
+) -> None:
     """Write ``rgb.png``, ``sharp.png``, ``ir.png``, ``recon.exr`` (``Z`` is the depth in metres) and ``meta.json``.
 
+    To look at: ``depth.png`` with its scale in cm, ``confidence.png``, and of the capture's ``raw_dn`` [h, w]
+    ``mosaic.png``, each pixel in the colour of its filter.
     ``extras`` from ``EXTRAS`` adds ``anaglyph.png``, ``stereo.png`` (the left eye's picture on the left),
     ``surface.ply`` or ``surface.glb``, all from the all-in-focus picture.
     """
@@ -57,6 +61,10 @@ def save_reconstruction(path: Path, result: Reconstruction, extras: Sequence[str
         write_picture(folder / "rgb.png", result.rgb)
         write_picture(folder / "sharp.png", result.sharp_rgb)
         write_picture(folder / "ir.png", grey(result.ir_e))
+        write_picture(folder / "depth.png", maps.depth_picture(result.depth_m) / 255)
+        write_picture(folder / "confidence.png", maps.confidence_picture(result.confidence) / 255)
+        if raw_dn is not None:
+            write_picture(folder / "mosaic.png", maps.coloured_mosaic(raw_dn, result.camera.sensor))
         write_exr(folder / "recon.exr", parts)
         _write_extras(folder, result, extras)
         (folder / "meta.json").write_text(json.dumps(about, indent=1) + "\n", encoding="utf-8")
@@ -77,8 +85,10 @@ def _write_extras(folder: Path, result: Reconstruction, extras: Sequence[str]) -
         surface.save_surface(folder / f"surface.{suffix}", mesh)
 
 
-def save_picture(path: Path, picture: Developed) -> None:
-    """Write a developed picture without depth: ``rgb.png``, ``recon.exr`` and ``meta.json``."""
+def save_picture(path: Path, picture: Developed, *, raw_dn: NDArray[Any] | None = None) -> None:
+    """Write a developed picture without depth: ``rgb.png``, ``recon.exr`` and ``meta.json``; ``mosaic.png`` of the
+    capture's ``raw_dn`` [h, w], each pixel in the colour of its filter.
+    """
     colours = {"rgb": picture.rgb, "linear_e": picture.linear_e}
     parts = [_part(name, {c: image[..., i] for i, c in enumerate(_RGB)}) for name, image in colours.items()]
     if picture.ir_e is not None:
@@ -88,6 +98,8 @@ def save_picture(path: Path, picture: Developed) -> None:
         write_picture(folder / "rgb.png", picture.rgb)
         if picture.ir_e is not None:
             write_picture(folder / "ir.png", grey(picture.ir_e))
+        if raw_dn is not None:
+            write_picture(folder / "mosaic.png", maps.coloured_mosaic(raw_dn, picture.camera.sensor))
         write_exr(folder / "recon.exr", parts)
         (folder / "meta.json").write_text(json.dumps(about, indent=1) + "\n", encoding="utf-8")
 

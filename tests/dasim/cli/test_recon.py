@@ -48,6 +48,7 @@ def test_stereo_pictures_and_surfaces_beside_the_result(here):
     assert run([*arguments, "--also", "anaglyph", "stereo", "ply", "glb"]) == 0
     names = {p.name for p in (here / "plain").iterdir()}
     assert names >= {"anaglyph.png", "stereo.png", "surface.ply", "surface.glb"}
+    assert names >= {"depth.png", "confidence.png", "mosaic.png"}
     assert run(arguments) == 0, "an earlier result with them is replaced"
     assert "anaglyph.png" not in {p.name for p in (here / "plain").iterdir()}
 
@@ -86,7 +87,7 @@ def test_recon_of_a_camera_without_infrared_is_a_picture(here, refused, capfd):
     save_capture(here / "even", even("bayer-mobile", 500), None)
     assert run(["recon", "twin", "--flat", "even", "--out", "picture"]) == 0
     assert "no depth" in capfd.readouterr().out
-    assert sorted(p.name for p in (here / "picture").iterdir()) == ["meta.json", "recon.exr", "rgb.png"]
+    assert sorted(p.name for p in (here / "picture").iterdir()) == ["meta.json", "mosaic.png", "recon.exr", "rgb.png"]
     refused("recon", "twin", "--bank", "bank.npz", "--out", "new", message_part=("--bank", "no infrared pixels"))
     refused("score", "picture", "shot", message_part=("picture", "no depth"))
     refused("recon", "shot", "--bank", "bank.npz", "--flat", "even", "--out", "new", message_part=("flat", "mosaic"))
