@@ -1,4 +1,4 @@
-"""Pictures of depth, confidence and the raw mosaic: colours by value, grey gaps, a scale, a filter's colour per pixel."""
+"""Pictures of depth, confidence and the raw mosaic: colours by value, grey gaps, a scale, a colour per filter."""
 
 from __future__ import annotations
 
