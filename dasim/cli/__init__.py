@@ -11,7 +11,7 @@ from typing import Any
 import cyclopts
 
 from dasim.base.errors import InputError, one_line
-from dasim.cli import check, datasets, expose, photograph, reconstruct, study
+from dasim.cli import check, datasets, export, expose, photograph, reconstruct, study
 
 app = cyclopts.App(
     name="dasim",
@@ -24,6 +24,7 @@ for command in (
     check.demo,
     photograph.render,
     expose.expose,
+    export.export,
     photograph.calibrate,
     reconstruct.recon,
     reconstruct.refocus,

@@ -42,14 +42,15 @@ def recon(
     """Reconstruct picture, depth and all-in-focus picture from a capture; without infrared pixels, the picture only.
 
     Args:
-        capture: a capture folder, or with --camera a raw mosaic: a 16-bit PNG, TIFF or NPY file, or packed pixels
+        capture: a capture folder, a DNG that dasim wrote, or with --camera a raw mosaic: an uncompressed DNG, a 16-bit
+            PNG, TIFF or NPY file, or packed pixels
         out: output folder of the reconstruction
         camera: for a raw file: a bundled name or a TOML file with mosaic, bit depth, black level and noise; the file
             sets the frame's size
         format_: for a raw file: raw10 or raw12 (MIPI packing) or raw16 (little-endian), all without header and in the
             camera's size; left-aligned for PNG, TIFF or NPY values shifted up to 16 bits
-        exposure: for a raw file, exposure time in seconds, for the dark signal; 0.01 by default
-        gain: for a raw file, analogue gain relative to the camera's; 1 by default
+        exposure: for a raw file, exposure time in seconds, for the dark signal; 0.01 by default, or that of a DNG
+        gain: for a raw file, analogue gain relative to the camera's; 1 by default, or that of a DNG that dasim wrote
         focus: for a raw file, focus distance in metres; the camera's by default
         bank: a PSF bank; by default one is calibrated for the camera and focus of the capture and stored in the cache
         preset: best (the default), fast, bands, paper, likelihood or chakrabarti-zickler

@@ -41,16 +41,56 @@ def fitted_matrix(response: FloatArray, power: FloatArray) -> FloatArray:
     return rows / (white_electrons / white_electrons[1])
 
 
+def fitted_from_xyz(response: FloatArray, power: FloatArray) -> FloatArray:
+    """Matrix [channel, 3] from CIE 1931 XYZ under a light to electrons, of any channels; white's largest value is 1.
+
+    It is what DNG calls a colour matrix, fitted by least squares, weighted by 1 / luminance, to the ColorChecker
+    (ISO 17321-1) and white. The standard observer sees no near-infrared, so that the row of an infrared channel is the
+    average of what surfaces of a colour reflect there.
+
+    Args:
+        response: electrons per unit of power, [channel, wavelength].
+        power: spectral power of the light, [wavelength], at any scale.
+    """
+    patches = np.vstack([colour_checker.iso_17321_curves(), np.ones_like(grid.WAVELENGTH_NM)])
+    electrons = grid.integrate(patches[:, None, :] * response * power)
+    xyz = _tristimulus(patches * power)
+    weight = 1 / np.maximum(xyz[:, 1:2], DARKEST)
+    columns, *_ = np.linalg.lstsq(weight * xyz, weight * electrons / electrons[-1].max(), rcond=None)
+    return np.asarray(columns.T)
+
+
+def to_srgb_matrix(white_xyz: FloatArray) -> FloatArray:
+    """Matrix [3, 3] from XYZ under a light to linear sRGB under D65, by the Bradford transform.
+
+    ``white_xyz`` [3] is a perfect diffuser under the light, of Y = 1.
+    """
+    import colour
+
+    d65 = colour.xy_to_XYZ(colour.CCS_ILLUMINANTS["CIE 1931 2 Degree Standard Observer"]["D65"])
+    adapt = colour.adaptation.matrix_chromatic_adaptation_VonKries(white_xyz, d65, transform="Bradford")
+    return np.asarray(colour.RGB_COLOURSPACES["sRGB"].matrix_XYZ_to_RGB @ adapt)
+
+
+def white_xyz(power: FloatArray) -> FloatArray:
+    """XYZ [3] of a perfect diffuser under a light of spectral power [wavelength], Y = 1."""
+    return np.asarray(_tristimulus(power[None])[0])
+
+
 def _linear_srgb(power: FloatArray) -> FloatArray:
     """Linear sRGB [n, 3] of spectra [n, wavelength], adapted to D65 from the last spectrum, which is white."""
+    xyz = _tristimulus(power)
+    return xyz @ to_srgb_matrix(xyz[-1]).T
+
+
+def _tristimulus(power: FloatArray) -> FloatArray:
+    """XYZ [n, 3] of spectra [n, wavelength] by the CIE 1931 observer; the last, which is white, has Y = 1."""
     import colour
 
     observer = colour.MSDS_CMFS["CIE 1931 2 Degree Standard Observer"]
     curves = [np.interp(grid.WAVELENGTH_NM, observer.wavelengths, c, right=0.0) for c in observer.values.T]
     xyz = grid.integrate(power[:, None, :] * np.stack(curves))
-    d65 = colour.xy_to_XYZ(colour.CCS_ILLUMINANTS["CIE 1931 2 Degree Standard Observer"]["D65"])
-    adapt = colour.adaptation.matrix_chromatic_adaptation_VonKries(xyz[-1] / xyz[-1, 1], d65, transform="Bradford")
-    return (xyz / xyz[-1, 1]) @ adapt.T @ colour.RGB_COLOURSPACES["sRGB"].matrix_XYZ_to_RGB.T
+    return np.asarray(xyz / xyz[-1, 1])
 
 
 def exposure_scale(linear_e: Float32Array, matrix: FloatArray) -> float:

@@ -1,12 +1,13 @@
-"""Raw mosaics from real cameras: 16-bit PNG, TIFF and NPY files, and packed pixels without a header.
+"""Raw mosaics from real cameras: DNG, 16-bit PNG, TIFF and NPY files, and packed pixels without a header.
 
-Black level, bit depth, full well, noise and mosaic are those of the camera's TOML file. The picture's top left pixel is
-the first of ``mosaic``. The size of the picture overrides that of the sensor, except for packed pixels, which have no
-header.
+Black level, bit depth, full well, noise and mosaic are those of the camera's TOML file; a DNG of dasim holds its
+camera. The picture's top left pixel is the first of ``mosaic``. The size of the picture overrides that of the sensor,
+except for packed pixels, which have no header.
 """
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +23,7 @@ from dasim.camera.noise import Exposure
 from dasim.camera.specification import Camera, Sensor
 from dasim.files.captures import load_capture
 from dasim.values import Capture
+from recon.files import dng_reading
 
 UInt16Array = NDArray[np.uint16]
 
@@ -42,9 +44,9 @@ def load_input(
     exposure_s: float | None = None,
     gain: float | None = None,
 ) -> Capture:
-    """A capture from its folder, or from a raw file and a camera (see :func:`load_raw`)."""
+    """A capture from its folder, from a DNG of dasim, or from a raw file and a camera (see :func:`load_raw`)."""
     options = {"--camera": camera, "--format": kind, "--exposure": exposure_s, "--gain": gain}
-    if path.is_file() and camera is not None:
+    if path.is_file() and (camera is not None or path.suffix.lower() == ".dng"):
         return load_raw(path, camera, kind=kind, exposure_s=exposure_s, gain=gain)
     if path.is_file():
         raise InputError(
@@ -60,7 +62,7 @@ def load_input(
 
 def load_raw(
     path: Path,
-    camera: Camera,
+    camera: Camera | None,
     *,
     kind: str | None = None,
     exposure_s: float | None = None,
@@ -70,23 +72,52 @@ def load_raw(
 
     Args:
         path: the file.
-        camera: gives black level, bit depth, full well, noise and mosaic.
+        camera: gives black level, bit depth, full well, noise and mosaic; None for that of a DNG of dasim.
         kind: one of ``FORMATS``: ``raw10``, ``raw12`` (MIPI packing) and ``raw16`` (little-endian) for files without a
-            header, ``left-aligned`` for values shifted to the most significant of 16 bits. By default PNG, TIFF or NPY,
-            by the suffix.
-        exposure_s: exposure time, seconds.
-        gain: analogue gain, a factor on the camera's.
+            header, ``left-aligned`` for values shifted to the most significant of 16 bits. By default DNG, PNG, TIFF or
+            NPY, by the suffix.
+        exposure_s: exposure time, seconds; by default that of a DNG.
+        gain: analogue gain, a factor on the camera's; by default that of a DNG that dasim wrote.
     """
-    stated = {"time_s": DEFAULT_EXPOSURE_S if exposure_s is None else exposure_s, "gain": 1.0 if gain is None else gain}
-    exposure = parse(Exposure, stated, "--exposure or --gain")
     if kind is not None and kind not in FORMATS:
         raise InputError(f"--format '{kind}' is unknown; allowed are {', '.join(FORMATS)}{did_you_mean(kind, FORMATS)}")
     if not path.is_file():
         raise InputError(f"raw picture {path}: no such file")
+    if path.suffix.lower() == ".dng" and kind is None:
+        return _from_dng(path, camera, exposure_s, gain)
+    if camera is None:
+        raise InputError(f"raw picture {path}: holds no camera; give it with --camera")
+    exposure = _exposure(exposure_s, gain)
     if kind in PACKED:
         raw = _unpacked(path, camera, kind)
     else:
         raw = _numbers(_decoded(path), path, camera, left_aligned=kind == LEFT_ALIGNED)
+    return _capture(path, raw, camera, exposure)
+
+
+def _from_dng(path: Path, camera: Camera | None, exposure_s: float | None, gain: float | None) -> Capture:
+    """A capture from a DNG; options that are given take precedence over its tags."""
+    found = dng_reading.read_mosaic(path)
+    own = found.private
+    used = camera or (own.camera if own else None)
+    if used is None:
+        raise InputError(f"raw picture {path}: is no DNG of dasim; give its camera with --camera")
+    dng_reading.check_fits(found, used, f"raw picture {path}")
+    stated_s, stated_gain = (own.exposure_s, own.gain) if own else (found.exposure_s, None)
+    exposure = _exposure(stated_s if exposure_s is None else exposure_s, stated_gain if gain is None else gain)
+    capture = _capture(path, _numbers(found.raw, path, used, left_aligned=False), used, exposure)
+    if camera is not None or own is None:
+        return capture
+    return replace(capture, provenance={"diffraction": own.diffraction or "wave"})
+
+
+def _exposure(exposure_s: float | None, gain: float | None) -> Exposure:
+    stated = {"time_s": DEFAULT_EXPOSURE_S if exposure_s is None else exposure_s, "gain": 1.0 if gain is None else gain}
+    return parse(Exposure, stated, "--exposure or --gain")
+
+
+def _capture(path: Path, raw: UInt16Array, camera: Camera, exposure: Exposure) -> Capture:
+    """The capture of raw numbers [h, w], whose size overrides that of the camera."""
     height, width = raw.shape
     changed = camera.sensor.model_dump() | {"width_px": width, "height_px": height}
     if (width, height) != (camera.sensor.width_px, camera.sensor.height_px) and camera.sensor.principal_point_px:
@@ -111,8 +142,8 @@ def _decoded(path: Path) -> NDArray:
     suffix = path.suffix.lower()
     if suffix not in (".png", ".tif", ".tiff", ".npy"):
         raise InputError(
-            f"raw picture {path}: '{suffix}' files are not supported; give .png, .tif or .npy, or for packed pixels "
-            f"--format {'|'.join(PACKED)}"
+            f"raw picture {path}: '{suffix}' files are not supported; give .dng, .png, .tif or .npy, or for packed "
+            f"pixels --format {'|'.join(PACKED)}"
         )
     try:
         if suffix == ".npy":

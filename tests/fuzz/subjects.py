@@ -22,7 +22,7 @@ from dasim.random_scenes.specification import load_random_scenes
 from dasim.scene import meshes
 from dasim.scene.specification import SCENE_DIR
 from dasim.values import Capture, PsfBank, Truth
-from recon.files import raw
+from recon.files import dng, raw
 from recon.files.reconstruction import load_reconstruction
 from tests.support.datasets import SPEC, SQUARE, WALL
 from validation.gates.comparison import load_results
@@ -86,6 +86,7 @@ SUBJECTS = (
     Subject("raw-npy", ("raw.npy",), lambda folder: raw.load_raw(folder / "raw.npy", dasim.load_camera("da-mobile"))),
     Subject("raw-tiff", ("raw.tif",), lambda folder: raw.load_raw(folder / "raw.tif", dasim.load_camera("da-mobile"))),
     Subject("raw-lzw", ("raw.tif",), lambda folder: raw.load_raw(folder / "raw.tif", dasim.load_camera("da-mobile"))),
+    Subject("raw-dng", ("raw.dng",), lambda folder: raw.load_raw(folder / "raw.dng", None)),
     Subject("map", ("map.npy",), lambda folder: read_depth(folder / "map.npy")),
 )
 
@@ -132,6 +133,7 @@ def write(folder: Path) -> None:
     compressed = [cv2.IMWRITE_TIFF_COMPRESSION, cv2.IMWRITE_TIFF_COMPRESSION_LZW]
     cv2.imwrite(str(folder / "raw-lzw" / "raw.tif"), mosaic, compressed)
     np.save(folder / "raw-npy" / "raw.npy", mosaic)
+    dng.write_dng(folder / "raw-dng" / "raw.dng", Capture(mosaic, camera, exposure_s=0.01, gain=1.0, seed=0))
     np.save(folder / "map" / "map.npy", random.random((SIDE, SIDE)))
 
 

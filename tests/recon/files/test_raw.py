@@ -175,10 +175,11 @@ def test_damaged_and_unknown_files(tmp_path, ten):
     cv2.imwrite(str(tmp_path / "eight.png"), np.full((64, 96), 9, np.uint8))
     (tmp_path / "no.tif").write_bytes(b"no picture")
     (tmp_path / "no.npy").write_bytes(b"no array")
-    (tmp_path / "photo.dng").write_bytes(b"x")
+    for name in ("photo.dng", "photo.nef"):
+        (tmp_path / name).write_bytes(b"x")
     for name, message in (
         ("cut.png", "truncated"), ("eight.png", "8 bits"), ("no.tif", "cannot be read"), ("no.npy", "cannot be read"),
-        ("photo.dng", "--format raw10"), ("none.png", "no such file"),
+        ("photo.dng", "cannot be read as DNG"), ("none.png", "no such file"), ("photo.nef", "--format raw10"),
     ):  # fmt: skip
         with pytest.raises(InputError, match=message) as refused:
             raw_files.load_raw(tmp_path / name, ten)
