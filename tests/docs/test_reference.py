@@ -16,12 +16,21 @@ from dasim.cli import app
 from dasim.files import captures
 from dasim.scene.lights import Ground
 from dasim.scene.mitsuba_scene import MitsubaScene
+from recon.files import dng_reading
 from tests.support.pages import script
 from validation.subjects import held_out
 
 reference = script("reference")
 # Models that no user's TOML file holds: metadata of captures, and what the project itself reads.
-NO_FILE = {captures._CaptureMeta, held_out._Entry, held_out._Sets, Ground, MitsubaScene, dasim.Exposure}
+NO_FILE = {
+    captures._CaptureMeta,
+    dng_reading._Private,
+    held_out._Entry,
+    held_out._Sets,
+    Ground,
+    MitsubaScene,
+    dasim.Exposure,
+}
 
 
 @pytest.fixture(scope="module")
