@@ -7,7 +7,7 @@ from validation.claims.cost.cycles import against_cycles
 from validation.claims.cost.datasets import dataset_speed
 from validation.claims.cost.exposure import exposure
 from validation.claims.cost.fewer_rays import fewer_rays
-from validation.claims.cost.reconstruction import recon_speed
+from validation.claims.cost.reconstruction import recon_large, recon_speed
 from validation.claims.cost.sampling import desk_noise, noise_slope_off, noise_slope_wave, render_cost
 from validation.claims.cost.scenes import interreflection, registration, scenes_speed
 from validation.claims.depth.depth_maps import depth_maps
@@ -82,6 +82,7 @@ CLAIMS = {
     "staircase": Measurement(staircase, quick=False),
     "staircase-camera": Measurement(staircase_camera, quick=False),
     "recon-speed": Measurement(recon_speed, quick=False, alone=True),
+    "recon-large": Measurement(recon_large, quick=False, alone=True),
     "depth": Measurement(depth, quick=False),
     "side-of-focus": Measurement(side_of_focus, quick=False),
     "depth-held-out": Measurement(depth_held_out, quick=False),

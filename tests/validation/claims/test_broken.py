@@ -195,20 +195,32 @@ def test_three_times_faster_than_cycles_is_less_noise_or_less_time(renderer, mon
     assert failed("against-cycles", evidence) == (set() if good else expected)
 
 
+def test_copies_that_differ_are_seen():
+    """Set-up: 4 x 4 copies of random numbers, of which one is changed at one place, in the middle or at the border."""
+    image = np.tile(np.random.default_rng(0).normal(size=(5, 7, 3)), (4, 4, 1))
+    assert reconstruction.unlike(image, 4) == 0
+    image[6, 3] += 1
+    assert reconstruction.unlike(image, 4) == 0
+    image[11, 15, 2] += 0.5
+    np.testing.assert_allclose(reconstruction.unlike(image, 4), 0.5)
+
+
 @pytest.mark.slow
 def test_a_slow_reconstruction_fails(monkeypatch):
-    """Set-up: a small frame in the claim's own process, whose clock was read 25 s too early.
+    """Set-up: a small frame in the claim's own process, whose clock was read 100 s too early.
 
-    Expectation: the time fails and the memory does not.
+    Expectation: the times fail and the memory does not.
     """
     first = "begin = time.perf_counter()\nresult"
     assert first in reconstruction._TIMED
     monkeypatch.setattr(
-        reconstruction, "_TIMED", reconstruction._TIMED.replace(first, "begin = time.perf_counter() - 25\nresult")
+        reconstruction, "_TIMED", reconstruction._TIMED.replace(first, "begin = time.perf_counter() - 100\nresult")
     )
     frame = stand_in(recon_scenes.slanted(*FRAME_PX, 1.0, 8.0)).capture.raw_dn
     monkeypatch.setattr(reconstruction, "banded_capture", lambda camera, bank: frame)
     bank = recon_scenes.bank(("D65",))
     monkeypatch.setattr("recon.calibrate", lambda captures: bank)
     monkeypatch.setattr("dasim.calibration_captures", lambda camera: None)
-    assert failed("recon-speed", reconstruction.recon_speed(lambda share: None)) == {"seconds"}
+    monkeypatch.setattr(reconstruction, "REPEATS", {"12Mpx": 1, "50Mpx": 3})
+    assert failed("recon-speed", reconstruction.recon_speed(lambda share: None)) == {"seconds", "fast.seconds"}
+    assert failed("recon-large", reconstruction.recon_large(lambda share: None)) == {"12Mpx.seconds"}
