@@ -2,31 +2,22 @@
 
 from __future__ import annotations
 
-import base64
 import json
 import math
-import re
 from dataclasses import replace
-from html.parser import HTMLParser
 
 import cv2
 import numpy as np
 import pytest
 
-import dasim
-import recon
 from dasim.base.errors import InputError
-from dasim.base.toml import parse
 from dasim.camera import geometry, response_curves
 from dasim.camera import specification as cameras
-from dasim.scene.specification import Scene
-from dasim.simulation.simulate import simulate
 from dasim.spectra import grid
 from dasim.values import Capture, Reconstruction, Truth
-from tests.support import browser, surfaces
+from tests.support import surfaces
 from validation import demo
 from validation.gates.claim import Claim, write_results
-from validation.reports import demo as report
 from validation.scores.depth import balanced_error
 from validation.scores.figures import Figure
 from validation.scores.pictures import blur_effect, infrared_free, psnr
@@ -344,117 +335,6 @@ def test_results_follow_their_schema(tmp_path, camera):
         assert (claim["limit"] is None) == (claim["passed"] is None)
     assert content["timings_s"] == {"render": 1.23}
     assert {"dasim", "mitsuba", "numpy"} <= set(content["software"])
-
-
-# --- the report ----------------------------------------------------------------------------------
-
-
-class Page(HTMLParser):
-    """What a page asks for from outside itself, its pictures, and whether its elements nest."""
-
-    VOID = frozenset({"meta", "link", "img", "br", "hr", "input"})
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.addresses: list[str] = []
-        self.pictures: list[dict] = []
-        self.open: list[str] = []
-        self.tags: set[str] = set()
-        self.text = ""
-
-    def handle_starttag(self, tag, attrs):
-        self.tags.add(tag)
-        attributes = dict(attrs)
-        self.addresses += [
-            attributes[k] for k in ("src", "href", "srcset", "data", "action", "poster") if attributes.get(k)
-        ]
-        if tag == "img":
-            self.pictures.append(attributes)
-        if tag not in self.VOID:
-            self.open.append(tag)
-
-    def handle_endtag(self, tag):
-        assert self.open and self.open[-1] == tag, f"</{tag}> closes {self.open[-1:]}"
-        self.open.pop()
-
-    def handle_data(self, data):
-        self.text += data
-
-
-@pytest.fixture(scope="module")
-def bank(camera):
-    return recon.calibrate(dasim.calibration_captures(camera, ("D55",), diffraction="off"))
-
-
-@pytest.fixture(scope="module")
-def small_demo(renderer, bank, da_mobile, lamp):
-    """A tiny photograph of a photograph 25 cm away, what is made of it, and the claims."""
-    data = {
-        "name": "<tiny> & small",
-        "focus_cm": 40,
-        "lights": [lamp | {"illuminant": "D55"}],
-        "materials": {"photo": {"kind": "print", "image": "skimage:astronaut"}},
-        "objects": [
-            {"name": "photo", "shape": "plane", "size_cm": (2, 2), "position_cm": (0, 0, 25), "material": "photo"}
-        ],
-    }
-    scene = parse(Scene, data, "tiny scene")
-    camera = cameras.cropped(cameras.refocused(da_mobile, 0.4), 96, 64)
-    shot = simulate(scene, camera, spp=4, diffraction="off")
-    result = recon.reconstruct(shot.capture, bank)
-    return shot, result, demo.claims(score(result, shot.capture, shot.truth))
-
-
-@pytest.fixture(scope="module")
-def page_text(small_demo):
-    return report.demo_page(*small_demo, {"render": 1.0, "reconstruct": 2.0})
-
-
-@pytest.fixture
-def page(page_text):
-    parser = Page()
-    parser.feed(page_text)
-    parser.close()
-    assert not parser.open, f"{parser.open} are not closed"
-    return parser
-
-
-def test_report_asks_for_nothing_from_outside(page, page_text):
-    own = [address for address in page.addresses if address != "view.html"]  # a link to the page beside it
-    assert own and all(address.startswith("data:") for address in own)
-    without_data = re.sub(r"data:image/png;base64,[A-Za-z0-9+/=]*", "", page_text)
-    assert not re.search(r"https?://|//[a-z]+\.|@import|url\(", without_data)
-    assert not {"script", "iframe", "object", "embed", "base"} & page.tags
-
-
-def test_report_shows_the_pictures_it_promises(page, small_demo):
-    """Expectation: eleven whole PNG pictures with a text for those who do not see them; capture and truth adjacent."""
-    assert len(page.pictures) == 11
-    for picture in page.pictures:
-        assert picture["alt"]
-        data = base64.b64decode(picture["src"].removeprefix("data:image/png;base64,"), validate=True)
-        assert cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR) is not None
-    captions = " ".join(picture["alt"].lower() for picture in page.pictures)
-    for part in ("raw mosaic", "colour", "infrared", "true depth", "estimated depth", "error", "all in focus", "truth"):
-        assert part in captions, part
-    for claim in small_demo[2]:
-        assert claim.id in page.text
-    assert "<tiny> & small" in page.text, "names are escaped"
-
-
-def test_report_of_a_capture_without_an_estimate(small_demo):
-    """Rationale: a page is most needed where the reconstruction failed."""
-    shot, result, _ = small_demo
-    blank = replace(result, level_raw=np.full_like(result.level_raw, np.nan))
-    entries = demo.claims(score(blank, shot.capture, shot.truth))
-    assert "nan" in report.demo_page(shot, blank, entries, {})
-
-
-def test_report_opens_in_a_browser_without_complaint(page_text, tmp_path):
-    """Expectation: a headless browser draws the page, not all of one colour, and has nothing to say of it."""
-    page = tmp_path / "report.html"
-    page.write_text(page_text, encoding="utf-8")
-    assert browser.screenshot(page).std() > 10, "the page is blank"
 
 
 def test_balanced_error_counts_levels_not_pixels():
