@@ -15,9 +15,12 @@ from dasim.base.toml import Specification
 from dasim.files.truth import TRUTH_PARTS
 from dasim.random_scenes.specification import RandomScenes
 from dasim.scene.mitsuba_scene import MitsubaChoices, is_mitsuba
+from dasim.scene.poses import Pose, between
 from dasim.scene.specification import scene_names
+from dasim.typing import FloatArray
 
 MOST_FRAMES = 1000  # of a sample
+MOST_VIEWS = 10_000  # of a capture
 BRACKET = (1e-6, 1e6)  # of factors on an exposure time
 Scalar = bool | int | float | str
 
@@ -178,6 +181,67 @@ class FrameChoice(Specification):
     def count(self) -> int:
         """Frames of a sample."""
         return len(self.bracket) * self.burst
+
+
+class RigCamera(Pose):
+    """A camera of a rig, at its pose in the rig; its sensor is one of its own."""
+
+    name: str = Field(min_length=1, description="its name in meta.json and in the index")
+    camera: str | None = Field(default=None, description="bundled name or file; by default that of [[cameras]]")
+
+
+class ViewChoice(Specification):
+    """Views of every capture of a scene, each a sample: cameras of a rig, times poses of the rig.
+
+    The views of a capture share scene, light, exposure and all drawn values; each has noise of its own.
+    """
+
+    rig: tuple[RigCamera, ...] = Field(
+        default=(RigCamera(name="camera"),), min_length=1, max_length=MOST_VIEWS, description="cameras with known poses"
+    )
+    poses: tuple[Pose, ...] = Field(
+        default=(Pose(),),
+        min_length=1,
+        max_length=MOST_VIEWS,
+        description="poses of the rig, relative to the view of the scene",
+    )
+    steps: int | None = Field(
+        default=None,
+        ge=2,
+        le=MOST_VIEWS,
+        description="a trajectory: as many poses at equal steps on the path through poses",
+    )
+
+    @model_validator(mode="after")
+    def _whole(self) -> ViewChoice:
+        names = [camera.name for camera in self.rig]
+        if len(set(names)) < len(names):
+            raise ValueError(f"rig: names of cameras must be unique, not {', '.join(names)}")
+        if self.steps is not None and len(self.poses) < 2:
+            raise ValueError("steps is for a trajectory: poses must list two poses or more that it passes through")
+        if self.count > MOST_VIEWS:
+            raise ValueError(f"rig and poses: {self.count} views; {MOST_VIEWS} are allowed")
+        return self
+
+    @property
+    def count(self) -> int:
+        """Views of a capture."""
+        return len(self.rig) * (self.steps or len(self.poses))
+
+    @property
+    def moves(self) -> bool:
+        """Whether some view has another pose than that of the scene."""
+        return any(not np.array_equal(pose.matrix(), np.eye(4)) for pose in (*self.poses, *self.rig))
+
+    def camera_of(self, number: int) -> RigCamera:
+        """Camera of the rig that takes view ``number``; the cameras alternate fastest."""
+        return self.rig[number % len(self.rig)]
+
+    def pose(self, number: int) -> FloatArray:
+        """Pose [4, 4] of view ``number`` relative to the view of the scene, metres."""
+        rig = [pose.matrix() for pose in self.poses]
+        rig = rig if self.steps is None else between(rig, self.steps)
+        return np.asarray(rig[number // len(self.rig)] @ self.camera_of(number).matrix())
 
 
 class TruthChoice(Specification):

@@ -21,6 +21,7 @@ from dasim.dataset.dotted_keys import with_values
 from dasim.dataset.specification import DatasetSpec, named_camera, random_spec, scene_count, scene_keys
 from dasim.random_scenes.scene import random_exposure, random_scene
 from dasim.scene.mitsuba_scene import MitsubaScene, is_mitsuba
+from dasim.scene.poses import seen_from
 from dasim.scene.specification import Scene
 from dasim.simulation.exposure import frame_seed
 
@@ -44,15 +45,12 @@ class Draft:
 
 def draft(spec: DatasetSpec, index: int) -> Draft:
     """Draft of sample ``index``, 0 to ``spec.samples`` - 1; raises InputError if its random values are not allowed."""
-    number = scene_number(spec, index)
+    number, (_, view) = scene_number(spec, index), capture_and_view(spec, index)
     settings = values(spec, index)
-    base = named_camera(spec, spec.cameras[_choice(spec, index)])
-    changes = _below(settings, "camera")
-    if spec.sensor_per_sample:
-        changes["sensor.sensor_seed"] = _seed(spec, index, "sensor")
-    camera = cameras.cropped(with_values(base, changes), *spec.size_px)
-    scene, exposure = _scene(spec, number, base)
+    drawn = named_camera(spec, spec.cameras[_choice(spec, index)].name)
+    scene, exposure = _scene(spec, number, drawn)
     scene = _relight(scene, **_below(settings, "light"))
+    camera = cameras.cropped(_camera(spec, index, drawn, _below(settings, "camera")), *spec.size_px)
     if "focus.distance_m" in settings:
         camera = cameras.refocused(camera, float(settings["focus.distance_m"]))
     else:
@@ -62,7 +60,7 @@ def draft(spec: DatasetSpec, index: int) -> Draft:
         index=index,
         split=split_of_scene(spec, number),
         scene_key=scene_key(spec, number),
-        scene=scene,
+        scene=scene if isinstance(scene, MitsubaScene) else seen_from(scene, spec.views.pose(view)),
         camera=camera,
         exposure=parse(Exposure, exposure.model_dump() | changes, "exposure") if changes else exposure,
         seed=capture_seed(spec, index),
@@ -70,8 +68,29 @@ def draft(spec: DatasetSpec, index: int) -> Draft:
     )
 
 
+def _camera(spec: DatasetSpec, index: int, drawn: Camera, changes: dict[str, Any]) -> Camera:
+    """Camera of a sample: that which was ``drawn`` with its ``changes``, or another one of the rig.
+
+    The first camera of a rig has the sensor of its file, each other one a sensor of its own.
+    """
+    place = capture_and_view(spec, index)[1] % len(spec.views.rig)
+    other = spec.views.rig[place].camera
+    camera = with_values(drawn, changes) if other is None else named_camera(spec, other)
+    if spec.sensor_per_sample:
+        return with_values(camera, {"sensor.sensor_seed": _seed(spec, index, "sensor")})
+    return with_values(camera, {"sensor.sensor_seed": (camera.sensor.sensor_seed or 0) + place}) if place else camera
+
+
+def capture_and_view(spec: DatasetSpec, index: int) -> tuple[int, int]:
+    """Number of the capture that a sample belongs to, and number of its view of it, each from 0."""
+    return divmod(index, spec.views.count)
+
+
 def values(spec: DatasetSpec, index: int) -> dict[str, Any]:
-    """Random values of a sample from the specification's distributions, by dotted key; reads no files."""
+    """Random values of a sample from the specification's distributions, by dotted key; reads no files.
+
+    The views of a capture share them.
+    """
     choice = spec.cameras[_choice(spec, index)]
     random = _generator(spec, index, "camera", 1)
     settings: dict[str, Any] = {"camera": choice.name}
@@ -123,14 +142,14 @@ def scene_key(spec: DatasetSpec, number: int) -> str:
 
 def scene_number(spec: DatasetSpec, index: int) -> int:
     """Number of the scene that a sample shows, from 0."""
-    keys = scene_keys(spec)
-    return index % len(keys) if keys else index // spec.scenes.captures_per_scene
+    keys, capture = scene_keys(spec), capture_and_view(spec, index)[0]
+    return capture % len(keys) if keys else capture // spec.scenes.captures_per_scene
 
 
 def capture_number(spec: DatasetSpec, index: int) -> int:
-    """Number of a sample among the captures of its scene, from 0."""
-    keys = scene_keys(spec)
-    return index // len(keys) if keys else index % spec.scenes.captures_per_scene
+    """Number of a sample's capture among the captures of its scene, from 0."""
+    keys, capture = scene_keys(spec), capture_and_view(spec, index)[0]
+    return capture // len(keys) if keys else capture % spec.scenes.captures_per_scene
 
 
 def split_of_scene(spec: DatasetSpec, number: int) -> str:
@@ -153,7 +172,8 @@ def _splits(count: int, seed: int, shares: tuple[tuple[str, float], ...]) -> tup
 
 
 def _generator(spec: DatasetSpec, index: int, stage: str, part: int = 0) -> np.random.Generator:
-    return np.random.default_rng(np.random.SeedSequence((spec.seed, index, _STAGES[stage], part)))
+    capture = capture_and_view(spec, index)[0]
+    return np.random.default_rng(np.random.SeedSequence((spec.seed, capture, _STAGES[stage], part)))
 
 
 def _choice(spec: DatasetSpec, index: int) -> int:
@@ -169,7 +189,7 @@ def _scene(spec: DatasetSpec, number: int, camera: Camera) -> tuple[Scene | Mits
     """
     keys = scene_keys(spec)
     if not keys:
-        first = cameras.cropped(named_camera(spec, spec.cameras[0]), *spec.size_px)
+        first = cameras.cropped(named_camera(spec, spec.cameras[0].name), *spec.size_px)
         source = random_spec(spec)
         scene = random_scene(spec.seed, number, source, first)
         return scene, random_exposure(spec.seed, number, source)

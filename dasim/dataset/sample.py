@@ -23,13 +23,15 @@ import cv2
 import numpy as np
 
 from dasim.base.fingerprint import fingerprint
-from dasim.dataset.draws import Draft, draft
+from dasim.camera.geometry import intrinsic_matrix
+from dasim.dataset.draws import Draft, capture_and_view, draft
 from dasim.dataset.specification import DatasetSpec, noise_model
 from dasim.files.captures import capture_meta
 from dasim.files.png import write_png16
 from dasim.files.truth import write_truth
 from dasim.render import backend
 from dasim.scene.classes import CLASSES
+from dasim.scene.specification import Scene, world_to_camera
 from dasim.simulation.exposure import SensorLight, Shot, bracketed, frame_seed, photograph
 from dasim.simulation.simulate import sensor_light
 from dasim.values import Capture, Truth
@@ -144,7 +146,7 @@ def make(spec: DatasetSpec, index: int, variant: str) -> PackedSample:
     captures, truth = [shot.capture, *(other.capture for other in others)], shot.truth
     render_s = time.perf_counter() - render_start
     files = _files(spec, plan, captures, truth)
-    row = _row(plan, captures, truth, files)
+    row = _row(plan, captures, truth, files) | view_of(spec, plan)
     del light, shot, captures, truth, plan
     backend.release_memory()
     return PackedSample(files, row, time.perf_counter() - start, render_s)
@@ -188,6 +190,7 @@ def _files(spec: DatasetSpec, plan: Draft, frames: list[Capture], truth: Truth) 
             "split": plan.split,
             "scene": plan.scene_key,
             "drawn": plan.drawn,
+            **view_of(spec, plan),
             "truth": {"keep": spec.truth.keep, "half": spec.truth.half, "offset_px": [margin, margin]},
             "frames": [_frame(file, frame) for file, frame in zip(pictures, frames, strict=True)],
         },
@@ -255,6 +258,25 @@ def _row(plan: Draft, frames: list[Capture], truth: Truth, files: dict[str, byte
         "sha256": {file: hashlib.sha256(content).hexdigest() for file, content in files.items()},
         "bytes": sum(map(len, files.values())),
         "thumbnail": base64.b64encode(_thumbnail(truth.sharp_srgb)).decode(),
+    }
+
+
+def view_of(spec: DatasetSpec, plan: Draft) -> dict[str, Any]:
+    """What is known of a sample's view, for ``meta.json`` and the index.
+
+    ``capture``, ``view``, ``pose`` and ``rig_camera`` say which capture of which view it is; the matrices are those of
+    OpenCV: ``intrinsic_matrix_px`` [3, 3] for pixel centres at +0.5, and ``world_to_camera`` [4, 4] from scene
+    coordinates in metres into camera axes, None for a Mitsuba scene.
+    """
+    capture, view = capture_and_view(spec, plan.index)
+    scene = plan.scene
+    return {
+        "capture": capture,
+        "view": view,
+        "pose": view // len(spec.views.rig),
+        "rig_camera": spec.views.camera_of(view).name,
+        "intrinsic_matrix_px": intrinsic_matrix(plan.camera).tolist(),
+        "world_to_camera": world_to_camera(scene).tolist() if isinstance(scene, Scene) else None,
     }
 
 

@@ -25,6 +25,7 @@ from dasim.dataset.choices import (
     Scalar,
     SceneChoice,
     TruthChoice,
+    ViewChoice,
 )
 from dasim.dataset.dotted_keys import with_values
 from dasim.random_scenes import specification
@@ -77,6 +78,7 @@ class DatasetSpec(Specification):
     )
     scenes: SceneChoice = SceneChoice()
     cameras: tuple[CameraChoice, ...] = Field(default=(CameraChoice(name="da-mobile"),), min_length=1)
+    views: ViewChoice = ViewChoice()
     light: LightChoice = LightChoice()
     focus: FocusChoice = FocusChoice()
     exposure: ExposureChoice = ExposureChoice()
@@ -98,6 +100,10 @@ class DatasetSpec(Specification):
             raise ValueError(f"spp is {self.spp}: 1 to 65536 or 'auto' is allowed")
         if 2 * self.truth.margin_px >= min(self.size_px):
             raise ValueError(f"truth.margin_px is {self.truth.margin_px}: nothing of {self.size_px} is left")
+        if self.samples % self.views.count:
+            raise ValueError(
+                f"samples is {self.samples}: every capture has {self.views.count} views, choose a multiple of them"
+            )
         return self
 
 
@@ -141,7 +147,7 @@ def check(spec: DatasetSpec, where: str) -> None:
             illuminants.illuminant(str(value))
         except InputError as error:
             problems.append(f"light.illuminant: {error}")
-    problems += _scene_problems(spec) + _each_problems(spec)
+    problems += _rig_problems(spec) + _scene_problems(spec) + _each_problems(spec)
     try:
         noise_model(spec)
     except InputError as error:
@@ -152,15 +158,39 @@ def check(spec: DatasetSpec, where: str) -> None:
 
 def _camera_problems(spec: DatasetSpec, choice: CameraChoice) -> list[str]:
     try:
-        camera = cameras.cropped(named_camera(spec, choice), *spec.size_px)
+        camera = cameras.cropped(named_camera(spec, choice.name), *spec.size_px)
     except InputError as error:
         return [str(error)]
-    problems = []
+    problems = _focus_problems(spec, camera)
     for key, distribution in choice.vary.items():
         problems += _use_problems(distribution, lambda value, key=key: with_values(camera, {key: value}))  # type: ignore[misc]
-    if spec.focus.distance_m is not None:
-        problems += _use_problems(spec.focus.distance_m, lambda value: cameras.refocused(camera, float(value)))
     return problems
+
+
+def _rig_problems(spec: DatasetSpec) -> list[str]:
+    """Problems of a rig's cameras of other names, and of views of scenes whose camera cannot be moved."""
+    problems = []
+    for number, member in enumerate(spec.views.rig):
+        where = f"views.rig.{number}"
+        try:
+            if member.camera is not None:
+                camera = cameras.cropped(named_camera(spec, member.camera), *spec.size_px)
+                problems += [f"{where}: {problem}" for problem in _focus_problems(spec, camera)]
+        except InputError as error:
+            problems.append(f"{where}: {error}")
+    if spec.views.moves:
+        problems += [
+            f"scenes.files: {name} is a Mitsuba scene, whose camera cannot be moved; leave out poses in [views]"
+            for name in spec.scenes.files
+            if is_mitsuba(name)
+        ]
+    return problems
+
+
+def _focus_problems(spec: DatasetSpec, camera: Camera) -> list[str]:
+    if spec.focus.distance_m is None:
+        return []
+    return _use_problems(spec.focus.distance_m, lambda value: cameras.refocused(camera, float(value)))
 
 
 def _use_problems(draw: Draw, use: Callable[[Scalar], Any]) -> list[str]:
@@ -208,16 +238,17 @@ def each_counts(spec: DatasetSpec, choice: CameraChoice) -> tuple[int, ...]:
 def _each_problems(spec: DatasetSpec) -> list[str]:
     """Problems of grids of ``each``: every scene must have whole grids of captures."""
     scenes = len(scene_keys(spec))
-    captures = spec.samples / scenes if scenes else spec.scenes.captures_per_scene
+    total = capture_count(spec)
+    captures = total / scenes if scenes else spec.scenes.captures_per_scene
     problems = []
     for number, choice in enumerate(spec.cameras):
         size = math.prod(each_counts(spec, choice))
         if size > 1 and len(spec.cameras) > 1:
             problems.append("each: makes a grid of captures by one camera; give one camera, or choice instead of each")
-        elif size > 1 and (captures % size or spec.samples % size):
+        elif size > 1 and (captures % size or total % size):
             problems.append(
                 f"each: the values of camera {number} make a grid of {size} captures, but a scene has {captures:g} of "
-                f"{spec.samples} samples; choose " + ("samples" if scenes else "scenes.captures_per_scene and samples")
+                f"{total} captures; choose " + ("samples" if scenes else "scenes.captures_per_scene and samples")
                 + f" so that every scene has a multiple of {size}"
             )  # fmt: skip
     return problems
@@ -238,13 +269,18 @@ def scene_keys(spec: DatasetSpec) -> tuple[str, ...]:
     return spec.scenes.files
 
 
+def capture_count(spec: DatasetSpec) -> int:
+    """Number of captures, each of which has all views."""
+    return spec.samples // spec.views.count
+
+
 def scene_count(spec: DatasetSpec) -> int:
     """Number of scenes that the samples show."""
-    keys = scene_keys(spec)
-    return min(len(keys), spec.samples) if keys else -(-spec.samples // spec.scenes.captures_per_scene)
+    keys, captures = scene_keys(spec), capture_count(spec)
+    return min(len(keys), captures) if keys else -(-captures // spec.scenes.captures_per_scene)
 
 
-def named_camera(spec: DatasetSpec, choice: CameraChoice) -> Camera:
-    """Camera of a choice, from a file beside the specification or by its bundled name."""
-    beside = spec.folder / choice.name
-    return cameras.load_camera(beside if beside.is_file() else choice.name)
+def named_camera(spec: DatasetSpec, name: str) -> Camera:
+    """Camera from a file beside the specification or by its bundled name."""
+    beside = spec.folder / name
+    return cameras.load_camera(beside if beside.is_file() else name)

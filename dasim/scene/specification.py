@@ -33,10 +33,13 @@ SCENE_DIR = _HERE / "scenes" if (_HERE / "scenes").is_dir() else _HERE.parent / 
 
 
 class View(Specification):
-    """Position of the camera, and a point on its optical axis; there is no roll: the picture's x axis is horizontal."""
+    """Position of the camera, and a point on its optical axis; without roll, the picture's x axis is horizontal."""
 
     position_cm: Vector = (0.0, 0.0, 0.0)
     look_at_cm: Vector = (0.0, 0.0, 1.0)
+    roll_deg: float = Field(
+        default=0.0, ge=-360, le=360, description="turn about the optical axis, from the picture's x axis towards its y"
+    )
 
     @model_validator(mode="after")
     def _has_direction(self) -> View:
@@ -175,15 +178,24 @@ def object_to_camera(item: Object, scene: Scene) -> FloatArray:
     return world_to_camera(scene) @ placement(item)
 
 
-def world_to_camera(scene: Scene) -> FloatArray:
-    """Rigid transform [4, 4] of scene coordinates into camera axes, both in metres."""
-    position, target = np.multiply(scene.view.position_cm, 1e-2), np.multiply(scene.view.look_at_cm, 1e-2)
-    forward = (target - position) / np.linalg.norm(target - position)
+def axes(view: View) -> FloatArray:
+    """The camera's axes x (right), y (down) and z (forward) in scene coordinates, [3, 3], one per row."""
+    forward = np.multiply(view.look_at_cm, 1e-2) - np.multiply(view.position_cm, 1e-2)
+    forward /= np.linalg.norm(forward)
     right = np.cross((0.0, 1.0, 0.0), forward)
     right /= np.linalg.norm(right)
+    down = np.cross(forward, right)
+    if view.roll_deg:
+        cosine, sine = np.cos(np.radians(view.roll_deg)), np.sin(np.radians(view.roll_deg))
+        right, down = cosine * right + sine * down, cosine * down - sine * right
+    return np.stack([right, down, forward])
+
+
+def world_to_camera(scene: Scene) -> FloatArray:
+    """Rigid transform [4, 4] of scene coordinates into camera axes, both in metres: OpenCV's extrinsic matrix."""
     matrix = np.eye(4)
-    matrix[:3, :3] = np.stack([right, np.cross(forward, right), forward])
-    matrix[:3, 3] = -matrix[:3, :3] @ position
+    matrix[:3, :3] = axes(scene.view)
+    matrix[:3, 3] = -matrix[:3, :3] @ np.multiply(scene.view.position_cm, 1e-2)
     return matrix
 
 

@@ -175,6 +175,7 @@ def describe_origin(view: View, lens: LensPicture, seed: int, independent_mean: 
         "rendering_seed": seed,
         **sampling,
         "independent_mean": independent_mean,
+        **({"world_to_camera": scenes.world_to_camera(view.scene).tolist()} if isinstance(view.scene, Scene) else {}),
         "objects": [
             {"object_id": number, "name": name, "class": kind}
             for number, (name, kind) in enumerate(zip(view.world.objects, view.world.classes, strict=True), 1)
