@@ -8,9 +8,9 @@ Tested in tests/dasim/files/test_captures.py.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field, replace
-from typing import Any, Literal, get_args
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +20,19 @@ from dasim.camera.specification import Camera
 from dasim.typing import Float32Array
 
 Side = Literal["assumed", "estimated"]
+
+# Fields of a truth by the part of truth.exr that holds them, as datasets name it in truth.keep.
+TRUTH_PARTS = {
+    "depth": ("depth_m",),
+    "normal": ("normal",),
+    "blur": ("blur_px", "level"),
+    "labels": ("object_id", "material_id", "valid", "boundary"),
+    "mean_e": ("mean_e",),
+    "mean_e_variance": ("mean_e_variance",),
+    "sharp_e": ("sharp_e",),
+    "focus_e": ("focus_e",),
+    "sharp_srgb": ("sharp_srgb",),
+}
 
 
 @dataclass(frozen=True, repr=False)
@@ -41,7 +54,11 @@ class Capture:
 
 @dataclass(frozen=True, repr=False)
 class Truth:
-    """Ground truth of a simulated capture, per pixel; ``depth_m`` is NaN where no surface is hit."""
+    """Ground truth of a simulated capture, per pixel; ``depth_m`` is NaN where no surface is hit.
+
+    A truth may lack parts (:meth:`of_parts`). Reading a field that is not there raises InputError, which names the part
+    and the setting that writes it.
+    """
 
     depth_m: Float32Array  # [h, w] z from the lens plane at the pixel's centre, never range
     valid: NDArray[np.bool_]  # [h, w] a surface was hit
@@ -61,18 +78,54 @@ class Truth:
     class_id: NDArray[np.uint32] | None = None  # [h, w] 0 is nothing, then ``dasim.CLASSES``; None in older files
     focus_e: Float32Array | None = None  # [h, w, channel] the geometry of ``sharp_e``, with diffraction in focus
 
+    @classmethod
+    def of_parts(cls, values: Mapping[str, Any], where: str = "truth") -> Truth:
+        """A truth with some of its fields; ``where`` begins the messages about those that it lacks."""
+        truth = object.__new__(cls)
+        for name, value in values.items():
+            object.__setattr__(truth, name, value)
+        object.__setattr__(truth, "_where", where)
+        return truth
+
+    def has(self, *names: str) -> bool:
+        """Whether all these fields are there."""
+        return all(vars(self).get(name) is not None for name in names)
+
+    def require(self, *names: str) -> None:
+        """Raise InputError, with all parts that are missing, unless all these fields are there."""
+        parts = [part for part, own in TRUTH_PARTS.items() if any(n in own and not self.has(n) for n in names)]
+        if parts:
+            where = vars(self).get("_where", "truth")
+            listed = ", ".join(f'"{part}"' for part in parts)
+            raise InputError(
+                f"{where}: lacks {', '.join(parts)}, needed here; a dataset writes parts of the truth that its "
+                f"specification lists: truth.keep = [..., {listed}]"
+            )
+
+    if not TYPE_CHECKING:  # a checker of types would take any name for a field
+
+        def __getattr__(self, name: str) -> Any:
+            """Called for a field that is not there."""
+            if any(name in own for own in TRUTH_PARTS.values()):
+                self.require(name)
+            raise AttributeError(name)
+
     def scaled(self, factor: float) -> Truth:
         """The truth of the same view with ``factor`` times the electrons: another exposure time, or light level."""
         powers = {"mean_e": 1, "sharp_e": 1, "focus_e": 1, "mean_e_variance": 2}
-        parts = {name: (getattr(self, name), np.float64(factor) ** power) for name, power in powers.items()}
-        scaled: dict[str, Any] = {k: None if a is None else (a * by).astype(np.float32) for k, (a, by) in parts.items()}
-        return replace(self, **scaled)
+        scaled: dict[str, Any] = {
+            name: (getattr(self, name) * np.float64(factor) ** power).astype(np.float32)
+            for name, power in powers.items()
+            if self.has(name)
+        }
+        return Truth.of_parts({**vars(self), **scaled}, vars(self).get("_where", "truth"))
 
     def __repr__(self) -> str:
-        depths = _range(self.depth_m[self.valid])
-        return (
-            f"Truth({_size(self.depth_m)}, {depths}, {len(self.objects)} objects, channels {' '.join(self.channels)})"
-        )
+        if not self.has("depth_m"):
+            return f"Truth(without depth, {len(self.objects)} objects)"
+        depths = _range(self.depth_m)
+        channels = " ".join(vars(self).get("channels", ())) or "unknown"
+        return f"Truth({_size(self.depth_m)}, {depths}, {len(self.objects)} objects, channels {channels})"
 
 
 @dataclass(frozen=True)

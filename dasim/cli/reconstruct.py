@@ -320,7 +320,10 @@ def score(
             raise InputError("--confidence and --scale apply to a depth map; a reconstruction folder contains both")
         rebuilt = load_reconstruction(result)
         photo = load_capture(capture)  # also checks that the capture is complete
-        figures = scores.score(rebuilt, photo, load_truth(capture), metrics=metrics)
+        truth = load_truth(capture)
+        if not truth.has("sharp_e"):
+            print("note: the truth lacks sharp_e, so that pictures are not scored (a dataset's key truth.keep)")
+        figures = scores.score(rebuilt, photo, truth, metrics=metrics)
     for name in [f"{own}." for own in methods] or [""]:
         print(f"method {name[:-1]}" if name else "", end="\n" if name else "")
         print(scores.table([replace(f, id=f.id.removeprefix(name)) for f in figures if f.id.startswith(name)]))

@@ -36,7 +36,7 @@ class Sample:
     index: int
     split: str
     raw_dn: NDArray[np.uint16]  # [h, w] the mosaic, the first frame
-    truth: dict[str, Any]  # the stored fields of dasim.values.Truth, by name
+    truth: dict[str, Any]  # the stored fields of dasim.values.Truth, by name; see dasim.files.truth.truth_of
     meta: dict[str, Any]  # content of meta.json: camera, exposure, levels, provenance
     frames_dn: tuple[NDArray[np.uint16], ...] = ()  # all frames of a bracket or burst, ``raw_dn`` first
 

@@ -19,7 +19,7 @@ from dasim.camera.geometry import depth_of_blur_m, intrinsic_matrix, level_blur_
 from dasim.camera.specification import Camera
 from dasim.files.folders import new_folder, software_versions
 from dasim.files.png import read_png16, write_png16
-from dasim.files.truth import read_truth, write_truth
+from dasim.files.truth import read_truth_parts, truth_of, write_truth
 from dasim.values import Capture, Truth
 
 CAPTURE_SCHEMA = 4
@@ -151,10 +151,15 @@ def capture_of(meta: dict[str, Any], raw: NDArray[np.uint16], where: str) -> Cap
 
 
 def load_truth(path: Path) -> Truth:
-    """Read the ground truth of a capture folder; raises InputError if it is missing or truncated."""
+    """Read the ground truth of a capture folder; raises InputError if it is missing or truncated.
+
+    Samples of a dataset may lack parts of it: see :func:`dasim.files.truth.truth_of`.
+    """
     path = Path(path)
-    _check_size(path / "truth.exr", _read_meta(path))
-    return read_truth(path / "truth.exr")
+    meta = _read_meta(path)
+    _check_size(path / "truth.exr", meta)
+    about = parse(_CaptureMeta, meta, f"{path}/meta.json")
+    return truth_of(read_truth_parts(path / "truth.exr"), about.camera, str(path / "truth.exr"))
 
 
 class _CaptureMeta(Specification):

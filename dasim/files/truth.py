@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from dataclasses import MISSING, fields
 from pathlib import Path
 from typing import Any
 
@@ -15,9 +14,12 @@ import numpy as np
 
 from dasim.base import untrusted
 from dasim.base.errors import InputError
+from dasim.camera import geometry
+from dasim.camera.depth_blur import boundary, signed_blur_px
+from dasim.camera.specification import Camera
 from dasim.files.exr import write_exr
 from dasim.scene.classes import CLASSES
-from dasim.values import Truth
+from dasim.values import TRUTH_PARTS, Truth
 
 _XYZ = ("X", "Y", "Z")
 
@@ -26,11 +28,10 @@ _XYZ = ("X", "Y", "Z")
 NAMES = "objectAndMaterialNames"  # JSON: names of the numbers 1, 2, ... of objects, materials, classes in ``labels``
 CHANNEL_ORDER = "channelOrder"  # names of the channels in our order; EXR stores them alphabetically
 
-TRUTH_PARTS = ("depth", "normal", "blur", "labels", "mean_e", "mean_e_variance", "sharp_e", "focus_e", "sharp_srgb")
 PER_CHANNEL = ("mean_e", "mean_e_variance", "sharp_e", "focus_e")  # parts with one layer per channel of the camera
 
 
-def write_truth(path: Path, truth: Truth, keep: Sequence[str] = TRUTH_PARTS, *, half: bool = False) -> None:
+def write_truth(path: Path, truth: Truth, keep: Sequence[str] = tuple(TRUTH_PARTS), *, half: bool = False) -> None:
     """Write the ground truth as a multi-part EXR; ``Z`` of the part ``depth`` is the depth in metres.
 
     Args:
@@ -43,25 +44,30 @@ def write_truth(path: Path, truth: Truth, keep: Sequence[str] = TRUTH_PARTS, *, 
 
     dtype = np.float16 if half else np.float32
     largest = np.finfo(dtype).max
-    arrays: dict[str, dict[str, np.ndarray]] = {
-        "depth": {"Z": truth.depth_m},
-        "normal": {axis: truth.normal[..., i] for i, axis in enumerate(_XYZ)},
-        "blur": {"blur_px": truth.blur_px, "level": truth.level},
-        "labels": {
+    arrays: dict[str, dict[str, np.ndarray]] = {}
+    if truth.has("depth_m"):
+        arrays["depth"] = {"Z": truth.depth_m}
+    if truth.has("normal"):
+        arrays["normal"] = {axis: truth.normal[..., i] for i, axis in enumerate(_XYZ)}
+    if truth.has(*TRUTH_PARTS["blur"]):
+        arrays["blur"] = {"blur_px": truth.blur_px, "level": truth.level}
+    if truth.has(*TRUTH_PARTS["labels"]):
+        arrays["labels"] = {
             "object_id": truth.object_id,
             "material_id": truth.material_id,
             "valid": truth.valid.astype(np.uint32),
             "boundary": truth.boundary.astype(np.uint32),
-        },
-        "sharp_srgb": {name: truth.sharp_srgb[..., i] for i, name in enumerate("RGB")},
-    }
+        }
+    if truth.has("sharp_srgb"):
+        arrays["sharp_srgb"] = {name: truth.sharp_srgb[..., i] for i, name in enumerate("RGB")}
     for part in PER_CHANNEL:
-        image = getattr(truth, part)
-        if image is not None:
-            arrays[part] = {name: image[..., i] for i, name in enumerate(truth.channels)}
-    if truth.class_id is not None:
+        if truth.has(part):
+            arrays[part] = {name: getattr(truth, part)[..., i] for i, name in enumerate(truth.channels)}
+    if "labels" in arrays and truth.class_id is not None:
         arrays["labels"]["class_id"] = truth.class_id
     parts = []
+    if not any(name in arrays for name in keep):
+        truth.require(*TRUTH_PARTS[keep[0]])
     for name in (name for name in keep if name in arrays):
         channels = arrays[name]
         if name not in ("depth", "labels"):
@@ -73,13 +79,24 @@ def write_truth(path: Path, truth: Truth, keep: Sequence[str] = TRUTH_PARTS, *, 
     write_exr(path, parts)
 
 
-def read_truth(path: Path) -> Truth:
-    """Read a ground-truth EXR; raises InputError if it is missing, truncated or lacks a part."""
-    values = read_truth_parts(path)
-    missing = [field.name for field in fields(Truth) if field.default is MISSING and field.name not in values]
-    if missing:
-        raise InputError(f"{path}: lacks {', '.join(missing)}; a truth file with all its parts is needed")
-    return Truth(**values)
+def truth_of(values: dict[str, Any], camera: Camera, where: str) -> Truth:
+    """A truth from the fields that a file contains, and those that follow from its depth and the camera.
+
+    Without the part ``blur``, blur and levels are computed from depth. Without ``labels``, the pixels that see
+    something are those with a depth, and boundaries follow from the blur. Fields of other parts are missing where
+    ``values`` lacks them; ``where`` begins the messages about these.
+    """
+    found = dict(values)
+    if "depth_m" in found:
+        found.setdefault("valid", np.isfinite(found["depth_m"]))
+        if "blur_px" not in found or "level" not in found:
+            depth_m = found["depth_m"].astype(np.float64)
+            blur = signed_blur_px(np.where(depth_m > 0, depth_m, np.nan), camera)
+            found |= {"blur_px": blur.astype(np.float32)}
+            found |= {"level": (blur / geometry.level_blur_px(camera)[1]).astype(np.float32)}
+        if "boundary" not in found:
+            found["boundary"] = boundary(found["blur_px"].astype(np.float64))
+    return Truth.of_parts(found, where)
 
 
 def read_truth_parts(path: Path) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""Exact geometry at the pixel centres: depth, normals and object numbers, and the blur that depth implies."""
+"""Exact geometry at the pixel centres: depth, normals and object numbers."""
 
 from __future__ import annotations
 
@@ -6,15 +6,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from dasim.camera import distortion
 from dasim.camera import geometry as camera_geometry
 from dasim.camera.specification import Camera, principal_point
 from dasim.typing import Float32Array, FloatArray
-
-BLUR_JUMP_PX = 0.5  # a larger difference in visible blur between neighbouring pixels is a depth discontinuity
-_RADIUS_BINS_PX = 1.0  # radii of boundary discs are rounded up to multiples of this
 
 
 class Geometry(NamedTuple):
@@ -120,34 +116,3 @@ def _object_ids(mitsuba_scene: Any, shape_index: NDArray[np.uint32]) -> NDArray[
         if kind == "object" and number < len(numbers):
             numbers[number] = int(index) + 1
     return numbers[shape_index]
-
-
-def signed_blur_px(depth_m: FloatArray, camera: Camera) -> FloatArray:
-    """Signed visible blur in pixels, [h, w], of a depth map in which NaN stands for infinity."""
-    return camera_geometry.blur_px(camera, np.where(np.isnan(depth_m), np.inf, depth_m))
-
-
-def boundary(blur_px: FloatArray) -> NDArray[np.bool_]:
-    """Mask [h, w] of the pixels whose light may come from both sides of a depth discontinuity.
-
-    A discontinuity is a pair of neighbouring pixels whose visible blur differs by more than ``BLUR_JUMP_PX``. The mask
-    is the union of discs about both pixels, with the larger blur radius of the two plus one pixel.
-
-    Args:
-        blur_px: signed visible blur (diameter), [h, w].
-    """
-    size = np.abs(blur_px)
-    reach = np.zeros_like(size)
-    for axis in (0, 1):
-        here, there = [slice(None)] * 2, [slice(None)] * 2
-        here[axis], there[axis] = slice(None, -1), slice(1, None)
-        first, second = tuple(here), tuple(there)
-        jump = np.abs(blur_px[first] - blur_px[second]) > BLUR_JUMP_PX
-        larger = np.where(jump, np.maximum(size[first], size[second]) / 2 + 1.0, 0.0)
-        reach[first] = np.maximum(reach[first], larger)
-        reach[second] = np.maximum(reach[second], larger)
-    mask = np.zeros(size.shape, bool)
-    steps = np.ceil(reach / _RADIUS_BINS_PX)
-    for step in np.unique(steps[steps > 0]):
-        mask |= ndimage.distance_transform_edt(steps != step) <= step * _RADIUS_BINS_PX
-    return mask

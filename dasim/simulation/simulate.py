@@ -13,9 +13,9 @@ from typing import Any, Literal, TypeVar
 
 import numpy as np
 
+from dasim.camera import depth_blur, pointspread
 from dasim.camera import geometry as camera_geometry
 from dasim.camera import noise as sensor_noise
-from dasim.camera import pointspread
 from dasim.camera import specification as cameras
 from dasim.camera.noise import Exposure, NoiseModel
 from dasim.camera.specification import Camera, as_camera
@@ -148,7 +148,7 @@ def prepare(
     world = translate.world(scene, camera)
     geometry = truth.geometry(world.scene, camera)
     checks.check_in_view(scene, geometry.depth_m)
-    blur_px = truth.signed_blur_px(geometry.depth_m, camera)
+    blur_px = depth_blur.signed_blur_px(geometry.depth_m, camera)
     progress("geometry", 1.0)
     return View(
         scene,
@@ -194,7 +194,7 @@ def describe_truth(view: View, mean: LensPicture, sharp: SharpPictures, focus: F
         material_id=world.material_number[geometry.object_id],
         blur_px=view.blur_px.astype(np.float32),
         level=(view.blur_px / camera_geometry.level_blur_px(view.camera)[1]).astype(np.float32),
-        boundary=truth.boundary(view.blur_px),
+        boundary=depth_blur.boundary(view.blur_px),
         channels=cameras.channels(view.camera.sensor),
         mean_e=mean.rate,
         sharp_e=sharp.rate,

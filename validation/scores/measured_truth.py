@@ -14,35 +14,25 @@ from numpy.typing import NDArray
 from dasim.camera import geometry
 from dasim.camera import specification as cameras
 from dasim.camera.specification import Camera
-from dasim.render.truth import boundary
+from dasim.files.truth import truth_of
 from dasim.values import Reconstruction, Truth
 from validation.scores.figures import Figure
 from validation.scores.score import confidence_figures, depth_figures, depth_of_level
-
-NOTHING = np.zeros((0, 0))
 
 
 def truth_of_depth(depth_m: NDArray[Any], camera: Camera) -> Truth:
     """Levels and boundaries that follow from a depth map [h, w] in metres, NaN where nothing was measured.
 
-    Normals, labels and pictures are empty.
+    A gap in the map is not taken for a depth discontinuity.
     """
     blur = np.asarray(geometry.blur_px(camera, depth_m.astype(np.float64)))
-    empty = NOTHING.astype(np.float32)
-    return Truth(
-        depth_m=depth_m.astype(np.float32),
-        valid=np.isfinite(depth_m),
-        normal=empty,
-        object_id=empty.astype(np.uint32),
-        material_id=empty.astype(np.uint32),
-        blur_px=blur.astype(np.float32),
-        level=(blur / geometry.level_blur_px(camera)[1]).astype(np.float32),
-        boundary=boundary(blur),
-        channels=cameras.channels(camera.sensor),
-        mean_e=empty,
-        sharp_e=empty,
-        sharp_srgb=empty,
-    )
+    values = {
+        "depth_m": depth_m.astype(np.float32),
+        "blur_px": blur.astype(np.float32),
+        "level": (blur / geometry.level_blur_px(camera)[1]).astype(np.float32),
+        "channels": cameras.channels(camera.sensor),
+    }
+    return truth_of(values, camera, "measured depths")
 
 
 def score_measured(result: Reconstruction, depth_m: NDArray[Any]) -> list[Figure]:

@@ -20,6 +20,7 @@ from validation.scores.metrics import Metric, metric_figures
 
 PICTURES = ("captured", "all-in-focus")
 LEVEL_KEYS = ("level-median", "level-bias")
+DEPTH_NEEDS = ("depth_m", "valid", "level", "boundary")  # fields of the truth; all follow from its depth
 FLAT_LEVELS = 1e-3  # a scene with less depth than this has no best constant to compare with
 
 
@@ -29,9 +30,11 @@ def score(result: Reconstruction, capture: Capture, truth: Truth, *, metrics: Se
     ``result``, ``capture`` and ``truth`` belong to one picture [h, w]; the capture determines which regions have
     texture. Depth figures are named MAP.REGION.METRIC (:mod:`validation.scores.depth`), picture figures
     PICTURE.REGION.METRIC (:mod:`validation.scores.pictures`). ``metrics`` are a user's functions of a depth map in
-    metres and the truth; their figures are named MAP.NAME. Raises InputError if the sizes differ.
+    metres and the truth; their figures are named MAP.NAME. A truth without the part ``sharp_e`` has no figures of
+    pictures. Raises InputError if the sizes differ, or if the truth lacks ``depth``.
     """
     _check_kinds((result, Reconstruction), (capture, Capture), (truth, Truth))
+    truth.require(*DEPTH_NEEDS)
     camera, textured = result.camera, texture.textured(capture)
     check_size(result.level, truth, "reconstruction")
     raw_m = np.where(np.isfinite(result.level_raw), depth_of_level(result.level_raw, result), np.nan)
@@ -41,7 +44,7 @@ def score(result: Reconstruction, capture: Capture, truth: Truth, *, metrics: Se
         figures += metric_figures(name, depth_m, truth, metrics)
     figures += level_figures("raw", raw_m, truth, camera, textured)
     figures += confidence_figures("regularised", result.depth_m, result.confidence, truth, camera)
-    return [*figures, *picture_figures(result, truth)]
+    return [*figures, *picture_figures(result, truth)] if truth.has("sharp_e") else figures
 
 
 def score_map(
@@ -54,9 +57,11 @@ def score_map(
 ) -> list[Figure]:
     """Figures of any depth map [h, w] in metres, NaN where there is no estimate, and of its confidence.
 
-    ``depth_m`` is z from the lens plane; ``confidence`` [h, w] is on any increasing scale.
+    ``depth_m`` is z from the lens plane; ``confidence`` [h, w] is on any increasing scale. Raises InputError if the
+    sizes differ, or if the truth lacks ``depth``.
     """
     _check_kinds((capture, Capture), (truth, Truth))
+    truth.require(*DEPTH_NEEDS)
     figures = depth_figures("depth", depth_m, truth, capture.camera, texture.textured(capture))
     figures += metric_figures("depth", depth_m, truth, metrics)
     if confidence is not None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import pickle
 from pathlib import Path
 
 import cv2
@@ -13,6 +14,7 @@ import pytest
 from dasim.base.errors import InputError
 from dasim.camera import specification as cameras
 from dasim.files import captures, folders, png
+from dasim.files.truth import read_truth_parts, write_truth
 from dasim.values import Capture, Truth
 
 H, W = 12, 16
@@ -108,6 +110,60 @@ def test_captures_of_the_schema_before_are_read(folder, tmp_path, capture, truth
     back = captures.load_truth(tmp_path / "before")
     assert back.mean_e_variance is None and back.focus_e is None
     np.testing.assert_array_equal(back.mean_e, truth.mean_e)
+
+
+@pytest.fixture
+def depths_only(tmp_path, folder, truth):
+    """The folder of the capture with a truth of depth alone, as a dataset with ``truth.keep = ["depth"]`` writes it."""
+    write_truth(folder / "truth.exr", truth, ["depth"])
+    meta = json.loads((folder / "meta.json").read_text())
+    meta["file_bytes"]["truth.exr"] = (folder / "truth.exr").stat().st_size
+    (folder / "meta.json").write_text(json.dumps(meta))
+    return folder
+
+
+def test_blur_and_labels_follow_from_depth(depths_only, capture, truth):
+    """Expectation: blur of the thin lens A s |1/d - 1/d_f| / p, which is not the noise in the whole truth's fields;
+    levels are (1 - alpha) of it, and pixels without a depth see nothing.
+    """
+    back, lens = captures.load_truth(depths_only), capture.camera.lens
+    aperture_m, focus_m = lens.focal_length_mm * 1e-3 / lens.f_number, lens.focus_distance_m
+    image_m = 1 / (1 / (lens.focal_length_mm * 1e-3) - 1 / focus_m)
+    blur_m = aperture_m * image_m * (1 / truth.depth_m.astype(np.float64) - 1 / focus_m)
+    seen = np.isfinite(truth.depth_m)
+    expected = (blur_m / (capture.camera.sensor.pixel_pitch_um * 1e-6))[seen]
+    np.testing.assert_allclose(back.blur_px[seen], expected, rtol=1e-4, atol=1e-4)
+    hole, whole = (next(s.radius_ratio for s in capture.camera.stops if s.name == name) for name in ("hole", "open"))
+    np.testing.assert_allclose(back.level[seen], (1 - hole / whole) * expected, rtol=1e-3, atol=1e-3)
+    np.testing.assert_array_equal(back.valid, seen)
+    assert back.boundary.all(), "neighbours of random depths all differ"
+
+
+def test_what_a_truth_lacks_is_named_where_it_is_needed(depths_only):
+    back = captures.load_truth(depths_only)
+    assert back.has("depth_m", "level") and not back.has("sharp_e") and back.focus_e is None
+    with pytest.raises(
+        InputError, match=r'truth\.exr: lacks sharp_e, needed here; .*truth\.keep = \[\.\.\., "sharp_e"\]'
+    ):
+        _ = back.sharp_e
+    with pytest.raises(InputError, match=r"lacks normal, sharp_srgb, needed"):
+        back.require("depth_m", "normal", "sharp_srgb")
+    with pytest.raises(AttributeError):
+        _ = back.no_such_field
+    assert "channels R G B IR" in repr(back)
+
+
+def test_a_truth_without_parts_is_copied_scaled_and_written(depths_only, tmp_path, truth):
+    back = pickle.loads(pickle.dumps(captures.load_truth(depths_only)))
+    assert not back.scaled(2.0).has("mean_e")
+    np.testing.assert_array_equal(truth.scaled(2.0).mean_e, 2 * truth.mean_e)
+    write_truth(tmp_path / "again.exr", back)
+    again = read_truth_parts(tmp_path / "again.exr")
+    np.testing.assert_array_equal(again["depth_m"], truth.depth_m)
+    np.testing.assert_array_equal(again["level"], back.level)
+    assert "normal" not in again and "mean_e" not in again
+    with pytest.raises(InputError, match="lacks sharp_e"):
+        write_truth(tmp_path / "none.exr", back, ["sharp_e"])
 
 
 @pytest.mark.parametrize("length", [0.0, 0.3, 0.9, 0.999])

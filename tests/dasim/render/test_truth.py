@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import trimesh
 
+from dasim.camera import depth_blur
 from dasim.camera import geometry as camera_geometry
 from dasim.camera import specification as cameras
 
@@ -289,9 +290,7 @@ def test_users_mesh_without_texture_coordinates(geometry, make_scene, wide, tmp_
 
 
 def test_blur_has_the_sign_of_the_side(da_mobile):
-    from dasim.render import truth
-
-    blur = truth.signed_blur_px(np.array([[0.1, 0.4, 1.0, np.nan]]), da_mobile)[0]
+    blur = depth_blur.signed_blur_px(np.array([[0.1, 0.4, 1.0, np.nan]]), da_mobile)[0]
     assert blur[0] > 0 and blur[1] == pytest.approx(0, abs=1e-9) and blur[2] < 0
     aperture, image = 3.6e-3 / 2.8, 3.6e-3 * 0.4 / 0.3964
     assert blur[3] == pytest.approx(-aperture * image / 0.4 / 1.7e-6), "nothing is infinitely far"
@@ -302,17 +301,15 @@ def test_boundary_is_as_wide_as_the_blur_of_the_nearer_side(da_mobile):
 
     Expectation: columns within the radius of the near blur of the step, on both sides, and none 3 pixels farther.
     """
-    from dasim.render import truth
-
     depth = np.where(np.arange(96) < 48, 0.1, 0.4) * np.ones((20, 1))
     blur = camera_geometry.blur_px(da_mobile, depth)
-    boundary = truth.boundary(blur)
+    boundary = depth_blur.boundary(blur)
     radius = blur.max() / 2
     assert 9 < radius < 14
     distance = np.abs(np.arange(96) + 0.5 - 48)
     assert boundary[:, distance <= radius].all()
     assert not boundary[:, distance > radius + 3].any()
-    assert not truth.boundary(np.full((8, 8), 20.0)).any(), "no step, no boundary, however large the blur"
+    assert not depth_blur.boundary(np.full((8, 8), 20.0)).any(), "no step, no boundary, however large the blur"
 
 
 def test_field_of_view_and_matrix_agree(wide):

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 import dasim
+from dasim.camera import depth_blur
 from dasim.camera.specification import Camera, channels
 from dasim.scene import specification as scenes
 from dasim.typing import FloatArray, ShareDone
@@ -138,7 +139,7 @@ def interreflection(progress: ShareDone) -> Evidence:
         scene = scenes.load_scene(name)
         camera = dasim.focused(dasim.cropped(dasim.load_camera("da-mobile"), *LIGHT_SIZE_PX), scene)
         loaded = translate.load(scene)
-        blur = truth.signed_blur_px(truth.geometry(loaded, camera).depth_m, camera)
+        blur = depth_blur.signed_blur_px(truth.geometry(loaded, camera).depth_m, camera)
         reach = float(np.abs(blur).max())
         spectrum = scenes.light_spectrum(scene)
         fields = [passes.irradiance_field(loaded, camera, spectrum, reach, LIGHT_SPP, seed) for seed in (1, 2)]
