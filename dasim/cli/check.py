@@ -145,10 +145,10 @@ def validate(
 
 
 def list_(kind: str, *, verbose: Annotated[bool, Parameter(negative="")] = False) -> int:
-    """List bundled scenes, cameras, materials, illuminants, claims, studies or depth methods.
+    """List bundled scenes, cameras, materials, illuminants, datasets, claims, studies or depth methods.
 
     Args:
-        kind: scenes, cameras, materials, illuminants, claims, studies or methods
+        kind: scenes, cameras, materials, illuminants, datasets, claims, studies or methods
         verbose: print more detail
     """
     from dasim.camera import describe
@@ -168,6 +168,8 @@ def list_(kind: str, *, verbose: Annotated[bool, Parameter(negative="")] = False
         _list_materials(verbose=verbose)
     elif kind == "illuminants":
         _list_illuminants(verbose=verbose)
+    elif kind == "datasets":
+        _list_datasets(verbose=verbose)
     elif kind == "claims":
         from validation.claims.table import CLAIMS
 
@@ -178,7 +180,8 @@ def list_(kind: str, *, verbose: Annotated[bool, Parameter(negative="")] = False
         _list_methods(verbose=verbose)
     else:
         raise InputError(
-            f"list '{kind}' is unknown; allowed are scenes, cameras, materials, illuminants, claims, studies, methods"
+            f"list '{kind}' is unknown; allowed are scenes, cameras, materials, illuminants, datasets, claims, "
+            "studies, methods"
         )
     return 0
 
@@ -217,6 +220,17 @@ def _list_illuminants(*, verbose: bool) -> None:
     if verbose:
         print("CCT: of the spectrum above 400 nm; near-IR: 650-810 nm photons relative to D65 at equal illuminance\n")
         print("\n".join(f"also: {pattern}" for pattern in illuminants.PATTERNS))
+
+
+def _list_datasets(*, verbose: bool) -> None:
+    from dasim.dataset.specification import bundled_names, load_spec
+
+    for name in bundled_names():
+        spec = load_spec(name)
+        print(f"{name:<20}{spec.description}")
+        if verbose:
+            splits = ", ".join(f"{split} {share:g}" for split, share in spec.splits.items())
+            print(f"{'':<20}{spec.samples} samples of {spec.size_px[0]} x {spec.size_px[1]} pixels; {splits}")
 
 
 def _list_studies(*, verbose: bool) -> None:

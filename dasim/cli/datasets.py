@@ -31,9 +31,10 @@ LINE_S = 30.0  # between lines of progress without a terminal
 
 @app.command
 def make(
-    spec: Path,
+    spec: str,
     *,
     out: Annotated[str, Parameter(name="--out")],
+    first: Whole | None = None,
     dry_run: Annotated[bool, Parameter(negative="")] = False,
     jobs: Whole | None = None,
     executor: Literal["local", "ray"] = "local",
@@ -45,8 +46,9 @@ def make(
     """Make a dataset from a specification, or continue one that was interrupted; the exit status is 1 if samples fail.
 
     Args:
-        spec: a TOML file
+        spec: a TOML file, or the name of a bundled specification: dasim-bench
         out: a folder, or an fsspec address such as s3://bucket/folder
+        first: make the first samples alone, each as it is among all
         dry_run: print the plan and an estimate of its cost from three small renders, without making samples
         jobs: processes of the local executor; by default one per graphics card, or one per core
         executor: local, or ray for the nodes of a Ray cluster (needs the extra 'cluster')
@@ -60,11 +62,11 @@ def make(
     from dasim.dataset.make import make as make_dataset
     from dasim.dataset.reading import parquet_library
     from dasim.dataset.sample import Job, provenance
-    from dasim.dataset.specification import load_spec
+    from dasim.dataset.specification import load_spec, with_first
     from dasim.dataset.work import work
     from dasim.render import backend
 
-    described = load_spec(spec)
+    described = with_first(load_spec(spec), first)
     part = _part(shard)
     if retry and part != (1, 1):
         raise InputError(f"--retry: changes finished shards, and cannot be used with --shard {shard}")
@@ -139,50 +141,70 @@ def score(
     *,
     method: Annotated[list[str], Parameter(negative="", consume_multiple=True)],
     split: str = "test",
+    out: Annotated[str | None, Parameter(name="--out")] = None,
+    scale: float | None = None,
     metric: Annotated[list[str] | None, Parameter(negative="", consume_multiple=True)] = None,
     bank: Path | None = None,
+    fresh: Annotated[bool, Parameter(negative="")] = False,
+    jobs: Whole | None = None,
+    executor: Literal["local", "ray"] = "local",
+    address: str = "auto",
     gates: Path | None = None,
     json_file: Annotated[Path | None, Parameter(name="--json")] = None,
     junit: Path | None = None,
 ) -> int:
-    """Score depth methods on all samples of a split; the exit status is 1 if a figure violates a limit of --gates.
+    """Score depth methods or folders of depth maps on all samples of a split, and write a leaderboard.
+
+    A stopped run resumes; results are kept per sample and method. The exit status is 1 if a figure violates a limit of
+    --gates.
 
     Args:
         dataset: its folder or fsspec address
         method: a depth method: a bundled name, or your function as package.module:function or file.py:function, or
-            NAME=file.py:function to name its figures
+            NAME=file.py:function to name its figures; or a folder of depth maps KEY.npy, KEY.exr (metres) or KEY.png
+            (16 bits, with --scale), or NAME=FOLDER
         split: the split to score
+        out: a folder for leaderboard.html, .csv and .json, samples.csv and the results that are kept, or an fsspec
+            address; out/DATASET-SPLIT by default
+        scale: metres per unit of the depth maps in folders
         metric: your own function of a depth map in metres and the truth, named like a method
         bank: a PSF bank for all samples; by default one is calibrated per camera and focus, and stored in the cache
+        fresh: measure kept results again; needed where a function reads other files, such as weights
+        jobs: processes of the local executor, one per core by default
+        executor: local, or ray for a cluster (extra 'cluster')
+        address: address of Ray: auto, or ray://host:port
         gates: a TOML file with limits; its keys are dataset.METHOD.FIGURE
-        json_file: also write the figures, overall and per sample, to this file
+        json_file: also write the figures with their limits, and all samples, to this file
         junit: also write the verdicts to this file, as JUnit XML
     """
+    from dasim.base import executors
     from dasim.dataset.reading import open_dataset
     from dasim.files.banks import load_bank
+    from validation.dataset_scores import leaderboard, page
+    from validation.dataset_scores.entrants import entrants
+    from validation.dataset_scores.run import PAGE, score_dataset, write
+    from validation.dataset_scores.work import ScoreJob, code_of, work
     from validation.gates.scored import check_score_files, judged_score, write_score
-    from validation.method_scores import sample_rows, score_split, split_figures
-    from validation.methods import named
     from validation.reports.lines import of_claims
-    from validation.scores.metrics import load_metrics
 
     check_score_files(json_file, junit)
     judged_score("dataset", [], gates)
-    methods, metrics = named(method), load_metrics(metric or ())
+    everyone, metrics = entrants(method, scale), tuple(metric or ())
     samples = open_dataset(dataset, split)
-    if not len(samples):
-        raise InputError(f"{dataset}: split '{split}' has no samples")
-    users_bank = None if bank is None else load_bank(bank)
+    if bank is not None:
+        load_bank(bank)
+    place = out or f"out/{samples.spec.name}-{split}"
+    job = ScoreJob(dataset, split, place, everyone, bank, metrics, code_of(metrics, bank))
+    run = executors.local(processes_of(jobs), work) if executor == "local" else executors.ray(address, work)
     with options.progress() as show:
-        scores = score_split(
-            samples, methods, metrics, bank_of=None if users_bank is None else lambda *about: users_bank, progress=show
-        )
-    entries = judged_score("dataset", [f for own in methods for f in split_figures(own, scores[own])], gates)
-    for own in methods:
-        print("\n".join(sample_rows(own, scores[own])))
-    print("\n".join(of_claims(entries)))
-    details = {own.name: [one.summary() for one in scores[own]] for own in methods}
-    write_score("dataset", entries, json_file=json_file, junit=junit, more={"samples": details})
+        rows = score_dataset(job, run, fresh=fresh, show=lambda done, total: show("scoring", done / max(total, 1)))
+    write(job, rows)
+    entries = judged_score("dataset", leaderboard.figures(rows), gates)
+    print("\n".join(page.lines(rows, leaderboard.entries(rows))))
+    if limited := [entry for entry in entries if entry.limit is not None]:
+        print("\n".join(of_claims(limited)))
+    print(f"leaderboard: {place}/{PAGE}")
+    write_score("dataset", entries, json_file=json_file, junit=junit, more={"samples": rows})
     return 1 if any(entry.passed is False for entry in entries) else 0
 
 

@@ -5,6 +5,7 @@ Tested in tests/dasim/dataset/test_specification.py.
 
 from __future__ import annotations
 
+import re
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -22,6 +23,7 @@ from dasim.typing import FloatArray
 MOST_FRAMES = 1000  # of a sample
 MOST_VIEWS = 10_000  # of a capture
 BRACKET = (1e-6, 1e6)  # of factors on an exposure time
+KIND = re.compile(r"[A-Za-z][A-Za-z0-9_-]*")
 Scalar = bool | int | float | str
 
 
@@ -114,6 +116,10 @@ class SceneChoice(Specification):
     )
     folder: str | None = Field(default=None, description="meshes: folder of OBJ, PLY, GLB, STL and OFF files")
     random: RandomScenes = RandomScenes()
+    kinds: dict[str, RandomScenes] = Field(
+        default_factory=dict,
+        description="random: several distributions by name instead of one; the scenes are of each in turn",
+    )
     captures_per_scene: int = Field(default=1, ge=1, le=1000, description="random, meshes: captures per scene")
 
     @model_validator(mode="after")
@@ -121,6 +127,11 @@ class SceneChoice(Specification):
         for field, family in (("names", "bundled"), ("files", "files"), ("folder", "meshes")):
             if getattr(self, field) and self.family != family:
                 raise ValueError(f"{field} is for family = '{family}', not for '{self.family}'")
+        if self.kinds and (self.family != "random" or "random" in self.model_fields_set):
+            raise ValueError("kinds is for family = 'random', and replaces the table random: leave that out")
+        for name in self.kinds:
+            if not KIND.fullmatch(name):
+                raise ValueError(f"kinds: '{name}' is not a name of letters, digits, - and _, a letter first")
         if self.mitsuba != MitsubaChoices() and not any(map(is_mitsuba, self.files)):
             raise ValueError("mitsuba is for Mitsuba XML files; files lists none")
         if self.family == "files" and not self.files:

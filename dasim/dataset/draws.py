@@ -18,7 +18,7 @@ from dasim.camera.noise import Exposure
 from dasim.camera.specification import Camera
 from dasim.dataset.choices import Draw
 from dasim.dataset.dotted_keys import with_values
-from dasim.dataset.specification import DatasetSpec, named_camera, random_spec, scene_count, scene_keys
+from dasim.dataset.specification import DatasetSpec, kind, named_camera, random_spec, scene_count, scene_keys
 from dasim.random_scenes.scene import random_exposure, random_scene
 from dasim.scene.mitsuba_scene import MitsubaScene, is_mitsuba
 from dasim.scene.poses import seen_from
@@ -41,10 +41,11 @@ class Draft:
     exposure: Exposure
     seed: int  # of rendering and sensor noise
     drawn: dict[str, Any] = field(default_factory=dict)  # values from the distributions, by dotted key
+    kind: str | None = None  # of the scene, where the dataset has several
 
 
 def draft(spec: DatasetSpec, index: int) -> Draft:
-    """Draft of sample ``index``, 0 to ``spec.samples`` - 1; raises InputError if its random values are not allowed."""
+    """Draft of sample ``index``, 0 to ``spec.made`` - 1; raises InputError if its random values are not allowed."""
     number, (_, view) = scene_number(spec, index), capture_and_view(spec, index)
     settings = values(spec, index)
     drawn = named_camera(spec, spec.cameras[_choice(spec, index)].name)
@@ -65,6 +66,7 @@ def draft(spec: DatasetSpec, index: int) -> Draft:
         exposure=parse(Exposure, exposure.model_dump() | changes, "exposure") if changes else exposure,
         seed=capture_seed(spec, index),
         drawn=settings,
+        kind=kind(spec, number),
     )
 
 
@@ -190,7 +192,7 @@ def _scene(spec: DatasetSpec, number: int, camera: Camera) -> tuple[Scene | Mits
     keys = scene_keys(spec)
     if not keys:
         first = cameras.cropped(named_camera(spec, spec.cameras[0].name), *spec.size_px)
-        source = random_spec(spec)
+        source = random_spec(spec, number)
         scene = random_scene(spec.seed, number, source, first)
         return scene, random_exposure(spec.seed, number, source)
     name = keys[number]

@@ -102,7 +102,7 @@ def _make(
     closed = closed_shards(job.out)
     if storage.exists(job.out, plan.SUMS):  # checked last, because another run may just have finished
         card.tidy(job.out)
-        return Progress(job.spec.samples, before=job.spec.samples - len(failed), failed=failed)
+        return Progress(job.spec.made, before=job.spec.made - len(failed), failed=failed)
     waiting = {group.name: group for group in assigned if group.name not in closed}
     group_of = {index: group for group in waiting.values() for index in group.indices}
     queue = deque(index for index in group_of if index not in have and index not in failed)
@@ -236,6 +236,6 @@ def _append(log: Path | None, line: str) -> None:
 
 def estimate(spec: DatasetSpec, seconds: float, processes: int) -> str:
     """Time and size of a dataset in one line, for ``seconds`` per sample on one core."""
-    hours = spec.samples * seconds / processes / 3600
-    size = spec.samples * plan.sample_bytes(spec) / 1e9
-    return f"{spec.samples} samples, about {hours:.3g} hours on {processes} processes and {size:.3g} GB"
+    hours = spec.made * seconds / processes / 3600
+    size = spec.made * plan.sample_bytes(spec) / 1e9
+    return f"{spec.made} samples, about {hours:.3g} hours on {processes} processes and {size:.3g} GB"

@@ -52,7 +52,7 @@ class Shard(NamedTuple):
 def shards(spec: DatasetSpec) -> tuple[Shard, ...]:
     """All shards, ordered by split and sample."""
     members: dict[str, list[int]] = {split: [] for split in spec.splits}
-    for index in range(spec.samples):
+    for index in range(spec.made):
         members[split_of_scene(spec, scene_number(spec, index))].append(index)
     result = []
     for split, indices in members.items():

@@ -25,10 +25,10 @@ def lines(spec: DatasetSpec, processes: int, variant: str) -> Iterator[str]:
     for split in spec.splits:
         split_groups = [group for group in groups if group.split == split]
         yield f"{split}: {sum(len(group.indices) for group in split_groups)} samples in {len(split_groups)} shards"
-    for index in sorted({0, spec.samples // 2, spec.samples - 1}):
+    for index in sorted({0, spec.made // 2, spec.made - 1}):
         yield sample_line(spec, index)
     width, height = trial_size(spec)
-    count = min(TRIALS, spec.samples)
+    count = min(TRIALS, spec.made)
     cost = estimate(spec, seconds_per_sample(spec, variant), processes)
     yield f"estimate from {count} renders of {width} x {height} pixels on one core: {cost}"
 
@@ -59,7 +59,7 @@ def seconds_per_sample(spec: DatasetSpec, variant: str) -> float:
     factor = spec.size_px[0] * spec.size_px[1] / (size_px[0] * size_px[1])
     activate(variant)
     costs = []
-    for index in range(min(TRIALS, spec.samples)):
+    for index in range(min(TRIALS, spec.made)):
         times = []
         for _ in range(2):
             begin = time.perf_counter()

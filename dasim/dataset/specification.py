@@ -11,7 +11,7 @@ from pydantic import Field, model_validator
 
 from dasim.base.errors import InputError
 from dasim.base.loading import load_function
-from dasim.base.toml import Specification, parse_toml
+from dasim.base.toml import Specification, bundled_or_file, parse_toml
 from dasim.camera import specification as cameras
 from dasim.camera.noise import LONGEST_EXPOSURE_S, NoiseModel, expose
 from dasim.camera.specification import Camera
@@ -36,6 +36,7 @@ from dasim.simulation.adaptive_sampling import NOISE_AT, NOISE_SHARE
 from dasim.simulation.checks import PERCENTILE
 from dasim.spectra import illuminants
 
+BUNDLED = Path(__file__).with_name("bundled")
 MOST_SAMPLES = 10_000_000
 
 
@@ -47,6 +48,9 @@ class DatasetSpec(Specification):
     licence: str = "not stated"
     description: str = ""
     samples: int = Field(ge=1, le=MOST_SAMPLES)
+    first: int | None = Field(
+        default=None, ge=1, description="make the first samples alone, each as it is among all, in its split"
+    )
     seed: int = Field(default=0, ge=0, lt=2**63)
     size_px: tuple[int, int] = Field(default=(512, 384), description="width and height, a central crop of the sensor")
     format: Literal["folders", "webdataset"] = "webdataset"
@@ -87,6 +91,11 @@ class DatasetSpec(Specification):
     splits: dict[str, float] = Field(default={"train": 1.0}, min_length=1)
     folder: Path = Field(default=Path("."), exclude=True)
 
+    @property
+    def made(self) -> int:
+        """Number of samples that are made."""
+        return self.samples if self.first is None else self.first
+
     @model_validator(mode="after")
     def _whole(self) -> DatasetSpec:
         for name, share in self.splits.items():
@@ -94,6 +103,8 @@ class DatasetSpec(Specification):
                 raise ValueError(f"splits: '{name}' is not a name of letters, digits and underscores")
             if share <= 0:
                 raise ValueError(f"splits.{name} is {share:g}: shares must be above 0")
+        if self.first is not None and self.first > self.samples:
+            raise ValueError(f"first is {self.first}: the dataset has {self.samples} samples")
         if abs(sum(self.splits.values()) - 1) > 1e-6:
             raise ValueError(f"splits sum to {sum(self.splits.values()):g}, not to 1")
         if isinstance(self.spp, int) and not 1 <= self.spp <= 65_536:
@@ -107,13 +118,26 @@ class DatasetSpec(Specification):
         return self
 
 
-def load_spec(path: Path) -> DatasetSpec:
-    """Read and check a specification from a TOML file; all problems in one InputError."""
-    if not path.is_file():
-        raise InputError(f"{path}: no such file; a dataset is specified by a TOML file (see docs/guides/datasets.md)")
+def bundled_names() -> list[str]:
+    """Names of the bundled specifications."""
+    return sorted(path.stem for path in BUNDLED.glob("*.toml"))
+
+
+def load_spec(path: str | Path) -> DatasetSpec:
+    """Read and check a specification from a TOML file or by its bundled name; all problems in one InputError."""
+    path = bundled_or_file(path, BUNDLED, "dataset specification")
     spec = parse_toml(DatasetSpec, path).model_copy(update={"folder": path.parent.resolve()})
     check(spec, str(path))
     return spec
+
+
+def with_first(spec: DatasetSpec, first: int | None) -> DatasetSpec:
+    """The specification with only its first samples; unchanged for None."""
+    if first is None:
+        return spec
+    if not 1 <= first <= spec.samples:
+        raise InputError(f"--first {first}: must be from 1 to {spec.samples}, the samples of '{spec.name}'")
+    return spec.model_copy(update={"first": first})
 
 
 def noise_model(spec: DatasetSpec) -> NoiseModel:
@@ -208,7 +232,8 @@ def _scene_problems(spec: DatasetSpec) -> list[str]:
     scenes = spec.scenes
     try:
         if scenes.family in ("random", "meshes"):
-            specification.check(random_spec(spec))
+            for number in range(max(len(scenes.kinds), 1)):
+                specification.check(random_spec(spec, number))
     except InputError as error:
         problems.append(f"scenes: {error}")
     try:
@@ -254,12 +279,19 @@ def _each_problems(spec: DatasetSpec) -> list[str]:
     return problems
 
 
-def random_spec(spec: DatasetSpec) -> RandomScenes:
-    """Specification of the random scenes, with folders relative to that of the dataset's specification."""
+def kind(spec: DatasetSpec, number: int) -> str | None:
+    """Name of the distribution that scene ``number`` is drawn from; None where the dataset has one only."""
+    return list(spec.scenes.kinds)[number % len(spec.scenes.kinds)] if spec.scenes.kinds else None
+
+
+def random_spec(spec: DatasetSpec, number: int) -> RandomScenes:
+    """Distribution of random scene ``number``, with folders relative to that of the dataset's specification."""
+    name = kind(spec, number)
+    source = spec.scenes.random if name is None else spec.scenes.kinds[name]
     changes: dict[str, Any] = {"folder": spec.folder}
     if spec.scenes.family == "meshes":
         changes |= {"meshes": (spec.scenes.folder,), "mesh_share": 1.0}
-    return spec.scenes.random.model_copy(update=changes)
+    return source.model_copy(update=changes)
 
 
 def scene_keys(spec: DatasetSpec) -> tuple[str, ...]:

@@ -15,16 +15,14 @@ import validation
 from dasim.base import fingerprint
 from dasim.base.errors import InputError
 from dasim.cli import run
-from dasim.dataset.reading import Sample
 from dasim.files.banks import save_bank
-from dasim.files.captures import capture_meta, save_capture
+from dasim.files.captures import save_capture
 from dasim.simulation.exposure import Shot
 from recon import levels
 from tests.support import recon_scenes, surfaces
 from validation import methods
 from validation.claims.depth import scenes
 from validation.claims.table import CLAIMS
-from validation.method_scores import sample_rows, score_split, split_figures
 from validation.methods import NamedMethod, named
 from validation.studies.sweep import point
 from validation.studies.sweep.loading import load_study
@@ -243,57 +241,6 @@ def test_wrong_scores_are_refused_in_one_line(capture, capsys, arguments, messag
     assert run(["score", "shot", "--bank", "bank.npz", *arguments]) == 2
     lines = [line for line in capsys.readouterr().err.splitlines() if line.startswith("dasim: ")]
     assert len(lines) == 1 and all(part in lines[0] for part in message), lines
-
-
-# --- datasets ------------------------------------------------------------------------------------
-
-
-def sample_of(index: int, shot: Shot, **changes) -> Sample:
-    parts = {field.name: getattr(shot.truth, field.name) for field in dataclasses.fields(shot.truth)}
-    meta = json.loads(json.dumps(capture_meta(shot.capture)))
-    return Sample(index, "test", shot.capture.raw_dn, parts | changes, meta)
-
-
-def test_a_dataset_is_scored_by_pixels_and_by_samples(mine, shot, bank):
-    """Set-up: the sample as it is, one whose true levels are 4 everywhere; the constant map of level 4.
-
-    Expectation: it wins the second and loses none to itself; both samples' errors are those of |level - 4|.
-    """
-    flat = sample_of(1, shot, level=np.full_like(shot.truth.level, 4.0))
-    methods_ = named(["flat=mine.py:constant", "mine.py:broken", "bands"])
-    scores = score_split([sample_of(0, shot), flat], methods_, bank_of=lambda *about: bank)
-    ours = {figure.id: figure.value for figure in split_figures(methods_[0], scores[methods_[0]])}
-    error = np.abs(shot.truth.level - 4.0)
-    near = shot.truth.valid & (shot.truth.level >= -0.5)
-    assert ours["flat.coverage"] == 1
-    assert ours["flat.pixels.level-mean"] == pytest.approx(error[near].mean() / 2, rel=0.02)
-    assert ours["flat.samples.level-mean"] == pytest.approx(np.median(error[near]) / 2, rel=0.02)
-    assert ours["flat.samples.level-mean.constant"] <= ours["flat.samples.level-mean"] + 0.05
-    assert [one.failed is None for one in scores[methods_[1]]] == [False, False]
-    broken = {figure.id: figure.value for figure in split_figures(methods_[1], scores[methods_[1]])}
-    assert broken["mine.py:broken.lost"] == 2 and np.isnan(broken["mine.py:broken.pixels.level-mean"])
-    assert not scores[methods_[2]][0].lost and scores[methods_[2]][1].lost, "of levels that the picture does not have"
-    assert "lost" in sample_rows(methods_[2], scores[methods_[2]])[2]
-
-
-def test_a_sample_without_the_truth_that_is_needed_is_named(shot, bank):
-    sample = sample_of(7, shot)
-    del sample.truth["level"]
-    with pytest.raises(InputError, match=r"sample 0*7: its truth lacks blur.*truth.keep"):
-        score_split([sample], named(["bands"]), bank_of=lambda *about: bank)
-
-
-def test_the_command_scores_a_split(mine, shot, bank, monkeypatch, capsys):
-    monkeypatch.setattr("dasim.dataset.reading.open_dataset", lambda path, split: [sample_of(3, shot)])
-    save_bank(mine / "bank.npz", bank)
-    (mine / "gates.toml").write_text('["dataset.flat.lost"]\nlimit = "<= 0"\n')
-    command = ["dataset", "score", "set", "--method", "flat=mine.py:constant", "--bank", "bank.npz", "--json", "s.json"]
-    assert run(command) == 0
-    assert run([*command, "--gates", "gates.toml", "--junit", "s.xml"]) == 1
-    content = json.loads((mine / "s.json").read_text())
-    assert content["flat.lost"] == {"value": 1.0, "unit": "samples", "limit": "<= 0", "passed": False}
-    assert content["samples"]["flat"][0]["lost"] is True
-    assert "lost" in capsys.readouterr().out
 
 
 # --- studies -------------------------------------------------------------------------------------

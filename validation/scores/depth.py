@@ -114,7 +114,7 @@ def depth_scores(depth_m: NDArray[Any], truth: Truth, camera: Camera, texture: B
     scores = []
     for name, region in regions(truth, texture).items():
         where = region & estimated
-        errors = _errors(np.clip(depth_m[where], MIN_DEPTH_M, MAX_DEPTH_M), truth.depth_m[where], camera)
+        errors = errors_of(np.clip(depth_m[where], MIN_DEPTH_M, MAX_DEPTH_M), truth.depth_m[where], camera)
         values = {key: metric.of(errors) if where.any() else float("nan") for key, metric in METRICS.items()}
         constant = _best_constants(truth.depth_m[where].astype(np.float64), camera)
         scores.append(RegionScore(name, _share(region, truth.valid), _share(where, region), values, constant))
@@ -130,7 +130,7 @@ def by_level(
     if the truth has no such level or the map no estimate.
     """
     where = regions(truth, texture)["textured"] & np.isfinite(depth_m) & (depth_m > 0)
-    error = _errors(np.clip(depth_m[where], MIN_DEPTH_M, MAX_DEPTH_M), truth.depth_m[where], camera).level
+    error = errors_of(np.clip(depth_m[where], MIN_DEPTH_M, MAX_DEPTH_M), truth.depth_m[where], camera).level
     rows = []
     for low, high in itertools.pairwise(LEVEL_EDGES):
         part = error[(truth.level[where] >= low) & (truth.level[where] < high)]
@@ -153,7 +153,7 @@ def sparsification(
     where = near_side(truth) & np.isfinite(depth_m) & (depth_m > 0)
     if not where.any():
         return np.ones(1), np.full(1, np.nan), np.full(1, np.nan)
-    error = np.abs(_errors(depth_m[where], truth.depth_m[where], camera).level)
+    error = np.abs(errors_of(depth_m[where], truth.depth_m[where], camera).level)
     trust = np.nan_to_num(confidence[where].astype(np.float64), nan=-np.inf)
     shuffle = np.random.default_rng(0).permutation(error.size)
     by_trust = error[shuffle][np.argsort(-trust[shuffle], kind="stable")]
@@ -197,16 +197,6 @@ def balanced_error(error: FloatArray, true: FloatArray) -> tuple[float, float, l
     return weighted_median(np.abs(error[inside]), weight), best, bins
 
 
-def constant_errors(true: FloatArray) -> FloatArray:
-    """Absolute errors of the constant map with the least median error, for true levels [n]."""
-    if not true.size:
-        return true
-    some = true[:: max(true.size // MOST_PIXELS, 1)]
-    constants = np.arange(some.min(), some.max() + CONSTANT_STEP, CONSTANT_STEP)
-    best = min(constants, key=lambda constant: float(np.median(np.abs(some - constant))))
-    return np.abs(true - best)
-
-
 def weighted_median(values: FloatArray, weights: FloatArray) -> float:
     """The value below which half of the weight lies."""
     order = np.argsort(values)
@@ -221,7 +211,8 @@ def check_size(image: NDArray[Any], truth: Truth, what: str = "depth map") -> No
         raise InputError(f"{what}: is {mine} pixels, the ground truth {exact}; score it at the capture's own size")
 
 
-def _errors(depth_m: NDArray[Any], exact_m: NDArray[Any], camera: Camera) -> Errors:
+def errors_of(depth_m: NDArray[Any], exact_m: NDArray[Any], camera: Camera) -> Errors:
+    """Errors of depths in metres [n], finite and above 0, against true ones."""
     estimate, exact = depth_m.astype(np.float64), exact_m.astype(np.float64)
     blur = np.asarray(geometry.blur_px(camera, estimate) - geometry.blur_px(camera, exact))
     return Errors(blur / geometry.level_blur_px(camera)[1], blur, estimate, exact)
@@ -234,7 +225,7 @@ def _best_constants(exact_m: FloatArray, camera: Camera) -> dict[str, float]:
     some = exact_m[:: max(exact_m.size // MOST_PIXELS, 1)]
     best = {key: float("inf") for key in METRICS}
     for dioptre in np.linspace(1 / some.max(), 1 / some.min(), CONSTANTS):
-        errors = _errors(np.full_like(some, 1 / dioptre), some, camera)
+        errors = errors_of(np.full_like(some, 1 / dioptre), some, camera)
         for key, metric in METRICS.items():
             value = metric.of(errors)
             if abs(value - metric.best) < abs(best[key] - metric.best):

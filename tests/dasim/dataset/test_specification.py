@@ -22,7 +22,7 @@ from dasim.base.toml import parse
 from dasim.camera import noise
 from dasim.cli import run
 from dasim.dataset import draws, plan, storage, verify
-from dasim.dataset.specification import DatasetSpec, load_spec
+from dasim.dataset.specification import DatasetSpec, bundled_names, load_spec
 from dasim.files.truth import TRUTH_PARTS
 from tests.support.datasets import WALL, backwards, inline, make_dataset, spec_file, sums
 
@@ -73,6 +73,11 @@ CAMERA = '[[cameras]]\nname = "da-mobile"\n[cameras.vary]\n'
         ("scenes = {family = 'files', files = ['a', 'a']}", ["'a' is twice"]),
         ("scenes = {family = 'files'}", ["files is missing"]),
         ("scenes = {family = 'bundled', names = ['dessk']}", ["'dessk' is unknown", "desk"]),
+        ("scenes = {kinds = {a = {}}, random = {}}", ["kinds is for family = 'random'", "leave that out"]),
+        ("scenes = {family = 'meshes', folder = '.', kinds = {a = {}}}", ["kinds is for family = 'random'"]),
+        ("scenes = {kinds = {'a b' = {}}}", ["kinds: 'a b' is not a name"]),
+        ("scenes = {kinds = {a = {room_share = 2}}}", ["scenes.kinds.a.room_share"]),
+        ("first = 7", ["first is 7: the dataset has 4 samples"]),
         ("noise = 'own.py:model'", ["noise: noise model", "own.py cannot be read"]),
         ("noise = 'own'", ["package.module:function or file.py:function is needed"]),
         ("scenes = {files = ['a.toml']}", ["files is for family = 'files'"]),
@@ -134,7 +139,7 @@ def test_unreadable_specification_is_refused(content, tmp_path):
     path = tmp_path / "spec.toml"
     if content is not None:
         path.write_bytes(content.encode("latin-1"))
-    with pytest.raises(InputError, match="no such file" if content is None else "valid TOML|cannot be read"):
+    with pytest.raises(InputError, match="neither a bundled name" if content is None else "valid TOML|cannot be read"):
         load_spec(path)
 
 
@@ -756,3 +761,41 @@ def test_samples_share_a_sensor_unless_each_has_its_own():
     assert len({plan.camera.sensor.sensor_seed for plan in own}) == len({plan.seed for plan in shared}) == 3
     again = draws.draft(spec_of(sensor_per_sample=True), 1)
     assert again.camera == own[1].camera and [plan.seed for plan in own] == [plan.seed for plan in shared]
+
+
+# --- kinds of scenes, and the first samples ------------------------------------------------------
+
+
+def test_kinds_of_scenes_take_turns():
+    """Set-up: table tops and rooms, two captures of each scene. Expectation: both captures of a scene show its kind,
+    which ``meta.json`` and the index state as the draft does.
+    """
+    kinds = {"tops": {"room_share": 0.0}, "rooms": {"room_share": 1.0}}
+    spec = spec_of(scenes={"kinds": kinds, "captures_per_scene": 2}, size_px=[64, 48])
+    drafts = [draws.draft(spec, index) for index in range(6)]
+    assert [one.kind for one in drafts] == ["tops", "tops", "rooms", "rooms", "tops", "tops"]
+    words = {"tops": "table top,", "rooms": "room,"}
+    assert all(one.scene.description.startswith(words[one.kind]) for one in drafts)
+    assert draws.draft(spec_of(), 0).kind is None
+
+
+def test_the_first_samples_are_those_of_the_whole_dataset(tmp_path, renderer):
+    """Expectation: the same bytes in the same splits, and a dataset that says so and is complete."""
+    spec = spec_file(tmp_path, format="folders", more="[splits]\ntrain = 0.5\ntest = 0.5\n", files=["a.toml", "b.toml"])
+    for name in ("a.toml", "b.toml"):
+        (tmp_path / name).write_text(WALL)
+    make_dataset(spec, tmp_path / "whole")
+    spec.write_text("first = 3\n" + spec.read_text())
+    make_dataset(spec, tmp_path / "part")
+    whole, part = dasim.open_dataset(tmp_path / "whole"), dasim.open_dataset(tmp_path / "part")
+    assert len(whole) == 6 and [row["index"] for row in part.rows] == [0, 1, 2]
+    for mine, theirs in zip(part.rows, whole.rows, strict=False):
+        assert (mine["sha256"], mine["split"], mine["scene"]) == (theirs["sha256"], theirs["split"], theirs["scene"])
+    assert not list(verify.problems(str(tmp_path / "part")))
+    assert run(["dataset", "make", str(spec), "--out", str(tmp_path / "new"), "--first", "7"]) == 2
+
+
+def test_bundled_specifications_have_names():
+    assert bundled_names() == ["dasim-bench"] and load_spec("dasim-bench").name == "dasim-bench"
+    with pytest.raises(InputError, match=r"neither a bundled name \(dasim-bench\) nor a file"):
+        load_spec("dasim-bensch")

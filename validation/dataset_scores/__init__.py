@@ -1,0 +1,1 @@
+"""Scores of depth methods and depth maps on a split of a dataset, and their leaderboard; start with ``run``."""
