@@ -81,7 +81,10 @@ def _write_extras(folder: Path, result: Reconstruction, extras: Sequence[str]) -
     for suffix in {"ply", "glb"} & set(extras):
         distortion = surface.distortion_per_px(result.camera)
         intrinsic = surface.intrinsic_matrix(result.camera)
-        mesh = surface.surface(picture, depth_m, intrinsic, distortion_per_px=distortion)
+        mesh = surface.surface(
+            picture, depth_m, intrinsic, confidence=result.confidence, distortion_per_px=distortion,
+            smallest_piece=surface.SMALLEST_PIECE,
+        )  # fmt: skip
         surface.save_surface(folder / f"surface.{suffix}", mesh)
 
 

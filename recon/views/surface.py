@@ -1,4 +1,4 @@
-"""The surface of the scene as a textured mesh (Fig. 8(e, f)), cut at depth discontinuities."""
+"""The surface of the scene as a textured mesh (Fig. 8(e, f)), cut at depth discontinuities and low confidence."""
 
 from __future__ import annotations
 
@@ -15,7 +15,9 @@ from dasim.base.errors import InputError
 from dasim.camera.specification import Camera, principal_point
 from dasim.typing import FloatArray
 
-JUMP_SHARE = 0.02  # relative depth difference per pixel; a plane at 88 degrees to da-mobile has 1.3 %
+JUMP_SHARE = 0.01  # relative depth difference per pixel; a plane at 87 degrees to da-mobile has 0.9 %
+LEAST_CONFIDENCE = 0.1  # a standard deviation of three blur levels; below, depths on the scene desk are off by factors
+SMALLEST_PIECE = 5e-4  # of the frame; smaller pieces that are cut off all around are outliers
 LARGEST_STRIDE_PX = 64
 GLTF_AXES = np.array([1.0, -1.0, -1.0])  # y up, z towards the viewer, from the camera's y down, z forward
 
@@ -28,6 +30,16 @@ class Surface:
     uv: FloatArray  # [n, 2] position in the picture, 0..1, origin at the bottom left
     triangle: NDArray[np.int64]  # [m, 3] vertex indices, anticlockwise as seen by the camera
     picture: NDArray[np.uint8]  # [h, w, 3] texture
+
+    @property
+    def normal(self) -> FloatArray:
+        """Unit normals [n, 3] at the vertices, towards the camera: the mean of the triangles', weighted by area."""
+        a, b, c = (self.vertex_m[self.triangle[:, i]] for i in range(3))
+        of_triangle = np.cross(b - a, c - a)
+        total = np.zeros_like(self.vertex_m)
+        for corner in range(3):
+            np.add.at(total, self.triangle[:, corner], of_triangle)
+        return np.asarray(total / np.linalg.norm(total, axis=1, keepdims=True))
 
 
 def intrinsic_matrix(camera: Camera) -> FloatArray:
@@ -52,24 +64,29 @@ def surface(
     depth_m: NDArray[Any],
     intrinsic: FloatArray,
     *,
+    confidence: NDArray[Any] | None = None,
     distortion_per_px: Sequence[float] = (),
     stride_px: int = 1,
     jump_share: float = JUMP_SHARE,
+    smallest_piece: float = 0.0,
 ) -> Surface:
     """Textured mesh of a picture at its depths.
 
     The vertices are X = z K^-1 (u, v, 1) at the centres of every ``stride_px``-th pixel, with two triangles between
     four neighbours. With distortion, (u, v) is where a pinhole shows what the pixel shows: at 1 + sum a_k r^(2k) times
-    the pixel's distance r from the principal point. Triangles with an unknown depth, or with a depth difference above
-    ``jump_share`` of the depth per pixel, are omitted, so that objects are separated from the background.
+    the pixel's distance r from the principal point. Triangles with an unknown depth, a confidence below
+    ``LEAST_CONFIDENCE`` or a depth difference above ``jump_share`` of the depth per pixel are omitted, so that objects
+    are separated from the background; so are connected pieces smaller than ``smallest_piece``.
 
     Args:
         image: display values 0..1, [h, w, 3].
         depth_m: depth, metres, [h, w]; NaN where unknown.
         intrinsic: the pinhole matrix K in pixels, [3, 3].
+        confidence: of the depths, 0..1, [h, w]; by default all are trusted.
         distortion_per_px: a_k of the lens's distortion, r in pixels; none by default.
         stride_px: distance between vertices, pixels.
         jump_share: largest relative depth difference per pixel within a surface.
+        smallest_piece: least area of a connected piece, as a share of the frame, such as SMALLEST_PIECE.
     """
     if not (isinstance(stride_px, int) and 1 <= stride_px <= LARGEST_STRIDE_PX):
         raise InputError(
@@ -88,10 +105,12 @@ def surface(
     rows, columns = np.arange(0, height, stride_px), np.arange(0, width, stride_px)
     depth = depth_m[np.ix_(rows, columns)].astype(np.float64)
     known = np.isfinite(depth) & (depth > 0)
+    if confidence is not None:
+        known &= confidence[np.ix_(rows, columns)] >= LEAST_CONFIDENCE
     x, y = np.meshgrid(columns + 0.5, rows + 0.5)
     ray = np.stack([*_at_pinhole(x, y, intrinsic, distortion_per_px), np.ones_like(x)], axis=-1)
     ray = ray @ np.linalg.inv(intrinsic).T
-    faces = _faces(np.where(known, depth, np.nan), jump_share * stride_px)
+    faces = _large_pieces(_faces(np.where(known, depth, np.nan), jump_share * stride_px), depth.size, smallest_piece)
     used, index = np.unique(faces, return_inverse=True)
     vertices = (np.where(known, depth, 0)[..., None] * ray).reshape(-1, 3)[used]
     uv = np.stack([x / width, 1 - y / height], axis=-1).reshape(-1, 2)[used]
@@ -120,10 +139,24 @@ def _faces(depth: FloatArray, jump: float) -> NDArray[np.int64]:
     return triangles[whole & (far - near <= jump * near)]
 
 
+def _large_pieces(faces: NDArray[np.int64], vertices: int, smallest_piece: float) -> NDArray[np.int64]:
+    """The triangles [m, 3] that hang together, over shared vertices, with at least a share of all vertices."""
+    from scipy import sparse
+
+    if not smallest_piece or not len(faces):
+        return faces
+    edges = np.concatenate([faces[:, :2], faces[:, 1:]])
+    ones = np.ones(len(edges), np.uint8)
+    _, piece = sparse.csgraph.connected_components(
+        sparse.coo_array((ones, (edges[:, 0], edges[:, 1])), (vertices, vertices)), directed=False
+    )
+    return faces[np.bincount(piece)[piece[faces[:, 0]]] >= smallest_piece * vertices]
+
+
 def save_surface(path: Path, mesh: Surface) -> None:
     """Write a ``.ply`` file with vertex colours in the camera's axes, or a ``.glb`` file with a texture, in metres.
 
-    The axes of GLB are y up and z towards the viewer.
+    Both have normals at their vertices. The axes of GLB are y up and z towards the viewer.
     """
     import trimesh
     from PIL import Image
@@ -138,11 +171,16 @@ def save_surface(path: Path, mesh: Surface) -> None:
             baseColorTexture=Image.fromarray(mesh.picture), metallicFactor=0.0, roughnessFactor=1.0, doubleSided=True
         )
         look: Any = trimesh.visual.TextureVisuals(uv=mesh.uv, material=material)
-        body = trimesh.Trimesh(mesh.vertex_m * GLTF_AXES, mesh.triangle, visual=look, process=False)
+        body = trimesh.Trimesh(
+            mesh.vertex_m * GLTF_AXES, mesh.triangle, vertex_normals=mesh.normal * GLTF_AXES, visual=look, process=False
+        )
+        data = body.export(file_type="glb", include_normals=True)
     else:
         height, width = mesh.picture.shape[:2]
         index = np.floor([(1 - mesh.uv[:, 1]) * height, mesh.uv[:, 0] * width]).astype(int)
         colours = mesh.picture[index[0], index[1]]
-        body = trimesh.Trimesh(mesh.vertex_m, mesh.triangle, vertex_colors=colours, process=False)
-    data = body.export(file_type=path.suffix.lower()[1:])
+        body = trimesh.Trimesh(
+            mesh.vertex_m, mesh.triangle, vertex_normals=mesh.normal, vertex_colors=colours, process=False
+        )
+        data = body.export(file_type="ply", vertex_normal=True)
     atomic.write(path, data)

@@ -1,4 +1,4 @@
-"""Pictures of the reports: photographs, depth maps on a common scale, and oblique views of textured surfaces.
+"""Pictures of the reports: photographs, depth maps on a common scale, and views of textured surfaces from all sides.
 
 Tested in tests/validation/claims/test_pictures.py.
 """
@@ -28,9 +28,10 @@ SCALE_PERCENTILE = 99.5  # of the true levels: the top of the colours
 BEHIND_FOCUS = "///"
 BACKGROUND = 255
 SUPERSAMPLING = 2
-RELIEF_SHARE = 0.7  # depth of a relief as a share of the frame's width
-PITCH_DEG = 15.0  # the viewer's elevation above the optical axis
-RELIEF_SCALE = 0.75  # so that the rotated relief stays within the frame
+PITCH_DEG = 4.0  # the viewer's elevation above the optical axis
+BACK_OFF = 0.5  # distance that the viewer steps back, relative to that of the axis of rotation
+LEAST_DEPTH = 0.05  # of the axis of rotation: nearer triangles are not drawn
+POINTS = 6  # along each edge of a triangle: dense for triangles of up to 5 pixels of the supersampled picture
 
 
 def photo_address(image: NDArray[Any]) -> str:
@@ -116,31 +117,38 @@ def _level_map(axes: Any, title: str, level: NDArray[Any], near: BoolArray, top:
     return image
 
 
-def relief(
-    mesh: Surface, intrinsic: FloatArray, shape: tuple[int, int], nearest_m: float, farthest_m: float, yaw_deg: float
+def in_perspective(
+    mesh: Surface, intrinsic: FloatArray, shape: tuple[int, int], pivot_m: float, yaw_deg: float
 ) -> FloatArray:
-    """A textured surface as a relief, seen from one side and slightly from above; display values 0..1, [h, w, 3].
+    """A textured surface seen by a pinhole that has moved around it; display values 0..1, [h, w, 3].
 
-    ``intrinsic`` is the camera matrix K of the surface's picture and ``shape`` the [h, w] of the result; a positive
-    ``yaw_deg`` looks from the right. The relief's axes are (x / z, y / z, 1 / z). This projective map keeps planes
-    plane and gives every blur level the same depth, whereas in metres a field of view of 14 degrees would look like a
-    spike. The range from ``nearest_m`` to ``farthest_m`` has a depth of RELIEF_SHARE of the frame's width. Triangles
-    are drawn from back to front, each in the colour of its centre (painter's algorithm), on white.
+    The pinhole with the camera matrix ``intrinsic`` K and a frame of ``shape`` [h, w] turns about a vertical axis
+    at the depth ``pivot_m`` by ``yaw_deg``, positive to the right, PITCH_DEG upwards, and backs off by BACK_OFF of the
+    axis's depth, so that what was at the frame's edge stays visible. A yaw of 0 shows what the camera sees. Each
+    triangle is drawn as points in the colour of its centre, nearer ones over farther ones, on white.
     """
     height, width = SUPERSAMPLING * shape[0], SUPERSAMPLING * shape[1]
     canvas = np.full((height, width, 3), BACKGROUND, np.uint8)
     if len(mesh.triangle):
-        flat = mesh.vertex_m @ intrinsic.T / mesh.vertex_m[:, 2:]
-        depth = (1 / mesh.vertex_m[:, 2] - 1 / farthest_m) / (1 / nearest_m - 1 / farthest_m)
-        centred = np.column_stack(
-            [flat[:, 0] - shape[1] / 2, flat[:, 1] - shape[0] / 2, (0.5 - depth) * RELIEF_SHARE * shape[1]]
-        )
-        rotated = centred @ _rotation(yaw_deg, PITCH_DEG).T * (RELIEF_SCALE * SUPERSAMPLING)
-        xy = np.rint(rotated[:, :2] + (width / 2, height / 2)).astype(np.int32)
-        faces = mesh.triangle[np.argsort(-rotated[mesh.triangle, 2].mean(axis=1))]
-        for corners, colour in zip(xy[faces], _colours(mesh, faces), strict=True):
-            cv2.fillConvexPoly(canvas, corners, colour)
+        pivot = np.array([0, 0, pivot_m])
+        turn = _rotation(yaw_deg, PITCH_DEG if yaw_deg else 0.0)
+        seen = (mesh.vertex_m - pivot) @ turn.T + pivot * (1 + (BACK_OFF if yaw_deg else 0.0))
+        faces = mesh.triangle[(seen[mesh.triangle, 2] > LEAST_DEPTH * pivot_m).all(axis=1)]
+        faces = faces[np.argsort(-seen[faces, 2].mean(axis=1))]
+        points = np.einsum("pc,fcx->fpx", _barycentric(POINTS), seen[faces])
+        flat = SUPERSAMPLING * (points @ intrinsic[:2].T / points[..., 2:])
+        inside = ((flat >= 0) & (flat < (width, height))).all(axis=-1)
+        x, y = flat[inside].astype(int).T
+        canvas[y, x] = np.broadcast_to(_colours(mesh, faces)[:, None], points.shape)[inside]
     return cv2.resize(canvas, (shape[1], shape[0]), interpolation=cv2.INTER_AREA).astype(np.float64) / 255
+
+
+def _barycentric(count: int) -> FloatArray:
+    """Weights [point, corner] of a triangular grid with ``count`` points along each edge of a triangle."""
+    i, j = (index.ravel() for index in np.indices((count, count)))
+    inside = i + j < count
+    a, b = i[inside] / (count - 1), j[inside] / (count - 1)
+    return np.stack([a, b, 1 - a - b], axis=1)
 
 
 def _rotation(yaw_deg: float, pitch_deg: float) -> FloatArray:
@@ -151,11 +159,10 @@ def _rotation(yaw_deg: float, pitch_deg: float) -> FloatArray:
     return np.asarray(about_x @ about_y)
 
 
-def _colours(mesh: Surface, faces: NDArray[np.int64]) -> list[list[int]]:
-    """Colour of the texture at each triangle's centre, [n][3]."""
+def _colours(mesh: Surface, faces: NDArray[np.int64]) -> NDArray[np.uint8]:
+    """Colour of the texture at each triangle's centre, [n, 3]."""
     height, width = mesh.picture.shape[:2]
     u, v = mesh.uv[faces].mean(axis=1).T
     rows = np.clip(((1 - v) * height).astype(int), 0, height - 1)
     columns = np.clip((u * width).astype(int), 0, width - 1)
-    colours: list[list[int]] = mesh.picture[rows, columns].astype(int).tolist()
-    return colours
+    return mesh.picture[rows, columns]

@@ -75,6 +75,47 @@ def test_unknown_depth_leaves_a_hole():
     assert len(mesh.triangle) == 2 * 63 * 47 - 6 and np.isfinite(mesh.vertex_m).all()  # six share a vertex
 
 
+def test_low_confidence_leaves_a_hole():
+    confidence = np.full((48, 64), 0.5)
+    confidence[20, 30] = 0.99 * surface.LEAST_CONFIDENCE
+    mesh = surface.surface(picture(), np.full((48, 64), 0.4), K, confidence=confidence)
+    assert len(mesh.triangle) == 2 * 63 * 47 - 6
+
+
+def test_outliers_are_dropped_with_all_that_belongs_to_them():
+    """Set-up: a wall, and before it a speck of 3 x 3 pixels, 0.3 % of the frame, and a box of 20 x 24, 16 %.
+
+    Expectation: pieces below 1 % are gone, the others keep all their triangles.
+    """
+    depth = np.full((48, 64), 0.4)
+    depth[4:7, 4:7], depth[20:40, 30:54] = 0.1, 0.2
+    every = surface.surface(picture(), depth, K)
+    mesh = surface.surface(picture(), depth, K, smallest_piece=0.01)
+    assert set(np.unique(every.vertex_m[:, 2])) == {0.1, 0.2, 0.4} and set(np.unique(mesh.vertex_m[:, 2])) == {0.2, 0.4}
+    assert len(every.triangle) - len(mesh.triangle) == 2 * 2 * 2
+
+
+def test_normals_of_a_tilted_plane_and_of_a_sphere():
+    """Expectation: one normal all over a plane, towards the camera; on a sphere (radius 5 cm, centre at 30 cm) those
+    of its radii, where it is not seen at a grazing angle.
+    """
+    y, x = np.indices((48, 64)) + 0.5
+    ray = np.stack([(x - 32) / 200, (y - 24) / 200, np.ones_like(x)], -1)
+    tilted = np.array([2.0, 1.0, 3.0])
+    mesh = surface.surface(picture(), 1 / (ray @ tilted), K)
+    np.testing.assert_allclose(mesh.normal @ tilted, -np.linalg.norm(tilted), rtol=EXACT)
+    centre, radius = np.array([0, 0, 0.3]), 0.05
+    a, b, c = (ray**2).sum(-1), ray @ centre, centre @ centre - radius**2
+    with np.errstate(invalid="ignore"):
+        depth = (b - np.sqrt(b**2 - a * c)) / a
+    mesh = surface.surface(picture(), depth, K)
+    radial = (mesh.vertex_m - centre) / radius
+    facing = -radial[:, 2] > 0.7
+    assert facing.sum() > 1000
+    a_facet = 0.25 / 200 / (0.7 * radius)  # rad, by which the sphere turns over a pixel at 25 cm
+    assert (mesh.normal * radial).sum(axis=1)[facing].min() > np.cos(a_facet)
+
+
 def test_a_stride_keeps_place_and_thins_out():
     mesh = surface.surface(picture(), np.full((48, 64), 0.3), K, stride_px=4)
     assert area(mesh) == pytest.approx(60 * 44 * (0.3 / 200) ** 2, rel=EXACT)
@@ -89,7 +130,11 @@ def test_files_read_back(tmp_path):
     ply = trimesh.load(tmp_path / "a.ply", process=False)
     np.testing.assert_allclose(ply.vertices, mesh.vertex_m, rtol=FILE_PRECISION)
     np.testing.assert_array_equal(ply.visual.vertex_colors[:, :3], mesh.picture.reshape(-1, 3))
+    assert b"property float nx" in (tmp_path / "a.ply").read_bytes()[:1000]
+    assert b'"NORMAL"' in (tmp_path / "a.glb").read_bytes()
+    np.testing.assert_allclose(ply.vertex_normals, mesh.normal, atol=FILE_PRECISION)
     glb = trimesh.load(tmp_path / "a.glb", force="mesh", process=False)
+    np.testing.assert_allclose(glb.vertex_normals, mesh.normal * [1, -1, -1], atol=FILE_PRECISION)
     np.testing.assert_allclose(glb.vertices, mesh.vertex_m * [1, -1, -1], rtol=FILE_PRECISION)
     np.testing.assert_array_equal(np.asarray(glb.visual.material.baseColorTexture.convert("RGB")), mesh.picture)
     np.testing.assert_allclose(glb.visual.uv, mesh.uv, atol=FILE_PRECISION)

@@ -250,19 +250,35 @@ def test_maps_share_a_scale_and_gaps_are_grey():
     assert np.abs(other[5:-5, middle + 5 : -5] - 127 / 255).max() < 0.01
 
 
-def test_relief_from_the_right_shows_near_things_to_the_left():
-    """Set-up: a near white patch in the middle of a far dark wall; from the front it stays in the middle."""
-    depth_m = np.full((60, 80), 0.8)
+def test_from_the_right_near_things_stand_to_the_left():
+    """Set-up: a near red patch in the middle of a far wall. Expectation: from the front, and only from there, it stays
+    in the middle.
+    """
+    depth_m = np.full((60, 80), 0.4)
     depth_m[20:40, 30:50] = 0.2
-    image = np.where(depth_m < 0.5, 1.0, 0.2)[..., None].repeat(3, axis=2) * (1.0, 0.5, 0.5)
-    intrinsic = np.array([[2000.0, 0, 40], [0, 2000.0, 30], [0, 0, 1]])
+    image = np.where(depth_m < 0.3, 1.0, 0.2)[..., None].repeat(3, axis=2) * (1.0, 0.5, 0.5)
+    intrinsic = np.array([[200.0, 0, 40], [0, 200.0, 30], [0, 0, 1]])
     body = surface(image, depth_m, intrinsic)
     middle = []
-    for yaw_deg in (0.0, 30.0, -30.0):
-        view = pictures.relief(body, intrinsic, (60, 80), 0.2, 0.8, yaw_deg)
+    for yaw_deg in (0.0, 9.0, -9.0):
+        view = pictures.in_perspective(body, intrinsic, (60, 80), 0.3, yaw_deg)
         red = (view[..., 0] > 0.9) & (view[..., 1] < 0.7)
         middle.append(float(np.flatnonzero(red.any(axis=0)).mean()) + 0.5)
-    assert middle[0] == pytest.approx(40, abs=1) and middle[1] < 36 and middle[2] > 44
+    assert middle[0] == pytest.approx(40, abs=1) and middle[1] < 37 and middle[2] > 43
+
+
+def test_from_the_front_a_surface_looks_like_its_picture():
+    """Rationale: a pinhole sees each point where the picture shows it, at whatever depth.
+
+    Expectation: the picture itself, up to the half pixel by which triangles of one colour are coarse, but at the cut.
+    """
+    y, x = np.mgrid[:60, :80]
+    image = np.stack([x / 80, y / 60, np.full((60, 80), 0.5)], axis=-1)
+    depth_m = np.where(x < 40, 0.2, 0.4 + 0.001 * y)
+    intrinsic = np.array([[200.0, 0, 40], [0, 200.0, 30], [0, 0, 1]])
+    view = pictures.in_perspective(surface(image, depth_m, intrinsic), intrinsic, (60, 80), 0.3, 0.0)
+    inner = np.s_[2:-2, np.r_[2:37, 43:78]]
+    assert np.abs(view - image)[inner].max() < 1.5 / 60
 
 
 def test_rows_of_panels_get_the_whole_width():

@@ -13,7 +13,7 @@ from dasim.camera.geometry import intrinsic_matrix
 from dasim.simulation.exposure import Shot
 from dasim.typing import BoolArray, ShareDone
 from dasim.values import Reconstruction, Truth
-from recon.views.surface import surface
+from recon.views.surface import SMALLEST_PIECE, surface
 from validation.gates.claim import Evidence
 from validation.methods import NamedMethod, bundled, reconstructed
 from validation.reports import pictures
@@ -26,7 +26,7 @@ from validation.subjects.shots import photographed
 METHODS = bundled("bands", "paper")  # the first has limits and pictures, the second is reported
 APART_LEVELS = 2.0  # true levels of two pixels whose order is judged: neighbouring levels are not distinguished
 PAIRS = 200_000  # drawn at random: the share of right ones is known to 0.1 %
-YAWS_DEG = (35.0, -35.0)
+YAWS_DEG = (-9.0, 0.0, 9.0)
 STRIDE_PX = 2  # of the surfaces: the levels' own grid
 
 
@@ -131,19 +131,25 @@ def _maps(name: str, result: Reconstruction, shot: Shot) -> tuple[str, str]:
 
 
 def _aside(name: str, result: Reconstruction, shot: Shot) -> tuple[str, str]:
-    """The true surface and the reconstructed one, seen from two sides, with a caption."""
+    """The true surface above the reconstructed one, seen from three sides, with a caption."""
     truth, intrinsic = shot.truth, intrinsic_matrix(shot.capture.camera)
-    columns = []
-    for image, depth_m in ((truth.sharp_srgb, truth.depth_m), (result.sharp_rgb, result.depth_m)):
-        body = surface(image, depth_m, intrinsic, stride_px=STRIDE_PX)
-        shape = (truth.depth_m.shape[0], truth.depth_m.shape[1])
-        views = [pictures.relief(body, intrinsic, shape, *_range_m(truth), yaw) for yaw in YAWS_DEG]
-        columns.append(np.vstack(views))
+    shape = (truth.depth_m.shape[0], truth.depth_m.shape[1])
+    nearest_m, farthest_m = _range_m(truth)
+    pivot_m = 2 / (1 / nearest_m + 1 / farthest_m)
+    rows = []
+    for image, depth_m, confidence in (
+        (truth.sharp_srgb, truth.depth_m, None),
+        (result.sharp_rgb, result.depth_m, result.confidence),
+    ):
+        body = surface(
+            image, depth_m, intrinsic, confidence=confidence, stride_px=STRIDE_PX, smallest_piece=SMALLEST_PIECE
+        )
+        rows.append(np.hstack([pictures.in_perspective(body, intrinsic, shape, pivot_m, yaw) for yaw in YAWS_DEG]))
     caption = (
-        f"{name} in three dimensions, from the right (top) and the left (bottom): true surface with the sharp truth "
-        "(left column), regularised depth with the all-in-focus picture (right column); cut at jumps"
+        f"{name} in three dimensions, from the left, the front and the right: true surface with the sharp truth (top), "
+        "regularised depth with the all-in-focus picture (bottom); cut at jumps and at low confidence"
     )
-    return caption, pictures.photo_address(np.hstack(columns))
+    return caption, pictures.photo_address(np.vstack(rows))
 
 
 def _range_m(truth: Truth) -> tuple[float, float]:
