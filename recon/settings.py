@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
 from dasim.base.errors import InputError
 from dasim.base.suggestions import did_you_mean
 from dasim.base.toml import Specification, parse_toml
+
+Alpha = Annotated[float, Field(ge=0, le=10)]  # near-infrared of a colour over that of infrared pixels
 
 
 class Settings(Specification):
@@ -25,7 +27,7 @@ class Settings(Specification):
     infrared_removal: Literal["coefficients", "matrix"] = Field(
         default="coefficients", description="eq. (7), or a full 4x4 crosstalk matrix"
     )
-    crosstalk: tuple[float, float, float] | None = Field(
+    crosstalk: tuple[Alpha, Alpha, Alpha] | None = Field(
         default=None, description="measured alpha of eq. (8) for R, G, B; by default from the response curves"
     )
 
@@ -59,7 +61,7 @@ class Settings(Specification):
     least_confidence: float = Field(
         default=0.0, ge=0, lt=1, description="least confidence of a raw level, 0..1; below it, no estimate"
     )
-    regularise_bandwidth: float = Field(default=60.0, gt=0, description="tau of eq. (14), in noise variances")
+    regularise_bandwidth: float = Field(default=60.0, gt=0, le=1e4, description="tau of eq. (14), in noise variances")
 
     # sec. 5.4
     sharpen_prior: Literal["gradients", "network"] = Field(

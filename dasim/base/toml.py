@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Set
 from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar, get_args, get_origin
@@ -32,8 +32,9 @@ class Specification(BaseModel):
         """Refuse true, false and text where numbers are needed, which pydantic would convert."""
         for name in data if isinstance(data, dict) else ():
             leaves = _leaves_of(cls).get(name, frozenset())
-            if leaves and leaves <= {int, float, type(None)}:
-                _check_numbers(name, data[name])
+            words = {leaf for leaf in leaves if isinstance(leaf, str)}  # 'auto' in place of a number
+            if leaves & {int, float} and leaves - words <= {int, float, type(None)}:
+                _check_numbers(name, data[name], words)
         return data
 
 
@@ -44,9 +45,11 @@ def _leaves_of(model: type[BaseModel]) -> dict[str, frozenset[Any]]:
 
 
 def _leaves(annotation: Any) -> Iterator[Any]:
-    """Types within an annotation, without its tuples, unions and limits."""
+    """Types and words within an annotation, without its tuples, tables' keys, unions and limits."""
     if get_origin(annotation) is Annotated:
         yield from _leaves(get_args(annotation)[0])
+    elif get_origin(annotation) is dict:
+        yield from _leaves(get_args(annotation)[1])
     elif parts := [part for part in get_args(annotation) if part is not Ellipsis]:
         for part in parts:
             yield from _leaves(part)
@@ -54,12 +57,12 @@ def _leaves(annotation: Any) -> Iterator[Any]:
         yield annotation
 
 
-def _check_numbers(key: str, value: Any) -> None:
-    """Refuse a value, or one of those in lists, that is true, false or text."""
-    if isinstance(value, (list, tuple)):
-        for number, item in enumerate(value):
-            _check_numbers(f"{key}.{number}", item)
-    elif isinstance(value, (bool, str)):
+def _check_numbers(key: str, value: Any, words: Set[str]) -> None:
+    """Refuse a value, or one of those in lists and tables, that is true, false, or a text that is none of ``words``."""
+    if isinstance(value, (list, tuple, dict)):
+        for place, item in value.items() if isinstance(value, dict) else enumerate(value):
+            _check_numbers(f"{key}.{place}", item, words)
+    elif isinstance(value, bool) or (isinstance(value, str) and value not in words):
         about = {"place": key, "value": shortened(value)}
         raise PydanticCustomError(_NO_NUMBER, "{place}: must be a number (is {value})", about)
 

@@ -274,7 +274,9 @@ def arrays(path: Path, where: str) -> Mapping[str, NDArray[Any]]:
                 name.removesuffix(".npy"): _array(archive.read(name), f"{where}: {name}", _NUMBERS + "U")
                 for name in names
             }
-    except (zipfile.BadZipFile, zlib.error, EOFError, RuntimeError, NotImplementedError, OSError) as error:
+    except InputError:
+        raise
+    except Exception as error:  # a damaged directory of the archive makes zipfile raise many types
         raise InputError(f"{where}: is damaged, or no NPZ file ({type(error).__name__})") from None
 
 

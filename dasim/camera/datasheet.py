@@ -8,10 +8,11 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import BaseModel, Field, model_validator
 from scipy.optimize import brentq
 from scipy.special import ndtr
 
+from dasim.base.toml import Specification
 from dasim.spectra import grid
 
 # What the fields of Sensor are where a camera's file gives neither spelling.
@@ -23,7 +24,7 @@ _LOWEST_PEAK = 0.05
 _PEAK_POINTS = 2001
 
 
-class DataSheet(BaseModel):
+class DataSheet(Specification):
     """Figures of an EMVA 1288 data sheet in the sheet's units, and the field of ``Sensor`` that each becomes.
 
     | figure | becomes |
@@ -42,14 +43,12 @@ class DataSheet(BaseModel):
     how high they are.
     """
 
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
-
-    overall_system_gain_dn_per_e: float | None = Field(default=None, gt=0)
-    temporal_dark_noise_e: float | None = Field(default=None, ge=0)
+    overall_system_gain_dn_per_e: float | None = Field(default=None, ge=1e-6, le=1e6)
+    temporal_dark_noise_e: float | None = Field(default=None, ge=0, le=1e6)
     saturation_capacity_e: float | None = Field(default=None, gt=0, le=1e8)
-    dsnu1288_e: float | None = Field(default=None, ge=0)
+    dsnu1288_e: float | None = Field(default=None, ge=0, le=1e6)
     prnu1288_percent: float | None = Field(default=None, ge=0, le=50)
-    dark_current_e_s: float | None = Field(default=None, ge=0)
+    dark_current_e_s: float | None = Field(default=None, ge=0, le=1e9)
     dark_current_temperature_c: float | None = Field(default=None, ge=-100, le=150, description="25 by default")
     doubling_temperature_k: float | None = Field(default=None, ge=1, le=100)
     quantum_efficiency_percent: float | None = Field(default=None, gt=0, le=100)

@@ -9,7 +9,7 @@ import csv
 import itertools
 import re
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from pydantic import Field, ValidationInfo, model_validator
@@ -32,8 +32,8 @@ class Curves(Specification):
     name. The table may extend beyond 400 to 830 nm, the simulated band; entries outside are ignored.
     """
 
-    wavelength_nm: tuple[float, ...] = Field(min_length=2)
-    channels: dict[str, tuple[float, ...]] = Field(min_length=1)
+    wavelength_nm: tuple[grid.AnyNm, ...] = Field(min_length=2)
+    channels: dict[str, tuple[Annotated[float, Field(ge=0, le=1)], ...]] = Field(min_length=1)
 
     @model_validator(mode="before")
     @classmethod
@@ -62,8 +62,6 @@ class Curves(Specification):
                 raise ValueError(f"channels.{name}: names must be 1 to 16 letters, digits or underscores")
             if len(values) != len(wavelength):
                 raise ValueError(f"channels.{name} must have as many values as wavelength_nm")
-            if min(values) < 0 or max(values) > 1:
-                raise ValueError(f"channels.{name} must be quantum efficiencies from 0 to 1")
         return self
 
 

@@ -30,6 +30,8 @@ MOST_NOISE_E = 1e6  # electrons; sensors have 0.2 to 100
 MOST_DARK_E_S = 1e9  # electrons per second
 LARGEST_FOCAL_SHIFT = 0.1  # of the focal length; more is not a thin lens
 
+Shift = Annotated[float, Field(ge=-1e5, le=1e5)]  # LARGEST_FOCAL_SHIFT of the longest lens, micrometres
+Coefficient = Annotated[float, Field(ge=-1e6, le=1e6)]  # of a power of millimetres
 Offset = Annotated[float, Field(ge=-40_000, le=40_000)]  # pixels, a multiple of the largest sensor
 
 
@@ -40,15 +42,15 @@ class Lens(Specification):
     f_number: float = Field(gt=0.5, le=64)
     focus_distance_m: float = Field(gt=0, le=1e6)
     transmittance: float = Field(default=1.0, gt=0, le=1)
-    shading_per_mm: tuple[float, ...] = Field(
+    shading_per_mm: tuple[Coefficient, ...] = Field(
         default=(), max_length=6, description="a_k of 1 + sum a_k r^(2k), r in mm on the sensor, times cos^4"
     )
-    distortion_per_mm: tuple[float, ...] = Field(
+    distortion_per_mm: tuple[Coefficient, ...] = Field(
         default=(),
         max_length=6,
         description="a_k of 1 + sum a_k r^(2k), r in mm on the sensor: a pinhole's image height over the lens's",
     )
-    focal_shift_um: tuple[tuple[float, float], ...] = Field(
+    focal_shift_um: tuple[tuple[grid.AnyNm, Shift], ...] = Field(
         default=(), description="axial colour: [nm, um added to the focal length], linear between, constant beyond"
     )
     wavefront_nm: Wavefront = Field(default=Wavefront(), description="Zernike coefficients, RMS over the open lens")
@@ -145,7 +147,7 @@ class Sensor(Specification):
         default=None, ge=0, lt=2**63, description="of the fixed pattern; by default it follows from the camera's name"
     )
     adc_bits: int = Field(default=10, ge=6, le=16)
-    black_level_dn: int = Field(default=64, ge=0)
+    black_level_dn: int = Field(default=64, ge=0, lt=2**16)
     dn_per_e: float | None = Field(
         default=None, ge=1e-6, le=1e6, description="EMVA 1288's K at gain 1; by default, full well gives full scale"
     )

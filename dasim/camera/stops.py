@@ -25,7 +25,9 @@ from dasim.spectra import grid
 from dasim.spectra.grid import WHOLE_GRID_NM
 from dasim.typing import FloatArray
 
-Point = tuple[float, float]
+Transmittance = Annotated[float, Field(ge=0, le=1)]
+Ratio = Annotated[float, Field(ge=-1, le=1)]  # of the radius of the open lens
+Point = tuple[Ratio, Ratio]
 
 MOST_MASK_CELLS = 256  # per side
 MOST_PHASE_NM = 10_000.0  # micrometres of coating
@@ -36,7 +38,7 @@ _ROUNDING = 1e-9
 
 class _Stop(Specification):
     name: str = Field(min_length=1)
-    passes_nm: tuple[tuple[float, float], ...] = Field(
+    passes_nm: tuple[tuple[grid.AnyNm, grid.AnyNm], ...] = Field(
         default=(WHOLE_GRID_NM,), min_length=1, description="bands that pass; 400 and 830 mean no edge"
     )
     edge_width_nm: float = Field(default=8.0, gt=0, le=100, description="10-90 % width of every edge")
@@ -113,7 +115,7 @@ class Mask(_Stop):
     """
 
     shape: Literal["mask"]
-    mask: tuple[tuple[float, ...], ...] = Field(min_length=2, max_length=MOST_MASK_CELLS)
+    mask: tuple[tuple[Transmittance, ...], ...] = Field(min_length=2, max_length=MOST_MASK_CELLS)
 
     @model_validator(mode="before")
     @classmethod
@@ -135,8 +137,6 @@ class Mask(_Stop):
         if any(len(row) != len(rows) for row in rows):
             raise ValueError("must be square, with as many columns as rows")
         values = np.array(rows)
-        if values.min() < 0 or values.max() > 1:
-            raise ValueError("must be transmittances from 0 to 1")
         if values.max() <= 0:
             raise ValueError("is closed everywhere")
         place = cell_centres(len(rows))

@@ -92,7 +92,7 @@ class CameraChoice(Specification):
     """
 
     name: str
-    weight: float = Field(default=1.0, gt=0)
+    weight: float = Field(default=1.0, gt=0, le=1e6)
     vary: dict[str, Drawn] = Field(default_factory=dict)
 
     @field_validator("vary")
@@ -174,16 +174,13 @@ class ExposureChoice(Specification):
 class FrameChoice(Specification):
     """Frames of each sample: several exposures of one rendering, with independent noise."""
 
-    bracket: tuple[float, ...] = Field(
+    bracket: tuple[Annotated[float, Field(ge=BRACKET[0], le=BRACKET[1])], ...] = Field(
         default=(1.0,), min_length=1, description="factors on the exposure time; the first is that of raw.png"
     )
-    burst: int = Field(default=1, ge=1, description="frames at each of these times")
+    burst: int = Field(default=1, ge=1, le=MOST_FRAMES, description="frames at each of these times")
 
     @model_validator(mode="after")
     def _whole(self) -> FrameChoice:
-        for factor in self.bracket:
-            if not BRACKET[0] <= factor <= BRACKET[1]:
-                raise ValueError(f"bracket: {factor:g} is no factor from {BRACKET[0]:g} to {BRACKET[1]:g}")
         if self.count > MOST_FRAMES:
             raise ValueError(f"bracket and burst: {self.count} frames per sample; {MOST_FRAMES} are allowed")
         return self

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import Field, model_validator
 
@@ -14,7 +14,7 @@ from dasim.base.loading import load_function
 from dasim.base.toml import Specification, bundled_or_file, parse_toml
 from dasim.camera import specification as cameras
 from dasim.camera.noise import LONGEST_EXPOSURE_S, NoiseModel, expose
-from dasim.camera.specification import Camera
+from dasim.camera.specification import SMALLEST_FRAME_PX, Camera
 from dasim.dataset.choices import (
     CameraChoice,
     Draw,
@@ -33,11 +33,12 @@ from dasim.random_scenes.specification import RandomScenes
 from dasim.scene.mitsuba_scene import is_mitsuba
 from dasim.scene.specification import scene_names
 from dasim.simulation.adaptive_sampling import NOISE_AT, NOISE_SHARE
-from dasim.simulation.checks import PERCENTILE
+from dasim.simulation.checks import MOST_SPP, PERCENTILE
 from dasim.spectra import illuminants
 
 BUNDLED = Path(__file__).with_name("bundled")
 MOST_SAMPLES = 10_000_000
+Pixels = Annotated[int, Field(ge=SMALLEST_FRAME_PX, le=20_000)]
 
 
 class DatasetSpec(Specification):
@@ -49,10 +50,15 @@ class DatasetSpec(Specification):
     description: str = ""
     samples: int = Field(ge=1, le=MOST_SAMPLES)
     first: int | None = Field(
-        default=None, ge=1, description="make the first samples alone, each as it is among all, in its split"
+        default=None,
+        ge=1,
+        le=MOST_SAMPLES,
+        description="make the first samples alone, each as it is among all, in its split",
     )
     seed: int = Field(default=0, ge=0, lt=2**63)
-    size_px: tuple[int, int] = Field(default=(512, 384), description="width and height, a central crop of the sensor")
+    size_px: tuple[Pixels, Pixels] = Field(
+        default=(512, 384), description="width and height, a central crop of the sensor"
+    )
     format: Literal["folders", "webdataset"] = "webdataset"
     raw_scale: Literal["dn", "full"] = Field(
         default="dn",
@@ -88,7 +94,7 @@ class DatasetSpec(Specification):
     exposure: ExposureChoice = ExposureChoice()
     frames: FrameChoice = FrameChoice()
     truth: TruthChoice = TruthChoice()
-    splits: dict[str, float] = Field(default={"train": 1.0}, min_length=1)
+    splits: dict[str, Annotated[float, Field(gt=0, le=1)]] = Field(default={"train": 1.0}, min_length=1)
     folder: Path = Field(default=Path("."), exclude=True)
 
     @property
@@ -98,17 +104,15 @@ class DatasetSpec(Specification):
 
     @model_validator(mode="after")
     def _whole(self) -> DatasetSpec:
-        for name, share in self.splits.items():
+        for name in self.splits:
             if not name.isidentifier():
                 raise ValueError(f"splits: '{name}' is not a name of letters, digits and underscores")
-            if share <= 0:
-                raise ValueError(f"splits.{name} is {share:g}: shares must be above 0")
         if self.first is not None and self.first > self.samples:
             raise ValueError(f"first is {self.first}: the dataset has {self.samples} samples")
         if abs(sum(self.splits.values()) - 1) > 1e-6:
             raise ValueError(f"splits sum to {sum(self.splits.values()):g}, not to 1")
-        if isinstance(self.spp, int) and not 1 <= self.spp <= 65_536:
-            raise ValueError(f"spp is {self.spp}: 1 to 65536 or 'auto' is allowed")
+        if isinstance(self.spp, int) and not 1 <= self.spp <= MOST_SPP:
+            raise ValueError(f"spp is {self.spp}: 1 to {MOST_SPP} or 'auto' is allowed")
         if 2 * self.truth.margin_px >= min(self.size_px):
             raise ValueError(f"truth.margin_px is {self.truth.margin_px}: nothing of {self.size_px} is left")
         if self.samples % self.views.count:

@@ -168,9 +168,9 @@ class _CaptureMeta(Specification):
     model_config = ConfigDict(frozen=True, extra="ignore", allow_inf_nan=False)
 
     camera: Camera
-    exposure_s: float = Field(gt=0)
-    gain: float = Field(gt=0)
-    seed: int = Field(ge=0)
+    exposure_s: float = Field(gt=0, le=1e10)  # also of the longest exposure in the widest bracket
+    gain: float = Field(ge=1e-6, le=1e6)
+    seed: int = Field(ge=0, lt=2**128)
     illuminant: str | None
     provenance: dict[str, Any]
 

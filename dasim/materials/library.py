@@ -32,7 +32,7 @@ from dasim.materials.surfaces import (
     is_diffuse,
     is_textured,
 )
-from dasim.spectra import colour_checker
+from dasim.spectra import colour_checker, grid
 from dasim.typing import FloatArray
 
 __all__ = [
@@ -128,6 +128,7 @@ def _bundled(name: str) -> Surface:
 
 MOST_REPEATS = 1000
 Repeat = Annotated[float, Field(gt=0, le=MOST_REPEATS)]
+Stated = Annotated[float, Field(ge=-1, le=1000)]  # reflectance, also by mistake in percent, which has its own message
 Roughness = Annotated[float, Field(ge=0, le=1, description="GGX alpha; 0 is perfectly smooth")]
 
 
@@ -179,7 +180,9 @@ class Spectrum(Specification):
 
     kind: Literal["spectrum"]
     file: str | None = Field(default=None, min_length=1)
-    points: tuple[tuple[float, float], ...] | None = Field(default=None, description="[wavelength_nm, reflectance]")
+    points: tuple[tuple[grid.AnyNm, Stated], ...] | None = Field(
+        default=None, description="[wavelength_nm, reflectance]"
+    )
 
     @model_validator(mode="after")
     def _one_of_both(self) -> Spectrum:

@@ -19,7 +19,12 @@ from dasim.scene.lights import Lux
 from dasim.spectra import illuminants
 
 Share = Annotated[float, Field(ge=0, le=1)]
-Positive = Annotated[float, Field(gt=0)]
+Weight = Annotated[float, Field(gt=0, le=1e6)]
+Depth = Annotated[float, Field(ge=3, le=4000, description="centimetres; nearer, the floor would touch the lens")]
+Size = Annotated[float, Field(gt=0, le=0.6)]
+Count = Annotated[int, Field(ge=3, le=200)]
+Lamps = Annotated[int, Field(ge=1, le=8)]
+Kelvin = Annotated[int, Field(ge=illuminants.BLACKBODY_K[0], le=illuminants.BLACKBODY_K[1])]
 
 LEAST_RATIO = 1.5  # least ratio of the far to the near end of the depth range
 
@@ -38,11 +43,9 @@ class RandomScenes(Specification):
     room_share: Share = Field(
         default=0.5, description="share of rooms (corner, hanging objects, posters); the rest are table tops"
     )
-    depth_cm: tuple[Positive, Positive] = Field(
-        default=(20.0, 80.0), description="range of the depths of all visible points"
-    )
-    objects: tuple[int, int] = Field(default=(5, 40), description="number of objects, without floor and walls")
-    size: tuple[Positive, Positive] = Field(
+    depth_cm: tuple[Depth, Depth] = Field(default=(20.0, 80.0), description="range of the depths of all visible points")
+    objects: tuple[Count, Count] = Field(default=(5, 40), description="number of objects, without floor and walls")
+    size: tuple[Size, Size] = Field(
         default=(0.07, 0.32), description="size of an object over the width of the picture, log-uniform; less in crowds"
     )
     surfaces: int = Field(default=10, ge=1, le=100, description="number of different surfaces, without pictures")
@@ -65,15 +68,13 @@ class RandomScenes(Specification):
     textures: tuple[str, ...] = Field(
         default=(), description="PNG and JPEG files instead of the bundled photographs: files, folders or patterns"
     )
-    lamps: tuple[int, int] = Field(default=(1, 3), description="number of lamps, in scenes lit by lamps")
+    lamps: tuple[Lamps, Lamps] = Field(default=(1, 3), description="number of lamps, in scenes lit by lamps")
     window_share: Share = Field(default=0.2, description="share of scenes lit by a large panel on one side")
     outdoor_share: Share = Field(default=0.1, description="share of scenes lit by sun and sky, or an overcast sky")
     lux: tuple[Lux, Lux] = Field(default=(100.0, 2000.0), description="sum of all lamps, log-uniform")
     fill_share: tuple[Share, Share] = Field(default=(0.1, 0.3), description="level of the dome relative to the lamps")
-    illuminants: dict[str, Positive] = Field(
-        default=ILLUMINANTS, description="weights; blackbodies are uniform in mired"
-    )
-    blackbody_k: tuple[int, int] = (2300, 6500)
+    illuminants: dict[str, Weight] = Field(default=ILLUMINANTS, description="weights; blackbodies are uniform in mired")
+    blackbody_k: tuple[Kelvin, Kelvin] = (2300, 6500)
     mixed_light_share: Share = Field(default=0.25, description="share of scenes whose lamps have different illuminants")
     focus: Literal["far", "near", "within"] = Field(
         default="far", description="at one end of the depth range, or (within) uniform in dioptres between them"
@@ -81,7 +82,7 @@ class RandomScenes(Specification):
     auto_level: tuple[Share, Share] = Field(
         default=(0.6, 0.9), description="share of full scale that the exposure aims at"
     )
-    gains: dict[float, Positive] = Field(default={1.0: 3.0, 2.0: 1.0, 4.0: 1.0}, description="weights")
+    gains: dict[float, Weight] = Field(default={1.0: 3.0, 2.0: 1.0, 4.0: 1.0}, description="weights")
     folder: Path = Path(".")
 
     @model_validator(mode="after")
@@ -92,14 +93,6 @@ class RandomScenes(Specification):
                 raise ValueError(f"{name} is [{low}, {high}]: the smaller number comes first")
         if self.depth_cm[1] < LEAST_RATIO * self.depth_cm[0]:
             raise ValueError(f"depth_cm must reach at least {LEAST_RATIO} times its nearer end")
-        if self.depth_cm[0] < 3 or self.depth_cm[1] > 4000:
-            raise ValueError("depth_cm must lie within 3 and 4000: nearer, the floor would touch the lens")
-        if not 3 <= self.objects[0] <= self.objects[1] <= 200:
-            raise ValueError("objects must lie within 3 and 200")
-        if not 1 <= self.lamps[0] <= self.lamps[1] <= 8:
-            raise ValueError("lamps must lie within 1 and 8")
-        if self.size[1] > 0.6:
-            raise ValueError("size must not exceed 0.6 of the picture's width")
         if self.auto_level[0] <= 0 or not self.gains or not self.illuminants:
             raise ValueError("auto_level must be above 0; gains and illuminants need at least one entry")
         if self.metal_share + self.glass_share + self.glossy_share > 1 or self.window_share + self.outdoor_share > 1:

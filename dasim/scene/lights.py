@@ -15,11 +15,10 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from dasim.base.toml import Specification
+from dasim.scene.shapes import Length, Vector
 from dasim.spectra import daylight, illuminants
 from dasim.typing import FloatArray
 
-Vector = tuple[float, float, float]
-Positive = Annotated[float, Field(gt=0)]
 LUX_RANGE = (1e-6, 1e7)  # from below starlight to about 100 times sunlight
 Lux = Annotated[float, Field(ge=LUX_RANGE[0], le=LUX_RANGE[1])]
 Share = Annotated[float, Field(ge=0, le=1)]
@@ -55,21 +54,21 @@ class Lamp(_Near):
     """A round, flat lamp that faces its target."""
 
     kind: Literal["lamp"]
-    radius_cm: Positive
+    radius_cm: Length
 
 
 class Panel(_Near):
     """A flat rectangle that faces its target; ``size_cm`` is its width, which is horizontal, and its height."""
 
     kind: Literal["panel"]
-    size_cm: tuple[Positive, Positive]
+    size_cm: tuple[Length, Length]
 
 
 class Bulb(_Near):
     """A sphere that emits in all directions; ``target_cm`` is the point where it gives ``lux``."""
 
     kind: Literal["bulb"]
-    radius_cm: Positive
+    radius_cm: Length
 
     @model_validator(mode="after")
     def _target_outside(self) -> Bulb:
@@ -131,7 +130,7 @@ class Ground(Specification):
 
     kind: Literal["ground"]
     illuminant: str
-    lux: float
+    lux: float = Field(ge=0, le=LUX_RANGE[1])
 
 
 class Environment(Specification):

@@ -12,8 +12,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from dasim.base.toml import Specification, parse
-from dasim.scene.lights import Vector
-from dasim.scene.shapes import rotation
+from dasim.scene.shapes import Angle, Vector, rotation
 from dasim.scene.specification import Scene, View, axes, world_to_camera
 from dasim.typing import FloatArray
 
@@ -22,7 +21,9 @@ class Pose(Specification):
     """Pose of a camera in the axes of a reference camera: x right, y down, z forward, centimetres and degrees."""
 
     position_cm: Vector = Field(default=(0.0, 0.0, 0.0), description="position of the lens")
-    rotation_deg: Vector = Field(default=(0.0, 0.0, 0.0), description="degrees about x, then y, then z")
+    rotation_deg: tuple[Angle, Angle, Angle] = Field(
+        default=(0.0, 0.0, 0.0), description="degrees about x, then y, then z"
+    )
     look_at_cm: Vector | None = Field(
         default=None,
         description="instead of rotation_deg: a point on the optical axis, without roll",

@@ -20,8 +20,11 @@ from dasim.scene.classes import ClassName
 from dasim.scene.procedural.library import PREFIX, procedural
 from dasim.typing import FloatArray
 
-Vector = tuple[float, float, float]
-Positive = Annotated[float, Field(gt=0)]
+FARTHEST_CM = 1e7  # 100 km, of a place or a length
+Coordinate = Annotated[float, Field(ge=-FARTHEST_CM, le=FARTHEST_CM)]
+Vector = tuple[Coordinate, Coordinate, Coordinate]
+Angle = Annotated[float, Field(ge=-360, le=360)]
+Length = Annotated[float, Field(gt=0, le=FARTHEST_CM)]
 
 
 class _Body(Specification):
@@ -33,43 +36,45 @@ class _Body(Specification):
         default=None, alias="class", description="class in labels; by default that of the shape, or print for a print"
     )
     position_cm: Vector = (0.0, 0.0, 0.0)
-    rotation_deg: Vector = Field(default=(0.0, 0.0, 0.0), description="degrees about x, then y, then z")
+    rotation_deg: tuple[Angle, Angle, Angle] = Field(
+        default=(0.0, 0.0, 0.0), description="degrees about x, then y, then z"
+    )
 
 
 class Plane(_Body):
     """A rectangle, ``size_cm`` along x and y, that faces the camera (-z) when not rotated."""
 
     shape: Literal["plane"]
-    size_cm: tuple[Positive, Positive]
+    size_cm: tuple[Length, Length]
 
 
 class Disc(_Body):
     """A disc that faces the camera (-z) when not rotated."""
 
     shape: Literal["disc"]
-    radius_cm: Positive
+    radius_cm: Length
 
 
 class Box(_Body):
     """A box, ``size_cm`` along x, y, z."""
 
     shape: Literal["box"]
-    size_cm: tuple[Positive, Positive, Positive]
+    size_cm: tuple[Length, Length, Length]
 
 
 class Sphere(_Body):
     """A sphere; the poles of its texture lie at the top and the bottom."""
 
     shape: Literal["sphere"]
-    radius_cm: Positive
+    radius_cm: Length
 
 
 class Cylinder(_Body):
     """A cylinder without caps; its axis is y and its origin the middle of the axis."""
 
     shape: Literal["cylinder"]
-    radius_cm: Positive
-    height_cm: Positive
+    radius_cm: Length
+    height_cm: Length
 
 
 class HeightField(_Body):
@@ -81,8 +86,8 @@ class HeightField(_Body):
 
     shape: Literal["heightfield"]
     image: str = Field(description="a file beside the scene, or skimage:NAME")
-    size_cm: tuple[Positive, Positive]
-    height_cm: Positive
+    size_cm: tuple[Length, Length]
+    height_cm: Length
 
 
 class Mesh(_Body):
@@ -94,7 +99,7 @@ class Mesh(_Body):
 
     shape: Literal["mesh"]
     file: str = Field(description="a file beside the scene, procedural:NAME or procedural:NAME:SEED")
-    unit_cm: Positive = 1.0
+    unit_cm: Length = 1.0
     material: str | None = None  # type: ignore[assignment]  # only meshes may have colours of their own
     near_infrared: str | None = None
 
@@ -119,7 +124,7 @@ def placement(item: Object) -> FloatArray:
     return matrix
 
 
-def rotation(degrees: Vector) -> FloatArray:
+def rotation(degrees: tuple[float, float, float]) -> FloatArray:
     """Rotation matrix [3, 3] about x, then y, then z, right-handed, of angles in degrees."""
     x, y, z = np.radians(degrees)
     about_x = np.array([[1, 0, 0], [0, np.cos(x), -np.sin(x)], [0, np.sin(x), np.cos(x)]])

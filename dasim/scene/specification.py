@@ -22,9 +22,21 @@ from dasim.materials.photographs import NEAR_INFRARED_RULES, mask, photograph_su
 from dasim.scene import meshes, panorama
 from dasim.scene.classes import class_of
 from dasim.scene.clearance import placement_problems, size_problems
-from dasim.scene.lights import Light, Near, Positive, Vector
+from dasim.scene.lights import Light, Near
 from dasim.scene.mitsuba_scene import MitsubaScene
-from dasim.scene.shapes import Box, HeightField, Mesh, Object, Sphere, half_extent_m, mesh_parts, mesh_place, placement
+from dasim.scene.shapes import (
+    Box,
+    HeightField,
+    Length,
+    Mesh,
+    Object,
+    Sphere,
+    Vector,
+    half_extent_m,
+    mesh_parts,
+    mesh_place,
+    placement,
+)
 from dasim.spectra import illuminants
 from dasim.typing import FloatArray
 
@@ -54,7 +66,7 @@ class Scene(Specification):
 
     name: str
     description: str = ""
-    focus_cm: Positive | None = Field(default=None, description="proposed focus distance; the camera's own decides")
+    focus_cm: Length | None = Field(default=None, description="proposed focus distance; the camera's own decides")
     view: View = View()
     materials: dict[str, Texture] = Field(default_factory=dict)
     lights: tuple[Light, ...] = Field(min_length=1)

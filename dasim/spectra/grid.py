@@ -6,9 +6,10 @@ grid ends at 830 nm, the upper limit of Mitsuba's spectral variants.
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+from pydantic import Field
 from scipy.special import expit
 
 from dasim.typing import FloatArray
@@ -19,6 +20,8 @@ WHOLE_GRID_NM = (float(WAVELENGTH_NM[0]), float(WAVELENGTH_NM[-1]))
 
 PLANCK_J_S = 6.62607015e-34
 LIGHT_SPEED_M_S = 299_792_458.0
+
+AnyNm = Annotated[float, Field(ge=100, le=1e5)]  # of a user's table, of which the grid needs a part
 
 CHANNELS = ("R", "G", "B", "IR")
 LUMINANCE = (0.2126, 0.7152, 0.0722)  # of linear sRGB, IEC 61966-2-1

@@ -28,8 +28,8 @@ class _Private(Specification):
     model_config = ConfigDict(frozen=True, extra="ignore", allow_inf_nan=False)
 
     camera: Camera
-    exposure_s: float = Field(gt=0)
-    gain: float = Field(gt=0)
+    exposure_s: float = Field(gt=0, le=1e10)
+    gain: float = Field(ge=1e-6, le=1e6)
     diffraction: Literal["wave", "airy", "off"] | None = None
 
 

@@ -95,7 +95,7 @@ def test_problems_are_named_in_one_line(tmp_path, old, new, message_part):
             "stops.1.mask: is open outside the lens",
         ),
         ('shape = "mask"\nmask = [[0, 0], [0, 0]]', "stops.1.mask: is closed everywhere"),
-        ('shape = "mask"\nmask = [[0, 2], [0, 0]]', "stops.1.mask: must be transmittances from 0 to 1"),
+        ('shape = "mask"\nmask = [[0, 2], [0, 0]]', "stops.1.mask.0.1: must be less than or equal to 1"),
         ('shape = "mask"\nfile = "none.png"', "none.png: no such file"),
         ('shape = "mask"\nfile = "mine.toml"', "mine.toml: cannot be read as a picture"),
         ('shape = "star"', "stops.1: "),
@@ -119,8 +119,8 @@ def inline(nm=NM, **channels) -> str:
 @pytest.mark.parametrize(
     ("curves", "message_part"),
     [
-        (inline(R=(-0.1, *FLAT[1:]), G=FLAT, B=FLAT, IR=FLAT), "channels.R must be quantum efficiencies from 0 to 1"),
-        (inline(R=FLAT, G=(1.1, *FLAT[1:]), B=FLAT, IR=FLAT), "channels.G must be quantum efficiencies from 0 to 1"),
+        (inline(R=(-0.1, *FLAT[1:]), G=FLAT, B=FLAT, IR=FLAT), "channels.R.0: must be greater than or equal to 0"),
+        (inline(R=FLAT, G=(1.1, *FLAT[1:]), B=FLAT, IR=FLAT), "channels.G.0: must be less than or equal to 1"),
         (inline(R=FLAT[1:], G=FLAT, B=FLAT, IR=FLAT), "channels.R must have as many values as wavelength_nm"),
         (
             inline(NM[:11] + NM[15:], **dict.fromkeys(("R", "G", "B", "IR"), FLAT[4:])),

@@ -427,7 +427,7 @@ def test_a_specification_is_read_from_toml(tmp_path, mesh_folder):
         ("objects = [40, 5]", "the smaller number comes first"),
         ("[illuminants]\nD66 = 1", "illuminant 'D66' is unknown"),
         ("colour = 1", "colour: unknown key"),
-        ("objects = [0, 5]", "objects must lie within 3 and 200"),
+        ("objects = [0, 5]", "objects.0: must be greater than or equal to 3"),
     ],
 )
 def test_bad_specifications_are_named(tmp_path, text, message):

@@ -142,8 +142,8 @@ def test_bundled_studies_are_sound(name):
         ('"light.lux" = ["bright", 10.0]', ("light.lux", "words and numbers")),
         ("disc_edge_nm = [820.0]", ("disc_edge_nm = 820.0", "no light", "stop 'hole'")),
         ('"light.lux" = {log_grid = [0, 10, 3]}', ("log_grid", "above 0")),
-        ('"light.lux" = {grid = [1, 10, 0]}', ("0 values",)),
-        ('"light.lux" = {grid = [1, 10, 1000000000]}', ("1000000000 values",)),
+        ('"light.lux" = {grid = [1, 10, 0]}', ("grid.2: must be greater than or equal to 1",)),
+        ('"light.lux" = {grid = [1, 10, 1000000000]}', ("less than or equal to 10000",)),
         ("", ("parameters", "empty")),
         ('camera = ["bayer-mobile"]', ("bayer-mobile", "no infrared pixels")),
         ('"camera.stops.hole.radius_ratio" = [0.3, 1.5]', ("1.5",)),
@@ -220,7 +220,7 @@ def test_all_problems_are_said_at_once(tmp_path):
     [
         ('scene = "dask"\ncamera = "da-mobil"\npreset = "bandz"', ("'dask'", "'da-mobil'", "'bandz'")),
         ('camera = "bayer-mobile"', ("no infrared pixels",)),
-        ("size_px = [0, 48]", ("size 0x48",)),
+        ("size_px = [0, 48]", ("size_px.0", "greater than or equal to 8")),
     ],
 )
 def test_what_no_point_can_be_made_of_is_said_once(tmp_path, text, message):

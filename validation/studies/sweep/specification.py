@@ -15,6 +15,7 @@ from pydantic import BeforeValidator, Field, model_validator
 
 from dasim.base.errors import InputError
 from dasim.base.toml import Specification, parse
+from dasim.camera.specification import SMALLEST_FRAME_PX
 
 Value = bool | int | float | str
 
@@ -23,15 +24,16 @@ AFTERWARDS = ("light.lux", "exposure.", "recon.")
 
 MOST_VALUES = 10_000  # largest number of values of a grid
 
-
 MOST_POINTS = 100_000  # of a study, with all seeds
+Pixels = Annotated[int, Field(ge=SMALLEST_FRAME_PX, le=20_000)]
+Count = Annotated[int, Field(ge=1, le=MOST_VALUES)]
 
 
 class Grid(Specification):
     """Evenly spaced values, or evenly spaced logarithms."""
 
-    grid: tuple[float, float, int] | None = None
-    log_grid: tuple[float, float, int] | None = None
+    grid: tuple[float, float, Count] | None = None
+    log_grid: tuple[float, float, Count] | None = None
 
     def values(self) -> tuple[float, ...]:
         """The values, including both ends, rounded to six significant digits."""
@@ -44,9 +46,7 @@ class Grid(Specification):
     def _one(self) -> Grid:
         if (self.grid is None) == (self.log_grid is None):
             raise ValueError("give either grid = [first, last, count] or log_grid = [first, last, count]")
-        low, high, count = self.grid or self.log_grid or (0, 0, 0)
-        if not 1 <= count <= MOST_VALUES:
-            raise ValueError(f"has {count} values; 1 to {MOST_VALUES} are allowed")
+        low, high, _ = self.grid or self.log_grid or (0, 0, 0)
         if self.log_grid is not None and not 0 < low <= high:
             raise ValueError(
                 f"log_grid goes from {low:g} to {high:g}; both ends must be above 0, the smaller one first"
@@ -94,7 +94,7 @@ class StudySpec(Specification):
     camera: str = "da-mobile"
     scene: str = "desk"
     preset: str = "bands"
-    size_px: tuple[int, int] = (256, 192)
+    size_px: tuple[Pixels, Pixels] = (256, 192)
     spp: int = Field(default=128, ge=1, le=65_536)
     seeds: int = Field(default=2, ge=1, le=1000)
     grids: Annotated[tuple[Table, ...], BeforeValidator(_tables)] = Field(alias="parameters", min_length=1)
