@@ -15,6 +15,7 @@ from validation.claims.depth.disks import yellow_disks
 from validation.claims.depth.ground_truth import ground_truth
 from validation.claims.depth.held_out import depth_held_out
 from validation.claims.depth.light_levels import light_levels
+from validation.claims.depth.rivals import rivals
 from validation.claims.depth.scenes import depth
 from validation.claims.depth.side_of_focus import side_of_focus
 from validation.claims.depth.staircase import staircase, staircase_camera
@@ -92,6 +93,7 @@ CLAIMS = {
     "depth-steps": Measurement(measured_steps, quick=False),
     "balance": Measurement(balance, quick=True),
     "light-levels": Measurement(light_levels, quick=False),
+    "rivals": Measurement(rivals, quick=False),
     "depth-maps": Measurement(depth_maps, quick=False),
     "yellow-disks": Measurement(yellow_disks, quick=False),
     "scene-pictures": Measurement(scene_pictures, quick=False),

@@ -19,8 +19,13 @@ from dasim.render import stock
 
 ROOT = Path(__file__).parents[3]
 
-NAMES = ["bando", "bayer-mobile", "chakrabarti-zickler", "da-4x4", "da-8mm", "da-mobile", "da-mobile-thin"]
+NAMES = [
+    *("bando", "bayer-mobile", "chakrabarti-zickler", "chromatic-mobile", "coded-mobile"),
+    *("da-4x4", "da-8mm", "da-mobile", "da-mobile-thin", "dual-pixel-left", "dual-pixel-right"),
+]
 COMPARED = [name for name in NAMES if name != "da-mobile"]
+NEED_JIT = ("bando", "chromatic-mobile", "coded-mobile", "dual-pixel-left", "dual-pixel-right")
+ONE_STOP = ("coded-mobile", "dual-pixel-left", "dual-pixel-right")  # that closes a part of the lens to all light
 
 
 def letters(name: str) -> list[str]:
@@ -71,6 +76,31 @@ def test_cameras_differ_from_da_mobile_where_they_say_so(da_mobile):
         assert camera.sensor.model_copy(update=changes) == da_mobile.sensor
 
 
+def test_rivals_differ_from_the_bayer_camera_where_they_say_so():
+    """Expectation: one lens and one sensor but for axial colour, and half of the full well in each half of a pixel."""
+    twin = cameras.load_camera("bayer-mobile")
+    for name in ("chromatic-mobile", "coded-mobile", "dual-pixel-left", "dual-pixel-right"):
+        camera = cameras.load_camera(name)
+        well = {"full_well_e": 3000.0} if name.startswith("dual") else {}
+        assert camera.sensor == twin.sensor.model_copy(update=well | {"sensor_seed": camera.sensor.sensor_seed})
+        assert camera.lens.model_copy(update={"focal_shift_um": ()}) == twin.lens
+    left, right = (cameras.load_camera(f"dual-pixel-{side}").stops[0] for side in ("left", "right"))
+    assert [(-x, y) for x, y in left.corners_ratio] == list(right.corners_ratio)
+
+
+def test_coded_aperture_is_a_modified_uniformly_redundant_array():
+    """Expectation: the periodic correlation of the array with its decoding array is a delta (Gottesman and Fenimore):
+    +1 where open and -1 where closed, but +1 at the origin.
+    """
+    mask = np.array(cameras.load_camera("coded-mobile").stops[0].mask)[3:17:2, 3:17:2]
+    decoder = np.where(mask > 0, 1, -1)
+    decoder[0, 0] = 1
+    correlation = np.fft.ifft2(np.fft.fft2(mask) * np.conj(np.fft.fft2(decoder))).real.round(9)
+    assert correlation[0, 0] == mask.sum() == 24
+    correlation[0, 0] = 0
+    assert (correlation == 0).all()
+
+
 def test_mosaics():
     assert letters("da-mobile") == letters("da-8mm") == ["GR", "BI"]
     assert letters("bayer-mobile") == letters("chakrabarti-zickler") == letters("bando") == ["GR", "BG"]
@@ -84,7 +114,10 @@ def test_stops():
     assert areas("bayer-mobile") == [1.0]
     assert areas("chakrabarti-zickler") == pytest.approx([1.0, 0.59**2])
     assert areas("bando") == pytest.approx([0.25] * 3)
-    for name in NAMES:
+    assert areas("coded-mobile") == pytest.approx([96 * 0.01 / np.pi])  # 24 of 49 cells of 2 x 2 in 20 x 20
+    halves = areas("dual-pixel-left") + areas("dual-pixel-right")
+    assert halves == pytest.approx([0.5, 0.5], rel=1e-3)
+    for name in set(NAMES) - set(ONE_STOP):
         whole = sum(stops.transmittance(stop) for stop in cameras.load_camera(name).stops)
         np.testing.assert_allclose(whole, 1.0, atol=1e-12)
 
@@ -101,8 +134,8 @@ def test_each_photographs_the_desk(renderer, name, tmp_path):
     """Expectation: a picture that is neither dark nor saturated, in every channel, and comes back from its folder."""
     scene = dasim.load_scene("desk")
     camera = dasim.focused(dasim.cropped(dasim.load_camera(name), 32, 24), scene)
-    if name == "bando" and renderer.startswith("scalar"):
-        pytest.skip("displaced discs need a JIT variant; that they are refused is tested in a process of its own")
+    if name in NEED_JIT and renderer.startswith("scalar"):
+        pytest.skip("needs a JIT variant; that it is refused without one is tested in a process of its own")
     shot = dasim.simulate(scene, camera, seed=1, spp=16, diffraction="off")
     assert shot.truth.channels == cameras.channels(camera.sensor)
     # 16 samples per pixel are noisy, which a note says; one on saturated pixels would be another.
@@ -142,7 +175,7 @@ def test_displaced_discs_are_refused_without_a_jit_variant(tmp_path):
         assert part in message, message
     assert "Traceback" not in done.stderr and not (tmp_path / "shot").exists()
     for name in NAMES:
-        if name != "bando":
+        if name not in NEED_JIT:
             stock.check(cameras.load_camera(name))
 
 
