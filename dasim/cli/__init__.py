@@ -11,7 +11,7 @@ from typing import Any
 import cyclopts
 
 from dasim.base.errors import InputError, one_line
-from dasim.cli import check, datasets, export, expose, photograph, reconstruct, study
+from dasim.cli import check, datasets, export, expose, listing, photograph, reconstruct, study
 
 app = cyclopts.App(
     name="dasim",
@@ -33,11 +33,12 @@ for command in (
     datasets.app,
     study.app,
     check.validate,
+    listing.camera,
     photograph.lens,
     photograph.emva,
 ):
     app.command(command)
-app.command(check.list_, name="list")
+app.command(listing.list_, name="list")
 
 _STOPPED = 130
 

@@ -1,12 +1,10 @@
-"""The commands demo, validate and list.
+"""The commands demo and validate.
 
-Tested in tests/dasim/cli/test_list.py and tests/validation/gates/test_run.py.
+Tested in tests/validation/gates/test_run.py.
 """
 
 from __future__ import annotations
 
-import inspect
-import textwrap
 import time
 from functools import partial
 from pathlib import Path
@@ -17,6 +15,7 @@ from cyclopts import Parameter
 from dasim.base import atomic
 from dasim.base.errors import InputError
 from dasim.cli import options
+from dasim.cli.listing import list_claims
 from dasim.cli.options import Out, Whole
 
 
@@ -100,7 +99,7 @@ def validate(
     methods = named(method or ())
     check_methods(CLAIMS, names, methods)
     if list_:
-        _list_claims(names, verbose=False)
+        list_claims(names, verbose=False)
         return 0
     if out is None:
         raise InputError("--out is missing; give a folder for the results")
@@ -142,125 +141,3 @@ def validate(
     print(f"report: {out / 'report.html'}")
     worse = fail_on_worse and any(change.verdict == "worse" for change in differences)
     return 1 if worse or failed(outcomes) else 0
-
-
-def list_(kind: str, *, verbose: Annotated[bool, Parameter(negative="")] = False) -> int:
-    """List bundled scenes, cameras, materials, illuminants, datasets, claims, studies or depth methods.
-
-    Args:
-        kind: scenes, cameras, materials, illuminants, datasets, claims, studies or methods
-        verbose: print more detail
-    """
-    from dasim.camera import describe
-    from dasim.camera import specification as cameras
-    from dasim.scene import specification as scenes
-
-    if kind == "scenes":
-        for name, description in scenes.scene_descriptions().items():
-            print(f"{name:<16}{description}")
-    elif kind == "cameras":
-        for name in cameras.camera_names():
-            loaded = cameras.load_camera(name)
-            print(f"{name:<20}{loaded.description}")
-            if verbose:
-                print(textwrap.indent(describe.describe(loaded), "    ") + "\n")
-    elif kind == "materials":
-        _list_materials(verbose=verbose)
-    elif kind == "illuminants":
-        _list_illuminants(verbose=verbose)
-    elif kind == "datasets":
-        _list_datasets(verbose=verbose)
-    elif kind == "claims":
-        from validation.claims.table import CLAIMS
-
-        _list_claims(list(CLAIMS), verbose=verbose)
-    elif kind == "studies":
-        _list_studies(verbose=verbose)
-    elif kind == "methods":
-        _list_methods(verbose=verbose)
-    else:
-        raise InputError(
-            f"list '{kind}' is unknown; allowed are scenes, cameras, materials, illuminants, datasets, claims, "
-            "studies, methods"
-        )
-    return 0
-
-
-def _list_materials(*, verbose: bool) -> None:
-    from dasim.materials import library
-    from dasim.render.reflection import normal_reflectance
-    from dasim.spectra.grid import WAVELENGTH_NM
-
-    columns_nm = (450, 550, 650, 750, 800)
-    if verbose:
-        print(
-            f"reflectance (of metals, glass and coatings at normal incidence) at {', '.join(map(str, columns_nm))} nm"
-        )
-    for name in library.material_names():
-        kind, source = library.kind_and_source(name)
-        if not verbose:
-            print(f"{name:<24}{kind}")
-            continue
-        curve = normal_reflectance(library.surface(name, Path(".")))
-        values = " ".join(f"{curve[WAVELENGTH_NM == nm][0]:.2f}" for nm in columns_nm)
-        print(f"{name:<24}{kind:<9}{values}  {source}")
-
-
-def _list_illuminants(*, verbose: bool) -> None:
-    from dasim.spectra import illuminants
-
-    if verbose:
-        print("name                  CCT K  near-IR  continuation beyond the table")
-    for name in (*illuminants.ILLUMINANTS, *(illuminants.EXAMPLES if verbose else illuminants.PATTERNS)):
-        if not verbose:
-            print(name)
-            continue
-        about = illuminants.description(name)
-        print(f"{about.name:<20}{about.cct_k:>7.0f}{about.near_infrared:>9.2f}  {about.beyond}")
-    if verbose:
-        print("CCT: of the spectrum above 400 nm; near-IR: 650-810 nm photons relative to D65 at equal illuminance\n")
-        print("\n".join(f"also: {pattern}" for pattern in illuminants.PATTERNS))
-
-
-def _list_datasets(*, verbose: bool) -> None:
-    from dasim.dataset.specification import bundled_names, load_spec
-
-    for name in bundled_names():
-        spec = load_spec(name)
-        print(f"{name:<20}{spec.description}")
-        if verbose:
-            splits = ", ".join(f"{split} {share:g}" for split, share in spec.splits.items())
-            print(f"{'':<20}{spec.samples} samples of {spec.size_px[0]} x {spec.size_px[1]} pixels; {splits}")
-
-
-def _list_studies(*, verbose: bool) -> None:
-    from validation.studies.sweep.loading import load_study, names
-    from validation.studies.sweep.specification import points
-
-    for name in names():
-        spec = load_study(name)
-        print(f"{name:<20}{spec.question}")
-        if verbose:
-            print(f"{'':<20}{len(points(spec))} points, {spec.seeds} seeds, over {', '.join(spec.parameters)}")
-    print(f"{'bound':<20}Cramer-Rao bound of depth for one camera ('dasim study bound')")
-    print(f"{'shape':<20}search for the shape of the near-infrared stop ('dasim study shape')")
-
-
-def _list_methods(*, verbose: bool) -> None:
-    import recon
-    from recon.settings import DEFAULT_PRESET, DESCRIPTIONS
-
-    for name in recon.METHODS:
-        default = " (the default)" if name == DEFAULT_PRESET else ""
-        print(f"{name:<22}{DESCRIPTIONS[name]}{default}")
-    if verbose:
-        print("your own: package.module:function or file.py:function, from a Capture and a PsfBank to a DepthEstimate")
-
-
-def _list_claims(names: list[str], *, verbose: bool) -> None:
-    from validation.claims.table import CLAIMS
-    from validation.gates.outcome import title
-
-    for name in names:
-        text = f"\n{inspect.getdoc(CLAIMS[name].run)}\n" if verbose else title(CLAIMS[name])
-        print(f"{name:<20}{'quick' if CLAIMS[name].quick else '':<7}{text}")

@@ -41,6 +41,10 @@ RESULT_FILES = {
     "demo": ("results.json", "report.html", "view.html", "overview.jpg", "capture", "recon"),
     "validation": ("results.json", "report.html", "junit.xml"),
     "study": ("results.json", "report.html", "table.csv", "masks"),
+    "camera page": (
+        *("results.json", "report.html", "levels.csv", "apertures.svg", "psf.svg", "psf.png", "mtf.svg"),
+        *("responses.svg", "field.svg"),
+    ),
 }
 
 

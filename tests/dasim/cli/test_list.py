@@ -14,9 +14,11 @@ from dasim.cli import run
         ("cameras", "da-mobile"),
         ("materials", "brick"),
         ("illuminants", "D65"),
+        ("datasets", "dasim-bench"),
         ("claims", "staircase-camera"),
         ("studies", "hole-size"),
         ("methods", "chakrabarti-zickler"),
+        ("presets", "likelihood"),
     ],
 )
 def test_list_names_what_is_bundled(kind, name, capsys):
@@ -28,6 +30,7 @@ def test_list_names_what_is_bundled(kind, name, capsys):
 @pytest.mark.parametrize(
     ("arguments", "message_part"),
     [
+        (("list", "metods"), ("did you mean 'methods'",)),
         (("list", "fruit"), ("fruit", "scenes", "cameras", "claims", "studies", "methods")),
         (("list",), ("kind",)),
     ],

@@ -1,0 +1,1 @@
+"""The page of a camera for optical engineers; start with ``page``."""
