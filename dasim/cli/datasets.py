@@ -21,8 +21,12 @@ from dasim.cli import options
 from dasim.cli.options import Whole
 
 if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
     from dasim.base.executors import Executor
     from dasim.dataset.make import Progress
+    from dasim.dataset.reading import Sample
 
 app = cyclopts.App(name="dataset", help="Make, verify, describe and score datasets of captures with ground truth.")
 
@@ -206,6 +210,68 @@ def score(
     print(f"leaderboard: {place}/{PAGE}")
     write_score("dataset", entries, json_file=json_file, junit=junit, more={"samples": rows})
     return 1 if any(entry.passed is False for entry in entries) else 0
+
+
+@app.command
+def export(
+    dataset: str,
+    *,
+    as_: Annotated[Literal["hdf5", "coco", "bop", "nyu", "stack", "croissant"], Parameter(name="--as")],
+    out: Path | None = None,
+    split: str | None = None,
+    picture: Literal["taken", "sharp"] = "taken",
+) -> int:
+    """Write a dataset in the layout of others, with README.md on its conventions; nothing is left if it is stopped.
+
+    hdf5 has all that the dataset has. coco, bop and nyu have colour pictures with labels, depth and poses. stack has
+    one folder per scene with its captures at several focus distances and f-numbers. croissant describes the dataset in
+    a file croissant.json in it, without --out.
+
+    Args:
+        dataset: its folder or fsspec address
+        as_: hdf5, coco, bop, nyu, stack or croissant
+        out: output folder, which must not exist
+        split: the split to export; all by default
+        picture: colour pictures of coco, bop, nyu and stack: taken, developed from the mosaic with its blur and noise,
+            or sharp, through a pinhole
+    """
+    from dasim.base import atomic
+    from dasim.dataset.export import bop, coco, croissant, frames, hdf5, nyu, stack
+    from dasim.dataset.reading import open_dataset
+
+    if as_ == "croissant":
+        if out is not None or split is not None:
+            raise InputError("--as croissant: describes the whole dataset in a file in it; leave out --out and --split")
+        print(f"description: {dataset}/{croissant.write(open_dataset(dataset))}")
+        return 0
+    if out is None:
+        raise InputError(f"--as {as_}: needs --out, a folder")
+    options.check_new_file(out, "--out")
+    samples = open_dataset(dataset, split)
+    frames.check_parts(samples, ("sharp_srgb",) if picture == "sharp" and as_ != "hdf5" else (), "--picture sharp")
+    made = frames.sharp if picture == "sharp" else _developed
+    with options.progress() as progress, atomic.new_folder(out) as folder:
+
+        def show(share: float) -> None:
+            progress("exporting", share)
+
+        if as_ == "hdf5":
+            hdf5.write(folder, samples, show)
+        else:
+            {"coco": coco, "bop": bop, "nyu": nyu, "stack": stack}[as_].write(folder, samples, made, show)
+    print(f"{as_}: {out} ({len(samples)} samples)")
+    return 0
+
+
+def _developed(sample: Sample) -> NDArray[np.uint8]:
+    """The picture of a sample as the camera takes it, sRGB [h, w, 3], white-balanced for the scene's main light."""
+    import recon
+    from dasim.dataset.export.frames import eight_bits
+    from dasim.files.captures import capture_of
+
+    capture = capture_of(sample.meta, sample.raw_dn, f"sample {sample.index}")
+    light = capture.illuminant
+    return eight_bits((recon.develop(capture, lights=[light]) if light else recon.develop(capture)).rgb)
 
 
 def _part(text: str) -> tuple[int, int]:
