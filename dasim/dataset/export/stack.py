@@ -45,18 +45,19 @@ Group = list[dict[str, Any]]
 def write(folder: Path, samples: Dataset, picture: Picture, show: Callable[[float], None]) -> None:
     """Write the captures of each scene by each camera into a folder of their own."""
     check_parts(samples, ("depth",), "--as stack")
-    groups: dict[tuple[str, ...], Group] = {}
+    groups: dict[tuple[str, str, str], Group] = {}
     for row in samples.rows:
-        groups.setdefault((row["split"], row["scene"], row["camera"]), []).append(row)
+        taken_by = f"{row['camera']}-view-{row['view']}" if row.get("view") else str(row["camera"])
+        groups.setdefault((row["split"], row["scene"], taken_by), []).append(row)
     several = len({key[2] for key in groups}) > 1
     done = 0
-    for (split, scene, camera), rows in groups.items():
+    for (split, scene, taken_by), rows in groups.items():
         if len({(row["focus_m"], row["f_number"]) for row in rows}) < 2:
             raise InputError(
                 f"{samples.path}: scene {scene} has one focus and f-number; a stack needs several: give "
                 "scenes.captures_per_scene, and each = [...] for focus.distance_m or lens.f_number"
             )
-        name = re.sub(r"[^\w.-]+", "-", f"{scene}-{camera}" if several else scene)
+        name = re.sub(r"[^\w.-]+", "-", f"{scene}-{taken_by}" if several else scene)
         _write_stack(folder / split / name, Dataset(samples.path, rows, samples.spec), picture)
         done += len(rows)
         show(done / len(samples))
