@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import dasim
-from dasim.camera import geometry, radiometry
+from dasim.camera import depth_blur, geometry, radiometry
 from dasim.camera import specification as cameras
 from dasim.materials.surfaces import Diffuse, Mixture
 from dasim.render import truth
@@ -84,7 +84,7 @@ def test_fence_is_thin_and_its_boundaries_are_many(view, loaded):
     scene, _, _ = view("fence", CROP)
     camera = cameras.cropped(cameras.refocused(cameras.load_camera("da-mobile"), 1.5), 512, 384)
     maps = truth.geometry(loaded(scene), camera)
-    assert truth.boundary(truth.signed_blur_px(maps.depth_m, camera)).mean() > 0.3
+    assert depth_blur.boundary(depth_blur.signed_blur_px(maps.depth_m, camera)).mean() > 0.3
     # A wire is about as wide as its blur.
     wire_px = 0.1e-2 * geometry.image_distance_m(camera) / (0.25 * 1.7e-6)
     assert 0.5 < geometry.blur_px(camera, 0.25) / wire_px < 2

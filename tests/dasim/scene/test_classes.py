@@ -11,7 +11,7 @@ import pytest
 import dasim
 from dasim.base.errors import InputError
 from dasim.base.toml import parse
-from dasim.files.truth import NAMES, read_truth
+from dasim.files.truth import NAMES, read_truth_parts
 from dasim.random_scenes.specification import RandomScenes
 from dasim.scene import specification as scenes
 from dasim.scene.classes import CLASSES
@@ -107,6 +107,6 @@ def test_other_readers_find_numbers_and_names_in_the_file(shot, tmp_path):
         names = json.loads(file.parts[0].header[NAMES])["classes"]
         seen = {names[number - 1] for number in np.unique(labels.channels["class_id"].pixels) if number}
     assert {"floor", "wall"} <= seen
-    np.testing.assert_array_equal(read_truth(tmp_path / "capture" / "truth.exr").class_id, shot.truth.class_id)
+    np.testing.assert_array_equal(read_truth_parts(tmp_path / "capture" / "truth.exr")["class_id"], shot.truth.class_id)
     meta = json.loads((tmp_path / "capture" / "meta.json").read_text())
     assert meta["provenance"]["objects"][0] == {"object_id": 1, "name": "floor", "class": "floor"}
