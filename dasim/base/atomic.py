@@ -18,6 +18,14 @@ TEMPORARY = (PARTIAL, ".old-")  # parts of the names of temporary files and fold
 ABANDONED_S = 24 * 3600.0  # age at which an unfinished file of another computer is considered abandoned
 
 
+_last: Path | None = None  # what this process wrote last, see :func:`last_written`
+
+
+def last_written() -> Path | None:
+    """Absolute path of the file or folder that this process has written last; it is complete."""
+    return _last
+
+
 def write(path: Path, content: bytes | str) -> None:
     """Write a file atomically, text as UTF-8; missing parent folders are created."""
     with writing(path) as file:
@@ -30,12 +38,15 @@ def writing(path: Path) -> Iterator[IO[bytes]]:
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
     partial = path.with_name(f".{path.name}.{writer()}{PARTIAL}")
+    is_whole = False
     try:
         with _named(path):
             with partial.open("wb") as file:
                 yield file
+            is_whole = True
             partial.replace(path)
     finally:
+        _note(path, is_whole and not partial.exists())  # also where a signal came right after the renaming
         partial.unlink(missing_ok=True)
 
 
@@ -58,9 +69,17 @@ def new_folder(path: Path) -> Iterator[Path]:
             os.rename(temporary, path)
         shutil.rmtree(retired, ignore_errors=True)
     finally:
+        _note(path, not temporary.exists())
         shutil.rmtree(temporary, ignore_errors=True)
         if retired.exists() and not path.exists():  # interrupted between the two renames
             os.rename(retired, path)
+
+
+def _note(path: Path, is_written: bool) -> None:
+    """Note an output as the last one that was written, where it was."""
+    global _last
+    if is_written:
+        _last = path.absolute()
 
 
 @contextmanager

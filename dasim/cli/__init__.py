@@ -6,10 +6,12 @@ import os
 import signal
 import sys
 from contextlib import suppress
+from pathlib import Path
 from typing import Any
 
 import cyclopts
 
+from dasim.base import atomic
 from dasim.base.errors import InputError, one_line
 from dasim.cli import check, datasets, export, expose, listing, photograph, reconstruct, study
 
@@ -54,7 +56,13 @@ def main() -> None:
     for name in (signal.SIGINT, signal.SIGTERM):
         signal.signal(name, stop)
     try:
-        status = run(sys.argv[1:])
+        try:
+            status = run(sys.argv[1:])
+        finally:  # what comes now is the end of the process
+            for name in (signal.SIGINT, signal.SIGTERM):
+                signal.signal(name, signal.SIG_IGN)
+    except KeyboardInterrupt:  # between the end of the command and the line above
+        status = _STOPPED
     except Exception:
         # A library interrupted while loading may raise any exception.
         if not stopped:
@@ -81,8 +89,18 @@ def run(arguments: list[str]) -> int:
             _discard_output()  # that could not be written
         return _refuse(f"{error.filename or 'output'}: {error.strerror or error}")
     except KeyboardInterrupt:
-        print("dasim: stopped; no incomplete output is left", file=sys.stderr)
+        print(f"dasim: stopped; {_left(arguments)}", file=sys.stderr)
         return _STOPPED
+
+
+def _left(arguments: list[str]) -> str:
+    """What a stopped command has left: the output that its arguments name where it is complete, or nothing."""
+    last = atomic.last_written()
+    for argument in arguments:
+        name = argument.rpartition("=")[2] if argument.startswith("--") else argument
+        if last is not None and name and Path(name).resolve() == last.resolve():
+            return f"{name} was written before and is complete"
+    return "no incomplete output is left"
 
 
 def _discard_output() -> None:

@@ -10,7 +10,7 @@ import fcntl
 import os
 import shutil
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import lru_cache, wraps
 from pathlib import Path
 from typing import IO, Any, Concatenate, ParamSpec, TypeVar
@@ -145,6 +145,21 @@ def remove(out: str, name: str) -> None:
         except OSError as error:
             if error.errno not in (errno.ENOTEMPTY, errno.EEXIST):  # a file appeared meanwhile
                 raise
+
+
+@contextmanager
+def no_empty_folder(out: str) -> Iterator[None]:
+    """Remove the folders of an output of this computer that the block has made and left without a file."""
+    new = None
+    place = local_path(out).absolute() if is_local(out) else Path("/")
+    while not place.exists():
+        new, place = place, place.parent
+    try:
+        yield
+    finally:
+        for folder, _, _ in os.walk(new, topdown=False) if new is not None else ():
+            with suppress(OSError):  # it is not empty, or another run has removed it
+                os.rmdir(folder)
 
 
 def sweep(out: str) -> None:

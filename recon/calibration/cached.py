@@ -7,6 +7,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
+from dasim.base import cache as results
 from dasim.base.cache import cache_dir
 from dasim.base.errors import InputError
 from dasim.base.fingerprint import fingerprint
@@ -54,6 +55,7 @@ def calibrate(
     cache = cache and pictures.fingerprint is not None
     path = bank_file(pictures)
     if cache and path.is_file():
+        results.used(path)
         try:
             return replace(load_bank(path), camera=pictures.camera)
         except InputError:
@@ -64,6 +66,7 @@ def calibrate(
     if cache:
         try:
             save_bank(path, bank)
+            results.bound(path.parent)
         except OSError as error:
             warnings.warn(f"the PSF bank cannot be stored in the cache: {error}", stacklevel=2)
     return bank

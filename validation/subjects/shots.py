@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Literal
 
 import dasim
+from dasim.base import cache
 from dasim.base.cache import cache_dir
 from dasim.base.errors import InputError
 from dasim.base.fingerprint import fingerprint, named_files, text_hash
@@ -44,6 +45,7 @@ def photographed(
     path = _place(scene, camera, exposure, seed, spp)
     earlier = _load(path)
     if earlier is not None:
+        cache.used(path)
         return earlier
     shot = dasim.simulate(scene, camera, seed, spp=spp, exposure=exposure, progress=progress)
     earlier = _load(path)
@@ -53,6 +55,7 @@ def photographed(
         for old in path.parent.glob(f"{path.stem}.*"):
             shutil.rmtree(old, ignore_errors=True)
         dasim.save_capture(path, shot.capture, shot.truth)
+        cache.bound(path.parent)
         return Shot(load_capture(path), load_truth(path))
     except (InputError, OSError) as error:
         print(f"note: a photograph cannot be kept: {error}", file=sys.stderr)

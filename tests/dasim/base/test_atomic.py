@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from pathlib import Path
 
 import pytest
 
@@ -68,3 +69,29 @@ def test_interrupted_folder_leaves_the_earlier_one(tmp_path, monkeypatch):
     with pytest.raises(KeyboardInterrupt), atomic.new_folder(path) as folder:
         (folder / "second").touch()
     assert [entry.name for entry in path.iterdir()] == ["first"] and list(tmp_path.iterdir()) == [path]
+
+
+def test_output_that_was_renamed_before_a_signal_counts_as_written(tmp_path, monkeypatch):
+    """Set-up: a signal that comes right after the file or folder has its name, or right before."""
+    rename, replace = os.rename, Path.replace
+
+    def stopped(function, before: bool):
+        def call(*names):
+            if before:
+                raise KeyboardInterrupt
+            function(*names)
+            raise KeyboardInterrupt
+
+        return call
+
+    for before in (True, False):
+        with monkeypatch.context() as patch:
+            patch.setattr(os, "rename", stopped(rename, before))
+            patch.setattr(Path, "replace", stopped(replace, before))
+            with pytest.raises(KeyboardInterrupt), atomic.new_folder(tmp_path / f"folder{before}"):
+                pass
+            assert (atomic.last_written() == tmp_path / f"folder{before}") is not before
+            with pytest.raises(KeyboardInterrupt):
+                atomic.write(tmp_path / f"file{before}", b"x")
+            assert (atomic.last_written() == tmp_path / f"file{before}") is not before
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["fileFalse", "folderFalse"]

@@ -17,9 +17,12 @@ def figures(key: Sequence[str], compute: Callable[[], dict[str, Any]]) -> dict[s
     ``key`` holds everything that the figures depend on.
     """
     path = cache_dir() / "shape-study" / f"{stored.text_hash(key)}.json"
-    if not path.is_file():
+    try:
+        values = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError):  # missing or damaged
         atomic.write(path, json.dumps(compute(), indent=1) + "\n")
-    return {name: as_tuple(value) for name, value in json.loads(path.read_text()).items()}
+        values = json.loads(path.read_text(encoding="utf-8"))
+    return {name: as_tuple(value) for name, value in values.items()}
 
 
 def as_tuple(value: Any) -> Any:

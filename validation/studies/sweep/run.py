@@ -35,6 +35,12 @@ def sweep(job: Sweep, executor: Executor, show: Callable[[int, int, int], None])
     additional light level measures that picture again. ``show`` receives the numbers of finished, of all and of failed
     units.
     """
+    with storage.no_empty_folder(job.out):
+        return _measured(job, executor, show)
+
+
+def _measured(job: Sweep, executor: Executor, show: Callable[[int, int, int], None]) -> dict[str, str]:
+    """:func:`sweep` in a folder that may remain empty, where it is stopped before the first point."""
     storage.check_writable(job.out)
     storage.sweep(job.out)
     everyone = units(job.spec)
