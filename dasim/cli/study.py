@@ -6,6 +6,8 @@ Tested in tests/validation/studies/test_sweep.py.
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import cyclopts
@@ -18,6 +20,8 @@ from dasim.cli.options import Out, Whole, counted, progress
 
 if TYPE_CHECKING:
     from dasim.base.executors import Executor
+    from dasim.camera.specification import Camera
+    from dasim.typing import FloatArray
 
 app = cyclopts.App(
     name="study", help="Compare aperture designs by simulation, by bounds, or by a search for the stop's shape."
@@ -92,48 +96,62 @@ def bound(
     camera: str = "da-mobile",
     *,
     focus: float | None = None,
-    near_cm: float = 5.0,
-    far_cm: float = 24.0,
+    near_cm: float | None = None,
+    far_cm: float | None = None,
     count: Whole = 8,
     light: str = "D65",
     lux: float = 5000.0,
     texture: Texture = "free",
     channels: str = "G,IR",
+    json_file: Annotated[Path | None, Parameter(name="--json")] = None,
+    csv_file: Annotated[Path | None, Parameter(name="--csv")] = None,
 ) -> int:
     """Print the Cramer-Rao bound of depth from one patch, the least error of an unbiased estimate, by distance.
 
     Args:
         camera: a bundled name or a TOML file; its stops may have any shape
-        focus: distance in m; by default 0.4
-        near_cm: nearest distance in cm
-        far_cm: farthest distance in cm, on the near side of the focus
+        focus: focus distance in metres; the camera's by default
+        near_cm: nearest distance in cm, 5 by default
+        far_cm: farthest distance in cm, on the near side of the focus with a blur of at least 3 px; by default 24, or
+            the last that has one
         count: number of distances, evenly spaced in dioptres
         light: illuminant
         lux: illuminance in lux
         texture: knowledge of the texture: all but its phases (known), its spectrum up to a factor, or nothing (free)
         channels: channels that are compared, the one with the sharp texture first
+        json_file: also write the bound, with the camera and the conditions, to this file
+        csv_file: also write the table to this file
     """
+    from dasim.base import atomic
     from dasim.spectra import illuminants
+    from validation.studies import bound as bounds
     from validation.studies import criteria
-    from validation.studies.bound import bound_lines, seconds_per_design
 
-    wrong = _positive(("--near-cm", near_cm), ("--far-cm", far_cm), ("--lux", lux))
+    given = [("--near-cm", near_cm), ("--far-cm", far_cm), ("--lux", lux)]
+    wrong = _positive(*((name, value) for name, value in given if value is not None))
     if count < 1:
         wrong.append(f"--count {count}: must be 1 or more")
     names = tuple(name.strip() for name in channels.split(",") if name.strip())
     if len(names) < 2 or len(set(names)) != len(names):
         wrong.append(f"--channels '{channels}': must be two channels or more, such as G,IR")
+    for option, file in (("--json", json_file), ("--csv", csv_file)):
+        if file is not None and (file.is_dir() or not file.resolve().parent.is_dir()):
+            wrong.append(f"{option} {file}: is not a file in a folder that exists")
     lens = _focused(camera, focus, wrong)
-    for check in (lambda: illuminants.illuminant(light),
-                  lambda: criteria.blurs_between(lens, near_cm / 100, far_cm / 100, max(count, 1))):  # fmt: skip
-        _collect(wrong, check)
+    blurs: list[FloatArray] = []
+    metres = [None if value is None else value / 100 for value in (near_cm, far_cm)]
+    _collect(wrong, lambda: illuminants.illuminant(light))
+    _collect(wrong, lambda: blurs.append(criteria.blurs_between(lens, *bounds.range_m(lens, *metres), max(count, 1))))
     if wrong:
         raise InputError("; ".join(wrong))
-    blurs = criteria.blurs_between(lens, near_cm / 100, far_cm / 100, count)
-    for line in bound_lines(lens, blurs, light, lux, texture, names):
-        print(line)
-    seconds = seconds_per_design(lens, blurs, light, lux, texture, names)
-    print(f"{1000 * seconds:.0f} ms per design")
+    patch = bounds.Patch(light, lux, texture, names)
+    table = bounds.rows(lens, blurs[0], patch)
+    print("\n".join(bounds.lines(lens, patch, table)))
+    print(f"{1000 * bounds.seconds_per_design(lens, blurs[0], patch):.0f} ms per design")
+    for file, text in ((json_file, bounds.as_json(lens, patch, table)), (csv_file, bounds.as_csv(table))):
+        if file is not None:
+            atomic.write(file, text)
+            print(f"table: {file}")
     return 0
 
 
@@ -141,7 +159,7 @@ def bound(
 def shape(
     camera: str = "da-mobile",
     *,
-    out: Out,
+    out: Out = Path("out/shape"),
     focus: float | None = None,
     budget: float = 0.2116,
     cells: Whole = 64,
@@ -160,8 +178,9 @@ def shape(
 
     Args:
         camera: a bundled name or a TOML file
-        out: output folder for table.csv, results.json, report.html and masks as PNG, SVG and TOML
-        focus: distance in m; by default 0.4
+        out: output folder for table.csv, results.json, report.html and masks as PNG, SVG and TOML; an earlier study
+            there is replaced
+        focus: focus distance in metres; the camera's by default
         budget: open area relative to the lens's, 0.46 squared by default
         cells: number of mask cells across the lens
         feature_um: diameter in um of the smallest open or closed feature
@@ -202,23 +221,22 @@ def shape(
     return 0
 
 
-DEFAULT_FOCUS_M = 0.4  # the far end of the paper's first working range
-
-
-def _focused(camera, focus, wrong):  # type: ignore[no-untyped-def]
+def _focused(camera: str, focus: float | None, wrong: list[str]) -> Camera:
+    """The camera focused at a distance in metres, or as its file says; what is wrong with the distance is collected."""
     from dasim.camera import specification as cameras
 
     lens = cameras.load_camera(camera)
-    focused = []
-    _collect(wrong, lambda: focused.append(cameras.refocused(lens, DEFAULT_FOCUS_M if focus is None else focus)))
-    return focused[0] if focused else lens
+    focused = [lens]
+    if focus is not None:
+        _collect(wrong, lambda: focused.append(cameras.refocused(lens, focus)))
+    return focused[-1]
 
 
 def _positive(*options: tuple[str, float]) -> list[str]:
     return [f"{name} {value:g}: must be above 0" for name, value in options if not value > 0]
 
 
-def _collect(wrong, check) -> None:  # type: ignore[no-untyped-def]
+def _collect(wrong: list[str], check: Callable[[], object]) -> None:
     try:
         check()
     except InputError as error:

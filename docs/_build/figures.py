@@ -104,7 +104,7 @@ def noise_parts() -> Figure:
 def bounds() -> Figure:
     """The Cramer-Rao bound of depth from one patch against distance, at three levels of light."""
     lens = camera()
-    blurs = criteria.blurs_between(lens, 0.05, 0.3, 12)
+    blurs = criteria.blurs_between(lens, 0.05, 0.27, 12)
     depth_m = geometry.depth_of_blur_m(lens, blurs)
     figure = Figure(figsize=(9, 4), layout="constrained")
     axes = figure.subplots()

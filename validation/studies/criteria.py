@@ -41,6 +41,7 @@ SHAPE = strips.BOUND_SHAPE
 SPACING_PX = 2.0  # between samples of one channel in a 2x2 mosaic
 PLANES = ("G", "IR")
 NEAREST_BLUR_PX = 3.0  # visible blur; closer to the focus the bound diverges, and would dominate any mean over depths
+ROUNDING = 1e-9  # relative, of distances
 COHERENCE = 0.9  # between the near-infrared and the green texture, for the sharp picture
 
 
@@ -234,12 +235,22 @@ def dioptre_px(camera: Camera) -> float:
     return geometry.aperture_m(camera) * geometry.image_distance_m(camera) / (camera.sensor.pixel_pitch_um * 1e-6)
 
 
+def farthest_m(camera: Camera) -> float:
+    """The farthest distance on the near side of the focus with a bound, where the blur is ``NEAREST_BLUR_PX``."""
+    return float(geometry.depth_of_blur_m(camera, NEAREST_BLUR_PX))
+
+
 def blurs_between(camera: Camera, near_m: float, far_m: float, count: int) -> FloatArray:
-    """Visible blurs in px, evenly spaced in dioptres, over a range of depths on the near side of the focus, [count]."""
-    blurs = np.asarray(geometry.blur_px(camera, np.array([far_m, near_m])), np.float64)
-    if not 0 < near_m < far_m or blurs[1] <= NEAREST_BLUR_PX:
+    """Visible blurs in px, evenly spaced in dioptres, over a range of depths on the near side of the focus, [count].
+
+    Raises InputError for a range that reaches beyond :func:`farthest_m`.
+    """
+    last_m = farthest_m(camera)
+    if not 0 < near_m < far_m or far_m > last_m * (1 + ROUNDING):
         raise InputError(
-            f"depths {near_m:g} to {far_m:g} m: must rise and lie on the near side of the focus, "
-            f"{camera.lens.focus_distance_m:g} m, with {NEAREST_BLUR_PX:g} px of blur or more"
+            f"depths {100 * near_m:g} to {100 * far_m:g} cm: must rise and lie on the near side of the focus, "
+            f"{100 * camera.lens.focus_distance_m:g} cm, up to {100 * last_m:.4g} cm, where the blur is "
+            f"{NEAREST_BLUR_PX:g} px"
         )
-    return np.linspace(max(float(blurs[0]), NEAREST_BLUR_PX), float(blurs[1]), count)
+    blurs = np.asarray(geometry.blur_px(camera, np.array([far_m, near_m])), np.float64)
+    return np.linspace(float(blurs[0]), float(blurs[1]), count)

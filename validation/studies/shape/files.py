@@ -9,7 +9,7 @@ from dataclasses import asdict
 from pathlib import Path
 
 from dasim.camera.specification import Camera
-from dasim.files.folders import new_folder
+from dasim.files.folders import new_folder, software_versions
 from validation.studies.shape import drawings, report
 from validation.studies.shape.designs import Design
 from validation.studies.shape.infrared_stop import infrared_stop
@@ -37,6 +37,7 @@ def _results(study: Study) -> dict[str, object]:
     """All figures, by the names that the designs have as files."""
     return {
         "schema": 1,
+        "software": software_versions(),
         "study": "shape",
         "designs": {slug(row.name): asdict(row) for row in study.rows},
         "patches": {slug(name): {"error": error, "bound": bound} for name, (error, bound) in study.estimates.items()},

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+from dasim.files.folders import check_output
 from validation.studies.shape.files import slug, write_study
 from validation.studies.shape.pipeline import PRESETS
 from validation.studies.shape.study import Study
@@ -14,6 +15,7 @@ def test_a_study_writes_its_masks_table_and_page(study: Study, tmp_path: Path) -
     write_study(study, tmp_path / "out")
     results = json.loads((tmp_path / "out" / "results.json").read_text())
     assert results["designs"]["disc-0-46"]["depth_ratio"] == 1
+    check_output(tmp_path / "out", "study")  # raises where a second study could not replace the first
     names = {slug(row.name) for row in study.rows}
     assert len(names) == len(study.rows)
     for suffix in (".png", ".svg", ".toml"):
