@@ -47,7 +47,7 @@ def demo(*, out: Out = Path("out/demo"), variant: str | None = None, spp: Whole 
 
 def validate(
     *,
-    out: Annotated[Path | None, Parameter(name="--out")] = None,
+    out: Out = Path("out/validate"),
     list_: Annotated[bool, Parameter(name="--list", negative="")] = False,
     only: Annotated[list[str] | None, Parameter(negative="", consume_multiple=True)] = None,
     quick: Annotated[bool, Parameter(negative="")] = False,
@@ -68,7 +68,7 @@ def validate(
     Args:
         out: output folder; an earlier result there is replaced
         list_: list the claims and exit
-        only: ids of the claims to measure; all by default
+        only: ids of the claims to measure, separated by spaces or commas; all by default
         quick: measure only claims that take less than about 20 s each
         gates: a TOML file with limits, added to the bundled ones; a key that is bundled replaces the bundled limit
         fresh: measure every claim again
@@ -94,15 +94,13 @@ def validate(
     from validation.reports.lines import of_outcomes, total
     from validation.validate import write_claims
 
-    names = select(CLAIMS, only or (), quick=quick)
+    names = select(CLAIMS, options.names(only), quick=quick)
     limits = all_gates(CLAIMS, gates)
     methods = named(method or ())
     check_methods(CLAIMS, names, methods)
     if list_:
         list_claims(names, verbose=False)
         return 0
-    if out is None:
-        raise InputError("--out is missing; give a folder for the results")
     for option, number in (("--jobs", jobs), ("--seeds", seeds)):
         if number < 1:
             raise InputError(f"{option} {number}: must be 1 or more")

@@ -37,7 +37,7 @@ LINE_S = 30.0  # between lines of progress without a terminal
 def make(
     spec: str,
     *,
-    out: Annotated[str, Parameter(name="--out")],
+    out: Annotated[str | None, Parameter(name="--out")] = None,
     first: Whole | None = None,
     dry_run: Annotated[bool, Parameter(negative="")] = False,
     jobs: Whole | None = None,
@@ -51,7 +51,7 @@ def make(
 
     Args:
         spec: a TOML file, or the name of a bundled specification: dasim-bench
-        out: a folder, or an fsspec address such as s3://bucket/folder
+        out: a folder, out/NAME by default, or an fsspec address such as s3://bucket/folder
         first: make the first samples alone, each as it is among all
         dry_run: print the plan and an estimate of its cost from three small renders, without making samples
         jobs: processes of the local executor; by default one per graphics card, or one per core
@@ -71,6 +71,7 @@ def make(
     from dasim.render import backend
 
     described = with_first(load_spec(spec), first)
+    out = f"out/{described.name}" if out is None else out
     part = _part(shard)
     if retry and part != (1, 1):
         raise InputError(f"--retry: changes finished shards, and cannot be used with --shard {shard}")

@@ -11,13 +11,14 @@ from typing import Annotated, Literal
 from cyclopts import Parameter
 
 from dasim.base.errors import InputError
-from dasim.cli.options import Out
+from dasim.cli import options
+from dasim.cli.options import AnyOut
 
 
 def export(
     capture: Path,
     *,
-    out: Out,
+    out: AnyOut = None,
     as_: Annotated[Literal["dng"], Parameter(name="--as")] = "dng",
 ) -> int:
     """Write a capture for raw developers: its mosaic as a DNG, and beside it a linear DNG of its colours.
@@ -27,14 +28,17 @@ def export(
 
     Args:
         capture: a capture folder
-        out: the DNG to be written, such as photo.dng; photo-linear.dng stands beside it; earlier ones are replaced
+        out: the DNG to be written, such as photo.dng, out/CAPTURE.dng by default; photo-linear.dng stands beside it;
+            earlier ones are replaced
         as_: format, dng
     """
     import recon
     from dasim.files.captures import load_capture
     from recon.files import dng
 
-    if out.suffix.lower() != ".dng" or out.is_dir() or not out.resolve().parent.is_dir():
+    if out is None:
+        out = options.default_out(capture, ".dng")
+    elif out.suffix.lower() != ".dng" or out.is_dir() or not out.resolve().parent.is_dir():
         raise InputError(f"--out {out}: is not a DNG file in a folder that exists")
     shot = load_capture(capture)
     developed = recon.develop(shot)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 from dasim.base.errors import InputError
 from dasim.cli import options
-from dasim.cli.options import Out, Whole
+from dasim.cli.options import AnyOut, Whole
 from dasim.typing import Progress
 
 if TYPE_CHECKING:
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 def expose(
     capture: Path,
     *,
-    out: Out,
+    out: AnyOut = None,
     time: str | None = None,
     lux: float | None = None,
     scale: float = 1.0,
@@ -38,7 +38,7 @@ def expose(
 
     Args:
         capture: a capture folder with its truth
-        out: output capture folder, or folder of a series
+        out: output capture folder, or folder of a series; out/CAPTURE-exposed by default
         time: exposure time in seconds, such as 0.02 or 1/60, or several for a bracket, such as 1/250,1/60,1/15; auto
             for the automatic one. By default that of the capture; an automatic one is chosen anew
         lux: illuminance of all lights of the scene together, each changed by the same factor
@@ -59,6 +59,7 @@ def expose(
     if count > MOST_IN_SERIES:
         raise InputError(f"--time, --frames: {count} captures; {MOST_IN_SERIES} are allowed")
     single = count == 1
+    out = options.default_out(capture, "-exposed") if out is None else out
     check_output(out, "capture" if single else "series of captures")
     if out.resolve() == capture.resolve():
         raise InputError(f"--out {out}: is the capture itself; name another folder")

@@ -1,10 +1,11 @@
 """Options, progress bar, checks of output files and lines on captures that the commands share.
 
-Tested in tests/dasim/cli/test_render.py.
+Tested in tests/dasim/cli/test_options.py and tests/dasim/cli/test_render.py.
 """
 
 from __future__ import annotations
 
+import re
 import sys
 import time
 from collections.abc import Callable, Iterator, Mapping
@@ -119,6 +120,23 @@ def samples(kind: Any, tokens: Any) -> int | str:
 Size = Annotated[str, Parameter(allow_leading_hyphen=True)]  # so that -8x8 is understood, and refused
 Whole = Annotated[int, Parameter(converter=whole)]
 Out = Annotated[Path, Parameter(name="--out")]
+AnyOut = Annotated[Path | None, Parameter(name="--out")]  # whose default depends on what is given
+
+
+def default_out(source: str | Path, ending: str = "") -> Path:
+    """Output of a command without --out: ``out/NAME``, the name of a bundled thing, file or folder, and an ending.
+
+    Examples are ``out/desk``, ``out/staircase-14``, ``out/mine`` for ``scenes/mine.toml``, ``out/desk-recon``.
+    """
+    path = Path(source)
+    name = path.name if path.name not in ("", "..") else path.resolve().name
+    stem = name if path.is_dir() else re.sub(r"\.[A-Za-z]\w*$", "", name)
+    return Path("out") / (re.sub(r"[^\w.-]+", "-", stem) + ending)
+
+
+def names(texts: list[str] | None) -> list[str]:
+    """Names from texts that may hold several, separated by commas."""
+    return [name.strip() for text in texts or () for name in text.split(",") if name.strip()]
 
 
 def check_new_file(path: Path, option: str) -> None:

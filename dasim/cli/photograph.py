@@ -12,7 +12,7 @@ from cyclopts import Parameter
 
 from dasim.base.errors import InputError
 from dasim.cli import options
-from dasim.cli.options import Out, Size, Whole, samples
+from dasim.cli.options import AnyOut, Size, Whole, samples
 from dasim.typing import Progress
 
 if TYPE_CHECKING:
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 def render(
     scene: str,
     *,
-    out: Out,
+    out: AnyOut = None,
     camera: str = "da-mobile",
     focus: float | None = None,
     seed: Whole = 0,
@@ -47,7 +47,7 @@ def render(
         scene: a bundled name (see 'dasim list scenes'; staircase:14 is one of a family), a TOML file, a Mitsuba XML
             file, or a random scene: random:SEED:INDEX, or random:FILE.toml:SEED:INDEX with the distributions in
             FILE.toml; a random scene fills the field of view
-        out: output capture folder
+        out: output capture folder, out/SCENE by default; an earlier capture there is replaced
         camera: a bundled name (see 'dasim list cameras') or a TOML file
         focus: focus distance in metres; by default the scene's, else the camera's
         seed: seed of all random numbers
@@ -75,6 +75,7 @@ def render(
     from dasim.render import backend
     from dasim.simulation.checks import check_camera, check_options
 
+    out = options.default_out(scene) if out is None else out
     check_output(out, "capture")
     check_options(spp, seed, diffraction, noise_share, noise_at)
     choices: dict[str, Any] = {"unit_cm": unit_cm, "near_infrared": near_infrared, "illuminant": illuminant}
@@ -129,7 +130,7 @@ def calibrate(
     """Measure a PSF bank from pictures of a point source, simulated or your own.
 
     Args:
-        out: output file of the bank, .npz
+        out: output file of the bank, out/CAMERA.npz by default; an earlier bank there is replaced
         camera: a bundled name or a TOML file
         focus: focus distance in metres; the camera's by default
         illuminant: for simulated pictures, a light of the bank (may be repeated); all lights by default
@@ -168,7 +169,7 @@ def calibrate(
         check_output(save_captures, KIND)
         return _save_captures(save_captures, model, lights, diffraction or "wave")
     if out is None:
-        raise InputError("--out is missing; give a file for the bank, such as bank.npz")
+        out = options.default_out(camera, ".npz")
     _check_bank_output(out)
     with options.progress() as progress:
         if captures is None:
@@ -253,35 +254,37 @@ def _check_bank_output(out: Path) -> None:
 def lens(
     prescription: Path,
     *,
-    out: Out,
+    out: AnyOut = None,
     camera: str = "da-mobile",
 ) -> int:
     """Turn a lens prescription into a camera file: wavefront by field, axial colour, distortion and vignetting.
 
     Args:
         prescription: a Zemax file (.zmx) or one of Optiland (.json); the extra 'lens' of dasim reads it
-        out: camera file (TOML) to be written
+        out: camera file (TOML) to be written, out/PRESCRIPTION.toml by default
         camera: a bundled name or a TOML file: stops, sensor and focus
     """
     import dasim
     from dasim.base import atomic
     from dasim.base.toml import to_toml
 
-    options.check_new_file(out, "--out")
+    target = options.default_out(prescription, ".toml") if out is None else out
+    if out is not None or target.exists():
+        options.check_new_file(target, "--out")
     result = dasim.camera_from_lens(prescription, camera)
     data = result.model_dump(mode="json", exclude_defaults=True)
     data["stops"] = [
         stop.model_dump(mode="json", exclude_defaults=True) | {"shape": stop.shape} for stop in result.stops
     ]
-    atomic.write(out, f"# Lens of {prescription.name}\n{to_toml(data)}")
+    atomic.write(target, f"# Lens of {prescription.name}\n{to_toml(data)}")
     print(dasim.describe(result))
-    print(f"camera: {out}")
+    print(f"camera: {target}")
     return 0
 
 
 def emva(
     *,
-    out: Out,
+    out: AnyOut = None,
     camera: str = "da-mobile",
     channel: str = "G",
     gain: float = 1.0,
@@ -291,7 +294,7 @@ def emva(
     """Write frames of a uniformly lit sensor, with the descriptor that the EMVA 1288 reference analyser reads.
 
     Args:
-        out: output folder; an earlier measurement there is replaced
+        out: output folder, out/CAMERA-emva by default; an earlier measurement there is replaced
         camera: a bundled name or a TOML file; its lens is not used
         channel: channel whose pixels are measured: R, G, B or IR
         gain: analogue gain; a high gain resolves read noise below the rounding step, but clips before the full well
@@ -304,6 +307,7 @@ def emva(
     from dasim.simulation.checks import check_options
     from dasim.simulation.emva import KIND, write_measurement
 
+    out = options.default_out(camera, "-emva") if out is None else out
     check_output(out, KIND)
     check_options(None, seed, None)
     model = dasim.load_camera(camera)

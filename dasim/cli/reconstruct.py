@@ -44,7 +44,7 @@ def recon(
     Args:
         capture: a capture folder, a DNG that dasim wrote, or with --camera a raw mosaic: an uncompressed DNG, a 16-bit
             PNG, TIFF or NPY file, or packed pixels
-        out: output folder of the reconstruction
+        out: output folder of the reconstruction, out/CAPTURE-recon by default; an earlier one there is replaced
         camera: for a raw file: a bundled name or a TOML file with mosaic, bit depth, black level and noise; the file
             sets the frame's size
         format_: for a raw file: raw10 or raw12 (MIPI packing) or raw16 (little-endian), all without header and in the
@@ -73,8 +73,9 @@ def recon(
     if print_settings:
         print(known.to_toml(parameters), end="")
         return 0
-    if capture is None or out is None:
-        raise InputError("recon: a capture and --out FOLDER are required (see 'dasim recon --help')")
+    if capture is None:
+        raise InputError("recon: a capture is required (see 'dasim recon --help')")
+    out = options.default_out(capture, "-recon") if out is None else out
     check_output(out, "reconstruction")
     check_extras(also or ())
     model = None if camera is None else dasim.load_camera(camera)
@@ -107,7 +108,7 @@ def refocus(
     reconstruction: Path,
     *,
     depth: float,
-    out: Path,
+    out: Path | None = None,
     f_number: float | None = None,
     bank: Path | None = None,
 ) -> int:
@@ -116,7 +117,7 @@ def refocus(
     Args:
         reconstruction: a reconstruction folder
         depth: distance in metres of the new focal plane
-        out: output picture, a PNG file; an earlier one is replaced
+        out: output picture, a PNG file, out/RECON-DEPTHm.png by default; an earlier one is replaced
         f_number: f-number of the lens; the camera's by default
         bank: the PSF bank of the reconstruction; by default calibrated from the camera's description
     """
@@ -124,7 +125,9 @@ def refocus(
     import recon as pipeline
     from recon.files.reconstruction import displayed, load_reconstruction, write_picture
 
-    if out.suffix.lower() != ".png" or out.is_dir() or not out.resolve().parent.is_dir():
+    if out is None:
+        out = options.default_out(reconstruction, f"-{depth:g}m.png")
+    elif out.suffix.lower() != ".png" or out.is_dir() or not out.resolve().parent.is_dir():
         raise InputError(f"--out {out}: is not a PNG file in a folder that exists")
     for option, value in (("--depth", depth), ("--f-number", f_number)):
         if value is not None and not 0 < value <= LARGEST:
@@ -156,7 +159,7 @@ def view(
         folder: a reconstruction folder; or a capture folder, for its mosaic, its channels and the truth alone
         out: the page, an HTML file; an earlier one is replaced
         capture: the capture folder of the reconstruction, for its mosaic and the truth; by default the folder
-            'capture' beside the reconstruction, if its camera is the same
+            'capture' beside the reconstruction, or NAME beside NAME-recon, if its camera is the same
         bank: the PSF bank of the reconstruction; by default calibrated from the camera's description
         slices: focus distances that are computed at the lens's own f-number, 2 or more; fewer at smaller apertures; by
             default one per blur level, at most 24

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -60,6 +61,20 @@ def test_working_folder_itself_is_written_or_refused_before_work(refused, here, 
     (here / "empty").mkdir()
     monkeypatch.chdir(here / "empty")
     refused(*arguments, ".", message_part=("output",))
+
+
+def test_outputs_by_default(here, capsys):
+    """Expectation: in the folder out, by the names of what is given; view finds a reconstruction's capture there."""
+    shutil.copytree("shot", "out/shot")
+    assert run(["recon", "out/shot", "--bank", "bank.npz"]) == 0
+    assert run(["refocus", "out/shot-recon", "--depth", "0.2", "--bank", "bank.npz"]) == 0
+    assert run(["export", "shot"]) == 0
+    assert run(["expose", "shot", "--scale", "0.5"]) == 0
+    names = {path.name for path in (here / "out").iterdir()}
+    assert names == {"shot", "shot-recon", "shot-recon-0.2m.png", "shot.dng", "shot-linear.dng", "shot-exposed"}
+    capsys.readouterr()
+    assert run(["view", "out/shot-recon", "--bank", "bank.npz", "--slices", "2"]) == 0
+    assert "no capture is known" not in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("target", ["target", "nowhere"])

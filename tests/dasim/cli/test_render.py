@@ -122,7 +122,7 @@ def test_earlier_result_is_replaced_as_a_whole(here):
 @pytest.mark.parametrize(
     ("arguments", "message_part"),
     [
-        (("render", "desk"), ("--out",)),
+        (("render", "dsk"), ("scene 'dsk'", "did you mean 'desk'")),
         (("render", "--out", "new"), ("scene",)),
         ((*RENDER, "--bogus", "1"), ("--bogus",)),
         ((*RENDER, "extra"), ("extra",)),

@@ -232,7 +232,7 @@ def test_users_gates_decide(fakes):
         (("--only", "nothing", "--out", "new"), ("claim 'nothing'", "good", "absent")),
         (("--only", "bad", "--quick", "--out", "new"), ("bad", "--quick")),
         (("--gates", "none.toml", "--out", "new"), ("none.toml",)),
-        (("--only", "good"), ("--out",)),
+        (("--only", "bad,godo"), ("claim 'godo'", "did you mean 'good'")),
         (("--only", "good", "--out", "."), ("output",)),
         (("--only", "good", "--out", "new", "--jobs", "0"), ("--jobs 0", "1 or more")),
         (("--only", "good", "--out", "new", "--seeds", "0"), ("--seeds 0", "1 or more")),

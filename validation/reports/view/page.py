@@ -64,13 +64,16 @@ def capture_of(folder: Path) -> tuple[Capture, Truth | None]:
 
 
 def capture_beside(reconstruction: Path, result: Reconstruction) -> Path | None:
-    """The folder ``capture`` beside a reconstruction, if it holds a capture of the same camera."""
-    folder = reconstruction.resolve().parent / BESIDE
-    try:
-        check_same(result, load_capture(folder), str(folder))
-    except InputError:
-        return None
-    return folder
+    """The folder ``capture`` beside a reconstruction, or NAME beside NAME-recon, if it has a capture of its camera."""
+    place = reconstruction.resolve()
+    for name in (BESIDE, place.name.removesuffix("-recon")):
+        folder = place.parent / name
+        try:
+            check_same(result, load_capture(folder), str(folder))
+        except InputError:
+            continue
+        return folder
+    return None
 
 
 def most_bytes_of(camera: Camera) -> int:
