@@ -18,7 +18,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from dasim.base.errors import InputError
+from dasim.base.errors import InputError, shortened
 from dasim.base.toml import parse
 from dasim.dataset.reading import Dataset, Sample
 from dasim.dataset.sample import key
@@ -64,7 +64,13 @@ class Frame:
 
 
 def check_parts(samples: Dataset, parts: tuple[str, ...], what: str) -> None:
-    """Raise InputError where a dataset lacks parts of the truth that an export needs, or has no samples."""
+    """Raise InputError where a dataset lacks parts of the truth that an export needs, has no samples, or names in its
+    index a split that it does not have: splits become folders.
+    """
+    if stray := sorted({str(row["split"]) for row in samples.rows} - set(samples.spec.splits)):
+        raise InputError(
+            f"{samples.path}: the index has samples of a split {shortened(stray[0])}, which does not exist"
+        )
     if missing := [part for part in parts if part not in samples.spec.truth.keep]:
         raise InputError(
             f"{samples.path}: lacks {', '.join(missing)} of the truth (truth.keep), which {what} needs; it has "

@@ -57,7 +57,9 @@ def write(folder: Path, samples: Dataset, picture: Picture, show: Callable[[floa
                 f"{samples.path}: scene {scene} has one focus and f-number; a stack needs several: give "
                 "scenes.captures_per_scene, and each = [...] for focus.distance_m or lens.f_number"
             )
-        name = re.sub(r"[^\w.-]+", "-", f"{scene}-{taken_by}" if several else scene)
+        name = re.sub(r"[^\w.-]+", "-", f"{scene}-{taken_by}" if several else scene).lstrip(".") or "scene"
+        while (folder / split / name).exists():  # two scenes whose names differ in other characters
+            name += "-"
         _write_stack(folder / split / name, Dataset(samples.path, rows, samples.spec), picture)
         done += len(rows)
         show(done / len(samples))

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import errno
 import json
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -308,6 +310,37 @@ def test_pictures_as_taken(dataset, tmp_path):
     shown = recon.develop(capture_of(sample.meta, sample.raw_dn, "sample"), lights=["D65"]).rgb[2:-2, 2:-2]
     assert np.abs(found / 255 - shown).max() < 0.51 / 255
     assert not (tmp_path / "coco" / "train").exists()
+
+
+def test_a_full_disk_leaves_nothing(dataset, tmp_path, capsys, monkeypatch):
+    """Set-up: the third depth picture cannot be written. Expectation: one line, status 2, and no folder."""
+    written = []
+
+    def fail_late(path, *rest):
+        written.append(path)
+        if len(written) == 3:
+            raise OSError(errno.ENOSPC, "No space left on device", str(path))
+
+    monkeypatch.setattr(coco, "write_depth", fail_late)
+    options = ["--as", "coco", "--picture", "sharp", "--out", str(tmp_path / "new")]
+    assert run(["dataset", "export", str(dataset), *options]) == 2
+    lines = [line for line in capsys.readouterr().err.splitlines() if "No space left" in line]
+    assert lines == [f"dasim: {tmp_path}/new: No space left on device"] and not list(tmp_path.iterdir())
+
+
+def test_an_index_of_strangers_writes_nothing_outside(dataset, tmp_path, capsys):
+    """Set-up: a split in the index is a path. Expectation: it is refused, since splits become folders."""
+    parquet = pytest.importorskip("pyarrow.parquet")
+    shutil.copytree(dataset, tmp_path / "ds")
+    table = parquet.read_table(tmp_path / "ds" / "index.parquet")
+    place = table.schema.get_field_index("split")
+    parquet.write_table(
+        table.set_column(place, "split", [["../../out"] * len(table)]), tmp_path / "ds" / "index.parquet"
+    )
+    for form in ("coco", "bop", "nyu", "stack", "hdf5"):
+        assert run(["dataset", "export", str(tmp_path / "ds"), "--as", form, "--out", str(tmp_path / "new")]) == 2
+        assert "a split '../../out', which does not exist" in capsys.readouterr().err
+    assert [path.name for path in tmp_path.iterdir()] == ["ds"]
 
 
 @pytest.mark.parametrize(
