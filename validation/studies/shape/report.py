@@ -10,12 +10,11 @@ import numpy as np
 
 from dasim.typing import FloatArray
 from validation.reports.page import TEMPLATE_DIR, png_address
-from validation.reports.plots import plot
+from validation.reports.plots import COLOURS, plot
 from validation.studies.shape import masks
 from validation.studies.shape.boards import LEVELS
 from validation.studies.shape.study import Study, objective_value
 
-COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#444444")
 CURVES = 6  # designs whose objective is drawn over the blur
 PICTURE_PX = 256  # width of a mask's picture, at most
 

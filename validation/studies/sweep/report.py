@@ -1,4 +1,4 @@
-"""The report page of a sweep: its question, curves with error bars, the Pareto front, and all figures.
+"""The report page of a sweep: its question, curves with error bars, Pareto fronts, and all figures.
 
 Tested in tests/validation/studies/test_sweep.py.
 """
@@ -10,32 +10,35 @@ from typing import Any
 import jinja2
 import numpy as np
 
+from validation.reports.claims import wide
 from validation.reports.page import TEMPLATE_DIR
-from validation.reports.plots import plot
-from validation.studies.sweep import findings
+from validation.reports.plots import COLOURS, plot
+from validation.studies.sweep import findings, naming
+from validation.studies.sweep import front as fronts
 from validation.studies.sweep.point import FIGURES
 from validation.studies.sweep.specification import Curve, StudySpec
 
 Row = dict[str, Any]
 
-COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#444444")  # Okabe and Ito
 MARKERS = "os^Dv<>"
 SIDE = 0.08  # horizontal offset between the markers of two lines, as a share of the distance between two text ticks
 
 
 def page(spec: StudySpec, rows: list[Row], failed: dict[str, str]) -> str:
     """One self-contained HTML page."""
-    from validation.studies.sweep.run import means, pareto
+    from validation.studies.sweep.run import means
 
     averaged = means(rows, spec)
     all_findings = findings.findings(spec, rows)
     ranked = findings.ranking(spec, averaged)
     pictures = [(_caption(curve, spec), _curve(curve, averaged, spec)) for curve in spec.curves]
     front: list[Row] = []
+    across = []  # captions of plots with several columns of panels
     if spec.pareto:
-        front = pareto(averaged, *spec.pareto)
-        caption = f"{_meaning(spec.pareto[1])} against {_meaning(spec.pareto[0])}; line: Pareto front"
-        pictures.append((caption, _pareto(spec.pareto, averaged, front)))
+        front = [row for rows_of_front in fronts.fronts(spec, averaged).values() for row in rows_of_front]
+        caption = f"{_meaning(spec.pareto[1])} against {_meaning(spec.pareto[0])}: the front in each light"
+        pictures.append((caption, fronts.fronts_plot(spec, averaged)))
+        across = [caption] if len(fronts.conditions(spec, averaged)) > 1 else []
     if ranked:
         caption = f"{_meaning(findings.RANKED[1])} against the bound; rank correlation {ranked.correlation:.2f}"
         pictures.append((caption, _ranking(averaged)))
@@ -44,16 +47,13 @@ def page(spec: StudySpec, rows: list[Row], failed: dict[str, str]) -> str:
     return environment.get_template("study.html").render(
         spec=spec, pictures=pictures, figures=known, rows=averaged, front=front, failed=failed, number=_number,
         findings=all_findings, sentences=findings.sentences(spec, all_findings), ranked=ranked,
-        unit=lambda name: FIGURES[name][0],
+        unit=lambda name: FIGURES[name][0], parameter=naming.parameter, wide=wide, across=across,
+        drawings=fronts.drawings(spec, averaged),
     )  # fmt: skip
 
 
 def _number(value: Any) -> str:
     return f"{value:.4g}" if isinstance(value, float) else str(value)
-
-
-def _tick(value: Any) -> str:
-    return f"{value:g}" if isinstance(value, float) else str(value)
 
 
 def _meaning(figure: str) -> str:
@@ -62,13 +62,15 @@ def _meaning(figure: str) -> str:
 
 
 def _caption(curve: Curve, spec: StudySpec) -> str:
-    by = f", by {curve.by}" if curve.by else ""
+    by = f", by {naming.parameter(curve.by)}" if curve.by else ""
     kinds = ("dashes", "crosses") if _words(curve, spec) else ("dashed", "dotted")
     beside = "".join(f"; {kind}: {_meaning(one)}" for one, kind in zip(curve.beside, kinds, strict=False))
-    fixed = "".join(f"; {key} {_tick(value)}" for key, value in spec.design.items() if key not in (curve.x, curve.by))
+    fixed = "".join(
+        f"; {naming.valued(key, value)}" for key, value in spec.design.items() if key not in (curve.x, curve.by)
+    )
     free = any(key not in (curve.x, curve.by, *spec.design) for key in spec.parameters)
     bars = "; bars: standard deviation over seeds" + (" and other parameters" if free else "")
-    return f"{_meaning(curve.y)} against {curve.x}{by}{fixed}{beside}{bars}"
+    return f"{_meaning(curve.y)} against {naming.parameter(curve.x)}{by}{fixed}{beside}{bars}"
 
 
 def _words(curve: Curve, spec: StudySpec) -> bool:
@@ -101,7 +103,7 @@ def _curve(curve: Curve, averaged: list[Row], spec: StudySpec) -> str:
                 spread.append(np.hypot(within, measured.std()) if len(here) else np.nan)
             side = SIDE * (number - (len(lines) - 1) / 2)
             x = np.array(at) + side if words else np.array([ticks[place] for place in at], float)
-            label = None if value is None else _tick(value)
+            label = None if value is None else naming.value(value)
             style = {"color": COLOURS[number % len(COLOURS)], "marker": MARKERS[number % len(MARKERS)]}
             style["linestyle"] = "" if words else "-"  # no interpolation between text values
             axes.errorbar(x, middle, spread, capsize=3, markersize=4, linewidth=1, label=label, **style)
@@ -111,16 +113,16 @@ def _curve(curve: Curve, averaged: list[Row], spec: StudySpec) -> str:
                     axes.plot(x, means, color=style["color"], linestyle="", marker="_x"[kind], markersize=9)
                 else:
                     axes.plot(x, means, color=style["color"], linestyle=("--", ":")[kind], linewidth=1)
-        axes.set(xlabel=curve.x, ylabel=f"{curve.y} ({FIGURES[curve.y][0]})")
+        axes.set(xlabel=naming.parameter(curve.x), ylabel=naming.figure(curve.y))
         axes.set_yscale("log" if curve.log_y else "linear")
         if words:
             axes.set_xticks(range(len(ticks)), [str(tick) for tick in ticks], rotation=20, ha="right")
         elif curve.log_x:  # matplotlib resets the ticks with the scale
             axes.set_xscale("log")
-            axes.set_xticks(np.array(ticks, float), [_tick(tick) for tick in ticks])
+            axes.set_xticks(np.array(ticks, float), [naming.value(tick) for tick in ticks])
             axes.set_xticks([], minor=True)
         if curve.by:
-            axes.legend(title=curve.by, fontsize=8)
+            axes.legend(title=naming.parameter(curve.by), fontsize=8)
 
     return plot(draw)
 
@@ -128,15 +130,6 @@ def _curve(curve: Curve, averaged: list[Row], spec: StudySpec) -> str:
 def _mean(values: list[float]) -> float:
     known = np.array(values)[np.isfinite(values)]
     return float(known.mean()) if known.size else float("nan")
-
-
-def _pareto(names: tuple[str, str], rows: list[Row], front: list[Row]) -> str:
-    def draw(axes: Any) -> None:
-        axes.plot([row[names[0]] for row in rows], [row[names[1]] for row in rows], "o", color="0.7", markersize=4)
-        axes.plot([row[names[0]] for row in front], [row[names[1]] for row in front], "s-", color=COLOURS[1])
-        axes.set(xlabel=f"{names[0]} ({FIGURES[names[0]][0]})", ylabel=f"{names[1]} ({FIGURES[names[1]][0]})")
-
-    return plot(draw)
 
 
 def _ranking(rows: list[Row]) -> str:
@@ -147,7 +140,7 @@ def _ranking(rows: list[Row]) -> str:
         known = [value for value in x if np.isfinite(value)]
         ends = [min(known), max(known)]
         axes.loglog(ends, ends, "--", color="0.5", linewidth=1, label="error equal to the bound")
-        axes.set(xlabel=f"{findings.RANKED[0]} (1/m)", ylabel=f"{findings.RANKED[1]} (1/m)")
+        axes.set(xlabel=naming.figure(findings.RANKED[0]), ylabel=naming.figure(findings.RANKED[1]))
         axes.legend(fontsize=8)
 
     return plot(draw)

@@ -145,13 +145,3 @@ def means(rows: list[Row], spec: StudySpec) -> list[Row]:
             one[f"{key}:spread"] = float(known.std(ddof=1)) if known.size > 1 else 0.0
         averaged.append(one)
     return averaged
-
-
-def pareto(rows: list[Row], first: str, second: str) -> list[Row]:
-    """The Pareto front of two figures that are better if smaller: rows that no other row beats in both, sorted."""
-    good = [row for row in rows if math.isfinite(row[first]) and math.isfinite(row[second])]
-    front: list[Row] = []
-    for row in sorted(good, key=lambda r: (r[first], r[second])):
-        if not front or row[second] < front[-1][second]:
-            front.append(row)
-    return front
