@@ -128,7 +128,9 @@ def text(path: Path, where: str) -> str:
 def toml(path: Path, where: str) -> dict[str, Any]:
     """Values of a TOML file."""
     try:
-        return tomllib.loads(text(path, where))
+        values = tomllib.loads(text(path, where))
+        _check_whole(values)
+        return values
     except InputError:
         raise
     except (ValueError, RecursionError) as error:  # also whole numbers of thousands of digits, and deep nesting
@@ -143,12 +145,29 @@ def json_object(path: Path, where: str) -> dict[str, Any]:
 def json_values(written: str | bytes, where: str) -> dict[str, Any]:
     """Values of a JSON text that holds an object."""
     try:
-        values = json.loads(written)
+        values = json.loads(written, parse_int=_whole)
     except (ValueError, RecursionError) as error:
         raise InputError(f"{where}: cannot be read, is not valid JSON ({_reason(error)})") from None
     if not isinstance(values, dict):
         raise InputError(f"{where}: holds {type(values).__name__}, not an object of JSON")
     return values
+
+
+def _whole(digits: str) -> int:
+    """A whole number; ValueError beyond 128 bits, which no float need hold."""
+    number = int(digits)
+    if abs(number) >= 1 << 128:
+        raise ValueError("has a whole number of more than 128 bits")
+    return number
+
+
+def _check_whole(values: Any) -> None:
+    """ValueError where a whole number among nested values is larger than any that is needed."""
+    if type(values) is int:  # not a boolean
+        _whole(str(values))
+    elif isinstance(values, (list, dict)):
+        for value in values.values() if isinstance(values, dict) else values:
+            _check_whole(value)
 
 
 def _reason(error: Exception) -> str:

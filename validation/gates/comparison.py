@@ -45,11 +45,15 @@ def load_results(path: Path) -> dict[str, Earlier]:
         if content["schema"] > RESULTS_SCHEMA:
             raise InputError(f"--compare {path}: schema {content['schema']} is newer than this dasim; update dasim")
         return {
-            entry["id"]: Earlier(
-                math.nan if entry["value"] is None else float(entry["value"]), entry.get("spread"), entry["unit"]
+            str(entry["id"]): Earlier(
+                math.nan if entry["value"] is None else float(entry["value"]),
+                None if entry.get("spread") is None else float(entry["spread"]),
+                str(entry["unit"]),
             )
             for entry in content["claims"]
         }
+    except InputError:
+        raise
     except (KeyError, TypeError, ValueError):
         raise InputError(f"--compare {path}: is no results.json of dasim validate") from None
 

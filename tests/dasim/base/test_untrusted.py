@@ -94,13 +94,15 @@ def test_sparse_file_is_refused_until_the_limit_is_raised(tmp_path, monkeypatch)
     ("written", "message"),
     [
         ("a = " + "9" * 5000, "not valid TOML"),
+        ("a = [{b = " + "9" * 400 + "}]", "more than 128 bits"),
         ("a = " + "[" * 30_000 + "]" * 30_000, "nested too deeply"),
         (b"a = '\xff'", "not UTF-8"),
         ("radius_cm = true", r"radius_cm: must be a number \(is True\)"),
         ("radius_cm = '1'", "must be a number"),
         ("radius_cm = 1\ncounts = [1, false]", "counts.1: must be a number"),
         ("radius_cm = 1\nis_open = 3", "is_open"),
-        ("radius_cm = -" + "9" * 300, "radius_cm"),
+        ("radius_cm = -" + "9" * 300, "128 bits"),
+        ("radius_cm = -" + "9" * 30, "radius_cm"),
         ('"\\u001b[31m" = 1', r"\\x1b\[31m: unknown key"),
     ],
 )
@@ -117,7 +119,7 @@ def test_long_messages_are_cut():
     assert len(str(InputError("a" * 10**6))) < LONGEST + 10
 
 
-@pytest.mark.parametrize("written", ["{", "[" * 100_000, "[]", "9" * 5000, '{"a": NaN'])
+@pytest.mark.parametrize("written", ["{", "[" * 100_000, "[]", "9" * 5000, '{"a": ' + "9" * 400 + "}", '{"a": NaN'])
 def test_json(written):
     with pytest.raises(InputError, match=r"^meta: "):
         untrusted.json_values(written, "meta")
