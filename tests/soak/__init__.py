@@ -1,1 +1,1 @@
-"""A soak of datasets: a long run with kills, pauses, full disks and wrong clocks in between ends as an undisturbed one."""
+"""A soak of datasets: with kills, pauses, full disks and wrong clocks in between, they end as undisturbed ones."""
