@@ -238,8 +238,10 @@ def check_png(data: bytes, where: str) -> None:
         while not kinds or kinds[-1] != b"IEND":
             length = int.from_bytes(data[place : place + 4])
             kind, chunk = data[place + 4 : place + 8], data[place + 8 : place + 8 + length]
-            if len(chunk) != length or zlib.crc32(kind + chunk) != int.from_bytes(
-                data[place + 8 + length : place + 12 + length]
+            if (
+                len(kind) != 4
+                or len(chunk) != length
+                or zlib.crc32(kind + chunk) != int.from_bytes(data[place + 8 + length : place + 12 + length])
             ):
                 raise InputError(f"{where}: is a truncated or damaged PNG (checksum at byte {place})")
             while kind == b"IDAT" and chunk:

@@ -135,6 +135,8 @@ def test_pictures(tmp_path, monkeypatch):
         (png(size=(12_000, 12_000)), "set DASIM_MOST_MPX"),
         (png(cut=4), "truncated PNG"),
         (png()[:-20], "truncated"),
+        (png()[:-12], "truncated"),  # without its last chunk alone
+        (png()[:8], "picture"),
         (png()[:50] + b"!" + png()[51:], "damaged"),
         (b"\xff\xd8\xff", "cannot be read as a picture"),
         (b"", "cannot be read as a picture"),
