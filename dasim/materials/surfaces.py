@@ -68,7 +68,21 @@ class Coated:
     refractive_index: float = CLEAR_COAT_INDEX
 
 
-Surface = Diffuse | Mixture | Metal | Glass | Coated
+@dataclass(frozen=True)
+class Finished:
+    """Colours with glTF's finish: partly metal, of varying roughness, with a map of normals.
+
+    Where ``metallic`` is 1, ``base`` is the reflectance of a metal at normal incidence, without diffuse light; where it
+    is 0, a diffuse base under a gloss of index 1.5. All images have one size, their top row first.
+    """
+
+    base: Diffuse | Mixture  # all leaves must be Diffuse
+    metallic: Float32Array  # [h, w] 0..1
+    roughness: Float32Array  # [h, w] 0..1, the square root of the GGX alpha
+    normal: Float32Array | None  # [h, w, xyz] encoded to 0..1, x along u, y along v; None: that of the surface
+
+
+Surface = Diffuse | Mixture | Metal | Glass | Coated | Finished
 
 
 def leaves(surface: Surface) -> list[Surface]:
@@ -83,11 +97,11 @@ def is_diffuse(surface: Surface) -> bool:
 
 def is_textured(surface: Surface) -> bool:
     """Whether a surface needs texture coordinates."""
-    return isinstance(surface.base if isinstance(surface, Coated) else surface, Mixture)
+    return isinstance(surface.base if isinstance(surface, Coated) else surface, Mixture | Finished)
 
 
 def flip_images(surface: Surface) -> Surface:
-    """A surface whose images are mirrored top to bottom."""
+    """A surface whose images are mirrored top to bottom; finishes, which are those of meshes, are not."""
     images: dict[int, Float32Array] = {}  # keeps images that the tree shares shared
 
     def turn(part: Surface) -> Surface:

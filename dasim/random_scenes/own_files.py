@@ -15,7 +15,7 @@ import numpy as np
 
 from dasim.base.errors import InputError
 from dasim.materials import photographs
-from dasim.scene import meshes
+from dasim.scene import mesh_merging, meshes
 
 MESH_SUFFIXES = (".obj", ".ply", ".glb", ".stl", ".off")
 PICTURE_SUFFIXES = (".png", ".jpg", ".jpeg")
@@ -99,15 +99,15 @@ def measured_meshes(folder: Path, files: tuple[File, ...]) -> tuple[OwnMesh, ...
 def _measured(folder: Path, name: str) -> OwnMesh:
     where = f"mesh {folder / name}"
     parts = meshes.read(folder / name, 1.0, where)
-    if meshes.colour_kinds(parts):
-        meshes.merge_with_colours(parts, where)  # raises InputError for missing or too many colours
+    if mesh_merging.colour_kinds(parts):
+        mesh_merging.merge_with_colours(parts, where)  # raises InputError for missing or too many colours
     low = np.min([part.vertices.min(axis=0) for part in parts], axis=0)
     high = np.max([part.vertices.max(axis=0) for part in parts], axis=0)
     if not (high - low).max() > 0:
         raise InputError(f"{where}: all its vertices coincide")
     corners = tuple(tuple(float(value) for value in corner) for corner in (low, high))
     has_uv = all(part.uv is not None for part in parts)
-    return OwnMesh(name, corners[0], corners[1], has_uv, bool(meshes.colour_kinds(parts)))  # type: ignore[arg-type]
+    return OwnMesh(name, corners[0], corners[1], has_uv, bool(mesh_merging.colour_kinds(parts)))  # type: ignore[arg-type]
 
 
 @lru_cache(maxsize=4)

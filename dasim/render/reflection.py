@@ -9,11 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from dasim.materials.surfaces import Coated, Diffuse, Glass, Metal, Mixture, Surface, flip_images, is_diffuse
+from dasim.materials.surfaces import Coated, Diffuse, Finished, Glass, Metal, Mixture, Surface, flip_images, is_diffuse
 from dasim.render.mixture import mixture_dict
 from dasim.render.plugin import spectrum_dict
 from dasim.spectra.grid import WAVELENGTH_NM
-from dasim.typing import FloatArray
+from dasim.typing import Float32Array, FloatArray
 
 GAUSS_NODES = 24  # of the hemispherical integral, whose error is 1e-4: the transmittance of a coat is smooth
 
@@ -90,6 +90,31 @@ def bsdf_dict(surface: Surface) -> dict[str, Any]:
             return {"type": plugin, "int_ior": surface.refractive_index, "ext_ior": 1.0}
         case Coated():
             return _coat_dict(surface.base, surface)
+        case Finished():
+            finished = _finish_dict(surface.base, surface)
+            if surface.normal is None:
+                return finished
+            # Without a shadowing function, light is shaded by the cosine to the mapped normal alone, as in glTF.
+            mapped = {"type": "normalmap", "normalmap": _bitmap(surface.normal), "use_shadowing_function": False}
+            return mapped | {"bsdf": finished}
+
+
+def _finish_dict(base: Surface, surface: Finished) -> dict[str, Any]:
+    """Mitsuba's description of ``base``, or a part of it, with the metallic share and roughness of ``surface``.
+
+    The plugin is that of Burley (2012), whose metal has the microfacets of glTF. It is affine in the reflectance of the
+    base, so that a blend of parts equals the blend with that finish.
+    """
+    if isinstance(base, Mixture) and not _is_jit():
+        return _blend_dict(base, _finish_dict(base.first, surface), _finish_dict(base.second, surface))
+    assert isinstance(base, Diffuse | Mixture)
+    return {
+        "type": "principled",
+        "base_color": mixture_dict(base) if isinstance(base, Mixture) else _reflectance_dict(base.reflectance),
+        "metallic": _bitmap(surface.metallic[..., None]),
+        "roughness": _bitmap(surface.roughness[..., None]),
+        "specular": 0.5,  # of index 1.5
+    }
 
 
 def _coat_dict(base: Surface, coat: Coated) -> dict[str, Any]:
@@ -153,17 +178,23 @@ def _microfacet_dict(plugin: str, roughness: float) -> dict[str, Any]:
 def _blend_dict(surface: Mixture, first: dict[str, Any], second: dict[str, Any]) -> dict[str, Any]:
     import mitsuba as mi
 
-    # v = 0 is the top row of Mitsuba's bitmaps, and the bottom of shapes and of mesh files.
-    weight = np.ascontiguousarray(surface.weight[::-1, :, None], dtype=np.float32)
     uv = mi.ScalarTransform4f().scale([*surface.repeat, 1.0])
-    # "accel" as in :func:`dasim.render.plugin.texture`.
-    bitmap = {"type": "bitmap", "bitmap": mi.Bitmap(weight), "raw": True, "accel": False}
     return {
         "type": "blendbsdf",
-        "weight": bitmap | {"wrap_mode": "mirror", "to_uv": uv},
+        "weight": _bitmap(surface.weight[..., None]) | {"to_uv": uv},
         "first": first,
         "second": second,
     }
+
+
+def _bitmap(image: FloatArray | Float32Array) -> dict[str, Any]:
+    """Mitsuba's description of an image [h, w, channel] as plain numbers, mirrored at its borders."""
+    import mitsuba as mi
+
+    # v = 0 is the top row of Mitsuba's bitmaps, and the bottom of shapes and of mesh files.
+    picture = mi.Bitmap(np.ascontiguousarray(image[::-1], dtype=np.float32))
+    # "accel" as in :func:`dasim.render.plugin.texture`.
+    return {"type": "bitmap", "bitmap": picture, "raw": True, "accel": False, "wrap_mode": "mirror"}
 
 
 def _reflectance_dict(values: FloatArray) -> dict[str, Any]:

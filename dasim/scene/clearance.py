@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from dasim.scene import meshes
+from dasim.scene import mesh_merging, meshes
 from dasim.scene.shapes import Mesh, Object, Sphere, half_extent_m, mesh_parts
 from dasim.typing import FloatArray
 
@@ -66,7 +66,7 @@ def _mesh_clearance_problems(item: Mesh, folder: Path, to_camera: FloatArray, cl
     solid body where its winding number around the camera exceeds 0.5: its outward faces then cover more than half of
     all directions.
     """
-    mesh = meshes.merge(mesh_parts(item, folder))
+    mesh = mesh_merging.merge(mesh_parts(item, folder))
     corners = (mesh.vertices @ to_camera[:3, :3].T + to_camera[:3, 3])[mesh.faces]
     if meshes.distance_from_origin(corners) <= clearance_m:
         return [f"object '{item.name}': lies on the lens or encloses it; move it to z above 0"]

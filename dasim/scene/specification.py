@@ -19,7 +19,8 @@ from dasim.base.toml import Specification, bundled_or_file, parse_toml
 from dasim.camera.specification import Camera, refocused
 from dasim.materials.library import Glass, Surface, Texture, is_textured, material_names, surface, unknown
 from dasim.materials.photographs import NEAR_INFRARED_RULES, mask, photograph_surface
-from dasim.scene import meshes, panorama
+from dasim.materials.surfaces import Diffuse, Finished, Mixture
+from dasim.scene import mesh_merging, meshes, panorama
 from dasim.scene.classes import class_of
 from dasim.scene.clearance import placement_problems, size_problems
 from dasim.scene.lights import Light, Near
@@ -140,17 +141,23 @@ def surface_of(item: Object, scene: Scene) -> Surface:
     if item.material is not None:
         return surface(scene.materials.get(item.material, item.material), scene.folder)
     assert isinstance(item, Mesh) and item.near_infrared is not None  # checked when the scene is loaded
-    picture = triangles(item, scene.folder).paint
-    assert picture is not None
-    return photograph_surface(picture, item.near_infrared)
+    part = triangles(item, scene.folder)
+    assert part.paint is not None
+    base = photograph_surface(part.paint, item.near_infrared)
+    if part.finish is None:
+        return base
+    assert isinstance(base, Diffuse | Mixture)  # as the rules give it
+    metallic, roughness = (np.ascontiguousarray(part.finish[..., channel]) for channel in (0, 1))
+    normal = np.ascontiguousarray(part.finish[..., 2:])
+    return Finished(base, metallic, roughness, normal if np.any(normal != (0.5, 0.5, 1.0)) else None)
 
 
 def triangles(item: Mesh, folder: Path) -> meshes.Part:
     """Triangles of a mesh object; without a material they carry a picture of its colours and the matching ``uv``."""
     parts = mesh_parts(item, folder)
     if item.material is not None:
-        return meshes.merge(parts)
-    return meshes.merge_with_colours(parts, mesh_place(item, folder))
+        return mesh_merging.merge(parts)
+    return mesh_merging.merge_with_colours(parts, mesh_place(item, folder))
 
 
 def material_names_of(scene: Scene) -> list[str]:
@@ -170,13 +177,18 @@ def class_names_of(scene: Scene) -> list[str]:
 
 
 def colour_notes(scene: Scene) -> list[str]:
-    """One line per mesh with RGB colours of its own: the kinds of colours and the near-infrared rule."""
-    return [
-        f"object '{item.name}': RGB of {item.file} ({', '.join(meshes.colour_kinds(mesh_parts(item, scene.folder)))}) "
-        f"rendered as a matt material by the near-infrared rule '{item.near_infrared}'"
-        for item in scene.objects
-        if isinstance(item, Mesh) and item.material is None
-    ]
+    """One line per mesh with RGB colours of its own: the kinds of colours, the finish and the near-infrared rule."""
+    return [_colour_note(item, scene) for item in scene.objects if isinstance(item, Mesh) and item.material is None]
+
+
+def _colour_note(item: Mesh, scene: Scene) -> str:
+    parts = mesh_parts(item, scene.folder)
+    metallic = [float(part.finish[..., 0].mean()) for part in parts if part.finish is not None]
+    finish = f"a finish of the file (metallic {np.mean(metallic):.2g})" if metallic else "a matt material"
+    return (
+        f"object '{item.name}': RGB of {item.file} ({', '.join(mesh_merging.colour_kinds(parts))}) rendered as "
+        f"{finish} by the near-infrared rule '{item.near_infrared}'"
+    )
 
 
 # --- geometry ------------------------------------------------------------------------------------
@@ -300,7 +312,7 @@ def _texture_problems(item: Mesh, scene: Scene) -> list[str]:
 
 def _colour_problems(item: Mesh, scene: Scene) -> list[str]:
     """Problems of a mesh without a material: no colours, too many of them, or no valid near-infrared rule."""
-    kinds = meshes.colour_kinds(mesh_parts(item, scene.folder))
+    kinds = mesh_merging.colour_kinds(mesh_parts(item, scene.folder))
     rules = ", ".join(NEAR_INFRARED_RULES)
     if not kinds:
         return [f"object '{item.name}': mesh {item.file} has no colours of its own; give the object a material"]

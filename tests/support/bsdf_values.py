@@ -20,6 +20,7 @@ TOWARDS = ((0.3, -0.2), (-0.5, 0.4))  # x, y of the directions of light and view
 def surfaces() -> dict:
     """Surfaces by name: one for each way in which images mix materials."""
     from dasim.materials import library
+    from dasim.materials.surfaces import Finished
 
     random = np.random.default_rng(5)
     image = random.random((SIZE, SIZE, 3)).astype(np.float32)
@@ -31,6 +32,8 @@ def surfaces() -> dict:
     result["coated"] = library.Coated(result["layers"], 0.2)
     result["smooth"] = library.Coated(result["print"], 0.0)
     result["gilded"] = library.Mixture(mask, result["achromatic"], gilt, (1.5, 1.0))
+    plain = library.photograph_surface(image, "achromatic")
+    result["finished"] = Finished(plain, image[..., 0], 0.3 + 0.7 * image[..., 1], None)
     result["china"] = library.Mixture(mask, porcelain, library.Mixture(mask, leaf, gilt), (1.0, 1.0))
     return result
 

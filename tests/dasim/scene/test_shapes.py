@@ -10,7 +10,7 @@ from trimesh.visual.material import PBRMaterial
 
 from dasim.base.errors import InputError
 from dasim.materials import photographs
-from dasim.scene import meshes, shapes
+from dasim.scene import mesh_merging, mesh_paint, meshes, shapes
 from dasim.scene import specification as scenes
 from dasim.spectra.grid import WAVELENGTH_NM
 
@@ -140,7 +140,7 @@ def test_vertex_colours_run_linearly_over_each_face(tmp_path, suffix):
     ball.visual = trimesh.visual.ColorVisuals(ball, vertex_colors=colours)
     ball.export(tmp_path / f"ball.{suffix}")
     parts = meshes.read(tmp_path / f"ball.{suffix}", 1.0, "ball")
-    mesh = meshes.merge_with_colours(parts, "ball")
+    mesh = mesh_merging.merge_with_colours(parts, "ball")
     share, _, uv = inner_points(mesh, rng)
     decode = (lambda c: c / 255) if suffix == "glb" else lambda c: ((c / 255 + 0.055) / 1.055) ** 2.4
     corners = parts[0].vertices[parts[0].faces]
@@ -158,10 +158,10 @@ def test_face_colours_stay_within_their_faces(tmp_path):
     colours = rng.integers(0, 256, (len(ball.faces), 3), dtype=np.uint8)
     ball.visual = trimesh.visual.ColorVisuals(ball, face_colors=colours)
     ball.export(tmp_path / "ball.ply")
-    mesh = meshes.merge_with_colours(meshes.read(tmp_path / "ball.ply", 1.0, "ball"), "ball")
+    mesh = mesh_merging.merge_with_colours(meshes.read(tmp_path / "ball.ply", 1.0, "ball"), "ball")
     assert mesh.paint is not None
     _, _, uv = inner_points(mesh, rng)
-    np.testing.assert_allclose(at(mesh.paint, uv), meshes.decode_srgb(colours), atol=LINEAR_LIMIT)
+    np.testing.assert_allclose(at(mesh.paint, uv), mesh_paint.decode_srgb(colours), atol=LINEAR_LIMIT)
 
 
 def test_parts_with_colours_of_all_kinds_keep_them_in_one_picture(tmp_path):
@@ -186,8 +186,8 @@ def test_parts_with_colours_of_all_kinds_keep_them_in_one_picture(tmp_path):
     scene.add_geometry(ball, transform=trimesh.transformations.translation_matrix([0, 0, 20]))
     scene.export(tmp_path / "all.glb")
     parts = meshes.read(tmp_path / "all.glb", 0.5, "all")
-    assert meshes.colour_kinds(parts) == ["one colour", "texture image", "vertex colours"]
-    mesh = meshes.merge_with_colours(parts, "all")
+    assert mesh_merging.colour_kinds(parts) == ["one colour", "texture image", "vertex colours"]
+    mesh = mesh_merging.merge_with_colours(parts, "all")
     assert mesh.paint is not None
     for _ in range(20):
         _, place, uv = inner_points(mesh, rng)
@@ -200,7 +200,7 @@ def test_parts_with_colours_of_all_kinds_keep_them_in_one_picture(tmp_path):
         tile = place[flat, :2] % 1
         away = (np.abs(tile - 0.5) < 0.42).all(axis=-1)  # a half texel from its border at least
         np.testing.assert_allclose(
-            values[flat][away], at(meshes.decode_srgb(picture), tile[away]), atol=1e-4
+            values[flat][away], at(mesh_paint.decode_srgb(picture), tile[away]), atol=1e-4
         )  # uv in single precision
 
 
@@ -214,17 +214,17 @@ def test_obj_with_a_material_library_shows_its_colours_and_pictures(tmp_path):
     corners = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nv 2 0 0\nv 2 1 0\nvt 0 0\nvt 1 0\nvt 1 1\nvt 0 1\n"
     red, textured = "f 1 2 3\nf 1 3 4\n", "f 2/1 5/2 6/3\nf 2/1 6/3 3/4\n"
     (tmp_path / "two.obj").write_text(f"mtllib two.mtl\n{corners}usemtl red\n{red}usemtl own\n{textured}")
-    mesh = meshes.merge_with_colours(meshes.read(tmp_path / "two.obj", 1.0, "two"), "two")
+    mesh = mesh_merging.merge_with_colours(meshes.read(tmp_path / "two.obj", 1.0, "two"), "two")
     assert mesh.paint is not None
     for seed in range(10):
         _, place, uv = inner_points(mesh, np.random.default_rng(seed))
         values = at(mesh.paint, uv)
         left = place[:, 0] < 1
         np.testing.assert_allclose(values[left], np.tile([1, 0, 0.2122], (2, 1)), atol=0.005)  # Kd is kept in 8 bits
-        image = at(meshes.decode_srgb(picture), place[~left, :2] - [1, 0])
+        image = at(mesh_paint.decode_srgb(picture), place[~left, :2] - [1, 0])
         np.testing.assert_allclose(values[~left], image, atol=1e-4)  # uv in single precision
     (tmp_path / "bare.obj").write_text(corners + textured)
-    assert meshes.colour_kinds(meshes.read(tmp_path / "bare.obj", 1.0, "bare")) == []
+    assert mesh_merging.colour_kinds(meshes.read(tmp_path / "bare.obj", 1.0, "bare")) == []
 
 
 @pytest.mark.slow
