@@ -25,7 +25,7 @@ import cv2
 import numpy as np
 
 from dasim.typing import Float32Array, FloatArray
-from recon.convolution import Net, convolved, gathered, linear, load, refined, relu, spread
+from recon.convolution import Net, convolved, gathered, linear, load, refined, relu, residual, spread
 from recon.depth.evidence import NODE, SCORES
 from recon.depth.tiles import tiles
 
@@ -85,8 +85,7 @@ def _of_tile(inputs: Float32Array, picture: Float32Array, levels: FloatArray, la
     middle = relu(convolved(relu(middle), net, "middle_in"))
     hidden = linear((inputs - net["mean"]) / net["sd"], net, "in") + linear(gathered(middle), net, "picture_in")
     for index, dilation in enumerate(DILATIONS):
-        inner = relu(convolved(relu(hidden.copy()), net, f"a{index}", dilation))
-        hidden += linear(inner, net, f"b{index}")
+        hidden = residual(hidden, net, f"a{index}", f"b{index}", dilation)
     hidden = relu(hidden)
     nodes = linear(hidden, net, "level") + inputs[..., : SCORES * len(levels)] @ net["skip"]
     middle += spread(linear(hidden, net, "middle_back"))

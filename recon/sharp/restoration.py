@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from dasim.typing import Float32Array
 from recon import convolution
-from recon.convolution import Net, convolved, gathered, linear, relu, spread
+from recon.convolution import Net, convolved, gathered, linear, relu, residual, spread
 from recon.depth.tiles import tiles
 
 FILE = "restoration.npz"
@@ -153,18 +153,23 @@ def expanded(values: Float32Array) -> Float32Array:
 
 
 def _network(inputs: Float32Array, net: Net) -> Float32Array:
-    """What the network adds to the compressed draft, [2 h, 2 w, 3], from inputs per block, [h, w, input]."""
-    fine = _blocks(convolved((inputs - net["mean"]) / net["sd"], net, "in"), net, "fine")
-    middle = _blocks(linear(gathered(relu(fine.copy())), net, "down1"), net, "middle")
-    coarse = _blocks(linear(gathered(relu(middle.copy())), net, "down2"), net, "coarse")
-    middle = _blocks(spread(linear(relu(coarse), net, "up2")) + middle, net, "middle_up")
-    fine = _blocks(spread(linear(relu(middle), net, "up1")) + fine, net, "fine_up")
+    """What the network adds to the compressed draft, [2 h, 2 w, 3], from inputs per block, [h, w, input], which are
+    overwritten.
+    """
+    inputs -= net["mean"]
+    inputs /= net["sd"]
+    fine = _blocks(convolved(inputs, net, "in"), net, "fine")
+    middle = _blocks(linear(gathered(np.maximum(fine, 0)), net, "down1"), net, "middle")
+    coarse = _blocks(linear(gathered(np.maximum(middle, 0)), net, "down2"), net, "coarse")
+    middle += spread(linear(relu(coarse), net, "up2"))
+    middle = _blocks(middle, net, "middle_up")
+    fine += spread(linear(relu(middle), net, "up1"))
+    fine = _blocks(fine, net, "fine_up")
     return spread(convolved(relu(fine), net, "out"))
 
 
 def _blocks(image: Float32Array, net: Net, name: str) -> Float32Array:
-    """The residual blocks of one resolution, in place."""
+    """The residual blocks of one resolution."""
     for index in range(BLOCKS[name]):
-        inner = convolved(relu(image.copy()), net, f"{name}{index}_a")
-        image += linear(relu(inner), net, f"{name}{index}_b")
+        image = residual(image, net, f"{name}{index}_a", f"{name}{index}_b")
     return image

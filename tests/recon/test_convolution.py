@@ -34,6 +34,20 @@ def test_strips_of_a_convolution_meet_without_a_seam(monkeypatch):
     np.testing.assert_allclose(convolution.convolved(image, net, "a", 2), whole, atol=1e-6)
 
 
+@pytest.mark.parametrize("dilation", [1, 2])
+def test_a_residual_block_is_its_formula(dilation):
+    """Expectation: h + B relu(A * relu(h) + a) + b with the convolution of its own test, in strips that are cut."""
+    random = np.random.default_rng(3)
+    image = random.normal(size=(301, 40, 3)).astype(np.float32)
+    shapes = {"a": (3, 3, 3, 5), "a_bias": (5,), "b": (5, 3), "b_bias": (3,)}
+    net = {name: random.normal(size=shape).astype(np.float32) for name, shape in shapes.items()}
+    inner = np.maximum(convolution.convolved(np.maximum(image, 0), net, "a", dilation), 0)
+    expected = image + inner.astype(float) @ net["b"] + net["b_bias"]
+    before = image.copy()
+    np.testing.assert_allclose(convolution.residual(image, net, "a", "b", dilation), expected, atol=1e-4)
+    np.testing.assert_array_equal(image, before)
+
+
 def test_spreading_undoes_gathering():
     image = np.random.default_rng(2).normal(size=(6, 4, 3)).astype(np.float32)
     gathered = convolution.gathered(image)
