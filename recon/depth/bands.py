@@ -47,6 +47,9 @@ SMALLEST_GAIN = 1e-3
 TINY = np.float32(1e-12)
 
 
+Places = tuple[NDArray[np.intp], NDArray[np.intp]]  # rows and columns of samples
+
+
 class Energies(NamedTuple):
     """Energies of two channels, means over the patch."""
 
@@ -59,7 +62,14 @@ class Energies(NamedTuple):
 
 
 def scored(
-    sharper: Channel, visible: Also, spectrum: Complex64Array, grid: Grid, window: Window, *, alike: bool
+    sharper: Channel,
+    visible: Also,
+    spectrum: Complex64Array,
+    grid: Grid,
+    window: Window,
+    *,
+    alike: bool,
+    at: Places | None = None,
 ) -> Float32Array:
     """Log likelihood of each level, [level, h, w], summed over the visible channels without their infrared.
 
@@ -74,6 +84,7 @@ def scored(
         grid: the padded grid.
         window: the patch.
         alike: whether the patch follows the surface (:func:`guide`).
+        at: rows and columns of the samples that are scored; all by default.
     """
     (height, width), spacing_px = grid.frame, grid.spacing_px
     channels = (sharper, *(channel for channel, _ in visible))
@@ -86,8 +97,8 @@ def scored(
     floors = [np.sqrt(channel.variance) for channel in channels]
     likeness = guide(planes[0], planes[1:], floors, spacing_px) if alike else None
     leaks = [leak.alpha for _, leak in visible]
-    pairs = energies(spectra, noise, (grid.shape, grid.frame), window, spacing_px, leaks, likeness)
-    score = np.zeros((len(sharper.kernels), height, width), np.float32)
+    pairs = energies(spectra, noise, (grid.shape, grid.frame), window, spacing_px, leaks, likeness, at)
+    score = np.zeros((len(sharper.kernels), *pairs[0].green_noise.shape), np.float32)
     for pair, (channel, leak) in zip(pairs, visible, strict=True):
         score += log_likelihood(
             pair, transfers(sharper.kernels, kernels_without_infrared(channel, leak, sharper), spacing_px)
@@ -129,6 +140,7 @@ def energies(
     spacing_px: float,
     leaks: Sequence[float] = (),
     likeness: Float32Array | None = None,
+    at: Places | None = None,
 ) -> list[Energies]:
     """Energies in each band of the sharper channel with each visible one.
 
@@ -141,6 +153,7 @@ def energies(
         leaks: multiples of the sharper channel that were subtracted from each visible one. Their noise is then
             correlated, which is corrected here.
         likeness: the patches' guide [n, h, w] (:func:`guide`); None for the plain window.
+        at: rows and columns of the samples whose patches are wanted; all by default.
     """
     shape, frame = grid
     rings = filters(shape, spacing_px)
@@ -153,8 +166,8 @@ def energies(
         for part, image in enumerate(images):
             parts[part, index] = image / np.float32(share[index])
     stack = np.concatenate([parts.reshape(-1, *frame), np.stack(noise)])
-    stack = _means(stack, window, spacing_px, likeness)
-    parts = stack[: -len(noise)].reshape(parts.shape)
+    stack = _means(stack, window, spacing_px, likeness, at)
+    parts = stack[: -len(noise)].reshape(*parts.shape[:2], *stack.shape[1:])
     variances = stack[-len(noise) :]
     samples = 4 * np.pi * (window.side_px / spacing_px) ** 2 / 12 * share  # of a Gaussian patch
     pairs = []
@@ -178,27 +191,46 @@ def guide(
     return np.stack([(image - blurred[0]) / GUIDE_SIGMA for image in blurred[1:]]).astype(np.float32)
 
 
-def _means(stack: Float32Array, window: Window, spacing_px: float, likeness: Float32Array | None) -> Float32Array:
-    """Means over the patch of images [n, h, w], weighted by similarity of ``likeness`` [m, h, w] where it is given."""
+def _means(
+    stack: Float32Array,
+    window: Window,
+    spacing_px: float,
+    likeness: Float32Array | None,
+    at: Places | None = None,
+) -> Float32Array:
+    """Means over the patch of images [n, h, w], weighted by similarity of ``likeness`` [m, h, w] where it is given.
+
+    The result is [n, row, column] ``at`` the rows and columns of some samples, or of all.
+    """
+    rows, columns = at if at is not None else (np.arange(length) for length in stack.shape[1:])
     if likeness is None:
-        return np.stack([window_mean(image, window, spacing_px) for image in stack])
+        return np.stack([window_mean(image, window, spacing_px)[np.ix_(rows, columns)] for image in stack])
     step = max(round(TAP_PX / spacing_px), 1)
     sigma = window.side_px / spacing_px / np.sqrt(12)
     taps = np.stack(gaussian_means(stack, TAP_BLUR * step))
-    result = np.empty_like(taps)
-    _bilateral(taps, likeness, int(np.ceil(2 * sigma / step)), step, np.float32(sigma), result)
+    result = np.empty((len(taps), len(rows), len(columns)), np.float32)
+    _bilateral(taps, likeness, int(np.ceil(2 * sigma / step)), step, np.float32(sigma), rows, columns, result)
     return result
 
 
 @njit(cache=True, parallel=True, fastmath=True)
 def _bilateral(  # pragma: no cover - compiled
-    stack: Float32Array, likeness: Float32Array, radius: int, step: int, sigma: np.float32, result: Float32Array
+    stack: Float32Array,
+    likeness: Float32Array,
+    radius: int,
+    step: int,
+    sigma: np.float32,
+    rows: NDArray[np.intp],
+    columns: NDArray[np.intp],
+    result: Float32Array,
 ) -> None:
     """Bilateral means: Gaussian weights in space (``sigma`` samples) and in ``likeness`` (unit sigma)."""
     images, height, width = stack.shape
-    for y in prange(height):
+    for row in prange(len(rows)):
         total = np.empty(images, np.float32)
-        for x in range(width):
+        y = rows[row]
+        for column in range(len(columns)):
+            x = columns[column]
             total[:] = 0
             norm = np.float32(0)
             for dy in range(-radius, radius + 1):
@@ -219,7 +251,7 @@ def _bilateral(  # pragma: no cover - compiled
                     for k in range(images):
                         total[k] += weight * stack[k, yy, xx]
             for k in range(images):
-                result[k, y, x] = total[k] / norm
+                result[k, row, column] = total[k] / norm
 
 
 def log_likelihood(pair: Energies, table: Float32Array) -> Float32Array:

@@ -124,16 +124,18 @@ def scores(
     spacing_px: float = PLANE_SPACING_PX,
     leak: Leak | None = None,
     also: Also = (),
+    at: bands.Places | None = None,
 ) -> tuple[Float32Array, Float32Array | None]:
     """Score of every level, [level, h, w], and the NCC at the best level, [h, w] (None for the score ``bands``).
 
-    ``classes`` are those of :func:`frame_weights`. Only the score ``bands`` uses ``leak`` and ``also``.
+    ``classes`` are those of :func:`frame_weights`. Only the score ``bands`` uses ``leak``, ``also``, and the rows and
+    columns ``at`` which it is wanted.
     """
     grid, spectra = _spectra(sharper, green, settings, spacing_px)
     window = window_of(settings)
     if settings.score == "bands" or settings.score == "joint":  # the second adds to the first (:mod:`recon.depth.best`)
         channels = [(green, leak or Leak(0.0, 0.0)), *also]
-        return bands.scored(sharper, channels, spectra[0], grid, window, alike=settings.alike), None
+        return bands.scored(sharper, channels, spectra[0], grid, window, alike=settings.alike, at=at), None
     observed = filtered(spectra[1], grid.filters, grid) if settings.score == "ncc" else None
     score, ncc = np.empty((2, len(sharper.kernels), *grid.frame), np.float32)
     for level, (kernel, green_kernel) in enumerate(zip(sharper.kernels, green.kernels, strict=True)):

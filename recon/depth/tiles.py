@@ -134,13 +134,14 @@ def scores_at(
     for part in parts:
         infrared, green, *others = (cut(channel, part) for channel in channels)
         also = list(zip(others, leaks[1:], strict=True))
-        score, _ = scores.scores(infrared, green, [], settings, leak=leaks[0], also=also)
         inside = [
-            np.flatnonzero((at >= core.start) & (at < core.stop))
-            for at, core in zip((rows, columns), part.core, strict=True)
+            np.flatnonzero((places >= core.start) & (places < core.stop))
+            for places, core in zip((rows, columns), part.core, strict=True)
         ]
-        places = [at[chosen] - box.start for at, chosen, box in zip((rows, columns), inside, part.box, strict=True)]
-        result[np.ix_(*inside)] = np.moveaxis(score[(slice(None), *np.ix_(*places))], 0, -1)
+        top, left = (box.start for box in part.box)
+        at = rows[inside[0]] - top, columns[inside[1]] - left
+        score, _ = scores.scores(infrared, green, [], settings, leak=leaks[0], also=also, at=at)
+        result[np.ix_(*inside)] = np.moveaxis(score, 0, -1)
     return result
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from recon.depth import raw_levels, tiles
+from recon.depth import raw_levels, scores, tiles
 from recon.depth.channels import Channel, Leak
 from recon.picture import mosaic
 from recon.settings import PRESETS
@@ -48,6 +48,17 @@ def test_scores_at_chosen_samples_are_those_of_the_whole_frame(channels):
     difference = (parts - parts.max(axis=-1, keepdims=True)) - (whole - whole.max(axis=-1, keepdims=True))
     assert np.median(np.abs(difference)) < 0.1  # of a natural logarithm
     assert (parts.argmax(axis=-1) == whole.argmax(axis=-1)).mean() > 0.95
+
+
+@pytest.mark.parametrize("alike", [True, False])
+def test_scores_of_a_few_samples_are_those_of_all(channels, alike):
+    """Expectation: other samples are not scored, and those that are have the same bytes."""
+    rows, columns, settings = np.arange(2, 192, 7), np.array([0, 3, 250]), PRESETS["best"]
+    settings = settings.model_copy(update={"alike": alike})
+    few, every = (
+        scores.scores(*channels, [], settings, leak=Leak(0.1, 0.5), at=at)[0] for at in ((rows, columns), None)
+    )
+    np.testing.assert_array_equal(few, every[:, rows[:, None], columns])
 
 
 def test_tiles_of_a_finer_grid_cover_it_once():
