@@ -231,7 +231,7 @@ def export(
     Args:
         dataset: its folder or fsspec address
         as_: hdf5, coco, bop, nyu, stack or croissant
-        out: output folder, which must not exist
+        out: output folder, which must not exist; out/NAME-FORMAT by default
         split: the split to export; all by default
         picture: colour pictures of coco, bop, nyu and stack: taken, developed from the mosaic with its blur and noise,
             or sharp, through a pinhole
@@ -245,10 +245,13 @@ def export(
             raise InputError("--as croissant: describes the whole dataset in a file in it; leave out --out and --split")
         print(f"description: {dataset}/{croissant.write(open_dataset(dataset))}")
         return 0
-    if out is None:
-        raise InputError(f"--as {as_}: needs --out, a folder")
-    options.check_new_file(out, "--out")
     samples = open_dataset(dataset, split)
+    if out is None:
+        out = options.default_out(samples.spec.name, f"-{as_}")
+        if out.exists():
+            raise InputError(f"{out}: exists; name another folder with --out")
+    else:
+        options.check_new_file(out, "--out")
     frames.check_parts(samples, ("sharp_srgb",) if picture == "sharp" and as_ != "hdf5" else (), "--picture sharp")
     made = frames.sharp if picture == "sharp" else _developed
     with options.progress() as progress, atomic.new_folder(out) as folder:

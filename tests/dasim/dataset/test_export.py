@@ -346,7 +346,6 @@ def test_an_index_of_strangers_writes_nothing_outside(dataset, tmp_path, capsys)
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (["--as", "coco"], "needs --out"),
         (["--as", "tfds", "--out", "{new}/x"], "tfds"),
         (["--as", "coco", "--out", "{new}"], "exists; choose another name"),
         (["--as", "coco", "--out", "{new}/no/x"], "does not exist"),
@@ -358,6 +357,14 @@ def test_mistakes_end_in_one_line(dataset, tmp_path, capsys, options, message):
     status = run(["dataset", "export", str(dataset), *(text.format(new=tmp_path) for text in options)])
     error = capsys.readouterr().err
     assert status == 2 and message in error and error.count("\n") == 1 and not list(tmp_path.iterdir())
+
+
+def test_the_folder_by_default(dataset, tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    arguments = ["dataset", "export", str(dataset), "--as", "coco", "--picture", "sharp", "--split", "test"]
+    assert run(arguments) == 0 and (tmp_path / "out" / "tiny-coco" / "README.md").is_file()
+    assert run(arguments) == 2
+    assert "out/tiny-coco: exists; name another folder with --out" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
