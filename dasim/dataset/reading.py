@@ -105,7 +105,7 @@ def arrays_of(sample: Sample) -> dict[str, Any]:
     Whole numbers have a sign, because PyTorch computes with few unsigned types: raw numbers are int32, labels int64.
     Samples of one camera and one size have equal keys and shapes; names of objects and materials are left out.
     """
-    camera = sample.meta["camera"]
+    camera, about = sample.meta["camera"], sample.meta["sample"]
     signed = {"u2": np.int32, "u4": np.int64}
     arrays = {"raw_dn": sample.raw_dn, "frames_dn": np.stack(sample.frames_dn or (sample.raw_dn,))}
     arrays |= {name: value for name, value in sample.truth.items() if isinstance(value, np.ndarray)}
@@ -113,7 +113,7 @@ def arrays_of(sample: Sample) -> dict[str, Any]:
         "index": sample.index,
         "key": key(sample.index),
         "split": sample.split,
-        "scene": sample.meta["sample"]["scene"],
+        "scene": about["scene"],
         "camera": camera["name"],
         "channels": ",".join(sample.truth["channels"]),
         "illuminant": sample.meta["illuminant"] or "",
@@ -124,6 +124,8 @@ def arrays_of(sample: Sample) -> dict[str, Any]:
         "focus_m": camera["lens"]["focus_distance_m"],
         "black_level_dn": camera["sensor"]["black_level_dn"],
         "intrinsic_matrix_px": np.array(sample.meta["intrinsic_matrix_px"]),
+        **{name: about[name] for name in ("capture", "view", "rig_camera") if name in about},
+        **({"world_to_camera": np.array(about["world_to_camera"])} if about.get("world_to_camera") else {}),
         **{name: value.astype(signed.get(value.dtype.str[1:], value.dtype)) for name, value in arrays.items()},
     }
 

@@ -173,6 +173,9 @@ def test_views_are_named_in_the_index_and_share_their_capture(dataset):
         assert row["world_to_camera"] == sample.meta["sample"]["world_to_camera"]
         assert row["world_to_camera"] == sample.meta["provenance"]["world_to_camera"]
         assert row["class_share"]["floor"] > 0.05
+        flat = dataset.arrays()[row["index"]]
+        assert (flat["view"], flat["rig_camera"]) == (row["view"], row["rig_camera"])
+        np.testing.assert_array_equal(flat["world_to_camera"], row["world_to_camera"])
     assert len({row["seed"] for row in dataset.rows}) == 4
     seeds = [sample.meta["camera"]["sensor"]["sensor_seed"] for sample in dataset]
     assert seeds[0] == seeds[2] != seeds[1] == seeds[3]  # the two cameras of the rig are two sensors
