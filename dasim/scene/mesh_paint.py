@@ -72,8 +72,7 @@ def finish(visual: Any, has_uv: bool) -> Float32Array | None:
     material = getattr(visual, "material", None)
     if material is None or not hasattr(material, "metallicFactor"):
         return None
-    given = (material.metallicFactor, material.roughnessFactor)
-    factors = np.clip([1.0 if factor is None else float(factor) for factor in given], 0.0, 1.0)
+    factors = [_factor(material, name) for name in ("metallicFactor", "roughnessFactor")]
     images = [material.metallicRoughnessTexture, material.normalTexture] if has_uv else [None, None]
     if images == [None, None]:
         one = np.array([*factors, *MATT[2:]], np.float32)
@@ -89,6 +88,14 @@ def finish(visual: Any, has_uv: bool) -> Float32Array | None:
     if share is not None:
         result[..., :2] *= share[..., [2, 1]]  # glTF: metallic is blue, roughness green
     return result
+
+
+def _factor(material: Any, name: str) -> float:
+    """A factor of a material, 1 where the file leaves it out; raises ValueError outside 0..1."""
+    value = getattr(material, name)
+    if value is not None and not 0 <= float(value) <= 1:
+        raise ValueError(f"its {name} is {value}, 0 to 1 is allowed")
+    return 1.0 if value is None else float(value)
 
 
 def _decoded(image: Any) -> Float32Array:

@@ -19,7 +19,7 @@ from dasim.cli import run
 from dasim.dataset.specification import load_spec
 from dasim.files import banks, captures
 from dasim.random_scenes.specification import load_random_scenes
-from dasim.scene import meshes
+from dasim.scene import mesh_merging, meshes
 from dasim.scene.specification import SCENE_DIR
 from dasim.values import Capture, PsfBank, Truth
 from recon.files import dng, raw
@@ -71,7 +71,7 @@ SUBJECTS = (
     Subject("scene", ("scene.toml",), lambda folder: dasim.load_scene(folder / "scene.toml")),
     Subject("mitsuba", ("scene.xml",), lambda folder: dasim.load_scene(folder / "scene.xml")),
     Subject("mesh", ("mesh.obj",), lambda folder: meshes.read(folder / "mesh.obj", 0.01, str(folder / "mesh.obj"))),
-    Subject("glb", ("mesh.glb",), lambda folder: meshes.read(folder / "mesh.glb", 0.01, str(folder / "mesh.glb"))),
+    Subject("glb", ("mesh.glb",), lambda folder: _coloured_mesh(folder / "mesh.glb")),
     Subject("random", ("random.toml",), lambda folder: load_random_scenes(folder / "random.toml")),
     Subject("dataset", ("spec.toml", "wall.toml"), lambda folder: load_spec(folder / "spec.toml")),
     Subject("study", ("study.toml",), _points),
@@ -137,11 +137,19 @@ def write(folder: Path) -> None:
     np.save(folder / "map" / "map.npy", random.random((SIDE, SIDE)))
 
 
+def _coloured_mesh(path: Path) -> meshes.Part:
+    return mesh_merging.merge_with_colours(meshes.read(path, 0.01, str(path)), str(path))
+
+
 def _write_glb(path: Path, random: np.random.Generator) -> None:
-    """A square with a picture as its texture."""
-    picture = Image.fromarray(random.integers(0, 256, (8, 8, 3)).astype(np.uint8))
+    """A square with pictures of its colours, its metallic share and roughness, and its normals."""
+    pictures = [Image.fromarray(random.integers(0, 256, (side, side, 3)).astype(np.uint8)) for side in (8, 4, 6)]
+    names = ("baseColorTexture", "metallicRoughnessTexture", "normalTexture")
+    material = trimesh.visual.material.PBRMaterial(
+        metallicFactor=0.5, roughnessFactor=0.75, **dict(zip(names, pictures, strict=True))
+    )
     square = trimesh.Trimesh([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]], [[0, 2, 1], [0, 3, 2]], process=False)
-    square.visual = trimesh.visual.TextureVisuals(uv=[[0, 0], [1, 0], [1, 1], [0, 1]], image=picture)
+    square.visual = trimesh.visual.TextureVisuals(uv=[[0, 0], [1, 0], [1, 1], [0, 1]], material=material)
     path.write_bytes(square.export(file_type="glb"))
 
 

@@ -9,6 +9,7 @@ from PIL import Image
 from trimesh.visual.material import PBRMaterial
 
 import dasim
+from dasim.base.errors import InputError
 from dasim.materials.photographs import photograph_surface
 from dasim.materials.surfaces import Diffuse, Finished, Mixture
 from dasim.scene import mesh_merging, meshes
@@ -68,6 +69,12 @@ def test_factors_are_those_of_the_file(tmp_path, factors, expected):
     part = part_of(tmp_path, PBRMaterial(baseColorFactor=[200, 100, 50, 255], **factors))
     np.testing.assert_allclose(part.finish[..., :2], np.broadcast_to(expected, (1, 1, 2)), atol=1e-6)
     np.testing.assert_array_equal(part.finish[..., 2:], [[[0.5, 0.5, 1.0]]])
+
+
+@pytest.mark.parametrize(("name", "value"), [("metallicFactor", 1.5), ("roughnessFactor", -0.1)])
+def test_factors_that_gltf_forbids_are_refused_in_one_line(tmp_path, name, value):
+    with pytest.raises(InputError, match=rf"^squares: does not load \(its {name} is {value}, 0 to 1 is allowed"):
+        part_of(tmp_path, PBRMaterial(**{name: value}))
 
 
 def test_a_matt_material_has_no_finish(tmp_path):
