@@ -146,7 +146,7 @@ def refocus(
 def view(
     folder: Path,
     *,
-    out: Path = Path("view.html"),
+    out: Path | None = None,
     capture: Path | None = None,
     bank: Path | None = None,
     slices: options.Whole | None = None,
@@ -157,7 +157,7 @@ def view(
 
     Args:
         folder: a reconstruction folder; or a capture folder, for its mosaic, its channels and the truth alone
-        out: the page, an HTML file; an earlier one is replaced
+        out: the page, an HTML file, out/view.html by default; an earlier one is replaced
         capture: the capture folder of the reconstruction, for its mosaic and the truth; by default the folder
             'capture' beside the reconstruction, or NAME beside NAME-recon, if its camera is the same
         bank: the PSF bank of the reconstruction; by default calibrated from the camera's description
@@ -167,7 +167,9 @@ def view(
     from dasim.base import atomic
     from validation.reports.view import page
 
-    if out.suffix.lower() != ".html" or out.is_dir() or not out.resolve().parent.is_dir():
+    if out is None:
+        out = Path("out/view.html")
+    elif out.suffix.lower() != ".html" or out.is_dir() or not out.resolve().parent.is_dir():
         raise InputError(f"--out {out}: is not an HTML file in a folder that exists")
     if slices is not None and slices < 2:
         raise InputError(f"--slices {slices}: must be 2 or more")

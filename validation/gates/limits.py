@@ -140,5 +140,6 @@ def judged_all(claim: str, figures: Sequence[Figure], gates: Sequence[Gate]) -> 
     ids = [entry.id for entry in entries]
     for gate in gates:
         if gate.claim == claim and not any(map(gate.matches, ids)):
-            entries.append(Claim(gate.key, math.nan, gate.limit, "", False, "no figure of this name was measured"))
+            reason = f"no figure of this name was measured{did_you_mean(gate.key, ids)}"
+            entries.append(Claim(gate.key, math.nan, gate.limit, "", False, reason))
     return entries

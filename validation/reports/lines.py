@@ -26,6 +26,8 @@ def _result(claim: Claim) -> str:
     if claim.limit is None and not claim.unit:
         return claim.source
     spread = "" if claim.spread is None else f"+- {claim.spread:.2g}"
+    if claim.passed is False and not claim.unit:  # a limit of a figure that there is not
+        return f"{claim.value:>10.4g} {'':<18}{claim.limit or '':<16}{MARKS[False]}  {claim.source}"
     return f"{claim.value:>10.4g} {spread:<11}{claim.unit:<7}{claim.limit or '':<16}{MARKS[claim.passed]}"
 
 

@@ -23,6 +23,7 @@ from validation.gates.limits import GATES, Gate, all_gates, gate_of, judged_all,
 from validation.gates.outcome import Measurement, select
 from validation.gates.proposal import proposed
 from validation.gates.run import measured_claims
+from validation.reports.lines import of_claims
 from validation.reports.page import png_address
 from validation.scores.figures import Figure
 from validation.validate import write_claims
@@ -137,6 +138,9 @@ def test_a_limit_that_finds_no_figure_fails(tmp_path):
     (tmp_path / "gates.toml").write_text('["good.length"]\nlimit = "> 0"\n')
     entries = judged_all("good", [Figure("size", 1.0, "px", "a size")], load_gates(tmp_path / "gates.toml", FAKES))
     assert [(entry.id, entry.passed) for entry in entries] == [("good.size", None), ("good.length", False)]
+    (missing,) = judged_all("good", [], [Gate("good.sise", "> 0", "")])[-1:]
+    (mistyped,) = judged_all("good", [Figure("size", 1.0, "px", "a size")], [Gate("good.sise", "> 0", "")])[-1:]
+    assert "did you mean" not in missing.source and "did you mean 'good.size'?" in of_claims([mistyped])[0]
 
 
 def test_bundled_limits_are_readable_and_say_where_they_come_from():
