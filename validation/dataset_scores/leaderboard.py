@@ -123,8 +123,9 @@ def _entry(method: str, group: str, part: str, cells: list[tuple[Row, dict[str, 
 def _parts(group: str, rows: Sequence[Row]) -> list[str]:
     """Parts of a group in their order."""
     if group in SAMPLE_GROUPS:
-        named = {part for row in rows if (part := SAMPLE_GROUPS[group](row)) is not None}
-        return [part for part in ranges(LIGHT_EDGES_E, "e") if part in named] if group == "light" else sorted(named)
+        named = dict.fromkeys(part for row in rows if (part := SAMPLE_GROUPS[group](row)) is not None)
+        orders = {"light": list(ranges(LIGHT_EDGES_E, "e")), "illuminant": sorted(named)}
+        return [part for part in orders.get(group, named) if part in named]
     return list(dict.fromkeys(part for row in rows for part in row["figures"].get(group, {})))
 
 
