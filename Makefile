@@ -8,6 +8,8 @@ BIN := $(VENV)/bin
 PYTHONS := $(if $(PYTHON),$(PYTHON),python3.13 python3.12 python3.11 python3)
 IS_NEW := import sys; sys.exit(sys.version_info < (3, 11))
 PIP := $(BIN)/python -m pip --disable-pip-version-check --quiet
+# What a lock file lists, by the hashes of its files, and nothing that it does not list.
+LOCKED := $(PIP) install --require-hashes --no-deps --no-build-isolation -r
 APT := env DEBIAN_FRONTEND=noninteractive apt-get -q -y -o Acquire::Retries=0 -o Acquire::http::Timeout=20
 
 LEARN_TESTS := tests/dasim/differentiable tests/examples/test_learned_ring.py tests/validation/training
@@ -15,7 +17,7 @@ LEARN_TESTS := tests/dasim/differentiable tests/examples/test_learned_ring.py te
 FUZZ_CASES := 2000
 FUZZ_SEED := 0
 
-.PHONY: help demo test test-slow test-lens test-learn fuzz lint docs validate environment test-environment
+.PHONY: help demo test test-slow test-lens test-learn fuzz lint docs validate audit locks environment test-environment
 
 help:
 	@echo "make demo   the whole chain on a bundled scene; report in out/demo/report.html"
@@ -26,6 +28,7 @@ help:
 	@echo "make fuzz   2,000 damaged files (FUZZ_CASES), each of which must end well; FUZZ_SEED draws others"
 	@echo "make lint   style, formatting, import contracts, types"
 	@echo "make docs   the documentation, its reference made from the code; open out/docs/index.html"
+	@echo "make audit  known vulnerabilities of the packages, by pip-audit, where the network is there"
 	@echo "make validate   the quick claims against their limits; report in out/validate/report.html"
 
 demo: environment
@@ -58,12 +61,27 @@ docs: environment $(VENV)/.installed-docs
 validate: test-environment
 	$(BIN)/dasim validate --quick --out out/validate
 
+# Needs a network; what cannot be looked up is counted and is no failure.
+audit: environment
+	@test -x $(VENV)/audit/bin/python || $(BIN)/python -m venv $(VENV)/audit
+	@if $(VENV)/audit/bin/python -m pip --disable-pip-version-check --quiet install --require-hashes -r .ci/locks/audit.txt; \
+	then $(BIN)/python .ci/audit.py $(VENV)/audit/bin/python .ci/locks/build.txt .ci/locks/test.txt .ci/locks/docs.txt .ci/locks/lens.txt; \
+	else echo "not audited: pip-audit cannot be installed"; fi
+
+# The lock files anew after a change of constraints.txt or of the dependencies; needs uv.
+UV := uv pip compile --quiet --generate-hashes --universal --python-version 3.11.7 --no-header --no-annotate
+locks:
+	printf 'hatchling>=1.24\neditables\nsetuptools\nwheel\n' | $(UV) -c constraints.txt - -o .ci/locks/build.txt
+	$(UV) -c constraints.txt pyproject.toml -o .ci/locks/dasim.txt
+	for extra in test docs lens; do $(UV) -c constraints.txt pyproject.toml --extra $$extra -o .ci/locks/$$extra.txt || exit 1; done
+	echo 'pip-audit>=2.9' | $(UV) - -o .ci/locks/audit.txt
+
 environment: $(VENV)/.llvm
 
 test-environment: environment $(VENV)/.installed-test
 
 # The environment anew where a dependency changed.
-$(VENV)/.installed: pyproject.toml constraints.txt
+$(VENV)/.installed: pyproject.toml .ci/locks/build.txt .ci/locks/dasim.txt
 	@if $(BIN)/python -c '$(IS_NEW)' 2>/dev/null && $(BIN)/python -m pip --version >/dev/null 2>&1; then exit 0; fi; \
 	new=; \
 	for python in $(PYTHONS); do \
@@ -79,23 +97,25 @@ $(VENV)/.installed: pyproject.toml constraints.txt
 	    echo "Python 3.11 or newer is needed, none was found as: $(PYTHONS)" >&2; \
 	fi; \
 	exit 1
-	@echo "Installing the packages of constraints.txt (some minutes the first time)"
-	@$(PIP) install -c constraints.txt -e .
+	@echo "Installing the packages of .ci/locks/dasim.txt (some minutes the first time)"
+	@$(LOCKED) .ci/locks/build.txt
+	@$(LOCKED) .ci/locks/dasim.txt
+	@$(PIP) install --no-deps --no-build-isolation -e .
 	@touch $@
 
-$(VENV)/.installed-test: $(VENV)/.installed
+$(VENV)/.installed-test: $(VENV)/.installed .ci/locks/test.txt
 	@echo "Installing what the tests need besides (some minutes the first time)"
-	@$(PIP) install -c constraints.txt -e '.[test]'
+	@$(LOCKED) .ci/locks/test.txt
 	@touch $@
 
-$(VENV)/.installed-docs: $(VENV)/.installed
+$(VENV)/.installed-docs: $(VENV)/.installed .ci/locks/docs.txt
 	@echo "Installing MkDocs for the documentation"
-	@$(PIP) install -c constraints.txt -e '.[docs]'
+	@$(LOCKED) .ci/locks/docs.txt
 	@touch $@
 
-$(VENV)/.installed-lens: $(VENV)/.installed-test
+$(VENV)/.installed-lens: $(VENV)/.installed-test .ci/locks/lens.txt
 	@echo "Installing Optiland for lens prescriptions (some minutes the first time)"
-	@$(PIP) install -c constraints.txt -e '.[test,lens]'
+	@$(LOCKED) .ci/locks/lens.txt
 	@touch $@
 
 $(VENV)/.installed-learn: $(VENV)/.installed-test
