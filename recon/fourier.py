@@ -18,11 +18,11 @@ def fast_shape(shape: tuple[int, ...], margin: int, multiple: int = 1) -> tuple[
 
 
 def pad_blended(image: Float32Array, shape: tuple[int, int]) -> Float32Array:
-    """Pad an image [h, w] at the bottom and right to ``shape``, so that its periodic continuation has no step.
+    """Pad images [..., h, w] at the bottom and right to ``shape``, so that their periodic continuation has no step.
 
     The padding blends linearly from the mirror image at one edge to the mirror image at the opposite edge.
     """
-    for axis in (0, 1):
+    for axis in (-2, -1):
         size, strip = image.shape[axis], shape[axis] - image.shape[axis]
         if strip <= 0:
             continue
@@ -30,7 +30,7 @@ def pad_blended(image: Float32Array, shape: tuple[int, int]) -> Float32Array:
         after_end = np.take(image, _mirror(size + index, size), axis=axis)
         before_start = np.take(image, _mirror(index - strip, size), axis=axis)
         share = ((index + 1) / (strip + 1)).astype(np.float32)
-        share = share[:, None] if axis == 0 else share[None, :]
+        share = share[:, None] if axis == -2 else share
         image = np.concatenate([image, (1 - share) * after_end + share * before_start], axis=axis)
     return image.astype(np.float32, copy=False)
 

@@ -91,11 +91,6 @@ def _occurring(position: Float32Array) -> tuple[int, ...]:
     return tuple(int(node) for node in np.flatnonzero(weight >= min(RARE_SHARE, weight.max())))
 
 
-def padded(stack: Float32Array, shape: Shape) -> Float32Array:
-    """A stack [channel, h, w] padded to ``shape``, periodic without steps."""
-    return np.stack([fourier.pad_blended(plane, shape) for plane in stack])
-
-
 def by_tiles(result: Float32Array, tiles: Sequence[Tile], work: Callable[[Tile], Float32Array]) -> None:
     """Fill a picture [channel, h, w] with what ``work`` gives for its tiles, at least 0; two tiles at a time."""
 

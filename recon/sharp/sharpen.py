@@ -140,7 +140,7 @@ def _draft(stack: Float32Array, tiles: list[Tile], transfers: layers.Transfers, 
     beta = DRAFT_PRIOR * noise**2 / np.maximum(steps, 1e-3 * noise**2)
 
     def work(tile: Tile) -> Float32Array:
-        spectrum = fourier.forward(layers.padded(stack[:, *tile.box], tile.shape), 1)
+        spectrum = fourier.forward(fourier.pad_blended(stack[:, *tile.box], tile.shape), 1)
         total = np.zeros((len(stack), *tile.position.shape), np.float32)
         for index, node in enumerate(tile.nodes):
             transfer, _ = transfers(node, tile.shape)
@@ -183,8 +183,8 @@ def _deconvolve_tile(frame: Frame, task: Pass, tile: Tile) -> Float32Array:
     unit = frame.noise[task.part, None, None]
     picture, draft = (image[task.part, *tile.box] / unit for image in (frame.stack, frame.draft))
     gradients = np.asarray(sum(np.mean(np.diff(draft, axis=axis) ** 2, axis=(1, 2)) for axis in (1, 2)))
-    spectrum = fourier.forward(layers.padded(draft, tile.shape), 1)
-    guide = None if task.guide is None else layers.padded(task.guide[None, *tile.box], tile.shape)
+    spectrum = fourier.forward(fourier.pad_blended(draft, tile.shape), 1)
+    guide = None if task.guide is None else fourier.pad_blended(task.guide[None, *tile.box], tile.shape)
     guide_spectrum = None if guide is None else fourier.forward(guide, 1)
     phases = None if task.phases is None else _phases_in_box(task.phases, tile.box)
     total = np.zeros((len(unit), *tile.position.shape), np.float32)
@@ -193,7 +193,7 @@ def _deconvolve_tile(frame: Frame, task: Pass, tile: Tile) -> Float32Array:
         transfer, variance = transfers[task.part], variances[task.part]
         blurred_draft = fourier.inverse(spectrum * transfer, tile.shape, 1)
         own = layers.own_share(frame.position, tile, node, frame.reach_px[node])
-        uniform = layers.padded(_uniform(picture, blurred_draft, own), tile.shape)
+        uniform = fourier.pad_blended(_uniform(picture, blurred_draft, own), tile.shape)
         expected = None
         if guide is not None and guide_spectrum is not None:
             expected = _expected_gradients(uniform, guide, fourier.inverse(guide_spectrum * transfer, tile.shape, 1))

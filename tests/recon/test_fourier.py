@@ -34,6 +34,8 @@ def test_padding_keeps_the_frame_and_has_no_step_at_its_edges():
     """
     ramp = np.repeat(np.linspace(0, 1, 40, dtype=np.float32)[None], 30, axis=0)
     padded = fourier.pad_blended(ramp, (40, 60))
+    stack = fourier.pad_blended(np.stack([ramp, ramp**2]), (40, 60))
+    np.testing.assert_array_equal(stack, [padded, fourier.pad_blended(ramp**2, (40, 60))])
     np.testing.assert_array_equal(padded[:30, :40], ramp)
     steps = np.abs(np.diff(padded, axis=1, append=padded[:, :1]))
     assert steps.max() <= 1 / 21 + 2 / 39 + SINGLE  # the blend's step and that of both mirrored ramps

@@ -216,7 +216,8 @@ def test_no_ringing_at_the_frames_border(monkeypatch):
 
 
 def periodic(image, shape):
-    return np.pad(image, [(0, n - m) for n, m in zip(shape, image.shape, strict=True)], "wrap").astype(np.float32)
+    after = [(0, n - m) for n, m in zip(shape, image.shape[-2:], strict=True)]
+    return np.pad(image, [(0, 0)] * (image.ndim - 2) + after, "wrap").astype(np.float32)
 
 
 def edge_error():
