@@ -1,6 +1,6 @@
 """The report page of ``dasim validate``.
 
-Tested in tests/validation/gates/test_run.py.
+Tested in tests/validation/gates/test_run.py and tests/validation/reports/test_claims_page.py.
 """
 
 from __future__ import annotations
