@@ -39,7 +39,7 @@ OURS = {"dasim_mixture", "dasim_surrounding", "dasim_layout"}
 PLUGINS = OURS | set(
     """scene path aov independent stratified multijitter perspective hdrfilm box rectangle disk sphere cylinder
     twosided diffuse plastic roughplastic conductor roughconductor dielectric thindielectric null blendbsdf bitmap
-    uniform regular irregular area point constant envmap""".split()
+    uniform regular irregular area point constant envmap principled normalmap""".split()
 )
 # Most arrays that the host reads per batch, by function: sums of two for each of eight channels (of four: also of two
 # for the control variate, and two for depth); of pixels that see several depths two for each channel and the depth, and
