@@ -12,7 +12,8 @@ PIP := $(BIN)/python -m pip --disable-pip-version-check --quiet
 LOCKED := $(PIP) install --require-hashes --no-deps --no-build-isolation -r
 APT := env DEBIAN_FRONTEND=noninteractive apt-get -q -y -o Acquire::Retries=0 -o Acquire::http::Timeout=20
 
-LEARN_TESTS := tests/dasim/differentiable tests/examples/test_learned_ring.py tests/validation/training
+LEARN_TESTS := tests/dasim/differentiable tests/examples/test_learned_ring.py tests/recon/depth/test_learned.py \
+    tests/validation/training
 
 FUZZ_CASES := 2000
 FUZZ_SEED := 0
@@ -24,7 +25,7 @@ help:
 	@echo "make test   the tests, without the slow ones, on up to four processor cores"
 	@echo "make test-slow   the slow tests, on as many"
 	@echo "make test-lens   the tests of lens prescriptions, with Optiland"
-	@echo "make test-learn   the tests of training and of optics with gradients, with PyTorch (3 GB)"
+	@echo "make test-learn   the tests of training, learned depth and optics with gradients, with PyTorch (3 GB)"
 	@echo "make fuzz   2,000 damaged files (FUZZ_CASES), each of which must end well; FUZZ_SEED draws others"
 	@echo "make lint   style, formatting, import contracts, types"
 	@echo "make docs   the documentation, its reference made from the code; open out/docs/index.html"

@@ -15,9 +15,12 @@ from dasim.base.fingerprint import fingerprint
 from dasim.base.loading import load_function
 from dasim.base.suggestions import did_you_mean
 from dasim.values import Capture, DepthEstimate, PsfBank, Reconstruction
+from recon.depth import learned
 from recon.depth.method import run_method
 
 NAME = re.compile(r"[A-Za-z][A-Za-z0-9_-]*")  # that a user may give a method of their own
+
+OPTIONAL = {"learned": "recon.depth.learned:estimate"}  # methods of extras; they run where they are asked for by name
 
 
 @dataclass(frozen=True)
@@ -61,20 +64,23 @@ def parsed(text: str) -> NamedMethod:
     """The method of one name, without loading its function; raises InputError if the text is not a method."""
     if text in recon.METHODS:
         return NamedMethod(text)
+    if text in OPTIONAL:
+        learned.check_installed()
+        return NamedMethod(text, OPTIONAL[text])
     name, equals, source = text.partition("=")
     if equals and ":" not in name and "/" not in name:
         if not NAME.fullmatch(name):
             raise InputError(
                 f"method '{text}': '{name}' is no name; allowed are letters, digits, - and _, a letter first"
             )
-        if name in recon.METHODS:
+        if name in (*recon.METHODS, *OPTIONAL):
             raise InputError(f"method '{text}': '{name}' is the name of a bundled method; choose another name")
     else:
         name = source = text
     if ":" not in source:
         raise InputError(
-            f"method '{text}' is unknown; allowed are {', '.join(recon.METHODS)}, or your own as "
-            f"package.module:function or file.py:function{did_you_mean(text, recon.METHODS)}"
+            f"method '{text}' is unknown; allowed are {', '.join([*recon.METHODS, *OPTIONAL])}, or your own as "
+            f"package.module:function or file.py:function{did_you_mean(text, [*recon.METHODS, *OPTIONAL])}"
         )
     return NamedMethod(name, source)
 

@@ -13,7 +13,7 @@ import cyclopts
 
 from dasim.base import atomic
 from dasim.base.errors import InputError, one_line
-from dasim.cli import check, datasets, export, expose, listing, photograph, reconstruct, study
+from dasim.cli import check, datasets, export, expose, learn, listing, photograph, reconstruct, study
 
 app = cyclopts.App(
     name="dasim",
@@ -34,6 +34,7 @@ for command in (
     reconstruct.score,
     datasets.app,
     study.app,
+    learn.app,
     check.validate,
     listing.camera,
     photograph.lens,

@@ -196,6 +196,7 @@ def _list_methods(*, verbose: bool) -> None:
     for name in recon.METHODS:
         default = " (the default)" if name == DEFAULT_PRESET else ""
         print(f"{name:<22}{DESCRIPTIONS[name]}{default}")
+    print(f"{'learned':<22}a network that sees the planes of the mosaic alone (needs the extra 'learn')")
     if verbose:
         print("your own: package.module:function or file.py:function, from a Capture and a PsfBank to a DepthEstimate")
 

@@ -55,14 +55,22 @@ def without_pixel(lens: Optics) -> Optics:
 
 def photographed(room: Room, lens: Optics, camera: Camera, green_e: float, time_s: float, seed: int) -> Capture:
     """A raw capture of a room with ``green_e`` electrons of white in green."""
-    mean = _blurred(room, lens)
+    raw, _ = noise.expose(green_e * mean_mosaic(room, lens, camera), camera.sensor, time_s, seed)
+    return Capture(raw_dn=raw, camera=camera, exposure_s=time_s, gain=1.0, seed=seed)
+
+
+def mean_mosaic(room: Room, lens: Optics, camera: Camera, thickness: float = 1.0) -> FloatArray:
+    """Mean electrons of the mosaic of a room without its margin, [h, w], per electron of white in green.
+
+    ``thickness`` is that of the slices, relative to ``FINEST`` and ``RELATIVE``.
+    """
+    mean = _blurred(room, lens, thickness)
     visible = (lens.white[:3] - lens.leak * lens.white[3])[:, None, None] * mean[:3]
     infrared = lens.white[3] * mean[3]
-    electrons = green_e * np.concatenate([visible + lens.leak[:, None, None] * infrared, infrared[None]])
+    electrons = np.concatenate([visible + lens.leak[:, None, None] * infrared, infrared[None]])
     inner = electrons[:, MARGIN:-MARGIN, MARGIN:-MARGIN]
     mosaic = noise.mosaic(np.maximum(np.moveaxis(inner, 0, -1), 0).astype(np.float64), camera)
-    raw, _ = noise.expose(electronic_crosstalk(mosaic, camera), camera.sensor, time_s, seed)
-    return Capture(raw_dn=raw, camera=camera, exposure_s=time_s, gain=1.0, seed=seed)
+    return electronic_crosstalk(mosaic, camera)
 
 
 def level_of(room: Room) -> Float32Array:
@@ -71,13 +79,13 @@ def level_of(room: Room) -> Float32Array:
     return middle[MARGIN:-MARGIN, MARGIN:-MARGIN]
 
 
-def _blurred(room: Room, lens: Optics) -> Float32Array:
+def _blurred(room: Room, lens: Optics, thickness: float = 1.0) -> Float32Array:
     """The picture behind the lens, [channel, h, w], with margin."""
     height, width = lens.transfer.shape[2], 2 * (lens.transfer.shape[3] - 1)
     total = np.zeros((4, height, width), np.float32)
     cover = np.zeros((4, height, width), np.float32)
     through = np.ones((4, height, width), np.float32)
-    edges = _slices(float(room.level.max()) + 1e-3)
+    edges = _slices(float(room.level.max()) + 1e-3, thickness)
     number = np.digitize(room.level, edges) - 1
     for index in range(int(number.max()), -1, -1):
         mask = number == index
@@ -97,9 +105,9 @@ def _blurred(room: Room, lens: Optics) -> Float32Array:
     return np.asarray(total / np.maximum(cover, LEAST_COVER), np.float32)
 
 
-def _slices(most: float) -> FloatArray:
+def _slices(most: float, thickness: float = 1.0) -> FloatArray:
     """Edges of the slices from 0 to beyond ``most``."""
     edges = [0.0]
     while edges[-1] <= most:
-        edges.append(edges[-1] + max(FINEST, RELATIVE * edges[-1]))
+        edges.append(edges[-1] + thickness * max(FINEST, RELATIVE * edges[-1]))
     return np.array(edges)

@@ -6,7 +6,7 @@ import os
 import subprocess
 import sys
 
-MODULES = "dasim, dasim.cli, recon, recon.depth.method, validation, validation.methods"
+MODULES = "dasim, dasim.cli, recon, recon.depth.method, recon.depth.learned, validation, validation.methods"
 
 
 def test_nothing_loads_pytorch_by_being_imported(tmp_path):
