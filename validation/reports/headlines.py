@@ -63,9 +63,10 @@ def _limit(limit: str | None, words: _Words) -> str:
     if limit is None:
         return ""
     low, high = (f"{words.factor * end:g}" for end in bounds(limit))
+    unit = words.unit.removesuffix("s") if "1" in (low, high) else words.unit
     strict = limit.lstrip()[:2].strip() in ("<", ">")
     if low == "-inf":
-        return f"{'less than' if strict else 'at most'} {high}{words.unit}"
+        return f"{'less than' if strict else 'at most'} {high}{unit}"
     if high == "inf":
-        return f"{'more than' if strict else 'at least'} {low}{words.unit}"
+        return f"{'more than' if strict else 'at least'} {low}{unit}"
     return f"from {low} to {high}{words.unit}"

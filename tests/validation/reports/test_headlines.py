@@ -24,11 +24,15 @@ def test_limits_are_said_in_the_unit_of_the_value():
             claim("all-in-focus.blurred.ciede2000", 2.76, "1..4", True),
             claim("all-in-focus.blurred.ssim", math.nan, None, None),
             claim("raw.all.blur-bad-1", 0.3, None, None),
+            claim("raw.all.level-median", 0.5, "<= 2", True),
+            claim("regularised.error-surer-half", 0.5, "<= 1", True),
         ]
     )
     assert [(one.value, one.limit) for one in shown] == [
         ("20 %", "at least 25 %"),
+        ("0.50 levels", "at most 2 levels"),
         ("32 %", "at most 50 %"),
+        ("0.50 levels", "at most 1 level"),
         ("2.8 dB", "more than 0 dB"),
         ("not measured", ""),
         ("2.8", "from 1 to 4"),
