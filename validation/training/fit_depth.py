@@ -94,7 +94,7 @@ def fit(
 
 
 def loss(logits: Tensor, blur_px: Tensor) -> Tensor:
-    """Mean over the pixels whose blur [batch, h, w] is known; ``logits`` are [batch, class, h, w]."""
+    """Mean over the pixels whose blur [batch, h, w] is known, 0 without any; ``logits`` are [batch, class, h, w]."""
     grid = torch.tensor(blur_grid(), dtype=torch.float32, device=logits.device)
     known = blur_px.isfinite()
     blur = blur_px.nan_to_num().clamp(0, float(grid[-1])).contiguous()
@@ -103,7 +103,7 @@ def loss(logits: Tensor, blur_px: Tensor) -> Tensor:
     log = functional.log_softmax(logits, 1)
     near, far = (log.gather(1, index[:, None])[:, 0] for index in (low, low + 1))
     error = (torch.einsum("bkhw,k->bhw", log.exp(), grid) - blur).abs() / (1 + blur / 4)
-    return (MEAN_WEIGHT * error - (1 - share) * near - share * far)[known].mean()
+    return (MEAN_WEIGHT * error - (1 - share) * near - share * far)[known].sum() / known.sum().clamp(min=1)
 
 
 def mean_loss(net: Network, sources: Sequence[Source], seed: int = 0) -> tuple[float, float]:

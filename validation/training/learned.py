@@ -62,17 +62,25 @@ def of_dataset(dataset: str, split: str) -> list[Source]:
     samples = open_dataset(dataset, split)
     if not len(samples):
         raise InputError(f"{dataset}: split '{split}' has no samples")
-    return [of_sample(sample) for sample in samples]
+    found = [one for one in map(of_sample, samples) if one is not None]
+    if not found:
+        raise InputError(f"{dataset}: no sample of the split '{split}' shows a surface nearer than its focus")
+    return found
 
 
-def of_sample(sample: Sample) -> Source:
-    """A sample; pixels behind the focus, without a surface, or beyond the truth's margin do not count."""
+def of_sample(sample: Sample) -> Source | None:
+    """A sample; pixels behind the focus, without a surface, or beyond the truth's margin do not count.
+
+    None for a sample in which none counts.
+    """
     where = f"sample {key(sample.index)}"
     if "depth_m" not in sample.truth:
         raise InputError(f"{where}: its truth lacks depth; make the dataset with truth.keep = ['depth'] or more")
     capture = capture_of(sample.meta, sample.raw_dn, where)
     blur = np.asarray(geometry.blur_px(capture.camera, np.asarray(sample.truth["depth_m"], np.float64)))
     blur = np.where(blur < BEHIND_PX, np.nan, np.maximum(blur, 0))
+    if not np.isfinite(blur).any():
+        return None
     return fit_depth.of_capture(capture, _of_blocks(blur, capture.raw_dn.shape), depth_examples.hole_of(capture.camera))
 
 
