@@ -5,9 +5,10 @@ textured cards before textured boards, photographs them through the stop (with o
 pixels, and noise), and moves the radii and the weights of the network down the same slope. The light that a ring passes
 follows from its area. The same network with the disc is trained beside, and both are compared on new pictures.
 
-python examples/learned_ring.py [STEPS]      600 steps take a few minutes; needs the extra 'learn'
+python examples/learned_ring.py [STEPS]      600 steps take some minutes; needs the extra 'learn'
 """
 
+import json
 import sys
 
 import numpy as np
@@ -15,14 +16,15 @@ import torch
 from torch import nn
 
 import dasim
-from dasim.camera.stops import Annulus
+from dasim.camera.stops import Annulus, Disc
 from dasim.differentiable import picture, stop
 
 LIGHT, EXPOSURE_S, WHITE_E = "D65", 0.03, 3000.0  # electrons of white in green
 BLURS_PX = np.linspace(1.0, 28.0, 10)  # visible blur diameters of cards and boards
 SIDE, MARGIN, BATCH = 96, 16, 12  # pixels of a picture and of its border that is cut off, pictures of a step
 CELLS, SOFT = 48, 0.03  # cells across the lens; width of the ring's soft edges in radii of the lens
-RATE, RADIUS_RATE = 2e-3, 6e-3
+RATE, RADIUS_RATE = 2e-3, 2e-3
+ALONE = 1 / 3  # of the steps, in which the network learns alone: before, its slope says nothing of the stop
 
 
 class Lens:
@@ -101,7 +103,7 @@ def train(lens: Lens, steps: int, learn_stop: bool) -> tuple[torch.Tensor, nn.Mo
     groups = [{"params": net.parameters(), "lr": RATE}, {"params": [radii], "lr": RADIUS_RATE}]
     optimiser = torch.optim.Adam(groups if learn_stop else groups[:1])
     for step in range(steps):
-        planes, blur = lens.photographed(radii, step)
+        planes, blur = lens.photographed(radii if step >= ALONE * steps else radii.detach(), step)
         found, error = estimated(net, planes)
         loss = (error + (found - blur).abs() * torch.exp(-error)).mean()
         optimiser.zero_grad()
@@ -129,10 +131,18 @@ def main(steps: int) -> None:
         radii, net = train(lens, steps, learn_stop)
         error = mean_error(lens, radii, net)
         print(f"{name}: radii {max(float(radii[0]), 0):.3f} to {radii[1]:.3f}, mean error {error:.2f} px")
-    inner, outer = (float(radius) for radius in radii.clamp(0, 1))
-    ring = Annulus(name="hole", shape="annulus", inner_ratio=round(inner, 3), outer_ratio=round(outer, 3))
-    print(f'[[stops]]\nname = "{ring.name}"\nshape = "annulus"')
-    print(f"inner_ratio = {ring.inner_ratio}\nouter_ratio = {ring.outer_ratio}\npasses_nm = [[650, 830]]")
+    inner, outer = (round(float(radius), 3) for radius in radii.clamp(0, 1))
+    if inner > 0:
+        made = Annulus(name="hole", shape="annulus", inner_ratio=inner, outer_ratio=outer, passes_nm=((650, 830),))
+    else:
+        made = Disc(name="hole", radius_ratio=outer, passes_nm=((650, 830),))
+    keys = ("name", "shape", "radius_ratio") if inner == 0 else ("name", "shape", "inner_ratio", "outer_ratio")
+    print(
+        "[[stops]]",
+        *(f"{key} = {json.dumps(getattr(made, key))}" for key in keys),
+        "passes_nm = [[650, 830]]",
+        sep="\n",
+    )
 
 
 if __name__ == "__main__":
