@@ -38,8 +38,9 @@ time.time = _wrong
 def soak(folder: Path, samples: int, seed: int, scenes: str, calm_s: float, say: Callable[[str], object]) -> list[str]:
     """Make a dataset twice, the second time disturbed, and return what is wrong: nothing, if all is well.
 
-    Disturbances are SIGKILL of all processes or of one, SIGSTOP for ``PAUSE_S``, a full disk (a tmpfs, where this user
-    may mount one), and a clock that is off by up to ``FARTHEST_CLOCK_S`` and jumps.
+    Disturbances are SIGKILL of all processes or of one, SIGTERM, SIGSTOP for ``PAUSE_S``, a full disk for as long (a
+    tmpfs, where this user may mount one), and in half of the runs a clock that is off by up to ``FARTHEST_CLOCK_S``
+    and jumps.
     """
     spec = _spec(folder, samples, seed, scenes)
     (folder / "clock").mkdir()
@@ -140,37 +141,50 @@ def _rough(spec: Path, out: Path, chance: random.Random, calm_s: float, room: bo
     """Runs with disturbances until the dataset is finished: their number, the events, and messages that are wrong."""
     events: Counter[str] = Counter()
     problems: list[str] = []
-    kinds = ["kill of all", "kill of one", "pause", "clock", *(["full disk"] if room else [])]
+    kinds = ["kill of all", "kill of one", "pause", "stop", *(["full disk"] if room else [])]
     runs = 0
     while not (out / "SHA256SUMS").exists() and len(problems) < 5:
-        kind = chance.choice(kinds)
-        run = _started(spec, out, chance.uniform(-1, 1) * FARTHEST_CLOCK_S if kind == "clock" else 0.0)
+        run = _started(spec, out, chance.choice([0.0, chance.uniform(-1, 1) * FARTHEST_CLOCK_S]))
         runs += 1
-        end = time.monotonic() + chance.expovariate(1 / calm_s)
-        while time.monotonic() < end and run.poll() is None:
-            time.sleep(POLL_S)
-        is_done = run.poll() is not None
-        events[kind] += not is_done
-        if kind == "full disk" and not is_done:
-            _fill(out)
-        elif kind == "pause" and not is_done:
-            os.killpg(run.pid, signal.SIGSTOP)
-            time.sleep(PAUSE_S)
-            os.killpg(run.pid, signal.SIGCONT)
-        elif kind == "kill of one" and not is_done:
-            _kill(chance.choice(sorted(_session(run)) or [run.pid]))
-        elif kind == "kill of all" and not is_done:
-            for process in _session(run):
-                _kill(process)
-        if kind == "clock" and not is_done:
-            run.send_signal(signal.SIGTERM)
+        while run.poll() is None:
+            _wait(run, chance.expovariate(1 / calm_s))
+            if run.poll() is None:
+                kind = chance.choice(kinds)
+                events[kind] += 1
+                _disturb(run, kind, out, chance)
         said = _ended(run)
         (out / "balloon").unlink(missing_ok=True)
         if run.returncode not in (0, 1, 2, 143, -signal.SIGKILL) or "Traceback" in said:
-            problems.append(f"a run with a {kind} ended with {run.returncode}: {said[-600:]}")
+            problems.append(f"a run ended with {run.returncode}: {said[-600:]}")
         while _session(run):  # workers whose coordinator was killed end with their samples
             time.sleep(POLL_S)
     return {"runs": runs, "events": events, "problems": problems}
+
+
+def _wait(run: subprocess.Popen[bytes], seconds: float) -> None:
+    """Wait some seconds, or until a run ends."""
+    end = time.monotonic() + seconds
+    while time.monotonic() < end and run.poll() is None:
+        time.sleep(POLL_S)
+
+
+def _disturb(run: subprocess.Popen[bytes], kind: str, out: Path, chance: random.Random) -> None:
+    """Do one of the things of :func:`soak` to a run."""
+    if kind == "full disk":
+        _fill(out)
+        _wait(run, PAUSE_S)
+        (out / "balloon").unlink(missing_ok=True)
+    elif kind == "pause":
+        os.killpg(run.pid, signal.SIGSTOP)
+        time.sleep(PAUSE_S)
+        os.killpg(run.pid, signal.SIGCONT)
+    elif kind == "stop":
+        run.send_signal(signal.SIGTERM)
+    elif kind == "kill of one":
+        _kill(chance.choice(sorted(_session(run)) or [run.pid]))
+    else:
+        for process in _session(run):
+            _kill(process)
 
 
 def _kill(process: int) -> None:
