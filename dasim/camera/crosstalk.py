@@ -11,14 +11,8 @@ import numpy as np
 
 from dasim.camera import radiometry
 from dasim.camera.diffusion import Shares, spread, undone
-from dasim.camera.specification import (
-    Camera,
-    channel_block,
-    channels,
-    mosaic_channels,
-    pixel_crosstalk,
-    spectral_shares,
-)
+from dasim.camera.sensor import channel_block, channels, pixel_crosstalk, spectral_shares
+from dasim.camera.specification import Camera, mosaic_channels
 from dasim.spectra import grid, illuminants
 from dasim.typing import FloatArray
 

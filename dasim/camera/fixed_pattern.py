@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from dasim.camera.specification import Sensor, principal_point
+from dasim.camera.sensor import Sensor, principal_point
 from dasim.typing import Float32Array, FloatArray
 
 TILE_PX = 64

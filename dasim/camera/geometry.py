@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 
 from dasim.camera import distortion, stops, thin_lens
-from dasim.camera.specification import BLUR_LEVELS, Camera, principal_point
+from dasim.camera.sensor import principal_point
+from dasim.camera.specification import BLUR_LEVELS, Camera
 from dasim.spectra import grid
 from dasim.typing import FloatArray
 

@@ -23,7 +23,8 @@ from dasim.base.loading import function_name, locate_error
 from dasim.base.toml import Specification
 from dasim.camera.crosstalk import electronic_crosstalk
 from dasim.camera.fixed_pattern import dark_heat, fixed_pattern
-from dasim.camera.specification import Camera, Sensor, mosaic_channels
+from dasim.camera.sensor import Sensor
+from dasim.camera.specification import Camera, mosaic_channels
 from dasim.typing import BoolArray, FloatArray
 
 LONGEST_EXPOSURE_S = 3600.0

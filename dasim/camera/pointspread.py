@@ -27,6 +27,7 @@ from scipy.special import j0
 from dasim.base.errors import InputError, kind_of
 from dasim.base.suggestions import did_you_mean
 from dasim.camera import geometry, glare, radial_pattern, radiometry, stops, wavefront
+from dasim.camera import sensor as sensors
 from dasim.camera import specification as cameras
 from dasim.camera.pupil_pattern import pupil_pattern, turned
 from dasim.camera.radial_pattern import SUBPIXELS
@@ -79,7 +80,7 @@ def radial_profiles(
     pitch_m = camera.sensor.pixel_pitch_um * 1e-6
     colour_px = geometry.chromatic_blur_px(camera)
     lead = spectrum.shape[:-1]
-    count = len(cameras.channels(camera.sensor))
+    count = len(sensors.channels(camera.sensor))
     total = np.zeros((*lead, len(blur_px), count, len(radius_px)))
     signal = np.zeros((*lead, count))
     for stop in camera.stops if group is None else group:
@@ -369,7 +370,7 @@ def psf(
     camera = cameras.as_camera(camera)
     field_px = geometry.frame_field_px(camera) if field_px is None else pair("field_px", field_px)
     offset_px = pair("offset_px", offset_px)
-    names = cameras.channels(camera.sensor)
+    names = sensors.channels(camera.sensor)
     if channel not in names:
         raise InputError(f"channel '{channel}' is unknown; allowed are {', '.join(names)}")
     if not isinstance(depth_m, (int, float, np.number)) or not depth_m > 0:

@@ -20,6 +20,7 @@ import numpy as np
 from dasim.base.errors import InputError
 from dasim.base.toml import parse
 from dasim.camera import geometry, specification, zernike
+from dasim.camera.lens import Lens
 from dasim.camera.specification import Camera, as_camera
 from dasim.typing import FloatArray
 
@@ -63,7 +64,7 @@ def camera_from_lens(path: str | Path, camera: Camera | str | Path = "da-mobile"
         ideal["distortion_per_mm"] = ()
         ideal |= {"wavefront_nm": {}, "wavefront_by_field": ()}
         changed = camera.lens.model_dump() | ideal
-        camera = camera.model_copy(update={"lens": parse(specification.Lens, changed, str(path))})
+        camera = camera.model_copy(update={"lens": parse(Lens, changed, str(path))})
         corner_deg = _corner_deg(camera)
         angles = np.linspace(0.0, corner_deg, ANGLES)
         _prepare(optic, corner_deg)

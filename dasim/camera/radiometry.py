@@ -9,7 +9,8 @@ import numpy as np
 
 from dasim.camera import coatings, distortion, stops
 from dasim.camera.geometry import aperture_m, image_distance_m
-from dasim.camera.specification import Camera, cutoff, quantum_efficiency, shading
+from dasim.camera.sensor import cutoff, quantum_efficiency
+from dasim.camera.specification import Camera, shading
 from dasim.spectra import grid
 from dasim.typing import FloatArray
 

@@ -15,7 +15,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from dasim.camera import distortion, geometry, stops, zernike
-from dasim.camera.specification import Camera, Lens
+from dasim.camera.lens import Lens
+from dasim.camera.specification import Camera
 from dasim.camera.stops import Stop
 from dasim.camera.zernike import Coefficients
 from dasim.typing import FloatArray

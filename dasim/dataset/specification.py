@@ -14,7 +14,8 @@ from dasim.base.loading import load_function
 from dasim.base.toml import Specification, bundled_or_file, parse_toml
 from dasim.camera import specification as cameras
 from dasim.camera.noise import LONGEST_EXPOSURE_S, NoiseModel, expose
-from dasim.camera.specification import SMALLEST_FRAME_PX, Camera
+from dasim.camera.sensor import SMALLEST_FRAME_PX
+from dasim.camera.specification import Camera
 from dasim.dataset.choices import (
     CameraChoice,
     Draw,

@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from dasim.base import atomic, untrusted
 from dasim.base.errors import InputError
 from dasim.base.toml import parse
-from dasim.camera.specification import Camera, channels
+from dasim.camera.sensor import channels
+from dasim.camera.specification import Camera
 from dasim.values import LevelsBehind, PsfBank
 
 BANK_SCHEMA = 2

@@ -19,6 +19,7 @@ import numpy as np
 from dasim.base.errors import InputError
 from dasim.base.toml import parse
 from dasim.camera import geometry
+from dasim.camera import sensor as sensors
 from dasim.camera import specification as cameras
 from dasim.camera.noise import Exposure
 from dasim.camera.specification import Camera
@@ -137,7 +138,7 @@ def _default_camera() -> Camera:
 
 def _field_of_view(camera: Camera) -> tuple[float, float]:
     """Tangents of half the width and height of the field of view, centred on the axis."""
-    axis = np.array(cameras.principal_point(camera.sensor))
+    axis = np.array(sensors.principal_point(camera.sensor))
     pixels = np.maximum(axis, [camera.sensor.width_px, camera.sensor.height_px] - axis)
     half = pixels * camera.sensor.pixel_pitch_um * 1e-6 / geometry.image_distance_m(camera)
     return float(half[0]), float(half[1])

@@ -28,7 +28,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage, signal
 
-from dasim.camera.specification import Camera, principal_point
+from dasim.camera.sensor import principal_point
+from dasim.camera.specification import Camera
 from dasim.render.plugin import texture
 from dasim.typing import FloatArray
 

@@ -14,8 +14,9 @@ from typing import Any
 import numpy as np
 
 from dasim.camera import distortion, glare, radiometry, wavefront
-from dasim.camera.specification import Camera, principal_point
-from dasim.camera.specification import channels as channel_names
+from dasim.camera.sensor import channels as channel_names
+from dasim.camera.sensor import principal_point
+from dasim.camera.specification import Camera
 from dasim.camera.stops import Stop, ring
 from dasim.render import control_variate, irradiance, ray_loop, stock, transport
 from dasim.render.control_variate import Control, Fine

@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dasim.camera import distortion, geometry
-from dasim.camera.specification import Camera, principal_point
+from dasim.camera.sensor import principal_point
+from dasim.camera.specification import Camera
 from dasim.camera.stops import Stop
 from dasim.render import pupil, transport, wave
 from dasim.render.control_variate import Control

@@ -13,7 +13,8 @@ import numpy as np
 
 from dasim.base.errors import InputError
 from dasim.camera import geometry, pointspread, radial_pattern, radiometry, stops, wavefront
-from dasim.camera.specification import Camera, principal_point
+from dasim.camera.sensor import principal_point
+from dasim.camera.specification import Camera
 from dasim.camera.stops import Stop
 from dasim.render import truth
 from dasim.render.plugin import spectrum_dict

@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 from dasim.camera import distortion
 from dasim.camera import geometry as camera_geometry
-from dasim.camera.specification import Camera, principal_point
+from dasim.camera.sensor import principal_point
+from dasim.camera.specification import Camera
 from dasim.typing import Float32Array, FloatArray
 
 

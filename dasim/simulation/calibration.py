@@ -15,7 +15,8 @@ from dasim.camera import geometry, pointspread
 from dasim.camera import noise as sensor_noise
 from dasim.camera.crosstalk import electronic_crosstalk
 from dasim.camera.noise import Exposure, NoiseModel
-from dasim.camera.specification import Camera, Sensor, as_camera
+from dasim.camera.sensor import Sensor
+from dasim.camera.specification import Camera, as_camera
 from dasim.spectra import illuminants
 from dasim.typing import FloatArray
 from dasim.values import PointPicture, PointPictures

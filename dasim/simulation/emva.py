@@ -15,15 +15,8 @@ import numpy as np
 
 from dasim.base.errors import InputError
 from dasim.camera import noise as sensors
-from dasim.camera.specification import (
-    SMALLEST_FRAME_PX,
-    Camera,
-    Sensor,
-    channels,
-    collected_efficiency,
-    cutoff,
-    quantum_efficiency,
-)
+from dasim.camera.sensor import SMALLEST_FRAME_PX, Sensor, channels, collected_efficiency, cutoff, quantum_efficiency
+from dasim.camera.specification import Camera
 from dasim.files.folders import new_folder, software_versions
 from dasim.files.png import write_png16
 from dasim.spectra import grid

@@ -18,7 +18,7 @@ from dasim.base.errors import InputError
 from dasim.base.loading import function_name
 from dasim.base.toml import parse
 from dasim.camera import noise as sensor_noise
-from dasim.camera import specification as cameras
+from dasim.camera import sensor as sensors
 from dasim.camera.crosstalk import electronic_crosstalk
 from dasim.camera.noise import Exposure, NoiseModel
 from dasim.camera.specification import Camera
@@ -186,7 +186,7 @@ def to_precision(values: FloatArray) -> Float32Array:
 def sensor_light_of(shot: Shot, where: str) -> SensorLight:
     """The light that reached the sensor in a kept shot; ``where`` begins the message of an InputError."""
     capture, truth = shot.capture, shot.truth
-    names, size = cameras.channels(capture.camera.sensor), capture.raw_dn.shape
+    names, size = sensors.channels(capture.camera.sensor), capture.raw_dn.shape
     if truth.mean_e.shape != (*size, len(names)):
         height, width, count = truth.mean_e.shape
         raise InputError(
@@ -265,7 +265,7 @@ def _noise_shares(light: SensorLight, exposure: Exposure) -> dict[str, Any]:
     """Rendering noise over the sensor's of this exposure, for the provenance; empty where it is unknown."""
     if light.variance is None or "spp" not in light.origin:
         return {}
-    names = cameras.channels(light.camera.sensor)
+    names = sensors.channels(light.camera.sensor)
     at = list(rendering_noise.PERCENTILES)
     if "rendering_noise_share_wanted" in light.origin:
         at.append(light.origin["rendering_noise_at"])

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dasim.camera import noise, radiometry, wavefront
+from dasim.camera import sensor as sensors
 from dasim.camera import specification as cameras
 from dasim.camera.noise import Exposure
 from dasim.camera.rings import at_pixels, rings
@@ -186,7 +187,7 @@ def stop_pictures(
 ) -> Picture:
     """One picture through each stop, before glare."""
     sensor, stops = view.camera.sensor, len(view.camera.stops)
-    shape = stops, sensor.height_px, sensor.width_px, len(cameras.channels(sensor))
+    shape = stops, sensor.height_px, sensor.width_px, len(sensors.channels(sensor))
     whole: list[Any] = [np.empty(shape, kind) for kind in (float, float, np.float32, np.float32)]
     for number in range(stops):
         ratios = stop_picture(view, sharp, number, field, spp[number], seed, progress, label)
@@ -308,7 +309,7 @@ def sharp_pictures(view: View, sampling: Sampling, progress: Progress) -> SharpP
         max_blur_px=view.reach_px,
     )
     check_finite(view.scene, sharp.rate, view.objects_at)
-    channels = len(cameras.channels(camera.sensor))
+    channels = len(sensors.channels(camera.sensor))
     colours = srgb(sharp.rate[..., channels:], camera, twin, view.illuminant)
     rate, fine = sharp.rate[..., :channels].copy(), sharp.fine
     del sharp

@@ -16,7 +16,7 @@ import numpy as np
 from dasim.camera import depth_blur, pointspread
 from dasim.camera import geometry as camera_geometry
 from dasim.camera import noise as sensor_noise
-from dasim.camera import specification as cameras
+from dasim.camera import sensor as sensors
 from dasim.camera.noise import Exposure, NoiseModel
 from dasim.camera.specification import Camera, as_camera
 from dasim.loading import as_scene
@@ -195,7 +195,7 @@ def describe_truth(view: View, mean: LensPicture, sharp: SharpPictures, focus: F
         blur_px=view.blur_px.astype(np.float32),
         level=(view.blur_px / camera_geometry.level_blur_px(view.camera)[1]).astype(np.float32),
         boundary=depth_blur.boundary(view.blur_px),
-        channels=cameras.channels(view.camera.sensor),
+        channels=sensors.channels(view.camera.sensor),
         mean_e=mean.rate,
         sharp_e=sharp.rate,
         sharp_srgb=sharp.srgb,
@@ -209,6 +209,6 @@ def describe_truth(view: View, mean: LensPicture, sharp: SharpPictures, focus: F
 
 def airy_errors(camera: Camera, illuminant: str) -> dict[str, Any]:
     """Largest errors of ``airy`` for ``meta.json``: encircled energy and MTF, each {channel: [level]}."""
-    names = cameras.channels(camera.sensor)
+    names = sensors.channels(camera.sensor)
     tables = zip(("encircled_energy", "mtf"), pointspread.airy_errors(camera, illuminant), strict=True)
     return {what: {n: errors[:, i].round(3).tolist() for i, n in enumerate(names)} for what, errors in tables}

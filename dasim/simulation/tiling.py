@@ -14,7 +14,8 @@ import numpy as np
 from dasim.base.errors import InputError
 from dasim.base.toml import parse
 from dasim.camera import pointspread
-from dasim.camera.specification import Camera, Sensor
+from dasim.camera.sensor import Sensor
+from dasim.camera.specification import Camera
 from dasim.values import Capture, Truth
 
 

@@ -11,7 +11,8 @@ import numpy as np
 
 from dasim.base.errors import InputError
 from dasim.camera.rings import field_angle_deg
-from dasim.camera.specification import Camera, channels, principal_point
+from dasim.camera.sensor import channels, principal_point
+from dasim.camera.specification import Camera
 from dasim.values import Capture, PsfBank
 
 PLACE_TOLERANCE = (

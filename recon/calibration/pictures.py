@@ -7,7 +7,8 @@ from numpy.typing import NDArray
 
 from dasim.camera import noise
 from dasim.camera.crosstalk import corrected, noise_gains
-from dasim.camera.specification import Camera, channels, mosaic_channels
+from dasim.camera.sensor import channels
+from dasim.camera.specification import Camera, mosaic_channels
 from dasim.typing import FloatArray
 from dasim.values import PointPicture
 

@@ -8,7 +8,8 @@ import numpy as np
 from scipy import fft, ndimage
 
 from dasim.base.errors import InputError
-from dasim.camera.specification import Camera, channels
+from dasim.camera.sensor import channels
+from dasim.camera.specification import Camera
 from dasim.typing import Float32Array, FloatArray, Progress
 from dasim.values import LevelsBehind, PointPicture, PsfBank
 from recon.calibration.pictures import averaged, common_centre

@@ -13,7 +13,8 @@ from scipy import ndimage
 
 from dasim.base.errors import InputError
 from dasim.camera import noise
-from dasim.camera.specification import Camera, channels, mosaic_channels
+from dasim.camera.sensor import channels
+from dasim.camera.specification import Camera, mosaic_channels
 from dasim.typing import FloatArray
 from dasim.values import Capture, PointPicture
 from recon.calibration.pictures import RIM_PX, SATURATION_SHARE

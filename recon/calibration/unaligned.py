@@ -11,7 +11,8 @@ from scipy import ndimage
 from scipy.optimize import minimize, nnls
 
 from dasim.base.errors import InputError
-from dasim.camera.specification import Camera, channels
+from dasim.camera.sensor import channels
+from dasim.camera.specification import Camera
 from dasim.typing import FloatArray
 from dasim.values import PointPicture
 from recon.calibration.pictures import CORE_SHARE, RIM_PX, averaged, common_centre

@@ -10,7 +10,8 @@ import numpy as np
 from dasim.base.errors import InputError
 from dasim.camera.radiometry import response
 from dasim.camera.rings import field_angle_deg
-from dasim.camera.specification import Camera, channels
+from dasim.camera.sensor import channels
+from dasim.camera.specification import Camera
 from dasim.spectra import grid, illuminants
 from dasim.typing import FloatArray
 

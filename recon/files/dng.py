@@ -25,7 +25,7 @@ from dasim.base import atomic
 from dasim.base.errors import InputError
 from dasim.camera import noise
 from dasim.camera.radiometry import response
-from dasim.camera.specification import channels
+from dasim.camera.sensor import channels
 from dasim.spectra import colour as colours
 from dasim.typing import FloatArray
 from dasim.values import Capture, Developed

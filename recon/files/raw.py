@@ -20,7 +20,8 @@ from dasim.base.errors import InputError
 from dasim.base.suggestions import did_you_mean
 from dasim.base.toml import parse
 from dasim.camera.noise import Exposure
-from dasim.camera.specification import Camera, Sensor
+from dasim.camera.sensor import Sensor
+from dasim.camera.specification import Camera
 from dasim.files.captures import load_capture
 from dasim.values import Capture
 from recon.files import dng_reading

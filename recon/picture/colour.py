@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from dasim.camera.radiometry import response
 from dasim.camera.rings import rings
-from dasim.camera.specification import Camera, channels
+from dasim.camera.sensor import channels
+from dasim.camera.specification import Camera
 from dasim.spectra import grid
 from dasim.spectra.colour import fitted_matrix
 from dasim.typing import Float32Array, FloatArray

@@ -21,7 +21,8 @@ from numpy.typing import NDArray
 
 from dasim.camera.radiometry import response
 from dasim.camera.rings import field_angle_deg, rings
-from dasim.camera.specification import Camera, channels
+from dasim.camera.sensor import channels
+from dasim.camera.specification import Camera
 from dasim.spectra import grid
 from dasim.typing import Float32Array, FloatArray
 from dasim.values import PsfBank

@@ -10,7 +10,8 @@ from dasim.base.errors import InputError
 from dasim.camera import specification
 from dasim.camera.radiometry import response
 from dasim.camera.rings import rings
-from dasim.camera.specification import Camera, channels
+from dasim.camera.sensor import channels
+from dasim.camera.specification import Camera
 from dasim.spectra import colour_checker, grid, illuminants
 from dasim.typing import Float32Array, FloatArray
 from dasim.values import Capture

@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 from dasim.base.errors import InputError
 from dasim.camera import noise
 from dasim.camera.crosstalk import corrected, electronic_crosstalk, noise_gains
-from dasim.camera.specification import Camera, channels
+from dasim.camera.sensor import channels
+from dasim.camera.specification import Camera
 from dasim.spectra.grid import CHANNELS
 from dasim.typing import BoolArray, Float32Array
 from dasim.values import Capture

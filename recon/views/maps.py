@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dasim.camera.specification import Sensor, channel_block, channels
+from dasim.camera.sensor import Sensor, channel_block, channels
 from dasim.typing import Float32Array
 
 MAP = "viridis"  # colour-blind-safe

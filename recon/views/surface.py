@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from dasim.base import atomic
 from dasim.base.errors import InputError
-from dasim.camera.specification import Camera, principal_point
+from dasim.camera.sensor import principal_point
+from dasim.camera.specification import Camera
 from dasim.typing import FloatArray
 
 JUMP_SHARE = 0.01  # relative depth difference per pixel; a plane at 87 degrees to da-mobile has 0.9 %

@@ -11,7 +11,7 @@ import dasim
 import recon
 import validation
 from dasim.base.toml import Specification
-from dasim.camera.specification import Lens
+from dasim.camera.lens import Lens
 from dasim.cli import app
 from dasim.files import captures
 from dasim.scene.lights import Ground

@@ -14,7 +14,8 @@ import numpy as np
 import pytest
 
 import dasim
-from dasim.camera import radiometry, response_curves, specification
+from dasim.camera import radiometry, response_curves
+from dasim.camera import sensor as sensors
 from dasim.camera import specification as cameras
 from dasim.camera.datasheet import saturation_capacity_e
 from dasim.cli import run
@@ -179,7 +180,7 @@ def test_the_camera_file_is_the_hardware(bench, hardware):
     for name in ("dn_per_e", "read_noise_e", "full_well_e", "dsnu_e", "prnu", "dark_current_e_s", "black_level_dn"):
         assert getattr(stated, name) == pytest.approx(getattr(true, name), rel=SENSOR_TOLERANCE), name
     inside = grid.WAVELENGTH_NM < 810  # the cut-off's end
-    mine, hardware_curve = (specification.quantum_efficiency(sensor)[:, inside] for sensor in (stated, true))
+    mine, hardware_curve = (sensors.quantum_efficiency(sensor)[:, inside] for sensor in (stated, true))
     np.testing.assert_allclose(mine, hardware_curve, atol=CURVE_TOLERANCE * hardware_curve.max())
 
 

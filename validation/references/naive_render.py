@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dasim.camera import geometry, radiometry
-from dasim.camera.specification import Camera, principal_point
+from dasim.camera.sensor import principal_point
+from dasim.camera.specification import Camera
 from dasim.render.translate import MAX_PATH_DEPTH
 from dasim.spectra import grid
 

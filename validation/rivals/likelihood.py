@@ -25,7 +25,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dasim.bounds.cramer_rao import natural_power
-from dasim.camera import geometry, pointspread, specification
+from dasim.camera import geometry, pointspread
+from dasim.camera import sensor as sensors
 from dasim.camera.specification import Camera
 from dasim.spectra import illuminants
 from dasim.spectra.grid import CHANNELS
@@ -127,7 +128,7 @@ def _transfers(camera: Camera, light: str, blur_px: FloatArray) -> ComplexArray:
     result = np.zeros((len(blur_px), len(CHANNELS), PATCH_PX, PATCH_PX), complex)
     for number in range(len(blur_px)):
         kernel, _ = kernels(number, (0.0, 0.0), ...)
-        for name, one in zip(specification.channels(camera.sensor), kernel, strict=True):
+        for name, one in zip(sensors.channels(camera.sensor), kernel, strict=True):
             folded = np.zeros((PATCH_PX, PATCH_PX))
             np.add.at(folded, (place[:, None], place[None]), one)
             result[number, CHANNELS.index(name)] = np.fft.fft2(folded)

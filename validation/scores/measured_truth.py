@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dasim.camera import geometry
-from dasim.camera import specification as cameras
+from dasim.camera import sensor as sensors
 from dasim.camera.specification import Camera
 from dasim.files.truth import truth_of
 from dasim.values import Reconstruction, Truth
@@ -30,7 +30,7 @@ def truth_of_depth(depth_m: NDArray[Any], camera: Camera) -> Truth:
         "depth_m": depth_m.astype(np.float32),
         "blur_px": blur.astype(np.float32),
         "level": (blur / geometry.level_blur_px(camera)[1]).astype(np.float32),
-        "channels": cameras.channels(camera.sensor),
+        "channels": sensors.channels(camera.sensor),
     }
     return truth_of(values, camera, "measured depths")
 

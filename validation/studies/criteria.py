@@ -29,7 +29,7 @@ from numpy.typing import ArrayLike, NDArray
 from dasim.base.errors import InputError
 from dasim.bounds import cramer_rao, pupils
 from dasim.camera import geometry
-from dasim.camera import specification as cameras
+from dasim.camera import sensor as sensors
 from dasim.camera.specification import Camera
 from dasim.typing import ComplexArray, FloatArray
 from validation.subjects import strips
@@ -66,7 +66,7 @@ def texture_patch(camera: Camera, light: str, level_lux: float, planes: tuple[st
     ``light`` is an illuminant's name, ``level_lux`` its illuminance, ``planes`` the channels, the first one with the
     sharp texture. Raises InputError for a channel that the camera lacks or that receives no light.
     """
-    names = cameras.channels(camera.sensor)
+    names = sensors.channels(camera.sensor)
     missing = [name for name in planes if name not in names]
     if missing:
         raise InputError(f"camera '{camera.name}' has no channel {', '.join(missing)}; it has {', '.join(names)}")
@@ -225,7 +225,7 @@ def camera_bound(
     about the blur.
     """
     patch = texture_patch(camera, light, level_lux, planes)
-    index = [cameras.channels(camera.sensor).index(name) for name in planes]
+    index = [sensors.channels(camera.sensor).index(name) for name in planes]
     transfer, slope = pupils.camera_transfers(camera, blur_px, light, SHAPE, spacing_px=SPACING_PX)
     return np.asarray(np.sqrt(blur_variance(transfer[:, index], slope[:, index], patch, texture)[0]))
 

@@ -9,7 +9,7 @@ from scipy import ndimage
 
 import dasim
 from dasim.camera.noise import Exposure, full_scale_e
-from dasim.camera.specification import Sensor
+from dasim.camera.sensor import Sensor
 from dasim.simulation.exposure import Shot
 from dasim.values import Capture, DepthEstimate, PsfBank, Truth
 from recon.depth.method import Method

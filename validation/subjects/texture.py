@@ -7,7 +7,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from dasim.camera import crosstalk, diffusion, noise, radiometry, specification
+from dasim.camera import crosstalk, diffusion, noise, radiometry
+from dasim.camera import sensor as sensors
 from dasim.camera.specification import Camera
 from dasim.materials import library
 from dasim.simulation.relight import LONGEST_S
@@ -25,7 +26,7 @@ def noise_variance(camera: Camera, mean_e: FloatArray, time_s: float, gain: floa
     gain.
     """
     shares = crosstalk.channel_shares(camera)
-    collected = diffusion.collected_evenly(mean_e, specification.channel_block(camera.sensor), shares)
+    collected = diffusion.collected_evenly(mean_e, sensors.channel_block(camera.sensor), shares)
     return crosstalk.noise_gains(camera) * noise.variance(camera.sensor, time_s, gain).at(collected)
 
 

@@ -18,7 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dasim.bounds import cramer_rao
-from dasim.camera import geometry, specification
+from dasim.camera import geometry
+from dasim.camera import sensor as sensors
 from dasim.camera.specification import Camera
 from dasim.simulation.exposure import Shot
 from dasim.typing import BoolArray, FloatArray
@@ -80,7 +81,7 @@ def _sparsity(camera: Camera) -> FloatArray:
 
 def _table(camera: Camera, light: str, contrast_e: float, noise: NDArray, gain: float) -> FloatArray:
     """Bound in levels for windows of each of ``STRENGTHS`` at each of ``BLUR_PX``, [strength, blur]."""
-    index = [specification.channels(camera.sensor).index(name) for name in PLANES]
+    index = [sensors.channels(camera.sensor).index(name) for name in PLANES]
     transfer, slope = cramer_rao.camera_transfers(camera, BLUR_PX, light, BOUND_SHAPE, spacing_px=SPACING_PX)
     power = cramer_rao.natural_power(BOUND_SHAPE, spacing_px=SPACING_PX, contrast=contrast_e)
     table = bound_table(transfer[:, index], slope[:, index], power, noise, spacing_px=SPACING_PX, gain=(1.0, gain))

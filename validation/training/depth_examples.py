@@ -15,7 +15,8 @@ import numpy as np
 import dasim
 from dasim.bounds import pupils
 from dasim.camera import noise
-from dasim.camera.specification import Camera, channels, crosstalk
+from dasim.camera.sensor import channels
+from dasim.camera.specification import Camera, crosstalk
 from dasim.camera.stops import Disc
 from dasim.typing import Float32Array, ShareDone
 from dasim.values import Capture

@@ -8,6 +8,7 @@ import pytest
 import dasim
 from dasim.bounds import cramer_rao, pupils
 from dasim.camera import geometry, pointspread, stops
+from dasim.camera import sensor as sensors
 from dasim.camera import specification as cameras
 from dasim.spectra import illuminants
 from tests.support.transfers import kernel_transfer
@@ -46,7 +47,7 @@ def test_transfer_functions_of_a_drawn_stop_are_those_of_its_radial_kernels(
     amplitude = pupils.stop_amplitude(stop)
     pupil = pupils.pupil(camera, stop, "D65", BLURS, len(amplitude), SHAPE, spacing_px=SPACING_PX)
     transfer = pupils.transfers(pupil, amplitude, stops.open_area(stop) * np.pi)
-    infrared = cameras.channels(camera.sensor).index("IR")
+    infrared = sensors.channels(camera.sensor).index("IR")
     exact = round_stop(camera, stop)
     transfer, exact = (
         one[:, infrared].reshape(len(BLURS), -1)[:, 1:] for one in (transfer, exact)
@@ -77,7 +78,7 @@ def test_a_mask_off_the_axis_has_the_phase_of_the_simulators_kernel(camera: dasi
     kernel = pointspread.psf(masked, depth_m, "IR", "D65", size=91)
     expected = kernel_transfer(kernel, SHAPE, spacing_px=SPACING_PX)
     transfer, _ = pupils.stop_transfers(masked, np.array([14.0]), "D65", SHAPE, spacing_px=SPACING_PX)
-    infrared = cameras.channels(camera.sensor).index("IR")
+    infrared = sensors.channels(camera.sensor).index("IR")
     outside = 1 - kernel.sum()  # light outside the frame
     np.testing.assert_allclose(transfer[0, infrared], expected, atol=TRANSFER_TOLERANCE + outside)
     mirrored = np.conj(transfer[0, infrared]) - expected

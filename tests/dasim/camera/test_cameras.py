@@ -12,6 +12,7 @@ import pytest
 
 import dasim
 from dasim.base.toml import to_toml
+from dasim.camera import sensor as sensors
 from dasim.camera import specification as cameras
 from dasim.camera import stops
 from dasim.cli import run
@@ -137,7 +138,7 @@ def test_each_photographs_the_desk(renderer, name, tmp_path):
     if name in NEED_JIT and renderer.startswith("scalar"):
         pytest.skip("needs a JIT variant; that it is refused without one is tested in a process of its own")
     shot = dasim.simulate(scene, camera, seed=1, spp=16, diffraction="off")
-    assert shot.truth.channels == cameras.channels(camera.sensor)
+    assert shot.truth.channels == sensors.channels(camera.sensor)
     # 16 samples per pixel are noisy, which a note says; one on saturated pixels would be another.
     assert all(note.startswith("rendering noise exceeds") for note in shot.capture.provenance["notes"])
     assert (shot.truth.mean_e.mean(axis=(0, 1)) > 100).all()

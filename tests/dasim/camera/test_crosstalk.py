@@ -7,6 +7,7 @@ import pytest
 
 from dasim.base.errors import InputError
 from dasim.camera import crosstalk, diffusion, radiometry
+from dasim.camera import sensor as sensors
 from dasim.camera import specification as cameras
 from dasim.spectra import colour_checker, grid, illuminants
 
@@ -95,9 +96,9 @@ def test_shares_of_channels_against_the_full_spectra(make):
     and with those of the channels. Expectation: what the docstring states.
     """
     camera = make(electronic_crosstalk="silicon")
-    names = cameras.channels(camera.sensor)
+    names = sensors.channels(camera.sensor)
     block = np.array([[names.index(name) for name in row] for row in camera.sensor.mosaic])
-    spectral, response = cameras.spectral_shares(camera.sensor), radiometry.response(camera)
+    spectral, response = sensors.spectral_shares(camera.sensor), radiometry.response(camera)
     area = np.tile(block, (3, 3))
 
     def at_places(per_channel, edge, corner):
@@ -157,5 +158,5 @@ def test_noise_gains_are_those_of_corrected_noise(name, value):
 )
 def test_crosstalk_that_cannot_be_undone_is_refused(da_mobile, changes, words):
     with pytest.raises(InputError, match=words) as refused:
-        cameras.parse(cameras.Sensor, da_mobile.sensor.model_dump() | changes, "test")
+        cameras.parse(sensors.Sensor, da_mobile.sensor.model_dump() | changes, "test")
     assert "\n" not in str(refused.value)

@@ -9,6 +9,7 @@ from scipy.stats import norm
 
 from dasim.base.errors import InputError
 from dasim.camera import datasheet, diffusion, noise, radiometry, response_curves, specification
+from dasim.camera import sensor as sensors
 from dasim.camera import specification as cameras
 from dasim.spectra import grid
 
@@ -68,8 +69,8 @@ def test_quantum_efficiency_is_that_of_pixels_among_their_neighbours(da_mobile, 
     camera = specification.cropped(sheet(changed, table, without=("quantum_efficiency_scale",)), 16, 16)
     index = int(np.argmin(np.abs(grid.WAVELENGTH_NM - 560.0)))
     channel = specification.mosaic_channels(camera)
-    generated = 1000 * specification.quantum_efficiency(camera.sensor)[channel, index]
-    shares = (np.full(channel.shape, share[index]) for share in specification.spectral_shares(camera.sensor))
+    generated = 1000 * sensors.quantum_efficiency(camera.sensor)[channel, index]
+    shares = (np.full(channel.shape, share[index]) for share in sensors.spectral_shares(camera.sensor))
     green = diffusion.spread(generated, *shares)[2:-2:2, 2:-2:2]
     np.testing.assert_allclose(green, 480.0, rtol=1e-9)
 
@@ -135,9 +136,7 @@ def test_curves_of_a_file_get_their_height_from_the_sheet(da_mobile, tmp_path):
     del data["sensor"]["quantum_efficiency_scale"]
     data["sensor"]["emva1288"] = {"quantum_efficiency_percent": 60.0, "wavelength_nm": 540.0}
     data["sensor"]["quantum_efficiency"] = {"file": "G.csv"}
-    efficiency = specification.quantum_efficiency(
-        cameras.parse(cameras.Camera, data, "mine.toml", folder=tmp_path).sensor
-    )
+    efficiency = sensors.quantum_efficiency(cameras.parse(cameras.Camera, data, "mine.toml", folder=tmp_path).sensor)
     green = np.interp(540.0, grid.WAVELENGTH_NM, ours[1])
     np.testing.assert_allclose(efficiency, ours * 0.6 / green, atol=1e-8)  # the file's nine digits
     data["sensor"] |= {"mosaic": [["L", "R"], ["B", "IR"]], "quantum_efficiency": {"file": "L.csv"}}

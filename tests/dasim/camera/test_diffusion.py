@@ -7,6 +7,7 @@ import pytest
 from scipy import integrate
 
 from dasim.camera import diffusion, silicon
+from dasim.camera import sensor as sensors
 from dasim.camera import specification as cameras
 from dasim.spectra import grid
 
@@ -96,8 +97,8 @@ def test_a_pixel_collects_what_an_even_frame_shows_there(name, value):
     channel = cameras.mosaic_channels(camera)
     for nm in (450.0, 530.0, 730.0):
         index = int(np.argmin(np.abs(grid.WAVELENGTH_NM - nm)))
-        shares = (np.full(channel.shape, share[index]) for share in cameras.spectral_shares(sensor))
-        frame = diffusion.spread(cameras.quantum_efficiency(sensor)[channel, index], *shares)
+        shares = (np.full(channel.shape, share[index]) for share in sensors.spectral_shares(sensor))
+        frame = diffusion.spread(sensors.quantum_efficiency(sensor)[channel, index], *shares)
         inner = np.s_[4:-4, 4:-4]
         expected = [frame[inner][channel[inner] == number].mean() for number in np.unique(channel)]
-        np.testing.assert_allclose(cameras.collected_efficiency(sensor)[:, index], expected, rtol=1e-12)
+        np.testing.assert_allclose(sensors.collected_efficiency(sensor)[:, index], expected, rtol=1e-12)

@@ -9,6 +9,7 @@ import pytest
 
 from dasim.base.errors import InputError
 from dasim.camera import noise as sensor
+from dasim.camera import sensor as sensors
 from dasim.camera import specification as cameras
 from dasim.camera.crosstalk import electronic_crosstalk, noise_gains
 
@@ -203,7 +204,7 @@ def test_all_users_give_a_pixel_the_same_variance(da_mobile):
     mean_e = 300 * step - 10 * time_s
     capture = Capture(raw, camera, time_s, 1.0, 0)
     gains = noise_gains(camera)  # of the correction of crosstalk, for R, G, B, IR; tested in test_crosstalk.py
-    for name, gain in zip(cameras.channels(camera.sensor), gains, strict=True):
+    for name, gain in zip(sensors.channels(camera.sensor), gains, strict=True):
         expected = gain * by_hand(mean_e, time_s)
         assert mosaic.noise_variance(capture, name).at(mean_e) == pytest.approx(expected, rel=1e-9)
 

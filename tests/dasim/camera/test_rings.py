@@ -9,6 +9,7 @@ from dasim.base.errors import InputError
 from dasim.base.toml import parse
 from dasim.camera import coatings, radiometry, response_curves
 from dasim.camera import specification as cameras
+from dasim.camera.lens import Lens
 from dasim.camera.rings import at_pixels, rings, spacing_of, square_of_sine
 from dasim.spectra import grid
 
@@ -102,4 +103,4 @@ def test_coatings_of_index_0_do_not_shift(da_mobile):
 def test_impossible_index_is_refused(da_mobile, index):
     changed = da_mobile.lens.model_dump() | {"coating_index": index}
     with pytest.raises(InputError, match="coating_index: must be an effective index"):
-        parse(cameras.Lens, changed, "lens")
+        parse(Lens, changed, "lens")

@@ -8,6 +8,7 @@ import pytest
 import dasim
 from dasim.base.errors import InputError
 from dasim.camera import radiometry, response_curves, silicon
+from dasim.camera import sensor as sensors
 from dasim.camera import specification as cameras
 from dasim.spectra import grid
 
@@ -48,8 +49,8 @@ def test_thin_silicon_limits_the_near_infrared_alone(da_mobile):
     clear = 0.58 * np.exp(-0.5 * ((grid.WAVELENGTH_NM - 610) / 254) ** 2)
     for nm, efficiency in ((730.0, 0.37), (800.0, 0.225)):
         assert at(nm, clear * thin[3] / thick[3]) == pytest.approx(efficiency, abs=0.005)
-    np.testing.assert_array_equal(cameras.quantum_efficiency(dasim.load_camera("da-mobile-thin").sensor), thin)
-    np.testing.assert_array_equal(cameras.quantum_efficiency(da_mobile.sensor), thick)
+    np.testing.assert_array_equal(sensors.quantum_efficiency(dasim.load_camera("da-mobile-thin").sensor), thin)
+    np.testing.assert_array_equal(sensors.quantum_efficiency(da_mobile.sensor), thick)
 
 
 def test_infrared_electrons_of_the_thin_camera(da_mobile):
@@ -70,7 +71,7 @@ def test_curves_of_ones_own_have_their_limit(da_mobile):
         "wavelength_nm": [400, 420], "channels": {name: [0.1, 0.1] for name in ("R", "G", "B", "IR")}
     }  # fmt: skip
     with pytest.raises(InputError, match="silicon_um limits the bundled response curves"):
-        cameras.parse(cameras.Sensor, data, "test")
+        cameras.parse(sensors.Sensor, data, "test")
 
 
 def test_thin_camera_is_da_mobile_in_other_silicon(da_mobile):

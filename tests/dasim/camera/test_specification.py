@@ -7,7 +7,8 @@ import pytest
 
 import dasim
 from dasim.base.errors import InputError
-from dasim.camera import geometry, radiometry, response_curves, specification
+from dasim.camera import geometry, radiometry, response_curves
+from dasim.camera import sensor as sensors
 from dasim.camera import specification as cameras
 from dasim.spectra import grid
 
@@ -183,9 +184,9 @@ def test_curves_of_ones_own_travel_to_the_truth(renderer, tmp_path, mosaic):
     (tmp_path / "mine.toml").write_text(text.replace("height_px = 1536", "height_px = 16"))
     camera = cameras.load_camera(tmp_path / "mine.toml")
     used = tuple(name for name in ("R", "G", "B", "IR", "W") if any(name in row for row in mosaic))
-    assert cameras.channels(camera.sensor) == used
+    assert sensors.channels(camera.sensor) == used
     np.testing.assert_allclose(
-        specification.quantum_efficiency(camera.sensor), np.stack([ours[name] for name in used]), atol=1e-9
+        sensors.quantum_efficiency(camera.sensor), np.stack([ours[name] for name in used]), atol=1e-9
     )
     letters = np.array(used)[cameras.mosaic_channels(camera)]
     assert letters[: len(mosaic), : len(mosaic[0])].tolist() == mosaic
@@ -249,7 +250,7 @@ def test_windows_keep_the_optical_axis(da_mobile):
     assert middle.sensor.principal_point_px == again.sensor.principal_point_px == (-976, -644)
     assert cameras.cropped(whole, 64, 48).sensor.principal_point_px is None, "in the middle as before"
     same = cameras.cropped(whole, 64, 48, at_px=(992, 744))
-    assert cameras.principal_point(same.sensor) == (32, 24)
+    assert sensors.principal_point(same.sensor) == (32, 24)
 
 
 @pytest.mark.parametrize("at_px", [(1, 0), (0, 3), (-2, 0), (1986, 0), (0, 1490), (0.5, 0)])

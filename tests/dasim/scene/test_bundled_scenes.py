@@ -9,6 +9,7 @@ import pytest
 
 import dasim
 from dasim.camera import depth_blur, geometry, radiometry
+from dasim.camera import sensor as sensors
 from dasim.camera import specification as cameras
 from dasim.materials.surfaces import Diffuse, Mixture
 from dasim.render import truth
@@ -166,5 +167,5 @@ def test_disk_contrasts_are_those_of_the_inks_spectra(disks):
     paper = reflectance("white-paper")
     for ink in ("cyan", "magenta", "yellow"):
         expected = 1 - (weight @ reflectance(f"ink-{ink}")) / (weight @ paper)
-        order = [cameras.channels(camera.sensor).index(name) for name in ("R", "G", "B", "IR")]
+        order = [sensors.channels(camera.sensor).index(name) for name in ("R", "G", "B", "IR")]
         assert np.allclose(_contrast(disks, "far", ink), expected[order], atol=RENDERED)

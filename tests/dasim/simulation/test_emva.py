@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from dasim.camera import datasheet, noise, response_curves
+from dasim.camera import sensor as sensors
 from dasim.camera import specification as cameras
 from dasim.cli import run
 from dasim.simulation import emva
@@ -51,7 +52,7 @@ def analyse():
 
 
 def with_sensor(camera, **changes):
-    changed = cameras.parse(cameras.Sensor, camera.sensor.model_dump() | changes, "test sensor")
+    changed = cameras.parse(sensors.Sensor, camera.sensor.model_dump() | changes, "test sensor")
     return camera.model_copy(update={"sensor": changed})
 
 

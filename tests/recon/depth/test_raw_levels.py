@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import dasim
+from dasim.camera import sensor as sensors
 from dasim.camera import specification as cameras
 from recon.depth import raw_levels
 from recon.picture import mosaic
@@ -40,7 +41,7 @@ def test_assumed_noise_is_the_spread_between_simulated_frames(light):
     linear = [mosaic.linearise(capture)[0] for capture in captures]
     planes = [mosaic.planes(raw_e, camera) for raw_e in linear]
     assumed = [raw_levels.variances(raw_e, capture) for raw_e, capture in zip(linear, captures, strict=True)]
-    for name in cameras.channels(camera.sensor):
+    for name in sensors.channels(camera.sensor):
         measured = np.var([plane[name] for plane in planes], axis=0, ddof=1).mean()
         expected = np.mean([variances[name] for variances in assumed])
         assert measured == pytest.approx(expected, rel=LIMIT), name

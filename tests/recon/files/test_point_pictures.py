@@ -14,6 +14,7 @@ import pytest
 import recon
 from dasim.base.errors import InputError
 from dasim.camera import noise, pointspread
+from dasim.camera import sensor as sensors
 from dasim.camera import specification as cameras
 from dasim.camera.crosstalk import electronic_crosstalk
 from dasim.files.png import read_png16, write_png16
@@ -171,8 +172,8 @@ def test_a_source_that_stood_anywhere(tmp_path, camera):
     measurement = read(tmp_path / "mine", camera)
     assert len(measurement.notes) == 1
     bank = recon.calibrate(measurement.pictures, camera)
-    for level, channel in itertools.product(range(2), cameras.channels(camera.sensor)):
-        measured = bank.kernel[0, level, cameras.channels(camera.sensor).index(channel)]
+    for level, channel in itertools.product(range(2), sensors.channels(camera.sensor)):
+        measured = bank.kernel[0, level, sensors.channels(camera.sensor).index(channel)]
         true = pointspread.psf(camera, float(bank.depth_m[level]), channel, LIGHT, size=len(measured))
         assert energy_error(measured, true) < SCATTERED_ENERGY, (level, channel)
     few = [p for p in photos if p.position == "place 1"]

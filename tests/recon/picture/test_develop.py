@@ -9,6 +9,7 @@ import recon
 from dasim.base.errors import InputError
 from dasim.camera import noise as sensor
 from dasim.camera import radiometry, response_curves, specification
+from dasim.camera import sensor as sensors
 from dasim.camera import specification as cameras
 from dasim.camera.crosstalk import electronic_crosstalk
 from dasim.spectra import grid, illuminants
@@ -159,7 +160,7 @@ def near_infrared(camera, share=0.5):
     """
     low, high = grid.NEAR_INFRARED_NM
     band = (grid.WAVELENGTH_NM >= low) & (grid.WAVELENGTH_NM <= high)
-    curves = specification.quantum_efficiency(camera.sensor)
+    curves = sensors.quantum_efficiency(camera.sensor)
     passed = grid.short_pass(camera.sensor.cutoff_nm, camera.sensor.cutoff_width_nm)
     nm = grid.WAVELENGTH_NM[band]
     signal = np.trapezoid((curves * passed)[:, band], nm, axis=-1)

@@ -5,6 +5,7 @@ import pytest
 
 from dasim.base.errors import InputError
 from dasim.camera import noise
+from dasim.camera import sensor as sensors
 from dasim.camera import specification as cameras
 from dasim.camera.crosstalk import electronic_crosstalk
 from dasim.spectra.grid import CHANNELS as sensor_names
@@ -89,7 +90,7 @@ def test_other_mosaics_are_refused(rows):
 
 def colours(four, camera, white=(1, 1, 1, 1)):
     """Full-resolution colours [h, w, 3] and infrared, if any, of a picture [h, w, 4] sampled by the camera's mosaic."""
-    names = cameras.channels(camera.sensor)
+    names = sensors.channels(camera.sensor)
     index = [sensor_names.index(name) for name in names]
     raw = noise.mosaic(four[..., index], camera).astype(np.float32)
     planes, phases = mosaic.planes(raw, camera), mosaic.phases(camera)
@@ -102,7 +103,7 @@ def colours(four, camera, white=(1, 1, 1, 1)):
 def test_every_pixel_of_the_mosaic_has_its_place(rows):
     """The grids of the channels cover each pixel once, each with the channel of its grid."""
     camera = with_mosaic(rows)
-    names = cameras.channels(camera.sensor)
+    names = sensors.channels(camera.sensor)
     channel = np.full((48, 64), -1)
     for name, rows_columns in mosaic.grids(camera).items():
         assert (channel[mosaic.sites(rows_columns, channel.shape)] == -1).all()

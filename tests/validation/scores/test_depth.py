@@ -12,6 +12,7 @@ import pytest
 
 from dasim.base.errors import InputError
 from dasim.camera import geometry, noise
+from dasim.camera import sensor as sensors
 from dasim.camera import specification as cameras
 from dasim.camera.crosstalk import electronic_crosstalk
 from dasim.cli import run
@@ -204,7 +205,7 @@ def test_stripes_are_texture_where_they_are(name):
     camera = cameras.cropped(cameras.load_camera(name), 192, 96)
     stripes = np.where(np.arange(192) // 8 % 2 == 0, 600.0, 1000.0) * np.ones((96, 1))
     stripes[:, 96:] = 800
-    electrons = np.repeat(stripes[..., None], len(cameras.channels(camera.sensor)), axis=-1)
+    electrons = np.repeat(stripes[..., None], len(sensors.channels(camera.sensor)), axis=-1)
     collected_e = electronic_crosstalk(noise.mosaic(electrons, camera), camera)
     raw, _ = noise.expose(collected_e, camera.sensor, 0.01, 0)
     mask = texture.textured(Capture(raw, camera, 0.01, 1.0, 0))

@@ -10,6 +10,7 @@ import pytest
 
 import dasim
 from dasim.bounds import cramer_rao
+from dasim.camera import sensor as sensors
 from dasim.camera import specification as cameras
 from validation.studies import criteria
 
@@ -53,7 +54,7 @@ def test_the_sharp_pictures_error_is_that_of_the_wiener_filter(camera: dasim.Cam
 def test_the_bound_by_pupils_is_the_bound_by_kernels(camera: dasim.Camera) -> None:
     patch = criteria.texture_patch(camera, "D65", 5000.0)
     transfer, slope = cramer_rao.camera_transfers(camera, BLURS, "D65", SHAPE, spacing_px=SPACING_PX)
-    pair = [cameras.channels(camera.sensor).index(name) for name in criteria.PLANES]
+    pair = [sensors.channels(camera.sensor).index(name) for name in criteria.PLANES]
     expected = np.sqrt(criteria.blur_variance(transfer[:, pair], slope[:, pair], patch)[0])
     np.testing.assert_allclose(criteria.camera_bound(camera, BLURS), expected, rtol=BOUND_TOLERANCE)
 

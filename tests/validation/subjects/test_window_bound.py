@@ -7,6 +7,7 @@ import pytest
 
 from dasim.bounds import cramer_rao
 from dasim.camera import geometry, specification
+from dasim.camera import sensor as sensors
 from dasim.simulation.exposure import Shot
 from dasim.values import Capture
 from tests.support import surfaces
@@ -60,7 +61,7 @@ def test_a_boundary_is_no_texture(texture):
 @pytest.mark.parametrize("level", [2.5, 9.0])
 def test_the_bound_is_that_of_its_closed_form(texture, da_mobile, level):
     """Expectation: the bound of a known patch of this texture, from the covariance's inverse in closed form."""
-    index = [specification.channels(da_mobile.sensor).index(name) for name in window_bound.PLANES]
+    index = [sensors.channels(da_mobile.sensor).index(name) for name in window_bound.PLANES]
     variance = noise_variance(da_mobile, MEAN_E, 0.02)[index]
     power = cramer_rao.natural_power(criteria.SHAPE, spacing_px=2.0, contrast=CONTRAST * MEAN_E[index[0]])
     area = cramer_rao.window_area_px(31) / (criteria.SHAPE[0] * criteria.SHAPE[1] * 2.0**2)

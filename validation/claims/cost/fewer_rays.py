@@ -9,7 +9,7 @@ from scipy.stats import combine_pvalues, ttest_ind
 
 import dasim
 from dasim.camera.noise import Exposure
-from dasim.camera.specification import channels
+from dasim.camera.sensor import channels
 from dasim.scene.mitsuba_scene import MitsubaScene
 from dasim.scene.specification import Scene
 from dasim.simulation import adaptive_sampling, rendering, rendering_noise

@@ -15,7 +15,8 @@ import numpy as np
 
 import dasim
 from dasim.camera import depth_blur
-from dasim.camera.specification import Camera, channels
+from dasim.camera.sensor import channels
+from dasim.camera.specification import Camera
 from dasim.scene import specification as scenes
 from dasim.typing import FloatArray, ShareDone
 from validation.gates.claim import Evidence

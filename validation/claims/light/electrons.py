@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from dasim.camera import noise, specification
+from dasim.camera import sensor as sensors
 from dasim.camera import specification as cameras
 from dasim.camera.specification import Camera
 from dasim.materials import library
@@ -101,7 +102,7 @@ def _ideal(camera: Camera) -> Camera:
     nm = grid.WAVELENGTH_NM
     light = illuminants.illuminant("D65") * library.reflectance("white-paper") * grid.photons_per_joule()
     boxes = {}
-    for name in cameras.channels(camera.sensor):
+    for name in sensors.channels(camera.sensor):
         low, high = BANDS_NM[name]
         box = (nm >= (low + GUARD_NM if low > nm[0] else low)) & (nm <= high - GUARD_NM)
         boxes[name] = box / grid.integrate(box * light)

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 
 import dasim
-from dasim.camera.specification import Camera, channels
+from dasim.camera.sensor import channels
+from dasim.camera.specification import Camera
 from dasim.scene.mitsuba_scene import MitsubaScene
 from dasim.scene.specification import Scene
 from dasim.typing import FloatArray, ShareDone

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 import dasim
 from dasim.camera import noise
 from dasim.camera.crosstalk import electronic_crosstalk
-from dasim.camera.specification import Camera, Sensor, channels, mosaic_channels
+from dasim.camera.sensor import Sensor, channels
+from dasim.camera.specification import Camera, mosaic_channels
 from dasim.typing import FloatArray, ShareDone
 from validation.gates.claim import Evidence
 from validation.scores.figures import Figure

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from dasim.camera import geometry, noise, pointspread, radiometry, specification
+from dasim.camera import sensor as sensors
 from dasim.camera import specification as cameras
 from dasim.camera.specification import Camera
 from dasim.spectra import grid, illuminants
@@ -55,7 +56,7 @@ def response_curves(progress: ShareDone) -> Evidence:
     """
     camera = cameras.load_camera("da-mobile")
     body = camera.sensor
-    curves = specification.quantum_efficiency(body) * grid.short_pass(body.cutoff_nm, body.cutoff_width_nm)
+    curves = sensors.quantum_efficiency(body) * grid.short_pass(body.cutoff_nm, body.cutoff_width_nm)
     alpha = specification.crosstalk(camera)
     peak_nm = [float(grid.WAVELENGTH_NM[curve.argmax()]) for curve in curves]
     figures = [
@@ -319,7 +320,7 @@ def _headroom_and_floor(camera: Camera, spectrum: FloatArray, alpha: FloatArray)
     width, height = RANGE_PIXELS
     body = camera.sensor.model_copy(update={"width_px": width, "height_px": height})
     cropped = camera.model_copy(update={"sensor": body})
-    names = cameras.channels(body)
+    names = sensors.channels(body)
     signal = grid.integrate(radiometry.response(cropped) * spectrum)
     places = cameras.mosaic_channels(cropped)
     infrared = alpha if "IR" in names else np.zeros(3)

@@ -10,6 +10,7 @@ from scipy.stats import t as student
 
 import dasim
 from dasim.camera import radiometry
+from dasim.camera import sensor as sensors
 from dasim.camera import specification as cameras
 from dasim.camera.noise import Exposure
 from dasim.camera.specification import Camera
@@ -103,7 +104,7 @@ def furnaces() -> dict[str, tuple[Camera, Scene]]:
     corner = rendering.changed(
         cameras.cropped("da-mobile", *FURNACE_SIZE_PX, at_px=CORNER_PX), lens=still, sensor=still
     )
-    edge_px = FURNACE_SIZE_PX[0] / 2 - cameras.principal_point(corner.sensor)[0]
+    edge_px = FURNACE_SIZE_PX[0] / 2 - sensors.principal_point(corner.sensor)[0]
     scenes["corner"] = corner, _lit([_plane("near", corner, 17.0, to_px=edge_px), far])
     scenes["three"] = camera, _lit([_plane("near", camera, 17.0, to_px=-12.0), middle, far])
     # The sun stands between the two normals, so both planes receive the same.

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from dasim.camera import geometry, pointspread, radiometry, stops
+from dasim.camera import sensor as sensors
 from dasim.camera import specification as cameras
 from dasim.camera.coatings import edge_factor
 from dasim.camera.specification import Camera
@@ -27,8 +28,8 @@ MOST_COLUMNS = 3
 
 def channel_colours(camera: Camera) -> dict[str, str]:
     """A colour for each channel of the camera."""
-    others = iter(OTHERS * len(cameras.channels(camera.sensor)))
-    return {name: CHANNEL_COLOURS.get(name) or next(others) for name in cameras.channels(camera.sensor)}
+    others = iter(OTHERS * len(sensors.channels(camera.sensor)))
+    return {name: CHANNEL_COLOURS.get(name) or next(others) for name in sensors.channels(camera.sensor)}
 
 
 def apertures(camera: Camera) -> str:
@@ -98,7 +99,7 @@ def _draw_stop(axes: Any, camera: Camera, stop: stops.Stop) -> None:
 
 def kernels(camera: Camera, shown: list[optics.Level], made: list[FloatArray]) -> str:
     """Point-spread functions, a row per channel and a column per level, on a square-root scale of their own."""
-    names = cameras.channels(camera.sensor)
+    names = sensors.channels(camera.sensor)
 
     def draw(axes: Any) -> None:
         for column, (level, kernel) in enumerate(zip(shown, _padded(made), strict=True)):
@@ -135,7 +136,7 @@ def transfer(camera: Camera, shown: list[optics.Level], mtf: FloatArray) -> str:
     """Modulation transfer over spatial frequency, a panel per channel and a line per level."""
     import matplotlib
 
-    names = cameras.channels(camera.sensor)
+    names = sensors.channels(camera.sensor)
     colours = matplotlib.colormaps[DEPTH_COLOURS](np.linspace(*COLOUR_RANGE, len(shown)))
 
     def draw(axes: Any) -> None:
@@ -152,11 +153,11 @@ def transfer(camera: Camera, shown: list[optics.Level], mtf: FloatArray) -> str:
 
 def responses(camera: Camera) -> str:
     """Response curves of the sensor, and the signal through the stops, over wavelength."""
-    names, colours = cameras.channels(camera.sensor), channel_colours(camera)
+    names, colours = sensors.channels(camera.sensor), channel_colours(camera)
     nm = grid.WAVELENGTH_NM
-    sensor = cameras.collected_efficiency(camera.sensor) * cameras.cutoff(camera.sensor)
+    sensor = sensors.collected_efficiency(camera.sensor) * sensors.cutoff(camera.sensor)
     whole = radiometry.response(camera) / grid.photons_per_joule()
-    shares = cameras.spectral_shares(camera.sensor)
+    shares = sensors.spectral_shares(camera.sensor)
 
     def draw(axes: Any) -> None:
         low, high = cameras.near_infrared_nm(camera)

@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from dasim.camera import geometry, pointspread, radiometry, stops
+from dasim.camera import sensor as sensors
 from dasim.camera import specification as cameras
 from dasim.camera.specification import Camera
 from dasim.spectra import grid, illuminants
@@ -78,7 +79,7 @@ def modulation_transfer(camera: Camera, blur_px: FloatArray, light: str, cycles_
     for blur in blur_px:
         size = pointspread.kernel_size_px(camera, float(blur), field_px) + 2 * TAIL_PX
         at = pointspread.kernels(camera, [float(blur)], power, size, field_px=field_px)
-        spectrum = np.zeros((len(cameras.channels(camera.sensor)), len(cycles_px)), np.complex128)
+        spectrum = np.zeros((len(sensors.channels(camera.sensor)), len(cycles_px)), np.complex128)
         for step in range(STEPS_PER_PIXEL):
             shift = step / STEPS_PER_PIXEL
             line = at(0, (0.0, shift), ...)[0].sum(axis=-2)  # [channel, x]
@@ -103,7 +104,7 @@ def light_kept(camera: Camera, light: str) -> FloatArray:
 
 def ideal_light_loss(camera: Camera, light: str = "D65") -> float:
     """Light loss of the mosaic by eq. (1), which assigns each channel to one stop, the one that most light passes."""
-    names = cameras.channels(camera.sensor)
+    names = sensors.channels(camera.sensor)
     chosen = electrons_by_stop(camera, light).argmax(axis=0)
     pixels = [names.index(name) for row in camera.sensor.mosaic for name in row]
     counts = Counter(int(chosen[pixel]) for pixel in pixels)
@@ -126,7 +127,7 @@ def field_points(camera: Camera) -> list[FieldPoint]:
     axis = np.array(geometry.frame_field_px(camera))
     corner = np.array([sensor.width_px, sensor.height_px]) / 2
     illumination = radiometry.relative_illumination(camera)
-    known = set(grid.CHANNELS) <= set(cameras.channels(sensor))
+    known = set(grid.CHANNELS) <= set(sensors.channels(sensor))
     points = []
     for place, share in CORNERS.items():
         angle = geometry.field_angle_deg(camera, tuple(axis + share * corner))

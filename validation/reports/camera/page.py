@@ -18,7 +18,7 @@ import jinja2
 import numpy as np
 
 from dasim.camera import describe, geometry, noise
-from dasim.camera import specification as cameras
+from dasim.camera import sensor as sensors
 from dasim.camera.specification import Camera
 from dasim.files.folders import new_folder, software_versions
 from dasim.spectra.illuminants import ENERGY_SAVING
@@ -72,7 +72,7 @@ def drawn(camera: Camera, progress: Progress = lambda stage, share: None) -> Dra
 
 def _light(camera: Camera, light: str) -> dict[str, Any]:
     """The share of each channel's light that the stops leave, and the electrons of white at ``LUX``."""
-    names = cameras.channels(camera.sensor)
+    names = sensors.channels(camera.sensor)
     electrons, time_s = white_electrons(camera, light, LUX)
     kept = optics.light_kept(camera, light)
     pixels = [names.index(name) for row in camera.sensor.mosaic for name in row]
@@ -129,7 +129,7 @@ def page(report: Drawn) -> str:
         levels=report.levels,
         light=report.light,
         field=report.field,
-        channels=cameras.channels(camera.sensor),
+        channels=sensors.channels(camera.sensor),
         loss=report.ideal_loss,
         lux=LUX,
         shown_light=LIGHT,

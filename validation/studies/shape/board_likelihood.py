@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from dasim.bounds import cramer_rao, pupils
 from dasim.camera import geometry
-from dasim.camera import specification as cameras
+from dasim.camera import sensor as sensors
 from dasim.camera.specification import Camera
 from dasim.simulation.exposure import Shot
 from dasim.typing import FloatArray
@@ -116,7 +116,7 @@ def _log_likelihoods(capture: Capture, shot: Shot, candidates: FloatArray) -> li
     transfer, _ = pupils.stop_transfers(
         camera, candidates, boards.LIGHT, (side, side), spacing_px=SPACING_PX, fine_cells=CELLS
     )
-    green_index, infrared_index = (cameras.channels(camera.sensor).index(name) for name in PLANES)
+    green_index, infrared_index = (sensors.channels(camera.sensor).index(name) for name in PLANES)
     band = power > 0
     multiplicity = np.broadcast_to(cramer_rao.multiplicity(side), power.shape) / side**2
     likelihoods: list[list[FloatArray]] = [[] for _ in WINDOWS_PX]
@@ -154,7 +154,7 @@ def _power(shot: Shot, side: int) -> FloatArray:
 
     A power law is fitted to Welch's estimate up to 0.25 cycles/px, the Nyquist frequency of the planes.
     """
-    names = cameras.channels(shot.capture.camera.sensor)
+    names = sensors.channels(shot.capture.camera.sensor)
     sharp = shot.truth.sharp_e[..., names.index("G")].astype(np.float64)
     known = cramer_rao.picture_power(np.nan_to_num(sharp, nan=float(np.nanmean(sharp))), WELCH_SHAPE)
     rings = np.rint(np.hypot(*cramer_rao.frequencies(WELCH_SHAPE, 1.0)) * WELCH_SHAPE[0]).astype(int)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy import linalg
 
 from dasim.bounds import cramer_rao, pupils
-from dasim.camera import specification as cameras
+from dasim.camera import sensor as sensors
 from dasim.camera.specification import Camera
 from dasim.typing import FloatArray
 from validation.studies import criteria
@@ -36,7 +36,7 @@ def cut_deviation(
     if 2 * side > FIELD:
         raise ValueError("the field must be at least twice as wide as the patch")
     patch = criteria.texture_patch(camera, light, level_lux)
-    index = [cameras.channels(camera.sensor).index(name) for name in PLANES]
+    index = [sensors.channels(camera.sensor).index(name) for name in PLANES]
     shape = (FIELD, FIELD)
     radius = np.hypot(*cramer_rao.frequencies(shape, SPACING_PX))
     contrast = patch.power[0, 4] / cramer_rao.natural_power(criteria.SHAPE, spacing_px=SPACING_PX)[0, 4]

@@ -11,7 +11,7 @@ from typing import Literal
 import numpy as np
 
 from dasim.bounds import cramer_rao, pupils
-from dasim.camera import specification as cameras
+from dasim.camera import sensor as sensors
 from dasim.camera.specification import Camera
 from dasim.typing import ComplexArray, FloatArray
 from validation.studies import criteria
@@ -62,7 +62,7 @@ def free_stop(
         without = camera.model_copy(update={"stops": others})
         transfer, signal = pupils.stop_transfers(without, steps, light, SHAPE, spacing_px=SPACING_PX)
     total = light_share + signal
-    index = tuple(cameras.channels(camera.sensor).index(name) for name in PLANES)
+    index = tuple(sensors.channels(camera.sensor).index(name) for name in PLANES)
     return FreeStop(
         pupil,
         ((signal / total)[:, None, None] * transfer)[:, index],

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dasim.bounds import cramer_rao, pupils
-from dasim.camera import specification as cameras
+from dasim.camera import sensor as sensors
 from dasim.camera.specification import Camera
 from dasim.typing import FloatArray
 from validation.studies import criteria
@@ -35,7 +35,7 @@ def likelihood_errors(
     True blurs ``blur_px`` are rounded to the nearest candidate. ``patches`` are simulated at each.
     """
     patch = criteria.texture_patch(camera, light, level_lux)
-    index = [cameras.channels(camera.sensor).index(name) for name in PLANES]
+    index = [sensors.channels(camera.sensor).index(name) for name in PLANES]
     candidates = np.arange(STEP_PX, float(np.max(blur_px)) + BEYOND_PX, STEP_PX)
     transfer, _ = pupils.stop_transfers(camera, candidates, light, SHAPE, spacing_px=SPACING_PX, fine_cells=CELLS)
     s = (patch.gain[:, None, None] * transfer[:, index]).reshape(len(candidates), len(PLANES), -1)

@@ -15,7 +15,7 @@ from dasim.base.errors import InputError
 from dasim.base.suggestions import did_you_mean
 from dasim.base.toml import parse_toml
 from dasim.camera import radiometry
-from dasim.camera import specification as cameras
+from dasim.camera import sensor as sensors
 from dasim.camera.specification import Camera
 from dasim.spectra import illuminants
 from recon.picture import mosaic
@@ -194,7 +194,7 @@ def _point_problems(spec: StudySpec, point: dict[str, Value]) -> list[str]:
 
 def _check_sees(camera: Camera) -> None:
     """Raise InputError if a channel receives no light, a stop passes none, or the mosaic cannot be reconstructed."""
-    names, parts = cameras.channels(camera.sensor), [radiometry.stop_response(camera, stop) for stop in camera.stops]
+    names, parts = sensors.channels(camera.sensor), [radiometry.stop_response(camera, stop) for stop in camera.stops]
     whole = np.sum(parts, axis=(0, -1))
     dark = [name for name, light in zip(names, whole, strict=True) if light <= 0]
     if dark:

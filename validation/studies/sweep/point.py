@@ -21,7 +21,7 @@ from dasim.base.errors import InputError, describe_error
 from dasim.base.executors import Outcome
 from dasim.base.fingerprint import fingerprint, named_files, text_hash
 from dasim.camera import geometry, noise, radiometry, stops
-from dasim.camera import specification as cameras
+from dasim.camera import sensor as sensors
 from dasim.camera.specification import Camera
 from dasim.dataset import sample, storage
 from dasim.scene.specification import Scene
@@ -298,7 +298,7 @@ def light_loss(camera: Camera) -> float:
     Each pixel of the mosaic loses the light that the stops block in its own band, which is 650 nm and beyond for IR and
     below 650 nm for the other channels. A hole of radius ratio alpha for one pixel of four loses (1 - alpha^2) / 4.
     """
-    names = cameras.channels(camera.sensor)
+    names = sensors.channels(camera.sensor)
     opened = camera.model_copy(update={"stops": tuple(_opened(stop) for stop in camera.stops)})
     infrared = spectra.WAVELENGTH_NM >= spectra.NEAR_INFRARED_NM[0]
     band = np.stack([infrared if name == "IR" else ~infrared for name in names])

@@ -15,7 +15,7 @@ from pydantic import BeforeValidator, Field, model_validator
 
 from dasim.base.errors import InputError
 from dasim.base.toml import Specification, parse
-from dasim.camera.specification import SMALLEST_FRAME_PX
+from dasim.camera.sensor import SMALLEST_FRAME_PX
 
 Value = bool | int | float | str
 

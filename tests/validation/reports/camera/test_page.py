@@ -12,7 +12,7 @@ import pytest
 
 from dasim.base.toml import parse
 from dasim.camera import geometry, radiometry
-from dasim.camera import specification as cameras
+from dasim.camera import sensor as sensors
 from dasim.camera.specification import Camera, load_camera
 from dasim.spectra import grid, illuminants
 from validation.reports.camera import figures, optics, page
@@ -68,7 +68,7 @@ def test_transfer_far_out_of_focus_has_the_zero_of_a_disc():
     camera = load_camera("bayer-mobile")
     cycles = np.linspace(0.03, 0.09, 61)
     curve = optics.modulation_transfer(camera, np.array([20.0]), "D65", cycles)[
-        0, cameras.channels(camera.sensor).index("B")
+        0, sensors.channels(camera.sensor).index("B")
     ]
     assert cycles[curve.argmin()] == pytest.approx(3.8317 / np.pi / 20, rel=0.1)
 
