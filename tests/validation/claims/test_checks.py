@@ -420,13 +420,13 @@ def test_coatings_that_shift_in_one_of_two_places_fail(renderer, monkeypatch, br
 @pytest.mark.parametrize("good", [True, False])
 def test_near_infrared_removed_from_red_fails(monkeypatch, good):
     """Set-up: a sensor whose red pixel is blind beyond 650 nm, as under a common camera's filter."""
-    from dasim.camera import sensor as sensors
+    from dasim.camera import specification as cameras
     from dasim.spectra import grid
 
-    true = sensors.quantum_efficiency
+    true = cameras.quantum_efficiency
     response = np.ones((4, len(grid.WAVELENGTH_NM)))
     response[0, grid.WAVELENGTH_NM > 650] = 1 if good else 0.01
-    monkeypatch.setattr(sensors, "quantum_efficiency", lambda body: true(body) * response)
+    monkeypatch.setattr(cameras, "quantum_efficiency", lambda body: true(body) * response)
     figures = [entry for entry in entries("response-curves", camera.response_curves) if entry.id.endswith("alpha.R")]
     assert [entry.passed for entry in figures] == [good]
 
