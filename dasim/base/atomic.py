@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import os
 import platform
+import re
 import shutil
-import tempfile
 import threading
 import time
 from collections.abc import Iterator
@@ -14,7 +14,9 @@ from pathlib import Path
 from typing import IO
 
 PARTIAL = ".partial"  # ending of temporary names
-TEMPORARY = (PARTIAL, ".old-")  # parts of the names of temporary files and folders
+RETIRED = ".old"  # ending of the name that an earlier folder has while a new one takes its place
+UNFINISHED_ENDING = rf"\.\d+\..*\.\d+({re.escape(PARTIAL)}|{re.escape(RETIRED)})"  # see :func:`writer`
+UNFINISHED = re.compile(rf"\..+{UNFINISHED_ENDING}")
 ABANDONED_S = 24 * 3600.0  # age at which an unfinished file of another computer is considered abandoned
 
 
@@ -33,10 +35,16 @@ def write(path: Path, content: bytes | str) -> None:
 
 
 @contextmanager
-def writing(path: Path) -> Iterator[IO[bytes]]:
-    """Open a binary file that replaces ``path`` when the block ends, and leaves no trace when the block raises."""
+def writing(path: Path, *, clearing: bool = True) -> Iterator[IO[bytes]]:
+    """Open a binary file that replaces ``path`` when the block ends, and leaves no trace when the block raises.
+
+    What killed processes have left of the same output is cleared before, unless ``clearing`` is off: that takes time in
+    a folder of very many files.
+    """
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
+    if clearing:
+        clear(path)
     partial = path.with_name(f".{path.name}.{writer()}{PARTIAL}")
     is_whole = False
     try:
@@ -54,12 +62,14 @@ def writing(path: Path) -> Iterator[IO[bytes]]:
 def new_folder(path: Path) -> Iterator[Path]:
     """Create a temporary folder that becomes ``path`` when the block ends, and is removed when the block raises.
 
-    A folder at ``path`` is replaced as a whole.
+    A folder at ``path`` is replaced as a whole. What killed processes have left of the same output is cleared before.
     """
     path = Path(path).resolve()
     path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = Path(tempfile.mkdtemp(prefix=f".{path.name}.partial-", dir=path.parent))
-    retired = temporary.with_name(temporary.name.replace("partial", "old"))
+    clear(path)
+    temporary = path.with_name(f".{path.name}.{writer()}{PARTIAL}")
+    retired = temporary.with_suffix(RETIRED)
+    temporary.mkdir(mode=0o700)
     try:
         with _named(path):
             yield temporary
@@ -93,7 +103,7 @@ def _named(path: Path) -> Iterator[None]:
     except OSError as error:
         if error.filename is None and error.errno is not None:
             error.filename = str(path)
-        elif isinstance(error.filename, str) and any(mark in error.filename for mark in TEMPORARY):
+        elif isinstance(error.filename, str) and any(mark in error.filename for mark in (PARTIAL, RETIRED)):
             error.filename, error.filename2 = str(path), None
         raise
 
@@ -104,21 +114,47 @@ def writer() -> str:
 
 
 def sweep(folder: Path) -> None:
-    """Remove unfinished files below a folder whose writer has ended.
-
-    Processes of other computers cannot be looked up: their files are removed after ``ABANDONED_S``.
-    """
+    """Remove unfinished files and folders anywhere below a folder whose writer has ended."""
     # Other runs may remove folders meanwhile, which os.walk passes over.
-    found = (Path(place) / name for place, _, names in os.walk(folder) for name in names)
-    for partial in (path for path in found if path.name.startswith(".") and path.name.endswith(PARTIAL)):
-        computer, _, process = partial.name.removesuffix(PARTIAL).rpartition(".")
-        with suppress(FileNotFoundError):
-            if computer.endswith(f".{platform.node()}") and process.isdigit():
-                abandoned = not _runs(int(process))
+    for place, folders, files in os.walk(folder):
+        for left in (Path(place) / name for name in (*folders, *files) if UNFINISHED.fullmatch(name)):
+            if _is_abandoned(left):
+                _remove(left)
+
+
+def clear(path: Path) -> None:
+    """Remove what ended writers of an output have left beside it.
+
+    An earlier folder that its writer had already renamed, and not yet replaced, gets its name back.
+    """
+    mine = re.compile(rf"\.{re.escape(path.name)}{UNFINISHED_ENDING}")
+    with suppress(OSError):  # another process may do the same, or the folder may not be read
+        for left in [entry for entry in path.parent.iterdir() if mine.fullmatch(entry.name) and _is_abandoned(entry)]:
+            if left.suffix == RETIRED and not path.exists():
+                os.rename(left, path)
             else:
-                abandoned = time.time() - partial.stat().st_mtime > ABANDONED_S
-            if abandoned:
-                partial.unlink()
+                _remove(left)
+
+
+def _remove(left: Path) -> None:
+    """Remove a file or a folder, if this user may and no other process does."""
+    shutil.rmtree(left, ignore_errors=True)
+    with suppress(OSError):
+        left.unlink()
+
+
+def _is_abandoned(left: Path) -> bool:
+    """Whether the writer of an unfinished file or folder has ended.
+
+    Processes of other computers cannot be looked up: what they write is abandoned after ``ABANDONED_S``.
+    """
+    computer, _, process = left.stem.rpartition(".")
+    if computer.endswith(f".{platform.node()}") and process.isdigit():
+        return not _runs(int(process))
+    try:
+        return time.time() - left.stat().st_mtime > ABANDONED_S
+    except FileNotFoundError:
+        return False
 
 
 def _runs(process: int) -> bool:

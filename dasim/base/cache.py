@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import os
 import shutil
-import time
 from contextlib import suppress
 from pathlib import Path
 
@@ -38,10 +37,6 @@ def bound(folder: Path, most_bytes: float = MOST_BYTES) -> None:
     An entry is a file or a folder. Another process may do the same, or make and use entries meanwhile.
     """
     atomic.sweep(folder)
-    for path in folder.glob(".*.partial-*"):  # folders, whose names do not say who made them
-        with suppress(OSError):
-            if time.time() - path.stat().st_mtime > atomic.ABANDONED_S:
-                shutil.rmtree(path, ignore_errors=True)
     sizes: list[tuple[float, int, Path]] = []
     for path in folder.glob("[!.]*"):
         with suppress(OSError):

@@ -84,7 +84,7 @@ def writing(out: str, name: str) -> Iterator[IO[bytes]]:
             raise
         file.close()
         return
-    with atomic.writing(Path(root) / name) as file:
+    with atomic.writing(Path(root) / name, clearing=False) as file:  # :func:`sweep` does it once
         yield file
 
 

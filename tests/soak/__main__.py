@@ -16,7 +16,7 @@ def main() -> int:
     parser.add_argument("--samples", type=int, default=1000)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--scenes", choices=["files", "random"], default="random")
-    parser.add_argument("--calm-s", type=float, default=6.0, help="mean time between two disturbances, seconds")
+    parser.add_argument("--calm-s", type=float, default=12.0, help="mean processor time between two disturbances, s")
     chosen = parser.parse_args()
     with tempfile.TemporaryDirectory(prefix="dasim-soak-") as name:
         problems = soak(Path(name), chosen.samples, chosen.seed, chosen.scenes, chosen.calm_s, print)

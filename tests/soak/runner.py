@@ -40,7 +40,8 @@ def soak(folder: Path, samples: int, seed: int, scenes: str, calm_s: float, say:
 
     Disturbances are SIGKILL of all processes or of one, SIGTERM, SIGSTOP for ``PAUSE_S``, a full disk for as long (a
     tmpfs, where this user may mount one), and in half of the runs a clock that is off by up to ``FARTHEST_CLOCK_S``
-    and jumps.
+    and jumps. Between two of them, all processes together have ``calm_s`` seconds of processor time on average, so that
+    a run on a busy computer comes as far as on a free one.
     """
     spec = _spec(folder, samples, seed, scenes)
     (folder / "clock").mkdir()
@@ -94,14 +95,15 @@ def _ended(run: subprocess.Popen[bytes]) -> str:
     return run.communicate()[1].decode(errors="replace").strip()
 
 
-def _session(run: subprocess.Popen[bytes]) -> dict[int, float]:
-    """Processes of a run and their resident memory, MB."""
+def _session(run: subprocess.Popen[bytes]) -> dict[int, tuple[float, float]]:
+    """Processes of a run, their resident memory in MB and the processor time that they have had in seconds."""
     found = {}
     for entry in Path("/proc").iterdir():
         try:
             if entry.name.isdigit() and os.getsid(int(entry.name)) == run.pid:
                 pages = int((entry / "statm").read_text().split()[1])
-                found[int(entry.name)] = pages * os.sysconf("SC_PAGE_SIZE") / 1e6
+                ticks = sum(map(int, (entry / "stat").read_text().rpartition(")")[2].split()[11:13]))
+                found[int(entry.name)] = pages * os.sysconf("SC_PAGE_SIZE") / 1e6, ticks / os.sysconf("SC_CLK_TCK")
         except (OSError, ValueError):  # it has ended meanwhile
             continue
     return found
@@ -113,7 +115,7 @@ def _calm(spec: Path, out: Path) -> list[float]:
     memory_mb = []
     while run.poll() is None:
         if any(out.glob("*.tar")):  # the first shard is made, and all code loaded
-            memory_mb.append(sum(_session(run).values()))
+            memory_mb.append(sum(memory for memory, _ in _session(run).values()))
         time.sleep(POLL_S)
     said = _ended(run)
     assert run.returncode == 0, said
@@ -147,7 +149,7 @@ def _rough(spec: Path, out: Path, chance: random.Random, calm_s: float, room: bo
         run = _started(spec, out, chance.choice([0.0, chance.uniform(-1, 1) * FARTHEST_CLOCK_S]))
         runs += 1
         while run.poll() is None:
-            _wait(run, chance.expovariate(1 / calm_s))
+            _let_work(run, chance.expovariate(1 / calm_s))
             if run.poll() is None:
                 kind = chance.choice(kinds)
                 events[kind] += 1
@@ -166,6 +168,17 @@ def _wait(run: subprocess.Popen[bytes], seconds: float) -> None:
     end = time.monotonic() + seconds
     while time.monotonic() < end and run.poll() is None:
         time.sleep(POLL_S)
+
+
+def _let_work(run: subprocess.Popen[bytes], seconds: float) -> None:
+    """Wait until the processes of a run have had some more seconds of processor time, or it ends."""
+    had = {process: time_s for process, (_, time_s) in _session(run).items()}
+    worked = 0.0
+    while worked < seconds and run.poll() is None:
+        time.sleep(POLL_S)
+        now = {process: time_s for process, (_, time_s) in _session(run).items()}
+        worked += sum(time_s - had.get(process, 0.0) for process, time_s in now.items())
+        had = now
 
 
 def _disturb(run: subprocess.Popen[bytes], kind: str, out: Path, chance: random.Random) -> None:

@@ -9,7 +9,7 @@ from tests.soak import runner
 
 @pytest.mark.slow
 def test_disturbed_dataset_is_that_of_an_undisturbed_run(tmp_path):
-    assert runner.soak(tmp_path, 30, 3, "files", 4.0, print) == []
+    assert runner.soak(tmp_path, 30, 3, "files", 8.0, print) == []
 
 
 def test_growing_memory_is_found():

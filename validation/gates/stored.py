@@ -12,7 +12,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from dasim.base import atomic
+from dasim.base import atomic, cache
 from dasim.base.cache import cache_dir
 from dasim.base.fingerprint import fingerprint, text_hash
 from validation.gates.claim import Evidence, plain_value
@@ -34,15 +34,18 @@ def key(run: Callable[..., Any], variant: str, seed: int = 0, *, uses: tuple[Cal
 
 def load(name: str, seed: int, key: str) -> tuple[Evidence, float] | None:
     """Stored evidence of a claim and the seconds that measuring it took; None if nothing is stored under this key."""
+    path = _path(name, seed, key)
     try:
-        content = json.loads(_path(name, seed, key).read_text(encoding="utf-8"))
+        content = json.loads(path.read_text(encoding="utf-8"))
         figures = [Figure(**figure | {"value": _number(figure["value"])}) for figure in content["figures"]]
         pictures = [(caption, data) for caption, data in content["pictures"]]
         tables = [(caption, head, rows) for caption, head, rows in content["tables"]]
         pairs = [(caption, tuple(left), tuple(right)) for caption, left, right in content["pairs"]]
-        return Evidence(figures, pictures, tables, pairs), float(content["seconds"])
+        seconds = float(content["seconds"])
     except (OSError, ValueError, KeyError, TypeError):
         return None  # missing or damaged
+    cache.used(path)
+    return Evidence(figures, pictures, tables, pairs), seconds
 
 
 def earlier_seconds(name: str, seed: int) -> float | None:
@@ -66,6 +69,7 @@ def save(name: str, seed: int, key: str, evidence: Evidence, seconds: float) -> 
         for old in path.parent.glob(f"{name}.{seed}.*.json"):
             old.unlink(missing_ok=True)
         atomic.write(path, json.dumps(content))
+        cache.bound(path.parent)
     except OSError as error:
         print(f"note: the evidence of {name} cannot be kept: {error}", file=sys.stderr)
 

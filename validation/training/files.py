@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from dasim.base import atomic
 from dasim.typing import Progress
 from validation.training.captures import Conditions, Setup, setups
 
@@ -43,10 +44,9 @@ def make(
     for done, (family, number) in enumerate(numbers):
         file = folder / f"{family}-{number}.npz"
         if not file.exists():
-            partial = file.with_suffix(".partial.npz")
             made: dict[str, Any] = {name: _halved(part) for name, part in example(family, number, cameras).items()}
-            np.savez(partial, **made)
-            partial.replace(file)
+            with atomic.writing(file) as stream:
+                np.savez(stream, **made)
         progress("examples", (done + 1) / len(numbers))
 
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+import platform
+import signal
 from pathlib import Path
 
 import pytest
@@ -61,7 +63,7 @@ def test_interrupted_folder_leaves_the_earlier_one(tmp_path, monkeypatch):
     rename = os.rename
 
     def interrupted(old, new):
-        if new == path and ".partial-" in str(old):
+        if new == path and str(old).endswith(atomic.PARTIAL):
             raise KeyboardInterrupt
         rename(old, new)
 
@@ -95,3 +97,68 @@ def test_output_that_was_renamed_before_a_signal_counts_as_written(tmp_path, mon
                 atomic.write(tmp_path / f"file{before}", b"x")
             assert (atomic.last_written() == tmp_path / f"file{before}") is not before
     assert sorted(path.name for path in tmp_path.iterdir()) == ["fileFalse", "folderFalse"]
+
+
+def dead_after(work) -> int:
+    """Number of a process that has done something and then been killed."""
+    process = os.fork()
+    if not process:
+        try:
+            work()
+        finally:
+            os.kill(os.getpid(), signal.SIGKILL)
+    os.waitpid(process, 0)
+    return process
+
+
+def test_leftovers_of_killed_runs_go_with_the_next_run_of_the_same_output(tmp_path):
+    """Set-up: writers of a file and of a folder that were killed within, and the same of processes that run, of another
+    computer, and of outputs with other names.
+    """
+
+    def half_file():
+        with atomic.writing(tmp_path / "a.json") as file:
+            file.write(b"half")
+            os.kill(os.getpid(), signal.SIGKILL)
+
+    def half_folder():
+        with atomic.new_folder(tmp_path / "out") as folder:
+            (folder / "inner").mkdir()
+            (folder / "inner" / "file").write_bytes(b"half")
+            os.kill(os.getpid(), signal.SIGKILL)
+
+    dead = dead_after(half_file)
+    dead_after(half_folder)
+    assert len(list(tmp_path.iterdir())) == 2
+    here, me = platform.node(), os.getpid()
+    kept = [f".out.1.{here}.{me}.partial", ".out.1.elsewhere.1.partial", f".out.more.1.{here}.{dead}.partial"]
+    kept += [f".a.json.1.{here}.{me}.partial", ".a.json.old", f".b.json.1.{here}.{dead}.partial"]
+    for name in kept:
+        (tmp_path / name).mkdir()
+    atomic.write(tmp_path / "a.json", b"whole")
+    with atomic.new_folder(tmp_path / "out"):
+        pass
+    assert sorted(path.name for path in tmp_path.iterdir()) == sorted([*kept, "a.json", "out"])
+
+
+def test_folder_of_a_run_killed_between_the_two_renames_gets_its_name_back(tmp_path):
+    """Set-up: a run is killed when it has renamed the earlier folder; the next one fails, and must leave that one."""
+    path = tmp_path / "out"
+    path.mkdir()
+    (path / "first").touch()
+    rename = os.rename
+
+    def killed(old, new):
+        rename(old, new)
+        os.kill(os.getpid(), signal.SIGKILL)
+
+    def replaced():
+        atomic.os.rename = killed
+        with atomic.new_folder(path):
+            pass
+
+    dead_after(replaced)
+    assert not path.exists() and len(list(tmp_path.iterdir())) == 2
+    with pytest.raises(ZeroDivisionError), atomic.new_folder(path):
+        raise ZeroDivisionError
+    assert [entry.name for entry in path.iterdir()] == ["first"] and list(tmp_path.iterdir()) == [path]

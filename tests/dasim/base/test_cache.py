@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import os
+import platform
 import random
 import signal
+import subprocess
 import time
 
 import numpy as np
@@ -16,6 +18,9 @@ from dasim.camera import geometry
 from dasim.camera import specification as cameras
 from dasim.files.banks import load_bank, save_bank
 from dasim.values import PsfBank
+from validation.gates import stored
+from validation.gates.claim import Evidence
+from validation.studies.shape import cached as shape
 
 
 def test_what_was_not_used_for_the_longest_time_is_removed_first(tmp_path):
@@ -46,13 +51,31 @@ def test_unfinished_files_of_killed_processes_are_removed(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_unfinished_folders_are_removed_after_a_day(tmp_path):
-    for name, age in (("old", 2 * atomic.ABANDONED_S), ("new", 0.0)):
-        folder = tmp_path / f".{name}.partial-x"
-        folder.mkdir()
-        os.utime(folder, (time.time() - age,) * 2)
+def test_unfinished_folders_are_removed_where_their_writer_has_ended_or_after_a_day(tmp_path):
+    dead = subprocess.Popen(["true"])
+    dead.wait()
+    here = platform.node()
+    kept = {f".a.1.{here}.{dead.pid}.partial": False, f".a.1.{here}.{os.getpid()}.partial": True}
+    kept |= {".old.1.elsewhere.1.partial": False, ".new.1.elsewhere.1.partial": True}
+    for name in kept:
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "file").touch()
+    os.utime(tmp_path / ".old.1.elsewhere.1.partial", (time.time() - 2 * atomic.ABANDONED_S,) * 2)
     cache.bound(tmp_path)
-    assert [path.name for path in tmp_path.iterdir()] == [".new.partial-x"]
+    assert {name: (tmp_path / name).exists() for name in kept} == kept
+
+
+def test_evidence_and_figures_of_designs_are_bounded(tmp_path, monkeypatch):
+    """Set-up: room for 700 bytes of each; a claim's evidence has more than 500, figures of a design more than 400."""
+    monkeypatch.setenv("DASIM_CACHE_DIR", str(tmp_path))
+    monkeypatch.setattr(cache.bound, "__defaults__", (700,))
+    for number in range(4):
+        stored.save(f"claim{number}", 0, "key", Evidence(figures=[], pictures=[("a picture", "x" * 500)]), 1.0)
+        shape.figures([str(number)], lambda: {"errors": [0.25] * 60})
+        for folder in ("claims", "shape-study"):
+            (left,) = (tmp_path / folder).iterdir()
+            assert left.stat().st_size <= 700
+    assert stored.load("claim3", 0, "key") is not None and stored.load("claim2", 0, "key") is None
 
 
 def bank_of(camera: cameras.Camera) -> PsfBank:

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import json
+import sys
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from dasim.base import atomic
+from dasim.base import atomic, cache
 from dasim.base.cache import cache_dir
 from validation.gates import stored
 
@@ -19,9 +20,15 @@ def figures(key: Sequence[str], compute: Callable[[], dict[str, Any]]) -> dict[s
     path = cache_dir() / "shape-study" / f"{stored.text_hash(key)}.json"
     try:
         values = json.loads(path.read_text(encoding="utf-8"))
+        cache.used(path)
     except (OSError, ValueError):  # missing or damaged
-        atomic.write(path, json.dumps(compute(), indent=1) + "\n")
-        values = json.loads(path.read_text(encoding="utf-8"))
+        text = json.dumps(compute(), indent=1) + "\n"
+        values = json.loads(text)
+        try:
+            atomic.write(path, text)
+            cache.bound(path.parent)
+        except OSError as error:
+            print(f"note: figures of a design cannot be kept: {error}", file=sys.stderr)
     return {name: as_tuple(value) for name, value in values.items()}
 
 

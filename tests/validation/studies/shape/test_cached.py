@@ -21,3 +21,10 @@ def test_figures_are_computed_once_per_key(tmp_path, monkeypatch: pytest.MonkeyP
     assert repr(first) == repr(again) == repr({"errors": ((1.0, 2.0), (3.0, float("nan"))), "sharp_db": 30.5})
     cached.figures(["camera", "paper"], compute)
     assert len(calls) == 2
+
+
+def test_cache_that_cannot_be_written_is_no_error(tmp_path, monkeypatch, capsys):
+    (tmp_path / "file").touch()
+    monkeypatch.setenv("DASIM_CACHE_DIR", str(tmp_path / "file"))
+    assert cached.figures(["camera"], lambda: {"sharp_db": 30.5}) == {"sharp_db": 30.5}
+    assert "cannot be kept" in capsys.readouterr().err
