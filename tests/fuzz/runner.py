@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import faulthandler
 import io
+import math
 import os
 import resource
 import signal
@@ -21,7 +22,8 @@ from dasim.base.errors import InputError, one_line
 from tests.fuzz import mutations
 from tests.fuzz.subjects import SUBJECTS, Subject
 
-HANG_S = 20.0
+HANG_S = 20.0  # processor time of a case
+WAIT_S = 120.0  # that a case may take on a busy computer; one that waits for ever takes no processor time
 MEMORY = 4 << 30  # bytes beyond those of the process that starts a case
 STATUSES = (0, 1, 2, 130, 143)
 TRACEBACK = 99  # exit status of a case that ended in a traceback
@@ -69,7 +71,7 @@ def problem(subject: Subject, folder: Path) -> str | None:
         status = _end(process)
         said_by.seek(0)
         message = said_by.read().decode(errors="replace")
-    if status is None:
+    if status is None or (os.WIFSIGNALED(status) and os.WTERMSIG(status) == signal.SIGXCPU):
         return f"hangs for more than {HANG_S:g} s"
     code = os.waitstatus_to_exitcode(status)
     if code not in STATUSES:
@@ -85,8 +87,8 @@ def problem(subject: Subject, folder: Path) -> str | None:
 
 
 def _end(process: int) -> int | None:
-    """Status of a process when it ends; None where it was killed after ``HANG_S``."""
-    end = time.monotonic() + HANG_S
+    """Status of a process when it ends; None where it was killed after ``WAIT_S``."""
+    end = time.monotonic() + WAIT_S
     while time.monotonic() < end:
         done, status = os.waitpid(process, os.WNOHANG)
         if done:
@@ -107,6 +109,7 @@ def _child(subject: Subject, folder: Path, report: int) -> None:
         for number, handler in ((signal.SIGINT, signal.SIG_DFL), (signal.SIGTERM, signal.SIG_DFL)):
             signal.signal(number, handler)
         resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+        resource.setrlimit(resource.RLIMIT_CPU, (math.ceil(HANG_S), math.ceil(2 * HANG_S)))  # SIGXCPU, then SIGKILL
         if sys.platform == "linux":
             pages = int(Path("/proc/self/statm").read_text().split()[0])
             resource.setrlimit(resource.RLIMIT_AS, (pages * resource.getpagesize() + MEMORY,) * 2)

@@ -46,6 +46,7 @@ def refused(message: str) -> None:
         (lambda folder: 1 / 0, "ZeroDivisionError"),
         (lambda folder: os.kill(os.getpid(), signal.SIGSEGV), "exit status -11"),
         (lambda folder: time.sleep(9), "hangs"),
+        (lambda folder: any(iter(int, 1)), "hangs"),
         (lambda folder: bytearray(6 << 30), "MemoryError"),
         (lambda folder: 7, "exit status 7"),
         (lambda folder: refused("is wrong"), "without the file"),
@@ -55,6 +56,7 @@ def refused(message: str) -> None:
 )
 def test_bad_ends_are_found(read, what, tmp_path, monkeypatch):
     monkeypatch.setattr(runner, "HANG_S", 1.0)
+    monkeypatch.setattr(runner, "WAIT_S", 3.0)
     found = runner.problem(Subject("a", ("a.toml",), read), tmp_path)
     assert found is None if what is None else found is not None and what in found
 
