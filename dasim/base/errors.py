@@ -23,7 +23,8 @@ def one_line(message: str) -> str:
     text = "".join(c if c.isprintable() else c.encode("unicode_escape", "backslashreplace").decode() for c in text)
     if len(text) <= LONGEST:
         return text
-    return f"{text[: LONGEST * 2 // 3]} ... {text[-LONGEST // 3 :]}"
+    gap, end = " ... ", LONGEST // 3
+    return f"{text[: LONGEST - len(gap) - end]}{gap}{text[-end:]}"
 
 
 def shortened(value: object) -> str:

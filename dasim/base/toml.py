@@ -119,14 +119,27 @@ def to_toml(data: dict[str, Any], table: str = "") -> str:
 
     given = {key: value for key, value in data.items() if value is not None}
     nested = {key: value for key, value in given.items() if isinstance(value, dict) or is_tables(value)}
-    # Strings, numbers, booleans and lists have the same syntax in JSON and TOML.
-    text = "".join(f"{key} = {json.dumps(value)}\n" for key, value in given.items() if key not in nested)
+    text = "".join(f"{_toml_key(key)} = {_toml_value(value)}\n" for key, value in given.items() if key not in nested)
     for key, value in nested.items():
-        name = f"{table}.{key}" if table else key
+        name = f"{table}.{_toml_key(key)}" if table else _toml_key(key)
         for item in [value] if isinstance(value, dict) else value:
             heading = f"[{name}]" if isinstance(value, dict) else f"[[{name}]]"
             text += f"\n{heading}\n{to_toml(item, name)}"
     return text
+
+
+def _toml_key(key: str) -> str:
+    return key if re.fullmatch(r"[A-Za-z0-9_-]+", key) else _toml_value(key)
+
+
+def _toml_value(value: Any) -> str:
+    """A value in one line. Numbers, booleans and texts have the syntax of JSON, but DEL is escaped in TOML."""
+    if isinstance(value, dict):
+        inner = (f"{_toml_key(key)} = {_toml_value(item)}" for key, item in value.items() if item is not None)
+        return "{" + ", ".join(inner) + "}"
+    if isinstance(value, (list, tuple)):
+        return "[" + ", ".join(map(_toml_value, value)) + "]"
+    return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
 def _causes(problems: list[Any]) -> list[Any]:
