@@ -66,9 +66,11 @@ def imports(path: Path) -> frozenset[str]:
 def exercises(test: Path, module: str) -> bool:
     """Whether a test imports a module, or one that imports it, or one of those that import that.
 
-    What the fixtures of ``conftest.py`` and the helpers in tests/support import counts as the test's own imports.
+    What the fixtures of ``conftest.py`` (in the test's folder and above) and the helpers in tests/support import counts
+    as the test's own imports.
     """
-    helpers = [ROOT / "tests" / "conftest.py", *SUPPORT]
+    fixtures = [folder / "conftest.py" for folder in test.parents if (folder / "conftest.py").is_file()]
+    helpers = [*fixtures, *SUPPORT]
     text = test.read_text(encoding="utf-8")
     reached = set(imports(test)).union(*(imports(path) for path in helpers if path.stem in ("conftest", *words(text))))
     reached |= {name for at in reached & LAZY for name in imports(SOURCES[at])}

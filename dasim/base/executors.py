@@ -3,7 +3,7 @@
 An executor takes indices from a queue until it is empty, and yields an outcome for each. While it runs, the caller may
 append an index to the queue again, to repeat its work.
 
-Tested in tests/dasim/dataset/test_make.py and tests/dasim/dataset/test_ray.py.
+Tested in tests/dasim/base/test_executors.py, tests/dasim/dataset/test_make.py and tests/dasim/dataset/test_ray.py.
 """
 
 from __future__ import annotations

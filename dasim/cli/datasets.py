@@ -1,7 +1,4 @@
-"""The commands ``dasim dataset``: parse and print.
-
-Tested in tests/dasim/dataset/test_specification.py and tests/dasim/dataset/test_make.py.
-"""
+"""The commands ``dasim dataset``: parse and print."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""Completion of a dataset: index, card with statistics, contact sheet and checksums.
-
-Tested in tests/dasim/dataset/test_specification.py.
-"""
+"""Completion of a dataset: index, card with statistics, contact sheet and checksums."""
 
 from __future__ import annotations
 

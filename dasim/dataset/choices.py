@@ -1,6 +1,6 @@
 """The parts of a dataset's specification: distributions of values, scenes, cameras, light, focus, exposure and truth.
 
-Tested in tests/dasim/dataset/test_specification.py.
+Tested in tests/dasim/dataset/test_specification.py and tests/dasim/dataset/test_draws.py.
 """
 
 from __future__ import annotations

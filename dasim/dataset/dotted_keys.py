@@ -1,6 +1,6 @@
 """A camera with values changed at keys that are joined by dots, such as ``lens.f_number``.
 
-Tested in tests/dasim/dataset/test_specification.py.
+Tested in tests/dasim/dataset/test_specification.py and tests/dasim/dataset/test_draws.py.
 """
 
 from __future__ import annotations

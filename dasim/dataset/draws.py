@@ -1,7 +1,4 @@
-"""Sample i of a dataset: scene, camera, focus, light, exposure and split, which depend on the specification and i.
-
-Tested in tests/dasim/dataset/test_specification.py.
-"""
+"""Sample i of a dataset: scene, camera, focus, light, exposure and split, which depend on the specification and i."""
 
 from __future__ import annotations
 

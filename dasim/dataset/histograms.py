@@ -1,6 +1,6 @@
 """Histograms of a dataset as a figure.
 
-Tested in tests/dasim/dataset/test_specification.py.
+Tested in tests/dasim/cli/test_datasets.py.
 """
 
 from __future__ import annotations

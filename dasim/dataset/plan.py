@@ -1,6 +1,6 @@
 """Plan of a dataset before it is made: shards, size, manifest, and whether the output fits.
 
-Tested in tests/dasim/dataset/test_make.py and tests/dasim/dataset/test_specification.py.
+Tested in tests/dasim/dataset/test_make.py and tests/dasim/dataset/test_draws.py.
 """
 
 from __future__ import annotations

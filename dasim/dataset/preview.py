@@ -1,6 +1,6 @@
 """What a dataset will contain and cost, before it is made: ``dasim dataset make --dry-run``.
 
-Tested in tests/dasim/dataset/test_specification.py.
+Tested in tests/dasim/cli/test_datasets.py.
 """
 
 from __future__ import annotations

@@ -1,7 +1,4 @@
-"""Reading of datasets, in either format.
-
-Tested in tests/dasim/dataset/test_specification.py.
-"""
+"""Reading of datasets, in either format."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""One sample of a dataset: simulation, description, and packing as the files of a capture.
-
-Tested in tests/dasim/dataset/test_make.py and tests/dasim/dataset/test_specification.py.
-"""
+"""One sample of a dataset: simulation, description, and packing as the files of a capture."""
 
 from __future__ import annotations
 

@@ -1,6 +1,7 @@
 """Files of a dataset in a folder or at any fsspec address (``s3://...``), written atomically.
 
-Tested in tests/dasim/dataset/test_make.py and tests/dasim/dataset/test_s3.py.
+Tested in tests/dasim/dataset/test_storage.py, tests/dasim/dataset/test_s3.py and, where runs are stopped while they
+write, in tests/dasim/dataset/test_interrupted.py.
 """
 
 from __future__ import annotations

@@ -1,7 +1,4 @@
-"""Verification of a dataset: checksums, shapes, ranges, specification, missing and extra samples.
-
-Tested in tests/dasim/dataset/test_specification.py.
-"""
+"""Verification of a dataset: checksums, shapes, ranges, specification, missing and extra samples."""
 
 from __future__ import annotations
 

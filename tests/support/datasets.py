@@ -10,8 +10,11 @@ from collections import deque
 from collections.abc import Generator
 from pathlib import Path
 
+import numpy as np
+
+from dasim.base.errors import InputError
 from dasim.base.executors import Outcome
-from dasim.dataset import plan, storage
+from dasim.dataset import plan, storage, verify
 from dasim.dataset.make import make
 from dasim.dataset.sample import Job, provenance
 from dasim.dataset.specification import load_spec
@@ -61,6 +64,7 @@ auto_level = {{uniform = [0.1, 0.3]}}
 {more}
 """
 WAIT_S = 60.0
+SAMPLES = 24  # of the dataset whose last two samples the executor :func:`deadly` ends
 
 
 def spec_file(folder: Path, *, samples: int = 6, top: str = "", more: str = "", **changes) -> Path:
@@ -131,12 +135,41 @@ def spread(job: Job, index: int) -> Outcome:
 
 
 def deadly(job: Job, index: int) -> Outcome:
-    """Work whose process dies, as with a renderer that crashes: always at sample 23, once at sample 22."""
+    """Work whose process dies, as with a renderer that crashes: always at the last of ``SAMPLES``, once at the one
+    before.
+    """
     marker = Path(job.out) / ".once"
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-    if index == 22 and not marker.exists():
+    if index == SAMPLES - 2 and not marker.exists():
         marker.touch()
         os.abort()
-    if index == 23:
+    if index == SAMPLES - 1:
         os.kill(os.getpid(), signal.SIGKILL)
     return work(job, index)
+
+
+def same_sample(one, other) -> bool:
+    """Whether two samples have the same index, description, raw picture and truth."""
+    arrays = all(
+        np.array_equal(value, other.truth[name], equal_nan=value.dtype.kind == "f")
+        if isinstance(value, np.ndarray)
+        else value == other.truth[name]
+        for name, value in one.truth.items()
+    )
+    return one.index == other.index and one.meta == other.meta and np.array_equal(one.raw_dn, other.raw_dn) and arrays
+
+
+def problems(out: Path) -> list[str]:
+    """The problems that verify reports, one line each."""
+    try:
+        return list(verify.problems(str(out)))
+    except InputError as error:
+        return [str(error)]
+
+
+def finished_sums(out: Path) -> dict[str, str]:
+    """Checksums of a finished dataset, in which everything is as it should be."""
+    assert list(verify.problems(str(out))) == []
+    left = [path.name for path in out.rglob("*.partial")]
+    assert left == [] and not (out / "parts").exists() and not (out / "rows").exists()
+    return sums(out)

@@ -1,4 +1,4 @@
-"""Files and folders that appear whole or not at all; the sweep after dead writers is in dataset/test_make."""
+"""Files and folders that appear whole or not at all; the sweep after dead writers is in dataset/test_storage."""
 
 from __future__ import annotations
 
