@@ -46,9 +46,9 @@ def _around(distant: list[Surrounding], local: list[Any], scene: Scene) -> Any:
     """The emitter of all surrounding lights, beside the ``local`` ones."""
     sun = any(isinstance(part, Sun) for part in local)
     uneven = sum(part.lux for part in distant if _is_uneven(part, sun))
-    # Emitter sampling chooses the surroundings in proportion to the illuminance of their uneven part. Without other
-    # lights the weight stays 1, because Mitsuba needs an emitter to sample.
-    weight = {"sampling_weight": float(uneven / np.mean([part.lux for part in local]))} if local else {}
+    # Where one emitter is drawn for a surface, it is drawn in proportion to illuminance; the surroundings count with
+    # their uneven part. Without other lights the weight stays 1, because Mitsuba needs an emitter to sample.
+    weight = {"sampling_weight": uneven} if local else {}
     return instance(_environment(distant, scene) | weight)
 
 
@@ -89,7 +89,7 @@ def _sun(light: Sun, scene: Scene) -> dict[str, Any]:
     radius = SUN_DISTANCE_M * sine / np.sqrt(1 - sine**2)
     to_scene = _look_at(SUN_DISTANCE_M * towards, np.zeros(3)) @ np.diag([radius, radius, 1.0, 1.0])
     power = light.lux * illuminants.illuminant(light.illuminant)
-    return _area_light("disk", to_scene, power / (np.pi * sine**2), scene)
+    return _area_light("disk", to_scene, power / (np.pi * sine**2), light.lux, scene)
 
 
 def _near_light(light: Near, scene: Scene) -> dict[str, Any]:
@@ -99,29 +99,36 @@ def _near_light(light: Near, scene: Scene) -> dict[str, Any]:
     if isinstance(light, Panel):
         width, height = (side * 1e-2 for side in light.size_cm)
         return _area_light(
-            "rectangle", _look_at(position, target) @ np.diag([width / 2, height / 2, 1.0, 1.0]), radiance, scene
+            "rectangle",
+            _look_at(position, target) @ np.diag([width / 2, height / 2, 1.0, 1.0]),
+            radiance,
+            light.lux,
+            scene,
         )
     radius = light.radius_cm * 1e-2
     if isinstance(light, Bulb):
         return _area_light(
-            "sphere", _look_at(position, target) @ np.diag([radius, radius, radius, 1.0]), radiance, scene
+            "sphere", _look_at(position, target) @ np.diag([radius, radius, radius, 1.0]), radiance, light.lux, scene
         )
-    return _area_light("disk", _look_at(position, target) @ np.diag([radius, radius, 1.0, 1.0]), radiance, scene)
+    return _area_light(
+        "disk", _look_at(position, target) @ np.diag([radius, radius, 1.0, 1.0]), radiance, light.lux, scene
+    )
 
 
-def _area_light(shape: str, to_scene: FloatArray, radiance: FloatArray, scene: Scene) -> Any:
+def _area_light(shape: str, to_scene: FloatArray, radiance: FloatArray, lux: float, scene: Scene) -> Any:
     """An area light that emits on its +z side.
 
     Args:
         shape: name of Mitsuba's shape plugin.
         to_scene: transform from the shape's own axes to scene coordinates, [4, 4], metres.
         radiance: [wavelength], W m^-2 sr^-1 nm^-1.
+        lux: relative weight with which it is drawn where one of several emitters is.
         scene: the scene, for its camera pose.
     """
-    return area_light(shape, scenes.world_to_camera(scene) @ to_scene, radiance)
+    return area_light(shape, scenes.world_to_camera(scene) @ to_scene, radiance, lux)
 
 
-def area_light(shape: str, to_camera: FloatArray, radiance: FloatArray) -> Any:
+def area_light(shape: str, to_camera: FloatArray, radiance: FloatArray, lux: float = 1.0) -> Any:
     """Mitsuba's shape, or its description, of an area light in camera axes; arguments as in :func:`_area_light`."""
     import drjit as dr
     import mitsuba as mi
@@ -129,7 +136,7 @@ def area_light(shape: str, to_camera: FloatArray, radiance: FloatArray) -> Any:
     light = {
         "type": shape,
         "to_world": transform(to_camera),
-        "emitter": {"type": "area", "radiance": spectrum_dict(radiance)},
+        "emitter": {"type": "area", "radiance": spectrum_dict(radiance), "sampling_weight": float(lux)},
     }
     if shape != "rectangle" or mi.variant().startswith("scalar"):
         return light

@@ -3,7 +3,8 @@
 The irradiance of a Lambertian surface by the sky and by its surroundings changes little from pixel to pixel, and
 accounts for most of the cost and the noise of a picture. It is traced once on a grid of points that the lens sees, with
 many directions each, and interpolated: Ward, Rubinstein and Clear, "A ray tracing solution for diffuse
-interreflection", SIGGRAPH 1988. Lamps are excluded: every ray samples them where it lands, so that shadows are sharp.
+interreflection", SIGGRAPH 1988. Lamps are excluded: every ray samples them where it lands, so that shadows are sharp
+(:mod:`dasim.render.lamps`).
 
 Over wavelength, irradiance is smooth only relative to the spectrum of its source. Each distinct spectrum therefore has
 its own grid; all grids share the rays.
@@ -23,6 +24,7 @@ from typing import Any
 import numpy as np
 
 from dasim.render import backend, light_spectra
+from dasim.render.lamps import Cell, Grid, from_all_around, grid_of
 from dasim.render.light_paths import power_heuristic, radiance_by_light
 from dasim.render.light_spectra import NODES, Shares
 from dasim.render.plugin import texture
@@ -34,6 +36,7 @@ STRIDE_PX = 3.0
 AGREEMENT = 0.15  # largest relative difference of irradiance between the corners of a cell
 SAME_NORMAL = 0.9  # cosine
 SAME_DEPTH = 0.02
+ON_SURFACE, ON_SURFACE_TURN = 1e-3, 2e-5  # relative change of 1/z and of the cosine (0.4 degrees) for lamps
 DIRECTIONS_PER_SAMPLE = 4  # directions of a point per sample of a pixel
 FEWEST_DIRECTIONS, MOST_DIRECTIONS = 64, 1024
 
@@ -52,9 +55,10 @@ class Field:
     spectra: Any  # of each light as a texture over wavelength
     spectrum_nodes: int  # of that texture
     share: float  # of the cells that are usable
+    lamps: Grid | None  # None where every ray draws one emitter
 
-    def at(self, si: Any, active: Any) -> tuple[Any, Any]:
-        """Spectral irradiance at a surface point, W m^-2 nm^-1, and where it is known."""
+    def at(self, si: Any, active: Any) -> tuple[Any, Any, Cell]:
+        """Spectral irradiance at a surface point, W m^-2 nm^-1, where it is known, and the cell of the grid."""
         import drjit as dr
         import mitsuba as mi
 
@@ -63,12 +67,16 @@ class Field:
         scale = dr.opaque(mi.Float, scale)
         x, y = (at / si.p.z * scale - first for at, first in zip((si.p.x, si.p.y), start, strict=True))
         inside = active & (x >= 0) & (y >= 0) & (x < mi.Float(columns - 1)) & (y < mi.Float(rows - 1))
-        cell = dr.select(inside, mi.UInt32(y) * (columns - 1) + mi.UInt32(x), 0)
+        column, row = mi.UInt32(dr.select(inside, x, 0.0)), mi.UInt32(dr.select(inside, y, 0.0))
+        cell = row * (columns - 1) + column
         known = inside & (dr.gather(mi.UInt32, self.usable, cell, inside) > 0)
         place = mi.Point2f((x + 0.5) / columns, (y + 0.5) / rows)
         vergence, *normal = self.surface.eval(place, known)
         facing = _towards_camera(si)
-        known &= (dr.abs(vergence * si.p.z - 1) < SAME_DEPTH) & (dr.dot(facing, mi.Vector3f(*normal)) > SAME_NORMAL)
+        away, aligned = dr.abs(vergence * si.p.z - 1), dr.dot(facing, dr.normalize(mi.Vector3f(*normal)))
+        known &= (away < SAME_DEPTH) & (aligned > SAME_NORMAL)
+        along = mi.Point2f(x - mi.Float(column), y - mi.Float(row))
+        on_surface = known & (away < ON_SURFACE) & (aligned > 1 - ON_SURFACE_TURN)
         result = mi.Spectrum(0.0)
         for k in range(4):
             at = (si.wavelengths[k] - float(grid.WAVELENGTH_NM[0])) / _SPAN_NM
@@ -77,7 +85,7 @@ class Field:
             result[k] = ratio[0] * lit[0]
             for light in range(1, len(lit)):
                 result[k] = dr.fma(ratio[light], lit[light], result[k])
-        return result, known
+        return result, known, Cell(cell, row * columns + column, along, columns, on_surface)
 
 
 _SPAN_NM = float(grid.WAVELENGTH_NM[-1] - grid.WAVELENGTH_NM[0])
@@ -90,14 +98,6 @@ def lambertian(bsdf: Any) -> Any:
     flags, kinds = bsdf.flags(), mi.BSDFFlags
     other = kinds.Glossy | kinds.Delta | kinds.Delta1D | kinds.DiffuseTransmission | kinds.Null
     return mi.has_flag(flags, kinds.DiffuseReflection) & ((flags & int(other)) == 0)
-
-
-def from_all_around(emitter: Any) -> Any:
-    """Whether an emitter surrounds the scene (a sky, not a lamp or the sun), for each ray."""
-    import mitsuba as mi
-
-    flags = emitter.flags()
-    return mi.has_flag(flags, mi.EmitterFlags.Infinite) & ~mi.has_flag(flags, mi.EmitterFlags.Delta)
 
 
 def field(
@@ -161,6 +161,8 @@ def field(
         )
         received[part] = values[:, : len(lit)] / lit
         met[part] = geometry
+    grid_y, grid_x = np.mgrid[:rows, :columns] * STRIDE_PX
+    slopes = np.column_stack([(grid_x + start[0]).ravel(), (grid_y + start[1]).ravel()]) / px_per_m
     ratio, surface = received.reshape(rows, columns, *lit.shape), met.reshape(rows, columns, 5)
     ratio = _smoothed(ratio, surface, spectra)
     usable = _agree(ratio, surface, spectra)
@@ -177,6 +179,7 @@ def field(
         spectra=texture(np.pad(spectra.T, ((0, 0), (0, empty)))),
         spectrum_nodes=len(at_nm),
         share=float(usable.mean()),
+        lamps=grid_of(scene, slopes, met, (rows, columns), seed),
     )
 
 

@@ -10,7 +10,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from dasim.render.irradiance import Field, from_all_around, lambertian
+from dasim.render import lamps
+from dasim.render.irradiance import Field, lambertian
 from dasim.render.light_paths import power_heuristic
 from dasim.render.translate import MAX_PATH_DEPTH
 
@@ -27,8 +28,8 @@ def radiance(
 ) -> Any:
     """Spectral radiance along ``ray``, whose first intersection is ``si``.
 
-    Where ``field`` holds the irradiance from surrounding emitters and other surfaces, only lamps are sampled. Elsewhere
-    emitters are sampled once and the scattering function once, combined by the power heuristic.
+    Where ``field`` holds the irradiance from surrounding emitters and other surfaces, only lamps are sampled
+    (:mod:`dasim.render.lamps`). Elsewhere emitters and the scattering function are, combined by the power heuristic.
 
     Args:
         scene: a Mitsuba scene.
@@ -46,19 +47,15 @@ def radiance(
     context, hit = mi.BSDFContext(), si.is_valid()
     bsdf = si.bsdf(ray)
     result = si.emitter(scene).eval(si)
-    traced, known = hit, mi.Bool(False)
+    traced, known, even, grid = hit, mi.Bool(False), mi.Spectrum(0.0), None
     if field is not None:
-        irradiance, known = field.at(si, hit & lambertian(bsdf))
+        irradiance, known, cell = field.at(si, hit & lambertian(bsdf))
+        grid = None if field.lamps is None else (field.lamps, cell)
         traced = hit & ~known
         upright = mi.Vector3f(0.0, 0.0, dr.select(si.wi.z < 0, -1.0, 1.0))
-        result += dr.select(known, bsdf.eval(context, si, upright, known) * irradiance, 0.0)
-
-    aimed, light = scene.sample_emitter_direction(si, aim_at, True, hit)
-    # A lamp that samples itself gives infinities.
-    reachable = hit & (aimed.pdf > 0) & dr.isfinite(aimed.pdf) & ~(known & from_all_around(aimed.emitter))
-    value, density = bsdf.eval_pdf(context, si, si.to_local(aimed.d), reachable)
-    share = dr.select(aimed.delta | known, 1.0, power_heuristic(aimed.pdf, density))
-    result += dr.select(reachable, value * light * share, 0.0)
+        even = bsdf.eval(context, si, upright, known)
+        result += dr.select(known, even * irradiance, 0.0)
+    result += lamps.light(scene, bsdf, si, aim_at, hit, known, even, grid)
 
     scattered, weight = bsdf.sample(context, si, lobe, place, traced)
     # An invalid sample, as below a surface's horizon, has weight 0 and no direction. NaN is not 0, and not hidden.
@@ -66,7 +63,7 @@ def radiance(
     onward = si.spawn_ray(si.to_world(scattered.wo))
     met = scene.ray_intersect(onward, traced)
     emitted = dr.select(traced, met.emitter(scene).eval(met), 0.0)
-    aim = scene.pdf_emitter_direction(si, mi.DirectionSample3f(scene, met, si), traced)
+    aim = lamps.density(scene, si, met, traced)
     smooth = ~mi.has_flag(scattered.sampled_type, mi.BSDFFlags.Delta)
     share = dr.select(smooth & (aim > 0), power_heuristic(scattered.pdf, aim), 1.0)
     beyond, _, _ = integrator.sample(scene, sampler, mi.RayDifferential3f(onward), active=traced)

@@ -1,0 +1,221 @@
+"""Light that comes straight from emitters, by a control variate on the irradiance of whole lamps (JIT variants).
+
+Every ray samples each emitter once, so that choosing one makes no noise. What remains comes from where on a lamp the
+sample lies, and from shadows. Each node of the grid of :mod:`dasim.render.irradiance` holds the projected solid angle
+of a lamp as if nothing stood before it, and the part of it that the node sees. With E the light from the whole lamp, L
+the light of one sample, V whether its point is seen, and c any number,
+
+    c E + (V - c) L
+
+has the mean of V L (a control variate: Owen, Monte Carlo theory, methods and examples, section 8.9). With c the share
+that the nodes see, full light and full shadow have no noise and penumbrae that of V alone. A shadow that no node sees
+is still there, because c changes no mean. E is interpolated, where a ray ends on the surface that the nodes see.
+
+Tested in tests/dasim/render/test_lamps.py.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dasim.render import backend
+from dasim.render.light_paths import power_heuristic
+from dasim.render.sobol import Sobol
+from dasim.typing import FloatArray
+
+MOST_EMITTERS = 8  # that are sampled by every ray; of more, each ray draws one
+AGREEMENT = 0.15  # largest relative difference of the solid angle between the corners of a cell
+SAMPLES = 64  # of a lamp from a node
+PROBE_NM = 430.0, 540.0, 610.0, 720.0  # a lamp shows its bright side if it has light at one of these
+
+
+class Grid(NamedTuple):
+    """What the nodes of an irradiance field receive from each of the sampled emitters."""
+
+    whole: Any  # projected solid angle of the emitter, sr, [emitter, y, x]
+    seen: Any  # of what is seen of it
+    usable: Any  # cells between four nodes of which both are known and nearly the same
+    nodes: Any  # opaque number of nodes of an emitter
+    cells: Any  # of cells
+
+
+class Cell(NamedTuple):
+    """Where a ray ends in the grid of an irradiance field."""
+
+    number: Any  # of the cell, row by row
+    node: Any  # of its first corner
+    along: Any  # place in the cell, 0 to 1 along x and y
+    columns: Any  # of nodes
+    is_on_surface: Any  # whether the ray ends on the surface that the nodes see
+
+
+def sampled(scene: Any) -> list[int]:
+    """Numbers of the emitters that each ray samples; empty where it draws one."""
+    numbers = [number for number, emitter in enumerate(scene.emitters()) if emitter.sampling_weight() > 0]
+    return numbers if len(numbers) <= MOST_EMITTERS else []
+
+
+def from_all_around(emitter: Any) -> Any:
+    """Whether an emitter surrounds the scene (a sky, not a lamp or the sun), for each ray."""
+    import mitsuba as mi
+
+    flags = emitter.flags()
+    return mi.has_flag(flags, mi.EmitterFlags.Infinite) & ~mi.has_flag(flags, mi.EmitterFlags.Delta)
+
+
+def density(scene: Any, si: Any, met: Any, active: Any) -> Any:
+    """Density at which :func:`light` samples the direction from ``si`` to the emitter at ``met``, per steradian."""
+    import drjit as dr
+    import mitsuba as mi
+
+    direction = mi.DirectionSample3f(scene, met, si)
+    if not sampled(scene):
+        return scene.pdf_emitter_direction(si, direction, active)
+    emitter = met.emitter(scene)
+    active = active & (emitter.sampling_weight() > 0)
+    return dr.select(active, emitter.pdf_direction(si, direction, active), 0.0)
+
+
+def light(
+    scene: Any, bsdf: Any, si: Any, aim_at: Any, hit: Any, known: Any, even: Any, grid: tuple[Grid, Cell] | None
+) -> Any:
+    """Spectral radiance that leaves a surface for light that comes straight from emitters.
+
+    Args:
+        scene: a Mitsuba scene.
+        bsdf: of the surface.
+        si: the surface interaction.
+        aim_at: two uniform numbers.
+        hit: mask of the rays.
+        known: where the light of what surrounds the scene is known otherwise; there is no scattered ray there, whose
+            light would count beside.
+        even: radiance of the surface per irradiance, where ``known``, 1/sr.
+        grid: see :func:`grid_of`, and where each ray ends in it; None without.
+    """
+    import drjit as dr
+    import mitsuba as mi
+
+    context = mi.BSDFContext()
+    chosen = sampled(scene)
+    numbers = mi.UInt32((chosen + [0] * MOST_EMITTERS)[:MOST_EMITTERS])  # a table of one number would be a constant
+    count = dr.opaque(mi.UInt32, max(len(chosen), 1))
+
+    def body(index: Any, total: Any) -> tuple[Any, Any]:
+        number, weight, place = dr.gather(mi.UInt32, numbers, index), mi.Float(1.0), aim_at
+        if not chosen:
+            number, weight, reused = scene.sample_emitter(aim_at.x, hit)
+            place = mi.Point2f(reused, aim_at.y)
+        emitter = dr.gather(mi.EmitterPtr, scene.emitters_dr(), number)
+        active = hit & ~(known & from_all_around(emitter))
+        aimed, arriving = emitter.sample_direction(si, place, active)
+        # A lamp that samples itself gives infinities.
+        active &= (aimed.pdf > 0) & dr.isfinite(aimed.pdf) & dr.any(arriving != 0)
+        value, other = bsdf.eval_pdf(context, si, si.to_local(aimed.d), active)
+        share = dr.select(aimed.delta | known, 1.0, power_heuristic(aimed.pdf / weight, other))
+        sample = value * arriving * (weight * share)
+        is_seen = active & ~scene.ray_test(si.spawn_ray_to(aimed.p), active)
+        added = dr.select(is_seen, sample, 0.0)
+        if grid is not None:
+            whole, seen = _interpolated(*grid, index, known & active)
+            control = dr.select(whole > 0, seen / whole, 0.0)
+            added += control * dr.select(active, even * (whole * aimed.pdf) * arriving - sample, 0.0)
+        return index + 1, total + added
+
+    start = mi.UInt32(dr.zeros(mi.UInt32, dr.width(hit))), mi.Spectrum(dr.zeros(mi.Spectrum, dr.width(hit)))
+    return dr.while_loop(start, lambda index, total: index < count, body, labels=("index", "total"))[1]
+
+
+def _interpolated(grid: Grid, cell: Cell, lamp: Any, active: Any) -> tuple[Any, Any]:
+    """Projected solid angle of a lamp, and of what is seen of it, sr; 0 where they are not known."""
+    import drjit as dr
+    import mitsuba as mi
+
+    active = active & cell.is_on_surface
+    active &= dr.gather(mi.UInt32, grid.usable, lamp * grid.cells + cell.number, active) > 0
+    first = lamp * grid.nodes + cell.node
+    whole, seen = mi.Float(0.0), mi.Float(0.0)
+    for right, below in ((0, 0), (1, 0), (0, 1), (1, 1)):
+        share = (cell.along.x if right else 1 - cell.along.x) * (cell.along.y if below else 1 - cell.along.y)
+        node = first + right + (cell.columns if below else 0)
+        whole = dr.fma(share, dr.gather(mi.Float, grid.whole, node, active), whole)
+        seen = dr.fma(share, dr.gather(mi.Float, grid.seen, node, active), seen)
+    return whole, seen
+
+
+def grid_of(scene: Any, slope: FloatArray, surface: FloatArray, shape: tuple[int, int], key: int) -> Grid | None:
+    """The grid of all lamps whose radiance is the same everywhere on them; None where every ray draws one emitter.
+
+    Args:
+        scene: a Mitsuba scene.
+        slope: x / z and y / z of the nodes, [node, 2].
+        surface: what the nodes see, see :class:`dasim.render.irradiance.Field`, [node, 5].
+        shape: of the nodes, [y, x].
+        key: of the samples.
+    """
+    import drjit as dr
+    import mitsuba as mi
+
+    numbers = sampled(scene)
+    if not numbers:
+        return None
+    results = [_traced(scene, number, slope, surface, key) for number in numbers]
+    whole, seen, is_whole = (np.stack(part).reshape(-1, *shape) for part in zip(*results, strict=True))
+    corners = np.stack([whole[:, :-1, :-1], whole[:, :-1, 1:], whole[:, 1:, :-1], whole[:, 1:, 1:]])
+    usable = is_whole[:, :-1, :-1] & is_whole[:, :-1, 1:] & is_whole[:, 1:, :-1] & is_whole[:, 1:, 1:]
+    usable &= np.ptp(corners, axis=0) < AGREEMENT * corners.mean(axis=0)
+    return Grid(
+        whole=mi.Float(whole.astype(np.float32).ravel()),
+        seen=mi.Float(seen.astype(np.float32).ravel()),
+        usable=mi.UInt32(usable.astype(np.uint32).ravel()),
+        nodes=dr.opaque(mi.UInt32, whole[0].size),
+        cells=dr.opaque(mi.UInt32, usable[0].size),
+    )
+
+
+def _traced(
+    scene: Any, number: int, slope: FloatArray, surface: FloatArray, key: int
+) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
+    """Projected solid angle of an emitter from each node, of what is seen of it, and whether both are known.
+
+    They are known of a lamp of even radiance that shows its bright side to the node.
+    """
+    import drjit as dr
+    import mitsuba as mi
+
+    count = len(slope)
+    at_once = max(1, backend.lanes() // SAMPLES)
+    result = np.zeros((3, count))
+    emitter_number, each = dr.opaque(mi.UInt32, number), dr.opaque(mi.UInt32, SAMPLES)
+    for first in range(0, count, at_once):
+        part = slice(first, min(first + at_once, count))
+        size = part.stop - part.start
+        here = np.where(surface[part, 4:] > 0, surface[part], [1.0, 0.0, 0.0, -1.0, 0.0])
+        lane = dr.arange(mi.UInt32, size * SAMPLES)
+        node = lane // each
+
+        def of_nodes(values: FloatArray, node: Any = node) -> list[Any]:
+            columns = np.ascontiguousarray(values.T, dtype=np.float32)
+            return [dr.gather(mi.Float, mi.Float(column), node) for column in columns]
+
+        at = dr.zeros(mi.SurfaceInteraction3f, size * SAMPLES)
+        at.p = mi.Point3f(*of_nodes(np.column_stack([slope[part], np.ones(size)]) / here[:, :1]))
+        normal = mi.Vector3f(*of_nodes(here[:, 1:4]))
+        at.n, at.wavelengths = mi.Normal3f(normal), mi.Spectrum(*PROBE_NM)
+        known = of_nodes(here[:, 4:])[0] > 0
+        emitter = dr.gather(mi.EmitterPtr, scene.emitters_dr(), emitter_number + dr.zeros(mi.UInt32, size * SAMPLES))
+        sobol = Sobol(SAMPLES, lane % each, node + dr.opaque(mi.UInt32, (key + first) % 2**32))
+        aimed, arriving = emitter.sample_direction(at, sobol.next_2d(), known)
+        cosine = dr.dot(normal, aimed.d)
+        flags, kinds = emitter.flags(), mi.EmitterFlags
+        other = kinds.SpatiallyVarying | kinds.Infinite | kinds.DeltaPosition | kinds.DeltaDirection
+        known &= ((flags & int(other)) == 0) & (aimed.pdf > 0) & dr.isfinite(aimed.pdf)
+        known &= dr.any(arriving != 0)
+        angle = dr.select(known, dr.maximum(cosine, 0.0) / aimed.pdf, 0.0)
+        is_seen = known & ~scene.ray_test(at.spawn_ray_to(aimed.p), known)
+        values = [angle, dr.select(is_seen, angle, 0.0), dr.select(known, 1.0, 0.0)]
+        dr.eval(values)
+        result[:, part] = [np.array(dr.block_sum(value, SAMPLES)) / SAMPLES for value in values]
+    return result[0], result[1], result[2] == 1.0

@@ -1,0 +1,120 @@
+"""Light straight from lamps: solid angles against closed forms, and the means of plain sampling with less noise."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from dasim.render import lamps
+from dasim.spectra.illuminants import illuminant
+
+WALL = {"name": "wall", "shape": "plane", "size_cm": (400, 400), "position_cm": (0, 0, 40), "material": "grey-card"}
+# Its shadow is narrower than a cell of the grid.
+WIRE = {"name": "wire", "shape": "cylinder", "radius_cm": 0.2, "height_cm": 60, "position_cm": (3, 0, 33)}
+LAMP = {"kind": "lamp", "illuminant": "D65", "lux": 300, "position_cm": (-40, 0, 0), "target_cm": (0, 0, 40)}
+PANEL = {"kind": "panel", "illuminant": "D65", "lux": 900, "position_cm": (60, -40, -10), "target_cm": (0, 0, 40)}
+DOME = {"kind": "dome", "illuminant": "D65", "lux": 300}
+
+
+@pytest.fixture
+def passes(jit):
+    from dasim.render import passes
+
+    return passes
+
+
+@pytest.fixture
+def field_of(passes):
+    def field(scene, camera, seed=7):
+        return passes.irradiance_field(scene, camera, illuminant("D65"), 0.0, 16, seed)
+
+    return field
+
+
+def _on_axis(field):
+    """Projected solid angle of the first lamp at the node nearest to the axis."""
+    rows, columns = field.shape
+    x, y = (round(-start / 3.0) for start in field.start_px)
+    return np.array(field.lamps.whole).reshape(-1, rows, columns)[0, y, x]
+
+
+def test_projected_solid_angle_of_a_disc(field_of, make_scene, loaded, wide):
+    """Expectation: pi r^2 / (r^2 + h^2) of a disc straight ahead."""
+    lamp = LAMP | {"position_cm": (0, 0, -20), "radius_cm": 10}
+    field = field_of(loaded(make_scene(WALL, lights=[lamp])), wide())
+    assert _on_axis(field) == pytest.approx(np.pi * 10**2 / (10**2 + 60**2), rel=1e-3)
+
+
+def test_projected_solid_angle_of_a_rectangle(field_of, make_scene, loaded, wide):
+    """Expectation: four times the closed form of a rectangle with a corner straight ahead and sides X h and Y h."""
+    panel = PANEL | {"position_cm": (0, 0, -20), "size_cm": (60, 30)}
+    field = field_of(loaded(make_scene(WALL, lights=[panel])), wide())
+    x, y = 30 / 60, 15 / 60
+    by_x, by_y = np.hypot(1, x), np.hypot(1, y)
+    corner = (x / by_x * np.arctan(y / by_x) + y / by_y * np.arctan(x / by_y)) / 2
+    assert _on_axis(field) == pytest.approx(4 * corner, rel=1e-3)
+
+
+def _pictures(passes, scene, camera, field, seeds):
+    return np.array([passes.pinhole_pass(scene, camera, passes.Sampling(16, seed), field)[..., 1] for seed in seeds])
+
+
+def _z(first, second):
+    """Difference of the means of two stacks of pictures over its standard error, in blocks of 4 x 4 pixels."""
+    blocks = [stack.reshape(len(stack), 9, 4, 12, 4).mean(axis=(2, 4)) for stack in (first, second)]
+    error = np.sqrt(sum(block.var(axis=0, ddof=1) / len(block) for block in blocks))
+    return (blocks[0].mean(axis=0) - blocks[1].mean(axis=0)) / error
+
+
+@pytest.fixture
+def wire(make_scene, loaded):
+    return loaded(
+        make_scene(
+            WALL,
+            WIRE | {"material": "grey-card"},
+            lights=[LAMP | {"radius_cm": 1}, PANEL | {"size_cm": (60, 60)}, DOME],
+        )
+    )
+
+
+def test_means_are_those_of_plain_sampling_with_less_noise(passes, field_of, wire, wide):
+    """Rationale: a shadow narrower than a cell of the grid is one that no node sees.
+
+    Set-up: a wall, a thin wire before it, a small lamp and a large one; 12 pictures with the grid and 12 without.
+    Expectation: block means differ by chance alone; where the wire casts no shadow, noise is less than a quarter.
+    """
+    camera = wide()
+    field = field_of(wire, camera)
+    ours = _pictures(passes, wire, camera, field, range(12))
+    plain = _pictures(passes, wire, camera, replace(field, lamps=None), range(50, 62))
+    z = _z(ours, plain)
+    assert np.sqrt(np.mean(z**2)) < 1.3
+    assert abs(z.mean()) < 4 / np.sqrt(z.size)
+    assert ours.std(axis=0)[:, 35:43].mean() < plain.std(axis=0)[:, 35:43].mean() / 4
+
+
+def test_what_the_nodes_see_changes_no_mean(passes, field_of, wire, wide):
+    """Expectation: with half of what the nodes see, means are the same; with 3 % more of the whole lamp, others."""
+    camera = wide()
+    field = field_of(wire, camera)
+    plain = _pictures(passes, wire, camera, replace(field, lamps=None), range(50, 62))
+    half = replace(field, lamps=field.lamps._replace(seen=field.lamps.seen / 2))
+    assert np.sqrt(np.mean(_z(_pictures(passes, wire, camera, half, range(12)), plain) ** 2)) < 1.3
+    larger = field.lamps._replace(whole=field.lamps.whole * 1.03, seen=field.lamps.seen * 1.03)
+    wrong = _pictures(passes, wire, camera, replace(field, lamps=larger), range(12))
+    assert np.sqrt(np.mean(_z(wrong, plain) ** 2)) > 1.6
+
+
+def test_of_many_lamps_each_ray_draws_one(passes, field_of, make_scene, loaded, wide, monkeypatch):
+    """Expectation: nine lamps have no grid, and the picture that they have when each is sampled."""
+    lights = [LAMP | {"position_cm": (-40 + 10 * k, -30, 0), "radius_cm": 1, "lux": 50 + 20 * k} for k in range(9)]
+    scene, camera = loaded(make_scene(WALL, lights=lights)), wide()
+    field = field_of(scene, camera)
+    assert field.lamps is None
+    drawn = _pictures(passes, scene, camera, field, range(12))
+    monkeypatch.setattr(lamps, "MOST_EMITTERS", 16)
+    z = _z(drawn, _pictures(passes, scene, camera, field_of(scene, camera), range(50, 62)))
+    assert np.sqrt(np.mean(z**2)) < 1.3
+    assert abs(z.mean()) < 4 / np.sqrt(z.size)
