@@ -34,6 +34,7 @@ LIMITS = {"DASIM_MOST_FILE_MB": 2000.0, "DASIM_MOST_MPX": 100.0}  # variable and
 TEXT_BYTES = 64_000_000  # of a text, table or specification
 _RADIANCE = re.compile(rb"\n([-+][XY]) (\d+) ([-+][XY]) (\d+)\n")  # size in the header of Radiance's HDR pictures
 _PNG = b"\x89PNG\r\n\x1a\n"
+_EXR = b"\x76\x2f\x31\x01"
 _NUMBERS = "buif"  # kinds of NumPy types: booleans, whole numbers, floating point
 
 
@@ -183,6 +184,17 @@ def picture(path: Path, where: str, flags: int) -> NDArray[Any]:
     Raises InputError where it cannot be read, has more pixels than the limit, or is a truncated or damaged PNG.
     """
     return decoded(content(path, where), where, flags)
+
+
+def check_picture(path: Path, where: str) -> None:
+    """Raise InputError where a picture that a library opens by its name is none, or has more pixels than the limit."""
+    data = content(path, where)
+    if data.startswith(_EXR):
+        check_exr(path, where)
+    else:
+        check_pixels(_size_px(data, where), where)
+        if data.startswith(_PNG):
+            check_png(data, where)
 
 
 def decoded(data: bytes, where: str, flags: int) -> NDArray[Any]:

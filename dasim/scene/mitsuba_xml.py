@@ -27,7 +27,7 @@ def check(file: Path, where: str, define: Mapping[str, str]) -> None:
     roughnesses from 0 to 1. ``define`` has the values of its ``$parameters``. What else is wrong, such as a
     transformation that is not finite, is found when the scene is loaded.
     """
-    waiting, seen = [(file, where)], set()
+    waiting, seen, values, folders = [(file, where)], set(), dict(define), [file.parent, Path(".")]
     while waiting:
         path, name = waiting.pop()
         if path.resolve() in seen:
@@ -35,12 +35,25 @@ def check(file: Path, where: str, define: Mapping[str, str]) -> None:
         seen.add(path.resolve())
         if len(seen) > MOST_FILES:
             raise InputError(f"{where}: includes more than {MOST_FILES} files")
-        waiting += [(path.parent / part, f"{name}, <include> {part}") for part in _check_one(path, name, define)]
+        for part in _check_one(path, name, values, folders):
+            waiting += [(found, f"{name}, <include> {part}") for found in _candidates(part, [path.parent, *folders])]
 
 
-def _check_one(path: Path, where: str, define: Mapping[str, str]) -> list[str]:
-    """Check a single file; returns the names of the files that it includes, which lie beside it."""
+def _candidates(name: str, folders: list[Path]) -> list[Path]:
+    """What a name may mean; Mitsuba takes the first that it finds, and refuses folders and what is missing."""
+    found = [folder / name for folder in folders]
+    return [path for path in found if path.exists() and not path.is_dir()]
+
+
+def _check_one(path: Path, where: str, values: dict[str, str], folders: list[Path]) -> list[str]:
+    """Check a single file; returns the names of the files that it includes.
+
+    ``values`` of parameters and ``folders`` to search, which a file may add, are added.
+    """
     parser, depth, included = expat.ParserCreate("UTF-8"), 0, []
+
+    def filled(text: str) -> str:
+        return re.sub(r"\$(\w+)", lambda found: str(values.get(found[1], found[0])), text)
 
     def start(tag: str, attributes: dict[str, str]) -> None:
         nonlocal depth
@@ -48,12 +61,20 @@ def _check_one(path: Path, where: str, define: Mapping[str, str]) -> list[str]:
         line = f"{where}, line {parser.CurrentLineNumber}"
         if depth > DEEPEST:
             raise InputError(f"{line}: elements are more than {DEEPEST} levels deep; that is no scene")
-        if tag == "include" and "$" not in attributes.get("filename", "$"):
-            if (path.parent / attributes["filename"]).is_file():  # what is elsewhere is found by Mitsuba alone
-                included.append(attributes["filename"])
+        if tag == "default":
+            values.setdefault(attributes.get("name", ""), filled(attributes.get("value", "")))
+        if tag == "path":
+            added = [folder / filled(attributes.get("value", "")) for folder in (path.parent, *folders)]
+            folders.extend([folder for folder in dict.fromkeys(added) if folder.is_dir() and folder not in folders])
+            if len(folders) > MOST_FILES:
+                raise InputError(f"{line}: has more <path> elements than any scene")
+        if tag == "include":
+            included.append(filled(attributes.get("filename", "")))
+        if tag == "spectrum" and "filename" in attributes:
+            for table in _candidates(filled(attributes["filename"]), [path.parent, *folders]):
+                untrusted.check_file(table, f"{line}: spectrum {attributes['filename']}")
         if tag == "float":
-            text = attributes.get("value", "")
-            _check_number(attributes.get("name", ""), define.get(text.removeprefix("$"), text), line)
+            _check_number(attributes.get("name", ""), filled(attributes.get("value", "")), line)
 
     def end(tag: str) -> None:
         nonlocal depth

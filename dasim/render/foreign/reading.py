@@ -8,10 +8,12 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from dasim.base import untrusted
 from dasim.base.errors import InputError
 from dasim.scene.mitsuba_scene import MitsubaScene
 
 FILE_KEYS = ("filename", "file")  # properties of plugins that name files
+PICTURES = ("bitmap", "envmap")  # plugins whose files are pictures
 LONGEST = 300  # characters of an error message of a plugin, which may describe all of itself
 _PLACE = re.compile(r"\[\w+\.(?:cpp|h|py):\d+\] ")  # in Mitsuba's source
 _UNDEFINED = re.compile(r"undefined parameter: \$(\w*)")
@@ -47,7 +49,7 @@ def parse(scene: MitsubaScene) -> tuple[Any, Any]:
         mi.parser.transform_all(config, state)
     except Exception as error:
         raise load_error(scene, error) from None
-    _find_files(state.nodes)
+    _find_files(state.nodes, str(scene.file))
     return config, state
 
 
@@ -90,14 +92,21 @@ def render_error(scene: MitsubaScene, error: Exception) -> InputError:
     return InputError(f"{scene.file}: does not render in Mitsuba ({text})")
 
 
-def _find_files(nodes: Any) -> None:
-    """Make the names of files that exist absolute, because some plugins look them up in the working folder."""
+def _find_files(nodes: Any, where: str) -> None:
+    """Make the names of files that exist absolute, because some plugins look them up in the working folder.
+
+    Raises InputError for what is no regular file of a limited size, on which a plugin might wait for ever, and for
+    pictures of more pixels than the limit.
+    """
     import mitsuba as mi
 
     resolver = mi.file_resolver()
     for node in nodes:
         for key in FILE_KEYS:
             if key in node.props and node.props.type(key) == mi.Properties.Type.String:
-                path = Path(str(resolver.resolve(node.props[key])))
-                if path.is_file():
+                path, name = Path(str(resolver.resolve(node.props[key]))), f"{where}: file '{node.props[key]}'"
+                if path.exists():
+                    untrusted.check_file(path, name)
+                    if node.props.plugin_name() in PICTURES:
+                        untrusted.check_picture(path, name)
                     node.props[key] = str(path.absolute())

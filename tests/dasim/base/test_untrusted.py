@@ -229,6 +229,45 @@ def test_mitsuba_scenes(text, message, tmp_path):
         dasim.load_scene(tmp_path / "outer.xml")
 
 
+@pytest.mark.parametrize(
+    "outer",
+    [
+        '<scene><path value="parts"/><include filename="a.xml"/></scene>',
+        '<scene><default name="which" value="parts/a"/><include filename="$which.xml"/></scene>',
+        '<scene><default name="where" value="parts"/><path value="$where"/><include filename="a.xml"/></scene>',
+        '<scene><include filename="parts/b.xml"/></scene>',
+    ],
+)
+def test_files_that_a_mitsuba_scene_includes_are_checked_wherever_they_are(outer, tmp_path):
+    (tmp_path / "parts").mkdir()
+    (tmp_path / "outer.xml").write_text(outer)
+    (tmp_path / "parts" / "a.xml").write_text("<scene>" * 20_000)
+    (tmp_path / "parts" / "b.xml").write_text('<scene><include filename="a.xml"/></scene>')
+    with pytest.raises(InputError, match="levels deep"):
+        dasim.load_scene(tmp_path / "outer.xml")
+    (tmp_path / "parts" / "a.xml").unlink()
+    os.mkfifo(tmp_path / "parts" / "a.xml")
+    with pytest.raises(InputError, match="not a regular file"):
+        dasim.load_scene(tmp_path / "outer.xml")
+
+
+def test_pipe_as_a_spectrum_of_a_mitsuba_scene_is_refused(tmp_path):
+    """Rationale: Mitsuba opens it while it parses the scene, and waits for ever."""
+    os.mkfifo(tmp_path / "light.spd")
+    text = ROOM.format("1", "1").replace('<rgb name="radiance" value="1"/>', '<spectrum filename="light.spd"/>')
+    (tmp_path / "a.xml").write_text(text)
+    with pytest.raises(InputError, match=r"line 1: spectrum light.spd: is not a regular file"):
+        dasim.load_scene(tmp_path / "a.xml")
+
+
+def test_defaults_of_a_mitsuba_scene_are_checked(tmp_path):
+    text = ROOM.format("$r", "1").replace("<shape", '<default name="r" value="nan"/><shape', 1)
+    (tmp_path / "a.xml").write_text(text)
+    with pytest.raises(InputError, match="radius is nan"):
+        dasim.load_scene(tmp_path / "a.xml")
+    dasim.load_scene(tmp_path / "a.xml", define={"r": "2"})
+
+
 def test_scene_in_utf_8_is_read(tmp_path):
     (tmp_path / "a.xml").write_text("<?xml version='1.0' encoding='utf-8'?>" + ROOM.format("$r", "1"))
     assert dasim.load_scene(tmp_path / "a.xml", define={"r": "2"}).name == "a"

@@ -122,6 +122,18 @@ def test_missing_folders_and_files_are_one_line(gallery, refused, renderer, chan
     refused(str(file), "--define", "distance=2", parts=parts)
 
 
+@pytest.mark.parametrize("name", ["meshes/card.ply", "textures/grey.png"])
+def test_pipes_and_huge_pictures_are_refused_before_mitsuba_opens_them(gallery, refused, renderer, monkeypatch, name):
+    """Rationale: Mitsuba's plugins wait for ever on a pipe, and make room for all pixels that a header promises."""
+    file, scene = gallery / "common" / name, str(gallery / "docs" / "scenes" / "card.xml")
+    if name.endswith("png"):
+        monkeypatch.setenv("DASIM_MOST_MPX", "1e-5")
+        refused(scene, "--define", "distance=2", parts=(name, "has 4 x 4 pixels"))
+    file.unlink()
+    os.mkfifo(file)
+    refused(scene, "--define", "distance=2", parts=(name, "not a regular file"))
+
+
 def test_files_are_those_that_mitsuba_finds(tmp_path, wide, renderer):
     """Rationale: files of one name may lie beside the scene and in several folders of <path> elements.
 
