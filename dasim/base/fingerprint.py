@@ -31,7 +31,7 @@ DATA_FOLDERS = {"cameras": ("dasim/cameras",), "data": ("dasim/data",), "scenes"
 RENDERERS = frozenset({"mitsuba", "drjit"})  # libraries whose results depend on the variant
 DISTRIBUTIONS = {
     **{"cv2": "opencv-python-headless", "skimage": "scikit-image", "colour": "colour-science"},
-    **{"colour_demosaicing": "colour-demosaicing", "PIL": "pillow", "grpc": "grpcio"},
+    **{"PIL": "pillow", "grpc": "grpcio"},
 }
 DIGITS = 24
 LONGEST_PATH = 1000  # characters; longer text cannot be the name of a file

@@ -8,7 +8,7 @@ edges can be found between nodes.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
 import cv2
@@ -80,7 +80,8 @@ def evidence(
         leak: infrared in the visible channel.
         clipped: samples that are clipped, [h, w].
         most_clipped: share of them in a window from which on the window says nothing.
-        bands: score of :mod:`recon.depth.bands`; None for the large windows alone, which is three times as fast.
+        bands: score of :mod:`recon.depth.bands`; None for the large windows alone, which is three times as fast, and
+            without the signals among the inputs.
     """
     channels = (visible, infrared)
     shape = infrared.variance.shape
@@ -89,9 +90,8 @@ def evidence(
     levels = level_grid(last)
     shares = [share_in_window(clipped, window.sigma_px) for window in WINDOWS]
     unusable = [share >= most_clipped for share in shares]
-    found = _spectra(channels, leak)
-    wanted = [True, True] if bands else [False, True]
-    scores = _window_scores(channels, leak, found, unusable, wanted, nodes, levels)
+    found = _spectra(channels, leak, WINDOWS if bands else WINDOWS[1:])
+    scores = _window_scores(channels, leak, found, unusable, nodes, levels)
     of_bands = np.zeros_like(scores[0]) if bands is None else resampled(bands(*nodes), np.arange(last + 1), levels, 2)
     of_bands[unusable[0][np.ix_(*nodes)]] = 0
     scores.append(of_bands)
@@ -107,38 +107,40 @@ def evidence(
     across, down = surfaces.step_probability(picture[:2, nodes[0][:, None], nodes[1]])
     joined = np.log(_joined(total, levels, across, down))
     parts.append(np.maximum(joined - joined.max(axis=-1, keepdims=True), LEAST_LOG))
-    parts.append(_signal(found[0]))
+    if bands:
+        parts.append(_signal(found[WINDOWS[0]]))
     inputs = np.concatenate(parts, axis=-1).astype(np.float32, copy=False)
     return Evidence(inputs, _whole(picture, nodes), levels, total, nodes)
 
 
-def _spectra(channels: tuple[Channel, Channel], leak: Leak) -> list[Spectra]:
+def _spectra(channels: tuple[Channel, Channel], leak: Leak, windows: Sequence[Window]) -> dict[Window, Spectra]:
     planes, variances = [channel.plane for channel in channels], [channel.variance for channel in channels]
-    return cross_spectra.measured(planes, [channel.phase for channel in channels], variances, [leak.alpha], WINDOWS)
+    phases = [channel.phase for channel in channels]
+    found = cross_spectra.measured(planes, phases, variances, [leak.alpha], windows)
+    return dict(zip(windows, found, strict=True))
 
 
 def _window_scores(
     channels: tuple[Channel, Channel],
     leak: Leak,
-    found: Sequence[Spectra],
+    found: Mapping[Window, Spectra],
     unusable: Sequence[BoolArray],
-    wanted: Sequence[bool],
     nodes: Nodes,
     levels: FloatArray,
 ) -> list[Float32Array]:
-    """Scores of each size of window at the nodes, [row, column, level]; ``unusable`` windows, and sizes that are not
-    ``wanted``, say nothing.
+    """Scores of each size of window at the nodes, [row, column, level]; ``unusable`` windows, and sizes without
+    spectra, say nothing.
     """
     visible, infrared = channels
     kernels = np.stack([kernels_without_infrared(visible, leak, infrared), infrared.kernels], axis=1).astype(np.float32)
     table = _between(cross_spectra.expected(kernels, [channel.phase for channel in channels]), levels)
     result = []
-    for spectra, window, without, want in zip(found, WINDOWS, unusable, wanted, strict=True):
-        if not want:
+    for window, without in zip(WINDOWS, unusable, strict=True):
+        if window not in found:
             result.append(np.zeros((len(nodes[0]), len(nodes[1]), len(levels)), np.float32))
             continue
         rows, columns = cross_spectra.nodes(infrared.variance.shape, window.step)
-        score = log_likelihood(spectra, table)
+        score = log_likelihood(found[window], table)
         score[without[np.ix_(rows, columns)]] = 0
         result.append(resampled(resampled(score, rows, nodes[0], 0), columns, nodes[1], 1))
     return result

@@ -114,7 +114,7 @@ def joint_evidence(frame: Frame, settings: Settings) -> Evidence:
 
     clipped = mosaic.saturated_blocks(frame.saturated)
     of_bands = bands if settings.windows == "all" else None
-    guides = [channels[name] for name in "RB"]
+    guides = [channels[name] for name in "RB"] if of_bands else []  # for the network, as the score is
     return evidence(channels["G"], channels["IR"], guides, leaks["G"], clipped, settings.saturated_share, of_bands)
 
 

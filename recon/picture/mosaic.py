@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 import os
-import warnings
 from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
 
@@ -20,12 +19,12 @@ from dasim.camera.specification import Camera
 from dasim.spectra.grid import CHANNELS
 from dasim.typing import BoolArray, Float32Array
 from dasim.values import Capture
+from recon.picture import menon
 
 Phase = tuple[int, int]
 
 SATURATION_SHARE = 0.98  # of full scale, from which a pixel counts as saturated, with an allowance for noise
 STRIP_PX = 256  # rows per strip of the demosaicing, even
-BORDER_PX = 8  # border of a strip, wider than the filters' reach; even, so that mirroring preserves the mosaic's phase
 EXCESS_PATCH, EXCESS_PERCENTILE = 16, 2.0
 DIAGONAL = np.array([[1, 0, 1], [0, 0, 0], [1, 0, 1]], np.float32) / 4
 CROSS = np.array([[0, 1, 0], [1, 0, 1], [0, 1, 0]], np.float32) / 4
@@ -255,30 +254,25 @@ def _green(mosaic: NDArray, green: BoolArray) -> Float32Array:
 def demosaic(bayer: Float32Array, camera: Camera, signature: NDArray) -> Float32Array:
     """Full-resolution colours [h, w, 3] from the Bayer mosaic of :func:`to_bayer`.
 
-    The method is that of Menon et al. 2007 (directional filtering with a posteriori decision), from colour-demosaicing;
-    the paper leaves this block to the camera. The method assumes smooth colour differences, so ``signature`` [channel],
-    the electrons of a white point, balances the mosaic before it and is reapplied after it.
+    The method is that of Menon et al. 2007 (:mod:`recon.picture.menon`); the paper leaves this block to the camera. The
+    method assumes smooth colour differences, so ``signature`` [channel], the electrons of a white point, balances the
+    mosaic before it and is reapplied after it.
     """
-    with warnings.catch_warnings():  # the library imports from a deprecated scipy namespace
-        warnings.simplefilter("ignore", DeprecationWarning)
-        from colour_demosaicing import demosaicing_CFA_Bayer_Menon2007
-
     letters = bayer_letters(camera)
-    white = signature[:3] / signature[1]
-    balanced = bayer.astype(np.float64)
-    for (y, x), letter in letters.items():
-        balanced[y::2, x::2] /= white["RGB".index(letter)]
-    padded = np.pad(balanced, BORDER_PX, mode="reflect")
-    pattern = "".join(letters[y, x] for y in (0, 1) for x in (0, 1))
+    white = (signature[:3] / signature[1]).astype(np.float32)
+    red = next(place for place, letter in letters.items() if letter == "R")
     image = np.empty((*bayer.shape, 3), np.float32)
+    border = menon.REACH_PX
+    padded = np.pad(bayer, border, mode="reflect")
 
     def strip(top: int) -> None:
-        rows = slice(top, min(top + STRIP_PX, bayer.shape[0]))
-        part = padded[rows.start : rows.stop + 2 * BORDER_PX]
-        colours = demosaicing_CFA_Bayer_Menon2007(part, pattern)[BORDER_PX:-BORDER_PX, BORDER_PX:-BORDER_PX]
-        image[rows] = colours * white
+        part = padded[top : min(top + STRIP_PX, len(bayer)) + 2 * border].copy()
+        for (y, x), letter in letters.items():
+            part[y::2, x::2] /= white["RGB".index(letter)]
+        colours = menon.demosaic(part, red)[border:-border, border:-border]
+        np.multiply(colours, white, out=image[top : top + STRIP_PX])
 
-    # in strips: a whole 50-megapixel frame would need 10 GB, and the library uses one core
+    # in strips: what lies between needs memory, and the compiled functions use one core
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         list(pool.map(strip, range(0, bayer.shape[0], STRIP_PX)))
     return image

@@ -144,7 +144,11 @@ def inputs_of(picture: Picture) -> Float32Array:
 
 def compressed(relative: Float32Array) -> Float32Array:
     """asinh(10 x) / 3 of electrons relative to bright white: linear in the dark, logarithmic in the bright."""
-    return np.asarray(np.arcsinh(COMPRESSION * relative) / RANGE, np.float32)
+    # As a logarithm, of which NumPy computes several at a time: five times as fast as its asinh.
+    scaled = COMPRESSION * relative
+    size = np.abs(scaled)
+    size += np.sqrt(size * size + np.float32(1))
+    return np.asarray(np.copysign(np.log(size, out=size), scaled) / RANGE, np.float32)
 
 
 def expanded(values: Float32Array) -> Float32Array:

@@ -1,5 +1,7 @@
 """Electrons from raw values, green replacement and demosaicing."""
 
+import warnings
+
 import numpy as np
 import pytest
 
@@ -10,7 +12,7 @@ from dasim.camera import specification as cameras
 from dasim.camera.crosstalk import electronic_crosstalk
 from dasim.spectra.grid import CHANNELS as sensor_names
 from dasim.values import Capture
-from recon.picture import infrared, mosaic
+from recon.picture import infrared, menon, mosaic
 from tests.support import recon_scenes
 
 
@@ -141,6 +143,30 @@ def test_a_flat_colour_is_flat_after_demosaicing(rows):
     four = np.tile([900.0, 500.0, 200.0, 400.0], (48, 64, 1))
     rgb, _ = colours(four, with_mosaic(rows), (1.5, 1.0, 0.4, 0.8))
     np.testing.assert_allclose(rgb, four[..., :3], rtol=1e-5)
+
+
+@pytest.mark.parametrize("pattern", ["RGGB", "BGGR", "GRBG", "GBRG"])
+def test_demosaicing_is_that_of_colour_demosaicing(pattern):
+    """Set-up: a photograph with noise in a Bayer mosaic, against the library's own implementation of Menon et al.
+    Expectation: the same colours, but for rounding. Where both directions are alike to rounding, the other one may be
+    chosen, which changes about 30 pixels; fewer than five such places.
+    """
+    import skimage.data
+
+    with warnings.catch_warnings():  # it imports from a deprecated namespace of SciPy
+        warnings.simplefilter("ignore", DeprecationWarning)
+        from colour_demosaicing import demosaicing_CFA_Bayer_Menon2007
+
+    photo = skimage.data.astronaut()[100:260, 60:300].astype(np.float32) * 4
+    bayer = np.random.default_rng(0).normal(0, 20, photo.shape[:2]).astype(np.float32)
+    for place, letter in enumerate(pattern):
+        y, x = divmod(place, 2)
+        bayer[y::2, x::2] += photo[y::2, x::2, "RGB".index(letter)]
+    result = menon.demosaic(bayer, divmod(pattern.index("R"), 2))
+    inner = (slice(menon.REACH_PX, -menon.REACH_PX),) * 2
+    difference = np.abs(result - demosaicing_CFA_Bayer_Menon2007(bayer.astype(float), pattern)).max(axis=-1)[inner]
+    assert np.ptp(result[inner]) > 500
+    assert (difference > 1e-2).sum() < 5 * 30
 
 
 def test_strips_leave_no_seams(monkeypatch):
