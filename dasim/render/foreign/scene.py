@@ -261,15 +261,20 @@ def _materials(nodes: Any, objects: list[list[int]]) -> tuple[list[str], np.ndar
 
 
 def check_clear(world: World, scene: MitsubaScene, pupil_radius_m: float) -> None:
-    """InputError where a mesh reaches into the lens; adds a note where a size suggests a mistake of units.
+    """InputError where a mesh reaches into the lens, or a shape to infinity; a note where a size suggests a mistake of
+    units.
 
     ``pupil_radius_m`` is the radius of the lens at the origin.
     """
     for shape in world.scene.shapes():
         box = shape.bbox()
         low, high = np.ravel(box.min), np.ravel(box.max)
-        size_m = float((high - low).max())
-        if not SMALLEST_M <= size_m <= LARGEST_M and shape.id().startswith("object_"):
+        is_empty, is_object = bool((low > high).any()), shape.id().startswith("object_")
+        if is_object and not is_empty and not np.isfinite([low, high]).all():
+            name = world.objects[int(shape.id().removeprefix("object_"))]
+            raise InputError(f"{scene.file}: object '{name}' reaches to infinity; give a finite place and size")
+        size_m = 0.0 if is_empty else float((high - low).max())
+        if is_object and not SMALLEST_M <= size_m <= LARGEST_M:
             name = world.objects[int(shape.id().removeprefix("object_"))]
             world.notes.append(
                 f"object '{name}' is {size_m:.3g} m large; a mistake of units? unit_cm is {scene.unit_cm:g}"

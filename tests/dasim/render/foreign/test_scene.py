@@ -417,6 +417,12 @@ def test_sizes_beyond_likely_units_are_noted(xml, world, wide):
         ),
         (wall().replace('<scale value="50"/>', '<scale value="nan"/>'), ["object 'rectangle-1'", "not finite"]),
         (wall(z=-0.0005), ["object 'rectangle-1'", "reaches into the lens", "unit_cm is 100"]),
+        (
+            wall().replace(
+                "</scene>", '<shape type="sphere"><point name="center" value="1e38, 0, 1e308"/></shape></scene>'
+            ),
+            ["object 'sphere-2'", "reaches to infinity"],
+        ),
     ],
 )
 def test_what_is_wrong_is_one_line(xml, world, wide, tmp_path, text, message_part):
