@@ -13,7 +13,20 @@ import cyclopts
 
 from dasim.base import atomic
 from dasim.base.errors import InputError, one_line
-from dasim.cli import check, datasets, export, expose, learn, listing, photograph, reconstruct, study
+from dasim.cli import (
+    calibrate,
+    check,
+    datasets,
+    export,
+    expose,
+    learn,
+    listing,
+    photograph,
+    reconstruct,
+    score,
+    study,
+    view,
+)
 
 app = cyclopts.App(
     name="dasim",
@@ -27,11 +40,11 @@ for command in (
     photograph.render,
     expose.expose,
     export.export,
-    photograph.calibrate,
+    calibrate.calibrate,
     reconstruct.recon,
     reconstruct.refocus,
-    reconstruct.view,
-    reconstruct.score,
+    view.view,
+    score.score,
     datasets.app,
     study.app,
     learn.app,

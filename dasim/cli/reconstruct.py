@@ -1,12 +1,10 @@
-"""The commands recon, refocus, view and score, which start from a capture.
+"""The commands recon and refocus.
 
-Tested in tests/dasim/cli/test_recon.py, tests/dasim/cli/test_refocus.py, tests/dasim/cli/test_view.py and
-tests/dasim/cli/test_score.py.
+Tested in tests/dasim/cli/test_recon.py and tests/dasim/cli/test_refocus.py.
 """
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -93,7 +91,7 @@ def recon(
     if "IR" not in grids(shot.camera):  # before a bank is calibrated
         return _picture_alone(shot, even, parameters, bank, out)
     with options.progress() as progress:
-        kernels = _bank(bank, shot, progress)
+        kernels = bank_of(bank, shot, progress)
         result = reconstruction.reconstruct(
             shot, kernels, parameters, flat=even, progress=lambda s, x: progress("reconstructing", x)
         )
@@ -143,83 +141,7 @@ def refocus(
     return 0
 
 
-def view(
-    folder: Path,
-    *,
-    out: Path | None = None,
-    capture: Path | None = None,
-    bank: Path | None = None,
-    slices: options.Whole | None = None,
-) -> int:
-    """Write one page to explore a reconstruction or a capture in a browser: refocus, depth, 3D view, mosaic.
-
-    The page contains everything and loads nothing from outside.
-
-    Args:
-        folder: a reconstruction folder; or a capture folder, for its mosaic, its channels and the truth alone
-        out: the page, an HTML file, out/view.html by default; an earlier one is replaced
-        capture: the capture folder of the reconstruction, for its mosaic and the truth; by default the folder
-            'capture' beside the reconstruction, or NAME beside NAME-recon, if its camera is the same
-        bank: the PSF bank of the reconstruction; by default calibrated from the camera's description
-        slices: focus distances that are computed at the lens's own f-number, 2 or more; fewer at smaller apertures; by
-            default one per blur level, at most 24
-    """
-    from dasim.base import atomic
-    from validation.reports.view import page
-
-    if out is None:
-        out = Path("out/view.html")
-    elif out.suffix.lower() != ".html" or out.is_dir() or not out.resolve().parent.is_dir():
-        raise InputError(f"--out {out}: is not an HTML file in a folder that exists")
-    if slices is not None and slices < 2:
-        raise InputError(f"--slices {slices}: must be 2 or more")
-    if (folder / "raw.png").is_file() and not (folder / "recon.exr").is_file():
-        if (capture, bank, slices) != (None, None, None):
-            raise InputError(
-                f"view {folder}: is a capture; --capture, --bank and --slices apply to a reconstruction folder"
-            )
-        shot, truth = page.capture_of(folder)
-        with options.progress() as progress:
-            text = page.capture_page(shot, truth, progress)
-    else:
-        text = _view_of_reconstruction(folder, capture, bank, slices)
-    atomic.write(out, text)
-    print(f"page: {out} ({len(text.encode()) / 1e6:.1f} MB)")
-    return 0
-
-
-def _view_of_reconstruction(folder: Path, capture: Path | None, bank: Path | None, slices: int | None) -> str:
-    import dasim
-    import recon as pipeline
-    from recon.files.reconstruction import load_reconstruction
-    from validation.reports.view import page
-
-    if not (folder / "recon.exr").is_file():
-        raise InputError(
-            f"view {folder}: is neither a reconstruction folder (meta.json, recon.exr) nor a capture folder "
-            "(meta.json, raw.png); make one with 'dasim recon' or 'dasim render'"
-        )
-    rebuilt = load_reconstruction(folder)
-    if capture is None:
-        capture = page.capture_beside(folder, rebuilt)
-    shot, truth = (None, None) if capture is None else page.capture_of(capture)
-    if shot is None:
-        print("note: no capture is known, so that the page has no mosaic and no truth; --capture names it")
-    else:
-        page.check_same(rebuilt, shot, str(capture))
-    with options.progress() as progress:
-        if bank is not None:
-            kernels = pipeline.load_bank(bank)
-        else:
-            made = rebuilt.bank.get("diffraction")
-            pictures = dasim.calibration_captures(
-                rebuilt.camera, diffraction=made if made in ("airy", "off") else "wave"
-            )
-            kernels = pipeline.calibrate(pictures, progress=progress)
-        return page.reconstruction_page(rebuilt, kernels, shot, truth, slices=slices, progress=progress)
-
-
-def _bank(path: Path | None, shot: Capture, progress: Progress) -> PsfBank:
+def bank_of(path: Path | None, shot: Capture, progress: Progress) -> PsfBank:
     """The bank from a file, or calibrated from the camera's description."""
     import dasim
     import recon
@@ -248,92 +170,3 @@ def _picture_alone(shot: Capture, even: Capture | None, parameters: Settings, ba
     print(f"note: camera '{shot.camera.name}' has no infrared pixels: picture only, no depth")
     print(f"picture: {out} (light by white balance: {picture.light})")
     return 0
-
-
-def score(
-    result: Path,
-    capture: Path | None = None,
-    *,
-    confidence: Path | None = None,
-    scale: float | None = None,
-    method: Annotated[list[str] | None, Parameter(negative="", consume_multiple=True)] = None,
-    metric: Annotated[list[str] | None, Parameter(negative="", consume_multiple=True)] = None,
-    bank: Path | None = None,
-    gates: Path | None = None,
-    json_file: Annotated[Path | None, Parameter(name="--json")] = None,
-    junit: Path | None = None,
-) -> int:
-    """Score a reconstruction, a depth map or depth methods against the ground truth of a capture.
-
-    The exit status is 1 if a figure violates a limit of --gates.
-
-    Args:
-        result: a reconstruction folder, or a depth map: EXR or NPY in metres, 16-bit PNG with --scale; with --method,
-            the capture folder
-        capture: the capture folder with truth.exr; or, for a reconstruction of your own photograph, measured depths:
-            EXR or NPY in metres, 16-bit PNG with --scale, one value per pixel, NaN (PNG: 0) where unknown
-        confidence: confidence of each pixel of a depth map (same formats, any unit, larger is more confident)
-        scale: metres per unit of the depth map, or of the measured depths
-        method: a depth method to run and score: a bundled name, or your function as package.module:function or
-            file.py:function, or NAME=file.py:function to name its figures; figures are METHOD.FIGURE
-        metric: your own function of a depth map in metres and the truth, named like a method; it returns a number or
-            a dict of numbers
-        bank: with --method, a PSF bank; by default calibrated from the camera's description
-        gates: a TOML file with limits; its keys are score.FIGURE
-        json_file: also write the figures to this file
-        junit: also write the verdicts to this file, as JUnit XML
-    """
-    from dasim.files.captures import load_capture, load_truth
-    from recon.files.reconstruction import load_reconstruction
-    from validation.gates.scored import check_score_files, judged_score, write_score
-    from validation.method_scores import score_methods
-    from validation.methods import named
-    from validation.reports.lines import of_claims
-    from validation.scores import score as scores
-    from validation.scores.depth_files import SUFFIXES, read_depth, read_map
-    from validation.scores.measured_truth import score_measured
-    from validation.scores.metrics import load_metrics
-
-    check_score_files(json_file, junit)
-    judged_score("score", [], gates)  # raises for an unreadable file before the work begins
-    methods, metrics = named(method or ()), load_metrics(metric or ())
-    if methods:
-        if capture is not None or confidence is not None or scale is not None:
-            raise InputError(
-                "--method: runs on a capture; give the capture folder alone, without map, --confidence or --scale"
-            )
-        photo = load_capture(result)
-        truth = load_truth(result)
-        with options.progress() as progress:
-            figures = score_methods(photo, truth, _bank(bank, photo, progress), methods, metrics)
-    elif capture is None or bank is not None:
-        raise InputError("score: needs a reconstruction or depth map and its capture; --bank applies to --method")
-    elif capture.is_file() and capture.suffix.lower() in SUFFIXES:
-        if confidence is not None or metrics or not result.is_dir():
-            raise InputError(
-                f"{capture}: measured depths are compared with a reconstruction folder, which contains the camera; "
-                "omit --confidence and --metric"
-            )
-        figures = score_measured(load_reconstruction(result), read_depth(capture, scale))
-    elif result.is_file() or result.suffix.lower() in SUFFIXES:
-        depth_m = read_depth(result, scale)
-        trust = None if confidence is None else read_map(confidence)
-        photo = load_capture(capture)
-        figures = scores.score_map(depth_m, photo, load_truth(capture), trust, metrics=metrics)
-    else:
-        if confidence is not None or scale is not None:
-            raise InputError("--confidence and --scale apply to a depth map; a reconstruction folder contains both")
-        rebuilt = load_reconstruction(result)
-        photo = load_capture(capture)  # also checks that the capture is complete
-        truth = load_truth(capture)
-        if not truth.has("sharp_e"):
-            print("note: the truth lacks sharp_e, so that pictures are not scored (a dataset's key truth.keep)")
-        figures = scores.score(rebuilt, photo, truth, metrics=metrics)
-    for name in [f"{own}." for own in methods] or [""]:
-        print(f"method {name[:-1]}" if name else "", end="\n" if name else "")
-        print(scores.table([replace(f, id=f.id.removeprefix(name)) for f in figures if f.id.startswith(name)]))
-    entries = judged_score("score", figures, gates)
-    if limited := [entry for entry in entries if entry.limit is not None]:
-        print("\n".join(of_claims(limited)))
-    write_score("score", entries, json_file=json_file, junit=junit)
-    return 1 if any(entry.passed is False for entry in entries) else 0
