@@ -59,7 +59,7 @@ def sweep(
         variant: Mitsuba variant, auto by default
     """
     from dasim.base import executors
-    from dasim.dataset.sample import environment
+    from dasim.dataset.environment import environment
     from dasim.render import backend
     from validation.studies.sweep.loading import load_study
     from validation.studies.sweep.point import Sweep, work

@@ -16,8 +16,9 @@ from dasim.base.errors import InputError, describe_error
 from dasim.base.executors import Executor, Outcome
 from dasim.dataset import card, plan, reading, storage
 from dasim.dataset.plan import Shard
-from dasim.dataset.sample import ROW, Job, add, file_names, json_bytes, key, pack, unpack
+from dasim.dataset.sample import ROW, Job, file_names, json_bytes, key
 from dasim.dataset.specification import DatasetSpec
+from dasim.dataset.tar_files import add, pack, unpack
 from dasim.dataset.work import PART
 
 TRIES = 3

@@ -4,15 +4,11 @@ from __future__ import annotations
 
 import base64
 import hashlib
-import io
 import json
-import platform
-import tarfile
 import tempfile
 import time
 from dataclasses import dataclass, fields, replace
 from functools import lru_cache
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +18,7 @@ import numpy as np
 from dasim.base.fingerprint import fingerprint
 from dasim.camera.geometry import intrinsic_matrix
 from dasim.dataset.draws import Draft, capture_and_view, draft
+from dasim.dataset.environment import environment
 from dasim.dataset.specification import DatasetSpec, noise_model
 from dasim.files.captures import capture_meta
 from dasim.files.png import write_png16
@@ -38,11 +35,6 @@ DIGITS = 9  # of a sample's name
 THUMBNAIL_PX, THUMBNAIL_QUALITY = 96, 80
 DEPTH_EDGES_M = np.geomspace(0.03, 100.0, 41)
 BLUR_EDGES_PX = np.linspace(-20.0, 60.0, 41)
-LIBRARIES = (  # that determine the bytes of pixels and files
-    *("mitsuba", "drjit", "numpy", "scipy", "numba", "opencv-python-headless", "scikit-image", "colour-science"),
-    *("trimesh", "OpenEXR", "pyarrow"),
-)
-NVIDIA = Path("/proc/driver/nvidia")  # what NVIDIA's driver for Linux says of itself
 
 
 @dataclass(frozen=True)
@@ -80,44 +72,12 @@ def key(index: int) -> str:
 
 
 @lru_cache(maxsize=1)
-def environment(variant: str) -> dict[str, Any]:
-    """Software and hardware that determine pixels: variant, LLVM, instruction set and libraries; with CUDA also the
-    graphics cards and their driver.
-    """
-    from numpy._core._multiarray_umath import __cpu_features__ as features  # type: ignore[import-not-found]
-
-    cards = {"gpu": _graphics_cards(NVIDIA)} if variant.startswith("cuda") else {}
-    return {
-        "variant": variant,
-        "llvm": backend.choose(variant).llvm,
-        "cpu": f"{platform.machine()} " + " ".join(sorted(name for name, on in features.items() if on)),
-        **cards,
-        "libraries": {name: _version(name) for name in ("dasim", *LIBRARIES)},
-    }
-
-
-@lru_cache(maxsize=1)
 def provenance(variant: str) -> dict[str, Any]:
     """Everything besides the specification that determines pixels: the environment, and a fingerprint of the code.
 
     The fingerprint covers bundled scenes, cameras and tables too.
     """
     return environment(variant) | {"code": fingerprint(make, variant=variant)}
-
-
-def _graphics_cards(folder: Path) -> list[str]:
-    """Models of the graphics cards and the version of their driver; empty where its folder does not exist (WSL)."""
-    lines = [line for file in folder.glob("gpus/*/information") for line in file.read_text().splitlines()]
-    models = {line.partition(":")[2].strip() for line in lines if line.startswith("Model:")}
-    version = folder / "version"
-    return [*sorted(models), *(version.read_text().splitlines()[:1] if version.is_file() else [])]
-
-
-def _version(name: str) -> str:
-    try:
-        return version(name)
-    except PackageNotFoundError:
-        return "none"
 
 
 def make(spec: DatasetSpec, index: int, variant: str) -> PackedSample:
@@ -293,36 +253,6 @@ def _thumbnail(srgb: np.ndarray) -> bytes:
     small = np.rint(np.clip(small, 0, 1) * 255).astype(np.uint8)
     _, data = cv2.imencode(".jpg", small, [cv2.IMWRITE_JPEG_QUALITY, THUMBNAIL_QUALITY])
     return bytes(data.tobytes())
-
-
-# --- tar files -----------------------------------------------------------------------------------
-
-
-def add(tar: tarfile.TarFile, name: str, content: bytes) -> None:
-    """Append a member to a tar file, without time or owner, so that equal content gives equal bytes."""
-    info = tarfile.TarInfo(name)
-    info.size, info.mode = len(content), 0o644
-    tar.addfile(info, io.BytesIO(content))
-
-
-def pack(members: dict[str, bytes]) -> bytes:
-    """Tar file of members (bytes by name) in their order."""
-    buffer = io.BytesIO()
-    with tarfile.open(fileobj=buffer, mode="w", format=tarfile.USTAR_FORMAT) as tar:
-        for name, content in members.items():
-            add(tar, name, content)
-    return buffer.getvalue()
-
-
-def unpack(data: bytes) -> dict[str, bytes]:
-    """Members (bytes by name) of a tar file."""
-    members = {}
-    with tarfile.open(fileobj=io.BytesIO(data), mode="r:") as tar:
-        for info in tar:
-            member = tar.extractfile(info)
-            if member is not None:
-                members[info.name] = member.read()
-    return members
 
 
 def json_bytes(value: Any) -> bytes:

@@ -12,7 +12,7 @@ import tempfile
 
 from dasim.base.errors import InputError, describe_error
 from dasim.base.executors import Outcome
-from dasim.dataset import sample, storage
+from dasim.dataset import sample, storage, tar_files
 from dasim.dataset.plan import SUMS
 from dasim.dataset.sample import Job
 
@@ -42,7 +42,7 @@ def work(job: Job, index: int) -> Outcome:
     try:
         members = {**result.files, sample.ROW: sample.json_bytes(result.row)}
         part = PART.format(sample.key(index))
-        storage.write(job.out, part, sample.pack(members))
+        storage.write(job.out, part, tar_files.pack(members))
         if storage.exists(job.out, SUMS):  # its run was killed, and another finished the dataset meanwhile
             storage.remove(job.out, part)
     except Exception as error:  # stores raise errors of their own types

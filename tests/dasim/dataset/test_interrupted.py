@@ -168,13 +168,13 @@ def test_file_beyond_the_limit_of_a_process_is_a_full_disk(spec, undisturbed, tm
     out = tmp_path / "ds"
     program = (
         "import resource, sys; from tests.support.datasets import make_dataset, inline; from pathlib import Path\n"
-        "import dasim.dataset.sample as s\n"
+        "import dasim.dataset.tar_files as s\n"
         "real = s.pack\n"
         "def pack(members):\n"
         "    resource.setrlimit(resource.RLIMIT_FSIZE, (40_000, resource.RLIM_INFINITY))\n"
         "    return real(members)\n"
         "import dasim.dataset.work as w\n"
-        "w.sample.pack = pack\n"
+        "w.tar_files.pack = pack\n"
         f"make_dataset(Path({str(spec)!r}), Path({str(out)!r}), inline)\n"
     )
     done = subprocess.run(

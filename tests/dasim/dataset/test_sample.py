@@ -1,4 +1,4 @@
-"""Samples: how numbers are stored, the margin of the truth, an independent mean, the environment."""
+"""Samples: how numbers are stored, the margin of the truth, an independent mean."""
 
 from __future__ import annotations
 
@@ -10,8 +10,7 @@ import pytest
 
 import dasim
 from dasim.base.errors import InputError
-from dasim.dataset import sample, verify
-from dasim.render import backend
+from dasim.dataset import verify
 from tests.support.datasets import make_dataset, spec_file
 
 HALF_STEP = 2**-11  # relative: half of the last of 11 bits
@@ -82,18 +81,3 @@ def test_raw_numbers_that_fill_16_bits(form, renderer, tmp_path):
             meta.write_text(json.dumps(made["full"].meta).replace('"raw_scale": 64', f'"raw_scale": {wrong}'))
             with pytest.raises(InputError, match=message):
                 dasim.load_capture(meta.parent)
-
-
-def test_graphics_cards_and_driver_are_part_of_the_environment(tmp_path, monkeypatch):
-    """Expectation: their models and driver with CUDA, where the driver tells; nothing with LLVM."""
-    monkeypatch.setattr(backend, "choose", lambda variant: backend.Choice(variant, "a test"))
-    monkeypatch.setattr(sample, "NVIDIA", tmp_path)
-    of = sample.environment.__wrapped__
-    assert of("cuda_ad_spectral")["gpu"] == []
-    (tmp_path / "version").write_text("NVRM version: NVIDIA Kernel Module  1.2\nGCC version: 3\n")
-    for number in range(2):
-        folder = tmp_path / "gpus" / str(number)
-        folder.mkdir(parents=True)
-        (folder / "information").write_text("Model: \t\t NVIDIA Abacus\nIRQ:   \t\t 7\n")
-    assert of("cuda_ad_spectral")["gpu"] == ["NVIDIA Abacus", "NVRM version: NVIDIA Kernel Module  1.2"]
-    assert "gpu" not in of("llvm_ad_spectral")
