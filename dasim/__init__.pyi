@@ -12,8 +12,9 @@ from .materials.library import material_names
 from .random_scenes.scene import random_exposure, random_scene
 from .random_scenes.specification import RandomScenes, load_random_scenes
 from .scene.classes import CLASSES
+from .scene.loading import scene_names
 from .scene.mitsuba_scene import MitsubaScene
-from .scene.specification import Scene, scene_names
+from .scene.specification import Scene
 from .scene.targets import depth_steps, point_source, staircase
 from .simulation.calibration import calibration_captures
 from .simulation.exposure import Shot, expose, expose_series

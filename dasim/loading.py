@@ -12,7 +12,7 @@ from dasim.base.errors import InputError, kind_of
 from dasim.base.toml import parse
 from dasim.camera.specification import Camera, as_camera
 from dasim.random_scenes.scene import by_name, is_random
-from dasim.scene import mitsuba_xml, specification, targets
+from dasim.scene import loading, mitsuba_xml, specification, targets
 from dasim.scene.mitsuba_scene import MitsubaScene, is_mitsuba
 from dasim.scene.specification import Scene
 from dasim.spectra import illuminants
@@ -43,7 +43,7 @@ def load_scene(
             return targets.target(name_or_path, loaded)
         if is_random(name_or_path):
             return by_name(str(name_or_path), loaded)[0]
-        return specification.load_scene(name_or_path)
+        return loading.load_scene(name_or_path)
     if not path.is_file():
         raise InputError(f"scene '{name_or_path}': no such file")
     data = {"name": path.stem, "file": path.resolve(), **choices}

@@ -26,7 +26,8 @@ from dasim.camera import specification as cameras
 from dasim.cli import options
 from dasim.files.banks import KERNEL_SUM_TOLERANCE, load_bank
 from dasim.random_scenes.specification import RandomScenes
-from dasim.scene.specification import SCENE_DIR, Scene
+from dasim.scene.loading import SCENE_DIR
+from dasim.scene.specification import Scene
 from recon.settings import Settings
 from tests.fuzz import subjects
 from tests.test_ranges import models

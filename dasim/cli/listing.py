@@ -105,7 +105,8 @@ def _write_page(folder: Path, view: Camera) -> None:
 
 def _list_scenes(*, verbose: bool) -> None:
     from dasim.base.toml import parse_toml
-    from dasim.scene.specification import SCENE_DIR, Scene, scene_descriptions
+    from dasim.scene.loading import SCENE_DIR, scene_descriptions
+    from dasim.scene.specification import Scene
 
     for name, description in scene_descriptions().items():
         print(f"{name:<16}{description}")

@@ -15,9 +15,9 @@ from dasim.base.suggestions import did_you_mean
 from dasim.base.toml import Specification
 from dasim.files.truth import TRUTH_PARTS
 from dasim.random_scenes.specification import RandomScenes
+from dasim.scene.loading import scene_names
 from dasim.scene.mitsuba_scene import MitsubaChoices, is_mitsuba
 from dasim.scene.poses import Pose, between
-from dasim.scene.specification import scene_names
 from dasim.typing import FloatArray
 
 MOST_FRAMES = 1000  # of a sample

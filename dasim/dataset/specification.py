@@ -31,8 +31,8 @@ from dasim.dataset.choices import (
 from dasim.dataset.dotted_keys import with_values
 from dasim.random_scenes import specification
 from dasim.random_scenes.specification import RandomScenes
+from dasim.scene.loading import scene_names
 from dasim.scene.mitsuba_scene import is_mitsuba
-from dasim.scene.specification import scene_names
 from dasim.simulation.adaptive_sampling import NOISE_AT, NOISE_SHARE
 from dasim.simulation.checks import MOST_SPP, PERCENTILE
 from dasim.spectra import illuminants

@@ -13,7 +13,7 @@ import numpy as np
 from dasim.materials.photographs import mask
 from dasim.render.mesh_parameters import mesh
 from dasim.render.plugin import transform
-from dasim.scene import shapes
+from dasim.scene import object_materials, shapes
 from dasim.scene import specification as scenes
 from dasim.scene.meshes import Part
 from dasim.scene.specification import Scene
@@ -27,7 +27,7 @@ def shape(item: shapes.Object, scene: Scene, bsdf: Any, key: str) -> Any:
     to_camera = scenes.object_to_camera(item, scene)
     _, half = shapes.half_extent_m(item, scene.folder)
     if item.shape == "mesh":
-        return mesh(scenes.triangles(item, scene.folder), to_camera, bsdf, key)
+        return mesh(object_materials.triangles(item, scene.folder), to_camera, bsdf, key)
     if item.shape == "heightfield":
         return mesh(shapes.relief(item, _heights(mask(item.image, scene.folder))), to_camera, bsdf, key)
     if item.shape in ("plane", "disc"):

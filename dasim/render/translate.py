@@ -18,7 +18,7 @@ from dasim.render.foreign import scene as foreign
 from dasim.render.foreign.scene import World
 from dasim.render.geometry import shape
 from dasim.render.reflection import surface_bsdf
-from dasim.scene import specification as scenes
+from dasim.scene import checks, object_materials
 from dasim.scene.mitsuba_scene import MitsubaScene
 from dasim.scene.specification import Scene
 
@@ -45,14 +45,14 @@ def world(scene: Scene | MitsubaScene, camera: Camera) -> World:
             result = foreign.load(scene, truth.field_of_view_deg(camera))
         foreign.check_clear(result, scene, pupil_radius_m)
         return result
-    scenes.check_clear(scene, pupil_radius_m)
+    checks.check_clear(scene, pupil_radius_m)
     return World(
         load(scene),
-        scenes.colour_notes(scene),
+        object_materials.colour_notes(scene),
         [item.name for item in scene.objects],
-        scenes.material_names_of(scene),
-        scenes.material_number_of_object(scene),
-        scenes.class_names_of(scene),
+        object_materials.material_names_of(scene),
+        object_materials.material_number_of_object(scene),
+        object_materials.class_names_of(scene),
     )
 
 
@@ -64,9 +64,9 @@ def scene_dict(scene: Scene) -> dict[str, Any]:
     surfaces: dict[tuple[str, bool], Any] = {}
     for index, item in enumerate(scene.objects):
         # On Mitsuba's sphere v = 0 is the upper pole; on all other shapes it is the bottom.
-        key = (scenes.material_of(item), item.shape == "sphere")
+        key = (object_materials.material_of(item), item.shape == "sphere")
         if key not in surfaces:
-            surfaces[key] = surface_bsdf(scenes.surface_of(item, scene), flip=key[1])
+            surfaces[key] = surface_bsdf(object_materials.surface_of(item, scene), flip=key[1])
         result[object_key(index)] = shape(item, scene, surfaces[key], object_key(index))
     return result | emitters(scene)
 

@@ -15,7 +15,7 @@ from dasim.base.errors import InputError
 from dasim.camera.geometry import depth_of_blur_m, level_blur_px
 from dasim.camera.specification import Camera, as_camera, load_camera
 from dasim.materials import photographs
-from dasim.scene import specification
+from dasim.scene import loading, specification
 from dasim.scene.lights import Dome, Lamp, Light
 from dasim.scene.shapes import Object, Plane
 from dasim.scene.specification import Scene
@@ -33,7 +33,7 @@ def staircase(camera: Camera | str | Path, level: int, texture: str | None = Non
         level: blur level, from 0 (in focus) to 28, or to the last of the camera's own levels
         texture: another image: ``pattern:NAME``, or the name of a photograph of scikit-image such as ``brick``
     """
-    template = specification.load_scene("staircase")
+    template = loading.load_scene("staircase")
     return _with_texture(_at_level(template, as_camera(camera), level), texture)
 
 
@@ -42,7 +42,7 @@ def point_source(camera: Camera | str | Path, level: int) -> Scene:
 
     ``camera`` and ``level`` are those of :func:`staircase`.
     """
-    return _at_level(specification.load_scene("point"), as_camera(camera), level)
+    return _at_level(loading.load_scene("point"), as_camera(camera), level)
 
 
 def depth_steps(depth_cm: float, step_cm: float, texture: str | None = None) -> Scene:
@@ -56,7 +56,7 @@ def depth_steps(depth_cm: float, step_cm: float, texture: str | None = None) -> 
             f"scene 'depth-steps': depth {depth_cm:g} cm and step {step_cm:g} cm; a depth from {low:g} cm and a step "
             f"above 0 are allowed, their sum up to {high:g} cm"
         )
-    template = specification.load_scene("depth-steps")
+    template = loading.load_scene("depth-steps")
     depths = {"near": depth_cm, "far": depth_cm + step_cm}
     halves = tuple(_scale_plane(item, depths[item.name] / item.position_cm[2]) for item in template.objects)
     name = f"depth-steps:{depth_cm:g}:{step_cm:g}"
@@ -112,11 +112,11 @@ def target(name: str | Path, camera: Camera | None = None) -> Scene:
 
 def _parse_staircase(camera: Camera, text: str) -> Scene:
     level, _, texture = text.partition(":")
-    return staircase(specification.focused(camera, specification.load_scene("staircase")), int(level), texture or None)
+    return staircase(specification.focused(camera, loading.load_scene("staircase")), int(level), texture or None)
 
 
 def _parse_point(camera: Camera, text: str) -> Scene:
-    return point_source(specification.focused(camera, specification.load_scene("point")), int(text))
+    return point_source(specification.focused(camera, loading.load_scene("point")), int(text))
 
 
 def _parse_depth_steps(camera: Camera, text: str) -> Scene:

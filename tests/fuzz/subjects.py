@@ -20,7 +20,7 @@ from dasim.dataset.specification import load_spec
 from dasim.files import banks, captures
 from dasim.random_scenes.specification import load_random_scenes
 from dasim.scene import mesh_merging, meshes
-from dasim.scene.specification import SCENE_DIR
+from dasim.scene.loading import SCENE_DIR
 from dasim.values import Capture, PsfBank, Truth
 from recon.files import dng, raw
 from recon.files.reconstruction import load_reconstruction

@@ -10,7 +10,7 @@ import dasim
 from dasim.base.errors import InputError
 from dasim.camera import geometry
 from dasim.camera import specification as cameras
-from dasim.scene import specification as scenes
+from dasim.scene import checks
 
 CAMERAS = ("da-mobile", "da-8mm")
 SIZES = ((8, 8), (16, 12), (48, 36), (8, 200), (200, 8))
@@ -22,7 +22,7 @@ def problems(camera: str, size: tuple[int, int], seeds: range) -> Iterator[str]:
     for index in seeds:
         try:
             scene = dasim.random_scene(1, index, camera=view)
-            scenes.check_clear(scene, geometry.aperture_m(dasim.focused(view, scene)) / 2)
+            checks.check_clear(scene, geometry.aperture_m(dasim.focused(view, scene)) / 2)
         except InputError as error:
             yield f"{camera}, {size[0]}x{size[1]}, random:1:{index}: {error}"
 

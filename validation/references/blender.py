@@ -26,6 +26,7 @@ from dasim.camera import geometry, radiometry
 from dasim.camera.specification import Camera
 from dasim.materials.surfaces import Diffuse, Mixture, Surface
 from dasim.render.translate import MAX_PATH_DEPTH
+from dasim.scene import object_materials
 from dasim.scene import specification as scenes
 from dasim.scene.lights import Lamp, radiance_per_lux
 from dasim.scene.shapes import Plane, half_extent_m
@@ -83,11 +84,14 @@ def renders(scene: Scene, camera: Camera, spp: int, seeds: Sequence[int]) -> Ren
             "radiance": grid.integrate(electrons).tolist(),
         },
         "boards": [
-            {"corners_m": _corners_m(item, scene).tolist(), "texture": scenes.material_of(item)}
+            {"corners_m": _corners_m(item, scene).tolist(), "texture": object_materials.material_of(item)}
             for item in scene.objects
         ],
     }
-    textures = {scenes.material_of(item): _texture(scenes.surface_of(item, scene), electrons) for item in scene.objects}
+    textures = {
+        object_materials.material_of(item): _texture(object_materials.surface_of(item, scene), electrons)
+        for item in scene.objects
+    }
     result = _run(request, textures)
     return Renders(result.pictures * radiometry.relative_illumination(camera)[..., None], result.processor_s)
 

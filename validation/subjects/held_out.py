@@ -15,7 +15,8 @@ from dasim.camera.noise import Exposure
 from dasim.camera.specification import Camera
 from dasim.random_scenes.scene import random_exposure
 from dasim.random_scenes.specification import RandomScenes
-from dasim.scene.specification import Scene, load_scene
+from dasim.scene.loading import load_scene
+from dasim.scene.specification import Scene
 from dasim.simulation.exposure import Shot
 from dasim.typing import Progress, ShareDone
 from dasim.values import PsfBank

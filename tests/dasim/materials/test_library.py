@@ -15,7 +15,7 @@ from dasim.base.errors import InputError
 from dasim.base.toml import parse
 from dasim.materials import library
 from dasim.materials.library import NEAR_INFRARED_RULES, Blend, Coated, Diffuse, Glass, Metal, Mixture, Print, Texture
-from dasim.scene import specification as scenes
+from dasim.scene import checks
 from dasim.scene.specification import Scene
 from dasim.spectra import illuminants
 from dasim.spectra.grid import WAVELENGTH_NM
@@ -366,7 +366,7 @@ def test_what_is_wrong_with_a_material_is_named_in_one_line(tmp_path, data, mess
     thing = {"name": "it", "shape": "plane", "size_cm": [1, 1], "position_cm": [0, 0, 9], "material": "sand"}
     with pytest.raises(InputError) as caught:
         scene = parse(Scene, {"name": "t", "lights": lights, "objects": [thing], "materials": {"m": data}}, "scene")
-        scenes._check(scene.model_copy(update={"folder": tmp_path}), "scene")
+        checks.check(scene.model_copy(update={"folder": tmp_path}), "scene")
     message = str(caught.value)
     assert "\n" not in message
     for part in message_part:
@@ -381,7 +381,7 @@ def test_open_shapes_cannot_be_of_solid_glass(shape):
         thing = {"name": "it", "position_cm": [0, 0, 9], "material": material, **shape}
         scene = parse(Scene, data | {"objects": [thing]}, "scene")
         if material != "glass":
-            scenes._check(scene, "scene")
+            checks.check(scene, "scene")
             continue
         with pytest.raises(InputError, match=r"object 'it': a .* is open and cannot be of solid glass .*glass-pane"):
-            scenes._check(scene, "scene")
+            checks.check(scene, "scene")

@@ -20,7 +20,7 @@ from dasim.camera import specification as cameras
 from dasim.camera.specification import Camera
 from dasim.random_scenes.scene import PICTURE_PX, by_name
 from dasim.random_scenes.specification import RandomScenes
-from dasim.scene import shapes
+from dasim.scene import checks, object_materials, shapes
 from dasim.scene import specification as scenes
 from dasim.scene.procedural import library
 from dasim.simulation.simulate import simulate
@@ -108,7 +108,7 @@ def points_m(item, scene: dasim.Scene) -> np.ndarray:
         if item.file.startswith(library.PREFIX):
             vertices = library.procedural(item.file.removeprefix(library.PREFIX)).vertices * item.unit_cm * 1e-2
             return vertices @ matrix[:3, :3].T + matrix[:3, 3]
-        return scenes.triangles(item, scene.folder).vertices @ matrix[:3, :3].T + matrix[:3, 3]
+        return object_materials.triangles(item, scene.folder).vertices @ matrix[:3, :3].T + matrix[:3, 3]
     if isinstance(item, (shapes.Cylinder, shapes.Disc)):
         turn = np.linspace(0, 2 * np.pi, 48)
         height = item.height_cm / 2 if isinstance(item, shapes.Cylinder) else 0.0
@@ -265,8 +265,8 @@ def test_lamps_stand_within_the_room(all_scenes):
 
 def test_drawn_scenes_pass_the_checks_of_scenes_that_are_read(all_scenes):
     for scene in all_scenes[:3]:
-        scenes._check(scene, scene.name)
-        scenes.check_clear(scene, geometry.aperture_m(small_camera()) / 2)
+        checks.check(scene, scene.name)
+        checks.check_clear(scene, geometry.aperture_m(small_camera()) / 2)
 
 
 # --- distributions -------------------------------------------------------------------------------
@@ -363,7 +363,7 @@ def test_meshes_of_a_folder_are_used_and_stand_in_range(mesh_folder):
     names = set()
     for index in range(4):
         scene = dasim.random_scene(SEED, index, spec)
-        scenes._check(scene, scene.name)
+        checks.check(scene, scene.name)
         for item in things(scene):
             if isinstance(item, shapes.Mesh) and "procedural" not in item.file:
                 names.add((Path(item.file).name, item.near_infrared))
@@ -387,7 +387,7 @@ def test_files_and_patterns_name_meshes_and_textures(mesh_folder, tmp_path):
         drawn = [dasim.random_scene(SEED, index, spec) for index in range(4)]
         assert {item.file for scene in drawn for item in things(scene) if item.name.startswith("mesh")} == files
         assert set(re.findall(r'"(pictures/[^"]+)"', "".join(scene.model_dump_json() for scene in drawn))) == images
-        scenes._check(drawn[0], drawn[0].name)
+        checks.check(drawn[0], drawn[0].name)
 
 
 def test_all_broken_files_of_a_folder_are_named_at_once(mesh_folder):
@@ -418,7 +418,7 @@ def test_a_specification_is_read_from_toml(tmp_path, mesh_folder):
     assert exposure.gain == 2.0 and scene.focus_cm == 40.0 and len(things(scene)) in (5, 6)
     files = {item.file for item in things(scene) if isinstance(item, shapes.Mesh)}
     assert files <= {"meshes/cone.ply", "meshes/painted.ply"} and files
-    scenes._check(scene, scene.name)
+    checks.check(scene, scene.name)
 
 
 @pytest.mark.parametrize(

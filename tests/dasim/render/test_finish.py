@@ -12,8 +12,7 @@ import dasim
 from dasim.base.errors import InputError
 from dasim.materials.photographs import photograph_surface
 from dasim.materials.surfaces import Diffuse, Finished, Mixture
-from dasim.scene import mesh_merging, meshes
-from dasim.scene import specification as scenes
+from dasim.scene import mesh_merging, meshes, object_materials
 from dasim.spectra.grid import WAVELENGTH_NM
 
 GOLDEN = (0.9, 0.6, 0.2)  # linear light
@@ -229,4 +228,4 @@ def test_materials_of_the_scene_replace_the_finish_of_the_file(make_scene, tmp_p
     square(PBRMaterial(metallicFactor=1.0, roughnessFactor=0.2)).export(tmp_path / "metal.glb")
     item = {"name": "thing", "shape": "mesh", "file": "metal.glb", "position_cm": (0, 0, 40), "material": "gold"}
     scene = make_scene(item, folder=tmp_path)
-    assert not isinstance(scenes.surface_of(scene.objects[0], scene), Finished)
+    assert not isinstance(object_materials.surface_of(scene.objects[0], scene), Finished)

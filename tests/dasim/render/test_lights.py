@@ -14,7 +14,7 @@ import pytest
 from dasim.base.errors import InputError
 from dasim.base.toml import parse
 from dasim.materials.library import reflectance
-from dasim.scene import lights, panorama
+from dasim.scene import lights, loading, panorama
 from dasim.scene import specification as scenes
 from dasim.scene.lights import Sky, direction
 from dasim.scene.specification import Scene
@@ -362,7 +362,7 @@ def test_all_problems_of_a_light_are_reported(tmp_path):
     light = 'kind = "environment"\nilluminant = "F77"\nlux = 1\nimage = "no.png"\n'
     (tmp_path / "mine.toml").write_text(HEAD + light)
     with pytest.raises(InputError, match=r"lights.0 \(environment\): illuminant 'F77'.*; lights.0 .*'no.png'"):
-        scenes.load_scene(tmp_path / "mine.toml")
+        loading.load_scene(tmp_path / "mine.toml")
 
 
 @pytest.mark.parametrize(
@@ -398,7 +398,7 @@ def test_problems_of_a_light_are_reported_in_one_line(light, message_part, tmp_p
         light = f'kind = "environment"\nilluminant = "A"\nlux = 1\nimage = "{light}"'
     (tmp_path / "mine.toml").write_text(HEAD + light + "\n")
     with pytest.raises(InputError) as caught:
-        scenes.load_scene(tmp_path / "mine.toml")
+        loading.load_scene(tmp_path / "mine.toml")
     message = str(caught.value)
     assert "\n" not in message
     assert all(part in message for part in message_part), message

@@ -13,8 +13,9 @@ from dasim.camera import sensor as sensors
 from dasim.camera import specification as cameras
 from dasim.materials.surfaces import Diffuse, Mixture
 from dasim.render import truth
+from dasim.scene import object_materials
 from dasim.scene import specification as scenes
-from dasim.scene.specification import load_scene
+from dasim.scene.loading import load_scene
 from dasim.spectra import grid
 
 CROP, WHOLE = (64, 48, 8 * 1.7), (128, 96, 16 * 1.7)  # pixels and pitch in um: 512 x 384 and all of da-mobile
@@ -104,7 +105,7 @@ def _mean_reflectance(surface) -> np.ndarray:
 def test_leaves_are_dark_in_red_and_bright_in_the_near_infrared(name):
     scene = load_scene("flowers")
     item = next(item for item in scene.objects if item.name == name)
-    curve = _mean_reflectance(scenes.surface_of(item, scene))
+    curve = _mean_reflectance(object_materials.surface_of(item, scene))
     red, infrared = (curve[np.abs(grid.WAVELENGTH_NM - middle) <= 15].mean() for middle in (670, 780))
     assert red < 0.12
     assert infrared > 3.5 * red
@@ -114,7 +115,7 @@ def test_leaves_are_dark_in_red_and_bright_in_the_near_infrared(name):
 def test_petals_of_all_colours_are_bright_in_the_near_infrared(name):
     scene = load_scene("flowers")
     item = next(item for item in scene.objects if item.name == name)
-    curve = _mean_reflectance(scenes.surface_of(item, scene))
+    curve = _mean_reflectance(object_materials.surface_of(item, scene))
     assert curve[grid.WAVELENGTH_NM >= 720].min() > 0.4
 
 

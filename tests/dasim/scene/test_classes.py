@@ -13,7 +13,7 @@ from dasim.base.errors import InputError
 from dasim.base.toml import parse
 from dasim.files.truth import NAMES, read_truth_parts
 from dasim.random_scenes.specification import RandomScenes
-from dasim.scene import specification as scenes
+from dasim.scene import object_materials
 from dasim.scene.classes import CLASSES
 
 PRINT = {"kind": "print", "image": "skimage:coffee"}
@@ -44,7 +44,7 @@ FRONT = {"position_cm": [0, 0, 30], "material": "brick"}
 def test_class_is_that_of_the_key_else_of_the_shape(make_scene, item, expected):
     materials = {"poster": PRINT, "glossy": {"kind": "coated", "base": PRINT}}
     scene = make_scene({"name": "thing", **FRONT, **item}, materials=materials)
-    assert scenes.class_names_of(scene) == [expected]
+    assert object_materials.class_names_of(scene) == [expected]
 
 
 def test_unknown_class_is_refused_in_one_line_that_lists_all(make_scene):
@@ -59,7 +59,7 @@ def test_names_in_bundled_scenes_agree_with_their_classes():
     found: dict[str, set[str]] = {}
     for name in dasim.scene_names():
         scene = dasim.load_scene(name)
-        for item, kind in zip(scene.objects, scenes.class_names_of(scene), strict=True):
+        for item, kind in zip(scene.objects, object_materials.class_names_of(scene), strict=True):
             found.setdefault(item.name, set()).add(kind)
     assert found["wall"] == {"wall"} and found["table"] == {"furniture"} and found["poster"] == {"print"}
     assert {kind for name, kinds in found.items() for kind in kinds if name.endswith(("-stem", "poppy"))} == {"plant"}
@@ -69,7 +69,7 @@ def test_random_scenes_have_the_class_that_their_objects_are_drawn_as():
     expected = {"floor": "floor", "wall": "wall", "poster": "print", "card": "print", "box": "box", "sphere": "sphere"}
     for index in range(12):
         scene = dasim.random_scene(5, index)
-        for item, kind in zip(scene.objects, scenes.class_names_of(scene), strict=True):
+        for item, kind in zip(scene.objects, object_materials.class_names_of(scene), strict=True):
             assert kind == expected.get(item.name.split()[0], kind), item.name
 
 

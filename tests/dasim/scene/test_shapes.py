@@ -10,8 +10,7 @@ from trimesh.visual.material import PBRMaterial
 
 from dasim.base.errors import InputError
 from dasim.materials import photographs
-from dasim.scene import mesh_merging, mesh_paint, meshes, shapes
-from dasim.scene import specification as scenes
+from dasim.scene import checks, loading, mesh_merging, mesh_paint, meshes, object_materials, shapes
 from dasim.spectra.grid import WAVELENGTH_NM
 
 DEPTH_LIMIT = 1e-4  # relative; rays and shapes are single precision
@@ -251,7 +250,7 @@ def test_half_a_million_triangles_load_in_three_seconds(loaded, make_scene, tmp_
     item = {"name": "thing", "shape": "mesh", "file": name, "position_cm": (0, 0, 30)} | look
     scene = make_scene(item, folder=tmp_path)
     start = time.process_time()
-    scenes.check_clear(scene, 1e-3)
+    checks.check_clear(scene, 1e-3)
     loaded(scene)
     assert time.process_time() - start <= 3.0
 
@@ -279,7 +278,9 @@ def test_colours_become_a_material_by_the_named_rule_and_the_capture_says_so(mak
     )
     per_second = [s.truth.sharp_e[4:8, 4:12, 3].mean() / s.capture.exposure_s for s in (shot, white)]
     infrared = WAVELENGTH_NM == 740
-    paper = scenes.surface_of(make_scene(item | {"material": "white-paper"}, folder=tmp_path).objects[0], scene)
+    paper = object_materials.surface_of(
+        make_scene(item | {"material": "white-paper"}, folder=tmp_path).objects[0], scene
+    )
     expected = spectrum(surface)[infrared] / spectrum(paper)[infrared]
     assert per_second[0] / per_second[1] == pytest.approx(float(expected[0]), rel=0.02)
 
@@ -309,7 +310,7 @@ HEAD = 'name = "mine"\n[[lights]]\nkind = "dome"\nilluminant = "D65"\nlux = 500\
 def refusal(folder, item: str) -> str:
     (folder / "mine.toml").write_text(HEAD + "[[objects]]\nname = 'thing'\n" + item)
     with pytest.raises(InputError) as caught:
-        scenes.load_scene(folder / "mine.toml")
+        loading.load_scene(folder / "mine.toml")
     message = str(caught.value)
     assert "\n" not in message and ("thing" in message or "objects.0" in message)
     return message
@@ -381,7 +382,7 @@ def test_camera_may_stand_in_a_room_but_not_in_a_body(files):
     for name in ("room.ply", "shell.ply"):
         text = HEAD + "[[objects]]\nname = 'thing'\n" + item + f'"{name}"'
         (files / "mine.toml").write_text(text)
-        scenes.load_scene(files / "mine.toml")
+        loading.load_scene(files / "mine.toml")
     assert "lies on the lens" in refusal(files, item + '"room.ply"\nposition_cm = [0, 0, 19.95]')
     assert "encloses it" in refusal(
         files, 'shape = "sphere"\nmaterial = "brick"\nradius_cm = 5\nposition_cm = [0, 0, 4]'
@@ -391,7 +392,7 @@ def test_camera_may_stand_in_a_room_but_not_in_a_body(files):
     (files / "mine.toml").write_text(
         text + 'shape = "sphere"\nmaterial = "brick"\nradius_cm = 5\nposition_cm = [4, 4, 4]\n'
     )
-    scenes.load_scene(files / "mine.toml")
+    loading.load_scene(files / "mine.toml")
 
 
 def test_winding_number_and_distance_of_a_closed_surface():
@@ -422,8 +423,8 @@ def test_materials_are_numbered_in_order_of_first_use(make_scene):
         ball | {"name": "c", "material": "brick"},
         {"name": "d", "shape": "mesh", "file": "x.ply", "near_infrared": "print", "position_cm": (0, 0, 20)},
     )
-    assert scenes.material_names_of(scene) == ["brick", "soil", "colours of d"]
-    np.testing.assert_array_equal(scenes.material_number_of_object(scene), [0, 1, 2, 1, 3])
+    assert object_materials.material_names_of(scene) == ["brick", "soil", "colours of d"]
+    np.testing.assert_array_equal(object_materials.material_number_of_object(scene), [0, 1, 2, 1, 3])
 
 
 def test_half_extent_of_a_height_field_holds_its_relief(make_scene):

@@ -7,7 +7,7 @@ import pytest
 import trimesh
 
 from dasim.base.errors import InputError
-from dasim.scene import shapes
+from dasim.scene import loading, shapes
 from dasim.scene import specification as scenes
 
 GOOD = """
@@ -42,7 +42,7 @@ RIGID = 1e-12  # double precision
 def load(folder, text):
     path = folder / "mine.toml"
     path.write_text(text)
-    return scenes.load_scene(path)
+    return loading.load_scene(path)
 
 
 def refusal(folder, text) -> str:
@@ -57,9 +57,9 @@ def test_good_scene_and_bundled_ones_load(tmp_path):
     scene = load(tmp_path, GOOD)
     assert [item.name for item in scene.objects] == ["wall", "ball"]
     assert scene.folder == tmp_path.resolve()
-    assert "desk" in scenes.scene_names()
-    for name in scenes.scene_names():
-        assert scenes.load_scene(name).objects
+    assert "desk" in loading.scene_names()
+    for name in loading.scene_names():
+        assert loading.load_scene(name).objects
 
 
 @pytest.mark.parametrize(
@@ -134,7 +134,7 @@ def test_several_mistakes_are_named_at_once(tmp_path):
 
 def test_file_that_is_not_there():
     with pytest.raises(InputError, match=r"scene 'attic' is neither a bundled name \(.*desk.*\) nor a file"):
-        scenes.load_scene("attic")
+        loading.load_scene("attic")
 
 
 @pytest.mark.parametrize(
@@ -225,4 +225,4 @@ def test_mesh_without_texture_coordinates_takes_no_texture(tmp_path):
         '[[objects]]\nname = "cube"\nshape = "mesh"\nfile = "bare.ply"\nposition_cm = [0, 0, 20]\nmaterial = "photo"\n'
     )
     with pytest.raises(InputError, match=r"object 'cube': mesh bare\.ply has no texture coordinates"):
-        scenes.load_scene(tmp_path / "bare.toml")
+        loading.load_scene(tmp_path / "bare.toml")

@@ -17,7 +17,7 @@ from dasim.base.executors import Outcome
 from dasim.camera import geometry
 from dasim.camera import specification as cameras
 from dasim.cli import run
-from dasim.scene import specification as scene
+from dasim.scene import loading as scene_files
 from dasim.values import Capture
 from tests.support import browser, surfaces
 from validation.claims.optics.resolution import half_pixel_m
@@ -253,8 +253,8 @@ def test_points_keep_their_names_in_another_installation(study, tmp_path, monkey
     """Set-up: the bundled scenes in another folder. Expectation: the same names, so that what was measured counts."""
     job = Sweep(load_study(str(study)), "out", {"variant": "any"})
     before = [file_of(job, unit) for unit in units(job.spec)]
-    shutil.copytree(scene.SCENE_DIR, tmp_path / "elsewhere")
-    monkeypatch.setattr(scene, "SCENE_DIR", tmp_path / "elsewhere")
+    shutil.copytree(scene_files.SCENE_DIR, tmp_path / "elsewhere")
+    monkeypatch.setattr(scene_files, "SCENE_DIR", tmp_path / "elsewhere")
     designs._cached_scene.cache_clear()
     assert [file_of(job, unit) for unit in units(job.spec)] == before and len(set(before)) == len(before)
 

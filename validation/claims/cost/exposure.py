@@ -13,7 +13,7 @@ import numpy as np
 
 import dasim
 from dasim.camera.noise import Exposure
-from dasim.scene import specification as scenes
+from dasim.scene import loading
 from dasim.simulation.exposure import Shot
 from dasim.typing import ShareDone
 from dasim.values import Truth
@@ -54,7 +54,7 @@ def exposure(progress: ShareDone) -> Evidence:
     Source: the project's own limits; 24 bits of single precision.
     """
     rendering.activate()
-    scene = scenes.load_scene("desk")
+    scene = loading.load_scene("desk")
     camera = dasim.focused(dasim.cropped(dasim.load_camera("da-mobile"), *SIZE_PX), scene)
     dim = tuple(light.model_copy(update={"lux": light.lux * DIMMER}) for light in scene.lights)
     long = dasim.simulate(scene, camera, SEED, spp=SPP, exposure=Exposure(time_s=LONG_S))

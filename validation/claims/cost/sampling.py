@@ -9,6 +9,7 @@ from scipy.stats import chi2
 
 import dasim
 from dasim.camera.specification import Camera
+from dasim.scene import loading
 from dasim.scene import specification as scenes
 from dasim.spectra.grid import CHANNELS
 from dasim.typing import FloatArray, ShareDone
@@ -50,7 +51,7 @@ def relative_noise(pictures: FloatArray) -> FloatArray:
 
 def desk(size_px: tuple[int, int]) -> tuple[dasim.Scene, Camera]:
     """The bundled scene ``desk`` and a central crop [width, height] of da-mobile, focused as the scene proposes."""
-    scene = scenes.load_scene(SCENE)
+    scene = loading.load_scene(SCENE)
     return scene, dasim.focused(dasim.cropped(dasim.load_camera("da-mobile"), *size_px), scene)
 
 

@@ -17,6 +17,7 @@ import dasim
 from dasim.camera import depth_blur
 from dasim.camera.sensor import channels
 from dasim.camera.specification import Camera
+from dasim.scene import loading
 from dasim.scene import specification as scenes
 from dasim.typing import FloatArray, ShareDone
 from validation.gates.claim import Evidence
@@ -137,7 +138,7 @@ def interreflection(progress: ShareDone) -> Evidence:
         raise rendering.NotRun("only scalar_spectral works here, which traces all light; install LLVM 17 or newer")
     figures = []
     for number, name in enumerate(LIGHT_SCENES):
-        scene = scenes.load_scene(name)
+        scene = loading.load_scene(name)
         camera = dasim.focused(dasim.cropped(dasim.load_camera("da-mobile"), *LIGHT_SIZE_PX), scene)
         loaded = translate.load(scene)
         blur = depth_blur.signed_blur_px(truth.geometry(loaded, camera).depth_m, camera)
@@ -222,7 +223,7 @@ def scenes_speed(progress: ShareDone) -> Evidence:
     Source: the project's own limits.
     """
     variant = rendering.activate()
-    names = [name for name in scenes.scene_names() if name not in SPEED_EXCLUDED]
+    names = [name for name in loading.scene_names() if name not in SPEED_EXCLUDED]
     figures: list[Figure] = []
     rows: list[list[str]] = []
     for index, name in enumerate(names):

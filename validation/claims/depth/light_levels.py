@@ -11,7 +11,7 @@ from scipy.stats import spearmanr
 
 import dasim
 import recon
-from dasim.scene.specification import load_scene
+from dasim.scene.loading import load_scene
 from dasim.simulation.exposure import Shot
 from dasim.simulation.relight import exposed, lit_by
 from dasim.typing import FloatArray, ShareDone

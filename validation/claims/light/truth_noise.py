@@ -15,7 +15,7 @@ import dasim
 from dasim.camera import noise as sensor_noise
 from dasim.camera.noise import Exposure
 from dasim.camera.specification import Camera, mosaic_channels
-from dasim.scene import specification as scenes
+from dasim.scene import loading
 from dasim.scene.specification import Scene
 from dasim.simulation.exposure import Shot
 from dasim.spectra.grid import CHANNELS
@@ -95,7 +95,7 @@ def truth_noise(progress: ShareDone, seed: int = 0) -> Evidence:
 
 
 def _desk() -> tuple[Scene, Camera]:
-    scene = scenes.load_scene("desk")
+    scene = loading.load_scene("desk")
     return scene, dasim.focused(dasim.cropped(dasim.load_camera("da-mobile"), *SIZE_PX), scene)
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from dasim.base.errors import InputError
-from dasim.scene import specification
+from dasim.scene import loading
 from dasim.scene.procedural.library import BODIES, MESHES, procedural
 from tests.support.solids import area_vectors, volume
 
@@ -61,5 +61,5 @@ def test_unknown_procedural_meshes_are_refused(name, message, tmp_path):
     )
     (tmp_path / "x.toml").write_text(text)
     with pytest.raises(InputError, match=message) as caught:
-        specification.load_scene(tmp_path / "x.toml")
+        loading.load_scene(tmp_path / "x.toml")
     assert "object 'thing'" in str(caught.value) and "\n" not in str(caught.value)

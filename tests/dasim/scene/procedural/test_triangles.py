@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from dasim.scene import specification
+from dasim.scene import shapes
 from dasim.scene.procedural.triangles import ball, rotation_matrix, sheet, tube
 from tests.support.solids import area_vectors, volume
 
@@ -29,5 +29,5 @@ def test_closed_tube_has_the_volume_of_a_torus():
 
 def test_rotations_are_those_of_mesh_objects():
     item = {"shape": "mesh", "file": "procedural:rock", "name": "a", "material": "sand", "rotation_deg": (10, 20, 30)}
-    matrix = specification.placement(specification.Mesh(**item))
+    matrix = shapes.placement(shapes.Mesh(**item))
     assert np.allclose(matrix[:3, :3], rotation_matrix(10, 20, 30), atol=ROUNDING)
