@@ -127,7 +127,7 @@ class SceneChoice(Specification):
         for field, family in (("names", "bundled"), ("files", "files"), ("folder", "meshes")):
             if getattr(self, field) and self.family != family:
                 raise ValueError(f"{field} is for family = '{family}', not for '{self.family}'")
-        if self.kinds and (self.family != "random" or "random" in self.model_fields_set):
+        if self.kinds and (self.family != "random" or self.random != RandomScenes()):
             raise ValueError("kinds is for family = 'random', and replaces the table random: leave that out")
         for name in self.kinds:
             if not KIND.fullmatch(name):

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import json
+from pathlib import Path
+
 import pytest
 
 from dasim.base.errors import InputError
-from dasim.dataset.specification import bundled_names, load_spec
+from dasim.base.toml import parse
+from dasim.dataset.specification import DatasetSpec, bundled_names, load_spec
 from dasim.files.truth import TRUTH_PARTS
 
 CAMERA = '[[cameras]]\nname = "da-mobile"\n[cameras.vary]\n'
@@ -44,7 +48,10 @@ CAMERA = '[[cameras]]\nname = "da-mobile"\n[cameras.vary]\n'
         ("scenes = {family = 'files', files = ['a', 'a']}", ["'a' is twice"]),
         ("scenes = {family = 'files'}", ["files is missing"]),
         ("scenes = {family = 'bundled', names = ['dessk']}", ["'dessk' is unknown", "desk"]),
-        ("scenes = {kinds = {a = {}}, random = {}}", ["kinds is for family = 'random'", "leave that out"]),
+        (
+            "scenes = {kinds = {a = {}}, random = {room_share = 1}}",
+            ["kinds is for family = 'random'", "leave that out"],
+        ),
         ("scenes = {family = 'meshes', folder = '.', kinds = {a = {}}}", ["kinds is for family = 'random'"]),
         ("scenes = {kinds = {'a b' = {}}}", ["kinds: 'a b' is not a name"]),
         ("scenes = {kinds = {a = {room_share = 2}}}", ["scenes.kinds.a.room_share"]),
@@ -112,6 +119,13 @@ def test_unreadable_specification_is_refused(content, tmp_path):
         path.write_bytes(content.encode("latin-1"))
     with pytest.raises(InputError, match="neither a bundled name" if content is None else "valid TOML|cannot be read"):
         load_spec(path)
+
+
+@pytest.mark.parametrize("name", bundled_names())
+def test_the_specification_of_a_manifest_is_read_back(name):
+    """Rationale: a manifest states all keys, also those that a file has to leave out. Expectation: the same values."""
+    spec = load_spec(name)
+    assert parse(DatasetSpec, json.loads(spec.model_dump_json()), name) == spec.model_copy(update={"folder": Path(".")})
 
 
 def test_bundled_specifications_have_names():
