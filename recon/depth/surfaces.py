@@ -3,11 +3,14 @@
 Neighbouring samples have about equal levels, or a step between them, which is likelier at an edge of the picture. From
 the belief h of a sample, its neighbour gets the message
 
-    m(l) = (1 - e) sum over l' of K(l' - l) h(l') + e / L,
+    m(l) = (1 - e) sum over l' of K(l' - l) h(l') w(l') + e,
 
-with a Laplace law K, the probability e of a step, and any of L levels after a step. Messages run along rows and columns
-in both directions, twice (belief propagation, Pearl 1988; on a grid with loops: Felzenszwalb and Huttenlocher, IJCV 70,
-2006). A sample's posterior is the product of its likelihood and of all messages.
+with a Laplace law K per level, the width w of a level (the distance to its neighbours in the list), a belief of sum 1
+with these weights, the probability e of a step, and any level after a step, with e over the range of the levels.
+Messages run along rows and columns in both directions, twice (belief propagation, Pearl 1988; on a grid with loops:
+Felzenszwalb and Huttenlocher, IJCV 70, 2006). A sample's posterior is the product of its likelihood, the width, and all
+messages. Messages are densities: a width belongs to a sum over levels, once, so that levels that are listed at greater
+distances from each other are not preferred.
 """
 
 from __future__ import annotations
@@ -36,13 +39,14 @@ def posterior(score: Float32Array, levels: FloatArray, across: Float32Array, dow
         across: probability of a step to the right neighbour, [h, w].
         down: to the one below.
     """
-    density = np.gradient(levels)
+    width = np.gradient(levels)
     scale = SCALE + SCALE_SHARE * levels[:, None]
-    kernel = np.exp(-np.abs(levels[:, None] - levels) / scale) * density
-    kernel /= kernel.sum(axis=1, keepdims=True)
+    kernel = np.exp(-np.abs(levels[:, None] - levels) / scale)
+    kernel /= (kernel * width).sum(axis=1, keepdims=True)
     belief = np.exp(TEMPER * (score - score.max(axis=-1, keepdims=True))) + np.float32(SMALLEST)
+    belief *= width.astype(np.float32)
     messages = np.ones((4, *score.shape), np.float32)
-    anywhere = (density / density.sum()).astype(np.float32)
+    anywhere = np.float32(1 / width.sum())
     for _ in range(ROUNDS):
         _exchange(belief, messages, kernel.astype(np.float32), anywhere, across, down)
     for message in messages:
@@ -68,7 +72,7 @@ def _exchange(  # pragma: no cover - compiled
     likelihood: Float32Array,
     messages: Float32Array,
     kernel: Float32Array,
-    anywhere: Float32Array,
+    anywhere: np.float32,
     across: Float32Array,
     down: Float32Array,
 ) -> None:
@@ -96,7 +100,7 @@ def _exchange(  # pragma: no cover - compiled
 def _send(  # pragma: no cover - compiled
     belief: Float32Array,
     kernel: Float32Array,
-    anywhere: Float32Array,
+    anywhere: np.float32,
     step: float,
     out: Float32Array,
     message: Float32Array,
