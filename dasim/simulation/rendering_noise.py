@@ -8,7 +8,7 @@ pixels that see several depths.
 
 Beside each picture S goes its control variate T, whose expectation is 0 (:mod:`dasim.render.control_variate`): S - b T
 has the expectation of S for every factor b that does not depend on the samples of the pixel. The best factor,
-cov(S, T) / var(T), comes from the differences of the pairs at the pixels around it, by ridge regression.
+cov(S, T) / var(T), comes from the differences of the pairs at the pixels around it.
 
 Tested in tests/dasim/simulation/test_rendering_noise.py.
 """
@@ -111,9 +111,6 @@ def _measured(
         cross += a * b * difference * other
         variate_square += a * b * other**2
     above, below = around(cross), around(variate_square)
-    # A variate that hardly varies would give any factor: the regression has a prior of variance 1.
-    unexplained = around(square) - np.divide(above**2, below, out=np.zeros(shape), where=below > 0)
-    below = below + np.maximum(unexplained, 0.0) / (WINDOW_PX**2 - 1)
     factor = np.clip(np.divide(above, below, out=np.zeros(shape), where=below > 0), 0.0, MOST_FACTOR)
     left = square - 2 * factor * cross + factor**2 * variate_square
     variance = np.maximum(ndimage.uniform_filter(left, (1, WINDOW_PX, WINDOW_PX, 1)), 0.0)
