@@ -47,7 +47,7 @@ def photographed(renderer, scene_of, camera):
 
     def render(exposure=None, scale=1.0, **options):
         # With few samples the factor of the control variate enlarges the rounding of single precision.
-        return simulate(scene_of(scale), camera, seed=3, spp=16, exposure=exposure, **options)
+        return simulate(scene_of(scale), camera, seed=3, spp=64, exposure=exposure, **options)
 
     return render
 
