@@ -20,6 +20,12 @@ from dasim.camera.specification import Camera
 from recon.files.dng import CFA, FILTERS, PRIVATE, RATIONAL
 
 _LETTERS = "RGBCMYW"  # of the codes of CFAPattern
+_NOT_APPLIED = {  # tags that change the numbers before or with the black level
+    50712: "a table of linearisation (LinearizationTable)",
+    50715: "a black level per column (BlackLevelDeltaH)",
+    50716: "a black level per row (BlackLevelDeltaV)",
+    51008: "corrections (OpcodeList1)",
+}
 
 
 class _Private(Specification):
@@ -55,16 +61,17 @@ def read_mosaic(path: Path) -> Mosaic:
         with untrusted.quiet(), tifffile.TiffFile(path) as file:
             page = _raw_page(file, where)
             tags = {tag.code: tag for tag in page.tags}
-            for code, name in ((50712, "a table of linearisation"), (51008, "corrections")):
+            for code, name in _NOT_APPLIED.items():
                 if code in tags:
                     raise InputError(f"{where}: has {name}, which is not applied here; convert it to plain raw values")
+            if 50711 in tags and _values(tags[50711]) != [1]:
+                raise InputError(f"{where}: its pixels are staggered (CFALayout); rows and columns are needed")
             if page.compression != tifffile.COMPRESSION.NONE:
                 raise InputError(
                     f"{where}: is compressed ({page.compression.name}); convert it to an uncompressed DNG first"
                 )
+            pattern = _pattern(tags, where)
             image = np.asarray(page.asarray())
-            rows, columns = (int(value) for value in _values(tags[33421]))
-            pattern = np.array(_values(tags[33422]), np.int64).reshape(rows, columns)
             first = {tag.code: tag for tag in file.pages.first.tags}
             return Mosaic(
                 raw=_active(image, tags),
@@ -97,17 +104,41 @@ def check_fits(found: Mosaic, camera: Camera, where: str) -> None:
             raise InputError(
                 f"{where}: has the filters {has}, camera '{camera.name}' has {wants}; give the right camera"
             )
-    if any(value != sensor.black_level_dn for value in found.black_dn):
-        levels = ", ".join(f"{value:g}" for value in sorted(set(found.black_dn)))
+    levels = sorted(set(found.black_dn))
+    if len(levels) > 1:
         raise InputError(
-            f"{where}: has a black level of {levels}, camera '{camera.name}' has {sensor.black_level_dn}; "
+            f"{where}: has black levels of {', '.join(f'{level:g}' for level in levels)} for the pixels of its block, "
+            "a camera has one for all; subtract the difference, and give the numbers as PNG, TIFF or NPY"
+        )
+    if levels != [sensor.black_level_dn]:
+        raise InputError(
+            f"{where}: has a black level of {levels[0]:g}, camera '{camera.name}' has {sensor.black_level_dn}; "
             "correct black_level_dn of the camera"
         )
-    if found.white_dn is not None and found.white_dn >= 2**sensor.adc_bits:
+    least = 0 if found.private else 2 ** (sensor.adc_bits - 1)  # dasim's gain may be low, so that few numbers are used
+    if found.white_dn is not None and not least <= found.white_dn < 2**sensor.adc_bits:
         raise InputError(
             f"{where}: has a white level of {found.white_dn:g}, camera '{camera.name}' has {sensor.adc_bits} bits; "
             "correct adc_bits of the camera"
         )
+
+
+def with_saturation(raw: NDArray[np.uint16], found: Mosaic, camera: Camera) -> NDArray[np.uint16]:
+    """Raw numbers [h, w] in which those from the white level on are the camera's largest: the pixel was saturated."""
+    if found.white_dn is None or found.private is not None:
+        return raw
+    return np.where(raw >= found.white_dn, np.uint16(2**camera.sensor.adc_bits - 1), raw)
+
+
+def _pattern(tags: dict[int, Any], where: str) -> NDArray[np.int64]:
+    """Codes of the filters, [rows, columns]."""
+    if not (33421 in tags and 33422 in tags):
+        raise InputError(f"{where}: states no filters (CFARepeatPatternDim, CFAPattern); convert it to a complete DNG")
+    rows, columns = (int(value) for value in _values(tags[33421]))
+    codes = _values(tags[33422])
+    if not 0 < rows * columns == len(codes):
+        raise InputError(f"{where}: states a block of {rows} x {columns} filters with {len(codes)} codes")
+    return np.array(codes, np.int64).reshape(rows, columns)
 
 
 def _letter(code: int) -> str:
@@ -142,11 +173,9 @@ def _active(image: NDArray[Any], tags: dict[int, Any]) -> NDArray[Any]:
 
 
 def _exposure_s(tags: dict[int, Any]) -> float | None:
-    """ExposureTime, in the page itself or in its EXIF table."""
-    if 33434 in tags:
-        return float(_values(tags[33434])[0])
+    """ExposureTime, in the page itself or in its EXIF table; None where it is 0 / 0, which means unknown."""
     exif = tags[34665].value if 34665 in tags else {}
-    above, below = exif.get("ExposureTime", (0, 0))
+    above, below = tags[33434].value if 33434 in tags else exif.get("ExposureTime", (0, 0))
     return above / below if below else None
 
 

@@ -105,16 +105,21 @@ def _from_dng(path: Path, camera: Camera | None, exposure_s: float | None, gain:
         raise InputError(f"raw picture {path}: is no DNG of dasim; give its camera with --camera")
     dng_reading.check_fits(found, used, f"raw picture {path}")
     stated_s, stated_gain = (own.exposure_s, own.gain) if own else (found.exposure_s, None)
-    exposure = _exposure(stated_s if exposure_s is None else exposure_s, stated_gain if gain is None else gain)
-    capture = _capture(path, _numbers(found.raw, path, used, left_aligned=False), used, exposure)
+    exposure = _exposure(
+        stated_s if exposure_s is None else exposure_s,
+        stated_gain if gain is None else gain,
+        "--exposure or --gain" if exposure_s is not None or gain is not None else f"raw picture {path}: its exposure",
+    )
+    numbers = dng_reading.with_saturation(_numbers(found.raw, path, used, left_aligned=False), found, used)
+    capture = _capture(path, numbers, used, exposure)
     if camera is not None or own is None:
         return capture
     return replace(capture, provenance={"diffraction": own.diffraction or "wave"})
 
 
-def _exposure(exposure_s: float | None, gain: float | None) -> Exposure:
+def _exposure(exposure_s: float | None, gain: float | None, where: str = "--exposure or --gain") -> Exposure:
     stated = {"time_s": DEFAULT_EXPOSURE_S if exposure_s is None else exposure_s, "gain": 1.0 if gain is None else gain}
-    return parse(Exposure, stated, "--exposure or --gain")
+    return parse(Exposure, stated, where)
 
 
 def _capture(path: Path, raw: UInt16Array, camera: Camera, exposure: Exposure) -> Capture:

@@ -59,6 +59,13 @@ def test_what_dasim_writes_it_reads(tmp_path, name):
     assert (given.exposure_s, given.gain, given.provenance) == (0.5, 1.0, {"raw_file": "photo.dng"})
 
 
+def test_a_low_gain_needs_few_numbers(tmp_path):
+    """Set-up: a gain at which the full well is a quarter of the converter's range. Expectation: it comes back."""
+    shot = capture_of("da-mobile", gain=0.25)
+    dng.write_dng(tmp_path / "photo.dng", shot)
+    np.testing.assert_array_equal(raw.load_input(tmp_path / "photo.dng").raw_dn, shot.raw_dn)
+
+
 @pytest.mark.parametrize("name", ALL)
 def test_tags_of_the_mosaic(tmp_path, name):
     """Expectation: tifffile finds the pattern with infrared as white, the levels and the exposure; DNG wants a plane
