@@ -176,7 +176,8 @@ def ray(address: str, work: Work, *, gpu: bool = False) -> Executor:
     """Executor that runs on the nodes of a Ray cluster.
 
     Ray chooses the node of each index, and repeats the work on an index whose process or node dies, ``RAY_TRIES`` times
-    in all. Raises InputError if Ray is not installed or does not answer.
+    in all. Relative paths are those of this process, on nodes that have its working folder. Raises InputError if Ray is
+    not installed or does not answer.
 
     Args:
         address: ``auto`` for the cluster of this computer or of the variable RAY_ADDRESS, or ``ray://host:port``.
@@ -203,15 +204,15 @@ def ray(address: str, work: Work, *, gpu: bool = False) -> Executor:
             max_retries=RAY_TRIES - 1,
             max_calls=0,  # a process works on many indices, and compiles its kernels once
             runtime_env={"env_vars": ONE_THREAD},
-        )(work)
-        shared_job = engine.put(job)
+        )(_work_in)
+        shared_job, folder = engine.put(job), os.getcwd()
         pending: dict[Any, int] = {}
         try:
             while queue or pending:
                 most = 2 * max(int(engine.cluster_resources().get("CPU", 1)), 1)
                 while queue and len(pending) < most:
                     index = queue.popleft()
-                    pending[task.remote(shared_job, index)] = index
+                    pending[task.remote(folder, work, shared_job, index)] = index
                 done, _ = engine.wait(list(pending), num_returns=1, timeout=POLL_S)
                 for reference in done:
                     index = pending.pop(reference)
@@ -226,6 +227,13 @@ def ray(address: str, work: Work, *, gpu: bool = False) -> Executor:
                 engine.cancel(reference, force=True)
 
     return run
+
+
+def _work_in(folder: str, work: Work, job: Any, index: int) -> Outcome:
+    """Work in a folder, where the node has it."""
+    if os.path.isdir(folder):
+        os.chdir(folder)
+    return work(job, index)
 
 
 def _check_answers(address: str) -> None:

@@ -41,6 +41,7 @@ def train(
         seed: of the rooms, the noise and the first weights
         device: PyTorch's name of the processor: cpu, cuda, mps
     """
+    from dasim.files.folders import check_output_file
     from recon.depth.learned import check_installed
 
     check_installed()
@@ -52,6 +53,8 @@ def train(
             raise InputError(f"--{name} {value}: must be {least} or more")
     from validation.training import learned
 
+    learned.check_device(device)
+    check_output_file(out)
     with options.progress() as show:
         examples = learned.examples(dataset, rooms, seed, show)
     net = learned.fitted(examples, epochs, seed, device, report=lambda text: print(text, flush=True))

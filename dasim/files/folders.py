@@ -79,13 +79,24 @@ def check_output(path: Path, kind: str) -> None:
                 f"output {name}: exists and holds files that dasim did not write for a {kind} ({others}); "
                 "choose another folder"
             )
-    parent = path if path.is_dir() else path.parent
-    while not parent.exists():
-        parent = parent.parent
+    _check_writable(path if path.is_dir() else path.parent, name)
+
+
+def check_output_file(path: Path) -> None:
+    """Raise InputError if an output file is a folder, or cannot be written; called before the work starts."""
+    if path.is_dir():
+        raise InputError(f"output {path}: is a folder; name a file")
+    _check_writable(path.resolve().parent, path)
+
+
+def _check_writable(folder: Path, name: Path) -> None:
+    """Raise InputError if the output ``name`` cannot be created in a folder, which may have to be made."""
+    while not folder.exists():
+        folder = folder.parent
     try:
-        tempfile.TemporaryDirectory(dir=parent).cleanup()
+        tempfile.TemporaryDirectory(dir=folder).cleanup()
     except OSError as error:  # permissions alone do not decide: read-only and virtual file systems
-        raise InputError(f"output {name}: {parent} is not a folder that can be written to") from error
+        raise InputError(f"output {name}: {folder} is not a folder that can be written to") from error
 
 
 def _is_own(file: Path) -> bool:

@@ -94,14 +94,19 @@ def _of_blocks(image: NDArray, size: tuple[int, ...]) -> NDArray:
     return np.asarray(np.median(blocks, axis=-1))
 
 
-def fitted(
-    found: Examples, epochs: int, seed: int, device: str = "cpu", report: Callable[[str], None] = lambda text: None
-) -> Network:
-    """The trained network; ``report`` gets a line per pass. Raises InputError for a device that PyTorch lacks."""
+def check_device(device: str) -> None:
+    """Raise InputError for a device that PyTorch lacks."""
     try:
         torch.zeros(1, device=device)
     except (RuntimeError, AssertionError) as error:
         raise InputError(f"--device {device}: {' '.join(str(error).split())[:150]}; try cpu") from None
+
+
+def fitted(
+    found: Examples, epochs: int, seed: int, device: str = "cpu", report: Callable[[str], None] = lambda text: None
+) -> Network:
+    """The trained network; ``report`` gets a line per pass. Raises InputError for a device that PyTorch lacks."""
+    check_device(device)
 
     def line(number: int, loss: float, net: Network) -> None:
         text = f"pass {number + 1} of {epochs}: loss {loss:.3f}"

@@ -1,19 +1,26 @@
-"""Datasets by Ray: two nodes on this computer, a worker and a node that die, the same bytes as without."""
+"""Datasets by Ray: two nodes on this computer, a worker and a node that die, the same bytes as without; and scores."""
 
 from __future__ import annotations
 
+import json
 import os
 import socket
 import time
 from collections import Counter
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from dasim.base import executors
 from dasim.base.errors import InputError
+from dasim.cli import run
 from dasim.dataset import verify
-from tests.support.datasets import log_entries, make_dataset, spec_file, spread, sums
+from tests.support.datasets import WALL, log_entries, make_dataset, spec_file, spread, sums
+from validation.dataset_scores.entrants import entrants
+from validation.dataset_scores.run import score_dataset
+from validation.dataset_scores.work import ScoreJob
+from validation.dataset_scores.work import work as score
 
 pytest.importorskip("ray", reason="Ray is not installed (extra 'cluster')")
 pytestmark = [
@@ -77,6 +84,39 @@ def test_worker_and_node_die_in_the_middle(cluster, tmp_path, renderer):
     assert list(verify.problems(str(out))) == []
     make_dataset(spec, tmp_path / "local")
     assert sums(out) == sums(tmp_path / "local")
+
+
+@pytest.mark.slow
+def test_relative_paths_are_those_of_the_command(cluster, tmp_path, renderer, monkeypatch, capsys):
+    """Rationale: a node starts its processes in a folder of its own. Set-up: dataset, depth maps and output by relative
+    paths, in a folder that the node did not start in. Expectation: the dataset is where the command was given, with the
+    bytes that this process makes, and so are the scores, with the rows of this process.
+    """
+    nodes, address = cluster
+    nodes.add_node(num_cpus=1, include_dashboard=False)
+    spec = spec_file(tmp_path, samples=2, more="[splits]\ntest = 1.0")
+    (tmp_path / "wall.toml").write_text(WALL.replace("[0, 0, 50]", "[0, 0, 30]"))  # in front of the focus
+    monkeypatch.chdir(tmp_path)
+    by_ray = ["--executor", "ray", "--address", address]
+    assert run(["dataset", "make", "spec.toml", "--out", "set", *by_ray]) == 0
+    make_dataset(spec, tmp_path / "local")
+    assert sums(tmp_path / "set") == sums(tmp_path / "local")
+    (tmp_path / "maps").mkdir()
+    for number in range(2):
+        np.save(tmp_path / "maps" / f"{number:09d}.npy", np.full((24, 32), 0.3 + 0.1 * number))
+    assert run(["dataset", "score", "set", "--method", "theirs=maps", "--out", "scores", *by_ray]) == 0
+    assert "leaderboard: scores/leaderboard.html" in capsys.readouterr().out
+    results = [json.loads(file.read_text()) for file in (tmp_path / "scores" / "results").glob("*.json")]
+
+    def inline(job, queue):
+        while queue:
+            yield score(job, queue.popleft())
+
+    rows = score_dataset(ScoreJob("set", "test", "inline", entrants(["theirs=maps"]), None), inline)
+    found, expected = ({(row["method"], row["sample"]): row["figures"] for row in some} for some in (results, rows))
+    assert found == expected and len(found) == 4
+    whole = [found["theirs", f"{number:09d}"]["region"]["all"]["abs-rel"] for number in range(2)]
+    np.testing.assert_allclose(whole, [0, 1 / 3], atol=1e-4)
 
 
 @pytest.mark.slow

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from importlib.util import find_spec
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -23,6 +24,7 @@ needs_torch = pytest.mark.skipif(
     reason="PyTorch or safetensors is not installed; they come with the extra 'learn'",
 )
 TIME_S = 0.03
+CARD = Path(__file__).parents[3] / "docs" / "how" / "learned.md"
 
 
 def flat(electrons=(900.0, 1500.0, 700.0, 500.0)):
@@ -38,6 +40,25 @@ def test_blurs_are_spaced_by_a_pixel_and_then_by_an_eighth():
     assert grid[:9].tolist() == list(range(9))
     np.testing.assert_allclose(grid[9:] / grid[8:-1], 1.125)
     assert grid[-2] < learned.LAST_PX <= grid[-1]
+
+
+def test_the_card_says_what_the_code_has():
+    """Expectation: the numbers of the model card in docs/how/learned.md are those of the code and of its defaults."""
+    from dasim.cli.learn import EPOCHS, ROOMS
+    from validation.training import depth_examples
+
+    card = CARD.read_text()
+    grid = learned.blur_grid()
+    assert f"probabilities of {len(grid)} diameters of the visible blur from 0 to {grid[-1]:.0f} px" in card
+    width, height = depth_examples.SIZE_PX
+    lenses = ROOMS // depth_examples.PER_LENS
+    assert f"{ROOMS} random rooms of {width} x {height} px" in card
+    assert f"behind {lenses} lenses with Hopkins's transfer functions, seed 0, in {EPOCHS} passes" in card
+    low, high = depth_examples.HOLE
+    far, near = (1 / dioptre for dioptre in depth_examples.FOCUS_DIOPTRE)
+    dim, bright = depth_examples.GREEN_E
+    assert f"hole {low:g} to {high:g} of the lens, focus {near:g} to {far:g} m, four lights" in card
+    assert f"{dim:,.0f} to {bright:,.0f} electrons of white in green" in card and len(depth_examples.LIGHTS) == 4
 
 
 def test_the_stated_noise_is_that_of_a_uniform_surface():
@@ -90,7 +111,9 @@ def test_the_network_of_the_package_is_small_and_says_what_it_was_trained_with()
     from safetensors import safe_open
 
     assert learned.FILE.stat().st_size < learned.MOST_BYTES
-    assert sum(weight.numel() for weight in learned.network(learned.FILE).parameters()) < 1_000_000
+    weights = sum(weight.numel() for weight in learned.network(learned.FILE).parameters())
+    assert weights < 1_000_000
+    assert f"{round(weights, -3):,} weights" in CARD.read_text()
     with safe_open(learned.FILE, "pt") as file:
         assert "rooms of validation.training" in file.metadata()["about"]
 

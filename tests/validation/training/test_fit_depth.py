@@ -144,12 +144,17 @@ def test_a_dataset_is_learned_and_predicted_by_the_commands(tmp_path, capsys):
         (["--out", "w.safetensors", "--epochs", "0"], "--epochs 0: must be 1 or more"),
         (["--out", "w.safetensors", "--rooms", "0"], "training: neither a dataset nor rooms"),
         (["nowhere", "--out", "w.safetensors"], "nowhere"),
+        (["--out", "w.safetensors", "--device", "tpu9"], "--device tpu9"),
+        (["--out", "/proc/w.safetensors"], "/proc is not a folder that can be written to"),
+        (["--out", f"{__file__}/w.safetensors"], "is not a folder that can be written to"),
     ],
 )
 def test_wrong_options_of_the_training_are_refused_in_one_line(options, message, capsys, tmp_path, monkeypatch):
+    """Expectation: at once, before an example is made, which takes minutes."""
     from dasim.cli import run
 
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(depth_examples, "make", lambda *_: pytest.fail("rooms were made"))
     assert run(["learn", "train", *options]) == 2
     error = capsys.readouterr().err
     assert error.count("\n") == 1
