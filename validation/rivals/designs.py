@@ -1,6 +1,6 @@
 """The designs that are compared, each a camera, or two that take their pictures through one lens at the same time.
 
-Tested in tests/validation/rivals/test_likelihood.py.
+Tested in tests/validation/rivals/test_likelihood.py and tests/validation/rivals/test_broken_designs.py.
 """
 
 from __future__ import annotations

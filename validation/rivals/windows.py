@@ -5,7 +5,7 @@ box of ``WINDOW_PX``. Its samples, relative to their mean and times the root of 
 samples per side, whose discrete Fourier transform is that of the whole at every second frequency: neighbours in between
 are hardly independent.
 
-Tested in tests/validation/rivals/test_likelihood.py.
+Tested in tests/validation/rivals/test_likelihood.py and tests/validation/rivals/test_broken_designs.py.
 """
 
 from __future__ import annotations
