@@ -1,6 +1,6 @@
 """Export of stacks of focus and aperture: one folder per scene, as networks for depth from focus and defocus read them.
 
-Tested in tests/dasim/dataset/test_export.py.
+Tested in tests/dasim/dataset/test_export.py and, with views, tests/dasim/dataset/test_views.py.
 """
 
 from __future__ import annotations
@@ -29,10 +29,12 @@ from dasim.dataset.reading import Dataset
 from dasim.typing import FloatArray
 
 ABOUT = """
-One folder per scene, `SPLIT/SCENE/`, with a picture per capture, `NUMBER_focus-METRESm_f-NUMBER.png` (sRGB),
-`depth.npy` (float32 [h, w], z in metres from the lens, NaN where nothing is hit), `intrinsics.txt` (3 x 3, pixel
-centres at whole numbers), `all-in-focus.png` where the dataset has sharp pictures, and `stack.json`: scene, lens and
-pixel pitch, and of each picture file, focus distance, f-number, exposure, sample, and `scale`.
+One folder per scene, `SPLIT/SCENE/` (`SCENE-CAMERA/`, `SCENE-CAMERA-view-NUMBER/` where there are several cameras or
+views), with a picture per capture, `NUMBER_focus-METRESm_f-NUMBER.png` (sRGB), `depth.npy` (float32 [h, w], z in metres
+from the lens, NaN where nothing is hit), `intrinsics.txt` (3 x 3, pixel centres at whole numbers), `all-in-focus.png`
+where the dataset has sharp pictures, and `stack.json`: scene, lens, pixel pitch, `world_to_camera` (4 x 4, metres,
+OpenCV's axes; null for Mitsuba scenes), and of each picture file, focus distance, f-number, exposure, sample, and
+`scale`.
 
 A lens that focuses nearer stands farther from the sensor and shows less (focus breathing). All pictures are scaled
 about the optical axis to the frame of the nearest focus, so that one `depth.npy` and one matrix hold for all of them;
@@ -98,6 +100,7 @@ def _write_stack(folder: Path, samples: Dataset, picture: Picture) -> None:
         "focal_length_mm": camera["lens"]["focal_length_mm"],
         "pixel_pitch_um": camera["sensor"]["pixel_pitch_um"],
         "intrinsics": nearest.intrinsic_px.tolist(),
+        "world_to_camera": None if nearest.world_to_camera is None else nearest.world_to_camera.tolist(),
         "pictures": pictures,
     }
     write_json(folder / "stack.json", about)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import NamedTuple
 
@@ -11,6 +12,7 @@ import pytest
 
 import dasim
 from dasim.base.errors import InputError
+from dasim.cli import run
 from dasim.dataset.draws import capture_number, draft, scene_number, split_of_scene, values
 from dasim.dataset.specification import load_spec
 from tests.support.datasets import make_dataset
@@ -179,6 +181,41 @@ def test_views_are_named_in_the_index_and_share_their_capture(dataset):
     assert len({row["seed"] for row in dataset.rows}) == 4
     seeds = [sample.meta["camera"]["sensor"]["sensor_seed"] for sample in dataset]
     assert seeds[0] == seeds[2] != seeds[1] == seeds[3]  # the two cameras of the rig are two sensors
+
+
+def test_stacks_of_views_are_folders_of_their_own(renderer, tmp_path):
+    """Set-up: a stereo pair at two focus distances. Expectation: a folder per view, with the pictures, the depth, the
+    matrix and the pose of that view alone; the poses are a baseline apart.
+    """
+    focus = '[[views.rig]]\nname = "left"\n[[views.rig]]\nname = "right"\nposition_cm = [2, 0, 0]\n'
+    focus += "[focus]\ndistance_m = {each = [0.5, 0.2]}\n"
+    spec = spec_file(tmp_path, 4, focus)
+    spec.write_text(spec.read_text().replace('family = "files"', 'family = "files"\ncaptures_per_scene = 2'))
+    make_dataset(spec, tmp_path / "ds")
+    samples = list(dasim.open_dataset(tmp_path / "ds"))
+    out = tmp_path / "stacks"
+    assert (
+        run(["dataset", "export", str(tmp_path / "ds"), "--as", "stack", "--picture", "sharp", "--out", str(out)]) == 0
+    )
+    folders = sorted(path.parent for path in out.rglob("stack.json"))
+    assert len(folders) == 2 and folders[1].name == f"{folders[0].name}-view-1"
+    centres = []
+    for view, folder in enumerate(folders):
+        own = [sample for sample in samples if sample.meta["sample"]["view"] == view]
+        about = json.loads((folder / "stack.json").read_text())
+        assert [(item["focus_m"], int(item["sample"])) for item in about["pictures"]] == [
+            (sample.meta["camera"]["lens"]["focus_distance_m"], sample.index) for sample in own
+        ]
+        (near,) = (sample for sample in own if sample.meta["camera"]["lens"]["focus_distance_m"] == 0.2)
+        np.testing.assert_array_equal(np.load(folder / "depth.npy"), near.truth["depth_m"])
+        np.testing.assert_allclose(about["intrinsics"], seen(near).matrix)
+        np.testing.assert_allclose(about["world_to_camera"], seen(near).to_camera)
+        back = np.linalg.inv(about["world_to_camera"])
+        centres.append(back[:3, 3])
+        sharp = np.rint(255 * np.clip(near.truth["sharp_srgb"], 0, 1))[..., ::-1]
+        (file,) = (item["file"] for item in about["pictures"] if item["focus_m"] == 0.2)
+        np.testing.assert_array_equal(cv2.imread(str(folder / file)), sharp)
+    np.testing.assert_allclose(centres[1] - centres[0], [BASELINE_CM * 1e-2, 0, 0], atol=1e-9)
 
 
 def test_a_rig_has_other_cameras_and_shares_what_is_drawn(tmp_path):
