@@ -31,6 +31,7 @@ from dasim.camera.specification import Camera
 from dasim.spectra import illuminants
 from dasim.spectra.grid import CHANNELS
 from dasim.typing import ComplexArray, FloatArray
+from validation.rivals.designs import shifted
 from validation.rivals.windows import FOLDED, SAMPLES, SPACING_PX, Spectra, half_plane, sites, taper
 
 MOST_COHERENT = 0.95  # correlation of textures in two colours
@@ -73,10 +74,14 @@ class Found(NamedTuple):
     textures: FloatArray
 
 
-def model(cameras: Sequence[Camera], light: str, blur_px: FloatArray = BLUR_PX) -> Model:
-    """The model of a design under an illuminant."""
+def model(
+    cameras: Sequence[Camera], light: str, blur_px: FloatArray = BLUR_PX, sweep_um: Sequence[float] = (0.0,)
+) -> Model:
+    """The model of a design under an illuminant; see :class:`validation.rivals.designs.Design` for ``sweep_um``."""
     planes = sites(cameras)
-    transfers = np.stack([_transfers(camera, light, blur_px) for camera in cameras])  # [picture, blur, channel, y, x]
+    transfers = np.stack(  # [picture, blur, channel, y, x]
+        [np.mean([_transfers(shifted(one, um), light, blur_px) for um in sweep_um], axis=0) for one in cameras]
+    )
     frequency = np.fft.fftfreq(PATCH_PX)
     place = np.array([(plane.y, plane.x) for plane in planes])
     phase = np.exp(2j * np.pi * (place[:, 0, None, None] * frequency[:, None] + place[:, 1, None, None] * frequency))

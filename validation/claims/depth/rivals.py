@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 import dasim
+from dasim.camera.specification import Camera
 from dasim.scene.specification import Scene
 from dasim.simulation.exposure import Shot, expose
 from dasim.simulation.relight import LONGEST_S, MOST_GAIN, hand_held, lit_by
@@ -17,7 +19,7 @@ from dasim.values import Capture
 from validation.gates.claim import Evidence
 from validation.reports.plots import COLOURS, plot
 from validation.rivals import designs, likelihood, windows
-from validation.rivals.designs import DESIGNS, Design
+from validation.rivals.designs import DESIGNS, Design, shifted
 from validation.scores.figures import Figure
 from validation.subjects import rendering
 from validation.subjects.shots import photographed
@@ -62,7 +64,7 @@ class Measured(NamedTuple):
 
 
 def rivals(progress: ShareDone) -> Evidence:
-    """Depth and sharpness of six single-shot designs on the same photons, from 100 to 10,000 lux.
+    """Depth and sharpness of seven single-shot designs on the same photons, from 100 to 10,000 lux.
 
     Rationale: whoever chooses a camera asks for the alternatives: another aperture for one colour, axial colour, dual
     pixels, a coded aperture.
@@ -70,7 +72,8 @@ def rivals(progress: ShareDone) -> Evidence:
     Set-up: boards at 12 to 60 cm (four black and white textures, two prints in colour) and a random table top, 288 x
     192 px under D65, focused behind everything, photographed through one lens of 3.6 mm f/2.8 by each design:
     da-mobile; green through a smaller stop (chakrabarti-zickler); axial colour of 24 um (chromatic-mobile); the two
-    halves of a dual-pixel sensor; a 7 x 7 coded aperture (coded-mobile); bayer-mobile. Exposure is automatic up to
+    halves of a dual-pixel sensor; a 7 x 7 coded aperture (coded-mobile); bayer-mobile; the same with a focus that
+    sweeps from 80 to 12 cm during the exposure, in nine steps that share the samples. Exposure is automatic up to
     1/30 s, then gain up to 16; dual pixels share one exposure. One estimator serves all: in windows of 31 px, every
     16 px, the likelihood of the raw planes' spectra for each blur, with aliasing, nearly free power in each ring of
     frequencies and the covariance of colours as measured (``validation/rivals/likelihood.py``). It joins no neighbours,
@@ -79,12 +82,14 @@ def rivals(progress: ShareDone) -> Evidence:
 
     Expectation: errors fall with light and stay above the bound of their windows but for the prior's help. The pictures
     of dual pixels differ in place and not only in blur, which tells more; they win. Two blurs tell a blurred texture
-    from a smooth one: the dual aperture and the green stop have few outliers, other designs with one picture many.
+    from a smooth one: the dual aperture and the green stop have few outliers, other designs with one picture many. A
+    focal sweep blurs all depths alike, and tells next to nothing of them.
 
     Limit: the median error of the dual aperture at 10,000 lux is at most that at 100 lux; on boards at 1,000 lux it is
     at most that of the open lens, of axial colour and of the coded aperture. All else is reported.
 
-    Source: the project's own; Levin et al. 2007, Guichard et al. 2009, Chakrabarti and Zickler 2012, Garg et al. 2019.
+    Source: the project's own; Levin et al. 2007, Nagahara et al. 2008, Guichard et al. 2009, Chakrabarti and Zickler
+    2012, Garg et al. 2019.
     """
     rendering.needs_wave()
     subjects = {"boards": boards(), "table": table()}
@@ -95,8 +100,8 @@ def rivals(progress: ShareDone) -> Evidence:
     for design in DESIGNS:
         for name, scene in subjects.items():
             cameras = designs.cameras(design, SIZE_PX, scene)
-            shots = [photographed(scene, camera, number, spp=SPP) for number, camera in enumerate(cameras)]
-            known = likelihood.model(cameras, LIGHT)
+            shots = [taken(scene, camera, number, design.sweep_um) for number, camera in enumerate(cameras)]
+            known = likelihood.model(cameras, LIGHT, sweep_um=design.sweep_um)
             curve = errors[name].setdefault(design.name, [])
             for level_lux in LEVELS_LUX:
                 found = measured(exposures(shots, level_lux), shots, known)
@@ -181,6 +186,20 @@ def _prepared(scene: Scene) -> Scene:
     total = sum(light.lux for light in scene.lights)
     lights = tuple(light.model_copy(update={"lux": light.lux * LIT_LUX / total}) for light in scene.lights)
     return lit_by(scene.model_copy(update={"lights": lights}), LIGHT)
+
+
+def taken(scene: Scene, camera: Camera, seed: int, sweep_um: Sequence[float] = (0.0,)) -> Shot:
+    """A photograph, with the mean light of the moments of a sweep; as many samples in all as without one."""
+    spp = -(-SPP // len(sweep_um))
+    moments = [photographed(scene, shifted(camera, um), seed + number, spp=spp) for number, um in enumerate(sweep_um)]
+    first, count = moments[0], len(moments)
+    if count == 1:
+        return first
+    times = [first.capture.exposure_s / moment.capture.exposure_s for moment in moments]
+    truths = [moment.truth.scaled(share) for moment, share in zip(moments, times, strict=True)]
+    mean_e = np.mean([truth.mean_e for truth in truths], axis=0)
+    variance = np.sum([truth.mean_e_variance for truth in truths], axis=0) / count**2
+    return Shot(first.capture, replace(first.truth, mean_e=mean_e, mean_e_variance=variance))
 
 
 def exposures(shots: Sequence[Shot], level_lux: float) -> list[Capture]:
