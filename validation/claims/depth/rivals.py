@@ -198,7 +198,8 @@ def taken(scene: Scene, camera: Camera, seed: int, sweep_um: Sequence[float] = (
     times = [first.capture.exposure_s / moment.capture.exposure_s for moment in moments]
     truths = [moment.truth.scaled(share) for moment, share in zip(moments, times, strict=True)]
     mean_e = np.mean([truth.mean_e for truth in truths], axis=0)
-    variance = np.sum([truth.mean_e_variance for truth in truths], axis=0) / count**2
+    variances = [truth.mean_e_variance for truth in truths if truth.mean_e_variance is not None]
+    variance = np.sum(variances, axis=0) / count**2 if len(variances) == count else None
     return Shot(first.capture, replace(first.truth, mean_e=mean_e, mean_e_variance=variance))
 
 
