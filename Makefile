@@ -12,8 +12,8 @@ PIP := $(BIN)/python -m pip --disable-pip-version-check --quiet
 LOCKED := $(PIP) install --require-hashes --no-deps --no-build-isolation -r
 APT := env DEBIAN_FRONTEND=noninteractive apt-get -q -y -o Acquire::Retries=0 -o Acquire::http::Timeout=20
 
-LEARN_TESTS := tests/dasim/differentiable tests/examples/test_learned_ring.py tests/recon/depth/test_learned.py \
-    tests/validation/training
+LEARN_TESTS := tests/dasim/dataset/test_reading.py tests/dasim/differentiable tests/examples/test_learned_ring.py \
+    tests/examples/test_read_shards.py tests/recon/depth/test_learned.py tests/validation/training
 
 FUZZ_CASES := 2000
 FUZZ_SEED := 0

@@ -1,6 +1,6 @@
 """The mosaic of an uncompressed DNG, of dasim or of another camera, and what its tags say of it.
 
-Tested in tests/recon/files/test_dng.py.
+Tested in tests/recon/files/test_dng.py and tests/recon/files/test_foreign_dng.py.
 """
 
 from __future__ import annotations
