@@ -76,8 +76,8 @@ def read_mosaic(path: Path) -> Mosaic:
             return Mosaic(
                 raw=_active(image, tags),
                 pattern=pattern,
-                black_dn=tuple(_values(tags[50714])) if 50714 in tags else (0.0,),
-                white_dn=max(_values(tags[50717])) if 50717 in tags else None,
+                black_dn=tuple(map(float, _values(tags[50714]) if 50714 in tags else ())) or (0.0,),
+                white_dn=float(max(_values(tags[50717]))) if 50717 in tags else None,
                 exposure_s=_exposure_s(first | tags),
                 private=_private(first, where),
             )

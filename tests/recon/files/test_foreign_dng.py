@@ -83,6 +83,8 @@ WRONG = {
         [*FILTERS, (50713, SHORT, 2, (2, 2), True), (50714, SHORT, 4, (64, 60, 60, 68), True), WHITE],
         "black levels of 60, 64, 68 for the pixels of its block",
     ),
+    "black in words": ([*FILTERS, (50714, "s", 0, "dark", True), WHITE], "cannot be read as DNG"),
+    "white in words": ([*FILTERS, BLACK, (50717, "s", 0, "bright", True)], "cannot be read as DNG"),
     "no black": ([*FILTERS, WHITE], "a black level of 0, camera 'da-mobile' has 64"),
     "black per row": ([*FILTERS, BLACK, WHITE, (50716, SRATIONAL, HEIGHT, (2, 1) * HEIGHT, True)], "BlackLevelDeltaV"),
     "black per column": ([*FILTERS, BLACK, WHITE, (50715, SRATIONAL, WIDTH, (2, 1) * WIDTH, True)], "BlackLevelDeltaH"),
