@@ -42,8 +42,8 @@ def without_weighted_median(capture: Capture, bank: PsfBank) -> DepthEstimate:
 def without_picture(capture: Capture, bank: PsfBank) -> DepthEstimate:
     """The network sees the scores of the windows alone."""
 
-    def blind(inputs: Float32Array, picture: Float32Array, levels: FloatArray, last: float) -> Moments:
-        return POSTERIOR(inputs, np.zeros_like(picture), levels, last)
+    def blind(inputs: Float32Array, picture: Float32Array, levels: FloatArray, last: float, tile: int) -> Moments:
+        return POSTERIOR(inputs, np.zeros_like(picture), levels, last, tile)
 
     with mock.patch.object(surface_net, "posterior", blind):
         return METHODS["best"](capture, bank)
@@ -72,11 +72,11 @@ def bands_alone(capture: Capture, bank: PsfBank) -> DepthEstimate:
 def _without(scores: set[int], capture: Capture, bank: PsfBank) -> DepthEstimate:
     """The default without some scores: neither in the sum that smooth surfaces join nor among the network's inputs."""
 
-    def blind(inputs: Float32Array, picture: Float32Array, levels: FloatArray, last: float) -> Moments:
+    def blind(inputs: Float32Array, picture: Float32Array, levels: FloatArray, last: float, tile: int) -> Moments:
         inputs = inputs.copy()
         for index in scores:
             inputs[..., index * len(levels) : (index + 1) * len(levels)] = 0
-        return POSTERIOR(inputs, picture, levels, last)
+        return POSTERIOR(inputs, picture, levels, last, tile)
 
     weights = tuple(0.0 if index in scores else weight for index, weight in enumerate(evidence.WEIGHTS))
     with mock.patch.object(evidence, "WEIGHTS", weights), mock.patch.object(surface_net, "posterior", blind):

@@ -10,6 +10,8 @@ from dasim.typing import Complex64Array, Float32Array
 
 WORKERS = 2
 
+Box = tuple[slice, slice]  # rows and columns of a frame; they may lie outside of it
+
 
 def fast_shape(shape: tuple[int, ...], margin: int, multiple: int = 1) -> tuple[int, int]:
     """Size [h, w] of a frame padded by at least ``margin`` pixels, fast to transform and a multiple of ``multiple``."""
@@ -27,15 +29,52 @@ def pad_blended(image: Float32Array, shape: tuple[int, int]) -> Float32Array:
         if strip <= 0:
             continue
         index = np.arange(strip)
-        after_end = np.take(image, _mirror(size + index, size), axis=axis)
-        before_start = np.take(image, _mirror(index - strip, size), axis=axis)
+        after_end = np.take(image, mirrored(size + index, size), axis=axis)
+        before_start = np.take(image, mirrored(index - strip, size), axis=axis)
         share = ((index + 1) / (strip + 1)).astype(np.float32)
         share = share[:, None] if axis == -2 else share
         image = np.concatenate([image, (1 - share) * after_end + share * before_start], axis=axis)
     return image.astype(np.float32, copy=False)
 
 
-def _mirror(index: NDArray, size: int) -> NDArray:
+def cut_blended(image: Float32Array, box: Box, shape: tuple[int, int]) -> Float32Array:
+    """A box of images [..., h, w], padded at the bottom and right to ``shape``, so that it continues without a step.
+
+    The padding blends, by a raised cosine, from what follows the box to what precedes it. Beyond the images' borders,
+    in the box too, is their mirror image.
+    """
+    rows, columns = (_around(*at) for at in zip(box, shape, image.shape[-2:], strict=True))
+    image = image[..., rows.min() : rows.max() + 1, columns.min() : columns.max() + 1]  # before anything is copied
+    image = _continued(image, rows - rows.min(), shape[0], -2)
+    return np.ascontiguousarray(_continued(image, columns - columns.min(), shape[1], -1), np.float32)
+
+
+def continued(values: Float32Array, part: slice, length: int) -> Float32Array:
+    """:func:`cut_blended` of values along one axis, [length]."""
+    return _continued(values, _around(part, length, len(values)), length, -1)
+
+
+def _around(part: slice, length: int, size: int) -> NDArray[np.intp]:
+    """Places, of ``size`` in all, of a part and of the padding to ``length`` on either side of it."""
+    strip = length - (part.stop - part.start)
+    return mirrored(np.arange(part.start - strip, part.stop + strip), size)
+
+
+def _continued(image: Float32Array, around: NDArray[np.intp], length: int, axis: int) -> Float32Array:
+    """What is ``around`` a part along an axis, with its end blended with its beginning."""
+    if len(around) != image.shape[axis] or around[0] != 0 or around[-1] != len(around) - 1:
+        image = np.take(image, around, axis=axis)
+    strip = len(around) - length
+    before, inside, after = (
+        image[..., start:stop, :] if axis == -2 else image[..., start:stop]
+        for start, stop in ((0, strip), (strip, length), (length, len(around)))
+    )
+    share = (0.5 - 0.5 * np.cos(np.pi * np.arange(1, strip + 1) / (strip + 1))).astype(np.float32)
+    share = share[:, None] if axis == -2 else share
+    return np.concatenate([inside, after + share * (before - after)], axis=axis)
+
+
+def mirrored(index: NDArray, size: int) -> NDArray:
     """Index within ``size`` samples that a position outside maps to, half-sample symmetric."""
     folded = np.mod(index, 2 * size)
     return np.where(folded < size, folded, 2 * size - 1 - folded)
@@ -75,10 +114,18 @@ def transfer(kernel: NDArray, shape: tuple[int, int], spacing_px: float = 1.0) -
 
 
 def _wrapped(kernel: NDArray, length: int, axis: int) -> NDArray:
-    """A kernel with one axis padded to ``length``, or wrapped around where it is longer, with its middle at index 0."""
+    """A kernel with its last axis, or the one before it, padded to ``length`` with its middle at index 0.
+
+    Where it is longer, it is wrapped around.
+    """
     size = kernel.shape[axis]
-    moved = np.moveaxis(kernel, axis, -1)
-    padded = np.zeros((*moved.shape[:-1], -(-size // length) * length), np.result_type(kernel, np.float32))
-    padded[..., :size] = moved
-    folded = padded.reshape(*moved.shape[:-1], -1, length).sum(axis=-2)
-    return np.moveaxis(np.roll(folded, -(size // 2), axis=-1), -1, axis)
+    shape = list(kernel.shape)
+    shape[axis] = length
+    padded = np.zeros(shape, np.result_type(kernel, np.float32))
+    whole, source = (np.moveaxis(array, axis, 0) for array in (padded, kernel))
+    if size <= length:
+        half = size // 2
+        whole[: size - half], whole[length - half :] = source[half:], source[:half]
+    else:
+        np.add.at(whole, (np.arange(size) - size // 2) % length, source)
+    return padded

@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from dasim.base.errors import InputError
 from dasim.camera.noise import Variance
 from dasim.files.banks import bank_identity
 from dasim.spectra.colour import exposure_scale, to_srgb
@@ -27,6 +28,7 @@ from recon.settings import DEFAULT, Settings
 from recon.sharp import all_in_focus
 from recon.stages import Stage, stages
 
+LEAST_TILE_PX = 64
 STAGES = (*picture.STAGES[:-1], "depth", "regularise", "sharpen", "colour")
 
 
@@ -38,6 +40,7 @@ def reconstruct(
     method: Method | None = None,
     flat: Capture | None = None,
     progress: Progress | None = None,
+    tile_px: int | None = None,
 ) -> Reconstruction:
     """Reconstruct colour, depth and an all-in-focus picture from one capture.
 
@@ -51,8 +54,12 @@ def reconstruct(
             fills its gaps, and its standard deviation gives the confidence. By default, ``settings.score`` selects it.
         flat: a capture of a uniform surface, for the correction of the lens shading in the pictures.
         progress: called with the name of each stage and the share of stages before it, 0..1.
+        tile_px: largest side of what a stage processes at a time, raw pixels, at least ``LEAST_TILE_PX``. By default,
+            each stage has its own. The time and the memory depend on it, the result hardly (claim ``recon-large``).
     """
     check_fits(bank, capture)
+    if tile_px is not None and tile_px < LEAST_TILE_PX:
+        raise InputError(f"tiles of {tile_px} px are too small; allowed are {LEAST_TILE_PX} px and more")
     camera = capture.camera
     timings: dict[str, float] = {}
     stage = stages(STAGES, timings, progress)
@@ -64,7 +71,7 @@ def reconstruct(
     variances = raw_levels.variances(linear.raw_e, capture)
     notes = (*place_notes(bank, camera), *colour.light_notes(linear.raw_e, linear.saturated, camera, bank))
     with stage("depth"):
-        found = _levels(capture, bank if method else on_axis, linear, variances, settings, method)
+        found = _levels(capture, bank if method else on_axis, linear, variances, settings, method, tile_px)
     with stage("regularise"):
         if not found.joined:
             guide = _infrared_guide(captured.ir_e, mosaic.noise_variance(capture, "IR"))
@@ -78,7 +85,7 @@ def reconstruct(
             variances, level, confidence, separation, camera, white,
         )  # fmt: skip
         del linear, variances  # limits the memory of large frames
-        sharp_e = all_in_focus.all_in_focus(frame, on_axis, light, settings)
+        sharp_e = all_in_focus.all_in_focus(frame, on_axis, light, settings, tile_px)
         del frame
     with stage("colour"):
         rgb, sharp_rgb = _coloured(captured.linear_e, sharp_e, colour.colour_matrix(camera, light, separation.on_axis))
@@ -143,8 +150,9 @@ def _levels(
     variances: dict[str, Float32Array],
     settings: Settings,
     method: Method | None,
+    tile_px: int | None,
 ) -> _Levels:
-    """Levels by a method, or by the score of the settings for None."""
+    """Levels by a method, or by the score of the settings, in tiles, for None."""
     if method is not None:
         estimate = run_method(method, capture, bank)
         raw, trust, outside = on_blocks(estimate, bank)
@@ -155,13 +163,13 @@ def _levels(
     frame = raw_levels.Frame(linear.raw_e, variances, linear.saturated, capture.camera, kernels, white)
     if settings.score == "joint":
         behind = None if bank.behind is None else bank.behind.kernel[linear.light]
-        found = raw_levels.joint_levels(frame, settings, behind)
+        found = raw_levels.joint_levels(frame, settings, behind, tile_px)
         known = confidence_of(found.window_sd) >= settings.least_confidence
         raw = np.where(known, found.window_level, np.float32(np.nan))
         # In double precision and rounded once, as the estimate of a method is.
         trust = confidence_of(found.sd.astype(np.float64)).astype(np.float32)
         return _Levels(raw, found.level, trust, True, "assumed" if behind is None else "estimated")
-    raw, trust = raw_levels.raw_levels(frame, settings)
+    raw, trust = raw_levels.raw_levels(frame, settings, tile_px)
     return _Levels(raw, raw, trust, False)
 
 

@@ -20,7 +20,7 @@ than between materials.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import cv2
@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 from dasim.typing import Complex64Array, Float32Array, FloatArray
 from recon import fourier
 from recon.depth.channels import Also, Channel, kernels_without_infrared
-from recon.depth.grid import Grid, Window, gaussian_means, plane_mean, transform, window_mean
+from recon.depth.grid import Places, Window, gaussian_means, plane_mean, transform, window_mean
 
 BANDS = 7  # a band's impulse response reaches about 1 / width = 33 px, the patch; narrower bands mix objects
 LOWEST_CYCLES_PX = 0.025  # at lower frequencies, shading differs between channels
@@ -45,9 +45,6 @@ TABLE_GRID = 192  # samples per side of the grid on which the transfers of the l
 GAIN_STEPS = 2  # iterations of the gain, on which the weights depend: first without it, then with it
 SMALLEST_GAIN = 1e-3
 TINY = np.float32(1e-12)
-
-
-Places = tuple[NDArray[np.intp], NDArray[np.intp]]  # rows and columns of samples
 
 
 class Energies(NamedTuple):
@@ -64,9 +61,9 @@ class Energies(NamedTuple):
 def scored(
     sharper: Channel,
     visible: Also,
-    spectrum: Complex64Array,
-    grid: Grid,
+    shape: tuple[int, int],
     window: Window,
+    spacing_px: float,
     *,
     alike: bool,
     at: Places | None = None,
@@ -80,24 +77,24 @@ def scored(
     Args:
         sharper: the infrared channel.
         visible: visible channels with their share of infrared.
-        spectrum: spectrum of the infrared plane, [h, w/2 + 1].
-        grid: the padded grid.
+        shape: of the padded grid.
         window: the patch.
+        spacing_px: sample spacing, raw pixels.
         alike: whether the patch follows the surface (:func:`guide`).
         at: rows and columns of the samples that are scored; all by default.
     """
-    (height, width), spacing_px = grid.frame, grid.spacing_px
+    height, width = sharper.variance.shape
     channels = (sharper, *(channel for channel, _ in visible))
-    spectra, noise = [spectrum], [sharper.variance]
+    spectra, noise = [transform(sharper.plane, sharper.phase, shape, spacing_px)], [sharper.variance]
     for channel, leak in visible:
-        visible_spectrum = transform(channel.plane, channel.phase, grid.shape, spacing_px)
-        spectra.append(visible_spectrum - np.complex64(leak.alpha) * spectrum)
+        spectrum = transform(channel.plane, channel.phase, shape, spacing_px)
+        spectra.append(spectrum - np.complex64(leak.alpha) * spectra[0])
         noise.append((channel.variance + leak.alpha**2 * sharper.variance).astype(np.float32))
     planes = [np.ascontiguousarray(channel.plane[:height, :width]) for channel in channels]
     floors = [np.sqrt(channel.variance) for channel in channels]
     likeness = guide(planes[0], planes[1:], floors, spacing_px) if alike else None
     leaks = [leak.alpha for _, leak in visible]
-    pairs = energies(spectra, noise, (grid.shape, grid.frame), window, spacing_px, leaks, likeness, at)
+    pairs = energies(spectra, noise, shape, window, spacing_px, leaks, likeness, at)
     score = np.zeros((len(sharper.kernels), *pairs[0].green_noise.shape), np.float32)
     for pair, (channel, leak) in zip(pairs, visible, strict=True):
         score += log_likelihood(
@@ -106,13 +103,14 @@ def scored(
     return score
 
 
-def filters(shape: tuple[int, int], spacing_px: float) -> list[Float32Array]:
+def filters(shape: tuple[int, int], spacing_px: float) -> Iterator[Float32Array]:
     """Ring-shaped band-pass filters, [h, w/2 + 1], that overlap by half; their squares sum to 1 within the range."""
     radius = np.hypot(*fourier.frequencies(shape, spacing_px))
     edges = np.linspace(LOWEST_CYCLES_PX, HIGHEST_CYCLES_PX, BANDS + 1)
     width = edges[1] - edges[0]
-    distance = [np.abs(radius - (low + high) / 2) / width for low, high in itertools.pairwise(edges)]
-    return [np.where(d < 1, np.cos(np.pi / 2 * np.minimum(d, 1)), 0).astype(np.float32) for d in distance]
+    for low, high in itertools.pairwise(edges):
+        distance = np.minimum(np.abs(radius - (low + high) / 2) / width, 1)
+        yield np.cos(np.pi / 2 * distance).astype(np.float32)
 
 
 def transfers(kernels: NDArray, green_kernels: NDArray, spacing_px: float) -> Float32Array:
@@ -135,7 +133,7 @@ def transfers(kernels: NDArray, green_kernels: NDArray, spacing_px: float) -> Fl
 def energies(
     spectra: Sequence[Complex64Array],
     noise: Sequence[Float32Array],
-    grid: tuple[tuple[int, int], tuple[int, int]],
+    shape: tuple[int, int],
     window: Window,
     spacing_px: float,
     leaks: Sequence[float] = (),
@@ -146,8 +144,8 @@ def energies(
 
     Args:
         spectra: spectra of the channels, [h, w/2 + 1] each, the sharper one first.
-        noise: noise variances of the channels, [h, w] each, in the same order.
-        grid: shape of the padded grid, and of the frame on it.
+        noise: noise variances of the channels, [h, w] each, in the same order; their size is the frame's.
+        shape: of the padded grid.
         window: the patch.
         spacing_px: sample spacing, raw pixels.
         leaks: multiples of the sharper channel that were subtracted from each visible one. Their noise is then
@@ -155,21 +153,27 @@ def energies(
         likeness: the patches' guide [n, h, w] (:func:`guide`); None for the plain window.
         at: rows and columns of the samples whose patches are wanted; all by default.
     """
-    shape, frame = grid
-    rings = filters(shape, spacing_px)
-    share = np.array([plane_mean(ring**2, shape[1]) for ring in rings])
+    height, width = noise[0].shape
     visible = len(spectra) - 1
-    parts = np.empty((1 + 2 * visible, len(rings), *frame), np.float32)
-    for index, ring in enumerate(rings):
-        sharper, *others = (fourier.inverse(s * ring, shape)[: frame[0], : frame[1]] for s in spectra)
+    of = None if likeness is None else taps((height, width), window, spacing_px, at)
+
+    def means(images: Sequence[Float32Array]) -> Float32Array:  # at the taps, or over the patch already
+        if of:
+            return gaussian_means(images, TAP_BLUR * of.step, of.places)
+        return _window_means(images, window, spacing_px, at)
+
+    share, stack = [], []
+    for ring in filters(shape, spacing_px):
+        share.append(plane_mean(ring**2, shape[1]))
+        sharper, *others = (fourier.inverse(s * ring, shape)[:height, :width] for s in spectra)
         images = [sharper * sharper, *(o * o for o in others), *(o * sharper for o in others)]
-        for part, image in enumerate(images):
-            parts[part, index] = image / np.float32(share[index])
-    stack = np.concatenate([parts.reshape(-1, *frame), np.stack(noise)])
-    stack = _means(stack, window, spacing_px, likeness, at)
-    parts = stack[: -len(noise)].reshape(*parts.shape[:2], *stack.shape[1:])
-    variances = stack[-len(noise) :]
-    samples = 4 * np.pi * (window.side_px / spacing_px) ** 2 / 12 * share  # of a Gaussian patch
+        stack.append(means(images) / np.float32(share[-1]))
+    found = np.concatenate([*stack, means(noise)])
+    if of and likeness is not None:
+        found = patch_means(found, likeness, of)
+    variances = found[-len(noise) :]
+    parts = found[: -len(noise)].reshape(len(share), 1 + 2 * visible, *found.shape[1:]).swapaxes(0, 1)
+    samples = 4 * np.pi * (window.side_px / spacing_px) ** 2 / 12 * np.array(share)  # of a Gaussian patch
     pairs = []
     for number, leak in zip(range(1, visible + 1), leaks or [0.0] * visible, strict=True):
         product = parts[visible + number] + np.float32(leak) * variances[0]
@@ -191,66 +195,89 @@ def guide(
     return np.stack([(image - blurred[0]) / GUIDE_SIGMA for image in blurred[1:]]).astype(np.float32)
 
 
-def _means(
-    stack: Float32Array,
-    window: Window,
-    spacing_px: float,
-    likeness: Float32Array | None,
-    at: Places | None = None,
-) -> Float32Array:
-    """Means over the patch of images [n, h, w], weighted by similarity of ``likeness`` [m, h, w] where it is given.
+class Taps(NamedTuple):
+    """The samples of patches: ``TAP_PX`` apart, each the mean of its surroundings.
 
-    The result is [n, row, column] ``at`` the rows and columns of some samples, or of all.
+    Those of all patches are few where the patches' middles are as far apart, so that large frames need little memory.
     """
-    rows, columns = at if at is not None else (np.arange(length) for length in stack.shape[1:])
-    if likeness is None:
-        return np.stack([window_mean(image, window, spacing_px)[np.ix_(rows, columns)] for image in stack])
+
+    step: int  # samples between taps
+    sigma: float  # of the patch, samples
+    places: Places | None  # rows and columns of the frame with taps; None for all
+    rows: NDArray[np.intp]  # of each patch's taps among these, [patch, tap]; -1 outside of the frame
+    columns: NDArray[np.intp]
+
+
+def taps(frame: tuple[int, ...], window: Window, spacing_px: float, at: Places | None = None) -> Taps:
+    """The taps of the patches around samples ``at`` some rows and columns of a frame [h, w], or around all."""
     step = max(round(TAP_PX / spacing_px), 1)
     sigma = window.side_px / spacing_px / np.sqrt(12)
-    taps = np.stack(gaussian_means(stack, TAP_BLUR * step))
-    result = np.empty((len(taps), len(rows), len(columns)), np.float32)
-    _bilateral(taps, likeness, int(np.ceil(2 * sigma / step)), step, np.float32(sigma), rows, columns, result)
+    radius = int(np.ceil(2 * sigma / step))
+    needed, indices = [], []
+    for middles, length in zip(at or [np.arange(length) for length in frame], frame, strict=True):
+        wanted = middles[:, None] + step * np.arange(-radius, radius + 1)
+        inside = (wanted >= 0) & (wanted < length)
+        needed.append(np.unique(wanted[inside]))
+        indices.append(np.where(inside, np.searchsorted(needed[-1], wanted), -1))
+    return Taps(step, sigma, None if at is None else (needed[0], needed[1]), indices[0], indices[1])
+
+
+def patch_means(sampled: Float32Array, likeness: Float32Array, of: Taps) -> Float32Array:
+    """Means over patches of images [n, h, w] at the taps, weighted by similarity of ``likeness`` [m, h, w]."""
+    if of.places is not None:
+        likeness = np.ascontiguousarray(likeness[:, of.places[0][:, None], of.places[1]])
+    result = np.empty((len(sampled), len(of.rows), len(of.columns)), np.float32)
+    _bilateral(sampled, likeness, of.step, np.float32(of.sigma), of.rows, of.columns, result)
     return result
+
+
+def _window_means(images: Sequence[Float32Array], window: Window, spacing_px: float, at: Places | None) -> Float32Array:
+    """Means over the plain window, [n, row, column]."""
+    means = np.stack([window_mean(np.ascontiguousarray(image), window, spacing_px) for image in images])
+    return means if at is None else means[:, at[0][:, None], at[1]]
 
 
 @njit(cache=True, parallel=True, fastmath=True)
 def _bilateral(  # pragma: no cover - compiled
     stack: Float32Array,
     likeness: Float32Array,
-    radius: int,
     step: int,
     sigma: np.float32,
     rows: NDArray[np.intp],
     columns: NDArray[np.intp],
     result: Float32Array,
 ) -> None:
-    """Bilateral means: Gaussian weights in space (``sigma`` samples) and in ``likeness`` (unit sigma)."""
-    images, height, width = stack.shape
+    """Bilateral means: Gaussian weights in space (``sigma`` samples) and in ``likeness`` (unit sigma).
+
+    ``rows`` and ``columns`` [middle, tap] are places in the images, -1 outside of them, of taps ``step`` samples apart.
+    """
+    radius = rows.shape[1] // 2
     for row in prange(len(rows)):
-        total = np.empty(images, np.float32)
-        y = rows[row]
+        total = np.empty(len(stack), np.float32)
+        y = rows[row, radius]
         for column in range(len(columns)):
-            x = columns[column]
+            x = columns[column, radius]
             total[:] = 0
             norm = np.float32(0)
-            for dy in range(-radius, radius + 1):
-                yy = y + dy * step
-                if yy < 0 or yy >= height:
+            for down in range(2 * radius + 1):
+                yy = rows[row, down]
+                if yy < 0:
                     continue
-                for dx in range(-radius, radius + 1):
-                    xx = x + dx * step
-                    if xx < 0 or xx >= width:
+                for right in range(2 * radius + 1):
+                    xx = columns[column, right]
+                    if xx < 0:
                         continue
-                    exponent = np.float32((dy * step) ** 2 + (dx * step) ** 2) / (2 * sigma * sigma)
+                    squares = ((down - radius) * step) ** 2 + ((right - radius) * step) ** 2
+                    exponent = np.float32(squares) / (2 * sigma * sigma)
                     for c in range(likeness.shape[0]):
                         exponent += (likeness[c, y, x] - likeness[c, yy, xx]) ** 2 / 2
                     if exponent > LARGEST_EXPONENT:
                         continue
                     weight = np.exp(-exponent)
                     norm += weight
-                    for k in range(images):
+                    for k in range(len(stack)):
                         total[k] += weight * stack[k, yy, xx]
-            for k in range(images):
+            for k in range(len(stack)):
                 result[k, row, column] = total[k] / norm
 
 

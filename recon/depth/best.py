@@ -31,17 +31,19 @@ class Map(NamedTuple):
     window_sd: Float32Array  # infinite without texture
 
 
-def estimate(evidence: Evidence, last: int, shape: Sequence[int], network: bool = True) -> Map:
+def estimate(
+    evidence: Evidence, last: int, shape: Sequence[int], network: bool = True, tile: int = surface_net.TILE
+) -> Map:
     """Levels of every sample of planes of a ``shape`` from the evidence; ``last`` is the bank's largest level.
 
-    Without the ``network``, neighbours are joined on smooth surfaces alone.
+    Without the ``network``, neighbours are joined on smooth surfaces alone; ``tile`` is the side of its tiles, nodes.
     """
     levels = evidence.levels
     window_level, window_sd = _moments(_normalised(evidence.score, levels), levels)
     knows = np.ptp(evidence.score[..., levels <= last + 1e-6], axis=-1) >= LEAST_RANGE
     window_sd[~knows] = np.inf
     if network:
-        found = surface_net.posterior(evidence.inputs, evidence.picture, levels, last)
+        found = surface_net.posterior(evidence.inputs, evidence.picture, levels, last, tile)
         found = found._replace(level=weighted_median.filtered(found.level, found.sd, evidence.picture))
     else:
         found = surface_net.smooth_posterior(evidence.inputs, levels, last)

@@ -121,8 +121,8 @@ def _noise(variances: Sequence[Float32Array], alpha: Sequence[float]) -> list[Fl
 
 def _means(images: Sequence[Float32Array], sigma: float, step: int) -> Float32Array:
     """Means of images [h, w] over windows of ``sigma`` samples, at the nodes, [row, column, image]."""
-    rows, columns = nodes(images[0].shape, step)
-    return np.stack([mean[np.ix_(rows, columns)] for mean in gaussian_means(images, sigma)], axis=-1)
+    means = gaussian_means(images, sigma, nodes(images[0].shape, step))
+    return np.ascontiguousarray(np.moveaxis(means, 0, -1))
 
 
 def nodes(shape: Sequence[int], step: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:

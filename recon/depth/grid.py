@@ -11,6 +11,7 @@ from typing import Literal, NamedTuple
 
 import cv2
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from dasim.typing import Complex64Array, Float32Array
@@ -18,6 +19,7 @@ from recon import fourier
 from recon.picture.mosaic import Phase
 
 PLANE_SPACING_PX = 2.0
+GAUSSIAN_REACH = 4.0  # of a Gaussian window, in standard deviations
 ROLL_OFF = 0.4  # width of the band's smooth edge, relative to the cutoff
 
 Gradient = Literal["sum", "both"]
@@ -104,14 +106,65 @@ def window_mean(image: Float32Array, window: Window, spacing_px: float = PLANE_S
     return np.asarray(cv2.GaussianBlur(image, (0, 0), side / np.sqrt(12), borderType=border), np.float32)
 
 
-def gaussian_means(images: Iterable[Float32Array], sigma: float) -> list[Float32Array]:
-    """Each image [h, w] averaged over a Gaussian of ``sigma`` samples, mirrored at the border; two at a time."""
+Places = tuple[NDArray[np.intp], NDArray[np.intp]]  # rows and columns of samples
 
-    def mean(image: Float32Array) -> Float32Array:
+
+def gaussian_means(images: Iterable[Float32Array], sigma: float, at: Places | None = None) -> Float32Array:
+    """Images [h, w] averaged over a Gaussian of ``sigma`` samples, mirrored at the border, [n, row, column].
+
+    The means are those ``at`` some rows and columns, or of all samples; two images at a time.
+    """
+
+    def everywhere(image: Float32Array) -> Float32Array:
         return np.asarray(cv2.GaussianBlur(image, (0, 0), sigma, borderType=cv2.BORDER_REFLECT), np.float32)
 
+    def there(image: Float32Array) -> Float32Array:
+        return _means_at(np.ascontiguousarray(image, np.float32), sigma, at) if at else everywhere(image)
+
     with ThreadPoolExecutor(fourier.WORKERS) as pool:
-        return list(pool.map(mean, images))
+        return np.stack(list(pool.map(there, images)))
+
+
+def _means_at(image: Float32Array, sigma: float, at: Places) -> Float32Array:
+    height, width = image.shape
+    radius = int(np.ceil(GAUSSIAN_REACH * sigma))
+    kernel = np.exp(-0.5 * (np.arange(-radius, radius + 1) / sigma) ** 2)
+    rows = fourier.mirrored(at[0][:, None] + np.arange(-radius, radius + 1), height)
+    line = fourier.mirrored(np.arange(-radius, width + radius), width)
+    result = np.empty((len(at[0]), len(at[1])), np.float32)
+    _weighted_sums(image, (kernel / kernel.sum()).astype(np.float32), rows, line, at[1], result)
+    return result
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def _weighted_sums(  # pragma: no cover - compiled
+    image: Float32Array,
+    kernel: Float32Array,
+    rows: NDArray[np.intp],
+    line: NDArray[np.intp],
+    columns: NDArray[np.intp],
+    result: Float32Array,
+) -> None:
+    """Sums weighted by the product of a kernel along both axes, of ``rows`` [row, tap] and columns from ``columns``.
+
+    ``line`` are the columns of an extended row, the kernel's reach beyond the image on either side.
+    """
+    total = np.empty(image.shape[1], np.float32)
+    extended = np.empty(len(line), np.float32)
+    for row in range(len(rows)):
+        total[:] = 0
+        for tap in range(len(kernel)):
+            weight, source = kernel[tap], image[rows[row, tap]]
+            for x in range(len(total)):
+                total[x] += weight * source[x]
+        for x in range(len(line)):
+            extended[x] = total[line[x]]
+        for column in range(len(columns)):
+            part = extended[columns[column] : columns[column] + len(kernel)]
+            value = np.float32(0)
+            for tap in range(len(kernel)):
+                value += kernel[tap] * part[tap]
+            result[row, column] = value
 
 
 def transform(
@@ -121,11 +174,15 @@ def transform(
 
     ``phase`` is the position (row, column) of its first sample in the block, raw pixels.
     """
-    fy, fx = fourier.frequencies(shape, spacing_px)
     middle = (spacing_px - 1) / 2
-    shift = fy * (middle - phase[0]) + fx * (middle - phase[1])
-    phasor = np.exp(2j * np.pi * shift).astype(np.complex64)
-    return fourier.forward(fourier.pad_blended(plane, shape)) * phasor
+    along_y, along_x = (
+        np.exp(2j * np.pi * f * (middle - start)).astype(np.complex64)
+        for f, start in zip(fourier.frequencies(shape, spacing_px), phase, strict=True)
+    )
+    spectrum = fourier.forward(fourier.pad_blended(plane, shape))
+    spectrum *= along_y
+    spectrum *= along_x
+    return spectrum
 
 
 def filtered(spectrum: Complex64Array, filters: list[Complex64Array], grid: Grid) -> list[Float32Array]:

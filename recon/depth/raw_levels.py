@@ -15,9 +15,9 @@ from dasim.camera.specification import Camera
 from dasim.spectra.grid import CHANNELS
 from dasim.typing import BoolArray, Float32Array
 from dasim.values import Capture
-from recon.depth import best, tiles
+from recon.depth import best, scores, surface_net, tiles
 from recon.depth.channels import Also, Channel, Leak
-from recon.depth.evidence import Evidence, evidence
+from recon.depth.evidence import NODE, Evidence, evidence
 from recon.depth.grid import PLANE_SPACING_PX, window_mean
 from recon.depth.scores import window_of
 from recon.depth.side import probability_behind, signed
@@ -50,8 +50,11 @@ class Frame(NamedTuple):
     white: NDArray[np.floating]  # electrons of a white point under the light, [channel]
 
 
-def raw_levels(frame: Frame, settings: Settings) -> tuple[Float32Array, Float32Array]:
-    """Level of eq. (12) and its confidence 0..1 for every 2x2 block of the mosaic, [h/2, w/2]; NaN without an edge."""
+def raw_levels(frame: Frame, settings: Settings, tile_px: int | None = None) -> tuple[Float32Array, Float32Array]:
+    """Level of eq. (12) and its confidence 0..1 for every 2x2 block of the mosaic, [h/2, w/2]; NaN without an edge.
+
+    Scores are computed in tiles of ``tile_px`` raw pixels, if given.
+    """
     channels, leaks = _channels(frame, settings)
     fallbacks = _fallbacks(frame.camera)
 
@@ -73,8 +76,9 @@ def raw_levels(frame: Frame, settings: Settings) -> tuple[Float32Array, Float32A
         if name == "IR":
             also = [(channel(n, box), leaks[n]) for n in further]
         sharpest, trust, snr, green_snr = tiles.best_levels(
-            channel(name, box), channel("G", box), settings, leaks["G"] if name == "IR" else None, also
-        )
+            channel(name, box), channel("G", box), settings, leaks["G"] if name == "IR" else None, also,
+            size=tiles.TILE if tile_px is None else int(tile_px / PLANE_SPACING_PX),
+        )  # fmt: skip
         edge = unresolved[box] & (snr > settings.edge_snr) & (green_snr > settings.edge_snr)
         new = edge & (trust > 0) & (trust >= settings.least_confidence)
         level[box][new] = sharpest[new]
@@ -83,8 +87,10 @@ def raw_levels(frame: Frame, settings: Settings) -> tuple[Float32Array, Float32A
     return level, confidence
 
 
-def joint_levels(frame: Frame, settings: Settings, behind: NDArray | None = None) -> best.Map:
-    """Levels of every 2x2 block by the score ``joint``.
+def joint_levels(
+    frame: Frame, settings: Settings, behind: NDArray | None = None, tile_px: int | None = None
+) -> best.Map:
+    """Levels of every 2x2 block by the score ``joint``; the network in tiles of ``tile_px`` raw pixels, if given.
 
     With kernels ``behind`` the focus, from it outwards, levels have a sign, negative behind the focus.
     """
@@ -95,11 +101,12 @@ def joint_levels(frame: Frame, settings: Settings, behind: NDArray | None = None
         near, far = ([of_side[name] for name in [*names, "IR"]] for of_side in channels)
         clipped = mosaic.saturated_blocks(frame.saturated)
         where = probability_behind(near, far, [leaks[0][name] for name in names], clipped, settings.saturated_share)
-        maps = [joint_levels(side, settings) for side in sides]
+        maps = [joint_levels(side, settings, tile_px=tile_px) for side in sides]
         return signed(maps[0], maps[1], where)
     found = joint_evidence(frame, settings)
     shape = frame.variances["IR"].shape
-    return best.estimate(found, len(frame.kernels) - 1, shape, network=settings.windows == "all")
+    tile = surface_net.TILE if tile_px is None else int(tile_px / PLANE_SPACING_PX / NODE)
+    return best.estimate(found, len(frame.kernels) - 1, shape, network=settings.windows == "all", tile=tile)
 
 
 def joint_evidence(frame: Frame, settings: Settings) -> Evidence:
@@ -109,8 +116,10 @@ def joint_evidence(frame: Frame, settings: Settings) -> Evidence:
     names = ["G", *(["R"] if "R" in _fallbacks(frame.camera) else [])]
 
     def bands(rows: NDArray[np.intp], columns: NDArray[np.intp]) -> Float32Array:
-        ordered = [channels[name] for name in ["IR", *names]]
-        return tiles.scores_at(ordered, [leaks[name] for name in names], settings, rows, columns)
+        infrared, green, *others = (channels[name] for name in ["IR", *names])
+        also = [(channel, leaks[name]) for channel, name in zip(others, names[1:], strict=True)]
+        score, _ = scores.scores(infrared, green, [], settings, leak=leaks["G"], also=also, at=(rows, columns))
+        return np.moveaxis(score, 0, -1)
 
     clipped = mosaic.saturated_blocks(frame.saturated)
     of_bands = bands if settings.windows == "all" else None

@@ -18,7 +18,17 @@ from recon import fourier
 from recon.depth import bands
 from recon.depth.channels import Also, Channel, Leak
 from recon.depth.colour_line import colour_line
-from recon.depth.grid import PLANE_SPACING_PX, Grid, Window, filtered, make_grid, noise_gain, transform, window_mean
+from recon.depth.grid import (
+    PLANE_SPACING_PX,
+    Grid,
+    Places,
+    Window,
+    filtered,
+    make_grid,
+    noise_gain,
+    transform,
+    window_mean,
+)
 from recon.depth.level_score import level_score
 from recon.depth.ncc import Weights, weight_of
 from recon.depth.peak import peak_offset
@@ -124,18 +134,19 @@ def scores(
     spacing_px: float = PLANE_SPACING_PX,
     leak: Leak | None = None,
     also: Also = (),
-    at: bands.Places | None = None,
+    at: Places | None = None,
 ) -> tuple[Float32Array, Float32Array | None]:
     """Score of every level, [level, h, w], and the NCC at the best level, [h, w] (None for the score ``bands``).
 
     ``classes`` are those of :func:`frame_weights`. Only the score ``bands`` uses ``leak``, ``also``, and the rows and
     columns ``at`` which it is wanted.
     """
-    grid, spectra = _spectra(sharper, green, settings, spacing_px)
     window = window_of(settings)
     if settings.score == "bands" or settings.score == "joint":  # the second adds to the first (:mod:`recon.depth.best`)
         channels = [(green, leak or Leak(0.0, 0.0)), *also]
-        return bands.scored(sharper, channels, spectra[0], grid, window, alike=settings.alike, at=at), None
+        shape = _grid_shape(sharper, spacing_px)
+        return bands.scored(sharper, channels, shape, window, spacing_px, alike=settings.alike, at=at), None
+    grid, spectra = _spectra(sharper, green, settings, spacing_px)
     observed = filtered(spectra[1], grid.filters, grid) if settings.score == "ncc" else None
     score, ncc = np.empty((2, len(sharper.kernels), *grid.frame), np.float32)
     for level, (kernel, green_kernel) in enumerate(zip(sharper.kernels, green.kernels, strict=True)):
@@ -156,12 +167,16 @@ def _spectra(
 ) -> tuple[Grid, tuple[Complex64Array, Complex64Array]]:
     """The padded grid of a frame or a tile, and the spectra of both channels on it, [h, w/2 + 1]."""
     height, width = sharper.variance.shape
-    plane_shape = sharper.plane.shape
-    whole = plane_shape == (height, width)
-    shape = padded_shape(sharper, spacing_px) if whole else (plane_shape[0], plane_shape[1])
+    shape = _grid_shape(sharper, spacing_px)
     grid = make_grid(shape, (height, width), spacing_px, settings.cutoff_cycles_px, settings.gradient)
     first, second = (transform(channel.plane, channel.phase, shape, spacing_px) for channel in (sharper, green))
     return grid, (first, second)
+
+
+def _grid_shape(channel: Channel, spacing_px: float) -> tuple[int, int]:
+    """Size [h, w] of the grid: of a plane with its halo, or of a whole one after padding."""
+    height, width = channel.plane.shape
+    return padded_shape(channel, spacing_px) if (height, width) == channel.variance.shape else (height, width)
 
 
 def padded_shape(channel: Channel, spacing_px: float = PLANE_SPACING_PX) -> tuple[int, int]:

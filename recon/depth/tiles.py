@@ -7,12 +7,11 @@ frame. Each tile has a halo as wide as the reach of filters and windows.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator
 from functools import partial
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dasim.typing import Float32Array
 from recon import fourier
@@ -103,46 +102,6 @@ def best_levels(
         trust = trust if ncc is None else trust * (ncc > 0)
         level[part.core], confidence[part.core] = best[part.inner], trust[part.inner]
     return Levels(level, confidence, signal.snr, signal.green_snr)
-
-
-def scores_at(
-    channels: Sequence[Channel],
-    leaks: Sequence[Leak],
-    settings: Settings,
-    rows: NDArray[np.intp],
-    columns: NDArray[np.intp],
-    size: int = TILE,
-    halo: int = HALO,
-) -> Float32Array:
-    """The score ``bands`` of every level at some samples, in tiles, [row, column, level].
-
-    Args:
-        channels: infrared, then the visible channels.
-        leaks: infrared in each of these.
-        settings: of the score.
-        rows: of the samples, ascending.
-        columns: likewise.
-        size: of a tile, samples.
-        halo: around it, samples.
-    """
-    frame = channels[0].variance.shape
-    parts = list(tiles(frame, size, halo if max(frame) > size else 0))
-    cut: Callable[[Channel, Tile], Channel] = lambda channel, part: channel  # noqa: E731
-    if len(parts) > 1:
-        channels, cut = [_padded(channel) for channel in channels], partial(_cut, halo=halo)
-    result = np.empty((len(rows), len(columns), len(channels[0].kernels)), np.float32)
-    for part in parts:
-        infrared, green, *others = (cut(channel, part) for channel in channels)
-        also = list(zip(others, leaks[1:], strict=True))
-        inside = [
-            np.flatnonzero((places >= core.start) & (places < core.stop))
-            for places, core in zip((rows, columns), part.core, strict=True)
-        ]
-        top, left = (box.start for box in part.box)
-        at = rows[inside[0]] - top, columns[inside[1]] - left
-        score, _ = scores.scores(infrared, green, [], settings, leak=leaks[0], also=also, at=at)
-        result[np.ix_(*inside)] = np.moveaxis(score, 0, -1)
-    return result
 
 
 def _padded(channel: Channel) -> Channel:

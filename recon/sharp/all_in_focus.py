@@ -19,7 +19,7 @@ from recon.depth.peak import sd_of
 from recon.picture import develop, field, mosaic
 from recon.picture.field import Separation
 from recon.settings import Settings
-from recon.sharp import restoration, sharpen
+from recon.sharp import layers, restoration, sharpen
 
 INTERPOLATED_NOISE_SHARE = 0.7  # noise after interpolation relative to the sensor's, standard deviations
 GRAINY_LEVEL = 3.0  # level from which on eq. (15) is solved for the picture without noise reduction alone
@@ -42,8 +42,13 @@ class Frame(NamedTuple):
     white: NDArray  # electrons of a white point, [channel]
 
 
-def all_in_focus(frame: Frame, bank: PsfBank, light: str, settings: Settings) -> Float32Array:
-    """All-in-focus colours without infrared, [h, w, 3] electrons; ``bank`` has the infrared of the axis."""
+def all_in_focus(
+    frame: Frame, bank: PsfBank, light: str, settings: Settings, tile_px: int | None = None
+) -> Float32Array:
+    """All-in-focus colours without infrared, [h, w, 3] electrons; ``bank`` has the infrared of the axis.
+
+    Deconvolution and network work in tiles of ``tile_px`` per side, by default of their own.
+    """
     on_axis = frame.separation.on_axis
     measured, focus = of_both_sides(bank, light)
     kernels = sharpen.visible_kernels(measured, frame.white, on_axis)
@@ -53,9 +58,10 @@ def all_in_focus(frame: Frame, bank: PsfBank, light: str, settings: Settings) ->
     seen_e = stack.copy() if network else stack
     _soften_in_focus(stack, frame.linear_e, frame.ir_e, frame.level)
     passes = DRAFT_PASSES if network else sharpen.PASSES if settings.sharpen_guide else sharpen.PLAIN_PASSES
-    sharp = deconvolved(stack, frame, kernels, noise_e, focus, settings, passes)
+    sharp = deconvolved(stack, frame, kernels, noise_e, focus, settings, passes, tile_px or layers.TILE_PX)
     if network:
-        sharp_e = restoration.restored(seen(frame, seen_e, sharp, noise_e), mosaic.phases(frame.camera))
+        picture, phases = seen(frame, seen_e, sharp, noise_e), mosaic.phases(frame.camera)
+        sharp_e = restoration.restored(picture, phases, tile_px or restoration.TILE_PX)
         _fade_to_captured(sharp_e, frame)
     else:
         sharp_e = np.ascontiguousarray(np.moveaxis(sharp[sharpen.COLOURS], 0, -1))
@@ -84,6 +90,7 @@ def deconvolved(
     focus: int,
     settings: Settings,
     passes: sharpen.Passes,
+    tile_px: int = layers.TILE_PX,
 ) -> Float32Array:
     """:func:`recon.sharp.sharpen.sharpen` of the channels of a frame by its levels, [4, h, w] electrons.
 
@@ -92,6 +99,7 @@ def deconvolved(
     return sharpen.sharpen(
         stack, frame.level + np.float32(focus), kernels, noise_e, mosaic.sole_phases(frame.camera),
         steps=settings.sharpen_steps, strength=settings.sharpen_strength, passes=passes, focus=focus,
+        tile_px=tile_px,
     )  # fmt: skip
 
 

@@ -33,8 +33,24 @@ class Prior(NamedTuple):
     expected: tuple[Float32Array, Float32Array] | None = None  # e (x, y), [channel, h, w] each; 0 without, as the paper
 
 
+class Doubt(NamedTuple):
+    """How uncertain the data are at each frequency because the transfer function H is.
+
+    Beside the noise, of unit spectral density, var(H) S is in the data, with the power spectrum S of a scene with white
+    gradients. Data have the weight 1 / (1 + var(H) S).
+    """
+
+    spectrum: Float32Array  # var(H) S of gradients of unit mean square (:func:`doubt_of`), [h, w/2 + 1]
+    steps: NDArray  # mean square gradient of the scene along x plus that along y, [channel]
+
+    def weight(self, spectrum: Float32Array) -> Float32Array:
+        """Weight of the data, [channel, ...], where ``spectrum`` [...] is the one above."""
+        steps = np.asarray(self.steps, np.float32)[:, None, None]
+        return np.asarray(1 / (1 + steps * spectrum), np.float32)
+
+
 def half_quadratic(
-    image: Float32Array, transfer: Complex64Array, prior: Prior, steps: int, trust: Float32Array | None = None
+    image: Float32Array, transfer: Complex64Array, prior: Prior, steps: int, doubt: Doubt | None = None
 ) -> Float32Array:
     """Minimise over f |h * f - I|^2 / 2 + kappa sum(|f_x - e_x|^0.8 + |f_y - e_y|^0.8), eq. (15)-(16), periodic.
 
@@ -47,11 +63,11 @@ def half_quadratic(
         transfer: transfer functions of the kernels h, [channel, h, w/2 + 1].
         prior: weights of the prior, and the gradients that it expects.
         steps: number of iterations.
-        trust: weights of the data's frequencies (:func:`data_trust`), [channel, h, w/2 + 1].
+        doubt: how uncertain the transfer functions are.
     """
     shape = (image.shape[-2], image.shape[-1])
     gradient = gradient_power(shape)
-    weighted = np.conj(transfer) if trust is None else trust * np.conj(transfer)
+    weighted = np.conj(transfer) if doubt is None else doubt.weight(doubt.spectrum) * np.conj(transfer)
     data, power = weighted * fourier.forward(image, 1), np.abs(transfer * weighted)
 
     def solve(spectrum: Complex64Array, beta: Float32Array) -> Float32Array:
@@ -102,7 +118,7 @@ def half_quadratic_samples(
     transfer: Complex64Array,
     prior: Prior,
     steps: int,
-    trust: Float32Array | None = None,
+    doubt: Doubt | None = None,
 ) -> Float32Array:
     """:func:`half_quadratic` with the samples of a mosaic as data: every second pixel in every second row.
 
@@ -118,9 +134,10 @@ def half_quadratic_samples(
     power = np.empty(data.shape, np.float32)
     _fold((sampling.real**2 + sampling.imag**2) * inverse_gradient, power)
     weight: Float32Array = np.ones_like(power)
-    if trust is not None:
-        _fold(1 / trust - 1, weight)
-        weight = np.asarray(1 / (1 + weight), np.float32)
+    if doubt is not None:
+        folded = np.empty((1, *power.shape[1:]), np.float32)
+        _fold(doubt.spectrum[None], folded)
+        weight = doubt.weight(folded[0])
 
     def solve(spectrum: Complex64Array, beta: Float32Array) -> Float32Array:
         _solve(spectrum, sampling, inverse_gradient, data, weight, power, beta, np.empty_like(data))
@@ -197,7 +214,8 @@ def _scale(kappa: NDArray, factor: float) -> NDArray:
 def _phase_factors(phases: tuple[Phase, ...], shape: tuple[int, int]) -> Complex64Array:
     """Phasors [channel, h, w/2 + 1] that shift each channel's first sample to the origin."""
     fy, fx = fourier.frequencies(shape)
-    return np.stack([np.exp(2j * np.pi * (fy * y + fx * x)) for y, x in phases]).astype(np.complex64)
+    rows, columns = ([np.exp(2j * np.pi * f * n).astype(np.complex64) for n in (0, 1)] for f in (fy, fx))
+    return np.stack([rows[y] * columns[x] for y, x in phases])
 
 
 @lru_cache(maxsize=16)
@@ -208,19 +226,9 @@ def _inverse_gradient(shape: tuple[int, int]) -> Float32Array:
     return np.asarray(1 / gradient, np.float32)
 
 
-def data_trust(variance: Float32Array, steps: NDArray, shape: tuple[int, int]) -> Float32Array:
-    """Weight 1 / (1 + var(H) S) of each frequency of the data, for an uncertain transfer function H.
-
-    The noise has unit spectral density; the uncertainty of H adds var(H) S, with the power spectrum S of a scene with
-    white gradients.
-
-    Args:
-        variance: var(H), [channel, h, w/2 + 1].
-        steps: mean square gradient of the scene along x plus that along y, [channel].
-        shape: size of the frame, [h, w].
-    """
-    scene = np.asarray(steps, np.float32)[:, None, None] / (gradient_power(shape) + SMALLEST_GRADIENT)
-    return (1 / (1 + variance * scene)).astype(np.float32)
+def doubt_of(variance: Float32Array, shape: tuple[int, int]) -> Float32Array:
+    """:attr:`Doubt.spectrum` of the variance of a transfer function, both [h, w/2 + 1]; ``shape`` is [h, w]."""
+    return variance / (gradient_power(shape) + SMALLEST_GRADIENT)
 
 
 @lru_cache(maxsize=16)

@@ -1,52 +1,60 @@
-"""Tiles of the picture: the blur levels that occur in each, and their transfer functions on its padded frame.
+"""Parts of the picture: where each blur level occurs in a tile, and its transfer functions on the padded box.
 
 Tested in tests/recon/sharp/test_sharpen.py and tests/recon/sharp/test_refocus.py.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+import itertools
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cache, lru_cache
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dasim.typing import Complex64Array, Float32Array
 from recon import fourier
+from recon.fourier import Box
+from recon.sharp import deconvolution
 
 Shape = tuple[int, int]
-Transfers = Callable[[int, Shape], tuple[Complex64Array, Float32Array]]
 
-TILE_PX = 256
-MARGIN_PX = 8  # margin of a tile beyond the kernels' reach, for the ringing of the deconvolution
-STRIP_PX = 8  # width of the blended strip beyond the reach; a longer strip would assume more about the surroundings
-REACH_STEP_PX = 8  # reaches are rounded up to multiples of this, so that tiles share transfer functions
+TILE_PX = 512
+# Around a tile: blended with its neighbours, then a margin, then the strip in which what follows fades into what
+# precedes. Deconvolution depends on more than its kernels' reach of up to 27 px.
+BLEND_PX, MARGIN_PX, STRIP_PX = 24, 48, 48
+STEP_PX = 4  # boxes begin and end at multiples of this: of the mosaic's block and of the blocks of gradients
 KERNEL_SHARE = 0.98  # of a kernel's energy within its reach; the rest is mostly noise of the calibration
 DENSE_LEVELS, SPARSE_STEP = 6, 2  # every level up to here is deconvolved, then every second one
-RARE_SHARE = 0.02  # share of a tile's pixels below which a level is not deconvolved; its neighbours replace it
 LEVEL_DEVIATION = 0.6  # standard deviation of the level map, including the rounding to deconvolved levels
 SPREAD_LEVELS = np.sqrt(3.0) * LEVEL_DEVIATION  # outer nodes of the Gauss-Hermite rule
-CACHED_TRANSFERS = 48
+CACHED_TRANSFERS = 4  # parts come level by level
 FEATHER_LEVELS = 1.0  # levels, beyond a layer's own, over which the captured picture fades into the blurred draft
 BORDER_SHARE = 0.2  # width of the frame's rim that fades into the draft, relative to the kernel's reach
 
 
 @dataclass(frozen=True)
-class Tile:
-    """A tile of the picture and the levels that occur in it."""
+class Part:
+    """Where one level occurs in a tile, and what its deconvolution sees."""
 
-    core: tuple[slice, slice]  # the tile in the frame
-    box: tuple[slice, slice]  # the tile with its margin
-    inner: tuple[slice, slice]  # the tile within the box
-    shape: Shape  # of the padded frame, the box and a blended strip; multiples of 4 for a mosaic
-    nodes: tuple[int, ...]  # indices into the list of deconvolved levels
-    position: Float32Array  # [h, w] fractional index of every pixel's level into ``nodes``
+    node: int  # index into the list of deconvolved levels
+    core: Box  # where the level occurs in the tile and in the strips that blend it with its neighbours
+    box: Box  # with the margin; may lie outside of the frame, which is continued with its mirror image
+    inner: Box  # the core within the box
+    shape: Shape  # of the box and a blended strip, which makes it periodic; multiples of 4 for a mosaic
+    weights: tuple[Float32Array, Float32Array]  # of the core's rows and columns: the tile's share, 0..1
 
-    def share(self, index: int) -> Float32Array:
-        """Weight of ``nodes[index]`` at each pixel of the tile, [h, w]: linear between neighbours, with sum 1."""
-        return np.maximum(1 - np.abs(self.position - index), 0).astype(np.float32)
+    def share(self, position: Float32Array) -> Float32Array:
+        """Weight of the part at each pixel of its core, [h, w]; those of all parts have the sum 1.
+
+        It is linear between neighbouring levels, whose fractional index ``position`` [h, w] gives for the frame.
+        """
+        rows, columns = self.weights
+        level = np.maximum(1 - np.abs(position[self.core] - self.node), 0)
+        return np.asarray(level * rows[:, None] * columns, np.float32)
 
 
 def levels_of_nodes(levels: int, focus: int = 0) -> list[int]:
@@ -59,86 +67,142 @@ def levels_of_nodes(levels: int, focus: int = 0) -> list[int]:
     return behind + [focus + step for step in away if step < levels - focus]
 
 
-def tiles(position: Float32Array, reach_px: list[int]) -> Iterator[Tile]:
-    """The tiles of a frame.
+def parts(position: Float32Array, tile_px: int = TILE_PX) -> list[Part]:
+    """The parts of a frame, in tiles of at most ``tile_px`` per side; neighbouring tiles overlap and are blended.
 
-    ``position`` [h, w] is the fractional index of every pixel's level, ``reach_px`` [node] half the kernels' side.
+    Those with the same transfer functions follow each other.
+
+    ``position`` [h, w] is the fractional index of every pixel's level.
     """
-    height, width = position.shape
-    for top in range(0, height, TILE_PX):
-        for left in range(0, width, TILE_PX):
-            core = (slice(top, min(top + TILE_PX, height)), slice(left, min(left + TILE_PX, width)))
-            nodes = _occurring(position[core])
-            reach = -(-max(reach_px[node] for node in nodes) // REACH_STEP_PX) * REACH_STEP_PX
-            margin = reach + MARGIN_PX
-            box = tuple(slice(max(s.start - margin, 0), min(s.stop + margin, n))
-                        for s, n in zip(core, position.shape, strict=True))  # fmt: skip
-            inner = tuple(slice(c.start - b.start, c.stop - b.start) for c, b in zip(core, box, strict=True))
-            # The strip makes the frame periodic; at the picture's border it also separates opposite sides.
-            shape = fourier.fast_shape(tuple(s.stop - s.start for s in box), reach + STRIP_PX, 4)
-            among = np.interp(position[core], nodes, np.arange(len(nodes))).astype(np.float32)
-            yield Tile(core, (box[0], box[1]), (inner[0], inner[1]), shape, nodes, among)
+    least_px = 4 * BLEND_PX  # so that a tile of half this side has its two strips
+    rows, columns = (_overlapping(length, max(tile_px, least_px)) for length in position.shape)
+    found = []
+    for across, along in itertools.product(rows, columns):
+        tile = position[across.span, along.span]
+        for node in range(int(tile.min()), int(np.ceil(tile.max())) + 1):
+            there = np.abs(tile - node) < 1
+            if there.any():
+                occurs = np.flatnonzero(there.any(axis=1)), np.flatnonzero(there.any(axis=0))
+                found.append(_part(node, [_trimmed(across, occurs[0]), _trimmed(along, occurs[1])]))
+    return sorted(found, key=lambda part: (part.node, part.shape))
 
 
-def _occurring(position: Float32Array) -> tuple[int, ...]:
-    """Nodes of more than ``RARE_SHARE`` of the pixels; at least the most frequent one."""
-    low = np.floor(position).astype(int)
-    part = position - low
-    weight = np.bincount(low.ravel(), 1 - part.ravel()) / position.size
-    weight = (
-        np.append(weight, 0.0) + np.bincount(low.ravel() + 1, part.ravel(), minlength=len(weight) + 1) / position.size
-    )
-    return tuple(int(node) for node in np.flatnonzero(weight >= min(RARE_SHARE, weight.max())))
+class _Side(NamedTuple):
+    """Rows or columns of a tile, and their weights in the blend with the neighbouring tiles."""
+
+    span: slice
+    weight: Float32Array
 
 
-def by_tiles(result: Float32Array, tiles: Sequence[Tile], work: Callable[[Tile], Float32Array]) -> None:
-    """Fill a picture [channel, h, w] with what ``work`` gives for its tiles, at least 0; two tiles at a time."""
+def _overlapping(length: int, tile_px: int) -> list[_Side]:
+    """Sides of tiles of about equal size; at joints, weights are a raised cosine 2 ``BLEND_PX`` wide, with sum 1."""
+    result = []
+    edges = np.linspace(0, length, -(-length // tile_px) + 1).astype(int)
+    for start, stop in itertools.pairwise(edges):
+        index = np.arange(max(start - BLEND_PX, 0), min(stop + BLEND_PX, length))
+        weight = np.ones(len(index))
+        if start > 0:
+            weight *= _rise((index + 0.5 - start) / BLEND_PX)
+        if stop < length:
+            weight *= _rise((stop - index - 0.5) / BLEND_PX)
+        result.append(_Side(slice(int(index[0]), int(index[-1]) + 1), weight.astype(np.float32)))
+    return result
 
-    def fill(tile: Tile) -> None:
-        np.maximum(work(tile), 0, out=result[:, *tile.core])
 
+def _rise(place: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Raised cosine from 0 at -1 to 1 at 1."""
+    return np.asarray(0.5 + 0.5 * np.sin(np.pi / 2 * np.clip(place, -1, 1)))
+
+
+def _trimmed(side: _Side, index: NDArray[np.intp]) -> _Side:
+    """A side from the first to the last of ascending indices."""
+    kept = slice(int(index[0]), int(index[-1]) + 1)
+    return _Side(slice(side.span.start + kept.start, side.span.start + kept.stop), side.weight[kept])
+
+
+def _part(node: int, sides: Sequence[_Side]) -> Part:
+    boxes, inner = [], []
+    for span, _ in sides:
+        start = (span.start - MARGIN_PX) // STEP_PX * STEP_PX
+        stop = -(-(span.stop + MARGIN_PX) // STEP_PX) * STEP_PX
+        boxes.append(slice(start, stop))
+        inner.append(slice(span.start - start, span.stop - start))
+    shape = fourier.fast_shape(tuple(box.stop - box.start for box in boxes), STRIP_PX, STEP_PX)
+    (rows, columns), box = sides, (boxes[0], boxes[1])
+    return Part(node, (rows.span, columns.span), box, (inner[0], inner[1]), shape, (rows.weight, columns.weight))
+
+
+def by_parts(result: Float32Array, parts: Sequence[Part], work: Callable[[Part], Float32Array]) -> None:
+    """Fill a picture [channel, h, w] with the sum of what ``work`` gives for its parts, at least 0; two at a time."""
+    result[:] = 0
     with ThreadPoolExecutor(fourier.WORKERS) as pool:
-        list(pool.map(fill, tiles))
+        for part, found in zip(parts, pool.map(work, parts), strict=True):
+            result[:, *part.core] += found
+    np.maximum(result, 0, out=result)
 
 
-def own_share(position: Float32Array, tile: Tile, node: int, reach_px: int) -> Float32Array:
-    """Weight of the captured picture against the blurred draft at a level, 0..1, in a tile's box [h, w].
+def own_share(position: Float32Array, part: Part, reach_px: int) -> Float32Array:
+    """Weight of the captured picture against the blurred draft at a part's level, 0..1, in its padded box [h, w].
 
-    ``position`` [h, w] is that of the frame, ``reach_px`` half the side of the level's kernel.
+    It falls to 0 at other levels, and towards the frame's border: there, the blur mixes in light from outside the
+    frame, which no continuation contains. ``position`` [h, w] is that of the frame, ``reach_px`` half the side of the
+    level's kernel.
     """
-    near = np.clip(1 - (np.abs(position[tile.box] - node) - 1) / FEATHER_LEVELS, 0, 1).astype(np.float32)
-    return near * _inside_frame(tile.box, position.shape, BORDER_SHARE * reach_px)
+    away = np.abs(fourier.cut_blended(position, part.box, part.shape) - np.float32(part.node))
+    near = np.clip((1 + FEATHER_LEVELS - away) / np.float32(FEATHER_LEVELS), 0, 1)
+    ramp_px = max(BORDER_SHARE * reach_px, 0.5)
+    rows, columns = (
+        _inside(box, length, size, ramp_px)
+        for box, length, size in zip(part.box, part.shape, position.shape, strict=True)
+    )
+    return np.asarray(near * rows[:, None] * columns, np.float32)
 
 
-def _inside_frame(box: tuple[slice, slice], frame: tuple[int, ...], ramp_px: float) -> Float32Array:
-    """1 in a box [h, w], falling to 0 over ``ramp_px`` towards the frame's border.
+def _inside(box: slice, length: int, size: int, ramp_px: float) -> Float32Array:
+    """1 inside a frame of a ``size``, falling to 0 over ``ramp_px`` towards its border, in a padded box, [length]."""
+    start = min(box.start, 0) - length  # from far enough outside for what the padding contains
+    index = np.arange(start, max(box.stop, size) + length)
+    inside = np.clip((np.minimum(index, size - 1 - index) + 0.5) / ramp_px, 0, 1).astype(np.float32)
+    return fourier.continued(inside, slice(box.start - start, box.stop - start), length)
 
-    Near the border, the blur mixes in light from outside the frame, which no periodic continuation contains.
+
+@dataclass(frozen=True)
+class Blur:
+    """The blur of the deconvolved levels, of all channels or of some."""
+
+    transfer: Callable[[int, Shape], Complex64Array]  # H of a node on a padded box, [channel, h, w/2 + 1]
+    doubt: Callable[[int, Shape], Float32Array]  # of an uncertain level, :func:`deconvolution.doubt_of`, [h, w/2 + 1]
+    reach_px: list[int]  # half the side of each node's kernel
+    energy: list[float]  # of the gradients of a blurred picture, relative to those of a sharp one
+
+
+def blur(kernels: NDArray, nodes: list[int]) -> Blur:
+    """The blur of the nodes, from kernels [level, channel, size, size].
+
+    The doubt has the variance E|H' - H|^2 of the channels' mean kernel at levels with the standard deviation
+    ``LEVEL_DEVIATION``, by the three-point Gauss-Hermite rule with weights 1/6, 2/3 and 1/6. H is that of the level
+    itself, not the mean, which would be blurred in focus, where there is no lower level. The energy takes the spectrum
+    of gradients as white.
     """
-    sides = []
-    for part, size in zip(box, frame, strict=True):
-        index = np.arange(part.start, part.stop)
-        sides.append(np.clip((np.minimum(index, size - 1 - index) + 0.5) / max(ramp_px, 0.5), 0, 1))
-    return np.outer(*sides).astype(np.float32)
-
-
-def transfers(kernels: NDArray, nodes: list[int]) -> tuple[Transfers, list[int]]:
-    """Transfer functions of the nodes, as a function of node and shape, and the reach of the kernels in pixels, [node].
-
-    The function returns the transfer function H of a node and the variance E|H' - H|^2 of an uncertain level with
-    standard deviation ``LEVEL_DEVIATION``, both [channel, h, w/2 + 1]. The variance is that of the three-point
-    Gauss-Hermite rule, with weights 1/6, 2/3 and 1/6. H is that of the level itself, not the mean, which would be
-    blurred in focus, where there is no lower level. ``kernels`` is [level, channel, size, size].
-    """
-    cropped = [cut(kernels[level]) for level in nodes]
+    cropped = [cut(kernels[level]).astype(np.float32) for level in nodes]
 
     @lru_cache(maxsize=CACHED_TRANSFERS)
-    def at(node: int, shape: Shape) -> tuple[Complex64Array, Float32Array]:
-        sides = [_between(kernels, nodes[node] + side) for side in (-SPREAD_LEVELS, SPREAD_LEVELS)]
-        below, here, above = (_transfer(kernel, shape) for kernel in (sides[0], cropped[node], sides[1]))
-        return here, ((np.abs(below - here) ** 2 + np.abs(above - here) ** 2) / 6).astype(np.float32)
+    def transfer(node: int, shape: Shape) -> Complex64Array:
+        return _transfer(cropped[node], shape)
 
-    return at, [kernel.shape[-1] // 2 for kernel in cropped]
+    @cache
+    def sides(node: int) -> list[Float32Array]:
+        return [_between(kernels, nodes[node] + side).mean(axis=0) for side in (-SPREAD_LEVELS, SPREAD_LEVELS)]
+
+    @lru_cache(maxsize=CACHED_TRANSFERS)
+    def doubt(node: int, shape: Shape) -> Float32Array:
+        here = transfer(node, shape).mean(axis=0)
+        away = [_transfer(side, shape) - here for side in sides(node)]
+        variance = sum((h.real**2 + h.imag**2 for h in away), np.float32(0)) / 6
+        return deconvolution.doubt_of(np.asarray(variance, np.float32), shape)
+
+    energy = [float(np.square(kernel.mean(axis=0)).sum()) for kernel in cropped]
+    return Blur(transfer, doubt, [kernel.shape[-1] // 2 for kernel in cropped], energy)
 
 
 def cut(kernels: NDArray, energy: float = KERNEL_SHARE) -> NDArray:
@@ -157,7 +221,7 @@ def _between(kernels: NDArray, level: float) -> NDArray:
     """Kernels of a fractional level, interpolated linearly and cropped by :func:`cut`."""
     low, share = divmod(min(max(level, 0.0), len(kernels) - 1.0), 1)
     high = min(int(low) + 1, len(kernels) - 1)
-    return cut((1 - share) * kernels[int(low)] + share * kernels[high])
+    return cut((1 - share) * kernels[int(low)] + share * kernels[high]).astype(np.float32)
 
 
 def _transfer(kernels: NDArray, shape: Shape) -> Complex64Array:
@@ -165,5 +229,11 @@ def _transfer(kernels: NDArray, shape: Shape) -> Complex64Array:
 
     Measured kernels include the average over the pixel's area, as the sharp picture does, so it is divided out once.
     """
+    return np.asarray(fourier.transfer(kernels, shape) * _without_pixel(shape), np.complex64)
+
+
+@lru_cache(maxsize=CACHED_TRANSFERS)
+def _without_pixel(shape: Shape) -> Float32Array:
+    """Inverse of the pixel's transfer function, [h, w/2 + 1]."""
     fy, fx = fourier.frequencies(shape)
-    return np.asarray(fourier.transfer(kernels, shape) / (np.sinc(fy) * np.sinc(fx)).astype(np.float32), np.complex64)
+    return np.asarray(1 / (np.sinc(fy) * np.sinc(fx)), np.float32)

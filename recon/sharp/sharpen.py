@@ -1,7 +1,8 @@
 """The all-in-focus picture (sec. 5.4): each blur level deconvolved with a sparse-gradient prior, eq. (15)-(17).
 
-The picture is processed in tiles of a fixed grid. A tile's margin follows from the kernels of the levels that occur in
-it, and each level is deconvolved only in tiles where it occurs.
+The picture is processed in tiles, in which each level is deconvolved where it occurs, with the picture around it, which
+the result depends on (:mod:`recon.sharp.layers`). Neighbouring tiles are blended, and what all pixels of a level share,
+such as the prior, is measured in the whole frame, so that tiles leave no seams.
 """
 
 from __future__ import annotations
@@ -9,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -16,14 +18,13 @@ from numpy.typing import NDArray
 
 from dasim.typing import Complex64Array, Float32Array
 from recon import fourier
-from recon.sharp import deconvolution, layers
-from recon.sharp.layers import Tile
+from recon.sharp import deconvolution, guide, layers
+from recon.sharp.layers import Part
 
 Phases = Sequence[tuple[int, int] | None]
 
-GUIDE_WINDOW_PX = 5.0  # sigma of the window in which the guide's gradients are fitted to a channel's
-GUIDE_FLOOR = 1e-3  # regularisation of that fit, relative to the mean gradient energy
 CLIPPED_NEAR_PX = 3.0
+STATISTICS_ROWS = 256  # of the frame at a time
 SUFFICIENT_PX = 2000.0  # pixels of a level at which its own gradients and the frame's mean have equal weight
 DRAFT_PRIOR = 2.0  # factor on the measured beta of the draft
 INTERPOLATED_WEIGHT = 0.25  # weight of the data without phases, where one pixel in four is a sample
@@ -31,6 +32,13 @@ COLOURS, INFRARED = slice(0, 3), slice(3, 4)
 Passes = Sequence[tuple[slice, slice | None]]  # channels of a pass, and channels of its guide
 PLAIN_PASSES: Passes = ((COLOURS, None),)
 PASSES: Passes = ((INFRARED, None), (COLOURS, INFRARED), (COLOURS, COLOURS))
+
+
+class Statistics(NamedTuple):
+    """What the gradients of the pixels of a level say of it, [node, channel]."""
+
+    kappa: Float32Array  # weight of the prior
+    square: Float32Array  # mean square along x plus that along y, in units of the noise
 
 
 @dataclass(frozen=True)
@@ -41,18 +49,19 @@ class Frame:
     draft: Float32Array  # [channel, h, w] first all-in-focus estimate
     noise: Float32Array  # [channel] standard deviation
     position: Float32Array  # [h, w] index of the level among the deconvolved ones, fractional
-    transfers: layers.Transfers
-    reach_px: list[int]  # half the side of the kernel of each deconvolved level
 
 
 @dataclass(frozen=True)
 class Pass:
     """One pass of the deconvolution: its channels and their prior."""
 
-    part: slice  # of the frame's channels
-    kappa: Float32Array  # [node, channel] weight of the prior
+    channels: slice  # of the frame
+    blur: layers.Blur  # of these channels at the deconvolved levels
+    gradients: Statistics  # of these channels' draft
+    strength: float  # weight of the data
     steps: int  # iterations of half-quadratic splitting
     guide: Float32Array | None  # [h, w] sharp picture whose gradients the prior expects
+    guide_energy: float  # mean square gradient of the guide
     phases: Phases | None  # (row, column) of the channels' samples in the 2x2 block; None if a channel has others
 
 
@@ -67,6 +76,7 @@ def sharpen(
     strength: float,
     passes: Passes = PASSES,
     focus: int = 0,
+    tile_px: int = layers.TILE_PX,
 ) -> Float32Array:
     """All-in-focus channels without infrared, [4, h, w] electrons.
 
@@ -90,21 +100,23 @@ def sharpen(
         passes: channels of each pass, and channels of the guide whose gradients its prior expects. Channels of no pass
             are 0.
         focus: index of the kernels in focus; those before it are behind the focus.
+        tile_px: largest side of a tile.
     """
     nodes = layers.levels_of_nodes(len(kernels), focus)
-    transfers, reach_px = layers.transfers(kernels, nodes)
     position = np.interp(level, nodes, np.arange(len(nodes))).astype(np.float32)
-    tiles = list(layers.tiles(position, reach_px))
+    parts = layers.parts(position, tile_px)
     noise = np.maximum(np.asarray(noise_e, np.float32), np.float32(1e-3))
-    frame = Frame(stack, _draft(stack, tiles, transfers, noise), noise, position, transfers, reach_px)
+    frame = Frame(stack, _draft(stack, position, parts, layers.blur(kernels, nodes), noise), noise, position)
     # Before the result has memory: they need as much for a while.
-    kappas = [_prior_weights(frame.draft[part], noise[part], position, len(nodes)) / strength for part, _ in passes]
+    gradients = [_statistics(frame.draft[own], noise[own], position, len(nodes)) for own, _ in passes]
     sharp = np.zeros_like(stack)
-    for (part, guide_part), kappa in zip(passes, kappas, strict=True):
-        guide = None if guide_part is None else (sharp[guide_part] / noise[guide_part, None, None]).mean(axis=0)
-        part_phases = None if phases is None or None in phases[part] else phases[part]
-        work = partial(_deconvolve_tile, frame, Pass(part, kappa, steps, guide, part_phases))
-        layers.by_tiles(sharp[part], tiles, work)
+    for (own, of_guide), statistics in zip(passes, gradients, strict=True):
+        sharp_guide = None if of_guide is None else (sharp[of_guide] / noise[of_guide, None, None]).mean(axis=0)
+        energy = 0.0 if sharp_guide is None else guide.energy(sharp_guide)
+        own_phases = None if phases is None or None in phases[own] else phases[own]
+        blur = layers.blur(kernels[:, own], nodes)
+        task = Pass(own, blur, statistics, strength, steps, sharp_guide, energy, own_phases)
+        layers.by_parts(sharp[own], parts, partial(_deconvolved, frame, task))
     return sharp
 
 
@@ -134,84 +146,79 @@ def ramp_around(mask: NDArray) -> Float32Array:
     return np.clip(distance / CLIPPED_NEAR_PX - 1, 0, 1).astype(np.float32)
 
 
-def _draft(stack: Float32Array, tiles: list[Tile], transfers: layers.Transfers, noise: Float32Array) -> Float32Array:
+def _draft(
+    stack: Float32Array, position: Float32Array, parts: list[Part], blur: layers.Blur, noise: Float32Array
+) -> Float32Array:
     """All-in-focus estimate with the quadratic prior of eq. (10), in closed form, [channel, h, w]."""
     steps = 0.5 * (np.mean(np.diff(stack, axis=1) ** 2, (1, 2)) + np.mean(np.diff(stack, axis=2) ** 2, (1, 2)))
     beta = DRAFT_PRIOR * noise**2 / np.maximum(steps, 1e-3 * noise**2)
 
-    def work(tile: Tile) -> Float32Array:
-        spectrum = fourier.forward(fourier.pad_blended(stack[:, *tile.box], tile.shape), 1)
-        total = np.zeros((len(stack), *tile.position.shape), np.float32)
-        for index, node in enumerate(tile.nodes):
-            transfer, _ = transfers(node, tile.shape)
-            sharp = deconvolution.quadratic(spectrum, transfer, beta, tile.shape)
-            total += tile.share(index) * sharp[:, *tile.inner]
-        return total
+    def work(part: Part) -> Float32Array:
+        spectrum = fourier.forward(fourier.cut_blended(stack, part.box, part.shape), 1)
+        sharp = deconvolution.quadratic(spectrum, blur.transfer(part.node, part.shape), beta, part.shape)
+        return part.share(position) * sharp[:, *part.inner]
 
     draft = np.empty(stack.shape, np.float32)
-    layers.by_tiles(draft, tiles, work)
+    layers.by_parts(draft, parts, work)
     return draft
 
 
-def _prior_weights(draft: Float32Array, noise: Float32Array, position: Float32Array, nodes: int) -> Float32Array:
-    """Weight kappa of the prior, [node, channel], from E |g|^a = 1 / (a kappa) for the density exp(-kappa |g|^a).
+def _statistics(draft: Float32Array, noise: Float32Array, position: Float32Array, nodes: int) -> Statistics:
+    """The prior's weight kappa from E |g|^a = 1 / (a kappa) for the density exp(-kappa |g|^a), and the mean of g^2.
 
     g are the gradients of the draft in units of the noise, over the pixels of a level. The frame's mean has the weight
     of ``SUFFICIENT_PX`` pixels in each level's mean.
     """
     power = deconvolution.PRIOR_POWER
-    nearest = np.rint(position).astype(np.intp).ravel()
-    count = np.bincount(nearest, minlength=nodes)
-    kappa = np.empty((nodes, len(draft)), np.float32)
-    for index, (plane, unit) in enumerate(zip(draft, noise, strict=True)):
-        steps = np.zeros_like(plane)
-        for axis in (0, 1):
-            gradient = np.diff(plane, axis=axis, append=np.take(plane, [-1], axis))
-            gradient /= unit  # in place: large frames have no memory to spare
-            np.abs(gradient, out=gradient)
-            gradient **= power
-            gradient /= 2
-            steps += gradient
-        del gradient
-        spread = (np.bincount(nearest, steps.ravel(), nodes) + SUFFICIENT_PX * steps.mean()) / (count + SUFFICIENT_PX)
-        kappa[:, index] = 1 / (power * np.maximum(spread, 1e-6))
-    return kappa
+    height, width = position.shape
+    count, sums = np.zeros(nodes), np.zeros((2, len(draft), nodes))  # of |g|^a / 2 and of g^2, along x and y together
+    for top in range(0, height, STATISTICS_ROWS):  # large frames have no memory to spare
+        rows = slice(top, top + STATISTICS_ROWS)
+        nearest = np.rint(position[rows]).astype(np.intp).ravel()
+        count += np.bincount(nearest, minlength=nodes)
+        for channel, (plane, unit) in enumerate(zip(draft, noise, strict=True)):
+            here, below = plane[rows] / unit, plane[top + 1 : rows.stop + 1] / unit
+            along_x, along_y = np.zeros_like(here), np.zeros_like(here)
+            np.subtract(here[:, 1:], here[:, :-1], out=along_x[:, :-1])
+            np.subtract(below, here[: len(below)], out=along_y[: len(below)])
+            square = along_x**2 + along_y**2
+            steps = sum(cv2.pow(np.abs(step), power) for step in (along_x, along_y))
+            for total, values in zip(sums[:, channel], (np.asarray(steps) / 2, square), strict=True):
+                total += np.bincount(nearest, values.ravel(), nodes)
+    means = sums + SUFFICIENT_PX * sums.sum(axis=-1, keepdims=True) / (height * width)
+    steps, square = (means / (count + SUFFICIENT_PX)).swapaxes(1, 2).astype(np.float32)
+    return Statistics(np.asarray(1 / (power * np.maximum(steps, 1e-6)), np.float32), square)
 
 
-def _deconvolve_tile(frame: Frame, task: Pass, tile: Tile) -> Float32Array:
-    """A sharp tile, [channel, h, w]: the deconvolutions of its levels, weighted by each pixel's share of a level."""
-    unit = frame.noise[task.part, None, None]
-    picture, draft = (image[task.part, *tile.box] / unit for image in (frame.stack, frame.draft))
-    gradients = np.asarray(sum(np.mean(np.diff(draft, axis=axis) ** 2, axis=(1, 2)) for axis in (1, 2)))
-    spectrum = fourier.forward(fourier.pad_blended(draft, tile.shape), 1)
-    guide = None if task.guide is None else fourier.pad_blended(task.guide[None, *tile.box], tile.shape)
-    guide_spectrum = None if guide is None else fourier.forward(guide, 1)
-    phases = None if task.phases is None else _phases_in_box(task.phases, tile.box)
-    total = np.zeros((len(unit), *tile.position.shape), np.float32)
-    for index, node in enumerate(tile.nodes):
-        transfers, variances = frame.transfers(node, tile.shape)
-        transfer, variance = transfers[task.part], variances[task.part]
-        blurred_draft = fourier.inverse(spectrum * transfer, tile.shape, 1)
-        own = layers.own_share(frame.position, tile, node, frame.reach_px[node])
-        uniform = fourier.pad_blended(_uniform(picture, blurred_draft, own), tile.shape)
-        expected = None
-        if guide is not None and guide_spectrum is not None:
-            expected = _expected_gradients(uniform, guide, fourier.inverse(guide_spectrum * transfer, tile.shape, 1))
-        trust = deconvolution.data_trust(variance, gradients, tile.shape)
-        prior = deconvolution.Prior(task.kappa[node], expected)
-        sharp = _deconvolve_level(uniform, transfer, prior, task.steps, phases, trust)
-        total += tile.share(index) * sharp[:, *tile.inner]
-    return total * unit
+def _deconvolved(frame: Frame, task: Pass, part: Part) -> Float32Array:
+    """The deconvolution of a part, weighted by its share of the picture, [channel, h, w]."""
+    own, node, shape = task.channels, part.node, part.shape
+    unit = frame.noise[own, None, None]
+    picture, draft = (fourier.cut_blended(image[own], part.box, shape) / unit for image in (frame.stack, frame.draft))
+    transfer = task.blur.transfer(node, shape)
+    near = layers.own_share(frame.position, part, task.blur.reach_px[node])
+    blurred_draft = fourier.inverse(fourier.forward(draft, 1) * transfer, shape, 1)
+    uniform = _uniform(picture, blurred_draft, near)
+    expected = None
+    if task.guide is not None:
+        sharp_guide = fourier.cut_blended(task.guide, part.box, shape)
+        blurred = fourier.inverse(fourier.forward(sharp_guide, 1) * transfer.mean(axis=0), shape, 1)
+        energy = task.guide_energy * task.blur.energy[node]
+        expected = guide.expected_gradients(uniform, sharp_guide, blurred, energy)
+    prior = deconvolution.Prior(task.gradients.kappa[node] / task.strength, expected)
+    doubt = deconvolution.Doubt(task.blur.doubt(node, shape), task.gradients.square[node])
+    phases = None if task.phases is None else _phases_in_box(task.phases, part.box)
+    sharp = _deconvolve_level(uniform, transfer, prior, task.steps, phases, doubt)
+    return part.share(frame.position) * sharp[:, *part.inner] * unit
 
 
 def _uniform(picture: Float32Array, blurred_draft: Float32Array, near: Float32Array) -> Float32Array:
-    """The captured picture of a tile, replaced by the blurred draft at pixels of other levels, [channel, h, w].
+    """The captured picture, replaced by the blurred draft at pixels of other levels, [channel, h, w].
 
     Deconvolution with the kernel of one level then sees a picture of that level everywhere. ``near`` [h, w] is the
     weight of the captured picture, 0..1.
     """
-    height, width = near.shape
-    return near * picture + (1 - near) * blurred_draft[:, :height, :width]
+    return blurred_draft + near * (picture - blurred_draft)
 
 
 def _deconvolve_level(
@@ -220,40 +227,15 @@ def _deconvolve_level(
     prior: deconvolution.Prior,
     steps: int,
     phases: list[tuple[int, int]] | None,
-    trust: Float32Array,
+    doubt: deconvolution.Doubt,
 ) -> Float32Array:
     """The deconvolution of one level, [channel, h, w]: from the samples at ``phases``, or from all pixels without."""
     if phases is None:
         weaker = prior._replace(kappa=prior.kappa / INTERPOLATED_WEIGHT)
-        return deconvolution.half_quadratic(picture, transfer, weaker, steps, trust)
-    return deconvolution.half_quadratic_samples(picture, phases, transfer, prior, steps, trust)
+        return deconvolution.half_quadratic(picture, transfer, weaker, steps, doubt)
+    return deconvolution.half_quadratic_samples(picture, phases, transfer, prior, steps, doubt)
 
 
 def _phases_in_box(phases: Phases, box: tuple[slice, slice]) -> list[tuple[int, int]]:
     """Positions (row, column) of each channel's first sample in a box, from those in the frame."""
     return [((p[0] - box[0].start) % 2, (p[1] - box[1].start) % 2) for p in phases if p is not None]
-
-
-def _expected_gradients(
-    picture: Float32Array, guide: Float32Array, blurred: Float32Array
-) -> tuple[Float32Array, Float32Array]:
-    """Gradients (x, y) [channel, h, w] of the sharp guide [1, h, w], scaled to each channel of the blurred picture.
-
-    The factor is a least-squares fit in a window around each pixel, of the gradients of the guide ``blurred`` by the
-    picture's kernel [channel, h, w] to those of the picture: both then contain the same frequencies.
-    """
-    (gx, gy), (bx, by), (px, py) = _gradients(guide), _gradients(blurred), _gradients(picture)
-    energy = _window(bx * bx + by * by)
-    factor = _window(bx * px + by * py) / (energy + GUIDE_FLOOR * energy.mean(axis=(1, 2), keepdims=True) + 1e-12)
-    return factor * gx, factor * gy
-
-
-def _gradients(stack: Float32Array) -> tuple[Float32Array, Float32Array]:
-    """Periodic forward differences (x, y) of a stack [channel, h, w]."""
-    return np.roll(stack, -1, 2) - stack, np.roll(stack, -1, 1) - stack
-
-
-def _window(stack: Float32Array) -> Float32Array:
-    """Gaussian mean around each pixel of every channel, [channel, h, w]."""
-    size = (0, 0)
-    return np.stack([cv2.GaussianBlur(p, size, GUIDE_WINDOW_PX, borderType=cv2.BORDER_REFLECT) for p in stack])

@@ -1,7 +1,6 @@
 """The complete reconstruction of one capture: figures on a textured scene, and frames without content."""
 
 import dataclasses
-from functools import partial
 
 import numpy as np
 import pytest
@@ -68,13 +67,18 @@ def test_a_large_frame_in_tiles_has_no_seams(monkeypatch):
     """
     capture = recon_scenes.make(recon_scenes.slanted(98, 1010, 1, 20), white_e=4000).capture
     whole = recon.reconstruct(capture, recon_scenes.bank())
-    monkeypatch.setattr(surface_net, "posterior", partial(surface_net.posterior, tile=30))
-    monkeypatch.setattr(restoration, "restored", partial(restoration.restored, tile_px=200))
+    monkeypatch.setattr(surface_net, "TILE", 30)
+    monkeypatch.setattr(restoration, "TILE_PX", 200)
     monkeypatch.setattr(develop, "STRIP_PX", 40)
     tiled = recon.reconstruct(capture, recon_scenes.bank())
     assert np.abs(tiled.level - whole.level).max() <= SEAM_LEVELS
     np.testing.assert_array_equal(tiled.rgb, whole.rgb)
     assert 255 * np.abs(tiled.sharp_rgb - whole.sharp_rgb).max() <= SEAM_DN
+
+
+def test_tiles_too_small_to_be_blended_are_refused(scene):
+    with pytest.raises(InputError, match="tiles of 63 px are too small; allowed are 64 px and more"):
+        recon.reconstruct(scene.capture, recon_scenes.bank(), tile_px=63)
 
 
 def test_levels_and_depths(scene, result):

@@ -36,7 +36,7 @@ def test_energies_of_white_noise_are_its_variances():
     noise = [s * random.standard_normal(shape).astype(np.float32) for s in (2, 3)]
     spectra = (fourier.forward(noise[0]), fourier.forward(noise[1]))
     variance = (np.full(shape, 4, np.float32), np.full(shape, 9, np.float32))
-    (pair,) = bands.energies(spectra, variance, (shape, shape), WINDOW, 2.0)
+    (pair,) = bands.energies(spectra, variance, shape, WINDOW, 2.0)
     values = 256**2 * pair.values / (4 * np.pi * (BANDS.window_px / 2) ** 2 / 12)  # independent ones in the frame
     for index, count in enumerate(values):
         # the bands' middles have at least 100 values; five standard deviations of a mean square
@@ -137,8 +137,9 @@ def test_patches_end_where_the_material_does():
     left = np.arange(96) < 48
     stack = np.where(left, 1, 100).astype(np.float32) * np.ones((1, 64, 96), np.float32)
     likeness = np.where(left, 0, 10).astype(np.float32) * np.ones((1, 64, 96), np.float32)
-    apart = bands._means(stack, WINDOW, 2.0, likeness)[0]
-    mixed = bands._means(stack, WINDOW, 2.0, None)[0]
+    of = bands.taps(stack.shape[1:], WINDOW, 2.0)
+    apart = bands.patch_means(grid.gaussian_means(stack, bands.TAP_BLUR * of.step), likeness, of)[0]
+    mixed = grid.window_mean(stack[0], WINDOW)
     assert ((apart - 1)[:, 44:48] < 0.5 * (mixed - 1)[:, 44:48]).all()
     assert ((100 - apart)[:, 48:52] < 0.5 * (100 - mixed)[:, 48:52]).all()
     np.testing.assert_allclose(apart[:, :24], 1, rtol=0.01)

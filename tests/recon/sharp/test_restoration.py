@@ -94,7 +94,7 @@ def aligned():
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(restoration, "restored", lambda *call: (seen.append(call), original(*call))[1])
         recon.reconstruct(there.capture, recon_scenes.bank())
-    return seen[0]
+    return seen[0][:2]
 
 
 PLACES = [{"G": (0, 0), "R": (0, 1)}, {"G": (1, 0), "R": (0, 0)}, {"G": (0, 1), "R": (0, 0)}]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from validation.claims.depth import scenes
 from validation.claims.optics import occlusion
 from validation.claims.pictures import all_in_focus
 from validation.claims.table import CLAIMS
+from validation.gates.claim import Evidence
 from validation.gates.limits import GATES, judged_all, load_gates
 from validation.methods import bundled
 
@@ -195,14 +197,24 @@ def test_three_times_faster_than_cycles_is_less_noise_or_less_time(renderer, mon
     assert failed("against-cycles", evidence) == (set() if good else expected)
 
 
-def test_copies_that_differ_are_seen():
-    """Set-up: 4 x 4 copies of random numbers, of which one is changed at one place, in the middle or at the border."""
-    image = np.tile(np.random.default_rng(0).normal(size=(5, 7, 3)), (4, 4, 1))
-    assert reconstruction.unlike(image, 4) == 0
-    image[6, 3] += 1
-    assert reconstruction.unlike(image, 4) == 0
-    image[11, 15, 2] += 0.5
-    np.testing.assert_allclose(reconstruction.unlike(image, 4), 0.5)
+def test_seams_are_seen(monkeypatch):
+    """Set-up: a reconstruction whose results are the same but for one pixel, by the size of its tiles."""
+    shape = (60, 90)
+
+    def reconstruct(capture, bank, tile_px):
+        level, picture = np.zeros(shape), np.zeros((*shape, 3))
+        level[7, 9] = 0.3 if tile_px < max(shape) else 0.1
+        picture[50, 80, 1] = 0.01 if tile_px < max(shape) else 0.0
+        return SimpleNamespace(level=level, sharp_rgb=picture)
+
+    monkeypatch.setattr("recon.reconstruct", reconstruct)
+    found = reconstruction.seams(SimpleNamespace(raw_dn=np.zeros(shape)), None, 32)
+    value = {figure.id: figure.value for figure in found}
+    assert value["seam.level"] == pytest.approx(0.2)
+    assert value["seam.picture"] == pytest.approx(2.55)
+    assert value["seam.picture.share"] == pytest.approx(1 / 5400)
+    assert value["seam.level.percentile"] == value["seam.picture.percentile"] == 0
+    assert failed("recon-large", Evidence(found)) >= {"seam.level", "seam.picture"}  # and what is not measured here
 
 
 @pytest.mark.slow
@@ -222,5 +234,7 @@ def test_a_slow_reconstruction_fails(monkeypatch):
     monkeypatch.setattr("recon.calibrate", lambda captures: bank)
     monkeypatch.setattr("dasim.calibration_captures", lambda camera: None)
     monkeypatch.setattr(reconstruction, "REPEATS", {"12Mpx": 1, "50Mpx": 3})
+    monkeypatch.setattr(reconstruction, "SEAM_PART", np.s_[:, :])
+    monkeypatch.setattr(reconstruction, "SEAM_TILE_PX", 128)
     assert failed("recon-speed", reconstruction.recon_speed(lambda share: None)) == {"seconds", "fast.seconds"}
     assert failed("recon-large", reconstruction.recon_large(lambda share: None)) == {"12Mpx.seconds"}
