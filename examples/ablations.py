@@ -23,13 +23,29 @@ POSTERIOR = surface_net.posterior
 
 def without_network(capture: Capture, bank: PsfBank) -> DepthEstimate:
     """Neighbours are joined on smooth surfaces alone."""
-    with mock.patch.object(surface_net, "SHARE", 0.0):
+
+    def smooth(inputs: Float32Array, _picture: Float32Array, levels: FloatArray, last: float, _tile: int) -> Moments:
+        return surface_net.smooth_posterior(inputs, levels, last)
+
+    with mock.patch.object(surface_net, "posterior", smooth):
         return METHODS["best"](capture, bank)
 
 
 def network_alone(capture: Capture, bank: PsfBank) -> DepthEstimate:
     """The network's posterior, not mixed with that of smooth surfaces, which it sees among its inputs."""
-    with mock.patch.object(surface_net, "SHARE", 1.0):
+    with mock.patch.object(surface_net, "TRUST", np.inf):
+        return METHODS["best"](capture, bank)
+
+
+def without_row(capture: Capture, bank: PsfBank) -> DepthEstimate:
+    """The network does not know how high in the picture a node is."""
+
+    def anywhere(inputs: Float32Array, picture: Float32Array, levels: FloatArray, last: float, tile: int) -> Moments:
+        inputs = inputs.copy()
+        inputs[..., evidence.ROW] = 0
+        return POSTERIOR(inputs, picture, levels, last, tile)
+
+    with mock.patch.object(surface_net, "posterior", anywhere):
         return METHODS["best"](capture, bank)
 
 

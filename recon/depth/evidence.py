@@ -2,8 +2,8 @@
 
 Per node: the scores of the joint likelihood in windows of two sizes and that of :mod:`recon.depth.bands`, each less its
 largest value and compressed; the logarithm of their posterior on smooth surfaces (:mod:`recon.depth.surfaces`); signal
-over noise and coherence of green and infrared in bands of frequency. Beside the nodes, the picture in samples, so that
-edges can be found between nodes.
+over noise and coherence of green and infrared in bands of frequency; the node's row, since floors come nearer towards
+the bottom of a picture. Beside the nodes, the picture in samples, so that edges can be found between nodes.
 """
 
 from __future__ import annotations
@@ -33,9 +33,10 @@ GUIDE_BLUR = 0.6  # standard deviation in samples
 GUIDE_FLOOR = 2.0  # noise standard deviations that are added before the logarithm
 SURROUNDINGS_PX = 40.0  # window of the mean that the picture is relative to
 LEAST_LOG = -14.0  # of the posterior, relative to its largest value
-# Inputs: SCORES scores of every level, of which the last is the posterior, and SIGNALS.
+# Inputs: SCORES scores of every level, of which the last is the posterior, SIGNALS, and the row from -1, top, to 1.
 SCORES = len(WINDOWS) + 2
 SIGNALS = 3 * (len(cross_spectra.EDGES) - 1)
+ROW = -1  # index among the inputs
 
 Scores = Callable[[NDArray[np.intp], NDArray[np.intp]], Float32Array]
 """Log likelihood of each level of the bank at rows and columns of the planes, [row, column, level]."""
@@ -108,7 +109,7 @@ def evidence(
     joined = np.log(_joined(total, levels, across, down))
     parts.append(np.maximum(joined - joined.max(axis=-1, keepdims=True), LEAST_LOG))
     if bands:
-        parts.append(_signal(found[WINDOWS[0]]))
+        parts += [_signal(found[WINDOWS[0]]), row_of_nodes(total.shape[:2])]
     inputs = np.concatenate(parts, axis=-1).astype(np.float32, copy=False)
     return Evidence(inputs, _whole(picture, nodes), levels, total, nodes)
 
@@ -155,6 +156,12 @@ def _joined(score: Float32Array, levels: FloatArray, across: Float32Array, down:
     posterior[..., :-1] += fine[..., 1::2] / 2
     posterior[..., 1:] += fine[..., 1::2] / 2
     return posterior
+
+
+def row_of_nodes(shape: Sequence[int]) -> Float32Array:
+    """The input ``ROW`` of a picture of ``shape`` [h, w] nodes, [h, w, 1]."""
+    height, width = shape
+    return np.tile(np.linspace(-1, 1, height, dtype=np.float32)[:, None, None], (1, width, 1))
 
 
 def _signal(spectra: Spectra) -> Float32Array:

@@ -1,8 +1,9 @@
 """Levels of surfaces from the evidence of windows and the picture, by a small convolutional network.
 
 A window knows little near the focus and mixes surfaces at steps. Across the picture, surfaces are smooth and end where
-the picture has edges. The network has learned this from random rooms (:mod:`validation.training`), which no bundled and
-no random scene of the simulator is part of. It needs numpy alone.
+the picture has edges, and floors come nearer towards its bottom. The network has learned this from random rooms and
+from random scenes of the simulator (:mod:`validation.training`), whose seeds, pictures and generated textures no test
+uses; it expects an upright camera. It needs numpy alone.
 
 It has the shape of a U-Net (Ronneberger, Fischer, Brox, MICCAI 2015) of three resolutions: samples of the planes, pairs
 of them, and nodes. The picture is convolved at the first two; at the nodes its features are added to a linear map of
@@ -12,12 +13,11 @@ the evidence, and block i adds to the hidden image h
 
 with a 3 x 3 convolution A_i of dilation ``DILATIONS[i]``. On the way back to the samples, the picture's features are
 added again. The log probabilities of a sample's levels are those of the nodes, interpolated, plus a linear map of the
-sample's own features.
+sample's own features. The result is mixed with the posterior on smooth surfaces alone, which needs no learning.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from functools import cache
 from typing import NamedTuple
 
@@ -31,10 +31,11 @@ from recon.depth.tiles import tiles
 
 FILE = "surface_net.npz"
 DILATIONS = (1, 2, 4, 8, 16, 1, 2, 4, 8, 1)
-SHARE = 0.5  # of the network in the posterior; the rest is that of smooth surfaces. Chosen on ``tune``
 # Factor on the standard deviation on smooth surfaces alone, which take the windows of neighbours as less alike than
 # they are; chosen on ``tune``.
 SMOOTH_SD = 2.5
+LEAST_SD = 0.05  # levels, in the weights of the mixture
+TRUST = 3.0  # in the network over smooth surfaces at equal deviations; chosen on ``tune``
 TILE = 512  # nodes per side: frames of up to 4096 pixels per side are one tile
 HALO = 50  # nodes around a tile: the sum of ``DILATIONS``, and what the layers of the picture and of the samples see
 
@@ -96,25 +97,32 @@ def _of_tile(inputs: Float32Array, picture: Float32Array, levels: FloatArray, la
     del fine, middle, hidden
     size = logits.shape[1::-1]
     logits += cv2.resize(nodes, size, interpolation=cv2.INTER_LINEAR)
-    return _moments(SHARE * _powers(logits, levels, last) + (1 - SHARE) * _of_smooth(inputs, size, levels, last))
+    return _mixed(_moments(_powers(logits, levels, last)), smooth_posterior(inputs, levels, last))
+
+
+def _mixed(network: Moments, smooth: Moments) -> Moments:
+    """Mixture of both posteriors with weights of 1 / sd^2: where evidence is strong, it decides; elsewhere, what the
+    network has learned.
+    """
+    precision = [1 / np.maximum(sd, LEAST_SD) ** 2 for sd in (network.sd, TRUST * smooth.sd)]
+    share = precision[0] / (precision[0] + precision[1])
+    level = share * network.level + (1 - share) * smooth.level
+    square = share * (network.sd**2 + network.level**2) + (1 - share) * (smooth.sd**2 + smooth.level**2)
+    return Moments(level, np.sqrt(np.maximum(square - level**2, 0)))
 
 
 def smooth_posterior(inputs: Float32Array, levels: FloatArray, last: float) -> Moments:
     """Posterior of each sample on smooth surfaces alone, as :func:`posterior` without the network."""
     size = NODE * inputs.shape[1], NODE * inputs.shape[0]
-    level, sd = _moments(_of_smooth(inputs, size, levels, last))
+    logits = inputs[..., (SCORES - 1) * len(levels) : SCORES * len(levels)].copy()
+    powers = cv2.resize(_powers(logits, levels, last), size, interpolation=cv2.INTER_LINEAR)
+    level, sd = _moments(np.asarray(powers, np.float32))
     return Moments(level, SMOOTH_SD * sd)
 
 
 def _moments(powers: Float32Array) -> Moments:
     level, square = np.moveaxis(powers, -1, 0)
     return Moments(level, np.sqrt(np.maximum(square - level**2, 0)))
-
-
-def _of_smooth(inputs: Float32Array, size: Sequence[int], levels: FloatArray, last: float) -> Float32Array:
-    """Powers of the level on smooth surfaces at samples, of which ``size`` gives columns and rows."""
-    logits = inputs[..., (SCORES - 1) * len(levels) : SCORES * len(levels)].copy()
-    return np.asarray(cv2.resize(_powers(logits, levels, last), size, interpolation=cv2.INTER_LINEAR), np.float32)
 
 
 def _powers(logits: Float32Array, levels: FloatArray, last: float) -> Float32Array:

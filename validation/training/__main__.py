@@ -16,13 +16,13 @@ from recon.sharp import restoration
 from validation.training import level_examples, picture_examples
 from validation.training.files import PARTS, families, make
 
-EPOCHS = {"levels": 12, "pictures": 18}  # passes over the examples
-HELD_OUT = {"levels": 20, "pictures": 12}  # examples of each family that the loss is measured with
+EPOCHS = {"levels": 24, "pictures": 18}  # passes over the examples
+HELD_OUT = {"levels": 8, "pictures": 12}  # examples of each family that the loss is measured with
 FILES = {"levels": surface_net.FILE, "pictures": restoration.FILE}
 READERS = {"levels": "recon.depth.surface_net", "pictures": "recon.sharp.restoration"}
 MAKERS = {
-    "levels": (level_examples.example, level_examples.CONDITIONS),
-    "pictures": (picture_examples.example, picture_examples.CONDITIONS),
+    "levels": (level_examples.example, level_examples.EXAMPLES),
+    "pictures": (picture_examples.example, picture_examples.EXAMPLES),
 }
 
 
@@ -56,10 +56,10 @@ def _fit(network: str, folder: Path, epochs: int, out: Path) -> None:
     from validation.training import fit_levels, fit_pictures  # PyTorch is of an extra
 
     trainer: Any = {"levels": fit_levels, "pictures": fit_pictures}[network]
-    _, conditions = MAKERS[network]
+    _, examples = MAKERS[network]
     held = HELD_OUT[network]
-    train = trainer.load([file for files in families(folder, conditions) for file in files[held:]])
-    held_out = trainer.load([file for files in families(folder, conditions) for file in files[:held]])
+    train = trainer.load([file for files in families(folder, examples) for file in files[held:]])
+    held_out = trainer.load([file for files in families(folder, examples) for file in files[:held]])
 
     def report(epoch: int, loss: float, net: Any) -> None:
         held_loss = trainer.mean_loss(net, held_out)

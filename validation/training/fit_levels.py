@@ -1,7 +1,8 @@
 """Fit :mod:`recon.depth.surface_net` to examples; needs the extra ``learn`` (PyTorch), prediction does not.
 
 The loss is the cross entropy of each sample's posterior, plus the absolute error of its mean relative to the scene's
-spread of levels. Parts of the evidence are left out at random, so that the network does without them too.
+spread of levels. Parts of the evidence are left out at random, so that the network does without them too. Most pictures
+are those of an upright camera.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 from torch.nn import functional
 
-from recon.depth.evidence import LAST, NODE, SCORES, SIGNALS, level_grid
+from recon.depth.evidence import LAST, NODE, ROW, SCORES, SIGNALS, level_grid, row_of_nodes
 from recon.depth.surface_net import DILATIONS
 from validation.training.network import (
     REDUCED,
@@ -35,6 +36,7 @@ MEAN_WEIGHT, LEAST_SPREAD = 0.5, 0.3
 MISSING = 0.1  # probability that a part of the evidence is left out
 LONE = 0.15  # that the large windows are the only scores, as in the preset ``fast``
 LARGE = 1  # index of their scores
+MIRRORED, TURNED = 0.5, 0.1  # that pictures are mirrored across; upside down, or on their side
 
 LEVELS = level_grid(int(LAST))
 
@@ -165,12 +167,13 @@ def _tensor(images: NDArray[np.float16]) -> Tensor:
 
 
 def _batches(examples: Examples, random: np.random.Generator) -> Iterator[tuple[Tensor, Tensor, Tensor]]:
-    """All examples in a random order, mirrored and transposed at random, parts of the evidence left out."""
+    """All examples in a random order, mirrored and turned at random, parts of the evidence left out."""
     order = random.permutation(len(examples.level))
     for start in range(0, len(order) - BATCH + 1, BATCH):
         chosen = np.sort(order[start : start + BATCH])
-        turn = random.random(3) < 0.5
+        turn = random.random(3) < (MIRRORED, TURNED, TURNED)
         inputs, picture, level = (_turned(_tensor(part[chosen]), *turn) for part in examples)
+        inputs[:, ROW] = torch.tensor(row_of_nodes(inputs.shape[2:])[..., 0])  # a picture's own, whatever it shows
         yield _thinned(inputs, picture, random), picture, level
 
 
@@ -184,7 +187,7 @@ def _thinned(inputs: Tensor, picture: Tensor, random: np.random.Generator) -> Te
     """Leave parts of the evidence and of the picture out at random, per example, in place: zeros, as of scores that
     tell no level from another.
     """
-    ends = np.cumsum([0, *[len(LEVELS)] * SCORES, SIGNALS])
+    ends = np.cumsum([0, *[len(LEVELS)] * SCORES, SIGNALS, 1])
     for example, channels in zip(inputs, picture, strict=True):
         missing = random.random(len(ends) - 1) < MISSING
         if random.random() < LONE:

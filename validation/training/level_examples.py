@@ -1,37 +1,68 @@
-"""Examples to train :mod:`recon.depth.surface_net` on: the evidence of a layered capture, and its true levels."""
+"""Examples to train :mod:`recon.depth.surface_net` on: the evidence of a capture, layered or path-traced, and its true
+levels.
+"""
 
 from __future__ import annotations
+
+from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 import recon
 from dasim.typing import Float32Array
+from dasim.values import Capture
 from recon.depth.raw_levels import Frame, joint_evidence, variances
-from recon.picture import mosaic
-from validation.training import layered
-from validation.training.captures import SIZE_PX, TIME_S, Conditions, Setup, drawn
+from recon.picture import colour, mosaic
+from validation.training import layered, traced
+from validation.training.captures import CAMERAS, SIZE_PX, TIME_S, Conditions, Setup, drawn
 
 SEEDS = {"plain": 78, "textured": 79}
 LIGHTS = (0.4, 0.2, 0.2, 0.2)  # shares of the bank's lights, of which the last has hardly any infrared
 CONDITIONS = {
-    "plain": Conditions(300, (3.0, 30.0), (250.0, 6000.0)),
-    "textured": Conditions(396, (2.5, 26.0), (600.0, 8000.0)),
+    "plain": Conditions(48, (3.0, 30.0), (250.0, 6000.0)),
+    "textured": Conditions(48, (2.5, 26.0), (600.0, 8000.0)),
 }
+TRACED = ("traced", "dim")  # families of validation.training.traced
+EXAMPLES = {name: of.examples for name, of in CONDITIONS.items()} | dict.fromkeys(TRACED, 100)  # per part of the work
 
 
-def example(family: str, number: int, setups: list[Setup]) -> dict[str, Float32Array]:
-    """Evidence and levels of the example of a family and number.
+class _Seen(NamedTuple):
+    capture: Capture
+    level: Float32Array  # [h, w]
+    setup: Setup
+    light: int | None  # index into the bank's lights; None where white balance tells it, as in a reconstruction
+
+
+def example(family: str, number: int, setups: list[Setup], folder: Path) -> dict[str, Float32Array]:
+    """Evidence and levels of the example of a family and number; ``folder`` keeps captures that were rendered.
 
     ``inputs`` [h, w, input], ``picture`` [NODE h, NODE w, channel] and ``level`` [NODE h, NODE w].
     """
-    random = np.random.default_rng((SEEDS[family], number))
-    shot = drawn(random, family, CONDITIONS[family], LIGHTS, setups)
-    camera, bank, light = shot.setup.camera, shot.setup.bank, shot.light
-    capture = layered.photographed(shot.scene, shot.setup.lenses[light], camera, shot.green_e, TIME_S, number)
+    seen = _traced(family, number, setups, folder) if family in TRACED else _layered(family, number, setups)
+    capture, bank, camera = seen.capture, seen.setup.bank, seen.capture.camera
     raw_e, saturated = mosaic.linearise(capture)
+    light = seen.light
+    if light is None:
+        light = colour.choose_light(raw_e, saturated, camera, bank.lights, bank.signature)
     frame = Frame(raw_e, variances(raw_e, capture), saturated, camera, bank.kernel[light], bank.signature[light])
     found = joint_evidence(frame, recon.PRESETS["best"])
     width, height = SIZE_PX
-    blocks = layered.level_of(shot.scene).reshape(height // 2, 2, width // 2, 2).swapaxes(1, 2)
+    blocks = seen.level.reshape(height // 2, 2, width // 2, 2).swapaxes(1, 2)
     level = np.median(blocks.reshape(height // 2, width // 2, 4), axis=-1)
     return {"inputs": found.inputs, "picture": found.picture, "level": level}
+
+
+def _layered(family: str, number: int, setups: list[Setup]) -> _Seen:
+    random = np.random.default_rng((SEEDS[family], number))
+    shot = drawn(random, family, CONDITIONS[family], LIGHTS, setups)
+    lens = shot.setup.lenses[shot.light]
+    capture = layered.photographed(shot.scene, lens, shot.setup.camera, shot.green_e, TIME_S, number)
+    return _Seen(capture, layered.level_of(shot.scene), shot.setup, shot.light)
+
+
+def _traced(family: str, number: int, setups: list[Setup], folder: Path) -> _Seen:
+    """Kernels are those of the setup's focus, on which they hardly depend at the same level."""
+    capture, truth = traced.kept(family, number, folder / "captures")
+    names = [name for name, _, _ in CAMERAS]
+    return _Seen(capture, truth.level, setups[names.index(capture.camera.name)], None)

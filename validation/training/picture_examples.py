@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import cv2
@@ -25,6 +26,7 @@ CONDITIONS = {
     "plain": Conditions(150, (3.0, 30.0), (250.0, 6000.0)),
     "textured": Conditions(150, (2.5, 26.0), (600.0, 8000.0)),
 }
+EXAMPLES = {name: of.examples for name, of in CONDITIONS.items()}  # per part of the work
 QUIET, MOST_WELL = 0.2, 100.0  # share of sensors with a larger full well, and the most of it: a tenth of the noise
 QUIET_BITS = 16
 # Levels that are wrong where their standard deviation does not say so, as windows are at times sure of a wrong level:
@@ -34,7 +36,7 @@ FALSE_BLUR = 0.5  # share of examples in which surfaces in focus are taken to be
 MOST_FALSE_BLUR, FOCUS_LEVELS = 4.0, 1.5  # levels: the most of it, and the level at which it has fallen to 1 / e
 
 
-def example(family: str, number: int, setups: list[Setup]) -> dict[str, NDArray[Any]]:
+def example(family: str, number: int, setups: list[Setup], _: Path) -> dict[str, NDArray[Any]]:
     """What the network sees of the example of a family and number, and what it should show.
 
     Pictures are relative to bright white: ``stack`` and ``draft`` [4, h, w], ``truth`` [3, h, w]; ``level``, its

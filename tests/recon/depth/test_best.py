@@ -66,7 +66,11 @@ def test_large_windows_alone_follow_the_surface_too(ramp):
 
 
 @pytest.mark.parametrize(
-    "name", ["without_network", "without_weighted_median", "without_picture", "without_small_windows", "without_bands"]
+    "name",
+    [
+        *("without_network", "network_alone", "without_row", "without_weighted_median", "without_picture"),
+        *("without_small_windows", "without_bands"),
+    ],
 )
 def test_the_estimate_without_an_ingredient_differs(ramp, name):
     """Expectation: of each example of an ablation, a map that is not the default's, and not far from it."""

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import recon
-from recon.depth import evidence, raw_levels
+from recon.depth import evidence, raw_levels, surface_net
 from recon.picture import mosaic
 from tests.support import recon_scenes
 
@@ -44,7 +44,7 @@ def test_levels_are_as_many_for_every_bank_and_reach_its_last():
 
 def test_a_frame_has_a_node_per_block_also_at_its_end(board):
     """Set-up: planes of 75 x 99 samples, no multiples of a block."""
-    inputs = evidence.SCORES * COUNT + evidence.SIGNALS
+    inputs = evidence.SCORES * COUNT + evidence.SIGNALS + 1
     assert board.inputs.shape == (19, 25, inputs)
     assert board.picture.shape == (76, 100, 4)
     assert np.isfinite(board.inputs).all() and np.isfinite(board.picture).all()
@@ -55,6 +55,27 @@ def test_every_score_is_largest_near_the_level_of_a_board(board):
     middle = board.inputs[5:-5, 5:-5, : evidence.SCORES * COUNT]
     for score in np.split(middle, evidence.SCORES, axis=-1):
         assert np.median(LEVELS[score.argmax(axis=-1)]) == pytest.approx(6, abs=1)
+
+
+@pytest.mark.parametrize("level", [5.0, 12.0])
+def test_the_network_is_less_sure_without_the_scores(level):
+    """Set-up: a board in noise, with its scores and without. Expectation: twice the standard deviation, and more."""
+    found = found_of(np.full((150, 198), level))
+    known = surface_net.posterior(found.inputs, found.picture, LEVELS, 28)
+    inputs = found.inputs.copy()
+    inputs[..., : evidence.SCORES * COUNT] = 0
+    unknown = surface_net.posterior(inputs, found.picture, LEVELS, 28)
+    assert np.median(known.level) == pytest.approx(level, abs=0.5)
+    assert np.median(unknown.sd) > 2 * np.median(known.sd)
+
+
+def test_the_network_expects_floors_at_the_bottom():
+    """Set-up: evidence of a board in focus, weakened to a tenth. Expectation: nearer in the lowest row than above."""
+    found = found_of(np.zeros((150, 198)))
+    inputs = found.inputs.copy()
+    inputs[..., : evidence.SCORES * COUNT] *= 0.1
+    level = surface_net.posterior(inputs, found.picture, LEVELS, 28).level
+    assert level[-10:].mean() > level[:-20].mean()
 
 
 def test_levels_beyond_the_bank_are_excluded():

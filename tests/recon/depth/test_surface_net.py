@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from recon.depth import evidence, surface_net
 
 LEVELS = evidence.level_grid(28)
 ROUNDING_LEVELS = 0.005  # of products in single precision through twenty layers
-INPUTS = evidence.SCORES * len(LEVELS) + evidence.SIGNALS
+INPUTS = evidence.SCORES * len(LEVELS) + evidence.SIGNALS + 1
 
 
 def inputs_at(level, shape=(12, 16)):
@@ -46,10 +47,17 @@ def test_levels_beyond_the_bank_get_no_probability():
     assert found.level.max() <= 8
 
 
-def test_evidence_that_says_nothing_is_uncertain():
-    nothing = inputs_at(5.0)
-    nothing[..., : evidence.SCORES * len(LEVELS)] = 0
-    assert posterior(nothing).sd.min() > 2 * posterior(inputs_at(5.0)).sd.max()
+def test_the_surer_posterior_prevails_and_disagreement_is_stated():
+    """Set-up: levels 2 and 6 with standard deviations whose weights are equal, and far from it.
+
+    Expectation: by hand, of a mixture of two distributions.
+    """
+    sds = np.array([3.0, 0.3, 30.0])
+    network, smooth = (surface_net.Moments(level * np.ones(3), sd) for level, sd in ((2.0, sds), (6.0, np.ones(3))))
+    found = surface_net._mixed(network, smooth)
+    assert found.level[0] == pytest.approx(4)  # the network has TRUST times the deviation
+    assert found.sd[0] == pytest.approx(np.sqrt((3**2 + 1) / 2 + 2**2))
+    assert found.level[1] == pytest.approx(2, abs=0.05) and found.level[2] == pytest.approx(6, abs=0.05)
 
 
 def test_large_frames_in_tiles_have_the_levels_of_the_whole():

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from unittest import mock
+
 import numpy as np
 import pytest
 
@@ -11,7 +13,7 @@ torch = pytest.importorskip("torch", reason="PyTorch is not installed; it comes 
 from validation.training import fit_levels  # noqa: E402 - needs PyTorch
 
 LEVELS = evidence.level_grid(28)
-INPUTS = evidence.SCORES * len(LEVELS) + evidence.SIGNALS
+INPUTS = evidence.SCORES * len(LEVELS) + evidence.SIGNALS + 1
 CHANNELS = 4
 
 
@@ -35,7 +37,7 @@ def test_prediction_and_training_compute_the_same(monkeypatch):
     net = fit_levels.Net(zeros, ones, zeros[:CHANNELS], ones[:CHANNELS])
     arrays = {name: array.astype(np.float32) for name, array in net.arrays().items()}
     monkeypatch.setattr(surface_net, "weights", lambda: arrays)
-    monkeypatch.setattr(surface_net, "SHARE", 1.0)
+    monkeypatch.setattr(surface_net, "TRUST", np.inf)
     inputs, picture = (part[0].astype(np.float32) for part in (data.inputs, data.picture))
     found = surface_net.posterior(inputs, picture, LEVELS, 28)
     with torch.no_grad():
@@ -51,6 +53,16 @@ def test_training_lowers_the_loss():
     losses = []
     fit_levels.fit(data, 16, report=lambda epoch, loss, net: losses.append(fit_levels.mean_loss(net, data)))
     assert losses[-1] < 0.7 * losses[0]
+
+
+def test_turned_pictures_have_the_rows_of_their_own_frame():
+    """Set-up: all pictures turned, of 6 x 8 nodes. Expectation: row -1 is at the top, 1 at the bottom."""
+    random = mock.Mock(wraps=np.random.default_rng(0))
+    random.random.side_effect = lambda count=None: np.zeros(count) if count == 3 else np.ones(count or 1)
+    ((inputs, _, level),) = fit_levels._batches(made(8), random)
+    assert inputs.shape[2:] == (8, 6)
+    assert level.shape[1:] == (8 * evidence.NODE, 6 * evidence.NODE)
+    np.testing.assert_allclose(inputs[0, evidence.ROW, :, 2], np.linspace(-1, 1, 8), atol=1e-6)
 
 
 def test_mirrors_and_turns_keep_pictures_and_levels_together():

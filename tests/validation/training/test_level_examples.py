@@ -8,13 +8,13 @@ import pytest
 from recon.depth import evidence
 from validation.training import files, level_examples
 
-INPUTS = evidence.SCORES * len(evidence.level_grid(28)) + evidence.SIGNALS
+INPUTS = evidence.SCORES * len(evidence.level_grid(28)) + evidence.SIGNALS + 1
 
 
 @pytest.mark.slow
 def test_an_example_is_a_capture_with_levels(tmp_path):
     """Expectation: two processes' parts, or a second run, give the same file."""
-    files.make(tmp_path, level_examples.example, level_examples.CONDITIONS, 0, count=1)
+    files.make(tmp_path, level_examples.example, level_examples.EXAMPLES, 0, count=1)
     with np.load(tmp_path / "textured-0.npz") as stored:
         inputs, picture, level = stored["inputs"], stored["picture"], stored["level"]
     assert inputs.shape == (36, 48, INPUTS)
@@ -23,5 +23,5 @@ def test_an_example_is_a_capture_with_levels(tmp_path):
     assert np.isfinite(inputs).all() and np.isfinite(picture).all()
     before = (tmp_path / "textured-0.npz").read_bytes()
     (tmp_path / "textured-0.npz").unlink()
-    files.make(tmp_path, level_examples.example, level_examples.CONDITIONS, 0, count=1)
+    files.make(tmp_path, level_examples.example, level_examples.EXAMPLES, 0, count=1)
     assert (tmp_path / "textured-0.npz").read_bytes() == before

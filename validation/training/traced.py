@@ -1,0 +1,124 @@
+"""Path-traced captures that the network of the levels is trained with: random scenes of the simulator.
+
+Layered captures (:mod:`validation.training.layered`) take two processor seconds, but have neither the perspective of a
+lens nor its light at depth steps, and their rooms are not those of the simulator. These captures take about 15. Their
+seeds and pictures are those of no other part of the project: posters and cards show rooms of
+:mod:`validation.training.rooms` and patterns of :mod:`validation.training.patterns`, and textures with a seed have one
+that no random scene draws. Shapes, measured reflectances, textures without a seed (weaves, stripes, checks, leaf veins)
+and light are those of :class:`dasim.RandomScenes`, in wider ranges than the sets that figures are stated for.
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+import dasim
+from dasim.base import atomic
+from dasim.camera.specification import Camera
+from dasim.scene.specification import Scene
+from dasim.simulation.exposure import Shot
+from dasim.values import Capture, Truth
+from validation.training.captures import CAMERAS, SIZE_PX
+from validation.training.patterns import PLAIN, TEXTURED, pattern
+from validation.training.rooms import FAMILIES, room
+
+SEED = 261123
+DIM = (0.04, 0.5)  # least and largest factor on the light
+PICTURES, PICTURE_PX = 48, 256
+FIRST_TEXTURE, TEXTURES = 100, 24  # seeds of textures; random scenes draw smaller ones
+NOISE_SHARE = 0.5  # of rendering over the sensor's, at the median
+SEEDED = ("noise", "dead-leaves", "wood-grain", "petal", "skin")  # the number of the other textures is no seed
+IMAGE = re.compile(r"^(?:pattern:([a-z-]+):\d+|skimage:\w+)$")  # name of a texture or of a photograph
+
+
+def kept(family: str, number: int, folder: Path) -> tuple[Capture, Truth]:
+    """The capture of a family and number, rendered into ``folder`` unless it is there.
+
+    Both families show the same scenes; ``dim`` ones have less light, by a factor within ``DIM``.
+    """
+    path = folder / str(number)
+    if not path.exists():
+        shot = _rendered(number, _pictures(folder / "pictures"))
+        dasim.save_capture(path, shot.capture, shot.truth)
+    if family == "dim":
+        scale = float(np.exp(np.random.default_rng((SEED, 2, number)).uniform(*np.log(DIM))))
+        capture = dasim.load_capture(path)
+        exposure = dasim.Exposure(time_s=capture.exposure_s, gain=capture.gain)
+        shot = dasim.expose(path, scale=scale, exposure=exposure, seed=number)
+        return shot.capture, shot.truth
+    return dasim.load_capture(path), dasim.load_truth(path)
+
+
+def _pictures(folder: Path) -> list[Path]:
+    """Pictures instead of the bundled photographs, PNG files in a folder; those that exist are left as they are."""
+    folder.mkdir(parents=True, exist_ok=True)
+    files = [folder / f"picture-{number}.png" for number in range(PICTURES)]
+    for number, file in enumerate(files):
+        if not file.exists():
+            random = np.random.default_rng((SEED, number))
+            look = FAMILIES[str(random.choice(list(FAMILIES)))]
+            if number % 2:
+                linear = room(random, PICTURE_PX, PICTURE_PX, 10.0, look).radiance[:3]
+            else:
+                linear = pattern(random, TEXTURED if number % 4 else PLAIN)[:3]
+            encoded = 255 * np.clip(linear / np.percentile(linear, 99), 0, 1) ** (1 / 2.2)
+            with atomic.writing(file) as stream:
+                stream.write(cv2.imencode(".png", np.moveaxis(encoded, 0, -1)[..., ::-1].astype(np.uint8))[1].tobytes())
+    return files
+
+
+def _scene(number: int, files: list[Path]) -> tuple[Scene, Camera, dasim.Exposure]:
+    """Scene, camera and exposure of a capture."""
+    random = np.random.default_rng((SEED, 1, number))
+    name = CAMERAS[random.choice(len(CAMERAS), p=[share for _, _, share in CAMERAS])][0]
+    camera = dasim.cropped(dasim.load_camera(name), *SIZE_PX)
+    near = float(np.exp(random.uniform(*np.log([5, 30]))))
+    far = near * float(np.exp(random.uniform(*np.log([1.8, 6]))))
+    lux = float(np.exp(random.uniform(*np.log([40, 3000]))))
+    hard = random.random() < 0.3
+    spec = dasim.RandomScenes(
+        depth_cm=(round(near, 1), round(far, 1)),
+        room_share=0.5,
+        floating=bool(random.random() < 0.3),
+        textured_share=round(float(random.uniform(0.35, 0.9)), 2),
+        background_textured_share=0.6 if hard else 0.95,
+        glossy_share=0.2 if hard else 0.1,
+        metal_share=0.05 if hard else 0.02,
+        glass_share=0.04 if hard else 0.01,
+        lux=(lux, lux),
+        textures=tuple(str(file) for file in files),
+        gains={1.0: 3.0, 2.0: 1.0, 4.0: 1.0},
+        auto_level=(0.3, 0.9),
+    )
+    drawn = _with_own_textures(dasim.random_scene(SEED, number, spec, camera), random)
+    return drawn, dasim.focused(camera, drawn), dasim.random_exposure(SEED, number, spec)
+
+
+def _rendered(number: int, files: list[Path]) -> Shot:
+    """The rendered capture of a number."""
+    drawn, camera, exposure = _scene(number, files)
+    return dasim.simulate(drawn, camera, number, spp="auto", noise_share=NOISE_SHARE, exposure=exposure)
+
+
+def _with_own_textures(drawn: Scene, random: np.random.Generator) -> Scene:
+    """The scene with other seeds of its textures, and without bundled photographs of structures."""
+
+    def other(found: re.Match[str]) -> str:
+        kind = found.group(1) or str(random.choice(SEEDED[:2]))
+        if kind not in SEEDED:
+            return found.group()
+        return f"pattern:{kind}:{FIRST_TEXTURE + int(random.integers(TEXTURES))}"
+
+    def replaced(value: Any) -> Any:
+        if isinstance(value, dict):
+            return {key: replaced(part) for key, part in value.items()}
+        if isinstance(value, list):
+            return [replaced(part) for part in value]
+        return IMAGE.sub(other, value) if isinstance(value, str) else value
+
+    return Scene.model_validate(replaced(drawn.model_dump(mode="json", exclude_unset=True)))
