@@ -33,7 +33,7 @@ def without_network(capture: Capture, bank: PsfBank) -> DepthEstimate:
 
 def network_alone(capture: Capture, bank: PsfBank) -> DepthEstimate:
     """The network's posterior, not mixed with that of smooth surfaces, which it sees among its inputs."""
-    with mock.patch.object(surface_net, "TRUST", np.inf):
+    with mock.patch.object(surface_net, "SURE_SD", 0.0):
         return METHODS["best"](capture, bank)
 
 

@@ -34,8 +34,8 @@ DILATIONS = (1, 2, 4, 8, 16, 1, 2, 4, 8, 1)
 # Factor on the standard deviation on smooth surfaces alone, which take the windows of neighbours as less alike than
 # they are; chosen on ``tune``.
 SMOOTH_SD = 2.5
-LEAST_SD = 0.05  # levels, in the weights of the mixture
-TRUST = 3.0  # in the network over smooth surfaces at equal deviations; chosen on ``tune``
+SURE_SD = 0.6  # on smooth surfaces, levels, at which both posteriors have half of the mixture; chosen on ``tune``
+MIXED_SD = 0.6  # factor on the standard deviation on smooth surfaces in the mixture; chosen on ``tune``
 TILE = 512  # nodes per side: frames of up to 4096 pixels per side are one tile
 HALO = 50  # nodes around a tile: the sum of ``DILATIONS``, and what the layers of the picture and of the samples see
 
@@ -101,14 +101,15 @@ def _of_tile(inputs: Float32Array, picture: Float32Array, levels: FloatArray, la
 
 
 def _mixed(network: Moments, smooth: Moments) -> Moments:
-    """Mixture of both posteriors with weights of 1 / sd^2: where evidence is strong, it decides; elsewhere, what the
-    network has learned.
+    """Mixture of both posteriors: smooth surfaces where evidence decides, elsewhere what the network has learned.
+
+    The network's share is s^2 / (s^2 + SURE_SD^2), with the standard deviation s on smooth surfaces.
     """
-    precision = [1 / np.maximum(sd, LEAST_SD) ** 2 for sd in (network.sd, TRUST * smooth.sd)]
-    share = precision[0] / (precision[0] + precision[1])
+    share = smooth.sd**2 / (smooth.sd**2 + SURE_SD**2)
     level = share * network.level + (1 - share) * smooth.level
-    square = share * (network.sd**2 + network.level**2) + (1 - share) * (smooth.sd**2 + smooth.level**2)
-    return Moments(level, np.sqrt(np.maximum(square - level**2, 0)))
+    squares = [sd**2 + of.level**2 for of, sd in ((network, network.sd), (smooth, MIXED_SD * smooth.sd))]
+    square = share * squares[0] + (1 - share) * squares[1]
+    return Moments(*(np.asarray(image, np.float32) for image in (level, np.sqrt(np.maximum(square - level**2, 0)))))
 
 
 def smooth_posterior(inputs: Float32Array, levels: FloatArray, last: float) -> Moments:
@@ -122,7 +123,7 @@ def smooth_posterior(inputs: Float32Array, levels: FloatArray, last: float) -> M
 
 def _moments(powers: Float32Array) -> Moments:
     level, square = np.moveaxis(powers, -1, 0)
-    return Moments(level, np.sqrt(np.maximum(square - level**2, 0)))
+    return Moments(*(np.asarray(image, np.float32) for image in (level, np.sqrt(np.maximum(square - level**2, 0)))))
 
 
 def _powers(logits: Float32Array, levels: FloatArray, last: float) -> Float32Array:

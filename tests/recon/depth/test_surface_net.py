@@ -47,17 +47,17 @@ def test_levels_beyond_the_bank_get_no_probability():
     assert found.level.max() <= 8
 
 
-def test_the_surer_posterior_prevails_and_disagreement_is_stated():
-    """Set-up: levels 2 and 6 with standard deviations whose weights are equal, and far from it.
+def test_evidence_on_smooth_surfaces_prevails_where_it_decides():
+    """Set-up: levels 2 by the network and 6 on smooth surfaces, of which these are unsure, as sure, and sure.
 
     Expectation: by hand, of a mixture of two distributions.
     """
-    sds = np.array([3.0, 0.3, 30.0])
-    network, smooth = (surface_net.Moments(level * np.ones(3), sd) for level, sd in ((2.0, sds), (6.0, np.ones(3))))
+    sd = surface_net.SURE_SD * np.array([30.0, 1.0, 1 / 30])
+    network, smooth = surface_net.Moments(np.full(3, 2.0), np.full(3, 0.5)), surface_net.Moments(np.full(3, 6.0), sd)
     found = surface_net._mixed(network, smooth)
-    assert found.level[0] == pytest.approx(4)  # the network has TRUST times the deviation
-    assert found.sd[0] == pytest.approx(np.sqrt((3**2 + 1) / 2 + 2**2))
-    assert found.level[1] == pytest.approx(2, abs=0.05) and found.level[2] == pytest.approx(6, abs=0.05)
+    assert found.level == pytest.approx([2, 4, 6], abs=0.01)
+    variance = (0.5**2 + (surface_net.MIXED_SD * sd[1]) ** 2) / 2 + 2**2
+    assert found.sd[1] == pytest.approx(np.sqrt(variance))
 
 
 def test_large_frames_in_tiles_have_the_levels_of_the_whole():
