@@ -182,7 +182,7 @@ def _statistics(draft: Float32Array, noise: Float32Array, position: Float32Array
             np.subtract(here[:, 1:], here[:, :-1], out=along_x[:, :-1])
             np.subtract(below, here[: len(below)], out=along_y[: len(below)])
             square = along_x**2 + along_y**2
-            steps = sum(cv2.pow(np.abs(step), power) for step in (along_x, along_y))
+            steps = sum(np.abs(step) ** np.float32(power) for step in (along_x, along_y))
             for total, values in zip(sums[:, channel], (np.asarray(steps) / 2, square), strict=True):
                 total += np.bincount(nearest, values.ravel(), nodes)
     means = sums + SUFFICIENT_PX * sums.sum(axis=-1, keepdims=True) / (height * width)
