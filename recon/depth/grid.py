@@ -112,7 +112,7 @@ Places = tuple[NDArray[np.intp], NDArray[np.intp]]  # rows and columns of sample
 def gaussian_means(images: Iterable[Float32Array], sigma: float, at: Places | None = None) -> Float32Array:
     """Images [h, w] averaged over a Gaussian of ``sigma`` samples, mirrored at the border, [n, row, column].
 
-    The means are those ``at`` some rows and columns, or of all samples; `fourier.WORKERS` images at a time.
+    The means are those ``at`` some rows and columns, or of all samples.
     """
 
     def everywhere(image: Float32Array) -> Float32Array:

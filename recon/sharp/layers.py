@@ -133,7 +133,7 @@ def _part(node: int, sides: Sequence[_Side]) -> Part:
 
 
 def by_parts(result: Float32Array, parts: Sequence[Part], work: Callable[[Part], Float32Array]) -> None:
-    """Fill a picture [channel, h, w] with the sum of what ``work`` gives for its parts, at least 0; `fourier.WORKERS` at a time."""
+    """Fill a picture [channel, h, w] with the sum of what ``work`` gives for its parts, at least 0."""
     result[:] = 0
     with ThreadPoolExecutor(fourier.WORKERS) as pool:
         for part, found in zip(parts, pool.map(work, parts), strict=True):
