@@ -8,7 +8,7 @@ from scipy import fft
 
 from dasim.typing import Complex64Array, Float32Array
 
-WORKERS = 1  # two threads at a time changed the last digits of a result on a busy machine
+WORKERS = 2
 
 Box = tuple[slice, slice]  # rows and columns of a frame; they may lie outside of it
 

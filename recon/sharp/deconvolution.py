@@ -129,7 +129,10 @@ def half_quadratic_samples(
     """
     shape = (image.shape[-2], image.shape[-1])
     inverse_gradient = _inverse_gradient(shape)
-    sampling = transfer * _phase_factors(tuple(phases), shape)
+    # The phasors need a name: NumPy would multiply them in place, with other last digits, if another thread's cache
+    # dropped them meanwhile.
+    phasors = _phase_factors(tuple(phases), shape)
+    sampling = transfer * phasors
     data = fourier.forward(np.stack([plane[y::2, x::2] for plane, (y, x) in zip(image, phases, strict=True)]), 1)
     power = np.empty(data.shape, np.float32)
     _fold((sampling.real**2 + sampling.imag**2) * inverse_gradient, power)

@@ -218,6 +218,24 @@ def test_deconvolution_of_samples_is_the_least_squares_solution(phase):
     np.testing.assert_allclose(solution[0], exact, atol=2e-4)
 
 
+def test_a_cache_that_another_thread_empties_changes_no_digit(monkeypatch):
+    """Set-up: the phasors come from the cache, and from no cache, as when another thread drops them from it meanwhile;
+    the arrays are large enough (256 KiB) for NumPy to reuse their memory. Expectation: the same bytes.
+    """
+    shape = (256, 320)
+    generator = np.random.default_rng(4)
+    picture = (5 + generator.standard_normal((1, *shape))).astype(np.float32)
+    transfer = fourier.transfer(generator.random((1, 5, 5)).astype(np.float32) / 25, shape).astype(np.complex64)
+
+    def solution():
+        prior = deconvolution.Prior(np.array([3.0]))
+        return deconvolution.half_quadratic_samples(picture, [(0, 1)], transfer, prior, 2)
+
+    held = solution()
+    monkeypatch.setattr(deconvolution, "_phase_factors", deconvolution._phase_factors.__wrapped__)
+    np.testing.assert_array_equal(solution(), held)
+
+
 def rim_and_middle(level_value):
     """Root mean square errors (rim, middle) of a picture that is bright on one side and dark on the other."""
     level = np.full((160, 224), level_value, np.float32)
