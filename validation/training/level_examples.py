@@ -13,9 +13,9 @@ import recon
 from dasim.typing import Float32Array
 from dasim.values import Capture
 from recon.depth.raw_levels import Frame, joint_evidence, variances
-from recon.picture import colour, mosaic
+from recon.picture import mosaic
 from validation.training import layered, traced
-from validation.training.captures import CAMERAS, SIZE_PX, TIME_S, Conditions, Setup, drawn
+from validation.training.captures import SIZE_PX, TIME_S, Conditions, Setup, drawn
 
 SEEDS = {"plain": 78, "textured": 79}
 LIGHTS = (0.4, 0.2, 0.2, 0.2)  # shares of the bank's lights, of which the last has hardly any infrared
@@ -23,15 +23,15 @@ CONDITIONS = {
     "plain": Conditions(48, (3.0, 30.0), (250.0, 6000.0)),
     "textured": Conditions(48, (2.5, 26.0), (600.0, 8000.0)),
 }
-TRACED = ("traced", "dim")  # families of validation.training.traced
-EXAMPLES = {name: of.examples for name, of in CONDITIONS.items()} | dict.fromkeys(TRACED, 100)  # per part of the work
+# Per part of the work.
+EXAMPLES = {name: of.examples for name, of in CONDITIONS.items()} | dict.fromkeys(traced.FAMILIES, 100)
 
 
 class _Seen(NamedTuple):
     capture: Capture
     level: Float32Array  # [h, w]
     setup: Setup
-    light: int | None  # index into the bank's lights; None where white balance tells it, as in a reconstruction
+    light: int  # index into the bank's lights
 
 
 def example(family: str, number: int, setups: list[Setup], folder: Path) -> dict[str, Float32Array]:
@@ -39,13 +39,11 @@ def example(family: str, number: int, setups: list[Setup], folder: Path) -> dict
 
     ``inputs`` [h, w, input], ``picture`` [NODE h, NODE w, channel] and ``level`` [NODE h, NODE w].
     """
-    seen = _traced(family, number, setups, folder) if family in TRACED else _layered(family, number, setups)
-    capture, bank, camera = seen.capture, seen.setup.bank, seen.capture.camera
+    seen = _traced(family, number, setups, folder) if family in traced.FAMILIES else _layered(family, number, setups)
+    capture, bank, light = seen.capture, seen.setup.bank, seen.light
     raw_e, saturated = mosaic.linearise(capture)
-    light = seen.light
-    if light is None:
-        light = colour.choose_light(raw_e, saturated, camera, bank.lights, bank.signature)
-    frame = Frame(raw_e, variances(raw_e, capture), saturated, camera, bank.kernel[light], bank.signature[light])
+    variance = variances(raw_e, capture)
+    frame = Frame(raw_e, variance, saturated, capture.camera, bank.kernel[light], bank.signature[light])
     found = joint_evidence(frame, recon.PRESETS["best"])
     width, height = SIZE_PX
     blocks = seen.level.reshape(height // 2, 2, width // 2, 2).swapaxes(1, 2)
@@ -62,7 +60,5 @@ def _layered(family: str, number: int, setups: list[Setup]) -> _Seen:
 
 
 def _traced(family: str, number: int, setups: list[Setup], folder: Path) -> _Seen:
-    """Kernels are those of the setup's focus, on which they hardly depend at the same level."""
     capture, truth = traced.kept(family, number, folder / "captures")
-    names = [name for name, _, _ in CAMERAS]
-    return _Seen(capture, truth.level, setups[names.index(capture.camera.name)], None)
+    return _Seen(capture, truth.level, *traced.setup_and_light(capture, setups))

@@ -1,9 +1,11 @@
-"""Examples to train :mod:`recon.sharp.restoration` on: what it sees of a layered capture, and the picture in focus."""
+"""Examples to train :mod:`recon.sharp.restoration` on: what it sees of a capture, layered or path-traced, and the
+picture in focus.
+"""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -12,21 +14,24 @@ from scipy import fft
 
 import recon
 from dasim.camera.specification import Camera
-from dasim.typing import Float32Array, FloatArray
+from dasim.typing import BoolArray, Float32Array, FloatArray
+from dasim.values import Capture, PsfBank
 from recon.depth import raw_levels
 from recon.depth.peak import confidence_of
 from recon.picture import develop, field, mosaic
 from recon.sharp import all_in_focus, sharpen
-from validation.training import layered
+from validation.scores.pictures import infrared_free
+from validation.training import layered, traced
 from validation.training.captures import TIME_S, Conditions, Setup, Shot, drawn
 
-SEEDS = {"plain": 178, "textured": 179}
+SEEDS = {"plain": 178, "textured": 179, "traced": 180}
 LIGHTS = (0.3, 0.25, 0.25, 0.2)  # shares of the bank's lights
 CONDITIONS = {
-    "plain": Conditions(150, (3.0, 30.0), (250.0, 6000.0)),
-    "textured": Conditions(150, (2.5, 26.0), (600.0, 8000.0)),
+    "plain": Conditions(75, (3.0, 30.0), (250.0, 6000.0)),
+    "textured": Conditions(75, (2.5, 26.0), (600.0, 8000.0)),
 }
-EXAMPLES = {name: of.examples for name, of in CONDITIONS.items()}  # per part of the work
+# Per part of the work.
+EXAMPLES = {name: of.examples for name, of in CONDITIONS.items()} | dict.fromkeys(traced.FAMILIES, 100)
 QUIET, MOST_WELL = 0.2, 100.0  # share of sensors with a larger full well, and the most of it: a tenth of the noise
 QUIET_BITS = 16
 # Levels that are wrong where their standard deviation does not say so, as windows are at times sure of a wrong level:
@@ -36,32 +41,59 @@ FALSE_BLUR = 0.5  # share of examples in which surfaces in focus are taken to be
 MOST_FALSE_BLUR, FOCUS_LEVELS = 4.0, 1.5  # levels: the most of it, and the level at which it has fallen to 1 / e
 
 
-def example(family: str, number: int, setups: list[Setup], _: Path) -> dict[str, NDArray[Any]]:
-    """What the network sees of the example of a family and number, and what it should show.
+class _Seen(NamedTuple):
+    capture: Capture
+    bank: PsfBank
+    light: int  # index into the bank's lights
+    in_focus: FloatArray  # without infrared, [3, h, w] electrons
+    nothing: BoolArray  # pixels without a truth, [h, w]
+
+
+def example(family: str, number: int, setups: list[Setup], folder: Path) -> dict[str, NDArray[Any]]:
+    """What the network sees of the example of a family and number, and what it should show; ``folder`` keeps captures
+    that were rendered.
 
     Pictures are relative to bright white: ``stack`` and ``draft`` [4, h, w], ``truth`` [3, h, w]; ``level``, its
     standard deviation ``sd`` and the mask ``clipped`` are [h, w]; ``noise`` is [4] and ``sparse`` a number. Draft and
     level are there twice, once with mistakes that ``sd`` does not know.
     """
-    random = np.random.default_rng((SEEDS[family], number))
+    if family in traced.FAMILIES:
+        random = np.random.default_rng((SEEDS["traced"], traced.FAMILIES.index(family), number))
+        seen = _traced(family, number, setups, folder)
+    else:
+        random = np.random.default_rng((SEEDS[family], number))
+        seen = _layered(random, family, number, setups)
+    frame, kernels, noise_e = _frame(seen)
+    found: dict[str, NDArray[Any]] = {}
+    stack, settings = all_in_focus.channels(frame), recon.PRESETS["best"]
+    shown = all_in_focus.seen(frame, stack, stack, noise_e)
+    unit = shown.unit_e[:, None, None]
+    for name, level in (("", frame.level), ("mistaken_", _mistaken(random, frame.level))):
+        there = frame._replace(level=level)
+        draft = all_in_focus.deconvolved(stack, there, kernels, noise_e, 0, settings, all_in_focus.DRAFT_PASSES)
+        found |= {f"{name}draft": draft / unit, f"{name}level": level}
+    found |= {"stack": shown.stack / unit, "sd": shown.sd, "truth": seen.in_focus / unit[:3]}
+    noise = (shown.noise_e / shown.unit_e).astype(np.float32)
+    clipped = np.any(frame.clipped, axis=-1) | seen.nothing
+    return found | {"clipped": clipped, "noise": noise, "sparse": np.array(shown.sparse, np.float32)}
+
+
+def _layered(random: np.random.Generator, family: str, number: int, setups: list[Setup]) -> _Seen:
     shot = drawn(random, family, CONDITIONS[family], LIGHTS, setups)
     well = float(np.exp(random.uniform(0, np.log(MOST_WELL)))) if random.random() < QUIET else 1.0
     camera = _with_well(shot.setup.camera, well)
     lens = layered.without_pixel(shot.setup.lenses[shot.light])
     capture = layered.photographed(shot.scene, lens, camera, shot.green_e * well, TIME_S, number)
-    frame, kernels, noise_e = _frame(capture, shot)
-    found: dict[str, NDArray[Any]] = {}
-    stack, settings = all_in_focus.channels(frame), recon.PRESETS["best"]
-    seen = all_in_focus.seen(frame, stack, stack, noise_e)
-    unit = seen.unit_e[:, None, None]
-    for name, level in (("", frame.level), ("mistaken_", _mistaken(random, frame.level))):
-        there = frame._replace(level=level)
-        draft = all_in_focus.deconvolved(stack, there, kernels, noise_e, 0, settings, all_in_focus.DRAFT_PASSES)
-        found |= {f"{name}draft": draft / unit, f"{name}level": level}
-    found |= {"stack": seen.stack / unit, "sd": seen.sd, "truth": in_focus(shot, lens, shot.green_e * well) / unit[:3]}
-    noise = (seen.noise_e / seen.unit_e).astype(np.float32)
-    clipped = np.any(frame.clipped, axis=-1)
-    return found | {"clipped": clipped, "noise": noise, "sparse": np.array(seen.sparse, np.float32)}
+    sharp = in_focus(shot, lens, shot.green_e * well)
+    return _Seen(capture, shot.setup.bank, shot.light, sharp, np.zeros(sharp.shape[1:], bool))
+
+
+def _traced(family: str, number: int, setups: list[Setup], folder: Path) -> _Seen:
+    capture, truth = traced.kept(family, number, folder / "captures")
+    setup, light = traced.setup_and_light(capture, setups)
+    assert truth.focus_e is not None  # every rendered capture has it
+    sharp = np.moveaxis(infrared_free(truth.focus_e, capture.camera, setup.bank.lights[light]), -1, 0)
+    return _Seen(capture, setup.bank, light, sharp, ~truth.valid)
 
 
 def in_focus(shot: Shot, lens: layered.Optics, green_e: float) -> FloatArray:
@@ -91,9 +123,10 @@ def _mistaken(random: np.random.Generator, level: Float32Array) -> Float32Array:
     return np.maximum(wrong, 0).astype(np.float32)
 
 
-def _frame(capture: recon.Capture, shot: Shot) -> tuple[all_in_focus.Frame, Float32Array, NDArray[Any]]:
-    """A capture with its levels, the kernels [level, channel, size, size] without infrared, and the noise [channel]."""
-    camera, bank, light = capture.camera, shot.setup.bank, shot.light
+def _frame(seen: _Seen) -> tuple[all_in_focus.Frame, Float32Array, NDArray[Any]]:
+    """The capture with its levels, the kernels [level, channel, size, size] without infrared, the noise [channel]."""
+    capture, bank, light = seen.capture, seen.bank, seen.light
+    camera = capture.camera
     raw_e, saturated = mosaic.linearise(capture)
     white, variances = bank.signature[light], raw_levels.variances(raw_e, capture)
     found = raw_levels.joint_levels(

@@ -23,10 +23,12 @@ from dasim.camera.specification import Camera
 from dasim.scene.specification import Scene
 from dasim.simulation.exposure import Shot
 from dasim.values import Capture, Truth
-from validation.training.captures import CAMERAS, SIZE_PX
+from recon.picture import colour, mosaic
+from validation.training import rooms
+from validation.training.captures import CAMERAS, SIZE_PX, Setup
 from validation.training.patterns import PLAIN, TEXTURED, pattern
-from validation.training.rooms import FAMILIES, room
 
+FAMILIES = ("traced", "dim")
 SEED = 261123
 DIM = (0.04, 0.5)  # least and largest factor on the light
 PICTURES, PICTURE_PX = 48, 256
@@ -37,7 +39,7 @@ IMAGE = re.compile(r"^(?:pattern:([a-z-]+):\d+|skimage:\w+)$")  # name of a text
 
 
 def kept(family: str, number: int, folder: Path) -> tuple[Capture, Truth]:
-    """The capture of a family and number, rendered into ``folder`` unless it is there.
+    """The capture of one of the ``FAMILIES`` and a number, rendered into ``folder`` unless it is there.
 
     Both families show the same scenes; ``dim`` ones have less light, by a factor within ``DIM``.
     """
@@ -54,6 +56,16 @@ def kept(family: str, number: int, folder: Path) -> tuple[Capture, Truth]:
     return dasim.load_capture(path), dasim.load_truth(path)
 
 
+def setup_and_light(capture: Capture, setups: list[Setup]) -> tuple[Setup, int]:
+    """The setup of a capture's camera, and the index of the light in its bank that white balance takes.
+
+    Kernels are those of the setup's focus, on which they hardly depend at the same level.
+    """
+    setup = setups[[name for name, _, _ in CAMERAS].index(capture.camera.name)]
+    raw_e, saturated = mosaic.linearise(capture)
+    return setup, colour.choose_light(raw_e, saturated, capture.camera, setup.bank.lights, setup.bank.signature)
+
+
 def _pictures(folder: Path) -> list[Path]:
     """Pictures instead of the bundled photographs, PNG files in a folder; those that exist are left as they are."""
     folder.mkdir(parents=True, exist_ok=True)
@@ -61,9 +73,9 @@ def _pictures(folder: Path) -> list[Path]:
     for number, file in enumerate(files):
         if not file.exists():
             random = np.random.default_rng((SEED, number))
-            look = FAMILIES[str(random.choice(list(FAMILIES)))]
+            look = rooms.FAMILIES[str(random.choice(list(rooms.FAMILIES)))]
             if number % 2:
-                linear = room(random, PICTURE_PX, PICTURE_PX, 10.0, look).radiance[:3]
+                linear = rooms.room(random, PICTURE_PX, PICTURE_PX, 10.0, look).radiance[:3]
             else:
                 linear = pattern(random, TEXTURED if number % 4 else PLAIN)[:3]
             encoded = 255 * np.clip(linear / np.percentile(linear, 99), 0, 1) ** (1 / 2.2)

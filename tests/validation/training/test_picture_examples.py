@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from validation.training import captures, files, layered, picture_examples
+import dasim
+from validation.training import captures, files, layered, picture_examples, traced
 
 MAPS = {"stack": 4, "draft": 4, "truth": 3}
 
@@ -50,3 +51,21 @@ def test_a_room_in_focus_is_its_own_truth():
     mean = layered._blurred(shot.scene, lens)[:3, layered.MARGIN : -layered.MARGIN, layered.MARGIN : -layered.MARGIN]
     visible = (lens.white[:3] - lens.leak * lens.white[3])[:, None, None] * mean
     np.testing.assert_allclose(1000 * visible, truth, rtol=1e-3, atol=0.5)
+
+
+@pytest.mark.slow
+def test_a_path_traced_example_is_scored_against_what_the_lens_shows_in_focus(tmp_path, monkeypatch):
+    """Set-up: boards at several depths in place of a random scene; a corner of the truth sees nothing. Expectation: the
+    means of truth and capture agree, infrared being in neither; the draft is nearer to the truth; the corner does not
+    count.
+    """
+    camera = dasim.cropped(dasim.load_camera("da-mobile"), *captures.SIZE_PX)
+    shot = dasim.simulate(dasim.depth_steps(30, 12), camera, 1, spp=8)
+    shot.truth.valid[:20, :30] = False
+    monkeypatch.setattr(traced, "kept", lambda family, number, folder: (shot.capture, shot.truth))
+    example = picture_examples.example("traced", 0, captures.setups(), tmp_path)
+    assert example["clipped"][:20, :30].all()
+    counts = ~example["clipped"]
+    colours, truth = example["stack"][:3, counts], example["truth"][:, counts]
+    np.testing.assert_allclose(colours.mean(axis=1), truth.mean(axis=1), rtol=0.03)
+    assert np.mean((example["draft"][:3, counts] - truth) ** 2) < 0.9 * np.mean((colours - truth) ** 2)
