@@ -4,8 +4,8 @@ Deconvolution with the kernel of an estimated level is right where the level is,
 the captured channels, infrared among them, which is sharper where blur is large, their deconvolution
 (:mod:`recon.sharp.sharpen`), the level and its standard deviation, and the noise, and adds to the deconvolution what it
 lacks, so that noise, false levels, steps of depth and the interpolation of the mosaic are treated together. It has
-learned from random rooms through layered lenses (:mod:`validation.training`), with levels as the preset ``best``
-estimates them; no bundled and no random scene of the simulator is among them. It needs numpy alone.
+learned from random rooms through layered lenses and from path-traced random scenes of seeds and pictures of their own
+(:mod:`validation.training`), with levels as the preset ``best`` estimates them. It needs numpy alone.
 
 It has the shape of a U-Net (Ronneberger, Fischer, Brox, MICCAI 2015) of three resolutions, 2, 4 and 8 pixels, of
 residual blocks h <- h + B relu(A * relu(h) + a) + b with 3 x 3 convolutions A. Electrons x enter and leave it
@@ -35,7 +35,7 @@ BRIGHT_PERCENTILE = 99.0
 LARGEST = np.float32(2.5)  # compressed value, about 90 times white; keeps the exponential finite
 LEAST_SD, LARGEST_SD = 0.05, 30.0  # levels
 MULTIPLE_PX = 8  # that the network's coarsest pixels span
-# Where blur is large the network hedges, and the mean with the draft is nearer to the truth, on rooms held out too.
+# Where blur is large the network hedges: the mean with the draft is nearer to the truth above 10 px, held out too.
 DRAFT_SHARE, DRAFT_LEVELS = 0.5, (2.0, 6.0)  # of the draft in the result, and the levels between which it rises to that
 TILE_PX = 2048  # largest side of what is restored at a time
 # Around a tile. Beyond the 8 x 8 pixels that it is in, a pixel depends on 44: convolutions of 3 x 3 reach 2 pixels four

@@ -60,7 +60,7 @@ def test_compression_is_undone():
 @pytest.mark.parametrize("photo", ["astronaut", "coffee", "chelsea"])
 @pytest.mark.parametrize(("level", "gain"), [(0.0, 0.0), (4.0, 1.0), (12.0, 2.5)])
 def test_photographs_gain(photo, level, gain):
-    """Set-up: photographs at one level, which a network of random rooms has never seen; the level is estimated.
+    """Set-up: photographs at one level, which the network has never seen; the level is estimated.
     Expectation: every colour gains, in focus, where noise and the interpolation of the mosaic are all there is to
     mend, at 7 px and at 20 px of blur.
     """
