@@ -44,7 +44,7 @@ def linear(image: Float32Array, net: Net, name: str) -> Float32Array:
     def work(rows: slice) -> None:
         result[rows] = _mapped(image[rows], net, name)
 
-    _by_strips(work, image.shape)
+    by_strips(work, image.shape)
     return result
 
 
@@ -55,7 +55,7 @@ def convolved(image: Float32Array, net: Net, name: str, dilation: int = 1) -> Fl
     def work(rows: slice) -> None:
         result[rows] = _convolved(_around(image, rows, dilation), net, name, dilation)
 
-    _by_strips(work, image.shape)
+    by_strips(work, image.shape)
     return result
 
 
@@ -67,7 +67,7 @@ def residual(image: Float32Array, net: Net, first: str, second: str, dilation: i
         inner = _convolved(relu(_around(image, rows, dilation)), net, first, dilation)
         np.add(image[rows], _mapped(relu(inner), net, second), out=result[rows])
 
-    _by_strips(work, image.shape)
+    by_strips(work, image.shape)
     return result
 
 
@@ -81,7 +81,7 @@ def _blas() -> ThreadpoolController:
     return ThreadpoolController().select(user_api="blas")
 
 
-def _by_strips(work: Callable[[slice], None], shape: tuple[int, ...]) -> None:
+def by_strips(work: Callable[[slice], None], shape: tuple[int, ...]) -> None:
     """Call ``work`` for strips of rows of an image of a ``shape``, in threads."""
     size = max(STRIP // shape[1], 1)
     with _blas().limit(limits=1), ThreadPoolExecutor(os.cpu_count()) as pool:

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from dasim.typing import Float32Array
 from recon import convolution
-from recon.convolution import Net, convolved, gathered, linear, relu, residual, spread
+from recon.convolution import Net, by_strips, convolved, gathered, linear, relu, residual, spread
 from recon.depth.tiles import tiles
 
 FILE = "restoration.npz"
@@ -34,6 +34,9 @@ COMPRESSION, RANGE = np.float32(10), np.float32(3)
 BRIGHT_PERCENTILE = 99.0
 LARGEST = np.float32(2.5)  # compressed value, about 90 times white; keeps the exponential finite
 LEAST_SD, LARGEST_SD = 0.05, 30.0  # levels
+# Inputs: the four pixels of a block of each channel of the stack, then of the draft; means over the block of the level
+# and of its standard deviation, as logarithms; and what the frame has in common.
+OF_PICTURES, DRAFT_COLOURS, OF_LEVELS = 32, slice(16, 28), 2
 MULTIPLE_PX = 8  # that the network's coarsest pixels span
 # Where blur is large the network hedges: the mean with the draft is nearer to the truth above 10 px, held out too.
 DRAFT_SHARE, DRAFT_LEVELS = 0.5, (2.0, 6.0)  # of the draft in the result, and the levels between which it rises to that
@@ -119,27 +122,48 @@ def _changed(picture: Picture, change: Callable[[Float32Array], Float32Array]) -
 def _aligned(picture: Picture) -> Float32Array:
     """:func:`restored` for a picture that begins with green and, on its right, red or (4x4) infrared."""
     height, width = picture.level.shape
-    base = compressed(np.moveaxis(picture.draft[:3] / picture.unit_e[:3, None, None], 0, -1))
     inputs = inputs_of(picture)
+    base = inputs[..., DRAFT_COLOURS].copy()  # the network overwrites its inputs
     across, down = (-(-n // MULTIPLE_PX) * MULTIPLE_PX - n for n in (width, height))
-    inputs = np.pad(inputs, ((0, down // 2), (0, across // 2), (0, 0)), mode="edge")
-    added = _network(inputs, weights())[:height, :width]
-    sharp = np.maximum(expanded(np.minimum(base + added, LARGEST)), 0) * picture.unit_e[:3]
-    share = (DRAFT_SHARE * np.interp(np.abs(picture.level), DRAFT_LEVELS, (0, 1))).astype(np.float32)
-    draft = np.maximum(np.moveaxis(picture.draft[:3], 0, -1), 0)
-    return np.asarray(sharp + share[..., None] * (draft - sharp), np.float32)
+    if across or down:
+        inputs = np.pad(inputs, ((0, down // 2), (0, across // 2), (0, 0)), mode="edge")
+    base += _network(inputs, weights())[: height // 2, : width // 2]
+    result = np.empty((height, width, 3), np.float32)
+
+    def work(rows: slice) -> None:
+        there = _pixels(rows)
+        sharp = np.maximum(expanded(np.minimum(spread(base[rows]), LARGEST)), 0) * picture.unit_e[:3]
+        share = (DRAFT_SHARE * np.interp(np.abs(picture.level[there]), DRAFT_LEVELS, (0, 1))).astype(np.float32)
+        draft = np.maximum(np.moveaxis(picture.draft[:3, there], 0, -1), 0)
+        result[there] = sharp + share[..., None] * (draft - sharp)
+
+    by_strips(work, base.shape)
+    return result
+
+
+def _pixels(rows: slice) -> slice:
+    """Rows of pixels of rows of 2x2 blocks."""
+    return slice(2 * rows.start, 2 * rows.stop)
 
 
 def inputs_of(picture: Picture) -> Float32Array:
     """What the network sees per 2x2 block, [h/2, w/2, input]."""
     unit = picture.unit_e[:, None, None]
-    parts = [gathered(compressed(np.moveaxis(part / unit, 0, -1))) for part in (picture.stack, picture.draft)]
-    sd = np.clip(picture.sd, 0, LARGEST_SD)
-    maps = np.stack([np.log1p(np.abs(picture.level)), np.log(LEAST_SD + sd)], axis=-1)
-    height, width, _ = parts[0].shape
-    of_blocks = gathered(maps.astype(np.float32)).reshape(height, width, 2, 4).mean(axis=-1)
     frame = np.append(np.log(picture.noise_e / picture.unit_e), float(picture.sparse)).astype(np.float32)
-    return np.concatenate([*parts, of_blocks, np.broadcast_to(frame, (height, width, len(frame)))], axis=-1)
+    height, width = (size // 2 for size in picture.level.shape)
+    result = np.empty((height, width, OF_PICTURES + OF_LEVELS + len(frame)), np.float32)
+
+    def work(rows: slice) -> None:
+        there = _pixels(rows)
+        stack, draft = (compressed(np.moveaxis(e[:, there] / unit, 0, -1)) for e in (picture.stack, picture.draft))
+        sd = np.clip(picture.sd[there], 0, LARGEST_SD)
+        maps = np.stack([np.log1p(np.abs(picture.level[there])), np.log(LEAST_SD + sd)], axis=-1).astype(np.float32)
+        of_blocks = gathered(maps).reshape(-1, width, OF_LEVELS, 4).mean(axis=-1)
+        constant = np.broadcast_to(frame, (*of_blocks.shape[:2], len(frame)))
+        np.concatenate([gathered(stack), gathered(draft), of_blocks, constant], axis=-1, out=result[rows])
+
+    by_strips(work, result.shape)
+    return result
 
 
 def compressed(relative: Float32Array) -> Float32Array:
@@ -157,7 +181,7 @@ def expanded(values: Float32Array) -> Float32Array:
 
 
 def _network(inputs: Float32Array, net: Net) -> Float32Array:
-    """What the network adds to the compressed draft, [2 h, 2 w, 3], from inputs per block, [h, w, input], which are
+    """What the network adds to the compressed draft, per block [h, w, 12], from inputs [h, w, input], which are
     overwritten.
     """
     inputs -= net["mean"]
@@ -169,7 +193,7 @@ def _network(inputs: Float32Array, net: Net) -> Float32Array:
     middle = _blocks(middle, net, "middle_up")
     fine += spread(linear(relu(middle), net, "up1"))
     fine = _blocks(fine, net, "fine_up")
-    return spread(convolved(relu(fine), net, "out"))
+    return convolved(relu(fine), net, "out")
 
 
 def _blocks(image: Float32Array, net: Net, name: str) -> Float32Array:
