@@ -13,7 +13,7 @@ A cell of the grid is used only where its four corners lie on one surface and ag
 interpolation is accurate to a fraction of that; elsewhere, and on surfaces that are not Lambertian, rays are traced by
 a path tracer. The claim ``interreflection`` compares pictures with those of the path tracer alone.
 
-Tested in tests/dasim/render/test_passes.py.
+Tested in tests/dasim/render/test_irradiance.py and tests/dasim/render/test_passes.py.
 """
 
 from __future__ import annotations
@@ -35,6 +35,9 @@ from dasim.typing import FloatArray
 STRIDE_PX = 3.0
 AGREEMENT = 0.15  # largest relative difference of irradiance between the corners of a cell
 SAME_NORMAL = 0.9  # cosine
+# Distance of averaged nodes: least cosine between their normals, largest relative difference of a pair from the middle.
+SMOOTHING = {1: (SAME_NORMAL, AGREEMENT), 2: (0.998, 0.02), 4: (0.998, 0.02)}
+TILE = 4  # nodes along each side of a square whose directions are stratified together
 SAME_DEPTH = 0.02
 ON_SURFACE, ON_SURFACE_TURN = 1e-3, 2e-5  # relative change of 1/z and of the cosine (0.4 degrees) for lamps
 DIRECTIONS_PER_SAMPLE = 4  # directions of a point per sample of a pixel
@@ -148,23 +151,26 @@ def field(
     at_once = max(1, backend.lanes() // directions)
     across, each = dr.opaque(mi.UInt32, columns), dr.opaque(mi.UInt32, directions)
     corner = mi.Point2f(*(dr.opaque(mi.Float, value) for value in start))
-    scale = dr.opaque(mi.Float, px_per_m)
+    scale, tile = dr.opaque(mi.Float, px_per_m), dr.opaque(mi.UInt32, TILE)
+    sobol_key = dr.opaque(mi.UInt32, np.random.SeedSequence((seed,)).generate_state(1)[0])
     for first in range(0, count, at_once):
         part = slice(first, min(first + at_once, count))
         points = part.stop - part.start
         index = dr.arange(mi.UInt32, points * directions) // each + dr.opaque(mi.UInt32, first)
         row = index // across
-        film = mi.Point2f(mi.Float(index - row * across), mi.Float(row)) * STRIDE_PX + corner
+        column = index - row * across
+        film = mi.Point2f(mi.Float(column), mi.Float(row)) * STRIDE_PX + corner
         key = mi.UInt32(np.random.SeedSequence((seed, first)).generate_state(1))
+        stratum = in_tile(row, column), sobol_key + (row // tile) * across + column // tile
         values, geometry = _traced(
-            scene, integrator, shares, film / scale, directions, index, dr.opaque(mi.UInt32, key[0])
+            scene, integrator, shares, film / scale, directions, stratum, dr.opaque(mi.UInt32, key[0])
         )
         received[part] = values[:, : len(lit)] / lit
         met[part] = geometry
     grid_y, grid_x = np.mgrid[:rows, :columns] * STRIDE_PX
     slopes = np.column_stack([(grid_x + start[0]).ravel(), (grid_y + start[1]).ravel()]) / px_per_m
     ratio, surface = received.reshape(rows, columns, *lit.shape), met.reshape(rows, columns, 5)
-    ratio = _smoothed(ratio, surface, spectra)
+    ratio = smoothed(ratio, surface, spectra)
     usable = _agree(ratio, surface, spectra)
     empty = lights.slots - len(spectra) if len(spectra) > 1 else 0
     ratio = np.pad(ratio, ((0, 0), (0, 0), (0, empty), (0, 0)))
@@ -190,12 +196,21 @@ def _towards_camera(si: Any) -> Any:
     return dr.select(dr.dot(normal, si.p) > 0, -normal, normal)
 
 
+def in_tile(row: Any, column: Any) -> Any:
+    """Number of a node in its tile, in the order of Morton: 4 nodes of a square follow each other, and their 4 squares.
+
+    The directions of each square together are then as evenly spread as those of a node.
+    """
+    return (column & 1) | ((row & 1) << 1) | ((column & 2) << 1) | ((row & 2) << 2)
+
+
 def _traced(
-    scene: Any, integrator: Any, shares: Shares, slope: Any, directions: int, index: Any, key: Any
+    scene: Any, integrator: Any, shares: Shares, slope: Any, directions: int, stratum: tuple[Any, Any], key: Any
 ) -> tuple[FloatArray, FloatArray]:
     """Trace the irradiance at the points where rays through the middle of the lens land.
 
-    Each direction carries four of the wavelengths.
+    Each direction carries four of the wavelengths. ``stratum`` is the number of each point in its tile, and the key of
+    the tile.
 
     Returns the irradiance from each light, [point, light, node], and (1/z, normal, known), [point, 5].
     """
@@ -218,7 +233,8 @@ def _traced(
     normal = _towards_camera(si)
     frame = mi.Frame3f(normal)
 
-    numbers = Sobol(directions, sample, index + key)
+    within, tile = stratum
+    numbers = Sobol(TILE**2 * directions, within * dr.opaque(mi.UInt32, directions) + sample, tile)
     place, aim_at = numbers.next_2d(), numbers.next_2d()
     sampler = mi.load_dict({"type": "independent"})
     sampler.seed(key, lanes)
@@ -261,28 +277,55 @@ def _traced(
     return irradiance.astype(float), geometry.astype(float)
 
 
-def _smoothed(ratio: FloatArray, surface: FloatArray, spectra: FloatArray) -> FloatArray:
+def smoothed(ratio: FloatArray, surface: FloatArray, spectra: FloatArray) -> FloatArray:
     """Irradiance of each node [y, x, light, node], averaged with neighbours on the same surface that receive nearly the
     same.
 
-    The noise of a node affects all pixels near it, and more samples per pixel do not reduce it.
+    The noise of a node affects all pixels near it, and more samples per pixel do not reduce it. Each pass takes
+    neighbours twice as far away as the one before, unless light or surface tell them apart (edge-avoiding a-trous
+    wavelets: Dammertz et al., High Performance Graphics 2010). They come in opposite pairs, whose mean has no error
+    where irradiance changes linearly.
     """
     from scipy import ndimage
 
     weight_of_light = spectra.mean(axis=-1) / spectra.mean(axis=-1).sum()
-    level = ndimage.uniform_filter((ratio.mean(axis=-1) * weight_of_light).sum(axis=-1), 3)
+    for step, (aligned, agreement) in SMOOTHING.items():
+        level = (ratio.mean(axis=-1) * weight_of_light).sum(axis=-1)
+        if step == 1:
+            level = ndimage.uniform_filter(level, 3)
+        ratio = _averaged(ratio, surface, level, step, aligned, agreement)
+    return ratio
+
+
+def _averaged(
+    ratio: FloatArray, surface: FloatArray, level: FloatArray, step: int, aligned: float, agreement: float
+) -> FloatArray:
+    """One pass of :func:`smoothed`: with pairs of neighbours ``step`` nodes away whose levels agree, and whose mean
+    level differs from that of the node by less than the share ``agreement``.
+    """
     total, weight = 4 * ratio, np.full(level.shape, 4.0)
-    for dy, dx in [(dy, dx) for dy in (-1, 0, 1) for dx in (-1, 0, 1) if dy or dx]:
-        here = tuple(slice(max(-d, 0), n - max(d, 0)) for d, n in zip((dy, dx), level.shape, strict=True))
-        there = tuple(slice(max(d, 0), n - max(-d, 0)) for d, n in zip((dy, dx), level.shape, strict=True))
-        here_value, other = surface[here], surface[there]
-        same = (here_value[..., 4] > 0) & (other[..., 4] > 0)
-        same &= np.sum(here_value[..., 1:4] * other[..., 1:4], axis=-1) > SAME_NORMAL
-        same &= np.abs(here_value[..., 0] - other[..., 0]) < SAME_DEPTH * here_value[..., 0]
-        same &= np.abs(level[here] - level[there]) < AGREEMENT * level[here]
-        share = same * (2.0 - abs(dy)) * (2.0 - abs(dx))
-        total[here] += share[..., None, None] * ratio[there]
-        weight[here] += share
+    for dy, dx in ((0, step), (step, 0), (step, step), (step, -step)):
+        inside = tuple(
+            slice(abs(d), max(abs(d), extent - abs(d))) for d, extent in zip((dy, dx), level.shape, strict=True)
+        )
+        pair = [
+            tuple(
+                slice(part.start + d, part.stop + d) for part, d in zip(inside, sign * np.array((dy, dx)), strict=True)
+            )
+            for sign in (-1, 1)
+        ]
+        here = surface[inside]
+        same = here[..., 4] > 0
+        for there in pair:
+            other = surface[there]
+            same &= other[..., 4] > 0
+            same &= np.abs(level[there] - level[inside]) < AGREEMENT * level[inside]
+            same &= np.sum(here[..., 1:4] * other[..., 1:4], axis=-1) > aligned
+            same &= np.abs(here[..., 0] - other[..., 0]) < step * SAME_DEPTH * here[..., 0]
+        same &= np.abs((level[pair[0]] + level[pair[1]]) / 2 - level[inside]) < agreement * level[inside]
+        share = same * (1.0 if dy and dx else 2.0)
+        total[inside] += share[..., None, None] * (ratio[pair[0]] + ratio[pair[1]])
+        weight[inside] += 2 * share
     return total / weight[..., None, None]
 
 
