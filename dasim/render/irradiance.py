@@ -38,6 +38,7 @@ SAME_NORMAL = 0.9  # cosine
 # Distance of averaged nodes: least cosine between their normals, largest relative difference of a pair from the middle.
 SMOOTHING = {1: (SAME_NORMAL, AGREEMENT), 2: (0.998, 0.02), 4: (0.998, 0.02)}
 TILE = 4  # nodes along each side of a square whose directions are stratified together
+WIDEST = 0.03  # largest distance of averaged nodes beyond neighbours, as a tangent seen from the lens
 SAME_DEPTH = 0.02
 ON_SURFACE, ON_SURFACE_TURN = 1e-3, 2e-5  # relative change of 1/z and of the cosine (0.4 degrees) for lamps
 DIRECTIONS_PER_SAMPLE = 4  # directions of a point per sample of a pixel
@@ -170,7 +171,7 @@ def field(
     grid_y, grid_x = np.mgrid[:rows, :columns] * STRIDE_PX
     slopes = np.column_stack([(grid_x + start[0]).ravel(), (grid_y + start[1]).ravel()]) / px_per_m
     ratio, surface = received.reshape(rows, columns, *lit.shape), met.reshape(rows, columns, 5)
-    ratio = smoothed(ratio, surface, spectra)
+    ratio = smoothed(ratio, surface, spectra, STRIDE_PX / px_per_m)
     usable = _agree(ratio, surface, spectra)
     empty = lights.slots - len(spectra) if len(spectra) > 1 else 0
     ratio = np.pad(ratio, ((0, 0), (0, 0), (0, empty), (0, 0)))
@@ -234,7 +235,9 @@ def _traced(
     frame = mi.Frame3f(normal)
 
     within, tile = stratum
-    numbers = Sobol(TILE**2 * directions, within * dr.opaque(mi.UInt32, directions) + sample, tile)
+    # Another part of each node's directions per group, so that those of a group are spread evenly over the tile too.
+    number = sample ^ ((within % groups) * dr.opaque(mi.UInt32, block))
+    numbers = Sobol(TILE**2 * directions, within * dr.opaque(mi.UInt32, directions) + number, tile)
     place, aim_at = numbers.next_2d(), numbers.next_2d()
     sampler = mi.load_dict({"type": "independent"})
     sampler.seed(key, lanes)
@@ -277,19 +280,22 @@ def _traced(
     return irradiance.astype(float), geometry.astype(float)
 
 
-def smoothed(ratio: FloatArray, surface: FloatArray, spectra: FloatArray) -> FloatArray:
+def smoothed(ratio: FloatArray, surface: FloatArray, spectra: FloatArray, apart: float) -> FloatArray:
     """Irradiance of each node [y, x, light, node], averaged with neighbours on the same surface that receive nearly the
     same.
 
     The noise of a node affects all pixels near it, and more samples per pixel do not reduce it. Each pass takes
     neighbours twice as far away as the one before, unless light or surface tell them apart (edge-avoiding a-trous
     wavelets: Dammertz et al., High Performance Graphics 2010). They come in opposite pairs, whose mean has no error
-    where irradiance changes linearly.
+    where irradiance changes linearly. Its error elsewhere grows with the square of their distance: nodes are ``apart``
+    (as a tangent seen from the lens), and coarse grids are averaged over neighbours only.
     """
     from scipy import ndimage
 
     weight_of_light = spectra.mean(axis=-1) / spectra.mean(axis=-1).sum()
     for step, (aligned, agreement) in SMOOTHING.items():
+        if step > 1 and step * apart > WIDEST:
+            break
         level = (ratio.mean(axis=-1) * weight_of_light).sum(axis=-1)
         if step == 1:
             level = ndimage.uniform_filter(level, 3)
