@@ -9,7 +9,7 @@ PYTHONS := $(if $(PYTHON),$(PYTHON),python3.13 python3.12 python3.11 python3)
 IS_NEW := import sys; sys.exit(sys.version_info < (3, 11))
 PIP := $(BIN)/python -m pip --disable-pip-version-check --quiet
 # What a lock file lists, by the hashes of its files, and nothing that it does not list.
-LOCKED := $(PIP) install --require-hashes --no-deps --no-build-isolation -r
+LOCKED := $(PIP) install --require-hashes --no-deps --no-build-isolation --use-pep517 -r
 APT := env DEBIAN_FRONTEND=noninteractive apt-get -q -y -o Acquire::Retries=0 -o Acquire::http::Timeout=20
 
 LEARN_TESTS := tests/dasim/dataset/test_reading.py tests/dasim/differentiable tests/examples/test_learned_ring.py \
@@ -72,7 +72,7 @@ audit: environment
 # The lock files anew after a change of constraints.txt or of the dependencies; needs uv.
 UV := uv pip compile --quiet --generate-hashes --universal --python-version 3.11.7 --no-header --no-annotate
 locks:
-	printf 'hatchling>=1.24\neditables\nsetuptools\nwheel\n' | $(UV) -c constraints.txt - -o .ci/locks/build.txt
+	printf 'hatchling>=1.24\neditables\nsetuptools\nsetuptools-scm<9\nwheel\n' | $(UV) -c constraints.txt - -o .ci/locks/build.txt
 	$(UV) -c constraints.txt pyproject.toml -o .ci/locks/dasim.txt
 	for extra in test docs lens; do $(UV) -c constraints.txt pyproject.toml --extra $$extra -o .ci/locks/$$extra.txt || exit 1; done
 	echo 'pip-audit>=2.9' | $(UV) - -o .ci/locks/audit.txt
