@@ -28,7 +28,7 @@ def describe(camera: Camera | str | Path) -> str:
     extras += ["radial shading"] if lens.shading_per_mm else []
     extras += ["distortion"] if lens.distortion_per_mm else []
     extras += ["axial colour"] if lens.focal_shift_um else []
-    extras += [] if wavefront.is_perfect(lens) else ["wavefront errors"]
+    extras += [] if wavefront.is_perfect(camera) else ["wavefront errors"]
     lines = [
         f"lens     {lens.focal_length_mm:g} mm f/{lens.f_number:g}, focused at {lens.focus_distance_m * 100:g} cm"
         + "".join(f", {extra}" for extra in extras)

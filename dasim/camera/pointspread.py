@@ -88,7 +88,7 @@ def radial_profiles(
         if ring is None:
             raise ValueError(f"stop '{stop.name}' is not radial")
         if not is_radial(camera, stop, diffraction):
-            raise InputError(f"camera '{camera.name}': lens.wavefront_nm has terms without rotational symmetry here")
+            raise InputError(f"camera '{camera.name}': wavefront_nm has terms without rotational symmetry here")
         weights = radiometry.stop_response(camera, stop, angle_deg) * spectrum[..., None, :]
         signal += grid.integrate(weights)
         f_number, inner = working_f_number(camera, ring.outer), ring.inner / ring.outer
@@ -199,7 +199,7 @@ def kernels(
     fronts = [wavefront.of_stop(camera, stop, angle_deg) for stop in camera.stops]
     if diffraction == "airy" and not all(wavefront.is_flat(front) for front in fronts):
         raise InputError(
-            f"camera '{camera.name}': diffraction 'airy' takes no lens.wavefront_nm and no phase_nm; 'wave' does"
+            f"camera '{camera.name}': diffraction 'airy' takes no wavefront_nm and no phase_nm; 'wave' does"
         )
     blurs = np.asarray(blur_px, dtype=np.float64)
     about: dict[tuple[stops.Point, float, float], list[Stop]] = {}

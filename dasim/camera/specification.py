@@ -12,7 +12,7 @@ from pydantic import Field, field_validator, model_validator
 
 from dasim.base.errors import InputError, kind_of
 from dasim.base.toml import Specification, bundled_or_file, parse, parse_toml
-from dasim.camera import coatings, response_curves, stops
+from dasim.camera import coatings, response_curves, stops, zernike
 from dasim.camera.lens import Lens
 from dasim.camera.sensor import (
     SMALLEST_FRAME_PX,
@@ -84,6 +84,12 @@ class Camera(Specification):
         rings = [stops.ring(stop) for stop in self.stops]
         if self.lens.wavefront_by_field and any(ring is None or ring.centre != (0.0, 0.0) for ring in rings):
             raise ValueError("lens.wavefront_by_field: all stops must be discs or rings about the axis")
+        if self.lens.wavefront_by_field and not all(
+            zernike.is_radial(stop.wavefront_nm.coefficients()) for stop in self.stops
+        ):
+            raise ValueError(
+                "stops: wavefront_nm may have defocus and spherical terms only beside lens.wavefront_by_field"
+            )
         for number, stop in enumerate(self.stops):
             radius_px = (stop.glare_radius_mm or np.inf) * 1e3 / self.sensor.pixel_pitch_um
             if radius_px < SMALLEST_GLARE_PX:

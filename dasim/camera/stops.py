@@ -21,6 +21,7 @@ from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from dasim.base import untrusted
 from dasim.base.toml import Specification, named_file
+from dasim.camera.zernike import Wavefront
 from dasim.spectra import grid
 from dasim.spectra.grid import WHOLE_GRID_NM
 from dasim.typing import FloatArray
@@ -47,6 +48,9 @@ class _Stop(Specification):
         ge=-MOST_PHASE_NM,
         le=MOST_PHASE_NM,
         description="optical path through this opening less that through the coating around it, for the other stops",
+    )
+    wavefront_nm: Wavefront = Field(
+        default=Wavefront(), description="Zernike coefficients of this stop's light beside those of the lens"
     )
     glare_share: float = Field(default=0.0, ge=0, le=0.5, description="share of this stop's light that veils the frame")
     glare_radius_mm: float | None = Field(

@@ -1,4 +1,4 @@
-"""The phase of the light across the pupil: aberrations of the lens, and the phase step of an opening in a coating.
+"""The phase of the light across the pupil: aberrations of lens and stops, and the step of an opening in a coating.
 
 Visible light crosses the coating of a near-infrared disc in the ring and no coating in the hole. If the hole is not
 filled with glass of equal optical thickness, the open stop has a step of phase at the rim of the hole. A stop's
@@ -15,7 +15,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from dasim.camera import distortion, geometry, stops, zernike
-from dasim.camera.lens import Lens
 from dasim.camera.specification import Camera
 from dasim.camera.stops import Stop
 from dasim.camera.zernike import Coefficients
@@ -44,23 +43,32 @@ class Phase(NamedTuple):
     step: complex  # mean of exp(i phase) of the step
 
 
-def is_perfect(lens: Lens) -> bool:
-    """Whether the lens gives a sphere everywhere, with no coefficient other than 0."""
-    return not any(any(row.coefficients()) for row in (lens.wavefront_nm, *lens.wavefront_by_field))
+def is_perfect(camera: Camera) -> bool:
+    """Whether lens and stops give a sphere everywhere, with no coefficient other than 0."""
+    own = (stop.wavefront_nm for stop in camera.stops)
+    return not any(any(row.coefficients()) for row in (camera.lens.wavefront_nm, *camera.lens.wavefront_by_field, *own))
 
 
 def of_lens(camera: Camera, angle_deg: float = 0.0) -> Wavefront:
     """The wavefront that the lens itself gives at an angle of the chief ray."""
     same = camera.lens.wavefront_nm.coefficients()
     table = zernike.at_angle(camera.lens.wavefront_by_field, angle_deg) or {0.0: (0.0,) * len(same)}
-    both = tuple(tuple(a + b for a, b in zip(same, row, strict=True)) for row in table.values())
-    return Wavefront(both, tuple(table))
+    return Wavefront(_added(tuple(table.values()), same), tuple(table))
 
 
 def of_stop(camera: Camera, stop: Stop, angle_deg: float = 0.0) -> Wavefront:
     """The wavefront of the light through a stop at an angle of the chief ray."""
     opening = next((other for other in camera.stops if other.phase_nm and other.name != stop.name), None)
-    return of_lens(camera, angle_deg)._replace(opening=opening, step_nm=opening.phase_nm if opening else 0.0)
+    lens = of_lens(camera, angle_deg)
+    return lens._replace(
+        zernike_nm=_added(lens.zernike_nm, stop.wavefront_nm.coefficients()),
+        opening=opening,
+        step_nm=opening.phase_nm if opening else 0.0,
+    )
+
+
+def _added(rows: tuple[Coefficients, ...], same: Coefficients) -> tuple[Coefficients, ...]:
+    return tuple(tuple(a + b for a, b in zip(row, same, strict=True)) for row in rows)
 
 
 def over_field(camera: Camera, stop: Stop) -> tuple[float, list[Wavefront]]:

@@ -39,7 +39,7 @@ Coefficients = tuple[float, ...]  # by TERMS
 
 
 class Wavefront(Specification):
-    """Zernike coefficients of the lens in nanometres RMS over its whole opening."""
+    """Zernike coefficients of a lens, or of the light through one of its stops, in nm RMS over the open lens."""
 
     defocus: float = Field(default=0.0, ge=-LARGEST_NM, le=LARGEST_NM)
     astigmatism: float = Field(default=0.0, ge=-LARGEST_NM, le=LARGEST_NM)

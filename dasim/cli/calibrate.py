@@ -23,6 +23,7 @@ def calibrate(
     focus: float | None = None,
     illuminant: Annotated[list[str] | None, Parameter(negative="")] = None,
     diffraction: str | None = None,
+    field: options.Size | None = None,
     captures: Path | None = None,
     format_: Annotated[str | None, Parameter(name="--format")] = None,
     print_distances: Annotated[bool, Parameter(negative="")] = False,
@@ -36,6 +37,8 @@ def calibrate(
         focus: focus distance in metres; the camera's by default
         illuminant: for simulated pictures, a light of the bank (may be repeated); all lights by default
         diffraction: for simulated pictures: wave (the default), airy or off; use that of the captures
+        field: X,Y: place of the source's image in pixels from the optical axis, x to the right, y down; by default the
+            middle of the camera's frame. For your own pictures 0,0: on the axis
         captures: a folder with your own pictures: raw files, and captures.csv with one line per file (columns file,
             light, depth_m, exposure_s; optionally gain, and position if the source stood at several places)
         format_: for your own pictures: raw10, raw12, raw16 or left-aligned, see 'dasim recon --help'
@@ -62,22 +65,23 @@ def calibrate(
         raise InputError("--save-captures: writes pictures and no bank; omit --out")
     if captures is None and format_ is not None:
         raise InputError("--format: applies to your own pictures; give their folder with --captures")
+    field_px = None if field is None else options.place("--field", field)
     lights = tuple(dict.fromkeys(illuminant or CALIBRATION_LIGHTS))
     for light in lights:
         illuminants.illuminant(light)
     check_options(None, 0, diffraction)
     if save_captures is not None:
         check_output(save_captures, KIND)
-        return _save_captures(save_captures, model, lights, diffraction or "wave")
+        return _save_captures(save_captures, model, lights, diffraction or "wave", field_px)
     if out is None:
         out = options.default_out(camera, ".npz")
     _check_bank_output(out)
     with options.progress() as progress:
         if captures is None:
-            pictures = dasim.calibration_captures(model, lights, diffraction=diffraction or "wave")
+            pictures = dasim.calibration_captures(model, lights, diffraction=diffraction or "wave", field_px=field_px)
             bank = recon.calibrate(pictures, progress=progress)
         else:
-            bank, notes = _measured_bank(captures, model, format_, progress)
+            bank, notes = _measured_bank(captures, model, format_, field_px or (0.0, 0.0), progress)
             for note in notes:
                 print(f"note: {note}")
     save_bank(out, bank)
@@ -109,17 +113,20 @@ def _print_distances(camera: Camera) -> int:
     return 0
 
 
-def _save_captures(out: Path, camera: Camera, lights: tuple[str, ...], diffraction: str) -> int:
+def _save_captures(
+    out: Path, camera: Camera, lights: tuple[str, ...], diffraction: str, field_px: tuple[float, float] | None
+) -> int:
     from dasim.simulation.calibration import calibration_captures
     from recon.files.point_pictures import write_point_pictures
 
-    count = write_point_pictures(out, calibration_captures(camera, lights, diffraction=diffraction), camera)
+    pictures = calibration_captures(camera, lights, diffraction=diffraction, field_px=field_px)
+    count = write_point_pictures(out, pictures, camera)
     print(f"captures: {out} ({count} pictures of {', '.join(lights)})")
     return 0
 
 
 def _measured_bank(
-    folder: Path, camera: Camera, kind: str | None, progress: Progress
+    folder: Path, camera: Camera, kind: str | None, field_px: tuple[float, float], progress: Progress
 ) -> tuple[PsfBank, tuple[str, ...]]:
     """A bank from a user's own pictures, and notes on it."""
     from dasim.simulation.calibration import levels, levels_behind
@@ -131,7 +138,8 @@ def _measured_bank(
     pictures = read_point_pictures(
         folder, camera, *levels(camera), known_light=illuminants.illuminant, behind=behind, kind=kind, progress=progress
     )
-    return calibrate_bank(pictures.pictures, camera, progress=progress), pictures.notes
+    bank = calibrate_bank(pictures.pictures, camera, field_px=field_px, progress=progress)
+    return bank, pictures.notes
 
 
 def _check_bank_output(out: Path) -> None:

@@ -10,6 +10,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -153,6 +154,19 @@ def size(text: str) -> tuple[int, int]:
     if not all(number.isascii() and number.isdecimal() and len(number) < 10 for number in (width, height)):
         raise InputError(f"--size {shortened(text)} is not of the form WxH with whole numbers above 0, such as 768x576")
     return int(width), int(height)
+
+
+def place(option: str, text: str) -> tuple[float, float]:
+    """A place of the field in px from X,Y."""
+    try:
+        x, y = (float(number) for number in text.split(","))
+        if not (isfinite(x) and isfinite(y)):
+            raise ValueError
+    except ValueError:
+        raise InputError(
+            f"{option} {shortened(text)} is not of the form X,Y with numbers of pixels, such as 900,-600"
+        ) from None
+    return x, y
 
 
 def definitions(texts: list[str]) -> dict[str, str]:

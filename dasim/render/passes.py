@@ -213,7 +213,7 @@ def sharp_pass(
     max_blur_px: float,
 ) -> Sharp:
     """The pictures of :func:`pinhole_pass`, and those of each stop on a finer grid with a margin."""
-    radial = any(ring(stop) is not None for stop in camera.stops) and wavefront.is_perfect(camera.lens)
+    radial = any(ring(stop) is not None for stop in camera.stops) and wavefront.is_perfect(camera)
     if diffraction != "wave" or not radial:
         return Sharp(pinhole_pass(mitsuba_scene, camera, sampling, field, also), None)
     cells = control_variate.cells_of(camera)

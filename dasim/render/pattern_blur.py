@@ -189,7 +189,7 @@ def _check_size(camera: Camera, nodes: int) -> None:
     if nodes > MOST_ABERRATED_NODES:
         raise InputError(
             f"camera '{camera.name}': the tables of its blur would take {4e-9 * nodes:.0f} GB, "
-            f"{4e-9 * MOST_ABERRATED_NODES:.0f} GB are allowed; take smaller coefficients in lens.wavefront_nm or "
+            f"{4e-9 * MOST_ABERRATED_NODES:.0f} GB are allowed; take smaller coefficients in wavefront_nm or "
             "lens.wavefront_by_field, a smaller frame about the axis, or diffraction 'off'"
         )
 

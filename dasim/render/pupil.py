@@ -72,8 +72,8 @@ def _on_cells(stop: Mask) -> Draw:
     return draw
 
 
-def aberration(camera: Camera, wavelength_nm: float) -> Callable[[Any, Any], Any] | None:
-    """Offset on the film, in pixels, through which a ray leaves; None for a lens without errors.
+def aberration(camera: Camera, stop: Stop, wavelength_nm: float) -> Callable[[Any, Any], Any] | None:
+    """Offset on the film, in pixels, through which a ray leaves for a stop; None where its light has no errors.
 
     A function of the place on the lens and of the field angle's tangent. The offset is the opposite of the displacement
     in the picture.
@@ -81,7 +81,7 @@ def aberration(camera: Camera, wavelength_nm: float) -> Callable[[Any, Any], Any
     import drjit as dr
     import mitsuba as mi
 
-    angle_step_deg, fronts = wavefront.over_field(camera, camera.stops[0])
+    angle_step_deg, fronts = wavefront.over_field(camera, stop)
     if not any(wavefront.has_errors(front) for front in fronts):
         return None
     place = stops.cell_centres(stops.PUPIL_CELLS)

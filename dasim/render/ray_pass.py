@@ -114,7 +114,7 @@ def prepare(
         axial_colour=bool(camera.lens.focal_shift_um),
         draw_pupil=None if stop is None else pupil.drawer(stop),
         blur=blur,
-        aberration=pupil.aberration(camera, mean_nm) if stop is not None and blur is None else None,
+        aberration=pupil.aberration(camera, stop, mean_nm) if stop is not None and blur is None else None,
         in_focus=in_focus,
         control=control,
     )

@@ -37,8 +37,8 @@ def check(camera: Camera) -> None:
         problems.append("lens.focal_shift_um is set")
     if camera.lens.distortion_per_mm:
         problems.append("lens.distortion_per_mm is set")
-    if not wavefront.is_perfect(camera.lens):
-        problems.append("lens.wavefront_nm or lens.wavefront_by_field is set")
+    if not wavefront.is_perfect(camera):
+        problems.append("wavefront_nm or lens.wavefront_by_field is set")
     problems += [f"stop '{stop.name}' has a phase_nm" for stop in camera.stops if stop.phase_nm]
     if problems:
         raise InputError(

@@ -268,7 +268,7 @@ def focus_picture(view: View, sharp: SharpPictures, seed: int, progress: Progres
 
     Of a lens without diffraction, aberrations and glare that is the picture through a pinhole.
     """
-    perfect = wavefront.is_perfect(view.camera.lens)
+    perfect = wavefront.is_perfect(view.camera)
     if view.diffraction == "off" and perfect and not any(stop.glare_share for stop in view.camera.stops):
         return sharp.rate
     seed = picture_seed(seed, 0, IN_FOCUS)

@@ -25,6 +25,26 @@ REAL_RAYS = 0.02  # of the range: slopes are small angles
 DISTORTION = 3e-4  # the plane of the image is not quite the same
 OVERLAP = 0.02  # a polynomial of three powers of r^2
 FAR = 1.2  # degrees: where astigmatism is far below coma
+PHONE: list[tuple[float, float, tuple[float, float] | None, float, list[float]]] = [
+    (1.962, 1.19, (1.471, 76.6), 2.153,
+     [-1.895e-2, 2.426e-2, -5.123e-2, 8.371e-4, 7.850e-3, 4.091e-3, -7.732e-3, -4.265e-3]),
+    (33.398, 0.93, None, 40.18,
+     [-4.966e-3, -1.434e-2, -6.139e-3, -9.284e-5, 6.438e-3, -5.72e-3, -2.385e-2, 1.108e-2]),
+    (-2.182, 0.75, (1.603, 27.5), 2.105,
+     [-4.388e-2, -2.555e-2, 5.16e-2, -4.307e-2, -2.831e-2, 3.162e-2, 4.630e-2, -4.877e-2]),
+    (-6.367, 0.1, None, 3.382,
+     [-1.131e-1, -7.863e-2, 1.094e-1, 6.228e-3, -2.216e-2, -5.89e-3, 4.123e-3, 1.041e-3]),
+    (5.694, 0.89, (1.510, 56.2), -221.1,
+     [-7.876e-2, 7.02e-2, 1.575e-3, -9.958e-3, -7.322e-3, 6.914e-4, 2.54e-3, -7.65e-4]),
+    (9.192, 0.16, None, 0.9331,
+     [9.694e-3, -2.516e-3, -3.606e-3, -2.497e-4, -6.84e-4, -1.414e-4, 2.932e-4, -7.284e-5]),
+    (1.674, 0.85, (1.510, 56.2), -7.617,
+     [7.429e-2, -6.933e-2, -5.811e-3, 2.396e-3, 2.100e-3, -3.119e-4, -5.552e-5, 7.969e-6]),
+    (1.509, 0.70, None, -2.707,
+     [1.767e-3, -4.652e-2, 1.625e-2, -3.522e-3, -7.106e-4, 3.825e-4, 6.271e-5, -2.631e-5]),
+    (np.inf, 0.40, (1.516, 64.1), 1.0, []),
+    (np.inf, 0.5678, None, 1.0, []),
+]  # fmt: skip
 
 
 def write(path: Path, surfaces: list[dict], aperture_mm: float) -> Path:
@@ -197,6 +217,30 @@ def test_zemax_files_are_read(tmp_path, da_mobile):
     )
     shift_um = dict(lens.focal_shift_um)[750.0]
     assert shift_um == pytest.approx(FOCAL_MM * 1e3 * (1.51852 - 1.51177) / 0.51852, rel=0.02)
+
+
+@optiland
+@quiet
+def test_phone_lens(tmp_path, da_mobile):
+    """Set-up: the lens of US patent 7,535,658 (radius, distance, index and Abbe number, 1 + conic constant,
+    coefficients of r^3 to r^10), one glass and three plastic elements and a cover glass.
+
+    Expectation: its focal length of 5.555 mm (at 588 nm) and f/3.5; it is diffraction-limited on the axis; the axial
+    colour is that which `docs/guides/real-parts.md` states.
+    """
+    from optiland.materials import AbbeMaterial
+
+    surfaces: list[dict] = [{"radius": np.inf, "thickness": 0.0, "is_stop": True}]
+    for radius, thickness, medium, eccentricity, terms in PHONE:
+        conic = {"surface_type": "odd_asphere", "conic": eccentricity - 1, "coefficients": [0.0, 0.0, *terms]}
+        glass = {"material": AbbeMaterial(*medium, model="polynomial")} if medium else {}
+        surfaces.append({"radius": radius, "thickness": thickness} | glass | (conic if terms else {}))
+    path = write(tmp_path / "phone.json", surfaces, 5.555 / 3.5)
+    lens = camera_from_lens(path, dasim.cropped(da_mobile, 1024, 768)).lens
+    assert lens.focal_length_mm == pytest.approx(5.555, abs=0.01)
+    assert lens.f_number == pytest.approx(3.5, abs=0.01)
+    assert dict(lens.focal_shift_um)[750.0] == pytest.approx(29.5, abs=0.5)
+    assert np.linalg.norm(lens.wavefront_by_field[0].coefficients()) < 38.0  # nm
 
 
 @optiland

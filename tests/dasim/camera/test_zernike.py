@@ -201,6 +201,7 @@ def test_coma_of_the_field_points_away_from_the_axis(da_mobile, down):
         ({"wavefront_nm": {"spherical": 900}}, {}, "lens.wavefront_nm.spherical: must be less than or equal"),
         ({"wavefront_nm": {"tilt": 9}}, {}, "lens.wavefront_nm.tilt: unknown key"),
         ({}, {"phase_nm": 2e4}, "stops.1.phase_nm: must be less than or equal to 10000"),
+        ({}, {"wavefront_nm": {"coma": "much"}}, "stops.1.wavefront_nm.coma: "),
     ],
 )
 def test_refused_keys(da_mobile, lens, hole, message):
@@ -214,7 +215,7 @@ def test_refused_keys(da_mobile, lens, hole, message):
 
 @pytest.mark.parametrize("phase_nm, errors", [(500.0, {}), (0.0, {"coma": 20.0})])
 def test_airy_takes_no_phase(da_mobile, phase_nm, errors):
-    with pytest.raises(InputError, match=r"diffraction .airy. takes no lens\.wavefront_nm and no phase_nm"):
+    with pytest.raises(InputError, match=r"diffraction .airy. takes no wavefront_nm and no phase_nm"):
         pointspread.psf(changed(da_mobile, phase_nm, **errors), 0.3, "G", "D65", diffraction="airy")
 
 
@@ -248,6 +249,31 @@ def test_tables_need_centred_stops_and_symmetric_errors(da_mobile):
     data["stops"][1]["centre_ratio"] = [0.2, 0.0]
     with pytest.raises(InputError, match="all stops must be discs or rings about the axis"):
         parse(Camera, data, "camera.toml")
+    data["stops"][1] |= {"centre_ratio": [0.0, 0.0], "wavefront_nm": {"coma": 10.0}}
+    with pytest.raises(InputError, match=r"stops: wavefront_nm may have defocus and spherical terms only"):
+        parse(Camera, data, "camera.toml")
+
+
+def test_coefficients_of_a_stop_are_its_own(da_mobile):
+    """Expectation: in both stops, they give the kernels of the same coefficients of the lens; in the hole alone, those
+    of the lens in infrared, and in green those of no error but for what green sees through the hole.
+    """
+    errors = {"coma": 40.0, "spherical": -30.0}
+    psfs = {}
+    for name, on_lens, on_stops in (("none", {}, ({}, {})), ("lens", errors, ({}, {})), ("hole", {}, ({}, errors)),
+                                    ("both", {}, (errors, errors))):  # fmt: skip
+        data = da_mobile.model_dump(mode="json")
+        data["lens"]["wavefront_nm"] = on_lens
+        for stop, own in zip(data["stops"], on_stops, strict=True):
+            stop["wavefront_nm"] = own
+        camera = parse(Camera, data, name)
+        psfs[name] = {c: pointspread.psf(camera, 0.3, c, "D65", size=61) for c in ("G", "IR")}
+    for channel in ("G", "IR"):
+        np.testing.assert_allclose(psfs["both"][channel], psfs["lens"][channel], atol=1e-12)
+    moved = np.abs(psfs["lens"]["G"] - psfs["none"]["G"]).max()
+    assert np.abs(psfs["hole"]["IR"] - psfs["lens"]["IR"]).max() < 0.05 * np.abs(psfs["lens"]["IR"]).max()
+    assert np.abs(psfs["hole"]["IR"] - psfs["none"]["IR"]).max() > 0.05 * np.abs(psfs["none"]["IR"]).max()
+    assert np.abs(psfs["hole"]["G"] - psfs["none"]["G"]).max() < 0.2 * moved
 
 
 def test_table_is_linear_in_angle_and_wavelength(da_mobile):

@@ -44,6 +44,30 @@ def lens(da_mobile, name: str, focus_m: float = 0.4, passes: str = "open") -> Ca
     return cameras.cropped(parse(Camera, data, name), 48, 48)
 
 
+@pytest.mark.parametrize("diffraction", ["wave", "off"])
+def test_coefficients_of_all_stops_are_those_of_the_lens(jit, da_mobile, diffraction):
+    """Expectation: the same pixels from `dasim.simulate`; in the hole alone, infrared as with both, but for the
+    light of the open lens that it receives, and, where all draw the same samples, green as with none.
+    """
+    import dasim
+
+    pictures = {}
+    for name in ("lens", "stops", "hole", "none"):
+        data = cameras.cropped(da_mobile, 24, 16).model_dump()
+        for part in {"lens": [data["lens"]], "stops": data["stops"], "hole": data["stops"][1:], "none": []}[name]:
+            part["wavefront_nm"] = {"spherical": 60.0}
+        shot = dasim.simulate("desk", parse(Camera, data, name), spp=4, diffraction=diffraction)
+        pictures[name] = shot.truth.mean_e / shot.capture.exposure_s
+    np.testing.assert_array_equal(pictures["stops"], pictures["lens"])
+
+    def off(reference: str, channel: int) -> float:
+        return float(np.median(np.abs(pictures["hole"][..., channel] / pictures[reference][..., channel] - 1)))
+
+    assert off("lens", 3) < 0.2 * off("none", 3)
+    if diffraction == "off":
+        assert off("none", 1) < 0.2 * off("lens", 1)
+
+
 @pytest.mark.parametrize(
     "name", [pytest.param(name, marks=pytest.mark.slow if name.startswith("astigmatism") else ()) for name in LENSES]
 )

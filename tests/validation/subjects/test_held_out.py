@@ -9,6 +9,7 @@ import pytest
 
 from dasim.base.errors import InputError
 from dasim.base.toml import parse_toml
+from dasim.camera import wavefront
 from validation.subjects import held_out
 
 TEST_HASH = "79553f0bbb5fb2aec31ff5c1"  # of the set that figures are measured on
@@ -42,7 +43,9 @@ def test_both_sets_show_the_scenes_that_they_were_fixed_with(name):
         for item in scene["objects"]:
             item.pop("class", None)
         digest.update(json.dumps(scene).encode())
-        digest.update((recipe.exposure.model_dump_json() + recipe.camera.model_dump_json()).encode())
+        assert all(wavefront.is_flat(wavefront.of_stop(recipe.camera, stop)) for stop in recipe.camera.stops)
+        camera = recipe.camera.model_dump_json(exclude={"stops": {"__all__": {"wavefront_nm"}}})  # came later
+        digest.update((recipe.exposure.model_dump_json() + camera).encode())
     assert digest.hexdigest()[:24] == DRAWN[name]
 
 

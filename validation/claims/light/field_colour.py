@@ -42,7 +42,7 @@ def field_colour(progress: ShareDone, seed: int = 0) -> Evidence:
 
     Set-up: an even grey wall fills the full frame of da-mobile (2048 x 1536 pixels, 31 degrees in the corners), in even
     light of D65 and of A, with sensor noise (dasim.simulate). Pictures are those of recon.develop, alone and with a
-    flat of the same wall under D65, and under D65 also that of recon.reconstruct. Blocks of 128 x 128 pixels are
+    flat of the same wall under D65, and that of recon.reconstruct. Blocks of 128 x 128 pixels are
     compared with the middle of the frame: without a flat at equal luminance, because cos^4 remains, with a flat as they
     are. What R and IR lose at 25.6 and 31 degrees beyond cos^4 is read from ``mean_e`` along the frame's diagonal.
 
@@ -71,8 +71,7 @@ def field_colour(progress: ShareDone, seed: int = 0) -> Evidence:
             figures.append(Figure(f"{light}.{name}", worst, "dE00", text))
             pictures.append((f"grey card under {light}, {what}", photo_address(developed.rgb)))
         progress((number + 0.8) / len(LIGHTS))
-        if light == LIGHTS[0]:
-            figures.append(_reconstructed(shot, light))
+        figures.append(_reconstructed(shot, light))
     progress(1.0)
     return Evidence(figures, pictures=pictures)
 
