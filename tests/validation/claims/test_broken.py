@@ -131,9 +131,13 @@ def test_independent_samples_fail_the_slope_of_noise(renderer, monkeypatch, clai
 @pytest.mark.parametrize(("factor", "good"), [(2.0, True), (4.0, False)])
 def test_weights_of_wave_optics_that_are_noisy_fail(renderer, monkeypatch, factor, good):
     """Set-up: noise of 0.15 % without diffraction, and twice or four times as much with it."""
-    noise = noisy(lambda spp, model: 0.0015 * (factor if model == "wave" else 1.0))
+    stops = noisy(lambda spp, model: 0.0015 * (factor if model == "wave" else 1.0))
+
+    def capture(*scene_camera_spp_seed, diffraction):
+        return stops(*scene_camera_spp_seed, diffraction=diffraction).sum(axis=0)
+
     monkeypatch.setattr(sampling.rendering, "needs_wave", lambda: None)
-    monkeypatch.setattr(sampling.rendering, "stop_pictures", noise)
+    monkeypatch.setattr(sampling.rendering, "capture_rate", capture)
     failures = failed("desk-noise", sampling.desk_noise(lambda share: None))
     assert bool(failures) is not good and {f.partition(".")[0] for f in failures} <= {"ratio", "wave"}
 

@@ -141,8 +141,8 @@ def desk_noise(progress: ShareDone) -> Evidence:
     Rationale: the sample weights of wave optics add noise, which must stay well below shot noise: a pixel with 1,000
     electrons has 3 %.
 
-    Set-up: the bundled scene ``desk``, central 384 x 288 px, da-mobile, both stops, 256 samples per pixel and stop,
-    three seeds, with diffraction 'off' and 'wave'.
+    Set-up: captures of the bundled scene ``desk`` by ``dasim.simulate``, central 384 x 288 px, da-mobile, 256 samples
+    per pixel and stop, three seeds, with diffraction 'off' and 'wave'.
 
     Expectation: the noise of each channel, as the median over pixels of the relative standard deviation over seeds, is
     of similar size with and without diffraction.
@@ -151,19 +151,13 @@ def desk_noise(progress: ShareDone) -> Evidence:
 
     Source: the limits are the project's own; plain weights w would multiply the variance by E[w^2], up to 1.6.
     """
-    from dasim.render import translate
-
     rendering.needs_wave()
     scene, camera = desk(NOISE_SIZE_PX)
-    loaded, spectrum = translate.load(scene), scenes.light_spectrum(scene)
     noise = {}
     for part, model in enumerate(("off", "wave")):
         pictures = []
         for seed in range(NOISE_SEEDS):
-            stops = rendering.stop_pictures(
-                loaded, camera, NOISE_SPP, seed, diffraction=model, max_blur_px=MAX_BLUR_PX, spectrum=spectrum
-            )
-            pictures.append(stops.sum(axis=0))
+            pictures.append(rendering.capture_rate(scene, camera, NOISE_SPP, seed, diffraction=model))
             progress((part * NOISE_SEEDS + seed + 1) / (2 * NOISE_SEEDS))
         noise[model] = relative_noise(np.stack(pictures))
     figures = []

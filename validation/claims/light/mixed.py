@@ -151,10 +151,13 @@ def _figures(name: str, scene: Scene | MitsubaScene, camera: Camera) -> list[Fig
     noise = (ours_noise**2 + traced_noise**2) / traced**2
     figures = []
     for channel, colour in enumerate(channels(camera.sensor)):
-        rms = max(float(np.mean(difference[..., channel] ** 2 - noise[..., channel])), 0.0) ** 0.5
+        square, error = float(np.mean(difference[..., channel] ** 2)), float(np.mean(noise[..., channel]))
+        rms = max(square - error, 0.0) ** 0.5
         mean = float(ours[..., channel].mean() / traced[..., channel].mean() - 1)
         rms_text = f"{name}, {colour}: RMS relative difference of block means, noise variance subtracted"
         figures.append(Figure(f"{name}.rms.{colour}", rms, "1", rms_text))
+        noise_text = f"{name}, {colour}: RMS noise of that difference"
+        figures.append(Figure(f"{name}.noise.{colour}", error**0.5, "1", noise_text))
         mean_text = f"{name}, {colour}: relative difference of the picture's mean"
         figures.append(Figure(f"{name}.mean.{colour}", mean, "1", mean_text))
     return figures

@@ -153,7 +153,8 @@ def silhouette(progress: ShareDone, seed: int = 0) -> Evidence:
     Set-up: a half-plane at 8 and 17 px of visible blur before a plane at -1 px, black paint before white paper and the
     reverse, under one sun; dasim.simulate with diffraction 'wave', 6 seeds of 64 samples per pixel, 96 rows.
     The edge spread function comes from Hopkins's integral of the defocused pupil, averaged over the spectrum, times the
-    transfer function of the pixel; no kernel or ray is involved. The two levels are fitted.
+    transfer function of the pixel; no kernel or ray is involved. The two levels are those of columns far from the edge
+    (edge spread below 2 or above 98 %).
 
     Expectation: column means differ from it by noise alone, which is 0.3 % of the contrast in a column. The noise of a
     pixel beside the edge (edge spread 2 to 98 %) is also a figure.
@@ -192,7 +193,8 @@ def silhouette_scene(camera: Camera, blur_px: float, near: str, far: str) -> Sce
 
 
 def silhouette_figures(pictures: FloatArray, spread: FloatArray) -> tuple[FloatArray, float]:
-    """Difference of column means from fitted levels, and noise of a pixel beside the edge, both over the contrast.
+    """Difference of column means from the edge spread between the levels far from the edge, and noise of a pixel beside
+    the edge, both over the contrast.
 
     Args:
         pictures: [seed, h, w].
@@ -200,9 +202,9 @@ def silhouette_figures(pictures: FloatArray, spread: FloatArray) -> tuple[FloatA
     """
     mean, std = pictures.mean(axis=(0, 1)), pictures.std(axis=(0, 1), ddof=1)
     parts = np.stack([spread, 1 - spread], axis=-1)
-    levels = np.linalg.lstsq(parts, mean, rcond=None)[0]
-    contrast = abs(levels[0] - levels[1])
     beside = (spread > 0.02) & (spread < 0.98)
+    levels = np.linalg.lstsq(parts[~beside], mean[~beside], rcond=None)[0]
+    contrast = abs(levels[0] - levels[1])
     return (mean - parts @ levels) / contrast, float(np.sqrt(np.mean(std[beside] ** 2)) / contrast)
 
 
