@@ -375,7 +375,7 @@ def test_one_irradiance_field_for_all_spectra_fails(jit, monkeypatch, good, case
         entry.id.removeprefix(f"mixed-lights.{case}."): entry.passed
         for entry in entries("mixed-lights", mixed.mixed_lights)
     }
-    assert len(results) == 8
+    assert len(results) == 12
     assert (
         all(results.values())
         if good
