@@ -18,6 +18,7 @@ from dasim.typing import FloatArray
 
 MOST_CHUNK = 16  # rays of a pixel that are summed at once
 HERO = 4  # wavelengths per ray
+WAVELENGTH_STREAM = 255  # of random numbers by pixel; the others are dimensions of Sobol' points
 
 Pixels = NDArray[np.intp] | slice  # numbers in the frame, row by row; a slice where they are consecutive
 
@@ -30,6 +31,7 @@ class Block(NamedTuple):
     chunk: int  # rays; divides all ``counts``
     pixel: Any  # number in the frame of each ray's pixel
     sample: Any  # number of each ray in its pixel
+    samples: Any  # of each ray's pixel
     sampler: Any  # random numbers deeper in the paths
     corner: Any  # of the pixel, from the corner of the frame
     ring: Any  # fractional ring of the pixel
@@ -75,17 +77,19 @@ def block_of(shared: Pass, pixels: NDArray[np.intp], counts: NDArray[np.int64], 
     chunks = counts // chunk
     number = np.repeat(pixels, chunks)
     first = (np.arange(len(number)) - np.repeat(np.cumsum(chunks) - chunks, chunks)) * chunk
+    samples = np.repeat(counts, chunks).astype(np.float32)
     lane = dr.arange(mi.UInt32, int(counts.sum()))
     size = dr.opaque(mi.UInt32, chunk)
     own = lane // size
     pixel = dr.gather(mi.UInt32, mi.UInt32(number.astype(np.uint32)), own)
     sample = dr.gather(mi.UInt32, mi.UInt32(first.astype(np.uint32)), own) + lane % size
+    samples = dr.gather(mi.Float, mi.Float(samples), own)
     sampler = mi.load_dict({"type": "independent"})
     sampler.seed(dr.opaque(mi.UInt32, seed), dr.width(lane))
     ring = dr.gather(mi.Float, shared.place, pixel)
     is_whole = pixels[-1] - pixels[0] + 1 == len(pixels)
     where = slice(int(pixels[0]), int(pixels[-1]) + 1) if is_whole else pixels
-    return Block(where, counts, chunk, pixel, sample, sampler, corner_of(pixel, shared.columns), ring, seed)
+    return Block(where, counts, chunk, pixel, sample, samples, sampler, corner_of(pixel, shared.columns), ring, seed)
 
 
 def aim(shared: Pass, block: Block, numbers: tuple[Any, Any, Any, Any]) -> Rays:
@@ -170,6 +174,27 @@ def wave_weights(shared: Pass, blur: wave.Blur, rays: Rays, si: Any) -> tuple[li
     near = dr.abs(seen - middle) <= layers.SAME_BLUR_PX + layers.SAME_BLUR_SHARE * dr.abs(middle)
     total = sum(weight)
     return weight, [total, dr.select(near, total, 0.0)], seen
+
+
+def wavelength_places(shared: Pass, block: Block, is_even: bool) -> Any:
+    """Uniform number that chooses the wavelengths of each ray, see :func:`entries_of`.
+
+    Each of a pixel's strata has one number, at the same random place in the even strata and at the opposite place in
+    the odd ones. The errors of two neighbours cancel, so that the error for smooth spectra falls as N^-2 with the
+    number N of strata, that of independent places as N^-3/2 (antithetic variates: Owen, Monte Carlo theory, methods and
+    examples, section 8.2). The order of the strata is that of the samples, whose Sobol' points it extends by a
+    dimension as Hammersley's points do. Where ``is_even``, all numbers lie in the middles.
+    """
+    import drjit as dr
+    import mitsuba as mi
+
+    place = dr.opaque(mi.Float, 0.5)
+    if not is_even:
+        bits = mi.sample_tea_32(block.pixel + dr.opaque(mi.UInt32, block.seed), WAVELENGTH_STREAM)[0]
+        place = mi.Float(bits >> 8) * 2.0**-24
+        place = dr.select((block.sample & 1) == 0, place, 1 - place)
+    wavelengths = 1 if shared.axial_colour else HERO
+    return (mi.Float(block.sample) + place) / (wavelengths * block.samples)
 
 
 def entries_of(shared: Pass, first: Any, ring: Any) -> list[Any]:

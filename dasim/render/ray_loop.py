@@ -28,7 +28,7 @@ from dasim.render import backend, layers, plugin, transport
 from dasim.render.control_variate import Control, Fine
 from dasim.render.irradiance import Field
 from dasim.render.radial_blur import RadialBlur
-from dasim.render.ray_block import HERO, Block, Pixels, aim, block_of, entries_of, lit_by, wave_weights
+from dasim.render.ray_block import HERO, Block, Pixels, aim, block_of, entries_of, lit_by, wave_weights, wavelength_places
 from dasim.render.ray_pass import Pass, light_of, middle_ring, prepare, px_per_m
 from dasim.render.sobol import Sobol
 from dasim.render.wavelengths import Responses
@@ -253,9 +253,8 @@ def _trace(
     numbers = Sobol(int(block.counts.max()), block.sample, block.pixel + dr.opaque(mi.UInt32, block.seed))
     # The first dimensions are the most even: they go to what matters most.
     lens, film, aim_at, direction = (numbers.next_2d() for _ in range(4))
-    first, pattern, lobe = numbers.next_1d(), numbers.next_2d(), numbers.next_1d()
-    if even_wavelengths:
-        first = (mi.Float(block.sample) + 0.5) * dr.opaque(mi.Float, 1 / (HERO * int(block.counts.max())))
+    pattern, lobe = numbers.next_2d(), numbers.next_1d()
+    first = wavelength_places(shared, block, even_wavelengths)
 
     rays = aim(shared, block, (lens, film, pattern, first))
     si = shared.scene.ray_intersect(rays.ray, ray_flags=mi.RayFlags.All, coherent=True)
