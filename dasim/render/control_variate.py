@@ -54,13 +54,12 @@ def cells_of(camera: Camera) -> int:
     return CELLS if camera.sensor.width_px * camera.sensor.height_px <= LARGE_FRAME_PX else FEWER_CELLS
 
 
-def finer(camera: Camera, margin_px: int) -> Camera:
-    """A camera whose pixels are the nodes of :class:`Fine`: those of the frame and of a margin."""
-    sensor, cells = camera.sensor, cells_of(camera)
-    size = {side: cells * (getattr(sensor, side) + 2 * margin_px) for side in ("width_px", "height_px")}
+def wider(camera: Camera, margin_px: int) -> Camera:
+    """A camera that sees a margin around the frame."""
+    sensor = camera.sensor
+    size = {side: getattr(sensor, side) + 2 * margin_px for side in ("width_px", "height_px")}
     x, y = principal_point(sensor)
-    place = {"principal_point_px": (cells * (x + margin_px), cells * (y + margin_px))}
-    changes = size | place | {"pixel_pitch_um": sensor.pixel_pitch_um / cells}
+    changes = size | {"principal_point_px": (x + margin_px, y + margin_px)}
     return camera.model_copy(update={"sensor": sensor.model_copy(update=changes)})
 
 

@@ -8,7 +8,7 @@ E = pi L (r/s)^2 cos^4 summed over the spectrum.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -27,7 +27,6 @@ from dasim.render.wavelengths import pinhole_responses, separate_responses, stop
 from dasim.typing import FloatArray
 
 MOST_MARGIN_PX = 300.0
-FINE_SPP = 2  # samples per node of the finer grid of a pinhole's picture
 SHARP_MARGIN_PX, MOST_SHARP_MARGIN_PX = 12.0, 60.0  # of the pinhole's picture: beyond the largest blur's half
 
 
@@ -212,18 +211,18 @@ def sharp_pass(
     diffraction: str,
     max_blur_px: float,
 ) -> Sharp:
-    """The pictures of :func:`pinhole_pass`, and those of each stop on a finer grid with a margin."""
+    """The pictures of :func:`pinhole_pass`, and those of each stop on a finer grid with a margin, of the same rays."""
     radial = any(ring(stop) is not None for stop in camera.stops) and wavefront.is_perfect(camera)
     if diffraction != "wave" or not radial:
         return Sharp(pinhole_pass(mitsuba_scene, camera, sampling, field, also), None)
     cells = control_variate.cells_of(camera)
     margin = int(np.ceil(min(max_blur_px / 2 + SHARP_MARGIN_PX, MOST_SHARP_MARGIN_PX)))
-    finer = control_variate.finer(camera, margin)
-    rate = pinhole_pass(mitsuba_scene, camera, sampling, field, also)
-    # The control variate may have colours that are off, but its noise adds to that of the pictures. The channels of the
-    # other camera move the wavelengths towards visible light, where there are most channels.
-    even = replace(sampling, spp=FINE_SPP, even_wavelengths=True)
-    channels = [len(channel_names(camera.sensor))] * len(camera.stops)
-    nodes = ray_loop.pinhole_ratios(mitsuba_scene, finer, even, field, separate_responses(finer, also), channels)
-    fine = {stop.name: Fine(cells, part, margin) for stop, part in zip(camera.stops, nodes, strict=True)}
+    wider = control_variate.wider(camera, margin)
+    own, others = (len(channel_names(each.sensor)) for each in (camera, also))
+    parts = [own] * len(camera.stops)
+    into = [*range(own)] * len(parts) + [own + number for number in range(others)]
+    responses = separate_responses(wider, also)
+    pictures = ray_loop.pinhole_pictures(mitsuba_scene, wider, sampling, cells, field, responses, parts, into)
+    rate = pictures.rate[margin:-margin, margin:-margin] * radiometry.relative_illumination(camera)[..., None]
+    fine = {stop.name: Fine(cells, part, margin) for stop, part in zip(camera.stops, pictures.nodes, strict=True)}
     return Sharp(rate, fine)

@@ -176,25 +176,23 @@ def wave_weights(shared: Pass, blur: wave.Blur, rays: Rays, si: Any) -> tuple[li
     return weight, [total, dr.select(near, total, 0.0)], seen
 
 
-def wavelength_places(shared: Pass, block: Block, is_even: bool) -> Any:
+def wavelength_places(shared: Pass, block: Block, stratum: Any) -> Any:
     """Uniform number that chooses the wavelengths of each ray, see :func:`entries_of`.
 
     Each of a pixel's strata has one number, at the same random place in the even strata and at the opposite place in
     the odd ones. The errors of two neighbours cancel, so that the error for smooth spectra falls as N^-2 with the
     number N of strata, that of independent places as N^-3/2 (antithetic variates: Owen, Monte Carlo theory, methods and
-    examples, section 8.2). The order of the strata is that of the samples, whose Sobol' points it extends by a
-    dimension as Hammersley's points do. Where ``is_even``, all numbers lie in the middles.
+    examples, section 8.2). ``stratum`` is the number of each ray's among those of its pixel. With the order of the
+    samples, it extends their Sobol' points by a dimension, as Hammersley's points do.
     """
     import drjit as dr
     import mitsuba as mi
 
-    place = dr.opaque(mi.Float, 0.5)
-    if not is_even:
-        bits = mi.sample_tea_32(block.pixel + dr.opaque(mi.UInt32, block.seed), WAVELENGTH_STREAM)[0]
-        place = mi.Float(bits >> 8) * 2.0**-24
-        place = dr.select((block.sample & 1) == 0, place, 1 - place)
+    bits = mi.sample_tea_32(block.pixel + dr.opaque(mi.UInt32, block.seed), WAVELENGTH_STREAM)[0]
+    place = mi.Float(bits >> 8) * 2.0**-24
+    place = dr.select((stratum & 1) == 0, place, 1 - place)
     wavelengths = 1 if shared.axial_colour else HERO
-    return (mi.Float(block.sample) + place) / (wavelengths * block.samples)
+    return (mi.Float(stratum) + place) / (wavelengths * block.samples)
 
 
 def entries_of(shared: Pass, first: Any, ring: Any) -> list[Any]:

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import zlib
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -28,7 +28,18 @@ from dasim.render import backend, layers, plugin, transport
 from dasim.render.control_variate import Control, Fine
 from dasim.render.irradiance import Field
 from dasim.render.radial_blur import RadialBlur
-from dasim.render.ray_block import HERO, Block, Pixels, aim, block_of, entries_of, lit_by, wave_weights, wavelength_places
+from dasim.render.ray_block import (
+    HERO,
+    Block,
+    Pixels,
+    Rays,
+    aim,
+    block_of,
+    entries_of,
+    lit_by,
+    wave_weights,
+    wavelength_places,
+)
 from dasim.render.ray_pass import Pass, light_of, middle_ring, prepare, px_per_m
 from dasim.render.sobol import Sobol
 from dasim.render.wavelengths import Responses
@@ -44,7 +55,6 @@ class Sampling:
     spp: int | NDArray[np.int64]  # of all pixels, or of each, [h, w]
     seed: int
     progress: ShareDone = lambda share: None
-    even_wavelengths: bool = False  # the same ones for all pixels: no noise, but colours that are a little off
 
     def block_seeds(self, stop: Stop | None) -> Callable[[int], int]:
         """Seed of each block of rows, independent between stops (by their names)."""
@@ -143,43 +153,77 @@ def ratios(
             if whole is not None:
                 whole[pixels, channel] = values
 
-    _trace_all(shared, sampling, sampling.block_seeds(stop), responses, keep)
+    place, mean_signal = responses.place.ravel(), responses.mean_signal(light_of(field))
+    for block in _blocks(shared, sampling, stop):
+        _trace(shared, block, (HERO * mean_signal, place[block.pixels]), partial(keep, block.pixels))
     return result
 
 
-def pinhole_ratios(
-    scene: Any, camera: Camera, sampling: Sampling, field: Field | None, responses: Responses, parts: Sequence[int]
-) -> list[NDArray[np.float32]]:
-    """The value of :func:`ratios` through a pinhole for the first channels alone.
+class PinholePictures(NamedTuple):
+    """Pictures through a pinhole of the same rays, by pixels and by the nodes of a finer grid."""
 
-    ``parts`` are how many of them each of the results has, [h, w, channel], from which textures need no copies.
-    """
-    shape = responses.place.shape
-    shared = replace(prepare(scene, camera, None, None, field, responses, False, None), channels=sum(parts))
-    result = [plugin.aligned_zeros((*shape, count)) for count in parts]
-    columns = [column for part in result for column in part.reshape(-1, part.shape[-1]).T]
-
-    def keep(pixels: Pixels, channel: int, traced: Ratios) -> None:
-        columns[channel][pixels] = traced.value
-
-    _trace_all(shared, sampling, sampling.block_seeds(None), responses, keep)
-    return result
+    rate: FloatArray  # [h, w, channel] mean electrons per second, before the falloff of relative illumination
+    nodes: list[NDArray[np.float32]]  # [y, x, channel] electrons over those of a surface of the lights' radiance
 
 
-def _trace_all(
-    shared: Pass,
+def pinhole_pictures(
+    scene: Any,
+    camera: Camera,
     sampling: Sampling,
-    seeds: Callable[[int], int],
+    cells: int,
+    field: Field | None,
     responses: Responses,
-    keep: Callable[[Pixels, int, Ratios], None],
-) -> None:
-    """Trace the frame batch by batch; ``keep`` gets pixels, a channel, and the ratios of the channel there, [pixel]."""
-    place, mean_signal = responses.place.ravel(), responses.mean_signal(light_of(shared.field))
-    total, done = float(np.broadcast_to(sampling.spp, responses.place.shape).sum(dtype=float)), 0
-    for number, (pixels, counts) in enumerate(_parts(sampling.spp, place.size)):
-        block = block_of(shared, pixels, counts, seeds(number))
-        signal = HERO * mean_signal, place[block.pixels]
-        _trace(shared, block, signal, sampling.even_wavelengths, partial(keep, block.pixels))
+    parts: Sequence[int],
+    into: Sequence[int],
+) -> PinholePictures:
+    """Pictures through a pinhole by pixels, and by nodes of ``cells`` x ``cells`` per pixel.
+
+    The wavelengths of the rays of a pixel are evenly spread, and those of each node among them, so that pixels have the
+    right colours, and nodes nearly.
+
+    Args:
+        scene: a Mitsuba scene.
+        camera: the camera.
+        sampling: samples per pixel, a multiple of the nodes per pixel, and seed.
+        cells: nodes per pixel along each axis, a power of two.
+        field: irradiance that is known beforehand.
+        responses: of the channels.
+        parts: how many of the first channels each picture by nodes has.
+        into: the channel of ``rate`` to which each of the channels contributes.
+    """
+    import drjit as dr
+
+    height, width = responses.place.shape
+    shared = prepare(scene, camera, None, None, field, responses, False, None)
+    assert isinstance(sampling.spp, int)
+    rate, mean_signal = np.zeros((height * width, max(into) + 1)), responses.mean_signal(light_of(field))
+    nodes = [plugin.aligned_zeros((height * cells, width * cells, count)) for count in parts]
+    columns = [
+        picture.reshape(height, cells, width, cells, -1)[..., n] for picture in nodes for n in range(picture.shape[-1])
+    ]
+    place = responses.place.ravel()
+    for block in _blocks(shared, sampling, None):
+        values = _trace_nodes(shared, block, cells)
+        row, column = np.divmod(np.arange(height * width)[block.pixels], width)
+        for channel, (signal, light) in enumerate(zip(values[::2], values[1::2], strict=True)):
+            if channel < len(columns):
+                each = sampling.spp // cells**2
+                of_nodes = [np.array(dr.block_sum(value, each), dtype=np.float64) for value in (signal, light)]
+                columns[channel][row, :, column] = _ratio(*of_nodes).reshape(-1, cells, cells)
+            electrons = at_pixels(mean_signal[:, channel], place[block.pixels])
+            rate[block.pixels, into[channel]] += electrons * _ratio(block.sums(signal), block.sums(light))
+    return PinholePictures(rate.reshape(height, width, -1), nodes)
+
+
+def _blocks(shared: Pass, sampling: Sampling, stop: Stop | None) -> Iterator[Block]:
+    """The rays of a frame, batch by batch."""
+    import drjit as dr
+
+    size, seed = dr.width(shared.place), sampling.block_seeds(stop)
+    spp = sampling.spp
+    total, done = float(spp * size if isinstance(spp, int) else spp.sum(dtype=float)), 0
+    for number, (pixels, counts) in enumerate(_parts(spp, size)):
+        yield block_of(shared, pixels, counts, seed(number))
         done += int(counts.sum())
         sampling.progress(done / total)
 
@@ -236,11 +280,7 @@ def control_of(
 
 
 def _trace(
-    shared: Pass,
-    block: Block,
-    signal: tuple[FloatArray, FloatArray],
-    even_wavelengths: bool,
-    keep: Callable[[int, Ratios], None],
+    shared: Pass, block: Block, signal: tuple[FloatArray, FloatArray], keep: Callable[[int, Ratios], None]
 ) -> None:
     """Trace the rays of a block; ``keep`` gets each channel with the ratios of the block's pixels, [pixel].
 
@@ -252,9 +292,8 @@ def _trace(
 
     numbers = Sobol(int(block.counts.max()), block.sample, block.pixel + dr.opaque(mi.UInt32, block.seed))
     # The first dimensions are the most even: they go to what matters most.
-    lens, film, aim_at, direction = (numbers.next_2d() for _ in range(4))
-    pattern, lobe = numbers.next_2d(), numbers.next_1d()
-    first = wavelength_places(shared, block, even_wavelengths)
+    lens, film, aim_at, direction, pattern = (numbers.next_2d() for _ in range(5))
+    first, lobe = wavelength_places(shared, block, block.sample), numbers.next_1d()
 
     rays = aim(shared, block, (lens, film, pattern, first))
     si = shared.scene.ray_intersect(rays.ray, ray_flags=mi.RayFlags.All, coherent=True)
@@ -268,14 +307,7 @@ def _trace(
     elif shared.blur is not None:
         weight, depth_share, blur_px = wave_weights(shared, shared.blur, rays, si)
         weighted = _Weighted(blur_px, rays.rho, rays.delta, rays.tangent, rays.first, block.ring, rays.drawn)
-    radiance = transport.radiance(
-        shared.scene, shared.integrator, block.sampler, rays.ray, si, (aim_at, direction, lobe), shared.field
-    )
-
-    values, lit = [], lit_by(rays.entries)
-    for channel in range(shared.channels):
-        share = [rays.entries[k][2 + channel] * weight[k] for k in range(HERO)]
-        values += [sum(share[k] * radiance[k] for k in range(HERO)), sum(share[k] * lit[k] for k in range(HERO))]
+    values = _signals(shared, block, rays, si, weight, (aim_at, direction, lobe))
     seen, kernel = rays.variate or ([], [])
     # One kernel for all: summing first would trace the rays once per sum.
     dr.eval(*depth_share, *values, *seen, *kernel, *(weighted or ()))
@@ -294,6 +326,51 @@ def _trace(
             expected = shared.control.expected[block.pixels, channel]
             variate, variate_light = _sum_ratio(block, (seen[channel], kernel[channel]), expected_light, expected)
         keep(channel, Ratios(ratio, variate, light, variate_light))
+
+
+def _trace_nodes(shared: Pass, block: Block, cells: int) -> list[Any]:
+    """Signal and control of the rays through a pinhole, alternating by channel; those of a node are consecutive."""
+    import drjit as dr
+    import mitsuba as mi
+
+    each, across = (dr.opaque(mi.UInt32, value) for value in (int(block.counts[0]) // cells**2, cells))
+    numbers = Sobol(int(block.counts.max()), block.sample, block.pixel + dr.opaque(mi.UInt32, block.seed))
+    film, aim_at, direction, lobe = numbers.next_2d(), numbers.next_2d(), numbers.next_2d(), numbers.next_1d()
+    node = block.sample // each
+    film = (film + mi.Point2f(mi.Float(node % across), mi.Float(node // across))) / mi.Float(across)
+    number, count = block.sample % each, dr.opaque(mi.UInt32, cells * cells)
+    order = dr.gather(mi.UInt32, mi.UInt32(_dispersed(cells)), node)
+    first = wavelength_places(shared, block, number * count + order)
+    rays = aim(shared, block, (film, film, film, first))
+    si = shared.scene.ray_intersect(rays.ray, ray_flags=mi.RayFlags.All, coherent=True)
+    values = _signals(shared, block, rays, si, [mi.Float(1.0)] * HERO, (aim_at, direction, lobe))
+    dr.eval(*values)
+    return values
+
+
+def _dispersed(cells: int) -> NDArray[np.uint32]:
+    """Numbers 0 to ``cells``^2 - 1 of the nodes of a pixel, row by row, of which near ones differ most.
+
+    The matrix of ordered dither: Bayer, IEEE International Conference on Communications 1973.
+    """
+    order = np.zeros((1, 1), np.uint32)
+    while len(order) < cells:
+        order = np.block([[4 * order, 4 * order + 2], [4 * order + 3, 4 * order + 1]])
+    return order.astype(np.uint32).ravel()
+
+
+def _signals(
+    shared: Pass, block: Block, rays: Rays, si: Any, weight: list[Any], numbers: tuple[Any, Any, Any]
+) -> list[Any]:
+    """Response x light x weight of each ray with the radiance of its end and with that of the lights, alternating by
+    channel; ``numbers`` as for :func:`transport.radiance`.
+    """
+    radiance = transport.radiance(shared.scene, shared.integrator, block.sampler, rays.ray, si, numbers, shared.field)
+    values, lit = [], lit_by(rays.entries)
+    for channel in range(shared.channels):
+        share = [rays.entries[k][2 + channel] * weight[k] for k in range(HERO)]
+        values += [sum(share[k] * radiance[k] for k in range(HERO)), sum(share[k] * lit[k] for k in range(HERO))]
+    return values
 
 
 def _sum_ratio(
