@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 
 from dasim.camera import distortion, glare, radiometry, wavefront
-from dasim.camera.sensor import channels as channel_names
 from dasim.camera.sensor import principal_point
 from dasim.camera.specification import Camera
 from dasim.camera.stops import Stop, ring
@@ -22,8 +21,8 @@ from dasim.render import control_variate, irradiance, ray_loop, stock, transport
 from dasim.render.control_variate import Control, Fine
 from dasim.render.irradiance import Field
 from dasim.render.ray_loop import Ratios, Sampling
-from dasim.render.ray_pass import px_per_m
-from dasim.render.wavelengths import pinhole_responses, separate_responses, stop_responses
+from dasim.render.ray_pass import light_of, px_per_m
+from dasim.render.wavelengths import BANDS, frame_density, pinhole_responses, separate_responses, stop_responses
 from dasim.typing import FloatArray
 
 MOST_MARGIN_PX = 300.0
@@ -218,11 +217,10 @@ def sharp_pass(
     cells = control_variate.cells_of(camera)
     margin = int(np.ceil(min(max_blur_px / 2 + SHARP_MARGIN_PX, MOST_SHARP_MARGIN_PX)))
     wider = control_variate.wider(camera, margin)
-    own, others = (len(channel_names(each.sensor)) for each in (camera, also))
-    parts = [own] * len(camera.stops)
-    into = [*range(own)] * len(parts) + [own + number for number in range(others)]
-    responses = separate_responses(wider, also)
-    pictures = ray_loop.pinhole_pictures(mitsuba_scene, wider, sampling, cells, field, responses, parts, into)
+    light = light_of(field)
+    densities = [frame_density(stop_responses(camera, stop), light) for stop in camera.stops]
+    responses, parts = separate_responses(wider, also, light, densities), [BANDS] * len(camera.stops)
+    pictures = ray_loop.pinhole_pictures(mitsuba_scene, wider, sampling, cells, field, responses, parts)
     rate = pictures.rate[margin:-margin, margin:-margin] * radiometry.relative_illumination(camera)[..., None]
     fine = {stop.name: Fine(cells, part, margin) for stop, part in zip(camera.stops, pictures.nodes, strict=True)}
     return Sharp(rate, fine)

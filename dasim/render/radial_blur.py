@@ -20,7 +20,7 @@ from dasim.camera.wavefront import Wavefront
 from dasim.render import control_variate, field_angle
 from dasim.render.blur_tables import FLOOR, AberratedRows, Drawn, aberrated, cut_off, texel, texture
 from dasim.render.control_variate import Control, Fine
-from dasim.spectra import grid
+from dasim.render.wavelengths import tents
 from dasim.typing import FloatArray
 
 OFFSET_NODES = 1 << 15  # of the inverse cumulative distribution of |delta|
@@ -34,7 +34,7 @@ GUIDE_NODES = 512  # steps of equal probability of q along |u|
 GUIDE_SHARE = 0.75  # of h in q; the rest is g, which bounds the weights of rays that meet another depth
 TAIL_BOOST = 0.25  # relative increase of q per width of D outside the blur: little light, but from other surfaces
 MOST_CHANGE = 0.15  # of blur over the plane that rays are aimed for, over the width of D
-CONTROL_EVERY = 4  # of the wavelength grid, in the kernels of the control variate
+CONTROL_BANDS = 32  # wavelengths of the kernels of the control variate, a power of two
 GUIDE_BANDS = 8  # wavelengths that represent h in q
 
 
@@ -127,32 +127,34 @@ class RadialBlur:
         per_density = GUIDE_NODES * (high - low) * 2 * dr.pi * dr.maximum(length, 1e-6)
         return length, length * _direction(first.y), per_density
 
-    def control(self, fine: Fine, blur_px: FloatArray, spectra: FloatArray, colour_px: FloatArray) -> Control:
+    def control(
+        self, fine: Fine, blur_px: FloatArray, nm: FloatArray, light: FloatArray, colour_px: FloatArray
+    ) -> Control:
         """The control variate of a frame with these kernels, see :func:`control_variate.control`.
 
         Args:
-            fine: the pinhole's picture, of the stop's channels.
+            fine: the pinhole's picture, of the stop's bands.
             blur_px: signed visible blur at the middle of each pixel, [h, w].
-            spectra: response x light of each channel on the wavelength grid, [channel, wavelength].
-            colour_px: what axial colour takes from the visible blur, on the wavelength grid.
+            nm: wavelengths at equal steps of probability, [node].
+            light: response x light of each channel there over its probability, [node, channel].
+            colour_px: what axial colour takes from the visible blur there, [node].
         """
-        bands = len(grid.WAVELENGTH_NM) // CONTROL_EVERY
-        nm, moved, *weights = (
-            np.stack([part.sum() for part in np.array_split(curve, bands)])
-            for curve in (grid.WAVELENGTH_NM, colour_px, *spectra)
+        places = (np.arange(len(nm)) + 0.5) / len(nm)
+        parts = np.einsum("nb,nc->nbc", tents(places), light).reshape(
+            CONTROL_BANDS, -1, fine.ratio.shape[-1], light.shape[1]
         )
-        count = np.array([len(part) for part in np.array_split(grid.WAVELENGTH_NM, bands)])
-        used = np.flatnonzero(np.sum(weights, axis=0) > 0)
+        weights = parts.sum(axis=1)
+        middles = [curve.reshape(CONTROL_BANDS, -1).mean(axis=1) for curve in (nm, colour_px)]
 
         def profiles(levels: FloatArray, radius: FloatArray) -> FloatArray:
-            total = np.zeros((len(levels), len(radius), len(spectra)))
-            for band in used:
-                scale = nm[band] / count[band] * self.plain.px_per_nm
-                own = self.plain.outer * np.abs(levels - moved[band] / count[band])
+            total = np.zeros((len(levels), len(radius), *weights.shape[1:]))
+            for wavelength, moved, weight in zip(*middles, weights, strict=True):
+                scale = wavelength * self.plain.px_per_nm
+                own = self.plain.outer * np.abs(levels - moved)
                 rows, columns = own / (8 * scale) / WAVES_STEP, radius / scale / RADIUS_STEP
                 at = np.meshgrid(rows, columns, indexing="ij")
                 kernel = ndimage.map_coordinates(self.plain.profiles, at, order=1, mode="nearest") / scale**2
-                total += kernel[..., None] * [weight[band] for weight in weights]
+                total += kernel[..., None, None] * weight
             return total
 
         tail = control_variate.TAIL_RINGS * self.plain.core_px / 2

@@ -143,18 +143,20 @@ def _variate(
     import mitsuba as mi
 
     assert isinstance(shared.blur, RadialBlur)
-    seen, blur_px, reach_px = control.at(*at)
+    bands, blur_px, reach_px = control.at(*at)
     length = dr.norm(at[2])
     entries = entries_of(shared, first, mi.Float(shared.middle_ring))
-    weight = []
-    for entry in entries:
+    weight, seen = [], []
+    for entry, place in zip(entries, _places(shared, first), strict=True):
         own = blur_px
         if shared.axial_colour and not shared.in_focus:
             own -= shared.px_per_vergence * (entry[1] - shared.vergence)
         h = shared.blur.kernel(length, shared.blur.outer * dr.abs(own), entry[0])
         weight.append(dr.select(length <= reach_px, h * per_density * entry[-1], 0.0))
-    light = [sum(entries[k][2 + channel] * weight[k] for k in range(HERO)) for channel in range(shared.channels)]
-    return [c * s for c, s in zip(light, seen, strict=True)], light
+        along = place * (len(bands) - 1)  # as in wavelengths.tents
+        seen.append(sum(dr.maximum(1 - dr.abs(along - number), 0.0) * s for number, s in enumerate(bands)))
+    light = [[entries[k][2 + channel] * weight[k] for k in range(HERO)] for channel in range(shared.channels)]
+    return [sum(c * s for c, s in zip(of, seen, strict=True)) for of in light], [sum(of) for of in light]
 
 
 def wave_weights(shared: Pass, blur: wave.Blur, rays: Rays, si: Any) -> tuple[list[Any], list[Any], Any]:
@@ -197,13 +199,19 @@ def wavelength_places(shared: Pass, block: Block, stratum: Any) -> Any:
 
 def entries_of(shared: Pass, first: Any, ring: Any) -> list[Any]:
     """Row of the table for each wavelength of a ray, at its pixel's fractional ring."""
-    import drjit as dr
     import mitsuba as mi
+
+    return [shared.table.eval(mi.Point2f(at, (ring + 0.5) / shared.rings)) for at in _places(shared, first)]
+
+
+def _places(shared: Pass, first: Any) -> list[Any]:
+    """Probability of a shorter wavelength than each of a ray's."""
+    import drjit as dr
 
     # With axial colour every wavelength has rays of its own; without, the wavelengths of a ray are spread evenly.
     spacing = 0.0 if shared.axial_colour else 1 / HERO
     shifted = [first + k * spacing for k in range(HERO)]
-    return [shared.table.eval(mi.Point2f(at - dr.floor(at), (ring + 0.5) / shared.rings)) for at in shifted]
+    return [at - dr.floor(at) for at in shifted]
 
 
 def lit_by(entries: list[Any]) -> list[Any]:

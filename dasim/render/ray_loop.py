@@ -40,7 +40,7 @@ from dasim.render.ray_block import (
     wave_weights,
     wavelength_places,
 )
-from dasim.render.ray_pass import Pass, light_of, middle_ring, prepare, px_per_m
+from dasim.render.ray_pass import Pass, drawn, light_of, middle_ring, prepare, px_per_m
 from dasim.render.sobol import Sobol
 from dasim.render.wavelengths import Responses
 from dasim.typing import FloatArray, ShareDone
@@ -174,7 +174,6 @@ def pinhole_pictures(
     field: Field | None,
     responses: Responses,
     parts: Sequence[int],
-    into: Sequence[int],
 ) -> PinholePictures:
     """Pictures through a pinhole by pixels, and by nodes of ``cells`` x ``cells`` per pixel.
 
@@ -188,30 +187,25 @@ def pinhole_pictures(
         cells: nodes per pixel along each axis, a power of two.
         field: irradiance that is known beforehand.
         responses: of the channels.
-        parts: how many of the first channels each picture by nodes has.
-        into: the channel of ``rate`` to which each of the channels contributes.
+        parts: how many of the first channels each picture by nodes has; the others are those of ``rate``.
     """
-    import drjit as dr
-
     height, width = responses.place.shape
     shared = prepare(scene, camera, None, None, field, responses, False, None)
     assert isinstance(sampling.spp, int)
-    rate, mean_signal = np.zeros((height * width, max(into) + 1)), responses.mean_signal(light_of(field))
+    mean_signal = responses.mean_signal(light_of(field))[:, sum(parts) :]
+    rate = np.zeros((height * width, mean_signal.shape[1]))
     nodes = [plugin.aligned_zeros((height * cells, width * cells, count)) for count in parts]
-    columns = [
-        picture.reshape(height, cells, width, cells, -1)[..., n] for picture in nodes for n in range(picture.shape[-1])
-    ]
+    by_pixel = [picture.reshape(height, cells, width, cells, -1) for picture in nodes]
+    columns = [picture[..., band] for picture in by_pixel for band in range(picture.shape[-1])]
     place = responses.place.ravel()
     for block in _blocks(shared, sampling, None):
-        values = _trace_nodes(shared, block, cells)
         row, column = np.divmod(np.arange(height * width)[block.pixels], width)
-        for channel, (signal, light) in enumerate(zip(values[::2], values[1::2], strict=True)):
-            if channel < len(columns):
-                each = sampling.spp // cells**2
-                of_nodes = [np.array(dr.block_sum(value, each), dtype=np.float64) for value in (signal, light)]
-                columns[channel][row, :, column] = _ratio(*of_nodes).reshape(-1, cells, cells)
+        sums = _trace_nodes(shared, block, cells)
+        for of_band, (signal, light) in zip(columns, sums, strict=False):
+            of_band[row, :, column] = _ratio(signal, light).reshape(-1, cells, cells)
+        for channel, pair in enumerate(sums[len(columns) :]):
             electrons = at_pixels(mean_signal[:, channel], place[block.pixels])
-            rate[block.pixels, into[channel]] += electrons * _ratio(block.sums(signal), block.sums(light))
+            rate[block.pixels, channel] = electrons * _ratio(*(part.sum(axis=1) for part in pair))
     return PinholePictures(rate.reshape(height, width, -1), nodes)
 
 
@@ -262,7 +256,7 @@ def control_of(
 ) -> Control | None:
     """The control variate of a stop from a pinhole's picture; None for a stop whose kernels are not radial.
 
-    Arguments are those of :func:`render`; ``fine`` has the channels of the stop.
+    Arguments are those of :func:`render`; ``fine`` has the bands of the stop.
     """
     mean_signal = responses.mean_signal(light_of(field))
     if mean_signal.max() <= 0:
@@ -274,9 +268,9 @@ def control_of(
     blur_px = np.zeros(responses.place.shape)
     if not in_focus:
         blur_px = px_per_vergence * (np.array(shared.middle, dtype=float).reshape(blur_px.shape) - vergence)
-    colour_px = px_per_vergence * (geometry.focus_vergence(camera) - vergence) * (not in_focus)
-    spectra = responses.of_pass[middle_ring(responses)] * light_of(field)
-    return shared.blur.control(fine, blur_px, spectra, colour_px)
+    table = drawn(camera, responses, light_of(field))[1][middle_ring(responses)]
+    colour_px = px_per_vergence * (table[:, 1] - vergence) * (not in_focus)
+    return shared.blur.control(fine, blur_px, table[:, 0], table[:, 2:-1] * table[:, -1:], colour_px)
 
 
 def _trace(
@@ -328,12 +322,13 @@ def _trace(
         keep(channel, Ratios(ratio, variate, light, variate_light))
 
 
-def _trace_nodes(shared: Pass, block: Block, cells: int) -> list[Any]:
-    """Signal and control of the rays through a pinhole, alternating by channel; those of a node are consecutive."""
+def _trace_nodes(shared: Pass, block: Block, cells: int) -> list[tuple[FloatArray, FloatArray]]:
+    """Sums of signal and of control over the rays of each node through a pinhole, per channel [pixel, node]."""
     import drjit as dr
     import mitsuba as mi
 
-    each, across = (dr.opaque(mi.UInt32, value) for value in (int(block.counts[0]) // cells**2, cells))
+    of_node = int(block.counts[0]) // cells**2
+    each, across = (dr.opaque(mi.UInt32, value) for value in (of_node, cells))
     numbers = Sobol(int(block.counts.max()), block.sample, block.pixel + dr.opaque(mi.UInt32, block.seed))
     film, aim_at, direction, lobe = numbers.next_2d(), numbers.next_2d(), numbers.next_2d(), numbers.next_1d()
     node = block.sample // each
@@ -345,7 +340,8 @@ def _trace_nodes(shared: Pass, block: Block, cells: int) -> list[Any]:
     si = shared.scene.ray_intersect(rays.ray, ray_flags=mi.RayFlags.All, coherent=True)
     values = _signals(shared, block, rays, si, [mi.Float(1.0)] * HERO, (aim_at, direction, lobe))
     dr.eval(*values)
-    return values
+    sums = [np.array(dr.block_sum(value, of_node), dtype=float).reshape(-1, cells**2) for value in values]
+    return list(zip(sums[::2], sums[1::2], strict=True))
 
 
 def _dispersed(cells: int) -> NDArray[np.uint32]:

@@ -77,8 +77,7 @@ def prepare(
     light = light_of(field)
     scale = dr.opaque(mi.Float, px_per_m(camera))
     radius_m = dr.opaque(mi.Float, geometry.aperture_m(camera) / 2)
-    density = frame_density(responses, light)
-    table = draw_table(camera, responses.of_pass, light, density)
+    density, table = drawn(camera, responses, light)
     mean_nm = float(np.average(grid.WAVELENGTH_NM, weights=density))
     blur = None
     if stop is not None and max_blur_px is not None:
@@ -118,6 +117,12 @@ def prepare(
         in_focus=in_focus,
         control=control,
     )
+
+
+def drawn(camera: Camera, responses: Responses, light: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """How densely the wavelengths of a pass are drawn, on the grid, and :func:`draw_table` of them."""
+    density = frame_density(responses, light)
+    return density, draw_table(camera, responses.of_pass, light, density)
 
 
 def _to_pinhole(camera: Camera) -> Callable[[Any], Any]:

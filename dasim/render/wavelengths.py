@@ -5,6 +5,7 @@ Tested in tests/dasim/render/test_passes.py.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -17,6 +18,7 @@ from dasim.spectra import grid
 from dasim.typing import FloatArray
 
 DRAW_NODES = 4096  # of the table that turns a uniform number into a wavelength
+BANDS = 3  # of the control variate's spectra, at equal steps of probability of a stop's wavelengths
 EVEN_SHARE = 0.1  # of the wavelengths is drawn as under a light of even spectrum
 
 
@@ -52,15 +54,26 @@ def pinhole_responses(camera: Camera, also: Camera | None = None) -> Responses:
     return Responses(whole, whole, place)
 
 
-def separate_responses(camera: Camera, also: Camera) -> Responses:
-    """Responses of a pass through a pinhole with those of each stop apart, stop by stop, then another camera's."""
-    angles, place = rings(camera, also)
-    parts = [
-        [radiometry.stop_response(camera, stop, angle) for stop in camera.stops] + [radiometry.response(also, angle)]
-        for angle in angles
-    ]
-    of_pass = np.stack([np.concatenate(part) for part in parts])
-    return Responses(of_pass, of_pass, place)
+def separate_responses(camera: Camera, also: Camera, light: FloatArray, densities: Sequence[FloatArray]) -> Responses:
+    """Responses of a pass through a pinhole with the bands of each stop, stop by stop, then those of both cameras.
+
+    The bands are those of :func:`tents` under ``light``, for the ``densities`` of the stops' wavelengths on the grid.
+    """
+    whole = pinhole_responses(camera, also)
+    bands = np.concatenate([tents(_cumulative(density)).T * density / light for density in densities])
+    of_pass = np.stack([np.concatenate([bands, part]) for part in whole.of_pass])
+    return Responses(of_pass, of_pass, whole.place)
+
+
+def tents(place: FloatArray) -> FloatArray:
+    """Shares of ``BANDS`` nodes, evenly spaced over 0..1, in what is linear between them at a place, [..., band]."""
+    return np.asarray(np.maximum(1 - np.abs(place[..., None] * (BANDS - 1) - np.arange(BANDS)), 0.0))
+
+
+def _cumulative(density: FloatArray) -> FloatArray:
+    """Probability of a shorter wavelength than each of the grid."""
+    inside = np.concatenate([[0.0], np.cumsum((density[1:] + density[:-1]) / 2)])
+    return np.asarray(inside / inside[-1])
 
 
 def draw_density(whole: FloatArray, response: FloatArray, light: FloatArray | None = None) -> FloatArray:

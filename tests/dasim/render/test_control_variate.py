@@ -34,7 +34,7 @@ def test_the_mean_is_the_integral_of_the_kernel_over_the_picture_between_its_nod
 
     def profiles(levels, radius):
         return np.broadcast_to(
-            np.exp(-0.5 * (radius / (0.45 * width)) ** 2)[None, :, None], (len(levels), len(radius), 2)
+            np.exp(-0.5 * (radius / (0.45 * width)) ** 2)[:, None, None] * np.eye(2), (len(levels), len(radius), 2, 2)
         )
 
     blur = np.full(SIZE, blur_px)
@@ -69,7 +69,9 @@ def test_the_mean_is_exact_where_blur_is_large_and_its_edge_sharp(jit, picture):
         1.0,
         (0.0, 0.0),
         1.5,
-        lambda levels, radius: np.broadcast_to(disc(radius)[None, :, None], (len(levels), len(radius), 2)),
+        lambda levels, radius: np.broadcast_to(
+            disc(radius)[:, None, None] * np.eye(2), (len(levels), len(radius), 2, 2)
+        ),
     )
     steps = (np.arange(-120, 120) + 0.5) / 120 * 6.0
     x, y = np.meshgrid(steps, steps)
