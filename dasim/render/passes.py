@@ -17,7 +17,7 @@ from dasim.camera import distortion, glare, radiometry, wavefront
 from dasim.camera.sensor import principal_point
 from dasim.camera.specification import Camera
 from dasim.camera.stops import Stop, ring
-from dasim.render import control_variate, irradiance, ray_loop, stock, transport
+from dasim.render import control_variate, irradiance, pinhole, ray_loop, stock, transport
 from dasim.render.control_variate import Control, Fine
 from dasim.render.irradiance import Field
 from dasim.render.ray_loop import Ratios, Sampling
@@ -220,7 +220,7 @@ def sharp_pass(
     light = light_of(field)
     densities = [frame_density(stop_responses(camera, stop), light) for stop in camera.stops]
     responses, parts = separate_responses(wider, also, light, densities), [BANDS] * len(camera.stops)
-    pictures = ray_loop.pinhole_pictures(mitsuba_scene, wider, sampling, cells, field, responses, parts)
+    pictures = pinhole.pictures(mitsuba_scene, wider, sampling, cells, field, responses, parts)
     rate = pictures.rate[margin:-margin, margin:-margin] * radiometry.relative_illumination(camera)[..., None]
     fine = {stop.name: Fine(cells, part, margin) for stop, part in zip(camera.stops, pictures.nodes, strict=True)}
     return Sharp(rate, fine)

@@ -24,7 +24,7 @@ from dasim.camera import geometry
 from dasim.camera.rings import at_pixels
 from dasim.camera.specification import Camera
 from dasim.camera.stops import Stop
-from dasim.render import backend, layers, plugin, transport
+from dasim.render import backend, layers, transport
 from dasim.render.control_variate import Control, Fine
 from dasim.render.irradiance import Field
 from dasim.render.radial_blur import RadialBlur
@@ -154,62 +154,12 @@ def ratios(
                 whole[pixels, channel] = values
 
     place, mean_signal = responses.place.ravel(), responses.mean_signal(light_of(field))
-    for block in _blocks(shared, sampling, stop):
+    for block in blocks(shared, sampling, stop):
         _trace(shared, block, (HERO * mean_signal, place[block.pixels]), partial(keep, block.pixels))
     return result
 
 
-class PinholePictures(NamedTuple):
-    """Pictures through a pinhole of the same rays, by pixels and by the nodes of a finer grid."""
-
-    rate: FloatArray  # [h, w, channel] mean electrons per second, before the falloff of relative illumination
-    nodes: list[NDArray[np.float32]]  # [y, x, channel] electrons over those of a surface of the lights' radiance
-
-
-def pinhole_pictures(
-    scene: Any,
-    camera: Camera,
-    sampling: Sampling,
-    cells: int,
-    field: Field | None,
-    responses: Responses,
-    parts: Sequence[int],
-) -> PinholePictures:
-    """Pictures through a pinhole by pixels, and by nodes of ``cells`` x ``cells`` per pixel.
-
-    The wavelengths of the rays of a pixel are evenly spread, and those of each node among them, so that pixels have the
-    right colours, and nodes nearly.
-
-    Args:
-        scene: a Mitsuba scene.
-        camera: the camera.
-        sampling: samples per pixel, a multiple of the nodes per pixel, and seed.
-        cells: nodes per pixel along each axis, a power of two.
-        field: irradiance that is known beforehand.
-        responses: of the channels.
-        parts: how many of the first channels each picture by nodes has; the others are those of ``rate``.
-    """
-    height, width = responses.place.shape
-    shared = prepare(scene, camera, None, None, field, responses, False, None)
-    assert isinstance(sampling.spp, int)
-    mean_signal = responses.mean_signal(light_of(field))[:, sum(parts) :]
-    rate = np.zeros((height * width, mean_signal.shape[1]))
-    nodes = [plugin.aligned_zeros((height * cells, width * cells, count)) for count in parts]
-    by_pixel = [picture.reshape(height, cells, width, cells, -1) for picture in nodes]
-    columns = [picture[..., band] for picture in by_pixel for band in range(picture.shape[-1])]
-    place = responses.place.ravel()
-    for block in _blocks(shared, sampling, None):
-        row, column = np.divmod(np.arange(height * width)[block.pixels], width)
-        sums = _trace_nodes(shared, block, cells)
-        for of_band, (signal, light) in zip(columns, sums, strict=False):
-            of_band[row, :, column] = _ratio(signal, light).reshape(-1, cells, cells)
-        for channel, pair in enumerate(sums[len(columns) :]):
-            electrons = at_pixels(mean_signal[:, channel], place[block.pixels])
-            rate[block.pixels, channel] = electrons * _ratio(*(part.sum(axis=1) for part in pair))
-    return PinholePictures(rate.reshape(height, width, -1), nodes)
-
-
-def _blocks(shared: Pass, sampling: Sampling, stop: Stop | None) -> Iterator[Block]:
+def blocks(shared: Pass, sampling: Sampling, stop: Stop | None) -> Iterator[Block]:
     """The rays of a frame, batch by batch."""
     import drjit as dr
 
@@ -301,7 +251,7 @@ def _trace(
     elif shared.blur is not None:
         weight, depth_share, blur_px = wave_weights(shared, shared.blur, rays, si)
         weighted = _Weighted(blur_px, rays.rho, rays.delta, rays.tangent, rays.first, block.ring, rays.drawn)
-    values = _signals(shared, block, rays, si, weight, (aim_at, direction, lobe))
+    values = signals(shared, block, rays, si, weight, (aim_at, direction, lobe))
     seen, kernel = rays.variate or ([], [])
     # One kernel for all: summing first would trace the rays once per sum.
     dr.eval(*depth_share, *values, *seen, *kernel, *(weighted or ()))
@@ -322,40 +272,7 @@ def _trace(
         keep(channel, Ratios(ratio, variate, light, variate_light))
 
 
-def _trace_nodes(shared: Pass, block: Block, cells: int) -> list[tuple[FloatArray, FloatArray]]:
-    """Sums of signal and of control over the rays of each node through a pinhole, per channel [pixel, node]."""
-    import drjit as dr
-    import mitsuba as mi
-
-    of_node = int(block.counts[0]) // cells**2
-    each, across = (dr.opaque(mi.UInt32, value) for value in (of_node, cells))
-    numbers = Sobol(int(block.counts.max()), block.sample, block.pixel + dr.opaque(mi.UInt32, block.seed))
-    film, aim_at, direction, lobe = numbers.next_2d(), numbers.next_2d(), numbers.next_2d(), numbers.next_1d()
-    node = block.sample // each
-    film = (film + mi.Point2f(mi.Float(node % across), mi.Float(node // across))) / mi.Float(across)
-    number, count = block.sample % each, dr.opaque(mi.UInt32, cells * cells)
-    order = dr.gather(mi.UInt32, mi.UInt32(_dispersed(cells)), node)
-    first = wavelength_places(shared, block, number * count + order)
-    rays = aim(shared, block, (film, film, film, first))
-    si = shared.scene.ray_intersect(rays.ray, ray_flags=mi.RayFlags.All, coherent=True)
-    values = _signals(shared, block, rays, si, [mi.Float(1.0)] * HERO, (aim_at, direction, lobe))
-    dr.eval(*values)
-    sums = [np.array(dr.block_sum(value, of_node), dtype=float).reshape(-1, cells**2) for value in values]
-    return list(zip(sums[::2], sums[1::2], strict=True))
-
-
-def _dispersed(cells: int) -> NDArray[np.uint32]:
-    """Numbers 0 to ``cells``^2 - 1 of the nodes of a pixel, row by row, of which near ones differ most.
-
-    The matrix of ordered dither: Bayer, IEEE International Conference on Communications 1973.
-    """
-    order = np.zeros((1, 1), np.uint32)
-    while len(order) < cells:
-        order = np.block([[4 * order, 4 * order + 2], [4 * order + 3, 4 * order + 1]])
-    return order.astype(np.uint32).ravel()
-
-
-def _signals(
+def signals(
     shared: Pass, block: Block, rays: Rays, si: Any, weight: list[Any], numbers: tuple[Any, Any, Any]
 ) -> list[Any]:
     """Response x light x weight of each ray with the radiance of its end and with that of the lights, alternating by
@@ -377,10 +294,11 @@ def _sum_ratio(
     ``light`` is that expectation per ray.
     """
     signal, control = (block.sums(value) for value in values[:2])
-    return _ratio(signal - less * control, control), _ratio(control, block.counts * light, 1.0).astype(np.float32)
+    return ratio_of(signal - less * control, control), ratio_of(control, block.counts * light, 1.0).astype(np.float32)
 
 
-def _ratio(signal: FloatArray, control: FloatArray, otherwise: float = 0.0) -> FloatArray:
+def ratio_of(signal: FloatArray, control: FloatArray, otherwise: float = 0.0) -> FloatArray:
+    """The ratio of two arrays; ``otherwise`` where the second is not positive."""
     return np.divide(signal, control, out=np.full_like(signal, otherwise), where=control > 0)
 
 

@@ -16,14 +16,14 @@ import numpy as np
 import pytest
 
 import dasim
-from dasim.render import backend, irradiance, plugin, ray_block, ray_loop, ray_pass, shared_kernels
+from dasim.render import backend, irradiance, pinhole, plugin, ray_block, ray_loop, ray_pass, shared_kernels
 from dasim.render.wavelengths import pinhole_responses
 from tests.support.called import Batch, Record, recorded
 
 RENDER = Path(ray_loop.__file__).parent
 # Modules whose functions trace rays, or are called where plugins of ours meet them.
 LOOP = """blur_tables control_variate field_angle irradiance lamps light_paths light_spectra mixture pattern_blur plugin
-pupil radial_blur ray_block ray_loop ray_pass sobol surrounding transport foreign/colours""".split()
+pinhole pupil radial_blur ray_block ray_loop ray_pass sobol surrounding transport foreign/colours""".split()
 # Of Dr.Jit, all of which both kinds of arrays have; and of Mitsuba, whose types are those of the variant.
 DRJIT = """abs all any arange atan block_sum brev clip cos dot eval floor fma full gather isfinite lerp make_opaque
 maximum minimum norm normalize opaque pi rcp reinterpret_array round rsqrt safe_acos safe_asin select sin sincos sqrt
@@ -90,7 +90,7 @@ def test_a_capture_runs_on_graphics_cards(jit, monkeypatch):
     monkeypatch.setattr(backend, "LANES", LANES)
     monkeypatch.setattr(backend, "GPU_LANES", LANES)
     camera, scene = dasim.cropped(dasim.load_camera("da-mobile"), 32, 24), dasim.load_scene("desk")
-    with recorded((ray_loop, "_trace"), (ray_loop, "_trace_nodes"), (irradiance, "_traced")) as record:
+    with recorded((ray_loop, "_trace"), (pinhole, "_trace_nodes"), (irradiance, "_traced")) as record:
         dasim.simulate(scene, dasim.focused(camera, scene), spp=4)
     assert faults(record) == []
     assert Counter(batch.function for batch in record.batches) == {"_trace": 4 + 2, "_trace_nodes": 2, "_traced": 2}
@@ -216,7 +216,7 @@ def test_pinhole_pictures_by_pixels_and_by_nodes_are_those_of_a_pinhole(make_sce
     right = wall | {"name": "right", "position_cm": (200, 0, 40)}
     scene, camera, sampling = loaded(make_scene(left, right)), wide(12, 8), ray_loop.Sampling(32, 1)
     responses = pinhole_responses(camera)
-    pictures = ray_loop.pinhole_pictures(scene, camera, sampling, 4, None, responses, (2, 1))
+    pictures = pinhole.pictures(scene, camera, sampling, 4, None, responses, (2, 1))
     assert [part.shape for part in pictures.nodes] == [(32, 48, 2), (32, 48, 1)] and pictures.rate.shape == (8, 12, 1)
 
     other = ray_loop.Sampling(256, 2)
