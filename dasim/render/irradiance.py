@@ -38,7 +38,7 @@ SAME_NORMAL = 0.9  # cosine
 # Distance of averaged nodes: least cosine between their normals, largest relative difference of a pair from the middle.
 SMOOTHING = {1: (SAME_NORMAL, AGREEMENT), 2: (0.998, 0.02), 4: (0.998, 0.02)}
 TILE = 4  # nodes along each side of a square whose directions are stratified together
-WIDEST = 0.03  # largest distance of averaged nodes beyond neighbours, as a tangent seen from the lens
+WIDEST = 0.015  # largest distance of averaged nodes beyond neighbours, as a tangent seen from the lens
 SAME_DEPTH = 0.02
 ON_SURFACE, ON_SURFACE_TURN = 1e-3, 2e-5  # relative change of 1/z and of the cosine (0.4 degrees) for lamps
 DIRECTIONS_PER_SAMPLE = 4  # directions of a point per sample of a pixel

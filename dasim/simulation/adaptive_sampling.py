@@ -22,7 +22,7 @@ from dasim.typing import FloatArray
 NOISE_SHARE = 0.25  # of the sensor's noise: raises the noise of a capture by 3 %
 NOISE_AT = 50.0  # percentile of the pixels at which the share is meant: the median
 PILOT_SPP = 8  # samples per pixel and stop of each picture of the first pair
-# Samples per pixel and stop of each further picture. With 4, ratios of pixels that see several depths are up to 1 % off.
+# Samples per pixel and stop of each further picture. With 4, pixels that see several depths are up to 1 % off.
 FEWEST_SPP, MOST_SPP = 8, 4096
 # What they may be: powers of two, which Sobol's numbers cover most evenly, and the middles between them.
 STEPS = np.array(sorted({*(8 << k for k in range(10)), *(12 << k for k in range(9))}))

@@ -29,6 +29,7 @@ from validation.claims.light.pattern import fixed_pattern
 from validation.claims.light.truth_noise import truth_noise
 from validation.claims.optics.bank import bank
 from validation.claims.optics.blur import blur_off
+from validation.claims.optics.bundled_cameras import bundled_cameras
 from validation.claims.optics.camera import depth_of_field, dynamic_range, kernels, response_curves
 from validation.claims.optics.diffraction import airy_table, wave_energy, wave_sfr
 from validation.claims.optics.edges import depth_step_furnace, silhouette
@@ -62,6 +63,7 @@ CLAIMS = {
     "occluding-edge": Measurement(occluding_edge, quick=True),
     "depth-step-furnace": Measurement(depth_step_furnace, quick=False),
     "silhouette": Measurement(silhouette, quick=False),
+    "bundled-cameras": Measurement(bundled_cameras, quick=False),
     "off-axis": Measurement(off_axis, quick=False),
     "lens-errors": Measurement(lens_errors, quick=True),
     "airy-table": Measurement(airy_table, quick=True),

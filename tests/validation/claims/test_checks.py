@@ -11,7 +11,7 @@ from validation.claims.cost import datasets, scenes
 from validation.claims.depth import ground_truth
 from validation.claims.light import electrons as light
 from validation.claims.light import field_colour, mixed, noise, pattern
-from validation.claims.optics import bank, camera, diffraction, edges, lens_errors, off_axis
+from validation.claims.optics import bank, bundled_cameras, camera, diffraction, edges, lens_errors, off_axis
 from validation.claims.optics import blur as lens
 from validation.claims.pictures import colour
 from validation.claims.table import CLAIMS
@@ -100,6 +100,25 @@ def test_one_layer_for_all_depths_changes_silhouettes(jit, monkeypatch, good):
     monkeypatch.setattr(edges, "SILHOUETTE_SEEDS", 3)
     entry = next(e for e in entries("silhouette", edges.silhouette) if e.id.endswith("dark-on-bright.IR.worst"))
     assert entry.passed is good
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("good", [True, False])
+def test_plain_means_of_weighted_rays_fail_with_a_colour_filtered_aperture(jit, monkeypatch, good):
+    """Set-up: the camera ``bando`` alone; layers front to back, or each weighted by its own depth alone."""
+    from dasim.render import layers
+
+    def plain_mean(signal, control, beyond):
+        return sum(signal) / np.maximum(control[0] + beyond[0], 1e-12)
+
+    if not good:
+        monkeypatch.setattr(layers, "front_to_back", plain_mean)
+    monkeypatch.setattr(bundled_cameras, "CAMERAS", ("bando",))
+    monkeypatch.setattr(bundled_cameras, "SEEDS", 2)
+    monkeypatch.setattr(mixed, "SEEDS", range(1, 3))
+    monkeypatch.setattr(mixed, "TRACED_SPP", 64)
+    passed = {e.id.split(".")[-1]: e.passed for e in entries("bundled-cameras", bundled_cameras.bundled_cameras)}
+    assert [passed["depth-step"], passed["silhouettes"]] == [good, good]
 
 
 @pytest.mark.slow

@@ -112,7 +112,7 @@ def mixed_lights(progress: ShareDone) -> Evidence:
     figures: list[Figure] = []
     with tempfile.TemporaryDirectory() as folder:
         for number, name in enumerate(CASES):
-            figures += _figures(name, _scene(name, Path(folder)), camera)
+            figures += differences(name, _scene(name, Path(folder)), camera)
             progress((number + 1) / len(CASES))
     return Evidence(figures)
 
@@ -134,7 +134,7 @@ def _f11() -> str:
     return ", ".join(f"{nm:g}:{value:g}" for nm, value in pairs)
 
 
-def _figures(name: str, scene: Scene | MitsubaScene, camera: Camera) -> list[Figure]:
+def differences(name: str, scene: Scene | MitsubaScene, camera: Camera) -> list[Figure]:
     """Differences of a scene's captures from its traced pictures."""
     from dasim.render import translate
 

@@ -77,8 +77,8 @@ def depth_step_furnace(progress: ShareDone, seed: int = 0) -> Evidence:
     figures, lines = [], {}
     subjects = furnaces()
     for number, (name, (camera, scene)) in enumerate(subjects.items()):
-        picture = _picture(scene, camera, FURNACE_SPP, seed, "wave")
-        plain = _picture(scene, camera, FURNACE_SPP, seed + 1, "off")
+        picture = rendered(scene, camera, FURNACE_SPP, seed, "wave")
+        plain = rendered(scene, camera, FURNACE_SPP, seed + 1, "off")
         for channel in COMPARED:
             index = CHANNELS.index(channel)
             column, p = furnace_figures(picture[..., index], plain[..., index])
@@ -96,27 +96,27 @@ def depth_step_furnace(progress: ShareDone, seed: int = 0) -> Evidence:
 
 def furnaces() -> dict[str, tuple[Camera, Scene]]:
     """Cameras and scenes of :func:`depth_step_furnace` by name."""
-    camera = _camera("da-mobile", FURNACE_SIZE_PX)
-    far = _plane("far", camera, FAR_BLUR_PX)
-    scenes = {f"two-{blur:g}px": (camera, _lit([_plane("near", camera, blur, to_px=0.0), far])) for blur in STEPS_PX}
-    middle = _plane("middle", camera, 6.0, to_px=12.0)
+    camera = view_of("da-mobile", FURNACE_SIZE_PX)
+    far = plane("far", camera, FAR_BLUR_PX)
+    scenes = {f"two-{blur:g}px": (camera, lit([plane("near", camera, blur, to_px=0.0), far])) for blur in STEPS_PX}
+    middle = plane("middle", camera, 6.0, to_px=12.0)
     still = {"coating_index": 0.0}  # coatings that shift with the angle would shade the columns
     corner = rendering.changed(
         cameras.cropped("da-mobile", *FURNACE_SIZE_PX, at_px=CORNER_PX), lens=still, sensor=still
     )
     edge_px = FURNACE_SIZE_PX[0] / 2 - sensors.principal_point(corner.sensor)[0]
-    scenes["corner"] = corner, _lit([_plane("near", corner, 17.0, to_px=edge_px), far])
-    scenes["three"] = camera, _lit([_plane("near", camera, 17.0, to_px=-12.0), middle, far])
+    scenes["corner"] = corner, lit([plane("near", corner, 17.0, to_px=edge_px), far])
+    scenes["three"] = camera, lit([plane("near", camera, 17.0, to_px=-12.0), middle, far])
     # The sun stands between the two normals, so both planes receive the same.
-    slanted = _plane("near", camera, 17.0, DARKER, to_px=0.0, wide_cm=SLANTED_CM, turn_deg=-SLANT_DEG)
-    wall = _plane("far", camera, FAR_BLUR_PX, DARKER)
-    scenes["slanted"] = camera, _lit([slanted, wall], azimuth_deg=180.0 - SLANT_DEG / 2)
+    slanted = plane("near", camera, 17.0, DARKER, to_px=0.0, wide_cm=SLANTED_CM, turn_deg=-SLANT_DEG)
+    wall = plane("far", camera, FAR_BLUR_PX, DARKER)
+    scenes["slanted"] = camera, lit([slanted, wall], azimuth_deg=180.0 - SLANT_DEG / 2)
     edges = (np.arange(BARS) - (BARS - 1) / 2) * 3 * BAR_PX
     bar_cm = BAR_PX * rendering.pixel_at_m(camera, rendering.depth_m(camera, 12.0)) * 100
-    fence = [_plane(f"bar {k}", camera, 12.0, to_px=at + BAR_PX / 2, wide_cm=bar_cm) for k, at in enumerate(edges)]
-    scenes["fence"] = camera, _lit([*fence, far])
-    near = _camera("da-mobile", FURNACE_SIZE_PX, focus_distance_m=0.1)
-    scenes["behind-focus"] = near, _lit([_plane("near", near, -4.0, to_px=0.0), _plane("far", near, -12.0)])
+    fence = [plane(f"bar {k}", camera, 12.0, to_px=at + BAR_PX / 2, wide_cm=bar_cm) for k, at in enumerate(edges)]
+    scenes["fence"] = camera, lit([*fence, far])
+    near = view_of("da-mobile", FURNACE_SIZE_PX, focus_distance_m=0.1)
+    scenes["behind-focus"] = near, lit([plane("near", near, -4.0, to_px=0.0), plane("far", near, -12.0)])
     corners = [[float(np.sin(turn)), float(np.cos(turn))] for turn in np.arange(6) * np.pi / 3]
     hexagon = {
         "name": "hexagon",
@@ -126,7 +126,7 @@ def furnaces() -> dict[str, tuple[Camera, Scene]]:
         "edge_width_nm": 8,
     }
     shaped = rendering.changed(camera, stops=[hexagon, camera.stops[1].model_dump()])
-    scenes["hexagon"] = shaped, _lit([_plane("near", shaped, 10.0, to_px=0.0), _plane("far", shaped, FAR_BLUR_PX)])
+    scenes["hexagon"] = shaped, lit([plane("near", shaped, 10.0, to_px=0.0), plane("far", shaped, FAR_BLUR_PX)])
     return scenes
 
 
@@ -166,13 +166,13 @@ def silhouette(progress: ShareDone, seed: int = 0) -> Evidence:
     """
     rendering.needs_wave()
     figures, lines = [], {}
-    camera = _camera("da-mobile", SILHOUETTE_SIZE_PX)
+    camera = view_of("da-mobile", SILHOUETTE_SIZE_PX)
     polarities = {"dark-on-bright": (DARK, BRIGHT), "bright-on-dark": (BRIGHT, DARK)}
     cases = [(blur, name) for blur in SILHOUETTE_BLUR_PX for name in polarities]
     for number, (blur, name) in enumerate(cases):
         scene = silhouette_scene(camera, blur, *polarities[name])
         seeds = range(seed, seed + SILHOUETTE_SEEDS)
-        pictures = np.stack([_picture(scene, camera, SILHOUETTE_SPP, s, "wave") for s in seeds])
+        pictures = np.stack([rendered(scene, camera, SILHOUETTE_SPP, s, "wave") for s in seeds])
         spread = edge_spread(camera, blur)
         for channel in COMPARED:
             index = CHANNELS.index(channel)
@@ -189,7 +189,7 @@ def silhouette(progress: ShareDone, seed: int = 0) -> Evidence:
 
 def silhouette_scene(camera: Camera, blur_px: float, near: str, far: str) -> Scene:
     """A half-plane before a wall."""
-    return _lit([_plane("near", camera, blur_px, to_px=0.0, material=near), _plane("far", camera, FAR_BLUR_PX, far)])
+    return lit([plane("near", camera, blur_px, to_px=0.0, material=near), plane("far", camera, FAR_BLUR_PX, far)])
 
 
 def silhouette_figures(pictures: FloatArray, spread: FloatArray) -> tuple[FloatArray, float]:
@@ -218,12 +218,13 @@ def edge_spread(camera: Camera, blur_px: float) -> FloatArray:
     return 0.5 - mtf @ sines.T
 
 
-def _camera(name: str, size_px: tuple[int, int], **lens: float) -> Camera:
+def view_of(name: str, size_px: tuple[int, int], **lens: float) -> Camera:
+    """A bundled camera whose frame has ``size_px`` (width, height), about the axis."""
     sensor = {"width_px": size_px[0], "height_px": size_px[1]}
     return rendering.changed(cameras.load_camera(name), lens=lens, sensor=sensor)
 
 
-def _plane(
+def plane(
     name: str,
     camera: Camera,
     blur_px: float,
@@ -249,12 +250,13 @@ def _plane(
     }
 
 
-def _lit(objects: Sequence[dict[str, Any]], azimuth_deg: float = SUN_AZIMUTH_DEG) -> Scene:
+def lit(objects: Sequence[dict[str, Any]], azimuth_deg: float = SUN_AZIMUTH_DEG) -> Scene:
+    """Objects under one sun behind the camera."""
     sun = {"kind": "sun", "illuminant": "D65", "lux": 5e4, "elevation_deg": SUN_ELEVATION_DEG}
     return rendering.make_scene(objects, [sun | {"azimuth_deg": azimuth_deg}], MATERIALS)
 
 
-def _picture(scene: Scene, camera: Camera, spp: int, seed: int, diffraction: str) -> FloatArray:
+def rendered(scene: Scene, camera: Camera, spp: int, seed: int, diffraction: str) -> FloatArray:
     """Mean electrons of a capture without natural vignetting, [h, w, channel]."""
     shot = dasim.simulate(scene, camera, seed, spp=spp, exposure=Exposure(time_s=TIME_S), diffraction=diffraction)
     return np.asarray(shot.truth.mean_e / radiometry.relative_illumination(camera)[..., None], dtype=np.float64)

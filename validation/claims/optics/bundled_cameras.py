@@ -1,0 +1,113 @@
+"""Claim on the bundled cameras: light at depth steps, along silhouettes, under mixed lights and in the corner."""
+
+from __future__ import annotations
+
+import numpy as np
+
+import dasim
+from dasim.camera import geometry, radiometry
+from dasim.camera import sensor as sensors
+from dasim.spectra import illuminants
+from dasim.typing import FloatArray, ShareDone
+from validation.claims.light import mixed
+from validation.claims.optics import edges
+from validation.gates.claim import Evidence
+from validation.scores.figures import Figure
+from validation.subjects import rendering
+
+CAMERAS = ("da-mobile", "da-4x4", "da-8mm", "bayer-mobile", "chakrabarti-zickler", "bando")
+STEP_PX, SILHOUETTE_PX = 10.0, 17.0
+SILHOUETTE_SIZE_PX = (96, 48)
+SPP, SEEDS = 64, 4
+AROUND_PX = 1  # pixels on each side of the middle one
+SIGNALS = ("R", "IR")
+
+
+def bundled_cameras(progress: ShareDone) -> Evidence:
+    """Each bundled camera makes and loses no light at depth steps, along silhouettes and under mixed lights.
+
+    Rationale: cameras differ in the shapes, the spectra and the number of their stops. What holds for ``da-mobile``
+    need not hold for a bare lens, for four quarters of a filter or for a colour-filtered aperture.
+
+    Set-up: ``da-mobile``, ``da-4x4``, ``da-8mm``, ``bayer-mobile``, ``chakrabarti-zickler`` and ``bando``; mean_e of
+    dasim.simulate with diffraction 'wave', mean of 4 seeds of 64 samples per pixel, all channels. Depth step: two black
+    planes of equal radiance, the near one at 10 px of visible blur, the other at -1 px. Silhouettes: black before white
+    and white before black, at 17 px. Mixed lights: the room of the claim ``mixed-lights`` under a D65 dome and an F11
+    lamp, diffraction off, against traced light. Corner: kernels of a point in focus under D65, and the signal of a
+    white surface, where the corner of the sensor's full frame is.
+
+    Expectation: columns of the furnace are even; both silhouettes add up to an even picture, since what the near object
+    covers in one is what it leaves in the other; the means under mixed lights are equal. Worst column, worst channel.
+    Shares in the corner are what the optics take there, without a limit.
+
+    Limit: those of ``depth-step-furnace``, ``silhouette`` and ``mixed-lights``: 0.3 %, 1.5 % and 0.2 %.
+
+    Source: conservation of radiance along rays; path tracing.
+    """
+    rendering.needs_wave()
+    figures: list[Figure] = []
+    for number, name in enumerate(CAMERAS):
+        figures += [
+            Figure(f"{name}.depth-step", _depth_step(name), "1", f"{name}: worst column of a furnace of two depths"),
+            Figure(f"{name}.silhouettes", _silhouettes(name), "1", f"{name}: worst column of both silhouettes' sum"),
+            Figure(f"{name}.mixed", _mixed(name), "1", f"{name}: mean under a dome and a lamp, over traced light's"),
+            *_corner(name),
+        ]
+        progress((number + 1) / len(CAMERAS))
+    return Evidence(figures)
+
+
+def _depth_step(name: str) -> float:
+    camera = edges.view_of(name, edges.FURNACE_SIZE_PX)
+    near, far = edges.plane("near", camera, STEP_PX, to_px=0.0), edges.plane("far", camera, edges.FAR_BLUR_PX)
+    scene = edges.lit([near, far])
+    return _unevenness(np.mean([edges.rendered(scene, camera, SPP, seed, "wave") for seed in range(SEEDS)], axis=0))
+
+
+def _silhouettes(name: str) -> float:
+    camera = edges.view_of(name, SILHOUETTE_SIZE_PX)
+    sums = []
+    for near, far in ((edges.DARK, edges.BRIGHT), (edges.BRIGHT, edges.DARK)):
+        scene = edges.silhouette_scene(camera, SILHOUETTE_PX, near, far)
+        sums.append(np.mean([edges.rendered(scene, camera, SPP, seed, "wave") for seed in range(SEEDS)], axis=0))
+    return _unevenness(np.sum(sums, axis=0))
+
+
+def _unevenness(picture: FloatArray) -> float:
+    """Largest relative difference of a column [h, w, channel] from the columns at the sides of the frame."""
+    column = picture.mean(axis=0)
+    sides = np.concatenate([column[: edges.PLATEAU_PX], column[-edges.PLATEAU_PX :]]).mean(axis=0)
+    return float(np.abs(column / sides - 1).max())
+
+
+def _mixed(name: str) -> float:
+    camera = rendering.changed(dasim.load_camera(name), sensor=mixed.SENSOR)
+    evidence = mixed.differences("D65-F11", rendering.make_scene(mixed.OBJECTS, mixed.LIGHTS["D65-F11"]), camera)
+    means = [figure.value for figure in evidence if ".mean." in figure.id]
+    return max(means, key=abs)
+
+
+def _corner(name: str) -> list[Figure]:
+    """Light of a point in focus near its image, on the axis and in the corner, and the signal that is left there."""
+    camera = dasim.load_camera(name)
+    field_px = camera.sensor.width_px / 2, camera.sensor.height_px / 2
+    angle_deg = geometry.field_angle_deg(camera, field_px)
+    light = illuminants.illuminant("D65")
+    left = (radiometry.response(camera, angle_deg) @ light) / (radiometry.response(camera) @ light)
+    figures = [Figure(f"{name}.corner.angle", angle_deg, "deg", f"{name}: angle of the full frame's corner")]
+    names = sensors.channels(camera.sensor)
+    for channel in ("G", "IR"):
+        if channel not in names:
+            continue
+        for place, at in (("axis", (0.0, 0.0)), ("corner", field_px)):
+            kernel = dasim.psf(camera, camera.lens.focus_distance_m, channel, "D65", field_px=at)
+            middle = kernel.shape[0] // 2
+            near = slice(middle - AROUND_PX, middle + AROUND_PX + 1)
+            what = f"{name}: {channel} light of a point in focus within 3 x 3 pixels, {place}"
+            figures.append(Figure(f"{name}.{place}.{channel}", float(kernel[near, near].sum()), "1", what))
+    for channel in SIGNALS:
+        if channel in names:
+            value = float(left[names.index(channel)] - 1)
+            what = f"{name}: change of the {channel} signal under D65 by the coatings in the corner"
+            figures.append(Figure(f"{name}.shift.{channel}", value, "1", what))
+    return figures
