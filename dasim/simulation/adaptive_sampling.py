@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from dasim.simulation.rendering_noise import Measured, Picture, around, measured, share, shares_at
+from dasim.simulation.rendering_noise import Measured, Picture, Sums, add, around, measured, no_pairs, share, shares_at
 from dasim.typing import FloatArray
 
 NOISE_SHARE = 0.25  # of the sensor's noise: raises the noise of a capture by 3 %
@@ -60,12 +60,15 @@ def render_to_noise_target(
         percentile: of the pixels: this share of them, in per cent, has at most ``target``.
         most_spp: bound on the samples per pixel and stop of a picture.
     """
-    pairs: list[tuple[Picture, Picture]] = []
+    sums: Sums | None = None
     spp = np.full(shape, PILOT_SPP, dtype=np.int64)
     factor, number, pilot_wants = 1.0, 0, np.zeros(shape)
     while True:
-        pairs.append((picture(2 * number, spp), picture(2 * number + 1, spp)))
-        result = measured(pairs)
+        first, second = picture(2 * number, spp), picture(2 * number + 1, spp)
+        sums = no_pairs(first) if sums is None else sums
+        add(sums, first, second)
+        del first, second
+        result = measured(sums)
         limit = sensor_variance(result.rate.sum(axis=0))
         reached = shares_at(share(result.variance.sum(axis=0), limit), [percentile])[0]
         is_last = reached.max() <= target or number == MOST_ROUNDS - 1

@@ -50,41 +50,62 @@ class Measured(NamedTuple):
     spp: NDArray[np.int64]  # [stop, h, w] or [stop, 1, 1] samples per pixel of all pictures together
 
 
-def measured(pairs: Sequence[tuple[Picture, Picture]]) -> Measured:
+class Sums(NamedTuple):
+    """Sums over pairs of pictures, from which :func:`measured` takes mean and variance: memory of any number of pairs.
+
+    A pair of m and n samples adds m a + n b of its pictures a and b, and the products of their differences times m n.
+    """
+
+    spp: NDArray[np.int64]  # [stop, h, w] or [stop, 1, 1] samples per pixel
+    rate: FloatArray  # [stop, h, w, channel] of the pictures
+    variate: FloatArray  # of their control variates
+    square: NDArray[np.float32]  # of the pictures' differences
+    cross: NDArray[np.float32]  # product with the control variates' differences
+    variate_square: NDArray[np.float32]  # of these
+
+
+def no_pairs(like: Picture) -> Sums:
+    """Sums of no pairs, for pictures of the shapes of ``like``."""
+    shape = np.broadcast_shapes(like.rate.shape, (*like.spp.shape, 1))
+    square, cross, variate_square = (np.zeros(shape, np.float32) for _ in range(3))
+    return Sums(np.zeros_like(like.spp), np.zeros(shape), np.zeros(shape), square, cross, variate_square)
+
+
+def add(sums: Sums, first: Picture, second: Picture) -> None:
+    """Add a pair to the sums, in place."""
+    for at in _parts(sums.rate.shape):
+        _add(_part_of_sums(sums, at), _part(first, at), _part(second, at))
+    np.add(sums.spp, first.spp + second.spp, out=sums.spp)
+
+
+def measured(sums: Sums) -> Measured:
     """The mean of all pictures, weighted by their samples, with the best factor of the control variate; its variance.
 
     Two pictures a, b of m and n samples have the mean (m a + n b) / (m + n), whose variance is the expectation of
     (a - b)^2 m n / (m + n)^2. It is averaged over ``WINDOW_PX``.
     """
-    total = np.asarray(sum(first.spp + second.spp for first, second in pairs))
-    rate, variance, beside = (np.empty(_shape(pairs, total)) for _ in range(3))
-    for at, part in _by_channel(pairs, total):
-        rate[at], variance[at], beside[at] = part
-    return Measured(rate, variance, beside, total)
+    rate, variance, beside = (np.empty(sums.rate.shape) for _ in range(3))
+    for at in _parts(sums.rate.shape):
+        rate[at], variance[at], beside[at] = _measured(_part_of_sums(sums, at))
+    return Measured(rate, variance, beside, sums.spp.copy())
 
 
 def mean_and_variance(first: Picture, second: Picture) -> tuple[FloatArray, FloatArray]:
     """``rate`` and ``variance`` of :func:`measured` alone, of one pair."""
-    pairs, total = [(first, second)], first.spp + second.spp
-    rate, variance = (np.empty(_shape(pairs, total)) for _ in range(2))
-    for at, part in _by_channel(pairs, total):
-        rate[at], variance[at], _ = part
+    shape = np.broadcast_shapes(first.rate.shape, (*first.spp.shape, 1))
+    rate, variance = (np.empty(shape) for _ in range(2))
+    for at in _parts(shape):
+        a, b = _part(first, at), _part(second, at)
+        sums = no_pairs(a)
+        _add(sums, a, b)
+        rate[at], variance[at], _ = _measured(sums._replace(spp=a.spp + b.spp))
     return rate, variance
 
 
-def _shape(pairs: Sequence[tuple[Picture, Picture]], total: NDArray[np.int64]) -> tuple[int, ...]:
-    """[stop, h, w, channel]."""
-    return np.broadcast_shapes(pairs[0][0].rate.shape, (*total.shape, 1))
-
-
-def _by_channel(
-    pairs: Sequence[tuple[Picture, Picture]], total: NDArray[np.int64]
-) -> Iterator[tuple[tuple[slice, ...], tuple[FloatArray, FloatArray, FloatArray]]]:
-    """Results of :func:`_measured` of each stop and channel, and their places: of all, large frames take gigabytes."""
-    stops, _, _, channels = _shape(pairs, total)
-    for stop, channel in np.ndindex(stops, channels):
-        at = (slice(stop, stop + 1), slice(None), slice(None), slice(channel, channel + 1))
-        yield at, _measured([(_part(a, at), _part(b, at)) for a, b in pairs], total[at[:3]])
+def _parts(shape: tuple[int, ...]) -> Iterator[tuple[slice, ...]]:
+    """Places of each stop and channel: intermediate arrays of all of a large frame take gigabytes."""
+    for stop, channel in np.ndindex(shape[0], shape[3]):
+        yield (slice(stop, stop + 1), slice(None), slice(None), slice(channel, channel + 1))
 
 
 def _part(picture: Picture, at: tuple[slice, ...]) -> Picture:
@@ -95,26 +116,33 @@ def _part(picture: Picture, at: tuple[slice, ...]) -> Picture:
     return Picture(picture.spp[at[:3]], picture.rate[at], picture.variate[at], light, variate_light)
 
 
-def _measured(
-    pairs: Sequence[tuple[Picture, Picture]], total: NDArray[np.int64]
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Mean, variance, and variance from the pixels around each, of parts of pictures; ``total`` are their samples."""
-    weight = np.maximum(total, 1)[..., None]
-    shape = np.broadcast_shapes(pairs[0][0].rate.shape, weight.shape)
-    rate, variate, square, cross, variate_square = (np.zeros(shape) for _ in range(5))
-    for first, second in pairs:
-        a, b = first.spp[..., None] / weight, second.spp[..., None] / weight
-        rate += _joined((a, first.rate, first.light), (b, second.rate, second.light))
-        variate += _joined((a, first.variate, first.variate_light), (b, second.variate, second.variate_light))
-        difference, other = first.rate - second.rate, first.variate - second.variate
-        square += a * b * difference**2
-        cross += a * b * difference * other
-        variate_square += a * b * other**2
+def _part_of_sums(sums: Sums, at: tuple[slice, ...]) -> Sums:
+    """The same part of sums, a view."""
+    spp, rate, variate, square, cross, variate_square = sums
+    return Sums(spp[at[:3]], rate[at], variate[at], square[at], cross[at], variate_square[at])
+
+
+def _add(sums: Sums, first: Picture, second: Picture) -> None:
+    """Add a pair to the sums of a part, but for its samples."""
+    m, n = (each.spp[..., None].astype(float) for each in (first, second))
+    np.add(sums.rate, _joined((m, first.rate, first.light), (n, second.rate, second.light)), out=sums.rate)
+    variates = (m, first.variate, first.variate_light), (n, second.variate, second.variate_light)
+    np.add(sums.variate, _joined(*variates), out=sums.variate)
+    difference, other = first.rate - second.rate, first.variate - second.variate
+    products = difference**2, difference * other, other**2
+    for total, product in zip((sums.square, sums.cross, sums.variate_square), products, strict=True):
+        np.add(total, m * n * product, out=total, casting="same_kind")
+
+
+def _measured(sums: Sums) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Mean, variance, and variance from the pixels around each, of a part."""
+    weight = np.maximum(sums.spp, 1)[..., None].astype(float)
+    square, cross, variate_square = (values / weight**2 for values in (sums.square, sums.cross, sums.variate_square))
     above, below = around(cross), around(variate_square)
-    factor = np.clip(np.divide(above, below, out=np.zeros(shape), where=below > 0), 0.0, MOST_FACTOR)
+    factor = np.clip(np.divide(above, below, out=np.zeros_like(cross), where=below > 0), 0.0, MOST_FACTOR)
     left = square - 2 * factor * cross + factor**2 * variate_square
     variance = np.maximum(ndimage.uniform_filter(left, (1, WINDOW_PX, WINDOW_PX, 1)), 0.0)
-    return rate - factor * variate, variance, np.maximum(around(left), 0.0)
+    return (sums.rate - factor * sums.variate) / weight, variance, np.maximum(around(left), 0.0)
 
 
 def _joined(*parts: tuple[FloatArray, FloatArray, NDArray[np.float32] | float]) -> FloatArray:

@@ -6,7 +6,7 @@ from dasim.typing import FloatArray
 
 SHAPE = 48, 64
 SPECTRA = np.ones((1, 431))
-APART = 0.005
+APART = 0.0014  # as a tangent: three pixels of da-mobile
 
 
 def plane(normal: tuple[float, float, float] = (0.0, 0.0, -1.0), vergence: float = 2.0) -> FloatArray:

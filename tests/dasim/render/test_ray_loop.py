@@ -192,7 +192,7 @@ def test_textures_share_the_memory_of_aligned_arrays(jit):
     assert copy.ctypes.data % 64 == 0 and not np.shares_memory(copy, values)
 
 
-@pytest.mark.parametrize(("variant", "most"), [("cuda_ad_spectral", 1 << 23), ("llvm_ad_spectral", 1 << 21)])
+@pytest.mark.parametrize(("variant", "most"), [("cuda_ad_spectral", 1 << 23), ("llvm_ad_spectral", 1 << 19)])
 def test_memory_is_bounded_by_the_rays_at_once(jit, monkeypatch, variant, most):
     """Expectation: batches of as many rays as the variant takes at once; a small frame has one."""
     monkeypatch.setattr("mitsuba.variant", lambda: variant)

@@ -7,7 +7,7 @@ import pytest
 
 from dasim.simulation import adaptive_sampling
 from dasim.simulation.adaptive_sampling import render_to_noise_target
-from dasim.simulation.rendering_noise import Picture, measured
+from dasim.simulation.rendering_noise import Picture, add, measured, no_pairs
 
 FRAME = (2, 60, 80)
 SHAPE = (*FRAME, 4)
@@ -109,7 +109,10 @@ def test_the_factor_of_the_variate_lowers_the_noise_and_leaves_the_mean():
         noise = random.exponential(1.0, (2, *SHAPE)) - 1
         other = random.exponential(1.0, (2, *SHAPE)) - 1
         variate = 1.25 * (follows * noise + (1 - follows) * other) + 0.05 * other
-        result = measured([(Picture(spp, 5 + noise[0], variate[0]), Picture(spp, 5 + noise[1], variate[1]))])
+        two = [Picture(spp, 5 + noise[k], variate[k]) for k in range(2)]
+        sums = no_pairs(two[0])
+        add(sums, *two)
+        result = measured(sums)
         spread = (result.rate - 5).std() / np.sqrt(0.5)
         assert low <= spread < high
         assert abs(result.rate.mean() - 5) < 5 * max(spread, 0.05) / np.sqrt(result.rate.size)

@@ -7,7 +7,16 @@ import tracemalloc
 import numpy as np
 import pytest
 
-from dasim.simulation.rendering_noise import PERCENTILES, Picture, mean_and_variance, measured, share, shares_at
+from dasim.simulation.rendering_noise import (
+    PERCENTILES,
+    Picture,
+    add,
+    mean_and_variance,
+    measured,
+    no_pairs,
+    share,
+    shares_at,
+)
 
 SHAPE = (2, 120, 160, 3)  # 19,200 pixels: the mean of their squares is known to 1 %
 KNOWN = 0.03
@@ -24,11 +33,18 @@ def picture(spp, rate, variate=None):
     return Picture(np.full((SHAPE[0], 1, 1), spp), rate, np.zeros(SHAPE) if variate is None else variate)
 
 
+def summed(pairs):
+    sums = no_pairs(pairs[0][0])
+    for first, second in pairs:
+        add(sums, first, second)
+    return sums
+
+
 @pytest.mark.parametrize("spp", [[(32, 32)], [(3, 2)], [(16, 16), (40, 40), (64, 32)]])
 def test_the_variance_is_that_of_the_mean(spp):
     """Expectation: the squared error of the mean, known here, and 1 / samples by stop; sums over stops add."""
     random = np.random.default_rng(5)
-    found = measured([pair(random, (1.0, 2.0), counts) for counts in spp])
+    found = measured(summed([pair(random, (1.0, 2.0), counts) for counts in spp]))
     total = sum(map(sum, spp))
     np.testing.assert_array_equal(found.spp.ravel(), (total, total))
     np.testing.assert_allclose(found.variance.mean(axis=(1, 2)).T, np.tile([1 / total, 4 / total], (3, 1)), rtol=KNOWN)
@@ -40,7 +56,7 @@ def test_the_map_follows_the_noise_from_place_to_place():
     random = np.random.default_rng(6)
     even = pair(random, (1.0, 1.0), (8, 8))
     scale = np.where(np.arange(SHAPE[2]) < 80, 1.0, 3.0)[:, None]
-    found = measured([tuple(picture(8, 10 + scale * (each.rate - 10)) for each in even)])
+    found = measured(summed([tuple(picture(8, 10 + scale * (each.rate - 10)) for each in even)]))
     left, right = (found.variance[:, :, part].mean() for part in (slice(0, 78), slice(82, None)))
     assert right / left == pytest.approx(9.0, rel=KNOWN)
     assert found.variance[:, :, :78].std() / left == pytest.approx(np.sqrt(2 / 25), rel=0.15), "25 degrees of freedom"
@@ -61,7 +77,7 @@ def test_a_ratio_of_sums_has_no_bias():
         parts.append(Picture(np.full((SHAPE[0], 1, 1), spp), rate, np.zeros(SHAPE), w.mean(axis=0).astype(np.float32)))
     plain = sum(part.spp[..., None] * part.rate for part in parts) / 12
     assert plain.mean() - 1.1 < -30 * plain.std() / np.sqrt(plain.size)
-    assert abs(measured([tuple(parts)]).rate.mean() - 1.1) < 0.1 * abs(plain.mean() - 1.1)
+    assert abs(measured(summed([tuple(parts)])).rate.mean() - 1.1) < 0.1 * abs(plain.mean() - 1.1)
 
 
 def test_the_variate_takes_out_what_it_shares_with_the_picture():
@@ -74,7 +90,7 @@ def test_the_variate_takes_out_what_it_shares_with_the_picture():
         shared = 3 * random.standard_normal(SHAPE)
         return picture(1, 10 + random.standard_normal(SHAPE) + shared, 1.25 * shared)
 
-    found = measured([(one(), one())])
+    found = measured(summed([(one(), one())]))
     expected = 0.5 * (1 + 1 / 23)  # the factor comes from 24 pixels, each of one degree of freedom
     assert found.variance.mean() == pytest.approx(expected, rel=KNOWN)
     assert np.mean((found.rate - 10) ** 2) == pytest.approx(expected, rel=KNOWN)
@@ -94,7 +110,7 @@ def test_a_pair_is_measured_in_little_memory():
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert peak < (2 + 24 / 6) * rate.nbytes
-    whole = measured([tuple(two)])
+    whole = measured(summed([tuple(two)]))
     np.testing.assert_array_equal(rate, whole.rate)
     np.testing.assert_array_equal(variance, whole.variance)
 
