@@ -18,7 +18,7 @@ from validation.claims.table import CLAIMS
 from validation.gates.claim import Claim
 from validation.gates.limits import GATES, gate_of, judged_all, load_gates, within
 from validation.scores.figures import Figure
-from validation.subjects import rendering
+from validation.subjects import mixed_room, rendering
 
 
 def entries(name: str, run_claim) -> list[Claim]:
@@ -115,8 +115,8 @@ def test_plain_means_of_weighted_rays_fail_with_a_colour_filtered_aperture(jit, 
         monkeypatch.setattr(layers, "front_to_back", plain_mean)
     monkeypatch.setattr(bundled_cameras, "CAMERAS", ("bando",))
     monkeypatch.setattr(bundled_cameras, "SEEDS", 2)
-    monkeypatch.setattr(mixed, "SEEDS", range(1, 3))
-    monkeypatch.setattr(mixed, "TRACED_SPP", 64)
+    monkeypatch.setattr(mixed_room, "SEEDS", range(1, 3))
+    monkeypatch.setattr(mixed_room, "TRACED_SPP", 64)
     passed = {e.id.split(".")[-1]: e.passed for e in entries("bundled-cameras", bundled_cameras.bundled_cameras)}
     assert [passed["depth-step"], passed["silhouettes"]] == [good, good]
 

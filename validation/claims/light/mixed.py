@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import tempfile
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -16,51 +15,12 @@ from dasim.scene.specification import Scene
 from dasim.typing import FloatArray, ShareDone
 from validation.gates.claim import Evidence
 from validation.scores.figures import Figure
-from validation.subjects import rendering
+from validation.subjects import mixed_room, rendering
 
-SENSOR = {"width_px": 96, "height_px": 72, "pixel_pitch_um": 20.0}  # the whole view in few pixels
-SPP, SEEDS = 256, range(1, 9)  # of the captures
-TRACED_SPP, TRACED_SEEDS = 1024, range(11, 15)
 BLOCK_PX = 8
 
-DOME: dict[str, Any] = {"kind": "dome", "lux": 400.0}
-# It shines upwards at the ceiling, so that its light reaches what is seen by reflection only.
-LAMP: dict[str, Any] = {
-    "kind": "lamp",
-    "lux": 4000.0,
-    "position_cm": [0, -15, 30],
-    "target_cm": [0, -40, 30],
-    "radius_cm": 3,
-}
-LIGHTS: dict[str, tuple[dict[str, Any], ...]] = {
-    "D65-F11": (DOME | {"illuminant": "D65"}, LAMP | {"illuminant": "F11"}),
-    "energy-saving-D65": (DOME | {"illuminant": "energy-saving-3500K"}, LAMP | {"illuminant": "D65"}),
-    "D65-A": (DOME | {"illuminant": "D65"}, LAMP | {"illuminant": "A"}),
-    "daylight": ({"kind": "daylight", "lux": 1000.0, "elevation_deg": 35, "azimuth_deg": 200},),
-}
-OBJECTS: tuple[dict[str, Any], ...] = (
-    {"name": "wall", "shape": "plane", "size_cm": [90, 70], "position_cm": [0, 0, 45], "material": "wood-light"},
-    {
-        "name": "floor",
-        "shape": "plane",
-        "size_cm": [90, 60],
-        "position_cm": [0, 12, 30],
-        "rotation_deg": [90, 0, 0],
-        "material": "cotton-red",
-    },
-    {
-        "name": "ceiling",
-        "shape": "plane",
-        "size_cm": [90, 60],
-        "position_cm": [0, -40, 30],
-        "rotation_deg": [90, 0, 0],
-        "material": "white-paper",
-    },
-    {"name": "ball", "shape": "sphere", "radius_cm": 5, "position_cm": [-7, 6, 34], "material": "leaf-green"},
-    {"name": "card", "shape": "plane", "size_cm": [10, 9], "position_cm": [8, 5, 36], "material": "grey-card"},
-)
 MITSUBA = "mitsuba-F11"
-CASES = (*LIGHTS, MITSUBA)
+CASES = (*mixed_room.LIGHTS, MITSUBA)
 
 _XML = """<scene version="3.0.0">
   <sensor type="perspective"/>
@@ -108,11 +68,11 @@ def mixed_lights(progress: ShareDone) -> Evidence:
     """
     if rendering.activate().startswith("scalar"):
         raise rendering.NotRun("only scalar_spectral works here, which traces all light; install LLVM 17 or newer")
-    camera = rendering.changed(dasim.load_camera("da-mobile"), sensor=SENSOR)
+    camera = mixed_room.camera("da-mobile")
     figures: list[Figure] = []
     with tempfile.TemporaryDirectory() as folder:
         for number, name in enumerate(CASES):
-            figures += differences(name, _scene(name, Path(folder)), camera)
+            figures += _figures(name, _scene(name, Path(folder)), camera)
             progress((number + 1) / len(CASES))
     return Evidence(figures)
 
@@ -120,7 +80,7 @@ def mixed_lights(progress: ShareDone) -> Evidence:
 def _scene(name: str, folder: Path) -> Scene | MitsubaScene:
     """The scene of a case; the Mitsuba scene is a file in ``folder``."""
     if name != MITSUBA:
-        return rendering.make_scene(OBJECTS, LIGHTS[name])
+        return rendering.make_scene(mixed_room.OBJECTS, mixed_room.LIGHTS[name])
     (folder / "lamp.xml").write_text(_XML.replace("F11", _f11()))
     return dasim.load_scene(folder / "lamp.xml")
 
@@ -134,19 +94,9 @@ def _f11() -> str:
     return ", ".join(f"{nm:g}:{value:g}" for nm, value in pairs)
 
 
-def differences(name: str, scene: Scene | MitsubaScene, camera: Camera) -> list[Figure]:
+def _figures(name: str, scene: Scene | MitsubaScene, camera: Camera) -> list[Figure]:
     """Differences of a scene's captures from its traced pictures."""
-    from dasim.render import translate
-
-    captures = [rendering.capture_rate(scene, camera, SPP, seed, diffraction="off") for seed in SEEDS]
-    ours, ours_noise = _mean(captures)
-    loaded = translate.world(scene, camera).scene
-    traced, traced_noise = _mean(
-        [
-            rendering.stop_pictures(loaded, camera, TRACED_SPP, seed, diffraction="off", max_blur_px=0.0).sum(axis=0)
-            for seed in TRACED_SEEDS
-        ]
-    )
+    (ours, ours_noise), (traced, traced_noise) = map(_mean, mixed_room.pictures(scene, camera))
     difference = ours / traced - 1
     noise = (ours_noise**2 + traced_noise**2) / traced**2
     figures = []

@@ -9,15 +9,14 @@ from dasim.camera import geometry, radiometry
 from dasim.camera import sensor as sensors
 from dasim.spectra import illuminants
 from dasim.typing import FloatArray, ShareDone
-from validation.claims.light import mixed
-from validation.claims.optics import edges
 from validation.gates.claim import Evidence
 from validation.scores.figures import Figure
-from validation.subjects import rendering
+from validation.subjects import mixed_room, planes, rendering
 
 CAMERAS = ("da-mobile", "da-4x4", "da-8mm", "bayer-mobile", "chakrabarti-zickler", "bando")
 STEP_PX, SILHOUETTE_PX = 10.0, 17.0
-SILHOUETTE_SIZE_PX = (96, 48)
+FURNACE_SIZE_PX, SILHOUETTE_SIZE_PX = (96, 24), (96, 48)
+PLATEAU_PX = 12  # columns at each side of the frame; the blur ends before them
 SPP, SEEDS = 64, 4
 AROUND_PX = 1  # pixels on each side of the middle one
 SIGNALS = ("R", "IR")
@@ -58,33 +57,32 @@ def bundled_cameras(progress: ShareDone) -> Evidence:
 
 
 def _depth_step(name: str) -> float:
-    camera = edges.view_of(name, edges.FURNACE_SIZE_PX)
-    near, far = edges.plane("near", camera, STEP_PX, to_px=0.0), edges.plane("far", camera, edges.FAR_BLUR_PX)
-    scene = edges.lit([near, far])
-    return _unevenness(np.mean([edges.rendered(scene, camera, SPP, seed, "wave") for seed in range(SEEDS)], axis=0))
+    camera = planes.view_of(name, FURNACE_SIZE_PX)
+    near, far = planes.plane("near", camera, STEP_PX, to_px=0.0), planes.plane("far", camera, planes.FAR_BLUR_PX)
+    scene = planes.lit([near, far])
+    return _unevenness(np.mean([planes.rendered(scene, camera, SPP, seed, "wave") for seed in range(SEEDS)], axis=0))
 
 
 def _silhouettes(name: str) -> float:
-    camera = edges.view_of(name, SILHOUETTE_SIZE_PX)
+    camera = planes.view_of(name, SILHOUETTE_SIZE_PX)
     sums = []
-    for near, far in ((edges.DARK, edges.BRIGHT), (edges.BRIGHT, edges.DARK)):
-        scene = edges.silhouette_scene(camera, SILHOUETTE_PX, near, far)
-        sums.append(np.mean([edges.rendered(scene, camera, SPP, seed, "wave") for seed in range(SEEDS)], axis=0))
+    for near, far in ((planes.DARK, planes.BRIGHT), (planes.BRIGHT, planes.DARK)):
+        scene = planes.silhouette_scene(camera, SILHOUETTE_PX, near, far)
+        sums.append(np.mean([planes.rendered(scene, camera, SPP, seed, "wave") for seed in range(SEEDS)], axis=0))
     return _unevenness(np.sum(sums, axis=0))
 
 
 def _unevenness(picture: FloatArray) -> float:
     """Largest relative difference of a column [h, w, channel] from the columns at the sides of the frame."""
     column = picture.mean(axis=0)
-    sides = np.concatenate([column[: edges.PLATEAU_PX], column[-edges.PLATEAU_PX :]]).mean(axis=0)
+    sides = np.concatenate([column[:PLATEAU_PX], column[-PLATEAU_PX:]]).mean(axis=0)
     return float(np.abs(column / sides - 1).max())
 
 
 def _mixed(name: str) -> float:
-    camera = rendering.changed(dasim.load_camera(name), sensor=mixed.SENSOR)
-    evidence = mixed.differences("D65-F11", rendering.make_scene(mixed.OBJECTS, mixed.LIGHTS["D65-F11"]), camera)
-    means = [figure.value for figure in evidence if ".mean." in figure.id]
-    return max(means, key=abs)
+    scene = rendering.make_scene(mixed_room.OBJECTS, mixed_room.LIGHTS["D65-F11"])
+    captures, traced = (np.mean(each, axis=(0, 1, 2)) for each in mixed_room.pictures(scene, mixed_room.camera(name)))
+    return max((captures / traced - 1).tolist(), key=abs)
 
 
 def _corner(name: str) -> list[Figure]:

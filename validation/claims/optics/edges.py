@@ -2,17 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any
-
 import numpy as np
 from scipy.stats import t as student
 
-import dasim
-from dasim.camera import radiometry
 from dasim.camera import sensor as sensors
 from dasim.camera import specification as cameras
-from dasim.camera.noise import Exposure
 from dasim.camera.specification import Camera
 from dasim.materials import library
 from dasim.scene.specification import Scene
@@ -23,19 +17,9 @@ from validation.gates.claim import Evidence
 from validation.references import transfer
 from validation.reports.plots import plot
 from validation.scores.figures import Figure
-from validation.subjects import rendering
+from validation.subjects import planes, rendering
 
 COMPARED = ("G", "IR")
-DARK, BRIGHT = "carbon-black", "white-paper"
-# Light between a slanted plane and the wall is 0.2 % of the sun's on carbon black. It is uneven, and the wave and the
-# geometric kernel spread it differently: by 0.03 %, which the Z-test sees.
-DARKER = "black-trap"
-MATERIALS = {DARKER: {"kind": "spectrum", "points": [[400.0, 0.003], [830.0, 0.003]]}}
-FAR_BLUR_PX = -1.0
-WIDE_CM = 100.0  # of a plane: beyond the view at any depth
-SUN_ELEVATION_DEG, SUN_AZIMUTH_DEG = 20.0, 150.0  # behind the camera, to the right: shadows fall outside the view
-TIME_S = 0.01
-
 FURNACE_SIZE_PX = (96, 24)
 FURNACE_SPP = 64
 STEPS_PX = (3.0, 10.0, 17.0, 40.0)
@@ -77,8 +61,8 @@ def depth_step_furnace(progress: ShareDone, seed: int = 0) -> Evidence:
     figures, lines = [], {}
     subjects = furnaces()
     for number, (name, (camera, scene)) in enumerate(subjects.items()):
-        picture = rendered(scene, camera, FURNACE_SPP, seed, "wave")
-        plain = rendered(scene, camera, FURNACE_SPP, seed + 1, "off")
+        picture = planes.rendered(scene, camera, FURNACE_SPP, seed, "wave")
+        plain = planes.rendered(scene, camera, FURNACE_SPP, seed + 1, "off")
         for channel in COMPARED:
             index = CHANNELS.index(channel)
             column, p = furnace_figures(picture[..., index], plain[..., index])
@@ -96,27 +80,35 @@ def depth_step_furnace(progress: ShareDone, seed: int = 0) -> Evidence:
 
 def furnaces() -> dict[str, tuple[Camera, Scene]]:
     """Cameras and scenes of :func:`depth_step_furnace` by name."""
-    camera = view_of("da-mobile", FURNACE_SIZE_PX)
-    far = plane("far", camera, FAR_BLUR_PX)
-    scenes = {f"two-{blur:g}px": (camera, lit([plane("near", camera, blur, to_px=0.0), far])) for blur in STEPS_PX}
-    middle = plane("middle", camera, 6.0, to_px=12.0)
+    camera = planes.view_of("da-mobile", FURNACE_SIZE_PX)
+    far = planes.plane("far", camera, planes.FAR_BLUR_PX)
+    scenes = {
+        f"two-{blur:g}px": (camera, planes.lit([planes.plane("near", camera, blur, to_px=0.0), far]))
+        for blur in STEPS_PX
+    }
+    middle = planes.plane("middle", camera, 6.0, to_px=12.0)
     still = {"coating_index": 0.0}  # coatings that shift with the angle would shade the columns
     corner = rendering.changed(
         cameras.cropped("da-mobile", *FURNACE_SIZE_PX, at_px=CORNER_PX), lens=still, sensor=still
     )
     edge_px = FURNACE_SIZE_PX[0] / 2 - sensors.principal_point(corner.sensor)[0]
-    scenes["corner"] = corner, lit([plane("near", corner, 17.0, to_px=edge_px), far])
-    scenes["three"] = camera, lit([plane("near", camera, 17.0, to_px=-12.0), middle, far])
+    scenes["corner"] = corner, planes.lit([planes.plane("near", corner, 17.0, to_px=edge_px), far])
+    scenes["three"] = camera, planes.lit([planes.plane("near", camera, 17.0, to_px=-12.0), middle, far])
     # The sun stands between the two normals, so both planes receive the same.
-    slanted = plane("near", camera, 17.0, DARKER, to_px=0.0, wide_cm=SLANTED_CM, turn_deg=-SLANT_DEG)
-    wall = plane("far", camera, FAR_BLUR_PX, DARKER)
-    scenes["slanted"] = camera, lit([slanted, wall], azimuth_deg=180.0 - SLANT_DEG / 2)
+    slanted = planes.plane("near", camera, 17.0, planes.DARKER, to_px=0.0, wide_cm=SLANTED_CM, turn_deg=-SLANT_DEG)
+    wall = planes.plane("far", camera, planes.FAR_BLUR_PX, planes.DARKER)
+    scenes["slanted"] = camera, planes.lit([slanted, wall], azimuth_deg=180.0 - SLANT_DEG / 2)
     edges = (np.arange(BARS) - (BARS - 1) / 2) * 3 * BAR_PX
     bar_cm = BAR_PX * rendering.pixel_at_m(camera, rendering.depth_m(camera, 12.0)) * 100
-    fence = [plane(f"bar {k}", camera, 12.0, to_px=at + BAR_PX / 2, wide_cm=bar_cm) for k, at in enumerate(edges)]
-    scenes["fence"] = camera, lit([*fence, far])
-    near = view_of("da-mobile", FURNACE_SIZE_PX, focus_distance_m=0.1)
-    scenes["behind-focus"] = near, lit([plane("near", near, -4.0, to_px=0.0), plane("far", near, -12.0)])
+    fence = [
+        planes.plane(f"bar {k}", camera, 12.0, to_px=at + BAR_PX / 2, wide_cm=bar_cm) for k, at in enumerate(edges)
+    ]
+    scenes["fence"] = camera, planes.lit([*fence, far])
+    near = planes.view_of("da-mobile", FURNACE_SIZE_PX, focus_distance_m=0.1)
+    scenes["behind-focus"] = (
+        near,
+        planes.lit([planes.plane("near", near, -4.0, to_px=0.0), planes.plane("far", near, -12.0)]),
+    )
     corners = [[float(np.sin(turn)), float(np.cos(turn))] for turn in np.arange(6) * np.pi / 3]
     hexagon = {
         "name": "hexagon",
@@ -126,7 +118,10 @@ def furnaces() -> dict[str, tuple[Camera, Scene]]:
         "edge_width_nm": 8,
     }
     shaped = rendering.changed(camera, stops=[hexagon, camera.stops[1].model_dump()])
-    scenes["hexagon"] = shaped, lit([plane("near", shaped, 10.0, to_px=0.0), plane("far", shaped, FAR_BLUR_PX)])
+    scenes["hexagon"] = (
+        shaped,
+        planes.lit([planes.plane("near", shaped, 10.0, to_px=0.0), planes.plane("far", shaped, planes.FAR_BLUR_PX)]),
+    )
     return scenes
 
 
@@ -166,13 +161,13 @@ def silhouette(progress: ShareDone, seed: int = 0) -> Evidence:
     """
     rendering.needs_wave()
     figures, lines = [], {}
-    camera = view_of("da-mobile", SILHOUETTE_SIZE_PX)
-    polarities = {"dark-on-bright": (DARK, BRIGHT), "bright-on-dark": (BRIGHT, DARK)}
+    camera = planes.view_of("da-mobile", SILHOUETTE_SIZE_PX)
+    polarities = {"dark-on-bright": (planes.DARK, planes.BRIGHT), "bright-on-dark": (planes.BRIGHT, planes.DARK)}
     cases = [(blur, name) for blur in SILHOUETTE_BLUR_PX for name in polarities]
     for number, (blur, name) in enumerate(cases):
-        scene = silhouette_scene(camera, blur, *polarities[name])
+        scene = planes.silhouette_scene(camera, blur, *polarities[name])
         seeds = range(seed, seed + SILHOUETTE_SEEDS)
-        pictures = np.stack([rendered(scene, camera, SILHOUETTE_SPP, s, "wave") for s in seeds])
+        pictures = np.stack([planes.rendered(scene, camera, SILHOUETTE_SPP, s, "wave") for s in seeds])
         spread = edge_spread(camera, blur)
         for channel in COMPARED:
             index = CHANNELS.index(channel)
@@ -185,11 +180,6 @@ def silhouette(progress: ShareDone, seed: int = 0) -> Evidence:
             ]
         progress((number + 1) / len(cases))
     return Evidence(figures, [("Column means less the edge spread function, over contrast", _lines(lines))])
-
-
-def silhouette_scene(camera: Camera, blur_px: float, near: str, far: str) -> Scene:
-    """A half-plane before a wall."""
-    return lit([plane("near", camera, blur_px, to_px=0.0, material=near), plane("far", camera, FAR_BLUR_PX, far)])
 
 
 def silhouette_figures(pictures: FloatArray, spread: FloatArray) -> tuple[FloatArray, float]:
@@ -211,55 +201,11 @@ def silhouette_figures(pictures: FloatArray, spread: FloatArray) -> tuple[FloatA
 def edge_spread(camera: Camera, blur_px: float) -> FloatArray:
     """Share of the light that each column takes from what covers the left half of the view, [channel, w]."""
     frequency = np.arange(FREQUENCY_STEP / 2, HIGHEST_FREQUENCY, FREQUENCY_STEP)
-    light = illuminants.illuminant("D65") * library.reflectance(BRIGHT)
+    light = illuminants.illuminant("D65") * library.reflectance(planes.BRIGHT)
     mtf = transfer.wave_mtf(camera, blur_px, light, frequency, 0.0)
     x = np.arange(camera.sensor.width_px) + 0.5 - camera.sensor.width_px / 2
     sines = np.sin(2 * np.pi * np.outer(x, frequency)) / (np.pi * frequency) * FREQUENCY_STEP
     return 0.5 - mtf @ sines.T
-
-
-def view_of(name: str, size_px: tuple[int, int], **lens: float) -> Camera:
-    """A bundled camera whose frame has ``size_px`` (width, height), about the axis."""
-    sensor = {"width_px": size_px[0], "height_px": size_px[1]}
-    return rendering.changed(cameras.load_camera(name), lens=lens, sensor=sensor)
-
-
-def plane(
-    name: str,
-    camera: Camera,
-    blur_px: float,
-    material: str = DARK,
-    *,
-    to_px: float | None = None,
-    wide_cm: float = WIDE_CM,
-    turn_deg: float = 0.0,
-) -> dict[str, Any]:
-    """An upright plane at a visible blur, to the left of ``to_px`` from the axis (its right edge), or everywhere."""
-    depth_m = rendering.depth_m(camera, blur_px)
-    pixel_cm = rendering.pixel_at_m(camera, depth_m) * 100
-    turn = np.radians(turn_deg)
-    edge_cm = np.array([(to_px or 0.0) * pixel_cm, 0.0, depth_m * 100])
-    middle = edge_cm - (0.0 if to_px is None else wide_cm / 2) * np.array([np.cos(turn), 0.0, -np.sin(turn)])
-    return {
-        "name": name,
-        "shape": "plane",
-        "size_cm": [wide_cm, WIDE_CM],
-        "rotation_deg": [0.0, turn_deg, 0.0],
-        "position_cm": middle.tolist(),
-        "material": material,
-    }
-
-
-def lit(objects: Sequence[dict[str, Any]], azimuth_deg: float = SUN_AZIMUTH_DEG) -> Scene:
-    """Objects under one sun behind the camera."""
-    sun = {"kind": "sun", "illuminant": "D65", "lux": 5e4, "elevation_deg": SUN_ELEVATION_DEG}
-    return rendering.make_scene(objects, [sun | {"azimuth_deg": azimuth_deg}], MATERIALS)
-
-
-def rendered(scene: Scene, camera: Camera, spp: int, seed: int, diffraction: str) -> FloatArray:
-    """Mean electrons of a capture without natural vignetting, [h, w, channel]."""
-    shot = dasim.simulate(scene, camera, seed, spp=spp, exposure=Exposure(time_s=TIME_S), diffraction=diffraction)
-    return np.asarray(shot.truth.mean_e / radiometry.relative_illumination(camera)[..., None], dtype=np.float64)
 
 
 def _lines(lines: dict[str, FloatArray]) -> str:
