@@ -68,14 +68,16 @@ def test_edges_of_geometry_fail_the_wave_claim(jit, monkeypatch, model):
     assert results[3] is (model == "wave")
 
 
+def plain_mean(signal, control, beyond):
+    """In place of layers.front_to_back: each ray weighted by its own depth alone, without a rest."""
+    return sum(signal) / np.maximum(control[0] + beyond[0], 1e-12)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("good", [True, False])
 def test_weights_by_the_own_depth_of_each_ray_draw_an_edge_in_the_furnace(jit, monkeypatch, good):
     """Set-up: one step of 17 px; layers front to back, or each weighted by its own depth alone, without a rest."""
     from dasim.render import layers
-
-    def plain_mean(signal, control, beyond):
-        return sum(signal) / np.maximum(control[0] + beyond[0], 1e-12)
 
     if not good:
         monkeypatch.setattr(layers, "front_to_back", plain_mean)
@@ -107,9 +109,6 @@ def test_one_layer_for_all_depths_changes_silhouettes(jit, monkeypatch, good):
 def test_plain_means_of_weighted_rays_fail_with_a_colour_filtered_aperture(jit, monkeypatch, good):
     """Set-up: the camera ``bando`` alone; layers front to back, or each weighted by its own depth alone."""
     from dasim.render import layers
-
-    def plain_mean(signal, control, beyond):
-        return sum(signal) / np.maximum(control[0] + beyond[0], 1e-12)
 
     if not good:
         monkeypatch.setattr(layers, "front_to_back", plain_mean)
