@@ -2,7 +2,7 @@
 
 Small windows show where objects end, large ones read weak texture; the score of :mod:`recon.depth.bands` does not ask
 the texture's spectrum to be natural, and is better at large blur (:mod:`recon.depth.evidence`). Neighbours are joined
-before a level is chosen (:mod:`recon.depth.surface_net`): the level is the mean of the posterior, whose blurred steps
+before a level is chosen (:mod:`recon.depth.surface_net`): the level is the middle of the posterior, whose blurred steps
 then move to edges of the picture (:mod:`recon.depth.weighted_median`).
 
 The kernels are those of one side of the focus; :mod:`recon.depth.side` chooses between both.
@@ -19,7 +19,7 @@ from dasim.typing import Float32Array, FloatArray
 from recon.depth import surface_net, weighted_median
 from recon.depth.evidence import Evidence, on_samples
 
-LEAST_RANGE = 10.0  # of a score over the levels: windows of noise alone stay below it
+LEAST_RANGE = 16.0  # of a score over the levels: windows of noise alone stay below it
 
 
 class Map(NamedTuple):

@@ -1,7 +1,7 @@
 """Banded cross-spectra of the four channels around each sample, and those that a textured plane at each level has.
 
 In a window, the channels' band-passed images y_i give the matrix S_b = <y_i y_j> of each band b. A plane at blur level
-a, whose texture has the power 1/f^2 and the covariance Sigma between channels, has
+a, whose texture has the power P = 1/f^2.6 and the covariance Sigma between channels, has
 
     C_b = e^{q_b} Sigma o A_b(a) + N_b,    A_b,ij(a) = sum over band b of sum_k P(f_k) H_i(f_k) conj H_j(f_k) s_ij,k
 
@@ -16,6 +16,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import NamedTuple
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -27,8 +28,12 @@ from recon.picture.mosaic import Phase
 EDGES = np.array([0.010, 0.022, 0.036, 0.055, 0.08, 0.11, 0.145, 0.19, 0.24])  # cycles per pixel, evenly in log f
 LEAST_SPAN = 0.30  # standard deviation of a window, pixels, times the width of a band: at least this
 TABLE_SIDE = 96  # of the grid of planes on which A is summed
-TEXTURE_EXPONENT = 2.0
+# Of the texture's power over frequency: the mean over random scenes of :mod:`validation.training.traced`.
+TEXTURE_EXPONENT = 2.6
 MARGIN = 48  # samples of padding
+# Where strong texture counts less, weights are 1 / sqrt(local energy + NOISE_FLOOR times the noise), with the energy of
+# the first channel around a sample within LOCAL cycles of the band.
+NOISE_FLOOR, LOCAL = 3.0, 0.35
 
 
 class Spectra(NamedTuple):
@@ -44,6 +49,7 @@ class Window(NamedTuple):
 
     sigma_px: float  # raw pixels
     step: int  # between centres, samples of the planes
+    even: bool = False  # strong texture counts less, so that a few edges of other surfaces do not decide
 
 
 def pairs(channels: int) -> list[tuple[int, int]]:
@@ -99,14 +105,33 @@ def measured(
         products = [images[i] * images[j] / np.float32(share) for i, j in which]
         for part, window in zip(parts, windows, strict=True):
             sigma = max(window.sigma_px, LEAST_SPAN / (EDGES[band + 1] - EDGES[band])) / PLANE_SPACING_PX
-            if (sigma, window.step) not in noise:  # most bands have the same window
-                noise[sigma, window.step] = _means(noise_images, sigma, window.step)
-            energy = _means(products, sigma, window.step)
-            part.append((energy, noise[sigma, window.step], 4 * np.pi * sigma**2 * share))
+            if window.even:
+                weight = _evening(products[0], noise_images[0], band)
+                total = _means([weight], sigma, window.step)
+                energy, of_noise = (
+                    _means([weight * image for image in some], sigma, window.step) / total
+                    for some in (products, noise_images)
+                )
+            else:
+                if (sigma, window.step) not in noise:  # most bands have the same window
+                    noise[sigma, window.step] = _means(noise_images, sigma, window.step)
+                energy, of_noise = _means(products, sigma, window.step), noise[sigma, window.step]
+            part.append((energy, of_noise, 4 * np.pi * sigma**2 * share))
     return [
         Spectra(np.stack(energies, axis=-2), np.stack(noises, axis=-2), np.array(number, np.float32))
         for energies, noises, number in (zip(*part, strict=True) for part in parts)
     ]
+
+
+def _evening(energy: Float32Array, noise: Float32Array, band: int) -> Float32Array:
+    """Weights of samples by which strong texture counts less, [h, w].
+
+    They are those of all channels and of the noise alike: a plane's matrices keep their shape. ``energy`` and ``noise``
+    [h, w] are those of one channel in a band.
+    """
+    sigma = LOCAL / np.sqrt(EDGES[band] * EDGES[band + 1]) / PLANE_SPACING_PX
+    around = np.maximum(cv2.GaussianBlur(energy, (0, 0), sigma, borderType=cv2.BORDER_REFLECT), 0)
+    return np.asarray(1 / np.sqrt(around + NOISE_FLOOR * noise + np.float32(1e-12)), np.float32)
 
 
 def _noise(variances: Sequence[Float32Array], alpha: Sequence[float]) -> list[Float32Array]:
@@ -131,15 +156,15 @@ def nodes(shape: Sequence[int], step: int) -> tuple[NDArray[np.intp], NDArray[np
     return rows, columns
 
 
-def expected(kernels: Float32Array, phases: Sequence[Phase]) -> FloatArray:
+def expected(kernels: Float32Array, phases: Sequence[Phase], exponent: float = TEXTURE_EXPONENT) -> FloatArray:
     """A of each level of kernels [level, channel, y, x], [level, band, channel, channel]; of unit mean power per band.
 
-    The kernels are of raw pixels; texture beyond 0.5 cycles per pixel is left out.
+    The kernels are of raw pixels; texture, of the power f^-``exponent``, is left out beyond 0.5 cycles per pixel.
     """
     side = TABLE_SIDE
     shape = (2 * side, 2 * side)
     fy, fx = np.meshgrid(np.fft.fftfreq(2 * side), np.fft.fftfreq(2 * side), indexing="ij")
-    power = np.maximum(np.hypot(fy, fx), 0.4 / (2 * side)) ** -TEXTURE_EXPONENT
+    power = np.maximum(np.hypot(fy, fx), 0.4 / (2 * side)) ** -exponent
     base_y, base_x = np.meshgrid(np.fft.fftfreq(side, 2.0), np.fft.fftfreq(side, 2.0), indexing="ij")
     weights = np.stack([ring.astype(np.float64) ** 2 for ring in rings(np.hypot(base_y, base_x))])
     weights /= weights.sum(axis=(1, 2), keepdims=True)

@@ -22,13 +22,16 @@ from recon.depth.cross_spectra import Spectra, Window
 from recon.depth.grid import PLANE_SPACING_PX
 from recon.depth.joint_likelihood import log_likelihood
 
-WINDOWS = (Window(10.0, 4), Window(28.0, 8))
+WINDOWS = (Window(10.0, 4), Window(28.0, 8, even=True))
 NODE = 4  # samples of the planes between nodes
 FINEST, RELATIVE, LAST = 0.5, 1 / 8, 28.0  # spacing of levels: the larger of a number and a share of the level
 SCORE_UNIT = 10.0  # score from which on differences count by their logarithm
-WEIGHTS = (0.6, 0.6, 0.2)  # of the scores of both windows and of ``bands`` in their sum: they share samples
+# Of the scores of both windows and of ``bands`` in their sum, which share samples: where neighbours are joined, and for
+# the windows alone, chosen on ``tune``.
+WEIGHTS, ALONE = (0.6, 0.6, 0.2), (1.0, 1.0, 0.2)
 FAR = 0.5  # exponent of the prior (1 + level / 2)^-FAR: random rooms hold more at small blur
 EXCLUDED = 1e4  # below the best score: of levels that the bank does not have
+FALL = 10.0  # of a score per level beyond the bank, as a network input
 GUIDE_BLUR = 0.6  # standard deviation in samples
 GUIDE_FLOOR = 2.0  # noise standard deviations that are added before the logarithm
 SURROUNDINGS_PX = 40.0  # window of the mean that the picture is relative to
@@ -49,7 +52,7 @@ class Evidence(NamedTuple):
     inputs: Float32Array
     picture: Float32Array  # [NODE h, NODE w, channel] logarithms of green, infrared, red and blue
     levels: FloatArray
-    score: Float32Array  # [h, w, level] weighted sum of the scores, and a prior
+    score: Float32Array  # [h, w, level] of the windows alone: weighted sum of their scores, and a prior
     nodes: Nodes  # rows and columns of the nodes, samples of the planes
 
 
@@ -98,12 +101,8 @@ def evidence(
     scores.append(of_bands)
     parts = []
     for score in scores:
-        below = score.max(axis=-1, keepdims=True) - score
-        below[..., levels > last + 1e-6] = EXCLUDED
-        parts.append(-np.log1p(below / SCORE_UNIT))
-    total = sum(np.float32(weight) * score for weight, score in zip(WEIGHTS, scores, strict=True))
-    total = np.asarray(total - FAR * np.log(1 + levels / 2), np.float32)
-    total[..., levels > last + 1e-6] = total.min(axis=-1, keepdims=True) - EXCLUDED
+        parts.append(-np.log1p(_below_best(score, levels, last) / SCORE_UNIT))
+    total, alone = (_weighted(scores, weights, levels, last) for weights in (WEIGHTS, ALONE))
     picture = _picture([*channels, *guides])
     across, down = surfaces.step_probability(picture[:2, nodes[0][:, None], nodes[1]])
     joined = np.log(_joined(total, levels, across, down))
@@ -111,7 +110,7 @@ def evidence(
     if bands:
         parts += [_signal(found[WINDOWS[0]]), row_of_nodes(total.shape[:2])]
     inputs = np.concatenate(parts, axis=-1).astype(np.float32, copy=False)
-    return Evidence(inputs, _whole(picture, nodes), levels, total, nodes)
+    return Evidence(inputs, _whole(picture, nodes), levels, alone, nodes)
 
 
 def _spectra(channels: tuple[Channel, Channel], leak: Leak, windows: Sequence[Window]) -> dict[Window, Spectra]:
@@ -145,6 +144,28 @@ def _window_scores(
         score[without[np.ix_(rows, columns)]] = 0
         result.append(resampled(resampled(score, rows, nodes[0], 0), columns, nodes[1], 1))
     return result
+
+
+def _below_best(score: Float32Array, levels: FloatArray, last: float) -> Float32Array:
+    """By how much a score is below its largest value, [h, w, level].
+
+    Beyond the bank's ``last`` level it falls by ``FALL`` per level of the list, as the network has seen scores fall.
+    """
+    inside = int((levels <= last + 1e-6).sum())
+    below = score[..., :inside].max(axis=-1, keepdims=True) - score
+    steps = np.arange(1, len(levels) - inside + 1, dtype=np.float32)
+    below[..., inside:] = below[..., inside - 1 : inside] + FALL * steps
+    return below
+
+
+def _weighted(
+    scores: Sequence[Float32Array], weights: Sequence[float], levels: FloatArray, last: float
+) -> Float32Array:
+    """Weighted sum of scores and of the logarithm of the prior, [h, w, level]."""
+    total = sum(np.float32(weight) * score for weight, score in zip(weights, scores, strict=True))
+    total = np.asarray(total - FAR * np.log(1 + levels / 2), np.float32)
+    total[..., levels > last + 1e-6] = total.min(axis=-1, keepdims=True) - EXCLUDED
+    return total
 
 
 def _joined(score: Float32Array, levels: FloatArray, across: Float32Array, down: Float32Array) -> Float32Array:

@@ -17,11 +17,13 @@ import numpy as np
 from numba import njit, prange
 
 from dasim.typing import Float32Array, FloatArray
-from recon.depth.cross_spectra import Spectra
+from recon.depth.cross_spectra import EDGES, Spectra
 
 TEMPER = 0.3  # of the number of independent values
-NU = 3.0  # divergence of a band beyond which it counts by its logarithm
-POWER_SD = 2.0  # prior of q_b
+NU = 2.0  # divergence of a band beyond which it counts by its logarithm
+# Prior of q_b, standard deviations: a common factor, a slope over log f, and each band's own. The second and the third
+# are those of random scenes of the training (:mod:`validation.training.traced`), windows of 10 and 28 px.
+POWER_SD, SLOPE_SD, BAND_SD = 2.0, 1.0, 0.4
 MOST_CORRELATION = 0.95  # of the textures of two channels
 SLACK = 0.02  # of the model's diagonal: errors of kernels and of noise
 ITERATIONS = 4
@@ -35,8 +37,17 @@ def log_likelihood(spectra: Spectra, table: FloatArray, nu: float = NU) -> Float
     noise = spectra.noise.reshape(-1, bands, count).astype(np.float64)
     result = np.empty((len(energy), len(table)), np.float32)
     number = TEMPER * spectra.number.astype(np.float64)
-    _fit(energy, noise, number, np.ascontiguousarray(table), tuple(range(d)), nu, result)
+    covariance = power_covariance()
+    precision, prior_det = np.linalg.inv(covariance), float(np.linalg.slogdet(covariance)[1])
+    _fit(energy, noise, number, np.ascontiguousarray(table), tuple(range(d)), nu, precision, prior_det, result)
     return result.reshape(height, width, -1)
+
+
+def power_covariance() -> FloatArray:
+    """Covariance of the prior of q, [band, band]."""
+    slope = np.log(EDGES[1:] * EDGES[:-1]) / 2
+    slope -= slope.mean()
+    return np.asarray(POWER_SD**2 + SLOPE_SD**2 * np.outer(slope, slope) + BAND_SD**2 * np.eye(len(slope)))
 
 
 @njit(fastmath=True, cache=True)
@@ -71,6 +82,19 @@ def _invert_lower(lower: FloatArray, inverse: FloatArray, d: int) -> None:  # pr
             inverse[i, j] = t / lower[i, i]
 
 
+@njit(fastmath=True, cache=True)
+def _solve(lower: FloatArray, vector: FloatArray, d: int) -> None:  # pragma: no cover - compiled
+    """Solution x of lower lower^T x = vector, in place."""
+    for i in range(d):
+        for k in range(i):
+            vector[i] -= lower[i, k] * vector[k]
+        vector[i] /= lower[i, i]
+    for i in range(d - 1, -1, -1):
+        for k in range(i + 1, d):
+            vector[i] -= lower[k, i] * vector[k]
+        vector[i] /= lower[i, i]
+
+
 @njit(fastmath=True, cache=True, parallel=True)
 def _fit(  # pragma: no cover - compiled
     energy: FloatArray,
@@ -79,6 +103,8 @@ def _fit(  # pragma: no cover - compiled
     table: FloatArray,
     channels: tuple[int, ...],
     nu: float,
+    precision: FloatArray,
+    prior_det: float,
     result: Float32Array,
 ) -> None:
     """:func:`log_likelihood` of each window; ``result`` is [window, level].
@@ -101,6 +127,10 @@ def _fit(  # pragma: no cover - compiled
         q = np.empty(bands)
         power = np.empty(bands)  # e^q
         own = np.empty((bands, d))
+        trust = np.empty(bands)  # weight of a band in the next fit
+        pull = np.empty(bands)
+        curvature = np.empty((bands, bands))
+        root = np.zeros((bands, bands))
         for b in range(bands):
             index = 0
             for i in range(d):
@@ -115,7 +145,7 @@ def _fit(  # pragma: no cover - compiled
         for a in range(levels):
             total = 0.0
             for b in range(bands):
-                q[b], power[b] = 0.0, 1.0
+                q[b], power[b], trust[b] = 0.0, 1.0, 1.0
                 for i in range(d):
                     own[b, i] = max(s[b, i, i], n[b, i, i])
             for step in range(ITERATIONS):
@@ -124,7 +154,7 @@ def _fit(  # pragma: no cover - compiled
                         top, bottom = 0.0, 1e-30
                         for b in range(bands):
                             e = power[b] * table[a, b, i, j]
-                            weight = number[b] / (own[b, i] * own[b, j] + 1e-20)
+                            weight = trust[b] * number[b] / (own[b, i] * own[b, j] + 1e-20)
                             top += weight * e * (s[b, i, j] - n[b, i, j])
                             bottom += weight * e * e
                         sigma[i, j] = sigma[j, i] = top / bottom
@@ -159,14 +189,22 @@ def _fit(  # pragma: no cover - compiled
                                 slope += model
                             curve += model * model
                             cross += model * white
-                    fisher = 0.5 * number[b] * curve + 1 / (POWER_SD * POWER_SD)
-                    if step < ITERATIONS - 1:
-                        gradient = 0.5 * number[b] * (cross - slope) - q[b] / (POWER_SD * POWER_SD)
-                        q[b] += min(max(gradient / fisher, -1.0), 1.0)
+                    divergence = max(0.5 * number[b] * (det + trace - log_det[b] - d), 0.0)
+                    total -= nu * np.log(1 + divergence / nu)
+                    trust[b] = nu / (nu + divergence)
+                    pull[b] = 0.5 * trust[b] * number[b] * (cross - slope)
+                    for k in range(bands):
+                        pull[b] -= precision[b, k] * q[k]
+                        curvature[b, k] = precision[b, k]
+                    curvature[b, b] += 0.5 * trust[b] * number[b] * curve
+                det = _cholesky(curvature, root, bands)
+                if step < ITERATIONS - 1:
+                    _solve(root, pull, bands)
+                    for b in range(bands):
+                        q[b] += min(max(pull[b], -1.0), 1.0)
                         power[b] = np.exp(q[b])
-                    else:
-                        divergence = max(0.5 * number[b] * (det + trace - log_det[b] - d), 0.0)
-                        total -= nu * np.log(1 + divergence / nu)
-                        total -= 0.5 * q[b] * q[b] / (POWER_SD * POWER_SD)
-                        total -= 0.5 * np.log(fisher * POWER_SD * POWER_SD)
-            result[p, a] = total
+                else:
+                    for b in range(bands):
+                        for k in range(bands):
+                            total -= 0.5 * q[b] * precision[b, k] * q[k]
+            result[p, a] = total - 0.5 * (det + prior_det)

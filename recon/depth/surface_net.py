@@ -13,7 +13,7 @@ the evidence, and block i adds to the hidden image h
 
 with a 3 x 3 convolution A_i of dilation ``DILATIONS[i]``. On the way back to the samples, the picture's features are
 added again. The log probabilities of a sample's levels are those of the nodes, interpolated, plus a linear map of the
-sample's own features. The result is mixed with the posterior on smooth surfaces alone, which needs no learning.
+sample's own features. Their median is mixed with the posterior on smooth surfaces alone, which needs no learning.
 """
 
 from __future__ import annotations
@@ -23,6 +23,7 @@ from typing import NamedTuple
 
 import cv2
 import numpy as np
+from numba import njit, prange
 
 from dasim.typing import Float32Array, FloatArray
 from recon.convolution import Net, convolved, gathered, linear, load, refined, relu, residual, spread
@@ -41,7 +42,7 @@ HALO = 50  # nodes around a tile: the sum of ``DILATIONS``, and what the layers 
 
 
 class Moments(NamedTuple):
-    """Mean and standard deviation of the posterior of each sample, [h, w] levels."""
+    """Mean or median of the posterior of each sample, and the standard deviation, [h, w] levels."""
 
     level: Float32Array
     sd: Float32Array
@@ -97,7 +98,7 @@ def _of_tile(inputs: Float32Array, picture: Float32Array, levels: FloatArray, la
     del fine, middle, hidden
     size = logits.shape[1::-1]
     logits += cv2.resize(nodes, size, interpolation=cv2.INTER_LINEAR)
-    return _mixed(_moments(_powers(logits, levels, last)), smooth_posterior(inputs, levels, last))
+    return _mixed(_median(logits, levels, last), smooth_posterior(inputs, levels, last))
 
 
 def _mixed(network: Moments, smooth: Moments) -> Moments:
@@ -124,6 +125,45 @@ def smooth_posterior(inputs: Float32Array, levels: FloatArray, last: float) -> M
 def _moments(powers: Float32Array) -> Moments:
     level, square = np.moveaxis(powers, -1, 0)
     return Moments(*(np.asarray(image, np.float32) for image in (level, np.sqrt(np.maximum(square - level**2, 0)))))
+
+
+def _median(logits: Float32Array, levels: FloatArray, last: float) -> Moments:
+    """Median of the level and rms distance from it, [h, w] each, from log probabilities [h, w, level].
+
+    Where a sample may belong to either of two surfaces, the mean would lie between them.
+    """
+    used = int(np.searchsorted(levels, last + 1e-6, side="right"))
+    edges = np.concatenate([levels[:1], (levels[1:used] + levels[: used - 1]) / 2, levels[used - 1 : used]])
+    level, sd = np.empty((2, *logits.shape[:2]), np.float32)
+    _medians(logits, levels.astype(np.float32), edges.astype(np.float32), level, sd)
+    return Moments(level, sd)
+
+
+@njit(cache=True, parallel=True)
+def _medians(  # pragma: no cover - compiled
+    logits: Float32Array, levels: Float32Array, edges: Float32Array, median: Float32Array, sd: Float32Array
+) -> None:
+    """:func:`_median`; a level's probability is spread evenly between its two ``edges``."""
+    height, width, _ = logits.shape
+    used = len(edges) - 1
+    for y in prange(height):
+        probability = np.empty(used, np.float32)
+        for x in range(width):
+            top = logits[y, x, :used].max()
+            total = np.float32(0)
+            for k in range(used):
+                probability[k] = np.exp(logits[y, x, k] - top)
+                total += probability[k]
+            below, k = np.float32(0), 0
+            while k < used - 1 and below + probability[k] < total / 2:
+                below += probability[k]
+                k += 1
+            share = min(max((total / 2 - below) / probability[k], np.float32(0)), np.float32(1))
+            middle = edges[k] + share * (edges[k + 1] - edges[k])
+            square = np.float32(0)
+            for k in range(used):
+                square += probability[k] * (levels[k] - middle) ** 2
+            median[y, x], sd[y, x] = middle, np.sqrt(square / total)
 
 
 def _powers(logits: Float32Array, levels: FloatArray, last: float) -> Float32Array:

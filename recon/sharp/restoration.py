@@ -38,8 +38,8 @@ LEAST_SD, LARGEST_SD = 0.05, 30.0  # levels
 # and of its standard deviation, as logarithms; and what the frame has in common.
 OF_PICTURES, DRAFT_COLOURS, OF_LEVELS = 32, slice(16, 28), 2
 MULTIPLE_PX = 8  # that the network's coarsest pixels span
-# Where blur is large the network hedges: the mean with the draft is nearer to the truth above 10 px, held out too.
-DRAFT_SHARE, DRAFT_LEVELS = 0.5, (2.0, 6.0)  # of the draft in the result, and the levels between which it rises to that
+# Out of focus the network hedges: a mean with the draft is nearer to the truth, on ``tune`` too.
+DRAFT_SHARE, DRAFT_LEVELS = 0.6, (0.0, 2.0)  # of the draft in the result, and the levels between which it rises to that
 TILE_PX = 2048  # largest side of what is restored at a time
 # Around a tile. Beyond the 8 x 8 pixels that it is in, a pixel depends on 44: convolutions of 3 x 3 reach 2 pixels four
 # times, 4 three times and 8 three times.

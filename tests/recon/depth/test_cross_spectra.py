@@ -55,7 +55,7 @@ def test_spectra_of_a_natural_texture_are_those_of_its_planes_with_aliasing():
     point = np.zeros((61, 61))
     point[30, 30] = 1.0
     kernels = np.stack([ndimage.gaussian_filter(point, sigma) for sigma in sigmas])[None].astype(np.float32)
-    table = cross_spectra.expected(kernels, PHASES)[0]
+    table = cross_spectra.expected(kernels, PHASES, exponent=2.0)[0]
     expected = np.stack([table[:, 0, 0], table[:, 0, 1], table[:, 1, 1]], axis=-1)
     scale = energy[2:, 0].sum() / expected[2:, 0].sum()
     used = slice(2, 6)  # lower bands have few values, higher ones no blurred texture
@@ -64,3 +64,27 @@ def test_spectra_of_a_natural_texture_are_those_of_its_planes_with_aliasing():
     alone = 1.0 / EDGES[7:].mean() ** 2 * np.exp(-2 * (2 * np.pi * EDGES[7:].mean() * sigmas[0]) ** 2 / 2)
     first = 1.0 / EDGES[3:5].mean() ** 2 * np.exp(-2 * (2 * np.pi * EDGES[3:5].mean() * sigmas[0]) ** 2 / 2)
     assert energy[7, 0] / energy[3, 0] > 1.1 * alone / first, "aliasing adds to the highest band"
+
+
+def test_a_few_strong_edges_do_not_decide_in_an_even_window():
+    """Rationale: a window on a wall holds the outlines of what stands before it.
+
+    Set-up: noise of variance 1, the same in both channels; over 6 % of the columns, noise of 100 times that variance in
+    the first channel alone. Expectation, from shares of energy: the channels' coherence is 1 / sqrt(1 + 6) = 0.38 in a
+    window of equal weights, and about 1 / sqrt(1 + 0.6) = 0.8 in an even one, which weighs the columns by a tenth.
+    """
+    random = np.random.default_rng(7)
+    weak, strong = random.standard_normal((2, SIDE, SIDE))
+    strip = np.where(np.arange(SIDE) % 128 < 8, 10.0, 0.0)
+    planes = [image.astype(np.float32) for image in (weak + strip * strong, weak)]
+    nothing = [np.full((SIDE, SIDE), 1e-3, np.float32)] * 2
+    windows = [Window(100.0, 16), Window(100.0, 16, even=True)]
+    equal, even = (
+        (band[..., 1] / np.sqrt(band[..., 0] * band[..., 2])).mean()
+        for band in (
+            found.energy[..., -1, :]
+            for found in cross_spectra.measured(planes, ((0, 0), (0, 0)), nothing, [0.0], windows)
+        )
+    )
+    assert equal == pytest.approx(0.38, abs=0.06)
+    assert even > 0.65

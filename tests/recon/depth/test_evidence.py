@@ -79,13 +79,29 @@ def test_the_network_expects_floors_at_the_bottom():
 
 
 def test_levels_beyond_the_bank_are_excluded():
-    """Set-up: a bank of levels 0 to 12. Expectation: larger ones have no posterior, and the lowest scores."""
+    """Set-up: a bank of levels 0 to 12. Expectation: larger ones have no posterior; scores fall steadily from the last
+    level on, within what the network has seen.
+    """
     found = found_of(np.full((150, 198), 6.0), last=12)
     beyond = found.levels > 12
     scores = found.inputs[..., : evidence.SCORES * COUNT].reshape(*found.inputs.shape[:2], evidence.SCORES, COUNT)
     assert beyond.any()
-    assert (scores[..., :-1, beyond] == -np.log1p(np.float32(evidence.EXCLUDED / evidence.SCORE_UNIT))).all()
+    below = evidence.SCORE_UNIT * np.expm1(-scores[..., :-1, :].astype(np.float64))
+    falls = np.diff(below, axis=-1)[..., int(np.flatnonzero(beyond)[0]) - 1 :]
+    np.testing.assert_allclose(falls, evidence.FALL, rtol=1e-3)
     assert (np.exp(scores[..., -1, beyond]) < 0.02).all()
+
+
+def test_a_short_bank_does_not_blind_the_network():
+    """Rationale: the network has learned from banks of all levels; levels that a bank does not have, given as
+    impossible, made it read 2.5 where every window said 6.
+
+    Set-up: a textured board at level 6, banks of levels 0 to 7 and 0 to 28. Expectation: both medians within half a level.
+    """
+    for last in (7, 28):
+        found = found_of(np.full((150, 198), 6.0), last=last)
+        level = surface_net.posterior(found.inputs, found.picture, found.levels, last).level
+        assert np.median(level) == pytest.approx(6, abs=0.5), last
 
 
 def test_clipped_windows_say_nothing():

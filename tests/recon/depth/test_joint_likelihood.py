@@ -49,6 +49,18 @@ def test_a_texture_of_another_spectrum_does_not_read_as_blur():
     assert abs(np.median(best) - 3) <= 1
 
 
+def test_bands_below_the_noise_do_not_read_as_blur():
+    """Rationale: the power of a band says something of that of its neighbours. If each band were free by itself, bands
+    that noise hides would fit any level, and blur would be the cheapest way to have no power there.
+
+    Set-up: a noise that hides the upper bands of green and all but the lowest of infrared. Expectation: the mean of the
+    best levels is within 0.8 levels of the true one; with bands that are free by themselves it is 1.4 to 1.8 too large.
+    """
+    for true in (1, 2, 3):
+        best = log_likelihood(drawn(true, 3.0), table())[:, 0].argmax(axis=-1)
+        assert abs(best.mean() - true) < 0.8, true
+
+
 def test_noise_alone_says_little():
     """Expectation: where the texture is a hundredth of the noise, no level is preferred by much."""
     weak, strong = (log_likelihood(drawn(3, noise), table())[:, 0] for noise in (300.0, 0.02))
