@@ -38,8 +38,10 @@ LEAST_SD, LARGEST_SD = 0.05, 30.0  # levels
 # and of its standard deviation, as logarithms; and what the frame has in common.
 OF_PICTURES, DRAFT_COLOURS, OF_LEVELS = 32, slice(16, 28), 2
 MULTIPLE_PX = 8  # that the network's coarsest pixels span
-# Out of focus the network hedges: a mean with the draft is nearer to the truth, on ``tune`` too.
-DRAFT_SHARE, DRAFT_LEVELS = 0.6, (0.0, 2.0)  # of the draft in the result, and the levels between which it rises to that
+# Out of focus the network hedges, whatever the noise is, and the draft amplifies noise: the less noise there is, the
+# larger is the draft's share in the result. Chosen on ``tune``.
+EVEN_NOISE = 0.007  # of green relative to bright white, standard deviation, at which both shares are equal
+MOST_DRAFT, DRAFT_LEVELS = 0.7, (0.0, 2.0)  # largest share, and the levels between which it rises to its value
 TILE_PX = 2048  # largest side of what is restored at a time
 # Around a tile. Beyond the 8 x 8 pixels that it is in, a pixel depends on 44: convolutions of 3 x 3 reach 2 pixels four
 # times, 4 three times and 8 three times.
@@ -129,16 +131,23 @@ def _aligned(picture: Picture) -> Float32Array:
         inputs = np.pad(inputs, ((0, down // 2), (0, across // 2), (0, 0)), mode="edge")
     base += _network(inputs, weights())[: height // 2, : width // 2]
     result = np.empty((height, width, 3), np.float32)
+    most = draft_share(picture)
 
     def work(rows: slice) -> None:
         there = _pixels(rows)
         sharp = np.maximum(expanded(np.minimum(spread(base[rows]), LARGEST)), 0) * picture.unit_e[:3]
-        share = (DRAFT_SHARE * np.interp(np.abs(picture.level[there]), DRAFT_LEVELS, (0, 1))).astype(np.float32)
+        share = (most * np.interp(np.abs(picture.level[there]), DRAFT_LEVELS, (0, 1))).astype(np.float32)
         draft = np.maximum(np.moveaxis(picture.draft[:3, there], 0, -1), 0)
         result[there] = sharp + share[..., None] * (draft - sharp)
 
     by_strips(work, base.shape)
     return result
+
+
+def draft_share(picture: Picture) -> float:
+    """Share of the draft in the result out of focus: s^2 / (s^2 + n^2), with the noise n and ``EVEN_NOISE`` s."""
+    noise = float(picture.noise_e[1] / picture.unit_e[1])
+    return min(EVEN_NOISE**2 / (EVEN_NOISE**2 + noise**2), MOST_DRAFT)
 
 
 def _pixels(rows: slice) -> slice:

@@ -16,7 +16,7 @@ from recon.sharp import restoration
 from validation.training import level_examples, picture_examples
 from validation.training.files import PARTS, families, make
 
-EPOCHS = {"levels": 24, "pictures": 18}  # passes over the examples
+EPOCHS = {"levels": 30, "pictures": 18}  # passes over the examples
 HELD_OUT = {"levels": 8, "pictures": 12}  # examples of each family that the loss is measured with
 FILES = {"levels": surface_net.FILE, "pictures": restoration.FILE}
 READERS = {"levels": "recon.depth.surface_net", "pictures": "recon.sharp.restoration"}

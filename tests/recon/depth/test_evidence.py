@@ -96,7 +96,8 @@ def test_a_short_bank_does_not_blind_the_network():
     """Rationale: the network has learned from banks of all levels; levels that a bank does not have, given as
     impossible, made it read 2.5 where every window said 6.
 
-    Set-up: a textured board at level 6, banks of levels 0 to 7 and 0 to 28. Expectation: both medians within half a level.
+    Set-up: a textured board at level 6, banks of levels 0 to 7 and 0 to 28. Expectation: both medians within half a
+    level.
     """
     for last in (7, 28):
         found = found_of(np.full((150, 198), 6.0), last=last)

@@ -33,7 +33,7 @@ def test_prediction_and_training_compute_the_same(monkeypatch):
     net = fit_pictures.Net(np.zeros(INPUTS, np.float32), np.ones(INPUTS, np.float32)).eval()
     arrays = {name: array.astype(np.float32) for name, array in net.arrays().items()}
     monkeypatch.setattr(restoration, "weights", lambda: arrays)
-    monkeypatch.setattr(restoration, "DRAFT_SHARE", 0.0)
+    monkeypatch.setattr(restoration, "MOST_DRAFT", 0.0)
     example = made(1)[0]
     parts = [example[name].astype(np.float32) for name in ("stack", "draft", "level", "sd")]
     picture = restoration.Picture(*parts, example["noise"], np.ones(4, np.float32), False)
