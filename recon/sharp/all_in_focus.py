@@ -23,6 +23,7 @@ from recon.sharp import layers, restoration, sharpen
 
 INTERPOLATED_NOISE_SHARE = 0.7  # noise after interpolation relative to the sensor's, standard deviations
 GRAINY_LEVEL = 3.0  # level from which on eq. (15) is solved for the picture without noise reduction alone
+DRAFT_PASSES = sharpen.PASSES[:2]  # that the network starts from: colours guided by infrared
 CERTAIN = 0.05  # confidence below which the solution of eq. (15) fades to the captured picture
 
 
@@ -56,7 +57,7 @@ def all_in_focus(
     network = settings.sharpen_prior == "network"
     seen_e = stack.copy() if network else stack
     _soften_in_focus(stack, frame.linear_e, frame.ir_e, frame.level)
-    passes = sharpen.PASSES if network or settings.sharpen_guide else sharpen.PLAIN_PASSES
+    passes = DRAFT_PASSES if network else sharpen.PASSES if settings.sharpen_guide else sharpen.PLAIN_PASSES
     sharp = deconvolved(stack, frame, kernels, noise_e, focus, settings, passes, tile_px or layers.TILE_PX)
     if network:
         picture, phases = seen(frame, seen_e, sharp, noise_e), mosaic.phases(frame.camera)

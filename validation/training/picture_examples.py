@@ -70,7 +70,7 @@ def example(family: str, number: int, setups: list[Setup], folder: Path) -> dict
     unit = shown.unit_e[:, None, None]
     for name, level in (("", frame.level), ("mistaken_", _mistaken(random, frame.level))):
         there = frame._replace(level=level)
-        draft = all_in_focus.deconvolved(stack, there, kernels, noise_e, 0, settings, sharpen.PASSES)
+        draft = all_in_focus.deconvolved(stack, there, kernels, noise_e, 0, settings, all_in_focus.DRAFT_PASSES)
         found |= {f"{name}draft": draft / unit, f"{name}level": level}
     found |= {"stack": shown.stack / unit, "sd": shown.sd, "truth": seen.in_focus / unit[:3]}
     noise = (shown.noise_e / shown.unit_e).astype(np.float32)

@@ -71,13 +71,13 @@ def test_photographs_gain(photo, level, gain):
 @pytest.mark.parametrize("white_e", [1000.0, 4000.0])
 def test_the_draft_adds_to_the_network(monkeypatch, white_e):
     """Set-up: a photograph at 7 px of blur, with more and with less noise. Expectation: every colour is nearer to the
-    truth than without the draft's share, by 0.3 dB where there is little noise.
+    truth than without the draft's share, by 0.2 dB where there is little noise.
     """
     there = scene(4.0, "coffee", white_e)
     mixed = gains(there, recon.reconstruct(there.capture, recon_scenes.bank()))
     monkeypatch.setattr(restoration, "MOST_DRAFT", 0.0)
     alone = gains(there, recon.reconstruct(there.capture, recon_scenes.bank()))
-    assert (mixed - alone).min() > (0.3 if white_e > 2000 else 0)
+    assert (mixed - alone).min() > (0.2 if white_e > 2000 else 0)
 
 
 def test_less_noise_never_costs_quality():
