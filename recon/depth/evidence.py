@@ -27,7 +27,7 @@ NODE = 4  # samples of the planes between nodes
 FINEST, RELATIVE, LAST = 0.5, 1 / 8, 28.0  # spacing of levels: the larger of a number and a share of the level
 SCORE_UNIT = 10.0  # score from which on differences count by their logarithm
 # Of the scores of both windows and of ``bands`` in their sum, which share samples: where neighbours are joined, and for
-# the windows alone, chosen on ``tune``.
+# the windows alone, chosen on ``tune`` with flowers in view.
 WEIGHTS, ALONE = (0.6, 0.6, 0.2), (1.0, 1.0, 0.2)
 FAR = 0.5  # exponent of the prior (1 + level / 2)^-FAR: random rooms hold more at small blur
 EXCLUDED = 1e4  # below the best score: of levels that the bank does not have
