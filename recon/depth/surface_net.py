@@ -35,7 +35,7 @@ DILATIONS = (1, 2, 4, 8, 16, 1, 2, 4, 8, 1)
 # Factor on the standard deviation on smooth surfaces alone, which take the windows of neighbours as less alike than
 # they are; chosen on ``tune``.
 SMOOTH_SD = 2.5
-SURE_SD = 0.4  # on smooth surfaces, levels, at which both posteriors have half of the mixture; on ``tune``, 0.3 to 0.6 tie
+SURE_SD = 0.4  # on smooth surfaces, levels, at which both have half of the mixture; 0.3 to 0.6 tie on ``tune``
 MIXED_SD = 0.6  # factor on the standard deviation on smooth surfaces in the mixture; chosen on ``tune``
 TILE = 512  # nodes per side: frames of up to 4096 pixels per side are one tile
 HALO = 50  # nodes around a tile: the sum of ``DILATIONS``, and what the layers of the picture and of the samples see

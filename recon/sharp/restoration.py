@@ -39,7 +39,7 @@ LEAST_SD, LARGEST_SD = 0.05, 30.0  # levels
 OF_PICTURES, DRAFT_COLOURS, OF_LEVELS = 32, slice(16, 28), 2
 MULTIPLE_PX = 8  # that the network's coarsest pixels span
 # Out of focus the network hedges, whatever the noise is, and the draft amplifies noise: the less noise there is, the
-# larger is the draft's share in the result. A compromise: ``tune`` prefers smaller shares, flowers and adam larger ones.
+# larger is the draft's share in the result. ``tune`` prefers smaller shares than these, flowers and adam larger ones.
 EVEN_NOISE = 0.007  # of green relative to bright white, standard deviation, at which both shares are equal
 MOST_DRAFT, DRAFT_LEVELS = 0.7, (0.0, 2.0)  # largest share, and the levels between which it rises to its value
 TILE_PX = 2048  # largest side of what is restored at a time
