@@ -29,8 +29,15 @@ SLACK = 0.02  # of the model's diagonal: errors of kernels and of noise
 ITERATIONS = 4
 
 
-def log_likelihood(spectra: Spectra, table: FloatArray, nu: float = NU) -> Float32Array:
-    """Score of each level, [h, w, level]; ``table`` is :func:`cross_spectra.expected`, [level, band, d, d]."""
+def log_likelihood(spectra: Spectra, table: FloatArray, nu: float = NU, *, reweighted: bool = True) -> Float32Array:
+    """Score of each level, [h, w, level].
+
+    Args:
+        spectra: of the windows.
+        table: :func:`cross_spectra.expected`, [level, band, d, d].
+        nu: divergence of a band beyond which it counts by its logarithm.
+        reweighted: whether bands that fit badly count less in the fit as well, not in the score alone.
+    """
     height, width, bands, count = spectra.energy.shape
     d = table.shape[-1]
     energy = spectra.energy.reshape(-1, bands, count).astype(np.float64)
@@ -39,7 +46,18 @@ def log_likelihood(spectra: Spectra, table: FloatArray, nu: float = NU) -> Float
     number = TEMPER * spectra.number.astype(np.float64)
     covariance = power_covariance()
     precision, prior_det = np.linalg.inv(covariance), float(np.linalg.slogdet(covariance)[1])
-    _fit(energy, noise, number, np.ascontiguousarray(table), tuple(range(d)), nu, precision, prior_det, result)
+    _fit(
+        energy,
+        noise,
+        number,
+        np.ascontiguousarray(table),
+        tuple(range(d)),
+        nu,
+        reweighted,
+        precision,
+        prior_det,
+        result,
+    )
     return result.reshape(height, width, -1)
 
 
@@ -103,6 +121,7 @@ def _fit(  # pragma: no cover - compiled
     table: FloatArray,
     channels: tuple[int, ...],
     nu: float,
+    reweighted: bool,
     precision: FloatArray,
     prior_det: float,
     result: Float32Array,
@@ -191,7 +210,8 @@ def _fit(  # pragma: no cover - compiled
                             cross += model * white
                     divergence = max(0.5 * number[b] * (det + trace - log_det[b] - d), 0.0)
                     total -= nu * np.log(1 + divergence / nu)
-                    trust[b] = nu / (nu + divergence)
+                    if reweighted:
+                        trust[b] = nu / (nu + divergence)
                     pull[b] = 0.5 * trust[b] * number[b] * (cross - slope)
                     for k in range(bands):
                         pull[b] -= precision[b, k] * q[k]

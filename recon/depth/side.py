@@ -50,8 +50,9 @@ def probability_behind(
     variances, alpha = [channel.variance for channel in near], [leak.alpha for leak in leaks]
     (spectra,) = cross_spectra.measured(planes, phases, variances, alpha, [WINDOW])
     rows, columns = nodes = cross_spectra.nodes(near[-1].variance.shape, WINDOW.step)
-    sides = [log_likelihood(spectra, _table(side, leaks)).max(axis=-1) for side in (near, far)]
-    found = np.float32(WEIGHT) * np.stack(sides, axis=-1)
+    # All bands count in the fit: with four channels, those that tell the sides apart are the ones that fit badly.
+    scores = [log_likelihood(spectra, _table(side, leaks), reweighted=False) for side in (near, far)]
+    found = np.float32(WEIGHT) * np.stack([score.max(axis=-1) for score in scores], axis=-1)
     found[evidence.share_in_window(clipped, WINDOW.sigma_px)[np.ix_(*nodes)] >= most] = 0
     across, down = surfaces.step_probability(evidence.log_channels(near, GUIDE_BLUR)[:, rows[:, None], columns])
     joined = surfaces.posterior(found, np.array([0.0, APART]), across, down)
