@@ -60,6 +60,28 @@ def test_evidence_on_smooth_surfaces_prevails_where_it_decides():
     assert found.sd[1] == pytest.approx(np.sqrt(variance))
 
 
+def test_a_level_is_the_median_of_the_probability_between_listed_levels():
+    """Expectation: the cumulative probability, linear between the middles of listed levels, is one half there; of two
+    surfaces the likelier one's level, not one between them; levels beyond the bank have no part.
+    """
+    random, last = np.random.default_rng(1), 12.0
+    logits = random.normal(0, 2, (3, 4, len(LEVELS))).astype(np.float32)
+    logits[0, 0] = np.where(np.isin(np.arange(len(LEVELS)), (2, 12)), 20, 0) - 2 * (np.arange(len(LEVELS)) == 12)
+    found = surface_net._median(logits, LEVELS, last)
+    used = LEVELS <= last
+    probability = np.exp(logits[..., used].astype(float))
+    probability /= probability.sum(axis=-1, keepdims=True)
+    kept = LEVELS[used]
+    edges = np.concatenate([kept[:1], (kept[1:] + kept[:-1]) / 2, kept[-1:]])
+    for place in np.ndindex(3, 4):
+        cumulative = np.append(0.0, np.cumsum(probability[place]))
+        median = np.interp(0.5, cumulative, edges)
+        np.testing.assert_allclose(found.level[place], median, atol=1e-4)
+        rms = np.sqrt((probability[place] * (kept - median) ** 2).sum())
+        np.testing.assert_allclose(found.sd[place], rms, rtol=1e-3)
+    assert abs(found.level[0, 0] - kept[2]) < 0.5
+
+
 def test_large_frames_in_tiles_have_the_levels_of_the_whole():
     """Set-up: inputs at random, which change from node to node more than any evidence does.
 
