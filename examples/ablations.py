@@ -37,6 +37,13 @@ def network_alone(capture: Capture, bank: PsfBank) -> DepthEstimate:
         return METHODS["best"](capture, bank)
 
 
+def one_network(capture: Capture, bank: PsfBank) -> DepthEstimate:
+    """The first of the networks alone."""
+    first = surface_net.networks()[:1]
+    with mock.patch.object(surface_net, "networks", lambda: first):
+        return METHODS["best"](capture, bank)
+
+
 def without_row(capture: Capture, bank: PsfBank) -> DepthEstimate:
     """The network does not know how high in the picture a node is."""
 

@@ -25,10 +25,11 @@ from recon.depth.channels import Channel, Leak, kernels_without_infrared
 from recon.depth.cross_spectra import Window
 from recon.depth.joint_likelihood import log_likelihood
 
-WINDOW = Window(28.0, 8)
-# Of the evidence, over that of a level: windows are farther apart than those whose levels surfaces joins. Chosen on
-# boards of other textures at levels -6 to 10, whole and side by side.
-WEIGHT = 3.0
+# Small windows know surfaces that are narrow, large ones more in dim light. Chosen on boards of other textures at
+# levels -6 to 8, whole and two at a time, at 1,000 and 30 lux.
+WINDOWS = (Window(10.0, 8), Window(28.0, 8))
+# Of the evidence of each, over that of a level: windows are farther apart than those whose levels surfaces joins.
+WEIGHT = 1.5
 APART = 1e3  # distance of the two states, levels: nothing is between them
 GUIDE_BLUR = 1.0  # standard deviation in samples
 PRIOR_BEHIND = 0.2  # cameras are focused at what is near; a surface without evidence is in front
@@ -48,12 +49,15 @@ def probability_behind(
     """
     planes, phases = [channel.plane for channel in near], [channel.phase for channel in near]
     variances, alpha = [channel.variance for channel in near], [leak.alpha for leak in leaks]
-    (spectra,) = cross_spectra.measured(planes, phases, variances, alpha, [WINDOW])
-    rows, columns = nodes = cross_spectra.nodes(near[-1].variance.shape, WINDOW.step)
-    # All bands count in the fit: with four channels, those that tell the sides apart are the ones that fit badly.
-    scores = [log_likelihood(spectra, _table(side, leaks), reweighted=False) for side in (near, far)]
-    found = np.float32(WEIGHT) * np.stack([score.max(axis=-1) for score in scores], axis=-1)
-    found[evidence.share_in_window(clipped, WINDOW.sigma_px)[np.ix_(*nodes)] >= most] = 0
+    measured = cross_spectra.measured(planes, phases, variances, alpha, WINDOWS)
+    rows, columns = nodes = cross_spectra.nodes(near[-1].variance.shape, WINDOWS[0].step)
+    tables = [_table(side, leaks) for side in (near, far)]
+    found = np.zeros((len(rows), len(columns), 2), np.float32)
+    for window, spectra in zip(WINDOWS, measured, strict=True):
+        # All bands count in the fit: with four channels, those that tell the sides apart are the ones that fit badly.
+        scores = [log_likelihood(spectra, table, reweighted=False).max(axis=-1) for table in tables]
+        usable = evidence.share_in_window(clipped, window.sigma_px)[np.ix_(*nodes)] < most
+        found += np.float32(WEIGHT) * np.stack(scores, axis=-1) * usable[..., None]
     across, down = surfaces.step_probability(evidence.log_channels(near, GUIDE_BLUR)[:, rows[:, None], columns])
     joined = surfaces.posterior(found, np.array([0.0, APART]), across, down)
     behind = PRIOR_BEHIND * joined[..., 1]

@@ -13,7 +13,10 @@ the evidence, and block i adds to the hidden image h
 
 with a 3 x 3 convolution A_i of dilation ``DILATIONS[i]``. On the way back to the samples, the picture's features are
 added again. The log probabilities of a sample's levels are those of the nodes, interpolated, plus a linear map of the
-sample's own features. Their median is mixed with the posterior on smooth surfaces alone, which needs no learning.
+sample's own features. Networks trained alike from other random beginnings err differently where the evidence says
+little: the log probabilities of ``FILES`` are averaged (an ensemble; Lakshminarayanan, Pritzel, Blundell, NeurIPS 2017,
+average probabilities, which is as good here). Their median is mixed with the posterior on smooth surfaces alone, which
+needs no learning.
 """
 
 from __future__ import annotations
@@ -30,7 +33,7 @@ from recon.convolution import Net, convolved, gathered, linear, load, refined, r
 from recon.depth.evidence import NODE, SCORES
 from recon.depth.tiles import tiles
 
-FILE = "surface_net.npz"
+FILES = "surface_net_0.npz", "surface_net_1.npz"  # by the seed of the training
 DILATIONS = (1, 2, 4, 8, 16, 1, 2, 4, 8, 1)
 # Factor on the standard deviation on smooth surfaces alone, which take the windows of neighbours as less alike than
 # they are; chosen on ``tune``.
@@ -49,9 +52,9 @@ class Moments(NamedTuple):
 
 
 @cache
-def weights() -> Net:
-    """Arrays of the network by name; ``about`` of the file says what they were trained with."""
-    return load("recon.depth", FILE)
+def networks() -> tuple[Net, ...]:
+    """Arrays of each network by name; ``about`` of its file says what they were trained with."""
+    return tuple(load("recon.depth", file) for file in FILES)
 
 
 def posterior(
@@ -80,7 +83,16 @@ def posterior(
 
 def _of_tile(inputs: Float32Array, picture: Float32Array, levels: FloatArray, last: float) -> Moments:
     """:func:`posterior` without regard to what is around."""
-    net = weights()
+    first, *others = networks()
+    logits = log_probabilities(first, inputs, picture, len(levels))
+    for net in others:
+        logits += log_probabilities(net, inputs, picture, len(levels))
+    logits /= 1 + len(others)
+    return _mixed(_median(logits, levels, last), smooth_posterior(inputs, levels, last))
+
+
+def log_probabilities(net: Net, inputs: Float32Array, picture: Float32Array, levels: int) -> Float32Array:
+    """Of a number of levels at each sample by one network, [NODE h, NODE w, level], less a constant per sample."""
     fine = convolved((picture - net["picture_mean"]) / net["picture_sd"], net, "fine")
     fine = convolved(relu(fine), net, "fine_in")
     middle = linear(gathered(relu(fine)), net, "middle")
@@ -89,16 +101,14 @@ def _of_tile(inputs: Float32Array, picture: Float32Array, levels: FloatArray, la
     for index, dilation in enumerate(DILATIONS):
         hidden = residual(hidden, net, f"a{index}", f"b{index}", dilation)
     hidden = relu(hidden)
-    nodes = linear(hidden, net, "level") + inputs[..., : SCORES * len(levels)] @ net["skip"]
+    nodes = linear(hidden, net, "level") + inputs[..., : SCORES * levels] @ net["skip"]
     middle += spread(linear(hidden, net, "middle_back"))
     middle = refined(relu(middle), net, "middle_out")
     fine += spread(linear(middle, net, "fine_back"))
     fine = refined(relu(fine), net, "fine_out")
     logits = linear(fine, net, "sample")
-    del fine, middle, hidden
-    size = logits.shape[1::-1]
-    logits += cv2.resize(nodes, size, interpolation=cv2.INTER_LINEAR)
-    return _mixed(_median(logits, levels, last), smooth_posterior(inputs, levels, last))
+    logits += cv2.resize(nodes, logits.shape[1::-1], interpolation=cv2.INTER_LINEAR)
+    return logits
 
 
 def _mixed(network: Moments, smooth: Moments) -> Moments:

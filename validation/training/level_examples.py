@@ -24,7 +24,7 @@ CONDITIONS = {
     "textured": Conditions(48, (2.5, 26.0), (600.0, 8000.0)),
 }
 # Per part of the work.
-EXAMPLES = {name: of.examples for name, of in CONDITIONS.items()} | dict.fromkeys(traced.FAMILIES, 100)
+EXAMPLES = {name: of.examples for name, of in CONDITIONS.items()} | dict.fromkeys(traced.FAMILIES, 200)
 
 
 class _Seen(NamedTuple):

@@ -68,7 +68,14 @@ def test_large_windows_alone_follow_the_surface_too(ramp):
 @pytest.mark.parametrize(
     "name",
     [
-        *("without_network", "network_alone", "without_row", "without_weighted_median", "without_picture"),
+        *(
+            "without_network",
+            "network_alone",
+            "one_network",
+            "without_row",
+            "without_weighted_median",
+            "without_picture",
+        ),
         *("without_small_windows", "without_bands"),
     ],
 )

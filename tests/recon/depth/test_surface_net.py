@@ -15,14 +15,15 @@ INPUTS = evidence.SCORES * len(LEVELS) + evidence.SIGNALS + 1
 def inputs_at(level, shape=(12, 16)):
     """Evidence whose scores and posterior all stand for one level."""
     below = np.abs(LEVELS - level) * 30
+    below -= below.min()  # scores are relative to the best of them, as those of the evidence
     score = -np.log1p(below / evidence.SCORE_UNIT)
-    rest = np.tile(surface_net.weights()["mean"][evidence.SCORES * len(LEVELS) :], (*shape, 1))
+    rest = np.tile(surface_net.networks()[0]["mean"][evidence.SCORES * len(LEVELS) :], (*shape, 1))
     scores = np.concatenate([*[score] * (evidence.SCORES - 1), np.maximum(-below, evidence.LEAST_LOG)])
     return np.concatenate([np.tile(scores, (*shape, 1)), rest], axis=-1).astype(np.float32)
 
 
 def posterior(inputs, last=28):
-    net, (height, width, _) = surface_net.weights(), inputs.shape
+    net, (height, width, _) = surface_net.networks()[0], inputs.shape
     picture = np.tile(net["picture_mean"], (evidence.NODE * height, evidence.NODE * width, 1))
     return surface_net.posterior(inputs, picture, LEVELS, last)
 
@@ -30,10 +31,27 @@ def posterior(inputs, last=28):
 def test_the_weights_state_their_source():
     from importlib.resources import files
 
-    with np.load(files("recon.depth").joinpath(surface_net.FILE), allow_pickle=False) as stored:
-        assert "Own data of the project" in str(stored["about"])
-    assert surface_net.weights()["in"].shape[0] == INPUTS
-    assert surface_net.weights()["sample"].shape[1] == len(LEVELS)
+    for file, net in zip(surface_net.FILES, surface_net.networks(), strict=True):
+        with np.load(files("recon.depth").joinpath(file), allow_pickle=False) as stored:
+            assert "Own data of the project" in str(stored["about"])
+        assert net["in"].shape[0] == INPUTS
+        assert net["sample"].shape[1] == len(LEVELS)
+
+
+def test_networks_have_one_vote_each(monkeypatch):
+    """Set-up: two networks that are sure of the fifth and of the tenth level, one surer; and both exchanged.
+
+    Expectation: log probabilities are added, so that the surer one decides, whatever the order.
+    """
+    first, second = (np.full((8, 8, len(LEVELS)), -9.0, np.float32) for _ in range(2))
+    first[..., 4], second[..., 9] = 9.0, 0.0
+    inputs, picture = inputs_at(0.0, (2, 2)), np.zeros((8, 8, 4), np.float32)
+    monkeypatch.setattr(surface_net, "SURE_SD", 0.0)
+    monkeypatch.setattr(surface_net, "networks", lambda: ("one", "other"))
+    for given in ({"one": first, "other": second}, {"one": second, "other": first}):
+        monkeypatch.setattr(surface_net, "log_probabilities", lambda net, *_, given=given: given[net].copy())
+        found = surface_net.posterior(inputs, picture, LEVELS, 28).level
+        np.testing.assert_allclose(found, LEVELS[4], atol=0.1)
 
 
 def test_evidence_of_a_larger_level_gives_a_larger_level():
@@ -88,7 +106,7 @@ def test_large_frames_in_tiles_have_the_levels_of_the_whole():
     Expectation: the halo holds all that the network sees, so that single precision alone tells tiles from the whole.
     """
     random = np.random.default_rng(0)
-    net, (height, width) = surface_net.weights(), (5, 131)
+    net, (height, width) = surface_net.networks()[0], (5, 131)
     inputs = (net["mean"] + net["sd"] * random.normal(size=(height, width, INPUTS))).astype(np.float32)
     shape = evidence.NODE * height, evidence.NODE * width, 4
     picture = (net["picture_mean"] + net["picture_sd"] * random.normal(size=shape)).astype(np.float32)

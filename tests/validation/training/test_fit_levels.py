@@ -36,7 +36,7 @@ def test_prediction_and_training_compute_the_same(monkeypatch):
     zeros, ones = (np.full(INPUTS, value, np.float32) for value in (0, 1))
     net = fit_levels.Net(zeros, ones, zeros[:CHANNELS], ones[:CHANNELS])
     arrays = {name: array.astype(np.float32) for name, array in net.arrays().items()}
-    monkeypatch.setattr(surface_net, "weights", lambda: arrays)
+    monkeypatch.setattr(surface_net, "networks", lambda: (arrays,))
     monkeypatch.setattr(surface_net, "SURE_SD", 0.0)
     inputs, picture = (part[0].astype(np.float32) for part in (data.inputs, data.picture))
     found = surface_net.posterior(inputs, picture, LEVELS, 28)
