@@ -140,6 +140,14 @@ def measured(name: str, lens: Lens) -> rivals.Measured:
     return rivals.measured(captures, [SimpleNamespace(truth=truth)], known(name))
 
 
+def test_windows_of_all_photographs_count():
+    """Expectation: the windows of both, in order."""
+    first, second = (rivals.Measured(*(np.full(count, count + field) for field in range(4))) for count in (2, 3))
+    found = rivals.pooled([first, second])
+    np.testing.assert_array_equal(found.error, [2, 2, 3, 3, 3])
+    np.testing.assert_array_equal(found.after, [5, 5, 6, 6, 6])
+
+
 OPEN = Lens((disc(1.0),))
 SLOW = pytest.mark.slow  # point-spread functions of stops that are not round
 
