@@ -27,7 +27,7 @@ from recon.depth.joint_likelihood import log_likelihood
 
 # Small windows know surfaces that are narrow, large ones more in dim light. Chosen on boards of other textures at
 # levels -6 to 8, whole and two at a time, at 1,000 and 30 lux.
-WINDOWS = (Window(10.0, 8), Window(28.0, 8))
+WINDOWS = (Window(10.0, 8), Window(28.0, 8))  # at the same places
 # Of the evidence of each, over that of a level: windows are farther apart than those whose levels surfaces joins.
 WEIGHT = 1.5
 APART = 1e3  # distance of the two states, levels: nothing is between them
