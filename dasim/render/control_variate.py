@@ -204,13 +204,14 @@ def _blurred(bands: list[NDArray[np.float32]], kernels: NDArray[np.float32]) -> 
     extent, size = bands[0].shape, kernels.shape[2:]
     shape = [fft.next_fast_len(length, real=True) for length in extent]
     valid = tuple(slice(of - 1, whole) for of, whole in zip(size, extent, strict=True))
-    spectra = [fft.rfft2(band, shape) for band in bands]
+    # In single precision, the rounding of bright places spreads to dark ones: 1e-5 of their light.
+    spectra = [fft.rfft2(band.astype(float), shape) for band in bands]
     result = np.zeros((kernels.shape[1], *(whole - of + 1 for of, whole in zip(size, extent, strict=True))), np.float32)
     for channel in range(len(result)):
         total = np.zeros_like(spectra[0])
         for spectrum, kernel in zip(spectra, kernels[:, channel], strict=True):
             if kernel.any():
-                total += spectrum * fft.rfft2(kernel, shape)
+                total += spectrum * fft.rfft2(kernel.astype(float), shape)
         result[channel] = fft.irfft2(total, shape)[valid]
     return result
 

@@ -85,6 +85,18 @@ def light_spectrum(scene: Scene) -> FloatArray:
     return np.asarray(np.sum(parts, axis=0))
 
 
+def light_level(scene: Scene | MitsubaScene) -> float:
+    """Sum of the ``lux`` of all lights; 1 for a Mitsuba scene, whose lights have none."""
+    return sum(light.lux for light in scene.lights) if isinstance(scene, Scene) else 1.0
+
+
+def at_light_level(scene: Scene, lux: float) -> Scene:
+    """The scene with every light scaled by one factor, so that their ``lux`` have this sum."""
+    factor = lux / light_level(scene)
+    lights = tuple(light.model_copy(update={"lux": light.lux * factor}) for light in scene.lights)
+    return scene.model_copy(update={"lights": lights})
+
+
 def object_to_camera(item: Object, scene: Scene) -> FloatArray:
     """Rigid transform [4, 4] of an object's local axes into camera axes, both in metres.
 

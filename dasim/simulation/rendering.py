@@ -43,7 +43,11 @@ BLUR_MARGIN = 1.1  # something nearer than all that is seen may lie just outside
 
 @dataclass(frozen=True)
 class View:
-    """A scene in front of a camera, ready to be rendered."""
+    """A scene in front of a camera, ready to be rendered.
+
+    It is rendered at one light level, which the pictures are then multiplied by: rounding in the renderer's single
+    precision does not depend on the level.
+    """
 
     scene: Scene | MitsubaScene
     camera: Camera
@@ -54,6 +58,7 @@ class View:
     blur_px: FloatArray  # [h, w] signed diameter of visible blur
     illuminant: str  # of the main light
     spectrum: FloatArray  # of all lights together
+    light_level: float  # of the scene over that of ``world``
 
     @property
     def reach_px(self) -> float:
@@ -106,7 +111,7 @@ def lens_picture(
         picture = _adaptive_picture(view, sharp, fields, sampling, exposure, progress)
     else:
         spp = np.full((len(view.camera.stops), 1, 1), sampling.spp)
-        rate, variance = _halves(view, sharp, fields, spp, sampling.seed, LENS, progress)
+        rate, variance = _at_level(view, *_halves(view, sharp, fields, spp, sampling.seed, LENS, progress))
         picture = LensPicture(rate, variance, spp, {"spp": sampling.spp})
     check_lit(view.scene, picture.rate, view.objects_at(np.ones(picture.rate.shape[:2], bool)))
     return picture
@@ -120,8 +125,17 @@ def independent_picture(
     Its random numbers and its irradiance are its own.
     """
     fields = irradiance(view, sampling, 0, OWN_MEAN), irradiance(view, sampling, 1, OWN_MEAN)
-    rate, variance = _halves(view, sharp, fields, like.spp, sampling.seed, OWN_MEAN, progress)
+    halves = _halves(view, sharp, fields, like.spp, sampling.seed, OWN_MEAN, progress)
+    rate, variance = _at_level(view, *halves)
     return replace(like, rate=rate, variance=variance)
+
+
+def _at_level(view: View, rate: FloatArray, variance: FloatArray | None) -> tuple[FloatArray, FloatArray | None]:
+    """A picture and its variance at the scene's light level, in place: arrays of large frames are gigabytes."""
+    rate *= view.light_level
+    if variance is not None:
+        variance *= view.light_level**2
+    return rate, variance
 
 
 def irradiance(view: View, sampling: Sampling, index: int, stream: int = SHARP) -> Any:
@@ -241,13 +255,14 @@ def _adaptive_picture(
 
     result = render_to_noise_target(
         picture,
-        lambda rate: sensor_variance(rate, camera, exposure),
+        lambda rate: sensor_variance(rate * view.light_level, camera, exposure) / view.light_level**2,
         shape=(len(camera.stops), camera.sensor.height_px, camera.sensor.width_px),
         target=sampling.noise_share,
         percentile=sampling.noise_at,
     )
     done = result.measured
-    rate, variance = _glared(camera, lambda number: (done.rate[number], done.variance[number]))
+    glared = _glared(camera, lambda number: (done.rate[number], done.variance[number]))
+    rate, variance = _at_level(view, *glared)
     mean_spp = result.measured.spp.mean(axis=(1, 2)).round(2)
     described = {
         "spp": dict(zip((stop.name for stop in camera.stops), mean_spp.tolist(), strict=True)),
@@ -290,6 +305,7 @@ def focus_picture(view: View, sharp: SharpPictures, seed: int, progress: Progres
             ),
         )
     check_finite(view.scene, rate, view.objects_at)
+    rate *= view.light_level
     return rate
 
 
@@ -311,7 +327,7 @@ def sharp_pictures(view: View, sampling: Sampling, progress: Progress) -> SharpP
     check_finite(view.scene, sharp.rate, view.objects_at)
     channels = len(sensors.channels(camera.sensor))
     colours = srgb(sharp.rate[..., channels:], camera, twin, view.illuminant)
-    rate, fine = sharp.rate[..., :channels].copy(), sharp.fine
+    rate, fine = sharp.rate[..., :channels] * view.light_level, sharp.fine
     del sharp
     controls = [
         passes.control_of(scene, camera, stop, fine, max_blur_px=view.reach_px, field=field) for stop in camera.stops

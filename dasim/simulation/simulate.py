@@ -33,6 +33,7 @@ from dasim.typing import Float32Array, Progress
 from dasim.values import Truth
 
 Pictures = TypeVar("Pictures", LensPicture, SharpPictures)
+RENDERED_LUX = 1000.0  # all lights together, while they are rendered
 DEFAULT_SPP = 64  # a power of two, for which Sobol' points are most even
 
 
@@ -145,7 +146,8 @@ def prepare(
     checks.check_camera(camera, choice.variant)
     backend.activate(choice)
     progress("geometry", 0.0)
-    world = translate.world(scene, camera)
+    lit = scenes.at_light_level(scene, RENDERED_LUX) if isinstance(scene, Scene) else scene
+    world = translate.world(lit, camera)
     geometry = truth.geometry(world.scene, camera)
     checks.check_in_view(scene, geometry.depth_m)
     blur_px = depth_blur.signed_blur_px(geometry.depth_m, camera)
@@ -159,7 +161,8 @@ def prepare(
         geometry,
         blur_px,
         illuminant=scenes.main_illuminant(scene),
-        spectrum=light_spectra.total(scene, world.scene),
+        spectrum=light_spectra.total(lit, world.scene),
+        light_level=scenes.light_level(scene) / scenes.light_level(lit),
     )
 
 

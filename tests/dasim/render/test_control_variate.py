@@ -84,6 +84,24 @@ def test_the_mean_is_exact_where_blur_is_large_and_its_edge_sharp(jit, picture):
         assert found[channel] == pytest.approx(value, abs=3e-5)
 
 
+def test_rounding_does_not_carry_light_from_bright_places_to_dark_ones(jit):
+    """Expectation: of a surface of 1 beside a lamp of 1e5 out of the kernel's reach, F stays 1 within 1e-6."""
+    flat, lamp = np.ones((4 * 52, 4 * 52, 1), np.float32), np.ones((4 * 52, 4 * 52, 1), np.float32)
+    lamp[:, -16:] = 1e5
+    alone, beside = (
+        control_variate.control(
+            Fine(4, values, 6),
+            np.full((40, 40), 6.0),
+            1.0,
+            (0.0, 0.0),
+            1.0,
+            lambda levels, radius: np.ones((len(levels), len(radius), 1, 1)),
+        ).expected.reshape(40, 40)[:, :20]
+        for values in (flat, lamp)
+    )
+    np.testing.assert_allclose(beside, alone, rtol=1e-6)
+
+
 def _read(picture, x, y, channel, kernel):
     """Mean of the picture at places in pixels from the frame's corner, weighted by a kernel."""
     at = [(place + picture.margin_px) * picture.cells - 0.5 for place in (y, x)]

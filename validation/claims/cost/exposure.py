@@ -44,14 +44,14 @@ def exposure(progress: ShareDone) -> Evidence:
 
     Expectation: automatic exposure of the long capture gives the raw numbers, the truth and the provenance of the
     rendering exactly, since ``mean_e`` is the light before saturation and its rounding is undone. In a tenth of the
-    light the renderer's single precision rounds elsewhere: electrons differ by some parts in ten millions. Raw numbers
-    differ where that moves an electron, which may also shift the draws of noise of all following pixels; their share is
-    reported without a limit.
+    light the renderer traces the same numbers, since scenes are rendered at one light level, but the electrons are
+    rounded elsewhere: they differ by some parts in ten millions. Raw numbers differ where that moves an electron, which
+    may also shift the draws of noise of all following pixels; their share is reported without a limit.
 
     Limit: no difference for another exposure; for another light level 2e-6 of the electrons. A frame costs at most 5 %
     of the rendering, a folder 20 %.
 
-    Source: the project's own limits; 24 bits of single precision.
+    Source: the project's own limits; the 22 bits to which electrons are rounded.
     """
     rendering.activate()
     scene = loading.load_scene("desk")
