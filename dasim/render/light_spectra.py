@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from dasim.render.plugin import aligned
 from dasim.scene import specification as scenes
 from dasim.scene.mitsuba_scene import MitsubaScene
 from dasim.scene.specification import Scene
@@ -184,7 +185,7 @@ def _spectra(emitter: Any) -> list[FloatArray]:
     import mitsuba as mi
 
     si = dr.zeros(mi.SurfaceInteraction3f, len(FINE_NM))
-    si.wi, si.wavelengths = mi.Vector3f(0.0, 0.0, 1.0), mi.Spectrum(mi.Float(FINE_NM))
+    si.wi, si.wavelengths = mi.Vector3f(0.0, 0.0, 1.0), mi.Spectrum(mi.Float(aligned(FINE_NM)))
     if hasattr(emitter, "layer_spectra"):
         values = emitter.layer_spectra(si)
     else:

@@ -41,23 +41,24 @@ def instance(description: dict[str, Any]) -> Any:
 
 
 def aligned(values: np.ndarray) -> np.ndarray:
-    """An array, flat, as float32, at an address that is a multiple of 64 bytes: itself where it is so, or a copy.
+    """An array, flat, as float32 (uint32 stays), at an address that is a multiple of 64 bytes: itself or a copy.
 
     The alignment of memory that numpy allocates varies, and Dr.Jit compiles different code for different alignments: a
     kernel that was compiled for one picture might not be reused for the next.
     """
-    is_plain = values.dtype == np.float32 and values.flags.c_contiguous and values.flags.writeable
+    kind = np.uint32 if values.dtype == np.uint32 else np.float32
+    is_plain = values.dtype == kind and values.flags.c_contiguous and values.flags.writeable
     if is_plain and values.ctypes.data % _ALIGNMENT == 0:
         return values.reshape(-1)
-    copy = aligned_zeros(values.shape)
+    copy = aligned_zeros(values.shape, kind)
     copy[...] = values
     return copy.reshape(-1)
 
 
-def aligned_zeros(shape: tuple[int, ...]) -> np.ndarray:
-    """Zeros as float32 at such an address; on processors, textures of the array share its memory."""
+def aligned_zeros(shape: tuple[int, ...], kind: type = np.float32) -> np.ndarray:
+    """Zeros of four bytes each at such an address; on processors, textures of the array share its memory."""
     size = int(np.prod(shape))
-    memory = np.zeros(size + _ALIGNMENT // 4, np.float32)
+    memory: np.ndarray = np.zeros(size + _ALIGNMENT // 4, kind)
     start = -memory.ctypes.data % _ALIGNMENT // 4
     return memory[start : start + size].reshape(shape)
 

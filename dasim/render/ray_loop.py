@@ -27,6 +27,7 @@ from dasim.camera.stops import Stop
 from dasim.render import backend, layers, transport
 from dasim.render.control_variate import Control, Fine
 from dasim.render.irradiance import Field
+from dasim.render.plugin import aligned
 from dasim.render.radial_blur import RadialBlur
 from dasim.render.ray_block import (
     HERO,
@@ -333,7 +334,7 @@ def _read(values: Sequence[Any], lanes: NDArray[np.int64]) -> list[FloatArray]:
     import drjit as dr
     import mitsuba as mi
 
-    index = mi.UInt32(lanes.astype(np.uint32).ravel())
+    index = mi.UInt32(aligned(lanes.astype(np.uint32).ravel()))
     parts = [dr.gather(mi.Float, value, index) for value in values]
     dr.eval(parts)
     return [np.array(part, dtype=np.float64) for part in parts]
@@ -345,10 +346,10 @@ def _beyond(shared: Pass, depth_px: FloatArray, lanes: NDArray[np.int64], weight
     import mitsuba as mi
 
     assert shared.blur is not None
-    index = mi.UInt32(lanes.astype(np.uint32))
+    index = mi.UInt32(aligned(lanes.astype(np.uint32)))
     _, rho, delta, tangent, first, ring, drawn = (dr.gather(type(value), value, index) for value in weighted)
     entries = entries_of(shared, first, ring)
-    at = mi.Float(depth_px.astype(np.float32))
+    at = mi.Float(aligned(depth_px.astype(np.float32)))
     at -= shared.px_per_vergence * (entries[0][1] - shared.vergence) if shared.axial_colour else 0.0
     ratios = shared.blur.weights(-delta - rho * (at / 2), at, tangent, [entry[0] for entry in entries])
     lit = lit_by(entries)

@@ -11,6 +11,7 @@ from dasim.camera import distortion
 from dasim.camera import geometry as camera_geometry
 from dasim.camera.sensor import principal_point
 from dasim.camera.specification import Camera
+from dasim.render.plugin import aligned
 from dasim.typing import Float32Array, FloatArray
 
 
@@ -81,7 +82,8 @@ def _bent_geometry(mitsuba_scene: Any, camera: Camera) -> Geometry:
     y, x = np.indices((body.height_px, body.width_px)) + 0.5
     place = distortion.to_pinhole_px(camera, np.stack([x, y], axis=-1) - principal_point(body))
     slope = place.reshape(-1, 2) * (body.pixel_pitch_um * 1e-6 / camera_geometry.image_distance_m(camera))
-    ray = mi.Ray3f(mi.Point3f(0.0), dr.normalize(mi.Vector3f(*map(mi.Float, slope.T.astype(np.float32)), 1.0)))
+    x_slope, y_slope = (mi.Float(aligned(part)) for part in slope.T)
+    ray = mi.Ray3f(mi.Point3f(0.0), dr.normalize(mi.Vector3f(x_slope, y_slope, 1.0)))
     si = mitsuba_scene.ray_intersect(ray, ray_flags=mi.RayFlags.All, coherent=True)
     position, normal = (np.array(vector, dtype=np.float64).T.reshape(*x.shape, 3) for vector in (si.p, si.n))
     index, hit = np.array(dr.reinterpret_array(mi.UInt32, si.shape)), np.array(si.is_valid())

@@ -192,6 +192,31 @@ def test_textures_share_the_memory_of_aligned_arrays(jit):
     assert copy.ctypes.data % 64 == 0 and not np.shares_memory(copy, values)
 
 
+def test_kernels_do_not_depend_on_where_numpy_puts_arrays(jit, make_scene, da_mobile, lamp):
+    """Rationale: where an array of the host happens to lie at a multiple of 64 bytes, Dr.Jit compiles other code for
+    it, so that a scene needed a new kernel in one run and none in the next.
+
+    Set-up: a card before a wall, seen through a lens with distortion: pixels of several depths, bent rays.
+
+    Expectation: no kernel reads packets from an address of unknown alignment.
+    """
+    import drjit as dr
+
+    if jit.startswith("cuda"):
+        pytest.skip("graphics cards have copies of the host's arrays")
+    wall = {"name": "wall", "shape": "plane", "size_cm": (60, 60), "position_cm": (0, 0, 40), "material": "sand"}
+    card = {"name": "card", "shape": "plane", "size_cm": (6, 20), "position_cm": (-3, 0, 20), "material": "leaf-green"}
+    camera = dasim.cropped(da_mobile, 32, 24)
+    camera = camera.model_copy(update={"lens": camera.lens.model_copy(update={"distortion_per_mm": (-0.001,)})})
+    with dr.scoped_set_flag(dr.JitFlag.KernelHistory):
+        dr.kernel_history_clear()
+        dasim.simulate(make_scene(wall, card, lights=[lamp]), camera, spp=8)
+        code = [entry["ir"].getvalue() for entry in dr.kernel_history() if "ir" in entry]
+    packets = [line for kernel in code for line in kernel.splitlines() if re.search(r"= load <\d+ x", line)]
+    assert len(packets) > 100
+    assert [line for line in packets if line.split("align ")[1].startswith("1,")] == []
+
+
 @pytest.mark.parametrize(("variant", "most"), [("cuda_ad_spectral", 1 << 23), ("llvm_ad_spectral", 1 << 19)])
 def test_memory_is_bounded_by_the_rays_at_once(jit, monkeypatch, variant, most):
     """Expectation: batches of as many rays as the variant takes at once; a small frame has one."""
