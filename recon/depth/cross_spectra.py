@@ -31,8 +31,8 @@ TABLE_SIDE = 96  # of the grid of planes on which A is summed
 # Of the texture's power over frequency: the mean over random scenes of :mod:`validation.training.traced`.
 TEXTURE_EXPONENT = 2.6
 MARGIN = 48  # samples of padding
-# Where strong texture counts less, weights are 1 / sqrt(local energy + NOISE_FLOOR times the noise), with the energy of
-# the first channel around a sample within LOCAL cycles of the band.
+# Where strong texture counts less, weights are 1 / (local energy + NOISE_FLOOR times the noise), with the energy of the
+# first channel around a sample within LOCAL cycles of the band.
 NOISE_FLOOR, LOCAL = 3.0, 0.35
 
 
@@ -131,7 +131,7 @@ def _evening(energy: Float32Array, noise: Float32Array, band: int) -> Float32Arr
     """
     sigma = LOCAL / np.sqrt(EDGES[band] * EDGES[band + 1]) / PLANE_SPACING_PX
     around = np.maximum(cv2.GaussianBlur(energy, (0, 0), sigma, borderType=cv2.BORDER_REFLECT), 0)
-    return np.asarray(1 / np.sqrt(around + NOISE_FLOOR * noise + np.float32(1e-12)), np.float32)
+    return np.asarray(1 / (around + NOISE_FLOOR * noise + np.float32(1e-12)), np.float32)
 
 
 def _noise(variances: Sequence[Float32Array], alpha: Sequence[float]) -> list[Float32Array]:

@@ -1,9 +1,9 @@
 """What the windows around each node say of its level: the inputs of :mod:`recon.depth.surface_net`.
 
 Per node: the scores of the joint likelihood in windows of two sizes and that of :mod:`recon.depth.bands`, each less its
-largest value and compressed; the logarithm of their posterior on smooth surfaces (:mod:`recon.depth.surfaces`); signal
-over noise and coherence of green and infrared in bands of frequency; the node's row, since floors come nearer towards
-the bottom of a picture. Beside the nodes, the picture in samples, so that edges can be found between nodes.
+largest value and compressed; the logarithm of their posterior on smooth surfaces (:mod:`recon.depth.surfaces`); how
+well the best level explains each window, which is little where it holds two depths; signal over noise and coherence of
+green and infrared in bands of frequency; the node's row, since floors come nearer towards the bottom of a picture. Beside the nodes, the picture in samples, so that edges can be found between nodes.
 """
 
 from __future__ import annotations
@@ -36,8 +36,9 @@ GUIDE_BLUR = 0.6  # standard deviation in samples
 GUIDE_FLOOR = 2.0  # noise standard deviations that are added before the logarithm
 SURROUNDINGS_PX = 40.0  # window of the mean that the picture is relative to
 LEAST_LOG = -14.0  # of the posterior, relative to its largest value
-# Inputs: SCORES scores of every level, of which the last is the posterior, SIGNALS, and the row from -1, top, to 1.
+# Inputs: SCORES scores of every level, of which the last is the posterior, FITS, SIGNALS, and the row from -1, top, to 1.
 SCORES = len(WINDOWS) + 2
+FITS = len(WINDOWS)
 SIGNALS = 3 * (len(cross_spectra.EDGES) - 1)
 ROW = -1  # index among the inputs
 
@@ -97,6 +98,7 @@ def evidence(
     found = _spectra(channels, leak, WINDOWS if bands else WINDOWS[1:])
     scores = _window_scores(channels, leak, found, unusable, nodes, levels)
     of_bands = np.zeros_like(scores[0]) if bands is None else resampled(bands(*nodes), np.arange(last + 1), levels, 2)
+    fits = _fits(scores, levels, last)
     of_bands[unusable[0][np.ix_(*nodes)]] = 0
     scores.append(of_bands)
     parts = []
@@ -108,7 +110,7 @@ def evidence(
     joined = np.log(_joined(total, levels, across, down))
     parts.append(np.maximum(joined - joined.max(axis=-1, keepdims=True), LEAST_LOG))
     if bands:
-        parts += [_signal(found[WINDOWS[0]]), row_of_nodes(total.shape[:2])]
+        parts += [fits, _signal(found[WINDOWS[0]]), row_of_nodes(total.shape[:2])]
     inputs = np.concatenate(parts, axis=-1).astype(np.float32, copy=False)
     return Evidence(inputs, _whole(picture, nodes), levels, alone, nodes)
 
@@ -156,6 +158,12 @@ def _below_best(score: Float32Array, levels: FloatArray, last: float) -> Float32
     steps = np.arange(1, len(levels) - inside + 1, dtype=np.float32)
     below[..., inside:] = below[..., inside - 1 : inside] + FALL * steps
     return below
+
+
+def _fits(scores: Sequence[Float32Array], levels: FloatArray, last: float) -> Float32Array:
+    """Largest of each score up to the bank's ``last`` level, compressed, [h, w, score]."""
+    best = np.stack([score[..., levels <= last + 1e-6].max(axis=-1) for score in scores], axis=-1)
+    return np.asarray(-np.log1p(np.maximum(-best, 0) / SCORE_UNIT), np.float32)
 
 
 def _weighted(

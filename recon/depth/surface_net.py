@@ -13,10 +13,10 @@ the evidence, and block i adds to the hidden image h
 
 with a 3 x 3 convolution A_i of dilation ``DILATIONS[i]``. On the way back to the samples, the picture's features are
 added again. The log probabilities of a sample's levels are those of the nodes, interpolated, plus a linear map of the
-sample's own features. Networks that began with other random weights and saw other examples err differently where the
-evidence says little: the log probabilities of ``FILES`` are averaged (an ensemble; Lakshminarayanan, Pritzel,
-Blundell, NeurIPS 2017, average probabilities, which is as good here). Their median is mixed with the posterior on
-smooth surfaces alone, which needs no learning.
+sample's own features. Networks that began with other random weights err differently where the evidence says little: the
+log probabilities of ``FILES`` are averaged (an ensemble; Lakshminarayanan, Pritzel, Blundell, NeurIPS 2017, average
+probabilities, which is as good here). Their median is mixed with the posterior on smooth surfaces alone, which needs no
+learning.
 """
 
 from __future__ import annotations

@@ -38,7 +38,6 @@ def main() -> None:
     fitting.add_argument("folder", type=Path)
     fitting.add_argument("--epochs", type=int)
     fitting.add_argument("--seed", type=int, default=0, help="of the first weights and of the order of examples")
-    fitting.add_argument("--most", type=int, help="examples of each family; default all")
     fitting.add_argument("--out", type=Path)
     options = parser.parse_args()
     if options.step == "examples":
@@ -47,20 +46,20 @@ def main() -> None:
     else:
         network = options.network
         out = options.out or Path(FILES[network].format(options.seed))
-        _fit(network, options.folder, options.epochs or EPOCHS[network], options.seed, options.most, out)
+        _fit(network, options.folder, options.epochs or EPOCHS[network], options.seed, out)
 
 
 def _show(_: str, share: float) -> None:
     print(f"\r{share:4.0%}", end="", file=sys.stderr)
 
 
-def _fit(network: str, folder: Path, epochs: int, seed: int, most: int | None, out: Path) -> None:
+def _fit(network: str, folder: Path, epochs: int, seed: int, out: Path) -> None:
     from validation.training import fit_levels, fit_pictures  # PyTorch is of an extra
 
     trainer: Any = {"levels": fit_levels, "pictures": fit_pictures}[network]
     _, examples = MAKERS[network]
     held = HELD_OUT[network]
-    train = trainer.load([file for files in families(folder, examples) for file in files[held:most]])
+    train = trainer.load([file for files in families(folder, examples) for file in files[held:]])
     held_out = trainer.load([file for files in families(folder, examples) for file in files[:held]])
 
     def report(epoch: int, loss: float, net: Any) -> None:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 from torch.nn import functional
 
-from recon.depth.evidence import LAST, NODE, ROW, SCORES, SIGNALS, level_grid, row_of_nodes
+from recon.depth.evidence import FITS, LAST, NODE, ROW, SCORES, SIGNALS, level_grid, row_of_nodes
 from recon.depth.surface_net import DILATIONS
 from validation.training.network import (
     REDUCED,
@@ -187,7 +187,7 @@ def _thinned(inputs: Tensor, picture: Tensor, random: np.random.Generator) -> Te
     """Leave parts of the evidence and of the picture out at random, per example, in place: zeros, as of scores that
     tell no level from another.
     """
-    ends = np.cumsum([0, *[len(LEVELS)] * SCORES, SIGNALS, 1])
+    ends = np.cumsum([0, *[len(LEVELS)] * SCORES, FITS + SIGNALS, 1])
     for example, channels in zip(inputs, picture, strict=True):
         missing = random.random(len(ends) - 1) < MISSING
         if random.random() < LONE:

@@ -44,7 +44,7 @@ def test_levels_are_as_many_for_every_bank_and_reach_its_last():
 
 def test_a_frame_has_a_node_per_block_also_at_its_end(board):
     """Set-up: planes of 75 x 99 samples, no multiples of a block."""
-    inputs = evidence.SCORES * COUNT + evidence.SIGNALS + 1
+    inputs = evidence.SCORES * COUNT + evidence.FITS + evidence.SIGNALS + 1
     assert board.inputs.shape == (19, 25, inputs)
     assert board.picture.shape == (76, 100, 4)
     assert np.isfinite(board.inputs).all() and np.isfinite(board.picture).all()
@@ -55,6 +55,17 @@ def test_every_score_is_largest_near_the_level_of_a_board(board):
     middle = board.inputs[5:-5, 5:-5, : evidence.SCORES * COUNT]
     for score in np.split(middle, evidence.SCORES, axis=-1):
         assert np.median(LEVELS[score.argmax(axis=-1)]) == pytest.approx(6, abs=1)
+
+
+def test_windows_of_two_depths_fit_worse(board):
+    """Set-up: stripes of 12 samples at levels 1 and 14 beside a board at level 6. Expectation: the best level
+    explains the board's windows of both sizes better, by 0.1 in the median: 0.36 against 0.56, and 0.55 against 0.90.
+    """
+    stripes = found_of(np.where(np.arange(198) // 12 % 2 == 0, 1.0, 14.0) * np.ones((150, 1)))
+    first = evidence.SCORES * COUNT
+    for size in range(evidence.FITS):
+        one, two = (found.inputs[5:-5, 5:-5, first + size] for found in (board, stripes))
+        assert np.median(one) > np.median(two) + 0.1
 
 
 @pytest.mark.parametrize("level", [5.0, 12.0])

@@ -9,7 +9,7 @@ from recon.depth import evidence, surface_net
 
 LEVELS = evidence.level_grid(28)
 ROUNDING_LEVELS = 0.005  # of products in single precision through twenty layers
-INPUTS = evidence.SCORES * len(LEVELS) + evidence.SIGNALS + 1
+INPUTS = evidence.SCORES * len(LEVELS) + evidence.FITS + evidence.SIGNALS + 1
 
 
 def inputs_at(level, shape=(12, 16)):

@@ -13,7 +13,7 @@ torch = pytest.importorskip("torch", reason="PyTorch is not installed; it comes 
 from validation.training import fit_levels  # noqa: E402 - needs PyTorch
 
 LEVELS = evidence.level_grid(28)
-INPUTS = evidence.SCORES * len(LEVELS) + evidence.SIGNALS + 1
+INPUTS = evidence.SCORES * len(LEVELS) + evidence.FITS + evidence.SIGNALS + 1
 CHANNELS = 4
 
 

@@ -8,7 +8,7 @@ import pytest
 from recon.depth import evidence
 from validation.training import files, level_examples
 
-INPUTS = evidence.SCORES * len(evidence.level_grid(28)) + evidence.SIGNALS + 1
+INPUTS = evidence.SCORES * len(evidence.level_grid(28)) + evidence.FITS + evidence.SIGNALS + 1
 
 
 @pytest.mark.slow
