@@ -3,7 +3,8 @@
 Per node: the scores of the joint likelihood in windows of two sizes and that of :mod:`recon.depth.bands`, each less its
 largest value and compressed; the logarithm of their posterior on smooth surfaces (:mod:`recon.depth.surfaces`); how
 well the best level explains each window, which is little where it holds two depths; signal over noise and coherence of
-green and infrared in bands of frequency; the node's row, since floors come nearer towards the bottom of a picture. Beside the nodes, the picture in samples, so that edges can be found between nodes.
+green and infrared in bands of frequency; the node's row, since floors come nearer towards the bottom of a picture.
+Beside the nodes, the picture in samples, so that edges can be found between nodes.
 """
 
 from __future__ import annotations
@@ -36,7 +37,7 @@ GUIDE_BLUR = 0.6  # standard deviation in samples
 GUIDE_FLOOR = 2.0  # noise standard deviations that are added before the logarithm
 SURROUNDINGS_PX = 40.0  # window of the mean that the picture is relative to
 LEAST_LOG = -14.0  # of the posterior, relative to its largest value
-# Inputs: SCORES scores of every level, of which the last is the posterior, FITS, SIGNALS, and the row from -1, top, to 1.
+# Inputs: SCORES scores of every level, of which the last is the posterior, FITS, SIGNALS, and the row from -1 to 1.
 SCORES = len(WINDOWS) + 2
 FITS = len(WINDOWS)
 SIGNALS = 3 * (len(cross_spectra.EDGES) - 1)

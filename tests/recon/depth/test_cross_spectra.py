@@ -71,7 +71,7 @@ def test_a_few_strong_edges_do_not_decide_in_an_even_window():
 
     Set-up: noise of variance 1, the same in both channels; over 6 % of the columns, noise of 100 times that variance in
     the first channel alone. Expectation, from shares of energy: the channels' coherence is 1 / sqrt(1 + 6) = 0.38 in a
-    window of equal weights, and about 1 / sqrt(1 + 0.06) = 0.97 in an even one, which weighs the columns by a hundredth.
+    window of equal weights, and about 1 / sqrt(1 + 0.06) = 0.97 in an even one, which weighs the columns by 1 %.
     """
     random = np.random.default_rng(7)
     weak, strong = random.standard_normal((2, SIDE, SIDE))
