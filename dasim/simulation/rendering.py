@@ -45,8 +45,8 @@ BLUR_MARGIN = 1.1  # something nearer than all that is seen may lie just outside
 class View:
     """A scene in front of a camera, ready to be rendered.
 
-    It is rendered at one light level, which the pictures are then multiplied by: rounding in the renderer's single
-    precision does not depend on the level.
+    It is rendered at one light level, and the pictures are then multiplied by its own: rounding in the renderer's
+    single precision does not depend on the level. A Mitsuba scene, whose lights have no level, is rendered as it is.
     """
 
     scene: Scene | MitsubaScene
