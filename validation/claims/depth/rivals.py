@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 import dasim
 from dasim.camera.specification import Camera
-from dasim.scene.specification import Scene
+from dasim.scene.specification import Scene, at_light_level
 from dasim.simulation.exposure import Shot, expose
 from dasim.simulation.relight import LONGEST_S, MOST_GAIN, hand_held, lit_by
 from dasim.typing import BoolArray, ComplexArray, FloatArray, ShareDone
@@ -193,9 +193,7 @@ def table() -> Scene:
 
 
 def _prepared(scene: Scene) -> Scene:
-    total = sum(light.lux for light in scene.lights)
-    lights = tuple(light.model_copy(update={"lux": light.lux * LIT_LUX / total}) for light in scene.lights)
-    return lit_by(scene.model_copy(update={"lights": lights}), LIGHT)
+    return lit_by(at_light_level(scene, LIT_LUX), LIGHT)
 
 
 def taken(scene: Scene, camera: Camera, seed: int, sweep_um: Sequence[float] = (0.0,)) -> Shot:
