@@ -10,7 +10,7 @@ numbers grow by one factor.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -29,6 +29,9 @@ STEPS = np.array(sorted({*(8 << k for k in range(10)), *(12 << k for k in range(
 MOST_ROUNDS = 4
 SLOPE = 1.1  # variance falls about as samples ** -1.0 to -1.2 (claim fewer-rays)
 MORE = 1.2  # least factor of a further round
+LEAST_LIGHT = 0.1  # that noise is compared with, of the mean: no samples are spent on what is nearly black
+# The mean number of samples is found by halving, from some rows and columns.
+SPARSE, BISECTIONS = slice(None, None, 3), 24
 
 
 @dataclass(frozen=True)
@@ -108,3 +111,31 @@ def next_spp(missing: FloatArray, most_spp: int) -> NDArray[np.int64]:
     steps = STEPS[STEPS <= most_spp]
     chosen = steps[np.minimum(np.searchsorted(steps, more), len(steps) - 1)]
     return np.where(more > FEWEST_SPP / 2, chosen, 0)
+
+
+def allotted_spp(pilots: Sequence[Sums], mean: float) -> NDArray[np.int64]:
+    """Samples of each picture of a further pair, [stop, h, w], ``mean`` per pixel and stop of both together, about.
+
+    They make the sum over the pixels of the variance, relative to shot noise, as small as so many samples can: each
+    pixel's samples are in proportion to the standard deviation of one (Neyman, Journal of the Royal Statistical Society
+    97, 1934), which the pixels around it tell. ``pilots`` are pairs of pictures through each stop.
+    """
+    light, variance = np.zeros(pilots[0].rate.shape[1:]), []
+    for pilot in pilots:
+        found = measured(pilot)
+        light += np.maximum(around(found.rate)[0], 0.0)
+        variance.append((found.around * found.spp[..., None])[0].astype(np.float32))
+    light += LEAST_LIGHT * light.mean(axis=(0, 1)) + np.finfo(float).tiny
+    one = np.stack([np.sqrt((part / light).sum(axis=-1)) for part in variance])
+    done = np.concatenate([pilot.spp for pilot in pilots])
+    if not one.any():
+        return np.zeros(one.shape, np.int64)
+
+    def spp(scale: float, pixels: slice) -> NDArray[np.int64]:
+        return next_spp(scale * one[:, pixels, pixels] - done[:, pixels, pixels], MOST_SPP)
+
+    low, high = np.log(np.array([1e-3, 1e6]) / one.mean())
+    for _ in range(BISECTIONS):
+        middle = (low + high) / 2
+        low, high = (middle, high) if 2 * spp(np.exp(middle), SPARSE).mean() < mean else (low, middle)
+    return spp(np.exp(low), slice(None))

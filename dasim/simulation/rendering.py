@@ -27,15 +27,16 @@ from dasim.render.truth import Geometry
 from dasim.scene.mitsuba_scene import MitsubaScene
 from dasim.scene.specification import Scene
 from dasim.simulation import rendering_noise
-from dasim.simulation.adaptive_sampling import render_to_noise_target
+from dasim.simulation.adaptive_sampling import allotted_spp, render_to_noise_target
 from dasim.simulation.checks import check_finite, check_lit
-from dasim.simulation.rendering_noise import Picture
+from dasim.simulation.rendering_noise import Picture, Sums
 from dasim.spectra import colour, grid, illuminants
 from dasim.typing import Float32Array, FloatArray, Progress
 
 TWIN = "bayer-mobile"  # the camera whose colours ``sharp_srgb`` has
 SHARP_SPP = 32  # of the pinhole picture, which has no lens to sample
-FOCUS_SPP = 16  # of the picture in focus, per stop
+FOCUS_SPP = 4  # per stop of each picture of the pilot in focus; in ``scalar_spectral`` of all there is
+MORE_FOCUS_SPP = 8.0  # of the further pair together, mean over the pixels
 FIELD_SPP = 16  # that the irradiance is traced for where samples per pixel are chosen: its noise is far below theirs
 LENS, OWN_MEAN, IN_FOCUS, SHARP = range(4)  # uses of a capture's seed
 BLUR_MARGIN = 1.1  # something nearer than all that is seen may lie just outside the frame
@@ -95,8 +96,8 @@ class LensPicture:
 class SharpPictures:
     """The pictures through a pinhole that admits as much light as the lens, mean electrons per second."""
 
-    rate: NDArray[Any]  # [h, w, channel] of the camera, in double precision until it is rounded
-    srgb: Float32Array  # [h, w, 3] of a Bayer camera without near-infrared, see :func:`srgb`
+    rate: Float32Array  # [h, w, channel] of the camera, at the light level of ``View.world``
+    twin: Float32Array  # [h, w, 3] of the camera ``TWIN``, likewise
     field: Any  # irradiance, which half of the lens picture shares
     controls: list[Control | None]  # of each stop, see :mod:`dasim.render.control_variate`
     fine: dict[str, Fine] | None  # the picture of each stop's channels on a finer grid, by the stops' names
@@ -219,8 +220,13 @@ def stop_picture(
     seed: int,
     progress: Progress,
     label: str = "",
+    *,
+    in_focus: bool = False,
 ) -> Ratios:
-    """The picture through a stop, by its number, of ``spp`` samples, [h, w] or [1, 1], before glare."""
+    """The picture through a stop, by its number, of ``spp`` samples, [h, w] or [1, 1], before glare.
+
+    ``in_focus`` is for all depths in focus, for which the control variates of ``sharp`` must be.
+    """
     stop = view.camera.stops[number]
     report = partial(progress, f"rendering through stop '{stop.name}'{label}")
     picture = passes.stop_ratios(
@@ -232,6 +238,7 @@ def stop_picture(
         max_blur_px=view.reach_px,
         illuminant=view.illuminant,
         field=field,
+        in_focus=in_focus,
         control=sharp.controls[number],
     )
     check_finite(view.scene, picture.value, view.objects_at)
@@ -278,35 +285,71 @@ def sensor_variance(rate: FloatArray, camera: Camera, exposure: Exposure) -> Flo
     return noise.temporal_variance(camera.sensor, time_s, exposure.gain).at(rate * time_s) / time_s**2
 
 
-def focus_picture(view: View, sharp: SharpPictures, seed: int, progress: Progress) -> FloatArray:
-    """What the open lens would show with every depth in focus, mean electrons per second [h, w, channel].
+@dataclass(frozen=True)
+class ExactPictures:
+    """The truth of a capture's picture: without blur, and with that of the lens in focus."""
 
-    Of a lens without diffraction, aberrations and glare that is the picture through a pinhole.
+    sharp: NDArray[Any]  # [h, w, channel] through a pinhole, mean electrons per second
+    srgb: Float32Array  # [h, w, 3] the same of a Bayer camera without near-infrared, see :func:`srgb`
+    focus: NDArray[Any]  # [h, w, channel] what the open lens would show with every depth in focus
+
+
+def exact_pictures(view: View, sharp: SharpPictures, seed: int, progress: Progress) -> ExactPictures:
+    """The exact pictures, with more samples where a pilot of the picture in focus is noisy: on gloss, glass and fine
+    texture.
+
+    Through a lens without diffraction, aberrations and glare, the picture in focus is that through a pinhole.
     """
     perfect = wavefront.is_perfect(view.camera)
     if view.diffraction == "off" and perfect and not any(stop.glare_share for stop in view.camera.stops):
-        return sharp.rate
-    seed = picture_seed(seed, 0, IN_FOCUS)
-    scene, camera, reach_px = view.world.scene, view.camera, view.reach_px
-    rate = np.zeros(sharp.rate.shape)
-    for stop in camera.stops:
-        rate += passes.stop_pass(
-            scene,
-            camera,
-            stop,
-            passes.Sampling(FOCUS_SPP, seed, partial(progress, f"rendering in focus, stop '{stop.name}'")),
-            diffraction=view.diffraction,
-            max_blur_px=reach_px,
-            illuminant=view.illuminant,
-            field=sharp.field,
-            in_focus=True,
-            control=passes.control_of(
-                scene, camera, stop, sharp.fine, max_blur_px=reach_px, field=sharp.field, in_focus=True
-            ),
-        )
-    check_finite(view.scene, rate, view.objects_at)
-    rate *= view.light_level
-    return rate
+        rate = sharp.rate.astype(float) * view.light_level
+        return ExactPictures(rate, _twin_srgb(view, sharp.twin), rate)
+    in_focus = replace(sharp, controls=_controls(view, sharp.fine, sharp.field, in_focus=True))
+
+    def picture(number: int, index: int, spp: NDArray[np.int64]) -> Picture:
+        own, label = picture_seed(seed, index, IN_FOCUS), f", in focus, picture {index + 1}"
+        ratios = stop_picture(view, in_focus, number, sharp.field, spp, own, progress, label, in_focus=True)
+        arrays: list[Any] = [each[None] for each in ratios]
+        return Picture(spp[None], *arrays)
+
+    def pilot(number: int) -> Sums:
+        first, second = picture(number, 0, few), picture(number, 1, few)
+        sums = rendering_noise.no_pairs(first)
+        rendering_noise.add(sums, first, second)
+        return sums
+
+    is_scalar, stops = view.variant.startswith("scalar"), range(len(view.camera.stops))
+    few = np.full((1, 1), 2 * FOCUS_SPP) if is_scalar else np.full(view.blur_px.shape, FOCUS_SPP)
+    parts = [pilot(number) for number in stops]
+    rate, twin = (part.astype(float) for part in (sharp.rate, sharp.twin))
+    if not is_scalar:
+        more = allotted_spp(parts, MORE_FOCUS_SPP)
+        for number in stops:
+            rendering_noise.add(parts[number], picture(number, 2, more[number]), picture(number, 3, more[number]))
+        rate, twin = _with_more(view, sharp, more.max(axis=0), seed, progress)
+
+    def of_stop(number: int) -> tuple[FloatArray, FloatArray]:
+        found = rendering_noise.measured(parts[number])
+        return found.rate[0], found.variance[0]
+
+    focus = _glared(view.camera, of_stop)[0] * view.light_level
+    return ExactPictures(rate * view.light_level, _twin_srgb(view, twin), focus)
+
+
+def _with_more(
+    view: View, sharp: SharpPictures, spp: NDArray[np.int64], seed: int, progress: Progress
+) -> tuple[FloatArray, FloatArray]:
+    """The pictures through a pinhole, of the camera and of its twin, with ``spp`` samples more, [h, w]; at the light
+    level of ``View.world``.
+    """
+    twin, report = cameras.load_camera(TWIN), partial(progress, "rendering the pinhole picture, picture 2")
+    sampling = passes.Sampling(spp, picture_seed(seed, 1, SHARP), report)
+    more = passes.pinhole_pass(view.world.scene, view.camera, sampling, sharp.field, twin)
+    share, own = (spp / (SHARP_SPP + spp))[..., None], sharp.rate.shape[-1]
+    rate, of_twin = (
+        known + share * (new - known) for known, new in ((sharp.rate, more[..., :own]), (sharp.twin, more[..., own:]))
+    )
+    return rate, of_twin
 
 
 def sharp_pictures(view: View, sampling: Sampling, progress: Progress) -> SharpPictures:
@@ -326,16 +369,25 @@ def sharp_pictures(view: View, sampling: Sampling, progress: Progress) -> SharpP
     )
     check_finite(view.scene, sharp.rate, view.objects_at)
     channels = len(sensors.channels(camera.sensor))
-    colours = srgb(sharp.rate[..., channels:], camera, twin, view.illuminant)
-    rate, fine = sharp.rate[..., :channels] * view.light_level, sharp.fine
-    del sharp
-    controls = [
-        passes.control_of(scene, camera, stop, fine, max_blur_px=view.reach_px, field=field) for stop in camera.stops
+    rate, of_twin = (part.astype(np.float32) for part in np.split(sharp.rate, [channels], axis=-1))
+    return SharpPictures(rate, of_twin, field, _controls(view, sharp.fine, field), sharp.fine)
+
+
+def _controls(view: View, fine: dict[str, Fine] | None, field: Any, *, in_focus: bool = False) -> list[Control | None]:
+    """The control variate of each stop."""
+    return [
+        passes.control_of(
+            view.world.scene, view.camera, stop, fine, max_blur_px=view.reach_px, field=field, in_focus=in_focus
+        )
+        for stop in view.camera.stops
     ]
-    return SharpPictures(rate, colours, field, controls, fine)
 
 
-def srgb(rate: FloatArray, camera: Camera, twin: Camera, illuminant: str) -> Float32Array:
+def _twin_srgb(view: View, rate: NDArray[Any]) -> Float32Array:
+    return srgb(rate, view.camera, cameras.load_camera(TWIN), view.illuminant)
+
+
+def srgb(rate: NDArray[Any], camera: Camera, twin: Camera, illuminant: str) -> Float32Array:
     """Picture in sRGB, 0..1, from electrons [h, w, 3] of a camera without near-infrared, white-balanced for the
     illuminant on each ring of the frame of ``camera``.
     """

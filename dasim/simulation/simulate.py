@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Literal, TypeVar
+from typing import Any, Literal
 
 import numpy as np
 
@@ -28,11 +28,10 @@ from dasim.scene.mitsuba_scene import MitsubaScene
 from dasim.scene.specification import Scene
 from dasim.simulation import adaptive_sampling, checks, rendering
 from dasim.simulation.exposure import SensorLight, Shot, photograph, to_precision
-from dasim.simulation.rendering import LensPicture, Sampling, SharpPictures, View
-from dasim.typing import Float32Array, Progress
+from dasim.simulation.rendering import ExactPictures, LensPicture, Sampling, View
+from dasim.typing import Progress
 from dasim.values import Truth
 
-Pictures = TypeVar("Pictures", LensPicture, SharpPictures)
 RENDERED_LUX = 1000.0  # all lights together, while they are rendered
 DEFAULT_SPP = 64  # a power of two, for which Sobol' points are most even
 
@@ -115,26 +114,25 @@ def sensor_light(
     sampling = Sampling(spp, noise_share, noise_at, seed)
     try:
         view = prepare(scene, camera, diffraction, variant, progress)
-        sharp = _rounded(rendering.sharp_pictures(view, sampling, progress))
+        sharp = rendering.sharp_pictures(view, sampling, progress)
+        backend.release_memory()
         lens = mean = _rounded(rendering.lens_picture(view, sharp, sampling, exposure or Exposure(), progress))
         if independent_mean:
             mean = _rounded(rendering.independent_picture(view, sharp, lens, sampling, progress))
-        focus = to_precision(rendering.focus_picture(view, sharp, seed, progress))
+        exact_pictures = rendering.exact_pictures(view, sharp, seed, progress)
     except RuntimeError as error:  # Mitsuba's
         if isinstance(scene, MitsubaScene):
             raise render_error(scene, error) from None
         raise
-    exact, origin = describe_truth(view, mean, sharp, focus), describe_origin(view, lens, seed, independent_mean)
+    exact, origin = describe_truth(view, mean, exact_pictures), describe_origin(view, lens, seed, independent_mean)
     return SensorLight(camera, lens.rate, lens.variance, exact, view.illuminant, origin, view.world.notes)
 
 
-def _rounded(pictures: Pictures) -> Pictures:
-    """Pictures in single precision, see :mod:`dasim.simulation.exposure`, as soon as they are sums no more."""
-    rounded: dict[str, Any] = {"rate": to_precision(pictures.rate)}
-    if isinstance(pictures, LensPicture) and pictures.variance is not None:
-        rounded["variance"] = to_precision(pictures.variance)
+def _rounded(picture: LensPicture) -> LensPicture:
+    """The picture in single precision, see :mod:`dasim.simulation.exposure`, as soon as it is a sum no more."""
+    variance = None if picture.variance is None else to_precision(picture.variance)
     backend.release_memory()
-    return replace(pictures, **rounded)
+    return replace(picture, rate=to_precision(picture.rate), variance=variance)
 
 
 def prepare(
@@ -186,7 +184,7 @@ def describe_origin(view: View, lens: LensPicture, seed: int, independent_mean: 
     }
 
 
-def describe_truth(view: View, mean: LensPicture, sharp: SharpPictures, focus: Float32Array) -> Truth:
+def describe_truth(view: View, mean: LensPicture, exact: ExactPictures) -> Truth:
     """The ground truth of a frame of one second; the pictures are mean electrons per second, rounded."""
     geometry, world = view.geometry, view.world
     return Truth(
@@ -200,13 +198,13 @@ def describe_truth(view: View, mean: LensPicture, sharp: SharpPictures, focus: F
         boundary=depth_blur.boundary(view.blur_px),
         channels=sensors.channels(view.camera.sensor),
         mean_e=mean.rate,
-        sharp_e=sharp.rate,
-        sharp_srgb=sharp.srgb,
+        sharp_e=to_precision(exact.sharp),
+        sharp_srgb=exact.srgb,
         class_id=class_numbers(world.classes)[geometry.object_id],
         objects=tuple(world.objects),
         materials=tuple(world.materials),
         mean_e_variance=mean.variance,
-        focus_e=focus,
+        focus_e=to_precision(exact.focus),
     )
 
 

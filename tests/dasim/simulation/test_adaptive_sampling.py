@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from dasim.simulation import adaptive_sampling
-from dasim.simulation.adaptive_sampling import render_to_noise_target
+from dasim.simulation.adaptive_sampling import allotted_spp, render_to_noise_target
 from dasim.simulation.rendering_noise import Picture, add, measured, no_pairs
 
 FRAME = (2, 60, 80)
@@ -147,3 +147,34 @@ def test_no_light_and_no_noise_need_no_more():
 
     result = render_to_noise_target(dark, poisson, shape=FRAME)
     assert result.share == (0, 0, 0, 0) and set(result.measured.spp.ravel()) == {16}
+
+
+def test_a_further_pair_has_its_samples_where_the_pilot_is_noisy():
+    """Set-up: pilots of 8 samples through two stops, of which the first has twice the noise; five times as much in the
+    middle of the frame.
+
+    Expectation: as many samples as asked for, and in proportion to the noise of one sample: within the steps of the
+    numbers of samples, 2 between the stops and 5 between the places, where both got more than the pilot's.
+    """
+    loud = np.zeros(FRAME[1:], bool)
+    loud[20:40, 20:60] = True
+    picture = pictures((2.0, 1.0), [], slope=0.5, loud=loud)
+    pilots = []
+    for stop in (0, 1):
+        pair = [picture(index, np.full(FRAME, 4)) for index in (0, 1)]
+        first, second = (Picture(*(part[[stop]] for part in one[:3])) for one in pair)
+        pilots.append(no_pairs(first))
+        add(pilots[-1], first, second)
+    more = allotted_spp(pilots, 24.0)
+    assert 2 * more.mean() == pytest.approx(24.0, rel=0.1)
+    inner, outer = np.s_[24:36, 24:56], np.s_[:16]
+    whole = 8 + 2 * more
+    assert whole[0][inner].mean() / whole[0][outer].mean() == pytest.approx(5.0, rel=0.25)
+    assert whole[0][inner].mean() / whole[1][inner].mean() == pytest.approx(2.0, rel=0.25)
+
+
+def test_a_pilot_without_noise_asks_for_no_more():
+    still = Picture(np.full(FRAME, 4), np.ones(SHAPE), np.zeros(SHAPE))
+    pilot = no_pairs(still)
+    add(pilot, still, still)
+    assert not allotted_spp([pilot._replace(**{name: getattr(pilot, name)[:1] for name in pilot._fields})], 8.0).any()
