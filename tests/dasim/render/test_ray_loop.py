@@ -83,7 +83,8 @@ def faults(record: Record) -> list[str]:
 def test_a_capture_runs_on_graphics_cards(jit, monkeypatch):
     """Rationale: what a processor alone can do would stop the loop on a graphics card, or slow it to the host's pace.
 
-    Set-up: all that a capture of ``desk`` traces: two stops twice, in focus, through a pinhole, and the irradiance.
+    Set-up: all that a capture of ``desk`` traces: two stops twice, in focus four times, through a pinhole by nodes and by
+    pixels, and the irradiance.
     Expectation: plugins and arrays of every variant; a batch traces its rays in one launch, and as many as memory is
     planned for; the host reads sums of pixels, and rays only of pixels that see several depths. There are some.
     """
@@ -93,7 +94,7 @@ def test_a_capture_runs_on_graphics_cards(jit, monkeypatch):
     with recorded((ray_loop, "_trace"), (pinhole, "_trace_nodes"), (irradiance, "_traced")) as record:
         dasim.simulate(scene, dasim.focused(camera, scene), spp=4)
     assert faults(record) == []
-    assert Counter(batch.function for batch in record.batches) == {"_trace": 4 + 2, "_trace_nodes": 2, "_traced": 2}
+    assert Counter(batch.function for batch in record.batches) == {"_trace": 4 + 8 + 1, "_trace_nodes": 2, "_traced": 2}
     assert {name for batch in record.batches for name, _ in batch.reads} == READS.keys()
     assert {"path", "dasim_mixture", "twosided"} < record.plugins
 
