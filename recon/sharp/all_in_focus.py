@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from dasim.camera import geometry
 from dasim.camera.specification import Camera
 from dasim.spectra.grid import CHANNELS
 from dasim.typing import BoolArray, Float32Array
@@ -19,7 +20,7 @@ from recon.depth.peak import sd_of
 from recon.picture import develop, field, mosaic
 from recon.picture.field import Separation
 from recon.settings import Settings
-from recon.sharp import layers, restoration, sharpen
+from recon.sharp import layers, lost_detail, restoration, sharpen
 
 INTERPOLATED_NOISE_SHARE = 0.7  # noise after interpolation relative to the sensor's, standard deviations
 GRAINY_LEVEL = 3.0  # level from which on eq. (15) is solved for the picture without noise reduction alone
@@ -62,6 +63,7 @@ def all_in_focus(
     if network:
         picture, phases = seen(frame, seen_e, sharp, noise_e), mosaic.phases(frame.camera)
         sharp_e = restoration.restored(picture, phases, tile_px or restoration.TILE_PX)
+        _restore_detail(sharp_e, frame, seen_e)
         _fade_to_captured(sharp_e, frame)
     else:
         sharp_e = np.ascontiguousarray(np.moveaxis(sharp[sharpen.COLOURS], 0, -1))
@@ -139,6 +141,18 @@ def _soften_in_focus(stack: Float32Array, linear_e: Float32Array, ir_e: Float32A
     grain = np.clip(np.abs(level) / GRAINY_LEVEL, 0, 1)
     for index, smooth_e in enumerate((*np.moveaxis(linear_e, -1, 0), ir_e)):
         stack[index] = smooth_e + grain * (stack[index] - smooth_e)
+
+
+def _restore_detail(sharp_e: Float32Array, frame: Frame, stack: Float32Array) -> None:
+    """Bring detail near focus back that the samples of the :func:`channels` show and the picture lacks, in place."""
+    grids = mosaic.grids(frame.camera)
+    infrared = INTERPOLATED_NOISE_SHARE**2 * frame.variances["IR"]
+    samples = []
+    for index, (name, row) in enumerate(zip("RGB", frame.separation.on_axis, strict=True)):
+        variance = (row[index] ** 2 * frame.variances[name] + row[3] ** 2 * infrared).astype(np.float32)
+        samples.append(lost_detail.Samples(mosaic.sites(grids[name], frame.level.shape), stack[index], variance))
+    px_per_level = float(geometry.level_blur_px(frame.camera)[1])
+    lost_detail.restore(sharp_e, samples, frame.level, sd_of(frame.confidence).astype(np.float32), px_per_level)
 
 
 def _fade_to_captured(sharp_e: Float32Array, frame: Frame, certain: Float32Array | None = None) -> None:

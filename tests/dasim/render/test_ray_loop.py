@@ -83,8 +83,8 @@ def faults(record: Record) -> list[str]:
 def test_a_capture_runs_on_graphics_cards(jit, monkeypatch):
     """Rationale: what a processor alone can do would stop the loop on a graphics card, or slow it to the host's pace.
 
-    Set-up: all that a capture of ``desk`` traces: two stops twice, in focus four times, through a pinhole by nodes and by
-    pixels, and the irradiance.
+    Set-up: all that a capture of ``desk`` traces: two stops twice, in focus four times, through a pinhole by nodes and
+    by pixels, and the irradiance.
     Expectation: plugins and arrays of every variant; a batch traces its rays in one launch, and as many as memory is
     planned for; the host reads sums of pixels, and rays only of pixels that see several depths. There are some.
     """

@@ -1,0 +1,113 @@
+"""Detail near focus that the samples of the mosaic show and an all-in-focus picture lacks.
+
+In focus the captured picture is the sharp one but for its noise, so that whatever made the all-in-focus picture, it
+must agree with the samples. Where it does not by more than noise explains, as where a network takes stripes as fine as
+the mosaic for its artefacts, the captured picture knows better. With the samples s of a channel, their noise variance
+v, the picture f and its blur B f by the visible blur of each pixel's level, let
+
+    q = sum of (s - B f)^2 / sum of v
+
+in a window around each pixel. Of s - B f, the share 1 - 1 / q is signal (Wiener's filter, of a flat spectrum). So much
+of it, interpolated between the samples, is added to f. The captured picture itself, whose interpolation has artefacts
+that f lacks, is not used. Where the blur of the level plus its standard deviation explains the samples better, it is B:
+a picture that may be right is left.
+
+Tested in tests/recon/sharp/test_lost_detail.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+
+from dasim.typing import BoolArray, Float32Array
+
+# Both chosen on ``tune``.
+WINDOW_PX = 7.0  # sigma
+LEVELS = (0.5, 2.5)  # up to the first all of it counts, from the second on nothing
+DISC = 0.25  # standard deviation of a disc along an axis, over its diameter
+SIGMAS_PX = np.arange(0.0, 1.3, 0.25)  # of the blurs that B f is interpolated from
+BILINEAR = np.outer([0.5, 1.0, 0.5], [0.5, 1.0, 0.5]).astype(np.float32)  # between samples at every second pixel
+STRIP_PX, HALO_PX = 512, 36  # rows at a time, even, and rows around them that they depend on
+
+
+class Samples(NamedTuple):
+    """What the mosaic has of a channel."""
+
+    sites: BoolArray  # pixels that it was sampled at, [h, w]
+    value_e: Float32Array  # [h, w] electrons, read at the sites alone
+    variance: Float32Array  # of the noise, [h/2, w/2]
+
+
+def restore(
+    sharp_e: Float32Array,
+    samples: Sequence[Samples],
+    level: Float32Array,
+    sd: Float32Array,
+    px_per_level: float,
+) -> None:
+    """Bring lost detail back to an all-in-focus picture, in place.
+
+    Args:
+        sharp_e: the picture, [h, w, 3] electrons.
+        samples: of the three channels, with their noise.
+        level: blur level of each pixel, [h, w].
+        sd: its standard deviation, [h, w].
+        px_per_level: diameter of visible blur per level.
+    """
+    height = len(level)
+    above = sharp_e[:0]  # rows that the strip before has changed, as they were
+    for top in range(0, height, STRIP_PX):
+        bottom = min(top + STRIP_PX, height)
+        first, last = top - len(above), min(bottom + HALO_PX, height)
+        rows = slice(first, last)
+        strip = np.concatenate([above, sharp_e[top:last]])
+        above = sharp_e[max(bottom - HALO_PX, 0) : bottom].copy()
+        size = np.abs(level[rows]).astype(np.float32)
+        if size[top - first : bottom - first].min() >= LEVELS[1]:
+            continue
+        halves = slice(first // 2, -(-last // 2))
+        here = [Samples(one.sites[rows], one.value_e[rows], one.variance[halves]) for one in samples]
+        least, lost = np.full(strip.shape, np.inf, np.float32), np.zeros_like(strip)
+        for blur in (size, size + sd[rows]):
+            blurred = _blurred(strip, np.float32(DISC * px_per_level) * blur)
+            for channel, one in enumerate(here):
+                share, difference = _unexplained(one, blurred[..., channel])
+                better = share < least[..., channel]
+                least[better, channel] = share[better]
+                lost[better, channel] = (share * difference)[better]
+        lost *= np.interp(size, LEVELS, (1, 0)).astype(np.float32)[..., None]
+        sharp_e[top:bottom] += lost[top - first : bottom - first]
+
+
+def _blurred(image: Float32Array, sigma_px: Float32Array) -> Float32Array:
+    """An image [h, w, channel] blurred by each pixel's Gaussian, of sigma [h, w] up to the last of ``SIGMAS_PX``."""
+    place = np.interp(sigma_px, SIGMAS_PX, np.arange(len(SIGMAS_PX))).astype(np.float32)
+    total = np.zeros_like(image)
+    for number, sigma in enumerate(SIGMAS_PX):
+        weight = np.maximum(1 - np.abs(place - np.float32(number)), 0)
+        if weight.any():
+            blurred = image if sigma == 0 else cv2.GaussianBlur(image, (0, 0), float(sigma))
+            total += weight[..., None] * blurred
+    return total
+
+
+def _unexplained(samples: Samples, blurred: Float32Array) -> tuple[Float32Array, Float32Array]:
+    """Share of the difference of samples and a blurred picture [h, w] that noise does not explain, and that difference,
+    interpolated between the samples, [h, w] each.
+    """
+    mask = samples.sites.astype(np.float32)
+    difference = mask * (samples.value_e - blurred)
+    size, half = blurred.shape[::-1], samples.variance.shape[::-1]
+    squares, count = (cv2.resize(part, half, interpolation=cv2.INTER_AREA) for part in (difference**2, mask))
+    found, noise = (
+        cv2.GaussianBlur(part, (0, 0), WINDOW_PX / 2, borderType=cv2.BORDER_REFLECT)
+        for part in (squares, count * samples.variance)
+    )
+    share = np.maximum(1 - noise / np.maximum(found, np.float32(1e-9)), 0)
+    near, weight = (cv2.filter2D(part, -1, BILINEAR, borderType=cv2.BORDER_REFLECT) for part in (difference, mask))
+    interpolated = near / np.maximum(weight, BILINEAR.min())
+    return np.asarray(cv2.resize(share, size, interpolation=cv2.INTER_LINEAR), np.float32), interpolated
