@@ -31,7 +31,7 @@ LEVELS = (0.5, 2.5)  # up to the first all of it counts, from the second on noth
 DISC = 0.25  # standard deviation of a disc along an axis, over its diameter
 SIGMAS_PX = np.arange(0.0, 1.3, 0.25)  # of the blurs that B f is interpolated from
 BILINEAR = np.outer([0.5, 1.0, 0.5], [0.5, 1.0, 0.5]).astype(np.float32)  # between samples at every second pixel
-STRIP_PX, HALO_PX = 512, 36  # rows at a time, even, and rows around them that they depend on
+STRIP_PX, HALO_PX = 256, 36  # rows at a time, even, and rows around them that they depend on
 
 
 class Samples(NamedTuple):
@@ -72,27 +72,33 @@ def restore(
         halves = slice(first // 2, -(-last // 2))
         here = [Samples(one.sites[rows], one.value_e[rows], one.variance[halves]) for one in samples]
         least, lost = np.full(strip.shape, np.inf, np.float32), np.zeros_like(strip)
-        for blur in (size, size + sd[rows]):
-            blurred = _blurred(strip, np.float32(DISC * px_per_level) * blur)
-            for channel, one in enumerate(here):
-                share, difference = _unexplained(one, blurred[..., channel])
+        places = [_place(np.float32(DISC * px_per_level) * blur) for blur in (size, size + sd[rows])]
+        for channel, one in enumerate(here):
+            blurs = _blurs(strip[..., channel])
+            for place in places:
+                share, difference = _unexplained(one, _between(blurs, place))
                 better = share < least[..., channel]
-                least[better, channel] = share[better]
-                lost[better, channel] = (share * difference)[better]
+                np.copyto(least[..., channel], share, where=better)
+                np.copyto(lost[..., channel], share * difference, where=better)
         lost *= np.interp(size, LEVELS, (1, 0)).astype(np.float32)[..., None]
         sharp_e[top:bottom] += lost[top - first : bottom - first]
 
 
-def _blurred(image: Float32Array, sigma_px: Float32Array) -> Float32Array:
-    """An image [h, w, channel] blurred by each pixel's Gaussian, of sigma [h, w] up to the last of ``SIGMAS_PX``."""
-    place = np.interp(sigma_px, SIGMAS_PX, np.arange(len(SIGMAS_PX))).astype(np.float32)
-    total = np.zeros_like(image)
-    for number, sigma in enumerate(SIGMAS_PX):
-        weight = np.maximum(1 - np.abs(place - np.float32(number)), 0)
-        if weight.any():
-            blurred = image if sigma == 0 else cv2.GaussianBlur(image, (0, 0), float(sigma))
-            total += weight[..., None] * blurred
-    return total
+def _place(sigma_px: Float32Array) -> Float32Array:
+    """Fractional index among ``SIGMAS_PX``, the last for larger ones."""
+    return np.minimum(sigma_px / np.float32(SIGMAS_PX[1]), np.float32(len(SIGMAS_PX) - 1))
+
+
+def _blurs(image: Float32Array) -> list[Float32Array]:
+    """An image [h, w] blurred by each of ``SIGMAS_PX``."""
+    image = np.ascontiguousarray(image)
+    return [image, *(np.asarray(cv2.GaussianBlur(image, (0, 0), float(sigma)), np.float32) for sigma in SIGMAS_PX[1:])]
+
+
+def _between(blurs: Sequence[Float32Array], place: Float32Array) -> Float32Array:
+    """Linear interpolation between images at the fractional index of each pixel, [h, w]."""
+    weights = (np.maximum(1 - np.abs(place - np.float32(number)), 0) for number in range(len(blurs)))
+    return np.asarray(sum(weight * blur for weight, blur in zip(weights, blurs, strict=True)), np.float32)
 
 
 def _unexplained(samples: Samples, blurred: Float32Array) -> tuple[Float32Array, Float32Array]:
