@@ -25,6 +25,10 @@ from recon.sharp import layers, lost_detail, restoration, sharpen
 INTERPOLATED_NOISE_SHARE = 0.7  # noise after interpolation relative to the sensor's, standard deviations
 GRAINY_LEVEL = 3.0  # level from which on eq. (15) is solved for the picture without noise reduction alone
 DRAFT_PASSES = sharpen.PASSES[:2]  # that the network starts from: colours guided by infrared
+# Of a deconvolved picture by levels, kernels and occlusion, relative to bright white: told to deconvolution and network
+# as noise, so that a picture with little noise is not sharpened by whatever level it has. Chosen on ``tune`` with and
+# without a tenth of the noise, where more blurs what is in focus; the network was trained without.
+MODEL_ERROR = 0.007
 CERTAIN = 0.05  # confidence below which the solution of eq. (15) fades to the captured picture
 
 
@@ -57,6 +61,8 @@ def all_in_focus(
     stack = channels(frame)
     network = settings.sharpen_prior == "network"
     seen_e = stack.copy() if network else stack
+    if network:
+        noise_e = np.hypot(noise_e, MODEL_ERROR * restoration.units(stack, _white_e(frame)))
     _soften_in_focus(stack, frame.linear_e, frame.ir_e, frame.level)
     passes = DRAFT_PASSES if network else sharpen.PASSES if settings.sharpen_guide else sharpen.PLAIN_PASSES
     sharp = deconvolved(stack, frame, kernels, noise_e, focus, settings, passes, tile_px or layers.TILE_PX)
@@ -77,11 +83,14 @@ def seen(frame: Frame, stack: Float32Array, draft: Float32Array, noise_e: NDArra
     It was trained on deconvolutions of the channels as they are; near focus, those of channels with less noise are
     better (0.1 to 0.5 dB below 3 px of blur).
     """
-    on_axis = frame.separation.on_axis
-    white = np.append(on_axis @ frame.white, frame.white[3])
     sparse = mosaic.grids(frame.camera)["R"][0].step == mosaic.PERIOD_PX
-    sd = sd_of(frame.confidence).astype(np.float32)
-    return restoration.Picture(stack, draft, frame.level, sd, noise_e, restoration.units(stack, white), sparse)
+    sd, units = sd_of(frame.confidence).astype(np.float32), restoration.units(stack, _white_e(frame))
+    return restoration.Picture(stack, draft, frame.level, sd, noise_e, units, sparse)
+
+
+def _white_e(frame: Frame) -> NDArray:
+    """Electrons of a white point without infrared, and in infrared, [4]."""
+    return np.append(frame.separation.on_axis @ frame.white, frame.white[3])
 
 
 def deconvolved(
