@@ -11,7 +11,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from dasim.camera import geometry
 from dasim.camera.specification import Camera
 from dasim.spectra.grid import CHANNELS
 from dasim.typing import BoolArray, Float32Array
@@ -69,7 +68,7 @@ def all_in_focus(
     if network:
         picture, phases = seen(frame, seen_e, sharp, noise_e), mosaic.phases(frame.camera)
         sharp_e = restoration.restored(picture, phases, tile_px or restoration.TILE_PX)
-        _restore_detail(sharp_e, frame, seen_e)
+        _restore_detail(sharp_e, frame, seen_e, float(bank.blur_px[1]))
         _fade_to_captured(sharp_e, frame)
     else:
         sharp_e = np.ascontiguousarray(np.moveaxis(sharp[sharpen.COLOURS], 0, -1))
@@ -152,7 +151,7 @@ def _soften_in_focus(stack: Float32Array, linear_e: Float32Array, ir_e: Float32A
         stack[index] = smooth_e + grain * (stack[index] - smooth_e)
 
 
-def _restore_detail(sharp_e: Float32Array, frame: Frame, stack: Float32Array) -> None:
+def _restore_detail(sharp_e: Float32Array, frame: Frame, stack: Float32Array, px_per_level: float) -> None:
     """Bring detail near focus back that the samples of the :func:`channels` show and the picture lacks, in place."""
     grids = mosaic.grids(frame.camera)
     infrared = INTERPOLATED_NOISE_SHARE**2 * frame.variances["IR"]
@@ -160,7 +159,6 @@ def _restore_detail(sharp_e: Float32Array, frame: Frame, stack: Float32Array) ->
     for index, (name, row) in enumerate(zip("RGB", frame.separation.on_axis, strict=True)):
         variance = (row[index] ** 2 * frame.variances[name] + row[3] ** 2 * infrared).astype(np.float32)
         samples.append(lost_detail.Samples(mosaic.sites(grids[name], frame.level.shape), stack[index], variance))
-    px_per_level = float(geometry.level_blur_px(frame.camera)[1])
     lost_detail.restore(sharp_e, samples, frame.level, sd_of(frame.confidence).astype(np.float32), px_per_level)
 
 
