@@ -345,6 +345,7 @@ def _with_more(
     twin, report = cameras.load_camera(TWIN), partial(progress, "rendering the pinhole picture, picture 2")
     sampling = passes.Sampling(spp, picture_seed(seed, 1, SHARP), report)
     more = passes.pinhole_pass(view.world.scene, view.camera, sampling, sharp.field, twin)
+    check_finite(view.scene, more, view.objects_at)
     share, own = (spp / (SHARP_SPP + spp))[..., None], sharp.rate.shape[-1]
     rate, of_twin = (
         known + share * (new - known) for known, new in ((sharp.rate, more[..., :own]), (sharp.twin, more[..., own:]))

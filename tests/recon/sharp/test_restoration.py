@@ -12,10 +12,11 @@ import recon
 from dasim.camera import noise as sensor
 from dasim.camera import specification
 from dasim.camera.crosstalk import electronic_crosstalk
-from dasim.values import Capture
+from dasim.values import Capture, DepthEstimate
 from recon.settings import PRESETS
-from recon.sharp import restoration
+from recon.sharp import all_in_focus, restoration
 from tests.support import recon_scenes
+from validation.subjects.conditions import quiet_sensor
 
 RIM_PX = 16
 WHITE_E = 4000.0
@@ -66,6 +67,27 @@ def test_photographs_gain(photo, level, gain):
     """
     there = scene(level, photo)
     assert gains(there, recon.reconstruct(there.capture, recon_scenes.bank())).min() > gain
+
+
+def test_a_wrong_level_costs_less_where_the_model_has_an_error(monkeypatch):
+    """Set-up: a photograph at level 4 with a tenth of the noise, taken to be at level 7. Expectation: every colour is at
+    least 1 dB nearer to the truth than if sensor noise were the only error of the data.
+    """
+    usual, factor = scene(), 10
+    camera = usual.capture.camera
+    camera = camera.model_copy(update={"sensor": quiet_sensor(camera.sensor, factor)})
+    collected_e = electronic_crosstalk(sensor.mosaic(factor**2 * usual.mean_e.astype(float), camera), camera)
+    raw, _ = sensor.expose(collected_e, camera.sensor, 0.02, seed=1)
+    there = dataclasses.replace(usual, capture=Capture(raw, camera, 0.02, 1.0, 1), sharp_e=factor**2 * usual.sharp_e)
+
+    def wrong(capture, bank):
+        shape = capture.raw_dn.shape
+        return DepthEstimate(level=np.full(shape, 7.0, np.float32), sd=np.full(shape, 0.5, np.float32), joined=True)
+
+    ours = gains(there, recon.reconstruct(there.capture, recon_scenes.bank(), method=wrong))
+    monkeypatch.setattr(all_in_focus, "MODEL_ERROR", 0.0)
+    theirs = gains(there, recon.reconstruct(there.capture, recon_scenes.bank(), method=wrong))
+    assert (ours > theirs + 1).all(), (ours, theirs)
 
 
 @pytest.mark.parametrize("white_e", [1000.0, 4000.0])
