@@ -70,8 +70,8 @@ def test_photographs_gain(photo, level, gain):
 
 
 def test_a_wrong_level_costs_less_where_the_model_has_an_error(monkeypatch):
-    """Set-up: a photograph at level 4 with a tenth of the noise, taken to be at level 7. Expectation: every colour is at
-    least 1 dB nearer to the truth than if sensor noise were the only error of the data.
+    """Set-up: a photograph at level 4 with a tenth of the noise, taken to be at level 7. Expectation: every colour is
+    at least 1 dB nearer to the truth than if sensor noise were the only error of the data.
     """
     usual, factor = scene(), 10
     camera = usual.capture.camera
