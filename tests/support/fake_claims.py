@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 
 from validation.gates.claim import Evidence
 from validation.gates.outcome import Measurement
@@ -44,6 +45,11 @@ def broken(progress) -> Evidence:
 def stopped(progress) -> Evidence:
     """A claim during which the user presses Ctrl-C."""
     raise KeyboardInterrupt
+
+
+def dies(progress) -> Evidence:
+    """A claim whose process ends, as one that runs out of memory."""
+    os._exit(1)
 
 
 FAKES = {f.__name__: Measurement(f, quick=f is not bad) for f in (good, bad, free, absent, broken, stopped)}

@@ -10,9 +10,10 @@ import sys
 import time
 import traceback
 from collections.abc import Iterator, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from dataclasses import fields, replace
 from functools import partial
+from itertools import islice
 from typing import Any, NamedTuple
 
 from dasim.base.errors import InputError
@@ -146,19 +147,24 @@ def _side_by_side(
     """Measure claims in ``jobs`` processes; a claim whose process dies has stopped."""
     if not planned:
         return
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(min(jobs, len(planned)), mp_context=context, max_tasks_per_child=1) as pool:
-        waiting = {pool.submit(measured, job, table[job.claim], _silent): job for job in planned}
-        for job in planned:
-            progress(job.stage, 0.0)
-        try:
-            for done in as_completed(waiting):
-                error = done.exception()
-                yield waiting[done], done.result() if error is None else _stopped(0.0, error, str(error))
-                progress(waiting[done].stage, 1.0)
-        except BaseException:
-            pool.shutdown(wait=False, cancel_futures=True)
-            raise
+    context, waiting = multiprocessing.get_context("spawn"), iter(planned)
+    running: dict[Future[Run], tuple[Job, ProcessPoolExecutor]] = {}
+    try:
+        while True:
+            for job in islice(waiting, jobs - len(running)):
+                progress(job.stage, 0.0)
+                own = ProcessPoolExecutor(1, mp_context=context)  # a process that dies takes no other claim with it
+                running[own.submit(measured, job, table[job.claim], _silent)] = job, own
+            if not running:
+                return
+            for done in wait(running, return_when=FIRST_COMPLETED).done:
+                (job, own), error = running.pop(done), done.exception()
+                own.shutdown()
+                yield job, done.result() if error is None else _stopped(0.0, error, str(error))
+                progress(job.stage, 1.0)
+    finally:
+        for _, own in running.values():
+            own.shutdown(wait=False, cancel_futures=True)
 
 
 def _silent(share: float) -> None:

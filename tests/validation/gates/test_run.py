@@ -14,7 +14,7 @@ import pytest
 from dasim.base.errors import InputError
 from dasim.cli import run
 from tests.support import browser
-from tests.support.fake_claims import FAKES
+from tests.support.fake_claims import FAKES, dies
 from validation.claims.table import CLAIMS
 from validation.gates import stored
 from validation.gates.claim import Claim, Evidence
@@ -392,6 +392,23 @@ def test_several_at_once_give_the_same(fakes):
     for a, b in zip(one, two, strict=True):
         assert [(c.id, c.passed, c.source) for c in a.claims] == [(c.id, c.passed, c.source) for c in b.claims]
         np.testing.assert_array_equal([c.value for c in a.claims], [c.value for c in b.claims])
+
+
+@pytest.mark.slow
+def test_several_at_once_begin_when_they_are_measured(fakes):
+    """Set-up: two processes for three claims. Expectation: the third begins after another has ended."""
+    said: list[tuple[str, float]] = []
+    run_claims(fakes / "new", ["good", "bad", "free"], FAKES, [], jobs=2, progress=lambda *at: said.append(at))
+    begun = [number for number, (_, share) in enumerate(said) if share == 0]
+    ended = [number for number, (_, share) in enumerate(said) if share == 1]
+    assert len(begun) == len(ended) == 3 and begun[2] > ended[0]
+
+
+@pytest.mark.slow
+def test_a_process_that_dies_takes_no_other_claim_with_it(fakes):
+    table = FAKES | {"dies": Measurement(dies, quick=True)}
+    dead, *others = run_claims(fakes / "new", ["dies", "good", "free"], table, [], jobs=2)
+    assert dead.error is not None and all(other.error is None for other in others)
 
 
 @pytest.mark.parametrize(
