@@ -15,6 +15,8 @@ from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache
 from importlib.resources import files
+from threading import Lock
+from typing import Any
 
 import numpy as np
 from threadpoolctl import ThreadpoolController
@@ -81,10 +83,36 @@ def _blas() -> ThreadpoolController:
     return ThreadpoolController().select(user_api="blas")
 
 
+class _OneBlasThread:
+    """Products of matrices in one thread each while any of the threads that enter are inside.
+
+    The limit is the process's: threads that each remembered the number before theirs would restore that of another.
+    """
+
+    def __init__(self) -> None:
+        self._lock, self._inside = Lock(), 0
+        self._limit: Any = None
+
+    def __enter__(self) -> None:
+        with self._lock:
+            if not self._inside:
+                self._limit = _blas().limit(limits=1)
+            self._inside += 1
+
+    def __exit__(self, *_: object) -> None:
+        with self._lock:
+            self._inside -= 1
+            if not self._inside:
+                self._limit.restore_original_limits()
+
+
+_ONE_BLAS_THREAD = _OneBlasThread()
+
+
 def by_strips(work: Callable[[slice], None], shape: tuple[int, ...]) -> None:
     """Call ``work`` for strips of rows of an image of a ``shape``, in threads."""
     size = max(STRIP // shape[1], 1)
-    with _blas().limit(limits=1), ThreadPoolExecutor(os.cpu_count()) as pool:
+    with _ONE_BLAS_THREAD, ThreadPoolExecutor(os.cpu_count()) as pool:
         list(pool.map(work, [slice(top, min(top + size, shape[0])) for top in range(0, shape[0], size)]))
 
 

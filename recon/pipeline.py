@@ -82,7 +82,7 @@ def reconstruct(
     with stage("sharpen"):
         frame = all_in_focus.Frame(
             picture.shaded(linear.raw_e, linear.gain), captured.linear_e, captured.ir_e, captured.clipped,
-            variances, level, confidence, separation, camera, white,
+            picture.shaded_variances(variances, linear.gain, camera), level, confidence, separation, camera, white,
         )  # fmt: skip
         del linear, variances  # limits the memory of large frames
         sharp_e = all_in_focus.all_in_focus(frame, on_axis, light, settings, tile_px)

@@ -95,8 +95,8 @@ def recon(
         result = reconstruction.reconstruct(
             shot, kernels, parameters, flat=even, progress=lambda s, x: progress("reconstructing", x)
         )
-        save_reconstruction(out, result, also or (), raw_dn=shot.raw_dn)
-    for note in result.notes:
+        notes = save_reconstruction(out, result, also or (), raw_dn=shot.raw_dn)
+    for note in notes:
         print(f"note: {note}")
     print(f"reconstruction: {out} (light by white balance: {result.light})")
     return 0

@@ -32,12 +32,21 @@ def check_fits(bank: PsfBank, capture: Capture) -> None:
             f"camera '{camera.name}' has no infrared pixels, so depth cannot be estimated; "
             "use recon.develop for the colour picture alone"
         )
+    focus = f"{camera.lens.focus_distance_m:g}"
+    check_lens(bank, camera, "the capture", f"make a bank with 'dasim calibrate --camera CAMERA --focus {focus}'")
+
+
+def check_lens(bank: PsfBank, camera: Camera, of: str, otherwise: str) -> None:
+    """Raise InputError if the bank was made for another camera or focus than ``camera``, that ``of`` something.
+
+    The message ends with what to do ``otherwise``.
+    """
     bank_camera = bank.camera
     wrong = [name for name, value, other in _kernel_properties(camera, bank_camera) if value != other]
     if wrong:
         raise InputError(
-            f"bank of camera '{bank_camera.name}' does not match a capture of camera '{camera.name}': they differ in "
-            f"{', '.join(wrong)}; make a bank with 'dasim calibrate --camera'"
+            f"bank of camera '{bank_camera.name}' does not match {of} of camera '{camera.name}': they differ in "
+            f"{', '.join(wrong)}; {otherwise}"
         )
     focus, bank_focus = camera.lens.focus_distance_m, bank_camera.lens.focus_distance_m
     if abs(1 / focus - 1 / bank_focus) > FOCUS_TOLERANCE / bank_focus or (
@@ -45,8 +54,8 @@ def check_fits(bank: PsfBank, capture: Capture) -> None:
     ) != (bank_camera.lens.focal_length_mm, bank_camera.lens.f_number):  # fmt: skip
         raise InputError(
             f"bank is for a lens of {bank_camera.lens.focal_length_mm:g} mm f/{bank_camera.lens.f_number:g} focused at "
-            f"{bank_focus:g} m, the capture has {camera.lens.focal_length_mm:g} mm f/{camera.lens.f_number:g} at "
-            f"{focus:g} m; make a bank with 'dasim calibrate --focus {focus:g}'"
+            f"{bank_focus:g} m, {of} has {camera.lens.focal_length_mm:g} mm f/{camera.lens.f_number:g} at "
+            f"{focus:g} m; {otherwise}"
         )
 
 

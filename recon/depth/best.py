@@ -19,7 +19,9 @@ from dasim.typing import Float32Array, FloatArray
 from recon.depth import surface_net, weighted_median
 from recon.depth.evidence import Evidence, on_samples
 
-LEAST_RANGE = 16.0  # of a score over the levels: windows of noise alone stay below it
+# Of a score over RANGE_LEVELS and more: windows of noise alone have 2 at most. Over fewer levels scores differ less:
+# with RANGE_POWER it is above that of noise (0.2, 0.4, 0.9, 1.7 over 1, 2, 5, 12 levels) and below that of dim texture.
+LEAST_RANGE, RANGE_LEVELS, RANGE_POWER = 16.0, 16, 1.5
 
 
 class Map(NamedTuple):
@@ -40,11 +42,14 @@ def estimate(
     """
     levels = evidence.levels
     window_level, window_sd = _moments(_normalised(evidence.score, levels), levels)
-    knows = np.ptp(evidence.score[..., levels <= last + 1e-6], axis=-1) >= LEAST_RANGE
+    least = LEAST_RANGE * min(1.0, last / RANGE_LEVELS) ** RANGE_POWER
+    knows = np.ptp(evidence.score[..., levels <= last + 1e-6], axis=-1) >= least
     window_sd[~knows] = np.inf
     if network:
         found = surface_net.posterior(evidence.inputs, evidence.picture, levels, last, tile)
-        found = found._replace(level=weighted_median.filtered(found.level, found.sd, evidence.picture))
+        moved = weighted_median.filtered(found.level, found.sd, evidence.picture)
+        # Where a step moved, the posterior knew another surface: the move is part of the doubt.
+        found = surface_net.Moments(moved, np.hypot(found.sd, moved - found.level))
     else:
         found = surface_net.smooth_posterior(evidence.inputs, levels, last)
     level, sd = (image[: shape[0], : shape[1]] for image in found)  # the last nodes may reach beyond the frame

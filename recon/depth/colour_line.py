@@ -27,9 +27,10 @@ def colour_line(
     """Score of a level after Chakrabarti and Zickler (ECCV 2012), and the NCC of the same gradients, both [h, w].
 
     The kernel h_d = conj(H_IR) H_G / (|H_IR|^2 + mu |D|^2 / 2) gives infrared green's blur. At the true level, the
-    gradients of a patch in the two channels lie on one line through the origin. The score is minus the smaller
-    eigenvalue of their second moments, summed over four directions. The published division by the score of a dummy
-    kernel is the same for all levels, and is left out.
+    gradients of a patch in the two channels lie on one line through the origin. The score is minus the logarithm of the
+    smaller eigenvalue of their second moments, summed over four directions: as the variance of the distances from that
+    line, it gives twice the log likelihood per sample. The published division by the score of a dummy kernel is the
+    same for all levels, and is left out.
 
     Deviations: two channels instead of three; the patch of the other scores instead of lines of 15 pixels, so that
     all scores use the same windows. ``infrared`` and ``green`` are the transfer functions of the level, ``spectra``
@@ -44,7 +45,8 @@ def colour_line(
         residual += (power + energy - np.hypot(power - energy, 2 * product)) / 2
         energies += np.sqrt(power * energy)
         products += product
-    return -residual, np.asarray(products / np.maximum(energies, SMALLEST), np.float32)
+    score = -np.log(np.maximum(residual, SMALLEST))
+    return score, np.asarray(products / np.maximum(energies, SMALLEST), np.float32)
 
 
 def directional(shape: tuple[int, int], diagonals: Diagonals) -> list[Complex64Array]:

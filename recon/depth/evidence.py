@@ -59,11 +59,13 @@ class Evidence(NamedTuple):
 
 
 def level_grid(last: int) -> FloatArray:
-    """Levels from 0 to ``LAST``, or to the bank's ``last`` where that is more; always as many."""
-    grid = [0.0]
-    while grid[-1] < LAST:
-        grid.append(grid[-1] + max(FINEST, RELATIVE * grid[-1]))
-    return np.asarray(np.array(grid) * (max(LAST, last) / grid[-1]))
+    """Levels from 0 to ``LAST``, or to the bank's ``last`` where that is more; always as many, ``last`` among them."""
+    steps = [0.0]
+    while steps[-1] < LAST:
+        steps.append(steps[-1] + max(FINEST, RELATIVE * steps[-1]))
+    grid = np.array(steps) * (max(LAST, last) / steps[-1])
+    grid[np.abs(grid - last).argmin()] = last
+    return grid
 
 
 def evidence(

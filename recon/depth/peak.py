@@ -14,28 +14,31 @@ from recon.depth.likelihood import log_likelihood
 from recon.depth.ncc import Weights
 
 REFERENCE_ERROR = 1.0  # levels: an estimate with this standard error has a confidence of one half
+ROUNDING = 12**-0.5  # standard deviation of a level that is known to be nearer to a whole number than to any other
 INDEPENDENT_SHARE = 0.5  # independent samples after the band-pass, as a share of a window's samples
 
 
 def best_level(
-    score: Float32Array, ncc: Float32Array | None, offset: NDArray, window_px: float
+    score: Float32Array, ncc: Float32Array | None, offset: NDArray, window_px: float, *, is_likelihood: bool = False
 ) -> tuple[Float32Array, Float32Array]:
     """Level of the highest score, eq. (12), refined by a parabola through its neighbours; confidence 0..1; both [h, w].
 
-    The confidence is s^2 / (s^2 + e^2), with s of one level and the standard error e of a least-squares fit,
-    e^2 = (1 - n^2) / (N c n), where n is the NCC, -c the second derivative of the score, and N the number of
-    independent samples in the window. It is 0 where the NCC is not positive.
+    The confidence is s^2 / (s^2 + e^2), with s of one level and the standard error e. For the NCC n it is that of a
+    least-squares fit, e^2 = (1 - n^2) / (N c n), where -c is the second derivative of the score, and N the number of
+    independent samples in the window. For twice the log likelihood per sample, e^2 = 2 / (N c). It is 0 where the NCC
+    is not positive.
 
     Args:
         score: score of each level, [level, h, w].
-        ncc: NCC at the best level, [h, w]; None for a log likelihood (:mod:`recon.depth.bands`), whose own spread
-            then gives e.
+        ncc: NCC at the best level, [h, w]; None for the log likelihood of whole windows (:mod:`recon.depth.bands`),
+            whose own spread over the levels then gives e, with that of rounding to one of them.
         offset: position of the parabola's vertex relative to each true level, [level] (:func:`peak_offset`).
         window_px: side of the patch, raw pixels.
+        is_likelihood: whether the score is twice the log likelihood per sample, and not the NCC.
     """
     levels = len(score)
     peak = np.argmax(score, axis=0)
-    middle = np.clip(peak, 1, levels - 2)
+    middle = np.clip(peak, 1, max(levels - 2, 1))
     before, at, after = (np.take_along_axis(score, (middle + d)[None], 0)[0] for d in (-1, 0, 1))
     curvature = 2 * at - before - after
     shift = 0.5 * (after - before) / np.where(curvature > 0, curvature, 1)
@@ -44,11 +47,11 @@ def best_level(
     expected_vertex = np.maximum.accumulate(np.arange(levels) + offset)
     level = np.interp(vertex, expected_vertex, np.arange(levels)).astype(np.float32)
     if ncc is None:
-        return level, confidence_of(bands.standard_error(score)).astype(np.float32)
+        return level, confidence_of(np.hypot(bands.standard_error(score), ROUNDING)).astype(np.float32)
     top = np.clip(ncc, 0, 1)
     samples = INDEPENDENT_SHARE * (window_px / PLANE_SPACING_PX) ** 2
-    information = samples * np.maximum(curvature, 0) * top
-    residual = np.maximum(1 - top**2, 1e-3)
+    information = samples * np.maximum(curvature, 0) * (0.5 if is_likelihood else top)
+    residual = np.ones_like(top) if is_likelihood else np.maximum(1 - top**2, 1e-3)
     confidence = REFERENCE_ERROR**2 * information / (REFERENCE_ERROR**2 * information + residual)
     return level, np.nan_to_num(confidence).astype(np.float32)
 

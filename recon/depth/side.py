@@ -103,12 +103,14 @@ def _table(channels: Sequence[Channel], leaks: Sequence[Leak]) -> FloatArray:
 def _chosen(
     near: Float32Array, near_sd: Float32Array, far: Float32Array, far_sd: Float32Array, behind: Float32Array
 ) -> tuple[Float32Array, Float32Array]:
-    """Signed level of the likelier side, and its standard deviation with that doubt."""
+    """Signed level of the likelier side, and its standard deviation with that doubt.
+
+    It is infinite where the likelier side knows nothing. A side of few levels may know nothing of its own; the distance
+    between both then holds the doubt alone.
+    """
     is_far = behind > 0.5
     level = np.where(is_far, -far, near)
     sd, other = np.where(is_far, far_sd, near_sd), np.where(is_far, near_sd, far_sd)
     doubt = np.minimum(behind, 1 - behind)
-    unknown = ~np.isfinite(sd) | ~np.isfinite(other)
-    with np.errstate(invalid="ignore"):
-        spread = np.sqrt((1 - doubt) * sd**2 + doubt * (other**2 + (near + far) ** 2))
-    return level, np.where(unknown, np.float32(np.inf), spread)
+    other = np.where(np.isfinite(other), other, np.float32(0))
+    return level, np.sqrt((1 - doubt) * sd**2 + doubt * (other**2 + (near + far) ** 2))

@@ -93,12 +93,13 @@ def best_levels(
             image[part.core] = tile_image[part.inner]
     frame_weights = scores.frame_weights(signal, sharper.kernels, green.kernels, settings)
     level, confidence = np.empty((2, *frame), np.float32)
+    of_likelihood = settings.score != "ncc"
     for part in parts:
         classes = [(weights, where[part.box]) for weights, where in frame_weights.classes]
         first, second, *others = (cut(channel, part) for channel in channels)
         further = [(channel, its_leak) for channel, (_, its_leak) in zip(others, also, strict=True)]
         score, ncc = scores.scores(first, second, classes, settings, leak=leak, also=further)
-        best, trust = peak.best_level(score, ncc, frame_weights.offset, settings.window_px)
+        best, trust = peak.best_level(score, ncc, frame_weights.offset, settings.window_px, is_likelihood=of_likelihood)
         trust = trust if ncc is None else trust * (ncc > 0)
         level[part.core], confidence[part.core] = best[part.inner], trust[part.inner]
     return Levels(level, confidence, signal.snr, signal.green_snr)

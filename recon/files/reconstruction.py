@@ -44,18 +44,21 @@ def check_extras(extras: Sequence[str]) -> None:
 
 def save_reconstruction(
     path: Path, result: Reconstruction, extras: Sequence[str] = (), *, raw_dn: NDArray[Any] | None = None
-) -> None:
+) -> tuple[str, ...]:
     """Write ``rgb.png``, ``sharp.png``, ``ir.png``, ``recon.exr`` (``Z`` is the depth in metres) and ``meta.json``.
 
     To look at: ``depth.png`` with its scale in cm, ``confidence.png``, and of the capture's ``raw_dn`` [h, w]
     ``mosaic.png``, each pixel in the colour of its filter.
     ``extras`` from ``EXTRAS`` adds ``anaglyph.png``, ``stereo.png`` (the left eye's picture on the left),
-    ``surface.ply`` or ``surface.glb``, all from the all-in-focus picture.
+    ``surface.ply`` or ``surface.glb``, all from the all-in-focus picture. Where no surface is known well enough, it is
+    left out, and a note in ``meta.json`` says so.
+
+    Returns the notes of ``meta.json``: those of the result, and what was left out.
     """
     parts = [_part("depth", {"Z": result.depth_m})]
     parts += [_part(name, {name: getattr(result, name)}) for name in _PLANES]
     parts += [_part(name, {c: getattr(result, name)[..., i] for i, c in enumerate(_RGB)}) for name in _COLOURS]
-    about = _about(result) | {"bank": result.bank, "notes": list(result.notes)}
+    about = _about(result) | {"bank": result.bank}
     about |= {"method": result.method, "side": result.side}
     with new_folder(path, "reconstruction") as folder:
         write_picture(folder / "rgb.png", result.rgb)
@@ -66,11 +69,15 @@ def save_reconstruction(
         if raw_dn is not None:
             write_picture(folder / "mosaic.png", maps.coloured_mosaic(raw_dn, result.camera.sensor))
         write_exr(folder / "recon.exr", parts)
-        _write_extras(folder, result, extras)
+        notes = (*result.notes, *_write_extras(folder, result, extras))
+        about |= {"notes": list(notes)}
         (folder / "meta.json").write_text(json.dumps(about, indent=1) + "\n", encoding="utf-8")
+    return notes
 
 
-def _write_extras(folder: Path, result: Reconstruction, extras: Sequence[str]) -> None:
+def _write_extras(folder: Path, result: Reconstruction, extras: Sequence[str]) -> list[str]:
+    """Write what was asked for besides; returns notes on what was left out."""
+    notes = []
     picture, depth_m = result.sharp_rgb, result.depth_m
     if {"anaglyph", "stereo"} & set(extras):
         left, right = anaglyph.pair(picture, depth_m, STRONGEST_SHIFT * picture.shape[1])
@@ -85,7 +92,11 @@ def _write_extras(folder: Path, result: Reconstruction, extras: Sequence[str]) -
             picture, depth_m, intrinsic, confidence=result.confidence, distortion_per_px=distortion,
             smallest_piece=surface.SMALLEST_PIECE,
         )  # fmt: skip
-        surface.save_surface(folder / f"surface.{suffix}", mesh)
+        if len(mesh.triangle):
+            surface.save_surface(folder / f"surface.{suffix}", mesh)
+        else:
+            notes.append(f"surface.{suffix} was left out: no neighbouring pixels have a confident depth")
+    return notes
 
 
 def save_picture(path: Path, picture: Developed, *, raw_dn: NDArray[Any] | None = None) -> None:

@@ -23,7 +23,9 @@ from recon.settings import PAPER
 
 DARK_SHARE = 0.02  # of the brightest block, below which a block is not used for white balance
 MINKOWSKI = 4.0  # between grey world (1) and white patch (infinity): "shades of grey", Finlayson and Trezzi 2004
-FAR_LIGHT = 1.0  # log-chromaticity distance of a note; D65 and A differ by 1.46, photographs from their light by < 0.5
+# Log-chromaticity distance of a note: D65 and A differ by 1.46, photographs from their light by less than 0.5, a grey
+# card under lamps that a bank lacks from its nearest light by 0.6 to 0.85 (F5, LED-B5, LED-V1, F3.4).
+FAR_LIGHT = 0.55
 BLOCK_PX = 8  # side of the blocks of a plane, whose average suppresses noise and clipped points
 
 

@@ -132,6 +132,16 @@ def shaded(mosaic_e: Float32Array, gain: Float32Array | None) -> Float32Array:
     return mosaic_e if gain is None else mosaic_e * gain
 
 
+def shaded_variances(
+    variances: dict[str, Float32Array], gain: Float32Array | None, camera: Camera
+) -> dict[str, Float32Array]:
+    """Noise variances of the planes, [h/2, w/2] each, of the mosaic that :func:`shaded` gives."""
+    if gain is None:
+        return variances
+    factors = mosaic.planes(gain, camera)
+    return {name: (variance * factors[name] ** 2).astype(np.float32) for name, variance in variances.items()}
+
+
 def demosaiced(mosaic_e: Float32Array, camera: Camera, white: NDArray, stage: Stage) -> Demosaiced:
     """Infrared and colours at full resolution (sec. 4.2-4.3), from a mosaic [h, w] in electrons.
 

@@ -61,7 +61,7 @@ def all_in_focus(
     network = settings.sharpen_prior == "network"
     seen_e = stack.copy() if network else stack
     if network:
-        noise_e = np.hypot(noise_e, MODEL_ERROR * restoration.units(stack, _white_e(frame)))
+        noise_e = with_model_error(noise_e, stack, frame)
     _soften_in_focus(stack, frame.linear_e, frame.ir_e, frame.level)
     passes = DRAFT_PASSES if network else sharpen.PASSES if settings.sharpen_guide else sharpen.PLAIN_PASSES
     sharp = deconvolved(stack, frame, kernels, noise_e, focus, settings, passes, tile_px or layers.TILE_PX)
@@ -74,6 +74,11 @@ def all_in_focus(
         sharp_e = np.ascontiguousarray(np.moveaxis(sharp[sharpen.COLOURS], 0, -1))
         _fade_to_captured(sharp_e, frame, np.clip(frame.confidence / CERTAIN, 0, 1))
     return sharp_e
+
+
+def with_model_error(noise_e: NDArray, stack: Float32Array, frame: Frame) -> NDArray:
+    """Noise [channel] together with ``MODEL_ERROR``, electrons."""
+    return np.hypot(noise_e, MODEL_ERROR * restoration.units(stack, _white_e(frame)))
 
 
 def seen(frame: Frame, stack: Float32Array, draft: Float32Array, noise_e: NDArray) -> restoration.Picture:
@@ -152,11 +157,18 @@ def _soften_in_focus(stack: Float32Array, linear_e: Float32Array, ir_e: Float32A
 
 
 def _restore_detail(sharp_e: Float32Array, frame: Frame, stack: Float32Array, px_per_level: float) -> None:
-    """Bring detail near focus back that the samples of the :func:`channels` show and the picture lacks, in place."""
+    """Bring detail near focus back that the samples of the :func:`channels` show and the picture lacks, in place.
+
+    Channels of one sample in four by four pixels, red and blue of the 4x4 mosaic, are left: between their samples is
+    more than they tell.
+    """
     grids = mosaic.grids(frame.camera)
     infrared = INTERPOLATED_NOISE_SHARE**2 * frame.variances["IR"]
-    samples = []
+    samples: list[lost_detail.Samples | None] = []
     for index, (name, row) in enumerate(zip("RGB", frame.separation.on_axis, strict=True)):
+        if grids[name][0].step == mosaic.PERIOD_PX:
+            samples.append(None)
+            continue
         variance = (row[index] ** 2 * frame.variances[name] + row[3] ** 2 * infrared).astype(np.float32)
         samples.append(lost_detail.Samples(mosaic.sites(grids[name], frame.level.shape), stack[index], variance))
     lost_detail.restore(sharp_e, samples, frame.level, sd_of(frame.confidence).astype(np.float32), px_per_level)

@@ -44,7 +44,7 @@ class Samples(NamedTuple):
 
 def restore(
     sharp_e: Float32Array,
-    samples: Sequence[Samples],
+    samples: Sequence[Samples | None],
     level: Float32Array,
     sd: Float32Array,
     px_per_level: float,
@@ -53,7 +53,8 @@ def restore(
 
     Args:
         sharp_e: the picture, [h, w, 3] electrons.
-        samples: of the three channels, with their noise.
+        samples: of the three channels, with their noise, at every second pixel of every second row at least; a channel
+            without any is left as it is.
         level: blur level of each pixel, [h, w].
         sd: its standard deviation, [h, w].
         px_per_level: diameter of visible blur per level.
@@ -70,10 +71,12 @@ def restore(
         if size[top - first : bottom - first].min() >= LEVELS[1]:
             continue
         halves = slice(first // 2, -(-last // 2))
-        here = [Samples(one.sites[rows], one.value_e[rows], one.variance[halves]) for one in samples]
         least, lost = np.full(strip.shape, np.inf, np.float32), np.zeros_like(strip)
         places = [_place(np.float32(DISC * px_per_level) * blur) for blur in (size, size + sd[rows])]
-        for channel, one in enumerate(here):
+        for channel, whole in enumerate(samples):
+            if whole is None:
+                continue
+            one = Samples(whole.sites[rows], whole.value_e[rows], whole.variance[halves])
             blurs = _blurs(strip[..., channel])
             for place in places:
                 share, difference = _unexplained(one, _between(blurs, place))

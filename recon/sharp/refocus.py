@@ -6,15 +6,18 @@ blurred coverage, as through a lens.
 
 from __future__ import annotations
 
+from typing import Any
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 from scipy import fft, signal
 
 from dasim.base.errors import InputError
-from dasim.camera.specification import Camera
+from dasim.files.banks import bank_identity
 from dasim.typing import Float32Array
 from dasim.values import PsfBank, Reconstruction
+from recon.calibration.fit import check_lens
 from recon.levels import level_of
 from recon.picture import field, infrared
 from recon.settings import Settings
@@ -24,6 +27,7 @@ KERNEL_SHARE = 0.999  # share of a kernel's energy in its cropped form
 DENSE_STEPS, SPARSE_STEP = 12, 2  # layers are one level of the bank apart up to here, then two
 BEHIND_LEVELS = 2.0  # smallest difference in blur, in levels, of two surfaces with one behind the other: two layers
 LARGEST_KERNEL_PX = 401
+SAME_DEPTHS = 0.01  # relative difference between the depths of the levels of two banks
 PAD_FACTOR = 2  # padding of a kernel for its division by the pixel's transfer function, relative to its size
 
 
@@ -57,7 +61,7 @@ def refocus(
         f_number: of the lens; that of the camera by default.
     """
     camera = reconstruction.camera
-    _check(camera, bank, depth_m, f_number)
+    _check(reconstruction, bank, depth_m, f_number)
     ratio = 1.0 if f_number is None else camera.lens.f_number / f_number
     kernels = colour_kernels(reconstruction, bank)
     steps = (reconstruction.level - float(level_of(depth_m, bank.depth_m))) * ratio
@@ -124,8 +128,9 @@ def layered(sharp_e: NDArray, steps: NDArray, kernels: NDArray) -> Float32Array:
     return np.moveaxis(whole[:, reach : reach + steps.shape[0], reach : reach + steps.shape[1]], 0, -1).copy()
 
 
-def _check(camera: Camera, bank: PsfBank, depth_m: float, f_number: float | None) -> None:
-    """Raise InputError for an impossible depth or f-number, or a bank of another lens."""
+def _check(reconstruction: Reconstruction, bank: PsfBank, depth_m: float, f_number: float | None) -> None:
+    """Raise InputError for an impossible depth or f-number, or a bank of another lens, other levels or lights."""
+    camera = reconstruction.camera
     focal_m = camera.lens.focal_length_mm * 1e-3
     if not (np.isfinite(depth_m) and depth_m > focal_m):
         raise InputError(f"refocus: depth {depth_m:g} m is not allowed; give more than the focal length, {focal_m:g} m")
@@ -133,12 +138,22 @@ def _check(camera: Camera, bank: PsfBank, depth_m: float, f_number: float | None
         raise InputError(
             f"refocus: f-number {f_number:g} is not allowed; give more than 0, such as {camera.lens.f_number:g}"
         )
-    if bank.camera.lens != camera.lens:
-        lens = bank.camera.lens
+    own = "give the bank of the reconstruction"
+    check_lens(bank, camera, "the reconstruction", own)
+    if reconstruction.light not in bank.lights:
         raise InputError(
-            f"refocus: the bank of camera '{bank.camera.name}' focused at {lens.focus_distance_m:g} m does not match "
-            "this reconstruction; give the bank of the reconstruction"
+            f"refocus: the bank has no light '{reconstruction.light}', which the reconstruction has, only "
+            f"{', '.join(bank.lights)}; {own}"
         )
+    mine, its = (_levels(about) for about in (reconstruction.bank, bank_identity(bank)))
+    if mine and (mine[0] != its[0] or not np.allclose(mine[1:], its[1:], rtol=SAME_DEPTHS)):
+        text = ("{} levels from {:.4g} to {:.4g} m".format(*levels) for levels in (its, mine))
+        raise InputError(f"refocus: the bank has {next(text)}, the reconstruction {next(text)}; {own}")
+
+
+def _levels(about: dict[str, Any]) -> tuple[float, ...]:
+    """Number of levels, nearest and farthest depth in metres of a bank's identity; nothing where it has none."""
+    return (about["levels"], *about["depths_m"]) if {"levels", "depths_m"} <= about.keys() else ()
 
 
 def _nodes(low: float, high: float) -> list[float]:

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
+
 import numpy as np
 import pytest
+import threadpoolctl
 from scipy import ndimage
 
 from recon import convolution
@@ -54,3 +57,17 @@ def test_spreading_undoes_gathering():
     assert gathered.shape == (3, 2, 12)
     np.testing.assert_array_equal(np.sort(gathered[1, 1]), np.sort(image[2:4, 2:4].ravel()))
     np.testing.assert_array_equal(convolution.spread(gathered), image)
+
+
+def test_threads_at_the_same_time_leave_the_products_of_matrices_as_they_were():
+    """Set-up: threads that compute layers side by side. Expectation: as many threads of BLAS after them as before."""
+
+    def threads():
+        return [library["num_threads"] for library in threadpoolctl.threadpool_info() if library["user_api"] == "blas"]
+
+    net = {"a": np.ones((8, 8), np.float32), "a_bias": np.zeros(8, np.float32)}
+    with threadpoolctl.threadpool_limits(2, user_api="blas"):
+        before = threads()
+        with ThreadPoolExecutor(4) as pool:
+            list(pool.map(lambda _: convolution.linear(np.ones((64, 300, 8), np.float32), net, "a"), range(40)))
+        assert threads() == before

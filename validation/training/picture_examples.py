@@ -66,6 +66,7 @@ def example(family: str, number: int, setups: list[Setup], folder: Path) -> dict
     frame, kernels, noise_e = _frame(seen)
     found: dict[str, NDArray[Any]] = {}
     stack, settings = all_in_focus.channels(frame), recon.PRESETS["best"]
+    noise_e = all_in_focus.with_model_error(noise_e, stack, frame)
     shown = all_in_focus.seen(frame, stack, stack, noise_e)
     unit = shown.unit_e[:, None, None]
     for name, level in (("", frame.level), ("mistaken_", _mistaken(random, frame.level))):

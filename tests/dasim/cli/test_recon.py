@@ -53,6 +53,18 @@ def test_stereo_pictures_and_surfaces_beside_the_result(here):
     assert "anaglyph.png" not in {p.name for p in (here / "plain").iterdir()}
 
 
+def test_a_surface_that_is_not_known_is_left_out(here, capfd):
+    """Set-up: an even grey. Expectation: the rest of the result, and a note that says what is missing."""
+    camera = load_capture(here / "shot").camera
+    np.save(here / "grey.npy", np.full((camera.sensor.height_px, camera.sensor.width_px), 900, np.uint16))
+    arguments = ["--camera", "camera.toml", "--focus", str(camera.lens.focus_distance_m), "--bank", "bank.npz"]
+    assert run(["recon", "grey.npy", *arguments, "--out", "plain", "--also", "stereo", "ply"]) == 0
+    names = {p.name for p in (here / "plain").iterdir()}
+    assert "surface.ply" not in names and names >= {"stereo.png", "sharp.png", "recon.exr"}
+    assert "surface.ply was left out" in capfd.readouterr().out
+    assert any("surface.ply" in note for note in json.loads((here / "plain" / "meta.json").read_text())["notes"])
+
+
 def test_settings_are_printed_changed_and_found_again(here, capfd):
     assert run(["recon", "--preset", "likelihood", "--print-settings"]) == 0
     printed = capfd.readouterr().out

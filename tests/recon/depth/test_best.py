@@ -85,3 +85,65 @@ def test_the_estimate_without_an_ingredient_differs(ramp, name):
     found = method(ramp.capture, recon_scenes.bank()).level
     default = METHODS["best"](ramp.capture, recon_scenes.bank()).level
     assert 0.005 < np.abs(found - default).mean() < 2
+
+
+def cut(last):
+    """The bank without its levels beyond ``last``."""
+    bank = recon_scenes.bank()
+    short = {name: getattr(bank, name)[: last + 1] for name in ("depth_m", "blur_px")}
+    return dataclasses.replace(bank, kernel=bank.kernel[:, : last + 1], **short)
+
+
+@pytest.mark.parametrize("preset", ["best", "fast"])
+@pytest.mark.parametrize(("last", "level"), [(2, 1), (3, 2), (12, 12)])
+def test_short_banks_know_their_levels(preset, last, level):
+    """Set-up: a textured plane; a bank that ends at its level or soon beyond.
+
+    Expectation: known, and within a level: 12 is reached, which lay beyond the levels of the network before. Scores of
+    few levels differ less than those of many.
+    """
+    capture = recon_scenes.make(np.full((96, 128), float(level)), photo="brick", white_e=3000).capture
+    found = recon.reconstruct(capture, cut(last), recon.PRESETS[preset])
+    assert abs(np.median(found.level) - level) < 0.95
+    assert np.median(found.confidence) > 0.2
+    assert np.isfinite(found.level_raw).mean() > 0.5
+
+
+def test_a_short_bank_knows_nothing_of_noise():
+    """Set-up: a plane without texture. Expectation: no confidence with three levels either."""
+    plain = recon_scenes.make(np.zeros((96, 128)), photo="brick", white_e=3000)
+    raw = plain.capture.raw_dn.copy()
+    for y, x in np.ndindex(2, 2):
+        own = raw[y::2, x::2]
+        random = np.random.default_rng((y, x))
+        own[:] = random.permutation(np.quantile(own, random.uniform(0.49, 0.51, own.size))).reshape(own.shape)
+    found = recon.reconstruct(dataclasses.replace(plain.capture, raw_dn=raw), cut(2), BEST)
+    assert found.confidence.max() == 0
+
+
+@pytest.mark.parametrize("levels", [(1.0, 5.0), (2.0, 8.0)])
+def test_steps_that_are_moved_count_as_doubt(levels):
+    """Set-up: two boards side by side; the filter moves their step to an edge of the picture.
+
+    Expectation: within 12 px of the step, at most a fifth of the errors is above three standard deviations.
+    """
+    width = 192
+    level = np.where(np.arange(width) < width // 2, *levels) * np.ones((144, 1))
+    found = recon.reconstruct(recon_scenes.make(level, photo="brick", white_e=3000).capture, recon_scenes.bank(), BEST)
+    near = np.abs(np.arange(width) + 0.5 - width / 2) < 12
+    sd = np.sqrt(1 / found.confidence - 1)
+    assert (np.abs(found.level - level) > 3 * sd)[:, near].mean() < 0.2
+
+
+@pytest.mark.parametrize("preset", ["likelihood", "bands", "chakrabarti-zickler"])
+def test_standard_deviations_of_the_other_presets_are_those_of_their_errors(preset):
+    """Set-up: planes of gravel. Expectation: errors of 0.3 to 6 standard deviations, root mean square; those of few
+    levels' bias are among them.
+    """
+    share = []
+    for level in (5.0, 10.0):
+        scene = recon_scenes.make(np.full((128, 160), level), photo="gravel", white_e=2000)
+        found = METHODS[preset](scene.capture, recon_scenes.bank())
+        known = np.isfinite(found.level)
+        share.append(((found.level[known] - level) / found.sd[known]) ** 2)
+    assert 0.3 < np.sqrt(np.concatenate(share).mean()) < 6

@@ -99,7 +99,7 @@ def test_the_standard_deviation_holds_the_doubt_about_the_side():
     np.testing.assert_allclose(found.level, [[3, 3, -2]])
     expected = [0.5**2, 0.8 * 0.5**2 + 0.2 * (0.25**2 + 5**2), 0.9 * 0.25**2 + 0.1 * (0.5**2 + 5**2)]
     np.testing.assert_allclose(found.sd[0] ** 2, expected, rtol=1e-5)
-    unknown = side.signed(near, of(2.0, np.inf), np.array([[0.0, 0.2, 0.9]], np.float32))
+    unknown = side.signed(near, of(2.0, np.inf), np.array([[0.6, 0.7, 0.9]], np.float32))
     assert np.isinf(unknown.sd).all() and np.isinf(unknown.window_sd).all()
 
 
@@ -123,3 +123,18 @@ def test_the_note_says_how_the_side_is_known():
     assert all("assumed: everything is taken to be nearer than 0.4 m" in note for note in assumed)
     assert "the bank has no levels behind" in assumed[0] and "this method does not tell" in assumed[1]
     assert "estimated from axial colour: 25.0% of pixels behind" in side.side_note("estimated", level, both)
+
+
+def test_a_side_that_knows_nothing_leaves_the_other_as_it_is():
+    """Set-up: a bank of few levels behind the focus, whose windows know nothing; certainly in front, or doubtful.
+
+    Expectation: the standard deviation of the near side, with the doubt about the side where there is any.
+    """
+    level, sd = np.full((1, 2), 6, np.float32), np.full((1, 2), 0.4, np.float32)
+    none = np.full((1, 2), np.inf, np.float32)
+    near, far = Map(level, sd, level, sd), Map(level / 6, none, level / 6, none)
+    found = side.signed(near, far, np.array([[0.0, 0.2]], np.float32))
+    np.testing.assert_array_equal(found.level, 6)
+    np.testing.assert_allclose(found.sd, [[0.4, np.sqrt(0.8 * 0.16 + 0.2 * 49)]], rtol=1e-6)
+    behind = side.signed(near, far, np.array([[1.0, 0.8]], np.float32))
+    assert np.isinf(behind.sd).all()

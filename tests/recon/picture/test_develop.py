@@ -14,7 +14,8 @@ from dasim.camera import specification as cameras
 from dasim.camera.crosstalk import electronic_crosstalk
 from dasim.spectra import grid, illuminants
 from dasim.values import Capture
-from recon.picture import colour, develop, field, infrared, shading
+from recon.picture import colour, develop, field, infrared, mosaic, shading
+from tests.support import recon_scenes
 
 CAMERAS = ["da-mobile", "da-4x4", "bayer-mobile"]
 SIZE_PX = (128, 96)
@@ -273,3 +274,19 @@ def test_flats_that_do_not_fit_are_refused():
     elsewhere = cameras.cropped(cameras.load_camera("da-mobile"), *SIZE_PX, at_px=(0, 0))
     with pytest.raises(InputError, match="principal_point_px"):
         measured_gain(dataclasses.replace(shaded(camera, even), camera=elsewhere), camera)
+
+
+def test_noise_of_a_mosaic_with_corrected_shading():
+    """Set-up: noise in every pixel, a gain that differs from corner to corner. Expectation: the variance measured."""
+    camera = recon_scenes.da_mobile(64, 48)
+    random = np.random.default_rng(0)
+    gain = np.linspace(1, 3, 64 * 48, dtype=np.float32).reshape(48, 64)
+    frames = random.normal(0, 5, (400, 48, 64)).astype(np.float32)
+    shaded = np.stack([develop.shaded(frame, gain) for frame in frames])
+    plain = {name: np.full((24, 32), 25, np.float32) for name in "RGB"}
+    found = develop.shaded_variances(plain, gain, camera)
+    for name in "RGB":
+        y, x = mosaic.phases(camera)[name]
+        np.testing.assert_allclose(found[name], shaded.var(axis=0)[y::2, x::2], rtol=0.4)
+        np.testing.assert_allclose(found[name].mean(), shaded.var(axis=0)[y::2, x::2].mean(), rtol=0.02)
+    assert develop.shaded_variances(plain, None, camera) is plain

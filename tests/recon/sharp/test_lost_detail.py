@@ -77,3 +77,17 @@ def test_strips_leave_no_seams(sites, monkeypatch):
     whole = restored(flat, samples, sites, 0.3)
     monkeypatch.setattr(lost_detail, "STRIP_PX", 32)
     np.testing.assert_allclose(restored(flat, samples, sites, 0.3), whole, atol=1e-3)
+
+
+def test_a_channel_without_samples_is_left():
+    """Expectation: what the 4x4 mosaic has of red is too far apart; the other channels are as with it."""
+    random = np.random.default_rng(0)
+    value = random.normal(1000, 100, (64, 64)).astype(np.float32)
+    samples = lost_detail.Samples(np.ones((64, 64), bool), value, np.ones((32, 32), np.float32))
+    level = np.zeros((64, 64), np.float32)
+    all_of_them, some = (np.full((64, 64, 3), 1000, np.float32) for _ in range(2))
+    lost_detail.restore(all_of_them, [samples] * 3, level, level, 1.0)
+    lost_detail.restore(some, [None, samples, None], level, level, 1.0)
+    np.testing.assert_array_equal(some[..., ::2], 1000)
+    np.testing.assert_array_equal(some[..., 1], all_of_them[..., 1])
+    assert np.abs(some[..., 1] - 1000).mean() > 10

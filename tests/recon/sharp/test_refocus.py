@@ -10,6 +10,7 @@ from scipy import signal
 
 import recon
 from dasim.base.errors import InputError
+from dasim.files.banks import bank_identity
 from dasim.values import Reconstruction
 from recon.picture import infrared
 from recon.settings import PAPER
@@ -308,3 +309,26 @@ def test_a_bank_of_another_focus_is_refused():
     lens = bank.camera.lens.model_copy(update={"focus_distance_m": 1.0})
     with pytest.raises(InputError, match="focused at 1 m"):
         recon.refocus(edge(0, 0), replace(bank, camera=bank.camera.model_copy(update={"lens": lens})), depth_of(2.0))
+
+
+def test_a_bank_that_the_reconstruction_accepts_is_accepted():
+    """Set-up: a focus half a per cent away, and another distortion, on which kernels do not depend."""
+    bank = recon_scenes.bank()
+    lens = bank.camera.lens
+    moved = lens.model_copy(update={"focus_distance_m": 1.005 * lens.focus_distance_m, "distortion_per_mm": (0.01,)})
+    other = replace(bank, camera=bank.camera.model_copy(update={"lens": moved}))
+    picture = edge(2, 2)
+    found = recon.refocus(picture, other, depth_of(2.0))
+    np.testing.assert_allclose(found, recon.refocus(picture, bank, depth_of(2.0)), rtol=1e-5)
+
+
+@pytest.mark.parametrize("change", ["levels", "lights"])
+def test_a_bank_of_other_levels_or_lights_is_refused(change):
+    bank = recon_scenes.bank()
+    whole = replace(edge(2, 2), bank=bank_identity(bank))
+    other = {
+        "levels": replace(bank, kernel=bank.kernel[:, ::2], depth_m=bank.depth_m[::2], blur_px=bank.blur_px[::2]),
+        "lights": replace(bank, kernel=bank.kernel[1:], signature=bank.signature[1:], lights=bank.lights[1:]),
+    }[change]
+    with pytest.raises(InputError, match="give the bank of the reconstruction"):
+        recon.refocus(whole, other, depth_of(2.0))
