@@ -69,7 +69,8 @@ def pictures(
         row, column = np.divmod(np.arange(height * width)[block.pixels], width)
         sums = _trace_nodes(shared, block, cells)
         for of_band, (signal, light) in zip(columns, sums, strict=False):
-            of_band[row, :, column] = ratio_of(signal, light).reshape(-1, cells, cells)
+            # Beside the frame there may be infinite light. The control variate has no bias, whatever the nodes are.
+            of_band[row, :, column] = np.nan_to_num(ratio_of(signal, light), posinf=0.0).reshape(-1, cells, cells)
         for channel, pair in enumerate(sums[len(columns) :]):
             electrons = at_pixels(mean_signal[:, channel], place[block.pixels])
             rate[block.pixels, channel] = electrons * ratio_of(*(part.sum(axis=1) for part in pair))

@@ -129,8 +129,9 @@ class RadialBlur:
 
     def control(
         self, fine: Fine, blur_px: FloatArray, nm: FloatArray, light: FloatArray, colour_px: FloatArray
-    ) -> Control:
-        """The control variate of a frame with these kernels, see :func:`control_variate.control`.
+    ) -> Control | None:
+        """The control variate of a frame with these kernels, see :func:`control_variate.control`; None where they are
+        too fine for its grid.
 
         Args:
             fine: the pinhole's picture, of the stop's bands.
@@ -146,6 +147,10 @@ class RadialBlur:
         weights = parts.sum(axis=1)
         middles = [curve.reshape(CONTROL_BANDS, -1).mean(axis=1) for curve in (nm, colour_px)]
 
+        points = control_variate.points_of(float(middles[0].min()) * self.plain.px_per_nm, fine.cells)
+        if points is None:
+            return None
+
         def profiles(levels: FloatArray, radius: FloatArray) -> FloatArray:
             total = np.zeros((len(levels), len(radius), *weights.shape[1:]))
             for wavelength, moved, weight in zip(*middles, weights, strict=True):
@@ -158,7 +163,7 @@ class RadialBlur:
             return total
 
         tail = control_variate.TAIL_RINGS * self.plain.core_px / 2
-        return control_variate.control(fine, blur_px, self.plain.outer, self.plain.centre, tail, profiles)
+        return control_variate.control(fine, blur_px, self.plain.outer, self.plain.centre, tail, profiles, points)
 
     def _on_stop(self, u: Any, side: Any, length: Any, own: Any, key: Any) -> Any:
         """Sample rho with density D(-u - rho side), by rejection.

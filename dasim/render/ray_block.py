@@ -167,12 +167,14 @@ def wave_weights(shared: Pass, blur: wave.Blur, rays: Rays, si: Any) -> tuple[li
     import drjit as dr
     import mitsuba as mi
 
-    point = dr.select(si.is_valid(), si.p, rays.ray(1e4))
-    u = rays.film - mi.Point2f(point.x, point.y) / point.z * shared.px_per_m
+    # What no surface hides is at infinity.
+    at = dr.select(si.is_valid(), mi.Vector3f(si.p), rays.ray.d)
+    vergence = dr.select(si.is_valid(), 1 / si.p.z, 0.0)
+    u = rays.film - mi.Point2f(at.x, at.y) / at.z * shared.px_per_m
     wavelengths = [entry[0] for entry in rays.entries]
-    ratios = blur.weights(u, shared.px_per_vergence * (1 / point.z - rays.focus), rays.tangent, wavelengths)
+    ratios = blur.weights(u, shared.px_per_vergence * (vergence - rays.focus), rays.tangent, wavelengths)
     weight = [rays.drawn * ratio for ratio in ratios]
-    seen, middle = (shared.px_per_vergence * (at - shared.vergence) for at in (1 / point.z, rays.expected))
+    seen, middle = (shared.px_per_vergence * (at - shared.vergence) for at in (vergence, rays.expected))
     near = dr.abs(seen - middle) <= layers.SAME_BLUR_PX + layers.SAME_BLUR_SHARE * dr.abs(middle)
     total = sum(weight)
     return weight, [total, dr.select(near, total, 0.0)], seen
@@ -193,7 +195,7 @@ def wavelength_places(shared: Pass, block: Block, stratum: Any) -> Any:
     bits = mi.sample_tea_32(block.pixel + dr.opaque(mi.UInt32, block.seed), WAVELENGTH_STREAM)[0]
     place = mi.Float(bits >> 8) * 2.0**-24
     place = dr.select((stratum & 1) == 0, place, 1 - place)
-    wavelengths = 1 if shared.axial_colour else HERO
+    wavelengths = 1 if shared.has_single_wavelengths else HERO
     return (mi.Float(stratum) + place) / (wavelengths * block.samples)
 
 
@@ -209,7 +211,7 @@ def _places(shared: Pass, first: Any) -> list[Any]:
     import drjit as dr
 
     # With axial colour every wavelength has rays of its own; without, the wavelengths of a ray are spread evenly.
-    spacing = 0.0 if shared.axial_colour else 1 / HERO
+    spacing = 0.0 if shared.has_single_wavelengths else 1 / HERO
     shifted = [first + k * spacing for k in range(HERO)]
     return [at - dr.floor(at) for at in shifted]
 

@@ -205,7 +205,7 @@ def control_of(
     *,
     in_focus: bool = False,
 ) -> Control | None:
-    """The control variate of a stop from a pinhole's picture; None for a stop whose kernels are not radial.
+    """The control variate of a stop from a pinhole's picture; None for kernels that are not radial, or too fine.
 
     Arguments are those of :func:`render`; ``fine`` has the bands of the stop.
     """

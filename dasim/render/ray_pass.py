@@ -59,6 +59,11 @@ class Pass:
     in_focus: bool  # whether every depth is, see :func:`dasim.render.ray_loop.render`
     control: Control | None
 
+    @property
+    def has_single_wavelengths(self) -> bool:
+        """Whether the wavelengths of a ray are all the same, since they decide its direction: with axial colour."""
+        return self.axial_colour and not self.in_focus and self.draw_pupil is not None
+
 
 def prepare(
     scene: Any,

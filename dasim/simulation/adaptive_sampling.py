@@ -16,7 +16,19 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from dasim.simulation.rendering_noise import Measured, Picture, Sums, add, around, measured, no_pairs, share, shares_at
+from dasim.simulation.rendering_noise import (
+    Measured,
+    Picture,
+    Sums,
+    add,
+    around,
+    measured,
+    no_pairs,
+    of_sum,
+    share,
+    shared_uncertainty,
+    shares_at,
+)
 from dasim.typing import FloatArray
 
 NOISE_SHARE = 0.25  # of the sensor's noise: raises the noise of a capture by 3 %
@@ -29,6 +41,10 @@ STEPS = np.array(sorted({*(8 << k for k in range(10)), *(12 << k for k in range(
 MOST_ROUNDS = 4
 SLOPE = 1.1  # variance falls about as samples ** -1.0 to -1.2 (claim fewer-rays)
 MORE = 1.2  # least factor of a further round
+# What neighbours share may be this part of the target, in standard deviations; beyond it, further pictures have an
+# irradiance of more directions, by MOST_FINER times at most.
+SHARED, MOST_FINER = 0.5, 16
+CERTAIN = 3.0  # standard errors by which it must exceed that
 LEAST_LIGHT = 0.1  # that noise is compared with, of the mean: no samples are spent on what is nearly black
 # The mean number of samples is found by halving, from some rows and columns.
 SPARSE, BISECTIONS = slice(None, None, 3), 24
@@ -39,51 +55,73 @@ class AdaptiveRender:
     """The mean of several pictures, and the rendering noise that remains in it."""
 
     measured: Measured
+    variance: FloatArray  # of the sum over stops, [h, w, channel], mean over a few pixels
     share: tuple[float, ...]  # rendering noise over the sensor's at the percentile, per channel
 
 
 def render_to_noise_target(
-    picture: Callable[[int, NDArray[np.int64]], Picture],
+    picture: Callable[[int, NDArray[np.int64], int], Picture],
     sensor_variance: Callable[[FloatArray], FloatArray],
     *,
     shape: tuple[int, int, int],
     target: float = NOISE_SHARE,
     percentile: float = NOISE_AT,
     most_spp: int = MOST_SPP,
+    kept: Sequence[float] | None = None,
 ) -> AdaptiveRender:
     """Render pairs of pictures until their noise is below the share ``target`` of the sensor's.
 
-    All pairs count in the result, weighted by their samples.
+    All pairs count in the result, weighted by their samples. Noise that neighbours share comes from the irradiance and
+    asks for no samples: where there is much of it, the pilot does not count, and the others have a finer irradiance.
 
     Args:
-        picture: ``picture(index, spp)`` renders ``spp`` samples, [stop, h, w], with random numbers keyed by ``index``.
+        picture: ``picture(index, spp, finer)`` renders ``spp`` samples, [stop, h, w], with random numbers keyed by
+            ``index``, and with an irradiance of ``finer`` times as many directions, which every second picture shares.
         sensor_variance: variance of the sensor's noise [h, w, channel] for a sum over stops, in its unit squared.
         shape: number of stops, height and width.
         target: rendering noise over the sensor's noise, at the percentile of the pixels, in the worst channel.
         percentile: of the pixels: this share of them, in per cent, has at most ``target``.
         most_spp: bound on the samples per pixel and stop of a picture.
+        kept: share of each stop's light that glare leaves in its place; all by default.
     """
     sums: Sums | None = None
     spp = np.full(shape, PILOT_SPP, dtype=np.int64)
-    factor, number, pilot_wants = 1.0, 0, np.zeros(shape)
+    factor, number, pilot_wants, finer = 1.0, 0, np.zeros(shape), 1
     while True:
-        first, second = picture(2 * number, spp), picture(2 * number + 1, spp)
+        first, second = picture(2 * number, spp, finer), picture(2 * number + 1, spp, finer)
         sums = no_pairs(first) if sums is None else sums
         add(sums, first, second)
         del first, second
         result = measured(sums)
-        limit = sensor_variance(result.rate.sum(axis=0))
-        reached = shares_at(share(result.variance.sum(axis=0), limit), [percentile])[0]
-        is_last = reached.max() <= target or number == MOST_ROUNDS - 1
+        limit, (variance, shared) = sensor_variance(result.rate.sum(axis=0)), of_sum(sums, kept)
+        of_all, of_samples, of_irradiance = (
+            float(shares_at(share(part, limit), [percentile])[0].max())
+            for part in (variance, variance - shared, shared)
+        )
+        # What irradiance leaves to the samples.
+        own_target = float(np.sqrt(max(target**2 - of_irradiance**2, (1 - SHARED**2) * target**2)))
+        uncertain = CERTAIN * shared_uncertainty(shape[1:]) * of_all**2
+        is_fine = number > 0 or of_irradiance**2 <= (SHARED * target) ** 2 + uncertain
+        if (of_samples <= own_target and is_fine) or number == MOST_ROUNDS - 1:
+            break
         if number:
-            factor *= max(MORE, (reached.max() / target) ** (2 / SLOPE))
-        elif not is_last:
-            pilot_wants = wanted_spp(result, sensor_variance, target, percentile)
-        spp = next_spp(factor * pilot_wants - result.spp, most_spp)
-        if is_last or not spp.any():
-            return AdaptiveRender(result, tuple(float(value) for value in reached))
-        del result  # before the next pictures are made: of large frames it takes half a gigabyte
+            factor *= max(MORE, (of_samples / own_target) ** (2 / SLOPE))
+        else:
+            of_pilot = np.divide(variance - shared, variance, out=np.zeros_like(variance), where=variance > 0)
+            pilot = result._replace(around=result.around * of_pilot)
+            pilot_wants = wanted_spp(pilot, sensor_variance, own_target, percentile)
+        if is_fine:
+            spp = next_spp(factor * pilot_wants - result.spp, most_spp)
+        else:  # the pilot decides alone
+            wanted = (of_irradiance / (SHARED * target)) ** 2
+            finer, sums = int(min(2 ** np.ceil(np.log2(wanted)), MOST_FINER)), None
+            spp = np.maximum(next_spp(pilot_wants, most_spp), FEWEST_SPP)
+        if not spp.any():
+            break
+        del result, variance, shared  # before the next pictures are made: of large frames they take half a gigabyte
         number += 1
+    reached = shares_at(share(variance, limit), [percentile])[0]
+    return AdaptiveRender(result, variance, tuple(float(value) for value in reached))
 
 
 def wanted_spp(

@@ -37,7 +37,7 @@ TWIN = "bayer-mobile"  # the camera whose colours ``sharp_srgb`` has
 SHARP_SPP = 32  # of the pinhole picture, which has no lens to sample
 FOCUS_SPP = 4  # per stop of each picture of the pilot in focus; in ``scalar_spectral`` of all there is
 MORE_FOCUS_SPP = 8.0  # of the further pair together, mean over the pixels
-FIELD_SPP = 16  # that the irradiance is traced for where samples per pixel are chosen: its noise is far below theirs
+FIELD_SPP = 16  # that the irradiance is traced for at first where samples per pixel are chosen
 LENS, OWN_MEAN, IN_FOCUS, SHARP = range(4)  # uses of a capture's seed
 BLUR_MARGIN = 1.1  # something nearer than all that is seen may lie just outside the frame
 
@@ -132,16 +132,22 @@ def independent_picture(
 
 
 def _at_level(view: View, rate: FloatArray, variance: FloatArray | None) -> tuple[FloatArray, FloatArray | None]:
-    """A picture and its variance at the scene's light level, in place: arrays of large frames are gigabytes."""
+    """A picture and its variance at the scene's light level, in place: arrays of large frames are gigabytes.
+
+    Raises InputError for light so strong that sums of it are infinite, as of a lamp beside the frame.
+    """
+    check_finite(view.scene, rate, view.objects_at)
     rate *= view.light_level
     if variance is not None:
         variance *= view.light_level**2
     return rate, variance
 
 
-def irradiance(view: View, sampling: Sampling, index: int, stream: int = SHARP) -> Any:
-    """One of the two irradiance fields of the lens picture, one for each of its halves."""
-    spp = FIELD_SPP if sampling.spp == "auto" else max(1, sampling.spp // 2)
+def irradiance(view: View, sampling: Sampling, index: int, stream: int = SHARP, finer: int = 1) -> Any:
+    """One of the two irradiance fields of the lens picture, one for each of its halves; ``finer`` multiplies the
+    directions.
+    """
+    spp = finer * FIELD_SPP if sampling.spp == "auto" else max(1, sampling.spp // 2)
     seed = picture_seed(sampling.seed, index, stream)
     return passes.irradiance_field(view.world.scene, view.camera, view.spectrum, view.reach_px, spp, seed)
 
@@ -161,7 +167,7 @@ def _halves(
     """
     parts = [spp - spp // 2, spp // 2] if spp.min() > 1 else [spp]
 
-    def mean_of(number: int) -> tuple[FloatArray, FloatArray]:
+    def mean_of(number: int) -> tuple[FloatArray, NDArray[Any]]:
         pictures = []
         for index, (part, field) in enumerate(zip(parts, fields, strict=False)):
             label, own = f", part {index + 1} of {len(parts)}", picture_seed(seed, index, stream)
@@ -170,26 +176,31 @@ def _halves(
             pictures.append(Picture(part[[number]], *arrays))
         if len(pictures) == 1:
             return pictures[0].rate[0] - pictures[0].variate[0], np.zeros(1)
-        rate, variance = rendering_noise.mean_and_variance(*pictures)
-        return rate[0], variance[0]
+        rate, left = rendering_noise.mean_and_left(*pictures)
+        return rate[0], left[0]
 
-    rate, variance = _glared(view.camera, mean_of)
-    return rate, variance if len(parts) > 1 else None
+    rate, left = _glared(view.camera, mean_of)
+    return rate, rendering_noise.mean_square(left) if len(parts) > 1 else None
 
 
-def _glared(camera: Camera, picture: Callable[[int], tuple[FloatArray, FloatArray]]) -> tuple[FloatArray, FloatArray]:
-    """Sum over stops of pictures with their glare, and of their variances; ``picture`` makes both for a stop's number.
+def _glared(
+    camera: Camera, picture: Callable[[int], tuple[FloatArray, NDArray[Any]]]
+) -> tuple[FloatArray, NDArray[Any]]:
+    """Sum over stops of pictures with their glare, and of the differences whose squares are their variance; ``picture``
+    makes both for a stop's number.
 
-    Glare spreads a share of the light widely: its noise is that of a mean over many pixels.
+    Glare spreads a share of the light widely: its noise is that of a mean over many pixels. Stops share the irradiance,
+    so that their differences add before they are squared.
     """
-    together, noise = np.zeros(()), np.zeros(())
+    together: NDArray[Any] = np.zeros(())
+    differences: NDArray[Any] = np.zeros((), np.float32)
     for number, stop in enumerate(camera.stops):
-        rate, variance = picture(number)
+        rate, left = picture(number)
         # Where few samples leave more noise than light, the control variate may take away more than there is.
         together = together + passes.with_glare(np.maximum(rate, 0.0), camera, stop)
-        noise = noise + (1 - stop.glare_share) ** 2 * variance
-        del rate, variance  # before the next stop's picture is made
-    return together, noise
+        differences = differences + np.float32(1 - stop.glare_share) * left
+        del rate, left  # before the next stop's picture is made
+    return together, differences
 
 
 def picture_seed(seed: int, index: int, stream: int = LENS) -> int:
@@ -256,9 +267,13 @@ def _adaptive_picture(
     """The lens picture with rendering noise below a share of the sensor's temporal noise by its data sheet."""
     camera = view.camera
 
-    def picture(index: int, spp: NDArray[np.int64]) -> Picture:
-        label = f", picture {index + 1}"
-        return stop_pictures(view, sharp, fields[index % 2], spp, picture_seed(sampling.seed, index), progress, label)
+    of_pictures = {1: fields}  # irradiance of every second picture, by how fine it is
+
+    def picture(index: int, spp: NDArray[np.int64], finer: int) -> Picture:
+        if finer not in of_pictures:
+            of_pictures[finer] = irradiance(view, sampling, 2, finer=finer), irradiance(view, sampling, 3, finer=finer)
+        field, label = of_pictures[finer][index % 2], f", picture {index + 1}"
+        return stop_pictures(view, sharp, field, spp, picture_seed(sampling.seed, index), progress, label)
 
     result = render_to_noise_target(
         picture,
@@ -266,10 +281,11 @@ def _adaptive_picture(
         shape=(len(camera.stops), camera.sensor.height_px, camera.sensor.width_px),
         target=sampling.noise_share,
         percentile=sampling.noise_at,
+        kept=[1 - stop.glare_share for stop in camera.stops],
     )
     done = result.measured
-    glared = _glared(camera, lambda number: (done.rate[number], done.variance[number]))
-    rate, variance = _at_level(view, *glared)
+    glared, _ = _glared(camera, lambda number: (done.rate[number], np.zeros((), np.float32)))
+    rate, variance = _at_level(view, glared, result.variance)
     mean_spp = result.measured.spp.mean(axis=(1, 2)).round(2)
     described = {
         "spp": dict(zip((stop.name for stop in camera.stops), mean_spp.tolist(), strict=True)),
@@ -328,11 +344,11 @@ def exact_pictures(view: View, sharp: SharpPictures, seed: int, progress: Progre
             rendering_noise.add(parts[number], picture(number, 2, more[number]), picture(number, 3, more[number]))
         rate, twin = _with_more(view, sharp, more.max(axis=0), seed, progress)
 
-    def of_stop(number: int) -> tuple[FloatArray, FloatArray]:
-        found = rendering_noise.measured(parts[number])
-        return found.rate[0], found.variance[0]
+    def of_stop(number: int) -> tuple[FloatArray, NDArray[Any]]:
+        return rendering_noise.measured(parts[number]).rate[0], np.zeros((), np.float32)
 
     focus = _glared(view.camera, of_stop)[0] * view.light_level
+    check_finite(view.scene, focus, view.objects_at)
     return ExactPictures(rate * view.light_level, _twin_srgb(view, twin), focus)
 
 

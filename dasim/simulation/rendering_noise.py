@@ -27,6 +27,7 @@ from dasim.typing import FloatArray
 # A difference of two pictures has one degree of freedom per pixel. The noise of pixels is independent and alike nearby:
 # the mean over a window of this width has 25, and a standard deviation that is known to 14 %.
 WINDOW_PX = 5
+SHARED_PX = 81  # over which what neighbours share is averaged
 PERCENTILES = (50.0, 95.0, 99.5)  # of the pixels, at which the share of the sensor's noise is stated
 MOST_FACTOR = 1.5  # of the control variate
 
@@ -53,22 +54,22 @@ class Measured(NamedTuple):
 class Sums(NamedTuple):
     """Sums over pairs of pictures, from which :func:`measured` takes mean and variance: memory of any number of pairs.
 
-    A pair of m and n samples adds m a + n b of its pictures a and b, and the products of their differences times m n.
+    A pair of m and n samples adds m a + n b of its pictures a and b, and sqrt(m n) (a - b). Differences keep their
+    signs, so that noise that all first pictures share, and all second ones, counts as such: that of an irradiance.
     """
 
     spp: NDArray[np.int64]  # [stop, h, w] or [stop, 1, 1] samples per pixel
     rate: FloatArray  # [stop, h, w, channel] of the pictures
     variate: FloatArray  # of their control variates
-    square: NDArray[np.float32]  # of the pictures' differences
-    cross: NDArray[np.float32]  # product with the control variates' differences
-    variate_square: NDArray[np.float32]  # of these
+    difference: NDArray[np.float32]  # of the pictures
+    variate_difference: NDArray[np.float32]  # of the control variates
 
 
 def no_pairs(like: Picture) -> Sums:
     """Sums of no pairs, for pictures of the shapes of ``like``."""
     shape = np.broadcast_shapes(like.rate.shape, (*like.spp.shape, 1))
-    square, cross, variate_square = (np.zeros(shape, np.float32) for _ in range(3))
-    return Sums(np.zeros_like(like.spp), np.zeros(shape), np.zeros(shape), square, cross, variate_square)
+    differences = (np.zeros(shape, np.float32) for _ in range(2))
+    return Sums(np.zeros_like(like.spp), np.zeros(shape), np.zeros(shape), *differences)
 
 
 def add(sums: Sums, first: Picture, second: Picture) -> None:
@@ -82,7 +83,8 @@ def measured(sums: Sums) -> Measured:
     """The mean of all pictures, weighted by their samples, with the best factor of the control variate; its variance.
 
     Two pictures a, b of m and n samples have the mean (m a + n b) / (m + n), whose variance is the expectation of
-    (a - b)^2 m n / (m + n)^2. It is averaged over ``WINDOW_PX``.
+    (a - b)^2 m n / (m + n)^2; likewise the sums over the first and over the second pictures of pairs of equal samples.
+    It is averaged over ``WINDOW_PX``.
     """
     rate, variance, beside = (np.empty(sums.rate.shape) for _ in range(3))
     for at in _parts(sums.rate.shape):
@@ -90,16 +92,56 @@ def measured(sums: Sums) -> Measured:
     return Measured(rate, variance, beside, sums.spp.copy())
 
 
-def mean_and_variance(first: Picture, second: Picture) -> tuple[FloatArray, FloatArray]:
-    """``rate`` and ``variance`` of :func:`measured` alone, of one pair."""
+def of_sum(sums: Sums, kept: Sequence[float] | None = None) -> tuple[FloatArray, FloatArray]:
+    """Variance of the sum over stops, mean over ``WINDOW_PX``, and the part that neighbours share, [h, w, channel].
+
+    More samples of a pixel do not reduce that part, finer irradiance does. With n pixels in a window, n times the
+    square of their mean difference exceeds the mean of their squares by n - 1 times that part. Stops share the
+    irradiance, so that their differences add before they are squared; ``kept`` are factors on the stops, by default 1.
+    """
+    stops, height, width, channels = sums.rate.shape
+    variance, shared = np.empty((2, height, width, channels))
+    for channel in range(channels):
+        left = np.zeros((height, width))
+        for stop in range(stops):
+            at = slice(stop, stop + 1), slice(None), slice(None), slice(channel, channel + 1)
+            left += _mean_and_left(_part_of_sums(sums, at))[1][0, ..., 0] * (1.0 if kept is None else kept[stop])
+        variance[..., channel], shared[..., channel] = _variances(left)
+    return variance, shared
+
+
+def _variances(left: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """:func:`of_sum` of the differences [h, w] of a channel."""
+    pixels = WINDOW_PX**2
+    variance = ndimage.uniform_filter(left**2, WINDOW_PX)
+    excess = ndimage.uniform_filter(pixels * ndimage.uniform_filter(left, WINDOW_PX) ** 2 - variance, SHARED_PX)
+    return variance, np.clip(excess / (pixels - 1), 0.0, variance)
+
+
+def shared_uncertainty(shape: tuple[int, ...]) -> float:
+    """Standard error of the shared part of :func:`of_sum` over the whole variance, where neighbours share nothing, in a
+    frame of a ``shape`` [y, x]: that of the mean square of as many window means as there are.
+    """
+    pixels = WINDOW_PX**2
+    windows = np.prod([min(extent, SHARED_PX) for extent in shape]) / pixels
+    return float(np.sqrt(2 / windows) / (pixels - 1))
+
+
+def mean_and_left(first: Picture, second: Picture) -> tuple[FloatArray, NDArray[np.float32]]:
+    """``rate`` of :func:`measured`, of one pair, and the differences whose squares are its variance."""
     shape = np.broadcast_shapes(first.rate.shape, (*first.spp.shape, 1))
-    rate, variance = (np.empty(shape) for _ in range(2))
+    rate, left = np.empty(shape), np.empty(shape, np.float32)
     for at in _parts(shape):
         a, b = _part(first, at), _part(second, at)
         sums = no_pairs(a)
         _add(sums, a, b)
-        rate[at], variance[at], _ = _measured(sums._replace(spp=a.spp + b.spp))
-    return rate, variance
+        rate[at], left[at] = _mean_and_left(sums._replace(spp=a.spp + b.spp))
+    return rate, left
+
+
+def mean_square(left: NDArray[np.floating]) -> FloatArray:
+    """Mean of squares over ``WINDOW_PX``, [h, w, channel]: the variance that differences stand for."""
+    return np.asarray(ndimage.uniform_filter(left.astype(float) ** 2, (WINDOW_PX, WINDOW_PX, 1)))
 
 
 def _parts(shape: tuple[int, ...]) -> Iterator[tuple[slice, ...]]:
@@ -118,8 +160,8 @@ def _part(picture: Picture, at: tuple[slice, ...]) -> Picture:
 
 def _part_of_sums(sums: Sums, at: tuple[slice, ...]) -> Sums:
     """The same part of sums, a view."""
-    spp, rate, variate, square, cross, variate_square = sums
-    return Sums(spp[at[:3]], rate[at], variate[at], square[at], cross[at], variate_square[at])
+    spp, rate, variate, difference, variate_difference = sums
+    return Sums(spp[at[:3]], rate[at], variate[at], difference[at], variate_difference[at])
 
 
 def _add(sums: Sums, first: Picture, second: Picture) -> None:
@@ -128,21 +170,25 @@ def _add(sums: Sums, first: Picture, second: Picture) -> None:
     np.add(sums.rate, _joined((m, first.rate, first.light), (n, second.rate, second.light)), out=sums.rate)
     variates = (m, first.variate, first.variate_light), (n, second.variate, second.variate_light)
     np.add(sums.variate, _joined(*variates), out=sums.variate)
-    difference, other = first.rate - second.rate, first.variate - second.variate
-    products = difference**2, difference * other, other**2
-    for total, product in zip((sums.square, sums.cross, sums.variate_square), products, strict=True):
-        np.add(total, m * n * product, out=total, casting="same_kind")
+    differences = first.rate - second.rate, first.variate - second.variate
+    for total, difference in zip((sums.difference, sums.variate_difference), differences, strict=True):
+        np.add(total, np.sqrt(m * n) * difference, out=total, casting="same_kind")
 
 
 def _measured(sums: Sums) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Mean, variance, and variance from the pixels around each, of a part."""
+    rate, left = _mean_and_left(sums)
+    variance = ndimage.uniform_filter(left**2, (1, WINDOW_PX, WINDOW_PX, 1))
+    return rate, variance, np.maximum(around(left**2), 0.0)
+
+
+def _mean_and_left(sums: Sums) -> tuple[FloatArray, FloatArray]:
+    """Mean of a part, and the differences, of the mean's variance, that the control variate leaves."""
     weight = np.maximum(sums.spp, 1)[..., None].astype(float)
-    square, cross, variate_square = (values / weight**2 for values in (sums.square, sums.cross, sums.variate_square))
-    above, below = around(cross), around(variate_square)
-    factor = np.clip(np.divide(above, below, out=np.zeros_like(cross), where=below > 0), 0.0, MOST_FACTOR)
-    left = square - 2 * factor * cross + factor**2 * variate_square
-    variance = np.maximum(ndimage.uniform_filter(left, (1, WINDOW_PX, WINDOW_PX, 1)), 0.0)
-    return (sums.rate - factor * sums.variate) / weight, variance, np.maximum(around(left), 0.0)
+    difference, other = sums.difference / weight, sums.variate_difference / weight
+    above, below = around(difference * other), around(other**2)
+    factor = np.clip(np.divide(above, below, out=np.zeros_like(above), where=below > 0), 0.0, MOST_FACTOR)
+    return (sums.rate - factor * sums.variate) / weight, difference - factor * other
 
 
 def _joined(*parts: tuple[FloatArray, FloatArray, NDArray[np.float32] | float]) -> FloatArray:
@@ -153,7 +199,10 @@ def _joined(*parts: tuple[FloatArray, FloatArray, NDArray[np.float32] | float]) 
     Twice the latter less the former has none (Quenouille, Biometrika 43, 1956).
     """
     total = sum(weight for weight, _, _ in parts)
-    mean = sum(weight * ratio for weight, ratio, _ in parts)
+    # A part whose rays all have the weight 0 says nothing.
+    says = [np.where(light > 0, weight, 0.0) for weight, _, light in parts]
+    mean = sum(weight * ratio for weight, (_, ratio, _) in zip(says, parts, strict=True))
+    mean = np.divide(total * mean, sum(says), out=np.zeros_like(mean), where=sum(says) > 0)
     light = sum(weight * light for weight, _, light in parts)
     above = sum(weight * light * ratio for weight, ratio, light in parts)
     of_all = np.divide(total * above, light, out=np.array(mean), where=light > 0)

@@ -161,3 +161,65 @@ def test_the_variate_takes_out_most_of_the_noise(pictures):
     for stop in range(2):
         plain, less = (part[stop, :, :, :12, 1].std(axis=0, ddof=1) for part in (value, value - variate))
         assert np.median(less / plain) < 0.5
+
+
+@pytest.mark.parametrize(("points", "limit"), [(2, 3e-3), (4, 6e-4)])
+def test_fine_kernels_need_a_fine_grid(jit, picture, points, limit):
+    """Set-up: a kernel as fine as lambda N = 0.4 px, over noise with a standard deviation of 0.1.
+
+    Expectation: F is the integral, within ``limit`` with four points per pixel, and not with two.
+    """
+    sigma = 0.14
+
+    def profiles(levels, radius):
+        profile = np.exp(-0.5 * (radius / sigma) ** 2)[:, None, None] * np.eye(2)
+        return np.broadcast_to(profile, (len(levels), len(radius), 2, 2))
+
+    made = control_variate.control(picture, np.zeros(SIZE), 1.0, (0.0, 0.0), 1.0, profiles, points)
+    steps = (np.arange(-100, 100) + 0.5) / 100 * 0.8
+    x, y = np.meshgrid(steps, steps)
+    kernel = np.exp(-0.5 * (np.hypot(x, y) / sigma) ** 2)
+    pixel = (np.arange(8) + 0.5) / 8
+    errors = []
+    for row, column in ((4, 7), (6, 2), (8, 5)):
+        for channel in range(2):
+            places = [(column + px - x, row + py - y) for px in pixel for py in pixel]
+            value = np.mean([_read(picture, *place, channel, kernel) for place in places])
+            errors.append(made.expected[row * SIZE[1] + column, channel] - value)
+    worst = np.abs(errors).max()
+    assert worst < limit if points == 4 else worst > limit
+
+
+def test_the_grid_is_as_fine_as_the_kernels_ask():
+    """Expectation: two for the bundled cameras (lambda N of 0.68 px in the shortest light), none where four are few."""
+    found = [
+        control_variate.points_of(*each) for each in ((0.68, 4), (0.68, 2), (0.5, 4), (0.5, 2), (0.29, 4), (0.25, 4))
+    ]
+    assert found == [2, 2, 4, None, 4, None]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("f_number", [1.4, 2.8])
+def test_the_variate_of_a_fast_lens_has_no_mean(jit, f_number):
+    """Set-up: a Siemens star in focus, lambda N of 0.34 and 0.68 px in the shortest light, 8 pictures of 32 samples.
+
+    Expectation: z of the pixels' means as of Student's t of 7 degrees of freedom, 1.18; it was 4.9 at f/1.4.
+    """
+    import dasim
+    from dasim.simulation import rendering
+    from dasim.simulation.simulate import prepare
+
+    camera = dasim.cropped(dasim.load_camera("bayer-mobile"), 48, 36)
+    lens = camera.lens.model_copy(update={"f_number": f_number, "focus_distance_m": 0.4})
+    camera = camera.model_copy(update={"lens": lens})
+
+    def silent(*_):
+        pass
+
+    view = prepare(dasim.load_scene("siemens-star"), camera, None, None, silent)
+    sharp = rendering.sharp_pictures(view, rendering.Sampling(32, 0.25, 50.0, 0), silent)
+    assert sharp.controls[0] is not None
+    spp = np.full((1, 1), 32)
+    found = [rendering.stop_picture(view, sharp, 0, sharp.field, spp, seed, silent).variate for seed in range(100, 108)]
+    z = np.mean(found, axis=0) / (np.std(found, axis=0, ddof=1) / np.sqrt(8))
+    assert np.sqrt(np.nanmean(np.minimum(z, 30) ** 2)) < 1.3

@@ -21,7 +21,7 @@ def pictures(coefficients, calls, slope=0.65, loud=None):
     """
     factor = np.ones(FRAME[1:]) if loud is None else np.where(loud, 5.0, 1.0)
 
-    def picture(index, spp):
+    def picture(index, spp, finer=1):
         calls.append((index, spp))
         noise = np.random.default_rng(index).standard_normal(SHAPE) * factor[..., None]
         spread = np.array(coefficients)[:, None, None] * np.maximum(spp, 1e-9) ** -slope
@@ -81,7 +81,7 @@ def test_choosing_samples_by_the_noise_leaves_no_bias():
     """
 
     def frame_of(frame):
-        def picture(index, spp):
+        def picture(index, spp, finer=1):
             random = np.random.default_rng((index, frame))
             noise = random.exponential(1.0, SHAPE) ** 2 / 2 - 1  # of mean 0
             rate = MEAN_E / 2 * (1 + 0.2 * noise * np.maximum(spp, 1e-9)[..., None] ** -0.5)
@@ -142,7 +142,7 @@ def test_the_most_samples_end_it():
 
 
 def test_no_light_and_no_noise_need_no_more():
-    def dark(index, spp):
+    def dark(index, spp, finer=1):
         return Picture(spp, np.zeros(SHAPE), np.zeros(SHAPE))
 
     result = render_to_noise_target(dark, poisson, shape=FRAME)
@@ -178,3 +178,28 @@ def test_a_pilot_without_noise_asks_for_no_more():
     pilot = no_pairs(still)
     add(pilot, still, still)
     assert not allotted_spp([pilot._replace(**{name: getattr(pilot, name)[:1] for name in pilot._fields})], 8.0).any()
+
+
+def test_noise_of_the_irradiance_asks_for_more_directions_not_for_samples():
+    """Set-up: little noise of samples, and much that all pixels around share, which falls with the directions.
+
+    Expectation: after the pilot, which does not count, pictures of finer irradiance reach the target with few samples;
+    what is stated is the error of the mean.
+    """
+    calls, frame = [], (1, 120, 160)
+
+    def picture(index, spp, finer):
+        calls.append((index, finer))
+        random = np.random.default_rng((index % 2, finer))
+        coarse = np.repeat(np.repeat(random.standard_normal((frame[1] // 8, frame[2] // 8)), 8, axis=0), 8, axis=1)
+        own = np.random.default_rng(index).standard_normal((*frame, 4)) / np.sqrt(np.maximum(spp, 1))[..., None]
+        shared = 0.6 * np.sqrt(2 / finer) * coarse[None, ..., None]
+        rate = MEAN_E + np.sqrt(MEAN_E) * (0.3 * own + shared)
+        return Picture(spp, rate, np.zeros((*frame, 4)))
+
+    result = render_to_noise_target(picture, poisson, shape=frame)
+    assert [finer for _, finer in calls[:2]] == [1, 1] and calls[2][1] >= 16
+    assert result.measured.spp.max() <= 32
+    assert max(result.share) <= 1.1 * adaptive_sampling.NOISE_SHARE
+    error = np.sqrt(np.mean((result.measured.rate[0] - MEAN_E) ** 2 / MEAN_E, axis=(0, 1)))
+    np.testing.assert_allclose(result.share, error, rtol=0.3)
