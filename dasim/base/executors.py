@@ -187,7 +187,9 @@ def ray(address: str, work: Work, *, gpu: bool = False) -> Executor:
     try:
         import ray as engine
     except ImportError:
-        raise InputError("--executor ray: needs Ray; install it with pip install 'dasim[cluster]'") from None
+        raise InputError(
+            "--executor ray: needs Ray; install it with pip install -c constraints.txt -e '.[cluster]'"
+        ) from None
     _check_answers(address)
     os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")  # otherwise Ray warns of a future change
     try:

@@ -24,7 +24,7 @@ Coefficient = Annotated[float, Field(ge=-1e6, le=1e6)]  # of a power of millimet
 class Lens(Specification):
     """A thin lens; ``focus_distance_m`` is the only place that holds the camera's focus."""
 
-    focal_length_mm: float = Field(gt=0, le=1000)
+    focal_length_mm: float = Field(ge=0.1, le=1000)
     f_number: float = Field(gt=0.5, le=64)
     focus_distance_m: float = Field(gt=0, le=1e6)
     transmittance: float = Field(default=1.0, gt=0, le=1)

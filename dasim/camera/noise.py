@@ -27,7 +27,7 @@ from dasim.camera.sensor import Sensor
 from dasim.camera.specification import Camera, mosaic_channels
 from dasim.typing import BoolArray, FloatArray
 
-LONGEST_EXPOSURE_S = 3600.0
+SHORTEST_EXPOSURE_S, LONGEST_EXPOSURE_S = 1e-9, 3600.0
 _MOST_E = 1e15  # electrons of a Poisson draw: more than any full well, and within the range of the generator
 
 # Randomness is keyed by (seed, stage): no stage depends on how many numbers another has drawn.
@@ -54,7 +54,7 @@ class NoiseModel(Protocol):
 class Exposure(Specification):
     """Exposure time and analogue gain; a time of None means automatic exposure."""
 
-    time_s: float | None = Field(default=None, gt=0, le=LONGEST_EXPOSURE_S)
+    time_s: float | None = Field(default=None, ge=SHORTEST_EXPOSURE_S, le=LONGEST_EXPOSURE_S)
     gain: float = Field(default=1.0, ge=1.0 / 16, le=1024, description="analogue gain, a factor on the sensor's own")
     auto_percentile: float = Field(default=99.5, gt=0, le=100)
     auto_level: float = Field(default=0.85, gt=0, le=1, description="share of full scale that the percentile reaches")

@@ -84,7 +84,9 @@ def _read(path: Path) -> Any:
     try:
         from optiland import fileio
     except ImportError:
-        raise InputError("reading a lens prescription requires Optiland: pip install 'dasim[lens]'") from None
+        raise InputError(
+            "reading a lens prescription requires Optiland: pip install -c constraints.txt -e '.[lens]'"
+        ) from None
     load = fileio.load_zemax_file if path.suffix.lower() == ".zmx" else fileio.load_optiland_file
     try:
         return load(str(path))

@@ -31,6 +31,7 @@ Ratio = Annotated[float, Field(ge=-1, le=1)]  # of the radius of the open lens
 Point = tuple[Ratio, Ratio]
 
 MOST_MASK_CELLS = 256  # per side
+LEAST_RADIUS_RATIO = 0.05  # f/56 at f/2.8, whose diffraction fills a phone's frame
 MOST_PHASE_NM = 10_000.0  # micrometres of coating
 PUPIL_CELLS = 256  # per side of the grid that represents the open area of a stop
 _FINE_ROWS = 16  # in a cell, for the share of it that a stop covers
@@ -73,7 +74,7 @@ class Disc(_Stop):
     """An open disc, about the axis or displaced."""
 
     shape: Literal["disc"] = "disc"
-    radius_ratio: float = Field(gt=0, le=1)
+    radius_ratio: float = Field(ge=LEAST_RADIUS_RATIO, le=1)
     centre_ratio: Point = (0.0, 0.0)
 
     @model_validator(mode="after")

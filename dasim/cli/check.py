@@ -94,6 +94,8 @@ def validate(
     from validation.reports.lines import of_outcomes, total
     from validation.validate import write_claims
 
+    if only is not None and not options.names(only):
+        raise InputError("--only: names no claim; see --list")
     names = select(CLAIMS, options.names(only), quick=quick)
     limits = all_gates(CLAIMS, gates)
     methods = named(method or ())

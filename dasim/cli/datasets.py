@@ -68,7 +68,7 @@ def make(
     from dasim.render import backend
 
     described = with_first(load_spec(spec), first)
-    out = f"out/{described.name}" if out is None else out
+    out = options.out_of(described.name) if out is None else out
     part = _part(shard)
     if retry and part != (1, 1):
         raise InputError(f"--retry: changes finished shards, and cannot be used with --shard {shard}")
@@ -112,7 +112,7 @@ def verify(dataset: str) -> int:
     for problem in verify.problems(dataset):
         count += 1
         print(problem)
-    print(f"{dataset}: {count} problems" if count else f"{dataset}: no problems")
+    print(f"{dataset}: {count or 'no'} problem{'' if count == 1 else 's'}")
     return 1 if count else 0
 
 
@@ -195,7 +195,7 @@ def score(
     samples = open_dataset(dataset, split)
     if bank is not None:
         load_bank(bank)
-    place = out or f"out/{samples.spec.name}-{split}"
+    place = out or options.out_of(samples.spec.name, f"-{split}")
     job = ScoreJob(dataset, split, place, everyone, bank, metrics, code_of(metrics, bank))
     run = executors.local(processes_of(jobs), work) if executor == "local" else executors.ray(address, work)
     with options.progress() as show:

@@ -5,6 +5,7 @@ Tested in tests/dasim/cli/test_options.py and tests/dasim/cli/test_render.py.
 
 from __future__ import annotations
 
+import os
 import re
 import sys
 import time
@@ -115,7 +116,12 @@ def whole(kind: Any, tokens: Any) -> int:
 
 def samples(kind: Any, tokens: Any) -> int | str:
     """Number of samples, or auto."""
-    return "auto" if tokens[0].value == "auto" else whole(kind, tokens)
+    if tokens[0].value == "auto":
+        return "auto"
+    try:
+        return whole(kind, tokens)
+    except InputError as error:
+        raise InputError(f"{error} or auto") from None
 
 
 Size = Annotated[str, Parameter(allow_leading_hyphen=True)]  # so that -8x8 is understood, and refused
@@ -133,6 +139,24 @@ def default_out(source: str | Path, ending: str = "") -> Path:
     name = path.name if path.name not in ("", "..") else path.resolve().name
     stem = name if path.is_dir() else re.sub(r"\.[A-Za-z]\w*$", "", name)
     return Path("out") / (re.sub(r"[^\w.-]+", "-", stem) + ending)
+
+
+def out_of(name: str, ending: str = "") -> str:
+    """Output of a specification's ``name`` without --out: below ``out``, whatever the name is."""
+    clean = re.sub(r"[^\w. -]+", "-", name).lstrip(".")
+    return f"out/{clean}{ending}"
+
+
+def check_file(option: str, file: Path | None, *endings: str) -> list[str]:
+    """What is wrong with a file that shall be written, replacing an earlier one: nothing, or one text."""
+    if file is None:
+        return []
+    folder = file.resolve().parent
+    if file.suffix.lower() not in endings or file.is_dir() or not folder.is_dir():
+        return [f"{option} {file}: is not a file named *{' or *'.join(endings)} in a folder that exists"]
+    if not os.access(file if file.exists() else folder, os.W_OK):
+        return [f"{option} {file}: cannot be written there"]
+    return []
 
 
 def names(texts: list[str] | None) -> list[str]:

@@ -10,6 +10,7 @@ from typing import Annotated, Any
 
 from cyclopts import Parameter
 
+from dasim.base.errors import InputError
 from dasim.cli import options
 from dasim.cli.options import AnyOut, Size, Whole, samples
 
@@ -23,8 +24,8 @@ def render(
     seed: Whole = 0,
     size: Size | None = None,
     spp: Annotated[int | str | None, Parameter(converter=samples)] = None,
-    noise_share: float = 0.25,
-    noise_at: float = 50.0,
+    noise_share: float | None = None,
+    noise_at: float | None = None,
     independent_mean: Annotated[bool, Parameter(negative="")] = False,
     exposure: float | None = None,
     diffraction: str | None = None,
@@ -47,9 +48,9 @@ def render(
         seed: seed of all random numbers
         size: WxH pixels, a central crop of the sensor at unchanged pixel pitch
         spp: samples per pixel and stop, or auto: as many as --noise-share requires
-        noise_share: target of --spp auto: ratio of rendering noise to sensor noise in each channel
-        noise_at: percentile of the pixels at which --noise-share is meant: 50 is the median; at 95, one pixel in twenty
-            has more rendering noise
+        noise_share: target of --spp auto: ratio of rendering noise to sensor noise in each channel; 0.25 by default
+        noise_at: percentile of the pixels at which --noise-share is meant: 50, the median, by default; at 95, one pixel
+            in twenty has more rendering noise
         independent_mean: give mean_e samples of its own, so that its rendering noise is independent of that of raw.png;
             takes about twice as long
         exposure: exposure time in seconds; automatic by default
@@ -67,10 +68,15 @@ def render(
     from dasim.files.folders import check_output
     from dasim.random_scenes.scene import by_name, is_random
     from dasim.render import backend
+    from dasim.simulation.adaptive_sampling import NOISE_AT, NOISE_SHARE
     from dasim.simulation.checks import check_camera, check_options
 
     out = options.default_out(scene) if out is None else out
     check_output(out, "capture")
+    if spp != "auto" and (noise_share, noise_at) != (None, None):
+        raise InputError("--noise-share, --noise-at: are the target of --spp auto; give it too, or leave them out")
+    noise_share = NOISE_SHARE if noise_share is None else noise_share
+    noise_at = NOISE_AT if noise_at is None else noise_at
     check_options(spp, seed, diffraction, noise_share, noise_at)
     choices: dict[str, Any] = {"unit_cm": unit_cm, "near_infrared": near_infrared, "illuminant": illuminant}
     choices["define"] = None if define is None else options.definitions(define)

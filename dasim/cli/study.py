@@ -16,7 +16,8 @@ from cyclopts import Parameter
 from dasim.base.durations import words
 from dasim.base.errors import InputError
 from dasim.cli.datasets import processes_of
-from dasim.cli.options import Out, Whole, counted, progress
+from dasim.cli.options import Out, Whole, check_file, counted, out_of, progress
+from dasim.scene.lights import LUX_RANGE
 
 if TYPE_CHECKING:
     from dasim.base.executors import Executor
@@ -28,6 +29,7 @@ app = cyclopts.App(
 )
 
 Texture = Literal["known", "spectrum", "free"]
+MOST_DISTANCES = 1000  # of a table
 
 
 @app.default
@@ -68,7 +70,7 @@ def sweep(
     from validation.studies.sweep.specification import units
 
     spec = load_study(study, quick=quick, methods=method or ())
-    place = out or f"out/{spec.name}"
+    place = out or out_of(spec.name)
     here = environment(backend.choose(variant).variant)
     gpu = here["variant"].startswith("cuda")
     run: Executor
@@ -129,14 +131,14 @@ def bound(
 
     given = [("--near-cm", near_cm), ("--far-cm", far_cm), ("--lux", lux)]
     wrong = _positive(*((name, value) for name, value in given if value is not None))
-    if count < 1:
-        wrong.append(f"--count {count}: must be 1 or more")
+    if not 1 <= count <= MOST_DISTANCES:
+        wrong.append(f"--count {count}: must be 1 to {MOST_DISTANCES}")
+    if not LUX_RANGE[0] <= lux <= LUX_RANGE[1]:
+        wrong.append(f"--lux {lux:g}: must be {LUX_RANGE[0]:g} to {LUX_RANGE[1]:g}")
     names = tuple(name.strip() for name in channels.split(",") if name.strip())
     if len(names) < 2 or len(set(names)) != len(names):
         wrong.append(f"--channels '{channels}': must be two channels or more, such as G,IR")
-    for option, file in (("--json", json_file), ("--csv", csv_file)):
-        if file is not None and (file.is_dir() or not file.resolve().parent.is_dir()):
-            wrong.append(f"{option} {file}: is not a file in a folder that exists")
+    wrong += [*check_file("--json", json_file, ".json"), *check_file("--csv", csv_file, ".csv")]
     lens = _focused(camera, focus, wrong)
     blurs: list[FloatArray] = []
     metres = [None if value is None else value / 100 for value in (near_cm, far_cm)]

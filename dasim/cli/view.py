@@ -7,6 +7,8 @@ from pathlib import Path
 from dasim.base.errors import InputError
 from dasim.cli import options
 
+MOST_SLICES = 200
+
 
 def view(
     folder: Path,
@@ -36,8 +38,8 @@ def view(
         out = Path("out/view.html")
     elif out.suffix.lower() != ".html" or out.is_dir() or not out.resolve().parent.is_dir():
         raise InputError(f"--out {out}: is not an HTML file in a folder that exists")
-    if slices is not None and slices < 2:
-        raise InputError(f"--slices {slices}: must be 2 or more")
+    if slices is not None and not 2 <= slices <= MOST_SLICES:
+        raise InputError(f"--slices {slices}: must be 2 to {MOST_SLICES}")
     if (folder / "raw.png").is_file() and not (folder / "recon.exr").is_file():
         if (capture, bank, slices) != (None, None, None):
             raise InputError(

@@ -6,12 +6,13 @@ import json
 import tarfile
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Collection, Sequence
 from contextlib import ExitStack, closing
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from dasim.base.durations import words
 from dasim.base.errors import InputError, describe_error
 from dasim.base.executors import Executor, Outcome
 from dasim.dataset import card, plan, reading, storage
@@ -103,6 +104,7 @@ def _make(
     closed = closed_shards(job.out)
     if storage.exists(job.out, plan.SUMS):  # checked last, because another run may just have finished
         card.tidy(job.out)
+        _check_whole(job, every, failed)
         return Progress(job.spec.made, before=job.spec.made - len(failed), failed=failed)
     waiting = {group.name: group for group in assigned if group.name not in closed}
     group_of = {index: group for group in waiting.values() for index in group.indices}
@@ -147,6 +149,21 @@ def _make(
     if storage.exists(job.out, plan.SUMS):  # finished by another run, which may have removed less than is there now
         card.tidy(job.out)
     return progress
+
+
+def _check_whole(job: Job, every: Sequence[Shard], failed: Collection[int]) -> None:
+    """Raise InputError if files of a finished dataset are gone; ``dasim dataset verify`` checks what they hold."""
+    for group in every:
+        made = [index for index in group.indices if index not in failed]
+        files = [f"{group.name}.tar"] if made else []
+        if job.spec.format == "folders":
+            files = [f"{group.split}/{key(index)}/{name}" for index in made for name in file_names(job.spec)]
+        for name in files:
+            if not storage.exists(job.out, name):
+                raise InputError(
+                    f"{job.out}: was finished, but {name} is gone; 'dasim dataset verify' lists all that is missing; "
+                    "make the dataset anew in another folder"
+                )
 
 
 def parts(out: str) -> set[int]:
@@ -237,6 +254,7 @@ def _append(log: Path | None, line: str) -> None:
 
 def estimate(spec: DatasetSpec, seconds: float, processes: int) -> str:
     """Time and size of a dataset in one line, for ``seconds`` per sample on one core."""
-    hours = spec.made * seconds / processes / 3600
-    size = spec.made * plan.sample_bytes(spec) / 1e9
-    return f"{spec.made} samples, about {hours:.3g} hours on {processes} processes and {size:.3g} GB"
+    size = spec.made * plan.sample_bytes(spec)
+    unit, name = (1e9, "GB") if size >= 1e9 else (1e6, "MB")
+    time = words(spec.made * seconds / processes)
+    return f"{spec.made} samples, about {time} on {processes} processes and {size / unit:.3g} {name}"

@@ -128,7 +128,7 @@ def begin(out: str, new: dict[str, Any]) -> None:
     if not storage.exists(out, MANIFEST):
         there = [name for name in storage.names(out) if not name.startswith(".")]
         if there and not storage.exists(out, MANIFEST):  # another run may just have written it
-            raise InputError(f"{out}: is no dataset and not empty ({there[0]}); choose another folder")
+            raise InputError(f"{out}: is no dataset and not empty ({there[0] or 'a file'}); choose another folder")
         storage.check_writable(out)
         storage.write(out, MANIFEST, json_bytes(new))
         return

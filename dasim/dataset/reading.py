@@ -55,7 +55,7 @@ class Dataset(Sequence[Sample]):
         if isinstance(place, slice):
             return Dataset(self.path, self.rows[place], self.spec)
         row = self.rows[place]
-        ((_, files),) = samples_of(self.path, self.spec, _shard(row), [row["index"]])
+        ((_, files),) = _whole(self.path, self.spec, _shard(row), [row["index"]])
         return decode(row, files)
 
     def arrays(self) -> Arrays:
@@ -71,7 +71,7 @@ class Dataset(Sequence[Sample]):
             while end < len(self.rows) and self.rows[end]["shard"] == shard:
                 end += 1
             some = {row["index"]: row for row in self.rows[start:end]}
-            for index, files in samples_of(self.path, self.spec, _shard(self.rows[start]), list(some)):
+            for index, files in _whole(self.path, self.spec, _shard(self.rows[start]), list(some)):
                 yield decode(some[index], files)
             start = end
 
@@ -163,7 +163,9 @@ def parquet_library() -> Any:
     try:
         import pyarrow.parquet
     except ImportError:
-        raise InputError("datasets need pyarrow; install it with pip install 'dasim[dataset]'") from None
+        raise InputError(
+            "datasets need pyarrow; install it with pip install -c constraints.txt -e '.[dataset]'"
+        ) from None
     return pyarrow.parquet
 
 
@@ -195,6 +197,19 @@ def samples_of(
         raise KeyError(f"{group.name}.tar lacks {', '.join(missing)}")
 
 
+def _whole(
+    where: str, spec: DatasetSpec, group: Shard, indices: Sequence[int]
+) -> Iterator[tuple[int, dict[str, bytes]]]:
+    """:func:`samples_of`; raises InputError where files are missing or damaged."""
+    try:
+        yield from samples_of(where, spec, group, indices)
+    except (OSError, EOFError, KeyError, tarfile.TarError) as error:
+        text = " ".join(str(error.args[0] if isinstance(error, KeyError) else error).split())
+        raise InputError(
+            f"{where}: {group.name} is damaged or not whole ({text}); see 'dasim dataset verify'"
+        ) from None
+
+
 def decode(row: dict[str, Any], files: dict[str, bytes]) -> Sample:
     """A sample from its row of the index and its files (bytes by name)."""
     frames, meta = [], json.loads(files["meta.json"])
@@ -203,19 +218,23 @@ def decode(row: dict[str, Any], files: dict[str, bytes]) -> Sample:
         if stored is None:
             raise InputError(f"sample {row['key']}: {name} cannot be read")
         frames.append(unscaled(stored, meta, f"sample {row['key']}: {name}"))
-    truth = truth_of(files["truth.exr"])
+    truth = truth_of(files["truth.exr"], f"sample {row['key']}: truth.exr")
     return Sample(row["index"], row["split"], frames[0], truth, meta, tuple(frames))
 
 
-def truth_of(content: bytes) -> dict[str, Any]:
-    """Fields of the truth in a truth file, by name.
+def truth_of(content: bytes, name: str = "truth.exr") -> dict[str, Any]:
+    """Fields of the truth in a truth file, by name; raises InputError if it is damaged, which begins with ``name``.
 
     The content is written to a temporary file, because OpenEXR reads from disk only.
     """
     with tempfile.NamedTemporaryFile(suffix=".exr") as file:
         file.write(content)
         file.flush()
-        return read_truth_parts(Path(file.name))
+        try:
+            return read_truth_parts(Path(file.name))
+        except InputError as error:
+            detail = str(error).removeprefix(f"{file.name}: ")
+            raise InputError(f"{name}: is damaged ({detail}); see 'dasim dataset verify'") from None
 
 
 def _shard(row: dict[str, Any]) -> Shard:

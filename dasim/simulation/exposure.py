@@ -8,6 +8,7 @@ exactly. What :func:`expose` makes of it is therefore, byte for byte, what a ren
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -125,7 +126,9 @@ def expose_series(
         raise InputError(f"seed is {seed}; 0 or a positive whole number is needed")
     if frames < 1:
         raise InputError(f"frames is {frames}; 1 or more is needed")
-    light, model = _relit(sensor_light_of(shot, where), lux, scale, where), noise or _noise_model(shot.capture, where)
+    with _own_provenance(where):
+        light = _relit(sensor_light_of(shot, where), lux, scale, where)
+    model = noise or _noise_model(shot.capture, where)
     last: Shot | None = None
     for number in range(len(exposures) * frames):
         exposure = exposures[number // frames] or exposure_of(shot.capture)
@@ -218,6 +221,20 @@ def times(truth: Truth, factor: float) -> Truth:
         sharp_e=part(truth.sharp_e, factor),
         focus_e=part(truth.focus_e, factor),
     )
+
+
+@contextmanager
+def _own_provenance(where: str) -> Iterator[None]:
+    """Turn what a changed ``meta.json`` leads to into an InputError."""
+    try:
+        yield
+    except InputError:
+        raise
+    except (KeyError, TypeError, ValueError, AttributeError, ZeroDivisionError) as error:
+        what = f"{type(error).__name__}: {error}"
+        raise InputError(
+            f"{where}/meta.json: its provenance is not as dasim wrote it ({what}); render it again"
+        ) from None
 
 
 def _relit(light: SensorLight, lux: float | None, scale: float, where: str) -> SensorLight:

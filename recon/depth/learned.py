@@ -27,7 +27,7 @@ from recon.calibration.fit import check_fits
 from recon.picture import infrared, mosaic
 
 FILE = Path(__file__).with_name("learned.safetensors")
-MISSING = "the learned depth estimate needs PyTorch and safetensors: pip install 'dasim[learn]'"
+MISSING = "the learned depth estimate needs PyTorch and safetensors: pip install -c constraints.txt -e '.[learn]'"
 MOST_BYTES = 5 * 2**20  # of a file of weights
 
 FINEST_PX, RELATIVE, LAST_PX = 1.0, 1 / 8, 60.0  # spacing of blurs: the larger of a number and a share of the blur

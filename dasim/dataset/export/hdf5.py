@@ -44,7 +44,7 @@ def library() -> Any:
     try:
         import h5py
     except ImportError:
-        raise InputError("HDF5 needs h5py; install it with pip install 'dasim[formats]'") from None
+        raise InputError("HDF5 needs h5py; install it with pip install -c constraints.txt -e '.[formats]'") from None
     return h5py
 
 

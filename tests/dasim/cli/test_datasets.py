@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import shutil
 from pathlib import Path
 
@@ -48,11 +49,28 @@ def test_make_verify_info(command, tmp_path):
     assert status == 0 and "no problems" in output
     (out / "README.md").write_text("?")
     status, output, _ = command("verify", out)
-    assert status == 1 and "README.md: its checksum differs" in output and "1 problems" in output
+    assert status == 1 and "README.md: its checksum differs" in output and "1 problem\n" in output
     status, output, _ = command("info", out, "--plot", tmp_path / "plot.png")
     assert status == 0 and "samples: 6 of 1 scenes" in output and "lights: D65 6" in output
     assert cv2.imread(str(tmp_path / "plot.png")).std() > 1
     assert command("info", out, "--plot", tmp_path / "plot.pdf")[0] == 2
+
+
+def test_finished_dataset_that_lost_a_file_is_not_called_whole(command, tmp_path):
+    spec, out = spec_file(tmp_path), tmp_path / "ds"
+    command("make", spec, "--out", out)
+    lost = next(out.glob("*.tar"))
+    lost.unlink()
+    status, output, error = command("make", spec, "--out", out)
+    assert status == 2 and lost.name in error and "verify" in error and "of 6 samples" not in output
+
+
+def test_name_with_a_path_stays_below_out(command, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    spec = spec_file(tmp_path)
+    spec.write_text(re.sub('name = ".*"', 'name = "../elsewhere"', spec.read_text(), count=1))
+    assert command("make", spec)[0] == 0
+    assert not (tmp_path / "elsewhere").exists() and len(list((tmp_path / "out").iterdir())) == 1
 
 
 def test_dry_run_writes_nothing(command, tmp_path):
@@ -60,7 +78,7 @@ def test_dry_run_writes_nothing(command, tmp_path):
     status, output, _ = command("make", spec, "--out", tmp_path / "ds", "--dry-run")
     assert status == 0 and not (tmp_path / "ds").exists()
     assert "train: 6 samples in 3 shards" in output
-    assert "exposure.auto_level" in output and "estimate from 3 renders" in output and "GB" in output
+    assert "exposure.auto_level" in output and "estimate from 3 renders" in output and "MB" in output
 
 
 @pytest.mark.parametrize(

@@ -141,7 +141,7 @@ def test_gain_and_light_of_a_capture(here, capsys):
         (["shot", "--lux", "-3"], ("lux is -3",)),
         (["shot", "--time", "soon"], ("--time 'soon'", "1/60")),
         (["shot", "--time", "1/0"], ("--time '1/0'",)),
-        (["shot", "--time", "-1"], ("--time, --gain: time_s", "greater than 0")),
+        (["shot", "--time", "-1"], ("--time, --gain: time_s", "greater than or equal to")),
         (["shot", "--gain", "0"], ("--gain: gain",)),
         (["shot", "--seed", "-1"], ("seed is -1",)),
         (["shot", "--seed", "1.5"], ("--seed '1.5' is not a whole number",)),
@@ -174,3 +174,22 @@ def test_captures_and_outputs_that_do_not_fit(here, capsys):
     (here / "shot" / "truth.exr").unlink()
     assert "truth.exr: is missing" in refused("shot", "--out", "new")
     assert not (here / "new").exists()
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda about: about["scene"]["lights"][0].pop("lux"),
+        lambda about: about.update(scene="none"),
+        lambda about: about.update(saturated_pixels="x"),
+        lambda about: [light.update(lux=0) for light in about["scene"]["lights"]],
+    ],
+)
+def test_changed_provenance_is_one_line(here, capsys, change):
+    shutil.copytree(here / "shot", here / "changed")
+    about = json.loads((here / "changed" / "meta.json").read_text())
+    change(about["provenance"])
+    (here / "changed" / "meta.json").write_text(json.dumps(about))
+    assert run(["expose", "changed", "--lux", "20", "--out", "new"]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "meta.json" in line and "provenance" in line

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 import subprocess
 import sys
 import tarfile
@@ -117,3 +118,20 @@ def test_webdataset_library(both):
     done = subprocess.run([sys.executable, "-c", program, *shards], capture_output=True, text=True, check=True)
     rows = dasim.open_dataset(both["webdataset"]).rows
     assert dict(map(json.loads, done.stdout.splitlines())) == {row["key"]: row["sha256"] for row in rows}
+
+
+@pytest.mark.parametrize("damage", ["truncated", "gone", "changed"])
+def test_damaged_shards_are_named_in_one_line(both, tmp_path, damage):
+    """Rationale: a training of days must not end in the traceback of a library."""
+    shutil.copytree(both["webdataset"], tmp_path / "ds")
+    shard = sorted((tmp_path / "ds").glob("*.tar"))[0]
+    data = bytearray(shard.read_bytes())
+    if damage == "changed":  # within the first sample's truth
+        place = data.index(b"truth.exr") + 512 + 4000
+        data[place : place + 2000] = bytes(2000)
+    shard.write_bytes(data[:5000] if damage == "truncated" else data)
+    if damage == "gone":
+        shard.unlink()
+    with pytest.raises(InputError, match="see 'dasim dataset verify'") as error:
+        list(dasim.open_dataset(tmp_path / "ds"))
+    assert "/tmp" not in str(error.value).replace(str(tmp_path), "") and "\n" not in str(error.value)

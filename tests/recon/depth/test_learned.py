@@ -95,7 +95,9 @@ def test_without_pytorch_one_line_says_what_to_install(monkeypatch, capsys, tmp_
     from dasim.cli import run
 
     monkeypatch.setattr(learned, "find_spec", lambda name: None)
-    with pytest.raises(InputError, match=r"^the learned depth estimate needs PyTorch.*pip install 'dasim\[learn\]'$"):
+    with pytest.raises(
+        InputError, match=r"^the learned depth estimate needs PyTorch.*pip install -c constraints.txt -e '\.\[learn\]'$"
+    ):
         named(["best", "learned"])
     with pytest.raises(InputError, match="needs PyTorch"):
         learned.estimate(flat(), recon_scenes.bank())
@@ -103,7 +105,7 @@ def test_without_pytorch_one_line_says_what_to_install(monkeypatch, capsys, tmp_
         assert run(["learn", *command]) == 2
         error = capsys.readouterr().err
         assert error.count("\n") == 1
-        assert "pip install 'dasim[learn]'" in error
+        assert "pip install -c constraints.txt -e '.[learn]'" in error
 
 
 @needs_torch

@@ -74,3 +74,14 @@ def test_files_hold_the_printed_table(tmp_path, monkeypatch, capsys):
     np.testing.assert_allclose([100 * row["depth_m"] for row in about["rows"]], shown, atol=0.005)
     for row in about["rows"]:
         assert row["dioptres"] == pytest.approx(row["depth_sd_m"] / row["depth_m"] ** 2)
+
+
+def test_limits_of_the_table_and_files_of_other_kinds(tmp_path, capfd):
+    """Expectation: one line for sizes that no computer holds, and for a file that is no table: it stays as it is."""
+    (tmp_path / "mine.toml").write_text("a = 1")
+    wrong = (["--count", "1000000"], "1 to 1000"), (["--csv", str(tmp_path / "mine.toml")], "*.csv")
+    for arguments, message in (*wrong, (["--lux", "1e-300"], "1e-06 to 1e+07")):
+        assert run(["study", "bound", *arguments]) == 2
+        (line,) = capfd.readouterr().err.splitlines()
+        assert message in line
+    assert (tmp_path / "mine.toml").read_text() == "a = 1"
