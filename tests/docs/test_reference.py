@@ -73,7 +73,7 @@ def test_every_key_has_unit_range_default_and_meaning(page, pages):
 def test_ranges_are_those_of_the_model():
     """Expectation: the row of a key repeats what the model enforces."""
     rows = {key.name: key for key in reference.keys("Lens", reference.schemas(Lens)["Lens"])}
-    assert rows["focal_length_mm"][1:4] == ("mm", "number > 0, ≤ 1,000", "required")
+    assert rows["focal_length_mm"][1:4] == ("mm", "number ≥ 0.1, ≤ 1,000", "required")
     assert rows["transmittance"].default == "`1.0`" and rows["transmittance"].unit == "1"
 
 
