@@ -113,7 +113,7 @@ def of_sum(sums: Sums, kept: Sequence[float] | None = None) -> tuple[FloatArray,
 def _variances(left: FloatArray) -> tuple[FloatArray, FloatArray]:
     """:func:`of_sum` of the differences [h, w] of a channel."""
     pixels = WINDOW_PX**2
-    variance = ndimage.uniform_filter(left**2, WINDOW_PX)
+    variance = np.maximum(ndimage.uniform_filter(left**2, WINDOW_PX), 0.0)
     excess = ndimage.uniform_filter(pixels * ndimage.uniform_filter(left, WINDOW_PX) ** 2 - variance, SHARED_PX)
     return variance, np.clip(excess / (pixels - 1), 0.0, variance)
 
@@ -141,7 +141,8 @@ def mean_and_left(first: Picture, second: Picture) -> tuple[FloatArray, NDArray[
 
 def mean_square(left: NDArray[np.floating]) -> FloatArray:
     """Mean of squares over ``WINDOW_PX``, [h, w, channel]: the variance that differences stand for."""
-    return np.asarray(ndimage.uniform_filter(left.astype(float) ** 2, (WINDOW_PX, WINDOW_PX, 1)))
+    squares = ndimage.uniform_filter(left.astype(float) ** 2, (WINDOW_PX, WINDOW_PX, 1))
+    return np.maximum(squares, 0.0)  # running sums leave rounding below zero
 
 
 def _parts(shape: tuple[int, ...]) -> Iterator[tuple[slice, ...]]:
@@ -178,7 +179,7 @@ def _add(sums: Sums, first: Picture, second: Picture) -> None:
 def _measured(sums: Sums) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Mean, variance, and variance from the pixels around each, of a part."""
     rate, left = _mean_and_left(sums)
-    variance = ndimage.uniform_filter(left**2, (1, WINDOW_PX, WINDOW_PX, 1))
+    variance = np.maximum(ndimage.uniform_filter(left**2, (1, WINDOW_PX, WINDOW_PX, 1)), 0.0)
     return rate, variance, np.maximum(around(left**2), 0.0)
 
 
