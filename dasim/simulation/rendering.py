@@ -1,4 +1,6 @@
-"""The pictures of a view in mean electrons per second: through the lens, stop by stop, and through a pinhole.
+"""The picture of a view through the lens, stop by stop, in mean electrons per second.
+
+:mod:`dasim.simulation.exact` has those through a pinhole and in focus.
 
 Tested in tests/dasim/simulation/test_simulate.py.
 """
@@ -13,11 +15,9 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from dasim.camera import noise, radiometry, wavefront
+from dasim.camera import noise
 from dasim.camera import sensor as sensors
-from dasim.camera import specification as cameras
 from dasim.camera.noise import Exposure
-from dasim.camera.rings import at_pixels, rings
 from dasim.camera.specification import Camera
 from dasim.render import passes
 from dasim.render.control_variate import Control, Fine
@@ -27,16 +27,11 @@ from dasim.render.truth import Geometry
 from dasim.scene.mitsuba_scene import MitsubaScene
 from dasim.scene.specification import Scene
 from dasim.simulation import rendering_noise
-from dasim.simulation.adaptive_sampling import allotted_spp, render_to_noise_target
+from dasim.simulation.adaptive_sampling import render_to_noise_target
 from dasim.simulation.checks import check_finite, check_lit
-from dasim.simulation.rendering_noise import Picture, Sums
-from dasim.spectra import colour, grid, illuminants
+from dasim.simulation.rendering_noise import Picture
 from dasim.typing import Float32Array, FloatArray, Progress
 
-TWIN = "bayer-mobile"  # the camera whose colours ``sharp_srgb`` has
-SHARP_SPP = 32  # of the pinhole picture, which has no lens to sample
-FOCUS_SPP = 4  # per stop of each picture of the pilot in focus; in ``scalar_spectral`` of all there is
-MORE_FOCUS_SPP = 8.0  # of the further pair together, mean over the pixels
 FIELD_SPP = 16  # that the irradiance is traced for at first where samples per pixel are chosen
 LENS, OWN_MEAN, IN_FOCUS, SHARP = range(4)  # uses of a capture's seed
 BLUR_MARGIN = 1.1  # something nearer than all that is seen may lie just outside the frame
@@ -97,7 +92,7 @@ class SharpPictures:
     """The pictures through a pinhole that admits as much light as the lens, mean electrons per second."""
 
     rate: Float32Array  # [h, w, channel] of the camera, at the light level of ``View.world``
-    twin: Float32Array  # [h, w, 3] of the camera ``TWIN``, likewise
+    twin: Float32Array  # [h, w, 3] of the camera :data:`exact.TWIN`, likewise
     field: Any  # irradiance, which half of the lens picture shares
     controls: list[Control | None]  # of each stop, see :mod:`dasim.render.control_variate`
     fine: dict[str, Fine] | None  # the picture of each stop's channels on a finer grid, by the stops' names
@@ -179,11 +174,11 @@ def _halves(
         rate, left = rendering_noise.mean_and_left(*pictures)
         return rate[0], left[0]
 
-    rate, left = _glared(view.camera, mean_of)
+    rate, left = glared(view.camera, mean_of)
     return rate, rendering_noise.mean_square(left) if len(parts) > 1 else None
 
 
-def _glared(
+def glared(
     camera: Camera, picture: Callable[[int], tuple[FloatArray, NDArray[Any]]]
 ) -> tuple[FloatArray, NDArray[Any]]:
     """Sum over stops of pictures with their glare, and of the differences whose squares are their variance; ``picture``
@@ -284,8 +279,8 @@ def _adaptive_picture(
         kept=[1 - stop.glare_share for stop in camera.stops],
     )
     done = result.measured
-    glared, _ = _glared(camera, lambda number: (done.rate[number], np.zeros((), np.float32)))
-    rate, variance = _at_level(view, glared, result.variance)
+    total, _ = glared(camera, lambda number: (done.rate[number], np.zeros((), np.float32)))
+    rate, variance = _at_level(view, total, result.variance)
     mean_spp = result.measured.spp.mean(axis=(1, 2)).round(2)
     described = {
         "spp": dict(zip((stop.name for stop in camera.stops), mean_spp.tolist(), strict=True)),
@@ -299,120 +294,6 @@ def sensor_variance(rate: FloatArray, camera: Camera, exposure: Exposure) -> Flo
     """Variance of the sensor's temporal noise by its data sheet, of [h, w, channel] mean electrons per second."""
     time_s = exposure_time_s(rate, camera, exposure)
     return noise.temporal_variance(camera.sensor, time_s, exposure.gain).at(rate * time_s) / time_s**2
-
-
-@dataclass(frozen=True)
-class ExactPictures:
-    """The truth of a capture's picture: without blur, and with that of the lens in focus."""
-
-    sharp: NDArray[Any]  # [h, w, channel] through a pinhole, mean electrons per second
-    srgb: Float32Array  # [h, w, 3] the same of a Bayer camera without near-infrared, see :func:`srgb`
-    focus: NDArray[Any]  # [h, w, channel] what the open lens would show with every depth in focus
-
-
-def exact_pictures(view: View, sharp: SharpPictures, seed: int, progress: Progress) -> ExactPictures:
-    """The exact pictures, with more samples where a pilot of the picture in focus is noisy: on gloss, glass and fine
-    texture.
-
-    Through a lens without diffraction, aberrations and glare, the picture in focus is that through a pinhole.
-    """
-    perfect = wavefront.is_perfect(view.camera)
-    if view.diffraction == "off" and perfect and not any(stop.glare_share for stop in view.camera.stops):
-        rate = sharp.rate.astype(float) * view.light_level
-        return ExactPictures(rate, _twin_srgb(view, sharp.twin), rate)
-    in_focus = replace(sharp, controls=_controls(view, sharp.fine, sharp.field, in_focus=True))
-
-    def picture(number: int, index: int, spp: NDArray[np.int64]) -> Picture:
-        own, label = picture_seed(seed, index, IN_FOCUS), f", in focus, picture {index + 1}"
-        ratios = stop_picture(view, in_focus, number, sharp.field, spp, own, progress, label, in_focus=True)
-        arrays: list[Any] = [each[None] for each in ratios]
-        return Picture(spp[None], *arrays)
-
-    def pilot(number: int) -> Sums:
-        first, second = picture(number, 0, few), picture(number, 1, few)
-        sums = rendering_noise.no_pairs(first)
-        rendering_noise.add(sums, first, second)
-        return sums
-
-    is_scalar, stops = view.variant.startswith("scalar"), range(len(view.camera.stops))
-    few = np.full((1, 1), 2 * FOCUS_SPP) if is_scalar else np.full(view.blur_px.shape, FOCUS_SPP)
-    parts = [pilot(number) for number in stops]
-    rate, twin = (part.astype(float) for part in (sharp.rate, sharp.twin))
-    if not is_scalar:
-        more = allotted_spp(parts, MORE_FOCUS_SPP)
-        for number in stops:
-            rendering_noise.add(parts[number], picture(number, 2, more[number]), picture(number, 3, more[number]))
-        rate, twin = _with_more(view, sharp, more.max(axis=0), seed, progress)
-
-    def of_stop(number: int) -> tuple[FloatArray, NDArray[Any]]:
-        return rendering_noise.measured(parts[number]).rate[0], np.zeros((), np.float32)
-
-    focus = _glared(view.camera, of_stop)[0] * view.light_level
-    check_finite(view.scene, focus, view.objects_at)
-    return ExactPictures(rate * view.light_level, _twin_srgb(view, twin), focus)
-
-
-def _with_more(
-    view: View, sharp: SharpPictures, spp: NDArray[np.int64], seed: int, progress: Progress
-) -> tuple[FloatArray, FloatArray]:
-    """The pictures through a pinhole, of the camera and of its twin, with ``spp`` samples more, [h, w]; at the light
-    level of ``View.world``.
-    """
-    twin, report = cameras.load_camera(TWIN), partial(progress, "rendering the pinhole picture, picture 2")
-    sampling = passes.Sampling(spp, picture_seed(seed, 1, SHARP), report)
-    more = passes.pinhole_pass(view.world.scene, view.camera, sampling, sharp.field, twin)
-    check_finite(view.scene, more, view.objects_at)
-    share, own = (spp / (SHARP_SPP + spp))[..., None], sharp.rate.shape[-1]
-    rate, of_twin = (
-        known + share * (new - known) for known, new in ((sharp.rate, more[..., :own]), (sharp.twin, more[..., own:]))
-    )
-    return rate, of_twin
-
-
-def sharp_pictures(view: View, sampling: Sampling, progress: Progress) -> SharpPictures:
-    """Render through a pinhole, for the camera and its Bayer twin in one pass, and prepare the control variates."""
-    twin = cameras.load_camera(TWIN)
-    scene, camera = view.world.scene, view.camera
-    seed, report = picture_seed(sampling.seed, 0, SHARP), partial(progress, "rendering the pinhole picture")
-    field = irradiance(view, sampling, 0)
-    sharp = passes.sharp_pass(
-        scene,
-        camera,
-        passes.Sampling(SHARP_SPP, seed, report),
-        field,
-        twin,
-        diffraction=view.diffraction,
-        max_blur_px=view.reach_px,
-    )
-    check_finite(view.scene, sharp.rate, view.objects_at)
-    channels = len(sensors.channels(camera.sensor))
-    rate, of_twin = (part.astype(np.float32) for part in np.split(sharp.rate, [channels], axis=-1))
-    return SharpPictures(rate, of_twin, field, _controls(view, sharp.fine, field), sharp.fine)
-
-
-def _controls(view: View, fine: dict[str, Fine] | None, field: Any, *, in_focus: bool = False) -> list[Control | None]:
-    """The control variate of each stop."""
-    return [
-        passes.control_of(
-            view.world.scene, view.camera, stop, fine, max_blur_px=view.reach_px, field=field, in_focus=in_focus
-        )
-        for stop in view.camera.stops
-    ]
-
-
-def _twin_srgb(view: View, rate: NDArray[Any]) -> Float32Array:
-    return srgb(rate, view.camera, cameras.load_camera(TWIN), view.illuminant)
-
-
-def srgb(rate: NDArray[Any], camera: Camera, twin: Camera, illuminant: str) -> Float32Array:
-    """Picture in sRGB, 0..1, from electrons [h, w, 3] of a camera without near-infrared, white-balanced for the
-    illuminant on each ring of the frame of ``camera``.
-    """
-    power, (angles, place) = illuminants.illuminant(illuminant), rings(camera, twin)
-    matrix = colour.fitted_matrix(radiometry.response(twin), power)
-    white = np.stack([grid.integrate(radiometry.response(twin, angle) * power) for angle in angles])
-    linear = (rate * at_pixels(white[0] / white, place)).astype(np.float32)
-    return colour.to_srgb(linear, matrix, colour.exposure_scale(linear, matrix))
 
 
 def exposure_time_s(rate: FloatArray, camera: Camera, exposure: Exposure) -> float:

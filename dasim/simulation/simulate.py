@@ -26,9 +26,10 @@ from dasim.scene import specification as scenes
 from dasim.scene.classes import class_numbers
 from dasim.scene.mitsuba_scene import MitsubaScene
 from dasim.scene.specification import Scene
-from dasim.simulation import adaptive_sampling, checks, rendering
+from dasim.simulation import adaptive_sampling, checks, exact, rendering
+from dasim.simulation.exact import ExactPictures
 from dasim.simulation.exposure import SensorLight, Shot, photograph, to_precision
-from dasim.simulation.rendering import ExactPictures, LensPicture, Sampling, View
+from dasim.simulation.rendering import LensPicture, Sampling, View
 from dasim.typing import Progress
 from dasim.values import Truth
 
@@ -114,18 +115,18 @@ def sensor_light(
     sampling = Sampling(spp, noise_share, noise_at, seed)
     try:
         view = prepare(scene, camera, diffraction, variant, progress)
-        sharp = rendering.sharp_pictures(view, sampling, progress)
+        sharp = exact.sharp_pictures(view, sampling, progress)
         backend.release_memory()
         lens = mean = _rounded(rendering.lens_picture(view, sharp, sampling, exposure or Exposure(), progress))
         if independent_mean:
             mean = _rounded(rendering.independent_picture(view, sharp, lens, sampling, progress))
-        exact_pictures = rendering.exact_pictures(view, sharp, seed, progress)
+        pictures = exact.exact_pictures(view, sharp, seed, progress)
     except RuntimeError as error:  # Mitsuba's
         if isinstance(scene, MitsubaScene):
             raise render_error(scene, error) from None
         raise
-    exact, origin = describe_truth(view, mean, exact_pictures), describe_origin(view, lens, seed, independent_mean)
-    return SensorLight(camera, lens.rate, lens.variance, exact, view.illuminant, origin, view.world.notes)
+    of_second, origin = describe_truth(view, mean, pictures), describe_origin(view, lens, seed, independent_mean)
+    return SensorLight(camera, lens.rate, lens.variance, of_second, view.illuminant, origin, view.world.notes)
 
 
 def _rounded(picture: LensPicture) -> LensPicture:
@@ -184,7 +185,7 @@ def describe_origin(view: View, lens: LensPicture, seed: int, independent_mean: 
     }
 
 
-def describe_truth(view: View, mean: LensPicture, exact: ExactPictures) -> Truth:
+def describe_truth(view: View, mean: LensPicture, pictures: ExactPictures) -> Truth:
     """The ground truth of a frame of one second; the pictures are mean electrons per second, rounded."""
     geometry, world = view.geometry, view.world
     return Truth(
@@ -198,13 +199,13 @@ def describe_truth(view: View, mean: LensPicture, exact: ExactPictures) -> Truth
         boundary=depth_blur.boundary(view.blur_px),
         channels=sensors.channels(view.camera.sensor),
         mean_e=mean.rate,
-        sharp_e=to_precision(exact.sharp),
-        sharp_srgb=exact.srgb,
+        sharp_e=to_precision(pictures.sharp),
+        sharp_srgb=pictures.srgb,
         class_id=class_numbers(world.classes)[geometry.object_id],
         objects=tuple(world.objects),
         materials=tuple(world.materials),
         mean_e_variance=mean.variance,
-        focus_e=to_precision(exact.focus),
+        focus_e=to_precision(pictures.focus),
     )
 
 

@@ -7,6 +7,7 @@ from validation.claims.cost.cycles import against_cycles
 from validation.claims.cost.datasets import dataset_speed
 from validation.claims.cost.exposure import exposure
 from validation.claims.cost.fewer_rays import fewer_rays
+from validation.claims.cost.graphics_card import graphics_card
 from validation.claims.cost.reconstruction import recon_large, recon_speed
 from validation.claims.cost.sampling import desk_noise, noise_slope_off, noise_slope_wave, render_cost
 from validation.claims.cost.scenes import interreflection, registration, scenes_speed
@@ -103,4 +104,5 @@ CLAIMS = {
     "exposure": Measurement(exposure, quick=False, alone=True),
     "compiled-kernels": Measurement(compiled_kernels, quick=False),
     "dataset-speed": Measurement(dataset_speed, quick=False, alone=True),
+    "graphics-card": Measurement(graphics_card, quick=False, alone=True),
 }

@@ -206,7 +206,7 @@ def test_the_variate_of_a_fast_lens_has_no_mean(jit, f_number):
     Expectation: z of the pixels' means as of Student's t of 7 degrees of freedom, 1.18; it was 4.9 at f/1.4.
     """
     import dasim
-    from dasim.simulation import rendering
+    from dasim.simulation import exact, rendering
     from dasim.simulation.simulate import prepare
 
     camera = dasim.cropped(dasim.load_camera("bayer-mobile"), 48, 36)
@@ -217,7 +217,7 @@ def test_the_variate_of_a_fast_lens_has_no_mean(jit, f_number):
         pass
 
     view = prepare(dasim.load_scene("siemens-star"), camera, None, None, silent)
-    sharp = rendering.sharp_pictures(view, rendering.Sampling(32, 0.25, 50.0, 0), silent)
+    sharp = exact.sharp_pictures(view, rendering.Sampling(32, 0.25, 50.0, 0), silent)
     assert sharp.controls[0] is not None
     spp = np.full((1, 1), 32)
     found = [rendering.stop_picture(view, sharp, 0, sharp.field, spp, seed, silent).variate for seed in range(100, 108)]

@@ -13,7 +13,7 @@ from dasim.camera import specification as cameras
 from dasim.camera.crosstalk import electronic_crosstalk
 from dasim.camera.noise import Exposure
 from dasim.camera.specification import Camera
-from dasim.simulation import rendering
+from dasim.simulation import exact as exact_pictures
 from dasim.simulation.checks import diffraction_model
 from dasim.simulation.simulate import simulate
 from dasim.spectra.grid import CHANNELS
@@ -385,7 +385,7 @@ def test_exact_pictures_have_more_samples_where_they_are_noisy(make_scene, da_mo
         ]
 
     ours = noise_of()
-    monkeypatch.setattr(rendering, "allotted_spp", lambda pilots, mean: np.full((2, 72, 96), int(mean / 2)))
+    monkeypatch.setattr(exact_pictures, "allotted_spp", lambda pilots, mean: np.full((2, 72, 96), int(mean / 2)))
     even = noise_of()
     assert (np.array(ours) < [even[0], 0.8 * even[1]]).all(), (ours, even)
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 
 import dasim
-from dasim.simulation import rendering
+from dasim.simulation import exact
 from validation.claims.cost import fewer_rays
 from validation.claims.table import CLAIMS
 from validation.gates.limits import GATES, judged_all, load_gates
@@ -39,19 +39,19 @@ def test_the_means_are_the_same(failed):
 
 @pytest.mark.slow
 def test_an_expectation_that_is_off_fails(failed, monkeypatch):
-    true = rendering.sharp_pictures
+    true = exact.sharp_pictures
 
     def off(*arguments):
         sharp = true(*arguments)
         controls = [control and replace(control, expected=0.9 * control.expected) for control in sharp.controls]
         return replace(sharp, controls=controls)
 
-    monkeypatch.setattr(rendering, "sharp_pictures", off)
+    monkeypatch.setattr(exact, "sharp_pictures", off)
     assert "bias.p.G" in failed()
 
 
 @pytest.mark.slow
 def test_rays_without_a_control_variate_are_not_fewer(failed, monkeypatch):
-    true = rendering.sharp_pictures
-    monkeypatch.setattr(rendering, "sharp_pictures", lambda *arguments: fewer_rays._without(true(*arguments)))
+    true = exact.sharp_pictures
+    monkeypatch.setattr(exact, "sharp_pictures", lambda *arguments: fewer_rays._without(true(*arguments)))
     assert "ratio.default.desk" in failed()

@@ -12,7 +12,7 @@ from dasim.camera.noise import Exposure
 from dasim.camera.sensor import channels
 from dasim.scene.mitsuba_scene import MitsubaScene
 from dasim.scene.specification import Scene
-from dasim.simulation import adaptive_sampling, rendering, rendering_noise
+from dasim.simulation import adaptive_sampling, exact, rendering, rendering_noise
 from dasim.simulation.rendering import LensPicture, Sampling, SharpPictures, View
 from dasim.simulation.simulate import prepare
 from dasim.typing import FloatArray, ShareDone
@@ -121,7 +121,7 @@ def _view(scene: Scene | MitsubaScene, size_px: tuple[int, int]) -> View:
 
 
 def _sharp(view: View, sampling: Sampling) -> SharpPictures:
-    return rendering.sharp_pictures(view, sampling, _quiet)
+    return exact.sharp_pictures(view, sampling, _quiet)
 
 
 def _without(sharp: SharpPictures) -> SharpPictures:

@@ -1,0 +1,157 @@
+"""The exact pictures of a view: through a pinhole, and through the lens with every depth in focus.
+
+Tested in tests/dasim/simulation/test_simulate.py.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dasim.camera import radiometry, wavefront
+from dasim.camera import sensor as sensors
+from dasim.camera import specification as cameras
+from dasim.camera.rings import at_pixels, rings
+from dasim.camera.specification import Camera
+from dasim.render import passes
+from dasim.render.control_variate import Control, Fine
+from dasim.simulation import rendering_noise
+from dasim.simulation.adaptive_sampling import allotted_spp
+from dasim.simulation.checks import check_finite
+from dasim.simulation.rendering import (
+    IN_FOCUS,
+    SHARP,
+    Sampling,
+    SharpPictures,
+    View,
+    glared,
+    irradiance,
+    picture_seed,
+    stop_picture,
+)
+from dasim.simulation.rendering_noise import Picture, Sums
+from dasim.spectra import colour, grid, illuminants
+from dasim.typing import Float32Array, FloatArray, Progress
+
+TWIN = "bayer-mobile"  # the camera whose colours ``sharp_srgb`` has
+SHARP_SPP = 32  # of the pinhole picture, which has no lens to sample
+FOCUS_SPP = 4  # per stop of each picture of the pilot in focus; in ``scalar_spectral`` of all there is
+MORE_FOCUS_SPP = 8.0  # of the further pair together, mean over the pixels
+
+
+@dataclass(frozen=True)
+class ExactPictures:
+    """The truth of a capture's picture: without blur, and with that of the lens in focus."""
+
+    sharp: NDArray[Any]  # [h, w, channel] through a pinhole, mean electrons per second
+    srgb: Float32Array  # [h, w, 3] the same of a Bayer camera without near-infrared, see :func:`srgb`
+    focus: NDArray[Any]  # [h, w, channel] what the open lens would show with every depth in focus
+
+
+def exact_pictures(view: View, sharp: SharpPictures, seed: int, progress: Progress) -> ExactPictures:
+    """The exact pictures, with more samples where a pilot of the picture in focus is noisy: on gloss, glass and fine
+    texture.
+
+    Through a lens without diffraction, aberrations and glare, the picture in focus is that through a pinhole.
+    """
+    perfect = wavefront.is_perfect(view.camera)
+    if view.diffraction == "off" and perfect and not any(stop.glare_share for stop in view.camera.stops):
+        rate = sharp.rate.astype(float) * view.light_level
+        return ExactPictures(rate, _twin_srgb(view, sharp.twin), rate)
+    in_focus = replace(sharp, controls=_controls(view, sharp.fine, sharp.field, in_focus=True))
+
+    def picture(number: int, index: int, spp: NDArray[np.int64]) -> Picture:
+        own, label = picture_seed(seed, index, IN_FOCUS), f", in focus, picture {index + 1}"
+        ratios = stop_picture(view, in_focus, number, sharp.field, spp, own, progress, label, in_focus=True)
+        arrays: list[Any] = [each[None] for each in ratios]
+        return Picture(spp[None], *arrays)
+
+    def pilot(number: int) -> Sums:
+        first, second = picture(number, 0, few), picture(number, 1, few)
+        sums = rendering_noise.no_pairs(first)
+        rendering_noise.add(sums, first, second)
+        return sums
+
+    is_scalar, stops = view.variant.startswith("scalar"), range(len(view.camera.stops))
+    few = np.full((1, 1), 2 * FOCUS_SPP) if is_scalar else np.full(view.blur_px.shape, FOCUS_SPP)
+    parts = [pilot(number) for number in stops]
+    rate, twin = (part.astype(float) for part in (sharp.rate, sharp.twin))
+    if not is_scalar:
+        more = allotted_spp(parts, MORE_FOCUS_SPP)
+        for number in stops:
+            rendering_noise.add(parts[number], picture(number, 2, more[number]), picture(number, 3, more[number]))
+        rate, twin = _with_more(view, sharp, more.max(axis=0), seed, progress)
+
+    def of_stop(number: int) -> tuple[FloatArray, NDArray[Any]]:
+        return rendering_noise.measured(parts[number]).rate[0], np.zeros((), np.float32)
+
+    focus = glared(view.camera, of_stop)[0] * view.light_level
+    check_finite(view.scene, focus, view.objects_at)
+    return ExactPictures(rate * view.light_level, _twin_srgb(view, twin), focus)
+
+
+def _with_more(
+    view: View, sharp: SharpPictures, spp: NDArray[np.int64], seed: int, progress: Progress
+) -> tuple[FloatArray, FloatArray]:
+    """The pictures through a pinhole, of the camera and of its twin, with ``spp`` samples more, [h, w]; at the light
+    level of ``View.world``.
+    """
+    twin, report = cameras.load_camera(TWIN), partial(progress, "rendering the pinhole picture, picture 2")
+    sampling = passes.Sampling(spp, picture_seed(seed, 1, SHARP), report)
+    more = passes.pinhole_pass(view.world.scene, view.camera, sampling, sharp.field, twin)
+    check_finite(view.scene, more, view.objects_at)
+    share, own = (spp / (SHARP_SPP + spp))[..., None], sharp.rate.shape[-1]
+    rate, of_twin = (
+        known + share * (new - known) for known, new in ((sharp.rate, more[..., :own]), (sharp.twin, more[..., own:]))
+    )
+    return rate, of_twin
+
+
+def sharp_pictures(view: View, sampling: Sampling, progress: Progress) -> SharpPictures:
+    """Render through a pinhole, for the camera and its Bayer twin in one pass, and prepare the control variates."""
+    twin = cameras.load_camera(TWIN)
+    scene, camera = view.world.scene, view.camera
+    seed, report = picture_seed(sampling.seed, 0, SHARP), partial(progress, "rendering the pinhole picture")
+    field = irradiance(view, sampling, 0)
+    sharp = passes.sharp_pass(
+        scene,
+        camera,
+        passes.Sampling(SHARP_SPP, seed, report),
+        field,
+        twin,
+        diffraction=view.diffraction,
+        max_blur_px=view.reach_px,
+    )
+    check_finite(view.scene, sharp.rate, view.objects_at)
+    channels = len(sensors.channels(camera.sensor))
+    rate, of_twin = (part.astype(np.float32) for part in np.split(sharp.rate, [channels], axis=-1))
+    return SharpPictures(rate, of_twin, field, _controls(view, sharp.fine, field), sharp.fine)
+
+
+def _controls(view: View, fine: dict[str, Fine] | None, field: Any, *, in_focus: bool = False) -> list[Control | None]:
+    """The control variate of each stop."""
+    return [
+        passes.control_of(
+            view.world.scene, view.camera, stop, fine, max_blur_px=view.reach_px, field=field, in_focus=in_focus
+        )
+        for stop in view.camera.stops
+    ]
+
+
+def _twin_srgb(view: View, rate: NDArray[Any]) -> Float32Array:
+    return srgb(rate, view.camera, cameras.load_camera(TWIN), view.illuminant)
+
+
+def srgb(rate: NDArray[Any], camera: Camera, twin: Camera, illuminant: str) -> Float32Array:
+    """Picture in sRGB, 0..1, from electrons [h, w, 3] of a camera without near-infrared, white-balanced for the
+    illuminant on each ring of the frame of ``camera``.
+    """
+    power, (angles, place) = illuminants.illuminant(illuminant), rings(camera, twin)
+    matrix = colour.fitted_matrix(radiometry.response(twin), power)
+    white = np.stack([grid.integrate(radiometry.response(twin, angle) * power) for angle in angles])
+    linear = (rate * at_pixels(white[0] / white, place)).astype(np.float32)
+    return colour.to_srgb(linear, matrix, colour.exposure_scale(linear, matrix))
