@@ -145,16 +145,11 @@ def _measured_bank(
 def _check_bank_output(out: Path) -> None:
     """Raise InputError if the output exists and is not a bank."""
     from dasim.files.banks import load_bank
+    from dasim.files.folders import check_output_file
 
-    if out.is_dir():
-        raise InputError(f"output {out}: is a folder; a bank is one .npz file")
-    if out.exists():
+    if out.is_file():
         try:
             load_bank(out)
         except InputError:
             raise InputError(f"output {out}: exists and is no PSF bank; choose another name") from None
-    for parent in out.resolve().parents:
-        if parent.exists():
-            if not parent.is_dir():
-                raise InputError(f"output {out}: {parent} is a file, not a folder")
-            break
+    check_output_file(out)

@@ -5,7 +5,6 @@ Tested in tests/dasim/cli/test_options.py and tests/dasim/cli/test_render.py.
 
 from __future__ import annotations
 
-import os
 import re
 import sys
 import time
@@ -149,13 +148,17 @@ def out_of(name: str, ending: str = "") -> str:
 
 def check_file(option: str, file: Path | None, *endings: str) -> list[str]:
     """What is wrong with a file that shall be written, replacing an earlier one: nothing, or one text."""
+    from dasim.files.folders import check_output_file
+
     if file is None:
         return []
     folder = file.resolve().parent
     if file.suffix.lower() not in endings or file.is_dir() or not folder.is_dir():
         return [f"{option} {file}: is not a file named *{' or *'.join(endings)} in a folder that exists"]
-    if not os.access(file if file.exists() else folder, os.W_OK):
-        return [f"{option} {file}: cannot be written there"]
+    try:
+        check_output_file(file)
+    except InputError as error:
+        return [f"{option}: {error}"]
     return []
 
 
@@ -165,11 +168,14 @@ def names(texts: list[str] | None) -> list[str]:
 
 
 def check_new_file(path: Path, option: str) -> None:
-    """Raise InputError if a file to be written exists already or its folder does not, before the work begins."""
+    """Raise InputError if a file exists already or cannot be written, before the work begins."""
+    from dasim.files.folders import check_output_file
+
     if path.exists():
         raise InputError(f"{option} {path}: exists; choose another name")
     if not path.resolve().parent.is_dir():
         raise InputError(f"{option} {path}: the folder {path.resolve().parent} does not exist")
+    check_output_file(path)
 
 
 def size(text: str) -> tuple[int, int]:

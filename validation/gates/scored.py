@@ -12,6 +12,7 @@ from typing import Any
 
 from dasim.base import atomic
 from dasim.base.errors import InputError
+from dasim.files.folders import check_output_file
 from validation.gates.claim import Claim, plain_value
 from validation.gates.junit import write_junit
 from validation.gates.limits import judged_all, load_gates
@@ -60,6 +61,7 @@ def check_score_files(json_file: Path | None, junit: Path | None) -> None:
             continue
         if not out.parent.is_dir():
             raise InputError(f"{option} {out}: {out.parent} is no folder")
+        check_output_file(out)
         if out.exists() and not (_is_score(out) if option == "--json" else _is_junit(out)):
             raise InputError(f"{option} {out}: exists and is no earlier score; choose another name")
 

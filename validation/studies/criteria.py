@@ -243,12 +243,13 @@ def farthest_m(camera: Camera) -> float:
 def blurs_between(camera: Camera, near_m: float, far_m: float, count: int) -> FloatArray:
     """Visible blurs in px, evenly spaced in dioptres, over a range of depths on the near side of the focus, [count].
 
-    Raises InputError for a range that reaches beyond :func:`farthest_m`.
+    Raises InputError for a range that reaches beyond :func:`farthest_m`, or into the focal length.
     """
-    last_m = farthest_m(camera)
-    if not 0 < near_m < far_m or far_m > last_m * (1 + ROUNDING):
+    last_m, first_m = farthest_m(camera), camera.lens.focal_length_mm / 1e3
+    if not first_m < near_m < far_m or far_m > last_m * (1 + ROUNDING):
         raise InputError(
-            f"depths {100 * near_m:g} to {100 * far_m:g} cm: must rise and lie on the near side of the focus, "
+            f"depths {100 * near_m:g} to {100 * far_m:g} cm: must rise from above the focal length, "
+            f"{100 * first_m:.3g} cm, and lie on the near side of the focus, "
             f"{100 * camera.lens.focus_distance_m:g} cm, up to {100 * last_m:.4g} cm, where the blur is "
             f"{NEAREST_BLUR_PX:g} px"
         )

@@ -29,6 +29,22 @@ def test_output_that_is_a_file_is_refused(refused, command):
     refused(*command, "mine.toml/new", message_part=("mine.toml/new", "folder"))
 
 
+@pytest.mark.parametrize(
+    "command",
+    [
+        ("score", "result", "shot", "--json", "/proc/score.json"),
+        ("score", "result", "shot", "--junit", "/proc/score.xml"),
+        ("calibrate", "--out", "/proc/bank.npz"),
+        ("calibrate", "--out", "mine.toml/bank.npz"),
+        ("validate", "--quick", "--seeds", "2", "--propose-gates", "/proc/gates.toml"),
+    ],
+    ids=lambda command: f"{command[0]} {command[-2]}",
+)
+def test_a_file_that_cannot_be_written_is_refused_before_the_work(refused, command):
+    """Rationale: folders that permissions allow can be read-only all the same, such as /proc to root."""
+    refused(*command, message_part=(command[-1], "is not a folder that can be written to"))
+
+
 @each_writer
 @pytest.mark.parametrize("extra", [None, "meta.json", "results.json"])
 def test_folder_with_foreign_files_is_never_touched(refused, here, command, extra):

@@ -49,6 +49,8 @@ def test_the_focus_is_that_of_the_file(tmp_path, capsys):
         (("--far-cm", "30"), ("5 to 30 cm", "up to 27.8")),
         (("--near-cm", "20", "--far-cm", "10"), ("20 to 10 cm", "must rise")),
         (("--focus", "0.05"), ("focused at 0.05 m", "--near-cm")),
+        (("--near-cm", "0.3"), ("0.3 to 24 cm", "above the focal length, 0.36 cm")),
+        (("--json", "/proc/bound.json"), ("--json", "/proc is not a folder that can be written to")),
         (("--json", "no/bound.json"), ("--json no/bound.json", "folder")),
     ],
 )
