@@ -12,6 +12,7 @@ import numpy as np
 from dasim.base.errors import InputError
 from dasim.camera import noise
 from dasim.loading import as_scene
+from dasim.scene.lights import Daylight
 from dasim.scene.mitsuba_scene import MitsubaScene
 from dasim.scene.specification import Scene
 from dasim.simulation.exposure import Shot, expose
@@ -24,13 +25,19 @@ LONGEST_S, MOST_GAIN = 1 / 30, 16.0  # of a hand-held picture
 def lit_by(scene: Scene | MitsubaScene | str | Path, illuminant: str) -> Scene:
     """The scene with one illuminant in all of its lights, at unchanged lux.
 
-    ``scene`` may be given by name or path, but not as a Mitsuba scene; ``illuminant`` is a name such as ``"D65"`` or
-    ``"A"``.
+    ``scene`` may be given by name or path, but not as a Mitsuba scene, nor with a light of the kind ``daylight``, whose
+    spectrum follows from the sun's elevation; ``illuminant`` is a name such as ``"D65"`` or ``"A"``. Raises InputError
+    otherwise.
     """
     scene = as_scene(scene)
     if isinstance(scene, MitsubaScene):
         raise InputError(f"scene '{scene.name}': the lights of a Mitsuba scene are its file's; see 'illuminant'")
     illuminants.illuminant(illuminant)
+    if any(isinstance(item, Daylight) for item in scene.lights):
+        raise InputError(
+            f"scene '{scene.name}': the spectrum of a light of kind 'daylight' is that of sun and sky; "
+            "use the kinds 'sun' and 'sky' for another illuminant"
+        )
     lights = tuple(item.model_copy(update={"illuminant": illuminant}) for item in scene.lights)
     return scene.model_copy(update={"name": f"{scene.name}:{illuminant}", "lights": lights})
 

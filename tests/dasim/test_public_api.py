@@ -194,6 +194,14 @@ def test_lit_by_changes_the_illuminant_alone():
     assert [light.lux for light in scene.lights] == [light.lux for light in SCENE.lights]
 
 
+def test_lit_by_refuses_daylight_whose_spectrum_it_cannot_change():
+    """Rationale: a study would have called pictures in daylight those under an incandescent lamp."""
+    sun = {"kind": "daylight", "lux": 10000, "elevation_deg": 40}
+    outdoors = dasim.Scene.model_validate(SCENE.model_dump() | {"lights": [sun]})
+    with pytest.raises(InputError, match=r"'desk': .* 'daylight' .* use the kinds 'sun' and 'sky'"):
+        dasim.lit_by(outdoors, "A")
+
+
 def test_describe_names_every_stop():
     text = dasim.describe("da-mobile")
     assert all(stop.name in text for stop in CAMERA.stops) and f"{CAMERA.lens.f_number:g}" in text

@@ -17,7 +17,7 @@ from dasim.base.toml import parse_toml
 from dasim.camera import radiometry
 from dasim.camera import sensor as sensors
 from dasim.camera.specification import Camera
-from dasim.spectra import illuminants
+from dasim.simulation.relight import lit_by
 from recon.picture import mosaic
 from validation.methods import function
 from validation.studies.sweep.designs import camera_of, method_of, scene_of, settings_of, with_methods
@@ -27,7 +27,8 @@ OTHERS = ("sweep", "bound", "shape")  # commands of ``dasim study`` beside the n
 BUNDLED = Path(__file__).parents[1] / "bundled"
 LEAST_SHARE = 1e-3  # least share of a channel's light that passes a stop which counts as open
 # Groups of parameters whose combinations have to be checked; every other parameter is checked alone.
-TOGETHER = (("camera", "disc_edge_nm", "focus_m", "mosaic"), ("scene", "distance_cm"))
+OF_SCENE = ("distance_cm", "light.illuminant")  # that some scenes do not allow
+TOGETHER = (("camera", "disc_edge_nm", "focus_m", "mosaic"), ("scene", *OF_SCENE))
 PLAIN = {
     "scene": "a bundled scene or a file",
     "camera": "a bundled camera or a file",
@@ -116,7 +117,7 @@ def _design_problems(spec: StudySpec) -> list[str]:
     """Mistakes in the designs: first those of single values, whose messages are shortest, then of combinations."""
     problems = _base_problems(spec)
     for key, values in spec.parameters.items() if not problems else ():
-        scene = {"scene": spec.parameters["scene"][0]} if key == "distance_cm" and "scene" in spec.parameters else {}
+        scene = {"scene": spec.parameters["scene"][0]} if key in OF_SCENE and "scene" in spec.parameters else {}
         for value in values:
             problems += _point_problems(spec, {**scene, key: value})
     if not problems:
@@ -176,7 +177,7 @@ def _point_problems(spec: StudySpec, point: dict[str, Value]) -> list[str]:
         settings_of(spec, point)
         function(method_of(spec, point))
         if "light.illuminant" in point:
-            illuminants.illuminant(str(point["light.illuminant"]))
+            lit_by(scene_of(spec, point), str(point["light.illuminant"]))
         for key, low, high in (
             ("stereo.baseline_mm", 0.1, 1000.0),
             ("light.lux", 1e-3, 1e6),
