@@ -288,3 +288,16 @@ def test_wavelengths_of_a_pixel_have_no_bias_and_little_noise(make_scene, loaded
         assert abs(error.mean()) < 4 * error.std() / 64 + 1e-7
         assert error.std() == pytest.approx(curvature / (np.sqrt(45) * count**2), rel=0.1, abs=1e-6)
     np.testing.assert_allclose(np.histogram(places[:, 0] * count % 1, 8, (0, 1))[0], 512, atol=4 * np.sqrt(448))
+
+
+@pytest.mark.parametrize("counts", [[16] * 5, [32] * 5, [112] * 5, [128] * 5, [8, 24, 16], [3, 3, 3]])
+def test_sums_of_pixels_are_those_of_their_rays(jit, counts):
+    """Set-up: as many rays of every pixel, in one chunk, few or many, or different numbers."""
+    import mitsuba as mi
+
+    counts = np.array(counts)
+    values = np.random.default_rng(1).random(counts.sum()).astype(np.float32)
+    chunk = int(np.gcd.reduce(np.append(counts, ray_block.MOST_CHUNK)))
+    block = ray_block.Block(slice(0, len(counts)), counts, chunk, *[None] * 6, 0)
+    each = np.split(values.astype(float), np.cumsum(counts)[:-1])
+    np.testing.assert_allclose(block.sums(mi.Float(plugin.aligned(values))), [part.sum() for part in each], rtol=1e-6)
