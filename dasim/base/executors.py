@@ -29,6 +29,9 @@ RAY_TRIES = 3
 RAY_ERROR_LENGTH = 300  # characters of a message of Ray that are shown
 STOP_S = 5.0  # time that a process has to end before it is killed
 POLL_S = 0.5
+# Processes that share a graphics card by default: a capture keeps the card busy for 2 % of its time, and the host for
+# the rest (docs/start.md). Each is planned to take 1 GB of the card and its context.
+PER_CARD = 4
 ONE_THREAD = {  # for linear algebra: sums over several threads may differ in their last bits
     name: "1" for name in ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS", "NUMBA_NUM_THREADS")
 }
@@ -71,7 +74,7 @@ def local(processes: int, work: Work, *, gpu: bool = False) -> Executor:
     Args:
         processes: number of processes.
         work: function of a job and an index.
-        gpu: whether each process uses one graphics card; the cards are assigned in turn.
+        gpu: whether each process uses a graphics card; the cards are assigned in turn.
     """
 
     def run(job: Any, queue: deque[int]) -> Generator[Outcome]:
@@ -182,7 +185,7 @@ def ray(address: str, work: Work, *, gpu: bool = False) -> Executor:
     Args:
         address: ``auto`` for the cluster of this computer or of the variable RAY_ADDRESS, or ``ray://host:port``.
         work: function of a job and an index.
-        gpu: whether the work on an index needs a graphics card.
+        gpu: whether the work on an index needs a graphics card, which ``PER_CARD`` processes share.
     """
     try:
         import ray as engine
@@ -202,7 +205,7 @@ def ray(address: str, work: Work, *, gpu: bool = False) -> Executor:
     def run(job: Any, queue: deque[int]) -> Generator[Outcome]:
         task = engine.remote(
             num_cpus=1,
-            num_gpus=int(gpu),
+            num_gpus=1 / PER_CARD if gpu else 0,
             max_retries=RAY_TRIES - 1,
             max_calls=0,  # a process works on many indices, and compiles its kernels once
             runtime_env={"env_vars": ONE_THREAD},

@@ -51,7 +51,7 @@ def make(
         out: a folder, out/NAME by default, or an fsspec address such as s3://bucket/folder
         first: make the first samples alone, each as it is among all
         dry_run: print the plan and an estimate of its cost from three small renders, without making samples
-        jobs: processes of the local executor; by default one per graphics card, or one per core
+        jobs: processes of the local executor; by default four per graphics card, or one per core
         executor: local, or ray for the nodes of a Ray cluster (needs the extra 'cluster')
         address: address of Ray: auto, or ray://host:port
         shard: K/N makes the K-th of N parts of the shards, for batch schedulers; the last to end finishes the dataset
@@ -283,11 +283,15 @@ def _part(text: str) -> tuple[int, int]:
 
 
 def processes_of(jobs: int | None, gpus: int | None = None) -> int:
-    """Number of processes: ``jobs``, or else one per graphics card, or one per core."""
+    """Number of processes: ``jobs``, or else :data:`executors.PER_CARD` per graphics card but at most one per core, or
+    one per core.
+    """
+    from dasim.base import executors
+
     if jobs is not None and jobs < 1:
         raise InputError(f"--jobs {jobs}: must be 1 or more")
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    return jobs or gpus or cores
+    return jobs or (cores if gpus is None else max(gpus, min(executors.PER_CARD * gpus, cores)))
 
 
 @contextmanager

@@ -55,7 +55,7 @@ def sweep(
         quick: measure only the study's most informative points
         method: a further depth method for the parameter recon.preset: a bundled name, or your function as
             package.module:function or file.py:function
-        jobs: processes of the local executor; by default one per graphics card, or one per core
+        jobs: processes of the local executor; by default four per graphics card, or one per core
         executor: local, or ray for a cluster (extra 'cluster')
         address: address of Ray: auto, or ray://host:port
         variant: Mitsuba variant, auto by default

@@ -14,7 +14,7 @@ from tests.support.datasets import inline
 def test_one_process_per_graphics_card(monkeypatch):
     """Set-up: three processes, of which only the variables are made, where two cards may be used.
 
-    Expectation: each has one card, in turn; the commands start as many processes as there are cards.
+    Expectation: each has one card, in turn; the commands start four processes per card, but at most one per core.
     """
     seen: list[str] = []
 
@@ -32,5 +32,7 @@ def test_one_process_per_graphics_card(monkeypatch):
         executors._start(None, place, inline, gpu=True)
     assert seen == ["2", "5", "2"]
     assert os.environ["CUDA_VISIBLE_DEVICES"] == "2,5"
-    assert processes_of(None, len(executors.gpus())) == 2
+    for cores, processes in ((1, 2), (6, 6), (64, 2 * executors.PER_CARD)):
+        monkeypatch.setattr(os, "sched_getaffinity", lambda pid, cores=cores: set(range(cores)), raising=False)
+        assert processes_of(None, len(executors.gpus())) == processes
     assert processes_of(3, len(executors.gpus())) == 3
