@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 from dasim.base.errors import InputError
 from dasim.cli import options
-from dasim.cli.options import AnyOut, Whole
+from dasim.cli.options import AnyOut, Whole, seconds
 from dasim.typing import Progress
 
 if TYPE_CHECKING:
@@ -102,14 +102,8 @@ def exposures_of(kept: Exposure, time: str | None, gain: float | None) -> list[E
     automatic = kept.model_dump() | {"time_s": None, "gain": gain}
     if time is None:
         return [parse(Exposure, automatic | {"time_s": kept.time_s}, "--gain")]
-    data = [automatic if text == "auto" else {"time_s": _seconds(text), "gain": gain} for text in time.split(",")]
+    data = [
+        automatic if text == "auto" else {"time_s": seconds("--time", text, "auto"), "gain": gain}
+        for text in time.split(",")
+    ]
     return [parse(Exposure, one, "--time, --gain") for one in data]
-
-
-def _seconds(text: str) -> float:
-    """A time from text such as 0.02 or 1/60."""
-    above, slash, below = text.partition("/")
-    try:
-        return float(above) / (float(below) if slash else 1.0)
-    except (ValueError, ZeroDivisionError):
-        raise InputError(f"--time '{text}' is no time; seconds such as 0.02 or 1/60, or auto, are allowed") from None

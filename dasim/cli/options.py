@@ -123,6 +123,7 @@ def samples(kind: Any, tokens: Any) -> int | str:
         raise InputError(f"{error} or auto") from None
 
 
+Seconds = Annotated[str, Parameter(allow_leading_hyphen=True)]  # see :func:`seconds`
 Size = Annotated[str, Parameter(allow_leading_hyphen=True)]  # so that -8x8 is understood, and refused
 Whole = Annotated[int, Parameter(converter=whole)]
 Out = Annotated[Path, Parameter(name="--out")]
@@ -184,6 +185,16 @@ def size(text: str) -> tuple[int, int]:
     if not all(number.isascii() and number.isdecimal() and len(number) < 10 for number in (width, height)):
         raise InputError(f"--size {shortened(text)} is not of the form WxH with whole numbers above 0, such as 768x576")
     return int(width), int(height)
+
+
+def seconds(option: str, text: str, *others: str) -> float:
+    """A time in seconds from text such as 0.02 or 1/60; ``others`` are what the option allows besides."""
+    above, slash, below = text.partition("/")
+    try:
+        return float(above) / (float(below) if slash else 1.0)
+    except (ValueError, ZeroDivisionError):
+        allowed = ", or ".join(("seconds such as 0.02 or 1/60", *others))
+        raise InputError(f"{option} {shortened(text)} is no time; {allowed}, are allowed") from None
 
 
 def place(option: str, text: str) -> tuple[float, float]:

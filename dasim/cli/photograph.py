@@ -27,7 +27,7 @@ def render(
     noise_share: float | None = None,
     noise_at: float | None = None,
     independent_mean: Annotated[bool, Parameter(negative="")] = False,
-    exposure: float | None = None,
+    exposure: options.Seconds | None = None,
     diffraction: str | None = None,
     noise: str | None = None,
     variant: str | None = None,
@@ -53,7 +53,7 @@ def render(
             in twenty has more rendering noise
         independent_mean: give mean_e samples of its own, so that its rendering noise is independent of that of raw.png;
             takes about twice as long
-        exposure: exposure time in seconds; automatic by default
+        exposure: exposure time in seconds, such as 0.02 or 1/60; automatic by default
         diffraction: wave, airy or off
         noise: your own noise model, package.module:function or file.py:function, such as examples/noise_model.py
         variant: Mitsuba variant: auto, cuda_ad_spectral, llvm_ad_spectral or scalar_spectral
@@ -93,7 +93,9 @@ def render(
     chosen_options: dict[str, Any] = {} if spp is None else {"spp": spp}
     if noise is not None:
         chosen_options["noise"] = load_function(noise, "noise model")
-    times = exposure_drawn if exposure is None else parse(dasim.Exposure, {"time_s": exposure}, "--exposure")
+    times = exposure_drawn
+    if exposure is not None:
+        times = parse(dasim.Exposure, {"time_s": options.seconds("--exposure", exposure)}, "--exposure")
     check_camera(view, backend.choose(variant).variant)
     options.say_variant(variant)
     with options.progress() as progress:

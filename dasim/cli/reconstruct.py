@@ -27,7 +27,7 @@ def recon(
     out: Path | None = None,
     camera: str | None = None,
     format_: Annotated[str | None, Parameter(name="--format")] = None,
-    exposure: float | None = None,
+    exposure: options.Seconds | None = None,
     gain: float | None = None,
     focus: float | None = None,
     bank: Path | None = None,
@@ -47,7 +47,8 @@ def recon(
             sets the frame's size
         format_: for a raw file: raw10 or raw12 (MIPI packing) or raw16 (little-endian), all without header and in the
             camera's size; left-aligned for PNG, TIFF or NPY values shifted up to 16 bits
-        exposure: for a raw file, exposure time in seconds, for the dark signal; 0.01 by default, or that of a DNG
+        exposure: for a raw file, exposure time in seconds, such as 0.02 or 1/60, for the dark signal; 0.01 by default,
+            or that of a DNG
         gain: for a raw file, analogue gain relative to the camera's; 1 by default, or that of a DNG that dasim wrote
         focus: for a raw file, focus distance in metres; the camera's by default
         bank: a PSF bank; by default one is calibrated for the camera and focus of the capture and stored in the cache
@@ -81,8 +82,9 @@ def recon(
         if model is None:
             raise InputError("--focus: applies to raw files with --camera; a capture folder contains its focus")
         model = dasim.refocused(model, focus)
+    time_s = None if exposure is None else options.seconds("--exposure", exposure)
     shot, even = (
-        None if path is None else load_input(path, model, kind=format_, exposure_s=exposure, gain=gain)
+        None if path is None else load_input(path, model, kind=format_, exposure_s=time_s, gain=gain)
         for path in (capture, flat)
     )
     assert shot is not None

@@ -65,7 +65,7 @@ def files(folder: Path) -> dict[str, bytes]:
 
 @pytest.mark.parametrize(
     ("rendered", "exposed"),
-    [([], []), (["--exposure", "0.001"], ["--time", "1/1000"]), (["--exposure", "0.3"], ["--time", "0.3"])],
+    [([], []), (["--exposure", "1/1000"], ["--time", "0.001"]), (["--exposure", "0.3"], ["--time", "0.3"])],
     ids=["unchanged", "short", "saturated"],
 )
 def test_files_are_those_of_a_rendering(here, rendered, exposed):
