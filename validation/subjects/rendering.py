@@ -57,6 +57,14 @@ def activate() -> str:
     return choice.variant
 
 
+def block_means(pictures: FloatArray, block_px: int) -> FloatArray:
+    """Means over square blocks of ``block_px`` of pictures [..., h, w, channel]; incomplete blocks are left out."""
+    *before, height, width, channels = pictures.shape
+    rows, columns = height // block_px, width // block_px
+    whole = pictures[..., : rows * block_px, : columns * block_px, :]
+    return np.asarray(whole.reshape(*before, rows, block_px, columns, block_px, channels).mean(axis=(-4, -2)))
+
+
 def needs_wave() -> None:
     """Activate the renderer; raise NotRun if it has no wave-true blur."""
     if activate().startswith("scalar"):

@@ -224,7 +224,7 @@ def _costs(name: str, points: dict[str, list[Point]]) -> list[Figure]:
 
 def _agreement(name: str, ours: FloatArray, theirs: FloatArray) -> list[Figure]:
     """Differences of the mean pictures [h, w, channel], of blocks and as a whole."""
-    difference = _blocks(ours) / _blocks(theirs) - 1
+    difference = rendering.block_means(ours, BLOCK_PX) / rendering.block_means(theirs, BLOCK_PX) - 1
     figures = []
     for channel, colour in enumerate(CHANNELS[:3]):
         worst = float(np.abs(difference[..., channel]).max())
@@ -234,13 +234,6 @@ def _agreement(name: str, ours: FloatArray, theirs: FloatArray) -> list[Figure]:
         text = f"{name}, {colour}: relative difference of the picture's mean from Cycles'"
         figures.append(Figure(f"{name}.difference.mean.{colour}", mean, "1", text))
     return figures
-
-
-def _blocks(picture: FloatArray) -> FloatArray:
-    """Means over square blocks of ``BLOCK_PX`` of a picture [h, w, channel]."""
-    height, width = (extent // BLOCK_PX for extent in picture.shape[:2])
-    whole = picture[: height * BLOCK_PX, : width * BLOCK_PX]
-    return whole.reshape(height, BLOCK_PX, width, BLOCK_PX, -1).mean(axis=(1, 3))
 
 
 def _table(name: str, points: dict[str, list[Point]]) -> Table:

@@ -18,7 +18,7 @@ from dasim.simulation.simulate import prepare
 from dasim.typing import FloatArray, ShareDone
 from validation.gates.claim import Evidence
 from validation.scores.figures import Figure
-from validation.subjects.rendering import needs_wave
+from validation.subjects.rendering import block_means, needs_wave
 
 SCENES = ("desk", "flowers")
 RANDOM_SEED, RANDOM_SCENES = 0, 10
@@ -101,8 +101,8 @@ def bias_figures(scene: Scene | MitsubaScene) -> list[Figure]:
     for seed in range(BIAS_SEEDS):
         share, at = TARGETS["default"]
         auto, equal = Sampling("auto", share, at, seed), Sampling(BIAS_SPP, share, at, BIAS_SEEDS + seed)
-        blocks[0].append(_blocks(_picture(view, _sharp(view, auto), auto).rate))
-        blocks[1].append(_blocks(_picture(view, _without(_sharp(view, equal)), equal).rate))
+        blocks[0].append(block_means(_picture(view, _sharp(view, auto), auto).rate, BIAS_BLOCK_PX))
+        blocks[1].append(block_means(_picture(view, _without(_sharp(view, equal)), equal).rate, BIAS_BLOCK_PX))
     p = ttest_ind(*blocks, axis=0, equal_var=False).pvalue
     difference = np.mean(blocks[0], axis=(0, 1, 2)) / np.mean(blocks[1], axis=(0, 1, 2)) - 1
     figures = []
@@ -135,10 +135,3 @@ def _picture(view: View, sharp: SharpPictures, sampling: Sampling) -> LensPictur
 
 def _quiet(stage: str, share: float) -> None:
     """Report no progress."""
-
-
-def _blocks(picture: FloatArray) -> FloatArray:
-    """Means over square blocks of a picture [h, w, channel]."""
-    height, width = (extent // BIAS_BLOCK_PX for extent in picture.shape[:2])
-    whole = picture[: height * BIAS_BLOCK_PX, : width * BIAS_BLOCK_PX]
-    return whole.reshape(height, BIAS_BLOCK_PX, width, BIAS_BLOCK_PX, -1).mean(axis=(1, 3))

@@ -28,7 +28,7 @@ from dasim.scene.specification import Scene
 from dasim.typing import FloatArray, ShareDone
 from validation.gates.claim import Evidence
 from validation.scores.figures import Figure
-from validation.subjects.rendering import NotRun
+from validation.subjects.rendering import NotRun, block_means
 
 CARD, PROCESSOR = "cuda_ad_spectral", "llvm_ad_spectral"
 NAMES = {CARD: "cuda", PROCESSOR: "llvm"}
@@ -64,8 +64,8 @@ def graphics_card(progress: ShareDone) -> Evidence:
     their noise, is one that exchanging pictures between the variants gives, too (a permutation test, since blocks share
     the noise of the irradiance). Times are those of this computer with its present load.
 
-    Limit: p at least 0.001 in each channel and scene; the means of the pictures agree within 0.3 %; both times and the
-    memory are reported without a limit, since cards differ.
+    Limit: p at least 0.001 in each channel and scene; the means of the pictures agree within 0.3 %; times and memory
+    are reported without a limit, since cards differ.
 
     Source: the LLVM variant, which the other claims measure.
     """
@@ -119,7 +119,7 @@ def _rows(runs: dict[str, dict[str, Any]]) -> list[list[str]]:
 def _agreement(scene: str, card: FloatArray, processor: FloatArray) -> list[Figure]:
     """P-values and relative difference of pictures [seed, h, w, channel]."""
     what = scene if not scene.isdigit() else f"random scene {scene}"
-    blocks = _blocks(card), _blocks(processor)
+    blocks = block_means(card, BLOCK_PX), block_means(processor, BLOCK_PX)
     difference = card.mean(axis=(0, 1, 2)) / processor.mean(axis=(0, 1, 2)) - 1
     figures = []
     for channel, colour in enumerate(channels(dasim.load_camera("da-mobile").sensor)):
@@ -129,13 +129,6 @@ def _agreement(scene: str, card: FloatArray, processor: FloatArray) -> list[Figu
         text = f"{what}, {colour}: relative difference of the picture's mean"
         figures.append(Figure(f"agreement.mean.{scene}.{colour}", float(difference[channel]), "1", text))
     return figures
-
-
-def _blocks(pictures: FloatArray) -> FloatArray:
-    """Means over square blocks of pictures [seed, h, w, channel]."""
-    seeds, height, width, count = pictures.shape
-    parts = pictures.reshape(seeds, height // BLOCK_PX, BLOCK_PX, width // BLOCK_PX, BLOCK_PX, count)
-    return parts.mean(axis=(2, 4))
 
 
 def _by_chance(one: FloatArray, other: FloatArray) -> float:

@@ -153,7 +153,7 @@ def interreflection(progress: ShareDone) -> Evidence:
                 passes.stop_pass(loaded, camera, stop, passes.Sampling(samples, seed), field=field)
                 for stop in camera.stops
             ]
-            pictures.append(_blocks(np.sum(parts, axis=0)))
+            pictures.append(rendering.block_means(np.sum(parts, axis=0), LIGHT_BLOCK_PX))
             progress((len(runs) * number + seed + 1) / (len(runs) * len(LIGHT_SCENES)))
         (ours, ours_noise), (traced, traced_noise) = (
             ((first + second) / 2, (first - second) / 2) for first, second in (pictures[:2], pictures[2:])
@@ -171,13 +171,6 @@ def interreflection(progress: ShareDone) -> Evidence:
         share_text = f"{name}: share of the grid's cells that are interpolated"
         figures.append(Figure(f"{name}.interpolated", fields[0].share, "1", share_text))
     return Evidence(figures)
-
-
-def _blocks(picture: FloatArray) -> FloatArray:
-    """Means over square blocks of ``LIGHT_BLOCK_PX`` of a picture [h, w, channel]."""
-    height, width = (extent // LIGHT_BLOCK_PX for extent in picture.shape[:2])
-    whole = picture[: height * LIGHT_BLOCK_PX, : width * LIGHT_BLOCK_PX]
-    return whole.reshape(height, LIGHT_BLOCK_PX, width, LIGHT_BLOCK_PX, -1).mean(axis=(1, 3))
 
 
 # --- speed ---------------------------------------------------------------------------------------

@@ -115,10 +115,5 @@ def _figures(name: str, scene: Scene | MitsubaScene, camera: Camera) -> list[Fig
 
 def _mean(pictures: list[FloatArray]) -> tuple[FloatArray, FloatArray]:
     """Mean of pictures over square blocks of ``BLOCK_PX``, and its standard error, [block, block, channel]."""
-    blocks = np.stack([_blocks(picture) for picture in pictures])
+    blocks = np.stack([rendering.block_means(picture, BLOCK_PX) for picture in pictures])
     return blocks.mean(axis=0), blocks.std(axis=0, ddof=1) / np.sqrt(len(blocks))
-
-
-def _blocks(picture: FloatArray) -> FloatArray:
-    height, width = (extent // BLOCK_PX for extent in picture.shape[:2])
-    return picture.reshape(height, BLOCK_PX, width, BLOCK_PX, -1).mean(axis=(1, 3))
