@@ -23,7 +23,6 @@ from recon.sharp import layers, lost_detail, restoration, sharpen
 
 INTERPOLATED_NOISE_SHARE = 0.7  # noise after interpolation relative to the sensor's, standard deviations
 GRAINY_LEVEL = 3.0  # level from which on eq. (15) is solved for the picture without noise reduction alone
-DRAFT_PASSES = sharpen.PASSES[:2]  # that the network starts from: colours guided by infrared
 # Of a deconvolved picture by levels, kernels and occlusion, relative to bright white: told to deconvolution and network
 # as noise, so that a picture with little noise is not sharpened by whatever level it has. Chosen on ``tune`` with and
 # without a tenth of the noise, where more blurs what is in focus; the network was trained without.
@@ -63,14 +62,15 @@ def all_in_focus(
     if network:
         noise_e = with_model_error(noise_e, stack, frame)
     _soften_in_focus(stack, frame.linear_e, frame.ir_e, frame.level)
-    passes = DRAFT_PASSES if network else sharpen.PASSES if settings.sharpen_guide else sharpen.PLAIN_PASSES
-    sharp = deconvolved(stack, frame, kernels, noise_e, focus, settings, passes, tile_px or layers.TILE_PX)
+    tile = tile_px or layers.TILE_PX
     if network:
-        picture, phases = seen(frame, seen_e, sharp, noise_e), mosaic.phases(frame.camera)
-        sharp_e = restoration.restored(picture, phases, tile_px or restoration.TILE_PX)
+        draft = sharpen.linear(stack, frame.level + np.float32(focus), kernels, noise_e, focus=focus, tile_px=tile)
+        picture, phases = seen(frame, seen_e, draft, noise_e), mosaic.phases(frame.camera)
+        sharp_e = restoration.restored(picture, phases, tile_px or restoration.TILE_PX, settings.sharpen_networks)
         _restore_detail(sharp_e, frame, seen_e, float(bank.blur_px[1]))
         _fade_to_captured(sharp_e, frame)
     else:
+        sharp = _deconvolved(stack, frame, kernels, noise_e, focus, settings, tile)
         sharp_e = np.ascontiguousarray(np.moveaxis(sharp[sharpen.COLOURS], 0, -1))
         _fade_to_captured(sharp_e, frame, np.clip(frame.confidence / CERTAIN, 0, 1))
     return sharp_e
@@ -97,15 +97,14 @@ def _white_e(frame: Frame) -> NDArray:
     return np.append(frame.separation.on_axis @ frame.white, frame.white[3])
 
 
-def deconvolved(
+def _deconvolved(
     stack: Float32Array,
     frame: Frame,
     kernels: Float32Array,
     noise_e: NDArray,
     focus: int,
     settings: Settings,
-    passes: sharpen.Passes,
-    tile_px: int = layers.TILE_PX,
+    tile_px: int,
 ) -> Float32Array:
     """:func:`recon.sharp.sharpen.sharpen` of the channels of a frame by its levels, [4, h, w] electrons.
 
@@ -113,7 +112,8 @@ def deconvolved(
     """
     return sharpen.sharpen(
         stack, frame.level + np.float32(focus), kernels, noise_e, mosaic.sole_phases(frame.camera),
-        steps=settings.sharpen_steps, strength=settings.sharpen_strength, passes=passes, focus=focus,
+        steps=settings.sharpen_steps, strength=settings.sharpen_strength,
+        passes=sharpen.PASSES if settings.sharpen_guide else sharpen.PLAIN_PASSES, focus=focus,
         tile_px=tile_px,
     )  # fmt: skip
 
@@ -172,6 +172,7 @@ def _restore_detail(sharp_e: Float32Array, frame: Frame, stack: Float32Array, px
         variance = (row[index] ** 2 * frame.variances[name] + row[3] ** 2 * infrared).astype(np.float32)
         samples.append(lost_detail.Samples(mosaic.sites(grids[name], frame.level.shape), stack[index], variance))
     lost_detail.restore(sharp_e, samples, frame.level, sd_of(frame.confidence).astype(np.float32), px_per_level)
+    np.maximum(sharp_e, 0, out=sharp_e)  # what the dark lacks may be less than nothing
 
 
 def _fade_to_captured(sharp_e: Float32Array, frame: Frame, certain: Float32Array | None = None) -> None:

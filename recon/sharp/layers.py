@@ -23,9 +23,9 @@ from recon.sharp import deconvolution
 Shape = tuple[int, int]
 
 TILE_PX = 512
-# Around a tile: blended with its neighbours, then a margin, then the strip in which what follows fades into what
-# precedes. Deconvolution depends on more than its kernels' reach of up to 27 px.
-BLEND_PX, MARGIN_PX, STRIP_PX = 24, 48, 48
+# Around a tile: blended with its neighbours, then a margin, then a strip of the margin's width in which what follows
+# fades into what precedes. Deconvolution depends on more than its kernels' reach of up to 27 px.
+BLEND_PX, MARGIN_PX = 24, 48
 STEP_PX = 4  # boxes begin and end at multiples of this: of the mosaic's block and of the blocks of gradients
 KERNEL_SHARE = 0.98  # of a kernel's energy within its reach; the rest is mostly noise of the calibration
 DENSE_LEVELS, SPARSE_STEP = 6, 2  # every level up to here is deconvolved, then every second one
@@ -67,7 +67,7 @@ def levels_of_nodes(levels: int, focus: int = 0) -> list[int]:
     return behind + [focus + step for step in away if step < levels - focus]
 
 
-def parts(position: Float32Array, tile_px: int = TILE_PX) -> list[Part]:
+def parts(position: Float32Array, tile_px: int = TILE_PX, margin_px: int = MARGIN_PX) -> list[Part]:
     """The parts of a frame, in tiles of at most ``tile_px`` per side; neighbouring tiles overlap and are blended.
 
     Those with the same transfer functions follow each other.
@@ -83,7 +83,8 @@ def parts(position: Float32Array, tile_px: int = TILE_PX) -> list[Part]:
             there = np.abs(tile - node) < 1
             if there.any():
                 occurs = np.flatnonzero(there.any(axis=1)), np.flatnonzero(there.any(axis=0))
-                found.append(_part(node, [_trimmed(across, occurs[0]), _trimmed(along, occurs[1])]))
+                sides = _trimmed(across, occurs[0]), _trimmed(along, occurs[1])
+                found.append(_part(node, sides, margin_px))
     return sorted(found, key=lambda part: (part.node, part.shape))
 
 
@@ -120,14 +121,14 @@ def _trimmed(side: _Side, index: NDArray[np.intp]) -> _Side:
     return _Side(slice(side.span.start + kept.start, side.span.start + kept.stop), side.weight[kept])
 
 
-def _part(node: int, sides: Sequence[_Side]) -> Part:
+def _part(node: int, sides: Sequence[_Side], margin_px: int) -> Part:
     boxes, inner = [], []
     for span, _ in sides:
-        start = (span.start - MARGIN_PX) // STEP_PX * STEP_PX
-        stop = -(-(span.stop + MARGIN_PX) // STEP_PX) * STEP_PX
+        start = (span.start - margin_px) // STEP_PX * STEP_PX
+        stop = -(-(span.stop + margin_px) // STEP_PX) * STEP_PX
         boxes.append(slice(start, stop))
         inner.append(slice(span.start - start, span.stop - start))
-    shape = fourier.fast_shape(tuple(box.stop - box.start for box in boxes), STRIP_PX, STEP_PX)
+    shape = fourier.fast_shape(tuple(box.stop - box.start for box in boxes), margin_px, STEP_PX)
     (rows, columns), box = sides, (boxes[0], boxes[1])
     return Part(node, (rows.span, columns.span), box, (inner[0], inner[1]), shape, (rows.weight, columns.weight))
 

@@ -1,15 +1,16 @@
 """The all-in-focus picture by a convolutional network, from the captured picture and its deconvolution.
 
 Deconvolution with the kernel of an estimated level is right where the level is, and amplifies noise. The network sees
-the captured channels, infrared among them, which is sharper where blur is large, their deconvolution
-(:mod:`recon.sharp.sharpen`), the level and its standard deviation, and the noise, and adds to the deconvolution what it
-lacks, so that noise, false levels, steps of depth and the interpolation of the mosaic are treated together. It has
-learned from random rooms through layered lenses and from path-traced random scenes of seeds and pictures of their own
-(:mod:`validation.training`), with levels as the preset ``best`` estimates them. It needs numpy alone.
+the captured channels, infrared among them, which is sharper where blur is large, their linear deconvolution
+(:func:`recon.sharp.sharpen.linear`), the level and its standard deviation, and the noise, and adds to the deconvolution
+what it lacks, so that noise, false levels, steps of depth and the interpolation of the mosaic are treated together. It
+has learned from random rooms through layered lenses and from path-traced random scenes of seeds and pictures of their
+own (:mod:`validation.training`), with levels as the preset ``best`` estimates them. It needs numpy alone.
 
-It has the shape of a U-Net (Ronneberger, Fischer, Brox, MICCAI 2015) of three resolutions, 2, 4 and 8 pixels, of
+It has the shape of a U-Net (Ronneberger, Fischer, Brox, MICCAI 2015) of four resolutions, 2, 4, 8 and 16 pixels, of
 residual blocks h <- h + B relu(A * relu(h) + a) + b with 3 x 3 convolutions A. Electrons x enter and leave it
-compressed, asinh(10 x / x_1) / 3, with x_1 those of a bright white surface.
+compressed, asinh(10 x / x_1) / 3, with x_1 those of a bright white surface. Networks that began with other random
+weights err differently; what the networks of ``FILES`` add is averaged.
 
 Deviation from the paper: sec. 5.4 ends with the deconvolution.
 """
@@ -28,8 +29,9 @@ from recon import convolution
 from recon.convolution import Net, by_strips, convolved, gathered, linear, relu, residual, spread
 from recon.depth.tiles import tiles
 
-FILE = "restoration.npz"
-BLOCKS = {"fine": 1, "middle": 2, "coarse": 3, "middle_up": 1, "fine_up": 1}  # residual blocks on the way down and up
+FILES = "restoration_0.npz", "restoration_1.npz"  # by the seed of the training; the second has more channels
+# Residual blocks on the way down and up.
+BLOCKS = {"fine": 1, "middle": 2, "coarse": 3, "deep": 3, "coarse_up": 1, "middle_up": 2, "fine_up": 1}
 COMPRESSION, RANGE = np.float32(10), np.float32(3)
 BRIGHT_PERCENTILE = 99.0
 LARGEST = np.float32(2.5)  # compressed value, about 90 times white; keeps the exponential finite
@@ -37,15 +39,15 @@ LEAST_SD, LARGEST_SD = 0.05, 30.0  # levels
 # Inputs: the four pixels of a block of each channel of the stack, then of the draft; means over the block of the level
 # and of its standard deviation, as logarithms; and what the frame has in common.
 OF_PICTURES, DRAFT_COLOURS, OF_LEVELS = 32, slice(16, 28), 2
-MULTIPLE_PX = 8  # that the network's coarsest pixels span
-# Out of focus the network hedges, whatever the noise is, and the draft amplifies noise: the less noise there is, the
-# larger is the draft's share in the result. ``tune`` prefers smaller shares than these, flowers and adam larger ones.
-EVEN_NOISE = 0.007  # of green relative to bright white, standard deviation, at which both shares are equal
-MOST_DRAFT, DRAFT_LEVELS = 0.7, (0.0, 2.0)  # largest share, and the levels between which it rises to its value
+# Out of focus the networks hedge. The draft has a share in the result, the larger, the surer the level is. Chosen on
+# ``tune``, which prefers smaller shares than these, and on photographs at one level, which prefer larger ones.
+MOST_DRAFT, DRAFT_LEVELS = 0.35, (0.0, 2.0)  # largest share, and the levels between which it rises to its value
+SURE_SD, SURE_LEVELS = 0.3, 4.0  # sd of level 0 that halves the share; it grows by itself every so many levels
+MULTIPLE_PX = 16  # that the network's coarsest pixels span
 TILE_PX = 2048  # largest side of what is restored at a time
-# Around a tile. Beyond the 8 x 8 pixels that it is in, a pixel depends on 44: convolutions of 3 x 3 reach 2 pixels four
-# times, 4 three times and 8 three times.
-HALO_PX = 56
+# Around a tile. Beyond the 16 x 16 pixels that it is in, a pixel depends on 104: convolutions of 3 x 3 reach 2 pixels
+# four times, 4 four times, 8 four times and 16 three times.
+HALO_PX = 128
 
 
 class Picture(NamedTuple):
@@ -64,9 +66,9 @@ MAPS = ("stack", "draft", "level", "sd")  # of a picture, [..., h, w]
 
 
 @cache
-def weights() -> Net:
-    """Arrays of the network by name; ``about`` of the file says what they were trained with."""
-    return convolution.load("recon.sharp", FILE)
+def networks() -> tuple[Net, ...]:
+    """Arrays of each network by name; ``about`` of its file says what they were trained with."""
+    return tuple(convolution.load("recon.sharp", file) for file in FILES)
 
 
 def units(stack: Float32Array, white: NDArray) -> Float32Array:
@@ -76,10 +78,12 @@ def units(stack: Float32Array, white: NDArray) -> Float32Array:
     return np.asarray(white * max(bright, 1e-6), np.float32)
 
 
-def restored(picture: Picture, phases: dict[str, tuple[int, int]], tile_px: int = TILE_PX) -> Float32Array:
-    """All-in-focus colours without infrared, [h, w, 3] electrons.
+def restored(
+    picture: Picture, phases: dict[str, tuple[int, int]], tile_px: int = TILE_PX, count: int = len(FILES)
+) -> Float32Array:
+    """All-in-focus colours without infrared, [h, w, 3] electrons, by the first ``count`` networks.
 
-    Frames larger than ``tile_px`` per side are restored in tiles, with a halo of all that the network sees. ``phases``
+    Frames larger than ``tile_px`` per side are restored in tiles, with a halo of all that the networks see. ``phases``
     are the positions (row, column) of green, of red or infrared, and so on in the 2x2 block of the mosaic, as
     :func:`recon.picture.mosaic.phases` gives them.
     """
@@ -88,7 +92,7 @@ def restored(picture: Picture, phases: dict[str, tuple[int, int]], tile_px: int 
     cells = (-(-height // MULTIPLE_PX), -(-width // MULTIPLE_PX))
     for of_cells in tiles(cells, tile_px // MULTIPLE_PX, HALO_PX // MULTIPLE_PX):
         tile = of_cells.finer(MULTIPLE_PX)
-        result[tile.core] = _tile(_changed(picture, partial(_cut, box=tile.box)), phases)[tile.inner]
+        result[tile.core] = _tile(_changed(picture, partial(_cut, box=tile.box)), phases, count)[tile.inner]
     return result
 
 
@@ -96,7 +100,7 @@ def _cut(image: Float32Array, box: tuple[slice, slice]) -> Float32Array:
     return image[..., *box]
 
 
-def _tile(picture: Picture, phases: dict[str, tuple[int, int]]) -> Float32Array:
+def _tile(picture: Picture, phases: dict[str, tuple[int, int]], count: int) -> Float32Array:
     """:func:`restored` for the whole of a picture."""
     top, left = phases["G"]
     after = phases["IR" if picture.sparse else "R"]
@@ -109,7 +113,7 @@ def _tile(picture: Picture, phases: dict[str, tuple[int, int]]) -> Float32Array:
         wide = np.pad(image, (*[(0, 0)] * (image.ndim - 2), *rim), mode="reflect")
         return wide.swapaxes(-2, -1) if turned else wide
 
-    sharp = _aligned(_changed(picture, there))
+    sharp = _aligned(_changed(picture, there), count)
     if turned:
         sharp = sharp.swapaxes(0, 1)
     return np.ascontiguousarray(sharp[top : top + height, left : left + width])
@@ -121,33 +125,33 @@ def _changed(picture: Picture, change: Callable[[Float32Array], Float32Array]) -
     return picture._replace(stack=stack, draft=draft, level=level, sd=sd)
 
 
-def _aligned(picture: Picture) -> Float32Array:
+def _aligned(picture: Picture, count: int) -> Float32Array:
     """:func:`restored` for a picture that begins with green and, on its right, red or (4x4) infrared."""
     height, width = picture.level.shape
     inputs = inputs_of(picture)
-    base = inputs[..., DRAFT_COLOURS].copy()  # the network overwrites its inputs
+    base = inputs[..., DRAFT_COLOURS].copy()
     across, down = (-(-n // MULTIPLE_PX) * MULTIPLE_PX - n for n in (width, height))
     if across or down:
         inputs = np.pad(inputs, ((0, down // 2), (0, across // 2), (0, 0)), mode="edge")
-    base += _network(inputs, weights())[: height // 2, : width // 2]
+    for net in networks()[:count]:
+        base += _network(inputs, net)[: height // 2, : width // 2] / np.float32(count)
     result = np.empty((height, width, 3), np.float32)
-    most = draft_share(picture)
 
     def work(rows: slice) -> None:
         there = _pixels(rows)
         sharp = np.maximum(expanded(np.minimum(spread(base[rows]), LARGEST)), 0) * picture.unit_e[:3]
-        share = (most * np.interp(np.abs(picture.level[there]), DRAFT_LEVELS, (0, 1))).astype(np.float32)
-        draft = np.maximum(np.moveaxis(picture.draft[:3, there], 0, -1), 0)
-        result[there] = sharp + share[..., None] * (draft - sharp)
+        share = draft_share(picture.level[there], picture.sd[there])[..., None]
+        result[there] = sharp + share * (np.maximum(np.moveaxis(picture.draft[:3, there], 0, -1), 0) - sharp)
 
     by_strips(work, base.shape)
     return result
 
 
-def draft_share(picture: Picture) -> float:
-    """Share of the draft in the result out of focus: s^2 / (s^2 + n^2), with the noise n and ``EVEN_NOISE`` s."""
-    noise = float(picture.noise_e[1] / picture.unit_e[1])
-    return min(EVEN_NOISE**2 / (EVEN_NOISE**2 + noise**2), MOST_DRAFT)
+def draft_share(level: Float32Array, sd: Float32Array) -> Float32Array:
+    """Share of the draft in the result, [h, w], by level and its standard deviation: ``MOST_DRAFT`` for sure levels."""
+    away = np.abs(level)
+    doubt = sd / (SURE_SD * (1 + away / SURE_LEVELS))
+    return np.asarray(MOST_DRAFT * np.interp(away, DRAFT_LEVELS, (0, 1)) / (1 + doubt**2), np.float32)
 
 
 def _pixels(rows: slice) -> slice:
@@ -190,14 +194,16 @@ def expanded(values: Float32Array) -> Float32Array:
 
 
 def _network(inputs: Float32Array, net: Net) -> Float32Array:
-    """What the network adds to the compressed draft, per block [h, w, 12], from inputs [h, w, input], which are
-    overwritten.
-    """
-    inputs -= net["mean"]
-    inputs /= net["sd"]
-    fine = _blocks(convolved(inputs, net, "in"), net, "fine")
+    """What a network adds to the compressed draft, per block [h, w, 12], from inputs [h, w, input]."""
+    scaled = inputs - net["mean"]
+    scaled /= net["sd"]
+    fine = _blocks(convolved(scaled, net, "in"), net, "fine")
+    del scaled
     middle = _blocks(linear(gathered(np.maximum(fine, 0)), net, "down1"), net, "middle")
     coarse = _blocks(linear(gathered(np.maximum(middle, 0)), net, "down2"), net, "coarse")
+    deep = _blocks(linear(gathered(np.maximum(coarse, 0)), net, "down3"), net, "deep")
+    coarse += spread(linear(relu(deep), net, "up3"))
+    coarse = _blocks(coarse, net, "coarse_up")
     middle += spread(linear(relu(coarse), net, "up2"))
     middle = _blocks(middle, net, "middle_up")
     fine += spread(linear(relu(middle), net, "up1"))

@@ -11,13 +11,12 @@ from typing import Any
 
 import numpy as np
 
-from recon.sharp import restoration
 from validation.training import level_examples, picture_examples
 from validation.training.files import PARTS, families, make
 
-EPOCHS = {"levels": 25, "pictures": 18}  # passes over the examples
+EPOCHS = {"levels": 25, "pictures": 110}  # passes over the examples
 HELD_OUT = {"levels": 8, "pictures": 12}  # examples of each family that the loss is measured with
-FILES = {"levels": "surface_net_{}.npz", "pictures": restoration.FILE}
+FILES = {"levels": "surface_net_{}.npz", "pictures": "restoration_{}.npz"}
 READERS = {"levels": "recon.depth.surface_net", "pictures": "recon.sharp.restoration"}
 MAKERS = {
     "levels": (level_examples.example, level_examples.EXAMPLES),
@@ -38,6 +37,7 @@ def main() -> None:
     fitting.add_argument("folder", type=Path)
     fitting.add_argument("--epochs", type=int)
     fitting.add_argument("--seed", type=int, default=0, help="of the first weights and of the order of examples")
+    fitting.add_argument("--device", default="cpu", help="PyTorch's name of the processor: cpu, cuda, mps")
     fitting.add_argument("--out", type=Path)
     options = parser.parse_args()
     if options.step == "examples":
@@ -46,14 +46,14 @@ def main() -> None:
     else:
         network = options.network
         out = options.out or Path(FILES[network].format(options.seed))
-        _fit(network, options.folder, options.epochs or EPOCHS[network], options.seed, out)
+        _fit(network, options.folder, options.epochs or EPOCHS[network], options.seed, options.device, out)
 
 
 def _show(_: str, share: float) -> None:
     print(f"\r{share:4.0%}", end="", file=sys.stderr)
 
 
-def _fit(network: str, folder: Path, epochs: int, seed: int, out: Path) -> None:
+def _fit(network: str, folder: Path, epochs: int, seed: int, device: str, out: Path) -> None:
     from validation.training import fit_levels, fit_pictures  # PyTorch is of an extra
 
     trainer: Any = {"levels": fit_levels, "pictures": fit_pictures}[network]
@@ -66,7 +66,7 @@ def _fit(network: str, folder: Path, epochs: int, seed: int, out: Path) -> None:
         held_loss = trainer.mean_loss(net, held_out)
         print(f"pass {epoch + 1} of {epochs}: loss {loss:.3f}, held out {held_loss:.3f}", flush=True)
 
-    net = trainer.fit(train, epochs, seed, report=report)
+    net = trainer.fit(train, epochs, seed, report, device)
     about = (
         f"Own data of the project, under its licence: weights of {READERS[network]}, without unit, from "
         f"{trainer.count(train)} examples of validation.training in {epochs} passes, seed {seed}."

@@ -20,12 +20,12 @@ from torch.nn import functional
 from recon.depth.evidence import FITS, LAST, NODE, ROW, SCORES, SIGNALS, level_grid, row_of_nodes
 from recon.depth.surface_net import DILATIONS
 from validation.training.network import (
-    REDUCED,
     Training,
     constant,
     constant_arrays,
     convolution,
     layer_arrays,
+    reduced,
     train,
 )
 
@@ -44,15 +44,15 @@ LEVELS = level_grid(int(LAST))
 class Examples(NamedTuple):
     """Inputs [example, h, w, input], pictures [example, NODE h, NODE w, channel] and levels, as large; float16."""
 
-    inputs: NDArray[np.float16]
-    picture: NDArray[np.float16]
-    level: NDArray[np.float16]
+    inputs: Tensor
+    picture: Tensor
+    level: Tensor
 
 
 def load(files: Sequence[Path]) -> Examples:
     """Examples of :mod:`validation.training.level_examples`."""
     parts = [np.load(file, allow_pickle=False) for file in files]
-    return Examples(*(np.stack([part[name] for part in parts]) for name in Examples._fields))
+    return Examples(*(torch.tensor(np.stack([part[name] for part in parts])) for name in Examples._fields))
 
 
 def count(examples: Examples) -> int:
@@ -109,20 +109,28 @@ class Net(nn.Module):
     def arrays(self) -> dict[str, NDArray]:
         """The arrays that :mod:`recon.depth.surface_net` reads, float16 but for means and deviations."""
         exact = {name: getattr(self, name) for name in ("mean", "sd", "picture_mean", "picture_sd")}
-        skip = self.skip.weight[..., 0, 0].T.detach().numpy().astype(np.float16)
+        skip = self.skip.weight[..., 0, 0].T.detach().cpu().numpy().astype(np.float16)
         return {"skip": skip} | layer_arrays(self.layers) | constant_arrays(exact)
 
 
 def fit(
-    examples: Examples, epochs: int, seed: int = 0, report: Callable[[int, float, Net], None] = lambda *_: None
+    examples: Examples,
+    epochs: int,
+    seed: int = 0,
+    report: Callable[[int, float, Net], None] = lambda *_: None,
+    device: str = "cpu",
 ) -> Net:
-    """Train for a number of passes; ``report`` gets the pass, its mean loss and the network."""
+    """Train for a number of passes; ``report`` gets the pass, its mean loss and the network.
+
+    All examples are kept on the ``device``, by PyTorch's name of it, where the network stays.
+    """
     torch.manual_seed(seed)
     random = np.random.default_rng(seed)
-    net = Net(*_statistics(examples.inputs[::7]), *_statistics(examples.picture[::7]))
+    net = Net(*_statistics(examples.inputs[::7]), *_statistics(examples.picture[::7])).to(device)
+    examples = Examples(*(part.to(device) for part in examples))
 
     def loss_of(inputs: Tensor, picture: Tensor, level: Tensor) -> Tensor:
-        with REDUCED:
+        with reduced(device):
             output = net(inputs, picture)
         return loss(output, level)
 
@@ -131,15 +139,15 @@ def fit(
     return net
 
 
-def _statistics(images: NDArray[np.float16]) -> tuple[NDArray, NDArray]:
+def _statistics(images: Tensor) -> tuple[NDArray, NDArray]:
     """Mean and standard deviation of each channel, the last axis."""
-    sample = images.reshape(-1, images.shape[-1]).astype(np.float32)
+    sample = images.flatten(0, -2).float().numpy()
     return sample.mean(axis=0), sample.std(axis=0) + np.float32(1e-3)
 
 
 def loss(logits: Tensor, level: Tensor) -> Tensor:
     """Cross entropy and relative error of the mean; true levels [batch, h, w] lie between two of the network's."""
-    grid = torch.tensor(LEVELS, dtype=torch.float32)
+    grid = torch.tensor(LEVELS, dtype=torch.float32, device=level.device)
     level = level.clamp(0, float(grid[-1])).contiguous()
     low = torch.bucketize(level, grid[1:-1], right=True)
     share = (level - grid[low]) / (grid[low + 1] - grid[low])
@@ -155,25 +163,27 @@ def mean_loss(net: Net, examples: Examples) -> float:
     """Mean loss over examples, with all of the evidence."""
     total = []
     with torch.no_grad():
-        for inputs, picture, level in zip(*examples, strict=True):
-            total.append(float(loss(net(_tensor(inputs[None]), _tensor(picture[None])), _tensor(level[None]))))
+        for parts in zip(*examples, strict=True):
+            inputs, picture, level = (_ordered(part[None].to(net.mean.device)) for part in parts)
+            total.append(float(loss(net(inputs, picture), level)))
     return float(np.mean(total))
 
 
-def _tensor(images: NDArray[np.float16]) -> Tensor:
-    """Images [batch, h, w] or [batch, h, w, channel] as PyTorch orders them."""
-    tensor = torch.tensor(images.astype(np.float32))
-    return tensor if tensor.ndim == 3 else tensor.permute(0, 3, 1, 2)
+def _ordered(images: Tensor) -> Tensor:
+    """Images [batch, h, w] or [batch, h, w, channel] as PyTorch orders them, float32."""
+    images = images.float()
+    return images if images.ndim == 3 else images.permute(0, 3, 1, 2)
 
 
 def _batches(examples: Examples, random: np.random.Generator) -> Iterator[tuple[Tensor, Tensor, Tensor]]:
     """All examples in a random order, mirrored and turned at random, parts of the evidence left out."""
     order = random.permutation(len(examples.level))
     for start in range(0, len(order) - BATCH + 1, BATCH):
-        chosen = np.sort(order[start : start + BATCH])
+        chosen = torch.tensor(np.sort(order[start : start + BATCH]), device=examples.level.device)
         turn = random.random(3) < (MIRRORED, TURNED, TURNED)
-        inputs, picture, level = (_turned(_tensor(part[chosen]), *turn) for part in examples)
-        inputs[:, ROW] = torch.tensor(row_of_nodes(inputs.shape[2:])[..., 0])  # a picture's own, whatever it shows
+        inputs, picture, level = (_turned(_ordered(part[chosen]), *turn) for part in examples)
+        row = torch.tensor(row_of_nodes(inputs.shape[2:])[..., 0])  # a picture's own, whatever it shows
+        inputs[:, ROW] = row.to(inputs.device)
         yield _thinned(inputs, picture, random), picture, level
 
 

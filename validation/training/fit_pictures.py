@@ -6,9 +6,8 @@ so that clean and noisy examples, bright and dark parts all count.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
@@ -18,17 +17,18 @@ from torch.nn import functional
 
 from recon.sharp.restoration import BLOCKS, COMPRESSION, LARGEST, LEAST_SD, RANGE
 from validation.training.network import (
-    REDUCED,
     Training,
     constant,
     constant_arrays,
     convolution,
     layer_arrays,
+    reduced,
     train,
 )
 
-WIDTHS = {"fine": 40, "middle": 72, "coarse": 96}  # channels at 2, 4 and 8 pixels
-PATCH_PX, PATCHES, BATCH = 128, 6, 16  # side, number per example and pass, and per step
+# Channels at 2, 4, 8 and 16 pixels, by the seed of the training; larger seeds have those of seed 0.
+WIDTHS = ((40, 80, 128, 160), (48, 96, 160, 224))
+PATCH_PX, PATCHES, BATCH = 160, 4, 24  # side, number per example and pass, and per step
 TRAINING = Training(rate=2e-3, decay=1e-3, warm_up=0.05)
 FLOOR = 1e-6  # mean squared error of a patch below which it hardly counts, relative to bright white
 CLIPPED_NEAR_PX = 3  # pixels around clipped ones that do not count
@@ -39,13 +39,13 @@ MISTAKEN = 0.25  # share of patches whose levels have mistakes
 
 MAPS = ("stack", "draft", "truth", "level", "sd", "clipped")
 OF_LEVELS = ("draft", "level")  # maps that are there with mistakes, too
-Example = dict[str, NDArray[Any]]
+Example = Mapping[str, Tensor]
 Batch = dict[str, Tensor]
 
 
 def load(files: Sequence[Path]) -> list[Example]:
     """Examples of :mod:`validation.training.picture_examples`."""
-    return [dict(np.load(file, allow_pickle=False)) for file in files]
+    return [{name: torch.tensor(part) for name, part in np.load(file, allow_pickle=False).items()} for file in files]
 
 
 def count(examples: list[Example]) -> int:
@@ -56,20 +56,23 @@ def count(examples: list[Example]) -> int:
 class Net(nn.Module):
     """The network of :mod:`recon.sharp.restoration` on images [batch, channel, h, w]."""
 
-    def __init__(self, mean: NDArray, sd: NDArray) -> None:
+    def __init__(self, mean: NDArray, sd: NDArray, widths: Sequence[int] = WIDTHS[0]) -> None:
         super().__init__()
         self.mean, self.sd = constant(mean), constant(sd)
-        fine, middle, coarse = WIDTHS.values()
+        fine, middle, coarse, deep = widths
+        of_resolution = {"fine": fine, "middle": middle, "coarse": coarse, "deep": deep}
         layers = {
             "in": convolution(len(mean), fine),
             "down1": nn.Conv2d(4 * fine, middle, 1),
             "down2": nn.Conv2d(4 * middle, coarse, 1),
+            "down3": nn.Conv2d(4 * coarse, deep, 1),
+            "up3": nn.Conv2d(deep, 4 * coarse, 1),
             "up2": nn.Conv2d(coarse, 4 * middle, 1),
             "up1": nn.Conv2d(middle, 4 * fine, 1),
             "out": convolution(fine, 12),
         }
         for name, blocks in BLOCKS.items():
-            width = WIDTHS[name.removesuffix("_up")]
+            width = of_resolution[name.removesuffix("_up")]
             for index in range(blocks):
                 layers |= {
                     f"{name}{index}_a": convolution(width, width),
@@ -88,6 +91,8 @@ class Net(nn.Module):
         fine = self._blocks(layer["in"]((inputs - self.mean) / self.sd), "fine")
         middle = self._blocks(layer["down1"](functional.pixel_unshuffle(relu(fine), 2)), "middle")
         coarse = self._blocks(layer["down2"](functional.pixel_unshuffle(relu(middle), 2)), "coarse")
+        deep = self._blocks(layer["down3"](functional.pixel_unshuffle(relu(coarse), 2)), "deep")
+        coarse = self._blocks(functional.pixel_shuffle(layer["up3"](relu(deep)), 2) + coarse, "coarse_up")
         middle = self._blocks(functional.pixel_shuffle(layer["up2"](relu(coarse)), 2) + middle, "middle_up")
         fine = self._blocks(functional.pixel_shuffle(layer["up1"](relu(middle)), 2) + fine, "fine_up")
         return functional.pixel_shuffle(layer["out"](relu(fine)), 2).float() + base
@@ -105,17 +110,28 @@ class Net(nn.Module):
 
 
 def fit(
-    examples: list[Example], epochs: int, seed: int = 0, report: Callable[[int, float, Net], None] = lambda *_: None
+    examples: list[Example],
+    epochs: int,
+    seed: int = 0,
+    report: Callable[[int, float, Net], None] = lambda *_: None,
+    device: str = "cpu",
 ) -> Net:
-    """Train for a number of passes; ``report`` gets the pass, its mean loss and the network."""
+    """Train for a number of passes; ``report`` gets the pass, its mean loss and the network.
+
+    All examples are kept on the ``device``, by PyTorch's name of it, where the network stays.
+    """
     torch.manual_seed(seed)
     random = np.random.default_rng(seed)
     sample, _ = inputs_of(_batch(examples, random.integers(0, len(examples), STATISTICS), random))
-    net = Net(sample.mean((0, 2, 3)).numpy(), sample.std((0, 2, 3)).numpy() + np.float32(1e-3))
+    widths = WIDTHS[seed if seed < len(WIDTHS) else 0]
+    net = Net(sample.mean((0, 2, 3)).numpy(), sample.std((0, 2, 3)).numpy() + np.float32(1e-3), widths)
+
+    net.to(device)
+    examples = [{name: part.to(device) for name, part in example.items()} for example in examples]
 
     def loss_of(batch: Batch) -> Tensor:
         inputs, base = inputs_of(batch)
-        with REDUCED:
+        with reduced(device):
             output = net(inputs.contiguous(memory_format=torch.channels_last), base)
         return loss(output, batch)
 
@@ -151,7 +167,7 @@ def mean_loss(net: Net, examples: list[Example]) -> float:
     total = []
     with torch.no_grad():
         for example in examples:
-            batch = {name: torch.tensor(value[None].astype(np.float32)) for name, value in example.items()}
+            batch = {name: part[None].to(net.mean.device).float() for name, part in example.items()}
             total.append(float(loss(net(*inputs_of(batch)), batch)))
     return float(np.mean(total))
 
@@ -169,20 +185,18 @@ def _batches(examples: list[Example], random: np.random.Generator) -> Iterator[B
 
 def _batch(examples: list[Example], chosen: NDArray, random: np.random.Generator) -> Batch:
     """A random patch of each chosen example, mirrored at random so that the mosaic keeps its phase."""
-    parts: dict[str, list[NDArray]] = {name: [] for name in (*MAPS, "noise", "sparse")}
+    parts: dict[str, list[Tensor]] = {name: [] for name in (*MAPS, "noise", "sparse")}
     for number in chosen:
         example = examples[number]
-        height, width = example["level"].shape
-        down, across = random.random(2) < 0.5
-        top, left = (
-            2 * random.integers(0, (size - PATCH_PX) // 2) + mirrored
-            for size, mirrored in ((height, down), (width, across))
-        )
+        mirrored = random.random(2) < 0.5
+        box, axes = [], [axis for axis, there in zip((-2, -1), mirrored, strict=True) if there]
+        for size, there in zip(example["level"].shape, mirrored, strict=True):
+            start = 2 * int(random.integers(0, (size - PATCH_PX) // 2)) + int(there)
+            box.append(slice(size - start - PATCH_PX, size - start) if there else slice(start, start + PATCH_PX))
         mistaken = random.random() < MISTAKEN
         for name in MAPS:
             source = f"mistaken_{name}" if mistaken and name in OF_LEVELS else name
-            whole = example[source][..., :: -1 if down else 1, :: -1 if across else 1]
-            parts[name].append(whole[..., top : top + PATCH_PX, left : left + PATCH_PX])
+            parts[name].append(example[source][..., *box].flip(axes))
         for name in ("noise", "sparse"):
             parts[name].append(example[name])
-    return {name: torch.tensor(np.stack(part).astype(np.float32)) for name, part in parts.items()}
+    return {name: torch.stack(part).float() for name, part in parts.items()}

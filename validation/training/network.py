@@ -13,7 +13,6 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-REDUCED = torch.autocast("cpu", dtype=torch.bfloat16)  # the layers' precision in training
 LARGEST_GRADIENT = 1.0  # norm of a step's gradient
 
 
@@ -67,9 +66,14 @@ def train(
             nn.utils.clip_grad_norm_(net.parameters(), LARGEST_GRADIENT)
             optimiser.step()
             schedule.step()
-            losses.append(float(value.detach()))
+            losses.append(value.detach())  # a number of Python would wait for the device
         net.eval()
-        report(number, float(np.mean(losses)), net)
+        report(number, float(torch.stack(losses).mean()), net)
+
+
+def reduced(device: str) -> torch.autocast:
+    """The layers' precision in training on a device, by PyTorch's name."""
+    return torch.autocast(torch.device(device).type, dtype=torch.bfloat16)
 
 
 def convolution(inputs: int, outputs: int, dilation: int = 1) -> nn.Conv2d:
@@ -88,9 +92,9 @@ def layer_arrays(layers: nn.ModuleDict) -> dict[str, NDArray]:
     for name, layer in layers.items():
         weight = layer.weight.permute(2, 3, 1, 0)
         found |= {name: weight[0, 0] if weight.shape[:2] == (1, 1) else weight, f"{name}_bias": layer.bias}
-    return {name: value.detach().numpy().astype(np.float16) for name, value in found.items()}
+    return {name: value.detach().cpu().numpy().astype(np.float16) for name, value in found.items()}
 
 
 def constant_arrays(constants: Mapping[str, Tensor]) -> dict[str, NDArray]:
     """Constants per channel as :mod:`recon.convolution` reads them, float32."""
-    return {name: value.flatten().numpy().astype(np.float32) for name, value in constants.items()}
+    return {name: value.flatten().cpu().numpy().astype(np.float32) for name, value in constants.items()}

@@ -31,7 +31,7 @@ CONDITIONS = {
     "textured": Conditions(75, (2.5, 26.0), (600.0, 8000.0)),
 }
 # Per part of the work.
-EXAMPLES = {name: of.examples for name, of in CONDITIONS.items()} | dict.fromkeys(traced.FAMILIES, 100)
+EXAMPLES = {name: of.examples for name, of in CONDITIONS.items()} | dict.fromkeys(traced.FAMILIES, 69)
 QUIET, MOST_WELL = 0.2, 100.0  # share of sensors with a larger full well, and the most of it: a tenth of the noise
 QUIET_BITS = 16
 # Levels that are wrong where their standard deviation does not say so, as windows are at times sure of a wrong level:
@@ -65,13 +65,12 @@ def example(family: str, number: int, setups: list[Setup], folder: Path) -> dict
         seen = _layered(random, family, number, setups)
     frame, kernels, noise_e = _frame(seen)
     found: dict[str, NDArray[Any]] = {}
-    stack, settings = all_in_focus.channels(frame), recon.PRESETS["best"]
+    stack = all_in_focus.channels(frame)
     noise_e = all_in_focus.with_model_error(noise_e, stack, frame)
     shown = all_in_focus.seen(frame, stack, stack, noise_e)
     unit = shown.unit_e[:, None, None]
     for name, level in (("", frame.level), ("mistaken_", _mistaken(random, frame.level))):
-        there = frame._replace(level=level)
-        draft = all_in_focus.deconvolved(stack, there, kernels, noise_e, 0, settings, all_in_focus.DRAFT_PASSES)
+        draft = sharpen.linear(stack, level, kernels, noise_e)
         found |= {f"{name}draft": draft / unit, f"{name}level": level}
     found |= {"stack": shown.stack / unit, "sd": shown.sd, "truth": seen.in_focus / unit[:3]}
     noise = (shown.noise_e / shown.unit_e).astype(np.float32)

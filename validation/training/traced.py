@@ -16,11 +16,12 @@ from typing import Any
 
 import cv2
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 import dasim
 from dasim.base import atomic
 from dasim.camera.specification import Camera
-from dasim.scene.specification import Scene
+from dasim.scene.specification import Scene, world_to_camera
 from dasim.simulation.exposure import Shot
 from dasim.values import Capture, Truth
 from recon.picture import colour, mosaic
@@ -29,11 +30,13 @@ from validation.training.captures import CAMERAS, SIZE_PX, Setup
 from validation.training.patterns import PLAIN, TEXTURED, pattern
 
 FAMILIES = ("traced", "dim")
-SEED = 261123
+SEED = 261126
 DIM = (0.04, 0.5)  # least and largest factor on the light
 PICTURES, PICTURE_PX = 48, 256
 FIRST_TEXTURE, TEXTURES = 100, 24  # seeds of textures; random scenes draw smaller ones
 NOISE_SHARE = 0.5  # of rendering over the sensor's, at the median
+RODS_SHARE = 0.25  # of scenes with thin rods, as of fences and stems, before the rest
+ROD_PX, RODS_APART, MOST_RODS = (4.0, 25.0), (2.0, 8.0), 12  # thickness; distance over it; number of parallel ones
 SEEDED = ("noise", "dead-leaves", "wood-grain", "petal", "skin")  # the number of the other textures is no seed
 IMAGE = re.compile(r"^(?:pattern:([a-z-]+):\d+|skimage:\w+)$")  # name of a texture or of a photograph
 
@@ -108,6 +111,8 @@ def _scene(number: int, files: list[Path]) -> tuple[Scene, Camera, dasim.Exposur
         auto_level=(0.3, 0.9),
     )
     drawn = _with_own_textures(dasim.random_scene(SEED, number, spec, camera), random)
+    if random.random() < RODS_SHARE:
+        drawn = _with_rods(drawn, camera, (near, float(np.sqrt(near * far))), random)
     return drawn, dasim.focused(camera, drawn), dasim.random_exposure(SEED, number, spec)
 
 
@@ -115,6 +120,31 @@ def _rendered(number: int, files: list[Path]) -> Shot:
     """The rendered capture of a number."""
     drawn, camera, exposure = _scene(number, files)
     return dasim.simulate(drawn, camera, number, spp="auto", noise_share=NOISE_SHARE, exposure=exposure)
+
+
+def _with_rods(drawn: Scene, camera: Camera, depth_cm: tuple[float, float], random: np.random.Generator) -> Scene:
+    """The scene with parallel rods across the frame at one depth, or with two sets that cross each other."""
+    depth = float(np.exp(random.uniform(*np.log(depth_cm))))
+    px = depth * camera.sensor.pixel_pitch_um * 1e-6 / camera.lens.focal_length_mm * 1e3  # of the frame, there, in cm
+    thick = px * float(np.exp(random.uniform(*np.log(ROD_PX))))
+    scene, to_scene = drawn.model_dump(mode="json", exclude_unset=True), np.linalg.inv(world_to_camera(drawn))
+    material = str(random.choice(list(scene["materials"])))
+    first = float(random.uniform(0, 180))
+    for number, angle in enumerate([first, first + random.uniform(60, 120)][: 1 + int(random.integers(2))]):
+        apart = thick * random.uniform(*RODS_APART)
+        offsets = apart * (np.arange(random.integers(1, MOST_RODS + 1)) - random.uniform(0, MOST_RODS))
+        for rod, offset in enumerate(offsets):
+            turned = Rotation.from_matrix(to_scene[:3, :3]) * Rotation.from_euler("z", angle, degrees=True)
+            middle = to_scene[:3, :3] @ [0, 0, depth] + turned.apply([0, offset, 0]) + 100 * to_scene[:3, 3]
+            scene["objects"].append({
+                "name": f"rod {number}-{rod}",
+                "shape": "box",
+                "size_cm": [1.5 * px * float(np.hypot(*SIZE_PX)), thick, thick],
+                "position_cm": middle.tolist(),
+                "rotation_deg": turned.as_euler("xyz", degrees=True).tolist(),
+                "material": material,
+            })  # fmt: skip
+    return Scene.model_validate(scene)
 
 
 def _with_own_textures(drawn: Scene, random: np.random.Generator) -> Scene:

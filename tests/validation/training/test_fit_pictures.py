@@ -10,7 +10,7 @@ from recon.sharp import restoration
 torch = pytest.importorskip("torch", reason="PyTorch is not installed; it comes with the extra 'learn'")
 from validation.training import fit_pictures  # noqa: E402 - needs PyTorch
 
-SIDE = 136
+SIDE = 176
 INPUTS = 39
 
 
@@ -24,7 +24,8 @@ def made(count):
         maps = {"stack": noisy, "draft": noisy, "truth": truth, "level": np.full((SIDE, SIDE), 2.0)}
         maps |= {"sd": np.full((SIDE, SIDE), 0.5), "clipped": np.zeros((SIDE, SIDE), bool)}
         maps |= {f"mistaken_{name}": maps[name] for name in fit_pictures.OF_LEVELS}
-        found.append(maps | {"noise": np.full(4, 0.1, np.float32), "sparse": np.array(0, np.float32)})
+        maps |= {"noise": np.full(4, 0.1, np.float32), "sparse": np.array(0, np.float32)}
+        found.append({name: torch.tensor(value) for name, value in maps.items()})
     return found
 
 
@@ -32,13 +33,12 @@ def test_prediction_and_training_compute_the_same(monkeypatch):
     torch.manual_seed(3)
     net = fit_pictures.Net(np.zeros(INPUTS, np.float32), np.ones(INPUTS, np.float32)).eval()
     arrays = {name: array.astype(np.float32) for name, array in net.arrays().items()}
-    monkeypatch.setattr(restoration, "weights", lambda: arrays)
-    monkeypatch.setattr(restoration, "MOST_DRAFT", 0.0)
+    monkeypatch.setattr(restoration, "networks", lambda: (arrays, arrays))
     example = made(1)[0]
-    parts = [example[name].astype(np.float32) for name in ("stack", "draft", "level", "sd")]
-    picture = restoration.Picture(*parts, example["noise"], np.ones(4, np.float32), False)
+    parts = [example[name].float().numpy() for name in ("stack", "draft", "level", "sd")]
+    picture = restoration.Picture(*parts, example["noise"].numpy(), np.ones(4, np.float32), False)
     found = restoration.restored(picture, {"G": (0, 0), "R": (0, 1), "B": (1, 0), "IR": (1, 1)})
-    batch = {name: torch.tensor(np.asarray(value)[None].astype(np.float32)) for name, value in example.items()}
+    batch = {name: value[None].float() for name, value in example.items()}
     with torch.no_grad():
         expected = restoration.expanded(net(*fit_pictures.inputs_of(batch))[0].numpy())
     np.testing.assert_allclose(np.moveaxis(found, -1, 0), np.maximum(expected, 0), atol=2e-3)
@@ -55,7 +55,7 @@ def test_training_lowers_the_loss():
 
 
 def _loss_of_draft(example):
-    batch = {name: torch.tensor(np.asarray(value)[None].astype(np.float32)) for name, value in example.items()}
+    batch = {name: value[None].float() for name, value in example.items()}
     _, base = fit_pictures.inputs_of(batch)
     return fit_pictures.loss(base, batch)
 
@@ -63,9 +63,9 @@ def _loss_of_draft(example):
 def test_mirrored_patches_keep_the_phase_of_the_mosaic():
     """Set-up: one pixel in four of every map is 1. Expectation: the same pixels of all patches."""
     example = made(1)[0]
-    mark = np.zeros((SIDE, SIDE))
+    mark = torch.zeros(SIDE, SIDE)
     mark[::2, 1::2] = 1
-    example |= {"stack": np.stack([mark] * 4), "level": mark, "mistaken_level": mark}
+    example |= {"stack": torch.stack([mark] * 4), "level": mark, "mistaken_level": mark}
     batch = fit_pictures._batch([example], np.zeros(12, int), np.random.default_rng(0))
     assert (batch["level"][:, ::2, 1::2] == 1).all() and float(batch["level"].mean()) == 0.25
     torch.testing.assert_close(batch["stack"][:, 0], batch["level"])

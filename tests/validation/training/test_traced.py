@@ -6,10 +6,12 @@ import json
 import re
 from unittest import mock
 
+import numpy as np
 import pytest
 
 import dasim
 from dasim.random_scenes.materials import PATTERN_SEEDS
+from dasim.scene.specification import object_to_camera
 from validation.subjects import held_out
 from validation.training import traced
 
@@ -62,3 +64,22 @@ def test_dim_captures_show_the_same_scene_with_less_light(files, tmp_path, monke
     factor = of_dim.mean_e.mean() / truth.mean_e.mean()
     assert traced.DIM[0] <= factor <= traced.DIM[1]
     assert dim.raw_dn.mean() < bright.raw_dn.mean()
+
+
+def test_rods_cross_the_frame_at_one_depth_whatever_the_view():
+    """Set-up: a camera that looks down; rods in its own axes."""
+    camera, random = dasim.load_camera("da-mobile"), np.random.default_rng(5)
+    scene = dasim.depth_steps(20, 5)
+    scene = scene.model_copy(update={"view": scene.view.model_copy(update={"look_at_cm": (10.0, 40.0, 80.0)})})
+    with_rods = traced._with_rods(scene, camera, (30.0, 60.0), random)
+    rods = with_rods.objects[len(scene.objects) :]
+    poses = [object_to_camera(rod, with_rods) for rod in rods]
+    assert len(rods) >= 1
+    depth = poses[0][2, 3]
+    assert 0.3 <= depth <= 0.6
+    for rod, pose in zip(rods, poses, strict=True):
+        assert pose[2, 3] == pytest.approx(depth, rel=1e-6)
+        assert pose[2, 0] == pytest.approx(0, abs=1e-6)  # the long side stays at that depth
+        px = depth * 100 * camera.sensor.pixel_pitch_um / camera.lens.focal_length_mm * 1e-3
+        assert traced.ROD_PX[0] <= rod.size_cm[1] / px <= traced.ROD_PX[1]
+        assert rod.size_cm[0] / px > np.hypot(*traced.SIZE_PX)
