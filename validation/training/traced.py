@@ -1,7 +1,7 @@
-"""Path-traced captures that the network of the levels is trained with: random scenes of the simulator.
+"""Path-traced captures that the networks are trained with: random scenes of the simulator, some behind thin rods.
 
 Layered captures (:mod:`validation.training.layered`) take two processor seconds, but have neither the perspective of a
-lens nor its light at depth steps, and their rooms are not those of the simulator. These captures take about 15. Their
+lens nor its light at depth steps, and their rooms are not those of the simulator. These captures take about 40. Their
 seeds and pictures are those of no other part of the project: posters and cards show rooms of
 :mod:`validation.training.rooms` and patterns of :mod:`validation.training.patterns`, and textures with a seed have one
 that no random scene draws. Shapes, measured reflectances, textures without a seed (weaves, stripes, checks, leaf veins)
