@@ -39,9 +39,10 @@ LEAST_SD, LARGEST_SD = 0.05, 30.0  # levels
 # Inputs: the four pixels of a block of each channel of the stack, then of the draft; means over the block of the level
 # and of its standard deviation, as logarithms; and what the frame has in common.
 OF_PICTURES, DRAFT_COLOURS, OF_LEVELS = 32, slice(16, 28), 2
-# Share of the draft in the result in frames of one level, where no neighbour has another blur and the networks hedge,
-# and the levels between which it rises. Chosen on photographs at one level; in scenes, ``tune`` prefers none.
-DRAFT_SHARE, DRAFT_LEVELS = 0.2, (0.0, 2.0)
+# Out of focus the networks hedge. The draft has a share in the result, the larger, the surer the level is. Chosen on
+# ``tune``, which prefers smaller shares than these and none at large blur, and on photographs, which prefer larger ones.
+MOST_DRAFT, DRAFT_LEVELS, DRAFT_RAMP = 0.35, (0.0, 2.0, 12.0, 16.0), (0.0, 1.0, 1.0, 0.0)  # the most, by level
+SURE_SD, SURE_LEVELS = 0.3, 4.0  # sd of level 0 that halves the share; it grows by itself every so many levels
 MULTIPLE_PX = 16  # that the network's coarsest pixels span
 TILE_PX = 2048  # largest side of what is restored at a time
 # Around a tile. Beyond the 16 x 16 pixels that it is in, a pixel depends on 104: convolutions of 3 x 3 reach 2 pixels
@@ -88,11 +89,10 @@ def restored(
     """
     height, width = picture.level.shape
     result = np.empty((height, width, 3), np.float32)
-    share = draft_share(picture.level, picture.sd)  # of the whole frame, not of a tile
     cells = (-(-height // MULTIPLE_PX), -(-width // MULTIPLE_PX))
     for of_cells in tiles(cells, tile_px // MULTIPLE_PX, HALO_PX // MULTIPLE_PX):
         tile = of_cells.finer(MULTIPLE_PX)
-        result[tile.core] = _tile(_changed(picture, partial(_cut, box=tile.box)), phases, count, share)[tile.inner]
+        result[tile.core] = _tile(_changed(picture, partial(_cut, box=tile.box)), phases, count)[tile.inner]
     return result
 
 
@@ -100,7 +100,7 @@ def _cut(image: Float32Array, box: tuple[slice, slice]) -> Float32Array:
     return image[..., *box]
 
 
-def _tile(picture: Picture, phases: dict[str, tuple[int, int]], count: int, share: float) -> Float32Array:
+def _tile(picture: Picture, phases: dict[str, tuple[int, int]], count: int) -> Float32Array:
     """:func:`restored` for the whole of a picture."""
     top, left = phases["G"]
     after = phases["IR" if picture.sparse else "R"]
@@ -113,7 +113,7 @@ def _tile(picture: Picture, phases: dict[str, tuple[int, int]], count: int, shar
         wide = np.pad(image, (*[(0, 0)] * (image.ndim - 2), *rim), mode="reflect")
         return wide.swapaxes(-2, -1) if turned else wide
 
-    sharp = _aligned(_changed(picture, there), count, share)
+    sharp = _aligned(_changed(picture, there), count)
     if turned:
         sharp = sharp.swapaxes(0, 1)
     return np.ascontiguousarray(sharp[top : top + height, left : left + width])
@@ -125,7 +125,7 @@ def _changed(picture: Picture, change: Callable[[Float32Array], Float32Array]) -
     return picture._replace(stack=stack, draft=draft, level=level, sd=sd)
 
 
-def _aligned(picture: Picture, count: int, share: float) -> Float32Array:
+def _aligned(picture: Picture, count: int) -> Float32Array:
     """:func:`restored` for a picture that begins with green and, on its right, red or (4x4) infrared."""
     height, width = picture.level.shape
     inputs = inputs_of(picture)
@@ -140,20 +140,18 @@ def _aligned(picture: Picture, count: int, share: float) -> Float32Array:
     def work(rows: slice) -> None:
         there = _pixels(rows)
         sharp = np.maximum(expanded(np.minimum(spread(base[rows]), LARGEST)), 0) * picture.unit_e[:3]
-        here = (share * np.interp(np.abs(picture.level[there]), DRAFT_LEVELS, (0, 1))).astype(np.float32)
-        draft = np.maximum(np.moveaxis(picture.draft[:3, there], 0, -1), 0)
-        result[there] = sharp + here[..., None] * (draft - sharp)
+        share = draft_share(picture.level[there], picture.sd[there])[..., None]
+        result[there] = sharp + share * (np.maximum(np.moveaxis(picture.draft[:3, there], 0, -1), 0) - sharp)
 
     by_strips(work, base.shape)
     return result
 
 
-def draft_share(level: Float32Array, sd: Float32Array) -> float:
-    """Share of the draft out of focus: ``DRAFT_SHARE`` in a frame of one level, where levels [h, w] vary less than
-    their standard deviations, and near 0 in a frame of many levels.
-    """
-    doubt = float(np.mean(np.clip(sd[::4, ::4], 0, LARGEST_SD) ** 2))
-    return DRAFT_SHARE * doubt / max(doubt + float(np.var(level[::4, ::4])), 1e-12)
+def draft_share(level: Float32Array, sd: Float32Array) -> Float32Array:
+    """Share of the draft in the result, [h, w], by level and its standard deviation: up to ``MOST_DRAFT``."""
+    away = np.abs(level)
+    doubt = sd / (SURE_SD * (1 + away / SURE_LEVELS))
+    return np.asarray(MOST_DRAFT * np.interp(away, DRAFT_LEVELS, DRAFT_RAMP) / (1 + doubt**2), np.float32)
 
 
 def _pixels(rows: slice) -> slice:
