@@ -40,8 +40,9 @@ LEAST_SD, LARGEST_SD = 0.05, 30.0  # levels
 # and of its standard deviation, as logarithms; and what the frame has in common.
 OF_PICTURES, DRAFT_COLOURS, OF_LEVELS = 32, slice(16, 28), 2
 # Out of focus the networks hedge. The draft has a share in the result, the larger, the surer the level is. Chosen on
-# ``tune``, which prefers smaller shares than these and none at large blur, and on photographs, which prefer larger ones.
-MOST_DRAFT, DRAFT_LEVELS, DRAFT_RAMP = 0.35, (0.0, 2.0, 12.0, 16.0), (0.0, 1.0, 1.0, 0.0)  # the most, by level
+# ``tune``, which prefers smaller shares than these and none at large blur, and on photographs, which prefer larger.
+MOST_DRAFT = 0.35  # largest share
+DRAFT_LEVELS, DRAFT_RAMP = (0.0, 2.0, 12.0, 16.0), (0.0, 1.0, 1.0, 0.0)  # by levels, over the most
 SURE_SD, SURE_LEVELS = 0.3, 4.0  # sd of level 0 that halves the share; it grows by itself every so many levels
 MULTIPLE_PX = 16  # that the network's coarsest pixels span
 TILE_PX = 2048  # largest side of what is restored at a time
