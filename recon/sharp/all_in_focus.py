@@ -25,7 +25,7 @@ INTERPOLATED_NOISE_SHARE = 0.7  # noise after interpolation relative to the sens
 GRAINY_LEVEL = 3.0  # level from which on eq. (15) is solved for the picture without noise reduction alone
 # Of a deconvolved picture by levels, kernels and occlusion, relative to bright white: told to deconvolution and network
 # as noise, so that a picture with little noise is not sharpened by whatever level it has. Chosen on ``tune`` with and
-# without a tenth of the noise, where more blurs what is in focus; the network was trained without.
+# without a tenth of the noise, where more blurs what is in focus; the networks were trained with it.
 MODEL_ERROR = 0.007
 CERTAIN = 0.05  # confidence below which the solution of eq. (15) fades to the captured picture
 

@@ -28,7 +28,9 @@ STATISTICS_ROWS = 256  # of the frame at a time
 SUFFICIENT_PX = 2000.0  # pixels of a level at which its own gradients and the frame's mean have equal weight
 LINEAR_MARGIN_PX = 96  # wider ones leave smaller differences between tiles; 160 takes 1.4 times as long
 DRAFT_PRIOR = 2.0  # factor on the measured beta of the draft
-LINEAR_PRIOR = 0.12  # the same for :func:`linear`; chosen on ``tune`` and photographs
+LINEAR_PRIOR = (
+    0.12  # the same for :func:`linear`; chosen on ``tune`` and photographs; the networks were trained with 0.25
+)
 INTERPOLATED_WEIGHT = 0.25  # weight of the data without phases, where one pixel in four is a sample
 COLOURS, INFRARED = slice(0, 3), slice(3, 4)
 Passes = Sequence[tuple[slice, slice | None]]  # channels of a pass, and channels of its guide
