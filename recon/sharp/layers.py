@@ -67,7 +67,9 @@ def levels_of_nodes(levels: int, focus: int = 0) -> list[int]:
     return behind + [focus + step for step in away if step < levels - focus]
 
 
-def parts(position: Float32Array, tile_px: int = TILE_PX, margin_px: int = MARGIN_PX) -> list[Part]:
+def parts(
+    position: Float32Array, tile_px: int = TILE_PX, margin_px: int = MARGIN_PX, strip_px: int = MARGIN_PX
+) -> list[Part]:
     """The parts of a frame, in tiles of at most ``tile_px`` per side; neighbouring tiles overlap and are blended.
 
     Those with the same transfer functions follow each other.
@@ -84,7 +86,7 @@ def parts(position: Float32Array, tile_px: int = TILE_PX, margin_px: int = MARGI
             if there.any():
                 occurs = np.flatnonzero(there.any(axis=1)), np.flatnonzero(there.any(axis=0))
                 sides = _trimmed(across, occurs[0]), _trimmed(along, occurs[1])
-                found.append(_part(node, sides, margin_px))
+                found.append(_part(node, sides, margin_px, strip_px))
     return sorted(found, key=lambda part: (part.node, part.shape))
 
 
@@ -121,14 +123,14 @@ def _trimmed(side: _Side, index: NDArray[np.intp]) -> _Side:
     return _Side(slice(side.span.start + kept.start, side.span.start + kept.stop), side.weight[kept])
 
 
-def _part(node: int, sides: Sequence[_Side], margin_px: int) -> Part:
+def _part(node: int, sides: Sequence[_Side], margin_px: int, strip_px: int) -> Part:
     boxes, inner = [], []
     for span, _ in sides:
         start = (span.start - margin_px) // STEP_PX * STEP_PX
         stop = -(-(span.stop + margin_px) // STEP_PX) * STEP_PX
         boxes.append(slice(start, stop))
         inner.append(slice(span.start - start, span.stop - start))
-    shape = fourier.fast_shape(tuple(box.stop - box.start for box in boxes), margin_px, STEP_PX)
+    shape = fourier.fast_shape(tuple(box.stop - box.start for box in boxes), strip_px, STEP_PX)
     (rows, columns), box = sides, (boxes[0], boxes[1])
     return Part(node, (rows.span, columns.span), box, (inner[0], inner[1]), shape, (rows.weight, columns.weight))
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
+from functools import cache, partial
 from typing import NamedTuple
 
 import cv2
@@ -26,7 +26,7 @@ Phases = Sequence[tuple[int, int] | None]
 CLIPPED_NEAR_PX = 3.0
 STATISTICS_ROWS = 256  # of the frame at a time
 SUFFICIENT_PX = 2000.0  # pixels of a level at which its own gradients and the frame's mean have equal weight
-LINEAR_MARGIN_PX = 96  # wider ones leave smaller differences between tiles; 160 takes 1.4 times as long
+LINEAR_REACH_PX = 96  # of the filters of :func:`linear`, in every direction
 DRAFT_PRIOR = 2.0  # factor on the measured beta of the draft
 LINEAR_PRIOR = (
     0.12  # the same for :func:`linear`; chosen on ``tune`` and photographs; the networks were trained with 0.25
@@ -136,13 +136,37 @@ def linear(
 ) -> Float32Array:
     """All-in-focus channels by the quadratic prior of eq. (10) alone, in closed form, [4, h, w] electrons, at least 0.
 
-    A fifth of the time of :func:`sharpen`, whose arguments these are; every pixel depends linearly on the picture, and
-    those of other levels leave ringing beside steps of depth.
+    A fifth of the time of :func:`sharpen`, whose arguments these are. Each level's filter ends, by a raised cosine, at
+    ``LINEAR_REACH_PX``, so that tiles leave no seams; every pixel depends linearly on the picture, and those of other
+    levels leave ringing beside steps of depth.
     """
     nodes = layers.levels_of_nodes(len(kernels), focus)
     position = np.interp(level, nodes, np.arange(len(nodes))).astype(np.float32)
-    parts = layers.parts(position, tile_px, LINEAR_MARGIN_PX)
-    return _draft(stack, position, parts, layers.blur(kernels, nodes), _positive(noise_e), LINEAR_PRIOR)
+    blur, beta = layers.blur(kernels, nodes), _quadratic_prior(stack, _positive(noise_e), LINEAR_PRIOR)
+
+    @cache
+    def filters(node: int) -> Float32Array:
+        return _compact_filters(blur, node, beta)
+
+    def work(part: Part) -> Float32Array:
+        picture = fourier.cut_blended(stack, part.box, part.shape)
+        response = fourier.transfer(filters(part.node), part.shape).astype(np.complex64, copy=False)
+        sharp = fourier.inverse(fourier.forward(picture, 1) * response, part.shape, 1)
+        return part.share(position) * sharp[:, *part.inner]
+
+    result = np.empty(stack.shape, np.float32)
+    layers.by_parts(result, layers.parts(position, tile_px, LINEAR_REACH_PX, strip_px=0), work)
+    return result
+
+
+def _compact_filters(blur: layers.Blur, node: int, beta: NDArray) -> Float32Array:
+    """The filters of eq. (10) for a level, which end at ``LINEAR_REACH_PX``, with unit sum, [channel, size, size]."""
+    shape = (4 * LINEAR_REACH_PX, 4 * LINEAR_REACH_PX)
+    whole = deconvolution.quadratic(np.ones((), np.complex64), blur.transfer(node, shape), beta, shape)
+    offset = np.arange(-LINEAR_REACH_PX, LINEAR_REACH_PX + 1)
+    distance = np.minimum(np.hypot(offset[:, None], offset) / LINEAR_REACH_PX, 1)
+    found = whole[:, offset[:, None], offset] * (0.5 + 0.5 * np.cos(np.pi * distance)).astype(np.float32)
+    return np.asarray(found / found.sum(axis=(1, 2), keepdims=True), np.float32)
 
 
 def _positive(noise_e: NDArray) -> Float32Array:
@@ -184,8 +208,7 @@ def _draft(
     prior: float,
 ) -> Float32Array:
     """All-in-focus estimate with the quadratic prior of eq. (10), in closed form, [channel, h, w]."""
-    steps = 0.5 * (np.mean(np.diff(stack, axis=1) ** 2, (1, 2)) + np.mean(np.diff(stack, axis=2) ** 2, (1, 2)))
-    beta = prior * noise**2 / np.maximum(steps, 1e-3 * noise**2)
+    beta = _quadratic_prior(stack, noise, prior)
 
     def work(part: Part) -> Float32Array:
         spectrum = fourier.forward(fourier.cut_blended(stack, part.box, part.shape), 1)
@@ -195,6 +218,12 @@ def _draft(
     draft = np.empty(stack.shape, np.float32)
     layers.by_parts(draft, parts, work)
     return draft
+
+
+def _quadratic_prior(stack: Float32Array, noise: Float32Array, factor: float) -> NDArray:
+    """The weight beta of eq. (10), measured from gradients and noise, times a factor, [channel]."""
+    steps = 0.5 * (np.mean(np.diff(stack, axis=1) ** 2, (1, 2)) + np.mean(np.diff(stack, axis=2) ** 2, (1, 2)))
+    return np.asarray(factor * noise**2 / np.maximum(steps, 1e-3 * noise**2))
 
 
 def _statistics(draft: Float32Array, noise: Float32Array, position: Float32Array, nodes: int) -> Statistics:

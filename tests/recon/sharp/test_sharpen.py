@@ -171,6 +171,48 @@ def test_tiles_leave_no_seams(monkeypatch):
     assert seams() > 10 * SEAM_NOISE_SHARE
 
 
+@pytest.mark.parametrize("level", [0.0, 5.0, 14.0])
+def test_linear_deconvolution_is_the_same_in_tiles(level, monkeypatch):
+    """Set-up: one level, in tiles of 96 px and in one. Expectation: they differ by rounding, which they do not where
+    filters reach farther than the margin.
+    """
+    levels = np.full((256, 320), level, np.float32)
+    image = np.moveaxis(captured(levels)[0], -1, 0)
+
+    def apart():
+        noise_e = np.full(4, NOISE_E)
+        tiles, whole = (sharpen.linear(image, levels, kernels(), noise_e, tile_px=size) for size in (96, 320))
+        return np.abs(tiles - whole).max() / NOISE_E
+
+    assert apart() < 1e-3
+    parts = layers.parts
+
+    def near(position, tile_px, margin_px, strip_px):
+        return parts(position, tile_px, margin_px // 4, strip_px)
+
+    monkeypatch.setattr(layers, "parts", near)
+    assert apart() > 1e-2
+
+
+def test_linear_deconvolution_inverts_the_blur_at_every_frequency_that_it_passes():
+    """Set-up: a grating of 12 px at level 5 without noise. Expectation: it comes back with 0.8 to 1.05 of its contrast,
+    of which the picture has less than 0.6; the mean is kept.
+    """
+    grating = 1000 + 300 * np.cos(2 * np.pi * np.arange(384) / 12)
+    sharp = np.broadcast_to(grating, (4, 288, 384)).astype(np.float32)
+    blurred = np.stack(
+        [
+            np.asarray(fourier.inverse(fourier.forward(p) * fourier.transfer(k, p.shape), p.shape))
+            for p, k in zip(sharp, kernels()[5], strict=True)
+        ]
+    ).astype(np.float32)
+    found = sharpen.linear(blurred, np.full((288, 384), 5.0, np.float32), kernels(), np.full(4, NOISE_E))
+    inner = np.s_[:3, 96:-96, 96:-96]
+    contrast = [image[inner].std() / sharp[inner].std() for image in (blurred, found)]
+    assert contrast[0] < 0.6 and 0.8 < contrast[1] < 1.05, contrast
+    np.testing.assert_allclose(found[inner].mean(), 1000, rtol=1e-3)
+
+
 @pytest.mark.parametrize("tile_px", [24, 64, 200])
 def test_shares_of_all_parts_are_one(tile_px):
     """Set-up: levels in speckles, tiles smaller than the strips in which they are blended, and larger ones."""
