@@ -27,7 +27,7 @@ FREE = {  # numbers without limits in their model, and what limits them
     "Draw.log_uniform": "the same",
     "Draw.choice": "the same",
     "Draw.each": "the same",
-    "Grid.grid": "the key that it is for, tested in tests/validation/studies/test_sweep.py",
+    "Grid.grid": "the key that it is for, tested in tests/validation/studies/sweep/test_loading.py",
     "Grid.log_grid": "the same",
     "StudySpec.design": "the same",
     "StudySpec.parameters": "the same",

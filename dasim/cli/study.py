@@ -1,6 +1,6 @@
 """The commands ``dasim study``: parse arguments and print.
 
-Tested in tests/validation/studies/test_sweep.py.
+Tested in tests/validation/studies/sweep/test_loading.py.
 """
 
 from __future__ import annotations

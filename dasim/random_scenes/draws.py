@@ -1,6 +1,6 @@
 """Random numbers of random scenes: one generator per stage of sampling, and draws by weight.
 
-Tested in tests/dasim/random_scenes/test_specification.py.
+Tested in tests/dasim/random_scenes/test_scene.py.
 """
 
 from __future__ import annotations

@@ -6,7 +6,7 @@ ray through picture coordinates (x, y) meets plane i at the depth d_i / (n_i . r
 and sizes are relative to depth. Every constraint (within the depth range, in front of the walls, above the floor) is
 therefore a linear inequality with a direct solution; no sample is ever rejected.
 
-Tested in tests/dasim/random_scenes/test_specification.py.
+Tested in tests/dasim/random_scenes/test_scene.py.
 """
 
 from __future__ import annotations

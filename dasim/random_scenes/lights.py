@@ -1,6 +1,6 @@
 """Lights of random scenes: lamps, a window, or daylight.
 
-Tested in tests/dasim/random_scenes/test_specification.py.
+Tested in tests/dasim/random_scenes/test_scene.py.
 """
 
 from __future__ import annotations

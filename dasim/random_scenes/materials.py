@@ -1,6 +1,6 @@
 """Materials of random scenes: library materials, blends, prints, photographs, clear coats, a few metals and glass.
 
-Tested in tests/dasim/random_scenes/test_specification.py.
+Tested in tests/dasim/random_scenes/test_scene.py.
 """
 
 from __future__ import annotations

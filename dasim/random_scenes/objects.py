@@ -1,6 +1,6 @@
 """Objects of random scenes: their shapes, sizes and orientations, and what they rest on.
 
-Tested in tests/dasim/random_scenes/test_specification.py.
+Tested in tests/dasim/random_scenes/test_scene.py.
 """
 
 from __future__ import annotations

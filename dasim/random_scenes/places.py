@@ -2,7 +2,7 @@
 
 Coordinates and constraints are those of :mod:`dasim.random_scenes.layout`.
 
-Tested in tests/dasim/random_scenes/test_specification.py.
+Tested in tests/dasim/random_scenes/test_scene.py.
 """
 
 from __future__ import annotations

@@ -5,7 +5,7 @@ has its own random generator, so that a change of one stage, such as the number 
 the lights) unchanged. ``layout`` draws the room and ``places`` positions objects in it, ``objects`` and ``materials``
 draw their shapes and surfaces, ``lights`` their light.
 
-Tested in tests/dasim/random_scenes/test_specification.py.
+Tested in tests/dasim/random_scenes/test_scene.py.
 """
 
 from __future__ import annotations

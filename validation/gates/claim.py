@@ -1,6 +1,6 @@
 """Figures of a claim compared with their limits, and the file ``results.json``.
 
-Tested in tests/validation/gates/test_run.py.
+Tested in tests/validation/gates/test_gates.py.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Changes of figures since an earlier ``results.json`` that exceed the spread over seeds.
 
-Tested in tests/validation/gates/test_run.py.
+Tested in tests/validation/gates/test_comparison.py.
 """
 
 from __future__ import annotations

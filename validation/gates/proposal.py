@@ -1,6 +1,6 @@
 """Proposed limits: the mean over seeds and a margin that follows from the spread.
 
-Tested in tests/validation/gates/test_run.py.
+Tested in tests/validation/gates/test_comparison.py.
 """
 
 from __future__ import annotations

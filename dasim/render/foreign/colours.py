@@ -1,6 +1,6 @@
 """Spectra up to 830 nm in place of the RGB colours of a Mitsuba scene's surfaces, on the nodes of Mitsuba's parser.
 
-Tested in tests/dasim/render/foreign/test_scene.py.
+Tested in tests/dasim/render/foreign/test_surfaces.py.
 """
 
 from __future__ import annotations

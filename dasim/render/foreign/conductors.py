@@ -1,6 +1,6 @@
 """Indices of refraction of conductors from 400 to 830 nm, where the tables of a Mitsuba scene end before.
 
-Tested in tests/dasim/render/foreign/test_scene.py.
+Tested in tests/dasim/render/foreign/test_surfaces.py.
 """
 
 from __future__ import annotations

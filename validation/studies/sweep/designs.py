@@ -1,6 +1,6 @@
 """The camera, scene and settings of a point of a sweep.
 
-Tested in tests/validation/studies/test_sweep.py.
+Tested in tests/validation/studies/sweep/test_run.py.
 """
 
 from __future__ import annotations

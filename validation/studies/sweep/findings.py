@@ -6,7 +6,7 @@ the same measurements that state its advantage, which is therefore slightly over
 reference only if Student's t test of the paired differences is significant, at a level divided by the number of other
 values (Bonferroni). Seeds differ in the noise of sensor and rendering; another scene may have another best value.
 
-Tested in tests/validation/studies/test_sweep.py.
+Tested in tests/validation/studies/sweep/test_findings.py.
 """
 
 from __future__ import annotations

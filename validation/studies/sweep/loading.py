@@ -1,6 +1,6 @@
 """Reading studies from files, and checking them completely before the first render.
 
-Tested in tests/validation/studies/test_sweep.py.
+Tested in tests/validation/studies/sweep/test_loading.py.
 """
 
 from __future__ import annotations

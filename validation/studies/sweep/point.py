@@ -1,6 +1,6 @@
 """One point of a sweep: render, calibrate, reconstruct, and score in units that are comparable between designs.
 
-Tested in tests/validation/studies/test_sweep.py.
+Tested in tests/validation/studies/sweep/test_point.py.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """The report page of a sweep: its question, curves with error bars, Pareto fronts, and all figures.
 
-Tested in tests/validation/studies/test_sweep.py.
+Tested in tests/validation/studies/sweep/test_run.py.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Run a sweep: measure the missing points, and write their table and report.
 
-Tested in tests/validation/studies/test_sweep.py.
+Tested in tests/validation/studies/sweep/test_run.py.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """The specification of a sweep: grids of parameters, their points, and the points that share a picture.
 
-Tested in tests/validation/studies/test_sweep.py.
+Tested in tests/validation/studies/sweep/test_loading.py.
 """
 
 from __future__ import annotations
