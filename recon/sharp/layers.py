@@ -74,7 +74,12 @@ def parts(
 
     Those with the same transfer functions follow each other.
 
-    ``position`` [h, w] is the fractional index of every pixel's level.
+    Args:
+        position: fractional index of every pixel's level, [h, w].
+        tile_px: largest side of a tile.
+        margin_px: of the picture around a tile, on either side.
+        strip_px: after the margin, in which what follows fades into what precedes; none is needed for filters that do
+            not reach beyond the margin.
     """
     least_px = 4 * BLEND_PX  # so that a tile of half this side has its two strips
     rows, columns = (_overlapping(length, max(tile_px, least_px)) for length in position.shape)

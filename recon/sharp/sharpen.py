@@ -28,9 +28,8 @@ STATISTICS_ROWS = 256  # of the frame at a time
 SUFFICIENT_PX = 2000.0  # pixels of a level at which its own gradients and the frame's mean have equal weight
 LINEAR_REACH_PX = 96  # of the filters of :func:`linear`, in every direction
 DRAFT_PRIOR = 2.0  # factor on the measured beta of the draft
-LINEAR_PRIOR = (
-    0.12  # the same for :func:`linear`; chosen on ``tune`` and photographs; the networks were trained with 0.25
-)
+# The same for :func:`linear`, chosen on ``tune`` and photographs; the networks were trained with 0.25.
+LINEAR_PRIOR = 0.12
 INTERPOLATED_WEIGHT = 0.25  # weight of the data without phases, where one pixel in four is a sample
 COLOURS, INFRARED = slice(0, 3), slice(3, 4)
 Passes = Sequence[tuple[slice, slice | None]]  # channels of a pass, and channels of its guide

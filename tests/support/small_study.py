@@ -1,4 +1,4 @@
-"""A small study without rendering."""
+"""Small studies, measured without rendering."""
 
 from __future__ import annotations
 
@@ -27,6 +27,19 @@ log_y = true
 
 
 HOLE = "camera.stops.hole.radius_ratio"
+REFERENCE = f'[reference]\n"{HOLE}" = 0.46\n'
+GRIDS = f"""
+name = "grids"
+[design]
+"{HOLE}" = 0.46
+"light.illuminant" = "D65"
+[[parameters]]
+"{HOLE}" = [0.3, 0.46, 0.6]
+[[parameters]]
+"light.illuminant" = ["D65", "A"]
+[quick]
+"{HOLE}" = [0.6]
+"""
 
 
 def measured(job: Sweep, index: int, broken=()) -> Outcome:

@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from tests.support.small_study import STUDY
+from tests.support.small_study import REFERENCE, STUDY
 from validation.studies.sweep import report
 from validation.studies.sweep.loading import load_study
-
-REFERENCE = '[reference]\n"camera.stops.hole.radius_ratio" = 0.46\n'
 
 
 @pytest.fixture

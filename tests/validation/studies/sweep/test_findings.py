@@ -7,26 +7,12 @@ import math
 import pytest
 
 from dasim.base.errors import InputError
-from tests.support.small_study import HOLE, STUDY, rows_of, swept
+from tests.support.small_study import GRIDS, HOLE, REFERENCE, STUDY, rows_of, swept
 from validation.studies.sweep import findings
 from validation.studies.sweep import run as sweep
 from validation.studies.sweep.loading import load_study
 from validation.studies.sweep.point import FIGURES, Sweep
 from validation.studies.sweep.specification import points
-
-GRIDS = f"""
-name = "grids"
-[design]
-"{HOLE}" = 0.46
-"light.illuminant" = "D65"
-[[parameters]]
-"{HOLE}" = [0.3, 0.46, 0.6]
-[[parameters]]
-"light.illuminant" = ["D65", "A"]
-[quick]
-"{HOLE}" = [0.6]
-"""
-REFERENCE = '[reference]\n"camera.stops.hole.radius_ratio" = 0.46\n'
 
 
 @pytest.mark.parametrize(

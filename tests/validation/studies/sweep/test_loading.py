@@ -6,23 +6,10 @@ import pytest
 
 from dasim.base.errors import InputError
 from dasim.cli import run
-from tests.support.small_study import HOLE
+from tests.support.small_study import GRIDS, HOLE
 from validation.studies.sweep import loading, report
 from validation.studies.sweep.loading import load_study
 from validation.studies.sweep.specification import Curve, points, units
-
-GRIDS = f"""
-name = "grids"
-[design]
-"{HOLE}" = 0.46
-"light.illuminant" = "D65"
-[[parameters]]
-"{HOLE}" = [0.3, 0.46, 0.6]
-[[parameters]]
-"light.illuminant" = ["D65", "A"]
-[quick]
-"{HOLE}" = [0.6]
-"""
 
 
 @pytest.mark.parametrize("name", loading.names())

@@ -12,25 +12,13 @@ import pytest
 
 from dasim.scene import loading as scene_files
 from tests.support import browser
-from tests.support.small_study import HOLE, STUDY, swept
+from tests.support.small_study import GRIDS, HOLE, STUDY, swept
 from validation.studies.sweep import designs, report
 from validation.studies.sweep import run as sweep
 from validation.studies.sweep.loading import load_study
 from validation.studies.sweep.point import FIGURES, Sweep, file_of
 from validation.studies.sweep.specification import points, units
 
-GRIDS = f"""
-name = "grids"
-[design]
-"{HOLE}" = 0.46
-"light.illuminant" = "D65"
-[[parameters]]
-"{HOLE}" = [0.3, 0.46, 0.6]
-[[parameters]]
-"light.illuminant" = ["D65", "A"]
-[quick]
-"{HOLE}" = [0.6]
-"""
 CURVES = f"""
 [[curves]]
 x = "light.illuminant"
