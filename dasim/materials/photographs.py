@@ -8,7 +8,7 @@ mixes them trilinearly with the picture's linear values (Demichel's areas of thr
 - ``achromatic``: beyond 650 nm neutral pigments whose reflectance is the picture's luminance; below, the sRGB basis of
   Mallett and Yuksel (2019), so that the colour under D65 is that of the picture.
 
-Tested in tests/dasim/scene/test_shapes.py.
+Tested in tests/dasim/scene/test_mesh_colours.py.
 """
 
 from __future__ import annotations

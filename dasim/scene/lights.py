@@ -4,7 +4,7 @@ A direction in the sky is an elevation above the horizon (up is -y) and an azimu
 right (+x), both in degrees. A light at azimuth 0 stands behind the subject, at 90 to its right, at 180 behind the
 camera (for a camera that looks along z).
 
-Tested in tests/dasim/render/test_lights.py.
+Tested in tests/dasim/render/test_lights.py and tests/dasim/scene/test_skies.py.
 """
 
 from __future__ import annotations

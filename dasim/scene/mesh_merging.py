@@ -4,7 +4,7 @@ A file may hold several parts (GLB, OBJ with materials). Their geometry is merge
 texture atlas, so that an object remains one mesh with one surface. RGB does not determine the near-infrared: the scene
 chooses the rule that extends it (``dasim.materials.library.photograph_surface``).
 
-Tested in tests/dasim/scene/test_shapes.py.
+Tested in tests/dasim/scene/test_mesh_colours.py.
 """
 
 from __future__ import annotations

@@ -3,7 +3,7 @@
 The finish is that of glTF 2.0 (appendix B): a metallic share, a roughness whose square is the GGX alpha, and a map of
 normals in the axes of the texture. Scale factors of normal maps, occlusion, emission and extensions are not read.
 
-Tested in tests/dasim/scene/test_shapes.py and tests/dasim/render/test_finish.py.
+Tested in tests/dasim/scene/test_mesh_colours.py and tests/dasim/render/test_finish.py.
 """
 
 from __future__ import annotations

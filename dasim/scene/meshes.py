@@ -2,7 +2,7 @@
 
 :mod:`dasim.scene.mesh_paint` reads the colours, :mod:`dasim.scene.mesh_merging` makes one mesh of the parts.
 
-Tested in tests/dasim/scene/test_shapes.py.
+Tested in tests/dasim/scene/test_mesh_colours.py.
 """
 
 from __future__ import annotations

@@ -4,7 +4,7 @@ Columns are azimuths: -180 degrees (behind) at the left edge, 0 (straight ahead,
 edge, so that the right half lies to the right (+x). Rows are elevations, from straight up (-y) at the top to straight
 down. Pixel centres lie at +0.5; luminance is interpolated bilinearly between them.
 
-Tested in tests/dasim/render/test_lights.py.
+Tested in tests/dasim/render/test_lights.py and tests/dasim/scene/test_skies.py.
 """
 
 from __future__ import annotations
