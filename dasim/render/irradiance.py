@@ -9,19 +9,23 @@ interreflection", SIGGRAPH 1988. Lamps are excluded: every ray samples them wher
 Over wavelength, irradiance is smooth only relative to the spectrum of its source. Each distinct spectrum therefore has
 its own grid; all grids share the rays.
 
-A cell of the grid is used only where its four corners lie on one surface and agree to ``AGREEMENT``, so that linear
-interpolation is accurate to a fraction of that; elsewhere, and on surfaces that are not Lambertian, rays are traced by
-a path tracer. The claim ``interreflection`` compares pictures with those of the path tracer alone.
+A ray uses the corners of its cell that lie on its surface. Between four that agree to ``AGREEMENT``, linear
+interpolation is accurate to a fraction of that. Beside steps in depth and creases, where fewer are left, each must
+agree with the nodes around it. In both cases, corners must be near by Ward's measure: not far from the point for the
+distance of the surroundings, which is short beneath objects. Elsewhere, and on surfaces that are not Lambertian, rays
+are traced by a path tracer. The claim ``interreflection`` compares pictures with those of the path tracer alone.
 
 Tested in tests/dasim/render/test_irradiance.py and tests/dasim/render/test_passes.py.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dasim.render import backend, light_spectra
 from dasim.render.lamps import Cell, Grid, from_all_around, grid_of
@@ -40,6 +44,11 @@ SMOOTHING = {1: (SAME_NORMAL, AGREEMENT), 2: (0.998, 0.02), 4: (0.998, 0.02)}
 TILE = 4  # nodes along each side of a square whose directions are stratified together
 WIDEST = 0.015  # largest distance of averaged nodes beyond neighbours, as a tangent seen from the lens
 SAME_DEPTH = 0.02
+SAME_PLANE = 5e-3  # distance of a point from the plane of a node, over its depth
+# Largest error that is expected of a node: its distance over that of the surroundings, plus the turn between normals
+# (Ward et al., eq. 4). Where all four corners of a cell are used, first orders cancel.
+BETWEEN_ERROR, BEYOND_ERROR = 0.5, 0.3
+LEAST_SHARE = 1e-3  # of the corners that are used, in the interpolation between all four
 ON_SURFACE, ON_SURFACE_TURN = 1e-3, 2e-5  # relative change of 1/z and of the cosine (0.4 degrees) for lamps
 DIRECTIONS_PER_SAMPLE = 4  # directions of a point per sample of a pixel
 FEWEST_DIRECTIONS, MOST_DIRECTIONS = 64, 1024
@@ -52,9 +61,10 @@ class Field:
     start_px: tuple[float, float]  # of the first node, from the axis
     px_per_m: float
     shape: tuple[int, int]  # nodes, [y, x]
-    ratio: Any  # [wavelength, y, x] of a vector: irradiance of each light over its spectrum
-    surface: Any  # [y, x, (1/z, normal)]
+    ratio: Any  # flat [y, x, wavelength, light]: irradiance of each light over its spectrum
+    surface: Any  # flat [y, x, (1/z, normal, mean inverse distance of the surroundings in 1/m)]
     usable: Any  # flat cells, 1 where corners agree
+    even: Any  # flat nodes, 1 where light agrees with that of the neighbours on the same surface
     light: FloatArray  # spectrum of all lights together, on the wavelength grid
     spectra: Any  # of each light as a texture over wavelength
     spectrum_nodes: int  # of that texture
@@ -67,29 +77,61 @@ class Field:
         import mitsuba as mi
 
         rows, columns = (dr.opaque(mi.UInt32, extent) for extent in self.shape)
-        start, scale = (dr.opaque(mi.Float, value / STRIDE_PX) for value in self.start_px), self.px_per_m / STRIDE_PX
+        start, scale = [dr.opaque(mi.Float, value / STRIDE_PX) for value in self.start_px], self.px_per_m / STRIDE_PX
         scale = dr.opaque(mi.Float, scale)
         x, y = (at / si.p.z * scale - first for at, first in zip((si.p.x, si.p.y), start, strict=True))
         inside = active & (x >= 0) & (y >= 0) & (x < mi.Float(columns - 1)) & (y < mi.Float(rows - 1))
         column, row = mi.UInt32(dr.select(inside, x, 0.0)), mi.UInt32(dr.select(inside, y, 0.0))
         cell = row * (columns - 1) + column
-        known = inside & (dr.gather(mi.UInt32, self.usable, cell, inside) > 0)
-        place = mi.Point2f((x + 0.5) / columns, (y + 0.5) / rows)
-        vergence, *normal = self.surface.eval(place, known)
-        facing = _towards_camera(si)
-        away, aligned = dr.abs(vergence * si.p.z - 1), dr.dot(facing, dr.normalize(mi.Vector3f(*normal)))
-        known &= (away < SAME_DEPTH) & (aligned > SAME_NORMAL)
         along = mi.Point2f(x - mi.Float(column), y - mi.Float(row))
-        on_surface = known & (away < ON_SURFACE) & (aligned > 1 - ON_SURFACE_TURN)
+        facing, corners = _towards_camera(si), []
+        vergence, normal, seen = mi.Float(0.0), mi.Vector3f(0.0), mi.Float(0.0)
+        whole, even = mi.Bool(inside), mi.Bool(inside)
+        for right, below in ((0, 0), (1, 0), (0, 1), (1, 1)):
+            node = (row + below) * columns + column + right
+            share = (along.x if right else 1 - along.x) * (along.y if below else 1 - along.y)
+            own, *towards, near = (dr.gather(mi.Float, self.surface, 5 * node + index, inside) for index in range(5))
+            towards = mi.Vector3f(*towards)
+            vergence, normal = dr.fma(share, own, vergence), normal + share * towards
+            slope = mi.Point2f(mi.Float(column + right) + start[0], mi.Float(row + below) + start[1]) / scale
+            offset = si.p - mi.Vector3f(slope.x, slope.y, 1.0) / own
+            same = (own > 0) & (dr.abs(dr.dot(offset, towards)) < SAME_PLANE * si.p.z)
+            turn = dr.safe_sqrt(1 - dr.dot(facing, towards))
+            error = dr.norm(offset) * near + turn
+            whole &= same & (error < BETWEEN_ERROR)
+            same &= turn < BEYOND_ERROR
+            is_even = dr.gather(mi.UInt32, self.even, node, inside) > 0
+            even &= ~same | (is_even & (error < BEYOND_ERROR))
+            seen += dr.select(same, share, 0.0)
+            corners.append((node, share, same))
+        whole &= dr.gather(mi.UInt32, self.usable, cell, inside) > 0
+        away, aligned = dr.abs(vergence * si.p.z - 1), dr.dot(facing, dr.normalize(normal))
+        on_surface = whole & (away < ON_SURFACE) & (aligned > 1 - ON_SURFACE_TURN)
+        known = whole | (even & (seen > LEAST_SHARE))
+        parts = [(node, dr.select(whole, share, dr.select(same, share / seen, 0.0))) for node, share, same in corners]
+        place = Cell(cell, row * columns + column, along, columns, on_surface)
+        return self._irradiance(parts, si.wavelengths, known), known, place
+
+    def _irradiance(self, parts: list[tuple[Any, Any]], wavelengths: Any, active: Any) -> Any:
+        """Spectral irradiance of some nodes by their shares."""
+        import drjit as dr
+        import mitsuba as mi
+
         result = mi.Spectrum(0.0)
         for k in range(4):
-            at = (si.wavelengths[k] - float(grid.WAVELENGTH_NM[0])) / _SPAN_NM
-            ratio = self.ratio.eval(mi.Point3f(place.x, place.y, (at * (NODES - 1) + 0.5) / NODES), known)
-            lit = self.spectra.eval(mi.Point1f((at * (self.spectrum_nodes - 1) + 0.5) / self.spectrum_nodes), known)
-            result[k] = ratio[0] * lit[0]
-            for light in range(1, len(lit)):
-                result[k] = dr.fma(ratio[light], lit[light], result[k])
-        return result, known, Cell(cell, row * columns + column, along, columns, on_surface)
+            at = (wavelengths[k] - float(grid.WAVELENGTH_NM[0])) / _SPAN_NM
+            lit = self.spectra.eval(mi.Point1f((at * (self.spectrum_nodes - 1) + 0.5) / self.spectrum_nodes), active)
+            place = dr.clip(at, 0.0, 1.0) * (NODES - 1)
+            first = dr.minimum(mi.UInt32(place), NODES - 2)
+            along = place - mi.Float(first)
+            for light, power in enumerate(lit):
+                ratio = mi.Float(0.0)
+                for node, share in parts:
+                    index = (node * NODES + first) * len(lit) + light
+                    low, high = (dr.gather(mi.Float, self.ratio, index + step, active) for step in (0, len(lit)))
+                    ratio = dr.fma(share, dr.fma(along, high - low, low), ratio)
+                result[k] = dr.fma(ratio, power, result[k])
+        return result
 
 
 _SPAN_NM = float(grid.WAVELENGTH_NM[-1] - grid.WAVELENGTH_NM[0])
@@ -148,7 +190,7 @@ def field(
     shares = lights.shares()
     count = rows * columns
     received = np.zeros((count, *lit.shape))
-    met = np.zeros((count, 5))
+    met = np.zeros((count, 6))
     at_once = max(1, backend.lanes() // directions)
     across, each = dr.opaque(mi.UInt32, columns), dr.opaque(mi.UInt32, directions)
     corner = mi.Point2f(*(dr.opaque(mi.Float, value) for value in start))
@@ -170,23 +212,25 @@ def field(
         met[part] = geometry
     grid_y, grid_x = np.mgrid[:rows, :columns] * STRIDE_PX
     slopes = np.column_stack([(grid_x + start[0]).ravel(), (grid_y + start[1]).ravel()]) / px_per_m
-    ratio, surface = received.reshape(rows, columns, *lit.shape), met.reshape(rows, columns, 5)
+    ratio, surface = received.reshape(rows, columns, *lit.shape), met.reshape(rows, columns, 6)
     ratio = smoothed(ratio, surface, spectra, STRIDE_PX / px_per_m)
     usable = _agree(ratio, surface, spectra)
+    surface[..., 5] = clamped(surface, slopes.reshape(rows, columns, 2))
     empty = lights.slots - len(spectra) if len(spectra) > 1 else 0
     ratio = np.pad(ratio, ((0, 0), (0, 0), (0, empty), (0, 0)))
     return Field(
         start_px=(start[0], start[1]),
         px_per_m=px_per_m,
         shape=(rows, columns),
-        ratio=texture(np.moveaxis(ratio, -1, 0)),
-        surface=texture(surface[..., :4]),
+        ratio=mi.Float(np.moveaxis(ratio, -1, -2).astype(np.float32).ravel()),
+        surface=mi.Float(surface[..., [0, 1, 2, 3, 5]].astype(np.float32).ravel()),
         usable=mi.UInt32(usable.ravel().astype(np.uint32)),
+        even=mi.UInt32(even_nodes(ratio, surface, spectra).ravel().astype(np.uint32)),
         light=floor,
         spectra=texture(np.pad(spectra.T, ((0, 0), (0, empty)))),
         spectrum_nodes=len(at_nm),
         share=float(usable.mean()),
-        lamps=grid_of(scene, slopes, met, (rows, columns), seed),
+        lamps=grid_of(scene, slopes, met[:, :5], (rows, columns), seed),
     )
 
 
@@ -213,7 +257,8 @@ def _traced(
     Each direction carries four of the wavelengths. ``stratum`` is the number of each point in its tile, and the key of
     the tile.
 
-    Returns the irradiance from each light, [point, light, node], and (1/z, normal, known), [point, 5].
+    Returns the irradiance from each light, [point, light, node], and (1/z, normal, known, mean inverse distance of the
+    surroundings), [point, 6].
     """
     import drjit as dr
     import mitsuba as mi
@@ -271,8 +316,10 @@ def _traced(
     values = [dr.select(known, of_light[k], 0.0) for of_light in received for k in range(4)]
     first = dr.arange(mi.UInt32, lanes // directions) * directions
     about = [dr.select(known, dr.rcp(si.p.z), 0.0), normal.x, normal.y, normal.z, valid]
-    dr.eval(values, about)
+    near = dr.select(known & met.is_valid(), dr.rcp(met.t), 0.0)
+    dr.eval(values, about, near)
     about = [dr.gather(mi.Float, value, first) for value in about]
+    about.append(dr.block_sum(near, directions) / directions)
     dr.eval(about)
     sums = [np.array(dr.block_sum(value, block)).reshape(-1, groups) / block for value in values]
     geometry = np.stack([np.array(at) for at in about], axis=-1)
@@ -335,6 +382,58 @@ def _averaged(
     return total / weight[..., None, None]
 
 
+def clamped(surface: FloatArray, slope: FloatArray) -> FloatArray:
+    """Mean inverse distance of the surroundings of each node [y, x], 1/m, at least what its neighbours imply.
+
+    What stands close by may be seen in a narrow angle alone, as the lower side of a ball on a table. The surroundings
+    are no farther than those of a neighbour and the way to it (Krivanek, Bouatouch, Pattanaik and Zara, Eurographics
+    Symposium on Rendering 2006). ``slope`` is x / z and y / z.
+    """
+    known = surface[..., 4] > 0
+    z = 1 / np.where(known, surface[..., 0], 1.0)
+    place, near = np.dstack([slope, np.ones_like(z)]) * z[..., None], surface[..., 5].copy()
+    for inside, there in _neighbours(z.shape):
+        way = np.linalg.norm(place[there] - place[inside], axis=-1)
+        implied = surface[there][..., 5] / (1 + way * surface[there][..., 5])
+        near[inside] = np.where(known[inside] & known[there], np.maximum(near[inside], implied), near[inside])
+    return near
+
+
+def even_nodes(ratio: FloatArray, surface: FloatArray, spectra: FloatArray) -> NDArray[np.bool_]:
+    """Nodes [y, x] whose neighbours on the same surface, two or more, receive nearly the same, in all wavelengths."""
+    light, known = _bands(ratio, spectra), surface[..., 4] > 0
+    agrees, count = known.copy(), np.zeros(known.shape, int)
+    for inside, there in _neighbours(known.shape):
+        here, other = surface[inside], surface[there]
+        same = known[inside] & known[there] & (np.sum(here[..., 1:4] * other[..., 1:4], axis=-1) > SAME_NORMAL)
+        same &= np.abs(here[..., 0] - other[..., 0]) < SAME_DEPTH * here[..., 0]
+        differ = np.abs(light[there] - light[inside]) > AGREEMENT * (light[there] + light[inside]) / 2
+        agrees[inside] &= ~(same & differ.any(axis=-1))
+        count[inside] += same
+    return agrees & (count > 1)
+
+
+def _neighbours(shape: tuple[int, ...]) -> Iterator[tuple[tuple[slice, slice], tuple[slice, slice]]]:
+    """Places of the nodes of a grid [y, x] that have a neighbour on one of eight sides, and of that neighbour."""
+    for turn in range(9):
+        step = turn // 3 - 1, turn % 3 - 1
+        if step != (0, 0):
+            inside, there = (
+                tuple(slice(max(0, d), extent + min(0, d)) for d, extent in zip(way, shape, strict=True))
+                for way in ((-step[0], -step[1]), step)
+            )
+            yield inside, there  # type: ignore[misc]
+
+
+def _bands(ratio: FloatArray, spectra: FloatArray) -> FloatArray:
+    """Irradiance in four bands, [y, x, band]: means of eight wavelengths, since single ones are noisier. Lights count
+    by their power in each of these bands.
+    """
+    bands = ratio.reshape(*ratio.shape[:3], 4, -1).mean(axis=-1)[:, :, : len(spectra)]
+    power = np.stack([part.mean(axis=-1) for part in np.array_split(spectra, 4, axis=-1)], axis=-1)
+    return np.asarray((bands * (power / power.sum(axis=0))).sum(axis=2))
+
+
 def _agree(ratio: FloatArray, surface: FloatArray, spectra: FloatArray) -> np.ndarray:
     """Cells [y, x] whose four corners are known, face one way and receive nearly the same, in all wavelengths."""
 
@@ -344,10 +443,7 @@ def _agree(ratio: FloatArray, surface: FloatArray, spectra: FloatArray) -> np.nd
     known = corners(surface[..., 4]).min(axis=0) > 0
     normal = corners(surface[..., 1:4])
     turned = np.min([np.sum(normal[i] * normal[j], axis=-1) for i in range(4) for j in range(i)], axis=0)
-    # Means of eight wavelengths: single ones are noisier. Lights count by their power in each of these bands.
-    bands = ratio.reshape(*ratio.shape[:3], 4, -1).mean(axis=-1)
-    power = np.stack([part.mean(axis=-1) for part in np.array_split(spectra, 4, axis=-1)], axis=-1)
-    light = corners((bands * (power / power.sum(axis=0))).sum(axis=2))
+    light = corners(_bands(ratio, spectra))
     middle = light.mean(axis=0)
     spread = (light.max(axis=0) - light.min(axis=0)) / np.where(middle > 0, middle, 1.0)
     return known & (turned > SAME_NORMAL) & (spread.max(axis=-1) < AGREEMENT)

@@ -26,8 +26,8 @@ LOOP = """blur_tables control_variate field_angle irradiance lamps light_paths l
 pinhole pupil radial_blur ray_block ray_loop ray_pass sobol surrounding transport foreign/colours""".split()
 # Of Dr.Jit, all of which both kinds of arrays have; and of Mitsuba, whose types are those of the variant.
 DRJIT = """abs all any arange atan block_sum brev clip cos dot eval floor fma full gather isfinite lerp make_opaque
-maximum minimum norm normalize opaque pi rcp reinterpret_array round rsqrt safe_acos safe_asin select sin sincos sqrt
-squared_norm while_loop width zeros FilterMode WrapMode""".split()
+maximum minimum norm normalize opaque pi rcp reinterpret_array round rsqrt safe_acos safe_asin safe_sqrt select sin
+sincos sqrt squared_norm while_loop width zeros FilterMode WrapMode""".split()
 MITSUBA = """BSDFContext BSDFFlags Bool DirectionSample3f DiscreteDistribution DiscreteDistribution2D Emitter
 EmitterFlags EmitterPtr Float Frame3f Normal3f PCG32 Point1f Point2f Point3f Ray3f RayDifferential3f RayFlags Spectrum
 SurfaceInteraction3f TensorXf Texture Texture1f Texture2f Texture3f UInt32 UInt64 Vector3f has_flag sample_tea_32
@@ -43,9 +43,9 @@ PLUGINS = OURS | set(
 )
 # Most arrays that the host reads per batch, by function: sums of two for each of eight channels (of four: also of two
 # for the control variate, and two for depth); of pixels that see several depths two for each channel and the depth, and
-# the light of four channels; of the irradiance, four wavelengths, and five numbers of the surface; of a pinhole's nodes
+# the light of four channels; of the irradiance, four wavelengths, and six numbers of the surface; of a pinhole's nodes
 # two for each of three bands of two stops and seven channels of two cameras.
-READS = {"Block.sums": 18, "_read": 9, "_beyond": 4, "_traced": 9, "_trace_nodes": 26}
+READS = {"Block.sums": 18, "_read": 9, "_beyond": 4, "_traced": 10, "_trace_nodes": 26}
 RAYS_PER_NUMBER = 2  # at least, of each array that is read: at 4 samples per pixel a picture's halves have 2
 KEPT = 30  # numbers per ray that a launch leaves in memory: 120 bytes
 LAUNCHES = 40  # of all kinds per batch
