@@ -6,13 +6,14 @@ more as the pilot's noise around it asks for. A pixel's own samples have no part
 their mean biased: a bright outlier that brought itself more samples would count less. (The variate's factor of its
 neighbours knows them; no bias of it is seen in 71 pictures of gloss, 0.01 %.) Later noise has none either,
 since a pixel's samples decide its neighbours' numbers, and these would decide its own. If the target is missed, all
-numbers grow by one factor.
+numbers grow by one factor, the least for which the noise that is measured then would fall to the target.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,7 +42,8 @@ FEWEST_SPP, MOST_SPP = 8, 4096
 STEPS = np.array(sorted({*(8 << k for k in range(10)), *(12 << k for k in range(9))}))
 MOST_ROUNDS = 4
 SLOPE = 1.1  # variance falls about as samples ** -1.0 to -1.2 (claim fewer-rays)
-MORE = 1.2  # least factor of a further round
+AIM = 0.98  # of the target, that a further round is for
+MOST_MORE, MORE_BISECTIONS = 8.0, 8  # largest factor of a further round, and how finely it is found
 # What neighbours share may be this part of the target, in standard deviations; beyond it, further pictures have an
 # irradiance of more directions, by MOST_FINER times at most.
 SHARED, MOST_FINER = 0.5, 16
@@ -49,6 +51,7 @@ CERTAIN = 3.0  # standard errors by which it must exceed that
 LEAST_LIGHT = 0.1  # that noise is compared with, of the mean: no samples are spent on what is nearly black
 # The mean number of samples is found by halving, from some rows and columns.
 SPARSE, BISECTIONS = slice(None, None, 3), 24
+LARGE_FRAME_PX = 600_000
 
 
 @dataclass(frozen=True)
@@ -106,7 +109,9 @@ def render_to_noise_target(
         if (of_samples <= own_target and is_fine) or number == MOST_ROUNDS - 1:
             break
         if number:
-            factor *= max(MORE, (of_samples / own_target) ** (2 / SLOPE))
+            left = _Left(pilot_wants, result, variance - shared, limit)
+            factor = _least_factor(left, AIM * own_target, percentile, most_spp, kept, factor)
+            del left
         else:
             of_pilot = np.divide(variance - shared, variance, out=np.zeros_like(variance), where=variance > 0)
             pilot = result._replace(around=result.around * of_pilot)
@@ -123,6 +128,39 @@ def render_to_noise_target(
         number += 1
     reached = shares_at(share(variance, limit), [percentile])[0]
     return AdaptiveRender(result, variance, tuple(float(value) for value in reached))
+
+
+class _Left(NamedTuple):
+    """What decides how many samples a further pair needs."""
+
+    wants: FloatArray  # [stop, h, w] samples that the pilot asks for
+    measured: Measured
+    variance: FloatArray  # [h, w, channel] of the sum over stops, without what neighbours share
+    limit: FloatArray  # [h, w, channel] variance of the sensor's noise
+
+
+def _least_factor(
+    left: _Left, target: float, percentile: float, most_spp: int, kept: Sequence[float] | None, factor: float
+) -> float:
+    """The least multiple of ``factor``, of ``MOST_MORE`` at most, for which noise is expected to fall to the target.
+
+    Of large frames, some rows and columns are looked at.
+    """
+    at = (SPARSE, SPARSE) if left.variance[..., 0].size > LARGE_FRAME_PX else (slice(None), slice(None))
+    wants, done = left.wants[:, *at], np.broadcast_to(left.measured.spp, left.wants.shape)[:, *at]
+    own = left.measured.variance[:, *at] * np.square(1.0 if kept is None else np.array(kept))[..., None, None, None]
+    total, variance, limit = own.sum(axis=0), left.variance[at], left.limit[at]
+
+    def reached(factor: float) -> float:
+        part = done / (done + 2 * next_spp(factor * wants - done, most_spp))
+        kept_part = np.divide((part[..., None] * own).sum(axis=0), total, out=np.zeros_like(total), where=total > 0)
+        return float(shares_at(share(kept_part * variance, limit), [percentile])[0].max())
+
+    low, high = 0.0, np.log(MOST_MORE)
+    for _ in range(MORE_BISECTIONS):
+        middle = (low + high) / 2
+        low, high = (middle, high) if reached(factor * np.exp(middle)) > target else (low, middle)
+    return factor * float(np.exp(high))
 
 
 def wanted_spp(
