@@ -15,12 +15,16 @@ from dasim.render.irradiance import Field, lambertian
 from dasim.render.light_paths import power_heuristic
 from dasim.render.translate import MAX_PATH_DEPTH
 
+# Bounces of an integrator's path after which Russian roulette may end it. With Mitsuba's 5, a capture takes 8 to 12 %
+# more processor time for 2 % less variance; with 2 the variance grows as fast as the time falls.
+ROULETTE_DEPTH = 3
+
 
 def path_integrator() -> Any:
     """The integrator that continues a path beyond its first surface."""
     import mitsuba as mi
 
-    return mi.load_dict({"type": "path", "max_depth": MAX_PATH_DEPTH - 1})
+    return mi.load_dict({"type": "path", "max_depth": MAX_PATH_DEPTH - 1, "rr_depth": ROULETTE_DEPTH})
 
 
 def radiance(
