@@ -212,10 +212,16 @@ def _joined(*parts: tuple[FloatArray, FloatArray, NDArray[np.float32] | float]) 
 
 def around(values: FloatArray) -> FloatArray:
     """Mean over a window of ``WINDOW_PX`` without its middle and within the frame, [stop, h, w, channel]."""
-    window = (WINDOW_PX, WINDOW_PX)
-    inside = ndimage.uniform_filter(np.ones(values.shape[1:3]), window, mode="constant") * WINDOW_PX**2 - 1
-    total = ndimage.uniform_filter(values, (1, *window, 1), mode="constant") * WINDOW_PX**2 - values
+    rows, columns = (_in_window(extent) for extent in values.shape[1:3])
+    inside = np.multiply.outer(rows, columns) - 1
+    total = ndimage.uniform_filter(values, (1, WINDOW_PX, WINDOW_PX, 1), mode="constant") * WINDOW_PX**2 - values
     return np.asarray(total / np.maximum(inside, 1)[..., None])
+
+
+def _in_window(extent: int) -> NDArray[np.int64]:
+    """How many of the places of a window about each of ``extent`` lie within them."""
+    place, half = np.arange(extent), WINDOW_PX // 2
+    return np.minimum(place, half) + np.minimum(extent - 1 - place, half) + 1
 
 
 def share(variance: FloatArray, sensor_variance: FloatArray) -> FloatArray:
