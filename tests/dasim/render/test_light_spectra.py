@@ -13,7 +13,7 @@ SINGLE = 1e-4  # relative, of spectra in single precision
 SUM_LIMIT = 0.005  # of a picture's mean: sampling noise of three pictures, which is common to all of a field's pixels
 SIGMAS = 5.0
 RESOLVED = 0.05  # of the mean: what five standard deviations must stay below
-RAYS = 1 << 18
+RAYS = 1 << 19
 
 LAMP = {"kind": "lamp", "lux": 600.0, "position_cm": [-30, -40, -20], "target_cm": [0, 0, 40], "radius_cm": 6}
 SKY = {"kind": "sky", "lux": 300.0, "illuminant": "D75", "distribution": "overcast"}
