@@ -3,7 +3,8 @@ import pytest
 
 import dasim
 from dasim.render import irradiance, passes, translate
-from dasim.render.irradiance import TILE, clamped, even_nodes, in_tile, smoothed
+from dasim.render.irradiance import TILE, in_tile
+from dasim.render.irradiance_nodes import clamped, even_nodes, smoothed
 from dasim.scene import specification as scenes
 from dasim.typing import FloatArray
 
