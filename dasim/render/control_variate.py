@@ -249,15 +249,39 @@ def _pixel_means(picture: NDArray[np.float32], cells: int, spare_px: int, points
 
 
 def _sampled(profiles: FloatArray, half: int, shift: FloatArray, points: int) -> NDArray[np.float32]:
-    """Kernels of profiles [radius, band, channel] on a grid of ``points`` per pixel, [band, channel, y, x].
+    """:func:`on_grid` as far as ``half`` points, those of a channel with the sum 1 together, [band, channel, y, x].
 
-    Those of a channel have the sum 1 together. Their centre lies at - ``shift``, see :meth:`Control.at`.
+    Their centre lies at - ``shift``, see :meth:`Control.at`.
     """
     at = np.arange(-half, half + 1) / points
-    place = np.hypot(at[None, :] + shift[0], at[:, None] + shift[1]) * (points / RADIUS_STEP)
-    node = np.minimum(place.astype(int), len(profiles) - 2)
-    along = np.clip(place - node, 0.0, 1.0)[..., None, None]
-    kernels = profiles[node] * (1 - along) + profiles[node + 1] * along
+    kernels = on_grid(profiles, np.hypot(at[None, :] + shift[0], at[:, None] + shift[1]), RADIUS_STEP / points)
     total = kernels.sum(axis=(0, 1, 2))
     kernels /= np.where(total > 0, total, 1.0)
     return np.ascontiguousarray(np.moveaxis(kernels, (0, 1), (2, 3)), dtype=np.float32)
+
+
+def on_grid(profiles: FloatArray, distance: FloatArray, step: float) -> FloatArray:
+    """Profiles [radius, ...] in steps of a radius, at distances [y, x], linear between them, [y, x, ...]."""
+    place = distance / step
+    node = np.minimum(place.astype(int), len(profiles) - 2)
+    along = np.clip(place - node, 0.0, 1.0).reshape(*place.shape, *[1] * (profiles.ndim - 1))
+    return np.asarray(profiles[node] * (1 - along) + profiles[node + 1] * along)
+
+
+def convolved(fine: Fine, kernels: NDArray[np.float32], points: int) -> NDArray[np.float32]:
+    """The means over the frame's pixels of a picture that is convolved with kernels [band, channel, y, x] on a grid of
+    ``points`` per pixel, [h, w, channel].
+    """
+    half = kernels.shape[-1] // 2
+    spare = max(0, half // points + 2 - fine.margin_px)  # the picture goes on as at its border
+    around = fine.margin_px + spare
+    means = [_pixel_means(fine.ratio[..., band], fine.cells, spare, points) for band in range(fine.ratio.shape[-1])]
+    height, width = (extent // fine.cells - 2 * fine.margin_px for extent in fine.ratio.shape[:2])
+    result = np.empty((height, width, kernels.shape[1]), np.float32)
+    columns = slice(around * points - half, (width - 1 + around) * points + half + 1)
+    for top in range(0, height, STRIP_PX):
+        bottom = min(top + STRIP_PX, height)
+        rows = slice((top + around) * points - half, (bottom - 1 + around) * points + half + 1)
+        blurred = _blurred([mean[rows, columns] for mean in means], kernels)
+        result[top:bottom] = np.moveaxis(blurred[:, ::points, ::points], 0, -1)
+    return result

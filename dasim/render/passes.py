@@ -8,6 +8,7 @@ E = pi L (r/s)^2 cos^4 summed over the spectrum.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -17,16 +18,26 @@ from dasim.camera import distortion, glare, radiometry, wavefront
 from dasim.camera.sensor import principal_point
 from dasim.camera.specification import Camera
 from dasim.camera.stops import Stop, ring
-from dasim.render import control_variate, irradiance, pinhole, ray_loop, stock, transport
+from dasim.render import control_variate, focus_pictures, irradiance, pinhole, ray_loop, stock, transport
 from dasim.render.control_variate import Control, Fine
 from dasim.render.irradiance import Field
 from dasim.render.ray_loop import Ratios, Sampling
 from dasim.render.ray_pass import light_of, px_per_m
-from dasim.render.wavelengths import BANDS, frame_density, pinhole_responses, separate_responses, stop_responses
+from dasim.render.wavelengths import (
+    BANDS,
+    at_bands,
+    frame_density,
+    pinhole_responses,
+    separate_responses,
+    stop_responses,
+)
 from dasim.typing import FloatArray
 
 MOST_MARGIN_PX = 300.0
-SHARP_MARGIN_PX, MOST_SHARP_MARGIN_PX = 12.0, 60.0  # of the pinhole's picture: beyond the largest blur's half
+FOCUS_RAYS = focus_pictures.NODES  # samples per pixel of :func:`in_focus_pass` are multiples of this
+# Of the pinhole's picture: beyond the largest blur's half; at least, for what diffraction brings from beside the frame
+# in focus; at most.
+SHARP_MARGIN_PX, LEAST_SHARP_MARGIN_PX, MOST_SHARP_MARGIN_PX = 12.0, 20.0, 60.0
 
 
 def stop_pass(
@@ -119,6 +130,34 @@ def stop_ratios(
     return picture
 
 
+def convolved_stops(
+    camera: Camera, fine: dict[str, Fine] | None, *, max_blur_px: float, field: Field | None
+) -> list[int]:
+    """Numbers of the stops whose pictures with every depth in focus :func:`in_focus_pass` makes."""
+    return focus_pictures.convolvable(camera, field, fine, max_blur_px)
+
+
+def in_focus_pass(
+    mitsuba_scene: Any,
+    camera: Camera,
+    stops: Sequence[int],
+    sampling: Sampling,
+    fine: dict[str, Fine],
+    also: Camera,
+    *,
+    max_blur_px: float,
+    field: Field | None,
+) -> focus_pictures.Pictures:
+    """The pictures of some stops with every depth in focus, before glare, and that of :func:`pinhole_pass`, of the same
+    rays; ``stops`` are numbers of :func:`convolved_stops`.
+    """
+    pictures = focus_pictures.pictures(mitsuba_scene, camera, stops, sampling, field, fine, also, max_blur_px)
+    falloff = radiometry.relative_illumination(camera)[..., None]
+    for picture in (pictures.sharp, *pictures.of_stops):
+        picture *= falloff
+    return pictures
+
+
 def control_of(
     mitsuba_scene: Any,
     camera: Camera,
@@ -127,13 +166,12 @@ def control_of(
     *,
     max_blur_px: float,
     field: Field | None,
-    in_focus: bool = False,
 ) -> Control | None:
     """The control variate of a stop from a pinhole's picture; None where there is none for its shape."""
     if fine is None:
         return None
     responses, own = stop_responses(camera, stop), fine[stop.name]
-    return ray_loop.control_of(mitsuba_scene, camera, stop, max_blur_px, field, responses, own, in_focus=in_focus)
+    return ray_loop.control_of(mitsuba_scene, camera, stop, max_blur_px, field, responses, own)
 
 
 def sample_count(spp: int) -> int:
@@ -215,12 +253,14 @@ def sharp_pass(
     if diffraction != "wave" or not radial:
         return Sharp(pinhole_pass(mitsuba_scene, camera, sampling, field, also), None)
     cells = control_variate.cells_of(camera)
-    margin = int(np.ceil(min(max_blur_px / 2 + SHARP_MARGIN_PX, MOST_SHARP_MARGIN_PX)))
+    margin = int(np.ceil(np.clip(max_blur_px / 2 + SHARP_MARGIN_PX, LEAST_SHARP_MARGIN_PX, MOST_SHARP_MARGIN_PX)))
     wider = control_variate.wider(camera, margin)
     light = light_of(field)
     densities = [frame_density(stop_responses(camera, stop), light) for stop in camera.stops]
     responses, parts = separate_responses(wider, also, light, densities), [BANDS] * len(camera.stops)
     pictures = pinhole.pictures(mitsuba_scene, wider, sampling, cells, field, responses, parts)
     rate = pictures.rate[margin:-margin, margin:-margin] * radiometry.relative_illumination(camera)[..., None]
+    for part in pictures.nodes:
+        at_bands(part)
     fine = {stop.name: Fine(cells, part, margin) for stop, part in zip(camera.stops, pictures.nodes, strict=True)}
     return Sharp(rate, fine)

@@ -23,7 +23,10 @@ from dasim.render.ray_loop import Sampling, blocks, ratio_of, signals
 from dasim.render.ray_pass import Pass, light_of, prepare
 from dasim.render.sobol import Sobol
 from dasim.render.wavelengths import Responses
-from dasim.typing import FloatArray
+from dasim.typing import Float32Array, FloatArray
+
+ORDER_STREAM = 254  # of random numbers, see :data:`dasim.render.ray_block.WAVELENGTH_STREAM`
+ALONG, DOWN = 5, 7  # shift of the nodes' order from pixel to pixel, odd
 
 
 class Pictures(NamedTuple):
@@ -67,18 +70,29 @@ def pictures(
     place = responses.place.ravel()
     for block in blocks(shared, sampling, None):
         row, column = np.divmod(np.arange(height * width)[block.pixels], width)
-        sums = _trace_nodes(shared, block, cells)
-        for of_band, (signal, light) in zip(columns, sums, strict=False):
+        pairs = _node_sums(shared, block, cells)
+        for of_band, (signal, light) in zip(columns, pairs, strict=False):
             # Beside the frame there may be infinite light. The control variate has no bias, whatever the nodes are.
-            of_band[row, :, column] = np.nan_to_num(ratio_of(signal, light), posinf=0.0).reshape(-1, cells, cells)
-        for channel, pair in enumerate(sums[len(columns) :]):
+            of_band[row, :, column] = np.nan_to_num(
+                ratio_of(signal.astype(float), light.astype(float)), posinf=0.0
+            ).reshape(-1, cells, cells)
+        for channel, pair in enumerate(pairs[len(columns) :]):
             electrons = at_pixels(mean_signal[:, channel], place[block.pixels])
-            rate[block.pixels, channel] = electrons * ratio_of(*(part.sum(axis=1) for part in pair))
+            rate[block.pixels, channel] = electrons * ratio_of(*(part.sum(axis=1, dtype=float) for part in pair))
     return Pictures(rate.reshape(height, width, -1), nodes)
 
 
-def _trace_nodes(shared: Pass, block: Block, cells: int) -> list[tuple[FloatArray, FloatArray]]:
+def _node_sums(shared: Pass, block: Block, cells: int) -> list[tuple[Float32Array, Float32Array]]:
     """Sums of signal and of control over the rays of each node through a pinhole, per channel [pixel, node]."""
+    values, _ = trace_nodes(shared, block, cells)
+    sums = read_sums(values, int(block.counts[0]) // cells**2, cells**2)
+    return list(zip(sums[::2], sums[1::2], strict=True))
+
+
+def trace_nodes(shared: Pass, block: Block, cells: int) -> tuple[list[Any], Any]:
+    """Signal and control of rays through a pinhole, alternating by channel, those of a node behind each other; and the
+    places of the rays in their nodes, 0 to 1, not evaluated.
+    """
     import drjit as dr
     import mitsuba as mi
 
@@ -87,16 +101,26 @@ def _trace_nodes(shared: Pass, block: Block, cells: int) -> list[tuple[FloatArra
     numbers = Sobol(int(block.counts.max()), block.sample, block.pixel + dr.opaque(mi.UInt32, block.seed))
     film, aim_at, direction, lobe = numbers.next_2d(), numbers.next_2d(), numbers.next_2d(), numbers.next_1d()
     node = block.sample // each
+    within = film
     film = (film + mi.Point2f(mi.Float(node % across), mi.Float(node // across))) / mi.Float(across)
     number, count = block.sample % each, dr.opaque(mi.UInt32, cells * cells)
-    order = dr.gather(mi.UInt32, mi.UInt32(_dispersed(cells)), node)
+    # Shifted from pixel to pixel: along rows and columns, every node gets all wavelengths.
+    column, row = (mi.UInt32(block.corner[axis]) for axis in (0, 1))
+    shift = mi.sample_tea_32(dr.opaque(mi.UInt32, block.seed), ORDER_STREAM)[0] + ALONG * column + DOWN * row
+    order = (dr.gather(mi.UInt32, mi.UInt32(_dispersed(cells)), node) + shift) % count
     first = wavelength_places(shared, block, number * count + order)
     rays = aim(shared, block, (film, film, film, first))
     si = shared.scene.ray_intersect(rays.ray, ray_flags=mi.RayFlags.All, coherent=True)
     values = signals(shared, block, rays, si, [mi.Float(1.0)] * HERO, (aim_at, direction, lobe))
     dr.eval(*values)
-    sums = [np.array(dr.block_sum(value, of_node), dtype=float).reshape(-1, cells**2) for value in values]
-    return list(zip(sums[::2], sums[1::2], strict=True))
+    return values, within
+
+
+def read_sums(values: Sequence[Any], rays: int, nodes: int) -> list[Float32Array]:
+    """Sums of so many consecutive rays each, [pixel, node]."""
+    import drjit as dr
+
+    return [np.array(dr.block_sum(value, rays) if rays > 1 else value).reshape(-1, nodes) for value in values]
 
 
 def _dispersed(cells: int) -> NDArray[np.uint32]:

@@ -48,6 +48,25 @@ class Plain(NamedTuple):
     core_px: float
 
 
+class Spectrum(NamedTuple):
+    """The wavelengths of a stop, which its kernels are weighted with."""
+
+    nm: FloatArray  # [wavelength]
+    colour_px: FloatArray  # [wavelength] what axial colour takes from the visible blur
+    weight: FloatArray  # [wavelength, band, channel] response x light, shared between the bands of the control variate
+
+
+def spectrum_of(nm: FloatArray, light: FloatArray, colour_px: FloatArray, bands: int) -> Spectrum:
+    """The spectrum of a stop from wavelengths at equal steps of probability, [node], reduced to ``CONTROL_BANDS``.
+
+    ``light`` [node, channel] is response x light there over the probability, ``colour_px`` [node] as in the result.
+    """
+    places = (np.arange(len(nm)) + 0.5) / len(nm)
+    parts = np.einsum("nb,nc->nbc", tents(places), light).reshape(CONTROL_BANDS, -1, bands, light.shape[1])
+    middle_nm, middle_px = (curve.reshape(CONTROL_BANDS, -1).mean(axis=1) for curve in (nm, colour_px))
+    return Spectrum(middle_nm, middle_px, parts.sum(axis=1))
+
+
 @dataclass(frozen=True)
 class RadialBlur:
     """Radial tables of a disc or ring; blur and distances are relative to its own centre."""
@@ -127,43 +146,52 @@ class RadialBlur:
         per_density = GUIDE_NODES * (high - low) * 2 * dr.pi * dr.maximum(length, 1e-6)
         return length, length * _direction(first.y), per_density
 
-    def control(
-        self, fine: Fine, blur_px: FloatArray, nm: FloatArray, light: FloatArray, colour_px: FloatArray
-    ) -> Control | None:
+    def control(self, fine: Fine, blur_px: FloatArray, spectrum: Spectrum) -> Control | None:
         """The control variate of a frame with these kernels, see :func:`control_variate.control`; None where they are
         too fine for its grid.
 
         Args:
             fine: the pinhole's picture, of the stop's bands.
             blur_px: signed visible blur at the middle of each pixel, [h, w].
-            nm: wavelengths at equal steps of probability, [node].
-            light: response x light of each channel there over its probability, [node, channel].
-            colour_px: what axial colour takes from the visible blur there, [node].
+            spectrum: of the stop.
         """
-        places = (np.arange(len(nm)) + 0.5) / len(nm)
-        parts = np.einsum("nb,nc->nbc", tents(places), light).reshape(
-            CONTROL_BANDS, -1, fine.ratio.shape[-1], light.shape[1]
-        )
-        weights = parts.sum(axis=1)
-        middles = [curve.reshape(CONTROL_BANDS, -1).mean(axis=1) for curve in (nm, colour_px)]
-
-        points = control_variate.points_of(float(middles[0].min()) * self.plain.px_per_nm, fine.cells)
+        points = self.points(spectrum, fine.cells)
         if points is None:
             return None
 
         def profiles(levels: FloatArray, radius: FloatArray) -> FloatArray:
-            total = np.zeros((len(levels), len(radius), *weights.shape[1:]))
-            for wavelength, moved, weight in zip(*middles, weights, strict=True):
-                scale = wavelength * self.plain.px_per_nm
-                own = self.plain.outer * np.abs(levels - moved)
-                rows, columns = own / (8 * scale) / WAVES_STEP, radius / scale / RADIUS_STEP
-                at = np.meshgrid(rows, columns, indexing="ij")
-                kernel = ndimage.map_coordinates(self.plain.profiles, at, order=1, mode="nearest") / scale**2
-                total += kernel[..., None, None] * weight
-            return total
+            return self.profiles(spectrum, levels, radius)
 
-        tail = control_variate.TAIL_RINGS * self.plain.core_px / 2
-        return control_variate.control(fine, blur_px, self.plain.outer, self.plain.centre, tail, profiles, points)
+        return control_variate.control(
+            fine, blur_px, self.plain.outer, self.plain.centre, self.reach_px, profiles, points
+        )
+
+    @property
+    def reach_px(self) -> float:
+        """How far kernels of the control variate reach beyond the geometric blur."""
+        return control_variate.TAIL_RINGS * self.plain.core_px / 2
+
+    def extent_px(self, spectrum: Spectrum) -> float:
+        """Radius at which the kernels in focus end."""
+        return KERNEL_RINGS * float(spectrum.nm.max()) * self.plain.px_per_nm
+
+    def points(self, spectrum: Spectrum, cells: int) -> int | None:
+        """Points per pixel of a grid that has all of the kernels, see :func:`control_variate.points_of`."""
+        return control_variate.points_of(float(spectrum.nm.min()) * self.plain.px_per_nm, cells)
+
+    def profiles(self, spectrum: Spectrum, levels: FloatArray, radius: FloatArray) -> FloatArray:
+        """Kernels for visible blurs [level] at radii [radius] in pixels, weighted by a spectrum,
+        [level, radius, band, channel].
+        """
+        total = np.zeros((len(levels), len(radius), *spectrum.weight.shape[1:]))
+        for wavelength, moved, weight in zip(*spectrum, strict=True):
+            scale = wavelength * self.plain.px_per_nm
+            own = self.plain.outer * np.abs(levels - moved)
+            rows, columns = own / (8 * scale) / WAVES_STEP, radius / scale / RADIUS_STEP
+            at = np.meshgrid(rows, columns, indexing="ij")
+            kernel = ndimage.map_coordinates(self.plain.profiles, at, order=1, mode="nearest") / scale**2
+            total += kernel[..., None, None] * weight
+        return total
 
     def _on_stop(self, u: Any, side: Any, length: Any, own: Any, key: Any) -> Any:
         """Sample rho with density D(-u - rho side), by rejection.

@@ -28,7 +28,7 @@ from dasim.render import backend, layers, transport
 from dasim.render.control_variate import Control, Fine
 from dasim.render.irradiance import Field
 from dasim.render.plugin import aligned
-from dasim.render.radial_blur import RadialBlur
+from dasim.render.radial_blur import RadialBlur, spectrum_of
 from dasim.render.ray_block import (
     HERO,
     Block,
@@ -202,8 +202,6 @@ def control_of(
     field: Field | None,
     responses: Responses,
     fine: Fine,
-    *,
-    in_focus: bool = False,
 ) -> Control | None:
     """The control variate of a stop from a pinhole's picture; None for kernels that are not radial, or too fine.
 
@@ -212,16 +210,15 @@ def control_of(
     mean_signal = responses.mean_signal(light_of(field))
     if mean_signal.max() <= 0:
         return None
-    shared = prepare(scene, camera, stop, max_blur_px, field, responses, in_focus, None)
+    shared = prepare(scene, camera, stop, max_blur_px, field, responses, False, None)
     if not isinstance(shared.blur, RadialBlur) or shared.blur.aberrated is not None:
         return None
     px_per_vergence, vergence = 2 * geometry.aperture_m(camera) / 2 * px_per_m(camera), 1 / camera.lens.focus_distance_m
-    blur_px = np.zeros(responses.place.shape)
-    if not in_focus:
-        blur_px = px_per_vergence * (np.array(shared.middle, dtype=float).reshape(blur_px.shape) - vergence)
+    middle = np.array(shared.middle, dtype=float).reshape(responses.place.shape)
     table = drawn(camera, responses, light_of(field))[1][middle_ring(responses)]
-    colour_px = px_per_vergence * (table[:, 1] - vergence) * (not in_focus)
-    return shared.blur.control(fine, blur_px, table[:, 0], table[:, 2:-1] * table[:, -1:], colour_px)
+    colour_px = px_per_vergence * (table[:, 1] - vergence)
+    spectrum = spectrum_of(table[:, 0], table[:, 2:-1] * table[:, -1:], colour_px, fine.ratio.shape[-1])
+    return shared.blur.control(fine, px_per_vergence * (middle - vergence), spectrum)
 
 
 def _trace(

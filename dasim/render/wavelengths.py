@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dasim.camera import geometry, radiometry
 from dasim.camera.rings import rings
@@ -65,9 +66,30 @@ def separate_responses(camera: Camera, also: Camera, light: FloatArray, densitie
     return Responses(of_pass, of_pass, whole.place)
 
 
+def separate_stop_responses(camera: Camera, stops: Sequence[Stop], also: Camera) -> Responses:
+    """Responses of a pass through a pinhole with those of each of some stops, then those of both cameras."""
+    whole = pinhole_responses(camera, also)
+    angles = rings(camera, also).angle_deg
+    through = [np.stack([radiometry.stop_response(camera, stop, angle) for angle in angles]) for stop in stops]
+    own = whole.of_pass[:, : through[0].shape[1]]
+    of_pass = np.concatenate([*through, whole.of_pass], axis=1)
+    return Responses(of_pass, np.concatenate([*[own] * len(stops), whole.of_pass], axis=1), whole.place)
+
+
 def tents(place: FloatArray) -> FloatArray:
     """Shares of ``BANDS`` nodes, evenly spaced over 0..1, in what is linear between them at a place, [..., band]."""
     return np.asarray(np.maximum(1 - np.abs(place[..., None] * (BANDS - 1) - np.arange(BANDS)), 0.0))
+
+
+def at_bands(means: NDArray[np.float32]) -> None:
+    """Values at the nodes of the bands of what is linear between them, from its means by :func:`tents`, in place.
+
+    ``means`` is [..., band], of places that are spread evenly.
+    """
+    places = (np.arange(512) + 0.5) / 512
+    shares = tents(places)
+    inverse = np.linalg.inv(shares.T @ shares / shares.sum(axis=0)[:, None]).astype(np.float32)
+    means[:] = means @ inverse.T
 
 
 def _cumulative(density: FloatArray) -> FloatArray:

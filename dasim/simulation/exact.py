@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +18,6 @@ from dasim.camera import specification as cameras
 from dasim.camera.rings import at_pixels, rings
 from dasim.camera.specification import Camera
 from dasim.render import passes
-from dasim.render.control_variate import Control, Fine
 from dasim.simulation import rendering_noise
 from dasim.simulation.adaptive_sampling import allotted_spp
 from dasim.simulation.checks import check_finite
@@ -39,8 +38,9 @@ from dasim.typing import Float32Array, FloatArray, Progress
 
 TWIN = "bayer-mobile"  # the camera whose colours ``sharp_srgb`` has
 SHARP_SPP = 32  # of the pinhole picture, which has no lens to sample
-FOCUS_SPP = 4  # per stop of each picture of the pilot in focus; in ``scalar_spectral`` of all there is
-MORE_FOCUS_SPP = 8.0  # of the further pair together, mean over the pixels
+PILOT_SPP = 4  # of another one, which tells its noise
+FOCUS_SPP = 4  # rays through a stop: of each picture of the pilot in focus; in ``scalar_spectral`` of all there is
+MORE_FOCUS_SPP = 4.0  # where the pilot is noisy, mean over the pixels
 
 
 @dataclass(frozen=True)
@@ -53,16 +53,79 @@ class ExactPictures:
 
 
 def exact_pictures(view: View, sharp: SharpPictures, seed: int, progress: Progress) -> ExactPictures:
-    """The exact pictures, with more samples where a pilot of the picture in focus is noisy: on gloss, glass and fine
-    texture.
+    """The exact pictures, with more samples where a pilot is noisy: on gloss, glass and fine texture.
 
-    Through a lens without diffraction, aberrations and glare, the picture in focus is that through a pinhole.
+    Through a lens without diffraction, aberrations and glare, the picture in focus is that through a pinhole. Through
+    discs and rings, it is convolved from the rays of a pinhole (:mod:`dasim.render.focus_pictures`); through other
+    stops, it has rays of its own.
     """
     perfect = wavefront.is_perfect(view.camera)
     if view.diffraction == "off" and perfect and not any(stop.glare_share for stop in view.camera.stops):
         rate = sharp.rate.astype(float) * view.light_level
         return ExactPictures(rate, _twin_srgb(view, sharp.twin), rate)
-    in_focus = replace(sharp, controls=_controls(view, sharp.fine, sharp.field, in_focus=True))
+    convolved = passes.convolved_stops(view.camera, sharp.fine, max_blur_px=view.reach_px, field=sharp.field)
+    others = [number for number in range(len(view.camera.stops)) if number not in convolved]
+    of_stops, pinhole = _traced(view, sharp, others, seed, progress) if others else ({}, None)
+    if convolved:
+        own, pinhole = _convolved(view, sharp, convolved, seed, progress)
+        of_stops |= own
+    assert pinhole is not None
+
+    def of_stop(number: int) -> tuple[FloatArray, NDArray[Any]]:
+        return of_stops.pop(number), np.zeros((), np.float32)
+
+    focus = glared(view.camera, of_stop)[0] * view.light_level
+    check_finite(view.scene, focus, view.objects_at)
+    return ExactPictures(pinhole.rate * view.light_level, _twin_srgb(view, pinhole.twin), focus)
+
+
+class _Pinhole(NamedTuple):
+    """Pictures through a pinhole, mean electrons per second, at the light level of ``View.world``."""
+
+    rate: FloatArray  # [h, w, channel] of the camera
+    twin: FloatArray  # [h, w, 3] of ``TWIN``
+
+
+def _convolved(
+    view: View, sharp: SharpPictures, stops: list[int], seed: int, progress: Progress
+) -> tuple[dict[int, FloatArray], _Pinhole]:
+    """The pictures in focus of some stops by their numbers, before glare, and those through a pinhole."""
+    camera, scene, twin = view.camera, view.world.scene, cameras.load_camera(TWIN)
+    report = partial(progress, "rendering the pinhole picture, picture 2")
+    pilot = passes.pinhole_pass(
+        scene, camera, passes.Sampling(PILOT_SPP, picture_seed(seed, 1, SHARP), report), sharp.field, twin
+    )
+    pair = [
+        Picture(np.full((1, *view.blur_px.shape), spp), rate[None], np.broadcast_to(0.0, (1, *sharp.rate.shape)))
+        for spp, rate in ((SHARP_SPP, sharp.rate.astype(float)), (PILOT_SPP, pilot[..., : sharp.rate.shape[-1]]))
+    ]
+    sums = rendering_noise.no_pairs(pair[0])
+    rendering_noise.add(sums, *pair)
+    more = 2 * allotted_spp([sums], MORE_FOCUS_SPP)[0]
+    spp = passes.FOCUS_RAYS * (1 + np.rint(more / passes.FOCUS_RAYS).astype(np.int64))
+    report = partial(progress, "rendering the picture in focus")
+    pictures = passes.in_focus_pass(
+        scene,
+        camera,
+        stops,
+        passes.Sampling(spp, picture_seed(seed, 0, IN_FOCUS), report),
+        sharp.fine or {},
+        twin,
+        max_blur_px=view.reach_px,
+        field=sharp.field,
+    )
+    rate = np.concatenate([sharp.rate, sharp.twin], axis=-1, dtype=float)
+    rate += (pilot - rate) * (PILOT_SPP / (SHARP_SPP + PILOT_SPP))
+    rate += (pictures.sharp - rate) * (spp / (SHARP_SPP + PILOT_SPP + spp))[..., None]
+    check_finite(view.scene, rate, view.objects_at)
+    return dict(zip(stops, pictures.of_stops, strict=True)), _Pinhole(*np.split(rate, [sharp.rate.shape[-1]], axis=-1))
+
+
+def _traced(
+    view: View, sharp: SharpPictures, stops: list[int], seed: int, progress: Progress
+) -> tuple[dict[int, FloatArray], _Pinhole]:
+    """As :func:`_convolved`, by rays through each stop."""
+    in_focus = replace(sharp, controls=[None] * len(view.camera.stops))
 
     def picture(number: int, index: int, spp: NDArray[np.int64]) -> Picture:
         own, label = picture_seed(seed, index, IN_FOCUS), f", in focus, picture {index + 1}"
@@ -76,22 +139,17 @@ def exact_pictures(view: View, sharp: SharpPictures, seed: int, progress: Progre
         rendering_noise.add(sums, first, second)
         return sums
 
-    is_scalar, stops = view.variant.startswith("scalar"), range(len(view.camera.stops))
+    is_scalar = view.variant.startswith("scalar")
     few = np.full((1, 1), 2 * FOCUS_SPP) if is_scalar else np.full(view.blur_px.shape, FOCUS_SPP)
     parts = [pilot(number) for number in stops]
-    rate, twin = (part.astype(float) for part in (sharp.rate, sharp.twin))
+    pinhole = _Pinhole(sharp.rate.astype(float), sharp.twin.astype(float))
     if not is_scalar:
         more = allotted_spp(parts, MORE_FOCUS_SPP)
-        for number in stops:
-            rendering_noise.add(parts[number], picture(number, 2, more[number]), picture(number, 3, more[number]))
-        rate, twin = _with_more(view, sharp, more.max(axis=0), seed, progress)
-
-    def of_stop(number: int) -> tuple[FloatArray, NDArray[Any]]:
-        return rendering_noise.measured(parts[number]).rate[0], np.zeros((), np.float32)
-
-    focus = glared(view.camera, of_stop)[0] * view.light_level
-    check_finite(view.scene, focus, view.objects_at)
-    return ExactPictures(rate * view.light_level, _twin_srgb(view, twin), focus)
+        for own, part, number in zip(more, parts, stops, strict=True):
+            rendering_noise.add(part, picture(number, 2, own), picture(number, 3, own))
+        pinhole = _Pinhole(*_with_more(view, sharp, more.max(axis=0), seed, progress))
+    rates = (rendering_noise.measured(part).rate[0] for part in parts)
+    return dict(zip(stops, rates, strict=True)), pinhole
 
 
 def _with_more(
@@ -129,17 +187,11 @@ def sharp_pictures(view: View, sampling: Sampling, progress: Progress) -> SharpP
     check_finite(view.scene, sharp.rate, view.objects_at)
     channels = len(sensors.channels(camera.sensor))
     rate, of_twin = (part.astype(np.float32) for part in np.split(sharp.rate, [channels], axis=-1))
-    return SharpPictures(rate, of_twin, field, _controls(view, sharp.fine, field), sharp.fine)
-
-
-def _controls(view: View, fine: dict[str, Fine] | None, field: Any, *, in_focus: bool = False) -> list[Control | None]:
-    """The control variate of each stop."""
-    return [
-        passes.control_of(
-            view.world.scene, view.camera, stop, fine, max_blur_px=view.reach_px, field=field, in_focus=in_focus
-        )
-        for stop in view.camera.stops
+    controls = [
+        passes.control_of(scene, camera, stop, sharp.fine, max_blur_px=view.reach_px, field=field)
+        for stop in camera.stops
     ]
+    return SharpPictures(rate, of_twin, field, controls, sharp.fine)
 
 
 def _twin_srgb(view: View, rate: NDArray[Any]) -> Float32Array:

@@ -385,7 +385,7 @@ def test_exact_pictures_have_more_samples_where_they_are_noisy(make_scene, da_mo
         ]
 
     ours = noise_of()
-    monkeypatch.setattr(exact_pictures, "allotted_spp", lambda pilots, mean: np.full((2, 72, 96), int(mean / 2)))
+    monkeypatch.setattr(exact_pictures, "allotted_spp", lambda pilots, mean: np.full((1, 72, 96), int(mean / 2)))
     even = noise_of()
     assert (np.array(ours) < [even[0], 0.8 * even[1]]).all(), (ours, even)
 
