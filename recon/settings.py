@@ -70,6 +70,9 @@ class Settings(Specification):
     sharpen_networks: int = Field(
         default=2, ge=1, le=2, description="networks whose all-in-focus pictures are averaged; 1 is faster"
     )
+    sharpen_consistency: bool = Field(
+        default=True, description="what the captured picture says beyond the networks' is added; without it is faster"
+    )
     sharpen_steps: int = Field(default=3, ge=1, le=50, description="iterations of half-quadratic splitting")
     sharpen_strength: float = Field(
         default=6.0, gt=0, le=100, description="weight of the data in eq. (15); 1 is that of the noise"
@@ -92,6 +95,7 @@ PRESETS = {
         least_confidence=0.6,
         sharpen_prior="network",
         sharpen_networks=1,
+        sharpen_consistency=False,
     ),
     "bands": Settings(score="bands", window_px=35, alike=True, edge_snr=0.0, fallback=False, least_confidence=0.6),
     "chakrabarti-zickler": Settings(score="colour-line"),

@@ -19,7 +19,7 @@ from recon.depth.peak import sd_of
 from recon.picture import develop, field, mosaic
 from recon.picture.field import Separation
 from recon.settings import Settings
-from recon.sharp import layers, lost_detail, restoration, sharpen
+from recon.sharp import consistency, layers, lost_detail, restoration, sharpen
 
 INTERPOLATED_NOISE_SHARE = 0.7  # noise after interpolation relative to the sensor's, standard deviations
 GRAINY_LEVEL = 3.0  # level from which on eq. (15) is solved for the picture without noise reduction alone
@@ -67,6 +67,10 @@ def all_in_focus(
         draft = sharpen.linear(stack, frame.level + np.float32(focus), kernels, noise_e, focus=focus, tile_px=tile)
         picture, phases = seen(frame, seen_e, draft, noise_e), mosaic.phases(frame.camera)
         sharp_e = restoration.restored(picture, phases, tile_px or restoration.TILE_PX, settings.sharpen_networks)
+        del draft, picture  # before more memory is needed
+        if settings.sharpen_consistency:
+            sd = sd_of(frame.confidence).astype(np.float32)
+            consistency.add_unexplained(sharp_e, stack, frame.level, sd, kernels, noise_e, focus=focus, tile_px=tile)
         _restore_detail(sharp_e, frame, seen_e, float(bank.blur_px[1]))
         _fade_to_captured(sharp_e, frame)
     else:

@@ -141,12 +141,11 @@ def _part(node: int, sides: Sequence[_Side], margin_px: int, strip_px: int) -> P
 
 
 def by_parts(result: Float32Array, parts: Sequence[Part], work: Callable[[Part], Float32Array]) -> None:
-    """Fill a picture [channel, h, w] with the sum of what ``work`` gives for its parts, at least 0."""
+    """Fill a picture [channel, h, w] with the sum of what ``work`` gives for its parts."""
     result[:] = 0
     with ThreadPoolExecutor(fourier.WORKERS) as pool:
         for part, found in zip(parts, pool.map(work, parts), strict=True):
             result[:, *part.core] += found
-    np.maximum(result, 0, out=result)
 
 
 def own_share(position: Float32Array, part: Part, reach_px: int) -> Float32Array:

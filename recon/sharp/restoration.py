@@ -39,11 +39,6 @@ LEAST_SD, LARGEST_SD = 0.05, 30.0  # levels
 # Inputs: the four pixels of a block of each channel of the stack, then of the draft; means over the block of the level
 # and of its standard deviation, as logarithms; and what the frame has in common.
 OF_PICTURES, DRAFT_COLOURS, OF_LEVELS = 32, slice(16, 28), 2
-# Out of focus the networks hedge. The draft has a share in the result, the larger, the surer the level is. Chosen on
-# ``tune``, which prefers smaller shares than these and none at large blur, and on photographs, which prefer larger.
-MOST_DRAFT = 0.35  # largest share
-DRAFT_LEVELS, DRAFT_RAMP = (0.0, 2.0, 12.0, 16.0), (0.0, 1.0, 1.0, 0.0)  # by levels, over the most
-SURE_SD, SURE_LEVELS = 0.3, 4.0  # sd of level 0 that halves the share; it grows by itself every so many levels
 MULTIPLE_PX = 16  # that the network's coarsest pixels span
 TILE_PX = 2048  # largest side of what is restored at a time
 # Around a tile. Beyond the 16 x 16 pixels that it is in, a pixel depends on 104: convolutions of 3 x 3 reach 2 pixels
@@ -139,20 +134,11 @@ def _aligned(picture: Picture, count: int) -> Float32Array:
     result = np.empty((height, width, 3), np.float32)
 
     def work(rows: slice) -> None:
-        there = _pixels(rows)
-        sharp = np.maximum(expanded(np.minimum(spread(base[rows]), LARGEST)), 0) * picture.unit_e[:3]
-        share = draft_share(picture.level[there], picture.sd[there])[..., None]
-        result[there] = sharp + share * (np.maximum(np.moveaxis(picture.draft[:3, there], 0, -1), 0) - sharp)
+        sharp = expanded(np.minimum(spread(base[rows]), LARGEST))
+        result[_pixels(rows)] = np.maximum(sharp, 0) * picture.unit_e[:3]
 
     by_strips(work, base.shape)
     return result
-
-
-def draft_share(level: Float32Array, sd: Float32Array) -> Float32Array:
-    """Share of the draft in the result, [h, w], by level and its standard deviation: up to ``MOST_DRAFT``."""
-    away = np.abs(level)
-    doubt = sd / (SURE_SD * (1 + away / SURE_LEVELS))
-    return np.asarray(MOST_DRAFT * np.interp(away, DRAFT_LEVELS, DRAFT_RAMP) / (1 + doubt**2), np.float32)
 
 
 def _pixels(rows: slice) -> slice:

@@ -121,6 +121,7 @@ def sharpen(
         blur = layers.blur(kernels[:, own], nodes)
         task = Pass(own, blur, statistics, strength, steps, sharp_guide, energy, own_phases)
         layers.by_parts(sharp[own], parts, partial(_deconvolved, frame, task))
+        np.maximum(sharp[own], 0, out=sharp[own])
     return sharp
 
 
@@ -141,11 +142,11 @@ def linear(
     """
     nodes = layers.levels_of_nodes(len(kernels), focus)
     position = np.interp(level, nodes, np.arange(len(nodes))).astype(np.float32)
-    blur, beta = layers.blur(kernels, nodes), _quadratic_prior(stack, _positive(noise_e), LINEAR_PRIOR)
+    blur, beta = layers.blur(kernels, nodes), quadratic_prior(stack, noise_e, LINEAR_PRIOR)
 
     @cache
     def filters(node: int) -> Float32Array:
-        return _compact_filters(blur, node, beta)
+        return compact_filters(blur, node, beta, LINEAR_REACH_PX)
 
     def work(part: Part) -> Float32Array:
         picture = fourier.cut_blended(stack, part.box, part.shape)
@@ -155,15 +156,15 @@ def linear(
 
     result = np.empty(stack.shape, np.float32)
     layers.by_parts(result, layers.parts(position, tile_px, LINEAR_REACH_PX, strip_px=0), work)
-    return result
+    return np.maximum(result, 0, out=result)
 
 
-def _compact_filters(blur: layers.Blur, node: int, beta: NDArray) -> Float32Array:
-    """The filters of eq. (10) for a level, which end at ``LINEAR_REACH_PX``, with unit sum, [channel, size, size]."""
-    shape = (4 * LINEAR_REACH_PX, 4 * LINEAR_REACH_PX)
+def compact_filters(blur: layers.Blur, node: int, beta: NDArray, reach_px: int) -> Float32Array:
+    """The filters of eq. (10) for a level, which end at ``reach_px``, with unit sum, [channel, size, size]."""
+    shape = (4 * reach_px, 4 * reach_px)
     whole = deconvolution.quadratic(np.ones((), np.complex64), blur.transfer(node, shape), beta, shape)
-    offset = np.arange(-LINEAR_REACH_PX, LINEAR_REACH_PX + 1)
-    distance = np.minimum(np.hypot(offset[:, None], offset) / LINEAR_REACH_PX, 1)
+    offset = np.arange(-reach_px, reach_px + 1)
+    distance = np.minimum(np.hypot(offset[:, None], offset) / reach_px, 1)
     found = whole[:, offset[:, None], offset] * (0.5 + 0.5 * np.cos(np.pi * distance)).astype(np.float32)
     return np.asarray(found / found.sum(axis=(1, 2), keepdims=True), np.float32)
 
@@ -207,7 +208,7 @@ def _draft(
     prior: float,
 ) -> Float32Array:
     """All-in-focus estimate with the quadratic prior of eq. (10), in closed form, [channel, h, w]."""
-    beta = _quadratic_prior(stack, noise, prior)
+    beta = quadratic_prior(stack, noise, prior)
 
     def work(part: Part) -> Float32Array:
         spectrum = fourier.forward(fourier.cut_blended(stack, part.box, part.shape), 1)
@@ -216,11 +217,12 @@ def _draft(
 
     draft = np.empty(stack.shape, np.float32)
     layers.by_parts(draft, parts, work)
-    return draft
+    return np.maximum(draft, 0, out=draft)
 
 
-def _quadratic_prior(stack: Float32Array, noise: Float32Array, factor: float) -> NDArray:
+def quadratic_prior(stack: Float32Array, noise_e: NDArray, factor: float) -> NDArray:
     """The weight beta of eq. (10), measured from gradients and noise, times a factor, [channel]."""
+    noise = _positive(noise_e)
     steps = 0.5 * (np.mean(np.diff(stack, axis=1) ** 2, (1, 2)) + np.mean(np.diff(stack, axis=2) ** 2, (1, 2)))
     return np.asarray(factor * noise**2 / np.maximum(steps, 1e-3 * noise**2))
 

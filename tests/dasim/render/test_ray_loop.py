@@ -99,7 +99,8 @@ def test_a_capture_runs_on_graphics_cards(jit, monkeypatch):
     Set-up: all that a capture of ``desk`` traces: two stops twice, through a pinhole by pixels, by nodes, and by nodes
     for the picture in focus, and the irradiance.
     Expectation: plugins and arrays of every variant; a batch traces its rays in one launch, and as many as memory is
-    planned for; the host reads sums of pixels and of nodes, and rays only of pixels that see several depths. There are some.
+    planned for; the host reads sums of pixels and of nodes, and rays only of pixels that see several depths, of which
+    there are some.
     """
     monkeypatch.setattr(backend, "LANES", LANES)
     monkeypatch.setattr(backend, "GPU_LANES", LANES)

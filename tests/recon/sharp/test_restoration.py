@@ -109,18 +109,9 @@ def test_less_noise_never_costs_quality():
     assert errors[1] < errors[0]
 
 
-def test_the_deconvolution_has_a_share_out_of_focus_where_levels_are_sure():
-    sure, unsure = (
-        restoration.draft_share(np.array([[0.0, 4, -4, 12, 20]]), np.full((1, 5), sd)) for sd in (0.01, 2.0)
-    )
-    assert sure[0, [0, 4]].tolist() == [0, 0] and sure[0, 1] == sure[0, 2] == pytest.approx(0.35, abs=0.01)
-    assert (unsure[0, 1:4] < 0.5 * sure[0, 1:4]).all()
-
-
 def test_pictures_of_several_networks_are_averaged(monkeypatch):
-    """Set-up: no share of the draft. Expectation: the mean of compressed pictures, by one network and by the other."""
+    """Expectation: the mean of compressed pictures, by one network and by the other."""
     picture, phases = aligned()
-    monkeypatch.setattr(restoration, "MOST_DRAFT", 0.0)
     networks = restoration.networks()
     both = restoration.restored(picture, phases)
     alone = []

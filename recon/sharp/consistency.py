@@ -1,0 +1,86 @@
+"""What the captured picture says beyond an all-in-focus picture: one step towards consistency with the data.
+
+Networks hedge: where detail may be one thing or another, they leave it out, on photographs more than on the textures
+that they have learned from. Blurred again, their picture f lacks something of the captured one, I - h * f; deconvolved
+with the quadratic prior of eq. (10), that is added. It is a step of the proximal methods that alternate between data
+and a denoiser (plug-and-play priors; Venkatakrishnan, Bouman, Wohlberg, GlobalSIP 2013), and less than a deconvolution
+of I, which rings beside steps of depth: what f explains leaves nothing to ring.
+
+Tested in tests/recon/sharp/test_consistency.py.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dasim.typing import Float32Array
+from recon import fourier
+from recon.sharp import layers, sharpen
+from recon.sharp.layers import Part
+
+# All chosen on ``tune`` and on photographs.
+PRIOR = 6.0  # factor on the measured beta of eq. (9), that of what networks leave out
+REACH_PX = 48  # of the filters, in every direction
+MARGIN_PX = 80  # around a tile: the filters' reach, and that of the kernels
+WHOLE_LEVEL = 2.0  # level from which on all of it is added; in focus there is nothing to deconvolve
+SURE_SD, SURE_LEVELS = 0.25, 4.0  # sd of level 0 that halves it; it grows by itself every so many levels
+
+
+def add_unexplained(
+    sharp_e: Float32Array,
+    stack: Float32Array,
+    level: Float32Array,
+    sd: Float32Array,
+    kernels: NDArray,
+    noise_e: NDArray,
+    *,
+    focus: int = 0,
+    tile_px: int = layers.TILE_PX,
+) -> None:
+    """Add to all-in-focus colours [h, w, 3] electrons what the captured picture says beyond them, in place.
+
+    Args:
+        sharp_e: the all-in-focus picture.
+        stack: captured R, G, B without infrared, and IR, [4, h, w] electrons.
+        level: level of every pixel, [h, w], negative behind the focus.
+        sd: its standard deviation, [h, w].
+        kernels: of the channels of ``stack``, [level, channel, size, size].
+        noise_e: standard deviation of the noise, [channel] electrons.
+        focus: index of the kernels in focus; those before it are behind the focus.
+        tile_px: largest side of a tile.
+    """
+    own, nodes = sharpen.COLOURS, layers.levels_of_nodes(len(kernels), focus)
+    position = np.interp(level + np.float32(focus), nodes, np.arange(len(nodes))).astype(np.float32)
+    blur, beta = layers.blur(kernels[:, own], nodes), sharpen.quadratic_prior(stack[own], noise_e[own], PRIOR)
+    sharp = np.moveaxis(sharp_e, -1, 0)
+
+    @cache
+    def filters(node: int) -> Float32Array:
+        return sharpen.compact_filters(blur, node, beta, REACH_PX)
+
+    def work(part: Part) -> Float32Array:
+        captured, explained = (fourier.cut_blended(image, part.box, part.shape) for image in (stack[own], sharp))
+        transfer = blur.transfer(part.node, part.shape)
+        left = captured - fourier.inverse(fourier.forward(explained, 1) * transfer, part.shape, 1)
+        left *= layers.own_share(position, part, blur.reach_px[part.node])
+        response = fourier.transfer(filters(part.node), part.shape).astype(np.complex64, copy=False)
+        more = fourier.inverse(fourier.forward(left, 1) * response, part.shape, 1)
+        return part.share(position) * more[:, *part.inner]
+
+    parts = layers.parts(position, tile_px, MARGIN_PX, strip_px=0)
+    unexplained = np.empty_like(stack[own])
+    layers.by_parts(unexplained, [part for part in parts if nodes[part.node] != focus], work)
+    share = share_of(level, sd)
+    for channel, more in enumerate(unexplained):
+        sharp_e[..., channel] += share * more
+    np.maximum(sharp_e, 0, out=sharp_e)
+
+
+def share_of(level: Float32Array, sd: NDArray) -> Float32Array:
+    """Share of what is added, by level and its standard deviation, 0..1."""
+    away = np.abs(level)
+    doubt = sd / (SURE_SD * (1 + away / SURE_LEVELS))
+    return np.asarray(np.minimum(away / WHOLE_LEVEL, 1) / (1 + doubt**2), np.float32)
