@@ -23,9 +23,9 @@ from recon.sharp.layers import Part
 
 # All chosen on ``tune`` and on photographs.
 PRIOR = 6.0  # factor on the measured beta of eq. (9), that of what networks leave out
-REACH_PX = 48  # of the filters, in every direction
-MARGIN_PX = 80  # around a tile: the filters' reach, and that of the kernels
+REACH_PX = 32  # of the filters, in every direction
 WHOLE_LEVEL = 2.0  # level from which on all of it is added; in focus there is nothing to deconvolve
+LEAST_SHARE = 0.02  # in a part of a tile that is worth its time
 SURE_SD, SURE_LEVELS = 0.25, 4.0  # sd of level 0 that halves it; it grows by itself every so many levels
 
 
@@ -70,10 +70,11 @@ def add_unexplained(
         more = fourier.inverse(fourier.forward(left, 1) * response, part.shape, 1)
         return part.share(position) * more[:, *part.inner]
 
-    parts = layers.parts(position, tile_px, MARGIN_PX, strip_px=0)
-    unexplained = np.empty_like(stack[own])
-    layers.by_parts(unexplained, [part for part in parts if nodes[part.node] != focus], work)
-    share = share_of(level, sd)
+    margins_px = [REACH_PX + reach_px for reach_px in blur.reach_px]
+    parts = layers.parts(position, tile_px, margins_px, strip_px=0)
+    unexplained, share = np.empty_like(stack[own]), share_of(level, sd)
+    worth = [part for part in parts if nodes[part.node] != focus and share[part.core].max() > LEAST_SHARE]
+    layers.by_parts(unexplained, worth, work)
     for channel, more in enumerate(unexplained):
         sharp_e[..., channel] += share * more
     np.maximum(sharp_e, 0, out=sharp_e)

@@ -68,7 +68,10 @@ def levels_of_nodes(levels: int, focus: int = 0) -> list[int]:
 
 
 def parts(
-    position: Float32Array, tile_px: int = TILE_PX, margin_px: int = MARGIN_PX, strip_px: int = MARGIN_PX
+    position: Float32Array,
+    tile_px: int = TILE_PX,
+    margin_px: int | Sequence[int] = MARGIN_PX,
+    strip_px: int = MARGIN_PX,
 ) -> list[Part]:
     """The parts of a frame, in tiles of at most ``tile_px`` per side; neighbouring tiles overlap and are blended.
 
@@ -77,7 +80,7 @@ def parts(
     Args:
         position: fractional index of every pixel's level, [h, w].
         tile_px: largest side of a tile.
-        margin_px: of the picture around a tile, on either side.
+        margin_px: of the picture around a tile, on either side; for all levels, or for each.
         strip_px: after the margin, in which what follows fades into what precedes; none is needed for filters that do
             not reach beyond the margin.
     """
@@ -91,7 +94,8 @@ def parts(
             if there.any():
                 occurs = np.flatnonzero(there.any(axis=1)), np.flatnonzero(there.any(axis=0))
                 sides = _trimmed(across, occurs[0]), _trimmed(along, occurs[1])
-                found.append(_part(node, sides, margin_px, strip_px))
+                margin = margin_px if isinstance(margin_px, int) else margin_px[node]
+                found.append(_part(node, sides, margin, strip_px))
     return sorted(found, key=lambda part: (part.node, part.shape))
 
 
