@@ -236,7 +236,9 @@ def _summed(
     most = max(1, backend.lanes() // NODES)
     for first in range(0, len(own), most):
         part = slice(first, first + most)
-        of_nodes, of_pixels, offset = _layer_sums(shared, pixel[own[part]], layer[part], seed, by_nodes)
+        of_nodes, of_pixels, offset = _layer_sums(
+            shared, pixel[own[part]], layer[part], (seed + first) % 2**32, by_nodes
+        )
         factors = np.stack([np.ones_like(offset[0]), *offset])
         for number in np.unique(layer[part]):  # each pixel once
             here = np.flatnonzero(layer[part] == number)

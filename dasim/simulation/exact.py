@@ -147,7 +147,8 @@ def _traced(
         more = allotted_spp(parts, MORE_FOCUS_SPP)
         for own, part, number in zip(more, parts, stops, strict=True):
             rendering_noise.add(part, picture(number, 2, own), picture(number, 3, own))
-        pinhole = _Pinhole(*_with_more(view, sharp, more.max(axis=0), seed, progress))
+        if len(stops) == len(view.camera.stops):  # otherwise those of _convolved are taken
+            pinhole = _Pinhole(*_with_more(view, sharp, more.max(axis=0), seed, progress))
     rates = (rendering_noise.measured(part).rate[0] for part in parts)
     return dict(zip(stops, rates, strict=True)), pinhole
 
