@@ -38,12 +38,11 @@ from dasim.camera.stops import Stop
 from dasim.render import backend, control_variate, wave
 from dasim.render.control_variate import Fine
 from dasim.render.irradiance import Field
-from dasim.render.pinhole import read_sums, trace_nodes
-from dasim.render.plugin import aligned
+from dasim.render.pinhole import NodePass, node_pass, read_sums
 from dasim.render.radial_blur import RadialBlur, Spectrum, spectrum_of
 from dasim.render.ray_block import block_of
 from dasim.render.ray_loop import Sampling, ratio_of
-from dasim.render.ray_pass import WAVE_BLUR_PX, Pass, drawn, light_of, middle_ring, prepare, px_per_m
+from dasim.render.ray_pass import WAVE_BLUR_PX, drawn, light_of, middle_ring, prepare, px_per_m
 from dasim.render.wavelengths import BANDS, separate_stop_responses, stop_responses
 from dasim.typing import Float32Array, FloatArray
 
@@ -81,7 +80,7 @@ class _Core:
         side = 2 * MARGIN_PX + 1
         at = np.arange(side * FINE + FINE - 1) / FINE - (side + 1) / 2 + 1 / FINE
         place = np.stack(np.meshgrid(at, at), axis=-1)
-        kernel = self._at(place @ towards_axis.T).sum(axis=2)
+        kernel = self._at(place @ towards_axis.T, whole=True)[..., 0, :]
         kernel *= (np.hypot(*np.moveaxis(place, -1, 0)) <= CORE_PX)[..., None]
         for axis in (0, 1):  # the mean over the pixel
             kernel = sliding_window_view(kernel, FINE, axis=axis).mean(axis=-1)
@@ -108,12 +107,15 @@ class _Core:
         rest = whole - core[..., None, :] * whole.sum(axis=(0, 1))
         return np.ascontiguousarray(np.moveaxis(rest, (0, 1), (2, 3)), np.float32)
 
-    def _at(self, place: FloatArray) -> FloatArray:
-        """The kernels at places [y, x, 2] on the axis in pixels, of any scale, [y, x, band, channel]."""
+    def _at(self, place: FloatArray, whole: bool = False) -> FloatArray:
+        """The kernels at places [y, x, 2] on the axis in pixels, of any scale, [y, x, band, channel]; of all bands
+        together, as one, if ``whole``.
+        """
         distance = np.hypot(*np.moveaxis(place, -1, 0))
         radius = np.arange(0.0, distance.max() + 2 * RADIUS_STEP_PX, RADIUS_STEP_PX)
         profiles = self.blur.profiles(self.spectrum, np.zeros(1), radius)
-        return control_variate.on_grid(profiles[0], distance, RADIUS_STEP_PX)
+        of_bands = profiles[0].sum(axis=1, keepdims=True) if whole else profiles[0]
+        return control_variate.on_grid(of_bands, distance, RADIUS_STEP_PX)
 
 
 def convolvable(camera: Camera, field: Field | None, fine: dict[str, Fine] | None, max_blur_px: float) -> list[int]:
@@ -158,11 +160,12 @@ def pictures(
     result = np.empty((height, width, responses.channels))
     layers = np.pad(np.asarray(sampling.spp) // NODES, MARGIN_PX, mode="edge")
     tiles = list(_tiles(height, width))
+    by_nodes = node_pass(shared, NODES, CELLS)
     for number, (rows, columns) in enumerate(tiles):
         seed = int(np.random.SeedSequence((sampling.seed, number)).generate_state(1)[0])
         middle = np.array([columns.start + columns.stop, rows.start + rows.stop]) / 2
         kernels = np.concatenate([core.nodes(_towards_axis(camera, middle)) for core in cores])
-        moments, sums = _summed(shared, (rows, columns), layers, seed, len(kernels))
+        moments, sums = _summed(by_nodes, (rows, columns), layers, seed, len(kernels))
         result[rows, columns, : len(kernels)] = _convolved(moments, kernels)
         by_pixel = sums[..., MARGIN_PX:-MARGIN_PX, MARGIN_PX:-MARGIN_PX]
         result[rows, columns, len(kernels) :] = np.moveaxis(ratio_of(by_pixel[:, 0], by_pixel[:, 1]), 0, -1)
@@ -219,38 +222,36 @@ def _towards_axis(camera: Camera, place_px: FloatArray) -> FloatArray:
 
 
 def _summed(
-    shared: Pass, tile: tuple[slice, slice], layers: NDArray[np.int64], seed: int, by_nodes: int
+    by_nodes: NodePass, tile: tuple[slice, slice], layers: NDArray[np.int64], seed: int, kept: int
 ) -> tuple[Float32Array, FloatArray]:
     """Moments of signal and light over the nodes of a tile and its margin, [channel, 2, moment, y, x, node], of the
-    first channels, and the sums of the others over pixels, [channel, 2, y, x].
+    first ``kept`` channels, and the sums of the others over pixels, [channel, 2, y, x].
 
     ``layers`` are the rays per node of each pixel of the frame and its margin, [h, w].
     """
     rows, columns = (np.arange(side.start, side.stop + 2 * MARGIN_PX) for side in tile)
     counts = layers[rows[:, None], columns].ravel()
     pixel = (rows[:, None] * layers.shape[1] + columns).ravel()
-    moments = np.zeros((by_nodes, 2, MOMENTS, len(pixel), NODES), np.float32)
-    sums = np.zeros((shared.channels - by_nodes, 2, len(pixel)))
+    moments = np.zeros((kept, 2, MOMENTS, len(pixel), NODES), np.float32)
+    sums = np.zeros((by_nodes.shared.channels - kept, 2, len(pixel)))
     of_layers = [np.flatnonzero(counts > number) for number in range(counts.max())]
     own, layer = np.concatenate(of_layers), np.repeat(np.arange(len(of_layers)), [len(of) for of in of_layers])
     most = max(1, backend.lanes() // NODES)
     for first in range(0, len(own), most):
         part = slice(first, first + most)
-        of_nodes, of_pixels, offset = _layer_sums(
-            shared, pixel[own[part]], layer[part], (seed + first) % 2**32, by_nodes
-        )
+        of_nodes, of_pixels, offset = _layer_sums(by_nodes, pixel[own[part]], layer[part], (seed + first) % 2**32, kept)
         factors = np.stack([np.ones_like(offset[0]), *offset])
         for number in np.unique(layer[part]):  # each pixel once
             here = np.flatnonzero(layer[part] == number)
-            traced, at = slice(here[0], here[-1] + 1), _consecutive(own[part][here])
+            rays, at = slice(here[0], here[-1] + 1), _consecutive(own[part][here])
             for planes, values in zip(moments.reshape(-1, MOMENTS, len(pixel), NODES), of_nodes, strict=True):
-                for plane, factor in zip(planes, factors[:, traced], strict=True):
-                    plane[at] += values[traced] * factor
+                for plane, factor in zip(planes, factors[:, rays], strict=True):
+                    plane[at] += values[rays] * factor
             for plane, values in zip(sums.reshape(-1, len(pixel)), of_pixels, strict=True):
-                plane[at] += values[traced, 0]
+                plane[at] += values[rays, 0]
     moments /= counts[:, None].astype(np.float32)
     size = len(rows), len(columns)
-    return moments.reshape(by_nodes, 2, MOMENTS, *size, NODES), sums.reshape(-1, 2, *size)
+    return moments.reshape(kept, 2, MOMENTS, *size, NODES), sums.reshape(-1, 2, *size)
 
 
 def _consecutive(numbers: NDArray[np.intp]) -> NDArray[np.intp] | slice:
@@ -260,24 +261,19 @@ def _consecutive(numbers: NDArray[np.intp]) -> NDArray[np.intp] | slice:
 
 
 def _layer_sums(
-    shared: Pass, pixel: NDArray[np.intp], layer: NDArray[np.intp], seed: int, by_nodes: int
+    by_nodes: NodePass, pixel: NDArray[np.intp], layer: NDArray[np.intp], seed: int, kept: int
 ) -> tuple[list[Float32Array], list[Float32Array], list[Float32Array]]:
     """Signal and light, alternating by channel, of one ray per node of some pixels.
 
-    Those of the first channels are by nodes, [pixel, node]; the others are sums, [pixel, 1]. Beside them are the places
-    of the rays about the middles of their nodes, along x and y, in pixels. A pixel may be there several times, each
-    time with another ``layer``, which has random numbers of its own.
+    Those of the first ``kept`` channels are by nodes, [pixel, node]; the others are sums, [pixel, 1]. Beside them are
+    the places of the rays about the middles of their nodes, along x and y, in pixels. A pixel may be there several
+    times, each time with another ``layer``, which has random numbers of its own.
     """
-    import drjit as dr
-    import mitsuba as mi
-
-    block = block_of(shared, pixel, np.full(len(pixel), NODES), seed)
-    lane = dr.arange(mi.UInt32, NODES * len(pixel)) // dr.opaque(mi.UInt32, NODES)
-    own = dr.gather(mi.UInt32, mi.UInt32(aligned(layer.astype(np.uint32))), lane)
-    values, within = trace_nodes(shared, block._replace(pixel=mi.sample_tea_32(block.pixel, own)[0]), CELLS)
-    places = read_sums([(place - 0.5) / CELLS for place in (within.x, within.y)], 1, NODES)
-    of_nodes, of_pixels = values[: 2 * by_nodes], values[2 * by_nodes :]
-    return read_sums(of_nodes, 1, NODES), read_sums(of_pixels, NODES, 1), places
+    block = block_of(pixel, np.full(len(pixel), NODES), seed, layer)
+    values, within = by_nodes.trace(block.batch), by_nodes.places(block.batch)
+    offsets = read_sums([(place - 0.5) / CELLS for place in (within.x, within.y)], 1, NODES)
+    of_nodes, of_pixels = values[: 2 * kept], values[2 * kept :]
+    return read_sums(of_nodes, 1, NODES), read_sums(of_pixels, NODES, 1), offsets
 
 
 def _convolved(sums: Float32Array, kernels: Float32Array) -> FloatArray:

@@ -20,18 +20,20 @@ Tested in tests/dasim/render/test_irradiance.py and tests/dasim/render/test_pass
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from dasim.render import backend, light_spectra
+from dasim.render.frozen import frozen
 from dasim.render.irradiance_nodes import agreeing_cells, clamped, even_nodes, smoothed
 from dasim.render.lamps import Cell, Grid, from_all_around, grid_of
 from dasim.render.light_paths import power_heuristic, radiance_by_light
 from dasim.render.light_spectra import NODES, Shares
 from dasim.render.plugin import texture
-from dasim.render.sobol import Sobol
+from dasim.render.sobol import Sobol, points
 from dasim.spectra import grid
 from dasim.typing import FloatArray
 
@@ -184,23 +186,22 @@ def field(
     count = rows * columns
     received = np.zeros((count, *lit.shape))
     met = np.zeros((count, 6))
-    at_once = max(1, backend.lanes() // directions)
+    at_once, traced = max(1, backend.lanes() // directions), frozen(_trace_points)
     across, each = dr.opaque(mi.UInt32, columns), dr.opaque(mi.UInt32, directions)
     corner = mi.Point2f(*(dr.opaque(mi.Float, value) for value in start))
     scale, tile = dr.opaque(mi.Float, px_per_m), dr.opaque(mi.UInt32, TILE)
     sobol_key = dr.opaque(mi.UInt32, np.random.SeedSequence((seed,)).generate_state(1)[0])
     for first in range(0, count, at_once):
         part = slice(first, min(first + at_once, count))
-        points = part.stop - part.start
-        index = dr.arange(mi.UInt32, points * directions) // each + dr.opaque(mi.UInt32, first)
+        size = part.stop - part.start
+        index = dr.arange(mi.UInt32, size * directions) // each + dr.opaque(mi.UInt32, first)
         row = index // across
         column = index - row * across
         film = mi.Point2f(mi.Float(column), mi.Float(row)) * STRIDE_PX + corner
         key = mi.UInt32(np.random.SeedSequence((seed, first)).generate_state(1))
         stratum = in_tile(row, column), sobol_key + (row // tile) * across + column // tile
-        values, geometry = _traced(
-            scene, integrator, shares, film / scale, directions, stratum, dr.opaque(mi.UInt32, key[0])
-        )
+        rays = _Rays(film / scale, *stratum, points(TILE**2 * directions), dr.opaque(mi.UInt32, key[0]))
+        values, geometry = _traced(traced, (scene, integrator, shares), rays, directions)
         received[part] = values[:, : len(lit)] / lit
         met[part] = geometry
     grid_y, grid_x = np.mgrid[:rows, :columns] * STRIDE_PX
@@ -242,13 +243,24 @@ def in_tile(row: Any, column: Any) -> Any:
     return (column & 1) | ((row & 1) << 1) | ((column & 2) << 1) | ((row & 2) << 2)
 
 
+@dataclass(frozen=True)
+class _Rays:
+    """Rays of some points in the renderer's memory."""
+
+    slope: Any  # of the ray through the middle of the lens that sees each ray's point
+    within: Any  # number of the point in its tile
+    tile: Any  # key of the tile
+    points: Any  # of the Sobol' sequence, for the directions of a tile
+    key: Any
+
+
 def _traced(
-    scene: Any, integrator: Any, shares: Shares, slope: Any, directions: int, stratum: tuple[Any, Any], key: Any
+    traced: Callable[..., tuple[list[Any], list[Any]]], lit: tuple[Any, Any, Shares], rays: _Rays, directions: int
 ) -> tuple[FloatArray, FloatArray]:
     """Trace the irradiance at the points where rays through the middle of the lens land.
 
-    Each direction carries four of the wavelengths. ``stratum`` is the number of each point in its tile, and the key of
-    the tile.
+    ``traced`` is :func:`_trace_points`, frozen or not, and ``lit`` holds scene, integrator and lights. Each direction
+    carries four of the wavelengths.
 
     Returns the irradiance from each light, [point, light, node], and (1/z, normal, known, mean inverse distance of the
     surroundings), [point, 6].
@@ -256,29 +268,49 @@ def _traced(
     import drjit as dr
     import mitsuba as mi
 
-    lanes = dr.width(slope)
     groups = NODES // 4
     block = directions // groups  # directions of a group, summed together
-    sample = dr.arange(mi.UInt32, lanes) % dr.opaque(mi.UInt32, directions)
-    group = sample // dr.opaque(mi.UInt32, block)
+    values, (*about, near) = traced(*lit, rays, dr.opaque(mi.UInt32, directions), dr.opaque(mi.UInt32, block))
+    first = dr.arange(mi.UInt32, dr.width(near) // directions) * directions
+    about = [dr.gather(mi.Float, value, first) for value in about]
+    about.append(dr.block_sum(near, directions) / directions)
+    dr.eval(about)
+    sums = [np.array(dr.block_sum(value, block)).reshape(-1, groups) / block for value in values]
+    geometry = np.stack([np.array(at) for at in about], axis=-1)
+    irradiance = np.concatenate(sums, axis=1).reshape(-1, lit[2].count, NODES)
+    return irradiance.astype(float), geometry.astype(float)
+
+
+def _trace_points(
+    scene: Any, integrator: Any, shares: Shares, rays: _Rays, directions: Any, block: Any
+) -> tuple[list[Any], list[Any]]:
+    """Irradiance that each ray brings, of each light four wavelengths; and 1/z, normal, known and the inverse distance
+    of the surroundings.
+    """
+    import drjit as dr
+    import mitsuba as mi
+
+    lanes = dr.width(rays.slope)
+    groups = NODES // 4
+    sample = dr.arange(mi.UInt32, lanes) % directions
+    group = sample // block
     wavelengths = mi.Spectrum(0.0)
     step = _SPAN_NM / (NODES - 1)
     for k in range(4):
         wavelengths[k] = float(grid.WAVELENGTH_NM[0]) + mi.Float(group + k * groups) * step
-    ray = mi.RayDifferential3f(mi.Ray3f(mi.Point3f(0.0), dr.normalize(mi.Vector3f(slope.x, slope.y, 1.0))))
+    ray = mi.RayDifferential3f(mi.Ray3f(mi.Point3f(0.0), dr.normalize(mi.Vector3f(rays.slope.x, rays.slope.y, 1.0))))
     ray.wavelengths = wavelengths
     si = scene.ray_intersect(ray, ray_flags=mi.RayFlags.All, coherent=True)
     known = si.is_valid() & lambertian(si.bsdf(ray)) & (dr.dot(si.n, si.sh_frame.n) > 0)
     normal = _towards_camera(si)
     frame = mi.Frame3f(normal)
 
-    within, tile = stratum
     # Another part of each node's directions per group, so that those of a group are spread evenly over the tile too.
-    number = sample ^ ((within % groups) * dr.opaque(mi.UInt32, block))
-    numbers = Sobol(TILE**2 * directions, within * dr.opaque(mi.UInt32, directions) + number, tile)
+    number = sample ^ ((rays.within % groups) * block)
+    numbers = Sobol(rays.points, rays.within * directions + number, rays.tile)
     place, aim_at = numbers.next_2d(), numbers.next_2d()
     sampler = mi.load_dict({"type": "independent"})
-    sampler.seed(key, lanes)
+    sampler.seed(rays.key, lanes)
     local = mi.warp.square_to_cosine_hemisphere(place)
     onward = si.spawn_ray(frame.to_world(local))
     onward.wavelengths = wavelengths
@@ -307,14 +339,7 @@ def _traced(
 
     valid = dr.select(known, 1.0, 0.0)
     values = [dr.select(known, of_light[k], 0.0) for of_light in received for k in range(4)]
-    first = dr.arange(mi.UInt32, lanes // directions) * directions
     about = [dr.select(known, dr.rcp(si.p.z), 0.0), normal.x, normal.y, normal.z, valid]
-    near = dr.select(known & met.is_valid(), dr.rcp(met.t), 0.0)
-    dr.eval(values, about, near)
-    about = [dr.gather(mi.Float, value, first) for value in about]
-    about.append(dr.block_sum(near, directions) / directions)
-    dr.eval(about)
-    sums = [np.array(dr.block_sum(value, block)).reshape(-1, groups) / block for value in values]
-    geometry = np.stack([np.array(at) for at in about], axis=-1)
-    irradiance = np.concatenate(sums, axis=1).reshape(-1, shares.count, NODES)
-    return irradiance.astype(float), geometry.astype(float)
+    about.append(dr.select(known & met.is_valid(), dr.rcp(met.t), 0.0))
+    dr.eval(values, about)
+    return values, about

@@ -16,6 +16,7 @@ Tested in tests/dasim/render/test_lamps.py.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -23,7 +24,8 @@ from numpy.typing import NDArray
 
 from dasim.render import backend
 from dasim.render.light_paths import power_heuristic
-from dasim.render.sobol import Sobol
+from dasim.render.plugin import aligned
+from dasim.render.sobol import Sobol, points
 from dasim.typing import FloatArray
 
 MOST_EMITTERS = 8  # that are sampled by every ray; of more, each ray draws one
@@ -32,7 +34,8 @@ SAMPLES = 64  # of a lamp from a node
 PROBE_NM = 430.0, 540.0, 610.0, 720.0  # a lamp shows its bright side if it has light at one of these
 
 
-class Grid(NamedTuple):
+@dataclass(frozen=True)
+class Grid:
     """What the nodes of an irradiance field receive from each of the sampled emitters."""
 
     whole: Any  # projected solid angle of the emitter, sr, [emitter, y, x]
@@ -40,6 +43,14 @@ class Grid(NamedTuple):
     usable: Any  # cells between four nodes of which both are known and nearly the same
     nodes: Any  # opaque number of nodes of an emitter
     cells: Any  # of cells
+
+
+@dataclass(frozen=True)
+class Chosen:
+    """The emitters that each ray samples, see :func:`sampled`."""
+
+    numbers: Any
+    count: Any  # opaque; 1 where each ray draws one
 
 
 class Cell(NamedTuple):
@@ -56,6 +67,17 @@ def sampled(scene: Any) -> list[int]:
     """Numbers of the emitters that each ray samples; empty where it draws one."""
     numbers = [number for number, emitter in enumerate(scene.emitters()) if emitter.sampling_weight() > 0]
     return numbers if len(numbers) <= MOST_EMITTERS else []
+
+
+def chosen(scene: Any) -> Chosen:
+    """The emitters that each ray samples, for :func:`light`."""
+    import drjit as dr
+    import mitsuba as mi
+
+    numbers = sampled(scene)
+    table = np.zeros(MOST_EMITTERS, np.uint32)  # a table of one number would be a constant
+    table[: len(numbers)] = numbers
+    return Chosen(mi.UInt32(aligned(table)), dr.opaque(mi.UInt32, max(len(numbers), 1)))
 
 
 def from_all_around(emitter: Any) -> Any:
@@ -80,12 +102,21 @@ def density(scene: Any, si: Any, met: Any, active: Any) -> Any:
 
 
 def light(
-    scene: Any, bsdf: Any, si: Any, aim_at: Any, hit: Any, known: Any, even: Any, grid: tuple[Grid, Cell] | None
+    scene: Any,
+    emitters: Chosen,
+    bsdf: Any,
+    si: Any,
+    aim_at: Any,
+    hit: Any,
+    known: Any,
+    even: Any,
+    grid: tuple[Grid, Cell] | None,
 ) -> Any:
     """Spectral radiance that leaves a surface for light that comes straight from emitters.
 
     Args:
         scene: a Mitsuba scene.
+        emitters: of :func:`chosen`.
         bsdf: of the surface.
         si: the surface interaction.
         aim_at: two uniform numbers.
@@ -99,13 +130,11 @@ def light(
     import mitsuba as mi
 
     context = mi.BSDFContext()
-    chosen = sampled(scene)
-    numbers = mi.UInt32((chosen + [0] * MOST_EMITTERS)[:MOST_EMITTERS])  # a table of one number would be a constant
-    count = dr.opaque(mi.UInt32, max(len(chosen), 1))
+    draws_one = not sampled(scene)
 
     def body(index: Any, total: Any) -> tuple[Any, Any]:
-        number, weight, place = dr.gather(mi.UInt32, numbers, index), mi.Float(1.0), aim_at
-        if not chosen:
+        number, weight, place = dr.gather(mi.UInt32, emitters.numbers, index), mi.Float(1.0), aim_at
+        if draws_one:
             number, weight, reused = scene.sample_emitter(aim_at.x, hit)
             place = mi.Point2f(reused, aim_at.y)
         emitter = dr.gather(mi.EmitterPtr, scene.emitters_dr(), number)
@@ -125,7 +154,7 @@ def light(
         return index + 1, total + added
 
     start = mi.UInt32(dr.zeros(mi.UInt32, dr.width(hit))), mi.Spectrum(dr.zeros(mi.Spectrum, dr.width(hit)))
-    return dr.while_loop(start, lambda index, total: index < count, body, labels=("index", "total"))[1]
+    return dr.while_loop(start, lambda index, total: index < emitters.count, body, labels=("index", "total"))[1]
 
 
 def _interpolated(grid: Grid, cell: Cell, lamp: Any, active: Any) -> tuple[Any, Any]:
@@ -206,7 +235,7 @@ def _traced(
         at.n, at.wavelengths = mi.Normal3f(normal), mi.Spectrum(*PROBE_NM)
         known = of_nodes(here[:, 4:])[0] > 0
         emitter = dr.gather(mi.EmitterPtr, scene.emitters_dr(), emitter_number + dr.zeros(mi.UInt32, size * SAMPLES))
-        sobol = Sobol(SAMPLES, lane % each, node + dr.opaque(mi.UInt32, (key + first) % 2**32))
+        sobol = Sobol(points(SAMPLES), lane % each, node + dr.opaque(mi.UInt32, (key + first) % 2**32))
         aimed, arriving = emitter.sample_direction(at, sobol.next_2d(), known)
         cosine = dr.dot(normal, aimed.d)
         flags, kinds = emitter.flags(), mi.EmitterFlags

@@ -8,7 +8,8 @@ Tested in tests/dasim/render/test_ray_loop.py.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -17,8 +18,10 @@ from numpy.typing import NDArray
 from dasim.camera.rings import at_pixels
 from dasim.camera.specification import Camera
 from dasim.render import plugin
+from dasim.render.frozen import frozen
 from dasim.render.irradiance import Field
-from dasim.render.ray_block import HERO, Block, aim, wavelength_places
+from dasim.render.plugin import aligned
+from dasim.render.ray_block import HERO, Batch, Block, aim, lanes_of, wavelength_places
 from dasim.render.ray_loop import Sampling, blocks, ratio_of, signals
 from dasim.render.ray_pass import Pass, light_of, prepare
 from dasim.render.sobol import Sobol
@@ -29,11 +32,38 @@ ORDER_STREAM = 254  # of random numbers, see :data:`dasim.render.ray_block.WAVEL
 ALONG, DOWN = 5, 7  # shift of the nodes' order from pixel to pixel, odd
 
 
+@dataclass(frozen=True)
+class Nodes:
+    """Nodes of a pixel in the renderer's memory; numbers are opaque."""
+
+    rays: Any  # of each node
+    across: Any  # nodes per pixel along each axis
+    count: Any  # of nodes
+    order: Any  # of their wavelengths, see :func:`_dispersed`
+
+
 class Pictures(NamedTuple):
     """Pictures through a pinhole of the same rays, by pixels and by the nodes of a finer grid."""
 
     rate: FloatArray  # [h, w, channel] mean electrons per second, before the falloff of relative illumination
     nodes: list[NDArray[np.float32]]  # [y, x, channel] electrons over those of a surface of the lights' radiance
+
+
+class NodePass(NamedTuple):
+    """What the batches of a pass by nodes share."""
+
+    shared: Pass
+    nodes: Nodes
+    frozen: Callable[[Pass, Batch, Nodes], list[Any]]
+
+    def trace(self, batch: Batch) -> list[Any]:
+        """Signal and control of rays through a pinhole, alternating by channel, those of a node behind each other."""
+        return self.frozen(self.shared, batch, self.nodes)
+
+    def places(self, batch: Batch) -> Any:
+        """Places of these rays in their nodes, 0 to 1, not evaluated."""
+        lanes = lanes_of(self.shared, batch)
+        return Sobol(batch.points, lanes.sample, lanes.stream).next_2d()
 
 
 def pictures(
@@ -68,9 +98,10 @@ def pictures(
     by_pixel = [picture.reshape(height, cells, width, cells, -1) for picture in nodes]
     columns = [picture[..., band] for picture in by_pixel for band in range(picture.shape[-1])]
     place = responses.place.ravel()
+    by_nodes = node_pass(shared, sampling.spp, cells)
     for block in blocks(shared, sampling, None):
         row, column = np.divmod(np.arange(height * width)[block.pixels], width)
-        pairs = _node_sums(shared, block, cells)
+        pairs = _node_sums(by_nodes, block, cells)
         for of_band, (signal, light) in zip(columns, pairs, strict=False):
             # Beside the frame there may be infinite light. The control variate has no bias, whatever the nodes are.
             of_band[row, :, column] = np.nan_to_num(
@@ -82,38 +113,42 @@ def pictures(
     return Pictures(rate.reshape(height, width, -1), nodes)
 
 
-def _node_sums(shared: Pass, block: Block, cells: int) -> list[tuple[Float32Array, Float32Array]]:
+def _node_sums(by_nodes: NodePass, block: Block, cells: int) -> list[tuple[Float32Array, Float32Array]]:
     """Sums of signal and of control over the rays of each node through a pinhole, per channel [pixel, node]."""
-    values, _ = trace_nodes(shared, block, cells)
-    sums = read_sums(values, int(block.counts[0]) // cells**2, cells**2)
+    sums = read_sums(by_nodes.trace(block.batch), int(block.counts[0]) // cells**2, cells**2)
     return list(zip(sums[::2], sums[1::2], strict=True))
 
 
-def trace_nodes(shared: Pass, block: Block, cells: int) -> tuple[list[Any], Any]:
-    """Signal and control of rays through a pinhole, alternating by channel, those of a node behind each other; and the
-    places of the rays in their nodes, 0 to 1, not evaluated.
-    """
+def node_pass(shared: Pass, rays: int, cells: int) -> NodePass:
+    """A pass by nodes of ``cells`` x ``cells`` per pixel, with so many rays of each pixel."""
     import drjit as dr
     import mitsuba as mi
 
-    of_node = int(block.counts[0]) // cells**2
-    each, across = (dr.opaque(mi.UInt32, value) for value in (of_node, cells))
-    numbers = Sobol(int(block.counts.max()), block.sample, block.pixel + dr.opaque(mi.UInt32, block.seed))
+    each, across, count = (dr.opaque(mi.UInt32, value) for value in (rays // cells**2, cells, cells**2))
+    return NodePass(shared, Nodes(each, across, count, mi.UInt32(aligned(_dispersed(cells)))), frozen(_trace_nodes))
+
+
+def _trace_nodes(shared: Pass, batch: Batch, nodes: Nodes) -> list[Any]:
+    """See :meth:`NodePass.trace`."""
+    import drjit as dr
+    import mitsuba as mi
+
+    lanes = lanes_of(shared, batch)
+    numbers = Sobol(batch.points, lanes.sample, lanes.stream)
     film, aim_at, direction, lobe = numbers.next_2d(), numbers.next_2d(), numbers.next_2d(), numbers.next_1d()
-    node = block.sample // each
-    within = film
-    film = (film + mi.Point2f(mi.Float(node % across), mi.Float(node // across))) / mi.Float(across)
-    number, count = block.sample % each, dr.opaque(mi.UInt32, cells * cells)
+    node = lanes.sample // nodes.rays
+    film = (film + mi.Point2f(mi.Float(node % nodes.across), mi.Float(node // nodes.across))) / mi.Float(nodes.across)
+    number = lanes.sample % nodes.rays
     # Shifted from pixel to pixel: along rows and columns, every node gets all wavelengths.
-    column, row = (mi.UInt32(block.corner[axis]) for axis in (0, 1))
-    shift = mi.sample_tea_32(dr.opaque(mi.UInt32, block.seed), ORDER_STREAM)[0] + ALONG * column + DOWN * row
-    order = (dr.gather(mi.UInt32, mi.UInt32(_dispersed(cells)), node) + shift) % count
-    first = wavelength_places(shared, block, number * count + order)
-    rays = aim(shared, block, (film, film, film, first))
+    column, row = (mi.UInt32(lanes.corner[axis]) for axis in (0, 1))
+    shift = mi.sample_tea_32(batch.seed, ORDER_STREAM)[0] + ALONG * column + DOWN * row
+    order = (dr.gather(mi.UInt32, nodes.order, node) + shift) % nodes.count
+    first = wavelength_places(shared, lanes, number * nodes.count + order)
+    rays = aim(shared, batch, lanes, (film, film, film, first))
     si = shared.scene.ray_intersect(rays.ray, ray_flags=mi.RayFlags.All, coherent=True)
-    values = signals(shared, block, rays, si, [mi.Float(1.0)] * HERO, (aim_at, direction, lobe))
+    values = signals(shared, lanes, rays, si, [mi.Float(1.0)] * HERO, (aim_at, direction, lobe))
     dr.eval(*values)
-    return values, within
+    return values
 
 
 def read_sums(values: Sequence[Any], rays: int, nodes: int) -> list[Float32Array]:

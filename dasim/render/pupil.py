@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -17,70 +18,91 @@ Draw = Callable[[Any], Any]  # two uniform numbers -> a place, in ratios of the 
 
 def drawer(stop: Stop) -> Draw:
     """The function that turns two uniform numbers into a place on the stop, uniform over its open area."""
+    import mitsuba as mi
+
     ring = stops.ring(stop)
     if ring is not None:
-        return _on_ring(ring)
+        return _OnRing(mi.Point2f(*ring.centre), ring.inner, ring.outer)
     if isinstance(stop, Polygon):
-        return _on_triangles(stop)
+        corners = stops.triangles(stop.corners_ratio)
+        choice = mi.DiscreteDistribution(stops.triangle_areas(corners).astype(np.float32))
+        return _OnTriangles(choice, mi.Float(corners.astype(np.float32).ravel()))
     assert isinstance(stop, Mask)
-    return _on_cells(stop)
+    cells = np.array(stop.mask, dtype=np.float32)
+    return _OnCells(mi.DiscreteDistribution2D(cells), len(cells))
 
 
-def _on_ring(ring: stops.Ring) -> Draw:
-    import drjit as dr
-    import mitsuba as mi
+@dataclass(frozen=True)
+class _OnRing:
+    centre: Any
+    inner: float
+    outer: float
 
-    centre = mi.Point2f(*ring.centre)
-    if ring.inner == 0:
-        return lambda sample: centre + ring.outer * mi.warp.square_to_uniform_disk_concentric(sample)
+    def __call__(self, sample: Any) -> Any:
+        import drjit as dr
+        import mitsuba as mi
 
-    def draw(sample: Any) -> Any:
-        radius = dr.sqrt(dr.lerp(ring.inner**2, ring.outer**2, sample.x))
+        if self.inner == 0:
+            return self.centre + self.outer * mi.warp.square_to_uniform_disk_concentric(sample)
+        radius = dr.sqrt(dr.lerp(self.inner**2, self.outer**2, sample.x))
         angle = 2 * dr.pi * sample.y
-        return centre + radius * mi.Point2f(dr.cos(angle), dr.sin(angle))
-
-    return draw
+        return self.centre + radius * mi.Point2f(dr.cos(angle), dr.sin(angle))
 
 
-def _on_triangles(stop: Polygon) -> Draw:
-    import drjit as dr
-    import mitsuba as mi
+@dataclass(frozen=True)
+class _OnTriangles:
+    choice: Any  # of a triangle, by area
+    corners: Any  # [triangle, corner, (x, y)], flat
 
-    corners = stops.triangles(stop.corners_ratio)
-    choice = mi.DiscreteDistribution(stops.triangle_areas(corners).astype(np.float32))
-    table = mi.Float(corners.astype(np.float32).ravel())
+    def __call__(self, sample: Any) -> Any:
+        import drjit as dr
+        import mitsuba as mi
 
-    def draw(sample: Any) -> Any:
-        index, again = choice.sample_reuse(sample.x)
-        a, b, c = (dr.gather(mi.Point2f, table, 3 * index + k) for k in range(3))
+        index, again = self.choice.sample_reuse(sample.x)
+        a, b, c = (dr.gather(mi.Point2f, self.corners, 3 * index + k) for k in range(3))
         place = mi.warp.square_to_uniform_triangle(mi.Point2f(again, sample.y))
         return a + (b - a) * place.x + (c - a) * place.y
 
-    return draw
+
+@dataclass(frozen=True)
+class _OnCells:
+    choice: Any  # of a cell, by transmission
+    across: int
+
+    def __call__(self, sample: Any) -> Any:
+        import mitsuba as mi
+
+        cell, _, inside = self.choice.sample(sample)
+        return (mi.Point2f(cell) + inside) * (2 / self.across) - 1
 
 
-def _on_cells(stop: Mask) -> Draw:
-    import mitsuba as mi
+@dataclass(frozen=True)
+class Aberration:
+    """Offset on the film, in pixels, through which a ray leaves for a stop."""
 
-    cells = np.array(stop.mask, dtype=np.float32)
-    choice = mi.DiscreteDistribution2D(cells)
+    table: Any  # by field angle and place on the stop
+    angles: int
+    step: float  # between them, radians
+    turned: bool  # whether the errors are those of a direction away from the axis
 
-    def draw(sample: Any) -> Any:
-        cell, _, inside = choice.sample(sample)
-        return (mi.Point2f(cell) + inside) * (2 / len(cells)) - 1
+    def __call__(self, rho: Any, tangent: Any) -> Any:
+        """The offset for a place on the lens, in its radii, and the tangent of the field angle, a vector."""
+        import drjit as dr
+        import mitsuba as mi
 
-    return draw
+        along = tangent / dr.maximum(dr.norm(tangent), 1e-12) if self.turned else mi.Point2f(1.0, 0.0)
+        own = mi.Point2f(dr.dot(rho, along), rho.y * along.x - rho.x * along.y) / 2 + 0.5
+        ring = (dr.atan(dr.norm(tangent)) / self.step + 0.5) / self.angles
+        moved = self.table.eval(mi.Point3f(own.x, own.y, ring))
+        return mi.Point2f(moved[0] * along.x - moved[1] * along.y, moved[0] * along.y + moved[1] * along.x)
 
 
-def aberration(camera: Camera, stop: Stop, wavelength_nm: float) -> Callable[[Any, Any], Any] | None:
+def aberration(camera: Camera, stop: Stop, wavelength_nm: float) -> Aberration | None:
     """Offset on the film, in pixels, through which a ray leaves for a stop; None where its light has no errors.
 
     A function of the place on the lens and of the field angle's tangent. The offset is the opposite of the displacement
     in the picture.
     """
-    import drjit as dr
-    import mitsuba as mi
-
     angle_step_deg, fronts = wavefront.over_field(camera, stop)
     if not any(wavefront.has_errors(front) for front in fronts):
         return None
@@ -92,13 +114,4 @@ def aberration(camera: Camera, stop: Stop, wavelength_nm: float) -> Callable[[An
         y, x = wavefront.displacement_px(errors_nm, f_number, pitch_um, place[:, None], place[None, :])
         tables.append(np.stack([-x, -y], axis=-1))
     table = texture(np.array(tables, dtype=np.float32), channels=True)
-    step, turned = np.radians(angle_step_deg), bool(camera.lens.wavefront_by_field)
-
-    def offset(rho: Any, tangent: Any) -> Any:
-        along = tangent / dr.maximum(dr.norm(tangent), 1e-12) if turned else mi.Point2f(1.0, 0.0)
-        own = mi.Point2f(dr.dot(rho, along), rho.y * along.x - rho.x * along.y) / 2 + 0.5
-        ring = (dr.atan(dr.norm(tangent)) / step + 0.5) / len(tables)
-        moved = table.eval(mi.Point3f(own.x, own.y, ring))
-        return mi.Point2f(moved[0] * along.x - moved[1] * along.y, moved[0] * along.y + moved[1] * along.x)
-
-    return offset
+    return Aberration(table, len(tables), float(np.radians(angle_step_deg)), bool(camera.lens.wavefront_by_field))

@@ -5,6 +5,7 @@ Tested in tests/dasim/render/test_passes.py and tests/dasim/render/test_ray_loop
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -12,8 +13,10 @@ from numpy.typing import NDArray
 
 from dasim.render import field_angle, layers, wave
 from dasim.render.control_variate import Control
+from dasim.render.plugin import aligned
 from dasim.render.radial_blur import RadialBlur
 from dasim.render.ray_pass import Pass, corner_of
+from dasim.render.sobol import points
 from dasim.typing import FloatArray
 
 MOST_CHUNK = 16  # rays of a pixel that are summed at once
@@ -24,19 +27,39 @@ WAVELENGTH_STREAM = 255  # of random numbers by pixel; the others are dimensions
 Pixels = NDArray[np.intp] | slice  # numbers in the frame, row by row; a slice where they are consecutive
 
 
+@dataclass(frozen=True)
+class Batch:
+    """What the lanes of a block are made from, in the renderer's memory."""
+
+    lane: Any  # number of each ray
+    chunk: Any  # rays of a chunk, opaque
+    pixel: Any  # number in the frame of each chunk's pixel
+    first: Any  # number of each chunk's first ray in its pixel
+    samples: Any  # of each chunk's pixel
+    points: Any  # of the Sobol' sequence, as many as the largest number of samples
+    seed: Any  # opaque
+    layer: Any = None  # of each chunk: those of one pixel have random numbers of their own; None without
+
+
+class Lanes(NamedTuple):
+    """The numbers of each ray of a block."""
+
+    pixel: Any  # in the frame
+    stream: Any  # of random numbers, of its pixel
+    sample: Any  # in its pixel
+    samples: Any  # of its pixel
+    sampler: Any  # random numbers deeper in the paths
+    corner: Any  # of the pixel, from the corner of the frame
+    ring: Any  # fractional ring of the pixel
+
+
 class Block(NamedTuple):
     """Rays that are traced together: those of each pixel are consecutive, in chunks of one size."""
 
     pixels: Pixels
     counts: NDArray[np.int64]  # samples of each
     chunk: int  # rays; divides all ``counts``
-    pixel: Any  # number in the frame of each ray's pixel
-    sample: Any  # number of each ray in its pixel
-    samples: Any  # of each ray's pixel
-    sampler: Any  # random numbers deeper in the paths
-    corner: Any  # of the pixel, from the corner of the frame
-    ring: Any  # fractional ring of the pixel
-    seed: int
+    batch: Batch
 
     def sums(self, values: Any) -> FloatArray:
         """Sums of the rays of each pixel, [pixel]."""
@@ -75,40 +98,67 @@ class Rays(NamedTuple):
     variate: tuple[list[Any], list[Any]] | None  # see :func:`_variate`
 
 
-def block_of(shared: Pass, pixels: NDArray[np.intp], counts: NDArray[np.int64], seed: int) -> Block:
-    """Rays of some pixels of the frame, ``counts`` for each."""
+def block_of(
+    pixels: NDArray[np.intp], counts: NDArray[np.int64], seed: int, layer: NDArray[np.intp] | None = None
+) -> Block:
+    """Rays of some pixels of the frame, ``counts`` for each; ``layer`` as in :class:`Batch`, of each pixel whose rays
+    are one chunk.
+    """
     import drjit as dr
     import mitsuba as mi
 
     chunk = int(np.gcd.reduce(np.append(counts, MOST_CHUNK)))
     chunks = counts // chunk
-    number = np.repeat(pixels, chunks)
+    number = np.repeat(pixels, chunks).astype(np.uint32)
     first = (np.arange(len(number)) - np.repeat(np.cumsum(chunks) - chunks, chunks)) * chunk
-    samples = np.repeat(counts, chunks).astype(np.float32)
-    lane = dr.arange(mi.UInt32, int(counts.sum()))
-    size = dr.opaque(mi.UInt32, chunk)
-    own = lane // size
-    pixel = dr.gather(mi.UInt32, mi.UInt32(number.astype(np.uint32)), own)
-    sample = dr.gather(mi.UInt32, mi.UInt32(first.astype(np.uint32)), own) + lane % size
-    samples = dr.gather(mi.Float, mi.Float(samples), own)
-    sampler = mi.load_dict({"type": "independent"})
-    sampler.seed(dr.opaque(mi.UInt32, seed), dr.width(lane))
-    ring = dr.gather(mi.Float, shared.place, pixel)
+    batch = Batch(
+        lane=dr.arange(mi.UInt32, int(counts.sum())),
+        chunk=dr.opaque(mi.UInt32, chunk),
+        pixel=mi.UInt32(aligned(number)),
+        first=mi.UInt32(aligned(first.astype(np.uint32))),
+        samples=mi.Float(aligned(np.repeat(counts, chunks).astype(np.float32))),
+        points=points(int(counts.max())),
+        seed=dr.opaque(mi.UInt32, seed),
+        layer=None if layer is None else mi.UInt32(aligned(layer.astype(np.uint32))),
+    )
     is_whole = pixels[-1] - pixels[0] + 1 == len(pixels)
     where = slice(int(pixels[0]), int(pixels[-1]) + 1) if is_whole else pixels
-    return Block(where, counts, chunk, pixel, sample, samples, sampler, corner_of(pixel, shared.columns), ring, seed)
+    return Block(where, counts, chunk, batch)
 
 
-def aim(shared: Pass, block: Block, numbers: tuple[Any, Any, Any, Any]) -> Rays:
+def lanes_of(shared: Pass, batch: Batch) -> Lanes:
+    """The numbers of the rays of a block."""
+    import drjit as dr
+    import mitsuba as mi
+
+    own = batch.lane // batch.chunk
+    pixel = dr.gather(mi.UInt32, batch.pixel, own)
+    stream = pixel
+    if batch.layer is not None:
+        stream = mi.sample_tea_32(pixel, dr.gather(mi.UInt32, batch.layer, own))[0]
+    sampler = mi.load_dict({"type": "independent"})
+    sampler.seed(batch.seed, dr.width(batch.lane))
+    return Lanes(
+        pixel=pixel,
+        stream=stream + batch.seed,
+        sample=dr.gather(mi.UInt32, batch.first, own) + batch.lane % batch.chunk,
+        samples=dr.gather(mi.Float, batch.samples, own),
+        sampler=sampler,
+        corner=corner_of(pixel, shared.columns),
+        ring=dr.gather(mi.Float, shared.place, pixel),
+    )
+
+
+def aim(shared: Pass, batch: Batch, lanes: Lanes, numbers: tuple[Any, Any, Any, Any]) -> Rays:
     """Rays from their places on the lens through the film; ``numbers`` for lens, film, diffraction and wavelength."""
     import drjit as dr
     import mitsuba as mi
 
     lens, film, pattern, first = numbers
-    place = film + block.corner
+    place = film + lanes.corner
     film = shared.pinhole(place - shared.axis)
     tangent = film / shared.px_per_m
-    entries, wavelengths = entries_of(shared, first, block.ring), mi.Spectrum(0.0)
+    entries, wavelengths = entries_of(shared, first, lanes.ring), mi.Spectrum(0.0)
     for k in range(HERO):
         wavelengths[k] = entries[k][0]
     focus = entries[0][1] if shared.axial_colour else mi.Float(shared.vergence)
@@ -118,17 +168,17 @@ def aim(shared: Pass, block: Block, numbers: tuple[Any, Any, Any, Any]) -> Rays:
         if shared.in_focus:
             sample = shared.blur.draw_in_focus(lens, pattern)
         else:
-            expected = dr.gather(mi.Float, shared.middle, block.pixel)
+            expected = dr.gather(mi.Float, shared.middle, lanes.pixel)
             defocus = shared.px_per_vergence * (expected - focus)
             defocus *= field_angle.mean_scale(tangent)
-            slope = shared.px_per_vergence * dr.gather(mi.Point2f, shared.slope, block.pixel)
-            sample = shared.blur.draw(lens, pattern, defocus, slope, dr.opaque(mi.UInt32, block.seed))
+            slope = shared.px_per_vergence * dr.gather(mi.Point2f, shared.slope, lanes.pixel)
+            sample = shared.blur.draw(lens, pattern, defocus, slope, batch.seed)
         rho, drawn = sample.rho, sample.weight
         delta = field_angle.widened(sample.delta, tangent)
         if shared.control is not None:
             wider = dr.rcp(field_angle.mean_scale(tangent))
             w, per_density = sample.u * wider, sample.per_density * wider * wider
-            variate = _variate(shared, shared.control, (block.pixel, place, w), per_density, first)
+            variate = _variate(shared, shared.control, (lanes.pixel, place, w), per_density, first)
     elif shared.draw_pupil is not None:
         rho = shared.draw_pupil(lens)
         delta = shared.aberration(rho, tangent) if shared.aberration is not None else delta
@@ -187,7 +237,7 @@ def wave_weights(shared: Pass, blur: wave.Blur, rays: Rays, si: Any) -> tuple[li
     return weight, [total, dr.select(near, total, 0.0)], seen
 
 
-def wavelength_places(shared: Pass, block: Block, stratum: Any) -> Any:
+def wavelength_places(shared: Pass, lanes: Lanes, stratum: Any) -> Any:
     """Uniform number that chooses the wavelengths of each ray, see :func:`entries_of`.
 
     Each of a pixel's strata has one number, at the same random place in the even strata and at the opposite place in
@@ -199,11 +249,11 @@ def wavelength_places(shared: Pass, block: Block, stratum: Any) -> Any:
     import drjit as dr
     import mitsuba as mi
 
-    bits = mi.sample_tea_32(block.pixel + dr.opaque(mi.UInt32, block.seed), WAVELENGTH_STREAM)[0]
+    bits = mi.sample_tea_32(lanes.stream, WAVELENGTH_STREAM)[0]
     place = mi.Float(bits >> 8) * 2.0**-24
     place = dr.select((stratum & 1) == 0, place, 1 - place)
     wavelengths = 1 if shared.has_single_wavelengths else HERO
-    return (mi.Float(stratum) + place) / (wavelengths * block.samples)
+    return (mi.Float(stratum) + place) / (wavelengths * lanes.samples)
 
 
 def entries_of(shared: Pass, first: Any, ring: Any) -> list[Any]:

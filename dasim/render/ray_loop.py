@@ -26,17 +26,21 @@ from dasim.camera.specification import Camera
 from dasim.camera.stops import Stop
 from dasim.render import backend, layers, transport
 from dasim.render.control_variate import Control, Fine
+from dasim.render.frozen import frozen
 from dasim.render.irradiance import Field
 from dasim.render.plugin import aligned
 from dasim.render.radial_blur import RadialBlur, spectrum_of
 from dasim.render.ray_block import (
     HERO,
+    Batch,
     Block,
+    Lanes,
     Pixels,
     Rays,
     aim,
     block_of,
     entries_of,
+    lanes_of,
     lit_by,
     wave_weights,
     wavelength_places,
@@ -86,6 +90,17 @@ class _Weighted(NamedTuple):
     first: Any
     ring: Any
     drawn: Any
+
+
+@dataclass(frozen=True)
+class Traced:
+    """What rays bring, evaluated."""
+
+    values: list[Any]  # signal and control, alternating by channel
+    seen: list[Any]  # of the control variate by channel; empty without
+    kernel: list[Any]
+    depth_share: list[Any]  # sum of the weights, and of those at the depth of the pixel's middle; empty without waves
+    weighted: tuple[Any, ...]  # those of :class:`_Weighted`; empty without waves
 
 
 def render(
@@ -155,8 +170,9 @@ def ratios(
                 whole[pixels, channel] = values
 
     place, mean_signal = responses.place.ravel(), responses.mean_signal(light_of(field))
+    traced = frozen(trace_rays)
     for block in blocks(shared, sampling, stop):
-        _trace(shared, block, (HERO * mean_signal, place[block.pixels]), partial(keep, block.pixels))
+        _trace(shared, block, traced, (HERO * mean_signal, place[block.pixels]), partial(keep, block.pixels))
     return result
 
 
@@ -168,7 +184,7 @@ def blocks(shared: Pass, sampling: Sampling, stop: Stop | None) -> Iterator[Bloc
     spp = sampling.spp
     total, done = float(spp * size if isinstance(spp, int) else spp.sum(dtype=float)), 0
     for number, (pixels, counts) in enumerate(_parts(spp, size)):
-        yield block_of(shared, pixels, counts, seed(number))
+        yield block_of(pixels, counts, seed(number))
         done += int(counts.sum())
         sampling.progress(done / total)
 
@@ -222,43 +238,26 @@ def control_of(
 
 
 def _trace(
-    shared: Pass, block: Block, signal: tuple[FloatArray, FloatArray], keep: Callable[[int, Ratios], None]
+    shared: Pass,
+    block: Block,
+    traced: Callable[[Pass, Batch], Traced],
+    signal: tuple[FloatArray, FloatArray],
+    keep: Callable[[int, Ratios], None],
 ) -> None:
     """Trace the rays of a block; ``keep`` gets each channel with the ratios of the block's pixels, [pixel].
 
     Response x light x weight has a known mean, ``signal``, and dividing by its sampled mean takes out the noise of
     drawing wavelengths and weights. ``signal`` is that mean on the rings, [ring, channel], and the pixels' places.
+    ``traced`` is :func:`trace_rays`, frozen or not.
     """
-    import drjit as dr
-    import mitsuba as mi
-
-    numbers = Sobol(int(block.counts.max()), block.sample, block.pixel + dr.opaque(mi.UInt32, block.seed))
-    # The first dimensions are the most even: they go to what matters most.
-    lens, film, aim_at, direction, pattern = (numbers.next_2d() for _ in range(5))
-    first, lobe = wavelength_places(shared, block, block.sample), numbers.next_1d()
-
-    rays = aim(shared, block, (lens, film, pattern, first))
-    si = shared.scene.ray_intersect(rays.ray, ray_flags=mi.RayFlags.All, coherent=True)
-    weight: list[Any] = [mi.Float(1.0)] * HERO
-    depth_share: list[Any] = []
-    weighted: _Weighted | None = None
-    if shared.blur is not None and shared.in_focus:
-        wavelengths = [entry[0] for entry in rays.entries]
-        weights = shared.blur.weights(-rays.delta, mi.Float(0.0), rays.tangent, wavelengths)
-        weight = [rays.drawn * value for value in weights]
-    elif shared.blur is not None:
-        weight, depth_share, blur_px = wave_weights(shared, shared.blur, rays, si)
-        weighted = _Weighted(blur_px, rays.rho, rays.delta, rays.tangent, rays.first, block.ring, rays.drawn)
-    values = signals(shared, block, rays, si, weight, (aim_at, direction, lobe))
-    seen, kernel = rays.variate or ([], [])
-    # One kernel for all: summing first would trace the rays once per sum.
-    dr.eval(*depth_share, *values, *seen, *kernel, *(weighted or ()))
+    rays = traced(shared, block.batch)
+    values = rays.values
     several, layered = np.empty(0, dtype=np.intp), np.empty((0, shared.channels))
-    if weighted is not None:
-        total, near = (block.sums(value) for value in depth_share)
+    if rays.weighted:
+        total, near = (block.sums(value) for value in rays.depth_share)
         several = np.flatnonzero(near < ONE_DEPTH_SHARE * total)
         if len(several):
-            layered = _layered(shared, block, weighted, values, several)
+            layered = _layered(shared, block, _Weighted(*rays.weighted), values, several)
     for channel in range(shared.channels):
         expected_light = at_pixels(signal[0][:, channel], signal[1])
         ratio, light = _sum_ratio(block, values[2 * channel :], expected_light)
@@ -266,17 +265,51 @@ def _trace(
         variate, variate_light = np.broadcast_to(0.0, ratio.shape), np.broadcast_to(np.float32(1.0), ratio.shape)
         if shared.control is not None:
             expected = shared.control.expected[block.pixels, channel]
-            variate, variate_light = _sum_ratio(block, (seen[channel], kernel[channel]), expected_light, expected)
+            variate, variate_light = _sum_ratio(
+                block, (rays.seen[channel], rays.kernel[channel]), expected_light, expected
+            )
         keep(channel, Ratios(ratio, variate, light, variate_light))
 
 
+def trace_rays(shared: Pass, batch: Batch) -> Traced:
+    """Trace the rays of a batch."""
+    import drjit as dr
+    import mitsuba as mi
+
+    lanes = lanes_of(shared, batch)
+    numbers = Sobol(batch.points, lanes.sample, lanes.stream)
+    # The first dimensions are the most even: they go to what matters most.
+    lens, film, aim_at, direction, pattern = (numbers.next_2d() for _ in range(5))
+    first, lobe = wavelength_places(shared, lanes, lanes.sample), numbers.next_1d()
+
+    rays = aim(shared, batch, lanes, (lens, film, pattern, first))
+    si = shared.scene.ray_intersect(rays.ray, ray_flags=mi.RayFlags.All, coherent=True)
+    weight: list[Any] = [mi.Float(1.0)] * HERO
+    depth_share: list[Any] = []
+    weighted: tuple[Any, ...] = ()
+    if shared.blur is not None and shared.in_focus:
+        wavelengths = [entry[0] for entry in rays.entries]
+        weights = shared.blur.weights(-rays.delta, mi.Float(0.0), rays.tangent, wavelengths)
+        weight = [rays.drawn * value for value in weights]
+    elif shared.blur is not None:
+        weight, depth_share, blur_px = wave_weights(shared, shared.blur, rays, si)
+        weighted = blur_px, rays.rho, rays.delta, rays.tangent, rays.first, lanes.ring, rays.drawn
+    values = signals(shared, lanes, rays, si, weight, (aim_at, direction, lobe))
+    seen, kernel = rays.variate or ([], [])
+    # One kernel for all: summing first would trace the rays once per sum.
+    dr.eval(*depth_share, *values, *seen, *kernel, *weighted)
+    return Traced(values, seen, kernel, depth_share, weighted)
+
+
 def signals(
-    shared: Pass, block: Block, rays: Rays, si: Any, weight: list[Any], numbers: tuple[Any, Any, Any]
+    shared: Pass, lanes: Lanes, rays: Rays, si: Any, weight: list[Any], numbers: tuple[Any, Any, Any]
 ) -> list[Any]:
     """Response x light x weight of each ray with the radiance of its end and with that of the lights, alternating by
     channel; ``numbers`` as for :func:`transport.radiance`.
     """
-    radiance = transport.radiance(shared.scene, shared.integrator, block.sampler, rays.ray, si, numbers, shared.field)
+    radiance = transport.radiance(
+        shared.scene, shared.emitters, shared.integrator, lanes.sampler, rays.ray, si, numbers, shared.field
+    )
     values, lit = [], lit_by(rays.entries)
     for channel in range(shared.channels):
         share = [rays.entries[k][2 + channel] * weight[k] for k in range(HERO)]

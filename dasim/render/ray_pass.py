@@ -5,7 +5,6 @@ Tested in tests/dasim/render/test_passes.py and tests/dasim/render/test_ray_loop
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,7 +15,7 @@ from dasim.camera import distortion, geometry
 from dasim.camera.sensor import principal_point
 from dasim.camera.specification import Camera
 from dasim.camera.stops import Stop
-from dasim.render import pupil, transport, wave
+from dasim.render import lamps, pupil, transport, wave
 from dasim.render.control_variate import Control
 from dasim.render.irradiance import Field
 from dasim.render.plugin import texture
@@ -29,6 +28,20 @@ MOST_SLOPE = 0.5  # of visible blur over the picture, pixels per pixel, that ray
 
 
 @dataclass(frozen=True)
+class Undistorted:
+    """From a place on the sensor to that in a pinhole's picture, pixels from the axis."""
+
+    per_mm: list[Any]  # coefficients of the distortion
+    pitch2: Any  # square of the pixel pitch, mm^2
+
+    def __call__(self, place: Any) -> Any:
+        """The place in the pinhole's picture."""
+        import drjit as dr
+
+        return place * distortion.factor(self.per_mm, dr.squared_norm(place) * self.pitch2) if self.per_mm else place
+
+
+@dataclass(frozen=True)
 class Pass:
     """What all blocks of a pass share.
 
@@ -37,12 +50,13 @@ class Pass:
 
     scene: Any
     field: Field | None
+    emitters: lamps.Chosen
     integrator: Any
     channels: int
     columns: Any  # opaque width of the frame in pixels
     axis: Any  # where it meets the sensor, pixels
     px_per_m: Any  # pixels on the sensor per metre at a distance of one metre
-    pinhole: Callable[[Any], Any]  # from a place on the sensor to that in a pinhole's picture, pixels from the axis
+    pinhole: Undistorted
     radius_m: Any  # of the lens
     px_per_vergence: Any  # pixels of visible blur per 1/m
     vergence: Any  # of the focus distance, 1/m
@@ -55,7 +69,7 @@ class Pass:
     axial_colour: bool
     draw_pupil: pupil.Draw | None  # None for a pinhole
     blur: wave.Blur | None  # None for geometric optics
-    aberration: Any | None  # geometric optics: the offset of a ray by its place on the lens, see :mod:`pupil`
+    aberration: pupil.Aberration | None  # in geometric optics
     in_focus: bool  # whether every depth is, see :func:`dasim.render.ray_loop.render`
     control: Control | None
 
@@ -100,6 +114,7 @@ def prepare(
     return Pass(
         scene=scene,
         field=field,
+        emitters=lamps.chosen(scene),
         integrator=transport.path_integrator(),
         channels=responses.channels,
         columns=columns,
@@ -130,16 +145,13 @@ def drawn(camera: Camera, responses: Responses, light: FloatArray) -> tuple[Floa
     return density, draw_table(camera, responses.of_pass, light, density)
 
 
-def _to_pinhole(camera: Camera) -> Callable[[Any], Any]:
+def _to_pinhole(camera: Camera) -> Undistorted:
     """The lens's distortion, from pixels to pixels from the axis."""
     import drjit as dr
     import mitsuba as mi
 
-    if not camera.lens.distortion_per_mm:
-        return lambda place: place
     per_mm = [dr.opaque(mi.Float, value) for value in camera.lens.distortion_per_mm]
-    pitch2 = dr.opaque(mi.Float, (camera.sensor.pixel_pitch_um * 1e-3) ** 2)
-    return lambda place: place * distortion.factor(per_mm, dr.squared_norm(place) * pitch2)
+    return Undistorted(per_mm, dr.opaque(mi.Float, (camera.sensor.pixel_pitch_um * 1e-3) ** 2))
 
 
 def px_per_m(camera: Camera) -> float:

@@ -13,12 +13,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from dasim.render.plugin import aligned
+
 DIMENSIONS = 12
 _BITS = 32
 
 
 @cache
-def _points(count: int) -> NDArray[np.uint32]:
+def _fractions(count: int) -> NDArray[np.uint32]:
     """The first points of the sequence as 32-bit fractions, [count, DIMENSIONS]."""
     from scipy.stats import qmc
 
@@ -27,16 +29,22 @@ def _points(count: int) -> NDArray[np.uint32]:
     return (whole * 2.0**_BITS).astype(np.uint64).astype(np.uint32)
 
 
+def points(count: int) -> Any:
+    """The first points of the sequence, for :class:`Sobol`."""
+    import mitsuba as mi
+
+    return mi.UInt32(aligned(_fractions(count)))
+
+
 class Sobol:
     """A sampler with the interface of Mitsuba's: each call takes the next one or two of ``DIMENSIONS`` dimensions.
 
-    ``index`` is the number of the sample within its pixel (below ``count``), ``key`` a number unique to the pixel.
+    ``points`` are those of :func:`points`, ``index`` is the number of the sample within its pixel (below their count),
+    and ``key`` a number unique to the pixel.
     """
 
-    def __init__(self, count: int, index: Any, key: Any) -> None:
-        import mitsuba as mi
-
-        self._table = mi.UInt32(_points(count).ravel())
+    def __init__(self, points: Any, index: Any, key: Any) -> None:
+        self._table = points
         self._index, self._key = index * DIMENSIONS, key
         self._dimension = 0
 

@@ -28,7 +28,14 @@ def path_integrator() -> Any:
 
 
 def radiance(
-    scene: Any, integrator: Any, sampler: Any, ray: Any, si: Any, numbers: tuple[Any, Any, Any], field: Field | None
+    scene: Any,
+    emitters: lamps.Chosen,
+    integrator: Any,
+    sampler: Any,
+    ray: Any,
+    si: Any,
+    numbers: tuple[Any, Any, Any],
+    field: Field | None,
 ) -> Any:
     """Spectral radiance along ``ray``, whose first intersection is ``si``.
 
@@ -37,6 +44,7 @@ def radiance(
 
     Args:
         scene: a Mitsuba scene.
+        emitters: that rays sample where they land, of :func:`lamps.chosen`.
         integrator: continues the path, see :func:`path_integrator`.
         sampler: random numbers of the integrator.
         ray: the ray, with its wavelengths.
@@ -59,7 +67,7 @@ def radiance(
         upright = mi.Vector3f(0.0, 0.0, dr.select(si.wi.z < 0, -1.0, 1.0))
         even = bsdf.eval(context, si, upright, known)
         result += dr.select(known, even * irradiance, 0.0)
-    result += lamps.light(scene, bsdf, si, aim_at, hit, known, even, grid)
+    result += lamps.light(scene, emitters, bsdf, si, aim_at, hit, known, even, grid)
 
     scattered, weight = bsdf.sample(context, si, lobe, place, traced)
     # An invalid sample, as below a surface's horizon, has weight 0 and no direction. NaN is not 0, and not hidden.

@@ -100,9 +100,9 @@ def test_what_the_nodes_see_changes_no_mean(passes, field_of, wire, wide):
     camera = wide()
     field = field_of(wire, camera)
     plain = _pictures(passes, wire, camera, replace(field, lamps=None), range(50, 62))
-    half = replace(field, lamps=field.lamps._replace(seen=field.lamps.seen / 2))
+    half = replace(field, lamps=replace(field.lamps, seen=field.lamps.seen / 2))
     assert np.sqrt(np.mean(_z(_pictures(passes, wire, camera, half, range(12)), plain) ** 2)) < 1.3
-    larger = field.lamps._replace(whole=field.lamps.whole * 1.03, seen=field.lamps.seen * 1.03)
+    larger = replace(field.lamps, whole=field.lamps.whole * 1.03, seen=field.lamps.seen * 1.03)
     wrong = _pictures(passes, wire, camera, replace(field, lamps=larger), range(12))
     assert np.sqrt(np.mean(_z(wrong, plain) ** 2)) > 1.6
 

@@ -297,8 +297,8 @@ def test_wavelengths_of_a_pixel_have_no_bias_and_little_noise(make_scene, loaded
     shared = ray_pass.prepare(
         loaded(make_scene(wall)), camera, None, None, None, pinhole_responses(camera), False, None
     )
-    block = ray_block.block_of(shared, np.arange(4096), np.full(4096, samples), 3)
-    first = ray_block.wavelength_places(shared, block, block.sample)
+    lanes = ray_block.lanes_of(shared, ray_block.block_of(np.arange(4096), np.full(4096, samples), 3).batch)
+    first = ray_block.wavelength_places(shared, lanes, lanes.sample)
     places = np.stack([np.array(place, dtype=float) for place in ray_block._places(shared, mi.Float(first))], axis=-1)
     places = places.reshape(4096, -1)
     count = 4 * samples
@@ -318,6 +318,6 @@ def test_sums_of_pixels_are_those_of_their_rays(jit, counts):
     counts = np.array(counts)
     values = np.random.default_rng(1).random(counts.sum()).astype(np.float32)
     chunk = int(np.gcd.reduce(np.append(counts, ray_block.MOST_CHUNK)))
-    block = ray_block.Block(slice(0, len(counts)), counts, chunk, *[None] * 6, 0)
+    block = ray_block.Block(slice(0, len(counts)), counts, chunk, None)
     each = np.split(values.astype(float), np.cumsum(counts)[:-1])
     np.testing.assert_allclose(block.sums(mi.Float(plugin.aligned(values))), [part.sum() for part in each], rtol=1e-6)

@@ -14,10 +14,10 @@ def points(jit):
     import drjit as dr
     import mitsuba as mi
 
-    from dasim.render.sobol import DIMENSIONS, Sobol
+    from dasim.render.sobol import DIMENSIONS, Sobol, points
 
     def points_of(key: int) -> np.ndarray:
-        numbers = Sobol(COUNT, dr.arange(mi.UInt32, COUNT), mi.UInt32(key))
+        numbers = Sobol(points(COUNT), dr.arange(mi.UInt32, COUNT), mi.UInt32(key))
         return np.stack([np.array(numbers.next_1d(), dtype=np.float64) for _ in range(DIMENSIONS)], axis=-1)
 
     return points_of

@@ -1,0 +1,63 @@
+"""Frozen functions: one batch of a pass is traced in Python, and pictures are the same as of plain functions."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+
+import dasim
+from dasim.render import backend, focus_pictures, irradiance, pinhole, ray_loop
+
+LANES = 1 << 12  # of a batch: passes have many, the last of them smaller
+
+
+@pytest.fixture
+def captured(jit, make_scene, da_mobile, lamp, monkeypatch):
+    """A function that captures a card before a wall: pixels of one depth and of several, samples by their noise."""
+    if jit.startswith("cuda"):
+        pytest.skip("frozen functions are for processors")
+    wall = {"name": "wall", "shape": "plane", "size_cm": (60, 60), "position_cm": (0, 0, 40), "material": "sand"}
+    card = {"name": "card", "shape": "plane", "size_cm": (6, 20), "position_cm": (-3, 0, 20), "material": "leaf-green"}
+    scene, camera = make_scene(wall, card, lights=[lamp]), dasim.cropped(da_mobile, 32, 24)
+    monkeypatch.setattr(backend, "LANES", LANES)
+    return lambda: dasim.simulate(scene, camera, spp="auto")
+
+
+def test_pictures_are_those_of_functions_that_are_not_frozen(captured, monkeypatch):
+    """Rationale: what is no array is read at the first call alone: a size, a seed or a table of the first batch would
+    be used for all.
+
+    Expectation: the same bits.
+    """
+    first = captured()
+    for module in (ray_loop, pinhole, irradiance):
+        monkeypatch.setattr(module, "frozen", lambda function: function)
+    second = captured()
+    for picture in ("mean_e", "focus_e", "sharp_e"):
+        np.testing.assert_array_equal(getattr(first.truth, picture), getattr(second.truth, picture))
+
+
+def test_one_batch_of_a_pass_is_traced(captured, monkeypatch):
+    """Expectation: of many batches per pass one is traced, and one more where the last is a single chunk of rays."""
+    called: dict[str, Iterator[int]] = {name: itertools.count() for name in ("frozen", "block_of", "aim")}
+
+    def count(module, name):
+        function, calls = getattr(module, name), called[name]
+
+        def counted(*arguments):
+            next(calls)
+            return function(*arguments)
+
+        monkeypatch.setattr(module, name, counted)
+
+    for module, names in ((ray_loop, called), (pinhole, ("frozen", "aim")), (focus_pictures, ("block_of",))):
+        for name in names:
+            count(module, name)
+    captured()
+    passes, batches, traced = (next(calls) for calls in called.values())
+    assert passes > 5
+    assert batches > 5 * passes
+    assert passes <= traced < 1.5 * passes
