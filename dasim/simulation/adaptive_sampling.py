@@ -44,9 +44,10 @@ MOST_ROUNDS = 4
 SLOPE = 1.1  # variance falls about as samples ** -1.0 to -1.2 (claim fewer-rays)
 AIM = 0.98  # of the target, that a further round is for
 MOST_MORE, MORE_BISECTIONS = 8.0, 8  # largest factor of a further round, and how finely it is found
-# What neighbours share may be this part of the target, in standard deviations; beyond it, further pictures have an
-# irradiance of more directions, by MOST_FINER times at most.
-SHARED, MOST_FINER = 0.5, 16
+NEARLY = 1.05  # times the least noise that a round can reach, for which it is not made larger
+# What neighbours share may be this part of the target, in standard deviations, in the pilot and in later pairs, which
+# have cost more; beyond it, further pictures have an irradiance of more directions, by MOST_FINER times at most.
+SHARED, SHARED_LATER, MOST_FINER = 0.5, 0.7, 16
 CERTAIN = 3.0  # standard errors by which it must exceed that
 LEAST_LIGHT = 0.1  # that noise is compared with, of the mean: no samples are spent on what is nearly black
 # The mean number of samples is found by halving, from some rows and columns.
@@ -76,7 +77,7 @@ def render_to_noise_target(
     """Render pairs of pictures until their noise is below the share ``target`` of the sensor's.
 
     All pairs count in the result, weighted by their samples. Noise that neighbours share comes from the irradiance and
-    asks for no samples: where there is much of it, the pilot does not count, and the others have a finer irradiance.
+    asks for no samples: once there surely is much of it, pairs so far do not count, and others have a finer irradiance.
 
     Args:
         picture: ``picture(index, spp, finer)`` renders ``spp`` samples, [stop, h, w], with random numbers keyed by
@@ -103,25 +104,26 @@ def render_to_noise_target(
             for part in (variance, variance - shared, shared)
         )
         # What irradiance leaves to the samples.
-        own_target = float(np.sqrt(max(target**2 - of_irradiance**2, (1 - SHARED**2) * target**2)))
+        most = SHARED_LATER if number else SHARED
+        own_target = float(np.sqrt(max(target**2 - of_irradiance**2, (1 - most**2) * target**2)))
         uncertain = CERTAIN * shared_uncertainty(shape[1:]) * of_all**2
-        is_fine = number > 0 or of_irradiance**2 <= (SHARED * target) ** 2 + uncertain
-        if (of_samples <= own_target and is_fine) or number == MOST_ROUNDS - 1:
+        is_fine = finer == MOST_FINER or of_irradiance**2 <= (most * target) ** 2 + uncertain
+        if of_all <= target or (of_samples <= own_target and is_fine) or number == MOST_ROUNDS - 1:
             break
-        if number:
+        if number and is_fine:
             left = _Left(pilot_wants, result, variance - shared, limit)
             factor = _least_factor(left, AIM * own_target, percentile, most_spp, kept, factor)
             del left
-        else:
+        elif not number:
             of_pilot = np.divide(variance - shared, variance, out=np.zeros_like(variance), where=variance > 0)
             pilot = result._replace(around=result.around * of_pilot)
             pilot_wants = wanted_spp(pilot, sensor_variance, own_target, percentile)
         if is_fine:
             spp = next_spp(factor * pilot_wants - result.spp, most_spp)
-        else:  # the pilot decides alone
-            wanted = (of_irradiance / (SHARED * target)) ** 2
+        else:  # begin anew
+            wanted = finer * (of_irradiance / (SHARED * target)) ** 2
             finer, sums = int(min(2 ** np.ceil(np.log2(wanted)), MOST_FINER)), None
-            spp = np.maximum(next_spp(pilot_wants, most_spp), FEWEST_SPP)
+            spp = np.maximum(next_spp(factor * pilot_wants, most_spp), FEWEST_SPP)
         if not spp.any():
             break
         del result, variance, shared  # before the next pictures are made: of large frames they take half a gigabyte
@@ -142,7 +144,8 @@ class _Left(NamedTuple):
 def _least_factor(
     left: _Left, target: float, percentile: float, most_spp: int, kept: Sequence[float] | None, factor: float
 ) -> float:
-    """The least multiple of ``factor``, of ``MOST_MORE`` at most, for which noise is expected to fall to the target.
+    """The least multiple of ``factor``, of ``MOST_MORE`` at most, for which noise is expected to fall to the target, or
+    nearly as far as it can.
 
     Of large frames, some rows and columns are looked at.
     """
@@ -156,6 +159,7 @@ def _least_factor(
         kept_part = np.divide((part[..., None] * own).sum(axis=0), total, out=np.zeros_like(total), where=total > 0)
         return float(shares_at(share(kept_part * variance, limit), [percentile])[0].max())
 
+    target = max(target, NEARLY * reached(factor * MOST_MORE))
     low, high = 0.0, np.log(MOST_MORE)
     for _ in range(MORE_BISECTIONS):
         middle = (low + high) / 2

@@ -15,11 +15,11 @@ MEAN_E = np.array([400.0, 900.0, 100.0, 50.0])
 MEDIAN = 0.1  # relative; the median of 4,800 absolute differences is known to 2 %, a pair's worth to 3 %
 
 
-def pictures(coefficients, calls, slope=0.65, loud=None):
+def pictures(coefficients, calls, slope=0.65, loud=None, louder=5.0):
     """Pictures of half the light per stop, with noise of ``coefficients`` x samples ** -slope of it in every channel,
-    and five times that in some pixels.
+    and ``louder`` times that in some pixels.
     """
-    factor = np.ones(FRAME[1:]) if loud is None else np.where(loud, 5.0, 1.0)
+    factor = np.ones(FRAME[1:]) if loud is None else np.where(loud, louder, 1.0)
 
     def picture(index, spp, finer=1):
         calls.append((index, spp))
@@ -191,26 +191,68 @@ def test_a_pilot_without_noise_asks_for_no_more():
     assert not allotted_spp([pilot._replace(**{name: getattr(pilot, name)[:1] for name in pilot._fields})], 8.0).any()
 
 
+IRRADIANCE_FRAME = (1, 120, 160)
+
+
+def irradiance_pictures(own, shared, calls):
+    """Pictures with noise of ``own`` over the square root of the samples, and of ``shared`` over that of the
+    directions, which all pixels around share and every second picture; both over photon noise.
+    """
+    height, width = IRRADIANCE_FRAME[1:]
+
+    def picture(index, spp, finer):
+        calls.append((finer, spp))
+        coarse = np.random.default_rng((index % 2, finer)).standard_normal((height // 8, width // 8))
+        coarse = np.repeat(np.repeat(coarse, 8, axis=0), 8, axis=1)[None, ..., None]
+        noise = np.random.default_rng(index).standard_normal((*IRRADIANCE_FRAME, 4))
+        noise *= own / np.sqrt(np.maximum(spp, 1))[..., None]
+        rate = MEAN_E + np.sqrt(MEAN_E) * (noise + shared * np.sqrt(2 / finer) * coarse)
+        return Picture(spp, rate, np.zeros((*IRRADIANCE_FRAME, 4)))
+
+    return picture
+
+
 def test_noise_of_the_irradiance_asks_for_more_directions_not_for_samples():
     """Set-up: little noise of samples, and much that all pixels around share, which falls with the directions.
 
     Expectation: after the pilot, which does not count, pictures of finer irradiance reach the target with few samples;
     what is stated is the error of the mean.
     """
-    calls, frame = [], (1, 120, 160)
-
-    def picture(index, spp, finer):
-        calls.append((index, finer))
-        random = np.random.default_rng((index % 2, finer))
-        coarse = np.repeat(np.repeat(random.standard_normal((frame[1] // 8, frame[2] // 8)), 8, axis=0), 8, axis=1)
-        own = np.random.default_rng(index).standard_normal((*frame, 4)) / np.sqrt(np.maximum(spp, 1))[..., None]
-        shared = 0.6 * np.sqrt(2 / finer) * coarse[None, ..., None]
-        rate = MEAN_E + np.sqrt(MEAN_E) * (0.3 * own + shared)
-        return Picture(spp, rate, np.zeros((*frame, 4)))
-
-    result = render_to_noise_target(picture, poisson, shape=frame)
-    assert [finer for _, finer in calls[:2]] == [1, 1] and calls[2][1] >= 16
+    calls: list = []
+    result = render_to_noise_target(irradiance_pictures(0.3, 0.6, calls), poisson, shape=IRRADIANCE_FRAME)
+    assert [finer for finer, _ in calls[:2]] == [1, 1] and calls[2][0] >= 16
     assert result.measured.spp.max() <= 32
     assert max(result.share) <= 1.1 * adaptive_sampling.NOISE_SHARE
     error = np.sqrt(np.mean((result.measured.rate[0] - MEAN_E) ** 2 / MEAN_E, axis=(0, 1)))
     np.testing.assert_allclose(result.share, error, rtol=0.3)
+
+
+def test_noise_of_the_irradiance_that_the_pilot_could_not_see_is_found_later():
+    """Set-up: so much noise of samples that a pilot of 16 hides what pixels around share.
+
+    Expectation: it is seen once the samples are many, and pictures of finer irradiance reach the target; without them,
+    no number of samples would.
+    """
+    calls: list = []
+    result = render_to_noise_target(irradiance_pictures(20.0, 0.4, calls), poisson, shape=IRRADIANCE_FRAME)
+    assert [finer for finer, _ in calls[:4]] == [1, 1, 1, 1] and calls[4][0] >= 8
+    assert max(result.share) <= adaptive_sampling.NOISE_SHARE
+    fine = np.sum([spp for finer, spp in calls if finer > 1], axis=0)
+    np.testing.assert_array_equal(result.measured.spp, fine, "pictures of the coarse irradiance do not count")
+
+
+def test_pixels_that_have_the_most_samples_do_not_make_others_take_more():
+    """Set-up: the noise is meant at the percentile 95, and a quarter of the pixels wants a hundred times the samples
+    that pictures may have.
+
+    Expectation: the others get about what they want for the target, not that times the largest factor.
+    """
+    loud = np.zeros(FRAME[1:], bool)
+    loud[:, :20] = True
+    calls: list = []
+    noisy = pictures((0.3, 0.3), calls, slope=0.5, loud=loud, louder=40.0)
+    result = render_to_noise_target(noisy, poisson, shape=FRAME, percentile=95)
+    spp = result.measured.spp[0]
+    # Half of the variance each: (0.3 x 900 / 2)^2 / n = 0.25^2 x 900 / 2 in green.
+    assert np.median(spp[~loud]) < 2 * (0.3 * 900 / 2 / 0.25) ** 2 / 450
+    assert spp[loud].min() >= adaptive_sampling.MOST_SPP
