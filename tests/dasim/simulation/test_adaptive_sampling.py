@@ -184,6 +184,23 @@ def test_a_further_pair_has_its_samples_where_the_pilot_is_noisy():
     assert whole[0][inner].mean() / whole[1][inner].mean() == pytest.approx(2.0, rel=0.25)
 
 
+def test_many_samples_are_asked_for_in_parts(monkeypatch):
+    """Set-up: noise that needs many times the pilot's samples and falls faster than the pilot expects.
+
+    Expectation: the target is met with fewer samples than the pilot asks for: about half as many as all at once.
+    """
+    shares, spp = [], []
+    for part in (adaptive_sampling.PART_OF_FAR, 1.0):
+        monkeypatch.setattr(adaptive_sampling, "PART_OF_FAR", part)
+        calls: list = []
+        result = render_to_noise_target(pictures((1.0, 1.0), calls, slope=0.65), poisson, shape=FRAME)
+        shares.append(max(result.share))
+        spp.append(result.measured.spp.mean())
+    assert spp[1] > 2 * adaptive_sampling.FAR * adaptive_sampling.PILOT_SPP
+    assert spp[0] < 0.6 * spp[1]
+    assert 0.7 * adaptive_sampling.NOISE_SHARE < shares[0] <= adaptive_sampling.NOISE_SHARE
+
+
 def test_a_pilot_without_noise_asks_for_no_more():
     still = Picture(np.full(FRAME, 4), np.ones(SHAPE), np.zeros(SHAPE))
     pilot = no_pairs(still)
