@@ -23,13 +23,13 @@ Tested in tests/dasim/render/test_control_variate.py.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import fft, ndimage
+from scipy import fft
 
 from dasim.camera.sensor import principal_point
 from dasim.camera.specification import Camera
@@ -228,9 +228,14 @@ def _blurred(bands: list[NDArray[np.float32]], kernels: NDArray[np.float32]) -> 
         total = np.zeros_like(spectra[0])
         for spectrum, kernel in zip(spectra, kernels[:, channel], strict=True):
             if kernel.any():
-                total += spectrum * fft.rfft2(kernel.astype(float), shape)
+                total += spectrum * padded_spectrum(kernel.astype(float), shape)
         result[channel] = fft.irfft2(total, shape)[valid]
     return result
+
+
+def padded_spectrum(images: NDArray[np.floating], shape: Sequence[int]) -> NDArray[np.complexfloating]:
+    """What ``rfft2`` gives of images [..., y, x] with zeros up to ``shape`` (h, w), without the rows of zeros."""
+    return np.asarray(fft.fft(fft.rfft(images, shape[1]), shape[0], axis=-2))
 
 
 def _pixel_means(picture: NDArray[np.float32], cells: int, spare_px: int, points: int) -> NDArray[np.float32]:
@@ -238,14 +243,17 @@ def _pixel_means(picture: NDArray[np.float32], cells: int, spare_px: int, points
     is about the middle of a pixel. ``spare_px`` are added around it.
     """
     # Linear between nodes, the mean over ``cells`` distances about a midpoint has these weights of the nodes there.
-    weights = np.array([0.125, 0.875, *np.ones(cells - 2), 0.875, 0.125]) / cells
-    padded = np.pad(picture, spare_px * cells + 1, mode="edge")
-    for axis in (0, 1):
-        padded = ndimage.correlate1d(padded, weights, axis=axis, mode="nearest")
-    # Result i is about the midpoint of nodes i - 1 and i; the middle of the first pixel is that of cells / 2 - 1 and
-    # cells / 2, which have moved by one.
-    first, step = cells // 2 + 1, cells // points
-    return np.ascontiguousarray(padded[first : -first + 1 : step, first : -first + 1 : step])
+    weights = np.array([0.125, 0.875, *np.ones(cells - 2), 0.875, 0.125], np.float32) / np.float32(cells)
+    means, step = np.pad(picture, spare_px * cells + 1, mode="edge"), cells // points
+    for _ in range(2):  # along y, then along x
+        count = (len(means) - len(weights)) // step + 1
+        parts = (means[first : first + step * count : step] for first in range(len(weights)))
+        first_weight, *others = weights
+        total = first_weight * next(parts)
+        for weight, part in zip(others, parts, strict=True):
+            total += weight * part
+        means = np.ascontiguousarray(total.T)
+    return means
 
 
 def _sampled(profiles: FloatArray, half: int, shift: FloatArray, points: int) -> NDArray[np.float32]:

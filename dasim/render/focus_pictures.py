@@ -26,9 +26,8 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
-from scipy import fft
+from scipy import fft, ndimage
 
 from dasim.camera import distortion
 from dasim.camera.rings import at_pixels
@@ -82,8 +81,10 @@ class _Core:
         place = np.stack(np.meshgrid(at, at), axis=-1)
         kernel = self._at(place @ towards_axis.T, whole=True)[..., 0, :]
         kernel *= (np.hypot(*np.moveaxis(place, -1, 0)) <= CORE_PX)[..., None]
+        inside = slice(FINE // 2, side * FINE + FINE // 2)
         for axis in (0, 1):  # the mean over the pixel
-            kernel = sliding_window_view(kernel, FINE, axis=axis).mean(axis=-1)
+            kernel = ndimage.uniform_filter1d(kernel, FINE, axis=axis)
+        kernel = kernel[inside, inside]
         cells = FINE // CELLS
         kernel = kernel.reshape(side, CELLS, cells, side, CELLS, cells, -1).transpose(6, 1, 4, 0, 3, 2, 5)
         offset = (np.arange(cells) + 0.5) / FINE - 0.5 / CELLS
@@ -240,13 +241,14 @@ def _summed(
     for first in range(0, len(own), most):
         part = slice(first, first + most)
         of_nodes, of_pixels, offset = _layer_sums(by_nodes, pixel[own[part]], layer[part], (seed + first) % 2**32, kept)
-        factors = np.stack([np.ones_like(offset[0]), *offset])
         for number in np.unique(layer[part]):  # each pixel once
             here = np.flatnonzero(layer[part] == number)
             rays, at = slice(here[0], here[-1] + 1), _consecutive(own[part][here])
             for planes, values in zip(moments.reshape(-1, MOMENTS, len(pixel), NODES), of_nodes, strict=True):
-                for plane, factor in zip(planes, factors[:, rays], strict=True):
-                    plane[at] += values[rays] * factor
+                total, *firsts = planes
+                total[at] += values[rays]
+                for first_moment, places in zip(firsts, offset, strict=True):
+                    first_moment[at] += values[rays] * places[rays]
             for plane, values in zip(sums.reshape(-1, len(pixel)), of_pixels, strict=True):
                 plane[at] += values[rays, 0]
     moments /= counts[:, None].astype(np.float32)
@@ -289,8 +291,11 @@ def _convolved(sums: Float32Array, kernels: Float32Array) -> FloatArray:
     result = np.empty((height - 2 * MARGIN_PX, width - 2 * MARGIN_PX, len(sums)))
     for channel, (pair, kernel) in enumerate(zip(sums, kernels, strict=True)):
         # A correlation: the kernel's place is that of the node.
-        transfer = fft.rfft2(kernel.reshape(MOMENTS, NODES, *kernel.shape[3:])[..., ::-1, ::-1], shape)
-        spectra = ((fft.rfft2(np.moveaxis(part, -1, 1), shape) * transfer).sum(axis=(0, 1)) for part in pair)
+        spectra = np.zeros((2, shape[0], shape[1] // 2 + 1), np.complex64)
+        for moment, of_moment in enumerate(kernel.reshape(MOMENTS, NODES, *kernel.shape[3:])):
+            transfer = control_variate.padded_spectrum(of_moment[:, ::-1, ::-1], shape)
+            for spectrum, part in zip(spectra, pair[:, moment], strict=True):
+                spectrum += (fft.rfft2(np.moveaxis(part, -1, 0), shape) * transfer).sum(axis=0)
         signal, light = (fft.irfft2(spectrum, shape)[inside].astype(float) for spectrum in spectra)
         result[..., channel] = ratio_of(signal, light)
     return result
