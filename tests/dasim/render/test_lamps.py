@@ -107,6 +107,27 @@ def test_what_the_nodes_see_changes_no_mean(passes, field_of, wire, wide):
     assert np.sqrt(np.mean(_z(wrong, plain) ** 2)) > 1.6
 
 
+def test_lamps_in_doubt_are_sampled_several_times(passes, field_of, wire, wide, monkeypatch):
+    """Rationale: among leaves few cells of the grid know a lamp, and the place on it makes most of the noise.
+
+    Set-up: the wall, its lamps in doubt everywhere, sampled once and ``SPLIT`` times.
+    Expectation: means are the same, the variance falls by a third or more; the frame's share of cells
+    that know a lamp decides.
+    """
+    camera = wide()
+    assert set(np.array(field_of(wire, camera).lamps.samples)) == {1}
+    monkeypatch.setattr(lamps, "CLEAR", 2.0)
+    split = field_of(wire, camera)
+    assert np.array(split.lamps.samples).tolist() == [lamps.SPLIT] * 2 + [1] * (lamps.MOST_EMITTERS - 2)
+    doubt = replace(split.lamps, usable=split.lamps.usable * 0)
+    often = _pictures(passes, wire, camera, replace(split, lamps=doubt), range(12))
+    once = _pictures(
+        passes, wire, camera, replace(split, lamps=replace(doubt, samples=doubt.samples * 0 + 1)), range(12)
+    )
+    assert np.sqrt(np.mean(_z(often, once) ** 2)) < 1.3
+    assert once.var(axis=0)[:, 35:43].mean() > often.var(axis=0)[:, 35:43].mean() * 1.5
+
+
 def test_of_many_lamps_each_ray_draws_one(passes, field_of, make_scene, loaded, wide, monkeypatch):
     """Expectation: nine lamps have no grid, and the picture that they have when each is sampled."""
     lights = [LAMP | {"position_cm": (-40 + 10 * k, -30, 0), "radius_cm": 1, "lux": 50 + 20 * k} for k in range(9)]
