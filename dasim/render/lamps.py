@@ -146,20 +146,22 @@ def light(
             number, weight, reused = scene.sample_emitter(place.x, hit)
             place = mi.Point2f(reused, place.y)
         emitter = dr.gather(mi.EmitterPtr, scene.emitters_dr(), number)
-        active = hit & ~(known & from_all_around(emitter))
-        aimed, arriving = emitter.sample_direction(si, place, active)
+        reached = hit & ~(known & from_all_around(emitter))
+        aimed, arriving = emitter.sample_direction(si, place, reached)
         # A lamp that samples itself gives infinities.
-        active &= (aimed.pdf > 0) & dr.isfinite(aimed.pdf) & dr.any(arriving != 0)
+        active = reached & (aimed.pdf > 0) & dr.isfinite(aimed.pdf) & dr.any(arriving != 0)
         value, other = bsdf.eval_pdf(context, si, si.to_local(aimed.d), active)
         share = dr.select(aimed.delta | known, 1.0, power_heuristic(aimed.pdf / weight, other))
         sample = value * arriving * (weight * share)
         is_seen = active & ~scene.ray_test(si.spawn_ray_to(aimed.p), active)
         added, count = dr.select(is_seen, sample, 0.0), mi.UInt32(1)
         if grid is not None:
-            whole, seen = _interpolated(*grid, index, known & active)
+            whole, seen = _interpolated(*grid, index, known & reached)
             control = dr.select(whole > 0, seen / whole, 0.0)
             added += control * dr.select(active, even * (whole * aimed.pdf) * arriving - sample, 0.0)
-            doubted = active & ~aimed.delta & ~((whole > 0) & ((seen <= 0) | (seen >= whole)))
+            # Whatever the samples are: their number must not depend on them.
+            doubted = reached & ~mi.has_flag(emitter.flags(), mi.EmitterFlags.Delta)
+            doubted &= ~((whole > 0) & ((seen <= 0) | (seen >= whole)))
             count = dr.select(doubted, dr.gather(mi.UInt32, grid[0].samples, index, doubted), 1)
         is_last = repeat + 1 >= count
         following = dr.select(is_last, index + 1, index), dr.select(is_last, 0, repeat + 1)

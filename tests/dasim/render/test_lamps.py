@@ -128,6 +128,48 @@ def test_lamps_in_doubt_are_sampled_several_times(passes, field_of, wire, wide, 
     assert once.var(axis=0)[:, 35:43].mean() > often.var(axis=0)[:, 35:43].mean() * 1.5
 
 
+def test_their_number_does_not_depend_on_the_samples(jit):
+    """Rationale: if a sample without light ended the sampling of its lamp, light would be lost.
+
+    Set-up: a cube that shines on all sides, half of whose samples lie on sides that are turned away.
+    Expectation: sampled once or twice, a point receives as much light on average; no sample lies on those sides, where
+    a lamp faces the point, so that a panel would not tell.
+    """
+    import drjit as dr
+    import mitsuba as mi
+
+    transform, count = mi.ScalarTransform4f, 2**16
+    scene = mi.load_dict({
+        "type": "scene",
+        "lamp": {
+            "type": "cube",
+            "to_world": transform().translate([0.5, 0, 2]),
+            "emitter": {"type": "area", "radiance": {"type": "uniform", "value": 1.0}},
+        },
+        "wall": {"type": "rectangle", "to_world": transform().scale(5), "bsdf": {"type": "diffuse"}},
+    })  # fmt: skip
+    ray = mi.RayDifferential3f(mi.Ray3f(mi.Point3f(dr.opaque(mi.Float, 2.0, count), 0, 1), mi.Vector3f(0, 0, -1)))
+    ray.wavelengths = mi.Spectrum(*lamps.PROBE_NM)
+    si = scene.ray_intersect(ray)
+    none, table = mi.UInt32(dr.zeros(mi.UInt32, count)), dr.zeros(mi.Float, lamps.MOST_EMITTERS)
+    cell = lamps.Cell(none, none, mi.Point2f(0.0), mi.UInt32(1), mi.Bool(True))
+    rows = np.arange(count) / count
+    place = mi.Point2f(mi.Float(np.random.default_rng(0).permutation(rows)), mi.Float(rows))
+    means, spread = [], 0.0
+    for samples in (1, 2):
+        numbers = mi.UInt32([samples] * lamps.MOST_EMITTERS)
+        grid = lamps.Grid(table, table, mi.UInt32(table), numbers, mi.UInt32(1), mi.UInt32(1))
+        chosen, known = lamps.chosen(scene), mi.Bool(dr.zeros(mi.Bool, count))
+        light = lamps.light(
+            scene, chosen, si.bsdf(ray), si, place, si.is_valid(), known, mi.Spectrum(0.0), (grid, cell)
+        )
+        values = np.array(light[0])
+        means.append(values.mean())
+        spread = max(spread, values.std() / np.sqrt(count))
+    assert spread < 0.01 * means[0]
+    assert abs(means[1] - means[0]) < 5 * spread
+
+
 def test_of_many_lamps_each_ray_draws_one(passes, field_of, make_scene, loaded, wide, monkeypatch):
     """Expectation: nine lamps have no grid, and the picture that they have when each is sampled."""
     lights = [LAMP | {"position_cm": (-40 + 10 * k, -30, 0), "radius_cm": 1, "lux": 50 + 20 * k} for k in range(9)]
