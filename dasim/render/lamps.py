@@ -1,6 +1,6 @@
 """Light that comes straight from emitters, by a control variate on the irradiance of whole lamps (JIT variants).
 
-Every ray samples each emitter once, so that choosing one makes no noise. What remains comes from where on a lamp the
+Every ray samples each emitter, so that choosing one makes no noise. What remains comes from where on a lamp the
 sample lies, and from shadows. Each node of the grid of :mod:`dasim.render.irradiance` holds the projected solid angle
 of a lamp as if nothing stood before it, and the part of it that the node sees. With E the light from the whole lamp, L
 the light of one sample, V whether its point is seen, and c any number,
