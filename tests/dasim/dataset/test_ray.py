@@ -32,7 +32,7 @@ pytestmark = [
 ]
 
 SAMPLES = 24
-SLACK_S = 2.0  # beyond the ten seconds that an address gets
+SLACK_S = 10.0  # beyond the ten seconds that an address gets: a busy computer imports Ray in it
 
 
 @pytest.fixture

@@ -11,7 +11,9 @@ from trimesh.visual.material import PBRMaterial
 from dasim.materials import photographs
 from dasim.scene import checks, mesh_merging, mesh_paint, meshes, object_materials
 from dasim.spectra.grid import WAVELENGTH_NM
+from tests.support import pace
 
+LOADING_PACES = 30.0  # 3 processor s on a fast core
 LINEAR_LIMIT = 1e-5  # colours are single precision
 SRGB_188 = ((188 / 255 + 0.055) / 1.055) ** 2.4  # 0.5029
 
@@ -140,10 +142,10 @@ def test_obj_with_a_material_library_shows_its_colours_and_pictures(tmp_path):
 @pytest.mark.parametrize(
     "name", ["plain.ply", "plain.off", "plain.obj", "coloured.ply", "coloured.glb", "coloured.obj"]
 )
-def test_half_a_million_triangles_load_in_three_seconds(loaded, make_scene, tmp_path, name):
-    """Expectation: reading, checks and Mitsuba's mesh take at most 3 processor s (measured 0.2 to 2.4 s on 2 cores)."""
-    import time
-
+def test_half_a_million_triangles_load_at_once(loaded, make_scene, tmp_path, name):
+    """Expectation: reading, checks and Mitsuba's mesh take at most 30 times the reference work (measured 2 to 18 times,
+    the most with coloured.obj, also where other programs use the machine).
+    """
     steps = np.linspace(-5, 5, 501)
     x, y = np.meshgrid(steps, steps)
     first = np.arange(500 * 501).reshape(500, 501)[:, :-1].ravel()
@@ -159,10 +161,13 @@ def test_half_a_million_triangles_load_in_three_seconds(loaded, make_scene, tmp_
     look = {"near_infrared": "print"} if name.startswith("coloured") else {"material": "brick"}
     item = {"name": "thing", "shape": "mesh", "file": name, "position_cm": (0, 0, 30)} | look
     scene = make_scene(item, folder=tmp_path)
-    start = time.process_time()
-    checks.check_clear(scene, 1e-3)
-    loaded(scene)
-    assert time.process_time() - start <= 3.0
+
+    def load() -> None:
+        (tmp_path / name).touch()  # so that nothing is found in a cache
+        checks.check_clear(scene, 1e-3)
+        loaded(scene)
+
+    assert pace.paces(load, repeats=2) <= LOADING_PACES
 
 
 @pytest.mark.slow

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from functools import partial
 
 import numpy as np
@@ -12,12 +11,13 @@ import dasim
 from dasim.bounds import cramer_rao
 from dasim.camera import sensor as sensors
 from dasim.camera import specification as cameras
+from tests.support import pace
 from validation.studies import criteria
 
 BLURS = np.array([3.0, 14.0, 30.0, 47.0])
 SHAPE, SPACING_PX = (32, 32), 2.0
 BOUND_TOLERANCE = 0.015  # of the bound, which follows the slopes of the transfer functions
-LIMIT_S = 0.05
+LIMIT = 0.5  # processor time over the reference work
 
 
 @pytest.mark.parametrize("texture", ["known", "spectrum", "free"])
@@ -59,15 +59,9 @@ def test_the_bound_by_pupils_is_the_bound_by_kernels(camera: dasim.Camera) -> No
     np.testing.assert_allclose(criteria.camera_bound(camera, BLURS), expected, rtol=BOUND_TOLERANCE)
 
 
-def test_the_bound_of_a_camera_takes_less_than_50_ms(camera: dasim.Camera) -> None:
-    """Processor time with tables loaded; the least of thirty runs, because other programs use the machine too."""
+def test_the_bound_of_a_camera_takes_half_the_reference_work(camera: dasim.Camera) -> None:
+    """Less than 50 ms with tables loaded; the least of thirty runs, because other programs use the machine too."""
     displaced = cameras.refocused(dasim.load_camera("bando"), 0.4)
     for model, planes in ((camera, criteria.PLANES), (displaced, ("G", "R"))):
         bound = partial(criteria.camera_bound, model, np.linspace(3, 47, 8), planes=planes)
-        assert min(_seconds(bound) for _ in range(30)) < LIMIT_S
-
-
-def _seconds(run) -> float:  # type: ignore[no-untyped-def]
-    begin = time.process_time()
-    run()
-    return time.process_time() - begin
+        assert pace.paces(bound, repeats=30) < LIMIT

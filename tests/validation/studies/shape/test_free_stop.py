@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import time
-
 import numpy as np
 import pytest
 
 import dasim
+from tests.support import pace
 from validation.studies.shape import free_stop, masks
 from validation.studies.shape.free_stop import FreeStop
 
@@ -15,7 +14,7 @@ CELLS, BUDGET = 20, 0.2116
 BLURS = np.array([5.0, 20.0, 40.0])
 STEP = 1e-4  # of amplitudes; the error of central differences is of its square
 GRADIENT_TOLERANCE = 1e-3  # relative; 1e-6 is reached
-LIMIT_S = 0.05  # per design, when all that does not depend on the mask is known
+LIMIT = 0.5  # processor time per design over the reference work, when all that does not depend on the mask is known
 
 
 def coarse_stop(camera: dasim.Camera, objective: str, texture: str) -> FreeStop:
@@ -45,13 +44,8 @@ def test_gradients_are_those_of_finite_differences(camera: dasim.Camera, objecti
         assert (slope * direction).sum() == pytest.approx((ends[0] - ends[1]) / (2 * STEP), rel=GRADIENT_TOLERANCE)
 
 
-def test_a_design_is_evaluated_in_less_than_50_ms(camera: dasim.Camera) -> None:
-    """Processor time; the least of thirty runs, because other programs use the machine too."""
+def test_a_design_is_evaluated_in_half_the_reference_work(camera: dasim.Camera) -> None:
+    """Less than 50 ms; the least of thirty runs, because other programs use the machine too (measured 0.1)."""
     stop = free_stop.free_stop(camera, np.linspace(3, 47, 8), 64, budget=0.2116, fine_cells=48)
     mask = masks.disc(64, 0.2116)
-    seconds = []
-    for _ in range(30):
-        begin = time.process_time()
-        free_stop.value(stop, mask)
-        seconds.append(time.process_time() - begin)
-    assert min(seconds) < LIMIT_S
+    assert pace.paces(lambda: free_stop.value(stop, mask), repeats=30) < LIMIT
