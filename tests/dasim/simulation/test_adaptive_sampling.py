@@ -22,7 +22,7 @@ def pictures(coefficients, calls, slope=0.65, loud=None, louder=5.0):
     factor = np.ones(FRAME[1:]) if loud is None else np.where(loud, louder, 1.0)
 
     def picture(index, spp, finer=1):
-        calls.append((index, spp))
+        calls.append((index, spp, finer))
         noise = np.random.default_rng(index).standard_normal(SHAPE) * factor[..., None]
         spread = np.array(coefficients)[:, None, None] * np.maximum(spp, 1e-9) ** -slope
         rate = np.where(spp[..., None] > 0, MEAN_E / 2 * (1 + spread[..., None] * noise), 0.0)
@@ -49,21 +49,25 @@ def test_the_noise_target_is_met_and_the_stated_noise_is_true():
     calls: list = []
     result = render_to_noise_target(pictures((2.0, 1.0), calls), poisson, shape=FRAME)
     assert max(result.share) <= adaptive_sampling.NOISE_SHARE
-    np.testing.assert_array_equal(result.measured.spp, np.sum([spp for _, spp in calls], axis=0))
+    finest = max(finer for *_, finer in calls)
+    np.testing.assert_array_equal(
+        result.measured.spp, np.sum([spp for _, spp, finer in calls if finer == finest], axis=0)
+    )
     mean = result.measured.spp.mean(axis=(1, 2))
     assert mean[0] > mean[1], "the stop that gives more of the noise gets more samples"
-    assert len({index for index, _ in calls}) == len(calls), "every picture has random numbers of its own"
+    assert len({index for index, *_ in calls}) == len(calls), "every picture has random numbers of its own"
     np.testing.assert_allclose(result.share, np.median(error_of(result), axis=(0, 1)), rtol=MEDIAN)
 
 
 def test_a_target_that_the_pilot_misses_is_met_with_few_more():
     """Set-up: noise that falls more slowly than the pilot expects: its variance as the inverse of the samples.
 
-    Expectation: a third pair brings the share to the target, and not below nine tenths of it.
+    Expectation: after two pilots, of a coarse and of a finer irradiance, and a pair, one more brings the share to the
+    target, and not below nine tenths of it.
     """
     calls: list = []
     result = render_to_noise_target(pictures((1.0, 1.0), calls, slope=0.5), poisson, shape=FRAME)
-    assert len(calls) == 6
+    assert len(calls) == 8
     assert 0.9 < max(result.share) / adaptive_sampling.NOISE_SHARE <= 1.0
 
 
@@ -133,7 +137,7 @@ def test_the_factor_of_the_variate_lowers_the_noise_and_leaves_the_mean():
 def test_a_quiet_scene_takes_the_first_pair_alone():
     calls: list = []
     result = render_to_noise_target(pictures((0.01, 0.01), calls), poisson, shape=FRAME)
-    assert [index for index, _ in calls] == [0, 1] and set(result.measured.spp.ravel()) == {16}
+    assert [index for index, *_ in calls] == [0, 1] and set(result.measured.spp.ravel()) == {16}
 
 
 def test_a_smaller_share_takes_more_samples():
@@ -244,12 +248,34 @@ def test_noise_of_the_irradiance_asks_for_more_directions_not_for_samples():
     np.testing.assert_allclose(result.share, error, rtol=0.3)
 
 
-def test_noise_of_the_irradiance_that_the_pilot_could_not_see_is_found_later():
-    """Set-up: so much noise of samples that a pilot of 16 hides what pixels around share.
+def test_many_samples_have_a_finer_irradiance_and_another_pilot():
+    """Set-up: nodes of a noisy irradiance seem to disagree, so that rays are traced on: ten times the noise of samples.
+
+    Expectation: the samples are as many as the second pilot asks for, whose irradiance is finer; those of the first do
+    not count. Where the noise is little, one pilot is enough.
+    """
+    calls: list = []
+    fine, coarse = irradiance_pictures(1.5, 0.0, calls), irradiance_pictures(15.0, 0.0, calls)
+    picture = lambda index, spp, finer: (fine if finer > 1 else coarse)(index, spp, finer)  # noqa: E731
+    result = render_to_noise_target(picture, poisson, shape=IRRADIANCE_FRAME)
+    wanted = (1.5 / adaptive_sampling.NOISE_SHARE) ** 2
+    assert [finer for finer, _ in calls[:2]] == [1, 1] and len({finer for finer, _ in calls[2:]}) == 1
+    assert calls[2][0] > 1 and set(calls[2][1].ravel()) == {adaptive_sampling.PILOT_SPP}
+    assert result.measured.spp.mean() < 2 * wanted
+    assert max(result.share) <= adaptive_sampling.NOISE_SHARE
+    calls.clear()
+    render_to_noise_target(fine, poisson, shape=IRRADIANCE_FRAME)
+    assert {finer for finer, _ in calls} == {1}
+
+
+def test_noise_of_the_irradiance_that_the_pilot_could_not_see_is_found_later(monkeypatch):
+    """Set-up: so much noise of samples that a pilot of 16 hides what pixels around share; no finer irradiance for that
+    many samples alone.
 
     Expectation: it is seen once the samples are many, and pictures of finer irradiance reach the target; without them,
     no number of samples would.
     """
+    monkeypatch.setattr(adaptive_sampling, "RAYS_PER_FINENESS", 1e9)
     calls: list = []
     result = render_to_noise_target(irradiance_pictures(20.0, 0.4, calls), poisson, shape=IRRADIANCE_FRAME)
     assert [finer for finer, _ in calls[:4]] == [1, 1, 1, 1] and calls[4][0] >= 8
