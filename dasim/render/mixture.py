@@ -9,6 +9,7 @@ Tested in tests/dasim/render/test_reflection.py.
 from __future__ import annotations
 
 import itertools
+from collections.abc import Callable, Sequence
 from functools import cache
 from typing import Any
 
@@ -23,6 +24,8 @@ from dasim.typing import Float32Array
 # at most 0.125 nm, of both signs equally often, so that it has zero mean over random wavelengths.
 FINE_STEP_NM = 0.25
 _FINE_NM = np.arange(WAVELENGTH_NM[0], WAVELENGTH_NM[-1] + FINE_STEP_NM / 2, FINE_STEP_NM)
+
+Images = list[tuple[Float32Array, tuple[float, float]]]  # each [y, x] with its repetitions along u and v
 
 _numbers = itertools.count()
 # Surfaces and gains by number, until their plugin reads them: a plugin's properties cannot hold Python objects.
@@ -45,12 +48,12 @@ def _as_print(surface: Mixture) -> Mixture:
     return Mixture(np.zeros_like(images[0]), surface, leaves(surface)[-1], surface.repeat)
 
 
-def _weight_images(surface: Surface) -> list[tuple[Float32Array, tuple[float, float]]]:
+def _weight_images(surface: Surface) -> Images:
     """Distinct weight images [y, x] of a tree of mixtures, each with its repetitions along u and v."""
     if not isinstance(surface, Mixture):
         return []
     images = [(surface.weight, surface.repeat), *_weight_images(surface.first), *_weight_images(surface.second)]
-    distinct: list[tuple[Float32Array, tuple[float, float]]] = []
+    distinct: Images = []
     for image, repeat in images:
         if not any(image is other and repeat == often for other, often in distinct):
             distinct.append((image, repeat))
@@ -64,6 +67,32 @@ def _mean(surface: Surface) -> float:
         return (1 - share) * _mean(surface.first) + share * _mean(surface.second)
     assert isinstance(surface, Diffuse)
     return float(surface.reflectance.mean())
+
+
+def _stacked(images: Images, numbers: Sequence[int]) -> Any:
+    """Some images as one texture; v = 0 is the bottom row, as for shapes."""
+    import drjit as dr
+
+    stack = np.stack([images[number][0][::-1] for number in numbers], axis=-1)
+    return texture(stack, wrap_mode=dr.WrapMode.Clamp)
+
+
+def _shares_of(surface: Surface, images: Images) -> Callable[[Any, Sequence[Any]], list[Any]]:
+    """The function from a whole and the weights of ``images`` at a point to those of the leaves of ``surface``, whose
+    sum is the whole.
+    """
+    if not isinstance(surface, Mixture):
+        return lambda whole, weights: [whole]
+    first, second = (_shares_of(part, images) for part in (surface.first, surface.second))
+    of_second = next(
+        number for number, (image, repeat) in enumerate(images) if image is surface.weight and repeat == surface.repeat
+    )
+
+    def shares(whole: Any, weights: Sequence[Any]) -> list[Any]:
+        share = whole * weights[of_second]
+        return [*first(whole - share, weights), *second(share, weights)]
+
+    return shares
 
 
 @cache
@@ -82,34 +111,32 @@ def _register() -> None:
 
         def __init__(self, props: Any) -> None:
             super().__init__(props)
-            self.surface, gain = _surfaces.pop(props["number"])  # Mitsuba reads each description once
-            self.average = gain * _mean(self.surface)
-            self.images = _weight_images(self.surface)
+            surface, gain = _surfaces.pop(props["number"])  # Mitsuba reads each description once
+            self.average = gain * _mean(surface)
+            images = _weight_images(surface)
+            # A function of weights: Dr.Jit visits the values that a plugin holds, at each launch of a frozen function.
+            self.shares_of = _shares_of(surface, images)
+            self.count = len(images)
             # Images of the same size and repetition share one lookup.
             groups: dict[Any, list[int]] = {}
-            for number, (image, repeat) in enumerate(self.images):
+            for number, (image, repeat) in enumerate(images):
                 groups.setdefault((image.shape, repeat), []).append(number)
             # Opaque values instead of literals: surfaces with the same number of images share one compiled kernel.
             self.groups = [
-                ([dr.opaque(mi.Float, often) for often in repeat], numbers, self._weights(numbers))
+                ([dr.opaque(mi.Float, often) for often in repeat], numbers, _stacked(images, numbers))
                 for (_, repeat), numbers in groups.items()
             ]
-            spectra = [leaf.reflectance for leaf in leaves(self.surface) if isinstance(leaf, Diffuse)]
+            spectra = [leaf.reflectance for leaf in leaves(surface) if isinstance(leaf, Diffuse)]
             table = np.stack([gain * np.interp(_FINE_NM, WAVELENGTH_NM, curve) for curve in spectra], axis=-1)
             self.spectra = texture(table, filter_mode=dr.FilterMode.Nearest)
 
-        def _weights(self, numbers: list[int]) -> Any:
-            # v = 0 is the bottom row, as for shapes
-            stack = np.stack([self.images[number][0][::-1] for number in numbers], axis=-1)
-            return texture(stack, wrap_mode=dr.WrapMode.Clamp)
-
         def eval(self, si: Any, active: Any = True) -> Any:
-            weights: list[Any] = [None] * len(self.images)
+            weights: list[Any] = [None] * self.count
             for repeat, numbers, stack in self.groups:
                 values = stack.eval(mi.Point2f(mirror(si.uv.x * repeat[0]), mirror(si.uv.y * repeat[1])), active)
                 for number, value in zip(numbers, values, strict=True):
                     weights[number] = value
-            shares = self._shares(self.surface, mi.Float(1.0), weights)
+            shares = self.shares_of(mi.Float(1.0), weights)
             result = mi.Spectrum(0.0)
             for k in range(len(result)):
                 position = (si.wavelengths[k] - float(_FINE_NM[0])) / FINE_STEP_NM + 0.5
@@ -119,21 +146,6 @@ def _register() -> None:
                     total = dr.fma(share, value, total)
                 result[k] = total
             return result
-
-        def _shares(self, surface: Surface, whole: Any, weights: list[Any]) -> list[Any]:
-            """Weights of the leaves of ``surface`` at a point, which sum to ``whole``."""
-            if not isinstance(surface, Mixture):
-                return [whole]
-            share = next(
-                weight
-                for weight, (image, repeat) in zip(weights, self.images, strict=True)
-                if image is surface.weight and repeat == surface.repeat
-            )
-            second = whole * share
-            return [
-                *self._shares(surface.first, whole - second, weights),
-                *self._shares(surface.second, second, weights),
-            ]
 
         def mean(self) -> Any:
             return mi.Float(self.average)
