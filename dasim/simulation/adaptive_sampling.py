@@ -54,10 +54,10 @@ NEARLY = 1.05  # times the least noise that a round can reach, for which it is n
 # What neighbours share may be this part of the target, in standard deviations, in the pilot and in later pairs, which
 # have cost more; beyond it, further pictures have an irradiance of more directions, by MOST_FINER times at most.
 SHARED, SHARED_LATER, MOST_FINER = 0.5, 0.7, 16
-# A finer irradiance of f times the directions costs about as much as 10 f rays per pixel, and saves those that its own
-# part of the noise asks for, about N / 4 f of N in the random scenes: together they are fewest for f^2 = N / 40.
-RAYS_PER_FINENESS = 40.0
 CERTAIN = 3.0  # standard errors by which it must exceed that
+# A finer irradiance of f times the directions costs about as much as 10 f rays per pixel; of N, about N / 4 f are asked
+# for by its own part of the noise, if that is a quarter at f = 1: together they are fewest for f^2 = N / 40.
+RAYS_PER_FINENESS = 40.0
 LEAST_LIGHT = 0.1  # that noise is compared with, of the mean: no samples are spent on what is nearly black
 # The mean number of samples is found by halving, from some rows and columns.
 SPARSE, BISECTIONS = slice(None, None, 3), 24
@@ -85,8 +85,9 @@ def render_to_noise_target(
 ) -> AdaptiveRender:
     """Render pairs of pictures until their noise is below the share ``target`` of the sensor's.
 
-    All pairs count in the result, weighted by their samples. Noise that neighbours share comes from the irradiance and
-    asks for no samples: once there surely is much of it, pairs so far do not count, and others have a finer irradiance.
+    All pairs of the finest irradiance count in the result, weighted by their samples. Noise that neighbours share comes
+    from the irradiance and asks for no samples: once there surely is much of it, pairs so far do not count, and others
+    have a finer irradiance. Nor does a pilot count that asks for so many samples that another one follows it.
 
     Args:
         picture: ``picture(index, spp, finer)`` renders ``spp`` samples, [stop, h, w], with random numbers keyed by

@@ -60,7 +60,7 @@ def test_the_bound_by_pupils_is_the_bound_by_kernels(camera: dasim.Camera) -> No
 
 
 def test_the_bound_of_a_camera_takes_half_the_reference_work(camera: dasim.Camera) -> None:
-    """Less than 50 ms with tables loaded; the least of thirty runs, because other programs use the machine too."""
+    """With tables loaded; the least of thirty runs, because other programs use the machine too."""
     displaced = cameras.refocused(dasim.load_camera("bando"), 0.4)
     for model, planes in ((camera, criteria.PLANES), (displaced, ("G", "R"))):
         bound = partial(criteria.camera_bound, model, np.linspace(3, 47, 8), planes=planes)

@@ -45,7 +45,7 @@ def test_gradients_are_those_of_finite_differences(camera: dasim.Camera, objecti
 
 
 def test_a_design_is_evaluated_in_half_the_reference_work(camera: dasim.Camera) -> None:
-    """Less than 50 ms; the least of thirty runs, because other programs use the machine too (measured 0.1)."""
+    """50 ms where that takes 0.1 s; the least of thirty runs, as other programs use the machine (measured 0.1)."""
     stop = free_stop.free_stop(camera, np.linspace(3, 47, 8), 64, budget=0.2116, fine_cells=48)
     mask = masks.disc(64, 0.2116)
     assert pace.paces(lambda: free_stop.value(stop, mask), repeats=30) < LIMIT
