@@ -20,46 +20,30 @@ Tested in tests/dasim/render/test_focus_pictures.py.
 
 from __future__ import annotations
 
-import itertools
-from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import fft, ndimage
 
 from dasim.camera import distortion
 from dasim.camera.rings import at_pixels
-from dasim.camera.sensor import principal_point
+from dasim.camera.sensor import channels, principal_point
 from dasim.camera.specification import Camera
 from dasim.camera.stops import Stop
-from dasim.render import backend, control_variate, wave
+from dasim.render import control_variate, wave
 from dasim.render.control_variate import Fine
 from dasim.render.irradiance import Field
-from dasim.render.pinhole import NodePass, node_pass, read_sums
+from dasim.render.pinhole import CELLS, MOMENTS, NODES, NodeLight, Tile
 from dasim.render.radial_blur import RadialBlur, Spectrum, spectrum_of
-from dasim.render.ray_block import block_of
-from dasim.render.ray_loop import Sampling, ratio_of
-from dasim.render.ray_pass import WAVE_BLUR_PX, drawn, light_of, middle_ring, prepare, px_per_m
-from dasim.render.wavelengths import BANDS, separate_stop_responses, stop_responses
+from dasim.render.ray_loop import ratio_of
+from dasim.render.ray_pass import WAVE_BLUR_PX, drawn, light_of, middle_ring, px_per_m
+from dasim.render.wavelengths import BANDS, stop_responses
 from dasim.typing import Float32Array, FloatArray
 
-CELLS = 4  # nodes per pixel along each axis
-NODES = CELLS**2  # rays of a layer, one per node
 FINE = 16  # points per pixel along each axis of the kernels that weights of nodes are means of
-MOMENTS = 3  # of the light of a node: its sum, and its sums times the places of its rays along x and y
 CORE_PX = 7.0  # radius of the kernels that nodes are convolved with
 MARGIN_PX = 8  # around a tile: what these kernels reach from the nodes of a pixel
-TILE_PX = 160  # largest side of what is convolved at once
 RADIUS_STEP_PX = 0.025  # of the kernels' profiles
-
-
-class Pictures(NamedTuple):
-    """Pictures in mean electrons per second, before the falloff of relative illumination and glare."""
-
-    sharp: FloatArray  # [h, w, channel] through a pinhole, of the camera and then of another one
-    of_stops: list[FloatArray]  # [h, w, channel] of each stop, every depth in focus
 
 
 @dataclass(frozen=True)
@@ -119,66 +103,74 @@ class _Core:
         return control_variate.on_grid(of_bands, distance, RADIUS_STEP_PX)
 
 
-def convolvable(camera: Camera, field: Field | None, fine: dict[str, Fine] | None, max_blur_px: float) -> list[int]:
-    """Numbers of the stops whose pictures :func:`pictures` makes: discs and rings without aberrations, of wave optics,
-    whose kernels the nodes have. For the arguments see there.
-    """
-    if fine is None:
-        return []
-    cores = [_core(camera, stop, field, max_blur_px) for stop in camera.stops]
-    return [number for number, core in enumerate(cores) if core is not None]
+class InFocus:
+    """Pictures through some stops with every depth in focus, of rays through a pinhole."""
 
+    def __init__(self, camera: Camera, field: Field | None, max_blur_px: float, margin_px: int) -> None:
+        """Prepare those of the stops whose kernels the nodes have: discs and rings without aberrations.
 
-def pictures(
-    scene: Any,
-    camera: Camera,
-    numbers: Sequence[int],
-    sampling: Sampling,
-    field: Field | None,
-    fine: dict[str, Fine],
-    also: Camera,
-    max_blur_px: float,
-) -> Pictures:
-    """Pictures through some stops with every depth in focus, and those of the same rays through a pinhole.
+        Args:
+            camera: the camera.
+            field: irradiance that is known beforehand.
+            max_blur_px: largest visible blur of the scene, by which other pictures have found the stops' tables.
+            margin_px: around the frame, of the rays that are collected.
+        """
+        cores = {number: _core(camera, stop, field, max_blur_px) for number, stop in enumerate(camera.stops)}
+        self._cores = {number: core for number, core in cores.items() if core is not None}
+        self._camera, self._margin_px = camera, margin_px
+        size = camera.sensor.height_px, camera.sensor.width_px
+        self._sums = np.zeros((len(self._cores), len(channels(camera.sensor)), 2, *size), np.float32)
+        self._kernels: tuple[Tile | None, Float32Array] = None, np.zeros((), np.float32)
 
-    Args:
-        scene: a Mitsuba scene.
-        camera: the camera.
-        numbers: of its stops, from :func:`convolvable`.
-        sampling: rays of each pixel, [h, w], rounded down to a multiple of ``NODES``, and seed.
-        field: irradiance that is known beforehand.
-        fine: pictures in bands, by the stops' names.
-        also: another camera behind the same lens, whose pinhole picture is made, too.
-        max_blur_px: largest visible blur of the scene, by which other pictures have found the stops' tables.
-    """
-    stops = [camera.stops[number] for number in numbers]
-    found = [_core(camera, stop, field, max_blur_px) for stop in stops]
-    cores = [core for core in found if core is not None]
-    wide = control_variate.wider(camera, MARGIN_PX)
-    responses = separate_stop_responses(wide, stops, also)
-    shared = prepare(scene, wide, None, None, field, responses, False, None)
-    height, width = camera.sensor.height_px, camera.sensor.width_px
-    result = np.empty((height, width, responses.channels))
-    layers = np.pad(np.asarray(sampling.spp) // NODES, MARGIN_PX, mode="edge")
-    tiles = list(_tiles(height, width))
-    by_nodes = node_pass(shared, NODES, CELLS)
-    for number, (rows, columns) in enumerate(tiles):
-        seed = int(np.random.SeedSequence((sampling.seed, number)).generate_state(1)[0])
-        middle = np.array([columns.start + columns.stop, rows.start + rows.stop]) / 2
-        kernels = np.concatenate([core.nodes(_towards_axis(camera, middle)) for core in cores])
-        moments, sums = _summed(by_nodes, (rows, columns), layers, seed, len(kernels))
-        result[rows, columns, : len(kernels)] = _convolved(moments, kernels)
-        by_pixel = sums[..., MARGIN_PX:-MARGIN_PX, MARGIN_PX:-MARGIN_PX]
-        result[rows, columns, len(kernels) :] = np.moveaxis(ratio_of(by_pixel[:, 0], by_pixel[:, 1]), 0, -1)
-        sampling.progress((number + 1) / len(tiles))
-    *of_stops, sharp = _parts(result, cores)
-    of_frame = _towards_axis(camera, np.array([width, height]) / 2)
-    for stop, core, part in zip(stops, cores, of_stops, strict=True):
-        part += control_variate.convolved(fine[stop.name], core.rest(of_frame), core.points)
-    inside, signal = slice(MARGIN_PX, -MARGIN_PX), responses.mean_signal(light_of(field))
-    for channel in range(responses.channels):
-        result[..., channel] *= at_pixels(signal[:, channel], responses.place[inside, inside])
-    return Pictures(sharp, of_stops)
+    @property
+    def stops(self) -> list[Stop]:
+        """These stops."""
+        return [self._camera.stops[number] for number in self._cores]
+
+    @property
+    def count(self) -> int:
+        """Number of channels of all of them."""
+        return self._sums.shape[0] * self._sums.shape[1]
+
+    def collect(self, tile: Tile, channel: int, light: NodeLight) -> None:
+        """Add the light of a tile, see :class:`dasim.render.pinhole.Collect`; channels are those of the stops, one stop
+        after the other.
+        """
+        spread = _convolved(light, self._of_tile(tile)[channel])
+        # It reaches the pixels up to MARGIN_PX away.
+        size = self._sums.shape[-2:]
+        first = [side.start - self._margin_px - MARGIN_PX for side in tile]
+        inside = [slice(max(0, -start), max(0, side - start)) for start, side in zip(first, size, strict=True)]
+        y, x = (max(0, start) for start in first)
+        spread = spread[:, *inside]
+        sums = self._sums[divmod(channel, self._sums.shape[1])]
+        sums[:, y : y + spread.shape[1], x : x + spread.shape[2]] += spread
+
+    def _of_tile(self, tile: Tile) -> Float32Array:
+        """The weights of the nodes for all channels, see :meth:`_Core.nodes`."""
+        if self._kernels[0] != tile:
+            rows, columns = tile
+            middle = np.array([columns.start + columns.stop, rows.start + rows.stop]) / 2 - self._margin_px
+            towards_axis = _towards_axis(self._camera, middle)
+            self._kernels = tile, np.concatenate([core.nodes(towards_axis) for core in self._cores.values()])
+        return self._kernels[1]
+
+    def pictures(self, field: Field | None, fine: dict[str, Fine]) -> dict[int, Float32Array]:
+        """The pictures by the stops' numbers, [h, w, channel] mean electrons per second, before the falloff of relative
+        illumination and glare; ``fine`` are pictures in bands, by the stops' names.
+        """
+        camera, (height, width) = self._camera, self._sums.shape[-2:]
+        of_frame, result = _towards_axis(camera, np.array([width, height]) / 2), {}
+        for (number, core), sums in zip(self._cores.items(), self._sums, strict=True):
+            stop = camera.stops[number]
+            picture = np.moveaxis(ratio_of(*np.moveaxis(sums.astype(float), 1, 0)), 0, -1)
+            picture += control_variate.convolved(fine[stop.name], core.rest(of_frame), core.points)
+            responses = stop_responses(camera, stop)
+            signal = responses.mean_signal(light_of(field))
+            for channel in range(picture.shape[-1]):
+                picture[..., channel] *= at_pixels(signal[:, channel], responses.place)
+            result[number] = picture.astype(np.float32)
+        return result
 
 
 def _core(camera: Camera, stop: Stop, field: Field | None, max_blur_px: float) -> _Core | None:
@@ -197,21 +189,6 @@ def _core(camera: Camera, stop: Stop, field: Field | None, max_blur_px: float) -
     return None if points is None else _Core(blur, spectrum, points)
 
 
-def _parts(picture: FloatArray, cores: Sequence[_Core]) -> Iterator[FloatArray]:
-    """The channels of each stop, and the others, of a picture."""
-    count = cores[0].spectrum.weight.shape[-1]
-    for number in range(len(cores)):
-        yield picture[..., number * count : (number + 1) * count]
-    yield picture[..., len(cores) * count :]
-
-
-def _tiles(height: int, width: int) -> Iterator[tuple[slice, slice]]:
-    """Rows and columns of tiles of about one size."""
-    edges = [np.linspace(0, size, -(-size // TILE_PX) + 1).astype(int).tolist() for size in (height, width)]
-    across, along = ([slice(*pair) for pair in itertools.pairwise(of)] for of in edges)
-    return itertools.product(across, along)
-
-
 def _towards_axis(camera: Camera, place_px: FloatArray) -> FloatArray:
     """Matrix from offsets (x, y) about a place of the frame to those of the pattern on the axis, in pixels."""
     place = place_px - principal_point(camera.sensor)
@@ -222,80 +199,20 @@ def _towards_axis(camera: Camera, place_px: FloatArray) -> FloatArray:
     return np.asarray(np.sqrt(square) * (np.eye(2) - np.outer(tangent, tangent) * square) @ stretch)
 
 
-def _summed(
-    by_nodes: NodePass, tile: tuple[slice, slice], layers: NDArray[np.int64], seed: int, kept: int
-) -> tuple[Float32Array, FloatArray]:
-    """Moments of signal and light over the nodes of a tile and its margin, [channel, 2, moment, y, x, node], of the
-    first ``kept`` channels, and the sums of the others over pixels, [channel, 2, y, x].
-
-    ``layers`` are the rays per node of each pixel of the frame and its margin, [h, w].
-    """
-    rows, columns = (np.arange(side.start, side.stop + 2 * MARGIN_PX) for side in tile)
-    counts = layers[rows[:, None], columns].ravel()
-    pixel = (rows[:, None] * layers.shape[1] + columns).ravel()
-    moments = np.zeros((kept, 2, MOMENTS, len(pixel), NODES), np.float32)
-    sums = np.zeros((by_nodes.shared.channels - kept, 2, len(pixel)))
-    of_layers = [np.flatnonzero(counts > number) for number in range(counts.max())]
-    own, layer = np.concatenate(of_layers), np.repeat(np.arange(len(of_layers)), [len(of) for of in of_layers])
-    most = max(1, backend.lanes() // NODES)
-    for first in range(0, len(own), most):
-        part = slice(first, first + most)
-        of_nodes, of_pixels, offset = _layer_sums(by_nodes, pixel[own[part]], layer[part], (seed + first) % 2**32, kept)
-        for number in np.unique(layer[part]):  # each pixel once
-            here = np.flatnonzero(layer[part] == number)
-            rays, at = slice(here[0], here[-1] + 1), _consecutive(own[part][here])
-            for planes, values in zip(moments.reshape(-1, MOMENTS, len(pixel), NODES), of_nodes, strict=True):
-                total, *firsts = planes
-                total[at] += values[rays]
-                for first_moment, places in zip(firsts, offset, strict=True):
-                    first_moment[at] += values[rays] * places[rays]
-            for plane, values in zip(sums.reshape(-1, len(pixel)), of_pixels, strict=True):
-                plane[at] += values[rays, 0]
-    moments /= counts[:, None].astype(np.float32)
-    size = len(rows), len(columns)
-    return moments.reshape(kept, 2, MOMENTS, *size, NODES), sums.reshape(-1, 2, *size)
-
-
-def _consecutive(numbers: NDArray[np.intp]) -> NDArray[np.intp] | slice:
-    """Ascending numbers, as a slice where none is left out."""
-    is_whole = numbers[-1] - numbers[0] + 1 == len(numbers)
-    return slice(int(numbers[0]), int(numbers[-1]) + 1) if is_whole else numbers
-
-
-def _layer_sums(
-    by_nodes: NodePass, pixel: NDArray[np.intp], layer: NDArray[np.intp], seed: int, kept: int
-) -> tuple[list[Float32Array], list[Float32Array], list[Float32Array]]:
-    """Signal and light, alternating by channel, of one ray per node of some pixels.
-
-    Those of the first ``kept`` channels are by nodes, [pixel, node]; the others are sums, [pixel, 1]. Beside them are
-    the places of the rays about the middles of their nodes, along x and y, in pixels. A pixel may be there several
-    times, each time with another ``layer``, which has random numbers of its own.
-    """
-    block = block_of(pixel, np.full(len(pixel), NODES), seed, layer)
-    values, within = by_nodes.trace(block.batch), by_nodes.places(block.batch)
-    offsets = read_sums([(place - 0.5) / CELLS for place in (within.x, within.y)], 1, NODES)
-    of_nodes, of_pixels = values[: 2 * kept], values[2 * kept :]
-    return read_sums(of_nodes, 1, NODES), read_sums(of_pixels, NODES, 1), offsets
-
-
-def _convolved(sums: Float32Array, kernels: Float32Array) -> FloatArray:
-    """Ratios of signal to light of the pixels of a tile, after convolution, [y, x, channel].
+def _convolved(light: NodeLight, kernel: Float32Array) -> Float32Array:
+    """Signal and light that the pixels of a tile and of a margin around it have from the nodes of the tile, [2, y, x].
 
     Args:
-        sums: moments of the nodes of a tile and its margin, [channel, 2, moment, y, x, node].
-        kernels: as of :meth:`_Core.nodes`.
+        light: moments of the nodes of the tile.
+        kernel: of the channel, as of :meth:`_Core.nodes`.
     """
-    height, width = sums.shape[3:5]
+    height, width = (side + 2 * MARGIN_PX for side in light.signal[0].shape[:2])
     shape = tuple(fft.next_fast_len(side, real=True) for side in (height, width))
-    inside = slice(2 * MARGIN_PX, height), slice(2 * MARGIN_PX, width)
-    result = np.empty((height - 2 * MARGIN_PX, width - 2 * MARGIN_PX, len(sums)))
-    for channel, (pair, kernel) in enumerate(zip(sums, kernels, strict=True)):
+    spectra = np.zeros((2, shape[0], shape[1] // 2 + 1), np.complex64)
+    for number, of_moment in enumerate(kernel.reshape(MOMENTS, NODES, *kernel.shape[3:])):
         # A correlation: the kernel's place is that of the node.
-        spectra = np.zeros((2, shape[0], shape[1] // 2 + 1), np.complex64)
-        for moment, of_moment in enumerate(kernel.reshape(MOMENTS, NODES, *kernel.shape[3:])):
-            transfer = control_variate.padded_spectrum(of_moment[:, ::-1, ::-1], shape)
-            for spectrum, part in zip(spectra, pair[:, moment], strict=True):
-                spectrum += (fft.rfft2(np.moveaxis(part, -1, 0), shape) * transfer).sum(axis=0)
-        signal, light = (fft.irfft2(spectrum, shape)[inside].astype(float) for spectrum in spectra)
-        result[..., channel] = ratio_of(signal, light)
-    return result
+        transfer = control_variate.padded_spectrum(of_moment[:, ::-1, ::-1], shape)
+        for spectrum, of in zip(spectra, (light.signal, light.even), strict=True):
+            own = control_variate.padded_spectrum(np.moveaxis(of[number], -1, 0), shape)
+            spectrum += (own * transfer).sum(axis=0)
+    return np.asarray(fft.irfft2(spectra, shape)[:, :height, :width])

@@ -8,11 +8,11 @@ E = pi L (r/s)^2 cos^4 summed over the spectrum.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dasim.camera import distortion, glare, radiometry, wavefront
 from dasim.camera.sensor import principal_point
@@ -31,10 +31,9 @@ from dasim.render.wavelengths import (
     separate_responses,
     stop_responses,
 )
-from dasim.typing import FloatArray
+from dasim.typing import Float32Array, FloatArray
 
 MOST_MARGIN_PX = 300.0
-FOCUS_RAYS = focus_pictures.NODES  # samples per pixel of :func:`in_focus_pass` are multiples of this
 # Of the pinhole's picture: beyond the largest blur's half; at least, for what diffraction brings from beside the frame
 # in focus; at most.
 SHARP_MARGIN_PX, LEAST_SHARP_MARGIN_PX, MOST_SHARP_MARGIN_PX = 12.0, 20.0, 60.0
@@ -130,34 +129,6 @@ def stop_ratios(
     return picture
 
 
-def convolved_stops(
-    camera: Camera, fine: dict[str, Fine] | None, *, max_blur_px: float, field: Field | None
-) -> list[int]:
-    """Numbers of the stops whose pictures with every depth in focus :func:`in_focus_pass` makes."""
-    return focus_pictures.convolvable(camera, field, fine, max_blur_px)
-
-
-def in_focus_pass(
-    mitsuba_scene: Any,
-    camera: Camera,
-    stops: Sequence[int],
-    sampling: Sampling,
-    fine: dict[str, Fine],
-    also: Camera,
-    *,
-    max_blur_px: float,
-    field: Field | None,
-) -> focus_pictures.Pictures:
-    """The pictures of some stops with every depth in focus, before glare, and that of :func:`pinhole_pass`, of the same
-    rays; ``stops`` are numbers of :func:`convolved_stops`.
-    """
-    pictures = focus_pictures.pictures(mitsuba_scene, camera, stops, sampling, field, fine, also, max_blur_px)
-    falloff = radiometry.relative_illumination(camera)[..., None]
-    for picture in (pictures.sharp, *pictures.of_stops):
-        picture *= falloff
-    return pictures
-
-
 def control_of(
     mitsuba_scene: Any,
     camera: Camera,
@@ -234,8 +205,11 @@ def pinhole_pass(
 class Sharp:
     """Pictures through a pinhole."""
 
-    rate: FloatArray  # [h, w, channel] of the camera and of another one, mean electrons per second
+    # [part, h, w, channel] of the camera and of another one, mean electrons per second: of halves of the rays, or of
+    # all of them where ``fine`` is None
+    rate: NDArray[Any]
     fine: dict[str, Fine] | None  # by the stops' names; None where no stop has a control variate
+    in_focus: dict[int, Float32Array]  # [h, w, channel] with every depth in focus, before glare, by the stops' numbers
 
 
 def sharp_pass(
@@ -248,19 +222,25 @@ def sharp_pass(
     diffraction: str,
     max_blur_px: float,
 ) -> Sharp:
-    """The pictures of :func:`pinhole_pass`, and those of each stop on a finer grid with a margin, of the same rays."""
+    """The pictures of :func:`pinhole_pass`, and of the same rays those of each stop on a finer grid with a margin, and
+    those of discs and rings without aberrations with every depth in focus.
+    """
     radial = any(ring(stop) is not None for stop in camera.stops) and wavefront.is_perfect(camera)
     if diffraction != "wave" or not radial:
-        return Sharp(pinhole_pass(mitsuba_scene, camera, sampling, field, also), None)
+        return Sharp(pinhole_pass(mitsuba_scene, camera, sampling, field, also)[None], None, {})
     cells = control_variate.cells_of(camera)
     margin = int(np.ceil(np.clip(max_blur_px / 2 + SHARP_MARGIN_PX, LEAST_SHARP_MARGIN_PX, MOST_SHARP_MARGIN_PX)))
     wider = control_variate.wider(camera, margin)
     light = light_of(field)
     densities = [frame_density(stop_responses(camera, stop), light) for stop in camera.stops]
-    responses, parts = separate_responses(wider, also, light, densities), [BANDS] * len(camera.stops)
-    pictures = pinhole.pictures(mitsuba_scene, wider, sampling, cells, field, responses, parts)
-    rate = pictures.rate[margin:-margin, margin:-margin] * radiometry.relative_illumination(camera)[..., None]
+    in_focus = focus_pictures.InFocus(camera, field, max_blur_px, margin)
+    responses, totals = separate_responses(wider, also, light, densities, in_focus.stops)
+    channels = pinhole.Channels([BANDS] * len(camera.stops), totals, in_focus.count, in_focus.collect)
+    border = margin - focus_pictures.MARGIN_PX
+    pictures = pinhole.pictures(mitsuba_scene, wider, sampling, cells, field, responses, channels, border)
+    falloff = radiometry.relative_illumination(camera)[..., None].astype(np.float32)
     for part in pictures.nodes:
         at_bands(part)
     fine = {stop.name: Fine(cells, part, margin) for stop, part in zip(camera.stops, pictures.nodes, strict=True)}
-    return Sharp(rate, fine)
+    focused = {number: picture * falloff for number, picture in in_focus.pictures(field, fine).items()}
+    return Sharp(pictures.rate[:, margin:-margin, margin:-margin] * falloff, fine, focused)

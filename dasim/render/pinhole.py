@@ -1,35 +1,43 @@
-"""Pictures through a pinhole of the same rays, by pixels and by the nodes of a finer grid, in the JIT variants.
+"""Pictures through a pinhole, all of the same rays: by pixels, and by the nodes of a finer grid, in the JIT variants.
 
 Those by pixels are the truth ``sharp_e`` and the colours of ``sharp_srgb``; those by nodes, of a frame with a margin,
-are what the control variate blurs (:mod:`dasim.render.control_variate`).
+are what the control variate blurs (:mod:`dasim.render.control_variate`), and what is convolved for the picture in focus
+(:mod:`dasim.render.focus_pictures`). Rays are traced tile by tile.
 
 Tested in tests/dasim/render/test_ray_loop.py.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import itertools
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dasim.camera.rings import at_pixels
 from dasim.camera.specification import Camera
-from dasim.render import plugin
+from dasim.render import backend, plugin
 from dasim.render.frozen import frozen
 from dasim.render.irradiance import Field
 from dasim.render.plugin import aligned
-from dasim.render.ray_block import HERO, Batch, Block, aim, lanes_of, wavelength_places
-from dasim.render.ray_loop import Sampling, blocks, ratio_of, signals
+from dasim.render.ray_block import HERO, Batch, aim, block_of, lanes_of, wavelength_places
+from dasim.render.ray_loop import Sampling, ratio_of, signals
 from dasim.render.ray_pass import Pass, light_of, prepare
 from dasim.render.sobol import Sobol
 from dasim.render.wavelengths import Responses
 from dasim.typing import Float32Array, FloatArray
 
+CELLS = 4  # nodes per pixel along each axis
+NODES = CELLS**2
+BORDER_CELLS = 2  # of these nodes in a border, whose ratios of the light of a single ray would be 0.1 % off
+MOMENTS = 3  # of the light of a node: its sum, and its sums times the places of its rays along x and y
 ORDER_STREAM = 254  # of random numbers, see :data:`dasim.render.ray_block.WAVELENGTH_STREAM`
 ALONG, DOWN = 5, 7  # shift of the nodes' order from pixel to pixel, odd
+
+Tile = tuple[slice, slice]  # rows and columns of a frame
 
 
 @dataclass(frozen=True)
@@ -37,33 +45,43 @@ class Nodes:
     """Nodes of a pixel in the renderer's memory; numbers are opaque."""
 
     rays: Any  # of each node
-    across: Any  # nodes per pixel along each axis
-    count: Any  # of nodes
     order: Any  # of their wavelengths, see :func:`_dispersed`
 
 
 class Pictures(NamedTuple):
     """Pictures through a pinhole of the same rays, by pixels and by the nodes of a finer grid."""
 
-    rate: FloatArray  # [h, w, channel] mean electrons per second, before the falloff of relative illumination
+    # [half, h, w, channel] mean electrons per second of two halves of the rays, before the falloff of relative
+    # illumination; 0 in a border
+    rate: NDArray[np.float32]
     nodes: list[NDArray[np.float32]]  # [y, x, channel] electrons over those of a surface of the lights' radiance
 
 
-class NodePass(NamedTuple):
-    """What the batches of a pass by nodes share."""
+class NodeLight(NamedTuple):
+    """What the rays of the nodes bring in a channel, each [y, x, node]: sums, or ``MOMENTS``, which are these sums and
+    those times the rays' places along x and along y, in pixels about the middles of the nodes.
+    """
 
-    shared: Pass
-    nodes: Nodes
-    frozen: Callable[[Pass, Batch, Nodes], list[Any]]
+    signal: list[Float32Array]  # response x light x radiance
+    even: list[Float32Array]  # the same with the radiance of the lights
+    halves: Float32Array  # [2, half, y, x] sums of both over the nodes of a pixel, of two halves of the rays
 
-    def trace(self, batch: Batch) -> list[Any]:
-        """Signal and control of rays through a pinhole, alternating by channel, those of a node behind each other."""
-        return self.frozen(self.shared, batch, self.nodes)
 
-    def places(self, batch: Batch) -> Any:
-        """Places of these rays in their nodes, 0 to 1, not evaluated."""
-        lanes = lanes_of(self.shared, batch)
-        return Sobol(batch.points, lanes.sample, lanes.stream).next_2d()
+class Collect(Protocol):
+    """What is told of the nodes of a tile, channel by channel."""
+
+    def __call__(self, tile: Tile, channel: int, light: NodeLight) -> None:
+        """Take the light of the nodes of a tile."""
+
+
+@dataclass(frozen=True)
+class Channels:
+    """What is made of the channels of a pass by nodes, in their order."""
+
+    parts: Sequence[int]  # how many of the first ones each picture by nodes has
+    totals: Sequence[Sequence[int]]  # numbers of those that add up to each channel of the picture by pixels
+    collected: int = 0  # how many behind the first ones are given to ``collect``, by their numbers among these
+    collect: Collect = lambda tile, channel, light: None
 
 
 def pictures(
@@ -73,7 +91,8 @@ def pictures(
     cells: int,
     field: Field | None,
     responses: Responses,
-    parts: Sequence[int],
+    channels: Channels,
+    border_px: int = 0,
 ) -> Pictures:
     """Pictures through a pinhole by pixels, and by nodes of ``cells`` x ``cells`` per pixel.
 
@@ -83,87 +102,155 @@ def pictures(
     Args:
         scene: a Mitsuba scene.
         camera: the camera.
-        sampling: samples per pixel, a multiple of the nodes per pixel, and seed.
-        cells: nodes per pixel along each axis, a power of two.
+        sampling: samples per pixel, a multiple of ``2 * NODES``, and seed.
+        cells: nodes per pixel of the pictures by nodes along each axis, a power of two, ``CELLS`` at most.
         field: irradiance that is known beforehand.
         responses: of the channels.
-        parts: how many of the first channels each picture by nodes has; the others are those of ``rate``.
+        channels: what is made of them.
+        border_px: width of a border of the pictures by nodes alone, with ``NODES`` samples.
     """
-    height, width = responses.place.shape
     shared = prepare(scene, camera, None, None, field, responses, False, None)
     assert isinstance(sampling.spp, int)
-    mean_signal = responses.mean_signal(light_of(field))[:, sum(parts) :]
-    rate = np.zeros((height * width, mean_signal.shape[1]))
-    nodes = [plugin.aligned_zeros((height * cells, width * cells, count)) for count in parts]
-    by_pixel = [picture.reshape(height, cells, width, cells, -1) for picture in nodes]
-    columns = [picture[..., band] for picture in by_pixel for band in range(picture.shape[-1])]
-    place = responses.place.ravel()
-    by_nodes = node_pass(shared, sampling.spp, cells)
-    for block in blocks(shared, sampling, None):
-        row, column = np.divmod(np.arange(height * width)[block.pixels], width)
-        pairs = _node_sums(by_nodes, block, cells)
-        for of_band, (signal, light) in zip(columns, pairs, strict=False):
+    height, width = responses.place.shape
+    signal = responses.mean_signal(light_of(field))
+    rate = np.zeros((2, height, width, len(channels.totals)), np.float32)
+    nodes = [plugin.aligned_zeros((height * cells, width * cells, count)) for count in channels.parts]
+    bands = [picture[..., band] for picture in nodes for band in range(picture.shape[-1])]
+    trace, seed = _node_pass(shared), sampling.block_seeds(None)
+    pixels = np.arange(height * width).reshape(height, width)
+    tiles = list(_tiles(height, width, border_px, sampling.spp))
+    for number, (rows, columns, is_border) in enumerate(tiles):
+        spp, last = (NODES, len(bands)) if is_border else (sampling.spp, responses.channels)
+        with_moments = range(len(bands), len(bands) + channels.collected)
+        light = _node_sums(trace, pixels[rows, columns], spp, seed(number), range(last), with_moments)
+        here = tuple(slice(side.start * cells, side.stop * cells) for side in (rows, columns))
+        for band, of_band in zip(bands, light, strict=False):
             # Beside the frame there may be infinite light. The control variate has no bias, whatever the nodes are.
-            of_band[row, :, column] = np.nan_to_num(
-                ratio_of(signal.astype(float), light.astype(float)), posinf=0.0
-            ).reshape(-1, cells, cells)
-        for channel, pair in enumerate(pairs[len(columns) :]):
-            electrons = at_pixels(mean_signal[:, channel], place[block.pixels])
-            rate[block.pixels, channel] = electrons * ratio_of(*(part.sum(axis=1, dtype=float) for part in pair))
-    return Pictures(rate.reshape(height, width, -1), nodes)
+            across = min(cells, BORDER_CELLS) if is_border else cells
+            ratio = ratio_of(_on_grid(of_band.signal[0], across), _on_grid(of_band.even[0], across))
+            band[here] = np.kron(np.nan_to_num(ratio, posinf=0.0), np.ones((cells // across,) * 2))
+        if not is_border:
+            for channel in with_moments:
+                channels.collect((rows, columns), channel - len(bands), light[channel])
+            for channel, parts in enumerate(channels.totals):
+                sums = np.sum([light[part].halves for part in parts], axis=0, dtype=float)
+                electrons = at_pixels(signal[:, list(parts)].sum(axis=1), responses.place[rows, columns])
+                rate[:, rows, columns, channel] = electrons * ratio_of(*sums)
+        sampling.progress((number + 1) / len(tiles))
+    return Pictures(rate, nodes)
 
 
-def _node_sums(by_nodes: NodePass, block: Block, cells: int) -> list[tuple[Float32Array, Float32Array]]:
-    """Sums of signal and of control over the rays of each node through a pinhole, per channel [pixel, node]."""
-    sums = read_sums(by_nodes.trace(block.batch), int(block.counts[0]) // cells**2, cells**2)
-    return list(zip(sums[::2], sums[1::2], strict=True))
+def _tiles(height: int, width: int, border: int, spp: int) -> Iterator[tuple[slice, slice, bool]]:
+    """Rows and columns of tiles of a frame, and whether they are in its border: for ``NODES`` samples, or ``spp``."""
+    top, bottom, left, right = border, height - border, border, width - border
+    for rows, columns, is_border in (
+        ((0, top), (0, width), True),
+        ((top, bottom), (0, left), True),
+        ((top, bottom), (left, right), False),
+        ((top, bottom), (right, width), True),
+        ((bottom, height), (0, width), True),
+    ):
+        most, high = backend.lanes() // (NODES if is_border else spp), rows[1] - rows[0]
+        if high and columns[0] < columns[1]:
+            across = list(_split(*columns, max(int(np.sqrt(most)), most // high)))
+            widest = max(side.stop - side.start for side in across)
+            yield from ((part, side, is_border) for part in _split(*rows, most // widest) for side in across)
 
 
-def node_pass(shared: Pass, rays: int, cells: int) -> NodePass:
-    """A pass by nodes of ``cells`` x ``cells`` per pixel, with so many rays of each pixel."""
+def _split(first: int, last: int, most: int) -> Iterator[slice]:
+    """Parts of about one size, of ``most`` at most, of the numbers from the first to the last."""
+    edges = np.linspace(first, last, -((first - last) // most) + 1).astype(int).tolist()
+    return (slice(*pair) for pair in itertools.pairwise(edges))
+
+
+def _on_grid(values: Float32Array, cells: int) -> FloatArray:
+    """Sums over the nodes [y, x, node] of each of ``cells`` x ``cells`` squares of the pixels, [y, x]."""
+    height, width, within = *values.shape[:2], CELLS // cells
+    squares = values.reshape(height, width, cells, within, cells, within).sum(axis=(3, 5), dtype=float)
+    return squares.transpose(0, 2, 1, 3).reshape(height * cells, width * cells)
+
+
+def _node_pass(shared: Pass) -> Callable[[Batch, int], tuple[list[Any], Any]]:
+    """:func:`_trace_nodes`, by a batch and the rays of a node."""
     import drjit as dr
     import mitsuba as mi
 
-    each, across, count = (dr.opaque(mi.UInt32, value) for value in (rays // cells**2, cells, cells**2))
-    return NodePass(shared, Nodes(each, across, count, mi.UInt32(aligned(_dispersed(cells)))), frozen(_trace_nodes))
+    trace, order = frozen(_trace_nodes), mi.UInt32(aligned(_dispersed()))
+    return lambda batch, rays: trace(shared, batch, Nodes(dr.opaque(mi.UInt32, rays), order))
 
 
-def _trace_nodes(shared: Pass, batch: Batch, nodes: Nodes) -> list[Any]:
-    """See :meth:`NodePass.trace`."""
+def _node_sums(
+    trace: Callable[[Batch, int], tuple[list[Any], Any]],
+    pixels: NDArray[np.intp],
+    spp: int,
+    seed: int,
+    channels: range,
+    with_moments: range,
+) -> list[NodeLight]:
+    """Trace ``spp`` rays for each of some pixels, [h, w]; their light in some channels."""
+    rays = spp // NODES
+    values, offset = trace(block_of(pixels.ravel(), np.full(pixels.size, spp), seed).batch, rays)
+    places = [np.array(along) for along in offset]
+
+    def by_ray(value: NDArray[np.float32]) -> NDArray[np.float32]:
+        return value.reshape(*pixels.shape, NODES, rays).transpose(3, 0, 1, 2)
+
+    # Each half of the rays has some of all nodes, and evenly spread wavelengths.
+    odd = (_dispersed() % 2).astype(np.float32)
+    even = 1 - odd
+    light = []
+    for channel in channels:
+        pair, halves = [], []
+        for value in values[2 * channel : 2 * channel + 2]:
+            of_rays = np.array(value)
+            first, second = (_sum(part) for part in np.split(by_ray(of_rays), [rays // 2]))
+            halves.append([first @ even + second @ odd, first @ odd + second @ even])
+            moments = [_sum(by_ray(of_rays * along)) for along in places if channel in with_moments]
+            pair.append([first + second, *moments])
+        light.append(NodeLight(pair[0], pair[1], np.array(halves)))
+    return light
+
+
+def _sum(parts: NDArray[np.float32]) -> Float32Array:
+    """The sum over the first axis, which is not the last one in memory; faster than NumPy's."""
+    total = np.zeros(parts.shape[1:], np.float32)
+    for part in parts:
+        total += part
+    return total
+
+
+def _trace_nodes(shared: Pass, batch: Batch, nodes: Nodes) -> tuple[list[Any], Any]:
+    """Signal and light of rays through a pinhole, alternating by channel, those of a node behind each other; and their
+    places from the middles of their nodes, in pixels.
+    """
     import drjit as dr
     import mitsuba as mi
 
     lanes = lanes_of(shared, batch)
     numbers = Sobol(batch.points, lanes.sample, lanes.stream)
-    film, aim_at, direction, lobe = numbers.next_2d(), numbers.next_2d(), numbers.next_2d(), numbers.next_1d()
+    within, aim_at, direction, lobe = numbers.next_2d(), numbers.next_2d(), numbers.next_2d(), numbers.next_1d()
     node = lanes.sample // nodes.rays
-    film = (film + mi.Point2f(mi.Float(node % nodes.across), mi.Float(node // nodes.across))) / mi.Float(nodes.across)
+    film = (within + mi.Point2f(mi.Float(node % CELLS), mi.Float(node // CELLS))) / CELLS
     number = lanes.sample % nodes.rays
     # Shifted from pixel to pixel: along rows and columns, every node gets all wavelengths.
     column, row = (mi.UInt32(lanes.corner[axis]) for axis in (0, 1))
     shift = mi.sample_tea_32(batch.seed, ORDER_STREAM)[0] + ALONG * column + DOWN * row
-    order = (dr.gather(mi.UInt32, nodes.order, node) + shift) % nodes.count
-    first = wavelength_places(shared, lanes, number * nodes.count + order)
+    order = (dr.gather(mi.UInt32, nodes.order, node) + shift) % NODES
+    first = wavelength_places(shared, lanes, number * NODES + order)
     rays = aim(shared, batch, lanes, (film, film, film, first))
     si = shared.scene.ray_intersect(rays.ray, ray_flags=mi.RayFlags.All, coherent=True)
     values = signals(shared, lanes, rays, si, [mi.Float(1.0)] * HERO, (aim_at, direction, lobe))
-    dr.eval(*values)
-    return values
+    offset = (within - 0.5) / CELLS
+    dr.eval(*values, offset)
+    return values, offset
 
 
-def read_sums(values: Sequence[Any], rays: int, nodes: int) -> list[Float32Array]:
-    """Sums of so many consecutive rays each, [pixel, node]."""
-    import drjit as dr
-
-    return [np.array(dr.block_sum(value, rays) if rays > 1 else value).reshape(-1, nodes) for value in values]
-
-
-def _dispersed(cells: int) -> NDArray[np.uint32]:
-    """Numbers 0 to ``cells``^2 - 1 of the nodes of a pixel, row by row, of which near ones differ most.
+def _dispersed() -> NDArray[np.uint32]:
+    """Numbers of the nodes of a pixel, row by row, of which near ones differ most.
 
     The matrix of ordered dither: Bayer, IEEE International Conference on Communications 1973.
     """
     order = np.zeros((1, 1), np.uint32)
-    while len(order) < cells:
+    while len(order) < CELLS:
         order = np.block([[4 * order, 4 * order + 2], [4 * order + 3, 4 * order + 1]])
     return order.astype(np.uint32).ravel()

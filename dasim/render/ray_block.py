@@ -38,7 +38,6 @@ class Batch:
     samples: Any  # of each chunk's pixel
     points: Any  # of the Sobol' sequence, as many as the largest number of samples
     seed: Any  # opaque
-    layer: Any = None  # of each chunk: those of one pixel have random numbers of their own; None without
 
 
 class Lanes(NamedTuple):
@@ -98,12 +97,8 @@ class Rays(NamedTuple):
     variate: tuple[list[Any], list[Any]] | None  # see :func:`_variate`
 
 
-def block_of(
-    pixels: NDArray[np.intp], counts: NDArray[np.int64], seed: int, layer: NDArray[np.intp] | None = None
-) -> Block:
-    """Rays of some pixels of the frame, ``counts`` for each; ``layer`` as in :class:`Batch`, of each pixel whose rays
-    are one chunk.
-    """
+def block_of(pixels: NDArray[np.intp], counts: NDArray[np.int64], seed: int) -> Block:
+    """Rays of some pixels of the frame, ``counts`` for each."""
     import drjit as dr
     import mitsuba as mi
 
@@ -119,7 +114,6 @@ def block_of(
         samples=mi.Float(aligned(np.repeat(counts, chunks).astype(np.float32))),
         points=points(int(counts.max())),
         seed=dr.opaque(mi.UInt32, seed),
-        layer=None if layer is None else mi.UInt32(aligned(layer.astype(np.uint32))),
     )
     is_whole = pixels[-1] - pixels[0] + 1 == len(pixels)
     where = slice(int(pixels[0]), int(pixels[-1]) + 1) if is_whole else pixels
@@ -133,14 +127,11 @@ def lanes_of(shared: Pass, batch: Batch) -> Lanes:
 
     own = batch.lane // batch.chunk
     pixel = dr.gather(mi.UInt32, batch.pixel, own)
-    stream = pixel
-    if batch.layer is not None:
-        stream = mi.sample_tea_32(pixel, dr.gather(mi.UInt32, batch.layer, own))[0]
     sampler = mi.load_dict({"type": "independent"})
     sampler.seed(batch.seed, dr.width(batch.lane))
     return Lanes(
         pixel=pixel,
-        stream=stream + batch.seed,
+        stream=pixel + batch.seed,
         sample=dr.gather(mi.UInt32, batch.first, own) + batch.lane % batch.chunk,
         samples=dr.gather(mi.Float, batch.samples, own),
         sampler=sampler,

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from dasim.camera import geometry, radiometry
 from dasim.camera.rings import rings
+from dasim.camera.sensor import channels
 from dasim.camera.specification import Camera
 from dasim.camera.stops import Stop
 from dasim.spectra import grid
@@ -55,25 +56,27 @@ def pinhole_responses(camera: Camera, also: Camera | None = None) -> Responses:
     return Responses(whole, whole, place)
 
 
-def separate_responses(camera: Camera, also: Camera, light: FloatArray, densities: Sequence[FloatArray]) -> Responses:
-    """Responses of a pass through a pinhole with the bands of each stop, stop by stop, then those of both cameras.
+def separate_responses(
+    camera: Camera, also: Camera, light: FloatArray, densities: Sequence[FloatArray], stops: Sequence[Stop]
+) -> tuple[Responses, list[list[int]]]:
+    """Responses of a pass through a pinhole with the bands of each stop, stop by stop, then those through each of some
+    ``stops``, then others; and which of them add up to each channel of the camera and of the other one.
 
     The bands are those of :func:`tents` under ``light``, for the ``densities`` of the stops' wavelengths on the grid.
     """
     whole = pinhole_responses(camera, also)
     bands = np.concatenate([tents(_cumulative(density)).T * density / light for density in densities])
-    of_pass = np.stack([np.concatenate([bands, part]) for part in whole.of_pass])
-    return Responses(of_pass, of_pass, whole.place)
-
-
-def separate_stop_responses(camera: Camera, stops: Sequence[Stop], also: Camera) -> Responses:
-    """Responses of a pass through a pinhole with those of each of some stops, then those of both cameras."""
-    whole = pinhole_responses(camera, also)
-    angles = rings(camera, also).angle_deg
-    through = [np.stack([radiometry.stop_response(camera, stop, angle) for angle in angles]) for stop in stops]
-    own = whole.of_pass[:, : through[0].shape[1]]
-    of_pass = np.concatenate([*through, whole.of_pass], axis=1)
-    return Responses(of_pass, np.concatenate([*[own] * len(stops), whole.of_pass], axis=1), whole.place)
+    count = len(channels(camera.sensor))
+    rest = slice(count if len(stops) == len(camera.stops) else 0, None)
+    of_pass, of_camera = [], []
+    for angle, part in zip(rings(camera, also).angle_deg, whole.of_pass, strict=True):
+        through = [radiometry.stop_response(camera, stop, angle) for stop in stops]
+        of_pass.append(np.concatenate([bands, *through, part[rest]]))
+        of_camera.append(np.concatenate([bands, *[part[:count]] * len(stops), part[rest]]))
+    first = len(bands) + count * len(stops)
+    totals = [list(range(len(bands) + channel, first, count)) for channel in range(rest.start)]
+    totals += [[channel] for channel in range(first, len(of_pass[0]))]
+    return Responses(np.stack(of_pass), np.stack(of_camera), whole.place), totals
 
 
 def tents(place: FloatArray) -> FloatArray:

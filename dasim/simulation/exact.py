@@ -38,9 +38,8 @@ from dasim.typing import Float32Array, FloatArray, Progress
 
 TWIN = "bayer-mobile"  # the camera whose colours ``sharp_srgb`` has
 SHARP_SPP = 32  # of the pinhole picture, which has no lens to sample
-PILOT_SPP = 4  # of another one, which tells its noise
 FOCUS_SPP = 4  # rays through a stop: of each picture of the pilot in focus; in ``scalar_spectral`` of all there is
-MORE_FOCUS_SPP = 4.0  # where the pilot is noisy, mean over the pixels
+MORE_SPP = 4.0  # of a picture where its pilot is noisy, mean over the pixels
 
 
 @dataclass(frozen=True)
@@ -53,23 +52,24 @@ class ExactPictures:
 
 
 def exact_pictures(view: View, sharp: SharpPictures, seed: int, progress: Progress) -> ExactPictures:
-    """The exact pictures, with more samples where a pilot is noisy: on gloss, glass and fine texture.
+    """The exact pictures.
 
     Through a lens without diffraction, aberrations and glare, the picture in focus is that through a pinhole. Through
     discs and rings, it is convolved from the rays of a pinhole (:mod:`dasim.render.focus_pictures`); through other
-    stops, it has rays of its own.
+    stops, it has rays of its own, more of them where a pilot is noisy: on gloss, glass and fine texture. So has the
+    picture through a pinhole, where halves of its rays differ.
     """
     perfect = wavefront.is_perfect(view.camera)
     if view.diffraction == "off" and perfect and not any(stop.glare_share for stop in view.camera.stops):
         rate = sharp.rate.astype(float) * view.light_level
         return ExactPictures(rate, _twin_srgb(view, sharp.twin), rate)
-    convolved = passes.convolved_stops(view.camera, sharp.fine, max_blur_px=view.reach_px, field=sharp.field)
-    others = [number for number in range(len(view.camera.stops)) if number not in convolved]
-    of_stops, pinhole = _traced(view, sharp, others, seed, progress) if others else ({}, None)
-    if convolved:
-        own, pinhole = _convolved(view, sharp, convolved, seed, progress)
+    others = [number for number in range(len(view.camera.stops)) if number not in sharp.in_focus]
+    of_stops, pinhole = dict(sharp.in_focus), _Pinhole(sharp.rate.astype(float), sharp.twin.astype(float))
+    if others:
+        own, pinhole = _traced(view, sharp, others, seed, progress)
         of_stops |= own
-    assert pinhole is not None
+    elif sharp.halves is not None:
+        pinhole = _with_more(view, sharp, 2 * allotted_spp([_pair(sharp.halves)], MORE_SPP)[0], seed, progress)
 
     def of_stop(number: int) -> tuple[FloatArray, NDArray[Any]]:
         return of_stops.pop(number), np.zeros((), np.float32)
@@ -86,45 +86,12 @@ class _Pinhole(NamedTuple):
     twin: FloatArray  # [h, w, 3] of ``TWIN``
 
 
-def _convolved(
-    view: View, sharp: SharpPictures, stops: list[int], seed: int, progress: Progress
-) -> tuple[dict[int, FloatArray], _Pinhole]:
-    """The pictures in focus of some stops by their numbers, before glare, and those through a pinhole."""
-    camera, scene, twin = view.camera, view.world.scene, cameras.load_camera(TWIN)
-    report = partial(progress, "rendering the pinhole picture, picture 2")
-    pilot = passes.pinhole_pass(
-        scene, camera, passes.Sampling(PILOT_SPP, picture_seed(seed, 1, SHARP), report), sharp.field, twin
-    )
-    pair = [
-        Picture(np.full((1, *view.blur_px.shape), spp), rate[None], np.broadcast_to(0.0, (1, *sharp.rate.shape)))
-        for spp, rate in ((SHARP_SPP, sharp.rate.astype(float)), (PILOT_SPP, pilot[..., : sharp.rate.shape[-1]]))
-    ]
-    sums = rendering_noise.no_pairs(pair[0])
-    rendering_noise.add(sums, *pair)
-    more = 2 * allotted_spp([sums], MORE_FOCUS_SPP)[0]
-    spp = passes.FOCUS_RAYS * (1 + np.rint(more / passes.FOCUS_RAYS).astype(np.int64))
-    report = partial(progress, "rendering the picture in focus")
-    pictures = passes.in_focus_pass(
-        scene,
-        camera,
-        stops,
-        passes.Sampling(spp, picture_seed(seed, 0, IN_FOCUS), report),
-        sharp.fine or {},
-        twin,
-        max_blur_px=view.reach_px,
-        field=sharp.field,
-    )
-    rate = np.concatenate([sharp.rate, sharp.twin], axis=-1, dtype=float)
-    rate += (pilot - rate) * (PILOT_SPP / (SHARP_SPP + PILOT_SPP))
-    rate += (pictures.sharp - rate) * (spp / (SHARP_SPP + PILOT_SPP + spp))[..., None]
-    check_finite(view.scene, rate, view.objects_at)
-    return dict(zip(stops, pictures.of_stops, strict=True)), _Pinhole(*np.split(rate, [sharp.rate.shape[-1]], axis=-1))
-
-
 def _traced(
     view: View, sharp: SharpPictures, stops: list[int], seed: int, progress: Progress
 ) -> tuple[dict[int, FloatArray], _Pinhole]:
-    """As :func:`_convolved`, by rays through each stop."""
+    """The pictures in focus of some stops by their numbers, before glare, by rays through each stop; and those through
+    a pinhole.
+    """
     in_focus = replace(sharp, controls=[None] * len(view.camera.stops))
 
     def picture(number: int, index: int, spp: NDArray[np.int64]) -> Picture:
@@ -144,21 +111,16 @@ def _traced(
     parts = [pilot(number) for number in stops]
     pinhole = _Pinhole(sharp.rate.astype(float), sharp.twin.astype(float))
     if not is_scalar:
-        more = allotted_spp(parts, MORE_FOCUS_SPP)
+        more = allotted_spp(parts, MORE_SPP)
         for own, part, number in zip(more, parts, stops, strict=True):
             rendering_noise.add(part, picture(number, 2, own), picture(number, 3, own))
-        if len(stops) == len(view.camera.stops):  # otherwise those of _convolved are taken
-            pinhole = _Pinhole(*_with_more(view, sharp, more.max(axis=0), seed, progress))
+        pinhole = _with_more(view, sharp, more.max(axis=0), seed, progress)
     rates = (rendering_noise.measured(part).rate[0] for part in parts)
     return dict(zip(stops, rates, strict=True)), pinhole
 
 
-def _with_more(
-    view: View, sharp: SharpPictures, spp: NDArray[np.int64], seed: int, progress: Progress
-) -> tuple[FloatArray, FloatArray]:
-    """The pictures through a pinhole, of the camera and of its twin, with ``spp`` samples more, [h, w]; at the light
-    level of ``View.world``.
-    """
+def _with_more(view: View, sharp: SharpPictures, spp: NDArray[np.int64], seed: int, progress: Progress) -> _Pinhole:
+    """The pictures through a pinhole with ``spp`` samples more, [h, w]."""
     twin, report = cameras.load_camera(TWIN), partial(progress, "rendering the pinhole picture, picture 2")
     sampling = passes.Sampling(spp, picture_seed(seed, 1, SHARP), report)
     more = passes.pinhole_pass(view.world.scene, view.camera, sampling, sharp.field, twin)
@@ -167,7 +129,16 @@ def _with_more(
     rate, of_twin = (
         known + share * (new - known) for known, new in ((sharp.rate, more[..., :own]), (sharp.twin, more[..., own:]))
     )
-    return rate, of_twin
+    return _Pinhole(rate, of_twin)
+
+
+def _pair(halves: NDArray[Any]) -> Sums:
+    """Halves of the rays through a pinhole as a pair of pictures."""
+    none, spp = np.broadcast_to(0.0, halves[:1].shape), np.full((1, *halves.shape[1:3]), SHARP_SPP // 2)
+    first, second = (Picture(spp, half[None].astype(float), none) for half in halves)
+    sums = rendering_noise.no_pairs(first)
+    rendering_noise.add(sums, first, second)
+    return sums
 
 
 def sharp_pictures(view: View, sampling: Sampling, progress: Progress) -> SharpPictures:
@@ -185,14 +156,16 @@ def sharp_pictures(view: View, sampling: Sampling, progress: Progress) -> SharpP
         diffraction=view.diffraction,
         max_blur_px=view.reach_px,
     )
-    check_finite(view.scene, sharp.rate, view.objects_at)
+    mean = sharp.rate.mean(axis=0)
+    check_finite(view.scene, mean, view.objects_at)
     channels = len(sensors.channels(camera.sensor))
-    rate, of_twin = (part.astype(np.float32) for part in np.split(sharp.rate, [channels], axis=-1))
+    rate, of_twin = (part.astype(np.float32) for part in np.split(mean, [channels], axis=-1))
+    halves = None if sharp.fine is None else sharp.rate[..., :channels]
     controls = [
         passes.control_of(scene, camera, stop, sharp.fine, max_blur_px=view.reach_px, field=field)
         for stop in camera.stops
     ]
-    return SharpPictures(rate, of_twin, field, controls, sharp.fine)
+    return SharpPictures(rate, of_twin, field, controls, halves, sharp.in_focus)
 
 
 def _twin_srgb(view: View, rate: NDArray[Any]) -> Float32Array:

@@ -20,7 +20,7 @@ from dasim.camera import sensor as sensors
 from dasim.camera.noise import Exposure
 from dasim.camera.specification import Camera
 from dasim.render import passes
-from dasim.render.control_variate import Control, Fine
+from dasim.render.control_variate import Control
 from dasim.render.foreign.scene import World
 from dasim.render.ray_loop import Ratios
 from dasim.render.truth import Geometry
@@ -95,7 +95,8 @@ class SharpPictures:
     twin: Float32Array  # [h, w, 3] of the camera :data:`exact.TWIN`, likewise
     field: Any  # irradiance, which half of the lens picture shares
     controls: list[Control | None]  # of each stop, see :mod:`dasim.render.control_variate`
-    fine: dict[str, Fine] | None  # the picture of each stop's channels on a finer grid, by the stops' names
+    halves: NDArray[Any] | None  # [half, h, w, channel] as ``rate``, of halves of its rays; None of rays that have none
+    in_focus: dict[int, NDArray[Any]]  # [h, w, channel] with every depth in focus, before glare, by the stops' numbers
 
 
 def lens_picture(

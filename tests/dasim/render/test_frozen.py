@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import dasim
-from dasim.render import backend, focus_pictures, irradiance, pinhole, ray_loop
+from dasim.render import backend, irradiance, pinhole, ray_loop
 
 LANES = 1 << 12  # of a batch: passes have many, the last of them smaller
 
@@ -82,7 +82,7 @@ def test_one_batch_of_a_pass_is_traced(captured, monkeypatch):
 
         monkeypatch.setattr(module, name, counted)
 
-    for module, names in ((ray_loop, called), (pinhole, ("frozen", "aim")), (focus_pictures, ("block_of",))):
+    for module, names in ((ray_loop, called), (pinhole, ("frozen", "aim", "block_of"))):
         for name in names:
             count(module, name)
     captured()

@@ -18,7 +18,6 @@ import pytest
 import dasim
 from dasim.render import (
     backend,
-    focus_pictures,
     irradiance,
     pinhole,
     plugin,
@@ -53,16 +52,15 @@ PLUGINS = OURS | set(
 )
 # Most arrays that the host reads per batch, by function: sums of two for each of eight channels (of four: also of two
 # for the control variate, and two for depth); of pixels that see several depths two for each channel and the depth, and
-# the light of four channels; of the irradiance, four wavelengths, and six numbers of the surface; of a pinhole's nodes
-# two for each of three bands of two stops and seven channels of two cameras, or of four channels of two stops and those
-# seven, and the places of the rays.
-READS = {"Block.sums": 18, "_read": 9, "_beyond": 4, "_traced": 10, "read_sums": 32}
-# At least, of each array that is read: at 4 samples per pixel a picture's halves have 2; nodes have one ray each.
-RAYS_PER_NUMBER = {"read_sums": 1}
+# the light of four channels; of the irradiance, four wavelengths, and six numbers of the surface; of a pinhole's rays
+# two for each of three bands and four channels of two stops and for three channels of another camera, and their places.
+READS = {"Block.sums": 18, "_read": 9, "_beyond": 4, "_traced": 10, "_node_sums": 36}
+# At least, of each array that is read: at 4 samples per pixel a picture's halves have 2; those of nodes are read whole.
+RAYS_PER_NUMBER = {"_node_sums": 1}
 OTHERWISE = 2
-KEPT = 30  # numbers per ray that a launch leaves in memory: 120 bytes
+KEPT = 36  # numbers per ray that a launch leaves in memory: 144 bytes
 LAUNCHES = 40  # of all kinds per batch
-LANES = 1 << 16  # a picture is one batch, and the pinhole's with 184,320 rays three
+LANES = 1 << 16  # a picture is one batch, and the pinhole's five: the frame, and each side of its margin
 
 
 def faults(record: Record) -> list[str]:
@@ -96,8 +94,8 @@ def faults(record: Record) -> list[str]:
 def test_a_capture_runs_on_graphics_cards(jit, monkeypatch):
     """Rationale: what a processor alone can do would stop the loop on a graphics card, or slow it to the host's pace.
 
-    Set-up: all that a capture of ``desk`` traces: two stops twice, through a pinhole by pixels, by nodes, and by nodes
-    for the picture in focus, and the irradiance.
+    Set-up: all that a capture of ``desk`` traces: two stops twice, rays through a pinhole, more of them where
+    they are noisy, and the irradiance.
     Expectation: plugins and arrays of every variant; a batch traces its rays in one launch, and as many as memory is
     planned for; the host reads sums of pixels and of nodes, and rays only of pixels that see several depths, of which
     there are some.
@@ -105,14 +103,13 @@ def test_a_capture_runs_on_graphics_cards(jit, monkeypatch):
     monkeypatch.setattr(backend, "LANES", LANES)
     monkeypatch.setattr(backend, "GPU_LANES", LANES)
     camera, scene = dasim.cropped(dasim.load_camera("da-mobile"), 32, 24), dasim.load_scene("desk")
-    ours = (ray_loop, "_trace"), (pinhole, "_node_sums"), (focus_pictures, "_layer_sums"), (irradiance, "_traced")
+    ours = (ray_loop, "_trace"), (pinhole, "_node_sums"), (irradiance, "_traced")
     with recorded(*ours) as record:
         dasim.simulate(scene, dasim.focused(camera, scene), spp=4)
     assert faults(record) == []
     assert Counter(batch.function for batch in record.batches) == {
         "_trace": 4 + 1,
-        "_node_sums": 3,
-        "_layer_sums": 1,
+        "_node_sums": 5,
         "_traced": 2,
     }
     assert {name for batch in record.batches for name, _ in batch.reads} == READS.keys()
@@ -262,15 +259,21 @@ def test_pinhole_pictures_by_pixels_and_by_nodes_are_those_of_a_pinhole(make_sce
     right = wall | {"name": "right", "position_cm": (200, 0, 40)}
     scene, camera, sampling = loaded(make_scene(left, right)), wide(12, 8), ray_loop.Sampling(32, 1)
     responses = pinhole_responses(camera)
-    pictures = pinhole.pictures(scene, camera, sampling, 4, None, responses, (2, 1))
-    assert [part.shape for part in pictures.nodes] == [(32, 48, 2), (32, 48, 1)] and pictures.rate.shape == (8, 12, 1)
+    channels = pinhole.Channels((2, 1), [[3]])
+    pictures = pinhole.pictures(scene, camera, sampling, 4, None, responses, channels)
+    assert [part.shape for part in pictures.nodes] == [(32, 48, 2), (32, 48, 1)] and pictures.rate.shape == (
+        2,
+        8,
+        12,
+        1,
+    )
 
     other = ray_loop.Sampling(256, 2)
     ratios = ray_loop.ratios(scene, camera, None, other, None, None, responses).value[..., :3]
     nodes = np.concatenate(pictures.nodes, axis=-1)
     for found, true in (
         (nodes.reshape(8, 4, 12, 4, 3).mean(axis=(1, 3)), ratios),
-        (pictures.rate, ray_loop.render(scene, camera, None, other, None, None, responses).value[..., 3:]),
+        (pictures.rate.mean(axis=0), ray_loop.render(scene, camera, None, other, None, None, responses).value[..., 3:]),
     ):
         beside = np.abs(np.arange(12) - 5.5) > 1
         np.testing.assert_allclose(found[:, beside], true[:, beside], rtol=0.05)

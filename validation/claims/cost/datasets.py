@@ -35,7 +35,7 @@ TINY_SCENES = ("colour-checker", "depth-steps", "desk", "flat")  # scenes with l
 RENDERING = {
     "translate": ("world",),
     "truth": ("geometry",),
-    "passes": ("irradiance_field", "stop_ratios", "sharp_pass", "pinhole_pass", "in_focus_pass", "control_of"),
+    "passes": ("irradiance_field", "stop_ratios", "sharp_pass", "pinhole_pass", "control_of"),
 }
 
 # A separate process per run, so that memory is that of the run and processor affinity can be set.
