@@ -35,7 +35,7 @@ import numpy as np
 from dasim.camera import geometry, pointspread, wavefront
 from dasim.camera.specification import Camera
 from dasim.camera.stops import Stop
-from dasim.render import pattern_blur, radial_blur
+from dasim.render import pattern_blur, radial_tables
 from dasim.render.blur_tables import Drawn
 from dasim.spectra import grid as spectra
 from dasim.typing import FloatArray
@@ -79,7 +79,7 @@ def _blur(camera_json: str, stop: Stop, density_bytes: bytes, max_blur_px: float
     bands = [(nm, weight / total) for nm, weight in bands]
     shortest_nm = float(spectra.WAVELENGTH_NM[np.argmax(density > 0)])
     if all(pointspread.is_radial(camera, stop, front=front) for front in wavefront.over_field(camera, stop)[1]):
-        return radial_blur.tables(camera, stop, bands, shortest_nm, max_blur_px)
+        return radial_tables.tables(camera, stop, bands, shortest_nm, max_blur_px)
     return pattern_blur.tables(camera, stop, bands, shortest_nm, max_blur_px)
 
 

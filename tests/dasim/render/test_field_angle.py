@@ -61,10 +61,10 @@ def test_weighted_draws_have_the_pattern_of_the_foreshortened_pupil(jit, da_mobi
     import drjit as dr
     import mitsuba as mi
 
-    from dasim.render import field_angle, radial_blur
+    from dasim.render import field_angle, radial_tables
 
     hole = da_mobile.stops[1]
-    blur = radial_blur.tables(da_mobile, hole, [(NM, 1.0)], NM, 60.0)
+    blur = radial_tables.tables(da_mobile, hole, [(NM, 1.0)], NM, 60.0)
     scale_px = NM * float(blur.px_per_nm[0])
     rng = np.random.default_rng(4)
     first, second = (mi.Point2f(rng.random((2, COUNT), dtype=np.float32)) for _ in range(2))

@@ -76,11 +76,11 @@ def test_thin_ring_far_out_of_focus_is_drawn(jit, da_mobile):
     import mitsuba as mi
 
     from dasim.camera.stops import Annulus
-    from dasim.render import radial_blur
+    from dasim.render import radial_tables
 
     count, blur_px = 1 << 18, 100.0
     ring = Annulus(name="ring", shape="annulus", inner_ratio=0.9, outer_ratio=1.0)
-    blur = radial_blur.tables(da_mobile, ring, [(550.0, 1.0)], 550.0, 110.0)
+    blur = radial_tables.tables(da_mobile, ring, [(550.0, 1.0)], 550.0, 110.0)
     numbers = mi.Point2f(np.random.default_rng(2).random((2, count), dtype=np.float32))
     expected = mi.Float(dr.full(mi.Float, blur_px, count))
     rho, delta, drawn, *_ = blur.draw(numbers, numbers, expected, mi.Vector2f(0.0), mi.UInt32(3))

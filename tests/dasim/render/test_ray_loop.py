@@ -32,7 +32,8 @@ from tests.support.called import Batch, Record, recorded
 RENDER = Path(ray_loop.__file__).parent
 # Modules whose functions trace rays, or are called where plugins of ours meet them.
 LOOP = """blur_tables control_variate field_angle irradiance lamps light_paths light_spectra mixture pattern_blur plugin
-pinhole pupil radial_blur ray_block ray_loop ray_pass sobol surrounding transport foreign/colours""".split()
+pinhole pupil radial_blur radial_tables ray_block ray_loop ray_pass sobol surrounding transport
+foreign/colours""".split()
 # Of Dr.Jit, all of which both kinds of arrays have; and of Mitsuba, whose types are those of the variant.
 DRJIT = """abs all any arange atan block_sum brev clip cos dot eval floor fma full gather isfinite lerp make_opaque
 maximum minimum norm normalize opaque pi rcp reinterpret_array round rsqrt safe_acos safe_asin safe_sqrt select sin
