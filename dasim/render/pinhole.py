@@ -34,6 +34,7 @@ CELLS = 4  # nodes per pixel along each axis
 NODES = CELLS**2
 BORDER_CELLS = 2  # of these nodes in a border, whose ratios of the light of a single ray would be 0.1 % off
 MOMENTS = 3  # of the light of a node: its sum, and its sums times the places of its rays along x and y
+MOST_TILE_PX = 1 << 16  # pixels that are traced at once on a graphics card: the host keeps some 4 KB of each
 ORDER_STREAM = 254  # of random numbers, see :data:`dasim.render.ray_block.WAVELENGTH_STREAM`
 ALONG, DOWN = 5, 7  # shift of the nodes' order from pixel to pixel, odd
 
@@ -150,7 +151,8 @@ def _tiles(height: int, width: int, border: int, spp: int) -> Iterator[tuple[sli
         ((top, bottom), (right, width), True),
         ((bottom, height), (0, width), True),
     ):
-        most, high = backend.lanes() // (NODES if is_border else spp), rows[1] - rows[0]
+        most = min(backend.lanes() // (NODES if is_border else spp), MOST_TILE_PX)
+        high = rows[1] - rows[0]
         if high and columns[0] < columns[1]:
             across = list(_split(*columns, max(int(np.sqrt(most)), most // high)))
             widest = max(side.stop - side.start for side in across)
