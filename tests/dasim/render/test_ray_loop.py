@@ -250,37 +250,40 @@ def test_memory_is_bounded_by_the_rays_at_once(jit, monkeypatch, variant, most):
 
 
 def test_pinhole_pictures_by_pixels_and_by_nodes_are_those_of_a_pinhole(make_scene, loaded, wide, jit):
-    """Set-up: a wall of two materials, whose edge crosses the frame; three channels by nodes, one by pixels.
+    """Set-up: a wall of two materials, whose edge crosses the frame; three channels by nodes, two by pixels; a border.
 
-    Expectation: nodes are the picture of a camera with smaller pixels, and pixels that of the camera, both by separate
-    rays, within 0.5 % in the mean and 5 % at every pixel away from the edge.
+    Expectation: nodes are the picture of a camera with smaller pixels, of pairs of them in the border; pixels are that
+    of the camera. Both are those of separate rays, within 5 % at every pixel away from edge and border and 0.5 % in the
+    mean; so are those of each half of the rays, within 1 % in the mean.
     """
     wall = {"shape": "plane", "size_cm": (400, 400), "material": "grey-card"}
     left = wall | {"name": "left", "position_cm": (-200, 0, 40), "material": "wood-light"}
     right = wall | {"name": "right", "position_cm": (200, 0, 40)}
-    scene, camera, sampling = loaded(make_scene(left, right)), wide(12, 8), ray_loop.Sampling(32, 1)
+    scene, camera, sampling = loaded(make_scene(left, right)), wide(12, 8), ray_loop.Sampling(32, 3)
     responses = pinhole_responses(camera)
-    channels = pinhole.Channels((2, 1), [[3]])
-    pictures = pinhole.pictures(scene, camera, sampling, 4, None, responses, channels)
-    assert [part.shape for part in pictures.nodes] == [(32, 48, 2), (32, 48, 1)] and pictures.rate.shape == (
-        2,
-        8,
-        12,
-        1,
-    )
+    channels = pinhole.Channels((2, 1), [[1], [3]])
+    pictures = pinhole.pictures(scene, camera, sampling, 4, None, responses, channels, border_px=2)
+    assert [part.shape for part in pictures.nodes] == [(32, 48, 2), (32, 48, 1)]
+    assert pictures.rate.shape == (2, 8, 12, 2)
 
-    other = ray_loop.Sampling(256, 2)
+    other, inner = ray_loop.Sampling(256, 2), np.s_[2:-2, 2:-2]
     ratios = ray_loop.ratios(scene, camera, None, other, None, None, responses).value[..., :3]
+    rate = ray_loop.render(scene, camera, None, other, None, None, responses).value[..., [1, 3]]
     nodes = np.concatenate(pictures.nodes, axis=-1)
-    for found, true in (
-        (nodes.reshape(8, 4, 12, 4, 3).mean(axis=(1, 3)), ratios),
-        (pictures.rate.mean(axis=0), ray_loop.render(scene, camera, None, other, None, None, responses).value[..., 3:]),
-    ):
-        beside = np.abs(np.arange(12) - 5.5) > 1
-        np.testing.assert_allclose(found[:, beside], true[:, beside], rtol=0.05)
-        assert found.mean() == pytest.approx(true.mean(), rel=0.005)
-    edge = np.abs(np.diff(nodes[..., 0].mean(axis=0)))
+    means, beside = nodes.reshape(8, 4, 12, 4, 3).mean(axis=(1, 3)), np.abs(np.arange(8) - 3.5) > 1
+    for found, true in ((means, ratios), (pictures.rate.mean(axis=0), rate)):
+        np.testing.assert_allclose(found[inner][:, beside], true[inner][:, beside], rtol=0.05)
+        assert found[inner].mean() == pytest.approx(true[inner].mean(), rel=0.005)
+    for half in pictures.rate:
+        np.testing.assert_allclose(half[inner].mean(axis=(0, 1)), rate[inner].mean(axis=(0, 1)), rtol=0.01)
+    assert means.mean() == pytest.approx(ratios.mean(), rel=0.005)
+    edge = np.abs(np.diff(nodes[8:-8, :, 0].mean(axis=0)))
     assert edge.argmax() == 23 and edge.max() > 10 * np.sort(edge)[-2]
+    outside = np.ones((8, 12), bool)
+    outside[inner] = False
+    assert not pictures.rate[:, outside].any()
+    pairs = nodes[:8].reshape(4, 2, 24, 2, 3)
+    np.testing.assert_array_equal(pairs, np.broadcast_to(pairs[:, :1, :, :1], pairs.shape))
 
 
 @pytest.mark.parametrize("samples", [4, 16])
