@@ -1,7 +1,6 @@
 """The nodes of an irradiance field: what they receive is smoothed, and where it may be interpolated.
 
-``ratio`` is the irradiance of each light over its spectrum, [y, x, light, wavelength]; ``surface`` what the nodes see,
-[y, x, (1/z in 1/m, normal, known, mean inverse distance of the surroundings in 1/m)]; ``spectra`` those of the lights.
+Irradiance of each light over its spectrum is [node, light, wavelength] here, ``spectra`` are those of the lights.
 
 Tested in tests/dasim/render/test_irradiance.py.
 """
@@ -9,24 +8,77 @@ Tested in tests/dasim/render/test_irradiance.py.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from dasim.typing import FloatArray
 
 AGREEMENT = 0.15  # largest relative difference of irradiance between neighbours
 SAME_NORMAL = 0.9  # cosine
-SAME_DEPTH = 0.02  # largest relative difference of 1/z per node of distance
+SAME_PLANE = 5e-3  # distance of a point from the plane of a node, over its depth
+SAME_DEPTH = 0.1  # largest relative difference of 1/z between neighbours
 # Distance of averaged nodes: least cosine between their normals, largest relative difference of a pair from the middle.
 SMOOTHING = {1: (SAME_NORMAL, AGREEMENT), 2: (0.998, 0.02), 4: (0.998, 0.02)}
 WIDEST = 0.015  # largest distance of averaged nodes beyond neighbours, as a tangent seen from the lens
+AROUND = [(dy, dx) for dy in (-1, 0, 1) for dx in (-1, 0, 1) if (dy, dx) != (0, 0)]
 
 
-def smoothed(ratio: FloatArray, surface: FloatArray, spectra: FloatArray, apart: float) -> FloatArray:
-    """Irradiance of each node [y, x, light, node], averaged with neighbours on the same surface that receive nearly the
-    same.
+@dataclass(frozen=True)
+class Nodes:
+    """Nodes of an even grid over the frame, of whose places some may be empty."""
+
+    grid: NDArray[np.intp]  # [y, x] number of the node at each place, -1 where there is none
+    slope: FloatArray  # [node, 2] x / z and y / z of what the node sees
+    # [node, 6]: 1/z in 1/m, normal, whether the surface is known, mean inverse distance of the surroundings in 1/m
+    surface: FloatArray
+
+    @property
+    def known(self) -> NDArray[np.bool_]:
+        """Whether each node sees a surface that light is known of."""
+        return np.asarray(self.surface[:, 4] > 0)
+
+    @property
+    def place(self) -> FloatArray:
+        """What each node sees, [node, 3] in m."""
+        z = 1 / np.where(self.known, self.surface[:, 0], 1.0)
+        return np.column_stack([self.slope, np.ones(len(z))]) * z[:, None]
+
+    def beside(self, dy: int, dx: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+        """Numbers of the nodes of the grid, and of those so many places below and to the right; -1 for none."""
+        reach = max(abs(dy), abs(dx))
+        there = np.pad(self.grid, reach, constant_values=-1)
+        height, width = self.grid.shape
+        there = there[reach + dy : reach + dy + height, reach + dx : reach + dx + width]
+        return self.grid[self.grid >= 0], there[self.grid >= 0]
+
+    def neighbours(self) -> Iterator[tuple[NDArray[np.intp], NDArray[np.intp]]]:
+        """Nodes that have a neighbour on one of eight sides, and this neighbour."""
+        for way in AROUND:
+            here, there = self.beside(*way)
+            yield here[there >= 0], there[there >= 0]
+
+    def corners(self) -> NDArray[np.intp]:
+        """Numbers of the four corners of each cell of the grid, row by row, [cell, 4]; all places must have nodes."""
+        grid = self.grid
+        return np.stack([grid[:-1, :-1], grid[:-1, 1:], grid[1:, :-1], grid[1:, 1:]], axis=-1).reshape(-1, 4)
+
+    def same_surface(self, here: NDArray[np.intp], there: NDArray[np.intp], aligned: float) -> NDArray[np.bool_]:
+        """Whether pairs of nodes see one surface: each in the plane of the other, with normals of a cosine of at least
+        ``aligned``.
+        """
+        z, place, normal = self.surface[:, 0], self.place, self.surface[:, 1:4]
+        offset, scale = place[there] - place[here], SAME_PLANE * place[here, 2]
+        same = self.known[here] & self.known[there]
+        same &= np.einsum("nk,nk->n", normal[here], normal[there]) > aligned
+        for own in (here, there):
+            same &= np.abs(np.einsum("nk,nk->n", offset, normal[own])) < scale
+        return same & (np.abs(z[here] - z[there]) < SAME_DEPTH * z[here])
+
+
+def smoothed(ratio: FloatArray, nodes: Nodes, spectra: FloatArray, apart: float) -> FloatArray:
+    """Irradiance of each node, averaged with neighbours on the same surface that receive nearly the same.
 
     The noise of a node affects all pixels near it, and more samples per pixel do not reduce it. Each pass takes
     neighbours twice as far away as the one before, unless light or surface tell them apart (edge-avoiding a-trous
@@ -40,105 +92,89 @@ def smoothed(ratio: FloatArray, surface: FloatArray, spectra: FloatArray, apart:
             break
         level = (ratio.mean(axis=-1) * weight_of_light).sum(axis=-1)
         if step == 1:
-            level = ndimage.uniform_filter(level, 3)
-        ratio = _averaged(ratio, surface, level, step, aligned, agreement)
+            level = _mean_around(level, nodes)
+        ratio = _averaged(ratio, nodes, level, step, aligned, agreement)
     return ratio
 
 
+def _mean_around(level: FloatArray, nodes: Nodes) -> FloatArray:
+    """Mean of each node and its neighbours."""
+    total, count = level.copy(), np.ones(len(level))
+    for here, there in nodes.neighbours():
+        total[here] += level[there]
+        count[here] += 1
+    return total / count
+
+
 def _averaged(
-    ratio: FloatArray, surface: FloatArray, level: FloatArray, step: int, aligned: float, agreement: float
+    ratio: FloatArray, nodes: Nodes, level: FloatArray, step: int, aligned: float, agreement: float
 ) -> FloatArray:
     """One pass of :func:`smoothed`: with pairs of neighbours ``step`` nodes away whose levels agree, and whose mean
     level differs from that of the node by less than the share ``agreement``.
     """
-    total, weight = 4 * ratio, np.full(level.shape, 4.0)
+    total, weight = 4 * ratio, np.full(len(level), 4.0)
     for dy, dx in ((0, step), (step, 0), (step, step), (step, -step)):
-        inside = tuple(
-            slice(abs(d), max(abs(d), extent - abs(d))) for d, extent in zip((dy, dx), level.shape, strict=True)
-        )
-        pair = [
-            tuple(
-                slice(part.start + d, part.stop + d) for part, d in zip(inside, sign * np.array((dy, dx)), strict=True)
-            )
-            for sign in (-1, 1)
-        ]
-        here = surface[inside]
-        same = here[..., 4] > 0
+        here, after = nodes.beside(dy, dx)
+        before = nodes.beside(-dy, -dx)[1]
+        is_pair = (before >= 0) & (after >= 0)
+        here, pair = here[is_pair], (before[is_pair], after[is_pair])
+        same = np.abs((level[pair[0]] + level[pair[1]]) / 2 - level[here]) < agreement * level[here]
         for there in pair:
-            other = surface[there]
-            same &= other[..., 4] > 0
-            same &= np.abs(level[there] - level[inside]) < AGREEMENT * level[inside]
-            same &= np.sum(here[..., 1:4] * other[..., 1:4], axis=-1) > aligned
-            same &= np.abs(here[..., 0] - other[..., 0]) < step * SAME_DEPTH * here[..., 0]
-        same &= np.abs((level[pair[0]] + level[pair[1]]) / 2 - level[inside]) < agreement * level[inside]
-        share = same * (1.0 if dy and dx else 2.0)
-        total[inside] += share[..., None, None] * (ratio[pair[0]] + ratio[pair[1]])
-        weight[inside] += 2 * share
-    return total / weight[..., None, None]
+            same &= np.abs(level[there] - level[here]) < AGREEMENT * level[here]
+            same &= nodes.same_surface(here, there, aligned)
+        here, pair = here[same], (pair[0][same], pair[1][same])
+        share = 1.0 if dy and dx else 2.0
+        total[here] += share * (ratio[pair[0]] + ratio[pair[1]])
+        weight[here] += 2 * share
+    return total / weight[:, None, None]
 
 
-def clamped(surface: FloatArray, slope: FloatArray) -> FloatArray:
-    """Mean inverse distance of the surroundings of each node [y, x], 1/m, at least what its neighbours imply.
+def clamped(nodes: Nodes) -> FloatArray:
+    """Mean inverse distance of the surroundings of each node, 1/m, at least what its neighbours imply.
 
     What stands close by may be seen in a narrow angle alone, as the lower side of a ball on a table. The surroundings
     are no farther than those of a neighbour and the way to it (Krivanek, Bouatouch, Pattanaik and Zara, Eurographics
-    Symposium on Rendering 2006). ``slope`` is x / z and y / z.
+    Symposium on Rendering 2006).
     """
-    known = surface[..., 4] > 0
-    z = 1 / np.where(known, surface[..., 0], 1.0)
-    place, near = np.dstack([slope, np.ones_like(z)]) * z[..., None], surface[..., 5].copy()
-    for inside, there in _neighbours(z.shape):
-        way = np.linalg.norm(place[there] - place[inside], axis=-1)
-        implied = surface[there][..., 5] / (1 + way * surface[there][..., 5])
-        near[inside] = np.where(known[inside] & known[there], np.maximum(near[inside], implied), near[inside])
+    known, place, own = nodes.known, nodes.place, nodes.surface[:, 5]
+    near = own.copy()
+    for here, there in nodes.neighbours():
+        implied = own[there] / (1 + np.linalg.norm(place[there] - place[here], axis=-1) * own[there])
+        near[here] = np.where(known[here] & known[there], np.maximum(near[here], implied), near[here])
     return near
 
 
-def even_nodes(ratio: FloatArray, surface: FloatArray, spectra: FloatArray) -> NDArray[np.bool_]:
-    """Nodes [y, x] whose neighbours on the same surface, two or more, receive nearly the same, in all wavelengths."""
-    light, known = _bands(ratio, spectra), surface[..., 4] > 0
-    agrees, count = known.copy(), np.zeros(known.shape, int)
-    for inside, there in _neighbours(known.shape):
-        here, other = surface[inside], surface[there]
-        same = known[inside] & known[there] & (np.sum(here[..., 1:4] * other[..., 1:4], axis=-1) > SAME_NORMAL)
-        same &= np.abs(here[..., 0] - other[..., 0]) < SAME_DEPTH * here[..., 0]
-        differ = np.abs(light[there] - light[inside]) > AGREEMENT * (light[there] + light[inside]) / 2
-        agrees[inside] &= ~(same & differ.any(axis=-1))
-        count[inside] += same
+def even_nodes(ratio: FloatArray, nodes: Nodes, spectra: FloatArray) -> NDArray[np.bool_]:
+    """Nodes whose neighbours on the same surface, two or more, receive nearly the same, in all wavelengths."""
+    light, agrees = _bands(ratio, spectra), nodes.known
+    count = np.zeros(len(agrees), int)
+    for here, there in nodes.neighbours():
+        same = nodes.same_surface(here, there, SAME_NORMAL)
+        differ = np.abs(light[there] - light[here]) > AGREEMENT * (light[there] + light[here]) / 2
+        agrees[here] &= ~(same & differ.any(axis=-1))
+        count[here] += same
     return agrees & (count > 1)
 
 
-def _neighbours(shape: tuple[int, ...]) -> Iterator[tuple[tuple[slice, slice], tuple[slice, slice]]]:
-    """Places of the nodes of a grid [y, x] that have a neighbour on one of eight sides, and of that neighbour."""
-    for turn in range(9):
-        step = turn // 3 - 1, turn % 3 - 1
-        if step != (0, 0):
-            inside, there = (
-                tuple(slice(max(0, d), extent + min(0, d)) for d, extent in zip(way, shape, strict=True))
-                for way in ((-step[0], -step[1]), step)
-            )
-            yield inside, there  # type: ignore[misc]
-
-
 def _bands(ratio: FloatArray, spectra: FloatArray) -> FloatArray:
-    """Irradiance in four bands, [y, x, band]: means of eight wavelengths, since single ones are noisier. Lights count
+    """Irradiance in four bands, [node, band]: means of eight wavelengths, since single ones are noisier. Lights count
     by their power in each of these bands.
     """
-    bands = ratio.reshape(*ratio.shape[:3], 4, -1).mean(axis=-1)[:, :, : len(spectra)]
+    bands = ratio.reshape(*ratio.shape[:2], 4, -1).mean(axis=-1)[:, : len(spectra)]
     power = np.stack([part.mean(axis=-1) for part in np.array_split(spectra, 4, axis=-1)], axis=-1)
-    return np.asarray((bands * (power / power.sum(axis=0))).sum(axis=2))
+    return np.asarray((bands * (power / power.sum(axis=0))).sum(axis=1))
 
 
-def agreeing_cells(ratio: FloatArray, surface: FloatArray, spectra: FloatArray) -> NDArray[np.bool_]:
-    """Cells [y, x] whose four corners are known, face one way and receive nearly the same, in all wavelengths."""
-
-    def corners(values: np.ndarray) -> np.ndarray:
-        return np.stack([values[:-1, :-1], values[:-1, 1:], values[1:, :-1], values[1:, 1:]])
-
-    known = corners(surface[..., 4]).min(axis=0) > 0
-    normal = corners(surface[..., 1:4])
-    turned = np.min([np.sum(normal[i] * normal[j], axis=-1) for i in range(4) for j in range(i)], axis=0)
-    light = corners(_bands(ratio, spectra))
-    middle = light.mean(axis=0)
-    spread = (light.max(axis=0) - light.min(axis=0)) / np.where(middle > 0, middle, 1.0)
-    return known & (turned > SAME_NORMAL) & (spread.max(axis=-1) < AGREEMENT)
+def agreeing_cells(
+    ratio: FloatArray, surface: FloatArray, spectra: FloatArray, corners: NDArray[np.intp], agreement: float
+) -> NDArray[np.bool_]:
+    """Cells, by their corners [cell, 4], all of which are known, face one way and receive the same within a share
+    ``agreement`` in all wavelengths.
+    """
+    of_corners = surface[corners]
+    known, normal = of_corners[..., 4].min(axis=1) > 0, of_corners[..., 1:4]
+    turned = np.min([np.sum(normal[:, i] * normal[:, j], axis=-1) for i in range(4) for j in range(i)], axis=0)
+    light = _bands(ratio, spectra)[corners]
+    middle = light.mean(axis=1)
+    spread = np.ptp(light, axis=1) / np.where(middle > 0, middle, 1.0)
+    return np.asarray(known & (turned > SAME_NORMAL) & (spread.max(axis=-1) < agreement))

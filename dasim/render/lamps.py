@@ -63,10 +63,10 @@ class Chosen:
 class Cell(NamedTuple):
     """Where a ray ends in the grid of an irradiance field."""
 
-    number: Any  # of the cell, row by row
+    number: Any  # of the cell
     node: Any  # of its first corner
     along: Any  # place in the cell, 0 to 1 along x and y
-    columns: Any  # of nodes
+    columns: Any  # of nodes, from one row to the next
     is_on_surface: Any  # whether the ray ends on the surface that the nodes see
 
 
@@ -202,14 +202,24 @@ def _interpolated(grid: Grid, cell: Cell, lamp: Any, active: Any) -> tuple[Any, 
     return whole, seen
 
 
-def grid_of(scene: Any, slope: FloatArray, surface: FloatArray, shape: tuple[int, int], key: int) -> Grid | None:
+def grid_of(
+    scene: Any,
+    slope: FloatArray,
+    surface: FloatArray,
+    corners: NDArray[np.intp],
+    slots: NDArray[np.intp],
+    even_cells: int,
+    key: int,
+) -> Grid | None:
     """The grid of all lamps whose radiance is the same everywhere on them; None where every ray draws one emitter.
 
     Args:
         scene: a Mitsuba scene.
         slope: x / z and y / z of the nodes, [node, 2].
-        surface: what the nodes see, see :class:`dasim.render.irradiance.Field`, [node, 5].
-        shape: of the nodes, [y, x].
+        surface: what the nodes see, [node, 5], see :class:`dasim.render.irradiance_nodes.Nodes`.
+        corners: numbers of the nodes at the corners of each cell, [cell, 4].
+        slots: numbers of the nodes in the order in which the grid holds them, some of them repeatedly.
+        even_cells: how many of the first cells cover all of the frame evenly.
         key: of the samples.
     """
     import drjit as dr
@@ -219,19 +229,18 @@ def grid_of(scene: Any, slope: FloatArray, surface: FloatArray, shape: tuple[int
     if not numbers:
         return None
     results = [_traced(scene, number, slope, surface, key) for number in numbers]
-    whole, seen, is_whole = (np.stack(part).reshape(-1, *shape) for part in zip(*results, strict=True))
-    corners = np.stack([whole[:, :-1, :-1], whole[:, :-1, 1:], whole[:, 1:, :-1], whole[:, 1:, 1:]])
-    usable = is_whole[:, :-1, :-1] & is_whole[:, :-1, 1:] & is_whole[:, 1:, :-1] & is_whole[:, 1:, 1:]
-    usable &= np.ptp(corners, axis=0) < AGREEMENT * corners.mean(axis=0)
+    whole, seen, is_whole = (np.stack(part) for part in zip(*results, strict=True))
+    of_corners = whole[:, corners]
+    usable = is_whole[:, corners].all(axis=-1) & (np.ptp(of_corners, axis=-1) < AGREEMENT * of_corners.mean(axis=-1))
     samples = np.ones(MOST_EMITTERS, np.uint32)  # a table of one number would be a constant
-    samples[: len(numbers)] = np.where(usable.mean(axis=(1, 2)) < CLEAR, SPLIT, 1)
+    samples[: len(numbers)] = np.where(usable[:, :even_cells].mean(axis=1) < CLEAR, SPLIT, 1)
     return Grid(
-        whole=mi.Float(whole.astype(np.float32).ravel()),
-        seen=mi.Float(seen.astype(np.float32).ravel()),
+        whole=mi.Float(whole[:, slots].astype(np.float32).ravel()),
+        seen=mi.Float(seen[:, slots].astype(np.float32).ravel()),
         usable=mi.UInt32(usable.astype(np.uint32).ravel()),
         samples=mi.UInt32(aligned(samples)),
-        nodes=dr.opaque(mi.UInt32, whole[0].size),
-        cells=dr.opaque(mi.UInt32, usable[0].size),
+        nodes=dr.opaque(mi.UInt32, len(slots)),
+        cells=dr.opaque(mi.UInt32, len(corners)),
     )
 
 

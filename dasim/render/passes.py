@@ -18,7 +18,16 @@ from dasim.camera import distortion, glare, radiometry, wavefront
 from dasim.camera.sensor import principal_point
 from dasim.camera.specification import Camera
 from dasim.camera.stops import Stop, ring
-from dasim.render import control_variate, focus_pictures, irradiance, pinhole, ray_loop, stock, transport
+from dasim.render import (
+    control_variate,
+    focus_pictures,
+    irradiance,
+    irradiance_tracing,
+    pinhole,
+    ray_loop,
+    stock,
+    transport,
+)
 from dasim.render.control_variate import Control, Fine
 from dasim.render.irradiance import Field
 from dasim.render.ray_loop import Ratios, Sampling
@@ -165,7 +174,7 @@ def irradiance_field(
 
     if mi.variant().startswith("scalar"):
         return None
-    return irradiance.field(
+    return irradiance_tracing.field(
         mitsuba_scene,
         transport.path_integrator(),
         size_px=(camera.sensor.width_px, camera.sensor.height_px),

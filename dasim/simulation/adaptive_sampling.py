@@ -55,9 +55,9 @@ NEARLY = 1.05  # times the least noise that a round can reach, for which it is n
 # have cost more; beyond it, further pictures have an irradiance of more directions, by MOST_FINER times at most.
 SHARED, SHARED_LATER, MOST_FINER = 0.5, 0.7, 16
 CERTAIN = 3.0  # standard errors by which it must exceed that
-# A finer irradiance of f times the directions costs about as much as 10 f rays per pixel; of N, about N / 4 f are asked
-# for by its own part of the noise, if that is a quarter at f = 1: together they are fewest for f^2 = N / 40.
-RAYS_PER_FINENESS = 40.0
+# A finer irradiance of f times the directions costs about as much as 20 f rays per pixel; of N, about N / 8 f are asked
+# for by its own part of the noise, if that is an eighth at f = 1: together they are fewest for f^2 = N / 160.
+RAYS_PER_FINENESS = 160.0
 LEAST_LIGHT = 0.1  # that noise is compared with, of the mean: no samples are spent on what is nearly black
 # The mean number of samples is found by halving, from some rows and columns.
 SPARSE, BISECTIONS = slice(None, None, 3), 24

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import dasim
-from dasim.render import backend, irradiance, pinhole, ray_loop
+from dasim.render import backend, irradiance_tracing, pinhole, ray_loop
 
 LANES = 1 << 12  # of a batch: passes have many, the last of them smaller
 
@@ -62,7 +62,7 @@ def test_pictures_through_stops_of_every_kind_are_the_same(jit, monkeypatch, nam
 def _check_same(capture, monkeypatch):
     """Assert that a function's captures have the same bits with frozen functions and without."""
     first = capture()
-    for module in (ray_loop, pinhole, irradiance):
+    for module in (ray_loop, pinhole, irradiance_tracing):
         monkeypatch.setattr(module, "frozen", lambda function: function)
     second = capture()
     for picture in ("mean_e", "focus_e", "sharp_e"):

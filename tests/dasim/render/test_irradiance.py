@@ -1,10 +1,14 @@
+from dataclasses import replace
+from typing import Any
+
 import numpy as np
 import pytest
 
 import dasim
-from dasim.render import irradiance, passes, translate
-from dasim.render.irradiance import TILE, in_tile
-from dasim.render.irradiance_nodes import clamped, even_nodes, smoothed
+from dasim.camera.sensor import principal_point
+from dasim.render import irradiance, irradiance_nodes, passes, ray_pass, translate
+from dasim.render.irradiance_nodes import Nodes, clamped, even_nodes, smoothed
+from dasim.render.irradiance_tracing import TILE, in_tile
 from dasim.scene import specification as scenes
 from dasim.typing import FloatArray
 
@@ -18,14 +22,29 @@ def plane(normal: tuple[float, float, float] = (0.0, 0.0, -1.0), vergence: float
     return np.broadcast_to(np.array([vergence, *normal, 1.0]), (*SHAPE, 5)).copy()
 
 
+def nodes_of(surface: FloatArray) -> Nodes:
+    """Nodes that see a surface [y, x, (1/z, normal, known)], or with the distance of the surroundings besides."""
+    shape = surface.shape[:2]
+    y, x = np.mgrid[: shape[0], : shape[1]] * APART
+    flat = np.zeros((y.size, 6))
+    flat[:, : surface.shape[2]] = surface.reshape(y.size, -1)
+    return Nodes(np.arange(y.size).reshape(shape), np.column_stack([x.ravel(), y.ravel()]), flat)
+
+
 def levels(irradiance: FloatArray) -> FloatArray:
-    """Of all wavelengths alike, [y, x, light, node]."""
-    return np.broadcast_to(irradiance[..., None, None], (*SHAPE, 1, 8)).copy()
+    """Of all wavelengths alike, [node, light, wavelength]."""
+    return np.broadcast_to(irradiance.ravel()[:, None, None], (irradiance.size, 1, 8)).copy()
+
+
+def averaged(light: FloatArray, surface: FloatArray | None = None, apart: float = APART) -> FloatArray:
+    """:func:`smoothed` of a light [y, x], likewise."""
+    nodes = nodes_of(plane() if surface is None else surface)
+    return smoothed(levels(light), nodes, SPECTRA, apart)[:, 0, 0].reshape(light.shape)
 
 
 def test_noise_of_an_even_wall_falls_to_an_eighth() -> None:
     noise = np.random.default_rng(0).normal(1, 0.01, SHAPE)
-    result = smoothed(levels(noise), plane(), SPECTRA, APART)[..., 0, 0]
+    result = averaged(noise)
     middle = result[16:-16, 16:-16]
     assert middle.std() < noise.std() / 8
     assert abs(middle.mean() - 1) < 0.001
@@ -34,13 +53,13 @@ def test_noise_of_an_even_wall_falls_to_an_eighth() -> None:
 def test_linear_light_stays_as_it_is_up_to_the_border() -> None:
     y, x = np.mgrid[: SHAPE[0], : SHAPE[1]]
     light = 1 + 0.01 * x - 0.008 * y
-    assert smoothed(levels(light), plane(), SPECTRA, APART)[..., 0, 0] == pytest.approx(light, abs=1e-12)
+    assert averaged(light) == pytest.approx(light, abs=1e-12)
 
 
 def test_light_of_two_surfaces_is_not_mixed() -> None:
     light, surface = np.where(np.arange(SHAPE[1]) < 30, 1.0, 1.1) * np.ones(SHAPE), plane()
     surface[:, 30:, 0] *= 1.5
-    assert smoothed(levels(light), surface, SPECTRA, APART)[..., 0, 0] == pytest.approx(light, abs=1e-12)
+    assert averaged(light, surface) == pytest.approx(light, abs=1e-12)
 
 
 def test_surface_that_bends_is_averaged_with_its_nearest_nodes_alone() -> None:
@@ -49,16 +68,16 @@ def test_surface_that_bends_is_averaged_with_its_nearest_nodes_alone() -> None:
     surface[..., 1], surface[..., 3] = np.sin(turn), -np.cos(turn)
     impulse = noise.copy()
     impulse[24, 32] += 0.01
-    difference = smoothed(levels(impulse), surface, SPECTRA, APART) - smoothed(levels(noise), surface, SPECTRA, APART)
-    rows, columns = np.nonzero(np.abs(difference[..., 0, 0]) > 1e-9)
+    difference = averaged(impulse, surface) - averaged(noise, surface)
+    rows, columns = np.nonzero(np.abs(difference) > 1e-9)
     assert set(columns) <= {31, 32, 33}
     assert len(rows) > 1
 
 
 def test_coarse_grid_is_averaged_with_nearest_nodes_alone() -> None:
     light = 1 + 1e-4 * (np.arange(SHAPE[1]) - 32.0) ** 2 * np.ones(SHAPE)
-    fine = smoothed(levels(light), plane(), SPECTRA, APART)[24, 32, 0, 0] - light[24, 32]
-    coarse = smoothed(levels(light), plane(), SPECTRA, 10 * APART)[24, 32, 0, 0] - light[24, 32]
+    fine = averaged(light)[24, 32] - light[24, 32]
+    coarse = averaged(light, apart=10 * APART)[24, 32] - light[24, 32]
     # A kernel [1, 2, 1] / 4 has a variance of half a node, and one with twice the distance four times as much.
     assert coarse == pytest.approx(1e-4 * 0.5, rel=1e-6)
     assert fine == pytest.approx(1e-4 * (0.5 + 2 + 8), rel=1e-6)
@@ -66,8 +85,7 @@ def test_coarse_grid_is_averaged_with_nearest_nodes_alone() -> None:
 
 def test_steep_shadow_stays() -> None:
     light = np.where(np.arange(SHAPE[1]) < 30, 1.0, 0.4) * np.ones(SHAPE)
-    result = smoothed(levels(light), plane(), SPECTRA, APART)[..., 0, 0]
-    assert result == pytest.approx(light, abs=1e-12)
+    assert averaged(light) == pytest.approx(light, abs=1e-12)
 
 
 def test_nodes_of_a_square_follow_each_other() -> None:
@@ -81,9 +99,8 @@ def test_nodes_of_a_square_follow_each_other() -> None:
 @pytest.mark.parametrize("shape", [(2, 2), (3, 9), (7, 8), (9, 5)])
 def test_grid_smaller_than_the_widest_step(shape: tuple[int, int]) -> None:
     light = np.linspace(1.0, 1.01, shape[1]) * np.ones(shape)
-    ratio = np.broadcast_to(light[..., None, None], (*shape, 1, 8))
     surface = np.broadcast_to(np.array([2.0, 0.0, 0.0, -1.0, 1.0]), (*shape, 5))
-    assert smoothed(ratio, surface, SPECTRA, APART)[..., 0, 0] == pytest.approx(light, abs=1e-12)
+    assert averaged(light, surface) == pytest.approx(light, abs=1e-12)
 
 
 def test_nodes_are_even_where_neighbours_on_their_surface_agree() -> None:
@@ -96,7 +113,7 @@ def test_nodes_are_even_where_neighbours_on_their_surface_agree() -> None:
     surface[:, 30:, 0] *= 1.5
     light[20, 10] = 1.3
     surface[5, 5, 0] = 9.0
-    even = even_nodes(levels(light), surface, SPECTRA)
+    even = even_nodes(levels(light), nodes_of(surface), SPECTRA).reshape(SHAPE)
     expected = np.ones(SHAPE, bool)
     expected[19:22, 9:12] = expected[5, 5] = False
     assert (even == expected).all()
@@ -107,11 +124,10 @@ def test_surroundings_are_no_farther_than_a_neighbour_implies() -> None:
     Expectation: of its neighbours on one row, those are at 1 mm and the way between the nodes; a neighbour farther away
     keeps its own, and so does one that sees no surface.
     """
-    y, x = np.mgrid[: SHAPE[0], : SHAPE[1]] * APART
     surface = np.concatenate([plane(), np.ones((*SHAPE, 1))], axis=-1)
     surface[20, 10, 5] = 1e3
     surface[21, 10, 4] = 0
-    near = clamped(surface, np.dstack([x, y]))
+    near = clamped(nodes_of(surface)).reshape(SHAPE)
     assert 1 / near[20, 11] == pytest.approx(1e-3 + APART / 2)
     assert near[20, 12] == near[21, 10] == 1
     assert near[20, 10] == 1e3
@@ -139,6 +155,45 @@ def test_contact_shadows_are_those_of_path_tracing(jit, monkeypatch) -> None:
 
     traced = picture(None, 1024)
     right = error()
-    monkeypatch.setattr(irradiance, "clamped", lambda surface, slope: surface[..., 5])
+    monkeypatch.setattr(irradiance_nodes, "clamped", lambda nodes: nodes.surface[:, 5])
     assert right < 0.04
     assert error() > 3 * right
+
+
+def test_refined_cells_know_light_where_the_grid_does_not(jit) -> None:
+    """Rationale: rays that find no irradiance are traced on, and make most of the noise and the cost.
+
+    Set-up: a random scene whose floor recedes fast, 96 x 72 px, through a pinhole: with refined cells,
+    without them, and by path tracing.
+    Expectation: of rays without known light two thirds are left at most; means over blocks of 12 x 12 px are those of
+    path tracing within 3 % in the root mean square.
+    """
+    scene = dasim.random_scene(0, 3, dasim.RandomScenes(floating=True))
+    camera = dasim.focused(dasim.cropped(dasim.load_camera("da-mobile"), 96, 72), scene)
+    world = translate.load(scene)
+    field = passes.irradiance_field(world, camera, scenes.light_spectrum(scene), 0.0, 64, 1)
+    assert field is not None
+    grid_alone = replace(field, refined=field.refined * 0)
+    unknown = [1 - _known(world, camera, each) for each in (field, grid_alone)]
+    assert unknown[0] < 2 / 3 * unknown[1]
+
+    def blocks(field: irradiance.Field | None, spp: int) -> FloatArray:
+        picture = passes.pinhole_pass(world, camera, passes.Sampling(spp, 3), field)
+        return picture.reshape(6, 12, 8, 12, -1).mean(axis=(1, 3))
+
+    assert np.sqrt(np.mean((blocks(field, 64) / blocks(None, 256) - 1) ** 2)) < 0.03
+
+
+def _known(world: Any, camera: dasim.Camera, field: irradiance.Field) -> float:
+    """Share of the rays through the middle of the lens that end where the irradiance is known."""
+    import drjit as dr
+    import mitsuba as mi
+
+    size = camera.sensor.width_px, camera.sensor.height_px
+    axis, scale = principal_point(camera.sensor), ray_pass.px_per_m(camera)
+    place = np.random.default_rng(0).uniform(0, size, (1 << 14, 2))
+    slope = mi.Vector2f(*(mi.Float(side.astype(np.float32)) for side in ((place - axis) / scale).T))
+    ray = mi.RayDifferential3f(mi.Ray3f(mi.Point3f(0.0), dr.normalize(mi.Vector3f(slope.x, slope.y, 1.0))))
+    ray.wavelengths = mi.Spectrum(450.0, 550.0, 600.0, 700.0)
+    si = world.ray_intersect(ray)
+    return float(np.mean(field.at(si, si.is_valid() & irradiance.lambertian(si.bsdf(ray)))[1]))

@@ -18,7 +18,7 @@ import pytest
 import dasim
 from dasim.render import (
     backend,
-    irradiance,
+    irradiance_tracing,
     pinhole,
     plugin,
     ray_block,
@@ -31,9 +31,9 @@ from tests.support.called import Batch, Record, recorded
 
 RENDER = Path(ray_loop.__file__).parent
 # Modules whose functions trace rays, or are called where plugins of ours meet them.
-LOOP = """blur_tables control_variate field_angle irradiance lamps light_paths light_spectra mixture pattern_blur plugin
-pinhole pupil radial_blur radial_tables ray_block ray_loop ray_pass sobol surrounding transport
-foreign/colours""".split()
+LOOP = """blur_tables control_variate field_angle irradiance irradiance_tracing lamps light_paths light_spectra mixture
+pattern_blur plugin pinhole pupil radial_blur radial_tables ray_block ray_loop ray_pass sobol surrounding
+transport foreign/colours""".split()
 # Of Dr.Jit, all of which both kinds of arrays have; and of Mitsuba, whose types are those of the variant.
 DRJIT = """abs all any arange atan block_sum brev clip cos dot eval floor fma full gather isfinite lerp make_opaque
 maximum minimum norm normalize opaque pi rcp reinterpret_array round rsqrt safe_acos safe_asin safe_sqrt select sin
@@ -96,7 +96,7 @@ def test_a_capture_runs_on_graphics_cards(jit, monkeypatch):
     """Rationale: what a processor alone can do would stop the loop on a graphics card, or slow it to the host's pace.
 
     Set-up: all that a capture of ``desk`` traces: two stops twice, rays through a pinhole, more of them where
-    they are noisy, and the irradiance.
+    they are noisy, and the irradiance, of the grid and of its refined cells.
     Expectation: plugins and arrays of every variant; a batch traces its rays in one launch, and as many as memory is
     planned for; the host reads sums of pixels and of nodes, and rays only of pixels that see several depths, of which
     there are some.
@@ -104,14 +104,14 @@ def test_a_capture_runs_on_graphics_cards(jit, monkeypatch):
     monkeypatch.setattr(backend, "LANES", LANES)
     monkeypatch.setattr(backend, "GPU_LANES", LANES)
     camera, scene = dasim.cropped(dasim.load_camera("da-mobile"), 32, 24), dasim.load_scene("desk")
-    ours = (ray_loop, "_trace"), (pinhole, "_node_sums"), (irradiance, "_traced")
+    ours = (ray_loop, "_trace"), (pinhole, "_node_sums"), (irradiance_tracing, "_traced")
     with recorded(*ours) as record:
         dasim.simulate(scene, dasim.focused(camera, scene), spp=4)
     assert faults(record) == []
     assert Counter(batch.function for batch in record.batches) == {
         "_trace": 4 + 1,
         "_node_sums": 5,
-        "_traced": 2,
+        "_traced": 2 + 2,
     }
     assert {name for batch in record.batches for name, _ in batch.reads} == READS.keys()
     assert {"path", "dasim_mixture", "twosided"} < record.plugins
