@@ -1,11 +1,12 @@
 """A control variate for pictures through the lens: the picture through a pinhole, blurred without rays.
 
 Nearly all noise of a textured surface comes from the texel that a ray meets, and from the wavelengths at which it
-meets it. Let s be a pinhole's picture of the surroundings of a pixel at a few wavelengths, linear between them, w the
-place in the blur for which a ray was drawn, with density q, and h the kernel of a surface at one depth. Then, with C =
-response x light x h(w) / q(w) at each wavelength of the ray,
+meets it. Let s be a pinhole's picture of the surroundings of a pixel at a few wavelengths, linear between them, x the
+middle of the cell of the pixel, a quarter of a pixel wide, that a ray passes, w the place in the blur for which it was
+drawn, with density q, and h the kernel of a surface at one depth. Then, with C = response x light x h(w) / q(w) at each
+wavelength of the ray,
 
-    f = sum of C (s(x - w) - F) / sum of C,    F = mean over the pixel of s, blurred by K,
+    f = sum of C (s(x - w) - F) / sum of C,    F = mean over the pixel's cells of s, blurred by K,
 
 has the mean 0, where K is the mean of h over the wavelengths, for each of those of s apart. It follows what the ray
 contributes where the depth is about that of the surface and s about the picture. The estimate less the sum of f over
@@ -44,6 +45,9 @@ GRIDS, GRID_MARGIN = (2, 4), 0.5
 LEVEL_STEP_PX, LEVEL_SHARE = 0.5, 0.04  # between levels of blur: the larger of a length and a share of the blur
 TAIL_RINGS = 16.0  # K ends this many lambda N beyond the geometric blur
 RADIUS_STEP = 0.1  # of the table of K, over the distance of the points of the grid
+# Weights of a node and its neighbours that have the frequency response sinc^2 of linear interpolation, to the fourth
+# order: 0.1 % off at 0.75 cycles per pixel with four nodes.
+LINEAR = (-1 / 240, 1 / 10, 1 - 2 / 10 + 2 / 240, 1 / 10, -1 / 240)
 STRIP_PX = 256  # rows that are blurred at once: they bound the memory
 
 
@@ -85,6 +89,7 @@ class Control:
     picture: Any  # texture of s, a channel per band
     extent: Any  # of the picture in pixels, along x and y
     margin_px: Any
+    cells: Any  # per pixel along each axis, at whose middles s is read
     level: Any  # of each pixel of the frame, row by row
     blur_px: Any  # signed visible blur of each level
     reach_px: Any  # of its kernel
@@ -104,6 +109,7 @@ class Control:
 
         level = dr.gather(mi.UInt32, self.level, pixel)
         blur = dr.gather(mi.Float, self.blur_px, level)
+        place = (dr.floor(place * self.cells) + 0.5) / self.cells
         seen = self.picture.eval((place - w + self.centre * (blur / 2) + self.margin_px) / self.extent)
         return list(seen), blur, dr.gather(mi.Float, self.reach_px, level)
 
@@ -145,6 +151,7 @@ def control(
         picture=texture(fine.ratio, wrap_mode=dr.WrapMode.Clamp),
         extent=mi.Point2f(dr.opaque(mi.Float, width), dr.opaque(mi.Float, height)),
         margin_px=dr.opaque(mi.Float, fine.margin_px),
+        cells=dr.opaque(mi.Float, fine.cells),
         level=mi.UInt32(level.astype(np.uint32).ravel()),
         # Two at least: the compiler reads an array of one number without looking up, which would be another kernel.
         blur_px=mi.Float(np.append(levels, levels[-1]).astype(np.float32)),
@@ -239,12 +246,14 @@ def padded_spectrum(images: NDArray[np.floating], shape: Sequence[int]) -> NDArr
 
 
 def _pixel_means(picture: NDArray[np.float32], cells: int, spare_px: int, points: int) -> NDArray[np.float32]:
-    """Means over a pixel's square of a picture [y, x] that is linear between nodes, at ``points`` per pixel; the first
-    is about the middle of a pixel. ``spare_px`` are added around it.
+    """Means of a picture [y, x], linear between nodes, at the middles of a pixel's cells, at ``points`` per pixel; the
+    first is about the middle of a pixel. ``spare_px`` are added around it.
+
+    They are sampled where the nodes lie. What linear interpolation takes from frequencies between, as an integral over
+    all places has it, is taken from the samples (:data:`LINEAR`).
     """
-    # Linear between nodes, the mean over ``cells`` distances about a midpoint has these weights of the nodes there.
-    weights = np.array([0.125, 0.875, *np.ones(cells - 2), 0.875, 0.125], np.float32) / np.float32(cells)
-    means, step = np.pad(picture, spare_px * cells + 1, mode="edge"), cells // points
+    weights = np.convolve(np.full(cells, 1 / cells), LINEAR).astype(np.float32)
+    means, step = np.pad(picture, spare_px * cells + len(LINEAR) // 2, mode="edge"), cells // points
     for _ in range(2):  # along y, then along x
         count = (len(means) - len(weights)) // step + 1
         parts = (means[first : first + step * count : step] for first in range(len(weights)))

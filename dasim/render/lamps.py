@@ -116,7 +116,7 @@ def light(
     aim_at: Any,
     hit: Any,
     known: Any,
-    even: Any,
+    even: tuple[Any, Any] | None,
     grid: tuple[Grid, Cell] | None,
 ) -> Any:
     """Spectral radiance that leaves a surface for light that comes straight from emitters.
@@ -130,7 +130,8 @@ def light(
         hit: mask of the rays.
         known: where the light of what surrounds the scene is known otherwise; there is no scattered ray there, whose
             light would count beside.
-        even: radiance of the surface per irradiance, where ``known``, 1/sr.
+        even: radiance of the surface per irradiance, where ``known``, 1/sr: where the ray ends, and the mean with what
+            is beside it in its texture, which counts; None without a field.
         grid: see :func:`grid_of`, and where each ray ends in it; None without.
     """
     import drjit as dr
@@ -150,15 +151,21 @@ def light(
         aimed, arriving = emitter.sample_direction(si, place, reached)
         # A lamp that samples itself gives infinities.
         active = reached & (aimed.pdf > 0) & dr.isfinite(aimed.pdf) & dr.any(arriving != 0)
-        value, other = bsdf.eval_pdf(context, si, si.to_local(aimed.d), active)
+        local = si.to_local(aimed.d)
+        value, other = bsdf.eval_pdf(context, si, local, active)
+        if even is not None:
+            # The cosine of a Lambertian surface, as its shading has it; that of the surface where it reflects nothing.
+            own, mean = even
+            plain = mi.Spectrum(dr.select(local.z * si.wi.z > 0, dr.abs(local.z), 0.0))
+            value = mi.Spectrum(dr.select(known, mean * dr.select(own > 0, value / own, plain), value))
         share = dr.select(aimed.delta | known, 1.0, power_heuristic(aimed.pdf / weight, other))
         sample = value * arriving * (weight * share)
         is_seen = active & ~scene.ray_test(si.spawn_ray_to(aimed.p), active)
         added, count = dr.select(is_seen, sample, 0.0), mi.UInt32(1)
-        if grid is not None:
+        if grid is not None and even is not None:
             whole, seen = _interpolated(*grid, index, known & reached)
             control = dr.select(whole > 0, seen / whole, 0.0)
-            added += control * dr.select(active, even * (whole * aimed.pdf) * arriving - sample, 0.0)
+            added += control * dr.select(active, even[1] * (whole * aimed.pdf) * arriving - sample, 0.0)
             # Whatever the samples are: their number must not depend on them.
             doubted = reached & ~mi.has_flag(emitter.flags(), mi.EmitterFlags.Delta)
             doubted &= ~((whole > 0) & ((seen <= 0) | (seen >= whole)))

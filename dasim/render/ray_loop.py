@@ -24,7 +24,7 @@ from dasim.camera import geometry
 from dasim.camera.rings import at_pixels
 from dasim.camera.specification import Camera
 from dasim.camera.stops import Stop
-from dasim.render import backend, layers, transport
+from dasim.render import backend, layers, splitting, transport
 from dasim.render.control_variate import Control, Fine
 from dasim.render.frozen import frozen
 from dasim.render.irradiance import Field
@@ -307,8 +307,9 @@ def signals(
     """Response x light x weight of each ray with the radiance of its end and with that of the lights, alternating by
     channel; ``numbers`` as for :func:`transport.radiance`.
     """
+    shifts = splitting.uv_shifts(shared, rays, si)
     radiance = transport.radiance(
-        shared.scene, shared.emitters, shared.integrator, lanes.sampler, rays.ray, si, numbers, shared.field
+        shared.scene, shared.emitters, shared.integrator, lanes.sampler, rays.ray, si, numbers, shared.field, shifts
     )
     values, lit = [], lit_by(rays.entries)
     for channel in range(shared.channels):

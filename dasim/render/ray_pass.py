@@ -16,7 +16,7 @@ from dasim.camera.sensor import principal_point
 from dasim.camera.specification import Camera
 from dasim.camera.stops import Stop
 from dasim.render import lamps, pupil, transport, wave
-from dasim.render.control_variate import Control
+from dasim.render.control_variate import CELLS, Control
 from dasim.render.irradiance import Field
 from dasim.render.plugin import texture
 from dasim.render.wavelengths import Responses, draw_table, frame_density
@@ -72,6 +72,7 @@ class Pass:
     aberration: pupil.Aberration | None  # in geometric optics
     in_focus: bool  # whether every depth is, see :func:`dasim.render.ray_loop.render`
     control: Control | None
+    cells: Any  # opaque number of cells per pixel along each axis, see :mod:`dasim.render.splitting`
 
     @property
     def has_single_wavelengths(self) -> bool:
@@ -136,6 +137,7 @@ def prepare(
         aberration=pupil.aberration(camera, stop, mean_nm) if stop is not None and blur is None else None,
         in_focus=in_focus,
         control=control,
+        cells=dr.opaque(mi.Float, CELLS) if control is None else control.cells,
     )
 
 

@@ -8,6 +8,7 @@ Tested in tests/dasim/render/test_passes.py.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 from dasim.render import lamps
@@ -36,6 +37,7 @@ def radiance(
     si: Any,
     numbers: tuple[Any, Any, Any],
     field: Field | None,
+    shifts: Sequence[Any] = (),
 ) -> Any:
     """Spectral radiance along ``ray``, whose first intersection is ``si``.
 
@@ -51,6 +53,8 @@ def radiance(
         si: its surface interaction.
         numbers: uniform numbers: two for an emitter, two for a direction, one for a lobe of the scattering function.
         field: known irradiance, or None.
+        shifts: of texture coordinates; where irradiance is known, reflectance is the mean of that at the end of the ray
+            and with these.
     """
     import drjit as dr
     import mitsuba as mi
@@ -59,14 +63,21 @@ def radiance(
     context, hit = mi.BSDFContext(), si.is_valid()
     bsdf = si.bsdf(ray)
     result = si.emitter(scene).eval(si)
-    traced, known, even, grid = hit, mi.Bool(False), mi.Spectrum(0.0), None
+    traced, known, even, grid = hit, mi.Bool(False), None, None
     if field is not None:
         irradiance, known, cell = field.at(si, hit & lambertian(bsdf))
         grid = None if field.lamps is None else (field.lamps, cell)
         traced = hit & ~known
         upright = mi.Vector3f(0.0, 0.0, dr.select(si.wi.z < 0, -1.0, 1.0))
-        even = bsdf.eval(context, si, upright, known)
-        result += dr.select(known, even * irradiance, 0.0)
+        own = bsdf.eval(context, si, upright, known)
+        mean = mi.Spectrum(own)
+        for shift in shifts:
+            beside = mi.SurfaceInteraction3f(si)
+            beside.uv += shift
+            mean += bsdf.eval(context, beside, upright, known)
+        mean /= 1 + len(shifts)
+        even = own, mean
+        result += dr.select(known, mean * irradiance, 0.0)
     result += lamps.light(scene, emitters, bsdf, si, aim_at, hit, known, even, grid)
 
     scattered, weight = bsdf.sample(context, si, lobe, place, traced)

@@ -32,7 +32,7 @@ from tests.support.called import Batch, Record, recorded
 RENDER = Path(ray_loop.__file__).parent
 # Modules whose functions trace rays, or are called where plugins of ours meet them.
 LOOP = """blur_tables control_variate field_angle irradiance irradiance_tracing lamps light_paths light_spectra mixture
-pattern_blur plugin pinhole pupil radial_blur radial_tables ray_block ray_loop ray_pass sobol surrounding
+pattern_blur plugin pinhole pupil radial_blur radial_tables ray_block ray_loop ray_pass sobol splitting surrounding
 transport foreign/colours""".split()
 # Of Dr.Jit, all of which both kinds of arrays have; and of Mitsuba, whose types are those of the variant.
 DRJIT = """abs all any arange atan block_sum brev clip cos dot eval floor fma full gather isfinite lerp make_opaque
