@@ -25,7 +25,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from dasim.render.irradiance_nodes import SAME_PLANE
 from dasim.render.lamps import Cell, Grid
 from dasim.render.light_spectra import NODES
 from dasim.spectra import grid
@@ -33,6 +32,7 @@ from dasim.typing import FloatArray
 
 STRIDE_PX = 3.0
 PARTS = 3  # of a refined cell along each side
+SAME_PLANE = 5e-3  # distance of a point from the plane of a node, over its depth
 # Largest error that is expected of a node: its distance over that of the surroundings, plus the turn between normals
 # (Ward et al., eq. 4). Where all four corners of a cell are used, first orders cancel.
 BETWEEN_ERROR, BEYOND_ERROR = 0.5, 0.3

@@ -17,8 +17,7 @@ from dasim.typing import FloatArray
 
 AGREEMENT = 0.15  # largest relative difference of irradiance between neighbours
 SAME_NORMAL = 0.9  # cosine
-SAME_PLANE = 5e-3  # distance of a point from the plane of a node, over its depth
-SAME_DEPTH = 0.1  # largest relative difference of 1/z between neighbours
+SAME_DEPTH = 0.02  # largest relative difference of 1/z per node of distance
 # Distance of averaged nodes: least cosine between their normals, largest relative difference of a pair from the middle.
 SMOOTHING = {1: (SAME_NORMAL, AGREEMENT), 2: (0.998, 0.02), 4: (0.998, 0.02)}
 WIDEST = 0.015  # largest distance of averaged nodes beyond neighbours, as a tangent seen from the lens
@@ -64,17 +63,16 @@ class Nodes:
         grid = self.grid
         return np.stack([grid[:-1, :-1], grid[:-1, 1:], grid[1:, :-1], grid[1:, 1:]], axis=-1).reshape(-1, 4)
 
-    def same_surface(self, here: NDArray[np.intp], there: NDArray[np.intp], aligned: float) -> NDArray[np.bool_]:
-        """Whether pairs of nodes see one surface: each in the plane of the other, with normals of a cosine of at least
-        ``aligned``.
+    def same_surface(
+        self, here: NDArray[np.intp], there: NDArray[np.intp], aligned: float, apart: int = 1
+    ) -> NDArray[np.bool_]:
+        """Whether pairs of nodes, so many places ``apart``, see one surface: normals have a cosine of at least
+        ``aligned``, and depths are near.
         """
-        z, place, normal = self.surface[:, 0], self.place, self.surface[:, 1:4]
-        offset, scale = place[there] - place[here], SAME_PLANE * place[here, 2]
+        z, normal = self.surface[:, 0], self.surface[:, 1:4]
         same = self.known[here] & self.known[there]
         same &= np.einsum("nk,nk->n", normal[here], normal[there]) > aligned
-        for own in (here, there):
-            same &= np.abs(np.einsum("nk,nk->n", offset, normal[own])) < scale
-        return same & (np.abs(z[here] - z[there]) < SAME_DEPTH * z[here])
+        return same & (np.abs(z[here] - z[there]) < apart * SAME_DEPTH * z[here])
 
 
 def smoothed(ratio: FloatArray, nodes: Nodes, spectra: FloatArray, apart: float) -> FloatArray:
@@ -121,7 +119,7 @@ def _averaged(
         same = np.abs((level[pair[0]] + level[pair[1]]) / 2 - level[here]) < agreement * level[here]
         for there in pair:
             same &= np.abs(level[there] - level[here]) < AGREEMENT * level[here]
-            same &= nodes.same_surface(here, there, aligned)
+            same &= nodes.same_surface(here, there, aligned, step)
         here, pair = here[same], (pair[0][same], pair[1][same])
         share = 1.0 if dy and dx else 2.0
         total[here] += share * (ratio[pair[0]] + ratio[pair[1]])

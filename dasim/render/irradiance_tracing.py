@@ -32,7 +32,7 @@ DIRECTIONS_PER_SAMPLE = 4  # directions of a point per sample of a pixel
 FEWEST_DIRECTIONS, MOST_DIRECTIONS = 64, 1024
 # Directions of the nodes of refined cells: at least, and a part of those of the grid's nodes, which are nine times as
 # sparse.
-FEWEST_FINE, FINE_PART = 16, 8
+FEWEST_FINE, FINE_PART = 32, 4
 FINE_AGREEMENT = 0.3  # as irradiance_nodes.AGREEMENT: light between near corners is more nearly linear
 PROBES = 0.25, 0.75  # places in a cell, along each side, that tell whether it is refined
 
