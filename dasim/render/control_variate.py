@@ -45,10 +45,23 @@ GRIDS, GRID_MARGIN = (2, 4), 0.5
 LEVEL_STEP_PX, LEVEL_SHARE = 0.5, 0.04  # between levels of blur: the larger of a length and a share of the blur
 TAIL_RINGS = 16.0  # K ends this many lambda N beyond the geometric blur
 RADIUS_STEP = 0.1  # of the table of K, over the distance of the points of the grid
-# Weights of a node and its neighbours that have the frequency response sinc^2 of linear interpolation, to the fourth
-# order: 0.1 % off at 0.75 cycles per pixel with four nodes.
-LINEAR = (-1 / 240, 1 / 10, 1 - 2 / 10 + 2 / 240, 1 / 10, -1 / 240)
 STRIP_PX = 256  # rows that are blurred at once: they bound the memory
+
+
+def _linear(neighbours: int = 6, highest: float = 0.8) -> FloatArray:
+    """Weights of a node and its neighbours whose frequency response is sinc^2, that of linear interpolation.
+
+    By least squares as far as a share ``highest`` of the nodes' Nyquist frequency: 4e-4 off at most, 5e-5 at its half.
+    """
+    frequency = np.linspace(0.0, highest / 2, 200)  # per node
+    cosines = 2 * np.cos(2 * np.pi * np.outer(frequency, np.arange(neighbours + 1)))
+    cosines[:, 0] /= 2
+    half = np.linalg.lstsq(cosines, np.sinc(frequency) ** 2, rcond=None)[0]
+    weights = np.concatenate([half[:0:-1], half])
+    return np.asarray(weights / weights.sum())
+
+
+LINEAR = _linear()
 
 
 @dataclass(frozen=True)

@@ -55,8 +55,9 @@ NEARLY = 1.05  # times the least noise that a round can reach, for which it is n
 # have cost more; beyond it, further pictures have an irradiance of more directions, by MOST_FINER times at most.
 SHARED, SHARED_LATER, MOST_FINER = 0.5, 0.7, 16
 CERTAIN = 3.0  # standard errors by which it must exceed that
-# A finer irradiance of f times the directions costs about as much as 20 f rays per pixel; of N, about N / 8 f are asked
-# for by its own part of the noise, if that is an eighth at f = 1: together they are fewest for f^2 = N / 160.
+# Noise of irradiance brings rays that need not be, as 1 / f, and irradiance of f times the directions costs as f: of N
+# wanted rays per pixel, the best f is the root of N over a constant. Of 40 and 160, tried on four random scenes, 160
+# took less time.
 RAYS_PER_FINENESS = 160.0
 LEAST_LIGHT = 0.1  # that noise is compared with, of the mean: no samples are spent on what is nearly black
 # The mean number of samples is found by halving, from some rows and columns.

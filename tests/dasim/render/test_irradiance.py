@@ -3,6 +3,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 import dasim
 from dasim.camera.sensor import principal_point
@@ -189,8 +190,35 @@ def test_refined_cells_know_light_where_the_grid_does_not(jit) -> None:
     assert np.sqrt(np.mean((blocks(field, 64) / blocks(None, 256) - 1) ** 2)) < 0.03
 
 
-def _known(world: Any, camera: dasim.Camera, field: irradiance.Field) -> float:
-    """Share of the rays through the middle of the lens that end where the irradiance is known."""
+def test_refined_cells_have_the_nodes_of_their_places(jit, monkeypatch) -> None:
+    """Rationale: light changes little within a cell, so that the wrong one of its nodes would hardly be seen; depth on
+    a floor that recedes fast changes much.
+
+    Set-up: rays that end in refined cells of such a floor.
+    Expectation: they end on the surface that the cell's corners see, where depths agree within 0.1 %; and, where points
+    must lie in the planes of the nodes within 0.1 mm, as many know their light.
+    """
+    scene = dasim.random_scene(0, 3, dasim.RandomScenes(floating=True))
+    camera = dasim.focused(dasim.cropped(dasim.load_camera("da-mobile"), 96, 72), scene)
+    world = translate.load(scene)
+    field = passes.irradiance_field(world, camera, scenes.light_spectrum(scene), 0.0, 64, 1)
+    assert field is not None
+
+    def found() -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+        si, known, cell = _light(world, camera, field)
+        rows, columns = field.shape
+        here = (np.array(cell.number) >= (rows - 1) * (columns - 1)) & (np.abs(np.array(si.n)[1]) > 0.99)
+        assert here.sum() > 500
+        return np.array(known)[here], np.array(cell.is_on_surface)[here]
+
+    known, is_on_surface = found()
+    assert is_on_surface[known].mean() > 0.8
+    monkeypatch.setattr(irradiance, "SAME_PLANE", 2e-4)
+    assert found()[0].mean() > 0.95 * known.mean()
+
+
+def _light(world: Any, camera: dasim.Camera, field: irradiance.Field) -> tuple[Any, Any, Any]:
+    """Where rays through the middle of the lens end, whether light is known there, and in which cell."""
     import drjit as dr
     import mitsuba as mi
 
@@ -201,4 +229,10 @@ def _known(world: Any, camera: dasim.Camera, field: irradiance.Field) -> float:
     ray = mi.RayDifferential3f(mi.Ray3f(mi.Point3f(0.0), dr.normalize(mi.Vector3f(slope.x, slope.y, 1.0))))
     ray.wavelengths = mi.Spectrum(450.0, 550.0, 600.0, 700.0)
     si = world.ray_intersect(ray)
-    return float(np.mean(field.at(si, si.is_valid() & irradiance.lambertian(si.bsdf(ray)))[1]))
+    _, known, cell = field.at(si, si.is_valid() & irradiance.lambertian(si.bsdf(ray)))
+    return si, known, cell
+
+
+def _known(world: Any, camera: dasim.Camera, field: irradiance.Field) -> float:
+    """Share of the rays through the middle of the lens that end where the irradiance is known."""
+    return float(np.mean(_light(world, camera, field)[1]))
