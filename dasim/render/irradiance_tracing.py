@@ -75,7 +75,7 @@ def field(
         spectra = np.stack([light_spectra.above_zero(curve) for curve in lights.spectra])
         at_nm = light_spectra.FINE_NM
     lit = np.stack([np.interp(light_spectra.nodes_nm(), at_nm, curve) for curve in spectra])
-    tracer = _Tracer(scene, integrator, lights.shares(), lit, start, px_per_m)
+    tracer = _Tracer(scene, integrator, lights.shares(), lit, start, px_per_m, frozen(_trace_points))
     empty = lights.slots - len(spectra) if len(spectra) > 1 else 0
 
     def made(refined: NDArray[np.intp], found: _Found, grid_of_lamps: lamps.Grid | None) -> Field:
@@ -226,6 +226,7 @@ class _Tracer:
     lit: FloatArray  # spectra of the lights, [light, wavelength]
     start_px: tuple[float, float]
     px_per_m: float
+    traced: Callable[..., tuple[list[Any], list[Any]]]  # :func:`_trace_points`, frozen or not
 
     def trace(
         self, rows: NDArray[np.intp], columns: NDArray[np.intp], stride_px: float, directions: int, seed: int
@@ -239,7 +240,7 @@ class _Tracer:
         places = np.column_stack([columns, rows])
         slopes: FloatArray = np.asarray((places * stride_px + self.start_px) / self.px_per_m, dtype=float)
         received, met = np.zeros((len(rows), *self.lit.shape)), np.zeros((len(rows), 6))
-        at_once, traced = max(1, backend.lanes() // directions), frozen(_trace_points)
+        at_once = max(1, backend.lanes() // directions)
         each = dr.opaque(mi.UInt32, directions)
         sobol_key = np.random.SeedSequence((seed,)).generate_state(1)[0]
         within = in_tile(rows, columns)
@@ -258,7 +259,7 @@ class _Tracer:
             key = np.random.SeedSequence((seed, first)).generate_state(1)[0]
             stratum = of_nodes(mi.UInt32, within), of_nodes(mi.UInt32, of_tile % 2**32)
             rays = _Rays(slope, *stratum, points(TILE**2 * directions), dr.opaque(mi.UInt32, key))
-            values, geometry = _traced(traced, (self.scene, self.integrator, self.shares), rays, directions)
+            values, geometry = _traced(self.traced, (self.scene, self.integrator, self.shares), rays, directions)
             received[part] = values[:, : len(self.lit)] / self.lit
             met[part] = geometry
         return received, slopes, met
