@@ -1,6 +1,6 @@
 """The exact pictures of a view: through a pinhole, and through the lens with every depth in focus.
 
-Tested in tests/dasim/simulation/test_simulate.py.
+Tested in tests/dasim/simulation/test_exact.py.
 """
 
 from __future__ import annotations

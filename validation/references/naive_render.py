@@ -3,7 +3,7 @@
 It uses the same scene, lens geometry and responses as ``dasim.render.passes``, but none of its sampling, and serves as
 the baseline for the cost of rendering. It models no diffraction.
 
-Tested in tests/validation/claims/test_checks.py.
+Tested in tests/validation/claims/test_optics_checks.py.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """A room under lights of different spectra, and its pictures with interpolated and with traced light.
 
-Tested in tests/validation/claims/test_checks.py.
+Tested in tests/validation/claims/test_light_checks.py.
 """
 
 from __future__ import annotations

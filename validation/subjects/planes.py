@@ -1,6 +1,6 @@
 """Upright planes at chosen blurs under one sun, whose shadows fall outside the view, and captures of them.
 
-Tested in tests/validation/claims/test_checks.py.
+Tested in tests/validation/claims/test_optics_checks.py.
 """
 
 from __future__ import annotations

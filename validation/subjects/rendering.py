@@ -1,6 +1,6 @@
 """Small scenes and modified cameras for claims, and renders of them.
 
-Tested in tests/validation/claims/test_checks.py.
+Tested in tests/validation/claims/test_light_checks.py.
 """
 
 from __future__ import annotations

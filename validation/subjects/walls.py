@@ -1,6 +1,6 @@
 """An even wall lit by a named illuminant, or by an arbitrary spectrum, which scene files cannot express.
 
-Tested in tests/validation/claims/test_checks.py.
+Tested in tests/validation/claims/test_light_checks.py.
 """
 
 from __future__ import annotations
