@@ -88,7 +88,7 @@ def stop_pass(
         in_focus=in_focus,
         control=control,
     )
-    rate = picture.value
+    rate = picture.value.astype(float)
     rate -= picture.variate
     return with_glare(np.maximum(rate, 0.0, out=rate), camera, stop)
 
@@ -193,7 +193,7 @@ def pinhole_pass(
     sampling: Sampling,
     field: Field | None = None,
     also: Camera | None = None,
-) -> FloatArray:
+) -> NDArray[np.floating]:
     """Mean electrons per second with every stop shrunk to a point at unchanged light, [h, w, channel].
 
     All stops see the same rays through a point, so that one pass serves them all. The channels of ``also``, another
@@ -202,6 +202,7 @@ def pinhole_pass(
     import mitsuba as mi
 
     responses = pinhole_responses(camera, also)
+    rate: NDArray[np.floating]
     if mi.variant().startswith("scalar"):
         rate = stock.pinhole_pass(mitsuba_scene, camera, responses, sampling)
     else:

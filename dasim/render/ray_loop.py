@@ -74,8 +74,8 @@ class Ratios(NamedTuple):
     denominators.
     """
 
-    value: FloatArray
-    variate: FloatArray  # zeros where there is no control
+    value: NDArray[np.floating]
+    variate: NDArray[np.floating]  # zeros where there is no control
     light: NDArray[np.float32]  # denominator of ``value`` over its expectation; 1 where layers are joined
     variate_light: NDArray[np.float32]  # of ``variate``; both 1 through a pinhole
 
@@ -158,10 +158,10 @@ def ratios(
     """Electrons over those of a surface of the lights' spectral radiance, see :func:`render`."""
     shape = (*responses.place.shape, responses.channels)
     shared = prepare(scene, camera, stop, max_blur_px, field, responses, in_focus, control)
-    none, even = np.broadcast_to(0.0, shape), np.broadcast_to(np.float32(1.0), shape)
+    none, even = (np.broadcast_to(np.float32(value), shape) for value in (0, 1))
     light = even if stop is None else np.ones(shape, np.float32)
-    variates = (none, even) if control is None else (np.zeros(shape), np.ones(shape, np.float32))
-    result = Ratios(np.zeros(shape), variates[0], light, variates[1])
+    variates = (none, even) if control is None else (np.zeros(shape, np.float32), np.ones(shape, np.float32))
+    result = Ratios(np.zeros(shape, np.float32), variates[0], light, variates[1])
     wanted: list[Any] = [part.reshape(-1, shape[-1]) if part.flags.writeable else None for part in result]
 
     def keep(pixels: Pixels, channel: int, traced: Ratios) -> None:

@@ -70,12 +70,12 @@ class AdaptiveRender:
     """The mean of several pictures, and the rendering noise that remains in it."""
 
     measured: Measured
-    variance: FloatArray  # of the sum over stops, [h, w, channel], mean over a few pixels
+    variance: NDArray[np.floating]  # of the sum over stops, [h, w, channel], mean over a few pixels
     share: tuple[float, ...]  # rendering noise over the sensor's at the percentile, per channel
 
 
 def render_to_noise_target(
-    picture: Callable[[int, NDArray[np.int64], int], Picture],
+    picture: Callable[[int, int, NDArray[np.int64], int], Picture],
     sensor_variance: Callable[[FloatArray], FloatArray],
     *,
     shape: tuple[int, int, int],
@@ -91,8 +91,9 @@ def render_to_noise_target(
     have a finer irradiance. Nor does a pilot count that asks for so many samples that another one follows it.
 
     Args:
-        picture: ``picture(index, spp, finer)`` renders ``spp`` samples, [stop, h, w], with random numbers keyed by
-            ``index``, and with an irradiance of ``finer`` times as many directions, which every second picture shares.
+        picture: ``picture(number, index, spp, finer)`` renders the stop of a ``number`` with its part of ``spp``
+            samples, [stop, h, w], with random numbers keyed by ``index``, and with an irradiance of ``finer`` times as
+            many directions, which every second picture shares. The result has this stop alone.
         sensor_variance: variance of the sensor's noise [h, w, channel] for a sum over stops, in its unit squared.
         shape: number of stops, height and width.
         target: rendering noise over the sensor's noise, at the percentile of the pixels, in the worst channel.
@@ -104,10 +105,12 @@ def render_to_noise_target(
     spp = np.full(shape, PILOT_SPP, dtype=np.int64)
     factor, number, rounds, pilot_wants, finer = 1.0, 0, 0, np.zeros(shape), 1
     while True:
-        first, second = picture(2 * number, spp, finer), picture(2 * number + 1, spp, finer)
-        sums = no_pairs(first) if sums is None else sums
-        add(sums, first, second)
-        del first, second
+        for stop in range(shape[0]):  # apart: pictures of large frames take gigabytes
+            first, second = (picture(stop, index, spp, finer) for index in (2 * number, 2 * number + 1))
+            sums = no_pairs(first, shape[0]) if sums is None else sums
+            add(sums.of_stop(stop), first, second)
+            del first, second
+        assert sums is not None
         result = measured(sums)
         limit, (variance, shared) = sensor_variance(result.rate.sum(axis=0)), of_sum(sums, kept)
         of_all, of_samples, of_irradiance = (
@@ -162,7 +165,7 @@ class _Left(NamedTuple):
 
     wants: FloatArray  # [stop, h, w] samples that the pilot asks for
     measured: Measured
-    variance: FloatArray  # [h, w, channel] of the sum over stops, without what neighbours share
+    variance: NDArray[np.floating]  # [h, w, channel] of the sum over stops, without what neighbours share
     limit: FloatArray  # [h, w, channel] variance of the sensor's noise
 
 
@@ -205,9 +208,11 @@ def wanted_spp(
     no more than those at it.
     """
     limit = target**2 * sensor_variance(np.maximum(around(pilot.rate).sum(axis=0), 0.0))
-    part = (pilot.around * pilot.spp[..., None] ** SLOPE) ** (1 / (SLOPE + 1))
-    scale = np.divide(part.sum(axis=0), limit, out=np.zeros_like(limit), where=limit > 0) ** (1 / SLOPE)
-    wanted = (part * scale).max(axis=-1)
+    done, wanted = pilot.spp**SLOPE, np.zeros(pilot.around.shape[:-1])
+    for channel in range(limit.shape[-1]):
+        part, most = (pilot.around[..., channel] * done) ** (1 / (SLOPE + 1)), limit[..., channel]
+        scale = np.divide(part.sum(axis=0), most, out=np.zeros_like(most), where=most > 0) ** (1 / SLOPE)
+        np.maximum(wanted, part * scale, out=wanted)
     return np.minimum(wanted, np.percentile(wanted, percentile, axis=(1, 2), keepdims=True))
 
 

@@ -76,7 +76,7 @@ def check_in_view(scene: Scene | MitsubaScene, depth_m: FloatArray) -> None:
 
 
 def check_finite(
-    scene: Scene | MitsubaScene, rate: FloatArray, objects_at: Callable[[NDArray[np.bool_]], list[str]]
+    scene: Scene | MitsubaScene, rate: NDArray[np.floating], objects_at: Callable[[NDArray[np.bool_]], list[str]]
 ) -> None:
     """Raise InputError if the light of a picture, [h, w, channel], is infinite or NaN.
 

@@ -127,7 +127,8 @@ def _with_more(view: View, sharp: SharpPictures, spp: NDArray[np.int64], seed: i
     check_finite(view.scene, more, view.objects_at)
     share, own = (spp / (SHARP_SPP + spp))[..., None], sharp.rate.shape[-1]
     rate, of_twin = (
-        known + share * (new - known) for known, new in ((sharp.rate, more[..., :own]), (sharp.twin, more[..., own:]))
+        np.asarray(known + share * (new - known), float)
+        for known, new in ((sharp.rate, more[..., :own]), (sharp.twin, more[..., own:]))
     )
     return _Pinhole(rate, of_twin)
 

@@ -16,7 +16,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dasim.camera import noise
-from dasim.camera import sensor as sensors
 from dasim.camera.noise import Exposure
 from dasim.camera.specification import Camera
 from dasim.render import passes
@@ -127,7 +126,9 @@ def independent_picture(
     return replace(like, rate=rate, variance=variance)
 
 
-def _at_level(view: View, rate: FloatArray, variance: FloatArray | None) -> tuple[FloatArray, FloatArray | None]:
+def _at_level(
+    view: View, rate: FloatArray, variance: NDArray[np.floating] | None
+) -> tuple[FloatArray, NDArray[np.floating] | None]:
     """A picture and its variance at the scene's light level, in place: arrays of large frames are gigabytes.
 
     Raises InputError for light so strong that sums of it are infinite, as of a lamp beside the frame.
@@ -204,20 +205,6 @@ def picture_seed(seed: int, index: int, stream: int = LENS) -> int:
     return int(np.random.SeedSequence((seed, index, stream)).generate_state(1)[0])
 
 
-def stop_pictures(
-    view: View, sharp: SharpPictures, field: Any, spp: NDArray[np.int64], seed: int, progress: Progress, label: str = ""
-) -> Picture:
-    """One picture through each stop, before glare."""
-    sensor, stops = view.camera.sensor, len(view.camera.stops)
-    shape = stops, sensor.height_px, sensor.width_px, len(sensors.channels(sensor))
-    whole: list[Any] = [np.empty(shape, kind) for kind in (float, float, np.float32, np.float32)]
-    for number in range(stops):
-        ratios = stop_picture(view, sharp, number, field, spp[number], seed, progress, label)
-        for part, values in zip(whole, ratios, strict=True):
-            part[number] = values
-    return Picture(spp, *whole)
-
-
 def stop_picture(
     view: View,
     sharp: SharpPictures,
@@ -265,11 +252,13 @@ def _adaptive_picture(
 
     of_pictures = {1: fields}  # irradiance of every second picture, by how fine it is
 
-    def picture(index: int, spp: NDArray[np.int64], finer: int) -> Picture:
+    def picture(number: int, index: int, spp: NDArray[np.int64], finer: int) -> Picture:
         if finer not in of_pictures:
             of_pictures[finer] = irradiance(view, sampling, 2, finer=finer), irradiance(view, sampling, 3, finer=finer)
-        field, label = of_pictures[finer][index % 2], f", picture {index + 1}"
-        return stop_pictures(view, sharp, field, spp, picture_seed(sampling.seed, index), progress, label)
+        field, label, seed = of_pictures[finer][index % 2], f", picture {index + 1}", picture_seed(sampling.seed, index)
+        ratios = stop_picture(view, sharp, number, field, spp[number], seed, progress, label)
+        arrays: list[Any] = [each[None] for each in ratios]
+        return Picture(spp[[number]], *arrays)
 
     result = render_to_noise_target(
         picture,
@@ -280,7 +269,7 @@ def _adaptive_picture(
         kept=[1 - stop.glare_share for stop in camera.stops],
     )
     done = result.measured
-    total, _ = glared(camera, lambda number: (done.rate[number], np.zeros((), np.float32)))
+    total, _ = glared(camera, lambda number: (done.rate[number].astype(float), np.zeros((), np.float32)))
     rate, variance = _at_level(view, total, result.variance)
     mean_spp = result.measured.spp.mean(axis=(1, 2)).round(2)
     described = {

@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from dasim.typing import FloatArray
+from dasim.typing import Float32Array, FloatArray
 
 # A difference of two pictures has one degree of freedom per pixel, and nearby pixels have like noise: squares are
 # averaged over a window. Variances that are stated have these weights of its rows and columns: 18 degrees of freedom, a
@@ -38,8 +38,8 @@ class Picture(NamedTuple):
     """A picture of a view through each stop."""
 
     spp: NDArray[np.int64]  # [stop, h, w] or [stop, 1, 1] samples per pixel of each stop
-    rate: FloatArray  # [stop, h, w, channel] mean electrons per second
-    variate: FloatArray  # the control variate
+    rate: NDArray[np.floating]  # [stop, h, w, channel] mean electrons per second
+    variate: NDArray[np.floating]  # the control variate
     light: NDArray[np.float32] | float = 1.0  # denominator of the ratio ``rate``, over its expectation
     variate_light: NDArray[np.float32] | float = 1.0  # of ``variate``
 
@@ -47,9 +47,9 @@ class Picture(NamedTuple):
 class Measured(NamedTuple):
     """The mean of pictures, and its variance."""
 
-    rate: FloatArray  # [stop, h, w, channel] mean electrons per second through each stop
-    variance: FloatArray  # [stop, h, w, channel] of ``rate``, mean by ``WEIGHTS``
-    around: FloatArray  # the same from the pixels around each, without its own
+    rate: Float32Array  # [stop, h, w, channel] mean electrons per second through each stop
+    variance: Float32Array  # [stop, h, w, channel] of ``rate``, mean by ``WEIGHTS``
+    around: Float32Array  # the same from the pixels around each, without its own
     spp: NDArray[np.int64]  # [stop, h, w] or [stop, 1, 1] samples per pixel of all pictures together
 
 
@@ -61,17 +61,22 @@ class Sums(NamedTuple):
     """
 
     spp: NDArray[np.int64]  # [stop, h, w] or [stop, 1, 1] samples per pixel
-    rate: FloatArray  # [stop, h, w, channel] of the pictures
-    variate: FloatArray  # of their control variates
-    difference: NDArray[np.float32]  # of the pictures
-    variate_difference: NDArray[np.float32]  # of the control variates
+    rate: Float32Array  # [stop, h, w, channel] of the pictures
+    variate: Float32Array  # of their control variates
+    difference: Float32Array  # of the pictures
+    variate_difference: Float32Array  # of the control variates
+
+    def of_stop(self, number: int) -> Sums:
+        """Those of one stop, a view."""
+        return _part_of_sums(self, (slice(number, number + 1), slice(None), slice(None), slice(None)))
 
 
-def no_pairs(like: Picture) -> Sums:
-    """Sums of no pairs, for pictures of the shapes of ``like``."""
+def no_pairs(like: Picture, stops: int = 1) -> Sums:
+    """Sums of no pairs, for pictures of the shapes of ``like``, which has one stop or all of them."""
+    spp = np.repeat(np.zeros_like(like.spp), stops, axis=0)
     shape = np.broadcast_shapes(like.rate.shape, (*like.spp.shape, 1))
-    differences = (np.zeros(shape, np.float32) for _ in range(2))
-    return Sums(np.zeros_like(like.spp), np.zeros(shape), np.zeros(shape), *differences)
+    shape = (stops * shape[0], *shape[1:])
+    return Sums(spp, *(np.zeros(shape, np.float32) for _ in range(4)))
 
 
 def add(sums: Sums, first: Picture, second: Picture) -> None:
@@ -88,13 +93,13 @@ def measured(sums: Sums) -> Measured:
     (a - b)^2 m n / (m + n)^2; likewise the sums over the first and over the second pictures of pairs of equal samples.
     It is averaged by ``WEIGHTS``.
     """
-    rate, variance, beside = (np.empty(sums.rate.shape) for _ in range(3))
+    rate, variance, beside = (np.empty(sums.rate.shape, np.float32) for _ in range(3))
     for at in _parts(sums.rate.shape):
         rate[at], variance[at], beside[at] = _measured(_part_of_sums(sums, at))
     return Measured(rate, variance, beside, sums.spp.copy())
 
 
-def of_sum(sums: Sums, kept: Sequence[float] | None = None) -> tuple[FloatArray, FloatArray]:
+def of_sum(sums: Sums, kept: Sequence[float] | None = None) -> tuple[Float32Array, Float32Array]:
     """Variance of the sum over stops, mean by ``WEIGHTS``, and the part that neighbours share, [h, w, channel].
 
     More samples of a pixel do not reduce that part, finer irradiance does. With n pixels in a window, n times the
@@ -102,7 +107,7 @@ def of_sum(sums: Sums, kept: Sequence[float] | None = None) -> tuple[FloatArray,
     irradiance, so that their differences add before they are squared; ``kept`` are factors on the stops, by default 1.
     """
     stops, height, width, channels = sums.rate.shape
-    variance, shared = np.empty((2, height, width, channels))
+    variance, shared = np.empty((2, height, width, channels), np.float32)
     for channel in range(channels):
         left = np.zeros((height, width))
         for stop in range(stops):
@@ -176,12 +181,14 @@ def _part_of_sums(sums: Sums, at: tuple[slice, ...]) -> Sums:
 def _add(sums: Sums, first: Picture, second: Picture) -> None:
     """Add a pair to the sums of a part, but for its samples."""
     m, n = (each.spp[..., None].astype(float) for each in (first, second))
-    np.add(sums.rate, _joined((m, first.rate, first.light), (n, second.rate, second.light)), out=sums.rate)
-    variates = (m, first.variate, first.variate_light), (n, second.variate, second.variate_light)
-    np.add(sums.variate, _joined(*variates), out=sums.variate)
-    differences = first.rate - second.rate, first.variate - second.variate
-    for total, difference in zip((sums.difference, sums.variate_difference), differences, strict=True):
-        np.add(total, np.sqrt(m * n) * difference, out=total, casting="same_kind")
+    parts = (
+        (sums.rate, _joined((m, first.rate, first.light), (n, second.rate, second.light))),
+        (sums.variate, _joined((m, first.variate, first.variate_light), (n, second.variate, second.variate_light))),
+        (sums.difference, np.sqrt(m * n) * (first.rate - second.rate)),
+        (sums.variate_difference, np.sqrt(m * n) * (first.variate - second.variate)),
+    )
+    for total, value in parts:
+        np.add(total, value, out=total, casting="same_kind")
 
 
 def _measured(sums: Sums) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -199,7 +206,7 @@ def _mean_and_left(sums: Sums) -> tuple[FloatArray, FloatArray]:
     return (sums.rate - factor * sums.variate) / weight, difference - factor * other
 
 
-def _joined(*parts: tuple[FloatArray, FloatArray, NDArray[np.float32] | float]) -> FloatArray:
+def _joined(*parts: tuple[FloatArray, NDArray[np.floating], NDArray[np.float32] | float]) -> FloatArray:
     """Sum of two ratios, weighted by their samples, without the bias that falls as 1 / samples.
 
     ``parts`` are the weight, the ratio and its denominator. Ratios of sums over m and n samples have the biases c / m
@@ -217,7 +224,7 @@ def _joined(*parts: tuple[FloatArray, FloatArray, NDArray[np.float32] | float]) 
     return np.asarray(2 * of_all - mean)
 
 
-def around(values: FloatArray) -> FloatArray:
+def around(values: NDArray[np.floating]) -> NDArray[np.floating]:
     """Mean over a window of ``WINDOW_PX`` without its middle and within the frame, [stop, h, w, channel]."""
     rows, columns = (_in_window(extent) for extent in values.shape[1:3])
     inside = np.multiply.outer(rows, columns) - 1
@@ -231,7 +238,7 @@ def _in_window(extent: int) -> NDArray[np.int64]:
     return np.minimum(place, half) + np.minimum(extent - 1 - place, half) + 1
 
 
-def share(variance: FloatArray, sensor_variance: FloatArray) -> FloatArray:
+def share(variance: NDArray[np.floating], sensor_variance: FloatArray) -> FloatArray:
     """Standard deviation of rendering noise over that of the sensor's, [h, w, channel]; 0 where there is no noise."""
     ratio = np.divide(variance, sensor_variance, out=np.zeros_like(variance), where=sensor_variance > 0)
     return np.asarray(np.sqrt(ratio))

@@ -31,6 +31,17 @@ def pictures(coefficients, calls, slope=0.65, loud=None, louder=5.0):
     return picture
 
 
+def by_stop(picture):
+    """Pictures of all stops, made once, a stop at a time."""
+    made = {}
+
+    def of_stop(number, index, spp, finer):
+        whole = made[index] = made[index] if index in made else picture(index, spp, finer)
+        return Picture(*(part[[number]] for part in whole[:3]))
+
+    return of_stop
+
+
 def poisson(rate):
     """Variance of photon noise."""
     return np.maximum(rate, 0)
@@ -47,7 +58,7 @@ def test_the_noise_target_is_met_and_the_stated_noise_is_true():
     Expectation: below the share that was asked for; the error of the result, known here, is what is stated.
     """
     calls: list = []
-    result = render_to_noise_target(pictures((2.0, 1.0), calls), poisson, shape=FRAME)
+    result = render_to_noise_target(by_stop(pictures((2.0, 1.0), calls)), poisson, shape=FRAME)
     assert max(result.share) <= adaptive_sampling.NOISE_SHARE
     finest = max(finer for *_, finer in calls)
     np.testing.assert_array_equal(
@@ -66,7 +77,7 @@ def test_a_target_that_the_pilot_misses_is_met_with_few_more():
     target, and not below nine tenths of it.
     """
     calls: list = []
-    result = render_to_noise_target(pictures((1.0, 1.0), calls, slope=0.5), poisson, shape=FRAME)
+    result = render_to_noise_target(by_stop(pictures((1.0, 1.0), calls, slope=0.5)), poisson, shape=FRAME)
     assert len(calls) == 8
     assert 0.9 < max(result.share) / adaptive_sampling.NOISE_SHARE <= 1.0
 
@@ -80,7 +91,7 @@ def test_noisy_pixels_get_the_samples():
     loud = np.zeros(FRAME[1:], bool)
     loud[:, :8] = True
     noisy = pictures((0.3, 0.3), [], loud=loud)
-    high, median = (render_to_noise_target(noisy, poisson, shape=FRAME, percentile=at) for at in (95.0, 50.0))
+    high, median = (render_to_noise_target(by_stop(noisy), poisson, shape=FRAME, percentile=at) for at in (95.0, 50.0))
     assert max(high.share) <= adaptive_sampling.NOISE_SHARE
     spp = high.measured.spp[0]
     assert spp[:, :6].mean() > 5 * spp[:, 12:].mean()
@@ -106,7 +117,7 @@ def test_choosing_samples_by_the_noise_leaves_no_bias():
 
     means = []
     for frame in range(12):
-        result = render_to_noise_target(frame_of(frame), poisson, shape=FRAME, percentile=95)
+        result = render_to_noise_target(by_stop(frame_of(frame)), poisson, shape=FRAME, percentile=95)
         assert len(np.unique(result.measured.spp)) > 2
         means.append(result.measured.rate.sum(axis=0).mean(axis=(0, 1)) / MEAN_E)
     z = (np.mean(means, axis=0) - 1) / (np.std(means, axis=0, ddof=1) / np.sqrt(12))
@@ -136,7 +147,7 @@ def test_the_factor_of_the_variate_lowers_the_noise_and_leaves_the_mean():
 
 def test_a_quiet_scene_takes_the_first_pair_alone():
     calls: list = []
-    result = render_to_noise_target(pictures((0.01, 0.01), calls), poisson, shape=FRAME)
+    result = render_to_noise_target(by_stop(pictures((0.01, 0.01), calls)), poisson, shape=FRAME)
     assert [index for index, *_ in calls] == [0, 1] and set(result.measured.spp.ravel()) == {16}
 
 
@@ -144,14 +155,14 @@ def test_a_smaller_share_takes_more_samples():
     """Expectation: half the noise takes two to three times the samples; powers of two blur that."""
     noisy = pictures((2.0, 2.0), [])
     counts = [
-        render_to_noise_target(noisy, poisson, shape=FRAME, target=share).measured.spp.mean()
+        render_to_noise_target(by_stop(noisy), poisson, shape=FRAME, target=share).measured.spp.mean()
         for share in (0.4, 0.2, 0.1)
     ]
     assert counts[0] < counts[1] < counts[2]
 
 
 def test_the_most_samples_end_it():
-    result = render_to_noise_target(pictures((50.0, 50.0), []), poisson, shape=FRAME, most_spp=16)
+    result = render_to_noise_target(by_stop(pictures((50.0, 50.0), [])), poisson, shape=FRAME, most_spp=16)
     assert result.measured.spp.max() <= 16 * 2 * adaptive_sampling.MOST_ROUNDS
     assert max(result.share) > adaptive_sampling.NOISE_SHARE
 
@@ -160,7 +171,7 @@ def test_no_light_and_no_noise_need_no_more():
     def dark(index, spp, finer=1):
         return Picture(spp, np.zeros(SHAPE), np.zeros(SHAPE))
 
-    result = render_to_noise_target(dark, poisson, shape=FRAME)
+    result = render_to_noise_target(by_stop(dark), poisson, shape=FRAME)
     assert result.share == (0, 0, 0, 0) and set(result.measured.spp.ravel()) == {16}
 
 
@@ -197,7 +208,7 @@ def test_many_samples_are_asked_for_in_parts(monkeypatch):
     for part in (adaptive_sampling.PART_OF_FAR, 1.0):
         monkeypatch.setattr(adaptive_sampling, "PART_OF_FAR", part)
         calls: list = []
-        result = render_to_noise_target(pictures((1.0, 1.0), calls, slope=0.65), poisson, shape=FRAME)
+        result = render_to_noise_target(by_stop(pictures((1.0, 1.0), calls, slope=0.65)), poisson, shape=FRAME)
         shares.append(max(result.share))
         spp.append(result.measured.spp.mean())
     assert spp[1] > 2 * adaptive_sampling.FAR * adaptive_sampling.PILOT_SPP
@@ -240,7 +251,7 @@ def test_noise_of_the_irradiance_asks_for_more_directions_not_for_samples():
     what is stated is the error of the mean.
     """
     calls: list = []
-    result = render_to_noise_target(irradiance_pictures(0.3, 0.6, calls), poisson, shape=IRRADIANCE_FRAME)
+    result = render_to_noise_target(by_stop(irradiance_pictures(0.3, 0.6, calls)), poisson, shape=IRRADIANCE_FRAME)
     assert [finer for finer, _ in calls[:2]] == [1, 1] and calls[2][0] >= 16
     assert result.measured.spp.max() <= 32
     assert max(result.share) <= 1.1 * adaptive_sampling.NOISE_SHARE
@@ -257,14 +268,14 @@ def test_many_samples_have_a_finer_irradiance_and_another_pilot():
     calls: list = []
     fine, coarse = irradiance_pictures(1.5, 0.0, calls), irradiance_pictures(15.0, 0.0, calls)
     picture = lambda index, spp, finer: (fine if finer > 1 else coarse)(index, spp, finer)  # noqa: E731
-    result = render_to_noise_target(picture, poisson, shape=IRRADIANCE_FRAME)
+    result = render_to_noise_target(by_stop(picture), poisson, shape=IRRADIANCE_FRAME)
     wanted = (1.5 / adaptive_sampling.NOISE_SHARE) ** 2
     assert [finer for finer, _ in calls[:2]] == [1, 1] and len({finer for finer, _ in calls[2:]}) == 1
     assert calls[2][0] > 1 and set(calls[2][1].ravel()) == {adaptive_sampling.PILOT_SPP}
     assert result.measured.spp.mean() < 2 * wanted
     assert max(result.share) <= adaptive_sampling.NOISE_SHARE
     calls.clear()
-    render_to_noise_target(fine, poisson, shape=IRRADIANCE_FRAME)
+    render_to_noise_target(by_stop(fine), poisson, shape=IRRADIANCE_FRAME)
     assert {finer for finer, _ in calls} == {1}
 
 
@@ -277,7 +288,7 @@ def test_noise_of_the_irradiance_that_the_pilot_could_not_see_is_found_later(mon
     """
     monkeypatch.setattr(adaptive_sampling, "RAYS_PER_FINENESS", 1e9)
     calls: list = []
-    result = render_to_noise_target(irradiance_pictures(20.0, 0.4, calls), poisson, shape=IRRADIANCE_FRAME)
+    result = render_to_noise_target(by_stop(irradiance_pictures(20.0, 0.4, calls)), poisson, shape=IRRADIANCE_FRAME)
     assert [finer for finer, _ in calls[:4]] == [1, 1, 1, 1] and calls[4][0] >= 8
     assert max(result.share) <= adaptive_sampling.NOISE_SHARE
     fine = np.sum([spp for finer, spp in calls if finer > 1], axis=0)
@@ -294,7 +305,7 @@ def test_pixels_that_have_the_most_samples_do_not_make_others_take_more():
     loud[:, :20] = True
     calls: list = []
     noisy = pictures((0.3, 0.3), calls, slope=0.5, loud=loud, louder=40.0)
-    result = render_to_noise_target(noisy, poisson, shape=FRAME, percentile=95)
+    result = render_to_noise_target(by_stop(noisy), poisson, shape=FRAME, percentile=95)
     spp = result.measured.spp[0]
     # Half of the variance each: (0.3 x 900 / 2)^2 / n = 0.25^2 x 900 / 2 in green.
     assert np.median(spp[~loud]) < 2 * (0.3 * 900 / 2 / 0.25) ** 2 / 450

@@ -117,7 +117,7 @@ def test_a_pair_is_measured_in_little_memory():
     tracemalloc.stop()
     assert peak < (2 + 24 / 6) * rate.nbytes
     whole = measured(summed([tuple(two)]))
-    np.testing.assert_array_equal(rate, whole.rate)
+    np.testing.assert_allclose(rate, whole.rate, rtol=1e-6)
     np.testing.assert_allclose(variance, whole.variance, rtol=1e-6)
 
 
