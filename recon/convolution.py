@@ -3,9 +3,8 @@
 A network is a dictionary of float32 arrays by name: ``NAME`` holds the weights of a layer, ``NAME_bias`` its bias.
 Prediction needs no other library; :mod:`validation.training` fits the weights.
 
-Images are processed in strips of rows, one per processor core at a time. Products of matrices within a strip have one
-thread: the threads of BLAS wait for each other actively, which took up to six times the processor time of the same
-products where other processes share the cores.
+Images are processed in strips of rows, one per CPU core at a time. Matrix products within a strip use one thread: BLAS
+threads busy-wait for each other, which took up to six times the CPU time when other processes shared the cores.
 """
 
 from __future__ import annotations

@@ -1,9 +1,10 @@
-"""Interference coatings: the edges of such filters move to shorter wavelengths with the angle of the light.
+"""Interference coatings: the spectral edges of such filters shift to shorter wavelengths with the angle of incidence.
 
-A thin-film filter of the effective index n has the edge lambda(theta) = lambda_0 sqrt(1 - (sin theta / n)^2) for light
-at the angle theta to its normal (Macleod, Thin-Film Optical Filters, ch. 8). Here theta is the angle of the chief ray,
-which a thin lens leaves as it is: the disc in the lens and the filter on the sensor see the same. The spread of angles
-about it, up to 10 degrees at f/2.8, widens the edge of the sensor's filter off the axis, and is neglected.
+The edge of a thin-film filter of effective index n lies at lambda(theta) = lambda_0 sqrt(1 - (sin theta / n)^2) for
+light at the angle theta to its normal (Macleod, Thin-Film Optical Filters, ch. 8). Here theta is the angle of the chief
+ray, which a thin lens does not change, so that it is the same at the disc in the lens and at the filter on the sensor.
+The cone of rays around the chief ray, up to 10 degrees at f/2.8, widens the edge of the sensor's filter off the axis;
+this is neglected.
 
 Tested in tests/dasim/camera/test_rings.py.
 """

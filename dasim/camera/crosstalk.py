@@ -21,7 +21,7 @@ _REACH_PX = 6  # of the inverse of a spread: what is beyond is below 1e-6 of it,
 
 
 def channel_shares(camera: Camera) -> Shares:
-    """Shares of each channel, [channel] in the order of ``specification.channels``.
+    """Shares of each channel, [channel] in the order of ``sensor.channels``.
 
     They are means of the spectral shares over the channel's electrons from a white surface under D65, since pictures
     hold the electrons of a channel and not their wavelengths; 0 for a channel without light.
@@ -57,7 +57,7 @@ def corrected(electrons: FloatArray, camera: Camera) -> FloatArray:
 
 
 def noise_gains(camera: Camera) -> FloatArray:
-    """Noise variance of corrected pixels over that of raw ones, [channel] in the order of ``specification.channels``.
+    """Noise variance of corrected pixels over that of raw ones, [channel] in the order of ``sensor.channels``.
 
     A corrected pixel is a sum of raw ones, whose noise is independent: the sum of the squares of a row of the inverse
     of :func:`spread`, for neighbours with the noise of the pixel itself. With crosstalk by absorption depth, 0.3 % of

@@ -1,4 +1,4 @@
-"""The data sheet of a sensor by EMVA 1288 (release 4.0), translated into the fields of ``camera.Sensor``.
+"""The data sheet of a sensor by EMVA 1288 (release 4.0), translated into the fields of ``camera.sensor.Sensor``.
 
 A camera's TOML file takes it as a table ``[sensor.emva1288]`` beside the geometry, the converter and the mosaic.
 """
@@ -25,22 +25,22 @@ _PEAK_POINTS = 2001
 
 
 class DataSheet(Specification):
-    """Figures of an EMVA 1288 data sheet in the sheet's units, and the field of ``Sensor`` that each becomes.
+    """Figures of an EMVA 1288 data sheet in the sheet's units, and the field of ``Sensor`` that each one sets.
 
     | figure | becomes |
     |---|---|
-    | overall system gain K | ``dn_per_e``; without it the full well sits at the converter's full scale |
-    | temporal dark noise sigma_d | ``read_noise_e``: both are of no exposure time and without rounding |
+    | overall system gain K | ``dn_per_e``; without it, the full well is at the converter's full scale |
+    | temporal dark noise sigma_d | ``read_noise_e``; both are for zero exposure time and without rounding |
     | saturation capacity mu_e.sat | ``full_well_e``, by :func:`full_well_of_capacity_e` |
     | DSNU1288, PRNU1288 | ``dsnu_e``, ``prnu``, taken as white patterns: ``row_noise_e``, ``column_noise_e`` are 0 |
-    | dark current mu_I, at ``dark_current_temperature_c`` | ``dark_current_e_s``, carried to 25 C |
+    | dark current mu_I, at ``dark_current_temperature_c`` | ``dark_current_e_s``, converted to 25 C |
     | doubling temperature T_d | ``dark_doubling_k`` |
     | quantum efficiency of green, at ``wavelength_nm`` or its peak | ``quantum_efficiency_scale``, for all curves |
 
-    A quantum efficiency is measured under even light. It lacks the electrons that leave a pixel for its neighbours and
-    contains those that they lose to it, so the curves are scaled to what green pixels collect. They are the table
-    ``quantum_efficiency`` where the camera's file has one: then they count relative to each other, and the sheet says
-    how high they are.
+    Quantum efficiency is measured under uniform light. The measured value excludes electrons that a pixel loses to its
+    neighbours and includes those that it gains from them, so the curves are scaled to what green pixels collect. If the
+    camera's file has a table ``quantum_efficiency``, its curves are used relative to each other, and the sheet sets
+    their height.
     """
 
     overall_system_gain_dn_per_e: float | None = Field(default=None, ge=1e-6, le=1e6)

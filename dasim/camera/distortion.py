@@ -1,8 +1,8 @@
-"""Distortion: where on the sensor the image of a lens lies, against that of a pinhole at the same distance.
+"""Distortion: image positions of the lens compared with those of a pinhole at the same distance.
 
-A place of the sensor at the distance r from the axis shows what a pinhole would show at r_p = r (1 + sum a_k r^(2k)),
-in the same direction: the polynomial of ``lens.distortion_per_mm`` leads from the sensor to the directions of the
-scene, which is what a renderer needs. Barrel distortion has r_p > r. The blur keeps its size in the pinhole's picture.
+A point of the sensor at the distance r from the axis shows what a pinhole would show at r_p = r (1 + sum a_k r^(2k)),
+in the same direction. The polynomial of ``lens.distortion_per_mm`` therefore maps from the sensor to directions in the
+scene, as a renderer needs. Barrel distortion has r_p > r. In the pinhole picture, the size of the blur is unchanged.
 
 Tested in tests/dasim/camera/test_distortion.py.
 """
@@ -41,7 +41,7 @@ def to_pinhole_px(camera: Camera, place_px: FloatArray) -> FloatArray:
 
 
 def most_outwards_px(camera: Camera) -> float:
-    """How far, in pixels, the pinhole shows what the frame's corner shows beyond the corner; 0 where it lies inside."""
+    """How far outside the frame's corner a pinhole would show the content of that corner, in pixels; 0 if inside."""
     if not camera.lens.distortion_per_mm:
         return 0.0
     heights_m = [np.sqrt(of(camera).max()) for of in (square_of_pinhole_height_m2, square_of_image_height_m2)]

@@ -26,7 +26,7 @@ Draw = Callable[[np.random.Generator, tuple[int, ...]], NDArray]
 
 
 class FixedPattern(NamedTuple):
-    """What each pixel of a frame adds to the mean of all, [h, w]."""
+    """Sensitivity, offset and dark current of each pixel of a frame, [h, w]."""
 
     sensitivity: Float32Array  # relative to the mean, 1 + PRNU
     offset_e: Float32Array  # of the read-out: pixels, rows and columns

@@ -1,13 +1,14 @@
-"""Veiling glare: light that the sensor sends back and a reflecting stop returns to it, spread widely.
+"""Veiling glare: light that the sensor scatters back and a reflecting stop returns to it, spread over a wide area.
 
-The coating of a near-infrared disc reflects what it does not pass. Light through its hole that the sensor scatters back
-meets the coating at the distance s of the lens and returns: behind a sensor that scatters like a diffuser and before a
-wide mirror, from a point to a distance r with the density
+The coating of a near-infrared disc reflects the light that it does not transmit. Light that has passed the hole and is
+scattered back by the sensor hits the coating at the distance s of the lens and returns to the sensor. For a diffusely
+scattering sensor and a wide mirror, the light of a point returns at the distance r with the density
 
     k(r) = 1 / (pi R^2) (1 + r^2 / R^2)^-2,  R = 2 s,
 
-the cos^4 law over the path 2 s. Half of the veil lies within R. Its transfer function is x K_1(x), x = 2 pi R f.
-Which share of the light takes this way depends on sensor and coating, and is a key of the stop (``glare_share``).
+the cos^4 law over the path 2 s. Half of the veil lies within R. Its transfer function is x K_1(x), x = 2 pi R f. The
+fraction of the light that takes this path depends on the sensor and the coating, and is a key of the stop
+(``glare_share``).
 """
 
 from __future__ import annotations

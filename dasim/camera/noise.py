@@ -35,13 +35,14 @@ _STAGES = {"shot": 1, "dark": 2, "read": 3}
 
 
 class NoiseModel(Protocol):
-    """A noise model: ``model(mean_e, sensor, time_s, seed, gain)`` gives raw numbers and how many pixels are saturated.
+    """A noise model: ``model(mean_e, sensor, time_s, seed, gain)`` returns raw numbers and the count of saturated
+    pixels.
 
     ``mean_e`` is [h, w] mean photo-electrons of the mosaic after electronic crosstalk, ``time_s`` the exposure time,
-    ``gain`` the analogue gain. ``seed`` is that of the frame; ``sensor.sensor_seed`` is that of what all frames of a
-    camera share, see :func:`dasim.camera.fixed_pattern.fixed_pattern`. The raw numbers are uint16 [h, w], black level
-    included, at most 2^``sensor.adc_bits`` - 1. The same arguments must give the same numbers. :func:`expose` is the
-    bundled model, ``examples/noise_model.py`` another.
+    ``gain`` the analogue gain. ``seed`` is the seed of the frame; ``sensor.sensor_seed`` is the seed of the fixed
+    pattern, which all frames of a camera share, see :func:`dasim.camera.fixed_pattern.fixed_pattern`. The raw numbers
+    are uint16 [h, w], including the black level, at most 2^``sensor.adc_bits`` - 1. The same arguments must give the
+    same numbers. :func:`expose` is the bundled model, ``examples/noise_model.py`` is another one.
     """
 
     def __call__(

@@ -112,7 +112,7 @@ def radial_profiles(
 def bands(weights: FloatArray) -> list[tuple[float, FloatArray]]:
     """Integrals of [..., wavelength] weights over bands of ``BAND_NM``, each with its mean wavelength."""
     step = grid.WAVELENGTH_STEP_NM * np.ones_like(grid.WAVELENGTH_NM)
-    step[[0, -1]] /= 2  # the trapezoid rule, so that the bands add up to spectra.integrate
+    step[[0, -1]] /= 2  # the trapezoid rule, so that the bands add up to grid.integrate
     index = _band_index()
     bands = []
     for band in range(index[-1] + 1):
@@ -298,9 +298,9 @@ def _veiled(
 
 
 def _moved_alike(camera: Camera, centre: stops.Point, spectrum: FloatArray) -> Iterator[tuple[float, FloatArray]]:
-    """Parts of a spectrum that blur to the same place through a stop about ``centre``, each with its axial colour, px.
+    """Parts of a spectrum whose kernels share a centre for a stop about ``centre``, each with its axial colour, px.
 
-    Through a displaced stop axial colour moves the wavelengths apart: one part each 10 nm.
+    For a displaced stop, axial colour shifts the kernels of different wavelengths apart: one part for each 10 nm.
     """
     if centre == (0.0, 0.0) or not camera.lens.focal_shift_um:
         yield 0.0, spectrum

@@ -1,9 +1,10 @@
-"""From the prescription of a lens to a camera: wavefront by field and wavelength, axial colour, distortion, vignetting.
+"""A camera from a lens prescription: wavefront by field and wavelength, axial colour, distortion, vignetting.
 
-Optiland (extra ``lens``) reads the file and traces rays from infinity. The sensor is moved to where the wavefront on
-the axis has no defocus at ``PRIMARY_NM``, as an autofocus would; what other wavelengths have there becomes axial
-colour. The rest is fitted by the Zernike terms of :mod:`dasim.camera.zernike` at each angle and wavelength, without
-piston and tilt, about the sphere around the chief ray's image. The pupil stays round: vignetting costs light alone.
+Optiland (extra ``lens``) reads the file and traces rays from infinity. The sensor is moved to where the on-axis
+wavefront has no defocus at ``PRIMARY_NM``, as an autofocus would; the defocus of other wavelengths there becomes axial
+colour. The remaining wavefront error is fitted by the Zernike terms of :mod:`dasim.camera.zernike` at each angle and
+wavelength, without piston and tilt, relative to the sphere about the chief ray's image. The pupil stays round:
+vignetting only reduces the light.
 
 Optiland's rays of a positive field run towards +y, from an object below the axis. The direction away from the axis in
 the upright picture is therefore -y of its pupil.

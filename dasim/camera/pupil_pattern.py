@@ -1,9 +1,10 @@
-"""Intensity of the light behind a stop of any shape: the squared transform of its defocused pupil.
+"""Intensity of the light behind a stop of any shape: the squared modulus of the transform of its defocused pupil.
 
-Off the axis the stop looks foreshortened and the sensor is tilted to the light. A place rho of the stop then has the
-optical path rho T u / s to a place u beside the geometric image, s the image distance, with T = diag(cos^3, cos) of the
-field angle in tangential and sagittal direction, and defocus the path rho T rho of the axis' coefficient: the pattern
-is that of the pupil drawn at T rho. For small stops this equals Huygens's principle (claim ``off-axis``).
+Off the axis, the stop is foreshortened, and its light reaches the sensor obliquely. The optical path from a point rho
+of the stop to an offset u from the geometric image is then rho T u / s, with the image distance s and
+T = diag(cos^3, cos) of the field angle in the tangential and sagittal directions. Defocus adds rho T rho times the
+on-axis coefficient. The pattern is therefore that of the pupil drawn at T rho. For small stops, this equals Huygens's
+principle (claim ``off-axis``).
 """
 
 from __future__ import annotations

@@ -1,10 +1,10 @@
-"""Rings of the field: angles at which responses are computed, and between which each pixel interpolates.
+"""Field rings: angles at which responses are computed, and between which they are interpolated for each pixel.
 
-Coatings shift with the angle of the chief ray (:mod:`dasim.camera.coatings`), the responses of the pixels with them.
-The rings are evenly spaced in sin^2 of that angle, in which the shift is nearly linear, such that no edge moves by more
-than about half of its width from one ring to the next: linear interpolation of the responses between two rings then has
-the right area, and an edge of nearly the right shape. The spacing belongs to the camera, not to its frame, so that a
-crop sees what the whole frame sees there.
+Coatings shift with the angle of the chief ray (:mod:`dasim.camera.coatings`), and the responses of the pixels shift
+with them. The rings are evenly spaced in sin^2 of that angle, in which the shift is nearly linear, and close enough
+that no edge moves by more than about half of its width from one ring to the next. Linear interpolation of the responses
+between two rings then has the correct area, and an edge of nearly the correct shape. The spacing depends on the camera,
+not on its frame, so that a crop has the responses of that part of the whole frame.
 """
 
 from __future__ import annotations

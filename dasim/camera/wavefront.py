@@ -1,8 +1,9 @@
-"""The phase of the light across the pupil: aberrations of lens and stops, and the step of an opening in a coating.
+"""Phase of the light across the pupil: aberrations of lens and stops, and the phase step of an opening in a coating.
 
-Visible light crosses the coating of a near-infrared disc in the ring and no coating in the hole. If the hole is not
-filled with glass of equal optical thickness, the open stop has a step of phase at the rim of the hole. A stop's
-``phase_nm`` is the optical path through its opening less that around it; it acts on the light of the other stops.
+Visible light passes through the coating of a near-infrared disc in the ring, and through no coating in the hole. If the
+hole is not filled with glass of equal optical thickness, the open stop has a phase step at the rim of the hole. The
+``phase_nm`` of a stop is the optical path through its opening minus that around it; it acts on the light of the other
+stops.
 
 Tested in tests/dasim/camera/test_zernike.py.
 """

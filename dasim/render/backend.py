@@ -36,7 +36,7 @@ PROBE_TIMEOUT_S = 60.0  # a test takes below 1 s, with a graphics driver that st
 FAILURE_LIFETIME_S = 24 * 3600.0
 KERNELS_SIZE = "512M"  # a set of kernels has below 10 MB
 LANES = 1 << 19  # rays that are traced at once: they bound the memory, some 250 bytes each
-# A batch costs 30 to 60 ms of Python, however few its rays, which a graphics card should trace faster. 1 GB there.
+# A batch costs 30 to 60 ms of Python, however few its rays, which a graphics card should trace faster. 2 GB there.
 GPU_LANES = 1 << 23
 
 LLVM_FOLDERS = (

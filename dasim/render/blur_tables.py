@@ -46,18 +46,19 @@ def texel(value: Any, step: float, nodes: Any) -> Any:
 def cut_off(
     profiles: FloatArray, radius: FloatArray, end: FloatArray, rings: float = 0.0, like: FloatArray | None = None
 ) -> FloatArray:
-    """Profiles [waves, radius] that end at a radius, with unit integral (linear between nodes) over the plane.
+    """Profiles [waves, radius] truncated at a radius, with unit integral over the plane (linear between nodes).
 
-    What lies farther out is added within, in proportion. With ``like``, profiles of the same pupil without its step of
-    phase, the middle keeps its scale relative to theirs: a step sends several times as much light beyond ``end``, which
-    is added where the light that was cut off is nearest, in the outer half of the ``rings`` beyond the geometric blur.
+    The light beyond ``end`` is redistributed over the profile in proportion to it. With ``like``, the profiles of the
+    same pupil without its phase step, the core keeps its scale relative to theirs: a phase step sends several times as
+    much light beyond ``end``, and this light is added close to the cut, in the outer half of the ``rings`` beyond the
+    geometric blur.
 
     Args:
         profiles: intensity, [waves, radius].
         radius: radii of the nodes, [radius].
-        end: where each profile ends, [waves].
-        rings: how far ``end`` lies beyond the geometric blur.
-        like: profiles without the step, [waves, radius].
+        end: radius at which each profile is truncated, [waves].
+        rings: distance of ``end`` beyond the geometric blur.
+        like: profiles without the phase step, [waves, radius].
     """
     inside = radius <= end[:, None]
     profiles = np.where(inside, profiles, 0.0)
@@ -87,11 +88,11 @@ def away_from_axis(v: Any, tangent: Any) -> Any:
 
 @dataclass(frozen=True)
 class AberratedRows:
-    """Where a table of aberrated kernels h has a field angle, a wavelength and a defocus.
+    """Row lookup in a table of aberrated kernels h by field angle, wavelength and defocus.
 
-    Its rows are all values of defocus, of both signs, at one wavelength after another at equal steps of 1 / lambda, and
-    these at one angle after another. With a step of phase, its channels are h averaged over the phase, and the factors
-    of its cosine and sine.
+    Rows are ordered by field angle, then by wavelength in equal steps of 1 / lambda, then by defocus of both signs.
+    With a phase step, the channels are h averaged over the phase, and the coefficients of the cosine and the sine of
+    the phase.
     """
 
     rows: Any  # for each wavelength

@@ -1,22 +1,22 @@
-"""A control variate for pictures through the lens: the picture through a pinhole, blurred without rays.
+"""A control variate for pictures through the lens: the pinhole picture, blurred without rays.
 
-Nearly all noise of a textured surface comes from the texel that a ray meets, and from the wavelengths at which it
-meets it. Let s be a pinhole's picture of the surroundings of a pixel at a few wavelengths, linear between them, x the
-middle of the cell of the pixel, a quarter of a pixel wide, that a ray passes, w the place in the blur for which it was
-drawn, with density q, and h the kernel of a surface at one depth. Then, with C = response x light x h(w) / q(w) at each
-wavelength of the ray,
+Nearly all noise of a textured surface comes from which texel a ray hits and at which wavelengths. Let s be a pinhole
+picture around a pixel at a few wavelengths, linear between them; x the centre of the cell of the pixel, a quarter of a
+pixel wide (half of one in large frames), that a ray passes; w the position in the blur for which the ray was sampled,
+with density q; h the kernel of a surface at one depth; and K the mean of h over the wavelengths, separately for each
+wavelength of s. With C = response x light x h(w) / q(w) at each wavelength of the ray,
 
     f = sum of C (s(x - w) - F) / sum of C,    F = mean over the pixel's cells of s, blurred by K,
 
-has the mean 0, where K is the mean of h over the wavelengths, for each of those of s apart. It follows what the ray
-contributes where the depth is about that of the surface and s about the picture. The estimate less the sum of f over
-the pixel's rays has the same expectation, whatever the rays meet, and less noise. (Both are ratios of sums, whose bias
-falls as 1 / samples.) Neither s nor the depth need be right for that, but F must belong to them: f reads s linearly
-between its nodes, and F is the integral of just that. s comes from other rays than those it is compared with.
+has mean 0. It follows the contribution of the ray where the depth is close to that of the surface and s is close to the
+picture. Subtracting the sum of f over the pixel's rays from the estimate does not change its expectation, whatever the
+rays hit, and reduces its noise. (Both are ratios of sums, whose bias falls as 1 / samples.) Neither s nor the depth
+needs to be correct for this, but F must match them: f interpolates s linearly between its nodes, and F is the integral
+of exactly that function. The rays of s are not those whose picture it corrects.
 
-With one s per channel the wavelengths' part remained: in three of four random scenes more than half of the rays.
+With one s per channel, the noise due to wavelength remained: more than half of the rays in three of four random scenes.
 
-The depth is that which the middle of the pixel sees, rounded to one of a few levels of blur, so that F is a convolution
+The depth is the one that the pixel centre sees, rounded to one of a few blur levels, so that F takes one convolution
 per level.
 
 Tested in tests/dasim/render/test_control_variate.py.
@@ -39,8 +39,8 @@ from dasim.typing import FloatArray
 
 CELLS, FEWER_CELLS = 4, 2  # nodes of s per pixel, along each axis, even; fewer in large frames
 LARGE_FRAME_PX = 600_000
-# Points per pixel of the grid that F is summed over, along each axis, and what they exceed the finest frequency of the
-# kernels by, 1 / (lambda N): the picture's own. With 0.3 less, F of the finest texture is 1 % off.
+# Points per pixel and axis of the grid over which F is summed, and their margin over the cut-off frequency of the
+# kernels, 1 / (lambda N), for the picture's own frequencies. With 0.3 less, F of the finest texture is 1 % off.
 GRIDS, GRID_MARGIN = (2, 4), 0.5
 LEVEL_STEP_PX, LEVEL_SHARE = 0.5, 0.04  # between levels of blur: the larger of a length and a share of the blur
 TAIL_RINGS = 16.0  # K ends this many lambda N beyond the geometric blur
@@ -110,12 +110,14 @@ class Control:
     expected: NDArray[np.float32]  # F, [pixel, channel]
 
     def at(self, pixel: Any, place: Any, w: Any) -> tuple[list[Any], Any, Any]:
-        """S at the places w in the blurs of pixels, a value per band; the level's visible blur, and its reach.
+        """Values of s per band at positions w in the blur of each pixel; also the visible blur of the pixel's level and
+        its reach.
 
         Args:
-            pixel: number of the pixel in the frame.
-            place: of the ray on the film, in pixels from the frame's corner.
-            w: place in the blur for which the ray was drawn, about the image of the stop's centre, in pixels.
+            pixel: index of the pixel in the frame.
+            place: position of the ray on the film, in pixels from the frame's corner.
+            w: position in the blur for which the ray was sampled, relative to the image of the stop's centre, in
+                pixels.
         """
         import drjit as dr
         import mitsuba as mi
@@ -259,11 +261,11 @@ def padded_spectrum(images: NDArray[np.floating], shape: Sequence[int]) -> NDArr
 
 
 def _pixel_means(picture: NDArray[np.float32], cells: int, spare_px: int, points: int) -> NDArray[np.float32]:
-    """Means of a picture [y, x], linear between nodes, at the middles of a pixel's cells, at ``points`` per pixel; the
-    first is about the middle of a pixel. ``spare_px`` are added around it.
+    """Means of a picture [y, x] over the cells of a pixel, at ``points`` positions per pixel and axis; the first is
+    centred on a pixel. ``spare_px`` pixels are added around the picture.
 
-    They are sampled where the nodes lie. What linear interpolation takes from frequencies between, as an integral over
-    all places has it, is taken from the samples (:data:`LINEAR`).
+    The picture is sampled at its nodes only. An integral over all positions also contains the attenuation by linear
+    interpolation between the nodes, which the filter :data:`LINEAR` applies to the samples.
     """
     weights = np.convolve(np.full(cells, 1 / cells), LINEAR).astype(np.float32)
     means, step = np.pad(picture, spare_px * cells + len(LINEAR) // 2, mode="edge"), cells // points

@@ -1,10 +1,11 @@
-"""Diffraction off the axis: the in-focus pattern is wider, the geometric blur stays round.
+"""Off-axis diffraction: the in-focus pattern is wider than on the axis, the geometric blur stays round.
 
-From a place of the sensor at the field angle theta the stop looks foreshortened, and the sensor is tilted to the light.
-A stop of height rho has the optical path rho T u / s to a place u beside the geometric image, s the image distance,
-with T = diag(cos^3 theta, cos theta) in tangential and sagittal direction: the pattern in focus is that of the axis at
-T u, wider by 1 / cos^3 and 1 / cos. Defocus has the path rho T rho c / (2 s A) for a blur of diameter c and a lens of
-diameter A, so that the rays of the blur land where they do on the axis.
+Seen from a point of the sensor at the field angle theta, the stop is foreshortened, and its light reaches the sensor
+obliquely. The optical path from a point rho of the stop to an offset u from the geometric image is rho T u / s, with
+the image distance s and T = diag(cos^3 theta, cos theta) in the tangential and sagittal directions. The in-focus
+pattern is therefore the on-axis pattern at T u, wider by 1 / cos^3 and 1 / cos. Defocus adds the path
+rho T rho c / (2 s A) for a blur of diameter c and a lens of diameter A, so that blurred rays land where they do on the
+axis.
 
 With t the tangent of the field angle as a vector in the picture, T v = cos (v - t (t v) cos^2).
 
@@ -23,7 +24,7 @@ def _square_of_cosine(tangent: Any) -> Any:
 
 
 def foreshortened(v: Any, tangent: Any) -> Any:
-    """T v: where the axis' pattern has what lies at ``v`` off the axis."""
+    """T v: the position in the on-axis pattern that corresponds to the off-axis position ``v``."""
     import drjit as dr
 
     square = _square_of_cosine(tangent)
@@ -31,7 +32,7 @@ def foreshortened(v: Any, tangent: Any) -> Any:
 
 
 def widened(v: Any, tangent: Any) -> Any:
-    """The inverse, T^-1 v = (v + t (t v)) / cos: where something of the axis' pattern lies off the axis."""
+    """The inverse, T^-1 v = (v + t (t v)) / cos: the off-axis position of a point ``v`` of the on-axis pattern."""
     import drjit as dr
 
     return (v + tangent * dr.dot(tangent, v)) * dr.rsqrt(_square_of_cosine(tangent))

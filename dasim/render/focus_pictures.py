@@ -1,19 +1,19 @@
 """Pictures with every depth in focus, from rays through a pinhole, in the JIT variants.
 
-In focus all depths have one kernel, that of the stop in its focal plane, so that the picture is the pinhole's convolved
-with it. Rays through the pinhole are summed by nodes, a quarter of a pixel each, and the nodes are convolved: a ray
-serves all stops, and all pixels that their kernels reach. As many rays that are drawn from the kernel, stop by stop and
-pixel by pixel, leave two to four times the noise.
+In focus, all depths have the same kernel, that of the stop in its focal plane, so the picture is the pinhole picture
+convolved with it. Pinhole rays are summed by nodes, a quarter of a pixel wide, and the nodes are convolved: each ray
+serves all stops, and all pixels within reach of their kernels. The same number of rays sampled from the kernel,
+separately for each stop and pixel, would leave two to four times the noise.
 
-The picture of a channel is a ratio of two convolutions, of response x light x radiance and of response x light, each
-with the mean kernel of the channel within ``CORE_PX`` (:meth:`_Core.nodes`). What lies beyond, and what the kernels of
-wavelengths differ from their mean by, comes from the pictures in bands that control variates use
-(:mod:`dasim.render.control_variate`), convolved with kernels of the sum 0 (:meth:`_Core.rest`).
+The picture of a channel is a ratio of two convolutions, of response x light x radiance and of response x light, both
+with the mean kernel of the channel within ``CORE_PX`` (:meth:`_Core.nodes`). The light beyond that radius and the
+deviations of the kernels of single wavelengths from their mean are added from the band pictures of the control variates
+(:mod:`dasim.render.control_variate`), convolved with kernels whose sum is 0 (:meth:`_Core.rest`).
 
-A node counts with the mean of the pixel's weight over it, and the moments of its light with the slope of the weight:
-edges are within 0.05 % of their step of those of a continuous picture, wherever they lie in a node. Off the axis
-kernels are wider (:mod:`dasim.render.field_angle`), and distortion stretches them: each tile has those of its middle,
-and what lies beyond ``CORE_PX`` those of the middle of the frame.
+Each node is weighted by the mean of the pixel's weight over it, and the moments of its light by the slope of the
+weight: edges deviate by less than 0.05 % of their step from those of a continuous picture, wherever they lie within a
+node. Off the axis, kernels are wider (:mod:`dasim.render.field_angle`), and distortion stretches them: each tile uses
+the kernels of its centre, and the part beyond ``CORE_PX`` uses those of the frame's centre.
 
 Tested in tests/dasim/render/test_focus_pictures.py.
 """
@@ -55,10 +55,10 @@ class _Core:
     points: int  # of a grid per pixel that has all of them
 
     def nodes(self, towards_axis: FloatArray) -> Float32Array:
-        """Weights of the nodes around a pixel in its mean: for their light, and for its moments along x and y.
+        """Weights with which nodes enter the mean of a pixel: for their light, and for its moments along x and y.
 
-        [channel, moment, row, column, y, x] by row and column of a node in its pixel and by that pixel's place, from
-        -``MARGIN_PX`` to ``MARGIN_PX``; ``towards_axis`` is that of :func:`_towards_axis`.
+        [channel, moment, row, column, y, x]: row and column of the node within its pixel, and offset of that pixel from
+        -``MARGIN_PX`` to ``MARGIN_PX``. ``towards_axis`` is the matrix of :func:`_towards_axis`.
         """
         side = 2 * MARGIN_PX + 1
         at = np.arange(side * FINE + FINE - 1) / FINE - (side + 1) / 2 + 1 / FINE
@@ -107,13 +107,14 @@ class InFocus:
     """Pictures through some stops with every depth in focus, of rays through a pinhole."""
 
     def __init__(self, camera: Camera, field: Field | None, max_blur_px: float, margin_px: int) -> None:
-        """Prepare those of the stops whose kernels the nodes have: discs and rings without aberrations.
+        """Prepare the stops whose kernels the nodes resolve: discs and rings without aberrations.
 
         Args:
             camera: the camera.
             field: irradiance that is known beforehand.
-            max_blur_px: largest visible blur of the scene, by which other pictures have found the stops' tables.
-            margin_px: around the frame, of the rays that are collected.
+            max_blur_px: largest visible blur of the scene, the same as for its other pictures, so that they share the
+                stops' tables.
+            margin_px: width of the margin around the frame in which rays are collected.
         """
         cores = {number: _core(camera, stop, field, max_blur_px) for number, stop in enumerate(camera.stops)}
         self._cores = {number: core for number, core in cores.items() if core is not None}

@@ -1,12 +1,13 @@
-"""Functions that are traced once and launched again for other arrays, in the JIT variants.
+"""Functions that are traced once and launched again with other arrays, in the JIT variants.
 
-Dr.Jit runs a function in Python at every call, to find the kernel that the last call compiled: 20 to 40 ms for a batch
-of rays, whose kernel takes 0.2 s on one thread. The batches of a pass differ in nothing but their arrays, so that the
-first is traced and its kernels are launched for the others (``drjit.freeze``).
+At every call, Dr.Jit runs a function in Python to find the kernel that an earlier call compiled. This takes 20 to 40 ms
+for a batch of rays, whose kernel takes 0.2 s on one thread. The batches of a pass differ only in their arrays, so the
+first batch is traced, and its kernels are launched again for the others (``drjit.freeze``).
 
-What a frozen function reads must be among its arguments, in arrays, plugins, tuples, lists and dataclasses (tuples with
-names are opaque to Dr.Jit), and what is no array is the same in all calls: it is read once. Numbers that differ are
-arrays of one entry. Arrays that a function reads from the host stop the process.
+All data that a frozen function reads must be passed as arguments, in arrays, plugins, tuples, lists and dataclasses
+(Dr.Jit cannot look into named tuples). Values that are not arrays are read once and must be the same in all calls;
+numbers that change are passed as arrays of one entry. Reading arrays from the host inside the function ends the
+process.
 
 Tested in tests/dasim/render/test_frozen.py.
 """

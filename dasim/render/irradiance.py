@@ -1,21 +1,22 @@
 """Irradiance from extended sources and from other surfaces, interpolated where it is smooth (JIT variants).
 
-The irradiance of a Lambertian surface by the sky and by its surroundings changes little from pixel to pixel, and
-accounts for most of the cost and the noise of a picture. It is traced once on a grid of points that the lens sees, with
-many directions each, and interpolated: Ward, Rubinstein and Clear, "A ray tracing solution for diffuse
+The irradiance of a Lambertian surface from the sky and from its surroundings changes little from pixel to pixel, but
+accounts for most of the cost and the noise of a picture. It is traced once, on a grid of points that the lens sees,
+with many directions each, and interpolated: Ward, Rubinstein and Clear, "A ray tracing solution for diffuse
 interreflection", SIGGRAPH 1988. Lamps are excluded: every ray samples them where it lands, so that shadows are sharp
 (:mod:`dasim.render.lamps`).
 
 Over wavelength, irradiance is smooth only relative to the spectrum of its source. Each distinct spectrum therefore has
 its own grid; all grids share the rays.
 
-Cells in which rays would not find it are refined (:mod:`dasim.render.irradiance_tracing`).
+Cells in which rays would find no irradiance are refined (:mod:`dasim.render.irradiance_tracing`).
 
-A ray uses the corners of its cell that lie on its surface. Between four that receive nearly the same, linear
-interpolation is accurate to a fraction of that. Beside steps in depth and creases, where fewer are left, each must
-agree with the nodes around it. In both cases, corners must be near by Ward's measure: not far from the point for the
-distance of the surroundings, which is short beneath objects. Elsewhere, and on surfaces that are not Lambertian, rays
-are traced by a path tracer. The claim ``interreflection`` compares pictures with those of the path tracer alone.
+A ray uses the corners of its cell that lie on its own surface. If all four do and receive nearly the same irradiance,
+linear interpolation is accurate to a fraction of their differences. At depth discontinuities and creases, where fewer
+corners remain, each of them must agree with the nodes around it. In both cases, Ward's measure limits the distance from
+the point to the corners relative to the distance of the surroundings, which is short beneath objects. Elsewhere, and on
+surfaces that are not Lambertian, rays are traced by a path tracer. The claim ``interreflection`` compares pictures with
+those of the path tracer alone.
 
 Tested in tests/dasim/render/test_irradiance.py and tests/dasim/render/test_passes.py.
 """
@@ -43,10 +44,10 @@ SPAN_NM = float(grid.WAVELENGTH_NM[-1] - grid.WAVELENGTH_NM[0])
 
 @dataclass(frozen=True)
 class Field:
-    """Irradiance over each light's spectrum on a grid of film positions, seen from the middle of the lens.
+    """Irradiance relative to each light's spectrum on a grid of film positions, seen from the centre of the lens.
 
-    Cells where rays would not find it are refined. The ``PARTS`` x ``PARTS`` cells of each of these follow those of the
-    grid, and their nodes follow its nodes, with those on common sides repeated.
+    Cells in which rays would find no irradiance are refined into ``PARTS`` x ``PARTS`` cells. In the arrays, these
+    follow the cells of the grid, and their nodes follow the nodes of the grid; nodes on common sides are repeated.
     """
 
     start_px: tuple[float, float]  # of the first node, from the axis

@@ -1,6 +1,7 @@
-"""The nodes of an irradiance field: what they receive is smoothed, and where it may be interpolated.
+"""Nodes of an irradiance field: smoothing of their irradiance, and tests of where it may be interpolated.
 
-Irradiance of each light over its spectrum is [node, light, wavelength] here, ``spectra`` are those of the lights.
+Irradiance is relative to the spectrum of its light here, [node, light, wavelength]; ``spectra`` are those of the
+lights.
 
 Tested in tests/dasim/render/test_irradiance.py.
 """
@@ -78,11 +79,12 @@ class Nodes:
 def smoothed(ratio: FloatArray, nodes: Nodes, spectra: FloatArray, apart: float) -> FloatArray:
     """Irradiance of each node, averaged with neighbours on the same surface that receive nearly the same.
 
-    The noise of a node affects all pixels near it, and more samples per pixel do not reduce it. Each pass takes
-    neighbours twice as far away as the one before, unless light or surface tell them apart (edge-avoiding a-trous
-    wavelets: Dammertz et al., High Performance Graphics 2010). They come in opposite pairs, whose mean has no error
-    where irradiance changes linearly. Its error elsewhere grows with the square of their distance: nodes are ``apart``
-    (as a tangent seen from the lens), and coarse grids are averaged over neighbours only.
+    The noise of a node affects all pixels near it, and more samples per pixel do not reduce it. Each pass uses
+    neighbours twice as far away as the previous pass, except where their irradiance or surface differs (edge-avoiding
+    a-trous wavelets: Dammertz et al., High Performance Graphics 2010). Neighbours are used in opposite pairs, whose
+    mean is exact where irradiance changes linearly. Elsewhere its error grows with the square of their distance, so
+    coarse grids are averaged over direct neighbours only. ``apart`` is the spacing of the nodes, as a tangent seen from
+    the lens.
     """
     weight_of_light = spectra.mean(axis=-1) / spectra.mean(axis=-1).sum()
     for step, (aligned, agreement) in SMOOTHING.items():
@@ -128,11 +130,11 @@ def _averaged(
 
 
 def clamped(nodes: Nodes) -> FloatArray:
-    """Mean inverse distance of the surroundings of each node, 1/m, at least what its neighbours imply.
+    """Mean inverse distance of the surroundings of each node, 1/m, raised to the lower bound that its neighbours imply.
 
-    What stands close by may be seen in a narrow angle alone, as the lower side of a ball on a table. The surroundings
-    are no farther than those of a neighbour and the way to it (Krivanek, Bouatouch, Pattanaik and Zara, Eurographics
-    Symposium on Rendering 2006).
+    A nearby object may be visible within a narrow angle only, such as the underside of a ball on a table. The
+    surroundings of a node are no farther than those of a neighbour plus the distance to that neighbour (Krivanek,
+    Bouatouch, Pattanaik and Zara, Eurographics Symposium on Rendering 2006).
     """
     known, place, own = nodes.known, nodes.place, nodes.surface[:, 5]
     near = own.copy()

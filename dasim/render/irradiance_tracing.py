@@ -1,7 +1,7 @@
-"""The tracing of an irradiance field: directions of incident light from the nodes of a grid (JIT variants).
+"""Tracing of an irradiance field: directions of incident light from the nodes of a grid (JIT variants).
 
-Cells in which rays would find no irradiance, as between objects and where a surface recedes fast, are refined: noise
-and cost of a picture are in the rays that are traced on there.
+Cells in which rays would find no irradiance, such as those between objects and on steeply receding surfaces, are
+refined: the rays that must be traced further there cause the noise and the cost of a picture.
 
 Tested in tests/dasim/render/test_irradiance.py and tests/dasim/render/test_passes.py.
 """

@@ -1,18 +1,21 @@
-"""Light that comes straight from emitters, by a control variate on the irradiance of whole lamps (JIT variants).
+"""Direct light from emitters, with a control variate from the irradiance of whole lamps (JIT variants).
 
-Every ray samples each emitter, so that choosing one makes no noise. What remains comes from where on a lamp the
-sample lies, and from shadows. Each node of the grid of :mod:`dasim.render.irradiance` holds the projected solid angle
-of a lamp as if nothing stood before it, and the part of it that the node sees. With E the light from the whole lamp, L
-the light of one sample, V whether its point is seen, and c any number,
+Every ray samples each of up to eight emitters, so that the choice of an emitter adds no noise. The remaining noise
+comes from the position of the sample on a lamp, and from shadows. Each node of the grid of
+:mod:`dasim.render.irradiance` holds the projected solid angle of the unoccluded lamp, and of the part of it that the
+node sees. With E the light from the whole lamp, L the light of one sample, V the visibility of its point, and c any
+number,
 
     c E + (V - c) L
 
-has the mean of V L (a control variate: Owen, Monte Carlo theory, methods and examples, section 8.9). With c the share
-that the nodes see, full light and full shadow have no noise and penumbrae that of V alone. A shadow that no node sees
-is still there, because c changes no mean. E is interpolated, where a ray ends on the surface that the nodes see.
+has the same mean as V L (a control variate: Owen, Monte Carlo theory, methods and examples, section 8.9). With c the
+fraction that the nodes see, full light and full shadow have no noise, and penumbrae have only that of V. A shadow that
+no node sees is still rendered, because c does not change the mean. E is interpolated where a ray ends on the surface
+that the nodes see.
 
-Among leaves few cells know E, and the place on the lamp makes three quarters of all noise. There a ray samples a lamp
-``SPLIT`` times where its light is in doubt (splitting), since a shadow ray costs less than a ray through the lens.
+Among leaves, E is known in few cells, and the position on the lamp causes up to three quarters of all noise. There, a
+ray samples a lamp ``SPLIT`` times if it may lie in its penumbra or E is unknown (splitting), since a shadow ray costs
+less than a ray through the lens.
 
 Tested in tests/dasim/render/test_lamps.py.
 """
@@ -128,11 +131,11 @@ def light(
         si: the surface interaction.
         aim_at: two uniform numbers.
         hit: mask of the rays.
-        known: where the light of what surrounds the scene is known otherwise; there is no scattered ray there, whose
-            light would count beside.
-        even: radiance of the surface per irradiance, where ``known``, 1/sr: where the ray ends, and the mean with what
-            is beside it in its texture, which counts; None without a field.
-        grid: see :func:`grid_of`, and where each ray ends in it; None without.
+        known: where the irradiance field holds the light from the surroundings; no scattered ray is traced there that
+            could count the same light again.
+        even: reflected radiance per irradiance where ``known``, 1/sr: at the end of the ray, and averaged with nearby
+            points of the texture, which is the value that counts; None without a field.
+        grid: the grid of :func:`grid_of`, and the cell of it in which each ray ends; None without a grid.
     """
     import drjit as dr
     import mitsuba as mi
@@ -181,9 +184,9 @@ def light(
 
 
 def _shifted(place: Any, repeat: Any, step: int) -> Any:
-    """A number of 24 bits from 0 to 1, with those of ``repeat`` x ``step`` exchanged (digital shift).
+    """A 24-bit number in 0..1, combined with ``repeat`` x ``step`` by exclusive or (digital shift).
 
-    The places of a pixel's rays remain as even as they are, which adding modulo 1 would change.
+    This keeps the stratification of a pixel's samples, which addition modulo 1 would change.
     """
     import drjit as dr
     import mitsuba as mi

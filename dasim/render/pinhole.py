@@ -1,8 +1,8 @@
-"""Pictures through a pinhole, all of the same rays: by pixels, and by the nodes of a finer grid, in the JIT variants.
+"""Pinhole pictures on the pixels and on the nodes of a finer grid, from the same rays, in the JIT variants.
 
-Those by pixels are the truth ``sharp_e`` and the colours of ``sharp_srgb``; those by nodes, of a frame with a margin,
-are what the control variate blurs (:mod:`dasim.render.control_variate`), and what is convolved for the picture in focus
-(:mod:`dasim.render.focus_pictures`). Rays are traced tile by tile.
+The pixel pictures are the truth ``sharp_e`` and the colours of ``sharp_srgb``. The node pictures cover the frame and a
+margin: the control variate blurs them (:mod:`dasim.render.control_variate`), and the in-focus picture is convolved from
+the nodes (:mod:`dasim.render.focus_pictures`). Rays are traced tile by tile.
 
 Tested in tests/dasim/render/test_ray_loop.py.
 """
@@ -77,11 +77,11 @@ class Collect(Protocol):
 
 @dataclass(frozen=True)
 class Channels:
-    """What is made of the channels of a pass by nodes, in their order."""
+    """How the channels of a node pass are used, in their order."""
 
-    parts: Sequence[int]  # how many of the first ones each picture by nodes has
-    totals: Sequence[Sequence[int]]  # numbers of those that add up to each channel of the picture by pixels
-    collected: int = 0  # how many behind the first ones are given to ``collect``, by their numbers among these
+    parts: Sequence[int]  # number of channels of each node picture; these channels come first
+    totals: Sequence[Sequence[int]]  # indices of the channels that add up to each channel of the pixel picture
+    collected: int = 0  # number of channels after ``parts`` that ``collect`` receives, by their indices among these
     collect: Collect = lambda tile, channel, light: None
 
 

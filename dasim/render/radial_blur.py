@@ -1,7 +1,7 @@
 """Sampling and weights of wave optics for discs and rings, from radial tables (:mod:`dasim.render.wave` has the idea).
 
-u is sampled first, stratified, for the blur c0 at the middle of the pixel, with a density q close to h; then rho by
-rejection with density D(delta), where delta = -u - rho c0 / 2 follows.
+u is sampled first, stratified, for the blur at the centre of the pixel, with a density q close to h; then rho by
+rejection with density D(delta), where delta = -u - rho c1 / 2 and c1 is the blur at u of the plane that the pixel sees.
 """
 
 from __future__ import annotations
@@ -103,10 +103,11 @@ class RadialBlur:
         return Drawn(self.centre + self.outer * rho, delta, weight, u, per_density)
 
     def _plane(self, blur: Any, slope: Any, u: Any, length: Any) -> tuple[Any, Any]:
-        """The stop's signed blur where the image at u lies, if the surface is a plane; its gradient over u.
+        """Signed blur of the stop at the image position u if the surface is a plane, and its gradient over u.
 
-        The plane goes on as far as the geometric blur, and no farther than ``MOST_CHANGE`` of the in-focus pattern
-        allows, since some rho must lead to u; beyond, blur is that of the border in the same direction.
+        The plane extends to the edge of the geometric blur, but no farther than ``MOST_CHANGE`` of the in-focus pattern
+        allows, because some rho must lead to u. Beyond this border, the blur is that at the border in the same
+        direction.
         """
         import drjit as dr
 
@@ -249,7 +250,7 @@ class RadialBlur:
         return self.density.eval(place, active)[0]
 
     def kernel(self, length: Any, own: Any, wavelength: Any) -> Any:
-        """H per square pixel at a distance ``length`` from the centre for the blur ``own`` of the stop."""
+        """The kernel h per square pixel at a distance ``length`` from the centre for the blur ``own`` of the stop."""
         import mitsuba as mi
 
         scale = wavelength * self.px_per_nm

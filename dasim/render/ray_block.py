@@ -209,9 +209,10 @@ def _variate(
 
 
 def wave_weights(shared: Pass, blur: wave.Blur, rays: Rays, si: Any) -> tuple[list[Any], list[Any], Any]:
-    """Weights of wave over geometric optics where the rays end.
+    """Weights of wave optics relative to geometric optics at the end points of the rays.
 
-    Returns those of each wavelength; their sum, and the part of it at the pixel's depth; the signed visible blur there.
+    Returns the weight at each wavelength; the sum of the weights, and the part of it at the pixel's depth; the signed
+    visible blur at the end point.
     """
     import drjit as dr
     import mitsuba as mi
@@ -232,11 +233,11 @@ def wave_weights(shared: Pass, blur: wave.Blur, rays: Rays, si: Any) -> tuple[li
 def wavelength_places(shared: Pass, lanes: Lanes, stratum: Any) -> Any:
     """Uniform number that chooses the wavelengths of each ray, see :func:`entries_of`.
 
-    Each of a pixel's strata has one number, at the same random place in the even strata and at the opposite place in
-    the odd ones. The errors of two neighbours cancel, so that the error for smooth spectra falls as N^-2 with the
-    number N of strata, that of independent places as N^-3/2 (antithetic variates: Owen, Monte Carlo theory, methods and
-    examples, section 8.2). ``stratum`` is the number of each ray's among those of its pixel. With the order of the
-    samples, it extends their Sobol' points by a dimension, as Hammersley's points do.
+    Each stratum of a pixel holds one number, at the same random position in all even strata and at the mirrored
+    position in the odd ones. The errors of neighbouring strata cancel, so that the error for smooth spectra falls as
+    N^-2 with the number N of strata, and not as N^-3/2 as with independent positions (antithetic variates: Owen, Monte
+    Carlo theory, methods and examples, section 8.2). ``stratum`` is the index of each ray's stratum in its pixel. In
+    the order of the samples, it adds a dimension to their Sobol' points, as in a Hammersley point set.
     """
     import drjit as dr
     import mitsuba as mi

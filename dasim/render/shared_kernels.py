@@ -1,14 +1,14 @@
 """Kernels that all scenes share, in the JIT variants.
 
-Dr.Jit compiles into a kernel the code of every plugin that is alive in the process, in the order of their numbers and
-equal code once, and the length of the tables of their data, which is the highest number. Scenes therefore share a
-kernel only if they have the same kinds of plugins and equally high numbers. So one plugin of every kind that random
-scenes have is kept alive, with low numbers and in scenes that are never rendered, and a last one with a high number:
-what a scene adds between them is data.
+A kernel compiled by Dr.Jit contains the code of every plugin that is alive in the process, in the order of the plugins'
+numbers, with identical code only once, and the length of the plugins' data tables, which is the highest number. Scenes
+therefore share a kernel only if they have the same kinds of plugins and the same highest numbers. For this reason, one
+plugin of every kind used by random scenes is kept alive with a low number, in scenes that are never rendered, and
+another one with a high number. What a scene adds between them is only data.
 
-These plugins cost a picture about half a processor second of tracing, and the first kernels of a machine three times as
-much to compile. They pay in a process that renders many scenes, as those of a dataset do: it holds them from its third
-scene on. Pictures have the same bits with and without.
+These plugins cost about half a processor second of tracing per picture, and the first kernels on a machine take three
+times as long to compile. This pays off in a process that renders many scenes, such as those of a dataset: it holds the
+plugins from its third scene on. Pictures are bit-identical with and without them.
 
 Tested in tests/dasim/render/test_shared_kernels.py.
 """

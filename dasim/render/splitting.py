@@ -1,13 +1,14 @@
-"""Texture splitting: reflectance of several points of the pixel for each ray (JIT variants).
+"""Texture splitting: the mean reflectance of several points of the pixel for each ray (JIT variants).
 
-Once irradiance is known, nearly all noise of a picture is which texel a ray meets. A ray through another point of the
-pixel, parallel in the picture, meets the same plane at a point that needs no tracing. Each ray therefore takes the mean
-reflectance of ``LOOKUPS`` points: its own, and others in the same cell of the pixel, a quarter of a pixel wide as the
-nodes of the control variate (splitting: Arvo and Kirk, Particle transport and image synthesis, SIGGRAPH 1990). The
-control variate is read once for a cell, so that both are means over it (:mod:`dasim.render.control_variate`).
+Once irradiance is known, nearly all noise of a picture comes from which texel a ray hits. A ray from the same place on
+the lens through another point of the pixel hits the same plane, at a point that needs no tracing. Each ray therefore
+uses the mean reflectance of ``LOOKUPS`` points: its own, and others in the same cell of the pixel, which is a quarter
+of a pixel wide (half of one in large frames), as are the nodes of the control variate (splitting: Arvo and Kirk,
+Particle transport and image synthesis, SIGGRAPH 1990). The control variate is read once per cell, so that both are
+means over it (:mod:`dasim.render.control_variate`).
 
-As every point of a cell takes the part of every other one, means on planes do not change. Within a cell that the edge
-of a surface crosses, its texture goes on beyond the edge.
+Every point of a cell stands in equally for every other one, so means on planes do not change. In a cell that contains
+the edge of a surface, the texture of the surface continues beyond the edge.
 
 Tested in tests/dasim/render/test_splitting.py.
 """

@@ -1,7 +1,8 @@
 """Radiance along a ray: a path tracer that uses an irradiance field where one is known.
 
-The rays of a pixel differ in their places on the lens and in their weights, so that stratified directions of incident
-light do not average out: light from extended sources and from other surfaces accounts for most of the noise and cost.
+The rays of a pixel have different positions on the lens and different weights, so that stratifying the directions of
+incident light does not cancel its noise: light from extended sources and from other surfaces accounts for most of the
+noise and cost.
 
 Tested in tests/dasim/render/test_passes.py.
 """
@@ -42,19 +43,20 @@ def radiance(
     """Spectral radiance along ``ray``, whose first intersection is ``si``.
 
     Where ``field`` holds the irradiance from surrounding emitters and other surfaces, only lamps are sampled
-    (:mod:`dasim.render.lamps`). Elsewhere emitters and the scattering function are, combined by the power heuristic.
+    (:mod:`dasim.render.lamps`). Elsewhere, emitters and the scattering function are both sampled, and combined by the
+    power heuristic.
 
     Args:
         scene: a Mitsuba scene.
-        emitters: that rays sample where they land, of :func:`lamps.chosen`.
+        emitters: emitters sampled at the end of each ray, from :func:`lamps.chosen`.
         integrator: continues the path, see :func:`path_integrator`.
         sampler: random numbers of the integrator.
         ray: the ray, with its wavelengths.
         si: its surface interaction.
         numbers: uniform numbers: two for an emitter, two for a direction, one for a lobe of the scattering function.
         field: known irradiance, or None.
-        shifts: of texture coordinates; where irradiance is known, reflectance is the mean of that at the end of the ray
-            and with these.
+        shifts: offsets of texture coordinates; where irradiance is known, the reflectance is the mean over the end of
+            the ray and the points at these offsets.
     """
     import drjit as dr
     import mitsuba as mi

@@ -1,28 +1,29 @@
-"""Defocus in wave optics: rays sampled from the blur of geometric optics, weighted to that of wave optics.
+"""Defocus in wave optics: rays are sampled from the geometric blur and weighted to match wave optics.
 
 A ray starts at rho on the stop, sampled uniformly, and leaves through the film position x + delta, with delta sampled
-from the in-focus diffraction pattern D. Where it meets a surface of blur c, the image of that point lies at u from x
-with density g(u; c) = (D * geometric blur). Wave optics has the density h(u; c, lambda) there, so the contribution of
-the ray is weighted by h / g. Exact for surfaces that face the camera and that nothing hides in part; what is seen
-beside a nearer object gets the light that this leaves (:mod:`dasim.render.layers`).
+from the in-focus diffraction pattern D. If it hits a surface of blur c, the image of the hit point lies at the offset u
+from x, with density g(u; c), which is D convolved with the geometric blur. The density in wave optics is
+h(u; c, lambda), so the contribution of the ray is weighted by h / g. This is exact for surfaces that face the camera
+and are not partly hidden; a surface seen past the edge of a nearer one gets the light that the nearer one leaves
+(:mod:`dasim.render.layers`).
 
-Off the axis (:mod:`dasim.render.field_angle`) delta is sampled from the pattern as it is there, D(T delta), and the
-weight in the direction of u is that of the axis for u and c scaled by t = |T u| / |u|: with the geometric edge in its
-place, and with the scale of diffraction that belongs to the edge's direction. For discs and rings about the axis, whose
-D depends on |T u| alone, that is exact in focus. The pattern of other stops there is D(T u), and the weight takes D at
-the same distance in the direction of u, which differs from that of T u by up to 9 degrees at 31 degrees of field. The
-defocus itself is astigmatic off the axis, rho T rho, which is neglected: encircled energies of discs differ by less
-than 0.01 at 31 degrees.
+Off the axis (:mod:`dasim.render.field_angle`), delta is sampled from the off-axis pattern D(T delta). The weight is the
+on-axis weight with u and c scaled by t = |T u| / |u|: this keeps the geometric edge in its place, and gives diffraction
+the scale that belongs to the direction of the edge. For discs and rings about the axis, whose D depends on |T u| alone,
+this is exact in focus. For other stops, the pattern is D(T u), but the weight takes D at the same distance in the
+direction of u, which differs from that of T u by up to 9 degrees at a field angle of 31 degrees. Off-axis defocus is
+astigmatic, rho T rho, which is neglected: the encircled energies of discs differ by less than 0.01 at 31 degrees.
 
 Sampling rho and delta independently would leave u unstratified, although u determines what a pixel sees. For discs and
-rings, u is therefore sampled first, stratified, for the blur c0 at the middle of the pixel, with a density q close to
-h; then rho by rejection with density D(delta), where delta = -u - rho c1 / 2 follows. Here c1 is the blur at u of the
-plane that continues the surface in the middle. This is the same joint density apart from the factor g(u; c1) / q(u; c0)
-and the volume |d delta / d u|, which multiply the weight: no approximation, wherever the ray ends.
+rings, u is therefore sampled first, stratified, for the blur c0 at the pixel centre, with a density q close to h; then
+rho is sampled by rejection with density D(delta), where delta = -u - rho c1 / 2. Here c1 is the blur at u of the plane
+that continues the surface seen at the pixel centre. The joint density is the same except for the factor
+g(u; c1) / q(u; c0) and the volume |d delta / d u|, which multiply the weight. This is not an approximation, wherever
+the ray ends.
 
-Discs and rings are radial and need tables of two dimensions. Polygons and masks need two tables of three dimensions,
-and sample rho and delta independently.
-Lengths are in pixels; c is signed, that of the open lens, and positive nearer than the focus.
+Discs and rings are radial and need two-dimensional tables. Polygons and masks need two three-dimensional tables, and
+rho and delta are sampled independently. Lengths are in pixels. c is signed, refers to the open lens, and is positive
+nearer than the focus.
 """
 
 from __future__ import annotations

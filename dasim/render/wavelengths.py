@@ -59,10 +59,12 @@ def pinhole_responses(camera: Camera, also: Camera | None = None) -> Responses:
 def separate_responses(
     camera: Camera, also: Camera, light: FloatArray, densities: Sequence[FloatArray], stops: Sequence[Stop]
 ) -> tuple[Responses, list[list[int]]]:
-    """Responses of a pass through a pinhole with the bands of each stop, stop by stop, then those through each of some
-    ``stops``, then others; and which of them add up to each channel of the camera and of the other one.
+    """Responses of a pass through a pinhole, and the indices of those that add up to each channel of the camera and of
+    ``also``.
 
-    The bands are those of :func:`tents` under ``light``, for the ``densities`` of the stops' wavelengths on the grid.
+    The responses are the bands of each stop, then the camera's channels through each of ``stops``, then the camera's
+    own channels (unless ``stops`` are all of its stops) and those of ``also``. The bands are those of :func:`tents`
+    under ``light``, for the ``densities`` of the stops' wavelengths on the grid.
     """
     whole = pinhole_responses(camera, also)
     bands = np.concatenate([tents(_cumulative(density)).T * density / light for density in densities])
@@ -85,9 +87,10 @@ def tents(place: FloatArray) -> FloatArray:
 
 
 def at_bands(means: NDArray[np.float32]) -> None:
-    """Values at the nodes of the bands of what is linear between them, from its means by :func:`tents`, in place.
+    """Convert means of a function that is linear between the band nodes, weighted by :func:`tents`, to its values at
+    the nodes, in place.
 
-    ``means`` is [..., band], of places that are spread evenly.
+    ``means`` is [..., band], over evenly spaced positions.
     """
     places = (np.arange(512) + 0.5) / 512
     shares = tents(places)

@@ -1,16 +1,17 @@
-"""Adaptive number of samples: rendering noise is measured between pictures and compared with the sensor's noise.
+"""Adaptive sampling: rendering noise is measured between pictures and compared with the sensor's noise.
 
 Pictures are rendered in pairs with independent random numbers (:mod:`dasim.simulation.rendering_noise`), so that the
-noise is measured, not predicted. The first pair, the pilot, gives all pixels a few samples; then each gets as many
-more as the pilot's noise around it asks for. A pixel's own samples have no part in that decision, which would make
-their mean biased: a bright outlier that brought itself more samples would count less. (The variate's factor of its
-neighbours knows them; no bias of it is seen in 71 pictures of gloss, 0.01 %.) Later noise has none either,
-since a pixel's samples decide its neighbours' numbers, and these would decide its own. If the target is missed, all
-numbers grow by one factor, the least for which the noise that is measured then would fall to the target. Many samples
-are asked for in two parts, the second by what the first has left.
+noise is measured, not predicted. The first pair, the pilot, takes a few samples in every pixel. Each pixel then gets
+the additional samples that the pilot's noise in the surrounding pixels requires. The pixel's own samples are excluded
+from that decision, because they would bias its mean: a bright outlier that brought its pixel more samples would get
+less weight. (They do enter the control variate's factor of neighbouring pixels; 71 pictures of glossy surfaces show no
+bias from this, to 0.01 %.) Noise measured later is excluded, too, because the samples of a pixel determine the sample
+counts of its neighbours, and these would determine its own. If the target is missed, all sample counts grow by one
+factor, the smallest that is expected to bring the noise down to the target. Large sample counts are taken in two parts,
+the second according to the noise that remains after the first.
 
-A pilot that asks for many samples is followed by another one with a finer irradiance, which costs less than they do:
-where the irradiance is noisy, its nodes seem to disagree, and rays are traced on that need not be.
+A pilot that requires many samples is followed by another pilot with a finer irradiance field, which costs less than the
+samples: nodes of a noisy field seem to disagree, and rays are then traced further without need.
 """
 
 from __future__ import annotations
@@ -46,20 +47,21 @@ FEWEST_SPP, MOST_SPP = 8, 4096
 STEPS = np.array(sorted({*(8 << k for k in range(10)), *(12 << k for k in range(9))}))
 MOST_ROUNDS = 4
 SLOPE = 1.1  # variance falls about as samples ** -1.0 to -1.2 (claim fewer-rays)
-# Of what the pilot asks for, a part is taken first where it is many times the pilot: so far ahead, noise is not known.
+# If the pilot requires more than FAR times its own samples, a part is taken first: noise is not known that far ahead.
 FAR, PART_OF_FAR = 8.0, 0.5
-AIM = 0.98  # of the target, that a further round is for
-MOST_MORE, MORE_BISECTIONS = 8.0, 8  # largest factor of a further round, and how finely it is found
-NEARLY = 1.05  # times the least noise that a round can reach, for which it is not made larger
-# What neighbours share may be this part of the target, in standard deviations, in the pilot and in later pairs, which
-# have cost more; beyond it, further pictures have an irradiance of more directions, by MOST_FINER times at most.
+AIM = 0.98  # of the target: the noise for which a further round is planned
+MOST_MORE, MORE_BISECTIONS = 8.0, 8  # largest factor of a further round, and bisection steps to find it
+NEARLY = 1.05  # a round is not enlarged to get below this multiple of the least noise that it can reach
+# Largest noise correlated between neighbours, as a fraction of the target standard deviation, in the pilot and in later
+# pairs, which have cost more. Above it, further pictures use an irradiance field with up to MOST_FINER times the
+# directions.
 SHARED, SHARED_LATER, MOST_FINER = 0.5, 0.7, 16
-CERTAIN = 3.0  # standard errors by which it must exceed that
-# Noise of irradiance brings rays that need not be, as 1 / f, and irradiance of f times the directions costs as f: of N
-# wanted rays per pixel, the best f is the root of N over a constant. Of 40 and 160, tried on four random scenes, 160
-# took less time.
+CERTAIN = 3.0  # standard errors by which it must exceed that fraction
+# Noise of the irradiance field causes unnecessary rays in proportion to 1 / f, and a field with f times the directions
+# costs in proportion to f. For N wanted rays per pixel, the best f is therefore sqrt(N / constant). Of the constants 40
+# and 160, tried on four random scenes, 160 took less time.
 RAYS_PER_FINENESS = 160.0
-LEAST_LIGHT = 0.1  # that noise is compared with, of the mean: no samples are spent on what is nearly black
+LEAST_LIGHT = 0.1  # of the mean, added to the light that noise is compared with: spares nearly black pixels
 # The mean number of samples is found by halving, from some rows and columns.
 SPARSE, BISECTIONS = slice(None, None, 3), 24
 LARGE_FRAME_PX = 600_000
@@ -86,9 +88,10 @@ def render_to_noise_target(
 ) -> AdaptiveRender:
     """Render pairs of pictures until their noise is below the share ``target`` of the sensor's.
 
-    All pairs of the finest irradiance count in the result, weighted by their samples. Noise that neighbours share comes
-    from the irradiance and asks for no samples: once there surely is much of it, pairs so far do not count, and others
-    have a finer irradiance. Nor does a pilot count that asks for so many samples that another one follows it.
+    The result is the mean of all pairs with the finest irradiance field, weighted by their samples. Noise that is
+    correlated between neighbouring pixels comes from the irradiance field, and more samples do not reduce it. Once it
+    is significantly too large, all pairs so far are discarded, and new ones use a finer field. A pilot that is followed
+    by another pilot is discarded, too.
 
     Args:
         picture: ``picture(number, index, spp, finer)`` renders the stop of a ``number`` with its part of ``spp``
@@ -225,11 +228,12 @@ def next_spp(missing: FloatArray, most_spp: int) -> NDArray[np.int64]:
 
 
 def allotted_spp(pilots: Sequence[Sums], mean: float) -> NDArray[np.int64]:
-    """Samples of each picture of a further pair, [stop, h, w], ``mean`` per pixel and stop of both together, about.
+    """Samples of each picture of a further pair, [stop, h, w]; both pictures together take about ``mean`` per pixel and
+    stop.
 
-    They make the sum over the pixels of the variance, relative to shot noise, as small as so many samples can: each
-    pixel's samples are in proportion to the standard deviation of one (Neyman, Journal of the Royal Statistical Society
-    97, 1934), which the pixels around it tell. ``pilots`` are pairs of pictures through each stop.
+    The allocation minimises the sum over the pixels of the variance relative to shot noise: the samples of each pixel
+    are proportional to the standard deviation of one sample (Neyman, Journal of the Royal Statistical Society 97,
+    1934), which is estimated from the surrounding pixels. ``pilots`` are pairs of pictures through each stop.
     """
     light, variance = np.zeros(pilots[0].rate.shape[1:]), []
     for pilot in pilots:

@@ -23,8 +23,8 @@ from dasim.values import PointPicture, PointPictures
 
 FRAMES = 2  # per exposure
 CALIBRATION_LIGHTS = ("D65", "D55", "A", illuminants.ENERGY_SAVING)
-# Exposure times over the automatic one, which comes last. In a picture whose core is well exposed, the fixed pattern
-# hides the tails of a kernel, and near-infrared under a lamp with little of it.
+# Exposure times relative to the automatic one, which comes last. In a picture whose core is well exposed, the fixed
+# pattern hides the tails of the kernel, and the near-infrared signal under lamps that emit little of it.
 EXPOSURES = (256.0, 16.0, 1.0)
 EXPOSURE_S = 0.01
 # The source is put up anew for each light and level: its image lies this far from its place in the field, in periods of
@@ -57,23 +57,22 @@ def calibration_captures(
 ) -> PointPictures:
     """Pictures of a point source for each light, blur level, mosaic position and exposure.
 
-    Where axial colour tells the sides of the focus apart, levels behind it follow, with negative numbers.
+    If axial colour distinguishes the two sides of the focus, levels behind the focus follow, with negative numbers.
 
-    The kernels are the camera's own (a path-traced point source converges too slowly to calibrate with), at an unknown
-    place within some tens of pixels of ``field_px`` for each light and level, where they meet the sensor's fixed
-    pattern. They pass through the sensor model with automatic exposure to 85 % of full scale and with longer ones
-    (``EXPOSURES``). ``shift_px`` covers one period of the mosaic. The pictures do not depend on the camera's frame,
-    except by ``field_px``.
+    The kernels are those of the camera model (a path-traced point source converges too slowly for calibration). For
+    each light and level, the source lies at an unknown position within 32 periods of the mosaic of ``field_px``, where
+    its image is affected by the sensor's fixed pattern. The sensor model exposes it automatically to 85 % of full
+    scale, and longer (``EXPOSURES``). ``shift_px`` covers one period of the mosaic. The pictures do not depend on the
+    camera's frame, except through ``field_px``.
 
     Args:
         camera: a Camera, a bundled name or a path; its own focus is used
         lights: names of illuminants
         frames: number of frames of each picture
-        seed: of the positions and of the sensor noise
+        seed: seed of the positions and of the sensor noise
         diffraction: ``wave``, ``airy`` or ``off``
-        noise: the noise model, see :data:`dasim.camera.noise.NoiseModel`; a bank with another one than the bundled
-            is not stored in the cache
-        field_px: (x, y) of the source's image from the optical axis; by default the middle of the camera's frame
+        noise: the noise model, see :data:`dasim.camera.noise.NoiseModel`; only banks with the bundled model are cached
+        field_px: (x, y) of the source's image from the optical axis; by default the centre of the camera's frame
     """
     camera = as_camera(camera)
     field_px = geometry.frame_field_px(camera) if field_px is None else pointspread.pair("field_px", field_px)

@@ -91,7 +91,7 @@ def write_measurement(
 
     The frames are a bright and a dark pair for each exposure time, then bright and dark stacks near half the saturation
     for the spatial figures. ``size_px`` is [width, height] of the frames, which hold pixels of ``channel`` only. All
-    frames share the fixed patterns of the seed.
+    frames share the fixed pattern of the camera; ``seed`` is that of the temporal noise.
     """
     _check_size(camera, size_px)
     measurement = plan(camera, channel, gain)

@@ -38,7 +38,7 @@ from dasim.typing import Float32Array, FloatArray, Progress
 
 TWIN = "bayer-mobile"  # the camera whose colours ``sharp_srgb`` has
 SHARP_SPP = 32  # of the pinhole picture, which has no lens to sample
-FOCUS_SPP = 4  # rays through a stop: of each picture of the pilot in focus; in ``scalar_spectral`` of all there is
+FOCUS_SPP = 4  # rays through a stop of each of the two pilot pictures in focus; twice as many in ``scalar_spectral``
 MORE_SPP = 4.0  # of a picture where its pilot is noisy, mean over the pixels
 
 
@@ -54,10 +54,11 @@ class ExactPictures:
 def exact_pictures(view: View, sharp: SharpPictures, seed: int, progress: Progress) -> ExactPictures:
     """The exact pictures.
 
-    Through a lens without diffraction, aberrations and glare, the picture in focus is that through a pinhole. Through
-    discs and rings, it is convolved from the rays of a pinhole (:mod:`dasim.render.focus_pictures`); through other
-    stops, it has rays of its own, more of them where a pilot is noisy: on gloss, glass and fine texture. So has the
-    picture through a pinhole, where halves of its rays differ.
+    For a lens without diffraction, aberrations and glare, the in-focus picture is the pinhole picture. For discs and
+    rings with wave optics and without aberrations, it is convolved from pinhole rays
+    (:mod:`dasim.render.focus_pictures`). For other stops, it is rendered with its own rays, and with more of them where
+    a pilot is noisy: on gloss, glass and fine texture. The pinhole picture also gets more rays where the halves of its
+    rays differ.
     """
     perfect = wavefront.is_perfect(view.camera)
     if view.diffraction == "off" and perfect and not any(stop.glare_share for stop in view.camera.stops):

@@ -1,8 +1,9 @@
-"""From the light that reaches a sensor to a capture and its ground truth, as often as wanted for one rendering.
+"""From the light on a sensor to a capture and its ground truth, any number of times per rendering.
 
-The light is known per second, rounded to ``SIGNIFICANT_BITS``. A capture's ``mean_e`` is that rate times its exposure
-time in single precision, whose error is less than half a step of the rate: the rate of a kept capture is found again
-exactly. What :func:`expose` makes of it is therefore, byte for byte, what a rendering with the other time gives.
+The light is stored as a rate per second, rounded to ``SIGNIFICANT_BITS``. The ``mean_e`` of a capture is that rate
+times the exposure time in single precision, with an error of less than half a step of the rate, so that the rate can be
+recovered exactly from a saved capture. The result of :func:`expose` is therefore byte for byte that of a new rendering
+with the other exposure time.
 """
 
 from __future__ import annotations
@@ -73,25 +74,26 @@ def expose(
     seed: int | None = None,
     noise: NoiseModel | None = None,
 ) -> Shot:
-    """Expose a kept shot again, without rendering: another light level, exposure, noise seed or noise model.
+    """Expose a saved shot again, without rendering: with another light level, exposure, noise seed or noise model.
 
-    Byte for byte what ``simulate`` gives with the same exposure, noise seed and number of samples. Another light level
-    is the same to the renderer's single precision, in which other numbers round elsewhere. Samples that
-    ``spp = "auto"`` chose stay as they are: a brighter exposure shows more of their noise beside the sensor's, which
-    the provenance states and a note says. Of a shot with ``independent_mean`` the new raw picture repeats the noise of
-    ``mean_e``.
+    The result is byte for byte that of ``simulate`` with the same exposure, noise seed and number of samples. With
+    another light level, it is the same to within the renderer's single precision, because rounding then applies to
+    other numbers. Sample counts that ``spp = "auto"`` chose are kept: a brighter exposure shows more of their rendering
+    noise relative to the sensor noise, which the provenance and a note report. For a shot with ``independent_mean``,
+    the new raw picture repeats the noise of ``mean_e``.
 
     Args:
         shot: a shot, or the folder of a capture
-        lux: illuminance in lux of all lights of the scene together, each by the same factor; as it was by default
-        scale: instead of ``lux``, the factor on all lights, also those of a Mitsuba scene
-        exposure: exposure time and gain; by default those of the capture, where an automatic time is chosen anew
-        seed: of the sensor's temporal noise, 0 or above; that of the capture by default. The fixed pattern is the
-            camera's, and stays
+        lux: total illuminance of all lights of the scene in lux; all are scaled by the same factor; unchanged by
+            default
+        scale: instead of ``lux``, the factor on all lights, including those of a Mitsuba scene
+        exposure: exposure time and gain; by default those of the capture, with an automatic time computed again
+        seed: seed of the sensor's temporal noise, 0 or above; that of the capture by default. The fixed pattern belongs
+            to the camera and does not change
         noise: the noise model; the bundled one by default
 
-    Raises InputError for a capture without its truth, or with that of a part of its frame, and for values that are not
-    allowed.
+    Raises InputError for a capture without ground truth, or with the ground truth of only a part of its frame, and for
+    values that are not allowed.
     """
     (result,) = expose_series(shot, [exposure], lux=lux, scale=scale, seed=seed, noise=noise)
     return result
@@ -107,15 +109,16 @@ def expose_series(
     seed: int | None = None,
     noise: NoiseModel | None = None,
 ) -> Iterator[Shot]:
-    """Expose a kept shot several times: a bracket, and of each of its exposures a burst; see :func:`expose`.
+    """Expose a saved shot several times: a bracket, with a burst at each of its exposures; see :func:`expose`.
 
     Args:
         shot: a shot, or the folder of a capture
-        exposures: those of the bracket; None for that of the capture
-        frames: frames of the burst, with independent noise and the same fixed pattern
-        lux: illuminance in lux of all lights together, or ``scale``: the factor on them
+        exposures: exposures of the bracket; None for that of the capture
+        frames: frames of each burst, with independent noise and the same fixed pattern
+        lux: total illuminance of all lights in lux, or ``scale``: the factor on them
         scale: see ``lux``
-        seed: of the first frame's noise; those of the others follow from it and their number in the series
+        seed: seed of the noise of the first frame; the seeds of other frames follow from it and their index in the
+            series
         noise: the noise model; the bundled one by default
     """
     where = "capture" if isinstance(shot, Shot) else f"capture {shot}"

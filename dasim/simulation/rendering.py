@@ -183,11 +183,11 @@ def _halves(
 def glared(
     camera: Camera, picture: Callable[[int], tuple[FloatArray, NDArray[Any]]]
 ) -> tuple[FloatArray, NDArray[Any]]:
-    """Sum over stops of pictures with their glare, and of the differences whose squares are their variance; ``picture``
-    makes both for a stop's number.
+    """Sums over the stops of their pictures with glare, and of the differences whose squares are the variance;
+    ``picture`` returns both for the index of a stop.
 
-    Glare spreads a share of the light widely: its noise is that of a mean over many pixels. Stops share the irradiance,
-    so that their differences add before they are squared.
+    Glare spreads a fraction of the light widely, so that its noise is that of a mean over many pixels. The stops share
+    the irradiance field, so their differences are added before they are squared.
     """
     together: NDArray[Any] = np.zeros(())
     differences: NDArray[Any] = np.zeros((), np.float32)

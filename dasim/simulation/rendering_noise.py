@@ -1,14 +1,14 @@
-"""Rendering noise of a picture, measured between independent pictures of the same view, and its share of the sensor's.
+"""Rendering noise of a picture, measured between independent pictures of the same view, relative to sensor noise.
 
-Every picture through the lens is the mean of pictures with independent random numbers and irradiance fields, in pairs.
-Half the difference of a pair has the noise of its mean, whatever makes it: the places on the lens and in the pixel,
-wavelengths, lamps, the irradiance field, and the ratio estimators of wave optics and of layers. No formula of the
-variance is needed, and none is assumed. Their denominators take out the bias of these ratios (``_joined``), except in
-pixels that see several depths.
+Every picture through the lens is the mean of pairs of pictures with independent random numbers and irradiance fields.
+Half the difference of a pair has the same noise as the mean of the pair, whatever its source: positions on the lens and
+in the pixel, wavelengths, lamps, the irradiance field, and the ratio estimators of wave optics and of layers. No
+formula for the variance is needed or assumed. The bias of the ratio estimators is removed by means of their
+denominators (``_joined``), except in pixels that see several depths.
 
-Beside each picture S goes its control variate T, whose expectation is 0 (:mod:`dasim.render.control_variate`): S - b T
-has the expectation of S for every factor b that does not depend on the samples of the pixel. The best factor,
-cov(S, T) / var(T), comes from the differences of the pairs at the pixels around it.
+Each picture S comes with a control variate T, whose expectation is 0 (:mod:`dasim.render.control_variate`): S - b T has
+the expectation of S for every factor b that does not depend on the samples of the pixel. The best factor,
+cov(S, T) / var(T), is estimated from the differences of the pairs in the surrounding pixels.
 
 Tested in tests/dasim/simulation/test_rendering_noise.py.
 """
@@ -49,15 +49,17 @@ class Measured(NamedTuple):
 
     rate: Float32Array  # [stop, h, w, channel] mean electrons per second through each stop
     variance: Float32Array  # [stop, h, w, channel] of ``rate``, mean by ``WEIGHTS``
-    around: Float32Array  # the same from the pixels around each, without its own
+    around: Float32Array  # the mean of the pixels around each, without its own, evenly weighted
     spp: NDArray[np.int64]  # [stop, h, w] or [stop, 1, 1] samples per pixel of all pictures together
 
 
 class Sums(NamedTuple):
-    """Sums over pairs of pictures, from which :func:`measured` takes mean and variance: memory of any number of pairs.
+    """Sums over pairs of pictures, from which :func:`measured` computes mean and variance; the memory does not depend
+    on the number of pairs.
 
-    A pair of m and n samples adds m a + n b of its pictures a and b, and sqrt(m n) (a - b). Differences keep their
-    signs, so that noise that all first pictures share, and all second ones, counts as such: that of an irradiance.
+    A pair of pictures a and b with m and n samples adds m a + n b and sqrt(m n) (a - b). Differences keep their signs,
+    so that noise common to all first pictures, or to all second ones, is measured as such: that of their irradiance
+    field.
     """
 
     spp: NDArray[np.int64]  # [stop, h, w] or [stop, 1, 1] samples per pixel
@@ -100,11 +102,13 @@ def measured(sums: Sums) -> Measured:
 
 
 def of_sum(sums: Sums, kept: Sequence[float] | None = None) -> tuple[Float32Array, Float32Array]:
-    """Variance of the sum over stops, mean by ``WEIGHTS``, and the part that neighbours share, [h, w, channel].
+    """Variance of the sum over stops, averaged by ``WEIGHTS``, and the part of it that is correlated between
+    neighbouring pixels, [h, w, channel].
 
-    More samples of a pixel do not reduce that part, finer irradiance does. With n pixels in a window, n times the
-    square of their mean difference exceeds the mean of their squares by n - 1 times that part. Stops share the
-    irradiance, so that their differences add before they are squared; ``kept`` are factors on the stops, by default 1.
+    More samples per pixel do not reduce that part, a finer irradiance field does. With n pixels in a window, n times
+    the square of their mean difference exceeds the mean of their squares by n - 1 times that part. The stops share the
+    irradiance field, so their differences are added before they are squared; ``kept`` are factors on the stops, 1 by
+    default.
     """
     stops, height, width, channels = sums.rate.shape
     variance, shared = np.empty((2, height, width, channels), np.float32)

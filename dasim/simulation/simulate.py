@@ -54,24 +54,25 @@ def simulate(
 ) -> Shot:
     """Photograph a scene: render each stop, expose, add noise, and keep the ground truth.
 
-    The same seed and variant give the same bytes. The camera owns the focus, also where it is given by name;
-    ``dasim.focused(camera, scene)`` sets the focus that a scene proposes.
+    The same seed and variant give the same bytes. The focus is that of the camera, even if the camera is given by name;
+    ``dasim.focused(camera, scene)`` sets the focus that the scene suggests.
 
     Args:
         scene: a Scene or MitsubaScene, or the name or path of one: ``dasim.simulate("desk", "da-mobile")``
         camera: a Camera, a bundled name or a path
-        seed: of all random numbers, 0 or above
-        spp: samples per pixel and stop, or ``auto``: as many as bring the rendering noise below ``noise_share``
-        noise_share: rendering noise over the sensor's own noise, in every channel
-        noise_at: percentile of the pixels at which ``noise_share`` is meant, 1 to 99.9: the median by default; at 95,
+        seed: seed of all random numbers, 0 or above
+        spp: samples per pixel and stop, or ``auto``: as many as are needed to bring the rendering noise below
+            ``noise_share``
+        noise_share: limit of the rendering noise relative to the sensor noise, in every channel
+        noise_at: percentile of the pixels to which ``noise_share`` applies, 1 to 99.9: the median by default; at 95,
             one pixel in twenty has more rendering noise
         independent_mean: whether ``truth.mean_e`` has samples of its own, so that its rendering noise is independent of
-            that of ``raw_dn``; costs a second picture
+            that of ``raw_dn``; this costs a second picture
         exposure: exposure time and gain; automatic by default
         diffraction: ``wave`` (JIT variants only, their default), ``airy`` (default of ``scalar_spectral``) or ``off``
-        variant: the Mitsuba variant; by default the fastest that works here
+        variant: the Mitsuba variant; by default the fastest that works on this computer
         noise: the noise model, see :data:`dasim.camera.noise.NoiseModel`; the provenance holds its name
-        progress: called with the name of a stage and the share of it that is done
+        progress: called with the name of a stage and the fraction of it that is done
 
     Returns a :class:`Shot`; its ``truth.mean_e`` is the light through the lens, before electronic crosstalk.
     """

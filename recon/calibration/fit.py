@@ -37,9 +37,9 @@ def check_fits(bank: PsfBank, capture: Capture) -> None:
 
 
 def check_lens(bank: PsfBank, camera: Camera, of: str, otherwise: str) -> None:
-    """Raise InputError if the bank was made for another camera or focus than ``camera``, that ``of`` something.
+    """Raise InputError if the bank was made for another camera or focus than ``camera``.
 
-    The message ends with what to do ``otherwise``.
+    The message names ``of`` as the owner of ``camera``, such as "the capture", and ends with the advice ``otherwise``.
     """
     bank_camera = bank.camera
     wrong = [name for name, value, other in _kernel_properties(camera, bank_camera) if value != other]

@@ -1,11 +1,12 @@
-"""The preset ``best``: what windows say of their levels, joined over surfaces by a small network.
+"""The preset ``best``: level scores of windows, combined over surfaces by small networks.
 
-Small windows show where objects end, large ones read weak texture; the score of :mod:`recon.depth.bands` does not ask
-the texture's spectrum to be natural, and is better at large blur (:mod:`recon.depth.evidence`). Neighbours are joined
-before a level is chosen (:mod:`recon.depth.surface_net`): the level is the middle of the posterior, whose blurred steps
-then move to edges of the picture (:mod:`recon.depth.weighted_median`).
+Small windows resolve object boundaries, large ones work with weak texture. The score of :mod:`recon.depth.bands` does
+not assume a natural texture spectrum and is better at large blur (:mod:`recon.depth.evidence`). Neighbouring windows
+are combined before a level is chosen (:mod:`recon.depth.surface_net`); the level is a central value of the posterior.
+A weighted median filter then moves blurred depth discontinuities to edges of the picture
+(:mod:`recon.depth.weighted_median`).
 
-The kernels are those of one side of the focus; :mod:`recon.depth.side` chooses between both.
+The kernels are those of one side of the focus; :mod:`recon.depth.side` chooses between the two sides.
 """
 
 from __future__ import annotations
@@ -19,8 +20,9 @@ from dasim.typing import Float32Array, FloatArray
 from recon.depth import surface_net, weighted_median
 from recon.depth.evidence import Evidence, on_samples
 
-# Of a score over RANGE_LEVELS and more: windows of noise alone have 2 at most. Over fewer levels scores differ less:
-# with RANGE_POWER it is above that of noise (0.2, 0.4, 0.9, 1.7 over 1, 2, 5, 12 levels) and below that of dim texture.
+# A window is informative if its score varies by at least LEAST_RANGE over RANGE_LEVELS levels or more; windows of pure
+# noise reach 2 at most. Over fewer levels scores vary less: with RANGE_POWER the threshold stays above the range of
+# noise (0.2, 0.4, 0.9, 1.7 over 1, 2, 5, 12 levels) and below that of dim texture.
 LEAST_RANGE, RANGE_LEVELS, RANGE_POWER = 16.0, 16, 1.5
 
 

@@ -1,4 +1,4 @@
-"""Banded cross-spectra of the four channels around each sample, and those that a textured plane at each level has.
+"""Banded cross-spectra of the channels around each sample, and those that a textured plane at each level has.
 
 In a window, the channels' band-passed images y_i give the matrix S_b = <y_i y_j> of each band b. A plane at blur level
 a, whose texture has the power P = 1/f^2.6 and the covariance Sigma between channels, has

@@ -1,10 +1,15 @@
-"""What the windows around each node say of its level: the inputs of :mod:`recon.depth.surface_net`.
+"""Evidence of the windows around each node about its level: the inputs of :mod:`recon.depth.surface_net`.
 
-Per node: the scores of the joint likelihood in windows of two sizes and that of :mod:`recon.depth.bands`, each less its
-largest value and compressed; the logarithm of their posterior on smooth surfaces (:mod:`recon.depth.surfaces`); how
-well the best level explains each window, which is little where it holds two depths; signal over noise and coherence of
-green and infrared in bands of frequency; the node's row, since floors come nearer towards the bottom of a picture.
-Beside the nodes, the picture in samples, so that edges can be found between nodes.
+Per node:
+
+- the scores of the joint likelihood in windows of two sizes, and the score of :mod:`recon.depth.bands`, each relative
+  to its largest value and compressed;
+- the logarithm of their posterior on smooth surfaces (:mod:`recon.depth.surfaces`);
+- how well the best level explains each window; it explains a window with two depths badly;
+- signal-to-noise ratio and coherence of green and infrared in frequency bands;
+- the row of the node, because floors come nearer towards the bottom of a picture.
+
+The networks also see the picture at every sample, so that edges between nodes can be found.
 """
 
 from __future__ import annotations
@@ -27,8 +32,8 @@ WINDOWS = (Window(10.0, 4), Window(28.0, 8, even=True))
 NODE = 4  # samples of the planes between nodes
 FINEST, RELATIVE, LAST = 0.5, 1 / 8, 28.0  # spacing of levels: the larger of a number and a share of the level
 SCORE_UNIT = 10.0  # score from which on differences count by their logarithm
-# Of the scores of both windows and of ``bands`` in their sum, which share samples: where neighbours are joined, and for
-# the windows alone, chosen on ``tune`` with flowers in view.
+# Weights of the scores of both windows and of ``bands`` in their sum; the scores share samples. WEIGHTS applies where
+# neighbours are combined, ALONE to the windows by themselves. Chosen on ``tune``, with an eye on the scene ``flowers``.
 WEIGHTS, ALONE = (0.6, 0.6, 0.2), (1.0, 1.0, 0.2)
 FAR = 0.5  # exponent of the prior (1 + level / 2)^-FAR: random rooms hold more at small blur
 EXCLUDED = 1e4  # below the best score: of levels that the bank does not have

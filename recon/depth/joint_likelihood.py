@@ -1,14 +1,14 @@
 """Log likelihood of each blur level from the cross-spectra of all channels together (a Wishart law).
 
-At each level the texture's covariance Sigma and the free powers q_b of :mod:`recon.depth.cross_spectra` are fitted to a
-window. With C_b the fitted matrix and n_b the number of independent values of the window, tempered because neighbouring
-windows overlap, the divergence of band b is
+At each level, the texture covariance Sigma and the free powers q_b of :mod:`recon.depth.cross_spectra` are fitted to a
+window. C_b is the fitted matrix, and n_b the number of independent values in the window, reduced (tempered) because
+neighbouring windows overlap. The divergence of band b is
 
     D_b = n_b / 2 (log |C_b| + tr C_b^-1 S_b - log |S_b| - d),
 
-and the score is - sum over b of nu log(1 + D_b / nu): what no plane explains (two depths in the window, a texture of
-another spectrum) counts little. Compare the generalised likelihood of Trouve et al. (Applied Optics 52, 2013) for a
-lens with axial colour, which has one texture for all channels.
+and the score is - sum over b of nu log(1 + D_b / nu). The logarithm limits the influence of bands that no plane
+explains (two depths in the window, a texture with another spectrum). Compare the generalised likelihood of Trouve et
+al. (Applied Optics 52, 2013) for a lens with axial colour, which assumes one texture for all channels.
 """
 
 from __future__ import annotations

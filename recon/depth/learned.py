@@ -1,10 +1,10 @@
-"""Depth by a network that sees the four planes of the mosaic and nothing else: the learned baseline.
+"""The learned baseline: depth by a network that sees the four planes of the mosaic, their noise and the hole's size.
 
-It is what a user without a model of the camera would train: no point-spread function, no likelihood, no window. The
-visible planes are freed of infrared (eq. (7)), every plane is the logarithm of its electrons over the mean of the
-frame, and four constant planes state the noise, a fifth the radius of the infrared aperture over that of the visible
-one. The network (:mod:`recon.depth.learned_network`) answers with probabilities of the diameter of the visible blur,
-whose mean and standard deviation become a level of the bank.
+It is what a user without a camera model would train: its inputs contain no point-spread functions and no likelihoods.
+Infrared is subtracted from the visible planes (eq. (7)), and each plane is the logarithm of its electrons relative to
+the frame mean. Four constant planes give the noise; a fifth gives the ratio of the radii of the infrared and the
+visible aperture. The network (:mod:`recon.depth.learned_network`) predicts probabilities of visible blur diameters.
+Their mean and standard deviation are converted to a level of the bank and its standard deviation.
 
 The network needs PyTorch and safetensors, of the extra ``learn``; both are imported at the first estimate.
 """

@@ -2,9 +2,9 @@
 
 Its first layer is fixed: the logarithmic planes are split into octaves (differences of a pyramid of means), and the
 energy of every plane in every octave, and the correlation of each visible plane with infrared and of red with green,
-are averaged in windows of two sizes at every fourth sample. Blur takes energy from the fine octaves of the visible
-planes first, and by how much more than from those of infrared tells its diameter. What is learned is a small residual
-network on these maps, h <- h + B relu(A * relu(h)) with 3 x 3 convolutions A and linear maps B of the channels.
+are averaged in windows of two sizes at every fourth sample. Blur removes energy from the fine octaves of the visible
+planes first; how much more it removes there than in infrared indicates the blur diameter. Only a small residual network
+on these maps is trained, h <- h + B relu(A * relu(h)) with 3 x 3 convolutions A and linear maps B of the channels.
 
 Tested in tests/recon/depth/test_learned.py.
 """

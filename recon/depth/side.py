@@ -1,13 +1,13 @@
 """Which side of the focus a surface lies on, where axial colour makes the blur of both sides differ.
 
-With a focal length that rises with the wavelength, red and infrared are blurred more than green in front of the focus
-and less behind it, blue the other way round. So the joint likelihood of all four channels
-(:mod:`recon.depth.joint_likelihood`) is taken at the levels of either side; the difference of the best of both is the
-evidence for a side. A window alone has little of it, a surface enough: evidence is joined over neighbours
-(:mod:`recon.depth.surfaces`, with two states that differ by a step) before a side is chosen. Compare the ranking of
-blur in the colour channels by Trouve et al. (Applied Optics 52, 2013).
+With a focal length that increases with wavelength, red and infrared are blurred more than green in front of the focus
+and less behind it; blue behaves the other way round. The joint likelihood of all four channels
+(:mod:`recon.depth.joint_likelihood`) is therefore computed at the levels of each side, and the difference between the
+two largest values is the evidence for a side. The evidence of one window is weak, that of a whole surface is
+sufficient: it is combined over neighbours (:mod:`recon.depth.surfaces`, with two states separated by a step) before a
+side is chosen. Compare the ranking of blur in the colour channels by Trouve et al. (Applied Optics 52, 2013).
 
-Without axial colour, through stops about the axis, both sides have the same kernels, and nearer is assumed.
+Without axial colour and with stops centred on the axis, both sides have the same kernels, and the near side is assumed.
 """
 
 from __future__ import annotations
@@ -25,10 +25,11 @@ from recon.depth.channels import Channel, Leak, kernels_without_infrared
 from recon.depth.cross_spectra import Window
 from recon.depth.joint_likelihood import log_likelihood
 
-# Small windows know surfaces that are narrow, large ones more in dim light. Chosen on boards of other textures at
-# levels -6 to 8, whole and two at a time, at 1,000 and 30 lux.
+# Small windows resolve narrow surfaces, large ones are better in dim light. Chosen on boards with other textures at
+# levels -6 to 8, one or two boards at a time, at 1,000 and 30 lux.
 WINDOWS = (Window(10.0, 8), Window(28.0, 8))  # at the same places
-# Of the evidence of each, over that of a level: windows are farther apart than those whose levels surfaces joins.
+# Weight of the evidence of each window, relative to the evidence for a level: these windows are farther apart than
+# those from which levels are combined.
 WEIGHT = 1.5
 APART = 1e3  # distance of the two states, levels: nothing is between them
 GUIDE_BLUR = 1.0  # standard deviation in samples

@@ -1,22 +1,24 @@
-"""Levels of surfaces from the evidence of windows and the picture, by a small convolutional network.
+"""Levels of surfaces from the evidence of windows and the picture, by small convolutional networks.
 
-A window knows little near the focus and mixes surfaces at steps. Across the picture, surfaces are smooth and end where
-the picture has edges, and floors come nearer towards its bottom. The network has learned this from random rooms and
-from random scenes of the simulator (:mod:`validation.training`), whose seeds, pictures and generated textures no test
-uses; it expects an upright camera. It needs numpy alone.
+A single window has little information near the focus and mixes surfaces at depth discontinuities. Across the picture,
+surfaces are smooth and end at edges of the picture, and floors come nearer towards the bottom. The networks learned
+this from random rooms and from random scenes of the simulator (:mod:`validation.training`); no test uses their seeds,
+pictures or generated textures. They assume an upright camera and need only NumPy.
 
-It has the shape of a U-Net (Ronneberger, Fischer, Brox, MICCAI 2015) of three resolutions: samples of the planes, pairs
-of them, and nodes. The picture is convolved at the first two; at the nodes its features are added to a linear map of
-the evidence, and block i adds to the hidden image h
+Each is a U-Net (Ronneberger, Fischer, Brox, MICCAI 2015) with three resolutions: samples of the planes, pairs of
+samples, and nodes. The picture is convolved at the first two. At the nodes its features are added to a linear map of
+the evidence, and block i updates the hidden image h:
 
     h <- h + B_i relu(A_i * relu(h) + a_i) + b_i
 
 with a 3 x 3 convolution A_i of dilation ``DILATIONS[i]``. On the way back to the samples, the picture's features are
 added again. The log probabilities of a sample's levels are those of the nodes, interpolated, plus a linear map of the
-sample's own features. Networks that began with other random weights err differently where the evidence says little: the
-log probabilities of ``FILES`` are averaged (an ensemble; Lakshminarayanan, Pritzel, Blundell, NeurIPS 2017, average
-probabilities, which is as good here). Their median is mixed with the posterior on smooth surfaces alone, which needs no
-learning.
+sample's own features.
+
+Networks trained from different initial weights make different errors where the evidence is weak, so the log
+probabilities of ``FILES`` are averaged (an ensemble; Lakshminarayanan, Pritzel, Blundell, NeurIPS 2017, average
+probabilities, which works equally well here). The median is mixed with the posterior that assumes smooth surfaces and
+needs no training.
 """
 
 from __future__ import annotations

@@ -1,16 +1,16 @@
-"""Posterior of the levels on surfaces that are smooth but for steps: messages between neighbours, sum-product.
+"""Posterior of the levels on piecewise smooth surfaces, by belief propagation (sum-product).
 
-Neighbouring samples have about equal levels, or a step between them, which is likelier at an edge of the picture. From
-the belief h of a sample, its neighbour gets the message
+Neighbouring samples have nearly equal levels, or a depth discontinuity ("step") lies between them, which is more likely
+at an edge of the picture. A sample with the belief h sends its neighbour the message
 
-    m(l) = (1 - e) sum over l' of K(l' - l) h(l') w(l') + e,
+    m(l) = (1 - e) sum over l' of K(l' - l) h(l') w(l') + e / R,
 
-with a Laplace law K per level, the width w of a level (the distance to its neighbours in the list), a belief of sum 1
-with these weights, the probability e of a step, and any level after a step, with e over the range of the levels.
-Messages run along rows and columns in both directions, twice (belief propagation, Pearl 1988; on a grid with loops:
-Felzenszwalb and Huttenlocher, IJCV 70, 2006). A sample's posterior is the product of its likelihood, the width, and all
-messages. Messages are densities: a width belongs to a sum over levels, once, so that levels that are listed at greater
-distances from each other are not preferred.
+with the Laplace density K over levels and the width w of a level, the spacing of its neighbours in the list. The
+belief has sum 1 with these weights. A step has the probability e, and after it all levels in the range R are equally
+likely. Messages run along rows and columns in both directions, twice (belief propagation, Pearl 1988; on a grid with
+loops: Felzenszwalb and Huttenlocher, IJCV 70, 2006). The posterior of a sample is the product of its likelihood, the
+width, and all messages. Messages are densities, so the width enters only once, in sums over levels; otherwise levels
+listed with larger spacing would be preferred.
 """
 
 from __future__ import annotations

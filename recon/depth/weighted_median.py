@@ -1,9 +1,10 @@
-"""Weighted median filter of levels, guided by the picture: steps in depth move to edges of the picture.
+"""Weighted median filter of levels, guided by the picture: it moves depth discontinuities to edges of the picture.
 
-The mean of a posterior is blurred where it is not known on which side of a step a sample is. Each sample takes the
-median of the levels around it, weighted by likeness in the picture, by nearness, and by how well they are known (Ma,
-He, Wei, Sun, Wu, "Constant time weighted median filtering for stereo matching and beyond", ICCV 2013). A few rounds
-turn ramps between two surfaces into steps; planes stay as they are, since the median of a plane is its middle.
+The level of a posterior is blurred where it is uncertain on which side of a discontinuity a sample lies. The filter
+replaces each level by the median of the levels around it, weighted by similarity in the picture, by distance and by
+certainty (Ma, He, Wei, Sun, Wu, "Constant time weighted median filtering for stereo matching and beyond", ICCV 2013).
+A few rounds turn ramps between two surfaces into discontinuities. Planes do not change, because the median of the
+levels around a sample of a plane is the level of the sample.
 """
 
 from __future__ import annotations

@@ -23,9 +23,10 @@ from recon.sharp import consistency, layers, lost_detail, restoration, sharpen
 
 INTERPOLATED_NOISE_SHARE = 0.7  # noise after interpolation relative to the sensor's, standard deviations
 GRAINY_LEVEL = 3.0  # level from which on eq. (15) is solved for the picture without noise reduction alone
-# Of a deconvolved picture by levels, kernels and occlusion, relative to bright white: told to deconvolution and network
-# as noise, so that a picture with little noise is not sharpened by whatever level it has. Chosen on ``tune`` with and
-# without a tenth of the noise, where more blurs what is in focus; the networks were trained with it.
+# Error of a deconvolved picture due to wrong levels, kernels and occlusion, relative to bright white. Deconvolution and
+# networks treat it as additional noise; otherwise a picture with little noise would be sharpened even where its level
+# is wrong. Chosen on ``tune`` with full noise and with a tenth of it; larger values blur what is in focus. The networks
+# were trained with it.
 MODEL_ERROR = 0.007
 CERTAIN = 0.05  # confidence below which the solution of eq. (15) fades to the captured picture
 

@@ -1,10 +1,10 @@
-"""What the captured picture says beyond an all-in-focus picture: one step towards consistency with the data.
+"""Data-consistency step: add to an all-in-focus picture the detail of the captured picture that it does not explain.
 
-Networks hedge: where detail may be one thing or another, they leave it out, on photographs more than on the textures
-that they have learned from. Blurred again, their picture f lacks something of the captured one, I - h * f; deconvolved
-with the quadratic prior of eq. (10), that is added. It is a step of the proximal methods that alternate between data
-and a denoiser (plug-and-play priors; Venkatakrishnan, Bouman, Wohlberg, GlobalSIP 2013), and less than a deconvolution
-of I, which rings beside steps of depth: what f explains leaves nothing to ring.
+Networks omit ambiguous detail, and more of it in photographs than in the textures that they were trained on. Their
+picture f, blurred again by the kernel h, therefore leaves a residual I - h * f of the captured picture I. The residual
+is deconvolved with the quadratic prior of eq. (10) and added to f. This is one step of a proximal method that
+alternates between the data and a denoiser (plug-and-play priors; Venkatakrishnan, Bouman, Wohlberg, GlobalSIP 2013). A
+deconvolution of I itself would ring beside depth discontinuities; the part of I that f explains cannot ring here.
 
 Tested in tests/recon/sharp/test_consistency.py.
 """
@@ -22,11 +22,11 @@ from recon.sharp import layers, sharpen
 from recon.sharp.layers import Part
 
 # All chosen on ``tune`` and on photographs.
-PRIOR = 6.0  # factor on the measured beta of eq. (9), that of what networks leave out
+PRIOR = 6.0  # factor on the measured beta of eq. (10), that of what networks leave out
 REACH_PX = 32  # of the filters, in every direction
 WHOLE_LEVEL = 2.0  # level from which on all of it is added; in focus there is nothing to deconvolve
 LEAST_SHARE = 0.02  # in a part of a tile that is worth its time
-SURE_SD, SURE_LEVELS = 0.25, 4.0  # sd of level 0 that halves it; it grows by itself every so many levels
+SURE_SD, SURE_LEVELS = 0.25, 4.0  # sd at level 0 that halves the share; it grows by SURE_SD every SURE_LEVELS levels
 
 
 def add_unexplained(

@@ -34,10 +34,10 @@ class Prior(NamedTuple):
 
 
 class Doubt(NamedTuple):
-    """How uncertain the data are at each frequency because the transfer function H is.
+    """Uncertainty of the data at each frequency that is due to the uncertainty of the transfer function H.
 
-    Beside the noise, of unit spectral density, var(H) S is in the data, with the power spectrum S of a scene with white
-    gradients. Data have the weight 1 / (1 + var(H) S).
+    In addition to noise of unit spectral density, the data have an error of spectral density var(H) S, with the power
+    spectrum S of a scene with white gradients. The data are therefore weighted by 1 / (1 + var(H) S).
     """
 
     spectrum: Float32Array  # var(H) S of gradients of unit mean square (:func:`doubt_of`), [h, w/2 + 1]

@@ -1,16 +1,16 @@
 """Detail near focus that the samples of the mosaic show and an all-in-focus picture lacks.
 
-In focus the captured picture is the sharp one but for its noise, so that whatever made the all-in-focus picture, it
-must agree with the samples. Where it does not by more than noise explains, as where a network takes stripes as fine as
-the mosaic for its artefacts, the captured picture knows better. With the samples s of a channel, their noise variance
-v, the picture f and its blur B f by the visible blur of each pixel's level, let
+In focus, the captured picture equals the sharp picture except for noise, so an all-in-focus picture by any method must
+agree with the samples. If the difference exceeds the noise, for example where a network mistakes stripes as fine as the
+mosaic for artefacts of the mosaic, the samples are right. With the samples s of a channel, their noise variance v, the
+picture f, and f blurred by the visible blur of each pixel's level, B f, let
 
     q = sum of (s - B f)^2 / sum of v
 
-in a window around each pixel. Of s - B f, the share 1 - 1 / q is signal (Wiener's filter, of a flat spectrum). So much
-of it, interpolated between the samples, is added to f. The captured picture itself, whose interpolation has artefacts
-that f lacks, is not used. Where the blur of the level plus its standard deviation explains the samples better, it is B:
-a picture that may be right is left.
+in a window around each pixel. A fraction 1 - 1 / q of s - B f is signal (a Wiener filter for a flat spectrum). This
+fraction, interpolated between the samples, is added to f. The interpolated captured picture is not used, because it has
+artefacts that f does not have. If the blur of the level plus its standard deviation explains the samples better, B is
+that blur, so that a picture that may be right is not changed.
 
 Tested in tests/recon/sharp/test_lost_detail.py.
 """

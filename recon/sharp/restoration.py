@@ -1,11 +1,11 @@
 """The all-in-focus picture by a convolutional network, from the captured picture and its deconvolution.
 
-Deconvolution with the kernel of an estimated level is right where the level is, and amplifies noise. The network sees
-the captured channels, infrared among them, which is sharper where blur is large, their linear deconvolution
-(:func:`recon.sharp.sharpen.linear`), the level and its standard deviation, and the noise, and adds to the deconvolution
-what it lacks, so that noise, false levels, steps of depth and the interpolation of the mosaic are treated together. It
-has learned from random rooms through layered lenses and from path-traced random scenes of seeds and pictures of their
-own (:mod:`validation.training`), with levels as the preset ``best`` estimates them. It needs numpy alone.
+Deconvolution with the kernel of an estimated level is right only where the level is right, and it amplifies noise. The
+inputs of the network are the captured channels (including infrared, which is sharper where blur is large), their linear
+deconvolution (:func:`recon.sharp.sharpen.linear`), the level and its standard deviation, and the noise. Its output is a
+correction of the deconvolution, which treats noise, wrong levels, depth discontinuities and demosaicing errors
+together. It was trained on layered renderings of random rooms and on path-traced random scenes with seeds and pictures
+of their own (:mod:`validation.training`), with levels as estimated by the preset ``best``. It needs only NumPy.
 
 It has the shape of a U-Net (Ronneberger, Fischer, Brox, MICCAI 2015) of four resolutions, 2, 4, 8 and 16 pixels, of
 residual blocks h <- h + B relu(A * relu(h) + a) + b with 3 x 3 convolutions A. Electrons x enter and leave it
