@@ -5,7 +5,7 @@
 >>> camera = dasim.focused(dasim.load_camera("da-mobile"), scene)
 >>> shot = dasim.simulate(scene, camera, seed=0)
 
-The public names stand in ``__init__.pyi`` and are loaded on first use: ``import dasim`` alone loads no Mitsuba.
+Public names are declared in ``__init__.pyi`` and loaded on first use: ``import dasim`` alone does not load Mitsuba.
 """
 
 import lazy_loader

@@ -1,4 +1,4 @@
-"""Types of arrays and callbacks that all rooms share."""
+"""Array and callback types that all packages share."""
 
 from __future__ import annotations
 

@@ -133,7 +133,7 @@ class PointPicture:
     """Frames of a point source for calibration: one light, level and position.
 
     The source moves by ``shift_px`` (y, x) whole pixels between pictures; its subpixel position is unknown and has to
-    be measured. None: it stands anywhere, at the same place in all pictures of one ``position``.
+    be measured. If ``shift_px`` is None, the source is at any position, the same in all pictures of one ``position``.
     """
 
     frames_dn: NDArray[np.uint16]  # [frame, h, w]
@@ -149,7 +149,7 @@ class PointPicture:
 
 @dataclass(frozen=True)
 class PointPictures:
-    """Simulated pictures of a point source that calibrate a camera, made anew by each iteration."""
+    """Simulated pictures of a point source for the calibration of a camera, generated anew at each iteration."""
 
     camera: Camera
     lights: tuple[str, ...]
@@ -158,7 +158,7 @@ class PointPictures:
     count: int  # of pictures
     fingerprint: (
         str | None
-    )  # equal for equal pictures, of all that determines them; None: unknown, banks are not cached
+    )  # hash of everything that determines the pictures; None: unknown, so that banks are not cached
     make: Callable[[], Iterator[PointPicture]] = field(repr=False, compare=False)
 
     def __iter__(self) -> Iterator[PointPicture]:
@@ -209,11 +209,11 @@ class DepthEstimate:
     level: NDArray[np.floating] | None = None
     depth_m: NDArray[np.floating] | None = None  # [h, w] z from the lens plane in metres, never range
     sd: NDArray[np.floating] | None = None  # [h, w] standard deviation, in levels or metres as the map; None: unknown
-    joined: bool = False  # whether the map has joined neighbours: regularisation leaves it then, unless it has gaps
-    side: Side = "assumed"  # of the focus: all is taken to be nearer than it, or the picture tells which side is seen
+    joined: bool = False  # whether the map is already regularised; it is not regularised again, unless it has gaps
+    side: Side = "assumed"  # of the focus: everything is assumed to be nearer, or the picture determines the side
 
     def __post_init__(self) -> None:
-        """Refuse what is no estimate."""
+        """Raise InputError for an invalid estimate."""
         if (self.level is None) == (self.depth_m is None):
             given = "neither" if self.level is None else "both"
             raise InputError(f"depth estimate: {given} of level and depth_m given; give one of them")

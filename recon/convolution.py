@@ -73,7 +73,7 @@ def residual(image: Float32Array, net: Net, first: str, second: str, dilation: i
 
 
 def refined(image: Float32Array, net: Net, name: str) -> Float32Array:
-    """A residual block of an image that :func:`relu` has clipped, clipped again."""
+    """A residual block followed by :func:`relu`; ``image`` is an output of :func:`relu`."""
     return relu(residual(image, net, f"{name}_a", f"{name}_b"))
 
 
@@ -83,9 +83,9 @@ def _blas() -> ThreadpoolController:
 
 
 class _OneBlasThread:
-    """Products of matrices in one thread each while any of the threads that enter are inside.
+    """Limits BLAS to one thread per matrix product while at least one thread is inside this context.
 
-    The limit is the process's: threads that each remembered the number before theirs would restore that of another.
+    The limit applies to the whole process: if each thread saved and restored it, one would restore another's limit.
     """
 
     def __init__(self) -> None:

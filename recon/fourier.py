@@ -38,10 +38,10 @@ def pad_blended(image: Float32Array, shape: tuple[int, int]) -> Float32Array:
 
 
 def cut_blended(image: Float32Array, box: Box, shape: tuple[int, int]) -> Float32Array:
-    """A box of images [..., h, w], padded at the bottom and right to ``shape``, so that it continues without a step.
+    """A box of images [..., h, w], padded at the bottom and right to ``shape``, so that it is periodic without a step.
 
-    The padding blends, by a raised cosine, from what follows the box to what precedes it. Beyond the images' borders,
-    in the box too, is their mirror image.
+    The padding blends, by a raised cosine, from the pixels after the box to those before it. Pixels outside the images,
+    also inside the box, are mirrored.
     """
     rows, columns = (_around(*at) for at in zip(box, shape, image.shape[-2:], strict=True))
     image = image[..., rows.min() : rows.max() + 1, columns.min() : columns.max() + 1]  # before anything is copied
@@ -55,13 +55,13 @@ def continued(values: Float32Array, part: slice, length: int) -> Float32Array:
 
 
 def _around(part: slice, length: int, size: int) -> NDArray[np.intp]:
-    """Places, of ``size`` in all, of a part and of the padding to ``length`` on either side of it."""
+    """Indices, mirrored into ``size`` samples, of a part and of its padding to ``length`` on either side."""
     strip = length - (part.stop - part.start)
     return mirrored(np.arange(part.start - strip, part.stop + strip), size)
 
 
 def _continued(image: Float32Array, around: NDArray[np.intp], length: int, axis: int) -> Float32Array:
-    """What is ``around`` a part along an axis, with its end blended with its beginning."""
+    """Samples at the indices ``around`` along an axis, cut to ``length`` with the end blended into the beginning."""
     if len(around) != image.shape[axis] or around[0] != 0 or around[-1] != len(around) - 1:
         image = np.take(image, around, axis=axis)
     strip = len(around) - length

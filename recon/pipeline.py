@@ -54,8 +54,8 @@ def reconstruct(
             fills its gaps, and its standard deviation gives the confidence. By default, ``settings.score`` selects it.
         flat: a capture of a uniform surface, for the correction of the lens shading in the pictures.
         progress: called with the name of each stage and the share of stages before it, 0..1.
-        tile_px: largest side of what a stage processes at a time, raw pixels, at least ``LEAST_TILE_PX``. By default,
-            each stage has its own. The time and the memory depend on it, the result hardly (claim ``recon-large``).
+        tile_px: largest side of a tile in raw pixels, at least ``LEAST_TILE_PX``. By default, each stage has its own.
+            It affects time and memory, but hardly the result (claim ``recon-large``).
     """
     check_fits(bank, capture)
     if tile_px is not None and tile_px < LEAST_TILE_PX:
@@ -138,7 +138,7 @@ class _Levels(NamedTuple):
     raw: Float32Array  # NaN without an estimate
     level: Float32Array
     confidence: Float32Array  # of ``level``
-    joined: bool  # whether ``level`` has joined neighbours already, and has no gaps
+    joined: bool  # whether ``level`` is already regularised and has no gaps
     side: Side = "assumed"
     notes: tuple[str, ...] = ()
 
@@ -152,7 +152,7 @@ def _levels(
     method: Method | None,
     tile_px: int | None,
 ) -> _Levels:
-    """Levels by a method, or by the score of the settings, in tiles, for None."""
+    """Levels by ``method``, or, if it is None, by the score of the settings, in tiles."""
     if method is not None:
         estimate = run_method(method, capture, bank)
         raw, trust, outside = on_blocks(estimate, bank)

@@ -1,4 +1,4 @@
-"""Atomic writing of files and folders: under a temporary name, which is renamed when everything is written."""
+"""Atomic writes of files and folders: under a temporary name, which is renamed once the content is complete."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import IO
 
 PARTIAL = ".partial"  # ending of temporary names
-RETIRED = ".old"  # ending of the name that an earlier folder has while a new one takes its place
+RETIRED = ".old"  # ending of the temporary name of a previous folder while a new one replaces it
 UNFINISHED_ENDING = rf"\.\d+\..*\.\d+({re.escape(PARTIAL)}|{re.escape(RETIRED)})"  # see :func:`writer`
 UNFINISHED = re.compile(rf"\..+{UNFINISHED_ENDING}")
 ABANDONED_S = 24 * 3600.0  # age at which an unfinished file of another computer is considered abandoned
@@ -38,8 +38,8 @@ def write(path: Path, content: bytes | str) -> None:
 def writing(path: Path, *, clearing: bool = True) -> Iterator[IO[bytes]]:
     """Open a binary file that replaces ``path`` when the block ends, and leaves no trace when the block raises.
 
-    What killed processes have left of the same output is cleared before, unless ``clearing`` is off: that takes time in
-    a folder of very many files.
+    Leftovers of killed processes for the same output are removed first, unless ``clearing`` is off: the search is slow
+    in a folder with very many files.
     """
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -62,7 +62,8 @@ def writing(path: Path, *, clearing: bool = True) -> Iterator[IO[bytes]]:
 def new_folder(path: Path) -> Iterator[Path]:
     """Create a temporary folder that becomes ``path`` when the block ends, and is removed when the block raises.
 
-    A folder at ``path`` is replaced as a whole. What killed processes have left of the same output is cleared before.
+    An existing folder at ``path`` is replaced as a whole. Leftovers of killed processes for the same output are removed
+    first.
     """
     path = Path(path).resolve()
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -86,7 +87,7 @@ def new_folder(path: Path) -> Iterator[Path]:
 
 
 def _note(path: Path, is_written: bool) -> None:
-    """Note an output as the last one that was written, where it was."""
+    """Record an output as the last one written, if it was written."""
     global _last
     if is_written:
         _last = path.absolute()
@@ -94,9 +95,9 @@ def _note(path: Path, is_written: bool) -> None:
 
 @contextmanager
 def _named(path: Path) -> Iterator[None]:
-    """Give errors of writing the name of the output, where they have none or that of a temporary file.
+    """Set the file name of write errors to that of the output, if they have none or name a temporary file.
 
-    A write to a full disk fails without a name, because the operating system knows the file by its number.
+    A write to a full disk raises an error without a file name, because the system call takes a file descriptor.
     """
     try:
         yield
@@ -123,9 +124,9 @@ def sweep(folder: Path) -> None:
 
 
 def clear(path: Path) -> None:
-    """Remove what ended writers of an output have left beside it.
+    """Remove leftovers of an output, in the same folder, whose writers have ended.
 
-    An earlier folder that its writer had already renamed, and not yet replaced, gets its name back.
+    A previous folder that a writer had moved aside but not yet replaced is moved back.
     """
     mine = re.compile(rf"\.{re.escape(path.name)}{UNFINISHED_ENDING}")
     with suppress(OSError):  # another process may do the same, or the folder may not be read

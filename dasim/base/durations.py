@@ -21,10 +21,11 @@ def words(seconds: float) -> str:
 
 
 def left_s(expected_s: Mapping[str, float | None], share: Mapping[str, float], elapsed_s: float) -> float | None:
-    """Seconds left of stages that took ``expected_s`` before (None if unknown), with a ``share`` 0..1 of each done.
+    """Estimated remaining time in seconds; None if the expected duration of an unfinished stage is unknown.
 
-    The pace is that of the work done so far: ``elapsed_s`` over the expected duration of what is done. None if the
-    duration of a stage that is not done is unknown.
+    ``expected_s`` are the durations of the stages in earlier runs (None if unknown), ``share`` is the fraction 0..1 of
+    each that is completed. The estimate is scaled by the pace so far: ``elapsed_s`` over the expected duration of the
+    completed work.
     """
     if any(seconds is None and share.get(stage, 0.0) < 1 for stage, seconds in expected_s.items()):
         return None

@@ -44,7 +44,7 @@ class Outcome:
     index: int
     error: str | None = None  # one line; None after success
     fatal: bool = False  # every other index would fail for the same reason
-    final: bool = False  # another try would end in the same way, or the executor has made them already
+    final: bool = False  # a retry is useless: it would fail in the same way, or the executor has retried already
     seconds: float = 0.0
     render_s: float = 0.0  # of ``seconds``, in the renderer
     peak_mb: float = 0.0  # peak memory of the process since its start
@@ -65,7 +65,7 @@ Executor = Callable[[Any, "deque[int]"], Generator[Outcome]]
 class _Worker:
     process: BaseProcess
     connection: Connection
-    place: int  # 0 to the number of workers - 1, which decides its GPU; a replacement inherits it
+    place: int  # slot from 0 to the number of workers - 1; it selects the GPU, and a replacement process inherits it
 
 
 def local(processes: int, work: Work, *, gpu: bool = False) -> Executor:

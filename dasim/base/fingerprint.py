@@ -62,8 +62,8 @@ def fingerprint(
         sources: functions, modules or files that compute the result.
         variant: Mitsuba variant; required where the code can render, ignored otherwise.
         values: parameters of the result as text.
-        excluding: names of the ``DATA_FOLDERS`` that are left out, because ``values`` contain all that the result takes
-            from them. Those of a PSF bank, for example, contain its camera: the other bundled cameras do not matter.
+        excluding: names of ``DATA_FOLDERS`` to omit, because ``values`` already contain all data from them that the
+            result uses. The values of a PSF bank, for example, contain its camera; other bundled cameras do not matter.
     """
     needs = dependencies(*sources, excluding=excluding)
     text = [_name(source) for source in sources]
@@ -132,7 +132,7 @@ def _distributions() -> Mapping[str, list[str]]:
 
 
 def forget() -> None:
-    """Read all files anew at the next call; otherwise a process reads each once, as it runs the code it has loaded."""
+    """Clear the caches, so that the next call rereads all files; a process otherwise reads each file only once."""
     for function in (_content, _digest, _module_below, _exports):
         function.cache_clear()
 
@@ -234,9 +234,9 @@ def _module_below(folder: Path, name: str) -> Path | None:
 
 
 def _beside(path: Path, dotted: str, level: int) -> list[Path]:
-    """Files that a file outside of the packages imports from its own folder or its own package.
+    """Files that a file outside the project's packages imports from its own folder or its own package.
 
-    Other installed packages lie in the same folder as an installed package, but count as libraries.
+    Installed packages share one folder (``site-packages``), but all except the file's own package count as libraries.
     """
     top = path.parent
     while (top / "__init__.py").is_file():

@@ -40,12 +40,12 @@ class Specification(BaseModel):
 
 @cache
 def _leaves_of(model: type[BaseModel]) -> dict[str, frozenset[Any]]:
-    """Types that the values of a model's fields are made of, by the name of the field."""
+    """Leaf types and literal values of each field of a model, by field name."""
     return {name: frozenset(_leaves(field.annotation)) for name, field in model.model_fields.items()}
 
 
 def _leaves(annotation: Any) -> Iterator[Any]:
-    """Types and words within an annotation, without its tuples, tables' keys, unions and limits."""
+    """Leaf types and literal values of an annotation: those inside tuples, unions and dict values, without limits."""
     if get_origin(annotation) is Annotated:
         yield from _leaves(get_args(annotation)[0])
     elif get_origin(annotation) is dict:
@@ -58,7 +58,7 @@ def _leaves(annotation: Any) -> Iterator[Any]:
 
 
 def _check_numbers(key: str, value: Any, words: Set[str]) -> None:
-    """Refuse a value, or one of those in lists and tables, that is true, false, or a text that is none of ``words``."""
+    """Reject booleans, and strings other than ``words``, in a value and inside its lists and tables."""
     if isinstance(value, (list, tuple, dict)):
         for place, item in value.items() if isinstance(value, dict) else enumerate(value):
             _check_numbers(f"{key}.{place}", item, words)
@@ -230,7 +230,7 @@ def _key(location: tuple[int | str, ...], data: Any) -> str:
     after_kind = False
     for place, part in enumerate(location):
         inside = isinstance(data, dict)
-        # The kind of a shape or light follows its index once, and may have the name of one of its keys (mask).
+        # pydantic inserts the kind of a shape or light once, after its index; a key may have the same name (mask).
         if inside and not after_kind and part in (data.get("shape"), data.get("kind")):
             after_kind = True
             continue

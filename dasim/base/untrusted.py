@@ -1,7 +1,7 @@
-"""Reading of files that anybody may have written: what they are and how large is known before they are read.
+"""Safe reading of untrusted files: their type and size are checked before they are read.
 
-A file must be a regular one, because a pipe or a device may never end. Its size, and the pixels or values that its
-header promises, must be within limits, which a user can raise by environment variables (``LIMITS``).
+A file must be a regular file, because a pipe or a device may never end. Its size, and the number of pixels or values
+stated in its header, must be within limits, which a user can raise by environment variables (``LIMITS``).
 
 Tested in tests/dasim/base/test_untrusted.py.
 """
@@ -155,7 +155,7 @@ def json_values(written: str | bytes, where: str) -> dict[str, Any]:
 
 
 def _whole(digits: str) -> int:
-    """A whole number; ValueError beyond 128 bits, which no float need hold."""
+    """An integer; ValueError beyond 128 bits, which no valid value needs."""
     number = int(digits)
     if abs(number) >= 1 << 128:
         raise ValueError("has a whole number of more than 128 bits")
@@ -163,7 +163,7 @@ def _whole(digits: str) -> int:
 
 
 def _check_whole(values: Any) -> None:
-    """ValueError where a whole number among nested values is larger than any that is needed."""
+    """Raise ValueError if nested values contain an integer of more than 128 bits."""
     if type(values) is int:  # not a boolean
         _whole(str(values))
     elif isinstance(values, (list, dict)):

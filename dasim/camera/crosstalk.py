@@ -1,6 +1,6 @@
 """Crosstalk between neighbouring pixels of a camera, as a picture shows it, and its correction.
 
-How many electrons change pixels, and why, is told in :mod:`dasim.camera.diffusion`.
+The physics of the diffusion and the share of electrons that leave a pixel are in :mod:`dasim.camera.diffusion`.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ from dasim.camera.specification import Camera, mosaic_channels
 from dasim.spectra import grid, illuminants
 from dasim.typing import FloatArray
 
-REFERENCE_LIGHT = "D65"  # on a white surface: the light whose mean the shares of a channel are
-_REACH_PX = 6  # of the inverse of a spread: what is beyond is below 1e-6 of it, with 10 % leaving a pixel
+REFERENCE_LIGHT = "D65"  # light on a white surface over whose electrons the shares of a channel are averaged
+_REACH_PX = 6  # reach of the inverse of a spread; the rest is below 1e-6 of it if 10 % of the electrons leave a pixel
 
 
 def channel_shares(camera: Camera) -> Shares:
@@ -49,7 +49,7 @@ def electronic_crosstalk(mean_e: FloatArray, camera: Camera) -> FloatArray:
 def corrected(electrons: FloatArray, camera: Camera) -> FloatArray:
     """The inverse of :func:`electronic_crosstalk`, as a camera's processor applies it: [h, w] -> [h, w].
 
-    Pixels beside a saturated one, of which more has leaked than its number says, come out too bright.
+    Pixels next to a saturated one become too bright, because more has leaked from it than its clipped value implies.
     """
     if pixel_crosstalk(camera.sensor) == 0:
         return electrons

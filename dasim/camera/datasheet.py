@@ -15,7 +15,7 @@ from scipy.special import ndtr
 from dasim.base.toml import Specification
 from dasim.spectra import grid
 
-# What the fields of Sensor are where a camera's file gives neither spelling.
+# Defaults of the fields of Sensor where a camera's file gives neither the field nor the figure of the data sheet.
 DEFAULT_PRNU = 0.01
 DEFAULT_DARK_DOUBLING_K = 7.0
 
@@ -94,8 +94,8 @@ _FIELD = {
 def translated(data: dict[str, Any]) -> tuple[dict[str, Any], Green | None]:
     """Plain data of a sensor with its table ``emva1288`` replaced by the fields of ``Sensor``, see `DataSheet`.
 
-    The quantum efficiency, if the sheet has one, stands beside them: its field follows from the whole sensor. Raises
-    ValueError (pydantic's own for single keys) for unknown keys and for a quantity that is given in both places.
+    The quantum efficiency, if the sheet has one, is returned separately, because its field depends on the whole sensor.
+    Raises ValueError (pydantic's own for single keys) for unknown keys and for a quantity that is given in both places.
     """
     sheet = _Table(emva1288=data["emva1288"]).emva1288
     others = {key: value for key, value in data.items() if key != "emva1288"}

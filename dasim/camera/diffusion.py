@@ -50,7 +50,7 @@ def by_depth(pitch_um: float, thickness_um: float, depletion_um: float) -> Share
         thickness_um: of the silicon
         depletion_um: of the layer from which a pixel loses no electrons
 
-    What goes further than the eight neighbours is added to theirs in proportion.
+    Electrons that diffuse farther than the eight neighbours are added to these in proportion to their shares.
     """
     if thickness_um <= depletion_um:
         return Shares(*np.zeros((2, len(grid.WAVELENGTH_NM))))
@@ -69,7 +69,7 @@ def by_depth(pitch_um: float, thickness_um: float, depletion_um: float) -> Share
 
 
 def transfer_below(q: FloatArray, alpha: float, thickness_um: float, depletion_um: float) -> FloatArray:
-    """Transfer function, at q = 2 pi f per um, of the electrons from below the depleted layer, at 0 their share of all.
+    """Transfer function at q = 2 pi f per um of the electrons from below the depleted layer; at q = 0, their share.
 
     The integral of alpha exp(-alpha z) cosh(q (w - h)) / cosh(q w) over the depth z = d + h from d to d + w, over the
     electrons of the whole thickness, 1 - exp(-alpha (d + w)); alpha is the absorption per um.
@@ -122,8 +122,8 @@ def undone(electrons: FloatArray, edge: FloatArray, corner: FloatArray) -> Float
 def collected_evenly(generated: FloatArray, mosaic: NDArray[np.integer], shares: Shares) -> FloatArray:
     """Electrons that a pixel of each channel collects under even light, [channel, ...].
 
-    They are those of its own silicon, less what leaves it, and what its neighbours lose to it; of a channel with
-    several places in the mosaic, the mean.
+    They are the electrons generated in its own silicon, minus those that it loses, plus those that it gains from its
+    neighbours. For a channel with several positions in the mosaic, the mean is returned.
 
     Args:
         generated: electrons that are generated in a pixel, [channel, ...], by wavelength for example

@@ -27,7 +27,7 @@ def factor(per_mm: Sequence[float], square_mm2: Any) -> Any:
 
 
 def square_of_pinhole_height_m2(camera: Camera) -> FloatArray:
-    """Square of the distance from the axis at which a pinhole shows what each pixel shows, m^2, [h, w]."""
+    """Square of the undistorted (pinhole) image height of the content of each pixel, m^2, [h, w]."""
     r2 = square_of_image_height_m2(camera)
     per_mm = camera.lens.distortion_per_mm
     return r2 * factor(per_mm, r2 * 1e6) ** 2 if per_mm else r2

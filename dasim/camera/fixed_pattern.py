@@ -63,7 +63,7 @@ def fixed_pattern(sensor: Sensor, shape: tuple[int, int]) -> FixedPattern:
     # The uniform numbers below the share, divided by it, are uniform again: their logarithm is exponential.
     current = np.zeros(shape)
     current[hot] = -np.log1p(-uniform[hot] / sensor.hot_pixel_share)
-    with np.errstate(over="ignore"):  # a full well has no use for a finite current
+    with np.errstate(over="ignore"):  # an infinite current is harmless: it only fills the well
         dark = (sensor.dark_current_e_s * spread + sensor.hot_pixel_e_s * current) * dark_heat(sensor)
     return FixedPattern(sensitivity, offset, dark)
 
@@ -81,7 +81,7 @@ def _drawn(
     shape: tuple[int, ...],
     draw: Draw,
 ) -> Float32Array:
-    """Random numbers of the places ``first`` to ``first`` + ``shape``, each the same whatever window shows it."""
+    """Random numbers at positions ``first`` to ``first`` + ``shape``; they depend on the position, not the window."""
     tiles = [range(low // TILE_PX, (low + size - 1) // TILE_PX + 1) for low, size in zip(first, shape, strict=True)]
     whole = np.empty([len(axis) * TILE_PX for axis in tiles], np.float32)
     for index in np.ndindex(*(len(axis) for axis in tiles)):

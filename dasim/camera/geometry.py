@@ -12,7 +12,9 @@ from dasim.camera.specification import BLUR_LEVELS, Camera
 from dasim.spectra import grid
 from dasim.typing import FloatArray
 
-SIDES_DIFFER_PX = 0.5  # least range of axial colour, visible blur: half of it is too little to be seen in a window
+# Least range of axial colour, in visible blur, that distinguishes the two sides of the focus; half of it is too little
+# to be detected in a window.
+SIDES_DIFFER_PX = 0.5
 
 
 def image_distance_m(camera: Camera) -> float:
@@ -84,8 +86,8 @@ def level_blur_px(camera: Camera) -> FloatArray:
 def behind_blur_px(camera: Camera) -> FloatArray:
     """Visible blur diameters of the blur levels behind the focus, in pixels, [level], from 0 downwards.
 
-    They are as far apart as those in front of it, end before infinity, and are as many at most. Without axial colour
-    that tells the sides apart there is level 0 alone.
+    They have the spacing of those in front of the focus, end before infinity, and are at most as many. If axial colour
+    does not distinguish the two sides of the focus, there is level 0 only.
     """
     blurs = level_blur_px(camera)
     if np.ptp(chromatic_blur_px(camera)) < SIDES_DIFFER_PX:

@@ -6,8 +6,9 @@ A pixel that collects a mean of x photo-electrons in a time t shows, in electron
     fixed      DSNU^2 + row^2 + column^2           from pixel to pixel, the same in every frame of the camera
                + (spread dark(t))^2 + (PRNU x)^2
 
-with 1 / K electrons per digital number (EMVA 1288 release 4.0, eqs. (15) and (16), and sec. 4.3). Whatever weighs
-pixels by their noise takes it from here; :func:`expose` draws it. Hot pixels are outliers, not part of these variances.
+with 1 / K electrons per digital number (EMVA 1288 release 4.0, eqs. (15) and (16), and sec. 4.3). Code that weights
+pixels by their noise uses these variances; :func:`expose` draws noise with them. Hot pixels are outliers, not part of
+these variances.
 """
 
 from __future__ import annotations

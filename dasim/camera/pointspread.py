@@ -150,7 +150,7 @@ def _pattern_kernel(
     oblique = None if field_px == AXIS else geometry.foreshortening(camera, field_px)
     fine, share = (np.arange(size * SUBPIXELS) + 0.5) / SUBPIXELS - size / 2, np.full(SUBPIXELS, 1 / SUBPIXELS)
     few = oblique is not None or not wavefront.is_flat(front)
-    if few:  # here all stops are transformed: Gauss-Legendre nodes, of which fewer do
+    if few:  # all stops are transformed in these cases: Gauss-Legendre quadrature needs fewer nodes
         nodes, share = radial_pattern.unit_nodes(PIXEL_NODES)
         fine = (np.arange(size)[:, None] + nodes).ravel() - size / 2
     total = np.zeros((*weights.shape[:-1], size, size))
@@ -275,7 +275,7 @@ def is_radial(camera: Camera, stop: Stop, diffraction: str = "wave", front: Wave
     ring, front = stops.ring(stop), front or wavefront.of_stop(camera, stop)
     if ring is None:
         return False
-    if diffraction != "wave":  # rays take no notice of a step
+    if diffraction != "wave":  # a phase step does not deflect rays
         return not wavefront.has_errors(front)
     return wavefront.is_flat(front) or (ring.centre == (0.0, 0.0) and wavefront.is_radial(front))
 

@@ -34,10 +34,10 @@ _ROUNDED = 4  # digits of what is written
 
 
 class _Traced(NamedTuple):
-    """What rays through a prescription show at one angle."""
+    """Results of tracing rays through a prescription at one angle."""
 
     coefficients_nm: dict[float, FloatArray]  # by wavelength, in the order of zernike.TERMS
-    height_mm: float  # of the chief ray's image, by its amount
+    height_mm: float  # absolute image height of the chief ray
     passed: float  # share of the rays that reach the sensor
 
 
@@ -185,10 +185,10 @@ def _polynomial(height_mm: FloatArray, values: FloatArray) -> list[float]:
 
 
 def _area(bend: list[float], height_mm: FloatArray) -> FloatArray:
-    """Area of a pinhole's picture per area of the lens's, d(r_p^2) / d(r^2).
+    """Area in a pinhole's picture per area in the lens's picture, d(r_p^2) / d(r^2).
 
-    Light from an even plane fills the entrance pupil as cos^4 of the field angle, which every camera has; what passes
-    the lens falls on the area that the distortion leaves it.
+    Light from a uniform plane enters the pupil with the cos^4 falloff that every camera has; the light that passes the
+    lens falls on an area that depends on the distortion.
     """
     square = np.polynomial.Polynomial([0.0, 1.0])
     stretched = square * np.polynomial.Polynomial([1.0, *bend]) ** 2

@@ -99,7 +99,7 @@ def _foreshortened(
 
 
 def _amplitude(stop: Stop, transmitted: FloatArray) -> FloatArray:
-    """A cell that a shape covers by half passes half the amplitude; one of half the transmittance passes more."""
+    """Amplitude of each cell: its covered share for geometric shapes, the root of its transmittance for masks."""
     return np.sqrt(transmitted) if isinstance(stop, stops.Mask) else transmitted
 
 

@@ -1,4 +1,4 @@
-"""Silicon as the sensor's absorber: how deep light of a wavelength goes, and what a layer of it absorbs."""
+"""Absorption of light in silicon: the absorption coefficient by wavelength, and the absorptance of a layer."""
 
 from __future__ import annotations
 

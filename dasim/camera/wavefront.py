@@ -75,7 +75,7 @@ def _added(rows: tuple[Coefficients, ...], same: Coefficients) -> tuple[Coeffici
 def over_field(camera: Camera, stop: Stop) -> tuple[float, list[Wavefront]]:
     """Wavefronts of a stop at even steps of the chief ray's angle over the frame, and the step in degrees.
 
-    As many that the coefficients change by ``FIELD_STEP_NM`` RMS at most from one to the next.
+    The steps are so small that the coefficients change by at most ``FIELD_STEP_NM`` RMS from one to the next.
     """
     if not camera.lens.wavefront_by_field:
         return 1.0, [of_stop(camera, stop)]

@@ -28,10 +28,10 @@ Scalar = bool | int | float | str
 
 
 class Draw(Specification):
-    """Distribution of a number or text over the samples: uniform, log-uniform, a choice of equal probabilities, or each
-    of some values in turn over the captures of a scene.
+    """Distribution of a number or text over the samples: uniform, log-uniform, a choice with equal probabilities, or
+    ``each``: the values in turn, one per capture of a scene.
 
-    Several ``each`` of a specification make a grid: those of the camera vary fastest, in their order, then light, focus
+    Several ``each`` in a specification form a grid: those of the camera vary fastest, in their order, then light, focus
     and exposure.
     """
 
@@ -192,7 +192,7 @@ class FrameChoice(Specification):
 
 
 class RigCamera(Pose):
-    """A camera of a rig, at its pose in the rig; its sensor is one of its own."""
+    """A camera of a rig, with its pose in the rig; each camera has its own sensor."""
 
     name: str = Field(min_length=1, description="its name in meta.json and in the index")
     camera: str | None = Field(default=None, description="bundled name or file; by default that of [[cameras]]")
@@ -242,7 +242,7 @@ class ViewChoice(Specification):
         return any(not np.array_equal(pose.matrix(), np.eye(4)) for pose in (*self.poses, *self.rig))
 
     def camera_of(self, number: int) -> RigCamera:
-        """Camera of the rig that takes view ``number``; the cameras alternate fastest."""
+        """Camera of the rig that takes view ``number``; the camera varies fastest, then the pose."""
         return self.rig[number % len(self.rig)]
 
     def pose(self, number: int) -> FloatArray:

@@ -68,9 +68,9 @@ def draft(spec: DatasetSpec, index: int) -> Draft:
 
 
 def _camera(spec: DatasetSpec, index: int, drawn: Camera, changes: dict[str, Any]) -> Camera:
-    """Camera of a sample: that which was ``drawn`` with its ``changes``, or another one of the rig.
+    """Camera of a sample: the ``drawn`` camera with its ``changes``, or the one that the rig specifies for this view.
 
-    The first camera of a rig has the sensor of its file, each other one a sensor of its own.
+    Without ``sensor_per_sample``, the first camera of a rig has the sensor of its file, each other one its own sensor.
     """
     place = capture_and_view(spec, index)[1] % len(spec.views.rig)
     other = spec.views.rig[place].camera
@@ -111,12 +111,12 @@ def values(spec: DatasetSpec, index: int) -> dict[str, Any]:
 
 
 def _left(draw: Draw, turn: int) -> int:
-    """The turn of the next ``each``, which changes when this one has had all its values."""
+    """Turn of the next ``each`` of the grid, which advances after each full cycle of this one."""
     return turn if draw.each is None else turn // len(draw.each)
 
 
 def _below(settings: dict[str, Any], stage: str) -> dict[str, Any]:
-    """Values whose keys begin with ``stage`` and a dot, by the rest of the key."""
+    """Values whose keys have the prefix ``stage`` and a dot, by the key without this prefix."""
     return {key.partition(".")[2]: value for key, value in settings.items() if key.startswith(f"{stage}.")}
 
 

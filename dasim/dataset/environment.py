@@ -14,7 +14,7 @@ LIBRARIES = (  # that determine the bytes of pixels and files
     *("mitsuba", "drjit", "numpy", "scipy", "numba", "opencv-python-headless", "scikit-image", "colour-science"),
     *("trimesh", "OpenEXR", "pyarrow"),
 )
-NVIDIA = Path("/proc/driver/nvidia")  # what NVIDIA's driver for Linux says of itself
+NVIDIA = Path("/proc/driver/nvidia")  # information provided by NVIDIA's driver for Linux
 
 
 @lru_cache(maxsize=1)

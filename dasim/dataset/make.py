@@ -146,7 +146,7 @@ def _make(
             show(progress)
     if closed_shards(job.out) >= {group.name for group in every}:
         card.finish(job.out, job.spec, failures(job.out))
-    if storage.exists(job.out, plan.SUMS):  # finished by another run, which may have removed less than is there now
+    if storage.exists(job.out, plan.SUMS):  # finished by another run, maybe before this one wrote its last parts
         card.tidy(job.out)
     return progress
 

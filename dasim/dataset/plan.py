@@ -144,7 +144,7 @@ def begin(out: str, new: dict[str, Any]) -> None:
 
 
 def differences(old: Any, new: Any, place: Sequence[str] = ()) -> list[str]:
-    """Differences between two plain values, one line per key; ``place`` are the keys of the values themselves."""
+    """Differences between two plain values, one line per key; ``place`` is the key path of the two values."""
     if isinstance(old, dict) and isinstance(new, dict):
         keys = [key for key in (*old, *(key for key in new if key not in old)) if key != "spec_sha256"]
         return [text for key in keys for text in differences(old.get(key), new.get(key), (*place, key))]

@@ -200,7 +200,7 @@ def samples_of(
 def _whole(
     where: str, spec: DatasetSpec, group: Shard, indices: Sequence[int]
 ) -> Iterator[tuple[int, dict[str, bytes]]]:
-    """:func:`samples_of`; raises InputError where files are missing or damaged."""
+    """The same as :func:`samples_of`, but with InputError for missing or damaged files."""
     try:
         yield from samples_of(where, spec, group, indices)
     except (OSError, EOFError, KeyError, tarfile.TarError) as error:

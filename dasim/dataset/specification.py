@@ -1,4 +1,4 @@
-"""Specification of a dataset, and its checks. Its parts stand in :mod:`dasim.dataset.choices`."""
+"""Specification of a dataset, and its checks; its parts are defined in :mod:`dasim.dataset.choices`."""
 
 from __future__ import annotations
 

@@ -171,15 +171,15 @@ def sweep(out: str) -> None:
 
 @contextmanager
 def claimed(out: str, name: str, places: Sequence[int]) -> Iterator[bool]:
-    """Claim numbered places of a folder of this computer against all other processes, through locks of a file.
+    """Hold exclusive locks on numbered slots of a local dataset, each the lock of one byte of a file.
 
-    The operating system releases them when the process ends, however it ends. Yields False where another process has
-    one of them, and True without locks where the file system has none or ``out`` is a remote store.
+    The operating system releases the locks when the process ends, however it ends. Yields False if another process
+    holds one of them, and True without locks if the file system does not support them or ``out`` is a remote store.
 
     Args:
         out: the dataset.
-        name: file whose bytes are locked; it is made, and nothing else may open, remove or replace it.
-        places: numbers from 0, in ascending order.
+        name: file whose bytes are locked; it is created, and nothing else may open, remove or replace it.
+        places: numbers of the slots, from 0, in ascending order.
     """
     if not is_local(out):
         yield True

@@ -18,7 +18,7 @@ from dasim.files.truth import PER_CHANNEL
 
 ELECTRONS = dict.fromkeys(PER_CHANNEL, (0.0, 1e9))
 RANGES = {"depth_m": (0.0, 1e6), "blur_px": (-1e4, 1e4), **ELECTRONS}
-HARMLESS = (LOGS, "parts/*", "rows/*", "croissant.json")  # files that no list of checksums names
+HARMLESS = (LOGS, "parts/*", "rows/*", "croissant.json")  # allowed files without a checksum
 SHAPES = {"normal": 3, "sharp_srgb": 3, **dict.fromkeys(PER_CHANNEL)}  # last axis; None: one per channel
 
 

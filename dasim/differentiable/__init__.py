@@ -1,5 +1,5 @@
-"""From the shape of a stop to the picture behind it in PyTorch, with gradients; needs the extra ``learn``.
+"""Differentiable simulation in PyTorch, from the shape of a stop to the picture; needs the extra ``learn``.
 
-Begin with :mod:`dasim.differentiable.stop`, whose transfer functions :mod:`dasim.differentiable.picture` blurs layers
-with. ``examples/learned_ring.py`` learns a stop together with a network.
+Start with :mod:`dasim.differentiable.stop`, which computes transfer functions; :mod:`dasim.differentiable.picture`
+blurs layers with them. ``examples/learned_ring.py`` trains a stop together with a network.
 """

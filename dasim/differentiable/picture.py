@@ -1,8 +1,8 @@
-"""Pictures of layers through a lens, and what a sensor makes of them, with gradients.
+"""Differentiable pictures of layers through a lens, and their sensor signals.
 
-The picture is composed from the farthest layer to the nearest: each is blurred by its own kernel, and covers what lies
-behind it by its blurred mask. In a path tracer the kernel of what a near object hides in part is cut by that object;
-here it keeps its shape. Pictures are periodic: give layers a margin of the largest blur.
+Layers are composited from the farthest to the nearest: each is blurred by its own kernel and occludes those behind it
+by its blurred mask. In a path tracer, a near object also clips the kernels of points that it partly hides; here the
+kernels keep their shape. Pictures are periodic: layers need a margin as wide as the largest blur.
 
 Tested in tests/dasim/differentiable/test_picture.py.
 """
@@ -60,8 +60,8 @@ def planes(mean_e: Tensor, camera: Camera) -> Tensor:
 def noisy(
     mean_e: Tensor, camera: Camera, exposure_s: float, gain: float = 1.0, generator: torch.Generator | None = None
 ) -> Tensor:
-    """Electrons with the noise of the data sheet, its standard deviation times normal numbers: unlike Poisson numbers,
-    they have a gradient by the mean. Pixels do not saturate.
+    """Electrons with Gaussian noise of the data sheet's standard deviation. Unlike Poisson samples, they are
+    differentiable with respect to the mean. Pixels do not saturate.
     """
     constant, linear, quadratic = noise.variance(camera.sensor, exposure_s, gain)
     light = mean_e.clamp(min=0)

@@ -1,8 +1,8 @@
 """Transfer functions and point-spread functions of a stop as functions of its amplitude, with gradients.
 
 The transfer function is the autocorrelation of the pupil p(r) exp(i phi(r)) by two fast Fourier transforms, as in
-:mod:`dasim.bounds.pupils`, which also samples the pupil. PyTorch differentiates it;
-:func:`dasim.bounds.pupils.gradient` is the adjoint that was derived by hand.
+:mod:`dasim.bounds.pupils`, which also samples the pupil. PyTorch computes its gradient;
+:func:`dasim.bounds.pupils.gradient` is the adjoint derived by hand.
 
 Tested in tests/dasim/differentiable/test_stop.py.
 """
@@ -35,10 +35,10 @@ class Band(NamedTuple):
 
 
 class FreeStop(NamedTuple):
-    """A stop of any shape: what does not depend on its amplitude."""
+    """Quantities of a stop of any shape that do not depend on its amplitude."""
 
     bands: tuple[Band, ...]
-    electrons: Tensor  # [channel], relative, per share of the lens's area that is open
+    electrons: Tensor  # [channel], relative, per open fraction of the lens area
     shape: tuple[int, int]  # of the pictures
 
 
@@ -53,7 +53,7 @@ def free_stop(
     fine_cells: int = pupils.FINE_CELLS,
     dtype: torch.dtype = torch.float32,
 ) -> FreeStop:
-    """Sampled pupil of a stop, of which only the spectral transmittance is used.
+    """Sampled pupil of a stop of any shape; of ``stop``, only the spectral transmittance is used.
 
     Args:
         camera: the camera.
@@ -87,7 +87,7 @@ def transfers(stop: FreeStop, amplitude: Tensor) -> Tensor:
     """Transfer functions H of all channels through the stop, complex [blur, channel, h, w/2 + 1].
 
     ``amplitude`` is 0..1 of each cell, [y, x] over the square around the lens; cells outside the lens must be 0. H is
-    about 1 at frequency 0, whatever the amplitude; :func:`electrons` has the light.
+    normalised to about 1 at frequency 0 for any amplitude; :func:`electrons` gives the amount of light.
     """
     energy = (amplitude**2).sum() * (2 / len(amplitude)) ** 2
     total: Tensor | float = 0.0
@@ -102,7 +102,7 @@ def transfers(stop: FreeStop, amplitude: Tensor) -> Tensor:
 
 
 def electrons(stop: FreeStop, amplitude: Tensor) -> Tensor:
-    """Relative electrons of white through the stop, [channel]: its open area counts, which is amplitude squared."""
+    """Relative electrons of white through the stop, [channel], in proportion to the integral of squared amplitude."""
     return stop.electrons * (amplitude**2).sum() * (2 / len(amplitude)) ** 2 / torch.pi
 
 

@@ -23,7 +23,7 @@ from dasim.files.truth import read_truth_parts, truth_of, write_truth
 from dasim.values import Capture, Truth
 
 CAPTURE_SCHEMA = 4
-RAW_SCALES = tuple(2**power for power in range(11))  # factors on stored numbers: to 16 bits from 16 down to 6
+RAW_SCALES = tuple(2**power for power in range(11))  # factors that scale numbers of 16 down to 6 bits to 16 bits
 READABLE_SCHEMAS = (
     3,
     CAPTURE_SCHEMA,

@@ -80,11 +80,11 @@ def write_truth(path: Path, truth: Truth, keep: Sequence[str] = tuple(TRUTH_PART
 
 
 def truth_of(values: dict[str, Any], camera: Camera, where: str) -> Truth:
-    """A truth from the fields that a file contains, and those that follow from its depth and the camera.
+    """A truth from the fields in a file, and from those that can be derived from its depth and the camera.
 
-    Without the part ``blur``, blur and levels are computed from depth. Without ``labels``, the pixels that see
-    something are those with a depth, and boundaries follow from the blur. Fields of other parts are missing where
-    ``values`` lacks them; ``where`` begins the messages about these.
+    Without the part ``blur``, blur and levels are computed from the depth. Without ``labels``, pixels with a depth are
+    valid, and boundaries are computed from the blur. Fields of other parts are absent if ``values`` lacks them;
+    messages about absent fields begin with ``where``.
     """
     found = dict(values)
     if "depth_m" in found:

@@ -87,7 +87,8 @@ class Room(NamedTuple):
 def is_clear(space: Room, radius: float, gap: float) -> bool:
     """Whether floor and walls keep a ``gap`` to the lens opening, a disc of ``radius`` at the origin; centimetres.
 
-    The rim comes as near to a plane as the radius times the sine of the angle between its normal and the optical axis.
+    The rim is nearer to a plane than the centre is, by the radius times the sine of the angle between the normal of the
+    plane and the optical axis.
     """
     forward = space.frame.forward()
     return all(
@@ -99,9 +100,10 @@ def is_clear(space: Room, radius: float, gap: float) -> bool:
 def room(random: Random, half_width: float, half_height: float, near: float, far: float, *, corner: bool) -> Room:
     """Draw a room with one wall, or two that meet in a ``corner``; its visible part lies between ``near`` and ``far``.
 
-    The floor enters the picture at a depth of 1.05 to 1.4 ``near`` (log-uniform). It would reach the farthest depth,
-    0.85 to 0.95 ``far``, at a row between the top of the picture and slightly below its centre. These two conditions
-    fix the height and the pitch of the camera. The walls are then moved so that nothing above that row is deeper.
+    The floor enters the picture at a depth of 1.05 to 1.4 ``near`` (log-uniform). Without walls, it would reach the
+    largest depth, 0.85 to 0.95 ``far``, at a row between the top of the picture and slightly below its centre. These
+    two conditions determine the height and the pitch of the camera. The walls are then placed so that nothing above
+    that row is deeper.
     """
     deepest = far * random.uniform(0.85, 0.95)
     high = min(1.4 * near, 0.6 * deepest)

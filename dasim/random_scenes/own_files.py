@@ -51,10 +51,11 @@ class OwnMeshes(NamedTuple):
 
 
 def found(folder: Path, places: Iterable[str], suffixes: tuple[str, ...], key: str) -> tuple[File, ...]:
-    """Files of ``suffixes`` that a list names, sorted and without repetition.
+    """Files with one of ``suffixes`` that the paths and patterns ``places`` match, sorted and without duplicates.
 
-    A place is a file, a folder, whose files are meant, or a pattern with ``*``, ``?``, ``[...]`` or ``**``, relative to
-    ``folder``. ``key`` is the list's name. Raises InputError for a place that does not exist or holds no such file.
+    Each of ``places`` is a file, a folder (all files in it), or a pattern with ``*``, ``?``, ``[...]`` or ``**``,
+    relative to ``folder``. ``key`` is the name of the list, for messages. Raises InputError for an entry that does not
+    exist or contains no such file.
     """
     names: set[str] = set()
     for place in places:

@@ -1,4 +1,4 @@
-"""Places of objects in a random scene: on the floor, on other objects, on a wall or in the air.
+"""Placement of objects in a random scene: on the floor, on other objects, on a wall or in the air.
 
 Coordinates and constraints are those of :mod:`dasim.random_scenes.layout`.
 
@@ -77,8 +77,8 @@ def place_on_floor(
         space: the room
         outline: bounding cylinder of the object at size 1
         share: size of the object over the width of the picture at its depth
-        band: part of the range of inverse depth from which its own is drawn; 0 is the farthest, 1 the nearest. Blur is
-            linear in inverse depth
+        band: interval from which the object's inverse depth is drawn, as a share of the allowed range: 0 is the
+            farthest, 1 the nearest. Blur is linear in inverse depth
         occupied: space of the objects that have been placed
     """
     candidates: list[tuple[float, Place]] = []

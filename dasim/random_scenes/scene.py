@@ -145,10 +145,10 @@ def _field_of_view(camera: Camera) -> tuple[float, float]:
 
 
 def _clear_room(seed: int, index: int, spec: RandomScenes, camera: Camera) -> tuple[Room, str]:
-    """Draw a room for a focused camera, whose floor and walls do not touch its lens, and its kind.
+    """Draw a room whose floor and walls are clear of the lens of a focused camera; return the room and its kind.
 
-    In a very small field of view the floor would rise to the lens. The room is then drawn for a wider one, of which the
-    picture shows the middle.
+    With a very small field of view, the floor would reach the lens. The room is then drawn for a wider field of view,
+    and the picture shows its centre.
     """
     width, height = _field_of_view(camera)
     radius, gap = 50 * geometry.aperture_m(camera), CLEARANCE * 100 * LENS_CLEARANCE_M

@@ -34,9 +34,10 @@ OLDEST_LLVM = 17  # with Dr.Jit 1.5, LLVM 15 and 16 abort, 19 and 22 work
 PROBE_TIMEOUT_S = 60.0  # a test takes below 1 s, with a graphics driver that starts some seconds
 # After this time a failed variant is tested again: a driver may have been installed, or a high load be over.
 FAILURE_LIFETIME_S = 24 * 3600.0
-KERNELS_SIZE = "512M"  # a set of kernels has below 10 MB
-LANES = 1 << 19  # rays that are traced at once: they bound the memory, some 250 bytes each
-# A batch costs 30 to 60 ms of Python, however few its rays, which a graphics card should trace faster. 2 GB there.
+KERNELS_SIZE = "512M"  # limit of the kernel cache; a set of kernels takes less than 10 MB
+LANES = 1 << 19  # rays per batch, which bounds the memory: about 250 bytes per ray
+# A batch costs 30 to 60 ms of Python, however few rays it has. A graphics card should trace rays faster, so its batches
+# are larger; they take 2 GB.
 GPU_LANES = 1 << 23
 
 LLVM_FOLDERS = (
@@ -199,10 +200,10 @@ def activate(choice: Choice) -> None:
 
 
 def keep_kernels() -> None:
-    """Keep compiled kernels in the cache folder, ``KERNELS_SIZE`` at most; the user's own variables of Dr.Jit count.
+    """Store compiled kernels in the cache folder, at most ``KERNELS_SIZE``, unless the user has set Dr.Jit's variables.
 
-    Dr.Jit reads them at its start, and then removes the kernels that have not been used for the longest time, in one
-    process per hour. Where the folder cannot be written to, Dr.Jit's own is used.
+    Dr.Jit reads these environment variables when it starts, and then deletes the least recently used kernels, in one
+    process per hour. If the folder cannot be written to, Dr.Jit's own folder is used.
     """
     folder = cache_dir() / "kernels"
     with contextlib.suppress(OSError):

@@ -1,4 +1,4 @@
-"""Tables of blur as textures, and how numbers find their place in them.
+"""Blur tables as textures, and the lookup of values in them.
 
 Tested in tests/dasim/render/test_radial_blur.py and tests/dasim/render/test_aberrated_blur.py.
 """
@@ -17,20 +17,20 @@ from dasim.camera.wavefront import Phase, Wavefront
 from dasim.render import plugin
 from dasim.typing import FloatArray
 
-FLOOR = 1e-12  # of a density per square pixel that others are divided by
+FLOOR = 1e-12  # lower bound of densities per square pixel that are used as divisors
 TURNS_STEP = 0.03  # RMS of the aberrations' change between two tabulated wavelengths, in waves
 
 
 class Drawn(NamedTuple):
     """A sampled ray of a pixel."""
 
-    rho: Any  # place on the stop, in radii of the lens
-    delta: Any  # offset of the aim on the film, pixels
-    weight: Any  # of having sampled both so
+    rho: Any  # position on the stop, in radii of the lens
+    delta: Any  # offset on the film of the point that the ray is aimed at, pixels
+    weight: Any  # importance weight of the sampled rho and delta
     u: Any = (
-        None  # the place in the blur that was sampled first, about the image of the stop's centre; None if none was
+        None  # position in the blur that was sampled first, about the image of the stop's centre; None where none was
     )
-    per_density: Any = None  # inverse of its density, square pixels
+    per_density: Any = None  # inverse of the density of u, square pixels
 
 
 def texture(values: Any, channels: bool = False) -> Any:
@@ -106,7 +106,7 @@ class AberratedRows:
     step_nm: Any | None
 
     def evaluate(self, read: Callable[[Any], Any], waves: Any, wavelength_nm: Any, tangent: Any) -> Any:
-        """The kernel at a defocus and an angle; ``read`` gives the table's channels at a row."""
+        """The kernel at a defocus, wavelength and field angle; ``read`` returns the table's channels at a row."""
         import drjit as dr
         import mitsuba as mi
 
@@ -129,7 +129,7 @@ class AberratedRows:
 
     @staticmethod
     def _between(place: Any, count: int, values: Callable[[Any], Any]) -> Any:
-        """Channels at a place between nodes, linear; ``values`` gives those of a node."""
+        """Channels at a fractional node index, interpolated linearly; ``values`` returns the channels of a node."""
         import drjit as dr
         import mitsuba as mi
 
@@ -148,11 +148,11 @@ def aberrated(
     waves: FloatArray,
     kernels: Callable[[Phase, FloatArray], FloatArray],
 ) -> tuple[AberratedRows, FloatArray]:
-    """The table of a stop's aberrated kernels, [angle x wavelength x waves, ..., channel], and where things lie in it.
+    """Row lookup and table of a stop's aberrated kernels; the table is [angle x wavelength x waves, ..., channel].
 
     Args:
         fronts: wavefronts of the light through the stop, at equal steps of the field angle from 0.
-        angle_step_deg: these steps.
+        angle_step_deg: step of the field angle.
         range_nm: shortest and longest wavelength.
         waves: evenly spaced values of defocus.
         kernels: kernels [waves, ...] of unit integral for a phase and values of defocus.
@@ -170,7 +170,7 @@ def aberrated(
         else:
             mean, cosine, sine = (kernels(phase._replace(step=step), waves) for step in (0.0, 1.0, 1j))
             part = np.stack([mean, cosine - mean, sine - mean], axis=-1)
-        if number == 0:  # in one piece: tables may have gigabytes
+        if number == 0:  # allocated once, because tables may take gigabytes
             table = np.empty((len(fronts) * len(inverses), *part.shape), np.float32)
         table[number] = part
     place = AberratedRows(

@@ -39,19 +39,21 @@ from dasim.typing import FloatArray
 
 CELLS, FEWER_CELLS = 4, 2  # nodes of s per pixel, along each axis, even; fewer in large frames
 LARGE_FRAME_PX = 600_000
-# Points per pixel and axis of the grid over which F is summed, and their margin over the cut-off frequency of the
-# kernels, 1 / (lambda N), for the picture's own frequencies. With 0.3 less, F of the finest texture is 1 % off.
+# Points per pixel and axis of the grid on which F is summed, and their margin above the cut-off frequency of the
+# kernels, 1 / (lambda N), for the frequencies of the picture. With a margin smaller by 0.3, F of the finest texture is
+# off by 1 %.
 GRIDS, GRID_MARGIN = (2, 4), 0.5
-LEVEL_STEP_PX, LEVEL_SHARE = 0.5, 0.04  # between levels of blur: the larger of a length and a share of the blur
+LEVEL_STEP_PX, LEVEL_SHARE = 0.5, 0.04  # spacing of blur levels: the larger of a length and a fraction of the blur
 TAIL_RINGS = 16.0  # K ends this many lambda N beyond the geometric blur
-RADIUS_STEP = 0.1  # of the table of K, over the distance of the points of the grid
-STRIP_PX = 256  # rows that are blurred at once: they bound the memory
+RADIUS_STEP = 0.1  # step of the table of K, relative to the spacing of the grid points
+STRIP_PX = 256  # rows that are blurred at once, which bounds the memory
 
 
 def _linear(neighbours: int = 6, highest: float = 0.8) -> FloatArray:
-    """Weights of a node and its neighbours whose frequency response is sinc^2, that of linear interpolation.
+    """Filter weights of a node and its neighbours with the frequency response of linear interpolation, sinc^2.
 
-    By least squares as far as a share ``highest`` of the nodes' Nyquist frequency: 4e-4 off at most, 5e-5 at its half.
+    They are a least-squares fit up to the fraction ``highest`` of the nodes' Nyquist frequency. The error is at most
+    4e-4, and 1.2e-4 at half of that frequency.
     """
     frequency = np.linspace(0.0, highest / 2, 200)  # per node
     cosines = 2 * np.cos(2 * np.pi * np.outer(frequency, np.arange(neighbours + 1)))
@@ -79,8 +81,8 @@ def cells_of(camera: Camera) -> int:
 
 
 def points_of(lambda_n_px: float, cells: int) -> int | None:
-    """Points per pixel of the grid of F, at most ``cells``, for kernels of a shortest lambda N in pixels; None where
-    these are too fine for it.
+    """Points per pixel of the grid of F, at most ``cells``, for kernels whose shortest lambda N is ``lambda_n_px``;
+    None if the kernels are too fine for such a grid.
     """
     enough = (points for points in GRIDS if 1 / lambda_n_px + GRID_MARGIN <= points <= cells)
     return next(enough, None)
@@ -100,13 +102,13 @@ class Control:
     """The control variate of a stop."""
 
     picture: Any  # texture of s, a channel per band
-    extent: Any  # of the picture in pixels, along x and y
+    extent: Any  # size of the picture along x and y, pixels
     margin_px: Any
-    cells: Any  # per pixel along each axis, at whose middles s is read
-    level: Any  # of each pixel of the frame, row by row
+    cells: Any  # cells per pixel along each axis; s is read at their centres
+    level: Any  # blur level of each pixel of the frame, row by row
     blur_px: Any  # signed visible blur of each level
-    reach_px: Any  # of its kernel
-    centre: Any  # of the stop, in radii of the lens
+    reach_px: Any  # radius of the kernel of each level
+    centre: Any  # centre of the stop, in radii of the lens
     expected: NDArray[np.float32]  # F, [pixel, channel]
 
     def at(self, pixel: Any, place: Any, w: Any) -> tuple[list[Any], Any, Any]:
@@ -168,7 +170,7 @@ def control(
         margin_px=dr.opaque(mi.Float, fine.margin_px),
         cells=dr.opaque(mi.Float, fine.cells),
         level=mi.UInt32(level.astype(np.uint32).ravel()),
-        # Two at least: the compiler reads an array of one number without looking up, which would be another kernel.
+        # At least two entries: for an array of one entry, the compiler omits the lookup, which gives another kernel.
         blur_px=mi.Float(np.append(levels, levels[-1]).astype(np.float32)),
         reach_px=mi.Float(np.append(reach, reach[-1]).astype(np.float32)),
         centre=mi.Point2f(*(dr.opaque(mi.Float, value) for value in centre)),
@@ -216,7 +218,7 @@ def _expected(
         points: of the grid per pixel, along each axis.
     """
     most = int(np.ceil(reach.max() + np.abs(shift).max())) + 2
-    spare = max(0, most - fine.margin_px)  # the picture goes on as at its border, as the texture does
+    spare = max(0, most - fine.margin_px)  # the picture continues with its border values, as the texture does
     around = fine.margin_px + spare
     means = [_pixel_means(fine.ratio[..., band], fine.cells, spare, points) for band in range(fine.ratio.shape[-1])]
     result = np.zeros((*level.shape, table.shape[-1]), np.float32)
@@ -256,7 +258,7 @@ def _blurred(bands: list[NDArray[np.float32]], kernels: NDArray[np.float32]) -> 
 
 
 def padded_spectrum(images: NDArray[np.floating], shape: Sequence[int]) -> NDArray[np.complexfloating]:
-    """What ``rfft2`` gives of images [..., y, x] with zeros up to ``shape`` (h, w), without the rows of zeros."""
+    """``rfft2`` of images [..., y, x] padded with zeros to ``shape`` (h, w), without transforming rows of zeros."""
     return np.asarray(fft.fft(fft.rfft(images, shape[1]), shape[0], axis=-2))
 
 
@@ -281,9 +283,10 @@ def _pixel_means(picture: NDArray[np.float32], cells: int, spare_px: int, points
 
 
 def _sampled(profiles: FloatArray, half: int, shift: FloatArray, points: int) -> NDArray[np.float32]:
-    """:func:`on_grid` as far as ``half`` points, those of a channel with the sum 1 together, [band, channel, y, x].
+    """Kernels on the grid up to ``half`` points from its middle, [band, channel, y, x]; each channel sums to 1 over all
+    bands.
 
-    Their centre lies at - ``shift``, see :meth:`Control.at`.
+    The kernels are centred at -``shift``, see :meth:`Control.at`.
     """
     at = np.arange(-half, half + 1) / points
     kernels = on_grid(profiles, np.hypot(at[None, :] + shift[0], at[:, None] + shift[1]), RADIUS_STEP / points)

@@ -26,8 +26,8 @@ SUN_DISTANCE_M = 1e4  # over 10 m of scene the sun's direction changes by a tent
 def emitters(scene: Scene) -> dict[str, Any]:
     """Mitsuba's emitters of a scene's lights, by name.
 
-    All lights that surround the scene become one emitter, because Mitsuba allows a single environment. It is made
-    first, because its number is compiled into kernels: so it is the lowest that is free.
+    All lights that surround the scene become one emitter, because Mitsuba allows a single environment. It is created
+    first, so that it gets the lowest free number: the number is compiled into kernels.
     """
     parts = [(index, part) for index, light in enumerate(scene.lights) for part in lighting.parts(light)]
     distant = [(index, part) for index, part in parts if isinstance(part, Surrounding)]
@@ -43,17 +43,17 @@ def emitters(scene: Scene) -> dict[str, Any]:
 
 
 def _around(distant: list[Surrounding], local: list[Any], scene: Scene) -> Any:
-    """The emitter of all surrounding lights, beside the ``local`` ones."""
+    """The emitter of all surrounding lights of a scene whose other lights are ``local``."""
     sun = any(isinstance(part, Sun) for part in local)
     uneven = sum(part.lux for part in distant if _is_uneven(part, sun))
-    # Where one emitter is drawn for a surface, it is drawn in proportion to illuminance; the surroundings count with
-    # their uneven part. Without other lights the weight stays 1, because Mitsuba needs an emitter to sample.
+    # Where a surface samples a single emitter, the emitter is chosen in proportion to illuminance. Of the surroundings,
+    # only the uneven part counts. Without other lights the weight stays 1, because Mitsuba needs an emitter to sample.
     weight = {"sampling_weight": uneven} if local else {}
     return instance(_environment(distant, scene) | weight)
 
 
 def dark_emitter() -> dict[str, Any]:
-    """An emitter without light that is never sampled: beside it, one light is sampled by the code for several."""
+    """An emitter without light that is never sampled; with it, a single light uses the code for several lights."""
     return {"type": "point", "intensity": spectrum_dict(np.zeros_like(WAVELENGTH_NM)), "sampling_weight": 0.0}
 
 
@@ -140,7 +140,7 @@ def area_light(shape: str, to_camera: FloatArray, radiance: FloatArray, lux: flo
     }
     if shape != "rectangle" or mi.variant().startswith("scalar"):
         return light
-    # Mitsuba compiles the place of a rectangle into kernels, unlike that of other shapes.
+    # Mitsuba compiles the transform of a rectangle into kernels, unlike that of other shapes.
     rectangle = mi.load_dict(light)
     parameters = mi.traverse(rectangle)
     place = parameters["to_world"]

@@ -40,10 +40,10 @@ from dasim.render.ray_pass import WAVE_BLUR_PX, drawn, light_of, middle_ring, px
 from dasim.render.wavelengths import BANDS, stop_responses
 from dasim.typing import Float32Array, FloatArray
 
-FINE = 16  # points per pixel along each axis of the kernels that weights of nodes are means of
-CORE_PX = 7.0  # radius of the kernels that nodes are convolved with
-MARGIN_PX = 8  # around a tile: what these kernels reach from the nodes of a pixel
-RADIUS_STEP_PX = 0.025  # of the kernels' profiles
+FINE = 16  # samples per pixel and axis of the kernels, whose means are the weights of the nodes
+CORE_PX = 7.0  # radius of the kernels with which the nodes are convolved
+MARGIN_PX = 8  # margin around a tile: the reach of these kernels from the nodes of a pixel
+RADIUS_STEP_PX = 0.025  # radial step of the kernels' profiles
 
 
 @dataclass(frozen=True)
@@ -52,13 +52,13 @@ class _Core:
 
     blur: RadialBlur
     spectrum: Spectrum
-    points: int  # of a grid per pixel that has all of them
+    points: int  # points per pixel of a grid that resolves the kernels
 
     def nodes(self, towards_axis: FloatArray) -> Float32Array:
-        """Weights with which nodes enter the mean of a pixel: for their light, and for its moments along x and y.
+        """Weights of the nodes in the mean of a pixel, for their light and for its moments along x and y.
 
-        [channel, moment, row, column, y, x]: row and column of the node within its pixel, and offset of that pixel from
-        -``MARGIN_PX`` to ``MARGIN_PX``. ``towards_axis`` is the matrix of :func:`_towards_axis`.
+        The axes are [channel, moment, row, column, y, x]: row and column of the node within its pixel, and offset y, x
+        of that pixel from -``MARGIN_PX`` to ``MARGIN_PX``. ``towards_axis`` is the matrix of :func:`_towards_axis`.
         """
         side = 2 * MARGIN_PX + 1
         at = np.arange(side * FINE + FINE - 1) / FINE - (side + 1) / 2 + 1 / FINE
@@ -78,8 +78,9 @@ class _Core:
         return np.ascontiguousarray(np.stack(moments, axis=1) / total[:, None, None, None, None, None], np.float32)
 
     def rest(self, towards_axis: FloatArray) -> Float32Array:
-        """What the kernels of the bands have besides the share of :meth:`nodes`, [band, channel, y, x], on a grid of
-        ``points`` per pixel.
+        """Kernels of the bands minus the part that :meth:`nodes` applies, [band, channel, y, x].
+
+        They are sampled on a grid of ``points`` per pixel.
         """
         widest = 1 / np.linalg.svd(towards_axis, compute_uv=False).min()
         half = int(np.ceil(widest * self.blur.extent_px(self.spectrum) * self.points))
@@ -93,8 +94,9 @@ class _Core:
         return np.ascontiguousarray(np.moveaxis(rest, (0, 1), (2, 3)), np.float32)
 
     def _at(self, place: FloatArray, whole: bool = False) -> FloatArray:
-        """The kernels at places [y, x, 2] on the axis in pixels, of any scale, [y, x, band, channel]; of all bands
-        together, as one, if ``whole``.
+        """On-axis kernels at positions [y, x, 2] in pixels, not normalised, [y, x, band, channel].
+
+        With ``whole``, the bands are summed into a single one.
         """
         distance = np.hypot(*np.moveaxis(place, -1, 0))
         radius = np.arange(0.0, distance.max() + 2 * RADIUS_STEP_PX, RADIUS_STEP_PX)
@@ -191,7 +193,7 @@ def _core(camera: Camera, stop: Stop, field: Field | None, max_blur_px: float) -
 
 
 def _towards_axis(camera: Camera, place_px: FloatArray) -> FloatArray:
-    """Matrix from offsets (x, y) about a place of the frame to those of the pattern on the axis, in pixels."""
+    """Matrix that maps offsets (x, y) from a position in the frame to offsets in the on-axis pattern, in pixels."""
     place = place_px - principal_point(camera.sensor)
     ends = distortion.to_pinhole_px(camera, place + np.array([[0.5, 0], [-0.5, 0], [0, 0.5], [0, -0.5]]))
     stretch = np.stack([ends[0] - ends[1], ends[2] - ends[3]], axis=-1)
@@ -201,11 +203,11 @@ def _towards_axis(camera: Camera, place_px: FloatArray) -> FloatArray:
 
 
 def _convolved(light: NodeLight, kernel: Float32Array) -> Float32Array:
-    """Signal and light that the pixels of a tile and of a margin around it have from the nodes of the tile, [2, y, x].
+    """Signal and light that the nodes of a tile contribute to its pixels and to a margin around it, [2, y, x].
 
     Args:
         light: moments of the nodes of the tile.
-        kernel: of the channel, as of :meth:`_Core.nodes`.
+        kernel: weights of the nodes for the channel, from :meth:`_Core.nodes`.
     """
     height, width = (side + 2 * MARGIN_PX for side in light.signal[0].shape[:2])
     shape = tuple(fft.next_fast_len(side, real=True) for side in (height, width))

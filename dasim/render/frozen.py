@@ -18,7 +18,7 @@ from collections.abc import Callable
 from typing import TypeVar
 
 F = TypeVar("F", bound=Callable[..., object])
-MOST_KINDS = 100  # of arguments, of which a pass has a few; more would be a defect, of which Dr.Jit tells
+MOST_KINDS = 100  # kinds of arguments; a pass has a few, more would be a defect, and Dr.Jit warns
 
 
 def frozen(function: F) -> F:

@@ -34,11 +34,11 @@ from dasim.typing import FloatArray
 STRIDE_PX = 3.0
 PARTS = 3  # of a refined cell along each side
 SAME_PLANE = 5e-3  # distance of a point from the plane of a node, over its depth
-# Largest error that is expected of a node: its distance over that of the surroundings, plus the turn between normals
-# (Ward et al., eq. 4). Where all four corners of a cell are used, first orders cancel.
+# Largest allowed error estimate of a node: its distance over that of the surroundings, plus a term for the angle
+# between the normals (Ward et al., eq. 4). If all four corners of a cell are used, first-order errors cancel.
 BETWEEN_ERROR, BEYOND_ERROR = 0.5, 0.3
-LEAST_SHARE = 1e-3  # of the corners that are used, in the interpolation between all four
-ON_SURFACE, ON_SURFACE_TURN = 1e-3, 2e-5  # relative change of 1/z and of the cosine (0.4 degrees) for lamps
+LEAST_SHARE = 1e-3  # least bilinear weight of the corners that are used, out of all four
+ON_SURFACE, ON_SURFACE_TURN = 1e-3, 2e-5  # for lamps: largest relative change of 1/z, and of the cosine (0.4 degrees)
 SPAN_NM = float(grid.WAVELENGTH_NM[-1] - grid.WAVELENGTH_NM[0])
 
 
@@ -53,11 +53,11 @@ class Field:
     start_px: tuple[float, float]  # of the first node, from the axis
     px_per_m: float
     shape: tuple[int, int]  # nodes of the grid, [y, x]
-    refined: Any  # of each cell of the grid: its number among the refined ones, from 1; 0 for others
+    refined: Any  # per cell of the grid: its index among the refined cells, from 1; 0 if it is not refined
     ratio: Any  # flat [node, wavelength, light]: irradiance of each light over its spectrum
     surface: Any  # flat [node, (1/z, normal, mean inverse distance of the surroundings in 1/m)]
-    usable: Any  # cells, 1 where corners agree
-    even: Any  # nodes, 1 where light agrees with that of the neighbours on the same surface
+    usable: Any  # per cell: 1 where the corners agree
+    even: Any  # per node: 1 where the irradiance agrees with that of the neighbours on the same surface
     light: FloatArray  # spectrum of all lights together, on the wavelength grid
     spectra: Any  # of each light as a texture over wavelength
     spectrum_nodes: int  # of that texture

@@ -19,7 +19,8 @@ from dasim.typing import FloatArray
 AGREEMENT = 0.15  # largest relative difference of irradiance between neighbours
 SAME_NORMAL = 0.9  # cosine
 SAME_DEPTH = 0.02  # largest relative difference of 1/z per node of distance
-# Distance of averaged nodes: least cosine between their normals, largest relative difference of a pair from the middle.
+# By the distance of averaged nodes: least cosine between normals, and largest relative difference between the mean of
+# a pair and the node in its middle.
 SMOOTHING = {1: (SAME_NORMAL, AGREEMENT), 2: (0.998, 0.02), 4: (0.998, 0.02)}
 WIDEST = 0.015  # largest distance of averaged nodes beyond neighbours, as a tangent seen from the lens
 AROUND = [(dy, dx) for dy in (-1, 0, 1) for dx in (-1, 0, 1) if (dy, dx) != (0, 0)]
@@ -27,26 +28,26 @@ AROUND = [(dy, dx) for dy in (-1, 0, 1) for dx in (-1, 0, 1) if (dy, dx) != (0, 
 
 @dataclass(frozen=True)
 class Nodes:
-    """Nodes of an even grid over the frame, of whose places some may be empty."""
+    """Nodes of a regular grid over the frame, some positions of which may be empty."""
 
-    grid: NDArray[np.intp]  # [y, x] number of the node at each place, -1 where there is none
-    slope: FloatArray  # [node, 2] x / z and y / z of what the node sees
+    grid: NDArray[np.intp]  # [y, x] index of the node at each position, -1 where there is none
+    slope: FloatArray  # [node, 2] x / z and y / z of the point that the node sees
     # [node, 6]: 1/z in 1/m, normal, whether the surface is known, mean inverse distance of the surroundings in 1/m
     surface: FloatArray
 
     @property
     def known(self) -> NDArray[np.bool_]:
-        """Whether each node sees a surface that light is known of."""
+        """Whether each node sees a surface whose irradiance is known."""
         return np.asarray(self.surface[:, 4] > 0)
 
     @property
     def place(self) -> FloatArray:
-        """What each node sees, [node, 3] in m."""
+        """Position of the point that each node sees, [node, 3] in m."""
         z = 1 / np.where(self.known, self.surface[:, 0], 1.0)
         return np.column_stack([self.slope, np.ones(len(z))]) * z[:, None]
 
     def beside(self, dy: int, dx: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-        """Numbers of the nodes of the grid, and of those so many places below and to the right; -1 for none."""
+        """Indices of the nodes of the grid, and of the nodes ``dy`` below and ``dx`` to the right; -1 for none."""
         reach = max(abs(dy), abs(dx))
         there = np.pad(self.grid, reach, constant_values=-1)
         height, width = self.grid.shape
@@ -67,8 +68,8 @@ class Nodes:
     def same_surface(
         self, here: NDArray[np.intp], there: NDArray[np.intp], aligned: float, apart: int = 1
     ) -> NDArray[np.bool_]:
-        """Whether pairs of nodes, so many places ``apart``, see one surface: normals have a cosine of at least
-        ``aligned``, and depths are near.
+        """Whether pairs of nodes, ``apart`` grid positions from each other, see the same surface: the cosine between
+        their normals exceeds ``aligned``, and their depths are close.
         """
         z, normal = self.surface[:, 0], self.surface[:, 1:4]
         same = self.known[here] & self.known[there]
@@ -168,8 +169,8 @@ def _bands(ratio: FloatArray, spectra: FloatArray) -> FloatArray:
 def agreeing_cells(
     ratio: FloatArray, surface: FloatArray, spectra: FloatArray, corners: NDArray[np.intp], agreement: float
 ) -> NDArray[np.bool_]:
-    """Cells, by their corners [cell, 4], all of which are known, face one way and receive the same within a share
-    ``agreement`` in all wavelengths.
+    """Whether the four corners of each cell, [cell, 4], are all known, face the same way, and receive the same
+    irradiance to within the fraction ``agreement`` at all wavelengths.
     """
     of_corners = surface[corners]
     known, normal = of_corners[..., 4].min(axis=1) > 0, of_corners[..., 1:4]

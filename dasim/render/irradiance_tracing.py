@@ -30,11 +30,11 @@ from dasim.typing import FloatArray
 TILE = 4  # nodes along each side of a square whose directions are stratified together
 DIRECTIONS_PER_SAMPLE = 4  # directions of a point per sample of a pixel
 FEWEST_DIRECTIONS, MOST_DIRECTIONS = 64, 1024
-# Directions of the nodes of refined cells: at least, and a part of those of the grid's nodes, which are nine times as
-# sparse.
+# Directions per node of refined cells: the minimum, and the divisor of the directions of the grid's nodes, which are
+# nine times as sparse.
 FEWEST_FINE, FINE_PART = 32, 4
-FINE_AGREEMENT = 0.3  # as irradiance_nodes.AGREEMENT: light between near corners is more nearly linear
-PROBES = 0.25, 0.75  # places in a cell, along each side, that tell whether it is refined
+FINE_AGREEMENT = 0.3  # as irradiance_nodes.AGREEMENT: irradiance is more nearly linear between closer corners
+PROBES = 0.25, 0.75  # positions along each side of a cell that are tested to decide whether it is refined
 
 
 def field(
@@ -58,8 +58,9 @@ def field(
         axis_px: where the optical axis meets the sensor, from the frame's corner.
         px_per_m: pixels on the sensor per metre at a distance of one metre.
         margin_px: width of the margin.
-        spectrum: of all lights together, on the wavelength grid. Wavelengths are drawn by it; where all emitters have
-            one spectrum, it carries the spectral lines, which the ``NODES`` wavelengths of the field do not resolve.
+        spectrum: spectrum of all lights together, on the wavelength grid. Wavelengths are sampled from it. If all
+            emitters have one spectrum, it carries the spectral lines, which the ``NODES`` wavelengths of the field do
+            not resolve.
         spp: samples per pixel of the picture, to which the number of directions is matched.
         seed: of the directions.
     """
@@ -128,7 +129,7 @@ def _directions(spp: float) -> int:
 
 
 class _Found(NamedTuple):
-    """What is known of nodes and of cells, see :class:`Field`."""
+    """Results for nodes and cells, see :class:`Field`."""
 
     ratio: FloatArray  # [node, light, wavelength]
     surface: FloatArray  # [node, 5]
@@ -136,7 +137,7 @@ class _Found(NamedTuple):
     usable: NDArray[np.bool_]  # of cells
 
     def followed_by(self, other: _Found, nodes: NDArray[np.intp]) -> _Found:
-        """With some nodes of another one, and its cells."""
+        """These results, followed by those of some ``nodes`` of ``other`` and of all its cells."""
         pairs = zip(self[:3], other[:3], strict=True)
         ratio, surface, even = (np.concatenate([own, values[nodes]]) for own, values in pairs)
         return _Found(ratio, surface, even, np.concatenate([self.usable, other.usable]))
@@ -150,8 +151,8 @@ def _found(
     apart: float,
     agreement: float,
 ) -> _Found:
-    """What is known of nodes that receive ``ratio``, and of cells by their ``corners`` [cell, 4]; other arguments as in
-    :mod:`irradiance_nodes`.
+    """Results for nodes with the irradiance ``ratio``, and for cells with the ``corners`` [cell, 4]; other arguments as
+    in :mod:`irradiance_nodes`.
     """
     ratio = irradiance_nodes.smoothed(ratio, nodes, spectra, apart)
     surface = np.column_stack([nodes.surface[:, :4], irradiance_nodes.clamped(nodes)])
@@ -177,8 +178,10 @@ def _places(cells: NDArray[np.intp], across: int) -> tuple[NDArray[np.intp], NDA
 def _with_new(
     nodes: NDArray[np.intp], places: tuple[NDArray[np.intp], NDArray[np.intp]]
 ) -> tuple[NDArray[np.intp], tuple[NDArray[np.intp], NDArray[np.intp]]]:
-    """Numbers of the nodes of a grid [y, x], which has one at each place, and of new ones at ``places`` between
-    them, which follow; and rows and columns of these.
+    """Indices of all nodes on the refined grid, and the rows and columns of the new nodes.
+
+    ``nodes`` [y, x] is a grid without empty positions. The new nodes, at ``places`` between them, are numbered after
+    them.
     """
     rows, columns = nodes.shape
     numbers = np.full(((rows - 1) * PARTS + 1, (columns - 1) * PARTS + 1), -1, np.intp)
@@ -192,8 +195,8 @@ def _with_new(
 
 
 def _has_unknown(scene: Any, found: Field) -> NDArray[np.bool_]:
-    """Cells of the grid in which some ray through the middle of the lens ends on a Lambertian surface, and finds no
-    irradiance.
+    """Whether a test ray through the centre of the lens, for each cell of the grid, ends on a Lambertian surface where
+    the irradiance is unknown.
     """
     import drjit as dr
     import mitsuba as mi
@@ -231,8 +234,9 @@ class _Tracer:
     def trace(
         self, rows: NDArray[np.intp], columns: NDArray[np.intp], stride_px: float, directions: int, seed: int
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Irradiance over the lights' spectra of nodes by their places, [node, light, wavelength], with slopes and
-        surfaces as in :class:`Nodes`; ``directions`` of each node, a power of two.
+        """Irradiance of the nodes at ``rows`` and ``columns`` over the lights' spectra, [node, light, wavelength].
+
+        Also returns their slopes and surfaces, see :class:`Nodes`. ``directions`` per node must be a power of two.
         """
         import drjit as dr
         import mitsuba as mi
@@ -266,9 +270,9 @@ class _Tracer:
 
 
 def in_tile(row: Any, column: Any) -> Any:
-    """Number of a node in its tile, in the order of Morton: 4 nodes of a square follow each other, and their 4 squares.
+    """Index of a node in its tile, in Morton order: the 4 nodes of a square are consecutive, and so are the 4 squares.
 
-    The directions of each square together are then as evenly spread as those of a node.
+    The directions of each square together are then as evenly distributed as those of a single node.
     """
     return (column & 1) | ((row & 1) << 1) | ((column & 2) << 1) | ((row & 2) << 2)
 
@@ -314,8 +318,8 @@ def _traced(
 def _trace_points(
     scene: Any, integrator: Any, shares: Shares, rays: _Rays, directions: Any, block: Any
 ) -> tuple[list[Any], list[Any]]:
-    """Irradiance that each ray brings, of each light four wavelengths; and 1/z, normal, known and the inverse distance
-    of the surroundings.
+    """Irradiance carried by each ray, at four wavelengths for each light; and 1/z, normal, whether the point is known,
+    and the inverse distance of the surroundings.
     """
     import drjit as dr
     import mitsuba as mi
@@ -335,7 +339,8 @@ def _trace_points(
     normal = towards_camera(si)
     frame = mi.Frame3f(normal)
 
-    # Another part of each node's directions per group, so that those of a group are spread evenly over the tile too.
+    # The nodes of a tile use different parts of their directions for a group of wavelengths, so that the directions of
+    # the group are evenly distributed over the tile, too.
     number = sample ^ ((rays.within % groups) * block)
     numbers = Sobol(rays.points, rays.within * directions + number, rays.tile)
     place, aim_at = numbers.next_2d(), numbers.next_2d()

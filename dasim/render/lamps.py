@@ -34,25 +34,25 @@ from dasim.render.plugin import aligned
 from dasim.render.sobol import Sobol, points
 from dasim.typing import FloatArray
 
-MOST_EMITTERS = 8  # that are sampled by every ray; of more, each ray draws one
+MOST_EMITTERS = 8  # most emitters that every ray samples; of more, each ray samples one
 AGREEMENT = 0.15  # largest relative difference of the solid angle between the corners of a cell
-SAMPLES = 64  # of a lamp from a node
-SPLIT = 2  # samples of a lamp where its light is in doubt, if fewer cells than a share of ``CLEAR`` know it
+SAMPLES = 64  # samples of a lamp from a node
+SPLIT = 2  # samples of a lamp where its light is uncertain, if it is known in less than the fraction ``CLEAR`` of cells
 CLEAR = 0.7
 LATTICE = 12664747, 9560334  # 2^24 times steps of Roberts' R2 sequence, between the samples of a ray
-PROBE_NM = 430.0, 540.0, 610.0, 720.0  # a lamp shows its bright side if it has light at one of these
+PROBE_NM = 430.0, 540.0, 610.0, 720.0  # the emitting side of a lamp has light at one of these wavelengths
 
 
 @dataclass(frozen=True)
 class Grid:
     """What the nodes of an irradiance field receive from each of the sampled emitters."""
 
-    whole: Any  # projected solid angle of the emitter, sr, [emitter, y, x]
-    seen: Any  # of what is seen of it
-    usable: Any  # cells between four nodes of which both are known and nearly the same
-    samples: Any  # of each emitter where its light is in doubt
-    nodes: Any  # opaque number of nodes of an emitter
-    cells: Any  # of cells
+    whole: Any  # projected solid angle of the emitter, sr, flat [emitter, node], nodes of refined cells included
+    seen: Any  # projected solid angle of the visible part of the emitter, sr
+    usable: Any  # cells at whose four nodes both angles are known, and ``whole`` is nearly the same
+    samples: Any  # samples of each emitter where its light is uncertain
+    nodes: Any  # number of nodes per emitter, opaque
+    cells: Any  # number of cells per emitter, opaque
 
 
 @dataclass(frozen=True)
@@ -157,7 +157,7 @@ def light(
         local = si.to_local(aimed.d)
         value, other = bsdf.eval_pdf(context, si, local, active)
         if even is not None:
-            # The cosine of a Lambertian surface, as its shading has it; that of the surface where it reflects nothing.
+            # The cosine factor as the Lambertian BSDF applies it; where its reflectance is 0, the cosine itself.
             own, mean = even
             plain = mi.Spectrum(dr.select(local.z * si.wi.z > 0, dr.abs(local.z), 0.0))
             value = mi.Spectrum(dr.select(known, mean * dr.select(own > 0, value / own, plain), value))
@@ -169,7 +169,7 @@ def light(
             whole, seen = _interpolated(*grid, index, known & reached)
             control = dr.select(whole > 0, seen / whole, 0.0)
             added += control * dr.select(active, even[1] * (whole * aimed.pdf) * arriving - sample, 0.0)
-            # Whatever the samples are: their number must not depend on them.
+            # The number of samples must not depend on their values.
             doubted = reached & ~mi.has_flag(emitter.flags(), mi.EmitterFlags.Delta)
             doubted &= ~((whole > 0) & ((seen <= 0) | (seen >= whole)))
             count = dr.select(doubted, dr.gather(mi.UInt32, grid[0].samples, index, doubted), 1)
@@ -257,9 +257,9 @@ def grid_of(
 def _traced(
     scene: Any, number: int, slope: FloatArray, surface: FloatArray, key: int
 ) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
-    """Projected solid angle of an emitter from each node, of what is seen of it, and whether both are known.
+    """Projected solid angle of an emitter at each node, that of its visible part, and whether both are known.
 
-    They are known of a lamp of even radiance that shows its bright side to the node.
+    They are known for lamps of uniform radiance whose emitting side faces the node.
     """
     import drjit as dr
     import mitsuba as mi

@@ -62,8 +62,8 @@ def estimate(
         signal: response x light x weight x radiance of each ray, [channel][pixel, ray].
         control: the same without radiance.
         blur_px: signed visible blur where each ray ends, [pixel, ray].
-        beyond: the control of rays, [ray, channel], by their numbers in the flat order of [pixel, ray], that they would
-            have at depths of visible blur [ray].
+        beyond: function from ray indices, in the flat order of [pixel, ray], and visible blurs [ray] to the control,
+            [ray, channel], that these rays would have at the depths of these blurs.
     """
     layer = split(blur_px)
     count = int(layer.max()) + 1

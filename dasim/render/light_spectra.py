@@ -24,10 +24,10 @@ from dasim.typing import FloatArray
 
 FEWEST_SLOTS = 4  # where a scene has several lights
 NODES = 32  # wavelengths at which irradiance over a light's spectrum is stored, and interpolated between
-# Spectra are read at this step, which has the nodes of tables at every nanometre or five.
+# Spectra are sampled at these wavelengths, which include the nodes of tables with steps of 1 or 5 nm.
 FINE_NM: FloatArray = np.arange(grid.WAVELENGTH_NM[0], grid.WAVELENGTH_NM[-1] + 0.25, 0.5)
-ONE_SPECTRUM = 1e-4  # of a spectrum's mean: largest error of one spectrum that is interpolated as a multiple of another
-BETWEEN_GRID = 0.02  # of a spectrum's peak: what a surrounding may be off by between the points of the wavelength grid
+ONE_SPECTRUM = 1e-4  # largest error of a spectrum interpolated as a multiple of another, relative to its mean
+BETWEEN_GRID = 0.02  # largest error of a surrounding between points of the wavelength grid, over its spectrum's peak
 _KEYS = ("radiance", "intensity", "irradiance")  # of a spectrum among the parameters of Mitsuba's emitters
 
 

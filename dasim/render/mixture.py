@@ -41,7 +41,7 @@ def mixture_dict(surface: Mixture, gain: float = 1.0) -> dict[str, Any]:
 
 
 def _as_print(surface: Mixture) -> Mixture:
-    """A photograph in the form of a print, which has a fourth image, so that both share compiled kernels."""
+    """A photograph with a fourth weight image of zeros, as prints have four, so that both share compiled kernels."""
     images = [image for image, _ in _weight_images(surface)]
     if len(images) != 3 or len({image.shape for image in images}) > 1:
         return surface
@@ -78,8 +78,8 @@ def _stacked(images: Images, numbers: Sequence[int]) -> Any:
 
 
 def _shares_of(surface: Surface, images: Images) -> Callable[[Any, Sequence[Any]], list[Any]]:
-    """The function from a whole and the weights of ``images`` at a point to those of the leaves of ``surface``, whose
-    sum is the whole.
+    """Function that maps a total weight and the weights of ``images`` at a point to the weights of the leaves of
+    ``surface``, which add up to the total.
     """
     if not isinstance(surface, Mixture):
         return lambda whole, weights: [whole]
@@ -114,7 +114,7 @@ def _register() -> None:
             surface, gain = _surfaces.pop(props["number"])  # Mitsuba reads each description once
             self.average = gain * _mean(surface)
             images = _weight_images(surface)
-            # A function of weights: Dr.Jit visits the values that a plugin holds, at each launch of a frozen function.
+            # A function, not the surface: Dr.Jit traverses a plugin's attributes at each launch of a frozen function.
             self.shares_of = _shares_of(surface, images)
             self.count = len(images)
             # Images of the same size and repetition share one lookup.

@@ -43,8 +43,8 @@ from dasim.render.wavelengths import (
 from dasim.typing import Float32Array, FloatArray
 
 MOST_MARGIN_PX = 300.0
-# Of the pinhole's picture: beyond the largest blur's half; at least, for what diffraction brings from beside the frame
-# in focus; at most.
+# Margin of the pinhole picture: width beyond half of the largest blur; least width, for in-focus diffraction from
+# outside the frame; largest width.
 SHARP_MARGIN_PX, LEAST_SHARP_MARGIN_PX, MOST_SHARP_MARGIN_PX = 12.0, 20.0, 60.0
 
 
@@ -232,8 +232,8 @@ def sharp_pass(
     diffraction: str,
     max_blur_px: float,
 ) -> Sharp:
-    """The pictures of :func:`pinhole_pass`, and of the same rays those of each stop on a finer grid with a margin, and
-    those of discs and rings without aberrations with every depth in focus.
+    """The pictures of :func:`pinhole_pass` and, from the same rays, those of each stop on a finer grid with a margin
+    and the all-in-focus pictures of discs and rings without aberrations.
     """
     radial = any(ring(stop) is not None for stop in camera.stops) and wavefront.is_perfect(camera)
     if diffraction != "wave" or not radial:

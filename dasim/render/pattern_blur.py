@@ -37,8 +37,8 @@ PATTERN_LARGEST_STEP = 0.25  # half of what the picture's highest frequency need
 PATTERN_WAVES_STEP = 0.05
 PATTERN_DENSITY_STEP_PX = 0.15
 PATTERN_BLUR_STEP_PX = 0.5
-MOST_NODES = 48e6  # of a table of three dimensions; its steps grow where this is exceeded
-MOST_ABERRATED_NODES = 2e9  # of one whose steps cannot grow any more: 8 GB
+MOST_NODES = 48e6  # most nodes of a three-dimensional table; larger tables use larger steps
+MOST_ABERRATED_NODES = 2e9  # most nodes of a table whose steps cannot be increased any further: 8 GB
 
 
 @dataclass(frozen=True)
@@ -207,7 +207,7 @@ def _in_focus(
             focus += weight * pattern / len(fronts)
     if flat:
         return focus
-    # Sampling need not know how behind the focus and around the axis the pattern is turned.
+    # Averaged over quarter turns, because sampling ignores the rotation of the pattern behind the focus and off axis.
     return sum((np.rot90(focus, quarter) for quarter in range(4)), np.zeros_like(focus)) / 4
 
 

@@ -32,8 +32,8 @@ from dasim.typing import Float32Array, FloatArray
 
 CELLS = 4  # nodes per pixel along each axis
 NODES = CELLS**2
-BORDER_CELLS = 2  # of these nodes in a border, whose ratios of the light of a single ray would be 0.1 % off
-MOMENTS = 3  # of the light of a node: its sum, and its sums times the places of its rays along x and y
+BORDER_CELLS = 2  # nodes per pixel and axis in a border, where ratios from the light of single rays would be 0.1 % off
+MOMENTS = 3  # moments of the light of a node: its sum, and its sums weighted by the positions of its rays along x and y
 MOST_TILE_PX = 1 << 16  # pixels that are traced at once on a graphics card: the host keeps some 4 KB of each
 ORDER_STREAM = 254  # of random numbers, see :data:`dasim.render.ray_block.WAVELENGTH_STREAM`
 ALONG, DOWN = 5, 7  # shift of the nodes' order from pixel to pixel, odd
@@ -59,8 +59,10 @@ class Pictures(NamedTuple):
 
 
 class NodeLight(NamedTuple):
-    """What the rays of the nodes bring in a channel, each [y, x, node]: sums, or ``MOMENTS``, which are these sums and
-    those times the rays' places along x and along y, in pixels about the middles of the nodes.
+    """Light of the nodes in one channel, each [y, x, node]: sums over the rays, or ``MOMENTS``.
+
+    The moments are these sums and the sums weighted by the rays' positions along x and y, in pixels from the centres of
+    the nodes.
     """
 
     signal: list[Float32Array]  # response x light x radiance
@@ -69,7 +71,7 @@ class NodeLight(NamedTuple):
 
 
 class Collect(Protocol):
-    """What is told of the nodes of a tile, channel by channel."""
+    """Callback that receives the light of the nodes of a tile, channel by channel."""
 
     def __call__(self, tile: Tile, channel: int, light: NodeLight) -> None:
         """Take the light of the nodes of a tile."""
@@ -222,8 +224,8 @@ def _sum(parts: NDArray[np.float32]) -> Float32Array:
 
 
 def _trace_nodes(shared: Pass, batch: Batch, nodes: Nodes) -> tuple[list[Any], Any]:
-    """Signal and light of rays through a pinhole, alternating by channel, those of a node behind each other; and their
-    places from the middles of their nodes, in pixels.
+    """Signal and light of rays through a pinhole, alternating by channel, with the rays of a node consecutive; and the
+    offsets of the rays from the centres of their nodes, in pixels.
     """
     import drjit as dr
     import mitsuba as mi
@@ -248,7 +250,7 @@ def _trace_nodes(shared: Pass, batch: Batch, nodes: Nodes) -> tuple[list[Any], A
 
 
 def _dispersed() -> NDArray[np.uint32]:
-    """Numbers of the nodes of a pixel, row by row, of which near ones differ most.
+    """Order of the nodes of a pixel, row by row, in which the numbers of close nodes differ most.
 
     The matrix of ordered dither: Bayer, IEEE International Conference on Communications 1973.
     """

@@ -78,12 +78,12 @@ class _OnCells:
 
 @dataclass(frozen=True)
 class Aberration:
-    """Offset on the film, in pixels, through which a ray leaves for a stop."""
+    """Offset of the film position of a ray due to aberrations, in pixels."""
 
-    table: Any  # by field angle and place on the stop
+    table: Any  # by field angle and position on the stop
     angles: int
-    step: float  # between them, radians
-    turned: bool  # whether the errors are those of a direction away from the axis
+    step: float  # between the angles, radians
+    turned: bool  # whether the aberrations are given relative to the radial direction, away from the axis
 
     def __call__(self, rho: Any, tangent: Any) -> Any:
         """The offset for a place on the lens, in its radii, and the tangent of the field angle, a vector."""

@@ -26,7 +26,7 @@ WAVES_STEP = 0.02
 DENSITY_STEP_PX = 0.04  # of the table of g, along u
 DENSITY_BLUR_STEP_PX = 0.1  # of the table of g, along c
 GUIDE_NODES = 512  # steps of equal probability of q along |u|
-MOST_CHANGE = 0.15  # of blur over the plane that rays are aimed for, over the width of D
+MOST_CHANGE = 0.15  # largest change of blur over the plane that rays are aimed for, over ``tail_px``
 CONTROL_BANDS = 32  # wavelengths of the kernels of the control variate, a power of two
 
 
@@ -44,7 +44,7 @@ class Spectrum(NamedTuple):
     """The wavelengths of a stop, which its kernels are weighted with."""
 
     nm: FloatArray  # [wavelength]
-    colour_px: FloatArray  # [wavelength] what axial colour takes from the visible blur
+    colour_px: FloatArray  # [wavelength] amount that axial colour subtracts from the visible blur
     weight: FloatArray  # [wavelength, band, channel] response x light, shared between the bands of the control variate
 
 
@@ -127,7 +127,7 @@ class RadialBlur:
         return Drawn(mi.Point2f(0.0), -u, self._density(length, mi.Float(0.0)) * per_density, u, per_density)
 
     def _image_place(self, first: Any, row: Any) -> tuple[Any, Any, Any]:
-        """Length of u, u, and 1 / q of having drawn it, for the blur of a row of the tables."""
+        """Length of the sampled u, u itself, and its 1 / q, for the blur of a row of the tables."""
         import drjit as dr
         import mitsuba as mi
 
@@ -190,9 +190,9 @@ class RadialBlur:
         """Sample rho with density D(-u - rho side), by rejection.
 
         Where the blur is narrower than D, proposals are uniform on the ring and accepted with probability
-        proportional to D. Where it is wider, rho side + u is proposed from D: its length r among those for which part
-        of the circle of radius r lies on the lens, accepted with the share of that part, and its direction within that
-        part. Few proposals are rejected, which matters because all rays wait for the last one.
+        proportional to D. Where it is wider, rho side + u is proposed from D: its length r from the range in which the
+        circle of radius r crosses the lens, accepted in proportion to the arc on the lens, and its direction within
+        this arc. Few proposals are rejected, which matters because all rays wait for the last one.
         """
         import drjit as dr
         import mitsuba as mi

@@ -20,7 +20,7 @@ from dasim.render.sobol import points
 from dasim.typing import FloatArray
 
 MOST_CHUNK = 16  # rays of a pixel that are summed at once
-FEW_CHUNKS = 7  # of a pixel, that are summed column by column; with as many, NumPy's own sums are no more exact
+FEW_CHUNKS = 7  # most chunks per pixel that are summed column by column; NumPy's sums of so few are no more accurate
 HERO = 4  # wavelengths per ray
 WAVELENGTH_STREAM = 255  # of random numbers by pixel; the others are dimensions of Sobol' points
 
@@ -43,12 +43,12 @@ class Batch:
 class Lanes(NamedTuple):
     """The numbers of each ray of a block."""
 
-    pixel: Any  # in the frame
-    stream: Any  # of random numbers, of its pixel
-    sample: Any  # in its pixel
-    samples: Any  # of its pixel
-    sampler: Any  # random numbers deeper in the paths
-    corner: Any  # of the pixel, from the corner of the frame
+    pixel: Any  # index of its pixel in the frame
+    stream: Any  # key of the random numbers of its pixel
+    sample: Any  # index of the ray in its pixel
+    samples: Any  # number of samples of its pixel
+    sampler: Any  # random numbers for the later vertices of the paths
+    corner: Any  # corner of the pixel, from the corner of the frame
     ring: Any  # fractional ring of the pixel
 
 
@@ -93,8 +93,8 @@ class Rays(NamedTuple):
     entries: list[Any]  # row of the table for each of the ray's wavelengths
     rho: Any  # place on the lens, in radii
     delta: Any  # offset by diffraction, pixels
-    expected: Any  # vergence that the middle of the pixel sees, 1/m; None without wave optics
-    drawn: Any  # weight of having drawn place and aim so
+    expected: Any  # inverse depth seen at the pixel centre, 1/m; None without wave optics
+    drawn: Any  # importance weight of the sampled position on the lens and aim
     variate: tuple[list[Any], list[Any]] | None  # see :func:`_variate`
 
 

@@ -50,7 +50,9 @@ from dasim.render.sobol import Sobol
 from dasim.render.wavelengths import Responses
 from dasim.typing import FloatArray, ShareDone
 
-ONE_DEPTH_SHARE = 0.97  # of the weights of a pixel that sees one depth: tails of diffraction reach others everywhere
+# Least share of the weights at the depth of the pixel centre for a pixel that sees one depth: tails of diffraction
+# reach other depths everywhere.
+ONE_DEPTH_SHARE = 0.97
 
 
 @dataclass(frozen=True)
@@ -94,13 +96,13 @@ class _Weighted(NamedTuple):
 
 @dataclass(frozen=True)
 class Traced:
-    """What rays bring, evaluated."""
+    """Results of traced rays, evaluated."""
 
     values: list[Any]  # signal and control, alternating by channel
-    seen: list[Any]  # of the control variate by channel; empty without
-    kernel: list[Any]
-    depth_share: list[Any]  # sum of the weights, and of those at the depth of the pixel's middle; empty without waves
-    weighted: tuple[Any, ...]  # those of :class:`_Weighted`; empty without waves
+    seen: list[Any]  # C s of the control variate by channel; empty without one
+    kernel: list[Any]  # C of the control variate by channel; empty without one
+    depth_share: list[Any]  # sums of all weights and of those at the pixel centre's depth; empty without wave optics
+    weighted: tuple[Any, ...]  # the fields of :class:`_Weighted`; empty without wave optics
 
 
 def render(
@@ -190,9 +192,10 @@ def blocks(shared: Pass, sampling: Sampling, stop: Stop | None) -> Iterator[Bloc
 
 
 def _parts(spp: int | NDArray[np.int64], size: int) -> Iterator[tuple[NDArray[np.intp], NDArray[np.int64]]]:
-    """Consecutive pixels of ``size`` whose rays are traced at once, and the samples of each, of all or [h, w].
+    """Consecutive pixels, out of ``size``, whose rays are traced in one batch, and the sample count of each pixel.
 
-    The rays are :func:`backend.lanes` at most, or those of one pixel.
+    ``spp`` is the count of all pixels, or of each, [h, w]. A batch has at most :func:`backend.lanes` rays, or those of
+    a single pixel.
     """
     most = backend.lanes()
     if isinstance(spp, int):
@@ -304,8 +307,10 @@ def trace_rays(shared: Pass, batch: Batch) -> Traced:
 def signals(
     shared: Pass, lanes: Lanes, rays: Rays, si: Any, weight: list[Any], numbers: tuple[Any, Any, Any]
 ) -> list[Any]:
-    """Response x light x weight of each ray with the radiance of its end and with that of the lights, alternating by
-    channel; ``numbers`` as for :func:`transport.radiance`.
+    """Response x weight x radiance of each ray, and response x weight x light, alternating by channel.
+
+    The radiance is that of the point where the ray ends, the light the spectrum of all lights together; ``numbers`` are
+    those of :func:`transport.radiance`.
     """
     shifts = splitting.uv_shifts(shared, rays, si)
     radiance = transport.radiance(

@@ -23,8 +23,8 @@ from dasim.render.wavelengths import Responses, draw_table, frame_density
 from dasim.spectra import grid
 from dasim.typing import FloatArray
 
-WAVE_BLUR_PX = 150.0  # visible blur up to which weights are tabulated; beyond, blur is that of the drawn rays
-MOST_SLOPE = 0.5  # of visible blur over the picture, pixels per pixel, that rays are aimed for
+WAVE_BLUR_PX = 150.0  # visible blur up to which weights are tabulated; beyond it, blur is that of the sampled rays
+MOST_SLOPE = 0.5  # largest gradient of visible blur over the picture for which rays are aimed, pixels per pixel
 
 
 @dataclass(frozen=True)
@@ -76,7 +76,7 @@ class Pass:
 
     @property
     def has_single_wavelengths(self) -> bool:
-        """Whether the wavelengths of a ray are all the same, since they decide its direction: with axial colour."""
+        """Whether all wavelengths of a ray are the same: with axial colour, where the wavelength sets its direction."""
         return self.axial_colour and not self.in_focus and self.draw_pupil is not None
 
 
@@ -142,7 +142,7 @@ def prepare(
 
 
 def drawn(camera: Camera, responses: Responses, light: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """How densely the wavelengths of a pass are drawn, on the grid, and :func:`draw_table` of them."""
+    """Sampling density of the wavelengths of a pass, on the grid, and its :func:`draw_table`."""
     density = frame_density(responses, light)
     return density, draw_table(camera, responses.of_pass, light, density)
 
@@ -192,9 +192,9 @@ def _middle_vergence(scene: Any, slope: Any) -> Any:
 
 
 def _slopes(vergence: NDArray[np.float32], steepest: float) -> tuple[FloatArray, FloatArray]:
-    """Change of the inverse depth along x and y, [h, w] per pixel: that of a surface, and 0 beside a step in depth.
+    """Gradient of the inverse depth of surfaces along x and y, [h, w] per pixel, without the steps between surfaces.
 
-    The smaller of the differences to both sides, 0 where their signs differ; ``steepest`` bounds it.
+    It is the smaller of the differences to both neighbours, or 0 if their signs differ, limited to ``steepest``.
     """
 
     def smaller(axis: int) -> FloatArray:

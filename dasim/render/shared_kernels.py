@@ -49,7 +49,7 @@ def hold_for_many(name: str) -> None:
 
 @cache
 def hold() -> tuple[Any, ...]:
-    """Keep one plugin of every kind of random scenes, and a last one, alive until the process ends."""
+    """Keep plugins of every kind that random scenes use, and plugins of the highest numbers, alive in this process."""
     import mitsuba as mi
 
     things = _objects() | _lamps(), _sky()
@@ -67,7 +67,7 @@ def hold() -> tuple[Any, ...]:
 
 
 def _below(number: int, pointer: Any, make: Callable[[], Any]) -> list[Any]:
-    """Instances of a plugin that take the numbers below one, as far as they are free."""
+    """Instances of a plugin that occupy the free numbers below ``number``."""
     import drjit as dr
     import mitsuba as mi
 
@@ -122,7 +122,7 @@ class Kernel(NamedTuple):
 
 @contextlib.contextmanager
 def recorded() -> Iterator[list[Kernel]]:
-    """Fill the list that it gives with the kernels that are launched in the block, at its end."""
+    """Context manager that yields a list; at the end of the block, it holds the kernels launched in the block."""
     import drjit as dr
 
     result: list[Kernel] = []

@@ -22,11 +22,11 @@ from dasim.render.ray_pass import Pass
 
 LOOKUPS = 4  # points per ray; the sequence of Hammersley, in fractions of a cell
 OTHERS = (0.5, 0.25), (0.25, 0.5), (0.75, 0.75)
-MOST_STRETCH = 1.2  # of the distance to a point over that to the ray's end, beyond which a surface is too slanted
+MOST_STRETCH = 1.2  # largest ratio of the depths of a point and of the ray's end; beyond it a surface is too slanted
 
 
 def uv_shifts(shared: Pass, rays: Rays, si: Any) -> list[Any]:
-    """Texture coordinates of the other points of each ray, less those where it ends.
+    """Texture coordinates of the other points of each ray, relative to those of its end point.
 
     They are 0 where the plane through the surface is too slanted, or the point is beyond the texture's border.
     """

@@ -21,7 +21,7 @@ from dasim.typing import FloatArray
 
 DRAW_NODES = 4096  # of the table that turns a uniform number into a wavelength
 BANDS = 3  # of the control variate's spectra, at equal steps of probability of a stop's wavelengths
-EVEN_SHARE = 0.1  # of the wavelengths is drawn as under a light of even spectrum
+EVEN_SHARE = 0.1  # fraction of the wavelengths that is sampled as under a light of constant spectrum
 
 
 class Responses(NamedTuple):
@@ -82,7 +82,7 @@ def separate_responses(
 
 
 def tents(place: FloatArray) -> FloatArray:
-    """Shares of ``BANDS`` nodes, evenly spaced over 0..1, in what is linear between them at a place, [..., band]."""
+    """Weights of linear interpolation between ``BANDS`` nodes, evenly spaced over 0..1, at positions, [..., band]."""
     return np.asarray(np.maximum(1 - np.abs(place[..., None] * (BANDS - 1) - np.arange(BANDS)), 0.0))
 
 
@@ -105,9 +105,9 @@ def _cumulative(density: FloatArray) -> FloatArray:
 
 
 def draw_density(whole: FloatArray, response: FloatArray, light: FloatArray | None = None) -> FloatArray:
-    """Relative density of drawn wavelengths on the grid: the sum over channels of signal over the whole signal.
+    """Relative sampling density of wavelengths on the grid: the sum over channels of signal over the whole signal.
 
-    A channel that a stop barely reaches gets few samples there, because it needs few.
+    A channel that receives little light through a stop gets few samples there, because it needs few.
 
     Args:
         whole: response [channel, wavelength] of all stops together.
@@ -126,11 +126,12 @@ def draw_density(whole: FloatArray, response: FloatArray, light: FloatArray | No
 
 
 def frame_density(responses: Responses, light: FloatArray) -> FloatArray:
-    """Relative density of drawn wavelengths that serves all rings of a frame, [wavelength].
+    """Relative sampling density of wavelengths for all rings of a frame, [wavelength].
 
-    The largest of the densities of the rings, each by its largest share in a pixel, so that a small frame about the
-    axis is drawn as for the axis. The sum of them would draw too few at the ends of the near-infrared, which only the
-    rings near the axis see: under incandescent light the noise of blue on the axis was 2.5 times as large.
+    It is the maximum of the densities of the rings, each weighted by its largest share in any pixel, so that a small
+    frame about the axis is sampled as for the axis. A sum would give too few samples at the ends of the near-infrared,
+    which only the rings near the axis see: under incandescent light the noise of blue on the axis was 2.5 times as
+    large.
     """
     nearest = np.array([np.abs(responses.place - number).min() for number in range(len(responses.of_pass))])
     weighted = [

@@ -59,9 +59,7 @@ def _material_problems(item: Object, scene: Scene) -> list[str]:
 
 
 def _glass_problems(item: Object, scene: Scene, surfaces: dict[str, Surface]) -> list[str]:
-    """Problems of an object of solid glass, which must be closed: out of an open shape, refracted light would never
-    exit.
-    """
+    """Problems of a solid glass object: its shape must be closed, or refracted light would never exit."""
     material = surfaces.get(item.material or "")
     solid = isinstance(material, Glass) and not material.thin if material else item.material == "glass"
     if not solid or item.shape not in ("plane", "disc", "cylinder", "heightfield"):

@@ -1,4 +1,4 @@
-"""One mesh of the parts of a file, with one picture of all their colours.
+"""Merging of the parts of a mesh file into one mesh with one texture for all their colours.
 
 A file may hold several parts (GLB, OBJ with materials). Their geometry is merged and their colours are packed into one
 texture atlas, so that an object remains one mesh with one surface. RGB does not determine the near-infrared: the scene

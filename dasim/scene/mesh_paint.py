@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from dasim.typing import Float32Array
 
 MOST_TEXELS = 1 << 24  # limit on the atlas of a mesh: 200 MB in linear light, and as much again for ink weights
-MATT = (0.0, 1.0, 0.5, 0.5, 1.0)  # the finish of what has none: no metal, rough, the normal of the surface
+MATT = (0.0, 1.0, 0.5, 0.5, 1.0)  # default finish: not metallic, rough, unperturbed surface normal
 
 
 def decode_srgb(encoded: NDArray[Any]) -> Float32Array:
@@ -67,7 +67,7 @@ _SRGB = decode_srgb(np.arange(256) / 255)
 def finish(visual: Any, has_uv: bool) -> Float32Array | None:
     """Finish [h, w, 5] of a part of a glTF file, as ``Part.finish``; None where it is matt or has no material.
 
-    Factors that a file leaves out are 1, as glTF has it: a material without them is a rough metal.
+    Missing factors default to 1, as in glTF: a material without them is a rough metal.
     """
     material = getattr(visual, "material", None)
     if material is None or not hasattr(material, "metallicFactor"):

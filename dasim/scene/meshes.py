@@ -98,7 +98,7 @@ def _read(path: Path, unit_m: float, where: str, stamp: tuple[int, int]) -> tupl
 
 
 def _beside(path: Path, where: str) -> Any:
-    """Resolver of trimesh for the files that a mesh names, such as pictures: those in its folder, and no pipes."""
+    """Resolver of trimesh for files that a mesh refers to, such as textures: regular files in its folder only."""
     from trimesh.resolvers import FilePathResolver
 
     class Beside(FilePathResolver):

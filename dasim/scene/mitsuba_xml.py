@@ -40,7 +40,7 @@ def check(file: Path, where: str, define: Mapping[str, str]) -> None:
 
 
 def _candidates(name: str, folders: list[Path]) -> list[Path]:
-    """What a name may mean; Mitsuba takes the first that it finds, and refuses folders and what is missing."""
+    """Files that a name may refer to; Mitsuba uses the first one, and itself rejects folders and missing files."""
     found = [folder / name for folder in folders]
     return [path for path in found if path.exists() and not path.is_dir()]
 
@@ -48,7 +48,7 @@ def _candidates(name: str, folders: list[Path]) -> list[Path]:
 def _check_one(path: Path, where: str, values: dict[str, str], folders: list[Path]) -> list[str]:
     """Check a single file; returns the names of the files that it includes.
 
-    ``values`` of parameters and ``folders`` to search, which a file may add, are added.
+    Parameters and search folders that the file declares are added to ``values`` and ``folders``.
     """
     parser, depth, included = expat.ParserCreate("UTF-8"), 0, []
 
@@ -96,7 +96,7 @@ def _check_one(path: Path, where: str, values: dict[str, str], folders: list[Pat
 
 
 def _check_number(name: str, text: str, where: str) -> None:
-    """Raise InputError where a radius or roughness is a number that no scene can have; Mitsuba refuses other texts."""
+    """Raise InputError for a radius or roughness out of range; Mitsuba itself rejects text that is not a number."""
     try:
         value = float(text)
     except ValueError:

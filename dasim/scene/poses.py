@@ -51,10 +51,10 @@ class Pose(Specification):
 
 
 def between(poses: Sequence[FloatArray], steps: int) -> list[FloatArray]:
-    """Poses at ``steps`` equal steps along a path through ``poses`` [4, 4], each stretch of which takes equally long.
+    """Poses at ``steps`` equal time steps along a path through ``poses`` [4, 4]; all segments take the same time.
 
-    Positions run straight from one pose to the next, and the camera turns at an even rate about one axis (slerp,
-    Shoemake 1985).
+    Between two poses, positions are interpolated linearly and orientations by slerp, a rotation about one axis at a
+    constant rate (Shoemake 1985).
     """
     from scipy.spatial.transform import Rotation, Slerp
 

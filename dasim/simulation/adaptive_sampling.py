@@ -43,11 +43,12 @@ NOISE_AT = 50.0  # percentile of the pixels at which the share is meant: the med
 PILOT_SPP = 8  # samples per pixel and stop of each picture of the first pair
 # Samples per pixel and stop of each further picture. With 4, pixels that see several depths are up to 1 % off.
 FEWEST_SPP, MOST_SPP = 8, 4096
-# What they may be: powers of two, which Sobol's numbers cover most evenly, and the middles between them.
+# Allowed sample counts: powers of two, for which Sobol' points are most even, and the values halfway between them.
 STEPS = np.array(sorted({*(8 << k for k in range(10)), *(12 << k for k in range(9))}))
 MOST_ROUNDS = 4
 SLOPE = 1.1  # variance falls about as samples ** -1.0 to -1.2 (claim fewer-rays)
-# If the pilot requires more than FAR times its own samples, a part is taken first: noise is not known that far ahead.
+# If the pilot requires more than FAR times its own samples, only a part of them is taken first, because the noise
+# cannot be predicted that far ahead.
 FAR, PART_OF_FAR = 8.0, 0.5
 AIM = 0.98  # of the target: the noise for which a further round is planned
 MOST_MORE, MORE_BISECTIONS = 8.0, 8  # largest factor of a further round, and bisection steps to find it
@@ -58,11 +59,11 @@ NEARLY = 1.05  # a round is not enlarged to get below this multiple of the least
 SHARED, SHARED_LATER, MOST_FINER = 0.5, 0.7, 16
 CERTAIN = 3.0  # standard errors by which it must exceed that fraction
 # Noise of the irradiance field causes unnecessary rays in proportion to 1 / f, and a field with f times the directions
-# costs in proportion to f. For N wanted rays per pixel, the best f is therefore sqrt(N / constant). Of the constants 40
-# and 160, tried on four random scenes, 160 took less time.
+# costs in proportion to f. For N required rays per pixel, the best f is therefore sqrt(N / constant). Of the constants
+# 40 and 160, tried on four random scenes, 160 took less time.
 RAYS_PER_FINENESS = 160.0
-LEAST_LIGHT = 0.1  # of the mean, added to the light that noise is compared with: spares nearly black pixels
-# The mean number of samples is found by halving, from some rows and columns.
+LEAST_LIGHT = 0.1  # of the mean, added to the light that noise is compared with: saves samples in nearly black pixels
+# The scale that gives the mean number of samples is found by bisection, from every third row and column.
 SPARSE, BISECTIONS = slice(None, None, 3), 24
 LARGE_FRAME_PX = 600_000
 
@@ -102,7 +103,7 @@ def render_to_noise_target(
         target: rendering noise over the sensor's noise, at the percentile of the pixels, in the worst channel.
         percentile: of the pixels: this share of them, in per cent, has at most ``target``.
         most_spp: bound on the samples per pixel and stop of a picture.
-        kept: share of each stop's light that glare leaves in its place; all by default.
+        kept: share of each stop's light that glare does not spread; 1 by default.
     """
     sums: Sums | None = None
     spp = np.full(shape, PILOT_SPP, dtype=np.int64)
@@ -120,7 +121,7 @@ def render_to_noise_target(
             float(shares_at(share(part, limit), [percentile])[0].max())
             for part in (variance, variance - shared, shared)
         )
-        # What irradiance leaves to the samples.
+        # The part of the target that remains for the noise of the samples, besides that of the irradiance field.
         most = SHARED_LATER if rounds else SHARED
         own_target = float(np.sqrt(max(target**2 - of_irradiance**2, (1 - most**2) * target**2)))
         uncertain = CERTAIN * shared_uncertainty(shape[1:]) * of_all**2
@@ -158,27 +159,30 @@ def render_to_noise_target(
 
 
 def _worthwhile_fineness(wants: FloatArray) -> int:
-    """How much finer than at first an irradiance should be for so many samples, [stop, h, w]: a power of two."""
+    """Factor on the directions of the first irradiance field that pays off for ``wants`` samples, [stop, h, w].
+
+    It is a power of two.
+    """
     fineness = np.sqrt(max(float(wants.sum(axis=0).mean()) / RAYS_PER_FINENESS, 1.0))
     return int(min(2 ** np.rint(np.log2(fineness)), MOST_FINER))
 
 
 class _Left(NamedTuple):
-    """What decides how many samples a further pair needs."""
+    """Data that determine how many samples a further pair needs."""
 
-    wants: FloatArray  # [stop, h, w] samples that the pilot asks for
+    wants: FloatArray  # [stop, h, w] samples that the pilot requires
     measured: Measured
-    variance: NDArray[np.floating]  # [h, w, channel] of the sum over stops, without what neighbours share
+    variance: NDArray[np.floating]  # [h, w, channel] of the sum over stops, without noise correlated between neighbours
     limit: FloatArray  # [h, w, channel] variance of the sensor's noise
 
 
 def _least_factor(
     left: _Left, target: float, percentile: float, most_spp: int, kept: Sequence[float] | None, factor: float
 ) -> float:
-    """The least multiple of ``factor``, of ``MOST_MORE`` at most, for which noise is expected to fall to the target, or
-    nearly as far as it can.
+    """The smallest multiple of ``factor``, at most ``MOST_MORE`` times, at which the noise is expected to reach the
+    target, or nearly the lowest noise that can be reached.
 
-    Of large frames, some rows and columns are looked at.
+    In large frames, only every third row and column is evaluated.
     """
     at = (SPARSE, SPARSE) if left.variance[..., 0].size > LARGE_FRAME_PX else (slice(None), slice(None))
     wants, done = left.wants[:, *at], np.broadcast_to(left.measured.spp, left.wants.shape)[:, *at]

@@ -27,8 +27,8 @@ CALIBRATION_LIGHTS = ("D65", "D55", "A", illuminants.ENERGY_SAVING)
 # pattern hides the tails of the kernel, and the near-infrared signal under lamps that emit little of it.
 EXPOSURES = (256.0, 16.0, 1.0)
 EXPOSURE_S = 0.01
-# The source is put up anew for each light and level: its image lies this far from its place in the field, in periods of
-# the mosaic, on pixels of its own.
+# The source is repositioned for each light and level: its image lies up to this many periods of the mosaic from its
+# nominal field position, on different pixels each time.
 _REACH = 32
 _BACKGROUND_SHARE = 1e-3  # of the peak: stray light, which the calibration must remove
 

@@ -39,7 +39,7 @@ from dasim.typing import Float32Array, FloatArray, Progress
 TWIN = "bayer-mobile"  # the camera whose colours ``sharp_srgb`` has
 SHARP_SPP = 32  # of the pinhole picture, which has no lens to sample
 FOCUS_SPP = 4  # rays through a stop of each of the two pilot pictures in focus; twice as many in ``scalar_spectral``
-MORE_SPP = 4.0  # of a picture where its pilot is noisy, mean over the pixels
+MORE_SPP = 4.0  # additional samples of a picture, placed where its pilot is noisy; mean over the pixels
 
 
 @dataclass(frozen=True)

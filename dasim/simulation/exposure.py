@@ -228,7 +228,7 @@ def times(truth: Truth, factor: float) -> Truth:
 
 @contextmanager
 def _own_provenance(where: str) -> Iterator[None]:
-    """Turn what a changed ``meta.json`` leads to into an InputError."""
+    """Convert the exceptions that an edited ``meta.json`` causes to an InputError."""
     try:
         yield
     except InputError:

@@ -31,17 +31,18 @@ from dasim.simulation.checks import check_finite, check_lit
 from dasim.simulation.rendering_noise import Picture
 from dasim.typing import Float32Array, FloatArray, Progress
 
-FIELD_SPP = 16  # that the irradiance is traced for at first where samples per pixel are chosen
+FIELD_SPP = 16  # samples per pixel assumed for the first irradiance field if ``spp`` is "auto"
 LENS, OWN_MEAN, IN_FOCUS, SHARP = range(4)  # uses of a capture's seed
-BLUR_MARGIN = 1.1  # something nearer than all that is seen may lie just outside the frame
+BLUR_MARGIN = 1.1  # objects nearer than all visible ones may lie just outside the frame
 
 
 @dataclass(frozen=True)
 class View:
     """A scene in front of a camera, ready to be rendered.
 
-    It is rendered at one light level, and the pictures are then multiplied by its own: rounding in the renderer's
-    single precision does not depend on the level. A Mitsuba scene, whose lights have no level, is rendered as it is.
+    It is rendered at a fixed light level, and the pictures are then scaled to the level of the scene, so that rounding
+    in the renderer's single precision does not depend on it. A Mitsuba scene, whose lights have no level, is rendered
+    as it is.
     """
 
     scene: Scene | MitsubaScene
@@ -94,7 +95,7 @@ class SharpPictures:
     twin: Float32Array  # [h, w, 3] of the camera :data:`exact.TWIN`, likewise
     field: Any  # irradiance, which half of the lens picture shares
     controls: list[Control | None]  # of each stop, see :mod:`dasim.render.control_variate`
-    halves: NDArray[Any] | None  # [half, h, w, channel] as ``rate``, of halves of its rays; None of rays that have none
+    halves: NDArray[Any] | None  # [half, h, w, channel] as ``rate``, from each half of the rays; None if not split
     in_focus: dict[int, NDArray[Any]]  # [h, w, channel] with every depth in focus, before glare, by the stops' numbers
 
 
@@ -193,7 +194,7 @@ def glared(
     differences: NDArray[Any] = np.zeros((), np.float32)
     for number, stop in enumerate(camera.stops):
         rate, left = picture(number)
-        # Where few samples leave more noise than light, the control variate may take away more than there is.
+        # With few samples, the noise may exceed the light, and subtracting the control variate gives negative values.
         together = together + passes.with_glare(np.maximum(rate, 0.0), camera, stop)
         differences = differences + np.float32(1 - stop.glare_share) * left
         del rate, left  # before the next stop's picture is made
@@ -219,7 +220,7 @@ def stop_picture(
 ) -> Ratios:
     """The picture through a stop, by its number, of ``spp`` samples, [h, w] or [1, 1], before glare.
 
-    ``in_focus`` is for all depths in focus, for which the control variates of ``sharp`` must be.
+    With ``in_focus``, all depths are in focus; the control variates of ``sharp`` must then be for this case.
     """
     stop = view.camera.stops[number]
     report = partial(progress, f"rendering through stop '{stop.name}'{label}")

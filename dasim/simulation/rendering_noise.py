@@ -24,12 +24,13 @@ from scipy import ndimage
 
 from dasim.typing import Float32Array, FloatArray
 
-# A difference of two pictures has one degree of freedom per pixel, and nearby pixels have like noise: squares are
-# averaged over a window. Variances that are stated have these weights of its rows and columns: 18 degrees of freedom, a
-# standard deviation known to 17 %. With even weights it is known to 14 %, but the noise of an edge reaches farther.
+# A difference of two pictures has one degree of freedom per pixel, and nearby pixels have similar noise, so squares are
+# averaged over a window. Reported variances use these weights for its rows and columns: 18 degrees of freedom, so that
+# a standard deviation is known to 17 %. With uniform weights, it is known to 14 %, but the noise of an edge spreads
+# farther.
 WINDOW_PX = 5
 WEIGHTS = np.array([1, 2, 3, 2, 1]) / 9
-SHARED_PX = 81  # over which what neighbours share is averaged
+SHARED_PX = 81  # side of the window over which the noise correlated between neighbours is averaged
 PERCENTILES = (50.0, 95.0, 99.5)  # of the pixels, at which the share of the sensor's noise is stated
 MOST_FACTOR = 1.5  # of the control variate
 
@@ -49,7 +50,7 @@ class Measured(NamedTuple):
 
     rate: Float32Array  # [stop, h, w, channel] mean electrons per second through each stop
     variance: Float32Array  # [stop, h, w, channel] of ``rate``, mean by ``WEIGHTS``
-    around: Float32Array  # the mean of the pixels around each, without its own, evenly weighted
+    around: Float32Array  # the same, as the unweighted mean of the surrounding pixels without the pixel itself
     spp: NDArray[np.int64]  # [stop, h, w] or [stop, 1, 1] samples per pixel of all pictures together
 
 
@@ -130,8 +131,8 @@ def _variances(left: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def shared_uncertainty(shape: tuple[int, ...]) -> float:
-    """Standard error of the shared part of :func:`of_sum` over the whole variance, where neighbours share nothing, in a
-    frame of a ``shape`` [y, x]: that of the mean square of as many window means as there are.
+    """Standard error of the correlated part of :func:`of_sum` relative to the whole variance, for uncorrelated noise in
+    a frame of ``shape`` [y, x]: that of the mean square of the available number of window means.
     """
     pixels = WINDOW_PX**2
     windows = np.prod([min(extent, SHARED_PX) for extent in shape]) / pixels
@@ -202,7 +203,7 @@ def _measured(sums: Sums) -> tuple[FloatArray, FloatArray, FloatArray]:
 
 
 def _mean_and_left(sums: Sums) -> tuple[FloatArray, FloatArray]:
-    """Mean of a part, and the differences, of the mean's variance, that the control variate leaves."""
+    """Mean of a part with its control variate, and the residual differences, whose squares are the mean's variance."""
     weight = np.maximum(sums.spp, 1)[..., None].astype(float)
     difference, other = sums.difference / weight, sums.variate_difference / weight
     above, below = around(difference * other), around(other**2)
@@ -218,7 +219,7 @@ def _joined(*parts: tuple[FloatArray, NDArray[np.floating], NDArray[np.float32] 
     Twice the latter less the former has none (Quenouille, Biometrika 43, 1956).
     """
     total = sum(weight for weight, _, _ in parts)
-    # A part whose rays all have the weight 0 says nothing.
+    # A part whose rays all have the weight 0 carries no information.
     says = [np.where(light > 0, weight, 0.0) for weight, _, light in parts]
     mean = sum(weight * ratio for weight, (_, ratio, _) in zip(says, parts, strict=True))
     mean = np.divide(total * mean, sum(says), out=np.zeros_like(mean), where=sum(says) > 0)
@@ -237,7 +238,7 @@ def around(values: NDArray[np.floating]) -> NDArray[np.floating]:
 
 
 def _in_window(extent: int) -> NDArray[np.int64]:
-    """How many of the places of a window about each of ``extent`` lie within them."""
+    """Number of positions inside the range 0..``extent`` of a window centred at each position in it."""
     place, half = np.arange(extent), WINDOW_PX // 2
     return np.minimum(place, half) + np.minimum(extent - 1 - place, half) + 1
 

@@ -131,7 +131,7 @@ def sensor_light(
 
 
 def _rounded(picture: LensPicture) -> LensPicture:
-    """The picture in single precision, see :mod:`dasim.simulation.exposure`, as soon as it is a sum no more."""
+    """The picture rounded to single precision, see :mod:`dasim.simulation.exposure`, once its sums are complete."""
     variance = None if picture.variance is None else to_precision(picture.variance)
     backend.release_memory()
     return replace(picture, rate=to_precision(picture.rate), variance=variance)

@@ -42,11 +42,11 @@ def fitted_matrix(response: FloatArray, power: FloatArray) -> FloatArray:
 
 
 def fitted_from_xyz(response: FloatArray, power: FloatArray) -> FloatArray:
-    """Matrix [channel, 3] from CIE 1931 XYZ under a light to electrons, of any channels; white's largest value is 1.
+    """Matrix [channel, 3] from CIE 1931 XYZ under a light to electrons of any channels; the largest one of white is 1.
 
-    It is what DNG calls a colour matrix, fitted by least squares, weighted by 1 / luminance, to the ColorChecker
-    (ISO 17321-1) and white. The standard observer sees no near-infrared, so that the row of an infrared channel is the
-    average of what surfaces of a colour reflect there.
+    This is the colour matrix of DNG, fitted by least squares, weighted by 1 / luminance, to the ColorChecker
+    (ISO 17321-1) and white. XYZ contains no near-infrared, so the row of an infrared channel predicts the average
+    near-infrared reflection of surfaces of a colour.
 
     Args:
         response: electrons per unit of power, [channel, wavelength].

@@ -21,7 +21,7 @@ WHOLE_GRID_NM = (float(WAVELENGTH_NM[0]), float(WAVELENGTH_NM[-1]))
 PLANCK_J_S = 6.62607015e-34
 LIGHT_SPEED_M_S = 299_792_458.0
 
-AnyNm = Annotated[float, Field(ge=100, le=1e5)]  # of a user's table, of which the grid needs a part
+AnyNm = Annotated[float, Field(ge=100, le=1e5)]  # wavelength in a user's table, which may extend beyond the grid
 
 CHANNELS = ("R", "G", "B", "IR")
 LUMINANCE = (0.2126, 0.7152, 0.0722)  # of linear sRGB, IEC 61966-2-1

@@ -1,4 +1,4 @@
-"""Check that a PSF bank matches a capture: same sensor, stops and lens, focused at the same distance, and its place.
+"""Check that a PSF bank matches a capture: same sensor, stops, lens and focus distance, and its field position.
 
 Tested in tests/recon/calibration/test_psf_bank.py.
 """
@@ -60,9 +60,9 @@ def check_lens(bank: PsfBank, camera: Camera, of: str, otherwise: str) -> None:
 
 
 def place_notes(bank: PsfBank, camera: Camera) -> list[str]:
-    """A note if the bank's kernels belong to another place of the field than the middle of the camera's frame.
+    """A note if the bank's kernels were measured far from the field position of the centre of the camera's frame.
 
-    Diffraction is wider by 1/cos^3 of the field angle, so that both angles tell whether the kernels differ.
+    Diffraction widens by 1/cos^3 of the field angle, so the two angles determine how much the kernels differ.
     """
     x, y = principal_point(camera.sensor)
     middle_px = camera.sensor.width_px / 2 - x, camera.sensor.height_px / 2 - y

@@ -25,8 +25,8 @@ def averaged(
     """Mean electrons of every channel without background, their standard deviation, and the mask of sampled pixels.
 
     All are [channel, h, w]; electrons are those of an exposure of ``unit_s`` seconds. Each pixel sums the exposures
-    that do not saturate it, and the crosstalk between pixels that the data sheet states is taken back. Temporal noise
-    is independent between frames; fixed-pattern noise is the same in all frames of one position of the source.
+    that do not saturate it, and is corrected for the pixel crosstalk of the data sheet. Temporal noise is independent
+    between frames; fixed-pattern noise is the same in all frames of one position of the source.
     """
     sensor = camera.sensor
     height, width = group[0].frames_dn.shape[1:]
@@ -62,7 +62,7 @@ def averaged(
     image, sigma = electrons / exposure, np.sqrt(variance * noise_gains(camera)[:, None, None]) / exposure
     rim = np.ones((height, width), bool)
     rim[RIM_PX:-RIM_PX, RIM_PX:-RIM_PX] = False
-    rim[[0, -1]] = rim[:, [0, -1]] = False  # what these get from pixels outside of the frame is unknown
+    rim[[0, -1]] = rim[:, [0, -1]] = False  # their crosstalk from pixels outside the frame is unknown
     background = np.array([np.median(plane[rim & here]) for plane, here in zip(image, sampled, strict=True)])
     return np.where(sampled, image - background[:, None, None], 0.0), sigma, sampled
 

@@ -1,4 +1,4 @@
-"""White off the axis, where the coatings of disc and cut-off have shifted, relative to that of the axis.
+"""White off the axis, where the coatings of disc and cut-off are shifted, relative to white on the axis.
 
 Tested in tests/recon/calibration/test_psf_bank.py.
 """
@@ -17,12 +17,12 @@ from dasim.typing import FloatArray
 
 
 def relative_to_axis(camera: Camera, lights: tuple[str, ...], field_px: tuple[float, float]) -> FloatArray:
-    """Electrons of white over those on the axis, relative to green, [light, channel], from the data sheet.
+    """Electrons of white off the axis divided by those on it, relative to green, [light, channel], by the data sheet.
 
     Args:
         camera: the camera.
         lights: names of illuminants; D65 stands for unknown ones.
-        field_px: (x, y) of a place of the sensor from the optical axis.
+        field_px: position (x, y) on the sensor, from the optical axis.
     """
     names = channels(camera.sensor)
     there, axis = response(camera, field_angle_deg(camera, field_px)), response(camera)

@@ -196,9 +196,9 @@ def guide(
 
 
 class Taps(NamedTuple):
-    """The samples of patches: ``TAP_PX`` apart, each the mean of its surroundings.
+    """Taps, the sampling points of patches: ``TAP_PX`` apart, each the mean of its surroundings.
 
-    Those of all patches are few where the patches' middles are as far apart, so that large frames need little memory.
+    Patches whose centres are as far apart share taps, so that large frames need little memory.
     """
 
     step: int  # samples between taps
@@ -209,7 +209,7 @@ class Taps(NamedTuple):
 
 
 def taps(frame: tuple[int, ...], window: Window, spacing_px: float, at: Places | None = None) -> Taps:
-    """The taps of the patches around samples ``at`` some rows and columns of a frame [h, w], or around all."""
+    """The taps of the patches centred at the rows and columns ``at`` of a frame [h, w]; all samples by default."""
     step = max(round(TAP_PX / spacing_px), 1)
     sigma = window.side_px / spacing_px / np.sqrt(12)
     radius = int(np.ceil(2 * sigma / step))

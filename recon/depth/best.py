@@ -40,7 +40,8 @@ def estimate(
 ) -> Map:
     """Levels of every sample of planes of a ``shape`` from the evidence; ``last`` is the bank's largest level.
 
-    Without the ``network``, neighbours are joined on smooth surfaces alone; ``tile`` is the side of its tiles, nodes.
+    Without the ``network``, only the posterior on smooth surfaces combines neighbours; ``tile`` is the side of the
+    network's tiles, nodes.
     """
     levels = evidence.levels
     window_level, window_sd = _moments(_normalised(evidence.score, levels), levels)
@@ -50,12 +51,12 @@ def estimate(
     if network:
         found = surface_net.posterior(evidence.inputs, evidence.picture, levels, last, tile)
         moved = weighted_median.filtered(found.level, found.sd, evidence.picture)
-        # Where a step moved, the posterior knew another surface: the move is part of the doubt.
+        # Where a step moved, the posterior favoured another surface: the change adds to the uncertainty.
         found = surface_net.Moments(moved, np.hypot(found.sd, moved - found.level))
     else:
         found = surface_net.smooth_posterior(evidence.inputs, levels, last)
     level, sd = (image[: shape[0], : shape[1]] for image in found)  # the last nodes may reach beyond the frame
-    if not knows.any():  # neighbours can tell only what some window knows
+    if not knows.any():  # neighbours add no information if no window is informative
         sd = np.full_like(sd, np.inf)
     return Map(level, sd, *(on_samples(image, evidence.nodes, shape) for image in (window_level, window_sd)))
 

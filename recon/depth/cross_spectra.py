@@ -1,14 +1,14 @@
-"""Banded cross-spectra of the channels around each sample, and those that a textured plane at each level has.
+"""Cross-spectra of the channels in frequency bands around each sample, measured and as expected at each level.
 
 In a window, the channels' band-passed images y_i give the matrix S_b = <y_i y_j> of each band b. A plane at blur level
 a, whose texture has the power P = 1/f^2.6 and the covariance Sigma between channels, has
 
     C_b = e^{q_b} Sigma o A_b(a) + N_b,    A_b,ij(a) = sum over band b of sum_k P(f_k) H_i(f_k) conj H_j(f_k) s_ij,k
 
-with the transfer functions H of the kernels, the frequencies f_k that the planes' sampling at every second pixel folds
-onto f (with the sign s_ij,k by the positions of both channels in the mosaic's block), and the noise N_b.
+with the transfer functions H of the kernels, the frequencies f_k that alias to f because the planes sample every second
+pixel (the sign s_ij,k depends on the positions of both channels in the mosaic's block), and the noise N_b.
 
-Visible channels are without their infrared, so that N_b has cross terms: infrared's noise, times both alphas.
+Infrared is subtracted from the visible channels, so N_b has cross terms: the noise of infrared times both alphas.
 """
 
 from __future__ import annotations
@@ -26,13 +26,13 @@ from recon.depth.grid import PLANE_SPACING_PX, gaussian_means, plane_mean, trans
 from recon.picture.mosaic import Phase
 
 EDGES = np.array([0.010, 0.022, 0.036, 0.055, 0.08, 0.11, 0.145, 0.19, 0.24])  # cycles per pixel, evenly in log f
-LEAST_SPAN = 0.30  # standard deviation of a window, pixels, times the width of a band: at least this
+LEAST_SPAN = 0.30  # least product of a window's standard deviation, pixels, and the width of a band
 TABLE_SIDE = 96  # of the grid of planes on which A is summed
 # Of the texture's power over frequency: the mean over random scenes of :mod:`validation.training.traced`.
 TEXTURE_EXPONENT = 2.6
 MARGIN = 48  # samples of padding
-# Where strong texture counts less, weights are 1 / (local energy + NOISE_FLOOR times the noise), with the energy of the
-# first channel around a sample within LOCAL cycles of the band.
+# With ``Window.even``, weights are 1 / (local energy + NOISE_FLOOR times the noise). The local energy is the
+# mean of the first channel's over a Gaussian around the sample, whose standard deviation is LOCAL cycles of the band.
 NOISE_FLOOR, LOCAL = 3.0, 0.35
 
 
@@ -49,7 +49,7 @@ class Window(NamedTuple):
 
     sigma_px: float  # raw pixels
     step: int  # between centres, samples of the planes
-    even: bool = False  # strong texture counts less, so that a few edges of other surfaces do not decide
+    even: bool = False  # strong texture has less weight, so that a few edges of other surfaces do not dominate
 
 
 def pairs(channels: int) -> list[tuple[int, int]]:
@@ -124,10 +124,10 @@ def measured(
 
 
 def _evening(energy: Float32Array, noise: Float32Array, band: int) -> Float32Array:
-    """Weights of samples by which strong texture counts less, [h, w].
+    """Weights of samples that reduce the influence of strong texture, [h, w].
 
-    They are those of all channels and of the noise alike: a plane's matrices keep their shape. ``energy`` and ``noise``
-    [h, w] are those of one channel in a band.
+    All channels and the noise have the same weights, so that the matrices of a plane keep their form. ``energy`` and
+    ``noise`` [h, w] are those of one channel in a band.
     """
     sigma = LOCAL / np.sqrt(EDGES[band] * EDGES[band + 1]) / PLANE_SPACING_PX
     around = np.maximum(cv2.GaussianBlur(energy, (0, 0), sigma, borderType=cv2.BORDER_REFLECT), 0)

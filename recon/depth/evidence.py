@@ -30,13 +30,13 @@ from recon.depth.joint_likelihood import log_likelihood
 
 WINDOWS = (Window(10.0, 4), Window(28.0, 8, even=True))
 NODE = 4  # samples of the planes between nodes
-FINEST, RELATIVE, LAST = 0.5, 1 / 8, 28.0  # spacing of levels: the larger of a number and a share of the level
-SCORE_UNIT = 10.0  # score from which on differences count by their logarithm
-# Weights of the scores of both windows and of ``bands`` in their sum; the scores share samples. WEIGHTS applies where
-# neighbours are combined, ALONE to the windows by themselves. Chosen on ``tune``, with an eye on the scene ``flowers``.
+FINEST, RELATIVE, LAST = 0.5, 1 / 8, 28.0  # spacing of levels: the larger of FINEST and RELATIVE * level
+SCORE_UNIT = 10.0  # score difference beyond which the compression is logarithmic
+# Weights in the sum of the scores of both windows and of ``bands``, which share samples. WEIGHTS applies when
+# neighbours are combined, ALONE to single windows. Chosen on ``tune``, with regard to the scene ``flowers``.
 WEIGHTS, ALONE = (0.6, 0.6, 0.2), (1.0, 1.0, 0.2)
 FAR = 0.5  # exponent of the prior (1 + level / 2)^-FAR: random rooms hold more at small blur
-EXCLUDED = 1e4  # below the best score: of levels that the bank does not have
+EXCLUDED = 1e4  # distance below the lowest score, for levels beyond the bank's last
 FALL = 10.0  # of a score per level beyond the bank, as a network input
 GUIDE_BLUR = 0.6  # standard deviation in samples
 GUIDE_FLOOR = 2.0  # noise standard deviations that are added before the logarithm
@@ -92,9 +92,9 @@ def evidence(
         guides: red and blue, for the picture alone.
         leak: infrared in the visible channel.
         clipped: samples that are clipped, [h, w].
-        most_clipped: share of them in a window from which on the window says nothing.
-        bands: score of :mod:`recon.depth.bands`; None for the large windows alone, which is three times as fast, and
-            without the signals among the inputs.
+        most_clipped: share of clipped samples from which on a window is ignored.
+        bands: score of :mod:`recon.depth.bands`; None for the large windows alone, which is three times as fast. The
+            inputs are then the scores alone.
     """
     channels = (visible, infrared)
     shape = infrared.variance.shape
@@ -138,8 +138,8 @@ def _window_scores(
     nodes: Nodes,
     levels: FloatArray,
 ) -> list[Float32Array]:
-    """Scores of each size of window at the nodes, [row, column, level]; ``unusable`` windows, and sizes without
-    spectra, say nothing.
+    """Scores of each window size at the nodes, [row, column, level]; 0 for ``unusable`` windows and for window sizes
+    without spectra.
     """
     visible, infrared = channels
     kernels = np.stack([kernels_without_infrared(visible, leak, infrared), infrared.kernels], axis=1).astype(np.float32)
@@ -157,9 +157,9 @@ def _window_scores(
 
 
 def _below_best(score: Float32Array, levels: FloatArray, last: float) -> Float32Array:
-    """By how much a score is below its largest value, [h, w, level].
+    """Difference between the largest score and each score, [h, w, level].
 
-    Beyond the bank's ``last`` level it falls by ``FALL`` per level of the list, as the network has seen scores fall.
+    Beyond the bank's ``last`` level, the score falls by ``FALL`` per level of the list, as in the network's training.
     """
     inside = int((levels <= last + 1e-6).sum())
     below = score[..., :inside].max(axis=-1, keepdims=True) - score
@@ -185,7 +185,7 @@ def _weighted(
 
 
 def _joined(score: Float32Array, levels: FloatArray, across: Float32Array, down: Float32Array) -> Float32Array:
-    """Posterior on smooth surfaces, [h, w, level]: found with levels between ``levels`` too, and of the same mean."""
+    """Posterior on smooth surfaces, [h, w, level], computed on a finer grid, which is then merged."""
     count = len(levels)
     between = np.interp(np.arange(0, count - 0.5, 0.5), np.arange(count), levels)
     fine = surfaces.posterior(resampled(score, levels, between, 2), between, across, down)

@@ -95,7 +95,7 @@ def estimate(capture: Capture, bank: PsfBank) -> DepthEstimate:
 
 
 def estimated(capture: Capture, bank: PsfBank, weights: Path) -> DepthEstimate:
-    """The same by a network of one's own, a file of ``dasim learn train``."""
+    """The same as :func:`estimate`, by a user's own network, whose weights ``dasim learn train`` wrote."""
     check_fits(bank, capture)
     blur, sd = probabilities(images(capture, hole_of(bank)), float(bank.blur_px[-1]), weights)
     levels = np.arange(len(bank.blur_px), dtype=np.float64)

@@ -80,9 +80,9 @@ def run_method(method: Method, capture: Capture, bank: PsfBank) -> DepthEstimate
 def on_blocks(estimate: DepthEstimate, bank: PsfBank) -> tuple[Float32Array, Float32Array, float]:
     """Levels of the mosaic's 2x2 blocks and their confidence, [h/2, w/2]; share of the estimates out of range, 0..1.
 
-    A block's level is the mean of its pixels' estimates, NaN without any. Estimates nearer than the last level or
-    farther than the focus, or than the last level behind it where a method tells the sides apart, are clamped, because
-    the bank has no kernels there; the share counts them.
+    A block's level is the mean of its pixels' estimates, NaN without any. Estimates out of range are clamped, because
+    the bank has no kernels there. The range extends from the last level to the focus, or, if the method tells the sides
+    apart, to the last level behind the focus.
     The confidence is s^2 / (s^2 + sd^2) with s of one level.
     """
     level, sd = estimate.level, estimate.sd

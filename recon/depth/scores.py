@@ -92,8 +92,8 @@ def signals(
 ) -> Signals:
     """Signal-to-noise ratios of two channels.
 
-    For tiles, ``brightest`` gives the largest values of the two whole planes, and the planes are larger than the
-    variances: below and to the right of these, periodically, they contain the halo.
+    For tiles, ``brightest`` gives the maxima of the two full planes. The planes of a tile are larger than the
+    variances: they are periodic, with the halo below and to the right of the tile.
     """
     grid, spectra = _spectra(sharper, green, settings, spacing_px)
     window = window_of(settings)
@@ -138,8 +138,8 @@ def scores(
 ) -> tuple[Float32Array, Float32Array | None]:
     """Score of every level, [level, h, w], and the NCC at the best level, [h, w] (None for the score ``bands``).
 
-    ``classes`` are those of :func:`frame_weights`. Only the score ``bands`` uses ``leak``, ``also``, and the rows and
-    columns ``at`` which it is wanted.
+    ``classes`` are those of :func:`frame_weights`. Only the score ``bands`` uses ``leak``, ``also``, and ``at``, the
+    rows and columns of the samples to score.
     """
     window = window_of(settings)
     if settings.score == "bands" or settings.score == "joint":  # the second adds to the first (:mod:`recon.depth.best`)

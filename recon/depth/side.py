@@ -31,7 +31,7 @@ WINDOWS = (Window(10.0, 8), Window(28.0, 8))  # at the same places
 # Weight of the evidence of each window, relative to the evidence for a level: these windows are farther apart than
 # those from which levels are combined.
 WEIGHT = 1.5
-APART = 1e3  # distance of the two states, levels: nothing is between them
+APART = 1e3  # distance between the two states, levels: so large that only a step connects them
 GUIDE_BLUR = 1.0  # standard deviation in samples
 PRIOR_BEHIND = 0.2  # cameras are focused at what is near; a surface without evidence is in front
 
@@ -46,7 +46,7 @@ def probability_behind(
         far: with those behind it, from the focus outwards.
         leaks: infrared in R, G and B.
         clipped: samples that are clipped, [h, w].
-        most: share of them in a window from which on the window says nothing.
+        most: share of clipped samples from which on a window is ignored.
     """
     planes, phases = [channel.plane for channel in near], [channel.phase for channel in near]
     variances, alpha = [channel.variance for channel in near], [leak.alpha for leak in leaks]
@@ -104,10 +104,10 @@ def _table(channels: Sequence[Channel], leaks: Sequence[Leak]) -> FloatArray:
 def _chosen(
     near: Float32Array, near_sd: Float32Array, far: Float32Array, far_sd: Float32Array, behind: Float32Array
 ) -> tuple[Float32Array, Float32Array]:
-    """Signed level of the likelier side, and its standard deviation with that doubt.
+    """Signed level of the likelier side, and its standard deviation including the uncertainty about the side.
 
-    It is infinite where the likelier side knows nothing. A side of few levels may know nothing of its own; the distance
-    between both then holds the doubt alone.
+    The standard deviation is infinite where the likelier side is unknown. If that of the other side is infinite, as
+    may happen with few levels, the distance between both sides alone accounts for the uncertainty about the side.
     """
     is_far = behind > 0.5
     level = np.where(is_far, -far, near)

@@ -37,10 +37,10 @@ from recon.depth.tiles import tiles
 
 FILES = "surface_net_0.npz", "surface_net_1.npz"  # by the seed of the training
 DILATIONS = (1, 2, 4, 8, 16, 1, 2, 4, 8, 1)
-# Factor on the standard deviation on smooth surfaces alone, which take the windows of neighbours as less alike than
-# they are; chosen on ``tune``.
+# Factor on the standard deviation of the posterior on smooth surfaces alone, which underestimates the correlation of
+# neighbouring windows; chosen on ``tune``.
 SMOOTH_SD = 2.5
-SURE_SD = 0.4  # on smooth surfaces, levels, at which both have half of the mixture; 0.3 to 0.6 tie on ``tune``
+SURE_SD = 0.4  # on smooth surfaces, levels, at which both posteriors have equal weight; 0.3 to 0.6 tie on ``tune``
 MIXED_SD = 0.6  # factor on the standard deviation on smooth surfaces in the mixture; chosen on ``tune``
 TILE = 512  # nodes per side: frames of up to 4096 pixels per side are one tile
 HALO = 50  # nodes around a tile: the sum of ``DILATIONS``, and what the layers of the picture and of the samples see
@@ -84,7 +84,7 @@ def posterior(
 
 
 def _of_tile(inputs: Float32Array, picture: Float32Array, levels: FloatArray, last: float) -> Moments:
-    """:func:`posterior` without regard to what is around."""
+    """:func:`posterior` of a single tile."""
     first, *others = networks()
     logits = log_probabilities(first, inputs, picture, len(levels))
     for net in others:
@@ -94,7 +94,7 @@ def _of_tile(inputs: Float32Array, picture: Float32Array, levels: FloatArray, la
 
 
 def log_probabilities(net: Net, inputs: Float32Array, picture: Float32Array, levels: int) -> Float32Array:
-    """Of a number of levels at each sample by one network, [NODE h, NODE w, level], less a constant per sample."""
+    """Log probabilities of the levels by one network, [NODE h, NODE w, level], up to a constant per sample."""
     fine = convolved((picture - net["picture_mean"]) / net["picture_sd"], net, "fine")
     fine = convolved(relu(fine), net, "fine_in")
     middle = linear(gathered(relu(fine)), net, "middle")

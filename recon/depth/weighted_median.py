@@ -15,12 +15,12 @@ from numba import njit, prange
 from dasim.typing import Float32Array
 
 # Chosen on the set ``tune``.
-# Of each round, in samples: radius of the surroundings, and distance between those of them that count. The places
-# differ from round to round, since a grid that stays leaves its pattern.
+# Radius of the neighbourhood and spacing of the samples used in it, for each round, in samples. The grid of samples
+# changes, because a fixed grid would leave its pattern.
 ROUNDS = ((20, 4), (18, 4), (18, 4), (10, 2))
 NEARNESS = 1.0  # standard deviation of the weight by distance, over the radius
 CONTRAST = 0.07  # of the weight by likeness, root mean square over the picture's channels
-LEAST_SD = 0.3  # levels: surer ones have no more weight
+LEAST_SD = 0.3  # levels, added in quadrature: limits the weight of certain levels
 LEAST_EXPONENT = -12.0  # of a weight; smaller ones do not count
 BINS = 128  # of a histogram, evenly in the square root of the level
 

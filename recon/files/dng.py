@@ -1,9 +1,9 @@
 """Captures as DNG (Adobe Digital Negative 1.4, a TIFF): the mosaic as it is, and developed linear colours.
 
 The mosaic has the pattern of the colour filters, black and white level, noise profile, colour matrices and exposure.
-What the standard cannot say: it has no colour for infrared, which is called white (code 6) here; a colour matrix starts
-at XYZ, which no infrared light changes; its noise profile has no term for PRNU; and it knows neither two apertures nor
-blur levels. These are in ``DNGPrivateData``: the camera as JSON, without scene and light.
+Limits of the standard: it has no colour code for infrared, which is stored as white (code 6); its colour matrices map
+from XYZ, which does not depend on infrared light; its noise profile has no term for PRNU; and it cannot describe two
+apertures or blur levels. ``DNGPrivateData`` holds these: the camera as JSON, without scene and light.
 
 The linear file has red, green and blue without infrared, which raw developers open, and infrared as a second page.
 """

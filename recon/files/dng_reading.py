@@ -1,4 +1,4 @@
-"""The mosaic of an uncompressed DNG, of dasim or of another camera, and what its tags say of it.
+"""The mosaic of an uncompressed DNG, of dasim or of another camera, and the tags that describe it.
 
 Tested in tests/recon/files/test_dng.py and tests/recon/files/test_foreign_dng.py.
 """

@@ -184,7 +184,7 @@ def _tiff(path: Path, where: str) -> NDArray:
 
 
 def _second(file: Any) -> tuple[int, ...] | None:
-    """Shape of the second picture of a TIFF file, if it has one; the others are not visited: they may be a circle."""
+    """Shape of the second picture of a TIFF file, if it has one; the others are skipped: they may form a loop."""
     try:
         return tuple(file.pages[1].shape)
     except IndexError:

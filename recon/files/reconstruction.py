@@ -76,7 +76,7 @@ def save_reconstruction(
 
 
 def _write_extras(folder: Path, result: Reconstruction, extras: Sequence[str]) -> list[str]:
-    """Write what was asked for besides; returns notes on what was left out."""
+    """Write the requested extra files; returns notes on those left out."""
     notes = []
     picture, depth_m = result.sharp_rgb, result.depth_m
     if {"anaglyph", "stereo"} & set(extras):

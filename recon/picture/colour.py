@@ -35,7 +35,7 @@ def choose_light(
     """Index of the light of a raw picture, by automatic white balance (sec. 5.1).
 
     The light is the nearest in log-chromaticity (R, B and IR relative to G) to the Minkowski mean over unsaturated
-    blocks. Infrared separates lamps from daylight. What white of each light loses off the axis is made up for.
+    blocks. Infrared separates lamps from daylight. The loss of white off the axis is corrected for each light.
 
     Args:
         raw_e: linear mosaic, [h, w] electrons.

@@ -105,8 +105,8 @@ def linearised(
 def denoised(raw_e: Float32Array, capture: Capture, settings: Settings) -> Float32Array:
     """Noise reduction of sec. 4.1 on each grid of a mosaic [h, w] electrons; unchanged if the settings turn it off.
 
-    Electrons as the pixels collected them, whose noise the sensor's model gives, guide it. The two grids of a quincunx
-    (green of a Bayer block, three channels of the 4x4 block) are denoised separately.
+    The guide is the electrons before the correction of pixel crosstalk, to which the sensor's noise model applies. The
+    two grids of a quincunx (green of a Bayer block, three channels of the 4x4 block) are denoised separately.
     """
     if not settings.denoise:
         return raw_e

@@ -67,10 +67,11 @@ def _white(camera: Camera, light: str, angles_deg: FloatArray) -> FloatArray:
 
 
 def with_infrared_of_axis(bank: PsfBank) -> PsfBank:
-    """The bank with kernels that contain as much infrared of white as on the axis, whose white is its ``signature``.
+    """The bank with the infrared share of its R, G and B kernels converted to that of white on the axis.
 
-    Where the bank was measured elsewhere in the field, kernels of R, G and B contain infrared in the share alpha_i w_IR
-    / w_i of that place. The kernels of visible light and of infrared keep their shape.
+    If the bank was measured elsewhere in the field, kernels of R, G and B contain the infrared share alpha_i w_IR / w_i
+    of that position; white w on the axis is the bank's ``signature``. The kernels of visible light and of infrared keep
+    their shape.
     """
     angle_deg = field_angle_deg(bank.camera, bank.field_px)
     if angle_deg == 0 or "IR" not in channels(bank.camera.sensor):
@@ -89,7 +90,7 @@ def with_infrared_of_axis(bank: PsfBank) -> PsfBank:
 
 
 def _with_share(measured: Float32Array, share: FloatArray, wanted: FloatArray) -> Float32Array:
-    """Kernels [light, level, channel, y, x] of R, G, B with a share of infrared, replaced by a ``wanted`` one; IR."""
+    """Kernels [light, level, channel, y, x] with the infrared ``share`` of R, G and B changed to ``wanted``."""
     kernel = measured.astype(np.float64)
     of_infrared = kernel[:, :, 3:]
     kernel[:, :, :3] = (1 - wanted) * (kernel[:, :, :3] - share * of_infrared) / (1 - share) + wanted * of_infrared

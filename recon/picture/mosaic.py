@@ -94,8 +94,8 @@ def sole_phases(camera: Camera) -> list[Phase | None]:
 def linearise(capture: Capture) -> tuple[Float32Array, BoolArray]:
     """Photo-electrons of a raw picture, float32 [h, w], and the mask of its saturated pixels, [h, w].
 
-    Electrons are (raw - black level) times electrons per digital number, minus the mean dark signal. The crosstalk
-    between pixels that the data sheet states is taken back.
+    Electrons are (raw - black level) times electrons per digital number, minus the mean dark signal. They are corrected
+    for the pixel crosstalk of the data sheet.
     """
     sensor = capture.camera.sensor
     raw = capture.raw_dn
@@ -163,9 +163,9 @@ def _mean_of_known(image: NDArray, known: BoolArray, kernel: NDArray) -> Float32
 
 
 def collected(electrons: Float32Array, camera: Camera) -> Float32Array:
-    """Electrons that the pixels collected, [h, w], from those of :func:`linearise`: with the crosstalk between pixels.
+    """Electrons that the pixels collected, [h, w], from those of :func:`linearise`: pixel crosstalk is added again.
 
-    The data sheet gives the noise of these.
+    The noise model of the data sheet applies to these electrons.
     """
     return np.asarray(electronic_crosstalk(electrons.astype(np.float64), camera), np.float32)
 

@@ -32,10 +32,10 @@ def gain(flat: Capture, camera: Camera, lights: Sequence[str], signature: NDArra
     ``flat`` is a capture of a uniformly lit, uniform surface out of focus, by the same sensor at the same focus. The
     factor is a polynomial fitted to the inverse of each channel, so that noise, dust and PRNU have no influence.
 
-    The colour shading that the data sheet explains, under the light of the flat, is left in: the removal of infrared
-    takes it out for the light of the picture (:mod:`recon.picture.field`). What the data sheet does not know, such as
-    the vignetting of single channels, is corrected as the flat shows it. The light of the flat is the nearest of
-    ``lights``, whose white ``signature`` is [light, channel].
+    The factor does not correct the colour shading that the data sheet predicts under the light of the flat: the removal
+    of infrared corrects it for the light of the picture (:mod:`recon.picture.field`). Other shading, such as vignetting
+    of single channels, is corrected as measured in the flat. The light of the flat is the nearest of ``lights``, whose
+    white ``signature`` is [light, channel].
     """
     check_flat(flat, camera)
     electrons, saturated = mosaic.linearise(flat)

@@ -49,9 +49,9 @@ class Frame(NamedTuple):
 def all_in_focus(
     frame: Frame, bank: PsfBank, light: str, settings: Settings, tile_px: int | None = None
 ) -> Float32Array:
-    """All-in-focus colours without infrared, [h, w, 3] electrons; ``bank`` has the infrared of the axis.
+    """All-in-focus colours without infrared, [h, w, 3] electrons; kernels of ``bank`` contain the axis' infrared share.
 
-    Deconvolution and network work in tiles of ``tile_px`` per side, by default of their own.
+    Deconvolution and network work in tiles of ``tile_px`` per side; by default, each has its own tile size.
     """
     on_axis = frame.separation.on_axis
     measured, focus = of_both_sides(bank, light)
@@ -87,10 +87,10 @@ def with_model_error(noise_e: NDArray, stack: Float32Array, frame: Frame) -> NDA
 
 
 def seen(frame: Frame, stack: Float32Array, draft: Float32Array, noise_e: NDArray) -> restoration.Picture:
-    """What the network sees of a frame, from its :func:`channels` and their deconvolution.
+    """Input of the network for a frame, from its :func:`channels` and their deconvolution.
 
-    It was trained on deconvolutions of the channels as they are; near focus, those of channels with less noise are
-    better (0.1 to 0.5 dB below 3 px of blur).
+    The network was trained on deconvolutions of channels without noise reduction; near focus, those of denoised
+    channels give better results (0.1 to 0.5 dB below 3 px of blur).
     """
     sparse = mosaic.grids(frame.camera)["R"][0].step == mosaic.PERIOD_PX
     sd, units = sd_of(frame.confidence).astype(np.float32), restoration.units(stack, _white_e(frame))
@@ -162,10 +162,10 @@ def _soften_in_focus(stack: Float32Array, linear_e: Float32Array, ir_e: Float32A
 
 
 def _restore_detail(sharp_e: Float32Array, frame: Frame, stack: Float32Array, px_per_level: float) -> None:
-    """Bring detail near focus back that the samples of the :func:`channels` show and the picture lacks, in place.
+    """Restore detail near focus that the samples of the :func:`channels` show and the picture lacks, in place.
 
-    Channels of one sample in four by four pixels, red and blue of the 4x4 mosaic, are left: between their samples is
-    more than they tell.
+    Channels sampled at every fourth pixel, red and blue of the 4x4 mosaic, are left unchanged: their samples are too
+    sparse to determine the detail between them.
     """
     grids = mosaic.grids(frame.camera)
     infrared = INTERPOLATED_NOISE_SHARE**2 * frame.variances["IR"]
@@ -177,7 +177,7 @@ def _restore_detail(sharp_e: Float32Array, frame: Frame, stack: Float32Array, px
         variance = (row[index] ** 2 * frame.variances[name] + row[3] ** 2 * infrared).astype(np.float32)
         samples.append(lost_detail.Samples(mosaic.sites(grids[name], frame.level.shape), stack[index], variance))
     lost_detail.restore(sharp_e, samples, frame.level, sd_of(frame.confidence).astype(np.float32), px_per_level)
-    np.maximum(sharp_e, 0, out=sharp_e)  # what the dark lacks may be less than nothing
+    np.maximum(sharp_e, 0, out=sharp_e)  # restored detail may be negative in dark areas
 
 
 def _fade_to_captured(sharp_e: Float32Array, frame: Frame, certain: Float32Array | None = None) -> None:

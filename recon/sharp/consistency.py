@@ -22,10 +22,10 @@ from recon.sharp import layers, sharpen
 from recon.sharp.layers import Part
 
 # All chosen on ``tune`` and on photographs.
-PRIOR = 6.0  # factor on the measured beta of eq. (10), that of what networks leave out
+PRIOR = 6.0  # factor on the measured beta of eq. (10), for the detail that networks omit
 REACH_PX = 32  # of the filters, in every direction
 WHOLE_LEVEL = 2.0  # level from which on all of it is added; in focus there is nothing to deconvolve
-LEAST_SHARE = 0.02  # in a part of a tile that is worth its time
+LEAST_SHARE = 0.02  # parts of a tile without a larger share are skipped
 SURE_SD, SURE_LEVELS = 0.25, 4.0  # sd at level 0 that halves the share; it grows by SURE_SD every SURE_LEVELS levels
 
 
@@ -40,7 +40,7 @@ def add_unexplained(
     focus: int = 0,
     tile_px: int = layers.TILE_PX,
 ) -> None:
-    """Add to all-in-focus colours [h, w, 3] electrons what the captured picture says beyond them, in place.
+    """Add the detail of the captured picture that all-in-focus colours [h, w, 3] electrons do not explain, in place.
 
     Args:
         sharp_e: the all-in-focus picture.
@@ -81,7 +81,7 @@ def add_unexplained(
 
 
 def share_of(level: Float32Array, sd: NDArray) -> Float32Array:
-    """Share of what is added, by level and its standard deviation, 0..1."""
+    """Share 0..1 of the unexplained detail that is added, from the level and its standard deviation."""
     away = np.abs(level)
     doubt = sd / (SURE_SD * (1 + away / SURE_LEVELS))
     return np.asarray(np.minimum(away / WHOLE_LEVEL, 1) / (1 + doubt**2), np.float32)

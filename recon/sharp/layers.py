@@ -23,8 +23,8 @@ from recon.sharp import deconvolution
 Shape = tuple[int, int]
 
 TILE_PX = 512
-# Around a tile: blended with its neighbours, then a margin, then a strip of the margin's width in which what follows
-# fades into what precedes. Deconvolution depends on more than its kernels' reach of up to 27 px.
+# Around a tile: an overlap that is blended with the neighbours, a margin, and a strip as wide as the margin that makes
+# the box periodic. Deconvolution depends on pixels beyond its kernels' reach of up to 27 px.
 BLEND_PX, MARGIN_PX = 24, 48
 STEP_PX = 4  # boxes begin and end at multiples of this: of the mosaic's block and of the blocks of gradients
 KERNEL_SHARE = 0.98  # of a kernel's energy within its reach; the rest is mostly noise of the calibration
@@ -38,7 +38,7 @@ BORDER_SHARE = 0.2  # width of the frame's rim that fades into the draft, relati
 
 @dataclass(frozen=True)
 class Part:
-    """Where one level occurs in a tile, and what its deconvolution sees."""
+    """Region of a tile in which one level occurs, and the padded box that its deconvolution processes."""
 
     node: int  # index into the list of deconvolved levels
     core: Box  # where the level occurs in the tile and in the strips that blend it with its neighbours
@@ -80,8 +80,8 @@ def parts(
     Args:
         position: fractional index of every pixel's level, [h, w].
         tile_px: largest side of a tile.
-        margin_px: of the picture around a tile, on either side; for all levels, or for each.
-        strip_px: after the margin, in which what follows fades into what precedes; none is needed for filters that do
+        margin_px: width of the margin around a tile, for all levels or for each deconvolved one.
+        strip_px: least width of the strip after the margin that makes the box periodic; 0 is enough for filters that do
             not reach beyond the margin.
     """
     least_px = 4 * BLEND_PX  # so that a tile of half this side has its two strips

@@ -27,7 +27,7 @@ from dasim.typing import BoolArray, Float32Array
 
 # Both chosen on ``tune``.
 WINDOW_PX = 7.0  # sigma
-LEVELS = (0.5, 2.5)  # up to the first all of it counts, from the second on nothing
+LEVELS = (0.5, 2.5)  # full weight up to the first level, none from the second on
 DISC = 0.25  # standard deviation of a disc along an axis, over its diameter
 SIGMAS_PX = np.arange(0.0, 1.3, 0.25)  # of the blurs that B f is interpolated from
 BILINEAR = np.outer([0.5, 1.0, 0.5], [0.5, 1.0, 0.5]).astype(np.float32)  # between samples at every second pixel
@@ -35,7 +35,7 @@ STRIP_PX, HALO_PX = 256, 36  # rows at a time, even, and rows around them that t
 
 
 class Samples(NamedTuple):
-    """What the mosaic has of a channel."""
+    """The mosaic's samples of a channel."""
 
     sites: BoolArray  # pixels that it was sampled at, [h, w]
     value_e: Float32Array  # [h, w] electrons, read at the sites alone
@@ -60,7 +60,7 @@ def restore(
         px_per_level: diameter of visible blur per level.
     """
     height = len(level)
-    above = sharp_e[:0]  # rows that the strip before has changed, as they were
+    above = sharp_e[:0]  # original values of rows that the previous strip has changed
     for top in range(0, height, STRIP_PX):
         bottom = min(top + STRIP_PX, height)
         first, last = top - len(above), min(bottom + HALO_PX, height)
@@ -105,8 +105,8 @@ def _between(blurs: Sequence[Float32Array], place: Float32Array) -> Float32Array
 
 
 def _unexplained(samples: Samples, blurred: Float32Array) -> tuple[Float32Array, Float32Array]:
-    """Share of the difference of samples and a blurred picture [h, w] that noise does not explain, and that difference,
-    interpolated between the samples, [h, w] each.
+    """Difference between samples and a blurred picture [h, w]: the share of it that noise does not explain, and the
+    difference itself, interpolated between the samples, [h, w] each.
     """
     mask = samples.sites.astype(np.float32)
     difference = mask * (samples.value_e - blurred)

@@ -9,8 +9,8 @@ of their own (:mod:`validation.training`), with levels as estimated by the prese
 
 It has the shape of a U-Net (Ronneberger, Fischer, Brox, MICCAI 2015) of four resolutions, 2, 4, 8 and 16 pixels, of
 residual blocks h <- h + B relu(A * relu(h) + a) + b with 3 x 3 convolutions A. Electrons x enter and leave it
-compressed, asinh(10 x / x_1) / 3, with x_1 those of a bright white surface. Networks that began with other random
-weights err differently; what the networks of ``FILES`` add is averaged.
+compressed, asinh(10 x / x_1) / 3, with x_1 those of a bright white surface. Networks trained from different initial
+weights make different errors, so the corrections by the networks of ``FILES`` are averaged.
 
 Deviation from the paper: sec. 5.4 ends with the deconvolution.
 """
@@ -37,12 +37,12 @@ BRIGHT_PERCENTILE = 99.0
 LARGEST = np.float32(2.5)  # compressed value, about 90 times white; keeps the exponential finite
 LEAST_SD, LARGEST_SD = 0.05, 30.0  # levels
 # Inputs: the four pixels of a block of each channel of the stack, then of the draft; means over the block of the level
-# and of its standard deviation, as logarithms; and what the frame has in common.
+# and of its standard deviation, as logarithms; and values that are constant over the frame.
 OF_PICTURES, DRAFT_COLOURS, OF_LEVELS = 32, slice(16, 28), 2
 MULTIPLE_PX = 16  # that the network's coarsest pixels span
 TILE_PX = 2048  # largest side of what is restored at a time
-# Around a tile. Beyond the 16 x 16 pixels that it is in, a pixel depends on 104: convolutions of 3 x 3 reach 2 pixels
-# four times, 4 four times, 8 four times and 16 three times.
+# Around a tile. A pixel depends on its block of 16 x 16 pixels and on 104 pixels around it: 3 x 3 convolutions reach
+# 2 pixels four times, 4 four times, 8 four times and 16 three times.
 HALO_PX = 128
 
 
@@ -68,7 +68,7 @@ def networks() -> tuple[Net, ...]:
 
 
 def units(stack: Float32Array, white: NDArray) -> Float32Array:
-    """Electrons of bright white in a picture [channel, h, w], [channel]; ``white`` [channel] are those of any white."""
+    """Electrons of bright white in a picture [channel, h, w], [channel]; ``white`` [channel] has any brightness."""
     balanced = stack[:3, ::2, ::2] / np.asarray(white[:3], np.float32)[:, None, None]
     bright = float(np.percentile(balanced.mean(axis=0), BRIGHT_PERCENTILE))
     return np.asarray(white * max(bright, 1e-6), np.float32)

@@ -1,8 +1,8 @@
 """The all-in-focus picture (sec. 5.4): each blur level deconvolved with a sparse-gradient prior, eq. (15)-(17).
 
-The picture is processed in tiles, in which each level is deconvolved where it occurs, with the picture around it, which
-the result depends on (:mod:`recon.sharp.layers`). Neighbouring tiles are blended, and what all pixels of a level share,
-such as the prior, is measured in the whole frame, so that tiles leave no seams.
+The picture is processed in tiles. Each level is deconvolved where it occurs in a tile, with a margin of pixels that the
+result depends on (:mod:`recon.sharp.layers`). Neighbouring tiles are blended, and quantities common to all pixels of a
+level, such as the prior, are measured in the whole frame, so that tiles leave no seams.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ PASSES: Passes = ((INFRARED, None), (COLOURS, INFRARED), (COLOURS, COLOURS))
 
 
 class Statistics(NamedTuple):
-    """What the gradients of the pixels of a level say of it, [node, channel]."""
+    """Statistics of the gradients of each level's pixels, [node, channel]."""
 
     kappa: Float32Array  # weight of the prior
     square: Float32Array  # mean square along x plus that along y, in units of the noise
@@ -111,7 +111,7 @@ def sharpen(
     noise = _positive(noise_e)
     draft = _draft(stack, position, parts, layers.blur(kernels, nodes), noise, DRAFT_PRIOR)
     frame = Frame(stack, draft, noise, position)
-    # Before the result has memory: they need as much for a while.
+    # Computed before the result is allocated, because they temporarily need as much memory.
     gradients = [_statistics(frame.draft[own], noise[own], position, len(nodes)) for own, _ in passes]
     sharp = np.zeros_like(stack)
     for (own, of_guide), statistics in zip(passes, gradients, strict=True):
@@ -136,9 +136,9 @@ def linear(
 ) -> Float32Array:
     """All-in-focus channels by the quadratic prior of eq. (10) alone, in closed form, [4, h, w] electrons, at least 0.
 
-    A fifth of the time of :func:`sharpen`, whose arguments these are. Each level's filter ends, by a raised cosine, at
-    ``LINEAR_REACH_PX``, so that tiles leave no seams; every pixel depends linearly on the picture, and those of other
-    levels leave ringing beside steps of depth.
+    It takes a fifth of the time of :func:`sharpen` and has the same arguments. A raised cosine limits each level's
+    filter to ``LINEAR_REACH_PX``, so that tiles leave no seams. The result is linear in the picture, so pixels of
+    other levels cause ringing at depth discontinuities.
     """
     nodes = layers.levels_of_nodes(len(kernels), focus)
     position = np.interp(level, nodes, np.arange(len(nodes))).astype(np.float32)

@@ -1,4 +1,4 @@
-"""Pictures of what has no colours of its own: depth and confidence with their scales, and the raw mosaic.
+"""Colour pictures of data without colours: depth and confidence with their scales, and the raw mosaic.
 
 Tested in tests/recon/views/test_maps.py.
 """
@@ -27,8 +27,8 @@ TINT = {"R": (1.0, 0.35, 0.3), "G": (0.35, 1.0, 0.4), "B": (0.4, 0.55, 1.0), "IR
 def depth_picture(depth_m: NDArray[Any]) -> NDArray[np.uint8]:
     """A depth map [h, w] in metres in false colours with its scale in cm, [h', w', 3] RGB.
 
-    Colours are even in dioptres, in which blur is linear; what is not known is grey. Every pixel of the map is one of
-    the picture, or a square of equal ones where the map is small.
+    Colours are linear in dioptres, as blur is; unknown depths are grey. Each pixel of the map becomes one pixel of the
+    picture, or a square of equal pixels if the map is small.
     """
     depth = np.asarray(depth_m, np.float64)
     with np.errstate(divide="ignore"):

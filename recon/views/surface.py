@@ -141,7 +141,7 @@ def _faces(depth: FloatArray, jump: float) -> NDArray[np.int64]:
 
 
 def _large_pieces(faces: NDArray[np.int64], vertices: int, smallest_piece: float) -> NDArray[np.int64]:
-    """The triangles [m, 3] that hang together, over shared vertices, with at least a share of all vertices."""
+    """The triangles [m, 3] of pieces, connected by shared vertices, that have at least a share of all vertices."""
     from scipy import sparse
 
     if not smallest_piece or not len(faces):

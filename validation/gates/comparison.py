@@ -14,8 +14,8 @@ from dasim.base import untrusted
 from dasim.base.errors import InputError
 from validation.gates.claim import RESULTS_SCHEMA, Claim
 
-SPREADS = 3.0  # standard deviations of the difference of two runs that chance alone seldom makes
-ROUNDING = 1e-6  # relative, for figures of unknown spread: other thread counts add in another order
+SPREADS = 3.0  # difference of two runs, in its standard deviations, that rarely occurs by chance
+ROUNDING = 1e-6  # relative, for figures of unknown spread: thread counts change the order of summation
 
 
 class Change(NamedTuple):

@@ -57,9 +57,8 @@ class Gate:
     """A limit and the figures that it applies to.
 
     ``key`` has the form of a figure's id, CLAIM.FIGURE or CLAIM.METHOD.FIGURE. Each part between dots is a name,
-    several names as ``{D65,A}``, or ``*`` for any one name. A ``*`` matches neither two names with a dot between them
-    nor part of a name, so that no limit applies by accident to a figure that is added later or to that of a user's
-    method.
+    several names as ``{D65,A}``, or ``*`` for exactly one whole name. A ``*`` never matches across a dot or part of a
+    name, so no limit applies by accident to a figure that is added later, or to a figure of a user's method.
     """
 
     key: str

@@ -1,8 +1,9 @@
 """Pictures by Blender's Cycles, a path tracer with a thin lens, of the boards and the lamp of a scene.
 
-Cycles renders red, green and blue, no spectra. The light of each of the camera's channels is integrated over the
-wavelengths beforehand, so that its numbers are electrons per second: the lamp has the channel's electrons of its
-radiance, and a texel the mean reflectance, weighted by them. That is exact for light that one surface has reflected.
+Cycles renders red, green and blue, no spectra. Each of the camera's channels is therefore integrated over wavelength
+beforehand, and the rendered numbers are electrons per second: the radiance of the lamp is given in electrons of the
+channel, and the reflectance of a texel is the mean weighted by these electrons. This is exact for light that is
+reflected once.
 
 Needs the extra ``cycles``; :mod:`validation.references.blender_process` holds the settings of Cycles.
 
@@ -35,7 +36,7 @@ from dasim.spectra import grid, illuminants
 from dasim.typing import FloatArray
 from validation.references import blender_process
 
-# Depth 1 is a lamp in view and depth 2 light that one surface has reflected, which Cycles calls no bounce.
+# Depth 1 is a visible lamp, depth 2 light reflected by one surface; Cycles counts the latter as zero bounces.
 MAX_BOUNCES = MAX_PATH_DEPTH - 2
 
 

@@ -28,7 +28,7 @@ class Bench:
 
 
 def intensity(bench: Bench, wavelengths_nm: FloatArray, offset_m: FloatArray, cells: int) -> FloatArray:
-    """Intensity around the image of the source, [wavelength, y, x], in units that are common to stops and wavelengths.
+    """Intensity around the image of the source, [wavelength, y, x], in the same units for all stops and wavelengths.
 
     U(P) = sum over rho of exp(i k (|Q rho| - |F rho| + |rho P| - |rho O|)) / (|Q rho| |rho P|), with Q the source, F
     the point in focus on the line from Q through the middle of the lens, and O the image of both. A perfect lens delays

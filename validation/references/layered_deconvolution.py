@@ -1,9 +1,10 @@
-"""All-in-focus pictures by library functions, as rivals: a Wiener filter at each blur level, and noise reduction alone.
+"""Baseline all-in-focus pictures by library functions: a Wiener filter at each blur level, and noise reduction alone.
 
-Both start from the captured linear colours of a reconstruction. Their parameters were chosen in factors of two to three
-on two captures of photographs blurred by the lens's kernels, in seven steps from 0 to 22 px and along a slant from 0 to
-30 px (``tests.support.recon_scenes``), by the mean gain in PSNR over intervals of blur. Richardson-Lucy of 12 steps
-gains 0.3 to 0.5 dB more than the Wiener filter over all pixels there, and loses 2 to 5 dB more below 1 px.
+Both start from the captured linear colours of a reconstruction. Their parameters were tuned in steps of a factor of two
+to three on two captures of photographs blurred by the lens's kernels, in seven steps from 0 to 22 px and on a slanted
+surface from 0 to 30 px (``tests.support.recon_scenes``), by the mean gain in PSNR over intervals of blur. On these
+captures, Richardson-Lucy with 12 steps gains 0.3 to 0.5 dB more than the Wiener filter over all pixels, and loses 2 to
+5 dB more below 1 px.
 """
 
 from __future__ import annotations

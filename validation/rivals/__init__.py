@@ -1,1 +1,1 @@
-"""Rivals of the dual aperture on the same photons: other cameras that tell depth, and one estimator for all."""
+"""Other single-shot depth cameras, compared with the dual aperture at equal light, and one estimator for all."""

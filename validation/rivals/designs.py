@@ -1,4 +1,4 @@
-"""The designs that are compared, each a camera, or two that take their pictures through one lens at the same time.
+"""The designs that are compared: each is one camera, or two that photograph through the same lens at the same time.
 
 Tested in tests/validation/rivals/test_likelihood.py and tests/validation/rivals/test_broken_designs.py.
 """

@@ -1,19 +1,20 @@
 """One estimator of depth for all designs: the likelihood of a window's spectra, and its bound.
 
-A window shows a Gaussian texture of the power B_r P(f), P of 1/f^2, whose contrasts in the colours have the covariance
-S. S is that which fits the window's cross-spectra best at a blur, with correlations up to ``MOST_COHERENT`` between
-colours. In every ring r of frequencies the factor B_r is free but for a prior: its logarithm has the standard
-deviation ``POWER_SD`` about the mean of the window, so that a smooth print does not read as blur. The covariance at a
-frequency of the planes is the sum over the frequencies f that alias to it,
+A window shows a Gaussian texture of power B_r P(f), with P = 1/f^2, whose contrasts in the colours have the covariance
+S. At each candidate blur, S is fitted to the window's cross-spectra, with correlations of up to ``MOST_COHERENT``
+between colours. In every ring r of frequencies, the factor B_r is free except for a prior: its logarithm has the
+standard deviation ``POWER_SD`` about the mean of the window, so that a smooth print is not mistaken for blur. The
+covariance of the planes at a frequency is the sum over the frequencies f that alias to it,
 
     C_ij = B_r / 4 sum over f of S_ij P(f) h_i(f) conj(h_j(f)) + n_i delta_ij,
 
-with h_i the transfer function of plane i, the phase of its place in the block included, and n_i its noise; the window's
-taper blurs it along frequency. The blur is that with the largest likelihood over B. The same covariance gives the
-Cramer-Rao bound, by the Slepian-Bangs formula (see :mod:`dasim.bounds.cramer_rao`, which leaves aliasing out) with the
-prior's information added and S known, and the texture of green, by its conditional mean.
+with h_i the transfer function of plane i, including the phase of its position in the block, and n_i its noise; the
+taper of the window smooths it along frequency. The estimated blur maximises the likelihood, itself maximised over B.
+The same covariance gives two more results: the Cramer-Rao bound, by the Slepian-Bangs formula with the information of
+the prior added and S known (:mod:`dasim.bounds.cramer_rao` omits aliasing), and the sharp texture of green, as its
+conditional mean.
 
-Level, as elsewhere, is an index; here into the blurs that are tried.
+A level is an index, here into the candidate blurs.
 """
 
 from __future__ import annotations
@@ -46,7 +47,7 @@ PATCH_PX = SAMPLES * SPACING_PX
 
 
 class Model(NamedTuple):
-    """What a design makes of a texture of unit strength at every blur that is tried.
+    """Response of a design to a texture of unit strength at every candidate blur.
 
     Attributes:
         covariance: of the planes without noise, for one contrast in all, [blur, frequency, plane, plane]

@@ -1,9 +1,9 @@
-"""Spectra of windows of raw pictures, whatever the mosaic: what the estimator of all designs looks at.
+"""Spectra of windows of raw pictures for any mosaic, the input of the estimator that all designs share.
 
-Each site of the 2 x 2 block is a plane of its own with pixels two apart. A window is a Gaussian of the variance of a
-box of ``WINDOW_PX``. Its samples, relative to their mean and times the root of the window, are folded to ``FOLDED``
-samples per side, whose discrete Fourier transform is that of the whole at every second frequency: neighbours in between
-are hardly independent.
+Each site of the 2 x 2 block is a separate plane with a pitch of two pixels. A window is a Gaussian with the variance of
+a box of ``WINDOW_PX``. Its samples, relative to their mean and multiplied by the square root of the window, are folded
+to ``FOLDED`` samples per side. Their discrete Fourier transform is that of the whole window at every second frequency;
+the frequencies in between would hardly be independent.
 
 Tested in tests/validation/rivals/test_likelihood.py and tests/validation/rivals/test_broken_designs.py.
 """

@@ -124,12 +124,13 @@ def blurred_gradients(exact: NDArray) -> NDArray[np.float32]:
 def edge_width(image: NDArray, blurred: NDArray[np.float32], where: BoolArray) -> float:
     """Edge-spread width in px that a picture [h, w] adds to the truth at the steepest edges of the truth in a mask.
 
-    The Gaussian is sought whose blur of the truth has the gradients of the picture, by least squares over the tenth of
-    the pixels ``where`` with the steepest truth: the blur function erf is fitted to all edges, with one width. Noise of
-    the picture adds the same to each square, so that it does not count as sharpness. The result is the width from 10 to
-    90 % of a step that this Gaussian blurs, 2.563 standard deviations, as of an edge-spread function (ISO 12233): 0 for
-    the truth. At a step the fit rests on its middle: a disc of diameter d counts as the Gaussian as steep there, with
-    0.80 d (its own width is 0.69 d). A picture in which the edges are not seen has that of the largest Gaussian, 36 px.
+    The Gaussian blur of the truth is sought whose gradients match those of the picture best, by least squares over the
+    tenth of the pixels ``where`` with the steepest truth. This fits an edge-spread function erf of one common width to
+    all edges. Noise of the picture adds the same amount to each sum of squares, so it does not count as sharpness. The
+    result is the 10-90 % width of a step blurred by this Gaussian, 2.563 standard deviations, as for an edge-spread
+    function (ISO 12233); it is 0 for the truth. At a step, the steep middle dominates the fit: a disc of diameter d
+    gets the width of the Gaussian that is equally steep there, 0.80 d (its own width is 0.69 d). A picture without
+    visible edges gets the width of the largest Gaussian, 36 px.
 
     ``blurred`` are :func:`blurred_gradients` of the truth; NaN for an empty mask.
     """
@@ -154,12 +155,12 @@ def halo(image: NDArray, exact: NDArray, level: NDArray, where: BoolArray) -> fl
 
     For each edge pixel of the true levels, both pictures are averaged along the silhouette: over the pixels of the
     square of 33 px about it that have the same distance (0 to 7 px) to an edge pixel and lie on the same side of it.
-    The overshoot is that of the largest mean of the picture over the largest of the truth, or of the smallest of the
-    truth over the smallest of the picture, whichever is larger, and 0 where neither is. The step is the difference of
-    the truth's means over the distances on either side. Silhouettes count if it is at least ``LEAST_STEP`` of the
-    truth's mean. Returned is the percentile 95 over their edge pixels, NaN without any. Noise that is left in the
-    picture adds to it: with means of some 33 px about a third of its standard deviation. Light that blur carries over
-    the silhouette from farther away counts, too, if the picture shows it beyond the range of the truth.
+    The overshoot is the amount by which the largest mean of the picture exceeds the largest of the truth, or by which
+    its smallest mean falls below the smallest of the truth, whichever is larger; it is at least 0. The step is the
+    difference of the truth's means over the distances on either side. Silhouettes count if the step is at least
+    ``LEAST_STEP`` of the truth's mean. The result is the 95th percentile over their edge pixels, NaN without any.
+    Residual noise of the picture adds about a third of its standard deviation, because means are over some 33 px. Light
+    that blur carries across the silhouette from farther away also counts if it lies beyond the range of the truth.
 
     Args:
         image: the picture, [h, w].

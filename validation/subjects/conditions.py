@@ -1,4 +1,4 @@
-"""Conditions under which a capture is reconstructed once more, to tell what limits a reconstruction: depth or noise."""
+"""Modified conditions for a second reconstruction of a capture, which show whether depth or noise limits the result."""
 
 from __future__ import annotations
 
@@ -53,8 +53,9 @@ def quiet(shot: Shot, factor: float = QUIET_FACTOR) -> Shot:
 def quiet_sensor(sensor: Sensor, factor: float = QUIET_FACTOR) -> Sensor:
     """The sensor with ``factor``^2 times the full well, and a noise of 1 / ``factor`` relative to as large a signal.
 
-    Shot noise is by itself. Noise in electrons (read-out, offsets) is multiplied by ``factor``, relative noise (PRNU,
-    spread of dark current, hot pixels) divided by it, and the converter has 16 bits, whose rounding is smaller.
+    Relative shot noise falls by itself with the larger signal. Noise in electrons (read noise, offsets) is multiplied
+    by ``factor``, relative noise (PRNU, spread of dark current, hot pixels) is divided by it, and the converter has 16
+    bits, so that rounding is smaller.
     """
     electrons = ("read_noise_e", "dsnu_e", "row_noise_e", "column_noise_e")
     relative = ("prnu", "dark_current_spread", "hot_pixel_e_s")

@@ -1,4 +1,4 @@
-"""Simulated photographs that several claims look at, kept between runs under a fingerprint of what decides them.
+"""Simulated photographs shared by several claims, cached between runs by a fingerprint of all that they depend on.
 
 Tested in tests/validation/claims/test_pictures.py and tests/dasim/base/test_fingerprint.py.
 """

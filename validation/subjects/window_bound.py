@@ -6,9 +6,9 @@ known to the estimator; its strength and the gain between the channels are not. 
 strength around each pixel, in one octave of the sharp picture around 0.1 cycles/px (blur would hide it in the raw
 picture), the gain of infrared, and the mean electrons, from which the sensor's data sheet gives the noise.
 
-The bound neglects rendering noise, aliasing, all other channels, and that a window contains more than one depth. An
-estimate from more than one window of a surface, or from more channels, can be better; textures that differ between
-green and infrared make every estimate worse.
+The bound neglects rendering noise, aliasing, the other channels, and windows with more than one depth. An estimate that
+uses several windows of a surface, or more channels, can be better than the bound; textures that differ between green
+and infrared make every estimate worse.
 """
 
 from __future__ import annotations

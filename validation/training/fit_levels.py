@@ -1,8 +1,8 @@
 """Fit :mod:`recon.depth.surface_net` to examples; needs the extra ``learn`` (PyTorch), prediction does not.
 
 The loss is the cross entropy of each sample's posterior, plus the absolute error of its mean relative to the scene's
-spread of levels. Parts of the evidence are left out at random, so that the network does without them too. Most pictures
-are those of an upright camera.
+spread of levels. Parts of the evidence are dropped at random, so that the network also works without them. Most
+pictures are those of an upright camera.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Fit :mod:`recon.sharp.restoration` to examples; needs the extra ``learn`` (PyTorch), prediction does not.
 
-The loss of a patch is the logarithm of its mean squared error, once of linear and once of compressed electrons: in dB,
-so that clean and noisy examples, bright and dark parts all count.
+The loss of a patch is the logarithm of its mean squared error in dB, so that clean and noisy examples both count. It is
+computed from linear and from compressed electrons, so that bright and dark parts both count.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ TRAINING = Training(rate=2e-3, decay=1e-3, warm_up=0.05)
 FLOOR = 1e-6  # mean squared error of a patch below which it hardly counts, relative to bright white
 CLIPPED_NEAR_PX = 3  # pixels around clipped ones that do not count
 STATISTICS = 200  # patches that means and deviations of the inputs are taken from
-SMALL = 0.1  # factor on the first weights of what is added, so that training begins with the draft
+SMALL = 0.1  # factor on the initial weights of the added output, so that training starts at the draft
 
 MISTAKEN = 0.25  # share of patches whose levels have mistakes
 

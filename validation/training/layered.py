@@ -1,7 +1,7 @@
 """Pictures of a room through a dual-aperture lens, by layers: fast, approximate at edges, for training alone.
 
-The levels are cut into thin slices. Each is blurred by its kernel, and what is nearer covers what is farther by its
-blurred mask. Light from behind a near object is unknown; it is taken to be what surrounds it.
+The scene is cut into thin slices of level. Each slice is blurred by its kernel, and a nearer slice covers farther ones
+with its blurred mask. The scene behind a near object is unknown and is filled in from its surroundings.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
-"""Random surface patterns in green and infrared, of which the learned part of the depth estimate knows no other.
+"""Random surface patterns in green and infrared: the textures of the layered rooms that the networks are trained on.
 
-A pattern is periodic, of mean 1 about, and has a contrast in each of four channels. Near-infrared need not repeat what
-visible light shows: dyes that differ in colour are often alike in infrared.
+A pattern is periodic with a mean of about 1, and has its own contrast in each of four channels. Near-infrared need not
+show the same pattern as visible light: dyes of different colours often look the same in infrared.
 """
 
 from __future__ import annotations
@@ -25,9 +25,9 @@ class Look(NamedTuple):
     contrast: tuple[float, float]  # least and largest standard deviation over the mean
     shares: tuple[float, ...]  # of ``KINDS``
     smoothest: float  # exponent x of a power 1 / f^(2 x)
-    follows: tuple[float, float, float]  # shares of infrared that repeats green's pattern, partly, not at all
+    follows: tuple[float, float, float]  # shares of patterns whose infrared repeats green fully, partly, not at all
     least_follows: float  # correlation, where partly
-    strengths: tuple[float, float, float]  # shares of infrared with green's contrast, another, hardly any
+    strengths: tuple[float, float, float]  # shares whose infrared has green's contrast, another one, hardly any
     least_scale: float  # samples of a pattern per fine sample of the picture
 
 

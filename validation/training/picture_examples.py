@@ -32,13 +32,13 @@ CONDITIONS = {
 }
 # Per part of the work.
 EXAMPLES = {name: of.examples for name, of in CONDITIONS.items()} | dict.fromkeys(traced.FAMILIES, 69)
-QUIET, MOST_WELL = 0.2, 100.0  # share of sensors with a larger full well, and the most of it: a tenth of the noise
+QUIET, MOST_WELL = 0.2, 100.0  # share of sensors with a larger full well, and its largest factor: a tenth of the noise
 QUIET_BITS = 16
-# Levels that are wrong where their standard deviation does not say so, as windows are at times sure of a wrong level:
+# Level errors that the standard deviation does not reflect, because windows are sometimes sure of a wrong level:
 MISTAKES = (1.0, 0.1)  # standard deviation of the strength of mistakes, in levels and relative to the level
 MISTAKES_GRID = (5, 6)  # rows and columns between which mistakes change smoothly
 FALSE_BLUR = 0.5  # share of examples in which surfaces in focus are taken to be blurred
-MOST_FALSE_BLUR, FOCUS_LEVELS = 4.0, 1.5  # levels: the most of it, and the level at which it has fallen to 1 / e
+MOST_FALSE_BLUR, FOCUS_LEVELS = 4.0, 1.5  # levels: largest false blur, and the level at which it has fallen to 1 / e
 
 
 class _Seen(NamedTuple):
@@ -55,7 +55,7 @@ def example(family: str, number: int, setups: list[Setup], folder: Path) -> dict
 
     Pictures are relative to bright white: ``stack`` and ``draft`` [4, h, w], ``truth`` [3, h, w]; ``level``, its
     standard deviation ``sd`` and the mask ``clipped`` are [h, w]; ``noise`` is [4] and ``sparse`` a number. Draft and
-    level are there twice, once with mistakes that ``sd`` does not know.
+    level are stored twice, once with mistakes that ``sd`` does not reflect.
     """
     if family in traced.FAMILIES:
         random = np.random.default_rng((SEEDS["traced"], traced.FAMILIES.index(family), number))

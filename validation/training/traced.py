@@ -1,11 +1,11 @@
 """Path-traced captures that the networks are trained with: random scenes of the simulator, some behind thin rods.
 
-Layered captures (:mod:`validation.training.layered`) take two processor seconds, but have neither the perspective of a
-lens nor its light at depth steps, and their rooms are not those of the simulator. These captures take about 40. Their
-seeds and pictures are those of no other part of the project: posters and cards show rooms of
-:mod:`validation.training.rooms` and patterns of :mod:`validation.training.patterns`, and textures with a seed have one
-that no random scene draws. Shapes, measured reflectances, textures without a seed (weaves, stripes, checks, leaf veins)
-and light are those of :class:`dasim.RandomScenes`, in wider ranges than the sets that figures are stated for.
+Layered captures (:mod:`validation.training.layered`) take two processor seconds each, but lack the perspective of a
+lens and its light at depth steps, and their rooms differ from those of the simulator. Path-traced captures take about
+40 processor seconds each. No other part of the project uses their seeds and pictures: posters and cards show rooms of
+:mod:`validation.training.rooms` and patterns of :mod:`validation.training.patterns`, and seeded textures use seeds that
+no random scene draws. Shapes, measured reflectances, unseeded textures (weaves, stripes, checks, leaf veins) and light
+are those of :class:`dasim.RandomScenes`, in wider ranges than in the sets for which figures are stated.
 """
 
 from __future__ import annotations

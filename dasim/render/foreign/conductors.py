@@ -20,9 +20,9 @@ INDICES = ("eta", "k")  # real and imaginary part
 
 
 def continue_index(props: Any, key: str, notes: Notes) -> None:
-    """Continue a conductor's index by its first and last values to 400 to 830 nm: beyond its table Mitsuba has zero.
+    """Extend the table of a conductor's index to 400 to 830 nm by its first and last values.
 
-    At zero, a conductor would be a perfect mirror.
+    Beyond the table, Mitsuba uses zero, with which a conductor would be a perfect mirror.
     """
     spectrum, what = props[key], f"{props.plugin_name()}.{key}"
     if not spectrum.is_uniform() and not _covers_band(spectrum.wavelengths):

@@ -95,8 +95,8 @@ def render_error(scene: MitsubaScene, error: Exception) -> InputError:
 def _find_files(nodes: Any, where: str) -> None:
     """Make the names of files that exist absolute, because some plugins look them up in the working folder.
 
-    Raises InputError for what is no regular file of a limited size, on which a plugin might wait for ever, and for
-    pictures of more pixels than the limit.
+    Raises InputError for anything but a regular file of limited size, on which a plugin might wait forever, and for
+    pictures with more pixels than the limit.
     """
     import mitsuba as mi
 

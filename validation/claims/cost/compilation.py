@@ -45,12 +45,12 @@ def compiled_kernels(progress: ShareDone) -> Evidence:
     Rationale: a kernel takes several processor seconds to compile, as much as a picture of a random scene. A dataset
     of a thousand scenes must not pay that a thousand times.
 
-    Set-up: a process of its own with an empty cache of kernels; da-mobile, central 64 x 48 px, 8 samples per pixel and
-    stop. First two random scenes, which compile kernels of their own, and three that differ in what decides the shared
-    kernels: a lamp, an overcast sky, and lamps of several spectra. Then the scenes 16 to 30 of the same seed, with
-    metals, glass, coats, photographs and windows.
+    Set-up: a separate process with an empty kernel cache; da-mobile, central 64 x 48 px, 8 samples per pixel and stop.
+    First, two random scenes on their own, which compile their kernels, and three scenes that need different shared
+    kernels: a lamp, an overcast sky, and lamps of several spectra. Then scenes 16 to 30 of the same seed, with metals,
+    glass, coats, photographs and windows.
 
-    Expectation: none of the later scenes compiles a kernel. Seconds are those of this computer with its present load.
+    Expectation: none of the later scenes compiles a kernel. Times depend on this computer and its current load.
 
     Limit: 0 kernels.
 

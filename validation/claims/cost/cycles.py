@@ -94,12 +94,13 @@ def against_cycles(progress: ShareDone) -> Evidence:
     processor time of all threads per picture, in both after a first picture that loads or compiles. Noise is the
     standard deviation of a pixel over eight seeds, relative to its mean.
 
-    Expectation: the median and the 95th percentile of noise over the pixels are taken at two numbers of samples each:
-    Cycles 16 and 64, ours 32 and the power of two at which it should have the noise of Cycles with 64. The figure is
-    the processor time of Cycles at 64 samples, divided by the time in which ours has the same noise: by a power of the
-    number of samples through both points, because both renderers sample evenly and their noise falls faster than
-    N^-0.5, with a time that is linear in the number of samples. The means over blocks of 32 x 32 px agree, since both
-    render the same scene; those of Cycles have been multiplied by cos^4 of the field angle, which its camera lacks.
+    Expectation: the median and the 95th percentile of noise over the pixels are measured at two numbers of samples:
+    Cycles 16 and 64, dasim 32 and the power of two at which its noise should equal that of Cycles with 64. The figure
+    is the processor time of Cycles at 64 samples, divided by the time that dasim needs for the same noise. This time
+    follows from a power law of noise against samples through both points (stratified samples make the noise of both
+    renderers fall faster than N^-0.5) and a time that is linear in the number of samples. Means over blocks of 32 x 32
+    px agree, since both render the same scene; those of Cycles are multiplied by cos^4 of the field angle, which its
+    camera lacks.
 
     Limit: three times faster in each channel, at the median and at the 95th percentile; block means within 2 %, and
     the picture's mean within 0.5 %.

@@ -55,15 +55,15 @@ def dataset_speed(progress: ShareDone) -> Evidence:
     Rationale: training sets have many thousand samples, so every overhead beside rendering and every growth of memory
     multiplies.
 
-    Set-up: random scenes at 512 x 384 px, da-mobile, wave-true blur. Each sample is a new scene. All runs
-    share compiled kernels, which the same scenes at 64 x 48 px have filled in: a dataset compiles them once (claim
-    ``compiled-kernels``). The runs are: two local processes at the
-    default noise target; two local processes at 64 samples per pixel and stop; the same samples in one process bound to
-    one core; and the same samples by Ray on two cores. A rate is that of processes that are always busy: it is derived
-    from the seconds of the first two samples, while further samples occupy whichever process is free. Time outside the
-    renderer is time outside the functions of ``dasim.render`` that translate and trace scenes (which include
-    diffraction kernels): scene generation, sensor model, files, checksums. Memory is the largest resident set of a
-    process; its growth is observed over 200 samples of bundled scenes at 64 x 48 px in one process.
+    Set-up: random scenes at 512 x 384 px, da-mobile, wave-optics blur. Each sample is a new scene. All runs share
+    compiled kernels; the same scenes, rendered at 64 x 48 px beforehand, fill this cache, because a dataset compiles
+    its kernels only once (claim ``compiled-kernels``). The runs are: two local processes at the default noise target;
+    two local processes at 64 samples per pixel and stop; the same samples in one process bound to one core; and the
+    same samples by Ray on two cores. Rates assume processes that are always busy: they follow from the times of the
+    first two samples, while further samples keep idle processes busy. Time outside the renderer is time outside the
+    functions of ``dasim.render`` that translate and trace scenes (diffraction kernels included): scene generation,
+    sensor model, files, checksums. Memory is the largest resident set of a process; its growth is measured over 200
+    samples of bundled scenes at 64 x 48 px in one process.
 
     Expectation: times are those of this computer with its present load, so run this claim alone. Processor seconds are
     reported as well, since they depend less on other load.

@@ -36,17 +36,18 @@ def exposure(progress: ShareDone) -> Evidence:
 
     Rationale: brackets, bursts, light levels and noise draws of one view share its rendering.
 
-    Set-up: the bundled scene ``desk``, da-mobile, central 512 x 384 px, 16 samples per pixel and stop, one seed.
-    Rendered are a capture of 0.3 s, in which pixels saturate, one of automatic exposure, and one in a tenth of the
-    light. The first, written to a folder, is exposed automatically, the second in a tenth of the light. Costs are
-    processor seconds of all threads: of the second rendering, whose kernels are compiled; of a frame of a burst of 8 in
-    memory; and of reading, exposing and writing a folder.
+    Set-up: the bundled scene ``desk``, da-mobile, central 512 x 384 px, 16 samples per pixel and stop, one seed. Three
+    captures are rendered: one of 0.3 s, in which pixels saturate; one with automatic exposure; and one at a tenth of
+    the light level. The first, written to a folder, is re-exposed automatically, the second at a tenth of the light
+    level. Costs are processor seconds of all threads: for the second rendering, with compiled kernels; for one frame of
+    a burst of 8 in memory; and for reading, re-exposing and writing a folder.
 
-    Expectation: automatic exposure of the long capture gives the raw numbers, the truth and the provenance of the
-    rendering exactly, since ``mean_e`` is the light before saturation and its rounding is undone. In a tenth of the
-    light the renderer traces the same numbers, since scenes are rendered at one light level, but the electrons are
-    rounded elsewhere: they differ by some parts in ten millions. Raw numbers differ where that moves an electron, which
-    may also shift the draws of noise of all following pixels; their share is reported without a limit.
+    Expectation: re-exposing the 0.3 s capture automatically gives exactly the raw numbers, truth and provenance of the
+    rendering with automatic exposure, because ``mean_e`` is stored before saturation and its rounding can be undone. At
+    a tenth of the light level, the renderer computes the same numbers, because scenes are rendered at one light level,
+    but electrons are rounded at other values and differ by some parts in ten million. Raw numbers differ where this
+    changes the number of electrons drawn, which may also shift the random draws of all following pixels; the share of
+    such pixels is reported without a limit.
 
     Limit: no difference for another exposure; for another light level 2e-6 of the electrons. A frame costs at most 5 %
     of the rendering, a folder 20 %.

@@ -42,8 +42,8 @@ def fewer_rays(progress: ShareDone) -> Evidence:
     stop, and the power law through both gives the number that reaches the target. For the bias, ``desk`` at 96 x 72 px:
     24 pictures of ``--spp auto`` against 24 with 256 equal samples and no control variate.
 
-    Expectation: the ratio of both numbers. Means over blocks of 8 x 8 pixels of the two kinds of pictures, compared by
-    Welch's t-test, have p-values that Fisher's method combines.
+    Expectation: the figure is the ratio of both numbers of samples. For the bias, Welch's t-test compares the means
+    over blocks of 8 x 8 pixels of both kinds of pictures, and Fisher's method combines the p-values.
 
     Limit: at most a tenth of the rays; p at least 0.001 in each channel.
 

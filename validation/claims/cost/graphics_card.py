@@ -61,8 +61,8 @@ def graphics_card(progress: ShareDone) -> Evidence:
     seeds with each variant. Without LLVM, the times of the card are measured alone.
 
     Expectation: the mean square difference of ``mean_e`` between the variants, over blocks of 8 x 8 pixels relative to
-    their noise, is one that exchanging pictures between the variants gives, too (a permutation test, since blocks share
-    the noise of the irradiance). Times are those of this computer with its present load.
+    their noise, is no larger than after random exchanges of pictures between the variants. This permutation test is
+    used because neighbouring blocks share irradiance noise. Times depend on this computer and its current load.
 
     Limit: p at least 0.001 in each channel and scene; the means of the pictures agree within 0.3 %; times and memory
     are reported without a limit, since cards differ.

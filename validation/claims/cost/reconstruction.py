@@ -105,19 +105,20 @@ def recon_speed(progress: ShareDone) -> Evidence:
 
 
 def recon_large(progress: ShareDone) -> Evidence:
-    """Captures of 12 and 50 Mpx are reconstructed in time and memory that a small computer has, without seams.
+    """Captures of 12 and 50 Mpx are reconstructed on a small computer in limited time and memory, without seams.
 
-    Rationale: sensors of telephones have up to 50 Mpx and more; memory must not grow as their pixels do.
+    Rationale: phone sensors have 50 Mpx and more; memory must not grow in proportion to the number of pixels.
 
     Set-up: the capture of the claim recon-speed, repeated 2 x 2 and 4 x 4 times, with the default preset. A part of it,
     960 x 704 pixels, is reconstructed in tiles of 256 pixels in every stage and again in one tile.
 
-    Expectation: what needs memory by pixel and by level is computed in tiles; the results and a few pictures of the
-    whole frame remain. Tiles leave no seams where the result with them is that without. Times are those of this
-    computer with its present load, so run this claim alone.
+    Expectation: stages whose memory grows with pixels times levels work in tiles; only the results and a few pictures
+    are held for the whole frame. Tiles leave no seams if the result equals that of a single tile. Times depend on this
+    computer and its current load, so run this claim alone.
 
-    Limit: 12 Mpx in four times the time of 3 Mpx, 50 Mpx in 8 GB; with and without tiles, all levels alike to 0.1 level
-    and all pixels of the all-in-focus picture to 0.5 of 255. The percentile 99.9 of the differences is reported, too.
+    Limit: 12 Mpx in four times the time of 3 Mpx, 50 Mpx in 8 GB; with and without tiles, all levels equal within 0.1
+    level and all pixels of the all-in-focus picture within 0.5 of 255. The 99.9th percentile of the differences is
+    reported, too.
 
     Source: the project's own limits.
     """

@@ -29,8 +29,8 @@ SIZE_PX = (512, 384)
 SPP = 160
 SHEETS = {"far": "10 cm", "near": "5 cm"}
 INKS = ("yellow", "magenta", "cyan", "black")
-RIM_PX = 15  # width of the edge that is judged: half a window's, within which the edge decides a level
-PAPER_PX = (10, 30)  # distance from the edge of the paper that it is compared with
+RIM_PX = 15  # width of the scored edge: half a window, the distance at which an edge still determines the level
+PAPER_PX = (10, 30)  # distances from the edge between which the paper is measured, for the contrast
 NEAREST_M = 0.04  # end of the maps' scale: nearer than the near sheet, so that larger levels show
 INFRARED_TIMES = 3.0  # as Fig. 9 shows it
 OFF = recon.PAPER.model_copy(update={"fallback": False})

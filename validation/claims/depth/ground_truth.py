@@ -21,7 +21,7 @@ FOCUS_M = 0.6
 TILT_DEG = 35.0
 WALL_M = 0.8
 BALL_M = (-0.08, 0.05, 0.5, 0.12)  # x, y, z, radius
-RIM = 0.98  # of the ball's radius: at its very outline single precision decides what a ray meets
+RIM = 0.98  # of the ball's radius: exactly on its outline, single precision decides what a ray hits
 
 
 def ground_truth(progress: ShareDone) -> Evidence:

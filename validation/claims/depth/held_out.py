@@ -30,7 +30,7 @@ from validation.subjects.window_bound import level_bounds
 METHODS = bundled("best", "bands", "paper", "chakrabarti-zickler")  # the first has limits, and figures without its name
 LOST = "RMSE in dioptres not below that of the best constant map"
 TIE = 1e-3  # relative difference of errors up to which a map is as good as the constant one
-MEASURED_LEVELS = 1.0  # a window whose bound is larger does not tell the level; its error is not compared with it
+MEASURED_LEVELS = 1.0  # windows with a larger bound do not determine the level and are left out of the comparison
 
 ALL_MEANINGS = {
     **MEANINGS,
@@ -81,22 +81,23 @@ def depth_held_out(
 
     Set-up: the 40 captures of the set test (``validation/subjects/held_out.toml``), 384 x 288 px: random scenes focused
     far (20 to 80 cm) and near (5 to 40, 5 to 12 cm), bundled scenes, eight lights, 100 to 10,000 lux, da-mobile, da-8mm
-    and da-4x4, rendered with spp auto; the set tune is for choices and has no scene of these. Each capture is
-    reconstructed by every method with a bank calibrated for its camera and focus. The regularised level of all pixels
-    on the near side of the focus is scored, its standard deviation s sqrt(1/c - 1) from the confidence c, with s of one
-    level. Figures are means over the captures, with medians beside: all weigh the same. Textured and untextured pixels
-    (judged in the capture) are those away from boundaries. A depth edge is a pixel whose 3 x 3 neighbourhood spans more
-    than max(1 level, 10 %). The bound is that of a 31 px window of green and infrared with a coherent 1/f^2 texture of
-    the strength and noise of each window (``validation/subjects/window_bound.py``); errors over it are medians in
-    intervals of 3 px of visible blur, over that of a normal distribution, where the bound is below one level. A capture
-    that a method refuses is lost to the constant map, with a ratio of 1, and has no other scores.
+    and da-4x4, rendered with spp auto. Choices are made on the set tune, which has none of these scenes. Every method
+    reconstructs each capture with a bank calibrated for its camera and focus. Scored are the regularised level of all
+    pixels on the near side of the focus, and its standard deviation s sqrt(1/c - 1) from the confidence c, with s one
+    level. Figures are means over the captures with equal weights, and medians beside them. Textured and untextured
+    pixels (as judged from the capture) exclude boundaries. A depth edge is a pixel whose 3 x 3 neighbourhood spans more
+    than max(1 level, 10 %). The Cramer-Rao bound is that of a 31 px window in green and infrared, with a coherent 1/f^2
+    texture of the strength and noise of each window (``validation/subjects/window_bound.py``). The ratio of error to
+    bound is the median in intervals of 3 px of visible blur, divided by that of a normal distribution, where the bound
+    is below one level. If a method refuses a capture, the capture is lost to the constant map, with a ratio of 1, and
+    has no other scores.
 
-    Expectation: near the focus a window alone does not tell the level, but the standard deviation tells so; where it
-    does, errors come near the bound; outlines are where objects end.
+    Expectation: near the focus, a window alone does not determine the level, and the standard deviation says so.
+    Elsewhere, errors come near the bound. Depth edges lie at the outlines of objects.
 
-    Limit: for the first method. RMSE in dioptres half of the best constant map's; this one wins in at most 1 of 20
-    captures; textured median 0.3 levels; 1.5 times the bound; F-score of edges 0.6; 0.6 to 0.75 of the errors within
-    the stated standard deviation; 0.2 levels at half coverage; a bias of 0.5 levels at true levels 0 to 2.
+    Limit: for the first method. RMSE in dioptres at most half that of the best constant map, which wins in at most 1 of
+    20 captures; textured median 0.3 levels; 1.5 times the bound; F-score of edges 0.6; 0.6 to 0.75 of the errors within
+    the stated standard deviation; 0.2 levels for the most confident half; a bias of 0.5 levels at true levels 0 to 2.
 
     Source: the project's own.
     """

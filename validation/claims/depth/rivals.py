@@ -41,8 +41,8 @@ TEXTURES = (
 PRINTS = TEXTURES[4:]  # in colour; the others are black and white, with one contrast in all channels
 TABLE = 2026  # seed of the random table top
 SPP = 160
-# Photographs of each scene: with one, whose samples and photons moved the median error of the open lens on the boards
-# between 0.27 and 0.51 1/m, a comparison is a matter of luck.
+# Photographs of each scene. One is not enough for a comparison: rendering and photon noise of a single photograph moved
+# the median error of the open lens on the boards between 0.27 and 0.51 1/m.
 PHOTOGRAPHS = 3
 OTHER_SEEDS = 100  # between photographs
 LIT_LUX = 1000.0
@@ -78,19 +78,22 @@ def rivals(progress: ShareDone) -> Evidence:
     da-mobile; green through a smaller stop (chakrabarti-zickler); axial colour of 24 um (chromatic-mobile); the two
     halves of a dual-pixel sensor; a 7 x 7 coded aperture (coded-mobile); bayer-mobile; the same with a focus that
     sweeps from 80 to 12 cm during the exposure, in nine steps that share the samples. Exposure is automatic up to
-    1/30 s, then gain up to 16; dual pixels share one exposure. Each scene is photographed three times, with other
-    random numbers, and the windows of all three count. One estimator serves all: in windows of 31 px, every 16 px, the
-    likelihood of the raw planes' spectra for each blur, with aliasing, nearly free power in each ring of frequencies
-    and the covariance of colours as measured (``validation/rivals/likelihood.py``). It joins no neighbours, so that it
-    compares cameras, not reconstructions. Of the boards, windows within one board count; of the table top, all.
+    1/30 s, then gain up to 16; dual pixels share one exposure. Each scene is photographed three times with independent
+    noise, and the windows of all three count. All designs use the same estimator: in windows of 31 px, every 16 px, the
+    likelihood of the raw planes' spectra for each blur, with aliasing, a nearly free power in each ring of frequencies,
+    and the measured covariance of the colours (``validation/rivals/likelihood.py``). It does not combine neighbouring
+    windows, so that cameras are compared, not reconstructions. On the boards, only windows within one board count; on
+    the table top, all windows.
 
-    Expectation: errors fall with light and stay above the bound of their windows but for the prior's help. The pictures
-    of dual pixels differ in place and not only in blur, which tells more; they win. Two blurs tell a blurred texture
-    from a smooth one: the dual aperture and the green stop have few outliers, other designs with one picture many. A
-    focal sweep blurs all depths alike, and tells next to nothing of them.
+    Expectation: errors decrease with more light and stay above the bound of their windows, except where the prior
+    helps. Dual pixels win, because their pictures differ by a displacement and not only in blur, which is more
+    informative. Two blurs distinguish a blurred texture from a smooth one: the dual aperture and the green stop have
+    few outliers, other designs with one picture have many. A focal sweep blurs all depths equally, and so gives almost
+    no depth.
 
     Limit: the median error of the dual aperture at 10,000 lux is at most that at 100 lux; on boards at 1,000 lux it is
-    at most that of the open lens, of axial colour and of the coded aperture. All else is reported.
+    at most that of the open lens, of axial colour and of the coded aperture. All other figures are reported without a
+    limit.
 
     Source: the project's own; Levin et al. 2007, Nagahara et al. 2008, Guichard et al. 2009, Chakrabarti and Zickler
     2012, Garg et al. 2019.

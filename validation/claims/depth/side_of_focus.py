@@ -57,12 +57,13 @@ def side_of_focus(progress: ShareDone, seed: int = 0, methods: Sequence[NamedMet
     Set-up: da-mobile focused at 20 cm, 192 x 144 px, with a focal length 8 um shorter at 450 nm and 15 um longer at
     750 nm than at 550 nm. Boards with images that mix two measured materials, under a D65 dome: two in front of the
     focus (levels 2 and 5), two behind it (-2 and -5), and a scene with both sides (a board at 4 and one at -1.5 before
-    a wall at -4). 160 samples per pixel and stop; a bank calibrated for the camera. A pixel is right where the sign of
-    its level is the truth's, and level 0 is wrong. Pixels with texture (judged in the capture) are scored, those that
-    see a boundary included; without these, and all pixels, are reported, and so is the error of the signed level.
-    The scene with both sides is photographed with the camera without axial colour, too.
+    a wall at -4). 160 samples per pixel and stop; a bank calibrated for the camera. A pixel is right if the sign of its
+    level is that of the truth; level 0 counts as wrong. Scored are pixels with texture (as judged from the capture),
+    including those that see a boundary. The shares without boundary pixels and over all pixels are reported, and so is
+    the error of the signed level. The scene with both sides is also photographed without axial colour.
 
-    Expectation: one window tells little, a surface enough. Beside a step in depth, a window holds both sides.
+    Expectation: a single window contains too little information about the side, a surface contains enough. Beside a
+    step in depth, a window contains both sides.
 
     Limit: 95 % of the textured pixels of each scene. Without axial colour no level is below 0, and the result states
     that the side is assumed.

@@ -85,11 +85,11 @@ def staircase(progress: ShareDone, seed: int = 0) -> Evidence:
 
     Expectation: the figures are means over the levels of the absolute bias and of the standard deviation, and the root
     mean square error relative to the bound, from level 1 on (near 0 a change of blur has no first-order effect), all
-    over the pixels that show an edge. A ratio below 1 would mean that the truth leaks, or that the estimate prefers the
-    bank's own levels, which is a bias between them. Preset likelihood does the latter: at low noise its error is below
-    the bound at the bank's levels and 1.6 times the bound between them. Only between levels is the bound a limit.
-    Textures are not Gaussian processes, and where few pixels show an edge these are the best of a strip, so that errors
-    slightly below the bound (4 %) occur there too.
+    over the pixels that show an edge. A ratio below 1 would mean that the truth leaks into the estimate, or that the
+    estimate favours the levels of the bank, which biases it between these levels. The preset likelihood is biased in
+    this way: at low noise, its error is below the bound at the levels of the bank, and 1.6 times the bound between
+    them. The bound is therefore a limit between levels only. Even there, errors slightly below the bound (4 %) occur,
+    because textures are not Gaussian processes, and where few pixels show an edge, these are the best of a strip.
 
     Limit: 0.05 / 0.1, 0.1 / 0.3 and 0.2 / 0.6 levels of bias / deviation at 0.5, 1 and 2 %, for the presets paper and
     likelihood on gravel; error over bound from 0.9 to 2.3 for preset paper on gravel at 0.5 to 2 % and with photon

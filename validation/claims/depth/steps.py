@@ -52,13 +52,13 @@ def measured_steps(progress: ShareDone, seed: int = 0, methods: Sequence[NamedMe
     Rationale: Fig. 13 states what levels can distinguish; whether the reconstruction achieves it is another question.
 
     Set-up: the scene depth-steps (gravel, two halves), 256 x 192 px of da-mobile and da-8mm focused at 100 m, at
-    distances within each lens's bank, with steps of 0.2, 0.4, 0.8 and 1.6 blur levels. Raw levels of presets paper and
-    bands (the default) are scored at pixels whose patch and blur contain one plane only. Each pixel is assigned to the
-    one of the two known planes whose level is nearer to its own: a choice of two alternatives with the threshold
-    halfway, so that bias counts. Guessing gives one half. The measured step is the one at which three quarters of the
-    textured pixels (those with a raw level) are right, with equal weight for both planes, by linear interpolation over
-    the logarithm of the step. "In order" is the step at which three quarters of all pairs, one pixel of each plane, are
-    in the right order; bias does not affect it.
+    distances within each lens's bank, with steps of 0.2, 0.4, 0.8 and 1.6 blur levels. Raw levels of the presets paper
+    and bands are scored at pixels whose patch and blur contain one plane only. Each pixel is assigned to that of the
+    two known planes whose level is nearer to its estimate: a two-alternative forced choice with the threshold halfway,
+    so that bias counts. Guessing gives one half. The measured step is the one at which three quarters of the textured
+    pixels (those with a raw level) are right, with equal weight for both planes, by linear interpolation over the
+    logarithm of the step. "In order" is the step at which three quarters of all pairs, one pixel of each plane, are in
+    the right order; bias does not affect it.
 
     Expectation: the measured step is compared with the half pixel of blur of Fig. 13 (d^2 N p / 2 f^2); with half a
     level, which is 1.85 times coarser and the definition for a measured resolution; and with one level, the spacing of

@@ -41,14 +41,15 @@ def field_colour(progress: ShareDone, seed: int = 0) -> Evidence:
     responses of the axis everywhere, the picture would turn cyan to the corners.
 
     Set-up: an even grey wall fills the full frame of da-mobile (2048 x 1536 pixels, 31 degrees in the corners), in even
-    light of D65 and of A, with sensor noise (dasim.simulate). Pictures are those of recon.develop, alone and with a
-    flat of the same wall under D65, and that of recon.reconstruct. Blocks of 128 x 128 pixels are
-    compared with the middle of the frame: without a flat at equal luminance, because cos^4 remains, with a flat as they
-    are. What R and IR lose at 25.6 and 31 degrees beyond cos^4 is read from ``mean_e`` along the frame's diagonal.
+    light of D65 and of A, with sensor noise (dasim.simulate). The pictures are developed by recon.develop, without and
+    with a flat field of the same wall under D65, and by recon.reconstruct. Blocks of 128 x 128 pixels are compared with
+    the middle of the frame: at equal luminance without a flat field, because the cos^4 falloff remains; unchanged with
+    a flat field. The losses of R and IR beyond cos^4 at 25.6 and 31 degrees are measured in ``mean_e`` along the
+    frame's diagonal.
 
-    Expectation: R and IR lose what an integral over wavelength at 0.05 nm says, from the data sheet's curves, edges and
-    effective index alone, and the coefficients of eq. (8) are ratios of areas between the shifted edges. Neutral
-    colours do not change over the frame.
+    Expectation: the losses of R and IR equal an integral over wavelength in steps of 0.05 nm, computed from the curves,
+    edges and effective index of the data sheet alone. The coefficients of eq. (8) are ratios of areas between the
+    shifted edges. Neutral colours do not change over the frame.
 
     Limit: 0.5 % of what is left of R and IR, and of the coefficients; CIEDE2000 of 1.0 for every block.
 

@@ -52,15 +52,15 @@ def fixed_pattern(progress: ShareDone, seed: int = 0) -> Evidence:
     two stacks of 4 flats to half of full scale, each frame with its own seed, 4 darks of the same exposure time, one
     more picture, and 4 flats with another `sensor_seed`. Residuals are relative to the light of the truth.
 
-    Expectation: the covariance of the two stacks' residuals is the variance of the pattern in closed form,
+    Expectation: the covariance of the residuals of both stacks equals the closed-form variance of the pattern,
     PRNU^2 + (DSNU^2 + row^2 + column^2 + (spread x dark)^2) / x^2 for x electrons. Half the variance of the difference
-    of two frames is x + dark + read^2 + 1 / (12 K^2), with no correlation between two such differences of four frames.
-    A picture that is corrected by darks and flats of N frames varies from pixel to pixel as one with this temporal
-    noise alone, times 1 + 1/N; the uncorrected one varies more, by the pattern. Residuals of another sensor are not
-    correlated with those of the first. The rendering noise of the frames, known from the truth, counts as temporal.
+    of two frames is x + dark + read^2 + 1 / (12 K^2), and two such differences of four frames are uncorrelated. In a
+    picture corrected by darks and flats of N frames, the variance between pixels is this temporal variance times
+    1 + 1/N; in the uncorrected picture, it is larger by the variance of the pattern. Residuals of another sensor are
+    uncorrelated with those of the first. The rendering noise of the frames, known from the truth, counts as temporal.
 
-    Limit: five standard errors of 27,648 pixels; hot pixels, which are outliers, are left out except where the picture
-    is corrected.
+    Limit: five standard errors over 27,648 pixels; hot pixels, which are outliers, are excluded except in the corrected
+    picture.
 
     Source: EMVA 1288 release 4.0, sec. 4 and 8.
     """

@@ -49,23 +49,24 @@ class Scatter(NamedTuple):
 def truth_noise(progress: ShareDone, seed: int = 0) -> Evidence:
     """Rendering noise of ``mean_e`` is stated as it is, meets the target of ``auto``, and can be independent of raw's.
 
-    Rationale: ``raw`` repeats the rendering noise of ``mean_e``. What is called truth must say how much that is, and a
-    denoiser that is trained on the pair must not learn to keep it.
+    Rationale: ``raw`` contains the same rendering noise as ``mean_e``. The truth must state its size, and a denoiser
+    trained on the pair must not learn to keep it.
 
     Set-up: pictures of dasim.simulate with 64 samples per pixel and 12 seeds, 64 x 48 px of da-mobile: the middle of
     desk, and a card before a wall under a dome, without texture or lamp, where most noise is that of the interpolated
-    irradiance. Then desk with ``auto``, 3 seeds, for rendering noise of 0.4 of the sensor's at the percentiles 50 and
-    95 of the pixels; and, with 4 samples per pixel, 4 pictures of desk and 4 with a mean of their own samples.
+    irradiance. Then desk with ``auto``, 3 seeds, with a target of 0.4 of the sensor noise at the 50th and the 95th
+    percentile of the pixels; and, with 4 samples per pixel, 4 pictures of desk and 4 with an independently sampled
+    ``mean_e``.
 
-    Expectation: the variance between seeds is the mean of the maps that single pictures state, over all pixels and in
-    those beside depth discontinuities; the shares in ``meta.json`` are the percentiles of the scatter between seeds,
-    averaged over 3 x 3 px; so is what ``auto`` reaches in its worst channel. The regression of the error of raw on that
-    of ``mean_e``, each against the mean of four pictures of 64 samples, has the slope 1 if they share rendering noise,
-    else 0.
+    Expectation: the variance between seeds equals the mean of the variance maps stated by single pictures, over all
+    pixels and over those beside depth discontinuities. The shares in ``meta.json`` equal the percentiles of the scatter
+    between seeds, averaged over 3 x 3 px; the noise that ``auto`` reaches in its worst channel is measured in the same
+    way. The regression of the error of raw on that of ``mean_e``, each against the mean of four pictures of 64 samples,
+    has the slope 1 if they share rendering noise, and otherwise 0.
 
-    Limit: 15 % of the variance (7 % of the noise); 10 % of the shares in desk and 20 % under the dome, where noise is
-    common to pixels a few px apart, so that a map fluctuates more; ``auto`` at most 10 % above its target and not below
-    half of it; slopes within 0.1 of 0 and 1.
+    Limit: 15 % of the variance (7 % of the noise); 10 % of the shares in desk and 20 % under the dome, where pixels a
+    few px apart share noise, so that a map fluctuates more; ``auto`` at most 10 % above its target and not below half
+    of it; slopes within 0.1 of 0 and 1.
 
     Source: variance of a mean of independent pictures; nothing of it is computed from the sampling.
     """

@@ -23,10 +23,10 @@ SIGNALS = ("R", "IR")
 
 
 def bundled_cameras(progress: ShareDone) -> Evidence:
-    """Each bundled camera makes and loses no light at depth steps, along silhouettes and under mixed lights.
+    """No bundled camera creates or loses light at depth steps, along silhouettes or under mixed lights.
 
-    Rationale: cameras differ in the shapes, the spectra and the number of their stops. What holds for ``da-mobile``
-    need not hold for a bare lens, for four quarters of a filter or for a colour-filtered aperture.
+    Rationale: cameras differ in the shapes, spectra and number of their stops. A result for ``da-mobile`` need not be
+    true of a bare lens, of a filter in four quarters or of a colour-filtered aperture.
 
     Set-up: ``da-mobile``, ``da-4x4``, ``da-8mm``, ``bayer-mobile``, ``chakrabarti-zickler`` and ``bando``; mean_e of
     dasim.simulate with diffraction 'wave', mean of 4 seeds of 64 samples per pixel, all channels. Depth step: two black
@@ -35,9 +35,10 @@ def bundled_cameras(progress: ShareDone) -> Evidence:
     lamp, diffraction off, against traced light. Corner: kernels of a point in focus under D65, and the signal of a
     white surface, where the corner of the sensor's full frame is.
 
-    Expectation: columns of the furnace are even; both silhouettes add up to an even picture, since what the near object
-    covers in one is what it leaves in the other; the means under mixed lights are equal. Worst column, worst channel.
-    Shares in the corner are what the optics take there, without a limit.
+    Expectation: at the depth step between equal radiances (a furnace test), all columns are equal. Both silhouettes add
+    up to an even picture, since the near object covers in one what it leaves free in the other. The means under mixed
+    lights are equal. Figures are those of the worst column and channel. The light lost in the corner is reported
+    without a limit.
 
     Limit: those of ``depth-step-furnace``, ``silhouette`` and ``mixed-lights``: 0.3 %, 1.5 % and 0.2 %.
 

@@ -37,8 +37,8 @@ FREQUENCY_STEP, HIGHEST_FREQUENCY = 0.001, 3.0  # cycles per pixel
 def depth_step_furnace(progress: ShareDone, seed: int = 0) -> Evidence:
     """Surfaces of equal radiance at different depths show no edge between them.
 
-    Rationale: whatever the blur, the light of a pixel is that of the surfaces that it sees. Weights that make or lose
-    light where two depths meet draw a line along every object, which depth methods take for texture.
+    Rationale: a pixel receives the light of the surfaces that it sees, whatever the blur. Ray weights that create or
+    lose light where two depths meet would draw a line along every object, which depth methods mistake for texture.
 
     Set-up: matt black planes that face the camera, all lit by one sun at the same angle, so that all have the same
     radiance; the black keeps light between them below 0.02 %. A near plane covers the left half of the view in front
@@ -48,10 +48,10 @@ def depth_step_furnace(progress: ShareDone, seed: int = 0) -> Evidence:
     planes behind the focus (-4 and -12 px); a hexagon as the open stop and the step of 10 px. Pictures are those of
     dasim.simulate with diffraction 'wave', 64 samples per pixel.
 
-    Expectation: the mean of each column, over that of columns far from the edge, is 1. For the Z-test, the picture is
-    divided by one of another seed with diffraction 'off', which needs no weights and has the same light between the
-    planes: columns beside the edge differ from those far from it by the scatter of their pixels alone. The smallest p
-    over columns is corrected for their number (Sidak).
+    Expectation: the ratio of the mean of each column to that of columns far from the edge is 1. For the Z-test, the
+    picture is divided by one of another seed with diffraction 'off', which needs no weights and has the same
+    interreflections between the planes. Columns beside the edge then differ from those far from it only by the noise of
+    their pixels. The smallest p over columns is corrected for their number (Sidak).
 
     Limit: 0.3 %, and p of at least 0.001.
 
@@ -141,9 +141,8 @@ def furnace_figures(picture: FloatArray, plain: FloatArray) -> tuple[FloatArray,
 def silhouette(progress: ShareDone, seed: int = 0) -> Evidence:
     """A defocused near edge has the edge spread function of the near kernel, dark on bright and bright on dark.
 
-    Rationale: by reciprocity, what a pixel receives from a surface that nothing hides is the integral of that surface's
-    kernel over it. What is behind the near object gets what is left, so both polarities have the near object's edge
-    spread.
+    Rationale: by reciprocity, a pixel receives from an unoccluded surface the integral of that surface's kernel over
+    the surface. The background contributes the rest, so both polarities have the edge spread of the near object.
 
     Set-up: a half-plane at 8 and 17 px of visible blur before a plane at -1 px, black paint before white paper and the
     reverse, under one sun; dasim.simulate with diffraction 'wave', 6 seeds of 64 samples per pixel, 96 rows.

@@ -46,7 +46,7 @@ GLARE_SPP = 16
 def lens_errors(progress: ShareDone) -> Evidence:
     """Zernike errors, a phase step of the hole and veiling glare change captures as integrals say.
 
-    Rationale: these keys of a camera file are 0 by default, so that no other claim would notice if they did nothing.
+    Rationale: these keys of a camera file are 0 by default, so no other claim would fail if they had no effect.
 
     Set-up: ``mean_e`` of ``dasim.simulate``. Peaks: a white disc of 2 px in focus, 8 x 8 px of 0.5 um, a lens of 3.6 mm
     f/2.8 whose open stop passes 520 to 540 nm and whose hole passes 720 to 740 nm. The Strehl ratio is the light of the
@@ -59,11 +59,11 @@ def lens_errors(progress: ShareDone) -> Evidence:
     the stop. In the middle of a point's picture that is Marechal's exp(-(2 pi sigma / lambda)^2) for small errors,
     sinc^2(2 sqrt(3) sigma a / lambda) for the part of the defocus that the hole sees, with a = 0.46^2 its share of the
     area, and |1 - a + a exp(i phi)|^2 for a step: 0.333 for a half wave, and 0.666 for a quarter of one, which is the
-    mean over all phases. The light 40 px beside the square's middle is the veiled share times the integral over the
-    square of the density of a diffuser before a mirror, k(r) = R^2 / (pi (R^2 + r^2)^2).
+    mean over all phases. The light 40 px from the centre of the square is the glare share times the integral over the
+    square of the spread function of a diffuser in front of a mirror, k(r) = R^2 / (pi (R^2 + r^2)^2).
 
-    Limit: Strehl ratios within 0.01 of the integral's, three times the rendering noise, and glare within 1 %. The
-    ratios of a point are reported.
+    Limit: Strehl ratios within 0.01 of the integral (three times the rendering noise), and glare within 1 %. The ratios
+    of a point source are reported.
 
     Source: Mahajan, J. Opt. Soc. Am. 72 (1982), for Marechal's ratio; ISO 24157 for the terms.
     """

@@ -39,22 +39,22 @@ WIDTH_NM = 730.0
 def off_axis(progress: ShareDone, seed: int = 0) -> Evidence:
     """Small sources far from the axis have the encircled energy of Huygens's principle.
 
-    Rationale: towards the frame's corner the stop looks foreshortened and the sensor is tilted to the light, so that
-    diffraction patterns widen, more in the direction of the axis than across it. With the patterns of the axis, the
-    infrared of a full frame would be too sharp.
+    Rationale: towards the corner of the frame, the stop is foreshortened and the light falls obliquely on the sensor,
+    so diffraction patterns widen, more in the tangential than in the sagittal direction. With on-axis patterns,
+    the infrared of a full frame would be too sharp.
 
     Set-up: a lit white disc of 1.5 px radius that faces the camera, before an empty background, at 0, 8.5, 25.6 and 31
     degrees from the axis of da-mobile (focus 40 cm): in the middle, in the corner of a crop of 512 x 384 pixels, at the
-    edge and in the corner of the full frame. It is in focus, or nearer by 4 px of blur of the channel's own stop. The
-    picture is mean_e of dasim.simulate, 1,024 samples per pixel, of a window of 32 px about the source. The reference
-    adds spherical waves from all places of the stop, with exact distances, for bands of 30 nm through both stops; it is
-    convolved with source and pixel.
+    edge and in the corner of the full frame. It is in focus, or nearer, with 4 px of blur in the channel's own stop.
+    The picture is mean_e of dasim.simulate, 1,024 samples per pixel, in a window of 32 px about the source. The
+    reference sums spherical waves from all points of the stop, with exact distances, for bands of 30 nm through both
+    stops, and is convolved with source and pixel.
 
-    Expectation: both have the same share of the frame's light within circles of 1 to 15 px radius about the middle,
-    and within strips of the same half width in tangential and in sagittal direction. What the reference of the axis
-    differs by at the same place is reported beside it. Kernels as dasim.psf makes them, of the hole in focus at 730 nm,
-    have the full widths at half maximum of Huygens's integral, tangential and sagittal: 2.72 px on the axis, 2.81 and
-    2.75, 3.70 and 3.02, 4.30 and 3.17 px.
+    Expectation: both have the same share of the frame's light within circles of 1 to 15 px radius about the centre, and
+    within strips of the same half width in the tangential and the sagittal direction. The difference of the on-axis
+    reference at the same position is reported beside it. Kernels of dasim.psf for the hole, in focus at 730 nm, have
+    the full widths at half maximum of Huygens's integral, tangential and sagittal: 2.72 px on the axis, 2.81 and 2.75,
+    3.70 and 3.02, 4.30 and 3.17 px.
 
     Limit: 0.03, as the largest difference over circles and strips, for G and IR; 0.02 px for widths.
 

@@ -37,7 +37,7 @@ JUDGED_PX = ((3.0, 10.0), (10.0, 25.0))  # visible blur
 BIN_PX = 5.0
 LARGEST_PX = 55.0
 LEAST_SHARE = 0.02  # of the frame's pixels in a bin that counts
-FOCUSED_SPP = 64  # of the pictures that refocusing is compared with: their noise is 40 dB down
+FOCUSED_SPP = 64  # of the reference pictures for refocusing, whose noise is 40 dB below the signal
 REFERENCE_SEED = 1000  # other samples than those of any capture
 LEAST_PX = 1000  # of an object away from boundaries, for the focus to be set on it
 

@@ -46,9 +46,9 @@ def scene_pictures(progress: ShareDone, seed: int = 0, methods: Sequence[NamedMe
     """The all-in-focus picture has steeper edges, a refocused one is sharpest at its focus, and anaglyphs show the
     depth.
 
-    Rationale: these pictures are the purpose of the camera. Claims ``all-in-focus`` and ``refocus`` compare them with
-    the truth pixel by pixel; this one measures what a viewer notices, by measures that the reconstruction does not use
-    itself.
+    Rationale: these pictures are the purpose of the camera. The claims ``all-in-focus`` and ``refocus`` compare them
+    with the truth pixel by pixel; this claim uses measures of visible quality that the reconstruction itself does not
+    use.
 
     Set-up: the captures of adam and flowers of claim ``depth``, 512 x 384 px, da-mobile, preset bands. Edge slope is
     the regression of green's gradients on those of the sharp truth at its steepest tenth of pixels, away from
@@ -58,15 +58,15 @@ def scene_pictures(progress: ShareDone, seed: int = 0, methods: Sequence[NamedMe
     energy. In the anaglyph (12 px), red is matched with green, block by block, for the shift between the eyes; b (1/z_0
     - 1/z) of the reconstructed depth is expected.
 
-    Expectation: slopes increase, to one at most within their error; the levels of the stack agree with the true ones as
-    far as depth does; the shifts agree with depth, to the step of the search, behind or in front of the screen as
-    requested.
+    Expectation: slopes increase, but do not exceed 1 by more than their error. The levels of the stack agree with the
+    true ones as well as the estimated depth does. The shifts agree with depth to the step of the search, behind or in
+    front of the screen as requested.
 
-    Shifts are scaled to the range of the estimated depths without the nearest and the farthest hundredth of the pixels,
-    whose shifts are those of the range's ends.
+    Shifts are scaled to the range of the estimated depths without the nearest and the farthest 1 % of the pixels, whose
+    shifts are clipped to the ends of the range.
 
-    Depth is worst at what was in focus: the brick wall of adam and the meadow of flowers, at level 0, are estimated up
-    to 3 levels nearer (table), and a picture refocused to them is blurred there.
+    Depth is least accurate for surfaces in focus: the brick wall of adam and the meadow of flowers, at level 0, are
+    estimated up to 3 levels nearer (table), and a picture refocused to them is blurred there.
 
     Limit: a slope of at least 0.5 and 1.5 times the capture's at 3 to 10 px of blur, and 0.75 to 1.15 at 0 to 3 px;
     half of the blur removed; a median error of the stack of 0.5 level from the reconstruction's own levels and 0.8 from

@@ -39,7 +39,7 @@ DARKEST = 0.02  # of the display's white: below it, neither eye nor display show
 
 
 def two_cameras(progress: ShareDone, seed: int = 0) -> Evidence:
-    """The dual-aperture camera has the colours of its Bayer twin on real scenes, and about its noise and detail.
+    """On real scenes, the dual-aperture camera has the same colours as its Bayer twin, and similar noise and detail.
 
     Rationale: Fig. 6 and sec. 4.5: replacing a green pixel by infrared, and removing infrared from red, green and blue,
     must not degrade the picture. Claim ``colour`` covers the ColorChecker; this one covers the scenes.

@@ -1,12 +1,12 @@
 """From the bound to the pipeline: bounds of a patch, and maximum likelihood on rendered boards.
 
-The periodic bound overstates what an isolated patch tells, the bound of :mod:`validation.studies.shape.finite_patch`
-understates what a picture tells: a picture does show the surroundings of a patch, up to its border and as long as depth
-stays the same. :func:`board_deviations` is the error of maximum likelihood on rendered boards that fill the frame, with
-the camera's own kernels and the texture's own power: the pipeline without its bank, levels, presets and thresholds. It
-is no lower limit. It assumes that the surroundings continue beyond the frame; near the border of the frame, where
-deblurring two windows spreads the missing part far inwards, a preset that fits gain and scale in each patch can be
-better.
+The periodic bound overstates the information in an isolated patch. The bound of
+:mod:`validation.studies.shape.finite_patch` understates the information in a picture, which also shows the surroundings
+of a patch, up to its border and as long as depth stays the same. :func:`board_deviations` is the error of maximum
+likelihood on rendered boards that fill the frame, with the camera's own kernels and the texture's own power: the
+pipeline without its bank, levels, presets and thresholds. It is not a lower bound. It assumes that the surroundings
+continue beyond the frame. Near the border, deblurring with the two-window stop spreads the error from the missing part
+far inwards, and a preset that fits gain and scale in each patch can be better.
 """
 
 from __future__ import annotations

@@ -22,7 +22,7 @@ BOARD_PX = (384, 288)
 SPP = 64  # samples per pixel
 SEED = 0
 EXPOSURES = 3  # per picture, with independent noise
-BORDER_PX = 64  # of a board's picture: half of the surroundings is missing there, and deblurring spreads the error
+BORDER_PX = 64  # left out at the border: half of the surroundings is missing, and deblurring spreads the error
 
 
 def lit_boards(camera: Camera) -> Iterator[tuple[Scene, Camera]]:

@@ -24,8 +24,8 @@ from validation.subjects import rendering
 from validation.subjects.shots import photographed
 
 DESK_PX = (256, 192)
-# The default preset compares means over rings of frequencies, which assumes round stops, and rejects uncertain levels;
-# the paper's eq. (9) to (12) and its likelihood use the kernels as they are.
+# The preset bands compares means over rings of frequencies, which assumes round stops, and rejects uncertain levels;
+# the paper's eq. (9) to (12) (preset paper) and the preset likelihood use the kernels as they are.
 PRESETS = ("bands", "paper", "likelihood")
 ALL = {"least_confidence": 0.0, "edge_snr": 0.0, "fallback": False}  # a level for every pixel, from infrared alone
 
