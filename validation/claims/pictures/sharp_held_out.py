@@ -94,8 +94,8 @@ def sharp_held_out(
     the step there: the percentile 95 over edge pixels (``validation/scores/sharpness.py``). With a tenth of the noise,
     the same ``mean_e`` is exposed 100 times as long on a sensor with 100 times the full well and 16 bits, and with a
     tenth of PRNU, read noise and offsets relative to the signal; the rendering noise of ``mean_e`` stays. That of
-    ``focus_e``, 0.1 to 0.3 % at the median pixel and up to 4 % at the 99th percentile, is an error of every picture, and
-    limits the gains. A capture that a method refuses counts as lost.
+    ``focus_e``, 0.1 to 0.3 % at the median pixel and up to 4 % at the 99th percentile, is an error of every picture
+    and limits the gains. A capture that a method refuses counts as lost.
 
     Expectation: a gain at every blur without a loss in focus; larger gains with less noise.
 
