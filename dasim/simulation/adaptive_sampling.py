@@ -136,8 +136,9 @@ def render_to_noise_target(
             del left
         elif not rounds:
             of_pilot = np.divide(variance - shared, variance, out=np.zeros_like(variance), where=variance > 0)
-            pilot = result._replace(around=result.around * of_pilot)
-            pilot_wants = wanted_spp(pilot, sensor_variance, own_target, percentile)
+            np.multiply(result.around, of_pilot, out=result.around)
+            del of_pilot
+            pilot_wants = wanted_spp(result, sensor_variance, own_target, percentile)
             is_far = pilot_wants.mean() > FAR * result.spp.mean()
             factor = PART_OF_FAR if is_far else 1.0
             worthwhile = _worthwhile_fineness(pilot_wants)
@@ -153,7 +154,7 @@ def render_to_noise_target(
         if not spp.any():
             break
         rounds += not needs_pilot
-        del result, variance, shared  # before the next pictures are made: of large frames they take half a gigabyte
+        del result, variance, shared, limit  # before the next pictures: at 3 Mpx they take half a gigabyte
     reached = shares_at(share(variance, limit), [percentile])[0]
     return AdaptiveRender(result, variance, tuple(float(value) for value in reached))
 
@@ -214,7 +215,7 @@ def wanted_spp(
     variances sum to the limit have n_s in proportion to (v_s N_s^p)^(1 / (p + 1)). The pixels beyond the percentile get
     no more than those at it.
     """
-    limit = target**2 * sensor_variance(np.maximum(around(pilot.rate).sum(axis=0), 0.0))
+    limit = target**2 * sensor_variance(np.maximum(around(pilot.rate.sum(axis=0, keepdims=True))[0], 0.0))
     done, wanted = pilot.spp**SLOPE, np.zeros(pilot.around.shape[:-1])
     for channel in range(limit.shape[-1]):
         part, most = (pilot.around[..., channel] * done) ** (1 / (SLOPE + 1)), limit[..., channel]
