@@ -66,6 +66,17 @@ def test_the_map_follows_the_noise_from_place_to_place():
     assert found.variance[:, :, :78].std() / left == pytest.approx(np.sqrt(2 / 18.2), rel=0.15), "degrees of freedom"
 
 
+def test_the_noise_of_a_line_fades_with_the_distance():
+    """Set-up: one column has noise, as at the edge of an object. Expectation: its variance is stated within 2 px of it,
+    and at that distance at less than half of what is stated in the column.
+    """
+    even = pair(np.random.default_rng(11), (1.0, 1.0), (8, 8))
+    scale = np.where(np.arange(SHAPE[2]) == 80, 1.0, 0.0)[:, None]
+    found = measured(summed([tuple(picture(8, 10 + scale * (each.rate - 10)) for each in even)])).variance
+    here, there, beyond = (found[:, :, 80 + distance].mean() for distance in (0, 2, 3))
+    assert there < 0.5 * here and beyond == 0
+
+
 def test_a_ratio_of_sums_has_no_bias():
     """Rationale: a ratio of sums over n samples is off by c / n, which a picture of few samples would show.
 
