@@ -189,12 +189,11 @@ def _variate(
 ) -> tuple[list[Any], list[Any]]:
     """C s and C of the control variate for each channel; ``at`` are the arguments of :meth:`Control.at`."""
     import drjit as dr
-    import mitsuba as mi
 
     assert isinstance(shared.blur, RadialBlur)
     bands, blur_px, reach_px = control.at(*at)
     length = dr.norm(at[2])
-    entries = entries_of(shared, first, mi.Float(shared.middle_ring))
+    entries = entries_at(shared, first, shared.middle_ring)
     weight, seen = [], []
     for entry, place in zip(entries, _places(shared, first), strict=True):
         own = blur_px
@@ -251,9 +250,20 @@ def wavelength_places(shared: Pass, lanes: Lanes, stratum: Any) -> Any:
 
 def entries_of(shared: Pass, first: Any, ring: Any) -> list[Any]:
     """Row of the table for each wavelength of a ray, at its pixel's fractional ring."""
+    import drjit as dr
+
+    low = dr.floor(ring)
+    above = entries_at(shared, first, dr.minimum(low + 1, shared.rings - 1))
+    pairs = zip(entries_at(shared, first, low), above, strict=True)
+    return [[dr.lerp(a, b, ring - low) for a, b in zip(*pair, strict=True)] for pair in pairs]
+
+
+def entries_at(shared: Pass, first: Any, ring: Any) -> list[Any]:
+    """The same at a ring of the table, a whole number."""
     import mitsuba as mi
 
-    return [shared.table.eval(mi.Point2f(at, (ring + 0.5) / shared.rings)) for at in _places(shared, first)]
+    row = (ring + 0.5) / shared.rings
+    return [shared.table.eval(mi.Point2f(at, row)) for at in _places(shared, first)]
 
 
 def _places(shared: Pass, first: Any) -> list[Any]:

@@ -125,7 +125,8 @@ def prepare(
         radius_m=radius_m,
         px_per_vergence=2 * radius_m * scale,
         vergence=dr.opaque(mi.Float, 1.0 / camera.lens.focus_distance_m),
-        table=texture(table),
+        # The nearest of its many nodes: reading those around, too, took a quarter of the time of a pinhole's rays.
+        table=texture(table, filter_mode=dr.FilterMode.Nearest),
         rings=dr.opaque(mi.Float, len(table)),
         middle_ring=dr.opaque(mi.Float, middle_ring(responses)),
         place=mi.Float(responses.place.astype(np.float32).ravel()),

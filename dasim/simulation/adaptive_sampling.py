@@ -1,7 +1,8 @@
 """Adaptive sampling: rendering noise is measured between pictures and compared with the sensor's noise.
 
 Pictures are rendered in pairs with independent random numbers (:mod:`dasim.simulation.rendering_noise`), so that the
-noise is measured, not predicted. The first pair, the pilot, takes a few samples in every pixel. Each pixel then gets
+noise is measured, not predicted. The first pair, the pilot, takes a few samples in every pixel: ``FEWEST_SPP`` per
+picture where the geometry shows one depth, more where layers have to be told apart. Each pixel then gets
 the additional samples that the pilot's noise in the surrounding pixels requires. The pixel's own samples are excluded
 from that decision, because they would bias its mean: a bright outlier that brought its pixel more samples would get
 less weight. (They do enter the control variate's factor of neighbouring pixels; 71 pictures of glossy surfaces show no
@@ -18,7 +19,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,11 +41,10 @@ from dasim.typing import FloatArray
 
 NOISE_SHARE = 0.25  # of the sensor's noise: raises the noise of a capture by 3 %
 NOISE_AT = 50.0  # percentile of the pixels at which the share is meant: the median
-PILOT_SPP = 8  # samples per pixel and stop of each picture of the first pair
-# Samples per pixel and stop of each further picture. With 4, pixels that see several depths are up to 1 % off.
-FEWEST_SPP, MOST_SPP = 8, 4096
+# Samples per pixel and stop of each picture. With 4, pixels that see several depths are up to 1 % off.
+FEWEST_SPP, FEWEST_OF_LAYERS, MOST_SPP = 4, 8, 4096
 # Allowed sample counts: powers of two, for which Sobol' points are most even, and the values halfway between them.
-STEPS = np.array(sorted({*(8 << k for k in range(10)), *(12 << k for k in range(9))}))
+STEPS = np.array(sorted({*(4 << k for k in range(11)), *(6 << k for k in range(10))}))
 MOST_ROUNDS = 4
 SLOPE = 1.1  # variance falls about as samples ** -1.0 to -1.2 (claim fewer-rays)
 # If the pilot requires more than FAR times its own samples, only a part of them is taken first, because the noise
@@ -80,8 +80,8 @@ class AdaptiveRender:
 def render_to_noise_target(
     picture: Callable[[int, int, NDArray[np.int64], int], Picture],
     sensor_variance: Callable[[FloatArray], FloatArray],
+    fewest_spp: NDArray[np.int64],
     *,
-    shape: tuple[int, int, int],
     target: float = NOISE_SHARE,
     percentile: float = NOISE_AT,
     most_spp: int = MOST_SPP,
@@ -99,14 +99,14 @@ def render_to_noise_target(
             samples, [stop, h, w], with random numbers keyed by ``index``, and with an irradiance of ``finer`` times as
             many directions, which every second picture shares. The result has this stop alone.
         sensor_variance: variance of the sensor's noise [h, w, channel] for a sum over stops, in its unit squared.
-        shape: number of stops, height and width.
+        fewest_spp: samples per pixel of each picture of the first pair, and fewest of a further one, [stop, h, w].
         target: rendering noise over the sensor's noise, at the percentile of the pixels, in the worst channel.
         percentile: of the pixels: this share of them, in per cent, has at most ``target``.
         most_spp: bound on the samples per pixel and stop of a picture.
         kept: share of each stop's light that glare does not spread; 1 by default.
     """
     sums: Sums | None = None
-    spp = np.full(shape, PILOT_SPP, dtype=np.int64)
+    spp, shape = fewest_spp, fewest_spp.shape
     factor, number, rounds, pilot_wants, finer = 1.0, 0, 0, np.zeros(shape), 1
     while True:
         for stop in range(shape[0]):  # apart: pictures of large frames take gigabytes
@@ -131,7 +131,7 @@ def render_to_noise_target(
         number += 1
         needs_pilot = False
         if rounds and is_fine:
-            left = _Left(pilot_wants, result, variance - shared, limit)
+            left = _Left(pilot_wants, result, variance - shared, limit, fewest_spp)
             factor = _least_factor(left, AIM * own_target, percentile, most_spp, kept, factor)
             del left
         elif not rounds:
@@ -146,11 +146,11 @@ def render_to_noise_target(
         if needs_pilot:
             finer, sums = worthwhile, None
         elif is_fine:
-            spp = next_spp(factor * pilot_wants - result.spp, most_spp)
+            spp = next_spp(factor * pilot_wants - result.spp, fewest_spp, most_spp)
         else:  # begin anew
             wanted = finer * (of_irradiance / (SHARED * target)) ** 2
             finer, sums = int(min(2 ** np.ceil(np.log2(wanted)), MOST_FINER)), None
-            spp = np.maximum(next_spp(factor * pilot_wants, most_spp), FEWEST_SPP)
+            spp = np.maximum(next_spp(factor * pilot_wants, fewest_spp, most_spp), fewest_spp)
         if not spp.any():
             break
         rounds += not needs_pilot
@@ -175,6 +175,7 @@ class _Left(NamedTuple):
     measured: Measured
     variance: NDArray[np.floating]  # [h, w, channel] of the sum over stops, without noise correlated between neighbours
     limit: FloatArray  # [h, w, channel] variance of the sensor's noise
+    fewest_spp: NDArray[np.int64]  # [stop, h, w]
 
 
 def _least_factor(
@@ -186,12 +187,12 @@ def _least_factor(
     In large frames, only every third row and column is evaluated.
     """
     at = (SPARSE, SPARSE) if left.variance[..., 0].size > LARGE_FRAME_PX else (slice(None), slice(None))
-    wants, done = left.wants[:, *at], np.broadcast_to(left.measured.spp, left.wants.shape)[:, *at]
+    wants, done, fewest = (each[:, *at] for each in (left.wants, left.measured.spp, left.fewest_spp))
     own = left.measured.variance[:, *at] * np.square(1.0 if kept is None else np.array(kept))[..., None, None, None]
     total, variance, limit = own.sum(axis=0), left.variance[at], left.limit[at]
 
     def reached(factor: float) -> float:
-        part = done / (done + 2 * next_spp(factor * wants - done, most_spp))
+        part = done / (done + 2 * next_spp(factor * wants - done, fewest, most_spp))
         kept_part = np.divide((part[..., None] * own).sum(axis=0), total, out=np.zeros_like(total), where=total > 0)
         return float(shares_at(share(kept_part * variance, limit), [percentile])[0].max())
 
@@ -224,12 +225,14 @@ def wanted_spp(
     return np.minimum(wanted, np.percentile(wanted, percentile, axis=(1, 2), keepdims=True))
 
 
-def next_spp(missing: FloatArray, most_spp: int) -> NDArray[np.int64]:
+def next_spp(
+    missing: FloatArray, fewest_spp: NDArray[Any] | int = FEWEST_OF_LAYERS, most_spp: int = MOST_SPP
+) -> NDArray[np.int64]:
     """Samples of each of the next two pictures where some are missing: one of ``STEPS``, or none where few are."""
     more = missing / 2
     steps = STEPS[STEPS <= most_spp]
     chosen = steps[np.minimum(np.searchsorted(steps, more), len(steps) - 1)]
-    return np.where(more > FEWEST_SPP / 2, chosen, 0)
+    return np.where(missing > fewest_spp, np.maximum(chosen, fewest_spp), 0)
 
 
 def allotted_spp(pilots: Sequence[Sums], mean: float) -> NDArray[np.int64]:
@@ -252,7 +255,7 @@ def allotted_spp(pilots: Sequence[Sums], mean: float) -> NDArray[np.int64]:
         return np.zeros(one.shape, np.int64)
 
     def spp(scale: float, pixels: slice) -> NDArray[np.int64]:
-        return next_spp(scale * one[:, pixels, pixels] - done[:, pixels, pixels], MOST_SPP)
+        return next_spp(scale * one[:, pixels, pixels] - done[:, pixels, pixels])
 
     low, high = np.log(np.array([1e-3, 1e6]) / one.mean())
     for _ in range(BISECTIONS):

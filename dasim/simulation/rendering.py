@@ -15,7 +15,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from dasim.camera import noise
+from dasim.camera import depth_blur, noise
 from dasim.camera.noise import Exposure
 from dasim.camera.specification import Camera
 from dasim.render import passes
@@ -26,7 +26,7 @@ from dasim.render.truth import Geometry
 from dasim.scene.mitsuba_scene import MitsubaScene
 from dasim.scene.specification import Scene
 from dasim.simulation import rendering_noise
-from dasim.simulation.adaptive_sampling import render_to_noise_target
+from dasim.simulation.adaptive_sampling import FEWEST_OF_LAYERS, FEWEST_SPP, render_to_noise_target
 from dasim.simulation.checks import check_finite, check_lit
 from dasim.simulation.rendering_noise import Picture
 from dasim.typing import Float32Array, FloatArray, Progress
@@ -261,10 +261,11 @@ def _adaptive_picture(
         arrays: list[Any] = [each[None] for each in ratios]
         return Picture(spp[[number]], *arrays)
 
+    fewest = np.where(_sees_several_depths(view), FEWEST_OF_LAYERS, FEWEST_SPP)
     result = render_to_noise_target(
         picture,
         lambda rate: sensor_variance(rate * view.light_level, camera, exposure) / view.light_level**2,
-        shape=(len(camera.stops), camera.sensor.height_px, camera.sensor.width_px),
+        np.repeat(fewest[None], len(camera.stops), axis=0),
         target=sampling.noise_share,
         percentile=sampling.noise_at,
         kept=[1 - stop.glare_share for stop in camera.stops],
@@ -279,6 +280,17 @@ def _adaptive_picture(
         "rendering_noise_at": sampling.noise_at,
     }
     return LensPicture(rate, variance, result.measured.spp, described)
+
+
+def _sees_several_depths(view: View) -> NDArray[np.bool_]:
+    """Mask [h, w] of the pixels that may get light from several depths, by the depths at the pixel centres; those that
+    objects beside the frame may reach are among them.
+    """
+    mask = depth_blur.boundary(view.blur_px)
+    border = int(np.ceil(view.reach_px / 2))
+    for side in (mask, mask.T):
+        side[:border] = side[-border:] = True
+    return mask
 
 
 def sensor_variance(rate: FloatArray, camera: Camera, exposure: Exposure) -> FloatArray:

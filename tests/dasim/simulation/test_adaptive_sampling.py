@@ -11,6 +11,7 @@ from dasim.simulation.rendering_noise import Picture, add, measured, no_pairs
 
 FRAME = (2, 60, 80)
 SHAPE = (*FRAME, 4)
+FEW = np.full(FRAME, 8)
 MEAN_E = np.array([400.0, 900.0, 100.0, 50.0])
 MEDIAN = 0.1  # relative; the median of 4,800 absolute differences is known to 2 %, a pair's worth to 3 %
 
@@ -58,7 +59,7 @@ def test_the_noise_target_is_met_and_the_stated_noise_is_true():
     Expectation: below the share that was asked for; the error of the result, known here, is what is stated.
     """
     calls: list = []
-    result = render_to_noise_target(by_stop(pictures((2.0, 1.0), calls)), poisson, shape=FRAME)
+    result = render_to_noise_target(by_stop(pictures((2.0, 1.0), calls)), poisson, FEW)
     assert max(result.share) <= adaptive_sampling.NOISE_SHARE
     finest = max(finer for *_, finer in calls)
     np.testing.assert_array_equal(
@@ -77,7 +78,7 @@ def test_a_target_that_the_pilot_misses_is_met_with_few_more():
     target, and not below nine tenths of it.
     """
     calls: list = []
-    result = render_to_noise_target(by_stop(pictures((1.0, 1.0), calls, slope=0.5)), poisson, shape=FRAME)
+    result = render_to_noise_target(by_stop(pictures((1.0, 1.0), calls, slope=0.5)), poisson, FEW)
     assert len(calls) == 8
     assert 0.9 < max(result.share) / adaptive_sampling.NOISE_SHARE <= 1.0
 
@@ -91,7 +92,7 @@ def test_noisy_pixels_get_the_samples():
     loud = np.zeros(FRAME[1:], bool)
     loud[:, :8] = True
     noisy = pictures((0.3, 0.3), [], loud=loud)
-    high, median = (render_to_noise_target(by_stop(noisy), poisson, shape=FRAME, percentile=at) for at in (95.0, 50.0))
+    high, median = (render_to_noise_target(by_stop(noisy), poisson, FEW, percentile=at) for at in (95.0, 50.0))
     assert max(high.share) <= adaptive_sampling.NOISE_SHARE
     spp = high.measured.spp[0]
     assert spp[:, :6].mean() > 5 * spp[:, 12:].mean()
@@ -117,7 +118,7 @@ def test_choosing_samples_by_the_noise_leaves_no_bias():
 
     means = []
     for frame in range(12):
-        result = render_to_noise_target(by_stop(frame_of(frame)), poisson, shape=FRAME, percentile=95)
+        result = render_to_noise_target(by_stop(frame_of(frame)), poisson, FEW, percentile=95)
         assert len(np.unique(result.measured.spp)) > 2
         means.append(result.measured.rate.sum(axis=0).mean(axis=(0, 1)) / MEAN_E)
     z = (np.mean(means, axis=0) - 1) / (np.std(means, axis=0, ddof=1) / np.sqrt(12))
@@ -147,22 +148,43 @@ def test_the_factor_of_the_variate_lowers_the_noise_and_leaves_the_mean():
 
 def test_a_quiet_scene_takes_the_first_pair_alone():
     calls: list = []
-    result = render_to_noise_target(by_stop(pictures((0.01, 0.01), calls)), poisson, shape=FRAME)
+    result = render_to_noise_target(by_stop(pictures((0.01, 0.01), calls)), poisson, FEW)
     assert [index for index, *_ in calls] == [0, 1] and set(result.measured.spp.ravel()) == {16}
+
+
+def test_every_picture_has_the_fewest_samples_of_each_pixel():
+    """Rationale: pixels that see several depths are biased by few samples; the others take fewer.
+
+    Set-up: half of the frame needs 8 samples, half of it 4, with the noise of one sample alike.
+
+    Expectation: the pilot takes these; further pictures take as many, or more, or none; the target is met with fewer
+    samples than if all pixels needed 8, and with 4 where 4 are enough.
+    """
+    fewest = np.where(np.arange(FRAME[2]) < 40, 8, 4) * np.ones(FRAME, int)
+    for size, quiet in ((0.35, False), (0.04, True)):
+        calls: list = []
+        noisy = pictures((size, size), calls, slope=0.5)
+        mixed, equal = (render_to_noise_target(by_stop(noisy), poisson, few) for few in (fewest, np.full(FRAME, 8)))
+        np.testing.assert_array_equal(calls[0][1], fewest)
+        for _, spp, _ in calls:
+            assert ((spp >= fewest) | (spp == 0)).all()
+        assert max(mixed.share) <= adaptive_sampling.NOISE_SHARE
+        assert mixed.measured.spp.mean() < equal.measured.spp.mean()
+        assert quiet == (len(calls) == 4) and (not quiet or set(mixed.measured.spp[:, :, 40:].ravel()) == {8})
 
 
 def test_a_smaller_share_takes_more_samples():
     """Expectation: half the noise takes two to three times the samples; powers of two blur that."""
     noisy = pictures((2.0, 2.0), [])
     counts = [
-        render_to_noise_target(by_stop(noisy), poisson, shape=FRAME, target=share).measured.spp.mean()
+        render_to_noise_target(by_stop(noisy), poisson, FEW, target=share).measured.spp.mean()
         for share in (0.4, 0.2, 0.1)
     ]
     assert counts[0] < counts[1] < counts[2]
 
 
 def test_the_most_samples_end_it():
-    result = render_to_noise_target(by_stop(pictures((50.0, 50.0), [])), poisson, shape=FRAME, most_spp=16)
+    result = render_to_noise_target(by_stop(pictures((50.0, 50.0), [])), poisson, FEW, most_spp=16)
     assert result.measured.spp.max() <= 16 * 2 * adaptive_sampling.MOST_ROUNDS
     assert max(result.share) > adaptive_sampling.NOISE_SHARE
 
@@ -171,7 +193,7 @@ def test_no_light_and_no_noise_need_no_more():
     def dark(index, spp, finer=1):
         return Picture(spp, np.zeros(SHAPE), np.zeros(SHAPE))
 
-    result = render_to_noise_target(by_stop(dark), poisson, shape=FRAME)
+    result = render_to_noise_target(by_stop(dark), poisson, FEW)
     assert result.share == (0, 0, 0, 0) and set(result.measured.spp.ravel()) == {16}
 
 
@@ -208,10 +230,10 @@ def test_many_samples_are_asked_for_in_parts(monkeypatch):
     for part in (adaptive_sampling.PART_OF_FAR, 1.0):
         monkeypatch.setattr(adaptive_sampling, "PART_OF_FAR", part)
         calls: list = []
-        result = render_to_noise_target(by_stop(pictures((1.0, 1.0), calls, slope=0.65)), poisson, shape=FRAME)
+        result = render_to_noise_target(by_stop(pictures((1.0, 1.0), calls, slope=0.65)), poisson, FEW)
         shares.append(max(result.share))
         spp.append(result.measured.spp.mean())
-    assert spp[1] > 2 * adaptive_sampling.FAR * adaptive_sampling.PILOT_SPP
+    assert spp[1] > 2 * adaptive_sampling.FAR * FEW.max()
     assert spp[0] < 0.6 * spp[1]
     assert 0.7 * adaptive_sampling.NOISE_SHARE < shares[0] <= adaptive_sampling.NOISE_SHARE
 
@@ -224,6 +246,7 @@ def test_a_pilot_without_noise_asks_for_no_more():
 
 
 IRRADIANCE_FRAME = (1, 120, 160)
+FEW_OF_IRRADIANCE = np.full(IRRADIANCE_FRAME, 8)
 
 
 def irradiance_pictures(own, shared, calls):
@@ -251,7 +274,7 @@ def test_noise_of_the_irradiance_asks_for_more_directions_not_for_samples():
     what is stated is the error of the mean.
     """
     calls: list = []
-    result = render_to_noise_target(by_stop(irradiance_pictures(0.3, 0.6, calls)), poisson, shape=IRRADIANCE_FRAME)
+    result = render_to_noise_target(by_stop(irradiance_pictures(0.3, 0.6, calls)), poisson, FEW_OF_IRRADIANCE)
     assert [finer for finer, _ in calls[:2]] == [1, 1] and calls[2][0] >= 16
     assert result.measured.spp.max() <= 32
     assert max(result.share) <= 1.1 * adaptive_sampling.NOISE_SHARE
@@ -268,14 +291,14 @@ def test_many_samples_have_a_finer_irradiance_and_another_pilot():
     calls: list = []
     fine, coarse = irradiance_pictures(1.5, 0.0, calls), irradiance_pictures(15.0, 0.0, calls)
     picture = lambda index, spp, finer: (fine if finer > 1 else coarse)(index, spp, finer)  # noqa: E731
-    result = render_to_noise_target(by_stop(picture), poisson, shape=IRRADIANCE_FRAME)
+    result = render_to_noise_target(by_stop(picture), poisson, FEW_OF_IRRADIANCE)
     wanted = (1.5 / adaptive_sampling.NOISE_SHARE) ** 2
     assert [finer for finer, _ in calls[:2]] == [1, 1] and len({finer for finer, _ in calls[2:]}) == 1
-    assert calls[2][0] > 1 and set(calls[2][1].ravel()) == {adaptive_sampling.PILOT_SPP}
+    assert calls[2][0] > 1 and set(calls[2][1].ravel()) == {8}
     assert result.measured.spp.mean() < 2 * wanted
     assert max(result.share) <= adaptive_sampling.NOISE_SHARE
     calls.clear()
-    render_to_noise_target(by_stop(fine), poisson, shape=IRRADIANCE_FRAME)
+    render_to_noise_target(by_stop(fine), poisson, FEW_OF_IRRADIANCE)
     assert {finer for finer, _ in calls} == {1}
 
 
@@ -288,7 +311,7 @@ def test_noise_of_the_irradiance_that_the_pilot_could_not_see_is_found_later(mon
     """
     monkeypatch.setattr(adaptive_sampling, "RAYS_PER_FINENESS", 1e9)
     calls: list = []
-    result = render_to_noise_target(by_stop(irradiance_pictures(20.0, 0.4, calls)), poisson, shape=IRRADIANCE_FRAME)
+    result = render_to_noise_target(by_stop(irradiance_pictures(20.0, 0.4, calls)), poisson, FEW_OF_IRRADIANCE)
     assert [finer for finer, _ in calls[:4]] == [1, 1, 1, 1] and calls[4][0] >= 8
     assert max(result.share) <= adaptive_sampling.NOISE_SHARE
     fine = np.sum([spp for finer, spp in calls if finer > 1], axis=0)
@@ -305,7 +328,7 @@ def test_pixels_that_have_the_most_samples_do_not_make_others_take_more():
     loud[:, :20] = True
     calls: list = []
     noisy = pictures((0.3, 0.3), calls, slope=0.5, loud=loud, louder=40.0)
-    result = render_to_noise_target(by_stop(noisy), poisson, shape=FRAME, percentile=95)
+    result = render_to_noise_target(by_stop(noisy), poisson, FEW, percentile=95)
     spp = result.measured.spp[0]
     # Half of the variance each: (0.3 x 900 / 2)^2 / n = 0.25^2 x 900 / 2 in green.
     assert np.median(spp[~loud]) < 2 * (0.3 * 900 / 2 / 0.25) ** 2 / 450
