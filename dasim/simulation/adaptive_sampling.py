@@ -41,7 +41,8 @@ from dasim.typing import FloatArray
 
 NOISE_SHARE = 0.25  # of the sensor's noise: raises the noise of a capture by 3 %
 NOISE_AT = 50.0  # percentile of the pixels at which the share is meant: the median
-# Samples per pixel and stop of each picture. With 4, pixels that see several depths are up to 1 % off.
+# Samples per pixel and stop of each picture: fewest where one depth is seen, and fewest from which layers in depth are
+# separated. With 4, pixels that see several depths are up to 1 % off.
 FEWEST_SPP, FEWEST_OF_LAYERS, MOST_SPP = 4, 8, 4096
 # Allowed sample counts: powers of two, for which Sobol' points are most even, and the values halfway between them.
 STEPS = np.array(sorted({*(4 << k for k in range(11)), *(6 << k for k in range(10))}))

@@ -217,9 +217,11 @@ def stop_picture(
     label: str = "",
     *,
     in_focus: bool = False,
+    layers_from: int = 1,
 ) -> Ratios:
     """The picture through a stop, by its number, of ``spp`` samples, [h, w] or [1, 1], before glare.
 
+    The layers of pixels with fewer samples than ``layers_from`` are not separated.
     With ``in_focus``, all depths are in focus; the control variates of ``sharp`` must then be for this case.
     """
     stop = view.camera.stops[number]
@@ -228,7 +230,7 @@ def stop_picture(
         view.world.scene,
         view.camera,
         stop,
-        passes.Sampling(spp if spp.size > 1 else int(spp[0, 0]), seed, report),
+        passes.Sampling(spp if spp.size > 1 else int(spp[0, 0]), seed, report, layers_from),
         diffraction=view.diffraction,
         max_blur_px=view.reach_px,
         illuminant=view.illuminant,
@@ -257,7 +259,9 @@ def _adaptive_picture(
         if finer not in of_pictures:
             of_pictures[finer] = irradiance(view, sampling, 2, finer=finer), irradiance(view, sampling, 3, finer=finer)
         field, label, seed = of_pictures[finer][index % 2], f", picture {index + 1}", picture_seed(sampling.seed, index)
-        ratios = stop_picture(view, sharp, number, field, spp[number], seed, progress, label)
+        ratios = stop_picture(
+            view, sharp, number, field, spp[number], seed, progress, label, layers_from=FEWEST_OF_LAYERS
+        )
         arrays: list[Any] = [each[None] for each in ratios]
         return Picture(spp[[number]], *arrays)
 
