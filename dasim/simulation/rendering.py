@@ -224,13 +224,13 @@ def stop_picture(
     The layers of pixels with fewer samples than ``layers_from`` are not separated.
     With ``in_focus``, all depths are in focus; the control variates of ``sharp`` must then be for this case.
     """
-    stop = view.camera.stops[number]
+    stop, is_even = view.camera.stops[number], spp.size == 1 or view.variant.startswith("scalar")
     report = partial(progress, f"rendering through stop '{stop.name}'{label}")
     picture = passes.stop_ratios(
         view.world.scene,
         view.camera,
         stop,
-        passes.Sampling(spp if spp.size > 1 else int(spp[0, 0]), seed, report, layers_from),
+        passes.Sampling(int(spp[0, 0]) if is_even else spp, seed, report, layers_from),
         diffraction=view.diffraction,
         max_blur_px=view.reach_px,
         illuminant=view.illuminant,
@@ -259,11 +259,12 @@ def _adaptive_picture(
         if finer not in of_pictures:
             of_pictures[finer] = irradiance(view, sampling, 2, finer=finer), irradiance(view, sampling, 3, finer=finer)
         field, label, seed = of_pictures[finer][index % 2], f", picture {index + 1}", picture_seed(sampling.seed, index)
-        ratios = stop_picture(
-            view, sharp, number, field, spp[number], seed, progress, label, layers_from=FEWEST_OF_LAYERS
-        )
+        own = spp[number]
+        if view.variant.startswith("scalar"):  # as many everywhere, and at least one
+            own = np.full_like(own, max(np.ceil(own.mean()), 1))
+        ratios = stop_picture(view, sharp, number, field, own, seed, progress, label, layers_from=FEWEST_OF_LAYERS)
         arrays: list[Any] = [each[None] for each in ratios]
-        return Picture(spp[[number]], *arrays)
+        return Picture(own[None], *arrays)
 
     fewest = np.where(_sees_several_depths(view), FEWEST_OF_LAYERS, FEWEST_SPP)
     result = render_to_noise_target(

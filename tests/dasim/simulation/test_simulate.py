@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 from scipy.ndimage import convolve
@@ -268,6 +271,22 @@ def test_crosstalk_reaches_the_raw_numbers_and_not_the_truth(shot, scene):
     z = ((electrons - mean) / np.sqrt(mean))[mean < 5500]
     assert abs(z.mean()) < 5 / np.sqrt(z.size)
     assert z.var() == pytest.approx(1.0, abs=RAW_LIMIT)
+
+
+def test_auto_renders_without_llvm():
+    """Rationale: the stock plugins of ``scalar_spectral`` take as many samples in all pixels; ``auto`` asked them for
+    samples by pixel, and failed.
+
+    Expectation: in a process of its own, the target is met, with whole numbers of samples.
+    """
+    code = (
+        "import dasim; camera = dasim.cropped(dasim.load_camera('da-mobile'), 24, 16);"
+        "shot = dasim.simulate('desk', camera, spp='auto', noise_share=0.6, variant='scalar_spectral');"
+        "about = shot.capture.provenance; assert about['renderer'] == 'scalar_spectral';"
+        "assert max(about['rendering_noise_share_reached'].values()) <= 0.6, about;"
+        "assert all(count % 1 == 0 for count in about['spp'].values()), about"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True, timeout=300)
 
 
 @pytest.mark.slow
