@@ -292,7 +292,7 @@ def _sees_several_depths(view: View) -> NDArray[np.bool_]:
     objects beside the frame may reach are among them.
     """
     mask = depth_blur.boundary(view.blur_px)
-    border = int(np.ceil(view.reach_px / 2))
+    border = int(np.ceil(view.reach_px / 2)) + 1  # as the discs of the boundary; a border of 0 would be all
     for side in (mask, mask.T):
         side[:border] = side[-border:] = True
     return mask
