@@ -16,11 +16,12 @@ from dasim.typing import Float32Array, FloatArray, Progress
 from dasim.values import Capture, PsfBank, Reconstruction, Side
 from recon import levels
 from recon.calibration.fit import check_fits, place_notes
-from recon.depth import raw_levels
+from recon.depth import raw_levels, upsampling
 from recon.depth.method import Method, method_name, on_blocks, run_method
 from recon.depth.peak import confidence_of
 from recon.depth.regularise import regularise
 from recon.depth.side import side_note
+from recon.depth.upsampling import Levels
 from recon.picture import colour, denoise, field, mosaic
 from recon.picture import develop as picture
 from recon.picture.field import Separation
@@ -77,16 +78,20 @@ def reconstruct(
             guide = _infrared_guide(captured.ir_e, mosaic.noise_variance(capture, "IR"))
             smooth = regularise(found.level, found.confidence, guide, settings.regularise_bandwidth)
             found = found._replace(level=smooth[0], confidence=smooth[1])
-        level, confidence = _on_pixels(found.level, found.confidence, captured.ir_e.shape)
+        blocks = Levels(found.level, found.confidence)
+        pixels = upsampling.interpolated(blocks, captured.ir_e.shape)
     captured = captured._replace(ir_e=np.maximum(field.infrared_as_on_axis(captured.ir_e, separation), 0))
     with stage("sharpen"):
         frame = all_in_focus.Frame(
             picture.shaded(linear.raw_e, linear.gain), captured.linear_e, captured.ir_e, captured.clipped,
-            picture.shaded_variances(variances, linear.gain, camera), level, confidence, separation, camera, white,
+            picture.shaded_variances(variances, linear.gain, camera), *pixels, separation, camera, white,
         )  # fmt: skip
         del linear, variances  # limits the memory of large frames
         sharp_e = all_in_focus.all_in_focus(frame, on_axis, light, settings, tile_px)
         del frame
+        # After sharpening, which is better with levels that change gradually: a wrong side costs more than a ramp.
+        upsampling.take_sides(pixels, blocks, captured.linear_e, captured.ir_e)
+        level, confidence = pixels
     with stage("colour"):
         rgb, sharp_rgb = _coloured(captured.linear_e, sharp_e, colour.colour_matrix(camera, light, separation.on_axis))
     if progress:
@@ -189,17 +194,6 @@ def _infrared_guide(ir_e: Float32Array, noise: Variance) -> Float32Array:
     size = (ir_e.shape[1] // 2, ir_e.shape[0] // 2)
     blocks = np.asarray(cv2.resize(ir_e, size, interpolation=cv2.INTER_AREA), np.float32)
     return denoise.stabilise(blocks, noise)
-
-
-def _on_pixels(
-    level: Float32Array, confidence: Float32Array, shape: tuple[int, ...]
-) -> tuple[Float32Array, Float32Array]:
-    """Level and confidence of every pixel, [h, w], from the 2x2 blocks by linear interpolation."""
-    size = (shape[1], shape[0])
-    return (
-        np.asarray(cv2.resize(level, size, interpolation=cv2.INTER_LINEAR), np.float32),
-        np.asarray(cv2.resize(confidence, size, interpolation=cv2.INTER_LINEAR), np.float32),
-    )
 
 
 def _coloured(linear_e: Float32Array, sharp_e: Float32Array, matrix: FloatArray) -> tuple[Float32Array, Float32Array]:

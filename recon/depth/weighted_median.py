@@ -4,11 +4,14 @@ The level of a posterior is blurred where it is uncertain on which side of a dis
 replaces each level by the median of the levels around it, weighted by similarity in the picture, by distance and by
 certainty (Ma, He, Wei, Sun, Wu, "Constant time weighted median filtering for stereo matching and beyond", ICCV 2013).
 A few rounds turn ramps between two surfaces into discontinuities. Planes do not change, because the median of the
-levels around a sample of a plane is the level of the sample.
+levels around a sample of a plane is the level of the sample. A last step sharpens the ramps of a few samples that are
+left: a sample takes the largest or the smallest level beside it, whichever is closer (toggle mapping; Kramer and
+Bruckner, Pattern Recognition 7, 1975).
 """
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
 from numba import njit, prange
 
@@ -17,12 +20,15 @@ from dasim.typing import Float32Array
 # Chosen on the set ``tune``.
 # Radius of the neighbourhood and spacing of the samples used in it, for each round, in samples. The grid of samples
 # changes, because a fixed grid would leave its pattern.
-ROUNDS = ((20, 4), (18, 4), (18, 4), (10, 2))
+ROUNDS = ((20, 4), (18, 4), (18, 4), (10, 2), (4, 1))
 NEARNESS = 1.0  # standard deviation of the weight by distance, over the radius
 CONTRAST = 0.07  # of the weight by likeness, root mean square over the picture's channels
 LEAST_SD = 0.3  # levels, added in quadrature: limits the weight of certain levels
 LEAST_EXPONENT = -12.0  # of a weight; smaller ones do not count
 BINS = 128  # of a histogram, evenly in the square root of the level
+# Levels that differ by more than both, STEP_SHARE of the largest, belong to two surfaces.
+STEP_LEVELS, STEP_SHARE = 1.0, 0.1
+BESIDE = np.ones((3, 3), np.uint8)
 
 
 def filtered(level: Float32Array, sd: Float32Array, picture: Float32Array) -> Float32Array:
@@ -36,7 +42,14 @@ def filtered(level: Float32Array, sd: Float32Array, picture: Float32Array) -> Fl
     weight = np.asarray(1 / np.hypot(sd, LEAST_SD), np.float32)
     for radius, stride in ROUNDS:
         level = _round(level, weight, np.ascontiguousarray(picture, np.float32), radius, stride)
-    return level
+    return _sharpened(level)
+
+
+def _sharpened(level: Float32Array) -> Float32Array:
+    """The larger or the smaller of the levels around each sample, at steps; the same levels elsewhere."""
+    high, low = cv2.dilate(level, BESIDE), cv2.erode(level, BESIDE)
+    is_step = high - low > np.maximum(STEP_LEVELS, STEP_SHARE * high)
+    return np.where(is_step, np.where(level - low > high - level, high, low), level)
 
 
 @njit(fastmath=True, cache=True, parallel=True)

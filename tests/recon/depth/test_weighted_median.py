@@ -35,6 +35,13 @@ def test_a_blurred_step_moves_to_the_edge_of_the_picture():
     assert np.diff(inner, axis=1).max(axis=1).min() > 2
 
 
+def test_a_short_ramp_becomes_a_step():
+    """Set-up: a ramp over 4 samples, at the edge of the picture. Expectation: no level between those of both sides."""
+    level = filtered(ramp(EDGE - 0.5, 4.0), np.full(SHAPE, 0.5, np.float32), two_surfaces())[10:-10, 5:-5]
+    is_between = (level > 3) & (level < 7)
+    assert is_between.mean() < 0.002
+
+
 def test_a_plane_stays_a_plane():
     """Set-up: a slanted plane under a picture of noise. Expectation: errors below 0.2 levels, also at the border."""
     y, x = np.indices(SHAPE, np.float32)
@@ -60,9 +67,22 @@ def test_levels_that_are_known_prevail():
 
 
 def test_a_sample_that_is_like_no_other_keeps_its_level():
-    """Set-up: a picture in which all samples differ by far. Expectation: levels stay, to a bin of the histogram."""
-    level = np.random.default_rng(3).uniform(0, 9, SHAPE).astype(np.float32)
+    """Set-up: a slanted plane under a picture in which all samples differ by far. Expectation: levels stay, to a bin of
+    the histogram.
+    """
+    y, x = np.indices(SHAPE, np.float32)
+    level = 1 + 0.08 * x + 0.03 * y
     picture = np.random.default_rng(4).normal(0, 50, (*SHAPE, 4)).astype(np.float32)
     found = filtered(level, np.full(SHAPE, 0.5, np.float32), picture)
     assert np.isfinite(found).all()
     assert np.abs(found - level).max() < 0.1
+
+
+def test_of_noise_each_sample_takes_a_level_beside_it():
+    """Set-up: levels without any order, likewise. Expectation: every sample has one of the nine levels around it."""
+    level = np.random.default_rng(3).uniform(0, 9, SHAPE).astype(np.float32)
+    picture = np.random.default_rng(4).normal(0, 50, (*SHAPE, 4)).astype(np.float32)
+    found = filtered(level, np.full(SHAPE, 0.5, np.float32), picture)
+    padded = np.pad(level, 1, mode="edge")
+    beside = [padded[dy : dy + SHAPE[0], dx : dx + SHAPE[1]] for dy in range(3) for dx in range(3)]
+    assert np.abs(found - np.stack(beside)).min(axis=0).max() < 0.1
