@@ -14,12 +14,12 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 from numba import njit, prange
-from numpy.typing import NDArray
 
 from dasim.typing import Float32Array
 from recon.depth.weighted_median import STEP_LEVELS, STEP_SHARE
 
-CONTRAST = 0.07  # of the weight by likeness, root mean square over the logarithms of the channels; 0.03 to 0.07 tie on ``tune``
+# 0.03 to 0.07 tie on ``tune``.
+CONTRAST = 0.07  # of the weight by likeness, root mean square over the logarithms of the channels
 REACH = 2  # distance in blocks at which the weight by distance, a tent, falls to 0
 FLOOR_SHARE, FLOOR_E = 0.02, 1.0  # of the mean of a channel, and electrons: added before the logarithm
 LEAST_WEIGHT = np.float32(1e-9)  # by likeness: with no block alike, the nearest one is taken
@@ -82,7 +82,8 @@ def _take_sides(  # pragma: no cover - compiled
             for i in range(max(row + 1 - REACH, 0), min(row + REACH + 1, rows)):
                 for j in range(max(column + 1 - REACH, 0), min(column + REACH + 1, columns)):
                     low, high = min(low, level[i, j]), max(high, level[i, j])
-            if high - low <= max(STEP_LEVELS, STEP_SHARE * max(abs(low), abs(high))):
+            step = float(high - low)
+            if step <= STEP_LEVELS or step <= STEP_SHARE * abs(low) or step <= STEP_SHARE * abs(high):
                 continue
             _log_around(y, x, linear_e, ir_e, floor, own)
             sums[:] = 0

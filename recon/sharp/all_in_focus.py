@@ -19,7 +19,8 @@ from recon.depth.peak import sd_of
 from recon.picture import develop, field, mosaic
 from recon.picture.field import Separation
 from recon.settings import Settings
-from recon.sharp import consistency, layers, lost_detail, restoration, sharpen
+from recon.sharp import consistency, false_detail, layers, lost_detail, restoration, sharpen
+from recon.sharp.samples import Samples
 
 INTERPOLATED_NOISE_SHARE = 0.7  # noise after interpolation relative to the sensor's, standard deviations
 GRAINY_LEVEL = 3.0  # level from which on eq. (15) is solved for the picture without noise reduction alone
@@ -72,7 +73,7 @@ def all_in_focus(
         if settings.sharpen_consistency:
             sd = sd_of(frame.confidence).astype(np.float32)
             consistency.add_unexplained(sharp_e, stack, frame.level, sd, kernels, noise_e, focus=focus, tile_px=tile)
-        _restore_detail(sharp_e, frame, seen_e, float(bank.blur_px[1]))
+        _agree_with_samples(sharp_e, frame, seen_e, float(bank.blur_px[1]))
         _fade_to_captured(sharp_e, frame)
     else:
         sharp = _deconvolved(stack, frame, kernels, noise_e, focus, settings, tile)
@@ -161,21 +162,23 @@ def _soften_in_focus(stack: Float32Array, linear_e: Float32Array, ir_e: Float32A
         stack[index] = smooth_e + grain * (stack[index] - smooth_e)
 
 
-def _restore_detail(sharp_e: Float32Array, frame: Frame, stack: Float32Array, px_per_level: float) -> None:
-    """Restore detail near focus that the samples of the :func:`channels` show and the picture lacks, in place.
+def _agree_with_samples(sharp_e: Float32Array, frame: Frame, stack: Float32Array, px_per_level: float) -> None:
+    """Near focus, take detail from the picture that the samples of the :func:`channels` do not confirm, and restore
+    detail that they show and the picture lacks, in place.
 
     Channels sampled at every fourth pixel, red and blue of the 4x4 mosaic, are left unchanged: their samples are too
     sparse to determine the detail between them.
     """
     grids = mosaic.grids(frame.camera)
     infrared = INTERPOLATED_NOISE_SHARE**2 * frame.variances["IR"]
-    samples: list[lost_detail.Samples | None] = []
+    samples: list[Samples | None] = []
     for index, (name, row) in enumerate(zip("RGB", frame.separation.on_axis, strict=True)):
         if grids[name][0].step == mosaic.PERIOD_PX:
             samples.append(None)
             continue
         variance = (row[index] ** 2 * frame.variances[name] + row[3] ** 2 * infrared).astype(np.float32)
-        samples.append(lost_detail.Samples(mosaic.sites(grids[name], frame.level.shape), stack[index], variance))
+        samples.append(Samples(mosaic.sites(grids[name], frame.level.shape), stack[index], variance))
+    false_detail.remove(sharp_e, samples, frame.linear_e, frame.level, px_per_level)
     lost_detail.restore(sharp_e, samples, frame.level, sd_of(frame.confidence).astype(np.float32), px_per_level)
     np.maximum(sharp_e, 0, out=sharp_e)  # restored detail may be negative in dark areas
 

@@ -18,28 +18,14 @@ Tested in tests/recon/sharp/test_lost_detail.py.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import cv2
 import numpy as np
 
-from dasim.typing import BoolArray, Float32Array
+from dasim.typing import Float32Array
+from recon.sharp.samples import Samples, between, blurs, change_near_focus, place, window_means
 
-# Both chosen on ``tune``.
-WINDOW_PX = 7.0  # sigma
-LEVELS = (0.5, 2.5)  # full weight up to the first level, none from the second on
-DISC = 0.25  # standard deviation of a disc along an axis, over its diameter
-SIGMAS_PX = np.arange(0.0, 1.3, 0.25)  # of the blurs that B f is interpolated from
 BILINEAR = np.outer([0.5, 1.0, 0.5], [0.5, 1.0, 0.5]).astype(np.float32)  # between samples at every second pixel
-STRIP_PX, HALO_PX = 256, 36  # rows at a time, even, and rows around them that they depend on
-
-
-class Samples(NamedTuple):
-    """The mosaic's samples of a channel."""
-
-    sites: BoolArray  # pixels that it was sampled at, [h, w]
-    value_e: Float32Array  # [h, w] electrons, read at the sites alone
-    variance: Float32Array  # of the noise, [h/2, w/2]
 
 
 def restore(
@@ -59,49 +45,23 @@ def restore(
         sd: its standard deviation, [h, w].
         px_per_level: diameter of visible blur per level.
     """
-    height = len(level)
-    above = sharp_e[:0]  # original values of rows that the previous strip has changed
-    for top in range(0, height, STRIP_PX):
-        bottom = min(top + STRIP_PX, height)
-        first, last = top - len(above), min(bottom + HALO_PX, height)
-        rows = slice(first, last)
-        strip = np.concatenate([above, sharp_e[top:last]])
-        above = sharp_e[max(bottom - HALO_PX, 0) : bottom].copy()
-        size = np.abs(level[rows]).astype(np.float32)
-        if size[top - first : bottom - first].min() >= LEVELS[1]:
-            continue
-        halves = slice(first // 2, -(-last // 2))
-        least, lost = np.full(strip.shape, np.inf, np.float32), np.zeros_like(strip)
-        places = [_place(np.float32(DISC * px_per_level) * blur) for blur in (size, size + sd[rows])]
-        for channel, whole in enumerate(samples):
-            if whole is None:
+
+    def lost(strip: Float32Array, own: list[Samples | None], rows: slice) -> Float32Array:
+        size, spread = np.abs(level[rows]).astype(np.float32), sd[rows]
+        least, result = np.full(strip.shape, np.inf, np.float32), np.zeros_like(strip)
+        places = [place(blur, px_per_level) for blur in (size, size + spread)]
+        for channel, one in enumerate(own):
+            if one is None:
                 continue
-            one = Samples(whole.sites[rows], whole.value_e[rows], whole.variance[halves])
-            blurs = _blurs(strip[..., channel])
-            for place in places:
-                share, difference = _unexplained(one, _between(blurs, place))
+            of_channel = blurs(strip[..., channel])
+            for at in places:
+                share, difference = _unexplained(one, between(of_channel, at))
                 better = share < least[..., channel]
                 np.copyto(least[..., channel], share, where=better)
-                np.copyto(lost[..., channel], share * difference, where=better)
-        lost *= np.interp(size, LEVELS, (1, 0)).astype(np.float32)[..., None]
-        sharp_e[top:bottom] += lost[top - first : bottom - first]
+                np.copyto(result[..., channel], share * difference, where=better)
+        return result
 
-
-def _place(sigma_px: Float32Array) -> Float32Array:
-    """Fractional index among ``SIGMAS_PX``, the last for larger ones."""
-    return np.minimum(sigma_px / np.float32(SIGMAS_PX[1]), np.float32(len(SIGMAS_PX) - 1))
-
-
-def _blurs(image: Float32Array) -> list[Float32Array]:
-    """An image [h, w] blurred by each of ``SIGMAS_PX``."""
-    image = np.ascontiguousarray(image)
-    return [image, *(np.asarray(cv2.GaussianBlur(image, (0, 0), float(sigma)), np.float32) for sigma in SIGMAS_PX[1:])]
-
-
-def _between(blurs: Sequence[Float32Array], place: Float32Array) -> Float32Array:
-    """Linear interpolation between images at the fractional index of each pixel, [h, w]."""
-    weights = (np.maximum(1 - np.abs(place - np.float32(number)), 0) for number in range(len(blurs)))
-    return np.asarray(sum(weight * blur for weight, blur in zip(weights, blurs, strict=True)), np.float32)
+    change_near_focus(sharp_e, samples, level, lost)
 
 
 def _unexplained(samples: Samples, blurred: Float32Array) -> tuple[Float32Array, Float32Array]:
@@ -111,11 +71,8 @@ def _unexplained(samples: Samples, blurred: Float32Array) -> tuple[Float32Array,
     mask = samples.sites.astype(np.float32)
     difference = mask * (samples.value_e - blurred)
     size, half = blurred.shape[::-1], samples.variance.shape[::-1]
-    squares, count = (cv2.resize(part, half, interpolation=cv2.INTER_AREA) for part in (difference**2, mask))
-    found, noise = (
-        cv2.GaussianBlur(part, (0, 0), WINDOW_PX / 2, borderType=cv2.BORDER_REFLECT)
-        for part in (squares, count * samples.variance)
-    )
+    count = cv2.resize(mask, half, interpolation=cv2.INTER_AREA)
+    found, noise = window_means([difference**2, count * samples.variance], samples.variance.shape)
     share = np.maximum(1 - noise / np.maximum(found, np.float32(1e-9)), 0)
     near, weight = (cv2.filter2D(part, -1, BILINEAR, borderType=cv2.BORDER_REFLECT) for part in (difference, mask))
     interpolated = near / np.maximum(weight, BILINEAR.min())

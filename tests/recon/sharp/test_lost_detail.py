@@ -7,6 +7,8 @@ import numpy as np
 import pytest
 
 from recon.sharp import lost_detail
+from recon.sharp import samples as of_mosaic
+from recon.sharp.samples import Samples
 
 HEIGHT, WIDTH = 96, 128
 SD = 30.0
@@ -35,7 +37,7 @@ def captured(stripes: float, seed: int = 0):
 def restored(picture, samples, sites, level, sd=0.1):
     changed = picture.copy()
     variance = np.full((HEIGHT // 2, WIDTH // 2), SD**2, np.float32)
-    channels = [lost_detail.Samples(mask, value, variance) for mask, value in zip(sites, samples, strict=True)]
+    channels = [Samples(mask, value, variance) for mask, value in zip(sites, samples, strict=True)]
     levels, sds = (np.full((HEIGHT, WIDTH), value, np.float32) for value in (level, sd))
     lost_detail.restore(changed, channels, levels, sds, PX_PER_LEVEL)
     return changed
@@ -47,7 +49,7 @@ def test_stripes_that_a_picture_lacks_come_back(sites):
     """
     samples, truth, flat = captured(5 * SD)
     assert np.abs(restored(flat, samples, sites, 0.0) - truth).mean() < 0.4 * np.abs(flat - truth).mean()
-    np.testing.assert_array_equal(restored(flat, samples, sites, lost_detail.LEVELS[1]), flat)
+    np.testing.assert_array_equal(restored(flat, samples, sites, of_mosaic.LEVELS[1]), flat)
 
 
 def test_noise_is_not_brought_back(sites):
@@ -62,7 +64,7 @@ def test_a_sharper_picture_than_the_captured_one_is_left(sites):
     """
     truth = np.full((HEIGHT, WIDTH, 3), 500.0, np.float32)
     truth[:, WIDTH // 2 :] = 1500.0
-    blurred = cv2.GaussianBlur(truth, (0, 0), lost_detail.DISC * PX_PER_LEVEL)
+    blurred = cv2.GaussianBlur(truth, (0, 0), of_mosaic.DISC * PX_PER_LEVEL)
     samples = np.moveaxis(blurred, -1, 0) + np.random.default_rng(1).normal(0, SD, (3, HEIGHT, WIDTH)).astype(
         np.float32
     )
@@ -75,7 +77,7 @@ def test_a_sharper_picture_than_the_captured_one_is_left(sites):
 def test_strips_leave_no_seams(sites, monkeypatch):
     samples, _, flat = captured(2 * SD)
     whole = restored(flat, samples, sites, 0.3)
-    monkeypatch.setattr(lost_detail, "STRIP_PX", 32)
+    monkeypatch.setattr(of_mosaic, "STRIP_PX", 32)
     np.testing.assert_allclose(restored(flat, samples, sites, 0.3), whole, atol=1e-3)
 
 
@@ -83,7 +85,7 @@ def test_a_channel_without_samples_is_left():
     """Expectation: what the 4x4 mosaic has of red is too far apart; the other channels are as with it."""
     random = np.random.default_rng(0)
     value = random.normal(1000, 100, (64, 64)).astype(np.float32)
-    samples = lost_detail.Samples(np.ones((64, 64), bool), value, np.ones((32, 32), np.float32))
+    samples = Samples(np.ones((64, 64), bool), value, np.ones((32, 32), np.float32))
     level = np.zeros((64, 64), np.float32)
     all_of_them, some = (np.full((64, 64, 3), 1000, np.float32) for _ in range(2))
     lost_detail.restore(all_of_them, [samples] * 3, level, level, 1.0)
