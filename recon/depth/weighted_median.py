@@ -7,6 +7,9 @@ A few rounds turn ramps between two surfaces into discontinuities. Planes do not
 levels around a sample of a plane is the level of the sample. A last step sharpens the ramps of a few samples that are
 left: a sample takes the largest or the smallest level beside it, whichever is closer (toggle mapping; Kramer and
 Bruckner, Pattern Recognition 7, 1975).
+
+On noisy slopes the filter leaves terraces. The result therefore follows it near the discontinuities that it found, and
+elsewhere the mean of its levels and those before it.
 """
 
 from __future__ import annotations
@@ -15,7 +18,7 @@ import cv2
 import numpy as np
 from numba import njit, prange
 
-from dasim.typing import Float32Array
+from dasim.typing import BoolArray, Float32Array
 
 # Chosen on the set ``tune``.
 # Radius of the neighbourhood and spacing of the samples used in it, for each round, in samples. The grid of samples
@@ -29,6 +32,9 @@ BINS = 128  # of a histogram, evenly in the square root of the level
 # Levels that differ by more than both, STEP_SHARE of the largest, belong to two surfaces.
 STEP_LEVELS, STEP_SHARE = 1.0, 0.1
 BESIDE = np.ones((3, 3), np.uint8)
+# Weight of the levels before the filter: 0 at a step, OWN_SHARE from REACH samples on, and half of it for a standard
+# deviation of UNSURE_SD levels.
+REACH, OWN_SHARE, UNSURE_SD = 6.0, 0.5, 8.0
 
 
 def filtered(level: Float32Array, sd: Float32Array, picture: Float32Array) -> Float32Array:
@@ -39,17 +45,31 @@ def filtered(level: Float32Array, sd: Float32Array, picture: Float32Array) -> Fl
         sd: their standard deviations, [h, w].
         picture: logarithms of the channels, [h, w, channel].
     """
-    weight = np.asarray(1 / np.hypot(sd, LEAST_SD), np.float32)
+    weight, found = np.asarray(1 / np.hypot(sd, LEAST_SD), np.float32), level
     for radius, stride in ROUNDS:
-        level = _round(level, weight, np.ascontiguousarray(picture, np.float32), radius, stride)
-    return _sharpened(level)
+        found = _round(found, weight, np.ascontiguousarray(picture, np.float32), radius, stride)
+    found = _sharpened(found)
+    own = np.interp(_distance(_is_step(found)), (0, REACH), (0, OWN_SHARE)) / (1 + (sd / UNSURE_SD) ** 2)
+    return np.asarray(found + own * (level - found), np.float32)
+
+
+def _is_step(level: Float32Array) -> BoolArray:
+    """Whether the levels around each sample belong to two surfaces, [h, w]."""
+    high, low = cv2.dilate(level, BESIDE), cv2.erode(level, BESIDE)
+    return np.asarray(high - low > np.maximum(STEP_LEVELS, STEP_SHARE * high))
+
+
+def _distance(mask: BoolArray) -> Float32Array:
+    """Distance of each sample from a mask, [h, w]; ``REACH`` at least if the mask is empty."""
+    if not mask.any():
+        return np.full(mask.shape, REACH, np.float32)
+    return np.asarray(cv2.distanceTransform((~mask).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE), np.float32)
 
 
 def _sharpened(level: Float32Array) -> Float32Array:
     """The larger or the smaller of the levels around each sample, at steps; the same levels elsewhere."""
     high, low = cv2.dilate(level, BESIDE), cv2.erode(level, BESIDE)
-    is_step = high - low > np.maximum(STEP_LEVELS, STEP_SHARE * high)
-    return np.where(is_step, np.where(level - low > high - level, high, low), level)
+    return np.where(_is_step(level), np.where(level - low > high - level, high, low), level)
 
 
 @njit(fastmath=True, cache=True, parallel=True)

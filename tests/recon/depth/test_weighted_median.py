@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from unittest import mock
+
 import numpy as np
 
+from recon.depth import weighted_median
 from recon.depth.weighted_median import filtered
 
 SHAPE = (60, 80)
@@ -49,6 +52,28 @@ def test_a_plane_stays_a_plane():
     picture = np.random.default_rng(2).normal(0, 0.05, (*SHAPE, 4)).astype(np.float32)
     level = filtered(plane, np.full(SHAPE, 0.5, np.float32), picture)
     assert np.abs(level - plane).max() < 0.2
+
+
+def test_slopes_keep_half_of_their_ripples_away_from_steps():
+    """Set-up: ripples of half a level on a slope, and a step of 6 levels with an edge in the picture. Expectation: from
+    twice the reach on, half of the levels' deviation from the filter's is left, and none of it at the step.
+    """
+    y, x = np.indices(SHAPE, np.float32)
+    level = 2 + 0.02 * x + 0.25 * np.sin(y / 3) + 6 * (x >= EDGE)
+    sd = np.full(SHAPE, 0.05, np.float32)
+    found = filtered(level, sd, two_surfaces())[8:-8]
+    whole = _with_share(level, sd, 0.0)[8:-8]
+    far = np.abs(np.arange(SHAPE[1]) - EDGE) >= 2 * weighted_median.REACH
+    expected = (level[8:-8] + whole) / 2
+    assert np.abs(found - expected)[:, far].max() < 1e-4
+    assert np.abs(whole - level[8:-8])[:, far].max() > 0.1
+    beside = slice(EDGE - 1, EDGE + 1)
+    np.testing.assert_allclose(found[:, beside], whole[:, beside], atol=1e-4)
+
+
+def _with_share(level: np.ndarray, sd: np.ndarray, share: float) -> np.ndarray:
+    with mock.patch.object(weighted_median, "OWN_SHARE", share):
+        return filtered(level, sd, two_surfaces())
 
 
 def test_levels_that_are_known_prevail():
