@@ -173,6 +173,7 @@ def release_memory() -> None:
     """
     import drjit
 
+    drjit.sync_thread()  # kernels that still run keep their arrays
     drjit.flush_malloc_cache()
     with contextlib.suppress(OSError, AttributeError, TypeError):  # glibc alone has it
         ctypes.CDLL(None).malloc_trim(0)

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from dasim.typing import FloatArray
+from dasim.typing import Float32Array, FloatArray
 
 AGREEMENT = 0.15  # largest relative difference of irradiance between neighbours
 SAME_NORMAL = 0.9  # cosine
@@ -77,7 +77,7 @@ class Nodes:
         return same & (np.abs(z[here] - z[there]) < apart * SAME_DEPTH * z[here])
 
 
-def smoothed(ratio: FloatArray, nodes: Nodes, spectra: FloatArray, apart: float) -> FloatArray:
+def smoothed(ratio: Float32Array, nodes: Nodes, spectra: FloatArray, apart: float) -> Float32Array:
     """Irradiance of each node, averaged with neighbours on the same surface that receive nearly the same.
 
     The noise of a node affects all pixels near it, and more samples per pixel do not reduce it. Each pass uses
@@ -108,12 +108,12 @@ def _mean_around(level: FloatArray, nodes: Nodes) -> FloatArray:
 
 
 def _averaged(
-    ratio: FloatArray, nodes: Nodes, level: FloatArray, step: int, aligned: float, agreement: float
-) -> FloatArray:
+    ratio: Float32Array, nodes: Nodes, level: FloatArray, step: int, aligned: float, agreement: float
+) -> Float32Array:
     """One pass of :func:`smoothed`: with pairs of neighbours ``step`` nodes away whose levels agree, and whose mean
     level differs from that of the node by less than the share ``agreement``.
     """
-    total, weight = 4 * ratio, np.full(len(level), 4.0)
+    weight, pairs = np.full(len(level), 4.0, np.float32), []
     for dy, dx in ((0, step), (step, 0), (step, step), (step, -step)):
         here, after = nodes.beside(dy, dx)
         before = nodes.beside(-dy, -dx)[1]
@@ -123,11 +123,17 @@ def _averaged(
         for there in pair:
             same &= np.abs(level[there] - level[here]) < AGREEMENT * level[here]
             same &= nodes.same_surface(here, there, aligned, step)
-        here, pair = here[same], (pair[0][same], pair[1][same])
         share = 1.0 if dy and dx else 2.0
-        total[here] += share * (ratio[pair[0]] + ratio[pair[1]])
-        weight[here] += 2 * share
-    return total / weight[:, None, None]
+        weight[here[same]] += 2 * share
+        pairs.append((share, here[same], pair[0][same], pair[1][same]))
+    result = np.empty_like(ratio)
+    for light in range(ratio.shape[1]):  # apart: with several lights, all of a large frame take gigabytes
+        own = ratio[:, light]
+        total = 4 * own
+        for share, here, before, after in pairs:
+            total[here] += share * (own[before] + own[after])
+        result[:, light] = total / weight[:, None]
+    return result
 
 
 def clamped(nodes: Nodes) -> FloatArray:
@@ -145,7 +151,7 @@ def clamped(nodes: Nodes) -> FloatArray:
     return near
 
 
-def even_nodes(ratio: FloatArray, nodes: Nodes, spectra: FloatArray) -> NDArray[np.bool_]:
+def even_nodes(ratio: Float32Array, nodes: Nodes, spectra: FloatArray) -> NDArray[np.bool_]:
     """Nodes whose neighbours on the same surface, two or more, receive nearly the same, in all wavelengths."""
     light, agrees = _bands(ratio, spectra), nodes.known
     count = np.zeros(len(agrees), int)
@@ -157,7 +163,7 @@ def even_nodes(ratio: FloatArray, nodes: Nodes, spectra: FloatArray) -> NDArray[
     return agrees & (count > 1)
 
 
-def _bands(ratio: FloatArray, spectra: FloatArray) -> FloatArray:
+def _bands(ratio: Float32Array, spectra: FloatArray) -> FloatArray:
     """Irradiance in four bands, [node, band]: means of eight wavelengths, since single ones are noisier. Lights count
     by their power in each of these bands.
     """
@@ -167,7 +173,7 @@ def _bands(ratio: FloatArray, spectra: FloatArray) -> FloatArray:
 
 
 def agreeing_cells(
-    ratio: FloatArray, surface: FloatArray, spectra: FloatArray, corners: NDArray[np.intp], agreement: float
+    ratio: Float32Array, surface: FloatArray, spectra: FloatArray, corners: NDArray[np.intp], agreement: float
 ) -> NDArray[np.bool_]:
     """Whether the four corners of each cell, [cell, 4], are all known, face the same way, and receive the same
     irradiance to within the fraction ``agreement`` at all wavelengths.

@@ -22,10 +22,10 @@ from dasim.render.irradiance_nodes import Nodes
 from dasim.render.lamps import from_all_around
 from dasim.render.light_paths import power_heuristic, radiance_by_light
 from dasim.render.light_spectra import NODES, Shares
-from dasim.render.plugin import aligned, texture
+from dasim.render.plugin import aligned, aligned_zeros, texture
 from dasim.render.sobol import Sobol, points
 from dasim.spectra import grid
-from dasim.typing import FloatArray
+from dasim.typing import Float32Array, FloatArray
 
 TILE = 4  # nodes along each side of a square whose directions are stratified together
 DIRECTIONS_PER_SAMPLE = 4  # directions of a point per sample of a pixel
@@ -77,23 +77,24 @@ def field(
         at_nm = light_spectra.FINE_NM
     lit = np.stack([np.interp(light_spectra.nodes_nm(), at_nm, curve) for curve in spectra])
     tracer = _Tracer(scene, integrator, lights.shares(), lit, start, px_per_m, frozen(_trace_points))
-    empty = lights.slots - len(spectra) if len(spectra) > 1 else 0
+    kinds = lights.slots if len(spectra) > 1 else 1
 
     def made(refined: NDArray[np.intp], found: _Found, grid_of_lamps: lamps.Grid | None) -> Field:
         number = np.zeros((rows - 1) * (columns - 1), np.uint32)
         number[refined] = np.arange(1, len(refined) + 1)
-        ratio = np.pad(found.ratio, ((0, 0), (0, empty), (0, 0)))
+        ratio = aligned_zeros((len(found.ratio), NODES, kinds))  # in place: with several lights, hundreds of megabytes
+        ratio[..., : len(spectra)] = np.moveaxis(found.ratio, -1, -2)
         return Field(
             start_px=start,
             px_per_m=px_per_m,
             shape=(rows, columns),
             refined=mi.UInt32(aligned(number)),
-            ratio=mi.Float(np.moveaxis(ratio, -1, -2).astype(np.float32).ravel()),
+            ratio=mi.Float(ratio.reshape(-1)),
             surface=mi.Float(found.surface.astype(np.float32).ravel()),
             usable=mi.UInt32(found.usable.astype(np.uint32)),
             even=mi.UInt32(found.even.astype(np.uint32)),
             light=floor,
-            spectra=texture(np.pad(spectra.T, ((0, 0), (0, empty)))),
+            spectra=texture(np.pad(spectra.T, ((0, 0), (0, kinds - len(spectra))))),
             spectrum_nodes=len(at_nm),
             share=_share(found.usable, number),
             lamps=grid_of_lamps,
@@ -114,12 +115,14 @@ def field(
     slots = numbers[places]
     parts = [slots[:, :-1, :-1], slots[:, :-1, 1:], slots[:, 1:, :-1], slots[:, 1:, 1:]]
     of_parts = np.stack(parts, axis=-1).reshape(-1, 4)  # corners of each part, [part, 4]
-    all_ratios = np.concatenate([of_grid.ratio, ratio])
-    fine = _found(all_ratios, both, of_parts, spectra, STRIDE_PX / PARTS / px_per_m, FINE_AGREEMENT)
+    ratio = np.concatenate([of_grid.ratio, ratio])
+    fine = _found(ratio, both, of_parts, spectra, STRIDE_PX / PARTS / px_per_m, FINE_AGREEMENT)
+    of_all = of_grid.followed_by(fine, slots.ravel())
+    del ratio, of_grid, fine
     order = np.concatenate([np.arange(len(slope)), slots.ravel()])
     all_corners = np.concatenate([corners, of_parts])
     of_lamps = lamps.grid_of(scene, both.slope, both.surface[:, :5], all_corners, order, len(corners), seed)
-    return made(refined, of_grid.followed_by(fine, slots.ravel()), of_lamps)
+    return made(refined, of_all, of_lamps)
 
 
 def _directions(spp: float) -> int:
@@ -131,20 +134,23 @@ def _directions(spp: float) -> int:
 class _Found(NamedTuple):
     """Results for nodes and cells, see :class:`Field`."""
 
-    ratio: FloatArray  # [node, light, wavelength]
+    ratio: Float32Array  # [node, light, wavelength]
     surface: FloatArray  # [node, 5]
     even: NDArray[np.bool_]
     usable: NDArray[np.bool_]  # of cells
 
     def followed_by(self, other: _Found, nodes: NDArray[np.intp]) -> _Found:
         """These results, followed by those of some ``nodes`` of ``other`` and of all its cells."""
-        pairs = zip(self[:3], other[:3], strict=True)
-        ratio, surface, even = (np.concatenate([own, values[nodes]]) for own, values in pairs)
-        return _Found(ratio, surface, even, np.concatenate([self.usable, other.usable]))
+        return _Found(
+            np.concatenate([self.ratio, other.ratio[nodes]]),
+            np.concatenate([self.surface, other.surface[nodes]]),
+            np.concatenate([self.even, other.even[nodes]]),
+            np.concatenate([self.usable, other.usable]),
+        )
 
 
 def _found(
-    ratio: FloatArray,
+    ratio: Float32Array,
     nodes: Nodes,
     corners: NDArray[np.intp],
     spectra: FloatArray,
@@ -233,7 +239,7 @@ class _Tracer:
 
     def trace(
         self, rows: NDArray[np.intp], columns: NDArray[np.intp], stride_px: float, directions: int, seed: int
-    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+    ) -> tuple[Float32Array, FloatArray, FloatArray]:
         """Irradiance of the nodes at ``rows`` and ``columns`` over the lights' spectra, [node, light, wavelength].
 
         Also returns their slopes and surfaces, see :class:`Nodes`. ``directions`` per node must be a power of two.
@@ -243,7 +249,7 @@ class _Tracer:
 
         places = np.column_stack([columns, rows])
         slopes: FloatArray = np.asarray((places * stride_px + self.start_px) / self.px_per_m, dtype=float)
-        received, met = np.zeros((len(rows), *self.lit.shape)), np.zeros((len(rows), 6))
+        received, met = np.zeros((len(rows), *self.lit.shape), np.float32), np.zeros((len(rows), 6))
         at_once = max(1, backend.lanes() // directions)
         each = dr.opaque(mi.UInt32, directions)
         sobol_key = np.random.SeedSequence((seed,)).generate_state(1)[0]
@@ -290,7 +296,7 @@ class _Rays:
 
 def _traced(
     traced: Callable[..., tuple[list[Any], list[Any]]], lit: tuple[Any, Any, Shares], rays: _Rays, directions: int
-) -> tuple[FloatArray, FloatArray]:
+) -> tuple[Float32Array, FloatArray]:
     """Trace the irradiance at the points where rays through the middle of the lens land.
 
     ``traced`` is :func:`_trace_points`, frozen or not, and ``lit`` holds scene, integrator and lights. Each direction
@@ -312,7 +318,7 @@ def _traced(
     sums = [np.array(dr.block_sum(value, block)).reshape(-1, groups) / block for value in values]
     geometry = np.stack([np.array(at) for at in about], axis=-1)
     irradiance = np.concatenate(sums, axis=1).reshape(-1, lit[2].count, NODES)
-    return irradiance.astype(float), geometry.astype(float)
+    return irradiance.astype(np.float32, copy=False), geometry.astype(float)
 
 
 def _trace_points(

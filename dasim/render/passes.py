@@ -19,6 +19,7 @@ from dasim.camera.sensor import principal_point
 from dasim.camera.specification import Camera
 from dasim.camera.stops import Stop, ring
 from dasim.render import (
+    backend,
     control_variate,
     focus_pictures,
     irradiance,
@@ -248,6 +249,7 @@ def sharp_pass(
     channels = pinhole.Channels([BANDS] * len(camera.stops), totals, in_focus.count, in_focus.collect)
     border = margin - focus_pictures.MARGIN_PX
     pictures = pinhole.pictures(mitsuba_scene, wider, sampling, cells, field, responses, channels, border)
+    backend.release_memory()
     falloff = radiometry.relative_illumination(camera)[..., None].astype(np.float32)
     for part in pictures.nodes:
         at_bands(part)

@@ -12,6 +12,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
@@ -122,21 +123,25 @@ def pictures(
     trace, seed = _node_pass(shared), sampling.block_seeds(None)
     pixels = np.arange(height * width).reshape(height, width)
     tiles = list(_tiles(height, width, border_px, sampling.spp))
-    for number, (rows, columns, is_border) in enumerate(tiles):
-        spp, last = (NODES, len(bands)) if is_border else (sampling.spp, responses.channels)
-        with_moments = range(len(bands), len(bands) + channels.collected)
-        light = _node_sums(trace, pixels[rows, columns], spp, seed(number), range(last), with_moments)
-        here = tuple(slice(side.start * cells, side.stop * cells) for side in (rows, columns))
-        for band, of_band in zip(bands, light, strict=False):
+    with_moments = range(len(bands), len(bands) + channels.collected)
+
+    def keep(tile: Tile, is_border: bool, channel: int, light: NodeLight) -> None:
+        if channel < len(bands):
             # Beside the frame there may be infinite light. The control variate has no bias, whatever the nodes are.
             across = min(cells, BORDER_CELLS) if is_border else cells
-            ratio = ratio_of(_on_grid(of_band.signal[0], across), _on_grid(of_band.even[0], across))
-            band[here] = np.kron(np.nan_to_num(ratio, posinf=0.0), np.ones((cells // across,) * 2))
+            ratio = ratio_of(_on_grid(light.signal[0], across), _on_grid(light.even[0], across))
+            here = tuple(slice(side.start * cells, side.stop * cells) for side in tile)
+            bands[channel][here] = np.kron(np.nan_to_num(ratio, posinf=0.0), np.ones((cells // across,) * 2))
+        elif channel in with_moments:
+            channels.collect(tile, channel - len(bands), light)
+
+    for number, (rows, columns, is_border) in enumerate(tiles):
+        spp, last = (NODES, len(bands)) if is_border else (sampling.spp, responses.channels)
+        of_tile = partial(keep, (rows, columns), is_border)
+        halves = _node_sums(trace, pixels[rows, columns], spp, seed(number), range(last), with_moments, of_tile)
         if not is_border:
-            for channel in with_moments:
-                channels.collect((rows, columns), channel - len(bands), light[channel])
             for channel, parts in enumerate(channels.totals):
-                sums = np.sum([light[part].halves for part in parts], axis=0, dtype=float)
+                sums = np.sum([halves[part] for part in parts], axis=0, dtype=float)
                 electrons = at_pixels(signal[:, list(parts)].sum(axis=1), responses.place[rows, columns])
                 rate[:, rows, columns, channel] = electrons * ratio_of(*sums)
         sampling.progress((number + 1) / len(tiles))
@@ -190,8 +195,12 @@ def _node_sums(
     seed: int,
     channels: range,
     with_moments: range,
-) -> list[NodeLight]:
-    """Trace ``spp`` rays for each of some pixels, [h, w]; their light in some channels."""
+    keep: Callable[[int, NodeLight], None],
+) -> list[Float32Array]:
+    """Trace ``spp`` rays for each of some pixels, [h, w]; their halves in some channels, see :class:`NodeLight`.
+
+    ``keep`` gets the channels one by one: the light of a tile together would take 100 MB.
+    """
     rays = spp // NODES
     values, offset = trace(block_of(pixels.ravel(), np.full(pixels.size, spp), seed).batch, rays)
     places = [np.array(along) for along in offset]
@@ -202,7 +211,7 @@ def _node_sums(
     # Each half of the rays has some of all nodes, and evenly spread wavelengths.
     odd = (_dispersed() % 2).astype(np.float32)
     even = 1 - odd
-    light = []
+    found = []
     for channel in channels:
         pair, halves = [], []
         for value in values[2 * channel : 2 * channel + 2]:
@@ -211,8 +220,10 @@ def _node_sums(
             halves.append([first @ even + second @ odd, first @ odd + second @ even])
             moments = [_sum(by_ray(of_rays * along)) for along in places if channel in with_moments]
             pair.append([first + second, *moments])
-        light.append(NodeLight(pair[0], pair[1], np.array(halves)))
-    return light
+        light = NodeLight(pair[0], pair[1], np.array(halves))
+        keep(channel, light)
+        found.append(light.halves)
+    return found
 
 
 def _sum(parts: NDArray[np.float32]) -> Float32Array:

@@ -64,20 +64,21 @@ def exact_pictures(view: View, sharp: SharpPictures, seed: int, progress: Progre
     if view.diffraction == "off" and perfect and not any(stop.glare_share for stop in view.camera.stops):
         rate = sharp.rate.astype(float) * view.light_level
         return ExactPictures(rate, _twin_srgb(view, sharp.twin), rate)
-    others = [number for number in range(len(view.camera.stops)) if number not in sharp.in_focus]
-    of_stops, pinhole = dict(sharp.in_focus), _Pinhole(sharp.rate.astype(float), sharp.twin.astype(float))
-    if others:
-        own, pinhole = _traced(view, sharp, others, seed, progress)
-        of_stops |= own
-    elif sharp.halves is not None:
-        pinhole = _with_more(view, sharp, 2 * allotted_spp([_pair(sharp.halves)], MORE_SPP)[0], seed, progress)
-
-    def of_stop(number: int) -> tuple[FloatArray, NDArray[Any]]:
-        return of_stops.pop(number), np.zeros((), np.float32)
-
-    focus = glared(view.camera, of_stop)[0] * view.light_level
+    pinhole = _Pinhole(sharp.rate.astype(float), sharp.twin.astype(float))
+    focus = np.zeros_like(pinhole.rate) if sharp.in_focus is None else sharp.in_focus.astype(float)
+    if sharp.others:
+        own, pinhole = _traced(view, sharp, seed, progress)
+        focus += _glared(view.camera, own)
+    elif sharp.more_spp is not None:
+        pinhole = _with_more(view, sharp, sharp.more_spp.astype(np.int64), seed, progress)
+    focus *= view.light_level
     check_finite(view.scene, focus, view.objects_at)
     return ExactPictures(pinhole.rate * view.light_level, _twin_srgb(view, pinhole.twin), focus)
+
+
+def _glared(camera: Camera, of_stops: dict[int, NDArray[Any]]) -> FloatArray:
+    """Sum of the pictures of some stops by their numbers, with glare."""
+    return glared(camera, lambda number: (of_stops[number], np.zeros((), np.float32)), list(of_stops))[0]
 
 
 class _Pinhole(NamedTuple):
@@ -88,11 +89,12 @@ class _Pinhole(NamedTuple):
 
 
 def _traced(
-    view: View, sharp: SharpPictures, stops: list[int], seed: int, progress: Progress
-) -> tuple[dict[int, FloatArray], _Pinhole]:
-    """The pictures in focus of some stops by their numbers, before glare, by rays through each stop; and those through
-    a pinhole.
+    view: View, sharp: SharpPictures, seed: int, progress: Progress
+) -> tuple[dict[int, NDArray[Any]], _Pinhole]:
+    """The pictures in focus of the other stops of ``sharp`` by their numbers, before glare, by rays through each stop;
+    and those through a pinhole.
     """
+    stops = sharp.others
     in_focus = replace(sharp, controls=[None] * len(view.camera.stops))
 
     def picture(number: int, index: int, spp: NDArray[np.int64]) -> Picture:
@@ -162,12 +164,17 @@ def sharp_pictures(view: View, sampling: Sampling, progress: Progress) -> SharpP
     check_finite(view.scene, mean, view.objects_at)
     channels = len(sensors.channels(camera.sensor))
     rate, of_twin = (part.astype(np.float32) for part in np.split(mean, [channels], axis=-1))
-    halves = None if sharp.fine is None else sharp.rate[..., :channels]
+    others = [number for number in range(len(camera.stops)) if number not in sharp.in_focus]
+    in_focus = _glared(camera, sharp.in_focus).astype(np.float32) if sharp.in_focus else None
+    more_spp = None
+    if sharp.fine is not None and not others:
+        more_spp = (2 * allotted_spp([_pair(sharp.rate[..., :channels])], MORE_SPP)[0]).astype(np.uint16)
+    fine = sharp.fine
+    del sharp, mean
     controls = [
-        passes.control_of(scene, camera, stop, sharp.fine, max_blur_px=view.reach_px, field=field)
-        for stop in camera.stops
+        passes.control_of(scene, camera, stop, fine, max_blur_px=view.reach_px, field=field) for stop in camera.stops
     ]
-    return SharpPictures(rate, of_twin, field, controls, halves, sharp.in_focus)
+    return SharpPictures(rate, of_twin, field, controls, in_focus, others, more_spp)
 
 
 def _twin_srgb(view: View, rate: NDArray[Any]) -> Float32Array:

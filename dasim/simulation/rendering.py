@@ -7,7 +7,7 @@ Tested in tests/dasim/simulation/test_simulate.py.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, Literal
@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from dasim.camera import depth_blur, noise
 from dasim.camera.noise import Exposure
 from dasim.camera.specification import Camera
-from dasim.render import passes
+from dasim.render import backend, passes
 from dasim.render.control_variate import Control
 from dasim.render.foreign.scene import World
 from dasim.render.ray_loop import Ratios
@@ -95,8 +95,10 @@ class SharpPictures:
     twin: Float32Array  # [h, w, 3] of the camera :data:`exact.TWIN`, likewise
     field: Any  # irradiance, which half of the lens picture shares
     controls: list[Control | None]  # of each stop, see :mod:`dasim.render.control_variate`
-    halves: NDArray[Any] | None  # [half, h, w, channel] as ``rate``, from each half of the rays; None if not split
-    in_focus: dict[int, NDArray[Any]]  # [h, w, channel] with every depth in focus, before glare, by the stops' numbers
+    in_focus: NDArray[Any] | None  # [h, w, channel] with every depth in focus, through all stops but the ``others``
+    others: list[int]  # numbers of the stops whose picture in focus takes rays of its own
+    # [h, w] further samples through the pinhole, by its noise; None where the ``others`` decide, or it has no halves
+    more_spp: NDArray[np.uint16] | None
 
 
 def lens_picture(
@@ -147,7 +149,9 @@ def irradiance(view: View, sampling: Sampling, index: int, stream: int = SHARP, 
     """
     spp = finer * FIELD_SPP if sampling.spp == "auto" else max(1, sampling.spp // 2)
     seed = picture_seed(sampling.seed, index, stream)
-    return passes.irradiance_field(view.world.scene, view.camera, view.spectrum, view.reach_px, spp, seed)
+    field = passes.irradiance_field(view.world.scene, view.camera, view.spectrum, view.reach_px, spp, seed)
+    backend.release_memory()
+    return field
 
 
 def _halves(
@@ -182,18 +186,18 @@ def _halves(
 
 
 def glared(
-    camera: Camera, picture: Callable[[int], tuple[FloatArray, NDArray[Any]]]
+    camera: Camera, picture: Callable[[int], tuple[FloatArray, NDArray[Any]]], stops: Sequence[int] | None = None
 ) -> tuple[FloatArray, NDArray[Any]]:
-    """Sums over the stops of their pictures with glare, and of the differences whose squares are the variance;
-    ``picture`` returns both for the index of a stop.
+    """Sums over the ``stops``, by default all, of their pictures with glare, and of the differences whose squares are
+    the variance; ``picture`` returns both for the index of a stop.
 
     Glare spreads a fraction of the light widely, so that its noise is that of a mean over many pixels. The stops share
     the irradiance field, so their differences are added before they are squared.
     """
     together: NDArray[Any] = np.zeros(())
     differences: NDArray[Any] = np.zeros((), np.float32)
-    for number, stop in enumerate(camera.stops):
-        rate, left = picture(number)
+    for number in range(len(camera.stops)) if stops is None else stops:
+        stop, (rate, left) = camera.stops[number], picture(number)
         # With few samples, the noise may exceed the light, and subtracting the control variate gives negative values.
         together = together + passes.with_glare(np.maximum(rate, 0.0), camera, stop)
         differences = differences + np.float32(1 - stop.glare_share) * left
@@ -239,6 +243,7 @@ def stop_picture(
         control=sharp.controls[number],
     )
     check_finite(view.scene, picture.value, view.objects_at)
+    backend.release_memory()
     return picture
 
 
