@@ -68,8 +68,8 @@ def dataset_speed(progress: ShareDone) -> Evidence:
     Expectation: times are those of this computer with its present load, so run this claim alone. Processor seconds are
     reported as well, since they depend less on other load.
 
-    Limit: at least 300 samples per hour at the default noise target; at most 15 % of the time outside the renderer; two
-    processes at least 1.7 times as fast as one; at most 1.5 GB; growth of at most 3 % from the second quarter of the
+    Limit: at least 300 samples per hour at the default noise target; at most 10 % of the time outside the renderer; two
+    processes at least 1.7 times as fast as one; at most 1 GB; growth of at most 3 % from the second quarter of the
     200 samples to the last; Ray within 10 % of local processes.
 
     Source: the project's own limits.
