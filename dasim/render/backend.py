@@ -169,11 +169,12 @@ def reading_threads() -> Iterator[None]:
 def release_memory() -> None:
     """Release memory that a picture left in the pools of Dr.Jit and of the C library.
 
-    Scenes of varying sizes would otherwise accumulate: 0.87 GB after 12 random scenes, 0.47 GB with this.
+    Batches of varying sizes would otherwise accumulate. It is called after each irradiance field and each picture, and
+    takes some 2 ms.
     """
     import drjit
 
-    drjit.sync_thread()  # kernels that still run keep their arrays
+    drjit.sync_thread()  # arrays of kernels that still run are not in the pools yet
     drjit.flush_malloc_cache()
     with contextlib.suppress(OSError, AttributeError, TypeError):  # glibc alone has it
         ctypes.CDLL(None).malloc_trim(0)

@@ -90,7 +90,7 @@ def at_bands(means: NDArray[np.float32]) -> None:
     """Convert means of a function that is linear between the band nodes, weighted by :func:`tents`, to its values at
     the nodes, in place.
 
-    ``means`` is [..., band], over evenly spaced positions.
+    ``means`` is [y, x, band]; each mean is over evenly spaced positions.
     """
     places = (np.arange(512) + 0.5) / 512
     shares = tents(places)

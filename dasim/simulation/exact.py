@@ -77,8 +77,8 @@ def exact_pictures(view: View, sharp: SharpPictures, seed: int, progress: Progre
 
 
 def _glared(camera: Camera, of_stops: dict[int, NDArray[Any]]) -> FloatArray:
-    """Sum of the pictures of some stops by their numbers, with glare."""
-    return glared(camera, lambda number: (of_stops[number], np.zeros((), np.float32)), list(of_stops))[0]
+    """Sum of the pictures of some stops by their numbers, with glare; they are taken out of ``of_stops``."""
+    return glared(camera, lambda number: (of_stops.pop(number), np.zeros((), np.float32)), list(of_stops))[0]
 
 
 class _Pinhole(NamedTuple):
@@ -139,7 +139,7 @@ def _with_more(view: View, sharp: SharpPictures, spp: NDArray[np.int64], seed: i
 def _pair(halves: NDArray[Any]) -> Sums:
     """Halves of the rays through a pinhole as a pair of pictures."""
     none, spp = np.broadcast_to(0.0, halves[:1].shape), np.full((1, *halves.shape[1:3]), SHARP_SPP // 2)
-    first, second = (Picture(spp, half[None].astype(float), none) for half in halves)
+    first, second = (Picture(spp, half[None], none) for half in halves)
     sums = rendering_noise.no_pairs(first)
     rendering_noise.add(sums, first, second)
     return sums

@@ -95,9 +95,10 @@ class SharpPictures:
     twin: Float32Array  # [h, w, 3] of the camera :data:`exact.TWIN`, likewise
     field: Any  # irradiance, which half of the lens picture shares
     controls: list[Control | None]  # of each stop, see :mod:`dasim.render.control_variate`
-    in_focus: NDArray[Any] | None  # [h, w, channel] with every depth in focus, through all stops but the ``others``
+    # [h, w, channel] with every depth in focus and with glare, the sum over all stops but the ``others``; None for none
+    in_focus: Float32Array | None
     others: list[int]  # numbers of the stops whose picture in focus takes rays of its own
-    # [h, w] further samples through the pinhole, by its noise; None where the ``others`` decide, or it has no halves
+    # [h, w] further samples through the pinhole; None where rays through the ``others`` decide, or there are no halves
     more_spp: NDArray[np.uint16] | None
 
 

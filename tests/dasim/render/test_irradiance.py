@@ -51,6 +51,19 @@ def test_noise_of_an_even_wall_falls_to_an_eighth() -> None:
     assert abs(middle.mean() - 1) < 0.001
 
 
+def test_each_of_several_lights_is_averaged_by_itself() -> None:
+    """Set-up: two lights of one spectrum, in single precision, as they are traced; the noise of the second is nine
+    times that of the first, upside down. Expectation: so is the change by averaging, with weights of both in common.
+    """
+    noise = np.random.default_rng(0).normal(0, 0.001, SHAPE)
+    both = np.concatenate([levels(1 + noise), levels(3 - 9 * noise)], axis=1).astype(np.float32)
+    result = smoothed(both, nodes_of(plane()), np.concatenate([SPECTRA, SPECTRA]), APART)
+    assert result.dtype == np.float32
+    change = result[:, :, 0] - both[:, :, 0]
+    assert np.abs(change[:, 0]).max() > 1e-3
+    assert change[:, 1] == pytest.approx(-9 * change[:, 0], abs=1e-5)
+
+
 def test_linear_light_stays_as_it_is_up_to_the_border() -> None:
     y, x = np.mgrid[: SHAPE[0], : SHAPE[1]]
     light = 1 + 0.01 * x - 0.008 * y
