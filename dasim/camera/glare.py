@@ -45,5 +45,8 @@ def spread(picture: FloatArray, share: float, radius: float) -> FloatArray:
     fy, fx = (np.arange(count) / (2 * count) for count in picture.shape[:2])
     x = 2 * np.pi * radius * np.hypot(fy[:, None], fx)
     transfer = np.where(x > 0, x * k1(np.where(x > 0, x, 1.0)), 1.0)
-    mirrored = fft.dctn(picture, axes=(0, 1)) * transfer[..., None]
-    return np.asarray((1 - share) * picture + share * fft.idctn(mirrored, axes=(0, 1)))
+    result = np.empty_like(picture)
+    for channel in range(picture.shape[-1]):  # one by one: all of a large frame take gigabytes
+        mirrored = fft.dctn(picture[..., channel]) * transfer
+        result[..., channel] = (1 - share) * picture[..., channel] + share * fft.idctn(mirrored)
+    return result

@@ -13,7 +13,7 @@ these variances.
 
 from __future__ import annotations
 
-from typing import Any, Literal, NamedTuple, Protocol
+from typing import Any, Literal, NamedTuple, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +30,8 @@ from dasim.typing import BoolArray, FloatArray
 
 SHORTEST_EXPOSURE_S, LONGEST_EXPOSURE_S = 1e-9, 3600.0
 _MOST_E = 1e15  # electrons of a Poisson draw: more than any full well, and within the range of the generator
+
+Precision = TypeVar("Precision", bound=np.floating[Any])
 
 # Randomness is keyed by (seed, stage): no stage depends on how many numbers another has drawn.
 _STAGES = {"shot": 1, "dark": 2, "read": 3}
@@ -137,14 +139,14 @@ def collected_e(raw_dn: NDArray, sensor: Sensor, gain: float = 1.0) -> NDArray:
     return (raw_dn - sensor.black_level_dn) * electrons_per_dn(sensor, gain)
 
 
-def auto_exposure_s(rate_e_s: FloatArray, camera: Camera, exposure: Exposure) -> float:
+def auto_exposure_s(rate_e_s: NDArray[np.floating], camera: Camera, exposure: Exposure) -> float:
     """Exposure time that brings a percentile of the brightest channel to its share of full scale.
 
     ``rate_e_s`` is [h, w, channel] mean electrons per second; each channel is judged at its own pixels of the mosaic,
     as a camera would. Scenes without light get 1 s.
     """
     channels = mosaic_channels(camera)
-    collected = electronic_crosstalk(mosaic(rate_e_s, camera), camera)
+    collected = electronic_crosstalk(mosaic(rate_e_s, camera).astype(np.float64), camera)
     brightest = max(
         float(np.percentile(collected[channels == index], exposure.auto_percentile)) for index in np.unique(channels)
     )
@@ -153,7 +155,7 @@ def auto_exposure_s(rate_e_s: FloatArray, camera: Camera, exposure: Exposure) ->
     return min(exposure.auto_level * saturation_e(camera.sensor, exposure.gain) / brightest, LONGEST_EXPOSURE_S)
 
 
-def mosaic(image: FloatArray, camera: Camera) -> FloatArray:
+def mosaic(image: NDArray[Precision], camera: Camera) -> NDArray[Precision]:
     """Each pixel's own channel of an image: [h, w, channel] -> [h, w]."""
     return np.take_along_axis(image, mosaic_channels(camera)[..., None], axis=-1)[..., 0]
 

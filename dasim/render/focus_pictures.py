@@ -166,13 +166,13 @@ class InFocus:
         of_frame, result = _towards_axis(camera, np.array([width, height]) / 2), {}
         for (number, core), sums in zip(self._cores.items(), self._sums, strict=True):
             stop = camera.stops[number]
-            picture = np.moveaxis(ratio_of(*np.moveaxis(sums.astype(float), 1, 0)), 0, -1)
-            picture += control_variate.convolved(fine[stop.name], core.rest(of_frame), core.points)
+            picture = control_variate.convolved(fine[stop.name], core.rest(of_frame), core.points)
             responses = stop_responses(camera, stop)
             signal = responses.mean_signal(light_of(field))
-            for channel in range(picture.shape[-1]):
+            for channel in range(picture.shape[-1]):  # one by one: all of a large frame take gigabytes
+                picture[..., channel] += ratio_of(*sums[channel].astype(float))
                 picture[..., channel] *= at_pixels(signal[:, channel], responses.place)
-            result[number] = picture.astype(np.float32)
+            result[number] = picture
         return result
 
 

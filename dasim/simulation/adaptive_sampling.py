@@ -25,7 +25,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dasim.simulation.rendering_noise import (
-    Measured,
     Picture,
     Sums,
     add,
@@ -33,11 +32,12 @@ from dasim.simulation.rendering_noise import (
     measured,
     no_pairs,
     of_sum,
+    rates,
     share,
     shared_uncertainty,
     shares_at,
 )
-from dasim.typing import FloatArray
+from dasim.typing import Float32Array
 
 NOISE_SHARE = 0.25  # of the sensor's noise: raises the noise of a capture by 3 %
 NOISE_AT = 50.0  # percentile of the pixels at which the share is meant: the median
@@ -71,16 +71,16 @@ LARGE_FRAME_PX = 600_000
 
 @dataclass(frozen=True)
 class AdaptiveRender:
-    """The mean of several pictures, and the rendering noise that remains in it."""
+    """Several pictures together, and the rendering noise that remains in their mean."""
 
-    measured: Measured
+    sums: Sums  # :func:`rendering_noise.rates` has their mean
     variance: NDArray[np.floating]  # of the sum over stops, [h, w, channel], mean over a few pixels
     share: tuple[float, ...]  # rendering noise over the sensor's at the percentile, per channel
 
 
 def render_to_noise_target(
     picture: Callable[[int, int, NDArray[np.int64], int], Picture],
-    sensor_variance: Callable[[FloatArray], FloatArray],
+    sensor_variance: Callable[[NDArray[np.floating]], NDArray[np.floating]],
     fewest_spp: NDArray[np.int64],
     *,
     target: float = NOISE_SHARE,
@@ -108,7 +108,7 @@ def render_to_noise_target(
     """
     sums: Sums | None = None
     spp, shape = fewest_spp, fewest_spp.shape
-    factor, number, rounds, pilot_wants, finer = 1.0, 0, 0, np.zeros(shape), 1
+    factor, number, rounds, pilot_wants, finer = 1.0, 0, 0, np.zeros(shape, np.float32), 1
     while True:
         for stop in range(shape[0]):  # apart: pictures of large frames take gigabytes
             first, second = (picture(stop, index, spp, finer) for index in (2 * number, 2 * number + 1))
@@ -116,11 +116,9 @@ def render_to_noise_target(
             add(sums.of_stop(stop), first, second)
             del first, second
         assert sums is not None
-        result = measured(sums)
-        limit, (variance, shared) = sensor_variance(result.rate.sum(axis=0)), of_sum(sums, kept)
+        limit, noise = sensor_variance(_total_rate(sums)), _Noise(*of_sum(sums, kept))
         of_all, of_samples, of_irradiance = (
-            float(shares_at(share(part, limit), [percentile])[0].max())
-            for part in (variance, variance - shared, shared)
+            max(_shares(part, limit, percentile)) for part in (noise.of_all, noise.of_samples, noise.of_irradiance)
         )
         # The part of the target that remains for the noise of the samples, besides that of the irradiance field.
         most = SHARED_LATER if rounds else SHARED
@@ -132,22 +130,19 @@ def render_to_noise_target(
         number += 1
         needs_pilot = False
         if rounds and is_fine:
-            left = _Left(pilot_wants, result, variance - shared, limit, fewest_spp)
-            factor = _least_factor(left, AIM * own_target, percentile, most_spp, kept, factor)
+            left = _left(pilot_wants, sums, noise, limit, fewest_spp, kept)
+            factor = _least_factor(left, AIM * own_target, percentile, most_spp, factor)
             del left
         elif not rounds:
-            of_pilot = np.divide(variance - shared, variance, out=np.zeros_like(variance), where=variance > 0)
-            np.multiply(result.around, of_pilot, out=result.around)
-            del of_pilot
-            pilot_wants = wanted_spp(result, sensor_variance, own_target, percentile)
-            is_far = pilot_wants.mean() > FAR * result.spp.mean()
+            pilot_wants = wanted_spp(sums, noise, sensor_variance, own_target, percentile)
+            is_far = pilot_wants.mean() > FAR * sums.spp.mean()
             factor = PART_OF_FAR if is_far else 1.0
             worthwhile = _worthwhile_fineness(pilot_wants)
             needs_pilot = is_far and finer < worthwhile
         if needs_pilot:
             finer, sums = worthwhile, None
         elif is_fine:
-            spp = next_spp(factor * pilot_wants - result.spp, fewest_spp, most_spp)
+            spp = next_spp(factor * pilot_wants - sums.spp, fewest_spp, most_spp)
         else:  # begin anew
             wanted = finer * (of_irradiance / (SHARED * target)) ** 2
             finer, sums = int(min(2 ** np.ceil(np.log2(wanted)), MOST_FINER)), None
@@ -155,12 +150,48 @@ def render_to_noise_target(
         if not spp.any():
             break
         rounds += not needs_pilot
-        del result, variance, shared, limit  # before the next pictures: at 3 Mpx they take half a gigabyte
-    reached = shares_at(share(variance, limit), [percentile])[0]
-    return AdaptiveRender(result, variance, tuple(float(value) for value in reached))
+        del noise, limit  # before the next pictures
+    assert sums is not None
+    return AdaptiveRender(sums, noise.variance, tuple(_shares(noise.of_all, limit, percentile)))
 
 
-def _worthwhile_fineness(wants: FloatArray) -> int:
+class _Noise(NamedTuple):
+    """Variance of the sum over stops, and the part of it that is correlated between neighbours, [h, w, channel].
+
+    The methods return the channel of an index, [h, w, 1]: what is computed of all channels of a large frame together
+    takes gigabytes.
+    """
+
+    variance: Float32Array
+    shared: Float32Array
+
+    def of_all(self, channel: int) -> Float32Array:
+        """The whole variance."""
+        return self.variance[..., channel : channel + 1]
+
+    def of_irradiance(self, channel: int) -> Float32Array:
+        """The part that more samples do not reduce."""
+        return self.shared[..., channel : channel + 1]
+
+    def of_samples(self, channel: int) -> Float32Array:
+        """The part that more samples reduce."""
+        return self.of_all(channel) - self.of_irradiance(channel)
+
+
+def _total_rate(sums: Sums) -> Float32Array:
+    """Mean electrons per second of all stops together, [h, w, channel]."""
+    channels = range(sums.rate.shape[-1])
+    return np.concatenate([rates(sums.of_channel(channel)).sum(axis=0) for channel in channels], axis=-1)
+
+
+def _shares(part: Callable[[int], Float32Array], limit: NDArray[np.floating], percentile: float) -> list[float]:
+    """Rendering noise over the sensor's at the percentile, by channel; ``part`` is a method of :class:`_Noise`."""
+    channels = range(limit.shape[-1])
+    ratios = (share(part(channel), limit[..., channel : channel + 1]) for channel in channels)
+    return [float(shares_at(ratio, [percentile])[0, 0]) for ratio in ratios]
+
+
+def _worthwhile_fineness(wants: NDArray[np.floating]) -> int:
     """Factor on the directions of the first irradiance field that pays off for ``wants`` samples, [stop, h, w].
 
     It is a power of two.
@@ -170,27 +201,38 @@ def _worthwhile_fineness(wants: FloatArray) -> int:
 
 
 class _Left(NamedTuple):
-    """Data that determine how many samples a further pair needs."""
+    """Data that determine how many samples a further pair needs; in large frames, of every third row and column."""
 
-    wants: FloatArray  # [stop, h, w] samples that the pilot requires
-    measured: Measured
-    variance: NDArray[np.floating]  # [h, w, channel] of the sum over stops, without noise correlated between neighbours
-    limit: FloatArray  # [h, w, channel] variance of the sensor's noise
-    fewest_spp: NDArray[np.int64]  # [stop, h, w]
+    wants: NDArray[np.floating]  # [stop, h, w] samples that the pilot requires
+    done: NDArray[np.integer]  # [stop, h, w] samples so far
+    fewest: NDArray[np.integer]  # [stop, h, w] fewest samples of each picture
+    of_stops: Float32Array  # [stop, h, w, channel] variance of each stop's share of the sum
+    variance: Float32Array  # [h, w, channel] of the sum over stops, without noise correlated between neighbours
+    limit: NDArray[np.floating]  # [h, w, channel] variance of the sensor's noise
 
 
-def _least_factor(
-    left: _Left, target: float, percentile: float, most_spp: int, kept: Sequence[float] | None, factor: float
-) -> float:
+def _left(
+    wants: NDArray[np.floating],
+    sums: Sums,
+    noise: _Noise,
+    limit: NDArray[np.floating],
+    fewest_spp: NDArray[np.integer],
+    kept: Sequence[float] | None,
+) -> _Left:
+    at = (SPARSE, SPARSE) if limit[..., 0].size > LARGE_FRAME_PX else (slice(None), slice(None))
+    channels = range(limit.shape[-1])
+    own = np.stack([measured(sums.of_channel(channel)).variance[:, *at, 0] for channel in channels], axis=-1)
+    own *= np.square(1.0 if kept is None else np.array(kept, np.float32))[..., None, None, None]
+    of_samples = np.concatenate([noise.of_samples(channel)[at] for channel in channels], axis=-1)
+    return _Left(wants[:, *at], sums.spp[:, *at], fewest_spp[:, *at], own, of_samples, limit[at])
+
+
+def _least_factor(left: _Left, target: float, percentile: float, most_spp: int, factor: float) -> float:
     """The smallest multiple of ``factor``, at most ``MOST_MORE`` times, at which the noise is expected to reach the
     target, or nearly the lowest noise that can be reached.
-
-    In large frames, only every third row and column is evaluated.
     """
-    at = (SPARSE, SPARSE) if left.variance[..., 0].size > LARGE_FRAME_PX else (slice(None), slice(None))
-    wants, done, fewest = (each[:, *at] for each in (left.wants, left.measured.spp, left.fewest_spp))
-    own = left.measured.variance[:, *at] * np.square(1.0 if kept is None else np.array(kept))[..., None, None, None]
-    total, variance, limit = own.sum(axis=0), left.variance[at], left.limit[at]
+    wants, done, fewest, own, variance, limit = left
+    total = own.sum(axis=0)
 
     def reached(factor: float) -> float:
         part = done / (done + 2 * next_spp(factor * wants - done, fewest, most_spp))
@@ -206,28 +248,37 @@ def _least_factor(
 
 
 def wanted_spp(
-    pilot: Measured,
-    sensor_variance: Callable[[FloatArray], FloatArray],
+    pilot: Sums,
+    noise: _Noise,
+    sensor_variance: Callable[[NDArray[np.floating]], NDArray[np.floating]],
     target: float,
     percentile: float,
-) -> FloatArray:
+) -> Float32Array:
     """Samples that bring each pixel to the target, [stop, h, w], by the noise of a pilot around it.
 
     With v_s the variance of a stop and N_s its samples, n_s samples have v_s (N_s / n_s)^p. The fewest samples whose
     variances sum to the limit have n_s in proportion to (v_s N_s^p)^(1 / (p + 1)). The pixels beyond the percentile get
     no more than those at it.
     """
-    limit = target**2 * sensor_variance(np.maximum(around(pilot.rate.sum(axis=0, keepdims=True))[0], 0.0))
-    done, wanted = pilot.spp**SLOPE, np.zeros(pilot.around.shape[:-1])
-    for channel in range(limit.shape[-1]):
-        part, most = (pilot.around[..., channel] * done) ** (1 / (SLOPE + 1)), limit[..., channel]
+    channels = range(pilot.rate.shape[-1])
+    light = _total_rate(pilot)
+    for channel in channels:
+        at = slice(channel, channel + 1)
+        light[..., at] = np.maximum(around(light[None, ..., at])[0], 0.0)
+    limit = sensor_variance(light)
+    done, wanted = pilot.spp.astype(np.float32) ** SLOPE, np.zeros(pilot.rate.shape[:-1], np.float32)
+    for channel in channels:
+        whole, own = noise.of_all(channel)[..., 0], noise.of_samples(channel)[..., 0]
+        own = np.divide(own, whole, out=np.zeros_like(own), where=whole > 0)
+        part = (measured(pilot.of_channel(channel)).around[..., 0] * own * done) ** (1 / (SLOPE + 1))
+        most = target**2 * limit[..., channel]
         scale = np.divide(part.sum(axis=0), most, out=np.zeros_like(most), where=most > 0) ** (1 / SLOPE)
         np.maximum(wanted, part * scale, out=wanted)
-    return np.minimum(wanted, np.percentile(wanted, percentile, axis=(1, 2), keepdims=True))
+    return np.minimum(wanted, np.percentile(wanted, percentile, axis=(1, 2), keepdims=True).astype(np.float32))
 
 
 def next_spp(
-    missing: FloatArray, fewest_spp: NDArray[Any] | int = FEWEST_OF_LAYERS, most_spp: int = MOST_SPP
+    missing: NDArray[np.floating], fewest_spp: NDArray[Any] | int = FEWEST_OF_LAYERS, most_spp: int = MOST_SPP
 ) -> NDArray[np.int64]:
     """Samples of each of the next two pictures where some are missing: one of ``STEPS``, or none where few are."""
     more = missing / 2

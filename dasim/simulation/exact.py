@@ -62,18 +62,18 @@ def exact_pictures(view: View, sharp: SharpPictures, seed: int, progress: Progre
     """
     perfect = wavefront.is_perfect(view.camera)
     if view.diffraction == "off" and perfect and not any(stop.glare_share for stop in view.camera.stops):
-        rate = sharp.rate.astype(float) * view.light_level
+        rate = sharp.rate * np.float32(view.light_level)
         return ExactPictures(rate, _twin_srgb(view, sharp.twin), rate)
-    pinhole = _Pinhole(sharp.rate.astype(float), sharp.twin.astype(float))
-    focus = np.zeros_like(pinhole.rate) if sharp.in_focus is None else sharp.in_focus.astype(float)
+    pinhole = _Pinhole(sharp.rate, sharp.twin)
+    focus = np.zeros_like(pinhole.rate) if sharp.in_focus is None else sharp.in_focus.copy()
     if sharp.others:
         own, pinhole = _traced(view, sharp, seed, progress)
         focus += _glared(view.camera, own)
     elif sharp.more_spp is not None:
         pinhole = _with_more(view, sharp, sharp.more_spp.astype(np.int64), seed, progress)
-    focus *= view.light_level
+    focus *= np.float32(view.light_level)
     check_finite(view.scene, focus, view.objects_at)
-    return ExactPictures(pinhole.rate * view.light_level, _twin_srgb(view, pinhole.twin), focus)
+    return ExactPictures(pinhole.rate * np.float32(view.light_level), _twin_srgb(view, pinhole.twin), focus)
 
 
 def _glared(camera: Camera, of_stops: dict[int, NDArray[Any]]) -> FloatArray:
@@ -84,8 +84,8 @@ def _glared(camera: Camera, of_stops: dict[int, NDArray[Any]]) -> FloatArray:
 class _Pinhole(NamedTuple):
     """Pictures through a pinhole, mean electrons per second, at the light level of ``View.world``."""
 
-    rate: FloatArray  # [h, w, channel] of the camera
-    twin: FloatArray  # [h, w, 3] of ``TWIN``
+    rate: Float32Array  # [h, w, channel] of the camera
+    twin: Float32Array  # [h, w, 3] of ``TWIN``
 
 
 def _traced(
@@ -112,7 +112,7 @@ def _traced(
     is_scalar = view.variant.startswith("scalar")
     few = np.full((1, 1), 2 * FOCUS_SPP) if is_scalar else np.full(view.blur_px.shape, FOCUS_SPP)
     parts = [pilot(number) for number in stops]
-    pinhole = _Pinhole(sharp.rate.astype(float), sharp.twin.astype(float))
+    pinhole = _Pinhole(sharp.rate, sharp.twin)
     if not is_scalar:
         more = allotted_spp(parts, MORE_SPP)
         for own, part, number in zip(more, parts, stops, strict=True):
@@ -128,9 +128,9 @@ def _with_more(view: View, sharp: SharpPictures, spp: NDArray[np.int64], seed: i
     sampling = passes.Sampling(spp, picture_seed(seed, 1, SHARP), report)
     more = passes.pinhole_pass(view.world.scene, view.camera, sampling, sharp.field, twin)
     check_finite(view.scene, more, view.objects_at)
-    share, own = (spp / (SHARP_SPP + spp))[..., None], sharp.rate.shape[-1]
+    share, own = (spp / (SHARP_SPP + spp)).astype(np.float32)[..., None], sharp.rate.shape[-1]
     rate, of_twin = (
-        np.asarray(known + share * (new - known), float)
+        np.asarray(known + share * (new - known), np.float32)
         for known, new in ((sharp.rate, more[..., :own]), (sharp.twin, more[..., own:]))
     )
     return _Pinhole(rate, of_twin)

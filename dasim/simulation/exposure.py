@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dasim.base.errors import InputError
 from dasim.base.loading import function_name
@@ -28,11 +29,12 @@ from dasim.files.captures import load_capture, load_truth
 from dasim.scene.lights import LUX_RANGE
 from dasim.simulation import rendering, rendering_noise
 from dasim.simulation.notes import frame_notes
-from dasim.typing import Float32Array, FloatArray
+from dasim.typing import Float32Array
 from dasim.values import Capture, Truth
 
 # A rate of 22 bits has steps of at least 2^-22 of it; a product in single precision, of 24 bits, is known to 2^-24.
 SIGNIFICANT_BITS = 22
+STRIP_ROWS = 256  # rows rounded at a time
 SCALE_RANGE = (1e-9, 1e9)  # of a factor on the light level
 OF_A_FRAME = (  # entries of the provenance that the exposure decides
     *("rendering_noise_share", "rendering_noise_share_reached"),
@@ -183,10 +185,14 @@ def exposure_of(capture: Capture) -> Exposure:
 # --- the light of a kept capture -----------------------------------------------------------------
 
 
-def to_precision(values: FloatArray) -> Float32Array:
-    """Values of any shape, rounded to ``SIGNIFICANT_BITS``, of which single precision has more."""
-    fraction, exponent = np.frexp(values)
-    return np.ldexp(np.rint(np.ldexp(fraction, SIGNIFICANT_BITS)), exponent - SIGNIFICANT_BITS).astype(np.float32)
+def to_precision(values: NDArray[np.floating]) -> Float32Array:
+    """Values of a picture, [h, w, ...], rounded to ``SIGNIFICANT_BITS``, of which single precision has more."""
+    result = np.empty(values.shape, np.float32)
+    for start in range(0, len(values), STRIP_ROWS):  # limits the memory for large frames
+        fraction, exponent = np.frexp(values[start : start + STRIP_ROWS])
+        rounded = np.rint(np.ldexp(fraction, SIGNIFICANT_BITS))
+        result[start : start + STRIP_ROWS] = np.ldexp(rounded, exponent - SIGNIFICANT_BITS)
+    return result
 
 
 def sensor_light_of(shot: Shot, where: str) -> SensorLight:

@@ -275,22 +275,22 @@ def _adaptive_picture(
     fewest = np.where(_sees_several_depths(view), FEWEST_OF_LAYERS, FEWEST_SPP)
     result = render_to_noise_target(
         picture,
-        lambda rate: sensor_variance(rate * view.light_level, camera, exposure) / view.light_level**2,
+        partial(_sensor_variance, view, exposure),
         np.repeat(fewest[None], len(camera.stops), axis=0),
         target=sampling.noise_share,
         percentile=sampling.noise_at,
         kept=[1 - stop.glare_share for stop in camera.stops],
     )
-    done = result.measured
-    total, _ = glared(camera, lambda number: (done.rate[number].astype(float), np.zeros((), np.float32)))
+    sums, none = result.sums, np.zeros((), np.float32)
+    total, _ = glared(camera, lambda number: (rendering_noise.rates(sums.of_stop(number))[0], none))
     rate, variance = _at_level(view, total, result.variance)
-    mean_spp = result.measured.spp.mean(axis=(1, 2)).round(2)
+    mean_spp = sums.spp.mean(axis=(1, 2)).round(2)
     described = {
         "spp": dict(zip((stop.name for stop in camera.stops), mean_spp.tolist(), strict=True)),
         "rendering_noise_share_wanted": sampling.noise_share,
         "rendering_noise_at": sampling.noise_at,
     }
-    return LensPicture(rate, variance, result.measured.spp, described)
+    return LensPicture(rate, variance, sums.spp, described)
 
 
 def _sees_several_depths(view: View) -> NDArray[np.bool_]:
@@ -304,12 +304,23 @@ def _sees_several_depths(view: View) -> NDArray[np.bool_]:
     return mask
 
 
-def sensor_variance(rate: FloatArray, camera: Camera, exposure: Exposure) -> FloatArray:
+def sensor_variance(rate: NDArray[np.floating], camera: Camera, exposure: Exposure) -> NDArray[np.floating]:
     """Variance of the sensor's temporal noise by its data sheet, of [h, w, channel] mean electrons per second."""
     time_s = exposure_time_s(rate, camera, exposure)
     return noise.temporal_variance(camera.sensor, time_s, exposure.gain).at(rate * time_s) / time_s**2
 
 
-def exposure_time_s(rate: FloatArray, camera: Camera, exposure: Exposure) -> float:
+def _sensor_variance(view: View, exposure: Exposure, rate: NDArray[np.floating]) -> Float32Array:
+    """:func:`sensor_variance` of light at the level of ``View.world``, in its unit squared, channel by channel."""
+    scale, camera = view.light_level, view.camera
+    exposure = exposure.model_copy(update={"time_s": exposure_time_s(rate * np.float32(scale), camera, exposure)})
+    result = np.empty(rate.shape, np.float32)
+    for channel in range(rate.shape[-1]):
+        at = np.s_[..., channel : channel + 1]
+        result[at] = sensor_variance(rate[at] * scale, camera, exposure) / scale**2
+    return result
+
+
+def exposure_time_s(rate: NDArray[np.floating], camera: Camera, exposure: Exposure) -> float:
     """The given exposure time, or the automatic one for mean electrons per second [h, w, channel]."""
     return exposure.time_s or noise.auto_exposure_s(rate, camera, exposure)

@@ -15,6 +15,7 @@ Tested in tests/dasim/simulation/test_rendering_noise.py.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
@@ -33,6 +34,7 @@ WEIGHTS = np.array([1, 2, 3, 2, 1]) / 9
 SHARED_PX = 81  # side of the window over which the noise correlated between neighbours is averaged
 PERCENTILES = (50.0, 95.0, 99.5)  # of the pixels, at which the share of the sensor's noise is stated
 MOST_FACTOR = 1.5  # of the control variate
+STRIP_ROWS = 256  # that are computed at once, which limits the memory
 
 
 class Picture(NamedTuple):
@@ -73,6 +75,10 @@ class Sums(NamedTuple):
         """Those of one stop, a view."""
         return _part_of_sums(self, (slice(number, number + 1), slice(None), slice(None), slice(None)))
 
+    def of_channel(self, number: int) -> Sums:
+        """Those of one channel, a view."""
+        return _part_of_sums(self, (slice(None), slice(None), slice(None), slice(number, number + 1)))
+
 
 def no_pairs(like: Picture, stops: int = 1) -> Sums:
     """Sums of no pairs, for pictures of the shapes of ``like``, which has one stop or all of them."""
@@ -84,8 +90,8 @@ def no_pairs(like: Picture, stops: int = 1) -> Sums:
 
 def add(sums: Sums, first: Picture, second: Picture) -> None:
     """Add a pair to the sums, in place."""
-    for at in _parts(sums.rate.shape):
-        _add(_part_of_sums(sums, at), _part(first, at), _part(second, at))
+    for part in _parts(sums.rate.shape):
+        _add(_part_of_sums(sums, part.own), _part(first, part.own), _part(second, part.own))
     np.add(sums.spp, first.spp + second.spp, out=sums.spp)
 
 
@@ -97,9 +103,19 @@ def measured(sums: Sums) -> Measured:
     It is averaged by ``WEIGHTS``.
     """
     rate, variance, beside = (np.empty(sums.rate.shape, np.float32) for _ in range(3))
-    for at in _parts(sums.rate.shape):
-        rate[at], variance[at], beside[at] = _measured(_part_of_sums(sums, at))
+    for part in _parts(sums.rate.shape, WINDOW_PX - 1):  # a window of windows
+        found = _measured(_part_of_sums(sums, part.wider))
+        for whole, values in zip((rate, variance, beside), found, strict=True):
+            whole[part.own] = values[:, part.inner]
     return Measured(rate, variance, beside, sums.spp.copy())
+
+
+def rates(sums: Sums) -> Float32Array:
+    """``rate`` of :func:`measured` alone."""
+    rate = np.empty(sums.rate.shape, np.float32)
+    for part in _parts(rate.shape, WINDOW_PX // 2):
+        rate[part.own] = _mean_and_left(_part_of_sums(sums, part.wider))[0][:, part.inner]
+    return rate
 
 
 def of_sum(sums: Sums, kept: Sequence[float] | None = None) -> tuple[Float32Array, Float32Array]:
@@ -139,15 +155,17 @@ def shared_uncertainty(shape: tuple[int, ...]) -> float:
     return float(np.sqrt(2 / windows) / (pixels - 1))
 
 
-def mean_and_left(first: Picture, second: Picture) -> tuple[FloatArray, NDArray[np.float32]]:
+def mean_and_left(first: Picture, second: Picture) -> tuple[Float32Array, Float32Array]:
     """``rate`` of :func:`measured`, of one pair, and the differences whose squares are its variance."""
     shape = np.broadcast_shapes(first.rate.shape, (*first.spp.shape, 1))
-    rate, left = np.empty(shape), np.empty(shape, np.float32)
-    for at in _parts(shape):
-        a, b = _part(first, at), _part(second, at)
+    rate, left = np.empty(shape, np.float32), np.empty(shape, np.float32)
+    for part in _parts(shape, WINDOW_PX // 2):
+        a, b = _part(first, part.wider), _part(second, part.wider)
         sums = no_pairs(a)
         _add(sums, a, b)
-        rate[at], left[at] = _mean_and_left(sums._replace(spp=a.spp + b.spp))
+        found = _mean_and_left(sums._replace(spp=a.spp + b.spp))
+        for whole, values in zip((rate, left), found, strict=True):
+            whole[part.own] = values[:, part.inner]
     return rate, left
 
 
@@ -163,10 +181,26 @@ def _weighted(values: FloatArray, axes: tuple[int, int]) -> FloatArray:
     return values
 
 
-def _parts(shape: tuple[int, ...]) -> Iterator[tuple[slice, ...]]:
-    """Places of each stop and channel: intermediate arrays of all of a large frame take gigabytes."""
-    for stop, channel in np.ndindex(shape[0], shape[3]):
-        yield (slice(stop, stop + 1), slice(None), slice(None), slice(channel, channel + 1))
+class _Strip(NamedTuple):
+    """Some rows of a stop and a channel, without and with rows around them, [stop, y, x, channel]."""
+
+    own: tuple[slice, ...]
+    wider: tuple[slice, ...]
+    inner: slice  # rows of ``own`` within ``wider``
+
+
+def _parts(shape: tuple[int, ...], around: int = 0) -> Iterator[_Strip]:
+    """Strips of each stop and channel, with up to ``around`` more rows on either side: intermediate arrays of all of a
+    large frame take gigabytes.
+    """
+    for stop, channel, top in itertools.product(range(shape[0]), range(shape[3]), range(0, shape[1], STRIP_ROWS)):
+        bottom = min(top + STRIP_ROWS, shape[1])
+        first, last = max(top - around, 0), min(bottom + around, shape[1])
+        own, wider = (
+            (slice(stop, stop + 1), slice(*rows), slice(None), slice(channel, channel + 1))
+            for rows in ((top, bottom), (first, last))
+        )
+        yield _Strip(own, wider, slice(top - first, bottom - first))
 
 
 def _part(picture: Picture, at: tuple[slice, ...]) -> Picture:
@@ -174,13 +208,18 @@ def _part(picture: Picture, at: tuple[slice, ...]) -> Picture:
     light, variate_light = (
         each if isinstance(each, float) else each[at] for each in (picture.light, picture.variate_light)
     )
-    return Picture(picture.spp[at[:3]], picture.rate[at], picture.variate[at], light, variate_light)
+    return Picture(_samples_at(picture.spp, at), picture.rate[at], picture.variate[at], light, variate_light)
 
 
 def _part_of_sums(sums: Sums, at: tuple[slice, ...]) -> Sums:
     """The same part of sums, a view."""
     spp, rate, variate, difference, variate_difference = sums
-    return Sums(spp[at[:3]], rate[at], variate[at], difference[at], variate_difference[at])
+    return Sums(_samples_at(spp, at), rate[at], variate[at], difference[at], variate_difference[at])
+
+
+def _samples_at(spp: NDArray[np.int64], at: tuple[slice, ...]) -> NDArray[np.int64]:
+    """Samples of a part, of each of its pixels or of all, a view."""
+    return spp[at[0]] if spp.shape[1] == 1 else spp[at[:3]]
 
 
 def _add(sums: Sums, first: Picture, second: Picture) -> None:
@@ -243,12 +282,12 @@ def _in_window(extent: int) -> NDArray[np.int64]:
     return np.minimum(place, half) + np.minimum(extent - 1 - place, half) + 1
 
 
-def share(variance: NDArray[np.floating], sensor_variance: FloatArray) -> FloatArray:
+def share(variance: NDArray[np.floating], sensor_variance: NDArray[np.floating]) -> NDArray[np.floating]:
     """Standard deviation of rendering noise over that of the sensor's, [h, w, channel]; 0 where there is no noise."""
     ratio = np.divide(variance, sensor_variance, out=np.zeros_like(variance), where=sensor_variance > 0)
     return np.asarray(np.sqrt(ratio))
 
 
-def shares_at(ratio: FloatArray, percentiles: Sequence[float] = PERCENTILES) -> FloatArray:
+def shares_at(ratio: NDArray[np.floating], percentiles: Sequence[float] = PERCENTILES) -> FloatArray:
     """Percentiles of a share [h, w, channel] over the pixels, [percentile, channel]."""
     return np.asarray(np.percentile(ratio, percentiles, axis=(0, 1)))

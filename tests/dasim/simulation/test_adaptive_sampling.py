@@ -7,7 +7,7 @@ import pytest
 
 from dasim.simulation import adaptive_sampling
 from dasim.simulation.adaptive_sampling import allotted_spp, render_to_noise_target
-from dasim.simulation.rendering_noise import Picture, add, measured, no_pairs
+from dasim.simulation.rendering_noise import Picture, add, measured, no_pairs, rates
 
 FRAME = (2, 60, 80)
 SHAPE = (*FRAME, 4)
@@ -50,7 +50,7 @@ def poisson(rate):
 
 def error_of(result):
     """Error of the mean over the standard deviation of photon noise, [h, w, channel]."""
-    return np.abs(result.measured.rate.sum(axis=0) - MEAN_E) / np.sqrt(MEAN_E) / 0.6745
+    return np.abs(rates(result.sums).sum(axis=0) - MEAN_E) / np.sqrt(MEAN_E) / 0.6745
 
 
 def test_the_noise_target_is_met_and_the_stated_noise_is_true():
@@ -62,10 +62,8 @@ def test_the_noise_target_is_met_and_the_stated_noise_is_true():
     result = render_to_noise_target(by_stop(pictures((2.0, 1.0), calls)), poisson, FEW)
     assert max(result.share) <= adaptive_sampling.NOISE_SHARE
     finest = max(finer for *_, finer in calls)
-    np.testing.assert_array_equal(
-        result.measured.spp, np.sum([spp for _, spp, finer in calls if finer == finest], axis=0)
-    )
-    mean = result.measured.spp.mean(axis=(1, 2))
+    np.testing.assert_array_equal(result.sums.spp, np.sum([spp for _, spp, finer in calls if finer == finest], axis=0))
+    mean = result.sums.spp.mean(axis=(1, 2))
     assert mean[0] > mean[1], "the stop that gives more of the noise gets more samples"
     assert len({index for index, *_ in calls}) == len(calls), "every picture has random numbers of its own"
     np.testing.assert_allclose(result.share, np.median(error_of(result), axis=(0, 1)), rtol=MEDIAN)
@@ -94,11 +92,11 @@ def test_noisy_pixels_get_the_samples():
     noisy = pictures((0.3, 0.3), [], loud=loud)
     high, median = (render_to_noise_target(by_stop(noisy), poisson, FEW, percentile=at) for at in (95.0, 50.0))
     assert max(high.share) <= adaptive_sampling.NOISE_SHARE
-    spp = high.measured.spp[0]
+    spp = high.sums.spp[0]
     assert spp[:, :6].mean() > 5 * spp[:, 12:].mean()
     assert np.median(error_of(high)[loud], axis=0).max() <= adaptive_sampling.NOISE_SHARE
     assert np.median(error_of(median)[loud], axis=0).max() > adaptive_sampling.NOISE_SHARE
-    assert median.measured.spp.mean() < high.measured.spp.mean()
+    assert median.sums.spp.mean() < high.sums.spp.mean()
 
 
 def test_choosing_samples_by_the_noise_leaves_no_bias():
@@ -119,8 +117,8 @@ def test_choosing_samples_by_the_noise_leaves_no_bias():
     means = []
     for frame in range(12):
         result = render_to_noise_target(by_stop(frame_of(frame)), poisson, FEW, percentile=95)
-        assert len(np.unique(result.measured.spp)) > 2
-        means.append(result.measured.rate.sum(axis=0).mean(axis=(0, 1)) / MEAN_E)
+        assert len(np.unique(result.sums.spp)) > 2
+        means.append(rates(result.sums).sum(axis=0).mean(axis=(0, 1)) / MEAN_E)
     z = (np.mean(means, axis=0) - 1) / (np.std(means, axis=0, ddof=1) / np.sqrt(12))
     assert np.abs(z).max() < 4.5
 
@@ -149,7 +147,7 @@ def test_the_factor_of_the_variate_lowers_the_noise_and_leaves_the_mean():
 def test_a_quiet_scene_takes_the_first_pair_alone():
     calls: list = []
     result = render_to_noise_target(by_stop(pictures((0.01, 0.01), calls)), poisson, FEW)
-    assert [index for index, *_ in calls] == [0, 1] and set(result.measured.spp.ravel()) == {16}
+    assert [index for index, *_ in calls] == [0, 1] and set(result.sums.spp.ravel()) == {16}
 
 
 def test_every_picture_has_the_fewest_samples_of_each_pixel():
@@ -169,23 +167,22 @@ def test_every_picture_has_the_fewest_samples_of_each_pixel():
         for _, spp, _ in calls:
             assert ((spp >= fewest) | (spp == 0)).all()
         assert max(mixed.share) <= adaptive_sampling.NOISE_SHARE
-        assert mixed.measured.spp.mean() < equal.measured.spp.mean()
-        assert quiet == (len(calls) == 4) and (not quiet or set(mixed.measured.spp[:, :, 40:].ravel()) == {8})
+        assert mixed.sums.spp.mean() < equal.sums.spp.mean()
+        assert quiet == (len(calls) == 4) and (not quiet or set(mixed.sums.spp[:, :, 40:].ravel()) == {8})
 
 
 def test_a_smaller_share_takes_more_samples():
     """Expectation: half the noise takes two to three times the samples; powers of two blur that."""
     noisy = pictures((2.0, 2.0), [])
     counts = [
-        render_to_noise_target(by_stop(noisy), poisson, FEW, target=share).measured.spp.mean()
-        for share in (0.4, 0.2, 0.1)
+        render_to_noise_target(by_stop(noisy), poisson, FEW, target=share).sums.spp.mean() for share in (0.4, 0.2, 0.1)
     ]
     assert counts[0] < counts[1] < counts[2]
 
 
 def test_the_most_samples_end_it():
     result = render_to_noise_target(by_stop(pictures((50.0, 50.0), [])), poisson, FEW, most_spp=16)
-    assert result.measured.spp.max() <= 16 * 2 * adaptive_sampling.MOST_ROUNDS
+    assert result.sums.spp.max() <= 16 * 2 * adaptive_sampling.MOST_ROUNDS
     assert max(result.share) > adaptive_sampling.NOISE_SHARE
 
 
@@ -194,7 +191,7 @@ def test_no_light_and_no_noise_need_no_more():
         return Picture(spp, np.zeros(SHAPE), np.zeros(SHAPE))
 
     result = render_to_noise_target(by_stop(dark), poisson, FEW)
-    assert result.share == (0, 0, 0, 0) and set(result.measured.spp.ravel()) == {16}
+    assert result.share == (0, 0, 0, 0) and set(result.sums.spp.ravel()) == {16}
 
 
 def test_a_further_pair_has_its_samples_where_the_pilot_is_noisy():
@@ -232,7 +229,7 @@ def test_many_samples_are_asked_for_in_parts(monkeypatch):
         calls: list = []
         result = render_to_noise_target(by_stop(pictures((1.0, 1.0), calls, slope=0.65)), poisson, FEW)
         shares.append(max(result.share))
-        spp.append(result.measured.spp.mean())
+        spp.append(result.sums.spp.mean())
     assert spp[1] > 2 * adaptive_sampling.FAR * FEW.max()
     assert spp[0] < 0.6 * spp[1]
     assert 0.7 * adaptive_sampling.NOISE_SHARE < shares[0] <= adaptive_sampling.NOISE_SHARE
@@ -276,9 +273,9 @@ def test_noise_of_the_irradiance_asks_for_more_directions_not_for_samples():
     calls: list = []
     result = render_to_noise_target(by_stop(irradiance_pictures(0.3, 0.6, calls)), poisson, FEW_OF_IRRADIANCE)
     assert [finer for finer, _ in calls[:2]] == [1, 1] and calls[2][0] >= 16
-    assert result.measured.spp.max() <= 32
+    assert result.sums.spp.max() <= 32
     assert max(result.share) <= 1.1 * adaptive_sampling.NOISE_SHARE
-    error = np.sqrt(np.mean((result.measured.rate[0] - MEAN_E) ** 2 / MEAN_E, axis=(0, 1)))
+    error = np.sqrt(np.mean((rates(result.sums)[0] - MEAN_E) ** 2 / MEAN_E, axis=(0, 1)))
     np.testing.assert_allclose(result.share, error, rtol=0.3)
 
 
@@ -295,7 +292,7 @@ def test_many_samples_have_a_finer_irradiance_and_another_pilot():
     wanted = (1.5 / adaptive_sampling.NOISE_SHARE) ** 2
     assert [finer for finer, _ in calls[:2]] == [1, 1] and len({finer for finer, _ in calls[2:]}) == 1
     assert calls[2][0] > 1 and set(calls[2][1].ravel()) == {8}
-    assert result.measured.spp.mean() < 2 * wanted
+    assert result.sums.spp.mean() < 2 * wanted
     assert max(result.share) <= adaptive_sampling.NOISE_SHARE
     calls.clear()
     render_to_noise_target(by_stop(fine), poisson, FEW_OF_IRRADIANCE)
@@ -315,7 +312,7 @@ def test_noise_of_the_irradiance_that_the_pilot_could_not_see_is_found_later(mon
     assert [finer for finer, _ in calls[:4]] == [1, 1, 1, 1] and calls[4][0] >= 8
     assert max(result.share) <= adaptive_sampling.NOISE_SHARE
     fine = np.sum([spp for finer, spp in calls if finer > 1], axis=0)
-    np.testing.assert_array_equal(result.measured.spp, fine, "pictures of the coarse irradiance do not count")
+    np.testing.assert_array_equal(result.sums.spp, fine, "pictures of the coarse irradiance do not count")
 
 
 def test_pixels_that_have_the_most_samples_do_not_make_others_take_more():
@@ -329,7 +326,7 @@ def test_pixels_that_have_the_most_samples_do_not_make_others_take_more():
     calls: list = []
     noisy = pictures((0.3, 0.3), calls, slope=0.5, loud=loud, louder=40.0)
     result = render_to_noise_target(by_stop(noisy), poisson, FEW, percentile=95)
-    spp = result.measured.spp[0]
+    spp = result.sums.spp[0]
     # Half of the variance each: (0.3 x 900 / 2)^2 / n = 0.25^2 x 900 / 2 in green.
     assert np.median(spp[~loud]) < 2 * (0.3 * 900 / 2 / 0.25) ** 2 / 450
     assert spp[loud].min() >= adaptive_sampling.MOST_SPP

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
+from dasim.simulation import rendering_noise
 from dasim.simulation.rendering_noise import (
     PERCENTILES,
     WEIGHTS,
@@ -17,6 +18,7 @@ from dasim.simulation.rendering_noise import (
     measured,
     no_pairs,
     of_sum,
+    rates,
     share,
     shared_uncertainty,
     shares_at,
@@ -115,21 +117,37 @@ def test_the_variate_takes_out_what_it_shares_with_the_picture():
 def test_a_pair_is_measured_in_little_memory():
     """Rationale: the pictures of a frame of 3 Mpx take 100 MB per stop and array.
 
-    Expectation: the figures of ``measured``; beside two results, some twenty intermediate arrays, each of one channel
-    of one stop: a sixth of a result.
+    Expectation: beside the two results, some twenty intermediate arrays of a strip in double precision, whatever the
+    height of the frame.
     """
-    random = np.random.default_rng(8)
-    two = [picture(2, 10 + random.standard_normal(SHAPE), random.standard_normal(SHAPE)) for _ in range(2)]
+    random, shape = np.random.default_rng(8), (2, 8 * rendering_noise.STRIP_ROWS, 40, 3)
+    two = [Picture(np.full((2, 1, 1), 2), *random.standard_normal((2, *shape)).astype(np.float32)) for _ in range(2)]
     tracemalloc.start()
     rate, left = mean_and_left(*two)
-    squares = left.astype(float) ** 2
-    variance = ndimage.correlate1d(ndimage.correlate1d(squares, WEIGHTS, axis=1), WEIGHTS, axis=2)
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
-    assert peak < (2 + 24 / 6) * rate.nbytes
-    whole = measured(summed([tuple(two)]))
-    np.testing.assert_allclose(rate, whole.rate, rtol=1e-6)
-    np.testing.assert_allclose(variance, whole.variance, rtol=1e-6)
+    assert peak < rate.nbytes + left.nbytes + 24 * 8 * rendering_noise.STRIP_ROWS * shape[2]
+
+
+def test_strips_do_not_show(monkeypatch):
+    """Expectation: strips of a few rows give what the whole frame gives, at their edges and at the frame's; a pair's
+    mean and variance are those of ``measured``.
+    """
+    random = np.random.default_rng(9)
+    two = [picture(2, 10 + random.standard_normal(SHAPE), random.standard_normal(SHAPE)) for _ in range(2)]
+    results = []
+    for rows in (10 * SHAPE[1], 7):
+        monkeypatch.setattr(rendering_noise, "STRIP_ROWS", rows)
+        sums = summed([tuple(two)])
+        results.append([*measured(sums)[:3], *mean_and_left(*two)])
+        np.testing.assert_array_equal(rates(sums), results[-1][0])
+    for whole, of_strips in zip(*results, strict=True):
+        np.testing.assert_allclose(of_strips, whole, rtol=1e-5, atol=1e-6)
+    rate, left = results[0][3:]
+    squares = left.astype(float) ** 2
+    variance = ndimage.correlate1d(ndimage.correlate1d(squares, WEIGHTS, axis=1), WEIGHTS, axis=2)
+    np.testing.assert_allclose(rate, results[0][0], rtol=1e-6)
+    np.testing.assert_allclose(variance, results[0][1], rtol=1e-5)
 
 
 def test_shares_are_percentiles_of_standard_deviations():
