@@ -295,14 +295,15 @@ def allotted_spp(pilots: Sequence[Sums], mean: float) -> NDArray[np.int64]:
     are proportional to the standard deviation of one sample (Neyman, Journal of the Royal Statistical Society 97,
     1934), which is estimated from the surrounding pixels. ``pilots`` are pairs of pictures through each stop.
     """
-    light, variance = np.zeros(pilots[0].rate.shape[1:]), []
-    for pilot in pilots:
-        found = measured(pilot)
-        light += np.maximum(around(found.rate)[0], 0.0)
-        variance.append((found.around * found.spp[..., None])[0].astype(np.float32))
-    light += LEAST_LIGHT * light.mean(axis=(0, 1)) + np.finfo(float).tiny
-    one = np.stack([np.sqrt((part / light).sum(axis=-1)) for part in variance])
     done = np.concatenate([pilot.spp for pilot in pilots])
+    one = np.zeros((len(pilots), *pilots[0].rate.shape[1:-1]), np.float32)
+    for channel in range(pilots[0].rate.shape[-1]):
+        found = [measured(pilot.of_channel(channel)) for pilot in pilots]
+        light = sum(np.maximum(around(part.rate)[0, ..., 0], 0.0) for part in found)
+        light += LEAST_LIGHT * light.mean() + np.finfo(np.float32).tiny
+        for total, part in zip(one, found, strict=True):
+            total += (part.around * part.spp[..., None])[0, ..., 0] / light
+    np.sqrt(one, out=one)
     if not one.any():
         return np.zeros(one.shape, np.int64)
 
