@@ -254,8 +254,12 @@ def _beside(path: Path, dotted: str, level: int) -> list[Path]:
 
 
 def _data(path: Path, excluding: Collection[str]) -> Iterator[Path]:
-    """Bundled data that a module joins to paths: the files that it names, or all files of a folder that it names."""
+    """Data of a module: files beside it that it names, such as weights of networks; and bundled data that it joins to
+    paths, the files that it names or all files of a folder that it names.
+    """
     parts = _content(path).path_parts
+    beside = (path.with_name(name) for name in sorted(_content(path).file_names))
+    yield from (file for file in beside if file.suffix != ".py" and file.is_file())
     for name, places in DATA_FOLDERS.items():
         folder = next((ROOT / place for place in places if (ROOT / place).is_dir()), None)
         if name in excluding or name not in parts or folder is None:

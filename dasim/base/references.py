@@ -6,9 +6,12 @@ Tested in tests/recon/calibration/test_cached.py.
 from __future__ import annotations
 
 import ast
+import re
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
+
+FILE_NAME = re.compile(r"[\w-]{1,100}(\.[\w-]{1,20}){1,3}")
 
 
 @dataclass(frozen=True)
@@ -40,6 +43,7 @@ class Content:
 
     references: frozenset[Reference]
     path_parts: frozenset[str]  # text that is joined to paths, as in folder / "data"
+    file_names: frozenset[str]  # text that may be the name of a file
     exports: Names | None  # names that a package re-exports from its modules; None where the file has its own code
 
 
@@ -55,7 +59,8 @@ def content(source: bytes) -> Content:
     uses = _Uses(imports.names)
     uses.visit(tree)
     exports = imports.names if all(map(_is_export, tree.body)) else None
-    return Content(frozenset(imports.references | uses.references), frozenset(uses.path_parts), exports)
+    referred = frozenset(imports.references | uses.references)
+    return Content(referred, frozenset(uses.path_parts), frozenset(uses.file_names), exports)
 
 
 def exports(init: Path, module: Content) -> Names | None:
@@ -112,6 +117,11 @@ class _Uses(ast.NodeVisitor):
         self.names = names
         self.references: set[Reference] = set()
         self.path_parts: set[str] = set()
+        self.file_names: set[str] = set()
+
+    def visit_Constant(self, node: ast.Constant) -> None:
+        if isinstance(node.value, str) and FILE_NAME.fullmatch(node.value):
+            self.file_names.add(node.value)
 
     def visit_Attribute(self, node: ast.Attribute) -> None:
         chain: list[str] = []

@@ -43,8 +43,12 @@ RENDER = [
     *("dasim/scene/procedural/mannequin.py", "dasim/scene/shapes.py", "dasim/files/truth.py"),
     *(f"dasim/render/{name}.py" for name in ("passes", "wave", "pupil", "translate", "truth", "irradiance")),
 ]
-RECON = ["recon/pipeline.py", "recon/settings.py", "recon/depth/bands.py", "recon/sharp/deconvolution.py"]
+RECON = [
+    *("recon/pipeline.py", "recon/settings.py", "recon/depth/bands.py", "recon/sharp/deconvolution.py"),
+    *("recon/depth/surface_net_0.npz", "recon/sharp/restoration_1.npz"),
+]
 TEMPLATES = ["validation/reports/templates/claims.html", "validation/reports/templates/study.html"]
+BINARY = (".npz",)  # files of other kinds are text
 ELSEWHERE = ["dasim/cli/check.py", "validation/gates/gates.toml", *TEMPLATES]
 
 # Of each cache: what it depends on, and what it does not.
@@ -138,14 +142,17 @@ def changed(key, *paths: Path) -> list[str]:
     """Files, by name, of which a change of a number changes the key."""
     before, names = key(), []
     for path in paths:
-        text = path.read_text(encoding="utf-8")
+        data = path.read_bytes()
         try:
-            path.write_text(with_another_number(text, path.suffix), encoding="utf-8")
+            if path.suffix in BINARY:
+                path.write_bytes(data + b"1")
+            else:
+                path.write_bytes(with_another_number(data.decode(), path.suffix).encode())
             fingerprint.forget()
             if key() != before:
                 names.append(path.name)
         finally:
-            path.write_text(text, encoding="utf-8")
+            path.write_bytes(data)
             fingerprint.forget()
     return names
 
@@ -252,8 +259,10 @@ def load(path: Path, name: str):
 def method(tmp_path):
     """A depth method in a file that imports another one beside it, which imports from a package beside it."""
     (tmp_path / "method.py").write_text(
-        "def estimate(capture, bank):\n    import helper\n    import scipy\n    return 1\n"
+        "def estimate(capture, bank):\n    import helper\n    import scipy\n    return 'weights.csv'\n"
     )
+    for name in ("weights.csv", "notes.csv"):
+        (tmp_path / name).write_text("1\n")
     (tmp_path / "helper.py").write_text("from inner.part import value\nfrom numpy import pi\n")
     (tmp_path / "inner").mkdir()
     (tmp_path / "inner" / "__init__.py").write_text("from dasim.camera import noise\n")
@@ -268,9 +277,9 @@ def test_function_of_a_users_own_is_followed_beside_its_file(method, tmp_path, w
     def key() -> str:
         return fingerprint.fingerprint(wrapped(method))
 
-    names = ("method.py", "helper.py", "inner/__init__.py", "inner/part.py", "inner/sibling.py")
+    names = ("method.py", "helper.py", "inner/__init__.py", "inner/part.py", "inner/sibling.py", "weights.csv")
     assert len(changed(key, *(tmp_path / name for name in names))) == len(names)
-    assert not changed(key, tmp_path / "stranger.py")
+    assert not changed(key, tmp_path / "stranger.py", tmp_path / "notes.csv")
     followed = fingerprint.dependencies(method)
     assert {"numpy", "scipy"} <= followed.libraries
     assert HERE / "dasim/camera/noise.py" in followed.files
