@@ -38,6 +38,7 @@ def main() -> None:
     fitting.add_argument("--epochs", type=int)
     fitting.add_argument("--seed", type=int, default=0, help="of the first weights and of the order of examples")
     fitting.add_argument("--device", default="cpu", help="PyTorch's name of the processor: cpu, cuda, mps")
+    fitting.add_argument("--begin", type=Path, help="file of a network of levels that is trained on")
     fitting.add_argument("--out", type=Path)
     options = parser.parse_args()
     if options.step == "examples":
@@ -46,14 +47,17 @@ def main() -> None:
     else:
         network = options.network
         out = options.out or Path(FILES[network].format(options.seed))
-        _fit(network, options.folder, options.epochs or EPOCHS[network], options.seed, options.device, out)
+        if options.begin and network != "levels":
+            parser.error("--begin: for the network 'levels' alone")
+        how: dict[str, Any] = {"seed": options.seed, "device": options.device}
+        _fit(network, options.folder, options.epochs or EPOCHS[network], how, options.begin, out)
 
 
 def _show(_: str, share: float) -> None:
     print(f"\r{share:4.0%}", end="", file=sys.stderr)
 
 
-def _fit(network: str, folder: Path, epochs: int, seed: int, device: str, out: Path) -> None:
+def _fit(network: str, folder: Path, epochs: int, how: dict[str, Any], begin: Path | None, out: Path) -> None:
     from validation.training import fit_levels, fit_pictures  # PyTorch is of an extra
 
     trainer: Any = {"levels": fit_levels, "pictures": fit_pictures}[network]
@@ -66,11 +70,14 @@ def _fit(network: str, folder: Path, epochs: int, seed: int, device: str, out: P
         held_loss = trainer.mean_loss(net, held_out)
         print(f"pass {epoch + 1} of {epochs}: loss {loss:.3f}, held out {held_loss:.3f}", flush=True)
 
-    net = trainer.fit(train, epochs, seed, report, device)
     about = (
         f"Own data of the project, under its licence: weights of {READERS[network]}, without unit, from "
-        f"{trainer.count(train)} examples of validation.training in {epochs} passes, seed {seed}."
+        f"{trainer.count(train)} examples of validation.training in {epochs} passes, seed {how['seed']}."
     )
+    if begin:
+        how["begin"] = dict(np.load(begin, allow_pickle=False))
+        about += f" Before that: {how['begin']['about']}"
+    net = trainer.fit(train, epochs, report=report, **how)
     arrays: dict[str, Any] = net.arrays()
     np.savez(out, about=about, **arrays)
 

@@ -17,14 +17,15 @@ from recon.picture import mosaic
 from validation.training import layered, traced
 from validation.training.captures import SIZE_PX, TIME_S, Conditions, Setup, drawn
 
-SEEDS = {"plain": 78, "textured": 79}
+SEEDS = {"plain": 78, "textured": 79, "soft": 80}
 LIGHTS = (0.4, 0.2, 0.2, 0.2)  # shares of the bank's lights, of which the last has hardly any infrared
 CONDITIONS = {
     "plain": Conditions(48, (3.0, 30.0), (250.0, 6000.0)),
     "textured": Conditions(48, (2.5, 26.0), (600.0, 8000.0)),
+    "soft": Conditions(48, (2.5, 26.0), (600.0, 8000.0)),
 }
 # Per part of the work.
-EXAMPLES = {name: of.examples for name, of in CONDITIONS.items()} | dict.fromkeys(traced.FAMILIES, 200)
+EXAMPLES = {name: of.examples for name, of in CONDITIONS.items()} | dict.fromkeys(traced.FAMILIES, 123)
 
 
 class _Seen(NamedTuple):

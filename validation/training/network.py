@@ -95,6 +95,15 @@ def layer_arrays(layers: nn.ModuleDict) -> dict[str, NDArray]:
     return {name: value.detach().cpu().numpy().astype(np.float16) for name, value in found.items()}
 
 
+def set_layers(layers: nn.ModuleDict, arrays: Mapping[str, NDArray]) -> None:
+    """Set weights and biases to those of :func:`layer_arrays`."""
+    for name, layer in layers.items():
+        weight = torch.tensor(arrays[name].astype(np.float32))
+        weight = weight if weight.ndim == 4 else weight[None, None]
+        layer.weight.copy_(weight.permute(3, 2, 0, 1))
+        layer.bias.copy_(torch.tensor(arrays[f"{name}_bias"].astype(np.float32)))
+
+
 def constant_arrays(constants: Mapping[str, Tensor]) -> dict[str, NDArray]:
     """Constants per channel as :mod:`recon.convolution` reads them, float32."""
     return {name: value.flatten().cpu().numpy().astype(np.float32) for name, value in constants.items()}

@@ -17,6 +17,7 @@ from dasim.typing import Float32Array
 
 SIDE = 512  # of a pattern, samples
 LEAST_REFLECTANCE = 0.02
+SOFT_SIGMA = (0.5, 5.0)  # standard deviation of the blur of soft patterns, samples
 
 
 class Look(NamedTuple):
@@ -29,6 +30,7 @@ class Look(NamedTuple):
     least_follows: float  # correlation, where partly
     strengths: tuple[float, float, float]  # shares whose infrared has green's contrast, another one, hardly any
     least_scale: float  # samples of a pattern per fine sample of the picture
+    soft: float = 0.0  # share of patterns that are soft, as prints of photographs are
 
 
 PLAIN = Look((0.04, 0.8), (0.34, 0.18, 0.12, 0.12, 0.08, 0.16), 1.8, (0.4, 0.5, 0.1), 0.3, (0.5, 0.42, 0.08), 0.15)
@@ -47,7 +49,19 @@ def pattern(random: np.random.Generator, look: Look) -> Float32Array:
     tint = 1 + 0.3 * random.standard_normal(3)
     parts = [colours[i] * (1 + contrast * tint[i] * shared) for i in range(3)]
     parts.append(colours[3] * (1 + strength * mixed))
-    return np.maximum(np.stack(parts), LEAST_REFLECTANCE).astype(np.float32)
+    found = np.maximum(np.stack(parts), LEAST_REFLECTANCE).astype(np.float32)
+    if look.soft and random.random() < look.soft:
+        found = softened(found, float(np.exp(random.uniform(*np.log(SOFT_SIGMA)))), periodic=True)
+    return found
+
+
+def softened(image: Float32Array, sigma: float, *, periodic: bool) -> Float32Array:
+    """[channel, h, w] blurred by a Gaussian of ``sigma`` samples; beyond its edges it is repeated, or mirrored."""
+    if sigma <= 0:
+        return image
+    reach = int(np.ceil(4 * sigma))
+    padded = np.pad(image, ((0, 0), (reach, reach), (reach, reach)), mode="wrap" if periodic else "reflect")
+    return np.stack([cv2.GaussianBlur(part, (0, 0), sigma)[reach:-reach, reach:-reach] for part in padded])
 
 
 def _colour(random: np.random.Generator) -> Float32Array:

@@ -32,6 +32,7 @@ OBJECTS = ("ball", "card", "disc", "box", "leaves", "bars")
 FAMILIES = {
     "plain": Family(PLAIN, (0.25, 0.22, 0.1, 0.25, 0.13, 0.05), 0.0),
     "textured": Family(TEXTURED, (0.24, 0.21, 0.1, 0.24, 0.13, 0.08), 0.4),
+    "soft": Family(TEXTURED._replace(soft=0.7), (0.24, 0.21, 0.1, 0.24, 0.13, 0.08), 0.4),
 }
 
 

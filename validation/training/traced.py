@@ -2,10 +2,11 @@
 
 Layered captures (:mod:`validation.training.layered`) take two processor seconds each, but lack the perspective of a
 lens and its light at depth steps, and their rooms differ from those of the simulator. Path-traced captures take about
-40 processor seconds each. No other part of the project uses their seeds and pictures: posters and cards show rooms of
-:mod:`validation.training.rooms` and patterns of :mod:`validation.training.patterns`, and seeded textures use seeds that
-no random scene draws. Shapes, measured reflectances, unseeded textures (weaves, stripes, checks, leaf veins) and light
-are those of :class:`dasim.RandomScenes`, in wider ranges than in the sets for which figures are stated.
+30 processor seconds each. No other part of the project uses their seeds and pictures: posters and cards show
+photographs of :mod:`validation.training.photographs` and patterns of :mod:`validation.training.patterns`, and seeded
+textures use seeds that no random scene draws. Shapes, measured reflectances, unseeded textures (weaves, stripes,
+checks, leaf veins) and light are those of :class:`dasim.RandomScenes`, in wider ranges than in the sets for which
+figures are stated.
 """
 
 from __future__ import annotations
@@ -28,11 +29,12 @@ from recon.picture import colour, mosaic
 from validation.training import rooms
 from validation.training.captures import CAMERAS, SIZE_PX, Setup
 from validation.training.patterns import PLAIN, TEXTURED, pattern
+from validation.training.photographs import photograph
 
 FAMILIES = ("traced", "dim")
-SEED = 261126
+SEED = 261128
 DIM = (0.04, 0.5)  # least and largest factor on the light
-PICTURES, PICTURE_PX = 48, 256
+PICTURES, PICTURE_PX = 96, 256
 FIRST_TEXTURE, TEXTURES = 100, 24  # seeds of textures; random scenes draw smaller ones
 NOISE_SHARE = 0.5  # of rendering over the sensor's, at the median
 RODS_SHARE = 0.25  # of scenes with thin rods, as of fences and stems, before the rest
@@ -76,11 +78,11 @@ def _pictures(folder: Path) -> list[Path]:
     for number, file in enumerate(files):
         if not file.exists():
             random = np.random.default_rng((SEED, number))
-            look = rooms.FAMILIES[str(random.choice(list(rooms.FAMILIES)))]
-            if number % 2:
-                linear = rooms.room(random, PICTURE_PX, PICTURE_PX, 10.0, look).radiance[:3]
+            look = rooms.FAMILIES[str(random.choice(["plain", "textured"]))]
+            if number % 3:
+                linear = photograph(random, PICTURE_PX, look)
             else:
-                linear = pattern(random, TEXTURED if number % 4 else PLAIN)[:3]
+                linear = pattern(random, TEXTURED if number % 2 else PLAIN)[:3]
             encoded = 255 * np.clip(linear / np.percentile(linear, 99), 0, 1) ** (1 / 2.2)
             with atomic.writing(file) as stream:
                 stream.write(cv2.imencode(".png", np.moveaxis(encoded, 0, -1)[..., ::-1].astype(np.uint8))[1].tobytes())

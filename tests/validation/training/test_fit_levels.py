@@ -50,6 +50,22 @@ def test_training_lowers_the_loss():
     assert losses[-1] < 0.7 * losses[0]
 
 
+def test_a_network_that_is_trained_on_is_the_mean_of_both_and_better():
+    """Set-up: a network after a few passes is trained on. Expectation: read from its arrays, it has these arrays; the
+    loss is lower, and every weight lies in the middle between before and after.
+    """
+    data = made()
+    begin = fit_levels.fit(data, 4).arrays()
+    same = fit_levels.Net.of(begin).arrays()
+    after: dict = {}
+    found = fit_levels.fit(data, 8, begin=begin, report=lambda epoch, loss, net: after.update(net.arrays()))
+    for name, array in found.arrays().items():
+        np.testing.assert_array_equal(same[name], begin[name])
+        middle = (begin[name].astype(float) + after[name]) / 2
+        np.testing.assert_allclose(array, middle, rtol=2e-3, atol=1e-4)
+    assert fit_levels.mean_loss(found, data) < fit_levels.mean_loss(fit_levels.Net.of(begin), data)
+
+
 def test_turned_pictures_have_the_rows_of_their_own_frame():
     """Set-up: all pictures turned, of 6 x 8 nodes. Expectation: row -1 is at the top, 1 at the bottom."""
     random = mock.Mock(wraps=np.random.default_rng(0))
