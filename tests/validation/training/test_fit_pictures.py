@@ -45,10 +45,10 @@ def test_prediction_and_training_compute_the_same(monkeypatch):
 
 
 def test_training_lowers_the_loss():
-    """Expectation: after 16 passes, half of the noise is gone, which is 6 dB in each of the two halves of the loss."""
+    """Expectation: after 32 passes, half of the noise is gone, which is 6 dB in each of the two halves of the loss."""
     examples = made(16)
     losses = []
-    net = fit_pictures.fit(examples, 16, report=lambda epoch, loss, net: losses.append(loss))
+    net = fit_pictures.fit(examples, 32, report=lambda epoch, loss, net: losses.append(loss))
     draft = [{**example, "stack": example["stack"]} for example in examples[:2]]
     before = np.mean([float(_loss_of_draft(example)) for example in draft])
     assert fit_pictures.mean_loss(net, draft) < before - 6
