@@ -219,6 +219,7 @@ def _left(
     fewest_spp: NDArray[np.integer],
     kept: Sequence[float] | None,
 ) -> _Left:
+    """The data of :class:`_Left`, channel by channel."""
     at = (SPARSE, SPARSE) if limit[..., 0].size > LARGE_FRAME_PX else (slice(None), slice(None))
     channels = range(limit.shape[-1])
     own = np.stack([measured(sums.of_channel(channel)).variance[:, *at, 0] for channel in channels], axis=-1)

@@ -76,7 +76,7 @@ def _fit(network: str, folder: Path, epochs: int, how: dict[str, Any], begin: Pa
     )
     if begin:
         how["begin"] = dict(np.load(begin, allow_pickle=False))
-        about += f" Before that: {how['begin']['about']}"
+        about += f" Mean of these weights and those before: {how['begin']['about']}"
     net = trainer.fit(train, epochs, report=report, **how)
     arrays: dict[str, Any] = net.arrays()
     np.savez(out, about=about, **arrays)

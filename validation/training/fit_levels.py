@@ -136,8 +136,8 @@ def fit(
 
     All examples are kept on the ``device``, by PyTorch's name of it, where the network stays. ``begin`` are arrays of a
     trained network, which is trained on at a lower rate; the result has the mean of its weights before and after, which
-    does better on other scenes than either (Wortsman et al., Robust fine-tuning of zero-shot models, CVPR 2022). By
-    default a new network is trained.
+    forgets less of the first training (Wortsman et al., Robust fine-tuning of zero-shot models, CVPR 2022). By default
+    a new network is trained.
     """
     torch.manual_seed(seed)
     random = np.random.default_rng(seed)
