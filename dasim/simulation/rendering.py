@@ -94,7 +94,8 @@ class SharpPictures:
     rate: Float32Array  # [h, w, channel] of the camera, at the light level of ``View.world``
     twin: Float32Array  # [h, w, 3] of the camera :data:`exact.TWIN`, likewise
     field: Any  # irradiance, which half of the lens picture shares
-    controls: list[Control | None]  # of each stop, see :mod:`dasim.render.control_variate`
+    # of each stop, see :mod:`dasim.render.control_variate`; None also after the last use: they are large
+    controls: list[Control | None]
     # [h, w, channel] with every depth in focus and with glare, the sum over all stops but the ``others``; None for none
     in_focus: Float32Array | None
     others: list[int]  # numbers of the stops whose picture in focus takes rays of its own
@@ -103,16 +104,28 @@ class SharpPictures:
 
 
 def lens_picture(
-    view: View, sharp: SharpPictures, sampling: Sampling, exposure: Exposure, progress: Progress
+    view: View,
+    sharp: SharpPictures,
+    sampling: Sampling,
+    exposure: Exposure,
+    progress: Progress,
+    *,
+    again: bool = True,
 ) -> LensPicture:
-    """Render through every stop; raises InputError if no light reaches the sensor."""
+    """Render through every stop; raises InputError if no light reaches the sensor.
+
+    Unless the control variates of ``sharp`` are needed ``again``, they are released.
+    """
     fields = sharp.field, irradiance(view, sampling, 1)
     if sampling.spp == "auto":
         picture = _adaptive_picture(view, sharp, fields, sampling, exposure, progress)
     else:
         spp = np.full((len(view.camera.stops), 1, 1), sampling.spp)
-        rate, variance = _at_level(view, *_halves(view, sharp, fields, spp, sampling.seed, LENS, progress))
+        halves = _halves(view, sharp, fields, spp, sampling.seed, LENS, progress, again=again)
+        rate, variance = _at_level(view, *halves)
         picture = LensPicture(rate, variance, spp, {"spp": sampling.spp})
+    if not again:
+        sharp.controls[:] = [None] * len(sharp.controls)
     check_lit(view.scene, picture.rate, view.objects_at(np.ones(picture.rate.shape[:2], bool)))
     return picture
 
@@ -163,10 +176,13 @@ def _halves(
     seed: int,
     stream: int,
     progress: Progress,
+    *,
+    again: bool = False,
 ) -> tuple[FloatArray, FloatArray | None]:
     """Mean of two independent pictures that share ``spp`` samples, and its variance.
 
-    One sample per pixel cannot be halved: its variance is None. Stop by stop: large frames take gigabytes.
+    One sample per pixel cannot be halved: its variance is None. Stop by stop, each of whose control variates is
+    released unless it is needed ``again``: large frames take gigabytes.
     """
     parts = [spp - spp // 2, spp // 2] if spp.min() > 1 else [spp]
 
@@ -177,6 +193,8 @@ def _halves(
             ratios = stop_picture(view, sharp, number, field, part[number], own, progress, label)
             arrays: list[Any] = [each[None] for each in ratios]
             pictures.append(Picture(part[[number]], *arrays))
+        if not again:
+            sharp.controls[number] = None
         if len(pictures) == 1:
             return pictures[0].rate[0] - pictures[0].variate[0], np.zeros(1)
         rate, left = rendering_noise.mean_and_left(*pictures)

@@ -118,7 +118,9 @@ def sensor_light(
         view = prepare(scene, camera, diffraction, variant, progress)
         sharp = exact.sharp_pictures(view, sampling, progress)
         backend.release_memory()
-        lens = mean = _rounded(rendering.lens_picture(view, sharp, sampling, exposure or Exposure(), progress))
+        lens = mean = _rounded(
+            rendering.lens_picture(view, sharp, sampling, exposure or Exposure(), progress, again=independent_mean)
+        )
         if independent_mean:
             mean = _rounded(rendering.independent_picture(view, sharp, lens, sampling, progress))
         pictures = exact.exact_pictures(view, sharp, seed, progress)

@@ -7,6 +7,7 @@ import pytest
 
 from dasim.camera import geometry
 from dasim.camera import specification as cameras
+from dasim.camera.noise import Exposure
 from dasim.render.ray_pass import px_per_m
 from dasim.simulation import exact, rendering, rendering_noise
 from dasim.simulation.adaptive_sampling import FEWEST_OF_LAYERS, FEWEST_SPP
@@ -57,6 +58,28 @@ def test_pixels_with_rays_to_two_depths_are_known(make_scene, da_mobile, jit, fo
     inner = mask[border:-border, border:-border]
     one = ~several[border:-border]
     assert inner[:, one].mean() < 0.2 and (several.any() or focus_m == CARD_M)
+
+
+def test_control_variates_are_released_after_their_last_use(make_scene, da_mobile, jit):
+    """Rationale: those of a large frame take 200 MB per stop.
+
+    Expectation: when the rays of the second stop are traced, the first stop's control variate is there only if it is
+    needed again; afterwards so are all; the picture is the same either way.
+    """
+    view = view_of(make_scene, da_mobile, WALL_M, (48, 32))
+    sampling, there, rates = Sampling(4, 0.25, 50.0, 1), [], []
+
+    def progress(stage: str, share: float) -> None:
+        if view.camera.stops[1].name in stage:
+            there.append(sharp.controls[0] is not None)
+
+    for again in (True, False):
+        sharp = exact.sharp_pictures(view, sampling, lambda stage, share: None)
+        there.clear()
+        rates.append(rendering.lens_picture(view, sharp, sampling, Exposure(), progress, again=again).rate)
+        assert there and set(there) == {again}
+        assert [control is not None for control in sharp.controls] == [again, again]
+    np.testing.assert_array_equal(*rates)
 
 
 def test_few_samples_have_no_bias_where_one_depth_is_seen(make_scene, da_mobile, jit):
