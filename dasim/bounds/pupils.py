@@ -111,7 +111,7 @@ def _bands(camera: Camera, stop: Stop, light: str) -> tuple[list[_Band], FloatAr
     weights = radiometry.stop_response(camera, stop) * illuminants.illuminant(light)
     total = spectra.integrate(weights)
     f_number, pitch_m = pointspread.working_f_number(camera, 1.0), camera.sensor.pixel_pitch_um * 1e-6
-    parts = pointspread.bands(weights)
+    parts = spectra.bands(weights)
     cumulative = np.cumsum([weight.max() for _, weight in parts])
     core = [nm for (nm, _), share in zip(parts, cumulative / cumulative[-1], strict=True) if _TAIL < share < 1 - _TAIL]
     groups: dict[int, list[tuple[float, FloatArray]]] = {}

@@ -21,7 +21,6 @@ from pathlib import Path
 from typing import Any, Literal, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import j0
 
 from dasim.base.errors import InputError, kind_of
@@ -42,7 +41,6 @@ Field = tuple[float, float]  # (x, y) in pixels from the optical axis
 AXIS: Field = (0.0, 0.0)
 DIFFRACTION_MODELS: tuple[str, ...] = get_args(Diffraction)
 
-BAND_NM = 10.0  # profiles vary slowly with wavelength: one per 10 nm
 RADIAL_STEP_PX = 0.05
 PIXEL_NODES = 5  # Gauss-Legendre nodes per pixel and axis off the axis and with aberrations
 LARGEST_FIELD_DEG = 60.0  # beyond, the foreshortened pupil has less than 32 cells of its grid across
@@ -92,11 +90,11 @@ def radial_profiles(
         weights = radiometry.stop_response(camera, stop, angle_deg) * spectrum[..., None, :]
         signal += grid.integrate(weights)
         f_number, inner = working_f_number(camera, ring.outer), ring.inner / ring.outer
-        for wavelength_nm, weight in bands(weights):
+        for wavelength_nm, weight in grid.bands(weights):
             scale_px = wavelength_nm * 1e-9 * f_number / pitch_m
             own_blur = ring.outer * (np.asarray(blur_px) + np.interp(wavelength_nm, grid.WAVELENGTH_NM, colour_px))
             if diffraction == "wave":
-                phase = wavefront.at(wavefront.of_stop(camera, stop), wavelength_nm, BAND_NM)
+                phase = wavefront.at(wavefront.of_stop(camera, stop), wavelength_nm, grid.BAND_NM)
                 waves = own_blur / (8 * scale_px)
                 profile = (
                     radial_pattern.wave_profile(radius_px / scale_px, waves, inner, phase, ring.outer) / scale_px**2
@@ -107,25 +105,6 @@ def radial_profiles(
                 profile = radial_pattern.geometric_profile(radius_px, own_blur, inner)
             total += weight[..., None, :, None] * profile[:, None, :]
     return total / np.where(signal > 0, signal, 1.0)[..., None, :, None], signal
-
-
-def bands(weights: FloatArray) -> list[tuple[float, FloatArray]]:
-    """Integrals of [..., wavelength] weights over bands of ``BAND_NM``, each with its mean wavelength."""
-    step = grid.WAVELENGTH_STEP_NM * np.ones_like(grid.WAVELENGTH_NM)
-    step[[0, -1]] /= 2  # the trapezoid rule, so that the bands add up to grid.integrate
-    index = _band_index()
-    bands = []
-    for band in range(index[-1] + 1):
-        inside = index == band
-        weight = (weights[..., inside] * step[inside]).sum(axis=-1)
-        if weight.max() > 1e-6 * grid.integrate(weights).max():
-            bands.append((float(grid.WAVELENGTH_NM[inside].mean()), weight))
-    return bands
-
-
-def _band_index() -> NDArray[np.int_]:
-    """The band of every wavelength of the grid."""
-    return np.minimum((grid.WAVELENGTH_NM - 400.0) // BAND_NM, (830.0 - 400.0) // BAND_NM - 1).astype(int)
 
 
 def _pattern_kernel(
@@ -154,12 +133,12 @@ def _pattern_kernel(
         nodes, share = radial_pattern.unit_nodes(PIXEL_NODES)
         fine = (np.arange(size)[:, None] + nodes).ravel() - size / 2
     total = np.zeros((*weights.shape[:-1], size, size))
-    for wavelength_nm, weight in bands(weights):
+    for wavelength_nm, weight in grid.bands(weights):
         blur = blur_px + float(np.interp(wavelength_nm, grid.WAVELENGTH_NM, colour_px))
         if diffraction == "wave":
             scale = wavelength_nm * 1e-3 * f_number / camera.sensor.pixel_pitch_um
             y, x = ((fine - at) / scale for at in offset_px)
-            phase = wavefront.at(front, wavelength_nm, BAND_NM)
+            phase = wavefront.at(front, wavelength_nm, grid.BAND_NM)
             density = pupil_pattern(stop, blur / (8 * scale), y, x, phase, oblique, turn_rad) / scale**2
             density = density.reshape(size, len(share), size, len(share))
             kernel = np.einsum("iajb,a,b", density, share, share) if few else density.mean(axis=(1, 3))
@@ -300,12 +279,12 @@ def _veiled(
 def _moved_alike(camera: Camera, centre: stops.Point, spectrum: FloatArray) -> Iterator[tuple[float, FloatArray]]:
     """Parts of a spectrum whose kernels share a centre for a stop about ``centre``, each with its axial colour, px.
 
-    For a displaced stop, axial colour shifts the kernels of different wavelengths apart: one part for each 10 nm.
+    For a displaced stop, axial colour shifts the kernels of different wavelengths apart: one part for each band.
     """
     if centre == (0.0, 0.0) or not camera.lens.focal_shift_um:
         yield 0.0, spectrum
         return
-    colour_px, index = geometry.chromatic_blur_px(camera), _band_index()
+    colour_px, index = geometry.chromatic_blur_px(camera), grid.band_index()
     for band in range(index[-1] + 1):
         inside = index == band
         yield float(colour_px[inside].mean()), np.where(inside, spectrum, 0.0)

@@ -31,7 +31,8 @@ from dasim.render import (
 )
 from dasim.render.control_variate import Control, Fine
 from dasim.render.irradiance import Field
-from dasim.render.ray_loop import Ratios, Sampling
+from dasim.render.ray_batches import Sampling
+from dasim.render.ray_loop import Ratios
 from dasim.render.ray_pass import light_of, px_per_m
 from dasim.render.wavelengths import (
     BANDS,

@@ -29,6 +29,7 @@ from dasim.render.blur_tables import (
     texel,
     texture,
 )
+from dasim.spectra import grid
 from dasim.typing import FloatArray
 
 PATTERN_TAIL = 12.0  # in lambda N of a disc of the same area
@@ -202,7 +203,7 @@ def _in_focus(
     focus = np.zeros((len(place_px), len(place_px)))
     for scale, nm, weight in bands:
         for front in fronts:
-            phase = None if flat else wavefront.phase(front, nm, pointspread.BAND_NM)
+            phase = None if flat else wavefront.phase(front, nm, grid.BAND_NM)
             pattern = pupil_pattern(stop, 0.0, place_px / scale, place_px / scale, phase) / scale**2
             focus += weight * pattern / len(fronts)
     if flat:

@@ -24,8 +24,9 @@ from dasim.render import backend, plugin
 from dasim.render.frozen import frozen
 from dasim.render.irradiance import Field
 from dasim.render.plugin import aligned
-from dasim.render.ray_block import HERO, Batch, aim, block_of, lanes_of, wavelength_places
-from dasim.render.ray_loop import Sampling, ratio_of, signals
+from dasim.render.ray_batches import Batch, Sampling, block_of
+from dasim.render.ray_block import HERO, aim, lanes_of, wavelength_places
+from dasim.render.ray_loop import ratio_of, signals
 from dasim.render.ray_pass import Pass, light_of, prepare
 from dasim.render.sobol import Sobol
 from dasim.render.wavelengths import Responses

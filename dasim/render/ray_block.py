@@ -5,39 +5,16 @@ Tested in tests/dasim/render/test_passes.py and tests/dasim/render/test_ray_loop
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any, NamedTuple
-
-import numpy as np
-from numpy.typing import NDArray
 
 from dasim.render import field_angle, layers, wave
 from dasim.render.control_variate import Control
-from dasim.render.plugin import aligned
 from dasim.render.radial_blur import RadialBlur
+from dasim.render.ray_batches import Batch
 from dasim.render.ray_pass import Pass, corner_of
-from dasim.render.sobol import points
-from dasim.typing import FloatArray
 
-MOST_CHUNK = 16  # rays of a pixel that are summed at once
-FEW_CHUNKS = 7  # most chunks per pixel that are summed column by column; NumPy's sums of so few are no more accurate
 HERO = 4  # wavelengths per ray
 WAVELENGTH_STREAM = 255  # of random numbers by pixel; the others are dimensions of Sobol' points
-
-Pixels = NDArray[np.intp] | slice  # numbers in the frame, row by row; a slice where they are consecutive
-
-
-@dataclass(frozen=True)
-class Batch:
-    """What the lanes of a block are made from, in the renderer's memory."""
-
-    lane: Any  # number of each ray
-    chunk: Any  # rays of a chunk, opaque
-    pixel: Any  # number in the frame of each chunk's pixel
-    first: Any  # number of each chunk's first ray in its pixel
-    samples: Any  # of each chunk's pixel
-    points: Any  # of the Sobol' sequence, as many as the largest number of samples
-    seed: Any  # opaque
 
 
 class Lanes(NamedTuple):
@@ -50,35 +27,6 @@ class Lanes(NamedTuple):
     sampler: Any  # random numbers for the later vertices of the paths
     corner: Any  # corner of the pixel, from the corner of the frame
     ring: Any  # fractional ring of the pixel
-
-
-class Block(NamedTuple):
-    """Rays that are traced together: those of each pixel are consecutive, in chunks of one size."""
-
-    pixels: Pixels
-    counts: NDArray[np.int64]  # samples of each
-    chunk: int  # rays; divides all ``counts``
-    batch: Batch
-
-    def sums(self, values: Any) -> FloatArray:
-        """Sums of the rays of each pixel, [pixel]."""
-        import drjit as dr
-
-        chunks = np.array(dr.block_sum(values, self.chunk), dtype=np.float64)
-        each = self.counts[0] // self.chunk
-        if len(chunks) != each * len(self.counts):
-            return np.add.reduceat(chunks, self.starts() // self.chunk)
-        by_pixel = chunks.reshape(-1, each)  # as many of every pixel
-        if each > FEW_CHUNKS:
-            return by_pixel.sum(axis=1)
-        total = by_pixel[:, 0].copy()  # NumPy spends up to 200 ns per row on rows of few numbers
-        for column in by_pixel.T[1:]:
-            total += column
-        return total
-
-    def starts(self) -> NDArray[np.int64]:
-        """Number of the first ray of each pixel."""
-        return np.cumsum(self.counts) - self.counts
 
 
 class Rays(NamedTuple):
@@ -96,29 +44,6 @@ class Rays(NamedTuple):
     expected: Any  # inverse depth seen at the pixel centre, 1/m; None without wave optics
     drawn: Any  # importance weight of the sampled position on the lens and aim
     variate: tuple[list[Any], list[Any]] | None  # see :func:`_variate`
-
-
-def block_of(pixels: NDArray[np.intp], counts: NDArray[np.int64], seed: int) -> Block:
-    """Rays of some pixels of the frame, ``counts`` for each."""
-    import drjit as dr
-    import mitsuba as mi
-
-    chunk = int(np.gcd.reduce(np.append(counts, MOST_CHUNK)))
-    chunks = counts // chunk
-    number = np.repeat(pixels, chunks).astype(np.uint32)
-    first = (np.arange(len(number)) - np.repeat(np.cumsum(chunks) - chunks, chunks)) * chunk
-    batch = Batch(
-        lane=dr.arange(mi.UInt32, int(counts.sum())),
-        chunk=dr.opaque(mi.UInt32, chunk),
-        pixel=mi.UInt32(aligned(number)),
-        first=mi.UInt32(aligned(first.astype(np.uint32))),
-        samples=mi.Float(aligned(np.repeat(counts, chunks).astype(np.float32))),
-        points=points(int(counts.max())),
-        seed=dr.opaque(mi.UInt32, seed),
-    )
-    is_whole = pixels[-1] - pixels[0] + 1 == len(pixels)
-    where = slice(int(pixels[0]), int(pixels[-1]) + 1) if is_whole else pixels
-    return Block(where, counts, chunk, batch)
 
 
 def lanes_of(shared: Pass, batch: Batch) -> Lanes:

@@ -1,18 +1,17 @@
 """A pass of the JIT variants: rays through a stop of any shape, or through a point, traced block by block of pixels.
 
-A pass is set up (:mod:`dasim.render.ray_pass`), the rays of a block are aimed and weighted for wave optics
-(:mod:`dasim.render.ray_block`), traced and summed per pixel (``_trace``), and the sums become electrons as a ratio
-whose denominator is known. In pixels that see several depths, the sums are made again for each layer in depth
-(``_layered``, :mod:`dasim.render.layers`). A picture through a pinhole takes out most of the noise
-(:mod:`dasim.render.control_variate`).
+A pass is set up (:mod:`dasim.render.ray_pass`) and its rays are divided into blocks (:mod:`dasim.render.ray_batches`).
+The rays of a block are aimed and weighted for wave optics (:mod:`dasim.render.ray_block`), traced and summed per pixel
+(``_trace``), and the sums become electrons as a ratio whose denominator is known. In pixels that see several depths,
+the sums are made again for each layer in depth (``_layered``, :mod:`dasim.render.layers`). A picture through a pinhole
+takes out most of the noise (:mod:`dasim.render.control_variate`).
 
 Tested in tests/dasim/render/test_passes.py and tests/dasim/render/test_ray_loop.py.
 """
 
 from __future__ import annotations
 
-import zlib
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, NamedTuple
@@ -24,21 +23,18 @@ from dasim.camera import geometry
 from dasim.camera.rings import at_pixels
 from dasim.camera.specification import Camera
 from dasim.camera.stops import Stop
-from dasim.render import backend, layers, splitting, transport
+from dasim.render import layers, splitting, transport
 from dasim.render.control_variate import Control, Fine
 from dasim.render.frozen import frozen
 from dasim.render.irradiance import Field
 from dasim.render.plugin import aligned
 from dasim.render.radial_blur import RadialBlur, spectrum_of
+from dasim.render.ray_batches import Batch, Block, Pixels, Sampling, blocks
 from dasim.render.ray_block import (
     HERO,
-    Batch,
-    Block,
     Lanes,
-    Pixels,
     Rays,
     aim,
-    block_of,
     entries_of,
     lanes_of,
     lit_by,
@@ -48,28 +44,11 @@ from dasim.render.ray_block import (
 from dasim.render.ray_pass import Pass, drawn, light_of, middle_ring, prepare, px_per_m
 from dasim.render.sobol import Sobol
 from dasim.render.wavelengths import Responses
-from dasim.typing import FloatArray, ShareDone
+from dasim.typing import FloatArray
 
 # Least share of the weights at the depth of the pixel centre for a pixel that sees one depth: tails of diffraction
 # reach other depths everywhere.
 ONE_DEPTH_SHARE = 0.97
-
-
-@dataclass(frozen=True)
-class Sampling:
-    """How a pass is sampled: samples per pixel, seed, and a callback for the share that is done."""
-
-    spp: int | NDArray[np.int64]  # of all pixels, or of each, [h, w]
-    seed: int
-    progress: ShareDone = lambda share: None
-    # Fewest samples of a pixel whose layers are separated. Where one depth is seen, few rays would be taken for layers
-    # if one of them meets another depth in the tail of the diffraction pattern: a bias of up to 0.1 %.
-    layers_from: int = 1
-
-    def block_seeds(self, stop: Stop | None) -> Callable[[int], int]:
-        """Seed of each block of rows, independent between stops (by their names)."""
-        name = zlib.crc32(stop.name.encode()) if stop is not None else 0
-        return lambda block: int(np.random.SeedSequence((self.seed, name, block)).generate_state(1)[0])
 
 
 class Ratios(NamedTuple):
@@ -176,45 +155,10 @@ def ratios(
 
     place, mean_signal = responses.place.ravel(), responses.mean_signal(light_of(field))
     traced, layers_from = frozen(trace_rays), sampling.layers_from
-    for block in blocks(shared, sampling, stop):
+    for block in blocks(responses.place.size, sampling, stop):
         signal = HERO * mean_signal, place[block.pixels]
         _trace(shared, block, traced, signal, partial(keep, block.pixels), layers_from)
     return result
-
-
-def blocks(shared: Pass, sampling: Sampling, stop: Stop | None) -> Iterator[Block]:
-    """The rays of a frame, batch by batch."""
-    import drjit as dr
-
-    size, seed = dr.width(shared.place), sampling.block_seeds(stop)
-    spp = sampling.spp
-    total, done = float(spp * size if isinstance(spp, int) else spp.sum(dtype=float)), 0
-    for number, (pixels, counts) in enumerate(_parts(spp, size)):
-        yield block_of(pixels, counts, seed(number))
-        done += int(counts.sum())
-        sampling.progress(done / total)
-
-
-def _parts(spp: int | NDArray[np.int64], size: int) -> Iterator[tuple[NDArray[np.intp], NDArray[np.int64]]]:
-    """Consecutive pixels, out of ``size``, whose rays are traced in one batch, and the sample count of each pixel.
-
-    ``spp`` is the count of all pixels, or of each, [h, w]. A batch has at most :func:`backend.lanes` rays, or those of
-    a single pixel.
-    """
-    most = backend.lanes()
-    if isinstance(spp, int):
-        step = max(1, most // spp)
-        for first in range(0, size, step):
-            pixels = np.arange(first, min(first + step, size))
-            yield pixels, np.full(len(pixels), spp)
-        return
-    ends, first, done = np.cumsum(spp), 0, 0
-    while done < ends[-1]:
-        own, others = np.searchsorted(ends, (done, done + most), side="right")
-        last = max(int(own) + 1, int(others))
-        pixels = first + np.flatnonzero(spp.ravel()[first:last])
-        yield pixels, spp.ravel()[pixels]
-        first, done = last, int(ends[last - 1])
 
 
 def control_of(

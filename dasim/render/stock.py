@@ -18,10 +18,10 @@ from dasim.camera.specification import Camera
 from dasim.camera.stops import Stop
 from dasim.render import truth
 from dasim.render.plugin import spectrum_dict
-from dasim.render.ray_loop import Sampling
+from dasim.render.ray_batches import Sampling
 from dasim.render.translate import MAX_PATH_DEPTH
 from dasim.render.wavelengths import Responses
-from dasim.spectra import illuminants
+from dasim.spectra import grid, illuminants
 from dasim.typing import FloatArray
 
 RAYS = 1 << 22  # per block: progress and Ctrl-C every few seconds
@@ -142,7 +142,7 @@ def in_focus_diffraction(rate: FloatArray, camera: Camera, stop: Stop, illuminan
     result = np.empty_like(rate)
     for channel in range(rate.shape[-1]):
         transfer, total = np.zeros_like(frequency), 0.0
-        for wavelength_nm, weight in pointspread.bands(weights[channel : channel + 1]):
+        for wavelength_nm, weight in grid.bands(weights[channel : channel + 1]):
             scale_px = wavelength_nm * 1e-3 * f_number / camera.sensor.pixel_pitch_um
             transfer += weight[0] * radial_pattern.ring_mtf(frequency * scale_px)
             total += weight[0]

@@ -75,7 +75,7 @@ def blur(camera: Camera, stop: Stop, density: FloatArray, max_blur_px: float) ->
 def _blur(camera_json: str, stop: Stop, density_bytes: bytes, max_blur_px: float) -> Blur:
     """The tables, cached by plain values: the pictures of one capture share them."""
     camera, density = Camera.model_validate_json(camera_json), np.frombuffer(density_bytes)
-    bands = [(nm, float(weight[0])) for nm, weight in pointspread.bands(density[None, :])]
+    bands = [(nm, float(weight[0])) for nm, weight in spectra.bands(density[None, :])]
     total = sum(weight for _, weight in bands)
     bands = [(nm, weight / total) for nm, weight in bands]
     shortest_nm = float(spectra.WAVELENGTH_NM[np.argmax(density > 0)])

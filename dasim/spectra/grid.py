@@ -9,6 +9,7 @@ from __future__ import annotations
 from typing import Annotated, Any
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field
 from scipy.special import expit
 
@@ -17,6 +18,8 @@ from dasim.typing import FloatArray
 WAVELENGTH_STEP_NM = 2.0
 WAVELENGTH_NM: FloatArray = np.arange(400.0, 830.0 + WAVELENGTH_STEP_NM / 2, WAVELENGTH_STEP_NM)
 WHOLE_GRID_NM = (float(WAVELENGTH_NM[0]), float(WAVELENGTH_NM[-1]))
+
+BAND_NM = 10.0  # width of the bands of :func:`bands`, within which quantities that vary slowly are constant
 
 PLANCK_J_S = 6.62607015e-34
 LIGHT_SPEED_M_S = 299_792_458.0
@@ -44,6 +47,29 @@ def integrate_product(first: FloatArray, second: FloatArray) -> Any:
     """
     changes = np.diff(first, axis=-1) * np.diff(second, axis=-1)
     return integrate(first * second) - WAVELENGTH_STEP_NM / 6 * changes.sum(axis=-1)
+
+
+def bands(weights: FloatArray) -> list[tuple[float, FloatArray]]:
+    """Integrals of weights [..., wavelength] over bands of ``BAND_NM``, each with its mean wavelength in nm.
+
+    Together they are :func:`integrate`, less the bands that hold less than a millionth of it.
+    """
+    step = WAVELENGTH_STEP_NM * np.ones_like(WAVELENGTH_NM)
+    step[[0, -1]] /= 2  # the trapezoidal rule
+    index = band_index()
+    found = []
+    for band in range(index[-1] + 1):
+        inside = index == band
+        weight = (weights[..., inside] * step[inside]).sum(axis=-1)
+        if weight.max() > 1e-6 * integrate(weights).max():
+            found.append((float(WAVELENGTH_NM[inside].mean()), weight))
+    return found
+
+
+def band_index() -> NDArray[np.int_]:
+    """The band of every wavelength of the grid, [wavelength]; the last one has its upper limit, too."""
+    first, last = WHOLE_GRID_NM
+    return np.minimum((WAVELENGTH_NM - first) // BAND_NM, (last - first) // BAND_NM - 1).astype(int)
 
 
 def long_pass(edge_nm: float, width_nm: float) -> FloatArray:

@@ -26,7 +26,9 @@ from recon.settings import DEFAULT_PRESET, DESCRIPTIONS, PAPER, PRESETS, Setting
 from validation.gates.limits import _GateText
 from validation.studies.sweep.specification import Grid, StudySpec
 
-MEANINGS = tomllib.loads((Path(__file__).parent / "meanings.toml").read_text(encoding="utf-8"))
+MEANINGS, UNITS = (
+    tomllib.loads((Path(__file__).parent / file).read_text(encoding="utf-8")) for file in ("meanings.toml", "units.toml")
+)
 LONGEST_DEFAULT = 60  # characters; longer defaults stand below their table
 NOT_IN_FILES = ("folder",)  # set by whoever reads the file: where its pictures and meshes are looked up
 
@@ -92,40 +94,6 @@ PAGES = (
     ),
 )
 
-# The ending of a key's name says the unit; the longest that fits decides.
-UNITS = {
-    "_mm": "mm",
-    "_cm": "cm",
-    "_um": "µm",
-    "_nm": "nm",
-    "_m": "m",
-    "_px": "px",
-    "_deg": "degrees",
-    "_percent": "%",
-    "_share": "1 (a share)",
-    "_ratio": "lens radii",
-    "_e": "electrons",
-    "_e_s": "electrons/s",
-    "_c": "°C",
-    "_k": "K",
-    "_s": "s",
-    "_dn": "raw numbers (DN)",
-    "_dn_per_e": "DN/electron",
-    "_bits": "bits",
-    "_per_mm": "mm⁻², mm⁻⁴, ...",
-    "_cycles_px": "cycles/px",
-    "_snr": "1 (a ratio)",
-    "_percentile": "%",
-    "lux": "lx",
-}
-EXACT_UNITS = {
-    "RandomScenes.size": "picture widths",
-    "DatasetSpec.noise_at": "% of the pixels",
-    "Lens.focal_shift_um": "[nm, µm]",
-    "StudySpec.size_px": "px",
-    **{f"{model}.{name}": "nm RMS" for model in ("Wavefront", "FieldWavefront") for name in ("defocus", "coma")},
-}
-
 
 class Key(NamedTuple):
     """A row of a table."""
@@ -172,13 +140,14 @@ def keys(owner: str, schema: dict[str, Any]) -> list[Key]:
 
 def unit(owner: str, name: str, part: dict[str, Any]) -> str:
     """Unit of a key, which the ending of its name says; a dash where a number has none or the value is no number."""
-    if f"{owner}.{name}" in EXACT_UNITS:
-        return EXACT_UNITS[f"{owner}.{name}"]
-    if owner in ("Wavefront", "FieldWavefront") and not name.endswith(("_deg", "_nm")):
-        return "nm RMS"
-    fitting = [end for end in UNITS if f"_{name}".endswith(end if end.startswith("_") else f"_{end}")]
+    of_model = UNITS["models"].get(owner, {})
+    if name in of_model:
+        return str(of_model[name])
+    fitting = [end for end in UNITS["endings"] if f"_{name}".endswith(f"_{end}")]
     if fitting:
-        return UNITS[max(fitting, key=len)]
+        return str(UNITS["endings"][max(fitting, key=len)])
+    if "" in of_model:
+        return str(of_model[""])
     return "1" if re.search(r'"type": "(number|integer)"', json.dumps(part)) else "–"
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import dasim
-from dasim.render import backend, irradiance_tracing, pinhole, ray_loop
+from dasim.render import backend, irradiance_tracing, pinhole, ray_batches, ray_loop
 
 LANES = 1 << 12  # of a batch: passes have many, the last of them smaller
 
@@ -82,7 +82,8 @@ def test_one_batch_of_a_pass_is_traced(captured, monkeypatch):
 
         monkeypatch.setattr(module, name, counted)
 
-    for module, names in ((ray_loop, called), (pinhole, ("frozen", "aim", "block_of"))):
+    of_modules = ((ray_loop, ("frozen", "aim")), (ray_batches, ("block_of",)), (pinhole, tuple(called)))
+    for module, names in of_modules:
         for name in names:
             count(module, name)
     captured()

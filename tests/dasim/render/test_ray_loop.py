@@ -21,6 +21,7 @@ from dasim.render import (
     irradiance_tracing,
     pinhole,
     plugin,
+    ray_batches,
     ray_block,
     ray_loop,
     ray_pass,
@@ -32,8 +33,8 @@ from tests.support.called import Batch, Record, recorded
 RENDER = Path(ray_loop.__file__).parent
 # Modules whose functions trace rays, or are called where plugins of ours meet them.
 LOOP = """blur_tables control_variate field_angle irradiance irradiance_tracing lamps light_paths light_spectra mixture
-pattern_blur plugin pinhole pupil radial_blur radial_tables ray_block ray_loop ray_pass sobol splitting surrounding
-transport foreign/colours""".split()
+pattern_blur plugin pinhole pupil radial_blur radial_tables ray_batches ray_block ray_loop ray_pass sobol splitting
+surrounding transport foreign/colours""".split()
 # Of Dr.Jit, all of which both kinds of arrays have; and of Mitsuba, whose types are those of the variant.
 DRJIT = """abs all any arange atan block_sum brev clip cos dot eval floor fma full gather isfinite lerp make_opaque
 maximum minimum norm normalize opaque pi rcp reinterpret_array round rsqrt safe_acos safe_asin safe_sqrt select sin
@@ -242,7 +243,7 @@ def test_memory_is_bounded_by_the_rays_at_once(jit, monkeypatch, variant, most):
     monkeypatch.setattr("mitsuba.variant", lambda: variant)
     for pixels, batches in ((100, 1), (5 * most // 16, 5)):
         for spp in (16, np.full((1, pixels), 16)):
-            parts = list(ray_loop._parts(spp, pixels))
+            parts = list(ray_batches._parts(spp, pixels))
             assert len(parts) == batches
             assert max(counts.sum() for _, counts in parts) <= most
             np.testing.assert_array_equal(np.concatenate([part for part, _ in parts]), np.arange(pixels))
@@ -259,14 +260,14 @@ def test_pinhole_pictures_by_pixels_and_by_nodes_are_those_of_a_pinhole(make_sce
     wall = {"shape": "plane", "size_cm": (400, 400), "material": "grey-card"}
     left = wall | {"name": "left", "position_cm": (-200, 0, 40), "material": "wood-light"}
     right = wall | {"name": "right", "position_cm": (200, 0, 40)}
-    scene, camera, sampling = loaded(make_scene(left, right)), wide(12, 8), ray_loop.Sampling(32, 3)
+    scene, camera, sampling = loaded(make_scene(left, right)), wide(12, 8), ray_batches.Sampling(32, 3)
     responses = pinhole_responses(camera)
     channels = pinhole.Channels((2, 1), [[1], [3]])
     pictures = pinhole.pictures(scene, camera, sampling, 4, None, responses, channels, border_px=2)
     assert [part.shape for part in pictures.nodes] == [(32, 48, 2), (32, 48, 1)]
     assert pictures.rate.shape == (2, 8, 12, 2)
 
-    other, inner = ray_loop.Sampling(256, 2), np.s_[2:-2, 2:-2]
+    other, inner = ray_batches.Sampling(256, 2), np.s_[2:-2, 2:-2]
     ratios = ray_loop.ratios(scene, camera, None, other, None, None, responses).value[..., :3]
     rate = ray_loop.render(scene, camera, None, other, None, None, responses).value[..., [1, 3]]
     nodes = np.concatenate(pictures.nodes, axis=-1)
@@ -304,7 +305,7 @@ def test_wavelengths_of_a_pixel_have_no_bias_and_little_noise(make_scene, loaded
     shared = ray_pass.prepare(
         loaded(make_scene(wall)), camera, None, None, None, pinhole_responses(camera), False, None
     )
-    lanes = ray_block.lanes_of(shared, ray_block.block_of(np.arange(4096), np.full(4096, samples), 3).batch)
+    lanes = ray_block.lanes_of(shared, ray_batches.block_of(np.arange(4096), np.full(4096, samples), 3).batch)
     first = ray_block.wavelength_places(shared, lanes, lanes.sample)
     places = np.stack([np.array(place, dtype=float) for place in ray_block._places(shared, mi.Float(first))], axis=-1)
     places = places.reshape(4096, -1)
@@ -324,7 +325,7 @@ def test_sums_of_pixels_are_those_of_their_rays(jit, counts):
 
     counts = np.array(counts)
     values = np.random.default_rng(1).random(counts.sum()).astype(np.float32)
-    chunk = int(np.gcd.reduce(np.append(counts, ray_block.MOST_CHUNK)))
-    block = ray_block.Block(slice(0, len(counts)), counts, chunk, None)
+    chunk = int(np.gcd.reduce(np.append(counts, ray_batches.MOST_CHUNK)))
+    block = ray_batches.Block(slice(0, len(counts)), counts, chunk, None)
     each = np.split(values.astype(float), np.cumsum(counts)[:-1])
     np.testing.assert_allclose(block.sums(mi.Float(plugin.aligned(values))), [part.sum() for part in each], rtol=1e-6)

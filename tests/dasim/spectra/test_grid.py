@@ -25,6 +25,18 @@ def test_edges_have_their_half_and_their_width(edge_nm, width_nm):
     np.testing.assert_allclose(up + grid.short_pass(edge_nm, width_nm), 1.0, atol=1e-15)
 
 
+def test_bands_share_the_integral_between_them():
+    """Set-up: two curves, one of which is 0 above 600 nm. Expectation: bands of 10 nm from 400 nm on, the last of which
+    has 830 nm, too; together they are the integral; a curve that is 0 above 600 nm alone has no bands from there on.
+    """
+    curves = np.stack([np.linspace(1, 3, len(GRID_NM)), np.where(GRID_NM < 600, GRID_NM, 0.0)])
+    found = grid.bands(curves)
+    middle, weights = zip(*found, strict=True)
+    np.testing.assert_allclose(middle, [404 + 10 * band for band in range(42)] + [825])
+    np.testing.assert_allclose(np.sum(weights, axis=0), grid.integrate(curves), rtol=1e-12)
+    assert max(nm for nm, _ in grid.bands(curves[1:])) == 594
+
+
 def test_photons_per_joule():
     """Expectation: a photon of 619.92 nm holds 2 eV."""
     joules = 2 * constants.e
