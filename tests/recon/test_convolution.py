@@ -1,4 +1,4 @@
-"""Layers of networks in numpy: the convolution against direct sums, and changes of resolution."""
+"""Layers of networks: the convolution against direct sums, and changes of resolution."""
 
 from __future__ import annotations
 
@@ -25,6 +25,20 @@ def test_a_dilated_convolution_repeats_the_border(dilation):
             ndimage.correlate(image[..., part], spread[..., part, out], mode="nearest") for part in range(2)
         )
         np.testing.assert_allclose(found[..., out], expected, atol=1e-4)
+
+
+def test_a_convolution_of_many_channels_keeps_single_precision():
+    """Rationale: F(4, 3) multiplies values by up to 8 and divides weights by 24, which costs digits.
+
+    Expectation: errors of at most 2e-5 of the standard deviation of the result, against sums in double precision.
+    """
+    random = np.random.default_rng(4)
+    image = random.normal(size=(12, 21, 96)).astype(np.float32)
+    kernel = random.normal(size=(3, 3, 96, 64), scale=(9 * 96) ** -0.5).astype(np.float32)
+    found = convolution.convolved(image, {"a": kernel, "a_bias": np.zeros(64, np.float32)}, "a")
+    wide = np.pad(image.astype(float), ((1, 1), (1, 1), (0, 0)), mode="edge")
+    expected = sum(wide[y : y + 12, x : x + 21] @ kernel[y, x].astype(float) for y in range(3) for x in range(3))
+    assert np.abs(found - expected).max() < 2e-5 * np.std(expected)
 
 
 def test_strips_of_a_convolution_meet_without_a_seam(monkeypatch):
