@@ -29,7 +29,13 @@ GRAINY_LEVEL = 3.0  # level from which on eq. (15) is solved for the picture wit
 # is wrong. Chosen on ``tune`` with full noise and with a tenth of it; larger values blur what is in focus. The networks
 # were trained with it.
 MODEL_ERROR = 0.007
+# Factor on the noise that the networks are told. They were trained on dim scenes, too, and remove fine texture of
+# photographs with the noise. 0.65 and 0.8 tie on ``tune``; the smaller one keeps more of photographs.
+TOLD_NOISE = 0.65
 CERTAIN = 0.05  # confidence below which the solution of eq. (15) fades to the captured picture
+# Share of the captured picture in that of the networks at level 0, which falls to 0 at CAUTIOUS_LEVELS: near focus, a
+# surface without the finest detail is often taken to be blurred. Chosen on ``tune``.
+CAUTION, CAUTIOUS_LEVELS = 0.15, 4.0
 
 
 class Frame(NamedTuple):
@@ -67,14 +73,14 @@ def all_in_focus(
     tile = tile_px or layers.TILE_PX
     if network:
         draft = sharpen.linear(stack, frame.level + np.float32(focus), kernels, noise_e, focus=focus, tile_px=tile)
-        picture, phases = seen(frame, seen_e, draft, noise_e), mosaic.phases(frame.camera)
+        picture, phases = seen(frame, seen_e, draft, TOLD_NOISE * noise_e), mosaic.phases(frame.camera)
         sharp_e = restoration.restored(picture, phases, tile_px or restoration.TILE_PX, settings.sharpen_networks)
         del draft, picture  # before more memory is needed
         if settings.sharpen_consistency:
             sd = sd_of(frame.confidence).astype(np.float32)
             consistency.add_unexplained(sharp_e, stack, frame.level, sd, kernels, noise_e, focus=focus, tile_px=tile)
         _agree_with_samples(sharp_e, frame, seen_e, float(bank.blur_px[1]))
-        _fade_to_captured(sharp_e, frame)
+        _fade_to_captured(sharp_e, frame, 1 - CAUTION * np.clip(1 - np.abs(frame.level) / CAUTIOUS_LEVELS, 0, 1))
     else:
         sharp = _deconvolved(stack, frame, kernels, noise_e, focus, settings, tile)
         sharp_e = np.ascontiguousarray(np.moveaxis(sharp[sharpen.COLOURS], 0, -1))
@@ -183,13 +189,12 @@ def _agree_with_samples(sharp_e: Float32Array, frame: Frame, stack: Float32Array
     np.maximum(sharp_e, 0, out=sharp_e)  # restored detail may be negative in dark areas
 
 
-def _fade_to_captured(sharp_e: Float32Array, frame: Frame, certain: Float32Array | None = None) -> None:
-    """Fade the sharp picture [h, w, 3] to the captured one near clipped pixels, and where ``certain`` [h, w], 0..1, is
-    low, in place.
+def _fade_to_captured(sharp_e: Float32Array, frame: Frame, share: NDArray) -> None:
+    """Mix the sharp picture [h, w, 3] with the captured one, in place: ``share`` [h, w] is its share, 0..1, which falls
+    to 0 near clipped pixels.
     """
     linear_e = frame.linear_e
     unclipped = sharpen.ramp_around(frame.clipped[..., 0] | frame.clipped[..., 1] | frame.clipped[..., 2])
-    certain = unclipped if certain is None else certain * unclipped
     sharp_e -= linear_e
-    sharp_e *= certain[..., None]
+    sharp_e *= (share * unclipped)[..., None]
     sharp_e += linear_e

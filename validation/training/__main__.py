@@ -38,7 +38,7 @@ def main() -> None:
     fitting.add_argument("--epochs", type=int)
     fitting.add_argument("--seed", type=int, default=0, help="of the first weights and of the order of examples")
     fitting.add_argument("--device", default="cpu", help="PyTorch's name of the processor: cpu, cuda, mps")
-    fitting.add_argument("--begin", type=Path, help="file of a network of levels that is trained on")
+    fitting.add_argument("--begin", type=Path, help="file of a network that is trained on")
     fitting.add_argument("--out", type=Path)
     options = parser.parse_args()
     if options.step == "examples":
@@ -47,8 +47,6 @@ def main() -> None:
     else:
         network = options.network
         out = options.out or Path(FILES[network].format(options.seed))
-        if options.begin and network != "levels":
-            parser.error("--begin: for the network 'levels' alone")
         how: dict[str, Any] = {"seed": options.seed, "device": options.device}
         _fit(network, options.folder, options.epochs or EPOCHS[network], how, options.begin, out)
 

@@ -21,9 +21,11 @@ from recon.depth.evidence import FITS, LAST, NODE, ROW, SCORES, SIGNALS, level_g
 from recon.depth.surface_net import DILATIONS
 from validation.training.network import (
     Training,
+    average,
     constant,
     constant_arrays,
     convolution,
+    further,
     layer_arrays,
     reduced,
     set_layers,
@@ -33,7 +35,6 @@ from validation.training.network import (
 FINE, MIDDLE, WIDE = 24, 48, 80  # channels at samples, pairs of samples and nodes
 BATCH = 8
 TRAINING = Training(rate=2e-3, decay=1e-2, warm_up=0.1)
-FURTHER_RATE = 0.3  # rate of a network that is trained on, relative to a new one's
 MEAN_WEIGHT, LEAST_SPREAD = 0.5, 0.3
 MISSING = 0.1  # probability that a part of the evidence is left out
 LONE = 0.15  # that the large windows are the only scores, as in the preset ``fast``
@@ -135,9 +136,8 @@ def fit(
     """Train for a number of passes; ``report`` gets the pass, its mean loss and the network.
 
     All examples are kept on the ``device``, by PyTorch's name of it, where the network stays. ``begin`` are arrays of a
-    trained network, which is trained on at a lower rate; the result has the mean of its weights before and after, which
-    forgets less of the first training (Wortsman et al., Robust fine-tuning of zero-shot models, CVPR 2022). By default
-    a new network is trained.
+    trained network, which is trained on; the result has the mean of its weights before and after. By default a new
+    network is trained.
     """
     torch.manual_seed(seed)
     random = np.random.default_rng(seed)
@@ -153,13 +153,10 @@ def fit(
         return loss(output, level)
 
     passes = (_batches(examples, random) for _ in range(epochs))
-    training = TRAINING if begin is None else TRAINING._replace(rate=FURTHER_RATE * TRAINING.rate)
+    training = TRAINING if begin is None else further(TRAINING)
     train(net, training, passes, epochs * (len(examples.level) // BATCH), loss_of, report)
     if begin is not None:
-        before = Net.of(begin).to(device)
-        with torch.no_grad():
-            for weight, other in zip(net.parameters(), before.parameters(), strict=True):
-                weight.lerp_(other, 0.5)
+        average(net, Net.of(begin).to(device))
     return net
 
 

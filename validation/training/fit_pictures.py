@@ -18,11 +18,14 @@ from torch.nn import functional
 from recon.sharp.restoration import BLOCKS, COMPRESSION, LARGEST, LEAST_SD, RANGE
 from validation.training.network import (
     Training,
+    average,
     constant,
     constant_arrays,
     convolution,
+    further,
     layer_arrays,
     reduced,
+    set_layers,
     train,
 )
 
@@ -85,6 +88,15 @@ class Net(nn.Module):
                     layer.weight.mul_(SMALL)
                     layer.bias.zero_()
 
+    @classmethod
+    def of(cls, arrays: Mapping[str, NDArray]) -> Net:
+        """The network of :meth:`arrays`."""
+        widths = [arrays[name].shape[-1] for name in ("in", "down1", "down2", "down3")]
+        net = cls(arrays["mean"], arrays["sd"], widths)
+        with torch.no_grad():
+            set_layers(net.layers, arrays)
+        return net
+
     def forward(self, inputs: Tensor, base: Tensor) -> Tensor:
         """The sharp picture, compressed, [batch, 3, 2 h, 2 w]: the draft ``base`` and what the network adds to it."""
         layer, relu = self.layers, functional.relu
@@ -115,18 +127,17 @@ def fit(
     seed: int = 0,
     report: Callable[[int, float, Net], None] = lambda *_: None,
     device: str = "cpu",
+    begin: Mapping[str, NDArray] | None = None,
 ) -> Net:
     """Train for a number of passes; ``report`` gets the pass, its mean loss and the network.
 
-    All examples are kept on the ``device``, by PyTorch's name of it, where the network stays.
+    All examples are kept on the ``device``, by PyTorch's name of it, where the network stays. ``begin`` are arrays of a
+    trained network, which is trained on; the result has the mean of its weights before and after. By default a new
+    network is trained.
     """
     torch.manual_seed(seed)
     random = np.random.default_rng(seed)
-    sample, _ = inputs_of(_batch(examples, random.integers(0, len(examples), STATISTICS), random))
-    widths = WIDTHS[seed if seed < len(WIDTHS) else 0]
-    net = Net(sample.mean((0, 2, 3)).numpy(), sample.std((0, 2, 3)).numpy() + np.float32(1e-3), widths)
-
-    net.to(device)
+    net = (_new(examples, seed, random) if begin is None else Net.of(begin)).to(device)
     examples = [{name: part.to(device) for name, part in example.items()} for example in examples]
 
     def loss_of(batch: Batch) -> Tensor:
@@ -136,8 +147,18 @@ def fit(
         return loss(output, batch)
 
     passes = (((batch,) for batch in _batches(examples, random)) for _ in range(epochs))
-    train(net, TRAINING, passes, epochs * (len(examples) * PATCHES // BATCH), loss_of, report)
+    training = TRAINING if begin is None else further(TRAINING)
+    train(net, training, passes, epochs * (len(examples) * PATCHES // BATCH), loss_of, report)
+    if begin is not None:
+        average(net, Net.of(begin).to(device))
     return net
+
+
+def _new(examples: list[Example], seed: int, random: np.random.Generator) -> Net:
+    """A network with random weights; means and deviations of its inputs are those of the examples."""
+    sample, _ = inputs_of(_batch(examples, random.integers(0, len(examples), STATISTICS), random))
+    widths = WIDTHS[seed if seed < len(WIDTHS) else 0]
+    return Net(sample.mean((0, 2, 3)).numpy(), sample.std((0, 2, 3)).numpy() + np.float32(1e-3), widths)
 
 
 def inputs_of(batch: Batch) -> tuple[Tensor, Tensor]:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 LARGEST_GRADIENT = 1.0  # norm of a step's gradient
+FURTHER_RATE = 0.3  # rate of a network that is trained on, relative to a new one's
 
 
 N = TypeVar("N", bound=nn.Module)
@@ -69,6 +70,20 @@ def train(
             losses.append(value.detach())  # a number of Python would wait for the device
         net.eval()
         report(number, float(torch.stack(losses).mean()), net)
+
+
+def further(training: Training) -> Training:
+    """How a trained network is trained on: at a lower rate."""
+    return training._replace(rate=FURTHER_RATE * training.rate)
+
+
+def average(net: nn.Module, before: nn.Module) -> None:
+    """Set the weights of a network that was trained on to the mean of those and the ones ``before``, which forgets less
+    of the first training (Wortsman et al., Robust fine-tuning of zero-shot models, CVPR 2022).
+    """
+    with torch.no_grad():
+        for weight, other in zip(net.parameters(), before.parameters(), strict=True):
+            weight.lerp_(other, 0.5)
 
 
 def reduced(device: str) -> torch.autocast:

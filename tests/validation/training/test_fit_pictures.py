@@ -54,6 +54,23 @@ def test_training_lowers_the_loss():
     assert fit_pictures.mean_loss(net, draft) < before - 6
 
 
+def test_a_network_is_trained_on_from_given_weights():
+    """Set-up: the wider network of seed 1. Expectation: the weights that it begins with are the given ones, and every
+    weight of the result lies in the middle between before and after.
+    """
+    examples = made(6)
+    mean, sd = np.zeros(INPUTS, np.float32), np.ones(INPUTS, np.float32)
+    begin = fit_pictures.Net(mean, sd, fit_pictures.WIDTHS[1]).arrays()
+    same = fit_pictures.Net.of(begin).arrays()
+    after: dict = {}
+    found = fit_pictures.fit(examples, 2, begin=begin, report=lambda epoch, loss, net: after.update(net.arrays()))
+    for name, array in found.arrays().items():
+        np.testing.assert_array_equal(same[name], begin[name])
+        middle = (begin[name].astype(float) + after[name]) / 2
+        np.testing.assert_allclose(array, middle, rtol=2e-3, atol=1e-4)
+    assert any((after[name] != begin[name]).any() for name in begin)
+
+
 def _loss_of_draft(example):
     batch = {name: value[None].float() for name, value in example.items()}
     _, base = fit_pictures.inputs_of(batch)
