@@ -3,7 +3,7 @@
 A single window has little information near the focus and mixes surfaces at depth discontinuities. Across the picture,
 surfaces are smooth and end at edges of the picture, and floors come nearer towards the bottom. The networks learned
 this from random rooms and from random scenes of the simulator (:mod:`validation.training`); no test uses their seeds,
-pictures or generated textures. They assume an upright camera and need only NumPy.
+pictures or generated textures. They assume an upright camera and need no library for networks.
 
 Each is a U-Net (Ronneberger, Fischer, Brox, MICCAI 2015) with three resolutions: samples of the planes, pairs of
 samples, and nodes. The picture is convolved at the first two. At the nodes its features are added to a linear map of

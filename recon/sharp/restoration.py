@@ -5,7 +5,8 @@ inputs of the network are the captured channels (including infrared, which is sh
 deconvolution (:func:`recon.sharp.sharpen.linear`), the level and its standard deviation, and the noise. Its output is a
 correction of the deconvolution, which treats noise, wrong levels, depth discontinuities and demosaicing errors
 together. It was trained on layered renderings of random rooms and on path-traced random scenes with seeds and pictures
-of their own (:mod:`validation.training`), with levels as estimated by the preset ``best``. It needs only NumPy.
+of their own (:mod:`validation.training`), with levels as estimated by the preset ``best``. It needs no library
+for networks.
 
 It has the shape of a U-Net (Ronneberger, Fischer, Brox, MICCAI 2015) of four resolutions, 2, 4, 8 and 16 pixels, of
 residual blocks h <- h + B relu(A * relu(h) + a) + b with 3 x 3 convolutions A. Electrons x enter and leave it
