@@ -2,7 +2,7 @@
 
     dasim score CAPTURE --method examples/ablations.py:without_network best
 
-docs/results/accuracy.md lists their figures on the set ``test``.
+docs/results/accuracy.md has figures of some of them, and of combinations.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from recon.depth import evidence, surface_net, weighted_median
 from recon.depth.method import METHODS
 from recon.depth.surface_net import Moments
 
-SMALL, LARGE, BANDS = range(3)  # the scores in recon.depth.evidence
+SMALL, BANDS = 0, 2  # indices of scores in recon.depth.evidence
 POSTERIOR = surface_net.posterior
 
 
@@ -74,33 +74,22 @@ def without_picture(capture: Capture, bank: PsfBank) -> DepthEstimate:
 
 def without_small_windows(capture: Capture, bank: PsfBank) -> DepthEstimate:
     """No likelihood in windows of 10 px."""
-    return _without({SMALL}, capture, bank)
-
-
-def without_large_windows(capture: Capture, bank: PsfBank) -> DepthEstimate:
-    """No likelihood in windows of 28 px."""
-    return _without({LARGE}, capture, bank)
+    return _without(SMALL, capture, bank)
 
 
 def without_bands(capture: Capture, bank: PsfBank) -> DepthEstimate:
     """No score of the preset ``bands``."""
-    return _without({BANDS}, capture, bank)
+    return _without(BANDS, capture, bank)
 
 
-def bands_alone(capture: Capture, bank: PsfBank) -> DepthEstimate:
-    """The score of the preset ``bands`` alone, joined as the default joins."""
-    return _without({SMALL, LARGE}, capture, bank)
-
-
-def _without(scores: set[int], capture: Capture, bank: PsfBank) -> DepthEstimate:
-    """The default without some scores: neither in the sum that smooth surfaces join nor among the network's inputs."""
+def _without(score: int, capture: Capture, bank: PsfBank) -> DepthEstimate:
+    """The default without a score: neither in the sum that smooth surfaces join nor among the network's inputs."""
 
     def blind(inputs: Float32Array, picture: Float32Array, levels: FloatArray, last: float, tile: int) -> Moments:
         inputs = inputs.copy()
-        for index in scores:
-            inputs[..., index * len(levels) : (index + 1) * len(levels)] = 0
+        inputs[..., score * len(levels) : (score + 1) * len(levels)] = 0
         return POSTERIOR(inputs, picture, levels, last, tile)
 
-    weights = tuple(0.0 if index in scores else weight for index, weight in enumerate(evidence.WEIGHTS))
+    weights = tuple(0.0 if index == score else weight for index, weight in enumerate(evidence.WEIGHTS))
     with mock.patch.object(evidence, "WEIGHTS", weights), mock.patch.object(surface_net, "posterior", blind):
         return METHODS["best"](capture, bank)

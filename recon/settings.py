@@ -90,8 +90,6 @@ PRESETS = {
     "fast": Settings(
         score="joint",
         windows="large",
-        window_px=35,
-        alike=True,
         least_confidence=0.6,
         sharpen_prior="network",
         sharpen_networks=1,
@@ -104,7 +102,7 @@ DESCRIPTIONS = {
     "paper": "normalised cross-correlation of green and near-infrared, as in the paper",
     "likelihood": "the paper's windows and bank; levels scored by likelihood",
     "best": "joint likelihood of green and near-infrared in windows of two sizes, joined over surfaces",
-    "fast": "as best, in large windows alone, with one network, of pictures: less accurate, and twice as fast",
+    "fast": "as best, but large windows only, no depth network and one picture network: less accurate, twice as fast",
     "bands": "transfer from near-infrared to red and green in bands of frequency, in patches that follow the surface",
     "chakrabarti-zickler": "colour lines, the closest prior work, with the same bank and windows",
 }

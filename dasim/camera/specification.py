@@ -145,8 +145,8 @@ def cropped(
         camera: a Camera, a bundled name or a path
         width_px: a multiple of the mosaic's width, at least 8 and at most the sensor's; InputError otherwise
         height_px: a multiple of the mosaic's height, within the same limits
-        at_px: (x, y) of the part's top left pixel, multiples of the mosaic's width and height; by default the part is
-            central
+        at_px: (x, y) of the part's top left pixel, multiples of the mosaic's width and height; by default those
+            nearest to a central part's, towards the sensor's first pixel
     """
     camera = as_camera(camera)
     sensor = camera.sensor
@@ -159,13 +159,16 @@ def cropped(
             f"size {width_px}x{height_px} is not within {low}x{low} to {sensor.width_px}x{sensor.height_px}, "
             f"the sensor of camera '{camera.name}'"
         )
-    axis_px = sensor.principal_point_px
-    if at_px is not None:
+    if at_px is None:
+        cell = len(sensor.mosaic[0]), len(sensor.mosaic)
+        around = sensor.width_px - width_px, sensor.height_px - height_px
+        at_px = (around[0] // (2 * cell[0]) * cell[0], around[1] // (2 * cell[1]) * cell[1])
+    else:
         _check_window(camera, (width_px, height_px), at_px)
-        x, y = principal_point(sensor)
-        axis_px = (x - at_px[0], y - at_px[1])
-    elif axis_px is not None:
-        axis_px = (axis_px[0] - (sensor.width_px - width_px) / 2, axis_px[1] - (sensor.height_px - height_px) / 2)
+    x, y = principal_point(sensor)
+    axis_px: tuple[float, float] | None = (x - at_px[0], y - at_px[1])
+    if axis_px == (width_px / 2, height_px / 2):
+        axis_px = None
     changed = sensor.model_dump() | {"width_px": width_px, "height_px": height_px, "principal_point_px": axis_px}
     return camera.model_copy(update={"sensor": parse(Sensor, changed, f"size {width_px}x{height_px}")})
 

@@ -12,7 +12,7 @@ on-axis weight with u and c scaled by t = |T u| / |u|: this keeps the geometric 
 the scale that belongs to the direction of the edge. For discs and rings about the axis, whose D depends on |T u| alone,
 this is exact in focus. For other stops, the pattern is D(T u), but the weight takes D at the same distance in the
 direction of u, which differs from that of T u by up to 9 degrees at a field angle of 31 degrees. Off-axis defocus is
-astigmatic, rho T rho, which is neglected: the encircled energies of discs differ by less than 0.01 at 31 degrees.
+astigmatic, rho T rho, which is neglected (claim ``off-axis`` measures the error).
 
 Sampling rho and delta independently would leave u unstratified, although u determines what a pixel sees. For discs and
 rings, u is therefore sampled first, stratified, for the blur c0 at the pixel centre, with a density q close to h; then

@@ -3,7 +3,7 @@
 In a window, the channels' band-passed images y_i give the matrix S_b = <y_i y_j> of each band b. A plane at blur level
 a, whose texture has the power P = 1/f^2.6 and the covariance Sigma between channels, has
 
-    C_b = e^{q_b} Sigma o A_b(a) + N_b,    A_b,ij(a) = sum over band b of sum_k P(f_k) H_i(f_k) conj H_j(f_k) s_ij,k
+    C_b = e^{q_b} Sigma o A_b(a) + N_b,    A_b,ij(a) = mean over band b of sum_k P(f_k) H_i(f_k) conj H_j(f_k) s_ij,k
 
 with the transfer functions H of the kernels, the frequencies f_k that alias to f because the planes sample every second
 pixel (the sign s_ij,k depends on the positions of both channels in the mosaic's block), and the noise N_b.
@@ -157,7 +157,7 @@ def nodes(shape: Sequence[int], step: int) -> tuple[NDArray[np.intp], NDArray[np
 
 
 def expected(kernels: Float32Array, phases: Sequence[Phase], exponent: float = TEXTURE_EXPONENT) -> FloatArray:
-    """A of each level of kernels [level, channel, y, x], [level, band, channel, channel]; of unit mean power per band.
+    """A of each level of kernels [level, channel, y, x], the mean over a band, [level, band, channel, channel].
 
     The kernels are of raw pixels; texture, of the power f^-``exponent``, is left out beyond 0.5 cycles per pixel.
     """

@@ -6,8 +6,13 @@ neighbouring windows overlap. The divergence of band b is
 
     D_b = n_b / 2 (log |C_b| + tr C_b^-1 S_b - log |S_b| - d),
 
-and the score is - sum over b of nu log(1 + D_b / nu). The logarithm limits the influence of bands that no plane
-explains (two depths in the window, a texture with another spectrum). Compare the generalised likelihood of Trouve et
+and the score is
+
+    - sum over b of nu log(1 + D_b / nu) - q^T L q / 2 - log det(1 + H / L) / 2
+
+with the precision L of the prior of q and the curvature H of the data at the fitted q (Laplace's approximation of the
+integral over q). The logarithm limits the influence of bands that no plane explains (two depths in the window, a
+texture with another spectrum). Compare the generalised likelihood of Trouve et
 al. (Applied Optics 52, 2013) for a lens with axial colour, which assumes one texture for all channels.
 """
 

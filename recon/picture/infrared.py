@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from dasim.base.errors import InputError
 from dasim.camera import specification
 from dasim.camera.radiometry import response
-from dasim.camera.rings import rings
+from dasim.camera.rings import at_pixels, rings
 from dasim.camera.sensor import channels
 from dasim.camera.specification import Camera
 from dasim.spectra import colour_checker, grid, illuminants
@@ -21,7 +21,7 @@ from recon.settings import Settings
 
 MOST_SATURATED = 0.001  # largest share of saturated pixels in a capture for the measurement of crosstalk
 LEAST_SIGNAL = 0.02  # least mean of its infrared pixels, relative to full scale
-MIDDLE_RINGS = 0.5  # of the field around the axis: 7 degrees, within which a coating shifts by a quarter of its edge
+MIDDLE_RINGS = 0.5  # of the field: on the axis 7 degrees, within which a coating shifts by a quarter of its edge
 
 # Cubic convolution (Keys 1981, a = -1/2) on a grid of twice the density: weights at the samples and halfway between.
 BICUBIC = np.array([-1, 0, 9, 16, 9, 0, -1], np.float32) / 16
@@ -66,10 +66,11 @@ def _relative(alpha: FloatArray, on_axis: FloatArray) -> FloatArray:
 def measured_crosstalk(capture: Capture) -> tuple[float, float, float]:
     """Measured alpha of eq. (8) for R, G and B on the axis, from a capture under near-infrared light alone.
 
-    The results, for ``Settings.crosstalk``, are ratios of the channels' means in the middle of the field; how alpha
-    changes over the field is known from the data sheet. Unlike the areas of the response curves, they hold for the
-    spectrum of this light. Suitable are infrared LEDs, or a lamp behind a filter without transmission below 650 nm, on
-    a uniform surface.
+    The results, for ``Settings.crosstalk``, are ratios of the channels' means in the part of the frame that is nearest
+    to the axis. In a frame that does not contain the axis, they are divided by the change of alpha from the axis to
+    there, which is known from the data sheet. Unlike the areas of the response curves, they hold for the spectrum of
+    this light. Suitable are infrared LEDs, or a lamp behind a filter without transmission below 650 nm, on a uniform
+    surface.
     """
     electrons, saturated = mosaic.linearise(capture)
     grids = mosaic.grids(capture.camera)
@@ -79,12 +80,15 @@ def measured_crosstalk(capture: Capture) -> tuple[float, float, float]:
     if max(clipped.values()) > MOST_SATURATED:
         name = max(clipped, key=lambda key: clipped[key])
         raise InputError(f"capture: {clipped[name]:.1%} of channel {name} is saturated; use less light")
-    place = rings(capture.camera).place
+    relative, place = crosstalk_over_field(capture.camera)
     middle = place <= place.min() + MIDDLE_RINGS
     mean = {name: float(electrons[mosaic.sites(g, electrons.shape) & middle].mean()) for name, g in grids.items()}
     if mean["IR"] < LEAST_SIGNAL * capture.camera.sensor.full_well_e / capture.gain:
         raise InputError("capture: too little infrared for the measurement of crosstalk; use more light")
-    red, green, blue = (max(mean[name] / mean["IR"], 0.0) for name in grid.CHANNELS[:3])
+    there = at_pixels(relative, place.min())
+    red, green, blue = (
+        max(mean[name] / mean["IR"], 0.0) / change for name, change in zip(grid.CHANNELS[:3], there, strict=True)
+    )
     return red, green, blue
 
 

@@ -19,6 +19,7 @@ from dasim.values import Capture
 from recon.picture import colour, field, mosaic
 
 DEGREE = 4  # of the gain, a polynomial in row and column; cos^-4 = (1 + r^2 / s^2)^2 has exactly this degree
+BLOCKS_PER_DEGREE = 2  # along a side, at least: small windows have polynomials of a lower degree
 SAMPLES = 64  # blocks along the longer side for the fit of the polynomial
 MOST_SATURATED = 0.001  # largest share of saturated pixels in a flat
 DIMMEST_SHARE = 0.02  # least mean of a flat, relative to full scale
@@ -27,7 +28,7 @@ DARKEST_BLOCK = 0.02  # least mean of a block relative to the brightest one
 
 
 def gain(flat: Capture, camera: Camera, lights: Sequence[str], signature: NDArray) -> Float32Array:
-    """Factor on each pixel's electrons that corrects the lens shading, [h, w]; 1 at the brightest point.
+    """Factor on each pixel's electrons that corrects the lens shading, [h, w]; at least 1.
 
     ``flat`` is a capture of a uniformly lit, uniform surface out of focus, by the same sensor at the same focus. The
     factor is a polynomial fitted to the inverse of each channel, so that noise, dust and PRNU have no influence.
@@ -49,8 +50,8 @@ def gain(flat: Capture, camera: Camera, lights: Sequence[str], signature: NDArra
     factor = np.empty_like(electrons)
     for (name, grids), relative in zip(mosaic.grids(camera).items(), known, strict=True):
         where = mosaic.sites(grids, electrons.shape)
-        inverse = _inverse(electrons, where, name)
-        factor[where] = (inverse / inverse.min())[where] * field.on_grid(relative, place[where])
+        whole = _inverse(electrons, where, name) * field.on_grid(relative, place)
+        factor[where] = (whole / whole.min())[where]
     return factor
 
 
@@ -87,7 +88,8 @@ def _inverse(electrons: Float32Array, where: NDArray, name: str) -> NDArray[np.f
         raise InputError(f"flat: channel {name} is not lit everywhere; use a uniform surface that fills the frame")
     # mean position of the channel's pixels in each block, which is off the block's centre
     at_y, at_x = (legvander((total(where * at) / count).ravel(), DEGREE) for at in (y[:, None], x[None, :]))
-    powers = [(i, j) for i in range(DEGREE + 1) for j in range(DEGREE + 1 - i)]
+    most_i, most_j = (min(DEGREE, (len(starts) - 1) // BLOCKS_PER_DEGREE) for starts in (rows, columns))
+    powers = [(i, j) for i in range(most_i + 1) for j in range(most_j + 1) if i + j <= DEGREE]
     design = np.stack([at_y[:, i] * at_x[:, j] for i, j in powers], axis=1)
     weight = (mean * np.sqrt(mean * count)).ravel()  # inverse standard error of 1 / mean for photon noise
     fitted, *_ = np.linalg.lstsq(design * weight[:, None], weight / mean.ravel(), rcond=None)

@@ -15,7 +15,7 @@ from dasim.camera.specification import Camera
 from dasim.spectra.grid import CHANNELS
 from dasim.typing import BoolArray, Float32Array
 from dasim.values import PsfBank
-from recon.depth.peak import sd_of
+from recon.depth.peak import confidence_of, sd_of
 from recon.picture import develop, field, mosaic
 from recon.picture.field import Separation
 from recon.settings import Settings
@@ -32,6 +32,10 @@ MODEL_ERROR = 0.007
 # Factor on the noise that the networks are told. They were trained on dim scenes, too, and remove fine texture of
 # photographs with the noise. 0.65 and 0.8 tie on ``tune``; the smaller one keeps more of photographs.
 TOLD_NOISE = 0.65
+# Visible blur per level, in pixels, of the cameras that the networks were trained with. All constants here that are in
+# levels are in these.
+TRAINED_PX = 1 / 0.54
+SAME_LEVELS = 1e-3  # relative difference of levels that counts as none
 CERTAIN = 0.05  # confidence below which the solution of eq. (15) fades to the captured picture
 # Share of the captured picture in that of the networks at level 0, which falls to 0 at CAUTIOUS_LEVELS: near focus, a
 # surface without the finest detail is often taken to be blurred. Chosen on ``tune``.
@@ -69,23 +73,34 @@ def all_in_focus(
     seen_e = stack.copy() if network else stack
     if network:
         noise_e = with_model_error(noise_e, stack, frame)
-    _soften_in_focus(stack, frame.linear_e, frame.ir_e, frame.level)
+    near = in_trained_levels(frame, float(bank.blur_px[1]))
+    _soften_in_focus(stack, frame.linear_e, frame.ir_e, near.level)
     tile = tile_px or layers.TILE_PX
     if network:
         draft = sharpen.linear(stack, frame.level + np.float32(focus), kernels, noise_e, focus=focus, tile_px=tile)
-        picture, phases = seen(frame, seen_e, draft, TOLD_NOISE * noise_e), mosaic.phases(frame.camera)
+        picture, phases = seen(near, seen_e, draft, TOLD_NOISE * noise_e), mosaic.phases(frame.camera)
         sharp_e = restoration.restored(picture, phases, tile_px or restoration.TILE_PX, settings.sharpen_networks)
         del draft, picture  # before more memory is needed
         if settings.sharpen_consistency:
-            sd = sd_of(frame.confidence).astype(np.float32)
-            consistency.add_unexplained(sharp_e, stack, frame.level, sd, kernels, noise_e, focus=focus, tile_px=tile)
-        _agree_with_samples(sharp_e, frame, seen_e, float(bank.blur_px[1]))
-        _fade_to_captured(sharp_e, frame, 1 - CAUTION * np.clip(1 - np.abs(frame.level) / CAUTIOUS_LEVELS, 0, 1))
+            share = consistency.share_of(near.level, sd_of(near.confidence).astype(np.float32))
+            consistency.add_unexplained(sharp_e, stack, frame.level, share, kernels, noise_e, focus=focus, tile_px=tile)
+            del share
+        _agree_with_samples(sharp_e, near, seen_e)
+        _fade_to_captured(sharp_e, frame, 1 - CAUTION * np.clip(1 - np.abs(near.level) / CAUTIOUS_LEVELS, 0, 1))
     else:
         sharp = _deconvolved(stack, frame, kernels, noise_e, focus, settings, tile)
         sharp_e = np.ascontiguousarray(np.moveaxis(sharp[sharpen.COLOURS], 0, -1))
         _fade_to_captured(sharp_e, frame, np.clip(frame.confidence / CERTAIN, 0, 1))
     return sharp_e
+
+
+def in_trained_levels(frame: Frame, px_per_level: float) -> Frame:
+    """The frame with levels of ``TRAINED_PX`` of visible blur instead of ``px_per_level``, and their confidence."""
+    scale = px_per_level / TRAINED_PX
+    if abs(scale - 1) < SAME_LEVELS:
+        return frame
+    confidence = confidence_of(scale * sd_of(frame.confidence)).astype(np.float32)
+    return frame._replace(level=np.float32(scale) * frame.level, confidence=confidence)
 
 
 def with_model_error(noise_e: NDArray, stack: Float32Array, frame: Frame) -> NDArray:
@@ -94,7 +109,7 @@ def with_model_error(noise_e: NDArray, stack: Float32Array, frame: Frame) -> NDA
 
 
 def seen(frame: Frame, stack: Float32Array, draft: Float32Array, noise_e: NDArray) -> restoration.Picture:
-    """Input of the network for a frame, from its :func:`channels` and their deconvolution.
+    """Input of the network for a frame :func:`in_trained_levels`, from its :func:`channels` and their deconvolution.
 
     The network was trained on deconvolutions of channels without noise reduction; near focus, those of denoised
     channels give better results (0.1 to 0.5 dB below 3 px of blur).
@@ -168,7 +183,7 @@ def _soften_in_focus(stack: Float32Array, linear_e: Float32Array, ir_e: Float32A
         stack[index] = smooth_e + grain * (stack[index] - smooth_e)
 
 
-def _agree_with_samples(sharp_e: Float32Array, frame: Frame, stack: Float32Array, px_per_level: float) -> None:
+def _agree_with_samples(sharp_e: Float32Array, frame: Frame, stack: Float32Array) -> None:
     """Near focus, take detail from the picture that the samples of the :func:`channels` do not confirm, and restore
     detail that they show and the picture lacks, in place.
 
@@ -176,16 +191,18 @@ def _agree_with_samples(sharp_e: Float32Array, frame: Frame, stack: Float32Array
     sparse to determine the detail between them.
     """
     grids = mosaic.grids(frame.camera)
-    infrared = INTERPOLATED_NOISE_SHARE**2 * frame.variances["IR"]
     samples: list[Samples | None] = []
     for index, (name, row) in enumerate(zip("RGB", frame.separation.on_axis, strict=True)):
         if grids[name][0].step == mosaic.PERIOD_PX:
             samples.append(None)
             continue
-        variance = (row[index] ** 2 * frame.variances[name] + row[3] ** 2 * infrared).astype(np.float32)
-        samples.append(Samples(mosaic.sites(grids[name], frame.level.shape), stack[index], variance))
-    false_detail.remove(sharp_e, samples, frame.linear_e, frame.level, px_per_level)
-    lost_detail.restore(sharp_e, samples, frame.level, sd_of(frame.confidence).astype(np.float32), px_per_level)
+        # At the samples of a channel, the other channels are interpolated.
+        weights = np.where(np.arange(len(row)) == index, 1, INTERPOLATED_NOISE_SHARE**2) * row**2
+        parts = [np.float32(a) * frame.variances[other] for other, a in zip(CHANNELS, weights, strict=True) if a]
+        samples.append(Samples(mosaic.sites(grids[name], frame.level.shape), stack[index], np.sum(parts, axis=0)))
+    blur_px = np.float32(TRAINED_PX) * frame.level
+    false_detail.remove(sharp_e, samples, frame.linear_e, blur_px)
+    lost_detail.restore(sharp_e, samples, blur_px, np.float32(TRAINED_PX) * sd_of(frame.confidence).astype(np.float32))
     np.maximum(sharp_e, 0, out=sharp_e)  # restored detail may be negative in dark areas
 
 

@@ -33,7 +33,7 @@ def add_unexplained(
     sharp_e: Float32Array,
     stack: Float32Array,
     level: Float32Array,
-    sd: Float32Array,
+    share: Float32Array,
     kernels: NDArray,
     noise_e: NDArray,
     *,
@@ -46,7 +46,7 @@ def add_unexplained(
         sharp_e: the all-in-focus picture.
         stack: captured R, G, B without infrared, and IR, [4, h, w] electrons.
         level: level of every pixel, [h, w], negative behind the focus.
-        sd: its standard deviation, [h, w].
+        share: of the unexplained detail that is added, 0..1, [h, w]; see :func:`share_of`.
         kernels: of the channels of ``stack``, [level, channel, size, size].
         noise_e: standard deviation of the noise, [channel] electrons.
         focus: index of the kernels in focus; those before it are behind the focus.
@@ -72,7 +72,7 @@ def add_unexplained(
 
     margins_px = [REACH_PX + reach_px for reach_px in blur.reach_px]
     parts = layers.parts(position, tile_px, margins_px, strip_px=0)
-    unexplained, share = np.empty_like(stack[own]), share_of(level, sd)
+    unexplained = np.empty_like(stack[own])
     worth = [part for part in parts if nodes[part.node] != focus and share[part.core].max() > LEAST_SHARE]
     layers.by_parts(unexplained, worth, work)
     for channel, more in enumerate(unexplained):
@@ -81,7 +81,10 @@ def add_unexplained(
 
 
 def share_of(level: Float32Array, sd: NDArray) -> Float32Array:
-    """Share 0..1 of the unexplained detail that is added, from the level and its standard deviation."""
+    """Share 0..1 of the unexplained detail that is added, from the level and its standard deviation, [h, w].
+
+    Both are in the levels of the networks' training (:mod:`recon.sharp.all_in_focus`).
+    """
     away = np.abs(level)
     doubt = sd / (SURE_SD * (1 + away / SURE_LEVELS))
     return np.asarray(np.minimum(away / WHOLE_LEVEL, 1) / (1 + doubt**2), np.float32)

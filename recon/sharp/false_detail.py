@@ -34,8 +34,7 @@ def remove(
     sharp_e: Float32Array,
     samples: Sequence[Samples | None],
     captured_e: Float32Array,
-    level: Float32Array,
-    px_per_level: float,
+    blur_px: Float32Array,
 ) -> None:
     """Take unconfirmed detail from an all-in-focus picture, in place.
 
@@ -44,12 +43,11 @@ def remove(
         samples: of the three channels, with their noise, at every second pixel of every second row at least; a channel
             without any is left as it is.
         captured_e: the captured picture, its noise reduced, [h, w, 3].
-        level: blur level of each pixel, [h, w].
-        px_per_level: diameter of visible blur per level.
+        blur_px: diameter of the visible blur of each pixel, [h, w], of either sign.
     """
 
     def unconfirmed(strip: Float32Array, own: list[Samples | None], rows: slice) -> Float32Array:
-        at, result = place(np.abs(level[rows]).astype(np.float32), px_per_level), np.zeros_like(strip)
+        at, result = place(np.abs(blur_px[rows]).astype(np.float32)), np.zeros_like(strip)
         for channel, one in enumerate(own):
             if one is not None:
                 image = strip[..., channel]
@@ -57,7 +55,7 @@ def remove(
                 result[..., channel] = (1 - share) * (captured_e[rows, :, channel] - image)
         return result
 
-    change_near_focus(sharp_e, samples, level, unconfirmed)
+    change_near_focus(sharp_e, samples, blur_px, unconfirmed)
 
 
 def _confirmed(samples: Samples, blurred: Float32Array) -> Float32Array:

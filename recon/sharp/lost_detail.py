@@ -31,9 +31,8 @@ BILINEAR = np.outer([0.5, 1.0, 0.5], [0.5, 1.0, 0.5]).astype(np.float32)  # betw
 def restore(
     sharp_e: Float32Array,
     samples: Sequence[Samples | None],
-    level: Float32Array,
-    sd: Float32Array,
-    px_per_level: float,
+    blur_px: Float32Array,
+    sd_px: Float32Array,
 ) -> None:
     """Bring lost detail back to an all-in-focus picture, in place.
 
@@ -41,15 +40,14 @@ def restore(
         sharp_e: the picture, [h, w, 3] electrons.
         samples: of the three channels, with their noise, at every second pixel of every second row at least; a channel
             without any is left as it is.
-        level: blur level of each pixel, [h, w].
-        sd: its standard deviation, [h, w].
-        px_per_level: diameter of visible blur per level.
+        blur_px: diameter of the visible blur of each pixel, [h, w], of either sign.
+        sd_px: its standard deviation, [h, w].
     """
 
     def lost(strip: Float32Array, own: list[Samples | None], rows: slice) -> Float32Array:
-        size, spread = np.abs(level[rows]).astype(np.float32), sd[rows]
+        size, spread = np.abs(blur_px[rows]).astype(np.float32), sd_px[rows]
         least, result = np.full(strip.shape, np.inf, np.float32), np.zeros_like(strip)
-        places = [place(blur, px_per_level) for blur in (size, size + spread)]
+        places = [place(diameter) for diameter in (size, size + spread)]
         for channel, one in enumerate(own):
             if one is None:
                 continue
@@ -61,7 +59,7 @@ def restore(
                 np.copyto(result[..., channel], share * difference, where=better)
         return result
 
-    change_near_focus(sharp_e, samples, level, lost)
+    change_near_focus(sharp_e, samples, blur_px, lost)
 
 
 def _unexplained(samples: Samples, blurred: Float32Array) -> tuple[Float32Array, Float32Array]:

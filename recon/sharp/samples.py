@@ -15,9 +15,9 @@ from dasim.typing import BoolArray, Float32Array
 
 # Both chosen on ``tune``.
 WINDOW_PX = 7.0  # sigma of the window in which pictures and samples are compared
-LEVELS = (0.5, 2.5)  # full weight up to the first level, none from the second on
+BLURS_PX = (0.93, 4.63)  # visible blur up to which pictures are changed in full, and from which on they are not
 DISC = 0.25  # standard deviation of a disc along an axis, over its diameter
-SIGMAS_PX = np.arange(0.0, 1.3, 0.25)  # of the blurs that :func:`between` interpolates
+SIGMAS_PX = np.arange(0.0, 1.3, 0.25)  # of the blurs that :func:`between` interpolates, up to that of BLURS_PX
 STRIP_PX, HALO_PX = 256, 36  # rows at a time, even, and rows around them that they depend on
 
 
@@ -32,15 +32,15 @@ class Samples(NamedTuple):
 def change_near_focus(
     sharp_e: Float32Array,
     samples: Sequence[Samples | None],
-    level: Float32Array,
+    blur_px: Float32Array,
     change: Callable[[Float32Array, list[Samples | None], slice], Float32Array],
 ) -> None:
     """Add a change to a picture [h, w, channel] near focus, in place, strip by strip.
 
     ``change`` gets rows of the picture as it was, the samples of these rows, and the rows. It returns the change there,
-    which is weighted by ``LEVELS``.
+    which is weighted by ``BLURS_PX``. ``blur_px`` [h, w] is the diameter of the visible blur, of either sign.
     """
-    height = len(level)
+    height = len(blur_px)
     above = sharp_e[:0]  # original values of rows that the previous strip has changed
     for top in range(0, height, STRIP_PX):
         bottom = min(top + STRIP_PX, height)
@@ -48,21 +48,21 @@ def change_near_focus(
         rows, inner = slice(first, last), slice(top - first, bottom - first)
         strip = np.concatenate([above, sharp_e[top:last]])
         above = sharp_e[max(bottom - HALO_PX, 0) : bottom].copy()
-        size = np.abs(level[top:bottom])
-        if size.min() >= LEVELS[1]:
+        size = np.abs(blur_px[top:bottom])
+        if size.min() >= BLURS_PX[1]:
             continue
         halves = slice(first // 2, -(-last // 2))
         own = [
             None if whole is None else Samples(whole.sites[rows], whole.value_e[rows], whole.variance[halves])
             for whole in samples
         ]
-        weight = np.interp(size, LEVELS, (1, 0)).astype(np.float32)
+        weight = np.interp(size, BLURS_PX, (1, 0)).astype(np.float32)
         sharp_e[top:bottom] += weight[..., None] * change(strip, own, rows)[inner]
 
 
-def place(level: Float32Array, px_per_level: float) -> Float32Array:
-    """Fractional index among ``SIGMAS_PX`` of the visible blur of levels from 0, the last for larger ones."""
-    sigma_px = np.float32(DISC * px_per_level) * level
+def place(blur_px: Float32Array) -> Float32Array:
+    """Fractional index among ``SIGMAS_PX`` of diameters of visible blur from 0, the last for larger ones."""
+    sigma_px = np.float32(DISC) * blur_px
     return np.minimum(sigma_px / np.float32(SIGMAS_PX[1]), np.float32(len(SIGMAS_PX) - 1))
 
 

@@ -136,9 +136,9 @@ def linear(
 ) -> Float32Array:
     """All-in-focus channels by the quadratic prior of eq. (10) alone, in closed form, [4, h, w] electrons, at least 0.
 
-    It takes a fifth of the time of :func:`sharpen` and has the same arguments. A raised cosine limits each level's
-    filter to ``LINEAR_REACH_PX``, so that tiles leave no seams. The result is linear in the picture, so pixels of
-    other levels cause ringing at depth discontinuities.
+    It takes a fifth of the time of :func:`sharpen`, where its arguments are described. A raised cosine limits each
+    level's filter to ``LINEAR_REACH_PX``, so that tiles leave no seams. The result is linear in the picture, so pixels
+    of other levels cause ringing at depth discontinuities.
     """
     nodes = layers.levels_of_nodes(len(kernels), focus)
     position = np.interp(level, nodes, np.arange(len(nodes))).astype(np.float32)

@@ -56,8 +56,8 @@ def _delta(limit: float) -> Callable[[Errors], float]:
     return lambda e: float(np.mean(np.maximum(e.depth_m / e.exact_m, e.exact_m / e.depth_m) < limit))
 
 
-# Levels are steps of 1 px in the difference of both blurs (paper, sec. 5.1). AbsRel, RMSE and delta: Eigen, Puhrsch
-# and Fergus 2014, sec. 4.1. bad-n: Scharstein and Szeliski 2002, eq. (2).
+# Levels are steps of 1 px in the difference of both blurs (paper, sec. 5.1), unless a camera sets ``levels``. AbsRel,
+# RMSE and delta: Eigen, Puhrsch and Fergus 2014, sec. 4.1. bad-n: Scharstein and Szeliski 2002, eq. (2).
 METRICS: dict[str, Metric] = {
     "level-bias": Metric("level", "mean(l - l*)", lambda e: float(e.level.mean())),
     "level-std": Metric("level", "standard deviation of l - l*", lambda e: float(e.level.std())),

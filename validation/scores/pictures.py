@@ -77,9 +77,10 @@ def picture_scores(result: Reconstruction, truth: Truth) -> list[PictureScore]:
 
 def references(result: Reconstruction, truth: Truth) -> dict[str, FloatArray]:
     """Linear colours without infrared, [h, w, 3] electrons, that pictures are scored against; see ``REFERENCES``."""
-    exact = {"": infrared_free(truth.sharp_e, result.camera, result.light)}
+    settings = Settings(**result.settings)
+    exact = {"": infrared_free(truth.sharp_e, result.camera, result.light, settings)}
     if truth.focus_e is not None:
-        exact["-focus"] = infrared_free(truth.focus_e, result.camera, result.light)
+        exact["-focus"] = infrared_free(truth.focus_e, result.camera, result.light, settings)
     return exact
 
 
@@ -96,12 +97,13 @@ def displayed(result: Reconstruction, truth: Truth) -> dict[str, FloatArray]:
     return {name: to_srgb(e.astype(np.float32), matrix, scale).astype(np.float64) for name, e in linear.items()}
 
 
-def infrared_free(image_e: NDArray[Any], camera: Camera, light: str) -> FloatArray:
-    """Linear colours without infrared as the axis records them, [h, w, 3]: eq. (7) on exact signals [h, w, channel].
+def infrared_free(image_e: NDArray[Any], camera: Camera, light: str, settings: Settings = PAPER) -> FloatArray:
+    """Linear colours without infrared as the axis records them, [h, w, 3], from exact signals [h, w, channel].
 
-    ``light`` is that for which white off the axis is balanced (:mod:`recon.picture.field`).
+    Infrared is removed as in ``settings``, by default by eq. (7); ``light`` is that for which white off the axis is
+    balanced (:mod:`recon.picture.field`).
     """
-    over_field = field.separation(camera, light, PAPER)
+    over_field = field.separation(camera, light, settings)
     planes = np.moveaxis(image_e, -1, 0).astype(np.float64)
     rows = [
         sum(at_pixels(column, over_field.place) * plane for column, plane in zip(colour_rows, planes, strict=True))

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dasim.base.errors import InputError, kind_of
+from dasim.camera import geometry
 from dasim.camera.specification import Camera
 from dasim.typing import BoolArray, FloatArray
 from dasim.values import Capture, Reconstruction, Truth
@@ -22,6 +23,8 @@ PICTURES = ("captured", "all-in-focus")
 LEVEL_KEYS = ("level-median", "level-bias")
 DEPTH_NEEDS = ("depth_m", "valid", "level", "boundary")  # fields of the truth; all follow from its depth
 FLAT_LEVELS = 1e-3  # a scene with less depth than this has no best constant to compare with
+LEAST_RANGE = 0.01  # levels of a map from which the relation of level and depth is read
+FARTHEST_M = 1e4
 
 
 def score(result: Reconstruction, capture: Capture, truth: Truth, *, metrics: Sequence[Metric] = ()) -> list[Figure]:
@@ -77,10 +80,22 @@ def _check_kinds(*pairs: tuple[object, type]) -> None:
 
 
 def depth_of_level(level: NDArray[Any], result: Reconstruction) -> FloatArray:
-    """Depth of raw levels, from the relation between level and depth in the regularised map."""
-    order = np.argsort(result.level, axis=None)
-    levels, depths = result.level.ravel()[order], result.depth_m.ravel()[order]
-    return np.interp(level, levels, depths, left=depths[0], right=depths[-1])
+    """Depth in metres of raw levels, NaN where there is none, from the regularised map's levels and depths.
+
+    Levels are linear in dioptres. Beyond the map's own levels, the line through its smallest and its largest continues;
+    for a map of a single level, the line of the camera's geometry. Levels beyond infinity are at ``FARTHEST_M``.
+    """
+    levels, first = np.unique(result.level, return_index=True)
+    levels = levels.astype(np.float64)
+    vergence = 1 / result.depth_m.ravel()[first].astype(np.float64)
+    step_px = geometry.level_blur_px(result.camera)[1]
+    ends = 1 / geometry.depth_of_blur_m(result.camera, step_px * np.arange(2))
+    slope = ends[1] - ends[0]
+    if levels[-1] - levels[0] > LEAST_RANGE:
+        slope = (vergence[-1] - vergence[0]) / (levels[-1] - levels[0])
+    inside = np.clip(level, levels[0], levels[-1])
+    found = np.interp(inside, levels, vergence) + slope * (level - inside)
+    return np.asarray(1 / np.maximum(found, 1 / FARTHEST_M))
 
 
 def depth_figures(name: str, depth_m: NDArray[Any], truth: Truth, camera: Camera, textured: BoolArray) -> list[Figure]:

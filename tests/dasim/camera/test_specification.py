@@ -233,6 +233,17 @@ def test_crop_keeps_pitch_and_mosaic(da_mobile):
             cameras.cropped(da_mobile, *size)
 
 
+def test_a_central_part_keeps_the_colours_of_the_sensor(da_mobile):
+    """Set-up: a size whose centre would lie one pixel off the mosaic's cells. Expectation: each pixel of the part has
+    the colour, and the distance from the axis, that it has on the sensor.
+    """
+    part = cameras.cropped(da_mobile, 66, 50)
+    assert part == cameras.cropped(da_mobile, 66, 50, at_px=(990, 742))
+    assert part.sensor.principal_point_px == (34, 26)
+    whole = cameras.mosaic_channels(da_mobile)
+    np.testing.assert_array_equal(cameras.mosaic_channels(part), whole[742:792, 990:1056])
+
+
 def test_windows_keep_the_optical_axis(da_mobile):
     """Expectation: the intrinsic matrix of a window is that of the frame, moved by its corner, also for a window of a
     window and the central part of one; illumination and shading are that part of the frame's.

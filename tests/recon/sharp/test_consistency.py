@@ -35,7 +35,9 @@ def added(picture, captured, level=float(LEVEL), sd=0.01, **others):
     result = np.ascontiguousarray(np.moveaxis(picture[:3], 0, -1))
     shape = result.shape[:2]
     levels, deviation = np.full(shape, level, np.float32), np.full(shape, sd, np.float32)
-    consistency.add_unexplained(result, blurred, levels, deviation, kernels, NOISE_E, **others)
+    consistency.add_unexplained(
+        result, blurred, levels, consistency.share_of(levels, deviation), kernels, NOISE_E, **others
+    )
     return np.moveaxis(result, -1, 0) - picture[:3]
 
 

@@ -37,17 +37,17 @@ def samples_of(truth: np.ndarray, seed: int = 5) -> list[Samples]:
 
 def removed(picture: np.ndarray, truth: np.ndarray, captured: np.ndarray, level: float = 0.0) -> np.ndarray:
     changed = picture.copy()
-    false_detail.remove(changed, samples_of(truth), captured, np.full(SHAPE, level, np.float32), PX_PER_LEVEL)
+    false_detail.remove(changed, samples_of(truth), captured, np.full(SHAPE, PX_PER_LEVEL * level, np.float32))
     return changed
 
 
 def test_texture_that_is_not_in_the_samples_goes():
     """Set-up: a picture with texture of the size of the noise on a uniform surface; the captured picture is uniform.
-    Expectation: less than a fifth of the texture is left in focus, all of it from the last level on.
+    Expectation: less than a fifth of the texture is left in focus, all of it from the last blur on.
     """
     truth, picture = np.full((*SHAPE, 3), MEAN, np.float32), texture(SD, 1)
     assert (removed(picture, truth, truth) - truth).std() < 0.2 * SD
-    np.testing.assert_array_equal(removed(picture, truth, truth, of_mosaic.LEVELS[1]), picture)
+    np.testing.assert_array_equal(removed(picture, truth, truth, of_mosaic.BLURS_PX[1] / PX_PER_LEVEL), picture)
 
 
 @pytest.mark.parametrize("size", [0.3 * SD, SD, 3 * SD])

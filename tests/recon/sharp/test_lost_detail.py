@@ -39,17 +39,17 @@ def restored(picture, samples, sites, level, sd=0.1):
     variance = np.full((HEIGHT // 2, WIDTH // 2), SD**2, np.float32)
     channels = [Samples(mask, value, variance) for mask, value in zip(sites, samples, strict=True)]
     levels, sds = (np.full((HEIGHT, WIDTH), value, np.float32) for value in (level, sd))
-    lost_detail.restore(changed, channels, levels, sds, PX_PER_LEVEL)
+    lost_detail.restore(changed, channels, PX_PER_LEVEL * levels, PX_PER_LEVEL * sds)
     return changed
 
 
 def test_stripes_that_a_picture_lacks_come_back(sites):
     """Set-up: stripes of five times the noise, which the picture does not show. Expectation: in focus, less than 0.4 of
-    their error is left, noise and interpolation included; from the last level on nothing changes.
+    their error is left, noise and interpolation included; from the last blur on nothing changes.
     """
     samples, truth, flat = captured(5 * SD)
     assert np.abs(restored(flat, samples, sites, 0.0) - truth).mean() < 0.4 * np.abs(flat - truth).mean()
-    np.testing.assert_array_equal(restored(flat, samples, sites, of_mosaic.LEVELS[1]), flat)
+    np.testing.assert_array_equal(restored(flat, samples, sites, of_mosaic.BLURS_PX[1] / PX_PER_LEVEL), flat)
 
 
 def test_noise_is_not_brought_back(sites):
@@ -88,8 +88,8 @@ def test_a_channel_without_samples_is_left():
     samples = Samples(np.ones((64, 64), bool), value, np.ones((32, 32), np.float32))
     level = np.zeros((64, 64), np.float32)
     all_of_them, some = (np.full((64, 64, 3), 1000, np.float32) for _ in range(2))
-    lost_detail.restore(all_of_them, [samples] * 3, level, level, 1.0)
-    lost_detail.restore(some, [None, samples, None], level, level, 1.0)
+    lost_detail.restore(all_of_them, [samples] * 3, level, level)
+    lost_detail.restore(some, [None, samples, None], level, level)
     np.testing.assert_array_equal(some[..., ::2], 1000)
     np.testing.assert_array_equal(some[..., 1], all_of_them[..., 1])
     assert np.abs(some[..., 1] - 1000).mean() > 10

@@ -91,6 +91,27 @@ def test_a_wrong_level_costs_less_where_the_model_has_an_error(monkeypatch):
     assert (ours > theirs + 1).all(), (ours, theirs)
 
 
+@pytest.mark.parametrize("level", [2.0, 4.0])
+def test_the_spacing_of_levels_does_not_matter(level):
+    """Set-up: a photograph at one depth, and the same bank with every level or every second one. Expectation: the same
+    picture; the networks and all thresholds know the blur, not the number of its level.
+    """
+    shot, bank = scene(level), recon_scenes.bank()
+    kept = slice(None, None, 2)
+    coarse = dataclasses.replace(
+        bank, depth_m=bank.depth_m[kept], blur_px=bank.blur_px[kept], kernel=np.ascontiguousarray(bank.kernel[:, kept])
+    )
+
+    def exactly(capture, bank):
+        number = float(np.interp(level * 1.85185, bank.blur_px, np.arange(len(bank.blur_px))))
+        shape = capture.raw_dn.shape
+        sd = 0.3 * number / level
+        return DepthEstimate(level=np.full(shape, number, np.float32), sd=np.full(shape, sd, np.float32), joined=True)
+
+    fine, other = (recon.reconstruct(shot.capture, each, method=exactly).sharp_e for each in (bank, coarse))
+    assert np.abs(code(fine) - code(other)).mean() < 0.05, "in 8 bits"
+
+
 def test_less_noise_never_costs_quality():
     """Set-up: the same photograph with 6,000 electrons of white, and with 100 times as many in a sensor that holds
     them. Expectation: relative to white, the all-in-focus picture is nearer to the truth with less noise.

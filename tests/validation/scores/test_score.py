@@ -10,11 +10,13 @@ import cv2
 import numpy as np
 import pytest
 
+import recon
 from dasim.base.errors import InputError
 from dasim.camera import geometry, response_curves
 from dasim.camera import specification as cameras
 from dasim.spectra import grid
 from dasim.values import Capture, Reconstruction, Truth
+from recon.picture import infrared
 from tests.support import surfaces
 from validation import demo
 from validation.gates.claim import Claim, write_results
@@ -27,7 +29,7 @@ from validation.subjects import rendering
 SIZE = (8, 12)
 CHECKER = (np.indices(SIZE).sum(axis=0) % 2).astype(np.float32)
 ROUNDING = 1e-5  # single precision, a few operations
-INTERPOLATED = 0.15  # levels, between samples of a relation that is a hyperbola, over 2.3 levels
+INTERPOLATED = 0.01  # levels
 TEXTURE_E = 1000.0
 
 
@@ -109,14 +111,24 @@ def test_constant_offset_is_bias_and_median(camera):
 
 
 def test_raw_levels_are_read_by_the_relation_of_the_regularised_map(camera):
-    """Expectation: a level between two of the regularised map has a depth between theirs; NaN stays NaN."""
+    """Expectation: a level between two of the regularised map has the mean of their inverse depths; NaN stays NaN."""
     exact = truth(camera, np.linspace(0, 20, SIZE[1]))
     result = reconstruction(camera, exact)
     order = np.sort(exact.level[0])
     depth = depth_of_level(np.array([(order[3] + order[4]) / 2, order[7], np.nan]), result)
     depths = -np.sort(-exact.depth_m[0])
-    assert depth[0] == pytest.approx((depths[3] + depths[4]) / 2)
+    assert 1 / depth[0] == pytest.approx((1 / depths[3] + 1 / depths[4]) / 2)
     assert depth[1] == pytest.approx(depths[7]) and math.isnan(depth[2])
+
+
+@pytest.mark.parametrize("levels", [np.linspace(0, 5, SIZE[1]), 3.0], ids=["five levels", "one level"])
+def test_raw_levels_beyond_the_regularised_map_keep_their_depth(camera, levels):
+    """Expectation: a map without outliers hides none of the raw levels; beyond infinity, depth is finite."""
+    result = reconstruction(camera, truth(camera, levels))
+    outliers = np.array([-0.5, 10.0, 20.0, 28.0])
+    exact = [truth(camera, level).depth_m[0, 0] for level in outliers]
+    np.testing.assert_allclose(depth_of_level(outliers, result), exact, rtol=1e-3)
+    assert np.isfinite(depth_of_level(np.array([-1e3]), result)).all()
 
 
 def test_ratio_is_against_the_best_constant(camera):
@@ -269,6 +281,18 @@ def test_blur_effect_tells_a_blurred_picture():
     picture = np.repeat(np.random.default_rng(0).random((64, 64, 1)), 3, axis=-1)
     values = [blur_effect(cv2.GaussianBlur(picture, (0, 0), sigma)) for sigma in (0.5, 1.0, 2.0, 4.0)]
     assert values == sorted(values) and 0 <= values[0] and values[-1] <= 1
+
+
+@pytest.mark.parametrize("removal", ["coefficients", "matrix"])
+def test_the_truth_is_of_the_settings_of_the_result(camera, removal):
+    """Set-up: a picture that is the true one with infrared removed by the settings. Expectation: no error is left."""
+    exact = truth(camera, 5.0)
+    image = np.random.default_rng(0).uniform(100, 1000, (*SIZE, 4)).astype(np.float32)
+    exact = replace(exact, sharp_e=image, focus_e=None)
+    settings = recon.PAPER.model_copy(update={"infrared_removal": removal})
+    colours = image @ infrared.separation(camera, "D55", settings).T
+    result = reconstruction(camera, exact, sharp_e=colours.astype(np.float32), settings=settings.model_dump())
+    assert figures(result, exact)["all-in-focus.blurred.psnr"] > 60
 
 
 def test_infrared_free_undoes_the_crosstalk(camera):
