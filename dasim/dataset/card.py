@@ -142,10 +142,16 @@ def statistics(rows: list[dict[str, Any]]) -> list[str]:
 
 
 def _quantiles(histogram: np.ndarray, edges: np.ndarray, unit: str) -> str:
-    """Median and the central 90 % of a histogram [bin] with ``edges`` [bin + 1], as text."""
+    """Median and the central 90 % of a histogram [bin] with ``edges`` [bin + 1], whose outer bins are open, as text."""
     share = np.concatenate([[0], np.cumsum(histogram) / max(histogram.sum(), 1)])
-    low, middle, high = np.interp((0.05, 0.5, 0.95), share, edges)
-    return f"{middle:.3g} {unit} (90 %: {low:.3g} to {high:.3g})"
+
+    def text(value: float) -> str:
+        if value < edges[1]:
+            return f"below {edges[1]:.3g}"
+        return f"above {edges[-2]:.3g}" if value > edges[-2] else f"{value:.3g}"
+
+    low, middle, high = map(text, np.interp((0.05, 0.5, 0.95), share, edges))
+    return f"{middle} {unit} (90 %: {low} to {high})"
 
 
 def card(spec: DatasetSpec, manifest: dict[str, Any], rows: list[dict[str, Any]], failed: dict[int, str]) -> str:

@@ -66,8 +66,13 @@ class Draw(Specification):
         return float(np.exp(random.uniform(*np.log(self.log_uniform))))
 
     def extremes(self) -> tuple[Scalar, ...]:
-        """Both ends of a range or all values of a choice: if they are allowed, every value is."""
-        return self.choice or self.each or self.uniform or self.log_uniform or ()
+        """Both ends of a range and a value between them, which is no whole number, or all values of a choice: if they
+        are allowed, every value is.
+        """
+        ends = self.uniform or self.log_uniform
+        if ends is not None:
+            return (*ends, ends[0] + BETWEEN * (ends[1] - ends[0]))
+        return self.choice or self.each or ()
 
 
 def _constant(value: Any) -> Any:
@@ -78,6 +83,7 @@ def _constant(value: Any) -> Any:
 Drawn = Annotated[Draw, BeforeValidator(_constant)]
 
 
+BETWEEN = 1 / np.pi  # place in a range of the value between its ends that is tried
 SET_ELSEWHERE = {
     "lens.focus_distance_m": "[focus] distance_m",
     "sensor.width_px": "size_px",

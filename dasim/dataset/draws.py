@@ -88,7 +88,7 @@ def capture_and_view(spec: DatasetSpec, index: int) -> tuple[int, int]:
 def values(spec: DatasetSpec, index: int) -> dict[str, Any]:
     """Random values of a sample from the specification's distributions, by dotted key; reads no files.
 
-    The views of a capture share them.
+    The views of a capture share them, but for the camera of a view for which the rig states one.
     """
     choice = spec.cameras[_choice(spec, index)]
     random = _generator(spec, index, "camera", 1)
@@ -107,6 +107,9 @@ def values(spec: DatasetSpec, index: int) -> dict[str, Any]:
         for key, draw in draws.items():
             if draw is not None:
                 settings[f"{stage}.{key}"], turn = draw.draw(random, turn), _left(draw, turn)
+    own = spec.views.rig[capture_and_view(spec, index)[1] % len(spec.views.rig)].camera
+    if own is not None:
+        settings = {"camera": own} | {key: value for key, value in settings.items() if not key.startswith("camera")}
     return settings
 
 

@@ -35,7 +35,9 @@ def plot(rows: list[dict[str, Any]], file: Path, title: str) -> None:
         count = np.sum([row[f"{what}_histogram"] for row in rows], axis=0)
         axes[place].stairs(count / max(count.sum(), 1), edges, fill=True, color=colour)
         occupied = np.flatnonzero(count)
-        axes[place].set(xlabel=label, ylabel="share of pixels", xlim=edges[[occupied[0], occupied[-1] + 1]])
+        axes[place].set(xlabel=label, ylabel="share of pixels")
+        if occupied.size:
+            axes[place].set_xlim(edges[occupied[0]], edges[occupied[-1] + 1])
     axes[0].set_xscale("log")
     exposure = np.array([row["exposure_s"] for row in rows]) * 1e3
     axes[2].hist(exposure, bins=np.geomspace(exposure.min() * 0.99, exposure.max() * 1.01, 25), color=colour)

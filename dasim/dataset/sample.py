@@ -34,7 +34,7 @@ ROW = "row.json"  # its row of the index, stored with the files until the index 
 DIGITS = 9  # of a sample's name
 THUMBNAIL_PX, THUMBNAIL_QUALITY = 96, 80
 DEPTH_EDGES_M = np.geomspace(0.03, 100.0, 41)
-BLUR_EDGES_PX = np.linspace(-20.0, 60.0, 41)
+BLUR_EDGES_PX = np.linspace(-20.0, 60.0, 41)  # as for depth, the first and the last bin hold what is beyond
 
 
 @dataclass(frozen=True)
@@ -212,12 +212,17 @@ def _row(plan: Draft, frames: list[Capture], truth: Truth, files: dict[str, byte
         "class_share": class_shares(truth),
         **{f"depth_{name}_m": float(v) for name, v in zip(("min", "p05", "p50", "p95", "max"), depth, strict=True)},
         "far_side_share": float(np.mean(truth.level[truth.valid] < -0.5)),
-        "depth_histogram": np.histogram(depth_m, DEPTH_EDGES_M)[0].tolist(),
-        "blur_histogram": np.histogram(truth.blur_px[truth.valid], BLUR_EDGES_PX)[0].tolist(),
+        "depth_histogram": histogram(depth_m, DEPTH_EDGES_M).tolist(),
+        "blur_histogram": histogram(truth.blur_px[truth.valid], BLUR_EDGES_PX).tolist(),
         "sha256": {file: hashlib.sha256(content).hexdigest() for file, content in files.items()},
         "bytes": sum(map(len, files.values())),
         "thumbnail": base64.b64encode(_thumbnail(truth.sharp_srgb)).decode(),
     }
+
+
+def histogram(values: np.ndarray, edges: np.ndarray) -> np.ndarray:
+    """Number of values in each bin; those beyond the edges count in the first and in the last bin."""
+    return np.histogram(np.clip(values, edges[0], edges[-1]), edges)[0]
 
 
 def view_of(spec: DatasetSpec, plan: Draft) -> dict[str, Any]:

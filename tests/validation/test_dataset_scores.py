@@ -13,6 +13,7 @@ import pytest
 from scipy import ndimage
 
 import dasim
+from dasim.base import fingerprint
 from dasim.base.errors import InputError
 from dasim.camera import specification as cameras
 from dasim.cli import run
@@ -293,6 +294,32 @@ def test_an_interrupted_run_keeps_what_is_finished(walls, folder):
     assert all("IndexError" in row["failed"] and row["coverage"] == 0 for row in failed)
     focus = failed[0]["figures"]["region"]["all"]["abs-rel"]
     assert focus == pytest.approx(FOCUS_M / DEPTH_M - 1, rel=1e-3), "scored as a map that is all in focus"
+
+
+def test_a_users_metric_counts_failed_samples(walls, folder):
+    """Expectation: a sample on which a method fails has a value of its own, that of the map in focus."""
+    (folder / "deep.py").write_text(
+        "import numpy as np\n\ndef deep(depth_m, truth):\n    return float(np.nanmean(depth_m))\n"
+    )
+    save_bank(folder / "bank.npz", recon_scenes.bank(("D65",)))
+    job = job_of(
+        walls,
+        folder / "out",
+        entrants(["mine.py:broken"]),
+        bank=folder / "bank.npz",
+        metrics=(f"{folder}/deep.py:deep",),
+    )
+    values = [value for row in score_dataset(job, inline) if row["failed"] for value in row["metrics"].values()]
+    assert values == pytest.approx([FOCUS_M] * 2, rel=1e-3)
+
+
+def test_kept_results_depend_on_all_code_that_makes_them():
+    """Expectation: the scoring of a sample itself, reading it, and a metric's code and name count."""
+    names = set(fingerprint.dependencies(work.scored).files.values())
+    for name in ("dataset_scores/work.py", "scores/metrics.py", "files/captures.py", "dataset/reading.py"):
+        assert any(each.endswith(name) for each in names), name
+    metric = "examples/metric.py:within_a_centimetre"
+    assert work.code_of((f"a={metric}",), None) != work.code_of((f"b={metric}",), None)
 
 
 def test_a_method_is_scored_by_its_own_estimate(walls, folder):

@@ -51,8 +51,7 @@ def code_of(metrics: tuple[str, ...], bank: Path | None) -> str:
     """Fingerprint of all code between a sample and its figures, of the user's metrics, and of the bank's file."""
     own = [fingerprint(metric, variant="none") for metric in load_metrics(metrics)]
     content = [] if bank is None else [text_hash([bank.read_bytes().hex()])]
-    stages = (depth_map, figures.map_figures, figures.light_e, textured, truth_of)
-    return fingerprint(*stages, variant="none", values=[*own, *content], excluding=("cameras", "scenes"))
+    return fingerprint(scored, variant="none", values=[*own, *metrics, *content], excluding=("cameras", "scenes"))
 
 
 def result_file(job: ScoreJob, one: Entrant, row: dict[str, Any]) -> str:
@@ -123,7 +122,8 @@ def scored(job: ScoreJob, one: Entrant, capture: Capture, truth: Truth, sample: 
     camera = capture.camera
     whole = figures.complete(found, camera.lens.focus_distance_m)
     texture = central(textured(capture), truth.depth_m.shape)
-    metrics = metric_figures(one.name, found, truth, load_metrics(job.metrics)) if job.metrics and not failed else []
+    judged = whole if failed else found
+    metrics = metric_figures(one.name, judged, truth, load_metrics(job.metrics)) if job.metrics else []
     return {
         "coverage": float(np.mean(np.isfinite(found[near]))) if near.any() else None,
         "failed": failed,

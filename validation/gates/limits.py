@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import operator
 import re
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from pydantic import RootModel, field_validator
@@ -75,6 +76,12 @@ class Gate:
         """Whether the gate matches a single figure."""
         return not set(self.key) & set("*{")
 
+    @property
+    def keys(self) -> list[str]:
+        """The key with each combination of its names in braces."""
+        parts = [part[1:-1].split(",") if part.startswith("{") else [part] for part in self.key.split(".")]
+        return [".".join(names) for names in itertools.product(*parts)]
+
     def matches(self, figure_id: str) -> bool:
         """Whether the gate matches the figure of this id."""
         parts, names = self.key.split("."), figure_id.split(".")
@@ -130,7 +137,9 @@ def gate_of(figure_id: str, gates: Sequence[Gate]) -> Gate | None:
 
 
 def judged_all(claim: str, figures: Sequence[Figure], gates: Sequence[Gate]) -> list[Claim]:
-    """Compare a claim's figures with their limits; a limit for a figure that is missing gives an entry that failed."""
+    """Compare a claim's figures with their limits; a limit for a figure that is missing gives an entry that failed, and
+    so does each of the names in braces without a figure.
+    """
     entries = []
     for figure in figures:
         gate = gate_of(f"{claim}.{figure.id}", gates)
@@ -138,7 +147,8 @@ def judged_all(claim: str, figures: Sequence[Figure], gates: Sequence[Gate]) -> 
         entries.append(judged(figure, limit, claim=claim, why=why))
     ids = [entry.id for entry in entries]
     for gate in gates:
-        if gate.claim == claim and not any(map(gate.matches, ids)):
-            reason = f"no figure of this name was measured{did_you_mean(gate.key, ids)}"
-            entries.append(Claim(gate.key, math.nan, gate.limit, "", False, reason))
+        for key in gate.keys if gate.claim == claim else ():
+            if not any(map(replace(gate, key=key).matches, ids)):
+                reason = f"no figure of this name was measured{did_you_mean(key, ids)}"
+                entries.append(Claim(key, math.nan, gate.limit, "", False, reason))
     return entries

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from decimal import ROUND_CEILING, ROUND_FLOOR, Decimal
 
 from validation.gates.claim import Claim
 
@@ -26,10 +27,21 @@ def proposed(claim: Claim, seeds: int) -> str | None:
     sides = 1 if claim.limit and ".." not in claim.limit else 2
     quantile = float(student.ppf(1 - (1 - CONFIDENCE) / sides, seeds - 1))
     margin = quantile * claim.spread * math.sqrt(1 + 1 / seeds)
-    low, high = (f"{claim.value + sign * margin:.4g}" for sign in (-1, 1))
+    low, high = (
+        _outwards(claim.value - margin, margin, ROUND_FLOOR),
+        _outwards(claim.value + margin, margin, ROUND_CEILING),
+    )
     if sides == 2:
         return f"{low}..{high}"
     return f"<= {high}" if claim.limit and claim.limit.lstrip().startswith("<") else f">= {low}"
+
+
+def _outwards(limit: float, margin: float, rounding: str) -> str:
+    """A limit as text, rounded away from the measured value by less than a hundredth of the margin."""
+    if margin == 0:
+        return repr(limit)
+    step = Decimal(1).scaleb(math.floor(math.log10(margin)) - 2)
+    return f"{(Decimal(limit) / step).to_integral_value(rounding) * step:f}"
 
 
 def gate_file(measured: Sequence[tuple[Claim, int]]) -> str:

@@ -25,7 +25,7 @@ CONSTANTS = 200  # constant maps that are tried, evenly spaced in dioptres
 SPARSIFICATION_STEPS = 50
 OCCUPIED_SHARE = 0.02  # of the pixels, for a level to count
 CONSTANT_STEP = 0.05  # levels between the constant maps that balanced_error tries
-LEVEL_EDGES = (-0.5, 1.0, 3.0, 6.0, 12.0, 29.0)  # of true levels that are looked at apart
+LEVEL_EDGES = (-0.5, 1.0, 3.0, 6.0, 12.0, np.inf)  # of true levels that are looked at apart
 MIN_DEPTH_M, MAX_DEPTH_M = 1e-3, 1e6
 
 

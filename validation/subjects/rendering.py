@@ -50,6 +50,11 @@ class NotRun(Exception):
     """Raised if a claim cannot be measured on this computer; the message states the reason."""
 
 
+def seeds_of(seed: int, count: int, part: int = 0) -> range:
+    """Seeds of ``count`` pictures that no other seed of a claim has, for up to 1000 / ``count`` seeds per part."""
+    return range(1000 * part + count * seed, 1000 * part + count * (seed + 1))
+
+
 def activate() -> str:
     """Activate the fastest Mitsuba variant of this computer and return its name."""
     choice = backend.choose()

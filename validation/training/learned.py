@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from dasim.base.errors import InputError
 from dasim.camera import geometry
+from dasim.camera.sensor import channels
 from dasim.dataset.reading import Sample, open_dataset, spec_of
 from dasim.dataset.sample import key
 from dasim.files.captures import capture_of
@@ -77,6 +78,10 @@ def of_sample(sample: Sample) -> Source | None:
     if "depth_m" not in sample.truth:
         raise InputError(f"{where}: its truth lacks depth; make the dataset with truth.keep = ['depth'] or more")
     capture = capture_of(sample.meta, sample.raw_dn, where)
+    if missing := {"G", "IR"} - set(channels(capture.camera.sensor)):
+        raise InputError(
+            f"{where}: camera '{capture.camera.name}' has no {' or '.join(sorted(missing))} pixels; both are needed"
+        )
     blur = np.asarray(geometry.blur_px(capture.camera, np.asarray(sample.truth["depth_m"], np.float64)))
     blur = np.where(blur < BEHIND_PX, np.nan, np.maximum(blur, 0))
     if not np.isfinite(blur).any():

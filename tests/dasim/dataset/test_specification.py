@@ -77,6 +77,7 @@ CAMERA = '[[cameras]]\nname = "da-mobile"\n[cameras.vary]\n'
         ("views = {poses = [{look_at_cm = [0, 9, 0]}]}", ["views.poses.0", "straight above or below"]),
         ("raw_scale = 'half'", ["raw_scale", "'dn' or 'full'"]),
         (CAMERA + "'lens.f_numbr' = 2", ["'lens.f_numbr' does not exist", "f_number"]),
+        (CAMERA + "'sensor.adc_bits' = {uniform = [10, 12]}", ["sensor.adc_bits = 10.6", "integer"]),
         (CAMERA + "'lens.f_number' = {uniform = [-1, 2]}", ["lens.f_number = -1"]),
         (CAMERA + "'lens.focus_distance_m' = 1", ["set by [focus] distance_m"]),
         (CAMERA + "'sensor.width_px' = 64", ["set by size_px"]),

@@ -246,6 +246,8 @@ auto_level = {uniform = [0.1, 0.9]}
     assert len({item.exposure.auto_level for item in drafts[:6]}) == 1
     assert drafts[0].exposure.auto_level != drafts[6].exposure.auto_level
     assert len({item.seed for item in drafts}) == 12
+    for index, item in enumerate(drafts):
+        assert item.drawn["camera"] == ("bayer-mobile" if index % 2 else spec.cameras[0].name)
     x_cm = [item.scene.view.position_cm[0] for item in drafts[:6:2]]
     assert x_cm == pytest.approx([0, 3, 6])
     for twin, dual in zip(drafts[1:6:2], drafts[:6:2], strict=True):

@@ -13,6 +13,13 @@ from validation.claims.light import field_colour, mixed, noise, pattern
 from validation.claims.table import CLAIMS
 from validation.gates.limits import GATES, gate_of, load_gates, within
 from validation.scores.figures import Figure
+from validation.subjects.rendering import seeds_of
+
+
+def test_pictures_of_different_seeds_are_independent():
+    """Expectation: no two pictures of a claim that several seeds measure have a seed in common."""
+    of_claim = [seeds_of(seed, 12, part=part) for seed in range(8) for part in range(3)]
+    assert len(set().union(*of_claim)) == 12 * len(of_claim)
 
 
 @pytest.mark.parametrize(("ratio", "good"), [(0.46, True), (0.462, False)])

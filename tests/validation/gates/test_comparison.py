@@ -15,7 +15,7 @@ from tests.support.fake_claims import FAKES
 from validation.gates import stored
 from validation.gates.claim import Claim, Evidence
 from validation.gates.comparison import Earlier, changes
-from validation.gates.limits import within
+from validation.gates.limits import bounds, within
 from validation.gates.outcome import Measurement
 from validation.gates.proposal import proposed
 from validation.scores.figures import Figure
@@ -122,6 +122,19 @@ def test_proposed_limits_hold_for_one_more_seed():
     assert proposed(Claim("a.b", 7.0, "<= 9", "px", True, "", None), 4) is None
 
 
+@pytest.mark.parametrize("limit", ["<= 9", ">= 5", None])
+@pytest.mark.parametrize(
+    ("value", "spread"), [(1234.56, 0.01), (0.123456, 1e-6), (-3e-5, 2e-9), (7.0, 0.0), (5e7, 3e5)]
+)
+def test_proposed_limits_hold_for_what_was_measured(value, spread, limit):
+    """Rationale: a limit that is rounded towards the measured value may be missed by it."""
+    claim = Claim("a.b", value, limit, "px", None, "", spread)
+    text = proposed(claim, 5)
+    assert within(value, text)
+    margin = np.max(np.abs(np.array([end for end in bounds(text) if np.isfinite(end)]) - value))
+    assert margin <= 5.2 * spread + 1e-12 * abs(value), "and it is not looser than it has to be"
+
+
 def test_proposed_limits_are_gates(random_claim):
     """Expectation: the file is one that --gates takes, and its limits replace the bundled ones."""
     assert run(["validate", "--seeds", "3", "--out", "new", "--propose-gates", "mine.toml"]) == 0
@@ -130,4 +143,4 @@ def test_proposed_limits_are_gates(random_claim):
     assert run(["validate", "--out", "again", "--gates", "mine.toml"]) == 0
     entry = results(random_claim / "again")["seeded.size"]
     # one-sided Student's t of 99 % and 2 degrees of freedom, 6.965, times 2 sqrt(1 + 1/3)
-    assert entry["limit"] == f"<= {3 + 6.9646 * 2 * math.sqrt(4 / 3):.4g}"
+    assert entry["limit"] == f"<= {math.ceil(10 * (3 + 6.9646 * 2 * math.sqrt(4 / 3))) / 10:.1f}"

@@ -7,7 +7,8 @@ from pathlib import Path
 import pytest
 
 from validation.claims.table import CLAIMS
-from validation.gates.limits import GATES, gate_of, load_gates
+from validation.gates.limits import GATES, Gate, gate_of, judged_all, load_gates
+from validation.scores.figures import Figure
 
 FIGURES = Path(__file__).with_name("limits.tsv")
 
@@ -34,6 +35,15 @@ def test_every_figure_has_the_limit_that_is_listed(gates, figures):
 def test_every_gate_limits_a_figure(gates, figures):
     used = {gate.key for gate in (gate_of(name, gates) for name in figures) if gate is not None}
     assert [gate.key for gate in gates if gate.key not in used] == []
+
+
+def test_a_gate_for_several_figures_needs_each_of_them():
+    """Expectation: of the names in braces, one without a figure fails by its own name; ``*`` needs one figure."""
+    gates = [Gate("c.{R,G}.noise", "<= 1", ""), Gate("c.*.bias", "<= 1", "")]
+    found = judged_all("c", [Figure("R.noise", 0.5, "1", ""), Figure("R.bias", 0.5, "1", "")], gates)
+    assert [(entry.id, entry.passed) for entry in found] == [
+        ("c.R.noise", True), ("c.R.bias", True), ("c.G.noise", False),
+    ]  # fmt: skip
 
 
 @pytest.mark.parametrize("method", ["mine", "depth_method.py:ratio", "D65", "desk"])

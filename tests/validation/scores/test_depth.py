@@ -159,6 +159,14 @@ def test_errors_by_true_level(camera):
     assert all(math.isnan(values[low][0]) for low in (0.0, 3.0, 12.0))
 
 
+def test_errors_by_true_level_have_no_end():
+    """Expectation: of a lens whose blur exceeds the paper's range, the largest levels count as well."""
+    lens = cameras.refocused(cameras.load_camera("da-8mm"), 0.8)
+    exact = truth(lens, 45.0)
+    rows = depth_scores.by_level(2 * exact.depth_m, exact, lens, ALL)
+    assert rows[-1][1] > 10
+
+
 # --- confidence ------------------------------------------------------------------------------------
 
 

@@ -6,12 +6,14 @@ Skipped without the extra ``learn``.
 from __future__ import annotations
 
 import re
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from dasim.base.errors import InputError
 from dasim.camera import noise
+from dasim.camera import specification as cameras
 from dasim.values import Capture
 from tests.support import datasets, recon_scenes
 
@@ -29,6 +31,15 @@ def capture(mean):
     camera = recon_scenes.da_mobile(mean.shape[1], mean.shape[0])
     raw, _ = noise.expose(noise.mosaic(mean, camera), camera.sensor, 0.03, 0, noise="off")
     return Capture(raw, camera, 0.03, 1.0, 0)
+
+
+def test_a_sample_without_infrared_is_refused(monkeypatch):
+    camera = cameras.cropped("bayer-mobile", WIDTH, HEIGHT)
+    taken = Capture(np.zeros((HEIGHT, WIDTH), np.uint16), camera, 0.03, 1.0, 0)
+    monkeypatch.setattr(training, "capture_of", lambda *_: taken)
+    sample = SimpleNamespace(index=3, meta={}, raw_dn=taken.raw_dn, truth={"depth_m": np.full((HEIGHT, WIDTH), 0.3)})
+    with pytest.raises(InputError, match="000000003: camera 'bayer-mobile' has no IR pixels"):
+        training.of_sample(sample)
 
 
 @pytest.mark.parametrize(("down", "across"), [(0, 0), (0, 1), (1, 0), (1, 1)])

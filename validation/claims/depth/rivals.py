@@ -22,6 +22,7 @@ from validation.rivals import designs, likelihood, windows
 from validation.rivals.designs import DESIGNS, Design, shifted
 from validation.scores.figures import Figure
 from validation.subjects import rendering
+from validation.subjects.rendering import seeds_of
 from validation.subjects.shots import photographed
 from validation.subjects.texture import white_electrons
 
@@ -202,7 +203,8 @@ def _prepared(scene: Scene) -> Scene:
 def taken(scene: Scene, camera: Camera, seed: int, sweep_um: Sequence[float] = (0.0,)) -> Shot:
     """A photograph, with the mean light of the moments of a sweep; as many samples in all as without one."""
     spp = -(-SPP // len(sweep_um))
-    moments = [photographed(scene, shifted(camera, um), seed + number, spp=spp) for number, um in enumerate(sweep_um)]
+    seeds = seeds_of(seed, len(sweep_um))
+    moments = [photographed(scene, shifted(camera, um), own, spp=spp) for own, um in zip(seeds, sweep_um, strict=True)]
     first, count = moments[0], len(moments)
     if count == 1:
         return first

@@ -16,6 +16,7 @@ from dasim.typing import FloatArray, ShareDone
 from validation.gates.claim import Evidence
 from validation.scores.figures import Figure
 from validation.subjects import rendering
+from validation.subjects.rendering import seeds_of
 
 SIZE_PX = (192, 144)
 FRAMES = 4  # of each stack
@@ -71,7 +72,7 @@ def fixed_pattern(progress: ShareDone, seed: int = 0) -> Evidence:
     exposure = dasim.Exposure(time_s=first.capture.exposure_s)
 
     def stack(body: Camera, lux: float, number: int) -> Stack:
-        seeds = [seed + 1000 * (number + 1) + frame for frame in range(FRAMES)]
+        seeds = seeds_of(seed, FRAMES, part=number + 1)
         shots = [dasim.simulate(_wall(lux), body, s, spp=SPP, diffraction="off", exposure=exposure) for s in seeds]
         progress((number + 1) / 4)
         return _stack(shots)

@@ -23,6 +23,7 @@ from dasim.typing import BoolArray, FloatArray, ShareDone
 from validation.gates.claim import Evidence
 from validation.scores.figures import Figure
 from validation.subjects import rendering
+from validation.subjects.rendering import seeds_of
 
 SIZE_PX = (64, 48)
 SPP = 64
@@ -76,20 +77,20 @@ def truth_noise(progress: ShareDone, seed: int = 0) -> Evidence:
     subjects = {"desk": (desk, camera), "dome": (_under_dome(camera), camera)}
     desk_shots: list[Shot] = []
     for number, (name, (scene, taken_by)) in enumerate(subjects.items()):
-        shots = [_shot(scene, taken_by, seed + k) for k in range(SEEDS)]
+        shots = [_shot(scene, taken_by, own) for own in seeds_of(seed, SEEDS)]
         figures += map_figures(name, scatter(shots))
         desk_shots = desk_shots or shots
         progress((number + 1) / 4)
     for at in AUTO_AT:
         options = {"spp": "auto", "noise_share": AUTO_SHARE, "noise_at": at}
-        shots = [_shot(desk, camera, seed + k, **options) for k in range(AUTO_SEEDS)]
+        shots = [_shot(desk, camera, own, **options) for own in seeds_of(seed, AUTO_SEEDS)]
         figures.append(auto_figure(at, scatter(shots)))
     progress(0.75)
     means = np.stack([shot.truth.mean_e.astype(np.float64) for shot in desk_shots[OWN_SEEDS:]])
     references = means[0::2].mean(axis=0), means[1::2].mean(axis=0)
     for name in ("shared", "independent"):
         options = {"spp": OWN_SPP, "independent_mean": name == "independent"}
-        own = [_shot(desk, camera, seed + k, **options) for k in range(OWN_SEEDS)]
+        own = [_shot(desk, camera, one, **options) for one in seeds_of(seed, OWN_SEEDS)]
         figures.append(slope_figure(name, own, references))
     progress(1.0)
     return Evidence(figures)

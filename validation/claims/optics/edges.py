@@ -18,6 +18,7 @@ from validation.references import transfer
 from validation.reports.plots import plot
 from validation.scores.figures import Figure
 from validation.subjects import planes, rendering
+from validation.subjects.rendering import seeds_of
 
 COMPARED = ("G", "IR")
 FURNACE_SIZE_PX = (96, 24)
@@ -165,7 +166,7 @@ def silhouette(progress: ShareDone, seed: int = 0) -> Evidence:
     cases = [(blur, name) for blur in SILHOUETTE_BLUR_PX for name in polarities]
     for number, (blur, name) in enumerate(cases):
         scene = planes.silhouette_scene(camera, blur, *polarities[name])
-        seeds = range(seed, seed + SILHOUETTE_SEEDS)
+        seeds = seeds_of(seed, SILHOUETTE_SEEDS)
         pictures = np.stack([planes.rendered(scene, camera, SILHOUETTE_SPP, s, "wave") for s in seeds])
         spread = edge_spread(camera, blur)
         for channel in COMPARED:
