@@ -137,7 +137,7 @@ def _guarded(method: recon.Method) -> recon.Method:
             return method(capture, bank)
         except InputError:
             raise
-        except Exception as error:
+        except (Exception, SystemExit) as error:  # a user's sys.exit(0) must not end the command as if it were done
             frames = traceback.extract_tb(error.__traceback__)
             frame = next((f for f in reversed(frames) if "site-packages" not in f.filename), frames[-1])
             place = f"{Path(frame.filename).name}, line {frame.lineno}"

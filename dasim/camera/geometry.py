@@ -74,8 +74,8 @@ def level_blur_px(camera: Camera) -> FloatArray:
     """Visible blur diameters of the blur levels, in pixels, [level], from 0.
 
     By default, level k is at the relative diameter (1 - alpha) c = k pixels, so that 29 levels span the paper's working
-    range of 5 cm to 2 m with its 3.6 mm lens; cameras with one aperture have steps of 2 pixels. Where alpha approaches
-    1 these steps are too wide (10 px of visible blur at 0.9): comparisons of designs set ``camera.levels``.
+    range of 5 cm to 2 m with its 3.6 mm lens; cameras with one round aperture have steps of 2 pixels. Where alpha
+    approaches 1 these steps are too wide (10 px of visible blur at 0.9): comparisons of designs set ``camera.levels``.
     """
     if camera.levels is not None:
         return np.linspace(0.0, camera.levels.max_blur_px, camera.levels.count)

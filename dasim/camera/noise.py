@@ -143,7 +143,8 @@ def auto_exposure_s(rate_e_s: NDArray[np.floating], camera: Camera, exposure: Ex
     """Exposure time that brings a percentile of the brightest channel to its share of full scale.
 
     ``rate_e_s`` is [h, w, channel] mean electrons per second; each channel is judged at its own pixels of the mosaic,
-    as a camera would. Scenes without light get 1 s.
+    as a camera would. Scenes without light get 1 s. Raises InputError for so much light that the time would be shorter
+    than ``SHORTEST_EXPOSURE_S``.
     """
     channels = mosaic_channels(camera)
     collected = electronic_crosstalk(mosaic(rate_e_s, camera).astype(np.float64), camera)
@@ -152,7 +153,13 @@ def auto_exposure_s(rate_e_s: NDArray[np.floating], camera: Camera, exposure: Ex
     )
     if brightest <= 0:
         return 1.0
-    return min(exposure.auto_level * saturation_e(camera.sensor, exposure.gain) / brightest, LONGEST_EXPOSURE_S)
+    time_s = exposure.auto_level * saturation_e(camera.sensor, exposure.gain) / brightest
+    if time_s < SHORTEST_EXPOSURE_S:
+        raise InputError(
+            f"exposure: the light needs an exposure time of {time_s:.2g} s, at least {SHORTEST_EXPOSURE_S:g} s is "
+            "allowed; use less light or a smaller gain"
+        )
+    return min(time_s, LONGEST_EXPOSURE_S)
 
 
 def mosaic(image: NDArray[Precision], camera: Camera) -> NDArray[Precision]:
@@ -199,7 +206,7 @@ def apply(
     where = f"noise model '{function_name(model)}'"
     try:
         result: Any = model(mean_e, sensor, time_s, seed, gain)
-    except Exception as error:  # whatever the user's function raises
+    except (Exception, SystemExit) as error:  # whatever the user's function raises
         raise InputError(f"{where}: raised {locate_error(error)}") from error
     if not (isinstance(result, tuple) and len(result) == 2):
         kind = type(result).__name__

@@ -52,6 +52,7 @@ def score(
     from validation.method_scores import score_methods
     from validation.methods import named
     from validation.reports.lines import of_claims
+    from validation.reports.view.contents import check_same
     from validation.scores import score as scores
     from validation.scores.depth_files import SUFFIXES, read_depth, read_map
     from validation.scores.measured_truth import score_measured
@@ -89,6 +90,7 @@ def score(
         rebuilt = load_reconstruction(result)
         photo = load_capture(capture)  # also checks that the capture is complete
         truth = load_truth(capture)
+        check_same(rebuilt, photo, str(capture))
         if not truth.has("sharp_e"):
             print("note: the truth lacks sharp_e, so that pictures are not scored (a dataset's key truth.keep)")
         figures = scores.score(rebuilt, photo, truth, metrics=metrics)

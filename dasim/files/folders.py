@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -46,6 +47,14 @@ RESULT_FILES = {
         *("responses.svg", "field.svg"),
     ),
 }
+# Folders inside of them: a kind of result folder, or a pattern of the names of the files.
+INSIDE: dict[str, dict[str, str | re.Pattern[str]]] = {
+    "series of captures": dict.fromkeys(RESULT_FILES["series of captures"][1:], "capture"),
+    "demo": {"capture": "capture", "recon": "reconstruction"},
+    "EMVA 1288 measurement": {"frames": re.compile(r"[bd]\d+\.png")},
+    "calibration pictures": {"pictures": re.compile(r".+-\d+-\d+\.png")},
+    "study": {"masks": re.compile(r"[\w.+-]+\.(png|svg|toml)")},
+}
 
 
 @contextmanager
@@ -71,15 +80,30 @@ def check_output(path: Path, kind: str) -> None:
     if path.exists() and not path.is_dir():
         raise InputError(f"output {name}: is a file; a folder is needed")
     if path.is_dir():
-        entries = {entry.name for entry in path.iterdir()}
-        files = RESULT_FILES[kind]
-        if entries and not (entries <= set(files) and _is_own(path / files[0])):
-            others = ", ".join(sorted(entries - set(files))[:3]) or files[0]
+        foreign, first = _foreign(path, kind), RESULT_FILES[kind][0]
+        if foreign or (any(path.iterdir()) and not _is_own(path / first)):
+            others = ", ".join(foreign[:3]) or first
             raise InputError(
                 f"output {name}: exists and holds files that dasim did not write for a {kind} ({others}); "
                 "choose another folder"
             )
     _check_writable(path if path.is_dir() else path.parent, name)
+
+
+def _foreign(folder: Path, kind: str) -> list[str]:
+    """Names of what dasim did not write in a result folder and the folders inside of it, in order."""
+    foreign = []
+    for entry in sorted(folder.iterdir()):
+        inside = INSIDE.get(kind, {}).get(entry.name)
+        if entry.name not in RESULT_FILES[kind] or entry.is_dir() != (inside is not None):
+            foreign.append(entry.name)
+        elif isinstance(inside, str):
+            foreign += [f"{entry.name}/{name}" for name in _foreign(entry, inside)]
+        elif inside is not None:
+            foreign += [
+                f"{entry.name}/{each.name}" for each in sorted(entry.iterdir()) if not inside.fullmatch(each.name)
+            ]
+    return foreign
 
 
 def check_output_file(path: Path) -> None:

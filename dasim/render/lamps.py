@@ -1,6 +1,6 @@
 """Direct light from emitters, with a control variate from the irradiance of whole lamps (JIT variants).
 
-Every ray samples each of up to eight emitters, so that the choice of an emitter adds no noise. The remaining noise
+Every ray samples each of up to 32 emitters, so that the choice of an emitter adds no noise. The remaining noise
 comes from the position of the sample on a lamp, and from shadows. Each node of the grid of
 :mod:`dasim.render.irradiance` holds the projected solid angle of the unoccluded lamp, and of the part of it that the
 node sees. With E the light from the whole lamp, L the light of one sample, V the visibility of its point, and c any
@@ -34,7 +34,7 @@ from dasim.render.plugin import aligned
 from dasim.render.sobol import Sobol, points
 from dasim.typing import FloatArray
 
-MOST_EMITTERS = 8  # most emitters that every ray samples; of more, each ray samples one
+MOST_EMITTERS = 32  # most emitters that every ray samples; of more, each ray samples one
 AGREEMENT = 0.15  # largest relative difference of the solid angle between the corners of a cell
 SAMPLES = 64  # samples of a lamp from a node
 SPLIT = 2  # samples of a lamp where its light is uncertain, if it is known in less than the fraction ``CLEAR`` of cells

@@ -12,11 +12,11 @@ from dasim.base.suggestions import did_you_mean
 from dasim.materials.library import Glass, Surface, is_textured, material_names, surface, unknown
 from dasim.materials.photographs import NEAR_INFRARED_RULES, mask
 from dasim.scene import mesh_merging, panorama
-from dasim.scene.clearance import placement_problems, size_problems
+from dasim.scene.clearance import LENS_CLEARANCE_M, distance_m, placement_problems, size_problems
 from dasim.scene.lights import Light, Near
 from dasim.scene.object_materials import triangles
 from dasim.scene.shapes import Box, HeightField, Mesh, Object, Sphere, half_extent_m, mesh_parts, placement
-from dasim.scene.specification import Scene, object_to_camera
+from dasim.scene.specification import Scene, object_to_camera, world_to_camera
 from dasim.spectra import illuminants
 
 
@@ -80,6 +80,8 @@ def _light_problems(light: Light, scene: Scene) -> list[str]:
             problems.append(str(error))
     if not isinstance(light, Near):
         return problems
+    if distance_m(light, world_to_camera(scene)) < LENS_CLEARANCE_M:
+        problems.append("lies on the lens or encloses it; move it")
     for item in scene.objects:
         if isinstance(item, (Box, Sphere)):
             _, half = half_extent_m(item, scene.folder)

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from dasim.scene import mesh_merging, meshes
+from dasim.scene.lights import Bulb, Near, Panel
 from dasim.scene.shapes import Mesh, Object, Sphere, half_extent_m, mesh_parts
 from dasim.typing import FloatArray
 
@@ -28,6 +29,23 @@ def size_problems(item: Object, folder: Path) -> list[str]:
         f"object '{item.name}': is {size_m:.3g} m large; {SMALLEST_M * 1e6:g} um to {LARGEST_M:g} m are allowed "
         f"(a mistake of units? {unit})"
     ]
+
+
+def distance_m(light: Near, to_camera: FloatArray) -> float:
+    """Distance of a light from the middle of the lens, in metres; a panel counts as the disc that fits into it.
+
+    ``to_camera`` transforms axes of the scene, in metres, into those of the camera, [4, 4].
+    """
+    place, target = (
+        to_camera[:3, :3] @ np.multiply(at, 1e-2) + to_camera[:3, 3] for at in (light.position_cm, light.target_cm)
+    )
+    radius = 1e-2 * (min(light.size_cm) / 2 if isinstance(light, Panel) else light.radius_cm)
+    if isinstance(light, Bulb):
+        return max(float(np.linalg.norm(place)) - radius, 0.0)
+    forward = (target - place) / np.linalg.norm(target - place)
+    off_plane = float(place @ forward)
+    in_plane = float(np.linalg.norm(place - off_plane * forward))
+    return float(np.hypot(off_plane, max(in_plane - radius, 0.0)))
 
 
 def placement_problems(item: Object, folder: Path, to_camera: FloatArray, pupil_radius_m: float = 0.0) -> list[str]:

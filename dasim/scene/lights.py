@@ -58,7 +58,11 @@ class Lamp(_Near):
 
 
 class Panel(_Near):
-    """A flat rectangle that faces its target; ``size_cm`` is its width, which is horizontal, and its height."""
+    """A flat rectangle that faces its target; ``size_cm`` is its width, which is horizontal, and its height.
+
+    In directions within 26 degrees of the vertical, as of a ceiling panel, its height is horizontal instead, along x
+    for one that faces straight down.
+    """
 
     kind: Literal["panel"]
     size_cm: tuple[Length, Length]

@@ -6,12 +6,14 @@ Tested in tests/dasim/simulation/test_simulate.py.
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dasim.base.errors import InputError
+from dasim.base.errors import InputError, kind_of
 from dasim.base.suggestions import did_you_mean
+from dasim.camera.noise import Exposure
 from dasim.camera.pointspread import DIFFRACTION_MODELS
 from dasim.camera.specification import Camera
 from dasim.render import stock
@@ -32,20 +34,34 @@ def check_options(
     noise_at: float = NOISE_AT,
 ) -> None:
     """Raise InputError for samples, a seed, a diffraction model or a target of noise that no variant allows."""
-    if isinstance(spp, str) and spp != "auto":
-        raise InputError(f"spp is '{spp}'; a whole number or 'auto' is needed")
-    if isinstance(spp, int) and not 1 <= spp <= MOST_SPP:
+    whole = isinstance(spp, (int, np.integer)) and not isinstance(spp, bool)
+    if spp not in (None, "auto") and not whole:
+        raise InputError(f"spp is {spp!r}; a whole number or 'auto' is needed")
+    if whole and not 1 <= int(cast(int, spp)) <= MOST_SPP:
         raise InputError(f"spp is {spp}; 1 to {MOST_SPP} samples per pixel are allowed")
     if not 0.01 <= noise_share <= 10:
         raise InputError(f"noise_share is {noise_share:g}; 0.01 to 10 of the sensor's own noise is allowed")
     if not PERCENTILE[0] <= noise_at <= PERCENTILE[1]:
         allowed = f"{PERCENTILE[0]:g} to {PERCENTILE[1]:g}"
         raise InputError(f"noise_at is {noise_at:g}; a percentile of the pixels of {allowed} is allowed, 50 the median")
-    if seed < 0:
-        raise InputError(f"seed is {seed}; 0 or a positive whole number is needed")
+    check_seed(seed)
     if diffraction is not None and diffraction not in DIFFRACTION_MODELS:
         hint = did_you_mean(diffraction, DIFFRACTION_MODELS)
         raise InputError(f"diffraction '{diffraction}' is unknown; allowed are {', '.join(DIFFRACTION_MODELS)}{hint}")
+
+
+def check_seed(seed: int) -> None:
+    """Raise InputError for a seed that is no whole number from 0."""
+    if not isinstance(seed, (int, np.integer)) or isinstance(seed, bool) or seed < 0:
+        raise InputError(f"seed is {seed!r}; 0 or a positive whole number is needed")
+
+
+def check_exposure(exposure: Exposure | None) -> None:
+    """Raise InputError for an exposure of another type, such as a time."""
+    if not isinstance(exposure, Exposure | None):
+        raise InputError(
+            f"exposure: a dasim.Exposure is needed, not {kind_of(exposure)}; for a time, Exposure(time_s=...)"
+        )
 
 
 def check_camera(camera: Camera, variant: str) -> None:

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dasim.base.errors import InputError
+from dasim.base.errors import InputError, kind_of
 from dasim.base.loading import function_name
 from dasim.base.toml import parse
 from dasim.camera import noise as sensor_noise
@@ -27,7 +27,7 @@ from dasim.camera.noise import Exposure, NoiseModel
 from dasim.camera.specification import Camera
 from dasim.files.captures import load_capture, load_truth
 from dasim.scene.lights import LUX_RANGE
-from dasim.simulation import rendering, rendering_noise
+from dasim.simulation import checks, rendering, rendering_noise
 from dasim.simulation.notes import frame_notes
 from dasim.typing import Float32Array
 from dasim.values import Capture, Truth
@@ -127,10 +127,15 @@ def expose_series(
     if not isinstance(shot, Shot):
         shot = Shot(load_capture(Path(shot)), load_truth(Path(shot)))
     seed = shot.capture.seed if seed is None else seed
-    if seed < 0:
-        raise InputError(f"seed is {seed}; 0 or a positive whole number is needed")
+    checks.check_seed(seed)
+    for exposure in exposures:
+        checks.check_exposure(exposure)
+    for name, number in (("lux", lux), ("scale", scale)):
+        if number is not None and not isinstance(number, (int, float, np.number)):
+            raise InputError(f"{name}: a number is needed, not {kind_of(number)}")
     if frames < 1:
         raise InputError(f"frames is {frames}; 1 or more is needed")
+    shot.truth.require("mean_e")
     with _own_provenance(where):
         light = _relit(sensor_light_of(shot, where), lux, scale, where)
     model = noise or _noise_model(shot.capture, where)

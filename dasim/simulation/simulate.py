@@ -113,6 +113,7 @@ def sensor_light(
     camera = as_camera(camera)
     scene = as_scene(scene, camera)
     checks.check_options(spp, seed, diffraction, noise_share, noise_at)
+    checks.check_exposure(exposure)
     sampling = Sampling(spp, noise_share, noise_at, seed)
     try:
         view = prepare(scene, camera, diffraction, variant, progress)

@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import sys
 from pathlib import Path
 from xml.etree import ElementTree
 
 import numpy as np
 import pytest
 
+import dasim
 import recon
 import validation
 from dasim.base import fingerprint
 from dasim.base.errors import InputError
+from dasim.camera import noise
 from dasim.cli import run
 from dasim.files.banks import save_bank
 from dasim.files.captures import save_capture
@@ -24,6 +27,7 @@ from validation import methods
 from validation.claims.depth import scenes
 from validation.claims.table import CLAIMS
 from validation.methods import NamedMethod, named
+from validation.scores.metrics import metric_figures
 from validation.studies.sweep import point
 from validation.studies.sweep.loading import load_study
 from validation.studies.sweep.specification import units
@@ -170,6 +174,21 @@ def test_a_method_that_raises_fails_its_claim_in_one_line(small_claim, capsys):
     assert entries["depth.best.desk.raw"]["value"] is not None
     printed = capsys.readouterr()
     assert "Traceback" not in printed.err and "IndexError" in printed.err
+
+
+def test_a_function_that_ends_the_process_is_an_error(tmp_path):
+    """Rationale: sys.exit(0) in a user's function would end a gate in CI as passed."""
+    capture, bank = object(), object()
+
+    def leaves(*_):
+        sys.exit(0)
+
+    with pytest.raises(InputError, match="stopped by SystemExit"):
+        methods._guarded(leaves)(capture, bank)
+    with pytest.raises(InputError, match="stopped by SystemExit"):
+        metric_figures("map", np.ones((2, 2)), None, [leaves])
+    with pytest.raises(InputError, match="SystemExit"):
+        noise.apply(leaves, np.ones((2, 2)), dasim.load_camera("da-mobile").sensor, 0.1, 0, 1.0)
 
 
 def test_every_claim_about_depth_takes_methods():

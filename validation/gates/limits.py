@@ -38,6 +38,8 @@ def within(value: float, limit: str) -> bool:
 def bounds(limit: str) -> tuple[float, float]:
     """The lowest and the highest value of a limit, infinite where it has none; raises InputError if unreadable."""
     if both := _RANGE.fullmatch(limit):
+        if float(both[1]) > float(both[2]):
+            raise InputError(f"limit '{limit}' holds no value; the smaller end comes first")
         return float(both[1]), float(both[2])
     bound = _ONE_SIDED.fullmatch(limit)
     if not bound:
@@ -111,6 +113,10 @@ def load_gates(path: Path, claims: Iterable[str]) -> list[Gate]:
     """Limits of a TOML file, those for a single figure first; raises InputError if a key is wrong."""
     known = sorted(claims)
     gates = [Gate(key, text.limit, text.why) for key, text in parse_toml(_GateFile, path).root.items()]
+    if not gates:
+        raise InputError(
+            f'{path}: holds no limit; a limit has the form ["CLAIM.FIGURE"] with limit = "<= 0.5" below it'
+        )
     for gate in gates:
         if gate.claim not in known or gate.key == gate.claim:
             raise InputError(

@@ -56,6 +56,8 @@ def check_score_files(json_file: Path | None, junit: Path | None) -> None:
     """Refuse, before the work begins, to overwrite a file other than an earlier score or to write into a missing
     folder.
     """
+    if json_file is not None and junit is not None and json_file.resolve() == junit.resolve():
+        raise InputError(f"--json and --junit are both {json_file}; name two files")
     for option, out in (("--json", json_file), ("--junit", junit)):
         if out is None:
             continue

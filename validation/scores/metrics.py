@@ -56,7 +56,7 @@ def metric_figures(depth_map: str, depth_m: NDArray, truth: Truth, metrics: Sequ
         name = metric_name(metric)
         try:
             values = metric(depth_m, truth)
-        except Exception as error:
+        except (Exception, SystemExit) as error:
             raise InputError(
                 f"metric '{name}': stopped by {type(error).__name__}: {' '.join(str(error).split())}"
             ) from error

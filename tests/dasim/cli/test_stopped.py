@@ -25,6 +25,25 @@ cli.main()
 """
 
 
+LOADING = """
+import os, signal, sys
+from dasim import start
+class Loader:
+    def find_spec(self, name, path=None, target=None):
+        if name == "dasim.cli":
+            os.kill(os.getpid(), signal.{name})
+sys.meta_path.insert(0, Loader())
+sys.argv = ["dasim", "list", "scenes"]
+start.main()
+"""
+
+
+@pytest.mark.parametrize(("name", "status"), [("SIGINT", 130), ("SIGTERM", 143)])
+def test_signal_while_modules_are_loaded(name, status):
+    done = subprocess.run([sys.executable, "-c", LOADING.format(name=name)], capture_output=True, text=True)
+    assert (done.returncode, done.stderr) == (status, "dasim: stopped; no incomplete output is left\n")
+
+
 @pytest.mark.parametrize("is_written", [True, False])
 @pytest.mark.parametrize("form", ["{0}", "--out={0}"])
 def test_stopped_after_the_output_was_written(is_written, form, tmp_path, monkeypatch, capsys):

@@ -244,6 +244,13 @@ def test_own_results_are_replaced_and_foreign_files_kept(tmp_path, capture):
     if Path("/proc").is_dir():  # root has permission there, but the file system takes no folders
         with pytest.raises(InputError, match="/proc is not a folder that can be written to"):
             folders.check_output(Path("/proc/shot"), "capture")
+    series = tmp_path / "series"
+    captures.save_capture(series / "000", capture, None)
+    (series / "series.json").write_text('{"software": {"dasim": "1"}}')
+    folders.check_output(series, "series of captures")
+    (series / "000" / "notes.txt").write_text("mine")
+    with pytest.raises(InputError, match=r"000/notes\.txt"):
+        folders.check_output(series, "series of captures")
     (tmp_path / "empty").mkdir()
     captures.save_capture(tmp_path / "empty", capture, None)
     assert (tmp_path / "empty" / "raw.png").is_file()

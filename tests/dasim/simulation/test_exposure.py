@@ -279,11 +279,19 @@ def test_a_capture_without_provenance_keeps_its_exposure(shot):
         ({"lux": 1e9}, r"the lights would have 2\.85714e\+08 to 7\.14286e\+08 lux; 1e-06 to 1e\+07"),
         ({"scale": 0.0}, "the factor on the light is 0; 1e-09 to"),
         ({"seed": -1}, "seed is -1"),
+        ({"lux": "3"}, "lux: a number is needed"),
+        ({"exposure": 0.1}, r"a dasim\.Exposure is needed"),
     ],
 )
 def test_values_that_are_not_allowed(shot, options, message):
     with pytest.raises(InputError, match=message):
         expose(shot, **options)
+
+
+def test_truth_without_light_is_refused(shot):
+    with pytest.raises(InputError, match="mean_e") as refused:
+        expose(Shot(shot.capture, replace(shot.truth, mean_e=None)))
+    assert "meta.json" not in str(refused.value)
 
 
 def test_truth_of_a_part_of_the_frame_is_refused(shot):

@@ -234,7 +234,13 @@ def test_default_model_of_diffraction_spreads_light_and_keeps_it(make_scene, da_
     ("change", "message"),
     [
         ({"spp": 0}, "spp is 0"),
+        ({"spp": 2.5}, r"spp is 2\.5; a whole number"),
+        ({"spp": True}, "spp is True"),
+        ({"spp": float("nan")}, "spp is nan"),
         ({"seed": -1}, "seed is -1"),
+        ({"seed": 1.5}, r"seed is 1\.5; 0 or"),
+        ({"seed": None}, "seed is None"),
+        ({"exposure": 0.01}, r"a dasim\.Exposure is needed, not .*Exposure\(time_s"),
         ({"variant": "llvm_rgb"}, "variant 'llvm_rgb' is unknown"),
         ({"diffraction": "fourier"}, "diffraction 'fourier' is unknown; allowed are .*off"),
     ],

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from dasim.base.errors import InputError
 from validation.claims.table import CLAIMS
 from validation.gates.limits import GATES, Gate, gate_of, judged_all, load_gates
 from validation.scores.figures import Figure
@@ -35,6 +36,16 @@ def test_every_figure_has_the_limit_that_is_listed(gates, figures):
 def test_every_gate_limits_a_figure(gates, figures):
     used = {gate.key for gate in (gate_of(name, gates) for name in figures) if gate is not None}
     assert [gate.key for gate in gates if gate.key not in used] == []
+
+
+@pytest.mark.parametrize(
+    ("text", "words"), [("", "holds no limit"), ('["off-axis.a"]\nlimit = "3..1"\n', "the smaller end comes first")]
+)
+def test_a_file_that_limits_nothing_is_refused(tmp_path, text, words):
+    """Rationale: a truncated file would let everything pass."""
+    (tmp_path / "gates.toml").write_text(text)
+    with pytest.raises(InputError, match=words):
+        load_gates(tmp_path / "gates.toml", CLAIMS)
 
 
 def test_a_gate_for_several_figures_needs_each_of_them():
